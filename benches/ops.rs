@@ -1,0 +1,208 @@
+//! `cargo bench -p dpges-benches --bench ops`: each operation, a whole training step, and how both grow.
+
+use std::hint::black_box;
+use std::time::Duration;
+
+use burn::tensor::{DType, Device, Tensor};
+use criterion::{BatchSize, BenchmarkId, Criterion, SamplingMode, criterion_group, criterion_main};
+use dpges_benches::training::{Parameter, Training, Variant, adam_settings};
+use dpges_benches::{devices, machine, plain};
+use dpges_core::ops::composite::{Composite, CompositeOptions, composite};
+use dpges_core::ops::peel::{Layers, PeelOptions, peel};
+use dpges_core::ops::splat::limits::interval_limits;
+use dpges_core::ops::splat::splat;
+use dpges_core::ops::ssim::ssim;
+use dpges_core::render::{Render, RenderOptions, render};
+use dpges_core::scene::{Gaussians, Surfels};
+use dpges_core::testing::scenes::{TestScene, realistic};
+
+const SURFELS: usize = 10_000;
+const GAUSSIANS: usize = 100_000;
+const SIZE: usize = 400;
+const BLENDING: CompositeOptions = CompositeOptions { background: [0.0; 3], detach_transmittance: false };
+
+fn scene() -> TestScene {
+    realistic(SURFELS, GAUSSIANS, SIZE, SIZE, 1)
+}
+
+/// A rendered view whose tensors are leaves of a tape, or off it.
+struct View {
+    scene: TestScene,
+    device: Device,
+    surfels: Surfels,
+    gaussians: Gaussians,
+    render: Render,
+}
+
+impl View {
+    fn new(device: &Device) -> Self {
+        let scene = scene();
+        let (surfels, gaussians) = scene.tensors(device, DType::F32);
+        let render = render(&surfels, &gaussians, &scene.camera, &RenderOptions::default()).unwrap();
+        Self { scene, device: device.clone(), surfels, gaussians, render }
+    }
+
+    fn peel(&self) -> Layers {
+        self.peel_leaves(|t| t)
+    }
+
+    fn peel_leaves(&self, of: impl Fn(Tensor<2>) -> Tensor<2>) -> Layers {
+        let s = &self.surfels;
+        let [p, q, l] = [&s.positions, &s.quaternions, &s.log_scales].map(|tensor| of(tensor.clone()));
+        peel(p, q, l, &self.scene.camera, &PeelOptions::default()).unwrap()
+    }
+
+    fn splat(&self) -> Tensor<4> {
+        let colours = self.render.gaussian_colours.clone();
+        splat(&self.gaussians, colours, self.render.limits.clone(), &self.scene.camera).unwrap()
+    }
+
+    fn splat_leaves(&self) -> Tensor<4> {
+        let mut gaussians = self.gaussians.clone();
+        gaussians.positions = leaf(&gaussians.positions);
+        gaussians.quaternions = leaf(&gaussians.quaternions);
+        gaussians.log_scales = leaf(&gaussians.log_scales);
+        gaussians.opacities = leaf(&gaussians.opacities);
+        let limits = self.render.limits.clone().autodiff();
+        splat(&gaussians, leaf(&self.render.gaussian_colours), limits, &self.scene.camera).unwrap()
+    }
+
+    /// Image, surfel image and transmittance, which the losses use, weighted so that all have gradients.
+    fn composite(&self, sums: &Tensor<4>, own: bool) -> Composite {
+        self.composite_of(self.render.layers.clone(), self.render.surfel_colours.clone(), sums.clone(), own)
+    }
+
+    fn composite_of(&self, layers: Layers, colours: Tensor<2>, sums: Tensor<4>, own: bool) -> Composite {
+        if own {
+            composite(&layers, colours, sums, BLENDING).unwrap()
+        } else {
+            plain::composite(&layers, colours, sums, &BLENDING)
+        }
+    }
+
+    fn composite_loss(&self, sums: &Tensor<4>, own: bool) -> Tensor<1> {
+        let mut layers = self.render.layers.clone();
+        layers.alpha = leaf(&layers.alpha);
+        layers.depth = layers.depth.autodiff();
+        layers.ids = layers.ids.autodiff();
+        let out = self.composite_of(layers, leaf(&self.render.surfel_colours), leaf(sums), own);
+        out.image.sum() + out.surfel_image.sum() + out.transmittance.sum()
+    }
+
+    fn sync(&self) {
+        self.device.sync().unwrap();
+    }
+}
+
+fn leaf<const D: usize>(tensor: &Tensor<D>) -> Tensor<D> {
+    tensor.clone().autodiff().require_grad()
+}
+
+/// Adam's parameters of a step: positions, rotations, scales and colours of all Gaussians.
+fn parameters(view: &View) -> Vec<(Parameter<2>, Tensor<2>)> {
+    let g = &view.gaussians;
+    [&g.positions, &g.quaternions, &g.log_scales, &g.colour.base, &g.colour.detail]
+        .map(|tensor| (Parameter::new(tensor), tensor.clone() * 1e-3))
+        .into()
+}
+
+fn operations(c: &mut Criterion) {
+    println!("{}", machine());
+    for (name, device) in devices() {
+        let view = View::new(&device);
+        let sums = view.splat();
+        let mut group = c.benchmark_group(name);
+        group.sampling_mode(SamplingMode::Flat);
+        let mut forward = |operation: &str, run: &dyn Fn()| {
+            group.bench_function(operation, |b| {
+                b.iter(|| {
+                    run();
+                    view.sync();
+                });
+            });
+        };
+        forward("peel", &|| _ = black_box(view.peel()));
+        forward("limits", &|| {
+            _ = black_box(interval_limits(&view.render.layers, view.surfels.margins.clone()).unwrap());
+        });
+        forward("splat", &|| _ = black_box(view.splat()));
+        forward("composite", &|| _ = black_box(view.composite(&sums, true)));
+        forward("composite, plain", &|| _ = black_box(view.composite(&sums, false)));
+        let (image, target) = (&view.render.composite.image, &view.render.composite.surfel_image);
+        forward("ssim", &|| _ = black_box(ssim(image.clone(), target.clone()).unwrap()));
+        forward("render", &|| {
+            _ = black_box(
+                render(&view.surfels, &view.gaussians, &view.scene.camera, &RenderOptions::default()).unwrap(),
+            );
+        });
+        let mut backward = |operation: &str, make: &dyn Fn() -> Tensor<1>| {
+            group.bench_function(format!("{operation} backward"), |b| {
+                b.iter_batched(make, |loss| black_box(loss.backward()), BatchSize::PerIteration);
+            });
+        };
+        backward("peel", &|| view.peel_leaves(|t| leaf(&t)).alpha.sum());
+        backward("splat", &|| view.splat_leaves().sum());
+        backward("composite", &|| view.composite_loss(&sums, true));
+        backward("composite, plain", &|| view.composite_loss(&sums, false));
+        backward("ssim", &|| ssim(leaf(image), target.clone().autodiff()).unwrap());
+        for (operation, own) in [("Adam", true), ("Adam, plain", false)] {
+            let (mut parameters, mut time) = (parameters(&view), 0);
+            group.bench_function(operation, |b| {
+                b.iter(|| {
+                    time += 1;
+                    parameters.iter_mut().for_each(|(p, grad)| p.step(grad.clone(), adam_settings(time), own));
+                    view.sync();
+                });
+            });
+        }
+    }
+}
+
+fn steps(c: &mut Criterion) {
+    for (name, device) in devices() {
+        let mut group = c.benchmark_group(format!("step on {name}"));
+        group.sampling_mode(SamplingMode::Flat);
+        for variant in [Variant::OWN, Variant::PLAIN_COMPOSITE, Variant::PLAIN_ADAM, Variant::PLAIN] {
+            let mut training = Training::new(&scene(), &device);
+            group.bench_function(variant.name(), |b| b.iter(|| black_box(training.step(variant))));
+        }
+    }
+}
+
+/// A step's time against pixels (at the same overlap) and against primitives (at half the area each).
+fn growth(c: &mut Criterion) {
+    let (name, device) = &devices()[1];
+    let mut group = c.benchmark_group(format!("growth on {name}"));
+    group.sampling_mode(SamplingMode::Flat);
+    let training = Training::new(&scene(), device);
+    for size in [200, 400, 800] {
+        let mut resized = training.resized(size, size);
+        group.bench_function(BenchmarkId::new("pixels", size), |b| b.iter(|| black_box(resized.step(Variant::OWN))));
+    }
+    for times in [1, 2, 4] {
+        let mut scene = realistic(times * SURFELS, times * GAUSSIANS, SIZE, SIZE, 1);
+        // surfels shrink with their number; so shall the Gaussians
+        scene.gaussians.log_scales.iter_mut().for_each(|s| *s -= 0.5 * (times as f32).ln());
+        let mut more = Training::new(&scene, device);
+        group.bench_function(BenchmarkId::new("primitives at constant overlap", times), |b| {
+            b.iter(|| black_box(more.step(Variant::OWN)));
+        });
+    }
+    for times in [1, 2, 4] {
+        let scene = realistic(SURFELS, times * GAUSSIANS, SIZE, SIZE, 1);
+        let mut more = Training::new(&scene, device);
+        group.bench_function(BenchmarkId::new("Gaussian overlap", times), |b| {
+            b.iter(|| black_box(more.step(Variant::OWN)));
+        });
+    }
+}
+
+fn short() -> Criterion {
+    Criterion::default()
+        .sample_size(10)
+        .warm_up_time(Duration::from_millis(300))
+        .measurement_time(Duration::from_millis(1500))
+}
+
+criterion_group! { name = all; config = short(); targets = operations, steps, growth }
+criterion_main!(all);

@@ -1,0 +1,23 @@
+//! What the benchmarks measure: a training step in its parts and as a whole, and the same step with
+//! compositing and Adam as plain tensor operations.
+
+pub mod plain;
+pub mod training;
+
+use burn::tensor::Device;
+
+/// The CPU backends, by name.
+#[expect(deprecated, reason = "burn-ndarray is deprecated upstream and supported here")]
+pub fn devices() -> [(&'static str, Device); 2] {
+    [("ndarray", Device::ndarray()), ("flex", Device::flex())]
+}
+
+/// Model of the processor and number of threads.
+pub fn machine() -> String {
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let info = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let line = |key: &str| info.lines().find(|line| line.starts_with(key)).and_then(|line| line.split(": ").nth(1));
+    let of = |key: &str| line(key).unwrap_or("?").trim();
+    let (model, family, number) = (of("model name"), of("cpu family"), of("model\t"));
+    format!("{model} (family {family}, model {number}), {threads} threads")
+}

@@ -1,0 +1,152 @@
+//! A pinhole camera: OpenCV axes (x right, y down, z forward), pixel (column i, row j) sampled at
+//! (i + 0.5, j + 0.5), principal point wherever it is.
+
+use glam::{DMat3, DQuat, DVec3};
+use serde::{Deserialize, Serialize};
+
+use crate::error::{Error, Result};
+
+/// Rigid motion from world to camera axes: `x_camera = rotation · x_world + translation`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CameraFromWorld {
+    pub rotation: DMat3,
+    pub translation: DVec3,
+}
+
+impl CameraFromWorld {
+    /// From a unit quaternion (w, x, y, z) and a translation, COLMAP's convention.
+    pub fn from_quaternion(wxyz: [f64; 4], translation: DVec3) -> Self {
+        let [w, x, y, z] = wxyz;
+        Self { rotation: DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize()), translation }
+    }
+
+    /// A camera at `eye` whose optical axis meets `target`; `up` points up in the picture.
+    pub fn look_at(eye: DVec3, target: DVec3, up: DVec3) -> Self {
+        let forward = (target - eye).normalize();
+        let right = forward.cross(up).normalize();
+        let down = forward.cross(right);
+        let rotation = DMat3::from_cols(right, down, forward).transpose();
+        Self { rotation, translation: -(rotation * eye) }
+    }
+
+    /// Camera centre in world units.
+    pub fn centre(&self) -> DVec3 {
+        -(self.rotation.transpose() * self.translation)
+    }
+
+    /// The same camera after the world was shifted by `-offset`.
+    pub fn recentred(&self, offset: DVec3) -> Self {
+        Self { rotation: self.rotation, translation: self.translation + self.rotation * offset }
+    }
+}
+
+/// Pinhole camera. Focal lengths and principal point in px, `near` in world units.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Camera {
+    pub camera_from_world: CameraFromWorld,
+    pub fx: f64,
+    pub fy: f64,
+    pub cx: f64,
+    pub cy: f64,
+    pub width: usize,
+    pub height: usize,
+    /// Fragments and Gaussian centres with camera-space z at or below this do not exist.
+    pub near: f64,
+}
+
+impl Camera {
+    /// # Errors
+    /// [`Error::Camera`] for an empty image, a focal length that is not positive, or any value that is not finite.
+    pub fn validate(&self) -> Result<()> {
+        let positive = |field, value: f64| {
+            if value.is_finite() && value > 0.0 {
+                Ok(())
+            } else {
+                Err(Error::Camera { field, expected: "a positive, finite number", found: value.to_string() })
+            }
+        };
+        let finite = |field, ok: bool, found: String| {
+            if ok { Ok(()) } else { Err(Error::Camera { field, expected: "finite numbers", found }) }
+        };
+        positive("width", self.width as f64)?;
+        positive("height", self.height as f64)?;
+        positive("fx", self.fx)?;
+        positive("fy", self.fy)?;
+        positive("near", self.near)?;
+        finite("cx", self.cx.is_finite(), self.cx.to_string())?;
+        finite("cy", self.cy.is_finite(), self.cy.to_string())?;
+        let pose = &self.camera_from_world;
+        finite("rotation", pose.rotation.is_finite(), format!("{:?}", pose.rotation))?;
+        finite("translation", pose.translation.is_finite(), format!("{:?}", pose.translation))
+    }
+
+    /// Camera centre in world units.
+    pub fn centre(&self) -> DVec3 {
+        self.camera_from_world.centre()
+    }
+
+    /// The same camera for an image of `width` × `height` px: same field of view, scaled focal
+    /// lengths and principal point.
+    pub fn resized(&self, width: usize, height: usize) -> Self {
+        let (sx, sy) = (width as f64 / self.width as f64, height as f64 / self.height as f64);
+        Self { fx: self.fx * sx, fy: self.fy * sy, cx: self.cx * sx, cy: self.cy * sy, width, height, ..*self }
+    }
+
+    /// Position in px and camera-space depth of a world point; `None` at or behind the near plane.
+    pub fn project(&self, world: DVec3) -> Option<(f64, f64, f64)> {
+        let p = self.camera_from_world.rotation * world + self.camera_from_world.translation;
+        (p.z > self.near).then(|| (self.fx * p.x / p.z + self.cx, self.fy * p.y / p.z + self.cy, p.z))
+    }
+
+    /// World point seen at pixel position (`x_px`, `y_px`) at camera-space z `depth`.
+    pub fn unproject(&self, x_px: f64, y_px: f64, depth: f64) -> DVec3 {
+        let p = DVec3::new((x_px - self.cx) / self.fx, (y_px - self.cy) / self.fy, 1.0) * depth;
+        self.camera_from_world.rotation.transpose() * (p - self.camera_from_world.translation)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn camera() -> Camera {
+        let pose = CameraFromWorld::look_at(DVec3::new(1.0, -3.0, 2.0), DVec3::ZERO, DVec3::Z);
+        Camera { camera_from_world: pose, fx: 60.0, fy: 70.0, cx: 20.0, cy: 11.0, width: 48, height: 32, near: 0.01 }
+    }
+
+    #[test]
+    fn look_at_puts_the_target_on_the_principal_point_and_up_is_up() {
+        let camera = camera();
+        let (x, y, depth) = camera.project(DVec3::ZERO).unwrap();
+        approx::assert_relative_eq!(x, 20.0, epsilon = 1e-12);
+        approx::assert_relative_eq!(y, 11.0, epsilon = 1e-12);
+        approx::assert_relative_eq!(depth, 14f64.sqrt(), epsilon = 1e-12);
+        assert!(camera.project(DVec3::new(0.0, 0.0, 0.1)).unwrap().1 < y);
+        approx::assert_relative_eq!(camera.camera_from_world.rotation.determinant(), 1.0, epsilon = 1e-12);
+    }
+
+    #[test]
+    fn unproject_inverts_project_also_after_resizing_and_recentring() {
+        let world = DVec3::new(0.3, -0.2, 0.5);
+        let offset = DVec3::new(5e5, -2e6, 10.0);
+        let camera = camera().resized(96, 64);
+        let (x, y, depth) = camera.project(world).unwrap();
+        assert!((camera.unproject(x, y, depth) - world).length() < 1e-12);
+        let pose = camera.camera_from_world;
+        let far = Camera { camera_from_world: pose.recentred(-offset), ..camera };
+        let near = Camera { camera_from_world: far.camera_from_world.recentred(offset), ..far };
+        assert!((near.project(world).unwrap().0 - x).abs() < 1e-6);
+    }
+
+    #[test]
+    fn bad_cameras_are_named() {
+        let bad = Camera { fx: -1.0, ..camera() };
+        assert!(bad.validate().unwrap_err().to_string().contains("`fx` is -1"));
+        let bad = Camera { width: 0, ..camera() };
+        assert!(bad.validate().unwrap_err().to_string().contains("`width`"));
+        let mut bad = camera();
+        bad.camera_from_world.translation.y = f64::NAN;
+        assert!(bad.validate().unwrap_err().to_string().contains("`translation`"));
+        camera().validate().unwrap();
+    }
+}

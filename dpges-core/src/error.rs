@@ -1,0 +1,23 @@
+//! What can be wrong with what a caller hands in; every message names the tensor, option or file.
+
+use std::path::PathBuf;
+
+pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    #[error("tensor `{tensor}` has shape {found:?}, expected {expected}")]
+    Shape { tensor: String, expected: String, found: Vec<usize> },
+    #[error("tensor `{tensor}` is {found} at row {row}, expected a finite value")]
+    NonFinite { tensor: String, row: usize, found: f64 },
+    #[error("tensor `{tensor}` has element type {found}, expected {expected}")]
+    DType { tensor: String, expected: String, found: String },
+    #[error("camera `{field}` is {found}, expected {expected}")]
+    Camera { field: &'static str, expected: &'static str, found: String },
+    #[error("option `{option}` is {found}, expected {expected}")]
+    Option { option: &'static str, expected: String, found: String },
+    #[error("scene file {path}: {reason}")]
+    SceneFile { path: PathBuf, reason: String },
+    #[error("{action} {path}: {source}")]
+    Io { action: &'static str, path: PathBuf, source: std::io::Error },
+}

@@ -1,0 +1,101 @@
+//! The losses of DP-GES, each a tensor function returning [1] (methods 2.4, 7.1, 7.4 m–o).
+
+use burn::tensor::Tensor;
+
+use crate::error::Result;
+use crate::ops::ssim::ssim;
+use crate::render::Render;
+
+/// Beyond this x the scale loss continues exp(x) by its tangent, so that one huge surfel neither
+/// overflows nor loses its gradient.
+pub const SCALE_LOSS_LINEAR_FROM: f64 = 20.0;
+
+/// Weights of the terms of the total loss.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LossWeights {
+    /// Share of 1 − SSIM in the photometric loss; the rest is L1.
+    pub dssim: f64,
+    /// λ1 of L_s.
+    pub surfel: f64,
+    /// λ2 of L_scale: 5e-5 for unbounded scenes, 1e-5 for bounded ones.
+    pub scale: f64,
+    /// λ3 of L_t.
+    pub transmittance: f64,
+}
+
+impl Default for LossWeights {
+    /// The paper's, for a bounded scene.
+    fn default() -> Self {
+        Self { dssim: 0.2, surfel: 0.01, scale: 1e-5, transmittance: 0.08 }
+    }
+}
+
+/// Mean absolute difference of two images.
+pub fn l1(image: Tensor<3>, target: Tensor<3>) -> Tensor<1> {
+    (image - target).abs().mean()
+}
+
+/// L_rgb: `(1 − share) · L1 + share · (1 − SSIM)`, on the unclamped image.
+///
+/// # Errors
+/// [`crate::Error::Shape`] if the images differ in shape.
+pub fn rgb(image: Tensor<3>, target: Tensor<3>, dssim_share: f64) -> Result<Tensor<1>> {
+    let similarity = ssim(image.clone(), target.clone())?;
+    Ok(l1(image, target) * (1.0 - dssim_share) + (similarity * -1.0 + 1.0) * dssim_share)
+}
+
+/// L_scale: mean of exp(x), x the mean of a surfel's two scales over the mean scale of all surfels;
+/// that mean carries no gradient. Zero without surfels. `log_scales` [N, 2].
+pub fn scale(log_scales: Tensor<2>) -> Tensor<1> {
+    let device = log_scales.device();
+    if log_scales.dims()[0] == 0 {
+        return Tensor::zeros([1], (&device, log_scales.dtype()));
+    }
+    let scales = log_scales.exp();
+    let mean = scales.clone().detach().mean();
+    let x = (scales / mean.unsqueeze::<2>()).mean_dim(1);
+    let clamped = x.clone().clamp_max(SCALE_LOSS_LINEAR_FROM);
+    (clamped.clone().exp() * (x - clamped + 1.0)).mean()
+}
+
+/// L_t: (1 − T_K)² averaged over all pixels; pixels covered by fewer than two layers contribute
+/// neither value nor gradient.
+pub fn transmittance(render: &Render) -> Tensor<1> {
+    let [count, height, width] = render.layers.alpha.dims();
+    if count < 2 {
+        return Tensor::zeros([1], (&render.layers.alpha.device(), render.layers.alpha.dtype()));
+    }
+    let last = render.composite.transmittance.clone().slice([count..count + 1, 0..height, 0..width]);
+    let uncovered = render.layers.ids.clone().slice([1..2, 0..height, 0..width]).lower_elem(0);
+    (last * -1.0 + 1.0).powi_scalar(2).mask_fill(uncovered, 0.0).mean()
+}
+
+/// The terms of the total loss of one view, unweighted.
+#[derive(Clone, Debug)]
+pub struct Losses {
+    pub rgb: Tensor<1>,
+    pub surfel: Tensor<1>,
+    pub scale: Tensor<1>,
+    pub transmittance: Tensor<1>,
+    /// Weighted sum.
+    pub total: Tensor<1>,
+}
+
+/// All terms for one rendered view; terms with weight 0 are not evaluated for their gradient.
+///
+/// # Errors
+/// [`crate::Error::Shape`] if the target does not fit the image.
+pub fn losses(render: &Render, log_scales: Tensor<2>, target: Tensor<3>, weights: &LossWeights) -> Result<Losses> {
+    let rgb = rgb(render.composite.image.clone(), target.clone(), weights.dssim)?;
+    let surfel = l1(render.composite.surfel_image.clone(), target);
+    let scale = scale(log_scales);
+    let transmittance = transmittance(render);
+    let mut total = rgb.clone();
+    for (term, weight) in [(&surfel, weights.surfel), (&scale, weights.scale), (&transmittance, weights.transmittance)]
+    {
+        if weight != 0.0 {
+            total = total + term.clone() * weight;
+        }
+    }
+    Ok(Losses { rgb, surfel, scale, transmittance, total })
+}

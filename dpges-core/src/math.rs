@@ -1,0 +1,144 @@
+//! Three-vectors, matrices and rotations over either element type, and the derivative of a rotation
+//! with respect to its raw quaternion.
+
+use crate::camera::Camera;
+use crate::real::Real;
+
+pub type V3<T> = [T; 3];
+/// Row-major.
+pub type M3<T> = [[T; 3]; 3];
+
+#[inline(always)]
+pub fn dot<T: Real>(a: V3<T>, b: V3<T>) -> T {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+#[inline(always)]
+pub fn cross<T: Real>(a: V3<T>, b: V3<T>) -> V3<T> {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+#[inline(always)]
+pub fn add<T: Real>(a: V3<T>, b: V3<T>) -> V3<T> {
+    [a[0] + b[0], a[1] + b[1], a[2] + b[2]]
+}
+
+#[inline(always)]
+pub fn sub<T: Real>(a: V3<T>, b: V3<T>) -> V3<T> {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+#[inline(always)]
+pub fn scale<T: Real>(a: V3<T>, s: T) -> V3<T> {
+    [a[0] * s, a[1] * s, a[2] * s]
+}
+
+#[inline(always)]
+pub fn column<T: Real>(m: &M3<T>, j: usize) -> V3<T> {
+    [m[0][j], m[1][j], m[2][j]]
+}
+
+/// m · v
+#[inline(always)]
+pub fn apply<T: Real>(m: &M3<T>, v: V3<T>) -> V3<T> {
+    [dot(m[0], v), dot(m[1], v), dot(m[2], v)]
+}
+
+/// mᵀ · v
+#[inline(always)]
+pub fn apply_transposed<T: Real>(m: &M3<T>, v: V3<T>) -> V3<T> {
+    [dot(column(m, 0), v), dot(column(m, 1), v), dot(column(m, 2), v)]
+}
+
+#[inline(always)]
+pub fn row<T: Real, const W: usize>(values: &[T], index: usize) -> [T; W] {
+    values[index * W..(index + 1) * W].try_into().expect("a row has W values")
+}
+
+/// Below this squared length a quaternion counts as zero and means the identity.
+const ZERO_QUATERNION_SQUARED: f64 = 1e-24;
+
+/// Rotation of an unnormalised quaternion (w, x, y, z); the identity for a zero quaternion.
+#[inline(always)]
+pub fn rotation<T: Real>(q: [T; 4]) -> M3<T> {
+    let [w, x, y, z] = unit(q).0;
+    let (one, two) = (T::one(), T::of(2.0));
+    [
+        [one - two * (y * y + z * z), two * (x * y - w * z), two * (x * z + w * y)],
+        [two * (x * y + w * z), one - two * (x * x + z * z), two * (y * z - w * x)],
+        [two * (x * z - w * y), two * (y * z + w * x), one - two * (x * x + y * y)],
+    ]
+}
+
+/// Unit quaternion and reciprocal length (0 for a zero quaternion).
+#[inline(always)]
+fn unit<T: Real>(q: [T; 4]) -> ([T; 4], T) {
+    // scaled first: squares of components near the ends of the range of T would over- or underflow
+    let largest = q.iter().fold(T::zero(), |m, v| m.max(v.abs()));
+    let squared_f64 = q.iter().map(|v| v.as_f64() * v.as_f64()).sum::<f64>();
+    if squared_f64 <= ZERO_QUATERNION_SQUARED {
+        return ([T::one(), T::zero(), T::zero(), T::zero()], T::zero());
+    }
+    let scaled = q.map(|v| v / largest);
+    let inverse = T::one() / scaled.iter().map(|&v| v * v).sum::<T>().sqrt();
+    (scaled.map(|v| v * inverse), inverse / largest)
+}
+
+/// Gradient with respect to the raw quaternion from the gradient with respect to its rotation (methods 1.4).
+#[inline(always)]
+pub fn rotation_backward<T: Real>(q: [T; 4], grad: &M3<T>) -> [T; 4] {
+    let (unit, inverse_length) = unit(q);
+    let [w, x, y, z] = unit;
+    let d = grad;
+    let two = T::of(2.0);
+    let g = [
+        two * (x * (d[2][1] - d[1][2]) + y * (d[0][2] - d[2][0]) + z * (d[1][0] - d[0][1])),
+        two * (w * (d[2][1] - d[1][2]) - two * x * (d[1][1] + d[2][2])
+            + y * (d[1][0] + d[0][1])
+            + z * (d[0][2] + d[2][0])),
+        two * (w * (d[0][2] - d[2][0]) + x * (d[1][0] + d[0][1]) - two * y * (d[0][0] + d[2][2])
+            + z * (d[2][1] + d[1][2])),
+        two * (w * (d[1][0] - d[0][1]) + x * (d[0][2] + d[2][0]) + y * (d[2][1] + d[1][2])
+            - two * z * (d[0][0] + d[1][1])),
+    ];
+    let along = g[0] * w + g[1] * x + g[2] * y + g[3] * z;
+    std::array::from_fn(|i| (g[i] - unit[i] * along) * inverse_length)
+}
+
+/// A camera's numbers in the element type of a kernel.
+#[derive(Clone, Copy, Debug)]
+pub struct CameraOf<T> {
+    pub rotation: M3<T>,
+    pub translation: V3<T>,
+    pub fx: T,
+    pub fy: T,
+    pub cx: T,
+    pub cy: T,
+    pub near: T,
+    pub width: usize,
+    pub height: usize,
+}
+
+impl<T: Real> CameraOf<T> {
+    pub fn new(camera: &Camera) -> Self {
+        let pose = &camera.camera_from_world;
+        let rows = pose.rotation.transpose().to_cols_array_2d();
+        Self {
+            rotation: rows.map(|r| r.map(T::of)),
+            translation: pose.translation.to_array().map(T::of),
+            fx: T::of(camera.fx),
+            fy: T::of(camera.fy),
+            cx: T::of(camera.cx),
+            cy: T::of(camera.cy),
+            near: T::of(camera.near),
+            width: camera.width,
+            height: camera.height,
+        }
+    }
+
+    /// World point in camera axes.
+    #[inline(always)]
+    pub fn transform(&self, world: V3<T>) -> V3<T> {
+        add(apply(&self.rotation, world), self.translation)
+    }
+}

@@ -1,0 +1,72 @@
+//! CPU kernel: one pass over parameter, moments and gradient.
+
+use burn::backend::TensorMetadata;
+use burn::backend::tensor::FloatTensor;
+use burn::tensor::TensorData;
+use rayon::prelude::*;
+
+use super::{AdamOps, AdamOutput, AdamStep};
+use crate::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::real::Real;
+use crate::simd::vectorised;
+
+const CHUNK: usize = 1 << 14;
+
+fn step_in_place<T: Real>(parameter: &mut [T], moment_1: &mut [T], moment_2: &mut [T], grad: &[T], step: &AdamStep) {
+    let time = i32::try_from(step.time).unwrap_or(i32::MAX);
+    let rate = T::of(step.learning_rate / (1.0 - step.beta_1.powi(time)));
+    let correction = T::of(1.0 / (1.0 - step.beta_2.powi(time)).sqrt());
+    let (beta_1, beta_2, epsilon) = (T::of(step.beta_1), T::of(step.beta_2), T::of(step.epsilon));
+    let (new_1, new_2) = (T::of(1.0 - step.beta_1), T::of(1.0 - step.beta_2));
+    parameter
+        .par_chunks_mut(CHUNK)
+        .zip(moment_1.par_chunks_mut(CHUNK))
+        .zip(moment_2.par_chunks_mut(CHUNK))
+        .zip(grad.par_chunks(CHUNK))
+        .for_each(|(((parameter, moment_1), moment_2), grad)| {
+            vectorised(
+                #[inline(always)]
+                || {
+                    for (((p, m), v), &g) in parameter.iter_mut().zip(moment_1).zip(moment_2).zip(grad) {
+                        *m = beta_1 * *m + new_1 * g;
+                        *v = beta_2 * *v + new_2 * g * g;
+                        *p = *p - rate * *m / (v.sqrt() * correction + epsilon);
+                    }
+                },
+            );
+        });
+}
+
+fn adam_on<B: Host>(
+    parameter: FloatTensor<B>,
+    moment_1: FloatTensor<B>,
+    moment_2: FloatTensor<B>,
+    grad: &FloatTensor<B>,
+    step: &AdamStep,
+) -> AdamOutput<B> {
+    let (shape, device) = (parameter.shape(), parameter.device());
+    with_real!(parameter.dtype(), T => {
+        let [mut parameter, mut moment_1, mut moment_2] = [parameter, moment_1, moment_2].map(host::take_floats::<B, T>);
+        step_in_place(&mut parameter, &mut moment_1, &mut moment_2, &host::floats::<B, T>(grad), step);
+        let [parameter, moment_1, moment_2] =
+            [parameter, moment_1, moment_2].map(|values| B::float_from_data(TensorData::new(values, shape.clone()), &device));
+        AdamOutput { parameter, moment_1, moment_2 }
+    })
+}
+
+macro_rules! implement {
+    ($backend:ty) => {
+        impl AdamOps for $backend {
+            fn adam_step(
+                parameter: FloatTensor<Self>,
+                moment_1: FloatTensor<Self>,
+                moment_2: FloatTensor<Self>,
+                grad: FloatTensor<Self>,
+                step: AdamStep,
+            ) -> AdamOutput<Self> {
+                adam_on::<Self>(parameter, moment_1, moment_2, &grad, &step)
+            }
+        }
+    };
+}
+for_each_cpu_backend!(implement);

@@ -1,0 +1,72 @@
+//! `adam`: one step of the optimiser on one parameter tensor, in place where nothing shares it.
+//!
+//! `m ← β1 m + (1 − β1) g`, `v ← β2 v + (1 − β2) g²`,
+//! `θ ← θ − lr / (1 − β1^t) · m / (√v / √(1 − β2^t) + ε)` (methods 1.10). No gradient.
+//!
+//! An operation of its own because Burn's Adam took a large part of a step on the CPU: see
+//! `benches/README.md`.
+
+mod cpu;
+#[cfg(test)]
+mod tests;
+
+use burn::backend::tensor::FloatTensor;
+use burn::backend::{Backend, Dispatch, ExtensionType, backend_extension};
+use burn::tensor::Tensor;
+
+use crate::error::Result;
+use crate::scene::tensors::check_shape;
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AdamStep {
+    pub learning_rate: f64,
+    pub beta_1: f64,
+    pub beta_2: f64,
+    pub epsilon: f64,
+    /// t ≥ 1: steps of this tensor, this one included.
+    pub time: u64,
+}
+
+#[derive(ExtensionType, Debug, Clone)]
+pub struct AdamOutput<B: Backend> {
+    pub parameter: FloatTensor<B>,
+    pub moment_1: FloatTensor<B>,
+    pub moment_2: FloatTensor<B>,
+}
+
+#[backend_extension(NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
+pub trait AdamOps: Backend {
+    fn adam_step(
+        parameter: FloatTensor<Self>,
+        moment_1: FloatTensor<Self>,
+        moment_2: FloatTensor<Self>,
+        grad: FloatTensor<Self>,
+        step: AdamStep,
+    ) -> AdamOutput<Self>;
+}
+
+/// Steps `parameter` along `grad`; returns it with its first and second moments. None is on a tape.
+///
+/// # Errors
+/// [`crate::Error::Shape`] if the four differ in shape.
+pub fn adam_step<const D: usize>(
+    parameter: Tensor<D>,
+    [moment_1, moment_2]: [Tensor<D>; 2],
+    grad: Tensor<D>,
+    step: AdamStep,
+) -> Result<(Tensor<D>, [Tensor<D>; 2])> {
+    check_shape("moment 1", &moment_1, parameter.dims())?;
+    check_shape("moment 2", &moment_2, parameter.dims())?;
+    check_shape("gradient", &grad, parameter.dims())?;
+    let out = Dispatch::adam_step(
+        parameter.into_dispatch(),
+        moment_1.into_dispatch(),
+        moment_2.into_dispatch(),
+        grad.into_dispatch(),
+        step,
+    );
+    Ok((
+        Tensor::from_dispatch(out.parameter),
+        [Tensor::from_dispatch(out.moment_1), Tensor::from_dispatch(out.moment_2)],
+    ))
+}

@@ -1,0 +1,79 @@
+use burn::tensor::{DType, Device, Tensor, TensorData};
+
+use super::{AdamStep, adam_step};
+use crate::testing::device;
+use crate::testing::golden::values;
+use crate::testing::random::Random;
+
+fn tensor(values: &[f64], dtype: DType, device: &Device) -> Tensor<1> {
+    Tensor::from_data(TensorData::new(values.to_vec(), [values.len()]).convert_dtype(dtype), (device, dtype))
+}
+
+fn step(time: u64) -> AdamStep {
+    AdamStep { learning_rate: 0.1, beta_1: 0.9, beta_2: 0.999, epsilon: 1e-15, time }
+}
+
+#[test]
+fn two_steps_by_hand() {
+    let device = device().inner();
+    let of = |values: &[f64]| tensor(values, DType::F64, &device);
+    let moments = [of(&[0.0, 0.0]), of(&[0.0, 0.0])];
+    let (parameter, moments) = adam_step(of(&[1.0, -2.0]), moments, of(&[3.0, -0.5]), step(1)).unwrap();
+    // the first step is lr · sign(g) whatever the size of g
+    for (found, expected) in values(&parameter).iter().zip([0.9, -1.9]) {
+        approx::assert_relative_eq!(*found, expected, epsilon = 1e-12);
+    }
+    let (parameter, [moment_1, moment_2]) = adam_step(parameter, moments, of(&[1.0, 0.0]), step(2)).unwrap();
+    // m = 0.9 · 0.3 + 0.1 · 1 = 0.37, v = 0.999 · 0.009 + 0.001 · 1 = 0.009991; m̂ = m / 0.19, v̂ = v / 0.001999
+    // m = 0.9 · −0.05 = −0.045, v = 0.999 · 0.00025 = 0.00024975
+    let expected = [
+        (&moment_1, [0.37, -0.045]),
+        (&moment_2, [0.009_991, 0.000_249_75]),
+        (&parameter, [0.9 - 0.1 * 1.947_368_421 / 2.235_620_495, -1.9 + 0.1 * 0.236_842_105 / 0.353_464_947]),
+    ];
+    for (found, expected) in expected {
+        for (found, expected) in values(found).iter().zip(expected) {
+            approx::assert_relative_eq!(*found, expected, epsilon = 1e-9);
+        }
+    }
+}
+
+#[test]
+fn many_steps_follow_the_formula() {
+    let device = device().inner();
+    for (dtype, tolerance) in [(DType::F64, 1e-12), (DType::F32, 1e-5)] {
+        let count = 40_000;
+        let mut random = Random::new(1);
+        let mut p = random.numbers(count, -1.0, 1.0);
+        let (mut m, mut v) = (vec![0.0; count], vec![0.0; count]);
+        let of = |values: &[f64]| tensor(values, dtype, &device);
+        let (mut parameter, mut moments) = (of(&p), [of(&m), of(&v)]);
+        for time in 1..=5 {
+            let grad: Vec<f64> = random.numbers(count, -1.0, 1.0).iter().map(|g| g.powi(5)).collect();
+            (parameter, moments) = adam_step(parameter, moments, of(&grad), step(time)).unwrap();
+            let (correct_1, correct_2) = (1.0 - 0.9f64.powi(time as i32), 1.0 - 0.999f64.powi(time as i32));
+            for i in 0..count {
+                m[i] = 0.9 * m[i] + 0.1 * grad[i];
+                v[i] = 0.999 * v[i] + 0.001 * grad[i] * grad[i];
+                p[i] -= 0.1 * (m[i] / correct_1) / ((v[i] / correct_2).sqrt() + 1e-15);
+            }
+        }
+        for (found, expected) in [(&parameter, &p), (&moments[0], &m), (&moments[1], &v)] {
+            let found = values(found);
+            let apart = found.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+            assert!(apart < tolerance, "{dtype:?}: off by {apart:e}");
+        }
+    }
+}
+
+#[test]
+fn a_step_leaves_shared_tensors_alone_and_stands_still_without_a_gradient() {
+    let device = device().inner();
+    let of = |values: &[f64]| tensor(values, DType::F32, &device);
+    let (before, zero) = (of(&[1.0, 2.0]), of(&[0.0, 0.0]));
+    let (after, _) = adam_step(before.clone(), [zero.clone(), zero.clone()], of(&[1.0, 0.0]), step(1)).unwrap();
+    assert_eq!(values(&before), [1.0, 2.0]);
+    assert_eq!(values(&zero), [0.0, 0.0]);
+    assert_eq!(values(&after)[1], 2.0);
+    assert!(adam_step(before, [zero.clone(), zero], of(&[1.0]), step(1)).is_err());
+}

@@ -1,0 +1,118 @@
+//! CPU kernels: one row at a time.
+
+use burn::backend::TensorMetadata;
+use burn::backend::tensor::FloatTensor;
+use rayon::prelude::*;
+
+use super::{ColourBackwardOps, ColourOps, model};
+use crate::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::math::{add, row};
+use crate::real::Real;
+use crate::scene::{ColourModel, SH_C0};
+
+const MIN_ROWS: usize = 512;
+
+fn forward<T: Real>(base: &[T], detail: &[T], positions: &[T], centre: [f64; 3], kind: ColourModel) -> Vec<T> {
+    let (width, centre) = (kind.detail_len(), centre.map(T::of));
+    let mut out = vec![T::zero(); base.len()];
+    out.par_chunks_mut(3).with_min_len(MIN_ROWS).enumerate().for_each(|(i, out)| {
+        let d = model::direction(row(positions, i), centre);
+        let raw = &detail[i * width..(i + 1) * width];
+        let varying = match kind {
+            ColourModel::SphericalBeta { .. } => model::lobes(raw, d),
+            ColourModel::SphericalHarmonics { .. } => model::higher_harmonics(raw, d),
+        };
+        out.copy_from_slice(&add(model::base(row(base, i)), varying));
+    });
+    out
+}
+
+/// Gradients with respect to base and detail.
+fn backward<T: Real>(
+    detail: &[T],
+    positions: &[T],
+    grad: &[T],
+    centre: [f64; 3],
+    kind: ColourModel,
+) -> (Vec<T>, Vec<T>) {
+    let (width, centre) = (kind.detail_len(), centre.map(T::of));
+    let grad_base: Vec<T> = grad.iter().map(|&g| g * T::of(SH_C0)).collect();
+    let mut grad_detail = vec![T::zero(); detail.len()];
+    if width > 0 {
+        grad_detail.par_chunks_mut(width).with_min_len(MIN_ROWS).enumerate().for_each(|(i, out)| {
+            let incoming = row(grad, i);
+            if incoming == [T::zero(); 3] {
+                return;
+            }
+            let d = model::direction(row(positions, i), centre);
+            match kind {
+                ColourModel::SphericalBeta { .. } => {
+                    model::lobes_backward(&detail[i * width..(i + 1) * width], d, incoming, out)
+                }
+                ColourModel::SphericalHarmonics { .. } => model::higher_harmonics_backward(d, incoming, out),
+            }
+        });
+    }
+    (grad_base, grad_detail)
+}
+
+fn colour_on<B: Host>(
+    base: &FloatTensor<B>,
+    detail: &FloatTensor<B>,
+    positions: &FloatTensor<B>,
+    centre: [f64; 3],
+    model: ColourModel,
+) -> FloatTensor<B> {
+    with_real!(base.dtype(), T => {
+        let (values, detail, positions) = (host::floats::<B, T>(base), host::floats::<B, T>(detail), host::floats::<B, T>(positions));
+        let out = forward(&values, &detail, &positions, centre, model);
+        host::float_tensor::<B, T, 2>(out, [host::rows(base), 3], &base.device())
+    })
+}
+
+fn colour_backward_on<B: Host>(
+    detail: &FloatTensor<B>,
+    positions: &FloatTensor<B>,
+    grad: &FloatTensor<B>,
+    centre: [f64; 3],
+    model: ColourModel,
+) -> (FloatTensor<B>, FloatTensor<B>) {
+    let (count, device) = (host::rows(grad), grad.device());
+    with_real!(grad.dtype(), T => {
+        let (detail, positions, grad) = (host::floats::<B, T>(detail), host::floats::<B, T>(positions), host::floats::<B, T>(grad));
+        let (base, detail) = backward(&detail, &positions, &grad, centre, model);
+        (
+            host::float_tensor::<B, T, 2>(base, [count, 3], &device),
+            host::float_tensor::<B, T, 2>(detail, [count, model.detail_len()], &device),
+        )
+    })
+}
+
+macro_rules! implement {
+    ($backend:ty) => {
+        impl ColourOps for $backend {
+            fn colour(
+                base: FloatTensor<Self>,
+                detail: FloatTensor<Self>,
+                positions: FloatTensor<Self>,
+                centre: [f64; 3],
+                model: ColourModel,
+            ) -> FloatTensor<Self> {
+                colour_on::<Self>(&base, &detail, &positions, centre, model)
+            }
+        }
+
+        impl ColourBackwardOps for $backend {
+            fn colour_backward(
+                detail: FloatTensor<Self>,
+                positions: FloatTensor<Self>,
+                grad: FloatTensor<Self>,
+                centre: [f64; 3],
+                model: ColourModel,
+            ) -> (FloatTensor<Self>, FloatTensor<Self>) {
+                colour_backward_on::<Self>(&detail, &positions, &grad, centre, model)
+            }
+        }
+    };
+}
+for_each_cpu_backend!(implement);

@@ -1,0 +1,63 @@
+//! `colour`: what every primitive looks like from the camera.
+//!
+//! Base [N, 3], detail [N, [`ColourModel::detail_len`]] and positions [N, 3] → colour [N, 3], not
+//! clamped: `0.5 + C0 k0` plus, for spherical Beta, `Σ softplus(rgb) max(0, d·μ)^(4 e^β)` over the
+//! lobes (DBS; methods 5.2, 7.4 k) or, for spherical harmonics, the higher bands (3DGS; methods 1.6).
+//! d is the unit vector from the camera to the primitive, in world axes.
+//!
+//! Gradients: to base and detail. The direction carries none to the position (DP-GES, DBS).
+
+mod backward;
+mod cpu;
+mod model;
+#[cfg(test)]
+mod tests;
+
+use burn::backend::tensor::FloatTensor;
+use burn::backend::{Backend, Dispatch, backend_extension};
+use burn::tensor::Tensor;
+
+use crate::error::Result;
+use crate::scene::tensors::check_shape;
+use crate::scene::{Colour, ColourModel};
+
+#[backend_extension(NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"), Autodiff)]
+pub trait ColourOps: Backend {
+    fn colour(
+        base: FloatTensor<Self>,
+        detail: FloatTensor<Self>,
+        positions: FloatTensor<Self>,
+        centre: [f64; 3],
+        model: ColourModel,
+    ) -> FloatTensor<Self>;
+}
+
+#[backend_extension(NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
+pub trait ColourBackwardOps: Backend {
+    fn colour_backward(
+        detail: FloatTensor<Self>,
+        positions: FloatTensor<Self>,
+        grad: FloatTensor<Self>,
+        centre: [f64; 3],
+        model: ColourModel,
+    ) -> (FloatTensor<Self>, FloatTensor<Self>);
+}
+
+/// Colours [N, 3] of primitives at `positions` [N, 3] seen from `centre`, world units.
+///
+/// # Errors
+/// [`crate::Error::Shape`] if the tensors do not fit each other or the colour model.
+pub fn colour(colour: &Colour, positions: &Tensor<2>, centre: [f64; 3]) -> Result<Tensor<2>> {
+    let count = positions.dims()[0];
+    check_shape("positions", positions, [count, 3])?;
+    check_shape("colour.base", &colour.base, [count, 3])?;
+    check_shape("colour.detail", &colour.detail, [count, colour.model.detail_len()])?;
+    let out = Dispatch::colour(
+        colour.base.clone().into_dispatch(),
+        colour.detail.clone().into_dispatch(),
+        positions.clone().into_dispatch(),
+        centre,
+        colour.model,
+    );
+    Ok(Tensor::from_dispatch(out))
+}

@@ -1,0 +1,109 @@
+use burn::tensor::Tensor;
+
+use super::colour;
+use super::model::{base, lobes, lobes_backward};
+use crate::scene::{Colour, ColourModel, SH_C0};
+use crate::testing::device;
+use crate::testing::golden::values;
+use crate::testing::gradients::{check, leaf};
+use crate::testing::random::Random;
+
+#[test]
+fn a_lobe_facing_away_adds_nothing_and_a_raw_colour_of_zero_means_a_tenth() {
+    let raw = [0.0f64, 0.0, 0.0, 0.0, 0.0, 0.3];
+    assert_eq!(lobes(&raw, [0.0, 0.0, -1.0]), [0.0; 3]);
+    for channel in lobes(&raw, [0.0, 0.0, 1.0]) {
+        approx::assert_relative_eq!(channel, 0.1, epsilon = 1e-15);
+    }
+    assert_eq!(base([0.0f64; 3]), [0.5; 3]);
+}
+
+#[test]
+fn lobes_stay_finite_at_the_extremes() {
+    for beta in [-80.0f32, -5.0, 5.0, 80.0, 200.0] {
+        for d in [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.6, 0.0, 0.8], [1e-30, 0.0, 1.0], [1.0, 0.0, 1e-30]] {
+            let raw = [50.0, -50.0, 0.0, 0.0, 0.0, beta];
+            let mut grad = [0.0; 6];
+            lobes_backward(&raw, d, [1.0; 3], &mut grad);
+            assert!(
+                lobes(&raw, d).iter().chain(&grad).all(|v| v.is_finite()),
+                "beta {beta}, direction {d:?}: {grad:?}"
+            );
+        }
+    }
+}
+
+const CENTRE: [f64; 3] = [0.3, -0.2, 0.1];
+
+/// Base, detail and positions of `count` primitives.
+fn primitives(model: ColourModel, count: usize, seed: u64) -> [Vec<f64>; 3] {
+    let mut random = Random::new(seed);
+    [
+        random.numbers(3 * count, -1.0, 1.0),
+        random.numbers(model.detail_len() * count, -1.2, 1.2),
+        random.numbers(3 * count, -2.0, 2.0),
+    ]
+}
+
+struct Leaves {
+    colour: Colour,
+    positions: Tensor<2>,
+}
+
+fn leaves(model: ColourModel, [base, detail, positions]: &[Vec<f64>; 3]) -> Leaves {
+    let (device, count) = (device(), base.len() / 3);
+    let colour = Colour {
+        model,
+        base: leaf(base, [count, 3], &device),
+        detail: leaf(detail, [count, model.detail_len()], &device),
+    };
+    Leaves { colour, positions: leaf(positions, [count, 3], &device) }
+}
+
+#[test]
+fn gradients_are_central_differences_and_the_direction_carries_none() {
+    let betas = [1, 2, 3].map(|lobes| ColourModel::SphericalBeta { lobes });
+    let harmonics = [0, 1, 2, 3].map(|degree| ColourModel::SphericalHarmonics { degree });
+    for model in betas.into_iter().chain(harmonics) {
+        let count = 6;
+        let rows = primitives(model, count, 4);
+        let weights = leaf(&Random::new(5).numbers(3 * count, -1.0, 1.0), [count, 3], &device()).detach();
+        let loss = |of: &Leaves| (colour(&of.colour, &of.positions, CENTRE).unwrap() * weights.clone()).sum();
+        let at = leaves(model, &rows);
+        let gradients = loss(&at).backward();
+        assert!(at.positions.grad(&gradients).is_none_or(|g| values(&g).iter().all(|g| *g == 0.0)));
+        for (i, parameter) in [&at.colour.base, &at.colour.detail].into_iter().enumerate() {
+            let found = parameter.grad(&gradients).map_or_else(Vec::new, |g| values(&g));
+            check(&format!("{} of {model}", ["base", "detail"][i]), &rows[i], &found, 1e-5, |moved| {
+                let mut rows = rows.clone();
+                rows[i] = moved.to_vec();
+                values(&loss(&leaves(model, &rows)))[0]
+            });
+        }
+    }
+}
+
+#[test]
+fn without_detail_both_models_are_the_base_colour() {
+    let models = [ColourModel::SphericalHarmonics { degree: 0 }, ColourModel::SphericalBeta { lobes: 0 }];
+    for model in models {
+        let rows = primitives(model, 5, 6);
+        let of = leaves(model, &rows);
+        let found = values(&colour(&of.colour, &of.positions, CENTRE).unwrap());
+        let expected: Vec<f64> = rows[0].iter().map(|k| 0.5 + SH_C0 * k).collect();
+        found.iter().zip(expected).for_each(|(a, b)| approx::assert_relative_eq!(*a, b, epsilon = 1e-15));
+    }
+}
+
+#[test]
+fn a_primitive_at_the_camera_has_a_finite_colour() {
+    for model in [ColourModel::SphericalHarmonics { degree: 3 }, ColourModel::SphericalBeta { lobes: 2 }] {
+        let mut rows = primitives(model, 1, 7);
+        rows[2] = CENTRE.to_vec();
+        let of = leaves(model, &rows);
+        let out = colour(&of.colour, &of.positions, CENTRE).unwrap();
+        let gradients = out.clone().sum().backward();
+        let detail = values(&of.colour.detail.grad(&gradients).unwrap());
+        assert!(values(&out).iter().chain(&detail).all(|v| v.is_finite()), "{model}: {detail:?}");
+    }
+}

@@ -1,0 +1,64 @@
+//! `composite` on the tape: every output is a node of its own over the same forward pass.
+
+use burn::backend::Autodiff;
+use burn::backend::Backend;
+use burn::backend::autodiff::checkpoint::base::Checkpointer;
+use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
+use burn::backend::autodiff::grads::Gradients;
+use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
+use burn::backend::tensor::FloatTensor;
+
+use super::{CompositeBackwardOps, CompositeInput, CompositeOps, CompositeOptions, CompositeOutput, OutputKind};
+
+#[derive(Clone, Debug)]
+struct CompositeState<B: Backend> {
+    input: CompositeInput<B>,
+    kind: OutputKind,
+    options: CompositeOptions,
+}
+
+#[derive(Debug)]
+struct CompositeBackward;
+
+impl<B: CompositeBackwardOps> Backward<B, 3> for CompositeBackward {
+    type State = CompositeState<B>;
+
+    fn backward(self, ops: Ops<Self::State, 3>, grads: &mut Gradients, _: &mut Checkpointer) {
+        let grad = grads.consume::<B>(&ops.node);
+        let CompositeState { input, kind, options } = ops.state;
+        let out = B::composite_backward(input, grad, kind, options);
+        let reached = [(out.alpha, true), (out.colours, kind.reaches_colours()), (out.sums, kind.reaches_sums())];
+        for (parent, (grad, reached)) in ops.parents.into_iter().zip(reached) {
+            if let (Some(parent), true) = (parent, reached) {
+                grads.register::<B>(parent.id, grad);
+            }
+        }
+    }
+}
+
+impl<B: CompositeOps + CompositeBackwardOps, S: CheckpointStrategy> CompositeOps for Autodiff<B, S> {
+    fn composite(input: CompositeInput<Self>, options: CompositeOptions) -> CompositeOutput<Self> {
+        let inner = |tensor: &FloatTensor<Self>| tensor.clone().into_parts().0;
+        let values = CompositeInput {
+            alpha: inner(&input.alpha),
+            colours: inner(&input.colours),
+            sums: inner(&input.sums),
+            ids: input.ids.clone(),
+        };
+        let out = B::composite(values.clone(), options);
+        let node = |value: FloatTensor<B>, kind: OutputKind| {
+            let parents = [&input.alpha, &input.colours, &input.sums].map(|tensor| tensor.clone().into_parts().1);
+            match CompositeBackward.prepare::<S>(parents).compute_bound().stateful() {
+                OpsKind::Tracked(prep) => prep.finish(CompositeState { input: values.clone(), kind, options }, value),
+                OpsKind::UnTracked(prep) => prep.finish(value),
+            }
+        };
+        CompositeOutput {
+            image: node(out.image, OutputKind::Image),
+            surfel_image: node(out.surfel_image, OutputKind::SurfelImage),
+            transmittance: node(out.transmittance, OutputKind::Transmittance),
+            gaussian_colour: node(out.gaussian_colour, OutputKind::GaussianColour),
+            gaussian_weight: node(out.gaussian_weight, OutputKind::GaussianWeight),
+        }
+    }
+}

@@ -1,0 +1,270 @@
+//! CPU kernels: one task per band of image rows.
+
+use std::borrow::Cow;
+
+use burn::backend::tensor::FloatTensor;
+use burn::backend::{Backend, TensorMetadata};
+use rayon::prelude::*;
+
+use super::{
+    CompositeBackwardOps, CompositeGradients, CompositeInput, CompositeOps, CompositeOptions, CompositeOutput,
+    OutputKind,
+};
+use crate::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::math::{V3, add, dot, row, scale};
+use crate::ops::bands::{BAND_COUNT, Bands};
+use crate::ops::peel::MAX_LAYERS;
+use crate::real::Real;
+
+struct Inputs<'a, T: Real> {
+    layers: usize,
+    height: usize,
+    width: usize,
+    alpha: Cow<'a, [T]>,
+    colours: Cow<'a, [T]>,
+    sums: Cow<'a, [T]>,
+    ids: Cow<'a, [i32]>,
+    background: V3<T>,
+    detach_transmittance: bool,
+}
+
+/// What one pixel is made of; arrays are filled up to the number of layers.
+struct Pixel<T> {
+    alpha: [T; MAX_LAYERS],
+    colour: [V3<T>; MAX_LAYERS],
+    /// Sums X and Y of each interval.
+    payload: [V3<T>; MAX_LAYERS],
+    weight: [T; MAX_LAYERS],
+    transmittance: [T; MAX_LAYERS + 1],
+    surfel_colour: V3<T>,
+    gaussian_colour: V3<T>,
+    gaussian_weight: T,
+}
+
+impl<T: Real> Pixel<T> {
+    #[inline(always)]
+    fn image(&self) -> V3<T> {
+        scale(add(self.surfel_colour, self.gaussian_colour), T::one() / (T::one() + self.gaussian_weight))
+    }
+}
+
+impl<'a, T: Real> Inputs<'a, T> {
+    fn new<B: Host>(input: &'a CompositeInput<B>, options: &CompositeOptions) -> Self {
+        let [layers, height, width] = input.alpha.shape().dims();
+        Self {
+            layers,
+            height,
+            width,
+            alpha: host::floats::<B, T>(&input.alpha),
+            colours: host::floats::<B, T>(&input.colours),
+            sums: host::floats::<B, T>(&input.sums),
+            ids: host::ints::<B>(&input.ids),
+            background: options.background.map(T::of),
+            detach_transmittance: options.detach_transmittance,
+        }
+    }
+
+    #[inline(always)]
+    fn pixel(&self, at: usize) -> Pixel<T> {
+        let plane = self.height * self.width;
+        let zero = [T::zero(); 3];
+        let mut pixel = Pixel {
+            alpha: [T::zero(); MAX_LAYERS],
+            colour: [zero; MAX_LAYERS],
+            payload: [zero; MAX_LAYERS],
+            weight: [T::zero(); MAX_LAYERS],
+            transmittance: [T::one(); MAX_LAYERS + 1],
+            surfel_colour: zero,
+            gaussian_colour: zero,
+            gaussian_weight: T::zero(),
+        };
+        for k in 0..self.layers {
+            let through = pixel.transmittance[k];
+            let (alpha, id) = (self.alpha[k * plane + at], self.ids[k * plane + at]);
+            let colour = if id >= 0 { row(&self.colours, id as usize) } else { zero };
+            let payload: V3<T> = std::array::from_fn(|c| self.sums[(4 * k + c) * plane + at]);
+            let weight = self.sums[(4 * k + 3) * plane + at];
+            (pixel.alpha[k], pixel.colour[k], pixel.payload[k], pixel.weight[k]) = (alpha, colour, payload, weight);
+            pixel.transmittance[k + 1] = through * (T::one() - alpha);
+            pixel.surfel_colour = add(pixel.surfel_colour, scale(colour, alpha * through));
+            pixel.gaussian_colour = add(pixel.gaussian_colour, scale(payload, through));
+            pixel.gaussian_weight = pixel.gaussian_weight + through * weight;
+        }
+        pixel.surfel_colour = add(pixel.surfel_colour, scale(self.background, pixel.transmittance[self.layers]));
+        pixel
+    }
+}
+
+/// image, surfel image, transmittance, Gaussian colour, Gaussian weight
+fn forward<T: Real>(inputs: &Inputs<T>) -> [Vec<T>; 5] {
+    let (plane, bands) = (inputs.height * inputs.width, Bands::new(inputs.height));
+    let mut out = [3, 3, inputs.layers + 1, 3, 1].map(|planes| vec![T::zero(); planes * plane]);
+    let mut parts = out.each_mut().map(|image| bands.split(image, inputs.width).into_iter());
+    let tasks: Vec<_> =
+        (0..BAND_COUNT).map(|_| parts.each_mut().map(|p| p.next().expect("one part per band"))).collect();
+    tasks.into_par_iter().enumerate().for_each(
+        |(band, [mut image, mut surfels, mut transmittance, mut colour, mut weight])| {
+            for (local, at) in bands.pixels(band, inputs.width).enumerate() {
+                let pixel = inputs.pixel(at);
+                let blended = pixel.image();
+                for c in 0..3 {
+                    image[c][local] = blended[c];
+                    surfels[c][local] = pixel.surfel_colour[c];
+                    colour[c][local] = pixel.gaussian_colour[c];
+                }
+                weight[0][local] = pixel.gaussian_weight;
+                for (k, plane) in transmittance.iter_mut().enumerate() {
+                    plane[local] = pixel.transmittance[k];
+                }
+            }
+        },
+    );
+    out
+}
+
+/// Gradients with respect to a pixel's surfel colour, Gaussian colour and Gaussian weight, and directly to its transmittances.
+struct Incoming<T> {
+    surfel: V3<T>,
+    gaussian: V3<T>,
+    weight: T,
+    transmittance: [T; MAX_LAYERS + 1],
+}
+
+#[inline(always)]
+fn incoming<T: Real>(inputs: &Inputs<T>, pixel: &Pixel<T>, grad: &[T], kind: OutputKind, at: usize) -> Incoming<T> {
+    let plane = inputs.height * inputs.width;
+    let rgb = || -> V3<T> { std::array::from_fn(|c| grad[c * plane + at]) };
+    let zero = [T::zero(); 3];
+    let mut out =
+        Incoming { surfel: zero, gaussian: zero, weight: T::zero(), transmittance: [T::zero(); MAX_LAYERS + 1] };
+    match kind {
+        OutputKind::Image => {
+            let blended = scale(rgb(), T::one() / (T::one() + pixel.gaussian_weight));
+            (out.surfel, out.gaussian, out.weight) = (blended, blended, -dot(blended, pixel.image()));
+        }
+        OutputKind::SurfelImage => out.surfel = rgb(),
+        OutputKind::GaussianColour => out.gaussian = rgb(),
+        OutputKind::GaussianWeight => out.weight = grad[at],
+        OutputKind::Transmittance => {
+            for k in 0..=inputs.layers {
+                out.transmittance[k] = grad[k * plane + at];
+            }
+        }
+    }
+    out
+}
+
+/// Gradients with respect to alpha, colours and sums.
+fn backward<T: Real>(inputs: &Inputs<T>, grad: &[T], kind: OutputKind) -> [Vec<T>; 3] {
+    let (layers, plane, bands) = (inputs.layers, inputs.height * inputs.width, Bands::new(inputs.height));
+    let mut grad_alpha = vec![T::zero(); layers * plane];
+    let mut grad_sums = vec![T::zero(); if kind.reaches_sums() { 4 * layers * plane } else { 0 }];
+    let colour_len = if kind.reaches_colours() { inputs.colours.len() } else { 0 };
+    let alpha_parts = bands.split(&mut grad_alpha, inputs.width);
+    let sum_parts = bands.split(&mut grad_sums, inputs.width);
+    let partial: Vec<Vec<T>> = alpha_parts
+        .into_par_iter()
+        .zip(sum_parts)
+        .enumerate()
+        .map(|(band, (mut alpha, mut sums))| {
+            let mut colours = vec![T::zero(); colour_len];
+            for (local, at) in bands.pixels(band, inputs.width).enumerate() {
+                let pixel = inputs.pixel(at);
+                let incoming = incoming(inputs, &pixel, grad, kind, at);
+                // total derivative with respect to T_k, everything behind included
+                let mut behind = incoming.transmittance[layers] + dot(incoming.surfel, inputs.background);
+                for k in (0..layers).rev() {
+                    let (opacity, through) = (pixel.alpha[k], pixel.transmittance[k]);
+                    let own = dot(incoming.surfel, pixel.colour[k]);
+                    alpha[k][local] = through * (own - behind);
+                    let gated = dot(incoming.gaussian, pixel.payload[k]) + incoming.weight * pixel.weight[k];
+                    let gate = if inputs.detach_transmittance { T::zero() } else { gated };
+                    behind = incoming.transmittance[k] + gate + opacity * own + (T::one() - opacity) * behind;
+                    if kind.reaches_sums() {
+                        for c in 0..3 {
+                            sums[4 * k + c][local] = through * incoming.gaussian[c];
+                        }
+                        sums[4 * k + 3][local] = through * incoming.weight;
+                    }
+                    let id = inputs.ids[k * plane + at];
+                    if kind.reaches_colours() && id >= 0 {
+                        for c in 0..3 {
+                            let sum = &mut colours[3 * id as usize + c];
+                            *sum = *sum + opacity * through * incoming.surfel[c];
+                        }
+                    }
+                }
+            }
+            colours
+        })
+        .collect();
+    let grad_colours =
+        (0..colour_len).into_par_iter().with_min_len(4096).map(|i| partial.iter().map(|band| band[i]).sum()).collect();
+    [grad_alpha, grad_colours, grad_sums]
+}
+
+fn composite_on<B: Host>(input: &CompositeInput<B>, options: &CompositeOptions) -> CompositeOutput<B> {
+    let device = input.alpha.device();
+    with_real!(input.alpha.dtype(), T => {
+        let inputs = Inputs::<T>::new(input, options);
+        let [image, surfel_image, transmittance, gaussian_colour, gaussian_weight] = forward(&inputs);
+        let tensor = |values: Vec<T>, planes| image_tensor::<B, T>(values, planes, &inputs, &device);
+        CompositeOutput {
+            image: tensor(image, 3),
+            surfel_image: tensor(surfel_image, 3),
+            transmittance: tensor(transmittance, inputs.layers + 1),
+            gaussian_colour: tensor(gaussian_colour, 3),
+            gaussian_weight: tensor(gaussian_weight, 1),
+        }
+    })
+}
+
+fn image_tensor<B: Backend, T: Real>(
+    values: Vec<T>,
+    planes: usize,
+    inputs: &Inputs<T>,
+    device: &B::Device,
+) -> FloatTensor<B> {
+    host::float_tensor::<B, T, 3>(values, [planes, inputs.height, inputs.width], device)
+}
+
+fn composite_backward_on<B: Host>(
+    input: &CompositeInput<B>,
+    grad: &FloatTensor<B>,
+    kind: OutputKind,
+    options: &CompositeOptions,
+) -> CompositeGradients<B> {
+    let device = input.alpha.device();
+    with_real!(input.alpha.dtype(), T => {
+        let inputs = Inputs::<T>::new(input, options);
+        let [alpha, colours, sums] = backward(&inputs, &host::floats::<B, T>(grad), kind);
+        let (count, sum_layers) = (colours.len() / 3, if kind.reaches_sums() { inputs.layers } else { 0 });
+        CompositeGradients {
+            alpha: image_tensor::<B, T>(alpha, inputs.layers, &inputs, &device),
+            colours: host::float_tensor::<B, T, 2>(colours, [count, 3], &device),
+            sums: host::float_tensor::<B, T, 4>(sums, [sum_layers, 4, inputs.height, inputs.width], &device),
+        }
+    })
+}
+
+macro_rules! implement {
+    ($backend:ty) => {
+        impl CompositeOps for $backend {
+            fn composite(input: CompositeInput<Self>, options: CompositeOptions) -> CompositeOutput<Self> {
+                composite_on::<Self>(&input, &options)
+            }
+        }
+
+        impl CompositeBackwardOps for $backend {
+            fn composite_backward(
+                input: CompositeInput<Self>,
+                grad: FloatTensor<Self>,
+                kind: OutputKind,
+                options: CompositeOptions,
+            ) -> CompositeGradients<Self> {
+                composite_backward_on::<Self>(&input, &grad, kind, &options)
+            }
+        }
+    };
+}
+for_each_cpu_backend!(implement);

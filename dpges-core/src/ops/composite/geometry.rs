@@ -1,0 +1,61 @@
+//! Depth and normal of the surfel layers, blended like their colours; plain tensor operations, since
+//! only the geometry losses and pictures ask for them.
+
+use burn::tensor::Tensor;
+
+use crate::camera::Camera;
+use crate::ops::peel::Layers;
+use crate::scene::Surfels;
+
+#[derive(Clone, Debug)]
+pub struct Geometry {
+    /// [1, H, W] `Σ A_i T_{i−1} D_i`, world units
+    pub depth: Tensor<3>,
+    /// [3, H, W] `Σ A_i T_{i−1} N_i`, world axes, towards the camera
+    pub normal: Tensor<3>,
+}
+
+/// Unit normals [N, 3] of surfels in world axes, towards the camera; the side carries no gradient.
+fn normals_towards(surfels: &Surfels, camera: &Camera) -> Tensor<2> {
+    let device = surfels.positions.device();
+    let dtype = surfels.positions.dtype();
+    let squared = surfels.quaternions.clone().powi_scalar(2).sum_dim(1);
+    let zero = squared.clone().lower_equal_elem(1e-24);
+    let unit = surfels.quaternions.clone() / squared.mask_fill(zero.clone(), 1.0).sqrt();
+    let part = |i: usize| unit.clone().slice([0..surfels.len(), i..i + 1]);
+    let (w, x, y, z) = (part(0), part(1), part(2), part(3));
+    let column = Tensor::cat(
+        vec![
+            (x.clone() * z.clone() + w.clone() * y.clone()) * 2.0,
+            (y.clone() * z - w * x.clone()) * 2.0,
+            (x.clone() * x + y.clone() * y) * -2.0 + 1.0,
+        ],
+        1,
+    );
+    let centre = Tensor::<1>::from_data(
+        burn::tensor::TensorData::from(camera.centre().to_array()).convert_dtype(dtype),
+        (&device, dtype),
+    );
+    let offset = surfels.positions.clone().detach() - centre.unsqueeze::<2>();
+    let away = (column.clone().detach() * offset).sum_dim(1).greater_elem(0.0);
+    let flip =
+        column.clone().detach().slice([0..surfels.len(), 0..1]).zeros_like().add_scalar(1.0).mask_fill(away, -1.0);
+    column * flip
+}
+
+/// Blends depth and normal of `layers`; `transmittance` [K + 1, H, W] is the composite's.
+pub fn geometry(surfels: &Surfels, camera: &Camera, layers: &Layers, transmittance: &Tensor<3>) -> Geometry {
+    let [count, height, width] = layers.alpha.dims();
+    let before = transmittance.clone().slice([0..count, 0..height, 0..width]);
+    let weight = layers.alpha.clone() * before;
+    let missing = layers.ids.clone().lower_elem(0);
+    let depth = (layers.depth.clone().mask_fill(missing.clone(), 0.0) * weight.clone()).sum_dim(0);
+    if surfels.is_empty() {
+        let normal = Tensor::cat(vec![depth.clone(), depth.clone(), depth.clone()], 0);
+        return Geometry { depth, normal };
+    }
+    let rows = layers.ids.clone().mask_fill(missing, 0).reshape([count * height * width]);
+    let normals = normals_towards(surfels, camera).select(0, rows).reshape([count, height * width, 3]).swap_dims(1, 2);
+    let normal = (normals.reshape([count, 3, height, width]) * weight.unsqueeze_dim(1)).sum_dim(0);
+    Geometry { depth, normal: normal.reshape([3, height, width]) }
+}

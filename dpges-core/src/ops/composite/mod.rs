@@ -1,0 +1,142 @@
+//! `composite`: layers and Gaussian sums to the image.
+//!
+//! Opacities [K, H, W], ids [K, H, W], surfel colours [N, 3] and sums [K, 4, H, W] →
+//! `T_i = Π_{j≤i} (1 − A_j)` [K + 1, H, W] with T_0 = 1, the surfel image
+//! `C_s = Σ A_i T_{i−1} C_i + T_K C_b`, the Gaussians' `C_G = Σ T_{i−1} X_i` and `W_G = Σ T_{i−1} Y_i`,
+//! and the image `C = (C_s + C_G) / (1 + W_G)` (DP-GES; methods 7.2). Colour images are [3, H, W],
+//! not clamped; the weight is [1, H, W].
+//!
+//! Gradients: from every output to opacities, colours and sums, without dividing by 1 − A or T
+//! (both are exactly 0 behind an opaque layer; methods 7.3). `detach_transmittance` cuts the path
+//! from the Gaussians' image to the opacities.
+//!
+//! An operation of its own because the same in tensor operations took longer than peeling: see
+//! the table in `benches/README.md`.
+
+mod backward;
+mod cpu;
+mod geometry;
+#[cfg(test)]
+mod tests;
+
+use burn::backend::tensor::{FloatTensor, IntTensor};
+use burn::backend::{Backend, Dispatch, ExtensionType, backend_extension};
+use burn::tensor::Tensor;
+
+use crate::error::Result;
+use crate::ops::peel::Layers;
+use crate::scene::tensors::check_shape;
+
+pub use geometry::{Geometry, geometry};
+
+/// What does not carry a gradient.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CompositeOptions {
+    /// C_b, display-referred.
+    pub background: [f64; 3],
+    /// Stop the gradient from the Gaussians to the surfels (ablation).
+    pub detach_transmittance: bool,
+}
+
+#[derive(ExtensionType, Debug, Clone)]
+pub struct CompositeInput<B: Backend> {
+    /// [K, H, W]
+    pub alpha: FloatTensor<B>,
+    /// [N, 3]
+    pub colours: FloatTensor<B>,
+    /// [K, 4, H, W]
+    pub sums: FloatTensor<B>,
+    /// [K, H, W]
+    pub ids: IntTensor<B>,
+}
+
+#[derive(ExtensionType, Debug, Clone)]
+pub struct CompositeOutput<B: Backend> {
+    pub image: FloatTensor<B>,
+    pub surfel_image: FloatTensor<B>,
+    pub transmittance: FloatTensor<B>,
+    pub gaussian_colour: FloatTensor<B>,
+    pub gaussian_weight: FloatTensor<B>,
+}
+
+/// Gradients; those that a kind of output does not reach are empty.
+#[derive(ExtensionType, Debug, Clone)]
+pub struct CompositeGradients<B: Backend> {
+    pub alpha: FloatTensor<B>,
+    pub colours: FloatTensor<B>,
+    pub sums: FloatTensor<B>,
+}
+
+/// Which output an incoming gradient belongs to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OutputKind {
+    Image,
+    SurfelImage,
+    Transmittance,
+    GaussianColour,
+    GaussianWeight,
+}
+
+impl OutputKind {
+    fn reaches_colours(self) -> bool {
+        matches!(self, Self::Image | Self::SurfelImage)
+    }
+
+    fn reaches_sums(self) -> bool {
+        matches!(self, Self::Image | Self::GaussianColour | Self::GaussianWeight)
+    }
+}
+
+#[backend_extension(NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"), Autodiff)]
+pub trait CompositeOps: Backend {
+    fn composite(#[extension_type] input: CompositeInput<Self>, options: CompositeOptions) -> CompositeOutput<Self>;
+}
+
+#[backend_extension(NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
+pub trait CompositeBackwardOps: Backend {
+    fn composite_backward(
+        #[extension_type] input: CompositeInput<Self>,
+        grad: FloatTensor<Self>,
+        kind: OutputKind,
+        options: CompositeOptions,
+    ) -> CompositeGradients<Self>;
+}
+
+/// A composited view.
+#[derive(Clone, Debug)]
+pub struct Composite {
+    /// [3, H, W] C
+    pub image: Tensor<3>,
+    /// [3, H, W] C_s
+    pub surfel_image: Tensor<3>,
+    /// [K + 1, H, W] T_0 = 1 … T_K
+    pub transmittance: Tensor<3>,
+    /// [3, H, W] C_G
+    pub gaussian_colour: Tensor<3>,
+    /// [1, H, W] W_G
+    pub gaussian_weight: Tensor<3>,
+}
+
+/// Composites `layers`, surfel `colours` [N, 3] and Gaussian `sums` [K, 4, H, W].
+///
+/// # Errors
+/// [`crate::Error::Shape`] for tensors that do not fit each other.
+pub fn composite(layers: &Layers, colours: Tensor<2>, sums: Tensor<4>, options: CompositeOptions) -> Result<Composite> {
+    let [count, height, width] = layers.alpha.dims();
+    check_shape("sums", &sums, [count, 4, height, width])?;
+    check_shape("surfel colours", &colours, [colours.dims()[0], 3])?;
+    let input = CompositeInput {
+        alpha: layers.alpha.clone().into_dispatch(),
+        colours: colours.into_dispatch(),
+        sums: sums.into_dispatch(),
+        ids: layers.ids.clone().into_dispatch(),
+    };
+    let out = Dispatch::composite(input, options);
+    Ok(Composite {
+        image: Tensor::from_dispatch(out.image),
+        surfel_image: Tensor::from_dispatch(out.surfel_image),
+        transmittance: Tensor::from_dispatch(out.transmittance),
+        gaussian_colour: Tensor::from_dispatch(out.gaussian_colour),
+        gaussian_weight: Tensor::from_dispatch(out.gaussian_weight),
+    })
+}

@@ -1,0 +1,150 @@
+//! `peel`: the K nearest surfel fragments of every pixel, nearest first.
+//!
+//! Surfels → ids, opacity and depth, each [K, H, W] (plane k is layer k). Layers are ordered by
+//! (depth, index); peeling stops behind an opaque fragment (alpha = 1). A missing layer has id −1,
+//! alpha 0 and depth +∞. Opacity is `min(1, w G)` with `G = exp(−(u² + v²) / 2)` at the hit of the
+//! ray through the pixel's centre with the surfel's plane (DP-GES, "surfel opacity"; methods 7.2).
+//!
+//! Gradients: from alpha and from depth to positions, quaternions and log-scales. An opaque
+//! fragment's alpha has none. Which fragment forms which layer carries none.
+
+mod backward;
+mod cpu;
+mod disc;
+#[cfg(test)]
+mod tests;
+
+use burn::backend::tensor::{FloatTensor, IntTensor};
+use burn::backend::{Backend, Dispatch, ExtensionType, backend_extension};
+use burn::tensor::{Int, Tensor};
+
+use crate::camera::Camera;
+use crate::error::{Error, Result};
+use crate::scene::tensors::check_shape;
+use crate::scene::{Footprint, SceneInfo};
+
+pub use disc::{CUTOFF, MIN_FACING};
+
+/// Most layers that can be asked for.
+pub const MAX_LAYERS: usize = 8;
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PeelOptions {
+    /// K, 1 to [`MAX_LAYERS`].
+    pub layer_count: usize,
+    /// w: opacity is min(1, w G).
+    pub modulation: f64,
+    pub footprint: Footprint,
+}
+
+impl Default for PeelOptions {
+    /// The paper's: 3 layers, w = 30, footprint to G = 1/255.
+    fn default() -> Self {
+        Self { layer_count: 3, modulation: 30.0, footprint: Footprint::Kernel }
+    }
+}
+
+impl From<&SceneInfo> for PeelOptions {
+    fn from(info: &SceneInfo) -> Self {
+        Self { layer_count: info.layer_count, modulation: info.modulation, footprint: info.footprint }
+    }
+}
+
+impl PeelOptions {
+    /// # Errors
+    /// [`Error::Option`] for a layer count outside 1..=8 or a modulation that is not positive.
+    pub fn validate(&self) -> Result<()> {
+        if !(1..=MAX_LAYERS).contains(&self.layer_count) {
+            let expected = format!("1 to {MAX_LAYERS}");
+            return Err(Error::Option { option: "layer_count", expected, found: self.layer_count.to_string() });
+        }
+        if !(self.modulation.is_finite() && self.modulation > 0.0) {
+            let found = self.modulation.to_string();
+            return Err(Error::Option { option: "modulation", expected: "a positive, finite number".into(), found });
+        }
+        Ok(())
+    }
+}
+
+/// Peeled layers of one view.
+#[derive(Clone, Debug)]
+pub struct Layers {
+    /// [K, H, W] surfel index, −1 where there is no layer
+    pub ids: Tensor<3, Int>,
+    /// [K, H, W] opacity, 0 where there is no layer
+    pub alpha: Tensor<3>,
+    /// [K, H, W] camera-space z of the hit, world units, +∞ where there is no layer
+    pub depth: Tensor<3>,
+}
+
+#[derive(ExtensionType, Debug, Clone)]
+pub struct PeelOutput<B: Backend> {
+    pub ids: IntTensor<B>,
+    pub alpha: FloatTensor<B>,
+    pub depth: FloatTensor<B>,
+}
+
+/// What of the surfels [`peel`] depends on, or the gradients with respect to it.
+#[derive(ExtensionType, Debug, Clone)]
+pub struct SurfelShapes<B: Backend> {
+    /// [N, 3]
+    pub positions: FloatTensor<B>,
+    /// [N, 4]
+    pub quaternions: FloatTensor<B>,
+    /// [N, 2]
+    pub log_scales: FloatTensor<B>,
+}
+
+/// Which output of [`peel`] an incoming gradient belongs to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PeelGradient {
+    Alpha,
+    Depth,
+}
+
+#[backend_extension(NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"), Autodiff)]
+pub trait PeelOps: Backend {
+    fn peel(#[extension_type] surfels: SurfelShapes<Self>, camera: Camera, options: PeelOptions) -> PeelOutput<Self>;
+}
+
+#[backend_extension(NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
+pub trait PeelBackwardOps: Backend {
+    fn peel_backward(
+        #[extension_type] surfels: SurfelShapes<Self>,
+        ids: IntTensor<Self>,
+        grad: FloatTensor<Self>,
+        of: PeelGradient,
+        camera: Camera,
+        options: PeelOptions,
+    ) -> SurfelShapes<Self>;
+}
+
+/// Peels surfels with `positions` [N, 3], `quaternions` [N, 4] and `log_scales` [N, 2].
+///
+/// # Errors
+/// [`Error::Shape`], [`Error::Camera`] or [`Error::Option`] for input that does not fit.
+pub fn peel(
+    positions: Tensor<2>,
+    quaternions: Tensor<2>,
+    log_scales: Tensor<2>,
+    camera: &Camera,
+    options: &PeelOptions,
+) -> Result<Layers> {
+    camera.validate()?;
+    options.validate()?;
+    let count = positions.dims()[0];
+    check_shape("surfels.positions", &positions, [count, 3])?;
+    check_shape("surfels.quaternions", &quaternions, [count, 4])?;
+    check_shape("surfels.log_scales", &log_scales, [count, 2])?;
+    let surfels = SurfelShapes {
+        positions: positions.into_dispatch(),
+        quaternions: quaternions.into_dispatch(),
+        log_scales: log_scales.into_dispatch(),
+    };
+    let out = Dispatch::peel(surfels, *camera, *options);
+    Ok(Layers {
+        ids: Tensor::from_dispatch(out.ids),
+        alpha: Tensor::from_dispatch(out.alpha),
+        depth: Tensor::from_dispatch(out.depth),
+    })
+}

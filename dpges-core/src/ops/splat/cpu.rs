@@ -1,0 +1,471 @@
+//! CPU kernels: one task per tile forward; backward and contributions gather, each Gaussian over
+//! its own pixels, so that nothing is accumulated across tasks.
+
+use std::borrow::Cow;
+
+use burn::backend::TensorMetadata;
+use burn::backend::tensor::FloatTensor;
+use rayon::prelude::*;
+
+use super::footprint::{self, Parameters, Splat, SplatGrad};
+use super::{SplatBackwardOps, SplatInput, SplatOps};
+use crate::camera::Camera;
+use crate::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::math::{CameraOf, row};
+use crate::ops::binning::layout::{to_planes, to_tiles};
+use crate::ops::binning::{LANES, PixelRect, TILE, TILE_PIXELS, TileGrid, bin};
+use crate::real::Real;
+use crate::simd::vectorised;
+
+const CHANNELS: usize = 4;
+const CHUNK: usize = 256;
+
+/// Parameters of all Gaussians, row-major.
+struct GaussianRows<'a, T: Real> {
+    positions: Cow<'a, [T]>,
+    quaternions: Cow<'a, [T]>,
+    log_scales: Cow<'a, [T]>,
+    opacities: Cow<'a, [T]>,
+    colours: Cow<'a, [T]>,
+}
+
+impl<'a, T: Real> GaussianRows<'a, T> {
+    fn new<B: Host>(input: &'a SplatInput<B>) -> Self {
+        Self {
+            positions: host::floats::<B, T>(&input.positions),
+            quaternions: host::floats::<B, T>(&input.quaternions),
+            log_scales: host::floats::<B, T>(&input.log_scales),
+            opacities: host::floats::<B, T>(&input.opacities),
+            colours: host::floats::<B, T>(&input.colours),
+        }
+    }
+
+    fn len(&self) -> usize {
+        self.opacities.len()
+    }
+
+    fn parameters(&self, i: usize) -> Parameters<T> {
+        Parameters {
+            position: row(&self.positions, i),
+            quaternion: row(&self.quaternions, i),
+            log_scales: row(&self.log_scales, i),
+            opacity: self.opacities[i],
+        }
+    }
+
+    fn splat(&self, camera: &CameraOf<T>, i: usize) -> Option<Splat<T>> {
+        Splat::new(camera, &self.parameters(i), row(&self.colours, i))
+    }
+}
+
+/// Interval limits of the pixels of a tile, [K, `TILE_PIXELS`], and over the tile: for each interval
+/// the smallest lower and the largest upper limit of a pixel where it is not empty.
+struct TileLimits<'a, T> {
+    upper: &'a [T],
+    ranges: &'a [[T; 2]],
+}
+
+/// Interval limits of an image in tile blocks. Pixels outside the image see nothing.
+struct LimitBlocks<T> {
+    layers: usize,
+    upper: Vec<T>,
+    ranges: Vec<[T; 2]>,
+}
+
+impl<T: Real> LimitBlocks<T> {
+    fn new(limits: &[T], layers: usize, grid: TileGrid) -> Self {
+        let upper = to_tiles(limits, layers, grid, -T::INFINITY);
+        let mut ranges = vec![[T::INFINITY, -T::INFINITY]; grid.len() * layers];
+        ranges.par_chunks_mut(layers).zip(upper.par_chunks(layers * TILE_PIXELS)).for_each(|(ranges, upper)| {
+            for (k, range) in ranges.iter_mut().enumerate() {
+                for pixel in 0..TILE_PIXELS {
+                    let low = if k == 0 { -T::INFINITY } else { upper[(k - 1) * TILE_PIXELS + pixel] };
+                    let high = upper[k * TILE_PIXELS + pixel];
+                    if low < high {
+                        *range = [range[0].min(low), range[1].max(high)];
+                    }
+                }
+            }
+        });
+        Self { layers, upper, ranges }
+    }
+
+    fn tile(&self, tile: usize) -> TileLimits<'_, T> {
+        let (layers, block) = (self.layers, self.layers * TILE_PIXELS);
+        TileLimits { upper: &self.upper[tile * block..][..block], ranges: &self.ranges[tile * layers..][..layers] }
+    }
+}
+
+impl<T: Real> TileLimits<'_, T> {
+    /// Intervals that a Gaussian at this depth falls into at some pixel of the tile.
+    #[inline(always)]
+    fn intervals(&self, depth: T) -> impl Iterator<Item = usize> + Clone {
+        self.ranges.iter().enumerate().filter(move |(_, range)| depth >= range[0] && depth < range[1]).map(|(k, _)| k)
+    }
+
+    /// Per lane 1 where `depth` falls into interval `k`, else 0.
+    #[inline(always)]
+    fn mask(&self, k: usize, start: usize, depth: T) -> [T; LANES] {
+        let upper = lanes(self.upper, k * TILE_PIXELS + start);
+        let lower = if k == 0 { [-T::INFINITY; LANES] } else { lanes(self.upper, (k - 1) * TILE_PIXELS + start) };
+        let mut mask = [T::zero(); LANES];
+        for lane in 0..LANES {
+            mask[lane] = if (depth >= lower[lane]) & (depth < upper[lane]) { T::one() } else { T::zero() };
+        }
+        mask
+    }
+}
+
+#[inline(always)]
+fn lanes<T: Real>(values: &[T], start: usize) -> [T; LANES] {
+    values[start..start + LANES].try_into().expect("one group")
+}
+
+/// Calls `visit(start, dx, dy)` for every group of lanes of a tile that a splat can reach: position
+/// of the group within the tile and offsets of its pixels from the mean, px.
+#[inline(always)]
+fn for_each_group<T: Real>(
+    splat: &Splat<T>,
+    rect: &PixelRect,
+    origin: (usize, usize),
+    mut visit: impl FnMut(usize, [T; LANES], T),
+) {
+    let [x0, x1, y0, y1] = rect.within_tile(origin);
+    for line in y0..y1 {
+        let dy = T::of((origin.1 + line) as f64 + 0.5) - splat.mean[1];
+        for group in x0 / LANES..x1.div_ceil(LANES) {
+            let left = T::of((origin.0 + group * LANES) as f64 + 0.5) - splat.mean[0];
+            let mut dx = [T::zero(); LANES];
+            for (lane, dx) in dx.iter_mut().enumerate() {
+                *dx = left + T::of(lane as f64);
+            }
+            visit(line * TILE + group * LANES, dx, dy);
+        }
+    }
+}
+
+/// Sums as [K, 4, H, W].
+fn forward<T: Real>(gaussians: &GaussianRows<T>, limits: &[T], layers: usize, camera: &Camera) -> Vec<T> {
+    let grid = TileGrid::new(camera.width, camera.height);
+    let camera = CameraOf::<T>::new(camera);
+    let splats: Vec<Option<Splat<T>>> =
+        (0..gaussians.len()).into_par_iter().map(|i| gaussians.splat(&camera, i)).collect();
+    let reach =
+        |splat: &Option<Splat<T>>| splat.as_ref().map_or(PixelRect::EMPTY, |s| s.reach(grid.width, grid.height));
+    let rects: Vec<PixelRect> = splats.par_iter().map(reach).collect();
+    let lists = bin(&rects, grid, |i, tx, ty| splats[i].as_ref().is_some_and(|s| s.touches(tx, ty)));
+    let limits = LimitBlocks::new(limits, layers, grid);
+    let block = layers * CHANNELS * TILE_PIXELS;
+    let mut sums = vec![T::zero(); grid.len() * block];
+    sums.par_chunks_mut(block).enumerate().for_each(|(tile, sums)| {
+        vectorised(
+            #[inline(always)]
+            || splat_tile(lists.of(tile), &splats, &rects, grid.origin(tile), &limits.tile(tile), sums),
+        );
+    });
+    to_planes(&sums, layers * CHANNELS, grid)
+}
+
+#[inline(always)]
+fn splat_tile<T: Real>(
+    candidates: &[u32],
+    splats: &[Option<Splat<T>>],
+    rects: &[PixelRect],
+    origin: (usize, usize),
+    limits: &TileLimits<T>,
+    sums: &mut [T],
+) {
+    for &id in candidates {
+        let Some(splat) = &splats[id as usize] else { continue };
+        let intervals = limits.intervals(splat.depth);
+        if intervals.clone().next().is_none() {
+            continue;
+        }
+        let payload = [splat.colour[0], splat.colour[1], splat.colour[2], T::one()];
+        for_each_group(
+            splat,
+            &rects[id as usize],
+            origin,
+            #[inline(always)]
+            |start, dx, dy| {
+                let mut weight = [T::zero(); LANES];
+                for lane in 0..LANES {
+                    weight[lane] = splat.weight(dx[lane], dy);
+                }
+                for k in intervals.clone() {
+                    let mask = limits.mask(k, start, splat.depth);
+                    let mut masked = [T::zero(); LANES];
+                    for lane in 0..LANES {
+                        masked[lane] = weight[lane] * mask[lane];
+                    }
+                    for (channel, &value) in payload.iter().enumerate() {
+                        let at = (k * CHANNELS + channel) * TILE_PIXELS + start;
+                        let sums: &mut [T; LANES] = (&mut sums[at..at + LANES]).try_into().expect("one group");
+                        for lane in 0..LANES {
+                            sums[lane] = sums[lane] + masked[lane] * value;
+                        }
+                    }
+                }
+            },
+        );
+    }
+}
+
+/// Calls `visit(tile, limits)` for every tile in which a splat can add to some pixel.
+#[inline(always)]
+fn for_each_lit_tile<T: Real>(
+    splat: &Splat<T>,
+    rect: &PixelRect,
+    grid: TileGrid,
+    limits: &LimitBlocks<T>,
+    mut visit: impl FnMut(usize, TileLimits<T>),
+) {
+    let [tx0, tx1, ty0, ty1] = rect.tiles();
+    for ty in ty0..ty1 {
+        for tx in tx0..tx1 {
+            let tile = ty * grid.columns + tx;
+            let limits = limits.tile(tile);
+            if splat.touches(tx, ty) && limits.intervals(splat.depth).next().is_some() {
+                visit(tile, limits);
+            }
+        }
+    }
+}
+
+/// Sums the gradients of one Gaussian over its pixels; `grad` is [tile, K, 4, `TILE_PIXELS`].
+#[inline(always)]
+fn gather<T: Real>(splat: &Splat<T>, grid: TileGrid, limits: &LimitBlocks<T>, grad: &[T]) -> SplatGrad<T> {
+    let mut moments = [[T::zero(); LANES]; 6];
+    let mut colour = [[T::zero(); LANES]; 3];
+    let rect = splat.reach(grid.width, grid.height);
+    let block = limits.layers * CHANNELS * TILE_PIXELS;
+    for_each_lit_tile(
+        splat,
+        &rect,
+        grid,
+        limits,
+        #[inline(always)]
+        |tile, limits| {
+            let grad = &grad[tile * block..][..block];
+            let intervals = limits.intervals(splat.depth);
+            for_each_group(
+                splat,
+                &rect,
+                grid.origin(tile),
+                #[inline(always)]
+                |start, dx, dy| {
+                    let incoming = incoming(grad, &limits, intervals.clone(), splat.depth, start);
+                    add_group(splat, &dx, dy, &incoming, &mut moments, &mut colour);
+                },
+            );
+        },
+    );
+    let total = |lanes: [T; LANES]| lanes.into_iter().sum::<T>();
+    SplatGrad { moments: moments.map(total), colour: colour.map(total) }
+}
+
+/// Gradients of the sums that a Gaussian at `depth` adds to, for each channel and lane.
+#[inline(always)]
+fn incoming<T: Real>(
+    grad: &[T],
+    limits: &TileLimits<T>,
+    intervals: impl Iterator<Item = usize>,
+    depth: T,
+    start: usize,
+) -> [[T; LANES]; CHANNELS] {
+    let mut incoming = [[T::zero(); LANES]; CHANNELS];
+    for k in intervals {
+        let mask = limits.mask(k, start, depth);
+        for (channel, incoming) in incoming.iter_mut().enumerate() {
+            let grad = lanes(grad, (k * CHANNELS + channel) * TILE_PIXELS + start);
+            for lane in 0..LANES {
+                incoming[lane] = incoming[lane] + mask[lane] * grad[lane];
+            }
+        }
+    }
+    incoming
+}
+
+/// Adds one group of pixels to the sums of a Gaussian.
+#[inline(always)]
+fn add_group<T: Real>(
+    splat: &Splat<T>,
+    dx: &[T; LANES],
+    dy: T,
+    [red, green, blue, alpha]: &[[T; LANES]; CHANNELS],
+    [sum, sum_x, sum_y, sum_xx, sum_xy, sum_yy]: &mut [[T; LANES]; 6],
+    [sum_red, sum_green, sum_blue]: &mut [[T; LANES]; 3],
+) {
+    let mut weight = [T::zero(); LANES];
+    for lane in 0..LANES {
+        weight[lane] = splat.weight(dx[lane], dy);
+    }
+    for lane in 0..LANES {
+        sum_red[lane] = sum_red[lane] + weight[lane] * red[lane];
+        sum_green[lane] = sum_green[lane] + weight[lane] * green[lane];
+        sum_blue[lane] = sum_blue[lane] + weight[lane] * blue[lane];
+    }
+    let [r, g, b] = splat.colour;
+    let mut power = [T::zero(); LANES];
+    for lane in 0..LANES {
+        power[lane] = weight[lane] * (alpha[lane] + r * red[lane] + g * green[lane] + b * blue[lane]);
+    }
+    for lane in 0..LANES {
+        let (by_x, by_y) = (power[lane] * dx[lane], power[lane] * dy);
+        sum[lane] = sum[lane] + power[lane];
+        sum_x[lane] = sum_x[lane] + by_x;
+        sum_y[lane] = sum_y[lane] + by_y;
+        sum_xx[lane] = sum_xx[lane] + by_x * dx[lane];
+        sum_xy[lane] = sum_xy[lane] + by_x * dy;
+        sum_yy[lane] = sum_yy[lane] + by_y * dy;
+    }
+}
+
+/// Gradients with respect to positions, quaternions, log-scales, opacities and colours.
+fn backward<T: Real>(
+    gaussians: &GaussianRows<T>,
+    limits: &[T],
+    grad: &[T],
+    layers: usize,
+    camera: &Camera,
+) -> [Vec<T>; 5] {
+    let grid = TileGrid::new(camera.width, camera.height);
+    let camera = CameraOf::<T>::new(camera);
+    let limits = LimitBlocks::new(limits, layers, grid);
+    let grad = to_tiles(grad, layers * CHANNELS, grid, T::zero());
+    let mut out = [3, 4, 3, 1, 3].map(|width| vec![T::zero(); gaussians.len() * width]);
+    let [positions, quaternions, log_scales, opacities, colours] = &mut out;
+    positions
+        .par_chunks_mut(3 * CHUNK)
+        .zip(quaternions.par_chunks_mut(4 * CHUNK))
+        .zip(log_scales.par_chunks_mut(3 * CHUNK))
+        .zip(opacities.par_chunks_mut(CHUNK))
+        .zip(colours.par_chunks_mut(3 * CHUNK))
+        .enumerate()
+        .for_each(|(chunk, ((((positions, quaternions), log_scales), opacities), colours))| {
+            vectorised(
+                #[inline(always)]
+                || {
+                    for j in 0..opacities.len() {
+                        let i = chunk * CHUNK + j;
+                        let Some(splat) = gaussians.splat(&camera, i) else { continue };
+                        let sum = gather(&splat, grid, &limits, &grad);
+                        let grads = footprint::backward(&camera, &gaussians.parameters(i), &splat, &sum);
+                        positions[3 * j..3 * j + 3].copy_from_slice(&grads.position);
+                        quaternions[4 * j..4 * j + 4].copy_from_slice(&grads.quaternion);
+                        log_scales[3 * j..3 * j + 3].copy_from_slice(&grads.log_scales);
+                        opacities[j] = grads.opacity;
+                        colours[3 * j..3 * j + 3].copy_from_slice(&sum.colour);
+                    }
+                },
+            );
+        });
+    out
+}
+
+/// Largest contribution of each Gaussian to any pixel.
+fn contributions<T: Real>(
+    gaussians: &GaussianRows<T>,
+    limits: &[T],
+    gates: &[T],
+    layers: usize,
+    camera: &Camera,
+) -> Vec<T> {
+    let grid = TileGrid::new(camera.width, camera.height);
+    let camera = CameraOf::<T>::new(camera);
+    let limits = LimitBlocks::new(limits, layers, grid);
+    let gates = to_tiles(gates, layers, grid, T::zero());
+    let largest = |splat: Splat<T>| {
+        let rect = splat.reach(grid.width, grid.height);
+        let mut largest = [T::zero(); LANES];
+        for_each_lit_tile(&splat, &rect, grid, &limits, |tile, limits| {
+            let gates = &gates[tile * layers * TILE_PIXELS..][..layers * TILE_PIXELS];
+            for_each_group(&splat, &rect, grid.origin(tile), |start, dx, dy| {
+                for k in limits.intervals(splat.depth) {
+                    let mask = limits.mask(k, start, splat.depth);
+                    let gate = lanes(gates, k * TILE_PIXELS + start);
+                    for lane in 0..LANES {
+                        largest[lane] = largest[lane].max(splat.weight(dx[lane], dy) * mask[lane] * gate[lane]);
+                    }
+                }
+            });
+        });
+        let brightest = splat.colour.iter().fold(T::zero(), |m, c| m.max(c.abs()));
+        largest.into_iter().fold(T::zero(), T::max) * brightest
+    };
+    (0..gaussians.len()).into_par_iter().map(|i| gaussians.splat(&camera, i).map_or(T::zero(), largest)).collect()
+}
+
+fn splat_on<B: Host>(gaussians: &SplatInput<B>, limits: &FloatTensor<B>, camera: &Camera) -> FloatTensor<B> {
+    let layers = host::rows(limits);
+    with_real!(limits.dtype(), T => {
+        let sums = forward(&GaussianRows::<T>::new(gaussians), &host::floats::<B, T>(limits), layers, camera);
+        host::float_tensor::<B, T, 4>(sums, [layers, CHANNELS, camera.height, camera.width], &limits.device())
+    })
+}
+
+fn splat_backward_on<B: Host>(
+    gaussians: &SplatInput<B>,
+    limits: &FloatTensor<B>,
+    grad: &FloatTensor<B>,
+    camera: &Camera,
+) -> SplatInput<B> {
+    let (count, device) = (host::rows(&gaussians.opacities), limits.device());
+    with_real!(limits.dtype(), T => {
+        let rows = GaussianRows::<T>::new(gaussians);
+        let (limit, grad) = (host::floats::<B, T>(limits), host::floats::<B, T>(grad));
+        let [positions, quaternions, log_scales, opacities, colours] = backward(&rows, &limit, &grad, host::rows(limits), camera);
+        SplatInput {
+            positions: host::float_tensor::<B, T, 2>(positions, [count, 3], &device),
+            quaternions: host::float_tensor::<B, T, 2>(quaternions, [count, 4], &device),
+            log_scales: host::float_tensor::<B, T, 2>(log_scales, [count, 3], &device),
+            opacities: host::float_tensor::<B, T, 1>(opacities, [count], &device),
+            colours: host::float_tensor::<B, T, 2>(colours, [count, 3], &device),
+        }
+    })
+}
+
+fn contributions_on<B: Host>(
+    gaussians: &SplatInput<B>,
+    limits: &FloatTensor<B>,
+    gates: &FloatTensor<B>,
+    camera: &Camera,
+) -> FloatTensor<B> {
+    with_real!(limits.dtype(), T => {
+        let rows = GaussianRows::<T>::new(gaussians);
+        let (limit, gates) = (host::floats::<B, T>(limits), host::floats::<B, T>(gates));
+        let values = contributions(&rows, &limit, &gates, host::rows(limits), camera);
+        host::float_tensor::<B, T, 1>(values, [rows.len()], &limits.device())
+    })
+}
+
+macro_rules! implement {
+    ($backend:ty) => {
+        impl SplatOps for $backend {
+            fn splat(gaussians: SplatInput<Self>, limits: FloatTensor<Self>, camera: Camera) -> FloatTensor<Self> {
+                splat_on::<Self>(&gaussians, &limits, &camera)
+            }
+
+            fn splat_contributions(
+                gaussians: SplatInput<Self>,
+                limits: FloatTensor<Self>,
+                gates: FloatTensor<Self>,
+                camera: Camera,
+            ) -> FloatTensor<Self> {
+                contributions_on::<Self>(&gaussians, &limits, &gates, &camera)
+            }
+        }
+
+        impl SplatBackwardOps for $backend {
+            fn splat_backward(
+                gaussians: SplatInput<Self>,
+                limits: FloatTensor<Self>,
+                grad: FloatTensor<Self>,
+                camera: Camera,
+            ) -> SplatInput<Self> {
+                splat_backward_on::<Self>(&gaussians, &limits, &grad, &camera)
+            }
+        }
+    };
+}
+for_each_cpu_backend!(implement);

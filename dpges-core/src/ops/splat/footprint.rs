@@ -1,0 +1,253 @@
+//! One Gaussian seen by one camera: its elliptical footprint, the pixels it can reach, and the way
+//! back from the footprint's gradients to the Gaussian's parameters.
+
+use crate::math::{CameraOf, M3, V3, add, apply_transposed, column, cross, dot, rotation, rotation_backward, scale};
+use crate::ops::binning::{PixelRect, TILE};
+use crate::ops::peel::CUTOFF;
+use crate::real::Real;
+
+/// Added to the diagonal of the projected covariance, px² (GES).
+pub const LOW_PASS: f64 = 0.1;
+/// The squared ratio by which the low-pass filter dims a Gaussian is kept above this.
+pub const MIN_COMPENSATION_SQUARED: f64 = 2.5e-5;
+/// The Jacobian is evaluated at most this fraction of the image size outside the image (3DGS: 1.3 × tan fov/2).
+const JACOBIAN_MARGIN: f64 = 0.15;
+
+/// Raw parameters of one Gaussian.
+#[derive(Clone, Copy, Debug)]
+pub struct Parameters<T> {
+    pub position: V3<T>,
+    pub quaternion: [T; 4],
+    pub log_scales: V3<T>,
+    pub opacity: T,
+}
+
+/// Footprint: `strength · exp(−½ (a dx² + 2 b dx dy + c dy²))` at offset (dx, dy) px from the mean.
+#[derive(Clone, Copy, Debug)]
+pub struct Splat<T> {
+    pub mean: [T; 2],
+    /// a, b, c
+    pub conic: [T; 3],
+    /// Opacity times the compensation for the low-pass filter.
+    pub strength: T,
+    /// Camera-space z of the centre.
+    pub depth: T,
+    pub colour: V3<T>,
+    /// Value of the quadratic form at the cutoff 1/255.
+    squared_radius: T,
+}
+
+/// Sums over the pixels of a Gaussian.
+#[derive(Clone, Copy, Debug)]
+pub struct SplatGrad<T> {
+    /// With g the gradient of the exponent: Σ g, Σ g dx, Σ g dy, Σ g dx², Σ g dx dy, Σ g dy².
+    pub moments: [T; 6],
+    pub colour: V3<T>,
+}
+
+/// Intermediate values of the projection (EWA).
+struct Projection<T> {
+    centre: V3<T>,
+    /// x / z and y / z, clamped for the Jacobian, and whether they were not.
+    slopes: [T; 2],
+    unclamped: [bool; 2],
+    rotation: M3<T>,
+    scales: V3<T>,
+    /// Rows of J W.
+    plane: [V3<T>; 2],
+    /// Rows of J W R S.
+    half: [V3<T>; 2],
+    /// A, B, C of the filtered covariance, px².
+    covariance: [T; 3],
+    determinant: T,
+    /// Cross product of the rows of `half`; its square is the determinant of the unfiltered covariance.
+    minors: V3<T>,
+    /// Ratio of the determinants.
+    ratio: T,
+}
+
+impl<T: Real> Projection<T> {
+    #[inline(always)]
+    fn new(camera: &CameraOf<T>, p: &Parameters<T>) -> Self {
+        let centre = camera.transform(p.position);
+        let [x, y, z] = centre;
+        let clamp = |slope: T, principal: T, focal: T, size: usize| {
+            let size = T::of(size as f64);
+            let margin = T::of(JACOBIAN_MARGIN) * size / focal;
+            let clamped = slope.max(-principal / focal - margin).min((size - principal) / focal + margin);
+            (clamped, clamped == slope)
+        };
+        let (sx, free_x) = clamp(x / z, camera.cx, camera.fx, camera.width);
+        let (sy, free_y) = clamp(y / z, camera.cy, camera.fy, camera.height);
+        let w = &camera.rotation;
+        let plane =
+            [scale(add(w[0], scale(w[2], -sx)), camera.fx / z), scale(add(w[1], scale(w[2], -sy)), camera.fy / z)];
+        let rotation = rotation(p.quaternion);
+        let scales = p.log_scales.map(T::exp);
+        let half = plane.map(|row| std::array::from_fn(|d| dot(row, column(&rotation, d)) * scales[d]));
+        let low_pass = T::of(LOW_PASS);
+        let covariance = [dot(half[0], half[0]) + low_pass, dot(half[0], half[1]), dot(half[1], half[1]) + low_pass];
+        let minors = cross(half[0], half[1]);
+        // det(Σ + εI) = det Σ + ε tr Σ + ε², every term non-negative: no cancellation for needles
+        let unfiltered = dot(minors, minors);
+        let determinant = unfiltered + low_pass * (covariance[0] + covariance[2] - low_pass);
+        Self {
+            centre,
+            slopes: [sx, sy],
+            unclamped: [free_x, free_y],
+            rotation,
+            scales,
+            plane,
+            half,
+            covariance,
+            determinant,
+            minors,
+            ratio: unfiltered / determinant,
+        }
+    }
+
+    #[inline(always)]
+    fn compensation(&self) -> T {
+        self.ratio.max(T::of(MIN_COMPENSATION_SQUARED)).sqrt()
+    }
+}
+
+impl<T: Real> Splat<T> {
+    /// `None` behind the near plane, below the cutoff everywhere, or where the projection overflows.
+    #[inline(always)]
+    pub fn new(camera: &CameraOf<T>, p: &Parameters<T>, colour: V3<T>) -> Option<Self> {
+        let projection = Projection::new(camera, p);
+        let [x, y, z] = projection.centre;
+        let strength = p.opacity.max(T::zero()) * projection.compensation();
+        let [a, b, c] = projection.covariance;
+        let d = projection.determinant;
+        let visible = z > camera.near && strength >= T::of(CUTOFF) && d > T::zero() && d < T::INFINITY;
+        visible.then(|| Self {
+            mean: [camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy],
+            conic: [c / d, -b / d, a / d],
+            strength,
+            depth: z,
+            colour,
+            squared_radius: T::of(2.0) * (strength / T::of(CUTOFF)).ln(),
+        })
+    }
+
+    /// Pixels at which the weight can reach the cutoff: the bounding box of the ellipse.
+    pub fn reach(&self, width: usize, height: usize) -> PixelRect {
+        let [a, b, c] = self.conic.map(T::as_f64);
+        let determinant = a * c - b * b;
+        let squared = self.squared_radius.as_f64() * (1.0 + 1e-5);
+        let (half_x, half_y) = ((squared * c / determinant).sqrt(), (squared * a / determinant).sqrt());
+        let (x, y) = (self.mean[0].as_f64(), self.mean[1].as_f64());
+        PixelRect::covering([x - half_x, x + half_x, y - half_y, y + half_y], width, height)
+    }
+
+    /// Whether any pixel centre of a tile can lie inside the ellipse.
+    #[inline(always)]
+    pub fn touches(&self, tile_x: usize, tile_y: usize) -> bool {
+        let [a, b, c] = self.conic;
+        let nearest = |tile: usize, mean: T| {
+            let low = T::of((tile * TILE) as f64 + 0.5) - mean;
+            let high = low + T::of(TILE as f64 - 1.0);
+            (low, high, T::zero().max(low).min(high))
+        };
+        let (x0, x1, dx) = nearest(tile_x, self.mean[0]);
+        let (y0, y1, dy) = nearest(tile_y, self.mean[1]);
+        // the convex form is smallest at the mean or on one of the two edges that face it
+        let form = |dx: T, dy: T| a * dx * dx + T::of(2.0) * b * dx * dy + c * dy * dy;
+        let on_vertical = form(dx, (-b * dx / c).max(y0).min(y1));
+        let on_horizontal = form((-b * dy / a).max(x0).min(x1), dy);
+        let smallest = on_vertical.min(on_horizontal);
+        let outside = smallest > self.squared_radius * T::of(1.0 + 1e-4) + T::of(1e-4);
+        // so that NaN touches
+        !outside
+    }
+
+    /// Weight at an offset from the mean, 0 below the cutoff.
+    #[inline(always)]
+    pub fn weight(&self, dx: T, dy: T) -> T {
+        let [a, b, c] = self.conic;
+        let power = T::of(-0.5) * (a * dx * dx + c * dy * dy) - b * dx * dy;
+        let weight = self.strength * power.exp_nonpositive();
+        if weight >= T::of(CUTOFF) { weight } else { T::zero() }
+    }
+}
+
+/// Gradients with respect to the raw parameters.
+#[derive(Clone, Copy, Debug)]
+pub struct ParameterGrad<T> {
+    pub position: V3<T>,
+    pub quaternion: [T; 4],
+    pub log_scales: V3<T>,
+    pub opacity: T,
+}
+
+/// From the sums over a Gaussian's pixels to its raw parameters (methods 2.3 and 4.5).
+pub fn backward<T: Real>(
+    camera: &CameraOf<T>,
+    p: &Parameters<T>,
+    splat: &Splat<T>,
+    sum: &SplatGrad<T>,
+) -> ParameterGrad<T> {
+    let projection = Projection::new(camera, p);
+    let [x, y, z] = projection.centre;
+    let [total, mx, my, mxx, mxy, myy] = sum.moments;
+    let (half, two) = (T::of(0.5), T::of(2.0));
+    let [a, b, c] = splat.conic;
+    let grad_mean = [a * mx + b * my, b * mx + c * my];
+    // ∂Q = −½ Σ g d dᵀ, ∂Σ = −Q ∂Q Q
+    let q_moment = |u: [T; 2], v: [T; 2]| u[0] * v[0] * mxx + (u[0] * v[1] + u[1] * v[0]) * mxy + u[1] * v[1] * myy;
+    let (row0, row1) = ([a, b], [b, c]);
+    let mut grad_covariance = [half * q_moment(row0, row0), q_moment(row0, row1), half * q_moment(row1, row1)];
+
+    let grad_strength = total / splat.strength;
+    let compensation = projection.compensation();
+    let opacity = p.opacity.max(T::zero());
+    let mut grad_half = [[T::zero(); 3]; 2];
+    if projection.ratio > T::of(MIN_COMPENSATION_SQUARED) {
+        let grad_ratio = grad_strength * opacity * half / compensation;
+        let grad_unfiltered = grad_ratio / projection.determinant;
+        let grad_determinant = -grad_unfiltered * projection.ratio;
+        let [ca, cb, cc] = projection.covariance;
+        grad_covariance[0] = grad_covariance[0] + grad_determinant * cc;
+        grad_covariance[1] = grad_covariance[1] - two * grad_determinant * cb;
+        grad_covariance[2] = grad_covariance[2] + grad_determinant * ca;
+        let grad_minors = scale(projection.minors, two * grad_unfiltered);
+        grad_half = [cross(projection.half[1], grad_minors), cross(grad_minors, projection.half[0])];
+    }
+    let [ga, gb, gc] = grad_covariance;
+    let [h0, h1] = projection.half;
+    grad_half[0] = add(grad_half[0], add(scale(h0, two * ga), scale(h1, gb)));
+    grad_half[1] = add(grad_half[1], add(scale(h1, two * gc), scale(h0, gb)));
+
+    // half = plane · R S
+    let factor: M3<T> =
+        std::array::from_fn(|i| std::array::from_fn(|d| projection.rotation[i][d] * projection.scales[d]));
+    let grad_factor: M3<T> = std::array::from_fn(|i| {
+        std::array::from_fn(|d| projection.plane[0][i] * grad_half[0][d] + projection.plane[1][i] * grad_half[1][d])
+    });
+    let log_scales = std::array::from_fn(|d| dot(column(&grad_factor, d), column(&factor, d)));
+    let grad_rotation: M3<T> =
+        std::array::from_fn(|i| std::array::from_fn(|d| grad_factor[i][d] * projection.scales[d]));
+
+    // plane row 0 = fx / z (W₀ − s_x W₂), s_x = x / z unless clamped
+    let mut grad_centre = [T::zero(); 3];
+    for (axis, focal) in [(0, camera.fx), (1, camera.fy)] {
+        let grad_plane: V3<T> = std::array::from_fn(|i| dot(grad_half[axis], factor[i]));
+        grad_centre[2] = grad_centre[2] - dot(grad_plane, projection.plane[axis]) / z;
+        let coordinate = [x, y][axis];
+        if projection.unclamped[axis] {
+            let grad_slope = -focal / z * dot(grad_plane, camera.rotation[2]);
+            grad_centre[axis] = grad_centre[axis] + grad_slope / z;
+            grad_centre[2] = grad_centre[2] - grad_slope * projection.slopes[axis] / z;
+        }
+        grad_centre[axis] = grad_centre[axis] + focal / z * grad_mean[axis];
+        grad_centre[2] = grad_centre[2] - focal * coordinate / (z * z) * grad_mean[axis];
+    }
+    ParameterGrad {
+        position: apply_transposed(&camera.rotation, grad_centre),
+        quaternion: rotation_backward(p.quaternion, &grad_rotation),
+        log_scales,
+        opacity: if p.opacity > T::zero() { grad_strength * compensation } else { T::zero() },
+    }
+}

@@ -1,0 +1,343 @@
+use burn::tensor::{DType, Int, Tensor, TensorData};
+use glam::{DMat3, DVec3};
+
+use super::footprint::{LOW_PASS, MIN_COMPENSATION_SQUARED, Parameters, Splat};
+use super::limits::interval_limits;
+use super::{contributions, splat};
+use crate::camera::{Camera, CameraFromWorld};
+use crate::math::{CameraOf, rotation};
+use crate::ops::binning::PixelRect;
+use crate::ops::peel::{CUTOFF, Layers};
+use crate::scene::{Colour, ColourModel, Gaussians};
+use crate::testing::device;
+use crate::testing::golden::values;
+use crate::testing::gradients::{check, leaf};
+use crate::testing::random::Random;
+use crate::testing::scenes::{self, Recipe};
+
+/// Widths of positions, quaternions, log-scales, opacities and colours.
+const WIDTHS: [usize; 5] = [3, 4, 3, 1, 3];
+const NAMES: [&str; 5] = ["positions", "quaternions", "log_scales", "opacities", "colours"];
+
+/// Positions, quaternions, log-scales, opacities and colours, row-major.
+#[derive(Clone, Default)]
+struct Flat([Vec<f64>; 5]);
+
+struct Leaves {
+    gaussians: Gaussians,
+    colours: Tensor<2>,
+}
+
+impl Flat {
+    fn random(seed: u64, recipe: &Recipe) -> (Self, Camera) {
+        let scene = scenes::random(seed, recipe);
+        let wide = |rows: &[f32]| rows.iter().map(|&v| f64::from(v)).collect::<Vec<f64>>();
+        let g = scene.gaussians;
+        let colours = Random::new(seed).numbers(3 * g.len(), -0.3, 1.3);
+        let parameters = [wide(&g.positions), wide(&g.quaternions), wide(&g.log_scales), wide(&g.opacities), colours];
+        (Self(parameters), scene.camera)
+    }
+
+    fn push(&mut self, position: [f64; 3], quaternion: [f64; 4], log_scales: [f64; 3], opacity: f64) {
+        let colour = [0.9, -0.2, 0.4];
+        let rows: [&[f64]; 5] = [&position, &quaternion, &log_scales, &[opacity], &colour];
+        self.0.iter_mut().zip(rows).for_each(|(all, row)| all.extend(row));
+    }
+
+    fn len(&self) -> usize {
+        self.0[3].len()
+    }
+
+    fn row<const W: usize>(&self, of: usize, i: usize) -> [f64; W] {
+        self.0[of][W * i..W * (i + 1)].try_into().unwrap()
+    }
+
+    fn leaves(&self) -> Leaves {
+        let device = device();
+        let rows = |i: usize| leaf(&self.0[i], [self.len(), WIDTHS[i]], &device);
+        let model = ColourModel::SphericalBeta { lobes: 0 };
+        let colour = Colour { model, base: rows(4), detail: leaf(&[], [self.len(), 0], &device) };
+        Leaves {
+            gaussians: Gaussians {
+                positions: rows(0),
+                quaternions: rows(1),
+                log_scales: rows(2),
+                opacities: leaf(&self.0[3], [self.len()], &device),
+                colour,
+            },
+            colours: rows(4),
+        }
+    }
+
+    fn splat(&self, limits: &Tensor<3>, camera: &Camera) -> Tensor<4> {
+        let Leaves { gaussians, colours } = self.leaves();
+        splat(&gaussians, colours, limits.clone(), camera).unwrap()
+    }
+
+    /// Weight of a Gaussian at every pixel, and its depth, by the formulas of the specification.
+    fn weights_densely(&self, i: usize, camera: &Camera) -> (Vec<f64>, f64) {
+        let (w, h) = (camera.width as f64, camera.height as f64);
+        let pose = &camera.camera_from_world;
+        let c = pose.rotation * DVec3::from(self.row::<3>(0, i)) + pose.translation;
+        let pixels = camera.width * camera.height;
+        if c.z <= camera.near {
+            return (vec![0.0; pixels], c.z);
+        }
+        let slope = |slope: f64, principal: f64, focal: f64, size: f64| {
+            slope.clamp(-principal / focal - 0.15 * size / focal, (size - principal) / focal + 0.15 * size / focal)
+        };
+        let sx = slope(c.x / c.z, camera.cx, camera.fx, w);
+        let sy = slope(c.y / c.z, camera.cy, camera.fy, h);
+        let rows = rotation(self.row::<4>(1, i));
+        let turn = DMat3::from_cols_array_2d(&rows).transpose();
+        let factor = pose.rotation * turn * DMat3::from_diagonal(DVec3::from(self.row::<3>(2, i)).exp());
+        let jacobian =
+            [DVec3::new(camera.fx, 0.0, -camera.fx * sx) / c.z, DVec3::new(0.0, camera.fy, -camera.fy * sy) / c.z];
+        let half = jacobian.map(|row| factor.transpose() * row);
+        let unfiltered = half[0].cross(half[1]).length_squared();
+        let trace = half[0].length_squared() + half[1].length_squared();
+        let determinant = unfiltered + LOW_PASS * trace + LOW_PASS * LOW_PASS;
+        let (a, b, d) =
+            (half[0].length_squared() + LOW_PASS, half[0].dot(half[1]), half[1].length_squared() + LOW_PASS);
+        let strength = self.0[3][i].max(0.0) * (unfiltered / determinant).max(MIN_COMPENSATION_SQUARED).sqrt();
+        let mean = [camera.fx * c.x / c.z + camera.cx, camera.fy * c.y / c.z + camera.cy];
+        let weight = |at: usize| {
+            let dx = (at % camera.width) as f64 + 0.5 - mean[0];
+            let dy = (at / camera.width) as f64 + 0.5 - mean[1];
+            let weight = strength * (-0.5 * (d * dx * dx - 2.0 * b * dx * dy + a * dy * dy) / determinant).exp();
+            if weight >= CUTOFF { weight } else { 0.0 }
+        };
+        ((0..pixels).map(weight).collect(), c.z)
+    }
+
+    /// Sums [K, 4, H, W], and the largest weight · gate · max|colour| of every Gaussian.
+    fn splat_densely(&self, limits: &[f64], gates: &[f64], camera: &Camera) -> (Vec<f64>, Vec<f64>) {
+        let pixels = camera.width * camera.height;
+        let layers = limits.len() / pixels;
+        let (mut sums, mut largest) = (vec![0.0; 4 * limits.len()], vec![0.0f64; self.len()]);
+        for (i, largest) in largest.iter_mut().enumerate() {
+            let (weights, depth) = self.weights_densely(i, camera);
+            let colour = self.row::<3>(4, i);
+            let brightest = colour.iter().fold(0.0, |m: f64, c| m.max(c.abs()));
+            for (at, weight) in weights.into_iter().enumerate() {
+                let Some(k) = (0..layers).find(|k| depth < limits[k * pixels + at]) else { continue };
+                for (c, value) in [colour[0], colour[1], colour[2], 1.0].into_iter().enumerate() {
+                    sums[(4 * k + c) * pixels + at] += weight * value;
+                }
+                *largest = largest.max(weight * gates[k * pixels + at] * brightest);
+            }
+        }
+        (sums, largest)
+    }
+}
+
+fn axis_camera() -> Camera {
+    let pose = CameraFromWorld { rotation: DMat3::IDENTITY, translation: DVec3::ZERO };
+    Camera { camera_from_world: pose, fx: 40.0, fy: 44.0, cx: 18.0, cy: 14.0, width: 40, height: 30, near: 0.2 }
+}
+
+/// Ascending limits [K, H, W] around `depth`, with steps between neighbouring pixels.
+fn random_limits(layers: usize, depth: f64, camera: &Camera, seed: u64) -> Vec<f64> {
+    let (mut random, pixels) = (Random::new(seed), camera.width * camera.height);
+    let mut limits = vec![f64::INFINITY; layers * pixels];
+    for at in 0..pixels {
+        let mut stack = random.numbers(layers, 0.4 * depth, 1.6 * depth);
+        stack.sort_by(f64::total_cmp);
+        if random.below(3) == 0 {
+            stack[layers - 1] = f64::INFINITY;
+        }
+        stack.into_iter().enumerate().for_each(|(k, limit)| limits[k * pixels + at] = limit);
+    }
+    limits
+}
+
+fn image(values: &[f64], layers: usize, camera: &Camera) -> Tensor<3> {
+    leaf(values, [layers, camera.height, camera.width], &device()).detach()
+}
+
+fn assert_close(found: &[f64], expected: &[f64], relative: f64) {
+    assert_eq!(found.len(), expected.len());
+    let largest = expected.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
+    for (at, (&a, &b)) in found.iter().zip(expected).enumerate() {
+        let close = (a - b).abs() <= relative * (b.abs() + largest * 1e-3);
+        assert!(close && (a == 0.0) == (b == 0.0), "at {at}: {a}, expected {b}");
+    }
+}
+
+/// Needles, huge, tiny, off the frustum, around the near plane, strong, faint and negative ones.
+fn every_kind(count: usize) -> Flat {
+    let (mut random, mut flat) = (Random::new(11), Flat::default());
+    for i in 0..count {
+        let depth = if i % 7 == 0 { random.between(-0.2, 0.6) } else { random.between(0.6, 6.0) };
+        let spread = if i % 5 == 0 { 2.0 } else { 0.4 };
+        let position = [random.normal() * spread * depth, random.normal() * spread * depth, depth];
+        let log_scales = match i % 4 {
+            0 => std::array::from_fn(|_| random.between(-3.0, -0.5)),
+            1 => [random.between(-1.0, 1.0), -6.0, -7.0],
+            2 => std::array::from_fn(|_| random.between(0.5, 3.0)),
+            _ => std::array::from_fn(|_| random.between(-9.0, -3.0)),
+        };
+        let opacity = [0.7, 3.0, 0.02, -0.5, 1.0][random.below(5)];
+        flat.push(position, std::array::from_fn(|_| random.normal()), log_scales, opacity);
+    }
+    flat
+}
+
+#[test]
+fn tiled_sums_and_contributions_equal_dense_ones() {
+    for layers in 1..=4 {
+        let recipe = Recipe { surfels: 0, gaussians: 60, width: 45, height: 37, ..Recipe::default() };
+        let (random, random_camera) = Flat::random(layers as u64, &recipe);
+        for (gaussians, camera) in [(random, random_camera), (every_kind(400), axis_camera())] {
+            let limits = random_limits(layers, 2.5, &camera, 1);
+            let gates = Random::new(2).numbers(limits.len(), 0.0, 1.0);
+            let (sums, largest) = gaussians.splat_densely(&limits, &gates, &camera);
+            assert!(sums.iter().filter(|s| **s != 0.0).count() > sums.len() / 4);
+            let (limits, gates) = (image(&limits, layers, &camera), image(&gates, layers, &camera));
+            assert_close(&values(&gaussians.splat(&limits, &camera)), &sums, 1e-12);
+            let Leaves { gaussians, colours } = gaussians.leaves();
+            let found = contributions(&gaussians, colours, limits, gates, &camera).unwrap();
+            assert_close(&values(&found), &largest, 1e-12);
+        }
+    }
+}
+
+#[test]
+fn reach_is_the_box_of_the_ellipse_of_the_cutoff() {
+    const MAGNIFIED: f64 = 1e3;
+    let camera = axis_camera().resized(40 * MAGNIFIED as usize, 30 * MAGNIFIED as usize);
+    let (of, flat, mut compared) = (CameraOf::<f64>::new(&camera), every_kind(400), 0);
+    for i in 0..flat.len() {
+        let opacity = flat.0[3][i];
+        let log_scales = flat.row(2, i);
+        let parameters = Parameters { position: flat.row(0, i), quaternion: flat.row(1, i), log_scales, opacity };
+        let Some(splat) = Splat::new(&of, &parameters, flat.row(4, i)) else { continue };
+        let [a, b, c] = splat.conic;
+        let squared = 2.0 * (splat.strength / CUTOFF).ln();
+        // θ → offset: L⁻ᵀ (cos θ, sin θ) for the conic L Lᵀ
+        let (l11, l21) = (a.sqrt(), b / a.sqrt());
+        let l22 = (c - l21 * l21).sqrt();
+        let mut bounds = [f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY];
+        for step in 0..20_000 {
+            let (sin, cos) = (f64::from(step) * std::f64::consts::TAU / 20_000.0).sin_cos();
+            let dy = sin / l22;
+            let dx = (cos - l21 * dy) / l11;
+            let (x, y) = (splat.mean[0] + squared.sqrt() * dx, splat.mean[1] + squared.sqrt() * dy);
+            bounds = [bounds[0].min(x), bounds[1].max(x), bounds[2].min(y), bounds[3].max(y)];
+        }
+        let expected = PixelRect::covering(bounds, camera.width, camera.height);
+        let found = splat.reach(camera.width, camera.height);
+        let sides = |r: &PixelRect| [r.x0, r.x1, r.y0, r.y1].map(i64::from);
+        // rounding slack grows with the size
+        let slack = 2 + (1e-5 * (bounds[1] - bounds[0]).max(bounds[3] - bounds[2])) as i64;
+        let apart = sides(&found).iter().zip(sides(&expected)).map(|(a, b)| (a - b).abs()).max().unwrap();
+        let thin = |r: &PixelRect| i64::from((r.x1 - r.x0).min(r.y1 - r.y0)) <= slack;
+        assert!(apart <= slack || thin(&found) && thin(&expected), "{i}: {found:?}, expected {expected:?}");
+        compared += usize::from(!expected.is_empty());
+    }
+    assert!(compared > 80, "{compared}");
+}
+
+#[test]
+fn a_gaussian_at_a_limit_lies_behind_it() {
+    let camera = axis_camera();
+    let mut gaussian = Flat::default();
+    gaussian.push([0.0, 0.0, 2.0], [1.0, 0.0, 0.0, 0.0], [-2.0; 3], 1.0);
+    let pixels = camera.width * camera.height;
+    let weight_of = |limits: [f64; 2]| {
+        let planes: Vec<f64> = limits.iter().flat_map(|&limit| vec![limit; pixels]).collect();
+        let sums = values(&gaussian.splat(&image(&planes, 2, &camera), &camera));
+        [3, 7].map(|channel| sums[channel * pixels..][..pixels].iter().sum::<f64>() > 0.0)
+    };
+    assert_eq!(weight_of([2.0, 3.0]), [false, true]);
+    assert_eq!(weight_of([2.0f64.next_up(), 3.0]), [true, false]);
+    assert_eq!(weight_of([1.0, 2.0]), [false, false]);
+    assert_eq!(weight_of([2.0, 2.0]), [false, false]);
+    assert_eq!(weight_of([1.0, f64::INFINITY]), [false, true]);
+}
+
+#[test]
+fn intervals_are_those_of_the_first_layer_that_lies_behind() {
+    let (layers, camera) = (3, axis_camera());
+    let (pixels, mut random) = (camera.width * camera.height, Random::new(21));
+    let margins = random.numbers(20, 0.0, 0.6);
+    let (mut ids, mut alpha, mut depth) =
+        (vec![-1i32; layers * pixels], vec![0.0; layers * pixels], vec![f64::INFINITY; layers * pixels]);
+    for at in 0..pixels {
+        let mut stack = random.numbers(random.clone().below(layers + 1), 1.0, 3.0);
+        stack.sort_by(f64::total_cmp);
+        let opaque_end = random.below(2) == 0;
+        for (k, &d) in stack.iter().enumerate() {
+            let opaque = opaque_end && k + 1 == stack.len();
+            let slot = k * pixels + at;
+            (ids[slot], depth[slot]) = (random.below(20) as i32, d);
+            alpha[slot] = if opaque { 1.0 } else { random.between(0.1, 0.9) };
+        }
+    }
+    let id_tensor = TensorData::new(ids.clone(), [layers, camera.height, camera.width]);
+    let peeled = Layers {
+        ids: Tensor::<3, Int>::from_data(id_tensor, (&device(), DType::I32)),
+        alpha: image(&alpha, layers, &camera),
+        depth: image(&depth, layers, &camera),
+    };
+    let margin_tensor = leaf(&margins, [20], &device()).detach();
+    let limits = values(&interval_limits(&peeled, margin_tensor).unwrap());
+    for at in 0..pixels {
+        let shifted: Vec<f64> = (0..layers)
+            .map(|k| k * pixels + at)
+            .map(|slot| if ids[slot] < 0 { f64::INFINITY } else { depth[slot] + margins[ids[slot] as usize] })
+            .collect();
+        let present = (0..layers).filter(|k| ids[k * pixels + at] >= 0).count();
+        let closed = present == layers || (0..layers).any(|k| alpha[k * pixels + at] >= 1.0);
+        for d in random.numbers(20, 0.8, 4.0).into_iter().chain(shifted.iter().copied().filter(|d| d.is_finite())) {
+            let occluded = closed && d >= shifted[present - 1];
+            let expected = (0..layers).find(|&k| d < shifted[k]).filter(|_| !occluded);
+            let found = (0..layers).find(|k| d < limits[k * pixels + at]);
+            assert_eq!(found, expected, "pixel {at}, depth {d}");
+        }
+    }
+}
+
+#[test]
+fn no_gaussians_sum_to_nothing() {
+    let camera = axis_camera();
+    let limits = image(&random_limits(3, 2.0, &camera, 4), 3, &camera);
+    let Leaves { gaussians, colours } = Flat::default().leaves();
+    let sums = splat(&gaussians, colours.clone(), limits.clone(), &camera).unwrap();
+    assert!(values(&sums).iter().all(|s| *s == 0.0));
+    assert_eq!(sums.dims(), [3, 4, camera.height, camera.width]);
+    assert_eq!(contributions(&gaussians, colours, limits.clone(), limits, &camera).unwrap().dims(), [0]);
+}
+
+#[test]
+fn gradients_of_the_sums_are_central_differences() {
+    let recipe = Recipe { surfels: 0, gaussians: 9, width: 29, height: 21, ..Recipe::default() };
+    let mut edges = Flat::default();
+    // a needle, one larger than the image, one outside where the Jacobian is clamped, one too thin to be undimmed
+    edges.push([0.1, 0.0, 2.0], [0.9, 0.3, -0.2, 0.1], [-0.7, -4.0, -5.0], 1.3);
+    edges.push([-0.3, 0.2, 3.0], [0.5, -0.3, 0.6, 0.2], [0.3, 0.6, 0.1], 0.8);
+    edges.push([1.6, 0.9, 2.0], [0.1, 0.8, 0.2, 0.4], [-0.6, -0.3, -0.9], 0.9);
+    edges.push([0.2, -0.2, 2.0], [0.1, 0.3, 0.2, 0.4], [-8.0, -9.0, -9.5], 1.9);
+    let (random, random_camera) = Flat::random(31, &recipe);
+    for (gaussians, camera) in [(random, random_camera), (edges, axis_camera())] {
+        let limits = image(&random_limits(3, 2.5, &camera, 5), 3, &camera);
+        let shape = [3, 4, camera.height, camera.width];
+        let weights = leaf(&Random::new(9).numbers(shape.iter().product(), -1.0, 1.0), shape, &device()).detach();
+        let loss = |sums: Tensor<4>| (sums * weights.clone()).sum();
+        let leaves = gaussians.leaves();
+        let sums = splat(&leaves.gaussians, leaves.colours.clone(), limits.clone(), &camera).unwrap();
+        let gradients = loss(sums).backward();
+        let g = &leaves.gaussians;
+        let found = [&g.positions, &g.quaternions, &g.log_scales].map(|t| values(&t.grad(&gradients).unwrap()));
+        let [positions, quaternions, log_scales] = found;
+        let opacities = values(&g.opacities.grad(&gradients).unwrap());
+        let colours = values(&leaves.colours.grad(&gradients).unwrap());
+        for (i, found) in [positions, quaternions, log_scales, opacities, colours].iter().enumerate() {
+            check(NAMES[i], &gaussians.0[i], found, 1e-6, |moved| {
+                let mut gaussians = gaussians.clone();
+                gaussians.0[i] = moved.to_vec();
+                values(&loss(gaussians.splat(&limits, &camera)))[0]
+            });
+        }
+    }
+}

@@ -1,0 +1,8 @@
+//! Kernels are written as loops over fixed-size lanes; this picks the instructions they compile to.
+
+/// Runs `kernel` compiled for the widest vector instructions of this machine. Everything it calls
+/// must be `#[inline(always)]` to profit.
+#[inline]
+pub fn vectorised<R>(kernel: impl FnOnce() -> R) -> R {
+    pulp::Arch::new().dispatch(kernel)
+}

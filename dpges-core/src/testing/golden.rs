@@ -1,0 +1,310 @@
+//! Golden cases: inputs, outputs, losses and gradients of the float64 specification of the model, as
+//! safetensors files, and their comparison with this crate.
+
+use std::collections::HashMap;
+use std::path::Path;
+
+use burn::tensor::{DType, Device, Gradients, Int, Tensor, TensorData};
+use glam::{DMat3, DVec3};
+use safetensors::{Dtype, SafeTensors};
+
+use super::compare::relative_l2;
+use crate::camera::{Camera, CameraFromWorld};
+use crate::losses::{self, LossWeights};
+use crate::ops::composite::geometry;
+use crate::ops::peel::PeelOptions;
+use crate::ops::ssim::ssim;
+use crate::render::{Render, RenderOptions, render};
+use crate::scene::{Colour, ColourModel, Footprint, Gaussians, Surfels};
+
+struct Array {
+    shape: Vec<usize>,
+    values: Vec<f64>,
+}
+
+/// One case.
+pub struct GoldenCase {
+    arrays: HashMap<String, Array>,
+    camera: Camera,
+    options: RenderOptions,
+}
+
+/// How far one tensor is from its golden values.
+#[derive(Debug, Clone)]
+pub struct Deviation {
+    pub tensor: String,
+    /// Relative L2 distance; for layer ids the number of pixels that differ although their depths do not tie.
+    pub distance: f64,
+    pub is_id: bool,
+}
+
+/// Tensors of one case on one device.
+struct Inputs {
+    surfels: Surfels,
+    gaussians: Gaussians,
+    upstream: Tensor<3>,
+    target: Tensor<3>,
+}
+
+impl GoldenCase {
+    /// # Errors
+    /// A message naming the file and what is missing or malformed.
+    pub fn load(path: &Path) -> Result<Self, String> {
+        let bytes = std::fs::read(path).map_err(|e| format!("{}: {e}", path.display()))?;
+        let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|e| format!("{}: {e}", path.display()))?;
+        let file = SafeTensors::deserialize(&bytes).map_err(|e| format!("{}: {e}", path.display()))?;
+        let mut arrays = HashMap::new();
+        for (name, view) in file.iter() {
+            let numbers: Vec<f64> = match view.dtype() {
+                Dtype::F64 => {
+                    view.data().chunks_exact(8).map(|b| f64::from_le_bytes(b.try_into().expect("8 bytes"))).collect()
+                }
+                Dtype::I32 => view
+                    .data()
+                    .chunks_exact(4)
+                    .map(|b| f64::from(i32::from_le_bytes(b.try_into().expect("4 bytes"))))
+                    .collect(),
+                other => return Err(format!("{}: {name} has element type {other:?}", path.display())),
+            };
+            arrays.insert(name.to_owned(), Array { shape: view.shape().to_vec(), values: numbers });
+        }
+        let metadata = header.metadata().as_ref().ok_or_else(|| format!("{}: no metadata", path.display()))?;
+        let text = |key: &str| metadata.get(key).ok_or_else(|| format!("{}: no metadata `{key}`", path.display()));
+        let number = |key: &str| text(key)?.parse::<f64>().map_err(|e| format!("{}: {key}: {e}", path.display()));
+        let get = |name: &str| {
+            arrays
+                .get(name)
+                .map(|a: &Array| a.values.as_slice())
+                .ok_or_else(|| format!("{}: no tensor `{name}`", path.display()))
+        };
+        let rotation = get("camera.rotation")?;
+        let intrinsics = get("camera.intrinsics")?;
+        let camera = Camera {
+            camera_from_world: CameraFromWorld {
+                rotation: DMat3::from_cols_slice(rotation).transpose(),
+                translation: DVec3::from_slice(get("camera.translation")?),
+            },
+            fx: intrinsics[0],
+            fy: intrinsics[1],
+            cx: intrinsics[2],
+            cy: intrinsics[3],
+            width: number("width")? as usize,
+            height: number("height")? as usize,
+            near: number("near")?,
+        };
+        let footprint = if text("footprint")? == "opacity" { Footprint::Opacity } else { Footprint::Kernel };
+        let peel =
+            PeelOptions { layer_count: number("layer_count")? as usize, modulation: number("modulation")?, footprint };
+        let background = get("background")?.try_into().map_err(|_| format!("{}: background", path.display()))?;
+        Ok(Self { arrays, camera, options: RenderOptions { peel, background, detach_transmittance: false } })
+    }
+
+    /// The same case with every input rounded to f32: what f32 can be expected to reproduce is no
+    /// nearer than this, since a nearly edge-on surfel magnifies the rounding of its parameters.
+    #[must_use]
+    pub fn rounded_to_f32(mut self) -> Self {
+        for (name, array) in &mut self.arrays {
+            if ["surfels.", "gaussians.", "upstream", "target"].iter().any(|input| name.starts_with(input)) {
+                array.values.iter_mut().for_each(|value| *value = f64::from(*value as f32));
+            }
+        }
+        self
+    }
+
+    /// The same case with one tensor multiplied by `factor`.
+    ///
+    /// # Panics
+    /// If there is no such tensor.
+    #[must_use]
+    pub fn perturbed(mut self, name: &str, factor: f64) -> Self {
+        let array = self.arrays.get_mut(name).unwrap_or_else(|| panic!("golden case has no tensor `{name}`"));
+        array.values.iter_mut().for_each(|value| *value *= factor);
+        self
+    }
+
+    /// Names of the expected values.
+    pub fn expected(&self) -> impl Iterator<Item = &str> {
+        let is_expected = |name: &&str| ["out.", "loss.", "grad_"].iter().any(|output| name.starts_with(output));
+        self.arrays.keys().map(String::as_str).filter(is_expected)
+    }
+
+    fn array(&self, name: &str) -> &Array {
+        self.arrays.get(name).unwrap_or_else(|| panic!("golden case has no tensor `{name}`"))
+    }
+
+    fn rows(&self, name: &str, device: &Device, dtype: DType) -> Tensor<2> {
+        let array = self.array(name);
+        let count = array.shape[0];
+        let width = array.shape[1..].iter().product();
+        Tensor::from_data(TensorData::new(array.values.clone(), [count, width]).convert_dtype(dtype), (device, dtype))
+    }
+
+    /// [H, W, C] in the file to [C, H, W].
+    fn image(&self, name: &str, device: &Device, dtype: DType) -> Tensor<3> {
+        let array = self.array(name);
+        let shape: [usize; 3] = array.shape.clone().try_into().expect("an image has three axes");
+        let data = TensorData::new(array.values.clone(), shape).convert_dtype(dtype);
+        Tensor::<3>::from_data(data, (device, dtype)).permute([2, 0, 1])
+    }
+
+    fn inputs(&self, device: &Device, dtype: DType) -> Inputs {
+        let rows = |name: &str| self.rows(name, device, dtype).require_grad();
+        let colour = |of: &str| {
+            let lobes = self.array(&format!("{of}.colour.lobes")).shape[1];
+            let (base, detail) = (rows(&format!("{of}.colour.base")), rows(&format!("{of}.colour.lobes")));
+            Colour { model: ColourModel::SphericalBeta { lobes }, base, detail }
+        };
+        let column = |name: &str| {
+            let rows = self.rows(name, device, dtype);
+            let count = rows.dims()[0];
+            rows.reshape([count])
+        };
+        Inputs {
+            surfels: Surfels {
+                positions: rows("surfels.positions"),
+                quaternions: rows("surfels.quaternions"),
+                log_scales: rows("surfels.log_scales"),
+                colour: colour("surfels"),
+                margins: column("surfels.margins"),
+            },
+            gaussians: Gaussians {
+                positions: rows("gaussians.positions"),
+                quaternions: rows("gaussians.quaternions"),
+                log_scales: rows("gaussians.log_scales"),
+                opacities: column("gaussians.opacities").require_grad(),
+                colour: colour("gaussians"),
+            },
+            upstream: self.image("upstream", device, dtype),
+            target: self.image("target", device, dtype),
+        }
+    }
+
+    /// Renders the case and compares every output, loss and gradient that the file holds.
+    pub fn compare(&self, device: &Device, dtype: DType) -> Vec<Deviation> {
+        let device = device.clone().autodiff();
+        let mut found = Found { case: self, deviations: Vec::new() };
+        let inputs = self.inputs(&device, dtype);
+        let rendered = self.render(&inputs, false);
+        found.outputs(&rendered, &inputs);
+        found.losses(&rendered, &inputs);
+        let image_loss =
+            |inputs: &Inputs, detach| (self.render(inputs, detach).composite.image * inputs.upstream.clone()).sum();
+        found.gradients("grad_image", &inputs, &image_loss(&inputs, false).backward());
+        let inputs = self.inputs(&device, dtype);
+        found.gradients("grad_detached", &inputs, &image_loss(&inputs, true).backward());
+        let inputs = self.inputs(&device, dtype);
+        found.gradients("grad_total", &inputs, &self.total(&inputs).backward());
+        found.deviations
+    }
+
+    fn render(&self, inputs: &Inputs, detach_transmittance: bool) -> Render {
+        let options = RenderOptions { detach_transmittance, ..self.options };
+        render(&inputs.surfels, &inputs.gaussians, &self.camera, &options).expect("golden inputs are valid")
+    }
+
+    fn total(&self, inputs: &Inputs) -> Tensor<1> {
+        let rendered = self.render(inputs, false);
+        if inputs.surfels.is_empty() {
+            return losses::rgb(rendered.composite.image, inputs.target.clone(), 0.2).expect("shapes agree");
+        }
+        let terms = losses::losses(
+            &rendered,
+            inputs.surfels.log_scales.clone(),
+            inputs.target.clone(),
+            &LossWeights::default(),
+        );
+        terms.expect("shapes agree").total
+    }
+}
+
+/// The values of a tensor as f64, row-major.
+pub fn values<const D: usize>(tensor: &Tensor<D>) -> Vec<f64> {
+    tensor.clone().into_data().iter::<f64>().collect()
+}
+
+struct Found<'a> {
+    case: &'a GoldenCase,
+    deviations: Vec<Deviation>,
+}
+
+impl Found<'_> {
+    fn compare(&mut self, name: &str, found: &[f64]) {
+        if let Some(expected) = self.case.arrays.get(name) {
+            let distance = relative_l2(found, &expected.values);
+            self.deviations.push(Deviation { tensor: name.to_owned(), distance, is_id: false });
+        }
+    }
+
+    /// [C, H, W] against [H, W, C] (or [H, W]) in the file.
+    fn image(&mut self, name: &str, image: &Tensor<3>) {
+        self.compare(name, &values(&image.clone().permute([1, 2, 0])));
+    }
+
+    fn outputs(&mut self, rendered: &Render, inputs: &Inputs) {
+        let composite = &rendered.composite;
+        self.image("out.image", &composite.image);
+        self.image("out.surfel_image", &composite.surfel_image);
+        self.image("out.transmittance", &composite.transmittance);
+        self.image("out.gaussian_colour", &composite.gaussian_colour);
+        self.image("out.gaussian_weight", &composite.gaussian_weight);
+        let shape = geometry(&inputs.surfels, &self.case.camera, &rendered.layers, &composite.transmittance);
+        self.image("out.surfel_depth", &shape.depth);
+        self.image("out.surfel_normal", &shape.normal);
+        self.image("out.layers.alpha", &rendered.layers.alpha);
+        self.image("out.layers.depth", &rendered.layers.depth);
+        self.ids(&rendered.layers.ids);
+    }
+
+    /// Counts pixels whose ids differ although no two of the expected depths there tie within f32 rounding.
+    fn ids(&mut self, ids: &Tensor<3, Int>) {
+        let found: Vec<i64> = ids.clone().permute([1, 2, 0]).into_data().iter::<i64>().collect();
+        let expected = &self.case.array("out.layers.ids").values;
+        let depths = &self.case.array("out.layers.depth").values;
+        let layers = self.case.options.peel.layer_count;
+        let differing = (0..found.len() / layers).filter(|pixel| {
+            let range = pixel * layers..(pixel + 1) * layers;
+            let differ = found[range.clone()].iter().zip(&expected[range.clone()]).any(|(&a, &b)| a != b as i64);
+            let tie = depths[range].windows(2).any(|d| d[1] - d[0] <= 1e-6 * d[0].abs());
+            differ && !tie
+        });
+        let distance = differing.count() as f64;
+        self.deviations.push(Deviation { tensor: "out.layers.ids".into(), distance, is_id: true });
+    }
+
+    fn losses(&mut self, rendered: &Render, inputs: &Inputs) {
+        let case = self.case;
+        let image = || rendered.composite.image.clone();
+        self.compare("loss.rgb", &values(&losses::rgb(image(), inputs.target.clone(), 0.2).expect("shapes agree")));
+        self.compare("loss.ssim", &values(&ssim(image(), inputs.target.clone()).expect("shapes agree")));
+        self.compare(
+            "loss.surfel",
+            &values(&losses::l1(rendered.composite.surfel_image.clone(), inputs.target.clone())),
+        );
+        self.compare("loss.transmittance", &values(&losses::transmittance(rendered)));
+        self.compare("loss.scale", &values(&losses::scale(inputs.surfels.log_scales.clone())));
+        self.compare("loss.total", &values(&case.total(inputs)));
+    }
+
+    fn gradients(&mut self, prefix: &str, inputs: &Inputs, gradients: &Gradients) {
+        let (s, g) = (&inputs.surfels, &inputs.gaussians);
+        let tensors = [
+            ("surfels.positions", &s.positions),
+            ("surfels.quaternions", &s.quaternions),
+            ("surfels.log_scales", &s.log_scales),
+            ("surfels.colour.base", &s.colour.base),
+            ("surfels.colour.lobes", &s.colour.detail),
+            ("gaussians.positions", &g.positions),
+            ("gaussians.quaternions", &g.quaternions),
+            ("gaussians.log_scales", &g.log_scales),
+            ("gaussians.colour.base", &g.colour.base),
+            ("gaussians.colour.lobes", &g.colour.detail),
+        ];
+        for (name, tensor) in tensors {
+            let gradient =
+                tensor.grad(gradients).map_or_else(|| vec![0.0; tensor.dims().iter().product()], |g| values(&g));
+            self.compare(&format!("{prefix}.{name}"), &gradient);
+        }
+        let opacities = g.opacities.grad(gradients).map_or_else(|| vec![0.0; g.len()], |g| values(&g));
+        self.compare(&format!("{prefix}.gaussians.opacities"), &opacities);
+    }
+}

@@ -1,0 +1,17 @@
+//! What tests of this crate and of its users share: golden cases, gradient checks, random scenes.
+
+pub mod compare;
+pub mod golden;
+pub mod gradients;
+pub mod random;
+pub mod scenes;
+
+/// A CPU device that is switched on, with a tape.
+#[cfg(any(feature = "ndarray", feature = "flex"))]
+pub fn device() -> burn::tensor::Device {
+    #[cfg(feature = "ndarray")]
+    let device = burn::tensor::Device::ndarray();
+    #[cfg(not(feature = "ndarray"))]
+    let device = burn::tensor::Device::flex();
+    device.autodiff()
+}

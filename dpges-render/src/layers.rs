@@ -1,0 +1,40 @@
+//! What a view is made of, one picture for each part.
+
+use dpges_core::camera::Camera;
+use dpges_core::render::Render;
+use dpges_core::scene::tensors::tensor_to_rows;
+
+use crate::image::Rgb8Image;
+use crate::{Renderer, false_colour};
+
+/// The parts of a view.
+#[derive(Clone, Debug)]
+pub struct LayerPictures {
+    /// The surfels alone on the background.
+    pub surfels: Rgb8Image,
+    /// Behind the first, second, … and last peeled layer: white where all light comes through.
+    pub transmittance: Vec<Rgb8Image>,
+    /// Of the surfels, near dark.
+    pub depth: Rgb8Image,
+    /// Depths at both ends of the colour ramp, world units; `None` where no surfel is in sight.
+    pub depth_range: Option<[f32; 2]>,
+    /// Of the surfels, world axes as red, green, blue.
+    pub normal: Rgb8Image,
+}
+
+/// Pictures of the parts of `view`, which `renderer` rendered from `camera`.
+pub fn layer_pictures(renderer: &Renderer, camera: &Camera, view: &Render) -> LayerPictures {
+    let (width, height) = (camera.width, camera.height);
+    let transmittance = tensor_to_rows(&view.composite.transmittance);
+    let behind: Vec<&[f32]> = transmittance.chunks_exact(width * height).skip(1).collect();
+    let geometry = renderer.geometry(camera, view);
+    let coverage: Vec<f32> = behind.last().into_iter().flat_map(|last| last.iter().map(|t| 1.0 - t)).collect();
+    let (depth, depth_range) = false_colour::depth(&tensor_to_rows(&geometry.depth), &coverage, width, height);
+    LayerPictures {
+        surfels: Rgb8Image::from_tensor(&view.composite.surfel_image),
+        transmittance: behind.into_iter().map(|plane| false_colour::grey(plane, width, height)).collect(),
+        depth,
+        depth_range,
+        normal: false_colour::normal(&tensor_to_rows(&geometry.normal), width, height),
+    }
+}

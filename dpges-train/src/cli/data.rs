@@ -1,0 +1,215 @@
+//! Which scene is shown, and the views it is shown from.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use clap::{Args, ValueEnum};
+use dpges_core::camera::Camera;
+use dpges_core::scene::{SceneData, SceneInfo};
+use dpges_train::config::{Background, Config, DataConfig};
+use dpges_train::dataset::{self, BuiltinOptions, Dataset, View};
+use dpges_train::run_folder::RunFolder;
+use glam::DVec3;
+
+use super::{Failure, Result};
+
+/// Name of the scene that needs no files.
+pub const BUILTIN: &str = "builtin";
+/// Pictures of the built-in scene are this wide and high, unless the resolution is capped lower, px.
+const BUILTIN_SIZE: usize = 160;
+/// Points the built-in scene starts from.
+const BUILTIN_POINTS: usize = 4000;
+
+/// Where photographs come from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Source {
+    Builtin,
+    Folder(PathBuf),
+}
+
+impl Source {
+    /// `builtin`, or the path of a folder.
+    pub fn new(text: &Path) -> Self {
+        if text == Path::new(BUILTIN) { Self::Builtin } else { Self::Folder(text.to_owned()) }
+    }
+
+    /// With an absolute path where there is a folder.
+    pub fn absolute(self) -> Self {
+        match self {
+            Self::Folder(path) => Self::Folder(std::path::absolute(&path).unwrap_or(path)),
+            Self::Builtin => Self::Builtin,
+        }
+    }
+
+    pub fn load(&self, config: &DataConfig) -> Result<Dataset> {
+        let dataset = match self {
+            Self::Builtin => builtin(config)?,
+            Self::Folder(path) => dataset::load(path, &config.load_options())?,
+        };
+        let Dataset { train, test, points, format, extent, .. } = &dataset;
+        let [width, height] = train.first().map_or([0; 2], |view| [view.camera.width, view.camera.height]);
+        tracing::info!(
+            "{self}: {format}, {} training and {} held-out views of {width}x{height} px, {} points, extent {extent:.3}",
+            train.len(),
+            test.len(),
+            points.positions.len()
+        );
+        Ok(dataset)
+    }
+}
+
+impl fmt::Display for Source {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Builtin => f.write_str(BUILTIN),
+            Self::Folder(path) => path.display().fmt(f),
+        }
+    }
+}
+
+fn builtin(config: &DataConfig) -> Result<Dataset> {
+    if config.image_scale != 1 {
+        return Err(Failure::Usage("the built-in scene has pictures of one scale: cap the resolution instead".into()));
+    }
+    let cap = if config.max_resolution == 0 { BUILTIN_SIZE } else { config.max_resolution };
+    let size = cap.min(BUILTIN_SIZE);
+    let options = BuiltinOptions { width: size, height: size, points: BUILTIN_POINTS, ..Default::default() };
+    let mut dataset = dataset::builtin(&options);
+    if let Background::Colour(colour) = config.background {
+        dataset.background = colour;
+    }
+    if config.near > 0.0 {
+        dataset.near = config.near;
+        dataset.train.iter_mut().chain(&mut dataset.test).for_each(|view| view.camera.near = config.near);
+    }
+    Ok(dataset)
+}
+
+/// A scene file, and the run it comes from where there is one.
+pub struct Scene {
+    pub path: PathBuf,
+    pub data: SceneData,
+    /// Size of the file.
+    pub bytes: u64,
+    run: Option<RunFolder>,
+}
+
+impl Scene {
+    /// From a scene file or a run folder; a file in a run folder is the same as the folder.
+    pub fn load(path: &Path) -> Result<Self> {
+        let folder = RunFolder::new(if path.is_dir() { path } else { path.parent().unwrap_or(path) });
+        let is_run = folder.config().is_file() && folder.origin().is_file();
+        let path = if path.is_dir() { folder.scene() } else { path.to_owned() };
+        if !path.is_file() {
+            let help = "name a scene file or the folder of a run (`dpges train --out FOLDER` makes one)";
+            return Err(Failure::with_help(format!("there is no scene file {}", path.display()), help));
+        }
+        let data = SceneData::load(&path)?;
+        let bytes = std::fs::metadata(&path)?.len();
+        Ok(Self { path, data, bytes, run: is_run.then_some(folder) })
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Split {
+    /// Views held out from training
+    Test,
+    /// Views trained on
+    Train,
+}
+
+impl fmt::Display for Split {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Test => "test",
+            Self::Train => "train",
+        })
+    }
+}
+
+/// Options that replace keys of `[data]`.
+#[derive(Debug, Args)]
+pub struct DataArgs {
+    /// Colour behind everything: auto, black, white, or r,g,b from 0 to 1
+    #[arg(long, value_name = "COLOUR")]
+    pub background: Option<Background>,
+    /// Read images_2, images_4 or images_8 as shipped
+    #[arg(long, value_name = "N")]
+    pub image_scale: Option<u32>,
+    /// Make pictures with a longer side above this smaller, px
+    #[arg(long, value_name = "PX")]
+    pub max_resolution: Option<usize>,
+    /// Hold out every n-th view where the dataset has no split of its own
+    #[arg(long, value_name = "N")]
+    pub test_every: Option<usize>,
+}
+
+impl DataArgs {
+    /// As `key=value`.
+    pub fn assignments(&self) -> Vec<String> {
+        let set = |key: &str, value: Option<String>| value.map(|value| format!("data.{key}={value}"));
+        let text = |value: Option<usize>| value.map(|value| value.to_string());
+        [
+            set("background", self.background.map(|background| background.to_string())),
+            set("image_scale", self.image_scale.map(|scale| scale.to_string())),
+            set("max_resolution", text(self.max_resolution)),
+            set("test_every", text(self.test_every)),
+        ]
+        .into_iter()
+        .flatten()
+        .collect()
+    }
+}
+
+/// The views of a dataset from which a scene is shown.
+#[derive(Debug, Args)]
+pub struct ViewArgs {
+    /// Folder of the dataset, or `builtin`; a run knows its own
+    #[arg(long, value_name = "DATASET")]
+    data: Option<PathBuf>,
+    /// Which views
+    #[arg(long, value_enum, default_value_t = Split::Test)]
+    pub split: Split,
+    #[command(flatten)]
+    options: DataArgs,
+}
+
+impl ViewArgs {
+    /// The views, with cameras in the scene's coordinates, and what they were read from. The options of a run are
+    /// those it was trained with, unless given; the background is the scene's, unless given, and then the scene's too.
+    pub fn load(&self, scene: &mut Scene) -> Result<(Source, Vec<View>)> {
+        let source = match (&self.data, &scene.run) {
+            (Some(path), _) => Source::new(path),
+            (None, Some(run)) => Source::new(Path::new(&run.read_origin()?.dataset)),
+            (None, None) => {
+                let message = format!("{} is not in a run folder: name its dataset with --data", scene.path.display());
+                return Err(Failure::Usage(message));
+            }
+        };
+        let file = scene.run.as_ref().map(RunFolder::config);
+        let mut data =
+            Config::resolve(None, file.as_deref(), &self.options.assignments()).map_err(Failure::from_config)?.data;
+        match self.options.background {
+            Some(Background::Colour(colour)) => scene.data.info.background = colour,
+            _ => data.background = Background::Colour(scene.data.info.background),
+        }
+        let dataset = source.load(&data)?;
+        let offset = dataset.offset;
+        let (views, other) = match self.split {
+            Split::Test => (dataset.test, Split::Train),
+            Split::Train => (dataset.train, Split::Test),
+        };
+        if views.is_empty() {
+            let help = format!("`--split {other}` has views");
+            return Err(Failure::with_help(format!("{source} has no views in split `{}`", self.split), help));
+        }
+        let place = |view: View| View { camera: in_scene(view.camera, offset, &scene.data.info), ..view };
+        Ok((source, views.into_iter().map(place).collect()))
+    }
+}
+
+/// A camera of a dataset that was moved by `offset`, in the coordinates of a scene.
+fn in_scene(camera: Camera, offset: DVec3, info: &SceneInfo) -> Camera {
+    let shift = DVec3::from_array(info.offset) - offset;
+    Camera { camera_from_world: camera.camera_from_world.recentred(shift), near: info.near, ..camera }
+}

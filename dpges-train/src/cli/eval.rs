@@ -1,0 +1,88 @@
+//! `dpges eval`: how well a scene shows the views of a dataset.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use dpges_core::Error;
+use dpges_render::{Renderer, Rgb8Image};
+use dpges_train::device::DeviceName;
+use dpges_train::eval::{EvalReport, Evaluation, evaluate_each};
+use dpges_train::pictures::{file_stems, save_png};
+use dpges_train::run_folder::write_json;
+
+use super::data::{Scene, ViewArgs};
+use super::{Result, print, table};
+
+/// Measure PSNR and SSIM of a scene against photographs
+///
+/// The result is JSON on standard output, or in the file that --json names and then as a table.
+#[derive(Debug, Args)]
+pub struct EvalArgs {
+    /// Scene file or folder of a run
+    scene: PathBuf,
+    #[command(flatten)]
+    views: ViewArgs,
+    /// cpu (burn-ndarray) or cpu-flex (burn-flex)
+    #[arg(long, value_name = "NAME", default_value = "cpu")]
+    device: DeviceName,
+    /// Write the rendered views as PNGs
+    #[arg(long, value_name = "DIR")]
+    save_images: Option<PathBuf>,
+    /// Write the result here; `-` is standard output
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+}
+
+pub fn run(args: &EvalArgs) -> Result<()> {
+    let mut scene = Scene::load(&args.scene)?;
+    let (source, views) = args.views.load(&mut scene)?;
+    if let Some(folder) = &args.save_images {
+        make_folder(folder)?;
+    }
+    let device = args.device.open();
+    let stems = file_stems(&views);
+    let renderer = Renderer::new(&scene.data, &device);
+    let evaluation = evaluate_each(&renderer, &scene.data, &views, &device, |index, render| {
+        let Some(folder) = &args.save_images else { return Ok(()) };
+        save_png(&Rgb8Image::from_tensor(&render.composite.image), &folder.join(format!("{}.png", stems[index])))
+    })?;
+    let report = EvalReport {
+        scene: scene.path.display().to_string(),
+        dataset: source.to_string(),
+        split: args.views.split.to_string(),
+        evaluation,
+        bytes: scene.bytes,
+    };
+    match args.json.as_deref().filter(|path| *path != Path::new("-")) {
+        Some(path) => {
+            write_json(path, &report)?;
+            print(&summary(&report))
+        }
+        None => {
+            // The table is for people: if nobody can read it, the result is still on standard output.
+            let _ = std::io::stderr().write_all(summary(&report).as_bytes());
+            print(&format!("{}\n", serde_json::to_string_pretty(&report)?))
+        }
+    }
+}
+
+/// # Errors
+/// [`Error::Io`] naming `path`.
+pub fn make_folder(path: &Path) -> Result<(), Error> {
+    std::fs::create_dir_all(path).map_err(|source| Error::Io {
+        action: "cannot make folder",
+        path: path.to_owned(),
+        source,
+    })
+}
+
+fn summary(report: &EvalReport) -> String {
+    let Evaluation { views, psnr, ssim, surfels, gaussians, seconds_per_view } = &report.evaluation;
+    let mut rows: Vec<(&str, String)> =
+        views.iter().map(|view| (view.name.as_str(), format!("{:.2} dB  {:.4}", view.psnr, view.ssim))).collect();
+    rows.push(("mean", format!("{psnr:.2} dB  {ssim:.4}")));
+    rows.push(("scene", format!("{surfels} surfels, {gaussians} Gaussians, {:.1} MB", report.bytes as f64 / 1e6)));
+    rows.push(("rendering", format!("{:.1} ms per view", 1e3 * seconds_per_view)));
+    table(&rows)
+}

@@ -1,0 +1,100 @@
+//! `dpges info`: what is in a scene file.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use dpges_core::scene::Footprint;
+use serde_json::{Map, Value, json};
+
+use super::data::Scene;
+use super::{Result, print, table};
+
+const PERCENTILES: [usize; 3] = [5, 50, 95];
+
+/// Say what is in a scene
+#[derive(Debug, Args)]
+pub struct InfoArgs {
+    /// Scene file or folder of a run
+    scene: PathBuf,
+    /// As JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub fn run(args: &InfoArgs) -> Result<()> {
+    let scene = Scene::load(&args.scene)?;
+    let entries = describe(&scene);
+    if args.json {
+        let object: Map<String, Value> = entries.into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
+        return print(&format!("{}\n", serde_json::to_string_pretty(&object)?));
+    }
+    let rows: Vec<(&str, String)> = entries.iter().map(|(name, value)| (*name, text(value))).collect();
+    print(&table(&rows))
+}
+
+fn describe(scene: &Scene) -> Vec<(&'static str, Value)> {
+    let (info, surfels, gaussians) = (&scene.data.info, &scene.data.surfels, &scene.data.gaussians);
+    let positions = || surfels.positions.chunks_exact(3).chain(gaussians.positions.chunks_exact(3));
+    let bound = |pick: fn(f32, f32) -> f32| -> Option<[f32; 3]> {
+        let first: [f32; 3] = positions().next()?.try_into().ok()?;
+        Some(positions().fold(first, |bound, point| std::array::from_fn(|axis| pick(bound[axis], point[axis]))))
+    };
+    let scales = |log_scales: &[f32]| percentiles(log_scales.iter().map(|value| value.exp()).collect());
+    let footprint = match info.footprint {
+        Footprint::Kernel => "kernel",
+        Footprint::Opacity => "opacity",
+    };
+    vec![
+        ("scene", json!(scene.path.display().to_string())),
+        ("bytes", json!(scene.bytes)),
+        ("surfels", json!(surfels.len())),
+        ("gaussians", json!(gaussians.len())),
+        ("colour_model", json!(info.colour_model.to_string())),
+        ("layers", json!(info.layer_count)),
+        ("modulation", json!(info.modulation)),
+        ("footprint", json!(footprint)),
+        ("background", json!(info.background)),
+        ("extent", json!(info.extent)),
+        ("near", json!(info.near)),
+        ("offset", json!(info.offset)),
+        ("bounding_box_min", json!(bound(f32::min))),
+        ("bounding_box_max", json!(bound(f32::max))),
+        ("percentiles", json!(PERCENTILES)),
+        ("surfel_scales", json!(scales(&surfels.log_scales))),
+        ("surfel_margins", json!(percentiles(surfels.margins.clone()))),
+        ("gaussian_scales", json!(scales(&gaussians.log_scales))),
+        ("gaussian_opacities", json!(percentiles(gaussians.opacities.clone()))),
+    ]
+}
+
+/// `None` of nothing.
+fn percentiles(mut values: Vec<f32>) -> Option<[f32; 3]> {
+    values.sort_unstable_by(f32::total_cmp);
+    let last = values.len().checked_sub(1)?;
+    Some(PERCENTILES.map(|percent| values[(percent * last + 50) / 100]))
+}
+
+fn text(value: &Value) -> String {
+    match value {
+        Value::String(text) => text.clone(),
+        Value::Null => "none".to_owned(),
+        Value::Array(values) => values.iter().map(text).collect::<Vec<_>>().join("  "),
+        Value::Number(number) if number.is_f64() => match number.as_f64().unwrap_or(f64::NAN) {
+            small if small != 0.0 && small.abs() < 0.01 => format!("{small:.3e}"),
+            other => format!("{other:.4}"),
+        },
+        other => other.to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn percentiles_are_values_that_occur() {
+        assert_eq!(percentiles((0..=100).rev().map(|value| value as f32).collect()), Some([5.0, 50.0, 95.0]));
+        assert_eq!(percentiles(vec![2.0]), Some([2.0; 3]));
+        assert_eq!(percentiles(Vec::new()), None);
+    }
+}

@@ -1,0 +1,125 @@
+//! The command line: one module per subcommand.
+
+mod data;
+mod eval;
+mod info;
+mod render;
+mod train;
+
+use std::io::Write;
+use std::process::ExitCode;
+
+use clap::error::ErrorKind;
+use clap::{CommandFactory, Parser, Subcommand};
+use dpges_train::config::ConfigError;
+use miette::{Diagnostic, MietteHandlerOpts, Report};
+
+use crate::logging::{self, LogStyle};
+
+/// Train, measure and look at depth-peeled Gaussian-enhanced surfels.
+#[derive(Debug, Parser)]
+#[command(name = "dpges", version, arg_required_else_help = true, args_override_self = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+    /// Show warnings and errors only
+    #[arg(long, global = true)]
+    quiet: bool,
+    /// Write messages and progress to standard error as lines of JSON
+    #[arg(long, global = true)]
+    json_log: bool,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Train(train::TrainArgs),
+    Eval(eval::EvalArgs),
+    Render(render::RenderArgs),
+    Info(info::InfoArgs),
+}
+
+/// Why a command did not do what it was asked.
+#[derive(Debug)]
+pub enum Failure {
+    /// Asked for wrongly: exit code 2.
+    Usage(String),
+    /// Exit code 1.
+    Failed(Report),
+}
+
+pub type Result<T, E = Failure> = std::result::Result<T, E>;
+
+impl<E: std::error::Error + Send + Sync + 'static> From<E> for Failure {
+    fn from(error: E) -> Self {
+        Self::Failed(Report::new(Problem { message: error.to_string(), help: None }))
+    }
+}
+
+impl Failure {
+    /// A failure with advice.
+    pub fn with_help(message: impl ToString, help: impl ToString) -> Self {
+        Self::Failed(Report::new(Problem { message: message.to_string(), help: Some(help.to_string()) }))
+    }
+
+    /// A configuration that makes no sense is wrong usage, a file that cannot be read is not.
+    pub fn from_config(error: ConfigError) -> Self {
+        match error {
+            ConfigError::Io { .. } => error.into(),
+            _ => Self::Usage(error.to_string()),
+        }
+    }
+}
+
+#[derive(Debug, thiserror::Error, Diagnostic)]
+#[error("{message}")]
+struct Problem {
+    message: String,
+    #[help]
+    help: Option<String>,
+}
+
+/// Runs what the process was started with.
+pub fn run() -> ExitCode {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => error.exit(),
+    };
+    let style = LogStyle::choose(cli.quiet, cli.json_log);
+    logging::init(style, cli.json_log);
+    keep_lines_whole();
+    let result = match cli.command {
+        Command::Train(args) => train::run(args, style),
+        Command::Eval(args) => eval::run(&args),
+        Command::Render(args) => render::run(&args),
+        Command::Info(args) => info::run(&args),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(Failure::Usage(message)) => Cli::command().error(ErrorKind::ValueValidation, message).exit(),
+        Err(Failure::Failed(report)) => {
+            eprintln!("{report:?}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Messages name files and commands: they are not broken into lines, so that they can be copied.
+fn keep_lines_whole() {
+    let handler = || MietteHandlerOpts::new().wrap_lines(false).break_words(false).build();
+    // Only fails if another handler is set, and none is.
+    let _ = miette::set_hook(Box::new(move |_| Box::new(handler())));
+}
+
+/// Prints to standard output; a reader that has gone away is no failure.
+pub fn print(text: &str) -> Result<()> {
+    match std::io::stdout().write_all(text.as_bytes()) {
+        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => Err(error.into()),
+        _ => Ok(()),
+    }
+}
+
+/// Left-aligned names, values behind them.
+pub fn table(rows: &[(&str, String)]) -> String {
+    let width = rows.iter().map(|(name, _)| name.chars().count()).max().unwrap_or(0);
+    rows.iter().map(|(name, value)| format!("{name:width$}  {value}\n")).collect()
+}

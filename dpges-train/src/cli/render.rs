@@ -1,0 +1,71 @@
+//! `dpges render`: pictures of a scene from the cameras of a dataset.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use dpges_render::{LayerPictures, Renderer, Rgb8Image, layer_pictures};
+use dpges_train::device::DeviceName;
+use dpges_train::pictures::{file_stems, save_png};
+use dpges_train::run_folder::write_json;
+use serde_json::{Value, json};
+
+use super::data::{Scene, ViewArgs};
+use super::eval::make_folder;
+use super::{Result, print};
+
+/// Write a PNG of every view of a dataset
+#[derive(Debug, Args)]
+pub struct RenderArgs {
+    /// Scene file or folder of a run
+    scene: PathBuf,
+    #[command(flatten)]
+    views: ViewArgs,
+    /// Folder for the pictures
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// cpu (burn-ndarray) or cpu-flex (burn-flex)
+    #[arg(long, value_name = "NAME", default_value = "cpu")]
+    device: DeviceName,
+    /// Also write the surfels alone, the transmittance behind each layer, depth and normals, and their depth ranges
+    /// in layers.json
+    #[arg(long)]
+    layers: bool,
+}
+
+pub fn run(args: &RenderArgs) -> Result<()> {
+    let mut scene = Scene::load(&args.scene)?;
+    let (_, views) = args.views.load(&mut scene)?;
+    make_folder(&args.out)?;
+    let renderer = Renderer::new(&scene.data, &args.device.open());
+    let mut ranges = Vec::new();
+    for (view, stem) in views.iter().zip(file_stems(&views)) {
+        let render = renderer.render(&view.camera)?;
+        save_png(&Rgb8Image::from_tensor(&render.composite.image), &args.out.join(format!("{stem}.png")))?;
+        if args.layers {
+            let pictures = layer_pictures(&renderer, &view.camera, &render);
+            ranges.push(args.save_layers(&stem, &view.name, &pictures)?);
+        }
+    }
+    if args.layers {
+        write_json(&args.out.join("layers.json"), &ranges)?;
+    }
+    print(&format!("{} views in {}\n", views.len(), args.out.display()))
+}
+
+impl RenderArgs {
+    /// Returns the view's entry in `layers.json`.
+    fn save_layers(&self, stem: &str, view: &str, pictures: &LayerPictures) -> Result<Value> {
+        let mut named = vec![
+            ("surfels".to_owned(), &pictures.surfels),
+            ("depth".to_owned(), &pictures.depth),
+            ("normal".to_owned(), &pictures.normal),
+        ];
+        let behind = pictures.transmittance.iter().zip(1..);
+        named.extend(behind.map(|(picture, layer)| (format!("transmittance_{layer}"), picture)));
+        for (name, picture) in named {
+            save_png(picture, &self.out.join(format!("{stem}_{name}.png")))?;
+        }
+        let [near, far] = pictures.depth_range.map_or([None; 2], |range| range.map(Some));
+        Ok(json!({ "name": view, "file": stem, "depth_near": near, "depth_far": far }))
+    }
+}

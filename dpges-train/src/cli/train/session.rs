@@ -1,0 +1,234 @@
+//! A run from its first step, or the one it was stopped after, to its last.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use burn::tensor::Device;
+use dpges_render::Renderer;
+use dpges_train::dataset::Dataset;
+use dpges_train::device::DeviceName;
+use dpges_train::eval::{EvalReport, Evaluation, evaluate_each};
+use dpges_train::metrics_log::MetricsLog;
+use dpges_train::pictures::{comparison, file_stems, save_png};
+use dpges_train::run_folder::{Origin, RunFolder, write_json};
+use dpges_train::trainer::{TrainError, Trainer};
+
+use super::super::data::Split;
+use super::super::{Failure, Result, print, table};
+use crate::logging::LogStyle;
+use crate::progress::{Progress, Seconds};
+
+/// Steps between lines of `metrics.jsonl`.
+const METRICS_EVERY: usize = 10;
+
+pub struct Session {
+    trainer: Trainer,
+    dataset: Arc<Dataset>,
+    device: Device,
+    origin: Origin,
+    folder: RunFolder,
+    metrics: MetricsLog,
+    style: LogStyle,
+    started: Instant,
+    /// Completed steps of the checkpoint on disk.
+    saved: Option<usize>,
+}
+
+impl Session {
+    pub fn new(
+        trainer: Trainer,
+        dataset: Arc<Dataset>,
+        origin: Origin,
+        folder: RunFolder,
+        metrics: MetricsLog,
+        style: LogStyle,
+    ) -> Result<Self> {
+        let device = origin.device.parse::<DeviceName>().map_err(Failure::Usage)?.open();
+        let saved = folder.checkpoint().is_file().then(|| trainer.completed_steps());
+        Ok(Self { trainer, dataset, device, origin, folder, metrics, style, started: Instant::now(), saved })
+    }
+
+    /// Trains to the end, saving and evaluating on the way.
+    pub fn run(mut self) -> Result<()> {
+        let interrupted = watch_for_interrupts()?;
+        let train = self.trainer.config().train.clone();
+        let mut progress = Progress::new(self.style, train.steps, self.trainer.completed_steps());
+        while !self.trainer.is_finished() {
+            let start = Instant::now();
+            let report = self.trainer.step().map_err(|error| self.step_failed(&error))?;
+            progress.step(&report, start.elapsed().as_secs_f64());
+            for event in &report.events {
+                tracing::info!("step {}: {event}", report.step);
+            }
+            let finished = self.trainer.is_finished();
+            if report.step.is_multiple_of(METRICS_EVERY) || !report.events.is_empty() || finished {
+                let seconds = self.seconds();
+                self.metrics.step(&report, seconds)?;
+            }
+            if is_due(report.step, train.evaluate_every) && !finished {
+                self.evaluate()?;
+            }
+            let stop = interrupted.load(Ordering::SeqCst) && !finished;
+            if is_due(report.step, train.checkpoint_every) || finished || stop {
+                self.save()?;
+            }
+            if stop {
+                drop(progress);
+                return Err(self.interrupted());
+            }
+        }
+        drop(progress);
+        let evaluation = self.evaluate()?;
+        self.finish(evaluation)
+    }
+
+    /// Of the whole run, over all its resumptions.
+    fn seconds(&self) -> f64 {
+        self.metrics.seconds_before() + self.started.elapsed().as_secs_f64()
+    }
+
+    fn save(&mut self) -> Result<()> {
+        self.trainer.scene().save(&self.folder.scene())?;
+        self.trainer.checkpoint().save(&self.folder.checkpoint())?;
+        self.saved = Some(self.trainer.completed_steps());
+        Ok(())
+    }
+
+    /// Measures the held-out views and writes pictures of a few; `None` if there are none.
+    fn evaluate(&mut self) -> Result<Option<Evaluation>> {
+        let views = &self.dataset.test;
+        if views.is_empty() {
+            return Ok(None);
+        }
+        let step = self.trainer.completed_steps();
+        let scene = self.trainer.scene();
+        let renderer = Renderer::new(&scene, &self.device);
+        let stems = file_stems(views);
+        let shown = evenly_spaced(self.trainer.config().train.picture_views, views.len());
+        let folder = &self.folder;
+        let evaluation = evaluate_each(&renderer, &scene, views, &self.device, |index, render| {
+            if !shown.contains(&index) {
+                return Ok(());
+            }
+            save_png(&comparison(&views[index], render), &folder.picture(step, &stems[index]))
+        })?;
+        let Evaluation { psnr, ssim, .. } = evaluation;
+        tracing::info!("step {step}: held-out PSNR {psnr:.2} dB, SSIM {ssim:.4} over {} views", views.len());
+        let seconds = self.seconds();
+        self.metrics.evaluation(step, &evaluation, seconds)?;
+        Ok(Some(evaluation))
+    }
+
+    /// Writes `eval.json` and says what came out.
+    fn finish(&self, evaluation: Option<Evaluation>) -> Result<()> {
+        let scene = self.folder.scene();
+        let bytes = std::fs::metadata(&scene)?.len();
+        let data = self.trainer.scene();
+        let steps = self.trainer.completed_steps();
+        let mut rows = vec![("trained", format!("{steps} steps in {}", Seconds(self.seconds())))];
+        let counts = format!("{} surfels, {} Gaussians", data.surfels.len(), data.gaussians.len());
+        rows.push(("scene", format!("{counts}, {:.1} MB", bytes as f64 / 1e6)));
+        let mut files = vec![scene.display().to_string(), self.folder.metrics().display().to_string()];
+        if let Some(evaluation) = evaluation {
+            let Evaluation { psnr, ssim, seconds_per_view, .. } = evaluation;
+            let views = evaluation.views.len();
+            rows.push(("held-out PSNR", format!("{psnr:.2} dB (mean of {views} views)")));
+            rows.push(("held-out SSIM", format!("{ssim:.4}")));
+            rows.push(("rendering", format!("{:.1} ms per view", 1e3 * seconds_per_view)));
+            let report = EvalReport {
+                scene: scene.display().to_string(),
+                dataset: self.origin.dataset.clone(),
+                split: Split::Test.to_string(),
+                evaluation,
+                bytes,
+            };
+            write_json(&self.folder.evaluation(), &report)?;
+            files.push(self.folder.evaluation().display().to_string());
+            files.push(self.folder.path().join("pictures").display().to_string());
+        }
+        rows.extend(files.into_iter().enumerate().map(|(index, file)| (if index == 0 { "files" } else { "" }, file)));
+        if self.style == LogStyle::Quiet { Ok(()) } else { print(&table(&rows)) }
+    }
+
+    fn resume_command(&self) -> String {
+        let program = std::env::args().next().unwrap_or_else(|| "dpges".to_owned());
+        let out = self.folder.path().display().to_string();
+        [program.as_str(), "train", "--out", &out, "--resume"].map(quoted).join(" ")
+    }
+
+    fn interrupted(&self) -> Failure {
+        let (done, all) = (self.trainer.completed_steps(), self.trainer.config().train.steps);
+        let message =
+            format!("interrupted: step {done} of {all} is done and saved in {}", self.folder.path().display());
+        Failure::with_help(message, format!("go on with `{}`", self.resume_command()))
+    }
+
+    fn step_failed(&self, error: &TrainError) -> Failure {
+        match self.saved {
+            Some(step) => {
+                let path = self.folder.checkpoint();
+                let help = format!("{} holds the state after step {step}: `{}`", path.display(), self.resume_command());
+                Failure::with_help(error, help)
+            }
+            None => Failure::with_help(error, "there was no checkpoint yet: train.checkpoint_every says how often"),
+        }
+    }
+}
+
+/// True from the first Ctrl-C on; the second ends the process.
+fn watch_for_interrupts() -> Result<Arc<AtomicBool>> {
+    let interrupted = Arc::new(AtomicBool::new(false));
+    let flag = Arc::clone(&interrupted);
+    ctrlc::set_handler(move || {
+        if flag.swap(true, Ordering::SeqCst) {
+            std::process::exit(1);
+        }
+        tracing::warn!("finishing this step and saving; Ctrl-C again aborts at once");
+    })?;
+    Ok(interrupted)
+}
+
+fn is_due(step: usize, every: usize) -> bool {
+    every > 0 && step.is_multiple_of(every)
+}
+
+/// `count` of `0..len`, or all of them.
+fn evenly_spaced(count: usize, len: usize) -> Vec<usize> {
+    let count = count.min(len);
+    (0..count).map(|index| index * len / count).collect()
+}
+
+/// As a shell reads it.
+fn quoted(word: &str) -> String {
+    let plain = |c: char| c.is_alphanumeric() || "-_./:=+,@".contains(c);
+    if !word.is_empty() && word.chars().all(plain) {
+        word.to_owned()
+    } else {
+        format!("'{}'", word.replace('\'', r"'\''"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shown_views_are_spread_over_all() {
+        assert_eq!(evenly_spaced(3, 7), [0, 2, 4]);
+        assert_eq!(evenly_spaced(3, 2), [0, 1]);
+        assert_eq!(evenly_spaced(0, 2), [0usize; 0]);
+    }
+
+    #[test]
+    fn words_are_quoted_where_a_shell_would_split_them() {
+        assert_eq!(quoted("runs/first"), "runs/first");
+        assert_eq!(quoted("my runs"), "'my runs'");
+        assert_eq!(quoted("it's"), r"'it'\''s'");
+    }
+
+    #[test]
+    fn nothing_is_due_every_zero_steps() {
+        assert!(is_due(20, 10) && !is_due(15, 10) && !is_due(10, 0));
+    }
+}

@@ -1,0 +1,268 @@
+//! Layers of a configuration: defaults < preset < file < `key=value`, each naming only what it changes.
+
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+use toml::{Table, Value};
+
+use super::Config;
+
+/// Configurations that come with the program: name and TOML.
+pub const PRESETS: [(&str, &str); 3] = [
+    ("default", include_str!("../../../configs/default.toml")),
+    ("quick", include_str!("../../../configs/quick.toml")),
+    ("cpu", include_str!("../../../configs/cpu.toml")),
+];
+
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    #[error("{origin}: key `{key}` is unknown{}", nearest.as_ref().map(|n| format!(", did you mean `{n}`?")).unwrap_or_default())]
+    UnknownKey { key: String, origin: String, nearest: Option<String> },
+    #[error("{origin}: key `{key}`: {reason}")]
+    Value { key: String, origin: String, reason: String },
+    #[error("{origin} is not valid TOML: {reason}")]
+    Syntax { origin: String, reason: String },
+    #[error("`{text}` is not of the form key=value")]
+    Set { text: String },
+    #[error("preset `{name}` is unknown, there are: {known}")]
+    UnknownPreset { name: String, known: String },
+    #[error("cannot read {path}: {source}")]
+    Io { path: PathBuf, source: std::io::Error },
+    #[error("key `{key}` is {found}, expected {expected}")]
+    Range { key: &'static str, found: String, expected: String },
+}
+
+impl Config {
+    /// Defaults, then `preset`, then `file`, then each `key=value` of `set` in order (keys with
+    /// dots: `train.steps=1000`); later layers win. The result is validated.
+    ///
+    /// # Errors
+    /// Any [`ConfigError`]; it names the key, and the preset, file or option it came from.
+    pub fn resolve(preset: Option<&str>, file: Option<&Path>, set: &[String]) -> Result<Self, ConfigError> {
+        let mut layers = Layers::new();
+        if let Some(name) = preset {
+            let Some((_, text)) = PRESETS.iter().find(|(known, _)| *known == name) else {
+                let known = PRESETS.map(|(name, _)| name).join(", ");
+                return Err(ConfigError::UnknownPreset { name: name.to_owned(), known });
+            };
+            layers.add_toml(text, &format!("preset `{name}`"))?;
+        }
+        if let Some(path) = file {
+            let text =
+                std::fs::read_to_string(path).map_err(|source| ConfigError::Io { path: path.to_owned(), source })?;
+            layers.add_toml(&text, &path.display().to_string())?;
+        }
+        for text in set {
+            layers.add_assignment(text)?;
+        }
+        layers.config.validate()?;
+        Ok(layers.config)
+    }
+
+    /// Every key with its value, as TOML that [`Config::resolve`] reads back.
+    pub fn to_toml(&self) -> String {
+        toml::to_string(self).expect("tables of numbers, strings and arrays, seeds within i64 once validated")
+    }
+}
+
+/// The layers so far, and the defaults as the list of all keys.
+struct Layers {
+    defaults: Table,
+    config: Config,
+}
+
+impl Layers {
+    fn new() -> Self {
+        let config = Config::default();
+        Self { defaults: table(&config), config }
+    }
+
+    fn add_toml(&mut self, text: &str, origin: &str) -> Result<(), ConfigError> {
+        let layer: Table = text.parse().map_err(|error: toml::de::Error| ConfigError::Syntax {
+            origin: origin.to_owned(),
+            reason: error.to_string(),
+        })?;
+        for (section, keys) in layer {
+            match keys {
+                Value::Table(keys) if self.defaults.contains_key(&section) => {
+                    for (key, value) in keys {
+                        self.assign(&format!("{section}.{key}"), value, origin)?;
+                    }
+                }
+                value if self.defaults.contains_key(&section) => {
+                    let reason = format!("expected a section [{section}], found {}", kind(&value));
+                    return Err(ConfigError::Value { key: section, origin: origin.to_owned(), reason });
+                }
+                _ => return Err(self.unknown(&section, origin)),
+            }
+        }
+        Ok(())
+    }
+
+    /// `text` is `section.key=value`; a key that holds a string takes the value with or without quotes.
+    fn add_assignment(&mut self, text: &str) -> Result<(), ConfigError> {
+        let origin = format!("`{text}`");
+        let Some((key, value)) = text.split_once('=') else {
+            return Err(ConfigError::Set { text: text.to_owned() });
+        };
+        let (key, value) = (key.trim(), value.trim());
+        let parsed = format!("value = {value}").parse::<Table>().ok().and_then(|mut table| table.remove("value"));
+        let value = match (self.default_of(key), parsed) {
+            (None, _) => return Err(self.unknown(key, &origin)),
+            (Some(Value::String(_)), Some(Value::String(value))) => Value::String(value),
+            (Some(Value::String(_)), _) | (_, None) => Value::String(value.to_owned()),
+            (_, Some(value)) => value,
+        };
+        self.assign(key, value, &origin)
+    }
+
+    fn assign(&mut self, key: &str, value: Value, origin: &str) -> Result<(), ConfigError> {
+        let Some(default) = self.default_of(key) else { return Err(self.unknown(key, origin)) };
+        let wrong = |reason| ConfigError::Value { key: key.to_owned(), origin: origin.to_owned(), reason };
+        let (expected, found) = (kind(default), kind(&value));
+        let whole_for_fraction = default.is_float() && value.is_integer();
+        if expected != found && !whole_for_fraction {
+            return Err(wrong(format!("expected {expected}, found {found} ({value})")));
+        }
+        let (section, name) = key.split_once('.').expect("every key of the defaults is in a section");
+        let mut changed = table(&self.config);
+        changed[section][name] = value;
+        self.config = Config::deserialize(changed).map_err(|error| wrong(error.message().trim_end().to_owned()))?;
+        Ok(())
+    }
+
+    fn default_of(&self, key: &str) -> Option<&Value> {
+        let (section, name) = key.split_once('.')?;
+        self.defaults.get(section)?.get(name)
+    }
+
+    fn unknown(&self, key: &str, origin: &str) -> ConfigError {
+        let known = self.defaults.iter().flat_map(|(section, keys)| {
+            let keys = keys.as_table().into_iter().flat_map(Table::keys);
+            keys.map(move |key| format!("{section}.{key}")).chain([section.clone()])
+        });
+        let name = |key: &str| key.rsplit('.').next().unwrap_or(key).to_owned();
+        let nearest = known
+            .map(|known| {
+                let whole = strsim::jaro_winkler(key, &known);
+                (whole.max(strsim::jaro_winkler(&name(key), &name(&known)) - 0.01), known)
+            })
+            .max_by(|a, b| a.0.total_cmp(&b.0))
+            .filter(|(likeness, _)| *likeness > 0.75);
+        ConfigError::UnknownKey { key: key.to_owned(), origin: origin.to_owned(), nearest: nearest.map(|(_, key)| key) }
+    }
+}
+
+fn table(config: &Config) -> Table {
+    Table::try_from(config).expect("tables of numbers, strings and arrays")
+}
+
+fn kind(value: &Value) -> &'static str {
+    match value {
+        Value::String(_) => "a string",
+        Value::Integer(_) => "a whole number",
+        Value::Float(_) => "a number",
+        Value::Boolean(_) => "true or false",
+        Value::Array(_) => "a list",
+        Value::Table(_) => "a section",
+        Value::Datetime(_) => "a date",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::{Background, InitMethod};
+
+    fn set(assignments: &[&str]) -> Result<Config, ConfigError> {
+        let assignments: Vec<String> = assignments.iter().map(|text| text.to_string()).collect();
+        Config::resolve(None, None, &assignments)
+    }
+
+    fn message(result: Result<Config, ConfigError>) -> String {
+        result.unwrap_err().to_string()
+    }
+
+    #[test]
+    fn the_default_preset_names_every_key_with_its_default() {
+        assert_eq!(PRESETS[0].1.parse::<Table>().unwrap(), table(&Config::default()));
+        assert_eq!(Config::resolve(Some("default"), None, &[]).unwrap(), Config::default());
+    }
+
+    #[test]
+    fn every_preset_resolves() {
+        for (name, _) in PRESETS {
+            Config::resolve(Some(name), None, &[]).unwrap();
+        }
+        let error = message(Config::resolve(Some("fast"), None, &[]));
+        assert!(error.contains("`fast`") && error.contains("default, quick, cpu"), "{error}");
+    }
+
+    #[test]
+    fn what_is_written_is_read_back() {
+        let config = set(&["train.steps=77", "data.background=0.5,0,1", "optimizer.epsilon=1e-9"]).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("run.toml");
+        std::fs::write(&path, config.to_toml()).unwrap();
+        assert_eq!(Config::resolve(None, Some(&path), &[]).unwrap(), config);
+    }
+
+    #[test]
+    fn later_layers_win() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("mine.toml");
+        std::fs::write(&path, "[train]\nsteps = 300\nseed = 4\n[data]\nnear = 1\n").unwrap();
+        let config = Config::resolve(Some("quick"), Some(&path), &["train.seed=5".to_owned()]).unwrap();
+        let quick = Config::resolve(Some("quick"), None, &[]).unwrap();
+        assert_eq!((config.train.steps, config.train.seed, config.data.near), (300, 5, 1.0));
+        assert_eq!(config.refine, quick.refine);
+        assert_ne!(quick.train.steps, 300);
+    }
+
+    #[test]
+    fn assignments_take_strings_with_and_without_quotes() {
+        let config = set(&["model.colour=sh3", "init.method=\"random\"", "data.background=white"]).unwrap();
+        assert_eq!(config.model.colour.to_string(), "sh3");
+        assert_eq!(config.init.method, InitMethod::Random);
+        assert_eq!(config.data.background, Background::Colour([1.0; 3]));
+        assert_eq!(set(&["refine.margins_at=[0, 100]"]).unwrap().refine.margins_at, [0, 100]);
+        assert!(set(&["train.detach_transmittance = true"]).unwrap().train.detach_transmittance);
+    }
+
+    #[test]
+    fn unknown_keys_name_the_nearest() {
+        let error = message(set(&["train.step=3"]));
+        assert!(error.contains("`train.step`") && error.contains("did you mean `train.steps`"), "{error}");
+        assert!(message(set(&["budget=3"])).contains("did you mean `refine.budget`"));
+        assert!(!message(set(&["zzz.qqq=3"])).contains("did you mean"));
+        assert!(message(set(&["train.steps"])).contains("key=value"));
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("mine.toml");
+        std::fs::write(&path, "[optimiser]\nbase = 1\n").unwrap();
+        let error = message(Config::resolve(None, Some(&path), &[]));
+        assert!(error.contains("mine.toml") && error.contains("did you mean `optimizer`"), "{error}");
+    }
+
+    #[test]
+    fn wrong_values_name_the_key_and_what_was_expected() {
+        let error = message(set(&["train.steps=many"]));
+        assert!(
+            error.contains("`train.steps`") && error.contains("expected a whole number, found a string"),
+            "{error}"
+        );
+        assert!(message(set(&["train.steps=1.5"])).contains("expected a whole number, found a number"));
+        assert!(message(set(&["train.steps=-1"])).contains("`train.steps`"));
+        assert!(message(set(&["train.steps=0"])).contains("at least 1"));
+        assert!(message(set(&["model.colour=sh9"])).contains("sh0 to sh3"));
+        assert!(message(set(&["init.method=magic"])).contains("silhouette"));
+        assert!(message(set(&["refine.margins_at=[-1]"])).contains("`refine.margins_at`"));
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("mine.toml");
+        std::fs::write(&path, "train = 5\n").unwrap();
+        assert!(message(Config::resolve(None, Some(&path), &[])).contains("section [train]"));
+        std::fs::write(&path, "[train\n").unwrap();
+        let error = message(Config::resolve(None, Some(&path), &[]));
+        assert!(error.contains("mine.toml") && error.contains("line 1"), "{error}");
+        assert!(message(Config::resolve(None, Some(Path::new("/nowhere.toml")), &[])).contains("/nowhere.toml"));
+    }
+}

@@ -1,0 +1,160 @@
+//! At which steps of a run the set of primitives changes.
+
+use super::Config;
+
+/// Length of the run in whose steps `[refine]` is written (DP-GES: the joint stage).
+pub const REFERENCE_STEPS: usize = 25_000;
+
+/// Steps of one run, ascending, counted as completed steps: a change due at 1000 happens after the
+/// 1000th step, margins due at 0 are computed before the first. Nothing is due after the last step.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Schedule {
+    pub margins: Vec<usize>,
+    pub surfel_prune: Vec<usize>,
+    pub gaussian_prune: Vec<usize>,
+    pub add: Vec<usize>,
+    pub split: Vec<usize>,
+}
+
+/// What is due after a given number of completed steps.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Due {
+    pub margins: bool,
+    pub surfel_prune: bool,
+    pub gaussian_prune: bool,
+    /// Batches of Gaussians still to be added, this one included; `None` if none is due now.
+    pub batches_left: Option<usize>,
+    pub split: bool,
+}
+
+impl Due {
+    /// Whether rows may appear or disappear.
+    pub fn changes_rows(&self) -> bool {
+        self.surfel_prune || self.gaussian_prune || self.batches_left.is_some() || self.split
+    }
+}
+
+impl Config {
+    /// Step of this run that corresponds to `step` of a run of [`REFERENCE_STEPS`].
+    pub fn scaled(&self, step: usize) -> usize {
+        let scale = self.train.steps as f64 / REFERENCE_STEPS as f64;
+        (step as f64 * scale).round() as usize
+    }
+
+    /// The schedule of a run over `views` training views, every one of which is drawn once per
+    /// `views` steps.
+    ///
+    /// Pruning is moved up to the next whole pass over the views, so that its statistics always
+    /// cover each of them: short windows are stretched, and prunings that fall together become one.
+    /// A run that ends, or whose `_until` comes, before the first pass is over prunes nothing.
+    pub fn schedule(&self, views: usize) -> Schedule {
+        let refine = &self.refine;
+        let run = |steps: Vec<usize>, first: usize| {
+            let mut steps: Vec<usize> = steps.into_iter().map(|step| self.scaled(step)).collect();
+            steps.retain(|&step| (first..self.train.steps).contains(&step));
+            steps.sort_unstable();
+            steps.dedup();
+            steps
+        };
+        let whole_passes = |steps: Vec<usize>, until: usize| {
+            let views = views.max(1);
+            let mut steps: Vec<usize> = steps.into_iter().map(|step| step.div_ceil(views) * views).collect();
+            steps.retain(|&step| step < until.min(self.train.steps));
+            steps.dedup();
+            steps
+        };
+        let every = |every: usize, from: usize, until: usize| (from..until).step_by(every.max(1)).collect::<Vec<_>>();
+
+        let surfel_prune =
+            every(refine.surfel_prune_every, refine.surfel_prune_from, refine.surfel_prune_until.saturating_add(1));
+        let gaussian_prune =
+            every(refine.gaussian_prune_every, refine.gaussian_prune_every, refine.gaussian_prune_until);
+        Schedule {
+            margins: run(refine.margins_at.clone(), 0),
+            surfel_prune: whole_passes(run(surfel_prune, 1), self.scaled(refine.surfel_prune_until) + 1),
+            gaussian_prune: whole_passes(run(gaussian_prune, 1), self.scaled(refine.gaussian_prune_until)),
+            add: run(every(refine.add_every, refine.add_from, refine.add_until), 1),
+            split: run(every(refine.split_every, refine.split_every, refine.split_until.saturating_add(1)), 1),
+        }
+    }
+}
+
+impl Schedule {
+    pub fn due(&self, completed_steps: usize) -> Due {
+        let is_in = |steps: &[usize]| steps.binary_search(&completed_steps);
+        Due {
+            margins: is_in(&self.margins).is_ok(),
+            surfel_prune: is_in(&self.surfel_prune).is_ok(),
+            gaussian_prune: is_in(&self.gaussian_prune).is_ok(),
+            batches_left: is_in(&self.add).ok().map(|batch| self.add.len() - batch),
+            split: is_in(&self.split).is_ok(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn config(steps: usize) -> Config {
+        let mut config = Config::default();
+        config.train.steps = steps;
+        config
+    }
+
+    #[test]
+    fn the_reference_run_has_the_schedule_of_the_paper() {
+        let schedule = config(REFERENCE_STEPS).schedule(100);
+        assert_eq!(schedule.margins, [0, 4000]);
+        assert_eq!(schedule.surfel_prune, (1..=15).map(|n| n * 1000).collect::<Vec<_>>());
+        assert_eq!(schedule.gaussian_prune, [500, 1000, 1500]);
+        assert_eq!(schedule.add, (3..13).map(|n| n * 1000).collect::<Vec<_>>());
+        assert_eq!(schedule.split, (1..=8).map(|n| n * 2000).collect::<Vec<_>>());
+        let due = schedule.due(12_000);
+        assert_eq!(due, Due { surfel_prune: true, batches_left: Some(1), split: true, ..Due::default() });
+        assert_eq!(schedule.due(3000).batches_left, Some(10));
+        assert!(schedule.due(0).margins && !schedule.due(0).changes_rows());
+        assert_eq!(schedule.due(3001), Due::default());
+    }
+
+    #[test]
+    fn shorter_runs_scale_it() {
+        let schedule = config(5000).schedule(50);
+        assert_eq!(schedule.margins, [0, 800]);
+        assert_eq!(schedule.surfel_prune[..3], [200, 400, 600]);
+        assert_eq!(schedule.surfel_prune.last(), Some(&3000));
+        assert_eq!(schedule.gaussian_prune, [100, 200, 300]);
+        assert_eq!((schedule.add[0], schedule.add.len()), (600, 10));
+    }
+
+    #[test]
+    fn every_window_of_pruning_sees_every_view() {
+        for views in [1, 7, 130, 311] {
+            let schedule = config(5000).schedule(views);
+            for steps in [&schedule.surfel_prune, &schedule.gaussian_prune] {
+                assert!(!steps.is_empty());
+                assert!(steps.iter().all(|step| step % views == 0), "{views}: {steps:?}");
+                assert!(steps.windows(2).all(|pair| pair[0] < pair[1]));
+            }
+        }
+        assert!(config(5000).schedule(401).gaussian_prune.is_empty());
+    }
+
+    #[test]
+    fn tiny_runs_and_odd_keys_give_ascending_steps_within_the_run() {
+        for steps in [1, 2, 7, 40] {
+            let schedule = config(steps).schedule(3);
+            for steps_of in [&schedule.surfel_prune, &schedule.gaussian_prune, &schedule.add, &schedule.split] {
+                assert!(steps_of.iter().all(|&step| step > 0 && step < steps));
+                assert!(steps_of.windows(2).all(|pair| pair[0] < pair[1]));
+            }
+            assert_eq!(schedule.margins[0], 0);
+        }
+        let mut odd = config(1000);
+        odd.refine.margins_at = vec![4000, 0, 4000, 90_000];
+        odd.refine.add_from = 20_000;
+        let schedule = odd.schedule(0);
+        assert_eq!(schedule.margins, [0, 160]);
+        assert!(schedule.add.is_empty());
+    }
+}

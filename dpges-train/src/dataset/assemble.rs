@@ -1,0 +1,314 @@
+//! From a described dataset to one that can be trained on: pictures, pinhole cameras, split, extent, origin.
+
+use std::path::{Component, Path, PathBuf};
+
+use dpges_core::camera::Camera;
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::error::{DatasetError, Result, listing};
+use super::images::{self, Picture};
+use super::source::{Frame, RawPoints, Source, Split};
+use super::{Dataset, Format, LoadOptions, PointCloud, View, undistort};
+
+/// Distance of the cameras from the origin, in extents, beyond which the world is moved there. f32 has 24 bits: at
+/// 100 extents positions are rounded to 100 · 2⁻²⁴ = 6·10⁻⁶ extents, a fraction of a pixel.
+const RECENTRE_BEYOND_EXTENTS: f64 = 100.0;
+
+/// # Errors
+/// [`DatasetError`]; the first view by name that is at fault, whatever the number of threads.
+pub(super) fn assemble(root: &Path, mut source: Source, options: &LoadOptions) -> Result<Dataset> {
+    let near = options.near.unwrap_or_else(|| source.format.default_near());
+    check(&source, near, options)?;
+    if let Some(scale) = options.image_scale {
+        for frame in &mut source.frames {
+            frame.image = scaled_image(root, &frame.image, scale)?;
+        }
+    }
+    for frame in &source.frames {
+        if !frame.image.is_file() {
+            return Err(missing_image(frame));
+        }
+    }
+
+    let train_centres: Vec<DVec3> =
+        frames_of(&source, Split::Train).map(|frame| frame.camera_from_world.centre()).collect();
+    let (mean, extent) = mean_and_extent(&train_centres);
+    let offset = if mean.length() > RECENTRE_BEYOND_EXTENTS * extent { mean } else { DVec3::ZERO };
+    let background = match options.background {
+        Some(background) => background,
+        None => default_background(&source)?,
+    };
+
+    let views = |split| -> Result<Vec<View>> {
+        let frames: Vec<&Frame> = frames_of(&source, split).collect();
+        let views: Vec<_> =
+            frames.into_par_iter().map(|frame| view(frame, offset, near, background, options.max_resolution)).collect();
+        views.into_iter().collect()
+    };
+    Ok(Dataset {
+        train: views(Split::Train)?,
+        test: views(Split::Test)?,
+        points: recentred_points(&source, offset),
+        offset,
+        extent,
+        background,
+        format: source.format,
+        near,
+    })
+}
+
+fn frames_of(source: &Source, split: Split) -> impl Iterator<Item = &Frame> {
+    source.frames.iter().filter(move |frame| frame.split == split)
+}
+
+/// What can be refused before an image is opened.
+fn check(source: &Source, near: f64, options: &LoadOptions) -> Result<()> {
+    let path = source.described_in.clone();
+    if source.frames.is_empty() {
+        return Err(DatasetError::NoViews { path });
+    }
+    let held_out = frames_of(source, Split::Test).count();
+    if frames_of(source, Split::Train).count() == 0 {
+        return Err(DatasetError::NoTrainingViews { path, held_out });
+    }
+    if held_out == 0 && options.test_every > 0 {
+        return Err(DatasetError::NoTestViews { path, reason: source.no_test_reason });
+    }
+    for frame in &source.frames {
+        frame.lens.camera(frame.camera_from_world, near).validate().map_err(|source| DatasetError::Camera {
+            path: frame.described_in.clone(),
+            view: frame.name.clone(),
+            source: Box::new(source),
+        })?;
+    }
+    Ok(())
+}
+
+/// The mean of `centres` and the extent of the scene: 1.1 × the largest distance from it, 1 where that is 0.
+pub(super) fn mean_and_extent(centres: &[DVec3]) -> (DVec3, f64) {
+    let mean = centres.iter().sum::<DVec3>() / centres.len() as f64;
+    let radius = centres.iter().map(|centre| centre.distance(mean)).fold(0.0, f64::max);
+    (mean, if radius > 0.0 { 1.1 * radius } else { 1.0 })
+}
+
+fn default_background(source: &Source) -> Result<[f64; 3]> {
+    if source.format != Format::Blender {
+        return Ok([0.0; 3]);
+    }
+    for frame in &source.frames {
+        if images::header(&frame.image)?.has_alpha {
+            return Ok([1.0; 3]);
+        }
+    }
+    Ok([0.0; 3])
+}
+
+/// `images/…` as `images_<scale>/…`.
+fn scaled_image(root: &Path, image: &Path, scale: u32) -> Result<PathBuf> {
+    let folder = root.join(format!("images_{scale}"));
+    let missing = || DatasetError::MissingScale { path: folder.clone(), available: image_folders(root) };
+    let relative = image.strip_prefix(root).map_err(|_| missing())?;
+    let mut components = relative.components().filter(|component| *component != Component::CurDir);
+    if components.next() != Some(Component::Normal("images".as_ref())) || !folder.is_dir() {
+        return Err(missing());
+    }
+    Ok(folder.join(components.collect::<PathBuf>()))
+}
+
+fn image_folders(root: &Path) -> String {
+    let mut folders: Vec<String> = std::fs::read_dir(root)
+        .into_iter()
+        .flatten()
+        .flatten()
+        .filter(|entry| entry.path().is_dir())
+        .map(|entry| entry.file_name().to_string_lossy().into_owned())
+        .filter(|name| name == "images" || name.starts_with("images_"))
+        .collect();
+    folders.sort();
+    if folders.is_empty() { format!("no image folders but {}", listing(root)) } else { folders.join(", ") }
+}
+
+fn missing_image(frame: &Frame) -> DatasetError {
+    DatasetError::MissingImage {
+        path: frame.image.clone(),
+        view: frame.name.clone(),
+        described_in: frame.described_in.clone(),
+    }
+}
+
+fn view(frame: &Frame, offset: DVec3, near: f64, background: [f64; 3], max_resolution: Option<usize>) -> Result<View> {
+    let mut picture = images::decode(&frame.image, background)?;
+    if !frame.lens.fits(picture.width, picture.height) {
+        return Err(DatasetError::ImageSize {
+            path: frame.image.clone(),
+            found: [picture.width, picture.height],
+            camera: [frame.lens.width, frame.lens.height],
+            described_in: frame.described_in.clone(),
+        });
+    }
+    let lens = frame.lens.resized(picture.width, picture.height);
+    let pinhole = undistort::pinhole(&lens)
+        .ok_or_else(|| DatasetError::Distortion { path: frame.described_in.clone(), view: frame.name.clone() })?;
+    if pinhole != lens {
+        picture = undistort::resample(&picture, &lens, &pinhole);
+    }
+    let camera = pinhole.camera(frame.camera_from_world.recentred(offset), near);
+    let (camera, picture) = capped(camera, picture, max_resolution);
+    Ok(View { name: frame.name.clone(), camera, picture })
+}
+
+fn capped(camera: Camera, picture: Picture, max_resolution: Option<usize>) -> (Camera, Picture) {
+    let longer = picture.width.max(picture.height);
+    match max_resolution {
+        Some(cap) if cap < longer => {
+            let side = |side: usize| ((side as f64 * cap as f64 / longer as f64).round() as usize).max(1);
+            let (width, height) = (side(picture.width), side(picture.height));
+            (camera.resized(width, height), picture.downscaled(width, height))
+        }
+        _ => (camera, picture),
+    }
+}
+
+fn recentred_points(source: &Source, offset: DVec3) -> PointCloud {
+    let mut next = 0;
+    let train_index: Vec<Option<u32>> = source
+        .frames
+        .iter()
+        .map(|frame| {
+            (frame.split == Split::Train).then(|| {
+                next += 1;
+                next - 1
+            })
+        })
+        .collect();
+    let RawPoints { positions, colours, seen_by } = &source.points;
+    PointCloud {
+        positions: positions.iter().map(|position| (position - offset).as_vec3().to_array()).collect(),
+        colours: colours.clone(),
+        seen_by: seen_by
+            .iter()
+            .map(|frames| frames.iter().filter_map(|&frame| train_index[frame as usize]).collect())
+            .collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use dpges_core::camera::CameraFromWorld;
+
+    use super::super::fixtures::{self, Encoding};
+    use super::super::load;
+    use super::*;
+
+    #[test]
+    fn extent_is_a_tenth_more_than_the_farthest_camera_and_one_for_a_single_view() {
+        let (mean, extent) = mean_and_extent(&[DVec3::ZERO, DVec3::X * 4.0]);
+        assert_eq!((mean, extent), (DVec3::X * 2.0, 2.2));
+        assert_eq!(mean_and_extent(&[DVec3::ONE]).1, 1.0);
+    }
+
+    #[test]
+    fn geo_referenced_worlds_keep_sub_millimetre_precision() {
+        let far = DVec3::new(5e6, -4.2e6, 300.0);
+        let mut scene = fixtures::scene(10);
+        let near_data = {
+            let folder = tempfile::tempdir().unwrap();
+            fixtures::write_colmap(folder.path(), &scene, Encoding::Binary);
+            load(folder.path(), &LoadOptions::default()).unwrap()
+        };
+        assert_eq!(near_data.offset, DVec3::ZERO);
+        for image in &mut scene.images {
+            image.pose = image.pose.recentred(-far);
+        }
+        scene.points.iter_mut().for_each(|point| point.position += far);
+        let folder = tempfile::tempdir().unwrap();
+        fixtures::write_colmap(folder.path(), &scene, Encoding::Binary);
+        let data = load(folder.path(), &LoadOptions::default()).unwrap();
+        assert!((data.offset - far).length() < 10.0);
+        let shift = far - data.offset;
+        for (found, near) in data.points.positions.iter().zip(&near_data.points.positions) {
+            let difference = DVec3::from_array(found.map(f64::from)) - shift - DVec3::from_array(near.map(f64::from));
+            assert!(difference.length() < 1e-6, "{difference}");
+        }
+        for (found, near) in data.train.iter().zip(&near_data.train) {
+            assert!((found.camera.centre() - shift - near.camera.centre()).length() < 1e-6);
+        }
+        assert!((data.extent - near_data.extent).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_scaled_folder_is_read_as_shipped_and_intrinsics_follow() {
+        let folder = tempfile::tempdir().unwrap();
+        let scene = fixtures::scene(9);
+        fixtures::write_colmap(folder.path(), &scene, Encoding::Text);
+        let options = LoadOptions { image_scale: Some(2), ..Default::default() };
+        let message = load(folder.path(), &options).unwrap_err().to_string();
+        assert!(message.contains("images_2") && message.contains("there are images;"), "{message}");
+        for image in &scene.images {
+            fixtures::write_png(&folder.path().join("images_2").join(&image.name), 12, 8, [10, 20, 30]);
+        }
+        let data = load(folder.path(), &options).unwrap();
+        let camera = data.train[0].camera;
+        assert_eq!((camera.width, camera.height), (12, 8));
+        assert_eq!((camera.fx, camera.cx, camera.cy), (10.0, 6.0, 4.0));
+        assert_eq!(data.train[0].picture.rgb(3, 3), [10.0 / 255.0, 20.0 / 255.0, 30.0 / 255.0]);
+    }
+
+    #[test]
+    fn the_longer_side_is_capped_and_intrinsics_follow() {
+        let folder = tempfile::tempdir().unwrap();
+        fixtures::write_colmap(folder.path(), &fixtures::scene(9), Encoding::Text);
+        let full = load(folder.path(), &LoadOptions::default()).unwrap();
+        let options = LoadOptions { max_resolution: Some(12), near: Some(0.5), ..Default::default() };
+        let small = load(folder.path(), &options).unwrap();
+        let camera = small.train[0].camera;
+        assert_eq!((camera.width, camera.height, camera.fx, camera.near), (12, 8, 10.0, 0.5));
+        assert_eq!(small.train[0].picture.planes.len(), 3 * 12 * 8);
+        assert_eq!((full.train[0].camera.width, full.near), (24, 0.2));
+        let enough = LoadOptions { max_resolution: Some(24), ..Default::default() };
+        assert_eq!(load(folder.path(), &enough).unwrap().train[0].picture, full.train[0].picture);
+    }
+
+    #[test]
+    fn images_that_are_missing_or_contradict_their_camera_are_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let scene = fixtures::scene(9);
+        fixtures::write_colmap(folder.path(), &scene, Encoding::Binary);
+        let path = folder.path().join("images").join(&scene.images[3].name);
+        fixtures::write_png(&path, 24, 20, [0; 3]);
+        let message = load(folder.path(), &LoadOptions::default()).unwrap_err().to_string();
+        for part in [scene.images[3].name.as_str(), "24x20", "24x16", "images.bin"] {
+            assert!(message.contains(part), "{message}");
+        }
+        std::fs::remove_file(&path).unwrap();
+        let message = load(folder.path(), &LoadOptions::default()).unwrap_err().to_string();
+        assert!(message.contains(path.to_str().unwrap()) && message.contains("is missing"), "{message}");
+    }
+
+    #[test]
+    fn poses_that_are_not_finite_name_view_and_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut scene = fixtures::scene(9);
+        let pose = scene.images[2].pose;
+        scene.images[2].pose = CameraFromWorld { translation: DVec3::new(0.0, f64::NAN, 1.0), ..pose };
+        fixtures::write_colmap(folder.path(), &scene, Encoding::Binary);
+        let message = load(folder.path(), &LoadOptions::default()).unwrap_err().to_string();
+        for part in [scene.images[2].name.as_str(), "images.bin", "`translation`", "remove it"] {
+            assert!(message.contains(part), "{message}");
+        }
+    }
+
+    #[test]
+    fn splits_that_leave_a_side_empty_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        fixtures::write_colmap(folder.path(), &fixtures::scene(3), Encoding::Binary);
+        let load = |test_every| load(folder.path(), &LoadOptions { test_every, ..Default::default() });
+        let message = load(1).unwrap_err().to_string();
+        assert!(message.contains("images.bin") && message.contains("all 3 are held out"), "{message}");
+        assert_eq!(load(0).unwrap().train.len(), 3);
+        std::fs::write(folder.path().join("test.txt"), "nobody.png\n").unwrap();
+        let message = load(8).unwrap_err().to_string();
+        assert!(message.contains("images.bin") && message.contains("no test views"), "{message}");
+    }
+}

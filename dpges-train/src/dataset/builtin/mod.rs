@@ -1,0 +1,230 @@
+//! A small scene made on the spot: photographs, points, and exact depth and normals to test against.
+
+mod room;
+
+use std::f64::consts::TAU;
+
+use dpges_core::camera::{Camera, CameraFromWorld};
+use glam::DVec3;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+
+use self::room::{Hit, trace};
+use super::assemble::mean_and_extent;
+use super::images::Picture;
+use super::{Dataset, Format, PointCloud, View};
+
+const FIELD_OF_VIEW: f64 = 0.9;
+const TARGET: DVec3 = DVec3::new(0.0, 0.0, 0.3);
+/// Rotates successive views around the scene by the golden angle, so that any number of them covers it.
+const GOLDEN_ANGLE: f64 = 2.399_963_229_728_653;
+/// Points lie off their surface by up to this, world units.
+const POINT_NOISE: f64 = 0.003;
+/// A surface point is seen where the traced depth agrees with its own to this, relatively.
+const VISIBILITY_TOLERANCE: f64 = 1e-6;
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct BuiltinOptions {
+    /// Size of each picture, px.
+    pub width: usize,
+    pub height: usize,
+    pub train_views: usize,
+    pub test_views: usize,
+    pub points: usize,
+    /// Colour is the mean of this many rays squared per pixel; at least 1.
+    pub supersampling: usize,
+    /// Of the points; views do not depend on it.
+    pub seed: u64,
+}
+
+impl Default for BuiltinOptions {
+    fn default() -> Self {
+        Self { width: 96, height: 96, train_views: 24, test_views: 6, points: 2000, supersampling: 3, seed: 1 }
+    }
+}
+
+/// A furnished room seen from a dome of cameras, the same on every machine for the same options. The camera's near
+/// plane is at 0.01, one world unit is a metre, pictures have no alpha.
+pub fn builtin(options: &BuiltinOptions) -> Dataset {
+    let near = Format::Builtin.default_near();
+    let views = |name: &str, count: usize, phase: f64| -> Vec<View> {
+        (0..count)
+            .into_par_iter()
+            .map(|index| {
+                let camera = dome_camera(options, index, count, phase, near);
+                View { name: format!("{name}_{index:03}"), camera, picture: photograph(&camera, options.supersampling) }
+            })
+            .collect()
+    };
+    let train = views("train", options.train_views, 0.0);
+    let centres: Vec<DVec3> = train.iter().map(|view| view.camera.centre()).collect();
+    let (_, extent) = mean_and_extent(&centres);
+    Dataset {
+        points: surface_points(&train, options),
+        test: views("test", options.test_views, 0.5),
+        train,
+        offset: DVec3::ZERO,
+        extent,
+        background: [0.0; 3],
+        format: Format::Builtin,
+        near,
+    }
+}
+
+/// Depth [height, width] (camera-space z, world units) and world normal [3, height, width] (unit, towards the camera)
+/// at the pixel centres of `camera`, which must stand inside the room |x|, |y| < 3, 0 < z < 3, outside its furniture.
+pub fn builtin_geometry(camera: &Camera) -> (Vec<f32>, Vec<f32>) {
+    let pixels = camera.width * camera.height;
+    let mut depth = vec![0.0; pixels];
+    let mut normal = vec![0.0; 3 * pixels];
+    for pixel in 0..pixels {
+        let (x, y) = (pixel % camera.width, pixel / camera.width);
+        let hit = hit(camera, x as f64 + 0.5, y as f64 + 0.5);
+        depth[pixel] = hit.distance as f32;
+        for axis in 0..3 {
+            normal[axis * pixels + pixel] = hit.normal[axis] as f32;
+        }
+    }
+    (depth, normal)
+}
+
+/// Camera `index` of `count` on a dome around the furniture; `phase` shifts a set of views between those of another.
+fn dome_camera(options: &BuiltinOptions, index: usize, count: usize, phase: f64, near: f64) -> Camera {
+    let height = (index as f64 + 0.5) / count as f64;
+    let azimuth = index as f64 * GOLDEN_ANGLE + phase * TAU / 3.0;
+    let elevation = 0.25 + 0.75 * height;
+    let direction = DVec3::new(elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin());
+    let camera_from_world = CameraFromWorld::look_at(TARGET + 2.3 * direction, TARGET, DVec3::Z);
+    let (width, height) = (options.width, options.height);
+    let focal = 0.5 * width as f64 / (0.5 * FIELD_OF_VIEW).tan();
+    let (cx, cy) = (0.5 * width as f64, 0.5 * height as f64);
+    Camera { camera_from_world, fx: focal, fy: focal, cx, cy, width, height, near }
+}
+
+/// What is seen at position (x, y) px. The ray's direction has camera-space z 1: its distances are depths.
+fn hit(camera: &Camera, x: f64, y: f64) -> Hit {
+    let eye = camera.centre();
+    trace(eye, camera.unproject(x, y, 1.0) - eye)
+}
+
+fn photograph(camera: &Camera, supersampling: usize) -> Picture {
+    let (width, height) = (camera.width, camera.height);
+    let pixels = width * height;
+    let eye = camera.centre();
+    let step = 1.0 / supersampling as f64;
+    let mut planes = vec![0.0; 3 * pixels];
+    for pixel in 0..pixels {
+        let mut sum = DVec3::ZERO;
+        for sample in 0..supersampling * supersampling {
+            let x = (pixel % width) as f64 + ((sample % supersampling) as f64 + 0.5) * step;
+            let y = (pixel / width) as f64 + ((sample / supersampling) as f64 + 0.5) * step;
+            sum += hit(camera, x, y).colour(eye);
+        }
+        for channel in 0..3 {
+            planes[channel * pixels + pixel] = (sum[channel] * step * step) as f32;
+        }
+    }
+    Picture { width, height, planes, alpha: None }
+}
+
+/// Points where rays through random places of random training views end, as structure from motion would find them.
+fn surface_points(train: &[View], options: &BuiltinOptions) -> PointCloud {
+    let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
+    let mut points = PointCloud::default();
+    if train.is_empty() {
+        return points;
+    }
+    for _ in 0..options.points {
+        let camera = &train[rng.random_range(0..train.len())].camera;
+        let hit = hit(camera, rng.random::<f64>() * camera.width as f64, rng.random::<f64>() * camera.height as f64);
+        let noise = DVec3::from_array(std::array::from_fn(|_| rng.random_range(-POINT_NOISE..=POINT_NOISE)));
+        let seen_by = (0..).zip(train).filter(|(_, view)| sees(&view.camera, hit.position)).map(|(index, _)| index);
+        points.positions.push((hit.position + noise).as_vec3().to_array());
+        points.colours.push(hit.diffuse().as_vec3().to_array());
+        points.seen_by.push(seen_by.collect());
+    }
+    points
+}
+
+fn sees(camera: &Camera, position: DVec3) -> bool {
+    camera.project(position).is_some_and(|(x, y, depth)| {
+        let in_picture = (0.0..camera.width as f64).contains(&x) && (0.0..camera.height as f64).contains(&y);
+        in_picture && (hit(camera, x, y).distance / depth - 1.0).abs() < VISIBILITY_TOLERANCE
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn it_is_what_the_options_say_and_always_the_same() {
+        let data = builtin(&BuiltinOptions::default());
+        assert_eq!((data.train.len(), data.test.len(), data.points.positions.len()), (24, 6, 2000));
+        assert_eq!((data.format, data.near, data.offset), (Format::Builtin, 0.01, DVec3::ZERO));
+        assert!(data.extent > 1.5 && data.extent < 3.0, "{}", data.extent);
+        for view in data.train.iter().chain(&data.test) {
+            view.camera.validate().unwrap();
+            assert_eq!((view.camera.width, view.picture.height, view.picture.planes.len()), (96, 96, 3 * 96 * 96));
+            assert!(view.picture.planes.iter().all(|value| (0.0..=1.0).contains(value)));
+        }
+        let again = builtin(&BuiltinOptions::default());
+        assert_eq!(data.points, again.points);
+        assert!(data.train.iter().zip(&again.train).all(|(a, b)| a.picture == b.picture && a.camera == b.camera));
+    }
+
+    #[test]
+    fn points_have_the_colour_of_the_pixels_that_see_them() {
+        let data = builtin(&BuiltinOptions::default());
+        let (mut sum, mut shuffled, mut observations) = (0.0, 0.0, 0);
+        for (index, views) in data.points.seen_by.iter().enumerate() {
+            assert!(!views.is_empty(), "point {index} was sampled in a view");
+            let position = DVec3::from_array(data.points.positions[index].map(f64::from));
+            for &view in views {
+                let View { camera, picture, .. } = &data.train[view as usize];
+                let (x, y, _) = camera.project(position).unwrap();
+                let rgb = picture.rgb((x as usize).min(95), (y as usize).min(95));
+                let other = data.points.colours[(index + 977) % 2000];
+                let difference = |colour: [f32; 3]| (0..3).map(|c| (rgb[c] - colour[c]).abs() / 3.0).sum::<f32>();
+                sum += difference(data.points.colours[index]);
+                shuffled += difference(other);
+                observations += 1;
+            }
+        }
+        let (mean, shuffled) = (sum / observations as f32, shuffled / observations as f32);
+        assert!(mean < 0.06 && shuffled > 3.0 * mean, "{mean} {shuffled} over {observations}");
+    }
+
+    #[test]
+    fn depth_and_normals_lie_on_the_surfaces() {
+        let data = builtin(&BuiltinOptions { points: 0, ..Default::default() });
+        let camera = data.train[5].camera;
+        let (depth, normal) = builtin_geometry(&camera);
+        let pixels = 96 * 96;
+        let world = |pixel: usize, dx: f64, dy: f64| {
+            let (x, y) = ((pixel % 96) as f64 + 0.5, (pixel / 96) as f64 + 0.5);
+            camera.unproject(x + dx, y + dy, f64::from(depth[pixel]))
+        };
+        let mut on_floor = 0;
+        for pixel in 0..pixels {
+            let normal = DVec3::from_array(std::array::from_fn(|axis| f64::from(normal[axis * pixels + pixel])));
+            assert!((normal.length() - 1.0).abs() < 1e-6);
+            assert!(normal.dot(world(pixel, 0.0, 0.0) - camera.centre()) < 0.0, "normals face the camera");
+            if world(pixel, 0.0, 0.0).z.abs() < 1e-5 {
+                assert_eq!(normal, DVec3::Z);
+                on_floor += 1;
+            }
+        }
+        assert!(on_floor > 1000, "{on_floor}");
+    }
+
+    #[test]
+    fn highlights_depend_on_the_view_and_are_mild() {
+        let data = builtin(&BuiltinOptions::default());
+        let ball_top = trace(DVec3::new(0.5, 0.45, 2.5), -DVec3::Z);
+        let colours: Vec<DVec3> = data.train.iter().map(|view| ball_top.colour(view.camera.centre())).collect();
+        let spread = colours.iter().map(|colour| (*colour - colours[0]).length()).fold(0.0, f64::max);
+        assert!(spread > 0.02 && spread < 0.5, "{spread}");
+    }
+}

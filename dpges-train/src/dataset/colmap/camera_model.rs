@@ -1,0 +1,83 @@
+//! COLMAP's camera models (`src/colmap/sensor/models.h`): which are pinholes, which are undistorted, which refused.
+
+use std::path::Path;
+
+use super::super::error::{DatasetError, Result};
+use super::super::lens::{Distortion, Lens};
+
+/// Models by numeric id: name and number of parameters.
+const MODELS: [(&str, usize); 12] = [
+    ("SIMPLE_PINHOLE", 3),
+    ("PINHOLE", 4),
+    ("SIMPLE_RADIAL", 4),
+    ("RADIAL", 5),
+    ("OPENCV", 8),
+    ("OPENCV_FISHEYE", 8),
+    ("FULL_OPENCV", 12),
+    ("FOV", 5),
+    ("SIMPLE_RADIAL_FISHEYE", 4),
+    ("RADIAL_FISHEYE", 5),
+    ("THIN_PRISM_FISHEYE", 12),
+    ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+];
+
+/// Name and number of parameters of the model with numeric `id`.
+pub(super) fn by_id(id: i32) -> Option<(&'static str, usize)> {
+    usize::try_from(id).ok().and_then(|id| MODELS.get(id)).copied()
+}
+
+/// A camera as the file states it.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct CameraRecord {
+    pub id: u32,
+    pub model: String,
+    /// px.
+    pub width: u64,
+    pub height: u64,
+    pub params: Vec<f64>,
+}
+
+impl CameraRecord {
+    /// # Errors
+    /// [`DatasetError::CameraModel`] for fisheye and unknown models, [`DatasetError::Malformed`] for a wrong number of
+    /// parameters.
+    pub fn lens(&self, path: &Path) -> Result<Lens> {
+        let refuse = |reason| DatasetError::CameraModel {
+            path: path.to_owned(),
+            camera: format!("camera {}", self.id),
+            model: self.model.clone(),
+            reason,
+        };
+        let distortion = |k: [f64; 6], tangential: [f64; 2]| Distortion {
+            numerator: [k[0], k[1], k[2], 0.0],
+            denominator: [k[3], k[4], k[5]],
+            tangential,
+        };
+        let straight = Distortion::default();
+        let (focal, centre, distortion) = match (self.model.as_str(), self.params.as_slice()) {
+            ("SIMPLE_PINHOLE", &[f, cx, cy]) => ([f, f], [cx, cy], straight),
+            ("PINHOLE", &[fx, fy, cx, cy]) => ([fx, fy], [cx, cy], straight),
+            ("SIMPLE_RADIAL", &[f, cx, cy, k]) => {
+                ([f, f], [cx, cy], distortion([k, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0; 2]))
+            }
+            ("RADIAL", &[f, cx, cy, k1, k2]) => ([f, f], [cx, cy], distortion([k1, k2, 0.0, 0.0, 0.0, 0.0], [0.0; 2])),
+            ("OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2]) => {
+                ([fx, fy], [cx, cy], distortion([k1, k2, 0.0, 0.0, 0.0, 0.0], [p1, p2]))
+            }
+            ("FULL_OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6]) => {
+                ([fx, fy], [cx, cy], distortion([k1, k2, k3, k4, k5, k6], [p1, p2]))
+            }
+            (model, _) if model == "FOV" || model.ends_with("FISHEYE") => {
+                return Err(refuse("fisheye pictures do not fit a pinhole camera"));
+            }
+            (model, params) if MODELS.iter().any(|(name, _)| *name == model) => {
+                let what = format!("the number of parameters of camera {} ({model})", self.id);
+                return Err(DatasetError::malformed(path, what, params.len(), "as many as the model has"));
+            }
+            _ => return Err(refuse("it is unknown here")),
+        };
+        let [fx, fy] = focal;
+        let [cx, cy] = centre;
+        Ok(Lens { width: self.width as usize, height: self.height as usize, fx, fy, cx, cy, distortion })
+    }
+}

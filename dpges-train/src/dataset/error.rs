@@ -1,0 +1,99 @@
+//! What can be wrong with a dataset on disk. Every message names the file, says what was found there
+//! and what to do about it.
+
+use std::path::{Path, PathBuf};
+
+pub type Result<T, E = DatasetError> = std::result::Result<T, E>;
+
+#[derive(Debug, thiserror::Error)]
+pub enum DatasetError {
+    #[error(
+        "{path} is no dataset this program reads: looked for sparse/ (COLMAP), transforms_train.json (Blender) and \
+         transforms.json (nerfstudio), found {found}; point to the folder that holds one of them"
+    )]
+    UnknownFormat { path: PathBuf, found: String },
+    #[error(
+        "{path} holds no COLMAP model: looked for cameras.bin or cameras.txt in it and in its subfolders, \
+         found {found}; point to the folder above sparse/0"
+    )]
+    NoModel { path: PathBuf, found: String },
+    #[error("{path} is missing, and so is {alternative}; export the model again")]
+    MissingModelFile { path: PathBuf, alternative: &'static str },
+    #[error("cannot read {path}: {source}")]
+    Read { path: PathBuf, source: std::io::Error },
+    #[error(
+        "{path} is truncated or corrupt: {what} needs at least {needed} bytes, {left} are left; copy or export it again"
+    )]
+    Truncated { path: PathBuf, what: String, needed: u64, left: usize },
+    #[error("{path}: {what} is {found}, expected {expected}; repair the entry or remove it")]
+    Malformed { path: PathBuf, what: String, found: String, expected: &'static str },
+    #[error("{path} is not the JSON of a transforms file: {source}; NaN and infinity are not JSON either")]
+    Json { path: PathBuf, source: serde_json::Error },
+    #[error("{path} is not a readable PLY point cloud: {source}; export it again or remove `ply_file_path`")]
+    Ply { path: PathBuf, source: serde_ply::DeserializeError },
+    #[error(
+        "{path}: camera model {model} of {camera} is not supported: {reason}; \
+         undistort the photographs to PINHOLE first"
+    )]
+    CameraModel { path: PathBuf, camera: String, model: String, reason: &'static str },
+    #[error(
+        "{path}: the distortion of view `{view}` cannot be undone with a pinhole camera of half to twice its focal \
+         length; check its coefficients or undistort the photographs first"
+    )]
+    Distortion { path: PathBuf, view: String },
+    #[error("{path}: view `{view}`: {source}; repair the view or remove it")]
+    Camera { path: PathBuf, view: String, source: Box<dpges_core::Error> },
+    #[error("{path}: view `{view}` has neither `fl_x` nor `camera_angle_x`; add one for the file or for the frame")]
+    NoFocalLength { path: PathBuf, view: String },
+    #[error("{path}: no views; a dataset needs at least one photograph with a pose")]
+    NoViews { path: PathBuf },
+    #[error("{path}: no training views, all {held_out} are held out; hold out fewer (`test_every`)")]
+    NoTrainingViews { path: PathBuf, held_out: usize },
+    #[error("{path}: no test views: {reason}; set `test_every` = 0 to train without held-out views")]
+    NoTestViews { path: PathBuf, reason: &'static str },
+    #[error(
+        "{path} holds no points, training from a COLMAP model starts from them; run the point triangulator or \
+         export the model again"
+    )]
+    NoPoints { path: PathBuf },
+    #[error("image {path} of view `{view}` is missing; {described_in} names it, restore the file or remove the view")]
+    MissingImage { path: PathBuf, view: String, described_in: PathBuf },
+    #[error("folder {path} is missing, there are {available}; use an image scale that exists, or cap the resolution")]
+    MissingScale { path: PathBuf, available: String },
+    #[error("image {path} cannot be decoded: {source}; replace it, as PNG or JPEG, or remove the view")]
+    Decode { path: PathBuf, source: image::ImageError },
+    #[error(
+        "image {path} is {}x{} px, its camera in {described_in} {}x{}; their aspects differ, \
+         use the image the camera was calibrated with",
+        found[0], found[1], camera[0], camera[1]
+    )]
+    ImageSize { path: PathBuf, found: [usize; 2], camera: [usize; 2], described_in: PathBuf },
+}
+
+impl DatasetError {
+    pub(super) fn malformed(path: &Path, what: String, found: impl ToString, expected: &'static str) -> Self {
+        Self::Malformed { path: path.to_owned(), what, found: found.to_string(), expected }
+    }
+}
+
+/// The bytes of a file.
+///
+/// # Errors
+/// [`DatasetError::Read`].
+pub(super) fn read(path: &Path) -> Result<Vec<u8>> {
+    std::fs::read(path).map_err(|source| DatasetError::Read { path: path.to_owned(), source })
+}
+
+/// Names in a folder, sorted, for a message; at most eight of them.
+pub(super) fn listing(folder: &Path) -> String {
+    let Ok(entries) = std::fs::read_dir(folder) else {
+        return "no such folder".to_owned();
+    };
+    let mut names: Vec<_> = entries.flatten().map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
+    names.sort();
+    match names.len() {
+        0 => "an empty folder".to_owned(),
+        1..=8 => names.join(", "),
+        more => format!("{} and {} more", names[..8].join(", "), more - 8),
+    }
+}

@@ -1,0 +1,165 @@
+//! Tiny datasets on disk for tests.
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use dpges_core::camera::CameraFromWorld;
+use glam::{DMat3, DQuat, DVec3};
+
+/// Size and intrinsics of the photographs of [`scene`].
+const WIDTH: u64 = 24;
+const HEIGHT: u64 = 16;
+
+pub(super) struct FixtureImage {
+    pub id: u32,
+    pub name: String,
+    pub pose: CameraFromWorld,
+    pub rgb: [u8; 3],
+}
+
+pub(super) struct FixturePoint {
+    pub position: DVec3,
+    pub rgb: [u8; 3],
+    pub track: Vec<u32>,
+}
+
+pub(super) struct FixtureScene {
+    /// Numeric id and name of the COLMAP model, and its parameters.
+    pub model: (u32, &'static str),
+    pub params: Vec<f64>,
+    pub images: Vec<FixtureImage>,
+    pub points: Vec<FixturePoint>,
+}
+
+#[derive(Clone, Copy)]
+pub(super) enum Encoding {
+    Binary,
+    Text,
+}
+
+/// Pose `index` of `count` on a circle around the origin.
+pub(super) fn pose(index: usize, count: usize) -> CameraFromWorld {
+    let angle = index as f64 / count as f64 * std::f64::consts::TAU;
+    CameraFromWorld::look_at(DVec3::new(3.0 * angle.cos(), 3.0 * angle.sin(), 1.0 + 0.1 * angle), DVec3::ZERO, DVec3::Z)
+}
+
+/// `count` PINHOLE photographs, each in its own colour, in an order that is not that of their names, and five points.
+pub(super) fn scene(count: usize) -> FixtureScene {
+    let images = (0..count)
+        .rev()
+        .map(|index| FixtureImage {
+            id: 100 + 7 * index as u32,
+            name: format!("left/{index:03}.png"),
+            pose: pose(index, count),
+            rgb: [index as u8, 100, 200],
+        })
+        .collect();
+    let points = (0..5u32)
+        .map(|index| FixturePoint {
+            position: DVec3::new(0.3 * f64::from(index) - 0.5, 0.125, -0.2 * f64::from(index)),
+            rgb: [index as u8 * 50, 255, 0],
+            track: vec![107, 107, 100 + 7 * (index % count as u32)],
+        })
+        .collect();
+    FixtureScene { model: (1, "PINHOLE"), params: vec![20.0, 20.0, 12.0, 8.0], images, points }
+}
+
+pub(super) fn write_png(path: &Path, width: u32, height: u32, rgb: [u8; 3]) {
+    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+    image::RgbImage::from_pixel(width, height, image::Rgb(rgb)).save(path).unwrap();
+}
+
+pub(super) fn write_rgba(path: &Path, width: u32, height: u32, rgba: [u8; 4]) {
+    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+    image::RgbaImage::from_pixel(width, height, image::Rgba(rgba)).save(path).unwrap();
+}
+
+/// Camera-to-world JSON with OpenGL axes.
+pub(super) fn transform_matrix(pose: &CameraFromWorld) -> String {
+    let columns = DMat3::from_cols(pose.rotation.row(0), -pose.rotation.row(1), -pose.rotation.row(2));
+    let rows: Vec<String> = (0..3)
+        .map(|i| format!("[{}, {}, {}, {}]", columns.col(0)[i], columns.col(1)[i], columns.col(2)[i], pose.centre()[i]))
+        .collect();
+    format!("[{}, [0, 0, 0, 1]]", rows.join(", "))
+}
+
+/// `images/` and `sparse/0`.
+pub(super) fn write_colmap(root: &Path, scene: &FixtureScene, encoding: Encoding) {
+    for image in &scene.images {
+        write_png(&root.join("images").join(&image.name), WIDTH as u32, HEIGHT as u32, image.rgb);
+    }
+    write_model(&root.join("sparse/0"), scene, encoding);
+}
+
+/// `cameras`, `images` and `points3D` in `folder`.
+pub(super) fn write_model(folder: &Path, scene: &FixtureScene, encoding: Encoding) {
+    std::fs::create_dir_all(folder).unwrap();
+    match encoding {
+        Encoding::Binary => write_binary(folder, scene),
+        Encoding::Text => write_text(folder, scene),
+    }
+}
+
+fn wxyz(pose: &CameraFromWorld) -> [f64; 4] {
+    let q = DQuat::from_mat3(&pose.rotation);
+    [q.w, q.x, q.y, q.z]
+}
+
+fn write_binary(folder: &Path, scene: &FixtureScene) {
+    let mut cameras = 1u64.to_le_bytes().to_vec();
+    cameras.extend([5u32, scene.model.0].iter().flat_map(|v| v.to_le_bytes()));
+    cameras.extend([WIDTH, HEIGHT].iter().flat_map(|v| v.to_le_bytes()));
+    cameras.extend(scene.params.iter().flat_map(|v| v.to_le_bytes()));
+    std::fs::write(folder.join("cameras.bin"), cameras).unwrap();
+
+    let mut images = (scene.images.len() as u64).to_le_bytes().to_vec();
+    for image in &scene.images {
+        images.extend(image.id.to_le_bytes());
+        let translation = image.pose.translation.to_array();
+        images.extend(wxyz(&image.pose).iter().chain(&translation).flat_map(|v| v.to_le_bytes()));
+        images.extend(5u32.to_le_bytes());
+        images.extend(image.name.as_bytes());
+        images.push(0);
+        let keypoints = u64::from(image.id % 3);
+        images.extend(keypoints.to_le_bytes());
+        for _ in 0..keypoints {
+            images.extend([1.5f64, 2.5].iter().flat_map(|v| v.to_le_bytes()));
+            images.extend(u64::MAX.to_le_bytes());
+        }
+    }
+    std::fs::write(folder.join("images.bin"), images).unwrap();
+
+    let mut points = (scene.points.len() as u64).to_le_bytes().to_vec();
+    for (id, point) in scene.points.iter().enumerate() {
+        points.extend((id as u64).to_le_bytes());
+        points.extend(point.position.to_array().iter().flat_map(|v| v.to_le_bytes()));
+        points.extend(point.rgb);
+        points.extend(0.5f64.to_le_bytes());
+        points.extend((point.track.len() as u64).to_le_bytes());
+        points.extend(point.track.iter().flat_map(|image| [*image, 0]).flat_map(u32::to_le_bytes));
+    }
+    std::fs::write(folder.join("points3D.bin"), points).unwrap();
+}
+
+fn write_text(folder: &Path, scene: &FixtureScene) {
+    let mut cameras = format!("# Camera list\n5 {} {WIDTH} {HEIGHT}", scene.model.1);
+    scene.params.iter().for_each(|value| write!(cameras, " {value}").unwrap());
+    std::fs::write(folder.join("cameras.txt"), cameras + "\n").unwrap();
+
+    let mut images = "# Image list with two lines of data per image:\n".to_owned();
+    for image in &scene.images {
+        let ([w, x, y, z], t) = (wxyz(&image.pose), image.pose.translation);
+        writeln!(images, "{} {w} {x} {y} {z} {} {} {} 5 {}", image.id, t.x, t.y, t.z, image.name).unwrap();
+        writeln!(images, "{}", "1.5 2.5 -1 ".repeat(image.id as usize % 3)).unwrap();
+    }
+    std::fs::write(folder.join("images.txt"), images).unwrap();
+
+    let mut points = "# 3D point list\n".to_owned();
+    for (id, point) in scene.points.iter().enumerate() {
+        let (p, [r, g, b]) = (point.position, point.rgb);
+        write!(points, "{id} {} {} {} {r} {g} {b} 0.5", p.x, p.y, p.z).unwrap();
+        point.track.iter().for_each(|image| write!(points, " {image} 0").unwrap());
+        points.push('\n');
+    }
+    std::fs::write(folder.join("points3D.txt"), points).unwrap();
+}

@@ -1,0 +1,162 @@
+//! Photographs, cameras and points from disk: COLMAP, Blender and nerfstudio folders, and a small built-in scene.
+//!
+//! A format reader (`colmap`, `blender`, `nerfstudio`) describes the dataset as a list of frames with lenses and
+//! poses; `assemble` then decodes the images in parallel, undistorts and downscales them, and moves
+//! geo-referenced worlds to the origin. Cameras have OpenCV axes (x right, y down, z forward).
+
+mod assemble;
+mod blender;
+mod builtin;
+mod colmap;
+mod error;
+#[cfg(test)]
+mod fixtures;
+mod images;
+mod lens;
+mod nerfstudio;
+mod ply;
+mod source;
+mod split;
+mod transforms;
+mod undistort;
+
+use std::fmt;
+use std::path::Path;
+
+use dpges_core::camera::Camera;
+use glam::DVec3;
+
+pub use builtin::{BuiltinOptions, builtin, builtin_geometry};
+pub use error::DatasetError;
+pub use images::Picture;
+
+use error::Result;
+
+/// A photograph and the pinhole camera that took it, at the same resolution.
+#[derive(Clone, Debug)]
+pub struct View {
+    /// The image's path within its dataset, unique.
+    pub name: String,
+    /// In the recentred world, see [`Dataset::offset`].
+    pub camera: Camera,
+    pub picture: Picture,
+}
+
+/// Points on the surfaces of the scene.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PointCloud {
+    /// World units, recentred, see [`Dataset::offset`].
+    pub positions: Vec<[f32; 3]>,
+    /// Red, green, blue in 0..1, display-referred.
+    pub colours: Vec<[f32; 3]>,
+    /// Per point, ascending indices into [`Dataset::train`] of the views that saw it; empty where unknown.
+    pub seen_by: Vec<Vec<u32>>,
+}
+
+/// A scene to train on. Views are sorted by name.
+#[derive(Clone, Debug)]
+pub struct Dataset {
+    pub train: Vec<View>,
+    /// Held out from training.
+    pub test: Vec<View>,
+    /// Empty where the dataset has none.
+    pub points: PointCloud,
+    /// World position, in the dataset's coordinates, of the origin used here: add it to get back. Zero unless the
+    /// mean of the camera centres is more than 100 extents from the origin; beyond, the spacing of f32 would exceed
+    /// 10⁻⁵ of the extent.
+    pub offset: DVec3,
+    /// 1.1 × the largest distance of a training camera centre from their mean, world units; 1 where that is 0.
+    pub extent: f64,
+    /// Red, green, blue in 0..1 behind the scene; images with alpha are composited on it.
+    pub background: [f64; 3],
+    pub format: Format,
+    /// Near plane of every camera, world units.
+    pub near: f64,
+}
+
+/// Where a dataset came from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    Colmap,
+    Blender,
+    Nerfstudio,
+    Builtin,
+}
+
+impl fmt::Display for Format {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Colmap => "COLMAP",
+            Self::Blender => "Blender",
+            Self::Nerfstudio => "nerfstudio",
+            Self::Builtin => "built-in",
+        })
+    }
+}
+
+impl Format {
+    /// Captured scenes keep the 0.2 of 3DGS; synthetic ones are small.
+    fn default_near(self) -> f64 {
+        match self {
+            Self::Colmap | Self::Nerfstudio => 0.2,
+            Self::Blender | Self::Builtin => 0.01,
+        }
+    }
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct LoadOptions {
+    /// Red, green, blue in 0..1. `None`: white for Blender images with alpha, else black.
+    pub background: Option<[f64; 3]>,
+    /// Read `images_2`, `images_4`, … as shipped instead of `images`.
+    pub image_scale: Option<u32>,
+    /// Cap on the longer side of a picture, px; larger ones are downscaled.
+    pub max_resolution: Option<usize>,
+    /// Hold out every n-th view by name where the dataset stores no split of its own. 0 holds none out and accepts a
+    /// dataset without held-out views.
+    pub test_every: usize,
+    /// World units. `None`: 0.2 for COLMAP and nerfstudio, 0.01 for Blender.
+    pub near: Option<f64>,
+}
+
+impl Default for LoadOptions {
+    fn default() -> Self {
+        Self { background: None, image_scale: None, max_resolution: None, test_every: 8, near: None }
+    }
+}
+
+/// Reads the dataset in folder `path`: COLMAP where there is a `sparse` folder, Blender where there
+/// is `transforms_train.json`, nerfstudio where there is `transforms.json`, tried in this order.
+///
+/// # Errors
+/// [`DatasetError`] names the file at fault and what to do.
+pub fn load(path: &Path, options: &LoadOptions) -> Result<Dataset> {
+    let source = if path.join("sparse").is_dir() {
+        colmap::read(path, options)?
+    } else if path.join("transforms_train.json").is_file() {
+        blender::read(path)?
+    } else if path.join("transforms.json").is_file() {
+        nerfstudio::read(path, options)?
+    } else {
+        return Err(DatasetError::UnknownFormat { path: path.to_owned(), found: error::listing(path) });
+    };
+    assemble::assemble(path, source, options)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn unknown_folders_list_what_was_looked_for() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("notes.md"), "").unwrap();
+        let message = load(folder.path(), &LoadOptions::default()).unwrap_err().to_string();
+        for part in [folder.path().to_str().unwrap(), "sparse/", "transforms_train.json", "transforms.json", "notes.md"]
+        {
+            assert!(message.contains(part), "{message}");
+        }
+        let message = load(&folder.path().join("absent"), &LoadOptions::default()).unwrap_err().to_string();
+        assert!(message.contains("absent") && message.contains("no such folder"), "{message}");
+    }
+}

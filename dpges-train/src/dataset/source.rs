@@ -1,0 +1,50 @@
+//! A dataset as its files describe it, before a pixel is read: what the format readers hand to assembly.
+
+use std::path::PathBuf;
+
+use dpges_core::camera::CameraFromWorld;
+use glam::DVec3;
+
+use super::Format;
+use super::lens::Lens;
+
+/// Which set a view belongs to; `Neither` for a view that the dataset's own lists leave out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Split {
+    Train,
+    Test,
+    Neither,
+}
+
+/// One photograph: where it lies, how it was taken, what it is for.
+#[derive(Clone, Debug)]
+pub(super) struct Frame {
+    pub name: String,
+    pub image: PathBuf,
+    pub lens: Lens,
+    pub camera_from_world: CameraFromWorld,
+    pub split: Split,
+    /// File that holds the pose, named in messages.
+    pub described_in: PathBuf,
+}
+
+/// Points in the frame of the file, in f64: geo-referenced coordinates do not fit f32.
+#[derive(Clone, Debug, Default)]
+pub(super) struct RawPoints {
+    pub positions: Vec<DVec3>,
+    pub colours: Vec<[f32; 3]>,
+    /// Indices into [`Source::frames`], ascending.
+    pub seen_by: Vec<Vec<u32>>,
+}
+
+#[derive(Clone, Debug)]
+pub(super) struct Source {
+    pub format: Format,
+    /// Sorted by name.
+    pub frames: Vec<Frame>,
+    pub points: RawPoints,
+    /// The file to name where the views as a whole are at fault.
+    pub described_in: PathBuf,
+    /// Why there may be no held-out view.
+    pub no_test_reason: &'static str,
+}

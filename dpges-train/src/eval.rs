@@ -1,0 +1,152 @@
+//! How well a scene shows views it was not trained on.
+//!
+//! PSNR and SSIM are those of the pictures as 8-bit PNGs, rendered and photographed alike: PSNR over all pixels and
+//! channels of a view, then the mean over views (the protocol of 3DGS).
+
+use std::time::Instant;
+
+use burn::tensor::{DType, Device, Tensor, TensorData};
+use dpges_core::metrics::{mean_ssim, psnr, quantised};
+use dpges_core::render::Render;
+use dpges_core::scene::SceneData;
+use dpges_core::{Error, Result};
+use dpges_render::Renderer;
+use serde::Serialize;
+
+use crate::dataset::{Picture, View};
+
+/// PSNR of a picture that is equal to its photograph, whose true value, infinity, JSON cannot hold and means cannot use.
+pub const LARGEST_PSNR: f64 = 100.0;
+
+/// One view.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ViewScore {
+    pub name: String,
+    /// dB, at most [`LARGEST_PSNR`].
+    pub psnr: f64,
+    pub ssim: f64,
+    /// For rendering alone.
+    pub seconds: f64,
+    /// px
+    pub width: usize,
+    /// px
+    pub height: usize,
+}
+
+/// All views, and their means.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Evaluation {
+    pub views: Vec<ViewScore>,
+    /// dB, mean over the views.
+    pub psnr: f64,
+    /// Mean over the views.
+    pub ssim: f64,
+    pub surfels: usize,
+    pub gaussians: usize,
+    /// For rendering alone, mean over the views.
+    pub seconds_per_view: f64,
+}
+
+/// An evaluation and what was evaluated: the content of `eval.json`.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct EvalReport {
+    /// Path of the scene file.
+    pub scene: String,
+    /// Folder of the dataset, or `builtin`.
+    pub dataset: String,
+    /// `test` or `train`.
+    pub split: String,
+    #[serde(flatten)]
+    pub evaluation: Evaluation,
+    /// Size of the scene file.
+    pub bytes: u64,
+}
+
+/// Renders every view and compares it with its photograph.
+///
+/// # Errors
+/// Those of [`dpges_core::render::render`]; [`Error::Option`] if there are no views.
+pub fn evaluate(scene: &SceneData, views: &[View], device: &Device) -> Result<Evaluation> {
+    evaluate_each(&Renderer::new(scene, device), scene, views, device, |_, _| Ok(()))
+}
+
+/// Like [`evaluate`], with a scene that is on its device already; hands every view's index and render to `visit`.
+///
+/// # Errors
+/// Those of [`evaluate`] and of `visit`.
+pub fn evaluate_each<E: From<Error>>(
+    renderer: &Renderer,
+    scene: &SceneData,
+    views: &[View],
+    device: &Device,
+    mut visit: impl FnMut(usize, &Render) -> Result<(), E>,
+) -> Result<Evaluation, E> {
+    if views.is_empty() {
+        return Err(Error::Option { option: "views", expected: "at least one".to_owned(), found: "none".into() }.into());
+    }
+    let mut scores = Vec::with_capacity(views.len());
+    for (index, view) in views.iter().enumerate() {
+        let start = Instant::now();
+        let render = renderer.render(&view.camera)?;
+        let seconds = start.elapsed().as_secs_f64();
+        scores.push(score(view, &render, seconds, device)?);
+        visit(index, &render)?;
+    }
+    let mean = |of: fn(&ViewScore) -> f64| scores.iter().map(of).sum::<f64>() / scores.len() as f64;
+    Ok(Evaluation {
+        psnr: mean(|view| view.psnr),
+        ssim: mean(|view| view.ssim),
+        seconds_per_view: mean(|view| view.seconds),
+        surfels: scene.surfels.len(),
+        gaussians: scene.gaussians.len(),
+        views: scores,
+    })
+}
+
+fn score(view: &View, render: &Render, seconds: f64, device: &Device) -> Result<ViewScore> {
+    let Picture { width, height, ref planes, .. } = view.picture;
+    let picture = TensorData::new(planes.clone(), [3, height, width]);
+    let picture = quantised(Tensor::from_data(picture, (device, DType::F32)));
+    let image = quantised(render.composite.image.clone());
+    let (psnr, ssim) = (psnr(image.clone(), picture.clone()), mean_ssim(image, picture)?);
+    Ok(ViewScore { name: view.name.clone(), psnr: psnr.min(LARGEST_PSNR), ssim, seconds, width, height })
+}
+
+#[cfg(test)]
+mod tests {
+    use dpges_core::scene::{ColourModel, Footprint, GaussianData, SceneInfo, SurfelData};
+
+    use super::*;
+    use crate::dataset::{BuiltinOptions, builtin};
+    use crate::device::DeviceName;
+
+    fn nothing(background: [f64; 3]) -> SceneData {
+        let info = SceneInfo {
+            colour_model: ColourModel::SphericalBeta { lobes: 0 },
+            modulation: 30.0,
+            layer_count: 2,
+            footprint: Footprint::Kernel,
+            background,
+            offset: [0.0; 3],
+            extent: 1.0,
+            near: 0.01,
+        };
+        SceneData { info, surfels: SurfelData::default(), gaussians: GaussianData::default() }
+    }
+
+    #[test]
+    fn scores_are_those_of_eight_bit_pictures() {
+        let options = BuiltinOptions { width: 12, height: 12, train_views: 2, test_views: 2, ..Default::default() };
+        let mut views = builtin(&options).test;
+        views[0].picture.planes.fill(0.5009);
+        views[1].picture.planes.fill(0.25);
+        let device = "cpu".parse::<DeviceName>().unwrap().open();
+        let evaluation = evaluate(&nothing([0.5; 3]), &views, &device).unwrap();
+        assert_eq!(evaluation.views[0].psnr, LARGEST_PSNR, "0.5 and 0.5009 are the same of 256 steps");
+        let error = (128.0 - 64.0) / 255.0f64;
+        assert!((evaluation.views[1].psnr + 20.0 * error.log10()).abs() < 1e-3);
+        assert!((evaluation.views[0].ssim - 1.0).abs() < 1e-6 && evaluation.views[1].ssim < 1.0);
+        assert_eq!(evaluation.psnr, (evaluation.views[0].psnr + evaluation.views[1].psnr) / 2.0);
+        assert!(evaluate(&nothing([0.0; 3]), &[], &device).unwrap_err().to_string().contains("views"));
+    }
+}

@@ -1,0 +1,220 @@
+//! The first scene. A way to initialise is a module that returns an [`InitialScene`], an
+//! [`InitMethod`] that names it, and an arm of [`initialise`]. Most find [`OrientedPoints`] on the
+//! surfaces of the scene and leave the rest to [`placement`].
+
+mod eigen;
+pub mod placement;
+pub mod random;
+pub mod region;
+pub mod sfm;
+pub mod silhouette;
+
+use dpges_core::camera::Camera;
+use dpges_core::scene::{GaussianData, SurfelData};
+use rand_chacha::ChaCha8Rng;
+
+use crate::config::{Config, InitMethod};
+use crate::dataset::Dataset;
+use crate::refine::margins::margins;
+use placement::{OrientedPoints, Placement};
+use region::Region;
+use silhouette::Silhouette;
+
+/// DP-GES starts from 50 to 60 % of the primitives it ends with.
+const START_SHARE: f64 = 0.6;
+
+/// What training starts from; surfels have their margins.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct InitialScene {
+    pub surfels: SurfelData,
+    pub gaussians: GaussianData,
+}
+
+#[derive(Debug, thiserror::Error)]
+pub enum InitError {
+    #[error("no training views: nothing to start from")]
+    NoViews,
+    #[error("init.method is `sfm`, but the dataset has no points with finite coordinates")]
+    NoPoints,
+    #[error("init.method is `silhouette`, but no training picture has transparent pixels")]
+    NoSilhouettes,
+    #[error("the silhouettes of the training views share no volume: check the cameras and the alpha of the pictures")]
+    EmptyHull,
+}
+
+/// Surfels and Gaussians to start from, at most 60 % of `refine.budget` so that refinement has room;
+/// `init.method` "auto" takes points where there are some, else silhouettes, else random Gaussians.
+///
+/// # Errors
+/// [`InitError`] if there are no training views or the dataset lacks what the method needs.
+pub fn initialise(dataset: &Dataset, config: &Config, rng: &mut ChaCha8Rng) -> Result<InitialScene, InitError> {
+    if dataset.train.is_empty() {
+        return Err(InitError::NoViews);
+    }
+    match config.init.method {
+        InitMethod::Sfm => from_points(dataset, config, rng),
+        InitMethod::Silhouette => from_silhouettes(dataset, config, rng),
+        InitMethod::Random => Ok(random_gaussians(dataset, config, rng)),
+        InitMethod::Auto => match from_points(dataset, config, rng).or_else(|_| from_silhouettes(dataset, config, rng))
+        {
+            Err(reason @ (InitError::NoSilhouettes | InitError::EmptyHull)) => {
+                tracing::warn!("no points, and no hull ({reason}): starting from random Gaussians without surfels");
+                Ok(random_gaussians(dataset, config, rng))
+            }
+            result => result,
+        },
+    }
+}
+
+fn from_points(dataset: &Dataset, config: &Config, rng: &mut ChaCha8Rng) -> Result<InitialScene, InitError> {
+    let points = sfm::usable_points(&dataset.points, max_points(config), rng);
+    if points.positions.is_empty() {
+        return Err(InitError::NoPoints);
+    }
+    let centres: Vec<_> = dataset.train.iter().map(|view| view.camera.centre()).collect();
+    Ok(place(&sfm::orient(points, &centres), dataset, config, rng))
+}
+
+fn from_silhouettes(dataset: &Dataset, config: &Config, rng: &mut ChaCha8Rng) -> Result<InitialScene, InitError> {
+    let silhouettes: Vec<Silhouette> = dataset
+        .train
+        .iter()
+        .filter_map(|view| {
+            let alpha = view.picture.alpha.as_deref().filter(|alpha| alpha.iter().any(|&a| a <= silhouette::INSIDE))?;
+            Some(Silhouette { camera: &view.camera, alpha, planes: &view.picture.planes })
+        })
+        .collect();
+    if silhouettes.is_empty() {
+        return Err(InitError::NoSilhouettes);
+    }
+    let region = in_sight(dataset);
+    let mut points =
+        silhouette::hull_points(&silhouettes, region, config.init.hull_resolution, config.init.hull_tolerance);
+    if points.is_empty() {
+        return Err(InitError::EmptyHull);
+    }
+    points.thin_out(max_points(config), rng);
+    Ok(place(&points, dataset, config, rng))
+}
+
+fn random_gaussians(dataset: &Dataset, config: &Config, rng: &mut ChaCha8Rng) -> InitialScene {
+    let count = config.init.random_gaussians.min(share_of_budget(config, START_SHARE));
+    let points = random::points(in_sight(dataset), count, rng);
+    let gaussians = placement::gaussians(&points, &Placement::new(config, dataset.extent), rng);
+    InitialScene { surfels: SurfelData::default(), gaussians }
+}
+
+/// A surfel and a faint Gaussian at every point.
+fn place(points: &OrientedPoints, dataset: &Dataset, config: &Config, rng: &mut ChaCha8Rng) -> InitialScene {
+    let placement = Placement::new(config, dataset.extent);
+    let mut surfels = placement::surfels(points, &placement, rng);
+    surfels.margins = margins(&surfels.positions, &surfels.log_scales);
+    InitialScene { surfels, gaussians: placement::gaussians(points, &placement, rng) }
+}
+
+fn max_points(config: &Config) -> usize {
+    config.init.max_points.min(share_of_budget(config, START_SHARE / 2.0))
+}
+
+fn share_of_budget(config: &Config, share: f64) -> usize {
+    match config.refine.budget {
+        0 => usize::MAX,
+        budget => ((budget as f64 * share) as usize).max(1),
+    }
+}
+
+fn in_sight(dataset: &Dataset) -> Region {
+    let cameras: Vec<&Camera> = dataset.train.iter().map(|view| &view.camera).collect();
+    Region::in_sight(&cameras, dataset.extent)
+}
+
+#[cfg(test)]
+mod tests {
+    use dpges_core::camera::CameraFromWorld;
+    use glam::DVec3;
+    use rand::SeedableRng;
+
+    use super::*;
+    use crate::dataset::{Format, Picture, PointCloud, View};
+
+    const SIZE: usize = 40;
+
+    /// Cameras on a ring around the origin; where `alpha` is given it is that of a disc of 12 px radius.
+    fn dataset(views: usize, alpha: bool, points: Vec<[f32; 3]>) -> Dataset {
+        let view = |i: usize| {
+            let turn = i as f64 / views as f64 * std::f64::consts::TAU;
+            let eye = 4.0 * DVec3::new(turn.cos(), turn.sin(), 0.5 * (3.0 * turn).sin());
+            let camera_from_world = CameraFromWorld::look_at(eye, DVec3::ZERO, DVec3::Z);
+            let (f, c) = (50.0, SIZE as f64 / 2.0);
+            let camera =
+                Camera { camera_from_world, fx: f, fy: f, cx: c, cy: c, width: SIZE, height: SIZE, near: 0.01 };
+            let radius = |pixel: usize| ((pixel % SIZE) as f64 + 0.5 - c).hypot((pixel / SIZE) as f64 + 0.5 - c);
+            let disc = (0..SIZE * SIZE).map(|pixel| f32::from(u8::from(radius(pixel) < 12.0))).collect();
+            let picture = Picture {
+                width: SIZE,
+                height: SIZE,
+                planes: vec![0.25; 3 * SIZE * SIZE],
+                alpha: alpha.then_some(disc),
+            };
+            View { name: i.to_string(), camera, picture }
+        };
+        let colours = vec![[0.75; 3]; points.len()];
+        Dataset {
+            train: (0..views).map(view).collect(),
+            test: vec![],
+            points: PointCloud { positions: points, colours, seen_by: vec![] },
+            offset: DVec3::ZERO,
+            extent: 4.4,
+            background: [0.0; 3],
+            format: Format::Builtin,
+            near: 0.01,
+        }
+    }
+
+    fn start(dataset: &Dataset, method: InitMethod) -> Result<InitialScene, InitError> {
+        let mut config = Config::default();
+        config.init.method = method;
+        config.init.hull_resolution = 24;
+        config.init.random_gaussians = 300;
+        initialise(dataset, &config, &mut ChaCha8Rng::seed_from_u64(4))
+    }
+
+    #[test]
+    fn auto_takes_the_best_there_is() {
+        let points = start(&dataset(6, true, vec![[0.0; 3], [1.0, 0.0, 0.0]]), InitMethod::Auto).unwrap();
+        assert_eq!((points.surfels.len(), points.gaussians.len()), (2, 2));
+        let hull = start(&dataset(20, true, vec![]), InitMethod::Auto).unwrap();
+        assert!(hull.surfels.len() > 100 && hull.surfels.len() == hull.gaussians.len());
+        assert!(hull.surfels.margins.iter().all(|&margin| margin > 0.0));
+        let random = start(&dataset(6, false, vec![[f32::NAN; 3]]), InitMethod::Auto).unwrap();
+        assert_eq!((random.surfels.len(), random.gaussians.len()), (0, 300));
+        assert!(random.gaussians.positions.iter().all(|x| x.abs() < 4.4));
+    }
+
+    #[test]
+    fn what_a_method_lacks_is_said() {
+        let bare = dataset(6, false, vec![]);
+        assert!(matches!(start(&bare, InitMethod::Sfm), Err(InitError::NoPoints)));
+        assert!(matches!(start(&bare, InitMethod::Silhouette), Err(InitError::NoSilhouettes)));
+        assert!(matches!(start(&dataset(0, false, vec![]), InitMethod::Auto), Err(InitError::NoViews)));
+        let mut empty = dataset(6, true, vec![]);
+        empty.train.iter_mut().for_each(|view| view.picture.alpha.as_mut().unwrap().fill(0.0));
+        assert!(matches!(start(&empty, InitMethod::Silhouette), Err(InitError::EmptyHull)));
+        assert_eq!(start(&empty, InitMethod::Auto).unwrap().surfels.len(), 0);
+    }
+
+    #[test]
+    fn the_same_seed_gives_the_same_scene_within_the_budget() {
+        let cloud = (0..200).map(|i| [(i as f32).sin(), (i as f32 * 1.7).cos(), i as f32 * 0.01]).collect();
+        let dataset = dataset(6, false, cloud);
+        let mut config = Config::default();
+        config.refine.budget = 100;
+        let start = |seed| initialise(&dataset, &config, &mut ChaCha8Rng::seed_from_u64(seed)).unwrap();
+        assert_eq!(start(1), start(1));
+        assert_ne!(start(1), start(2));
+        assert_eq!((start(1).surfels.len(), start(1).gaussians.len()), (30, 30));
+        let finite = |values: &[f32]| values.iter().all(|x| x.is_finite());
+        let InitialScene { surfels, gaussians } = start(3);
+        assert!(finite(&surfels.log_scales) && finite(&surfels.quaternions) && finite(&gaussians.log_scales));
+    }
+}

@@ -1,0 +1,242 @@
+//! From points on surfaces to surfels and Gaussians.
+
+use std::f32::consts::{PI, TAU};
+
+use dpges_core::scene::{ColourData, ColourModel, GaussianData, SH_C0, SurfelData};
+use glam::{DQuat, DVec3};
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+
+use crate::config::Config;
+use crate::neighbours::nearest;
+
+/// 3DGS: mean squared distances are at least this, world units².
+const MIN_SQUARED_SPACING: f32 = 1e-7;
+/// Raw colour of a lobe nobody notices: an amplitude of 0.017 (DP-GES 7.4 q).
+const FAINT_LOBE: f32 = -0.3;
+/// Scale of a primitive that has no neighbour, as a fraction of the extent.
+const LONE_SCALE: f64 = 0.01;
+
+/// Points with the outward normals of the surfaces they lie on.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct OrientedPoints {
+    /// World units.
+    pub positions: Vec<[f32; 3]>,
+    /// Red, green, blue from 0 to 1.
+    pub colours: Vec<[f32; 3]>,
+    /// Unit vectors.
+    pub normals: Vec<DVec3>,
+}
+
+impl OrientedPoints {
+    pub fn len(&self) -> usize {
+        self.positions.len()
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.positions.is_empty()
+    }
+
+    /// Leaves at most `count` points, drawn at random, in their order.
+    pub fn thin_out(&mut self, count: usize, rng: &mut ChaCha8Rng) {
+        let rows = draw_rows(self.len(), count, rng);
+        self.positions = rows.iter().map(|&row| self.positions[row]).collect();
+        self.colours = rows.iter().map(|&row| self.colours[row]).collect();
+        self.normals = rows.iter().map(|&row| self.normals[row]).collect();
+    }
+}
+
+/// At most `count` of `total` rows, each as likely as the others, ascending.
+pub fn draw_rows(total: usize, count: usize, rng: &mut ChaCha8Rng) -> Vec<usize> {
+    let mut rows: Vec<usize> = (0..total).collect();
+    if count < total {
+        for at in 0..count {
+            rows.swap(at, rng.random_range(at..total));
+        }
+        rows.truncate(count);
+        rows.sort_unstable();
+    }
+    rows
+}
+
+/// What `[init]` says about primitives, for a scene of a given extent.
+#[derive(Clone, Copy, Debug)]
+pub struct Placement {
+    pub model: ColourModel,
+    pub surfel_scale: f64,
+    pub gaussian_scale: f64,
+    pub gaussian_opacity: f64,
+    /// World units.
+    pub max_scale: f64,
+    /// Multiple of the median scale.
+    pub max_scale_median: f64,
+    /// World units, before the factors above.
+    pub lone_scale: f64,
+}
+
+impl Placement {
+    /// `extent` in world units; 0 limits no scale.
+    pub fn new(config: &Config, extent: f64) -> Self {
+        let init = &config.init;
+        let known = extent > 0.0;
+        Self {
+            model: config.model.colour,
+            surfel_scale: init.surfel_scale,
+            gaussian_scale: init.gaussian_scale,
+            gaussian_opacity: init.gaussian_opacity,
+            max_scale: if known { init.max_scale_extent * extent } else { f64::MAX },
+            max_scale_median: init.max_scale_median,
+            lone_scale: LONE_SCALE * if known { extent } else { 1.0 },
+        }
+    }
+
+    /// Logarithms of `factor` × the spacing of `positions`, within the limits.
+    fn log_scales(&self, positions: &[[f32; 3]], factor: f64) -> Vec<f32> {
+        let spacing = spacing(positions);
+        let mut scales: Vec<f64> = spacing.iter().map(|s| factor * s.map_or(self.lone_scale, f64::from)).collect();
+        let mut sorted = scales.clone();
+        sorted.sort_by(f64::total_cmp);
+        let median = sorted.get(sorted.len() / 2).copied().unwrap_or(1.0);
+        let limit = self.max_scale.min(self.max_scale_median * median);
+        scales.iter_mut().for_each(|scale| *scale = scale.min(limit));
+        scales.into_iter().map(|scale| scale.ln() as f32).collect()
+    }
+}
+
+/// Root of the mean squared distance to the 3 nearest other points, world units, at least 3.2e-4
+/// (3DGS); `None` for a point alone.
+pub fn spacing(positions: &[[f32; 3]]) -> Vec<Option<f32>> {
+    let mean = |near: &Vec<(u32, f32)>| near.iter().map(|&(_, d)| d).sum::<f32>() / near.len() as f32;
+    let spacing = |near: Vec<(u32, f32)>| (!near.is_empty()).then(|| mean(&near).max(MIN_SQUARED_SPACING).sqrt());
+    nearest(positions, 3).into_iter().map(spacing).collect()
+}
+
+/// A disc at every point, facing along its normal, as wide as the spacing of the points. Margins
+/// are zero.
+pub fn surfels(points: &OrientedPoints, placement: &Placement, rng: &mut ChaCha8Rng) -> SurfelData {
+    let log_scales = placement.log_scales(&points.positions, placement.surfel_scale);
+    SurfelData {
+        positions: points.positions.as_flattened().to_vec(),
+        quaternions: points.normals.iter().flat_map(|&normal| facing(normal)).collect(),
+        log_scales: log_scales.into_iter().flat_map(|s| [s; 2]).collect(),
+        colour: colour(points, placement.model, rng),
+        margins: vec![0.0; points.len()],
+    }
+}
+
+/// A faint ball at every point.
+pub fn gaussians(points: &OrientedPoints, placement: &Placement, rng: &mut ChaCha8Rng) -> GaussianData {
+    let log_scales = placement.log_scales(&points.positions, placement.gaussian_scale);
+    GaussianData {
+        positions: points.positions.as_flattened().to_vec(),
+        quaternions: [1.0, 0.0, 0.0, 0.0].repeat(points.len()),
+        log_scales: log_scales.into_iter().flat_map(|s| [s; 3]).collect(),
+        opacities: vec![placement.gaussian_opacity as f32; points.len()],
+        colour: colour(points, placement.model, rng),
+    }
+}
+
+/// Quaternion (w, x, y, z) of a rotation whose third column is `normal`, a unit vector.
+pub fn facing(normal: DVec3) -> [f32; 4] {
+    let q = DQuat::from_rotation_arc(DVec3::Z, normal);
+    [q.w, q.x, q.y, q.z].map(|x| x as f32)
+}
+
+fn colour(points: &OrientedPoints, model: ColourModel, rng: &mut ChaCha8Rng) -> ColourData {
+    let base = points.colours.as_flattened().iter().map(|&c| ((f64::from(c) - 0.5) / SH_C0) as f32).collect();
+    ColourData { base, detail: faint_detail(model, points.len(), rng) }
+}
+
+/// Raw detail of `count` primitives whose colour does not depend on the direction yet: lobes of
+/// amplitude 0.017 in random directions (θ from 0 to π, φ from 0 to 2π, β = 0), harmonics of 0.
+pub fn faint_detail(model: ColourModel, count: usize, rng: &mut ChaCha8Rng) -> Vec<f32> {
+    match model {
+        ColourModel::SphericalHarmonics { .. } => vec![0.0; count * model.detail_len()],
+        ColourModel::SphericalBeta { lobes } => (0..count * lobes)
+            .flat_map(|_| {
+                let (theta, phi) = (PI * rng.random::<f32>(), TAU * rng.random::<f32>());
+                [FAINT_LOBE, FAINT_LOBE, FAINT_LOBE, theta, phi, 0.0]
+            })
+            .collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+
+    use super::*;
+
+    fn rng() -> ChaCha8Rng {
+        ChaCha8Rng::seed_from_u64(8)
+    }
+
+    fn points(positions: &[[f32; 3]]) -> OrientedPoints {
+        let n = positions.len();
+        OrientedPoints { positions: positions.to_vec(), colours: vec![[0.5, 1.0, 0.0]; n], normals: vec![DVec3::X; n] }
+    }
+
+    #[test]
+    fn spacing_is_the_root_of_the_mean_square_of_three_distances() {
+        let positions = [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0], [9.0, 9.0, 9.0]];
+        assert_eq!(spacing(&positions)[0], Some((14f32 / 3.0).sqrt()));
+        assert_eq!(spacing(&positions[..1]), [None]);
+        assert_eq!(spacing(&positions[..2]), [Some(1.0); 2]);
+        assert_eq!(spacing(&[[1.0; 3]; 2]), [Some(1e-7f32.sqrt()); 2]);
+        assert!(spacing(&[]).is_empty());
+    }
+
+    #[test]
+    fn the_third_column_is_the_normal_in_every_direction() {
+        let directions = [DVec3::X, DVec3::NEG_Y, DVec3::Z, DVec3::NEG_Z, DVec3::new(0.1, -0.7, -0.9).normalize()];
+        for normal in directions {
+            let [w, x, y, z] = facing(normal).map(f64::from);
+            let turned = DQuat::from_xyzw(x, y, z, w) * DVec3::Z;
+            assert!((turned - normal).length() < 1e-6, "{normal}");
+        }
+    }
+
+    #[test]
+    fn outliers_are_capped_by_the_median_and_by_the_extent() {
+        let mut positions: Vec<[f32; 3]> = (0..20).map(|i| [i as f32 * 0.1, 0.0, 0.0]).collect();
+        positions.push([500.0, 0.0, 0.0]);
+        let placement = Placement::new(&Config::default(), 1000.0);
+        let scales = placement.log_scales(&positions, 1.0);
+        let median = f64::from(spacing(&positions)[10].unwrap());
+        assert!((f64::from(scales[20]).exp() / median - 10.0).abs() < 1e-3, "{}", scales[20].exp());
+        let placement = Placement::new(&Config::default(), 1.0);
+        assert!(placement.log_scales(&positions, 1.0).iter().all(|s| s.exp() <= 0.0601));
+    }
+
+    #[test]
+    fn primitives_have_the_colour_of_their_point_and_faint_lobes() {
+        let cloud = points(&[[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]);
+        let placement = Placement::new(&Config::default(), 100.0);
+        let surfels = surfels(&cloud, &placement, &mut rng());
+        let gaussians = gaussians(&cloud, &placement, &mut rng());
+        let rgb: Vec<f64> = surfels.colour.base[..3].iter().map(|&k| 0.5 + SH_C0 * f64::from(k)).collect();
+        assert!(rgb.iter().zip([0.5, 1.0, 0.0]).all(|(a, b)| (a - b).abs() < 1e-6));
+        assert_eq!(surfels.colour.detail.len(), 3 * 12);
+        for lobe in surfels.colour.detail.chunks(6) {
+            assert!(
+                lobe[..3] == [-0.3; 3]
+                    && (0.0..PI).contains(&lobe[3])
+                    && (0.0..TAU).contains(&lobe[4])
+                    && lobe[5] == 0.0
+            );
+        }
+        assert!((surfels.log_scales[0].exp() - 1.0).abs() < 1e-6);
+        assert!((gaussians.log_scales[0].exp() - 0.5).abs() < 1e-6);
+        assert_eq!((gaussians.len(), gaussians.opacities[0], gaussians.quaternions[0]), (3, 0.1, 1.0));
+    }
+
+    #[test]
+    fn thinning_out_draws_without_replacement_and_keeps_the_order() {
+        let mut cloud = points(&(0..50).map(|i| [i as f32, 0.0, 0.0]).collect::<Vec<_>>());
+        cloud.thin_out(20, &mut rng());
+        assert_eq!((cloud.len(), cloud.colours.len(), cloud.normals.len()), (20, 20, 20));
+        assert!(cloud.positions.windows(2).all(|pair| pair[0][0] < pair[1][0]));
+        cloud.thin_out(100, &mut rng());
+        assert_eq!(cloud.len(), 20);
+    }
+}

@@ -1,0 +1,114 @@
+//! The part of the world that a set of cameras looks at.
+
+use dpges_core::camera::Camera;
+use glam::{DMat3, DVec3};
+
+/// How much further than the sphere a typical camera sees whole the region reaches.
+const SLACK: f64 = 1.1;
+
+/// A box along the axes of the world, world units.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Region {
+    pub low: DVec3,
+    pub high: DVec3,
+}
+
+impl Region {
+    /// Lengths of the sides, world units.
+    pub fn size(&self) -> DVec3 {
+        self.high - self.low
+    }
+
+    /// A cube around the point nearest to all optical axes, that holds the sphere the median camera
+    /// sees whole. Cameras that look away from each other get the cube around their mean that reaches
+    /// `extent` (world units) to each side.
+    pub fn in_sight(cameras: &[&Camera], extent: f64) -> Self {
+        let mean = cameras.iter().map(|camera| camera.centre()).sum::<DVec3>() / cameras.len().max(1) as f64;
+        let focus = nearest_to_axes(cameras, mean, extent);
+        let ahead = |camera: &Camera| (focus - camera.centre()).dot(forward(camera));
+        let mut radii: Vec<f64> = cameras.iter().map(|camera| ahead(camera) * narrowest_sine(camera)).collect();
+        radii.sort_by(f64::total_cmp);
+        match radii.get(radii.len() / 2) {
+            Some(&radius) if radius > 0.0 => Self::cube(focus, SLACK * radius.max(0.1 * extent)),
+            _ => Self::cube(mean, extent.max(1e-3)),
+        }
+    }
+
+    fn cube(centre: DVec3, half_side: f64) -> Self {
+        Self { low: centre - half_side, high: centre + half_side }
+    }
+}
+
+/// Least squares; where the axes are parallel, the point about `extent` ahead of `mean`.
+fn nearest_to_axes(cameras: &[&Camera], mean: DVec3, extent: f64) -> DVec3 {
+    const PULL: f64 = 1e-4;
+    let looking = cameras.iter().map(|camera| forward(camera)).sum::<DVec3>().try_normalize().unwrap_or(DVec3::ZERO);
+    let ahead = mean + looking * extent.max(1e-3);
+    let weight = PULL * cameras.len().max(1) as f64;
+    let (mut matrix, mut right) = (DMat3::IDENTITY * weight, ahead * weight);
+    for camera in cameras {
+        let d = forward(camera);
+        let across = DMat3::IDENTITY - DMat3::from_cols(d * d.x, d * d.y, d * d.z);
+        matrix += across;
+        right += across * camera.centre();
+    }
+    matrix.inverse() * right
+}
+
+fn forward(camera: &Camera) -> DVec3 {
+    camera.camera_from_world.rotation.row(2)
+}
+
+/// Sine of the smallest angle between the optical axis and an edge of the picture.
+fn narrowest_sine(camera: &Camera) -> f64 {
+    let across = camera.cx.min(camera.width as f64 - camera.cx) / camera.fx;
+    let along = camera.cy.min(camera.height as f64 - camera.cy) / camera.fy;
+    let tangent = across.min(along).max(1e-3);
+    tangent / (1.0 + tangent * tangent).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use dpges_core::camera::CameraFromWorld;
+
+    use super::*;
+
+    fn camera(eye: DVec3, target: DVec3) -> Camera {
+        let camera_from_world = CameraFromWorld::look_at(eye, target, DVec3::Z);
+        Camera { camera_from_world, fx: 1111.0, fy: 1111.0, cx: 400.0, cy: 400.0, width: 800, height: 800, near: 0.01 }
+    }
+
+    fn around(middle: DVec3) -> Vec<Camera> {
+        (0..12)
+            .map(|i| {
+                let angle = i as f64 / 12.0 * std::f64::consts::TAU;
+                let height = 0.4 * (i % 3) as f64;
+                camera(middle + 4.0 * DVec3::new(angle.cos(), angle.sin(), height), middle)
+            })
+            .collect()
+    }
+
+    #[test]
+    fn cameras_on_a_ring_see_the_middle() {
+        let middle = DVec3::new(1.0, -2.0, 5.0);
+        let cameras = around(middle);
+        let region = Region::in_sight(&cameras.iter().collect::<Vec<_>>(), 4.4);
+        let centre = (region.low + region.high) / 2.0;
+        assert!(centre.distance(middle) < 0.01, "{region:?}");
+        assert!((1.3..1.8).contains(&(region.size().x / 2.0)), "{region:?}");
+    }
+
+    #[test]
+    fn parallel_lone_and_diverging_cameras_have_a_region_too() {
+        let lone = camera(DVec3::ZERO, DVec3::X);
+        let region = Region::in_sight(&[&lone], 2.0);
+        assert!(((region.low + region.high) / 2.0).distance(2.0 * DVec3::X) < 1e-6);
+        let wall: Vec<Camera> = (0..4).map(|i| camera(DVec3::Y * i as f64, DVec3::new(9.0, i as f64, 0.0))).collect();
+        let region = Region::in_sight(&wall.iter().collect::<Vec<_>>(), 3.0);
+        assert!(region.low.is_finite() && region.size().min_element() > 0.0 && region.high.x > 1.0);
+        let outwards: Vec<Camera> =
+            around(DVec3::ZERO).iter().map(|inwards| camera(inwards.centre(), 2.0 * inwards.centre())).collect();
+        let region = Region::in_sight(&outwards.iter().collect::<Vec<_>>(), 4.4);
+        assert!((region.size().x - 8.8).abs() < 1e-9);
+    }
+}

@@ -1,0 +1,151 @@
+//! Points of structure from motion as a start: their neighbours give the normal, the cameras that
+//! saw them the side it points to.
+
+use std::collections::HashMap;
+
+use glam::{DMat3, DVec3};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+
+use super::eigen::symmetric_eigen;
+use super::placement::{OrientedPoints, draw_rows};
+use crate::dataset::PointCloud;
+use crate::neighbours::{Neighbour, nearest};
+
+/// Neighbours that vote on a normal.
+const NEIGHBOURS: usize = 16;
+/// Below this ratio of the middle to the largest eigenvalue, points lie on a line that has no normal.
+const LINE: f64 = 1e-6;
+
+/// At most `max_points` finite points at distinct positions, drawn at random, in their order.
+/// Points at the same place become the first of them, seen by all that saw one.
+pub fn usable_points(points: &PointCloud, max_points: usize, rng: &mut ChaCha8Rng) -> PointCloud {
+    let mut row_at: HashMap<[u32; 3], usize> = HashMap::with_capacity(points.positions.len());
+    let mut usable = PointCloud::default();
+    for (row, (position, colour)) in points.positions.iter().zip(&points.colours).enumerate() {
+        if !position.iter().chain(colour).all(|x| x.is_finite()) {
+            continue;
+        }
+        let seen_by = points.seen_by.get(row).map(Vec::as_slice).unwrap_or_default();
+        let new_row = usable.positions.len();
+        // Adding zero turns -0 into 0, so that equal points have equal bits.
+        match *row_at.entry(position.map(|x| (x + 0.0).to_bits())).or_insert(new_row) {
+            at if at == new_row => {
+                usable.positions.push(*position);
+                usable.colours.push(colour.map(|c| c.clamp(0.0, 1.0)));
+                usable.seen_by.push(seen_by.to_vec());
+            }
+            at => {
+                let all = &mut usable.seen_by[at];
+                all.extend(seen_by);
+                all.sort_unstable();
+                all.dedup();
+            }
+        }
+    }
+    let rows = draw_rows(usable.positions.len(), max_points, rng);
+    PointCloud {
+        positions: rows.iter().map(|&row| usable.positions[row]).collect(),
+        colours: rows.iter().map(|&row| usable.colours[row]).collect(),
+        seen_by: rows.iter().map(|&row| std::mem::take(&mut usable.seen_by[row])).collect(),
+    }
+}
+
+/// Gives every point the normal of the plane through its 16 nearest neighbours, turned towards the
+/// mean of the `camera_centres` (world units) that saw it, of all where that is unknown. Points that
+/// span no plane look at that mean.
+pub fn orient(points: PointCloud, camera_centres: &[DVec3]) -> OrientedPoints {
+    let all: Vec<u32> = (0..camera_centres.len() as u32).collect();
+    let normal = |(row, around): (usize, &Vec<Neighbour>)| {
+        let known = points.seen_by.get(row).filter(|seen| !seen.is_empty()).unwrap_or(&all);
+        let centres = known.iter().filter_map(|&view| camera_centres.get(view as usize));
+        let (sum, count) = centres.fold((DVec3::ZERO, 0), |(sum, count), centre| (sum + *centre, count + 1));
+        let towards = sum / f64::from(count.max(1)) - point(points.positions[row]);
+        match plane_normal(&points.positions, row, around) {
+            Some(normal) if normal.dot(towards) < 0.0 => -normal,
+            Some(normal) => normal,
+            None => towards.try_normalize().unwrap_or(DVec3::Z),
+        }
+    };
+    let around = nearest(&points.positions, NEIGHBOURS);
+    let normals = around.par_iter().enumerate().map(normal).collect();
+    OrientedPoints { positions: points.positions, colours: points.colours, normals }
+}
+
+/// Direction in which a point and its neighbours spread least.
+fn plane_normal(positions: &[[f32; 3]], row: usize, around: &[Neighbour]) -> Option<DVec3> {
+    let patch = || around.iter().map(|&(row, _)| row as usize).chain([row]).map(|row| point(positions[row]));
+    let mean = patch().sum::<DVec3>() / (around.len() + 1) as f64;
+    let outer = |d: DVec3| DMat3::from_cols(d * d.x, d * d.y, d * d.z);
+    let covariance = patch().fold(DMat3::ZERO, |sum, p| sum + outer(p - mean));
+    let [(_, smallest), (middle, _), (largest, _)] = symmetric_eigen(covariance);
+    (middle > LINE * largest).then_some(smallest)
+}
+
+fn point(position: [f32; 3]) -> DVec3 {
+    DVec3::from_array(position.map(f64::from))
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+
+    use super::*;
+
+    fn rng() -> ChaCha8Rng {
+        ChaCha8Rng::seed_from_u64(2)
+    }
+
+    fn cloud(positions: Vec<[f32; 3]>) -> PointCloud {
+        let n = positions.len();
+        PointCloud { positions, colours: vec![[0.5; 3]; n], seen_by: vec![] }
+    }
+
+    #[test]
+    fn points_on_a_sphere_look_outwards_to_the_camera_that_saw_them() {
+        let mut rng = rng();
+        let mut draw = || loop {
+            let p = DVec3::from_array([0; 3].map(|_| rng.random::<f64>() * 2.0 - 1.0));
+            if (0.1..1.0).contains(&p.length()) {
+                return p.normalize();
+            }
+        };
+        let on_sphere: Vec<DVec3> = (0..4000).map(|_| draw()).collect();
+        let centres = [4.0 * DVec3::X, -4.0 * DVec3::X];
+        let mut points = cloud(on_sphere.iter().map(|p| p.as_vec3().to_array()).collect());
+        points.seen_by = on_sphere.iter().map(|p| vec![u32::from(p.x < 0.0)]).collect();
+        let oriented = orient(points, &centres);
+        let facing_camera = on_sphere.iter().zip(&oriented.normals).filter(|(p, _)| p.x.abs() > 0.4);
+        assert!(facing_camera.clone().count() > 1000);
+        assert!(facing_camera.clone().all(|(p, normal)| p.dot(*normal) > 0.9));
+    }
+
+    #[test]
+    fn few_points_and_lines_look_at_the_cameras() {
+        let eye = DVec3::new(0.0, 5.0, 0.0);
+        for count in 1..=20 {
+            let oriented = orient(cloud((0..count).map(|i| [0.0, 0.0, i as f32]).collect()), &[eye]);
+            assert_eq!(oriented.len(), count);
+            for (position, normal) in oriented.positions.iter().zip(&oriented.normals) {
+                assert!((*normal - (eye - point(*position)).normalize()).length() < 1e-9, "{count}");
+            }
+        }
+        let triangle = cloud(vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]);
+        assert!(orient(triangle, &[eye]).normals.iter().all(|normal| normal.distance(DVec3::Y) < 1e-9));
+        assert_eq!(orient(cloud(vec![[0.0; 3]]), &[]).normals, [DVec3::Z]);
+        assert!(orient(cloud(vec![]), &[eye]).is_empty());
+    }
+
+    #[test]
+    fn unusable_points_are_left_out_and_twins_become_one() {
+        let mut points = cloud(vec![[0.0; 3], [f32::NAN, 0.0, 0.0], [1.0; 3], [-0.0; 3], [f32::INFINITY; 3], [2.0; 3]]);
+        points.seen_by = vec![vec![3], vec![], vec![1], vec![0, 3], vec![], vec![]];
+        points.colours[2] = [2.0, -1.0, 0.5];
+        points.colours[5] = [f32::NAN; 3];
+        let usable = usable_points(&points, 100, &mut rng());
+        assert_eq!(usable.positions, [[0.0; 3], [1.0; 3]]);
+        assert_eq!(usable.seen_by, [vec![0, 3], vec![1]]);
+        assert_eq!(usable.colours[1], [1.0, 0.0, 0.5]);
+        assert_eq!(usable_points(&points, 1, &mut rng()).positions.len(), 1);
+    }
+}

@@ -1,0 +1,299 @@
+//! The visual hull of pictures with alpha as a start: what lies inside every silhouette, its
+//! surface, and the colours the nearest unobstructed views give it.
+
+use dpges_core::camera::Camera;
+use glam::{DVec3, IVec3};
+use rayon::prelude::*;
+
+use super::placement::OrientedPoints;
+use super::region::Region;
+
+/// Alpha at or below this is outside.
+pub const INSIDE: f32 = 0.5;
+/// Alpha above this shows nothing of the background.
+const OPAQUE: f32 = 0.9;
+/// Views that vote on a colour.
+const VOTERS: usize = 5;
+/// Voxels a point may lie behind what hides it and still count as seen.
+const HIDDEN_BEHIND: f64 = 2.5;
+
+/// One picture of known alpha.
+#[derive(Clone, Copy, Debug)]
+pub struct Silhouette<'a> {
+    /// Of the picture's resolution, H × W.
+    pub camera: &'a Camera,
+    /// [H × W]
+    pub alpha: &'a [f32],
+    /// [3 × H × W]
+    pub planes: &'a [f32],
+}
+
+impl Silhouette<'_> {
+    /// Pixel that sees a world point, and the point's depth.
+    fn pixel(&self, world: DVec3) -> Option<(usize, f64)> {
+        let (x, y, depth) = self.camera.project(world)?;
+        let inside = x >= 0.0 && y >= 0.0 && x < self.camera.width as f64 && y < self.camera.height as f64;
+        inside.then(|| (y as usize * self.camera.width + x as usize, depth))
+    }
+
+    fn colour(&self, pixel: usize) -> [f32; 3] {
+        let plane = self.camera.width * self.camera.height;
+        [0, 1, 2].map(|channel| self.planes[channel * plane + pixel])
+    }
+}
+
+/// Cubes, or nearly so, that fill a region: `sides` of them along each axis.
+struct Grid {
+    region: Region,
+    sides: usize,
+}
+
+impl Grid {
+    fn step(&self) -> DVec3 {
+        self.region.size() / self.sides as f64
+    }
+
+    fn len(&self) -> usize {
+        self.sides.pow(3)
+    }
+
+    fn voxel(&self, index: usize) -> IVec3 {
+        let n = self.sides;
+        IVec3::new((index % n) as i32, (index / n % n) as i32, (index / (n * n)) as i32)
+    }
+
+    fn index(&self, voxel: IVec3) -> Option<usize> {
+        let n = self.sides as i32;
+        let inside = voxel.min_element() >= 0 && voxel.max_element() < n;
+        inside.then(|| (voxel.x + n * (voxel.y + n * voxel.z)) as usize)
+    }
+
+    fn centre(&self, voxel: IVec3) -> DVec3 {
+        self.region.low + self.step() * (voxel.as_dvec3() + 0.5)
+    }
+}
+
+/// Points on the surface of the hull inside `region`, one per boundary voxel of a grid with
+/// `resolution` voxels along each side, which is first fitted to what is occupied. A voxel is
+/// occupied if at least half of the views show its centre and at most `tolerance` of those show it
+/// outside their silhouette. Empty if the silhouettes have no volume in common.
+pub fn hull_points(silhouettes: &[Silhouette], region: Region, resolution: usize, tolerance: f64) -> OrientedPoints {
+    let coarse = Grid { region, sides: resolution.div_ceil(2) };
+    let region = occupied_region(&coarse, &carve(&coarse, silhouettes, tolerance)).unwrap_or(region);
+    let grid = Grid { region, sides: resolution };
+    let occupied = carve(&grid, silhouettes, tolerance);
+
+    let is_occupied = |voxel: IVec3| grid.index(voxel).is_some_and(|index| occupied[index]);
+    let on_surface = |&index: &usize| {
+        let voxel = grid.voxel(index);
+        occupied[index] && IVec3::AXES.iter().any(|&axis| !is_occupied(voxel + axis) || !is_occupied(voxel - axis))
+    };
+    let surface: Vec<usize> = (0..grid.len()).into_par_iter().filter(on_surface).collect();
+    let points: Vec<DVec3> = surface.iter().map(|&index| grid.centre(grid.voxel(index))).collect();
+    let normals: Vec<DVec3> = surface.par_iter().map(|&index| outwards(grid.voxel(index), is_occupied)).collect();
+    let colours = colours(silhouettes, &points, &normals, grid.step().max_element());
+    OrientedPoints { positions: points.iter().map(|p| p.as_vec3().to_array()).collect(), colours, normals }
+}
+
+fn carve(grid: &Grid, silhouettes: &[Silhouette], tolerance: f64) -> Vec<bool> {
+    let most_misses = tolerance * silhouettes.len() as f64;
+    let occupied = |index| {
+        let centre = grid.centre(grid.voxel(index));
+        let (mut seen, mut misses) = (0, 0);
+        for silhouette in silhouettes {
+            if let Some((pixel, _)) = silhouette.pixel(centre) {
+                seen += 1;
+                misses += usize::from(silhouette.alpha[pixel] <= INSIDE);
+                if misses as f64 > most_misses {
+                    return false;
+                }
+            }
+        }
+        seen > 0 && 2 * seen >= silhouettes.len() && misses as f64 <= tolerance * seen as f64
+    };
+    (0..grid.len()).into_par_iter().map(occupied).collect()
+}
+
+/// The box around the occupied voxels, with room for what the grid was too coarse to show.
+fn occupied_region(grid: &Grid, occupied: &[bool]) -> Option<Region> {
+    let corners = (0..grid.len()).filter(|&index| occupied[index]).map(|index| grid.voxel(index));
+    let (low, high) = corners.fold(None, |bounds: Option<(IVec3, IVec3)>, voxel| {
+        bounds.map_or(Some((voxel, voxel)), |(low, high)| Some((low.min(voxel), high.max(voxel))))
+    })?;
+    let side = (high - low).as_dvec3() + 1.0;
+    let room = grid.step() * 2.0;
+    let low = grid.region.low + grid.step() * low.as_dvec3();
+    let high = low + grid.step() * side;
+    Some(Region { low: (low - room).max(grid.region.low), high: (high + room).min(grid.region.high) })
+}
+
+/// Away from the occupied voxels around `voxel`: minus the gradient of the occupancy.
+fn outwards(voxel: IVec3, is_occupied: impl Fn(IVec3) -> bool) -> DVec3 {
+    let reach = || -2..=2;
+    let offsets = reach().flat_map(|x| reach().flat_map(move |y| reach().map(move |z| IVec3::new(x, y, z))));
+    let gradient: DVec3 = offsets
+        .filter(|&offset| offset != IVec3::ZERO && is_occupied(voxel + offset))
+        .map(|offset| offset.as_dvec3().normalize())
+        .sum();
+    (-gradient).try_normalize().unwrap_or(DVec3::Z)
+}
+
+/// Depth of the nearest point per cell of a view.
+struct DepthMap {
+    /// px
+    cell: f64,
+    columns: usize,
+    depths: Vec<f64>,
+}
+
+impl DepthMap {
+    /// Cells are about as large as a voxel of side `step` (world units) looks at the mean depth.
+    fn new(camera: &Camera, points: &[DVec3], step: f64) -> Self {
+        let seen: Vec<(f64, f64, f64)> = points.iter().filter_map(|&point| camera.project(point)).collect();
+        let mean_depth = seen.iter().map(|p| p.2).sum::<f64>() / seen.len().max(1) as f64;
+        let cell = (camera.fx.max(camera.fy) * step / mean_depth).clamp(1.0, 64.0);
+        let count = |size: usize| (size as f64 / cell).ceil() as usize;
+        let (columns, rows) = (count(camera.width), count(camera.height));
+        let mut map = Self { cell, columns, depths: vec![f64::INFINITY; columns * rows] };
+        for (x, y, depth) in seen {
+            let (left, top) = ((x / cell - 0.5).floor(), (y / cell - 0.5).floor());
+            for (column, row) in [(left, top), (left + 1.0, top), (left, top + 1.0), (left + 1.0, top + 1.0)] {
+                if (0.0..columns as f64).contains(&column) && (0.0..rows as f64).contains(&row) {
+                    let nearest = &mut map.depths[row as usize * columns + column as usize];
+                    *nearest = nearest.min(depth);
+                }
+            }
+        }
+        map
+    }
+
+    /// Of the nearest point around `pixel` of a picture `width` px wide.
+    fn at(&self, pixel: usize, width: usize) -> f64 {
+        let cell = |px: usize| (px as f64 / self.cell) as usize;
+        self.depths[cell(pixel / width) * self.columns + cell(pixel % width)]
+    }
+}
+
+/// Median colour over the views that see a point unobstructed and face it best; grey if none does.
+fn colours(silhouettes: &[Silhouette], points: &[DVec3], normals: &[DVec3], step: f64) -> Vec<[f32; 3]> {
+    let depths: Vec<DepthMap> =
+        silhouettes.par_iter().map(|silhouette| DepthMap::new(silhouette.camera, points, step)).collect();
+    let centres: Vec<DVec3> = silhouettes.iter().map(|silhouette| silhouette.camera.centre()).collect();
+    let colour = |(&point, &normal): (&DVec3, &DVec3)| {
+        let mut views: Vec<(bool, f64, [f32; 3])> = silhouettes
+            .iter()
+            .zip(&depths)
+            .zip(&centres)
+            .filter_map(|((silhouette, map), centre)| {
+                let facing = (*centre - point).normalize_or_zero().dot(normal);
+                let (pixel, depth) = silhouette.pixel(point).filter(|_| facing > 0.0)?;
+                let unobstructed = depth <= map.at(pixel, silhouette.camera.width) + HIDDEN_BEHIND * step;
+                let trusted = unobstructed && silhouette.alpha[pixel] > OPAQUE;
+                Some((trusted, facing, silhouette.colour(pixel)))
+            })
+            .collect();
+        views.sort_by(|a, b| b.0.cmp(&a.0).then(b.1.total_cmp(&a.1)));
+        let trusted = views.iter().filter(|view| view.0).count();
+        views.truncate(trusted.clamp(1, VOTERS));
+        [0, 1, 2].map(|channel| {
+            let mut values: Vec<f32> = views.iter().map(|view| view.2[channel]).collect();
+            values.sort_by(f32::total_cmp);
+            values.get(values.len() / 2).copied().unwrap_or(0.5)
+        })
+    };
+    points.par_iter().zip(normals).map(colour).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::TAU;
+
+    use dpges_core::camera::CameraFromWorld;
+
+    use super::*;
+
+    struct Photo {
+        camera: Camera,
+        alpha: Vec<f32>,
+        planes: Vec<f32>,
+    }
+
+    /// Pictures of a ball of radius 1: red where x > 0, else blue; white behind.
+    fn photos(count: usize) -> Vec<Photo> {
+        let photo = |i: usize| {
+            let (turn, height) = (i as f64 / count as f64 * TAU * 7.0, 0.9 - 1.8 * i as f64 / count as f64);
+            let eye = 4.0
+                * DVec3::new(
+                    turn.cos() * (1.0 - height * height).sqrt(),
+                    turn.sin() * (1.0 - height * height).sqrt(),
+                    height,
+                );
+            let camera_from_world = CameraFromWorld::look_at(eye, DVec3::ZERO, DVec3::Z);
+            let camera = Camera {
+                camera_from_world,
+                fx: 140.0,
+                fy: 140.0,
+                cx: 50.0,
+                cy: 50.0,
+                width: 100,
+                height: 100,
+                near: 0.01,
+            };
+            let mut photo = Photo { camera, alpha: vec![0.0; 10_000], planes: vec![1.0; 30_000] };
+            for pixel in 0..10_000 {
+                let ray =
+                    (camera.unproject((pixel % 100) as f64 + 0.5, (pixel / 100) as f64 + 0.5, 1.0) - eye).normalize();
+                let (b, c) = (eye.dot(ray), eye.length_squared() - 1.0);
+                if b * b >= c {
+                    let hit = eye + ray * (-b - (b * b - c).sqrt());
+                    photo.alpha[pixel] = 1.0;
+                    let colour = if hit.x > 0.0 { [1.0, 0.0, 0.0] } else { [0.0, 0.0, 1.0] };
+                    (0..3).for_each(|channel| photo.planes[channel * 10_000 + pixel] = colour[channel]);
+                }
+            }
+            photo
+        };
+        (0..count).map(photo).collect()
+    }
+
+    fn silhouettes(photos: &[Photo]) -> Vec<Silhouette<'_>> {
+        photos.iter().map(|p| Silhouette { camera: &p.camera, alpha: &p.alpha, planes: &p.planes }).collect()
+    }
+
+    fn region(photos: &[Photo]) -> Region {
+        Region::in_sight(&photos.iter().map(|photo| &photo.camera).collect::<Vec<_>>(), 4.4)
+    }
+
+    #[test]
+    fn the_hull_of_a_ball_is_a_ball() {
+        let photos = photos(60);
+        let hull = hull_points(&silhouettes(&photos), region(&photos), 48, 0.0);
+        assert!(hull.len() > 1500, "{}", hull.len());
+        let (mut well_coloured, mut coloured) = (0, 0);
+        for ((position, normal), colour) in hull.positions.iter().zip(&hull.normals).zip(&hull.colours) {
+            let p = DVec3::from_array(position.map(f64::from));
+            assert!((0.85..1.1).contains(&p.length()), "{p}");
+            assert!(normal.dot(p.normalize()) > 0.8, "{p} {normal}");
+            if p.x.abs() > 0.1 {
+                coloured += 1;
+                well_coloured += usize::from(*colour == if p.x > 0.0 { [1.0, 0.0, 0.0] } else { [0.0, 0.0, 1.0] });
+            }
+        }
+        assert!(well_coloured as f64 > 0.99 * coloured as f64, "{well_coloured} of {coloured}");
+    }
+
+    #[test]
+    fn one_wrong_mask_in_sixty_is_tolerated() {
+        let mut photos = photos(60);
+        photos[7].alpha.fill(0.0);
+        assert!(hull_points(&silhouettes(&photos), region(&photos), 32, 0.0).is_empty());
+        assert!(hull_points(&silhouettes(&photos), region(&photos), 32, 0.02).len() > 500);
+    }
+
+    #[test]
+    fn disjoint_silhouettes_have_no_hull() {
+        let mut photos = photos(4);
+        photos.iter_mut().for_each(|photo| photo.alpha.fill(0.0));
+        assert!(hull_points(&silhouettes(&photos), region(&photos), 16, 0.0).is_empty());
+    }
+}

@@ -1,0 +1,152 @@
+//! `metrics.jsonl`: one JSON object per line, appended while a run goes on.
+//!
+//! `{"kind":"step","step":…}` with losses, PSNR (dB) and counts of single training steps, and
+//! `{"kind":"evaluation","step":…}` with the means over the held-out views. `seconds` is the time trained so far.
+
+use std::fs::{File, OpenOptions};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use dpges_core::atomic::write_atomically;
+use dpges_core::{Error, Result};
+use serde_json::{Value, json};
+
+use crate::eval::Evaluation;
+use crate::trainer::StepReport;
+
+/// Open for appending; every line is handed to the system at once.
+#[derive(Debug)]
+pub struct MetricsLog {
+    file: File,
+    path: PathBuf,
+    seconds_before: f64,
+}
+
+impl MetricsLog {
+    /// An empty log, in place of any other.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn create(path: &Path) -> Result<Self> {
+        write_atomically(path, |_| Ok(()))?;
+        Self::open(path, 0.0)
+    }
+
+    /// The log of a run that goes on after step `completed_steps`. Lines of later steps are dropped, as is a line
+    /// that was never finished, and the evaluation after `completed_steps` if it `evaluates_again`: they all come
+    /// again. A log that is missing starts anew.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn resume(path: &Path, completed_steps: usize, evaluates_again: bool) -> Result<Self> {
+        let text = match std::fs::read_to_string(path) {
+            Ok(text) => text,
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => String::new(),
+            Err(source) => return Err(Error::Io { action: "cannot read", path: path.to_owned(), source }),
+        };
+        let parsed = |line: &str| serde_json::from_str::<Value>(line).ok();
+        let stays = |line: &&str| {
+            let Some(line) = parsed(line) else { return false };
+            let Some(step) = line["step"].as_u64().map(|step| step as usize) else { return false };
+            let comes_again = evaluates_again && step == completed_steps && line["kind"] == "evaluation";
+            step <= completed_steps && !comes_again
+        };
+        let kept: Vec<&str> = text.lines().filter(stays).collect();
+        let seconds = kept.last().and_then(|line| parsed(line)?["seconds"].as_f64()).unwrap_or(0.0);
+        write_atomically(path, |file| kept.iter().try_for_each(|line| writeln!(file, "{line}")))?;
+        Self::open(path, seconds)
+    }
+
+    fn open(path: &Path, seconds_before: f64) -> Result<Self> {
+        let file = OpenOptions::new().append(true).open(path).map_err(|source| error(path, source))?;
+        Ok(Self { file, path: path.to_owned(), seconds_before })
+    }
+
+    /// Seconds that the run had taken before this log was opened.
+    pub fn seconds_before(&self) -> f64 {
+        self.seconds_before
+    }
+
+    /// `seconds` is the time of the whole run so far.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn step(&mut self, report: &StepReport, seconds: f64) -> Result<()> {
+        let mut line = json!({
+            "kind": "step", "step": report.step, "view": report.view, "loss": report.loss, "rgb": report.rgb,
+            "surfel": report.surfel, "scale": report.scale, "transmittance": report.transmittance,
+            "psnr": report.psnr, "surfels": report.surfels, "gaussians": report.gaussians, "seconds": seconds,
+        });
+        if !report.events.is_empty() {
+            line["events"] = json!(report.events);
+        }
+        self.append(&line)
+    }
+
+    /// `seconds` is the time of the whole run so far.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn evaluation(&mut self, step: usize, evaluation: &Evaluation, seconds: f64) -> Result<()> {
+        self.append(&json!({
+            "kind": "evaluation", "step": step, "psnr": evaluation.psnr, "ssim": evaluation.ssim,
+            "views": evaluation.views.len(), "surfels": evaluation.surfels, "gaussians": evaluation.gaussians,
+            "seconds_per_view": evaluation.seconds_per_view, "seconds": seconds,
+        }))
+    }
+
+    fn append(&mut self, line: &Value) -> Result<()> {
+        self.file.write_all(format!("{line}\n").as_bytes()).map_err(|source| error(&self.path, source))
+    }
+}
+
+fn error(path: &Path, source: std::io::Error) -> Error {
+    Error::Io { action: "cannot write", path: path.to_owned(), source }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn report(step: usize) -> StepReport {
+        StepReport {
+            step,
+            view: 1,
+            loss: 0.5,
+            rgb: 0.4,
+            surfel: 0.3,
+            scale: 0.0,
+            transmittance: 0.1,
+            psnr: 20.0,
+            surfels: 3,
+            gaussians: 4,
+            events: vec!["2 surfels removed".to_owned()],
+        }
+    }
+
+    #[test]
+    fn resuming_drops_later_and_unfinished_lines_and_keeps_the_clock() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("metrics.jsonl");
+        let mut log = MetricsLog::create(&path).unwrap();
+        for step in [10, 20, 30] {
+            log.step(&report(step), step as f64).unwrap();
+        }
+        OpenOptions::new().append(true).open(&path).unwrap().write_all(b"{\"kind\":\"st").unwrap();
+        let mut log = MetricsLog::resume(&path, 20, false).unwrap();
+        assert_eq!(log.seconds_before(), 20.0);
+        log.step(&report(21), 21.0).unwrap();
+        let text = std::fs::read_to_string(&path).unwrap();
+        let steps: Vec<u64> =
+            text.lines().map(|line| serde_json::from_str::<Value>(line).unwrap()["step"].as_u64().unwrap()).collect();
+        assert_eq!(steps, [10, 20, 21]);
+        let line = r#"{"kind":"evaluation","step":21,"seconds":9}"#;
+        OpenOptions::new().append(true).open(&path).unwrap().write_all(line.as_bytes()).unwrap();
+        MetricsLog::resume(&path, 21, false).unwrap();
+        assert!(std::fs::read_to_string(&path).unwrap().contains("evaluation"));
+        MetricsLog::resume(&path, 21, true).unwrap();
+        assert!(!std::fs::read_to_string(&path).unwrap().contains("evaluation"));
+        std::fs::remove_file(&path).unwrap();
+        assert_eq!(MetricsLog::resume(&path, 20, false).unwrap().seconds_before(), 0.0);
+    }
+}

@@ -1,0 +1,88 @@
+//! PNGs to look at: a render beside its photograph, and names for the files of a set of views.
+
+use std::collections::HashSet;
+use std::io::Write;
+use std::path::Path;
+
+use dpges_core::Result;
+use dpges_core::atomic::write_atomically;
+use dpges_core::render::Render;
+use dpges_render::{Rgb8Image, false_colour};
+use image::codecs::png::PngEncoder;
+use image::{ExtendedColorType, ImageEncoder};
+
+use crate::dataset::View;
+
+/// Photograph · render · surfels only · error, from left to right.
+pub fn comparison(view: &View, render: &Render) -> Rgb8Image {
+    let picture = &view.picture;
+    let photograph = Rgb8Image::from_planes(&picture.planes, picture.width, picture.height);
+    let image = Rgb8Image::from_tensor(&render.composite.image);
+    let surfels = Rgb8Image::from_tensor(&render.composite.surfel_image);
+    let error = false_colour::error(&image, &photograph);
+    Rgb8Image::beside(&[photograph, image, surfels, error])
+}
+
+/// Writes a PNG; an existing file is replaced only once the new one is complete.
+///
+/// # Errors
+/// [`dpges_core::Error::Io`] naming `path`.
+pub fn save_png(image: &Rgb8Image, path: &Path) -> Result<()> {
+    write_atomically(path, |file| {
+        let mut encoded = Vec::new();
+        PngEncoder::new(&mut encoded)
+            .write_image(&image.bytes, image.width as u32, image.height as u32, ExtendedColorType::Rgb8)
+            .map_err(std::io::Error::other)?;
+        file.write_all(&encoded)
+    })
+}
+
+/// A file name without extension for every view, unique among them: folders and odd characters become `_`.
+pub fn file_stems(views: &[View]) -> Vec<String> {
+    let mut taken = HashSet::new();
+    let mut stems = Vec::with_capacity(views.len());
+    for view in views {
+        let stem = stem(&view.name);
+        let unique = (1..).map(|number| if number == 1 { stem.clone() } else { format!("{stem}-{number}") });
+        stems.extend(unique.into_iter().find(|name| taken.insert(name.clone())));
+    }
+    stems
+}
+
+fn stem(name: &str) -> String {
+    let without = match name.rsplit_once('.') {
+        Some((stem, "png" | "jpg" | "jpeg" | "PNG" | "JPG" | "JPEG")) => stem,
+        _ => name,
+    };
+    let safe = |c: char| if c.is_alphanumeric() || matches!(c, '-' | '_' | '.') { c } else { '_' };
+    without.trim_start_matches(['.', '/']).chars().map(safe).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::{BuiltinOptions, builtin};
+
+    fn views(names: &[&str]) -> Vec<View> {
+        let tiny = BuiltinOptions { width: 2, height: 2, train_views: 1, points: 0, ..Default::default() };
+        let view = builtin(&tiny).train.remove(0);
+        names.iter().map(|name| View { name: (*name).to_owned(), ..view.clone() }).collect()
+    }
+
+    #[test]
+    fn file_stems_are_safe_and_unique() {
+        let views = views(&["images/a b.jpg", "images_a b.png", "./test/r_0", "v1.5.png", "../x"]);
+        assert_eq!(file_stems(&views), ["images_a_b", "images_a_b-2", "test_r_0", "v1.5", "x"]);
+    }
+
+    #[test]
+    fn pngs_are_read_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.png");
+        let picture = Rgb8Image { width: 2, height: 1, bytes: vec![1, 2, 3, 250, 0, 9] };
+        save_png(&picture, &path).unwrap();
+        let read = image::open(&path).unwrap().into_rgb8();
+        assert_eq!((read.width(), read.into_raw()), (2, picture.bytes.clone()));
+        assert!(save_png(&picture, &folder.path().join("absent/a.png")).unwrap_err().to_string().contains("absent"));
+    }
+}

@@ -1,0 +1,133 @@
+//! New Gaussians where pictures are worst (GES 4.5; DP-GES 7.4 v).
+
+use dpges_core::scene::{ColourData, ColourModel, GaussianData, SH_C0};
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+
+use super::normal;
+use crate::init::placement::{faint_detail, spacing};
+
+/// GES: a new Gaussian's scale over the root mean square distance to the 3 nearest of its batch.
+const SCALE: f32 = 0.5;
+/// GES: a new Gaussian's linear opacity.
+const OPACITY: f32 = 0.5;
+
+/// Gaussians to add now so that `batches_left` equal batches, this one included, fill the budget.
+pub fn batch_size(budget: usize, primitives: usize, batches_left: usize) -> usize {
+    budget.saturating_sub(primitives).checked_div(batches_left).unwrap_or(0)
+}
+
+/// `count` pixels (indices into `error` [H × W], repetitions possible) drawn in proportion to the
+/// summed squared error. Errors that are negative or not finite count as 0; if nothing is left, no
+/// pixel is drawn.
+pub fn draw_pixels(error: &[f32], count: usize, rng: &mut ChaCha8Rng) -> Vec<usize> {
+    let weight = |error: &f32| if error.is_finite() && *error > 0.0 { f64::from(*error) } else { 0.0 };
+    let cumulative: Vec<f64> = error
+        .iter()
+        .scan(0.0, |sum, error| {
+            *sum += weight(error);
+            Some(*sum)
+        })
+        .collect();
+    let total = cumulative.last().copied().unwrap_or(0.0);
+    if total <= 0.0 {
+        return Vec::new();
+    }
+    let draw = |_| {
+        let at = (rng.random::<f64>() * total).min(total.next_down());
+        cumulative.partition_point(|&sum| sum <= at)
+    };
+    (0..count).map(draw).collect()
+}
+
+/// One Gaussian at each of `positions` (world units): isotropic, its scale half the root mean
+/// square distance to the 3 nearest others but at most `max_scale` (world units), which is also the
+/// scale of one alone; opacity 0.5, black, faint lobes, a random rotation.
+pub fn new_gaussians(positions: &[[f32; 3]], max_scale: f32, model: ColourModel, rng: &mut ChaCha8Rng) -> GaussianData {
+    let count = positions.len();
+    let scale = |spacing: Option<f32>| spacing.map_or(max_scale, |spacing| (SCALE * spacing).min(max_scale));
+    GaussianData {
+        positions: positions.as_flattened().to_vec(),
+        quaternions: (0..count).flat_map(|_| random_rotation(rng)).collect(),
+        log_scales: spacing(positions).into_iter().flat_map(|spacing| [scale(spacing).ln(); 3]).collect(),
+        opacities: vec![OPACITY; count],
+        colour: ColourData { base: vec![(-0.5 / SH_C0) as f32; count * 3], detail: faint_detail(model, count, rng) },
+    }
+}
+
+/// A unit quaternion (w, x, y, z), uniform over the rotations.
+fn random_rotation(rng: &mut ChaCha8Rng) -> [f32; 4] {
+    loop {
+        let draw = [0; 4].map(|_| normal(rng));
+        let length = draw.iter().map(|x| x * x).sum::<f64>().sqrt();
+        if length > 1e-6 {
+            return draw.map(|x| (x / length) as f32);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+
+    use super::*;
+
+    fn rng() -> ChaCha8Rng {
+        ChaCha8Rng::seed_from_u64(3)
+    }
+
+    #[test]
+    fn batches_fill_the_budget_exactly() {
+        let mut primitives = 40;
+        for batches_left in (1..=10).rev() {
+            primitives += batch_size(1003, primitives, batches_left);
+        }
+        assert_eq!(primitives, 1003);
+        assert_eq!(batch_size(10, 11, 3), 0);
+        assert_eq!(batch_size(10, 1, 0), 0);
+    }
+
+    #[test]
+    fn pixels_are_drawn_in_proportion_to_their_error() {
+        let error = [0.0, 1.0, 3.0, f32::NAN, 0.0, -5.0, 4.0, f32::INFINITY, 0.0];
+        let mut counts = [0; 9];
+        draw_pixels(&error, 80_000, &mut rng()).into_iter().for_each(|pixel| counts[pixel] += 1);
+        for (pixel, expected) in [(1, 10_000), (2, 30_000), (6, 40_000)] {
+            assert!(i32::abs(counts[pixel] - expected) < 600, "{counts:?}");
+        }
+        assert_eq!(counts.iter().sum::<i32>(), counts[1] + counts[2] + counts[6]);
+    }
+
+    #[test]
+    fn no_error_draws_nothing() {
+        for error in [&[][..], &[0.0; 5], &[f32::NAN, -1.0]] {
+            assert!(draw_pixels(error, 10, &mut rng()).is_empty());
+        }
+        assert_eq!(draw_pixels(&[0.0, f32::MIN_POSITIVE, 0.0], 3, &mut rng()), [1, 1, 1]);
+    }
+
+    #[test]
+    fn new_gaussians_are_black_and_fit_their_batch() {
+        let model = ColourModel::SphericalBeta { lobes: 2 };
+        let positions = [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 2.0]];
+        let new = new_gaussians(&positions, 0.75, model, &mut rng());
+        assert_eq!((new.len(), new.colour.detail.len()), (4, 48));
+        assert!((new.log_scales[0].exp() - 0.5 * 2f32.sqrt()).abs() < 1e-6);
+        assert!((new.log_scales[9].exp() - 0.75).abs() < 1e-6);
+        assert!(new.opacities.iter().all(|&opacity| opacity == 0.5));
+        assert!((new.colour.base[0] as f64 * SH_C0 + 0.5).abs() < 1e-6);
+        let lengths = new.quaternions.as_chunks::<4>().0.iter().map(|q| q.iter().map(|x| x * x).sum::<f32>());
+        assert!(lengths.into_iter().all(|length| (length - 1.0).abs() < 1e-5));
+        assert_ne!(new.quaternions[..4], new.quaternions[4..8]);
+    }
+
+    #[test]
+    fn one_alone_and_duplicates_have_a_positive_scale() {
+        let model = ColourModel::SphericalHarmonics { degree: 1 };
+        let alone = new_gaussians(&[[1.0; 3]], 0.25, model, &mut rng());
+        assert!((alone.log_scales[0].exp() - 0.25).abs() < 1e-6);
+        let twins = new_gaussians(&[[1.0; 3]; 2], 0.25, model, &mut rng());
+        assert!(twins.log_scales.iter().all(|s| s.is_finite()));
+        assert!(new_gaussians(&[], 0.25, model, &mut rng()).is_empty());
+    }
+}

@@ -1,0 +1,70 @@
+//! The depth margin ε of every surfel: how far behind it Gaussians still count (GES; DP-GES 7.4 c).
+
+use crate::neighbours::{as_points, nearest};
+
+/// Surfels around a primitive whose margins are consulted.
+pub const NEIGHBOURS: usize = 16;
+
+/// Margins [N] in world units of surfels at `positions` [N × 3] with `log_scales` [N × 2].
+///
+/// ε = lower median of `2.5 (s_x + s_y)` over the 16 nearest other surfels, fewer where there are
+/// fewer; a surfel alone has its own `2.5 (s_x + s_y)`.
+pub fn margins(positions: &[f32], log_scales: &[f32]) -> Vec<f32> {
+    let raw: Vec<f32> = log_scales.as_chunks::<2>().0.iter().map(|[x, y]| 2.5 * (x.exp() + y.exp())).collect();
+    let around = nearest(as_points(positions), NEIGHBOURS);
+    let median_around = |(own, neighbours): (&f32, Vec<(u32, f32)>)| {
+        let mut values: Vec<f32> = neighbours.iter().map(|&(row, _)| raw[row as usize]).collect();
+        lower_median(&mut values).unwrap_or(*own)
+    };
+    raw.iter().zip(around).map(median_around).collect()
+}
+
+/// The largest value of the smaller half: of 16 values the 8th smallest.
+fn lower_median(values: &mut [f32]) -> Option<f32> {
+    let middle = values.len().checked_sub(1)? / 2;
+    Some(*values.select_nth_unstable_by(middle, f32::total_cmp).1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Surfels on a line at x = 0, 1, 2, … with raw margins `raw`.
+    fn line(raw: &[f32]) -> (Vec<f32>, Vec<f32>) {
+        let positions = (0..raw.len()).flat_map(|i| [i as f32, 0.0, 0.0]).collect();
+        (positions, raw.iter().flat_map(|raw| [(raw / 5.0).ln(); 2]).collect())
+    }
+
+    fn close(found: &[f32], expected: &[f32]) -> bool {
+        found.len() == expected.len() && found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-5)
+    }
+
+    #[test]
+    fn the_median_is_the_8th_smallest_of_16_others() {
+        let raw: Vec<f32> = (1..=17).map(|i| i as f32).collect();
+        let (positions, log_scales) = line(&raw);
+        let found = margins(&positions, &log_scales);
+        assert!(close(&found[..1], &[9.0]) && close(&found[16..], &[8.0]), "{found:?}");
+    }
+
+    #[test]
+    fn outliers_among_neighbours_do_not_matter_and_far_surfels_neither() {
+        let mut raw = vec![1.0; 17];
+        raw[8] = 500.0;
+        raw.extend([77.0; 40]);
+        let (mut positions, log_scales) = line(&raw);
+        positions[17 * 3..].iter_mut().for_each(|x| *x += 1e3);
+        assert!(close(&margins(&positions, &log_scales)[..17], &[1.0; 17]));
+    }
+
+    #[test]
+    fn few_surfels() {
+        assert!(margins(&[], &[]).is_empty());
+        let (positions, log_scales) = line(&[3.0]);
+        assert!(close(&margins(&positions, &log_scales), &[3.0]));
+        let (positions, log_scales) = line(&[3.0, 1.0]);
+        assert!(close(&margins(&positions, &log_scales), &[1.0, 3.0]));
+        let (positions, log_scales) = line(&[3.0, 1.0, 2.0]);
+        assert!(close(&margins(&positions, &log_scales), &[1.0, 2.0, 1.0]));
+    }
+}

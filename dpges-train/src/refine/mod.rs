@@ -1,0 +1,88 @@
+//! Decisions about the set of primitives, as pure functions on rows: which stay ([`prune`]), which
+//! are divided ([`split`]), where new ones go ([`add`]), how deep surfels reach ([`margins`]).
+//! They return plans; the trainer applies the same plan to the parameters and to the moments of
+//! the optimiser, where new rows start at zero.
+
+pub mod add;
+pub mod margins;
+pub mod prune;
+pub mod split;
+
+use std::f64::consts::TAU;
+
+use dpges_core::scene::{ColourModel, GaussianData};
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+
+/// Rows of a set that stay.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct RowEdit {
+    /// Rows of the old set, ascending.
+    pub keep: Vec<usize>,
+}
+
+impl RowEdit {
+    /// The rows below `count` for which `stays` holds.
+    pub fn retain(count: usize, stays: impl FnMut(&usize) -> bool) -> Self {
+        Self { keep: (0..count).filter(stays).collect() }
+    }
+
+    /// Every one of `count` rows.
+    pub fn keep_all(count: usize) -> Self {
+        Self { keep: (0..count).collect() }
+    }
+
+    /// How many of `count` rows go.
+    pub fn removed_from(&self, count: usize) -> usize {
+        count - self.keep.len()
+    }
+}
+
+/// Gaussians that stay, followed by new ones.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct GaussianEdit {
+    pub rows: RowEdit,
+    pub added: GaussianData,
+}
+
+impl GaussianEdit {
+    /// The set after the edit: kept rows in their order, then the new ones.
+    pub fn apply(&self, model: ColourModel, gaussians: &GaussianData) -> GaussianData {
+        let mut edited = gaussians.select(model, &self.rows.keep);
+        edited.append(self.added.clone());
+        edited
+    }
+}
+
+/// A standard normal number (Box and Muller).
+fn normal(rng: &mut ChaCha8Rng) -> f64 {
+    let radius = (-2.0 * (1.0 - rng.random::<f64>()).ln()).sqrt();
+    radius * (TAU * rng.random::<f64>()).cos()
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+
+    use super::*;
+
+    #[test]
+    fn normal_numbers_have_mean_0_and_variance_1() {
+        let mut rng = ChaCha8Rng::seed_from_u64(5);
+        let draws: Vec<f64> = (0..40_000).map(|_| normal(&mut rng)).collect();
+        let mean = draws.iter().sum::<f64>() / draws.len() as f64;
+        let variance = draws.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / draws.len() as f64;
+        let within_1 = draws.iter().filter(|x| x.abs() < 1.0).count() as f64 / draws.len() as f64;
+        assert!(mean.abs() < 0.02 && (variance - 1.0).abs() < 0.03 && (within_1 - 0.6827).abs() < 0.01);
+    }
+
+    #[test]
+    fn an_edit_keeps_then_appends() {
+        let model = ColourModel::SphericalBeta { lobes: 0 };
+        let old = add::new_gaussians(&[[0.0; 3], [1.0; 3], [2.0; 3]], 1.0, model, &mut ChaCha8Rng::seed_from_u64(0));
+        let added = add::new_gaussians(&[[9.0; 3]], 1.0, model, &mut ChaCha8Rng::seed_from_u64(1));
+        let edit = GaussianEdit { rows: RowEdit::retain(3, |&row| row != 1), added };
+        assert_eq!(edit.rows.removed_from(3), 1);
+        assert_eq!(edit.apply(model, &old).positions, [0.0, 0.0, 0.0, 2.0, 2.0, 2.0, 9.0, 9.0, 9.0]);
+    }
+}

@@ -1,0 +1,67 @@
+//! Which primitives are worth keeping (GES 4.4, 4.5; DP-GES 7.4 u). A rule that would remove every
+//! row removes none and logs a warning: it then says something about its threshold, not the rows.
+
+use super::RowEdit;
+
+/// Surfels that stay: nearest at more than `min_pixels` px in some view (`max_pixels` [N] is the
+/// largest count over the views) and with both scales of `log_scales` [N × 2] at most
+/// `max_scale_fraction` of the extent (world units). An extent of 0, as of a single camera, limits no scale.
+pub fn surfels_to_keep(
+    max_pixels: &[u32],
+    log_scales: &[f32],
+    extent: f64,
+    min_pixels: usize,
+    max_scale_fraction: f64,
+) -> RowEdit {
+    let max_scale = if extent > 0.0 { max_scale_fraction * extent } else { f64::MAX };
+    let small = |[x, y]: &[f32; 2]| f64::from(*x).exp() <= max_scale && f64::from(*y).exp() <= max_scale;
+    let (scales, _) = log_scales.as_chunks::<2>();
+    let stays = |row: &usize| max_pixels[*row] as usize > min_pixels && small(&scales[*row]);
+    unless_nothing_is_left(RowEdit::retain(max_pixels.len(), stays), max_pixels.len(), "surfel")
+}
+
+/// Gaussians that stay: `max_contribution` [M], the largest `max|c| α t / (1 + W)` over pixels and
+/// views, is at least `threshold`. A contribution that is not a number goes.
+pub fn gaussians_to_keep(max_contribution: &[f32], threshold: f64) -> RowEdit {
+    let stays = |row: &usize| f64::from(max_contribution[*row]) >= threshold;
+    unless_nothing_is_left(RowEdit::retain(max_contribution.len(), stays), max_contribution.len(), "Gaussian")
+}
+
+fn unless_nothing_is_left(edit: RowEdit, count: usize, of: &str) -> RowEdit {
+    if count > 0 && edit.keep.is_empty() {
+        tracing::warn!("pruning would remove each of {count} {of}s: none is removed, see the thresholds in [refine]");
+        return RowEdit::keep_all(count);
+    }
+    edit
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn surfels_go_when_hardly_seen_or_too_large() {
+        let logs: Vec<f32> = [[0.1, 0.1], [0.1, 0.1], [0.7, 0.1], [0.1, 0.7], [0.6, 0.6], [f32::NAN, 0.1]]
+            .into_iter()
+            .flatten()
+            .map(f32::ln)
+            .collect();
+        let edit = surfels_to_keep(&[17, 16, 99, 99, 99, 99], &logs, 10.01, 16, 0.06);
+        assert_eq!(edit.keep, [0, 4]);
+        assert_eq!(surfels_to_keep(&[17, 16, 99, 99, 99, 99], &logs, 0.0, 16, 0.06).keep, [0, 2, 3, 4]);
+    }
+
+    #[test]
+    fn gaussians_go_when_they_contribute_too_little() {
+        assert_eq!(gaussians_to_keep(&[0.02, 0.5, f32::NAN, 0.0], 0.02).keep, [1]);
+        assert_eq!(gaussians_to_keep(&[0.5, f32::INFINITY], 0.5).keep, [0, 1]);
+    }
+
+    #[test]
+    fn never_all() {
+        assert_eq!(surfels_to_keep(&[1, 2], &[0.0; 4], 100.0, 16, 0.06).keep, [0, 1]);
+        assert_eq!(gaussians_to_keep(&[0.0; 3], 0.02).keep, [0, 1, 2]);
+        assert!(gaussians_to_keep(&[], 0.02).keep.is_empty());
+        assert!(surfels_to_keep(&[], &[], 1.0, 16, 0.06).keep.is_empty());
+    }
+}

@@ -1,0 +1,146 @@
+//! Gaussians too large for the surfels around them are divided in two (DP-GES 7.4 w; 3DGS).
+
+use dpges_core::scene::{ColourModel, GaussianData};
+use glam::{DQuat, DVec3};
+use rand_chacha::ChaCha8Rng;
+
+use super::margins::NEIGHBOURS;
+use super::{GaussianEdit, RowEdit, normal};
+use crate::neighbours::{as_points, nearest_to};
+
+/// 3DGS: the scale of a child is that of its parent over this.
+const SHRINKAGE: f32 = 1.6;
+
+/// Splits Gaussians whose mean scale exceeds `factor` × the mean of `margins` [N] (world units)
+/// over the 16 surfels of `surfel_positions` [N × 3] nearest to them. The parent goes; its two
+/// children lie at `μ + R · N(0, diag s²)`, have its scales / 1.6 and otherwise its parameters.
+///
+/// At most `room` Gaussians, one more row each, are split: those that exceed their limit most.
+/// Without surfels nothing is.
+pub fn split(
+    gaussians: &GaussianData,
+    model: ColourModel,
+    surfel_positions: &[f32],
+    margins: &[f32],
+    factor: f64,
+    room: usize,
+    rng: &mut ChaCha8Rng,
+) -> GaussianEdit {
+    let parents = parents(gaussians, surfel_positions, margins, factor, room);
+    let mut is_parent = vec![false; gaussians.len()];
+    parents.iter().for_each(|&row| is_parent[row] = true);
+
+    let twice: Vec<usize> = parents.iter().flat_map(|&row| [row, row]).collect();
+    let mut added = gaussians.select(model, &twice);
+    for (child, &row) in twice.iter().enumerate() {
+        let moved = draw_inside(gaussians, row, rng);
+        added.positions[child * 3..][..3].copy_from_slice(&moved.as_vec3().to_array());
+    }
+    added.log_scales.iter_mut().for_each(|log_scale| *log_scale -= SHRINKAGE.ln());
+    GaussianEdit { rows: RowEdit::retain(gaussians.len(), |&row| !is_parent[row]), added }
+}
+
+/// Rows to be split, ascending.
+fn parents(
+    gaussians: &GaussianData,
+    surfel_positions: &[f32],
+    margins: &[f32],
+    factor: f64,
+    room: usize,
+) -> Vec<usize> {
+    let around = nearest_to(as_points(&gaussians.positions), as_points(surfel_positions), NEIGHBOURS);
+    let (log_scales, _) = gaussians.log_scales.as_chunks::<3>();
+    let excess = |row: usize| {
+        let mean_scale = log_scales[row].iter().map(|s| f64::from(*s).exp()).sum::<f64>() / 3.0;
+        let near = &around[row];
+        let mean_margin = near.iter().map(|&(s, _)| f64::from(margins[s as usize])).sum::<f64>() / near.len() as f64;
+        mean_scale / (factor * mean_margin)
+    };
+    let mut exceeding: Vec<(usize, f64)> = (0..gaussians.len())
+        .filter(|&row| !around[row].is_empty())
+        .map(|row| (row, excess(row)))
+        .filter(|(_, excess)| *excess > 1.0)
+        .collect();
+    exceeding.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
+    exceeding.truncate(room);
+    let mut rows: Vec<usize> = exceeding.into_iter().map(|(row, _)| row).collect();
+    rows.sort_unstable();
+    rows
+}
+
+/// A point distributed as the Gaussian of `row`.
+fn draw_inside(gaussians: &GaussianData, row: usize, rng: &mut ChaCha8Rng) -> DVec3 {
+    let vector =
+        |values: &[f32]| DVec3::new(values[row * 3].into(), values[row * 3 + 1].into(), values[row * 3 + 2].into());
+    let [w, x, y, z] = [0, 1, 2, 3].map(|i| f64::from(gaussians.quaternions[row * 4 + i]));
+    let rotation = DQuat::from_xyzw(x, y, z, w);
+    let rotation = if rotation.length_squared() > 0.0 { rotation.normalize() } else { DQuat::IDENTITY };
+    let draw = DVec3::new(normal(rng), normal(rng), normal(rng));
+    vector(&gaussians.positions) + rotation * (vector(&gaussians.log_scales).exp() * draw)
+}
+
+#[cfg(test)]
+mod tests {
+    use dpges_core::scene::ColourData;
+    use rand::SeedableRng;
+
+    use super::*;
+
+    const MODEL: ColourModel = ColourModel::SphericalBeta { lobes: 1 };
+
+    /// Gaussians of scale (4 s, s, s) turned so that their long axis is y.
+    fn gaussians(scales: &[f32]) -> GaussianData {
+        let n = scales.len();
+        let half = std::f32::consts::FRAC_1_SQRT_2;
+        GaussianData {
+            positions: (0..n * 3).map(|i| i as f32).collect(),
+            quaternions: [half * 3.0, 0.0, 0.0, half * 3.0].repeat(n),
+            log_scales: scales.iter().flat_map(|s| [(4.0 * s).ln(), s.ln(), s.ln()]).collect(),
+            opacities: (0..n).map(|i| i as f32).collect(),
+            colour: ColourData { base: vec![0.25; n * 3], detail: vec![0.75; n * 6] },
+        }
+    }
+
+    fn rng() -> ChaCha8Rng {
+        ChaCha8Rng::seed_from_u64(11)
+    }
+
+    #[test]
+    fn the_large_are_replaced_by_two_smaller() {
+        let old = gaussians(&[0.9, 1.1, 0.5, 5.0]);
+        let edit = split(&old, MODEL, &[0.0; 9], &[1.0, 1.0, 1.0], 2.0, 10, &mut rng());
+        assert_eq!(edit.rows.keep, [0, 2]);
+        assert_eq!(edit.added.opacities, [1.0, 1.0, 3.0, 3.0]);
+        assert!((edit.added.log_scales[0] - (4.4f32 / 1.6).ln()).abs() < 1e-6);
+        assert_eq!(edit.added.colour.detail, vec![0.75; 24]);
+        assert_eq!(edit.added.quaternions[..4], old.quaternions[..4]);
+        assert_ne!(edit.added.positions[..3], edit.added.positions[3..6]);
+        assert_eq!(edit.apply(MODEL, &old).len(), 6);
+    }
+
+    #[test]
+    fn room_goes_to_those_that_exceed_most() {
+        let edit = split(&gaussians(&[3.0, 2.0, 5.0]), MODEL, &[0.0; 3], &[1.0], 1.0, 2, &mut rng());
+        assert_eq!(edit.rows.keep, [1]);
+        let edit = split(&gaussians(&[3.0, 2.0]), MODEL, &[0.0; 3], &[1.0], 1.0, 0, &mut rng());
+        assert_eq!((edit.rows.keep.len(), edit.added.len()), (2, 0));
+    }
+
+    #[test]
+    fn without_surfels_or_gaussians_nothing_is_split() {
+        let edit = split(&gaussians(&[3.0, 2.0]), MODEL, &[], &[], 2.0, 10, &mut rng());
+        assert_eq!((edit.rows.keep.len(), edit.added.len()), (2, 0));
+        let edit = split(&gaussians(&[]), MODEL, &[0.0; 3], &[1.0], 2.0, 10, &mut rng());
+        assert_eq!(edit, GaussianEdit::default());
+    }
+
+    #[test]
+    fn children_are_distributed_as_their_parent() {
+        let old = gaussians(&[1.0]);
+        let mut rng = rng();
+        let draws: Vec<DVec3> =
+            (0..20_000).map(|_| draw_inside(&old, 0, &mut rng) - DVec3::new(0.0, 1.0, 2.0)).collect();
+        let variance = draws.iter().map(|d| *d * *d).sum::<DVec3>() / draws.len() as f64;
+        assert!((variance - DVec3::new(1.0, 16.0, 1.0)).abs().cmplt(DVec3::new(0.05, 0.6, 0.05)).all(), "{variance}");
+    }
+}

@@ -1,0 +1,196 @@
+//! The folder a training run writes to:
+//!
+//! ```text
+//! config.toml               every key of the configuration as used
+//! run.json                  the dataset, the device, the version of the program
+//! metrics.jsonl             losses, PSNR and counts along the run, see `metrics_log`
+//! scene.safetensors         the scene at the last checkpoint, then the result
+//! checkpoint.safetensors    what `--resume` continues from
+//! eval.json                 the held-out views of the finished run, see `eval::EvalReport`
+//! pictures/step_N_VIEW.png  photograph · render · surfels only · error
+//! ```
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use dpges_core::Error;
+use dpges_core::atomic::write_atomically;
+use serde::{Deserialize, Serialize};
+
+use crate::config::Config;
+
+const FILES: [&str; 6] =
+    ["config.toml", "run.json", "metrics.jsonl", "scene.safetensors", "checkpoint.safetensors", "eval.json"];
+const PICTURES: &str = "pictures";
+
+#[derive(Debug, thiserror::Error)]
+pub enum RunFolderError {
+    #[error("{path} holds another run ({found})")]
+    Used { path: PathBuf, found: &'static str },
+    #[error("{path} holds no run to resume: {missing} is missing")]
+    NoCheckpoint { path: PathBuf, missing: PathBuf },
+    #[error("{path} does not say what it was trained on: {reason}")]
+    Origin { path: PathBuf, reason: String },
+    #[error(transparent)]
+    File(#[from] Error),
+}
+
+/// What a run was started with besides its configuration: the content of `run.json`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Origin {
+    /// Absolute path of the dataset's folder, or `builtin`.
+    pub dataset: String,
+    /// As `--device` takes it.
+    pub device: String,
+    /// Version of the program that started the run.
+    pub version: String,
+}
+
+/// Paths of a run's files.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RunFolder {
+    path: PathBuf,
+}
+
+impl RunFolder {
+    pub fn new(path: &Path) -> Self {
+        Self { path: path.to_owned() }
+    }
+
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    pub fn config(&self) -> PathBuf {
+        self.path.join("config.toml")
+    }
+
+    pub fn origin(&self) -> PathBuf {
+        self.path.join("run.json")
+    }
+
+    pub fn metrics(&self) -> PathBuf {
+        self.path.join("metrics.jsonl")
+    }
+
+    pub fn scene(&self) -> PathBuf {
+        self.path.join("scene.safetensors")
+    }
+
+    pub fn checkpoint(&self) -> PathBuf {
+        self.path.join("checkpoint.safetensors")
+    }
+
+    pub fn evaluation(&self) -> PathBuf {
+        self.path.join("eval.json")
+    }
+
+    /// Comparison picture of the view with file stem `view` after `step` steps.
+    pub fn picture(&self, step: usize, view: &str) -> PathBuf {
+        self.path.join(PICTURES).join(format!("step_{step:06}_{view}.png"))
+    }
+
+    /// # Errors
+    /// [`RunFolderError::Used`] if any file of a run is there.
+    pub fn check_unused(&self) -> Result<(), RunFolderError> {
+        match FILES.into_iter().find(|file| self.path.join(file).exists()) {
+            Some(found) => Err(RunFolderError::Used { path: self.path.clone(), found }),
+            None => Ok(()),
+        }
+    }
+
+    /// # Errors
+    /// [`RunFolderError::NoCheckpoint`].
+    pub fn check_resumable(&self) -> Result<(), RunFolderError> {
+        let missing = self.checkpoint();
+        if missing.is_file() { Ok(()) } else { Err(RunFolderError::NoCheckpoint { path: self.path.clone(), missing }) }
+    }
+
+    /// Makes the folder, removes the files of an earlier run (and nothing else), and writes `run.json` and
+    /// `config.toml`.
+    ///
+    /// # Errors
+    /// [`RunFolderError::File`].
+    pub fn start(&self, origin: &Origin, config: &Config) -> Result<(), RunFolderError> {
+        let pictures = self.path.join(PICTURES);
+        for file in FILES {
+            remove(&self.path.join(file))?;
+        }
+        for entry in std::fs::read_dir(&pictures).into_iter().flatten().flatten() {
+            let name = entry.file_name();
+            let name = name.to_string_lossy();
+            if name.starts_with("step_") && name.ends_with(".png") {
+                remove(&entry.path())?;
+            }
+        }
+        std::fs::create_dir_all(&pictures).map_err(|source| Error::Io {
+            action: "cannot make folder",
+            path: pictures,
+            source,
+        })?;
+        write_json(&self.origin(), origin)?;
+        Ok(self.write_config(config)?)
+    }
+
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn write_config(&self, config: &Config) -> Result<(), Error> {
+        write_atomically(&self.config(), |file| file.write_all(config.to_toml().as_bytes()))
+    }
+
+    /// # Errors
+    /// [`RunFolderError::Origin`] if `run.json` is missing or not what was written.
+    pub fn read_origin(&self) -> Result<Origin, RunFolderError> {
+        let path = self.origin();
+        let wrong = |reason: String| RunFolderError::Origin { path: path.clone(), reason };
+        let text = std::fs::read_to_string(&path).map_err(|error| wrong(error.to_string()))?;
+        serde_json::from_str(&text).map_err(|error| wrong(error.to_string()))
+    }
+}
+
+/// Writes `value` as indented JSON, the whole file or nothing.
+///
+/// # Errors
+/// [`Error::Io`].
+pub fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Error> {
+    write_atomically(path, |file| {
+        serde_json::to_writer_pretty(&mut *file, value)?;
+        file.write_all(b"\n")
+    })
+}
+
+fn remove(path: &Path) -> Result<(), Error> {
+    match std::fs::remove_file(path) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+            Err(Error::Io { action: "cannot remove", path: path.to_owned(), source: error })
+        }
+        _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn starting_removes_an_earlier_run_and_nothing_else() {
+        let folder = tempfile::tempdir().unwrap();
+        let run = RunFolder::new(&folder.path().join("new/run"));
+        let origin = Origin { dataset: "builtin".into(), device: "cpu".into(), version: "0".into() };
+        run.check_unused().unwrap();
+        assert!(run.check_resumable().unwrap_err().to_string().contains("checkpoint.safetensors"));
+        run.start(&origin, &Config::default()).unwrap();
+        assert_eq!(run.read_origin().unwrap(), origin);
+        assert_eq!(Config::resolve(None, Some(&run.config()), &[]).unwrap(), Config::default());
+        assert!(run.check_unused().unwrap_err().to_string().contains("config.toml"));
+        let notes = run.path().join("notes.md");
+        for path in [run.checkpoint(), run.picture(5, "a"), notes.clone()] {
+            std::fs::write(path, "old").unwrap();
+        }
+        run.check_resumable().unwrap();
+        run.start(&origin, &Config::default()).unwrap();
+        assert!(!run.checkpoint().exists() && !run.picture(5, "a").exists() && notes.exists());
+        std::fs::write(run.origin(), "{}").unwrap();
+        assert!(run.read_origin().unwrap_err().to_string().contains("dataset"));
+    }
+}

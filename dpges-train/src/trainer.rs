@@ -1,0 +1,255 @@
+//! The joint optimisation of surfels and Gaussians (DP-GES, 7.4 and 7.5): one view per step.
+
+mod refinement;
+mod resume;
+mod statistics;
+
+use std::sync::Arc;
+
+use burn::tensor::{DType, Device, Tensor, TensorData};
+use dpges_core::losses::{LossWeights, Losses, losses};
+use dpges_core::metrics::psnr;
+use dpges_core::ops::adam::AdamStep;
+use dpges_core::render::{Render, RenderOptions, render};
+use dpges_core::scene::{SceneData, SceneInfo};
+use rand::SeedableRng;
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
+
+use crate::config::{Config, Schedule};
+use crate::dataset::{Dataset, View};
+use crate::init::{InitError, initialise};
+use crate::scene_state::{GaussianState, Rates, SurfelState};
+use statistics::Statistics;
+
+#[derive(Debug, thiserror::Error)]
+pub enum TrainError {
+    #[error("initialisation: {0}")]
+    Init(#[from] InitError),
+    #[error("step {step}, view `{view}`: {source}; the scene before this step is unharmed")]
+    Step { step: usize, view: String, source: dpges_core::Error },
+    #[error("step {step}, view `{view}`: the loss is {loss}; the scene before this step is unharmed")]
+    Loss { step: usize, view: String, loss: f64 },
+    #[error(transparent)]
+    Core(#[from] dpges_core::Error),
+    #[error("the checkpoint does not fit: {reason}")]
+    Resume { reason: String },
+}
+
+/// What one step did.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StepReport {
+    /// Completed steps, this one included.
+    pub step: usize,
+    /// Index of the training view.
+    pub view: usize,
+    /// Weighted sum of the terms.
+    pub loss: f64,
+    pub rgb: f64,
+    pub surfel: f64,
+    pub scale: f64,
+    pub transmittance: f64,
+    /// dB of the training view before the step, clamped and not quantised.
+    pub psnr: f64,
+    pub surfels: usize,
+    pub gaussians: usize,
+    /// What refinement did after the step.
+    pub events: Vec<String>,
+}
+
+/// A run: a dataset, a scene that learns it, and where in the schedule it stands.
+pub struct Trainer {
+    dataset: Arc<Dataset>,
+    config: Config,
+    device: Device,
+    info: SceneInfo,
+    schedule: Schedule,
+    surfels: SurfelState,
+    gaussians: GaussianState,
+    statistics: Statistics,
+    rng: ChaCha8Rng,
+    /// Views still to come in this pass, last first.
+    remaining_views: Vec<u32>,
+    completed_steps: usize,
+}
+
+impl Trainer {
+    /// A run before its first step.
+    ///
+    /// # Errors
+    /// [`TrainError::Init`] if the dataset has nothing to start from.
+    pub fn new(dataset: Arc<Dataset>, mut config: Config, device: Device) -> Result<Self, TrainError> {
+        config.refine.fix_budget(mean_pixels(&dataset));
+        let mut rng = ChaCha8Rng::seed_from_u64(config.train.seed);
+        let start = initialise(&dataset, &config, &mut rng)?;
+        let model = config.model.colour;
+        let mut trainer = Self {
+            info: scene_info(&dataset, &config),
+            schedule: config.schedule(dataset.train.len()),
+            surfels: SurfelState::new(&start.surfels, model, &device),
+            gaussians: GaussianState::new(&start.gaussians, model, &device),
+            statistics: Statistics::new(start.surfels.len(), start.gaussians.len()),
+            rng,
+            remaining_views: Vec::new(),
+            completed_steps: 0,
+            dataset,
+            config,
+            device,
+        };
+        trainer.refine()?;
+        Ok(trainer)
+    }
+
+    /// As given, with everything automatic decided.
+    pub fn config(&self) -> &Config {
+        &self.config
+    }
+
+    pub fn completed_steps(&self) -> usize {
+        self.completed_steps
+    }
+
+    pub fn is_finished(&self) -> bool {
+        self.completed_steps >= self.config.train.steps
+    }
+
+    /// The scene as it stands.
+    pub fn scene(&self) -> SceneData {
+        SceneData { info: self.info.clone(), surfels: self.surfels.to_data(), gaussians: self.gaussians.to_data() }
+    }
+
+    /// One optimisation step on the next view, then whatever refinement is due.
+    ///
+    /// # Errors
+    /// [`TrainError::Step`] or [`TrainError::Loss`] if a loss or gradient is not finite; the scene is
+    /// then as it was before the step.
+    pub fn step(&mut self) -> Result<StepReport, TrainError> {
+        let view = self.next_view();
+        let dataset = Arc::clone(&self.dataset);
+        let picture = &dataset.train[view];
+        let at = |source| TrainError::Step { step: self.completed_steps + 1, view: picture.name.clone(), source };
+
+        let surfels = self.surfels.leaves();
+        let (gaussians, opacities) = self.gaussians.leaves();
+        let target = target(picture, &self.device.clone().autodiff());
+        let rendered = render(&surfels, &gaussians, &picture.camera, &self.render_options()).map_err(at)?;
+        let terms = losses(&rendered, surfels.log_scales.clone(), target.clone(), &self.loss_weights()).map_err(at)?;
+        let mut report = self.report(view, &terms, &rendered, target);
+        if !report.loss.is_finite() {
+            return Err(TrainError::Loss { step: report.step, view: picture.name.clone(), loss: report.loss });
+        }
+
+        let mut gradients = terms.total.backward();
+        let surfel_gradients = self.surfels.gradients(&surfels, &mut gradients).map_err(at)?;
+        let gaussian_gradients = self.gaussians.gradients((&gaussians, &opacities), &mut gradients).map_err(at)?;
+        self.statistics.observe(&rendered, &self.gaussians, &picture.camera, &self.schedule, self.completed_steps)?;
+        // the tape shares the parameters: without it the optimiser can work in place
+        drop((surfels, gaussians, opacities, rendered, terms));
+
+        let (rates, adam) = self.rates();
+        self.surfels.step(surfel_gradients, &rates, adam)?;
+        self.gaussians.step(gaussian_gradients, &rates, adam)?;
+        self.completed_steps += 1;
+        report.events = self.refine()?;
+        (report.surfels, report.gaussians) = (self.surfels.len(), self.gaussians.len());
+        Ok(report)
+    }
+
+    /// The next view of this pass; passes go over all views in random order (methods 1.8).
+    fn next_view(&mut self) -> usize {
+        if self.remaining_views.is_empty() {
+            self.remaining_views = (0..self.dataset.train.len() as u32).collect();
+            self.remaining_views.shuffle(&mut self.rng);
+        }
+        self.remaining_views.pop().expect("a dataset has training views") as usize
+    }
+
+    fn render_options(&self) -> RenderOptions {
+        RenderOptions {
+            detach_transmittance: self.config.train.detach_transmittance,
+            ..RenderOptions::from(&self.info)
+        }
+    }
+
+    fn loss_weights(&self) -> LossWeights {
+        let train = &self.config.train;
+        LossWeights {
+            dssim: train.lambda_dssim,
+            surfel: train.lambda_surfel,
+            scale: train.lambda_scale,
+            transmittance: train.lambda_transmittance,
+        }
+    }
+
+    /// Learning rates of the coming step, and Adam's other constants.
+    fn rates(&self) -> (Rates, AdamStep) {
+        let optimizer = &self.config.optimizer;
+        let progress = self.completed_steps as f64 / self.config.train.steps as f64;
+        let (position, decay) = (optimizer.position_rate(progress, self.info.extent), optimizer.decay_at(progress));
+        let rates = Rates {
+            surfel_positions: position * optimizer.surfel_position_factor,
+            gaussian_positions: position,
+            quaternions: optimizer.quaternions * decay,
+            log_scales: optimizer.log_scales * decay,
+            opacities: optimizer.opacities * decay,
+            base: optimizer.base * decay,
+            detail: optimizer.detail * decay,
+        };
+        let adam = AdamStep {
+            learning_rate: 0.0,
+            beta_1: optimizer.beta1,
+            beta_2: optimizer.beta2,
+            epsilon: optimizer.epsilon,
+            time: self.completed_steps as u64 + 1,
+        };
+        (rates, adam)
+    }
+
+    fn report(&self, view: usize, terms: &Losses, rendered: &Render, target: Tensor<3>) -> StepReport {
+        StepReport {
+            step: self.completed_steps + 1,
+            view,
+            loss: scalar(&terms.total),
+            rgb: scalar(&terms.rgb),
+            surfel: scalar(&terms.surfel),
+            scale: scalar(&terms.scale),
+            transmittance: scalar(&terms.transmittance),
+            psnr: psnr(rendered.composite.image.clone().inner().clamp(0.0, 1.0), target.inner()),
+            surfels: self.surfels.len(),
+            gaussians: self.gaussians.len(),
+            events: Vec::new(),
+        }
+    }
+}
+
+/// What the scene file of a run on `dataset` says besides its tensors.
+fn scene_info(dataset: &Dataset, config: &Config) -> SceneInfo {
+    let model = &config.model;
+    SceneInfo {
+        colour_model: model.colour,
+        modulation: model.modulation,
+        layer_count: model.layers,
+        footprint: model.footprint,
+        background: dataset.background,
+        offset: dataset.offset.to_array(),
+        extent: dataset.extent,
+        near: dataset.near,
+    }
+}
+
+/// Pixels of a training view, on average.
+fn mean_pixels(dataset: &Dataset) -> usize {
+    let pixels: usize = dataset.train.iter().map(|view| view.picture.width * view.picture.height).sum();
+    pixels / dataset.train.len().max(1)
+}
+
+/// [3, H, W] picture of a view.
+fn target(view: &View, device: &Device) -> Tensor<3> {
+    let picture = &view.picture;
+    let data = TensorData::new(picture.planes.clone(), [3, picture.height, picture.width]);
+    Tensor::from_data(data, (device, DType::F32))
+}
+
+fn scalar(tensor: &Tensor<1>) -> f64 {
+    tensor.clone().into_data().iter::<f64>().next().unwrap_or(f64::NAN)
+}

@@ -1,0 +1,143 @@
+//! Applies the decisions of [`crate::refine`] when the schedule asks for them.
+
+use burn::tensor::Tensor;
+use dpges_core::render::{Render, render};
+use dpges_core::scene::tensors::tensor_to_rows;
+
+use super::statistics::Statistics;
+use super::{TrainError, Trainer, target};
+use crate::dataset::View;
+use crate::refine::add::{batch_size, draw_pixels, new_gaussians};
+use crate::refine::margins::margins;
+use crate::refine::prune::{gaussians_to_keep, surfels_to_keep};
+use crate::refine::split::split;
+use crate::refine::{GaussianEdit, RowEdit};
+
+/// Scale of an added Gaussian at most, as a fraction of the extent.
+const MAX_ADDED_SCALE: f64 = 0.01;
+
+impl Trainer {
+    /// Does what is due after the completed steps, in the order prune, margins, split, add; says what it did.
+    pub(super) fn refine(&mut self) -> Result<Vec<String>, TrainError> {
+        let due = self.schedule.due(self.completed_steps);
+        let mut events = Vec::new();
+        if due.surfel_prune {
+            events.push(self.prune_surfels());
+        }
+        if due.gaussian_prune {
+            events.push(self.prune_gaussians());
+        }
+        if due.margins {
+            let surfels = self.surfels.to_data();
+            self.surfels.set_margins(&margins(&surfels.positions, &surfels.log_scales));
+            events.push(format!("margins of {} surfels computed", surfels.len()));
+        }
+        if due.split {
+            events.push(self.split_gaussians());
+        }
+        if let Some(batches_left) = due.batches_left {
+            events.push(self.add_gaussians(batches_left)?);
+        }
+        Ok(events)
+    }
+
+    fn prune_surfels(&mut self) -> String {
+        let refine = &self.config.refine;
+        let log_scales = self.surfels.to_data().log_scales;
+        let edit = surfels_to_keep(
+            &self.statistics.max_pixels,
+            &log_scales,
+            self.info.extent,
+            min_pixels(refine.surfel_min_pixels, super::mean_pixels(&self.dataset)),
+            refine.surfel_max_scale,
+        );
+        let before = self.surfels.len();
+        self.surfels.edit(&edit);
+        self.statistics.max_pixels = vec![0; self.surfels.len()];
+        format!("{} of {before} surfels pruned", before - self.surfels.len())
+    }
+
+    fn prune_gaussians(&mut self) -> String {
+        let rows = gaussians_to_keep(&self.statistics.max_contributions, self.config.refine.gaussian_min_contribution);
+        let before = self.gaussians.len();
+        self.edit_gaussians(&GaussianEdit { rows, ..GaussianEdit::default() });
+        format!("{} of {before} Gaussians pruned", before - self.gaussians.len())
+    }
+
+    fn split_gaussians(&mut self) -> String {
+        let surfels = self.surfels.to_data();
+        let room = self.config.refine.budget.saturating_sub(self.surfels.len() + self.gaussians.len());
+        let before = self.gaussians.len();
+        let edit = split(
+            &self.gaussians.to_data(),
+            self.info.colour_model,
+            &surfels.positions,
+            &surfels.margins,
+            self.config.refine.split_factor,
+            room,
+            &mut self.rng,
+        );
+        self.edit_gaussians(&edit);
+        format!("{} of {before} Gaussians split", self.gaussians.len() - before)
+    }
+
+    /// Adds a batch where the pictures are worst: pixels drawn by squared error, in the depth of the
+    /// nearest layer (GES 4.5, DP-GES 7.4 v).
+    fn add_gaussians(&mut self, batches_left: usize) -> Result<String, TrainError> {
+        let primitives = self.surfels.len() + self.gaussians.len();
+        let count = batch_size(self.config.refine.budget, primitives, batches_left);
+        let views = self.dataset.train.len();
+        let dataset = std::sync::Arc::clone(&self.dataset);
+        let mut positions = Vec::with_capacity(count);
+        for (index, view) in dataset.train.iter().enumerate() {
+            let share = count / views + usize::from(index < count % views);
+            if share > 0 {
+                let rendered = self.render_view(view)?;
+                let error = squared_error(&rendered, target(view, &self.device));
+                let pixels = draw_pixels(&error, share, &mut self.rng);
+                positions.extend(on_first_layer(&rendered, view, &pixels));
+            }
+        }
+        let max_scale = (MAX_ADDED_SCALE * self.info.extent) as f32;
+        let added = new_gaussians(&positions, max_scale, self.info.colour_model, &mut self.rng);
+        let rows = RowEdit::keep_all(self.gaussians.len());
+        let event = format!("{} Gaussians added of {count} wanted", added.len());
+        self.edit_gaussians(&GaussianEdit { rows, added });
+        Ok(event)
+    }
+
+    /// Edits the set; statistics on it start again.
+    fn edit_gaussians(&mut self, edit: &GaussianEdit) {
+        self.gaussians.edit(edit);
+        self.statistics =
+            Statistics { max_contributions: vec![0.0; self.gaussians.len()], ..std::mem::take(&mut self.statistics) };
+    }
+
+    /// A view of the scene as it stands, without a tape.
+    fn render_view(&self, view: &View) -> Result<Render, TrainError> {
+        Ok(render(&self.surfels.values(), &self.gaussians.values(), &view.camera, &self.render_options())?)
+    }
+}
+
+/// A threshold given for views of 1 megapixel, in views of `pixels` px: the same share of the picture.
+fn min_pixels(per_megapixel: usize, pixels: usize) -> usize {
+    (per_megapixel as f64 * pixels as f64 / 1e6) as usize
+}
+
+/// [H × W] squared error summed over channels.
+fn squared_error(rendered: &Render, target: Tensor<3>) -> Vec<f32> {
+    let difference = rendered.composite.image.clone() - target;
+    tensor_to_rows(&(difference.clone() * difference).sum_dim(0))
+}
+
+/// World points of `pixels` in the depth of their nearest layer; pixels without one are left out.
+fn on_first_layer(rendered: &Render, view: &View, pixels: &[usize]) -> Vec<[f32; 3]> {
+    let depths = tensor_to_rows(&rendered.layers.depth);
+    let width = view.camera.width;
+    let point = |&pixel: &usize| {
+        let depth = f64::from(depths[pixel]);
+        let (x, y) = ((pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5);
+        depth.is_finite().then(|| view.camera.unproject(x, y, depth).as_vec3().to_array())
+    };
+    pixels.iter().filter_map(point).collect()
+}

@@ -1,0 +1,262 @@
+//! The `dpges` binary as a process: exit codes, messages, files.
+
+use std::path::{Path, PathBuf};
+use std::process::Output;
+
+use assert_cmd::Command;
+use serde_json::{Map, Value};
+use tempfile::TempDir;
+
+/// A run of a few seconds: every kind of event happens, the scene changes its size.
+const TINY: [&str; 8] = [
+    "--max-resolution=32",
+    "--steps=60",
+    "--set=init.max_points=400",
+    "--set=train.evaluate_every=25",
+    "--set=train.checkpoint_every=20",
+    "--set=train.picture_views=2",
+    "--budget=1500",
+    "--seed=3",
+];
+
+fn dpges(folder: &Path, args: &[&str]) -> Output {
+    Command::cargo_bin("dpges").unwrap().current_dir(folder).args(args).output().unwrap()
+}
+
+fn ok(folder: &Path, args: &[&str]) -> String {
+    let output = dpges(folder, args);
+    assert_eq!(output.status.code(), Some(0), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// Standard error of a command that must end with `code`.
+fn fails(folder: &Path, code: i32, args: &[&str]) -> String {
+    let output = dpges(folder, args);
+    let message = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(code), "{args:?}: {message}");
+    message
+}
+
+fn train(folder: &Path, out: &str, more: &[&str]) -> String {
+    ok(folder, &[&["train", "--out", out], &TINY[..], more].concat())
+}
+
+fn bytes(path: impl AsRef<Path>) -> Vec<u8> {
+    std::fs::read(path.as_ref()).unwrap_or_else(|error| panic!("{}: {error}", path.as_ref().display()))
+}
+
+/// Without printing what is in them.
+fn is_equal(a: impl AsRef<Path>, b: impl AsRef<Path>) -> bool {
+    bytes(a) == bytes(b)
+}
+
+fn json(path: PathBuf) -> Value {
+    serde_json::from_slice(&bytes(path)).unwrap()
+}
+
+/// Lines of `metrics.jsonl` without what a clock says.
+fn metrics(run: &Path) -> Vec<Map<String, Value>> {
+    let text = String::from_utf8(bytes(run.join("metrics.jsonl"))).unwrap();
+    let lines = text.lines().map(|line| serde_json::from_str::<Map<String, Value>>(line).unwrap());
+    lines
+        .map(|mut line| {
+            line.retain(|key, _| !key.starts_with("seconds"));
+            line
+        })
+        .collect()
+}
+
+fn png_names(folder: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(folder).unwrap();
+    let mut names: Vec<String> = entries
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .filter(|n| n.ends_with(".png"))
+        .collect();
+    names.sort();
+    names
+}
+
+fn folder() -> TempDir {
+    tempfile::tempdir().unwrap()
+}
+
+#[test]
+fn wrong_usage_is_exit_code_2_and_says_what_is_right() {
+    let folder = folder();
+    let at = folder.path();
+    assert!(fails(at, 2, &["train", "--stepz", "3"]).contains("--steps"));
+    assert!(fails(at, 2, &["train", "--preset", "fast"]).contains("default, quick, cpu"));
+    assert!(fails(at, 2, &["train", "--set", "train.step=3"]).contains("did you mean `train.steps`"));
+    assert!(fails(at, 2, &["train", "--steps", "0"]).contains("at least 1"));
+    assert!(fails(at, 2, &["train", "--device", "wgpu"]).contains("no GPU support yet"));
+    assert!(fails(at, 2, &["train", "--device", "tpu"]).contains("cpu-flex"));
+    assert!(fails(at, 2, &["train", "--resume", "--overwrite"]).contains("cannot be used with"));
+    assert!(fails(at, 2, &["eval"]).contains("<SCENE>"));
+    assert_eq!(std::fs::read_dir(at).unwrap().count(), 0, "nothing is written");
+}
+
+#[test]
+fn what_is_missing_is_exit_code_1_and_named() {
+    let folder = folder();
+    let at = folder.path();
+    let message = fails(at, 1, &["train", "nowhere/data"]);
+    assert!(message.contains("nowhere/data") && message.contains("transforms.json"), "{message}");
+    assert!(fails(at, 1, &["train", "--config", "mine.toml"]).contains("mine.toml"));
+    assert!(fails(at, 1, &["train", "--resume", "--out", "none"]).contains("none/checkpoint.safetensors"));
+    assert!(fails(at, 1, &["eval", "scene.safetensors", "--data", "builtin"]).contains("scene.safetensors"));
+    std::fs::write(at.join("broken.safetensors"), "no scene").unwrap();
+    assert!(fails(at, 1, &["info", "broken.safetensors"]).contains("broken.safetensors"));
+    assert_eq!(std::fs::read_dir(at).unwrap().count(), 1, "nothing else is written");
+}
+
+#[test]
+fn a_run_writes_everything_and_can_be_measured_and_shown() {
+    let folder = folder();
+    let at = folder.path();
+    let table = train(at, "run", &[]);
+    let run = at.join("run");
+    for part in ["60 steps", "held-out PSNR", "surfels", "run/scene.safetensors"] {
+        assert!(table.contains(part), "{part}: {table}");
+    }
+    let config = String::from_utf8(bytes(run.join("config.toml"))).unwrap();
+    assert!(config.contains("steps = 60") && config.contains("budget = 1500"), "{config}");
+    assert_eq!(json(run.join("run.json"))["dataset"], "builtin");
+
+    let lines = metrics(&run);
+    let steps = |kind: &str| -> Vec<u64> {
+        let of_kind = lines.iter().filter(|line| line["kind"] == kind);
+        of_kind.map(|line| line["step"].as_u64().unwrap()).collect()
+    };
+    assert_eq!(steps("evaluation"), [25, 50, 60]);
+    assert!([10, 20, 30, 40, 50, 60].iter().all(|step| steps("step").contains(step)));
+    assert!(lines.iter().any(|line| line.contains_key("events")), "refinement is logged");
+    assert_eq!(png_names(&run.join("pictures")).len(), 3 * 2);
+
+    let written = json(run.join("eval.json"));
+    let size = bytes(run.join("scene.safetensors")).len() as u64;
+    assert_eq!((written["bytes"].as_u64(), written["split"].as_str()), (Some(size), Some("test")));
+    let result = ok(at, &["eval", "run", "--save-images", "views"]);
+    let mut measured: Value = serde_json::from_str(&result).unwrap();
+    assert_eq!(measured["views"].as_array().unwrap().len(), 6);
+    for key in ["name", "psnr", "ssim", "seconds", "width", "height"] {
+        assert!(measured["views"][0].get(key).is_some(), "{key}");
+    }
+    assert!(measured["psnr"].as_f64().unwrap() > 10.0 && measured["seconds_per_view"].as_f64().unwrap() > 0.0);
+    assert_eq!(png_names(&at.join("views")).len(), 6);
+    measured["scene"] = written["scene"].clone();
+    let times = |value: &Value| {
+        let mut value = value.clone();
+        value["seconds_per_view"] = Value::Null;
+        value["views"].as_array_mut().unwrap().iter_mut().for_each(|view| view["seconds"] = Value::Null);
+        value
+    };
+    assert_eq!(times(&measured), times(&written), "the file in the run says the same");
+
+    let table = ok(at, &["eval", "run/scene.safetensors", "--split", "train", "--json", "train.json"]);
+    assert!(table.contains("mean"));
+    assert_eq!(json(at.join("train.json"))["views"].as_array().unwrap().len(), 24);
+
+    std::fs::copy(run.join("scene.safetensors"), at.join("alone.safetensors")).unwrap();
+    assert!(fails(at, 2, &["eval", "alone.safetensors"]).contains("--data"));
+    let small = ok(at, &["eval", "alone.safetensors", "--data", "builtin", "--max-resolution", "32"]);
+    assert_eq!(serde_json::from_str::<Value>(&small).unwrap()["psnr"], written["psnr"]);
+
+    ok(at, &["render", "run", "--out", "layers", "--layers"]);
+    let names = png_names(&at.join("layers"));
+    assert_eq!(names.len(), 6 * 7);
+    for part in ["", "_surfels", "_depth", "_normal", "_transmittance_1", "_transmittance_3"] {
+        assert!(names.contains(&format!("test_000{part}.png")), "{part}: {names:?}");
+    }
+    let ranges = json(at.join("layers/layers.json"));
+    assert!(ranges[0]["depth_near"].as_f64().unwrap() < ranges[0]["depth_far"].as_f64().unwrap());
+
+    assert!(ok(at, &["info", "run"]).contains("colour_model"));
+    let info: Value = serde_json::from_str(&ok(at, &["info", "run", "--json"])).unwrap();
+    assert_eq!((&info["surfels"], &info["bytes"]), (&written["surfels"], &written["bytes"]));
+}
+
+#[test]
+fn equal_seeds_give_equal_files_and_a_run_is_not_overwritten_by_accident() {
+    let folder = folder();
+    let at = folder.path();
+    train(at, "a", &["--quiet"]);
+    assert!(train(at, "b", &["--quiet"]).is_empty());
+    assert!(is_equal(at.join("a/scene.safetensors"), at.join("b/scene.safetensors")));
+    assert!(is_equal(at.join("a/checkpoint.safetensors"), at.join("b/checkpoint.safetensors")));
+    let message = fails(at, 1, &["train", "--out", "a"]);
+    assert!(message.contains("--overwrite") && message.contains("--resume"), "{message}");
+    train(at, "a", &["--seed=4", "--overwrite"]);
+    assert!(!is_equal(at.join("a/scene.safetensors"), at.join("b/scene.safetensors")));
+}
+
+#[test]
+fn a_finished_run_resumes_to_itself_and_contradictions_are_refused() {
+    let folder = folder();
+    let at = folder.path();
+    train(at, "run", &[]);
+    std::fs::copy(at.join("run/scene.safetensors"), at.join("before.safetensors")).unwrap();
+    let lines = metrics(&at.join("run"));
+    assert!(ok(at, &["train", "--out", "run", "--resume"]).contains("held-out PSNR"));
+    assert!(is_equal(at.join("run/scene.safetensors"), at.join("before.safetensors")));
+    assert_eq!(metrics(&at.join("run")), lines);
+    let message = fails(at, 2, &["train", "--out", "run", "--resume", "--steps", "70"]);
+    assert!(message.contains("`train.steps` is 60, not 70"), "{message}");
+    assert!(fails(at, 2, &["train", "data", "--out", "run", "--resume"]).contains("builtin"));
+    assert!(fails(at, 2, &["train", "--out", "run", "--resume", "--preset", "cpu"]).contains("`init.max_points`"));
+    std::fs::write(at.join("run/checkpoint.safetensors"), "half").unwrap();
+    assert!(fails(at, 1, &["train", "--out", "run", "--resume"]).contains("checkpoint.safetensors"));
+}
+
+/// Waits for `condition`, at most half a minute.
+#[cfg(unix)]
+fn wait_until(condition: impl Fn() -> bool) {
+    let start = std::time::Instant::now();
+    while !condition() {
+        assert!(start.elapsed().as_secs() < 30, "the run did not get going");
+        std::thread::sleep(std::time::Duration::from_millis(2));
+    }
+}
+
+#[cfg(unix)]
+fn start(folder: &Path, out: &str) -> std::process::Child {
+    std::process::Command::new(env!("CARGO_BIN_EXE_dpges"))
+        .current_dir(folder)
+        .args(["train", "--out", out])
+        .args(TINY)
+        .stdout(std::process::Stdio::null())
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .unwrap()
+}
+
+#[cfg(unix)]
+#[test]
+fn an_interrupted_run_resumes_to_the_same_scene() {
+    let folder = folder();
+    let at = folder.path();
+    train(at, "whole", &[]);
+
+    let child = start(at, "stopped");
+    wait_until(|| std::fs::metadata(at.join("stopped/metrics.jsonl")).is_ok_and(|file| file.len() > 0));
+    let killed = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert!(killed.success());
+    let output = child.wait_with_output().unwrap();
+    let message = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{message}");
+    assert!(message.contains("interrupted") && message.contains("train --out stopped --resume"), "{message}");
+    ok(at, &["info", "stopped"]);
+    ok(at, &["train", "--out", "stopped", "--resume"]);
+
+    let mut child = start(at, "killed");
+    wait_until(|| at.join("killed/checkpoint.safetensors").is_file());
+    child.kill().unwrap();
+    child.wait().unwrap();
+    ok(at, &["train", "--out", "killed", "--resume"]);
+
+    for run in ["stopped", "killed"] {
+        assert!(is_equal(at.join("whole/scene.safetensors"), at.join(run).join("scene.safetensors")), "{run}");
+        assert_eq!(metrics(&at.join("whole")), metrics(&at.join(run)), "{run}");
+        let pictures = |run: &str| png_names(&at.join(run).join("pictures"));
+        assert_eq!(pictures("whole"), pictures(run));
+    }
+}

@@ -1,0 +1,164 @@
+//! What the paper promises of its pictures, each on a scene where it can be seen.
+
+use burn::tensor::{DType, Tensor};
+use dpges_core::camera::{Camera, CameraFromWorld};
+use dpges_core::losses;
+use dpges_core::ops::composite::{CompositeOptions, composite};
+use dpges_core::ops::peel::PeelOptions;
+use dpges_core::render::{Render, RenderOptions, render};
+use dpges_core::scene::{ColourData, ColourModel, Footprint, GaussianData, SurfelData};
+use dpges_core::testing::golden::values;
+use dpges_core::testing::scenes::{Recipe, TestScene, random};
+use glam::DVec3;
+
+use crate::devices::flex;
+
+const BACKGROUND: [f64; 3] = [0.25, 0.5, 0.75];
+
+fn rendered(scene: &TestScene, peel: PeelOptions) -> Render {
+    let (surfels, gaussians) = scene.tensors(&flex(), DType::F64);
+    let options = RenderOptions { peel, background: BACKGROUND, detach_transmittance: false };
+    render(&surfels, &gaussians, &scene.camera, &options).unwrap()
+}
+
+fn options(layer_count: usize, modulation: f64, footprint: Footprint) -> PeelOptions {
+    PeelOptions { layer_count, modulation, footprint }
+}
+
+/// At w = 255 every fragment is opaque: the nearest surfel, and the Gaussians in front of it, are all there is (GES).
+#[test]
+fn fully_modulated_surfels_render_as_ges() {
+    let scene = random(5, &Recipe { surfels: 60, gaussians: 150, width: 41, height: 33, ..Recipe::default() });
+    let three = rendered(&scene, options(3, 255.0 * (1.0 + 1e-12), Footprint::Kernel));
+    let one = rendered(&scene, options(1, 255.0 * (1.0 + 1e-12), Footprint::Kernel));
+    assert!(values(&three.layers.alpha).iter().all(|alpha| *alpha == 0.0 || *alpha == 1.0));
+    assert_eq!(values(&three.composite.image), values(&one.composite.image));
+    let ids: Vec<i64> = three.layers.ids.clone().into_data().iter::<i64>().collect();
+    let plane = scene.camera.width * scene.camera.height;
+    assert!(ids[plane..].iter().all(|id| *id == -1));
+    let covered = ids[..plane].iter().filter(|id| **id >= 0).count();
+    assert!(covered > plane / 2 && covered < plane, "{covered} of {plane}");
+    // (c_nearest + Σ α c) / (1 + Σ α), the sums over what lies in front
+    let colours = values(&three.surfel_colours);
+    let composite = &three.composite;
+    let (image, sums, weight) =
+        (values(&composite.image), values(&composite.gaussian_colour), values(&composite.gaussian_weight));
+    for at in 0..plane {
+        for c in 0..3 {
+            let surfel = usize::try_from(ids[at]).map_or(BACKGROUND[c], |id| colours[3 * id + c]);
+            let expected = (surfel + sums[c * plane + at]) / (1.0 + weight[at]);
+            approx::assert_relative_eq!(image[c * plane + at], expected, epsilon = 1e-12);
+        }
+    }
+    // Gaussians moved far behind change nothing where a surfel is
+    let mut pushed = scene.clone();
+    let forward = scene.camera.camera_from_world.rotation.transpose() * DVec3::Z;
+    let behind = (scene.camera.centre() + forward * 50.0).as_vec3().to_array();
+    pushed.gaussians.positions.chunks_mut(3).for_each(|p| p.copy_from_slice(&behind));
+    pushed.gaussians.log_scales.fill(3.0);
+    let pushed = rendered(&pushed, options(3, 255.0 * (1.0 + 1e-12), Footprint::Kernel));
+    let (weight, surfel_image) = (values(&pushed.composite.gaussian_weight), values(&pushed.composite.surfel_image));
+    let image = values(&pushed.composite.image);
+    for at in 0..plane {
+        assert_eq!(weight[at] == 0.0, ids[at] >= 0, "pixel {at}");
+        assert!(ids[at] < 0 || (0..3).all(|c| image[c * plane + at] == surfel_image[c * plane + at]));
+    }
+}
+
+fn facing_camera(size: usize) -> Camera {
+    let pose = CameraFromWorld::look_at(DVec3::new(0.0, 0.0, -5.0), DVec3::ZERO, DVec3::NEG_Y);
+    let (focal, centre) = (4.0 * size as f64, size as f64 / 2.0);
+    Camera {
+        camera_from_world: pose,
+        fx: focal,
+        fy: focal,
+        cx: centre,
+        cy: centre,
+        width: size,
+        height: size,
+        near: 0.2,
+    }
+}
+
+/// Discs that face the camera, 3 σ beside its axis, at these depths; no two of one colour.
+fn rims(depths: &[f64], size: usize) -> TestScene {
+    let count = depths.len();
+    let beside = |depth: &f64| [3.0, 0.0, (depth - 5.0) as f32];
+    let base = (0..3 * count).map(|i| (i as f32 * 0.7).sin()).collect();
+    let surfels = SurfelData {
+        positions: depths.iter().flat_map(beside).collect(),
+        quaternions: [1.0, 0.0, 0.0, 0.0].repeat(count),
+        log_scales: vec![0.0; 2 * count],
+        colour: ColourData { base, detail: Vec::new() },
+        margins: vec![0.0; count],
+    };
+    let model = ColourModel::SphericalBeta { lobes: 0 };
+    TestScene { surfels, gaussians: GaussianData::default(), camera: facing_camera(size), model }
+}
+
+#[test]
+fn a_fourth_rim_is_ignored_and_the_transmittance_loss_opens_the_other_three() {
+    let (four, three) = (rims(&[4.0, 5.0, 6.0, 7.0], 1), rims(&[4.0, 5.0, 6.0], 1));
+    let peel = options(3, 30.0, Footprint::Kernel);
+    let render = rendered(&four, peel);
+    assert_eq!(render.layers.ids.clone().into_data().iter::<i64>().collect::<Vec<_>>(), [0, 1, 2]);
+    let image = values(&render.composite.image);
+    assert_eq!(image, values(&rendered(&three, peel).composite.image));
+    let (alpha, colours) = (values(&render.layers.alpha), values(&render.surfel_colours));
+    assert!(alpha.iter().all(|a| *a > 0.1 && *a < 0.9), "{alpha:?}");
+    let [a, b, c] = [alpha[0], alpha[1], alpha[2]];
+    for (channel, found) in image.iter().enumerate() {
+        let of = |i: usize| colours[3 * i + channel];
+        let expected = a * of(0)
+            + b * (1.0 - a) * of(1)
+            + c * (1.0 - a) * (1.0 - b) * of(2)
+            + (1.0 - a) * (1.0 - b) * (1.0 - c) * BACKGROUND[channel];
+        approx::assert_relative_eq!(*found, expected, epsilon = 1e-14);
+    }
+    // ∂L_t/∂A_i ≥ 0: descent lowers every opacity
+    let device = flex().autodiff();
+    let opacity = Tensor::<3>::from_data(render.layers.alpha.clone().into_data(), (&device, DType::F64)).require_grad();
+    let on_tape = |tensor: &Tensor<3>| Tensor::<3>::from_data(tensor.clone().into_data(), (&device, DType::F64));
+    let mut layers = render.layers.clone();
+    layers.ids = Tensor::from_data(render.layers.ids.clone().into_data(), &device);
+    (layers.alpha, layers.depth) = (opacity.clone(), on_tape(&render.layers.depth));
+    let colours = Tensor::<2>::from_data(render.surfel_colours.clone().into_data(), (&device, DType::F64));
+    let sums = Tensor::<4>::zeros([3, 4, 1, 1], (&device, DType::F64));
+    let blending = CompositeOptions { background: BACKGROUND, detach_transmittance: false };
+    let composite = composite(&layers, colours.clone(), sums, blending).unwrap();
+    let limits = on_tape(&render.limits);
+    let view = Render { composite, layers, limits, surfel_colours: colours.clone(), gaussian_colours: colours };
+    let gradient = values(&opacity.grad(&losses::transmittance(&view).backward()).unwrap());
+    let open = (1.0 - a) * (1.0 - b) * (1.0 - c);
+    for (found, own) in gradient.iter().zip([a, b, c]) {
+        approx::assert_relative_eq!(*found, 2.0 * (1.0 - open) * open / (1.0 - own), epsilon = 1e-12);
+    }
+}
+
+/// Moving sideways across a rim, the picture changes by no more than the step allows: nothing pops.
+#[test]
+fn a_camera_moves_across_a_rim_without_a_jump() {
+    let mut scene = rims(&[5.0, 6.0], 9);
+    scene.gaussians = GaussianData {
+        positions: vec![0.0, 0.0, -0.8, 0.1, 0.0, 0.5, 0.0, 0.1, 2.5],
+        quaternions: [1.0, 0.0, 0.0, 0.0].repeat(3),
+        log_scales: vec![-1.0; 9],
+        opacities: vec![0.8, 0.9, 1.2],
+        colour: ColourData { base: vec![1.5, -1.0, 0.2, -1.2, 0.8, 1.0, 0.3, 1.4, -1.4], detail: Vec::new() },
+    };
+    let largest_change = |steps: usize| {
+        let frame = |step: usize| {
+            let mut scene = scene.clone();
+            // from outside both discs to where they are opaque
+            scene.camera.camera_from_world.translation.x -= 1.5 * (step as f64 / steps as f64) - 0.5;
+            values(&rendered(&scene, options(3, 30.0, Footprint::Opacity)).composite.image)
+        };
+        let change = |(before, after): (Vec<f64>, Vec<f64>)| {
+            before.iter().zip(&after).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+        };
+        (0..steps).map(|step| change((frame(step), frame(step + 1)))).fold(0.0, f64::max)
+    };
+    let (coarse, fine) = (largest_change(100), largest_change(800));
+    // what remains is the footprint's own end, a step of 1/255 in opacity
+    assert!(coarse > 0.01 && fine < coarse / 8.0 + 2.0 / 255.0 && fine < coarse / 2.0, "{coarse} {fine}");
+}

@@ -1,0 +1,118 @@
+//! Every golden case, on both CPU backends, in both element types.
+//!
+//! `DPGES_GOLDEN_DIR` names a further folder whose `*.safetensors` are all checked.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use burn::tensor::{DType, Device};
+use dpges_core::testing::golden::{Deviation, GoldenCase};
+
+use crate::devices::{flex, ndarray};
+
+const TOLERANCE_F64: f64 = 1e-9;
+/// Beside what rounding the inputs to f32 causes.
+const TOLERANCE_F32: f64 = 2e-4;
+
+fn cases_in(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).unwrap_or_else(|e| panic!("{}: {e}", folder.display()));
+    let mut cases: Vec<PathBuf> = entries
+        .map(|entry| entry.unwrap().path())
+        .filter(|p| p.extension().is_some_and(|e| e == "safetensors"))
+        .collect();
+    cases.sort();
+    assert!(!cases.is_empty(), "{} holds no *.safetensors", folder.display());
+    cases
+}
+
+fn own_cases() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("golden")
+}
+
+fn load(path: &Path) -> GoldenCase {
+    GoldenCase::load(path).unwrap()
+}
+
+/// How far each tensor may be from its golden values.
+fn tolerances(path: &Path, device: &Device, dtype: DType) -> HashMap<String, f64> {
+    let of = |d: Deviation| (d.tensor, if d.is_id { 0.0 } else { TOLERANCE_F64 });
+    if dtype == DType::F64 {
+        return load(path).compare(device, DType::F64).into_iter().map(of).collect();
+    }
+    let rounded = load(path).rounded_to_f32().compare(device, DType::F64);
+    rounded.into_iter().map(|d| (d.tensor, d.distance + if d.is_id { 0.0 } else { TOLERANCE_F32 })).collect()
+}
+
+fn check_folder(folder: &Path, device: &Device, dtype: DType) {
+    let mut failures = Vec::new();
+    for path in cases_in(folder) {
+        let deviations = load(&path).compare(device, dtype);
+        assert!(deviations.len() > 40, "{}: only {} tensors compared", path.display(), deviations.len());
+        let worst = deviations.iter().map(|d| d.distance).fold(0.0, f64::max);
+        println!("{} {dtype:?}: {} tensors, worst {worst:.2e}", path.display(), deviations.len());
+        let tolerances = tolerances(&path, device, dtype);
+        let too_far = deviations.into_iter().filter(|d| d.distance > tolerances[&d.tensor] || d.distance.is_nan());
+        failures.extend(too_far.map(|d| format!("{}: {} is off by {:.3e}", path.display(), d.tensor, d.distance)));
+    }
+    assert!(failures.is_empty(), "{}", failures.join("\n"));
+}
+
+fn check_all(device: &Device, dtype: DType) {
+    check_folder(&own_cases(), device, dtype);
+    if let Some(folder) = std::env::var_os("DPGES_GOLDEN_DIR") {
+        check_folder(Path::new(&folder), device, dtype);
+    }
+}
+
+#[test]
+fn ndarray_f64() {
+    check_all(&ndarray(), DType::F64);
+}
+
+#[test]
+fn ndarray_f32() {
+    check_all(&ndarray(), DType::F32);
+}
+
+#[test]
+fn flex_f64() {
+    check_all(&flex(), DType::F64);
+}
+
+#[test]
+fn flex_f32() {
+    check_all(&flex(), DType::F32);
+}
+
+#[test]
+fn rounding_the_inputs_does_not_excuse_much() {
+    for path in cases_in(&own_cases()) {
+        for (tensor, tolerance) in tolerances(&path, &flex(), DType::F32) {
+            assert!(tolerance < 1e-3, "{}: {tensor} may be off by {tolerance:.1e}", path.display());
+        }
+    }
+}
+
+/// The comparison is worth something only if it fails where it should.
+#[test]
+fn a_wrong_expectation_is_reported_and_only_that() {
+    let path = own_cases().join("basic.safetensors");
+    let names: Vec<String> = load(&path).expected().map(str::to_owned).collect();
+    assert!(names.len() > 40, "{}", names.len());
+    let mut compared = 0;
+    // margins have no gradient; ids and depth are compared together
+    let apart = |name: &&String| [".margins", ".ids", "layers.depth"].iter().all(|end| !name.ends_with(end));
+    for name in names.iter().filter(apart) {
+        let deviations = load(&path).perturbed(name, 1.001).compare(&flex(), DType::F64);
+        let far: Vec<&str> =
+            deviations.iter().filter(|d| d.distance > TOLERANCE_F64).map(|d| d.tensor.as_str()).collect();
+        assert_eq!(far, [name.as_str()]);
+        compared += 1;
+    }
+    assert!(compared > 40, "{compared}");
+    let ids = load(&path).perturbed("out.layers.ids", 2.0).compare(&flex(), DType::F64);
+    let differing = ids.iter().find(|d| d.is_id).unwrap().distance;
+    assert!(differing > 100.0, "{differing} pixels");
+    let depth = load(&path).perturbed("out.layers.depth", 1.001).compare(&flex(), DType::F64);
+    assert!(depth.iter().any(|d| d.tensor == "out.layers.depth" && d.distance > TOLERANCE_F64));
+}

@@ -1,0 +1,182 @@
+//! What must not change the picture: the order of primitives, the backend, another run.
+
+use burn::tensor::{DType, Device, Tensor};
+use dpges_core::losses::{LossWeights, losses};
+use dpges_core::render::{Render, RenderOptions, render};
+use dpges_core::scene::{Gaussians, Surfels};
+use dpges_core::testing::golden::values;
+use dpges_core::testing::random::Random;
+use dpges_core::testing::scenes::{Recipe, TestScene, random};
+
+use crate::devices::{flex, ndarray};
+
+const BACKGROUND: [f64; 3] = [0.1, 0.6, 0.3];
+
+fn scene() -> TestScene {
+    random(17, &Recipe { surfels: 120, gaussians: 300, width: 61, height: 43, ..Recipe::default() })
+}
+
+fn options() -> RenderOptions {
+    RenderOptions { background: BACKGROUND, ..RenderOptions::default() }
+}
+
+fn rendered(scene: &TestScene, device: &Device) -> Render {
+    let (surfels, gaussians) = scene.tensors(device, DType::F32);
+    render(&surfels, &gaussians, &scene.camera, &options()).unwrap()
+}
+
+fn ids(render: &Render) -> Vec<i64> {
+    render.layers.ids.clone().into_data().iter::<i64>().collect()
+}
+
+/// Every output, by name.
+fn outputs(render: &Render) -> Vec<(&'static str, Vec<f64>)> {
+    let composite = &render.composite;
+    vec![
+        ("image", values(&composite.image)),
+        ("surfel image", values(&composite.surfel_image)),
+        ("transmittance", values(&composite.transmittance)),
+        ("Gaussian colour", values(&composite.gaussian_colour)),
+        ("Gaussian weight", values(&composite.gaussian_weight)),
+        ("alpha", values(&render.layers.alpha)),
+        ("depth", values(&render.layers.depth)),
+        ("limits", values(&render.limits)),
+        ("surfel colours", values(&render.surfel_colours)),
+        ("Gaussian colours", values(&render.gaussian_colours)),
+    ]
+}
+
+fn shuffled(count: usize, seed: u64) -> Vec<usize> {
+    let (mut order, mut random) = ((0..count).collect::<Vec<_>>(), Random::new(seed));
+    (1..count).for_each(|i| order.swap(i, random.below(i + 1)));
+    order
+}
+
+#[test]
+fn the_order_of_primitives_does_not_matter() {
+    let scene = scene();
+    let reference = rendered(&scene, &flex());
+    for seed in 1..4 {
+        let order = shuffled(scene.surfels.len(), seed);
+        let permuted = TestScene {
+            surfels: scene.surfels.select(scene.model, &order),
+            gaussians: scene.gaussians.select(scene.model, &shuffled(scene.gaussians.len(), seed + 10)),
+            ..scene.clone()
+        };
+        let found = rendered(&permuted, &flex());
+        let back: Vec<i64> =
+            ids(&found).iter().map(|&id| usize::try_from(id).map_or(-1, |id| order[id] as i64)).collect();
+        assert_eq!(back, ids(&reference));
+        assert_eq!(values(&found.layers.alpha), values(&reference.layers.alpha));
+        assert_eq!(values(&found.layers.depth), values(&reference.layers.depth));
+        let (a, b) = (values(&found.composite.image), values(&reference.composite.image));
+        let apart = a.iter().zip(&b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(apart < 1e-6, "{apart:e}");
+        assert!(a.iter().any(|v| *v > 0.2));
+    }
+}
+
+#[test]
+fn both_backends_render_the_same_bits() {
+    let (a, b) = (rendered(&scene(), &ndarray()), rendered(&scene(), &flex()));
+    assert_eq!(ids(&a), ids(&b));
+    for ((name, a), (_, b)) in outputs(&a).into_iter().zip(outputs(&b)) {
+        assert!(a == b, "{name} differs");
+    }
+}
+
+/// Outputs, total loss and the gradients of all parameters.
+fn step(device: &Device) -> Vec<Vec<f64>> {
+    let scene = scene();
+    let (surfels, gaussians) = with_gradients(scene.tensors(&device.clone().autodiff(), DType::F32));
+    let rendered = render(&surfels, &gaussians, &scene.camera, &options()).unwrap();
+    let target = rendered.composite.image.clone().detach().mul_scalar(0.9).add_scalar(0.02);
+    let terms = losses(&rendered, surfels.log_scales.clone(), target, &LossWeights::default()).unwrap();
+    let mut all: Vec<Vec<f64>> = outputs(&rendered).into_iter().map(|(_, values)| values).collect();
+    all.push(values(&terms.total));
+    let gradients = terms.total.backward();
+    for tensor in parameters(&surfels, &gaussians) {
+        all.push(values(&tensor.grad(&gradients).unwrap()));
+    }
+    all.push(values(&gaussians.opacities.grad(&gradients).unwrap()));
+    all
+}
+
+fn with_gradients((mut surfels, mut gaussians): (Surfels, Gaussians)) -> (Surfels, Gaussians) {
+    for colour in [&mut surfels.colour, &mut gaussians.colour] {
+        colour.base = colour.base.clone().require_grad();
+        colour.detail = colour.detail.clone().require_grad();
+    }
+    surfels.positions = surfels.positions.require_grad();
+    surfels.quaternions = surfels.quaternions.require_grad();
+    surfels.log_scales = surfels.log_scales.require_grad();
+    gaussians.positions = gaussians.positions.require_grad();
+    gaussians.quaternions = gaussians.quaternions.require_grad();
+    gaussians.log_scales = gaussians.log_scales.require_grad();
+    gaussians.opacities = gaussians.opacities.require_grad();
+    (surfels, gaussians)
+}
+
+fn parameters<'a>(surfels: &'a Surfels, gaussians: &'a Gaussians) -> [&'a Tensor<2>; 10] {
+    [
+        &surfels.positions,
+        &surfels.quaternions,
+        &surfels.log_scales,
+        &surfels.colour.base,
+        &surfels.colour.detail,
+        &gaussians.positions,
+        &gaussians.quaternions,
+        &gaussians.log_scales,
+        &gaussians.colour.base,
+        &gaussians.colour.detail,
+    ]
+}
+
+#[test]
+fn a_second_run_has_the_same_bits() {
+    for device in [ndarray(), flex()] {
+        let first = step(&device);
+        assert!(first.iter().all(|values| values.iter().any(|v| *v != 0.0)));
+        (0..3).for_each(|_| assert!(step(&device) == first));
+    }
+}
+
+#[test]
+fn scenes_without_surfels_or_gaussians_render_and_have_gradients() {
+    let whole = scene();
+    for (surfel_count, gaussian_count) in [(0, 0), (0, 300), (120, 0)] {
+        let scene = TestScene {
+            surfels: whole.surfels.select(whole.model, &(0..surfel_count).collect::<Vec<_>>()),
+            gaussians: whole.gaussians.select(whole.model, &(0..gaussian_count).collect::<Vec<_>>()),
+            ..whole.clone()
+        };
+        for device in [ndarray().autodiff(), flex().autodiff()] {
+            let (surfels, gaussians) = with_gradients(scene.tensors(&device, DType::F32));
+            let rendered = render(&surfels, &gaussians, &scene.camera, &options()).unwrap();
+            let composite = &rendered.composite;
+            let (image, surfel_image) = (values(&composite.image), values(&composite.surfel_image));
+            let weight = values(&composite.gaussian_weight);
+            let plane = weight.len();
+            for at in 0..3 * plane {
+                let background = f64::from(BACKGROUND[at / plane] as f32);
+                if surfel_count == 0 {
+                    approx::assert_relative_eq!(surfel_image[at], background, epsilon = 1e-6);
+                }
+                if gaussian_count == 0 {
+                    assert_eq!((image[at], weight[at % plane]), (surfel_image[at], 0.0));
+                }
+            }
+            let transmittance = values(&composite.transmittance);
+            assert!(surfel_count > 0 || transmittance.iter().all(|t| *t == 1.0));
+            let target = Tensor::zeros([3, scene.camera.height, scene.camera.width], (&device, DType::F32));
+            let terms = losses(&rendered, surfels.log_scales.clone(), target, &LossWeights::default()).unwrap();
+            assert!(values(&terms.total)[0].is_finite());
+            let gradients = terms.total.backward();
+            for tensor in parameters(&surfels, &gaussians) {
+                let gradient = tensor.grad(&gradients).map_or_else(Vec::new, |g| values(&g));
+                assert!(gradient.iter().all(|g| g.is_finite()));
+                assert!(tensor.dims()[0] == 0 || gradient.iter().any(|g| *g != 0.0));
+            }
+        }
+    }
+}

@@ -1,0 +1,251 @@
+//! Input that does not fit gets a typed error; input at the extremes gets finite pictures and gradients.
+
+use burn::tensor::{DType, Tensor};
+use dpges_core::Error;
+use dpges_core::camera::{Camera, CameraFromWorld};
+use dpges_core::losses::{LossWeights, losses};
+use dpges_core::ops::peel::PeelOptions;
+use dpges_core::render::{RenderOptions, render};
+use dpges_core::scene::{Footprint, Gaussians, Surfels};
+use dpges_core::testing::golden::values;
+use dpges_core::testing::scenes::{Recipe, TestScene, random};
+use glam::{DMat3, DVec3};
+
+use crate::devices::{flex, ndarray};
+
+fn scene() -> TestScene {
+    random(23, &Recipe { surfels: 20, gaussians: 30, width: 33, height: 18, ..Recipe::default() })
+}
+
+type Input = (Surfels, Gaussians);
+/// A name that errors use, and the tensor they mean.
+type Named<const D: usize> = (&'static str, fn(&mut Input) -> &mut Tensor<D>);
+
+const ROWS: [Named<2>; 10] = [
+    ("surfels.positions", |i| &mut i.0.positions),
+    ("surfels.quaternions", |i| &mut i.0.quaternions),
+    ("surfels.log_scales", |i| &mut i.0.log_scales),
+    ("surfels.colour.base", |i| &mut i.0.colour.base),
+    ("surfels.colour.detail", |i| &mut i.0.colour.detail),
+    ("gaussians.positions", |i| &mut i.1.positions),
+    ("gaussians.quaternions", |i| &mut i.1.quaternions),
+    ("gaussians.log_scales", |i| &mut i.1.log_scales),
+    ("gaussians.colour.base", |i| &mut i.1.colour.base),
+    ("gaussians.colour.detail", |i| &mut i.1.colour.detail),
+];
+const COLUMNS: [Named<1>; 2] =
+    [("surfels.margins", |i| &mut i.0.margins), ("gaussians.opacities", |i| &mut i.1.opacities)];
+
+/// The error of rendering the scene after `edit`.
+fn error_after(edit: impl Fn(&mut Input)) -> Error {
+    let scene = scene();
+    let mut input = scene.tensors(&flex(), DType::F32);
+    edit(&mut input);
+    render(&input.0, &input.1, &scene.camera, &RenderOptions::default()).unwrap_err()
+}
+
+#[test]
+fn wrong_shapes_are_named() {
+    for (name, of) in ROWS {
+        let widened = error_after(|input| *of(input) = Tensor::cat(vec![of(input).clone(), of(input).clone()], 1));
+        assert!(matches!(&widened, Error::Shape { tensor, .. } if tensor == name), "{name}: {widened}");
+        // with a position more the others are too short
+        let lengthened = error_after(|input| *of(input) = Tensor::cat(vec![of(input).clone(), of(input).clone()], 0));
+        assert!(matches!(&lengthened, Error::Shape { .. }), "{name}: {lengthened}");
+    }
+    for (name, of) in COLUMNS {
+        let error = error_after(|input| *of(input) = of(input).clone().slice(0..5));
+        assert!(matches!(&error, Error::Shape { tensor, .. } if tensor == name), "{name}: {error}");
+    }
+}
+
+#[test]
+fn values_that_are_not_finite_are_named_with_their_row() {
+    for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+        for (name, of) in ROWS {
+            let error = error_after(|input| {
+                let value = of(input).clone().slice([7..8, 1..2]).full_like(bad);
+                *of(input) = of(input).clone().slice_assign([7..8, 1..2], value);
+            });
+            assert!(matches!(&error, Error::NonFinite { tensor, row: 7, .. } if tensor == name), "{name}: {error}");
+        }
+        for (name, of) in COLUMNS {
+            let error = error_after(|input| {
+                let value = of(input).clone().slice(11..12).full_like(bad);
+                *of(input) = of(input).clone().slice_assign(11..12, value);
+            });
+            assert!(matches!(&error, Error::NonFinite { tensor, row: 11, .. } if tensor == name), "{name}: {error}");
+        }
+    }
+}
+
+#[test]
+fn mixed_and_unsupported_element_types_are_named() {
+    for (name, of) in ROWS {
+        let error = error_after(|input| *of(input) = of(input).clone().cast(DType::F64));
+        assert!(matches!(&error, Error::DType { .. }), "{name}: {error}");
+        assert!(name == "surfels.positions" || error.to_string().contains(name), "{name}: {error}");
+    }
+    for (name, of) in COLUMNS {
+        let error = error_after(|input| *of(input) = of(input).clone().cast(DType::F64));
+        assert!(matches!(&error, Error::DType { tensor, .. } if tensor == name), "{name}: {error}");
+    }
+}
+
+#[test]
+fn impossible_cameras_and_options_are_named() {
+    type Edit = fn(&mut Camera);
+    let scene = scene();
+    let (surfels, gaussians) = scene.tensors(&ndarray(), DType::F32);
+    let error = |camera: Camera, options: RenderOptions| render(&surfels, &gaussians, &camera, &options).unwrap_err();
+    let of = |edit: Edit| {
+        let mut camera = scene.camera;
+        edit(&mut camera);
+        error(camera, RenderOptions::default())
+    };
+    let cases: [(&str, Edit); 11] = [
+        ("width", |c| c.width = 0),
+        ("height", |c| c.height = 0),
+        ("fx", |c| c.fx = 0.0),
+        ("fx", |c| c.fx = -1.0),
+        ("fy", |c| c.fy = -50.0),
+        ("fy", |c| c.fy = f64::NAN),
+        ("near", |c| c.near = 0.0),
+        ("cx", |c| c.cx = f64::INFINITY),
+        ("cy", |c| c.cy = f64::NAN),
+        ("rotation", |c| c.camera_from_world.rotation.x_axis.y = f64::NAN),
+        ("translation", |c| c.camera_from_world.translation.z = f64::INFINITY),
+    ];
+    for (name, edit) in cases {
+        let error = of(edit);
+        assert!(matches!(&error, Error::Camera { field, .. } if *field == name), "{name}: {error}");
+    }
+    for (name, layer_count, modulation) in
+        [("layer_count", 0, 30.0), ("layer_count", 9, 30.0), ("modulation", 3, 0.0), ("modulation", 3, f64::NAN)]
+    {
+        let peel = PeelOptions { layer_count, modulation, footprint: Footprint::Kernel };
+        let error = error(scene.camera, RenderOptions { peel, ..RenderOptions::default() });
+        assert!(matches!(&error, Error::Option { option, .. } if *option == name), "{name}: {error}");
+    }
+}
+
+#[test]
+fn a_target_of_another_size_is_refused() {
+    let scene = scene();
+    let (surfels, gaussians) = scene.tensors(&flex(), DType::F32);
+    let rendered = render(&surfels, &gaussians, &scene.camera, &RenderOptions::default()).unwrap();
+    let target = Tensor::zeros([3, scene.camera.width, scene.camera.height], (&flex(), DType::F32));
+    let error = losses(&rendered, surfels.log_scales, target, &LossWeights::default()).unwrap_err();
+    assert!(matches!(&error, Error::Shape { tensor, .. } if tensor == "target"), "{error}");
+}
+
+/// Renders and trains one step on both backends; everything must be finite.
+fn assert_finite(what: &str, scene: &TestScene) {
+    for device in [ndarray().autodiff(), flex().autodiff()] {
+        for layer_count in [1, 3] {
+            let mut input = scene.tensors(&device, DType::F32);
+            for (_, of) in ROWS {
+                *of(&mut input) = of(&mut input).clone().require_grad();
+            }
+            input.1.opacities = input.1.opacities.require_grad();
+            let peel = PeelOptions { layer_count, ..PeelOptions::default() };
+            let options = RenderOptions { peel, background: [0.2, 0.4, 0.6], detach_transmittance: false };
+            let rendered = render(&input.0, &input.1, &scene.camera, &options).unwrap();
+            let image = values(&rendered.composite.image);
+            assert!(image.iter().all(|v| v.is_finite()), "{what}: the image is not finite");
+            let target = Tensor::zeros(rendered.composite.image.dims(), (&device, DType::F32)).add_scalar(0.5);
+            let terms = losses(&rendered, input.0.log_scales.clone(), target, &LossWeights::default()).unwrap();
+            assert!(values(&terms.total)[0].is_finite(), "{what}: the loss is {:?}", values(&terms.total));
+            let gradients = terms.total.backward();
+            for (name, of) in ROWS {
+                let gradient = values(&of(&mut input).grad(&gradients).unwrap());
+                let bad = gradient.iter().position(|g| !g.is_finite());
+                assert!(bad.is_none(), "{what}: gradient of {name} at {bad:?} is {}", gradient[bad.unwrap_or(0)]);
+            }
+            let gradient = values(&input.1.opacities.grad(&gradients).unwrap());
+            assert!(gradient.iter().all(|g| g.is_finite()), "{what}: gradient of opacities {gradient:?}");
+        }
+    }
+}
+
+#[test]
+fn extreme_scales_stay_finite() {
+    for size in [-60.0f32, 60.0, -30.0, 30.0, 20.0] {
+        let mut all = scene();
+        all.surfels.log_scales.fill(size);
+        all.gaussians.log_scales.fill(size);
+        assert_finite(&format!("all log-scales {size}"), &all);
+        let mut mixed = scene();
+        mixed.surfels.log_scales.iter_mut().step_by(2).for_each(|s| *s = size);
+        mixed.gaussians.log_scales.iter_mut().step_by(3).for_each(|s| *s = size);
+        assert_finite(&format!("one log-scale of each {size}"), &mixed);
+        let mut needles = scene();
+        needles.surfels.log_scales.chunks_mut(2).for_each(|s| s.copy_from_slice(&[size, -size]));
+        needles.gaussians.log_scales.chunks_mut(3).for_each(|s| s.copy_from_slice(&[size, -size, 0.0]));
+        assert_finite(&format!("log-scales ±{size}"), &needles);
+    }
+}
+
+#[test]
+fn extreme_opacities_stay_finite() {
+    for opacity in [1e6, -1e6, 0.0, 1e-30, -0.5, 1e30] {
+        let mut scene = scene();
+        scene.gaussians.opacities.fill(opacity);
+        assert_finite(&format!("opacities {opacity}"), &scene);
+    }
+}
+
+#[test]
+fn primitives_at_the_camera_and_at_the_horizon_stay_finite() {
+    let eye = scene().camera.centre();
+    let forward = scene().camera.camera_from_world.rotation.transpose() * DVec3::Z;
+    for (what, place) in [
+        ("at the camera", eye),
+        ("on the near plane", eye + forward * scene().camera.near),
+        ("just behind the near plane", eye + forward * scene().camera.near * 1.000_001),
+        ("at 1e6", eye + forward * 1e6),
+        ("at 1e6 behind", eye - forward * 1e6),
+        ("at 1e6 aside", eye + DVec3::new(1e6, -1e6, 1e6)),
+        ("at 1e12", eye + forward * 1e12),
+    ] {
+        let mut scene = scene();
+        for positions in [&mut scene.surfels.positions, &mut scene.gaussians.positions] {
+            positions.chunks_mut(3).step_by(2).for_each(|p| p.copy_from_slice(&place.as_vec3().to_array()));
+        }
+        assert_finite(what, &scene);
+        // of matching size there
+        for scales in [&mut scene.surfels.log_scales, &mut scene.gaussians.log_scales] {
+            scales.fill(((place - eye).length() as f32 * 0.1).max(1e-6).ln());
+        }
+        assert_finite(&format!("{what}, large"), &scene);
+    }
+}
+
+#[test]
+fn extreme_quaternions_stay_finite() {
+    for length in [0.0, 1e-30, 1e-20, 1e-12, 1e20, 1e30] {
+        let mut scene = scene();
+        for quaternions in [&mut scene.surfels.quaternions, &mut scene.gaussians.quaternions] {
+            quaternions.iter_mut().for_each(|q| *q *= length);
+        }
+        assert_finite(&format!("quaternions times {length}"), &scene);
+    }
+}
+
+#[test]
+fn surfels_exactly_edge_on_stay_finite() {
+    let mut scene = scene();
+    let pose = CameraFromWorld { rotation: DMat3::IDENTITY, translation: DVec3::ZERO };
+    let camera = &mut scene.camera;
+    (camera.camera_from_world, camera.cx, camera.cy) = (pose, 16.5, 8.5);
+    // 90° about y: the normal lies along x, the plane holds the axis and the column of pixels through it
+    for (p, q) in scene.surfels.positions.chunks_mut(3).zip(scene.surfels.quaternions.chunks_mut(4)) {
+        (p[0], p[2]) = (0.0, p[2].abs() + 1.0);
+        q.copy_from_slice(&[0.5f32.sqrt(), 0.0, 0.5f32.sqrt(), 0.0]);
+    }
+    assert_finite("edge-on", &scene);
+    for p in scene.surfels.positions.chunks_mut(3) {
+        p[0] = 1e-7;
+    }
+    assert_finite("nearly edge-on", &scene);
+}
