@@ -225,7 +225,7 @@ mod tests {
                     && lobe[5] == 0.0
             );
         }
-        assert!((surfels.log_scales[0].exp() - 1.0).abs() < 1e-6);
+        assert!((surfels.log_scales[0].exp() - 0.4).abs() < 1e-6);
         assert!((gaussians.log_scales[0].exp() - 0.5).abs() < 1e-6);
         assert_eq!((gaussians.len(), gaussians.opacities[0], gaussians.quaternions[0]), (3, 0.1, 1.0));
     }

@@ -64,8 +64,9 @@ impl<'a, T: Real> Inputs<'a, T> {
         }
     }
 
+    /// The pixel at a position within a plane; what neither `colours` nor `sums` asks for is left at zero.
     #[inline(always)]
-    fn pixel(&self, at: usize) -> Pixel<T> {
+    fn pixel(&self, at: usize, colours: bool, sums: bool) -> Pixel<T> {
         let plane = self.height * self.width;
         let zero = [T::zero(); 3];
         let mut pixel = Pixel {
@@ -81,9 +82,9 @@ impl<'a, T: Real> Inputs<'a, T> {
         for k in 0..self.layers {
             let through = pixel.transmittance[k];
             let (alpha, id) = (self.alpha[k * plane + at], self.ids[k * plane + at]);
-            let colour = if id >= 0 { row(&self.colours, id as usize) } else { zero };
-            let payload: V3<T> = std::array::from_fn(|c| self.sums[(4 * k + c) * plane + at]);
-            let weight = self.sums[(4 * k + 3) * plane + at];
+            let colour = if colours && id >= 0 { row(&self.colours, id as usize) } else { zero };
+            let sum = |c: usize| if sums { self.sums[(4 * k + c) * plane + at] } else { T::zero() };
+            let (payload, weight) = ([sum(0), sum(1), sum(2)], sum(3));
             (pixel.alpha[k], pixel.colour[k], pixel.payload[k], pixel.weight[k]) = (alpha, colour, payload, weight);
             pixel.transmittance[k + 1] = through * (T::one() - alpha);
             pixel.surfel_colour = add(pixel.surfel_colour, scale(colour, alpha * through));
@@ -105,7 +106,7 @@ fn forward<T: Real>(inputs: &Inputs<T>) -> [Vec<T>; 5] {
     tasks.into_par_iter().enumerate().for_each(
         |(band, [mut image, mut surfels, mut transmittance, mut colour, mut weight])| {
             for (local, at) in bands.pixels(band, inputs.width).enumerate() {
-                let pixel = inputs.pixel(at);
+                let pixel = inputs.pixel(at, true, true);
                 let blended = pixel.image();
                 for c in 0..3 {
                     image[c][local] = blended[c];
@@ -169,7 +170,7 @@ fn backward<T: Real>(inputs: &Inputs<T>, grad: &[T], kind: OutputKind) -> [Vec<T
         .map(|(band, (mut alpha, mut sums))| {
             let mut colours = vec![T::zero(); colour_len];
             for (local, at) in bands.pixels(band, inputs.width).enumerate() {
-                let pixel = inputs.pixel(at);
+                let pixel = inputs.pixel(at, kind.reaches_colours(), kind.reaches_sums());
                 let incoming = incoming(inputs, &pixel, grad, kind, at);
                 // total derivative with respect to T_k, everything behind included
                 let mut behind = incoming.transmittance[layers] + dot(incoming.surfel, inputs.background);
