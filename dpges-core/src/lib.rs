@@ -1,4 +1,22 @@
 //! Differentiable rendering of depth-peeled surfels and sort-free Gaussians as Burn operations.
+//!
+//! [`render::render`] turns [`scene::Surfels`] and [`scene::Gaussians`] seen by a [`camera::Camera`] into an image;
+//! [`losses`] compares it with a photograph; [`ops`] holds the operations both are made of.
+//!
+//! Conventions: camera axes x right, y down, z forward; pixel (column i, row j) sampled at (i + 0.5, j + 0.5); depth is
+//! camera-space z in world units; quaternions (w, x, y, z), raw; scales as natural logarithms; linear opacity.
+//! Shape letters: N surfels, M Gaussians, K layers, H × W pixels; images are planar, [C, H, W].
+//!
+//! # Dependencies
+//!
+//! | crate | for |
+//! |---|---|
+//! | burn | tensors, tape, backends |
+//! | glam | cameras in f64 |
+//! | num-traits, bytemuck | kernels generic over f32 and f64 on tensors viewed as slices |
+//! | rayon, pulp | threads; the vector instructions of the machine, chosen at run time |
+//! | safetensors, serde, serde_json, tempfile | the scene file, written whole or not at all |
+//! | thiserror | errors |
 #![cfg_attr(feature = "ndarray", expect(deprecated, reason = "burn-ndarray is deprecated upstream and supported here"))]
 #![recursion_limit = "256"]
 

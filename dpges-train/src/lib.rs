@@ -1,4 +1,20 @@
 //! Training of depth-peeled Gaussian-enhanced surfels from photographs.
+//!
+//! # Dependencies
+//!
+//! | crate | for |
+//! |---|---|
+//! | burn, dpges-core | tensors, devices; the operations |
+//! | glam | poses in f64 |
+//! | image, serde-ply | photographs; the points of nerfstudio datasets |
+//! | kiddo | nearest neighbours: point spacing, margins, splits |
+//! | rand, rand_chacha | random numbers that a checkpoint can hold |
+//! | rayon | reading pictures, neighbours |
+//! | safetensors, serde, serde_json, toml, tempfile | checkpoints, configuration, logs |
+//! | strsim | the nearest known key for an unknown one |
+//! | thiserror; miette in the binary | errors |
+//! | clap, ctrlc, indicatif, tracing, tracing-indicatif, tracing-subscriber | the command line |
+//! | mimalloc | the binary's allocator |
 
 pub mod checkpoint;
 pub mod config;
