@@ -156,7 +156,7 @@ pub struct RefineConfig {
     pub add_from: usize,
     /// Exclusive.
     pub add_until: usize,
-    /// Surfels and Gaussians together never exceed it; 0 is one per pixel of a training view, but at
+    /// Surfels and Gaussians together never exceed it; 0 is one per two pixels of a training view, but at
     /// least [`SMALLEST_AUTOMATIC_BUDGET`].
     pub budget: usize,
     pub split_every: usize,
@@ -281,7 +281,7 @@ impl RefineConfig {
     /// Replaces an automatic budget by what suits views of `pixels` px.
     pub fn fix_budget(&mut self, pixels: usize) {
         if self.budget == 0 {
-            self.budget = pixels.max(SMALLEST_AUTOMATIC_BUDGET);
+            self.budget = (pixels / 2).max(SMALLEST_AUTOMATIC_BUDGET);
         }
     }
 }
