@@ -1,4 +1,4 @@
-//! The losses of DP-GES, each a tensor function returning [1] (methods 2.4, 7.1, 7.4 m–o).
+//! The losses of DP-GES, each a tensor function returning [1].
 
 use burn::tensor::Tensor;
 

@@ -84,7 +84,7 @@ fn unit<T: Real>(q: [T; 4]) -> ([T; 4], T) {
     (scaled.map(|v| v * inverse), inverse / largest)
 }
 
-/// Gradient with respect to the raw quaternion from the gradient with respect to its rotation (methods 1.4).
+/// Gradient with respect to the raw quaternion from the gradient with respect to its rotation.
 #[inline(always)]
 pub fn rotation_backward<T: Real>(q: [T; 4], grad: &M3<T>) -> [T; 4] {
     let (unit, inverse_length) = unit(q);

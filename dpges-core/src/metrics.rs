@@ -1,4 +1,4 @@
-//! Image quality on 8-bit pictures: what is written to a PNG is what is measured (methods 8.2).
+//! Image quality on 8-bit pictures: what is written to a PNG is what is measured.
 
 use burn::tensor::Tensor;
 

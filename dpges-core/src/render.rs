@@ -77,7 +77,7 @@ fn check<const D: usize>(name: &str, tensor: &Tensor<D>, dtype: DType) -> Result
     check_finite(name, tensor)
 }
 
-/// Renders `surfels` and `gaussians` from `camera` (DP-GES; methods 7.2).
+/// Renders `surfels` and `gaussians` from `camera` (DP-GES).
 ///
 /// # Errors
 /// A typed error naming what does not fit: see [`validate`], [`Camera::validate`], [`PeelOptions::validate`].

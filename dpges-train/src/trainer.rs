@@ -1,4 +1,4 @@
-//! The joint optimisation of surfels and Gaussians (DP-GES, 7.4 and 7.5): one view per step.
+//! The joint optimisation of surfels and Gaussians (DP-GES): one view per step.
 
 mod refinement;
 mod resume;
@@ -155,7 +155,7 @@ impl Trainer {
         Ok(report)
     }
 
-    /// The next view of this pass; passes go over all views in random order (methods 1.8).
+    /// The next view of this pass; passes go over all views in random order (3DGS).
     fn next_view(&mut self) -> usize {
         if self.remaining_views.is_empty() {
             self.remaining_views = (0..self.dataset.train.len() as u32).collect();

@@ -76,7 +76,7 @@ impl From<ColourModel> for String {
     }
 }
 
-/// Where a surfel ends (methods 7.4 d).
+/// Where a surfel ends.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Footprint {

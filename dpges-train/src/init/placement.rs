@@ -12,7 +12,7 @@ use crate::neighbours::nearest;
 
 /// 3DGS: mean squared distances are at least this, world units².
 const MIN_SQUARED_SPACING: f32 = 1e-7;
-/// Raw colour of a lobe nobody notices: an amplitude of 0.017 (DP-GES 7.4 q).
+/// Raw colour of a lobe nobody notices: an amplitude of 0.017 (DP-GES).
 const FAINT_LOBE: f32 = -0.3;
 /// Scale of a primitive that has no neighbour, as a fraction of the extent.
 const LONE_SCALE: f64 = 0.01;

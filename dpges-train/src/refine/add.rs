@@ -1,4 +1,4 @@
-//! New Gaussians where pictures are worst (GES 4.5; DP-GES 7.4 v).
+//! New Gaussians where pictures are worst (GES, DP-GES).
 
 use dpges_core::scene::{ColourData, ColourModel, GaussianData, SH_C0};
 use rand::RngExt;

@@ -1,4 +1,4 @@
-//! The depth margin ε of every surfel: how far behind it Gaussians still count (GES; DP-GES 7.4 c).
+//! The depth margin ε of every surfel: how far behind it Gaussians still count (GES; DP-GES).
 
 use crate::neighbours::{as_points, nearest};
 

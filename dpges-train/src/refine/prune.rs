@@ -1,4 +1,4 @@
-//! Which primitives are worth keeping (GES 4.4, 4.5; DP-GES 7.4 u). A rule that would remove every
+//! Which primitives are worth keeping (GES, DP-GES). A rule that would remove every
 //! row removes none and logs a warning: it then says something about its threshold, not the rows.
 
 use super::RowEdit;

@@ -1,4 +1,4 @@
-//! Gaussians too large for the surfels around them are divided in two (DP-GES 7.4 w; 3DGS).
+//! Gaussians too large for the surfels around them are divided in two (DP-GES; 3DGS).
 
 use dpges_core::scene::{ColourModel, GaussianData};
 use glam::{DQuat, DVec3};

@@ -82,7 +82,7 @@ impl Trainer {
     }
 
     /// Adds a batch where the pictures are worst: pixels drawn by squared error, in the depth of the
-    /// nearest layer (GES 4.5, DP-GES 7.4 v).
+    /// nearest layer (GES, DP-GES).
     fn add_gaussians(&mut self, batches_left: usize) -> Result<String, TrainError> {
         let primitives = self.surfels.len() + self.gaussians.len();
         let count = batch_size(self.config.refine.budget, primitives, batches_left);

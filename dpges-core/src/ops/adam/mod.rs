@@ -1,7 +1,7 @@
 //! `adam`: one step of the optimiser on one parameter tensor, in place where nothing shares it.
 //!
 //! `m ← β1 m + (1 − β1) g`, `v ← β2 v + (1 − β2) g²`,
-//! `θ ← θ − lr / (1 − β1^t) · m / (√v / √(1 − β2^t) + ε)` (methods 1.10). No gradient.
+//! `θ ← θ − lr / (1 − β1^t) · m / (√v / √(1 − β2^t) + ε)` (Kingma and Ba). No gradient.
 //!
 //! An operation of its own because it works in place: tensor operations take four times as long and
 //! hold several copies of every attribute (`benches/README.md`).

@@ -2,7 +2,7 @@
 //!
 //! Base [N, 3], detail [N, [`ColourModel::detail_len`]] and positions [N, 3] → colour [N, 3], not
 //! clamped: `0.5 + C0 k0` plus, for spherical Beta, `Σ softplus(rgb) max(0, d·μ)^(4 e^β)` over the
-//! lobes (DBS; methods 5.2, 7.4 k) or, for spherical harmonics, the higher bands (3DGS; methods 1.6).
+//! lobes (DBS) or, for spherical harmonics, the higher bands (3DGS).
 //! d is the unit vector from the camera to the primitive, in world axes.
 //!
 //! Gradients: to base and detail. The direction carries none to the position (DP-GES, DBS).

@@ -3,11 +3,11 @@
 //! Opacities [K, H, W], ids [K, H, W], surfel colours [N, 3] and sums [K, 4, H, W] →
 //! `T_i = Π_{j≤i} (1 − A_j)` [K + 1, H, W] with T_0 = 1, the surfel image
 //! `C_s = Σ A_i T_{i−1} C_i + T_K C_b`, the Gaussians' `C_G = Σ T_{i−1} X_i` and `W_G = Σ T_{i−1} Y_i`,
-//! and the image `C = (C_s + C_G) / (1 + W_G)` (DP-GES; methods 7.2). Colour images are [3, H, W],
+//! and the image `C = (C_s + C_G) / (1 + W_G)` (DP-GES). Colour images are [3, H, W],
 //! not clamped; the weight is [1, H, W].
 //!
 //! Gradients: from every output to opacities, colours and sums, without dividing by 1 − A or T
-//! (both are exactly 0 behind an opaque layer; methods 7.3). `detach_transmittance` cuts the path
+//! (both are exactly 0 behind an opaque layer). `detach_transmittance` cuts the path
 //! from the Gaussians' image to the opacities.
 //!
 //! An operation of its own because burn-ndarray takes over ten times as long for the same in tensor

@@ -177,7 +177,7 @@ impl Disc {
         (apply_transposed(&camera.rotation, grad_centre), rotation_backward(quaternion, &grad_rotation), sum.log_scales)
     }
 
-    /// Pixels that the footprint of the surfel can reach, exactly (methods 3.3, with the near plane).
+    /// Pixels that the footprint of the surfel can reach, exactly (the bound of 2DGS, cut by the near plane).
     pub fn reach(&self, camera: &CameraOf<f64>, radius: f64) -> PixelRect {
         let c = self.centre;
         let [a, b] = [0, 1].map(|j| scale(column(&self.axes, j), radius * self.scales[j]));

@@ -3,7 +3,7 @@
 //! Surfels → ids, opacity and depth, each [K, H, W] (plane k is layer k). Layers are ordered by
 //! (depth, index); peeling stops behind an opaque fragment (alpha = 1). A missing layer has id −1,
 //! alpha 0 and depth +∞. Opacity is `min(1, w G)` with `G = exp(−(u² + v²) / 2)` at the hit of the
-//! ray through the pixel's centre with the surfel's plane (DP-GES, "surfel opacity"; methods 7.2).
+//! ray through the pixel's centre with the surfel's plane (DP-GES, "surfel opacity").
 //!
 //! Gradients: from alpha and from depth to positions, quaternions and log-scales. An opaque
 //! fragment's alpha has none. Which fragment forms which layer carries none.

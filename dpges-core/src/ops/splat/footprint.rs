@@ -182,7 +182,7 @@ pub struct ParameterGrad<T> {
     pub opacity: T,
 }
 
-/// From the sums over a Gaussian's pixels to its raw parameters (methods 2.3 and 4.5).
+/// From the sums over a Gaussian's pixels to its raw parameters (3DGS; the compensation is of GES).
 pub fn backward<T: Real>(
     camera: &CameraOf<T>,
     p: &Parameters<T>,

@@ -23,7 +23,7 @@ pub trait LimitOps: Backend {
 }
 
 /// Upper limits [K, H, W] of the depth intervals of every pixel, ascending, for `margins` [N] of the
-/// surfels (DP-GES, transmittance lookup; methods 7.2, 7.4 a). No gradient.
+/// surfels (DP-GES, transmittance lookup). No gradient.
 ///
 /// A Gaussian at depth d belongs to the first layer with `d < D + ε`; a missing layer lies at
 /// infinity. A pixel is closed when its last layer is opaque or is the K-th: then nothing at or

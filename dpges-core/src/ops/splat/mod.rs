@@ -3,7 +3,7 @@
 //! Gaussians and interval limits → [K, 4, H, W]: for interval k the sums of (colour · α, α) over the
 //! Gaussians whose centre depth d satisfies `limit(k−1) ≤ d < limit(k)`; a Gaussian at or behind the
 //! last limit is occluded. α = max(0, opacity) · compensation · exp(−½ dᵀ Q d), dropped below 1/255;
-//! EWA projection with 0.1 px² low-pass (GES; methods 4.5 and 7.2). No order, no sorting.
+//! EWA projection with 0.1 px² low-pass (GES). No order, no sorting.
 //!
 //! Gradients: from the sums to positions, quaternions, log-scales, opacities and colours. Depth
 //! comparisons and limits carry none.
@@ -92,7 +92,7 @@ pub fn splat(gaussians: &Gaussians, colours: Tensor<2>, limits: Tensor<3>, camer
 }
 
 /// Largest value over all pixels of α · gate · max|colour| for each Gaussian, [M], where `gates`
-/// [K, H, W] is the weight of interval k in the pixel, T_k / (1 + W_G) (GES 4.5, pruning). No gradient.
+/// [K, H, W] is the weight of interval k in the pixel, T_k / (1 + W_G) (GES, pruning). No gradient.
 ///
 /// # Errors
 /// [`crate::Error::Shape`] or [`crate::Error::Camera`] for input that does not fit.

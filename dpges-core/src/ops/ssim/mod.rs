@@ -1,7 +1,7 @@
 //! `ssim`: mean structural similarity of two images.
 //!
 //! Two images [C, H, W] in [0, 1] → [1]: 11 × 11 Gaussian window with σ = 1.5 px, zero padding,
-//! C1 = 0.01², C2 = 0.03², mean over pixels and channels (3DGS; methods 2.4).
+//! C1 = 0.01², C2 = 0.03², mean over pixels and channels (3DGS).
 //!
 //! Gradient: to the first image; the second is the target.
 
