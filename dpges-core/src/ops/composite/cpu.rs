@@ -1,7 +1,5 @@
 //! CPU kernels: one task per band of image rows.
 
-use std::borrow::Cow;
-
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, TensorMetadata};
 use rayon::prelude::*;
@@ -20,10 +18,10 @@ struct Inputs<'a, T: Real> {
     layers: usize,
     height: usize,
     width: usize,
-    alpha: Cow<'a, [T]>,
-    colours: Cow<'a, [T]>,
-    sums: Cow<'a, [T]>,
-    ids: Cow<'a, [i32]>,
+    alpha: &'a [T],
+    colours: &'a [T],
+    sums: &'a [T],
+    ids: &'a [i32],
     background: V3<T>,
     detach_transmittance: bool,
 }
@@ -48,20 +46,25 @@ impl<T: Real> Pixel<T> {
     }
 }
 
-impl<'a, T: Real> Inputs<'a, T> {
-    fn new<B: Host>(input: &'a CompositeInput<B>, options: &CompositeOptions) -> Self {
+impl<T: Real> Inputs<'_, T> {
+    /// Calls `kernel` with the tensors as slices.
+    fn with<B: Host, R>(
+        input: &CompositeInput<B>,
+        options: &CompositeOptions,
+        kernel: impl FnOnce(&Inputs<T>) -> R,
+    ) -> R {
         let [layers, height, width] = input.alpha.shape().dims();
-        Self {
+        kernel(&Inputs {
             layers,
             height,
             width,
-            alpha: host::floats::<B, T>(&input.alpha),
-            colours: host::floats::<B, T>(&input.colours),
-            sums: host::floats::<B, T>(&input.sums),
-            ids: host::ints::<B>(&input.ids),
+            alpha: &host::floats::<B, T>(&input.alpha),
+            colours: &host::floats::<B, T>(&input.colours),
+            sums: &host::floats::<B, T>(&input.sums),
+            ids: &host::ints::<B>(&input.ids),
             background: options.background.map(T::of),
             detach_transmittance: options.detach_transmittance,
-        }
+        })
     }
 
     /// The pixel at a position within a plane; what neither `colours` nor `sums` asks for is left at zero.
@@ -82,7 +85,7 @@ impl<'a, T: Real> Inputs<'a, T> {
         for k in 0..self.layers {
             let through = pixel.transmittance[k];
             let (alpha, id) = (self.alpha[k * plane + at], self.ids[k * plane + at]);
-            let colour = if colours && id >= 0 { row(&self.colours, id as usize) } else { zero };
+            let colour = if colours && id >= 0 { row(self.colours, id as usize) } else { zero };
             let sum = |c: usize| if sums { self.sums[(4 * k + c) * plane + at] } else { T::zero() };
             let (payload, weight) = ([sum(0), sum(1), sum(2)], sum(3));
             (pixel.alpha[k], pixel.colour[k], pixel.payload[k], pixel.weight[k]) = (alpha, colour, payload, weight);
@@ -206,10 +209,9 @@ fn backward<T: Real>(inputs: &Inputs<T>, grad: &[T], kind: OutputKind) -> [Vec<T
 
 fn composite_on<B: Host>(input: &CompositeInput<B>, options: &CompositeOptions) -> CompositeOutput<B> {
     let device = input.alpha.device();
-    with_real!(input.alpha.dtype(), T => {
-        let inputs = Inputs::<T>::new(input, options);
-        let [image, surfel_image, transmittance, gaussian_colour, gaussian_weight] = forward(&inputs);
-        let tensor = |values: Vec<T>, planes| image_tensor::<B, T>(values, planes, &inputs, &device);
+    with_real!(input.alpha.dtype(), T => Inputs::<T>::with(input, options, |inputs| {
+        let [image, surfel_image, transmittance, gaussian_colour, gaussian_weight] = forward(inputs);
+        let tensor = |values: Vec<T>, planes| image_tensor::<B, T>(values, planes, inputs, &device);
         CompositeOutput {
             image: tensor(image, 3),
             surfel_image: tensor(surfel_image, 3),
@@ -217,7 +219,7 @@ fn composite_on<B: Host>(input: &CompositeInput<B>, options: &CompositeOptions) 
             gaussian_colour: tensor(gaussian_colour, 3),
             gaussian_weight: tensor(gaussian_weight, 1),
         }
-    })
+    }))
 }
 
 fn image_tensor<B: Backend, T: Real>(
@@ -236,16 +238,15 @@ fn composite_backward_on<B: Host>(
     options: &CompositeOptions,
 ) -> CompositeGradients<B> {
     let device = input.alpha.device();
-    with_real!(input.alpha.dtype(), T => {
-        let inputs = Inputs::<T>::new(input, options);
-        let [alpha, colours, sums] = backward(&inputs, &host::floats::<B, T>(grad), kind);
+    with_real!(input.alpha.dtype(), T => Inputs::<T>::with(input, options, |inputs| {
+        let [alpha, colours, sums] = backward(inputs, &host::floats::<B, T>(grad), kind);
         let (count, sum_layers) = (colours.len() / 3, if kind.reaches_sums() { inputs.layers } else { 0 });
         CompositeGradients {
-            alpha: image_tensor::<B, T>(alpha, inputs.layers, &inputs, &device),
+            alpha: image_tensor::<B, T>(alpha, inputs.layers, inputs, &device),
             colours: host::float_tensor::<B, T, 2>(colours, [count, 3], &device),
             sums: host::float_tensor::<B, T, 4>(sums, [sum_layers, 4, inputs.height, inputs.width], &device),
         }
-    })
+    }))
 }
 
 macro_rules! implement {

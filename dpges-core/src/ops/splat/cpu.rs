@@ -232,11 +232,31 @@ fn for_each_lit_tile<T: Real>(
     }
 }
 
+/// Lanes that [`gather`] works on. In memory that outlives it: the compiler takes local arrays apart
+/// into scalars and then fails to put vectors together again.
+struct Scratch<T> {
+    /// Red, green, blue and alpha gradients of the pixels, weight, gradient of the exponent.
+    pixel: Vec<[T; LANES]>,
+    /// Six moments and three colour sums, as in [`SplatGrad`].
+    sums: Vec<[T; LANES]>,
+}
+
+impl<T: Real> Scratch<T> {
+    fn new() -> Self {
+        Self { pixel: vec![[T::zero(); LANES]; 6], sums: vec![[T::zero(); LANES]; 9] }
+    }
+}
+
 /// Sums the gradients of one Gaussian over its pixels; `grad` is [tile, K, 4, `TILE_PIXELS`].
 #[inline(always)]
-fn gather<T: Real>(splat: &Splat<T>, grid: TileGrid, limits: &LimitBlocks<T>, grad: &[T]) -> SplatGrad<T> {
-    let mut moments = [[T::zero(); LANES]; 6];
-    let mut colour = [[T::zero(); LANES]; 3];
+fn gather<T: Real>(
+    splat: &Splat<T>,
+    grid: TileGrid,
+    limits: &LimitBlocks<T>,
+    grad: &[T],
+    scratch: &mut Scratch<T>,
+) -> SplatGrad<T> {
+    scratch.sums.fill([T::zero(); LANES]);
     let rect = splat.reach(grid.width, grid.height);
     let block = limits.layers * CHANNELS * TILE_PIXELS;
     for_each_lit_tile(
@@ -254,70 +274,80 @@ fn gather<T: Real>(splat: &Splat<T>, grid: TileGrid, limits: &LimitBlocks<T>, gr
                 grid.origin(tile),
                 #[inline(always)]
                 |start, dx, dy| {
-                    let incoming = incoming(grad, &limits, intervals.clone(), splat.depth, start);
-                    add_group(splat, &dx, dy, &incoming, &mut moments, &mut colour);
+                    read_gradients(grad, &limits, intervals.clone(), splat.depth, start, &mut scratch.pixel);
+                    add_group(splat, &dx, dy, scratch);
                 },
             );
         },
     );
-    let total = |lanes: [T; LANES]| lanes.into_iter().sum::<T>();
-    SplatGrad { moments: moments.map(total), colour: colour.map(total) }
+    let total = |sum: usize| scratch.sums[sum].iter().copied().sum::<T>();
+    SplatGrad { moments: std::array::from_fn(total), colour: std::array::from_fn(|c| total(6 + c)) }
 }
 
 /// Gradients of the sums that a Gaussian at `depth` adds to, for each channel and lane.
 #[inline(always)]
-fn incoming<T: Real>(
+fn read_gradients<T: Real>(
     grad: &[T],
     limits: &TileLimits<T>,
     intervals: impl Iterator<Item = usize>,
     depth: T,
     start: usize,
-) -> [[T; LANES]; CHANNELS] {
-    let mut incoming = [[T::zero(); LANES]; CHANNELS];
+    pixel: &mut [[T; LANES]],
+) {
+    pixel[..CHANNELS].fill([T::zero(); LANES]);
     for k in intervals {
         let mask = limits.mask(k, start, depth);
-        for (channel, incoming) in incoming.iter_mut().enumerate() {
+        for (channel, pixel) in pixel[..CHANNELS].iter_mut().enumerate() {
             let grad = lanes(grad, (k * CHANNELS + channel) * TILE_PIXELS + start);
             for lane in 0..LANES {
-                incoming[lane] = incoming[lane] + mask[lane] * grad[lane];
+                pixel[lane] = pixel[lane] + mask[lane] * grad[lane];
             }
         }
     }
-    incoming
 }
 
 /// Adds one group of pixels to the sums of a Gaussian.
 #[inline(always)]
-fn add_group<T: Real>(
-    splat: &Splat<T>,
-    dx: &[T; LANES],
-    dy: T,
-    [red, green, blue, alpha]: &[[T; LANES]; CHANNELS],
-    [sum, sum_x, sum_y, sum_xx, sum_xy, sum_yy]: &mut [[T; LANES]; 6],
-    [sum_red, sum_green, sum_blue]: &mut [[T; LANES]; 3],
-) {
-    let mut weight = [T::zero(); LANES];
+fn add_group<T: Real>(splat: &Splat<T>, dx: &[T; LANES], dy: T, scratch: &mut Scratch<T>) {
+    let [red, green, blue, alpha, weight, power] = scratch.pixel.as_mut_slice() else {
+        unreachable!("six rows of lanes");
+    };
     for lane in 0..LANES {
         weight[lane] = splat.weight(dx[lane], dy);
     }
-    for lane in 0..LANES {
-        sum_red[lane] = sum_red[lane] + weight[lane] * red[lane];
-        sum_green[lane] = sum_green[lane] + weight[lane] * green[lane];
-        sum_blue[lane] = sum_blue[lane] + weight[lane] * blue[lane];
-    }
     let [r, g, b] = splat.colour;
-    let mut power = [T::zero(); LANES];
     for lane in 0..LANES {
         power[lane] = weight[lane] * (alpha[lane] + r * red[lane] + g * green[lane] + b * blue[lane]);
     }
+    let [sum, sum_x, sum_y, sum_xx, sum_xy, sum_yy, sum_red, sum_green, sum_blue] = scratch.sums.as_mut_slice() else {
+        unreachable!("nine rows of lanes");
+    };
     for lane in 0..LANES {
-        let (by_x, by_y) = (power[lane] * dx[lane], power[lane] * dy);
+        sum_red[lane] = sum_red[lane] + weight[lane] * red[lane];
+    }
+    for lane in 0..LANES {
+        sum_green[lane] = sum_green[lane] + weight[lane] * green[lane];
+    }
+    for lane in 0..LANES {
+        sum_blue[lane] = sum_blue[lane] + weight[lane] * blue[lane];
+    }
+    for lane in 0..LANES {
         sum[lane] = sum[lane] + power[lane];
-        sum_x[lane] = sum_x[lane] + by_x;
-        sum_y[lane] = sum_y[lane] + by_y;
-        sum_xx[lane] = sum_xx[lane] + by_x * dx[lane];
-        sum_xy[lane] = sum_xy[lane] + by_x * dy;
-        sum_yy[lane] = sum_yy[lane] + by_y * dy;
+    }
+    for lane in 0..LANES {
+        sum_x[lane] = sum_x[lane] + power[lane] * dx[lane];
+    }
+    for lane in 0..LANES {
+        sum_y[lane] = sum_y[lane] + power[lane] * dy;
+    }
+    for lane in 0..LANES {
+        sum_xx[lane] = sum_xx[lane] + power[lane] * dx[lane] * dx[lane];
+    }
+    for lane in 0..LANES {
+        sum_xy[lane] = sum_xy[lane] + power[lane] * dx[lane] * dy;
+    }
+    for lane in 0..LANES {
+        sum_yy[lane] = sum_yy[lane] + power[lane] * dy * dy;
     }
 }
 
@@ -346,10 +376,11 @@ fn backward<T: Real>(
             vectorised(
                 #[inline(always)]
                 || {
+                    let mut scratch = Scratch::new();
                     for j in 0..opacities.len() {
                         let i = chunk * CHUNK + j;
                         let Some(splat) = gaussians.splat(&camera, i) else { continue };
-                        let sum = gather(&splat, grid, &limits, &grad);
+                        let sum = gather(&splat, grid, &limits, &grad, &mut scratch);
                         let grads = footprint::backward(&camera, &gaussians.parameters(i), &splat, &sum);
                         positions[3 * j..3 * j + 3].copy_from_slice(&grads.position);
                         quaternions[4 * j..4 * j + 4].copy_from_slice(&grads.quaternion);
