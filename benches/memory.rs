@@ -4,7 +4,7 @@
 use std::process::Command;
 
 use dpges_benches::training::{Training, Variant};
-use dpges_benches::{devices, machine};
+use dpges_benches::{cpus, machine};
 use dpges_core::testing::scenes::realistic;
 
 const STEPS: usize = 20;
@@ -18,7 +18,7 @@ fn resident_mib(key: &str) -> f64 {
 }
 
 fn measure(backend: &str, variant: Variant, size: usize) {
-    let (_, device) = devices().into_iter().find(|(name, _)| *name == backend).expect("a CPU backend");
+    let (_, device) = cpus().into_iter().find(|(name, _)| *name == backend).expect("a CPU backend");
     let scene = realistic(10_000, 100_000, size, size, 1);
     let mut training = Training::new(&scene, &device);
     let before = resident_mib("VmRSS");
@@ -40,7 +40,7 @@ fn main() {
     }
     println!("{}; 10000 surfels, 100000 Gaussians, {STEPS} steps", machine());
     let own_path = std::env::current_exe().expect("this program has a path");
-    for (backend, _) in devices() {
+    for (backend, _) in cpus() {
         for (variant, size) in [(0, 400), (1, 400), (0, 800)] {
             let status = Command::new(&own_path)
                 .args(["--measure", backend, &variant.to_string(), &size.to_string()])

@@ -6,7 +6,7 @@ use std::time::Duration;
 use burn::tensor::{DType, Device, Tensor};
 use criterion::{BatchSize, BenchmarkId, Criterion, SamplingMode, criterion_group, criterion_main};
 use dpges_benches::training::{Parameter, Training, Variant, adam_settings};
-use dpges_benches::{devices, machine, plain};
+use dpges_benches::{cpus, devices, machine, plain};
 use dpges_core::ops::composite::{Composite, CompositeOptions, composite};
 use dpges_core::ops::peel::{Layers, PeelOptions, peel};
 use dpges_core::ops::splat::limits::interval_limits;
@@ -171,7 +171,7 @@ fn steps(c: &mut Criterion) {
 
 /// A step's time against pixels (at the same overlap) and against primitives (at half the area each).
 fn growth(c: &mut Criterion) {
-    let (name, device) = &devices()[1];
+    let [_, (name, device)] = &cpus();
     let mut group = c.benchmark_group(format!("growth on {name}"));
     group.sampling_mode(SamplingMode::Flat);
     let training = Training::new(&scene(), device);

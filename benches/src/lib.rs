@@ -4,11 +4,18 @@
 pub mod plain;
 pub mod training;
 
-use burn::tensor::Device;
+use burn::tensor::{Device, DeviceType};
+
+/// The CPU backends and, where there is one, the first adapter of wgpu, by name.
+pub fn devices() -> Vec<(&'static str, Device)> {
+    let mut devices = cpus().to_vec();
+    devices.extend(Device::enumerate(DeviceType::Wgpu).iter().next().map(|device| ("wgpu", device.clone())));
+    devices
+}
 
 /// The CPU backends, by name.
 #[expect(deprecated, reason = "burn-ndarray is deprecated upstream and supported here")]
-pub fn devices() -> [(&'static str, Device); 2] {
+pub fn cpus() -> [(&'static str, Device); 2] {
     [("ndarray", Device::ndarray()), ("flex", Device::flex())]
 }
 

@@ -8,7 +8,7 @@ use dpges_core::ops::composite::CompositeOptions;
 use dpges_core::ops::peel::peel;
 use dpges_core::ops::splat::limits::interval_limits;
 use dpges_core::ops::splat::splat;
-use dpges_core::render::{Render, RenderOptions, render, validate};
+use dpges_core::render::{Render, RenderOptions, Values, render_values, validate};
 use dpges_core::scene::{Colour, ColourModel, Gaussians, Surfels};
 use dpges_core::testing::scenes::TestScene;
 
@@ -57,7 +57,8 @@ impl<const D: usize> Parameter<D> {
     pub fn step(&mut self, grad: Tensor<D>, step: AdamStep, own: bool) {
         let (value, moments) = self.state.take().expect("nothing is being stepped");
         self.state = Some(if own {
-            adam_step(value, moments, grad, step).expect("a gradient has the shape of its parameter")
+            let gate = Tensor::ones([1], (&grad.device(), grad.dtype()));
+            adam_step(value, moments, grad, gate, step).expect("a gradient has the shape of its parameter")
         } else {
             plain::adam_step(value, moments, grad, &step)
         });
@@ -85,7 +86,8 @@ impl Training {
     /// Trains `scene` towards a darker picture of itself.
     pub fn new(scene: &TestScene, device: &Device) -> Self {
         let (s, g) = scene.tensors(device, DType::F32);
-        let view = render(&s, &g, &scene.camera, &RenderOptions::default()).expect("benchmark scenes are valid");
+        let options = RenderOptions::default();
+        let view = render_values(&s, &g, &scene.camera, &options, Values::Unknown).expect("benchmark scenes are valid");
         let target = view.composite.image.clamp(0.0, 1.0) * 0.9;
         let rows = [
             &s.positions,
@@ -145,7 +147,8 @@ impl Training {
 
     fn loss_of(&self, (surfels, gaussians): &(Surfels, Gaussians), variant: Variant) -> Tensor<1> {
         let view = if variant.own_composite {
-            render(surfels, gaussians, &self.scene.camera, &RenderOptions::default()).expect("valid")
+            let options = RenderOptions::default();
+            render_values(surfels, gaussians, &self.scene.camera, &options, Values::KnownFinite).expect("valid")
         } else {
             self.render_plainly(surfels, gaussians)
         };
@@ -156,7 +159,7 @@ impl Training {
     /// `dpges_core::render::render` with [`plain::composite`].
     fn render_plainly(&self, surfels: &Surfels, gaussians: &Gaussians) -> Render {
         let (camera, options) = (&self.scene.camera, RenderOptions::default());
-        validate(surfels, gaussians).expect("valid");
+        validate(surfels, gaussians, Values::KnownFinite).expect("valid");
         let centre = camera.centre().to_array();
         let surfel_colours = colour(&surfels.colour, &surfels.positions, centre).expect("valid");
         let gaussian_colours = colour(&gaussians.colour, &gaussians.positions, centre).expect("valid");

@@ -8,14 +8,16 @@ pub type Result<T, E = Error> = std::result::Result<T, E>;
 pub enum Error {
     #[error("tensor `{tensor}` has shape {found:?}, expected {expected}")]
     Shape { tensor: String, expected: String, found: Vec<usize> },
-    #[error("tensor `{tensor}` is {found} at row {row}, expected a finite value")]
-    NonFinite { tensor: String, row: usize, found: f64 },
+    #[error("tensor `{tensor}` is not finite at row {row}, expected finite numbers")]
+    NonFinite { tensor: String, row: usize },
     #[error("tensor `{tensor}` has element type {found}, expected {expected}")]
     DType { tensor: String, expected: String, found: String },
     #[error("camera `{field}` is {found}, expected {expected}")]
     Camera { field: &'static str, expected: &'static str, found: String },
     #[error("option `{option}` is {found}, expected {expected}")]
     Option { option: &'static str, expected: String, found: String },
+    #[error("the device failed: {reason}")]
+    Device { reason: String },
     #[error("scene file {path}: {reason}")]
     SceneFile { path: PathBuf, reason: String },
     #[error("{action} {path}: {source}")]

@@ -17,12 +17,17 @@
 //! | rayon, pulp | threads; the vector instructions of the machine, chosen at run time |
 //! | safetensors, serde, serde_json, tempfile | the scene file, written whole or not at all |
 //! | thiserror | errors |
+//! | burn-cubecl, cubecl | feature `gpu`: kernels for any GPU that wgpu reaches |
+//! | tracing | feature `gpu`: a warning when a buffer had to grow |
 #![cfg_attr(feature = "ndarray", expect(deprecated, reason = "burn-ndarray is deprecated upstream and supported here"))]
 #![recursion_limit = "256"]
 
 pub mod atomic;
 pub mod camera;
+pub mod device;
 pub mod error;
+#[cfg(feature = "gpu")]
+pub mod gpu;
 mod host;
 pub mod losses;
 mod math;

@@ -3,10 +3,11 @@
 use burn::tensor::{DType, Tensor};
 
 use crate::camera::Camera;
+use crate::device::is_gpu;
 use crate::error::{Error, Result};
 use crate::ops::colour::colour;
 use crate::ops::composite::{Composite, CompositeOptions, composite};
-use crate::ops::finite::check_finite;
+use crate::ops::finite::{FiniteChecks, check_finite};
 use crate::ops::peel::{Layers, PeelOptions, peel};
 use crate::ops::splat::limits::interval_limits;
 use crate::ops::splat::splat;
@@ -47,34 +48,72 @@ pub struct Render {
     pub gaussian_colours: Tensor<2>,
 }
 
-/// Checks shapes, element types and finiteness of everything that is rendered.
+/// Whether the values of the parameters are looked at before they are rendered; on a GPU that waits
+/// for everything the device still has to do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Values {
+    Unknown,
+    KnownFinite,
+}
+
+/// Checks shapes, element types and, where `values` asks for it, finiteness of everything that is
+/// rendered.
 ///
 /// # Errors
 /// [`Error::Shape`], [`Error::DType`] or [`Error::NonFinite`] naming the tensor.
-pub fn validate(surfels: &Surfels, gaussians: &Gaussians) -> Result<()> {
+pub fn validate(surfels: &Surfels, gaussians: &Gaussians, values: Values) -> Result<()> {
     surfels.check_shapes()?;
     gaussians.check_shapes()?;
-    let dtype = surfels.positions.dtype();
+    let mut door = Door::new(&surfels.positions);
     for (name, colour) in [("surfels", &surfels.colour), ("gaussians", &gaussians.colour)] {
-        check(&format!("{name}.colour.base"), &colour.base, dtype)?;
-        check(&format!("{name}.colour.detail"), &colour.detail, dtype)?;
+        door.enter(&format!("{name}.colour.base"), &colour.base, values)?;
+        door.enter(&format!("{name}.colour.detail"), &colour.detail, values)?;
     }
-    check("surfels.positions", &surfels.positions, dtype)?;
-    check("surfels.quaternions", &surfels.quaternions, dtype)?;
-    check("surfels.log_scales", &surfels.log_scales, dtype)?;
-    check("surfels.margins", &surfels.margins, dtype)?;
-    check("gaussians.positions", &gaussians.positions, dtype)?;
-    check("gaussians.quaternions", &gaussians.quaternions, dtype)?;
-    check("gaussians.log_scales", &gaussians.log_scales, dtype)?;
-    check("gaussians.opacities", &gaussians.opacities, dtype)
+    door.enter("surfels.positions", &surfels.positions, values)?;
+    door.enter("surfels.quaternions", &surfels.quaternions, values)?;
+    door.enter("surfels.log_scales", &surfels.log_scales, values)?;
+    door.enter("surfels.margins", &surfels.margins, values)?;
+    door.enter("gaussians.positions", &gaussians.positions, values)?;
+    door.enter("gaussians.quaternions", &gaussians.quaternions, values)?;
+    door.enter("gaussians.log_scales", &gaussians.log_scales, values)?;
+    door.enter("gaussians.opacities", &gaussians.opacities, values)?;
+    check_finite(&door.checks)
 }
 
-fn check<const D: usize>(name: &str, tensor: &Tensor<D>, dtype: DType) -> Result<()> {
-    if !matches!(dtype, DType::F32 | DType::F64) || tensor.dtype() != dtype {
-        let expected = format!("F32 or F64, the same for all (`surfels.positions` has {dtype:?})");
-        return Err(Error::DType { tensor: name.into(), expected, found: format!("{:?}", tensor.dtype()) });
+/// What every tensor has to pass.
+struct Door {
+    dtype: DType,
+    expected: String,
+    checks: FiniteChecks,
+}
+
+impl Door {
+    /// All tensors must have the element type of `first`, and one that its device computes in.
+    fn new(first: &Tensor<2>) -> Self {
+        let dtype = first.dtype();
+        let expected = if is_gpu(&first.device()) {
+            "F32, what GPUs compute in".to_owned()
+        } else {
+            format!("F32 or F64, the same for all (`surfels.positions` has {dtype:?})")
+        };
+        Self { dtype, expected, checks: FiniteChecks::default() }
     }
-    check_finite(name, tensor)
+
+    fn enter<const D: usize>(&mut self, name: &str, tensor: &Tensor<D>, values: Values) -> Result<()> {
+        let supported = match self.dtype {
+            DType::F32 => true,
+            DType::F64 => !is_gpu(&tensor.device()),
+            _ => false,
+        };
+        if !supported || tensor.dtype() != self.dtype {
+            let (expected, found) = (self.expected.clone(), format!("{:?}", tensor.dtype()));
+            return Err(Error::DType { tensor: name.into(), expected, found });
+        }
+        if values == Values::Unknown {
+            self.checks.add(name, tensor);
+        }
+        Ok(())
+    }
 }
 
 /// Renders `surfels` and `gaussians` from `camera` (DP-GES).
@@ -82,9 +121,23 @@ fn check<const D: usize>(name: &str, tensor: &Tensor<D>, dtype: DType) -> Result
 /// # Errors
 /// A typed error naming what does not fit: see [`validate`], [`Camera::validate`], [`PeelOptions::validate`].
 pub fn render(surfels: &Surfels, gaussians: &Gaussians, camera: &Camera, options: &RenderOptions) -> Result<Render> {
+    render_values(surfels, gaussians, camera, options, Values::Unknown)
+}
+
+/// [`render`] for parameters whose `values` may be known to be finite.
+///
+/// # Errors
+/// Those of [`render`].
+pub fn render_values(
+    surfels: &Surfels,
+    gaussians: &Gaussians,
+    camera: &Camera,
+    options: &RenderOptions,
+    values: Values,
+) -> Result<Render> {
     camera.validate()?;
     options.peel.validate()?;
-    validate(surfels, gaussians)?;
+    validate(surfels, gaussians, values)?;
     let centre = camera.centre().to_array();
     let surfel_colours = colour(&surfels.colour, &surfels.positions, centre)?;
     let gaussian_colours = colour(&gaussians.colour, &gaussians.positions, centre)?;

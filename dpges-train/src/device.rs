@@ -1,46 +1,109 @@
 //! Names of the devices a scene can be trained and rendered on.
 
+#[cfg(feature = "gpu")]
+pub mod adapter;
+pub mod choice;
+
 use std::fmt;
 use std::str::FromStr;
 
 use burn::tensor::Device;
 
-/// A device by name: `cpu` and `ndarray` are burn-ndarray, `cpu-flex` and `flex` are burn-flex.
+use choice::AdapterChoice;
+
+/// A device by name: `cpu` and `ndarray` are burn-ndarray, `cpu-flex` and `flex` are burn-flex, all others are
+/// graphics adapters, named as [`AdapterChoice`] says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DeviceName {
     #[cfg(feature = "ndarray")]
     NdArray,
     #[cfg(feature = "flex")]
     Flex,
+    #[cfg(feature = "gpu")]
+    Gpu(AdapterChoice),
 }
 
+/// Why a device cannot be used, and what to do.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum DeviceError {
+    #[error("no graphics adapter was found for device `{asked}`: {}", NO_ADAPTER_ADVICE)]
+    NoAdapter { asked: AdapterChoice },
+    #[error("there is no device `{asked}`, there are: {found}; `dpges devices` says more about them")]
+    NoMatch { asked: AdapterChoice, found: String },
+    #[error("device `{asked}` is {adapter}, where the kernels do not run: {shortcoming}; `dpges devices` lists others")]
+    Unsuitable { asked: AdapterChoice, adapter: String, shortcoming: String },
+    #[error("{adapter} cannot be opened: {reason}; update its driver, or name another device (`dpges devices`)")]
+    Refused { adapter: String, reason: String },
+}
+
+/// What to do on a machine without any adapter.
+pub const NO_ADAPTER_ADVICE: &str = "install the driver of the GPU (on Linux with Vulkan; where there is no GPU, \
+                                     Debian's mesa-vulkan-drivers and libvulkan1 do its work on the CPU), or use \
+                                     `--device cpu`";
+
 /// Names that are accepted, for messages.
-const KNOWN: &str = "cpu (burn-ndarray, also called ndarray), cpu-flex (burn-flex, also called flex)";
+const KNOWN: &str = "cpu (burn-ndarray, also called ndarray), cpu-flex (burn-flex, also called flex), wgpu (the best \
+                     GPU) and what else `dpges devices` lists";
 const CPUS: [&str; 4] = ["cpu", "ndarray", "cpu-flex", "flex"];
-/// Names people try on machines with a GPU.
-const GPUS: [&str; 7] = ["gpu", "wgpu", "vulkan", "metal", "cuda", "rocm", "hip"];
+/// Names people try that belong to other ways to a GPU.
+const OTHER_GPUS: [&str; 3] = ["cuda", "rocm", "hip"];
 
 impl DeviceName {
-    /// The device itself, without autodiff.
-    pub fn open(self) -> Device {
+    /// The device itself, without autodiff. A GPU is started the first time, and shared from then on.
+    ///
+    /// # Errors
+    /// [`DeviceError`] if there is no such adapter, the kernels do not run on it, or its driver refuses it.
+    pub fn open(self) -> Result<Device, DeviceError> {
         match self {
             #[cfg(feature = "ndarray")]
             #[expect(deprecated, reason = "burn-ndarray is deprecated upstream and supported here")]
-            Self::NdArray => Device::ndarray(),
+            Self::NdArray => Ok(Device::ndarray()),
             #[cfg(feature = "flex")]
-            Self::Flex => Device::flex(),
+            Self::Flex => Ok(Device::flex()),
+            #[cfg(feature = "gpu")]
+            Self::Gpu(choice) => choice.pick(adapter::adapters())?.open(),
+        }
+    }
+
+    /// Whether it is a backend for CPUs; a software adapter is a GPU here.
+    pub fn is_cpu(self) -> bool {
+        match self {
+            #[cfg(feature = "ndarray")]
+            Self::NdArray => true,
+            #[cfg(feature = "flex")]
+            Self::Flex => true,
+            #[cfg(feature = "gpu")]
+            Self::Gpu(_) => false,
+        }
+    }
+
+    /// What the name stands for on this machine, for people.
+    ///
+    /// # Errors
+    /// [`DeviceError`] if there is no such adapter or the kernels do not run on it.
+    pub fn describe(self) -> Result<String, DeviceError> {
+        match self {
+            #[cfg(feature = "ndarray")]
+            Self::NdArray => Ok("burn-ndarray on the CPU".to_owned()),
+            #[cfg(feature = "flex")]
+            Self::Flex => Ok("burn-flex on the CPU".to_owned()),
+            #[cfg(feature = "gpu")]
+            Self::Gpu(choice) => choice.pick(adapter::adapters()).map(ToString::to_string),
         }
     }
 }
 
+/// What [`FromStr`] reads as the same.
 impl fmt::Display for DeviceName {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
+        match self {
             #[cfg(feature = "ndarray")]
-            Self::NdArray => "cpu",
+            Self::NdArray => f.write_str("cpu"),
             #[cfg(feature = "flex")]
-            Self::Flex => "cpu-flex",
-        })
+            Self::Flex => f.write_str("cpu-flex"),
+            #[cfg(feature = "gpu")]
+            Self::Gpu(choice) => choice.fmt(f),
+        }
     }
 }
 
@@ -48,15 +111,20 @@ impl FromStr for DeviceName {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        match text {
+        match (text, AdapterChoice::parse(text)) {
             #[cfg(feature = "ndarray")]
-            "cpu" | "ndarray" => Ok(Self::NdArray),
+            ("cpu" | "ndarray", _) => Ok(Self::NdArray),
             #[cfg(feature = "flex")]
-            "cpu-flex" | "flex" => Ok(Self::Flex),
-            _ if CPUS.contains(&text) => {
+            ("cpu-flex" | "flex", _) => Ok(Self::Flex),
+            #[cfg(feature = "gpu")]
+            (_, Some(choice)) => Ok(Self::Gpu(choice)),
+            (_, choice) if choice.is_some() || CPUS.contains(&text) => {
                 Err(format!("this build leaves out the backend of device `{text}`: build with its feature"))
             }
-            _ if GPUS.contains(&text) => Err(format!("this build has no GPU support yet, there are: {KNOWN}")),
+            _ if OTHER_GPUS.contains(&text) => Err(format!(
+                "there is no device `{text}`: every GPU is reached through wgpu, the best one as `wgpu`, each as \
+                 `dpges devices` lists it"
+            )),
             _ => Err(format!("device `{text}` is unknown, there are: {KNOWN}")),
         }
     }
@@ -69,9 +137,27 @@ mod tests {
     #[test]
     fn names_and_aliases_are_read() {
         for (text, name) in [("cpu", "cpu"), ("ndarray", "cpu"), ("flex", "cpu-flex"), ("cpu-flex", "cpu-flex")] {
-            assert_eq!(text.parse::<DeviceName>().unwrap().to_string(), name);
+            let device = text.parse::<DeviceName>().unwrap();
+            assert!(device.is_cpu());
+            assert_eq!(device.to_string(), name);
         }
-        assert!("wgpu".parse::<DeviceName>().unwrap_err().contains("no GPU support yet"));
-        assert!("tpu".parse::<DeviceName>().unwrap_err().contains("cpu-flex"));
+        assert!("cuda".parse::<DeviceName>().unwrap_err().contains("through wgpu"));
+        for text in ["tpu", "wgpu:", "wgpu:first", "vulkan:0", "cpu:0"] {
+            let error = text.parse::<DeviceName>().unwrap_err();
+            assert!(error.contains(text) && error.contains("cpu-flex"), "{error}");
+        }
+    }
+
+    #[cfg(feature = "gpu")]
+    #[test]
+    fn names_of_gpus_are_read_back() {
+        let kinds = ["discrete", "integrated:1", "virtual", "other", "software:0"];
+        let apis = ["vulkan", "metal", "dx12", "gl"];
+        for text in kinds.into_iter().chain(apis).chain(["wgpu", "wgpu:12"]) {
+            let device = text.parse::<DeviceName>().unwrap();
+            assert!(!device.is_cpu());
+            assert_eq!(device.to_string(), text);
+        }
+        assert_eq!("gpu".parse::<DeviceName>().unwrap().to_string(), "wgpu");
     }
 }

@@ -88,6 +88,8 @@ pub fn evaluate_each<E: From<Error>>(
     for (index, view) in views.iter().enumerate() {
         let start = Instant::now();
         let render = renderer.render(&view.camera)?;
+        // a GPU may only have begun
+        device.sync().map_err(|error| Error::Device { reason: error.to_string() })?;
         let seconds = start.elapsed().as_secs_f64();
         scores.push(score(view, &render, seconds, device)?);
         visit(index, &render)?;
@@ -140,7 +142,7 @@ mod tests {
         let mut views = builtin(&options).test;
         views[0].picture.planes.fill(0.5009);
         views[1].picture.planes.fill(0.25);
-        let device = "cpu".parse::<DeviceName>().unwrap().open();
+        let device = "cpu".parse::<DeviceName>().unwrap().open().unwrap();
         let evaluation = evaluate(&nothing([0.5; 3]), &views, &device).unwrap();
         assert_eq!(evaluation.views[0].psnr, LARGEST_PSNR, "0.5 and 0.5009 are the same of 256 steps");
         let error = (128.0 - 64.0) / 255.0f64;

@@ -5,6 +5,7 @@
 //! | crate | for |
 //! |---|---|
 //! | burn, dpges-core | tensors, devices; the operations |
+//! | burn-wgpu | feature `gpu`: the graphics adapters of the machine |
 //! | glam | poses in f64 |
 //! | image, serde-ply | photographs; the points of nerfstudio datasets |
 //! | kiddo | nearest neighbours: point spacing, margins, splits |

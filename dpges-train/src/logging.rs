@@ -11,6 +11,9 @@ use tracing_subscriber::util::SubscriberInitExt;
 /// Variable that replaces the filter, e.g. `DPGES_LOG=debug`.
 const FILTER_VARIABLE: &str = "DPGES_LOG";
 
+/// Of dependencies. Looking for adapters tries every graphics API, and wgpu complains of each that is not there.
+const OTHERS: &str = "warn,wgpu_hal=off,wgpu_core=error";
+
 /// How progress is shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LogStyle {
@@ -37,8 +40,8 @@ impl LogStyle {
 
 /// Starts logging; once per process.
 pub fn init(style: LogStyle, json: bool) {
-    let default = if style == LogStyle::Quiet { "warn" } else { "warn,dpges=info" };
-    let filter = EnvFilter::try_from_env(FILTER_VARIABLE).unwrap_or_else(|_| EnvFilter::new(default));
+    let own = if style == LogStyle::Quiet { "" } else { ",dpges=info" };
+    let filter = EnvFilter::try_from_env(FILTER_VARIABLE).unwrap_or_else(|_| EnvFilter::new(OTHERS.to_owned() + own));
     let registry = tracing_subscriber::registry().with(filter);
     if json {
         registry.with(layer().json().flatten_event(true).with_writer(std::io::stderr)).init();

@@ -2,7 +2,6 @@
 
 use burn::tensor::{DType, Device, Gradients, Tensor, TensorData};
 use dpges_core::ops::adam::{AdamStep, adam_step};
-use dpges_core::ops::finite::check_finite;
 use dpges_core::scene::data::select_rows;
 use dpges_core::scene::tensors::tensor_to_rows;
 
@@ -82,27 +81,22 @@ impl Attribute {
     }
 
     /// The gradient that a backward pass left for a [`leaf`](Self::leaf); `None` if nothing reached it.
-    ///
-    /// # Errors
-    /// [`dpges_core::Error::NonFinite`] naming the attribute.
-    pub fn gradient(&self, leaf: &Tensor<2>, gradients: &mut Gradients) -> dpges_core::Result<Option<Tensor<2>>> {
-        let gradient = leaf.grad_remove(gradients);
-        if let Some(gradient) = &gradient {
-            check_finite(&format!("gradient of {}", self.name), gradient)?;
-        }
-        Ok(gradient)
+    pub fn gradient(&self, leaf: &Tensor<2>, gradients: &mut Gradients) -> Option<Tensor<2>> {
+        leaf.grad_remove(gradients)
     }
 
+    /// Nothing changes where `gate` [1] is not 1.
+    ///
     /// # Errors
     /// [`dpges_core::Error::Shape`] if the gradient belongs to another set of rows.
-    pub fn step(&mut self, gradient: Option<Tensor<2>>, step: AdamStep) -> dpges_core::Result<()> {
+    pub fn step(&mut self, gradient: Option<Tensor<2>>, gate: &Tensor<1>, step: AdamStep) -> dpges_core::Result<()> {
         let gradient = gradient.unwrap_or_else(|| self.value.zeros_like());
         // moved out, so that the step can work in place
         let empty = || Tensor::empty([0, 0], &self.value.device());
         let (no_value, no_moments) = (empty(), [empty(), empty()]);
         let value = std::mem::replace(&mut self.value, no_value);
         let moments = std::mem::replace(&mut self.moments, no_moments);
-        (self.value, self.moments) = adam_step(value, moments, gradient, step)?;
+        (self.value, self.moments) = adam_step(value, moments, gradient, gate.clone(), step)?;
         Ok(())
     }
 
@@ -119,13 +113,17 @@ mod tests {
 
     const STEP: AdamStep = AdamStep { learning_rate: 0.1, beta_1: 0.9, beta_2: 0.999, epsilon: 1e-15, time: 1 };
 
+    fn open(device: &Device) -> Tensor<1> {
+        Tensor::ones([1], (device, DType::F32))
+    }
+
     #[test]
     fn surgery_keeps_the_moments_of_kept_rows_and_zeroes_those_of_new_ones() {
         let device = Device::flex();
         let rows = AttributeRows::fresh(vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.0], [3, 2]);
         let mut attribute = Attribute::new("surfels.log_scales", &rows, &device);
         let gradient = rows_to_tensor(&[1.0, -1.0, 0.0, 2.0, -3.0, 4.0], 2, &device, DType::F32);
-        attribute.step(Some(gradient), STEP).unwrap();
+        attribute.step(Some(gradient), &open(&device), STEP).unwrap();
         let before = attribute.rows();
         attribute.edit(&RowEdit { keep: vec![0, 2] }, &[7.0, 8.0], 1);
         let after = attribute.rows();
@@ -142,11 +140,11 @@ mod tests {
         let device = Device::flex();
         let mut attribute = Attribute::new("x", &AttributeRows::fresh(vec![1.0, 1.0], [2, 1]), &device);
         let gradient = rows_to_tensor(&[5.0, -0.001], 1, &device, DType::F32);
-        attribute.step(Some(gradient), STEP).unwrap();
+        attribute.step(Some(gradient), &open(&device), STEP).unwrap();
         let stepped = attribute.rows().value;
         assert!((stepped[0] - 0.9).abs() < 1e-5 && (stepped[1] - 1.1).abs() < 1e-5, "{stepped:?}");
         let mut untouched = Attribute::new("x", &AttributeRows::fresh(vec![1.0], [1, 1]), &device);
-        untouched.step(None, STEP).unwrap();
+        untouched.step(None, &open(&device), STEP).unwrap();
         assert_eq!(untouched.rows().value, [1.0]);
     }
 
@@ -156,7 +154,7 @@ mod tests {
         let mut attribute = Attribute::new("x", &AttributeRows::fresh(vec![1.0, 2.0], [1, 2]), &device);
         attribute.edit(&RowEdit::default(), &[], 0);
         assert_eq!(attribute.value().dims(), [0, 2]);
-        attribute.step(None, STEP).unwrap();
+        attribute.step(None, &open(&device), STEP).unwrap();
         attribute.edit(&RowEdit::default(), &[3.0, 4.0], 1);
         assert_eq!(attribute.rows().value, [3.0, 4.0]);
     }

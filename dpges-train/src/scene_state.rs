@@ -59,8 +59,9 @@ fn gradients_of<const N: usize>(
     attributes: [&Attribute; N],
     leaves: [&Tensor<2>; N],
     gradients: &mut Gradients,
-) -> dpges_core::Result<GradientList> {
-    attributes.iter().zip(leaves).map(|(attribute, leaf)| attribute.gradient(leaf, gradients)).collect()
+) -> GradientList {
+    let gradient = |(attribute, leaf): (&&Attribute, &Tensor<2>)| attribute.gradient(leaf, gradients);
+    attributes.iter().zip(leaves).map(gradient).collect()
 }
 
 impl SurfelState {
@@ -137,20 +138,26 @@ impl SurfelState {
         Surfels { margins: surfels.margins.autodiff(), ..surfels }
     }
 
-    /// # Errors
-    /// [`dpges_core::Error::NonFinite`] naming the attribute.
-    pub fn gradients(&self, leaves: &Surfels, gradients: &mut Gradients) -> dpges_core::Result<GradientList> {
+    pub fn gradients(&self, leaves: &Surfels, gradients: &mut Gradients) -> GradientList {
         let colour = &leaves.colour;
         let tensors = [&leaves.positions, &leaves.quaternions, &leaves.log_scales, &colour.base, &colour.detail];
         gradients_of(self.all(), tensors, gradients)
     }
 
+    /// Nothing changes where `gate` [1] is not 1.
+    ///
     /// # Errors
     /// [`dpges_core::Error::Shape`] if the gradients belong to other rows.
-    pub fn step(&mut self, gradients: GradientList, rates: &Rates, adam: AdamStep) -> dpges_core::Result<()> {
+    pub fn step(
+        &mut self,
+        gradients: GradientList,
+        gate: &Tensor<1>,
+        rates: &Rates,
+        adam: AdamStep,
+    ) -> dpges_core::Result<()> {
         let rates = [rates.surfel_positions, rates.quaternions, rates.log_scales, rates.base, rates.detail];
         for ((attribute, gradient), learning_rate) in self.all_mut().into_iter().zip(gradients).zip(rates) {
-            attribute.step(gradient, AdamStep { learning_rate, ..adam })?;
+            attribute.step(gradient, gate, AdamStep { learning_rate, ..adam })?;
         }
         Ok(())
     }
@@ -259,26 +266,28 @@ impl GaussianState {
         self.assemble(self.all().map(Attribute::leaf))
     }
 
-    /// # Errors
-    /// [`dpges_core::Error::NonFinite`] naming the attribute.
-    pub fn gradients(
-        &self,
-        (leaves, opacities): (&Gaussians, &Tensor<2>),
-        gradients: &mut Gradients,
-    ) -> dpges_core::Result<GradientList> {
+    pub fn gradients(&self, (leaves, opacities): (&Gaussians, &Tensor<2>), gradients: &mut Gradients) -> GradientList {
         let colour = &leaves.colour;
         let tensors =
             [&leaves.positions, &leaves.quaternions, &leaves.log_scales, opacities, &colour.base, &colour.detail];
         gradients_of(self.all(), tensors, gradients)
     }
 
+    /// Nothing changes where `gate` [1] is not 1.
+    ///
     /// # Errors
     /// [`dpges_core::Error::Shape`] if the gradients belong to other rows.
-    pub fn step(&mut self, gradients: GradientList, rates: &Rates, adam: AdamStep) -> dpges_core::Result<()> {
+    pub fn step(
+        &mut self,
+        gradients: GradientList,
+        gate: &Tensor<1>,
+        rates: &Rates,
+        adam: AdamStep,
+    ) -> dpges_core::Result<()> {
         let rates =
             [rates.gaussian_positions, rates.quaternions, rates.log_scales, rates.opacities, rates.base, rates.detail];
         for ((attribute, gradient), learning_rate) in self.all_mut().into_iter().zip(gradients).zip(rates) {
-            attribute.step(gradient, AdamStep { learning_rate, ..adam })?;
+            attribute.step(gradient, gate, AdamStep { learning_rate, ..adam })?;
         }
         Ok(())
     }

@@ -1,5 +1,6 @@
 //! The joint optimisation of surfels and Gaussians (DP-GES): one view per step.
 
+mod pending;
 mod refinement;
 mod resume;
 mod statistics;
@@ -7,29 +8,33 @@ mod statistics;
 use std::sync::Arc;
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
-use dpges_core::losses::{LossWeights, Losses, losses};
-use dpges_core::metrics::psnr;
+use dpges_core::device::{fix_order_of_sums, is_gpu};
+use dpges_core::losses::{LossWeights, losses};
 use dpges_core::ops::adam::AdamStep;
-use dpges_core::render::{Render, RenderOptions, render};
+use dpges_core::ops::finite::FiniteChecks;
+use dpges_core::render::{RenderOptions, Values, render_values};
 use dpges_core::scene::{SceneData, SceneInfo};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
-use crate::config::{Config, Schedule};
+use crate::config::{Config, Due, Schedule};
 use crate::dataset::{Dataset, View};
 use crate::init::{InitError, initialise};
 use crate::scene_state::{GaussianState, Rates, SurfelState};
+use pending::PendingStep;
 use statistics::Statistics;
 
 #[derive(Debug, thiserror::Error)]
 pub enum TrainError {
     #[error("initialisation: {0}")]
     Init(#[from] InitError),
-    #[error("step {step}, view `{view}`: {source}; the scene before this step is unharmed")]
+    #[error("step {step}, view `{view}`: {source}; the step was not taken")]
     Step { step: usize, view: String, source: dpges_core::Error },
-    #[error("step {step}, view `{view}`: the loss is {loss}; the scene before this step is unharmed")]
+    #[error("step {step}, view `{view}`: the loss is {loss}; the step was not taken")]
     Loss { step: usize, view: String, loss: f64 },
+    #[error("step {step}: the device failed: {reason}")]
+    Device { step: usize, reason: String },
     #[error(transparent)]
     Core(#[from] dpges_core::Error),
     #[error("the checkpoint does not fit: {reason}")]
@@ -53,8 +58,28 @@ pub struct StepReport {
     pub psnr: f64,
     pub surfels: usize,
     pub gaussians: usize,
-    /// What refinement did after the step.
+    /// What refinement did before the step.
     pub events: Vec<String>,
+}
+
+impl StepReport {
+    /// Before the numbers are known.
+    fn begin(step: usize, view: usize, surfels: usize, gaussians: usize, events: Vec<String>) -> Self {
+        let unknown = f64::NAN;
+        Self {
+            step,
+            view,
+            loss: unknown,
+            rgb: unknown,
+            surfel: unknown,
+            scale: unknown,
+            transmittance: unknown,
+            psnr: unknown,
+            surfels,
+            gaussians,
+            events,
+        }
+    }
 }
 
 /// A run: a dataset, a scene that learns it, and where in the schedule it stands.
@@ -71,6 +96,8 @@ pub struct Trainer {
     /// Views still to come in this pass, last first.
     remaining_views: Vec<u32>,
     completed_steps: usize,
+    /// A GPU works on this step while the host prepares the next.
+    pending: Option<PendingStep>,
 }
 
 impl Trainer {
@@ -80,24 +107,26 @@ impl Trainer {
     /// [`TrainError::Init`] if the dataset has nothing to start from.
     pub fn new(dataset: Arc<Dataset>, mut config: Config, device: Device) -> Result<Self, TrainError> {
         config.refine.fix_budget(mean_pixels(&dataset));
+        if config.train.deterministic {
+            fix_order_of_sums();
+        }
         let mut rng = ChaCha8Rng::seed_from_u64(config.train.seed);
         let start = initialise(&dataset, &config, &mut rng)?;
         let model = config.model.colour;
-        let mut trainer = Self {
+        Ok(Self {
             info: scene_info(&dataset, &config),
             schedule: config.schedule(dataset.train.len()),
             surfels: SurfelState::new(&start.surfels, model, &device),
             gaussians: GaussianState::new(&start.gaussians, model, &device),
-            statistics: Statistics::new(start.surfels.len(), start.gaussians.len()),
+            statistics: Statistics::new(start.surfels.len(), start.gaussians.len(), &device),
             rng,
             remaining_views: Vec::new(),
             completed_steps: 0,
+            pending: None,
             dataset,
             config,
             device,
-        };
-        trainer.refine()?;
-        Ok(trainer)
+        })
     }
 
     /// As given, with everything automatic decided.
@@ -118,41 +147,83 @@ impl Trainer {
         SceneData { info: self.info.clone(), surfels: self.surfels.to_data(), gaussians: self.gaussians.to_data() }
     }
 
-    /// One optimisation step on the next view, then whatever refinement is due.
+    /// Whatever refinement is due, then one optimisation step on the next view.
+    ///
+    /// In this order, since a scene is at its worst right after Gaussians were added: between two steps,
+    /// when it is evaluated and saved, it has been optimised since.
+    ///
+    /// Returns the report of this step on a CPU. A GPU is still working on this step: there it is the
+    /// report of the step before, if [`settle`](Self::settle) has not given it away.
     ///
     /// # Errors
-    /// [`TrainError::Step`] or [`TrainError::Loss`] if a loss or gradient is not finite; the scene is
-    /// then as it was before the step.
-    pub fn step(&mut self) -> Result<StepReport, TrainError> {
+    /// [`TrainError::Step`] or [`TrainError::Loss`] if the loss or a gradient was not finite; that step
+    /// then changed nothing.
+    pub fn step(&mut self) -> Result<Option<StepReport>, TrainError> {
+        let due = self.schedule.due(self.completed_steps);
+        let mut known = None;
+        if due != Due::default() {
+            known = self.settle()?;
+        }
+        let events = self.refine(due)?;
+        let before = self.pending.take();
+        self.pending = Some(self.begin_step(events)?);
+        self.completed_steps += 1;
+        if !is_gpu(&self.device) {
+            return self.settle();
+        }
+        if let Some(before) = before {
+            known = Some(before.settle()?);
+        }
+        Ok(known)
+    }
+
+    /// Waits for the step that the device is working on and returns its report, if there is one.
+    ///
+    /// # Errors
+    /// Those of [`step`](Self::step).
+    pub fn settle(&mut self) -> Result<Option<StepReport>, TrainError> {
+        self.pending.take().map(PendingStep::settle).transpose()
+    }
+
+    /// Hands everything of one step to the device.
+    fn begin_step(&mut self, events: Vec<String>) -> Result<PendingStep, TrainError> {
         let view = self.next_view();
         let dataset = Arc::clone(&self.dataset);
         let picture = &dataset.train[view];
-        let at = |source| TrainError::Step { step: self.completed_steps + 1, view: picture.name.clone(), source };
+        let step = self.completed_steps + 1;
+        let at = |source| TrainError::Step { step, view: picture.name.clone(), source };
 
         let surfels = self.surfels.leaves();
         let (gaussians, opacities) = self.gaussians.leaves();
         let target = target(picture, &self.device.clone().autodiff());
-        let rendered = render(&surfels, &gaussians, &picture.camera, &self.render_options()).map_err(at)?;
+        let (options, known) = (self.render_options(), Values::KnownFinite);
+        let rendered = render_values(&surfels, &gaussians, &picture.camera, &options, known).map_err(at)?;
         let terms = losses(&rendered, surfels.log_scales.clone(), target.clone(), &self.loss_weights()).map_err(at)?;
-        let mut report = self.report(view, &terms, &rendered, target);
-        if !report.loss.is_finite() {
-            return Err(TrainError::Loss { step: report.step, view: picture.name.clone(), loss: report.loss });
-        }
+        let report = StepReport::begin(step, view, self.surfels.len(), self.gaussians.len(), events);
 
         let mut gradients = terms.total.backward();
-        let surfel_gradients = self.surfels.gradients(&surfels, &mut gradients).map_err(at)?;
-        let gaussian_gradients = self.gaussians.gradients((&gaussians, &opacities), &mut gradients).map_err(at)?;
+        let surfel_gradients = self.surfels.gradients(&surfels, &mut gradients);
+        let gaussian_gradients = self.gaussians.gradients((&gaussians, &opacities), &mut gradients);
+        let mut checks = FiniteChecks::default();
+        checks.add("loss", &terms.total.clone().inner());
+        let names = SurfelState::NAMES.into_iter().chain(GaussianState::NAMES);
+        for (name, gradient) in names.zip(surfel_gradients.iter().chain(&gaussian_gradients)) {
+            if let Some(gradient) = gradient {
+                checks.add(format!("gradient of {name}"), gradient);
+            }
+        }
+        let bad = checks.positions().greater_equal_elem(0).float().sum();
+        let gate = bad.clone().clamp_max(1.0) * -1.0 + 1.0;
+        let view_name = picture.name.clone();
+        let pending = PendingStep::new(report, view_name, &terms, &rendered, target, checks, bad);
         self.statistics.observe(&rendered, &self.gaussians, &picture.camera, &self.schedule, self.completed_steps)?;
         // the tape shares the parameters: without it the optimiser can work in place
         drop((surfels, gaussians, opacities, rendered, terms));
 
         let (rates, adam) = self.rates();
-        self.surfels.step(surfel_gradients, &rates, adam)?;
-        self.gaussians.step(gaussian_gradients, &rates, adam)?;
-        self.completed_steps += 1;
-        report.events = self.refine()?;
-        (report.surfels, report.gaussians) = (self.surfels.len(), self.gaussians.len());
-        Ok(report)
+        self.surfels.step(surfel_gradients, &gate, &rates, adam)?;
+        self.gaussians.step(gaussian_gradients, &gate, &rates, adam)?;
+        Ok(pending)
     }
 
     /// The next view of this pass; passes go over all views in random order (3DGS).
@@ -204,22 +275,6 @@ impl Trainer {
         };
         (rates, adam)
     }
-
-    fn report(&self, view: usize, terms: &Losses, rendered: &Render, target: Tensor<3>) -> StepReport {
-        StepReport {
-            step: self.completed_steps + 1,
-            view,
-            loss: scalar(&terms.total),
-            rgb: scalar(&terms.rgb),
-            surfel: scalar(&terms.surfel),
-            scale: scalar(&terms.scale),
-            transmittance: scalar(&terms.transmittance),
-            psnr: psnr(rendered.composite.image.clone().inner().clamp(0.0, 1.0), target.inner()),
-            surfels: self.surfels.len(),
-            gaussians: self.gaussians.len(),
-            events: Vec::new(),
-        }
-    }
 }
 
 /// What the scene file of a run on `dataset` says besides its tensors.
@@ -248,8 +303,4 @@ fn target(view: &View, device: &Device) -> Tensor<3> {
     let picture = &view.picture;
     let data = TensorData::new(picture.planes.clone(), [3, picture.height, picture.width]);
     Tensor::from_data(data, (device, DType::F32))
-}
-
-fn scalar(tensor: &Tensor<1>) -> f64 {
-    tensor.clone().into_data().iter::<f64>().next().unwrap_or(f64::NAN)
 }

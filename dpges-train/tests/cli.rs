@@ -88,7 +88,7 @@ fn wrong_usage_is_exit_code_2_and_says_what_is_right() {
     assert!(fails(at, 2, &["train", "--preset", "fast"]).contains("default, quick, cpu"));
     assert!(fails(at, 2, &["train", "--set", "train.step=3"]).contains("did you mean `train.steps`"));
     assert!(fails(at, 2, &["train", "--steps", "0"]).contains("at least 1"));
-    assert!(fails(at, 2, &["train", "--device", "wgpu"]).contains("no GPU support yet"));
+    assert!(fails(at, 2, &["train", "--device", "cuda"]).contains("through wgpu"));
     assert!(fails(at, 2, &["train", "--device", "tpu"]).contains("cpu-flex"));
     assert!(fails(at, 2, &["train", "--resume", "--overwrite"]).contains("cannot be used with"));
     assert!(fails(at, 2, &["eval"]).contains("<SCENE>"));
@@ -101,6 +101,8 @@ fn what_is_missing_is_exit_code_1_and_named() {
     let at = folder.path();
     let message = fails(at, 1, &["train", "nowhere/data"]);
     assert!(message.contains("nowhere/data") && message.contains("transforms.json"), "{message}");
+    #[cfg(feature = "gpu")]
+    assert!(fails(at, 1, &["train", "--device", "wgpu:99"]).contains("device `wgpu:99`"));
     assert!(fails(at, 1, &["train", "--config", "mine.toml"]).contains("mine.toml"));
     assert!(fails(at, 1, &["train", "--resume", "--out", "none"]).contains("none/checkpoint.safetensors"));
     assert!(fails(at, 1, &["eval", "scene.safetensors", "--data", "builtin"]).contains("scene.safetensors"));
@@ -185,6 +187,9 @@ fn equal_seeds_give_equal_files_and_a_run_is_not_overwritten_by_accident() {
     assert!(is_equal(at.join("a/checkpoint.safetensors"), at.join("b/checkpoint.safetensors")));
     let message = fails(at, 1, &["train", "--out", "a"]);
     assert!(message.contains("--overwrite") && message.contains("--resume"), "{message}");
+    train(at, "c", &["--quiet", "--deterministic"]);
+    assert!(String::from_utf8(bytes(at.join("c/config.toml"))).unwrap().contains("deterministic = true"));
+    assert!(is_equal(at.join("a/scene.safetensors"), at.join("c/scene.safetensors")), "CPUs always are");
     train(at, "a", &["--seed=4", "--overwrite"]);
     assert!(!is_equal(at.join("a/scene.safetensors"), at.join("b/scene.safetensors")));
 }
@@ -205,6 +210,39 @@ fn a_finished_run_resumes_to_itself_and_contradictions_are_refused() {
     assert!(fails(at, 2, &["train", "--out", "run", "--resume", "--preset", "cpu"]).contains("`init.max_points`"));
     std::fs::write(at.join("run/checkpoint.safetensors"), "half").unwrap();
     assert!(fails(at, 1, &["train", "--out", "run", "--resume"]).contains("checkpoint.safetensors"));
+}
+
+#[test]
+fn devices_are_listed_with_what_device_takes() {
+    let folder = folder();
+    let at = folder.path();
+    let table = ok(at, &["devices"]);
+    assert!(table.contains("cpu-flex") && table.contains("burn-ndarray") && table.contains("wgpu"), "{table}");
+    let list: Value = serde_json::from_str(&ok(at, &["devices", "--json"])).unwrap();
+    assert_eq!(list["cpus"][0]["device"], "cpu");
+    let adapters = list["adapters"].as_array().unwrap();
+    assert_eq!(adapters.is_empty(), list["advice"].is_string(), "{list}");
+    for (number, adapter) in adapters.iter().enumerate() {
+        assert_eq!(adapter["device"], format!("wgpu:{number}"));
+        assert_eq!(adapter["suitable"], Value::from(adapter["shortcoming"].is_null()));
+        for key in ["name", "kind", "api", "driver", "storage_binding_bytes", "f32_atomic_add"] {
+            assert!(!adapter[key].is_null(), "{key}: {adapter}");
+        }
+    }
+    let has_gpu = adapters.iter().any(|adapter| adapter["suitable"] == true);
+    assert!(has_gpu || std::env::var_os("DPGES_REQUIRE_GPU").is_none(), "{list}");
+}
+
+#[test]
+fn the_cpus_pass_the_selftest() {
+    let folder = folder();
+    let at = folder.path();
+    let table = ok(at, &["selftest", "--device", "cpu"]);
+    let parts = ["peel", "splat", "composite", "SSIM", "backward", "burn-ndarray", "all as they should be"];
+    assert!(parts.iter().all(|part| table.contains(part)) && !table.contains("WRONG"), "{table}");
+    let report: Value = serde_json::from_str(&ok(at, &["selftest", "--device", "cpu-flex", "--json"])).unwrap();
+    assert_eq!((&report["passed"], &report["device"]), (&Value::from(true), &Value::from("cpu-flex")));
+    assert!(report["tensors"].as_u64().unwrap() > 150, "{report}");
 }
 
 /// Waits for `condition`, at most half a minute.

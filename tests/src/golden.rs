@@ -1,4 +1,4 @@
-//! Every golden case, on both CPU backends, in both element types.
+//! Every golden case, on both CPU backends in both element types, and on a GPU.
 //!
 //! `DPGES_GOLDEN_DIR` names a further folder whose `*.safetensors` are all checked.
 
@@ -9,6 +9,7 @@ use burn::tensor::{DType, Device};
 use dpges_core::testing::golden::{Deviation, GoldenCase};
 
 use crate::devices::{flex, ndarray};
+use crate::gpu::gpu;
 
 const TOLERANCE_F64: f64 = 1e-9;
 /// Beside what rounding the inputs to f32 causes.
@@ -39,7 +40,7 @@ fn tolerances(path: &Path, device: &Device, dtype: DType) -> HashMap<String, f64
     if dtype == DType::F64 {
         return load(path).compare(device, DType::F64).into_iter().map(of).collect();
     }
-    let rounded = load(path).rounded_to_f32().compare(device, DType::F64);
+    let rounded = load(path).rounded_to_f32().compare(&flex(), DType::F64);
     rounded.into_iter().map(|d| (d.tensor, d.distance + if d.is_id { 0.0 } else { TOLERANCE_F32 })).collect()
 }
 
@@ -82,6 +83,13 @@ fn flex_f64() {
 #[test]
 fn flex_f32() {
     check_all(&flex(), DType::F32);
+}
+
+#[test]
+fn gpu_f32() {
+    if let Some(device) = gpu("golden cases") {
+        check_all(&device, DType::F32);
+    }
 }
 
 #[test]

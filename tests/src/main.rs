@@ -3,6 +3,9 @@
 mod acceptance;
 mod devices;
 mod golden;
+mod gpu;
 mod invariance;
+mod parity;
 mod robustness;
 mod total_gradient;
+mod training;

@@ -1,9 +1,11 @@
 //! The custom operations, in the order in which a training step uses them: [`finite`], [`colour`],
-//! [`peel`], [`splat`], [`composite`], [`ssim`], [`adam`]; [`binning`] and [`bands`] are shared.
+//! [`peel`], [`splat`], [`composite`], [`ssim`], [`adam`]; [`coverage`] serves refinement; [`binning`] and
+//! [`bands`] are shared.
 //!
 //! Each folder has the same files: `mod.rs` is the contract (shapes, units, which gradients exist,
-//! source) and the public function, `cpu.rs` the kernels of the CPU backends, `backward.rs` the
-//! registration with Burn's tape, `tests.rs` what only this operation needs. To add an operation,
+//! source) and the public function, `cpu.rs` the kernels of the CPU backends, `cube.rs` their CubeCL
+//! twins for GPUs, `backward.rs` the registration with Burn's tape, `tests.rs` what only this
+//! operation needs. To add an operation,
 //! copy the shape of `colour`, the smallest that has them all.
 //!
 //! Images are planar, [C, H, W], row-major; per-layer images are [K, H, W].
@@ -11,8 +13,11 @@
 pub mod adam;
 pub mod bands;
 pub mod binning;
+#[cfg(feature = "gpu")]
+mod boxes;
 pub mod colour;
 pub mod composite;
+pub mod coverage;
 pub mod finite;
 pub mod peel;
 pub mod splat;

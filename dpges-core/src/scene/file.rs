@@ -56,7 +56,7 @@ impl Rows<'_> {
         match self.values.iter().position(|value| !value.is_finite()) {
             Some(at) => {
                 let width = self.shape[1..].iter().product::<usize>();
-                Err(Error::NonFinite { tensor: self.name.to_owned(), row: at / width, found: self.values[at].into() })
+                Err(Error::NonFinite { tensor: self.name.to_owned(), row: at / width })
             }
             None => Ok(()),
         }
@@ -325,6 +325,6 @@ mod tests {
         let mut bad = scene(ColourModel::SphericalBeta { lobes: 2 }, 3, 5);
         bad.surfels.positions[4] = f32::INFINITY;
         let error = load_bytes(&save_bytes(&bad, |_| {}, ""));
-        assert!(error.contains("`surfels.positions` is inf at row 1"), "{error}");
+        assert!(error.contains("`surfels.positions` is not finite at row 1"), "{error}");
     }
 }

@@ -51,8 +51,16 @@ impl GoldenCase {
     /// A message naming the file and what is missing or malformed.
     pub fn load(path: &Path) -> Result<Self, String> {
         let bytes = std::fs::read(path).map_err(|e| format!("{}: {e}", path.display()))?;
-        let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|e| format!("{}: {e}", path.display()))?;
-        let file = SafeTensors::deserialize(&bytes).map_err(|e| format!("{}: {e}", path.display()))?;
+        Self::from_bytes(&path.display().to_string(), &bytes)
+    }
+
+    /// From the content of a file, `origin` being what messages call it.
+    ///
+    /// # Errors
+    /// A message naming `origin` and what is missing or malformed.
+    pub fn from_bytes(origin: &str, bytes: &[u8]) -> Result<Self, String> {
+        let (_, header) = SafeTensors::read_metadata(bytes).map_err(|e| format!("{origin}: {e}"))?;
+        let file = SafeTensors::deserialize(bytes).map_err(|e| format!("{origin}: {e}"))?;
         let mut arrays = HashMap::new();
         for (name, view) in file.iter() {
             let numbers: Vec<f64> = match view.dtype() {
@@ -64,18 +72,15 @@ impl GoldenCase {
                     .chunks_exact(4)
                     .map(|b| f64::from(i32::from_le_bytes(b.try_into().expect("4 bytes"))))
                     .collect(),
-                other => return Err(format!("{}: {name} has element type {other:?}", path.display())),
+                other => return Err(format!("{origin}: {name} has element type {other:?}")),
             };
             arrays.insert(name.to_owned(), Array { shape: view.shape().to_vec(), values: numbers });
         }
-        let metadata = header.metadata().as_ref().ok_or_else(|| format!("{}: no metadata", path.display()))?;
-        let text = |key: &str| metadata.get(key).ok_or_else(|| format!("{}: no metadata `{key}`", path.display()));
-        let number = |key: &str| text(key)?.parse::<f64>().map_err(|e| format!("{}: {key}: {e}", path.display()));
+        let metadata = header.metadata().as_ref().ok_or_else(|| format!("{origin}: no metadata"))?;
+        let text = |key: &str| metadata.get(key).ok_or_else(|| format!("{origin}: no metadata `{key}`"));
+        let number = |key: &str| text(key)?.parse::<f64>().map_err(|e| format!("{origin}: {key}: {e}"));
         let get = |name: &str| {
-            arrays
-                .get(name)
-                .map(|a: &Array| a.values.as_slice())
-                .ok_or_else(|| format!("{}: no tensor `{name}`", path.display()))
+            arrays.get(name).map(|a: &Array| a.values.as_slice()).ok_or_else(|| format!("{origin}: no tensor `{name}`"))
         };
         let rotation = get("camera.rotation")?;
         let intrinsics = get("camera.intrinsics")?;
@@ -95,7 +100,7 @@ impl GoldenCase {
         let footprint = if text("footprint")? == "opacity" { Footprint::Opacity } else { Footprint::Kernel };
         let peel =
             PeelOptions { layer_count: number("layer_count")? as usize, modulation: number("modulation")?, footprint };
-        let background = get("background")?.try_into().map_err(|_| format!("{}: background", path.display()))?;
+        let background = get("background")?.try_into().map_err(|_| format!("{origin}: background"))?;
         Ok(Self { arrays, camera, options: RenderOptions { peel, background, detach_transmittance: false } })
     }
 

@@ -3,6 +3,7 @@
 pub mod compare;
 pub mod golden;
 pub mod gradients;
+pub mod parity;
 pub mod random;
 pub mod scenes;
 

@@ -23,7 +23,7 @@ pub struct EvalArgs {
     scene: PathBuf,
     #[command(flatten)]
     views: ViewArgs,
-    /// cpu (burn-ndarray) or cpu-flex (burn-flex)
+    /// cpu, cpu-flex, wgpu (the best GPU), or what else `dpges devices` lists
     #[arg(long, value_name = "NAME", default_value = "cpu")]
     device: DeviceName,
     /// Write the rendered views as PNGs
@@ -40,7 +40,7 @@ pub fn run(args: &EvalArgs) -> Result<()> {
     if let Some(folder) = &args.save_images {
         make_folder(folder)?;
     }
-    let device = args.device.open();
+    let device = args.device.open()?;
     let stems = file_stems(&views);
     let renderer = Renderer::new(&scene.data, &device);
     let evaluation = evaluate_each(&renderer, &scene.data, &views, &device, |index, render| {

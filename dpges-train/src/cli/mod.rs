@@ -1,9 +1,12 @@
 //! The command line: one module per subcommand.
 
 mod data;
+mod device_failure;
+mod devices;
 mod eval;
 mod info;
 mod render;
+mod selftest;
 mod train;
 
 use std::io::Write;
@@ -36,6 +39,8 @@ enum Command {
     Eval(eval::EvalArgs),
     Render(render::RenderArgs),
     Info(info::InfoArgs),
+    Devices(devices::DevicesArgs),
+    Selftest(selftest::SelftestArgs),
 }
 
 /// Why a command did not do what it was asked.
@@ -92,6 +97,8 @@ pub fn run() -> ExitCode {
         Command::Eval(args) => eval::run(&args),
         Command::Render(args) => render::run(&args),
         Command::Info(args) => info::run(&args),
+        Command::Devices(args) => devices::run(&args),
+        Command::Selftest(args) => selftest::run(&args),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

@@ -23,7 +23,7 @@ pub struct RenderArgs {
     /// Folder for the pictures
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// cpu (burn-ndarray) or cpu-flex (burn-flex)
+    /// cpu, cpu-flex, wgpu (the best GPU), or what else `dpges devices` lists
     #[arg(long, value_name = "NAME", default_value = "cpu")]
     device: DeviceName,
     /// Also write the surfels alone, the transmittance behind each layer, depth and normals, and their depth ranges
@@ -36,7 +36,7 @@ pub fn run(args: &RenderArgs) -> Result<()> {
     let mut scene = Scene::load(&args.scene)?;
     let (_, views) = args.views.load(&mut scene)?;
     make_folder(&args.out)?;
-    let renderer = Renderer::new(&scene.data, &args.device.open());
+    let renderer = Renderer::new(&scene.data, &args.device.open()?);
     let mut ranges = Vec::new();
     for (view, stem) in views.iter().zip(file_stems(&views)) {
         let render = renderer.render(&view.camera)?;

@@ -227,6 +227,8 @@ mod tests {
         assert_eq!(config.data.background, Background::Colour([1.0; 3]));
         assert_eq!(set(&["refine.margins_at=[0, 100]"]).unwrap().refine.margins_at, [0, 100]);
         assert!(set(&["train.detach_transmittance = true"]).unwrap().train.detach_transmittance);
+        assert!(set(&["train.deterministic=true"]).unwrap().train.deterministic);
+        assert!(message(set(&["train.deterministic=1"])).contains("expected true or false"));
     }
 
     #[test]

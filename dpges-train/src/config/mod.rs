@@ -53,6 +53,8 @@ pub struct TrainConfig {
     /// One view per step.
     pub steps: usize,
     pub seed: u64,
+    /// On GPUs: sums in a fixed order, so that two runs give the same bits. CPUs always add so.
+    pub deterministic: bool,
     /// λ1: weight of the L1 loss of the surfels alone (DP-GES).
     pub lambda_surfel: f64,
     /// λ2: weight of the scale loss; DP-GES uses 5e-5 for unbounded and 1e-5 for bounded scenes.
@@ -177,6 +179,7 @@ impl Default for TrainConfig {
         Self {
             steps: 5000,
             seed: 0,
+            deterministic: false,
             lambda_surfel: 0.01,
             lambda_scale: 1e-5,
             lambda_transmittance: 0.08,

@@ -1,11 +1,11 @@
 //! Applies the decisions of [`crate::refine`] when the schedule asks for them.
 
 use burn::tensor::Tensor;
-use dpges_core::render::{Render, render};
+use dpges_core::render::{Render, Values, render_values};
 use dpges_core::scene::tensors::tensor_to_rows;
 
-use super::statistics::Statistics;
 use super::{TrainError, Trainer, target};
+use crate::config::Due;
 use crate::dataset::View;
 use crate::refine::add::{batch_size, draw_pixels, new_gaussians};
 use crate::refine::margins::margins;
@@ -18,8 +18,7 @@ const MAX_ADDED_SCALE: f64 = 0.01;
 
 impl Trainer {
     /// Does what is due after the completed steps, in the order prune, margins, split, add; says what it did.
-    pub(super) fn refine(&mut self) -> Result<Vec<String>, TrainError> {
-        let due = self.schedule.due(self.completed_steps);
+    pub(super) fn refine(&mut self, due: Due) -> Result<Vec<String>, TrainError> {
         let mut events = Vec::new();
         if due.surfel_prune {
             events.push(self.prune_surfels());
@@ -45,7 +44,7 @@ impl Trainer {
         let refine = &self.config.refine;
         let log_scales = self.surfels.to_data().log_scales;
         let edit = surfels_to_keep(
-            &self.statistics.max_pixels,
+            &self.statistics.max_pixels(),
             &log_scales,
             self.info.extent,
             min_pixels(refine.surfel_min_pixels, super::mean_pixels(&self.dataset)),
@@ -53,12 +52,13 @@ impl Trainer {
         );
         let before = self.surfels.len();
         self.surfels.edit(&edit);
-        self.statistics.max_pixels = vec![0; self.surfels.len()];
+        self.statistics.reset_surfels(self.surfels.len());
         format!("{} of {before} surfels pruned", before - self.surfels.len())
     }
 
     fn prune_gaussians(&mut self) -> String {
-        let rows = gaussians_to_keep(&self.statistics.max_contributions, self.config.refine.gaussian_min_contribution);
+        let rows =
+            gaussians_to_keep(&self.statistics.max_contributions(), self.config.refine.gaussian_min_contribution);
         let before = self.gaussians.len();
         self.edit_gaussians(&GaussianEdit { rows, ..GaussianEdit::default() });
         format!("{} of {before} Gaussians pruned", before - self.gaussians.len())
@@ -109,13 +109,13 @@ impl Trainer {
     /// Edits the set; statistics on it start again.
     fn edit_gaussians(&mut self, edit: &GaussianEdit) {
         self.gaussians.edit(edit);
-        self.statistics =
-            Statistics { max_contributions: vec![0.0; self.gaussians.len()], ..std::mem::take(&mut self.statistics) };
+        self.statistics.reset_gaussians(self.gaussians.len());
     }
 
     /// A view of the scene as it stands, without a tape.
     fn render_view(&self, view: &View) -> Result<Render, TrainError> {
-        Ok(render(&self.surfels.values(), &self.gaussians.values(), &view.camera, &self.render_options())?)
+        let (surfels, gaussians) = (self.surfels.values(), self.gaussians.values());
+        Ok(render_values(&surfels, &gaussians, &view.camera, &self.render_options(), Values::KnownFinite)?)
     }
 }
 

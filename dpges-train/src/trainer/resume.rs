@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use burn::tensor::Device;
+use dpges_core::device::fix_order_of_sums;
 
 use super::statistics::Statistics;
 use super::{TrainError, Trainer};
@@ -26,8 +27,8 @@ impl Trainer {
             },
             attributes: attributes.map(|(name, rows)| (name.to_owned(), rows)).collect(),
             margins: self.surfels.to_data().margins,
-            max_pixels: self.statistics.max_pixels.clone(),
-            max_contributions: self.statistics.max_contributions.clone(),
+            max_pixels: self.statistics.max_pixels(),
+            max_contributions: self.statistics.max_contributions(),
         }
     }
 
@@ -42,6 +43,9 @@ impl Trainer {
             let reason = format!("it was made with {before} training views, and these {now} are not the same ones");
             return Err(TrainError::Resume { reason });
         }
+        if progress.config.train.deterministic {
+            fix_order_of_sums();
+        }
         let model = progress.info.colour_model;
         let surfel_rows = take(&mut attributes, SurfelState::NAMES, [3, 4, 2, 3, model.detail_len()], margins.len())?;
         let widths = [3, 4, 3, 1, 3, model.detail_len()];
@@ -53,7 +57,8 @@ impl Trainer {
             schedule: progress.config.schedule(dataset.train.len()),
             surfels: SurfelState::from_rows(surfel_rows, &margins, model, &device),
             gaussians: GaussianState::from_rows(gaussian_rows, model, &device),
-            statistics: Statistics { max_pixels, max_contributions },
+            statistics: Statistics::from_rows(&max_pixels, &max_contributions, &device),
+            pending: None,
             rng: progress.rng,
             remaining_views: progress.remaining_views,
             completed_steps: progress.completed_steps,

@@ -1,8 +1,8 @@
-//! What pruning wants to know about the views since it last happened.
+//! What pruning wants to know about the views since it last happened; kept on the device.
 
-use burn::tensor::Tensor;
+use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 use dpges_core::camera::Camera;
-use dpges_core::ops::peel::Layers;
+use dpges_core::ops::coverage::coverage;
 use dpges_core::ops::splat::contributions;
 use dpges_core::render::Render;
 use dpges_core::scene::tensors::tensor_to_rows;
@@ -11,17 +11,48 @@ use crate::config::Schedule;
 use crate::scene_state::GaussianState;
 
 /// Running maxima over views.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct Statistics {
     /// [N] most pixels at which a surfel was the nearest in one view.
-    pub max_pixels: Vec<u32>,
+    max_pixels: Tensor<1, Int>,
     /// [M] largest contribution of a Gaussian to a pixel.
-    pub max_contributions: Vec<f32>,
+    max_contributions: Tensor<1>,
 }
 
 impl Statistics {
-    pub fn new(surfels: usize, gaussians: usize) -> Self {
-        Self { max_pixels: vec![0; surfels], max_contributions: vec![0.0; gaussians] }
+    pub fn new(surfels: usize, gaussians: usize, device: &Device) -> Self {
+        Self::from_rows(&vec![0; surfels], &vec![0.0; gaussians], device)
+    }
+
+    /// As [`max_pixels`](Self::max_pixels) and [`max_contributions`](Self::max_contributions) gave them.
+    pub fn from_rows(max_pixels: &[u32], max_contributions: &[f32], device: &Device) -> Self {
+        let pixels: Vec<i32> = max_pixels.iter().map(|&count| i32::try_from(count).unwrap_or(i32::MAX)).collect();
+        let pixels = TensorData::new(pixels, [max_pixels.len()]);
+        let contributions = TensorData::new(max_contributions.to_vec(), [max_contributions.len()]);
+        Self {
+            max_pixels: Tensor::from_data(pixels, (device, DType::I32)),
+            max_contributions: Tensor::from_data(contributions, (device, DType::F32)),
+        }
+    }
+
+    pub fn max_pixels(&self) -> Vec<u32> {
+        self.max_pixels.clone().into_data().iter::<i64>().map(|count| u32::try_from(count).unwrap_or(0)).collect()
+    }
+
+    pub fn max_contributions(&self) -> Vec<f32> {
+        tensor_to_rows(&self.max_contributions)
+    }
+
+    /// Begins again for another number of surfels.
+    pub fn reset_surfels(&mut self, count: usize) {
+        let device = self.max_pixels.device();
+        self.max_pixels = Self::new(count, 0, &device).max_pixels;
+    }
+
+    /// Begins again for another number of Gaussians.
+    pub fn reset_gaussians(&mut self, count: usize) {
+        let device = self.max_contributions.device();
+        self.max_contributions = Self::new(0, count, &device).max_contributions;
     }
 
     /// Adds one rendered view, as far as a later pruning of `schedule` still needs it.
@@ -37,20 +68,15 @@ impl Statistics {
         completed_steps: usize,
     ) -> dpges_core::Result<()> {
         let later = |steps: &[usize]| steps.last().is_some_and(|&last| completed_steps < last);
-        if later(&schedule.surfel_prune) {
-            let found = first_layer_pixels(&render.layers, self.max_pixels.len());
-            for (max, count) in self.max_pixels.iter_mut().zip(found) {
-                *max = (*max).max(count);
-            }
+        let [surfels] = self.max_pixels.dims();
+        if surfels > 0 && later(&schedule.surfel_prune) {
+            self.max_pixels = self.max_pixels.clone().max_pair(coverage(&render.layers, surfels));
         }
-        if later(&schedule.gaussian_prune) {
+        if !gaussians.is_empty() && later(&schedule.gaussian_prune) {
             let colours = render.gaussian_colours.clone().inner();
             let limits = render.limits.clone().inner();
-            let gates = gates(render);
-            let found = tensor_to_rows(&contributions(&gaussians.values(), colours, limits, gates, camera)?);
-            for (max, contribution) in self.max_contributions.iter_mut().zip(found) {
-                *max = max.max(contribution);
-            }
+            let found = contributions(&gaussians.values(), colours, limits, gates(render), camera)?;
+            self.max_contributions = self.max_contributions.clone().max_pair(found);
         }
         Ok(())
     }
@@ -61,17 +87,4 @@ fn gates(render: &Render) -> Tensor<3> {
     let [layers, height, width] = render.limits.dims();
     let transmittance = render.composite.transmittance.clone().inner().slice([0..layers, 0..height, 0..width]);
     transmittance / (render.composite.gaussian_weight.clone().inner() + 1.0)
-}
-
-/// [count] pixels at which each surfel is the nearest layer.
-fn first_layer_pixels(layers: &Layers, count: usize) -> Vec<u32> {
-    let [_, height, width] = layers.ids.dims();
-    let nearest = layers.ids.clone().slice([0..1, 0..height, 0..width]);
-    let mut pixels = vec![0; count];
-    for id in nearest.into_data().iter::<i64>() {
-        if let Ok(id) = usize::try_from(id) {
-            pixels[id] += 1;
-        }
-    }
-    pixels
 }

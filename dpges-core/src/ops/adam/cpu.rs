@@ -42,10 +42,14 @@ fn adam_on<B: Host>(
     moment_1: FloatTensor<B>,
     moment_2: FloatTensor<B>,
     grad: &FloatTensor<B>,
+    gate: &FloatTensor<B>,
     step: &AdamStep,
 ) -> AdamOutput<B> {
     let (shape, device) = (parameter.shape(), parameter.device());
     with_real!(parameter.dtype(), T => {
+        if host::floats::<B, T>(gate)[0] != T::of(1.0) {
+            return AdamOutput { parameter, moment_1, moment_2 };
+        }
         let [mut parameter, mut moment_1, mut moment_2] = [parameter, moment_1, moment_2].map(host::take_floats::<B, T>);
         step_in_place(&mut parameter, &mut moment_1, &mut moment_2, &host::floats::<B, T>(grad), step);
         let [parameter, moment_1, moment_2] =
@@ -62,9 +66,10 @@ macro_rules! implement {
                 moment_1: FloatTensor<Self>,
                 moment_2: FloatTensor<Self>,
                 grad: FloatTensor<Self>,
+                gate: FloatTensor<Self>,
                 step: AdamStep,
             ) -> AdamOutput<Self> {
-                adam_on::<Self>(parameter, moment_1, moment_2, &grad, &step)
+                adam_on::<Self>(parameter, moment_1, moment_2, &grad, &gate, &step)
             }
         }
     };

@@ -2,11 +2,15 @@
 //!
 //! `m ← β1 m + (1 − β1) g`, `v ← β2 v + (1 − β2) g²`,
 //! `θ ← θ − lr / (1 − β1^t) · m / (√v / √(1 − β2^t) + ε)` (Kingma and Ba). No gradient.
+//! Nothing is changed where a gate on the device is not 1, so that a bad gradient can be held back
+//! without waiting to hear of it.
 //!
 //! An operation of its own because it works in place: tensor operations take four times as long and
 //! hold several copies of every attribute (`benches/README.md`).
 
 mod cpu;
+#[cfg(feature = "gpu")]
+mod cube;
 #[cfg(test)]
 mod tests;
 
@@ -34,35 +38,40 @@ pub struct AdamOutput<B: Backend> {
     pub moment_2: FloatTensor<B>,
 }
 
-#[backend_extension(NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
+#[backend_extension(Cube: cfg(feature = "gpu"), NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
 pub trait AdamOps: Backend {
     fn adam_step(
         parameter: FloatTensor<Self>,
         moment_1: FloatTensor<Self>,
         moment_2: FloatTensor<Self>,
         grad: FloatTensor<Self>,
+        gate: FloatTensor<Self>,
         step: AdamStep,
     ) -> AdamOutput<Self>;
 }
 
-/// Steps `parameter` along `grad`; returns it with its first and second moments. None is on a tape.
+/// Steps `parameter` along `grad` if `gate` [1] is 1; returns it with its first and second moments.
+/// None is on a tape.
 ///
 /// # Errors
-/// [`crate::Error::Shape`] if the four differ in shape.
+/// [`crate::Error::Shape`] if the four differ in shape or the gate is not one number.
 pub fn adam_step<const D: usize>(
     parameter: Tensor<D>,
     [moment_1, moment_2]: [Tensor<D>; 2],
     grad: Tensor<D>,
+    gate: Tensor<1>,
     step: AdamStep,
 ) -> Result<(Tensor<D>, [Tensor<D>; 2])> {
     check_shape("moment 1", &moment_1, parameter.dims())?;
     check_shape("moment 2", &moment_2, parameter.dims())?;
     check_shape("gradient", &grad, parameter.dims())?;
+    check_shape("gate", &gate, [1])?;
     let out = Dispatch::adam_step(
         parameter.into_dispatch(),
         moment_1.into_dispatch(),
         moment_2.into_dispatch(),
         grad.into_dispatch(),
+        gate.into_dispatch(),
         step,
     );
     Ok((

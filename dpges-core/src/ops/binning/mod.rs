@@ -1,6 +1,8 @@
 //! Primitives → tiles: which primitives can touch which tile of the image, in ascending order of
 //! index, by counting, prefix sum and fill.
 
+#[cfg(feature = "gpu")]
+pub(crate) mod cube;
 pub mod layout;
 
 use std::sync::atomic::{AtomicU32, Ordering};

@@ -9,6 +9,8 @@
 
 mod backward;
 mod cpu;
+#[cfg(feature = "gpu")]
+mod cube;
 mod model;
 #[cfg(test)]
 mod tests;
@@ -21,7 +23,12 @@ use crate::error::Result;
 use crate::scene::tensors::check_shape;
 use crate::scene::{Colour, ColourModel};
 
-#[backend_extension(NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"), Autodiff)]
+#[backend_extension(
+    Cube: cfg(feature = "gpu"),
+    NdArray: cfg(feature = "ndarray"),
+    Flex: cfg(feature = "flex"),
+    Autodiff
+)]
 pub trait ColourOps: Backend {
     fn colour(
         base: FloatTensor<Self>,
@@ -32,7 +39,7 @@ pub trait ColourOps: Backend {
     ) -> FloatTensor<Self>;
 }
 
-#[backend_extension(NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
+#[backend_extension(Cube: cfg(feature = "gpu"), NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
 pub trait ColourBackwardOps: Backend {
     fn colour_backward(
         detail: FloatTensor<Self>,

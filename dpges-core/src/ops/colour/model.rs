@@ -5,7 +5,7 @@ use crate::real::Real;
 use crate::scene::SH_C0;
 
 /// Sharpness of the softplus of a lobe's colour: a raw value of 0 means 0.1.
-const SHARPNESS: f64 = 10.0 * std::f64::consts::LN_2;
+pub const SHARPNESS: f64 = 10.0 * std::f64::consts::LN_2;
 
 /// Unit vector from the camera to a primitive; zero at the camera itself.
 #[inline(always)]
@@ -20,7 +20,7 @@ pub fn base<T: Real>(coefficients: V3<T>) -> V3<T> {
 }
 
 /// Raw β beyond this changes nothing: the lobe is narrower than a hundredth of a degree, and e^β would overflow.
-const LARGEST_BETA: f64 = 14.0;
+pub const LARGEST_BETA: f64 = 14.0;
 
 /// Stable softplus and its derivative.
 #[inline(always)]

@@ -15,6 +15,8 @@
 
 mod backward;
 mod cpu;
+#[cfg(feature = "gpu")]
+mod cube;
 mod geometry;
 #[cfg(test)]
 mod tests;
@@ -68,7 +70,7 @@ pub struct CompositeGradients<B: Backend> {
 }
 
 /// Which output an incoming gradient belongs to.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum OutputKind {
     Image,
     SurfelImage,
@@ -87,12 +89,17 @@ impl OutputKind {
     }
 }
 
-#[backend_extension(NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"), Autodiff)]
+#[backend_extension(
+    Cube: cfg(feature = "gpu"),
+    NdArray: cfg(feature = "ndarray"),
+    Flex: cfg(feature = "flex"),
+    Autodiff
+)]
 pub trait CompositeOps: Backend {
     fn composite(#[extension_type] input: CompositeInput<Self>, options: CompositeOptions) -> CompositeOutput<Self>;
 }
 
-#[backend_extension(NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
+#[backend_extension(Cube: cfg(feature = "gpu"), NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
 pub trait CompositeBackwardOps: Backend {
     fn composite_backward(
         #[extension_type] input: CompositeInput<Self>,

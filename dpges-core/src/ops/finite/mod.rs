@@ -4,6 +4,8 @@
 //! there is none. Checks that guard a training step are made with it.
 
 mod cpu;
+#[cfg(feature = "gpu")]
+mod cube;
 #[cfg(test)]
 mod tests;
 
@@ -14,7 +16,12 @@ use burn::tensor::{Int, Tensor};
 
 use crate::error::{Error, Result};
 
-#[backend_extension(NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"), Autodiff)]
+#[backend_extension(
+    Cube: cfg(feature = "gpu"),
+    NdArray: cfg(feature = "ndarray"),
+    Flex: cfg(feature = "flex"),
+    Autodiff
+)]
 pub trait FiniteOps: Backend {
     fn first_non_finite(tensor: FloatTensor<Self>) -> IntTensor<Self>;
 }
@@ -25,13 +32,43 @@ impl<B: FiniteOps, S: CheckpointStrategy> FiniteOps for Autodiff<B, S> {
     }
 }
 
+/// Where each of several tensors first holds a bad value, all asked for before any answer is read.
+#[derive(Default)]
+pub struct FiniteChecks {
+    names: Vec<String>,
+    positions: Vec<Tensor<1, Int>>,
+    row_lens: Vec<usize>,
+}
+
+impl FiniteChecks {
+    pub fn add<const D: usize>(&mut self, name: impl Into<String>, tensor: &Tensor<D>) {
+        let position = Dispatch::first_non_finite(tensor.clone().into_dispatch());
+        self.names.push(name.into());
+        self.positions.push(Tensor::from_dispatch(position));
+        self.row_lens.push(tensor.dims()[1..].iter().product::<usize>().max(1));
+    }
+
+    /// [tensors] position of the first bad value in each tensor, −1 where there is none.
+    ///
+    /// # Panics
+    /// If nothing was added.
+    pub fn positions(&self) -> Tensor<1, Int> {
+        Tensor::cat(self.positions.clone(), 0)
+    }
+}
+
 /// # Errors
-/// [`Error::NonFinite`] naming `name`, the row (first dimension) and the value.
-pub fn check_finite<const D: usize>(name: &str, tensor: &Tensor<D>) -> Result<()> {
-    let position = Tensor::<1, Int>::from_dispatch(Dispatch::first_non_finite(tensor.clone().into_dispatch()));
-    let position = position.into_data().iter::<i64>().next().unwrap_or(-1);
-    let Ok(position) = usize::try_from(position) else { return Ok(()) };
-    let row_len = tensor.dims()[1..].iter().product::<usize>().max(1);
-    let found = tensor.clone().into_data().iter::<f64>().nth(position).unwrap_or(f64::NAN);
-    Err(Error::NonFinite { tensor: name.to_owned(), row: position / row_len, found })
+/// [`Error::NonFinite`] naming the first of the added tensors that holds a bad value, and the row
+/// (first dimension).
+pub fn check_finite(checks: &FiniteChecks) -> Result<()> {
+    if checks.names.is_empty() {
+        return Ok(());
+    }
+    let positions = checks.positions().into_data();
+    for ((name, row_len), position) in checks.names.iter().zip(&checks.row_lens).zip(positions.iter::<i64>()) {
+        if let Ok(position) = usize::try_from(position) {
+            return Err(Error::NonFinite { tensor: name.clone(), row: position / row_len });
+        }
+    }
+    Ok(())
 }

@@ -1,18 +1,24 @@
 use burn::tensor::{DType, Tensor, TensorData};
 
-use super::check_finite;
+use super::{FiniteChecks, check_finite};
 use crate::error::Error;
 use crate::testing::device;
 
-fn first(count: usize, bad: &[(usize, f64)], dtype: DType) -> Option<(usize, f64)> {
+fn rows(count: usize, bad: &[(usize, f64)], dtype: DType) -> Tensor<2> {
     let mut values: Vec<f64> = (0..count * 3).map(|i| f64::from(i as f32).sin() * 1e30).collect();
     bad.iter().for_each(|&(at, value)| values[at] = value);
     let data = TensorData::new(values, [count, 3]).convert_dtype(dtype);
-    match check_finite("t", &Tensor::<2>::from_data(data, (&device(), dtype))) {
+    Tensor::from_data(data, (&device(), dtype))
+}
+
+fn first(tensor: &Tensor<2>) -> Option<usize> {
+    let mut checks = FiniteChecks::default();
+    checks.add("t", tensor);
+    match check_finite(&checks) {
         Ok(()) => None,
-        Err(Error::NonFinite { tensor, row, found }) => {
+        Err(Error::NonFinite { tensor, row }) => {
             assert_eq!(tensor, "t");
-            Some((row, found))
+            Some(row)
         }
         Err(other) => panic!("{other}"),
     }
@@ -22,21 +28,24 @@ fn first(count: usize, bad: &[(usize, f64)], dtype: DType) -> Option<(usize, f64
 fn the_first_bad_value_is_found_wherever_it_is() {
     let infinity = f64::INFINITY;
     for dtype in [DType::F32, DType::F64] {
-        assert_eq!(first(50_000, &[], dtype), None);
-        assert_eq!(first(0, &[], dtype), None);
+        assert_eq!(first(&rows(50_000, &[], dtype)), None);
+        assert_eq!(first(&rows(0, &[], dtype)), None);
         for at in [0, 1, 16_383, 16_384, 90_000, 149_999] {
-            assert_eq!(first(50_000, &[(at, infinity)], dtype), Some((at / 3, infinity)));
-            assert_eq!(first(50_000, &[(at, -infinity), (149_999, infinity)], dtype).unwrap().0, at / 3);
-            let (row, found) = first(50_000, &[(at, f64::NAN)], dtype).unwrap();
-            assert!(row == at / 3 && found.is_nan());
+            for value in [infinity, -infinity, f64::NAN] {
+                assert_eq!(first(&rows(50_000, &[(at, value)], dtype)), Some(at / 3));
+            }
+            assert_eq!(first(&rows(50_000, &[(at, -infinity), (149_999, infinity)], dtype)), Some(at / 3));
         }
     }
 }
 
 #[test]
-fn the_message_names_tensor_row_and_value() {
-    let data = TensorData::new(vec![1.0, f64::NAN], [2]);
-    let tensor = Tensor::<1>::from_data(data, (&device(), DType::F64));
-    let error = check_finite("gaussians.opacities", &tensor).unwrap_err();
-    assert_eq!(error.to_string(), "tensor `gaussians.opacities` is NaN at row 1, expected a finite value");
+fn of_several_tensors_the_bad_one_is_named_with_its_row() {
+    let mut checks = FiniteChecks::default();
+    assert!(check_finite(&checks).is_ok());
+    checks.add("surfels.positions", &rows(2, &[], DType::F64));
+    checks.add("gaussians.opacities", &rows(4, &[(10, f64::NAN)], DType::F64));
+    let error = check_finite(&checks).unwrap_err();
+    assert_eq!(error.to_string(), "tensor `gaussians.opacities` is not finite at row 3, expected finite numbers");
+    assert_eq!(checks.positions().into_data().iter::<i64>().collect::<Vec<_>>(), [-1, 10]);
 }

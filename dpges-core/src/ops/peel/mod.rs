@@ -10,7 +10,11 @@
 
 mod backward;
 mod cpu;
+#[cfg(feature = "gpu")]
+mod cube;
 mod disc;
+#[cfg(feature = "gpu")]
+mod disc_cube;
 #[cfg(test)]
 mod tests;
 
@@ -102,12 +106,17 @@ pub enum PeelGradient {
     Depth,
 }
 
-#[backend_extension(NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"), Autodiff)]
+#[backend_extension(
+    Cube: cfg(feature = "gpu"),
+    NdArray: cfg(feature = "ndarray"),
+    Flex: cfg(feature = "flex"),
+    Autodiff
+)]
 pub trait PeelOps: Backend {
     fn peel(#[extension_type] surfels: SurfelShapes<Self>, camera: Camera, options: PeelOptions) -> PeelOutput<Self>;
 }
 
-#[backend_extension(NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
+#[backend_extension(Cube: cfg(feature = "gpu"), NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
 pub trait PeelBackwardOps: Backend {
     fn peel_backward(
         #[extension_type] surfels: SurfelShapes<Self>,

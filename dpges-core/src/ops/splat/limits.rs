@@ -12,7 +12,12 @@ use crate::ops::peel::Layers;
 use crate::real::Real;
 use crate::scene::tensors::check_shape;
 
-#[backend_extension(NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"), Autodiff)]
+#[backend_extension(
+    Cube: cfg(feature = "gpu"),
+    NdArray: cfg(feature = "ndarray"),
+    Flex: cfg(feature = "flex"),
+    Autodiff
+)]
 pub trait LimitOps: Backend {
     fn interval_limits(
         ids: IntTensor<Self>,

@@ -10,8 +10,14 @@
 
 mod backward;
 mod cpu;
+#[cfg(feature = "gpu")]
+mod cube;
 mod footprint;
+#[cfg(feature = "gpu")]
+mod footprint_cube;
 pub mod limits;
+#[cfg(feature = "gpu")]
+mod limits_cube;
 #[cfg(test)]
 mod tests;
 
@@ -40,7 +46,12 @@ pub struct SplatInput<B: Backend> {
     pub colours: FloatTensor<B>,
 }
 
-#[backend_extension(NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"), Autodiff)]
+#[backend_extension(
+    Cube: cfg(feature = "gpu"),
+    NdArray: cfg(feature = "ndarray"),
+    Flex: cfg(feature = "flex"),
+    Autodiff
+)]
 pub trait SplatOps: Backend {
     fn splat(
         #[extension_type] gaussians: SplatInput<Self>,
@@ -57,7 +68,7 @@ pub trait SplatOps: Backend {
     ) -> FloatTensor<Self>;
 }
 
-#[backend_extension(NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
+#[backend_extension(Cube: cfg(feature = "gpu"), NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
 pub trait SplatBackwardOps: Backend {
     fn splat_backward(
         #[extension_type] gaussians: SplatInput<Self>,

@@ -7,6 +7,8 @@
 
 mod backward;
 mod cpu;
+#[cfg(feature = "gpu")]
+mod cube;
 #[cfg(test)]
 mod tests;
 
@@ -25,12 +27,17 @@ pub struct SsimOutput<B: Backend> {
     pub partials: FloatTensor<B>,
 }
 
-#[backend_extension(NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"), Autodiff)]
+#[backend_extension(
+    Cube: cfg(feature = "gpu"),
+    NdArray: cfg(feature = "ndarray"),
+    Flex: cfg(feature = "flex"),
+    Autodiff
+)]
 pub trait SsimOps: Backend {
     fn ssim(image: FloatTensor<Self>, target: FloatTensor<Self>) -> SsimOutput<Self>;
 }
 
-#[backend_extension(NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
+#[backend_extension(Cube: cfg(feature = "gpu"), NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
 pub trait SsimBackwardOps: Backend {
     fn ssim_backward(
         image: FloatTensor<Self>,

@@ -5,6 +5,7 @@ mod session;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use burn::tensor::Device;
 use clap::Args;
 use dpges_train::checkpoint::Checkpoint;
 use dpges_train::config::Config;
@@ -37,7 +38,7 @@ pub struct TrainArgs {
     /// Folder of the run [default: runs/NAME OF THE DATASET]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// cpu (burn-ndarray) or cpu-flex (burn-flex) [default: cpu]
+    /// cpu, cpu-flex, wgpu (the best GPU), or what else `dpges devices` lists [default: cpu]
     #[arg(long, value_name = "NAME")]
     device: Option<DeviceName>,
     /// Length of the run, one view per step
@@ -46,6 +47,9 @@ pub struct TrainArgs {
     /// Of everything random
     #[arg(long, value_name = "S")]
     seed: Option<u64>,
+    /// Fix the order of sums on GPUs, so that two runs give the same file; on CPUs it always is
+    #[arg(long)]
+    deterministic: bool,
     /// Configuration that comes with the program, such as cpu
     #[arg(long, value_name = "NAME")]
     preset: Option<String>,
@@ -95,6 +99,7 @@ impl TrainArgs {
         set.extend(self.data.assignments());
         set.extend(self.steps.map(|steps| format!("train.steps={steps}")));
         set.extend(self.seed.map(|seed| format!("train.seed={seed}")));
+        set.extend(self.deterministic.then(|| "train.deterministic=true".to_owned()));
         set.extend(self.budget.map(|budget| format!("refine.budget={budget}")));
         let file = file.or(self.config.as_deref());
         Config::resolve(self.preset.as_deref(), file, &set).map_err(Failure::from_config)
@@ -113,8 +118,9 @@ impl TrainArgs {
             Some(device) => device,
             None => "cpu".parse().map_err(Failure::Usage)?,
         };
+        let opened = open(device)?;
         let dataset = Arc::new(source.load(&config.data)?);
-        let trainer = Trainer::new(Arc::clone(&dataset), config.clone(), device.open())?;
+        let trainer = Trainer::new(Arc::clone(&dataset), config.clone(), opened)?;
         let origin = Origin {
             dataset: source.to_string(),
             device: device.to_string(),
@@ -159,13 +165,23 @@ impl TrainArgs {
             );
             origin.device = device.to_string();
         }
+        let opened = open(device)?;
         tracing::info!("resuming after step {}", checkpoint.completed_steps());
         let dataset = Arc::new(source.load(&checkpoint.config().data)?);
         let completed = checkpoint.completed_steps();
         let metrics = MetricsLog::resume(&folder.metrics(), completed, completed >= checkpoint.config().train.steps)?;
-        let trainer = Trainer::resume(Arc::clone(&dataset), checkpoint, device.open())?;
+        let trainer = Trainer::resume(Arc::clone(&dataset), checkpoint, opened)?;
         Session::new(trainer, dataset, origin, folder, metrics, style)
     }
+}
+
+/// The device, before anything is read for it; says which adapter a GPU's name stands for.
+fn open(device: DeviceName) -> Result<Device> {
+    let opened = device.open()?;
+    if !device.is_cpu() {
+        tracing::info!("device {device}: {}", device.describe()?);
+    }
+    Ok(opened)
 }
 
 /// Keys whose value in `found` is not that in `expected`.

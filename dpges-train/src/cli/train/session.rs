@@ -12,9 +12,10 @@ use dpges_train::eval::{EvalReport, Evaluation, evaluate_each};
 use dpges_train::metrics_log::MetricsLog;
 use dpges_train::pictures::{comparison, file_stems, save_png};
 use dpges_train::run_folder::{Origin, RunFolder, write_json};
-use dpges_train::trainer::{TrainError, Trainer};
+use dpges_train::trainer::{StepReport, TrainError, Trainer};
 
 use super::super::data::Split;
+use super::super::device_failure::{DeviceFailure, Watch};
 use super::super::{Failure, Result, print, table};
 use crate::logging::LogStyle;
 use crate::progress::{Progress, Seconds};
@@ -22,10 +23,15 @@ use crate::progress::{Progress, Seconds};
 /// Steps between lines of `metrics.jsonl`.
 const METRICS_EVERY: usize = 10;
 
+/// What the trainer is asked to do; the report of the step whose numbers it then knows.
+type Work = fn(&mut Trainer) -> Result<Option<StepReport>, TrainError>;
+
 pub struct Session {
     trainer: Trainer,
     dataset: Arc<Dataset>,
     device: Device,
+    /// Of a device that may fail while the run goes on: any but a CPU.
+    watch: Option<Watch>,
     origin: Origin,
     folder: RunFolder,
     metrics: MetricsLog,
@@ -44,33 +50,37 @@ impl Session {
         metrics: MetricsLog,
         style: LogStyle,
     ) -> Result<Self> {
-        let device = origin.device.parse::<DeviceName>().map_err(Failure::Usage)?.open();
+        let name = origin.device.parse::<DeviceName>().map_err(Failure::Usage)?;
+        let device = name.open()?;
+        let watch = (!name.is_cpu()).then(Watch::start);
         let saved = folder.checkpoint().is_file().then(|| trainer.completed_steps());
-        Ok(Self { trainer, dataset, device, origin, folder, metrics, style, started: Instant::now(), saved })
+        Ok(Self { trainer, dataset, device, watch, origin, folder, metrics, style, started: Instant::now(), saved })
     }
 
     /// Trains to the end, saving and evaluating on the way.
     pub fn run(mut self) -> Result<()> {
+        let Some(watch) = self.watch.clone() else { return self.train() };
+        match watch.catch(|| self.train()) {
+            Ok(result) => result,
+            Err(failure) => Err(self.device_failed(&failure)),
+        }
+    }
+
+    fn train(&mut self) -> Result<()> {
         let interrupted = watch_for_interrupts()?;
         let train = self.trainer.config().train.clone();
         let mut progress = Progress::new(self.style, train.steps, self.trainer.completed_steps());
         while !self.trainer.is_finished() {
-            let start = Instant::now();
-            let report = self.trainer.step().map_err(|error| self.step_failed(&error))?;
-            progress.step(&report, start.elapsed().as_secs_f64());
-            for event in &report.events {
-                tracing::info!("step {}: {event}", report.step);
-            }
+            self.work(Trainer::step, &mut progress)?;
+            let step = self.trainer.completed_steps();
             let finished = self.trainer.is_finished();
-            if report.step.is_multiple_of(METRICS_EVERY) || !report.events.is_empty() || finished {
-                let seconds = self.seconds();
-                self.metrics.step(&report, seconds)?;
-            }
-            if is_due(report.step, train.evaluate_every) && !finished {
+            if is_due(step, train.evaluate_every) && !finished {
+                self.work(Trainer::settle, &mut progress)?;
                 self.evaluate()?;
             }
             let stop = interrupted.load(Ordering::SeqCst) && !finished;
-            if is_due(report.step, train.checkpoint_every) || finished || stop {
+            if is_due(step, train.checkpoint_every) || finished || stop {
+                self.work(Trainer::settle, &mut progress)?;
                 self.save()?;
             }
             if stop {
@@ -83,14 +93,36 @@ impl Session {
         self.finish(evaluation)
     }
 
+    /// Lets the trainer work, then shows and logs the step whose numbers are known by that: on a GPU not the one it
+    /// has just begun.
+    fn work(&mut self, work: Work, progress: &mut Progress) -> Result<()> {
+        let start = Instant::now();
+        let known = work(&mut self.trainer).map_err(|error| self.step_failed(&error))?;
+        self.check_device()?;
+        let Some(report) = known else { return Ok(()) };
+        progress.step(&report, start.elapsed().as_secs_f64());
+        for event in &report.events {
+            tracing::info!("step {}: {event}", report.step);
+        }
+        let last = report.step == self.trainer.config().train.steps;
+        if report.step.is_multiple_of(METRICS_EVERY) || !report.events.is_empty() || last {
+            let seconds = self.seconds();
+            self.metrics.step(&report, seconds)?;
+        }
+        Ok(())
+    }
+
     /// Of the whole run, over all its resumptions.
     fn seconds(&self) -> f64 {
         self.metrics.seconds_before() + self.started.elapsed().as_secs_f64()
     }
 
     fn save(&mut self) -> Result<()> {
-        self.trainer.scene().save(&self.folder.scene())?;
-        self.trainer.checkpoint().save(&self.folder.checkpoint())?;
+        let (scene, checkpoint) = (self.trainer.scene(), self.trainer.checkpoint());
+        // Read from a device that had failed, they are not to replace those of an earlier step.
+        self.check_device()?;
+        scene.save(&self.folder.scene())?;
+        checkpoint.save(&self.folder.checkpoint())?;
         self.saved = Some(self.trainer.completed_steps());
         Ok(())
     }
@@ -164,14 +196,35 @@ impl Session {
         Failure::with_help(message, format!("go on with `{}`", self.resume_command()))
     }
 
+    fn check_device(&self) -> Result<()> {
+        match self.watch.as_ref().and_then(Watch::failure) {
+            Some(failure) => Err(self.device_failed(&failure)),
+            None => Ok(()),
+        }
+    }
+
     fn step_failed(&self, error: &TrainError) -> Failure {
+        match error {
+            TrainError::Device { reason, .. } => self.device_failed(&DeviceFailure::new(reason)),
+            _ => Failure::with_help(error, self.way_back()),
+        }
+    }
+
+    /// "Near": a device works behind the program that tells it what to do.
+    fn device_failed(&self, failure: &DeviceFailure) -> Failure {
+        let step = self.trainer.completed_steps().max(1);
+        let message = format!("device `{}` failed near step {step}: {failure}", self.origin.device);
+        Failure::with_help(message, format!("{}; {}", self.way_back(), failure.advice()))
+    }
+
+    /// How to go on from the last checkpoint.
+    fn way_back(&self) -> String {
         match self.saved {
             Some(step) => {
                 let path = self.folder.checkpoint();
-                let help = format!("{} holds the state after step {step}: `{}`", path.display(), self.resume_command());
-                Failure::with_help(error, help)
+                format!("{} holds the state after step {step}: `{}`", path.display(), self.resume_command())
             }
-            None => Failure::with_help(error, "there was no checkpoint yet: train.checkpoint_every says how often"),
+            None => "there was no checkpoint yet: train.checkpoint_every says how often".to_owned(),
         }
     }
 }

@@ -1,0 +1,85 @@
+//! `cargo bench -p dpges-benches --bench frame -- [DEVICE …]`: a large view, as users train them, on
+//! each of the named devices (`ndarray`, `flex`, `wgpu`; all that there are by default). The program is
+//! self-contained, to be carried to a machine with a GPU.
+//!
+//! `--surfels`, `--gaussians`, `--width`, `--height` and `--repeats` change what is measured.
+
+use std::time::Instant;
+
+use burn::tensor::{DType, Device};
+use dpges_benches::training::{Training, Variant};
+use dpges_benches::{devices, machine};
+use dpges_core::render::{RenderOptions, Values, render_values};
+use dpges_core::testing::scenes::{TestScene, realistic};
+
+struct Size {
+    surfels: usize,
+    gaussians: usize,
+    width: usize,
+    height: usize,
+    repeats: usize,
+}
+
+impl Size {
+    /// Options and, left over, the names of devices.
+    fn from_arguments(arguments: impl Iterator<Item = String>) -> (Self, Vec<String>) {
+        let mut size = Self { surfels: 150_000, gaussians: 1_500_000, width: 1920, height: 1080, repeats: 10 };
+        let mut names = Vec::new();
+        // `cargo bench` adds --bench
+        let mut arguments = arguments.filter(|argument| argument != "--bench");
+        while let Some(argument) = arguments.next() {
+            let target = match argument.as_str() {
+                "--surfels" => &mut size.surfels,
+                "--gaussians" => &mut size.gaussians,
+                "--width" => &mut size.width,
+                "--height" => &mut size.height,
+                "--repeats" => &mut size.repeats,
+                _ => {
+                    names.push(argument);
+                    continue;
+                }
+            };
+            let value = arguments.next().and_then(|value| value.parse().ok());
+            *target = value.unwrap_or_else(|| panic!("{argument} is followed by a whole number"));
+        }
+        (size, names)
+    }
+}
+
+/// Median of some runs in ms, after two that warm up.
+fn median_ms(repeats: usize, mut run: impl FnMut()) -> f64 {
+    let mut times: Vec<f64> = (0..repeats + 2)
+        .map(|_| {
+            let start = Instant::now();
+            run();
+            1e3 * start.elapsed().as_secs_f64()
+        })
+        .skip(2)
+        .collect();
+    times.sort_by(f64::total_cmp);
+    times[times.len() / 2]
+}
+
+fn measure(name: &str, device: &Device, scene: &TestScene, repeats: usize) {
+    let (surfels, gaussians) = scene.tensors(device, DType::F32);
+    let options = RenderOptions::default();
+    let forward = median_ms(repeats, || {
+        _ = render_values(&surfels, &gaussians, &scene.camera, &options, Values::KnownFinite).expect("valid");
+        device.sync().expect("the device runs");
+    });
+    let mut training = Training::new(scene, device);
+    let step = median_ms(repeats, || _ = training.step(Variant::OWN));
+    println!("{name} ({device:?}): forward {forward:.2} ms, forward + backward + Adam {step:.2} ms");
+}
+
+fn main() {
+    let (size, names) = Size::from_arguments(std::env::args().skip(1));
+    let Size { surfels, gaussians, width, height, repeats } = size;
+    println!("{}; {surfels} surfels, {gaussians} Gaussians, {width} × {height} px, medians of {repeats}", machine());
+    let scene = realistic(surfels, gaussians, width, height, 1);
+    for (name, device) in devices() {
+        if names.is_empty() || names.iter().any(|wanted| wanted == name) {
+            measure(name, &device, &scene, repeats);
+        }
+    }
+}

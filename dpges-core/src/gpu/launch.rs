@@ -1,0 +1,95 @@
+//! Tensors and grids for kernel launches.
+
+use burn::backend::TensorMetadata;
+use burn::tensor::{DType, Shape};
+use burn_cubecl::CubeBackend;
+use burn_cubecl::kernel::into_contiguous;
+use burn_cubecl::tensor::CubeTensor;
+use cubecl::prelude::{BufferArg, CubeCount, CubeDim};
+
+/// Units of a cube in every kernel.
+pub const UNITS: u32 = 256;
+/// Units that gather for one primitive together.
+pub const LANES: u32 = 32;
+/// Primitives that one cube gathers for.
+pub const GATHERED: u32 = UNITS / LANES;
+/// What every implementation allows along one axis of a grid.
+const MAX_CUBES: u32 = 65_535;
+
+pub fn cube_dim() -> CubeDim {
+    CubeDim::new_1d(UNITS)
+}
+
+/// A grid of at least `count` cubes; kernels end surplus cubes.
+pub fn cubes(count: usize) -> CubeCount {
+    let count = u32::try_from(count).expect("fewer than 2³² cubes").max(1);
+    let rows = count.div_ceil(MAX_CUBES);
+    CubeCount::Static(count.div_ceil(rows), rows, 1)
+}
+
+/// A grid with one unit for each of `count` items.
+pub fn units(count: usize) -> CubeCount {
+    cubes(count.div_ceil(UNITS as usize))
+}
+
+/// A grid with [`LANES`] units for each of `count` primitives.
+pub fn gatherers(count: usize) -> CubeCount {
+    cubes(count.div_ceil(GATHERED as usize))
+}
+
+/// An uninitialised contiguous tensor beside `like`.
+pub fn empty(like: &CubeTensor, shape: impl Into<Shape>, dtype: DType) -> CubeTensor {
+    let shape = shape.into();
+    let handle = like.client.empty(shape.num_elements().max(1) * dtype.size());
+    CubeTensor::new_contiguous(like.client.clone(), like.device.clone(), shape, handle, dtype)
+}
+
+pub fn empty_f32(like: &CubeTensor, shape: impl Into<Shape>) -> CubeTensor {
+    empty(like, shape, DType::F32)
+}
+
+pub fn empty_u32(like: &CubeTensor, shape: impl Into<Shape>) -> CubeTensor {
+    empty(like, shape, DType::U32)
+}
+
+/// Zeros beside `like`.
+pub fn zeros_u32(like: &CubeTensor, shape: impl Into<Shape>) -> CubeTensor {
+    use burn::backend::ops::IntTensorOps;
+    CubeBackend::int_zeros(shape.into(), &like.device, burn::tensor::IntDType::U32)
+}
+
+/// Row-major `f32` tensor for a kernel.
+///
+/// # Panics
+/// For another element type: GPUs compute in f32, f64 belongs to the CPU backends.
+pub fn floats(tensor: CubeTensor) -> CubeTensor {
+    assert_eq!(tensor.dtype, DType::F32, "GPU kernels take f32 tensors");
+    into_contiguous(tensor)
+}
+
+/// Row-major integer tensor for a kernel.
+pub fn integers(tensor: CubeTensor) -> CubeTensor {
+    assert_eq!(tensor.dtype, DType::I32, "GPU kernels take i32 indices");
+    into_contiguous(tensor)
+}
+
+/// A tensor as the argument of a kernel; an empty one is bound as a buffer that nothing reads.
+pub fn buffer(tensor: &CubeTensor) -> BufferArg {
+    if tensor.shape().num_elements() == 0 {
+        return empty(tensor, [1], tensor.dtype).into_buffer_arg();
+    }
+    tensor.clone().into_buffer_arg()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn grids_cover_everything_within_the_limit() {
+        for count in [0, 1, 65_535, 65_536, 70_001, 5_000_000] {
+            let CubeCount::Static(x, y, 1) = cubes(count) else { panic!("static") };
+            assert!(x <= MAX_CUBES && y <= MAX_CUBES && x as usize * y as usize >= count);
+        }
+    }
+}

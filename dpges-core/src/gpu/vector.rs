@@ -1,0 +1,202 @@
+//! Three-vectors, rotations and elementary functions on the device; the CPU's are in [`crate::math`].
+
+use cubecl::prelude::*;
+
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub struct Vec3 {
+    pub x: f32,
+    pub y: f32,
+    pub z: f32,
+}
+
+/// By rows.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub struct Mat3 {
+    pub row0: Vec3,
+    pub row1: Vec3,
+    pub row2: Vec3,
+}
+
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub struct Quaternion {
+    pub w: f32,
+    pub x: f32,
+    pub y: f32,
+    pub z: f32,
+}
+
+#[cube]
+pub fn vec3(x: f32, y: f32, z: f32) -> Vec3 {
+    Vec3 { x, y, z }
+}
+
+/// Row `i` of a [N, 3] buffer.
+#[cube]
+pub fn row3(values: &[f32], i: usize) -> Vec3 {
+    vec3(values[3 * i], values[3 * i + 1], values[3 * i + 2])
+}
+
+/// Row `i` of a [N, 4] buffer.
+#[cube]
+pub fn row4(values: &[f32], i: usize) -> Quaternion {
+    Quaternion { w: values[4 * i], x: values[4 * i + 1], y: values[4 * i + 2], z: values[4 * i + 3] }
+}
+
+#[cube]
+pub fn write3(out: &mut [f32], i: usize, v: Vec3) {
+    out[3 * i] = v.x;
+    out[3 * i + 1] = v.y;
+    out[3 * i + 2] = v.z;
+}
+
+#[cube]
+pub fn dot(a: Vec3, b: Vec3) -> f32 {
+    a.x * b.x + a.y * b.y + a.z * b.z
+}
+
+#[cube]
+pub fn cross(a: Vec3, b: Vec3) -> Vec3 {
+    vec3(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x)
+}
+
+#[cube]
+pub fn add(a: Vec3, b: Vec3) -> Vec3 {
+    vec3(a.x + b.x, a.y + b.y, a.z + b.z)
+}
+
+#[cube]
+pub fn scale(a: Vec3, s: f32) -> Vec3 {
+    vec3(a.x * s, a.y * s, a.z * s)
+}
+
+/// m · v
+#[cube]
+pub fn apply(m: Mat3, v: Vec3) -> Vec3 {
+    vec3(dot(m.row0, v), dot(m.row1, v), dot(m.row2, v))
+}
+
+#[cube]
+pub fn transpose(m: Mat3) -> Mat3 {
+    Mat3 {
+        row0: vec3(m.row0.x, m.row1.x, m.row2.x),
+        row1: vec3(m.row0.y, m.row1.y, m.row2.y),
+        row2: vec3(m.row0.z, m.row1.z, m.row2.z),
+    }
+}
+
+/// A power of two near the largest component, and its reciprocal; (0, 0) where all are zero.
+#[cube]
+fn magnitude(q: Quaternion) -> (f32, f32) {
+    let largest = max(max(f32::abs(q.w), f32::abs(q.x)), max(f32::abs(q.y), f32::abs(q.z)));
+    let exponent = clamp(u32::reinterpret(largest) & 0x7f80_0000u32, 0x0080_0000u32, 0x7e80_0000u32);
+    (f32::reinterpret(exponent), f32::reinterpret(0x7f00_0000u32 - exponent))
+}
+
+/// Unit quaternion and reciprocal length; the identity and 0 for a zero quaternion.
+#[cube]
+pub fn unit(q: Quaternion) -> (Quaternion, f32) {
+    let (power, inverse_power) = magnitude(q);
+    let (w, x) = (q.w * inverse_power, q.x * inverse_power);
+    let (y, z) = (q.y * inverse_power, q.z * inverse_power);
+    let squared = w * w + x * x + y * y + z * z;
+    // a length of 1e-12 or less counts as zero
+    let is_zero = f32::sqrt(squared) * power <= 1e-12f32;
+    let inverse = select(is_zero, 0.0f32, 1.0f32 / f32::sqrt(max(squared, 1e-30f32)));
+    let normalised =
+        Quaternion { w: select(is_zero, 1.0f32, w * inverse), x: x * inverse, y: y * inverse, z: z * inverse };
+    (normalised, inverse * inverse_power)
+}
+
+/// Quaternion scaled by a power of two, exactly, so that its largest component is in [1, 2); the
+/// identity for a zero quaternion.
+#[cube]
+pub fn near_unit(q: Quaternion) -> Quaternion {
+    let (power, inverse_power) = magnitude(q);
+    let (w, x) = (q.w * inverse_power, q.x * inverse_power);
+    let (y, z) = (q.y * inverse_power, q.z * inverse_power);
+    let is_zero = f32::sqrt(w * w + x * x + y * y + z * z) * power <= 1e-12f32;
+    Quaternion {
+        w: select(is_zero, 1.0f32, w),
+        x: select(is_zero, 0.0f32, x),
+        y: select(is_zero, 0.0f32, y),
+        z: select(is_zero, 0.0f32, z),
+    }
+}
+
+#[cube]
+pub fn rotation(q: Quaternion) -> Mat3 {
+    let (q, _inverse_length) = unit(q);
+    Mat3 {
+        row0: vec3(
+            1.0f32 - 2.0f32 * (q.y * q.y + q.z * q.z),
+            2.0f32 * (q.x * q.y - q.w * q.z),
+            2.0f32 * (q.x * q.z + q.w * q.y),
+        ),
+        row1: vec3(
+            2.0f32 * (q.x * q.y + q.w * q.z),
+            1.0f32 - 2.0f32 * (q.x * q.x + q.z * q.z),
+            2.0f32 * (q.y * q.z - q.w * q.x),
+        ),
+        row2: vec3(
+            2.0f32 * (q.x * q.z - q.w * q.y),
+            2.0f32 * (q.y * q.z + q.w * q.x),
+            1.0f32 - 2.0f32 * (q.x * q.x + q.y * q.y),
+        ),
+    }
+}
+
+/// Gradient with respect to the raw quaternion from the gradient `d` with respect to its rotation.
+#[cube]
+pub fn rotation_backward(raw: Quaternion, d: Mat3) -> Quaternion {
+    let (q, inverse_length) = unit(raw);
+    let skew_x = d.row2.y - d.row1.z;
+    let skew_y = d.row0.z - d.row2.x;
+    let skew_z = d.row1.x - d.row0.y;
+    let both_xy = d.row1.x + d.row0.y;
+    let both_xz = d.row0.z + d.row2.x;
+    let both_yz = d.row2.y + d.row1.z;
+    let w = 2.0f32 * (q.x * skew_x + q.y * skew_y + q.z * skew_z);
+    let x = 2.0f32 * (q.w * skew_x - 2.0f32 * q.x * (d.row1.y + d.row2.z) + q.y * both_xy + q.z * both_xz);
+    let y = 2.0f32 * (q.w * skew_y + q.x * both_xy - 2.0f32 * q.y * (d.row0.x + d.row2.z) + q.z * both_yz);
+    let z = 2.0f32 * (q.w * skew_z + q.x * both_xz + q.y * both_yz - 2.0f32 * q.z * (d.row0.x + d.row1.y));
+    let along = w * q.w + x * q.x + y * q.y + z * q.z;
+    Quaternion {
+        w: (w - q.w * along) * inverse_length,
+        x: (x - q.x * along) * inverse_length,
+        y: (y - q.y * along) * inverse_length,
+        z: (z - q.z * along) * inverse_length,
+    }
+}
+
+#[cube]
+pub fn write4(out: &mut [f32], i: usize, q: Quaternion) {
+    out[4 * i] = q.w;
+    out[4 * i + 1] = q.x;
+    out[4 * i + 2] = q.y;
+    out[4 * i + 3] = q.z;
+}
+
+/// 2 / π
+const PER_QUARTER: f32 = std::f32::consts::FRAC_2_PI;
+
+/// Sine and cosine to f32 accuracy, which WGSL does not promise: reduction by π/2 in three parts,
+/// polynomials on [−π/4, π/4] (Cephes).
+#[cube]
+pub fn sin_cos(angle: f32) -> (f32, f32) {
+    let quarter = f32::round(angle * PER_QUARTER);
+    let reduced = ((angle - quarter * 1.570_312_5f32) - quarter * 4.837_513e-4f32) - quarter * 7.549_79e-8f32;
+    let s2 = reduced * reduced;
+    let sine = reduced + reduced * s2 * (-0.166_666_55f32 + s2 * (8.332_161e-3f32 + s2 * -1.951_529_6e-4f32));
+    let cosine =
+        1.0f32 - 0.5f32 * s2 + s2 * s2 * (4.166_664_6e-2f32 + s2 * (-1.388_731_6e-3f32 + s2 * 2.443_315_7e-5f32));
+    let turn = i32::cast_from(quarter) & 3i32;
+    let swapped = (turn & 1i32) == 1i32;
+    let first = select(swapped, cosine, sine);
+    let second = select(swapped, sine, cosine);
+    let sine_negative = turn >= 2i32;
+    let cosine_negative = turn == 1i32 || turn == 2i32;
+    (select(sine_negative, -first, first), select(cosine_negative, -second, second))
+}

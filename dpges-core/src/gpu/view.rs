@@ -1,0 +1,137 @@
+//! A camera as kernels see it.
+
+use cubecl::prelude::*;
+
+use super::vector::{Mat3, Vec3, add, apply, vec3};
+use crate::camera::Camera;
+use crate::ops::binning::TileGrid;
+
+/// Uniforms of every kernel that looks through a camera.
+#[derive(CubeType, CubeLaunch, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub struct View {
+    pub r00: f32,
+    pub r01: f32,
+    pub r02: f32,
+    pub r10: f32,
+    pub r11: f32,
+    pub r12: f32,
+    pub r20: f32,
+    pub r21: f32,
+    pub r22: f32,
+    pub tx: f32,
+    pub ty: f32,
+    pub tz: f32,
+    /// Camera centre in world units.
+    pub centre_x: f32,
+    pub centre_y: f32,
+    pub centre_z: f32,
+    pub fx: f32,
+    pub fy: f32,
+    pub cx: f32,
+    pub cy: f32,
+    pub near: f32,
+    /// A constant infinity is an error in WGSL.
+    pub infinity: f32,
+    /// 0, unknown to the compiler: see [`super::exact`].
+    pub zero: u32,
+    pub width: u32,
+    pub height: u32,
+    /// Tiles along each axis.
+    pub columns: u32,
+    pub rows: u32,
+}
+
+impl View {
+    pub fn launch(camera: &Camera) -> ViewLaunch {
+        let rotation = camera.camera_from_world.rotation.transpose().to_cols_array_2d();
+        let [r0, r1, r2] = rotation.map(|row| row.map(|v| v as f32));
+        let t = camera.camera_from_world.translation.to_array().map(|v| v as f32);
+        let centre = camera.centre().to_array().map(|v| v as f32);
+        let grid = TileGrid::new(camera.width, camera.height);
+        ViewLaunch::new(
+            r0[0],
+            r0[1],
+            r0[2],
+            r1[0],
+            r1[1],
+            r1[2],
+            r2[0],
+            r2[1],
+            r2[2],
+            t[0],
+            t[1],
+            t[2],
+            centre[0],
+            centre[1],
+            centre[2],
+            camera.fx as f32,
+            camera.fy as f32,
+            camera.cx as f32,
+            camera.cy as f32,
+            camera.near as f32,
+            f32::INFINITY,
+            0,
+            camera.width as u32,
+            camera.height as u32,
+            grid.columns as u32,
+            grid.rows as u32,
+        )
+    }
+}
+
+#[cube]
+pub fn view_rotation(view: View) -> Mat3 {
+    Mat3 {
+        row0: vec3(view.r00, view.r01, view.r02),
+        row1: vec3(view.r10, view.r11, view.r12),
+        row2: vec3(view.r20, view.r21, view.r22),
+    }
+}
+
+/// World point in camera axes.
+#[cube]
+pub fn to_camera(view: View, world: Vec3) -> Vec3 {
+    add(apply(view_rotation(view), world), vec3(view.tx, view.ty, view.tz))
+}
+
+/// First pixel (inclusive) and end (exclusive) whose centres lie in [low, high] px, of `size` px.
+#[cube]
+pub fn pixel_range(low: f32, high: f32, size: u32) -> (u32, u32) {
+    let most = f32::cast_from(size);
+    let first = clamp(f32::ceil(low - 0.5f32), 0.0f32, most);
+    let end = clamp(f32::floor(high - 0.5f32) + 1.0f32, 0.0f32, most);
+    (u32::cast_from(first), u32::cast_from(end))
+}
+
+/// The camera to twice the precision of f32: each number beside what rounding took from it.
+#[derive(CubeType, CubeLaunch, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub struct Rests {
+    pub r00: f32,
+    pub r01: f32,
+    pub r02: f32,
+    pub r10: f32,
+    pub r11: f32,
+    pub r12: f32,
+    pub r20: f32,
+    pub r21: f32,
+    pub r22: f32,
+    pub centre_x: f32,
+    pub centre_y: f32,
+    pub centre_z: f32,
+    pub fx: f32,
+    pub fy: f32,
+    pub cx: f32,
+    pub cy: f32,
+}
+
+impl Rests {
+    pub fn launch(camera: &Camera) -> RestsLaunch {
+        let rest = |v: f64| (v - f64::from(v as f32)) as f32;
+        let [r0, r1, r2] = camera.camera_from_world.rotation.transpose().to_cols_array_2d().map(|row| row.map(rest));
+        let [x, y, z] = camera.centre().to_array().map(rest);
+        let [fx, fy, cx, cy] = [camera.fx, camera.fy, camera.cx, camera.cy].map(rest);
+        RestsLaunch::new(r0[0], r0[1], r0[2], r1[0], r1[1], r1[2], r2[0], r2[1], r2[2], x, y, z, fx, fy, cx, cy)
+    }
+}

@@ -1,0 +1,95 @@
+//! Which pixels a surfel is a layer of: the smallest box around them, found with integer atomics.
+//! On GPUs gradients are gathered over these boxes.
+
+use burn::backend::TensorMetadata;
+use burn_cubecl::tensor::CubeTensor;
+use cubecl::prelude::*;
+
+use crate::gpu::launch::{buffer, cube_dim, empty_u32, units, zeros_u32};
+
+/// Records, at the pixels where a run of the same layer of the same surfel begins or ends, how far the
+/// box reaches: as distances from the far side, so that the zero of a fresh buffer means nothing.
+#[cube(launch)]
+fn extremes_kernel(ids: &[i32], extremes: &[Atomic<u32>], width: u32, height: u32, count: u32) {
+    let at = ABSOLUTE_POS;
+    if at >= count as usize {
+        terminate!();
+    }
+    let pixel = at as u32 % (width * height);
+    let (x, y) = (pixel % width, pixel / width);
+    let id = ids[at];
+    if id >= 0i32 {
+        let o = id as usize * 4;
+        let mut first = x == 0u32;
+        let mut last = x + 1u32 == width;
+        let mut top = y == 0u32;
+        let mut bottom = y + 1u32 == height;
+        if x > 0u32 {
+            first = ids[at - 1] != id;
+        }
+        if x + 1u32 < width {
+            last = ids[at + 1] != id;
+        }
+        if y > 0u32 {
+            top = ids[at - width as usize] != id;
+        }
+        if y + 1u32 < height {
+            bottom = ids[at + width as usize] != id;
+        }
+        if first {
+            extremes[o].fetch_max(width - x);
+        }
+        if last {
+            extremes[o + 1].fetch_max(x + 1u32);
+        }
+        if top {
+            extremes[o + 2].fetch_max(height - y);
+        }
+        if bottom {
+            extremes[o + 3].fetch_max(y + 1u32);
+        }
+    }
+}
+
+#[cube(launch)]
+fn boxes_kernel(extremes: &[u32], boxes: &mut [u32], width: u32, height: u32, count: u32) {
+    let i = ABSOLUTE_POS;
+    if i >= count as usize {
+        terminate!();
+    }
+    // nowhere: 0 to 0
+    let seen = extremes[4 * i + 1] > 0u32;
+    boxes[4 * i] = select(seen, width - extremes[4 * i], 0u32);
+    boxes[4 * i + 1] = extremes[4 * i + 1];
+    boxes[4 * i + 2] = select(seen, height - extremes[4 * i + 2], 0u32);
+    boxes[4 * i + 3] = extremes[4 * i + 3];
+}
+
+/// [count, 4] columns and rows, half open, of the pixels of `ids` [K, H, W] that belong to each surfel.
+pub fn visible_boxes(ids: &CubeTensor, count: usize) -> CubeTensor {
+    let [layers, height, width] = ids.shape().dims();
+    let extremes = zeros_u32(ids, [count.max(1), 4]);
+    let pixels = layers * height * width;
+    extremes_kernel::launch(
+        &ids.client.clone(),
+        units(pixels),
+        cube_dim(),
+        buffer(ids),
+        buffer(&extremes),
+        width as u32,
+        height as u32,
+        pixels as u32,
+    );
+    let boxes = empty_u32(ids, [count, 4]);
+    boxes_kernel::launch(
+        &ids.client.clone(),
+        units(count),
+        cube_dim(),
+        buffer(&extremes),
+        buffer(&boxes),
+        width as u32,
+        height as u32,
+        count as u32,
+    );
+    boxes
+}

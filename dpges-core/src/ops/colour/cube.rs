@@ -1,0 +1,268 @@
+//! GPU kernels: one unit per primitive.
+
+use burn::backend::TensorMetadata;
+use burn::backend::tensor::FloatTensor;
+use burn_cubecl::CubeBackend;
+use cubecl::prelude::*;
+
+use super::model::{LARGEST_BETA, SHARPNESS};
+use super::{ColourBackwardOps, ColourOps};
+use crate::gpu::launch::{buffer, cube_dim, empty_f32, floats, units};
+use crate::gpu::vector::{Vec3, dot, row3, scale, sin_cos, vec3, write3};
+use crate::scene::{ColourModel, SH_C0};
+
+const SHARPNESS_F32: f32 = SHARPNESS as f32;
+const LARGEST_BETA_F32: f32 = LARGEST_BETA as f32;
+const C0: f32 = SH_C0 as f32;
+
+#[derive(CubeType, CubeLaunch, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+struct Eye {
+    x: f32,
+    y: f32,
+    z: f32,
+    count: u32,
+}
+
+/// Unit vector from the camera to a primitive; zero at the camera itself.
+#[cube]
+fn direction(position: Vec3, eye: Eye) -> Vec3 {
+    let offset = vec3(position.x - eye.x, position.y - eye.y, position.z - eye.z);
+    scale(offset, 1.0f32 / max(f32::sqrt(dot(offset, offset)), 1e-12f32))
+}
+
+/// Stable softplus and its derivative.
+#[cube]
+fn softplus(raw: f32) -> (f32, f32) {
+    let x = SHARPNESS_F32 * raw;
+    let decay = f32::exp(-f32::abs(x));
+    // ln(1 + d) without losing a small d
+    let series = decay * (1.0f32 - decay * (0.5f32 - decay * 0.333_333_34f32));
+    let log = select(decay < 1e-2f32, series, f32::ln(1.0f32 + decay));
+    let sigmoid = select(x >= 0.0f32, 1.0f32, decay) / (1.0f32 + decay);
+    ((max(x, 0.0f32) + log) / SHARPNESS_F32, sigmoid)
+}
+
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+struct Lobe {
+    rgb: Vec3,
+    /// Derivatives of the colour with respect to its raw values.
+    slope: Vec3,
+    /// max(0, d·μ)^exponent; exactly 0 on the unlit side.
+    lit: f32,
+    exponent: f32,
+    cosine: f32,
+    cosine_theta: f32,
+    cosine_phi: f32,
+}
+
+/// The lobe whose six numbers start at `o`, seen in direction `d`.
+#[cube]
+fn lobe(detail: &[f32], o: usize, d: Vec3) -> Lobe {
+    let (red, red_slope) = softplus(detail[o]);
+    let (green, green_slope) = softplus(detail[o + 1]);
+    let (blue, blue_slope) = softplus(detail[o + 2]);
+    let (sin_theta, cos_theta) = sin_cos(detail[o + 3]);
+    let (sin_phi, cos_phi) = sin_cos(detail[o + 4]);
+    let across = d.x * cos_phi + d.y * sin_phi;
+    let cosine = sin_theta * across + cos_theta * d.z;
+    let exponent = 4.0f32 * f32::exp(min(detail[o + 5], LARGEST_BETA_F32));
+    let logarithm = f32::ln(max(cosine, 1e-30f32));
+    let power = f32::exp(max(exponent * logarithm, -100.0f32));
+    Lobe {
+        rgb: vec3(red, green, blue),
+        slope: vec3(red_slope, green_slope, blue_slope),
+        lit: select(cosine > 0.0f32 && exponent * logarithm > -100.0f32, power, 0.0f32),
+        exponent,
+        cosine,
+        cosine_theta: cos_theta * across - sin_theta * d.z,
+        cosine_phi: sin_theta * (d.y * cos_phi - d.x * sin_phi),
+    }
+}
+
+/// Value of the spherical harmonic Y`index` (1 to 15) in direction `d` (3DGS).
+#[cube]
+fn harmonic(d: Vec3, #[comptime] index: usize) -> f32 {
+    let (x, y, z) = (d.x, d.y, d.z);
+    let (xx, yy, zz) = (x * x, y * y, z * z);
+    let mut value = 0.0f32;
+    if comptime!(index == 1) {
+        value = -0.488_602_52f32 * y;
+    } else if comptime!(index == 2) {
+        value = 0.488_602_52f32 * z;
+    } else if comptime!(index == 3) {
+        value = -0.488_602_52f32 * x;
+    } else if comptime!(index == 4) {
+        value = 1.092_548_5f32 * x * y;
+    } else if comptime!(index == 5) {
+        value = -1.092_548_5f32 * y * z;
+    } else if comptime!(index == 6) {
+        value = 0.315_391_57f32 * (2.0f32 * zz - xx - yy);
+    } else if comptime!(index == 7) {
+        value = -1.092_548_5f32 * x * z;
+    } else if comptime!(index == 8) {
+        value = 0.546_274_2f32 * (xx - yy);
+    } else if comptime!(index == 9) {
+        value = -0.590_043_6f32 * y * (3.0f32 * xx - yy);
+    } else if comptime!(index == 10) {
+        value = 2.890_611_4f32 * x * y * z;
+    } else if comptime!(index == 11) {
+        value = -0.457_045_8f32 * y * (4.0f32 * zz - xx - yy);
+    } else if comptime!(index == 12) {
+        value = 0.373_176_34f32 * z * (2.0f32 * zz - 3.0f32 * xx - 3.0f32 * yy);
+    } else if comptime!(index == 13) {
+        value = -0.457_045_8f32 * x * (4.0f32 * zz - xx - yy);
+    } else if comptime!(index == 14) {
+        value = 1.445_305_7f32 * z * (xx - yy);
+    } else if comptime!(index == 15) {
+        value = -0.590_043_6f32 * x * (xx - 3.0f32 * yy);
+    }
+    value
+}
+
+#[cube(launch)]
+fn colour_kernel(
+    base: &[f32],
+    detail: &[f32],
+    positions: &[f32],
+    out: &mut [f32],
+    eye: Eye,
+    #[comptime] lobes: usize,
+    #[comptime] coefficients: usize,
+) {
+    let i = ABSOLUTE_POS;
+    if i >= eye.count as usize {
+        terminate!();
+    }
+    let d = direction(row3(positions, i), eye);
+    let constant = row3(base, i);
+    let mut red = 0.5f32 + C0 * constant.x;
+    let mut green = 0.5f32 + C0 * constant.y;
+    let mut blue = 0.5f32 + C0 * constant.z;
+    #[unroll]
+    for l in 0..lobes {
+        let lobe = lobe(detail, (i * lobes + l) * 6, d);
+        red += lobe.rgb.x * lobe.lit;
+        green += lobe.rgb.y * lobe.lit;
+        blue += lobe.rgb.z * lobe.lit;
+    }
+    #[unroll]
+    for c in 0..coefficients {
+        let value = harmonic(d, comptime!(c + 1));
+        let row = row3(detail, i * coefficients + c);
+        red += value * row.x;
+        green += value * row.y;
+        blue += value * row.z;
+    }
+    write3(out, i, vec3(red, green, blue));
+}
+
+#[cube(launch)]
+fn colour_backward_kernel(
+    detail: &[f32],
+    positions: &[f32],
+    grad: &[f32],
+    grad_base: &mut [f32],
+    grad_detail: &mut [f32],
+    eye: Eye,
+    #[comptime] lobes: usize,
+    #[comptime] coefficients: usize,
+) {
+    let i = ABSOLUTE_POS;
+    if i >= eye.count as usize {
+        terminate!();
+    }
+    let incoming = row3(grad, i);
+    write3(grad_base, i, scale(incoming, C0));
+    let d = direction(row3(positions, i), eye);
+    #[unroll]
+    for l in 0..lobes {
+        let o = (i * lobes + l) * 6;
+        let lobe = lobe(detail, o, d);
+        let brightness = dot(incoming, lobe.rgb);
+        let lit = lobe.lit > 0.0f32;
+        let cosine = select(lit, lobe.cosine, 1.0f32);
+        let powered = brightness * lobe.exponent * lobe.lit;
+        grad_detail[o] = incoming.x * lobe.lit * lobe.slope.x;
+        grad_detail[o + 1] = incoming.y * lobe.lit * lobe.slope.y;
+        grad_detail[o + 2] = incoming.z * lobe.lit * lobe.slope.z;
+        grad_detail[o + 3] = powered / cosine * lobe.cosine_theta;
+        grad_detail[o + 4] = powered / cosine * lobe.cosine_phi;
+        grad_detail[o + 5] = select(detail[o + 5] > LARGEST_BETA_F32, 0.0f32, powered * f32::ln(cosine));
+    }
+    #[unroll]
+    for c in 0..coefficients {
+        write3(grad_detail, i * coefficients + c, scale(incoming, harmonic(d, comptime!(c + 1))));
+    }
+}
+
+fn eye(centre: [f64; 3], count: usize) -> EyeLaunch {
+    let [x, y, z] = centre.map(|v| v as f32);
+    EyeLaunch::new(x, y, z, count as u32)
+}
+
+/// Lobes and higher harmonics of a model; one of the two is 0.
+fn parts(model: ColourModel) -> (usize, usize) {
+    match model {
+        ColourModel::SphericalBeta { lobes } => (lobes, 0),
+        ColourModel::SphericalHarmonics { .. } => (0, model.detail_len() / 3),
+    }
+}
+
+impl ColourOps for CubeBackend {
+    fn colour(
+        base: FloatTensor<Self>,
+        detail: FloatTensor<Self>,
+        positions: FloatTensor<Self>,
+        centre: [f64; 3],
+        model: ColourModel,
+    ) -> FloatTensor<Self> {
+        let (base, detail, positions) = (floats(base), floats(detail), floats(positions));
+        let count = base.shape()[0];
+        let out = empty_f32(&base, [count, 3]);
+        let (lobes, coefficients) = parts(model);
+        colour_kernel::launch(
+            &base.client.clone(),
+            units(count),
+            cube_dim(),
+            buffer(&base),
+            buffer(&detail),
+            buffer(&positions),
+            buffer(&out),
+            eye(centre, count),
+            lobes,
+            coefficients,
+        );
+        out
+    }
+}
+
+impl ColourBackwardOps for CubeBackend {
+    fn colour_backward(
+        detail: FloatTensor<Self>,
+        positions: FloatTensor<Self>,
+        grad: FloatTensor<Self>,
+        centre: [f64; 3],
+        model: ColourModel,
+    ) -> (FloatTensor<Self>, FloatTensor<Self>) {
+        let (detail, positions, grad) = (floats(detail), floats(positions), floats(grad));
+        let count = grad.shape()[0];
+        let (base, out) = (empty_f32(&grad, [count, 3]), empty_f32(&grad, [count, model.detail_len()]));
+        let (lobes, coefficients) = parts(model);
+        colour_backward_kernel::launch(
+            &grad.client.clone(),
+            units(count),
+            cube_dim(),
+            buffer(&detail),
+            buffer(&positions),
+            buffer(&grad),
+            buffer(&base),
+            buffer(&out),
+            eye(centre, count),
+            lobes,
+            coefficients,
+        );
+        (base, out)
+    }
+}

@@ -1,0 +1,487 @@
+//! GPU kernels: one unit per pixel; the gradient of the surfels' colours is gathered over the pixels
+//! in which each surfel is a layer.
+
+use burn::backend::TensorMetadata;
+use burn::backend::tensor::FloatTensor;
+use burn_cubecl::CubeBackend;
+use burn_cubecl::tensor::CubeTensor;
+use cubecl::prelude::*;
+
+use super::{
+    CompositeBackwardOps, CompositeGradients, CompositeInput, CompositeOps, CompositeOptions, CompositeOutput,
+    OutputKind,
+};
+use crate::gpu::launch::{buffer, cube_dim, empty_f32, floats, gatherers, integers, units};
+use crate::gpu::vector::{Vec3, add, dot, row3, scale, vec3};
+use crate::ops::boxes::visible_boxes;
+
+#[derive(CubeType, CubeLaunch, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+struct Blend {
+    red: f32,
+    green: f32,
+    blue: f32,
+    pixels: u32,
+    width: u32,
+    /// 0 where the gradient from the Gaussians stops at the transmittance, else 1.
+    gate: f32,
+}
+
+/// [3, H, W] at a pixel.
+#[cube]
+fn rgb(image: &[f32], pixel: usize, plane: usize) -> Vec3 {
+    vec3(image[pixel], image[plane + pixel], image[2 * plane + pixel])
+}
+
+#[cube]
+fn write_rgb(image: &mut [f32], pixel: usize, plane: usize, colour: Vec3) {
+    image[pixel] = colour.x;
+    image[plane + pixel] = colour.y;
+    image[2 * plane + pixel] = colour.z;
+}
+
+/// Colour of layer `k`; black where there is none.
+#[cube]
+fn layer_colour(colours: &[f32], id: i32) -> Vec3 {
+    let present = id >= 0i32;
+    let colour = row3(colours, max(id, 0i32) as usize);
+    // selected, not multiplied by 0: without surfels the buffer holds anything
+    vec3(select(present, colour.x, 0.0f32), select(present, colour.y, 0.0f32), select(present, colour.z, 0.0f32))
+}
+
+#[cube(launch)]
+fn surfels_kernel(
+    alpha: &[f32],
+    colours: &[f32],
+    ids: &[i32],
+    surfel_image: &mut [f32],
+    transmittance: &mut [f32],
+    blend: Blend,
+    #[comptime] layers: usize,
+) {
+    let pixel = ABSOLUTE_POS;
+    let plane = blend.pixels as usize;
+    if pixel >= plane {
+        terminate!();
+    }
+    let mut through = 1.0f32;
+    let mut red = 0.0f32;
+    let mut green = 0.0f32;
+    let mut blue = 0.0f32;
+    transmittance[pixel] = 1.0f32;
+    #[unroll]
+    for k in 0..layers {
+        let at = k * plane + pixel;
+        let (opacity, colour) = (alpha[at], layer_colour(colours, ids[at]));
+        red += opacity * through * colour.x;
+        green += opacity * through * colour.y;
+        blue += opacity * through * colour.z;
+        through *= 1.0f32 - opacity;
+        transmittance[at + plane] = through;
+    }
+    let own = vec3(red + through * blend.red, green + through * blend.green, blue + through * blend.blue);
+    write_rgb(surfel_image, pixel, plane, own);
+}
+
+#[cube(launch)]
+fn gaussians_kernel(
+    transmittance: &[f32],
+    sums: &[f32],
+    surfel_image: &[f32],
+    gaussian_colour: &mut [f32],
+    gaussian_weight: &mut [f32],
+    image: &mut [f32],
+    blend: Blend,
+    #[comptime] layers: usize,
+) {
+    let pixel = ABSOLUTE_POS;
+    let plane = blend.pixels as usize;
+    if pixel >= plane {
+        terminate!();
+    }
+    let mut red = 0.0f32;
+    let mut green = 0.0f32;
+    let mut blue = 0.0f32;
+    let mut weight = 0.0f32;
+    #[unroll]
+    for k in 0..layers {
+        let through = transmittance[k * plane + pixel];
+        let at = 4 * k * plane + pixel;
+        red += through * sums[at];
+        green += through * sums[at + plane];
+        blue += through * sums[at + 2 * plane];
+        weight += through * sums[at + 3 * plane];
+    }
+    let own = vec3(red, green, blue);
+    write_rgb(gaussian_colour, pixel, plane, own);
+    gaussian_weight[pixel] = weight;
+    write_rgb(image, pixel, plane, scale(add(rgb(surfel_image, pixel, plane), own), 1.0f32 / (1.0f32 + weight)));
+}
+
+/// Gradients with respect to opacities and to the surfels' colour [3, H, W] of a pixel, from the
+/// gradient of one output.
+#[cube(launch)]
+fn alpha_backward_kernel(
+    alpha: &[f32],
+    colours: &[f32],
+    ids: &[i32],
+    sums: &[f32],
+    grad: &[f32],
+    grad_alpha: &mut [f32],
+    grad_pixel: &mut [f32],
+    blend: Blend,
+    #[comptime] layers: usize,
+    #[comptime] kind: OutputKind,
+) {
+    let pixel = ABSOLUTE_POS;
+    let plane = blend.pixels as usize;
+    if pixel >= plane {
+        terminate!();
+    }
+    let incoming = incoming(alpha, colours, ids, sums, grad, pixel, blend, layers, kind);
+    let surfel = scale(incoming.colour, incoming.of_surfels);
+    let gaussian = scale(incoming.colour, incoming.of_gaussians);
+    let weight = incoming.weight;
+    if comptime!(kind.reaches_colours()) {
+        write_rgb(grad_pixel, pixel, plane, surfel);
+    }
+    let mut through = Array::<f32>::new(layers);
+    let mut left = 1.0f32;
+    #[unroll]
+    for k in 0..layers {
+        through[k] = left;
+        left *= 1.0f32 - alpha[k * plane + pixel];
+    }
+    // total derivative with respect to T_k, everything behind included
+    let mut behind = dot(surfel, vec3(blend.red, blend.green, blend.blue));
+    if comptime!(kind == OutputKind::Transmittance) {
+        behind += grad[layers * plane + pixel];
+    }
+    #[unroll]
+    for step in 0..layers {
+        let k = comptime!(layers - 1 - step);
+        let at = k * plane + pixel;
+        let opacity = alpha[at];
+        let own = dot(surfel, layer_colour(colours, ids[at]));
+        grad_alpha[at] = through[k] * (own - behind);
+        let mut gated = 0.0f32;
+        if comptime!(kind.reaches_sums()) {
+            let sum = 4 * k * plane + pixel;
+            let payload = vec3(sums[sum], sums[sum + plane], sums[sum + 2 * plane]);
+            gated = blend.gate * (dot(gaussian, payload) + weight * sums[sum + 3 * plane]);
+        }
+        if comptime!(kind == OutputKind::Transmittance) {
+            gated += grad[at];
+        }
+        behind = gated + opacity * own + (1.0f32 - opacity) * behind;
+    }
+}
+
+/// Gradients with respect to what an output is made of: a colour for surfels and Gaussians, as far
+/// as each is part of it, and the Gaussians' weight.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+struct Incoming {
+    colour: Vec3,
+    of_surfels: f32,
+    of_gaussians: f32,
+    weight: f32,
+}
+
+#[cube]
+fn incoming(
+    alpha: &[f32],
+    colours: &[f32],
+    ids: &[i32],
+    sums: &[f32],
+    grad: &[f32],
+    pixel: usize,
+    blend: Blend,
+    #[comptime] layers: usize,
+    #[comptime] kind: OutputKind,
+) -> Incoming {
+    let plane = blend.pixels as usize;
+    let mut red = 0.0f32;
+    let mut green = 0.0f32;
+    let mut blue = 0.0f32;
+    let mut weight = 0.0f32;
+    if comptime!(kind == OutputKind::Image) {
+        let (image, inverse) = blended(alpha, colours, ids, sums, pixel, blend, layers);
+        let shared = scale(rgb(grad, pixel, plane), inverse);
+        red = shared.x;
+        green = shared.y;
+        blue = shared.z;
+        weight = -dot(shared, image);
+    } else if comptime!(kind == OutputKind::GaussianWeight) {
+        weight = grad[pixel];
+    } else if comptime!(kind != OutputKind::Transmittance) {
+        red = grad[pixel];
+        green = grad[plane + pixel];
+        blue = grad[2 * plane + pixel];
+    }
+    let of_surfels = comptime!(if kind.reaches_colours() { 1.0f32 } else { 0.0f32 });
+    let of_gaussians = comptime!(if kind == OutputKind::SurfelImage { 0.0f32 } else { 1.0f32 });
+    Incoming { colour: vec3(red, green, blue), of_surfels, of_gaussians, weight }
+}
+
+/// The image and 1 / (1 + W_G) at a pixel.
+#[cube]
+fn blended(
+    alpha: &[f32],
+    colours: &[f32],
+    ids: &[i32],
+    sums: &[f32],
+    pixel: usize,
+    blend: Blend,
+    #[comptime] layers: usize,
+) -> (Vec3, f32) {
+    let plane = blend.pixels as usize;
+    let mut through = 1.0f32;
+    let mut red = 0.0f32;
+    let mut green = 0.0f32;
+    let mut blue = 0.0f32;
+    let mut weight = 1.0f32;
+    #[unroll]
+    for k in 0..layers {
+        let (at, sum) = (k * plane + pixel, 4 * k * plane + pixel);
+        let (opacity, colour) = (alpha[at], layer_colour(colours, ids[at]));
+        red += through * (opacity * colour.x + sums[sum]);
+        green += through * (opacity * colour.y + sums[sum + plane]);
+        blue += through * (opacity * colour.z + sums[sum + 2 * plane]);
+        weight += through * sums[sum + 3 * plane];
+        through *= 1.0f32 - opacity;
+    }
+    let inverse = 1.0f32 / weight;
+    let sum = vec3(red + through * blend.red, green + through * blend.green, blue + through * blend.blue);
+    (scale(sum, inverse), inverse)
+}
+
+/// Gradients with respect to the sums; `grad_pixel` and `image` are read for the image only.
+#[cube(launch)]
+fn sums_backward_kernel(
+    alpha: &[f32],
+    colours: &[f32],
+    ids: &[i32],
+    sums: &[f32],
+    grad: &[f32],
+    grad_sums: &mut [f32],
+    blend: Blend,
+    #[comptime] layers: usize,
+    #[comptime] kind: OutputKind,
+) {
+    let pixel = ABSOLUTE_POS;
+    let plane = blend.pixels as usize;
+    if pixel >= plane {
+        terminate!();
+    }
+    let incoming = incoming(alpha, colours, ids, sums, grad, pixel, blend, layers, kind);
+    let gaussian = scale(incoming.colour, incoming.of_gaussians);
+    let weight = incoming.weight;
+    let mut through = 1.0f32;
+    #[unroll]
+    for k in 0..layers {
+        let at = 4 * k * plane + pixel;
+        grad_sums[at] = through * gaussian.x;
+        grad_sums[at + plane] = through * gaussian.y;
+        grad_sums[at + 2 * plane] = through * gaussian.z;
+        grad_sums[at + 3 * plane] = through * weight;
+        through *= 1.0f32 - alpha[k * plane + pixel];
+    }
+}
+
+/// Gradients with respect to the surfels' colours: 32 units per surfel.
+#[cube(launch)]
+fn colours_backward_kernel(
+    alpha: &[f32],
+    ids: &[i32],
+    boxes: &[u32],
+    grad_pixel: &[f32],
+    grad_colours: &mut [f32],
+    blend: Blend,
+    count: u32,
+    #[comptime] layers: usize,
+) {
+    if CUBE_POS * 8 >= count as usize {
+        terminate!();
+    }
+    let mut partial = Shared::<[f32]>::new_slice(768usize);
+    let mut red = 0.0f32;
+    let mut green = 0.0f32;
+    let mut blue = 0.0f32;
+    let surfel = CUBE_POS * 8 + (UNIT_POS / 32u32) as usize;
+    if surfel < count as usize {
+        let (x0, x1) = (boxes[4 * surfel], boxes[4 * surfel + 1]);
+        let (y0, y1) = (boxes[4 * surfel + 2], boxes[4 * surfel + 3]);
+        let plane = blend.pixels as usize;
+        let width = x1 - x0;
+        let area = width * (y1 - y0);
+        let mut p = UNIT_POS % 32u32;
+        while p < area {
+            let pixel = ((y0 + p / width) * blend.width + x0 + p % width) as usize;
+            let mut through = 1.0f32;
+            let mut share = 0.0f32;
+            #[unroll]
+            for k in 0..layers {
+                let at = k * plane + pixel;
+                let opacity = alpha[at];
+                share += select(ids[at] == surfel as i32, opacity * through, 0.0f32);
+                through *= 1.0f32 - opacity;
+            }
+            if share != 0.0f32 {
+                let incoming = rgb(grad_pixel, pixel, plane);
+                red += share * incoming.x;
+                green += share * incoming.y;
+                blue += share * incoming.z;
+            }
+            p += 32u32;
+        }
+    }
+    let unit = UNIT_POS as usize;
+    partial[3 * unit] = red;
+    partial[3 * unit + 1] = green;
+    partial[3 * unit + 2] = blue;
+    sync_cube();
+    if UNIT_POS < 24u32 {
+        let (slot, channel) = ((UNIT_POS / 3u32) as usize, (UNIT_POS % 3u32) as usize);
+        let target = CUBE_POS * 8 + slot;
+        if target < count as usize {
+            let mut sum = 0.0f32;
+            for lane in 0..32u32 {
+                sum += partial[(slot * 32 + lane as usize) * 3 + channel];
+            }
+            grad_colours[target * 3 + channel] = sum;
+        }
+    }
+}
+
+fn contiguous(input: CompositeInput<CubeBackend>) -> CompositeInput<CubeBackend> {
+    CompositeInput {
+        alpha: floats(input.alpha),
+        colours: floats(input.colours),
+        sums: floats(input.sums),
+        ids: integers(input.ids),
+    }
+}
+
+fn blend(shape: [usize; 3], options: &CompositeOptions) -> BlendLaunch {
+    let [_, height, width] = shape;
+    let [red, green, blue] = options.background.map(|c| c as f32);
+    let gate = if options.detach_transmittance { 0.0 } else { 1.0 };
+    BlendLaunch::new(red, green, blue, (height * width) as u32, width as u32, gate)
+}
+
+/// A buffer that is bound and neither read nor written.
+fn unused(like: &CubeTensor) -> CubeTensor {
+    empty_f32(like, [0, 3])
+}
+
+impl CompositeOps for CubeBackend {
+    fn composite(input: CompositeInput<Self>, options: CompositeOptions) -> CompositeOutput<Self> {
+        let input = contiguous(input);
+        let shape: [usize; 3] = input.alpha.shape().dims();
+        let [layers, height, width] = shape;
+        let (like, client) = (&input.alpha, input.alpha.client.clone());
+        let image = |planes: usize| empty_f32(like, [planes, height, width]);
+        let out = CompositeOutput {
+            image: image(3),
+            surfel_image: image(3),
+            transmittance: image(layers + 1),
+            gaussian_colour: image(3),
+            gaussian_weight: image(1),
+        };
+        surfels_kernel::launch(
+            &client,
+            units(height * width),
+            cube_dim(),
+            buffer(&input.alpha),
+            buffer(&input.colours),
+            buffer(&input.ids),
+            buffer(&out.surfel_image),
+            buffer(&out.transmittance),
+            blend(shape, &options),
+            layers,
+        );
+        gaussians_kernel::launch(
+            &client,
+            units(height * width),
+            cube_dim(),
+            buffer(&out.transmittance),
+            buffer(&input.sums),
+            buffer(&out.surfel_image),
+            buffer(&out.gaussian_colour),
+            buffer(&out.gaussian_weight),
+            buffer(&out.image),
+            blend(shape, &options),
+            layers,
+        );
+        out
+    }
+}
+
+impl CompositeBackwardOps for CubeBackend {
+    fn composite_backward(
+        input: CompositeInput<Self>,
+        grad: FloatTensor<Self>,
+        kind: OutputKind,
+        options: CompositeOptions,
+    ) -> CompositeGradients<Self> {
+        let (input, grad) = (contiguous(input), floats(grad));
+        let shape: [usize; 3] = input.alpha.shape().dims();
+        let [layers, height, width] = shape;
+        let (client, count) = (grad.client.clone(), input.colours.shape()[0]);
+        let alpha = empty_f32(&grad, shape);
+        let grad_pixel = if kind.reaches_colours() { empty_f32(&grad, [3, height, width]) } else { unused(&grad) };
+        alpha_backward_kernel::launch(
+            &client,
+            units(height * width),
+            cube_dim(),
+            buffer(&input.alpha),
+            buffer(&input.colours),
+            buffer(&input.ids),
+            buffer(&input.sums),
+            buffer(&grad),
+            buffer(&alpha),
+            buffer(&grad_pixel),
+            blend(shape, &options),
+            layers,
+            kind,
+        );
+        let mut sums = empty_f32(&grad, [0, 4, height, width]);
+        if kind.reaches_sums() {
+            sums = empty_f32(&grad, [layers, 4, height, width]);
+            sums_backward_kernel::launch(
+                &client,
+                units(height * width),
+                cube_dim(),
+                buffer(&input.alpha),
+                buffer(&input.colours),
+                buffer(&input.ids),
+                buffer(&input.sums),
+                buffer(&grad),
+                buffer(&sums),
+                blend(shape, &options),
+                layers,
+                kind,
+            );
+        }
+        let mut colours = unused(&grad);
+        if kind.reaches_colours() {
+            colours = empty_f32(&grad, [count, 3]);
+            let boxes = visible_boxes(&input.ids, count);
+            colours_backward_kernel::launch(
+                &client,
+                gatherers(count),
+                cube_dim(),
+                buffer(&input.alpha),
+                buffer(&input.ids),
+                buffer(&boxes),
+                buffer(&grad_pixel),
+                buffer(&colours),
+                blend(shape, &options),
+                count as u32,
+                layers,
+            );
+        }
+        CompositeGradients { alpha, colours, sums }
+    }
+}

@@ -1,0 +1,76 @@
+//! GPU kernel of [`super::limits`]: one unit per pixel.
+
+use burn::backend::TensorMetadata;
+use burn::backend::tensor::{FloatTensor, IntTensor};
+use burn_cubecl::CubeBackend;
+use cubecl::prelude::*;
+
+use super::limits::LimitOps;
+use crate::gpu::launch::{buffer, cube_dim, empty_f32, floats, integers, units};
+
+#[cube(launch)]
+fn limits_kernel(
+    ids: &[i32],
+    alpha: &[f32],
+    depth: &[f32],
+    margins: &[f32],
+    limits: &mut [f32],
+    pixels: u32,
+    infinity: f32,
+    #[comptime] layers: usize,
+) {
+    let pixel = ABSOLUTE_POS;
+    if pixel >= pixels as usize {
+        terminate!();
+    }
+    let mut shifted = Array::<f32>::new(layers);
+    let mut closed = false;
+    let mut last = infinity;
+    let mut present = 0u32;
+    #[unroll]
+    for k in 0..layers {
+        let at = k * pixels as usize + pixel;
+        shifted[k] = infinity;
+        if ids[at] >= 0i32 {
+            shifted[k] = depth[at] + margins[ids[at] as usize];
+            last = shifted[k];
+            closed = closed || alpha[at] >= 1.0f32;
+            present += 1u32;
+        }
+    }
+    let cap = select(closed || present == layers as u32, last, infinity);
+    let mut reached = -infinity;
+    #[unroll]
+    for k in 0..layers {
+        reached = max(reached, shifted[k]);
+        limits[k * pixels as usize + pixel] = min(reached, cap);
+    }
+}
+
+impl LimitOps for CubeBackend {
+    fn interval_limits(
+        ids: IntTensor<Self>,
+        alpha: FloatTensor<Self>,
+        depth: FloatTensor<Self>,
+        margins: FloatTensor<Self>,
+    ) -> FloatTensor<Self> {
+        let (ids, alpha, depth, margins) = (integers(ids), floats(alpha), floats(depth), floats(margins));
+        let shape: [usize; 3] = depth.shape().dims();
+        let pixels = shape[1] * shape[2];
+        let limits = empty_f32(&depth, shape);
+        limits_kernel::launch(
+            &depth.client.clone(),
+            units(pixels),
+            cube_dim(),
+            buffer(&ids),
+            buffer(&alpha),
+            buffer(&depth),
+            buffer(&margins),
+            buffer(&limits),
+            pixels as u32,
+            f32::INFINITY,
+            shape[0],
+        );
+        limits
+    }
+}

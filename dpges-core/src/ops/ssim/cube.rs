@@ -1,0 +1,292 @@
+//! GPU kernels: one cube per tile of 16 × 16 px; the windows are separated in workgroup memory.
+
+use burn::backend::TensorMetadata;
+use burn::backend::ops::FloatTensorOps;
+use burn::backend::tensor::FloatTensor;
+use burn::tensor::Shape;
+use burn_cubecl::CubeBackend;
+use cubecl::prelude::*;
+
+use super::{SsimBackwardOps, SsimOps, SsimOutput};
+use crate::gpu::launch::{buffer, cube_dim, cubes, empty_f32, floats};
+
+/// Edge of a tile with the reach of the window on both sides.
+const PADDED: u32 = 26;
+const C1: f32 = 0.01 * 0.01;
+const C2: f32 = 0.03 * 0.03;
+
+/// Normalised weights of a Gaussian window with σ = 1.5 px, by distance from the centre.
+#[derive(CubeType, CubeLaunch, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+struct Window {
+    w0: f32,
+    w1: f32,
+    w2: f32,
+    w3: f32,
+    w4: f32,
+    w5: f32,
+    width: u32,
+    height: u32,
+    columns: u32,
+    tiles: u32,
+    /// Cubes that have work: tiles × channels.
+    cubes: u32,
+}
+
+#[cube]
+fn tap(window: Window, #[comptime] t: u32) -> f32 {
+    let distance = comptime!(t.abs_diff(5));
+    let mut weight = window.w0;
+    if comptime!(distance == 1) {
+        weight = window.w1;
+    } else if comptime!(distance == 2) {
+        weight = window.w2;
+    } else if comptime!(distance == 3) {
+        weight = window.w3;
+    } else if comptime!(distance == 4) {
+        weight = window.w4;
+    } else if comptime!(distance == 5) {
+        weight = window.w5;
+    }
+    weight
+}
+
+/// Offset of a pixel of this cube's padded tile in its channel, and whether it is in the image.
+#[cube]
+fn padded_pixel(window: Window, index: u32) -> (usize, bool) {
+    let tile = CUBE_POS as u32 % window.tiles;
+    // columns and rows are counted from 5 before the image: 0 to 4 are outside
+    let column = tile % window.columns * 16u32 + index % PADDED;
+    let row = tile / window.columns * 16u32 + index / PADDED;
+    let inside = column >= 5u32 && row >= 5u32 && column < window.width + 5u32 && row < window.height + 5u32;
+    let at = select(inside, (row - 5u32) * window.width + column - 5u32, 0u32);
+    (at as usize, inside)
+}
+
+#[cube(launch)]
+fn ssim_kernel(image: &[f32], target: &[f32], values: &mut [f32], partials: &mut [f32], window: Window, total: u32) {
+    if CUBE_POS >= window.cubes as usize {
+        terminate!();
+    }
+    let plane = (window.width * window.height) as usize;
+    let channel = (CUBE_POS as u32 / window.tiles) as usize * plane;
+    let mut a = Shared::<[f32]>::new_slice(676usize);
+    let mut b = Shared::<[f32]>::new_slice(676usize);
+    // five windowed quantities of 26 rows of 16
+    let mut rows = Shared::<[f32]>::new_slice(2080usize);
+    let mut index = UNIT_POS;
+    while index < PADDED * PADDED {
+        let (at, inside) = padded_pixel(window, index);
+        a[index as usize] = select(inside, image[channel + at], 0.0f32);
+        b[index as usize] = select(inside, target[channel + at], 0.0f32);
+        index += 256u32;
+    }
+    sync_cube();
+    let mut line = UNIT_POS;
+    while line < PADDED * 16u32 {
+        let start = (line / 16u32 * PADDED + line % 16u32) as usize;
+        let mut mean_a = 0.0f32;
+        let mut mean_b = 0.0f32;
+        let mut square_a = 0.0f32;
+        let mut square_b = 0.0f32;
+        let mut product = 0.0f32;
+        #[unroll]
+        for t in 0..11u32 {
+            let w = tap(window, t);
+            let (va, vb) = (a[start + t as usize], b[start + t as usize]);
+            mean_a += w * va;
+            mean_b += w * vb;
+            square_a += w * va * va;
+            square_b += w * vb * vb;
+            product += w * va * vb;
+        }
+        let o = line as usize * 5;
+        rows[o] = mean_a;
+        rows[o + 1] = mean_b;
+        rows[o + 2] = square_a;
+        rows[o + 3] = square_b;
+        rows[o + 4] = product;
+        line += 256u32;
+    }
+    sync_cube();
+    let tile = CUBE_POS as u32 % window.tiles;
+    let (x, y) = (UNIT_POS % 16u32, UNIT_POS / 16u32);
+    let (column, row) = (tile % window.columns * 16u32 + x, tile / window.columns * 16u32 + y);
+    if column < window.width && row < window.height {
+        let mut mean_a = 0.0f32;
+        let mut mean_b = 0.0f32;
+        let mut square_a = 0.0f32;
+        let mut square_b = 0.0f32;
+        let mut product = 0.0f32;
+        #[unroll]
+        for t in 0..11u32 {
+            let w = tap(window, t);
+            let o = ((y + t) * 16u32 + x) as usize * 5;
+            mean_a += w * rows[o];
+            mean_b += w * rows[o + 1];
+            square_a += w * rows[o + 2];
+            square_b += w * rows[o + 3];
+            product += w * rows[o + 4];
+        }
+        let covariance = product - mean_a * mean_b;
+        let luminance = 2.0f32 * mean_a * mean_b + C1;
+        let structure = 2.0f32 * covariance + C2;
+        let means = mean_a * mean_a + mean_b * mean_b + C1;
+        let variances = (square_a - mean_a * mean_a) + (square_b - mean_b * mean_b) + C2;
+        let inverse = 1.0f32 / (means * variances);
+        let value = luminance * structure * inverse;
+        let by_variance = -value / variances;
+        let by_covariance = 2.0f32 * luminance * inverse;
+        let by_mean = 2.0f32 * mean_b * structure * inverse - 2.0f32 * mean_a * value / means;
+        let at = channel + (row * window.width + column) as usize;
+        let share = 1.0f32 / f32::cast_from(total);
+        values[at] = value;
+        partials[at] = (by_mean - 2.0f32 * mean_a * by_variance - mean_b * by_covariance) * share;
+        partials[total as usize + at] = by_variance * share;
+        partials[2 * total as usize + at] = by_covariance * share;
+    }
+}
+
+#[cube(launch)]
+fn ssim_backward_kernel(
+    image: &[f32],
+    target: &[f32],
+    partials: &[f32],
+    grad: &[f32],
+    grad_image: &mut [f32],
+    window: Window,
+    total: u32,
+) {
+    if CUBE_POS >= window.cubes as usize {
+        terminate!();
+    }
+    let plane = (window.width * window.height) as usize;
+    let channel = (CUBE_POS as u32 / window.tiles) as usize * plane;
+    // three partial derivatives of 26 × 26 pixels, then of 26 rows of 16
+    let mut padded = Shared::<[f32]>::new_slice(2028usize);
+    let mut rows = Shared::<[f32]>::new_slice(1248usize);
+    let mut index = UNIT_POS;
+    while index < PADDED * PADDED {
+        let (at, inside) = padded_pixel(window, index);
+        #[unroll]
+        for quantity in 0..3usize {
+            padded[index as usize * 3 + quantity] =
+                select(inside, partials[quantity * total as usize + channel + at], 0.0f32);
+        }
+        index += 256u32;
+    }
+    sync_cube();
+    let mut line = UNIT_POS;
+    while line < PADDED * 16u32 {
+        let start = (line / 16u32 * PADDED + line % 16u32) as usize;
+        let mut first = 0.0f32;
+        let mut second = 0.0f32;
+        let mut third = 0.0f32;
+        #[unroll]
+        for t in 0..11u32 {
+            let w = tap(window, t);
+            let o = (start + t as usize) * 3;
+            first += w * padded[o];
+            second += w * padded[o + 1];
+            third += w * padded[o + 2];
+        }
+        let o = line as usize * 3;
+        rows[o] = first;
+        rows[o + 1] = second;
+        rows[o + 2] = third;
+        line += 256u32;
+    }
+    sync_cube();
+    let tile = CUBE_POS as u32 % window.tiles;
+    let (x, y) = (UNIT_POS % 16u32, UNIT_POS / 16u32);
+    let (column, row) = (tile % window.columns * 16u32 + x, tile / window.columns * 16u32 + y);
+    if column < window.width && row < window.height {
+        let mut first = 0.0f32;
+        let mut second = 0.0f32;
+        let mut third = 0.0f32;
+        #[unroll]
+        for t in 0..11u32 {
+            let w = tap(window, t);
+            let o = ((y + t) * 16u32 + x) as usize * 3;
+            first += w * rows[o];
+            second += w * rows[o + 1];
+            third += w * rows[o + 2];
+        }
+        let at = channel + (row * window.width + column) as usize;
+        grad_image[at] = grad[0] * (first + 2.0f32 * image[at] * second + target[at] * third);
+    }
+}
+
+/// Uniforms and number of cubes for images of `shape`.
+fn window(shape: [usize; 3]) -> (WindowLaunch, usize) {
+    let [channels, height, width] = shape;
+    let raw: [f64; 6] = std::array::from_fn(|i| (-((i * i) as f64) / (2.0 * 1.5 * 1.5)).exp());
+    let sum = raw[0] + 2.0 * raw[1..].iter().sum::<f64>();
+    let [w0, w1, w2, w3, w4, w5] = raw.map(|weight| (weight / sum) as f32);
+    let (columns, rows) = (width.div_ceil(16), height.div_ceil(16));
+    let count = columns * rows * channels;
+    let launch = WindowLaunch::new(
+        w0,
+        w1,
+        w2,
+        w3,
+        w4,
+        w5,
+        width as u32,
+        height as u32,
+        columns as u32,
+        (columns * rows) as u32,
+        count as u32,
+    );
+    (launch, count)
+}
+
+impl SsimOps for CubeBackend {
+    fn ssim(image: FloatTensor<Self>, target: FloatTensor<Self>) -> SsimOutput<Self> {
+        let (image, target) = (floats(image), floats(target));
+        let shape: [usize; 3] = image.shape().dims();
+        let [channels, height, width] = shape;
+        let (values, partials) = (empty_f32(&image, shape), empty_f32(&image, [3, channels, height, width]));
+        let (uniforms, count) = window(shape);
+        ssim_kernel::launch(
+            &image.client.clone(),
+            cubes(count),
+            cube_dim(),
+            buffer(&image),
+            buffer(&target),
+            buffer(&values),
+            buffer(&partials),
+            uniforms,
+            (channels * height * width) as u32,
+        );
+        let value = Self::float_reshape(Self::float_mean(values), Shape::new([1]));
+        SsimOutput { value, partials }
+    }
+}
+
+impl SsimBackwardOps for CubeBackend {
+    fn ssim_backward(
+        image: FloatTensor<Self>,
+        target: FloatTensor<Self>,
+        partials: FloatTensor<Self>,
+        grad: FloatTensor<Self>,
+    ) -> FloatTensor<Self> {
+        let (image, target, partials, grad) = (floats(image), floats(target), floats(partials), floats(grad));
+        let shape: [usize; 3] = image.shape().dims();
+        let out = empty_f32(&image, shape);
+        let (uniforms, count) = window(shape);
+        ssim_backward_kernel::launch(
+            &image.client.clone(),
+            cubes(count),
+            cube_dim(),
+            buffer(&image),
+            buffer(&target),
+            buffer(&partials),
+            buffer(&grad),
+            buffer(&out),
+            uniforms,
+            shape.iter().product::<usize>() as u32,
+        );
+        out
+    }
+}

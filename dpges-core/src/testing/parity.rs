@@ -1,0 +1,298 @@
+//! Every operation on its own, forward and backward, so that two devices can be compared.
+//!
+//! An operation whose input is another one's output gets that output from the reference device on
+//! both sides: what differs is then its own doing.
+//!
+//! Whether a fragment exists and whether it is opaque are decided by comparison with a threshold, and
+//! now and then two devices that round differently decide differently. Such pixels are counted, and
+//! left out of all that follows.
+
+use burn::tensor::{DType, Device, Gradients, Int, Tensor, TensorData};
+
+use super::compare::relative_l2;
+use super::golden::values;
+use super::random::Random;
+use super::scenes::TestScene;
+use crate::ops::adam::{AdamStep, adam_step};
+use crate::ops::colour::colour;
+use crate::ops::composite::{CompositeOptions, composite};
+use crate::ops::coverage::coverage;
+use crate::ops::peel::{Layers, PeelOptions, peel};
+use crate::ops::splat::limits::interval_limits;
+use crate::ops::splat::{contributions, splat};
+use crate::ops::ssim::ssim;
+use crate::scene::{Gaussians, Surfels};
+
+/// A tensor by name, as `peel.alpha` or `splat.grad.positions`.
+pub type Named = (String, Vec<f64>);
+
+/// What the reference device found, in host memory.
+#[derive(Clone, Debug)]
+pub struct Reference {
+    ids: Vec<i64>,
+    alpha: Vec<f64>,
+    depth: Vec<f64>,
+    limits: Vec<f64>,
+    sums: Vec<f64>,
+    surfel_colours: Vec<f64>,
+    gaussian_colours: Vec<f64>,
+    /// [K, H, W] 1 where both devices have the same layers in the pixel, else 0.
+    agreed: Vec<f64>,
+}
+
+impl Reference {
+    /// Leaves out the pixels in which another device has other layers: `ids` [K, H, W].
+    #[must_use]
+    pub fn only_where(mut self, ids: &[i64], layer_count: usize) -> Self {
+        let pixels = ids.len() / layer_count;
+        for pixel in 0..pixels {
+            let layers = (0..layer_count).map(|k| k * pixels + pixel);
+            if layers.clone().any(|at| ids[at] != self.ids[at]) {
+                layers.for_each(|at| self.agreed[at] = 0.0);
+            }
+        }
+        self
+    }
+
+    /// Share of the pixels that are left out.
+    pub fn disagreement(&self) -> f64 {
+        1.0 - self.agreed.iter().sum::<f64>() / self.agreed.len().max(1) as f64
+    }
+}
+
+/// One scene on one device.
+pub struct Bench<'a> {
+    scene: &'a TestScene,
+    options: PeelOptions,
+    device: Device,
+    surfels: Surfels,
+    gaussians: Gaussians,
+    found: Vec<Named>,
+}
+
+impl<'a> Bench<'a> {
+    /// `device` without a tape.
+    pub fn new(scene: &'a TestScene, options: PeelOptions, device: &Device) -> Self {
+        let device = device.clone().autodiff();
+        let (surfels, gaussians) = leaves(scene, &device);
+        Self { scene, options, device, surfels, gaussians, found: Vec::new() }
+    }
+
+    fn tensor<const D: usize>(&self, values: &[f64], shape: [usize; D]) -> Tensor<D> {
+        Tensor::from_data(TensorData::new(values.to_vec(), shape).convert_dtype(DType::F32), (&self.device, DType::F32))
+    }
+
+    /// The gradient that makes a sum out of `output`: random, the same on every device.
+    fn upstream<const D: usize>(&self, output: &Tensor<D>, seed: u64) -> Tensor<D> {
+        let count = output.dims().iter().product();
+        self.tensor(&Random::new(seed).numbers(count, -1.0, 1.0), output.dims())
+    }
+
+    fn note<const D: usize>(&mut self, name: &str, tensor: &Tensor<D>) {
+        self.found.push((name.to_owned(), values(tensor)));
+    }
+
+    fn gradient<const D: usize>(&mut self, name: &str, leaf: &Tensor<D>, gradients: &Gradients) {
+        let gradient = leaf.grad(gradients).map_or_else(|| vec![0.0; leaf.dims().iter().product()], |g| values(&g));
+        self.found.push((name.to_owned(), gradient));
+    }
+
+    fn shape(&self) -> [usize; 3] {
+        [self.options.layer_count, self.scene.camera.height, self.scene.camera.width]
+    }
+
+    fn layers(&self, reference: &Reference) -> Layers {
+        let ids = TensorData::new(reference.ids.clone(), self.shape());
+        Layers {
+            ids: Tensor::<3, Int>::from_data(ids, (&self.device, DType::I32)),
+            alpha: self.tensor(&reference.alpha, self.shape()),
+            depth: self.tensor(&reference.depth, self.shape()),
+        }
+    }
+
+    fn peeled(&self) -> Layers {
+        let (s, camera) = (self.surfels.clone(), &self.scene.camera);
+        peel(s.positions, s.quaternions, s.log_scales, camera, &self.options).expect("valid input")
+    }
+
+    /// [K, H, W] surfels of the layers, −1 where there is none.
+    pub fn ids(&self) -> Vec<i64> {
+        self.peeled().ids.into_data().iter::<i64>().collect()
+    }
+
+    fn peel(&mut self, reference: &Reference) {
+        let layers = self.peeled();
+        let agreed = self.tensor(&reference.agreed, self.shape());
+        // a missing layer is at infinity
+        let left_out = layers.ids.clone().lower_elem(0).float() + (agreed.clone() * -1.0 + 1.0);
+        let alpha = layers.alpha * agreed.clone();
+        let depth = layers.depth.mask_fill(left_out.greater_elem(0.5), 0.0);
+        self.note("peel.alpha", &alpha);
+        self.note("peel.depth", &depth);
+        let upstream = self.upstream(&alpha, 1);
+        let of_alpha = (alpha * upstream.clone()).sum().backward();
+        let of_depth = (depth * upstream).sum().backward();
+        let surfels = self.surfels.clone();
+        for (of, gradients) in [("alpha", of_alpha), ("depth", of_depth)] {
+            self.gradient(&format!("peel.{of}.grad.positions"), &surfels.positions, &gradients);
+            self.gradient(&format!("peel.{of}.grad.quaternions"), &surfels.quaternions, &gradients);
+            self.gradient(&format!("peel.{of}.grad.log_scales"), &surfels.log_scales, &gradients);
+        }
+    }
+
+    fn colours(&mut self) -> [Tensor<2>; 2] {
+        let centre = self.scene.camera.centre().to_array();
+        let pairs = [
+            ("surfels", self.surfels.colour.clone(), self.surfels.positions.clone()),
+            ("gaussians", self.gaussians.colour.clone(), self.gaussians.positions.clone()),
+        ];
+        pairs.map(|(of, model, positions)| {
+            let out = colour(&model, &positions, centre).expect("valid input");
+            self.note(&format!("colour.{of}"), &out);
+            let gradients = (out.clone() * self.upstream(&out, 2)).sum().backward();
+            self.gradient(&format!("colour.{of}.grad.base"), &model.base, &gradients);
+            self.gradient(&format!("colour.{of}.grad.detail"), &model.detail, &gradients);
+            out
+        })
+    }
+
+    fn splat(&mut self, limits: Tensor<3>, colours: Tensor<2>) -> Tensor<4> {
+        let (gaussians, camera) = (self.gaussians.clone(), &self.scene.camera);
+        let colours = colours.require_grad();
+        let sums = splat(&gaussians, colours.clone(), limits.clone(), camera).expect("valid input");
+        self.note("splat.sums", &sums);
+        let gradients = (sums.clone() * self.upstream(&sums, 3)).sum().backward();
+        self.gradient("splat.grad.positions", &gaussians.positions, &gradients);
+        self.gradient("splat.grad.quaternions", &gaussians.quaternions, &gradients);
+        self.gradient("splat.grad.log_scales", &gaussians.log_scales, &gradients);
+        self.gradient("splat.grad.opacities", &gaussians.opacities, &gradients);
+        self.gradient("splat.grad.colours", &colours, &gradients);
+        let gates = self.upstream(&limits, 4).abs();
+        let largest = contributions(&gaussians, colours, limits, gates, camera).expect("valid input");
+        self.note("splat.contributions", &largest);
+        sums
+    }
+
+    fn composite(&mut self, layers: &Layers, colours: &Tensor<2>, sums: &Tensor<4>) {
+        for detach_transmittance in [false, true] {
+            let options = CompositeOptions { background: [0.3, 0.6, 0.1], detach_transmittance };
+            let layers = Layers { alpha: layers.alpha.clone().require_grad(), ..layers.clone() };
+            let (colours, sums) = (colours.clone().require_grad(), sums.clone().require_grad());
+            let out = composite(&layers, colours.clone(), sums.clone(), options).expect("valid input");
+            let outputs = [
+                ("image", out.image),
+                ("surfel_image", out.surfel_image),
+                ("transmittance", out.transmittance),
+                ("gaussian_colour", out.gaussian_colour),
+                ("gaussian_weight", out.gaussian_weight),
+            ];
+            for (name, output) in outputs {
+                let of = format!("composite{}.{name}", if detach_transmittance { ".detached" } else { "" });
+                self.note(&of, &output);
+                let gradients = (output.clone() * self.upstream(&output, 5)).sum().backward();
+                self.gradient(&format!("{of}.grad.alpha"), &layers.alpha, &gradients);
+                self.gradient(&format!("{of}.grad.colours"), &colours, &gradients);
+                self.gradient(&format!("{of}.grad.sums"), &sums, &gradients);
+            }
+        }
+    }
+
+    fn image_operations(&mut self) {
+        let [_, height, width] = self.shape();
+        let count = 3 * height * width;
+        let random = |seed| Random::new(seed).numbers(count, 0.0, 1.0);
+        let image = self.tensor(&random(6), [3, height, width]).require_grad();
+        let target = self.tensor(&random(7), [3, height, width]);
+        let value = ssim(image.clone(), target).expect("one shape");
+        self.note("ssim", &value);
+        let gradients = (value * 0.7).sum().backward();
+        self.gradient("ssim.grad", &image, &gradients);
+
+        let step = AdamStep { learning_rate: 0.01, beta_1: 0.9, beta_2: 0.999, epsilon: 1e-15, time: 3 };
+        let inner = |seed| self.tensor(&random(seed), [3, height, width]).inner();
+        let (parameter, moments, gradient) = (inner(8), [inner(9), inner(10)], inner(11));
+        for (name, gate) in [("open", 1.0), ("closed", 0.0)] {
+            let gate = self.tensor(&[gate], [1]).inner();
+            let stepped = adam_step(parameter.clone(), moments.clone(), gradient.clone(), gate, step);
+            let (parameter, [moment_1, moment_2]) = stepped.expect("one shape");
+            self.note(&format!("adam.{name}.parameter"), &parameter);
+            self.note(&format!("adam.{name}.moment_1"), &moment_1);
+            self.note(&format!("adam.{name}.moment_2"), &moment_2);
+        }
+    }
+
+    /// Runs everything forward, each operation on its own results.
+    pub fn reference(mut self) -> Reference {
+        let layers = self.peeled();
+        let limits = interval_limits(&layers, self.surfels.margins.clone()).expect("one shape");
+        let [surfel_colours, gaussian_colours] = self.colours();
+        let camera = &self.scene.camera;
+        let sums = splat(&self.gaussians, gaussian_colours.clone(), limits.clone(), camera).expect("valid input");
+        Reference {
+            agreed: vec![1.0; self.shape().iter().product()],
+            ids: layers.ids.clone().into_data().iter::<i64>().collect(),
+            alpha: values(&layers.alpha),
+            depth: values(&layers.depth),
+            limits: values(&limits),
+            sums: values(&sums),
+            surfel_colours: values(&surfel_colours),
+            gaussian_colours: values(&gaussian_colours),
+        }
+    }
+
+    /// Runs everything, with what the reference found between the operations.
+    pub fn against(mut self, reference: &Reference) -> Vec<Named> {
+        let (surfels, gaussians) = (self.surfels.len(), self.gaussians.len());
+        let [layer_count, height, width] = self.shape();
+        self.peel(reference);
+        self.colours();
+        let layers = self.layers(reference);
+        let covered = coverage(&layers, surfels).into_data().iter::<f64>().collect();
+        self.found.push(("coverage".into(), covered));
+        let limits = interval_limits(&layers, self.surfels.margins.clone()).expect("one shape");
+        self.note("limits", &limits);
+        let limits = self.tensor(&reference.limits, [layer_count, height, width]);
+        self.splat(limits, self.tensor(&reference.gaussian_colours, [gaussians, 3]));
+        let colours = self.tensor(&reference.surfel_colours, [surfels, 3]);
+        let sums = self.tensor(&reference.sums, [layer_count, 4, height, width]);
+        self.composite(&layers, &colours, &sums);
+        self.image_operations();
+        self.found
+    }
+}
+
+fn leaves(scene: &TestScene, device: &Device) -> (Surfels, Gaussians) {
+    let (mut s, mut g) = scene.tensors(device, DType::F32);
+    for tensor in [
+        &mut s.positions,
+        &mut s.quaternions,
+        &mut s.log_scales,
+        &mut s.colour.base,
+        &mut s.colour.detail,
+        &mut g.positions,
+        &mut g.quaternions,
+        &mut g.log_scales,
+        &mut g.colour.base,
+        &mut g.colour.detail,
+    ] {
+        *tensor = tensor.clone().require_grad();
+    }
+    g.opacities = g.opacities.require_grad();
+    (s, g)
+}
+
+/// How far two devices are apart: relative L2 of every tensor.
+///
+/// # Panics
+/// If the two did not run the same operations.
+pub fn distances(found: &[Named], expected: &[Named]) -> Vec<(String, f64)> {
+    assert_eq!(found.len(), expected.len(), "the same operations");
+    found
+        .iter()
+        .zip(expected)
+        .map(|((name, found), (expected_name, expected))| {
+            assert_eq!(name, expected_name);
+            (name.clone(), relative_l2(found, expected))
+        })
+        .collect()
+}

@@ -1,0 +1,144 @@
+//! CPU and GPU: every operation on the same input, forward and backward, and whole renders.
+
+use burn::tensor::{DType, Device};
+use dpges_core::device::fix_order_of_sums;
+use dpges_core::gpu::lists::cap_lists;
+use dpges_core::ops::peel::PeelOptions;
+use dpges_core::scene::{ColourModel, Footprint};
+use dpges_core::testing::parity::{Bench, Named, Reference, distances};
+use dpges_core::testing::scenes::{self, Recipe, TestScene};
+
+use crate::devices::ndarray;
+use crate::gpu::gpu;
+
+const TOLERANCE: f64 = 2e-4;
+
+/// Pixels in which rounding may decide whether a fragment exists or is opaque.
+const MAY_DISAGREE: f64 = 1e-4;
+
+fn on<'a>(scene: &'a TestScene, options: PeelOptions, device: &Device) -> Bench<'a> {
+    Bench::new(scene, options, device)
+}
+
+/// What the CPU finds, where the other device has the same layers.
+fn expected(scene: &TestScene, options: PeelOptions, ids: &[i64]) -> (Reference, Vec<Named>) {
+    let cpu = ndarray();
+    let reference = on(scene, options, &cpu).reference().only_where(ids, options.layer_count);
+    let expected = on(scene, options, &cpu).against(&reference);
+    (reference, expected)
+}
+
+fn check(what: &str, scene: &TestScene, options: PeelOptions, device: &Device) {
+    let (reference, expected) = expected(scene, options, &on(scene, options, device).ids());
+    let apart = reference.disagreement();
+    assert!(apart <= MAY_DISAGREE, "{what}: layers differ in {apart:.1e} of the pixels");
+    let found = on(scene, options, device).against(&reference);
+    let distances = distances(&found, &expected);
+    assert!(distances.len() > 50, "{what}: only {} tensors compared", distances.len());
+    let (worst, far) = distances.iter().fold(("", 0.0), |w, (name, d)| if *d > w.1 { (name, *d) } else { w });
+    println!("{what}: {} tensors, worst {worst} {far:.2e}, other layers in {apart:.1e} of the pixels", distances.len());
+    let failures: Vec<String> =
+        distances.iter().filter(|(_, d)| *d > TOLERANCE).map(|(name, d)| format!("{name} is off by {d:.2e}")).collect();
+    assert!(failures.is_empty(), "{what}: {}", failures.join(", "));
+}
+
+fn random(seed: u64, model: ColourModel) -> TestScene {
+    scenes::random(seed, &Recipe { surfels: 150, gaussians: 400, width: 75, height: 50, model, ..Recipe::default() })
+}
+
+#[test]
+fn every_operation_agrees_on_random_scenes() {
+    let Some(device) = gpu("every_operation_agrees_on_random_scenes") else { return };
+    let models = [
+        ColourModel::SphericalBeta { lobes: 2 },
+        ColourModel::SphericalHarmonics { degree: 3 },
+        ColourModel::SphericalBeta { lobes: 0 },
+    ];
+    for (seed, model) in (30..).zip(models) {
+        check(&format!("seed {seed}, {model}"), &random(seed, model), PeelOptions::default(), &device);
+    }
+}
+
+#[test]
+fn every_operation_agrees_for_every_number_of_layers_and_footprint() {
+    let Some(device) = gpu("every_operation_agrees_for_every_number_of_layers_and_footprint") else { return };
+    let scene = random(41, ColourModel::SphericalBeta { lobes: 1 });
+    for layer_count in [1, 2, 4, 8] {
+        for (footprint, modulation) in [(Footprint::Kernel, 30.0), (Footprint::Opacity, 255.0)] {
+            let options = PeelOptions { layer_count, modulation, footprint };
+            check(&format!("{options:?}"), &scene, options, &device);
+        }
+    }
+}
+
+#[test]
+fn every_operation_agrees_on_a_realistic_scene() {
+    let Some(device) = gpu("every_operation_agrees_on_a_realistic_scene") else { return };
+    check("realistic", &scenes::realistic(900, 9_000, 120, 80, 1), PeelOptions::default(), &device);
+}
+
+#[test]
+fn every_operation_agrees_with_nothing_to_show() {
+    let Some(device) = gpu("every_operation_agrees_with_nothing_to_show") else { return };
+    for (surfels, gaussians) in [(0, 0), (5, 0), (0, 5)] {
+        let scene = scenes::random(50, &Recipe { surfels, gaussians, ..Recipe::default() });
+        check(&format!("{surfels} surfels, {gaussians} Gaussians"), &scene, PeelOptions::default(), &device);
+    }
+}
+
+/// A comparison is worth something only if it fails where it should.
+#[test]
+fn a_device_that_is_off_is_found_out() {
+    let scene = random(60, ColourModel::SphericalBeta { lobes: 2 });
+    let options = PeelOptions::default();
+    let mut ids = on(&scene, options, &ndarray()).ids();
+    let (_, expected) = expected(&scene, options, &ids);
+    for at in 0..expected.len() {
+        let mut found = expected.clone();
+        let Some(value) = found[at].1.iter_mut().filter(|v| v.is_finite()).max_by(|a, b| a.abs().total_cmp(&b.abs()))
+        else {
+            continue;
+        };
+        *value += 1.0;
+        let far: Vec<String> =
+            distances(&found, &expected).into_iter().filter(|(_, d)| *d > 0.0).map(|(name, _)| name).collect();
+        assert_eq!(far, [expected[at].0.clone()]);
+    }
+    ids[7] += 1;
+    let apart = self::expected(&scene, options, &ids).0.disagreement();
+    assert!((apart * (75.0 * 50.0) - 1.0).abs() < 1e-6, "one pixel is other: {apart}");
+}
+
+#[test]
+fn lists_that_overflow_change_nothing() {
+    let Some(device) = gpu("lists_that_overflow_change_nothing") else { return };
+    let scene = random(70, ColourModel::SphericalBeta { lobes: 2 });
+    cap_lists(100);
+    check("lists of 100 entries", &scene, PeelOptions::default(), &device);
+    cap_lists(usize::MAX);
+}
+
+#[test]
+fn ordered_sums_are_the_same_bits_every_time() {
+    let Some(device) = gpu("ordered_sums_are_the_same_bits_every_time") else { return };
+    let scene = scenes::realistic(300, 4_000, 96, 64, 2);
+    let reference = on(&scene, PeelOptions::default(), &ndarray()).reference();
+    fix_order_of_sums();
+    let run = || on(&scene, PeelOptions::default(), &device).against(&reference);
+    let first = run();
+    for _ in 0..3 {
+        assert!(run() == first, "two runs differ");
+    }
+}
+
+#[test]
+fn doubles_on_a_gpu_are_refused_by_name() {
+    let Some(device) = gpu("doubles_on_a_gpu_are_refused_by_name") else { return };
+    if !device.supports_dtype(DType::F64) {
+        return;
+    }
+    let scene = random(80, ColourModel::SphericalBeta { lobes: 1 });
+    let (surfels, gaussians) = scene.tensors(&device, DType::F64);
+    let error = dpges_core::render::render(&surfels, &gaussians, &scene.camera, &Default::default()).unwrap_err();
+    assert!(error.to_string().contains("F32, what GPUs compute in"), "{error}");
+}

@@ -1,0 +1,66 @@
+//! The same training on a CPU and on a GPU.
+
+use std::sync::Arc;
+
+use burn::tensor::Device;
+use dpges_train::config::Config;
+use dpges_train::dataset::{BuiltinOptions, Dataset, builtin};
+use dpges_train::eval::evaluate;
+use dpges_train::trainer::Trainer;
+
+use crate::devices::ndarray;
+use crate::gpu::gpu;
+
+fn dataset() -> Arc<Dataset> {
+    let (size, defaults) = (64, BuiltinOptions::default());
+    Arc::new(builtin(&BuiltinOptions {
+        width: size,
+        height: size,
+        train_views: 8,
+        test_views: 2,
+        points: 800,
+        ..defaults
+    }))
+}
+
+fn config(steps: usize, more: &[&str]) -> Config {
+    let steps = format!("train.steps={steps}");
+    let set: Vec<String> =
+        [steps.as_str(), "refine.budget=3000"].iter().chain(more).map(|&key| key.to_owned()).collect();
+    Config::resolve(None, None, &set).unwrap()
+}
+
+/// A whole run; reports come one step late from a GPU, and all of them come.
+fn trained(data: &Arc<Dataset>, config: Config, device: &Device) -> Trainer {
+    let steps = config.train.steps;
+    let mut trainer = Trainer::new(Arc::clone(data), config, device.clone()).unwrap();
+    let mut reported = Vec::new();
+    while !trainer.is_finished() {
+        reported.extend(trainer.step().unwrap().map(|report| report.step));
+    }
+    reported.extend(trainer.settle().unwrap().map(|report| report.step));
+    assert_eq!(reported, (1..=steps).collect::<Vec<_>>());
+    trainer
+}
+
+#[test]
+fn a_gpu_trains_as_well_as_a_cpu() {
+    let Some(device) = gpu("a_gpu_trains_as_well_as_a_cpu") else { return };
+    let data = dataset();
+    let psnr = |trainer: &Trainer, device: &Device| evaluate(&trainer.scene(), &data.test, device).unwrap().psnr;
+    let untrained = psnr(&Trainer::new(Arc::clone(&data), config(200, &[]), ndarray()).unwrap(), &ndarray());
+    let cpu = psnr(&trained(&data, config(200, &[]), &ndarray()), &ndarray());
+    let gpu = psnr(&trained(&data, config(200, &[]), &device), &device);
+    println!("held out: {untrained:.3} dB at first, {cpu:.3} dB on the CPU, {gpu:.3} dB on the GPU");
+    assert!(cpu > untrained + 1.0, "{untrained:.2} dB before, {cpu:.2} dB after: the run taught nothing");
+    assert!((cpu - gpu).abs() <= 0.1, "{cpu:.3} dB on the CPU, {gpu:.3} dB on the GPU");
+}
+
+#[test]
+fn a_deterministic_run_on_a_gpu_is_the_same_bytes_every_time() {
+    let Some(device) = gpu("a_deterministic_run_on_a_gpu_is_the_same_bytes_every_time") else { return };
+    let data = dataset();
+    let run = || trained(&data, config(50, &["train.deterministic=true"]), &device).checkpoint();
+    let (first, second) = (run(), run());
+    assert!(first == second, "two runs with the same seed differ");
+}
