@@ -1,6 +1,6 @@
 //! The custom operations, in the order in which a training step uses them: [`finite`], [`colour`],
-//! [`peel`], [`splat`], [`composite`], [`ssim`], [`adam`]; [`coverage`] serves refinement; [`binning`] and
-//! [`bands`] are shared.
+//! [`peel`], [`splat`], [`composite`], [`ssim`], [`adam`]; [`coverage`] serves refinement, [`blend`]
+//! initialisation; [`binning`] and [`bands`] are shared.
 //!
 //! Each folder has the same files: `mod.rs` is the contract (shapes, units, which gradients exist,
 //! source) and the public function, `cpu.rs` the kernels of the CPU backends, `cube.rs` their CubeCL
@@ -13,6 +13,7 @@
 pub mod adam;
 pub mod bands;
 pub mod binning;
+pub mod blend;
 #[cfg(feature = "gpu")]
 mod boxes;
 pub mod colour;

@@ -38,7 +38,7 @@ impl<B: SplatBackwardOps> Backward<B, 5> for SplatBackward {
 }
 
 /// The same tensors without their nodes.
-fn values<B: Backend, S: CheckpointStrategy>(gaussians: &SplatInput<Autodiff<B, S>>) -> SplatInput<B> {
+pub fn values<B: Backend, S: CheckpointStrategy>(gaussians: &SplatInput<Autodiff<B, S>>) -> SplatInput<B> {
     let inner = |tensor: &FloatTensor<Autodiff<B, S>>| tensor.clone().into_parts().0;
     SplatInput {
         positions: inner(&gaussians.positions),

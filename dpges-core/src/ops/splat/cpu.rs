@@ -21,7 +21,7 @@ const CHANNELS: usize = 4;
 const CHUNK: usize = 256;
 
 /// Parameters of all Gaussians, row-major.
-struct GaussianRows<'a, T: Real> {
+pub struct GaussianRows<'a, T: Real> {
     positions: Cow<'a, [T]>,
     quaternions: Cow<'a, [T]>,
     log_scales: Cow<'a, [T]>,
@@ -30,7 +30,7 @@ struct GaussianRows<'a, T: Real> {
 }
 
 impl<'a, T: Real> GaussianRows<'a, T> {
-    fn new<B: Host>(input: &'a SplatInput<B>) -> Self {
+    pub fn new<B: Host>(input: &'a SplatInput<B>) -> Self {
         Self {
             positions: host::floats::<B, T>(&input.positions),
             quaternions: host::floats::<B, T>(&input.quaternions),
@@ -40,11 +40,11 @@ impl<'a, T: Real> GaussianRows<'a, T> {
         }
     }
 
-    fn len(&self) -> usize {
+    pub fn len(&self) -> usize {
         self.opacities.len()
     }
 
-    fn parameters(&self, i: usize) -> Parameters<T> {
+    pub fn parameters(&self, i: usize) -> Parameters<T> {
         Parameters {
             position: row(&self.positions, i),
             quaternion: row(&self.quaternions, i),
@@ -53,7 +53,7 @@ impl<'a, T: Real> GaussianRows<'a, T> {
         }
     }
 
-    fn splat(&self, camera: &CameraOf<T>, i: usize) -> Option<Splat<T>> {
+    pub fn splat(&self, camera: &CameraOf<T>, i: usize) -> Option<Splat<T>> {
         Splat::new(camera, &self.parameters(i), row(&self.colours, i))
     }
 }
@@ -124,7 +124,7 @@ fn lanes<T: Real>(values: &[T], start: usize) -> [T; LANES] {
 /// Calls `visit(start, dx, dy)` for every group of lanes of a tile that a splat can reach: position
 /// of the group within the tile and offsets of its pixels from the mean, px.
 #[inline(always)]
-fn for_each_group<T: Real>(
+pub fn for_each_group<T: Real>(
     splat: &Splat<T>,
     rect: &PixelRect,
     origin: (usize, usize),

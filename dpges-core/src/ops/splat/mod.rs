@@ -12,7 +12,7 @@ mod backward;
 mod cpu;
 #[cfg(feature = "gpu")]
 mod cube;
-mod footprint;
+pub(super) mod footprint;
 #[cfg(feature = "gpu")]
 mod footprint_cube;
 pub mod limits;
@@ -30,6 +30,8 @@ use crate::error::Result;
 use crate::scene::Gaussians;
 use crate::scene::tensors::check_shape;
 
+pub(super) use backward::values;
+pub(super) use cpu::{GaussianRows, for_each_group};
 pub use footprint::{LOW_PASS, MIN_COMPENSATION_SQUARED};
 
 #[derive(ExtensionType, Debug, Clone)]
@@ -78,7 +80,7 @@ pub trait SplatBackwardOps: Backend {
     ) -> SplatInput<Self>;
 }
 
-fn input(gaussians: &Gaussians, colours: Tensor<2>) -> Result<SplatInput<Dispatch>> {
+pub(super) fn input(gaussians: &Gaussians, colours: Tensor<2>) -> Result<SplatInput<Dispatch>> {
     gaussians.check_shapes()?;
     check_shape("gaussian colours", &colours, [gaussians.len(), 3])?;
     Ok(SplatInput {
