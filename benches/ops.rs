@@ -13,7 +13,7 @@ use dpges_core::ops::splat::limits::interval_limits;
 use dpges_core::ops::splat::splat;
 use dpges_core::ops::ssim::ssim;
 use dpges_core::render::{Render, RenderOptions, render};
-use dpges_core::scene::{Gaussians, Surfels};
+use dpges_core::scene::{Gaussians, MarginLookup, Surfels};
 use dpges_core::testing::scenes::{TestScene, realistic};
 
 const SURFELS: usize = 10_000;
@@ -123,7 +123,8 @@ fn operations(c: &mut Criterion) {
         };
         forward("peel", &|| _ = black_box(view.peel()));
         forward("limits", &|| {
-            _ = black_box(interval_limits(&view.render.layers, view.surfels.margins.clone()).unwrap());
+            let margins = view.surfels.margins.clone();
+            _ = black_box(interval_limits(&view.render.layers, margins, MarginLookup::Shifted).unwrap());
         });
         forward("splat", &|| _ = black_box(view.splat()));
         forward("composite", &|| _ = black_box(view.composite(&sums, true)));

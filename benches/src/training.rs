@@ -166,7 +166,7 @@ impl Training {
         let [positions, quaternions, log_scales] =
             [&surfels.positions, &surfels.quaternions, &surfels.log_scales].map(Clone::clone);
         let layers = peel(positions, quaternions, log_scales, camera, &options.peel).expect("valid");
-        let limits = interval_limits(&layers, surfels.margins.clone()).expect("valid");
+        let limits = interval_limits(&layers, surfels.margins.clone(), options.margin_lookup).expect("valid");
         let sums = splat(gaussians, gaussian_colours.clone(), limits.clone(), camera).expect("valid");
         let blending = CompositeOptions { background: options.background, detach_transmittance: false };
         let composite = plain::composite(&layers, surfel_colours.clone(), sums, &blending);

@@ -11,11 +11,13 @@ use crate::ops::finite::{FiniteChecks, check_finite};
 use crate::ops::peel::{Layers, PeelOptions, peel};
 use crate::ops::splat::limits::interval_limits;
 use crate::ops::splat::splat;
-use crate::scene::{Gaussians, SceneInfo, Surfels};
+use crate::scene::{Gaussians, MarginLookup, SceneInfo, Surfels};
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RenderOptions {
     pub peel: PeelOptions,
+    /// Where the depth intervals of the transmittance end.
+    pub margin_lookup: MarginLookup,
     /// C_b, display-referred.
     pub background: [f64; 3],
     /// Stop the gradient from the Gaussians to the surfels (ablation).
@@ -24,13 +26,23 @@ pub struct RenderOptions {
 
 impl Default for RenderOptions {
     fn default() -> Self {
-        Self { peel: PeelOptions::default(), background: [0.0; 3], detach_transmittance: false }
+        Self {
+            peel: PeelOptions::default(),
+            margin_lookup: MarginLookup::default(),
+            background: [0.0; 3],
+            detach_transmittance: false,
+        }
     }
 }
 
 impl From<&SceneInfo> for RenderOptions {
     fn from(info: &SceneInfo) -> Self {
-        Self { peel: PeelOptions::from(info), background: info.background, detach_transmittance: false }
+        Self {
+            peel: PeelOptions::from(info),
+            margin_lookup: info.margin_lookup,
+            background: info.background,
+            detach_transmittance: false,
+        }
     }
 }
 
@@ -148,7 +160,7 @@ pub fn render_values(
         camera,
         &options.peel,
     )?;
-    let limits = interval_limits(&layers, surfels.margins.clone())?;
+    let limits = interval_limits(&layers, surfels.margins.clone(), options.margin_lookup)?;
     let sums = splat(gaussians, gaussian_colours.clone(), limits.clone(), camera)?;
     let blending =
         CompositeOptions { background: options.background, detach_transmittance: options.detach_transmittance };

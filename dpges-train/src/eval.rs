@@ -11,7 +11,7 @@ use dpges_core::render::Render;
 use dpges_core::scene::SceneData;
 use dpges_core::{Error, Result};
 use dpges_render::Renderer;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::dataset::{Picture, View};
 
@@ -19,7 +19,7 @@ use crate::dataset::{Picture, View};
 pub const LARGEST_PSNR: f64 = 100.0;
 
 /// One view.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ViewScore {
     pub name: String,
     /// dB, at most [`LARGEST_PSNR`].
@@ -34,7 +34,7 @@ pub struct ViewScore {
 }
 
 /// All views, and their means.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Evaluation {
     pub views: Vec<ViewScore>,
     /// dB, mean over the views.
@@ -48,7 +48,7 @@ pub struct Evaluation {
 }
 
 /// An evaluation and what was evaluated: the content of `eval.json`.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EvalReport {
     /// Path of the scene file.
     pub scene: String,
@@ -116,7 +116,7 @@ fn score(view: &View, render: &Render, seconds: f64, device: &Device) -> Result<
 
 #[cfg(test)]
 mod tests {
-    use dpges_core::scene::{ColourModel, Footprint, GaussianData, SceneInfo, SurfelData};
+    use dpges_core::scene::{ColourModel, Footprint, GaussianData, MarginLookup, SceneInfo, SurfelData};
 
     use super::*;
     use crate::dataset::{BuiltinOptions, builtin};
@@ -128,6 +128,7 @@ mod tests {
             modulation: 30.0,
             layer_count: 2,
             footprint: Footprint::Kernel,
+            margin_lookup: MarginLookup::Shifted,
             background,
             offset: [0.0; 3],
             extent: 1.0,

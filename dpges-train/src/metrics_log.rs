@@ -57,6 +57,21 @@ impl MetricsLog {
         Self::open(path, seconds)
     }
 
+    /// Seconds that the run of the log at `path` had taken at its last logged step, evaluations on the way included.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn seconds_of_steps(path: &Path) -> Result<f64> {
+        let text = std::fs::read_to_string(path).map_err(|source| Error::Io {
+            action: "cannot read",
+            path: path.to_owned(),
+            source,
+        })?;
+        let mut latest_first = text.lines().rev().filter_map(|line| serde_json::from_str::<Value>(line).ok());
+        let step = latest_first.find(|line| line["kind"] == "step");
+        Ok(step.and_then(|line| line["seconds"].as_f64()).unwrap_or(0.0))
+    }
+
     fn open(path: &Path, seconds_before: f64) -> Result<Self> {
         let file = OpenOptions::new().append(true).open(path).map_err(|source| error(path, source))?;
         Ok(Self { file, path: path.to_owned(), seconds_before })
@@ -143,6 +158,7 @@ mod tests {
         let line = r#"{"kind":"evaluation","step":21,"seconds":9}"#;
         OpenOptions::new().append(true).open(&path).unwrap().write_all(line.as_bytes()).unwrap();
         MetricsLog::resume(&path, 21, false).unwrap();
+        assert_eq!(MetricsLog::seconds_of_steps(&path).unwrap(), 21.0, "not the evaluation's");
         assert!(std::fs::read_to_string(&path).unwrap().contains("evaluation"));
         MetricsLog::resume(&path, 21, true).unwrap();
         assert!(!std::fs::read_to_string(&path).unwrap().contains("evaluation"));

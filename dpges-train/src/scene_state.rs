@@ -25,6 +25,13 @@ pub struct Rates {
     pub detail: f64,
 }
 
+impl Rates {
+    /// The same for surfels of which only the colours learn.
+    pub fn of_frozen_surfels(self) -> Self {
+        Self { surfel_positions: 0.0, quaternions: 0.0, log_scales: 0.0, ..self }
+    }
+}
+
 /// Attributes of surfels; the order of [`all`](Self::all) is the order of everything that goes over them.
 #[derive(Clone, Debug)]
 pub struct SurfelState {

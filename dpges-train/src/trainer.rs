@@ -221,7 +221,8 @@ impl Trainer {
         drop((surfels, gaussians, opacities, rendered, terms));
 
         let (rates, adam) = self.rates();
-        self.surfels.step(surfel_gradients, &gate, &rates, adam)?;
+        let surfel_rates = if self.config.train.freeze_surfels { rates.of_frozen_surfels() } else { rates };
+        self.surfels.step(surfel_gradients, &gate, &surfel_rates, adam)?;
         self.gaussians.step(gaussian_gradients, &gate, &rates, adam)?;
         Ok(pending)
     }
@@ -285,6 +286,7 @@ fn scene_info(dataset: &Dataset, config: &Config) -> SceneInfo {
         modulation: model.modulation,
         layer_count: model.layers,
         footprint: model.footprint,
+        margin_lookup: model.margin_lookup,
         background: dataset.background,
         offset: dataset.offset.to_array(),
         extent: dataset.extent,
@@ -303,4 +305,32 @@ fn target(view: &View, device: &Device) -> Tensor<3> {
     let picture = &view.picture;
     let data = TensorData::new(picture.planes.clone(), [3, picture.height, picture.width]);
     Tensor::from_data(data, (device, DType::F32))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::{BuiltinOptions, builtin};
+    use crate::device::DeviceName;
+
+    #[test]
+    fn frozen_surfels_learn_nothing_but_colours() {
+        let options =
+            BuiltinOptions { width: 24, height: 24, train_views: 3, test_views: 1, points: 200, ..Default::default() };
+        let set = ["train.steps=9", "train.freeze_surfels=true"].map(str::to_owned);
+        let config = Config::resolve(None, None, &set).unwrap();
+        let device = "cpu".parse::<DeviceName>().unwrap().open().unwrap();
+        let mut trainer = Trainer::new(Arc::new(builtin(&options)), config, device).unwrap();
+        let before = trainer.scene();
+        while !trainer.is_finished() {
+            trainer.step().unwrap();
+        }
+        let after = trainer.scene();
+        assert!(!before.surfels.is_empty());
+        assert_eq!(after.surfels.positions, before.surfels.positions);
+        assert_eq!(after.surfels.quaternions, before.surfels.quaternions);
+        assert_eq!(after.surfels.log_scales, before.surfels.log_scales);
+        assert_ne!(after.surfels.colour, before.surfels.colour);
+        assert_ne!(after.gaussians.positions, before.gaussians.positions);
+    }
 }

@@ -88,6 +88,13 @@ fn wrong_usage_is_exit_code_2_and_says_what_is_right() {
     assert!(fails(at, 2, &["train", "--preset", "fast"]).contains("default, quick, cpu"));
     assert!(fails(at, 2, &["train", "--set", "train.step=3"]).contains("did you mean `train.steps`"));
     assert!(fails(at, 2, &["train", "--steps", "0"]).contains("at least 1"));
+    for factor in ["0", "-1", "inf"] {
+        let message = fails(at, 2, &["train", "--steps-scale", factor]);
+        assert!(message.contains("--steps-scale") && message.contains("positive, finite"), "{message}");
+    }
+    assert!(fails(at, 2, &["train", "--steps-scale", "1e-6"]).contains("`train.steps` is 2000 ×"));
+    assert!(fails(at, 2, &["ablate"]).contains("--out"));
+    assert!(fails(at, 2, &["ablate", "--out", "a", "--only", "full,lobes"]).contains("no-surfel-loss"));
     assert!(fails(at, 2, &["train", "--device", "cuda"]).contains("through wgpu"));
     assert!(fails(at, 2, &["train", "--device", "tpu"]).contains("cpu-flex"));
     assert!(fails(at, 2, &["train", "--resume", "--overwrite"]).contains("cannot be used with"));
@@ -210,6 +217,56 @@ fn a_finished_run_resumes_to_itself_and_contradictions_are_refused() {
     assert!(fails(at, 2, &["train", "--out", "run", "--resume", "--preset", "cpu"]).contains("`init.max_points`"));
     std::fs::write(at.join("run/checkpoint.safetensors"), "half").unwrap();
     assert!(fails(at, 1, &["train", "--out", "run", "--resume"]).contains("checkpoint.safetensors"));
+}
+
+#[test]
+fn steps_are_scaled_once() {
+    let folder = folder();
+    let at = folder.path();
+    let args = ["train", "--out=run", "--steps-scale=0.002", "--max-resolution=24", "--set=init.max_points=100"];
+    ok(at, &args);
+    assert!(String::from_utf8(bytes(at.join("run/config.toml"))).unwrap().contains("\nsteps = 4\n"));
+    ok(at, &[&args[..], &["--resume"]].concat());
+    assert_eq!(metrics(&at.join("run")).last().unwrap()["step"], 4);
+}
+
+#[test]
+fn variants_are_trained_once_and_compared() {
+    let folder = folder();
+    let at = folder.path();
+    let args =
+        ["ablate", "--out=study", "--steps=6", "--seed=3", "--max-resolution=32", "--budget=900", "--only=sh,full"];
+    let table = ok(at, &args);
+    for part in ["full", "sh", "dB", "Gaussians", "ablation.csv", "ablation.svg"] {
+        assert!(table.contains(part), "{part}: {table}");
+    }
+    let csv = String::from_utf8(bytes(at.join("study/ablation.csv"))).unwrap();
+    let lines: Vec<Vec<&str>> = csv.lines().map(|line| line.split(',').collect()).collect();
+    assert_eq!(lines[0], ["variant", "psnr", "ssim", "surfels", "gaussians", "bytes", "seconds"]);
+    assert_eq!((lines[1][0], lines[2][0], lines.len()), ("full", "sh", 3));
+    for line in &lines[1..] {
+        let run = at.join("study").join(line[0]);
+        let written = json(run.join("eval.json"));
+        assert!((line[1].parse::<f64>().unwrap() - written["psnr"].as_f64().unwrap()).abs() < 1e-4, "{csv}");
+        assert_eq!(line[5].parse::<u64>().unwrap(), bytes(run.join("scene.safetensors")).len() as u64);
+        let config = String::from_utf8(bytes(run.join("config.toml"))).unwrap();
+        assert_eq!(config.contains("colour = \"sh3\""), line[0] == "sh", "{config}");
+        assert!(config.contains("\nsteps = 6\n") && config.contains("\nseed = 3\n"), "{config}");
+    }
+    assert!(String::from_utf8(bytes(at.join("study/ablation.svg"))).unwrap().starts_with("<svg "));
+
+    // finished, finished but for its evaluation
+    let logs = ["full", "sh"].map(|variant| bytes(at.join("study").join(variant).join("metrics.jsonl")));
+    let scene = bytes(at.join("study/sh/scene.safetensors"));
+    std::fs::remove_file(at.join("study/sh/eval.json")).unwrap();
+    ok(at, &args);
+    assert!(bytes(at.join("study/full/metrics.jsonl")) == logs[0], "it is not trained again");
+    assert!(bytes(at.join("study/sh/scene.safetensors")) == scene && at.join("study/sh/eval.json").is_file());
+    assert_eq!(String::from_utf8(bytes(at.join("study/ablation.csv"))).unwrap(), csv);
+
+    let message = fails(at, 1, &[&args[..], &["--seed=4"]].concat());
+    assert!(message.contains("study/full holds another run") && message.contains("`train.seed` is 3"), "{message}");
+    assert!(ok(at, &["info", "study/sh"]).contains("margin_lookup"));
 }
 
 #[test]

@@ -17,7 +17,7 @@ const BACKGROUND: [f64; 3] = [0.25, 0.5, 0.75];
 
 fn rendered(scene: &TestScene, peel: PeelOptions) -> Render {
     let (surfels, gaussians) = scene.tensors(&flex(), DType::F64);
-    let options = RenderOptions { peel, background: BACKGROUND, detach_transmittance: false };
+    let options = RenderOptions { peel, background: BACKGROUND, ..RenderOptions::default() };
     render(&surfels, &gaussians, &scene.camera, &options).unwrap()
 }
 

@@ -149,7 +149,7 @@ fn assert_finite(what: &str, scene: &TestScene) {
             }
             input.1.opacities = input.1.opacities.require_grad();
             let peel = PeelOptions { layer_count, ..PeelOptions::default() };
-            let options = RenderOptions { peel, background: [0.2, 0.4, 0.6], detach_transmittance: false };
+            let options = RenderOptions { peel, background: [0.2, 0.4, 0.6], ..RenderOptions::default() };
             let rendered = render(&input.0, &input.1, &scene.camera, &options).unwrap();
             let image = values(&rendered.composite.image);
             assert!(image.iter().all(|v| v.is_finite()), "{what}: the image is not finite");

@@ -133,7 +133,8 @@ impl Flat {
     }
 
     fn loss(&self, inputs: &Inputs, peel: PeelOptions, detach_transmittance: bool) -> Tensor<1> {
-        let options = RenderOptions { peel, background: [0.3, 0.1, 0.7], detach_transmittance };
+        let background = [0.3, 0.1, 0.7];
+        let options = RenderOptions { peel, background, detach_transmittance, ..RenderOptions::default() };
         let rendered = render(&inputs.surfels, &inputs.gaussians, &self.camera, &options).unwrap();
         let shape = rendered.composite.image.dims();
         let device = inputs.surfels.positions.device();

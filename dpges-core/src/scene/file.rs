@@ -208,7 +208,7 @@ fn check_info(info: &SceneInfo) -> Result<(), String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::Footprint;
+    use crate::scene::{Footprint, MarginLookup};
 
     fn scene(model: ColourModel, surfels: usize, gaussians: usize) -> SceneData {
         let rows = |count: usize, width: usize| (0..count * width).map(|i| (i as f32 * 0.37).sin()).collect::<Vec<_>>();
@@ -219,6 +219,7 @@ mod tests {
                 modulation: 30.0,
                 layer_count: 3,
                 footprint: Footprint::Kernel,
+                margin_lookup: MarginLookup::Literal,
                 background: [0.0, 0.5, 1.0],
                 offset: [5.25e5, -2.0, 0.125],
                 extent: 4.5,
@@ -271,6 +272,20 @@ mod tests {
                 assert_eq!(SceneData::load(&path).unwrap(), scene, "{model} {surfels} {gaussians}");
             }
         }
+    }
+
+    #[test]
+    fn a_file_that_does_not_name_the_lookup_has_the_shifted_one() {
+        let scene = scene(ColourModel::SphericalBeta { lobes: 2 }, 3, 5);
+        let without = |metadata: &mut HashMap<String, String>| {
+            let info = metadata["info"].replace(r#""margin_lookup":"literal","#, "");
+            assert!(!info.contains("margin_lookup"), "{info}");
+            metadata.insert("info".into(), info);
+        };
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), save_bytes(&scene, without, "")).unwrap();
+        let loaded = SceneData::load(file.path()).unwrap();
+        assert_eq!(loaded.info, SceneInfo { margin_lookup: MarginLookup::Shifted, ..scene.info });
     }
 
     #[test]

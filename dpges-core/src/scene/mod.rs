@@ -87,6 +87,18 @@ pub enum Footprint {
     Opacity,
 }
 
+/// Which depths of a pixel's layers the depth of a Gaussian is compared with, to find the transmittance that weighs it.
+/// Whether it is hidden altogether is decided by the depth plus margin of the last layer, either way.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum MarginLookup {
+    /// Depths plus margins, D + ε: a Gaussian within the margin of a layer counts as in front of it.
+    #[default]
+    Shifted,
+    /// Bare depths D, as the paper prints it: behind an opaque layer nothing has weight, margin or not.
+    Literal,
+}
+
 /// What a scene file says besides its tensors.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SceneInfo {
@@ -96,6 +108,9 @@ pub struct SceneInfo {
     /// K: peeled layers.
     pub layer_count: usize,
     pub footprint: Footprint,
+    /// Files without it are [`MarginLookup::Shifted`].
+    #[serde(default)]
+    pub margin_lookup: MarginLookup,
     /// Display-referred colour behind everything.
     pub background: [f64; 3],
     /// World units: subtract from the dataset's coordinates to get the scene's.

@@ -101,7 +101,7 @@ impl GoldenCase {
         let peel =
             PeelOptions { layer_count: number("layer_count")? as usize, modulation: number("modulation")?, footprint };
         let background = get("background")?.try_into().map_err(|_| format!("{origin}: background"))?;
-        Ok(Self { arrays, camera, options: RenderOptions { peel, background, detach_transmittance: false } })
+        Ok(Self { arrays, camera, options: RenderOptions { peel, background, ..RenderOptions::default() } })
     }
 
     /// The same case with every input rounded to f32: what f32 can be expected to reproduce is no

@@ -21,7 +21,7 @@ use crate::ops::peel::{Layers, PeelOptions, peel};
 use crate::ops::splat::limits::interval_limits;
 use crate::ops::splat::{contributions, splat};
 use crate::ops::ssim::ssim;
-use crate::scene::{Gaussians, Surfels};
+use crate::scene::{Gaussians, MarginLookup, Surfels};
 
 /// A tensor by name, as `peel.alpha` or `splat.grad.positions`.
 pub type Named = (String, Vec<f64>);
@@ -224,7 +224,8 @@ impl<'a> Bench<'a> {
     /// Runs everything forward, each operation on its own results.
     pub fn reference(mut self) -> Reference {
         let layers = self.peeled();
-        let limits = interval_limits(&layers, self.surfels.margins.clone()).expect("one shape");
+        let margins = self.surfels.margins.clone();
+        let limits = interval_limits(&layers, margins, MarginLookup::Shifted).expect("one shape");
         let [surfel_colours, gaussian_colours] = self.colours();
         let camera = &self.scene.camera;
         let sums = splat(&self.gaussians, gaussian_colours.clone(), limits.clone(), camera).expect("valid input");
@@ -249,8 +250,10 @@ impl<'a> Bench<'a> {
         let layers = self.layers(reference);
         let covered = coverage(&layers, surfels).into_data().iter::<f64>().collect();
         self.found.push(("coverage".into(), covered));
-        let limits = interval_limits(&layers, self.surfels.margins.clone()).expect("one shape");
-        self.note("limits", &limits);
+        for (name, lookup) in [("limits", MarginLookup::Shifted), ("limits.literal", MarginLookup::Literal)] {
+            let limits = interval_limits(&layers, self.surfels.margins.clone(), lookup).expect("one shape");
+            self.note(name, &limits);
+        }
         let limits = self.tensor(&reference.limits, [layer_count, height, width]);
         self.splat(limits, self.tensor(&reference.gaussian_colours, [gaussians, 3]));
         let colours = self.tensor(&reference.surfel_colours, [surfels, 3]);

@@ -33,8 +33,13 @@ impl Source {
         if text == Path::new(BUILTIN) { Self::Builtin } else { Self::Folder(text.to_owned()) }
     }
 
+    /// As a command names it: the folder by its absolute path, the built-in scene where there is none.
+    pub fn named(dataset: Option<&Path>) -> Self {
+        dataset.map_or(Self::Builtin, Self::new).absolute()
+    }
+
     /// With an absolute path where there is a folder.
-    pub fn absolute(self) -> Self {
+    fn absolute(self) -> Self {
         match self {
             Self::Folder(path) => Self::Folder(std::path::absolute(&path).unwrap_or(path)),
             Self::Builtin => Self::Builtin,

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use dpges_core::scene::Footprint;
+use dpges_core::scene::{Footprint, MarginLookup};
 use serde_json::{Map, Value, json};
 
 use super::data::Scene;
@@ -44,6 +44,10 @@ fn describe(scene: &Scene) -> Vec<(&'static str, Value)> {
         Footprint::Kernel => "kernel",
         Footprint::Opacity => "opacity",
     };
+    let margin_lookup = match info.margin_lookup {
+        MarginLookup::Shifted => "shifted",
+        MarginLookup::Literal => "literal",
+    };
     vec![
         ("scene", json!(scene.path.display().to_string())),
         ("bytes", json!(scene.bytes)),
@@ -53,6 +57,7 @@ fn describe(scene: &Scene) -> Vec<(&'static str, Value)> {
         ("layers", json!(info.layer_count)),
         ("modulation", json!(info.modulation)),
         ("footprint", json!(footprint)),
+        ("margin_lookup", json!(margin_lookup)),
         ("background", json!(info.background)),
         ("extent", json!(info.extent)),
         ("near", json!(info.near)),

@@ -1,5 +1,6 @@
 //! The command line: one module per subcommand.
 
+mod ablate;
 mod data;
 mod device_failure;
 mod devices;
@@ -36,6 +37,7 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Train(train::TrainArgs),
+    Ablate(ablate::AblateArgs),
     Eval(eval::EvalArgs),
     Render(render::RenderArgs),
     Info(info::InfoArgs),
@@ -94,6 +96,7 @@ pub fn run() -> ExitCode {
     keep_lines_whole();
     let result = match cli.command {
         Command::Train(args) => train::run(args, style),
+        Command::Ablate(args) => ablate::run(&args, style),
         Command::Eval(args) => eval::run(&args),
         Command::Render(args) => render::run(&args),
         Command::Info(args) => info::run(&args),

@@ -8,10 +8,15 @@ use toml::{Table, Value};
 use super::Config;
 
 /// Configurations that come with the program: name and TOML.
-pub const PRESETS: [(&str, &str); 3] = [
+pub const PRESETS: [(&str, &str); 8] = [
     ("default", include_str!("../../../configs/default.toml")),
     ("quick", include_str!("../../../configs/quick.toml")),
     ("cpu", include_str!("../../../configs/cpu.toml")),
+    ("mipnerf360", include_str!("../../../configs/mipnerf360.toml")),
+    ("tanks-and-temples", include_str!("../../../configs/tanks-and-temples.toml")),
+    ("deep-blending", include_str!("../../../configs/deep-blending.toml")),
+    ("nerf-synthetic", include_str!("../../../configs/nerf-synthetic.toml")),
+    ("ges", include_str!("../../../configs/ges.toml")),
 ];
 
 #[derive(Debug, thiserror::Error)]
@@ -172,7 +177,9 @@ fn kind(value: &Value) -> &'static str {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::{Background, InitMethod};
+    use crate::config::schedule::REFERENCE_STEPS;
+    use crate::config::{Background, InitMethod, Margin};
+    use dpges_core::scene::MarginLookup;
 
     fn set(assignments: &[&str]) -> Result<Config, ConfigError> {
         let assignments: Vec<String> = assignments.iter().map(|text| text.to_string()).collect();
@@ -198,9 +205,54 @@ mod tests {
         assert!(error.contains("`fast`") && error.contains("default, quick, cpu"), "{error}");
     }
 
+    fn preset(name: &str) -> Config {
+        Config::resolve(Some(name), None, &[]).unwrap()
+    }
+
+    #[test]
+    fn presets_of_benchmarks_are_the_recipe_of_the_paper() {
+        let (black, white) = (Background::Colour([0.0; 3]), Background::Colour([1.0; 3]));
+        for (name, image_scale, background, lambda_scale) in [
+            ("mipnerf360", 4, black, 5e-5),
+            ("tanks-and-temples", 1, black, 5e-5),
+            ("deep-blending", 1, black, 5e-5),
+            ("nerf-synthetic", 1, white, 1e-5),
+        ] {
+            let Config { data, train, model, refine, .. } = preset(name);
+            assert_eq!(
+                (data.image_scale, data.background, train.lambda_scale),
+                (image_scale, background, lambda_scale)
+            );
+            assert_eq!((data.max_resolution, data.test_every, train.steps), (0, 8, REFERENCE_STEPS), "{name}");
+            let expected = Config::default();
+            assert_eq!(model, expected.model, "{name}");
+            assert_eq!((train.lambda_surfel, train.lambda_transmittance), (0.01, 0.08), "{name}");
+            assert_eq!((&refine.margins_at, refine.split), (&expected.refine.margins_at, true), "{name}");
+        }
+    }
+
+    #[test]
+    fn ges_is_the_predecessor() {
+        let ges = preset("ges");
+        assert_eq!((ges.model.modulation, ges.model.layers, ges.model.margin), (255.0, 1, Margin::Raw));
+        assert_eq!(ges.model.colour.to_string(), "sh3");
+        assert!(ges.train.freeze_surfels && !ges.refine.split);
+        assert_eq!((ges.train.lambda_surfel, ges.train.lambda_scale, ges.train.lambda_transmittance), (0.0, 0.0, 0.0));
+        let schedule = ges.schedule(1);
+        assert!(schedule.surfel_prune.is_empty() && schedule.split.is_empty());
+        let near = |found: &[usize], expected: &[usize]| {
+            found.len() == expected.len() && found.iter().zip(expected).all(|(a, b)| a.abs_diff(*b) <= 1)
+        };
+        assert_eq!(ges.train.steps, 30_000);
+        assert_eq!(schedule.margins, [0]);
+        assert!(near(&schedule.gaussian_prune, &[500, 1000, 1500]), "{schedule:?}");
+        assert!(near(&schedule.add, &[8000, 9000, 10_000, 11_000, 12_000]), "{schedule:?}");
+    }
+
     #[test]
     fn what_is_written_is_read_back() {
-        let config = set(&["train.steps=77", "data.background=0.5,0,1", "optimizer.epsilon=1e-9"]).unwrap();
+        let config = set(&["train.steps=77", "data.background=0.5,0,1", "optimizer.epsilon=1e-9", "model.margin=raw"]);
+        let config = config.unwrap();
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("run.toml");
         std::fs::write(&path, config.to_toml()).unwrap();
@@ -227,6 +279,8 @@ mod tests {
         assert_eq!(config.data.background, Background::Colour([1.0; 3]));
         assert_eq!(set(&["refine.margins_at=[0, 100]"]).unwrap().refine.margins_at, [0, 100]);
         assert!(set(&["train.detach_transmittance = true"]).unwrap().train.detach_transmittance);
+        assert_eq!(set(&["model.margin=raw"]).unwrap().model.margin, Margin::Raw);
+        assert_eq!(set(&["model.margin_lookup=literal"]).unwrap().model.margin_lookup, MarginLookup::Literal);
         assert!(set(&["train.deterministic=true"]).unwrap().train.deterministic);
         assert!(message(set(&["train.deterministic=1"])).contains("expected true or false"));
     }
@@ -257,6 +311,8 @@ mod tests {
         assert!(message(set(&["train.steps=0"])).contains("at least 1"));
         assert!(message(set(&["model.colour=sh9"])).contains("sh0 to sh3"));
         assert!(message(set(&["init.method=magic"])).contains("silhouette"));
+        assert!(message(set(&["model.margin=mean"])).contains("median"));
+        assert!(message(set(&["model.margin_lookup=bare"])).contains("literal"));
         assert!(message(set(&["refine.margins_at=[-1]"])).contains("`refine.margins_at`"));
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("mine.toml");

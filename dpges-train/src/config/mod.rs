@@ -11,7 +11,7 @@ pub mod schedule;
 use std::fmt;
 use std::str::FromStr;
 
-use dpges_core::scene::{ColourModel, Footprint};
+use dpges_core::scene::{ColourModel, Footprint, MarginLookup};
 use serde::{Deserialize, Serialize};
 
 use crate::dataset::LoadOptions;
@@ -65,6 +65,8 @@ pub struct TrainConfig {
     pub lambda_dssim: f64,
     /// No gradient from Gaussians to surfels through the transmittance: the ablation of DP-GES.
     pub detach_transmittance: bool,
+    /// Surfels keep their places, rotations and scales, and none is pruned; their colours learn (GES, joint stage).
+    pub freeze_surfels: bool,
     /// Steps between evaluations of the held-out views; 0 evaluates only at the end.
     pub evaluate_every: usize,
     /// Steps between checkpoints; 0 writes only the last.
@@ -84,6 +86,9 @@ pub struct ModelConfig {
     /// w: opacity of a surfel is min(1, w G).
     pub modulation: f64,
     pub footprint: Footprint,
+    pub margin: Margin,
+    /// Part of the scene: it is rendered as it was trained.
+    pub margin_lookup: MarginLookup,
 }
 
 /// Where surfels and Gaussians come from.
@@ -161,6 +166,8 @@ pub struct RefineConfig {
     /// Surfels and Gaussians together never exceed it; 0 is one per two pixels of a training view, but at
     /// least [`SMALLEST_AUTOMATIC_BUDGET`].
     pub budget: usize,
+    /// Whether Gaussians are split at all.
+    pub split: bool,
     pub split_every: usize,
     /// Inclusive.
     pub split_until: usize,
@@ -185,6 +192,7 @@ impl Default for TrainConfig {
             lambda_transmittance: 0.08,
             lambda_dssim: 0.2,
             detach_transmittance: false,
+            freeze_surfels: false,
             evaluate_every: 1000,
             checkpoint_every: 1000,
             picture_views: 3,
@@ -199,6 +207,8 @@ impl Default for ModelConfig {
             layers: 3,
             modulation: 30.0,
             footprint: Footprint::Kernel,
+            margin: Margin::Median,
+            margin_lookup: MarginLookup::Shifted,
         }
     }
 }
@@ -255,6 +265,7 @@ impl Default for RefineConfig {
             add_from: 3000,
             add_until: 13_000,
             budget: 0,
+            split: true,
             split_every: 2000,
             split_until: 16_000,
             split_factor: 2.0,
@@ -304,6 +315,17 @@ impl OptimizerConfig {
 
 fn between(start: f64, end: f64, progress: f64) -> f64 {
     start * (end / start).powf(progress.clamp(0.0, 1.0))
+}
+
+/// What the depth margin of a surfel is made of.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Margin {
+    /// The scales of the surfels around it: the median (DP-GES).
+    #[default]
+    Median,
+    /// Its own scales (GES).
+    Raw,
 }
 
 /// How surfels and Gaussians are placed at the start.

@@ -1,6 +1,6 @@
 //! At which steps of a run the set of primitives changes.
 
-use super::Config;
+use super::{Config, ConfigError};
 
 /// Length of the run in whose steps `[refine]` is written (DP-GES: the joint stage).
 pub const REFERENCE_STEPS: usize = 25_000;
@@ -34,7 +34,27 @@ impl Due {
     }
 }
 
+/// Most steps that a factor may lead to: larger numbers are not whole in f64.
+const MOST_SCALED_STEPS: f64 = 1e15;
+
 impl Config {
+    /// Makes the run `factor` times as long. `[refine]` scales with it; `train.evaluate_every` and
+    /// `train.checkpoint_every` stay as they are, in steps of the run as it then is.
+    ///
+    /// # Errors
+    /// [`ConfigError::Range`] if that leaves no step or more than 1e15, as does every factor that is not positive and
+    /// finite.
+    pub fn scale_steps(&mut self, factor: f64) -> Result<(), ConfigError> {
+        let before = self.train.steps;
+        let steps = (before as f64 * factor).round();
+        if !(1.0..=MOST_SCALED_STEPS).contains(&steps) {
+            let found = format!("{before} × {factor} = {steps}");
+            return Err(ConfigError::Range { key: "train.steps", found, expected: "1 to 1e15".to_owned() });
+        }
+        self.train.steps = steps as usize;
+        Ok(())
+    }
+
     /// Step of this run that corresponds to `step` of a run of [`REFERENCE_STEPS`].
     pub fn scaled(&self, step: usize) -> usize {
         let scale = self.train.steps as f64 / REFERENCE_STEPS as f64;
@@ -46,7 +66,8 @@ impl Config {
     ///
     /// Pruning is moved up to the next whole pass over the views, so that its statistics always
     /// cover each of them: short windows are stretched, and prunings that fall together become one.
-    /// A run that ends, or whose `_until` comes, before the first pass is over prunes nothing.
+    /// A run that ends, or whose `_until` comes, before the first pass is over prunes nothing. Frozen surfels are
+    /// not pruned.
     pub fn schedule(&self, views: usize) -> Schedule {
         let refine = &self.refine;
         let run = |steps: Vec<usize>, first: usize| {
@@ -64,17 +85,21 @@ impl Config {
             steps
         };
         let every = |every: usize, from: usize, until: usize| (from..until).step_by(every.max(1)).collect::<Vec<_>>();
+        let only_if = |wanted: bool, steps: Vec<usize>| if wanted { steps } else { Vec::new() };
 
         let surfel_prune =
             every(refine.surfel_prune_every, refine.surfel_prune_from, refine.surfel_prune_until.saturating_add(1));
+        let surfel_prune = only_if(!self.train.freeze_surfels, surfel_prune);
         let gaussian_prune =
             every(refine.gaussian_prune_every, refine.gaussian_prune_every, refine.gaussian_prune_until);
+        let split =
+            only_if(refine.split, every(refine.split_every, refine.split_every, refine.split_until.saturating_add(1)));
         Schedule {
             margins: run(refine.margins_at.clone(), 0),
             surfel_prune: whole_passes(run(surfel_prune, 1), self.scaled(refine.surfel_prune_until) + 1),
             gaussian_prune: whole_passes(run(gaussian_prune, 1), self.scaled(refine.gaussian_prune_until)),
             add: run(every(refine.add_every, refine.add_from, refine.add_until), 1),
-            split: run(every(refine.split_every, refine.split_every, refine.split_until.saturating_add(1)), 1),
+            split: run(split, 1),
         }
     }
 }
@@ -125,6 +150,32 @@ mod tests {
         assert_eq!(schedule.surfel_prune.last(), Some(&3000));
         assert_eq!(schedule.gaussian_prune, [100, 200, 300]);
         assert_eq!((schedule.add[0], schedule.add.len()), (600, 10));
+    }
+
+    #[test]
+    fn a_factor_on_the_steps_scales_the_schedule() {
+        let mut tenth = config(REFERENCE_STEPS);
+        tenth.scale_steps(0.1).unwrap();
+        assert_eq!(tenth, config(2500));
+        assert_eq!(tenth.schedule(20), config(2500).schedule(20));
+        tenth.scale_steps(1.0001).unwrap();
+        assert_eq!(tenth.train.steps, 2500);
+        for factor in [0.0, -1.0, 1e-4, f64::NAN, f64::INFINITY, 1e300] {
+            let error = tenth.scale_steps(factor).unwrap_err().to_string();
+            assert!(error.contains("`train.steps` is 2500 ×") && error.contains("expected 1 to 1e15"), "{error}");
+        }
+        assert_eq!(tenth.train.steps, 2500);
+    }
+
+    #[test]
+    fn switches_take_their_changes_out_and_no_others() {
+        let all = config(REFERENCE_STEPS).schedule(100);
+        let mut frozen = config(REFERENCE_STEPS);
+        frozen.train.freeze_surfels = true;
+        assert_eq!(frozen.schedule(100), Schedule { surfel_prune: vec![], ..all.clone() });
+        let mut unsplit = config(REFERENCE_STEPS);
+        unsplit.refine.split = false;
+        assert_eq!(unsplit.schedule(100), Schedule { split: vec![], ..all });
     }
 
     #[test]

@@ -108,7 +108,7 @@ fn random_gaussians(dataset: &Dataset, config: &Config, rng: &mut ChaCha8Rng) ->
 fn place(points: &OrientedPoints, dataset: &Dataset, config: &Config, rng: &mut ChaCha8Rng) -> InitialScene {
     let placement = Placement::new(config, dataset.extent);
     let mut surfels = placement::surfels(points, &placement, rng);
-    surfels.margins = margins(&surfels.positions, &surfels.log_scales);
+    surfels.margins = margins(&surfels.positions, &surfels.log_scales, config.model.margin);
     InitialScene { surfels, gaussians: placement::gaussians(points, &placement, rng) }
 }
 

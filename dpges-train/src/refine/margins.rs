@@ -1,5 +1,6 @@
 //! The depth margin ε of every surfel: how far behind it Gaussians still count (GES; DP-GES).
 
+use crate::config::Margin;
 use crate::neighbours::{as_points, nearest};
 
 /// Surfels around a primitive whose margins are consulted.
@@ -7,10 +8,13 @@ pub const NEIGHBOURS: usize = 16;
 
 /// Margins [N] in world units of surfels at `positions` [N × 3] with `log_scales` [N × 2].
 ///
-/// ε = lower median of `2.5 (s_x + s_y)` over the 16 nearest other surfels, fewer where there are
-/// fewer; a surfel alone has its own `2.5 (s_x + s_y)`.
-pub fn margins(positions: &[f32], log_scales: &[f32]) -> Vec<f32> {
+/// [`Margin::Raw`]: ε = `2.5 (s_x + s_y)`. [`Margin::Median`]: the lower median of that over the 16
+/// nearest other surfels, fewer where there are fewer; a surfel alone has its own.
+pub fn margins(positions: &[f32], log_scales: &[f32], kind: Margin) -> Vec<f32> {
     let raw: Vec<f32> = log_scales.as_chunks::<2>().0.iter().map(|[x, y]| 2.5 * (x.exp() + y.exp())).collect();
+    if kind == Margin::Raw {
+        return raw;
+    }
     let around = nearest(as_points(positions), NEIGHBOURS);
     let median_around = |(own, neighbours): (&f32, Vec<(u32, f32)>)| {
         let mut values: Vec<f32> = neighbours.iter().map(|&(row, _)| raw[row as usize]).collect();
@@ -43,8 +47,9 @@ mod tests {
     fn the_median_is_the_8th_smallest_of_16_others() {
         let raw: Vec<f32> = (1..=17).map(|i| i as f32).collect();
         let (positions, log_scales) = line(&raw);
-        let found = margins(&positions, &log_scales);
+        let found = margins(&positions, &log_scales, Margin::Median);
         assert!(close(&found[..1], &[9.0]) && close(&found[16..], &[8.0]), "{found:?}");
+        assert!(close(&margins(&positions, &log_scales, Margin::Raw), &raw));
     }
 
     #[test]
@@ -54,17 +59,18 @@ mod tests {
         raw.extend([77.0; 40]);
         let (mut positions, log_scales) = line(&raw);
         positions[17 * 3..].iter_mut().for_each(|x| *x += 1e3);
-        assert!(close(&margins(&positions, &log_scales)[..17], &[1.0; 17]));
+        assert!(close(&margins(&positions, &log_scales, Margin::Median)[..17], &[1.0; 17]));
     }
 
     #[test]
     fn few_surfels() {
-        assert!(margins(&[], &[]).is_empty());
-        let (positions, log_scales) = line(&[3.0]);
-        assert!(close(&margins(&positions, &log_scales), &[3.0]));
-        let (positions, log_scales) = line(&[3.0, 1.0]);
-        assert!(close(&margins(&positions, &log_scales), &[1.0, 3.0]));
-        let (positions, log_scales) = line(&[3.0, 1.0, 2.0]);
-        assert!(close(&margins(&positions, &log_scales), &[1.0, 2.0, 1.0]));
+        let medians = |raw: &[f32]| {
+            let (positions, log_scales) = line(raw);
+            margins(&positions, &log_scales, Margin::Median)
+        };
+        assert!(medians(&[]).is_empty());
+        assert!(close(&medians(&[3.0]), &[3.0]));
+        assert!(close(&medians(&[3.0, 1.0]), &[1.0, 3.0]));
+        assert!(close(&medians(&[3.0, 1.0, 2.0]), &[1.0, 2.0, 1.0]));
     }
 }

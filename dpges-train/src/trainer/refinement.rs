@@ -28,7 +28,8 @@ impl Trainer {
         }
         if due.margins {
             let surfels = self.surfels.to_data();
-            self.surfels.set_margins(&margins(&surfels.positions, &surfels.log_scales));
+            let margins = margins(&surfels.positions, &surfels.log_scales, self.config.model.margin);
+            self.surfels.set_margins(&margins);
             events.push(format!("margins of {} surfels computed", surfels.len()));
         }
         if due.split {

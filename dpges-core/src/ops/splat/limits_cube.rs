@@ -7,6 +7,7 @@ use cubecl::prelude::*;
 
 use super::limits::LimitOps;
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, floats, integers, units};
+use crate::scene::MarginLookup;
 
 #[cube(launch)]
 fn limits_kernel(
@@ -18,31 +19,39 @@ fn limits_kernel(
     pixels: u32,
     infinity: f32,
     #[comptime] layers: usize,
+    #[comptime] literal: bool,
 ) {
     let pixel = ABSOLUTE_POS;
     if pixel >= pixels as usize {
         terminate!();
     }
-    let mut shifted = Array::<f32>::new(layers);
+    let mut ends = Array::<f32>::new(layers);
     let mut closed = false;
     let mut last = infinity;
     let mut present = 0u32;
     #[unroll]
     for k in 0..layers {
         let at = k * pixels as usize + pixel;
-        shifted[k] = infinity;
+        ends[k] = infinity;
         if ids[at] >= 0i32 {
-            shifted[k] = depth[at] + margins[ids[at] as usize];
-            last = shifted[k];
+            last = depth[at] + margins[ids[at] as usize];
+            ends[k] = last;
+            if comptime!(literal) {
+                ends[k] = depth[at];
+            }
             closed = closed || alpha[at] >= 1.0f32;
             present += 1u32;
         }
     }
     let cap = select(closed || present == layers as u32, last, infinity);
+    if comptime!(literal) {
+        // of the last interval only the cap is the end
+        ends[layers - 1] = infinity;
+    }
     let mut reached = -infinity;
     #[unroll]
     for k in 0..layers {
-        reached = max(reached, shifted[k]);
+        reached = max(reached, ends[k]);
         limits[k * pixels as usize + pixel] = min(reached, cap);
     }
 }
@@ -53,6 +62,7 @@ impl LimitOps for CubeBackend {
         alpha: FloatTensor<Self>,
         depth: FloatTensor<Self>,
         margins: FloatTensor<Self>,
+        lookup: MarginLookup,
     ) -> FloatTensor<Self> {
         let (ids, alpha, depth, margins) = (integers(ids), floats(alpha), floats(depth), floats(margins));
         let shape: [usize; 3] = depth.shape().dims();
@@ -70,6 +80,7 @@ impl LimitOps for CubeBackend {
             pixels as u32,
             f32::INFINITY,
             shape[0],
+            lookup == MarginLookup::Literal,
         );
         limits
     }

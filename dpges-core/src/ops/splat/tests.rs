@@ -8,7 +8,7 @@ use crate::camera::{Camera, CameraFromWorld};
 use crate::math::{CameraOf, rotation};
 use crate::ops::binning::PixelRect;
 use crate::ops::peel::{CUTOFF, Layers};
-use crate::scene::{Colour, ColourModel, Gaussians};
+use crate::scene::{Colour, ColourModel, Gaussians, MarginLookup};
 use crate::testing::device;
 use crate::testing::golden::values;
 use crate::testing::gradients::{check, leaf};
@@ -281,7 +281,8 @@ fn intervals_are_those_of_the_first_layer_that_lies_behind() {
         depth: image(&depth, layers, &camera),
     };
     let margin_tensor = leaf(&margins, [20], &device()).detach();
-    let limits = values(&interval_limits(&peeled, margin_tensor).unwrap());
+    let limits = [MarginLookup::Shifted, MarginLookup::Literal]
+        .map(|lookup| values(&interval_limits(&peeled, margin_tensor.clone(), lookup).unwrap()));
     for at in 0..pixels {
         let shifted: Vec<f64> = (0..layers)
             .map(|k| k * pixels + at)
@@ -291,9 +292,12 @@ fn intervals_are_those_of_the_first_layer_that_lies_behind() {
         let closed = present == layers || (0..layers).any(|k| alpha[k * pixels + at] >= 1.0);
         for d in random.numbers(20, 0.8, 4.0).into_iter().chain(shifted.iter().copied().filter(|d| d.is_finite())) {
             let occluded = closed && d >= shifted[present - 1];
-            let expected = (0..layers).find(|&k| d < shifted[k]).filter(|_| !occluded);
-            let found = (0..layers).find(|k| d < limits[k * pixels + at]);
-            assert_eq!(found, expected, "pixel {at}, depth {d}");
+            let in_shifted = (0..layers).find(|&k| d < shifted[k]);
+            let in_literal = (0..layers - 1).find(|&k| d < depth[k * pixels + at]).or(Some(layers - 1));
+            for (limits, expected) in limits.iter().zip([in_shifted, in_literal]) {
+                let found = (0..layers).find(|k| d < limits[k * pixels + at]);
+                assert_eq!(found, expected.filter(|_| !occluded), "pixel {at}, depth {d}");
+            }
         }
     }
 }

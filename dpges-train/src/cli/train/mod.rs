@@ -1,6 +1,7 @@
 //! `dpges train`: from photographs to a scene.
 
-mod session;
+pub mod options;
+pub mod session;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -10,19 +11,14 @@ use clap::Args;
 use dpges_train::checkpoint::Checkpoint;
 use dpges_train::config::Config;
 use dpges_train::device::DeviceName;
-use dpges_train::metrics_log::MetricsLog;
 use dpges_train::run_folder::{Origin, RunFolder, RunFolderError};
-use dpges_train::trainer::Trainer;
 use toml::Table;
 
-use super::data::{DataArgs, Source};
-use super::{Failure, Result};
+use super::data::Source;
+use super::{Failure, Result, print};
 use crate::logging::LogStyle;
-use session::Session;
-
-/// What the built-in scene is trained with unless a preset or a configuration file is named: about two minutes.
-const BUILTIN_DEFAULTS: [&str; 4] =
-    ["train.steps=2000", "train.evaluate_every=500", "train.checkpoint_every=500", "refine.surfel_min_pixels=1"];
+use options::ConfigArgs;
+use session::{Session, Setting, watch_for_interrupts};
 
 /// Train a scene from photographs with known cameras
 ///
@@ -41,29 +37,8 @@ pub struct TrainArgs {
     /// cpu, cpu-flex, wgpu (the best GPU), or what else `dpges devices` lists [default: cpu]
     #[arg(long, value_name = "NAME")]
     device: Option<DeviceName>,
-    /// Length of the run, one view per step
-    #[arg(long, value_name = "N")]
-    steps: Option<usize>,
-    /// Of everything random
-    #[arg(long, value_name = "S")]
-    seed: Option<u64>,
-    /// Fix the order of sums on GPUs, so that two runs give the same file; on CPUs it always is
-    #[arg(long)]
-    deterministic: bool,
-    /// Configuration that comes with the program, such as cpu
-    #[arg(long, value_name = "NAME")]
-    preset: Option<String>,
-    /// Configuration file (TOML)
-    #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
-    /// Any key of the configuration, such as refine.budget=50000; may be repeated
-    #[arg(long, value_name = "KEY=VALUE")]
-    set: Vec<String>,
-    /// Most surfels and Gaussians together
-    #[arg(long, value_name = "N")]
-    budget: Option<usize>,
     #[command(flatten)]
-    data: DataArgs,
+    options: ConfigArgs,
     /// Go on from the checkpoint in the run's folder
     #[arg(long, conflicts_with = "overwrite")]
     resume: bool,
@@ -74,12 +49,13 @@ pub struct TrainArgs {
 
 pub fn run(args: TrainArgs, style: LogStyle) -> Result<()> {
     let session = if args.resume { args.resume(style)? } else { args.start(style)? };
-    session.run()
+    let summary = session.run(&*watch_for_interrupts()?)?;
+    if style == LogStyle::Quiet { Ok(()) } else { print(&summary) }
 }
 
 impl TrainArgs {
     fn source(&self) -> Source {
-        self.dataset.as_deref().map_or(Source::Builtin, Source::new).absolute()
+        Source::named(self.dataset.as_deref())
     }
 
     fn folder(&self) -> RunFolder {
@@ -90,24 +66,9 @@ impl TrainArgs {
         RunFolder::new(&self.out.clone().unwrap_or_else(named))
     }
 
-    /// What was asked for: the configuration made of `file` instead of --config where there is one.
-    fn resolve(&self, source: &Source, file: Option<&Path>) -> Result<Config> {
-        let bare = self.preset.is_none() && self.config.is_none() && file.is_none();
-        let defaults: &[&str] = if bare && *source == Source::Builtin { &BUILTIN_DEFAULTS } else { &[] };
-        let mut set: Vec<String> = defaults.iter().map(|&text| text.to_owned()).collect();
-        set.extend(self.set.clone());
-        set.extend(self.data.assignments());
-        set.extend(self.steps.map(|steps| format!("train.steps={steps}")));
-        set.extend(self.seed.map(|seed| format!("train.seed={seed}")));
-        set.extend(self.deterministic.then(|| "train.deterministic=true".to_owned()));
-        set.extend(self.budget.map(|budget| format!("refine.budget={budget}")));
-        let file = file.or(self.config.as_deref());
-        Config::resolve(self.preset.as_deref(), file, &set).map_err(Failure::from_config)
-    }
-
     fn start(self, style: LogStyle) -> Result<Session> {
         let source = self.source();
-        let config = self.resolve(&source, None)?;
+        let config = self.options.resolve(&source, &[])?;
         let folder = self.folder();
         if !self.overwrite {
             folder.check_unused().map_err(|error| {
@@ -120,15 +81,8 @@ impl TrainArgs {
         };
         let opened = open(device)?;
         let dataset = Arc::new(source.load(&config.data)?);
-        let trainer = Trainer::new(Arc::clone(&dataset), config.clone(), opened)?;
-        let origin = Origin {
-            dataset: source.to_string(),
-            device: device.to_string(),
-            version: env!("CARGO_PKG_VERSION").to_owned(),
-        };
-        folder.start(&origin, &config)?;
-        let metrics = MetricsLog::create(&folder.metrics())?;
-        Session::new(trainer, dataset, origin, folder, metrics, style)
+        let origin = origin(&source, device);
+        Session::start(Setting { dataset, origin, device: opened, folder, style }, config)
     }
 
     fn resume(self, style: LogStyle) -> Result<Session> {
@@ -137,7 +91,7 @@ impl TrainArgs {
             Failure::with_help(error, "name the folder of a run with --out, or start one without --resume")
         })?;
         let checkpoint = Checkpoint::load(&folder.checkpoint())?;
-        let mut origin = folder.read_origin().map_err(|error: RunFolderError| {
+        let origin = folder.read_origin().map_err(|error: RunFolderError| {
             Failure::with_help(error, "the folder is not complete: train anew into another one")
         })?;
         if self.dataset.is_some() && self.source().to_string() != origin.dataset {
@@ -146,9 +100,11 @@ impl TrainArgs {
         }
         let source = Source::new(Path::new(&origin.dataset));
         folder.write_config(checkpoint.config())?;
-        let complete = self.preset.is_some() || self.config.is_some();
-        let file = (!complete).then(|| folder.config());
-        let asked = self.resolve(&source, file.as_deref())?;
+        let asked = if self.options.names_a_whole() {
+            self.options.resolve(&source, &[])?
+        } else {
+            self.options.resolve_on(&folder.config())?
+        };
         let differences = differences(checkpoint.config(), &asked);
         if !differences.is_empty() {
             let list = differences.join(", ");
@@ -158,25 +114,28 @@ impl TrainArgs {
             Some(device) => device,
             None => origin.device.parse().map_err(Failure::Usage)?,
         };
-        if device.to_string() != origin.device {
-            tracing::warn!(
-                "resuming on {device} what was started on {}: the result will differ a little",
-                origin.device
-            );
-            origin.device = device.to_string();
-        }
+        let origin = resumed_on(origin, device);
         let opened = open(device)?;
-        tracing::info!("resuming after step {}", checkpoint.completed_steps());
         let dataset = Arc::new(source.load(&checkpoint.config().data)?);
-        let completed = checkpoint.completed_steps();
-        let metrics = MetricsLog::resume(&folder.metrics(), completed, completed >= checkpoint.config().train.steps)?;
-        let trainer = Trainer::resume(Arc::clone(&dataset), checkpoint, opened)?;
-        Session::new(trainer, dataset, origin, folder, metrics, style)
+        Session::resume(Setting { dataset, origin, device: opened, folder, style }, checkpoint)
     }
 }
 
+/// Of a run that starts now.
+pub fn origin(source: &Source, device: DeviceName) -> Origin {
+    Origin { dataset: source.to_string(), device: device.to_string(), version: env!("CARGO_PKG_VERSION").to_owned() }
+}
+
+/// The origin of a run that goes on on `device`.
+pub fn resumed_on(origin: Origin, device: DeviceName) -> Origin {
+    if device.to_string() != origin.device {
+        tracing::warn!("resuming on {device} what was started on {}: the result will differ a little", origin.device);
+    }
+    Origin { device: device.to_string(), ..origin }
+}
+
 /// The device, before anything is read for it; says which adapter a GPU's name stands for.
-fn open(device: DeviceName) -> Result<Device> {
+pub fn open(device: DeviceName) -> Result<Device> {
     let opened = device.open()?;
     if !device.is_cpu() {
         tracing::info!("device {device}: {}", device.describe()?);
@@ -184,10 +143,15 @@ fn open(device: DeviceName) -> Result<Device> {
     Ok(opened)
 }
 
-/// Keys whose value in `found` is not that in `expected`.
-fn differences(expected: &Config, found: &Config) -> Vec<String> {
+/// Keys whose value in `found` is not that in `expected`, the configuration of a run. An automatic budget is the one
+/// that was decided when the run began.
+pub fn differences(expected: &Config, found: &Config) -> Vec<String> {
+    let mut found = found.clone();
+    if found.refine.budget == 0 {
+        found.refine.budget = expected.refine.budget;
+    }
     let table = |config: &Config| config.to_toml().parse::<Table>().unwrap_or_default();
-    let (expected, found) = (table(expected), table(found));
+    let (expected, found) = (table(expected), table(&found));
     let mut differences = Vec::new();
     for (section, keys) in &expected {
         for (key, value) in keys.as_table().into_iter().flatten() {
@@ -210,5 +174,9 @@ mod tests {
         other.train.steps = 7;
         assert_eq!(differences(&Config::default(), &other), ["`train.steps` is 5000, not 7"]);
         assert!(differences(&other, &other).is_empty());
+        let automatic = other.clone();
+        other.refine.budget = 9000;
+        assert!(differences(&other, &automatic).is_empty());
+        assert_eq!(differences(&automatic, &other), ["`refine.budget` is 0, not 9000"]);
     }
 }

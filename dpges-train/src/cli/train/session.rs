@@ -6,6 +6,8 @@ use std::time::Instant;
 
 use burn::tensor::Device;
 use dpges_render::Renderer;
+use dpges_train::checkpoint::Checkpoint;
+use dpges_train::config::Config;
 use dpges_train::dataset::Dataset;
 use dpges_train::device::DeviceName;
 use dpges_train::eval::{EvalReport, Evaluation, evaluate_each};
@@ -16,7 +18,7 @@ use dpges_train::trainer::{StepReport, TrainError, Trainer};
 
 use super::super::data::Split;
 use super::super::device_failure::{DeviceFailure, Watch};
-use super::super::{Failure, Result, print, table};
+use super::super::{Failure, Result, table};
 use crate::logging::LogStyle;
 use crate::progress::{Progress, Seconds};
 
@@ -25,6 +27,16 @@ const METRICS_EVERY: usize = 10;
 
 /// What the trainer is asked to do; the report of the step whose numbers it then knows.
 type Work = fn(&mut Trainer) -> Result<Option<StepReport>, TrainError>;
+
+/// What a run works with besides its configuration.
+pub struct Setting {
+    pub dataset: Arc<Dataset>,
+    pub origin: Origin,
+    /// The one that `origin` names.
+    pub device: Device,
+    pub folder: RunFolder,
+    pub style: LogStyle,
+}
 
 pub struct Session {
     trainer: Trainer,
@@ -42,32 +54,43 @@ pub struct Session {
 }
 
 impl Session {
-    pub fn new(
-        trainer: Trainer,
-        dataset: Arc<Dataset>,
-        origin: Origin,
-        folder: RunFolder,
-        metrics: MetricsLog,
-        style: LogStyle,
-    ) -> Result<Self> {
+    /// Before the first step, in place of any earlier run in the folder.
+    pub fn start(setting: Setting, config: Config) -> Result<Self> {
+        let trainer = Trainer::new(Arc::clone(&setting.dataset), config.clone(), setting.device.clone())?;
+        setting.folder.start(&setting.origin, &config)?;
+        let metrics = MetricsLog::create(&setting.folder.metrics())?;
+        Self::new(setting, trainer, metrics)
+    }
+
+    /// Where `checkpoint` was made.
+    pub fn resume(setting: Setting, checkpoint: Checkpoint) -> Result<Self> {
+        let completed = checkpoint.completed_steps();
+        tracing::info!("resuming after step {completed}");
+        let finished = completed >= checkpoint.config().train.steps;
+        let metrics = MetricsLog::resume(&setting.folder.metrics(), completed, finished)?;
+        let trainer = Trainer::resume(Arc::clone(&setting.dataset), checkpoint, setting.device.clone())?;
+        Self::new(setting, trainer, metrics)
+    }
+
+    fn new(setting: Setting, trainer: Trainer, metrics: MetricsLog) -> Result<Self> {
+        let Setting { dataset, origin, device, folder, style } = setting;
         let name = origin.device.parse::<DeviceName>().map_err(Failure::Usage)?;
-        let device = name.open()?;
         let watch = (!name.is_cpu()).then(Watch::start);
         let saved = folder.checkpoint().is_file().then(|| trainer.completed_steps());
         Ok(Self { trainer, dataset, device, watch, origin, folder, metrics, style, started: Instant::now(), saved })
     }
 
-    /// Trains to the end, saving and evaluating on the way.
-    pub fn run(mut self) -> Result<()> {
-        let Some(watch) = self.watch.clone() else { return self.train() };
-        match watch.catch(|| self.train()) {
+    /// Trains to the end, saving and evaluating on the way; stops after a step once `interrupted`. Returns what came
+    /// out, as a table for people.
+    pub fn run(mut self, interrupted: &AtomicBool) -> Result<String> {
+        let Some(watch) = self.watch.clone() else { return self.train(interrupted) };
+        match watch.catch(|| self.train(interrupted)) {
             Ok(result) => result,
             Err(failure) => Err(self.device_failed(&failure)),
         }
     }
 
-    fn train(&mut self) -> Result<()> {
-        let interrupted = watch_for_interrupts()?;
+    fn train(&mut self, interrupted: &AtomicBool) -> Result<String> {
         let train = self.trainer.config().train.clone();
         let mut progress = Progress::new(self.style, train.steps, self.trainer.completed_steps());
         while !self.trainer.is_finished() {
@@ -153,7 +176,7 @@ impl Session {
     }
 
     /// Writes `eval.json` and says what came out.
-    fn finish(&self, evaluation: Option<Evaluation>) -> Result<()> {
+    fn finish(&self, evaluation: Option<Evaluation>) -> Result<String> {
         let scene = self.folder.scene();
         let bytes = std::fs::metadata(&scene)?.len();
         let data = self.trainer.scene();
@@ -180,7 +203,7 @@ impl Session {
             files.push(self.folder.path().join("pictures").display().to_string());
         }
         rows.extend(files.into_iter().enumerate().map(|(index, file)| (if index == 0 { "files" } else { "" }, file)));
-        if self.style == LogStyle::Quiet { Ok(()) } else { print(&table(&rows)) }
+        Ok(table(&rows))
     }
 
     fn resume_command(&self) -> String {
@@ -229,8 +252,8 @@ impl Session {
     }
 }
 
-/// True from the first Ctrl-C on; the second ends the process.
-fn watch_for_interrupts() -> Result<Arc<AtomicBool>> {
+/// True from the first Ctrl-C on; the second ends the process. To be called once in a process.
+pub fn watch_for_interrupts() -> Result<Arc<AtomicBool>> {
     let interrupted = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&interrupted);
     ctrlc::set_handler(move || {

@@ -1,0 +1,232 @@
+//! `dpges ablate`: the method, and the method without one of its parts, on the same data for the same steps.
+
+mod report;
+mod variant;
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use burn::tensor::Device;
+use clap::Args;
+use dpges_train::checkpoint::Checkpoint;
+use dpges_train::config::Config;
+use dpges_train::dataset::Dataset;
+use dpges_train::device::DeviceName;
+use dpges_train::eval::EvalReport;
+use dpges_train::metrics_log::MetricsLog;
+use dpges_train::run_folder::RunFolder;
+
+use super::data::Source;
+use super::train::options::ConfigArgs;
+use super::train::session::{Session, Setting, watch_for_interrupts};
+use super::train::{differences, open, origin, resumed_on};
+use super::{Failure, Result, print};
+use crate::logging::LogStyle;
+use report::Row;
+use variant::Variant;
+
+/// Train the method and its ablations one after another, and compare them
+///
+/// Every variant is a run of its own in a folder of its name, with the same data, seed and steps. Asked again, variants
+/// that are finished are not trained again, and one that was interrupted goes on. The comparison is in ablation.csv and
+/// ablation.svg.
+///
+/// Without DATASET it is done on the built-in scene, with the defaults of `dpges train`.
+#[derive(Debug, Args)]
+pub struct AblateArgs {
+    /// Folder of a COLMAP, Blender or nerfstudio dataset, or `builtin`
+    dataset: Option<PathBuf>,
+    /// Folder of the runs and of the comparison
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// cpu, cpu-flex, wgpu (the best GPU), or what else `dpges devices` lists
+    #[arg(long, value_name = "NAME", default_value = "cpu")]
+    device: DeviceName,
+    /// Only these variants, with commas between
+    #[arg(long, value_name = "VARIANT", value_enum, value_delimiter = ',')]
+    only: Vec<Variant>,
+    #[command(flatten)]
+    options: ConfigArgs,
+}
+
+/// How far a variant is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum State {
+    New,
+    Begun,
+    Finished,
+}
+
+/// One variant.
+struct Run {
+    variant: Variant,
+    config: Config,
+    folder: RunFolder,
+    state: State,
+}
+
+/// What the runs share.
+struct Common {
+    source: Source,
+    dataset: Arc<Dataset>,
+    name: DeviceName,
+    device: Device,
+    style: LogStyle,
+    interrupted: Arc<AtomicBool>,
+}
+
+pub fn run(args: &AblateArgs, style: LogStyle) -> Result<()> {
+    let source = Source::named(args.dataset.as_deref());
+    let runs = args.runs(&source)?;
+    if runs.iter().any(|run| run.state != State::Finished) {
+        let common = Common::load(source, &runs[0].config, args.device, style)?;
+        for run in &runs {
+            run.train(&common)?;
+        }
+    }
+    let rows = runs.iter().map(Run::row).collect::<Result<Vec<Row>>>()?;
+    let files = report::write(&args.out, &rows)?;
+    if style == LogStyle::Quiet { Ok(()) } else { print(&(report::table(&rows) + &files)) }
+}
+
+impl AblateArgs {
+    /// The variants that are asked for, in the order of [`Variant`]. Folders that hold anything else are found here,
+    /// before the first step.
+    fn runs(&self, source: &Source) -> Result<Vec<Run>> {
+        let run = |variant: Variant| -> Result<Run> {
+            let config = self.options.resolve(source, &variant.settings())?;
+            let folder = RunFolder::new(&self.out.join(variant.name()));
+            let state = state(&folder, &config, source)?;
+            Ok(Run { variant, config, folder, state })
+        };
+        Variant::all().filter(|variant| self.only.is_empty() || self.only.contains(variant)).map(run).collect()
+    }
+}
+
+/// What is in `folder`: nothing, or as much as there is of the run of `config`.
+fn state(folder: &RunFolder, config: &Config, source: &Source) -> Result<State> {
+    if folder.check_unused().is_ok() {
+        return Ok(State::New);
+    }
+    let other = |reason: String| {
+        let message = format!("{} holds another run: {reason}", folder.path().display());
+        Failure::with_help(message, "name another --out, or remove that folder")
+    };
+    let trained_on = folder.read_origin().map_err(|error| other(error.to_string()))?.dataset;
+    if trained_on != source.to_string() {
+        return Err(other(format!("it was trained on {trained_on}, not on {source}")));
+    }
+    let found = Config::resolve(None, Some(&folder.config()), &[]).map_err(|error| other(error.to_string()))?;
+    let differences = differences(&found, config);
+    if !differences.is_empty() {
+        return Err(other(differences.join(", ")));
+    }
+    Ok(match (folder.evaluation().is_file(), folder.checkpoint().is_file()) {
+        (true, _) => State::Finished,
+        (false, true) => State::Begun,
+        (false, false) => State::New,
+    })
+}
+
+impl Common {
+    fn load(source: Source, config: &Config, name: DeviceName, style: LogStyle) -> Result<Self> {
+        let device = open(name)?;
+        let dataset = Arc::new(source.load(&config.data)?);
+        if dataset.test.is_empty() {
+            let help = "hold out views with --test-every";
+            return Err(Failure::with_help(format!("{source} has no held-out views to compare variants on"), help));
+        }
+        Ok(Self { source, dataset, name, device, style, interrupted: watch_for_interrupts()? })
+    }
+
+    fn setting(&self, folder: &RunFolder) -> Setting {
+        Setting {
+            dataset: Arc::clone(&self.dataset),
+            origin: origin(&self.source, self.name),
+            device: self.device.clone(),
+            folder: folder.clone(),
+            style: self.style,
+        }
+    }
+}
+
+impl Run {
+    /// Trains what is left of it.
+    fn train(&self, common: &Common) -> Result<()> {
+        let Self { variant, config, folder, state } = self;
+        let setting = common.setting(folder);
+        let session = match state {
+            State::Finished => {
+                tracing::info!("{variant}: finished before");
+                return Ok(());
+            }
+            State::Begun => {
+                tracing::info!("{variant}: goes on");
+                let origin = resumed_on(folder.read_origin()?, common.name);
+                Session::resume(Setting { origin, ..setting }, Checkpoint::load(&folder.checkpoint())?)?
+            }
+            State::New => {
+                tracing::info!("{variant}: {} steps", config.train.steps);
+                Session::start(setting, config.clone())?
+            }
+        };
+        session.run(&common.interrupted)?;
+        Ok(())
+    }
+
+    /// What came out of it.
+    fn row(&self) -> Result<Row> {
+        let report = read_evaluation(&self.folder.evaluation())?;
+        Ok(Row {
+            variant: self.variant,
+            psnr: report.evaluation.psnr,
+            ssim: report.evaluation.ssim,
+            surfels: report.evaluation.surfels,
+            gaussians: report.evaluation.gaussians,
+            bytes: report.bytes,
+            seconds: MetricsLog::seconds_of_steps(&self.folder.metrics())?,
+        })
+    }
+}
+
+fn read_evaluation(path: &Path) -> Result<EvalReport> {
+    let wrong = |error: String| {
+        let help = "remove it, and its run is finished again";
+        Failure::with_help(format!("{} cannot be read: {error}", path.display()), help)
+    };
+    let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
+    serde_json::from_str(&text).map_err(|error| wrong(error.to_string()))
+}
+
+#[cfg(test)]
+mod tests {
+    use dpges_train::run_folder::{Origin, write_json};
+
+    use super::*;
+
+    #[test]
+    fn a_folder_is_new_begun_finished_or_refused() {
+        let at = tempfile::tempdir().unwrap();
+        let folder = RunFolder::new(&at.path().join("full"));
+        let config = Config::default();
+        let state = |config: &Config| state(&folder, config, &Source::Builtin);
+        let refused = |config: &Config| match state(config) {
+            Err(Failure::Failed(report)) => report.to_string(),
+            _ => panic!("not refused"),
+        };
+        assert_eq!(state(&config).unwrap(), State::New);
+        folder.start(&origin(&Source::Builtin, "cpu".parse().unwrap()), &config).unwrap();
+        assert_eq!(state(&config).unwrap(), State::New, "stopped before its first checkpoint");
+        std::fs::write(folder.checkpoint(), "of a step").unwrap();
+        assert_eq!(state(&config).unwrap(), State::Begun);
+        std::fs::write(folder.evaluation(), "{}").unwrap();
+        assert_eq!(state(&config).unwrap(), State::Finished);
+        let mut longer = config.clone();
+        longer.train.steps = 7;
+        assert!(refused(&longer).contains("`train.steps` is 5000, not 7"));
+        let elsewhere = Origin { dataset: "/data/garden".into(), device: "cpu".into(), version: "0".into() };
+        write_json(&folder.origin(), &elsewhere).unwrap();
+        assert!(refused(&config).contains("/data/garden"));
+    }
+}

@@ -1,0 +1,99 @@
+//! Options from which the configuration of a run is made.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use dpges_train::config::Config;
+
+use super::super::data::{DataArgs, Source};
+use super::super::{Failure, Result};
+
+/// What the built-in scene is trained with unless a preset or a configuration file is named: about two minutes.
+const BUILTIN_DEFAULTS: [&str; 4] =
+    ["train.steps=2000", "train.evaluate_every=500", "train.checkpoint_every=500", "refine.surfel_min_pixels=1"];
+
+/// Options that replace keys of the configuration, and what they replace them in.
+#[derive(Debug, Args)]
+pub struct ConfigArgs {
+    /// Length of the run, one view per step
+    #[arg(long, value_name = "N")]
+    steps: Option<usize>,
+    /// Make the run F times as long as it would be; everything in [refine] scales with it
+    #[arg(long, value_name = "F", value_parser = factor, allow_negative_numbers = true, conflicts_with = "steps")]
+    steps_scale: Option<f64>,
+    /// Of everything random
+    #[arg(long, value_name = "S")]
+    seed: Option<u64>,
+    /// Fix the order of sums on GPUs, so that two runs give the same file; on CPUs it always is
+    #[arg(long)]
+    deterministic: bool,
+    /// Configuration that comes with the program, such as cpu
+    #[arg(long, value_name = "NAME")]
+    preset: Option<String>,
+    /// Configuration file (TOML)
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Any key of the configuration, such as refine.budget=50000; may be repeated
+    #[arg(long, value_name = "KEY=VALUE")]
+    set: Vec<String>,
+    /// Most surfels and Gaussians together
+    #[arg(long, value_name = "N")]
+    budget: Option<usize>,
+    #[command(flatten)]
+    data: DataArgs,
+}
+
+impl ConfigArgs {
+    /// Whether a preset or a file says what single options do not.
+    pub fn names_a_whole(&self) -> bool {
+        self.preset.is_some() || self.config.is_some()
+    }
+
+    /// What was asked for, with `more` (`key=value`) on top.
+    pub fn resolve(&self, source: &Source, more: &[String]) -> Result<Config> {
+        let builtin = *source == Source::Builtin && !self.names_a_whole();
+        let defaults: &[&str] = if builtin { &BUILTIN_DEFAULTS } else { &[] };
+        let mut config = self.layered(defaults, self.config.as_deref(), more)?;
+        if let Some(factor) = self.steps_scale {
+            config.scale_steps(factor).map_err(Failure::from_config)?;
+        }
+        Ok(config)
+    }
+
+    /// What was asked for on top of `file`, the configuration of a run, whose steps are scaled already.
+    pub fn resolve_on(&self, file: &Path) -> Result<Config> {
+        self.layered(&[], Some(file), &[])
+    }
+
+    fn layered(&self, defaults: &[&str], file: Option<&Path>, more: &[String]) -> Result<Config> {
+        let mut set: Vec<String> = defaults.iter().map(|&text| text.to_owned()).collect();
+        set.extend(self.set.clone());
+        set.extend(self.data.assignments());
+        set.extend(self.steps.map(|steps| format!("train.steps={steps}")));
+        set.extend(self.seed.map(|seed| format!("train.seed={seed}")));
+        set.extend(self.deterministic.then(|| "train.deterministic=true".to_owned()));
+        set.extend(self.budget.map(|budget| format!("refine.budget={budget}")));
+        set.extend(more.iter().cloned());
+        Config::resolve(self.preset.as_deref(), file, &set).map_err(Failure::from_config)
+    }
+}
+
+fn factor(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(factor) if factor.is_finite() && factor > 0.0 => Ok(factor),
+        _ => Err("a positive, finite number is needed: 0.1 is a tenth of the steps".to_owned()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn factors_are_positive_and_finite() {
+        assert_eq!(factor("0.25"), Ok(0.25));
+        for text in ["0", "-1", "inf", "nan", "half", ""] {
+            assert!(factor(text).unwrap_err().contains("positive, finite"), "{text}");
+        }
+    }
+}
