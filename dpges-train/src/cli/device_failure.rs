@@ -20,11 +20,19 @@ pub struct Watch {
 }
 
 impl DeviceFailure {
-    /// Of the message of an error or a panic, in one line and without the stack that Burn adds.
+    /// Of the message of an error or a panic, in one line: what happened and its root cause, without what lies between
+    /// and without the stack that Burn adds.
     pub fn new(message: &str) -> Self {
         let is_stack = |line: &&str| ["Backtrace", "No backtrace", "0:"].iter().any(|start| line.starts_with(start));
         let lines = message.lines().map(str::trim).filter(|line| !line.is_empty());
-        Self { text: lines.take_while(|line| !is_stack(line)).collect::<Vec<_>>().join(" ") }
+        let text = lines.take_while(|line| !is_stack(line)).collect::<Vec<_>>().join(" ");
+        let causes: Vec<&str> = text.split("Caused by:").map(str::trim).filter(|cause| !cause.is_empty()).collect();
+        let text = match causes.as_slice() {
+            [] => text,
+            [only] => (*only).to_owned(),
+            [first, .., root] => format!("{first}: {root}"),
+        };
+        Self { text }
     }
 
     fn is_out_of_memory(&self) -> bool {
@@ -110,7 +118,10 @@ mod tests {
         let message =
             "Error while reading data: The device is poisoned\nCaused by:\n  Unknown: lost\nBacktrace:\n 0: main";
         let lost = DeviceFailure::new(message);
-        assert_eq!(lost.to_string(), "Error while reading data: The device is poisoned Caused by: Unknown: lost");
+        assert_eq!(lost.to_string(), "Error while reading data: The device is poisoned: Unknown: lost");
+        let deep =
+            "An error happened\nCaused by:\n  Several failures\nskipped `Sum`\nCaused by:\n  can't allocate 64 bytes";
+        assert_eq!(DeviceFailure::new(deep).to_string(), "An error happened: can't allocate 64 bytes");
         assert!(lost.advice().contains("selftest") && lost.advice().contains("--device cpu"));
         for message in
             ["out of device memory allocating 64 bytes", "can't allocate buffer of size: 64", "Out of Memory"]
