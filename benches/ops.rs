@@ -138,7 +138,12 @@ fn operations(c: &mut Criterion) {
         });
         let mut backward = |operation: &str, make: &dyn Fn() -> Tensor<1>| {
             group.bench_function(format!("{operation} backward"), |b| {
-                b.iter_batched(make, |loss| black_box(loss.backward()), BatchSize::PerIteration);
+                let run = |loss: Tensor<1>| {
+                    let gradients = black_box(loss.backward());
+                    view.sync();
+                    gradients
+                };
+                b.iter_batched(make, run, BatchSize::PerIteration);
             });
         };
         backward("peel", &|| view.peel_leaves(|t| leaf(&t)).alpha.sum());
