@@ -6,6 +6,10 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use dpges_train::device::DeviceName;
+
+use super::{Failure, Result};
+
 /// What the device, or Burn for it, said when it failed.
 #[derive(Clone, Debug, thiserror::Error)]
 #[error("{text}")]
@@ -54,6 +58,16 @@ impl DeviceFailure {
     }
 }
 
+/// What `work` returns, which uses `device` and leaves nothing behind if that fails.
+pub fn watched(device: DeviceName, work: impl FnOnce() -> Result<()>) -> Result<()> {
+    if device.is_cpu() {
+        return work();
+    }
+    let failed =
+        |failure: DeviceFailure| Failure::with_help(format!("device `{device}` failed: {failure}"), failure.advice());
+    Watch::start().catch(work).map_err(failed)?
+}
+
 impl Watch {
     pub fn start() -> Self {
         let first = Arc::new(Mutex::new(None));
@@ -79,7 +93,7 @@ impl Watch {
     ///
     /// # Errors
     /// The first panic since the start, if there was any.
-    pub fn catch<T>(&self, work: impl FnOnce() -> T) -> Result<T, DeviceFailure> {
+    pub fn catch<T>(&self, work: impl FnOnce() -> T) -> std::result::Result<T, DeviceFailure> {
         let result = catch_unwind(AssertUnwindSafe(work));
         match (result, self.failure()) {
             (_, Some(failure)) => Err(failure),

@@ -25,7 +25,7 @@ pub struct EvalArgs {
     views: ViewArgs,
     /// cpu, cpu-flex, wgpu (the best GPU), or what else `dpges devices` lists
     #[arg(long, value_name = "NAME", default_value = "cpu")]
-    device: DeviceName,
+    pub device: DeviceName,
     /// Write the rendered views as PNGs
     #[arg(long, value_name = "DIR")]
     save_images: Option<PathBuf>,

@@ -25,7 +25,7 @@ pub struct RenderArgs {
     out: PathBuf,
     /// cpu, cpu-flex, wgpu (the best GPU), or what else `dpges devices` lists
     #[arg(long, value_name = "NAME", default_value = "cpu")]
-    device: DeviceName,
+    pub device: DeviceName,
     /// Also write the surfels alone, the transmittance behind each layer, depth and normals, and their depth ranges
     /// in layers.json
     #[arg(long)]
