@@ -196,7 +196,9 @@ impl Trainer {
         let surfels = self.surfels.leaves();
         let (gaussians, opacities) = self.gaussians.leaves();
         let target = target(picture, &self.device.clone().autodiff());
-        let (options, known) = (self.render_options(), Values::KnownFinite);
+        // afterwards they stay finite, since steps with a gradient that is not are held back
+        let known = if self.completed_steps == 0 { Values::Unknown } else { Values::KnownFinite };
+        let options = self.render_options();
         let rendered = render_values(&surfels, &gaussians, &picture.camera, &options, known).map_err(at)?;
         let terms = losses(&rendered, surfels.log_scales.clone(), target.clone(), &self.loss_weights()).map_err(at)?;
         let report = StepReport::begin(step, view, self.surfels.len(), self.gaussians.len(), events);

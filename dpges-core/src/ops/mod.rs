@@ -1,12 +1,12 @@
 //! The custom operations, in the order in which a training step uses them: [`finite`], [`colour`],
-//! [`peel`], [`splat`], [`composite`], [`ssim`], [`adam`]; [`coverage`] serves refinement, [`blend`]
-//! initialisation; [`binning`] and [`bands`] are shared.
+//! [`peel`], [`splat`], [`composite`], [`ssim`], [`adam`]; [`coverage`] serves refinement; [`blend`]
+//! is for training Gaussians alone, which nothing here does yet; [`binning`], [`bands`] and, on GPUs,
+//! `boxes` are shared.
 //!
 //! Each folder has the same files: `mod.rs` is the contract (shapes, units, which gradients exist,
 //! source) and the public function, `cpu.rs` the kernels of the CPU backends, `cube.rs` their CubeCL
 //! twins for GPUs, `backward.rs` the registration with Burn's tape, `tests.rs` what only this
-//! operation needs. To add an operation,
-//! copy the shape of `colour`, the smallest that has them all.
+//! operation needs. To add an operation, copy the shape of `colour`, the smallest that has them all.
 //!
 //! Images are planar, [C, H, W], row-major; per-layer images are [K, H, W].
 

@@ -50,14 +50,18 @@ fn reaches(splats: &[f32], ends: &[f32], i: usize, column: u32, row: u32, tile: 
     !outside && splats[o + 6] < ends[tile]
 }
 
+/// Visits every tile that a primitive touches, raises the tile's `cursor` and enters the primitive into
+/// `ids` where it stood. From cursors at 0 and without room for entries, that counts.
 #[cube(launch)]
-fn count_kernel(
+fn visit_kernel(
     rects: &[u32],
     splats: &[f32],
     ends: &[f32],
-    counts: &[Atomic<u32>],
+    cursor: &[Atomic<u32>],
+    ids: &mut [u32],
     columns: u32,
     count: u32,
+    capacity: u32,
     #[comptime] elliptic: bool,
 ) {
     let i = ABSOLUTE_POS;
@@ -69,12 +73,15 @@ fn count_kernel(
         for row in y0 / 16u32..y1.div_ceil(16u32) {
             for column in x0 / 16u32..x1.div_ceil(16u32) {
                 let tile = (row * columns + column) as usize;
+                let mut touched = true;
                 if comptime!(elliptic) {
-                    if reaches(splats, ends, i, column, row, tile) {
-                        counts[tile].fetch_add(1u32);
+                    touched = reaches(splats, ends, i, column, row, tile);
+                }
+                if touched {
+                    let slot = cursor[tile].fetch_add(1u32);
+                    if slot < capacity {
+                        ids[slot as usize] = i as u32;
                     }
-                } else {
-                    counts[tile].fetch_add(1u32);
                 }
             }
         }
@@ -118,42 +125,6 @@ fn scan_kernel(counts: &[u32], offsets: &mut [u32], cursor: &mut [u32], total: &
     if UNIT_POS == 0u32 {
         offsets[count as usize] = carry;
         total[0] = carry;
-    }
-}
-
-#[cube(launch)]
-fn fill_kernel(
-    rects: &[u32],
-    splats: &[f32],
-    ends: &[f32],
-    cursor: &[Atomic<u32>],
-    ids: &mut [u32],
-    columns: u32,
-    count: u32,
-    capacity: u32,
-    #[comptime] elliptic: bool,
-) {
-    let i = ABSOLUTE_POS;
-    if i >= count as usize {
-        terminate!();
-    }
-    let (x0, x1, y0, y1) = (rects[4 * i], rects[4 * i + 1], rects[4 * i + 2], rects[4 * i + 3]);
-    if x0 < x1 && y0 < y1 {
-        for row in y0 / 16u32..y1.div_ceil(16u32) {
-            for column in x0 / 16u32..x1.div_ceil(16u32) {
-                let tile = (row * columns + column) as usize;
-                let mut listed = true;
-                if comptime!(elliptic) {
-                    listed = reaches(splats, ends, i, column, row, tile);
-                }
-                if listed {
-                    let slot = cursor[tile].fetch_add(1u32);
-                    if slot < capacity {
-                        ids[slot as usize] = i as u32;
-                    }
-                }
-            }
-        }
     }
 }
 
@@ -222,18 +193,23 @@ pub fn bin(rects: &CubeTensor, ellipses: Option<Ellipses>, camera: &Camera, kind
     let elliptic = ellipses.is_some();
     let (splats, ends) = ellipses.map_or((&unused, &unused), |e| (e.splats, e.ends));
     let counts = zeros_u32(rects, [tiles]);
-    count_kernel::launch(
-        &client,
-        units(count),
-        cube_dim(),
-        buffer(rects),
-        buffer(splats),
-        buffer(ends),
-        buffer(&counts),
-        grid.columns as u32,
-        count as u32,
-        elliptic,
-    );
+    let visit = |cursor: &CubeTensor, ids: &CubeTensor, capacity: u32| {
+        visit_kernel::launch(
+            &client,
+            units(count),
+            cube_dim(),
+            buffer(rects),
+            buffer(splats),
+            buffer(ends),
+            buffer(cursor),
+            buffer(ids),
+            grid.columns as u32,
+            count as u32,
+            capacity,
+            elliptic,
+        );
+    };
+    visit(&counts, &empty_u32(rects, [1]), 0);
     let (offsets, cursor, total) = (empty_u32(rects, [tiles + 1]), empty_u32(rects, [tiles]), empty_u32(rects, [1]));
     scan_kernel::launch(
         &client,
@@ -248,20 +224,7 @@ pub fn bin(rects: &CubeTensor, ellipses: Option<Ellipses>, camera: &Camera, kind
     let capacity = lists::capacity(rects, kind, count, tiles);
     let ids = empty_u32(rects, [capacity]);
     let capacity = u32::try_from(capacity).unwrap_or(u32::MAX);
-    fill_kernel::launch(
-        &client,
-        units(count),
-        cube_dim(),
-        buffer(rects),
-        buffer(splats),
-        buffer(ends),
-        buffer(&cursor),
-        buffer(&ids),
-        grid.columns as u32,
-        count as u32,
-        capacity,
-        elliptic,
-    );
+    visit(&cursor, &ids, capacity);
     lists::observe(&total, kind, capacity as usize);
     CubeLists { offsets, ids, capacity }
 }

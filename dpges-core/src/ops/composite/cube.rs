@@ -256,7 +256,7 @@ fn blended(
     (scale(sum, inverse), inverse)
 }
 
-/// Gradients with respect to the sums; `grad_pixel` and `image` are read for the image only.
+/// Gradients with respect to the sums, from the gradient of an output that they reach.
 #[cube(launch)]
 fn sums_backward_kernel(
     alpha: &[f32],

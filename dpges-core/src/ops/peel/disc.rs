@@ -8,7 +8,7 @@ use crate::scene::Footprint;
 /// A ray direction with less than this along the normal does not meet the disc.
 pub const MIN_FACING: f64 = 1e-12;
 /// Beyond this a surfel covers everything it faces, and squares of its scale would overflow.
-const LARGEST_LOG_SCALE: f64 = 80.0;
+pub const LARGEST_LOG_SCALE: f64 = 80.0;
 /// A fragment below this value does not exist.
 pub const CUTOFF: f64 = 1.0 / 255.0;
 

@@ -5,6 +5,8 @@
 
 use cubecl::prelude::*;
 
+use super::disc::LARGEST_LOG_SCALE as LARGEST;
+
 use crate::gpu::exact::{
     Pair, Pairs3, add_pairs, cross_pairs, divide_pairs, dot_pairs, exactly, multiply_pairs, negated, rounded,
     two_product, two_sum,
@@ -18,7 +20,7 @@ use crate::gpu::view::{Rests, View, pixel_range, view_rotation};
 pub const PLANE: usize = 12;
 /// Sums over the pixels of a surfel: of the gradients of u, v and facing, of the distance, of the log-scales.
 pub const SUMS: usize = 12;
-pub const LARGEST_LOG_SCALE: f32 = 80.0;
+pub const LARGEST_LOG_SCALE: f32 = LARGEST as f32;
 
 /// A disc in camera space; axes are longer than 1 by the same factor, squared length of the quaternion,
 /// which cancels in everything but the facing.
@@ -181,7 +183,7 @@ pub fn write_plane(
     );
     put(planes, lows, i, 0usize, anchor_x, one, zero);
     put(planes, lows, i, 1usize, anchor_y, one, zero);
-    // the stretch of the axes is taken out of the facing, and with it the scales stay as they are
+    // axes are longer than 1 by the stretch: each function is linear in one of them
     let along_u = cross_pairs(exact.tangent_v, exact.centre, zero);
     let along_v = cross_pairs(exact.centre, exact.tangent_u, zero);
     let share = divide_pairs(one, exactly(exact.stretch), zero);
@@ -333,7 +335,7 @@ pub fn write_reach(view: View, disc: Disc, radius: f32, rects: &mut [u32], i: us
     rects[4 * i + 3] = rect_y1;
 }
 
-/// Gradients with respect to world position, raw quaternion and log-scales.
+/// Gradients with respect to world position and raw quaternion; those of the log-scales are sums already.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub struct DiscGradient {

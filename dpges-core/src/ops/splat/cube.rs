@@ -7,13 +7,13 @@ use burn_cubecl::CubeBackend;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
-use super::footprint_cube::{MOMENTS, project, splat_backward, weight, write_splat};
+use super::footprint_cube::{MOMENTS, SplatGradient, project, splat_backward, weight, write_splat};
 use super::{SplatBackwardOps, SplatInput, SplatOps};
 use crate::camera::Camera;
 use crate::device::is_deterministic;
 use crate::gpu::launch::{buffer, cube_dim, cubes, empty_f32, empty_u32, floats, gatherers, units};
 use crate::gpu::lists::ListKind;
-use crate::gpu::vector::{row3, row4, write3, write4};
+use crate::gpu::vector::{Quaternion, row3, row4, vec3, write3, write4};
 use crate::gpu::view::View;
 use crate::ops::binning::TileGrid;
 use crate::ops::binning::cube::{Ellipses, SPLAT, bin, entry, own_pixel, tile_list};
@@ -261,16 +261,13 @@ fn place_backward_kernel(
     if i >= count as usize {
         terminate!();
     }
-    grad_positions[3 * i] = 0.0f32;
-    grad_positions[3 * i + 1] = 0.0f32;
-    grad_positions[3 * i + 2] = 0.0f32;
-    grad_opacities[i] = 0.0f32;
-    let quaternion = row4(quaternions, i);
-    let projection = project(view, row3(positions, i), quaternion, row3(log_scales, i));
     if touched(moments, i) {
-        let gradient = splat_backward(view, projection, quaternion, opacities[i], moments, i);
+        let gradient = gradient(positions, quaternions, log_scales, opacities, moments, view, i);
         write3(grad_positions, i, gradient.position);
         grad_opacities[i] = gradient.opacity;
+    } else {
+        write3(grad_positions, i, vec3(0.0f32, 0.0f32, 0.0f32));
+        grad_opacities[i] = 0.0f32;
     }
 }
 
@@ -290,20 +287,31 @@ fn shape_backward_kernel(
     if i >= count as usize {
         terminate!();
     }
-    grad_quaternions[4 * i] = 0.0f32;
-    grad_quaternions[4 * i + 1] = 0.0f32;
-    grad_quaternions[4 * i + 2] = 0.0f32;
-    grad_quaternions[4 * i + 3] = 0.0f32;
-    grad_log_scales[3 * i] = 0.0f32;
-    grad_log_scales[3 * i + 1] = 0.0f32;
-    grad_log_scales[3 * i + 2] = 0.0f32;
-    let quaternion = row4(quaternions, i);
-    let projection = project(view, row3(positions, i), quaternion, row3(log_scales, i));
     if touched(moments, i) {
-        let gradient = splat_backward(view, projection, quaternion, opacities[i], moments, i);
+        let gradient = gradient(positions, quaternions, log_scales, opacities, moments, view, i);
         write4(grad_quaternions, i, gradient.quaternion);
         write3(grad_log_scales, i, gradient.log_scales);
+    } else {
+        write4(grad_quaternions, i, Quaternion { w: 0.0f32, x: 0.0f32, y: 0.0f32, z: 0.0f32 });
+        write3(grad_log_scales, i, vec3(0.0f32, 0.0f32, 0.0f32));
     }
+}
+
+/// Gradients of one Gaussian that was touched. Two kernels write them, since one would need more
+/// buffers than every device has.
+#[cube]
+fn gradient(
+    positions: &[f32],
+    quaternions: &[f32],
+    log_scales: &[f32],
+    opacities: &[f32],
+    moments: &[f32],
+    view: View,
+    i: usize,
+) -> SplatGradient {
+    let quaternion = row4(quaternions, i);
+    let projection = project(view, row3(positions, i), quaternion, row3(log_scales, i));
+    splat_backward(view, projection, quaternion, opacities[i], moments, i)
 }
 
 /// Whether anything reached a Gaussian; what is not visible has no projection to go back through.

@@ -11,7 +11,7 @@ pub const LOW_PASS: f64 = 0.1;
 /// The squared ratio by which the low-pass filter dims a Gaussian is kept above this.
 pub const MIN_COMPENSATION_SQUARED: f64 = 2.5e-5;
 /// The Jacobian is evaluated at most this fraction of the image size outside the image (3DGS: 1.3 × tan fov/2).
-const JACOBIAN_MARGIN: f64 = 0.15;
+pub const JACOBIAN_MARGIN: f64 = 0.15;
 
 /// Raw parameters of one Gaussian.
 #[derive(Clone, Copy, Debug)]

@@ -2,7 +2,7 @@
 
 use cubecl::prelude::*;
 
-use super::footprint::{LOW_PASS, MIN_COMPENSATION_SQUARED};
+use super::footprint::{self, LOW_PASS, MIN_COMPENSATION_SQUARED};
 use crate::gpu::vector::{
     Mat3, Quaternion, Vec3, add, apply, cross, dot, rotation, rotation_backward, scale, transpose, vec3,
 };
@@ -14,7 +14,7 @@ const LOW_PASS_F32: f32 = LOW_PASS as f32;
 const MIN_RATIO: f32 = MIN_COMPENSATION_SQUARED as f32;
 pub const CUTOFF_F32: f32 = CUTOFF as f32;
 const INVERSE_CUTOFF: f32 = (1.0 / CUTOFF) as f32;
-const JACOBIAN_MARGIN: f32 = 0.15;
+const JACOBIAN_MARGIN: f32 = footprint::JACOBIAN_MARGIN as f32;
 /// Sums over the pixels of a Gaussian: the moments of the gradient of the exponent.
 pub const MOMENTS: usize = 6;
 

@@ -9,14 +9,15 @@ use crate::host::{self, Host, for_each_cpu_backend, with_real};
 use crate::real::Real;
 use crate::simd::vectorised;
 
-const WINDOW: usize = 11;
-const RADIUS: usize = WINDOW / 2;
+pub const WINDOW: usize = 11;
+pub const RADIUS: usize = WINDOW / 2;
 const SIGMA_PX: f64 = 1.5;
-const C1: f64 = 0.01 * 0.01;
-const C2: f64 = 0.03 * 0.03;
+pub const C1: f64 = 0.01 * 0.01;
+pub const C2: f64 = 0.03 * 0.03;
 const MIN_ROWS: usize = 8;
 
-fn taps<T: Real>() -> [T; WINDOW] {
+/// Normalised weights of the window.
+pub fn taps<T: Real>() -> [T; WINDOW] {
     let raw: [f64; WINDOW] =
         std::array::from_fn(|i| (-(i as f64 - RADIUS as f64).powi(2) / (2.0 * SIGMA_PX * SIGMA_PX)).exp());
     let sum: f64 = raw.iter().sum();

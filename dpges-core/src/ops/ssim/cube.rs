@@ -7,15 +7,16 @@ use burn::tensor::Shape;
 use burn_cubecl::CubeBackend;
 use cubecl::prelude::*;
 
+use super::cpu::{self, RADIUS, taps};
 use super::{SsimBackwardOps, SsimOps, SsimOutput};
 use crate::gpu::launch::{buffer, cube_dim, cubes, empty_f32, floats};
 
 /// Edge of a tile with the reach of the window on both sides.
 const PADDED: u32 = 26;
-const C1: f32 = 0.01 * 0.01;
-const C2: f32 = 0.03 * 0.03;
+const C1: f32 = cpu::C1 as f32;
+const C2: f32 = cpu::C2 as f32;
 
-/// Normalised weights of a Gaussian window with σ = 1.5 px, by distance from the centre.
+/// Weights of the window by distance from its centre, and the tiles of the images.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 struct Window {
@@ -220,9 +221,8 @@ fn ssim_backward_kernel(
 /// Uniforms and number of cubes for images of `shape`.
 fn window(shape: [usize; 3]) -> (WindowLaunch, usize) {
     let [channels, height, width] = shape;
-    let raw: [f64; 6] = std::array::from_fn(|i| (-((i * i) as f64) / (2.0 * 1.5 * 1.5)).exp());
-    let sum = raw[0] + 2.0 * raw[1..].iter().sum::<f64>();
-    let [w0, w1, w2, w3, w4, w5] = raw.map(|weight| (weight / sum) as f32);
+    let taps = taps::<f32>();
+    let [w0, w1, w2, w3, w4, w5]: [f32; RADIUS + 1] = std::array::from_fn(|distance| taps[RADIUS + distance]);
     let (columns, rows) = (width.div_ceil(16), height.div_ceil(16));
     let count = columns * rows * channels;
     let launch = WindowLaunch::new(
