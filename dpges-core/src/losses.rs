@@ -1,5 +1,7 @@
 //! The losses of DP-GES, each a tensor function returning [1].
 
+pub mod geometry;
+
 use burn::tensor::Tensor;
 
 use crate::error::Result;

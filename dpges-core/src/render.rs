@@ -1,5 +1,7 @@
 //! One view of a scene, from parameters to pixels.
 
+pub mod blended;
+
 use burn::tensor::{DType, Tensor};
 
 use crate::camera::Camera;
@@ -76,19 +78,25 @@ pub enum Values {
 pub fn validate(surfels: &Surfels, gaussians: &Gaussians, values: Values) -> Result<()> {
     surfels.check_shapes()?;
     gaussians.check_shapes()?;
-    let mut door = Door::new(&surfels.positions);
-    for (name, colour) in [("surfels", &surfels.colour), ("gaussians", &gaussians.colour)] {
-        door.enter(&format!("{name}.colour.base"), &colour.base, values)?;
-        door.enter(&format!("{name}.colour.detail"), &colour.detail, values)?;
-    }
+    let mut door = Door::new(("surfels.positions", &surfels.positions));
+    door.enter("surfels.colour.base", &surfels.colour.base, values)?;
+    door.enter("surfels.colour.detail", &surfels.colour.detail, values)?;
     door.enter("surfels.positions", &surfels.positions, values)?;
     door.enter("surfels.quaternions", &surfels.quaternions, values)?;
     door.enter("surfels.log_scales", &surfels.log_scales, values)?;
     door.enter("surfels.margins", &surfels.margins, values)?;
-    door.enter("gaussians.positions", &gaussians.positions, values)?;
-    door.enter("gaussians.quaternions", &gaussians.quaternions, values)?;
-    door.enter("gaussians.log_scales", &gaussians.log_scales, values)?;
-    door.enter("gaussians.opacities", &gaussians.opacities, values)?;
+    door.enter_gaussians(gaussians, values)?;
+    check_finite(&door.checks)
+}
+
+/// [`validate`] for a scene without surfels.
+///
+/// # Errors
+/// Those of [`validate`].
+pub fn validate_gaussians(gaussians: &Gaussians, values: Values) -> Result<()> {
+    gaussians.check_shapes()?;
+    let mut door = Door::new(("gaussians.positions", &gaussians.positions));
+    door.enter_gaussians(gaussians, values)?;
     check_finite(&door.checks)
 }
 
@@ -101,12 +109,12 @@ struct Door {
 
 impl Door {
     /// All tensors must have the element type of `first`, and one that its device computes in.
-    fn new(first: &Tensor<2>) -> Self {
+    fn new((name, first): (&str, &Tensor<2>)) -> Self {
         let dtype = first.dtype();
         let expected = if is_gpu(&first.device()) {
             "F32, what GPUs compute in".to_owned()
         } else {
-            format!("F32 or F64, the same for all (`surfels.positions` has {dtype:?})")
+            format!("F32 or F64, the same for all (`{name}` has {dtype:?})")
         };
         Self { dtype, expected, checks: FiniteChecks::default() }
     }
@@ -125,6 +133,15 @@ impl Door {
             self.checks.add(name, tensor);
         }
         Ok(())
+    }
+
+    fn enter_gaussians(&mut self, gaussians: &Gaussians, values: Values) -> Result<()> {
+        self.enter("gaussians.colour.base", &gaussians.colour.base, values)?;
+        self.enter("gaussians.colour.detail", &gaussians.colour.detail, values)?;
+        self.enter("gaussians.positions", &gaussians.positions, values)?;
+        self.enter("gaussians.quaternions", &gaussians.quaternions, values)?;
+        self.enter("gaussians.log_scales", &gaussians.log_scales, values)?;
+        self.enter("gaussians.opacities", &gaussians.opacities, values)
     }
 }
 

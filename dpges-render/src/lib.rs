@@ -8,7 +8,7 @@
 //! fn picture(camera: &Camera) -> dpges_core::Result<Rgb8Image> {
 //!     let scene = SceneData::load("runs/first/scene.safetensors".as_ref())?;
 //!     let view = Renderer::new(&scene, &Default::default()).render(camera)?;
-//!     Ok(Rgb8Image::from_tensor(&view.composite.image))
+//!     Ok(Rgb8Image::from_tensor(view.image()))
 //! }
 //! ```
 
@@ -19,4 +19,4 @@ mod renderer;
 
 pub use image::Rgb8Image;
 pub use layers::{LayerPictures, layer_pictures};
-pub use renderer::Renderer;
+pub use renderer::{Rendered, Renderer};

@@ -1,36 +1,82 @@
 //! A scene kept on a device, ready for one view after another.
 
-use burn::tensor::{DType, Device};
+use burn::tensor::{DType, Device, Tensor};
 use dpges_core::Result;
 use dpges_core::camera::Camera;
 use dpges_core::ops::composite::{Geometry, geometry};
-use dpges_core::render::{Render, RenderOptions, render};
-use dpges_core::scene::{Gaussians, SceneData, Surfels};
+use dpges_core::render::blended::{BlendedOptions, BlendedRender, render_blended};
+use dpges_core::render::{Render, RenderOptions, Values, render};
+use dpges_core::scene::{Gaussians, Rendering, SceneData, Surfels};
 
 /// A scene as f32 tensors, with the options it was trained with.
 #[derive(Clone, Debug)]
 pub struct Renderer {
     surfels: Surfels,
     gaussians: Gaussians,
-    options: RenderOptions,
+    options: Options,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Options {
+    Peeled(RenderOptions),
+    Blended(BlendedOptions),
+}
+
+/// A rendered view of a scene of either kind.
+#[derive(Clone, Debug)]
+pub enum Rendered {
+    Peeled(Box<Render>),
+    Blended(Box<BlendedRender>),
+}
+
+impl Rendered {
+    /// [3, H, W] display-referred, not clamped.
+    pub fn image(&self) -> &Tensor<3> {
+        match self {
+            Self::Peeled(render) => &render.composite.image,
+            Self::Blended(render) => &render.image,
+        }
+    }
+
+    /// What a view of surfels and Gaussians is made of; `None` of blended Gaussians.
+    pub fn peeled(&self) -> Option<&Render> {
+        match self {
+            Self::Peeled(render) => Some(render),
+            Self::Blended(_) => None,
+        }
+    }
 }
 
 impl Renderer {
     pub fn new(scene: &SceneData, device: &Device) -> Self {
         let model = scene.info.colour_model;
+        let options = match scene.info.rendering {
+            Rendering::Peeled => Options::Peeled(RenderOptions::from(&scene.info)),
+            Rendering::Ellipsoids | Rendering::Discs => {
+                Options::Blended(BlendedOptions::new(&scene.info).expect("a scene of blended Gaussians"))
+            }
+        };
         Self {
             surfels: Surfels::from_data(&scene.surfels, model, device, DType::F32),
             gaussians: Gaussians::from_data(&scene.gaussians, model, device, DType::F32),
-            options: RenderOptions::from(&scene.info),
+            options,
         }
     }
 
     /// The view from `camera`, which stands in the scene's own coordinates.
     ///
     /// # Errors
-    /// As [`render`].
-    pub fn render(&self, camera: &Camera) -> Result<Render> {
-        render(&self.surfels, &self.gaussians, camera, &self.options)
+    /// As [`render`] and [`render_blended`].
+    pub fn render(&self, camera: &Camera) -> Result<Rendered> {
+        match &self.options {
+            Options::Peeled(options) => {
+                Ok(Rendered::Peeled(Box::new(render(&self.surfels, &self.gaussians, camera, options)?)))
+            }
+            Options::Blended(options) => {
+                let rendered = render_blended(&self.gaussians, None, camera, options, Values::Unknown)?;
+                Ok(Rendered::Blended(Box::new(rendered)))
+            }
+        }
     }
 
     /// Blended depth and normal of the surfels in a `view` from `camera`.

@@ -1,6 +1,6 @@
 //! Everything a run needs to go on as if it had never stopped, in one safetensors file.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 
 use dpges_core::atomic::write_atomically;
@@ -13,9 +13,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::config::Config;
 use crate::optimizer::AttributeRows;
+use crate::refine::growth::Growth;
+use crate::trainer::Validation;
 
 const FORMAT: &str = "dpges-checkpoint";
-const VERSION: &str = "1";
+const VERSION: &str = "2";
+/// What the names of columns begin with in the file.
+const COLUMN: &str = "column/";
 
 #[derive(Debug, thiserror::Error)]
 pub enum CheckpointError {
@@ -33,6 +37,10 @@ pub struct Progress {
     pub config: Config,
     pub info: SceneInfo,
     pub completed_steps: usize,
+    /// Index of the stage in the plan of the configuration.
+    pub stage: usize,
+    pub validation: Validation,
+    pub growth: Option<Growth>,
     pub rng: ChaCha8Rng,
     /// Training views still to come in this pass, last first.
     pub remaining_views: Vec<u32>,
@@ -46,12 +54,10 @@ pub struct Checkpoint {
     pub progress: Progress,
     /// Attributes by name, with their moments.
     pub attributes: HashMap<String, AttributeRows>,
-    /// [N] world units.
-    pub margins: Vec<f32>,
+    /// Further numbers by name: margins, running statistics, results of earlier stages.
+    pub columns: BTreeMap<String, Vec<f32>>,
     /// [N] most pixels at which each surfel was the nearest in one view since the last pruning.
     pub max_pixels: Vec<u32>,
-    /// [M] largest contribution of each Gaussian to a pixel since the last pruning.
-    pub max_contributions: Vec<f32>,
 }
 
 impl Checkpoint {
@@ -61,6 +67,12 @@ impl Checkpoint {
 
     pub fn completed_steps(&self) -> usize {
         self.progress.completed_steps
+    }
+
+    /// Whether it was made between two stages, or at the end.
+    pub fn stage_is_over(&self) -> bool {
+        let stage = self.config().plan().get(self.progress.stage).copied();
+        self.progress.validation.stopped() || stage.is_none_or(|stage| self.completed_steps() >= stage.end())
     }
 
     /// Writes the file at once or not at all.
@@ -78,9 +90,8 @@ impl Checkpoint {
             let parts = [("value", &rows.value), ("moment_1", &rows.moments[0]), ("moment_2", &rows.moments[1])];
             arrays.extend(parts.map(|(part, values)| (format!("{name}/{part}"), shape, bytes(values))));
         }
-        arrays.push(("margins".into(), [self.margins.len(), 1], bytes(&self.margins)));
-        let contributions = bytes(&self.max_contributions);
-        arrays.push(("max_contributions".into(), [self.max_contributions.len(), 1], contributions));
+        let columns = self.columns.iter();
+        arrays.extend(columns.map(|(name, values)| (format!("{COLUMN}{name}"), [values.len(), 1], bytes(values))));
         let pixels = self.max_pixels.iter().flat_map(|v| v.to_le_bytes()).collect();
         arrays.push(("max_pixels".into(), [self.max_pixels.len(), 1], pixels));
         let views = arrays.iter().map(|(name, shape, bytes)| {
@@ -138,11 +149,14 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
         }
         attributes.insert(name.to_owned(), AttributeRows { count, width, value, moments: [moment_1, moment_2] });
     }
+    let mut columns = BTreeMap::new();
+    for name in file.names().into_iter().filter_map(|name| name.strip_prefix(COLUMN)) {
+        columns.insert(name.to_owned(), floats(&format!("{COLUMN}{name}"))?.1);
+    }
     Ok(Checkpoint {
         progress,
         attributes,
-        margins: floats("margins")?.1,
+        columns,
         max_pixels: words("max_pixels")?.1.into_iter().map(u32::from_le_bytes).collect(),
-        max_contributions: floats("max_contributions")?.1,
     })
 }

@@ -5,12 +5,11 @@
 
 use std::time::Instant;
 
-use burn::tensor::{DType, Device, Tensor, TensorData};
+use burn::tensor::Device;
 use dpges_core::metrics::{mean_ssim, psnr, quantised};
-use dpges_core::render::Render;
 use dpges_core::scene::SceneData;
 use dpges_core::{Error, Result};
-use dpges_render::Renderer;
+use dpges_render::{Rendered, Renderer};
 use serde::{Deserialize, Serialize};
 
 use crate::dataset::{Picture, View};
@@ -65,7 +64,7 @@ pub struct EvalReport {
 /// Renders every view and compares it with its photograph.
 ///
 /// # Errors
-/// Those of [`dpges_core::render::render`]; [`Error::Option`] if there are no views.
+/// Those of [`Renderer::render`]; [`Error::Option`] if there are no views.
 pub fn evaluate(scene: &SceneData, views: &[View], device: &Device) -> Result<Evaluation> {
     evaluate_each(&Renderer::new(scene, device), scene, views, device, |_, _| Ok(()))
 }
@@ -79,7 +78,7 @@ pub fn evaluate_each<E: From<Error>>(
     scene: &SceneData,
     views: &[View],
     device: &Device,
-    mut visit: impl FnMut(usize, &Render) -> Result<(), E>,
+    mut visit: impl FnMut(usize, &Rendered) -> Result<(), E>,
 ) -> Result<Evaluation, E> {
     if views.is_empty() {
         return Err(Error::Option { option: "views", expected: "at least one".to_owned(), found: "none".into() }.into());
@@ -105,18 +104,17 @@ pub fn evaluate_each<E: From<Error>>(
     })
 }
 
-fn score(view: &View, render: &Render, seconds: f64, device: &Device) -> Result<ViewScore> {
-    let Picture { width, height, ref planes, .. } = view.picture;
-    let picture = TensorData::new(planes.clone(), [3, height, width]);
-    let picture = quantised(Tensor::from_data(picture, (device, DType::F32)));
-    let image = quantised(render.composite.image.clone());
+fn score(view: &View, render: &Rendered, seconds: f64, device: &Device) -> Result<ViewScore> {
+    let Picture { width, height, .. } = view.picture;
+    let picture = quantised(view.target(device));
+    let image = quantised(render.image().clone());
     let (psnr, ssim) = (psnr(image.clone(), picture.clone()), mean_ssim(image, picture)?);
     Ok(ViewScore { name: view.name.clone(), psnr: psnr.min(LARGEST_PSNR), ssim, seconds, width, height })
 }
 
 #[cfg(test)]
 mod tests {
-    use dpges_core::scene::{ColourModel, Footprint, GaussianData, MarginLookup, SceneInfo, SurfelData};
+    use dpges_core::scene::{ColourModel, Footprint, GaussianData, MarginLookup, Rendering, SceneInfo, SurfelData};
 
     use super::*;
     use crate::dataset::{BuiltinOptions, builtin};
@@ -129,6 +127,7 @@ mod tests {
             layer_count: 2,
             footprint: Footprint::Kernel,
             margin_lookup: MarginLookup::Shifted,
+            rendering: Rendering::Peeled,
             background,
             offset: [0.0; 3],
             extent: 1.0,

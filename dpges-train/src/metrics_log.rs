@@ -88,7 +88,7 @@ impl MetricsLog {
     /// [`Error::Io`].
     pub fn step(&mut self, report: &StepReport, seconds: f64) -> Result<()> {
         let mut line = json!({
-            "kind": "step", "step": report.step, "view": report.view, "loss": report.loss, "rgb": report.rgb,
+            "kind": "step", "step": report.step, "stage": report.stage.to_string(), "view": report.view, "loss": report.loss, "rgb": report.rgb,
             "surfel": report.surfel, "scale": report.scale, "transmittance": report.transmittance,
             "psnr": report.psnr, "surfels": report.surfels, "gaussians": report.gaussians, "seconds": seconds,
         });
@@ -110,6 +110,18 @@ impl MetricsLog {
         }))
     }
 
+    /// `seconds` is the time of the whole run so far.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn validation(&mut self, step: usize, evaluation: &Evaluation, seconds: f64) -> Result<()> {
+        self.append(&json!({
+            "kind": "validation", "step": step, "psnr": evaluation.psnr, "ssim": evaluation.ssim,
+            "views": evaluation.views.len(), "surfels": evaluation.surfels, "gaussians": evaluation.gaussians,
+            "seconds": seconds,
+        }))
+    }
+
     fn append(&mut self, line: &Value) -> Result<()> {
         self.file.write_all(format!("{line}\n").as_bytes()).map_err(|source| error(&self.path, source))
     }
@@ -122,10 +134,12 @@ fn error(path: &Path, source: std::io::Error) -> Error {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::StageKind;
 
     fn report(step: usize) -> StepReport {
         StepReport {
             step,
+            stage: StageKind::Joint,
             view: 1,
             loss: 0.5,
             rgb: 0.4,

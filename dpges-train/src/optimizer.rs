@@ -100,6 +100,29 @@ impl Attribute {
         Ok(())
     }
 
+    /// Row i becomes a copy of row `rows[i]`, or of row i of `values` where they are given. Moments stay with their
+    /// place, and are zero in places that are new or `fresh` (3DGS-MCMC).
+    pub fn copy_rows(&mut self, rows: &[usize], values: Option<&[f32]>, fresh: &[bool]) {
+        let old = self.rows();
+        let width = old.width;
+        let value = values.map_or_else(|| select_rows(&old.value, width, rows), <[f32]>::to_vec);
+        let moments = old.moments.map(|mut moments| {
+            moments.resize(rows.len() * width, 0.0);
+            for (row, _) in fresh.iter().enumerate().filter(|(_, fresh)| **fresh) {
+                moments[row * width..(row + 1) * width].fill(0.0);
+            }
+            moments
+        });
+        let rows = AttributeRows { count: rows.len(), width, value, moments };
+        *self = Self::new(self.name, &rows, &self.value.device());
+    }
+
+    /// Replaces all values; the moments stay.
+    pub fn set_value(&mut self, values: &[f32]) {
+        let data = TensorData::new(values.to_vec(), self.value.dims());
+        self.value = Tensor::from_data(data, (&self.value.device(), DType::F32));
+    }
+
     /// Keeps and appends rows; appended rows start with zero moments (3DGS).
     pub fn edit(&mut self, edit: &RowEdit, added: &[f32], added_count: usize) {
         *self = Self::new(self.name, &self.rows().edit(edit, added, added_count), &self.value.device());
@@ -146,6 +169,27 @@ mod tests {
         let mut untouched = Attribute::new("x", &AttributeRows::fresh(vec![1.0], [1, 1]), &device);
         untouched.step(None, &open(&device), STEP).unwrap();
         assert_eq!(untouched.rows().value, [1.0]);
+    }
+
+    #[test]
+    fn copied_rows_leave_their_moments_in_place() {
+        let device = Device::flex();
+        let rows = AttributeRows {
+            count: 3,
+            width: 1,
+            value: vec![1.0, 2.0, 3.0],
+            moments: [vec![0.1, 0.2, 0.3], vec![0.4, 0.5, 0.6]],
+        };
+        let mut attribute = Attribute::new("x", &rows, &device);
+        attribute.copy_rows(&[0, 2, 2, 0], None, &[false, false, true, true]);
+        let found = attribute.rows();
+        assert_eq!(found.value, [1.0, 3.0, 3.0, 1.0]);
+        assert_eq!(found.moments, [vec![0.1, 0.2, 0.0, 0.0], vec![0.4, 0.5, 0.0, 0.0]]);
+        attribute.copy_rows(&[0, 1], Some(&[7.0, 8.0]), &[false, true]);
+        let found = attribute.rows();
+        assert_eq!((found.value, found.moments[0].clone()), (vec![7.0, 8.0], vec![0.1, 0.0]));
+        attribute.set_value(&[5.0, 6.0]);
+        assert_eq!((attribute.rows().value, attribute.rows().moments[0][0]), (vec![5.0, 6.0], 0.1));
     }
 
     #[test]

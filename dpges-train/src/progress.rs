@@ -70,17 +70,28 @@ impl Progress {
         let rate = 1.0 / self.seconds_per_step.get().max(1e-9);
         let left = (self.steps - report.step) as f64 / rate;
         let (loss, psnr) = (self.loss.get(), self.psnr.get());
-        let StepReport { step, surfels, gaussians, .. } = *report;
+        let StepReport { step, stage, surfels, gaussians, .. } = *report;
         match self.style {
             LogStyle::Quiet => {}
             LogStyle::Json => {
                 let steps_per_second = rate;
                 let steps = self.steps;
-                tracing::info!(step, steps, steps_per_second, loss, psnr, surfels, gaussians, seconds_left = left);
+                let stage = stage.to_string();
+                tracing::info!(
+                    step,
+                    steps,
+                    stage,
+                    steps_per_second,
+                    loss,
+                    psnr,
+                    surfels,
+                    gaussians,
+                    seconds_left = left
+                );
             }
             LogStyle::Bar | LogStyle::Lines => {
                 let state = format!(
-                    "{rate:.1} steps/s · loss {loss:.4} · PSNR {psnr:.2} dB · {surfels} surfels · {gaussians} \
+                    "{stage} · {rate:.1} steps/s · loss {loss:.4} · PSNR {psnr:.2} dB · {surfels} surfels · {gaussians} \
                      Gaussians · {} left",
                     Seconds(left)
                 );

@@ -6,6 +6,9 @@
 //! metrics.jsonl             losses, PSNR and counts along the run, see `metrics_log`
 //! scene.safetensors         the scene at the last checkpoint, then the result
 //! checkpoint.safetensors    what `--resume` continues from
+//! stage_NAME.safetensors    the scene at the end of a stage before the last (`2dgs`, `dbs`, `mcmc`), and
+//! stage_NAME.json           what its held-out views said, as eval.json
+//! best.safetensors          the best scene so far by the validation views, where they end the run
 //! eval.json                 the held-out views of the finished run, see `eval::EvalReport`
 //! pictures/step_N_VIEW.png  photograph · render · surfels only · error
 //! ```
@@ -17,10 +20,23 @@ use dpges_core::Error;
 use dpges_core::atomic::write_atomically;
 use serde::{Deserialize, Serialize};
 
-use crate::config::Config;
+use crate::config::{Config, StageKind};
 
-const FILES: [&str; 6] =
-    ["config.toml", "run.json", "metrics.jsonl", "scene.safetensors", "checkpoint.safetensors", "eval.json"];
+const FILES: [&str; 13] = [
+    "config.toml",
+    "run.json",
+    "metrics.jsonl",
+    "scene.safetensors",
+    "checkpoint.safetensors",
+    "eval.json",
+    "best.safetensors",
+    "stage_2dgs.safetensors",
+    "stage_2dgs.json",
+    "stage_dbs.safetensors",
+    "stage_dbs.json",
+    "stage_mcmc.safetensors",
+    "stage_mcmc.json",
+];
 const PICTURES: &str = "pictures";
 
 #[derive(Debug, thiserror::Error)]
@@ -83,6 +99,18 @@ impl RunFolder {
 
     pub fn evaluation(&self) -> PathBuf {
         self.path.join("eval.json")
+    }
+
+    pub fn best(&self) -> PathBuf {
+        self.path.join("best.safetensors")
+    }
+
+    pub fn stage_scene(&self, stage: StageKind) -> PathBuf {
+        self.path.join(format!("stage_{stage}.safetensors"))
+    }
+
+    pub fn stage_evaluation(&self, stage: StageKind) -> PathBuf {
+        self.path.join(format!("stage_{stage}.json"))
     }
 
     /// Comparison picture of the view with file stem `view` after `step` steps.

@@ -3,13 +3,19 @@
 
 use std::collections::BTreeMap;
 
+use burn::tensor::activation::sigmoid;
 use burn::tensor::{DType, Device, Gradients, Tensor, TensorData};
 use dpges_core::ops::adam::AdamStep;
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{Colour, ColourData, ColourModel, GaussianData, Gaussians, SurfelData, Surfels};
 
+use crate::config::Opacity;
 use crate::optimizer::{Attribute, AttributeRows};
+use crate::refine::relocate::Relocated;
 use crate::refine::{GaussianEdit, RowEdit};
+
+/// Opacities this near to 0 or 1 are what a logit can still hold and leave.
+const OPACITY_LIMIT: f64 = 1.2e-7;
 
 /// Learning rates of one step.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -44,10 +50,11 @@ pub struct SurfelState {
     margins: Tensor<1>,
 }
 
-/// Attributes of Gaussians; opacities are [M, 1] here.
+/// Attributes of Gaussians; opacities are [M, 1] here, and what [`Opacity`] says of them.
 #[derive(Clone, Debug)]
 pub struct GaussianState {
     model: ColourModel,
+    opacity: Opacity,
     positions: Attribute,
     quaternions: Attribute,
     log_scales: Attribute,
@@ -176,6 +183,16 @@ impl SurfelState {
         self.set_margins(&kept);
     }
 
+    /// [N × detail] lobes or higher harmonics.
+    pub fn set_detail(&mut self, detail: &[f32]) {
+        self.detail.set_value(detail);
+    }
+
+    /// [N × 3]
+    pub fn set_base(&mut self, base: &[f32]) {
+        self.base.set_value(base);
+    }
+
     /// [N] world units.
     pub fn set_margins(&mut self, margins: &[f32]) {
         self.margins = margin_tensor(margins, &self.margins.device());
@@ -196,28 +213,28 @@ impl GaussianState {
         "gaussians.colour.detail",
     ];
 
-    pub fn new(data: &GaussianData, model: ColourModel, device: &Device) -> Self {
+    pub fn new(data: &GaussianData, model: ColourModel, opacity: Opacity, device: &Device) -> Self {
         let count = data.len();
         let fresh = |values: &[f32], width| AttributeRows::fresh(values.to_vec(), [count, width]);
         let rows = [
             fresh(&data.positions, 3),
             fresh(&data.quaternions, 4),
             fresh(&data.log_scales, 3),
-            fresh(&data.opacities, 1),
+            fresh(&raw_opacities(&data.opacities, opacity), 1),
             fresh(&data.colour.base, 3),
             fresh(&data.colour.detail, model.detail_len()),
         ];
-        Self::from_rows(rows, model, device)
+        Self::from_rows(rows, model, opacity, device)
     }
 
     /// `rows` in the order of [`NAMES`](Self::NAMES).
-    pub fn from_rows(rows: [AttributeRows; 6], model: ColourModel, device: &Device) -> Self {
+    pub fn from_rows(rows: [AttributeRows; 6], model: ColourModel, opacity: Opacity, device: &Device) -> Self {
         let mut at = 0;
         let [positions, quaternions, log_scales, opacities, base, detail] = rows.map(|rows| {
             at += 1;
             Attribute::new(Self::NAMES[at - 1], &rows, device)
         });
-        Self { model, positions, quaternions, log_scales, opacities, base, detail }
+        Self { model, opacity, positions, quaternions, log_scales, opacities, base, detail }
     }
 
     fn all(&self) -> [&Attribute; 6] {
@@ -247,9 +264,13 @@ impl GaussianState {
         self.all().into_iter().map(|attribute| (attribute.name(), attribute.rows())).collect()
     }
 
+    /// The opacities as they are rendered.
     pub fn to_data(&self) -> GaussianData {
-        let [positions, quaternions, log_scales, opacities, base, detail] =
-            self.all().map(|a| tensor_to_rows(&a.value()));
+        let [positions, quaternions, log_scales, raw, base, detail] = self.all().map(|a| tensor_to_rows(&a.value()));
+        let opacities = match self.opacity {
+            Opacity::Linear => raw,
+            Opacity::Sigmoid => raw.into_iter().map(|x| (1.0 / (1.0 + f64::from(-x).exp())) as f32).collect(),
+        };
         GaussianData { positions, quaternions, log_scales, opacities, colour: ColourData { base, detail } }
     }
 
@@ -259,6 +280,7 @@ impl GaussianState {
     ) -> (Gaussians, Tensor<2>) {
         let colour = Colour { model: self.model, base, detail };
         let flat = opacities.clone().reshape([opacities.dims()[0]]);
+        let flat = if self.opacity == Opacity::Sigmoid { sigmoid(flat) } else { flat };
         (Gaussians { positions, quaternions, log_scales, opacities: flat, colour }, opacities)
     }
 
@@ -268,7 +290,7 @@ impl GaussianState {
     }
 
     /// For one step: every attribute is a leaf. Returns the leaf of the opacities beside them, of
-    /// which the Gaussians hold a reshaped copy.
+    /// which the Gaussians hold a function.
     pub fn leaves(&self) -> (Gaussians, Tensor<2>) {
         self.assemble(self.all().map(Attribute::leaf))
     }
@@ -301,16 +323,60 @@ impl GaussianState {
 
     pub fn edit(&mut self, edit: &GaussianEdit) {
         let added = &edit.added;
+        let opacities = raw_opacities(&added.opacities, self.opacity);
         let parts = [
             &added.positions,
             &added.quaternions,
             &added.log_scales,
-            &added.opacities,
+            &opacities,
             &added.colour.base,
             &added.colour.detail,
         ];
         for (attribute, part) in self.all_mut().into_iter().zip(parts) {
             attribute.edit(&edit.rows, part, added.len());
+        }
+    }
+
+    /// Rows become copies of others.
+    pub fn relocate(&mut self, relocated: &Relocated) {
+        let opacities = raw_opacities(&relocated.opacities, self.opacity);
+        let Relocated { rows, log_scales, fresh_moments, .. } = relocated;
+        let values = [None, None, Some(log_scales), Some(&opacities), None, None];
+        for (attribute, values) in self.all_mut().into_iter().zip(values) {
+            attribute.copy_rows(rows, values.map(Vec::as_slice), fresh_moments);
+        }
+    }
+
+    /// [M × 3] world units.
+    pub fn set_positions(&mut self, positions: &[f32]) {
+        self.positions.set_value(positions);
+    }
+
+    /// [M] as they are rendered; their moments start again.
+    pub fn reset_opacities(&mut self, opacities: &[f32]) {
+        let raw = raw_opacities(opacities, self.opacity);
+        let rows: Vec<usize> = (0..raw.len()).collect();
+        self.opacities.copy_rows(&rows, Some(&raw), &vec![true; raw.len()]);
+    }
+
+    /// [M × detail] lobes or higher harmonics.
+    pub fn set_detail(&mut self, detail: &[f32]) {
+        self.detail.set_value(detail);
+    }
+
+    /// [M × 3]
+    pub fn set_base(&mut self, base: &[f32]) {
+        self.base.set_value(base);
+    }
+}
+
+/// The numbers that are trained for `opacities`.
+fn raw_opacities(opacities: &[f32], opacity: Opacity) -> Vec<f32> {
+    let logit = |o: f64| (o / (1.0 - o)).ln() as f32;
+    match opacity {
+        Opacity::Linear => opacities.to_vec(),
+        Opacity::Sigmoid => {
+            opacities.iter().map(|&o| logit(f64::from(o).clamp(OPACITY_LIMIT, 1.0 - OPACITY_LIMIT))).collect()
         }
     }
 }

@@ -1,34 +1,43 @@
-//! The joint optimisation of surfels and Gaussians (DP-GES): one view per step.
+//! A training run: the stages of its plan one after another, one view per step.
 
+mod blended;
+mod context;
+mod joint;
 mod pending;
 mod refinement;
+mod requirement;
 mod resume;
+mod start;
 mod statistics;
+mod supervision;
+mod validation;
 
+use std::path::PathBuf;
 use std::sync::Arc;
 
-use burn::tensor::{DType, Device, Tensor, TensorData};
+use burn::tensor::Device;
 use dpges_core::device::{fix_order_of_sums, is_gpu};
-use dpges_core::losses::{LossWeights, losses};
-use dpges_core::ops::adam::AdamStep;
-use dpges_core::ops::finite::FiniteChecks;
-use dpges_core::render::{RenderOptions, Values, render_values};
-use dpges_core::scene::{SceneData, SceneInfo};
+use dpges_core::scene::{GaussianData, SceneData};
 use rand::SeedableRng;
-use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
-use crate::config::{Config, Due, Schedule};
-use crate::dataset::{Dataset, View};
-use crate::init::{InitError, initialise};
-use crate::scene_state::{GaussianState, Rates, SurfelState};
+use crate::config::{Config, StageKind, StagePlan};
+use crate::dataset::Dataset;
+use crate::init::InitError;
+use blended::BlendedStage;
+use context::Context;
+use joint::JointStage;
 use pending::PendingStep;
-use statistics::Statistics;
+pub use validation::{Validation, Verdict};
 
 #[derive(Debug, thiserror::Error)]
 pub enum TrainError {
     #[error("initialisation: {0}")]
     Init(#[from] InitError),
+    #[error("`{key}`: {path} does not serve: {reason}")]
+    Given { key: &'static str, path: PathBuf, reason: String },
+    #[error("{0}")]
+    Plan(String),
     #[error("step {step}, view `{view}`: {source}; the step was not taken")]
     Step { step: usize, view: String, source: dpges_core::Error },
     #[error("step {step}, view `{view}`: the loss is {loss}; the step was not taken")]
@@ -44,13 +53,15 @@ pub enum TrainError {
 /// What one step did.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StepReport {
-    /// Completed steps, this one included.
+    /// Completed steps of the run, this one included.
     pub step: usize,
+    pub stage: StageKind,
     /// Index of the training view.
     pub view: usize,
     /// Weighted sum of the terms.
     pub loss: f64,
     pub rgb: f64,
+    /// L_s; 0 in stages without surfels, as the next two.
     pub surfel: f64,
     pub scale: f64,
     pub transmittance: f64,
@@ -64,10 +75,11 @@ pub struct StepReport {
 
 impl StepReport {
     /// Before the numbers are known.
-    fn begin(step: usize, view: usize, surfels: usize, gaussians: usize, events: Vec<String>) -> Self {
+    fn begin(step: usize, stage: StageKind, view: usize, events: Vec<String>) -> Self {
         let unknown = f64::NAN;
         Self {
             step,
+            stage,
             view,
             loss: unknown,
             rgb: unknown,
@@ -75,27 +87,29 @@ impl StepReport {
             scale: unknown,
             transmittance: unknown,
             psnr: unknown,
-            surfels,
-            gaussians,
+            surfels: 0,
+            gaussians: 0,
             events,
         }
     }
 }
 
-/// A run: a dataset, a scene that learns it, and where in the schedule it stands.
+/// What is trained now.
+enum Stage {
+    Blended(Box<BlendedStage>),
+    Joint(Box<JointStage>),
+}
+
+/// A run: a dataset, a scene that learns it, and where in its plan it stands.
 pub struct Trainer {
-    dataset: Arc<Dataset>,
-    config: Config,
-    device: Device,
-    info: SceneInfo,
-    schedule: Schedule,
-    surfels: SurfelState,
-    gaussians: GaussianState,
-    statistics: Statistics,
-    rng: ChaCha8Rng,
-    /// Views still to come in this pass, last first.
-    remaining_views: Vec<u32>,
-    completed_steps: usize,
+    context: Context,
+    plan: Vec<StagePlan>,
+    /// Index in the plan.
+    at: usize,
+    stage: Stage,
+    /// The trained discs, from their stage until nothing needs them any more.
+    discs: Option<GaussianData>,
+    validation: Validation,
     /// A GPU works on this step while the host prepares the next.
     pending: Option<PendingStep>,
 }
@@ -104,47 +118,77 @@ impl Trainer {
     /// A run before its first step.
     ///
     /// # Errors
-    /// [`TrainError::Init`] if the dataset has nothing to start from.
-    pub fn new(dataset: Arc<Dataset>, mut config: Config, device: Device) -> Result<Self, TrainError> {
-        config.refine.fix_budget(mean_pixels(&dataset));
+    /// [`TrainError::Init`] if the dataset has nothing to start from, [`TrainError::Given`] if a file that the
+    /// configuration names cannot take the place of a stage.
+    pub fn new(dataset: Arc<Dataset>, config: Config, device: Device) -> Result<Self, TrainError> {
         if config.train.deterministic {
             fix_order_of_sums();
         }
-        let mut rng = ChaCha8Rng::seed_from_u64(config.train.seed);
-        let start = initialise(&dataset, &config, &mut rng)?;
-        let model = config.model.colour;
-        Ok(Self {
-            info: scene_info(&dataset, &config),
-            schedule: config.schedule(dataset.train.len()),
-            surfels: SurfelState::new(&start.surfels, model, &device),
-            gaussians: GaussianState::new(&start.gaussians, model, &device),
-            statistics: Statistics::new(start.surfels.len(), start.gaussians.len(), &device),
-            rng,
-            remaining_views: Vec::new(),
-            completed_steps: 0,
-            pending: None,
-            dataset,
-            config,
-            device,
-        })
+        let plan = config.plan();
+        let rng = ChaCha8Rng::seed_from_u64(config.train.seed);
+        let mut context = Context { dataset, config, device, rng, remaining_views: Vec::new(), completed_steps: 0 };
+        context.check_given(&plan)?;
+        let stage = context.begin_stage(plan[0], None, None)?;
+        let validation = Validation::default();
+        Ok(Self { context, plan, at: 0, stage, discs: None, validation, pending: None })
     }
 
-    /// As given, with everything automatic decided.
     pub fn config(&self) -> &Config {
-        &self.config
+        &self.context.config
     }
 
     pub fn completed_steps(&self) -> usize {
-        self.completed_steps
+        self.context.completed_steps
     }
 
+    /// The stage of the next step, or of the last.
+    pub fn stage(&self) -> StagePlan {
+        self.plan[self.at]
+    }
+
+    /// Whether all steps of all stages are done, or the validation views said that it is enough.
     pub fn is_finished(&self) -> bool {
-        self.completed_steps >= self.config.train.steps
+        self.validation.stopped() || (self.at + 1 == self.plan.len() && self.stage_is_over())
+    }
+
+    /// Whether all steps of this stage are done.
+    pub fn stage_is_over(&self) -> bool {
+        self.context.completed_steps >= self.stage().end()
     }
 
     /// The scene as it stands.
     pub fn scene(&self) -> SceneData {
-        SceneData { info: self.info.clone(), surfels: self.surfels.to_data(), gaussians: self.gaussians.to_data() }
+        match &self.stage {
+            Stage::Blended(stage) => stage.scene(),
+            Stage::Joint(stage) => stage.scene(),
+        }
+    }
+
+    /// How validation views have fared, to be told of every evaluation of theirs.
+    pub fn validation_mut(&mut self) -> &mut Validation {
+        &mut self.validation
+    }
+
+    /// Begins the stage after one that is over and settled.
+    ///
+    /// # Errors
+    /// Those of [`new`](Self::new); [`TrainError::Plan`] if nothing came out of the stage that the next can use.
+    pub fn next_stage(&mut self) -> Result<(), TrainError> {
+        let trained = match &self.stage {
+            Stage::Blended(stage) => stage.gaussians(),
+            Stage::Joint(_) => unreachable!("the joint stage is the last"),
+        };
+        let mut gaussians = None;
+        match self.stage().kind {
+            StageKind::Discs => self.discs = Some(trained),
+            StageKind::Gaussians(_) | StageKind::Joint => gaussians = Some(trained),
+        }
+        self.at += 1;
+        self.stage = self.context.begin_stage(self.stage(), self.discs.as_ref(), gaussians)?;
+        if self.stage().kind == StageKind::Joint {
+            self.discs = None;
+        }
+        Ok(())
     }
 
     /// Whatever refinement is due, then one optimisation step on the next view.
@@ -159,16 +203,29 @@ impl Trainer {
     /// [`TrainError::Step`] or [`TrainError::Loss`] if the loss or a gradient was not finite; that step
     /// then changed nothing.
     pub fn step(&mut self) -> Result<Option<StepReport>, TrainError> {
-        let due = self.schedule.due(self.completed_steps);
+        let completed = self.context.completed_steps - self.stage().begin;
+        let due = match &self.stage {
+            Stage::Blended(stage) => stage.is_due(completed),
+            Stage::Joint(stage) => stage.due(completed) != Default::default(),
+        };
         let mut known = None;
-        if due != Due::default() {
+        let mut events = Vec::new();
+        if due {
             known = self.settle()?;
+            events = match &mut self.stage {
+                Stage::Blended(stage) => stage.refine(&mut self.context),
+                Stage::Joint(stage) => stage.refine(&mut self.context)?,
+            };
         }
-        let events = self.refine(due)?;
         let before = self.pending.take();
-        self.pending = Some(self.begin_step(events)?);
-        self.completed_steps += 1;
-        if !is_gpu(&self.device) {
+        let view = self.context.next_view();
+        let report = StepReport::begin(self.context.completed_steps + 1, self.stage().kind, view, events);
+        self.pending = Some(match &mut self.stage {
+            Stage::Blended(stage) => stage.begin_step(&mut self.context, report)?,
+            Stage::Joint(stage) => stage.begin_step(&mut self.context, report)?,
+        });
+        self.context.completed_steps += 1;
+        if !is_gpu(&self.context.device) {
             return self.settle();
         }
         if let Some(before) = before {
@@ -184,129 +241,6 @@ impl Trainer {
     pub fn settle(&mut self) -> Result<Option<StepReport>, TrainError> {
         self.pending.take().map(PendingStep::settle).transpose()
     }
-
-    /// Hands everything of one step to the device.
-    fn begin_step(&mut self, events: Vec<String>) -> Result<PendingStep, TrainError> {
-        let view = self.next_view();
-        let dataset = Arc::clone(&self.dataset);
-        let picture = &dataset.train[view];
-        let step = self.completed_steps + 1;
-        let at = |source| TrainError::Step { step, view: picture.name.clone(), source };
-
-        let surfels = self.surfels.leaves();
-        let (gaussians, opacities) = self.gaussians.leaves();
-        let target = target(picture, &self.device.clone().autodiff());
-        // afterwards they stay finite, since steps with a gradient that is not are held back
-        let known = if self.completed_steps == 0 { Values::Unknown } else { Values::KnownFinite };
-        let options = self.render_options();
-        let rendered = render_values(&surfels, &gaussians, &picture.camera, &options, known).map_err(at)?;
-        let terms = losses(&rendered, surfels.log_scales.clone(), target.clone(), &self.loss_weights()).map_err(at)?;
-        let report = StepReport::begin(step, view, self.surfels.len(), self.gaussians.len(), events);
-
-        let mut gradients = terms.total.backward();
-        let surfel_gradients = self.surfels.gradients(&surfels, &mut gradients);
-        let gaussian_gradients = self.gaussians.gradients((&gaussians, &opacities), &mut gradients);
-        let mut checks = FiniteChecks::default();
-        checks.add("loss", &terms.total.clone().inner());
-        let names = SurfelState::NAMES.into_iter().chain(GaussianState::NAMES);
-        for (name, gradient) in names.zip(surfel_gradients.iter().chain(&gaussian_gradients)) {
-            if let Some(gradient) = gradient {
-                checks.add(format!("gradient of {name}"), gradient);
-            }
-        }
-        let bad = checks.positions().greater_equal_elem(0).float().sum();
-        let gate = bad.clone().clamp_max(1.0) * -1.0 + 1.0;
-        let view_name = picture.name.clone();
-        let pending = PendingStep::new(report, view_name, &terms, &rendered, target, checks, bad);
-        self.statistics.observe(&rendered, &self.gaussians, &picture.camera, &self.schedule, self.completed_steps)?;
-        // the tape shares the parameters: without it the optimiser can work in place
-        drop((surfels, gaussians, opacities, rendered, terms));
-
-        let (rates, adam) = self.rates();
-        let surfel_rates = if self.config.train.freeze_surfels { rates.of_frozen_surfels() } else { rates };
-        self.surfels.step(surfel_gradients, &gate, &surfel_rates, adam)?;
-        self.gaussians.step(gaussian_gradients, &gate, &rates, adam)?;
-        Ok(pending)
-    }
-
-    /// The next view of this pass; passes go over all views in random order (3DGS).
-    fn next_view(&mut self) -> usize {
-        if self.remaining_views.is_empty() {
-            self.remaining_views = (0..self.dataset.train.len() as u32).collect();
-            self.remaining_views.shuffle(&mut self.rng);
-        }
-        self.remaining_views.pop().expect("a dataset has training views") as usize
-    }
-
-    fn render_options(&self) -> RenderOptions {
-        RenderOptions {
-            detach_transmittance: self.config.train.detach_transmittance,
-            ..RenderOptions::from(&self.info)
-        }
-    }
-
-    fn loss_weights(&self) -> LossWeights {
-        let train = &self.config.train;
-        LossWeights {
-            dssim: train.lambda_dssim,
-            surfel: train.lambda_surfel,
-            scale: train.lambda_scale,
-            transmittance: train.lambda_transmittance,
-        }
-    }
-
-    /// Learning rates of the coming step, and Adam's other constants.
-    fn rates(&self) -> (Rates, AdamStep) {
-        let optimizer = &self.config.optimizer;
-        let progress = self.completed_steps as f64 / self.config.train.steps as f64;
-        let (position, decay) = (optimizer.position_rate(progress, self.info.extent), optimizer.decay_at(progress));
-        let rates = Rates {
-            surfel_positions: position * optimizer.surfel_position_factor,
-            gaussian_positions: position,
-            quaternions: optimizer.quaternions * decay,
-            log_scales: optimizer.log_scales * decay,
-            opacities: optimizer.opacities * decay,
-            base: optimizer.base * decay,
-            detail: optimizer.detail * decay,
-        };
-        let adam = AdamStep {
-            learning_rate: 0.0,
-            beta_1: optimizer.beta1,
-            beta_2: optimizer.beta2,
-            epsilon: optimizer.epsilon,
-            time: self.completed_steps as u64 + 1,
-        };
-        (rates, adam)
-    }
-}
-
-/// What the scene file of a run on `dataset` says besides its tensors.
-fn scene_info(dataset: &Dataset, config: &Config) -> SceneInfo {
-    let model = &config.model;
-    SceneInfo {
-        colour_model: model.colour,
-        modulation: model.modulation,
-        layer_count: model.layers,
-        footprint: model.footprint,
-        margin_lookup: model.margin_lookup,
-        background: dataset.background,
-        offset: dataset.offset.to_array(),
-        extent: dataset.extent,
-        near: dataset.near,
-    }
-}
-
-/// Pixels of a training view, on average.
-fn mean_pixels(dataset: &Dataset) -> usize {
-    let pixels: usize = dataset.train.iter().map(|view| view.picture.width * view.picture.height).sum();
-    pixels / dataset.train.len().max(1)
-}
-
-/// [3, H, W] picture of a view.
-fn target(view: &View, device: &Device) -> Tensor<3> {
-    let picture = &view.picture;
-    let data = TensorData::new(picture.planes.clone(), [3, picture.height, picture.width]);
-    Tensor::from_data(data, (device, DType::F32))
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 use burn::tensor::{DType, Device};
 use dpges_core::device::fix_order_of_sums;
 use dpges_core::gpu::lists::cap_lists;
+use dpges_core::ops::blend::Form;
 use dpges_core::ops::peel::PeelOptions;
 use dpges_core::scene::{ColourModel, Footprint};
 use dpges_core::testing::parity::{Bench, Named, Reference, distances};
@@ -33,14 +34,30 @@ fn check(what: &str, scene: &TestScene, options: PeelOptions, device: &Device) {
     let apart = reference.disagreement();
     assert!(apart <= MAY_DISAGREE, "{what}: layers differ in {apart:.1e} of the pixels");
     let found = on(scene, options, device).against(&reference);
-    let distances = distances(&found, &expected);
-    assert!(distances.len() > 50, "{what}: only {} tensors compared", distances.len());
+    assert!(found.len() > 50, "{what}: only {} tensors compared", found.len());
+    assert_near(&format!("{what}, other layers in {apart:.1e} of the pixels"), &found, &expected);
+}
+
+fn assert_near(what: &str, found: &[Named], expected: &[Named]) {
+    let distances = distances(found, expected);
     let (worst, far) = distances.iter().fold(("", 0.0), |w, (name, d)| if *d > w.1 { (name, *d) } else { w });
-    println!("{what}: {} tensors, worst {worst} {far:.2e}, other layers in {apart:.1e} of the pixels", distances.len());
+    println!("{what}: {} tensors, worst {worst} {far:.2e}", distances.len());
     let failures: Vec<String> =
         distances.iter().filter(|(_, d)| *d > TOLERANCE).map(|(name, d)| format!("{name} is off by {d:.2e}")).collect();
     assert!(failures.is_empty(), "{what}: {}", failures.join(", "));
 }
+
+/// Sorted blending; its lists and its order do not depend on layers.
+fn check_blending(what: &str, scene: &TestScene, forms: &[Form], device: &Device) {
+    for &form in forms {
+        for maps in [false, true] {
+            let run = |device: &Device| on(scene, PeelOptions::default(), device).blended(form, maps);
+            assert_near(&format!("{what}, {form:?}, maps {maps}"), &run(device), &run(&ndarray()));
+        }
+    }
+}
+
+const FORMS: [Form; 2] = [Form::Ellipsoids, Form::Discs];
 
 fn random(seed: u64, model: ColourModel) -> TestScene {
     scenes::random(seed, &Recipe { surfels: 150, gaussians: 400, width: 75, height: 50, model, ..Recipe::default() })
@@ -86,6 +103,32 @@ fn every_operation_agrees_with_nothing_to_show() {
     }
 }
 
+#[test]
+fn sorted_blending_agrees_on_random_scenes() {
+    let Some(device) = gpu("sorted_blending_agrees_on_random_scenes") else { return };
+    for seed in 90..93 {
+        let scene = random(seed, ColourModel::SphericalBeta { lobes: 0 });
+        check_blending(&format!("seed {seed}"), &scene, &FORMS, &device);
+    }
+}
+
+#[test]
+fn sorted_blending_agrees_in_a_crowd() {
+    let Some(device) = gpu("sorted_blending_agrees_in_a_crowd") else { return };
+    // several blocks to sort, lists longer than a cube has units, pixels that end early
+    let recipe = Recipe { surfels: 0, gaussians: 2_500, width: 40, height: 30, ..Recipe::default() };
+    check_blending("a crowd", &scenes::random(94, &recipe), &[Form::Ellipsoids], &device);
+}
+
+#[test]
+fn sorted_blending_agrees_with_little_or_nothing_to_show() {
+    let Some(device) = gpu("sorted_blending_agrees_with_little_or_nothing_to_show") else { return };
+    for gaussians in [0, 1, 5] {
+        let scene = scenes::random(95, &Recipe { surfels: 0, gaussians, ..Recipe::default() });
+        check_blending(&format!("{gaussians} primitives"), &scene, &FORMS, &device);
+    }
+}
+
 /// A comparison is worth something only if it fails where it should.
 #[test]
 fn a_device_that_is_off_is_found_out() {
@@ -115,6 +158,7 @@ fn lists_that_overflow_change_nothing() {
     let scene = random(70, ColourModel::SphericalBeta { lobes: 2 });
     cap_lists(100);
     check("lists of 100 entries", &scene, PeelOptions::default(), &device);
+    check_blending("lists of 100 entries", &scene, &FORMS, &device);
     cap_lists(usize::MAX);
 }
 

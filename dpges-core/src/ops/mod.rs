@@ -1,7 +1,7 @@
 //! The custom operations, in the order in which a training step uses them: [`finite`], [`colour`],
 //! [`peel`], [`splat`], [`composite`], [`ssim`], [`adam`]; [`coverage`] serves refinement; [`blend`]
-//! is for training Gaussians alone, which nothing here does yet; [`binning`], [`bands`] and, on GPUs,
-//! `boxes` are shared.
+//! takes the place of peel, splat and composite where Gaussians or discs are trained alone; [`binning`],
+//! [`bands`] and, on GPUs, `boxes` are shared.
 //!
 //! Each folder has the same files: `mod.rs` is the contract (shapes, units, which gradients exist,
 //! source) and the public function, `cpu.rs` the kernels of the CPU backends, `cube.rs` their CubeCL

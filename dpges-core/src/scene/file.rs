@@ -1,6 +1,11 @@
 //! The scene file: safetensors with little-endian f32 tensors named after the fields of
 //! [`SceneData`] (`surfels.positions` [N, 3] … `gaussians.colour.detail` [M, D]) and three strings
-//! of metadata: `format` = "dpges-scene", `version` = "1", `info` = [`SceneInfo`] as JSON.
+//! of metadata: `format` = "dpges-scene", `version` = "2", `info` = [`SceneInfo`] as JSON.
+//!
+//! Of spherical Beta colours a file has only the lobes that are there (see [`lobes`](super::lobes)). In place of
+//! `surfels.colour.detail` [N, 6 × lobes] stand `surfels.colour.lobe_counts` [N], one byte for every surfel, and
+//! `surfels.colour.lobes` [sum of the counts, 6], those of the first surfel first; likewise for the Gaussians. Files of
+//! version "1", in which `detail` has every lobe, are read as well.
 
 use std::borrow::Cow;
 use std::collections::HashMap;
@@ -9,25 +14,36 @@ use std::path::Path;
 
 use safetensors::{Dtype, SafeTensors, View};
 
+use super::lobes::{LOBE_LEN, pack, unpack};
 use super::{ColourData, ColourModel, GaussianData, SceneData, SceneInfo, SurfelData};
 use crate::atomic::write_atomically;
 use crate::error::{Error, Result};
 use crate::tensor_file;
 
 const FORMAT: &str = "dpges-scene";
-const VERSION: &str = "1";
+const VERSION: &str = "2";
+/// Its files have every lobe of spherical Beta colours.
+const DENSE_VERSION: &str = "1";
 const MAX_LOBES: usize = 64;
 
 /// One tensor of the file: its name, the shape it must have, its values row-major.
 struct Rows<'a> {
     name: &'static str,
     shape: Vec<usize>,
-    values: &'a [f32],
+    values: Values<'a>,
+}
+
+enum Values<'a> {
+    Numbers(Cow<'a, [f32]>),
+    Counts(Vec<u8>),
 }
 
 impl View for Rows<'_> {
     fn dtype(&self) -> Dtype {
-        Dtype::F32
+        match self.values {
+            Values::Numbers(_) => Dtype::F32,
+            Values::Counts(_) => Dtype::U8,
+        }
     }
 
     fn shape(&self) -> &[usize] {
@@ -35,31 +51,40 @@ impl View for Rows<'_> {
     }
 
     fn data(&self) -> Cow<'_, [u8]> {
-        self.values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>().into()
+        match &self.values {
+            Values::Numbers(values) => values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>().into(),
+            Values::Counts(counts) => counts.into(),
+        }
     }
 
     fn data_len(&self) -> usize {
-        size_of_val(self.values)
+        match &self.values {
+            Values::Numbers(values) => size_of::<f32>() * values.len(),
+            Values::Counts(counts) => counts.len(),
+        }
     }
 }
 
-impl Rows<'_> {
-    fn check(&self) -> Result<()> {
-        let expected = self.shape.iter().product::<usize>();
-        if self.values.len() != expected {
-            return Err(Error::Shape {
-                tensor: self.name.to_owned(),
-                expected: format!("{:?}", self.shape),
-                found: vec![self.values.len()],
-            });
+/// A tensor in memory: its name, the shape it must have, its values row-major.
+type Named<'a> = (&'static str, Vec<usize>, &'a [f32]);
+
+impl<'a> From<Named<'a>> for Rows<'a> {
+    fn from((name, shape, values): Named<'a>) -> Self {
+        Self { name, shape, values: Values::Numbers(values.into()) }
+    }
+}
+
+fn check_numbers(name: &str, shape: &[usize], values: &[f32]) -> Result<()> {
+    if values.len() != shape.iter().product::<usize>() {
+        let expected = format!("{shape:?}");
+        return Err(Error::Shape { tensor: name.to_owned(), expected, found: vec![values.len()] });
+    }
+    match values.iter().position(|value| !value.is_finite()) {
+        Some(at) => {
+            let width = shape[1..].iter().product::<usize>();
+            Err(Error::NonFinite { tensor: name.to_owned(), row: at / width })
         }
-        match self.values.iter().position(|value| !value.is_finite()) {
-            Some(at) => {
-                let width = self.shape[1..].iter().product::<usize>();
-                Err(Error::NonFinite { tensor: self.name.to_owned(), row: at / width })
-            }
-            None => Ok(()),
-        }
+        None => Ok(()),
     }
 }
 
@@ -72,15 +97,14 @@ impl SceneData {
     pub fn save(&self, path: &Path) -> Result<()> {
         let wrong = |reason| Error::SceneFile { path: path.to_owned(), reason };
         check_info(&self.info).map_err(wrong)?;
-        let tensors = self.tensors();
-        tensors.iter().try_for_each(Rows::check)?;
+        self.check()?;
         let metadata = HashMap::from([
             ("format".to_owned(), FORMAT.to_owned()),
             ("version".to_owned(), VERSION.to_owned()),
             ("info".to_owned(), serde_json::to_string(&self.info).map_err(|error| wrong(error.to_string()))?),
         ]);
-        let bytes = tensor_file::serialize(tensors.into_iter().map(|tensor| (tensor.name, tensor)), metadata)
-            .map_err(|error| wrong(error.to_string()))?;
+        let tensors = self.stored().into_iter().map(|tensor| (tensor.name, tensor));
+        let bytes = tensor_file::serialize(tensors, metadata).map_err(|error| wrong(error.to_string()))?;
         write_atomically(path, |file| file.write_all(&bytes))
     }
 
@@ -89,32 +113,71 @@ impl SceneData {
     /// # Errors
     /// [`Error::Io`] if the file cannot be read; [`Error::SceneFile`] naming the path, and the
     /// tensor where there is one, if it is no scene file, truncated, of another version, or has a
-    /// tensor that is missing, of a wrong shape or type, or not finite.
+    /// tensor that is missing, of a wrong shape or type, or not finite, or counts of lobes that
+    /// exceed those of the colour model or do not fit the lobes of the file.
     pub fn load(path: &Path) -> Result<Self> {
         let bytes =
             std::fs::read(path).map_err(|source| Error::Io { action: "cannot read", path: path.to_owned(), source })?;
         parse(&bytes).map_err(|reason| Error::SceneFile { path: path.to_owned(), reason })
     }
 
-    fn tensors(&self) -> [Rows<'_>; 12] {
+    fn tensors(&self) -> [Named<'_>; 12] {
         let (surfels, gaussians) = (&self.surfels, &self.gaussians);
         let (n, m, detail) = (surfels.len(), gaussians.len(), self.info.colour_model.detail_len());
-        let rows = |name, shape: &[usize], values| Rows { name, shape: shape.to_vec(), values };
         [
-            rows("surfels.positions", &[n, 3], &surfels.positions),
-            rows("surfels.quaternions", &[n, 4], &surfels.quaternions),
-            rows("surfels.log_scales", &[n, 2], &surfels.log_scales),
-            rows("surfels.colour.base", &[n, 3], &surfels.colour.base),
-            rows("surfels.colour.detail", &[n, detail], &surfels.colour.detail),
-            rows("surfels.margins", &[n], &surfels.margins),
-            rows("gaussians.positions", &[m, 3], &gaussians.positions),
-            rows("gaussians.quaternions", &[m, 4], &gaussians.quaternions),
-            rows("gaussians.log_scales", &[m, 3], &gaussians.log_scales),
-            rows("gaussians.opacities", &[m], &gaussians.opacities),
-            rows("gaussians.colour.base", &[m, 3], &gaussians.colour.base),
-            rows("gaussians.colour.detail", &[m, detail], &gaussians.colour.detail),
+            ("surfels.positions", vec![n, 3], &surfels.positions),
+            ("surfels.quaternions", vec![n, 4], &surfels.quaternions),
+            ("surfels.log_scales", vec![n, 2], &surfels.log_scales),
+            ("surfels.colour.base", vec![n, 3], &surfels.colour.base),
+            ("surfels.colour.detail", vec![n, detail], &surfels.colour.detail),
+            ("surfels.margins", vec![n], &surfels.margins),
+            ("gaussians.positions", vec![m, 3], &gaussians.positions),
+            ("gaussians.quaternions", vec![m, 4], &gaussians.quaternions),
+            ("gaussians.log_scales", vec![m, 3], &gaussians.log_scales),
+            ("gaussians.opacities", vec![m], &gaussians.opacities),
+            ("gaussians.colour.base", vec![m, 3], &gaussians.colour.base),
+            ("gaussians.colour.detail", vec![m, detail], &gaussians.colour.detail),
         ]
     }
+
+    fn check(&self) -> Result<()> {
+        self.tensors().iter().try_for_each(|(name, shape, values)| check_numbers(name, shape, values))
+    }
+
+    /// The tensors of the file; those in memory must have been checked.
+    fn stored(&self) -> Vec<Rows<'_>> {
+        let mut stored: Vec<Rows> = self.tensors().into_iter().map(Rows::from).collect();
+        if let ColourModel::SphericalBeta { lobes } = self.info.colour_model {
+            let (surfels, gaussians) = (&self.surfels, &self.gaussians);
+            stored.retain(|tensor| !tensor.name.ends_with(".detail"));
+            stored.extend(packed(SURFEL_LOBES, &surfels.colour, surfels.len(), lobes));
+            stored.extend(packed(GAUSSIAN_LOBES, &gaussians.colour, gaussians.len(), lobes));
+        }
+        stored
+    }
+}
+
+/// Names of the tensors that hold lobes: how many each primitive has, and their numbers.
+const SURFEL_LOBES: [&str; 2] = ["surfels.colour.lobe_counts", "surfels.colour.lobes"];
+const GAUSSIAN_LOBES: [&str; 2] = ["gaussians.colour.lobe_counts", "gaussians.colour.lobes"];
+
+/// The tensors `names` of `count` primitives with room for `lobes`.
+fn packed(names: [&'static str; 2], colour: &ColourData, count: usize, lobes: usize) -> [Rows<'static>; 2] {
+    let (counts, numbers) = pack(&colour.detail, count, lobes);
+    let listed = vec![numbers.len() / LOBE_LEN, LOBE_LEN];
+    [
+        Rows { name: names[0], shape: vec![count], values: Values::Counts(counts) },
+        Rows { name: names[1], shape: listed, values: Values::Numbers(numbers.into()) },
+    ]
+}
+
+/// How a file holds what depends on the viewing direction.
+#[derive(Clone, Copy)]
+enum Detail {
+    /// `detail`, with so many numbers per primitive.
+    Dense { width: usize },
+    /// `lobe_counts` and `lobes`, at most so many per primitive.
+    Packed { lobes: usize },
 }
 
 fn parse(bytes: &[u8]) -> Result<SceneData, String> {
@@ -125,17 +188,20 @@ fn parse(bytes: &[u8]) -> Result<SceneData, String> {
     if entry("format") != Some(FORMAT) {
         return Err("a safetensors file, but not a dpges scene".to_owned());
     }
-    match entry("version") {
-        Some(VERSION) => {}
-        found => return Err(format!("version {} is unknown, expected {VERSION}", found.unwrap_or("(none)"))),
+    let version = entry("version").unwrap_or("(none)");
+    if ![VERSION, DENSE_VERSION].contains(&version) {
+        return Err(format!("version {version} is unknown, expected {VERSION} or {DENSE_VERSION}"));
     }
     let info = entry("info").ok_or("metadata `info` is missing")?;
     let info: SceneInfo = serde_json::from_str(info).map_err(|error| format!("metadata `info`: {error}"))?;
     check_info(&info)?;
 
-    let model = info.colour_model;
-    let scene = SceneData { surfels: read_surfels(&file, model)?, gaussians: read_gaussians(&file, model)?, info };
-    scene.tensors().iter().try_for_each(Rows::check).map_err(|error| error.to_string())?;
+    let detail = match info.colour_model {
+        ColourModel::SphericalBeta { lobes } if version == VERSION => Detail::Packed { lobes },
+        model => Detail::Dense { width: model.detail_len() },
+    };
+    let scene = SceneData { surfels: read_surfels(&file, detail)?, gaussians: read_gaussians(&file, detail)?, info };
+    scene.check().map_err(|error| error.to_string())?;
     Ok(scene)
 }
 
@@ -143,7 +209,7 @@ fn unreadable(error: safetensors::SafeTensorError) -> String {
     format!("not a safetensors file, or truncated: {error}")
 }
 
-fn read_surfels(file: &SafeTensors, model: ColourModel) -> Result<SurfelData, String> {
+fn read_surfels(file: &SafeTensors, detail: Detail) -> Result<SurfelData, String> {
     let count = row_count(file, "surfels.positions")?;
     Ok(SurfelData {
         positions: read(file, "surfels.positions", &[count, 3])?,
@@ -151,13 +217,16 @@ fn read_surfels(file: &SafeTensors, model: ColourModel) -> Result<SurfelData, St
         log_scales: read(file, "surfels.log_scales", &[count, 2])?,
         colour: ColourData {
             base: read(file, "surfels.colour.base", &[count, 3])?,
-            detail: read(file, "surfels.colour.detail", &[count, model.detail_len()])?,
+            detail: match detail {
+                Detail::Dense { width } => read(file, "surfels.colour.detail", &[count, width])?,
+                Detail::Packed { lobes } => read_lobes(file, SURFEL_LOBES, count, lobes)?,
+            },
         },
         margins: read(file, "surfels.margins", &[count])?,
     })
 }
 
-fn read_gaussians(file: &SafeTensors, model: ColourModel) -> Result<GaussianData, String> {
+fn read_gaussians(file: &SafeTensors, detail: Detail) -> Result<GaussianData, String> {
     let count = row_count(file, "gaussians.positions")?;
     Ok(GaussianData {
         positions: read(file, "gaussians.positions", &[count, 3])?,
@@ -166,7 +235,10 @@ fn read_gaussians(file: &SafeTensors, model: ColourModel) -> Result<GaussianData
         opacities: read(file, "gaussians.opacities", &[count])?,
         colour: ColourData {
             base: read(file, "gaussians.colour.base", &[count, 3])?,
-            detail: read(file, "gaussians.colour.detail", &[count, model.detail_len()])?,
+            detail: match detail {
+                Detail::Dense { width } => read(file, "gaussians.colour.detail", &[count, width])?,
+                Detail::Packed { lobes } => read_lobes(file, GAUSSIAN_LOBES, count, lobes)?,
+            },
         },
     })
 }
@@ -176,16 +248,29 @@ fn row_count(file: &SafeTensors, name: &str) -> Result<usize, String> {
     Ok(tensor.shape().first().copied().unwrap_or(0))
 }
 
+/// The detail of `count` primitives with room for `lobes`, from the tensors `names`.
+fn read_lobes(file: &SafeTensors, names: [&str; 2], count: usize, lobes: usize) -> Result<Vec<f32>, String> {
+    let counts = bytes(file, names[0], Dtype::U8, &[count])?;
+    let shape = [row_count(file, names[1])?, LOBE_LEN];
+    let numbers = read(file, names[1], &shape)?;
+    check_numbers(names[1], &shape, &numbers).map_err(|error| error.to_string())?;
+    unpack(counts, &numbers, lobes).map_err(|reason| format!("tensor `{}` {reason}", names[0]))
+}
+
 fn read(file: &SafeTensors, name: &str, shape: &[usize]) -> Result<Vec<f32>, String> {
+    let (numbers, _) = bytes(file, name, Dtype::F32, shape)?.as_chunks::<4>();
+    Ok(numbers.iter().map(|&bytes| f32::from_le_bytes(bytes)).collect())
+}
+
+fn bytes<'a>(file: &SafeTensors<'a>, name: &str, dtype: Dtype, shape: &[usize]) -> Result<&'a [u8], String> {
     let tensor = file.tensor(name).map_err(|_| format!("tensor `{name}` is missing"))?;
-    if tensor.dtype() != Dtype::F32 {
-        return Err(format!("tensor `{name}` has element type {:?}, expected F32", tensor.dtype()));
+    if tensor.dtype() != dtype {
+        return Err(format!("tensor `{name}` has element type {:?}, expected {dtype:?}", tensor.dtype()));
     }
     if tensor.shape() != shape {
         return Err(format!("tensor `{name}` has shape {:?}, expected {shape:?}", tensor.shape()));
     }
-    let (numbers, _) = tensor.data().as_chunks::<4>();
-    Ok(numbers.iter().map(|&bytes| f32::from_le_bytes(bytes)).collect())
+    Ok(tensor.data())
 }
 
 fn check_info(info: &SceneInfo) -> Result<(), String> {
@@ -208,7 +293,10 @@ fn check_info(info: &SceneInfo) -> Result<(), String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::lobes::ABSENT_LOBE;
     use crate::scene::{Footprint, MarginLookup};
+
+    const TWO_LOBES: ColourModel = ColourModel::SphericalBeta { lobes: 2 };
 
     fn scene(model: ColourModel, surfels: usize, gaussians: usize) -> SceneData {
         let rows = |count: usize, width: usize| (0..count * width).map(|i| (i as f32 * 0.37).sin()).collect::<Vec<_>>();
@@ -220,6 +308,7 @@ mod tests {
                 layer_count: 3,
                 footprint: Footprint::Kernel,
                 margin_lookup: MarginLookup::Literal,
+                rendering: crate::scene::Rendering::Peeled,
                 background: [0.0, 0.5, 1.0],
                 offset: [5.25e5, -2.0, 0.125],
                 extent: 4.5,
@@ -242,23 +331,55 @@ mod tests {
         }
     }
 
-    fn load_bytes(bytes: &[u8]) -> String {
+    fn read_back(bytes: &[u8]) -> Result<SceneData> {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), bytes).unwrap();
-        let error = SceneData::load(file.path()).unwrap_err().to_string();
-        assert!(error.contains(&*file.path().to_string_lossy()), "{error}");
-        error
+        let result = SceneData::load(file.path());
+        if let Err(error) = &result {
+            assert!(error.to_string().contains(&*file.path().to_string_lossy()), "{error}");
+        }
+        result
+    }
+
+    fn load_bytes(bytes: &[u8]) -> String {
+        read_back(bytes).unwrap_err().to_string()
+    }
+
+    fn file_bytes(tensors: Vec<Rows>, metadata: HashMap<String, String>) -> Vec<u8> {
+        safetensors::serialize(tensors.into_iter().map(|tensor| (tensor.name, tensor)), Some(metadata)).unwrap()
+    }
+
+    fn metadata(scene: &SceneData, version: &str) -> HashMap<String, String> {
+        HashMap::from([
+            ("format".to_owned(), FORMAT.to_owned()),
+            ("version".to_owned(), version.to_owned()),
+            ("info".to_owned(), serde_json::to_string(&scene.info).unwrap()),
+        ])
     }
 
     fn save_bytes(scene: &SceneData, edit: impl Fn(&mut HashMap<String, String>), drop: &str) -> Vec<u8> {
-        let mut metadata = HashMap::from([
-            ("format".to_owned(), FORMAT.to_owned()),
-            ("version".to_owned(), VERSION.to_owned()),
-            ("info".to_owned(), serde_json::to_string(&scene.info).unwrap()),
-        ]);
+        let mut metadata = metadata(scene, VERSION);
         edit(&mut metadata);
-        let tensors = scene.tensors().into_iter().filter(|tensor| tensor.name != drop);
-        safetensors::serialize(tensors.map(|tensor| (tensor.name, tensor)), Some(metadata)).unwrap()
+        let mut tensors = scene.stored();
+        tensors.retain(|tensor| tensor.name != drop);
+        file_bytes(tensors, metadata)
+    }
+
+    /// The tensors of a file of version 1.
+    fn dense(scene: &SceneData) -> Vec<Rows<'_>> {
+        scene.tensors().into_iter().map(Rows::from).collect()
+    }
+
+    /// The file of `scene` with another tensor in place of that with the name of `other`.
+    fn with_tensor(scene: &SceneData, other: Rows) -> Vec<u8> {
+        let mut tensors = scene.stored();
+        tensors.retain(|tensor| tensor.name != other.name);
+        tensors.push(other);
+        file_bytes(tensors, metadata(scene, VERSION))
+    }
+
+    fn drop_lobe(detail: &mut [f32], lobes: usize, row: usize, lobe: usize) {
+        detail[(row * lobes + lobe) * LOBE_LEN..][..LOBE_LEN].copy_from_slice(&ABSENT_LOBE);
     }
 
     #[test]
@@ -276,23 +397,58 @@ mod tests {
 
     #[test]
     fn a_file_that_does_not_name_the_lookup_has_the_shifted_one() {
-        let scene = scene(ColourModel::SphericalBeta { lobes: 2 }, 3, 5);
+        let scene = scene(TWO_LOBES, 3, 5);
         let without = |metadata: &mut HashMap<String, String>| {
             let info = metadata["info"].replace(r#""margin_lookup":"literal","#, "");
             assert!(!info.contains("margin_lookup"), "{info}");
             metadata.insert("info".into(), info);
         };
-        let file = tempfile::NamedTempFile::new().unwrap();
-        std::fs::write(file.path(), save_bytes(&scene, without, "")).unwrap();
-        let loaded = SceneData::load(file.path()).unwrap();
+        let loaded = read_back(&save_bytes(&scene, without, "")).unwrap();
         assert_eq!(loaded.info, SceneInfo { margin_lookup: MarginLookup::Shifted, ..scene.info });
+    }
+
+    #[test]
+    fn absent_lobes_take_no_room_and_come_back_absent() {
+        let mut scene = scene(TWO_LOBES, 3, 5);
+        for (row, lobe) in [(0, 1), (2, 0), (2, 1)] {
+            drop_lobe(&mut scene.surfels.colour.detail, 2, row, lobe);
+        }
+        let bytes = save_bytes(&scene, |_| {}, "");
+        let file = SafeTensors::deserialize(&bytes).unwrap();
+        assert_eq!(file.tensor("surfels.colour.lobe_counts").unwrap().data(), [1, 2, 0]);
+        assert_eq!(file.tensor("surfels.colour.lobes").unwrap().shape(), [3, 6]);
+        assert_eq!(file.tensor("gaussians.colour.lobe_counts").unwrap().data(), [2; 5]);
+        assert!(file.tensor("surfels.colour.detail").is_err());
+        assert_eq!(read_back(&bytes).unwrap(), scene);
+
+        let second = scene.gaussians.colour.detail[4 * 12 + 6..].to_vec();
+        drop_lobe(&mut scene.gaussians.colour.detail, 2, 4, 0);
+        let loaded = read_back(&save_bytes(&scene, |_| {}, "")).unwrap();
+        assert_eq!(loaded.gaussians.colour.detail[4 * 12..], [second, ABSENT_LOBE.to_vec()].concat());
+    }
+
+    #[test]
+    fn files_of_version_1_are_read() {
+        for model in ["sb0", "sb2", "sh3"] {
+            let mut scene = scene(model.parse().unwrap(), 3, 5);
+            if scene.info.colour_model == TWO_LOBES {
+                drop_lobe(&mut scene.surfels.colour.detail, 2, 1, 0);
+            }
+            let bytes = file_bytes(dense(&scene), metadata(&scene, "1"));
+            assert!(SafeTensors::deserialize(&bytes).unwrap().tensor("surfels.colour.detail").is_ok());
+            assert_eq!(read_back(&bytes).unwrap(), scene, "{model}");
+        }
+        let two = scene(TWO_LOBES, 3, 5);
+        let one = scene(ColourModel::SphericalBeta { lobes: 1 }, 3, 5);
+        let error = load_bytes(&file_bytes(dense(&two), metadata(&one, "1")));
+        assert!(error.contains("`surfels.colour.detail` has shape [3, 12], expected [3, 6]"), "{error}");
     }
 
     #[test]
     fn a_scene_that_is_wrong_is_not_saved() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("scene.safetensors");
-        let good = scene(ColourModel::SphericalBeta { lobes: 2 }, 3, 5);
+        let good = scene(TWO_LOBES, 3, 5);
         let mut bad = good.clone();
         bad.gaussians.log_scales[7] = f32::NAN;
         assert!(
@@ -309,15 +465,15 @@ mod tests {
 
     #[test]
     fn broken_files_are_told_apart() {
-        let good = scene(ColourModel::SphericalBeta { lobes: 2 }, 3, 5);
+        let good = scene(TWO_LOBES, 3, 5);
         let bytes = save_bytes(&good, |_| {}, "");
         for end in [0, 4, 40, bytes.len() - 1] {
             assert!(load_bytes(&bytes[..end]).contains("truncated"));
         }
         assert!(load_bytes(b"ply\nformat binary_little_endian 1.0\n").contains("not a safetensors file"));
         assert!(load_bytes(&save_bytes(&good, |m| drop(m.remove("format")), "")).contains("not a dpges scene"));
-        let newer = |m: &mut HashMap<String, String>| drop(m.insert("version".into(), "2".into()));
-        assert!(load_bytes(&save_bytes(&good, newer, "")).contains("version 2"));
+        let newer = |m: &mut HashMap<String, String>| drop(m.insert("version".into(), "3".into()));
+        assert!(load_bytes(&save_bytes(&good, newer, "")).contains("version 3 is unknown, expected 2 or 1"));
         let no_info = |m: &mut HashMap<String, String>| drop(m.insert("info".into(), "{}".into()));
         assert!(load_bytes(&save_bytes(&good, no_info, "")).contains("`info`"));
         assert!(load_bytes(&save_bytes(&good, |_| {}, "surfels.margins")).contains("`surfels.margins` is missing"));
@@ -327,19 +483,45 @@ mod tests {
 
     #[test]
     fn wrong_tensors_are_named() {
-        let mut bad = scene(ColourModel::SphericalBeta { lobes: 2 }, 3, 5);
-        bad.info.colour_model = ColourModel::SphericalBeta { lobes: 1 };
-        let bytes = save_bytes(
-            &scene(ColourModel::SphericalBeta { lobes: 2 }, 3, 5),
-            |m| {
-                m.insert("info".into(), serde_json::to_string(&bad.info).unwrap());
-            },
-            "",
-        );
-        assert!(load_bytes(&bytes).contains("`surfels.colour.detail` has shape [3, 12], expected [3, 6]"));
-        let mut bad = scene(ColourModel::SphericalBeta { lobes: 2 }, 3, 5);
+        let mut bad = scene(TWO_LOBES, 3, 5);
         bad.surfels.positions[4] = f32::INFINITY;
         let error = load_bytes(&save_bytes(&bad, |_| {}, ""));
         assert!(error.contains("`surfels.positions` is not finite at row 1"), "{error}");
+    }
+
+    #[test]
+    fn lobes_that_do_not_fit_their_counts_are_named() {
+        let good = scene(TWO_LOBES, 3, 5);
+        let counts = |values: &[u8]| {
+            let (shape, values) = (vec![values.len()], Values::Counts(values.to_vec()));
+            with_tensor(&good, Rows { name: SURFEL_LOBES[0], shape, values })
+        };
+        let lobes = |shape: [usize; 2], values: &[f32]| {
+            with_tensor(&good, Rows::from((SURFEL_LOBES[1], shape.to_vec(), values)))
+        };
+        let mut spoilt = [0.5; 36];
+        spoilt[31] = f32::NAN;
+        let twos = [2.0; 3];
+        let as_numbers = Rows::from((SURFEL_LOBES[0], vec![3], &twos[..]));
+        for (bytes, expected) in [
+            (counts(&[2, 2, 2]), None),
+            (counts(&[2, 3, 1]), Some("`surfels.colour.lobe_counts` has 3 lobes at row 1, expected at most 2")),
+            (counts(&[2, 2, 1]), Some("`surfels.colour.lobe_counts` adds up to 5 lobes, expected the 6")),
+            (counts(&[2, 2, 2, 0]), Some("`surfels.colour.lobe_counts` has shape [4], expected [3]")),
+            (with_tensor(&good, as_numbers), Some("`surfels.colour.lobe_counts` has element type F32, expected U8")),
+            (lobes([7, 6], &[0.5; 42]), Some("`surfels.colour.lobe_counts` adds up to 6 lobes, expected the 7")),
+            (lobes([12, 3], &[0.5; 36]), Some("`surfels.colour.lobes` has shape [12, 3], expected [12, 6]")),
+            (lobes([6, 6], &spoilt), Some("`surfels.colour.lobes` is not finite at row 5")),
+            (save_bytes(&good, |_| {}, GAUSSIAN_LOBES[0]), Some("`gaussians.colour.lobe_counts` is missing")),
+            (save_bytes(&good, |_| {}, GAUSSIAN_LOBES[1]), Some("`gaussians.colour.lobes` is missing")),
+        ] {
+            let found = read_back(&bytes).err().map(|error| error.to_string());
+            match expected {
+                Some(expected) => {
+                    assert!(found.as_ref().is_some_and(|e| e.contains(expected)), "{found:?}: {expected}")
+                }
+                None => assert_eq!(found, None),
+            }
+        }
     }
 }

@@ -3,6 +3,7 @@
 
 pub mod data;
 pub mod file;
+pub mod lobes;
 pub mod tensors;
 
 use std::fmt;
@@ -99,6 +100,29 @@ pub enum MarginLookup {
     Literal,
 }
 
+/// How a scene becomes a picture.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Rendering {
+    /// Surfels are peeled, and Gaussians splatted between their layers (DP-GES).
+    #[default]
+    Peeled,
+    /// Gaussians are blended in the order of their depths; there are no surfels (3DGS).
+    Ellipsoids,
+    /// Gaussians are flat: the discs of their first two axes are blended in the order of their depths (2DGS).
+    Discs,
+}
+
+impl fmt::Display for Rendering {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Peeled => "peeled",
+            Self::Ellipsoids => "ellipsoids",
+            Self::Discs => "discs",
+        })
+    }
+}
+
 /// What a scene file says besides its tensors.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SceneInfo {
@@ -111,6 +135,9 @@ pub struct SceneInfo {
     /// Files without it are [`MarginLookup::Shifted`].
     #[serde(default)]
     pub margin_lookup: MarginLookup,
+    /// Files without it are [`Rendering::Peeled`].
+    #[serde(default)]
+    pub rendering: Rendering,
     /// Display-referred colour behind everything.
     pub background: [f64; 3],
     /// World units: subtract from the dataset's coordinates to get the scene's.

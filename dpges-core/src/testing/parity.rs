@@ -14,6 +14,7 @@ use super::golden::values;
 use super::random::Random;
 use super::scenes::TestScene;
 use crate::ops::adam::{AdamStep, adam_step};
+use crate::ops::blend::{BlendOptions, Form, blend};
 use crate::ops::colour::colour;
 use crate::ops::composite::{CompositeOptions, composite};
 use crate::ops::coverage::coverage;
@@ -219,6 +220,39 @@ impl<'a> Bench<'a> {
             self.note(&format!("adam.{name}.moment_1"), &moment_1);
             self.note(&format!("adam.{name}.moment_2"), &moment_2);
         }
+    }
+
+    /// Runs sorted blending of the Gaussians in random colours, and goes back from each of its outputs.
+    pub fn blended(mut self, form: Form, maps: bool) -> Vec<Named> {
+        let (gaussians, count) = (self.gaussians.clone(), self.gaussians.len());
+        let options = BlendOptions { form, maps, ..BlendOptions::default() };
+        let outputs: &[&str] =
+            if maps { &["colour", "alpha", "depth", "normal", "distortion"] } else { &["colour", "alpha"] };
+        for &name in outputs {
+            let colours = self.tensor(&Random::new(12).numbers(3 * count, 0.0, 1.0), [count, 3]).require_grad();
+            let probe = self.tensor(&vec![0.0; 4 * count], [count, 4]).require_grad();
+            let out = blend(&gaussians, colours.clone(), Some(probe.clone()), &self.scene.camera, &options);
+            let out = out.expect("valid input");
+            let output = match (name, out.maps) {
+                ("colour", _) => out.colour,
+                ("depth", Some(maps)) => {
+                    self.note("blend.median_depth", &maps.median_depth);
+                    maps.depth
+                }
+                ("normal", Some(maps)) => maps.normal,
+                ("distortion", Some(maps)) => maps.distortion,
+                _ => out.alpha,
+            };
+            self.note(&format!("blend.{name}"), &output);
+            let gradients = (output.clone() * self.upstream(&output, 13)).sum().backward();
+            self.gradient(&format!("blend.{name}.grad.positions"), &gaussians.positions, &gradients);
+            self.gradient(&format!("blend.{name}.grad.quaternions"), &gaussians.quaternions, &gradients);
+            self.gradient(&format!("blend.{name}.grad.log_scales"), &gaussians.log_scales, &gradients);
+            self.gradient(&format!("blend.{name}.grad.opacities"), &gaussians.opacities, &gradients);
+            self.gradient(&format!("blend.{name}.grad.colours"), &colours, &gradients);
+            self.gradient(&format!("blend.{name}.grad.probe"), &probe, &gradients);
+        }
+        self.found
     }
 
     /// Runs everything forward, each operation on its own results.

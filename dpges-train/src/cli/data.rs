@@ -63,6 +63,26 @@ impl Source {
     }
 }
 
+impl Source {
+    /// The dataset of a run: without the views that are kept for its decisions.
+    pub fn load_for_training(&self, config: &Config) -> Result<Dataset> {
+        let mut dataset = self.load(&config.data)?;
+        let every = config.validation_every();
+        dataset.keep_for_validation(every);
+        if every > 0 {
+            let (kept, left) = (dataset.validation.len(), dataset.train.len());
+            if kept == 0 {
+                let help = "decide by numbers instead: --stop steps, --budget N";
+                let message =
+                    format!("{left} training views of {self} are too few to keep every {every}th for decisions");
+                return Err(Failure::with_help(message, help));
+            }
+            tracing::info!("{kept} training views are kept for decisions, {left} are trained on");
+        }
+        Ok(dataset)
+    }
+}
+
 impl fmt::Display for Source {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {

@@ -45,7 +45,7 @@ pub fn run(args: &EvalArgs) -> Result<()> {
     let renderer = Renderer::new(&scene.data, &device);
     let evaluation = evaluate_each(&renderer, &scene.data, &views, &device, |index, render| {
         let Some(folder) = &args.save_images else { return Ok(()) };
-        save_png(&Rgb8Image::from_tensor(&render.composite.image), &folder.join(format!("{}.png", stems[index])))
+        save_png(&Rgb8Image::from_tensor(render.image()), &folder.join(format!("{}.png", stems[index])))
     })?;
     let report = EvalReport {
         scene: scene.path.display().to_string(),

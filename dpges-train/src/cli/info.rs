@@ -54,6 +54,7 @@ fn describe(scene: &Scene) -> Vec<(&'static str, Value)> {
         ("surfels", json!(surfels.len())),
         ("gaussians", json!(gaussians.len())),
         ("colour_model", json!(info.colour_model.to_string())),
+        ("rendering", json!(info.rendering.to_string())),
         ("layers", json!(info.layer_count)),
         ("modulation", json!(info.modulation)),
         ("footprint", json!(footprint)),

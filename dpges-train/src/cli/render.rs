@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use dpges_core::scene::Rendering;
 use dpges_render::{LayerPictures, Renderer, Rgb8Image, layer_pictures};
 use dpges_train::device::DeviceName;
 use dpges_train::pictures::{file_stems, save_png};
@@ -11,7 +12,7 @@ use serde_json::{Value, json};
 
 use super::data::{Scene, ViewArgs};
 use super::eval::make_folder;
-use super::{Result, print};
+use super::{Failure, Result, print};
 
 /// Write a PNG of every view of a dataset
 #[derive(Debug, Args)]
@@ -35,14 +36,19 @@ pub struct RenderArgs {
 pub fn run(args: &RenderArgs) -> Result<()> {
     let mut scene = Scene::load(&args.scene)?;
     let (_, views) = args.views.load(&mut scene)?;
+    let rendering = scene.data.info.rendering;
+    if args.layers && rendering != Rendering::Peeled {
+        let of = args.scene.display();
+        return Err(Failure::Usage(format!("--layers: {of} is a scene of {rendering}, which has no layers")));
+    }
     make_folder(&args.out)?;
     let renderer = Renderer::new(&scene.data, &args.device.open()?);
     let mut ranges = Vec::new();
     for (view, stem) in views.iter().zip(file_stems(&views)) {
         let render = renderer.render(&view.camera)?;
-        save_png(&Rgb8Image::from_tensor(&render.composite.image), &args.out.join(format!("{stem}.png")))?;
-        if args.layers {
-            let pictures = layer_pictures(&renderer, &view.camera, &render);
+        save_png(&Rgb8Image::from_tensor(render.image()), &args.out.join(format!("{stem}.png")))?;
+        if let (true, Some(render)) = (args.layers, render.peeled()) {
+            let pictures = layer_pictures(&renderer, &view.camera, render);
             ranges.push(args.save_layers(&stem, &view.name, &pictures)?);
         }
     }

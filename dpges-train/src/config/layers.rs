@@ -7,6 +7,9 @@ use toml::{Table, Value};
 
 use super::Config;
 
+/// Keys that hold a whole number or a string, whichever their default is.
+const WHOLE_OR_STRING: [&str; 1] = ["refine.budget"];
+
 /// Configurations that come with the program: name and TOML.
 pub const PRESETS: [(&str, &str); 8] = [
     ("default", include_str!("../../../configs/default.toml")),
@@ -124,9 +127,12 @@ impl Layers {
     fn assign(&mut self, key: &str, value: Value, origin: &str) -> Result<(), ConfigError> {
         let Some(default) = self.default_of(key) else { return Err(self.unknown(key, origin)) };
         let wrong = |reason| ConfigError::Value { key: key.to_owned(), origin: origin.to_owned(), reason };
-        let (expected, found) = (kind(default), kind(&value));
+        let either = WHOLE_OR_STRING.contains(&key);
+        let expected = if either { "a whole number or a string" } else { kind(default) };
+        let found = kind(&value);
         let whole_for_fraction = default.is_float() && value.is_integer();
-        if expected != found && !whole_for_fraction {
+        let one_of_two = either && (value.is_integer() || value.is_str());
+        if expected != found && !whole_for_fraction && !one_of_two {
             return Err(wrong(format!("expected {expected}, found {found} ({value})")));
         }
         let (section, name) = key.split_once('.').expect("every key of the defaults is in a section");
@@ -178,6 +184,7 @@ fn kind(value: &Value) -> &'static str {
 mod tests {
     use super::*;
     use crate::config::schedule::REFERENCE_STEPS;
+    use crate::config::stages::STAGE_STEPS;
     use crate::config::{Background, InitMethod, Margin};
     use dpges_core::scene::MarginLookup;
 
@@ -223,7 +230,10 @@ mod tests {
                 (data.image_scale, data.background, train.lambda_scale),
                 (image_scale, background, lambda_scale)
             );
-            assert_eq!((data.max_resolution, data.test_every, train.steps), (0, 8, REFERENCE_STEPS), "{name}");
+            assert_eq!((data.max_resolution, data.test_every), (0, 8), "{name}");
+            let stages = preset(name).plan();
+            let lengths: Vec<usize> = stages.iter().map(|stage| stage.steps).collect();
+            assert_eq!(lengths, [STAGE_STEPS, STAGE_STEPS, REFERENCE_STEPS], "{name}");
             let expected = Config::default();
             assert_eq!(model, expected.model, "{name}");
             assert_eq!((train.lambda_surfel, train.lambda_transmittance), (0.01, 0.08), "{name}");
@@ -243,7 +253,8 @@ mod tests {
         let near = |found: &[usize], expected: &[usize]| {
             found.len() == expected.len() && found.iter().zip(expected).all(|(a, b)| a.abs_diff(*b) <= 1)
         };
-        assert_eq!(ges.train.steps, 30_000);
+        let lengths: Vec<usize> = ges.plan().iter().map(|stage| stage.steps).collect();
+        assert_eq!(lengths, [20_000, 30_000]);
         assert_eq!(schedule.margins, [0]);
         assert!(near(&schedule.gaussian_prune, &[500, 1000, 1500]), "{schedule:?}");
         assert!(near(&schedule.add, &[8000, 9000, 10_000, 11_000, 12_000]), "{schedule:?}");
@@ -318,6 +329,9 @@ mod tests {
         let path = folder.path().join("mine.toml");
         std::fs::write(&path, "train = 5\n").unwrap();
         assert!(message(Config::resolve(None, Some(&path), &[])).contains("section [train]"));
+        std::fs::write(&path, "[refine]\nbudget = [1]\n").unwrap();
+        let error = message(Config::resolve(None, Some(&path), &[]));
+        assert!(error.contains("`refine.budget`: expected a whole number or a string, found a list"), "{error}");
         std::fs::write(&path, "[train\n").unwrap();
         let error = message(Config::resolve(None, Some(&path), &[]));
         assert!(error.contains("mine.toml") && error.contains("line 1"), "{error}");

@@ -4,20 +4,26 @@
 //! [`layers`] puts presets, files and options on top of each other, [`range`] says what values make
 //! sense, [`schedule`] turns the keys of `[refine]` into the steps of a run.
 
+pub mod budget;
 pub mod layers;
 pub mod range;
 pub mod schedule;
+pub mod stages;
 
 use std::fmt;
 use std::str::FromStr;
 
+use dpges_core::ops::adam::AdamStep;
 use dpges_core::scene::{ColourModel, Footprint, MarginLookup};
 use serde::{Deserialize, Serialize};
 
 use crate::dataset::LoadOptions;
 
+pub use budget::Budget;
+use budget::primitives_for;
 pub use layers::ConfigError;
 pub use schedule::{Due, Schedule};
+pub use stages::{DiscsConfig, GaussianStage, Method, RelocationConfig, StageKind, StagePlan, StagesConfig};
 
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -26,6 +32,9 @@ pub struct Config {
     pub train: TrainConfig,
     pub model: ModelConfig,
     pub init: InitConfig,
+    pub stages: StagesConfig,
+    pub discs: DiscsConfig,
+    pub relocation: RelocationConfig,
     pub optimizer: OptimizerConfig,
     pub refine: RefineConfig,
 }
@@ -42,6 +51,9 @@ pub struct DataConfig {
     pub max_resolution: usize,
     /// Every n-th view by name is held out, where the dataset has no split of its own; 0 holds out none.
     pub test_every: usize,
+    /// Every n-th training view is left out of training for decisions on the way (`train.stop`, `refine.budget`);
+    /// 0 leaves out every 8th if there is such a decision, none otherwise.
+    pub validation_every: usize,
     /// World units; nothing nearer to a camera exists; 0 takes what suits the kind of dataset.
     pub near: f64,
 }
@@ -50,8 +62,14 @@ pub struct DataConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrainConfig {
-    /// One view per step.
+    /// What is trained.
+    pub method: Method,
+    /// One view per step, all stages together.
     pub steps: usize,
+    /// When the run ends.
+    pub stop: Stop,
+    /// Evaluations without a better validation PSNR after which [`Stop::Validation`] ends the run.
+    pub patience: usize,
     pub seed: u64,
     /// On GPUs: sums in a fixed order, so that two runs give the same bits. CPUs always add so.
     pub deterministic: bool,
@@ -63,6 +81,11 @@ pub struct TrainConfig {
     pub lambda_transmittance: f64,
     /// Share of D-SSIM in the picture loss (3DGS).
     pub lambda_dssim: f64,
+    /// λ4, λ5, λ6: weights of depth, normals, and normals of the depth of the surfels against those of the discs
+    /// that they come from (DP-GES, geometry regularisation: 0.1, 0.05, 0.05); 0 for novel views.
+    pub lambda_depth: f64,
+    pub lambda_normal: f64,
+    pub lambda_depth_normal: f64,
     /// No gradient from Gaussians to surfels through the transmittance: the ablation of DP-GES.
     pub detach_transmittance: bool,
     /// Surfels keep their places, rotations and scales, and none is pruned; their colours learn (GES, joint stage).
@@ -85,6 +108,8 @@ pub struct ModelConfig {
     pub layers: usize,
     /// w: opacity of a surfel is min(1, w G).
     pub modulation: f64,
+    /// How the opacity of a Gaussian is made from the number that is trained, in the joint stage.
+    pub opacity: Opacity,
     pub footprint: Footprint,
     pub margin: Margin,
     /// Part of the scene: it is rendered as it was trained.
@@ -163,9 +188,10 @@ pub struct RefineConfig {
     pub add_from: usize,
     /// Exclusive.
     pub add_until: usize,
-    /// Surfels and Gaussians together never exceed it; 0 is one per two pixels of a training view, but at
-    /// least [`SMALLEST_AUTOMATIC_BUDGET`].
-    pub budget: usize,
+    /// Surfels and Gaussians together never exceed it, see [`Config::most_primitives`].
+    pub budget: Budget,
+    /// When an automatic budget drops lobes that do nothing.
+    pub drop_lobes_at: Vec<usize>,
     /// Whether Gaussians are split at all.
     pub split: bool,
     pub split_every: usize,
@@ -177,20 +203,33 @@ pub struct RefineConfig {
 
 impl Default for DataConfig {
     fn default() -> Self {
-        Self { background: Background::Auto, image_scale: 1, max_resolution: 1600, test_every: 8, near: 0.0 }
+        Self {
+            background: Background::Auto,
+            image_scale: 1,
+            max_resolution: 1600,
+            test_every: 8,
+            validation_every: 0,
+            near: 0.0,
+        }
     }
 }
 
 impl Default for TrainConfig {
     fn default() -> Self {
         Self {
+            method: Method::Dpges,
             steps: 5000,
+            stop: Stop::Steps,
+            patience: 5,
             seed: 0,
             deterministic: false,
             lambda_surfel: 0.01,
             lambda_scale: 1e-5,
             lambda_transmittance: 0.08,
             lambda_dssim: 0.2,
+            lambda_depth: 0.0,
+            lambda_normal: 0.0,
+            lambda_depth_normal: 0.0,
             detach_transmittance: false,
             freeze_surfels: false,
             evaluate_every: 1000,
@@ -206,6 +245,7 @@ impl Default for ModelConfig {
             colour: ColourModel::SphericalBeta { lobes: 2 },
             layers: 3,
             modulation: 30.0,
+            opacity: Opacity::Linear,
             footprint: Footprint::Kernel,
             margin: Margin::Median,
             margin_lookup: MarginLookup::Shifted,
@@ -264,7 +304,8 @@ impl Default for RefineConfig {
             add_every: 1000,
             add_from: 3000,
             add_until: 13_000,
-            budget: 0,
+            budget: Budget::Pixels,
+            drop_lobes_at: vec![16_000, 22_000],
             split: true,
             split_every: 2000,
             split_until: 16_000,
@@ -288,19 +329,58 @@ impl DataConfig {
     }
 }
 
-/// Below this an automatic budget does not go: even a small picture shows a whole scene.
-pub const SMALLEST_AUTOMATIC_BUDGET: usize = 16_384;
+/// Below this a budget by the size of the views does not go: even a small picture shows a whole scene.
+pub const SMALLEST_BUDGET_BY_PIXELS: usize = 16_384;
+/// Share of surfels that a budget in megabytes is turned into primitives with; they differ by 4 %.
+const SURFEL_SHARE: f64 = 0.1;
 
-impl RefineConfig {
-    /// Replaces an automatic budget by what suits views of `pixels` px.
-    pub fn fix_budget(&mut self, pixels: usize) {
-        if self.budget == 0 {
-            self.budget = (pixels / 2).max(SMALLEST_AUTOMATIC_BUDGET);
+impl Config {
+    /// Most surfels and Gaussians together, for training views of `pixels` px. An automatic budget ends at twice what
+    /// suits the size of the views, if nothing ends it before.
+    pub fn most_primitives(&self, pixels: usize) -> usize {
+        let by_pixels = (pixels / 2).max(SMALLEST_BUDGET_BY_PIXELS);
+        match self.refine.budget {
+            Budget::Pixels => by_pixels,
+            Budget::Auto => 2 * by_pixels,
+            Budget::Primitives(count) => count,
+            Budget::Megabytes(size) => primitives_for(1e6 * size, self.model.colour, SURFEL_SHARE).max(1),
         }
     }
 }
 
+/// Share of the training views that decisions are made by, where nothing else is said.
+const AUTOMATIC_VALIDATION: usize = 8;
+
+impl Config {
+    /// Every how many-th training view is kept for decisions; 0: none.
+    pub fn validation_every(&self) -> usize {
+        let decides = self.train.stop == Stop::Validation || self.refine.budget == Budget::Auto;
+        match self.data.validation_every {
+            0 if decides => AUTOMATIC_VALIDATION,
+            every => every,
+        }
+    }
+}
+
+impl TrainConfig {
+    /// Whether surfels are held to the depths and normals of discs.
+    pub fn has_geometry_losses(&self) -> bool {
+        self.lambda_depth > 0.0 || self.lambda_normal > 0.0 || self.lambda_depth_normal > 0.0
+    }
+}
+
 impl OptimizerConfig {
+    /// Adam's constants for the step after `completed` ones; the rate is to be set.
+    pub fn adam(&self, completed: usize) -> AdamStep {
+        AdamStep {
+            learning_rate: 0.0,
+            beta_1: self.beta1,
+            beta_2: self.beta2,
+            epsilon: self.epsilon,
+            time: completed as u64 + 1,
+        }
+    }
+
     /// Learning rate of the Gaussians' positions in world units at `progress` (0 at the first step,
     /// 1 at the last) in a scene of extent `extent` (world units). 3DGS: linear in the logarithm.
     pub fn position_rate(&self, progress: f64, extent: f64) -> f64 {
@@ -315,6 +395,28 @@ impl OptimizerConfig {
 
 fn between(start: f64, end: f64, progress: f64) -> f64 {
     start * (end / start).powf(progress.clamp(0.0, 1.0))
+}
+
+/// What ends a run.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Stop {
+    /// Its length.
+    #[default]
+    Steps,
+    /// Views left out of training, once they no longer improve; the best scene is the result.
+    Validation,
+}
+
+/// The opacity of a Gaussian, from the number that is trained.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Opacity {
+    /// That number, at least 0 (GES, DP-GES).
+    #[default]
+    Linear,
+    /// Its logistic function, below 1 (3DGS).
+    Sigmoid,
 }
 
 /// What the depth margin of a surfel is made of.

@@ -9,11 +9,12 @@ impl Config {
     /// # Errors
     /// [`ConfigError::Range`] naming the first key that is out of range.
     pub fn validate(&self) -> Result<(), ConfigError> {
-        let Self { data, train, model, init, optimizer, refine } = self;
+        let Self { data, train, model, init, stages, discs, relocation, optimizer, refine } = self;
         at_least("data.image_scale", data.image_scale as usize, 1)?;
         not_negative("data.near", data.near)?;
 
         at_least("train.steps", train.steps, 1)?;
+        at_least("train.patience", train.patience, 1)?;
         if train.seed > i64::MAX as u64 {
             return Err(out_of_range("train.seed", train.seed, format!("at most {}", i64::MAX)));
         }
@@ -21,6 +22,9 @@ impl Config {
         not_negative("train.lambda_scale", train.lambda_scale)?;
         not_negative("train.lambda_transmittance", train.lambda_transmittance)?;
         fraction("train.lambda_dssim", train.lambda_dssim)?;
+        not_negative("train.lambda_depth", train.lambda_depth)?;
+        not_negative("train.lambda_normal", train.lambda_normal)?;
+        not_negative("train.lambda_depth_normal", train.lambda_depth_normal)?;
 
         if !(1..=MAX_LAYERS).contains(&model.layers) {
             return Err(out_of_range("model.layers", model.layers, format!("from 1 to {MAX_LAYERS}")));
@@ -38,6 +42,41 @@ impl Config {
             return Err(out_of_range("init.hull_resolution", init.hull_resolution, "from 8 to 512".to_owned()));
         }
         fraction("init.hull_tolerance", init.hull_tolerance)?;
+
+        fraction("stages.surfels", stages.surfels)?;
+        fraction("stages.gaussians", stages.gaussians)?;
+        if stages.surfels + stages.gaussians >= 1.0 {
+            let found = format!("{} + {}", stages.surfels, stages.gaussians);
+            return Err(out_of_range("stages.surfels + stages.gaussians", found, "a sum below 1".to_owned()));
+        }
+        fraction("stages.surfel_opacity", stages.surfel_opacity)?;
+        positive("stages.surfel_scale", stages.surfel_scale)?;
+        positive("stages.surfel_budget", stages.surfel_budget)?;
+        fraction("stages.surfel_budget", stages.surfel_budget)?;
+        positive("stages.gaussian_budget", stages.gaussian_budget)?;
+        fraction("stages.gaussian_budget", stages.gaussian_budget)?;
+        not_negative("stages.opacities", stages.opacities)?;
+
+        at_least("discs.densify_every", discs.densify_every, 1)?;
+        positive("discs.gradient_threshold", discs.gradient_threshold)?;
+        positive("discs.clone_scale", discs.clone_scale)?;
+        fraction("discs.min_opacity", discs.min_opacity)?;
+        positive("discs.max_scale", discs.max_scale)?;
+        at_least("discs.reset_every", discs.reset_every, 1)?;
+        opacity("discs.reset_opacity", discs.reset_opacity)?;
+        not_negative("discs.lambda_normal", discs.lambda_normal)?;
+        not_negative("discs.lambda_distortion", discs.lambda_distortion)?;
+        opacity("discs.start_opacity", discs.start_opacity)?;
+        positive("discs.start_scale", discs.start_scale)?;
+
+        at_least("relocation.every", relocation.every, 1)?;
+        check("relocation.growth", relocation.growth, relocation.growth >= 1.0, "a finite number of at least 1")?;
+        opacity("relocation.min_opacity", relocation.min_opacity)?;
+        not_negative("relocation.lambda_opacity", relocation.lambda_opacity)?;
+        not_negative("relocation.lambda_scale", relocation.lambda_scale)?;
+        not_negative("relocation.noise", relocation.noise)?;
+        opacity("relocation.start_opacity", relocation.start_opacity)?;
+        positive("relocation.start_scale", relocation.start_scale)?;
 
         positive("optimizer.position_start", optimizer.position_start)?;
         positive("optimizer.position_end", optimizer.position_end)?;
@@ -84,6 +123,10 @@ fn not_negative(key: &'static str, found: f64) -> Result<(), ConfigError> {
 
 fn fraction(key: &'static str, found: f64) -> Result<(), ConfigError> {
     check(key, found, (0.0..=1.0).contains(&found), "a number from 0 to 1")
+}
+
+fn opacity(key: &'static str, found: f64) -> Result<(), ConfigError> {
+    check(key, found, found > 0.0 && found < 1.0, "a number between 0 and 1")
 }
 
 fn below_one(key: &'static str, found: f64) -> Result<(), ConfigError> {

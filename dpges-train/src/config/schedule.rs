@@ -1,11 +1,11 @@
 //! At which steps of a run the set of primitives changes.
 
-use super::{Config, ConfigError};
+use super::{Budget, Config, ConfigError};
 
 /// Length of the run in whose steps `[refine]` is written (DP-GES: the joint stage).
 pub const REFERENCE_STEPS: usize = 25_000;
 
-/// Steps of one run, ascending, counted as completed steps: a change due at 1000 happens after the
+/// Steps of one stage, ascending, counted as its completed steps: a change due at 1000 happens after the
 /// 1000th step, margins due at 0 are computed before the first. Nothing is due after the last step.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Schedule {
@@ -14,6 +14,8 @@ pub struct Schedule {
     pub gaussian_prune: Vec<usize>,
     pub add: Vec<usize>,
     pub split: Vec<usize>,
+    /// Of an automatic budget only.
+    pub drop_lobes: Vec<usize>,
 }
 
 /// What is due after a given number of completed steps.
@@ -25,6 +27,7 @@ pub struct Due {
     /// Batches of Gaussians still to be added, this one included; `None` if none is due now.
     pub batches_left: Option<usize>,
     pub split: bool,
+    pub drop_lobes: bool,
 }
 
 impl Due {
@@ -55,13 +58,13 @@ impl Config {
         Ok(())
     }
 
-    /// Step of this run that corresponds to `step` of a run of [`REFERENCE_STEPS`].
+    /// Step of the joint stage that corresponds to `step` of one of [`REFERENCE_STEPS`].
     pub fn scaled(&self, step: usize) -> usize {
-        let scale = self.train.steps as f64 / REFERENCE_STEPS as f64;
+        let scale = self.last_stage_steps() as f64 / REFERENCE_STEPS as f64;
         (step as f64 * scale).round() as usize
     }
 
-    /// The schedule of a run over `views` training views, every one of which is drawn once per
+    /// The schedule of the joint stage over `views` training views, every one of which is drawn once per
     /// `views` steps.
     ///
     /// Pruning is moved up to the next whole pass over the views, so that its statistics always
@@ -69,10 +72,10 @@ impl Config {
     /// A run that ends, or whose `_until` comes, before the first pass is over prunes nothing. Frozen surfels are
     /// not pruned.
     pub fn schedule(&self, views: usize) -> Schedule {
-        let refine = &self.refine;
+        let (refine, length) = (&self.refine, self.last_stage_steps());
         let run = |steps: Vec<usize>, first: usize| {
             let mut steps: Vec<usize> = steps.into_iter().map(|step| self.scaled(step)).collect();
-            steps.retain(|&step| (first..self.train.steps).contains(&step));
+            steps.retain(|&step| (first..length).contains(&step));
             steps.sort_unstable();
             steps.dedup();
             steps
@@ -80,7 +83,7 @@ impl Config {
         let whole_passes = |steps: Vec<usize>, until: usize| {
             let views = views.max(1);
             let mut steps: Vec<usize> = steps.into_iter().map(|step| step.div_ceil(views) * views).collect();
-            steps.retain(|&step| step < until.min(self.train.steps));
+            steps.retain(|&step| step < until.min(length));
             steps.dedup();
             steps
         };
@@ -100,6 +103,7 @@ impl Config {
             gaussian_prune: whole_passes(run(gaussian_prune, 1), self.scaled(refine.gaussian_prune_until)),
             add: run(every(refine.add_every, refine.add_from, refine.add_until), 1),
             split: run(split, 1),
+            drop_lobes: run(only_if(refine.budget == Budget::Auto, refine.drop_lobes_at.clone()), 1),
         }
     }
 }
@@ -113,6 +117,7 @@ impl Schedule {
             gaussian_prune: is_in(&self.gaussian_prune).is_ok(),
             batches_left: is_in(&self.add).ok().map(|batch| self.add.len() - batch),
             split: is_in(&self.split).is_ok(),
+            drop_lobes: is_in(&self.drop_lobes).is_ok(),
         }
     }
 }
@@ -173,6 +178,9 @@ mod tests {
         let mut frozen = config(REFERENCE_STEPS);
         frozen.train.freeze_surfels = true;
         assert_eq!(frozen.schedule(100), Schedule { surfel_prune: vec![], ..all.clone() });
+        let mut automatic = config(REFERENCE_STEPS);
+        automatic.refine.budget = Budget::Auto;
+        assert_eq!(automatic.schedule(100), Schedule { drop_lobes: vec![16_000, 22_000], ..all.clone() });
         let mut unsplit = config(REFERENCE_STEPS);
         unsplit.refine.split = false;
         assert_eq!(unsplit.schedule(100), Schedule { split: vec![], ..all });

@@ -49,6 +49,7 @@ pub(super) fn assemble(root: &Path, mut source: Source, options: &LoadOptions) -
     Ok(Dataset {
         train: views(Split::Train)?,
         test: views(Split::Test)?,
+        validation: Vec::new(),
         points: recentred_points(&source, offset),
         offset,
         extent,

@@ -23,6 +23,7 @@ mod undistort;
 use std::fmt;
 use std::path::Path;
 
+use burn::tensor::{DType, Device, Tensor, TensorData};
 use dpges_core::camera::Camera;
 use glam::DVec3;
 
@@ -59,6 +60,8 @@ pub struct Dataset {
     pub train: Vec<View>,
     /// Held out from training.
     pub test: Vec<View>,
+    /// Kept from training too, for decisions on the way, see [`Dataset::keep_for_validation`].
+    pub validation: Vec<View>,
     /// Empty where the dataset has none.
     pub points: PointCloud,
     /// World position, in the dataset's coordinates, of the origin used here: add it to get back. Zero unless the
@@ -72,6 +75,38 @@ pub struct Dataset {
     pub format: Format,
     /// Near plane of every camera, world units.
     pub near: f64,
+}
+
+impl View {
+    /// [3, H, W] the picture on `device`.
+    pub fn target(&self, device: &Device) -> Tensor<3> {
+        let Picture { width, height, ref planes, .. } = self.picture;
+        Tensor::from_data(TensorData::new(planes.clone(), [3, height, width]), (device, DType::F32))
+    }
+}
+
+impl Dataset {
+    /// Takes every `every`-th training view, beginning with the first, out of training; 0 takes none. At least two
+    /// views stay. Points that only those views saw stay, seen by none.
+    pub fn keep_for_validation(&mut self, every: usize) {
+        let count = self.train.len();
+        let is_kept = |index: usize| every > 1 && count > 2 && index.is_multiple_of(every);
+        let mut new_index = Vec::with_capacity(count);
+        let mut train = Vec::with_capacity(count);
+        for (index, view) in std::mem::take(&mut self.train).into_iter().enumerate() {
+            if is_kept(index) {
+                new_index.push(None);
+                self.validation.push(view);
+            } else {
+                new_index.push(Some(train.len() as u32));
+                train.push(view);
+            }
+        }
+        self.train = train;
+        for seen_by in &mut self.points.seen_by {
+            *seen_by = seen_by.iter().filter_map(|&view| new_index[view as usize]).collect();
+        }
+    }
 }
 
 /// Where a dataset came from.
@@ -146,6 +181,27 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<Dataset> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn validation_views_leave_training_and_the_points() {
+        let options =
+            BuiltinOptions { width: 4, height: 4, train_views: 5, test_views: 1, points: 0, ..Default::default() };
+        let mut dataset = builtin(&options);
+        let names: Vec<String> = dataset.train.iter().map(|view| view.name.clone()).collect();
+        dataset.points.seen_by = vec![vec![0, 1, 4], vec![2, 3], vec![0]];
+        let untouched = dataset.clone();
+        dataset.keep_for_validation(0);
+        assert_eq!((dataset.train.len(), dataset.validation.len()), (5, 0));
+        dataset.keep_for_validation(2);
+        let kept: Vec<&String> = dataset.validation.iter().map(|view| &view.name).collect();
+        assert_eq!(kept, [&names[0], &names[2], &names[4]]);
+        assert_eq!(dataset.points.seen_by, [vec![0], vec![1], vec![]]);
+        let mut few = untouched;
+        few.train.truncate(2);
+        few.points.seen_by.clear();
+        few.keep_for_validation(2);
+        assert_eq!((few.train.len(), few.validation.len()), (2, 0));
+    }
 
     #[test]
     fn unknown_folders_list_what_was_looked_for() {

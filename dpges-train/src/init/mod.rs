@@ -1,9 +1,10 @@
 //! The first scene. A way to initialise is a module that returns an [`InitialScene`], an
 //! [`InitMethod`] that names it, and an arm of [`initialise`]. Most find [`OrientedPoints`] on the
-//! surfaces of the scene and leave the rest to [`placement`].
+//! surfaces of the scene and leave the rest to [`placement`]; [`promote`] makes surfels of trained discs.
 
 mod eigen;
 pub mod placement;
+pub mod promote;
 pub mod random;
 pub mod region;
 pub mod sfm;
@@ -20,8 +21,21 @@ use placement::{OrientedPoints, Placement};
 use region::Region;
 use silhouette::Silhouette;
 
-/// DP-GES starts from 50 to 60 % of the primitives it ends with.
-const START_SHARE: f64 = 0.6;
+/// How many primitives a start may have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Room {
+    /// Points, each of which makes a surfel and a Gaussian.
+    points: usize,
+    /// Gaussians without surfels.
+    gaussians: usize,
+}
+
+impl Room {
+    /// Rounded down, but for at least one.
+    pub fn new(points: f64, gaussians: f64) -> Self {
+        Self { points: (points as usize).max(1), gaussians: (gaussians as usize).max(1) }
+    }
+}
 
 /// What training starts from; surfels have their margins.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -42,32 +56,42 @@ pub enum InitError {
     EmptyHull,
 }
 
-/// Surfels and Gaussians to start from, at most 60 % of `refine.budget` so that refinement has room;
-/// `init.method` "auto" takes points where there are some, else silhouettes, else random Gaussians.
+/// Surfels and Gaussians to start from, no more than there is `room` for; `init.method` "auto" takes points where there are some, else silhouettes, else random Gaussians.
 ///
 /// # Errors
 /// [`InitError`] if there are no training views or the dataset lacks what the method needs.
-pub fn initialise(dataset: &Dataset, config: &Config, rng: &mut ChaCha8Rng) -> Result<InitialScene, InitError> {
+pub fn initialise(
+    dataset: &Dataset,
+    config: &Config,
+    room: Room,
+    rng: &mut ChaCha8Rng,
+) -> Result<InitialScene, InitError> {
     if dataset.train.is_empty() {
         return Err(InitError::NoViews);
     }
     match config.init.method {
-        InitMethod::Sfm => from_points(dataset, config, rng),
-        InitMethod::Silhouette => from_silhouettes(dataset, config, rng),
-        InitMethod::Random => Ok(random_gaussians(dataset, config, rng)),
-        InitMethod::Auto => match from_points(dataset, config, rng).or_else(|_| from_silhouettes(dataset, config, rng))
-        {
-            Err(reason @ (InitError::NoSilhouettes | InitError::EmptyHull)) => {
-                tracing::warn!("no points, and no hull ({reason}): starting from random Gaussians without surfels");
-                Ok(random_gaussians(dataset, config, rng))
+        InitMethod::Sfm => from_points(dataset, config, room, rng),
+        InitMethod::Silhouette => from_silhouettes(dataset, config, room, rng),
+        InitMethod::Random => Ok(random_gaussians(dataset, config, room, rng)),
+        InitMethod::Auto => {
+            match from_points(dataset, config, room, rng).or_else(|_| from_silhouettes(dataset, config, room, rng)) {
+                Err(reason @ (InitError::NoSilhouettes | InitError::EmptyHull)) => {
+                    tracing::warn!("no points, and no hull ({reason}): starting from random Gaussians without surfels");
+                    Ok(random_gaussians(dataset, config, room, rng))
+                }
+                result => result,
             }
-            result => result,
-        },
+        }
     }
 }
 
-fn from_points(dataset: &Dataset, config: &Config, rng: &mut ChaCha8Rng) -> Result<InitialScene, InitError> {
-    let points = sfm::usable_points(&dataset.points, max_points(config), rng);
+fn from_points(
+    dataset: &Dataset,
+    config: &Config,
+    room: Room,
+    rng: &mut ChaCha8Rng,
+) -> Result<InitialScene, InitError> {
+    let points = sfm::usable_points(&dataset.points, config.init.max_points.min(room.points), rng);
     if points.positions.is_empty() {
         return Err(InitError::NoPoints);
     }
@@ -75,7 +99,12 @@ fn from_points(dataset: &Dataset, config: &Config, rng: &mut ChaCha8Rng) -> Resu
     Ok(place(&sfm::orient(points, &centres), dataset, config, rng))
 }
 
-fn from_silhouettes(dataset: &Dataset, config: &Config, rng: &mut ChaCha8Rng) -> Result<InitialScene, InitError> {
+fn from_silhouettes(
+    dataset: &Dataset,
+    config: &Config,
+    room: Room,
+    rng: &mut ChaCha8Rng,
+) -> Result<InitialScene, InitError> {
     let silhouettes: Vec<Silhouette> = dataset
         .train
         .iter()
@@ -93,12 +122,12 @@ fn from_silhouettes(dataset: &Dataset, config: &Config, rng: &mut ChaCha8Rng) ->
     if points.is_empty() {
         return Err(InitError::EmptyHull);
     }
-    points.thin_out(max_points(config), rng);
+    points.thin_out(config.init.max_points.min(room.points), rng);
     Ok(place(&points, dataset, config, rng))
 }
 
-fn random_gaussians(dataset: &Dataset, config: &Config, rng: &mut ChaCha8Rng) -> InitialScene {
-    let count = config.init.random_gaussians.min(share_of_budget(config, START_SHARE));
+fn random_gaussians(dataset: &Dataset, config: &Config, room: Room, rng: &mut ChaCha8Rng) -> InitialScene {
+    let count = config.init.random_gaussians.min(room.gaussians);
     let points = random::points(in_sight(dataset), count, rng);
     let gaussians = placement::gaussians(&points, &Placement::new(config, dataset.extent), rng);
     InitialScene { surfels: SurfelData::default(), gaussians }
@@ -110,17 +139,6 @@ fn place(points: &OrientedPoints, dataset: &Dataset, config: &Config, rng: &mut 
     let mut surfels = placement::surfels(points, &placement, rng);
     surfels.margins = margins(&surfels.positions, &surfels.log_scales, config.model.margin);
     InitialScene { surfels, gaussians: placement::gaussians(points, &placement, rng) }
-}
-
-fn max_points(config: &Config) -> usize {
-    config.init.max_points.min(share_of_budget(config, START_SHARE / 2.0))
-}
-
-fn share_of_budget(config: &Config, share: f64) -> usize {
-    match config.refine.budget {
-        0 => usize::MAX,
-        budget => ((budget as f64 * share) as usize).max(1),
-    }
 }
 
 fn in_sight(dataset: &Dataset) -> Region {
@@ -162,6 +180,7 @@ mod tests {
         Dataset {
             train: (0..views).map(view).collect(),
             test: vec![],
+            validation: vec![],
             points: PointCloud { positions: points, colours, seen_by: vec![] },
             offset: DVec3::ZERO,
             extent: 4.4,
@@ -176,7 +195,7 @@ mod tests {
         config.init.method = method;
         config.init.hull_resolution = 24;
         config.init.random_gaussians = 300;
-        initialise(dataset, &config, &mut ChaCha8Rng::seed_from_u64(4))
+        initialise(dataset, &config, Room::new(1e6, 1e6), &mut ChaCha8Rng::seed_from_u64(4))
     }
 
     #[test]
@@ -204,12 +223,12 @@ mod tests {
     }
 
     #[test]
-    fn the_same_seed_gives_the_same_scene_within_the_budget() {
+    fn the_same_seed_gives_the_same_scene_within_its_room() {
         let cloud = (0..200).map(|i| [(i as f32).sin(), (i as f32 * 1.7).cos(), i as f32 * 0.01]).collect();
         let dataset = dataset(6, false, cloud);
-        let mut config = Config::default();
-        config.refine.budget = 100;
-        let start = |seed| initialise(&dataset, &config, &mut ChaCha8Rng::seed_from_u64(seed)).unwrap();
+        let config = Config::default();
+        let room = Room::new(30.0, 60.0);
+        let start = |seed| initialise(&dataset, &config, room, &mut ChaCha8Rng::seed_from_u64(seed)).unwrap();
         assert_eq!(start(1), start(1));
         assert_ne!(start(1), start(2));
         assert_eq!((start(1).surfels.len(), start(1).gaussians.len()), (30, 30));

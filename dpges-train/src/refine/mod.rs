@@ -1,11 +1,21 @@
 //! Decisions about the set of primitives, as pure functions on rows: which stay ([`prune`]), which
-//! are divided ([`split`]), where new ones go ([`add`]), how deep surfels reach ([`margins`]).
+//! are divided ([`split`]), where new ones go ([`add`]), how deep surfels reach ([`margins`]); for the
+//! stages that train the first scene, which are doubled where pictures are poor ([`densify`]), which
+//! move away from where they have faded ([`relocate`]) and how they wander meanwhile ([`noise`]).
+//! So that a scene is no larger than it needs to be: which lobes can go ([`lobes`]), when enough primitives have
+//! been added ([`growth`]), how many layers are peeled ([`layer_count`]).
 //! They return plans; the trainer applies the same plan to the parameters and to the moments of
 //! the optimiser, where new rows start at zero.
 
 pub mod add;
+pub mod densify;
+pub mod growth;
+pub mod layer_count;
+pub mod lobes;
 pub mod margins;
+pub mod noise;
 pub mod prune;
+pub mod relocate;
 pub mod split;
 
 use std::f64::consts::TAU;

@@ -5,9 +5,7 @@ use std::pin::Pin;
 use std::task::{Context, Poll, Waker};
 
 use burn::tensor::{ExecutionError, Tensor, TensorData, read_sync};
-use dpges_core::losses::Losses;
 use dpges_core::ops::finite::{FiniteChecks, check_finite};
-use dpges_core::render::Render;
 
 use super::{StepReport, TrainError};
 
@@ -26,23 +24,47 @@ enum Waiting {
     No(Numbers),
 }
 
+/// Whether a step may be taken: its loss and its gradients are finite.
+pub struct Gate {
+    checks: FiniteChecks,
+    /// [1] tensors that are not finite.
+    bad: Tensor<1>,
+    /// [1] 1 if there are none, else 0.
+    pub open: Tensor<1>,
+}
+
+impl Gate {
+    /// `gradients` by the names of what they belong to.
+    pub fn new<'a>(loss: &Tensor<1>, gradients: impl Iterator<Item = (&'static str, &'a Option<Tensor<2>>)>) -> Self {
+        let mut checks = FiniteChecks::default();
+        checks.add("loss", &loss.clone().inner());
+        for (name, gradient) in gradients {
+            if let Some(gradient) = gradient {
+                checks.add(format!("gradient of {name}"), gradient);
+            }
+        }
+        let bad = checks.positions().greater_equal_elem(0).float().sum();
+        let open = bad.clone().clamp_max(1.0) * -1.0 + 1.0;
+        Self { checks, bad, open }
+    }
+}
+
 impl PendingStep {
-    /// Asks for the numbers without waiting for them. `bad` [1] counts the tensors of `checks` that
-    /// are not finite.
+    /// Asks for the numbers without waiting for them: loss, L_rgb, L_s, L_scale and L_t, each [1], and the error of
+    /// `image` [3, H, W].
     pub fn new(
         report: StepReport,
         view_name: String,
-        terms: &Losses,
-        rendered: &Render,
+        terms: [Tensor<1>; 5],
+        image: Tensor<3>,
         target: Tensor<3>,
-        checks: FiniteChecks,
-        bad: Tensor<1>,
+        gate: &Gate,
     ) -> Self {
-        let difference = rendered.composite.image.clone().inner().clamp(0.0, 1.0) - target.inner();
+        let difference = image.inner().clamp(0.0, 1.0) - target.inner();
         let squared_error = difference.clone().mul(difference).mean();
-        let terms = [&terms.total, &terms.rgb, &terms.surfel, &terms.scale, &terms.transmittance];
-        let mut numbers: Vec<Tensor<1>> = terms.map(|term| term.clone().inner()).into();
-        numbers.extend([squared_error, bad]);
+        let mut numbers: Vec<Tensor<1>> = terms.map(Tensor::inner).into();
+        numbers.extend([squared_error, gate.bad.clone()]);
+        let checks = gate.checks.clone();
         let mut future: Pin<Box<dyn Future<Output = Numbers> + Send>> =
             Box::pin(Tensor::cat(numbers, 0).into_data_async());
         // a future begins when it is first polled: this one is to begin now

@@ -1,11 +1,13 @@
-//! Applies the decisions of [`crate::refine`] when the schedule asks for them.
+//! Applies the decisions of [`crate::refine`] to surfels and Gaussians when the schedule asks for them.
 
 use burn::tensor::Tensor;
 use dpges_core::render::{Render, Values, render_values};
 use dpges_core::scene::tensors::tensor_to_rows;
 
-use super::{TrainError, Trainer, target};
-use crate::config::Due;
+use super::TrainError;
+use super::context::{Context, mean_pixels};
+use super::joint::JointStage;
+use crate::config::Budget;
 use crate::dataset::View;
 use crate::refine::add::{batch_size, draw_pixels, new_gaussians};
 use crate::refine::margins::margins;
@@ -16,39 +18,50 @@ use crate::refine::{GaussianEdit, RowEdit};
 /// Scale of an added Gaussian at most, as a fraction of the extent.
 const MAX_ADDED_SCALE: f64 = 0.01;
 
-impl Trainer {
+impl JointStage {
     /// Does what is due after the completed steps, in the order prune, margins, split, add; says what it did.
-    pub(super) fn refine(&mut self, due: Due) -> Result<Vec<String>, TrainError> {
+    pub fn refine(&mut self, context: &mut Context) -> Result<Vec<String>, TrainError> {
+        let due = self.due(context.completed_steps - self.plan.begin);
         let mut events = Vec::new();
         if due.surfel_prune {
-            events.push(self.prune_surfels());
+            events.push(self.prune_surfels(context));
         }
         if due.gaussian_prune {
-            events.push(self.prune_gaussians());
+            events.push(self.prune_gaussians(context));
         }
         if due.margins {
             let surfels = self.surfels.to_data();
-            let margins = margins(&surfels.positions, &surfels.log_scales, self.config.model.margin);
+            let margins = margins(&surfels.positions, &surfels.log_scales, context.config.model.margin);
             self.surfels.set_margins(&margins);
             events.push(format!("margins of {} surfels computed", surfels.len()));
+            let begun = context.completed_steps > self.plan.begin;
+            if begun && context.config.refine.budget == Budget::Auto {
+                events.push(self.choose_layer_count(context)?);
+            }
+        }
+        if due.drop_lobes {
+            events.extend(self.drop_lobes(context));
         }
         if due.split {
-            events.push(self.split_gaussians());
+            events.push(self.split_gaussians(context));
         }
         if let Some(batches_left) = due.batches_left {
-            events.push(self.add_gaussians(batches_left)?);
+            events.push(match self.end_of_growth(context)? {
+                Some(reason) => reason,
+                None => self.add_gaussians(context, batches_left)?,
+            });
         }
         Ok(events)
     }
 
-    fn prune_surfels(&mut self) -> String {
-        let refine = &self.config.refine;
+    fn prune_surfels(&mut self, context: &Context) -> String {
+        let refine = &context.config.refine;
         let log_scales = self.surfels.to_data().log_scales;
         let edit = surfels_to_keep(
             &self.statistics.max_pixels(),
             &log_scales,
             self.info.extent,
-            min_pixels(refine.surfel_min_pixels, super::mean_pixels(&self.dataset)),
+            min_pixels(refine.surfel_min_pixels, mean_pixels(&context.dataset)),
             refine.surfel_max_scale,
         );
         let before = self.surfels.len();
@@ -57,26 +70,26 @@ impl Trainer {
         format!("{} of {before} surfels pruned", before - self.surfels.len())
     }
 
-    fn prune_gaussians(&mut self) -> String {
+    fn prune_gaussians(&mut self, context: &Context) -> String {
         let rows =
-            gaussians_to_keep(&self.statistics.max_contributions(), self.config.refine.gaussian_min_contribution);
+            gaussians_to_keep(&self.statistics.max_contributions(), context.config.refine.gaussian_min_contribution);
         let before = self.gaussians.len();
         self.edit_gaussians(&GaussianEdit { rows, ..GaussianEdit::default() });
         format!("{} of {before} Gaussians pruned", before - self.gaussians.len())
     }
 
-    fn split_gaussians(&mut self) -> String {
+    fn split_gaussians(&mut self, context: &mut Context) -> String {
         let surfels = self.surfels.to_data();
-        let room = self.config.refine.budget.saturating_sub(self.surfels.len() + self.gaussians.len());
+        let room = context.budget().saturating_sub(self.surfels.len() + self.gaussians.len());
         let before = self.gaussians.len();
         let edit = split(
             &self.gaussians.to_data(),
             self.info.colour_model,
             &surfels.positions,
             &surfels.margins,
-            self.config.refine.split_factor,
+            context.config.refine.split_factor,
             room,
-            &mut self.rng,
+            &mut context.rng,
         );
         self.edit_gaussians(&edit);
         format!("{} of {before} Gaussians split", self.gaussians.len() - before)
@@ -84,23 +97,23 @@ impl Trainer {
 
     /// Adds a batch where the pictures are worst: pixels drawn by squared error, in the depth of the
     /// nearest layer (GES, DP-GES).
-    fn add_gaussians(&mut self, batches_left: usize) -> Result<String, TrainError> {
+    fn add_gaussians(&mut self, context: &mut Context, batches_left: usize) -> Result<String, TrainError> {
         let primitives = self.surfels.len() + self.gaussians.len();
-        let count = batch_size(self.config.refine.budget, primitives, batches_left);
-        let views = self.dataset.train.len();
-        let dataset = std::sync::Arc::clone(&self.dataset);
+        let count = batch_size(context.budget(), primitives, batches_left);
+        let views = context.dataset.train.len();
+        let dataset = context.dataset.clone();
         let mut positions = Vec::with_capacity(count);
         for (index, view) in dataset.train.iter().enumerate() {
             let share = count / views + usize::from(index < count % views);
             if share > 0 {
-                let rendered = self.render_view(view)?;
-                let error = squared_error(&rendered, target(view, &self.device));
-                let pixels = draw_pixels(&error, share, &mut self.rng);
+                let rendered = self.render_view(context, view)?;
+                let error = squared_error(&rendered, view.target(&context.device));
+                let pixels = draw_pixels(&error, share, &mut context.rng);
                 positions.extend(on_first_layer(&rendered, view, &pixels));
             }
         }
         let max_scale = (MAX_ADDED_SCALE * self.info.extent) as f32;
-        let added = new_gaussians(&positions, max_scale, self.info.colour_model, &mut self.rng);
+        let added = new_gaussians(&positions, max_scale, self.info.colour_model, &mut context.rng);
         let rows = RowEdit::keep_all(self.gaussians.len());
         let event = format!("{} Gaussians added of {count} wanted", added.len());
         self.edit_gaussians(&GaussianEdit { rows, added });
@@ -114,9 +127,15 @@ impl Trainer {
     }
 
     /// A view of the scene as it stands, without a tape.
-    fn render_view(&self, view: &View) -> Result<Render, TrainError> {
+    fn render_view(&self, context: &Context, view: &View) -> Result<Render, TrainError> {
         let (surfels, gaussians) = (self.surfels.values(), self.gaussians.values());
-        Ok(render_values(&surfels, &gaussians, &view.camera, &self.render_options(), Values::KnownFinite)?)
+        Ok(render_values(
+            &surfels,
+            &gaussians,
+            &view.camera,
+            &self.render_options(&context.config),
+            Values::KnownFinite,
+        )?)
     }
 }
 

@@ -1,5 +1,5 @@
-//! `blend` on the tape: colour, alpha and depth are separate nodes over the same forward pass, so
-//! that a loss pays for those that it uses.
+//! `blend` on the tape: one node for all planes, so that a loss on several of them goes back through
+//! the primitives once.
 
 use burn::backend::autodiff::checkpoint::base::Checkpointer;
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
@@ -8,14 +8,12 @@ use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, AutodiffBackend, Backend};
 
-use super::{BlendBackwardOps, BlendOps, BlendOptions, BlendOutput, OutputKind};
+use super::{BlendBackwardOps, BlendInput, BlendOps, BlendOptions, BlendOutput};
 use crate::camera::Camera;
-use crate::ops::splat::{self, SplatInput};
 
 #[derive(Clone, Debug)]
 struct BlendState<B: Backend> {
-    gaussians: SplatInput<B>,
-    kind: OutputKind,
+    input: BlendInput<B>,
     camera: Camera,
     options: BlendOptions,
 }
@@ -23,22 +21,16 @@ struct BlendState<B: Backend> {
 #[derive(Debug)]
 struct BlendBackward;
 
-impl<B: BlendBackwardOps> Backward<B, 5> for BlendBackward {
+impl<B: BlendBackwardOps> Backward<B, 6> for BlendBackward {
     type State = BlendState<B>;
 
-    fn backward(self, ops: Ops<Self::State, 5>, grads: &mut Gradients, _: &mut Checkpointer) {
+    fn backward(self, ops: Ops<Self::State, 6>, grads: &mut Gradients, _: &mut Checkpointer) {
         let grad = grads.consume::<B>(&ops.node);
-        let BlendState { gaussians, kind, camera, options } = ops.state;
-        let out = B::blend_backward(gaussians, grad, kind, camera, options);
-        let reached = [
-            (out.positions, true),
-            (out.quaternions, true),
-            (out.log_scales, true),
-            (out.opacities, true),
-            (out.colours, kind.reaches_colours()),
-        ];
-        for (parent, (grad, reached)) in ops.parents.into_iter().zip(reached) {
-            if let (Some(parent), true) = (parent, reached) {
+        let BlendState { input, camera, options } = ops.state;
+        let out = B::blend_backward(input, grad, camera, options);
+        let out = [out.positions, out.quaternions, out.log_scales, out.opacities, out.colours, out.probe];
+        for (parent, grad) in ops.parents.into_iter().zip(out) {
+            if let Some(parent) = parent {
                 grads.register::<B>(parent.id, grad);
             }
         }
@@ -46,25 +38,24 @@ impl<B: BlendBackwardOps> Backward<B, 5> for BlendBackward {
 }
 
 impl<B: BlendOps + BlendBackwardOps, S: CheckpointStrategy> BlendOps for Autodiff<B, S> {
-    fn blend(gaussians: SplatInput<Self>, camera: Camera, options: BlendOptions) -> BlendOutput<Self> {
-        let values = splat::values(&gaussians);
-        let out = B::blend(values.clone(), camera, options);
-        let node = |value: FloatTensor<B>, kind: OutputKind| {
-            let SplatInput { positions, quaternions, log_scales, opacities, colours } = &gaussians;
-            let parents = [positions, quaternions, log_scales, opacities, colours];
-            let parents = parents.map(|tensor| tensor.clone().into_parts().1);
-            match BlendBackward.prepare::<S>(parents).compute_bound().stateful() {
-                OpsKind::Tracked(prep) => {
-                    prep.finish(BlendState { gaussians: values.clone(), kind, camera, options }, value)
-                }
-                OpsKind::UnTracked(prep) => prep.finish(value),
-            }
+    fn blend(input: BlendInput<Self>, camera: Camera, options: BlendOptions) -> BlendOutput<Self> {
+        let inner = |tensor: &FloatTensor<Self>| tensor.clone().into_parts().0;
+        let values = BlendInput {
+            positions: inner(&input.positions),
+            quaternions: inner(&input.quaternions),
+            log_scales: inner(&input.log_scales),
+            opacities: inner(&input.opacities),
+            colours: inner(&input.colours),
+            probe: inner(&input.probe),
         };
-        BlendOutput {
-            colour: node(out.colour, OutputKind::Colour),
-            alpha: node(out.alpha, OutputKind::Alpha),
-            depth: node(out.depth, OutputKind::Depth),
-            median_depth: <Self as AutodiffBackend>::from_inner(out.median_depth),
-        }
+        let out = B::blend(values.clone(), camera, options);
+        let BlendInput { positions, quaternions, log_scales, opacities, colours, probe } = input;
+        let parents = [positions, quaternions, log_scales, opacities, colours, probe];
+        let parents = parents.map(|tensor| tensor.into_parts().1);
+        let planes = match BlendBackward.prepare::<S>(parents).compute_bound().stateful() {
+            OpsKind::Tracked(prep) => prep.finish(BlendState { input: values, camera, options }, out.planes),
+            OpsKind::UnTracked(prep) => prep.finish(out.planes),
+        };
+        BlendOutput { planes, median_depth: <Self as AutodiffBackend>::from_inner(out.median_depth) }
     }
 }

@@ -1,51 +1,112 @@
-//! `blend`: Gaussians blended front to back in the order of their depths (3DGS).
+//! `blend`: primitives blended front to back in the order of their depths (3DGS, 2DGS).
 //!
-//! Gaussians, coloured c_i → colour `Σ c_i α_i T_i` [3, H, W] without a background, alpha `1 − T`
-//! behind the last Gaussian [1, H, W], expected depth `Σ z_i α_i T_i` [1, H, W], not divided by alpha, and median
-//! depth [1, H, W], the z_i of the first Gaussian behind which T ≤ ½, 0 where there is none (2DGS).
-//! `T_i = Π_{j<i} (1 − α_j)`; z_i is camera-space z of the centre, world units; Gaussians are ordered by
-//! (z_i, index), alike in all pixels. A pixel ends before the first Gaussian that would take T below
-//! [`BlendOptions::min_transmittance`].
+//! Primitives, coloured c_i, → planes [P, H, W] and median depth. With `T_i = Π_{j<i} (1 − α_j)` and
+//! `w_i = α_i T_i`, the planes are
 //!
-//! α = min([`BlendOptions::max_alpha`], max(0, opacity) · compensation · exp(−½ dᵀ Q d)), dropped below 1/255, with
-//! the footprint of [`splat`]: EWA, 0.1 px² low-pass, compensated. DBS has 0.3 px² and no
-//! compensation, but then Gaussians change when they go on to be splatted.
+//! | plane | value | |
+//! |---|---|---|
+//! | 0–2 | `Σ w_i c_i` | colour, without a background |
+//! | 3 | `Σ w_i = 1 − T` | alpha |
+//! | 4 | `Σ w_i z_i` | expected depth, not divided by alpha, world units |
+//! | 5–7 | `Σ w_i n_i` | normal, camera axes, facing the camera |
+//! | 8 | `Σ_{j<i} w_i w_j (m_i − m_j)²` | depth distortion (2DGS), m of z see [`far`] |
 //!
-//! Gradients: from colour, alpha and expected depth to positions, quaternions, log-scales, opacities
-//! and colours. A capped α, the order, where a pixel ends, and median depth carry none.
+//! P is 4, or 9 with [`BlendOptions::maps`]. Median depth is the z_i of the first fragment behind which
+//! T ≤ ½, 0 where there is none (2DGS). Primitives are ordered by (camera-space z of the centre, index),
+//! alike in all pixels; those with a centre at or behind the near plane do not exist. A pixel ends before
+//! the first fragment that would take T below [`BlendOptions::min_transmittance`]. α is capped at
+//! [`BlendOptions::max_alpha`], and a fragment with α below 1/255 does not exist.
 //!
-//! There are no kernels for GPUs yet.
+//! [`Form::Ellipsoids`]: α = max(0, opacity) · compensation · exp(−½ dᵀ Q d), the footprint of
+//! [`splat`](super::splat): EWA, 0.1 px² low-pass, compensated. z is that of the centre, n the axis with
+//! the smallest scale. DBS has 0.3 px² and no compensation, but then Gaussians change when they go on to
+//! be splatted.
+//!
+//! [`Form::Discs`]: α = max(0, opacity) · exp(−ρ/2) with ρ = min(u² + v², 2 |d|²): (u, v) in units of the
+//! first two scales is where the ray meets the disc, d the distance in px from the centre of the box
+//! around the disc at 3 σ (the low-pass of 2DGS, which a disc that reaches the camera's plane at 3 σ does
+//! not have). z is that of the hit under either, and a hit at or nearer than the near plane does not
+//! exist; n is the third axis. The third scale means nothing.
+//!
+//! Gradients: from the planes to positions, quaternions, log-scales, opacities and colours, all in one
+//! pass. A capped α, the order, where a pixel ends, which axis is a normal and its sign, and median
+//! depth carry none.
+//!
+//! The *probe* is a [M, 4] tensor that no value depends on. Its gradient is Σ g_x, Σ g_y, Σ |g_x|, Σ |g_y|
+//! over the pixels, where (g_x, g_y) is a pixel's gradient with respect to the projected centre in units
+//! of half the image: what 3DGS, 2DGS (from hits with the disc only) and AbsGS decide by.
 
 mod backward;
+#[cfg(test)]
+mod brute_force;
 mod cpu;
+#[cfg(feature = "gpu")]
+mod cube;
+mod disc;
+mod distortion;
+mod footprint;
+mod gather;
+mod normal;
 #[cfg(test)]
 mod tests;
+mod walk;
 
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, Dispatch, ExtensionType, backend_extension};
 use burn::tensor::Tensor;
 
-use super::splat::{self, SplatInput};
+use super::splat::SplatInput;
 use crate::camera::Camera;
-use crate::device::is_gpu;
 use crate::error::{Error, Result};
 use crate::scene::Gaussians;
+use crate::scene::tensors::check_shape;
+
+/// Red, green, blue, alpha.
+pub const COLOUR_PLANES: usize = 4;
+/// Those, expected depth, three of the normal, distortion.
+pub const ALL_PLANES: usize = 9;
+pub const ALPHA_PLANE: usize = 3;
+pub const DEPTH_PLANE: usize = 4;
+/// The first of three.
+pub const NORMAL_PLANE: usize = 5;
+pub const DISTORTION_PLANE: usize = 8;
 
 /// Largest [`BlendOptions::max_alpha`]: backward divides by 1 − α.
 pub const HIGHEST_MAX_ALPHA: f64 = 0.9999;
 
+/// Depth that distortion maps to 1, world units (2DGS), where it is large enough beside the near plane.
+pub const FAR: f64 = 100.0;
+
+/// Depth that distortion maps to 1: m = far / (far − near) · (1 − near / z). [`FAR`], but at least 10 · `near`.
+pub fn far(near: f64) -> f64 {
+    FAR.max(10.0 * near)
+}
+
+/// What a primitive is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Form {
+    /// Three scales, projected as a whole (3DGS).
+    #[default]
+    Ellipsoids,
+    /// Two scales, met by rays (2DGS).
+    Discs,
+}
+
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BlendOptions {
-    /// α of a Gaussian at a pixel is capped here; above 0, at most [`HIGHEST_MAX_ALPHA`].
+    pub form: Form,
+    /// α of a primitive at a pixel is capped here; above 0, at most [`HIGHEST_MAX_ALPHA`].
     pub max_alpha: f64,
     /// A pixel ends before T falls below this; between 0 and 1.
     pub min_transmittance: f64,
+    /// Whether depth, normal and distortion are wanted.
+    pub maps: bool,
 }
 
 impl Default for BlendOptions {
-    /// α up to 0.999 (DBS), pixels end at 1e-4 (3DGS).
+    /// Ellipsoids, α up to 0.999 (DBS), pixels end at 1e-4 (3DGS), no maps.
     fn default() -> Self {
-        Self { max_alpha: 0.999, min_transmittance: 1e-4 }
+        Self { form: Form::Ellipsoids, max_alpha: 0.999, min_transmittance: 1e-4, maps: false }
     }
 }
 
@@ -61,80 +122,132 @@ impl BlendOptions {
         check("max_alpha", alpha, alpha > 0.0 && alpha <= HIGHEST_MAX_ALPHA, at_most)?;
         check("min_transmittance", through, through > 0.0 && through < 1.0, "a number between 0 and 1".into())
     }
+
+    /// P
+    pub fn planes(&self) -> usize {
+        if self.maps { ALL_PLANES } else { COLOUR_PLANES }
+    }
+}
+
+/// Primitives and the probe, or the gradients with respect to them.
+#[derive(ExtensionType, Debug, Clone)]
+pub struct BlendInput<B: Backend> {
+    /// [M, 3]
+    pub positions: FloatTensor<B>,
+    /// [M, 4]
+    pub quaternions: FloatTensor<B>,
+    /// [M, 3]
+    pub log_scales: FloatTensor<B>,
+    /// [M]
+    pub opacities: FloatTensor<B>,
+    /// [M, 3]
+    pub colours: FloatTensor<B>,
+    /// [M, 4], or [0, 4] where it is not wanted
+    pub probe: FloatTensor<B>,
+}
+
+impl<B: Backend> BlendInput<B> {
+    /// Without the probe.
+    fn primitives(&self) -> SplatInput<B> {
+        SplatInput {
+            positions: self.positions.clone(),
+            quaternions: self.quaternions.clone(),
+            log_scales: self.log_scales.clone(),
+            opacities: self.opacities.clone(),
+            colours: self.colours.clone(),
+        }
+    }
 }
 
 #[derive(ExtensionType, Debug, Clone)]
 pub struct BlendOutput<B: Backend> {
-    pub colour: FloatTensor<B>,
-    pub alpha: FloatTensor<B>,
-    pub depth: FloatTensor<B>,
+    /// [P, H, W]
+    pub planes: FloatTensor<B>,
+    /// [1, H, W] world units, 0 where T stays above ½; no gradient. Not computed without maps: then it may
+    /// be empty.
     pub median_depth: FloatTensor<B>,
 }
 
-/// Which output an incoming gradient belongs to.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum OutputKind {
-    Colour,
-    Alpha,
-    Depth,
-}
-
-impl OutputKind {
-    fn planes(self) -> usize {
-        if self == Self::Colour { 3 } else { 1 }
-    }
-
-    fn reaches_colours(self) -> bool {
-        self == Self::Colour
-    }
-}
-
-#[backend_extension(NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"), Autodiff)]
+#[backend_extension(
+    Cube: cfg(feature = "gpu"),
+    NdArray: cfg(feature = "ndarray"),
+    Flex: cfg(feature = "flex"),
+    Autodiff
+)]
 pub trait BlendOps: Backend {
-    fn blend(#[extension_type] gaussians: SplatInput<Self>, camera: Camera, options: BlendOptions)
-    -> BlendOutput<Self>;
+    fn blend(#[extension_type] input: BlendInput<Self>, camera: Camera, options: BlendOptions) -> BlendOutput<Self>;
 }
 
-#[backend_extension(NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
+#[backend_extension(Cube: cfg(feature = "gpu"), NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
 pub trait BlendBackwardOps: Backend {
-    /// Gradients; that of the colours is empty where the kind of output does not reach them.
+    /// Gradients with respect to the input, from that with respect to the planes, [P, H, W].
     fn blend_backward(
-        #[extension_type] gaussians: SplatInput<Self>,
+        #[extension_type] input: BlendInput<Self>,
         grad: FloatTensor<Self>,
-        kind: OutputKind,
         camera: Camera,
         options: BlendOptions,
-    ) -> SplatInput<Self>;
+    ) -> BlendInput<Self>;
 }
 
-/// Blended Gaussians of one view.
+/// Blended primitives of one view.
 #[derive(Clone, Debug)]
 pub struct Blend {
-    /// [3, H, W] not clamped, nothing behind the Gaussians
+    /// [3, H, W] not clamped, nothing behind the primitives
     pub colour: Tensor<3>,
     /// [1, H, W] 1 − T
     pub alpha: Tensor<3>,
+    /// With [`BlendOptions::maps`].
+    pub maps: Option<Maps>,
+}
+
+/// Geometry of one view.
+#[derive(Clone, Debug)]
+pub struct Maps {
     /// [1, H, W] world units, weighted by αT and not divided by alpha
     pub depth: Tensor<3>,
     /// [1, H, W] world units, 0 where T stays above ½; no gradient
     pub median_depth: Tensor<3>,
+    /// [3, H, W] camera axes, facing the camera, weighted by αT
+    pub normal: Tensor<3>,
+    /// [1, H, W]
+    pub distortion: Tensor<3>,
 }
 
-/// Blends `gaussians`, coloured `colours` [M, 3] as seen from the camera.
+/// Blends `gaussians`, coloured `colours` [M, 3] as seen from the camera. `probe` [M, 4] is there for its gradient
+/// alone: Σ g_x, Σ g_y, Σ |g_x|, Σ |g_y| over the pixels, the gradient with respect to the projected centre in units
+/// of half the image.
 ///
 /// # Errors
-/// [`Error::Shape`], [`Error::Camera`] or [`Error::Option`] for input that does not fit, [`Error::Device`] on a GPU.
-pub fn blend(gaussians: &Gaussians, colours: Tensor<2>, camera: &Camera, options: &BlendOptions) -> Result<Blend> {
+/// [`Error::Shape`], [`Error::Camera`] or [`Error::Option`] for input that does not fit.
+pub fn blend(
+    gaussians: &Gaussians,
+    colours: Tensor<2>,
+    probe: Option<Tensor<2>>,
+    camera: &Camera,
+    options: &BlendOptions,
+) -> Result<Blend> {
     camera.validate()?;
     options.validate()?;
-    if is_gpu(&colours.device()) {
-        return Err(Error::Device { reason: "Gaussians can be blended in order of depth on CPUs only".into() });
-    }
-    let out = Dispatch::blend(splat::input(gaussians, colours)?, *camera, *options);
-    Ok(Blend {
-        colour: Tensor::from_dispatch(out.colour),
-        alpha: Tensor::from_dispatch(out.alpha),
-        depth: Tensor::from_dispatch(out.depth),
+    let probe = match probe {
+        Some(probe) => {
+            check_shape("probe", &probe, [gaussians.len(), 4])?;
+            probe
+        }
+        None => Tensor::zeros([0, 4], (&colours.device(), colours.dtype())),
+    };
+    let SplatInput { positions, quaternions, log_scales, opacities, colours } =
+        super::splat::input(gaussians, colours)?;
+    let probe = probe.into_dispatch();
+    let input = BlendInput { positions, quaternions, log_scales, opacities, colours, probe };
+    let out = Dispatch::blend(input, *camera, *options);
+    let planes = Tensor::<3>::from_dispatch(out.planes);
+    let part =
+        |first: usize, count: usize| planes.clone().slice([first..first + count, 0..camera.height, 0..camera.width]);
+    let maps = options.maps.then(|| Maps {
+        depth: part(DEPTH_PLANE, 1),
         median_depth: Tensor::from_dispatch(out.median_depth),
-    })
+        normal: part(NORMAL_PLANE, 3),
+        distortion: part(DISTORTION_PLANE, 1),
+    });
+    Ok(Blend { colour: part(0, 3), alpha: part(ALPHA_PLANE, 1), maps })
 }

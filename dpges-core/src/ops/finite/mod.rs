@@ -33,7 +33,7 @@ impl<B: FiniteOps, S: CheckpointStrategy> FiniteOps for Autodiff<B, S> {
 }
 
 /// Where each of several tensors first holds a bad value, all asked for before any answer is read.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub struct FiniteChecks {
     names: Vec<String>,
     positions: Vec<Tensor<1, Int>>,

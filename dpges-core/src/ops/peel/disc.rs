@@ -40,16 +40,22 @@ pub struct Hit<T> {
 }
 
 impl<T: Real> Plane<T> {
-    /// Where the ray through the point (`x`, `y`) px meets the plane of the disc.
+    /// u, v, depth and r·n where the ray through a point (`dx`, `dy`) px from the anchor meets the plane.
     #[inline(always)]
-    pub fn hit(&self, x: T, y: T) -> Hit<T> {
-        let (dx, dy) = (x - self.anchor[0], y - self.anchor[1]);
+    pub fn meet(&self, dx: T, dy: T) -> [T; 4] {
         let facing = self.facing[0] + self.facing[1] * dx + self.facing[2] * dy;
         let inverse = T::one() / facing;
         let u = (self.u[0] + self.u[1] * dx + self.u[2] * dy) * inverse;
         let v = (self.v[0] + self.v[1] * dx + self.v[2] * dy) * inverse;
+        [u, v, self.distance * inverse, facing]
+    }
+
+    /// Where the ray through the point (`x`, `y`) px meets the plane of the disc.
+    #[inline(always)]
+    pub fn hit(&self, x: T, y: T) -> Hit<T> {
+        let [u, v, depth, facing] = self.meet(x - self.anchor[0], y - self.anchor[1]);
         let kernel = (T::of(-0.5) * (u * u + v * v)).exp_nonpositive();
-        Hit { u, v, depth: self.distance * inverse, facing, kernel }
+        Hit { u, v, depth, facing, kernel }
     }
 }
 
@@ -71,11 +77,11 @@ impl Plane<f64> {
 pub struct Disc {
     pub plane: Plane<f64>,
     /// Ray through the anchor.
-    anchor_ray: V3<f64>,
-    centre: V3<f64>,
+    pub anchor_ray: V3<f64>,
+    pub centre: V3<f64>,
     /// Columns t_u, t_v, n in camera axes.
-    axes: M3<f64>,
-    scales: [f64; 2],
+    pub axes: M3<f64>,
+    pub scales: [f64; 2],
     /// Whether the anchor is the projected centre.
     centred: bool,
 }
@@ -84,11 +90,11 @@ pub struct Disc {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct DiscGrad {
     /// Of r·(t_v × c): at the anchor, times offset in x, times offset in y (offsets in units of the ray).
-    u: V3<f64>,
-    v: V3<f64>,
-    facing: V3<f64>,
-    distance: f64,
-    log_scales: [f64; 2],
+    pub u: V3<f64>,
+    pub v: V3<f64>,
+    pub facing: V3<f64>,
+    pub distance: f64,
+    pub log_scales: [f64; 2],
 }
 
 impl DiscGrad {

@@ -12,9 +12,9 @@ mod backward;
 mod cpu;
 #[cfg(feature = "gpu")]
 mod cube;
-mod disc;
+pub(super) mod disc;
 #[cfg(feature = "gpu")]
-mod disc_cube;
+pub(super) mod disc_cube;
 #[cfg(test)]
 mod tests;
 

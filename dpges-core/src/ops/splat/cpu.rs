@@ -11,7 +11,7 @@ use super::footprint::{self, Parameters, Splat, SplatGrad};
 use super::{SplatBackwardOps, SplatInput, SplatOps};
 use crate::camera::Camera;
 use crate::host::{self, Host, for_each_cpu_backend, with_real};
-use crate::math::{CameraOf, row};
+use crate::math::{CameraOf, V3, row};
 use crate::ops::binning::layout::{to_planes, to_tiles};
 use crate::ops::binning::{LANES, PixelRect, TILE, TILE_PIXELS, TileGrid, bin};
 use crate::real::Real;
@@ -53,8 +53,12 @@ impl<'a, T: Real> GaussianRows<'a, T> {
         }
     }
 
-    pub fn splat(&self, camera: &CameraOf<T>, i: usize) -> Option<Splat<T>> {
-        Splat::new(camera, &self.parameters(i), row(&self.colours, i))
+    pub fn colour(&self, i: usize) -> V3<T> {
+        row(&self.colours, i)
+    }
+
+    fn splat(&self, camera: &CameraOf<T>, i: usize) -> Option<Splat<T>> {
+        Splat::new(camera, &self.parameters(i), self.colour(i))
     }
 }
 
@@ -121,20 +125,20 @@ fn lanes<T: Real>(values: &[T], start: usize) -> [T; LANES] {
     values[start..start + LANES].try_into().expect("one group")
 }
 
-/// Calls `visit(start, dx, dy)` for every group of lanes of a tile that a splat can reach: position
-/// of the group within the tile and offsets of its pixels from the mean, px.
+/// Calls `visit(start, dx, dy)` for every group of lanes of a tile that lies in `rect`: position of
+/// the group within the tile and offsets of its pixels from `anchor`, px.
 #[inline(always)]
 pub fn for_each_group<T: Real>(
-    splat: &Splat<T>,
+    anchor: [T; 2],
     rect: &PixelRect,
     origin: (usize, usize),
     mut visit: impl FnMut(usize, [T; LANES], T),
 ) {
     let [x0, x1, y0, y1] = rect.within_tile(origin);
     for line in y0..y1 {
-        let dy = T::of((origin.1 + line) as f64 + 0.5) - splat.mean[1];
+        let dy = T::of((origin.1 + line) as f64 + 0.5) - anchor[1];
         for group in x0 / LANES..x1.div_ceil(LANES) {
-            let left = T::of((origin.0 + group * LANES) as f64 + 0.5) - splat.mean[0];
+            let left = T::of((origin.0 + group * LANES) as f64 + 0.5) - anchor[0];
             let mut dx = [T::zero(); LANES];
             for (lane, dx) in dx.iter_mut().enumerate() {
                 *dx = left + T::of(lane as f64);
@@ -183,7 +187,7 @@ fn splat_tile<T: Real>(
         }
         let payload = [splat.colour[0], splat.colour[1], splat.colour[2], T::one()];
         for_each_group(
-            splat,
+            splat.mean,
             &rects[id as usize],
             origin,
             #[inline(always)]
@@ -269,7 +273,7 @@ fn gather<T: Real>(
             let grad = &grad[tile * block..][..block];
             let intervals = limits.intervals(splat.depth);
             for_each_group(
-                splat,
+                splat.mean,
                 &rect,
                 grid.origin(tile),
                 #[inline(always)]
@@ -411,7 +415,7 @@ fn contributions<T: Real>(
         let mut largest = [T::zero(); LANES];
         for_each_lit_tile(&splat, &rect, grid, &limits, |tile, limits| {
             let gates = &gates[tile * layers * TILE_PIXELS..][..layers * TILE_PIXELS];
-            for_each_group(&splat, &rect, grid.origin(tile), |start, dx, dy| {
+            for_each_group(splat.mean, &rect, grid.origin(tile), |start, dx, dy| {
                 for k in limits.intervals(splat.depth) {
                     let mask = limits.mask(k, start, splat.depth);
                     let gate = lanes(gates, k * TILE_PIXELS + start);

@@ -416,6 +416,45 @@ fn projected(gaussians: &SplatInput<CubeBackend>, camera: &Camera) -> (CubeTenso
     (splats, rects)
 }
 
+/// Gradients with respect to positions, quaternions, log-scales and opacities, into `out`, from the
+/// `moments` [M, [`MOMENTS`]].
+pub(in crate::ops) fn footprint_backward(
+    gaussians: &SplatInput<CubeBackend>,
+    moments: &CubeTensor,
+    camera: &Camera,
+    out: &SplatInput<CubeBackend>,
+) {
+    let (client, count) = (moments.client.clone(), moments.shape()[0]);
+    place_backward_kernel::launch(
+        &client,
+        units(count),
+        cube_dim(),
+        buffer(&gaussians.positions),
+        buffer(&gaussians.quaternions),
+        buffer(&gaussians.log_scales),
+        buffer(&gaussians.opacities),
+        buffer(moments),
+        buffer(&out.positions),
+        buffer(&out.opacities),
+        View::launch(camera),
+        count as u32,
+    );
+    shape_backward_kernel::launch(
+        &client,
+        units(count),
+        cube_dim(),
+        buffer(&gaussians.positions),
+        buffer(&gaussians.quaternions),
+        buffer(&gaussians.log_scales),
+        buffer(&gaussians.opacities),
+        buffer(moments),
+        buffer(&out.quaternions),
+        buffer(&out.log_scales),
+        View::launch(camera),
+        count as u32,
+    );
+}
+
 impl SplatOps for CubeBackend {
     fn splat(gaussians: SplatInput<Self>, limits: FloatTensor<Self>, camera: Camera) -> FloatTensor<Self> {
         let (gaussians, limits) = (contiguous(gaussians), floats(limits));
@@ -517,34 +556,7 @@ impl SplatBackwardOps for CubeBackend {
             count as u32,
             layers,
         );
-        place_backward_kernel::launch(
-            &client,
-            units(count),
-            cube_dim(),
-            buffer(&gaussians.positions),
-            buffer(&gaussians.quaternions),
-            buffer(&gaussians.log_scales),
-            buffer(&gaussians.opacities),
-            buffer(&moments),
-            buffer(&out.positions),
-            buffer(&out.opacities),
-            View::launch(&camera),
-            count as u32,
-        );
-        shape_backward_kernel::launch(
-            &client,
-            units(count),
-            cube_dim(),
-            buffer(&gaussians.positions),
-            buffer(&gaussians.quaternions),
-            buffer(&gaussians.log_scales),
-            buffer(&gaussians.opacities),
-            buffer(&moments),
-            buffer(&out.quaternions),
-            buffer(&out.log_scales),
-            View::launch(&camera),
-            count as u32,
-        );
+        footprint_backward(&gaussians, &moments, &camera, &out);
         out
     }
 }

@@ -11,10 +11,10 @@
 mod backward;
 mod cpu;
 #[cfg(feature = "gpu")]
-mod cube;
+pub(super) mod cube;
 pub(super) mod footprint;
 #[cfg(feature = "gpu")]
-mod footprint_cube;
+pub(super) mod footprint_cube;
 pub mod limits;
 #[cfg(feature = "gpu")]
 mod limits_cube;
@@ -30,7 +30,6 @@ use crate::error::Result;
 use crate::scene::Gaussians;
 use crate::scene::tensors::check_shape;
 
-pub(super) use backward::values;
 pub(super) use cpu::{GaussianRows, for_each_group};
 pub use footprint::{LOW_PASS, MIN_COMPENSATION_SQUARED};
 

@@ -43,7 +43,7 @@ pub struct AblateArgs {
     /// cpu, cpu-flex, wgpu (the best GPU), or what else `dpges devices` lists
     #[arg(long, value_name = "NAME", default_value = "cpu")]
     device: DeviceName,
-    /// Only these variants, with commas between
+    /// These variants instead of those of the paper's table, with commas between
     #[arg(long, value_name = "VARIANT", value_enum, value_delimiter = ',')]
     only: Vec<Variant>,
     #[command(flatten)]
@@ -100,7 +100,7 @@ impl AblateArgs {
             let state = state(&folder, &config, source)?;
             Ok(Run { variant, config, folder, state })
         };
-        Variant::all().filter(|variant| self.only.is_empty() || self.only.contains(variant)).map(run).collect()
+        Variant::chosen(&self.only).into_iter().map(run).collect()
     }
 }
 
@@ -132,7 +132,7 @@ fn state(folder: &RunFolder, config: &Config, source: &Source) -> Result<State> 
 impl Common {
     fn load(source: Source, config: &Config, name: DeviceName, style: LogStyle) -> Result<Self> {
         let device = open(name)?;
-        let dataset = Arc::new(source.load(&config.data)?);
+        let dataset = Arc::new(source.load_for_training(config)?);
         if dataset.test.is_empty() {
             let help = "hold out views with --test-every";
             return Err(Failure::with_help(format!("{source} has no held-out views to compare variants on"), help));

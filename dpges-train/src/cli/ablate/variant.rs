@@ -32,11 +32,42 @@ pub enum Variant {
     Sh,
     /// The predecessor: preset `ges`
     Ges,
+    /// Spherical harmonics, and Gaussians from the discs that are no surfels, as in GES; needs stages.surfels
+    Base,
+    /// Surfels start where the points are
+    NoSurfelStage,
+    /// Gaussians start where the points are
+    NoGaussianStage,
+    /// Without splitting Gaussians
+    NoSplit,
+    /// Margins of a surfel's own scales
+    RawMargin,
+    /// Transmittance looked up at bare depths
+    LiteralLookup,
+    /// Surfels end where their opacity, not their kernel, does
+    OpacityFootprint,
+    /// Opacities of Gaussians below 1
+    SigmoidOpacity,
 }
 
+/// The variants of the paper's table.
+const PAPER: [Variant; 9] = [
+    Variant::Full,
+    Variant::Layers2,
+    Variant::Layers4,
+    Variant::NoTransmittanceGradient,
+    Variant::NoSurfelLoss,
+    Variant::NoScaleLoss,
+    Variant::NoTransmittanceLoss,
+    Variant::Sh,
+    Variant::Ges,
+];
+
 impl Variant {
-    pub fn all() -> impl Iterator<Item = Self> {
-        Self::value_variants().iter().copied()
+    /// Those of `only` in their order, or where that is empty those of the paper's table.
+    pub fn chosen(only: &[Self]) -> Vec<Self> {
+        let among = if only.is_empty() { &PAPER } else { only };
+        Self::value_variants().iter().copied().filter(|variant| among.contains(variant)).collect()
     }
 
     /// As `--only` takes it; also the name of its folder.
@@ -56,6 +87,17 @@ impl Variant {
             Self::NoTransmittanceLoss => "train.lambda_transmittance=0",
             Self::Sh => "model.colour=sh3",
             Self::Ges => return method_of("ges"),
+            Self::Base => {
+                let settings = ["model.colour=sh3", "stages.gaussians=0", "stages.gaussians_by=rest"];
+                return settings.map(str::to_owned).into();
+            }
+            Self::NoSurfelStage => "stages.surfels=0",
+            Self::NoGaussianStage => "stages.gaussians=0",
+            Self::NoSplit => "refine.split=false",
+            Self::RawMargin => "model.margin=raw",
+            Self::LiteralLookup => "model.margin_lookup=literal",
+            Self::OpacityFootprint => "model.footprint=opacity",
+            Self::SigmoidOpacity => "model.opacity=sigmoid",
         };
         vec![setting.to_owned()]
     }
@@ -83,7 +125,7 @@ fn method_of(preset: &str) -> Vec<String> {
 
 #[cfg(test)]
 mod tests {
-    use dpges_train::config::Config;
+    use dpges_train::config::{Config, GaussianStage, Opacity};
 
     use super::*;
 
@@ -93,7 +135,7 @@ mod tests {
 
     #[test]
     fn every_variant_has_the_name_of_the_paper() {
-        let names: Vec<String> = Variant::all().map(Variant::name).collect();
+        let names: Vec<String> = Variant::chosen(&[]).into_iter().map(Variant::name).collect();
         let expected = [
             "full",
             "layers-2",
@@ -112,9 +154,10 @@ mod tests {
     fn every_variant_differs_from_the_method_and_keeps_data_seed_and_steps() {
         let full = config(Variant::Full);
         assert_eq!(full, Config::default());
-        for variant in Variant::all().skip(1) {
+        for &variant in &Variant::value_variants()[1..] {
             let found = config(variant);
-            assert_ne!(found, full, "{variant}");
+            let without_stages = matches!(variant, Variant::NoSurfelStage | Variant::NoGaussianStage);
+            assert_eq!(found == full, without_stages, "{variant}");
             assert_eq!((&found.data, &found.init), (&full.data, &full.init), "{variant}");
             let length = |config: &Config| (config.train.steps, config.train.seed, config.train.evaluate_every);
             assert_eq!(length(&found), length(&full), "{variant}");
@@ -126,6 +169,16 @@ mod tests {
         assert_eq!(config(Variant::NoScaleLoss).train.lambda_scale, 0.0);
         assert_eq!(config(Variant::NoTransmittanceLoss).train.lambda_transmittance, 0.0);
         assert_eq!(config(Variant::Sh).model.colour.to_string(), "sh3");
+        assert_eq!(config(Variant::SigmoidOpacity).model.opacity, Opacity::Sigmoid);
+        assert_eq!(config(Variant::Base).stages.gaussians_by, GaussianStage::Rest);
+        let staged = |variant: Variant| {
+            let stages = ["stages.surfels=0.2", "stages.gaussians=0.3"].map(str::to_owned);
+            let stages = Config::resolve(None, None, &[&stages[..], &variant.settings()].concat()).unwrap().stages;
+            (stages.surfels, stages.gaussians)
+        };
+        assert_eq!(staged(Variant::NoSurfelStage), (0.0, 0.3));
+        assert_eq!(staged(Variant::NoGaussianStage), (0.2, 0.0));
+        assert_eq!(Variant::chosen(&[Variant::Ges, Variant::Full]), [Variant::Full, Variant::Ges]);
     }
 
     #[test]

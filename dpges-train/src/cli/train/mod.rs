@@ -80,7 +80,7 @@ impl TrainArgs {
             None => "cpu".parse().map_err(Failure::Usage)?,
         };
         let opened = open(device)?;
-        let dataset = Arc::new(source.load(&config.data)?);
+        let dataset = Arc::new(source.load_for_training(&config)?);
         let origin = origin(&source, device);
         Session::start(Setting { dataset, origin, device: opened, folder, style }, config)
     }
@@ -116,7 +116,7 @@ impl TrainArgs {
         };
         let origin = resumed_on(origin, device);
         let opened = open(device)?;
-        let dataset = Arc::new(source.load(&checkpoint.config().data)?);
+        let dataset = Arc::new(source.load_for_training(checkpoint.config())?);
         Session::resume(Setting { dataset, origin, device: opened, folder, style }, checkpoint)
     }
 }
@@ -143,15 +143,10 @@ pub fn open(device: DeviceName) -> Result<Device> {
     Ok(opened)
 }
 
-/// Keys whose value in `found` is not that in `expected`, the configuration of a run. An automatic budget is the one
-/// that was decided when the run began.
+/// Keys whose value in `found` is not that in `expected`, the configuration of a run.
 pub fn differences(expected: &Config, found: &Config) -> Vec<String> {
-    let mut found = found.clone();
-    if found.refine.budget == 0 {
-        found.refine.budget = expected.refine.budget;
-    }
     let table = |config: &Config| config.to_toml().parse::<Table>().unwrap_or_default();
-    let (expected, found) = (table(expected), table(&found));
+    let (expected, found) = (table(expected), table(found));
     let mut differences = Vec::new();
     for (section, keys) in &expected {
         for (key, value) in keys.as_table().into_iter().flatten() {
@@ -166,6 +161,8 @@ pub fn differences(expected: &Config, found: &Config) -> Vec<String> {
 
 #[cfg(test)]
 mod tests {
+    use dpges_train::config::Budget;
+
     use super::*;
 
     #[test]
@@ -174,9 +171,8 @@ mod tests {
         other.train.steps = 7;
         assert_eq!(differences(&Config::default(), &other), ["`train.steps` is 5000, not 7"]);
         assert!(differences(&other, &other).is_empty());
-        let automatic = other.clone();
-        other.refine.budget = 9000;
-        assert!(differences(&other, &automatic).is_empty());
-        assert_eq!(differences(&automatic, &other), ["`refine.budget` is 0, not 9000"]);
+        let before = other.clone();
+        other.refine.budget = Budget::Primitives(9000);
+        assert_eq!(differences(&before, &other), ["`refine.budget` is \"pixels\", not 9000"]);
     }
 }

@@ -36,9 +36,21 @@ pub struct ConfigArgs {
     /// Any key of the configuration, such as refine.budget=50000; may be repeated
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<String>,
-    /// Most surfels and Gaussians together
-    #[arg(long, value_name = "N")]
-    budget: Option<usize>,
+    /// What to train: dpges, or one of its beginnings alone: 2dgs, mcmc, dbs
+    #[arg(long, value_name = "NAME")]
+    method: Option<String>,
+    /// Scene file to take discs or surfels from, instead of training them first
+    #[arg(long, value_name = "FILE")]
+    init_surfels: Option<PathBuf>,
+    /// Scene file to take Gaussians from, instead of training them first
+    #[arg(long, value_name = "FILE")]
+    init_gaussians: Option<PathBuf>,
+    /// When to stop: after `steps`, or by `validation`, when views kept from training no longer improve
+    #[arg(long, value_name = "WHEN")]
+    stop: Option<String>,
+    /// Most surfels and Gaussians together: a number, a size of the scene file (12MB), or `auto`: what the scene requires
+    #[arg(long, value_name = "N|MB|auto")]
+    budget: Option<String>,
     #[command(flatten)]
     data: DataArgs,
 }
@@ -72,7 +84,12 @@ impl ConfigArgs {
         set.extend(self.steps.map(|steps| format!("train.steps={steps}")));
         set.extend(self.seed.map(|seed| format!("train.seed={seed}")));
         set.extend(self.deterministic.then(|| "train.deterministic=true".to_owned()));
-        set.extend(self.budget.map(|budget| format!("refine.budget={budget}")));
+        let path = |path: &PathBuf| std::path::absolute(path).unwrap_or_else(|_| path.clone());
+        set.extend(self.budget.as_ref().map(|budget| format!("refine.budget={budget}")));
+        set.extend(self.method.as_ref().map(|method| format!("train.method={method}")));
+        set.extend(self.stop.as_ref().map(|stop| format!("train.stop={stop}")));
+        set.extend(self.init_surfels.as_ref().map(|file| format!("stages.surfels_from={}", path(file).display())));
+        set.extend(self.init_gaussians.as_ref().map(|file| format!("stages.gaussians_from={}", path(file).display())));
         set.extend(more.iter().cloned());
         Config::resolve(self.preset.as_deref(), file, &set).map_err(Failure::from_config)
     }

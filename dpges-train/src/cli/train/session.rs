@@ -1,20 +1,22 @@
 //! A run from its first step, or the one it was stopped after, to its last.
 
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use burn::tensor::Device;
+use dpges_core::scene::SceneData;
 use dpges_render::Renderer;
 use dpges_train::checkpoint::Checkpoint;
-use dpges_train::config::Config;
+use dpges_train::config::{Config, Stop};
 use dpges_train::dataset::Dataset;
 use dpges_train::device::DeviceName;
-use dpges_train::eval::{EvalReport, Evaluation, evaluate_each};
+use dpges_train::eval::{EvalReport, Evaluation, evaluate, evaluate_each};
 use dpges_train::metrics_log::MetricsLog;
 use dpges_train::pictures::{comparison, file_stems, save_png};
 use dpges_train::run_folder::{Origin, RunFolder, write_json};
-use dpges_train::trainer::{StepReport, TrainError, Trainer};
+use dpges_train::trainer::{StepReport, TrainError, Trainer, Verdict};
 
 use super::super::data::Split;
 use super::super::device_failure::{DeviceFailure, Watch};
@@ -66,8 +68,7 @@ impl Session {
     pub fn resume(setting: Setting, checkpoint: Checkpoint) -> Result<Self> {
         let completed = checkpoint.completed_steps();
         tracing::info!("resuming after step {completed}");
-        let finished = completed >= checkpoint.config().train.steps;
-        let metrics = MetricsLog::resume(&setting.folder.metrics(), completed, finished)?;
+        let metrics = MetricsLog::resume(&setting.folder.metrics(), completed, checkpoint.stage_is_over())?;
         let trainer = Trainer::resume(Arc::clone(&setting.dataset), checkpoint, setting.device.clone())?;
         Self::new(setting, trainer, metrics)
     }
@@ -92,15 +93,24 @@ impl Session {
 
     fn train(&mut self, interrupted: &AtomicBool) -> Result<String> {
         let train = self.trainer.config().train.clone();
-        let mut progress = Progress::new(self.style, train.steps, self.trainer.completed_steps());
+        let total = self.trainer.config().total_steps();
+        let mut progress = Progress::new(self.style, total, self.trainer.completed_steps());
         while !self.trainer.is_finished() {
+            if self.trainer.stage_is_over() {
+                self.end_stage(&mut progress)?;
+            }
             self.work(Trainer::step, &mut progress)?;
             let step = self.trainer.completed_steps();
-            let finished = self.trainer.is_finished();
-            if is_due(step, train.evaluate_every) && !finished {
+            let stage_is_over = self.trainer.stage_is_over();
+            if is_due(step, train.evaluate_every) && !stage_is_over {
                 self.work(Trainer::settle, &mut progress)?;
-                self.evaluate()?;
+                self.evaluate(&self.trainer.scene())?;
             }
+            if train.stop == Stop::Validation && (is_due(step, train.evaluate_every) || stage_is_over) {
+                self.work(Trainer::settle, &mut progress)?;
+                self.validate(step, train.patience)?;
+            }
+            let finished = self.trainer.is_finished();
             let stop = interrupted.load(Ordering::SeqCst) && !finished;
             if is_due(step, train.checkpoint_every) || finished || stop {
                 self.work(Trainer::settle, &mut progress)?;
@@ -112,8 +122,59 @@ impl Session {
             }
         }
         drop(progress);
-        let evaluation = self.evaluate()?;
-        self.finish(evaluation)
+        let scene = match train.stop {
+            Stop::Validation => {
+                let best = SceneData::load(&self.folder.best())?;
+                best.save(&self.folder.scene())?;
+                best
+            }
+            Stop::Steps => self.trainer.scene(),
+        };
+        let evaluation = self.evaluate(&scene)?;
+        self.finish(&scene, evaluation)
+    }
+
+    /// Measures and saves what a stage has made, and begins the next.
+    fn end_stage(&mut self, progress: &mut Progress) -> Result<()> {
+        self.work(Trainer::settle, progress)?;
+        let (stage, scene) = (self.trainer.stage(), self.trainer.scene());
+        self.check_device()?;
+        let path = self.folder.stage_scene(stage.kind);
+        scene.save(&path)?;
+        tracing::info!("stage {} is over: {} Gaussians in {}", stage.kind, scene.gaussians.len(), path.display());
+        if let Some(evaluation) = self.evaluate(&scene)? {
+            write_json(&self.folder.stage_evaluation(stage.kind), &self.report(&path, evaluation)?)?;
+        }
+        self.trainer.next_stage()?;
+        self.save()
+    }
+
+    /// Lets the validation views judge the last stage.
+    fn validate(&mut self, step: usize, patience: usize) -> Result<()> {
+        if self.trainer.stage().end() < self.trainer.config().total_steps() {
+            return Ok(());
+        }
+        let scene = self.trainer.scene();
+        self.check_device()?;
+        let evaluation = evaluate(&scene, &self.dataset.validation, &self.device)?;
+        let seconds = self.seconds();
+        self.metrics.validation(step, &evaluation, seconds)?;
+        let psnr = evaluation.psnr;
+        match self.trainer.validation_mut().observe(step, psnr, patience) {
+            Verdict::Best => {
+                scene.save(&self.folder.best())?;
+                tracing::info!("step {step}: validation PSNR {psnr:.2} dB, the best so far");
+            }
+            Verdict::Worse { since, best_step, best_psnr } => tracing::info!(
+                "step {step}: validation PSNR {psnr:.2} dB, not above the {best_psnr:.2} dB of step {best_step}; \
+                 {since} of {patience}"
+            ),
+            Verdict::Enough { best_step, best_psnr } => tracing::info!(
+                "step {step}: validation PSNR {psnr:.2} dB, not above the {best_psnr:.2} dB of step {best_step} for \
+                 {patience} evaluations: the run ends with the scene of step {best_step}"
+            ),
+        }
+        Ok(())
     }
 
     /// Lets the trainer work, then shows and logs the step whose numbers are known by that: on a GPU not the one it
@@ -127,7 +188,7 @@ impl Session {
         for event in &report.events {
             tracing::info!("step {}: {event}", report.step);
         }
-        let last = report.step == self.trainer.config().train.steps;
+        let last = report.step == self.trainer.config().total_steps();
         if report.step.is_multiple_of(METRICS_EVERY) || !report.events.is_empty() || last {
             let seconds = self.seconds();
             self.metrics.step(&report, seconds)?;
@@ -151,18 +212,17 @@ impl Session {
     }
 
     /// Measures the held-out views and writes pictures of a few; `None` if there are none.
-    fn evaluate(&mut self) -> Result<Option<Evaluation>> {
+    fn evaluate(&mut self, scene: &SceneData) -> Result<Option<Evaluation>> {
         let views = &self.dataset.test;
         if views.is_empty() {
             return Ok(None);
         }
         let step = self.trainer.completed_steps();
-        let scene = self.trainer.scene();
-        let renderer = Renderer::new(&scene, &self.device);
+        let renderer = Renderer::new(scene, &self.device);
         let stems = file_stems(views);
         let shown = evenly_spaced(self.trainer.config().train.picture_views, views.len());
         let folder = &self.folder;
-        let evaluation = evaluate_each(&renderer, &scene, views, &self.device, |index, render| {
+        let evaluation = evaluate_each(&renderer, scene, views, &self.device, |index, render| {
             if !shown.contains(&index) {
                 return Ok(());
             }
@@ -176,10 +236,9 @@ impl Session {
     }
 
     /// Writes `eval.json` and says what came out.
-    fn finish(&self, evaluation: Option<Evaluation>) -> Result<String> {
+    fn finish(&self, data: &SceneData, evaluation: Option<Evaluation>) -> Result<String> {
         let scene = self.folder.scene();
         let bytes = std::fs::metadata(&scene)?.len();
-        let data = self.trainer.scene();
         let steps = self.trainer.completed_steps();
         let mut rows = vec![("trained", format!("{steps} steps in {}", Seconds(self.seconds())))];
         let counts = format!("{} surfels, {} Gaussians", data.surfels.len(), data.gaussians.len());
@@ -191,19 +250,24 @@ impl Session {
             rows.push(("held-out PSNR", format!("{psnr:.2} dB (mean of {views} views)")));
             rows.push(("held-out SSIM", format!("{ssim:.4}")));
             rows.push(("rendering", format!("{:.1} ms per view", 1e3 * seconds_per_view)));
-            let report = EvalReport {
-                scene: scene.display().to_string(),
-                dataset: self.origin.dataset.clone(),
-                split: Split::Test.to_string(),
-                evaluation,
-                bytes,
-            };
+            let report = self.report(&scene, evaluation)?;
             write_json(&self.folder.evaluation(), &report)?;
             files.push(self.folder.evaluation().display().to_string());
             files.push(self.folder.path().join("pictures").display().to_string());
         }
         rows.extend(files.into_iter().enumerate().map(|(index, file)| (if index == 0 { "files" } else { "" }, file)));
         Ok(table(&rows))
+    }
+
+    /// What `eval.json` says of the scene in the file `scene`.
+    fn report(&self, scene: &Path, evaluation: Evaluation) -> Result<EvalReport> {
+        Ok(EvalReport {
+            scene: scene.display().to_string(),
+            dataset: self.origin.dataset.clone(),
+            split: Split::Test.to_string(),
+            evaluation,
+            bytes: std::fs::metadata(scene)?.len(),
+        })
     }
 
     fn resume_command(&self) -> String {
@@ -213,7 +277,7 @@ impl Session {
     }
 
     fn interrupted(&self) -> Failure {
-        let (done, all) = (self.trainer.completed_steps(), self.trainer.config().train.steps);
+        let (done, all) = (self.trainer.completed_steps(), self.trainer.config().total_steps());
         let message =
             format!("interrupted: step {done} of {all} is done and saved in {}", self.folder.path().display());
         Failure::with_help(message, format!("go on with `{}`", self.resume_command()))

@@ -63,6 +63,7 @@ pub fn builtin(options: &BuiltinOptions) -> Dataset {
     Dataset {
         points: surface_points(&train, options),
         test: views("test", options.test_views, 0.5),
+        validation: Vec::new(),
         train,
         offset: DVec3::ZERO,
         extent,

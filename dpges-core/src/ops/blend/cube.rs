@@ -1,0 +1,185 @@
+//! GPU kernels: primitives are sorted by depth, so that lists in ascending order run front to back, and
+//! so do all primitives, which a tile whose list does not fit goes over. Forward there is one unit per
+//! pixel; backward there is one cube per tile, and then one unit per primitive.
+
+mod fragments;
+mod gather;
+mod order;
+mod parameters;
+
+use burn::backend::TensorMetadata;
+use burn::backend::tensor::FloatTensor;
+use burn_cubecl::CubeBackend;
+use cubecl::prelude::*;
+
+use self::fragments::{FEATURES, Fragments, NORMAL, fragment};
+use self::gather::{Layout, gather};
+use super::{BlendBackwardOps, BlendInput, BlendOps, BlendOptions, BlendOutput, Form, far};
+use crate::camera::Camera;
+use crate::gpu::launch::{buffer, cube_dim, cubes, empty_f32, floats};
+use crate::gpu::view::View;
+use crate::ops::binning::TileGrid;
+use crate::ops::binning::cube::{entry, own_pixel, tile_list};
+
+#[derive(CubeType, CubeLaunch, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub struct Thresholds {
+    max_alpha: f32,
+    min_transmittance: f32,
+    /// d m / d(−1 / z) of the m of distortion, world units.
+    slope: f32,
+}
+
+impl Thresholds {
+    fn launch(camera: &Camera, options: &BlendOptions) -> ThresholdsLaunch {
+        let (near, far) = (camera.near, far(camera.near));
+        let slope = far * near / (far - near);
+        ThresholdsLaunch::new(options.max_alpha as f32, options.min_transmittance as f32, slope as f32)
+    }
+}
+
+#[cube(launch)]
+fn blend_kernel(
+    shapes: &[f32],
+    features: &[f32],
+    offsets: &[u32],
+    ids: &[u32],
+    planes: &mut [f32],
+    median_depth: &mut [f32],
+    view: View,
+    thresholds: Thresholds,
+    capacity: u32,
+    count: u32,
+    #[comptime] form: Form,
+    #[comptime] maps: bool,
+) {
+    if CUBE_POS >= (view.columns * view.rows) as usize {
+        terminate!();
+    }
+    let (start, length, listed) = tile_list(offsets, capacity, count);
+    let (column, row) = own_pixel(view);
+    if column < view.width && row < view.height {
+        let x = f32::cast_from(column) + 0.5f32;
+        let y = f32::cast_from(row) + 0.5f32;
+        let mut through = 1.0f32;
+        let mut red = 0.0f32;
+        let mut green = 0.0f32;
+        let mut blue = 0.0f32;
+        let mut depth = 0.0f32;
+        let mut normal_x = 0.0f32;
+        let mut normal_y = 0.0f32;
+        let mut normal_z = 0.0f32;
+        let mut median = 0.0f32;
+        // of distortion: 1 / z of the first fragment, sums of αT, αT m, αT m² with m relative to that
+        let mut reference = 0.0f32;
+        let mut total = 0.0f32;
+        let mut first_moment = 0.0f32;
+        let mut second_moment = 0.0f32;
+        let mut distortion = 0.0f32;
+        let mut position = 0u32;
+        let mut end = length;
+        while position < end {
+            let i = entry(ids, start, position, listed) as usize;
+            let found = fragment(shapes, features, i, x, y, view.near, form);
+            if found.weight > 0.0f32 {
+                let alpha = min(found.weight, thresholds.max_alpha);
+                let behind = through * (1.0f32 - alpha);
+                if behind >= thresholds.min_transmittance {
+                    let f = i * FEATURES;
+                    let covered = alpha * through;
+                    red += covered * features[f];
+                    green += covered * features[f + 1];
+                    blue += covered * features[f + 2];
+                    if comptime!(maps) {
+                        depth += covered * found.depth;
+                        normal_x += covered * features[f + NORMAL];
+                        normal_y += covered * features[f + NORMAL + 1];
+                        normal_z += covered * features[f + NORMAL + 2];
+                        median = select(behind <= 0.5f32 && median == 0.0f32, found.depth, median);
+                        let inverse = 1.0f32 / found.depth;
+                        reference = select(reference == 0.0f32, inverse, reference);
+                        let mapped = thresholds.slope * (reference - inverse);
+                        let spread = mapped * mapped * total + second_moment - 2.0f32 * mapped * first_moment;
+                        distortion += covered * spread;
+                        total += covered;
+                        first_moment += covered * mapped;
+                        second_moment += covered * mapped * mapped;
+                    }
+                    through = behind;
+                } else {
+                    end = position;
+                }
+            }
+            position += 1u32;
+        }
+        let plane = (view.width * view.height) as usize;
+        let pixel = (row * view.width + column) as usize;
+        planes[pixel] = red;
+        planes[pixel + plane] = green;
+        planes[pixel + 2 * plane] = blue;
+        planes[pixel + 3 * plane] = 1.0f32 - through;
+        if comptime!(maps) {
+            planes[pixel + 4 * plane] = depth;
+            planes[pixel + 5 * plane] = normal_x;
+            planes[pixel + 6 * plane] = normal_y;
+            planes[pixel + 7 * plane] = normal_z;
+            planes[pixel + 8 * plane] = distortion;
+            median_depth[pixel] = median;
+        }
+    }
+}
+
+fn contiguous(input: BlendInput<CubeBackend>) -> BlendInput<CubeBackend> {
+    BlendInput {
+        positions: floats(input.positions),
+        quaternions: floats(input.quaternions),
+        log_scales: floats(input.log_scales),
+        opacities: floats(input.opacities),
+        colours: floats(input.colours),
+        probe: floats(input.probe),
+    }
+}
+
+impl BlendOps for CubeBackend {
+    fn blend(input: BlendInput<Self>, camera: Camera, options: BlendOptions) -> BlendOutput<Self> {
+        let input = contiguous(input);
+        let (like, count) = (&input.positions, input.positions.shape()[0]);
+        let (height, width) = (camera.height, camera.width);
+        let fragments = Fragments::new(&input, &camera, options.form);
+        let planes = empty_f32(like, [options.planes(), height, width]);
+        let median_depth = empty_f32(like, [usize::from(options.maps), height, width]);
+        blend_kernel::launch(
+            &like.client.clone(),
+            cubes(TileGrid::new(width, height).len()),
+            cube_dim(),
+            buffer(&fragments.shapes),
+            buffer(&fragments.features),
+            buffer(&fragments.lists.offsets),
+            buffer(&fragments.lists.ids),
+            buffer(&planes),
+            buffer(&median_depth),
+            View::launch(&camera),
+            Thresholds::launch(&camera, &options),
+            fragments.lists.capacity,
+            count as u32,
+            options.form,
+            options.maps,
+        );
+        BlendOutput { planes, median_depth }
+    }
+}
+
+impl BlendBackwardOps for CubeBackend {
+    fn blend_backward(
+        input: BlendInput<Self>,
+        grad: FloatTensor<Self>,
+        camera: Camera,
+        options: BlendOptions,
+    ) -> BlendInput<Self> {
+        let (input, grad) = (contiguous(input), floats(grad));
+        let layout = Layout { form: options.form, maps: options.maps, probe: input.probe.shape()[0] > 0 };
+        let fragments = Fragments::new(&input, &camera, options.form);
+        let [sums, rest] = gather(&fragments, &grad, &camera, &options, layout);
+        parameters::backward(&input, &sums, &rest, &camera, layout)
+    }
+}

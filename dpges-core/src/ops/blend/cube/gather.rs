@@ -1,0 +1,482 @@
+//! Sums over the pixels of every primitive: one cube per tile goes front to back as the forward pass
+//! does, then from the back to the front, where dividing by 1 − α recovers T. The sums over the
+//! pixels of a tile go into a slot for each entry of its list, and slots are added in the order of
+//! the tiles. Tiles whose slots do not fit are left to a single cube, which goes over all primitives
+//! in one tile after the other and adds to their sums itself: slow, but right.
+
+use burn::backend::TensorMetadata;
+use burn::backend::ops::FloatTensorOps;
+use burn::tensor::{FloatDType, Shape};
+use burn_cubecl::CubeBackend;
+use burn_cubecl::tensor::CubeTensor;
+use cubecl::prelude::*;
+
+use super::Thresholds;
+use super::fragments::{DEPTH, FEATURES, Fragments, NORMAL, OFFSET, SCALES, TANGENTS, fragment};
+use crate::camera::Camera;
+use crate::gpu::launch::{buffer, cube_dim, cubes, empty_f32, units};
+use crate::gpu::view::View;
+use crate::ops::binning::TileGrid;
+use crate::ops::binning::cube::SPLAT;
+use crate::ops::blend::{BlendOptions, Form};
+use crate::ops::peel::disc_cube::{PLANE, SUMS, hit};
+use crate::ops::splat::footprint_cube::MOMENTS;
+
+/// Sums that are added over the units of a cube at a time.
+const GROUP: usize = 12;
+
+/// Which sums there are, in this order: those of the shape ([`MOMENTS`] or [`SUMS`]), then the rest:
+/// of the colour, of what the shape's sums lack, of the normal, of the probe.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Layout {
+    pub form: Form,
+    pub maps: bool,
+    pub probe: bool,
+}
+
+impl Layout {
+    pub fn shape(self) -> usize {
+        match self.form {
+            Form::Ellipsoids => MOMENTS,
+            Form::Discs => SUMS,
+        }
+    }
+
+    /// Place among the rest of what the shape's sums lack: of ellipsoids the depth, of discs the two
+    /// coordinates of the low-pass and the exponent.
+    pub fn beside(self) -> usize {
+        3
+    }
+
+    pub fn normal(self) -> usize {
+        self.beside()
+            + match self.form {
+                Form::Ellipsoids => 1,
+                Form::Discs => 3,
+            }
+    }
+
+    pub fn probe(self) -> usize {
+        self.normal() + if self.maps { 3 } else { 0 }
+    }
+
+    pub fn rest(self) -> usize {
+        self.probe() + if self.probe { 4 } else { 0 }
+    }
+
+    pub fn width(self) -> usize {
+        self.shape() + self.rest()
+    }
+}
+
+/// The first tile whose list ends beyond the capacity.
+#[cube]
+fn first_left_out(offsets: &[u32], tiles: u32, capacity: u32) -> u32 {
+    let mut low = 0u32;
+    let mut high = tiles;
+    while low < high {
+        let middle = (low + high) / 2u32;
+        if offsets[(middle + 1u32) as usize] <= capacity {
+            low = middle + 1u32;
+        } else {
+            high = middle;
+        }
+    }
+    low
+}
+
+/// The primitive at a place of a list, or at that place of all.
+#[cube]
+fn listed(ids: &[u32], at: u32, #[comptime] left_out: bool) -> usize {
+    let mut id = at;
+    if comptime!(!left_out) {
+        id = ids[at as usize];
+    }
+    id as usize
+}
+
+#[cube(launch)]
+fn gather_kernel(
+    shapes: &[f32],
+    features: &[f32],
+    offsets: &[u32],
+    ids: &[u32],
+    grad: &[f32],
+    sums: &mut [f32],
+    view: View,
+    thresholds: Thresholds,
+    capacity: u32,
+    count: u32,
+    #[comptime] layout: Layout,
+    #[comptime] left_out: bool,
+) {
+    let tiles = view.columns * view.rows;
+    if CUBE_POS >= tiles as usize {
+        terminate!();
+    }
+    let form = comptime!(layout.form);
+    let width = comptime!(layout.width());
+    let groups = comptime!(layout.width().div_ceil(GROUP));
+    let rest = comptime!(layout.shape());
+    let beside = comptime!(layout.shape() + layout.beside());
+    let normal = comptime!(layout.shape() + layout.normal());
+    let probe = comptime!(layout.shape() + layout.probe());
+    let unit = UNIT_POS as usize;
+    let plane = (view.width * view.height) as usize;
+
+    // tiles to go through, and the list of them
+    let mut range = Shared::<[u32]>::new_slice(4usize);
+    if UNIT_POS == 0u32 {
+        if comptime!(left_out) {
+            range[0] = first_left_out(offsets, tiles, capacity);
+            range[1] = tiles;
+            range[2] = 0u32;
+            range[3] = count;
+        } else {
+            let low = offsets[CUBE_POS];
+            let high = offsets[CUBE_POS + 1];
+            range[0] = CUBE_POS as u32;
+            range[1] = CUBE_POS as u32 + u32::cast_from(high <= capacity);
+            range[2] = low;
+            range[3] = high - low;
+        }
+    }
+    let first_tile = workgroup_uniform_load(&range[0]);
+    let end_tile = workgroup_uniform_load(&range[1]);
+    let start = workgroup_uniform_load(&range[2]);
+    let length = workgroup_uniform_load(&range[3]);
+
+    let mut partial = Shared::<[f32]>::new_slice(256usize * GROUP);
+    let mut folded = Shared::<[f32]>::new_slice(16usize * GROUP);
+    let mut ends = Shared::<[u32]>::new_slice(256usize);
+    let mut own = Array::<f32>::new(width);
+
+    for tile in first_tile..end_tile {
+        let column = tile % view.columns * 16u32 + UNIT_POS % 16u32;
+        let row = tile / view.columns * 16u32 + UNIT_POS / 16u32;
+        let x = f32::cast_from(column) + 0.5f32;
+        let y = f32::cast_from(row) + 0.5f32;
+        let inside = column < view.width && row < view.height;
+        let at = select(inside, row * view.width + column, 0u32);
+        let pixel = at as usize;
+
+        // front to back: T behind the last fragment, where the pixel ends, sums of αT, αT m, αT m² with m
+        // relative to the first fragment's
+        let mut through = 1.0f32;
+        let mut end = select(inside, length, 0u32);
+        let mut total = 0.0f32;
+        let mut reference = 0.0f32;
+        let mut first_moment = 0.0f32;
+        let mut second_moment = 0.0f32;
+        let mut position = 0u32;
+        while position < end {
+            let i = listed(ids, start + position, left_out);
+            let found = fragment(shapes, features, i, x, y, view.near, form);
+            if found.weight > 0.0f32 {
+                let alpha = min(found.weight, thresholds.max_alpha);
+                let behind = through * (1.0f32 - alpha);
+                if behind >= thresholds.min_transmittance {
+                    if comptime!(layout.maps) {
+                        let covered = alpha * through;
+                        let inverse = 1.0f32 / found.depth;
+                        reference = select(reference == 0.0f32, inverse, reference);
+                        let mapped = thresholds.slope * (reference - inverse);
+                        total += covered;
+                        first_moment += covered * mapped;
+                        second_moment += covered * mapped * mapped;
+                    }
+                    through = behind;
+                } else {
+                    end = position;
+                }
+            }
+            position += 1u32;
+        }
+
+        ends[unit] = end;
+        let mut step = 128usize;
+        while step > 0usize {
+            sync_cube();
+            if unit < step {
+                ends[unit] = max(ends[unit], ends[unit + step]);
+            }
+            step /= 2;
+        }
+        let furthest = workgroup_uniform_load(&ends[0]);
+
+        let red = grad[pixel];
+        let green = grad[pixel + plane];
+        let blue = grad[pixel + 2 * plane];
+        let mut of_depth = 0.0f32;
+        let mut of_x = 0.0f32;
+        let mut of_y = 0.0f32;
+        let mut of_z = 0.0f32;
+        let mut of_distortion = 0.0f32;
+        if comptime!(layout.maps) {
+            of_depth = grad[pixel + 4 * plane];
+            of_x = grad[pixel + 5 * plane];
+            of_y = grad[pixel + 6 * plane];
+            of_z = grad[pixel + 7 * plane];
+            of_distortion = grad[pixel + 8 * plane];
+        }
+
+        // back to front; derivative with respect to T behind the fragment that is next
+        let of_alpha = grad[pixel + 3 * plane];
+        let mut behind = -of_alpha;
+        for back in 0..furthest {
+            let position = furthest - 1u32 - back;
+            #[unroll]
+            for s in 0..width {
+                own[s] = 0.0f32;
+            }
+            if position < end {
+                let i = listed(ids, start + position, left_out);
+                let found = fragment(shapes, features, i, x, y, view.near, form);
+                if found.weight > 0.0f32 {
+                    let f = i * FEATURES;
+                    let alpha = min(found.weight, thresholds.max_alpha);
+                    let before = through / (1.0f32 - alpha);
+                    let covered = alpha * before;
+                    let mut value = features[f] * red + features[f + 1] * green + features[f + 2] * blue;
+                    let mut grad_depth = 0.0f32;
+                    if comptime!(layout.maps) {
+                        let inverse = 1.0f32 / found.depth;
+                        let mapped = thresholds.slope * (reference - inverse);
+                        let spread = mapped * mapped * total + second_moment - 2.0f32 * mapped * first_moment;
+                        let of_mapped = of_distortion * 2.0f32 * (mapped * total - first_moment);
+                        value += of_depth * found.depth + of_distortion * spread;
+                        value += features[f + NORMAL] * of_x;
+                        value += features[f + NORMAL + 1] * of_y;
+                        value += features[f + NORMAL + 2] * of_z;
+                        grad_depth = covered * (of_depth + of_mapped * thresholds.slope * inverse * inverse);
+                        own[normal] = covered * of_x;
+                        own[normal + 1] = covered * of_y;
+                        own[normal + 2] = covered * of_z;
+                    }
+                    own[rest] = covered * red;
+                    own[rest + 1] = covered * green;
+                    own[rest + 2] = covered * blue;
+                    // a capped α has no gradient
+                    let power = select(found.weight < thresholds.max_alpha, covered * (value - behind), 0.0f32);
+                    let mut towards_x = 0.0f32;
+                    let mut towards_y = 0.0f32;
+                    if comptime!(form == Form::Ellipsoids) {
+                        let o = i * SPLAT;
+                        let (dx, dy) = (x - shapes[o], y - shapes[o + 1]);
+                        own[0] = power;
+                        own[1] = power * dx;
+                        own[2] = power * dy;
+                        own[3] = power * dx * dx;
+                        own[4] = power * dx * dy;
+                        own[5] = power * dy * dy;
+                        own[beside] = grad_depth;
+                        towards_x = power * (shapes[o + 2] * dx + shapes[o + 3] * dy);
+                        towards_y = power * (shapes[o + 3] * dx + shapes[o + 4] * dy);
+                    } else {
+                        let o = i * PLANE;
+                        let met = hit(shapes, o, x, y);
+                        let (across, down) = ((x - shapes[o]) / view.fx, (y - shapes[o + 1]) / view.fy);
+                        let on_screen = 2.0f32 * power * (1.0f32 - found.by_plane);
+                        // far from the disc they may be infinite
+                        let by_plane = found.by_plane > 0.5f32;
+                        let u = select(by_plane, met.u, 0.0f32);
+                        let v = select(by_plane, met.v, 0.0f32);
+                        let (grad_u, grad_v) = (-power * u, -power * v);
+                        let towards_u = grad_u / (met.facing * features[f + SCALES]);
+                        let towards_v = grad_v / (met.facing * features[f + SCALES + 1]);
+                        let towards_facing = -(grad_u * u + grad_v * v + grad_depth * met.depth) / met.facing;
+                        let towards_distance = grad_depth / met.facing;
+                        own[0] = towards_u;
+                        own[1] = towards_u * across;
+                        own[2] = towards_u * down;
+                        own[3] = towards_v;
+                        own[4] = towards_v * across;
+                        own[5] = towards_v * down;
+                        own[6] = towards_facing;
+                        own[7] = towards_facing * across;
+                        own[8] = towards_facing * down;
+                        own[9] = towards_distance;
+                        own[10] = -grad_u * u;
+                        own[11] = -grad_v * v;
+                        own[beside] = on_screen * (x - shapes[o] - features[f + OFFSET]);
+                        own[beside + 1] = on_screen * (y - shapes[o + 1] - features[f + OFFSET + 1]);
+                        own[beside + 2] = power;
+                        if comptime!(layout.probe) {
+                            // gradient of the centre in camera space, over fx and fy: that of T_u.z and T_v.z
+                            let (ray_x, ray_y) = ((x - view.cx) / view.fx, (y - view.cy) / view.fy);
+                            let t = f + TANGENTS;
+                            let (ux, uy, uz) = (features[t], features[t + 1], features[t + 2]);
+                            let (vx, vy, vz) = (features[t + 3], features[t + 4], features[t + 5]);
+                            let centre_x = towards_u * (ray_y * vz - vy)
+                                + towards_v * (uy - uz * ray_y)
+                                + towards_distance * (uy * vz - uz * vy);
+                            let centre_y = towards_u * (vx - ray_x * vz)
+                                + towards_v * (uz * ray_x - ux)
+                                + towards_distance * (uz * vx - ux * vz);
+                            let share = found.by_plane * features[f + DEPTH];
+                            towards_x = share * centre_x / view.fx;
+                            towards_y = share * centre_y / view.fy;
+                        }
+                    }
+                    if comptime!(layout.probe) {
+                        let ndc_x = towards_x * f32::cast_from(view.width) * 0.5f32;
+                        let ndc_y = towards_y * f32::cast_from(view.height) * 0.5f32;
+                        own[probe] = ndc_x;
+                        own[probe + 1] = ndc_y;
+                        own[probe + 2] = f32::abs(ndc_x);
+                        own[probe + 3] = f32::abs(ndc_y);
+                    }
+                    behind = alpha * value + (1.0f32 - alpha) * behind;
+                    through = before;
+                }
+            }
+            let target = (start + position) as usize * width;
+            #[unroll]
+            for group in 0..groups {
+                #[unroll]
+                for s in 0..GROUP {
+                    if comptime!(group * GROUP + s < width) {
+                        partial[s * 256 + unit] = own[group * GROUP + s];
+                    }
+                }
+                sync_cube();
+                // 16 units for each sum, then one
+                if unit < 16 * GROUP {
+                    let mut sixteen = 0.0f32;
+                    for k in 0..16u32 {
+                        sixteen += partial[unit * 16 + k as usize];
+                    }
+                    folded[unit] = sixteen;
+                }
+                sync_cube();
+                let number = comptime!(group * GROUP);
+                if unit < GROUP && number + unit < width {
+                    let mut sum = 0.0f32;
+                    for k in 0..16u32 {
+                        sum += folded[unit * 16 + k as usize];
+                    }
+                    // slots and sums begin at 0
+                    sums[target + number + unit] += sum;
+                }
+            }
+        }
+    }
+}
+
+/// `taken` sums of every primitive, from the `first` on, in the order of the parameters: its slots in
+/// the order of the tiles.
+#[cube(launch)]
+fn collect_kernel(
+    rects: &[u32],
+    offsets: &[u32],
+    ids: &[u32],
+    order: &[u32],
+    slots: &[f32],
+    left_out: &[f32],
+    sums: &mut [f32],
+    columns: u32,
+    capacity: u32,
+    count: u32,
+    #[comptime] first: usize,
+    #[comptime] taken: usize,
+    #[comptime] width: usize,
+) {
+    let at = ABSOLUTE_POS;
+    if at >= count as usize * taken {
+        terminate!();
+    }
+    let rank = at / taken;
+    let number = at % taken;
+    let own = rank as u32;
+    let mut sum = left_out[rank * width + first + number];
+    let (x0, x1, y0, y1) = (rects[4 * rank], rects[4 * rank + 1], rects[4 * rank + 2], rects[4 * rank + 3]);
+    if x0 < x1 && y0 < y1 {
+        for row in y0 / 16u32..y1.div_ceil(16u32) {
+            for column in x0 / 16u32..x1.div_ceil(16u32) {
+                let tile = (row * columns + column) as usize;
+                let end = offsets[tile + 1];
+                if end <= capacity {
+                    // the place of the primitive in the ascending list, if it is there
+                    let mut low = offsets[tile];
+                    let mut high = end;
+                    while low < high {
+                        let middle = (low + high) / 2u32;
+                        if ids[middle as usize] < own {
+                            low = middle + 1u32;
+                        } else {
+                            high = middle;
+                        }
+                    }
+                    let place = min(low, capacity - 1u32) as usize;
+                    if low < end && ids[place] == own {
+                        sum += slots[place * width + first + number];
+                    }
+                }
+            }
+        }
+    }
+    sums[order[rank] as usize * taken + number] = sum;
+}
+
+fn zeros(like: &CubeTensor, rows: usize, width: usize) -> CubeTensor {
+    CubeBackend::float_zeros(Shape::from([rows.max(1), width]), &like.device, FloatDType::F32)
+}
+
+/// Sums of the shape [M, [`Layout::shape`]] and the rest [M, [`Layout::rest`]], rows in the order of
+/// the parameters, for the gradient `grad` [P, H, W].
+pub fn gather(
+    fragments: &Fragments,
+    grad: &CubeTensor,
+    camera: &Camera,
+    options: &BlendOptions,
+    layout: Layout,
+) -> [CubeTensor; 2] {
+    let (client, count) = (grad.client.clone(), fragments.order.shape()[0]);
+    let (grid, width) = (TileGrid::new(camera.width, camera.height), layout.width());
+    let largest = grad.client.properties().memory.max_page_size as usize / (size_of::<f32>() * width);
+    let rows = (fragments.lists.capacity as usize).min(largest);
+    let (slots, left_out) = (zeros(grad, rows, width), zeros(grad, count, width));
+    let over_tiles = |count_of_cubes: usize, sums: &CubeTensor, of_left_out: bool| {
+        gather_kernel::launch(
+            &client,
+            cubes(count_of_cubes),
+            cube_dim(),
+            buffer(&fragments.shapes),
+            buffer(&fragments.features),
+            buffer(&fragments.lists.offsets),
+            buffer(&fragments.lists.ids),
+            buffer(grad),
+            buffer(sums),
+            View::launch(camera),
+            Thresholds::launch(camera, options),
+            rows as u32,
+            count as u32,
+            layout,
+            of_left_out,
+        );
+    };
+    over_tiles(grid.len(), &slots, false);
+    over_tiles(1, &left_out, true);
+    [(0, layout.shape()), (layout.shape(), layout.rest())].map(|(first, taken)| {
+        let sums = empty_f32(grad, [count, taken]);
+        collect_kernel::launch(
+            &client,
+            units(count * taken),
+            cube_dim(),
+            buffer(&fragments.rects),
+            buffer(&fragments.lists.offsets),
+            buffer(&fragments.lists.ids),
+            buffer(&fragments.order),
+            buffer(&slots),
+            buffer(&left_out),
+            buffer(&sums),
+            grid.columns as u32,
+            rows as u32,
+            count as u32,
+            first,
+            taken,
+            width,
+        );
+        sums
+    })
+}

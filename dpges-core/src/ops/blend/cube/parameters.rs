@@ -1,0 +1,262 @@
+//! From the sums over the pixels of every primitive to its raw parameters.
+
+use burn::backend::TensorMetadata;
+use burn_cubecl::CubeBackend;
+use burn_cubecl::tensor::CubeTensor;
+use cubecl::prelude::*;
+
+use super::fragments::{LOW_PASS_SQUARED_RADIUS as K, camera_axes, facing_sign, normal_axis, own_normal};
+use super::gather::Layout;
+use crate::camera::Camera;
+use crate::gpu::launch::{buffer, cube_dim, empty_f32, units};
+use crate::gpu::vector::{
+    Mat3, apply, dot, rotation, rotation_backward, row3, row4, scale, transpose, vec3, write3, write4,
+};
+use crate::gpu::view::{Rests, View, to_camera, view_rotation};
+use crate::ops::blend::{BlendInput, Form};
+use crate::ops::peel::disc_cube::{LARGEST_LOG_SCALE, SUMS, disc, disc_backward, exact_disc};
+use crate::ops::splat::cube::footprint_backward;
+
+/// Colours, probe and, of discs, opacities.
+#[cube(launch)]
+fn payload_kernel(
+    rest: &[f32],
+    opacities: &[f32],
+    grad_colours: &mut [f32],
+    grad_probe: &mut [f32],
+    grad_opacities: &mut [f32],
+    count: u32,
+    #[comptime] layout: Layout,
+) {
+    let i = ABSOLUTE_POS;
+    if i >= count as usize {
+        terminate!();
+    }
+    let width = comptime!(layout.rest());
+    let probe = comptime!(layout.probe());
+    let exponent = comptime!(layout.beside() + 2);
+    let o = i * width;
+    write3(grad_colours, i, vec3(rest[o], rest[o + 1], rest[o + 2]));
+    if comptime!(layout.probe) {
+        let p = o + probe;
+        grad_probe[4 * i] = rest[p];
+        grad_probe[4 * i + 1] = rest[p + 1];
+        grad_probe[4 * i + 2] = rest[p + 2];
+        grad_probe[4 * i + 3] = rest[p + 3];
+    }
+    if comptime!(layout.form == Form::Discs) {
+        let (opacity, power) = (opacities[i], rest[o + exponent]);
+        grad_opacities[i] = select(opacity > 0.0f32, power / max(opacity, 1e-30f32), 0.0f32);
+    }
+}
+
+/// The sums of the plane of a disc.
+#[cube(launch)]
+fn planes_backward_kernel(
+    positions: &[f32],
+    quaternions: &[f32],
+    log_scales: &[f32],
+    sums: &[f32],
+    grad_positions: &mut [f32],
+    grad_quaternions: &mut [f32],
+    grad_log_scales: &mut [f32],
+    view: View,
+    rests: Rests,
+    count: u32,
+) {
+    let i = ABSOLUTE_POS;
+    if i >= count as usize {
+        terminate!();
+    }
+    let quaternion = row4(quaternions, i);
+    let exact = exact_disc(view, rests, row3(positions, i), quaternion);
+    let disc = disc(view, exact, log_scales[3 * i], log_scales[3 * i + 1]);
+    let gradient = disc_backward(view, disc, quaternion, sums, i);
+    write3(grad_positions, i, gradient.position);
+    write4(grad_quaternions, i, gradient.quaternion);
+    write3(grad_log_scales, i, vec3(sums[i * SUMS + 10], sums[i * SUMS + 11], 0.0f32));
+}
+
+/// Adds what the sums of the shape lack: the depth of an ellipsoid's centre, the low-pass of a disc,
+/// the normal.
+#[cube(launch)]
+fn rest_kernel(
+    positions: &[f32],
+    quaternions: &[f32],
+    log_scales: &[f32],
+    rest: &[f32],
+    grad_positions: &mut [f32],
+    grad_quaternions: &mut [f32],
+    grad_log_scales: &mut [f32],
+    view: View,
+    count: u32,
+    #[comptime] layout: Layout,
+) {
+    let i = ABSOLUTE_POS;
+    if i >= count as usize {
+        terminate!();
+    }
+    let form = comptime!(layout.form);
+    let width = comptime!(layout.rest());
+    let place = comptime!(layout.beside());
+    let normal = comptime!(layout.normal());
+    let o = i * width;
+    let beside = o + place;
+    let pose = view_rotation(view);
+    let back = transpose(pose);
+    let centre = to_camera(view, row3(positions, i));
+    let quaternion = row4(quaternions, i);
+    let log_scales = row3(log_scales, i);
+    let axes = camera_axes(view, rotation(quaternion));
+    // gradients with respect to the axes in camera space, by numbers
+    let mut u_x = 0.0f32;
+    let mut u_y = 0.0f32;
+    let mut u_z = 0.0f32;
+    let mut v_x = 0.0f32;
+    let mut v_y = 0.0f32;
+    let mut v_z = 0.0f32;
+    let mut n_x = 0.0f32;
+    let mut n_y = 0.0f32;
+    let mut n_z = 0.0f32;
+    if comptime!(layout.maps) {
+        let at = o + normal;
+        let sign = facing_sign(own_normal(axes, log_scales, form), centre);
+        let towards = vec3(sign * rest[at], sign * rest[at + 1], sign * rest[at + 2]);
+        let axis = normal_axis(log_scales, form);
+        let (first, second) = (axis == 0u32, axis == 1u32);
+        u_x = select(first, towards.x, 0.0f32);
+        u_y = select(first, towards.y, 0.0f32);
+        u_z = select(first, towards.z, 0.0f32);
+        v_x = select(second, towards.x, 0.0f32);
+        v_y = select(second, towards.y, 0.0f32);
+        v_z = select(second, towards.z, 0.0f32);
+        n_x = select(first || second, 0.0f32, towards.x);
+        n_y = select(first || second, 0.0f32, towards.y);
+        n_z = select(first || second, 0.0f32, towards.z);
+    }
+    if comptime!(form == Form::Ellipsoids) {
+        let moved = scale(pose.row2, rest[beside]);
+        grad_positions[3 * i] += moved.x;
+        grad_positions[3 * i + 1] += moved.y;
+        grad_positions[3 * i + 2] += moved.z;
+    } else {
+        let scale_u = f32::exp(min(log_scales.x, LARGEST_LOG_SCALE));
+        let scale_v = f32::exp(min(log_scales.y, LARGEST_LOG_SCALE));
+        let (a, b) = (scale(axes.row0, scale_u), scale(axes.row1, scale_v));
+        let bulk = K * (a.z * a.z + b.z * b.z) - centre.z * centre.z;
+        if bulk < 0.0f32 {
+            let inverse = 1.0f32 / bulk;
+            // centre of the box: slopes (K (aᵢ a_z + bᵢ b_z) − cᵢ c_z) / bulk
+            let slope_x = (K * (a.x * a.z + b.x * b.z) - centre.x * centre.z) * inverse;
+            let slope_y = (K * (a.y * a.z + b.y * b.z) - centre.y * centre.z) * inverse;
+            let towards_x = view.fx * rest[beside] * inverse;
+            let towards_y = view.fy * rest[beside + 1] * inverse;
+            let (twice_x, twice_y) = (2.0f32 * slope_x, 2.0f32 * slope_y);
+            let of_a = vec3(
+                K * a.z * towards_x,
+                K * a.z * towards_y,
+                K * (towards_x * (a.x - twice_x * a.z) + towards_y * (a.y - twice_y * a.z)),
+            );
+            let of_b = vec3(
+                K * b.z * towards_x,
+                K * b.z * towards_y,
+                K * (towards_x * (b.x - twice_x * b.z) + towards_y * (b.y - twice_y * b.z)),
+            );
+            let of_centre = vec3(
+                -centre.z * towards_x,
+                -centre.z * towards_y,
+                towards_x * (twice_x * centre.z - centre.x) + towards_y * (twice_y * centre.z - centre.y),
+            );
+            let moved = apply(back, of_centre);
+            grad_positions[3 * i] += moved.x;
+            grad_positions[3 * i + 1] += moved.y;
+            grad_positions[3 * i + 2] += moved.z;
+            grad_log_scales[3 * i] += dot(of_a, a);
+            grad_log_scales[3 * i + 1] += dot(of_b, b);
+            u_x += scale_u * of_a.x;
+            u_y += scale_u * of_a.y;
+            u_z += scale_u * of_a.z;
+            v_x += scale_v * of_b.x;
+            v_y += scale_v * of_b.y;
+            v_z += scale_v * of_b.z;
+        }
+    }
+    let columns = Mat3 {
+        row0: apply(back, vec3(u_x, u_y, u_z)),
+        row1: apply(back, vec3(v_x, v_y, v_z)),
+        row2: apply(back, vec3(n_x, n_y, n_z)),
+    };
+    let turned = rotation_backward(quaternion, transpose(columns));
+    grad_quaternions[4 * i] += turned.w;
+    grad_quaternions[4 * i + 1] += turned.x;
+    grad_quaternions[4 * i + 2] += turned.y;
+    grad_quaternions[4 * i + 3] += turned.z;
+}
+
+/// Gradients with respect to the input, from the sums of the shape and the rest of them.
+pub fn backward(
+    input: &BlendInput<CubeBackend>,
+    sums: &CubeTensor,
+    rest: &CubeTensor,
+    camera: &Camera,
+    layout: Layout,
+) -> BlendInput<CubeBackend> {
+    let (client, count) = (sums.client.clone(), sums.shape()[0]);
+    let out = BlendInput {
+        positions: empty_f32(sums, [count, 3]),
+        quaternions: empty_f32(sums, [count, 4]),
+        log_scales: empty_f32(sums, [count, 3]),
+        opacities: empty_f32(sums, [count]),
+        colours: empty_f32(sums, [count, 3]),
+        probe: empty_f32(sums, [if layout.probe { count } else { 0 }, 4]),
+    };
+    match layout.form {
+        Form::Ellipsoids => footprint_backward(&input.primitives(), sums, camera, &out.primitives()),
+        Form::Discs => planes_backward_kernel::launch(
+            &client,
+            units(count),
+            cube_dim(),
+            buffer(&input.positions),
+            buffer(&input.quaternions),
+            buffer(&input.log_scales),
+            buffer(sums),
+            buffer(&out.positions),
+            buffer(&out.quaternions),
+            buffer(&out.log_scales),
+            View::launch(camera),
+            Rests::launch(camera),
+            count as u32,
+        ),
+    }
+    payload_kernel::launch(
+        &client,
+        units(count),
+        cube_dim(),
+        buffer(rest),
+        buffer(&input.opacities),
+        buffer(&out.colours),
+        buffer(&out.probe),
+        buffer(&out.opacities),
+        count as u32,
+        layout,
+    );
+    // of ellipsoids without maps there is nothing to add
+    if layout.maps || layout.form == Form::Discs {
+        rest_kernel::launch(
+            &client,
+            units(count),
+            cube_dim(),
+            buffer(&input.positions),
+            buffer(&input.quaternions),
+            buffer(&input.log_scales),
+            buffer(rest),
+            buffer(&out.positions),
+            buffer(&out.quaternions),
+            buffer(&out.log_scales),
+            View::launch(camera),
+            count as u32,
+            layout,
+        );
+    }
+    out
+}

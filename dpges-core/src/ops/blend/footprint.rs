@@ -1,0 +1,214 @@
+//! What the CPU kernels need to know of a primitive as a camera sees it, whichever its form.
+
+use crate::camera::Camera;
+use crate::math::{CameraOf, V3, add, scale};
+use crate::ops::binning::{LANES, PixelRect, TileGrid};
+use crate::ops::splat::footprint::{self, ParameterGrad, Parameters, Splat, SplatGrad};
+use crate::real::Real;
+
+/// A camera in the element type of the kernels and in f64.
+pub struct View<T> {
+    pub camera: CameraOf<T>,
+    pub exact: CameraOf<f64>,
+}
+
+impl<T: Real> View<T> {
+    pub fn new(camera: &Camera) -> Self {
+        Self { camera: CameraOf::new(camera), exact: CameraOf::new(camera) }
+    }
+}
+
+/// A group of pixels on the way back, at offsets (`dx`, `dy`) px from the anchor of a footprint.
+pub struct Group<'a, T> {
+    pub dx: &'a [T; LANES],
+    pub dy: T,
+    /// αT
+    pub covered: &'a [T; LANES],
+    /// Gradient with respect to the exponent of α.
+    pub power: &'a [T; LANES],
+    /// With maps: z and the gradient with respect to it.
+    pub depth: &'a [T; LANES],
+    pub grad_depth: &'a [T; LANES],
+}
+
+/// Sums over the pixels of one primitive, of one lane each or in total.
+pub struct Sums<'a, V> {
+    /// [`Projected::SUMS`]
+    pub footprint: &'a mut [V],
+    /// Three.
+    pub colour: &'a mut [V],
+    /// Gradient with respect to the projected centre, px: Σ x, Σ y, Σ |x|, Σ |y|. Empty without a probe.
+    pub probe: &'a mut [V],
+    /// Three of the normal, and one that the footprint makes of the gradients of z. Empty without maps.
+    pub maps: &'a mut [V],
+}
+
+/// Which sums there are.
+#[derive(Clone, Copy, Debug)]
+pub struct Layout {
+    pub footprint: usize,
+    pub probe: bool,
+    pub maps: bool,
+}
+
+impl Layout {
+    pub fn width(&self) -> usize {
+        self.footprint + 3 + self.probe_len() + if self.maps { 4 } else { 0 }
+    }
+
+    fn probe_len(&self) -> usize {
+        if self.probe { 4 } else { 0 }
+    }
+
+    #[inline(always)]
+    pub fn split<'a, V>(&self, sums: &'a mut [V]) -> Sums<'a, V> {
+        let (footprint, rest) = sums.split_at_mut(self.footprint);
+        let (colour, rest) = rest.split_at_mut(3);
+        let (probe, maps) = rest.split_at_mut(self.probe_len());
+        Sums { footprint, colour, probe, maps }
+    }
+}
+
+/// Rows of lanes that [`Projected::gather`] may work on.
+pub const WORK_ROWS: usize = 5;
+
+/// One primitive seen by one camera.
+pub trait Projected<T: Real>: Copy + Send + Sync {
+    /// Sums over pixels that its gradient is made of, besides those of [`Layout`].
+    const SUMS: usize;
+
+    /// `None` where no pixel can see it.
+    fn new(view: &View<T>, parameters: &Parameters<T>, colour: V3<T>) -> Option<Self>;
+
+    /// Which axis is the normal.
+    fn normal_axis(parameters: &Parameters<T>) -> usize;
+
+    fn colour(&self) -> V3<T>;
+
+    /// Camera-space z of the centre.
+    fn centre_depth(&self) -> T;
+
+    /// Point that offsets are counted from, px.
+    fn anchor(&self) -> [T; 2];
+
+    /// Pixels at which α can reach the cutoff.
+    fn reach(&self, grid: TileGrid) -> PixelRect;
+
+    /// Whether α can reach the cutoff at some pixel of a tile.
+    fn touches(&self, tile_x: usize, tile_y: usize) -> bool;
+
+    /// α before it is capped, and z, at an offset from the anchor; 0 and any finite z where there is no fragment.
+    fn fragment(&self, dx: T, dy: T) -> (T, T);
+
+    /// Adds a group of pixels to the sums of the footprint and the probe and, with `MAPS`, of z.
+    fn gather<const MAPS: bool>(
+        &self,
+        group: &Group<T>,
+        work: &mut [[T; LANES]; WORK_ROWS],
+        sums: &mut Sums<[T; LANES]>,
+    );
+
+    /// From the sums to the raw parameters; what the normal and the colour pass on is not included.
+    fn backward(&self, view: &View<T>, parameters: &Parameters<T>, sums: &Sums<T>) -> ParameterGrad<T>;
+}
+
+/// An ellipsoid's ellipse, anchored at its mean.
+#[derive(Clone, Copy, Debug)]
+pub struct Ellipse<T>(Splat<T>);
+
+impl<T: Real> Projected<T> for Ellipse<T> {
+    const SUMS: usize = 6;
+
+    fn new(view: &View<T>, parameters: &Parameters<T>, colour: V3<T>) -> Option<Self> {
+        Splat::new(&view.camera, parameters, colour).map(Self)
+    }
+
+    /// The thinnest.
+    fn normal_axis(parameters: &Parameters<T>) -> usize {
+        let size = |axis: usize| parameters.log_scales[axis].as_f64();
+        (0..3).min_by(|&a, &b| size(a).total_cmp(&size(b))).unwrap_or(0)
+    }
+
+    #[inline(always)]
+    fn colour(&self) -> V3<T> {
+        self.0.colour
+    }
+
+    fn centre_depth(&self) -> T {
+        self.0.depth
+    }
+
+    #[inline(always)]
+    fn anchor(&self) -> [T; 2] {
+        self.0.mean
+    }
+
+    fn reach(&self, grid: TileGrid) -> PixelRect {
+        self.0.reach(grid.width, grid.height)
+    }
+
+    #[inline(always)]
+    fn touches(&self, tile_x: usize, tile_y: usize) -> bool {
+        self.0.touches(tile_x, tile_y)
+    }
+
+    #[inline(always)]
+    fn fragment(&self, dx: T, dy: T) -> (T, T) {
+        (self.0.weight(dx, dy), self.0.depth)
+    }
+
+    #[inline(always)]
+    fn gather<const MAPS: bool>(&self, group: &Group<T>, _: &mut [[T; LANES]; WORK_ROWS], sums: &mut Sums<[T; LANES]>) {
+        let (dx, dy, power) = (group.dx, group.dy, group.power);
+        let [sum, sum_x, sum_y, sum_xx, sum_xy, sum_yy] = &mut *sums.footprint else {
+            unreachable!("six rows of lanes");
+        };
+        for lane in 0..LANES {
+            sum[lane] = sum[lane] + power[lane];
+        }
+        for lane in 0..LANES {
+            sum_x[lane] = sum_x[lane] + power[lane] * dx[lane];
+        }
+        for lane in 0..LANES {
+            sum_y[lane] = sum_y[lane] + power[lane] * dy;
+        }
+        for lane in 0..LANES {
+            sum_xx[lane] = sum_xx[lane] + power[lane] * dx[lane] * dx[lane];
+        }
+        for lane in 0..LANES {
+            sum_xy[lane] = sum_xy[lane] + power[lane] * dx[lane] * dy;
+        }
+        for lane in 0..LANES {
+            sum_yy[lane] = sum_yy[lane] + power[lane] * dy * dy;
+        }
+        if let [x, y, size_x, size_y] = &mut *sums.probe {
+            let [a, b, c] = self.0.conic;
+            for lane in 0..LANES {
+                let grad_x = power[lane] * (a * dx[lane] + b * dy);
+                let grad_y = power[lane] * (b * dx[lane] + c * dy);
+                x[lane] = x[lane] + grad_x;
+                y[lane] = y[lane] + grad_y;
+                size_x[lane] = size_x[lane] + grad_x.abs();
+                size_y[lane] = size_y[lane] + grad_y.abs();
+            }
+        }
+        if MAPS && let [.., of_depth] = &mut *sums.maps {
+            let grad_depth = group.grad_depth;
+            for lane in 0..LANES {
+                of_depth[lane] = of_depth[lane] + grad_depth[lane];
+            }
+        }
+    }
+
+    fn backward(&self, view: &View<T>, parameters: &Parameters<T>, sums: &Sums<T>) -> ParameterGrad<T> {
+        let sum = SplatGrad {
+            moments: std::array::from_fn(|i| sums.footprint[i]),
+            colour: std::array::from_fn(|c| sums.colour[c]),
+        };
+        let mut grad = footprint::backward(&view.camera, parameters, &self.0, &sum);
+        if let [.., of_depth] = *sums.maps {
+            grad.position = add(grad.position, scale(view.camera.rotation[2], of_depth));
+        }
+        grad
+    }
+}

@@ -1,0 +1,68 @@
+//! One view of a scene of blended Gaussians: what DP-GES is initialised with, and compared with (3DGS, 2DGS).
+
+use burn::tensor::{Tensor, TensorData};
+
+use super::{Values, validate_gaussians};
+use crate::camera::Camera;
+use crate::error::{Error, Result};
+use crate::ops::blend::{Blend, BlendOptions, Form, blend};
+use crate::ops::colour::colour;
+use crate::scene::{Gaussians, Rendering, SceneInfo};
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BlendedOptions {
+    pub blend: BlendOptions,
+    /// Display-referred colour behind everything.
+    pub background: [f64; 3],
+}
+
+impl BlendedOptions {
+    /// # Errors
+    /// [`Error::Option`] if the scene is not one of blended Gaussians.
+    pub fn new(info: &SceneInfo) -> Result<Self> {
+        let form = match info.rendering {
+            Rendering::Ellipsoids => Form::Ellipsoids,
+            Rendering::Discs => Form::Discs,
+            Rendering::Peeled => {
+                let expected = "ellipsoids or discs".to_owned();
+                return Err(Error::Option { option: "rendering", expected, found: info.rendering.to_string() });
+            }
+        };
+        Ok(Self { blend: BlendOptions { form, ..BlendOptions::default() }, background: info.background })
+    }
+}
+
+/// A rendered view of blended Gaussians.
+#[derive(Clone, Debug)]
+pub struct BlendedRender {
+    /// [3, H, W] display-referred, not clamped, on the background.
+    pub image: Tensor<3>,
+    pub blend: Blend,
+}
+
+/// Renders `gaussians` from `camera`, nearest first. Colours below 0 count as 0 (3DGS). The gradient of `probe` [M, 4]
+/// tells how much the picture wants each of them to move, see [`blend`](crate::ops::blend::blend).
+///
+/// # Errors
+/// A typed error naming what does not fit: see [`validate_gaussians`], [`Camera::validate`], [`BlendOptions::validate`].
+pub fn render_blended(
+    gaussians: &Gaussians,
+    probe: Option<Tensor<2>>,
+    camera: &Camera,
+    options: &BlendedOptions,
+    values: Values,
+) -> Result<BlendedRender> {
+    camera.validate()?;
+    validate_gaussians(gaussians, values)?;
+    let colours = colour(&gaussians.colour, &gaussians.positions, camera.centre().to_array())?.clamp_min(0.0);
+    let blend = blend(gaussians, colours, probe, camera, &options.blend)?;
+    let image = if options.background == [0.0; 3] {
+        blend.colour.clone()
+    } else {
+        let like = &blend.colour;
+        let behind = TensorData::new(options.background.to_vec(), [3, 1, 1]).convert_dtype(like.dtype());
+        let behind = Tensor::<3>::from_data(behind, (&like.device(), like.dtype()));
+        blend.colour.clone() + (blend.alpha.clone() * -1.0 + 1.0) * behind
+    };
+    Ok(BlendedRender { image, blend })
+}

@@ -1,0 +1,350 @@
+//! More Gaussians or discs where their places pull most: the small are cloned, the large are split,
+//! the faint and the huge are pruned (3DGS, 2DGS, GES).
+
+use dpges_core::scene::{ColourModel, GaussianData};
+use glam::DVec3;
+use rand_chacha::ChaCha8Rng;
+
+use super::noise::{rotation, vector};
+use super::{GaussianEdit, RowEdit, normal};
+
+/// 3DGS: the scale of a child is that of its parent over this.
+const SHRINKAGE: f64 = 1.6;
+
+/// What is cloned, split and pruned.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DensifyRule {
+    /// Least mean gradient norm of a row that is densified, per unit of normalised device coordinates (3DGS: 2e-4).
+    pub gradient_threshold: f64,
+    /// Densify as many rows again by the mean norm of the absolute sums: those at or above its
+    /// quantile of the share of rows below `gradient_threshold` (GES, init stage).
+    pub by_quantile: bool,
+    /// Fraction of the extent; larger rows are split, the others cloned (3DGS: 0.01).
+    pub dense_fraction: f64,
+    /// Rows of less opacity are pruned (2DGS: 0.05, 3DGS: 0.005).
+    pub min_opacity: f64,
+    /// Fraction of the extent; larger rows are pruned (3DGS: 0.1, after the first opacity reset).
+    pub max_scale_fraction: Option<f64>,
+    /// The rows are discs: the third scale means nothing, and children lie in the plane of the first two axes.
+    pub flat: bool,
+}
+
+/// What views have said about N rows since the last densification.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct GradientSums {
+    /// [N] sum over views of the norm of the gradient with respect to the projected centre,
+    /// normalised device coordinates.
+    pub signed: Vec<f32>,
+    /// [N] the same of the gradient whose components are summed over pixels by absolute value.
+    pub absolute: Vec<f32>,
+    /// [N] views that saw the row.
+    pub views: Vec<u32>,
+}
+
+impl GradientSums {
+    /// Means of `sums` over the views that saw a row; 0 without such views, or if the mean is not finite.
+    fn means(&self, sums: &[f32]) -> Vec<f64> {
+        let mean = |(sum, views): (&f32, &u32)| f64::from(*sum) / f64::from(*views);
+        let finite = |mean: f64| if mean.is_finite() { mean } else { 0.0 };
+        sums.iter().zip(&self.views).map(mean).map(finite).collect()
+    }
+}
+
+impl DensifyRule {
+    /// At most `room` rows to be densified, ascending: those of the largest mean gradient, ties by row.
+    fn selected(&self, sums: &GradientSums, room: usize) -> Vec<usize> {
+        let gradients = sums.means(&sums.signed);
+        let absolute = sums.means(&sums.absolute);
+        let is_steep = |row: &usize| gradients[*row] >= self.gradient_threshold;
+        let absolute_threshold = if self.by_quantile {
+            let steep = (0..gradients.len()).filter(is_steep).count();
+            quantile(absolute.clone(), 1.0 - steep as f64 / gradients.len() as f64)
+        } else {
+            f64::INFINITY
+        };
+        let is_busy = |row: &usize| absolute[*row] > 0.0 && absolute[*row] >= absolute_threshold;
+
+        let mut rows: Vec<usize> = (0..gradients.len()).filter(|row| is_steep(row) || is_busy(row)).collect();
+        rows.sort_by(|a, b| gradients[*b].total_cmp(&gradients[*a]));
+        rows.truncate(room);
+        rows.sort_unstable();
+        rows
+    }
+
+    /// Whether no scale of `row` exceeds `limit` (world units). Scales that are not numbers do.
+    fn fits(&self, gaussians: &GaussianData, row: usize, limit: f64) -> bool {
+        let axes = if self.flat { 2 } else { 3 };
+        gaussians.log_scales[row * 3..][..axes].iter().all(|log_scale| f64::from(*log_scale).exp() <= limit)
+    }
+}
+
+/// The value below which `fraction` of `values` lie, interpolated between neighbours; infinite without values.
+fn quantile(mut values: Vec<f64>, fraction: f64) -> f64 {
+    let Some(last) = values.len().checked_sub(1) else { return f64::INFINITY };
+    let at = fraction * last as f64;
+    let (_, &mut below, above) = values.select_nth_unstable_by(at as usize, f64::total_cmp);
+    let above = above.iter().copied().min_by(f64::total_cmp).unwrap_or(below);
+    below + at.fract() * (above - below)
+}
+
+/// Densifies rows of large mean gradient, at most `room` of them, one more row each, those of the
+/// largest mean first. A small one is cloned in its place. A large one goes, and its two children lie
+/// at `μ + R · N(0, diag s²)`, have its scales / 1.6 and otherwise its parameters. Then old and new
+/// rows are pruned (3DGS).
+///
+/// `extent` in world units; 0, as of a single camera, limits no scale. Opacities are effective, from
+/// 0 to 1; `sums` has as many rows as `gaussians`. If nothing would be left nothing changes, with a warning.
+pub fn densify(
+    gaussians: &GaussianData,
+    model: ColourModel,
+    sums: &GradientSums,
+    extent: f64,
+    rule: &DensifyRule,
+    room: usize,
+    rng: &mut ChaCha8Rng,
+) -> GaussianEdit {
+    let count = gaussians.len();
+    let limit = |fraction: f64| if extent > 0.0 { fraction * extent } else { f64::INFINITY };
+    let max_scale = rule.max_scale_fraction.map_or(f64::INFINITY, limit);
+    let stays = |row: usize, max_scale: f64| {
+        f64::from(gaussians.opacities[row]) >= rule.min_opacity && rule.fits(gaussians, row, max_scale)
+    };
+
+    let is_small = |row: &usize| rule.fits(gaussians, *row, limit(rule.dense_fraction));
+    let (mut cloned, parents): (Vec<usize>, Vec<usize>) = rule.selected(sums, room).into_iter().partition(is_small);
+    let mut is_parent = vec![false; count];
+    parents.iter().for_each(|&row| is_parent[row] = true);
+    let rows = RowEdit::retain(count, |&row| !is_parent[row] && stays(row, max_scale));
+
+    cloned.retain(|&row| stays(row, max_scale));
+    let mut added = gaussians.select(model, &cloned);
+    let fruitful = parents.into_iter().filter(|&row| stays(row, max_scale * SHRINKAGE));
+    added.append(children(gaussians, model, fruitful, rule.flat, rng));
+
+    if count > 0 && rows.keep.is_empty() && added.is_empty() {
+        tracing::warn!("densification would prune each of {count} Gaussians: none is changed");
+        return GaussianEdit { rows: RowEdit::keep_all(count), added };
+    }
+    GaussianEdit { rows, added }
+}
+
+/// Two of each of `parents`, side by side.
+fn children(
+    gaussians: &GaussianData,
+    model: ColourModel,
+    parents: impl Iterator<Item = usize>,
+    flat: bool,
+    rng: &mut ChaCha8Rng,
+) -> GaussianData {
+    let twice: Vec<usize> = parents.flat_map(|row| [row, row]).collect();
+    let mut children = gaussians.select(model, &twice);
+    for (position, &row) in children.positions.as_chunks_mut::<3>().0.iter_mut().zip(&twice) {
+        let draw = DVec3::new(normal(rng), normal(rng), if flat { 0.0 } else { normal(rng) });
+        let inside = rotation(gaussians, row) * (vector(&gaussians.log_scales, row).exp() * draw);
+        *position = (vector(&gaussians.positions, row) + inside).as_vec3().to_array();
+    }
+    children.log_scales.iter_mut().for_each(|log_scale| *log_scale -= SHRINKAGE.ln() as f32);
+    children
+}
+
+/// Opacities for a new start: each at most `at_most` (3DGS: 0.01 every 3000 steps).
+pub fn reset_opacities(opacities: &[f32], at_most: f32) -> Vec<f32> {
+    opacities.iter().map(|opacity| opacity.min(at_most)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use dpges_core::scene::ColourData;
+    use rand::SeedableRng;
+
+    use super::*;
+
+    const MODEL: ColourModel = ColourModel::SphericalBeta { lobes: 1 };
+    const RULE: DensifyRule = DensifyRule {
+        gradient_threshold: 2e-4,
+        by_quantile: false,
+        dense_fraction: 0.01,
+        min_opacity: 0.05,
+        max_scale_fraction: None,
+        flat: false,
+    };
+
+    fn rng() -> ChaCha8Rng {
+        ChaCha8Rng::seed_from_u64(41)
+    }
+
+    /// Gaussians of scales (s, s/2, s/4) turned by 90° about z, so that their long axis is y; their other
+    /// numbers tell the rows apart.
+    fn gaussians(scales: &[f32]) -> GaussianData {
+        let n = scales.len();
+        let numbered = |width: usize| (0..n * width).map(|i| i as f32).collect();
+        GaussianData {
+            positions: numbered(3),
+            quaternions: [3.0, 0.0, 0.0, 3.0].repeat(n),
+            log_scales: scales.iter().flat_map(|s| [*s, s / 2.0, s / 4.0].map(f32::ln)).collect(),
+            opacities: (0..n).map(|i| 0.5 + 0.125 * (i % 4) as f32).collect(),
+            colour: ColourData { base: numbered(3), detail: numbered(6) },
+        }
+    }
+
+    /// Sums of two views with the given means.
+    fn sums(signed: &[f32], absolute: &[f32]) -> GradientSums {
+        let twice = |means: &[f32]| means.iter().map(|mean| 2.0 * mean).collect();
+        GradientSums { signed: twice(signed), absolute: twice(absolute), views: vec![2; signed.len()] }
+    }
+
+    /// Densification with an extent of 1.
+    fn run(gaussians: &GaussianData, signed: &[f32], rule: DensifyRule, room: usize) -> GaussianEdit {
+        densify(gaussians, MODEL, &sums(signed, &vec![0.0; signed.len()]), 1.0, &rule, room, &mut rng())
+    }
+
+    #[test]
+    fn the_small_are_cloned_in_place() {
+        let old = gaussians(&[0.009, 0.005, 0.005]);
+        let edit = run(&old, &[3e-4, 1e-4, 2.1e-4], RULE, 9);
+        assert_eq!(edit.rows.keep, [0, 1, 2]);
+        assert_eq!(edit.added, old.select(MODEL, &[0, 2]));
+    }
+
+    #[test]
+    fn the_large_are_replaced_by_two_smaller() {
+        let old = gaussians(&[0.005, 0.02, 0.02]);
+        let edit = run(&old, &[0.0, 3e-4, 1e-4], RULE, 9);
+        assert_eq!(edit.rows.keep, [0, 2]);
+        let parents = old.select(MODEL, &[1, 1]);
+        let GaussianData { positions, quaternions, log_scales, opacities, colour } = edit.added;
+        assert_eq!((quaternions, opacities, colour), (parents.quaternions, parents.opacities, parents.colour));
+        for (child, parent) in log_scales.iter().zip(&parents.log_scales) {
+            assert!((parent.exp() / child.exp() - 1.6).abs() < 1e-5);
+        }
+        assert_eq!(log_scales.len(), 6);
+        assert_ne!(positions[..3], positions[3..]);
+        let distance = (vector(&positions, 0) - DVec3::new(3.0, 4.0, 5.0)).length();
+        assert!(distance > 0.0 && distance < 0.2, "{distance}");
+    }
+
+    #[test]
+    fn both_and_pruning_at_once() {
+        let mut old = gaussians(&[0.005, 0.02, 0.005, 0.02]);
+        (old.opacities[2], old.opacities[3]) = (0.04, 0.04);
+        let edit = run(&old, &[3e-4; 4], RULE, 9);
+        assert_eq!(edit.rows.keep, [0]);
+        assert_eq!(edit.added.opacities, [0.5, 0.625, 0.625]);
+        assert_eq!(edit.apply(MODEL, &old).len(), 4);
+    }
+
+    #[test]
+    fn gradients_are_means_over_the_views_that_saw_the_row() {
+        let sums = GradientSums {
+            signed: vec![7e-4, 7e-4, 0.0, 1.0, f32::NAN],
+            absolute: vec![0.0; 5],
+            views: vec![3, 4, 0, 0, 2],
+        };
+        let edit = densify(&gaussians(&[0.005; 5]), MODEL, &sums, 1.0, &RULE, 9, &mut rng());
+        assert_eq!(edit.added.opacities, [0.5]);
+        assert_eq!(edit.rows.keep.len(), 5);
+    }
+
+    #[test]
+    fn the_faint_and_the_huge_are_pruned() {
+        let mut old = gaussians(&[0.09, 0.11, 0.05, 0.005, 0.005]);
+        (old.opacities[3], old.opacities[4]) = (0.04, f32::NAN);
+        let huge = DensifyRule { max_scale_fraction: Some(0.1), ..RULE };
+        assert_eq!(run(&old, &[0.0; 5], RULE, 9).rows.keep, [0, 1, 2]);
+        assert_eq!(run(&old, &[0.0; 5], huge, 9).rows.keep, [0, 2]);
+        let no_extent = densify(&old, MODEL, &sums(&[1.0; 5], &[0.0; 5]), 0.0, &huge, 9, &mut rng());
+        assert_eq!((no_extent.rows.keep, no_extent.added.len()), (vec![0, 1, 2], 3));
+    }
+
+    #[test]
+    fn children_are_judged_by_their_own_scale() {
+        let huge = DensifyRule { max_scale_fraction: Some(0.1), ..RULE };
+        let old = gaussians(&[0.15, 0.17, 0.005]);
+        let edit = run(&old, &[3e-4, 3e-4, 0.0], huge, 9);
+        assert_eq!(edit.rows.keep, [2]);
+        assert_eq!(edit.added.opacities, [0.5, 0.5]);
+    }
+
+    #[test]
+    fn room_goes_to_the_largest_mean_gradients() {
+        let old = gaussians(&[0.005, 0.02, 0.005, 0.02]);
+        let gradients = [4e-4, 3e-4, 5e-4, 6e-4];
+        for room in 0..=5 {
+            let edit = run(&old, &gradients, RULE, room);
+            assert_eq!(edit.apply(MODEL, &old).len(), 4 + room.min(4));
+        }
+        let edit = run(&old, &gradients, RULE, 2);
+        assert_eq!((edit.rows.keep, edit.added.opacities), (vec![0, 1, 2], vec![0.75, 0.875, 0.875]));
+        assert_eq!(run(&old, &[3e-4; 4], RULE, 1).added.opacities, [0.5]);
+    }
+
+    #[test]
+    fn quantiles_are_interpolated() {
+        let values = vec![5.0, 1.0, 3.0, 2.0, 4.0];
+        for (fraction, expected) in [(0.0, 1.0), (0.5, 3.0), (0.8, 4.2), (1.0, 5.0)] {
+            assert!((quantile(values.clone(), fraction) - expected).abs() < 1e-12, "{fraction}");
+        }
+        assert_eq!(quantile(Vec::new(), 0.5), f64::INFINITY);
+    }
+
+    #[test]
+    fn the_quantile_adds_rows_whose_gradients_cancel() {
+        // One of five is steep, so that the absolute threshold is the quantile of 0.8: 4.2.
+        let sums = sums(&[1e-4, 3e-4, 0.0, 0.0, 0.0], &[5.0, 1.0, 3.0, 2.0, 4.0]);
+        let old = gaussians(&[0.005; 5]);
+        let by_quantile = DensifyRule { by_quantile: true, ..RULE };
+        let added = |rule: DensifyRule, room: usize| densify(&old, MODEL, &sums, 1.0, &rule, room, &mut rng()).added;
+        assert_eq!(added(RULE, 9), old.select(MODEL, &[1]));
+        assert_eq!(added(by_quantile, 9), old.select(MODEL, &[0, 1]));
+        assert_eq!(added(by_quantile, 1), old.select(MODEL, &[1]));
+    }
+
+    #[test]
+    fn unseen_rows_are_in_no_quantile() {
+        let by_quantile = DensifyRule { by_quantile: true, ..RULE };
+        let old = gaussians(&[0.005; 4]);
+        assert_eq!(run(&old, &[0.0, 3e-4, 0.0, 0.0], by_quantile, 9).added, old.select(MODEL, &[1]));
+    }
+
+    #[test]
+    fn children_are_distributed_as_their_parent() {
+        let mut old = gaussians(&[8.0; 10_000]);
+        old.positions = [1.0, 2.0, 3.0].repeat(10_000);
+        let moments = |flat: bool| {
+            let edit = run(&old, &[1.0; 10_000], DensifyRule { flat, ..RULE }, usize::MAX);
+            let steps: Vec<DVec3> =
+                (0..20_000).map(|row| vector(&edit.added.positions, row) - DVec3::new(1.0, 2.0, 3.0)).collect();
+            let mean = |squares: DVec3| squares / steps.len() as f64;
+            (mean(steps.iter().sum()), mean(steps.iter().map(|step| *step * *step).sum()))
+        };
+        let (mean, variance) = moments(false);
+        assert!(mean.abs().cmplt(DVec3::new(0.15, 0.3, 0.08)).all(), "{mean}");
+        assert!((variance - DVec3::new(16.0, 64.0, 4.0)).abs().cmplt(DVec3::new(0.8, 3.2, 0.2)).all(), "{variance}");
+        let (_, in_plane) = moments(true);
+        assert!((in_plane - DVec3::new(16.0, 64.0, 0.0)).abs().cmplt(DVec3::new(0.8, 3.2, 1e-9)).all(), "{in_plane}");
+    }
+
+    #[test]
+    fn the_third_scale_of_a_disc_means_nothing() {
+        let mut old = gaussians(&[0.005]);
+        old.log_scales[2] = 3.0;
+        let huge = DensifyRule { max_scale_fraction: Some(0.1), ..RULE };
+        let flat = DensifyRule { flat: true, ..huge };
+        assert_eq!(run(&old, &[1.0], flat, 9).added, old);
+        assert_eq!(run(&old, &[1.0], RULE, 9).added.len(), 2);
+    }
+
+    #[test]
+    fn never_all() {
+        let mut old = gaussians(&[0.005, 0.02]);
+        old.opacities = vec![0.01; 2];
+        let edit = run(&old, &[1.0; 2], RULE, 9);
+        assert_eq!((edit.rows.keep.len(), edit.added.len()), (2, 0));
+        assert_eq!(run(&gaussians(&[]), &[], RULE, 9), GaussianEdit::default());
+    }
+
+    #[test]
+    fn opacities_are_lowered_never_raised() {
+        assert_eq!(reset_opacities(&[0.9, 0.01, 0.003], 0.01), [0.01, 0.01, 0.003]);
+    }
+}

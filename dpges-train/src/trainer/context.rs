@@ -1,0 +1,66 @@
+//! What all stages of a run share.
+
+use std::sync::Arc;
+
+use burn::tensor::Device;
+use dpges_core::scene::{Rendering, SceneInfo};
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
+
+use crate::config::Config;
+use crate::dataset::Dataset;
+
+pub struct Context {
+    pub dataset: Arc<Dataset>,
+    pub config: Config,
+    pub device: Device,
+    pub rng: ChaCha8Rng,
+    /// Views still to come in this pass, last first.
+    pub remaining_views: Vec<u32>,
+    /// Of the whole run.
+    pub completed_steps: usize,
+}
+
+impl Context {
+    /// The next view of this pass; passes go over all views in random order (3DGS).
+    pub fn next_view(&mut self) -> usize {
+        if self.remaining_views.is_empty() {
+            self.remaining_views = (0..self.dataset.train.len() as u32).collect();
+            self.remaining_views.shuffle(&mut self.rng);
+        }
+        self.remaining_views.pop().expect("a dataset has training views") as usize
+    }
+
+    /// What the scene file of this run says besides its tensors.
+    pub fn scene_info(&self, rendering: Rendering) -> SceneInfo {
+        let (model, dataset) = (&self.config.model, &self.dataset);
+        SceneInfo {
+            colour_model: model.colour,
+            modulation: model.modulation,
+            layer_count: model.layers,
+            footprint: model.footprint,
+            margin_lookup: model.margin_lookup,
+            rendering,
+            background: dataset.background,
+            offset: dataset.offset.to_array(),
+            extent: dataset.extent,
+            near: dataset.near,
+        }
+    }
+
+    /// Most surfels and Gaussians together.
+    pub fn budget(&self) -> usize {
+        self.config.most_primitives(mean_pixels(&self.dataset))
+    }
+
+    /// Most primitives of a stage that may fill `share` of the budget.
+    pub fn most_primitives(&self, share: f64) -> usize {
+        ((self.budget() as f64 * share) as usize).max(1)
+    }
+}
+
+/// Pixels of a training view, on average.
+pub fn mean_pixels(dataset: &Dataset) -> usize {
+    let pixels: usize = dataset.train.iter().map(|view| view.picture.width * view.picture.height).sum();
+    pixels / dataset.train.len().max(1)
+}

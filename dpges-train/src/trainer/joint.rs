@@ -1,0 +1,142 @@
+//! The joint optimisation of surfels and Gaussians (DP-GES): one view per step.
+
+use dpges_core::losses::geometry::{GeometryWeights, geometry};
+use dpges_core::losses::{LossWeights, losses};
+use dpges_core::render::{RenderOptions, Values, render_values};
+use dpges_core::scene::{Rendering, SceneData, SceneInfo};
+
+use super::context::Context;
+use super::pending::{Gate, PendingStep};
+use super::statistics::Statistics;
+use super::supervision::Supervisions;
+use super::{StepReport, TrainError};
+use crate::config::{Config, Due, Schedule, StagePlan};
+use crate::init::InitialScene;
+use crate::refine::growth::Growth;
+use crate::scene_state::{GaussianState, Rates, SurfelState};
+
+/// Share of the position schedule that the initialisation takes, and the joint stage (DP-GES: 20,000 and 25,000 of
+/// 30,000 steps).
+const BEFORE: f64 = 20.0 / 30.0;
+const JOINT: f64 = 25.0 / 30.0;
+
+/// The stage in which surfels and Gaussians learn together.
+pub struct JointStage {
+    pub plan: StagePlan,
+    pub info: SceneInfo,
+    pub schedule: Schedule,
+    pub surfels: SurfelState,
+    pub gaussians: GaussianState,
+    pub statistics: Statistics,
+    /// Of the geometry losses; `None` without them.
+    pub supervisions: Option<Supervisions>,
+    /// Of an automatic budget.
+    pub growth: Option<Growth>,
+}
+
+impl JointStage {
+    pub fn new(context: &Context, plan: StagePlan, start: &InitialScene, supervisions: Option<Supervisions>) -> Self {
+        let (config, device) = (&context.config, &context.device);
+        let model = config.model.colour;
+        Self {
+            plan,
+            info: context.scene_info(Rendering::Peeled),
+            schedule: config.schedule(context.dataset.train.len()),
+            surfels: SurfelState::new(&start.surfels, model, device),
+            gaussians: GaussianState::new(&start.gaussians, model, config.model.opacity, device),
+            statistics: Statistics::new(start.surfels.len(), start.gaussians.len(), device),
+            supervisions,
+            growth: None,
+        }
+    }
+
+    pub fn scene(&self) -> SceneData {
+        SceneData { info: self.info.clone(), surfels: self.surfels.to_data(), gaussians: self.gaussians.to_data() }
+    }
+
+    /// What is due after `completed` steps of this stage.
+    pub fn due(&self, completed: usize) -> Due {
+        self.schedule.due(completed)
+    }
+
+    /// Hands everything of one step to the device.
+    pub fn begin_step(&mut self, context: &mut Context, mut report: StepReport) -> Result<PendingStep, TrainError> {
+        let completed = context.completed_steps - self.plan.begin;
+        (report.surfels, report.gaussians) = (self.surfels.len(), self.gaussians.len());
+        let dataset = context.dataset.clone();
+        let view = &dataset.train[report.view];
+        let at = |source| TrainError::Step { step: report.step, view: view.name.clone(), source };
+
+        let surfels = self.surfels.leaves();
+        let (gaussians, opacities) = self.gaussians.leaves();
+        let target = view.target(&context.device.clone().autodiff());
+        // afterwards they stay finite, since steps with a gradient that is not are held back
+        let known = if completed == 0 { Values::Unknown } else { Values::KnownFinite };
+        let options = self.render_options(&context.config);
+        let rendered = render_values(&surfels, &gaussians, &view.camera, &options, known).map_err(at)?;
+        let weights = loss_weights(&context.config);
+        let terms = losses(&rendered, surfels.log_scales.clone(), target.clone(), &weights).map_err(at)?;
+        let mut total = terms.total.clone();
+        if let Some(supervisions) = &self.supervisions {
+            let supervision = supervisions.of(report.view, &context.device.clone().autodiff());
+            let weights = geometry_weights(&context.config);
+            total = total + geometry(&rendered, &surfels, &view.camera, &supervision, &weights).map_err(at)?;
+        }
+
+        let mut gradients = total.backward();
+        let surfel_gradients = self.surfels.gradients(&surfels, &mut gradients);
+        let gaussian_gradients = self.gaussians.gradients((&gaussians, &opacities), &mut gradients);
+        let names = SurfelState::NAMES.into_iter().chain(GaussianState::NAMES);
+        let gate = Gate::new(&total, names.zip(surfel_gradients.iter().chain(&gaussian_gradients)));
+        let numbers =
+            [total, terms.rgb.clone(), terms.surfel.clone(), terms.scale.clone(), terms.transmittance.clone()];
+        let image = rendered.composite.image.clone();
+        let pending = PendingStep::new(report, view.name.clone(), numbers, image, target, &gate);
+        self.statistics.observe(&rendered, &self.gaussians, &view.camera, &self.schedule, completed)?;
+        // the tape shares the parameters: without it the optimiser can work in place
+        drop((surfels, gaussians, opacities, rendered, terms));
+
+        let rates = self.rates(&context.config, completed);
+        let adam = context.config.optimizer.adam(completed);
+        let surfel_rates = if context.config.train.freeze_surfels { rates.of_frozen_surfels() } else { rates };
+        self.surfels.step(surfel_gradients, &gate.open, &surfel_rates, adam)?;
+        self.gaussians.step(gaussian_gradients, &gate.open, &rates, adam)?;
+        Ok(pending)
+    }
+
+    pub fn render_options(&self, config: &Config) -> RenderOptions {
+        RenderOptions { detach_transmittance: config.train.detach_transmittance, ..RenderOptions::from(&self.info) }
+    }
+
+    /// Learning rates of the step after `completed` ones.
+    fn rates(&self, config: &Config, completed: usize) -> Rates {
+        let optimizer = &config.optimizer;
+        let progress = completed as f64 / self.plan.steps as f64;
+        let travelled = if config.joins_trained() { BEFORE + JOINT * progress } else { progress };
+        let (position, decay) = (optimizer.position_rate(travelled, self.info.extent), optimizer.decay_at(progress));
+        Rates {
+            surfel_positions: position * optimizer.surfel_position_factor,
+            gaussian_positions: position,
+            quaternions: optimizer.quaternions * decay,
+            log_scales: optimizer.log_scales * decay,
+            opacities: optimizer.opacities * decay,
+            base: optimizer.base * decay,
+            detail: optimizer.detail * decay,
+        }
+    }
+}
+
+fn loss_weights(config: &Config) -> LossWeights {
+    let train = &config.train;
+    LossWeights {
+        dssim: train.lambda_dssim,
+        surfel: train.lambda_surfel,
+        scale: train.lambda_scale,
+        transmittance: train.lambda_transmittance,
+    }
+}
+
+fn geometry_weights(config: &Config) -> GeometryWeights {
+    let train = &config.train;
+    GeometryWeights { depth: train.lambda_depth, normal: train.lambda_normal, depth_normal: train.lambda_depth_normal }
+}

@@ -1,0 +1,90 @@
+//! An automatic budget: only what the scene requires, as the views that are kept from training show it.
+
+use dpges_core::render::{Values, render_values};
+use dpges_core::scene::tensors::tensor_to_rows;
+use dpges_core::scene::{ColourData, ColourModel};
+
+use super::TrainError;
+use super::context::Context;
+use super::joint::JointStage;
+use crate::config::Budget;
+use crate::config::range::MAX_LAYERS;
+use crate::eval::evaluate;
+use crate::refine::growth::{Decision, Growth};
+use crate::refine::layer_count::{MOST_OPEN, choose, open_share};
+use crate::refine::lobes::{drop_lobes, spare_lobes};
+
+/// A lobe whose absence changes no colour by more is dropped: half a step of a picture of 8 bits.
+const UNSEEN: f64 = 0.5 / 255.0;
+
+impl JointStage {
+    /// Why no more Gaussians are to be added, if an automatic budget says so.
+    pub fn end_of_growth(&mut self, context: &Context) -> Result<Option<String>, TrainError> {
+        if context.config.refine.budget != Budget::Auto {
+            return Ok(None);
+        }
+        let growth = self.growth.get_or_insert_with(Growth::default);
+        if let Decision::Stop(reason) = growth.decision() {
+            return Ok(Some(reason.to_string()));
+        }
+        let scene = self.scene();
+        let psnr = evaluate(&scene, &context.dataset.validation, &context.device)?.psnr;
+        let growth = self.growth.get_or_insert_with(Growth::default);
+        let primitives = scene.surfels.len() + scene.gaussians.len();
+        Ok(match growth.observe(primitives, psnr) {
+            Decision::Grow => None,
+            Decision::Stop(reason) => Some(reason.to_string()),
+        })
+    }
+
+    /// Peels as many layers as leave hardly any pixel of the validation views open.
+    pub fn choose_layer_count(&mut self, context: &Context) -> Result<String, TrainError> {
+        let mut options = self.render_options(&context.config);
+        options.peel.layer_count = MAX_LAYERS;
+        let (surfels, gaussians) = (self.surfels.values(), self.gaussians.values());
+        let mut shares = vec![0.0; MAX_LAYERS];
+        let views = &context.dataset.validation;
+        for view in views {
+            let rendered = render_values(&surfels, &gaussians, &view.camera, &options, Values::KnownFinite)?;
+            let pixels = view.camera.width * view.camera.height;
+            let open = open_share(&tensor_to_rows(&rendered.composite.transmittance), pixels);
+            shares.iter_mut().zip(open).for_each(|(sum, share)| *sum += share / views.len() as f64);
+        }
+        let (before, after) = (self.info.layer_count, choose(&shares, MOST_OPEN));
+        self.info.layer_count = after;
+        let percents: Vec<String> = shares.iter().map(|share| format!("{:.2}", 100.0 * share)).collect();
+        Ok(format!(
+            "{after} layers instead of {before}: behind 1, 2, … layers {} % of the covered pixels let more than 1/255 \
+             through, of which {} % may stay",
+            percents.join(", "),
+            100.0 * MOST_OPEN
+        ))
+    }
+
+    /// Drops the lobes that no camera would miss; `None` of colours without lobes.
+    pub fn drop_lobes(&mut self, context: &Context) -> Option<String> {
+        let ColourModel::SphericalBeta { lobes } = self.info.colour_model else { return None };
+        let dataset = &context.dataset;
+        let views = dataset.train.iter().chain(&dataset.validation);
+        let centres: Vec<[f64; 3]> = views.map(|view| view.camera.centre().to_array()).collect();
+        let (mut surfels, mut gaussians) = (self.surfels.to_data(), self.gaussians.to_data());
+        let mut dropped = [0; 2];
+        let mut drop = |positions: &[f32], colour: &mut ColourData| {
+            let spare = spare_lobes(positions, colour, lobes, &centres, UNSEEN);
+            let found = drop_lobes(colour, lobes, &spare);
+            dropped[0] += found.idle;
+            dropped[1] += found.folded;
+        };
+        drop(&surfels.positions, &mut surfels.colour);
+        drop(&gaussians.positions, &mut gaussians.colour);
+        self.surfels.set_base(&surfels.colour.base);
+        self.surfels.set_detail(&surfels.colour.detail);
+        self.gaussians.set_base(&gaussians.colour.base);
+        self.gaussians.set_detail(&gaussians.colour.detail);
+        let all = lobes * (surfels.len() + gaussians.len());
+        let [idle, folded] = dropped;
+        Some(format!(
+            "of {all} lobes {idle} dropped that add less than half of 1/255 in any camera, {folded} that do not change"
+        ))
+    }
+}
