@@ -191,7 +191,8 @@ impl Trainer {
         Ok(())
     }
 
-    /// Whatever refinement is due, then one optimisation step on the next view.
+    /// Whatever refinement is due, then one optimisation step on the next view; first of all the next stage, if this
+    /// one is over.
     ///
     /// In this order, since a scene is at its worst right after Gaussians were added: between two steps,
     /// when it is evaluated and saved, it has been optimised since.
@@ -201,17 +202,21 @@ impl Trainer {
     ///
     /// # Errors
     /// [`TrainError::Step`] or [`TrainError::Loss`] if the loss or a gradient was not finite; that step
-    /// then changed nothing.
+    /// then changed nothing. Those of [`next_stage`](Self::next_stage).
     pub fn step(&mut self) -> Result<Option<StepReport>, TrainError> {
+        let mut known = None;
+        if self.stage_is_over() {
+            known = self.settle()?;
+            self.next_stage()?;
+        }
         let completed = self.context.completed_steps - self.stage().begin;
         let due = match &self.stage {
             Stage::Blended(stage) => stage.is_due(completed),
             Stage::Joint(stage) => stage.due(completed) != Default::default(),
         };
-        let mut known = None;
         let mut events = Vec::new();
         if due {
-            known = self.settle()?;
+            known = self.settle()?.or(known);
             events = match &mut self.stage {
                 Stage::Blended(stage) => stage.refine(&mut self.context),
                 Stage::Joint(stage) => stage.refine(&mut self.context)?,
@@ -245,18 +250,66 @@ impl Trainer {
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
+    use dpges_core::scene::Rendering;
+
     use super::*;
+    use crate::checkpoint::Checkpoint;
     use crate::dataset::{BuiltinOptions, builtin};
     use crate::device::DeviceName;
 
-    #[test]
-    fn frozen_surfels_learn_nothing_but_colours() {
+    fn dataset() -> Arc<Dataset> {
         let options =
             BuiltinOptions { width: 24, height: 24, train_views: 3, test_views: 1, points: 200, ..Default::default() };
-        let set = ["train.steps=9", "train.freeze_surfels=true"].map(str::to_owned);
-        let config = Config::resolve(None, None, &set).unwrap();
-        let device = "cpu".parse::<DeviceName>().unwrap().open().unwrap();
-        let mut trainer = Trainer::new(Arc::new(builtin(&options)), config, device).unwrap();
+        Arc::new(builtin(&options))
+    }
+
+    fn config(set: &[&str]) -> Config {
+        let set: Vec<String> = set.iter().map(|&text| text.to_owned()).collect();
+        Config::resolve(None, None, &set).unwrap()
+    }
+
+    fn device() -> Device {
+        "cpu".parse::<DeviceName>().unwrap().open().unwrap()
+    }
+
+    fn trainer(set: &[&str]) -> Trainer {
+        Trainer::new(dataset(), config(set), device()).unwrap()
+    }
+
+    /// All stages and everything that changes something in them.
+    const STAGES: [&str; 12] = [
+        "train.steps=60",
+        "refine.budget=700",
+        "stages.surfels=0.3",
+        "stages.gaussians=0.3",
+        "stages.surfel_opacity=0.12",
+        "train.lambda_depth=0.1",
+        "train.lambda_normal=0.05",
+        "train.lambda_depth_normal=0.05",
+        "relocation.every=1000",
+        "discs.densify_every=1000",
+        "discs.gradient_threshold=1e-7",
+        "relocation.min_opacity=0.3",
+    ];
+
+    fn finished(mut trainer: Trainer) -> Checkpoint {
+        while !trainer.is_finished() {
+            trainer.step().unwrap();
+        }
+        trainer.checkpoint()
+    }
+
+    fn saved_and_loaded(checkpoint: &Checkpoint, folder: &Path) -> Checkpoint {
+        let path = folder.join("checkpoint.safetensors");
+        checkpoint.save(&path).unwrap();
+        Checkpoint::load(&path).unwrap()
+    }
+
+    #[test]
+    fn frozen_surfels_learn_nothing_but_colours() {
+        let mut trainer = trainer(&["train.steps=9", "train.freeze_surfels=true"]);
         let before = trainer.scene();
         while !trainer.is_finished() {
             trainer.step().unwrap();
@@ -268,5 +321,79 @@ mod tests {
         assert_eq!(after.surfels.log_scales, before.surfels.log_scales);
         assert_ne!(after.surfels.colour, before.surfels.colour);
         assert_ne!(after.gaussians.positions, before.gaussians.positions);
+    }
+
+    #[test]
+    fn stages_hand_on_what_they_trained() {
+        let mut trainer = trainer(&STAGES);
+        let mut seen = Vec::new();
+        let mut events = Vec::new();
+        while !trainer.is_finished() {
+            let report = trainer.step().unwrap().unwrap();
+            assert!(report.loss.is_finite() && report.psnr > 0.0, "{report:?}");
+            events.extend(report.events);
+            if trainer.stage_is_over() {
+                seen.push((report.stage, trainer.completed_steps(), trainer.scene()));
+            }
+        }
+        let order: Vec<(String, usize)> = seen.iter().map(|(stage, step, _)| (stage.to_string(), *step)).collect();
+        assert_eq!(order, [("2dgs".to_owned(), 18), ("dbs".to_owned(), 36), ("joint".to_owned(), 60)]);
+        let [(_, _, discs), (_, _, gaussians), (_, _, joint)] = &seen[..] else { unreachable!() };
+        assert_eq!((discs.info.rendering, gaussians.info.rendering), (Rendering::Discs, Rendering::Ellipsoids));
+        assert_eq!(joint.info.rendering, Rendering::Peeled);
+        let opaque = discs.gaussians.opacities.iter().filter(|&&opacity| opacity > 0.12).count();
+        assert!(opaque > 10 && joint.surfels.len() <= opaque, "{opaque}, {}", joint.surfels.len());
+        assert!(discs.gaussians.len() <= 210 && gaussians.gaussians.len() <= 420);
+        assert!(events.iter().any(|event| event.contains("discs added by densification")), "{events:?}");
+    }
+
+    #[test]
+    fn a_run_goes_on_from_any_step_of_any_stage_to_the_same_end() {
+        let folder = tempfile::tempdir().unwrap();
+        let runs: [(&[&str], &[usize]); 4] = [
+            (&STAGES, &[7, 18, 19, 30, 36, 50]),
+            (&["train.steps=40", "train.method=mcmc", "refine.budget=300"], &[1, 25]),
+            (&["train.steps=40", "train.method=dbs", "refine.budget=300"], &[25]),
+            (&["train.steps=40", "train.method=2dgs", "refine.budget=300", "model.colour=sh1"], &[25]),
+        ];
+        for (set, stops) in runs {
+            let whole = finished(trainer(set));
+            for &stop in stops {
+                let mut first = trainer(set);
+                while first.completed_steps() < stop {
+                    first.step().unwrap();
+                }
+                let checkpoint = saved_and_loaded(&first.checkpoint(), folder.path());
+                let second = Trainer::resume(dataset(), checkpoint, device()).unwrap();
+                assert!(finished(second) == whole, "{set:?} stopped after {stop}");
+            }
+        }
+    }
+
+    #[test]
+    fn methods_alone_learn() {
+        for method in ["2dgs", "mcmc", "dbs"] {
+            let method = format!("train.method={method}");
+            let mut trainer = trainer(&["train.steps=60", &method, "refine.budget=500"]);
+            let mut loss = Vec::new();
+            while !trainer.is_finished() {
+                loss.push(trainer.step().unwrap().unwrap().rgb);
+            }
+            let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;
+            let (early, late) = (mean(&loss[..6]), mean(&loss[54..]));
+            assert!(late < 0.8 * early, "{method}: {early} at first, {late} at last");
+        }
+    }
+
+    #[test]
+    fn plans_that_lack_something_are_refused_before_the_first_step() {
+        let error = |set: &[&str]| match Trainer::new(dataset(), config(set), device()) {
+            Err(error) => error.to_string(),
+            Ok(_) => panic!("not refused"),
+        };
+        assert!(error(&["train.lambda_normal=0.05"]).contains("stages.surfels above 0"));
+        assert!(error(&["stages.gaussians_by=rest"]).contains("needs discs"));
+        let absent = error(&["stages.surfels_from=absent.safetensors"]);
+        assert!(absent.contains("stages.surfels_from") && absent.contains("absent.safetensors"), "{absent}");
     }
 }
