@@ -188,6 +188,8 @@ pub struct RefineConfig {
     pub add_from: usize,
     /// Exclusive.
     pub add_until: usize,
+    /// What new Gaussians look like.
+    pub add_as: AddAs,
     /// Surfels and Gaussians together never exceed it, see [`Config::most_primitives`].
     pub budget: Budget,
     /// When an automatic budget drops lobes that do nothing.
@@ -304,6 +306,7 @@ impl Default for RefineConfig {
             add_every: 1000,
             add_from: 3000,
             add_until: 13_000,
+            add_as: AddAs::Picture,
             budget: Budget::Pixels,
             drop_lobes_at: vec![16_000, 22_000],
             split: true,
@@ -417,6 +420,17 @@ pub enum Opacity {
     Linear,
     /// Its logistic function, below 1 (3DGS).
     Sigmoid,
+}
+
+/// What a Gaussian that is added at a pixel looks like.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum AddAs {
+    /// As the photograph does there, and no larger than a few pixels: it is of use at once.
+    #[default]
+    Picture,
+    /// Black, and as wide as the distance to its neighbours (GES, DP-GES): it has to learn.
+    Black,
 }
 
 /// What the depth margin of a surfel is made of.

@@ -56,6 +56,7 @@ impl Config {
         positive("stages.gaussian_budget", stages.gaussian_budget)?;
         fraction("stages.gaussian_budget", stages.gaussian_budget)?;
         not_negative("stages.opacities", stages.opacities)?;
+        fraction("stages.position_share", stages.position_share)?;
 
         at_least("discs.densify_every", discs.densify_every, 1)?;
         positive("discs.gradient_threshold", discs.gradient_threshold)?;

@@ -60,6 +60,9 @@ pub struct StagesConfig {
     pub gaussian_budget: f64,
     /// Learning rate of the logit of opacities in these stages (3DGS).
     pub opacities: f64,
+    /// Share of the schedule of `optimizer.position_start` and `_end` that these stages go through, and at which the
+    /// joint stage begins (DP-GES: 20,000 of 30,000 steps).
+    pub position_share: f64,
 }
 
 impl Default for StagesConfig {
@@ -75,6 +78,7 @@ impl Default for StagesConfig {
             surfel_budget: 0.3,
             gaussian_budget: 0.6,
             opacities: 0.05,
+            position_share: 2.0 / 3.0,
         }
     }
 }

@@ -21,8 +21,6 @@ use crate::refine::noise::{Noise, jitter};
 use crate::refine::relocate::{Relocation, grown, relocate_and_add};
 use crate::scene_state::{GaussianState, Rates};
 
-/// Share of the position schedule that a stage before the joint one takes (DP-GES: 20,000 of 30,000 steps).
-const SHARE_OF_POSITIONS: f64 = 20.0 / 30.0;
 /// Jitter of DBS over that of 3DGS-MCMC, where both relocate.
 const BETA_NOISE: f64 = 0.1;
 
@@ -313,8 +311,8 @@ impl BlendedStage {
     /// World units.
     fn position_rate(&self, config: &Config, completed: usize) -> f64 {
         let progress = completed as f64 / self.plan.steps as f64;
-        let alone = self.plan.budget_share >= 1.0 && self.plan.begin == 0 && config.plan().len() == 1;
-        let progress = if alone { progress } else { SHARE_OF_POSITIONS * progress };
+        let alone = config.plan().len() == 1;
+        let progress = if alone { progress } else { config.stages.position_share * progress };
         config.optimizer.position_rate(progress, self.info.extent)
     }
 

@@ -15,9 +15,7 @@ use crate::init::InitialScene;
 use crate::refine::growth::Growth;
 use crate::scene_state::{GaussianState, Rates, SurfelState};
 
-/// Share of the position schedule that the initialisation takes, and the joint stage (DP-GES: 20,000 and 25,000 of
-/// 30,000 steps).
-const BEFORE: f64 = 20.0 / 30.0;
+/// Share of the position schedule that the joint stage would take (DP-GES: 25,000 of 30,000 steps).
 const JOINT: f64 = 25.0 / 30.0;
 
 /// The stage in which surfels and Gaussians learn together.
@@ -112,7 +110,7 @@ impl JointStage {
     fn rates(&self, config: &Config, completed: usize) -> Rates {
         let optimizer = &config.optimizer;
         let progress = completed as f64 / self.plan.steps as f64;
-        let travelled = if config.joins_trained() { BEFORE + JOINT * progress } else { progress };
+        let travelled = if config.joins_trained() { config.stages.position_share + JOINT * progress } else { progress };
         let (position, decay) = (optimizer.position_rate(travelled, self.info.extent), optimizer.decay_at(progress));
         Rates {
             surfel_positions: position * optimizer.surfel_position_factor,

@@ -7,9 +7,9 @@ use dpges_core::scene::tensors::tensor_to_rows;
 use super::TrainError;
 use super::context::{Context, mean_pixels};
 use super::joint::JointStage;
-use crate::config::Budget;
+use crate::config::{AddAs, Budget};
 use crate::dataset::View;
-use crate::refine::add::{batch_size, draw_pixels, new_gaussians};
+use crate::refine::add::{batch_size, draw_pixels, gaussians_of_pixels, new_gaussians};
 use crate::refine::margins::margins;
 use crate::refine::prune::{gaussians_to_keep, surfels_to_keep};
 use crate::refine::split::split;
@@ -102,18 +102,21 @@ impl JointStage {
         let count = batch_size(context.budget(), primitives, batches_left);
         let views = context.dataset.train.len();
         let dataset = context.dataset.clone();
-        let mut positions = Vec::with_capacity(count);
+        let mut spots = Spots::default();
         for (index, view) in dataset.train.iter().enumerate() {
             let share = count / views + usize::from(index < count % views);
             if share > 0 {
                 let rendered = self.render_view(context, view)?;
                 let error = squared_error(&rendered, view.target(&context.device));
                 let pixels = draw_pixels(&error, share, &mut context.rng);
-                positions.extend(on_first_layer(&rendered, view, &pixels));
+                spots.add(&rendered, view, &pixels);
             }
         }
-        let max_scale = (MAX_ADDED_SCALE * self.info.extent) as f32;
-        let added = new_gaussians(&positions, max_scale, self.info.colour_model, &mut context.rng);
+        let (model, rng) = (self.info.colour_model, &mut context.rng);
+        let added = match context.config.refine.add_as {
+            AddAs::Picture => gaussians_of_pixels(&spots.positions, &spots.pixel_sizes, &spots.colours, model, rng),
+            AddAs::Black => new_gaussians(&spots.positions, (MAX_ADDED_SCALE * self.info.extent) as f32, model, rng),
+        };
         let rows = RowEdit::keep_all(self.gaussians.len());
         let event = format!("{} Gaussians added of {count} wanted", added.len());
         self.edit_gaussians(&GaussianEdit { rows, added });
@@ -150,14 +153,31 @@ fn squared_error(rendered: &Render, target: Tensor<3>) -> Vec<f32> {
     tensor_to_rows(&(difference.clone() * difference).sum_dim(0))
 }
 
-/// World points of `pixels` in the depth of their nearest layer; pixels without one are left out.
-fn on_first_layer(rendered: &Render, view: &View, pixels: &[usize]) -> Vec<[f32; 3]> {
-    let depths = tensor_to_rows(&rendered.layers.depth);
-    let width = view.camera.width;
-    let point = |&pixel: &usize| {
-        let depth = f64::from(depths[pixel]);
-        let (x, y) = ((pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5);
-        depth.is_finite().then(|| view.camera.unproject(x, y, depth).as_vec3().to_array())
-    };
-    pixels.iter().filter_map(point).collect()
+/// Where Gaussians are added.
+#[derive(Default)]
+struct Spots {
+    /// World units.
+    positions: Vec<[f32; 3]>,
+    /// World units per px.
+    pixel_sizes: Vec<f32>,
+    /// Of the photograph.
+    colours: Vec<[f32; 3]>,
+}
+
+impl Spots {
+    /// `pixels` in the depth of their nearest layer; those without one are left out.
+    fn add(&mut self, rendered: &Render, view: &View, pixels: &[usize]) {
+        let depths = tensor_to_rows(&rendered.layers.depth);
+        let (camera, planes) = (&view.camera, &view.picture.planes);
+        let area = camera.width * camera.height;
+        for &pixel in pixels {
+            let depth = f64::from(depths[pixel]);
+            if depth.is_finite() {
+                let (x, y) = ((pixel % camera.width) as f64 + 0.5, (pixel / camera.width) as f64 + 0.5);
+                self.positions.push(camera.unproject(x, y, depth).as_vec3().to_array());
+                self.pixel_sizes.push((depth / camera.fx.max(camera.fy)) as f32);
+                self.colours.push([0, 1, 2].map(|channel| planes[channel * area + pixel]));
+            }
+        }
+    }
 }
