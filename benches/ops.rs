@@ -7,6 +7,7 @@ use burn::tensor::{DType, Device, Tensor};
 use criterion::{BatchSize, BenchmarkId, Criterion, SamplingMode, criterion_group, criterion_main};
 use dpges_benches::training::{Parameter, Training, Variant, adam_settings};
 use dpges_benches::{cpus, devices, machine, plain};
+use dpges_core::ops::blend::{Blend, BlendOptions, Form, blend};
 use dpges_core::ops::composite::{Composite, CompositeOptions, composite};
 use dpges_core::ops::peel::{Layers, PeelOptions, peel};
 use dpges_core::ops::splat::limits::interval_limits;
@@ -57,14 +58,36 @@ impl View {
         splat(&self.gaussians, colours, self.render.limits.clone(), &self.scene.camera).unwrap()
     }
 
-    fn splat_leaves(&self) -> Tensor<4> {
+    fn gaussian_leaves(&self) -> Gaussians {
         let mut gaussians = self.gaussians.clone();
         gaussians.positions = leaf(&gaussians.positions);
         gaussians.quaternions = leaf(&gaussians.quaternions);
         gaussians.log_scales = leaf(&gaussians.log_scales);
         gaussians.opacities = leaf(&gaussians.opacities);
+        gaussians
+    }
+
+    fn splat_leaves(&self) -> Tensor<4> {
         let limits = self.render.limits.clone().autodiff();
-        splat(&gaussians, leaf(&self.render.gaussian_colours), limits, &self.scene.camera).unwrap()
+        splat(&self.gaussian_leaves(), leaf(&self.render.gaussian_colours), limits, &self.scene.camera).unwrap()
+    }
+
+    fn blend(&self, options: &BlendOptions) -> Blend {
+        let colours = self.render.gaussian_colours.clone();
+        blend(&self.gaussians, colours, None, &self.scene.camera, options).unwrap()
+    }
+
+    /// All outputs that carry gradients.
+    fn blend_loss(&self, options: &BlendOptions, with_probe: bool) -> Tensor<1> {
+        let colours = &self.render.gaussian_colours;
+        let zeros = || Tensor::<2>::zeros([self.gaussians.len(), 4], (&colours.device(), colours.dtype()));
+        let probe = with_probe.then(|| leaf(&zeros()));
+        let out = blend(&self.gaussian_leaves(), leaf(colours), probe, &self.scene.camera, options).unwrap();
+        let loss = out.colour.sum() + out.alpha.sum();
+        match out.maps {
+            Some(maps) => loss + maps.depth.sum() + maps.normal.sum() + maps.distortion.sum(),
+            None => loss,
+        }
     }
 
     /// Image, surfel image and transmittance, which the losses use, weighted so that all have gradients.
@@ -96,6 +119,16 @@ impl View {
 
 fn leaf<const D: usize>(tensor: &Tensor<D>) -> Tensor<D> {
     tensor.clone().autodiff().require_grad()
+}
+
+fn blends() -> [(&'static str, BlendOptions); 4] {
+    let of = |form, maps| BlendOptions { form, maps, ..BlendOptions::default() };
+    [
+        ("blend ellipsoids", of(Form::Ellipsoids, false)),
+        ("blend ellipsoids with maps", of(Form::Ellipsoids, true)),
+        ("blend discs", of(Form::Discs, false)),
+        ("blend discs with maps", of(Form::Discs, true)),
+    ]
 }
 
 /// Adam's parameters of a step: positions, rotations, scales and colours of all Gaussians.
@@ -136,6 +169,17 @@ fn operations(c: &mut Criterion) {
                 render(&view.surfels, &view.gaussians, &view.scene.camera, &RenderOptions::default()).unwrap(),
             );
         });
+        for (operation, options) in blends() {
+            forward(operation, &|| _ = black_box(view.blend(&options)));
+            // no output depends on the probe, so it costs nothing forward
+            let probes: &[(&str, bool)] =
+                if options.form == Form::Discs { &[("", false), (", probe", true)] } else { &[("", false)] };
+            for &(suffix, with_probe) in probes {
+                forward(&format!("{operation}{suffix}, forward and backward"), &|| {
+                    _ = black_box(view.blend_loss(&options, with_probe).backward());
+                });
+            }
+        }
         let mut backward = |operation: &str, make: &dyn Fn() -> Tensor<1>| {
             group.bench_function(format!("{operation} backward"), |b| {
                 let run = |loss: Tensor<1>| {

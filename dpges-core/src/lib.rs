@@ -1,7 +1,8 @@
 //! Differentiable rendering of depth-peeled surfels and sort-free Gaussians as Burn operations.
 //!
 //! [`render::render`] turns [`scene::Surfels`] and [`scene::Gaussians`] seen by a [`camera::Camera`] into an image;
-//! [`losses`] compares it with a photograph; [`ops`] holds the operations both are made of.
+//! [`render::blended::render_blended`] does so with Gaussians or discs alone, in the order of their depths. [`losses`]
+//! compares it with a photograph; [`ops`] holds the operations all are made of.
 //!
 //! Conventions: camera axes x right, y down, z forward; pixel (column i, row j) sampled at (i + 0.5, j + 0.5); depth is
 //! camera-space z in world units; quaternions (w, x, y, z), raw; scales as natural logarithms; linear opacity.

@@ -1,5 +1,9 @@
 //! Training of depth-peeled Gaussian-enhanced surfels from photographs.
 //!
+//! A [`trainer::Trainer`] takes a [`dataset::Dataset`] through the stages of a [`config::Config`]: discs, Gaussians,
+//! then surfels and Gaussians together. What it starts from is made by [`init`]; [`refine`] decides which primitives
+//! come and go; [`eval`] measures the scene.
+//!
 //! # Dependencies
 //!
 //! | crate | for |

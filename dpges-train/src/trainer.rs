@@ -393,6 +393,7 @@ mod tests {
         };
         assert!(error(&["train.lambda_normal=0.05"]).contains("stages.surfels above 0"));
         assert!(error(&["stages.gaussians_by=rest"]).contains("needs discs"));
+        assert!(error(&["refine.budget=auto"]).contains("validation views"));
         let absent = error(&["stages.surfels_from=absent.safetensors"]);
         assert!(absent.contains("stages.surfels_from") && absent.contains("absent.safetensors"), "{absent}");
     }

@@ -180,8 +180,10 @@ fn a_run_writes_everything_and_can_be_measured_and_shown() {
     assert!(ranges[0]["depth_near"].as_f64().unwrap() < ranges[0]["depth_far"].as_f64().unwrap());
 
     assert!(ok(at, &["info", "run"]).contains("colour_model"));
+    let lobes = 2 * (written["surfels"].as_u64().unwrap() + written["gaussians"].as_u64().unwrap());
     let info: Value = serde_json::from_str(&ok(at, &["info", "run", "--json"])).unwrap();
     assert_eq!((&info["surfels"], &info["bytes"]), (&written["surfels"], &written["bytes"]));
+    assert_eq!(info["lobes"].as_array().unwrap().iter().map(|n| n.as_u64().unwrap()).sum::<u64>(), lobes);
 }
 
 #[test]
@@ -217,6 +219,18 @@ fn a_finished_run_resumes_to_itself_and_contradictions_are_refused() {
     assert!(fails(at, 2, &["train", "--out", "run", "--resume", "--preset", "cpu"]).contains("`init.max_points`"));
     std::fs::write(at.join("run/checkpoint.safetensors"), "half").unwrap();
     assert!(fails(at, 1, &["train", "--out", "run", "--resume"]).contains("checkpoint.safetensors"));
+}
+
+#[test]
+fn a_step_that_is_not_finite_ends_the_run_with_the_state_before_it() {
+    let folder = folder();
+    let at = folder.path();
+    let broken = [&["train", "--out", "run", "--set=train.lambda_surfel=1e39"], &TINY[..]].concat();
+    let message = fails(at, 1, &broken);
+    assert!(message.contains("step 1, view `train_") && message.contains("the loss is inf"), "{message}");
+    assert!(message.contains("checkpoint.safetensors holds the state after step 1"), "{message}");
+    let info: Value = serde_json::from_str(&ok(at, &["info", "run", "--json"])).unwrap();
+    assert!(info["gaussians"].as_u64().unwrap() > 0);
 }
 
 #[test]

@@ -3,7 +3,8 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use dpges_core::scene::{Footprint, MarginLookup};
+use dpges_core::scene::lobes::present;
+use dpges_core::scene::{ColourModel, Footprint, MarginLookup};
 use serde_json::{Map, Value, json};
 
 use super::data::Scene;
@@ -54,6 +55,7 @@ fn describe(scene: &Scene) -> Vec<(&'static str, Value)> {
         ("surfels", json!(surfels.len())),
         ("gaussians", json!(gaussians.len())),
         ("colour_model", json!(info.colour_model.to_string())),
+        ("lobes", json!(lobes(scene))),
         ("rendering", json!(info.rendering.to_string())),
         ("layers", json!(info.layer_count)),
         ("modulation", json!(info.modulation)),
@@ -71,6 +73,14 @@ fn describe(scene: &Scene) -> Vec<(&'static str, Value)> {
         ("gaussian_scales", json!(scales(&gaussians.log_scales))),
         ("gaussian_opacities", json!(percentiles(gaussians.opacities.clone()))),
     ]
+}
+
+/// Lobes of surfels and of Gaussians that are there; `None` of colours without lobes.
+fn lobes(scene: &Scene) -> Option<[usize; 2]> {
+    let ColourModel::SphericalBeta { lobes } = scene.data.info.colour_model else { return None };
+    let (surfels, gaussians) = (&scene.data.surfels, &scene.data.gaussians);
+    let sets = [(&surfels.colour.detail, surfels.len()), (&gaussians.colour.detail, gaussians.len())];
+    Some(sets.map(|(detail, count)| present(detail, count, lobes).into_iter().map(usize::from).sum()))
 }
 
 /// `None` of nothing.

@@ -43,7 +43,8 @@ pub enum GaussianStage {
 pub struct StagesConfig {
     /// Share of `train.steps` for the discs that become surfels; 0: surfels start as `[init]` says. DP-GES: 20/65.
     pub surfels: f64,
-    /// Share of `train.steps` for the Gaussians; 0: they start as `[init]` says. DP-GES: 20/65.
+    /// Share of `train.steps` for the Gaussians; 0: they start as `[init]` says. DP-GES: 20/65. Without effect where
+    /// they are the rest of the discs.
     pub gaussians: f64,
     pub gaussians_by: GaussianStage,
     /// Scene file whose discs or surfels are taken instead of a stage; empty: none.
@@ -52,7 +53,8 @@ pub struct StagesConfig {
     pub gaussians_from: String,
     /// Discs more opaque than this become surfels (GES, DP-GES).
     pub surfel_opacity: f64,
-    /// Scale of a surfel over that of its disc.
+    /// Scale of a surfel over that of its disc. DP-GES: 1; but a disc is half opaque at 1.2 σ, and a surfel of w = 30 at
+    /// 2.9 σ, so that it covers as much at 0.4.
     pub surfel_scale: f64,
     /// Share of `refine.budget` that discs may fill.
     pub surfel_budget: f64,
@@ -74,11 +76,11 @@ impl Default for StagesConfig {
             surfels_from: String::new(),
             gaussians_from: String::new(),
             surfel_opacity: 0.8,
-            surfel_scale: 1.0,
+            surfel_scale: 0.35,
             surfel_budget: 0.3,
             gaussian_budget: 0.6,
             opacities: 0.05,
-            position_share: 2.0 / 3.0,
+            position_share: 0.0,
         }
     }
 }
@@ -177,12 +179,13 @@ impl Config {
             Method::Dpges => {}
         }
         let share = |share: f64| (share * all as f64).round() as usize;
-        let (discs, gaussians) = (share(stages.surfels), share(stages.gaussians));
         let gaussians_by = match stages.gaussians_by {
             GaussianStage::Dbs => Some(Relocation::Beta),
             GaussianStage::Mcmc => Some(Relocation::Mcmc),
             GaussianStage::Rest => None,
         };
+        let discs = share(stages.surfels);
+        let gaussians = gaussians_by.map_or(0, |_| share(stages.gaussians));
         let mut before = Vec::new();
         if stages.surfels_from.is_empty() {
             before.push((StageKind::Discs, discs, stages.surfel_budget));
@@ -290,5 +293,34 @@ impl Default for RelocationConfig {
             start_opacity: 0.5,
             start_scale: 1.0,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn plan(set: &[&str]) -> Vec<(String, usize, usize)> {
+        let set: Vec<String> = set.iter().map(|&text| text.to_owned()).collect();
+        let plan = Config::resolve(None, None, &set).unwrap().plan();
+        plan.iter().map(|stage| (stage.kind.to_string(), stage.begin, stage.steps)).collect()
+    }
+
+    fn stage(kind: &str, begin: usize, steps: usize) -> (String, usize, usize) {
+        (kind.to_owned(), begin, steps)
+    }
+
+    #[test]
+    fn stages_share_the_steps_of_the_run() {
+        let both = ["train.steps=1000", "stages.surfels=0.2", "stages.gaussians=0.3"];
+        assert_eq!(plan(&both), [stage("2dgs", 0, 200), stage("dbs", 200, 300), stage("joint", 500, 500)]);
+        let with = |more: &'static str| plan(&[&both[..], &[more]].concat());
+        assert_eq!(with("stages.surfels=0"), [stage("dbs", 0, 300), stage("joint", 300, 700)]);
+        assert_eq!(with("stages.gaussians_by=rest"), [stage("2dgs", 0, 200), stage("joint", 200, 800)]);
+        assert_eq!(with("stages.gaussians_by=mcmc")[1], stage("mcmc", 200, 300));
+        assert_eq!(with("stages.surfels_from=a"), [stage("dbs", 0, 300), stage("joint", 300, 500)]);
+        assert_eq!(with("stages.gaussians_from=a"), [stage("2dgs", 0, 200), stage("joint", 200, 500)]);
+        assert_eq!(with("train.method=2dgs"), [stage("2dgs", 0, 1000)]);
+        assert_eq!(plan(&["train.steps=1", "stages.surfels=0", "stages.gaussians=0"]), [stage("joint", 0, 1)]);
     }
 }

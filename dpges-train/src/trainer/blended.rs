@@ -21,6 +21,8 @@ use crate::refine::noise::{Noise, jitter};
 use crate::refine::relocate::{Relocation, grown, relocate_and_add};
 use crate::scene_state::{GaussianState, Rates};
 
+/// Steps between relocations at least: fewer would say nothing new about who is dead, and cost more than the steps.
+const SHORTEST_RELOCATION: usize = 5;
 /// Jitter of DBS over that of 3DGS-MCMC, where both relocate.
 const BETA_NOISE: f64 = 0.1;
 
@@ -72,7 +74,14 @@ impl BlendedSchedule {
             StageKind::Gaussians(_) => {
                 let relocation = &config.relocation;
                 let steps = every(relocation.every, relocation.from + relocation.every, relocation.until);
-                Self { relocate: scaled(steps), ..Self::default() }
+                let mut relocate = scaled(steps);
+                let mut last = 0;
+                relocate.retain(|&step| {
+                    let stays = step - last >= SHORTEST_RELOCATION;
+                    last = if stays { step } else { last };
+                    stays
+                });
+                Self { relocate, ..Self::default() }
             }
             StageKind::Joint => Self::default(),
         }
@@ -388,7 +397,7 @@ mod tests {
         assert!(discs.densify.iter().all(|step| step % 40 == 0) && discs.densify.len() > 20);
         assert!(discs.reset.is_empty());
         let mcmc = schedule(Method::Mcmc, 300, 40);
-        assert!(mcmc.relocate.windows(2).all(|pair| pair[0] < pair[1]) && mcmc.relocate[0] > 0);
+        assert!(mcmc.relocate.windows(2).all(|pair| pair[0] + 5 <= pair[1]) && mcmc.relocate.len() > 40);
         assert!(mcmc.relocate.iter().all(|&step| step < 250));
     }
 

@@ -9,7 +9,7 @@ use super::context::Context;
 use super::joint::JointStage;
 use super::supervision::Supervisions;
 use super::{Stage, TrainError};
-use crate::config::{GaussianStage, StageKind, StagePlan};
+use crate::config::{Budget, GaussianStage, StageKind, StagePlan};
 use crate::init::promote::promote;
 use crate::init::{InitialScene, Room, initialise};
 use crate::refine::margins::margins;
@@ -27,6 +27,10 @@ impl Context {
     pub fn check_given(&self, plan: &[StagePlan]) -> Result<(), TrainError> {
         self.given(SURFELS_FROM)?;
         self.given(GAUSSIANS_FROM)?;
+        if self.config.refine.budget == Budget::Auto && self.dataset.validation.is_empty() {
+            let needs = "refine.budget = \"auto\" needs validation views: keep some with Dataset::keep_for_validation";
+            return Err(TrainError::Plan(needs.to_owned()));
+        }
         let has_discs = plan.iter().any(|stage| stage.kind == StageKind::Discs)
             || self.given(SURFELS_FROM)?.is_some_and(|scene| scene.info.rendering == Rendering::Discs);
         let joint = plan.iter().any(|stage| stage.kind == StageKind::Joint);

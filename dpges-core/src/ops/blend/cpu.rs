@@ -10,7 +10,7 @@ use super::disc::DiscFootprint;
 use super::distortion::{self, Spread};
 use super::footprint::{Ellipse, Projected, View};
 use super::gather::backward;
-use super::walk::{Sorted, Thresholds, group, walk_tile};
+use super::walk::{Fragments, Sorted, Thresholds, group, walk_tile};
 use super::{
     ALL_PLANES, ALPHA_PLANE, BlendBackwardOps, BlendInput, BlendOps, BlendOptions, BlendOutput, COLOUR_PLANES,
     DEPTH_PLANE, DISTORTION_PLANE, Form, NORMAL_PLANE,
@@ -53,15 +53,15 @@ fn blend_tile<T: Real, F: Projected<T>, const MAPS: bool>(
         tile,
         thresholds,
         #[inline(always)]
-        |id, start, covered, through, depth| {
-            add_weighted(block, 0, start, &covered, sorted.footprints[id].colour());
+        |id, start, Fragments { covered, through, depth, .. }| {
+            add_weighted(block, 0, start, covered, sorted.footprints[id].colour());
             if MAPS {
-                add_weighted(block, NORMAL_PLANE, start, &covered, sorted.normals[id]);
+                add_weighted(block, NORMAL_PLANE, start, covered, sorted.normals[id]);
                 let sum = group(block, DEPTH_PLANE * TILE_PIXELS + start);
                 for lane in 0..LANES {
                     sum[lane] = sum[lane] + covered[lane] * depth[lane];
                 }
-                let growth = spread.add(start, &covered, &through, &depth);
+                let growth = spread.add(start, covered, through, depth);
                 let sum = group(block, DISTORTION_PLANE * TILE_PIXELS + start);
                 for lane in 0..LANES {
                     sum[lane] = sum[lane] + growth[lane];

@@ -216,14 +216,28 @@ impl<T: Real> Projected<T> for DiscFootprint<T> {
     }
 
     #[inline(always)]
-    fn fragment(&self, dx: T, dy: T) -> (T, T) {
-        let [u, v, depth, facing] = self.plane.meet(dx, dy);
-        let (on_disc, on_screen) = (u * u + v * v, self.squared_on_screen(dx, dy));
-        let squared = if on_screen < on_disc { on_screen } else { on_disc };
-        let weight = self.strength * (T::of(-0.5) * squared).exp_nonpositive();
-        let met = (facing.abs() > T::of(MIN_FACING)) & (depth > self.near);
-        let exists = met & (weight >= T::of(CUTOFF));
-        (if exists { weight } else { T::zero() }, if exists { depth } else { T::zero() })
+    fn fragments(&self, dx: &[T; LANES], dy: T, weight: &mut [T; LANES], depth: &mut [T; LANES]) {
+        for lane in 0..LANES {
+            let [u, v, ..] = self.plane.meet(dx[lane], dy);
+            weight[lane] = u * u + v * v;
+        }
+        for lane in 0..LANES {
+            let on_screen = self.squared_on_screen(dx[lane], dy);
+            weight[lane] = if on_screen < weight[lane] { on_screen } else { weight[lane] };
+        }
+        for lane in 0..LANES {
+            weight[lane] = self.strength * (T::of(-0.5) * weight[lane]).exp_nonpositive();
+        }
+        for lane in 0..LANES {
+            let [_, _, z, facing] = self.plane.meet(dx[lane], dy);
+            depth[lane] = if facing.abs() > T::of(MIN_FACING) { z } else { T::zero() };
+        }
+        for lane in 0..LANES {
+            weight[lane] = if weight[lane] >= T::of(CUTOFF) { weight[lane] } else { T::zero() };
+        }
+        for lane in 0..LANES {
+            weight[lane] = if depth[lane] > self.near { weight[lane] } else { T::zero() };
+        }
     }
 
     #[inline(always)]

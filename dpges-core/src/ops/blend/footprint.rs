@@ -97,8 +97,9 @@ pub trait Projected<T: Real>: Copy + Send + Sync {
     /// Whether α can reach the cutoff at some pixel of a tile.
     fn touches(&self, tile_x: usize, tile_y: usize) -> bool;
 
-    /// α before it is capped, and z, at an offset from the anchor; 0 and any finite z where there is no fragment.
-    fn fragment(&self, dx: T, dy: T) -> (T, T);
+    /// α before it is capped, and z, at offsets from the anchor; 0 and any finite z where there is no fragment.
+    /// One loop for each number: loops that make several are not vectorised.
+    fn fragments(&self, dx: &[T; LANES], dy: T, weight: &mut [T; LANES], depth: &mut [T; LANES]);
 
     /// Adds a group of pixels to the sums of the footprint and the probe and, with `MAPS`, of z.
     fn gather<const MAPS: bool>(
@@ -153,8 +154,11 @@ impl<T: Real> Projected<T> for Ellipse<T> {
     }
 
     #[inline(always)]
-    fn fragment(&self, dx: T, dy: T) -> (T, T) {
-        (self.0.weight(dx, dy), self.0.depth)
+    fn fragments(&self, dx: &[T; LANES], dy: T, weight: &mut [T; LANES], depth: &mut [T; LANES]) {
+        for lane in 0..LANES {
+            weight[lane] = self.0.weight(dx[lane], dy);
+        }
+        depth.fill(self.0.depth);
     }
 
     #[inline(always)]

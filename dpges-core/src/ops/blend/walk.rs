@@ -63,18 +63,23 @@ impl<T: Real> Thresholds<T> {
 pub struct Progress<T> {
     /// T
     pub through: [T; TILE_PIXELS],
-    /// Entry of the tile's list before which a pixel ends; 0 outside the image.
-    pub end: [u32; TILE_PIXELS],
+    /// 1 until a pixel has ended, then 0; 0 outside the image.
+    open: [T; TILE_PIXELS],
+    /// Entry of the tile's list before which a pixel ends; 0 outside the image. A whole number, but of the type of
+    /// what it is compared and mixed with, so that lanes stay together.
+    pub end: [T; TILE_PIXELS],
 }
 
 impl<T: Real> Progress<T> {
     /// No pixel ends before the last of `entries`.
     #[inline(always)]
     fn new(entries: usize, origin: (usize, usize), grid: TileGrid) -> Self {
-        let mut progress = Self { through: [T::one(); TILE_PIXELS], end: [0; TILE_PIXELS] };
+        let zero = [T::zero(); TILE_PIXELS];
+        let mut progress = Self { through: [T::one(); TILE_PIXELS], open: zero, end: zero };
         let (columns, rows) = (TILE.min(grid.width - origin.0), TILE.min(grid.height - origin.1));
-        for line in progress.end.chunks_mut(TILE).take(rows) {
-            line[..columns].fill(entries as u32);
+        for line in 0..rows {
+            progress.end[line * TILE..][..columns].fill(T::of(entries as f64));
+            progress.open[line * TILE..][..columns].fill(T::one());
         }
         progress
     }
@@ -82,7 +87,7 @@ impl<T: Real> Progress<T> {
     /// Entry before which all pixels have ended.
     #[inline(always)]
     pub fn last_end(&self) -> usize {
-        self.end.iter().fold(0, |last: u32, &end| last.max(end)) as usize
+        self.end.iter().fold(T::zero(), |last, &end| last.max(end)).as_f64() as usize
     }
 }
 
@@ -91,22 +96,36 @@ pub fn group<V>(values: &mut [V], start: usize) -> &mut [V; LANES] {
     (&mut values[start..start + LANES]).try_into().expect("one group")
 }
 
-/// Goes through a tile front to back. Calls `visit(position, start, covered, through, depth)` for every
-/// group of lanes that a primitive can reach: its αT, 0 where it is not blended, T behind it, and its z.
+/// What [`walk_tile`] tells of a group of lanes. In memory: arrays of their own would be taken apart into scalars.
+pub struct Fragments<T> {
+    /// α before it is capped.
+    weight: [T; LANES],
+    /// z
+    pub depth: [T; LANES],
+    /// αT, 0 where nothing is blended.
+    pub covered: [T; LANES],
+    /// T behind it.
+    pub through: [T; LANES],
+}
+
+/// Goes through a tile front to back. Calls `visit(position, start, fragments)` for every group of lanes in which a
+/// primitive is blended.
 #[inline(always)]
 pub fn walk_tile<T: Real, F: Projected<T>>(
     sorted: &Sorted<T, F>,
     tile: usize,
     thresholds: &Thresholds<T>,
-    mut visit: impl FnMut(usize, usize, [T; LANES], [T; LANES], [T; LANES]),
+    mut visit: impl FnMut(usize, usize, &Fragments<T>),
 ) -> Progress<T> {
     let (list, origin) = (sorted.lists.of(tile), sorted.grid.origin(tile));
     let mut progress = Progress::<T>::new(list.len(), origin, sorted.grid);
+    let none = [T::zero(); LANES];
+    let mut fragments = vec![Fragments { weight: none, depth: none, covered: none, through: none }];
     for (entry, &id) in list.iter().enumerate() {
         if entry.is_multiple_of(LOOK_EVERY) && progress.last_end() <= entry {
             break;
         }
-        let (entry, id) = (entry as u32, id as usize);
+        let (entry, id) = (T::of(entry as f64), id as usize);
         let footprint = &sorted.footprints[id];
         for_each_group(
             footprint.anchor(),
@@ -114,24 +133,42 @@ pub fn walk_tile<T: Real, F: Projected<T>>(
             origin,
             #[inline(always)]
             |start, dx, dy| {
+                let [Fragments { weight, depth, covered, through: behind }] = fragments.as_mut_slice() else {
+                    unreachable!("one group");
+                };
+                let open = group(&mut progress.open, start);
+                footprint.fragments(&dx, dy, weight, depth);
+                for lane in 0..LANES {
+                    weight[lane] = weight[lane] * open[lane];
+                }
+                if is_nothing(weight) {
+                    return;
+                }
                 let through = group(&mut progress.through, start);
                 let end = group(&mut progress.end, start);
-                let mut covered = [T::zero(); LANES];
-                let mut depth = [T::zero(); LANES];
                 for lane in 0..LANES {
-                    let (weight, z) = footprint.fragment(dx[lane], dy);
-                    let alpha = weight.min(thresholds.max_alpha);
-                    let behind = through[lane] * (T::one() - alpha);
-                    let open = entry < end[lane];
-                    let blended = open & (behind >= thresholds.min_transmittance);
-                    end[lane] = if open & !blended { entry } else { end[lane] };
-                    covered[lane] = if blended { alpha * through[lane] } else { T::zero() };
-                    through[lane] = if blended { behind } else { through[lane] };
-                    depth[lane] = z;
+                    let alpha = weight[lane].min(thresholds.max_alpha);
+                    covered[lane] = alpha * through[lane];
+                    behind[lane] = through[lane] * (T::one() - alpha);
                 }
-                visit(id, start, covered, *through, depth);
+                for lane in 0..LANES {
+                    let goes_on = if behind[lane] >= thresholds.min_transmittance { T::one() } else { T::zero() };
+                    let stays = open[lane] * goes_on;
+                    end[lane] = end[lane] + (open[lane] - stays) * (entry - end[lane]);
+                    covered[lane] = covered[lane] * stays;
+                    behind[lane] = stays * behind[lane] + (T::one() - stays) * through[lane];
+                    open[lane] = stays;
+                }
+                through.copy_from_slice(behind);
+                visit(id, start, &fragments[0]);
             },
         );
     }
     progress
+}
+
+/// Whether weights, none of which is negative, are all 0.
+#[inline(always)]
+pub fn is_nothing<T: Real>(values: &[T; LANES]) -> bool {
+    values.iter().copied().sum::<T>() == T::zero()
 }

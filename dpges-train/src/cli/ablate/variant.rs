@@ -6,8 +6,17 @@ use clap::ValueEnum;
 use dpges_train::config::layers::PRESETS;
 use toml::{Table, Value};
 
-/// Keys of a preset that say how long a run is and what it writes on the way, not what the method is.
-const OF_THE_RUN: [&str; 3] = ["train.steps", "train.evaluate_every", "train.checkpoint_every"];
+/// Keys of a preset that say how long a run is, how fast it learns and what it writes on the way, not what the method
+/// is; and sections of such keys.
+const OF_THE_RUN: [&str; 7] = [
+    "train.steps",
+    "train.evaluate_every",
+    "train.checkpoint_every",
+    "stages.position_share",
+    "stages.surfel_scale",
+    "refine.add_as",
+    "optimizer",
+];
 
 /// The method, or the method but for one thing (DP-GES, ablation studies).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -117,7 +126,8 @@ fn method_of(preset: &str) -> Vec<String> {
     for (section, keys) in sections {
         let Value::Table(keys) = keys else { continue };
         let named = keys.into_iter().map(|(key, value)| (format!("{section}.{key}"), value));
-        let of_the_method = named.filter(|(key, _)| !OF_THE_RUN.contains(&key.as_str()));
+        let is_of_the_run = |key: &str| OF_THE_RUN.contains(&key) || OF_THE_RUN.contains(&section.as_str());
+        let of_the_method = named.filter(|(key, _)| !is_of_the_run(key));
         settings.extend(of_the_method.map(|(key, value)| format!("{key}={value}")));
     }
     settings
@@ -182,12 +192,17 @@ mod tests {
     }
 
     #[test]
-    fn ges_is_its_preset_but_for_the_length() {
+    fn ges_is_its_preset_but_for_the_length_and_the_rates() {
         let mut preset = Config::resolve(Some("ges"), None, &[]).unwrap();
         let full = config(Variant::Full).train;
         preset.train.steps = full.steps;
         preset.train.evaluate_every = full.evaluate_every;
         preset.train.checkpoint_every = full.checkpoint_every;
+        let Config { optimizer, stages, refine, .. } = config(Variant::Full);
+        preset.optimizer = optimizer;
+        preset.stages.position_share = stages.position_share;
+        preset.stages.surfel_scale = stages.surfel_scale;
+        preset.refine.add_as = refine.add_as;
         assert_eq!(config(Variant::Ges), preset);
     }
 }

@@ -181,7 +181,10 @@ impl Session {
     /// has just begun.
     fn work(&mut self, work: Work, progress: &mut Progress) -> Result<()> {
         let start = Instant::now();
-        let known = work(&mut self.trainer).map_err(|error| self.step_failed(&error))?;
+        let known = match work(&mut self.trainer) {
+            Ok(known) => known,
+            Err(error) => return Err(self.step_failed(&error)),
+        };
         self.check_device()?;
         let Some(report) = known else { return Ok(()) };
         progress.step(&report, start.elapsed().as_secs_f64());
@@ -243,6 +246,13 @@ impl Session {
         let mut rows = vec![("trained", format!("{steps} steps in {}", Seconds(self.seconds())))];
         let counts = format!("{} surfels, {} Gaussians", data.surfels.len(), data.gaussians.len());
         rows.push(("scene", format!("{counts}, {:.1} MB", bytes as f64 / 1e6)));
+        for stage in self.trainer.config().plan() {
+            if let Ok(text) = std::fs::read_to_string(self.folder.stage_evaluation(stage.kind)) {
+                let report: EvalReport = serde_json::from_str(&text)?;
+                let Evaluation { psnr, gaussians, .. } = report.evaluation;
+                rows.push(("stage", format!("{}: {psnr:.2} dB with {gaussians} Gaussians", stage.kind)));
+            }
+        }
         let mut files = vec![scene.display().to_string(), self.folder.metrics().display().to_string()];
         if let Some(evaluation) = evaluation {
             let Evaluation { psnr, ssim, seconds_per_view, .. } = evaluation;
@@ -290,11 +300,18 @@ impl Session {
         }
     }
 
-    fn step_failed(&self, error: &TrainError) -> Failure {
+    /// A step that was not taken leaves everything as it was before: that is saved.
+    fn step_failed(&mut self, error: &TrainError) -> Failure {
         match error {
-            TrainError::Device { reason, .. } => self.device_failed(&DeviceFailure::new(reason)),
-            _ => Failure::with_help(error, self.way_back()),
+            TrainError::Device { reason, .. } => return self.device_failed(&DeviceFailure::new(reason)),
+            TrainError::Step { .. } | TrainError::Loss { .. } => {
+                if let Err(failure) = self.save() {
+                    return failure;
+                }
+            }
+            _ => {}
         }
+        Failure::with_help(error, self.way_back())
     }
 
     /// "Near": a device works behind the program that tells it what to do.
