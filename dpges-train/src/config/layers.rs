@@ -11,10 +11,11 @@ use super::Config;
 const WHOLE_OR_STRING: [&str; 1] = ["refine.budget"];
 
 /// Configurations that come with the program: name and TOML.
-pub const PRESETS: [(&str, &str); 8] = [
+pub const PRESETS: [(&str, &str); 9] = [
     ("default", include_str!("../../../configs/default.toml")),
     ("quick", include_str!("../../../configs/quick.toml")),
     ("cpu", include_str!("../../../configs/cpu.toml")),
+    ("staged", include_str!("../../../configs/staged.toml")),
     ("mipnerf360", include_str!("../../../configs/mipnerf360.toml")),
     ("tanks-and-temples", include_str!("../../../configs/tanks-and-temples.toml")),
     ("deep-blending", include_str!("../../../configs/deep-blending.toml")),

@@ -225,15 +225,15 @@ impl<T: Real> Projected<T> for DiscFootprint<T> {
             let on_screen = self.squared_on_screen(dx[lane], dy);
             weight[lane] = if on_screen < weight[lane] { on_screen } else { weight[lane] };
         }
-        for lane in 0..LANES {
-            weight[lane] = self.strength * (T::of(-0.5) * weight[lane]).exp_nonpositive();
+        for weight in weight.iter_mut() {
+            *weight = self.strength * (T::of(-0.5) * *weight).exp_nonpositive();
         }
         for lane in 0..LANES {
             let [_, _, z, facing] = self.plane.meet(dx[lane], dy);
             depth[lane] = if facing.abs() > T::of(MIN_FACING) { z } else { T::zero() };
         }
-        for lane in 0..LANES {
-            weight[lane] = if weight[lane] >= T::of(CUTOFF) { weight[lane] } else { T::zero() };
+        for weight in weight.iter_mut() {
+            *weight = if *weight >= T::of(CUTOFF) { *weight } else { T::zero() };
         }
         for lane in 0..LANES {
             weight[lane] = if depth[lane] > self.near { weight[lane] } else { T::zero() };
