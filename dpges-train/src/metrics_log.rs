@@ -1,7 +1,8 @@
 //! `metrics.jsonl`: one JSON object per line, appended while a run goes on.
 //!
-//! `{"kind":"step","step":…}` with losses, PSNR (dB) and counts of single training steps, and
-//! `{"kind":"evaluation","step":…}` with the means over the held-out views. `seconds` is the time trained so far.
+//! `{"kind":"step","step":…}` with stage, losses, PSNR (dB), counts and events of single training steps,
+//! `{"kind":"evaluation","step":…}` with the means over the held-out views, and `{"kind":"validation","step":…}` with
+//! those over the views that are kept for decisions. `seconds` is the time trained so far.
 
 use std::fs::{File, OpenOptions};
 use std::io::Write;

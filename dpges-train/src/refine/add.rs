@@ -19,15 +19,14 @@ pub fn batch_size(budget: usize, primitives: usize, batches_left: usize) -> usiz
     budget.saturating_sub(primitives).checked_div(batches_left).unwrap_or(0)
 }
 
-/// `count` pixels (indices into `error` [H × W], repetitions possible) drawn in proportion to the
-/// summed squared error. Errors that are negative or not finite count as 0; if nothing is left, no
-/// pixel is drawn.
-pub fn draw_pixels(error: &[f32], count: usize, rng: &mut ChaCha8Rng) -> Vec<usize> {
-    let weight = |error: &f32| if error.is_finite() && *error > 0.0 { f64::from(*error) } else { 0.0 };
-    let cumulative: Vec<f64> = error
+/// `count` indices into `weights` (repetitions possible) drawn in proportion to them: pixels to their squared error,
+/// Gaussians to their opacity. Weights that are negative or not finite count as 0; if nothing is left, nothing is drawn.
+pub fn draw_in_proportion(weights: &[f32], count: usize, rng: &mut ChaCha8Rng) -> Vec<usize> {
+    let usable = |weight: &f32| if weight.is_finite() && *weight > 0.0 { f64::from(*weight) } else { 0.0 };
+    let cumulative: Vec<f64> = weights
         .iter()
-        .scan(0.0, |sum, error| {
-            *sum += weight(error);
+        .scan(0.0, |sum, weight| {
+            *sum += usable(weight);
             Some(*sum)
         })
         .collect();
@@ -112,7 +111,7 @@ mod tests {
     fn pixels_are_drawn_in_proportion_to_their_error() {
         let error = [0.0, 1.0, 3.0, f32::NAN, 0.0, -5.0, 4.0, f32::INFINITY, 0.0];
         let mut counts = [0; 9];
-        draw_pixels(&error, 80_000, &mut rng()).into_iter().for_each(|pixel| counts[pixel] += 1);
+        draw_in_proportion(&error, 80_000, &mut rng()).into_iter().for_each(|pixel| counts[pixel] += 1);
         for (pixel, expected) in [(1, 10_000), (2, 30_000), (6, 40_000)] {
             assert!(i32::abs(counts[pixel] - expected) < 600, "{counts:?}");
         }
@@ -122,9 +121,9 @@ mod tests {
     #[test]
     fn no_error_draws_nothing() {
         for error in [&[][..], &[0.0; 5], &[f32::NAN, -1.0]] {
-            assert!(draw_pixels(error, 10, &mut rng()).is_empty());
+            assert!(draw_in_proportion(error, 10, &mut rng()).is_empty());
         }
-        assert_eq!(draw_pixels(&[0.0, f32::MIN_POSITIVE, 0.0], 3, &mut rng()), [1, 1, 1]);
+        assert_eq!(draw_in_proportion(&[0.0, f32::MIN_POSITIVE, 0.0], 3, &mut rng()), [1, 1, 1]);
     }
 
     #[test]

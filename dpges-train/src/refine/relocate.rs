@@ -1,10 +1,10 @@
 //! Gaussians that have faded away move to where others are opaque, and new ones join them
 //! (3DGS-MCMC, DBS). Sources and copies share the opacity of the source, so that the picture stays.
 
-use dpges_core::scene::{ColourModel, GaussianData};
+use dpges_core::scene::GaussianData;
 use rand_chacha::ChaCha8Rng;
 
-use super::add::draw_pixels as draw_in_proportion;
+use super::add::draw_in_proportion;
 
 /// 3DGS-MCMC: Gaussians that share one opacity, counted no further than this.
 const MAX_COPIES: usize = 51;
@@ -39,15 +39,6 @@ pub struct Relocated {
 }
 
 impl Relocated {
-    /// The set after the change, of the set it was decided for.
-    pub fn apply(&self, model: ColourModel, gaussians: &GaussianData) -> GaussianData {
-        GaussianData {
-            opacities: self.opacities.clone(),
-            log_scales: self.log_scales.clone(),
-            ..gaussians.select(model, &self.rows)
-        }
-    }
-
     /// Gives `sources` (rows, repetitions possible) the opacity and scales of one of as many copies
     /// as they were drawn, and one more.
     fn share(&mut self, sources: &[usize], kind: Relocation) {
@@ -151,7 +142,7 @@ pub fn relocate_and_add(
 
 #[cfg(test)]
 mod tests {
-    use dpges_core::scene::ColourData;
+    use dpges_core::scene::{ColourData, ColourModel};
     use rand::SeedableRng;
 
     use super::*;
@@ -253,7 +244,11 @@ mod tests {
         }
         assert!([1, 3, 4].iter().all(|&row| [0, 2].contains(&new.rows[row]) && !new.fresh_moments[row]));
 
-        let set = new.apply(MODEL, &old);
+        let set = GaussianData {
+            opacities: new.opacities.clone(),
+            log_scales: new.log_scales.clone(),
+            ..old.select(MODEL, &new.rows)
+        };
         let source = new.rows[3];
         assert_eq!(set.positions[9..12], old.positions[source * 3..][..3]);
         assert_eq!(set.colour.detail[18..24], old.colour.detail[source * 6..][..6]);

@@ -9,7 +9,7 @@ use super::context::{Context, mean_pixels};
 use super::joint::JointStage;
 use crate::config::{AddAs, Budget};
 use crate::dataset::View;
-use crate::refine::add::{batch_size, draw_pixels, gaussians_of_pixels, new_gaussians};
+use crate::refine::add::{batch_size, draw_in_proportion, gaussians_of_pixels, new_gaussians};
 use crate::refine::margins::margins;
 use crate::refine::prune::{gaussians_to_keep, surfels_to_keep};
 use crate::refine::split::split;
@@ -108,7 +108,7 @@ impl JointStage {
             if share > 0 {
                 let rendered = self.render_view(context, view)?;
                 let error = squared_error(&rendered, view.target(&context.device));
-                let pixels = draw_pixels(&error, share, &mut context.rng);
+                let pixels = draw_in_proportion(&error, share, &mut context.rng);
                 spots.add(&rendered, view, &pixels);
             }
         }

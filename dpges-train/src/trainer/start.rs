@@ -144,6 +144,10 @@ impl Context {
         if surfels.is_empty() && gaussians.is_empty() {
             return Err(TrainError::Plan("the stages before the joint one left neither surfels nor Gaussians".into()));
         }
+        let (count, budget) = (surfels.len() + gaussians.len(), self.budget());
+        if count > budget {
+            tracing::warn!("{count} surfels and Gaussians were given, more than the budget of {budget}: none is added");
+        }
         surfels.margins = margins(&surfels.positions, &surfels.log_scales, self.config.model.margin);
         Ok(InitialScene { surfels, gaussians })
     }
