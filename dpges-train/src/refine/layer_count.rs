@@ -1,6 +1,6 @@
-//! How many layers a scene needs: as few as leave hardly any pixel open.
+//! How many layers a scene needs: as few as leave hardly any pixel open that more layers would close.
 
-/// Share of the pixels that may stay open.
+/// Share of the pixels that may stay open though more layers would close them.
 pub const MOST_OPEN: f64 = 0.02;
 
 /// A pixel that lets more light than this through its layers is open: one step of a picture of 8 bits.
@@ -24,10 +24,12 @@ pub fn open_share(transmittance: &[f32], pixels: usize) -> Vec<f64> {
     planes.map(open).collect()
 }
 
-/// The fewest layers K ≥ 1 after which at most the share `most` of the pixels is open: `open_share[K − 1]`, as
-/// [`open_share`] or a mean of it over views gives it. All layers if that is too few.
+/// The fewest layers K ≥ 1 after which at most the share `most` of the pixels is open that all layers together close:
+/// `open_share[K − 1]`, as [`open_share`] or a mean of it over views gives it. Where rims meet the sky no layer closes
+/// a pixel, and more of them would only cost time.
 pub fn choose(open_share: &[f64], most: f64) -> usize {
-    let enough = open_share.iter().position(|&share| share <= most);
+    let never = open_share.last().copied().unwrap_or(0.0);
+    let enough = open_share.iter().position(|&share| share - never <= most);
     enough.map_or(open_share.len(), |index| index + 1).max(1)
 }
 
@@ -57,9 +59,13 @@ mod tests {
     #[test]
     fn the_fewest_layers_that_are_enough() {
         let share = [0.6, 0.1, 0.02, 0.001];
-        for (most, layers) in [(1.0, 1), (0.6, 1), (0.5, 2), (MOST_OPEN, 3), (0.0199, 4), (0.0, 4)] {
+        for (most, layers) in [(1.0, 1), (0.6, 1), (0.5, 2), (MOST_OPEN, 3), (0.0189, 4), (0.0, 4)] {
             assert_eq!(choose(&share, most), layers, "{most}");
         }
+        // of the room of the tests, where 3 % of the pixels never close
+        let room = [0.433, 0.181, 0.083, 0.048, 0.038, 0.033, 0.032, 0.031];
+        assert_eq!(choose(&room, MOST_OPEN), 4);
+        assert_eq!(choose(&[0.5; 8], MOST_OPEN), 1);
         assert_eq!(choose(&[], MOST_OPEN), 1);
         assert_eq!(choose(&[f64::NAN, 0.0], MOST_OPEN), 2);
     }
