@@ -92,9 +92,18 @@ impl Camera {
         Self { fx: self.fx * sx, fy: self.fy * sy, cx: self.cx * sx, cy: self.cy * sy, width, height, ..*self }
     }
 
+    /// Camera-space z of a world point, world units.
+    pub fn depth(&self, world: DVec3) -> f64 {
+        self.in_camera(world).z
+    }
+
+    fn in_camera(&self, world: DVec3) -> DVec3 {
+        self.camera_from_world.rotation * world + self.camera_from_world.translation
+    }
+
     /// Position in px and camera-space depth of a world point; `None` at or behind the near plane.
     pub fn project(&self, world: DVec3) -> Option<(f64, f64, f64)> {
-        let p = self.camera_from_world.rotation * world + self.camera_from_world.translation;
+        let p = self.in_camera(world);
         (p.z > self.near).then(|| (self.fx * p.x / p.z + self.cx, self.fy * p.y / p.z + self.cy, p.z))
     }
 
@@ -121,6 +130,7 @@ mod tests {
         approx::assert_relative_eq!(x, 20.0, epsilon = 1e-12);
         approx::assert_relative_eq!(y, 11.0, epsilon = 1e-12);
         approx::assert_relative_eq!(depth, 14f64.sqrt(), epsilon = 1e-12);
+        assert_eq!(camera.depth(DVec3::ZERO), depth);
         assert!(camera.project(DVec3::new(0.0, 0.0, 0.1)).unwrap().1 < y);
         approx::assert_relative_eq!(camera.camera_from_world.rotation.determinant(), 1.0, epsilon = 1e-12);
     }

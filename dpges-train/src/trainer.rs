@@ -323,6 +323,49 @@ mod tests {
         assert_ne!(after.gaussians.positions, before.gaussians.positions);
     }
 
+    fn joint(trainer: &mut Trainer) -> &mut JointStage {
+        match &mut trainer.stage {
+            Stage::Joint(stage) => stage,
+            Stage::Blended(_) => panic!("not the joint stage"),
+        }
+    }
+
+    #[test]
+    fn gaussians_that_draw_nothing_are_in_no_scene_and_make_room_for_others() {
+        for (set, replaced) in [("refine.replace_until=20000", true), ("refine.replace_until=0", false)] {
+            // batches after 12, 16, …, 48 steps, replacements after 52, …, 76
+            let mut trainer = trainer(&["train.steps=100", "refine.budget=300", "refine.split=false", set]);
+            while trainer.completed_steps() < 52 {
+                trainer.step().unwrap();
+            }
+            let mut opacities = joint(&mut trainer).gaussians.to_data().opacities;
+            let (count, left) = (opacities.len(), opacities.iter().filter(|&&o| o > 0.1).count());
+            assert!(left > 20 && left < count, "{left} of {count}");
+            opacities.iter_mut().filter(|o| **o <= 0.1).for_each(|o| *o = -1.0);
+            joint(&mut trainer).gaussians.reset_opacities(&opacities);
+            assert_eq!(trainer.scene().gaussians.len(), left);
+
+            let report = trainer.step().unwrap().unwrap();
+            let said = format!("{} Gaussians that draw nothing removed", count - left);
+            assert_eq!(report.events.iter().any(|event| event.contains(&said)), replaced, "{:?}", report.events);
+            let alive = joint(&mut trainer).gaussians.to_data().opacities.iter().filter(|&&o| o > 0.0).count();
+            assert_eq!(alive > left, replaced, "{alive}, {left} before");
+        }
+    }
+
+    #[test]
+    fn gaussians_are_added_where_no_surfel_is_if_that_is_wanted() {
+        for (set, grows) in [("refine.add_everywhere=true", true), ("refine.add_everywhere=false", false)] {
+            let few = ["train.steps=40", "init.method=random", "init.random_gaussians=100", "refine.budget=300"];
+            let mut trainer = trainer(&[&few[..], &["refine.split=false", set]].concat());
+            assert!(trainer.scene().surfels.is_empty());
+            while !trainer.is_finished() {
+                trainer.step().unwrap();
+            }
+            assert_eq!(joint(&mut trainer).gaussians.len() > 100, grows, "{set}");
+        }
+    }
+
     #[test]
     fn stages_hand_on_what_they_trained() {
         let mut trainer = trainer(&STAGES);

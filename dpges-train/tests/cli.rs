@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 use std::process::Output;
 
 use assert_cmd::Command;
-use serde_json::{Map, Value};
+use image::{Rgba, RgbaImage};
+use serde_json::{Map, Value, json};
 use tempfile::TempDir;
 
 /// A run of a few seconds: every kind of event happens, the scene changes its size.
@@ -242,6 +243,32 @@ fn steps_are_scaled_once() {
     assert!(String::from_utf8(bytes(at.join("run/config.toml"))).unwrap().contains("\nsteps = 4\n"));
     ok(at, &[&args[..], &["--resume"]].concat());
     assert_eq!(metrics(&at.join("run")).last().unwrap()["step"], 4);
+}
+
+#[test]
+fn blender_scenes_begin_with_stages_unless_a_preset_says_otherwise() {
+    let folder = folder();
+    let at = folder.path();
+    std::fs::create_dir(at.join("toy")).unwrap();
+    let frame = |name: &str, x: f64| json!({ "file_path": name, "transform_matrix": [[1, 0, 0, x], [0, 1, 0, 0], [0, 0, 1, 3], [0, 0, 0, 1]] });
+    for split in ["train", "test"] {
+        let frames: Vec<Value> = (0..3).map(|i| frame(&format!("{split}_{i}"), f64::from(i) - 1.0)).collect();
+        let transforms = json!({ "camera_angle_x": 0.7, "frames": frames }).to_string();
+        std::fs::write(at.join(format!("toy/transforms_{split}.json")), transforms).unwrap();
+        for i in 0..3 {
+            let inside = |x: u32, y: u32| (8..16).contains(&x) && (8..16).contains(&y);
+            let picture =
+                RgbaImage::from_fn(24, 24, |x, y| Rgba(if inside(x, y) { [200, 80, 40, 255] } else { [0; 4] }));
+            picture.save(at.join(format!("toy/{split}_{i}.png"))).unwrap();
+        }
+    }
+    let config = |out: &str| -> toml::Table { String::from_utf8(bytes(at.join(out))).unwrap().parse().unwrap() };
+    ok(at, &["train", "toy", "--out=stages", "--steps=10"]);
+    assert_eq!(config("stages/config.toml")["stages"]["surfels"].as_float(), Some(0.2));
+    assert!(at.join("stages/stage_2dgs.safetensors").is_file() && at.join("stages/stage_dbs.safetensors").is_file());
+    ok(at, &["train", "toy", "--out=stages", "--steps=10", "--resume"]);
+    ok(at, &["train", "toy", "--out=preset", "--steps=4", "--preset=quick"]);
+    assert_eq!(config("preset/config.toml")["stages"]["surfels"].as_float(), Some(0.0));
 }
 
 #[test]

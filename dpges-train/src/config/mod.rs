@@ -188,6 +188,11 @@ pub struct RefineConfig {
     pub add_from: usize,
     /// Exclusive.
     pub add_until: usize,
+    /// From `add_until` to this, exclusive, Gaussians that draw nothing any more make room for new ones, as they do
+    /// with every batch. DP-GES: 0.
+    pub replace_until: usize,
+    /// Whether Gaussians are also added where no surfel is. DP-GES: false.
+    pub add_everywhere: bool,
     /// What new Gaussians look like.
     pub add_as: AddAs,
     /// Surfels and Gaussians together never exceed it, see [`Config::most_primitives`].
@@ -306,6 +311,8 @@ impl Default for RefineConfig {
             add_every: 1000,
             add_from: 3000,
             add_until: 13_000,
+            replace_until: 20_000,
+            add_everywhere: true,
             add_as: AddAs::Picture,
             budget: Budget::Pixels,
             drop_lobes_at: vec![16_000, 22_000],

@@ -13,6 +13,8 @@ pub struct Schedule {
     pub surfel_prune: Vec<usize>,
     pub gaussian_prune: Vec<usize>,
     pub add: Vec<usize>,
+    /// After the last batch.
+    pub replace: Vec<usize>,
     pub split: Vec<usize>,
     /// Of an automatic budget only.
     pub drop_lobes: Vec<usize>,
@@ -26,6 +28,8 @@ pub struct Due {
     pub gaussian_prune: bool,
     /// Batches of Gaussians still to be added, this one included; `None` if none is due now.
     pub batches_left: Option<usize>,
+    /// Whether Gaussians that nothing shows any more are replaced by new ones.
+    pub replace: bool,
     pub split: bool,
     pub drop_lobes: bool,
 }
@@ -33,7 +37,7 @@ pub struct Due {
 impl Due {
     /// Whether rows may appear or disappear.
     pub fn changes_rows(&self) -> bool {
-        self.surfel_prune || self.gaussian_prune || self.batches_left.is_some() || self.split
+        self.surfel_prune || self.gaussian_prune || self.batches_left.is_some() || self.replace || self.split
     }
 }
 
@@ -101,6 +105,7 @@ impl Config {
             margins: run(refine.margins_at.clone(), 0),
             surfel_prune: whole_passes(run(surfel_prune, 1), self.scaled(refine.surfel_prune_until) + 1),
             gaussian_prune: whole_passes(run(gaussian_prune, 1), self.scaled(refine.gaussian_prune_until)),
+            replace: run(every(refine.add_every, refine.add_until, refine.replace_until), 1),
             add: run(every(refine.add_every, refine.add_from, refine.add_until), 1),
             split: run(split, 1),
             drop_lobes: run(only_if(refine.budget == Budget::Auto, refine.drop_lobes_at.clone()), 1),
@@ -115,6 +120,7 @@ impl Schedule {
             margins: is_in(&self.margins).is_ok(),
             surfel_prune: is_in(&self.surfel_prune).is_ok(),
             gaussian_prune: is_in(&self.gaussian_prune).is_ok(),
+            replace: is_in(&self.replace).is_ok(),
             batches_left: is_in(&self.add).ok().map(|batch| self.add.len() - batch),
             split: is_in(&self.split).is_ok(),
             drop_lobes: is_in(&self.drop_lobes).is_ok(),
@@ -139,6 +145,7 @@ mod tests {
         assert_eq!(schedule.surfel_prune, (1..=15).map(|n| n * 1000).collect::<Vec<_>>());
         assert_eq!(schedule.gaussian_prune, [500, 1000, 1500]);
         assert_eq!(schedule.add, (3..13).map(|n| n * 1000).collect::<Vec<_>>());
+        assert_eq!(schedule.replace, (13..20).map(|n| n * 1000).collect::<Vec<_>>());
         assert_eq!(schedule.split, (1..=8).map(|n| n * 2000).collect::<Vec<_>>());
         let due = schedule.due(12_000);
         assert_eq!(due, Due { surfel_prune: true, batches_left: Some(1), split: true, ..Due::default() });

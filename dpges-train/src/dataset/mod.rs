@@ -160,20 +160,30 @@ impl Default for LoadOptions {
     }
 }
 
-/// Reads the dataset in folder `path`: COLMAP where there is a `sparse` folder, Blender where there
-/// is `transforms_train.json`, nerfstudio where there is `transforms.json`, tried in this order.
+/// Layout of the folder `path`: COLMAP where there is a `sparse` folder, Blender where there is
+/// `transforms_train.json`, nerfstudio where there is `transforms.json`, tried in this order.
+pub fn format(path: &Path) -> Option<Format> {
+    if path.join("sparse").is_dir() {
+        Some(Format::Colmap)
+    } else if path.join("transforms_train.json").is_file() {
+        Some(Format::Blender)
+    } else {
+        path.join("transforms.json").is_file().then_some(Format::Nerfstudio)
+    }
+}
+
+/// Reads the dataset in folder `path`, see [`format`].
 ///
 /// # Errors
 /// [`DatasetError`] names the file at fault and what to do.
 pub fn load(path: &Path, options: &LoadOptions) -> Result<Dataset> {
-    let source = if path.join("sparse").is_dir() {
-        colmap::read(path, options)?
-    } else if path.join("transforms_train.json").is_file() {
-        blender::read(path)?
-    } else if path.join("transforms.json").is_file() {
-        nerfstudio::read(path, options)?
-    } else {
-        return Err(DatasetError::UnknownFormat { path: path.to_owned(), found: error::listing(path) });
+    let source = match format(path) {
+        Some(Format::Colmap) => colmap::read(path, options)?,
+        Some(Format::Blender) => blender::read(path)?,
+        Some(Format::Nerfstudio) => nerfstudio::read(path, options)?,
+        Some(Format::Builtin) | None => {
+            return Err(DatasetError::UnknownFormat { path: path.to_owned(), found: error::listing(path) });
+        }
     };
     assemble::assemble(path, source, options)
 }

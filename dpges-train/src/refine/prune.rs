@@ -3,6 +3,8 @@
 
 use super::RowEdit;
 
+const MIN_ALPHA: f32 = 1.0 / 255.0;
+
 /// Surfels that stay: nearest at more than `min_pixels` px in some view (`max_pixels` [N] is the
 /// largest count over the views) and with both scales of `log_scales` [N × 2] at most
 /// `max_scale_fraction` of the extent (world units). An extent of 0, as of a single camera, limits no scale.
@@ -27,6 +29,12 @@ pub fn gaussians_to_keep(max_contribution: &[f32], threshold: f64) -> RowEdit {
     unless_nothing_is_left(RowEdit::retain(max_contribution.len(), stays), max_contribution.len(), "Gaussian")
 }
 
+/// Gaussians that can draw a pixel: α is at most the opacity, and below 1/255 there is nothing, no gradient either that
+/// would bring them back. Linear opacities that Adam has pushed below 0 are such; the others render the same picture.
+pub fn drawn(opacities: &[f32]) -> RowEdit {
+    RowEdit::retain(opacities.len(), |&row| opacities[row] >= MIN_ALPHA)
+}
+
 fn unless_nothing_is_left(edit: RowEdit, count: usize, of: &str) -> RowEdit {
     if count > 0 && edit.keep.is_empty() {
         tracing::warn!("pruning would remove each of {count} {of}s: none is removed, see the thresholds in [refine]");
@@ -49,6 +57,12 @@ mod tests {
         let edit = surfels_to_keep(&[17, 16, 99, 99, 99, 99], &logs, 10.01, 16, 0.06);
         assert_eq!(edit.keep, [0, 4]);
         assert_eq!(surfels_to_keep(&[17, 16, 99, 99, 99, 99], &logs, 0.0, 16, 0.06).keep, [0, 2, 3, 4]);
+    }
+
+    #[test]
+    fn gaussians_that_draw_nothing_go() {
+        assert_eq!(drawn(&[0.5, 0.0, -0.1, 1.0 / 255.0, 0.0039, 3.0, f32::NAN]).keep, [0, 3, 5]);
+        assert!(drawn(&[-1.0]).keep.is_empty());
     }
 
     #[test]

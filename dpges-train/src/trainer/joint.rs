@@ -13,6 +13,7 @@ use super::{StepReport, TrainError};
 use crate::config::{Config, Due, Schedule, StagePlan};
 use crate::init::InitialScene;
 use crate::refine::growth::Growth;
+use crate::refine::prune::drawn;
 use crate::scene_state::{GaussianState, Rates, SurfelState};
 
 /// Share of the position schedule that the joint stage would take (DP-GES: 25,000 of 30,000 steps).
@@ -48,8 +49,11 @@ impl JointStage {
         }
     }
 
+    /// Without the Gaussians that draw nothing.
     pub fn scene(&self) -> SceneData {
-        SceneData { info: self.info.clone(), surfels: self.surfels.to_data(), gaussians: self.gaussians.to_data() }
+        let gaussians = self.gaussians.to_data();
+        let gaussians = gaussians.select(self.info.colour_model, &drawn(&gaussians.opacities).keep);
+        SceneData { info: self.info.clone(), surfels: self.surfels.to_data(), gaussians }
     }
 
     /// What is due after `completed` steps of this stage.

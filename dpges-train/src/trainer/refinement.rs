@@ -1,8 +1,10 @@
 //! Applies the decisions of [`crate::refine`] to surfels and Gaussians when the schedule asks for them.
 
-use burn::tensor::Tensor;
+use burn::tensor::{DType, Tensor};
+use dpges_core::ops::splat::splat;
 use dpges_core::render::{Render, Values, render_values};
-use dpges_core::scene::tensors::tensor_to_rows;
+use dpges_core::scene::tensors::{rows_to_tensor, tensor_to_rows};
+use glam::DVec3;
 
 use super::TrainError;
 use super::context::{Context, mean_pixels};
@@ -10,8 +12,9 @@ use super::joint::JointStage;
 use crate::config::{AddAs, Budget};
 use crate::dataset::View;
 use crate::refine::add::{batch_size, draw_in_proportion, gaussians_of_pixels, new_gaussians};
+use crate::refine::growth::Decision;
 use crate::refine::margins::margins;
-use crate::refine::prune::{gaussians_to_keep, surfels_to_keep};
+use crate::refine::prune::{drawn, gaussians_to_keep, surfels_to_keep};
 use crate::refine::split::split;
 use crate::refine::{GaussianEdit, RowEdit};
 
@@ -46,10 +49,16 @@ impl JointStage {
             events.push(self.split_gaussians(context));
         }
         if let Some(batches_left) = due.batches_left {
-            events.push(match self.end_of_growth(context)? {
-                Some(reason) => reason,
-                None => self.add_gaussians(context, batches_left)?,
-            });
+            let removed = self.remove_undrawn();
+            let end_of_growth = self.end_of_growth(context)?;
+            let count = if end_of_growth.is_some() { removed } else { self.batch(context, batches_left) };
+            events.extend(end_of_growth);
+            events.push(self.add_gaussians(context, count, removed)?);
+        } else if due.replace {
+            let removed = self.remove_undrawn();
+            let has_grown = self.growth.as_ref().is_some_and(|growth| growth.decision() != Decision::Grow);
+            let count = if has_grown { removed } else { self.batch(context, 1) };
+            events.push(self.add_gaussians(context, count, removed)?);
         }
         Ok(events)
     }
@@ -95,11 +104,22 @@ impl JointStage {
         format!("{} of {before} Gaussians split", self.gaussians.len() - before)
     }
 
-    /// Adds a batch where the pictures are worst: pixels drawn by squared error, in the depth of the
-    /// nearest layer (GES, DP-GES).
-    fn add_gaussians(&mut self, context: &mut Context, batches_left: usize) -> Result<String, TrainError> {
-        let primitives = self.surfels.len() + self.gaussians.len();
-        let count = batch_size(context.budget(), primitives, batches_left);
+    /// Takes out Gaussians that draw nothing; returns how many.
+    fn remove_undrawn(&mut self) -> usize {
+        let before = self.gaussians.len();
+        let rows = drawn(&self.gaussians.to_data().opacities);
+        self.edit_gaussians(&GaussianEdit { rows, ..GaussianEdit::default() });
+        before - self.gaussians.len()
+    }
+
+    fn batch(&self, context: &Context, batches_left: usize) -> usize {
+        batch_size(context.budget(), self.surfels.len() + self.gaussians.len(), batches_left)
+    }
+
+    /// Adds `count` Gaussians where the pictures are worst: pixels drawn by squared error, in the depth of the
+    /// nearest layer (GES, DP-GES), or of the Gaussians where there is no layer. `removed` made room for them.
+    fn add_gaussians(&mut self, context: &mut Context, count: usize, removed: usize) -> Result<String, TrainError> {
+        let everywhere = context.config.refine.add_everywhere;
         let views = context.dataset.train.len();
         let dataset = context.dataset.clone();
         let mut spots = Spots::default();
@@ -109,7 +129,12 @@ impl JointStage {
                 let rendered = self.render_view(context, view)?;
                 let error = squared_error(&rendered, view.target(&context.device));
                 let pixels = draw_in_proportion(&error, share, &mut context.rng);
-                spots.add(&rendered, view, &pixels);
+                let mut depths = tensor_to_rows(&rendered.layers.depth);
+                if everywhere && pixels.iter().any(|&pixel| !depths[pixel].is_finite()) {
+                    let behind = self.gaussian_depth(&rendered, view)?;
+                    depths.iter_mut().zip(behind).filter(|(depth, _)| !depth.is_finite()).for_each(|(d, z)| *d = z);
+                }
+                spots.add(&depths, view, &pixels);
             }
         }
         let (model, rng) = (self.info.colour_model, &mut context.rng);
@@ -118,9 +143,23 @@ impl JointStage {
             AddAs::Black => new_gaussians(&spots.positions, (MAX_ADDED_SCALE * self.info.extent) as f32, model, rng),
         };
         let rows = RowEdit::keep_all(self.gaussians.len());
-        let event = format!("{} Gaussians added of {count} wanted", added.len());
+        let event = format!("{removed} Gaussians that draw nothing removed, {} added of {count} wanted", added.len());
         self.edit_gaussians(&GaussianEdit { rows, added });
         Ok(event)
+    }
+
+    /// [H × W] mean depth of the Gaussians at each pixel, weighted by their α, world units; not finite where there is
+    /// none.
+    fn gaussian_depth(&self, rendered: &Render, view: &View) -> Result<Vec<f32>, TrainError> {
+        let gaussians = self.gaussians.values();
+        let depth_of = |position: &[f32; 3]| view.camera.depth(DVec3::from_array(position.map(f64::from))) as f32;
+        let positions = tensor_to_rows(&gaussians.positions);
+        let depths: Vec<f32> = positions.as_chunks::<3>().0.iter().flat_map(|p| [depth_of(p); 3]).collect();
+        let depths = rows_to_tensor(&depths, 3, &gaussians.positions.device(), DType::F32);
+        let sums = splat(&gaussians, depths, rendered.limits.clone(), &view.camera)?.sum_dim(0);
+        let sums = tensor_to_rows(&sums);
+        let area = view.camera.width * view.camera.height;
+        Ok((0..area).map(|pixel| sums[pixel] / sums[3 * area + pixel]).collect())
     }
 
     /// Edits the set; statistics on it start again.
@@ -165,9 +204,8 @@ struct Spots {
 }
 
 impl Spots {
-    /// `pixels` in the depth of their nearest layer; those without one are left out.
-    fn add(&mut self, rendered: &Render, view: &View, pixels: &[usize]) {
-        let depths = tensor_to_rows(&rendered.layers.depth);
+    /// `pixels` at the depths that are given for them, world units; those with none that is finite are left out.
+    fn add(&mut self, depths: &[f32], view: &View, pixels: &[usize]) {
         let (camera, planes) = (&view.camera, &view.picture.planes);
         let area = camera.width * camera.height;
         for &pixel in pixels {

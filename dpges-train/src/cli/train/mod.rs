@@ -23,7 +23,8 @@ use session::{Session, Setting, watch_for_interrupts};
 /// Train a scene from photographs with known cameras
 ///
 /// Without DATASET a small built-in scene is trained, in about two minutes on two cores; unless --preset or --config
-/// is given, its defaults are 2000 steps and an evaluation and a checkpoint every 500.
+/// is given, its defaults are 2000 steps and an evaluation and a checkpoint every 500. Likewise, a dataset in the Blender
+/// layout is trained in stages by default.
 ///
 /// Options win over --set, --set over --config, --config over --preset, --preset over the defaults.
 #[derive(Debug, Args)]

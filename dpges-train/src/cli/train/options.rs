@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use dpges_train::config::Config;
+use dpges_train::dataset::{self, Format};
 
 use super::super::data::{DataArgs, Source};
 use super::super::{Failure, Result};
@@ -11,6 +12,10 @@ use super::super::{Failure, Result};
 /// What the built-in scene is trained with unless a preset or a configuration file is named: about two minutes.
 const BUILTIN_DEFAULTS: [&str; 4] =
     ["train.steps=2000", "train.evaluate_every=500", "train.checkpoint_every=500", "refine.surfel_min_pixels=1"];
+
+/// What objects in the Blender layout are trained with unless a preset or a configuration file is named: their
+/// silhouettes say where they end, but only discs find their surfaces.
+const BLENDER_DEFAULTS: [&str; 3] = ["stages.surfels=0.2", "stages.gaussians=0.3", "refine.surfel_min_pixels=4"];
 
 /// Options that replace keys of the configuration, and what they replace them in.
 #[derive(Debug, Args)]
@@ -63,8 +68,12 @@ impl ConfigArgs {
 
     /// What was asked for, with `more` (`key=value`) on top.
     pub fn resolve(&self, source: &Source, more: &[String]) -> Result<Config> {
-        let builtin = *source == Source::Builtin && !self.names_a_whole();
-        let defaults: &[&str] = if builtin { &BUILTIN_DEFAULTS } else { &[] };
+        let defaults: &[&str] = match source {
+            _ if self.names_a_whole() => &[],
+            Source::Builtin => &BUILTIN_DEFAULTS,
+            Source::Folder(path) if dataset::format(path) == Some(Format::Blender) => &BLENDER_DEFAULTS,
+            Source::Folder(_) => &[],
+        };
         let mut config = self.layered(defaults, self.config.as_deref(), more)?;
         if let Some(factor) = self.steps_scale {
             config.scale_steps(factor).map_err(Failure::from_config)?;
