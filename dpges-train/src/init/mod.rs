@@ -56,7 +56,8 @@ pub enum InitError {
     EmptyHull,
 }
 
-/// Surfels and Gaussians to start from, no more than there is `room` for; `init.method` "auto" takes points where there are some, else silhouettes, else random Gaussians.
+/// Surfels and Gaussians to start from, no more than there is `room` for; `init.method` "auto" takes points where there
+/// are some, else silhouettes, else random Gaussians.
 ///
 /// # Errors
 /// [`InitError`] if there are no training views or the dataset lacks what the method needs.

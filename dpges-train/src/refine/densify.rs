@@ -2,14 +2,10 @@
 //! the faint and the huge are pruned (3DGS, 2DGS, GES).
 
 use dpges_core::scene::{ColourModel, GaussianData};
-use glam::DVec3;
 use rand_chacha::ChaCha8Rng;
 
-use super::noise::{rotation, vector};
-use super::{GaussianEdit, RowEdit, normal};
-
-/// 3DGS: the scale of a child is that of its parent over this.
-const SHRINKAGE: f64 = 1.6;
+use super::children::{SHRINKAGE, children};
+use super::{GaussianEdit, RowEdit};
 
 /// What is cloned, split and pruned.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -128,25 +124,6 @@ pub fn densify(
     GaussianEdit { rows, added }
 }
 
-/// Two of each of `parents`, side by side.
-fn children(
-    gaussians: &GaussianData,
-    model: ColourModel,
-    parents: impl Iterator<Item = usize>,
-    flat: bool,
-    rng: &mut ChaCha8Rng,
-) -> GaussianData {
-    let twice: Vec<usize> = parents.flat_map(|row| [row, row]).collect();
-    let mut children = gaussians.select(model, &twice);
-    for (position, &row) in children.positions.as_chunks_mut::<3>().0.iter_mut().zip(&twice) {
-        let draw = DVec3::new(normal(rng), normal(rng), if flat { 0.0 } else { normal(rng) });
-        let inside = rotation(gaussians, row) * (vector(&gaussians.log_scales, row).exp() * draw);
-        *position = (vector(&gaussians.positions, row) + inside).as_vec3().to_array();
-    }
-    children.log_scales.iter_mut().for_each(|log_scale| *log_scale -= SHRINKAGE.ln() as f32);
-    children
-}
-
 /// Opacities for a new start: each at most `at_most` (3DGS: 0.01 every 3000 steps).
 pub fn reset_opacities(opacities: &[f32], at_most: f32) -> Vec<f32> {
     opacities.iter().map(|opacity| opacity.min(at_most)).collect()
@@ -155,8 +132,10 @@ pub fn reset_opacities(opacities: &[f32], at_most: f32) -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use dpges_core::scene::ColourData;
+    use glam::DVec3;
     use rand::SeedableRng;
 
+    use super::super::children::vector;
     use super::*;
 
     const MODEL: ColourModel = ColourModel::SphericalBeta { lobes: 1 };

@@ -8,6 +8,7 @@
 //! the optimiser, where new rows start at zero.
 
 pub mod add;
+mod children;
 pub mod densify;
 pub mod growth;
 pub mod layer_count;

@@ -2,11 +2,12 @@
 //! (3DGS-MCMC, DBS).
 
 use dpges_core::scene::GaussianData;
-use glam::{DQuat, DVec3, Vec3};
+use glam::{DVec3, Vec3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
+use super::children::{rotation, vector};
 use super::normal;
 
 /// Rows that draw from one stream of random numbers, so that the number of threads does not matter.
@@ -59,18 +60,6 @@ pub fn jitter(gaussians: &GaussianData, kind: Noise, amount: f64, rng: &mut ChaC
         }
     });
     positions
-}
-
-/// Row `row` of `values` [N × 3].
-pub(super) fn vector(values: &[f32], row: usize) -> DVec3 {
-    Vec3::from_slice(&values[row * 3..][..3]).as_dvec3()
-}
-
-/// World from the axes of Gaussian `row`; a quaternion of length 0 turns nothing.
-pub(super) fn rotation(gaussians: &GaussianData, row: usize) -> DQuat {
-    let [w, x, y, z] = [0, 1, 2, 3].map(|i| f64::from(gaussians.quaternions[row * 4 + i]));
-    let rotation = DQuat::from_xyzw(x, y, z, w);
-    if rotation.length_squared() > 0.0 { rotation.normalize() } else { DQuat::IDENTITY }
 }
 
 #[cfg(test)]

@@ -1,15 +1,12 @@
 //! Gaussians too large for the surfels around them are divided in two (DP-GES; 3DGS).
 
 use dpges_core::scene::{ColourModel, GaussianData};
-use glam::{DQuat, DVec3};
 use rand_chacha::ChaCha8Rng;
 
+use super::children::children;
 use super::margins::NEIGHBOURS;
-use super::{GaussianEdit, RowEdit, normal};
+use super::{GaussianEdit, RowEdit};
 use crate::neighbours::{as_points, nearest_to};
-
-/// 3DGS: the scale of a child is that of its parent over this.
-const SHRINKAGE: f32 = 1.6;
 
 /// Splits Gaussians whose mean scale exceeds `factor` × the mean of `margins` [N] (world units)
 /// over the 16 surfels of `surfel_positions` [N × 3] nearest to them. The parent goes; its two
@@ -30,13 +27,7 @@ pub fn split(
     let mut is_parent = vec![false; gaussians.len()];
     parents.iter().for_each(|&row| is_parent[row] = true);
 
-    let twice: Vec<usize> = parents.iter().flat_map(|&row| [row, row]).collect();
-    let mut added = gaussians.select(model, &twice);
-    for (child, &row) in twice.iter().enumerate() {
-        let moved = draw_inside(gaussians, row, rng);
-        added.positions[child * 3..][..3].copy_from_slice(&moved.as_vec3().to_array());
-    }
-    added.log_scales.iter_mut().for_each(|log_scale| *log_scale -= SHRINKAGE.ln());
+    let added = children(gaussians, model, parents.into_iter(), false, rng);
     GaussianEdit { rows: RowEdit::retain(gaussians.len(), |&row| !is_parent[row]), added }
 }
 
@@ -66,17 +57,6 @@ fn parents(
     let mut rows: Vec<usize> = exceeding.into_iter().map(|(row, _)| row).collect();
     rows.sort_unstable();
     rows
-}
-
-/// A point distributed as the Gaussian of `row`.
-fn draw_inside(gaussians: &GaussianData, row: usize, rng: &mut ChaCha8Rng) -> DVec3 {
-    let vector =
-        |values: &[f32]| DVec3::new(values[row * 3].into(), values[row * 3 + 1].into(), values[row * 3 + 2].into());
-    let [w, x, y, z] = [0, 1, 2, 3].map(|i| f64::from(gaussians.quaternions[row * 4 + i]));
-    let rotation = DQuat::from_xyzw(x, y, z, w);
-    let rotation = if rotation.length_squared() > 0.0 { rotation.normalize() } else { DQuat::IDENTITY };
-    let draw = DVec3::new(normal(rng), normal(rng), normal(rng));
-    vector(&gaussians.positions) + rotation * (vector(&gaussians.log_scales).exp() * draw)
 }
 
 #[cfg(test)]
@@ -132,15 +112,5 @@ mod tests {
         assert_eq!((edit.rows.keep.len(), edit.added.len()), (2, 0));
         let edit = split(&gaussians(&[]), MODEL, &[0.0; 3], &[1.0], 2.0, 10, &mut rng());
         assert_eq!(edit, GaussianEdit::default());
-    }
-
-    #[test]
-    fn children_are_distributed_as_their_parent() {
-        let old = gaussians(&[1.0]);
-        let mut rng = rng();
-        let draws: Vec<DVec3> =
-            (0..20_000).map(|_| draw_inside(&old, 0, &mut rng) - DVec3::new(0.0, 1.0, 2.0)).collect();
-        let variance = draws.iter().map(|d| *d * *d).sum::<DVec3>() / draws.len() as f64;
-        assert!((variance - DVec3::new(1.0, 16.0, 1.0)).abs().cmplt(DVec3::new(0.05, 0.6, 0.05)).all(), "{variance}");
     }
 }

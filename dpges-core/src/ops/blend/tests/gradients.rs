@@ -1,0 +1,56 @@
+use super::*;
+
+/// Checks the gradients of each of some outputs, of the parameters one after the other.
+fn check_gradients(flat: &Flat, camera: &Camera, options: &BlendOptions, outputs: &[Output], step: f64) {
+    let leaves = flat.leaves();
+    for output in outputs {
+        let found = leaves.gradients(&[*output], camera, options);
+        assert!(found[0].iter().any(|g| *g != 0.0));
+        for (of, parameters) in flat.0.iter().enumerate() {
+            let name = format!("{output:?} of {:?} with respect to {}", options.form, NAMES[of]);
+            check(&name, parameters, &found[of], step, |moved| {
+                let mut flat = flat.clone();
+                flat.0[of] = moved.to_vec();
+                values(&flat.leaves().loss(&[*output], camera, options))[0]
+            });
+        }
+    }
+}
+
+#[test]
+fn gradients_of_every_output_of_ellipsoids_are_central_differences() {
+    let recipe = Recipe { surfels: 0, gaussians: 9, width: 29, height: 21, ..Recipe::default() };
+    let (random, random_camera) = Flat::random(31, &recipe);
+    let options = with_maps(Form::Ellipsoids);
+    check_gradients(&random, &random_camera, &options, &OUTPUTS, 1e-6);
+    check_gradients(&capped(), &axis_camera(), &options, &OUTPUTS, 1e-6);
+}
+
+#[test]
+fn gradients_of_every_output_of_discs_are_central_differences() {
+    let recipe = Recipe { surfels: 0, gaussians: 9, width: 29, height: 21, ..Recipe::default() };
+    let (random, random_camera) = Flat::random(31, &recipe);
+    let options = with_maps(Form::Discs);
+    check_gradients(&random, &random_camera, &options, &OUTPUTS, 1e-6);
+    check_gradients(&slanted(), &axis_camera(), &options, &OUTPUTS, 1e-6);
+}
+
+#[test]
+fn gradients_are_central_differences_in_more_tiles_than_are_summed_at_a_time() {
+    let camera = axis_camera().resized(140, 120);
+    check_gradients(&capped(), &camera, &with_maps(Form::Ellipsoids), &[Output::Colour], 1e-7);
+}
+
+#[test]
+fn maps_do_not_change_the_gradient_of_colour() {
+    let recipe = Recipe { surfels: 0, gaussians: 100, width: 61, height: 40, ..Recipe::default() };
+    let (flat, camera) = Flat::random(16, &recipe);
+    let leaves = flat.leaves();
+    for form in FORMS {
+        let [without, with] = [false, true].map(|maps| {
+            let options = BlendOptions { form, maps, ..BlendOptions::default() };
+            leaves.gradients(&[Output::Colour, Output::Alpha], &camera, &options)
+        });
+        assert_eq!(without, with);
+    }
+}

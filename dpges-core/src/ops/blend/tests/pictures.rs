@@ -1,0 +1,187 @@
+use super::*;
+
+#[test]
+fn blending_equals_sorting_at_every_pixel() {
+    let mut round = capped();
+    round.push([0.2, -0.1, 1.5], [-1.7; 3], 0.3, [0.4, 0.4, 0.9]);
+    let mut scenes = vec![(round.clone(), axis_camera()), (round.reversed(), axis_camera())];
+    scenes.push((slanted(), axis_camera()));
+    for (seed, gaussians) in [(1, 40), (2, 400), (3, 1000)] {
+        let recipe = Recipe { surfels: 0, gaussians, width: 45, height: 37, ..Recipe::default() };
+        scenes.push(Flat::random(seed, &recipe));
+    }
+    for (form, tolerance) in [(Form::Ellipsoids, 1e-11), (Form::Discs, 1e-9)] {
+        let options = with_maps(form);
+        for (flat, camera) in &scenes {
+            let expected = images_of_pixels(&dense(&flat.primitives(camera, form), camera, &options));
+            assert!(expected[1].iter().any(|alpha| *alpha > 0.5));
+            let leaves = flat.leaves();
+            let found = images(&leaves.blend(camera, &options));
+            assert_eq!(found.len(), expected.len());
+            for (found, expected) in found.iter().zip(&expected) {
+                assert_eq!(found.len(), expected.len());
+                for (a, b) in found.iter().zip(expected) {
+                    approx::assert_relative_eq!(*a, *b, epsilon = tolerance, max_relative = tolerance);
+                }
+            }
+            let without_maps = BlendOptions { maps: false, ..options };
+            assert_eq!(images(&leaves.blend(camera, &without_maps)), found[..2]);
+        }
+    }
+}
+
+#[test]
+fn the_slanted_discs_have_both_kinds_of_hits_and_of_low_pass_filters() {
+    let camera = axis_camera();
+    let discs = slanted().primitives(&camera, Form::Discs);
+    let unfiltered = |disc: &Primitive| matches!(disc.shape, Shape::Disc { low_pass: None, .. });
+    assert_eq!(discs.iter().filter(|disc| unfiltered(disc)).count(), 1);
+    let filtered = |disc: &Primitive| (0..1200).filter(|&i| disc.shape.is_filtered(centre_of(&camera, i))).count();
+    assert!(discs.iter().any(|disc| filtered(disc) > 1000));
+    assert!(discs.iter().any(|disc| (1..1000).contains(&filtered(disc))));
+}
+
+#[test]
+fn nothing_blends_to_nothing() {
+    let camera = axis_camera();
+    let mut unseen = Flat::default();
+    unseen.push([0.0, 0.0, -2.0], [-1.0; 3], 1.0, [1.0; 3]);
+    unseen.push([0.0, 0.0, 2.0], [-1.0; 3], 0.0, [1.0; 3]);
+    for (flat, form) in [Flat::default(), unseen].iter().flat_map(|flat| FORMS.map(|form| (flat, form))) {
+        let (leaves, options) = (flat.leaves(), with_maps(form));
+        let blended = leaves.blend(&camera, &options);
+        assert_eq!(blended.colour.dims(), [3, 30, 40]);
+        assert_eq!(blended.maps.as_ref().unwrap().median_depth.dims(), [1, 30, 40]);
+        assert!(images(&blended).iter().flatten().all(|v| *v == 0.0));
+        let gradients = leaves.gradients(&OUTPUTS, &camera, &options);
+        for (gradient, width) in gradients.iter().zip(WIDTHS) {
+            assert_eq!(gradient.len(), flat.len() * width);
+            assert!(gradient.iter().all(|g| *g == 0.0));
+        }
+    }
+}
+
+#[test]
+fn an_opaque_gaussian_hides_what_is_behind_and_two_end_the_pixel() {
+    let (camera, red, blue) = (axis_camera(), [0.9, 0.1, 0.0], [0.0, 0.2, 0.8]);
+    let options = with_maps(Form::Ellipsoids);
+    let of = |walls: &[(f64, [f64; 3])]| {
+        let mut flat = Flat::default();
+        for &(depth, colour) in walls {
+            let (position, log_scales, opacity) = wall(depth);
+            flat.push(position, log_scales, opacity, colour);
+        }
+        images(&flat.leaves().blend(&camera, &options))
+    };
+    let alone = of(&[(2.0, red)]);
+    let pixels = camera.width * camera.height;
+    for at in 0..pixels {
+        for (c, value) in red.into_iter().enumerate() {
+            approx::assert_relative_eq!(alone[0][c * pixels + at], 0.999 * value, epsilon = 1e-12);
+        }
+        approx::assert_relative_eq!(alone[1][at], 0.999, epsilon = 1e-12);
+        approx::assert_relative_eq!(alone[2][at], 0.999 * 2.0, epsilon = 1e-12);
+        assert_eq!((alone[4][at], alone[5][at]), (0.0, 2.0));
+    }
+    assert_eq!(of(&[(2.0, red), (3.0, blue)]), alone);
+    assert_eq!(of(&[(3.0, blue), (2.0, red), (2.5, blue)]), alone);
+
+    let mut veiled = Flat::default();
+    let (position, log_scales, opacity) = wall(2.0);
+    veiled.push(position, log_scales, opacity, red);
+    veiled.push([0.0, 0.0, 3.0], log_scales, 0.5, blue);
+    let veiled = images(&veiled.leaves().blend(&camera, &options));
+    for (found, alone) in veiled[0].iter().zip(&alone[0]) {
+        assert!((found - alone).abs() <= 0.0005 * 0.8, "{found}, alone {alone}");
+    }
+    assert_ne!(veiled[0], alone[0]);
+    assert_eq!(veiled[5], alone[5]);
+}
+
+#[test]
+fn a_disc_that_faces_the_camera_is_a_gaussian_of_its_scales_and_no_smaller_than_a_pixel() {
+    let camera = axis_camera();
+    let alone = |log_scales: [f64; 3]| {
+        let mut flat = Flat::default();
+        flat.push_turned([1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 2.0], log_scales, 0.8, [0.5, 0.25, 1.0]);
+        images(&flat.leaves().blend(&camera, &with_maps(Form::Discs)))
+    };
+    let pixels = camera.width * camera.height;
+    // half a pixel is 0.5 z / f world units
+    let squared = (1.0 / 40.0 / f64::exp(-1.2)).powi(2) + (1.0 / 44.0 / f64::exp(-0.9)).powi(2);
+    // ρ = 2 |d|² with d = (½, ½)
+    for (log_scales, squared) in [([-1.2, -0.9, 3.0], squared), ([-7.0, -8.0, 3.0], 1.0)] {
+        let alpha = 0.8 * (-0.5 * squared).exp();
+        let found = alone(log_scales);
+        let at = |output: usize, plane: usize| found[output][plane * pixels + BESIDE_AXIS];
+        let planes = [at(0, 0), at(0, 1), at(0, 2), at(1, 0), at(2, 0), at(3, 0), at(3, 1), at(3, 2), at(4, 0)];
+        let expected = [0.5 * alpha, 0.25 * alpha, alpha, alpha, 2.0 * alpha, 0.0, 0.0, -alpha, 0.0];
+        for (found, expected) in planes.into_iter().zip(expected) {
+            approx::assert_relative_eq!(found, expected, epsilon = 1e-12);
+        }
+    }
+    assert_eq!(alone([-1.2, -0.9, 3.0])[5][BESIDE_AXIS], 2.0);
+    assert_eq!(alone([-7.0, -8.0, 3.0])[5][BESIDE_AXIS], 0.0);
+}
+
+#[test]
+fn ties_in_depth_are_broken_by_index() {
+    let camera = axis_camera();
+    let (red, green) = ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0]);
+    for form in FORMS {
+        let red_share = |first: [f64; 3], second: [f64; 3]| {
+            let mut flat = Flat::default();
+            flat.push([0.0, 0.0, 2.0], [0.0; 3], 0.6, first);
+            flat.push([0.0, 0.0, 2.0], [0.0; 3], 0.6, second);
+            images(&flat.leaves().blend(&camera, &with_maps(form)))[0][BESIDE_AXIS]
+        };
+        assert!(red_share(red, green) > 0.55);
+        assert!(red_share(green, red) < 0.3);
+    }
+}
+
+#[test]
+fn the_order_of_the_parameters_does_not_matter() {
+    let recipe = Recipe { surfels: 0, gaussians: 300, width: 61, height: 40, ..Recipe::default() };
+    let (flat, camera) = Flat::random(12, &recipe);
+    let (leaves, backwards) = (flat.leaves(), flat.reversed().leaves());
+    for options in FORMS.map(with_maps) {
+        assert_eq!(images(&leaves.blend(&camera, &options)), images(&backwards.blend(&camera, &options)));
+        let found = backwards.gradients(&OUTPUTS, &camera, &options);
+        let expected = leaves.gradients(&OUTPUTS, &camera, &options);
+        for ((found, expected), width) in found.iter().zip(&expected).zip(WIDTHS) {
+            assert_eq!(&reversed(found, width), expected);
+        }
+    }
+}
+
+#[test]
+fn the_number_of_threads_does_not_matter() {
+    let recipe = Recipe { surfels: 0, gaussians: 200, width: 170, height: 150, ..Recipe::default() };
+    let (flat, camera) = Flat::random(13, &recipe);
+    let on = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let leaves = flat.leaves_on(&device(), DType::F32);
+            FORMS.map(with_maps).map(|options| {
+                (images(&leaves.blend(&camera, &options)), leaves.gradients(&OUTPUTS, &camera, &options))
+            })
+        })
+    };
+    let alone = on(1);
+    assert_eq!(alone, on(2));
+    assert_eq!(alone, on(5));
+}
+
+#[test]
+fn options_outside_their_range_are_refused() {
+    let leaves = capped().leaves();
+    let refused = |options: BlendOptions| {
+        blend(&leaves.gaussians, leaves.colours.clone(), None, &axis_camera(), &options).unwrap_err().to_string()
+    };
+    let opaque = BlendOptions { max_alpha: 1.0, ..BlendOptions::default() };
+    assert_eq!(refused(opaque), "option `max_alpha` is 1, expected a number above 0 and at most 0.9999");
+    let endless = BlendOptions { min_transmittance: 0.0, ..BlendOptions::default() };
+    assert_eq!(refused(endless), "option `min_transmittance` is 0, expected a number between 0 and 1");
+    assert!(BlendOptions { max_alpha: f64::NAN, ..BlendOptions::default() }.validate().is_err());
+}

@@ -1,0 +1,46 @@
+//! Gaussians that come of others (3DGS).
+
+use dpges_core::scene::{ColourModel, GaussianData};
+use glam::{DQuat, DVec3, Vec3};
+use rand_chacha::ChaCha8Rng;
+
+use super::normal;
+
+/// 3DGS: scale of a parent over that of its children.
+pub const SHRINKAGE: f64 = 1.6;
+
+/// Two of each of `parents`, drawn from its distribution, in its plane if they are `flat`; otherwise alike but smaller.
+pub fn children(
+    gaussians: &GaussianData,
+    model: ColourModel,
+    parents: impl Iterator<Item = usize>,
+    flat: bool,
+    rng: &mut ChaCha8Rng,
+) -> GaussianData {
+    let twice: Vec<usize> = parents.flat_map(|row| [row, row]).collect();
+    let mut children = gaussians.select(model, &twice);
+    for (position, &row) in children.positions.as_chunks_mut::<3>().0.iter_mut().zip(&twice) {
+        *position = draw_inside(gaussians, row, flat, rng).as_vec3().to_array();
+    }
+    children.log_scales.iter_mut().for_each(|log_scale| *log_scale -= SHRINKAGE.ln() as f32);
+    children
+}
+
+/// Row `row` of `values` [N × 3].
+pub fn vector(values: &[f32], row: usize) -> DVec3 {
+    Vec3::from_slice(&values[row * 3..][..3]).as_dvec3()
+}
+
+/// World from the axes of Gaussian `row`; a quaternion of length 0 turns nothing.
+pub fn rotation(gaussians: &GaussianData, row: usize) -> DQuat {
+    let [w, x, y, z] = [0, 1, 2, 3].map(|i| f64::from(gaussians.quaternions[row * 4 + i]));
+    let rotation = DQuat::from_xyzw(x, y, z, w);
+    if rotation.length_squared() > 0.0 { rotation.normalize() } else { DQuat::IDENTITY }
+}
+
+/// A point distributed as the Gaussian of `row`, or in its plane if it is `flat`; world units.
+pub fn draw_inside(gaussians: &GaussianData, row: usize, flat: bool, rng: &mut ChaCha8Rng) -> DVec3 {
+    let draw = DVec3::new(normal(rng), normal(rng), if flat { 0.0 } else { normal(rng) });
+    let inside = rotation(gaussians, row) * (vector(&gaussians.log_scales, row).exp() * draw);
+    vector(&gaussians.positions, row) + inside
+}
