@@ -86,11 +86,13 @@ impl View {
 }
 
 impl Dataset {
-    /// Takes every `every`-th training view, beginning with the first, out of training; 0 takes none. At least two
-    /// views stay. Points that only those views saw stay, seen by none.
+    /// Takes every `every`-th training view out of training; 0 takes none. Not the first, which often is the end of a
+    /// path and shows what no other view does, but those in the middle of as many. At least two views stay. Points that
+    /// only the others saw stay, seen by none.
     pub fn keep_for_validation(&mut self, every: usize) {
         let count = self.train.len();
-        let is_kept = |index: usize| every > 1 && count > 2 && index.is_multiple_of(every);
+        let first = (every / 2).min(count.saturating_sub(1) / 2);
+        let is_kept = |index: usize| every > 1 && count > 2 && index % every == first;
         let mut new_index = Vec::with_capacity(count);
         let mut train = Vec::with_capacity(count);
         for (index, view) in std::mem::take(&mut self.train).into_iter().enumerate() {
@@ -198,14 +200,17 @@ mod tests {
             BuiltinOptions { width: 4, height: 4, train_views: 5, test_views: 1, points: 0, ..Default::default() };
         let mut dataset = builtin(&options);
         let names: Vec<String> = dataset.train.iter().map(|view| view.name.clone()).collect();
-        dataset.points.seen_by = vec![vec![0, 1, 4], vec![2, 3], vec![0]];
+        dataset.points.seen_by = vec![vec![0, 1, 4], vec![2, 3], vec![3]];
         let untouched = dataset.clone();
         dataset.keep_for_validation(0);
         assert_eq!((dataset.train.len(), dataset.validation.len()), (5, 0));
         dataset.keep_for_validation(2);
         let kept: Vec<&String> = dataset.validation.iter().map(|view| &view.name).collect();
-        assert_eq!(kept, [&names[0], &names[2], &names[4]]);
-        assert_eq!(dataset.points.seen_by, [vec![0], vec![1], vec![]]);
+        assert_eq!(kept, [&names[1], &names[3]]);
+        assert_eq!(dataset.points.seen_by, [vec![0, 2], vec![1], vec![]]);
+        let mut rare = untouched.clone();
+        rare.keep_for_validation(100);
+        assert_eq!(rare.validation.iter().map(|view| &view.name).collect::<Vec<_>>(), [&names[2]]);
         let mut few = untouched;
         few.train.truncate(2);
         few.points.seen_by.clear();
