@@ -250,7 +250,8 @@ fn blender_scenes_begin_with_stages_unless_a_preset_says_otherwise() {
     let folder = folder();
     let at = folder.path();
     std::fs::create_dir(at.join("toy")).unwrap();
-    let frame = |name: &str, x: f64| json!({ "file_path": name, "transform_matrix": [[1, 0, 0, x], [0, 1, 0, 0], [0, 0, 1, 3], [0, 0, 0, 1]] });
+    let pose = |x: f64| json!([[1, 0, 0, x], [0, 1, 0, 0], [0, 0, 1, 3], [0, 0, 0, 1]]);
+    let frame = |name: &str, x: f64| json!({ "file_path": name, "transform_matrix": pose(x) });
     for split in ["train", "test"] {
         let frames: Vec<Value> = (0..3).map(|i| frame(&format!("{split}_{i}"), f64::from(i) - 1.0)).collect();
         let transforms = json!({ "camera_angle_x": 0.7, "frames": frames }).to_string();

@@ -49,7 +49,7 @@ fn a_gpu_trains_as_well_as_a_cpu() {
     let data = dataset();
     let psnr = |trainer: &Trainer, device: &Device| evaluate(&trainer.scene(), &data.test, device).unwrap().psnr;
     // in a fixed order, so that the difference is the same in every run, and at the paper's rates: at the faster ones of
-    // the default rounding alone moves the end of a run by up to 0.1 dB, also from one CPU backend to the other
+    // the default rounding alone moves the end of a run by about 0.1 dB, also from one CPU backend to the other
     let slow = ["quaternions=1e-3", "log_scales=5e-3", "opacities=2.5e-4", "base=2.5e-3", "detail=2.5e-3"];
     let slow = slow.map(|rate| format!("optimizer.{rate}"));
     let settings: Vec<&str> = slow.iter().map(String::as_str).chain(["train.deterministic=true"]).collect();

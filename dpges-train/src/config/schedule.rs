@@ -105,8 +105,8 @@ impl Config {
             margins: run(refine.margins_at.clone(), 0),
             surfel_prune: whole_passes(run(surfel_prune, 1), self.scaled(refine.surfel_prune_until) + 1),
             gaussian_prune: whole_passes(run(gaussian_prune, 1), self.scaled(refine.gaussian_prune_until)),
-            replace: run(every(refine.add_every, refine.add_until, refine.replace_until), 1),
             add: run(every(refine.add_every, refine.add_from, refine.add_until), 1),
+            replace: run(every(refine.add_every, refine.add_until, refine.replace_until), 1),
             split: run(split, 1),
             drop_lobes: run(only_if(refine.budget == Budget::Auto, refine.drop_lobes_at.clone()), 1),
         }
@@ -120,8 +120,8 @@ impl Schedule {
             margins: is_in(&self.margins).is_ok(),
             surfel_prune: is_in(&self.surfel_prune).is_ok(),
             gaussian_prune: is_in(&self.gaussian_prune).is_ok(),
-            replace: is_in(&self.replace).is_ok(),
             batches_left: is_in(&self.add).ok().map(|batch| self.add.len() - batch),
+            replace: is_in(&self.replace).is_ok(),
             split: is_in(&self.split).is_ok(),
             drop_lobes: is_in(&self.drop_lobes).is_ok(),
         }

@@ -39,7 +39,7 @@ pub fn rotation(gaussians: &GaussianData, row: usize) -> DQuat {
 }
 
 /// A point distributed as the Gaussian of `row`, or in its plane if it is `flat`; world units.
-pub fn draw_inside(gaussians: &GaussianData, row: usize, flat: bool, rng: &mut ChaCha8Rng) -> DVec3 {
+fn draw_inside(gaussians: &GaussianData, row: usize, flat: bool, rng: &mut ChaCha8Rng) -> DVec3 {
     let draw = DVec3::new(normal(rng), normal(rng), if flat { 0.0 } else { normal(rng) });
     let inside = rotation(gaussians, row) * (vector(&gaussians.log_scales, row).exp() * draw);
     vector(&gaussians.positions, row) + inside

@@ -62,7 +62,7 @@ mod tests {
         for (most, layers) in [(1.0, 1), (0.6, 1), (0.5, 2), (MOST_OPEN, 3), (0.0189, 4), (0.0, 4)] {
             assert_eq!(choose(&share, most), layers, "{most}");
         }
-        // of the room of the tests, where 3 % of the pixels never close
+        // seen of a ray-traced room, where 3 % of the pixels never close
         let room = [0.433, 0.181, 0.083, 0.048, 0.038, 0.033, 0.032, 0.031];
         assert_eq!(choose(&room, MOST_OPEN), 4);
         assert_eq!(choose(&[0.5; 8], MOST_OPEN), 1);

@@ -4,6 +4,7 @@
 //! move away from where they have faded ([`relocate`]) and how they wander meanwhile ([`noise`]).
 //! So that a scene is no larger than it needs to be: which lobes can go ([`lobes`]), when enough primitives have
 //! been added ([`growth`]), how many layers are peeled ([`layer_count`]).
+//! Splitting and doubling draw new rows alike (`children`).
 //! They return plans; the trainer applies the same plan to the parameters and to the moments of
 //! the optimiser, where new rows start at zero.
 

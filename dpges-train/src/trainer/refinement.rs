@@ -1,8 +1,10 @@
 //! Applies the decisions of [`crate::refine`] to surfels and Gaussians when the schedule asks for them.
 
 use burn::tensor::{DType, Tensor};
+use dpges_core::camera::Camera;
 use dpges_core::ops::splat::splat;
 use dpges_core::render::{Render, Values, render_values};
+use dpges_core::scene::Gaussians;
 use dpges_core::scene::tensors::{rows_to_tensor, tensor_to_rows};
 use glam::DVec3;
 
@@ -50,15 +52,13 @@ impl JointStage {
         }
         if let Some(batches_left) = due.batches_left {
             let removed = self.remove_undrawn();
-            let end_of_growth = self.end_of_growth(context)?;
-            let count = if end_of_growth.is_some() { removed } else { self.batch(context, batches_left) };
-            events.extend(end_of_growth);
-            events.push(self.add_gaussians(context, count, removed)?);
+            if !self.has_stopped_growing() {
+                events.extend(self.end_of_growth(context)?);
+            }
+            events.push(self.add_gaussians(context, batches_left, removed)?);
         } else if due.replace {
             let removed = self.remove_undrawn();
-            let has_grown = self.growth.as_ref().is_some_and(|growth| growth.decision() != Decision::Grow);
-            let count = if has_grown { removed } else { self.batch(context, 1) };
-            events.push(self.add_gaussians(context, count, removed)?);
+            events.push(self.add_gaussians(context, 1, removed)?);
         }
         Ok(events)
     }
@@ -112,13 +112,23 @@ impl JointStage {
         before - self.gaussians.len()
     }
 
-    fn batch(&self, context: &Context, batches_left: usize) -> usize {
-        batch_size(context.budget(), self.surfels.len() + self.gaussians.len(), batches_left)
+    /// Whether an automatic budget has ended growth.
+    fn has_stopped_growing(&self) -> bool {
+        self.growth.as_ref().is_some_and(|growth| growth.decision() != Decision::Grow)
     }
 
-    /// Adds `count` Gaussians where the pictures are worst: pixels drawn by squared error, in the depth of the
-    /// nearest layer (GES, DP-GES), or of the Gaussians where there is no layer. `removed` made room for them.
-    fn add_gaussians(&mut self, context: &mut Context, count: usize, removed: usize) -> Result<String, TrainError> {
+    /// Adds a batch of Gaussians, or as many as were `removed` where growth has ended, where the pictures are worst:
+    /// pixels drawn by squared error, in the depth of the nearest layer (GES, DP-GES), or of the Gaussians where there
+    /// is no layer.
+    fn add_gaussians(
+        &mut self,
+        context: &mut Context,
+        batches_left: usize,
+        removed: usize,
+    ) -> Result<String, TrainError> {
+        let primitives = self.surfels.len() + self.gaussians.len();
+        let count =
+            if self.has_stopped_growing() { removed } else { batch_size(context.budget(), primitives, batches_left) };
         let everywhere = context.config.refine.add_everywhere;
         let views = context.dataset.train.len();
         let dataset = context.dataset.clone();
@@ -131,7 +141,7 @@ impl JointStage {
                 let pixels = draw_in_proportion(&error, share, &mut context.rng);
                 let mut depths = tensor_to_rows(&rendered.layers.depth);
                 if everywhere && pixels.iter().any(|&pixel| !depths[pixel].is_finite()) {
-                    let behind = self.gaussian_depth(&rendered, view)?;
+                    let behind = gaussian_depth(&self.gaussians.values(), rendered.limits.clone(), &view.camera)?;
                     depths.iter_mut().zip(behind).filter(|(depth, _)| !depth.is_finite()).for_each(|(d, z)| *d = z);
                 }
                 spots.add(&depths, view, &pixels);
@@ -146,20 +156,6 @@ impl JointStage {
         let event = format!("{removed} Gaussians that draw nothing removed, {} added of {count} wanted", added.len());
         self.edit_gaussians(&GaussianEdit { rows, added });
         Ok(event)
-    }
-
-    /// [H × W] mean depth of the Gaussians at each pixel, weighted by their α, world units; not finite where there is
-    /// none.
-    fn gaussian_depth(&self, rendered: &Render, view: &View) -> Result<Vec<f32>, TrainError> {
-        let gaussians = self.gaussians.values();
-        let depth_of = |position: &[f32; 3]| view.camera.depth(DVec3::from_array(position.map(f64::from))) as f32;
-        let positions = tensor_to_rows(&gaussians.positions);
-        let depths: Vec<f32> = positions.as_chunks::<3>().0.iter().flat_map(|p| [depth_of(p); 3]).collect();
-        let depths = rows_to_tensor(&depths, 3, &gaussians.positions.device(), DType::F32);
-        let sums = splat(&gaussians, depths, rendered.limits.clone(), &view.camera)?.sum_dim(0);
-        let sums = tensor_to_rows(&sums);
-        let area = view.camera.width * view.camera.height;
-        Ok((0..area).map(|pixel| sums[pixel] / sums[3 * area + pixel]).collect())
     }
 
     /// Edits the set; statistics on it start again.
@@ -192,6 +188,18 @@ fn squared_error(rendered: &Render, target: Tensor<3>) -> Vec<f32> {
     tensor_to_rows(&(difference.clone() * difference).sum_dim(0))
 }
 
+/// [H × W] mean depth of the Gaussians in front of the last of `limits` [K, H, W] at each pixel, weighted by their α,
+/// world units; not finite where there is none.
+fn gaussian_depth(gaussians: &Gaussians, limits: Tensor<3>, camera: &Camera) -> Result<Vec<f32>, TrainError> {
+    let positions = tensor_to_rows(&gaussians.positions);
+    let depth = |position: &[f32; 3]| camera.depth(DVec3::from_array(position.map(f64::from))) as f32;
+    let depths: Vec<f32> = positions.as_chunks::<3>().0.iter().flat_map(|position| [depth(position); 3]).collect();
+    let depths = rows_to_tensor(&depths, 3, &gaussians.positions.device(), DType::F32);
+    let sums = tensor_to_rows(&splat(gaussians, depths, limits, camera)?.sum_dim(0));
+    let area = camera.width * camera.height;
+    Ok((0..area).map(|pixel| sums[pixel] / sums[3 * area + pixel]).collect())
+}
+
 /// Where Gaussians are added.
 #[derive(Default)]
 struct Spots {
@@ -217,5 +225,37 @@ impl Spots {
                 self.colours.push([0, 1, 2].map(|channel| planes[channel * area + pixel]));
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use dpges_core::camera::CameraFromWorld;
+    use dpges_core::scene::{ColourData, ColourModel, GaussianData};
+
+    use super::*;
+    use crate::device::DeviceName;
+
+    #[test]
+    fn the_depth_of_gaussians_is_their_mean_where_they_are() {
+        let camera_from_world = CameraFromWorld::look_at(DVec3::new(0.0, 0.0, -1.0), DVec3::ZERO, -DVec3::Y);
+        let (width, height) = (16, 8);
+        let camera = Camera { camera_from_world, fx: 16.0, fy: 16.0, cx: 8.0, cy: 4.0, width, height, near: 0.01 };
+        // in the middle at depths 1 and 3, as wide on the screen and as opaque; on the right behind the limit
+        let scales = [0.1f32, 0.1, 1e-4, 0.3, 0.3, 1e-4, 0.1, 0.1, 1e-4];
+        let gaussians = GaussianData {
+            positions: vec![0.0, 0.0, 0.0, 0.0, 0.0, 2.0, 1.6, 0.0, 4.0],
+            quaternions: [1.0, 0.0, 0.0, 0.0].repeat(3),
+            log_scales: scales.iter().map(|scale| scale.ln()).collect(),
+            opacities: vec![0.5; 3],
+            colour: ColourData { base: vec![0.0; 9], detail: vec![] },
+        };
+        let device = "cpu".parse::<DeviceName>().unwrap().open().unwrap();
+        let model = ColourModel::SphericalBeta { lobes: 0 };
+        let gaussians = Gaussians::from_data(&gaussians, model, &device, DType::F32);
+        let limits = Tensor::full([1, height, width], 4.5, (&device, DType::F32));
+        let depth = gaussian_depth(&gaussians, limits, &camera).unwrap();
+        assert!((depth[4 * width + 8] - 2.0).abs() < 1e-3, "{}", depth[4 * width + 8]);
+        assert!(!depth[0].is_finite() && !depth[4 * width + 13].is_finite());
     }
 }

@@ -55,7 +55,7 @@ impl JointStage {
         let percents: Vec<String> = shares.iter().map(|share| format!("{:.2}", 100.0 * share)).collect();
         Ok(format!(
             "{after} layers instead of {before}: behind 1, 2, … layers {} % of the covered pixels let more than 1/255 \
-             through, and up to {} % more may than behind the last",
+             through; up to {} % more than behind the last may do so",
             percents.join(", "),
             100.0 * MOST_OPEN
         ))

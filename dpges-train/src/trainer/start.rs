@@ -123,6 +123,13 @@ impl Context {
             (Some(discs), _) => {
                 let (surfels, rest) = promote(discs, model, stages.surfel_opacity, stages.surfel_scale);
                 tracing::info!("{} of {} discs become surfels", surfels.len(), discs.len());
+                if surfels.is_empty() {
+                    tracing::warn!(
+                        "no disc is more opaque than {}, so there are no surfels: train longer, give discs a larger share \
+                         (stages.surfels), or lower stages.surfel_opacity",
+                        stages.surfel_opacity
+                    );
+                }
                 (Some(surfels), Some(rest))
             }
             (None, Some(scene)) => (Some(scene.surfels.clone()), None),
