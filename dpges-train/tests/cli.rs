@@ -268,8 +268,10 @@ fn blender_scenes_begin_with_stages_unless_a_preset_says_otherwise() {
     assert_eq!(config("stages/config.toml")["stages"]["surfels"].as_float(), Some(0.2));
     assert!(at.join("stages/stage_2dgs.safetensors").is_file() && at.join("stages/stage_dbs.safetensors").is_file());
     ok(at, &["train", "toy", "--out=stages", "--steps=10", "--resume"]);
-    ok(at, &["train", "toy", "--out=preset", "--steps=4", "--preset=quick"]);
-    assert_eq!(config("preset/config.toml")["stages"]["surfels"].as_float(), Some(0.0));
+    ok(at, &["train", "toy", "--out=preset", "--steps=10", "--preset=quick"]);
+    assert_eq!(config("preset/config.toml")["stages"]["surfels"].as_float(), Some(0.2));
+    ok(at, &["train", "toy", "--out=alone", "--steps=4", "--set=stages.surfels=0", "--set=stages.gaussians=0"]);
+    assert_eq!(config("alone/config.toml")["stages"]["surfels"].as_float(), Some(0.0));
 }
 
 #[test]

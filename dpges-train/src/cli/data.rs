@@ -213,7 +213,7 @@ impl ViewArgs {
         };
         let file = scene.run.as_ref().map(RunFolder::config);
         let mut data =
-            Config::resolve(None, file.as_deref(), &self.options.assignments()).map_err(Failure::from_config)?.data;
+            Config::resolve_data(file.as_deref(), &self.options.assignments()).map_err(Failure::from_config)?;
         match self.options.background {
             Some(Background::Colour(colour)) => scene.data.info.background = colour,
             _ => data.background = Background::Colour(scene.data.info.background),

@@ -1,11 +1,12 @@
-//! Layers of a configuration: defaults < preset < file < `key=value`, each naming only what it changes.
+//! Layers of a configuration: defaults < those of a kind of dataset < preset < file < `key=value`, each naming only what
+//! it changes.
 
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 use toml::{Table, Value};
 
-use super::Config;
+use super::{Config, DataConfig};
 
 /// Keys that hold a whole number or a string, whichever their default is.
 const WHOLE_OR_STRING: [&str; 1] = ["refine.budget"];
@@ -48,7 +49,23 @@ impl Config {
     /// # Errors
     /// Any [`ConfigError`]; it names the key, and the preset, file or option it came from.
     pub fn resolve(preset: Option<&str>, file: Option<&Path>, set: &[String]) -> Result<Self, ConfigError> {
+        Self::resolve_on(&[], preset, file, set)
+    }
+
+    /// Like [`resolve`](Self::resolve), with each `key=value` of `of_dataset` beneath all layers but the defaults.
+    ///
+    /// # Errors
+    /// Any [`ConfigError`].
+    pub fn resolve_on(
+        of_dataset: &[&str],
+        preset: Option<&str>,
+        file: Option<&Path>,
+        set: &[String],
+    ) -> Result<Self, ConfigError> {
         let mut layers = Layers::new();
+        for text in of_dataset {
+            layers.add_assignment(text)?;
+        }
         if let Some(name) = preset {
             let Some((_, text)) = PRESETS.iter().find(|(known, _)| *known == name) else {
                 let known = PRESETS.map(|(name, _)| name).join(", ");
@@ -57,9 +74,7 @@ impl Config {
             layers.add_toml(text, &format!("preset `{name}`"))?;
         }
         if let Some(path) = file {
-            let text =
-                std::fs::read_to_string(path).map_err(|source| ConfigError::Io { path: path.to_owned(), source })?;
-            layers.add_toml(&text, &path.display().to_string())?;
+            layers.add_toml(&read(path)?, &path.display().to_string())?;
         }
         for text in set {
             layers.add_assignment(text)?;
@@ -68,10 +83,38 @@ impl Config {
         Ok(layers.config)
     }
 
+    /// The section `[data]` of `file`, the configuration of a run, with each `key=value` of `set` on top. What else the
+    /// file holds does not matter: a scene outlives the keys that it was trained with.
+    ///
+    /// # Errors
+    /// Any [`ConfigError`].
+    pub fn resolve_data(file: Option<&Path>, set: &[String]) -> Result<DataConfig, ConfigError> {
+        let mut layers = Layers::new();
+        if let Some(path) = file {
+            let origin = path.display().to_string();
+            let data = parse(&read(path)?, &origin)?.remove_entry("data");
+            layers.add_table(data.into_iter().collect(), &origin)?;
+        }
+        for text in set {
+            layers.add_assignment(text)?;
+        }
+        layers.config.validate()?;
+        Ok(layers.config.data)
+    }
+
     /// Every key with its value, as TOML that [`Config::resolve`] reads back.
     pub fn to_toml(&self) -> String {
         toml::to_string(self).expect("tables of numbers, strings and arrays, seeds within i64 once validated")
     }
+}
+
+fn read(path: &Path) -> Result<String, ConfigError> {
+    std::fs::read_to_string(path).map_err(|source| ConfigError::Io { path: path.to_owned(), source })
+}
+
+fn parse(text: &str, origin: &str) -> Result<Table, ConfigError> {
+    text.parse()
+        .map_err(|error: toml::de::Error| ConfigError::Syntax { origin: origin.to_owned(), reason: error.to_string() })
 }
 
 /// The layers so far, and the defaults as the list of all keys.
@@ -87,10 +130,10 @@ impl Layers {
     }
 
     fn add_toml(&mut self, text: &str, origin: &str) -> Result<(), ConfigError> {
-        let layer: Table = text.parse().map_err(|error: toml::de::Error| ConfigError::Syntax {
-            origin: origin.to_owned(),
-            reason: error.to_string(),
-        })?;
+        self.add_table(parse(text, origin)?, origin)
+    }
+
+    fn add_table(&mut self, layer: Table, origin: &str) -> Result<(), ConfigError> {
         for (section, keys) in layer {
             match keys {
                 Value::Table(keys) if self.defaults.contains_key(&section) => {
@@ -269,6 +312,27 @@ mod tests {
         let path = folder.path().join("run.toml");
         std::fs::write(&path, config.to_toml()).unwrap();
         assert_eq!(Config::resolve(None, Some(&path), &[]).unwrap(), config);
+    }
+
+    #[test]
+    fn a_dataset_is_found_whatever_else_a_run_was_configured_with() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("config.toml");
+        std::fs::write(&path, "[data]\nimage_scale = 4\n[optimizer]\nof_long_ago = 3\n").unwrap();
+        let data = Config::resolve_data(Some(&path), &["data.test_every=5".to_owned()]).unwrap();
+        assert_eq!((data.image_scale, data.test_every), (4, 5));
+        assert!(message(Config::resolve(None, Some(&path), &[])).contains("of_long_ago"));
+        std::fs::write(&path, "[data]\nimage_scales = 4\n").unwrap();
+        assert!(Config::resolve_data(Some(&path), &[]).unwrap_err().to_string().contains("`data.image_scale`"));
+        assert_eq!(Config::resolve_data(None, &[]).unwrap(), Config::default().data);
+    }
+
+    #[test]
+    fn what_a_kind_of_dataset_wants_lies_beneath_presets() {
+        let of_dataset = ["train.steps=77", "stages.surfels=0.25"];
+        let quick = Config::resolve_on(&of_dataset, Some("quick"), None, &[]).unwrap();
+        assert_eq!((quick.train.steps, quick.stages.surfels), (1000, 0.25));
+        assert_eq!(Config::resolve_on(&of_dataset, None, None, &[]).unwrap().train.steps, 77);
     }
 
     #[test]

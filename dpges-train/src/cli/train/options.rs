@@ -9,12 +9,12 @@ use dpges_train::dataset::{self, Format};
 use super::super::data::{DataArgs, Source};
 use super::super::{Failure, Result};
 
-/// What the built-in scene is trained with unless a preset or a configuration file is named: about two minutes.
+/// What the built-in scene is trained with where nothing else is asked for: about two minutes.
 const BUILTIN_DEFAULTS: [&str; 4] =
     ["train.steps=2000", "train.evaluate_every=500", "train.checkpoint_every=500", "refine.surfel_min_pixels=1"];
 
-/// What objects in the Blender layout are trained with unless a preset or a configuration file is named: their
-/// silhouettes say where they end, but only discs find their surfaces.
+/// What objects in the Blender layout are trained with where nothing else is asked for: their silhouettes say where they
+/// end, but only discs find their surfaces.
 const BLENDER_DEFAULTS: [&str; 3] = ["stages.surfels=0.2", "stages.gaussians=0.3", "refine.surfel_min_pixels=4"];
 
 /// Options that replace keys of the configuration, and what they replace them in.
@@ -68,13 +68,7 @@ impl ConfigArgs {
 
     /// What was asked for, with `more` (`key=value`) on top.
     pub fn resolve(&self, source: &Source, more: &[String]) -> Result<Config> {
-        let defaults: &[&str] = match source {
-            _ if self.names_a_whole() => &[],
-            Source::Builtin => &BUILTIN_DEFAULTS,
-            Source::Folder(path) if dataset::format(path) == Some(Format::Blender) => &BLENDER_DEFAULTS,
-            Source::Folder(_) => &[],
-        };
-        let mut config = self.layered(defaults, self.config.as_deref(), more)?;
+        let mut config = self.layered(of_dataset(source), self.config.as_deref(), more)?;
         if let Some(factor) = self.steps_scale {
             config.scale_steps(factor).map_err(Failure::from_config)?;
         }
@@ -86,9 +80,8 @@ impl ConfigArgs {
         self.layered(&[], Some(file), &[])
     }
 
-    fn layered(&self, defaults: &[&str], file: Option<&Path>, more: &[String]) -> Result<Config> {
-        let mut set: Vec<String> = defaults.iter().map(|&text| text.to_owned()).collect();
-        set.extend(self.set.clone());
+    fn layered(&self, of_dataset: &[&str], file: Option<&Path>, more: &[String]) -> Result<Config> {
+        let mut set = self.set.clone();
         set.extend(self.data.assignments());
         set.extend(self.steps.map(|steps| format!("train.steps={steps}")));
         set.extend(self.seed.map(|seed| format!("train.seed={seed}")));
@@ -100,7 +93,16 @@ impl ConfigArgs {
         set.extend(self.init_surfels.as_ref().map(|file| format!("stages.surfels_from={}", path(file).display())));
         set.extend(self.init_gaussians.as_ref().map(|file| format!("stages.gaussians_from={}", path(file).display())));
         set.extend(more.iter().cloned());
-        Config::resolve(self.preset.as_deref(), file, &set).map_err(Failure::from_config)
+        Config::resolve_on(of_dataset, self.preset.as_deref(), file, &set).map_err(Failure::from_config)
+    }
+}
+
+/// Defaults of the kind of dataset.
+fn of_dataset(source: &Source) -> &'static [&'static str] {
+    match source {
+        Source::Builtin => &BUILTIN_DEFAULTS,
+        Source::Folder(path) if dataset::format(path) == Some(Format::Blender) => &BLENDER_DEFAULTS,
+        Source::Folder(_) => &[],
     }
 }
 
@@ -114,6 +116,26 @@ fn factor(text: &str) -> Result<f64, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn presets_of_papers_do_not_depend_on_the_dataset() {
+        for preset in ["mipnerf360", "tanks-and-temples", "deep-blending", "nerf-synthetic", "ges", "default"] {
+            let alone = Config::resolve(Some(preset), None, &[]).unwrap();
+            for of_dataset in [&BUILTIN_DEFAULTS[..], &BLENDER_DEFAULTS] {
+                assert_eq!(Config::resolve_on(of_dataset, Some(preset), None, &[]).unwrap(), alone, "{preset}");
+            }
+        }
+    }
+
+    #[test]
+    fn short_presets_keep_the_stages_of_objects() {
+        for preset in ["quick", "cpu"] {
+            let config = Config::resolve_on(&BLENDER_DEFAULTS, Some(preset), None, &[]).unwrap();
+            let own = Config::resolve(Some(preset), None, &[]).unwrap();
+            assert_eq!((config.stages.surfels, config.stages.gaussians, own.stages.surfels), (0.2, 0.3, 0.0));
+            assert_eq!((config.train, config.data), (own.train, own.data));
+        }
+    }
 
     #[test]
     fn factors_are_positive_and_finite() {
