@@ -1,9 +1,9 @@
 //! Which primitives are worth keeping (GES, DP-GES). A rule that would remove every
 //! row removes none and logs a warning: it then says something about its threshold, not the rows.
 
-use super::RowEdit;
+use dpges_core::ops::peel::CUTOFF;
 
-const MIN_ALPHA: f32 = 1.0 / 255.0;
+use super::RowEdit;
 
 /// Surfels that stay: nearest at more than `min_pixels` px in some view (`max_pixels` [N] is the
 /// largest count over the views) and with both scales of `log_scales` [N × 2] at most
@@ -32,7 +32,7 @@ pub fn gaussians_to_keep(max_contribution: &[f32], threshold: f64) -> RowEdit {
 /// Gaussians that can draw a pixel: α is at most the opacity, and below 1/255 there is nothing, no gradient either that
 /// would bring them back. Linear opacities that Adam has pushed below 0 are such; the others render the same picture.
 pub fn drawn(opacities: &[f32]) -> RowEdit {
-    RowEdit::retain(opacities.len(), |&row| opacities[row] >= MIN_ALPHA)
+    RowEdit::retain(opacities.len(), |&row| opacities[row] >= CUTOFF as f32)
 }
 
 fn unless_nothing_is_left(edit: RowEdit, count: usize, of: &str) -> RowEdit {
