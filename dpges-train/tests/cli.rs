@@ -246,7 +246,7 @@ fn steps_are_scaled_once() {
 }
 
 #[test]
-fn blender_scenes_begin_with_stages_unless_a_preset_says_otherwise() {
+fn blender_scenes_begin_with_stages_unless_told_otherwise() {
     let folder = folder();
     let at = folder.path();
     std::fs::create_dir(at.join("toy")).unwrap();

@@ -49,14 +49,14 @@ impl Config {
     /// # Errors
     /// Any [`ConfigError`]; it names the key, and the preset, file or option it came from.
     pub fn resolve(preset: Option<&str>, file: Option<&Path>, set: &[String]) -> Result<Self, ConfigError> {
-        Self::resolve_on(&[], preset, file, set)
+        Self::resolve_for(&[], preset, file, set)
     }
 
     /// Like [`resolve`](Self::resolve), with each `key=value` of `of_dataset` beneath all layers but the defaults.
     ///
     /// # Errors
     /// Any [`ConfigError`].
-    pub fn resolve_on(
+    pub fn resolve_for(
         of_dataset: &[&str],
         preset: Option<&str>,
         file: Option<&Path>,
@@ -330,9 +330,9 @@ mod tests {
     #[test]
     fn what_a_kind_of_dataset_wants_lies_beneath_presets() {
         let of_dataset = ["train.steps=77", "stages.surfels=0.25"];
-        let quick = Config::resolve_on(&of_dataset, Some("quick"), None, &[]).unwrap();
+        let quick = Config::resolve_for(&of_dataset, Some("quick"), None, &[]).unwrap();
         assert_eq!((quick.train.steps, quick.stages.surfels), (1000, 0.25));
-        assert_eq!(Config::resolve_on(&of_dataset, None, None, &[]).unwrap().train.steps, 77);
+        assert_eq!(Config::resolve_for(&of_dataset, None, None, &[]).unwrap().train.steps, 77);
     }
 
     #[test]

@@ -93,7 +93,7 @@ impl ConfigArgs {
         set.extend(self.init_surfels.as_ref().map(|file| format!("stages.surfels_from={}", path(file).display())));
         set.extend(self.init_gaussians.as_ref().map(|file| format!("stages.gaussians_from={}", path(file).display())));
         set.extend(more.iter().cloned());
-        Config::resolve_on(of_dataset, self.preset.as_deref(), file, &set).map_err(Failure::from_config)
+        Config::resolve_for(of_dataset, self.preset.as_deref(), file, &set).map_err(Failure::from_config)
     }
 }
 
@@ -122,7 +122,7 @@ mod tests {
         for preset in ["mipnerf360", "tanks-and-temples", "deep-blending", "nerf-synthetic", "ges", "default"] {
             let alone = Config::resolve(Some(preset), None, &[]).unwrap();
             for of_dataset in [&BUILTIN_DEFAULTS[..], &BLENDER_DEFAULTS] {
-                assert_eq!(Config::resolve_on(of_dataset, Some(preset), None, &[]).unwrap(), alone, "{preset}");
+                assert_eq!(Config::resolve_for(of_dataset, Some(preset), None, &[]).unwrap(), alone, "{preset}");
             }
         }
     }
@@ -130,7 +130,7 @@ mod tests {
     #[test]
     fn short_presets_keep_the_stages_of_objects() {
         for preset in ["quick", "cpu"] {
-            let config = Config::resolve_on(&BLENDER_DEFAULTS, Some(preset), None, &[]).unwrap();
+            let config = Config::resolve_for(&BLENDER_DEFAULTS, Some(preset), None, &[]).unwrap();
             let own = Config::resolve(Some(preset), None, &[]).unwrap();
             assert_eq!((config.stages.surfels, config.stages.gaussians, own.stages.surfels), (0.2, 0.3, 0.0));
             assert_eq!((config.train, config.data), (own.train, own.data));
