@@ -14,6 +14,8 @@ use dpges_core::ops::splat::limits::interval_limits;
 use dpges_core::ops::splat::splat;
 use dpges_core::ops::ssim::ssim;
 use dpges_core::render::{Render, RenderOptions, render};
+use dpges_core::scene::schema::Columns;
+use dpges_core::scene::tensors::flat;
 use dpges_core::scene::{Gaussians, MarginLookup, Surfels};
 use dpges_core::testing::scenes::{TestScene, realistic};
 
@@ -59,12 +61,7 @@ impl View {
     }
 
     fn gaussian_leaves(&self) -> Gaussians {
-        let mut gaussians = self.gaussians.clone();
-        gaussians.positions = leaf(&gaussians.positions);
-        gaussians.quaternions = leaf(&gaussians.quaternions);
-        gaussians.log_scales = leaf(&gaussians.log_scales);
-        gaussians.opacities = leaf(&gaussians.opacities);
-        gaussians
+        self.gaussians.map_ref(|_, tensor| leaf(tensor))
     }
 
     fn splat_leaves(&self) -> Tensor<4> {
@@ -132,7 +129,7 @@ fn blends() -> [(&'static str, BlendOptions); 4] {
 }
 
 /// Adam's parameters of a step: positions, rotations, scales and colours of all Gaussians.
-fn parameters(view: &View) -> Vec<(Parameter<2>, Tensor<2>)> {
+fn parameters(view: &View) -> Vec<(Parameter, Tensor<2>)> {
     let g = &view.gaussians;
     [&g.positions, &g.quaternions, &g.log_scales, &g.colour.base, &g.colour.detail]
         .map(|tensor| (Parameter::new(tensor), tensor.clone() * 1e-3))
@@ -156,7 +153,7 @@ fn operations(c: &mut Criterion) {
         };
         forward("peel", &|| _ = black_box(view.peel()));
         forward("limits", &|| {
-            let margins = view.surfels.margins.clone();
+            let margins = flat(&view.surfels.margins);
             _ = black_box(interval_limits(&view.render.layers, margins, MarginLookup::Shifted).unwrap());
         });
         forward("splat", &|| _ = black_box(view.splat()));

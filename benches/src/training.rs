@@ -9,7 +9,9 @@ use dpges_core::ops::peel::peel;
 use dpges_core::ops::splat::limits::interval_limits;
 use dpges_core::ops::splat::splat;
 use dpges_core::render::{Render, RenderOptions, Values, render_values, validate};
-use dpges_core::scene::{Colour, ColourModel, Gaussians, Surfels};
+use dpges_core::scene::schema::{Columns, GaussianColumns, SurfelColumns};
+use dpges_core::scene::tensors::flat;
+use dpges_core::scene::{Gaussians, Surfels};
 use dpges_core::testing::scenes::TestScene;
 
 use crate::plain;
@@ -39,22 +41,22 @@ impl Variant {
 
 /// A parameter and its moments, off the tape.
 #[derive(Clone, Debug)]
-pub struct Parameter<const D: usize> {
-    /// Value, first and second moment; `None` only while they are stepped.
-    state: Option<(Tensor<D>, [Tensor<D>; 2])>,
+pub struct Parameter {
+    /// [rows, width] value, first and second moment; `None` only while they are stepped.
+    state: Option<(Tensor<2>, [Tensor<2>; 2])>,
 }
 
-impl<const D: usize> Parameter<D> {
-    pub fn new(value: &Tensor<D>) -> Self {
+impl Parameter {
+    pub fn new(value: &Tensor<2>) -> Self {
         let zero = value.zeros_like();
         Self { state: Some((value.clone(), [zero.clone() + 0.0, zero + 0.0])) }
     }
 
-    fn leaf(&self) -> Tensor<D> {
+    fn leaf(&self) -> Tensor<2> {
         self.state.as_ref().expect("nothing is being stepped").0.clone().autodiff().require_grad()
     }
 
-    pub fn step(&mut self, grad: Tensor<D>, step: AdamStep, own: bool) {
+    pub fn step(&mut self, grad: Tensor<2>, step: AdamStep, own: bool) {
         let (value, moments) = self.state.take().expect("nothing is being stepped");
         self.state = Some(if own {
             let gate = Tensor::ones([1], (&grad.device(), grad.dtype()));
@@ -74,9 +76,8 @@ pub fn adam_settings(time: u64) -> AdamStep {
 #[derive(Clone, Debug)]
 pub struct Training {
     scene: TestScene,
-    rows: Vec<Parameter<2>>,
-    opacities: Parameter<1>,
-    margins: Tensor<1>,
+    surfels: SurfelColumns<Parameter>,
+    gaussians: GaussianColumns<Parameter>,
     target: Tensor<3>,
     device: Device,
     time: u64,
@@ -89,22 +90,9 @@ impl Training {
         let options = RenderOptions::default();
         let view = render_values(&s, &g, &scene.camera, &options, Values::Unknown).expect("benchmark scenes are valid");
         let target = view.composite.image.clamp(0.0, 1.0) * 0.9;
-        let rows = [
-            &s.positions,
-            &s.quaternions,
-            &s.log_scales,
-            &s.colour.base,
-            &s.colour.detail,
-            &g.positions,
-            &g.quaternions,
-            &g.log_scales,
-            &g.colour.base,
-            &g.colour.detail,
-        ];
         Self {
-            rows: rows.map(Parameter::new).into(),
-            opacities: Parameter::new(&g.opacities),
-            margins: s.margins,
+            surfels: s.map_ref(|_, tensor| Parameter::new(tensor)),
+            gaussians: g.map_ref(|_, tensor| Parameter::new(tensor)),
             target,
             device: device.clone(),
             scene: scene.clone(),
@@ -119,25 +107,7 @@ impl Training {
     }
 
     fn leaves(&self) -> (Surfels, Gaussians) {
-        let leaf = |i: usize| self.rows[i].leaf();
-        let model: ColourModel = self.scene.model;
-        let colour = |base: usize| Colour { model, base: leaf(base), detail: leaf(base + 1) };
-        (
-            Surfels {
-                positions: leaf(0),
-                quaternions: leaf(1),
-                log_scales: leaf(2),
-                colour: colour(3),
-                margins: self.margins.clone().autodiff(),
-            },
-            Gaussians {
-                positions: leaf(5),
-                quaternions: leaf(6),
-                log_scales: leaf(7),
-                opacities: self.opacities.leaf(),
-                colour: colour(8),
-            },
-        )
+        (self.surfels.map_ref(|_, parameter| parameter.leaf()), self.gaussians.map_ref(|_, parameter| parameter.leaf()))
     }
 
     /// The loss of a view, on the tape.
@@ -166,7 +136,7 @@ impl Training {
         let [positions, quaternions, log_scales] =
             [&surfels.positions, &surfels.quaternions, &surfels.log_scales].map(Clone::clone);
         let layers = peel(positions, quaternions, log_scales, camera, &options.peel).expect("valid");
-        let limits = interval_limits(&layers, surfels.margins.clone(), options.margin_lookup).expect("valid");
+        let limits = interval_limits(&layers, flat(&surfels.margins), options.margin_lookup).expect("valid");
         let sums = splat(gaussians, gaussian_colours.clone(), limits.clone(), camera).expect("valid");
         let blending = CompositeOptions { background: options.background, detach_transmittance: false };
         let composite = plain::composite(&layers, surfel_colours.clone(), sums, &blending);
@@ -179,27 +149,18 @@ impl Training {
         let loss = self.loss_of(&leaves, variant);
         let mut gradients = loss.backward();
         let value = loss.into_data().iter::<f64>().next().unwrap_or(f64::NAN);
-        let (s, g) = &leaves;
-        let rows = [
-            &s.positions,
-            &s.quaternions,
-            &s.log_scales,
-            &s.colour.base,
-            &s.colour.detail,
-            &g.positions,
-            &g.quaternions,
-            &g.log_scales,
-            &g.colour.base,
-            &g.colour.detail,
-        ];
-        let grads = rows.map(|tensor| tensor.grad_remove(&mut gradients).expect("every parameter is reached"));
-        let opacities = g.opacities.grad_remove(&mut gradients).expect("every parameter is reached");
-        // nothing may share the parameters when they are stepped in place
+        let leaf_values = leaves.0.iter().chain(leaves.1.iter()).filter(|(attribute, _)| attribute.learns());
+        let reached =
+            |(_, leaf): (_, &Tensor<2>)| leaf.grad_remove(&mut gradients).expect("every parameter is reached");
+        let grads: Vec<Tensor<2>> = leaf_values.map(reached).collect();
+        // Nothing may share the parameters when they are stepped in place.
         drop((leaves, gradients));
         self.time += 1;
         let step = adam_settings(self.time);
-        self.rows.iter_mut().zip(grads).for_each(|(row, grad)| row.step(grad, step, variant.own_adam));
-        self.opacities.step(opacities, step, variant.own_adam);
+        let attributes = SurfelColumns::<()>::ATTRIBUTES.iter().chain(GaussianColumns::<()>::ATTRIBUTES);
+        let parameters = attributes.zip(self.surfels.list_mut().into_iter().chain(self.gaussians.list_mut()));
+        let learning = parameters.filter(|(attribute, _)| attribute.learns());
+        learning.zip(grads).for_each(|((_, parameter), grad)| parameter.step(grad, step, variant.own_adam));
         self.device.sync().expect("the device runs");
         value
     }

@@ -13,6 +13,8 @@ use crate::ops::finite::{FiniteChecks, check_finite};
 use crate::ops::peel::{Layers, PeelOptions, peel};
 use crate::ops::splat::limits::interval_limits;
 use crate::ops::splat::splat;
+use crate::scene::schema::Columns;
+use crate::scene::tensors::flat;
 use crate::scene::{Gaussians, MarginLookup, SceneInfo, Surfels};
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -79,13 +81,8 @@ pub fn validate(surfels: &Surfels, gaussians: &Gaussians, values: Values) -> Res
     surfels.check_shapes()?;
     gaussians.check_shapes()?;
     let mut door = Door::new(("surfels.positions", &surfels.positions));
-    door.enter("surfels.colour.base", &surfels.colour.base, values)?;
-    door.enter("surfels.colour.detail", &surfels.colour.detail, values)?;
-    door.enter("surfels.positions", &surfels.positions, values)?;
-    door.enter("surfels.quaternions", &surfels.quaternions, values)?;
-    door.enter("surfels.log_scales", &surfels.log_scales, values)?;
-    door.enter("surfels.margins", &surfels.margins, values)?;
-    door.enter_gaussians(gaussians, values)?;
+    door.enter(surfels, values)?;
+    door.enter(gaussians, values)?;
     check_finite(&door.checks)
 }
 
@@ -96,7 +93,7 @@ pub fn validate(surfels: &Surfels, gaussians: &Gaussians, values: Values) -> Res
 pub fn validate_gaussians(gaussians: &Gaussians, values: Values) -> Result<()> {
     gaussians.check_shapes()?;
     let mut door = Door::new(("gaussians.positions", &gaussians.positions));
-    door.enter_gaussians(gaussians, values)?;
+    door.enter(gaussians, values)?;
     check_finite(&door.checks)
 }
 
@@ -119,29 +116,22 @@ impl Door {
         Self { dtype, expected, checks: FiniteChecks::default() }
     }
 
-    fn enter<const D: usize>(&mut self, name: &str, tensor: &Tensor<D>, values: Values) -> Result<()> {
-        let supported = match self.dtype {
-            DType::F32 => true,
-            DType::F64 => !is_gpu(&tensor.device()),
-            _ => false,
-        };
-        if !supported || tensor.dtype() != self.dtype {
-            let (expected, found) = (self.expected.clone(), format!("{:?}", tensor.dtype()));
-            return Err(Error::DType { tensor: name.into(), expected, found });
-        }
-        if values == Values::Unknown {
-            self.checks.add(name, tensor);
+    fn enter(&mut self, columns: &impl Columns<Value = Tensor<2>>, values: Values) -> Result<()> {
+        for (attribute, tensor) in columns.iter() {
+            let supported = match self.dtype {
+                DType::F32 => true,
+                DType::F64 => !is_gpu(&tensor.device()),
+                _ => false,
+            };
+            if !supported || tensor.dtype() != self.dtype {
+                let (tensor, found) = (attribute.name.to_owned(), format!("{:?}", tensor.dtype()));
+                return Err(Error::DType { tensor, expected: self.expected.clone(), found });
+            }
+            if values == Values::Unknown {
+                self.checks.add(attribute.name, tensor);
+            }
         }
         Ok(())
-    }
-
-    fn enter_gaussians(&mut self, gaussians: &Gaussians, values: Values) -> Result<()> {
-        self.enter("gaussians.colour.base", &gaussians.colour.base, values)?;
-        self.enter("gaussians.colour.detail", &gaussians.colour.detail, values)?;
-        self.enter("gaussians.positions", &gaussians.positions, values)?;
-        self.enter("gaussians.quaternions", &gaussians.quaternions, values)?;
-        self.enter("gaussians.log_scales", &gaussians.log_scales, values)?;
-        self.enter("gaussians.opacities", &gaussians.opacities, values)
     }
 }
 
@@ -177,7 +167,7 @@ pub fn render_values(
         camera,
         &options.peel,
     )?;
-    let limits = interval_limits(&layers, surfels.margins.clone(), options.margin_lookup)?;
+    let limits = interval_limits(&layers, flat(&surfels.margins), options.margin_lookup)?;
     let sums = splat(gaussians, gaussian_colours.clone(), limits.clone(), camera)?;
     let blending =
         CompositeOptions { background: options.background, detach_transmittance: options.detach_transmittance };

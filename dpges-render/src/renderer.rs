@@ -49,7 +49,6 @@ impl Rendered {
 
 impl Renderer {
     pub fn new(scene: &SceneData, device: &Device) -> Self {
-        let model = scene.info.colour_model;
         let options = match scene.info.rendering {
             Rendering::Peeled => Options::Peeled(RenderOptions::from(&scene.info)),
             Rendering::Ellipsoids | Rendering::Discs => {
@@ -57,8 +56,8 @@ impl Renderer {
             }
         };
         Self {
-            surfels: Surfels::from_data(&scene.surfels, model, device, DType::F32),
-            gaussians: Gaussians::from_data(&scene.gaussians, model, device, DType::F32),
+            surfels: Surfels::from_data(&scene.surfels, device, DType::F32),
+            gaussians: Gaussians::from_data(&scene.gaussians, device, DType::F32),
             options,
         }
     }

@@ -12,14 +12,17 @@ use safetensors::{Dtype, SafeTensors};
 use serde::{Deserialize, Serialize};
 
 use crate::config::Config;
-use crate::optimizer::AttributeRows;
+use crate::optimizer::ParameterRows;
 use crate::refine::growth::Growth;
 use crate::trainer::Validation;
 
 const FORMAT: &str = "dpges-checkpoint";
-const VERSION: &str = "2";
+const VERSION: &str = "3";
 /// What the names of columns begin with in the file.
 const COLUMN: &str = "column/";
+/// What the names of the tensors of an attribute end with.
+const RAW: &str = "raw";
+const MOMENTS: [&str; 2] = ["moment_1", "moment_2"];
 
 #[derive(Debug, thiserror::Error)]
 pub enum CheckpointError {
@@ -52,9 +55,9 @@ pub struct Progress {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Checkpoint {
     pub progress: Progress,
-    /// Attributes by name, with their moments.
-    pub attributes: HashMap<String, AttributeRows>,
-    /// Further numbers by name: margins, running statistics, results of earlier stages.
+    /// Attributes by their raw names, with their moments.
+    pub attributes: HashMap<String, ParameterRows>,
+    /// Further numbers by name: running statistics, results of earlier stages.
     pub columns: BTreeMap<String, Vec<f32>>,
     /// [N] most pixels at which each surfel was the nearest in one view since the last pruning.
     pub max_pixels: Vec<u32>,
@@ -87,8 +90,10 @@ impl Checkpoint {
         for name in names {
             let rows = &self.attributes[name];
             let shape = [rows.count, rows.width];
-            let parts = [("value", &rows.value), ("moment_1", &rows.moments[0]), ("moment_2", &rows.moments[1])];
-            arrays.extend(parts.map(|(part, values)| (format!("{name}/{part}"), shape, bytes(values))));
+            arrays.push((format!("{name}/{RAW}"), shape, bytes(&rows.raw)));
+            for (moment, part) in rows.moments.iter().flatten().zip(MOMENTS) {
+                arrays.push((format!("{name}/{part}"), shape, bytes(moment)));
+            }
         }
         let columns = self.columns.iter();
         arrays.extend(columns.map(|(name, values)| (format!("{COLUMN}{name}"), [values.len(), 1], bytes(values))));
@@ -140,14 +145,15 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
         }
     };
     let mut attributes = HashMap::new();
-    for name in file.names().into_iter().filter_map(|name| name.strip_suffix("/value")) {
-        let ([count, width], value) = floats(&format!("{name}/value"))?;
-        let (first, moment_1) = floats(&format!("{name}/moment_1"))?;
-        let (second, moment_2) = floats(&format!("{name}/moment_2"))?;
-        if first != [count, width] || second != [count, width] {
-            return Err(format!("moments of `{name}` do not fit its values"));
-        }
-        attributes.insert(name.to_owned(), AttributeRows { count, width, value, moments: [moment_1, moment_2] });
+    for name in file.names().into_iter().filter_map(|name| name.strip_suffix("/raw")) {
+        let ([count, width], raw) = floats(&format!("{name}/{RAW}"))?;
+        let moment = |part: &str| match floats(&format!("{name}/{part}"))? {
+            (shape, values) if shape == [count, width] => Ok(values),
+            _ => Err(format!("moments of `{name}` do not fit its values")),
+        };
+        let learns = file.names().contains(&format!("{name}/{}", MOMENTS[0]).as_str());
+        let moments = if learns { Some([moment(MOMENTS[0])?, moment(MOMENTS[1])?]) } else { None };
+        attributes.insert(name.to_owned(), ParameterRows { count, width, raw, moments });
     }
     let mut columns = BTreeMap::new();
     for name in file.names().into_iter().filter_map(|name| name.strip_prefix(COLUMN)) {

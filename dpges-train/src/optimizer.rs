@@ -1,158 +1,225 @@
-//! Adam over the attributes of a scene, and the row surgery that keeps its moments.
+//! Adam over the attributes of a scene, and the edits of rows that keep its moments. All of it stays on the device.
 
-use burn::tensor::{DType, Device, Gradients, Tensor, TensorData};
+use burn::tensor::{Bool, DType, Device, Gradients, Int, Tensor, TensorData};
 use dpges_core::ops::adam::{AdamStep, adam_step};
-use dpges_core::scene::data::select_rows;
-use dpges_core::scene::tensors::tensor_to_rows;
+use dpges_core::scene::schema::Attribute;
+use dpges_core::scene::tensors::{row_indices, tensor_to_rows};
 
-use crate::refine::RowEdit;
-
-/// One attribute of all primitives of a kind: its raw values and its two Adam moments, each [rows, width].
+/// One attribute of all primitives of a kind: its raw numbers and, if it learns, its two Adam moments.
 #[derive(Clone, Debug)]
-pub struct Attribute {
-    name: &'static str,
-    value: Tensor<2>,
-    moments: [Tensor<2>; 2],
+pub struct Parameter {
+    attribute: &'static Attribute,
+    /// [rows, width]
+    raw: Tensor<2>,
+    /// Each [rows, width].
+    moments: Option<[Tensor<2>; 2]>,
 }
 
-/// Values and moments of an attribute in host memory.
+/// A [`Parameter`] in host memory.
 #[derive(Clone, Debug, PartialEq)]
-pub struct AttributeRows {
+pub struct ParameterRows {
     pub count: usize,
     pub width: usize,
-    pub value: Vec<f32>,
-    pub moments: [Vec<f32>; 2],
+    pub raw: Vec<f32>,
+    pub moments: Option<[Vec<f32>; 2]>,
 }
 
-impl AttributeRows {
-    /// Values that have not been stepped yet.
-    pub fn fresh(value: Vec<f32>, [count, width]: [usize; 2]) -> Self {
-        let moments = [vec![0.0; value.len()], vec![0.0; value.len()]];
-        Self { count, width, value, moments }
+impl Parameter {
+    /// Raw numbers [`count`, `width`] that have not been stepped yet.
+    pub fn fresh(attribute: &'static Attribute, raw: &[f32], [count, width]: [usize; 2], device: &Device) -> Self {
+        let raw = tensor(raw, [count, width], device);
+        let moments = attribute.learns().then(|| [(); 2].map(|()| zeros([count, width], device)));
+        Self { attribute, raw, moments }
     }
 
-    /// The kept rows, followed by `added` (`added_count` rows) with zero moments.
-    fn edit(&self, edit: &RowEdit, added: &[f32], added_count: usize) -> Self {
-        let edited = |rows: &[f32], appended: &[f32]| {
-            let mut rows = select_rows(rows, self.width, &edit.keep);
-            rows.extend(appended);
-            rows
-        };
-        let zeros = vec![0.0; added.len()];
-        Self {
-            count: edit.keep.len() + added_count,
-            width: self.width,
-            value: edited(&self.value, added),
-            moments: [edited(&self.moments[0], &zeros), edited(&self.moments[1], &zeros)],
-        }
-    }
-}
-
-impl Attribute {
-    /// `name` is how errors speak of it, as in `gaussians.positions`.
-    pub fn new(name: &'static str, rows: &AttributeRows, device: &Device) -> Self {
+    pub fn from_rows(attribute: &'static Attribute, rows: &ParameterRows, device: &Device) -> Self {
         let shape = [rows.count, rows.width];
-        let tensor = |values: &[f32]| Tensor::from_data(TensorData::new(values.to_vec(), shape), (device, DType::F32));
-        Self { name, value: tensor(&rows.value), moments: [tensor(&rows.moments[0]), tensor(&rows.moments[1])] }
+        let moments = rows.moments.as_ref().map(|moments| moments.each_ref().map(|rows| tensor(rows, shape, device)));
+        Self { attribute, raw: tensor(&rows.raw, shape, device), moments }
     }
 
-    pub fn rows(&self) -> AttributeRows {
-        let [count, width] = self.value.dims();
-        AttributeRows {
-            count,
-            width,
-            value: tensor_to_rows(&self.value),
-            moments: [tensor_to_rows(&self.moments[0]), tensor_to_rows(&self.moments[1])],
-        }
+    pub fn rows(&self) -> ParameterRows {
+        let [count, width] = self.raw.dims();
+        let moments = self.moments.as_ref().map(|moments| moments.each_ref().map(tensor_to_rows));
+        ParameterRows { count, width, raw: tensor_to_rows(&self.raw), moments }
     }
 
-    pub fn name(&self) -> &'static str {
-        self.name
+    /// [rows, width] the raw numbers, not on a tape.
+    pub fn raw(&self) -> Tensor<2> {
+        self.raw.clone()
     }
 
-    /// [rows, width], not on a tape.
-    pub fn value(&self) -> Tensor<2> {
-        self.value.clone()
-    }
-
-    /// [rows, width], a leaf of a new tape.
+    /// [rows, width] the raw numbers on a new tape; a leaf of it if the attribute learns.
     pub fn leaf(&self) -> Tensor<2> {
-        self.value.clone().autodiff().require_grad()
+        let raw = self.raw.clone().autodiff();
+        if self.attribute.learns() { raw.require_grad() } else { raw }
     }
 
     /// The gradient that a backward pass left for a [`leaf`](Self::leaf); `None` if nothing reached it.
     pub fn gradient(&self, leaf: &Tensor<2>, gradients: &mut Gradients) -> Option<Tensor<2>> {
-        leaf.grad_remove(gradients)
+        if self.attribute.learns() { leaf.grad_remove(gradients) } else { None }
     }
 
-    /// Nothing changes where `gate` [1] is not 1.
+    /// Nothing changes where `gate` [1] is not 1, or if the attribute does not learn.
     ///
     /// # Errors
     /// [`dpges_core::Error::Shape`] if the gradient belongs to another set of rows.
     pub fn step(&mut self, gradient: Option<Tensor<2>>, gate: &Tensor<1>, step: AdamStep) -> dpges_core::Result<()> {
-        let gradient = gradient.unwrap_or_else(|| self.value.zeros_like());
-        // moved out, so that the step can work in place
-        let empty = || Tensor::empty([0, 0], &self.value.device());
-        let (no_value, no_moments) = (empty(), [empty(), empty()]);
-        let value = std::mem::replace(&mut self.value, no_value);
-        let moments = std::mem::replace(&mut self.moments, no_moments);
-        (self.value, self.moments) = adam_step(value, moments, gradient, gate.clone(), step)?;
+        let Some(moments) = self.moments.take() else { return Ok(()) };
+        let gradient = gradient.unwrap_or_else(|| self.raw.zeros_like());
+        // Moved out, so that the step can work in place.
+        let raw = std::mem::replace(&mut self.raw, zeros([0, 0], &gate.device()));
+        let (raw, moments) = adam_step(raw, moments, gradient, gate.clone(), step)?;
+        (self.raw, self.moments) = (raw, Some(moments));
         Ok(())
     }
 
-    /// Row i becomes a copy of row `rows[i]`, or of row i of `values` where they are given. Moments stay with their
-    /// place, and are zero in places that are new or `fresh` (3DGS-MCMC).
-    pub fn copy_rows(&mut self, rows: &[usize], values: Option<&[f32]>, fresh: &[bool]) {
-        let old = self.rows();
-        let width = old.width;
-        let value = values.map_or_else(|| select_rows(&old.value, width, rows), <[f32]>::to_vec);
-        let moments = old.moments.map(|mut moments| {
-            moments.resize(rows.len() * width, 0.0);
-            for (row, _) in fresh.iter().enumerate().filter(|(_, fresh)| **fresh) {
-                moments[row * width..(row + 1) * width].fill(0.0);
+    /// Replaces all raw numbers; the moments stay.
+    ///
+    /// # Panics
+    /// If `raw` has another length.
+    pub fn set(&mut self, raw: &[f32]) {
+        self.raw = tensor(raw, self.raw.dims(), &self.raw.device());
+    }
+
+    /// Replaces all raw numbers by those of a tensor [rows, width] on the same device; the moments stay.
+    pub fn set_tensor(&mut self, raw: Tensor<2>) {
+        self.raw = raw;
+    }
+
+    /// Replaces all raw numbers; the moments start again.
+    ///
+    /// # Panics
+    /// If `raw` has another length.
+    pub fn restart(&mut self, raw: &[f32]) {
+        *self = Self::fresh(self.attribute, raw, self.raw.dims(), &self.raw.device());
+    }
+
+    /// Keeps the `kept` rows and appends `added_count` rows with the raw numbers `added`, whose moments are zero (3DGS).
+    ///
+    /// # Panics
+    /// If `added` has another length.
+    pub fn edit(&mut self, kept: &Rows, added: &[f32], added_count: usize) {
+        let [_, width] = self.raw.dims();
+        let (device, shape) = (self.raw.device(), [added_count, width]);
+        self.raw = joined(kept.of(&self.raw), || tensor(added, shape, &device), added_count);
+        if let Some(moments) = &mut self.moments {
+            for moment in moments {
+                *moment = joined(kept.of(moment), || zeros(shape, &device), added_count);
             }
-            moments
-        });
-        let rows = AttributeRows { count: rows.len(), width, value, moments };
-        *self = Self::new(self.name, &rows, &self.value.device());
+        }
     }
 
-    /// Replaces all values; the moments stay.
-    pub fn set_value(&mut self, values: &[f32]) {
-        let data = TensorData::new(values.to_vec(), self.value.dims());
-        self.value = Tensor::from_data(data, (&self.value.device(), DType::F32));
+    /// Row i becomes a copy of row i of `copied`. Moments stay with their place; they are zero in places that are new,
+    /// and where `fresh` [rows of the new set, 1] is true (3DGS-MCMC).
+    pub fn copy_rows(&mut self, copied: &Rows, fresh: &Tensor<2, Bool>) {
+        let [count, width] = self.raw.dims();
+        let added = copied.len() - count;
+        self.raw = copied.of(&self.raw);
+        if let Some(moments) = &mut self.moments {
+            for moment in moments {
+                let extended = joined(moment.clone(), || zeros([added, width], &moment.device()), added);
+                *moment = if width == 0 {
+                    extended
+                } else {
+                    extended.mask_fill(fresh.clone().expand([-1, width as i64]), 0.0)
+                };
+            }
+        }
+    }
+}
+
+/// Rows of a set, in a new order or fewer of them, on the device of the set.
+pub struct Rows {
+    /// `None` where all rows stay in place.
+    indices: Option<Tensor<1, Int>>,
+    count: usize,
+}
+
+impl Rows {
+    /// `rows` of a set that has `of` of them.
+    pub fn new(rows: &[usize], of: usize, device: &Device) -> Self {
+        let all = rows.len() == of && rows.iter().enumerate().all(|(at, &row)| at == row);
+        Self { indices: (!all).then(|| row_indices(rows, device)), count: rows.len() }
     }
 
-    /// Keeps and appends rows; appended rows start with zero moments (3DGS).
-    pub fn edit(&mut self, edit: &RowEdit, added: &[f32], added_count: usize) {
-        *self = Self::new(self.name, &self.rows().edit(edit, added, added_count), &self.value.device());
+    pub fn len(&self) -> usize {
+        self.count
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.count == 0
+    }
+
+    /// [count, width] these rows of `values`.
+    fn of(&self, values: &Tensor<2>) -> Tensor<2> {
+        let [_, width] = values.dims();
+        match &self.indices {
+            None => values.clone(),
+            Some(_) if self.count == 0 || width == 0 => zeros([self.count, width], &values.device()),
+            Some(indices) => values.clone().select(0, indices.clone()),
+        }
+    }
+}
+
+/// `kept`, followed by `added`, which has `count` rows.
+fn joined(kept: Tensor<2>, added: impl FnOnce() -> Tensor<2>, count: usize) -> Tensor<2> {
+    match (kept.dims()[0], count) {
+        (_, 0) => kept,
+        (0, _) => added(),
+        _ => Tensor::cat(vec![kept, added()], 0),
+    }
+}
+
+fn tensor(values: &[f32], shape: [usize; 2], device: &Device) -> Tensor<2> {
+    Tensor::from_data(TensorData::new(values.to_vec(), shape), (device, DType::F32))
+}
+
+/// Not by a kernel, which some devices refuse to launch over nothing.
+fn zeros([count, width]: [usize; 2], device: &Device) -> Tensor<2> {
+    if count * width == 0 {
+        tensor(&[], [count, width], device)
+    } else {
+        Tensor::zeros([count, width], (device, DType::F32))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use dpges_core::scene::schema::{Columns, SurfelColumns};
     use dpges_core::scene::tensors::rows_to_tensor;
 
     const STEP: AdamStep = AdamStep { learning_rate: 0.1, beta_1: 0.9, beta_2: 0.999, epsilon: 1e-15, time: 1 };
+    /// Two numbers wide.
+    const LOG_SCALES: &Attribute = &SurfelColumns::<()>::ATTRIBUTES[2];
+    /// Does not learn.
+    const MARGINS: &Attribute = &SurfelColumns::<()>::ATTRIBUTES[3];
 
     fn open(device: &Device) -> Tensor<1> {
         Tensor::ones([1], (device, DType::F32))
     }
 
+    fn fresh_rows(rows: &[bool], device: &Device) -> Tensor<2, Bool> {
+        Tensor::<1, Bool>::from_data(TensorData::new(rows.to_vec(), [rows.len()]), device).reshape([rows.len(), 1])
+    }
+
+    fn moments(parameter: &Parameter) -> [Vec<f32>; 2] {
+        parameter.rows().moments.unwrap()
+    }
+
     #[test]
-    fn surgery_keeps_the_moments_of_kept_rows_and_zeroes_those_of_new_ones() {
+    fn edits_keep_the_moments_of_kept_rows_and_zero_those_of_new_ones() {
         let device = Device::flex();
-        let rows = AttributeRows::fresh(vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.0], [3, 2]);
-        let mut attribute = Attribute::new("surfels.log_scales", &rows, &device);
+        let mut parameter = Parameter::fresh(LOG_SCALES, &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0], [3, 2], &device);
         let gradient = rows_to_tensor(&[1.0, -1.0, 0.0, 2.0, -3.0, 4.0], 2, &device, DType::F32);
-        attribute.step(Some(gradient), &open(&device), STEP).unwrap();
-        let before = attribute.rows();
-        attribute.edit(&RowEdit { keep: vec![0, 2] }, &[7.0, 8.0], 1);
-        let after = attribute.rows();
-        assert_eq!(after.value[..2], before.value[..2]);
-        assert_eq!(after.value[2..], [before.value[4], before.value[5], 7.0, 8.0]);
-        for (after, before) in after.moments.iter().zip(&before.moments) {
+        parameter.step(Some(gradient), &open(&device), STEP).unwrap();
+        let before = parameter.rows();
+        parameter.edit(&Rows::new(&[0, 2], 3, &device), &[7.0, 8.0], 1);
+        let after = parameter.rows();
+        assert_eq!(after.raw[..2], before.raw[..2]);
+        assert_eq!(after.raw[2..], [before.raw[4], before.raw[5], 7.0, 8.0]);
+        for (after, before) in after.moments.unwrap().iter().zip(&before.moments.unwrap()) {
             assert_eq!(after[..4], [before[0], before[1], before[4], before[5]]);
             assert_eq!(after[4..], [0.0, 0.0]);
         }
@@ -161,45 +228,54 @@ mod tests {
     #[test]
     fn the_first_step_is_the_learning_rate_towards_less_loss_and_none_is_taken_without_gradient() {
         let device = Device::flex();
-        let mut attribute = Attribute::new("x", &AttributeRows::fresh(vec![1.0, 1.0], [2, 1]), &device);
-        let gradient = rows_to_tensor(&[5.0, -0.001], 1, &device, DType::F32);
-        attribute.step(Some(gradient), &open(&device), STEP).unwrap();
-        let stepped = attribute.rows().value;
+        let mut parameter = Parameter::fresh(LOG_SCALES, &[1.0, 1.0], [1, 2], &device);
+        let gradient = rows_to_tensor(&[5.0, -0.001], 2, &device, DType::F32);
+        parameter.step(Some(gradient), &open(&device), STEP).unwrap();
+        let stepped = parameter.rows().raw;
         assert!((stepped[0] - 0.9).abs() < 1e-5 && (stepped[1] - 1.1).abs() < 1e-5, "{stepped:?}");
-        let mut untouched = Attribute::new("x", &AttributeRows::fresh(vec![1.0], [1, 1]), &device);
+        let mut untouched = Parameter::fresh(LOG_SCALES, &[1.0, 2.0], [1, 2], &device);
         untouched.step(None, &open(&device), STEP).unwrap();
-        assert_eq!(untouched.rows().value, [1.0]);
+        assert_eq!(untouched.rows().raw, [1.0, 2.0]);
+    }
+
+    #[test]
+    fn what_does_not_learn_has_no_moments_and_is_edited_all_the_same() {
+        let device = Device::flex();
+        let mut margins = Parameter::fresh(MARGINS, &[0.1, 0.2, 0.3], [3, 1], &device);
+        let gradient = rows_to_tensor(&[1.0; 3], 1, &device, DType::F32);
+        margins.step(Some(gradient), &open(&device), STEP).unwrap();
+        margins.edit(&Rows::new(&[2, 0], 3, &device), &[0.4], 1);
+        let rows = margins.rows();
+        assert_eq!((rows.raw, rows.moments), (vec![0.3, 0.1, 0.4], None));
     }
 
     #[test]
     fn copied_rows_leave_their_moments_in_place() {
         let device = Device::flex();
-        let rows = AttributeRows {
-            count: 3,
-            width: 1,
-            value: vec![1.0, 2.0, 3.0],
-            moments: [vec![0.1, 0.2, 0.3], vec![0.4, 0.5, 0.6]],
-        };
-        let mut attribute = Attribute::new("x", &rows, &device);
-        attribute.copy_rows(&[0, 2, 2, 0], None, &[false, false, true, true]);
-        let found = attribute.rows();
-        assert_eq!(found.value, [1.0, 3.0, 3.0, 1.0]);
-        assert_eq!(found.moments, [vec![0.1, 0.2, 0.0, 0.0], vec![0.4, 0.5, 0.0, 0.0]]);
-        attribute.copy_rows(&[0, 1], Some(&[7.0, 8.0]), &[false, true]);
-        let found = attribute.rows();
-        assert_eq!((found.value, found.moments[0].clone()), (vec![7.0, 8.0], vec![0.1, 0.0]));
-        attribute.set_value(&[5.0, 6.0]);
-        assert_eq!((attribute.rows().value, attribute.rows().moments[0][0]), (vec![5.0, 6.0], 0.1));
+        let moments_before = [vec![0.1, 0.1, 0.2, 0.2, 0.3, 0.3], vec![0.4, 0.4, 0.5, 0.5, 0.6, 0.6]];
+        let raw = vec![1.0, 1.5, 2.0, 2.5, 3.0, 3.5];
+        let rows = ParameterRows { count: 3, width: 2, raw, moments: Some(moments_before) };
+        let mut parameter = Parameter::from_rows(LOG_SCALES, &rows, &device);
+        let copied = Rows::new(&[0, 2, 2, 0], 3, &device);
+        parameter.copy_rows(&copied, &fresh_rows(&[false, false, true, true], &device));
+        assert_eq!(parameter.rows().raw, [1.0, 1.5, 3.0, 3.5, 3.0, 3.5, 1.0, 1.5]);
+        let [first, second] = moments(&parameter);
+        assert_eq!(first, [0.1, 0.1, 0.2, 0.2, 0.0, 0.0, 0.0, 0.0]);
+        assert_eq!(second, [0.4, 0.4, 0.5, 0.5, 0.0, 0.0, 0.0, 0.0]);
+        parameter.set(&[5.0; 8]);
+        assert_eq!((parameter.rows().raw, moments(&parameter)[0][2]), (vec![5.0; 8], 0.2));
+        parameter.restart(&[6.0; 8]);
+        assert_eq!((parameter.rows().raw, moments(&parameter)), (vec![6.0; 8], [vec![0.0; 8], vec![0.0; 8]]));
     }
 
     #[test]
     fn all_rows_may_go_and_come_back() {
         let device = Device::flex();
-        let mut attribute = Attribute::new("x", &AttributeRows::fresh(vec![1.0, 2.0], [1, 2]), &device);
-        attribute.edit(&RowEdit::default(), &[], 0);
-        assert_eq!(attribute.value().dims(), [0, 2]);
-        attribute.step(None, &open(&device), STEP).unwrap();
-        attribute.edit(&RowEdit::default(), &[3.0, 4.0], 1);
-        assert_eq!(attribute.rows().value, [3.0, 4.0]);
+        let mut parameter = Parameter::fresh(LOG_SCALES, &[1.0, 2.0], [1, 2], &device);
+        parameter.edit(&Rows::new(&[], 1, &device), &[], 0);
+        assert_eq!(parameter.raw().dims(), [0, 2]);
+        parameter.step(None, &open(&device), STEP).unwrap();
+        parameter.edit(&Rows::new(&[], 0, &device), &[3.0, 4.0], 1);
+        assert_eq!(parameter.rows().raw, [3.0, 4.0]);
     }
 }

@@ -1,29 +1,25 @@
-//! The trainable scene: attributes of surfels and Gaussians with their optimiser state, and the
-//! edits that keep rows of all attributes together.
+//! The scene in training: the parameters of surfels and of Gaussians, and the edits that keep the rows of all
+//! attributes together.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 
-use burn::tensor::activation::sigmoid;
-use burn::tensor::{DType, Device, Gradients, Tensor, TensorData};
+use burn::tensor::{Bool, Device, Gradients, Tensor, TensorData};
 use dpges_core::ops::adam::AdamStep;
+use dpges_core::scene::schema::{
+    Activation, Attribute, Columns, GaussianColumns, OpacityActivation, RateGroup, SurfelColumns,
+};
 use dpges_core::scene::tensors::tensor_to_rows;
-use dpges_core::scene::{Colour, ColourData, ColourModel, GaussianData, Gaussians, SurfelData, Surfels};
+use dpges_core::scene::{ColourData, ColourModel};
 
-use crate::config::Opacity;
-use crate::optimizer::{Attribute, AttributeRows};
+use crate::optimizer::{Parameter, ParameterRows, Rows};
 use crate::refine::relocate::Relocated;
 use crate::refine::{GaussianEdit, RowEdit};
 
-/// Opacities this near to 0 or 1 are what a logit can still hold and leave.
-const OPACITY_LIMIT: f64 = 1.2e-7;
-
-/// Learning rates of one step.
+/// Learning rates of one step and one kind of primitive.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rates {
     /// World units.
-    pub surfel_positions: f64,
-    /// World units.
-    pub gaussian_positions: f64,
+    pub positions: f64,
     pub quaternions: f64,
     pub log_scales: f64,
     pub opacities: f64,
@@ -32,130 +28,137 @@ pub struct Rates {
 }
 
 impl Rates {
-    /// The same for surfels of which only the colours learn.
-    pub fn of_frozen_surfels(self) -> Self {
-        Self { surfel_positions: 0.0, quaternions: 0.0, log_scales: 0.0, ..self }
+    /// The same for primitives of which only the colours learn.
+    pub fn of_colours(self) -> Self {
+        Self { positions: 0.0, quaternions: 0.0, log_scales: 0.0, ..self }
+    }
+
+    fn of(&self, group: RateGroup) -> f64 {
+        match group {
+            RateGroup::Fixed => 0.0,
+            RateGroup::Positions => self.positions,
+            RateGroup::Quaternions => self.quaternions,
+            RateGroup::LogScales => self.log_scales,
+            RateGroup::Opacities => self.opacities,
+            RateGroup::Base => self.base,
+            RateGroup::Detail => self.detail,
+        }
     }
 }
 
-/// Attributes of surfels; the order of [`all`](Self::all) is the order of everything that goes over them.
+/// All primitives of a kind in training.
 #[derive(Clone, Debug)]
-pub struct SurfelState {
-    model: ColourModel,
-    positions: Attribute,
-    quaternions: Attribute,
-    log_scales: Attribute,
-    base: Attribute,
-    detail: Attribute,
-    margins: Tensor<1>,
+pub struct State<C> {
+    pub columns: C,
+    opacity: OpacityActivation,
 }
 
-/// Attributes of Gaussians; opacities are [M, 1] here, and what [`Opacity`] says of them.
-#[derive(Clone, Debug)]
-pub struct GaussianState {
-    model: ColourModel,
-    opacity: Opacity,
-    positions: Attribute,
-    quaternions: Attribute,
-    log_scales: Attribute,
-    opacities: Attribute,
-    base: Attribute,
-    detail: Attribute,
+pub type SurfelState = State<SurfelColumns<Parameter>>;
+pub type GaussianState = State<GaussianColumns<Parameter>>;
+
+/// The attributes of one step, on a tape.
+pub struct Leaves<T> {
+    /// What is rendered.
+    pub values: T,
+    /// What is trained: the leaves that the values are functions of.
+    pub raw: T,
 }
 
-/// Values and moments of attributes by name, as a checkpoint holds them.
-pub type NamedRows = BTreeMap<&'static str, AttributeRows>;
+/// Parameters by their raw names, as a checkpoint holds them.
+pub type NamedRows = BTreeMap<&'static str, ParameterRows>;
 
-/// Gradients in the order of the attributes.
-pub type GradientList = Vec<Option<Tensor<2>>>;
+/// Gradients of the attributes that learn.
+pub type GradientList = Vec<(&'static Attribute, Option<Tensor<2>>)>;
 
-fn gradients_of<const N: usize>(
-    attributes: [&Attribute; N],
-    leaves: [&Tensor<2>; N],
-    gradients: &mut Gradients,
-) -> GradientList {
-    let gradient = |(attribute, leaf): (&&Attribute, &Tensor<2>)| attribute.gradient(leaf, gradients);
-    attributes.iter().zip(leaves).map(gradient).collect()
-}
-
-impl SurfelState {
-    pub const NAMES: [&'static str; 5] = [
-        "surfels.positions",
-        "surfels.quaternions",
-        "surfels.log_scales",
-        "surfels.colour.base",
-        "surfels.colour.detail",
-    ];
-
-    pub fn new(data: &SurfelData, model: ColourModel, device: &Device) -> Self {
-        let count = data.len();
-        let fresh = |values: &[f32], width| AttributeRows::fresh(values.to_vec(), [count, width]);
-        let rows = [
-            fresh(&data.positions, 3),
-            fresh(&data.quaternions, 4),
-            fresh(&data.log_scales, 2),
-            fresh(&data.colour.base, 3),
-            fresh(&data.colour.detail, model.detail_len()),
-        ];
-        Self::from_rows(rows, &data.margins, model, device)
+impl<C: Columns<Value = Parameter, With<Parameter> = C>> State<C> {
+    /// Primitives that have not been stepped yet; opacities in `data` are as they are rendered.
+    pub fn new(data: &C::With<Vec<f32>>, opacity: OpacityActivation, device: &Device) -> Self {
+        let (model, columns) = (data.model(), data.list());
+        let first = &C::ATTRIBUTES[0];
+        let count = columns[0].len() / first.width.under(model);
+        let parameter = |(attribute, values): (&'static Attribute, &Vec<f32>)| {
+            Parameter::fresh(attribute, &raw(attribute, values, opacity), attribute.shape(count, model), device)
+        };
+        Self { columns: C::generate(model, C::ATTRIBUTES.iter().zip(columns).map(parameter)), opacity }
     }
 
-    /// `rows` in the order of [`NAMES`](Self::NAMES).
-    pub fn from_rows(rows: [AttributeRows; 5], margins: &[f32], model: ColourModel, device: &Device) -> Self {
-        let mut at = 0;
-        let [positions, quaternions, log_scales, base, detail] = rows.map(|rows| {
-            at += 1;
-            Attribute::new(Self::NAMES[at - 1], &rows, device)
-        });
-        Self { model, positions, quaternions, log_scales, base, detail, margins: margin_tensor(margins, device) }
+    /// Takes the parameters of this kind out of `rows`.
+    ///
+    /// # Errors
+    /// A message naming the attribute that is missing or does not fit the others.
+    pub fn from_rows(
+        rows: &mut HashMap<String, ParameterRows>,
+        model: ColourModel,
+        opacity: OpacityActivation,
+        device: &Device,
+    ) -> Result<Self, String> {
+        let count = rows.get(C::ATTRIBUTES[0].raw_name).map_or(0, |rows| rows.count);
+        let columns = C::try_generate(model, |attribute| {
+            let name = attribute.raw_name;
+            let found = rows.remove(name).ok_or_else(|| format!("attribute `{name}` is missing"))?;
+            let [expected, width] = attribute.shape(count, model);
+            if (found.count, found.width) != (expected, width) {
+                return Err(format!("`{name}` is {} × {}, expected {expected} × {width}", found.count, found.width));
+            }
+            if found.moments.is_some() != attribute.learns() {
+                return Err(format!("the moments of `{name}` are missing, or it has some and does not learn"));
+            }
+            Ok(Parameter::from_rows(attribute, &found, device))
+        })?;
+        Ok(Self { columns, opacity })
     }
 
-    fn all(&self) -> [&Attribute; 5] {
-        [&self.positions, &self.quaternions, &self.log_scales, &self.base, &self.detail]
-    }
-
-    fn all_mut(&mut self) -> [&mut Attribute; 5] {
-        [&mut self.positions, &mut self.quaternions, &mut self.log_scales, &mut self.base, &mut self.detail]
+    pub fn rows(&self) -> NamedRows {
+        self.columns.iter().map(|(attribute, parameter)| (attribute.raw_name, parameter.rows())).collect()
     }
 
     pub fn len(&self) -> usize {
-        self.margins.dims()[0]
+        self.columns.list()[0].raw().dims()[0]
     }
 
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    pub fn rows(&self) -> NamedRows {
-        self.all().into_iter().map(|attribute| (attribute.name(), attribute.rows())).collect()
+    fn device(&self) -> Device {
+        self.columns.list()[0].raw().device()
     }
 
-    pub fn to_data(&self) -> SurfelData {
-        let [positions, quaternions, log_scales, base, detail] = self.all().map(|a| tensor_to_rows(&a.value()));
-        let margins = tensor_to_rows(&self.margins);
-        SurfelData { positions, quaternions, log_scales, colour: ColourData { base, detail }, margins }
+    /// The attributes as they are rendered, in host memory.
+    pub fn to_data(&self) -> C::With<Vec<f32>> {
+        self.columns.map_ref(|attribute, parameter| {
+            let raw = tensor_to_rows(&parameter.raw());
+            match attribute.activation {
+                Activation::Identity => raw,
+                Activation::Opacity => raw.into_iter().map(|raw| self.opacity.value(raw)).collect(),
+            }
+        })
     }
 
-    fn assemble(&self, [positions, quaternions, log_scales, base, detail]: [Tensor<2>; 5]) -> Surfels {
-        let colour = Colour { model: self.model, base, detail };
-        Surfels { positions, quaternions, log_scales, colour, margins: self.margins.clone() }
+    fn activated(&self, attribute: &Attribute, raw: Tensor<2>) -> Tensor<2> {
+        match attribute.activation {
+            Activation::Identity => raw,
+            Activation::Opacity => self.opacity.activate(raw),
+        }
     }
 
-    /// For rendering without a tape.
-    pub fn values(&self) -> Surfels {
-        self.assemble(self.all().map(Attribute::value))
+    /// The attributes as they are rendered, without a tape.
+    pub fn values(&self) -> C::With<Tensor<2>> {
+        self.columns.map_ref(|attribute, parameter| self.activated(attribute, parameter.raw()))
     }
 
-    /// For one step: every attribute is a leaf.
-    pub fn leaves(&self) -> Surfels {
-        let surfels = self.assemble(self.all().map(Attribute::leaf));
-        Surfels { margins: surfels.margins.autodiff(), ..surfels }
+    /// The attributes on a new tape, for one step.
+    pub fn leaves(&self) -> Leaves<C::With<Tensor<2>>> {
+        let leaves: Vec<Tensor<2>> = self.columns.list().into_iter().map(Parameter::leaf).collect();
+        let values = C::ATTRIBUTES.iter().zip(&leaves).map(|(a, leaf)| self.activated(a, leaf.clone()));
+        let model = self.columns.model();
+        Leaves { values: C::generate(model, values), raw: C::from_list(model, leaves) }
     }
 
-    pub fn gradients(&self, leaves: &Surfels, gradients: &mut Gradients) -> GradientList {
-        let colour = &leaves.colour;
-        let tensors = [&leaves.positions, &leaves.quaternions, &leaves.log_scales, &colour.base, &colour.detail];
-        gradients_of(self.all(), tensors, gradients)
+    /// The gradients that a backward pass left for the raw [`leaves`](Self::leaves).
+    pub fn gradients(&self, raw: &C::With<Tensor<2>>, gradients: &mut Gradients) -> GradientList {
+        let columns = self.columns.iter().zip(raw.list()).filter(|((attribute, _), _)| attribute.learns());
+        columns.map(|((attribute, parameter), leaf)| (attribute, parameter.gradient(leaf, gradients))).collect()
     }
 
     /// Nothing changes where `gate` [1] is not 1.
@@ -169,214 +172,75 @@ impl SurfelState {
         rates: &Rates,
         adam: AdamStep,
     ) -> dpges_core::Result<()> {
-        let rates = [rates.surfel_positions, rates.quaternions, rates.log_scales, rates.base, rates.detail];
-        for ((attribute, gradient), learning_rate) in self.all_mut().into_iter().zip(gradients).zip(rates) {
-            attribute.step(gradient, gate, AdamStep { learning_rate, ..adam })?;
+        let learning = C::ATTRIBUTES.iter().zip(self.columns.list_mut()).filter(|(attribute, _)| attribute.learns());
+        for ((attribute, parameter), (_, gradient)) in learning.zip(gradients) {
+            parameter.step(gradient, gate, AdamStep { learning_rate: rates.of(attribute.rate), ..adam })?;
         }
         Ok(())
     }
 
-    pub fn edit(&mut self, edit: &RowEdit) {
-        self.all_mut().into_iter().for_each(|attribute| attribute.edit(edit, &[], 0));
-        let margins = tensor_to_rows(&self.margins);
-        let kept: Vec<f32> = edit.keep.iter().map(|&row| margins[row]).collect();
-        self.set_margins(&kept);
+    /// Rows that stay.
+    pub fn keep(&mut self, edit: &RowEdit) {
+        let kept = Rows::new(&edit.keep, self.len(), &self.device());
+        self.columns.list_mut().into_iter().for_each(|parameter| parameter.edit(&kept, &[], 0));
     }
 
-    /// [N × detail] lobes or higher harmonics.
-    pub fn set_detail(&mut self, detail: &[f32]) {
-        self.detail.set_value(detail);
+    /// The colours in host memory.
+    pub fn colour(&self) -> ColourData {
+        let colour = self.columns.colour();
+        let [base, detail] = [&colour.base, &colour.detail].map(|parameter| tensor_to_rows(&parameter.raw()));
+        ColourData { model: colour.model, base, detail }
     }
 
-    /// [N × 3]
-    pub fn set_base(&mut self, base: &[f32]) {
-        self.base.set_value(base);
+    /// Replaces all colours; their moments stay.
+    pub fn set_colour(&mut self, colour: &ColourData) {
+        let columns = self.columns.colour_mut();
+        columns.base.set(&colour.base);
+        columns.detail.set(&colour.detail);
     }
-
-    /// [N] world units.
-    pub fn set_margins(&mut self, margins: &[f32]) {
-        self.margins = margin_tensor(margins, &self.margins.device());
-    }
-}
-
-fn margin_tensor(margins: &[f32], device: &Device) -> Tensor<1> {
-    Tensor::from_data(TensorData::new(margins.to_vec(), [margins.len()]), (device, DType::F32))
 }
 
 impl GaussianState {
-    pub const NAMES: [&'static str; 6] = [
-        "gaussians.positions",
-        "gaussians.quaternions",
-        "gaussians.log_scales",
-        "gaussians.opacities",
-        "gaussians.colour.base",
-        "gaussians.colour.detail",
-    ];
-
-    pub fn new(data: &GaussianData, model: ColourModel, opacity: Opacity, device: &Device) -> Self {
-        let count = data.len();
-        let fresh = |values: &[f32], width| AttributeRows::fresh(values.to_vec(), [count, width]);
-        let rows = [
-            fresh(&data.positions, 3),
-            fresh(&data.quaternions, 4),
-            fresh(&data.log_scales, 3),
-            fresh(&raw_opacities(&data.opacities, opacity), 1),
-            fresh(&data.colour.base, 3),
-            fresh(&data.colour.detail, model.detail_len()),
-        ];
-        Self::from_rows(rows, model, opacity, device)
-    }
-
-    /// `rows` in the order of [`NAMES`](Self::NAMES).
-    pub fn from_rows(rows: [AttributeRows; 6], model: ColourModel, opacity: Opacity, device: &Device) -> Self {
-        let mut at = 0;
-        let [positions, quaternions, log_scales, opacities, base, detail] = rows.map(|rows| {
-            at += 1;
-            Attribute::new(Self::NAMES[at - 1], &rows, device)
-        });
-        Self { model, opacity, positions, quaternions, log_scales, opacities, base, detail }
-    }
-
-    fn all(&self) -> [&Attribute; 6] {
-        [&self.positions, &self.quaternions, &self.log_scales, &self.opacities, &self.base, &self.detail]
-    }
-
-    fn all_mut(&mut self) -> [&mut Attribute; 6] {
-        [
-            &mut self.positions,
-            &mut self.quaternions,
-            &mut self.log_scales,
-            &mut self.opacities,
-            &mut self.base,
-            &mut self.detail,
-        ]
-    }
-
-    pub fn len(&self) -> usize {
-        self.positions.value().dims()[0]
-    }
-
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
-
-    pub fn rows(&self) -> NamedRows {
-        self.all().into_iter().map(|attribute| (attribute.name(), attribute.rows())).collect()
-    }
-
-    /// The opacities as they are rendered.
-    pub fn to_data(&self) -> GaussianData {
-        let [positions, quaternions, log_scales, raw, base, detail] = self.all().map(|a| tensor_to_rows(&a.value()));
-        let opacities = match self.opacity {
-            Opacity::Linear => raw,
-            Opacity::Sigmoid => raw.into_iter().map(|x| (1.0 / (1.0 + f64::from(-x).exp())) as f32).collect(),
-        };
-        GaussianData { positions, quaternions, log_scales, opacities, colour: ColourData { base, detail } }
-    }
-
-    fn assemble(
-        &self,
-        [positions, quaternions, log_scales, opacities, base, detail]: [Tensor<2>; 6],
-    ) -> (Gaussians, Tensor<2>) {
-        let colour = Colour { model: self.model, base, detail };
-        let flat = opacities.clone().reshape([opacities.dims()[0]]);
-        let flat = if self.opacity == Opacity::Sigmoid { sigmoid(flat) } else { flat };
-        (Gaussians { positions, quaternions, log_scales, opacities: flat, colour }, opacities)
-    }
-
-    /// For rendering without a tape.
-    pub fn values(&self) -> Gaussians {
-        self.assemble(self.all().map(Attribute::value)).0
-    }
-
-    /// For one step: every attribute is a leaf. Returns the leaf of the opacities beside them, of
-    /// which the Gaussians hold a function.
-    pub fn leaves(&self) -> (Gaussians, Tensor<2>) {
-        self.assemble(self.all().map(Attribute::leaf))
-    }
-
-    pub fn gradients(&self, (leaves, opacities): (&Gaussians, &Tensor<2>), gradients: &mut Gradients) -> GradientList {
-        let colour = &leaves.colour;
-        let tensors =
-            [&leaves.positions, &leaves.quaternions, &leaves.log_scales, opacities, &colour.base, &colour.detail];
-        gradients_of(self.all(), tensors, gradients)
-    }
-
-    /// Nothing changes where `gate` [1] is not 1.
-    ///
-    /// # Errors
-    /// [`dpges_core::Error::Shape`] if the gradients belong to other rows.
-    pub fn step(
-        &mut self,
-        gradients: GradientList,
-        gate: &Tensor<1>,
-        rates: &Rates,
-        adam: AdamStep,
-    ) -> dpges_core::Result<()> {
-        let rates =
-            [rates.gaussian_positions, rates.quaternions, rates.log_scales, rates.opacities, rates.base, rates.detail];
-        for ((attribute, gradient), learning_rate) in self.all_mut().into_iter().zip(gradients).zip(rates) {
-            attribute.step(gradient, gate, AdamStep { learning_rate, ..adam })?;
-        }
-        Ok(())
+    /// [M] opacities as they are rendered, in host memory.
+    pub fn opacities(&self) -> Vec<f32> {
+        let raw = tensor_to_rows(&self.columns.opacities.raw());
+        raw.into_iter().map(|raw| self.opacity.value(raw)).collect()
     }
 
     pub fn edit(&mut self, edit: &GaussianEdit) {
-        let added = &edit.added;
-        let opacities = raw_opacities(&added.opacities, self.opacity);
-        let parts = [
-            &added.positions,
-            &added.quaternions,
-            &added.log_scales,
-            &opacities,
-            &added.colour.base,
-            &added.colour.detail,
-        ];
-        for (attribute, part) in self.all_mut().into_iter().zip(parts) {
-            attribute.edit(&edit.rows, part, added.len());
+        let kept = Rows::new(&edit.rows.keep, self.len(), &self.device());
+        let parameters = self.columns.list_mut().into_iter();
+        for ((attribute, added), parameter) in edit.added.iter().zip(parameters) {
+            parameter.edit(&kept, &raw(attribute, added, self.opacity), edit.added.len());
         }
     }
 
     /// Rows become copies of others.
     pub fn relocate(&mut self, relocated: &Relocated) {
-        let opacities = raw_opacities(&relocated.opacities, self.opacity);
-        let Relocated { rows, log_scales, fresh_moments, .. } = relocated;
-        let values = [None, None, Some(log_scales), Some(&opacities), None, None];
-        for (attribute, values) in self.all_mut().into_iter().zip(values) {
-            attribute.copy_rows(rows, values.map(Vec::as_slice), fresh_moments);
-        }
-    }
-
-    /// [M × 3] world units.
-    pub fn set_positions(&mut self, positions: &[f32]) {
-        self.positions.set_value(positions);
+        let Relocated { rows, opacities, log_scales, fresh_moments, .. } = relocated;
+        let device = self.device();
+        let copied = Rows::new(rows, self.len(), &device);
+        let fresh = TensorData::new(fresh_moments.clone(), [rows.len(), 1]);
+        let fresh = Tensor::<2, Bool>::from_data(fresh, &device);
+        self.columns.list_mut().into_iter().for_each(|parameter| parameter.copy_rows(&copied, &fresh));
+        self.columns.log_scales.set(log_scales);
+        self.columns.opacities.set(&raw_opacities(opacities, self.opacity));
     }
 
     /// [M] as they are rendered; their moments start again.
     pub fn reset_opacities(&mut self, opacities: &[f32]) {
-        let raw = raw_opacities(opacities, self.opacity);
-        let rows: Vec<usize> = (0..raw.len()).collect();
-        self.opacities.copy_rows(&rows, Some(&raw), &vec![true; raw.len()]);
-    }
-
-    /// [M × detail] lobes or higher harmonics.
-    pub fn set_detail(&mut self, detail: &[f32]) {
-        self.detail.set_value(detail);
-    }
-
-    /// [M × 3]
-    pub fn set_base(&mut self, base: &[f32]) {
-        self.base.set_value(base);
+        self.columns.opacities.restart(&raw_opacities(opacities, self.opacity));
     }
 }
 
-/// The numbers that are trained for `opacities`.
-fn raw_opacities(opacities: &[f32], opacity: Opacity) -> Vec<f32> {
-    let logit = |o: f64| (o / (1.0 - o)).ln() as f32;
-    match opacity {
-        Opacity::Linear => opacities.to_vec(),
-        Opacity::Sigmoid => {
-            opacities.iter().map(|&o| logit(f64::from(o).clamp(OPACITY_LIMIT, 1.0 - OPACITY_LIMIT))).collect()
-        }
+/// The numbers that are trained for `values`.
+fn raw(attribute: &Attribute, values: &[f32], opacity: OpacityActivation) -> Vec<f32> {
+    match attribute.activation {
+        Activation::Identity => values.to_vec(),
+        Activation::Opacity => raw_opacities(values, opacity),
     }
+}
+
+fn raw_opacities(opacities: &[f32], activation: OpacityActivation) -> Vec<f32> {
+    opacities.iter().map(|&opacity| activation.raw(opacity)).collect()
 }

@@ -218,7 +218,7 @@ impl Trainer {
         if due {
             known = self.settle()?.or(known);
             events = match &mut self.stage {
-                Stage::Blended(stage) => stage.refine(&mut self.context),
+                Stage::Blended(stage) => stage.refine(&mut self.context)?,
                 Stage::Joint(stage) => stage.refine(&mut self.context)?,
             };
         }

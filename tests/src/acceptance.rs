@@ -6,7 +6,7 @@ use dpges_core::losses;
 use dpges_core::ops::composite::{CompositeOptions, composite};
 use dpges_core::ops::peel::PeelOptions;
 use dpges_core::render::{Render, RenderOptions, render};
-use dpges_core::scene::{ColourData, ColourModel, Footprint, GaussianData, SurfelData};
+use dpges_core::scene::{ColourData, Footprint, GaussianData, SurfelData};
 use dpges_core::testing::golden::values;
 use dpges_core::testing::scenes::{Recipe, TestScene, random};
 use glam::DVec3;
@@ -89,11 +89,10 @@ fn rims(depths: &[f64], size: usize) -> TestScene {
         positions: depths.iter().flat_map(beside).collect(),
         quaternions: [1.0, 0.0, 0.0, 0.0].repeat(count),
         log_scales: vec![0.0; 2 * count],
-        colour: ColourData { base, detail: Vec::new() },
+        colour: ColourData { base, ..ColourData::default() },
         margins: vec![0.0; count],
     };
-    let model = ColourModel::SphericalBeta { lobes: 0 };
-    TestScene { surfels, gaussians: GaussianData::default(), camera: facing_camera(size), model }
+    TestScene { surfels, gaussians: GaussianData::default(), camera: facing_camera(size) }
 }
 
 #[test]
@@ -144,7 +143,7 @@ fn a_camera_moves_across_a_rim_without_a_jump() {
         quaternions: [1.0, 0.0, 0.0, 0.0].repeat(3),
         log_scales: vec![-1.0; 9],
         opacities: vec![0.8, 0.9, 1.2],
-        colour: ColourData { base: vec![1.5, -1.0, 0.2, -1.2, 0.8, 1.0, 0.3, 1.4, -1.4], detail: Vec::new() },
+        colour: ColourData { base: vec![1.5, -1.0, 0.2, -1.2, 0.8, 1.0, 0.3, 1.4, -1.4], ..ColourData::default() },
     };
     let largest_change = |steps: usize| {
         let frame = |step: usize| {

@@ -3,6 +3,7 @@
 use burn::tensor::{DType, Device, Tensor};
 use dpges_core::losses::{LossWeights, losses};
 use dpges_core::render::{Render, RenderOptions, render};
+use dpges_core::scene::schema::Columns;
 use dpges_core::scene::{Gaussians, Surfels};
 use dpges_core::testing::golden::values;
 use dpges_core::testing::random::Random;
@@ -59,8 +60,8 @@ fn the_order_of_primitives_does_not_matter() {
     for seed in 1..4 {
         let order = shuffled(scene.surfels.len(), seed);
         let permuted = TestScene {
-            surfels: scene.surfels.select(scene.model, &order),
-            gaussians: scene.gaussians.select(scene.model, &shuffled(scene.gaussians.len(), seed + 10)),
+            surfels: scene.surfels.select(&order),
+            gaussians: scene.gaussians.select(&shuffled(scene.gaussians.len(), seed + 10)),
             ..scene.clone()
         };
         let found = rendered(&permuted, &flex());
@@ -88,7 +89,7 @@ fn both_backends_render_the_same_bits() {
 /// Outputs, total loss and the gradients of all parameters.
 fn step(device: &Device) -> Vec<Vec<f64>> {
     let scene = scene();
-    let (surfels, gaussians) = with_gradients(scene.tensors(&device.clone().autodiff(), DType::F32));
+    let (surfels, gaussians) = scene.leaves(&device.clone().autodiff(), DType::F32);
     let rendered = render(&surfels, &gaussians, &scene.camera, &options()).unwrap();
     let target = rendered.composite.image.clone().detach().mul_scalar(0.9).add_scalar(0.02);
     let terms = losses(&rendered, surfels.log_scales.clone(), target, &LossWeights::default()).unwrap();
@@ -98,38 +99,13 @@ fn step(device: &Device) -> Vec<Vec<f64>> {
     for tensor in parameters(&surfels, &gaussians) {
         all.push(values(&tensor.grad(&gradients).unwrap()));
     }
-    all.push(values(&gaussians.opacities.grad(&gradients).unwrap()));
     all
 }
 
-fn with_gradients((mut surfels, mut gaussians): (Surfels, Gaussians)) -> (Surfels, Gaussians) {
-    for colour in [&mut surfels.colour, &mut gaussians.colour] {
-        colour.base = colour.base.clone().require_grad();
-        colour.detail = colour.detail.clone().require_grad();
-    }
-    surfels.positions = surfels.positions.require_grad();
-    surfels.quaternions = surfels.quaternions.require_grad();
-    surfels.log_scales = surfels.log_scales.require_grad();
-    gaussians.positions = gaussians.positions.require_grad();
-    gaussians.quaternions = gaussians.quaternions.require_grad();
-    gaussians.log_scales = gaussians.log_scales.require_grad();
-    gaussians.opacities = gaussians.opacities.require_grad();
-    (surfels, gaussians)
-}
-
-fn parameters<'a>(surfels: &'a Surfels, gaussians: &'a Gaussians) -> [&'a Tensor<2>; 10] {
-    [
-        &surfels.positions,
-        &surfels.quaternions,
-        &surfels.log_scales,
-        &surfels.colour.base,
-        &surfels.colour.detail,
-        &gaussians.positions,
-        &gaussians.quaternions,
-        &gaussians.log_scales,
-        &gaussians.colour.base,
-        &gaussians.colour.detail,
-    ]
+/// The attributes that learn.
+fn parameters<'a>(surfels: &'a Surfels, gaussians: &'a Gaussians) -> Vec<&'a Tensor<2>> {
+    let all = surfels.iter().chain(gaussians.iter());
+    all.filter(|(attribute, _)| attribute.learns()).map(|(_, tensor)| tensor).collect()
 }
 
 #[test]
@@ -146,12 +122,12 @@ fn scenes_without_surfels_or_gaussians_render_and_have_gradients() {
     let whole = scene();
     for (surfel_count, gaussian_count) in [(0, 0), (0, 300), (120, 0)] {
         let scene = TestScene {
-            surfels: whole.surfels.select(whole.model, &(0..surfel_count).collect::<Vec<_>>()),
-            gaussians: whole.gaussians.select(whole.model, &(0..gaussian_count).collect::<Vec<_>>()),
+            surfels: whole.surfels.select(&(0..surfel_count).collect::<Vec<_>>()),
+            gaussians: whole.gaussians.select(&(0..gaussian_count).collect::<Vec<_>>()),
             ..whole.clone()
         };
         for device in [ndarray().autodiff(), flex().autodiff()] {
-            let (surfels, gaussians) = with_gradients(scene.tensors(&device, DType::F32));
+            let (surfels, gaussians) = scene.leaves(&device, DType::F32);
             let rendered = render(&surfels, &gaussians, &scene.camera, &options()).unwrap();
             let composite = &rendered.composite;
             let (image, surfel_image) = (values(&composite.image), values(&composite.surfel_image));

@@ -6,6 +6,7 @@ use dpges_core::camera::{Camera, CameraFromWorld};
 use dpges_core::losses::{LossWeights, losses};
 use dpges_core::ops::peel::PeelOptions;
 use dpges_core::render::{RenderOptions, render};
+use dpges_core::scene::schema::{Attribute, Columns, GaussianColumns, SurfelColumns};
 use dpges_core::scene::{Footprint, Gaussians, Surfels};
 use dpges_core::testing::golden::values;
 use dpges_core::testing::scenes::{Recipe, TestScene, random};
@@ -18,23 +19,17 @@ fn scene() -> TestScene {
 }
 
 type Input = (Surfels, Gaussians);
-/// A name that errors use, and the tensor they mean.
-type Named<const D: usize> = (&'static str, fn(&mut Input) -> &mut Tensor<D>);
 
-const ROWS: [Named<2>; 10] = [
-    ("surfels.positions", |i| &mut i.0.positions),
-    ("surfels.quaternions", |i| &mut i.0.quaternions),
-    ("surfels.log_scales", |i| &mut i.0.log_scales),
-    ("surfels.colour.base", |i| &mut i.0.colour.base),
-    ("surfels.colour.detail", |i| &mut i.0.colour.detail),
-    ("gaussians.positions", |i| &mut i.1.positions),
-    ("gaussians.quaternions", |i| &mut i.1.quaternions),
-    ("gaussians.log_scales", |i| &mut i.1.log_scales),
-    ("gaussians.colour.base", |i| &mut i.1.colour.base),
-    ("gaussians.colour.detail", |i| &mut i.1.colour.detail),
-];
-const COLUMNS: [Named<1>; 2] =
-    [("surfels.margins", |i| &mut i.0.margins), ("gaussians.opacities", |i| &mut i.1.opacities)];
+fn attributes() -> impl Iterator<Item = &'static Attribute> {
+    SurfelColumns::<()>::ATTRIBUTES.iter().chain(GaussianColumns::<()>::ATTRIBUTES)
+}
+
+/// Replaces the tensor of an attribute by a function of it.
+fn replace(of: &Attribute, (surfels, gaussians): &mut Input, edit: impl Fn(Tensor<2>) -> Tensor<2>) {
+    let mut tensors = attributes().zip(surfels.list_mut().into_iter().chain(gaussians.list_mut()));
+    let (_, tensor) = tensors.find(|(attribute, _)| *attribute == of).unwrap();
+    *tensor = edit(tensor.clone());
+}
 
 /// The error of rendering the scene after `edit`.
 fn error_after(edit: impl Fn(&mut Input)) -> Error {
@@ -46,49 +41,40 @@ fn error_after(edit: impl Fn(&mut Input)) -> Error {
 
 #[test]
 fn wrong_shapes_are_named() {
-    for (name, of) in ROWS {
-        let widened = error_after(|input| *of(input) = Tensor::cat(vec![of(input).clone(), of(input).clone()], 1));
+    for attribute in attributes() {
+        let name = attribute.name;
+        let twice = |along| {
+            error_after(|input| replace(attribute, input, |tensor| Tensor::cat(vec![tensor.clone(), tensor], along)))
+        };
+        let widened = twice(1);
         assert!(matches!(&widened, Error::Shape { tensor, .. } if tensor == name), "{name}: {widened}");
-        // with a position more the others are too short
-        let lengthened = error_after(|input| *of(input) = Tensor::cat(vec![of(input).clone(), of(input).clone()], 0));
+        // With more positions the others are too short.
+        let lengthened = twice(0);
         assert!(matches!(&lengthened, Error::Shape { .. }), "{name}: {lengthened}");
-    }
-    for (name, of) in COLUMNS {
-        let error = error_after(|input| *of(input) = of(input).clone().slice(0..5));
-        assert!(matches!(&error, Error::Shape { tensor, .. } if tensor == name), "{name}: {error}");
     }
 }
 
 #[test]
 fn values_that_are_not_finite_are_named_with_their_row() {
     for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
-        for (name, of) in ROWS {
-            let error = error_after(|input| {
-                let value = of(input).clone().slice([7..8, 1..2]).full_like(bad);
-                *of(input) = of(input).clone().slice_assign([7..8, 1..2], value);
-            });
+        for attribute in attributes() {
+            let spoil = |tensor: Tensor<2>| {
+                let value = tensor.clone().slice([7..8, 0..1]).full_like(bad);
+                tensor.slice_assign([7..8, 0..1], value)
+            };
+            let (name, error) = (attribute.name, error_after(|input| replace(attribute, input, spoil)));
             assert!(matches!(&error, Error::NonFinite { tensor, row: 7, .. } if tensor == name), "{name}: {error}");
-        }
-        for (name, of) in COLUMNS {
-            let error = error_after(|input| {
-                let value = of(input).clone().slice(11..12).full_like(bad);
-                *of(input) = of(input).clone().slice_assign(11..12, value);
-            });
-            assert!(matches!(&error, Error::NonFinite { tensor, row: 11, .. } if tensor == name), "{name}: {error}");
         }
     }
 }
 
 #[test]
 fn mixed_and_unsupported_element_types_are_named() {
-    for (name, of) in ROWS {
-        let error = error_after(|input| *of(input) = of(input).clone().cast(DType::F64));
+    for attribute in attributes() {
+        let error = error_after(|input| replace(attribute, input, |tensor| tensor.cast(DType::F64)));
+        let name = attribute.name;
         assert!(matches!(&error, Error::DType { .. }), "{name}: {error}");
         assert!(name == "surfels.positions" || error.to_string().contains(name), "{name}: {error}");
-    }
-    for (name, of) in COLUMNS {
-        let error = error_after(|input| *of(input) = of(input).clone().cast(DType::F64));
-        assert!(matches!(&error, Error::DType { tensor, .. } if tensor == name), "{name}: {error}");
     }
 }
 
@@ -143,11 +129,7 @@ fn a_target_of_another_size_is_refused() {
 fn assert_finite(what: &str, scene: &TestScene) {
     for device in [ndarray().autodiff(), flex().autodiff()] {
         for layer_count in [1, 3] {
-            let mut input = scene.tensors(&device, DType::F32);
-            for (_, of) in ROWS {
-                *of(&mut input) = of(&mut input).clone().require_grad();
-            }
-            input.1.opacities = input.1.opacities.require_grad();
+            let input = scene.leaves(&device, DType::F32);
             let peel = PeelOptions { layer_count, ..PeelOptions::default() };
             let options = RenderOptions { peel, background: [0.2, 0.4, 0.6], ..RenderOptions::default() };
             let rendered = render(&input.0, &input.1, &scene.camera, &options).unwrap();
@@ -157,13 +139,12 @@ fn assert_finite(what: &str, scene: &TestScene) {
             let terms = losses(&rendered, input.0.log_scales.clone(), target, &LossWeights::default()).unwrap();
             assert!(values(&terms.total)[0].is_finite(), "{what}: the loss is {:?}", values(&terms.total));
             let gradients = terms.total.backward();
-            for (name, of) in ROWS {
-                let gradient = values(&of(&mut input).grad(&gradients).unwrap());
+            for (attribute, tensor) in input.0.iter().chain(input.1.iter()).filter(|(attribute, _)| attribute.learns())
+            {
+                let (name, gradient) = (attribute.name, values(&tensor.grad(&gradients).unwrap()));
                 let bad = gradient.iter().position(|g| !g.is_finite());
                 assert!(bad.is_none(), "{what}: gradient of {name} at {bad:?} is {}", gradient[bad.unwrap_or(0)]);
             }
-            let gradient = values(&input.1.opacities.grad(&gradients).unwrap());
-            assert!(gradient.iter().all(|g| g.is_finite()), "{what}: gradient of opacities {gradient:?}");
         }
     }
 }

@@ -6,7 +6,8 @@ use dpges_core::camera::Camera;
 use dpges_core::losses::{self, LossWeights, losses};
 use dpges_core::ops::peel::PeelOptions;
 use dpges_core::render::{RenderOptions, render};
-use dpges_core::scene::{Colour, ColourModel, Footprint, Gaussians, Surfels};
+use dpges_core::scene::schema::{Attribute, Columns, GaussianColumns, RateGroup, SurfelColumns};
+use dpges_core::scene::{ColourModel, Footprint, Gaussians, Surfels};
 use dpges_core::testing::golden::values;
 use dpges_core::testing::gradients::{check, check_elements, leaf};
 use dpges_core::testing::random::Random;
@@ -14,33 +15,24 @@ use dpges_core::testing::scenes::{self, Recipe};
 
 use crate::devices::flex;
 
-const NAMES: [&str; 11] = [
-    "surfels.positions",
-    "surfels.quaternions",
-    "surfels.log_scales",
-    "surfels.colour.base",
-    "surfels.colour.detail",
-    "gaussians.positions",
-    "gaussians.quaternions",
-    "gaussians.log_scales",
-    "gaussians.colour.base",
-    "gaussians.colour.detail",
-    "gaussians.opacities",
-];
-const SURFEL_TENSORS: usize = 5;
+/// Attributes that learn, those of surfels first.
+fn learning() -> Vec<&'static Attribute> {
+    let all = SurfelColumns::<()>::ATTRIBUTES.iter().chain(GaussianColumns::<()>::ATTRIBUTES);
+    all.filter(|attribute| attribute.learns()).collect()
+}
+
 const LOBES: ColourModel = ColourModel::SphericalBeta { lobes: 2 };
 /// The direction of view carries no gradient to positions: they are checked where colour does not depend on it.
 const CONSTANT: ColourModel = ColourModel::SphericalBeta { lobes: 0 };
 const RECIPE: Recipe = Recipe { surfels: 14, gaussians: 16, model: LOBES, extent: 1.0, width: 27, height: 19 };
 
-/// A scene in f64, in the order of [`NAMES`], and the image it should become.
+/// A scene in f64 and the image it should become.
 #[derive(Clone)]
-struct Flat {
-    values: [Vec<f64>; 11],
-    margins: Vec<f64>,
+struct Wide {
+    surfels: SurfelColumns<Vec<f64>>,
+    gaussians: GaussianColumns<Vec<f64>>,
     target: Vec<f64>,
     camera: Camera,
-    model: ColourModel,
 }
 
 struct Inputs {
@@ -49,86 +41,42 @@ struct Inputs {
 }
 
 impl Inputs {
-    fn gradient(&self, which: usize, gradients: &Gradients) -> Vec<f64> {
-        let (s, g) = (&self.surfels, &self.gaussians);
-        let rows = [
-            &s.positions,
-            &s.quaternions,
-            &s.log_scales,
-            &s.colour.base,
-            &s.colour.detail,
-            &g.positions,
-            &g.quaternions,
-            &g.log_scales,
-            &g.colour.base,
-            &g.colour.detail,
-        ];
-        match rows.get(which) {
-            Some(tensor) => values(&tensor.grad(gradients).unwrap()),
-            None => values(&g.opacities.grad(gradients).unwrap()),
-        }
+    fn gradient(&self, of: &Attribute, gradients: &Gradients) -> Vec<f64> {
+        let mut all = self.surfels.iter().chain(self.gaussians.iter());
+        let (_, tensor) = all.find(|(attribute, _)| *attribute == of).unwrap();
+        values(&tensor.grad(gradients).unwrap())
     }
 }
 
-impl Flat {
+impl Wide {
     fn new(seed: u64, model: ColourModel) -> Self {
         let scene = scenes::random(seed, &Recipe { model, ..RECIPE });
-        let (s, g) = (scene.surfels, scene.gaussians);
-        let rows = [
-            s.positions,
-            s.quaternions,
-            s.log_scales,
-            s.colour.base,
-            s.colour.detail,
-            g.positions,
-            g.quaternions,
-            g.log_scales,
-            g.colour.base,
-            g.colour.detail,
-            g.opacities,
-        ];
+        let wide = |_: &Attribute, rows: Vec<f32>| rows.into_iter().map(f64::from).collect();
         Self {
-            values: rows.map(|rows| rows.into_iter().map(f64::from).collect()),
-            margins: s.margins.into_iter().map(f64::from).collect(),
+            surfels: scene.surfels.map(wide),
+            gaussians: scene.gaussians.map(wide),
             target: Random::new(seed).numbers(3 * RECIPE.width * RECIPE.height, 0.0, 1.0),
             camera: scene.camera,
-            model,
         }
     }
 
+    fn values_mut(&mut self, of: &Attribute) -> &mut Vec<f64> {
+        let attributes = SurfelColumns::<()>::ATTRIBUTES.iter().chain(GaussianColumns::<()>::ATTRIBUTES);
+        let mut all = attributes.zip(self.surfels.list_mut().into_iter().chain(self.gaussians.list_mut()));
+        all.find(|(attribute, _)| *attribute == of).unwrap().1
+    }
+
     fn inputs(&self, device: &Device) -> Inputs {
-        let tensor = |rows: &[f64], count: usize| {
-            let data = TensorData::new(rows.to_vec(), [count, rows.len() / count]);
-            let tensor = Tensor::<2>::from_data(data, (device, DType::F64));
-            if device.is_autodiff() { tensor.require_grad() } else { tensor }
+        let tensors = |count: usize, model: ColourModel| {
+            move |attribute: &'static Attribute, rows: &Vec<f64>| {
+                let data = TensorData::new(rows.clone(), attribute.shape(count, model));
+                let tensor = Tensor::<2>::from_data(data, (device, DType::F64));
+                if device.is_autodiff() && attribute.learns() { tensor.require_grad() } else { tensor }
+            }
         };
-        let (n, m) = (RECIPE.surfels, RECIPE.gaussians);
-        let [sp, sq, ss, sb, sd, gp, gq, gs, gb, gd, go] = &self.values;
-        let colour = |base: &[f64], detail: &[f64], count| Colour {
-            model: self.model,
-            base: tensor(base, count),
-            detail: tensor(detail, count),
-        };
-        let column = |values: &[f64]| {
-            Tensor::<1>::from_data(TensorData::new(values.to_vec(), [values.len()]), (device, DType::F64))
-        };
-        let opacities = column(go);
-        let opacities = if device.is_autodiff() { opacities.require_grad() } else { opacities };
         Inputs {
-            surfels: Surfels {
-                positions: tensor(sp, n),
-                quaternions: tensor(sq, n),
-                log_scales: tensor(ss, n),
-                colour: colour(sb, sd, n),
-                margins: column(&self.margins),
-            },
-            gaussians: Gaussians {
-                positions: tensor(gp, m),
-                quaternions: tensor(gq, m),
-                log_scales: tensor(gs, m),
-                opacities,
-                colour: colour(gb, gd, m),
-            },
+            surfels: self.surfels.map_ref(tensors(RECIPE.surfels, self.surfels.model())),
+            gaussians: self.gaussians.map_ref(tensors(RECIPE.gaussians, self.gaussians.model())),
         }
     }
 
@@ -155,18 +103,19 @@ fn peel(layer_count: usize) -> PeelOptions {
 #[test]
 fn the_gradient_of_the_total_loss_is_central_differences() {
     for layer_count in 1..=4 {
-        for (which, name) in NAMES.iter().enumerate() {
-            let model = if name.ends_with("positions") { CONSTANT } else { LOBES };
-            let flat = Flat::new(40 + layer_count as u64, model);
-            let inputs = flat.inputs(&flex().autodiff());
-            let gradients = flat.loss(&inputs, peel(layer_count), false).backward();
-            let found = inputs.gradient(which, &gradients);
+        for attribute in learning() {
+            let model = if attribute.rate == RateGroup::Positions { CONSTANT } else { LOBES };
+            let mut scene = Wide::new(40 + layer_count as u64, model);
+            let inputs = scene.inputs(&flex().autodiff());
+            let gradients = scene.loss(&inputs, peel(layer_count), false).backward();
+            let found = inputs.gradient(attribute, &gradients);
             let elements: Vec<usize> = (0..found.len()).step_by(1 + found.len() / 24).collect();
-            let name = format!("{name} (K = {layer_count})");
-            check_elements(&name, &flat.values[which], &found, &elements, 2e-6, |moved| {
-                let mut flat = flat.clone();
-                flat.values[which] = moved.to_vec();
-                values(&flat.loss(&flat.inputs(&flex()), peel(layer_count), false))[0]
+            let name = format!("{} (K = {layer_count})", attribute.name);
+            let at = scene.values_mut(attribute).clone();
+            check_elements(&name, &at, &found, &elements, 2e-6, |moved| {
+                let mut scene = scene.clone();
+                *scene.values_mut(attribute) = moved.to_vec();
+                values(&scene.loss(&scene.inputs(&flex()), peel(layer_count), false))[0]
             });
         }
     }
@@ -176,17 +125,18 @@ fn the_gradient_of_the_total_loss_is_central_differences() {
 #[test]
 fn detaching_transmittance_changes_only_the_geometry_of_surfels() {
     for layer_count in 1..=4 {
-        let flat = Flat::new(40 + layer_count as u64, LOBES);
+        let scene = Wide::new(40 + layer_count as u64, LOBES);
         let gradients = [false, true].map(|detach| {
-            let inputs = flat.inputs(&flex().autodiff());
-            let gradients = flat.loss(&inputs, peel(layer_count), detach).backward();
-            [0; NAMES.len()].iter().enumerate().map(|(i, _)| inputs.gradient(i, &gradients)).collect::<Vec<_>>()
+            let inputs = scene.inputs(&flex().autodiff());
+            let gradients = scene.loss(&inputs, peel(layer_count), detach).backward();
+            learning().into_iter().map(|attribute| inputs.gradient(attribute, &gradients)).collect::<Vec<_>>()
         });
-        for (which, name) in NAMES.iter().enumerate() {
-            let same = gradients[0][which] == gradients[1][which];
-            // the first interval lies in front of all layers: with one layer nothing passes through
-            let expected = which >= SURFEL_TENSORS || which >= 3 || layer_count == 1;
-            assert_eq!(same, expected, "{name} (K = {layer_count})");
+        for (attribute, (full, detached)) in learning().into_iter().zip(gradients[0].iter().zip(&gradients[1])) {
+            let is_geometry =
+                ["surfels.positions", "surfels.quaternions", "surfels.log_scales"].contains(&attribute.name);
+            // The first interval lies in front of all layers: with one layer nothing passes through.
+            let expected = !is_geometry || layer_count == 1;
+            assert_eq!(full == detached, expected, "{} (K = {layer_count})", attribute.name);
         }
     }
 }

@@ -1,5 +1,5 @@
 //! The custom operations, in the order in which a training step uses them: [`finite`], [`colour`],
-//! [`peel`], [`splat`], [`composite`], [`ssim`], [`adam`]; [`coverage`] serves refinement; [`blend`]
+//! [`peel`], [`splat`], [`composite`], [`ssim`], [`adam`]; [`coverage`] and [`jitter`] serve refinement; [`blend`]
 //! takes the place of peel, splat and composite where Gaussians or discs are trained alone; [`binning`],
 //! [`bands`] and, on GPUs, `boxes` are shared.
 //!
@@ -20,6 +20,7 @@ pub mod colour;
 pub mod composite;
 pub mod coverage;
 pub mod finite;
+pub mod jitter;
 pub mod peel;
 pub mod splat;
 pub mod ssim;

@@ -1,47 +1,23 @@
-//! The parameters of a scene in host memory, as rows of `f32`: what initialisation writes, what
-//! refinement edits, what the scene file holds.
+//! The attributes of a scene in host memory, as rows of `f32`: what initialisation writes, what refinement edits, what
+//! the scene file holds.
 
-use crate::scene::ColourModel;
+use super::schema::{Attribute, Colour, Columns, GaussianColumns, SurfelColumns};
+use super::{ColourModel, SceneInfo};
+use crate::error::{Error, Result};
 
-/// View-dependent colour of N primitives.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct ColourData {
-    /// [N × 3] zeroth-order coefficient k0; contributes `0.5 + C0 · k0`.
-    pub base: Vec<f32>,
-    /// [N × [`ColourModel::detail_len`]] raw lobes or higher spherical-harmonic coefficients.
-    pub detail: Vec<f32>,
-}
+/// View-dependent colour of N primitives: each column has N × its width numbers.
+pub type ColourData = Colour<Vec<f32>>;
+/// N surfels: each column has N × its width numbers.
+pub type SurfelData = SurfelColumns<Vec<f32>>;
+/// M Gaussians: each column has M × its width numbers.
+pub type GaussianData = GaussianColumns<Vec<f32>>;
 
-/// N surfels: opaque discs with semi-transparent rims.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct SurfelData {
-    /// [N × 3] world units.
-    pub positions: Vec<f32>,
-    /// [N × 4] (w, x, y, z), not necessarily of unit length; the third column of the rotation is the normal.
-    pub quaternions: Vec<f32>,
-    /// [N × 2] natural logarithm of the scales along the first two columns, world units.
-    pub log_scales: Vec<f32>,
-    pub colour: ColourData,
-    /// [N] depth margin ε, world units.
-    pub margins: Vec<f32>,
-}
-
-/// M Gaussians.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct GaussianData {
-    /// [M × 3] world units.
-    pub positions: Vec<f32>,
-    /// [M × 4] (w, x, y, z), not necessarily of unit length.
-    pub quaternions: Vec<f32>,
-    /// [M × 3] natural logarithm of the scales, world units.
-    pub log_scales: Vec<f32>,
-    /// [M] linear opacity, used as max(0, opacity); may exceed 1.
-    pub opacities: Vec<f32>,
-    pub colour: ColourData,
-}
-
-fn select<const W: usize>(values: &[f32], rows: &[usize]) -> Vec<f32> {
-    select_rows(values, W, rows)
+/// A scene in host memory.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SceneData {
+    pub info: SceneInfo,
+    pub surfels: SurfelData,
+    pub gaussians: GaussianData,
 }
 
 /// Rows of `values` (`width` numbers each) in the order of `rows`.
@@ -49,61 +25,81 @@ pub fn select_rows(values: &[f32], width: usize, rows: &[usize]) -> Vec<f32> {
     rows.iter().flat_map(|&row| &values[row * width..(row + 1) * width]).copied().collect()
 }
 
-impl ColourData {
-    pub fn select(&self, model: ColourModel, rows: &[usize]) -> Self {
-        Self { base: select::<3>(&self.base, rows), detail: select_rows(&self.detail, model.detail_len(), rows) }
-    }
+macro_rules! on_the_host {
+    ($data:ident) => {
+        impl $data {
+            /// `count` primitives of which nothing is known: every attribute has its neutral value.
+            pub fn neutral(model: ColourModel, count: usize) -> Self {
+                let value = |attribute: &Attribute| vec![attribute.neutral; count * attribute.width.under(model)];
+                Self::generate(model, Self::ATTRIBUTES.iter().map(value))
+            }
 
-    pub fn append(&mut self, other: Self) {
-        self.base.extend(other.base);
-        self.detail.extend(other.detail);
+            pub fn len(&self) -> usize {
+                self.positions.len() / 3
+            }
+
+            pub fn is_empty(&self) -> bool {
+                self.positions.is_empty()
+            }
+
+            /// The primitives `rows`, in that order; repetitions are allowed.
+            pub fn select(&self, rows: &[usize]) -> Self {
+                let model = self.model();
+                self.map_ref(|attribute, values| select_rows(values, attribute.width.under(model), rows))
+            }
+
+            /// Adds the primitives of `other` after these.
+            pub fn append(&mut self, other: Self) {
+                self.list_mut().into_iter().zip(other.into_list()).for_each(|(values, more)| values.extend(more));
+            }
+
+            /// # Errors
+            /// [`Error::Shape`] or [`Error::NonFinite`] naming the first attribute that is wrong.
+            pub(crate) fn check(&self) -> Result<()> {
+                let (model, count) = (self.model(), self.len());
+                self.iter().try_for_each(|(attribute, values)| {
+                    check_numbers(attribute.name, &attribute.stored_shape(count, model), values)
+                })
+            }
+        }
+    };
+}
+
+on_the_host!(SurfelData);
+on_the_host!(GaussianData);
+
+/// Whether `values` are finite and as many as `shape` asks for.
+///
+/// # Errors
+/// [`Error::Shape`] or [`Error::NonFinite`] naming the tensor and the row.
+pub(crate) fn check_numbers(name: &str, shape: &[usize], values: &[f32]) -> Result<()> {
+    if values.len() != shape.iter().product::<usize>() {
+        let expected = format!("{shape:?}");
+        return Err(Error::Shape { tensor: name.to_owned(), expected, found: vec![values.len()] });
+    }
+    match values.iter().position(|value| !value.is_finite()) {
+        Some(at) => {
+            let width = shape[1..].iter().product::<usize>();
+            Err(Error::NonFinite { tensor: name.to_owned(), row: at / width })
+        }
+        None => Ok(()),
     }
 }
 
-impl SurfelData {
-    pub fn len(&self) -> usize {
-        self.margins.len()
-    }
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-    pub fn is_empty(&self) -> bool {
-        self.margins.is_empty()
-    }
-
-    pub fn select(&self, model: ColourModel, rows: &[usize]) -> Self {
-        Self {
-            positions: select::<3>(&self.positions, rows),
-            quaternions: select::<4>(&self.quaternions, rows),
-            log_scales: select::<2>(&self.log_scales, rows),
-            colour: self.colour.select(model, rows),
-            margins: select::<1>(&self.margins, rows),
-        }
-    }
-}
-
-impl GaussianData {
-    pub fn len(&self) -> usize {
-        self.opacities.len()
-    }
-
-    pub fn is_empty(&self) -> bool {
-        self.opacities.is_empty()
-    }
-
-    pub fn select(&self, model: ColourModel, rows: &[usize]) -> Self {
-        Self {
-            positions: select::<3>(&self.positions, rows),
-            quaternions: select::<4>(&self.quaternions, rows),
-            log_scales: select::<3>(&self.log_scales, rows),
-            opacities: select::<1>(&self.opacities, rows),
-            colour: self.colour.select(model, rows),
-        }
-    }
-
-    pub fn append(&mut self, other: Self) {
-        self.positions.extend(other.positions);
-        self.quaternions.extend(other.quaternions);
-        self.log_scales.extend(other.log_scales);
-        self.opacities.extend(other.opacities);
-        self.colour.append(other.colour);
+    #[test]
+    fn rows_are_selected_and_appended_in_every_column() {
+        let model = ColourModel::SphericalBeta { lobes: 1 };
+        let mut surfels = SurfelData::neutral(model, 3);
+        assert_eq!((surfels.len(), surfels.colour.detail.len(), surfels.margins.len()), (3, 18, 3));
+        surfels.margins = vec![1.0, 2.0, 3.0];
+        surfels.append(surfels.select(&[2, 0]));
+        assert_eq!((surfels.len(), &surfels.margins[..]), (5, &[1.0, 2.0, 3.0, 3.0, 1.0][..]));
+        surfels.check().unwrap();
+        surfels.log_scales.pop();
+        assert!(surfels.check().unwrap_err().to_string().contains("surfels.log_scales"));
     }
 }

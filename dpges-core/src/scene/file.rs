@@ -14,8 +14,10 @@ use std::path::Path;
 
 use safetensors::{Dtype, SafeTensors, View};
 
+use super::data::check_numbers;
 use super::lobes::{LOBE_LEN, pack, unpack};
-use super::{ColourData, ColourModel, GaussianData, SceneData, SceneInfo, SurfelData};
+use super::schema::{Attribute, Columns, Width};
+use super::{ColourModel, GaussianData, SceneData, SceneInfo, SurfelData};
 use crate::atomic::write_atomically;
 use crate::error::{Error, Result};
 use crate::tensor_file;
@@ -65,26 +67,9 @@ impl View for Rows<'_> {
     }
 }
 
-/// A tensor in memory: its name, the shape it must have, its values row-major.
-type Named<'a> = (&'static str, Vec<usize>, &'a [f32]);
-
-impl<'a> From<Named<'a>> for Rows<'a> {
-    fn from((name, shape, values): Named<'a>) -> Self {
+impl<'a> Rows<'a> {
+    fn numbers(name: &'static str, shape: Vec<usize>, values: impl Into<Cow<'a, [f32]>>) -> Self {
         Self { name, shape, values: Values::Numbers(values.into()) }
-    }
-}
-
-fn check_numbers(name: &str, shape: &[usize], values: &[f32]) -> Result<()> {
-    if values.len() != shape.iter().product::<usize>() {
-        let expected = format!("{shape:?}");
-        return Err(Error::Shape { tensor: name.to_owned(), expected, found: vec![values.len()] });
-    }
-    match values.iter().position(|value| !value.is_finite()) {
-        Some(at) => {
-            let width = shape[1..].iter().product::<usize>();
-            Err(Error::NonFinite { tensor: name.to_owned(), row: at / width })
-        }
-        None => Ok(()),
     }
 }
 
@@ -97,6 +82,14 @@ impl SceneData {
     pub fn save(&self, path: &Path) -> Result<()> {
         let wrong = |reason| Error::SceneFile { path: path.to_owned(), reason };
         check_info(&self.info).map_err(wrong)?;
+        let models = [
+            ("surfels", self.surfels.len(), self.surfels.model()),
+            ("gaussians", self.gaussians.len(), self.gaussians.model()),
+        ];
+        let expected = self.info.colour_model;
+        if let Some((of, _, model)) = models.into_iter().find(|&(_, count, model)| count > 0 && model != expected) {
+            return Err(wrong(format!("the colours of {of} are {model}, info `colour_model` is {expected}")));
+        }
         self.check()?;
         let metadata = HashMap::from([
             ("format".to_owned(), FORMAT.to_owned()),
@@ -121,39 +114,40 @@ impl SceneData {
         parse(&bytes).map_err(|reason| Error::SceneFile { path: path.to_owned(), reason })
     }
 
-    fn tensors(&self) -> [Named<'_>; 12] {
-        let (surfels, gaussians) = (&self.surfels, &self.gaussians);
-        let (n, m, detail) = (surfels.len(), gaussians.len(), self.info.colour_model.detail_len());
-        [
-            ("surfels.positions", vec![n, 3], &surfels.positions),
-            ("surfels.quaternions", vec![n, 4], &surfels.quaternions),
-            ("surfels.log_scales", vec![n, 2], &surfels.log_scales),
-            ("surfels.colour.base", vec![n, 3], &surfels.colour.base),
-            ("surfels.colour.detail", vec![n, detail], &surfels.colour.detail),
-            ("surfels.margins", vec![n], &surfels.margins),
-            ("gaussians.positions", vec![m, 3], &gaussians.positions),
-            ("gaussians.quaternions", vec![m, 4], &gaussians.quaternions),
-            ("gaussians.log_scales", vec![m, 3], &gaussians.log_scales),
-            ("gaussians.opacities", vec![m], &gaussians.opacities),
-            ("gaussians.colour.base", vec![m, 3], &gaussians.colour.base),
-            ("gaussians.colour.detail", vec![m, detail], &gaussians.colour.detail),
-        ]
-    }
-
     fn check(&self) -> Result<()> {
-        self.tensors().iter().try_for_each(|(name, shape, values)| check_numbers(name, shape, values))
+        self.surfels.check()?;
+        self.gaussians.check()
     }
 
     /// The tensors of the file; those in memory must have been checked.
     fn stored(&self) -> Vec<Rows<'_>> {
-        let mut stored: Vec<Rows> = self.tensors().into_iter().map(Rows::from).collect();
-        if let ColourModel::SphericalBeta { lobes } = self.info.colour_model {
-            let (surfels, gaussians) = (&self.surfels, &self.gaussians);
-            stored.retain(|tensor| !tensor.name.ends_with(".detail"));
-            stored.extend(packed(SURFEL_LOBES, &surfels.colour, surfels.len(), lobes));
-            stored.extend(packed(GAUSSIAN_LOBES, &gaussians.colour, gaussians.len(), lobes));
-        }
+        let mut stored = Vec::new();
+        stored_columns(&self.surfels, self.surfels.len(), self.info.colour_model, &mut stored);
+        stored_columns(&self.gaussians, self.gaussians.len(), self.info.colour_model, &mut stored);
         stored
+    }
+}
+
+/// The tensors of `count` primitives, with only the lobes that are there.
+fn stored_columns<'a, C: Columns<Value = Vec<f32>>>(
+    columns: &'a C,
+    count: usize,
+    model: ColourModel,
+    stored: &mut Vec<Rows<'a>>,
+) {
+    for (attribute, values) in columns.iter() {
+        match (attribute.width, model) {
+            (Width::Detail, ColourModel::SphericalBeta { lobes }) => {
+                let (counts, numbers) = pack(values, count, lobes);
+                let listed = vec![numbers.len() / LOBE_LEN, LOBE_LEN];
+                let [counted, lobes] = lobe_names(attribute);
+                stored.push(Rows { name: counted, shape: vec![count], values: Values::Counts(counts) });
+                stored.push(Rows::numbers(lobes, listed, numbers));
+            }
+            _ => {
+                stored.push(Rows::numbers(attribute.name, attribute.stored_shape(count, model), &values[..]));
+            }
+        }
     }
 }
 
@@ -161,23 +155,9 @@ impl SceneData {
 const SURFEL_LOBES: [&str; 2] = ["surfels.colour.lobe_counts", "surfels.colour.lobes"];
 const GAUSSIAN_LOBES: [&str; 2] = ["gaussians.colour.lobe_counts", "gaussians.colour.lobes"];
 
-/// The tensors `names` of `count` primitives with room for `lobes`.
-fn packed(names: [&'static str; 2], colour: &ColourData, count: usize, lobes: usize) -> [Rows<'static>; 2] {
-    let (counts, numbers) = pack(&colour.detail, count, lobes);
-    let listed = vec![numbers.len() / LOBE_LEN, LOBE_LEN];
-    [
-        Rows { name: names[0], shape: vec![count], values: Values::Counts(counts) },
-        Rows { name: names[1], shape: listed, values: Values::Numbers(numbers.into()) },
-    ]
-}
-
-/// How a file holds what depends on the viewing direction.
-#[derive(Clone, Copy)]
-enum Detail {
-    /// `detail`, with so many numbers per primitive.
-    Dense { width: usize },
-    /// `lobe_counts` and `lobes`, at most so many per primitive.
-    Packed { lobes: usize },
+/// The tensors that stand in place of `detail`.
+fn lobe_names(detail: &Attribute) -> [&'static str; 2] {
+    if detail.name.starts_with("surfels") { SURFEL_LOBES } else { GAUSSIAN_LOBES }
 }
 
 fn parse(bytes: &[u8]) -> Result<SceneData, String> {
@@ -196,11 +176,10 @@ fn parse(bytes: &[u8]) -> Result<SceneData, String> {
     let info: SceneInfo = serde_json::from_str(info).map_err(|error| format!("metadata `info`: {error}"))?;
     check_info(&info)?;
 
-    let detail = match info.colour_model {
-        ColourModel::SphericalBeta { lobes } if version == VERSION => Detail::Packed { lobes },
-        model => Detail::Dense { width: model.detail_len() },
-    };
-    let scene = SceneData { surfels: read_surfels(&file, detail)?, gaussians: read_gaussians(&file, detail)?, info };
+    let packed = version == VERSION;
+    let surfels = read_columns::<SurfelData>(&file, info.colour_model, packed)?;
+    let gaussians = read_columns::<GaussianData>(&file, info.colour_model, packed)?;
+    let scene = SceneData { surfels, gaussians, info };
     scene.check().map_err(|error| error.to_string())?;
     Ok(scene)
 }
@@ -209,37 +188,14 @@ fn unreadable(error: safetensors::SafeTensorError) -> String {
     format!("not a safetensors file, or truncated: {error}")
 }
 
-fn read_surfels(file: &SafeTensors, detail: Detail) -> Result<SurfelData, String> {
-    let count = row_count(file, "surfels.positions")?;
-    Ok(SurfelData {
-        positions: read(file, "surfels.positions", &[count, 3])?,
-        quaternions: read(file, "surfels.quaternions", &[count, 4])?,
-        log_scales: read(file, "surfels.log_scales", &[count, 2])?,
-        colour: ColourData {
-            base: read(file, "surfels.colour.base", &[count, 3])?,
-            detail: match detail {
-                Detail::Dense { width } => read(file, "surfels.colour.detail", &[count, width])?,
-                Detail::Packed { lobes } => read_lobes(file, SURFEL_LOBES, count, lobes)?,
-            },
-        },
-        margins: read(file, "surfels.margins", &[count])?,
-    })
-}
-
-fn read_gaussians(file: &SafeTensors, detail: Detail) -> Result<GaussianData, String> {
-    let count = row_count(file, "gaussians.positions")?;
-    Ok(GaussianData {
-        positions: read(file, "gaussians.positions", &[count, 3])?,
-        quaternions: read(file, "gaussians.quaternions", &[count, 4])?,
-        log_scales: read(file, "gaussians.log_scales", &[count, 3])?,
-        opacities: read(file, "gaussians.opacities", &[count])?,
-        colour: ColourData {
-            base: read(file, "gaussians.colour.base", &[count, 3])?,
-            detail: match detail {
-                Detail::Dense { width } => read(file, "gaussians.colour.detail", &[count, width])?,
-                Detail::Packed { lobes } => read_lobes(file, GAUSSIAN_LOBES, count, lobes)?,
-            },
-        },
+/// The attributes of a kind of primitive. Lobes of spherical Beta colours are `packed`, or all there.
+fn read_columns<C: Columns>(file: &SafeTensors, model: ColourModel, packed: bool) -> Result<C::With<Vec<f32>>, String> {
+    let count = row_count(file, C::ATTRIBUTES[0].name)?;
+    C::try_generate(model, |attribute| match (attribute.width, model) {
+        (Width::Detail, ColourModel::SphericalBeta { lobes }) if packed => {
+            read_lobes(file, lobe_names(attribute), count, lobes)
+        }
+        _ => read(file, attribute.name, &attribute.stored_shape(count, model)),
     })
 }
 
@@ -294,13 +250,13 @@ fn check_info(info: &SceneInfo) -> Result<(), String> {
 mod tests {
     use super::*;
     use crate::scene::lobes::ABSENT_LOBE;
-    use crate::scene::{Footprint, MarginLookup};
+    use crate::scene::{ColourData, Footprint, MarginLookup};
 
     const TWO_LOBES: ColourModel = ColourModel::SphericalBeta { lobes: 2 };
 
     fn scene(model: ColourModel, surfels: usize, gaussians: usize) -> SceneData {
         let rows = |count: usize, width: usize| (0..count * width).map(|i| (i as f32 * 0.37).sin()).collect::<Vec<_>>();
-        let colour = |count| ColourData { base: rows(count, 3), detail: rows(count, model.detail_len()) };
+        let colour = |count| ColourData { model, base: rows(count, 3), detail: rows(count, model.detail_len()) };
         SceneData {
             info: SceneInfo {
                 colour_model: model,
@@ -366,8 +322,14 @@ mod tests {
     }
 
     /// The tensors of a file of version 1.
-    fn dense(scene: &SceneData) -> Vec<Rows<'_>> {
-        scene.tensors().into_iter().map(Rows::from).collect()
+    fn dense(scene: &SceneData) -> Vec<Rows<'static>> {
+        let model = scene.info.colour_model;
+        let surfels = scene.surfels.iter().map(|(attribute, values)| (attribute, scene.surfels.len(), values));
+        let gaussians = scene.gaussians.iter().map(|(attribute, values)| (attribute, scene.gaussians.len(), values));
+        let rows = |(attribute, count, values): (&'static Attribute, usize, &'_ Vec<f32>)| {
+            Rows::numbers(attribute.name, attribute.stored_shape(count, model), values.clone())
+        };
+        surfels.chain(gaussians).map(rows).collect()
     }
 
     /// The file of `scene` with another tensor in place of that with the name of `other`.
@@ -497,12 +459,12 @@ mod tests {
             with_tensor(&good, Rows { name: SURFEL_LOBES[0], shape, values })
         };
         let lobes = |shape: [usize; 2], values: &[f32]| {
-            with_tensor(&good, Rows::from((SURFEL_LOBES[1], shape.to_vec(), values)))
+            with_tensor(&good, Rows::numbers(SURFEL_LOBES[1], shape.to_vec(), values))
         };
         let mut spoilt = [0.5; 36];
         spoilt[31] = f32::NAN;
         let twos = [2.0; 3];
-        let as_numbers = Rows::from((SURFEL_LOBES[0], vec![3], &twos[..]));
+        let as_numbers = Rows::numbers(SURFEL_LOBES[0], vec![3], &twos[..]);
         for (bytes, expected) in [
             (counts(&[2, 2, 2]), None),
             (counts(&[2, 3, 1]), Some("`surfels.colour.lobe_counts` has 3 lobes at row 1, expected at most 2")),

@@ -1,52 +1,27 @@
-//! The parameters of a scene as Burn tensors on one device.
+//! The attributes of a scene as Burn tensors on one device.
 
+use burn::tensor::activation::sigmoid;
 use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 
-use super::{ColourData, ColourModel, GaussianData, SurfelData};
+use super::schema::{self, Attribute, Columns, GaussianColumns, OpacityActivation, SurfelColumns};
+use super::{ColourModel, GaussianData, SurfelData};
 use crate::error::{Error, Result};
 
-/// View-dependent colour of N primitives.
-#[derive(Clone, Debug)]
-pub struct Colour {
-    pub model: ColourModel,
-    /// [N, 3]
-    pub base: Tensor<2>,
-    /// [N, [`ColourModel::detail_len`]]
-    pub detail: Tensor<2>,
-}
-
-/// N surfels; the fields mean what they mean in [`SurfelData`].
-#[derive(Clone, Debug)]
-pub struct Surfels {
-    /// [N, 3]
-    pub positions: Tensor<2>,
-    /// [N, 4]
-    pub quaternions: Tensor<2>,
-    /// [N, 2]
-    pub log_scales: Tensor<2>,
-    pub colour: Colour,
-    /// [N], never carries a gradient
-    pub margins: Tensor<1>,
-}
-
-/// M Gaussians; the fields mean what they mean in [`GaussianData`].
-#[derive(Clone, Debug)]
-pub struct Gaussians {
-    /// [M, 3]
-    pub positions: Tensor<2>,
-    /// [M, 4]
-    pub quaternions: Tensor<2>,
-    /// [M, 3]
-    pub log_scales: Tensor<2>,
-    /// [M]
-    pub opacities: Tensor<1>,
-    pub colour: Colour,
-}
+/// View-dependent colour of N primitives; each column is [N, its width].
+pub type Colour = schema::Colour<Tensor<2>>;
+/// N surfels; each column is [N, its width].
+pub type Surfels = SurfelColumns<Tensor<2>>;
+/// M Gaussians; each column is [M, its width].
+pub type Gaussians = GaussianColumns<Tensor<2>>;
 
 /// [N, `width`] tensor of `dtype` from rows in host memory.
 pub fn rows_to_tensor(rows: &[f32], width: usize, device: &Device, dtype: DType) -> Tensor<2> {
     let count = rows.len().checked_div(width).unwrap_or(0);
-    Tensor::from_data(TensorData::new(rows.to_vec(), [count, width]).convert_dtype(dtype), (device, dtype))
+    shaped(rows, [count, width], device, dtype)
+}
+
+fn shaped(rows: &[f32], shape: [usize; 2], device: &Device, dtype: DType) -> Tensor<2> {
+    Tensor::from_data(TensorData::new(rows.to_vec(), shape).convert_dtype(dtype), (device, dtype))
 }
 
 /// The values of a tensor as `f32`, row-major.
@@ -55,108 +30,68 @@ pub fn tensor_to_rows<const D: usize>(tensor: &Tensor<D>) -> Vec<f32> {
     data.convert::<f32>().try_to_vec().expect("just converted to f32")
 }
 
-impl Colour {
-    fn from_data(data: &ColourData, count: usize, model: ColourModel, device: &Device, dtype: DType) -> Self {
-        let width = model.detail_len();
-        let detail = TensorData::new(data.detail.clone(), [count, width]).convert_dtype(dtype);
-        Self {
-            model,
-            base: rows_to_tensor(&data.base, 3, device, dtype),
-            detail: Tensor::from_data(detail, (device, dtype)),
-        }
-    }
+/// A [N, 1] column as a vector [N].
+pub fn flat(column: &Tensor<2>) -> Tensor<1> {
+    column.clone().reshape([column.dims()[0]])
+}
 
-    fn to_data(&self) -> ColourData {
-        ColourData { base: tensor_to_rows(&self.base), detail: tensor_to_rows(&self.detail) }
-    }
-
-    fn check(&self, of: &str, count: usize) -> Result<()> {
-        check_shape(&format!("{of}.colour.base"), &self.base, [count, 3])?;
-        check_shape(&format!("{of}.colour.detail"), &self.detail, [count, self.model.detail_len()])
+impl Attribute {
+    /// The raw numbers `rows` of `count` primitives as a tensor.
+    pub fn tensor(&self, rows: &[f32], count: usize, model: ColourModel, device: &Device, dtype: DType) -> Tensor<2> {
+        shaped(rows, self.shape(count, model), device, dtype)
     }
 }
 
-impl Surfels {
-    pub fn from_data(data: &SurfelData, model: ColourModel, device: &Device, dtype: DType) -> Self {
-        Self {
-            positions: rows_to_tensor(&data.positions, 3, device, dtype),
-            quaternions: rows_to_tensor(&data.quaternions, 4, device, dtype),
-            log_scales: rows_to_tensor(&data.log_scales, 2, device, dtype),
-            colour: Colour::from_data(&data.colour, data.len(), model, device, dtype),
-            margins: rows_to_tensor(&data.margins, 1, device, dtype).reshape([data.len()]),
+impl OpacityActivation {
+    /// [M, 1] opacities from raw ones, on the tape if these are.
+    pub fn activate(self, raw: Tensor<2>) -> Tensor<2> {
+        match self {
+            Self::Linear => raw,
+            Self::Sigmoid => sigmoid(raw),
         }
-    }
-
-    pub fn to_data(&self) -> SurfelData {
-        SurfelData {
-            positions: tensor_to_rows(&self.positions),
-            quaternions: tensor_to_rows(&self.quaternions),
-            log_scales: tensor_to_rows(&self.log_scales),
-            colour: self.colour.to_data(),
-            margins: tensor_to_rows(&self.margins),
-        }
-    }
-
-    pub fn len(&self) -> usize {
-        self.positions.dims()[0]
-    }
-
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
-
-    /// # Errors
-    /// [`Error::Shape`] naming the tensor that does not fit the others.
-    pub fn check_shapes(&self) -> Result<()> {
-        let count = self.len();
-        check_shape("surfels.positions", &self.positions, [count, 3])?;
-        check_shape("surfels.quaternions", &self.quaternions, [count, 4])?;
-        check_shape("surfels.log_scales", &self.log_scales, [count, 2])?;
-        self.colour.check("surfels", count)?;
-        check_shape("surfels.margins", &self.margins, [count])
     }
 }
 
-impl Gaussians {
-    pub fn from_data(data: &GaussianData, model: ColourModel, device: &Device, dtype: DType) -> Self {
-        Self {
-            positions: rows_to_tensor(&data.positions, 3, device, dtype),
-            quaternions: rows_to_tensor(&data.quaternions, 4, device, dtype),
-            log_scales: rows_to_tensor(&data.log_scales, 3, device, dtype),
-            opacities: rows_to_tensor(&data.opacities, 1, device, dtype).reshape([data.len()]),
-            colour: Colour::from_data(&data.colour, data.len(), model, device, dtype),
+macro_rules! on_a_device {
+    ($tensors:ident, $data:ident) => {
+        impl $tensors {
+            pub fn from_data(data: &$data, device: &Device, dtype: DType) -> Self {
+                let (count, model) = (data.len(), data.model());
+                data.map_ref(|attribute, rows| attribute.tensor(rows, count, model, device, dtype))
+            }
+
+            pub fn to_data(&self) -> $data {
+                self.map_ref(|_, tensor| tensor_to_rows(tensor))
+            }
+
+            pub fn len(&self) -> usize {
+                self.positions.dims()[0]
+            }
+
+            pub fn is_empty(&self) -> bool {
+                self.len() == 0
+            }
+
+            /// Every attribute that learns as a leaf of a tape.
+            #[must_use]
+            pub fn require_grad(self) -> Self {
+                self.map(|attribute, tensor| if attribute.learns() { tensor.require_grad() } else { tensor })
+            }
+
+            /// # Errors
+            /// [`Error::Shape`] naming the tensor that does not fit the others.
+            pub fn check_shapes(&self) -> Result<()> {
+                let (count, model) = (self.len(), self.model());
+                self.iter().try_for_each(|(attribute, tensor)| {
+                    check_shape(attribute.name, tensor, attribute.shape(count, model))
+                })
+            }
         }
-    }
-
-    pub fn to_data(&self) -> GaussianData {
-        GaussianData {
-            positions: tensor_to_rows(&self.positions),
-            quaternions: tensor_to_rows(&self.quaternions),
-            log_scales: tensor_to_rows(&self.log_scales),
-            opacities: tensor_to_rows(&self.opacities),
-            colour: self.colour.to_data(),
-        }
-    }
-
-    pub fn len(&self) -> usize {
-        self.positions.dims()[0]
-    }
-
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
-
-    /// # Errors
-    /// [`Error::Shape`] naming the tensor that does not fit the others.
-    pub fn check_shapes(&self) -> Result<()> {
-        let count = self.len();
-        check_shape("gaussians.positions", &self.positions, [count, 3])?;
-        check_shape("gaussians.quaternions", &self.quaternions, [count, 4])?;
-        check_shape("gaussians.log_scales", &self.log_scales, [count, 3])?;
-        check_shape("gaussians.opacities", &self.opacities, [count])?;
-        self.colour.check("gaussians", count)
-    }
+    };
 }
+
+on_a_device!(Surfels, SurfelData);
+on_a_device!(Gaussians, GaussianData);
 
 /// # Errors
 /// [`Error::Shape`] if `tensor` does not have shape `expected`.

@@ -15,7 +15,8 @@ use crate::ops::composite::geometry;
 use crate::ops::peel::PeelOptions;
 use crate::ops::ssim::ssim;
 use crate::render::{Render, RenderOptions, render};
-use crate::scene::{Colour, ColourModel, Footprint, Gaussians, Surfels};
+use crate::scene::schema::{Attribute, Columns, Width};
+use crate::scene::{ColourModel, Footprint, Gaussians, Surfels};
 
 struct Array {
     shape: Vec<usize>,
@@ -152,33 +153,17 @@ impl GoldenCase {
         Tensor::<3>::from_data(data, (device, dtype)).permute([2, 0, 1])
     }
 
+    /// The attributes of a kind of primitive.
+    fn columns<C: Columns>(&self, device: &Device, dtype: DType) -> C::With<Tensor<2>> {
+        let detail = C::ATTRIBUTES.iter().find(|attribute| attribute.width == Width::Detail).expect("colours have it");
+        let model = ColourModel::SphericalBeta { lobes: self.array(&golden_name(detail)).shape[1] };
+        C::generate(model, C::ATTRIBUTES.iter().map(|attribute| self.rows(&golden_name(attribute), device, dtype)))
+    }
+
     fn inputs(&self, device: &Device, dtype: DType) -> Inputs {
-        let rows = |name: &str| self.rows(name, device, dtype).require_grad();
-        let colour = |of: &str| {
-            let lobes = self.array(&format!("{of}.colour.lobes")).shape[1];
-            let (base, detail) = (rows(&format!("{of}.colour.base")), rows(&format!("{of}.colour.lobes")));
-            Colour { model: ColourModel::SphericalBeta { lobes }, base, detail }
-        };
-        let column = |name: &str| {
-            let rows = self.rows(name, device, dtype);
-            let count = rows.dims()[0];
-            rows.reshape([count])
-        };
         Inputs {
-            surfels: Surfels {
-                positions: rows("surfels.positions"),
-                quaternions: rows("surfels.quaternions"),
-                log_scales: rows("surfels.log_scales"),
-                colour: colour("surfels"),
-                margins: column("surfels.margins"),
-            },
-            gaussians: Gaussians {
-                positions: rows("gaussians.positions"),
-                quaternions: rows("gaussians.quaternions"),
-                log_scales: rows("gaussians.log_scales"),
-                opacities: column("gaussians.opacities").require_grad(),
-                colour: colour("gaussians"),
-            },
+            surfels: self.columns::<Surfels>(device, dtype).require_grad(),
+            gaussians: self.columns::<Gaussians>(device, dtype).require_grad(),
             upstream: self.image("upstream", device, dtype),
             target: self.image("target", device, dtype),
         }
@@ -291,25 +276,15 @@ impl Found<'_> {
     }
 
     fn gradients(&mut self, prefix: &str, inputs: &Inputs, gradients: &Gradients) {
-        let (s, g) = (&inputs.surfels, &inputs.gaussians);
-        let tensors = [
-            ("surfels.positions", &s.positions),
-            ("surfels.quaternions", &s.quaternions),
-            ("surfels.log_scales", &s.log_scales),
-            ("surfels.colour.base", &s.colour.base),
-            ("surfels.colour.lobes", &s.colour.detail),
-            ("gaussians.positions", &g.positions),
-            ("gaussians.quaternions", &g.quaternions),
-            ("gaussians.log_scales", &g.log_scales),
-            ("gaussians.colour.base", &g.colour.base),
-            ("gaussians.colour.lobes", &g.colour.detail),
-        ];
-        for (name, tensor) in tensors {
+        for (attribute, tensor) in inputs.surfels.iter().chain(inputs.gaussians.iter()).filter(|(a, _)| a.learns()) {
             let gradient =
                 tensor.grad(gradients).map_or_else(|| vec![0.0; tensor.dims().iter().product()], |g| values(&g));
-            self.compare(&format!("{prefix}.{name}"), &gradient);
+            self.compare(&format!("{prefix}.{}", golden_name(attribute)), &gradient);
         }
-        let opacities = g.opacities.grad(gradients).map_or_else(|| vec![0.0; g.len()], |g| values(&g));
-        self.compare(&format!("{prefix}.gaussians.opacities"), &opacities);
     }
+}
+
+/// What the files call an attribute: detail is lobes there.
+fn golden_name(attribute: &Attribute) -> String {
+    attribute.name.replace(".detail", ".lobes")
 }

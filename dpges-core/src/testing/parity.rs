@@ -18,10 +18,13 @@ use crate::ops::blend::{BlendOptions, Form, blend};
 use crate::ops::colour::colour;
 use crate::ops::composite::{CompositeOptions, composite};
 use crate::ops::coverage::coverage;
+use crate::ops::jitter::{JitterOptions, NoiseGate, jitter};
 use crate::ops::peel::{Layers, PeelOptions, peel};
 use crate::ops::splat::limits::interval_limits;
 use crate::ops::splat::{contributions, splat};
 use crate::ops::ssim::ssim;
+use crate::scene::schema::Columns;
+use crate::scene::tensors::flat;
 use crate::scene::{Gaussians, MarginLookup, Surfels};
 
 /// A tensor by name, as `peel.alpha` or `splat.grad.positions`.
@@ -75,7 +78,7 @@ impl<'a> Bench<'a> {
     /// `device` without a tape.
     pub fn new(scene: &'a TestScene, options: PeelOptions, device: &Device) -> Self {
         let device = device.clone().autodiff();
-        let (surfels, gaussians) = leaves(scene, &device);
+        let (surfels, gaussians) = scene.leaves(&device, DType::F32);
         Self { scene, options, device, surfels, gaussians, found: Vec::new() }
     }
 
@@ -222,6 +225,16 @@ impl<'a> Bench<'a> {
         }
     }
 
+    fn jitter(&mut self) {
+        let gaussians = self.gaussians.map_ref(|_, tensor| tensor.clone().inner());
+        for (name, gate) in [("mcmc", NoiseGate::Mcmc), ("beta", NoiseGate::Beta)] {
+            let opacities = gaussians.opacities.clone() * 0.01;
+            let faint = Gaussians { opacities, ..gaussians.clone() };
+            let moved = jitter(&faint, &JitterOptions { gate, amount: 5.0, seed: 14 }).expect("valid input");
+            self.note(&format!("jitter.{name}"), &(moved - gaussians.positions.clone()));
+        }
+    }
+
     /// Runs sorted blending of the Gaussians in random colours, and goes back from each of its outputs.
     pub fn blended(mut self, form: Form, maps: bool) -> Vec<Named> {
         let (gaussians, count) = (self.gaussians.clone(), self.gaussians.len());
@@ -258,7 +271,7 @@ impl<'a> Bench<'a> {
     /// Runs everything forward, each operation on its own results.
     pub fn reference(mut self) -> Reference {
         let layers = self.peeled();
-        let margins = self.surfels.margins.clone();
+        let margins = flat(&self.surfels.margins);
         let limits = interval_limits(&layers, margins, MarginLookup::Shifted).expect("one shape");
         let [surfel_colours, gaussian_colours] = self.colours();
         let camera = &self.scene.camera;
@@ -285,7 +298,7 @@ impl<'a> Bench<'a> {
         let covered = coverage(&layers, surfels).into_data().iter::<f64>().collect();
         self.found.push(("coverage".into(), covered));
         for (name, lookup) in [("limits", MarginLookup::Shifted), ("limits.literal", MarginLookup::Literal)] {
-            let limits = interval_limits(&layers, self.surfels.margins.clone(), lookup).expect("one shape");
+            let limits = interval_limits(&layers, flat(&self.surfels.margins), lookup).expect("one shape");
             self.note(name, &limits);
         }
         let limits = self.tensor(&reference.limits, [layer_count, height, width]);
@@ -294,28 +307,9 @@ impl<'a> Bench<'a> {
         let sums = self.tensor(&reference.sums, [layer_count, 4, height, width]);
         self.composite(&layers, &colours, &sums);
         self.image_operations();
+        self.jitter();
         self.found
     }
-}
-
-fn leaves(scene: &TestScene, device: &Device) -> (Surfels, Gaussians) {
-    let (mut s, mut g) = scene.tensors(device, DType::F32);
-    for tensor in [
-        &mut s.positions,
-        &mut s.quaternions,
-        &mut s.log_scales,
-        &mut s.colour.base,
-        &mut s.colour.detail,
-        &mut g.positions,
-        &mut g.quaternions,
-        &mut g.log_scales,
-        &mut g.colour.base,
-        &mut g.colour.detail,
-    ] {
-        *tensor = tensor.clone().require_grad();
-    }
-    g.opacities = g.opacities.require_grad();
-    (s, g)
 }
 
 /// How far two devices are apart: relative L2 of every tensor.

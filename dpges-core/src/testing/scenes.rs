@@ -13,15 +13,17 @@ pub struct TestScene {
     pub surfels: SurfelData,
     pub gaussians: GaussianData,
     pub camera: Camera,
-    pub model: ColourModel,
 }
 
 impl TestScene {
     pub fn tensors(&self, device: &Device, dtype: DType) -> (Surfels, Gaussians) {
-        (
-            Surfels::from_data(&self.surfels, self.model, device, dtype),
-            Gaussians::from_data(&self.gaussians, self.model, device, dtype),
-        )
+        (Surfels::from_data(&self.surfels, device, dtype), Gaussians::from_data(&self.gaussians, device, dtype))
+    }
+
+    /// Every attribute that learns as a leaf of a tape; `device` has one.
+    pub fn leaves(&self, device: &Device, dtype: DType) -> (Surfels, Gaussians) {
+        let (surfels, gaussians) = self.tensors(device, dtype);
+        (surfels.require_grad(), gaussians.require_grad())
     }
 }
 
@@ -48,7 +50,8 @@ fn push<const W: usize>(rows: &mut Vec<f32>, values: [f64; W]) {
     rows.extend(values.map(|v| v as f32));
 }
 
-fn push_colour(colour: &mut ColourData, model: ColourModel, random: &mut Random) {
+fn push_colour(colour: &mut ColourData, random: &mut Random) {
+    let model = colour.model;
     push::<3>(&mut colour.base, std::array::from_fn(|_| random.between(-1.5, 1.5)));
     match model {
         ColourModel::SphericalBeta { lobes } => (0..lobes).for_each(|_| {
@@ -65,12 +68,12 @@ fn push_colour(colour: &mut ColourData, model: ColourModel, random: &mut Random)
 pub fn random(seed: u64, recipe: &Recipe) -> TestScene {
     let mut random = Random::new(seed);
     let (extent, model) = (recipe.extent, recipe.model);
-    let (mut surfels, mut gaussians) = (SurfelData::default(), GaussianData::default());
+    let (mut surfels, mut gaussians) = (SurfelData::neutral(model, 0), GaussianData::neutral(model, 0));
     for _ in 0..recipe.surfels {
         push::<3>(&mut surfels.positions, std::array::from_fn(|_| extent * random.between(-1.0, 1.0)));
         push::<4>(&mut surfels.quaternions, std::array::from_fn(|_| random.normal()));
         push::<2>(&mut surfels.log_scales, std::array::from_fn(|_| (extent * random.between(0.05, 0.4)).ln()));
-        push_colour(&mut surfels.colour, model, &mut random);
+        push_colour(&mut surfels.colour, &mut random);
         push(&mut surfels.margins, [extent * random.between(0.0, 0.1)]);
     }
     for _ in 0..recipe.gaussians {
@@ -78,7 +81,7 @@ pub fn random(seed: u64, recipe: &Recipe) -> TestScene {
         push::<4>(&mut gaussians.quaternions, std::array::from_fn(|_| random.normal()));
         push::<3>(&mut gaussians.log_scales, std::array::from_fn(|_| (extent * random.between(0.02, 0.25)).ln()));
         push(&mut gaussians.opacities, [random.between(0.05, 1.5)]);
-        push_colour(&mut gaussians.colour, model, &mut random);
+        push_colour(&mut gaussians.colour, &mut random);
     }
     let towards = DVec3::new(random.normal(), random.normal(), random.normal()).normalize_or(DVec3::X);
     let eye = towards * extent * random.between(2.0, 4.0);
@@ -95,7 +98,7 @@ pub fn random(seed: u64, recipe: &Recipe) -> TestScene {
         height: recipe.height,
         near: 0.02 * extent,
     };
-    TestScene { surfels, gaussians, camera, model }
+    TestScene { surfels, gaussians, camera }
 }
 
 /// The room of [`realistic`]: half its size along each axis, world units, with a ball on its floor.
@@ -147,7 +150,7 @@ pub fn realistic(surfels: usize, gaussians: usize, width: usize, height: usize, 
     };
     let in_view = |random: &mut Random| DVec2::new(random.between(-0.05, 1.05) * w, random.between(-0.05, 1.05) * h);
     let checker = |p: DVec3| if ((p * 3.0).floor().dot(DVec3::ONE)) as i64 % 2 == 0 { 1.2 } else { -0.8 };
-    let mut surfel_data = SurfelData::default();
+    let mut surfel_data = SurfelData::neutral(model, 0);
     // 1.1² of the image is covered; 5 footprints of 3.33 σ over each pixel
     let spacing_px = (1.21 * w * h / surfels.max(1) as f64).sqrt();
     let sigma_px = spacing_px * (5.0 / std::f64::consts::PI).sqrt() / 3.33;
@@ -171,12 +174,12 @@ pub fn realistic(surfels: usize, gaussians: usize, width: usize, height: usize, 
             &mut surfel_data.log_scales,
             std::array::from_fn(|_| (sigma_px * pixel / slant).ln() + 0.2 * random.normal()),
         );
-        push_colour(&mut surfel_data.colour, model, &mut random);
+        push_colour(&mut surfel_data.colour, &mut random);
         let base = surfel_data.colour.base.len() - 3;
         surfel_data.colour.base[base..].iter_mut().for_each(|c| *c = 0.2 * *c + checker(point) as f32);
         push(&mut surfel_data.margins, [2.0 * pixel]);
     }
-    let mut gaussian_data = GaussianData::default();
+    let mut gaussian_data = GaussianData::neutral(model, 0);
     for _ in 0..gaussians {
         let (point, normal, pixel) = place(in_view(&mut random));
         let sigma = 1.75 / 3.0 * pixel * (0.8 * random.normal()).exp();
@@ -184,9 +187,9 @@ pub fn realistic(surfels: usize, gaussians: usize, width: usize, height: usize, 
         push::<4>(&mut gaussian_data.quaternions, std::array::from_fn(|_| random.normal()));
         push::<3>(&mut gaussian_data.log_scales, std::array::from_fn(|_| sigma.ln() + 0.4 * random.normal()));
         push(&mut gaussian_data.opacities, [random.between(0.05, 1.2)]);
-        push_colour(&mut gaussian_data.colour, model, &mut random);
+        push_colour(&mut gaussian_data.colour, &mut random);
     }
-    TestScene { surfels: surfel_data, gaussians: gaussian_data, camera, model }
+    TestScene { surfels: surfel_data, gaussians: gaussian_data, camera }
 }
 
 #[cfg(test)]

@@ -19,6 +19,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::dataset::LoadOptions;
 
+pub use dpges_core::scene::OpacityActivation;
+
 pub use budget::Budget;
 use budget::primitives_for;
 pub use layers::ConfigError;
@@ -109,7 +111,7 @@ pub struct ModelConfig {
     /// w: opacity of a surfel is min(1, w G).
     pub modulation: f64,
     /// How the opacity of a Gaussian is made from the number that is trained, in the joint stage.
-    pub opacity: Opacity,
+    pub opacity: OpacityActivation,
     pub footprint: Footprint,
     pub margin: Margin,
     /// Part of the scene: it is rendered as it was trained.
@@ -252,7 +254,7 @@ impl Default for ModelConfig {
             colour: ColourModel::SphericalBeta { lobes: 2 },
             layers: 3,
             modulation: 30.0,
-            opacity: Opacity::Linear,
+            opacity: OpacityActivation::Linear,
             footprint: Footprint::Kernel,
             margin: Margin::Median,
             margin_lookup: MarginLookup::Shifted,
@@ -416,17 +418,6 @@ pub enum Stop {
     Steps,
     /// Views left out of training, once they no longer improve; the best scene is the result.
     Validation,
-}
-
-/// The opacity of a Gaussian, from the number that is trained.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Opacity {
-    /// That number, at least 0 (GES, DP-GES).
-    #[default]
-    Linear,
-    /// Its logistic function, below 1 (3DGS).
-    Sigmoid,
 }
 
 /// What a Gaussian that is added at a pixel looks like.

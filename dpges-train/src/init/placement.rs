@@ -115,25 +115,24 @@ pub fn spacing(positions: &[[f32; 3]]) -> Vec<Option<f32>> {
 /// are zero.
 pub fn surfels(points: &OrientedPoints, placement: &Placement, rng: &mut ChaCha8Rng) -> SurfelData {
     let log_scales = placement.log_scales(&points.positions, placement.surfel_scale);
-    SurfelData {
-        positions: points.positions.as_flattened().to_vec(),
-        quaternions: points.normals.iter().flat_map(|&normal| facing(normal)).collect(),
-        log_scales: log_scales.into_iter().flat_map(|s| [s; 2]).collect(),
-        colour: colour(points, placement.model, rng),
-        margins: vec![0.0; points.len()],
-    }
+    let mut surfels = SurfelData::neutral(placement.model, points.len());
+    surfels.positions = points.positions.as_flattened().to_vec();
+    surfels.quaternions = points.normals.iter().flat_map(|&normal| facing(normal)).collect();
+    surfels.log_scales = log_scales.into_iter().flat_map(|s| [s; 2]).collect();
+    surfels.colour = colour(points, placement.model, rng);
+    surfels
 }
 
 /// A faint ball at every point.
 pub fn gaussians(points: &OrientedPoints, placement: &Placement, rng: &mut ChaCha8Rng) -> GaussianData {
     let log_scales = placement.log_scales(&points.positions, placement.gaussian_scale);
-    GaussianData {
-        positions: points.positions.as_flattened().to_vec(),
-        quaternions: [1.0, 0.0, 0.0, 0.0].repeat(points.len()),
-        log_scales: log_scales.into_iter().flat_map(|s| [s; 3]).collect(),
-        opacities: vec![placement.gaussian_opacity as f32; points.len()],
-        colour: colour(points, placement.model, rng),
-    }
+    let mut gaussians = GaussianData::neutral(placement.model, points.len());
+    gaussians.positions = points.positions.as_flattened().to_vec();
+    gaussians.quaternions = [1.0, 0.0, 0.0, 0.0].repeat(points.len());
+    gaussians.log_scales = log_scales.into_iter().flat_map(|s| [s; 3]).collect();
+    gaussians.opacities.fill(placement.gaussian_opacity as f32);
+    gaussians.colour = colour(points, placement.model, rng);
+    gaussians
 }
 
 /// Quaternion (w, x, y, z) of a rotation whose third column is `normal`, a unit vector.
@@ -144,7 +143,7 @@ pub fn facing(normal: DVec3) -> [f32; 4] {
 
 fn colour(points: &OrientedPoints, model: ColourModel, rng: &mut ChaCha8Rng) -> ColourData {
     let base = points.colours.as_flattened().iter().map(|&c| ((f64::from(c) - 0.5) / SH_C0) as f32).collect();
-    ColourData { base, detail: faint_detail(model, points.len(), rng) }
+    ColourData { model, base, detail: faint_detail(model, points.len(), rng) }
 }
 
 /// Raw detail of `count` primitives whose colour does not depend on the direction yet: lobes of

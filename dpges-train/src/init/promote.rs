@@ -1,6 +1,6 @@
 //! From trained discs to surfels (DP-GES): the opaque become surfels, the others Gaussians.
 
-use dpges_core::scene::{ColourModel, GaussianData, SurfelData};
+use dpges_core::scene::{GaussianData, SurfelData};
 
 /// GES: thickness of a Gaussian that was a disc, over the mean of its two scales.
 const THICKNESS: f32 = 0.1;
@@ -10,22 +10,20 @@ const THICKNESS: f32 = 0.1;
 /// so does the order of rows. Margins are zero.
 ///
 /// Opacities are effective, from 0 to 1; the third scale of a disc means nothing.
-pub fn promote(
-    discs: &GaussianData,
-    model: ColourModel,
-    min_opacity: f64,
-    scale_factor: f64,
-) -> (SurfelData, GaussianData) {
+pub fn promote(discs: &GaussianData, min_opacity: f64, scale_factor: f64) -> (SurfelData, GaussianData) {
     let is_opaque = |row: &usize| f64::from(discs.opacities[*row]) > min_opacity;
     let (opaque, others): (Vec<usize>, Vec<usize>) = (0..discs.len()).partition(is_opaque);
 
-    let GaussianData { positions, quaternions, log_scales, colour, opacities: _ } = discs.select(model, &opaque);
+    let opaque = discs.select(&opaque);
     let log_factor = scale_factor.ln() as f32;
-    let widths = log_scales.as_chunks::<3>().0.iter().flat_map(|[x, y, _]| [x + log_factor, y + log_factor]);
-    let log_scales = widths.collect();
-    let surfels = SurfelData { positions, quaternions, log_scales, colour, margins: vec![0.0; opaque.len()] };
+    let widths = opaque.log_scales.as_chunks::<3>().0.iter().flat_map(|[x, y, _]| [x + log_factor, y + log_factor]);
+    let mut surfels = SurfelData::neutral(opaque.colour.model, opaque.len());
+    surfels.log_scales = widths.collect();
+    surfels.positions = opaque.positions;
+    surfels.quaternions = opaque.quaternions;
+    surfels.colour = opaque.colour;
 
-    let mut gaussians = discs.select(model, &others);
+    let mut gaussians = discs.select(&others);
     for [x, y, z] in gaussians.log_scales.as_chunks_mut::<3>().0 {
         *z = (THICKNESS * 0.5 * (x.exp() + y.exp())).ln();
     }
@@ -34,7 +32,7 @@ pub fn promote(
 
 #[cfg(test)]
 mod tests {
-    use dpges_core::scene::ColourData;
+    use dpges_core::scene::{ColourData, ColourModel};
 
     use super::*;
 
@@ -49,15 +47,15 @@ mod tests {
             quaternions: numbered(4),
             log_scales: [0.0, 3f32.ln(), f32::NAN].repeat(n),
             opacities: opacities.to_vec(),
-            colour: ColourData { base: numbered(3), detail: numbered(9) },
+            colour: ColourData { model: MODEL, base: numbered(3), detail: numbered(9) },
         }
     }
 
     #[test]
     fn the_opaque_become_surfels() {
         let old = discs(&[0.9, 0.5, 0.81, 0.79]);
-        let (surfels, _) = promote(&old, MODEL, 0.8, 0.5);
-        let expected = old.select(MODEL, &[0, 2]);
+        let (surfels, _) = promote(&old, 0.8, 0.5);
+        let expected = old.select(&[0, 2]);
         assert_eq!((surfels.positions, surfels.quaternions), (expected.positions, expected.quaternions));
         assert_eq!((surfels.colour, surfels.margins), (expected.colour, vec![0.0; 2]));
         let scales: Vec<f32> = surfels.log_scales.iter().map(|s| s.exp()).collect();
@@ -68,8 +66,8 @@ mod tests {
     #[test]
     fn the_others_become_thin_gaussians() {
         let old = discs(&[0.9, 0.5, 0.81, 0.79]);
-        let (_, gaussians) = promote(&old, MODEL, 0.8, 0.5);
-        let expected = old.select(MODEL, &[1, 3]);
+        let (_, gaussians) = promote(&old, 0.8, 0.5);
+        let expected = old.select(&[1, 3]);
         assert_eq!((gaussians.positions, gaussians.quaternions), (expected.positions, expected.quaternions));
         assert_eq!((gaussians.colour, gaussians.opacities), (expected.colour, vec![0.5, 0.79]));
         let scales: Vec<f32> = gaussians.log_scales.iter().map(|s| s.exp()).collect();
@@ -80,9 +78,9 @@ mod tests {
     #[test]
     fn all_or_none() {
         for (opacity, counts) in [(0.9, (3, 0)), (0.5, (0, 3)), (0.75, (0, 3))] {
-            let (surfels, gaussians) = promote(&discs(&[opacity; 3]), MODEL, 0.75, 1.0);
+            let (surfels, gaussians) = promote(&discs(&[opacity; 3]), 0.75, 1.0);
             assert_eq!((surfels.len(), gaussians.len()), counts);
         }
-        assert_eq!(promote(&discs(&[]), MODEL, 0.8, 1.0), (SurfelData::default(), GaussianData::default()));
+        assert_eq!(promote(&discs(&[]), 0.8, 1.0), (SurfelData::neutral(MODEL, 0), GaussianData::neutral(MODEL, 0)));
     }
 }

@@ -1,6 +1,6 @@
 //! New Gaussians where pictures are worst (GES, DP-GES).
 
-use dpges_core::scene::{ColourData, ColourModel, GaussianData, SH_C0};
+use dpges_core::scene::{ColourModel, GaussianData, SH_C0};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
@@ -66,13 +66,14 @@ pub fn gaussians_of_pixels(
 pub fn new_gaussians(positions: &[[f32; 3]], max_scale: f32, model: ColourModel, rng: &mut ChaCha8Rng) -> GaussianData {
     let count = positions.len();
     let scale = |spacing: Option<f32>| spacing.map_or(max_scale, |spacing| (SCALE * spacing).min(max_scale));
-    GaussianData {
-        positions: positions.as_flattened().to_vec(),
-        quaternions: (0..count).flat_map(|_| random_rotation(rng)).collect(),
-        log_scales: spacing(positions).into_iter().flat_map(|spacing| [scale(spacing).ln(); 3]).collect(),
-        opacities: vec![OPACITY; count],
-        colour: ColourData { base: vec![(-0.5 / SH_C0) as f32; count * 3], detail: faint_detail(model, count, rng) },
-    }
+    let mut new = GaussianData::neutral(model, count);
+    new.positions = positions.as_flattened().to_vec();
+    new.quaternions = (0..count).flat_map(|_| random_rotation(rng)).collect();
+    new.log_scales = spacing(positions).into_iter().flat_map(|spacing| [scale(spacing).ln(); 3]).collect();
+    new.opacities.fill(OPACITY);
+    new.colour.base.fill((-0.5 / SH_C0) as f32);
+    new.colour.detail = faint_detail(model, count, rng);
+    new
 }
 
 /// A unit quaternion (w, x, y, z), uniform over the rotations.

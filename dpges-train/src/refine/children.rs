@@ -1,6 +1,6 @@
 //! Gaussians that come of others (3DGS).
 
-use dpges_core::scene::{ColourModel, GaussianData};
+use dpges_core::scene::GaussianData;
 use glam::{DQuat, DVec3, Vec3};
 use rand_chacha::ChaCha8Rng;
 
@@ -12,13 +12,12 @@ pub const SHRINKAGE: f64 = 1.6;
 /// Two of each of `parents`, drawn from its distribution, in its plane if they are `flat`; otherwise alike but smaller.
 pub fn children(
     gaussians: &GaussianData,
-    model: ColourModel,
     parents: impl Iterator<Item = usize>,
     flat: bool,
     rng: &mut ChaCha8Rng,
 ) -> GaussianData {
     let twice: Vec<usize> = parents.flat_map(|row| [row, row]).collect();
-    let mut children = gaussians.select(model, &twice);
+    let mut children = gaussians.select(&twice);
     for (position, &row) in children.positions.as_chunks_mut::<3>().0.iter_mut().zip(&twice) {
         *position = draw_inside(gaussians, row, flat, rng).as_vec3().to_array();
     }

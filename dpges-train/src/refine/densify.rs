@@ -1,7 +1,7 @@
 //! More Gaussians or discs where their places pull most: the small are cloned, the large are split,
 //! the faint and the huge are pruned (3DGS, 2DGS, GES).
 
-use dpges_core::scene::{ColourModel, GaussianData};
+use dpges_core::scene::GaussianData;
 use rand_chacha::ChaCha8Rng;
 
 use super::children::{SHRINKAGE, children};
@@ -92,7 +92,6 @@ fn quantile(mut values: Vec<f64>, fraction: f64) -> f64 {
 /// 0 to 1; `sums` has as many rows as `gaussians`. If nothing would be left nothing changes, with a warning.
 pub fn densify(
     gaussians: &GaussianData,
-    model: ColourModel,
     sums: &GradientSums,
     extent: f64,
     rule: &DensifyRule,
@@ -113,9 +112,9 @@ pub fn densify(
     let rows = RowEdit::retain(count, |&row| !is_parent[row] && stays(row, max_scale));
 
     cloned.retain(|&row| stays(row, max_scale));
-    let mut added = gaussians.select(model, &cloned);
+    let mut added = gaussians.select(&cloned);
     let fruitful = parents.into_iter().filter(|&row| stays(row, max_scale * SHRINKAGE));
-    added.append(children(gaussians, model, fruitful, rule.flat, rng));
+    added.append(children(gaussians, fruitful, rule.flat, rng));
 
     if count > 0 && rows.keep.is_empty() && added.is_empty() {
         tracing::warn!("densification would prune each of {count} Gaussians: none is changed");
@@ -131,7 +130,7 @@ pub fn reset_opacities(opacities: &[f32], at_most: f32) -> Vec<f32> {
 
 #[cfg(test)]
 mod tests {
-    use dpges_core::scene::ColourData;
+    use dpges_core::scene::{ColourData, ColourModel};
     use glam::DVec3;
     use rand::SeedableRng;
 
@@ -162,7 +161,7 @@ mod tests {
             quaternions: [3.0, 0.0, 0.0, 3.0].repeat(n),
             log_scales: scales.iter().flat_map(|s| [*s, s / 2.0, s / 4.0].map(f32::ln)).collect(),
             opacities: (0..n).map(|i| 0.5 + 0.125 * (i % 4) as f32).collect(),
-            colour: ColourData { base: numbered(3), detail: numbered(6) },
+            colour: ColourData { model: MODEL, base: numbered(3), detail: numbered(6) },
         }
     }
 
@@ -174,7 +173,7 @@ mod tests {
 
     /// Densification with an extent of 1.
     fn run(gaussians: &GaussianData, signed: &[f32], rule: DensifyRule, room: usize) -> GaussianEdit {
-        densify(gaussians, MODEL, &sums(signed, &vec![0.0; signed.len()]), 1.0, &rule, room, &mut rng())
+        densify(gaussians, &sums(signed, &vec![0.0; signed.len()]), 1.0, &rule, room, &mut rng())
     }
 
     #[test]
@@ -182,7 +181,7 @@ mod tests {
         let old = gaussians(&[0.009, 0.005, 0.005]);
         let edit = run(&old, &[3e-4, 1e-4, 2.1e-4], RULE, 9);
         assert_eq!(edit.rows.keep, [0, 1, 2]);
-        assert_eq!(edit.added, old.select(MODEL, &[0, 2]));
+        assert_eq!(edit.added, old.select(&[0, 2]));
     }
 
     #[test]
@@ -190,7 +189,7 @@ mod tests {
         let old = gaussians(&[0.005, 0.02, 0.02]);
         let edit = run(&old, &[0.0, 3e-4, 1e-4], RULE, 9);
         assert_eq!(edit.rows.keep, [0, 2]);
-        let parents = old.select(MODEL, &[1, 1]);
+        let parents = old.select(&[1, 1]);
         let GaussianData { positions, quaternions, log_scales, opacities, colour } = edit.added;
         assert_eq!((quaternions, opacities, colour), (parents.quaternions, parents.opacities, parents.colour));
         for (child, parent) in log_scales.iter().zip(&parents.log_scales) {
@@ -209,7 +208,7 @@ mod tests {
         let edit = run(&old, &[3e-4; 4], RULE, 9);
         assert_eq!(edit.rows.keep, [0]);
         assert_eq!(edit.added.opacities, [0.5, 0.625, 0.625]);
-        assert_eq!(edit.apply(MODEL, &old).len(), 4);
+        assert_eq!(edit.apply(&old).len(), 4);
     }
 
     #[test]
@@ -219,7 +218,7 @@ mod tests {
             absolute: vec![0.0; 5],
             views: vec![3, 4, 0, 0, 2],
         };
-        let edit = densify(&gaussians(&[0.005; 5]), MODEL, &sums, 1.0, &RULE, 9, &mut rng());
+        let edit = densify(&gaussians(&[0.005; 5]), &sums, 1.0, &RULE, 9, &mut rng());
         assert_eq!(edit.added.opacities, [0.5]);
         assert_eq!(edit.rows.keep.len(), 5);
     }
@@ -231,7 +230,7 @@ mod tests {
         let huge = DensifyRule { max_scale_fraction: Some(0.1), ..RULE };
         assert_eq!(run(&old, &[0.0; 5], RULE, 9).rows.keep, [0, 1, 2]);
         assert_eq!(run(&old, &[0.0; 5], huge, 9).rows.keep, [0, 2]);
-        let no_extent = densify(&old, MODEL, &sums(&[1.0; 5], &[0.0; 5]), 0.0, &huge, 9, &mut rng());
+        let no_extent = densify(&old, &sums(&[1.0; 5], &[0.0; 5]), 0.0, &huge, 9, &mut rng());
         assert_eq!((no_extent.rows.keep, no_extent.added.len()), (vec![0, 1, 2], 3));
     }
 
@@ -250,7 +249,7 @@ mod tests {
         let gradients = [4e-4, 3e-4, 5e-4, 6e-4];
         for room in 0..=5 {
             let edit = run(&old, &gradients, RULE, room);
-            assert_eq!(edit.apply(MODEL, &old).len(), 4 + room.min(4));
+            assert_eq!(edit.apply(&old).len(), 4 + room.min(4));
         }
         let edit = run(&old, &gradients, RULE, 2);
         assert_eq!((edit.rows.keep, edit.added.opacities), (vec![0, 1, 2], vec![0.75, 0.875, 0.875]));
@@ -272,17 +271,17 @@ mod tests {
         let sums = sums(&[1e-4, 3e-4, 0.0, 0.0, 0.0], &[5.0, 1.0, 3.0, 2.0, 4.0]);
         let old = gaussians(&[0.005; 5]);
         let by_quantile = DensifyRule { by_quantile: true, ..RULE };
-        let added = |rule: DensifyRule, room: usize| densify(&old, MODEL, &sums, 1.0, &rule, room, &mut rng()).added;
-        assert_eq!(added(RULE, 9), old.select(MODEL, &[1]));
-        assert_eq!(added(by_quantile, 9), old.select(MODEL, &[0, 1]));
-        assert_eq!(added(by_quantile, 1), old.select(MODEL, &[1]));
+        let added = |rule: DensifyRule, room: usize| densify(&old, &sums, 1.0, &rule, room, &mut rng()).added;
+        assert_eq!(added(RULE, 9), old.select(&[1]));
+        assert_eq!(added(by_quantile, 9), old.select(&[0, 1]));
+        assert_eq!(added(by_quantile, 1), old.select(&[1]));
     }
 
     #[test]
     fn unseen_rows_are_in_no_quantile() {
         let by_quantile = DensifyRule { by_quantile: true, ..RULE };
         let old = gaussians(&[0.005; 4]);
-        assert_eq!(run(&old, &[0.0, 3e-4, 0.0, 0.0], by_quantile, 9).added, old.select(MODEL, &[1]));
+        assert_eq!(run(&old, &[0.0, 3e-4, 0.0, 0.0], by_quantile, 9).added, old.select(&[1]));
     }
 
     #[test]

@@ -147,7 +147,7 @@ mod tests {
     }
 
     fn at_origin(lobes: &[[f32; LOBE_LEN]]) -> ColourData {
-        ColourData { base: vec![0.0; 3], detail: lobes.as_flattened().to_vec() }
+        ColourData { base: vec![0.0; 3], detail: lobes.as_flattened().to_vec(), ..ColourData::default() }
     }
 
     #[test]
@@ -182,7 +182,11 @@ mod tests {
     #[test]
     fn rows_and_lobes_are_told_apart() {
         let (bright, dim) = (along_z(1.0, 0.0), along_z(-2.0, 0.0));
-        let mut colour = ColourData { base: vec![0.0; 9], detail: [bright, dim, bright, bright, dim, bright].concat() };
+        let mut colour = ColourData {
+            base: vec![0.0; 9],
+            detail: [bright, dim, bright, bright, dim, bright].concat(),
+            ..ColourData::default()
+        };
         let spare = spare_lobes(&[0.0; 9], &colour, 2, &cameras(&[0.0, 90.0]), 0.01);
         let idle = |row, lobe| SpareLobe { row, lobe, why: Spare::Idle };
         assert_eq!(spare, [idle(0, 1), idle(2, 0)]);
@@ -190,7 +194,7 @@ mod tests {
         let gone = ABSENT_LOBE;
         assert_eq!(colour.detail, [bright, gone, bright, bright, gone, bright].concat());
         assert_eq!(colour.base, [0.0; 9]);
-        let plain = ColourData { base: vec![0.0; 9], detail: Vec::new() };
+        let plain = ColourData { base: vec![0.0; 9], ..ColourData::default() };
         assert!(spare_lobes(&[0.0; 9], &plain, 0, &cameras(&[0.0]), 1.0).is_empty());
     }
 
@@ -216,7 +220,7 @@ mod tests {
             [raw[0], raw[1], raw[2], wave(i, 0.91, 0.0, 3.1), wave(i, 0.77, -3.1, 3.1), wave(i, 1.7, -6.0, 3.0)]
         };
         let detail: Vec<f32> = (0..count * lobes).flat_map(lobe).collect();
-        let before = ColourData { base: vec![0.1; 3 * count], detail };
+        let before = ColourData { base: vec![0.1; 3 * count], detail, ..ColourData::default() };
         let cameras: Vec<[f64; 3]> =
             (0..7).map(|i| f64::from(i) * 0.4).map(|angle| [5.0 * angle.cos(), 5.0 * angle.sin(), 1.0]).collect();
 

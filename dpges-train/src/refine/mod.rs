@@ -1,7 +1,7 @@
 //! Decisions about the set of primitives, as pure functions on rows: which stay ([`prune`]), which
 //! are divided ([`split`]), where new ones go ([`add`]), how deep surfels reach ([`margins`]); for the
 //! stages that train the first scene, which are doubled where pictures are poor ([`densify`]), which
-//! move away from where they have faded ([`relocate`]) and how they wander meanwhile ([`noise`]).
+//! move away from where they have faded ([`relocate`]).
 //! So that a scene is no larger than it needs to be: which lobes can go ([`lobes`]), when enough primitives have
 //! been added ([`growth`]), how many layers are peeled ([`layer_count`]).
 //! Splitting and doubling draw new rows alike (`children`).
@@ -15,14 +15,13 @@ pub mod growth;
 pub mod layer_count;
 pub mod lobes;
 pub mod margins;
-pub mod noise;
 pub mod prune;
 pub mod relocate;
 pub mod split;
 
 use std::f64::consts::TAU;
 
-use dpges_core::scene::{ColourModel, GaussianData};
+use dpges_core::scene::GaussianData;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
@@ -59,8 +58,8 @@ pub struct GaussianEdit {
 
 impl GaussianEdit {
     /// The set after the edit: kept rows in their order, then the new ones.
-    pub fn apply(&self, model: ColourModel, gaussians: &GaussianData) -> GaussianData {
-        let mut edited = gaussians.select(model, &self.rows.keep);
+    pub fn apply(&self, gaussians: &GaussianData) -> GaussianData {
+        let mut edited = gaussians.select(&self.rows.keep);
         edited.append(self.added.clone());
         edited
     }
@@ -74,6 +73,7 @@ fn normal(rng: &mut ChaCha8Rng) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use dpges_core::scene::ColourModel;
     use rand::SeedableRng;
 
     use super::*;
@@ -95,6 +95,6 @@ mod tests {
         let added = add::new_gaussians(&[[9.0; 3]], 1.0, model, &mut ChaCha8Rng::seed_from_u64(1));
         let edit = GaussianEdit { rows: RowEdit::retain(3, |&row| row != 1), added };
         assert_eq!(edit.rows.removed_from(3), 1);
-        assert_eq!(edit.apply(model, &old).positions, [0.0, 0.0, 0.0, 2.0, 2.0, 2.0, 9.0, 9.0, 9.0]);
+        assert_eq!(edit.apply(&old).positions, [0.0, 0.0, 0.0, 2.0, 2.0, 2.0, 9.0, 9.0, 9.0]);
     }
 }

@@ -162,7 +162,7 @@ mod tests {
             quaternions: numbered(4),
             log_scales: [1f32, 2.0, 4.0].map(f32::ln).repeat(n),
             opacities: opacities.to_vec(),
-            colour: ColourData { base: numbered(3), detail: numbered(6) },
+            colour: ColourData { model: MODEL, base: numbered(3), detail: numbered(6) },
         }
     }
 
@@ -247,7 +247,7 @@ mod tests {
         let set = GaussianData {
             opacities: new.opacities.clone(),
             log_scales: new.log_scales.clone(),
-            ..old.select(MODEL, &new.rows)
+            ..old.select(&new.rows)
         };
         let source = new.rows[3];
         assert_eq!(set.positions[9..12], old.positions[source * 3..][..3]);

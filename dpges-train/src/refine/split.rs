@@ -1,6 +1,6 @@
 //! Gaussians too large for the surfels around them are divided in two (DP-GES; 3DGS).
 
-use dpges_core::scene::{ColourModel, GaussianData};
+use dpges_core::scene::GaussianData;
 use rand_chacha::ChaCha8Rng;
 
 use super::children::children;
@@ -16,7 +16,6 @@ use crate::neighbours::{as_points, nearest_to};
 /// Without surfels nothing is.
 pub fn split(
     gaussians: &GaussianData,
-    model: ColourModel,
     surfel_positions: &[f32],
     margins: &[f32],
     factor: f64,
@@ -27,7 +26,7 @@ pub fn split(
     let mut is_parent = vec![false; gaussians.len()];
     parents.iter().for_each(|&row| is_parent[row] = true);
 
-    let added = children(gaussians, model, parents.into_iter(), false, rng);
+    let added = children(gaussians, parents.into_iter(), false, rng);
     GaussianEdit { rows: RowEdit::retain(gaussians.len(), |&row| !is_parent[row]), added }
 }
 
@@ -61,7 +60,7 @@ fn parents(
 
 #[cfg(test)]
 mod tests {
-    use dpges_core::scene::ColourData;
+    use dpges_core::scene::{ColourData, ColourModel};
     use rand::SeedableRng;
 
     use super::*;
@@ -77,7 +76,7 @@ mod tests {
             quaternions: [half * 3.0, 0.0, 0.0, half * 3.0].repeat(n),
             log_scales: scales.iter().flat_map(|s| [(4.0 * s).ln(), s.ln(), s.ln()]).collect(),
             opacities: (0..n).map(|i| i as f32).collect(),
-            colour: ColourData { base: vec![0.25; n * 3], detail: vec![0.75; n * 6] },
+            colour: ColourData { model: MODEL, base: vec![0.25; n * 3], detail: vec![0.75; n * 6] },
         }
     }
 
@@ -88,29 +87,29 @@ mod tests {
     #[test]
     fn the_large_are_replaced_by_two_smaller() {
         let old = gaussians(&[0.9, 1.1, 0.5, 5.0]);
-        let edit = split(&old, MODEL, &[0.0; 9], &[1.0, 1.0, 1.0], 2.0, 10, &mut rng());
+        let edit = split(&old, &[0.0; 9], &[1.0, 1.0, 1.0], 2.0, 10, &mut rng());
         assert_eq!(edit.rows.keep, [0, 2]);
         assert_eq!(edit.added.opacities, [1.0, 1.0, 3.0, 3.0]);
         assert!((edit.added.log_scales[0] - (4.4f32 / 1.6).ln()).abs() < 1e-6);
         assert_eq!(edit.added.colour.detail, vec![0.75; 24]);
         assert_eq!(edit.added.quaternions[..4], old.quaternions[..4]);
         assert_ne!(edit.added.positions[..3], edit.added.positions[3..6]);
-        assert_eq!(edit.apply(MODEL, &old).len(), 6);
+        assert_eq!(edit.apply(&old).len(), 6);
     }
 
     #[test]
     fn room_goes_to_those_that_exceed_most() {
-        let edit = split(&gaussians(&[3.0, 2.0, 5.0]), MODEL, &[0.0; 3], &[1.0], 1.0, 2, &mut rng());
+        let edit = split(&gaussians(&[3.0, 2.0, 5.0]), &[0.0; 3], &[1.0], 1.0, 2, &mut rng());
         assert_eq!(edit.rows.keep, [1]);
-        let edit = split(&gaussians(&[3.0, 2.0]), MODEL, &[0.0; 3], &[1.0], 1.0, 0, &mut rng());
+        let edit = split(&gaussians(&[3.0, 2.0]), &[0.0; 3], &[1.0], 1.0, 0, &mut rng());
         assert_eq!((edit.rows.keep.len(), edit.added.len()), (2, 0));
     }
 
     #[test]
     fn without_surfels_or_gaussians_nothing_is_split() {
-        let edit = split(&gaussians(&[3.0, 2.0]), MODEL, &[], &[], 2.0, 10, &mut rng());
+        let edit = split(&gaussians(&[3.0, 2.0]), &[], &[], 2.0, 10, &mut rng());
         assert_eq!((edit.rows.keep.len(), edit.added.len()), (2, 0));
-        let edit = split(&gaussians(&[]), MODEL, &[0.0; 3], &[1.0], 2.0, 10, &mut rng());
+        let edit = split(&gaussians(&[]), &[0.0; 3], &[1.0], 2.0, 10, &mut rng());
         assert_eq!(edit, GaussianEdit::default());
     }
 }

@@ -5,21 +5,22 @@ use dpges_core::camera::Camera;
 use dpges_core::losses;
 use dpges_core::losses::geometry::{expected_depth, normal_consistency, normals_from_depth};
 use dpges_core::ops::blend::Maps;
+use dpges_core::ops::jitter::{JitterOptions, NoiseGate, jitter};
 use dpges_core::render::Values;
 use dpges_core::render::blended::{BlendedOptions, BlendedRender, render_blended};
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{GaussianData, Gaussians, Rendering, SceneData, SceneInfo, SurfelData};
 
+use rand::RngExt;
+
 use super::context::Context;
 use super::pending::{Gate, PendingStep};
 use super::{StepReport, TrainError};
 use crate::config::stages::SHORTEST_RESET;
-use crate::config::{Config, Opacity, StageKind, StagePlan};
-use crate::optimizer::AttributeRows;
+use crate::config::{Config, OpacityActivation, StageKind, StagePlan};
 use crate::refine::densify::{DensifyRule, GradientSums, densify, reset_opacities};
-use crate::refine::noise::{Noise, jitter};
 use crate::refine::relocate::{Relocation, grown, relocate_and_add};
-use crate::scene_state::{GaussianState, Rates};
+use crate::scene_state::{GaussianState, Leaves, Rates};
 
 /// Steps between relocations at least: fewer would say nothing new about who is dead, and cost more than the steps.
 const SHORTEST_RELOCATION: usize = 5;
@@ -139,7 +140,7 @@ impl BlendedStage {
     /// A stage that begins with `gaussians`.
     pub fn new(context: &Context, plan: StagePlan, gaussians: &GaussianData) -> Self {
         let device = &context.device;
-        let state = GaussianState::new(gaussians, context.config.model.colour, Opacity::Sigmoid, device);
+        let state = GaussianState::new(gaussians, OpacityActivation::Sigmoid, device);
         Self::resume(context, plan, state, ScreenGradients::new(gaussians.len(), device))
     }
 
@@ -153,11 +154,6 @@ impl BlendedStage {
             gaussians,
             sums,
         }
-    }
-
-    /// Rows of a checkpoint as the state of such a stage.
-    pub fn state(context: &Context, rows: [AttributeRows; 6]) -> GaussianState {
-        GaussianState::from_rows(rows, context.config.model.colour, Opacity::Sigmoid, &context.device)
     }
 
     pub fn gaussians(&self) -> GaussianData {
@@ -175,7 +171,7 @@ impl BlendedStage {
     }
 
     /// Does what is due after the completed steps; says what it did.
-    pub fn refine(&mut self, context: &mut Context) -> Vec<String> {
+    pub fn refine(&mut self, context: &mut Context) -> Result<Vec<String>, TrainError> {
         let completed = context.completed_steps - self.plan.begin;
         let due = |steps: &[usize]| steps.binary_search(&completed).is_ok();
         let (is_densify, is_reset, is_relocate) =
@@ -186,17 +182,17 @@ impl BlendedStage {
         }
         if is_reset {
             let discs = &context.config.discs;
-            let opacities = reset_opacities(&self.gaussians.to_data().opacities, discs.reset_opacity as f32);
+            let opacities = reset_opacities(&self.gaussians.opacities(), discs.reset_opacity as f32);
             self.gaussians.reset_opacities(&opacities);
             events.push(format!("opacities reset to at most {}", discs.reset_opacity));
         }
         if let (true, StageKind::Gaussians(kind)) = (is_relocate, self.plan.kind) {
             self.relocate(context, kind);
             if kind == Relocation::Beta {
-                self.jitter(context, Noise::Beta, completed);
+                self.jitter(context, NoiseGate::Beta, completed)?;
             }
         }
-        events
+        Ok(events)
     }
 
     fn densify(&mut self, context: &mut Context, completed: usize) -> String {
@@ -211,15 +207,8 @@ impl BlendedStage {
         };
         let before = self.gaussians.len();
         let room = context.most_primitives(self.plan.budget_share).saturating_sub(before);
-        let edit = densify(
-            &self.gaussians.to_data(),
-            self.info.colour_model,
-            &self.sums.sums(),
-            self.info.extent,
-            &rule,
-            room,
-            &mut context.rng,
-        );
+        let edit =
+            densify(&self.gaussians.to_data(), &self.sums.sums(), self.info.extent, &rule, room, &mut context.rng);
         self.gaussians.edit(&edit);
         self.sums = ScreenGradients::new(self.gaussians.len(), &context.device);
         let (removed, added) = (edit.rows.removed_from(before), edit.added.len());
@@ -240,14 +229,16 @@ impl BlendedStage {
     }
 
     /// Moves Gaussians at random, faint ones most.
-    fn jitter(&mut self, context: &mut Context, kind: Noise, completed: usize) {
+    fn jitter(&mut self, context: &mut Context, gate: NoiseGate, completed: usize) -> Result<(), TrainError> {
         let relocation = &context.config.relocation;
-        let factor = if kind == Noise::Beta { BETA_NOISE } else { 1.0 };
+        let factor = if gate == NoiseGate::Beta { BETA_NOISE } else { 1.0 };
         let amount = relocation.noise * factor * self.position_rate(&context.config, completed);
         if amount > 0.0 {
-            let positions = jitter(&self.gaussians.to_data(), kind, amount, &mut context.rng);
-            self.gaussians.set_positions(&positions);
+            let options = JitterOptions { gate, amount, seed: context.rng.random() };
+            let positions = jitter(&self.gaussians.values(), &options)?;
+            self.gaussians.columns.positions.set_tensor(positions);
         }
+        Ok(())
     }
 
     /// Hands everything of one step to the device.
@@ -259,7 +250,7 @@ impl BlendedStage {
         let at = |source| TrainError::Step { step: report.step, view: view.name.clone(), source };
         let tape = context.device.clone().autodiff();
 
-        let (gaussians, opacities) = self.gaussians.leaves();
+        let Leaves { values: gaussians, raw } = self.gaussians.leaves();
         let probe = self.probe(completed, &tape);
         let target = view.target(&tape);
         let known = if completed == 0 { Values::Unknown } else { Values::KnownFinite };
@@ -271,21 +262,21 @@ impl BlendedStage {
         let total = weights.add(rgb.clone(), &gaussians, &rendered, &view.camera);
 
         let mut gradients = total.backward();
-        let found = self.gaussians.gradients((&gaussians, &opacities), &mut gradients);
+        let found = self.gaussians.gradients(&raw, &mut gradients);
         if let Some(moved) = probe.and_then(|probe| probe.grad_remove(&mut gradients)) {
             self.sums.add(moved);
         }
-        let gate = Gate::new(&total, GaussianState::NAMES.into_iter().zip(&found));
+        let gate = Gate::new(&total, found.iter());
         let none = Tensor::zeros([1], (&tape, DType::F32));
         let numbers = [total, rgb, none.clone(), none.clone(), none];
         let pending = PendingStep::new(report, view.name.clone(), numbers, rendered.image.clone(), target, &gate);
         // the tape shares the parameters: without it the optimiser can work in place
-        drop((gaussians, opacities, rendered));
+        drop((gaussians, raw, rendered));
 
         let rates = self.rates(&context.config, completed);
         self.gaussians.step(found, &gate.open, &rates, context.config.optimizer.adam(completed))?;
         if self.plan.kind == StageKind::Gaussians(Relocation::Mcmc) {
-            self.jitter(context, Noise::Mcmc, completed);
+            self.jitter(context, NoiseGate::Mcmc, completed)?;
         }
         Ok(pending)
     }
@@ -328,8 +319,7 @@ impl BlendedStage {
     fn rates(&self, config: &Config, completed: usize) -> Rates {
         let (optimizer, positions) = (&config.optimizer, self.position_rate(config, completed));
         Rates {
-            surfel_positions: positions,
-            gaussian_positions: positions,
+            positions,
             quaternions: optimizer.quaternions,
             log_scales: optimizer.log_scales,
             opacities: config.stages.opacities,

@@ -10,11 +10,11 @@ use super::pending::{Gate, PendingStep};
 use super::statistics::Statistics;
 use super::supervision::Supervisions;
 use super::{StepReport, TrainError};
-use crate::config::{Config, Due, Schedule, StagePlan};
+use crate::config::{Config, Due, OpacityActivation, Schedule, StagePlan};
 use crate::init::InitialScene;
 use crate::refine::growth::Growth;
 use crate::refine::prune::drawn;
-use crate::scene_state::{GaussianState, Rates, SurfelState};
+use crate::scene_state::{GaussianState, Leaves, Rates, SurfelState};
 
 /// Share of the position schedule that the joint stage would take (DP-GES: 25,000 of 30,000 steps).
 const JOINT: f64 = 25.0 / 30.0;
@@ -36,13 +36,12 @@ pub struct JointStage {
 impl JointStage {
     pub fn new(context: &Context, plan: StagePlan, start: &InitialScene, supervisions: Option<Supervisions>) -> Self {
         let (config, device) = (&context.config, &context.device);
-        let model = config.model.colour;
         Self {
             plan,
             info: context.scene_info(Rendering::Peeled),
             schedule: config.schedule(context.dataset.train.len()),
-            surfels: SurfelState::new(&start.surfels, model, device),
-            gaussians: GaussianState::new(&start.gaussians, model, config.model.opacity, device),
+            surfels: SurfelState::new(&start.surfels, OpacityActivation::Linear, device),
+            gaussians: GaussianState::new(&start.gaussians, config.model.opacity, device),
             statistics: Statistics::new(start.surfels.len(), start.gaussians.len(), device),
             supervisions,
             growth: None,
@@ -52,7 +51,7 @@ impl JointStage {
     /// Without the Gaussians that draw nothing.
     pub fn scene(&self) -> SceneData {
         let gaussians = self.gaussians.to_data();
-        let gaussians = gaussians.select(self.info.colour_model, &drawn(&gaussians.opacities).keep);
+        let gaussians = gaussians.select(&drawn(&gaussians.opacities).keep);
         SceneData { info: self.info.clone(), surfels: self.surfels.to_data(), gaussians }
     }
 
@@ -69,8 +68,8 @@ impl JointStage {
         let view = &dataset.train[report.view];
         let at = |source| TrainError::Step { step: report.step, view: view.name.clone(), source };
 
-        let surfels = self.surfels.leaves();
-        let (gaussians, opacities) = self.gaussians.leaves();
+        let Leaves { values: surfels, raw: raw_surfels } = self.surfels.leaves();
+        let Leaves { values: gaussians, raw: raw_gaussians } = self.gaussians.leaves();
         let target = view.target(&context.device.clone().autodiff());
         // afterwards they stay finite, since steps with a gradient that is not are held back
         let known = if completed == 0 { Values::Unknown } else { Values::KnownFinite };
@@ -86,21 +85,22 @@ impl JointStage {
         }
 
         let mut gradients = total.backward();
-        let surfel_gradients = self.surfels.gradients(&surfels, &mut gradients);
-        let gaussian_gradients = self.gaussians.gradients((&gaussians, &opacities), &mut gradients);
-        let names = SurfelState::NAMES.into_iter().chain(GaussianState::NAMES);
-        let gate = Gate::new(&total, names.zip(surfel_gradients.iter().chain(&gaussian_gradients)));
+        let surfel_gradients = self.surfels.gradients(&raw_surfels, &mut gradients);
+        let gaussian_gradients = self.gaussians.gradients(&raw_gaussians, &mut gradients);
+        let gate = Gate::new(&total, surfel_gradients.iter().chain(&gaussian_gradients));
         let numbers =
             [total, terms.rgb.clone(), terms.surfel.clone(), terms.scale.clone(), terms.transmittance.clone()];
         let image = rendered.composite.image.clone();
         let pending = PendingStep::new(report, view.name.clone(), numbers, image, target, &gate);
         self.statistics.observe(&rendered, &self.gaussians, &view.camera, &self.schedule, completed)?;
         // the tape shares the parameters: without it the optimiser can work in place
-        drop((surfels, gaussians, opacities, rendered, terms));
+        drop((surfels, raw_surfels, gaussians, raw_gaussians, rendered, terms));
 
         let rates = self.rates(&context.config, completed);
         let adam = context.config.optimizer.adam(completed);
-        let surfel_rates = if context.config.train.freeze_surfels { rates.of_frozen_surfels() } else { rates };
+        let positions = rates.positions * context.config.optimizer.surfel_position_factor;
+        let surfel_rates = Rates { positions, ..rates };
+        let surfel_rates = if context.config.train.freeze_surfels { surfel_rates.of_colours() } else { surfel_rates };
         self.surfels.step(surfel_gradients, &gate.open, &surfel_rates, adam)?;
         self.gaussians.step(gaussian_gradients, &gate.open, &rates, adam)?;
         Ok(pending)
@@ -110,15 +110,14 @@ impl JointStage {
         RenderOptions { detach_transmittance: config.train.detach_transmittance, ..RenderOptions::from(&self.info) }
     }
 
-    /// Learning rates of the step after `completed` ones.
+    /// Learning rates of the Gaussians for the step after `completed` ones.
     fn rates(&self, config: &Config, completed: usize) -> Rates {
         let optimizer = &config.optimizer;
         let progress = completed as f64 / self.plan.steps as f64;
         let travelled = if config.joins_trained() { config.stages.position_share + JOINT * progress } else { progress };
         let (position, decay) = (optimizer.position_rate(travelled, self.info.extent), optimizer.decay_at(progress));
         Rates {
-            surfel_positions: position * optimizer.surfel_position_factor,
-            gaussian_positions: position,
+            positions: position,
             quaternions: optimizer.quaternions * decay,
             log_scales: optimizer.log_scales * decay,
             opacities: optimizer.opacities * decay,

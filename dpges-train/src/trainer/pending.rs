@@ -6,6 +6,7 @@ use std::task::{Context, Poll, Waker};
 
 use burn::tensor::{ExecutionError, Tensor, TensorData, read_sync};
 use dpges_core::ops::finite::{FiniteChecks, check_finite};
+use dpges_core::scene::schema::Attribute;
 
 use super::{StepReport, TrainError};
 
@@ -34,13 +35,16 @@ pub struct Gate {
 }
 
 impl Gate {
-    /// `gradients` by the names of what they belong to.
-    pub fn new<'a>(loss: &Tensor<1>, gradients: impl Iterator<Item = (&'static str, &'a Option<Tensor<2>>)>) -> Self {
+    /// Of a step with these `gradients`.
+    pub fn new<'a>(
+        loss: &Tensor<1>,
+        gradients: impl Iterator<Item = &'a (&'static Attribute, Option<Tensor<2>>)>,
+    ) -> Self {
         let mut checks = FiniteChecks::default();
         checks.add("loss", &loss.clone().inner());
-        for (name, gradient) in gradients {
+        for (attribute, gradient) in gradients {
             if let Some(gradient) = gradient {
-                checks.add(format!("gradient of {name}"), gradient);
+                checks.add(format!("gradient of {}", attribute.raw_name), gradient);
             }
         }
         let bad = checks.positions().greater_equal_elem(0).float().sum();

@@ -37,7 +37,7 @@ impl JointStage {
         if due.margins {
             let surfels = self.surfels.to_data();
             let margins = margins(&surfels.positions, &surfels.log_scales, context.config.model.margin);
-            self.surfels.set_margins(&margins);
+            self.surfels.columns.margins.set(&margins);
             events.push(format!("margins of {} surfels computed", surfels.len()));
             let begun = context.completed_steps > self.plan.begin;
             if begun && context.config.refine.budget == Budget::Auto {
@@ -65,7 +65,7 @@ impl JointStage {
 
     fn prune_surfels(&mut self, context: &Context) -> String {
         let refine = &context.config.refine;
-        let log_scales = self.surfels.to_data().log_scales;
+        let log_scales = tensor_to_rows(&self.surfels.columns.log_scales.raw());
         let edit = surfels_to_keep(
             &self.statistics.max_pixels(),
             &log_scales,
@@ -74,7 +74,7 @@ impl JointStage {
             refine.surfel_max_scale,
         );
         let before = self.surfels.len();
-        self.surfels.edit(&edit);
+        self.surfels.keep(&edit);
         self.statistics.reset_surfels(self.surfels.len());
         format!("{} of {before} surfels pruned", before - self.surfels.len())
     }
@@ -93,7 +93,6 @@ impl JointStage {
         let before = self.gaussians.len();
         let edit = split(
             &self.gaussians.to_data(),
-            self.info.colour_model,
             &surfels.positions,
             &surfels.margins,
             context.config.refine.split_factor,
@@ -107,7 +106,7 @@ impl JointStage {
     /// Takes out Gaussians that draw nothing; returns how many.
     fn remove_undrawn(&mut self) -> usize {
         let before = self.gaussians.len();
-        let rows = drawn(&self.gaussians.to_data().opacities);
+        let rows = drawn(&self.gaussians.opacities());
         self.edit_gaussians(&GaussianEdit { rows, ..GaussianEdit::default() });
         before - self.gaussians.len()
     }
@@ -231,7 +230,7 @@ impl Spots {
 #[cfg(test)]
 mod tests {
     use dpges_core::camera::CameraFromWorld;
-    use dpges_core::scene::{ColourData, ColourModel, GaussianData};
+    use dpges_core::scene::{ColourData, GaussianData};
 
     use super::*;
     use crate::device::DeviceName;
@@ -248,11 +247,10 @@ mod tests {
             quaternions: [1.0, 0.0, 0.0, 0.0].repeat(3),
             log_scales: scales.iter().map(|scale| scale.ln()).collect(),
             opacities: vec![0.5; 3],
-            colour: ColourData { base: vec![0.0; 9], detail: vec![] },
+            colour: ColourData { base: vec![0.0; 9], ..ColourData::default() },
         };
         let device = "cpu".parse::<DeviceName>().unwrap().open().unwrap();
-        let model = ColourModel::SphericalBeta { lobes: 0 };
-        let gaussians = Gaussians::from_data(&gaussians, model, &device, DType::F32);
+        let gaussians = Gaussians::from_data(&gaussians, &device, DType::F32);
         let limits = Tensor::full([1, height, width], 4.5, (&device, DType::F32));
         let depth = gaussian_depth(&gaussians, limits, &camera).unwrap();
         assert!((depth[4 * width + 8] - 2.0).abs() < 1e-3, "{}", depth[4 * width + 8]);

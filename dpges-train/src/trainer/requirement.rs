@@ -67,7 +67,8 @@ impl JointStage {
         let dataset = &context.dataset;
         let views = dataset.train.iter().chain(&dataset.validation);
         let centres: Vec<[f64; 3]> = views.map(|view| view.camera.centre().to_array()).collect();
-        let (mut surfels, mut gaussians) = (self.surfels.to_data(), self.gaussians.to_data());
+        let (surfels, gaussians) = (self.surfels.columns.positions.raw(), self.gaussians.columns.positions.raw());
+        let (mut surfel_colour, mut gaussian_colour) = (self.surfels.colour(), self.gaussians.colour());
         let mut dropped = [0; 2];
         let mut drop = |positions: &[f32], colour: &mut ColourData| {
             let spare = spare_lobes(positions, colour, lobes, &centres, UNSEEN);
@@ -75,13 +76,11 @@ impl JointStage {
             dropped[0] += found.idle;
             dropped[1] += found.folded;
         };
-        drop(&surfels.positions, &mut surfels.colour);
-        drop(&gaussians.positions, &mut gaussians.colour);
-        self.surfels.set_base(&surfels.colour.base);
-        self.surfels.set_detail(&surfels.colour.detail);
-        self.gaussians.set_base(&gaussians.colour.base);
-        self.gaussians.set_detail(&gaussians.colour.detail);
-        let all = lobes * (surfels.len() + gaussians.len());
+        drop(&tensor_to_rows(&surfels), &mut surfel_colour);
+        drop(&tensor_to_rows(&gaussians), &mut gaussian_colour);
+        self.surfels.set_colour(&surfel_colour);
+        self.gaussians.set_colour(&gaussian_colour);
+        let all = lobes * (self.surfels.len() + self.gaussians.len());
         let [idle, folded] = dropped;
         Some(format!(
             "of {all} lobes {idle} dropped that add less than half of 1/255 in any camera, {folded} that do not change"

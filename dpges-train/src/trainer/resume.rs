@@ -5,7 +5,8 @@ use std::sync::Arc;
 
 use burn::tensor::Device;
 use dpges_core::device::fix_order_of_sums;
-use dpges_core::scene::{ColourData, ColourModel, GaussianData, Rendering};
+use dpges_core::scene::schema::{Attribute, Columns};
+use dpges_core::scene::{ColourModel, GaussianData, Rendering};
 
 use super::blended::{BlendedStage, ScreenGradients};
 use super::context::Context;
@@ -14,16 +15,11 @@ use super::statistics::Statistics;
 use super::supervision::Supervisions;
 use super::{Stage, TrainError, Trainer};
 use crate::checkpoint::{Checkpoint, Progress};
-use crate::config::StageKind;
+use crate::config::{OpacityActivation, StageKind};
 use crate::dataset::Dataset;
-use crate::optimizer::AttributeRows;
-use crate::scene_state::{GaussianState, SurfelState};
+use crate::scene_state::{GaussianState, NamedRows, SurfelState};
 
-const MARGINS: &str = "margins";
 const MAX_CONTRIBUTIONS: &str = "max_contributions";
-/// Rows of the trained discs.
-const DISCS: [&str; 6] =
-    ["discs.positions", "discs.quaternions", "discs.log_scales", "discs.opacities", "discs.base", "discs.detail"];
 
 impl Trainer {
     /// All that [`resume`](Self::resume) needs to go on to the same result.
@@ -32,14 +28,12 @@ impl Trainer {
         let mut columns = BTreeMap::new();
         let mut add = |name: &str, values: Vec<f32>| columns.insert(name.to_owned(), values);
         if let Some(discs) = self.discs.as_ref().or(self.discs_of_losses()) {
-            let GaussianData { positions, quaternions, log_scales, opacities, colour } = discs.clone();
-            let parts = [positions, quaternions, log_scales, opacities, colour.base, colour.detail];
-            for (name, values) in DISCS.into_iter().zip(parts) {
-                add(name, values);
+            for (attribute, values) in discs.iter() {
+                add(&disc_column(attribute), values.clone());
             }
         }
         let mut attributes = HashMap::new();
-        let mut name = |rows: BTreeMap<&'static str, AttributeRows>| {
+        let mut name = |rows: NamedRows| {
             attributes.extend(rows.into_iter().map(|(name, rows)| (name.to_owned(), rows)));
         };
         let (info, max_pixels, growth) = match &self.stage {
@@ -53,7 +47,6 @@ impl Trainer {
             Stage::Joint(stage) => {
                 name(stage.surfels.rows());
                 name(stage.gaussians.rows());
-                add(MARGINS, stage.surfels.to_data().margins);
                 add(MAX_CONTRIBUTIONS, stage.statistics.max_contributions());
                 (stage.info.clone(), stage.statistics.max_pixels(), stage.growth.clone())
             }
@@ -113,15 +106,17 @@ impl Trainer {
         };
         let model = progress.info.colour_model;
         let discs = take_discs(&mut columns, model)?;
-        let gaussian_widths = [3, 4, 3, 1, 3, model.detail_len()];
         let mut discs_of_run = None;
         let stage = if current.kind == StageKind::Joint {
-            let (margins, contributions) = (column(&mut columns, MARGINS)?, column(&mut columns, MAX_CONTRIBUTIONS)?);
-            let surfel_widths = [3, 4, 2, 3, model.detail_len()];
-            let surfel_rows = take(&mut attributes, SurfelState::NAMES, surfel_widths, margins.len())?;
-            let gaussian_rows = take(&mut attributes, GaussianState::NAMES, gaussian_widths, contributions.len())?;
-            if max_pixels.len() != margins.len() {
-                return Err(TrainError::Resume { reason: "`max_pixels` and `margins` differ in length".into() });
+            let contributions = column(&mut columns, MAX_CONTRIBUTIONS)?;
+            let device = &context.device;
+            let surfels = SurfelState::from_rows(&mut attributes, model, OpacityActivation::Linear, device)
+                .map_err(|reason| TrainError::Resume { reason })?;
+            let gaussians = GaussianState::from_rows(&mut attributes, model, context.config.model.opacity, device)
+                .map_err(|reason| TrainError::Resume { reason })?;
+            if (max_pixels.len(), contributions.len()) != (surfels.len(), gaussians.len()) {
+                let reason = "`max_pixels` or `max_contributions` does not fit the primitives".into();
+                return Err(TrainError::Resume { reason });
             }
             let supervisions = match discs {
                 Some(discs) => {
@@ -130,12 +125,11 @@ impl Trainer {
                 }
                 None => None,
             };
-            let device = &context.device;
             Stage::Joint(Box::new(JointStage {
                 plan: current,
                 schedule: context.config.schedule(context.dataset.train.len()),
-                surfels: SurfelState::from_rows(surfel_rows, &margins, model, device),
-                gaussians: GaussianState::from_rows(gaussian_rows, model, context.config.model.opacity, device),
+                surfels,
+                gaussians,
                 statistics: Statistics::from_rows(&max_pixels, &contributions, device),
                 supervisions,
                 growth: progress.growth,
@@ -147,12 +141,12 @@ impl Trainer {
             for name in ScreenGradients::NAMES {
                 found.push(column(&mut columns, name)?);
             }
-            let count = found[0].len();
-            let rows = take(&mut attributes, GaussianState::NAMES, gaussian_widths, count)?;
-            if found.iter().any(|column| column.len() != count) {
-                return Err(TrainError::Resume { reason: "columns `screen_gradients` differ in length".into() });
+            let state = GaussianState::from_rows(&mut attributes, model, OpacityActivation::Sigmoid, &context.device)
+                .map_err(|reason| TrainError::Resume { reason })?;
+            if found.iter().any(|column| column.len() != state.len()) {
+                let reason = "columns `screen_gradients` do not fit the Gaussians".into();
+                return Err(TrainError::Resume { reason });
             }
-            let state = BlendedStage::state(&context, rows);
             let sums = ScreenGradients::from_columns([&found[0], &found[1], &found[2]], &context.device);
             Stage::Blended(Box::new(BlendedStage::resume(&context, current, state, sums)))
         };
@@ -176,48 +170,28 @@ fn column(columns: &mut BTreeMap<String, Vec<f32>>, name: &str) -> Result<Vec<f3
     columns.remove(name).ok_or_else(|| TrainError::Resume { reason: format!("column `{name}` is missing") })
 }
 
+/// Name of the column of the trained discs that holds an attribute.
+fn disc_column(attribute: &Attribute) -> String {
+    attribute.name.replace("gaussians.", "discs.")
+}
+
 /// The trained discs, if the checkpoint has them.
 fn take_discs(
     columns: &mut BTreeMap<String, Vec<f32>>,
     model: ColourModel,
 ) -> Result<Option<GaussianData>, TrainError> {
-    if !columns.contains_key(DISCS[0]) {
-        return Ok(None);
-    }
-    let mut parts = Vec::with_capacity(DISCS.len());
-    for name in DISCS {
-        parts.push(column(columns, name)?);
-    }
-    let count = parts[3].len();
-    for ((name, part), width) in DISCS.into_iter().zip(&parts).zip([3, 4, 3, 1, 3, model.detail_len()]) {
-        if part.len() != count * width {
-            let reason = format!("column `{name}` has {} numbers, expected {count} × {width}", part.len());
+    let first = &GaussianData::ATTRIBUTES[0];
+    let Some(positions) = columns.get(&disc_column(first)) else { return Ok(None) };
+    let count = positions.len() / first.width.under(model);
+    let discs = GaussianData::try_generate(model, |attribute| {
+        let name = disc_column(attribute);
+        let values = column(columns, &name)?;
+        let [count, width] = attribute.shape(count, model);
+        if values.len() != count * width {
+            let reason = format!("column `{name}` has {} numbers, expected {count} × {width}", values.len());
             return Err(TrainError::Resume { reason });
         }
-    }
-    let [positions, quaternions, log_scales, opacities, base, detail]: [Vec<f32>; 6] =
-        parts.try_into().expect("one per name");
-    let colour = ColourData { base, detail };
-    Ok(Some(GaussianData { positions, quaternions, log_scales, opacities, colour }))
-}
-
-/// The rows of the named attributes, each `count` × its width.
-fn take<const N: usize>(
-    attributes: &mut HashMap<String, AttributeRows>,
-    names: [&str; N],
-    widths: [usize; N],
-    count: usize,
-) -> Result<[AttributeRows; N], TrainError> {
-    let mut rows = Vec::with_capacity(N);
-    for (name, width) in names.into_iter().zip(widths) {
-        let Some(found) = attributes.remove(name) else {
-            return Err(TrainError::Resume { reason: format!("attribute `{name}` is missing") });
-        };
-        if (found.count, found.width) != (count, width) {
-            let reason = format!("`{name}` is {} × {}, expected {count} × {width}", found.count, found.width);
-            return Err(TrainError::Resume { reason });
-        }
-        rows.push(found);
-    }
-    Ok(rows.try_into().expect("one per name"))
+        Ok(values)
+    })?;
+    Ok(Some(discs))
 }

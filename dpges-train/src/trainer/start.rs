@@ -118,10 +118,9 @@ impl Context {
         gaussians: Option<GaussianData>,
     ) -> Result<InitialScene, TrainError> {
         let stages = self.config.stages.clone();
-        let model = self.config.model.colour;
         let (mut surfels, rest) = match (discs, given) {
             (Some(discs), _) => {
-                let (surfels, rest) = promote(discs, model, stages.surfel_opacity, stages.surfel_scale);
+                let (surfels, rest) = promote(discs, stages.surfel_opacity, stages.surfel_scale);
                 tracing::info!("{} of {} discs become surfels", surfels.len(), discs.len());
                 if surfels.is_empty() {
                     tracing::warn!(
@@ -186,11 +185,10 @@ fn flat(surfels: SurfelData) -> GaussianData {
         let mean = (f64::from(x).exp() + f64::from(y).exp()) / 2.0;
         [x, y, (THICKNESS * mean).ln() as f32]
     };
-    GaussianData {
-        opacities: vec![1.0; surfels.len()],
-        log_scales: surfels.log_scales.as_chunks::<2>().0.iter().flat_map(thick).collect(),
-        positions: surfels.positions,
-        quaternions: surfels.quaternions,
-        colour: surfels.colour,
-    }
+    let mut discs = GaussianData::neutral(surfels.colour.model, surfels.len());
+    discs.log_scales = surfels.log_scales.as_chunks::<2>().0.iter().flat_map(thick).collect();
+    discs.positions = surfels.positions;
+    discs.quaternions = surfels.quaternions;
+    discs.colour = surfels.colour;
+    discs
 }

@@ -23,7 +23,7 @@ impl Supervisions {
     /// # Errors
     /// [`TrainError::Core`] if the discs cannot be rendered.
     pub fn new(discs: &GaussianData, info: &SceneInfo, dataset: &Dataset, device: &Device) -> Result<Self, TrainError> {
-        let gaussians = Gaussians::from_data(discs, info.colour_model, device, DType::F32);
+        let gaussians = Gaussians::from_data(discs, device, DType::F32);
         let mut options = BlendedOptions::new(info)?;
         options.blend.maps = true;
         let mut views = Vec::with_capacity(dataset.train.len());

@@ -184,7 +184,7 @@ impl Flat {
                 positions: rows(0),
                 quaternions: rows(1),
                 log_scales: rows(2),
-                opacities: leaf(&self.0[3], [count], device, dtype),
+                opacities: leaf(&self.0[3], [count, 1], device, dtype),
                 colour,
             },
             colours: rows(4),

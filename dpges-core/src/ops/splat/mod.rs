@@ -28,7 +28,7 @@ use burn::tensor::Tensor;
 use crate::camera::Camera;
 use crate::error::Result;
 use crate::scene::Gaussians;
-use crate::scene::tensors::check_shape;
+use crate::scene::tensors::{check_shape, flat};
 
 pub(super) use cpu::{GaussianRows, for_each_group};
 pub use footprint::{LOW_PASS, MIN_COMPENSATION_SQUARED};
@@ -86,7 +86,7 @@ pub(super) fn input(gaussians: &Gaussians, colours: Tensor<2>) -> Result<SplatIn
         positions: gaussians.positions.clone().into_dispatch(),
         quaternions: gaussians.quaternions.clone().into_dispatch(),
         log_scales: gaussians.log_scales.clone().into_dispatch(),
-        opacities: gaussians.opacities.clone().into_dispatch(),
+        opacities: flat(&gaussians.opacities).into_dispatch(),
         colours: colours.into_dispatch(),
     })
 }

@@ -62,7 +62,7 @@ impl Flat {
                 positions: rows(0),
                 quaternions: rows(1),
                 log_scales: rows(2),
-                opacities: leaf(&self.0[3], [self.len()], &device),
+                opacities: leaf(&self.0[3], [self.len(), 1], &device),
                 colour,
             },
             colours: rows(4),

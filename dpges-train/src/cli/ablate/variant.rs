@@ -135,7 +135,7 @@ fn method_of(preset: &str) -> Vec<String> {
 
 #[cfg(test)]
 mod tests {
-    use dpges_train::config::{Config, GaussianStage, Opacity};
+    use dpges_train::config::{Config, GaussianStage, OpacityActivation};
 
     use super::*;
 
@@ -179,7 +179,7 @@ mod tests {
         assert_eq!(config(Variant::NoScaleLoss).train.lambda_scale, 0.0);
         assert_eq!(config(Variant::NoTransmittanceLoss).train.lambda_transmittance, 0.0);
         assert_eq!(config(Variant::Sh).model.colour.to_string(), "sh3");
-        assert_eq!(config(Variant::SigmoidOpacity).model.opacity, Opacity::Sigmoid);
+        assert_eq!(config(Variant::SigmoidOpacity).model.opacity, OpacityActivation::Sigmoid);
         assert_eq!(config(Variant::Base).stages.gaussians_by, GaussianStage::Rest);
         let staged = |variant: Variant| {
             let stages = ["stages.surfels=0.2", "stages.gaussians=0.3"].map(str::to_owned);
