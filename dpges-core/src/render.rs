@@ -10,8 +10,8 @@ use crate::error::{Error, Result};
 use crate::ops::colour::colour;
 use crate::ops::composite::{Composite, CompositeOptions, composite};
 use crate::ops::finite::{FiniteChecks, check_finite};
+use crate::ops::limits::interval_limits;
 use crate::ops::peel::{Layers, PeelOptions, peel};
-use crate::ops::splat::limits::interval_limits;
 use crate::ops::splat::splat;
 use crate::scene::{Gaussians, MarginLookup, SceneInfo, Surfels};
 

@@ -1,5 +1,8 @@
 //! Kernels are written as loops over fixed-size lanes; this picks the instructions they compile to.
 
+/// Pixels that kernels process together.
+pub const LANES: usize = 8;
+
 /// Runs `kernel` compiled for the widest vector instructions of this machine. Everything it calls
 /// must be `#[inline(always)]` to profit.
 #[inline]

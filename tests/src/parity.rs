@@ -1,8 +1,8 @@
 //! CPU and GPU: every operation on the same input, forward and backward, and whole renders.
 
 use burn::tensor::{DType, Device};
+use dpges_core::binning::cap_lists;
 use dpges_core::device::fix_order_of_sums;
-use dpges_core::gpu::lists::cap_lists;
 use dpges_core::ops::blend::Form;
 use dpges_core::ops::peel::PeelOptions;
 use dpges_core::scene::{ColourModel, Footprint};

@@ -1,4 +1,4 @@
-//! What the CubeCL kernels share: launching, uniforms, vectors, exact arithmetic, settings.
+//! What the CubeCL kernels share: launching, uniforms, vectors, exact arithmetic. It knows no operation.
 //!
 //! Every kernel keeps within what WebGPU guarantees: at most 7 buffers of its own (the eighth holds
 //! the scalars), 16 KiB of workgroup memory, 256 units, no float atomics, no subgroups, no reliance
@@ -6,6 +6,5 @@
 
 pub(crate) mod exact;
 pub(crate) mod launch;
-pub mod lists;
 pub(crate) mod vector;
 pub(crate) mod view;

@@ -4,7 +4,7 @@ use cubecl::prelude::*;
 
 use super::vector::{Mat3, Vec3, add, apply, vec3};
 use crate::camera::Camera;
-use crate::ops::binning::TileGrid;
+use crate::tiles::TileGrid;
 
 /// Uniforms of every kernel that looks through a camera.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]

@@ -1,7 +1,7 @@
 //! The custom operations, in the order in which a training step uses them: [`finite`], [`colour`],
-//! [`peel`], [`splat`], [`composite`], [`ssim`], [`adam`]; [`coverage`] serves refinement; [`blend`]
-//! takes the place of peel, splat and composite where Gaussians or discs are trained alone; [`binning`],
-//! [`bands`] and, on GPUs, `boxes` are shared.
+//! [`peel`], [`limits`], [`splat`], [`composite`], [`ssim`], [`adam`]; [`coverage`] serves refinement; [`blend`]
+//! takes the place of peel, splat and composite where Gaussians or discs are trained alone. Arrows point
+//! down: operations → `binning` → `footprint` → `gpu` and `tiles`.
 //!
 //! Each folder has the same files: `mod.rs` is the contract (shapes, units, which gradients exist,
 //! source) and the public function, `cpu.rs` the kernels of the CPU backends, `cube.rs` their CubeCL
@@ -11,15 +11,12 @@
 //! Images are planar, [C, H, W], row-major; per-layer images are [K, H, W].
 
 pub mod adam;
-pub mod bands;
-pub mod binning;
 pub mod blend;
-#[cfg(feature = "gpu")]
-mod boxes;
 pub mod colour;
 pub mod composite;
 pub mod coverage;
 pub mod finite;
+pub mod limits;
 pub mod peel;
 pub mod splat;
 pub mod ssim;

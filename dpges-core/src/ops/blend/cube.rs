@@ -15,11 +15,11 @@ use cubecl::prelude::*;
 use self::fragments::{FEATURES, Fragments, NORMAL, fragment};
 use self::gather::{Layout, gather};
 use super::{BlendBackwardOps, BlendInput, BlendOps, BlendOptions, BlendOutput, Form, far};
+use crate::binning::cube::{entry, own_pixel, tile_list};
 use crate::camera::Camera;
 use crate::gpu::launch::{buffer, cube_dim, cubes, empty_f32, floats};
 use crate::gpu::view::View;
-use crate::ops::binning::TileGrid;
-use crate::ops::binning::cube::{entry, own_pixel, tile_list};
+use crate::tiles::TileGrid;
 
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
@@ -129,23 +129,12 @@ fn blend_kernel(
     }
 }
 
-fn contiguous(input: BlendInput<CubeBackend>) -> BlendInput<CubeBackend> {
-    BlendInput {
-        positions: floats(input.positions),
-        quaternions: floats(input.quaternions),
-        log_scales: floats(input.log_scales),
-        opacities: floats(input.opacities),
-        colours: floats(input.colours),
-        probe: floats(input.probe),
-    }
-}
-
 impl BlendOps for CubeBackend {
     fn blend(input: BlendInput<Self>, camera: Camera, options: BlendOptions) -> BlendOutput<Self> {
-        let input = contiguous(input);
-        let (like, count) = (&input.positions, input.positions.shape()[0]);
+        let gaussians = input.gaussians.contiguous();
+        let (like, count) = (&gaussians.positions, gaussians.positions.shape()[0]);
         let (height, width) = (camera.height, camera.width);
-        let fragments = Fragments::new(&input, &camera, options.form);
+        let fragments = Fragments::new(&gaussians, &camera, options.form);
         let planes = empty_f32(like, [options.planes(), height, width]);
         let median_depth = empty_f32(like, [usize::from(options.maps), height, width]);
         blend_kernel::launch(
@@ -176,10 +165,10 @@ impl BlendBackwardOps for CubeBackend {
         camera: Camera,
         options: BlendOptions,
     ) -> BlendInput<Self> {
-        let (input, grad) = (contiguous(input), floats(grad));
+        let (gaussians, grad) = (input.gaussians.contiguous(), floats(grad));
         let layout = Layout { form: options.form, maps: options.maps, probe: input.probe.shape()[0] > 0 };
-        let fragments = Fragments::new(&input, &camera, options.form);
+        let fragments = Fragments::new(&gaussians, &camera, options.form);
         let [sums, rest] = gather(&fragments, &grad, &camera, &options, layout);
-        parameters::backward(&input, &sums, &rest, &camera, layout)
+        parameters::backward(&gaussians, &sums, &rest, &camera, layout)
     }
 }

@@ -37,27 +37,19 @@
 //! of half the image: what 3DGS, 2DGS (from hits with the disc only) and AbsGS decide by.
 
 mod backward;
-#[cfg(test)]
-mod brute_force;
 mod cpu;
 #[cfg(feature = "gpu")]
 mod cube;
-mod disc;
-mod distortion;
-mod footprint;
-mod gather;
-mod normal;
 #[cfg(test)]
 mod tests;
-mod walk;
 
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, Dispatch, ExtensionType, backend_extension};
 use burn::tensor::Tensor;
 
-use super::splat::SplatInput;
 use crate::camera::Camera;
 use crate::error::{Error, Result};
+use crate::footprint::gaussians::GaussianTensors;
 use crate::scene::Gaussians;
 use crate::scene::tensors::check_shape;
 
@@ -132,31 +124,10 @@ impl BlendOptions {
 /// Primitives and the probe, or the gradients with respect to them.
 #[derive(ExtensionType, Debug, Clone)]
 pub struct BlendInput<B: Backend> {
-    /// [M, 3]
-    pub positions: FloatTensor<B>,
-    /// [M, 4]
-    pub quaternions: FloatTensor<B>,
-    /// [M, 3]
-    pub log_scales: FloatTensor<B>,
-    /// [M]
-    pub opacities: FloatTensor<B>,
-    /// [M, 3]
-    pub colours: FloatTensor<B>,
+    #[extension_type]
+    pub gaussians: GaussianTensors<B>,
     /// [M, 4], or [0, 4] where it is not wanted
     pub probe: FloatTensor<B>,
-}
-
-impl<B: Backend> BlendInput<B> {
-    /// Without the probe.
-    fn primitives(&self) -> SplatInput<B> {
-        SplatInput {
-            positions: self.positions.clone(),
-            quaternions: self.quaternions.clone(),
-            log_scales: self.log_scales.clone(),
-            opacities: self.opacities.clone(),
-            colours: self.colours.clone(),
-        }
-    }
 }
 
 #[derive(ExtensionType, Debug, Clone)]
@@ -235,10 +206,7 @@ pub fn blend(
         }
         None => Tensor::zeros([0, 4], (&colours.device(), colours.dtype())),
     };
-    let SplatInput { positions, quaternions, log_scales, opacities, colours } =
-        super::splat::input(gaussians, colours)?;
-    let probe = probe.into_dispatch();
-    let input = BlendInput { positions, quaternions, log_scales, opacities, colours, probe };
+    let input = BlendInput { gaussians: GaussianTensors::new(gaussians, &colours)?, probe: probe.into_dispatch() };
     let out = Dispatch::blend(input, *camera, *options);
     let planes = Tensor::<3>::from_dispatch(out.planes);
     let part =

@@ -1,3 +1,4 @@
+mod brute_force;
 mod gradients;
 mod pictures;
 mod precision;
@@ -6,10 +7,10 @@ mod probe;
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use glam::{DMat3, DVec3};
 
-use super::brute_force::{self, Pixel, Primitive, Shape, centre_of, pixel};
+use self::brute_force::{Pixel, Primitive, Shape, centre_of, pixel};
 use super::{ALPHA_PLANE, Blend, BlendOptions, DEPTH_PLANE, DISTORTION_PLANE, Form, NORMAL_PLANE, blend};
 use crate::camera::{Camera, CameraFromWorld};
-use crate::ops::splat::footprint::Parameters;
+use crate::footprint::splat::Parameters;
 use crate::scene::{Colour, ColourModel, Gaussians};
 use crate::testing::compare::relative_l2;
 use crate::testing::device;

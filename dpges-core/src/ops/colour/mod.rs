@@ -11,7 +11,6 @@ mod backward;
 mod cpu;
 #[cfg(feature = "gpu")]
 mod cube;
-mod model;
 #[cfg(test)]
 mod tests;
 
@@ -22,6 +21,11 @@ use burn::tensor::Tensor;
 use crate::error::Result;
 use crate::scene::tensors::check_shape;
 use crate::scene::{Colour, ColourModel};
+
+/// Sharpness of the softplus of a lobe's colour: a raw value of 0 means 0.1.
+const SHARPNESS: f64 = 10.0 * std::f64::consts::LN_2;
+/// Raw β beyond this changes nothing: the lobe is narrower than a hundredth of a degree, and e^β would overflow.
+const LARGEST_BETA: f64 = 14.0;
 
 #[backend_extension(
     Cube: cfg(feature = "gpu"),

@@ -10,9 +10,9 @@ use super::{
 };
 use crate::host::{self, Host, for_each_cpu_backend, with_real};
 use crate::math::{V3, add, dot, row, scale};
-use crate::ops::bands::{BAND_COUNT, Bands};
 use crate::ops::peel::MAX_LAYERS;
 use crate::real::Real;
+use crate::tiles::bands::{BAND_COUNT, Bands};
 
 struct Inputs<'a, T: Real> {
     layers: usize,

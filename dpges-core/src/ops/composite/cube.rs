@@ -11,9 +11,9 @@ use super::{
     CompositeBackwardOps, CompositeGradients, CompositeInput, CompositeOps, CompositeOptions, CompositeOutput,
     OutputKind,
 };
+use crate::binning::boxes::visible_boxes;
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, floats, gatherers, integers, units};
 use crate::gpu::vector::{Vec3, add, dot, row3, scale, vec3};
-use crate::ops::boxes::visible_boxes;
 
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]

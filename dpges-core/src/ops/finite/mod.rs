@@ -3,15 +3,15 @@
 //! Any float tensor → [1] integer: position in row-major order of the first NaN or infinity, −1 if
 //! there is none. Checks that guard a training step are made with it.
 
+mod backward;
 mod cpu;
 #[cfg(feature = "gpu")]
 mod cube;
 #[cfg(test)]
 mod tests;
 
-use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
 use burn::backend::tensor::{FloatTensor, IntTensor};
-use burn::backend::{Autodiff, Backend, Dispatch, backend_extension};
+use burn::backend::{Backend, Dispatch, backend_extension};
 use burn::tensor::{Int, Tensor};
 
 use crate::error::{Error, Result};
@@ -24,12 +24,6 @@ use crate::error::{Error, Result};
 )]
 pub trait FiniteOps: Backend {
     fn first_non_finite(tensor: FloatTensor<Self>) -> IntTensor<Self>;
-}
-
-impl<B: FiniteOps, S: CheckpointStrategy> FiniteOps for Autodiff<B, S> {
-    fn first_non_finite(tensor: FloatTensor<Self>) -> IntTensor<Self> {
-        B::first_non_finite(tensor.into_parts().0)
-    }
 }
 
 /// Where each of several tensors first holds a bad value, all asked for before any answer is read.

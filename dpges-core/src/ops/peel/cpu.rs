@@ -6,17 +6,20 @@ use burn::backend::TensorMetadata;
 use burn::backend::tensor::{FloatTensor, IntTensor};
 use rayon::prelude::*;
 
-use super::disc::{CUTOFF, Disc, DiscGrad, MIN_FACING, Parameters, Plane};
 use super::{PeelBackwardOps, PeelGradient, PeelOps, PeelOptions, PeelOutput, SurfelShapes};
+use crate::binning::cpu::bin;
 use crate::camera::Camera;
+use crate::footprint::CUTOFF;
+use crate::footprint::disc::{Disc, DiscGrad, MIN_FACING, Parameters, Plane};
 use crate::host::{self, Host, for_each_cpu_backend, with_real};
 use crate::math::{CameraOf, row};
-use crate::ops::bands::{BAND_COUNT, Bands};
-use crate::ops::binning::layout::to_planes;
-use crate::ops::binning::{LANES, PixelRect, TILE, TILE_PIXELS, TileGrid, bin};
 use crate::real::Real;
 use crate::scene::Footprint;
+use crate::simd::LANES;
 use crate::simd::vectorised;
+use crate::tiles::bands::{BAND_COUNT, Bands};
+use crate::tiles::layout::to_planes;
+use crate::tiles::{PixelRect, TILE, TILE_PIXELS, TileGrid};
 
 /// Parameters of all surfels, row-major.
 struct SurfelRows<'a, T: Real> {

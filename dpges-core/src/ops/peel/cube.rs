@@ -8,20 +8,21 @@ use burn_cubecl::CubeBackend;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
-use super::disc::{CUTOFF, MIN_FACING};
-use super::disc_cube::{
+use super::{PeelBackwardOps, PeelGradient, PeelOps, PeelOptions, PeelOutput, SurfelShapes};
+use crate::binning::boxes::visible_boxes;
+use crate::binning::capacity::ListKind;
+use crate::binning::cube::{bin, entry, own_pixel, tile_list};
+use crate::camera::Camera;
+use crate::footprint::CUTOFF;
+use crate::footprint::disc::MIN_FACING;
+use crate::footprint::disc_cube::{
     LARGEST_LOG_SCALE, PLANE, SUMS, disc, disc_backward, exact_disc, exact_hit, hit, write_plane, write_reach,
 };
-use super::{PeelBackwardOps, PeelGradient, PeelOps, PeelOptions, PeelOutput, SurfelShapes};
-use crate::camera::Camera;
 use crate::gpu::launch::{buffer, cube_dim, cubes, empty, empty_f32, empty_u32, floats, gatherers, integers, units};
-use crate::gpu::lists::ListKind;
 use crate::gpu::vector::{row3, row4, write3, write4};
 use crate::gpu::view::{Rests, View};
-use crate::ops::binning::TileGrid;
-use crate::ops::binning::cube::{bin, entry, own_pixel, tile_list};
-use crate::ops::boxes::visible_boxes;
 use crate::scene::Footprint;
+use crate::tiles::TileGrid;
 
 const CUTOFF_F32: f32 = CUTOFF as f32;
 const MIN_FACING_F32: f32 = MIN_FACING as f32;

@@ -12,9 +12,6 @@ mod backward;
 mod cpu;
 #[cfg(feature = "gpu")]
 mod cube;
-pub(super) mod disc;
-#[cfg(feature = "gpu")]
-pub(super) mod disc_cube;
 #[cfg(test)]
 mod tests;
 
@@ -26,8 +23,6 @@ use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::scene::tensors::check_shape;
 use crate::scene::{Footprint, SceneInfo};
-
-pub use disc::{CUTOFF, MIN_FACING};
 
 /// Most layers that can be asked for.
 pub const MAX_LAYERS: usize = 8;

@@ -1,17 +1,18 @@
 use burn::tensor::Tensor;
 use glam::{DMat3, DVec3};
 
-use super::disc::{Disc, Parameters};
-use super::{CUTOFF, Layers, MIN_FACING, PeelGradient, PeelOptions, peel};
+use super::{Layers, PeelGradient, PeelOptions, peel};
 use crate::camera::{Camera, CameraFromWorld};
+use crate::footprint::CUTOFF;
+use crate::footprint::disc::{Disc, MIN_FACING, Parameters};
 use crate::math::{CameraOf, M3, V3, add, apply, column, dot, rotation, scale, sub};
-use crate::ops::binning::PixelRect;
 use crate::scene::{ColourModel, Footprint};
 use crate::testing::device;
 use crate::testing::golden::values;
 use crate::testing::gradients::{check, leaf};
 use crate::testing::random::Random;
 use crate::testing::scenes::{self, Recipe};
+use crate::tiles::PixelRect;
 
 /// A surfel in camera space, as the specification has it.
 struct Dense {

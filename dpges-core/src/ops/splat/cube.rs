@@ -7,16 +7,17 @@ use burn_cubecl::CubeBackend;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
-use super::footprint_cube::{MOMENTS, SplatGradient, project, splat_backward, weight, write_splat};
-use super::{SplatBackwardOps, SplatInput, SplatOps};
+use super::{SplatBackwardOps, SplatOps};
+use crate::binning::capacity::ListKind;
+use crate::binning::cube::{Ellipses, SPLAT, bin, entry, own_pixel, tile_list};
 use crate::camera::Camera;
 use crate::device::is_deterministic;
+use crate::footprint::gaussians::GaussianTensors;
+use crate::footprint::splat_cube::{MOMENTS, SplatGradient, project, splat_backward, weight, write_splat};
 use crate::gpu::launch::{buffer, cube_dim, cubes, empty_f32, empty_u32, floats, gatherers, units};
-use crate::gpu::lists::ListKind;
 use crate::gpu::vector::{Quaternion, row3, row4, vec3, write3, write4};
 use crate::gpu::view::View;
-use crate::ops::binning::TileGrid;
-use crate::ops::binning::cube::{Ellipses, SPLAT, bin, entry, own_pixel, tile_list};
+use crate::tiles::TileGrid;
 
 const CHANNELS: usize = 4;
 /// Splat and colour.
@@ -385,18 +386,8 @@ fn contributions_kernel(
     }
 }
 
-fn contiguous(gaussians: SplatInput<CubeBackend>) -> SplatInput<CubeBackend> {
-    SplatInput {
-        positions: floats(gaussians.positions),
-        quaternions: floats(gaussians.quaternions),
-        log_scales: floats(gaussians.log_scales),
-        opacities: floats(gaussians.opacities),
-        colours: floats(gaussians.colours),
-    }
-}
-
 /// Splats [M, [`SPLAT`]] and pixel rectangles [M, 4].
-fn projected(gaussians: &SplatInput<CubeBackend>, camera: &Camera) -> (CubeTensor, CubeTensor) {
+fn projected(gaussians: &GaussianTensors<CubeBackend>, camera: &Camera) -> (CubeTensor, CubeTensor) {
     let like = &gaussians.positions;
     let count = like.shape()[0];
     let (splats, rects) = (empty_f32(like, [count, SPLAT]), empty_u32(like, [count, 4]));
@@ -419,10 +410,10 @@ fn projected(gaussians: &SplatInput<CubeBackend>, camera: &Camera) -> (CubeTenso
 /// Gradients with respect to positions, quaternions, log-scales and opacities, into `out`, from the
 /// `moments` [M, [`MOMENTS`]].
 pub(in crate::ops) fn footprint_backward(
-    gaussians: &SplatInput<CubeBackend>,
+    gaussians: &GaussianTensors<CubeBackend>,
     moments: &CubeTensor,
     camera: &Camera,
-    out: &SplatInput<CubeBackend>,
+    out: &GaussianTensors<CubeBackend>,
 ) {
     let (client, count) = (moments.client.clone(), moments.shape()[0]);
     place_backward_kernel::launch(
@@ -456,8 +447,8 @@ pub(in crate::ops) fn footprint_backward(
 }
 
 impl SplatOps for CubeBackend {
-    fn splat(gaussians: SplatInput<Self>, limits: FloatTensor<Self>, camera: Camera) -> FloatTensor<Self> {
-        let (gaussians, limits) = (contiguous(gaussians), floats(limits));
+    fn splat(gaussians: GaussianTensors<Self>, limits: FloatTensor<Self>, camera: Camera) -> FloatTensor<Self> {
+        let (gaussians, limits) = (gaussians.contiguous(), floats(limits));
         let (client, layers, count) = (limits.client.clone(), limits.shape()[0], gaussians.opacities.shape()[0]);
         let tiles = TileGrid::new(camera.width, camera.height).len();
         let (splats, rects) = projected(&gaussians, &camera);
@@ -496,12 +487,12 @@ impl SplatOps for CubeBackend {
     }
 
     fn splat_contributions(
-        gaussians: SplatInput<Self>,
+        gaussians: GaussianTensors<Self>,
         limits: FloatTensor<Self>,
         gates: FloatTensor<Self>,
         camera: Camera,
     ) -> FloatTensor<Self> {
-        let (gaussians, limits, gates) = (contiguous(gaussians), floats(limits), floats(gates));
+        let (gaussians, limits, gates) = (gaussians.contiguous(), floats(limits), floats(gates));
         let (layers, count) = (limits.shape()[0], gaussians.opacities.shape()[0]);
         let (splats, rects) = projected(&gaussians, &camera);
         let largest = empty_f32(&limits, [count]);
@@ -525,16 +516,16 @@ impl SplatOps for CubeBackend {
 
 impl SplatBackwardOps for CubeBackend {
     fn splat_backward(
-        gaussians: SplatInput<Self>,
+        gaussians: GaussianTensors<Self>,
         limits: FloatTensor<Self>,
         grad: FloatTensor<Self>,
         camera: Camera,
-    ) -> SplatInput<Self> {
-        let (gaussians, limits, grad) = (contiguous(gaussians), floats(limits), floats(grad));
+    ) -> GaussianTensors<Self> {
+        let (gaussians, limits, grad) = (gaussians.contiguous(), floats(limits), floats(grad));
         let (client, layers, count) = (limits.client.clone(), limits.shape()[0], gaussians.opacities.shape()[0]);
         let (splats, rects) = projected(&gaussians, &camera);
         let moments = empty_f32(&limits, [count, MOMENTS]);
-        let out = SplatInput {
+        let out = GaussianTensors {
             positions: empty_f32(&limits, [count, 3]),
             quaternions: empty_f32(&limits, [count, 4]),
             log_scales: empty_f32(&limits, [count, 3]),

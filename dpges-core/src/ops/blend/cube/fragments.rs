@@ -6,17 +6,19 @@ use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
 use super::order::{depth_order, sorted};
+use crate::binning::capacity::ListKind;
+use crate::binning::cube::{CubeLists, Ellipses, SPLAT, bin};
 use crate::camera::Camera;
+use crate::footprint::CUTOFF;
+use crate::footprint::disc::MIN_FACING;
+use crate::footprint::disc_cube::{LARGEST_LOG_SCALE, PLANE, disc, exact_disc, hit, write_plane, write_reach};
+use crate::footprint::gaussians::GaussianTensors;
+use crate::footprint::splat_cube::{project, weight as splat_weight, write_splat};
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, empty_u32, units};
-use crate::gpu::lists::ListKind;
 use crate::gpu::vector::{Mat3, Vec3, apply, dot, rotation, row3, row4, scale, transpose, vec3};
 use crate::gpu::view::{Rests, View, pixel_range, to_camera, view_rotation};
-use crate::ops::binning::TileGrid;
-use crate::ops::binning::cube::{CubeLists, Ellipses, SPLAT, bin};
-use crate::ops::blend::{BlendInput, Form};
-use crate::ops::peel::disc_cube::{LARGEST_LOG_SCALE, PLANE, disc, exact_disc, hit, write_plane, write_reach};
-use crate::ops::peel::{CUTOFF, MIN_FACING};
-use crate::ops::splat::footprint_cube::{project, weight as splat_weight, write_splat};
+use crate::ops::blend::Form;
+use crate::tiles::TileGrid;
 
 const CUTOFF_F32: f32 = CUTOFF as f32;
 const INVERSE_CUTOFF: f32 = (1.0 / CUTOFF) as f32;
@@ -291,8 +293,8 @@ pub struct Fragments {
 }
 
 impl Fragments {
-    pub fn new(input: &BlendInput<CubeBackend>, camera: &Camera, form: Form) -> Self {
-        let (like, count) = (&input.positions, input.positions.shape()[0]);
+    pub fn new(gaussians: &GaussianTensors<CubeBackend>, camera: &Camera, form: Form) -> Self {
+        let (like, count) = (&gaussians.positions, gaussians.positions.shape()[0]);
         let (client, tiles) = (like.client.clone(), TileGrid::new(camera.width, camera.height).len());
         let order = depth_order(like, camera);
         let (features, rects) = (empty_f32(like, [count, FEATURES]), empty_u32(like, [count, 4]));
@@ -300,11 +302,11 @@ impl Fragments {
             &client,
             units(count),
             cube_dim(),
-            buffer(&input.positions),
-            buffer(&input.quaternions),
-            buffer(&input.log_scales),
-            buffer(&input.opacities),
-            buffer(&input.colours),
+            buffer(&gaussians.positions),
+            buffer(&gaussians.quaternions),
+            buffer(&gaussians.log_scales),
+            buffer(&gaussians.opacities),
+            buffer(&gaussians.colours),
             buffer(&order),
             buffer(&features),
             View::launch(camera),
@@ -318,10 +320,10 @@ impl Fragments {
                     &client,
                     units(count),
                     cube_dim(),
-                    buffer(&input.positions),
-                    buffer(&input.quaternions),
-                    buffer(&input.log_scales),
-                    buffer(&input.opacities),
+                    buffer(&gaussians.positions),
+                    buffer(&gaussians.quaternions),
+                    buffer(&gaussians.log_scales),
+                    buffer(&gaussians.opacities),
                     buffer(&order),
                     buffer(&splats),
                     buffer(&rects),
@@ -339,9 +341,9 @@ impl Fragments {
                     &client,
                     units(count),
                     cube_dim(),
-                    buffer(&input.positions),
-                    buffer(&input.quaternions),
-                    buffer(&input.log_scales),
+                    buffer(&gaussians.positions),
+                    buffer(&gaussians.quaternions),
+                    buffer(&gaussians.log_scales),
                     buffer(&order),
                     buffer(&planes),
                     buffer(&lows),
@@ -353,9 +355,9 @@ impl Fragments {
                     &client,
                     units(count),
                     cube_dim(),
-                    buffer(&input.positions),
-                    buffer(&input.quaternions),
-                    buffer(&input.log_scales),
+                    buffer(&gaussians.positions),
+                    buffer(&gaussians.quaternions),
+                    buffer(&gaussians.log_scales),
                     buffer(&features),
                     buffer(&order),
                     buffer(&rects),

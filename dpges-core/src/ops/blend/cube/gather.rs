@@ -13,14 +13,14 @@ use cubecl::prelude::*;
 
 use super::Thresholds;
 use super::fragments::{DEPTH, FEATURES, Fragments, NORMAL, OFFSET, SCALES, TANGENTS, fragment};
+use crate::binning::cube::SPLAT;
 use crate::camera::Camera;
+use crate::footprint::disc_cube::{PLANE, SUMS, hit};
+use crate::footprint::splat_cube::MOMENTS;
 use crate::gpu::launch::{buffer, cube_dim, cubes, empty_f32, units};
 use crate::gpu::view::View;
-use crate::ops::binning::TileGrid;
-use crate::ops::binning::cube::SPLAT;
 use crate::ops::blend::{BlendOptions, Form};
-use crate::ops::peel::disc_cube::{PLANE, SUMS, hit};
-use crate::ops::splat::footprint_cube::MOMENTS;
+use crate::tiles::TileGrid;
 
 /// Sums that are added over the units of a cube at a time.
 const GROUP: usize = 12;

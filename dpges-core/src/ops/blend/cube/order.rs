@@ -6,11 +6,11 @@ use burn::backend::TensorMetadata;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
+use crate::binning::cube::{CubeLists, tile_list};
 use crate::camera::Camera;
 use crate::gpu::launch::{UNITS, buffer, cube_dim, cubes, empty_u32, units};
 use crate::gpu::vector::row3;
 use crate::gpu::view::{View, to_camera};
-use crate::ops::binning::cube::{CubeLists, tile_list};
 
 /// Values that one cube sorts: each unit compares two.
 const BLOCK: usize = 2 * UNITS as usize;

@@ -8,13 +8,14 @@ use cubecl::prelude::*;
 use super::fragments::{LOW_PASS_SQUARED_RADIUS as K, camera_axes, facing_sign, normal_axis, own_normal};
 use super::gather::Layout;
 use crate::camera::Camera;
+use crate::footprint::disc_cube::{LARGEST_LOG_SCALE, SUMS, disc, disc_backward, exact_disc};
+use crate::footprint::gaussians::GaussianTensors;
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, units};
 use crate::gpu::vector::{
     Mat3, apply, dot, rotation, rotation_backward, row3, row4, scale, transpose, vec3, write3, write4,
 };
 use crate::gpu::view::{Rests, View, to_camera, view_rotation};
 use crate::ops::blend::{BlendInput, Form};
-use crate::ops::peel::disc_cube::{LARGEST_LOG_SCALE, SUMS, disc, disc_backward, exact_disc};
 use crate::ops::splat::cube::footprint_backward;
 
 /// Colours, probe and, of discs, opacities.
@@ -195,30 +196,30 @@ fn rest_kernel(
 
 /// Gradients with respect to the input, from the sums of the shape and the rest of them.
 pub fn backward(
-    input: &BlendInput<CubeBackend>,
+    gaussians: &GaussianTensors<CubeBackend>,
     sums: &CubeTensor,
     rest: &CubeTensor,
     camera: &Camera,
     layout: Layout,
 ) -> BlendInput<CubeBackend> {
     let (client, count) = (sums.client.clone(), sums.shape()[0]);
-    let out = BlendInput {
+    let out = GaussianTensors {
         positions: empty_f32(sums, [count, 3]),
         quaternions: empty_f32(sums, [count, 4]),
         log_scales: empty_f32(sums, [count, 3]),
         opacities: empty_f32(sums, [count]),
         colours: empty_f32(sums, [count, 3]),
-        probe: empty_f32(sums, [if layout.probe { count } else { 0 }, 4]),
     };
+    let probe = empty_f32(sums, [if layout.probe { count } else { 0 }, 4]);
     match layout.form {
-        Form::Ellipsoids => footprint_backward(&input.primitives(), sums, camera, &out.primitives()),
+        Form::Ellipsoids => footprint_backward(gaussians, sums, camera, &out),
         Form::Discs => planes_backward_kernel::launch(
             &client,
             units(count),
             cube_dim(),
-            buffer(&input.positions),
-            buffer(&input.quaternions),
-            buffer(&input.log_scales),
+            buffer(&gaussians.positions),
+            buffer(&gaussians.quaternions),
+            buffer(&gaussians.log_scales),
             buffer(sums),
             buffer(&out.positions),
             buffer(&out.quaternions),
@@ -233,9 +234,9 @@ pub fn backward(
         units(count),
         cube_dim(),
         buffer(rest),
-        buffer(&input.opacities),
+        buffer(&gaussians.opacities),
         buffer(&out.colours),
-        buffer(&out.probe),
+        buffer(&probe),
         buffer(&out.opacities),
         count as u32,
         layout,
@@ -246,9 +247,9 @@ pub fn backward(
             &client,
             units(count),
             cube_dim(),
-            buffer(&input.positions),
-            buffer(&input.quaternions),
-            buffer(&input.log_scales),
+            buffer(&gaussians.positions),
+            buffer(&gaussians.quaternions),
+            buffer(&gaussians.log_scales),
             buffer(rest),
             buffer(&out.positions),
             buffer(&out.quaternions),
@@ -258,5 +259,5 @@ pub fn backward(
             layout,
         );
     }
-    out
+    BlendInput { gaussians: out, probe }
 }

@@ -1,16 +1,15 @@
 //! One surfel seen by one camera: where a ray meets its disc, and which pixels it can reach.
 
+use super::CUTOFF;
 use crate::math::{CameraOf, M3, V3, add, apply_transposed, column, cross, dot, rotation, rotation_backward, scale};
-use crate::ops::binning::PixelRect;
 use crate::real::Real;
 use crate::scene::Footprint;
+use crate::tiles::PixelRect;
 
 /// A ray direction with less than this along the normal does not meet the disc.
 pub const MIN_FACING: f64 = 1e-12;
 /// Beyond this a surfel covers everything it faces, and squares of its scale would overflow.
 pub const LARGEST_LOG_SCALE: f64 = 80.0;
-/// A fragment below this value does not exist.
-pub const CUTOFF: f64 = 1.0 / 255.0;
 
 /// A disc as linear functions of the pixel position, relative to an anchor pixel.
 ///

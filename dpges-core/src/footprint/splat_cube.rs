@@ -1,20 +1,20 @@
-//! One Gaussian seen by one camera, on the device; the CPU's twin is [`super::footprint`].
+//! One Gaussian seen by one camera, on the device; the CPU's twin is [`super::splat`].
 
 use cubecl::prelude::*;
 
-use super::footprint::{self, LOW_PASS, MIN_COMPENSATION_SQUARED};
+use super::CUTOFF;
+use super::splat::{self, LOW_PASS, MIN_COMPENSATION_SQUARED};
+use crate::binning::cube::SPLAT;
 use crate::gpu::vector::{
     Mat3, Quaternion, Vec3, add, apply, cross, dot, rotation, rotation_backward, scale, transpose, vec3,
 };
 use crate::gpu::view::{View, pixel_range, to_camera, view_rotation};
-use crate::ops::binning::cube::SPLAT;
-use crate::ops::peel::CUTOFF;
 
 const LOW_PASS_F32: f32 = LOW_PASS as f32;
 const MIN_RATIO: f32 = MIN_COMPENSATION_SQUARED as f32;
 pub const CUTOFF_F32: f32 = CUTOFF as f32;
 const INVERSE_CUTOFF: f32 = (1.0 / CUTOFF) as f32;
-const JACOBIAN_MARGIN: f32 = footprint::JACOBIAN_MARGIN as f32;
+const JACOBIAN_MARGIN: f32 = splat::JACOBIAN_MARGIN as f32;
 /// Sums over the pixels of a Gaussian: the moments of the gradient of the exponent.
 pub const MOMENTS: usize = 6;
 

@@ -4,11 +4,11 @@
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
-use super::{TILE, TileGrid};
+use super::capacity::{self, ListKind};
 use crate::camera::Camera;
 use crate::gpu::launch::{UNITS, buffer, cube_dim, cubes, empty_f32, empty_u32, units, zeros_u32};
-use crate::gpu::lists::{self, ListKind};
 use crate::gpu::view::View;
+use crate::tiles::{TILE, TileGrid};
 
 /// Lists of primitives, one per tile. Those that end beyond the capacity are incomplete: see [`tile_list`].
 pub struct CubeLists {
@@ -221,11 +221,11 @@ pub fn bin(rects: &CubeTensor, ellipses: Option<Ellipses>, camera: &Camera, kind
         buffer(&total),
         tiles as u32,
     );
-    let capacity = lists::capacity(rects, kind, count, tiles);
+    let capacity = capacity::entries(rects, kind, count, tiles);
     let ids = empty_u32(rects, [capacity]);
     let capacity = u32::try_from(capacity).unwrap_or(u32::MAX);
     visit(&cursor, &ids, capacity);
-    lists::observe(&total, kind, capacity as usize);
+    capacity::observe(&total, kind, capacity as usize);
     CubeLists { offsets, ids, capacity }
 }
 

@@ -2,13 +2,16 @@
 
 use rayon::prelude::*;
 
-use super::BlendOptions;
-use super::footprint::{Projected, View};
 use super::normal::normal;
+use super::projected::{Projected, View};
+use crate::binning::cpu::{TileLists, bin};
+use crate::footprint::gaussians::GaussianRows;
 use crate::math::V3;
-use crate::ops::binning::{LANES, PixelRect, TILE, TILE_PIXELS, TileGrid, TileLists, bin};
-use crate::ops::splat::{GaussianRows, for_each_group};
+use crate::ops::blend::BlendOptions;
 use crate::real::Real;
+use crate::simd::LANES;
+use crate::tiles::for_each_group;
+use crate::tiles::{PixelRect, TILE, TILE_PIXELS, TileGrid};
 
 /// Whether all pixels of a tile have ended is looked up after this many primitives.
 const LOOK_EVERY: usize = 16;

@@ -1,10 +1,11 @@
 //! What the CPU kernels need to know of a primitive as a camera sees it, whichever its form.
 
 use crate::camera::Camera;
+use crate::footprint::splat::{self, ParameterGrad, Parameters, Splat, SplatGrad};
 use crate::math::{CameraOf, V3, add, scale};
-use crate::ops::binning::{LANES, PixelRect, TileGrid};
-use crate::ops::splat::footprint::{self, ParameterGrad, Parameters, Splat, SplatGrad};
 use crate::real::Real;
+use crate::simd::LANES;
+use crate::tiles::{PixelRect, TileGrid};
 
 /// A camera in the element type of the kernels and in f64.
 pub struct View<T> {
@@ -209,7 +210,7 @@ impl<T: Real> Projected<T> for Ellipse<T> {
             moments: std::array::from_fn(|i| sums.footprint[i]),
             colour: std::array::from_fn(|c| sums.colour[c]),
         };
-        let mut grad = footprint::backward(&view.camera, parameters, &self.0, &sum);
+        let mut grad = splat::backward(&view.camera, parameters, &self.0, &sum);
         if let [.., of_depth] = *sums.maps {
             grad.position = add(grad.position, scale(view.camera.rotation[2], of_depth));
         }

@@ -1,11 +1,11 @@
-//! GPU kernel of [`super::limits`]: one unit per pixel.
+//! GPU kernel: one unit per pixel.
 
 use burn::backend::TensorMetadata;
 use burn::backend::tensor::{FloatTensor, IntTensor};
 use burn_cubecl::CubeBackend;
 use cubecl::prelude::*;
 
-use super::limits::LimitOps;
+use super::LimitOps;
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, floats, integers, units};
 use crate::scene::MarginLookup;
 

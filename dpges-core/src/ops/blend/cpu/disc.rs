@@ -1,13 +1,14 @@
 //! A disc met by rays, with the low-pass filter of 2DGS (its sections 4.2 and 4.3); where a ray meets it and the way
-//! back from there are those of [`peel`](crate::ops::peel).
+//! back from there are those of [`footprint`](crate::footprint::disc).
 
-use super::footprint::{Group, Projected, Sums, View, WORK_ROWS};
+use super::projected::{Group, Projected, Sums, View, WORK_ROWS};
+use crate::footprint::CUTOFF;
+use crate::footprint::disc::{self, Disc, DiscGrad, MIN_FACING, Plane};
+use crate::footprint::splat::{ParameterGrad, Parameters};
 use crate::math::{CameraOf, M3, V3, add, apply_transposed, column, dot, rotation_backward, scale};
-use crate::ops::binning::{LANES, PixelRect, TileGrid};
-use crate::ops::peel::disc::{self, Disc, DiscGrad, Plane};
-use crate::ops::peel::{CUTOFF, MIN_FACING};
-use crate::ops::splat::footprint::{ParameterGrad, Parameters};
 use crate::real::Real;
+use crate::simd::LANES;
+use crate::tiles::{PixelRect, TileGrid};
 
 /// The low-pass filter is centred in the box around the disc at this radius, in σ (2DGS).
 const LOW_PASS_RADIUS: f64 = 3.0;

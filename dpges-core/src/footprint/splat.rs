@@ -1,10 +1,10 @@
 //! One Gaussian seen by one camera: its elliptical footprint, the pixels it can reach, and the way
 //! back from the footprint's gradients to the Gaussian's parameters.
 
+use super::CUTOFF;
 use crate::math::{CameraOf, M3, V3, add, apply_transposed, column, cross, dot, rotation, rotation_backward, scale};
-use crate::ops::binning::{PixelRect, TILE};
-use crate::ops::peel::CUTOFF;
 use crate::real::Real;
+use crate::tiles::{PixelRect, TILE};
 
 /// Added to the diagonal of the projected covariance, px² (GES).
 pub const LOW_PASS: f64 = 0.1;

@@ -55,7 +55,7 @@ fn key(beside: &CubeTensor, kind: ListKind) -> (String, ListKind) {
 }
 
 /// Entries to make room for.
-pub(crate) fn capacity(beside: &CubeTensor, kind: ListKind, primitives: usize, tiles: usize) -> usize {
+pub(crate) fn entries(beside: &CubeTensor, kind: ListKind, primitives: usize, tiles: usize) -> usize {
     let mut bounds = BOUNDS.lock().expect("no holder panics");
     let bound = bounds.entry(key(beside, kind)).or_default();
     bound.collect();

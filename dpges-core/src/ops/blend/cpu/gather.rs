@@ -3,18 +3,20 @@
 use rayon::prelude::*;
 
 use super::distortion::{self, Spread};
-use super::footprint::{Group, Layout, Projected, Sums, View, WORK_ROWS};
 use super::normal::normal_backward;
+use super::projected::{Group, Layout, Projected, Sums, View, WORK_ROWS};
 use super::walk::{Fragments, Progress, Sorted, Thresholds, group, is_nothing, walk_tile};
-use super::{ALPHA_PLANE, BlendOptions, COLOUR_PLANES, DEPTH_PLANE, DISTORTION_PLANE, NORMAL_PLANE};
 use crate::camera::Camera;
+use crate::footprint::gaussians::GaussianRows;
+use crate::footprint::splat::ParameterGrad;
 use crate::math::V3;
-use crate::ops::binning::layout::to_tiles;
-use crate::ops::binning::{LANES, TILE_PIXELS};
-use crate::ops::splat::footprint::ParameterGrad;
-use crate::ops::splat::{GaussianRows, for_each_group};
+use crate::ops::blend::{ALPHA_PLANE, BlendOptions, COLOUR_PLANES, DEPTH_PLANE, DISTORTION_PLANE, NORMAL_PLANE};
 use crate::real::Real;
+use crate::simd::LANES;
 use crate::simd::vectorised;
+use crate::tiles::TILE_PIXELS;
+use crate::tiles::for_each_group;
+use crate::tiles::layout::to_tiles;
 
 /// Tiles whose sums are held at a time.
 const BATCH: usize = 64;
