@@ -3,24 +3,211 @@
 //! Where the CPU computes in f64, this computes with pairs of f32 ([`crate::gpu::exact`]): an edge-on
 //! disc divides by a facing that is next to nothing, and its gradients by the square of it.
 
+use burn::backend::TensorMetadata;
+use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
-use super::disc::LARGEST_LOG_SCALE as LARGEST;
-
+use super::disc as on_cpu;
+use crate::camera::Camera;
 use crate::gpu::exact::{
     Pair, Pairs3, add_pairs, cross_pairs, divide_pairs, dot_pairs, exactly, multiply_pairs, negated, rounded,
     two_product, two_sum,
 };
+use crate::gpu::launch::{buffer, cube_dim, empty_f32, empty_u32, units};
+use crate::gpu::rect::{RECT, Rect};
 use crate::gpu::vector::{
-    Mat3, Quaternion, Vec3, add, apply, cross, near_unit, rotation_backward, scale, transpose, vec3,
+    Mat3, Quaternion, Vec3, add, apply, cross, load3, near_unit, rotation_backward, row3, row4, scale, transpose, vec3,
+    write3, write4,
 };
 use crate::gpu::view::{Rests, View, pixel_range, view_rotation};
 
-/// Numbers of a disc's plane, in this order: anchor, u, v, facing, distance.
+/// Numbers of a [`Plane`].
 pub const PLANE: usize = 12;
-/// Sums over the pixels of a surfel: of the gradients of u, v and facing, of the distance, of the log-scales.
-pub const SUMS: usize = 12;
-pub const LARGEST_LOG_SCALE: f32 = LARGEST as f32;
+/// Numbers of [`DiscSums`].
+pub const DISC_SUMS: usize = 12;
+pub const MIN_FACING: f32 = on_cpu::MIN_FACING as f32;
+const LARGEST_LOG_SCALE: f32 = on_cpu::LARGEST_LOG_SCALE as f32;
+
+/// A linear function of the pixel position.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub struct Linear {
+    /// Value at the anchor.
+    pub constant: f32,
+    /// Slope per px in x and in y.
+    pub across: f32,
+    pub down: f32,
+}
+
+#[cube]
+impl Linear {
+    fn load(numbers: &[f32], start: usize) -> Linear {
+        Linear { constant: numbers[start], across: numbers[start + 1], down: numbers[start + 2] }
+    }
+
+    fn store(&self, numbers: &mut [f32], start: usize) {
+        numbers[start] = self.constant;
+        numbers[start + 1] = self.across;
+        numbers[start + 2] = self.down;
+    }
+
+    /// Value at an offset from the anchor, px.
+    fn at(&self, dx: f32, dy: f32) -> f32 {
+        self.constant + self.across * dx + self.down * dy
+    }
+}
+
+/// A disc as linear functions of the pixel position relative to an anchor, as on the CPU.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub struct Plane {
+    /// px
+    pub anchor_x: f32,
+    pub anchor_y: f32,
+    pub u: Linear,
+    pub v: Linear,
+    pub facing: Linear,
+    pub distance: f32,
+}
+
+#[cube]
+impl Plane {
+    /// From [`PLANE`] numbers, `start` the first.
+    pub fn load(numbers: &[f32], start: usize) -> Plane {
+        Plane {
+            anchor_x: numbers[start],
+            anchor_y: numbers[start + 1],
+            u: Linear::load(numbers, start + 2),
+            v: Linear::load(numbers, start + 5),
+            facing: Linear::load(numbers, start + 8),
+            distance: numbers[start + 11],
+        }
+    }
+
+    fn store(&self, numbers: &mut [f32], start: usize) {
+        numbers[start] = self.anchor_x;
+        numbers[start + 1] = self.anchor_y;
+        self.u.store(numbers, start + 2);
+        self.v.store(numbers, start + 5);
+        self.facing.store(numbers, start + 8);
+        numbers[start + 11] = self.distance;
+    }
+
+    /// Where the ray through the point (`x`, `y`) px meets the plane.
+    pub fn hit(&self, x: f32, y: f32) -> Hit {
+        let (dx, dy) = (x - self.anchor_x, y - self.anchor_y);
+        meeting(self.u.at(dx, dy), self.v.at(dx, dy), self.facing.at(dx, dy), self.distance)
+    }
+}
+
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub struct Hit {
+    pub u: f32,
+    pub v: f32,
+    pub depth: f32,
+    pub facing: f32,
+    pub kernel: f32,
+}
+
+/// From the values of the linear functions.
+#[cube]
+fn meeting(u: f32, v: f32, facing: f32, distance: f32) -> Hit {
+    let inverse = 1.0f32 / select(facing == 0.0f32, 1e-30f32, facing);
+    let (u, v) = (u * inverse, v * inverse);
+    Hit { u, v, depth: distance * inverse, facing, kernel: f32::exp(max(-0.5f32 * (u * u + v * v), -100.0f32)) }
+}
+
+/// Sums over the pixels of a surfel of the gradients of its linear functions.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+struct DiscSums {
+    /// Of r·(t_v × c): at the anchor, times offset in x, times offset in y (offsets in units of the ray).
+    u: Vec3,
+    v: Vec3,
+    facing: Vec3,
+    distance: f32,
+    log_scale_u: f32,
+    log_scale_v: f32,
+}
+
+#[cube]
+impl DiscSums {
+    /// Row `i` of a [N, [`DISC_SUMS`]] buffer.
+    fn load(sums: &[f32], i: usize) -> DiscSums {
+        let o = i * DISC_SUMS;
+        DiscSums {
+            u: load3(sums, o),
+            v: load3(sums, o + 3),
+            facing: load3(sums, o + 6),
+            distance: sums[o + 9],
+            log_scale_u: sums[o + 10],
+            log_scale_v: sums[o + 11],
+        }
+    }
+}
+
+/// A pixel of a surfel on the way back.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub struct DiscPixel {
+    pub hit: Hit,
+    /// Offset from the anchor, in units of the ray.
+    pub across: f32,
+    pub down: f32,
+    /// Along t_u and t_v, world units.
+    pub scale_u: f32,
+    pub scale_v: f32,
+    /// Gradients with respect to the exponent of the kernel and to the depth.
+    pub power: f32,
+    pub grad_depth: f32,
+}
+
+/// Adds a pixel to the first [`DISC_SUMS`] of a unit's sums, with the gradient of the exponent, of the
+/// depth, or both. Returns the gradients with respect to r·(t_v × c), to r·(c × t_u) and to the distance.
+#[cube]
+pub fn add_disc_sums(
+    own: &mut Array<f32>,
+    pixel: DiscPixel,
+    #[comptime] of_kernel: bool,
+    #[comptime] of_depth: bool,
+) -> Vec3 {
+    let hit = pixel.hit;
+    let mut towards_u = 0.0f32;
+    let mut towards_v = 0.0f32;
+    let mut towards_distance = 0.0f32;
+    let mut along = 0.0f32;
+    if comptime!(of_kernel) {
+        let (grad_u, grad_v) = (-pixel.power * hit.u, -pixel.power * hit.v);
+        towards_u = grad_u / (hit.facing * pixel.scale_u);
+        towards_v = grad_v / (hit.facing * pixel.scale_v);
+        along = grad_u * hit.u + grad_v * hit.v;
+        own[0] += towards_u;
+        own[1] += towards_u * pixel.across;
+        own[2] += towards_u * pixel.down;
+        own[3] += towards_v;
+        own[4] += towards_v * pixel.across;
+        own[5] += towards_v * pixel.down;
+        own[10] -= grad_u * hit.u;
+        own[11] -= grad_v * hit.v;
+    }
+    if comptime!(of_depth) {
+        along += pixel.grad_depth * hit.depth;
+        towards_distance = pixel.grad_depth / hit.facing;
+        own[9] += towards_distance;
+    }
+    let towards_facing = -along / hit.facing;
+    own[6] += towards_facing;
+    own[7] += towards_facing * pixel.across;
+    own[8] += towards_facing * pixel.down;
+    vec3(towards_u, towards_v, towards_distance)
+}
+
+/// A log-scale as a length, world units.
+#[cube]
+pub fn bounded_scale(log_scale: f32) -> f32 {
+    f32::exp(min(log_scale, LARGEST_LOG_SCALE))
+}
 
 /// A disc in camera space; axes are longer than 1 by the same factor, squared length of the quaternion,
 /// which cancels in everything but the facing.
@@ -119,7 +306,7 @@ pub fn exact_disc(view: View, rests: Rests, position: Vec3, quaternion: Quaterni
 }
 
 #[cube]
-pub fn disc(view: View, exact: ExactDisc, log_scale_u: f32, log_scale_v: f32) -> Disc {
+pub fn disc_of(view: View, exact: ExactDisc, log_scale_u: f32, log_scale_v: f32) -> Disc {
     let centre = rounded(exact.centre);
     let inverse = 1.0f32 / exact.stretch;
     let is_centred = centre.z > view.near;
@@ -134,36 +321,81 @@ pub fn disc(view: View, exact: ExactDisc, log_scale_u: f32, log_scale_v: f32) ->
             select(is_centred, centre.y / depth, 0.0f32),
             1.0f32,
         ),
-        scale_u: f32::exp(min(log_scale_u, LARGEST_LOG_SCALE)),
-        scale_v: f32::exp(min(log_scale_v, LARGEST_LOG_SCALE)),
+        scale_u: bounded_scale(log_scale_u),
+        scale_v: bounded_scale(log_scale_v),
         centred: select(is_centred, 1.0f32, 0.0f32),
     }
 }
 
-/// Row `i` of `planes` and of `rests` at number `at`: value · factor.
-#[cube]
-fn put(highs: &mut [f32], lows: &mut [f32], i: usize, #[comptime] at: usize, value: Pair, factor: Pair, zero: u32) {
-    let product = multiply_pairs(value, factor, zero);
-    highs[i * PLANE + at] = product.high;
-    lows[i * PLANE + at] = product.low;
+/// A linear function of the pixel position to the precision of pairs.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+struct ExactLinear {
+    constant: Pair,
+    across: Pair,
+    down: Pair,
 }
 
-/// The disc's linear functions of the pixel position, row `i` of `planes`, and what rounding took from
-/// them, row `i` of `lows`.
 #[cube]
-pub fn write_plane(
+impl ExactLinear {
+    fn load(highs: Linear, lows: Linear) -> ExactLinear {
+        ExactLinear {
+            constant: pair(highs.constant, lows.constant),
+            across: pair(highs.across, lows.across),
+            down: pair(highs.down, lows.down),
+        }
+    }
+
+    /// `factor` · (constant, slope · per_px_x, slope · per_px_y)
+    fn new(constant: Pair, slope: Pairs3, per_px: ExactScales, factor: Pair, zero: u32) -> ExactLinear {
+        ExactLinear {
+            constant: multiply_pairs(constant, factor, zero),
+            across: multiply_pairs(multiply_pairs(slope.x, per_px.x, zero), factor, zero),
+            down: multiply_pairs(multiply_pairs(slope.y, per_px.y, zero), factor, zero),
+        }
+    }
+
+    fn highs(&self) -> Linear {
+        Linear { constant: self.constant.high, across: self.across.high, down: self.down.high }
+    }
+
+    fn lows(&self) -> Linear {
+        Linear { constant: self.constant.low, across: self.across.low, down: self.down.low }
+    }
+
+    fn at(&self, dx: Pair, dy: Pair, zero: u32) -> f32 {
+        let (across, down) = (multiply_pairs(self.across, dx, zero), multiply_pairs(self.down, dy, zero));
+        let sum = add_pairs(self.constant, add_pairs(across, down, zero), zero);
+        sum.high + sum.low
+    }
+}
+
+/// Reciprocal focal lengths.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+struct ExactScales {
+    x: Pair,
+    y: Pair,
+}
+
+/// The disc's linear functions of the pixel position, from `start` on in `planes`, and what rounding
+/// took from them, in `lows`.
+#[cube]
+fn store_plane(
     view: View,
     rests: Rests,
     exact: ExactDisc,
     disc: Disc,
     planes: &mut [f32],
     lows: &mut [f32],
-    i: usize,
+    start: usize,
 ) {
     let zero = view.zero;
     let one = exactly(1.0f32);
-    let inverse_fx = divide_pairs(one, pair(view.fx, rests.fx), zero);
-    let inverse_fy = divide_pairs(one, pair(view.fy, rests.fy), zero);
+    let per_px = ExactScales {
+        x: divide_pairs(one, pair(view.fx, rests.fx), zero),
+        y: divide_pairs(one, pair(view.fy, rests.fy), zero),
+    };
     let is_centred = disc.centred > 0.5f32;
     let depth_high = select(is_centred, exact.centre.z.high, 1.0f32);
     let depth_low = select(is_centred, exact.centre.z.low, 0.0f32);
@@ -181,8 +413,6 @@ pub fn write_plane(
         pair(view.cy, rests.cy),
         zero,
     );
-    put(planes, lows, i, 0usize, anchor_x, one, zero);
-    put(planes, lows, i, 1usize, anchor_y, one, zero);
     // axes are longer than 1 by the stretch: each function is linear in one of them
     let along_u = cross_pairs(exact.tangent_v, exact.centre, zero);
     let along_v = cross_pairs(exact.centre, exact.tangent_u, zero);
@@ -191,63 +421,45 @@ pub fn write_plane(
     let by_v = divide_pairs(share, exactly(disc.scale_v), zero);
     // at the projected centre both triple products vanish
     let beside = 1.0f32 - own;
-    put(planes, lows, i, 2usize, pair(along_u.z.high * beside, along_u.z.low * beside), by_u, zero);
-    put(planes, lows, i, 3usize, multiply_pairs(along_u.x, inverse_fx, zero), by_u, zero);
-    put(planes, lows, i, 4usize, multiply_pairs(along_u.y, inverse_fy, zero), by_u, zero);
-    put(planes, lows, i, 5usize, pair(along_v.z.high * beside, along_v.z.low * beside), by_v, zero);
-    put(planes, lows, i, 6usize, multiply_pairs(along_v.x, inverse_fx, zero), by_v, zero);
-    put(planes, lows, i, 7usize, multiply_pairs(along_v.y, inverse_fy, zero), by_v, zero);
-    let distance = dot_pairs(exact.normal, exact.centre, zero);
-    let at_centre = divide_pairs(distance, depth, zero);
+    let of_u = pair(along_u.z.high * beside, along_u.z.low * beside);
+    let of_v = pair(along_v.z.high * beside, along_v.z.low * beside);
+    let product = dot_pairs(exact.normal, exact.centre, zero);
+    let at_centre = divide_pairs(product, depth, zero);
     let facing_high = select(is_centred, at_centre.high, exact.normal.z.high);
     let facing_low = select(is_centred, at_centre.low, exact.normal.z.low);
-    put(planes, lows, i, 8usize, pair(facing_high, facing_low), share, zero);
-    put(planes, lows, i, 9usize, multiply_pairs(exact.normal.x, inverse_fx, zero), share, zero);
-    put(planes, lows, i, 10usize, multiply_pairs(exact.normal.y, inverse_fy, zero), share, zero);
-    put(planes, lows, i, 11usize, distance, share, zero);
+    let u = ExactLinear::new(of_u, along_u, per_px, by_u, zero);
+    let v = ExactLinear::new(of_v, along_v, per_px, by_v, zero);
+    let facing = ExactLinear::new(pair(facing_high, facing_low), exact.normal, per_px, share, zero);
+    let distance = multiply_pairs(product, share, zero);
+    let high = Plane {
+        anchor_x: anchor_x.high,
+        anchor_y: anchor_y.high,
+        u: u.highs(),
+        v: v.highs(),
+        facing: facing.highs(),
+        distance: distance.high,
+    };
+    let low = Plane {
+        anchor_x: anchor_x.low,
+        anchor_y: anchor_y.low,
+        u: u.lows(),
+        v: v.lows(),
+        facing: facing.lows(),
+        distance: distance.low,
+    };
+    high.store(planes, start);
+    low.store(lows, start);
 }
 
-/// The linear function at `o` of `planes` and `lows`.
+/// [`Plane::hit`] to the precision of pairs, for the gradients: of a plane and what rounding took from it.
 #[cube]
-fn linear(planes: &[f32], lows: &[f32], o: usize, dx: Pair, dy: Pair, zero: u32) -> f32 {
-    let constant = pair(planes[o], lows[o]);
-    let across = multiply_pairs(pair(planes[o + 1], lows[o + 1]), dx, zero);
-    let down = multiply_pairs(pair(planes[o + 2], lows[o + 2]), dy, zero);
-    let sum = add_pairs(constant, add_pairs(across, down, zero), zero);
-    sum.high + sum.low
-}
-
-/// [`hit`] to the precision of pairs, for the gradients.
-#[cube]
-pub fn exact_hit(planes: &[f32], lows: &[f32], o: usize, x: f32, y: f32, zero: u32) -> Hit {
-    let dx = away(x, planes[o], lows[o], zero);
-    let dy = away(y, planes[o + 1], lows[o + 1], zero);
-    let facing = linear(planes, lows, o + 8, dx, dy, zero);
-    let inverse = 1.0f32 / select(facing == 0.0f32, 1e-30f32, facing);
-    let u = linear(planes, lows, o + 2, dx, dy, zero) * inverse;
-    let v = linear(planes, lows, o + 5, dx, dy, zero) * inverse;
-    Hit { u, v, depth: planes[o + 11] * inverse, facing, kernel: f32::exp(max(-0.5f32 * (u * u + v * v), -100.0f32)) }
-}
-
-#[derive(CubeType, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
-pub struct Hit {
-    pub u: f32,
-    pub v: f32,
-    pub depth: f32,
-    pub facing: f32,
-    pub kernel: f32,
-}
-
-/// Where the ray through the point (`x`, `y`) px meets the plane at `o` of `planes`.
-#[cube]
-pub fn hit(planes: &[f32], o: usize, x: f32, y: f32) -> Hit {
-    let (dx, dy) = (x - planes[o], y - planes[o + 1]);
-    let facing = planes[o + 8] + planes[o + 9] * dx + planes[o + 10] * dy;
-    let inverse = 1.0f32 / select(facing == 0.0f32, 1e-30f32, facing);
-    let u = (planes[o + 2] + planes[o + 3] * dx + planes[o + 4] * dy) * inverse;
-    let v = (planes[o + 5] + planes[o + 6] * dx + planes[o + 7] * dy) * inverse;
-    Hit { u, v, depth: planes[o + 11] * inverse, facing, kernel: f32::exp(max(-0.5f32 * (u * u + v * v), -100.0f32)) }
+pub fn exact_hit(plane: Plane, low: Plane, x: f32, y: f32, zero: u32) -> Hit {
+    let dx = away(x, plane.anchor_x, low.anchor_x, zero);
+    let dy = away(y, plane.anchor_y, low.anchor_y, zero);
+    let facing = ExactLinear::load(plane.facing, low.facing).at(dx, dy, zero);
+    let u = ExactLinear::load(plane.u, low.u).at(dx, dy, zero);
+    let v = ExactLinear::load(plane.v, low.v).at(dx, dy, zero);
+    meeting(u, v, facing, plane.distance)
 }
 
 /// Widens what f32 may have made too narrow, px.
@@ -297,18 +509,15 @@ fn clipped_square(cx: f32, cz: f32, ax: f32, az: f32, bx: f32, bz: f32, near: f3
     (min(min(l0, l1), min(l2, l3)), max(max(h0, h1), max(h2, h3)))
 }
 
-/// Pixels that the footprint can reach, row `i` of `rects`; a disc that crosses the near plane is
-/// bounded by the square around it.
+/// Pixels that the footprint can reach; a disc that crosses the near plane is bounded by the square
+/// around it. None for a negative radius.
 #[cube]
-pub fn write_reach(view: View, disc: Disc, radius: f32, rects: &mut [u32], i: usize) {
+pub fn reach(view: View, disc: Disc, radius: f32) -> Rect {
     let c = disc.centre;
     let a = scale(disc.tangent_u, radius * disc.scale_u);
     let b = scale(disc.tangent_v, radius * disc.scale_v);
     let reach = f32::sqrt(a.z * a.z + b.z * b.z);
-    let mut rect_x0 = 0u32;
-    let mut rect_x1 = 0u32;
-    let mut rect_y0 = 0u32;
-    let mut rect_y1 = 0u32;
+    let mut rect = Rect { x0: 0u32, x1: 0u32, y0: 0u32, y1: 0u32 };
     if c.z + reach * 1.000_01f32 > view.near && radius >= 0.0f32 {
         // in f32 the tangents of a disc that nearly touches the near plane are not to be trusted
         let in_front = c.z - reach > view.near && c.z - reach > 0.01f32 * c.z;
@@ -324,23 +533,20 @@ pub fn write_reach(view: View, disc: Disc, radius: f32, rects: &mut [u32], i: us
         let (y0, y1) = widened(y0, y1);
         let (first_x, end_x) = pixel_range(x0, x1, view.width);
         let (first_y, end_y) = pixel_range(y0, y1, view.height);
-        rect_x0 = first_x;
-        rect_x1 = end_x;
-        rect_y0 = first_y;
-        rect_y1 = end_y;
+        rect.x0 = first_x;
+        rect.x1 = end_x;
+        rect.y0 = first_y;
+        rect.y1 = end_y;
     }
-    rects[4 * i] = rect_x0;
-    rects[4 * i + 1] = rect_x1;
-    rects[4 * i + 2] = rect_y0;
-    rects[4 * i + 3] = rect_y1;
+    rect
 }
 
 /// Gradients with respect to world position and raw quaternion; those of the log-scales are sums already.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-pub struct DiscGradient {
-    pub position: Vec3,
-    pub quaternion: Quaternion,
+struct DiscGradient {
+    position: Vec3,
+    quaternion: Quaternion,
 }
 
 /// c × Σ gradient · ray; the anchor's part vanishes where the anchor is the projected centre.
@@ -356,23 +562,152 @@ fn along(disc: Disc, g: Vec3) -> Vec3 {
     add(scale(disc.anchor_ray, g.x), vec3(g.y, g.z, 0.0f32))
 }
 
-/// From the sums in row `i` to the parameters.
+/// From the sums to the parameters.
 #[cube]
-pub fn disc_backward(view: View, disc: Disc, quaternion: Quaternion, sums: &[f32], i: usize) -> DiscGradient {
-    let o = i * SUMS;
-    let sum_u = vec3(sums[o], sums[o + 1], sums[o + 2]);
-    let sum_v = vec3(sums[o + 3], sums[o + 4], sums[o + 5]);
-    let sum_facing = vec3(sums[o + 6], sums[o + 7], sums[o + 8]);
-    let sum_distance = sums[o + 9];
-    let grad_tangent_v = centre_cross(disc, sum_u);
-    let grad_tangent_u = scale(centre_cross(disc, sum_v), -1.0f32);
-    let grad_normal = add(along(disc, sum_facing), scale(disc.centre, sum_distance));
+fn disc_backward(view: View, disc: Disc, quaternion: Quaternion, sums: DiscSums) -> DiscGradient {
+    let grad_tangent_v = centre_cross(disc, sums.u);
+    let grad_tangent_u = scale(centre_cross(disc, sums.v), -1.0f32);
+    let grad_normal = add(along(disc, sums.facing), scale(disc.centre, sums.distance));
     let grad_centre = add(
-        add(cross(along(disc, sum_u), disc.tangent_v), cross(disc.tangent_u, along(disc, sum_v))),
-        scale(disc.normal, sum_distance),
+        add(cross(along(disc, sums.u), disc.tangent_v), cross(disc.tangent_u, along(disc, sums.v))),
+        scale(disc.normal, sums.distance),
     );
     let back = transpose(view_rotation(view));
     let columns =
         Mat3 { row0: apply(back, grad_tangent_u), row1: apply(back, grad_tangent_v), row2: apply(back, grad_normal) };
     DiscGradient { position: apply(back, grad_centre), quaternion: rotation_backward(quaternion, transpose(columns)) }
+}
+
+#[cube(launch)]
+fn planes_kernel(
+    positions: &[f32],
+    quaternions: &[f32],
+    log_scales: &[f32],
+    order: &[u32],
+    planes: &mut [f32],
+    lows: &mut [f32],
+    rects: &mut [u32],
+    view: View,
+    rests: Rests,
+    radius: f32,
+    count: u32,
+    #[comptime] scales: usize,
+    #[comptime] ordered: bool,
+    #[comptime] bounded: bool,
+) {
+    let rank = ABSOLUTE_POS;
+    if rank >= count as usize {
+        terminate!();
+    }
+    let mut i = rank;
+    if comptime!(ordered) {
+        i = order[rank] as usize;
+    }
+    let exact = exact_disc(view, rests, row3(positions, i), row4(quaternions, i));
+    let disc = disc_of(view, exact, log_scales[scales * i], log_scales[scales * i + 1]);
+    store_plane(view, rests, exact, disc, planes, lows, rank * PLANE);
+    if comptime!(bounded) {
+        reach(view, disc, radius).store(rects, rank);
+    }
+}
+
+#[cube(launch)]
+fn disc_backward_kernel(
+    positions: &[f32],
+    quaternions: &[f32],
+    log_scales: &[f32],
+    sums: &[f32],
+    grad_positions: &mut [f32],
+    grad_quaternions: &mut [f32],
+    grad_log_scales: &mut [f32],
+    view: View,
+    rests: Rests,
+    count: u32,
+    #[comptime] scales: usize,
+) {
+    let i = ABSOLUTE_POS;
+    if i >= count as usize {
+        terminate!();
+    }
+    let quaternion = row4(quaternions, i);
+    let exact = exact_disc(view, rests, row3(positions, i), quaternion);
+    let disc = disc_of(view, exact, log_scales[scales * i], log_scales[scales * i + 1]);
+    let sums = DiscSums::load(sums, i);
+    let gradient = disc_backward(view, disc, quaternion, sums);
+    write3(grad_positions, i, gradient.position);
+    write4(grad_quaternions, i, gradient.quaternion);
+    grad_log_scales[scales * i] = sums.log_scale_u;
+    grad_log_scales[scales * i + 1] = sums.log_scale_v;
+    if comptime!(scales > 2) {
+        grad_log_scales[scales * i + 2] = 0.0f32;
+    }
+}
+
+/// Discs, or the gradients with respect to them.
+pub struct DiscTensors<'a> {
+    /// [N, 3]
+    pub positions: &'a CubeTensor,
+    /// [N, 4]
+    pub quaternions: &'a CubeTensor,
+    /// [N, 2], or [N, 3] of which the third means nothing
+    pub log_scales: &'a CubeTensor,
+}
+
+/// What of discs does not depend on the pixel.
+pub struct Planes {
+    /// [N, [`PLANE`]], and what rounding took from it
+    pub planes: CubeTensor,
+    pub lows: CubeTensor,
+    /// [N, [`RECT`]] pixel rectangles; uninitialised without a radius
+    pub rects: CubeTensor,
+}
+
+/// Planes of `discs`, rows in `order` [N] if there is one, and the pixels that they reach within `radius`, in σ; a
+/// negative radius reaches none.
+pub fn planes(discs: &DiscTensors, order: Option<&CubeTensor>, radius: Option<f32>, camera: &Camera) -> Planes {
+    let like = discs.positions;
+    let count = like.shape()[0];
+    let (planes, lows) = (empty_f32(like, [count, PLANE]), empty_f32(like, [count, PLANE]));
+    let rects = empty_u32(like, [count, RECT]);
+    planes_kernel::launch(
+        &like.client.clone(),
+        units(count),
+        cube_dim(),
+        buffer(discs.positions),
+        buffer(discs.quaternions),
+        buffer(discs.log_scales),
+        buffer(order.unwrap_or(&empty_u32(like, [1]))),
+        buffer(&planes),
+        buffer(&lows),
+        buffer(&rects),
+        View::launch(camera),
+        Rests::launch(camera),
+        radius.unwrap_or(-1.0),
+        count as u32,
+        discs.log_scales.shape()[1],
+        order.is_some(),
+        radius.is_some(),
+    );
+    Planes { planes, lows, rects }
+}
+
+/// Gradients with respect to `discs`, into `out`, from the `sums` [N, [`DISC_SUMS`]].
+pub fn backward(discs: &DiscTensors, sums: &CubeTensor, camera: &Camera, out: &DiscTensors) {
+    let count = sums.shape()[0];
+    disc_backward_kernel::launch(
+        &sums.client.clone(),
+        units(count),
+        cube_dim(),
+        buffer(discs.positions),
+        buffer(discs.quaternions),
+        buffer(discs.log_scales),
+        buffer(sums),
+        buffer(out.positions),
+        buffer(out.quaternions),
+        buffer(out.log_scales),
+        View::launch(camera),
+        Rests::launch(camera),
+        count as u32,
+        discs.log_scales.shape()[1],
+    );
 }

@@ -86,6 +86,18 @@ impl<B: Host> GaussianTensors<B> {
 
 #[cfg(feature = "gpu")]
 impl GaussianTensors<burn_cubecl::CubeBackend> {
+    /// Uninitialised tensors for the gradients of `count` Gaussians, beside `like`.
+    pub fn empty(like: &burn_cubecl::tensor::CubeTensor, count: usize) -> Self {
+        use crate::gpu::launch::empty_f32;
+        Self {
+            positions: empty_f32(like, [count, 3]),
+            quaternions: empty_f32(like, [count, 4]),
+            log_scales: empty_f32(like, [count, 3]),
+            opacities: empty_f32(like, [count]),
+            colours: empty_f32(like, [count, 3]),
+        }
+    }
+
     /// Row-major f32 tensors for kernels.
     pub fn contiguous(self) -> Self {
         Self::from_array(self.into_array().map(crate::gpu::launch::floats))

@@ -1,51 +1,182 @@
 //! One Gaussian seen by one camera, on the device; the CPU's twin is [`super::splat`].
 
+use burn::backend::TensorMetadata;
+use burn_cubecl::CubeBackend;
+use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
 use super::CUTOFF;
+use super::gaussians::GaussianTensors;
 use super::splat::{self, LOW_PASS, MIN_COMPENSATION_SQUARED};
-use crate::binning::cube::SPLAT;
+use crate::camera::Camera;
+use crate::gpu::launch::{buffer, cube_dim, empty_f32, empty_u32, units};
+use crate::gpu::rect::{RECT, Rect};
+use crate::gpu::tile::TILE;
 use crate::gpu::vector::{
-    Mat3, Quaternion, Vec3, add, apply, cross, dot, rotation, rotation_backward, scale, transpose, vec3,
+    Mat3, Quaternion, Vec3, add, apply, cross, dot, rotation, rotation_backward, row3, row4, scale, transpose, vec3,
+    write3, write4,
 };
 use crate::gpu::view::{View, pixel_range, to_camera, view_rotation};
 
 const LOW_PASS_F32: f32 = LOW_PASS as f32;
 const MIN_RATIO: f32 = MIN_COMPENSATION_SQUARED as f32;
 pub const CUTOFF_F32: f32 = CUTOFF as f32;
-const INVERSE_CUTOFF: f32 = (1.0 / CUTOFF) as f32;
+pub const INVERSE_CUTOFF: f32 = (1.0 / CUTOFF) as f32;
 const JACOBIAN_MARGIN: f32 = splat::JACOBIAN_MARGIN as f32;
-/// Sums over the pixels of a Gaussian: the moments of the gradient of the exponent.
+
+/// Numbers of a [`Splat`].
+pub const SPLAT: usize = 8;
+/// Numbers of [`Moments`].
 pub const MOMENTS: usize = 6;
 
+/// Footprint: `strength · exp(−½ (a dx² + 2 b dx dy + c dy²))` at offset (dx, dy) px from the mean.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-pub struct Projection {
-    pub centre: Vec3,
-    /// x / z and y / z, clamped for the Jacobian, and 1 where they were not, else 0.
-    pub slope_x: f32,
-    pub slope_y: f32,
-    pub free_x: f32,
-    pub free_y: f32,
-    pub rotation: Mat3,
-    pub scales: Vec3,
-    /// Rows of J W.
-    pub plane0: Vec3,
-    pub plane1: Vec3,
-    /// Rows of J W R S.
-    pub half0: Vec3,
-    pub half1: Vec3,
-    /// A, B, C of the filtered covariance, px².
-    pub cov_a: f32,
-    pub cov_b: f32,
-    pub cov_c: f32,
-    pub determinant: f32,
-    pub minors: Vec3,
-    pub ratio: f32,
+pub struct Splat {
+    pub mean_x: f32,
+    pub mean_y: f32,
+    pub a: f32,
+    pub b: f32,
+    pub c: f32,
+    /// Opacity times the compensation for the low-pass filter, 0 where it is not visible.
+    pub strength: f32,
+    /// Camera-space z of the centre, world units.
+    pub depth: f32,
+    /// Value of the quadratic form at the cutoff.
+    pub squared_radius: f32,
 }
 
 #[cube]
-pub fn project(view: View, position: Vec3, quaternion: Quaternion, log_scales: Vec3) -> Projection {
+impl Splat {
+    /// From [`SPLAT`] numbers, `start` the first.
+    pub fn load(numbers: &[f32], start: usize) -> Splat {
+        Splat {
+            mean_x: numbers[start],
+            mean_y: numbers[start + 1],
+            a: numbers[start + 2],
+            b: numbers[start + 3],
+            c: numbers[start + 4],
+            strength: numbers[start + 5],
+            depth: numbers[start + 6],
+            squared_radius: numbers[start + 7],
+        }
+    }
+
+    pub fn store(&self, numbers: &mut [f32], start: usize) {
+        numbers[start] = self.mean_x;
+        numbers[start + 1] = self.mean_y;
+        numbers[start + 2] = self.a;
+        numbers[start + 3] = self.b;
+        numbers[start + 4] = self.c;
+        numbers[start + 5] = self.strength;
+        numbers[start + 6] = self.depth;
+        numbers[start + 7] = self.squared_radius;
+    }
+
+    /// Weight at an offset from the mean, 0 below the cutoff.
+    pub fn weight(&self, dx: f32, dy: f32) -> f32 {
+        let power = -0.5f32 * (self.a * dx * dx + self.c * dy * dy) - self.b * dx * dy;
+        let weight = self.strength * f32::exp(clamp(power, -100.0f32, 0.0f32));
+        select(weight >= CUTOFF_F32, weight, 0.0f32)
+    }
+
+    /// Whether the ellipse can reach a pixel centre of the tile at a column and row of tiles.
+    pub fn touches(&self, column: u32, row: u32) -> bool {
+        let (a, b, c) = (self.a, self.b, self.c);
+        let x0 = f32::cast_from(column * TILE) + 0.5f32 - self.mean_x;
+        let y0 = f32::cast_from(row * TILE) + 0.5f32 - self.mean_y;
+        let last = f32::cast_from(TILE - 1u32);
+        let (x1, y1) = (x0 + last, y0 + last);
+        let dx = clamp(0.0f32, x0, x1);
+        let dy = clamp(0.0f32, y0, y1);
+        // the convex form is smallest at the mean or on one of the two edges that face it
+        let beside = clamp(-b * dx / c, y0, y1);
+        let below = clamp(-b * dy / a, x0, x1);
+        let on_vertical = a * dx * dx + 2.0f32 * b * dx * beside + c * beside * beside;
+        let on_horizontal = a * below * below + 2.0f32 * b * below * dy + c * dy * dy;
+        let outside = min(on_vertical, on_horizontal) > self.squared_radius * 1.001f32 + 0.01f32;
+        !outside
+    }
+}
+
+/// Sums over the pixels of a Gaussian: with g the gradient of the exponent, Σ g, Σ g dx, Σ g dy, Σ g dx²,
+/// Σ g dx dy, Σ g dy².
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub struct Moments {
+    pub total: f32,
+    pub x: f32,
+    pub y: f32,
+    pub xx: f32,
+    pub xy: f32,
+    pub yy: f32,
+}
+
+#[cube]
+impl Moments {
+    /// Row `i` of a [M, [`MOMENTS`]] buffer.
+    pub fn load(moments: &[f32], i: usize) -> Moments {
+        let o = i * MOMENTS;
+        Moments {
+            total: moments[o],
+            x: moments[o + 1],
+            y: moments[o + 2],
+            xx: moments[o + 3],
+            xy: moments[o + 4],
+            yy: moments[o + 5],
+        }
+    }
+
+    /// Whether any pixel added to them.
+    pub fn any(&self) -> bool {
+        self.total != 0.0f32
+            || self.x != 0.0f32
+            || self.y != 0.0f32
+            || self.xx != 0.0f32
+            || self.xy != 0.0f32
+            || self.yy != 0.0f32
+    }
+}
+
+/// Adds a pixel at an offset from the mean to the first [`MOMENTS`] of a unit's sums.
+#[cube]
+pub fn add_moments(own: &mut Array<f32>, power: f32, dx: f32, dy: f32) {
+    own[0] += power;
+    own[1] += power * dx;
+    own[2] += power * dy;
+    own[3] += power * dx * dx;
+    own[4] += power * dx * dy;
+    own[5] += power * dy * dy;
+}
+
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+struct Projection {
+    centre: Vec3,
+    /// x / z and y / z, clamped for the Jacobian, and 1 where they were not, else 0.
+    slope_x: f32,
+    slope_y: f32,
+    free_x: f32,
+    free_y: f32,
+    rotation: Mat3,
+    scales: Vec3,
+    /// Rows of J W.
+    plane0: Vec3,
+    plane1: Vec3,
+    /// Rows of J W R S.
+    half0: Vec3,
+    half1: Vec3,
+    /// A, B, C of the filtered covariance, px².
+    cov_a: f32,
+    cov_b: f32,
+    cov_c: f32,
+    determinant: f32,
+    minors: Vec3,
+    ratio: f32,
+}
+
+#[cube]
+fn project(view: View, position: Vec3, quaternion: Quaternion, log_scales: Vec3) -> Projection {
     let centre = to_camera(view, position);
     let z = select(centre.z > view.near, centre.z, 1.0f32);
     let (width, height) = (f32::cast_from(view.width), f32::cast_from(view.height));
@@ -92,14 +223,14 @@ pub fn project(view: View, position: Vec3, quaternion: Quaternion, log_scales: V
 }
 
 #[cube]
-pub fn compensation(p: Projection) -> f32 {
+fn compensation(p: Projection) -> f32 {
     f32::sqrt(max(p.ratio, MIN_RATIO))
 }
 
-/// Row `i` of `splats` and of `rects`: an empty rectangle behind the near plane, below the cutoff
-/// everywhere, or where the projection overflows.
+/// The footprint of a Gaussian and the pixels that it can reach: none behind the near plane, below the
+/// cutoff everywhere, or where the projection overflows.
 #[cube]
-pub fn write_splat(view: View, p: Projection, opacity: f32, splats: &mut [f32], rects: &mut [u32], i: usize) {
+fn splat_of(view: View, p: Projection, opacity: f32) -> (Splat, Rect) {
     let strength = max(opacity, 0.0f32) * compensation(p);
     let d = p.determinant;
     let visible = p.centre.z > view.near && strength >= CUTOFF_F32 && d > 0.0f32 && d < 3e38f32;
@@ -108,56 +239,44 @@ pub fn write_splat(view: View, p: Projection, opacity: f32, splats: &mut [f32], 
     let squared = 2.0f32 * f32::ln(max(strength * INVERSE_CUTOFF, 1.0f32));
     let x = view.fx * p.centre.x / z + view.cx;
     let y = view.fy * p.centre.y / z + view.cy;
-    let o = i * SPLAT;
-    splats[o] = x;
-    splats[o + 1] = y;
-    splats[o + 2] = p.cov_c * inverse;
-    splats[o + 3] = -p.cov_b * inverse;
-    splats[o + 4] = p.cov_a * inverse;
-    splats[o + 5] = select(visible, strength, 0.0f32);
-    splats[o + 6] = p.centre.z;
-    splats[o + 7] = squared;
     let reach = squared * 1.001f32 + 0.01f32;
     let (half_x, half_y) = (f32::sqrt(reach * p.cov_a), f32::sqrt(reach * p.cov_c));
     let slack = 0.01f32;
     let (x0, x1) = pixel_range(x - half_x - slack, x + half_x + slack, view.width);
     let (y0, y1) = pixel_range(y - half_y - slack, y + half_y + slack, view.height);
-    rects[4 * i] = x0;
-    rects[4 * i + 1] = select(visible, x1, x0);
-    rects[4 * i + 2] = y0;
-    rects[4 * i + 3] = select(visible, y1, y0);
-}
-
-/// Weight at an offset from the mean of the splat at `o`, 0 below the cutoff.
-#[cube]
-pub fn weight(splats: &[f32], o: usize, dx: f32, dy: f32) -> f32 {
-    let power = -0.5f32 * (splats[o + 2] * dx * dx + splats[o + 4] * dy * dy) - splats[o + 3] * dx * dy;
-    let weight = splats[o + 5] * f32::exp(clamp(power, -100.0f32, 0.0f32));
-    select(weight >= CUTOFF_F32, weight, 0.0f32)
+    let splat = Splat {
+        mean_x: x,
+        mean_y: y,
+        a: p.cov_c * inverse,
+        b: -p.cov_b * inverse,
+        c: p.cov_a * inverse,
+        strength: select(visible, strength, 0.0f32),
+        depth: p.centre.z,
+        squared_radius: squared,
+    };
+    (splat, Rect { x0, x1: select(visible, x1, x0), y0, y1: select(visible, y1, y0) })
 }
 
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-pub struct SplatGradient {
-    pub position: Vec3,
-    pub quaternion: Quaternion,
-    pub log_scales: Vec3,
-    pub opacity: f32,
+struct SplatGradient {
+    position: Vec3,
+    quaternion: Quaternion,
+    log_scales: Vec3,
+    opacity: f32,
 }
 
-/// From the moments in row `i` to the raw parameters.
+/// From the moments to the raw parameters.
 #[cube]
-pub fn splat_backward(
+fn splat_backward(
     view: View,
     p: Projection,
     raw_quaternion: Quaternion,
     raw_opacity: f32,
-    moments: &[f32],
-    i: usize,
+    moments: Moments,
 ) -> SplatGradient {
-    let o = i * MOMENTS;
-    let (total, mx, my) = (moments[o], moments[o + 1], moments[o + 2]);
-    let (mxx, mxy, myy) = (moments[o + 3], moments[o + 4], moments[o + 5]);
+    let (total, mx, my) = (moments.total, moments.x, moments.y);
+    let (mxx, mxy, myy) = (moments.xx, moments.xy, moments.yy);
     let inverse = 1.0f32 / p.determinant;
     let (a, b, c) = (p.cov_c * inverse, -p.cov_b * inverse, p.cov_a * inverse);
     let (grad_x, grad_y) = (a * mx + b * my, b * mx + c * my);
@@ -223,4 +342,169 @@ pub fn splat_backward(
         log_scales,
         opacity: select(raw_opacity > 0.0f32, grad_strength * dimming, 0.0f32),
     }
+}
+
+#[cube(launch)]
+fn splats_kernel(
+    positions: &[f32],
+    quaternions: &[f32],
+    log_scales: &[f32],
+    opacities: &[f32],
+    order: &[u32],
+    splats: &mut [f32],
+    rects: &mut [u32],
+    view: View,
+    count: u32,
+    #[comptime] ordered: bool,
+) {
+    let rank = ABSOLUTE_POS;
+    if rank >= count as usize {
+        terminate!();
+    }
+    let mut i = rank;
+    if comptime!(ordered) {
+        i = order[rank] as usize;
+    }
+    let projection = project(view, row3(positions, i), row4(quaternions, i), row3(log_scales, i));
+    let (splat, rect) = splat_of(view, projection, opacities[i]);
+    splat.store(splats, rank * SPLAT);
+    rect.store(rects, rank);
+}
+
+#[cube(launch)]
+fn place_backward_kernel(
+    positions: &[f32],
+    quaternions: &[f32],
+    log_scales: &[f32],
+    opacities: &[f32],
+    moments: &[f32],
+    grad_positions: &mut [f32],
+    grad_opacities: &mut [f32],
+    view: View,
+    count: u32,
+) {
+    let i = ABSOLUTE_POS;
+    if i >= count as usize {
+        terminate!();
+    }
+    let moments = Moments::load(moments, i);
+    // what is not visible has no projection to go back through
+    if moments.any() {
+        let gradient = gradient(positions, quaternions, log_scales, opacities, moments, view, i);
+        write3(grad_positions, i, gradient.position);
+        grad_opacities[i] = gradient.opacity;
+    } else {
+        write3(grad_positions, i, vec3(0.0f32, 0.0f32, 0.0f32));
+        grad_opacities[i] = 0.0f32;
+    }
+}
+
+#[cube(launch)]
+fn shape_backward_kernel(
+    positions: &[f32],
+    quaternions: &[f32],
+    log_scales: &[f32],
+    opacities: &[f32],
+    moments: &[f32],
+    grad_quaternions: &mut [f32],
+    grad_log_scales: &mut [f32],
+    view: View,
+    count: u32,
+) {
+    let i = ABSOLUTE_POS;
+    if i >= count as usize {
+        terminate!();
+    }
+    let moments = Moments::load(moments, i);
+    if moments.any() {
+        let gradient = gradient(positions, quaternions, log_scales, opacities, moments, view, i);
+        write4(grad_quaternions, i, gradient.quaternion);
+        write3(grad_log_scales, i, gradient.log_scales);
+    } else {
+        write4(grad_quaternions, i, Quaternion { w: 0.0f32, x: 0.0f32, y: 0.0f32, z: 0.0f32 });
+        write3(grad_log_scales, i, vec3(0.0f32, 0.0f32, 0.0f32));
+    }
+}
+
+/// Gradients of one Gaussian. Two kernels write them, since one would need more buffers than every
+/// device has.
+#[cube]
+fn gradient(
+    positions: &[f32],
+    quaternions: &[f32],
+    log_scales: &[f32],
+    opacities: &[f32],
+    moments: Moments,
+    view: View,
+    i: usize,
+) -> SplatGradient {
+    let quaternion = row4(quaternions, i);
+    let projection = project(view, row3(positions, i), quaternion, row3(log_scales, i));
+    splat_backward(view, projection, quaternion, opacities[i], moments)
+}
+
+/// Splats [M, [`SPLAT`]] and pixel rectangles [M, [`RECT`]] of `gaussians`, rows in `order` [M] if there is one.
+pub fn splats(
+    gaussians: &GaussianTensors<CubeBackend>,
+    order: Option<&CubeTensor>,
+    camera: &Camera,
+) -> (CubeTensor, CubeTensor) {
+    let like = &gaussians.positions;
+    let count = like.shape()[0];
+    let (splats, rects) = (empty_f32(like, [count, SPLAT]), empty_u32(like, [count, RECT]));
+    splats_kernel::launch(
+        &like.client.clone(),
+        units(count),
+        cube_dim(),
+        buffer(&gaussians.positions),
+        buffer(&gaussians.quaternions),
+        buffer(&gaussians.log_scales),
+        buffer(&gaussians.opacities),
+        buffer(order.unwrap_or(&empty_u32(like, [1]))),
+        buffer(&splats),
+        buffer(&rects),
+        View::launch(camera),
+        count as u32,
+        order.is_some(),
+    );
+    (splats, rects)
+}
+
+/// Gradients with respect to positions, quaternions, log-scales and opacities, into `out`, from the
+/// `moments` [M, [`MOMENTS`]].
+pub fn backward(
+    gaussians: &GaussianTensors<CubeBackend>,
+    moments: &CubeTensor,
+    camera: &Camera,
+    out: &GaussianTensors<CubeBackend>,
+) {
+    let (client, count) = (moments.client.clone(), moments.shape()[0]);
+    place_backward_kernel::launch(
+        &client,
+        units(count),
+        cube_dim(),
+        buffer(&gaussians.positions),
+        buffer(&gaussians.quaternions),
+        buffer(&gaussians.log_scales),
+        buffer(&gaussians.opacities),
+        buffer(moments),
+        buffer(&out.positions),
+        buffer(&out.opacities),
+        View::launch(camera),
+        count as u32,
+    );
+    shape_backward_kernel::launch(
+        &client,
+        units(count),
+        cube_dim(),
+        buffer(&gaussians.positions),
+        buffer(&gaussians.quaternions),
+        buffer(&gaussians.log_scales),
+        buffer(&gaussians.opacities),
+        buffer(moments),
+        buffer(&out.quaternions),
+        buffer(&out.log_scales),
+        View::launch(camera),
+        count as u32,
+    );
 }

@@ -12,7 +12,7 @@ pub const UNITS: u32 = 256;
 /// Units that gather for one primitive together.
 pub const LANES: u32 = 32;
 /// Primitives that one cube gathers for.
-pub const GATHERED: u32 = UNITS / LANES;
+pub const GATHERED: usize = (UNITS / LANES) as usize;
 /// What every implementation allows along one axis of a grid.
 const MAX_CUBES: u32 = 65_535;
 
@@ -34,7 +34,7 @@ pub fn units(count: usize) -> CubeCount {
 
 /// A grid with [`LANES`] units for each of `count` primitives.
 pub fn gatherers(count: usize) -> CubeCount {
-    cubes(count.div_ceil(GATHERED as usize))
+    cubes(count.div_ceil(GATHERED))
 }
 
 /// An uninitialised contiguous tensor beside `like`.

@@ -33,10 +33,24 @@ pub fn vec3(x: f32, y: f32, z: f32) -> Vec3 {
     Vec3 { x, y, z }
 }
 
+/// Three numbers from `start` on.
+#[cube]
+pub fn load3(values: &[f32], start: usize) -> Vec3 {
+    vec3(values[start], values[start + 1], values[start + 2])
+}
+
 /// Row `i` of a [N, 3] buffer.
 #[cube]
 pub fn row3(values: &[f32], i: usize) -> Vec3 {
-    vec3(values[3 * i], values[3 * i + 1], values[3 * i + 2])
+    load3(values, 3 * i)
+}
+
+/// Adds to row `i` of a [N, 3] buffer.
+#[cube]
+pub fn add3(out: &mut [f32], i: usize, v: Vec3) {
+    out[3 * i] += v.x;
+    out[3 * i + 1] += v.y;
+    out[3 * i + 2] += v.z;
 }
 
 /// Row `i` of a [N, 4] buffer.
@@ -45,11 +59,18 @@ pub fn row4(values: &[f32], i: usize) -> Quaternion {
     Quaternion { w: values[4 * i], x: values[4 * i + 1], y: values[4 * i + 2], z: values[4 * i + 3] }
 }
 
+/// Three numbers from `start` on.
+#[cube]
+pub fn store3(out: &mut [f32], start: usize, v: Vec3) {
+    out[start] = v.x;
+    out[start + 1] = v.y;
+    out[start + 2] = v.z;
+}
+
+/// Row `i` of a [N, 3] buffer.
 #[cube]
 pub fn write3(out: &mut [f32], i: usize, v: Vec3) {
-    out[3 * i] = v.x;
-    out[3 * i + 1] = v.y;
-    out[3 * i + 2] = v.z;
+    store3(out, 3 * i, v);
 }
 
 #[cube]
@@ -171,6 +192,7 @@ pub fn rotation_backward(raw: Quaternion, d: Mat3) -> Quaternion {
     }
 }
 
+/// Row `i` of a [N, 4] buffer.
 #[cube]
 pub fn write4(out: &mut [f32], i: usize, q: Quaternion) {
     out[4 * i] = q.w;

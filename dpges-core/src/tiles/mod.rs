@@ -31,10 +31,6 @@ impl TileGrid {
         self.columns * self.rows
     }
 
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
-
     /// First pixel column and row of a tile.
     pub fn origin(&self, tile: usize) -> (usize, usize) {
         (tile % self.columns * TILE, tile / self.columns * TILE)

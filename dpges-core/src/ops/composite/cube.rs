@@ -12,7 +12,9 @@ use super::{
     OutputKind,
 };
 use crate::binning::boxes::visible_boxes;
-use crate::gpu::launch::{buffer, cube_dim, empty_f32, floats, gatherers, integers, units};
+use crate::gpu::gather::{lane, primitive, total, zeros};
+use crate::gpu::launch::{GATHERED, LANES, buffer, cube_dim, empty_f32, floats, gatherers, integers, units};
+use crate::gpu::rect::Rect;
 use crate::gpu::vector::{Vec3, add, dot, row3, scale, vec3};
 
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
@@ -289,7 +291,7 @@ fn sums_backward_kernel(
     }
 }
 
-/// Gradients with respect to the surfels' colours: 32 units per surfel.
+/// Gradients with respect to the surfels' colours, gathered over the pixels in which each is a layer.
 #[cube(launch)]
 fn colours_backward_kernel(
     alpha: &[f32],
@@ -301,23 +303,19 @@ fn colours_backward_kernel(
     count: u32,
     #[comptime] layers: usize,
 ) {
-    if CUBE_POS * 8 >= count as usize {
+    if CUBE_POS * GATHERED >= count as usize {
         terminate!();
     }
-    let mut partial = Shared::<[f32]>::new_slice(768usize);
-    let mut red = 0.0f32;
-    let mut green = 0.0f32;
-    let mut blue = 0.0f32;
-    let surfel = CUBE_POS * 8 + (UNIT_POS / 32u32) as usize;
+    let mut own = zeros(3usize);
+    let surfel = primitive();
     if surfel < count as usize {
-        let (x0, x1) = (boxes[4 * surfel], boxes[4 * surfel + 1]);
-        let (y0, y1) = (boxes[4 * surfel + 2], boxes[4 * surfel + 3]);
+        let rect = Rect::load(boxes, surfel);
         let plane = blend.pixels as usize;
-        let width = x1 - x0;
-        let area = width * (y1 - y0);
-        let mut p = UNIT_POS % 32u32;
+        let area = rect.area();
+        let mut p = lane();
         while p < area {
-            let pixel = ((y0 + p / width) * blend.width + x0 + p % width) as usize;
+            let (column, row) = rect.pixel(p);
+            let pixel = (row * blend.width + column) as usize;
             let mut through = 1.0f32;
             let mut share = 0.0f32;
             #[unroll]
@@ -329,28 +327,16 @@ fn colours_backward_kernel(
             }
             if share != 0.0f32 {
                 let incoming = rgb(grad_pixel, pixel, plane);
-                red += share * incoming.x;
-                green += share * incoming.y;
-                blue += share * incoming.z;
+                own[0] += share * incoming.x;
+                own[1] += share * incoming.y;
+                own[2] += share * incoming.z;
             }
-            p += 32u32;
+            p += LANES;
         }
     }
-    let unit = UNIT_POS as usize;
-    partial[3 * unit] = red;
-    partial[3 * unit + 1] = green;
-    partial[3 * unit + 2] = blue;
-    sync_cube();
-    if UNIT_POS < 24u32 {
-        let (slot, channel) = ((UNIT_POS / 3u32) as usize, (UNIT_POS % 3u32) as usize);
-        let target = CUBE_POS * 8 + slot;
-        if target < count as usize {
-            let mut sum = 0.0f32;
-            for lane in 0..32u32 {
-                sum += partial[(slot * 32 + lane as usize) * 3 + channel];
-            }
-            grad_colours[target * 3 + channel] = sum;
-        }
+    let sum = total(&own, count, 3usize);
+    if sum.present {
+        grad_colours[sum.primitive * 3 + sum.number] = sum.value;
     }
 }
 

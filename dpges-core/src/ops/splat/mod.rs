@@ -11,7 +11,7 @@
 mod backward;
 mod cpu;
 #[cfg(feature = "gpu")]
-pub(super) mod cube;
+mod cube;
 #[cfg(test)]
 mod tests;
 

@@ -6,7 +6,7 @@ use burn::backend::TensorMetadata;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
-use crate::binning::cube::{CubeLists, tile_list};
+use crate::binning::cube::{CubeLists, TileList};
 use crate::camera::Camera;
 use crate::gpu::launch::{UNITS, buffer, cube_dim, cubes, empty_u32, units};
 use crate::gpu::vector::row3;
@@ -58,7 +58,7 @@ fn compare(keys: &mut [u32], order: &mut [u32], low: u32, high: u32, count: u32)
 fn block_kernel(keys: &mut [u32], order: &mut [u32], count: u32, first: u32) {
     let pair = ABSOLUTE_POS as u32;
     let mut half = first;
-    while half <= 256u32 {
+    while half <= UNITS {
         let mut step = half;
         while step > 0u32 {
             let (low, high) = places(pair, step, step == half && first == 1u32);
@@ -126,7 +126,8 @@ fn lists_kernel(offsets: &[u32], ids: &mut [u32], tiles: u32, capacity: u32) {
         terminate!();
     }
     // a list that does not fit has no entries here
-    let (start, length, _listed) = tile_list(offsets, capacity, 0u32);
+    let list = TileList::own(offsets, capacity, 0u32);
+    let (start, length) = (list.start, list.length);
     let mut half = 1u32;
     while half < length {
         let mut step = half;
@@ -144,7 +145,7 @@ fn lists_kernel(offsets: &[u32], ids: &mut [u32], tiles: u32, capacity: u32) {
                         ids[b] = id_a;
                     }
                 }
-                pair += 256u32;
+                pair += UNITS;
             }
             sync_storage();
             step /= 2u32;
