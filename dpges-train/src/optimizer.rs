@@ -96,7 +96,7 @@ impl Attribute {
         let (no_value, no_moments) = (empty(), [empty(), empty()]);
         let value = std::mem::replace(&mut self.value, no_value);
         let moments = std::mem::replace(&mut self.moments, no_moments);
-        (self.value, self.moments) = adam_step(value, moments, gradient, gate.clone(), step)?;
+        (self.value, self.moments) = adam_step(value, moments, &gradient, gate, &step)?;
         Ok(())
     }
 

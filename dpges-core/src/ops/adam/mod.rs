@@ -58,21 +58,21 @@ pub trait AdamOps: Backend {
 pub fn adam_step<const D: usize>(
     parameter: Tensor<D>,
     [moment_1, moment_2]: [Tensor<D>; 2],
-    grad: Tensor<D>,
-    gate: Tensor<1>,
-    step: AdamStep,
+    grad: &Tensor<D>,
+    gate: &Tensor<1>,
+    step: &AdamStep,
 ) -> Result<(Tensor<D>, [Tensor<D>; 2])> {
     check_shape("moment 1", &moment_1, parameter.dims())?;
     check_shape("moment 2", &moment_2, parameter.dims())?;
-    check_shape("gradient", &grad, parameter.dims())?;
-    check_shape("gate", &gate, [1])?;
+    check_shape("gradient", grad, parameter.dims())?;
+    check_shape("gate", gate, [1])?;
     let out = Dispatch::adam_step(
         parameter.into_dispatch(),
         moment_1.into_dispatch(),
         moment_2.into_dispatch(),
-        grad.into_dispatch(),
-        gate.into_dispatch(),
-        step,
+        grad.clone().into_dispatch(),
+        gate.clone().into_dispatch(),
+        *step,
     );
     Ok((
         Tensor::from_dispatch(out.parameter),

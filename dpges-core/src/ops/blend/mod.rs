@@ -192,8 +192,8 @@ pub struct Maps {
 /// [`Error::Shape`], [`Error::Camera`] or [`Error::Option`] for input that does not fit.
 pub fn blend(
     gaussians: &Gaussians,
-    colours: Tensor<2>,
-    probe: Option<Tensor<2>>,
+    colours: &Tensor<2>,
+    probe: Option<&Tensor<2>>,
     camera: &Camera,
     options: &BlendOptions,
 ) -> Result<Blend> {
@@ -201,12 +201,12 @@ pub fn blend(
     options.validate()?;
     let probe = match probe {
         Some(probe) => {
-            check_shape("probe", &probe, [gaussians.len(), 4])?;
-            probe
+            check_shape("probe", probe, [gaussians.len(), 4])?;
+            probe.clone()
         }
         None => Tensor::zeros([0, 4], (&colours.device(), colours.dtype())),
     };
-    let input = BlendInput { gaussians: GaussianTensors::new(gaussians, &colours)?, probe: probe.into_dispatch() };
+    let input = BlendInput { gaussians: GaussianTensors::new(gaussians, colours)?, probe: probe.into_dispatch() };
     let out = Dispatch::blend(input, *camera, *options);
     let planes = Tensor::<3>::from_dispatch(out.planes);
     let part =

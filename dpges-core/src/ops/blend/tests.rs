@@ -112,7 +112,7 @@ fn reversed(rows: &[f64], width: usize) -> Vec<f64> {
 
 impl Leaves {
     fn blend(&self, camera: &Camera, options: &BlendOptions) -> Blend {
-        blend(&self.gaussians, self.colours.clone(), Some(self.probe.clone()), camera, options).unwrap()
+        blend(&self.gaussians, &self.colours, Some(&self.probe), camera, options).unwrap()
     }
 
     /// Sum of some outputs, every element with a weight of its own.

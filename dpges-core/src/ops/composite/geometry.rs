@@ -44,7 +44,7 @@ fn normals_towards(surfels: &Surfels, camera: &Camera) -> Tensor<2> {
 }
 
 /// Blends depth and normal of `layers`; `transmittance` [K + 1, H, W] is the composite's.
-pub fn geometry(surfels: &Surfels, camera: &Camera, layers: &Layers, transmittance: &Tensor<3>) -> Geometry {
+pub fn geometry(surfels: &Surfels, layers: &Layers, transmittance: &Tensor<3>, camera: &Camera) -> Geometry {
     let [count, height, width] = layers.alpha.dims();
     let before = transmittance.clone().slice([0..count, 0..height, 0..width]);
     let weight = layers.alpha.clone() * before;

@@ -128,17 +128,22 @@ pub struct Composite {
 ///
 /// # Errors
 /// [`crate::Error::Shape`] for tensors that do not fit each other.
-pub fn composite(layers: &Layers, colours: Tensor<2>, sums: Tensor<4>, options: CompositeOptions) -> Result<Composite> {
+pub fn composite(
+    layers: &Layers,
+    colours: &Tensor<2>,
+    sums: &Tensor<4>,
+    options: &CompositeOptions,
+) -> Result<Composite> {
     let [count, height, width] = layers.alpha.dims();
-    check_shape("sums", &sums, [count, 4, height, width])?;
-    check_shape("surfel colours", &colours, [colours.dims()[0], 3])?;
+    check_shape("sums", sums, [count, 4, height, width])?;
+    check_shape("surfel colours", colours, [colours.dims()[0], 3])?;
     let input = CompositeInput {
         alpha: layers.alpha.clone().into_dispatch(),
-        colours: colours.into_dispatch(),
-        sums: sums.into_dispatch(),
+        colours: colours.clone().into_dispatch(),
+        sums: sums.clone().into_dispatch(),
         ids: layers.ids.clone().into_dispatch(),
     };
-    let out = Dispatch::composite(input, options);
+    let out = Dispatch::composite(input, *options);
     Ok(Composite {
         image: Tensor::from_dispatch(out.image),
         surfel_image: Tensor::from_dispatch(out.surfel_image),

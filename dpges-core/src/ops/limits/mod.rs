@@ -49,14 +49,14 @@ pub trait LimitOps: Backend {
 ///
 /// # Errors
 /// [`crate::Error::Shape`] if the layers' tensors do not agree.
-pub fn interval_limits(layers: &Layers, margins: Tensor<1>, lookup: MarginLookup) -> Result<Tensor<3>> {
+pub fn interval_limits(layers: &Layers, margins: &Tensor<1>, lookup: MarginLookup) -> Result<Tensor<3>> {
     let shape = layers.depth.dims();
     check_shape("layers.alpha", &layers.alpha, shape)?;
     Ok(Tensor::from_dispatch(Dispatch::interval_limits(
         layers.ids.clone().into_dispatch(),
         layers.alpha.clone().into_dispatch(),
         layers.depth.clone().into_dispatch(),
-        margins.into_dispatch(),
+        margins.clone().into_dispatch(),
         lookup,
     )))
 }

@@ -55,7 +55,7 @@ fn intervals_are_those_of_the_first_layer_that_lies_behind() {
     };
     let margin_tensor = leaf(&margins, [20], &device()).detach();
     let limits = [MarginLookup::Shifted, MarginLookup::Literal]
-        .map(|lookup| values(&interval_limits(&peeled, margin_tensor.clone(), lookup).unwrap()));
+        .map(|lookup| values(&interval_limits(&peeled, &margin_tensor, lookup).unwrap()));
     for at in 0..pixels {
         let shifted: Vec<f64> = (0..layers)
             .map(|k| k * pixels + at)

@@ -128,22 +128,22 @@ pub trait PeelBackwardOps: Backend {
 /// # Errors
 /// [`Error::Shape`], [`Error::Camera`] or [`Error::Option`] for input that does not fit.
 pub fn peel(
-    positions: Tensor<2>,
-    quaternions: Tensor<2>,
-    log_scales: Tensor<2>,
+    positions: &Tensor<2>,
+    quaternions: &Tensor<2>,
+    log_scales: &Tensor<2>,
     camera: &Camera,
     options: &PeelOptions,
 ) -> Result<Layers> {
     camera.validate()?;
     options.validate()?;
     let count = positions.dims()[0];
-    check_shape("surfels.positions", &positions, [count, 3])?;
-    check_shape("surfels.quaternions", &quaternions, [count, 4])?;
-    check_shape("surfels.log_scales", &log_scales, [count, 2])?;
+    check_shape("surfels.positions", positions, [count, 3])?;
+    check_shape("surfels.quaternions", quaternions, [count, 4])?;
+    check_shape("surfels.log_scales", log_scales, [count, 2])?;
     let surfels = SurfelShapes {
-        positions: positions.into_dispatch(),
-        quaternions: quaternions.into_dispatch(),
-        log_scales: log_scales.into_dispatch(),
+        positions: positions.clone().into_dispatch(),
+        quaternions: quaternions.clone().into_dispatch(),
+        log_scales: log_scales.clone().into_dispatch(),
     };
     let out = Dispatch::peel(surfels, *camera, *options);
     Ok(Layers {

@@ -6,11 +6,10 @@ use burn::backend::tensor::FloatTensor;
 use burn_cubecl::CubeBackend;
 use cubecl::prelude::*;
 
-use super::{SplatBackwardOps, SplatOps};
+use super::{SplatBackwardOps, SplatOps, SplatOptions};
 use crate::binning::capacity::ListKind;
 use crate::binning::cube::{Ellipses, TileList, bin};
 use crate::camera::Camera;
-use crate::device::is_deterministic;
 use crate::footprint::gaussians::GaussianTensors;
 use crate::footprint::splat_cube::{self, MOMENTS, SPLAT, Splat, add_moments};
 use crate::gpu::gather::{lane, largest, primitive, total, zeros};
@@ -236,7 +235,12 @@ fn contributions_kernel(
 }
 
 impl SplatOps for CubeBackend {
-    fn splat(gaussians: GaussianTensors<Self>, limits: FloatTensor<Self>, camera: Camera) -> FloatTensor<Self> {
+    fn splat(
+        gaussians: GaussianTensors<Self>,
+        limits: FloatTensor<Self>,
+        camera: Camera,
+        options: SplatOptions,
+    ) -> FloatTensor<Self> {
         let (gaussians, limits) = (gaussians.contiguous(), floats(limits));
         let (client, layers, count) = (limits.client.clone(), limits.shape()[0], gaussians.opacities.shape()[0]);
         let tiles = TileGrid::new(camera.width, camera.height).len();
@@ -253,7 +257,7 @@ impl SplatOps for CubeBackend {
         );
         let ellipses = Ellipses { splats: &splats, ends: &ends };
         let mut lists = bin(&rects, Some(ellipses), &camera, ListKind::Gaussians);
-        if is_deterministic() {
+        if options.deterministic {
             lists = lists.ranked(tiles);
         }
         let sums = empty_f32(&limits, [layers, CHANNELS, camera.height, camera.width]);

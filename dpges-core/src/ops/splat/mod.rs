@@ -25,6 +25,13 @@ use crate::footprint::gaussians::GaussianTensors;
 use crate::scene::Gaussians;
 use crate::scene::tensors::check_shape;
 
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SplatOptions {
+    /// Adds in the same order every time on GPUs, so that results are the same bits in every run. It costs a
+    /// ranking of the list of every tile, quadratic in its length. CPU backends always have a fixed order.
+    pub deterministic: bool,
+}
+
 #[backend_extension(
     Cube: cfg(feature = "gpu"),
     NdArray: cfg(feature = "ndarray"),
@@ -36,6 +43,7 @@ pub trait SplatOps: Backend {
         #[extension_type] gaussians: GaussianTensors<Self>,
         limits: FloatTensor<Self>,
         camera: Camera,
+        options: SplatOptions,
     ) -> FloatTensor<Self>;
 
     /// Largest contribution of each Gaussian to any pixel, [M]; no gradient.
@@ -62,15 +70,18 @@ pub trait SplatBackwardOps: Backend {
 ///
 /// # Errors
 /// [`crate::Error::Shape`] or [`crate::Error::Camera`] for input that does not fit.
-pub fn splat(gaussians: &Gaussians, colours: Tensor<2>, limits: Tensor<3>, camera: &Camera) -> Result<Tensor<4>> {
+pub fn splat(
+    gaussians: &Gaussians,
+    colours: &Tensor<2>,
+    limits: &Tensor<3>,
+    camera: &Camera,
+    options: &SplatOptions,
+) -> Result<Tensor<4>> {
     camera.validate()?;
     let layers = limits.dims()[0];
-    check_shape("limits", &limits, [layers, camera.height, camera.width])?;
-    Ok(Tensor::from_dispatch(Dispatch::splat(
-        GaussianTensors::new(gaussians, &colours)?,
-        limits.into_dispatch(),
-        *camera,
-    )))
+    check_shape("limits", limits, [layers, camera.height, camera.width])?;
+    let gaussians = GaussianTensors::new(gaussians, colours)?;
+    Ok(Tensor::from_dispatch(Dispatch::splat(gaussians, limits.clone().into_dispatch(), *camera, *options)))
 }
 
 /// Largest value over all pixels of α · gate · max|colour| for each Gaussian, [M], where `gates`
@@ -80,20 +91,20 @@ pub fn splat(gaussians: &Gaussians, colours: Tensor<2>, limits: Tensor<3>, camer
 /// [`crate::Error::Shape`] or [`crate::Error::Camera`] for input that does not fit.
 pub fn contributions(
     gaussians: &Gaussians,
-    colours: Tensor<2>,
-    limits: Tensor<3>,
-    gates: Tensor<3>,
+    colours: &Tensor<2>,
+    limits: &Tensor<3>,
+    gates: &Tensor<3>,
     camera: &Camera,
 ) -> Result<Tensor<1>> {
     camera.validate()?;
     let layers = limits.dims()[0];
-    check_shape("limits", &limits, [layers, camera.height, camera.width])?;
-    check_shape("gates", &gates, [layers, camera.height, camera.width])?;
-    let input = GaussianTensors::new(gaussians, &colours)?;
+    check_shape("limits", limits, [layers, camera.height, camera.width])?;
+    check_shape("gates", gates, [layers, camera.height, camera.width])?;
+    let input = GaussianTensors::new(gaussians, colours)?;
     Ok(Tensor::from_dispatch(Dispatch::splat_contributions(
         input,
-        limits.into_dispatch(),
-        gates.into_dispatch(),
+        limits.clone().into_dispatch(),
+        gates.clone().into_dispatch(),
         *camera,
     )))
 }

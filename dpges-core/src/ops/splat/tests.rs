@@ -1,7 +1,7 @@
 use burn::tensor::Tensor;
 use glam::{DMat3, DVec3};
 
-use super::{contributions, splat};
+use super::{SplatOptions, contributions, splat};
 use crate::camera::{Camera, CameraFromWorld};
 use crate::footprint::CUTOFF;
 use crate::footprint::splat::{LOW_PASS, MIN_COMPENSATION_SQUARED, Parameters, Splat};
@@ -14,6 +14,7 @@ use crate::testing::random::Random;
 use crate::testing::scenes::{self, Recipe};
 use crate::tiles::PixelRect;
 
+const OPTIONS: SplatOptions = SplatOptions { deterministic: false };
 /// Widths of positions, quaternions, log-scales, opacities and colours.
 const WIDTHS: [usize; 5] = [3, 4, 3, 1, 3];
 const NAMES: [&str; 5] = ["positions", "quaternions", "log_scales", "opacities", "colours"];
@@ -70,7 +71,7 @@ impl Flat {
 
     fn splat(&self, limits: &Tensor<3>, camera: &Camera) -> Tensor<4> {
         let Leaves { gaussians, colours } = self.leaves();
-        splat(&gaussians, colours, limits.clone(), camera).unwrap()
+        splat(&gaussians, &colours, limits, camera, &OPTIONS).unwrap()
     }
 
     /// Weight of a Gaussian at every pixel, and its depth, by the formulas of the specification.
@@ -195,7 +196,7 @@ fn tiled_sums_and_contributions_equal_dense_ones() {
             let (limits, gates) = (image(&limits, layers, &camera), image(&gates, layers, &camera));
             assert_close(&values(&gaussians.splat(&limits, &camera)), &sums, 1e-12);
             let Leaves { gaussians, colours } = gaussians.leaves();
-            let found = contributions(&gaussians, colours, limits, gates, &camera).unwrap();
+            let found = contributions(&gaussians, &colours, &limits, &gates, &camera).unwrap();
             assert_close(&values(&found), &largest, 1e-12);
         }
     }
@@ -260,10 +261,10 @@ fn no_gaussians_sum_to_nothing() {
     let camera = axis_camera();
     let limits = image(&random_limits(3, 2.0, &camera, 4), 3, &camera);
     let Leaves { gaussians, colours } = Flat::default().leaves();
-    let sums = splat(&gaussians, colours.clone(), limits.clone(), &camera).unwrap();
+    let sums = splat(&gaussians, &colours, &limits, &camera, &OPTIONS).unwrap();
     assert!(values(&sums).iter().all(|s| *s == 0.0));
     assert_eq!(sums.dims(), [3, 4, camera.height, camera.width]);
-    assert_eq!(contributions(&gaussians, colours, limits.clone(), limits, &camera).unwrap().dims(), [0]);
+    assert_eq!(contributions(&gaussians, &colours, &limits, &limits, &camera).unwrap().dims(), [0]);
 }
 
 #[test]
@@ -282,7 +283,7 @@ fn gradients_of_the_sums_are_central_differences() {
         let weights = leaf(&Random::new(9).numbers(shape.iter().product(), -1.0, 1.0), shape, &device()).detach();
         let loss = |sums: Tensor<4>| (sums * weights.clone()).sum();
         let leaves = gaussians.leaves();
-        let sums = splat(&leaves.gaussians, leaves.colours.clone(), limits.clone(), &camera).unwrap();
+        let sums = splat(&leaves.gaussians, &leaves.colours, &limits, &camera, &OPTIONS).unwrap();
         let gradients = loss(sums).backward();
         let g = &leaves.gaussians;
         let found = [&g.positions, &g.quaternions, &g.log_scales].map(|t| values(&t.grad(&gradients).unwrap()));
