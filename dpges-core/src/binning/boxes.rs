@@ -1,5 +1,5 @@
-//! Which pixels a surfel is a layer of: the smallest box around them, found with integer atomics.
-//! On GPUs gradients are gathered over these boxes.
+//! The smallest rectangle around the pixels in which a surfel is a layer, found with integer atomics. GPU
+//! kernels gather gradients over these rectangles.
 
 use burn::backend::TensorMetadata;
 use burn_cubecl::tensor::CubeTensor;
@@ -8,8 +8,8 @@ use cubecl::prelude::*;
 use crate::gpu::launch::{buffer, cube_dim, empty_u32, units, zeros_u32};
 use crate::gpu::rect::{RECT, Rect};
 
-/// Records, at the pixels where a run of the same layer of the same surfel begins or ends, how far the
-/// box reaches: as distances from the far side, so that the zero of a fresh buffer means nothing.
+/// Records how far the rectangle of a surfel reaches, at the pixels where a run of the surfel begins or ends.
+/// Left and top are distances from the far side of the image, so that 0 means that nothing was recorded.
 #[cube(launch)]
 fn extremes_kernel(ids: &[i32], extremes: &[Atomic<u32>], width: u32, height: u32, count: u32) {
     let at = ABSOLUTE_POS;
@@ -59,7 +59,7 @@ fn boxes_kernel(extremes: &[u32], boxes: &mut [u32], width: u32, height: u32, co
         terminate!();
     }
     let reached = Rect::load(extremes, i);
-    // nowhere: 0 to 0
+    // a surfel that is no layer reaches from 0 to 0
     let seen = reached.x1 > 0u32;
     let (x0, y0) = (select(seen, width - reached.x0, 0u32), select(seen, height - reached.y0, 0u32));
     Rect { x0, x1: reached.x1, y0, y1: reached.y1 }.store(boxes, i);

@@ -1,5 +1,4 @@
-//! GPU kernels: counting with integer atomics, a prefix sum, a fill. The lists of tiles are in no
-//! particular order unless order is asked for.
+//! GPU binning: count with integer atomics, prefix sum and fill.
 
 use burn::backend::TensorMetadata;
 use burn_cubecl::tensor::CubeTensor;
@@ -13,7 +12,7 @@ use crate::gpu::rect::Rect;
 use crate::gpu::tile::TILE;
 use crate::tiles::TileGrid;
 
-/// Lists of primitives, one per tile. Those that end beyond the capacity are incomplete: see [`TileList`].
+/// Lists of primitives, one per tile. A list that ends beyond the capacity is incomplete ([`TileList`]).
 pub struct CubeLists {
     /// [tiles + 1]
     pub offsets: CubeTensor,
@@ -22,7 +21,7 @@ pub struct CubeLists {
     pub capacity: u32,
 }
 
-/// What Gaussians know beside their rectangle.
+/// Data of Gaussians that excludes tiles within their rectangles.
 pub struct Ellipses<'a> {
     /// [M, [`SPLAT`]]
     pub splats: &'a CubeTensor,
@@ -30,8 +29,8 @@ pub struct Ellipses<'a> {
     pub ends: &'a CubeTensor,
 }
 
-/// Visits every tile that a primitive touches, raises the tile's `cursor` and enters the primitive into
-/// `ids` where it stood. From cursors at 0 and without room for entries, that counts.
+/// Writes each primitive to the list of every tile that it touches, at the `cursor` of the tile, and advances
+/// the cursor. With cursors at 0 and a capacity of 0 the cursors end as counts.
 #[cube(launch)]
 fn visit_kernel(
     rects: &[u32],
@@ -109,7 +108,7 @@ fn scan_kernel(counts: &[u32], offsets: &mut [u32], cursor: &mut [u32], total: &
     }
 }
 
-/// Puts every list in ascending order: an entry's place is the number of smaller ones.
+/// Puts every list in ascending order: the place of an entry is the number of smaller entries.
 #[cube(launch)]
 fn rank_kernel(offsets: &[u32], ids: &[u32], ranked: &mut [u32], tiles: u32, capacity: u32) {
     if CUBE_POS >= tiles as usize {
@@ -139,13 +138,13 @@ pub struct TileList {
     /// Place of the first entry.
     pub start: u32,
     pub length: u32,
-    /// Whether it is one: a list that did not fit is replaced by all primitives.
+    /// Whether the list fitted its buffer. If not, it stands for all primitives.
     listed: bool,
 }
 
 #[cube]
 impl TileList {
-    /// That of this cube's tile, of `count` primitives; the same for all units of the cube.
+    /// The list of the tile of this cube, from `count` primitives. It is uniform over the cube.
     pub fn own(offsets: &[u32], capacity: u32, count: u32) -> TileList {
         let mut range = Shared::<[u32]>::new_slice(2usize);
         if UNIT_POS == 0u32 {
@@ -172,9 +171,9 @@ impl TileList {
         self.length.div_ceil(UNITS)
     }
 
-    /// Brings a batch into workgroup memory and returns how many entries it has: for each, the row of its
-    /// primitive in `first` [N, `first_width`] and, behind it, in `second` [N, `second_width`]. All units of
-    /// the cube call it together.
+    /// Copies a batch into workgroup memory and returns its number of entries. The record of an entry is the
+    /// row of its primitive in `first` [N, `first_width`], followed by that in `second` [N, `second_width`].
+    /// All units of the cube must call this together.
     pub fn stage(
         &self,
         ids: &[u32],
@@ -205,7 +204,7 @@ impl TileList {
     }
 }
 
-/// Lists of all tiles for `rects` [count, 4] (x0, x1, y0, y1; half open, px).
+/// Lists of all tiles of the image of `camera`, for `rects` [N, 4] and, of Gaussians, their `ellipses`.
 pub fn bin(rects: &CubeTensor, ellipses: Option<Ellipses>, camera: &Camera, kind: ListKind) -> CubeLists {
     let (grid, count) = (TileGrid::new(camera.width, camera.height), rects.shape()[0]);
     let (client, tiles) = (rects.client.clone(), grid.len());

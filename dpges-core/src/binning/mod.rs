@@ -1,7 +1,7 @@
-//! Which primitives can touch which tile of an image: a list per tile.
+//! Binning: for every tile of an image, the list of the primitives that can touch it.
 //!
-//! On the CPU lists are in ascending order of index. On GPUs they are in no particular order unless order
-//! is asked for, and a list that does not fit its buffer stands for all primitives.
+//! CPU lists ascend by index. GPU lists are unordered unless they are ranked, and a list that does not fit its
+//! buffer stands for all primitives.
 
 #[cfg(feature = "gpu")]
 pub(crate) mod boxes;

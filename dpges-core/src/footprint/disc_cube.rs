@@ -1,7 +1,7 @@
 //! One surfel seen by one camera, on the device; the CPU's twin is [`super::disc`].
 //!
-//! Where the CPU computes in f64, this computes with pairs of f32 ([`crate::gpu::exact`]): an edge-on
-//! disc divides by a facing that is next to nothing, and its gradients by the square of it.
+//! The CPU computes in f64, this file with pairs of f32 ([`crate::gpu::exact`]). The facing of an edge-on
+//! disc is almost 0; its hits are divided by the facing, and its gradients by the square of the facing.
 
 use burn::backend::TensorMetadata;
 use burn_cubecl::tensor::CubeTensor;
@@ -21,9 +21,9 @@ use crate::gpu::vector::{
 };
 use crate::gpu::view::{Rests, View, pixel_range, view_rotation};
 
-/// Numbers of a [`Plane`].
+/// Number of values in a [`Plane`].
 pub const PLANE: usize = 12;
-/// Numbers of [`DiscSums`].
+/// Number of values in the sums over the pixels of a disc.
 pub const DISC_SUMS: usize = 12;
 pub const MIN_FACING: f32 = on_cpu::MIN_FACING as f32;
 const LARGEST_LOG_SCALE: f32 = on_cpu::LARGEST_LOG_SCALE as f32;
@@ -57,7 +57,7 @@ impl Linear {
     }
 }
 
-/// A disc as linear functions of the pixel position relative to an anchor, as on the CPU.
+/// A disc as linear functions of the pixel position relative to an anchor ([`on_cpu::Plane`]).
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub struct Plane {
@@ -72,7 +72,7 @@ pub struct Plane {
 
 #[cube]
 impl Plane {
-    /// From [`PLANE`] numbers, `start` the first.
+    /// Reads [`PLANE`] numbers from `start` on.
     pub fn load(numbers: &[f32], start: usize) -> Plane {
         Plane {
             anchor_x: numbers[start],
@@ -110,7 +110,7 @@ pub struct Hit {
     pub kernel: f32,
 }
 
-/// From the values of the linear functions.
+/// The hit at a pixel with these values of the linear functions.
 #[cube]
 fn meeting(u: f32, v: f32, facing: f32, distance: f32) -> Hit {
     let inverse = 1.0f32 / select(facing == 0.0f32, 1e-30f32, facing);
@@ -118,7 +118,7 @@ fn meeting(u: f32, v: f32, facing: f32, distance: f32) -> Hit {
     Hit { u, v, depth: distance * inverse, facing, kernel: f32::exp(max(-0.5f32 * (u * u + v * v), -100.0f32)) }
 }
 
-/// Sums over the pixels of a surfel of the gradients of its linear functions.
+/// Gradients of the linear functions of a surfel, summed over its pixels.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 struct DiscSums {
@@ -147,7 +147,7 @@ impl DiscSums {
     }
 }
 
-/// A pixel of a surfel on the way back.
+/// A pixel of a surfel in the backward pass.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub struct DiscPixel {
@@ -163,8 +163,8 @@ pub struct DiscPixel {
     pub grad_depth: f32,
 }
 
-/// Adds a pixel to the first [`DISC_SUMS`] of a unit's sums, with the gradient of the exponent, of the
-/// depth, or both. Returns the gradients with respect to r·(t_v × c), to r·(c × t_u) and to the distance.
+/// Adds a pixel to the first [`DISC_SUMS`] of a unit's sums: what the gradient of the exponent, that of the
+/// depth, or both contribute. Returns the gradients with respect to r·(t_v × c), r·(c × t_u) and the distance.
 #[cube]
 pub fn add_disc_sums(
     own: &mut Array<f32>,
@@ -203,14 +203,13 @@ pub fn add_disc_sums(
     vec3(towards_u, towards_v, towards_distance)
 }
 
-/// A log-scale as a length, world units.
+/// Scale in world units, bounded so that its square is finite.
 #[cube]
 pub fn bounded_scale(log_scale: f32) -> f32 {
     f32::exp(min(log_scale, LARGEST_LOG_SCALE))
 }
 
-/// A disc in camera space; axes are longer than 1 by the same factor, squared length of the quaternion,
-/// which cancels in everything but the facing.
+/// A disc in camera space. All axes have the same length: the squared length of the quaternion.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub struct ExactDisc {
@@ -218,7 +217,7 @@ pub struct ExactDisc {
     tangent_u: Pairs3,
     tangent_v: Pairs3,
     normal: Pairs3,
-    /// That factor.
+    /// Length of the axes.
     stretch: f32,
 }
 
@@ -327,7 +326,7 @@ pub fn disc_of(view: View, exact: ExactDisc, log_scale_u: f32, log_scale_v: f32)
     }
 }
 
-/// A linear function of the pixel position to the precision of pairs.
+/// A [`Linear`] function in pairs.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 struct ExactLinear {
@@ -378,8 +377,7 @@ struct ExactScales {
     y: Pair,
 }
 
-/// The disc's linear functions of the pixel position, from `start` on in `planes`, and what rounding
-/// took from them, in `lows`.
+/// Writes the linear functions of a disc to `planes` and their rounding errors to `lows`, from `start` on.
 #[cube]
 fn store_plane(
     view: View,
@@ -413,13 +411,13 @@ fn store_plane(
         pair(view.cy, rests.cy),
         zero,
     );
-    // axes are longer than 1 by the stretch: each function is linear in one of them
+    // every function is linear in one axis, so it is divided once by the length of the axes
     let along_u = cross_pairs(exact.tangent_v, exact.centre, zero);
     let along_v = cross_pairs(exact.centre, exact.tangent_u, zero);
     let share = divide_pairs(one, exactly(exact.stretch), zero);
     let by_u = divide_pairs(share, exactly(disc.scale_u), zero);
     let by_v = divide_pairs(share, exactly(disc.scale_v), zero);
-    // at the projected centre both triple products vanish
+    // both triple products vanish at the projected centre
     let beside = 1.0f32 - own;
     let of_u = pair(along_u.z.high * beside, along_u.z.low * beside);
     let of_v = pair(along_v.z.high * beside, along_v.z.low * beside);
@@ -451,7 +449,7 @@ fn store_plane(
     low.store(lows, start);
 }
 
-/// [`Plane::hit`] to the precision of pairs, for the gradients: of a plane and what rounding took from it.
+/// [`Plane::hit`] in pairs, for the gradients. `low` holds the rounding errors of `plane`.
 #[cube]
 pub fn exact_hit(plane: Plane, low: Plane, x: f32, y: f32, zero: u32) -> Hit {
     let dx = away(x, plane.anchor_x, low.anchor_x, zero);
@@ -462,15 +460,15 @@ pub fn exact_hit(plane: Plane, low: Plane, x: f32, y: f32, zero: u32) -> Hit {
     meeting(u, v, facing, plane.distance)
 }
 
-/// Widens what f32 may have made too narrow, px.
+/// Widens a range by more than the rounding errors of f32, px.
 #[cube]
 fn widened(low: f32, high: f32) -> (f32, f32) {
     let slack = 0.05f32 + 1e-4f32 * (high - low);
     (low - slack, high + slack)
 }
 
-/// Range of x / z over a disc that is wholly in front of the near plane: the two lines through the
-/// eye tangent to its ellipse, from the x and z components of centre and axes.
+/// Range of x / z over a disc in front of the near plane, from the x and z components of its centre and
+/// axes. The ends are the two lines through the eye that are tangent to its ellipse.
 #[cube]
 fn tangents(cx: f32, cz: f32, ax: f32, az: f32, bx: f32, bz: f32) -> (f32, f32) {
     let quadratic = cz * cz - (az * az + bz * bz);
@@ -480,8 +478,8 @@ fn tangents(cx: f32, cz: f32, ax: f32, az: f32, bx: f32, bz: f32) -> (f32, f32) 
     ((half_linear - root) / quadratic, (half_linear + root) / quadratic)
 }
 
-/// Slope x / z where the segment from one corner of the square around a disc to the next leaves the
-/// near plane, or of the first corner: clipped polygons bound what they contain.
+/// Range of x / z over one side of a square, clipped by the near plane: the first corner and the point where
+/// the side crosses the near plane, if there are such.
 #[cube]
 fn clipped(x: f32, z: f32, next_x: f32, next_z: f32, near: f32) -> (f32, f32) {
     let own = x / max(z, near);
@@ -495,7 +493,7 @@ fn clipped(x: f32, z: f32, next_x: f32, next_z: f32, near: f32) -> (f32, f32) {
     (select(some, min(first, second), 1e30f32), select(some, max(first, second), -1e30f32))
 }
 
-/// Range of x / z over the square around a disc, as far as it is in front of the near plane.
+/// Range of x / z over the part of the square around a disc that lies in front of the near plane.
 #[cube]
 fn clipped_square(cx: f32, cz: f32, ax: f32, az: f32, bx: f32, bz: f32, near: f32) -> (f32, f32) {
     let (x0, z0) = (cx + ax + bx, cz + az + bz);
@@ -509,8 +507,8 @@ fn clipped_square(cx: f32, cz: f32, ax: f32, az: f32, bx: f32, bz: f32, near: f3
     (min(min(l0, l1), min(l2, l3)), max(max(h0, h1), max(h2, h3)))
 }
 
-/// Pixels that the footprint can reach; a disc that crosses the near plane is bounded by the square
-/// around it. None for a negative radius.
+/// Pixels that the footprint can reach within `radius`, in σ; none if the radius is negative. The square
+/// around a disc bounds it if the disc crosses the near plane.
 #[cube]
 pub fn reach(view: View, disc: Disc, radius: f32) -> Rect {
     let c = disc.centre;
@@ -519,7 +517,7 @@ pub fn reach(view: View, disc: Disc, radius: f32) -> Rect {
     let reach = f32::sqrt(a.z * a.z + b.z * b.z);
     let mut rect = Rect { x0: 0u32, x1: 0u32, y0: 0u32, y1: 0u32 };
     if c.z + reach * 1.000_01f32 > view.near && radius >= 0.0f32 {
-        // in f32 the tangents of a disc that nearly touches the near plane are not to be trusted
+        // near the near plane, rounding errors make the tangents useless
         let in_front = c.z - reach > view.near && c.z - reach > 0.01f32 * c.z;
         let (tx0, tx1) = tangents(c.x, c.z, a.x, a.z, b.x, b.z);
         let (ty0, ty1) = tangents(c.y, c.z, a.y, a.z, b.y, b.z);
@@ -541,7 +539,7 @@ pub fn reach(view: View, disc: Disc, radius: f32) -> Rect {
     rect
 }
 
-/// Gradients with respect to world position and raw quaternion; those of the log-scales are sums already.
+/// Gradients with respect to world position and raw quaternion. [`DiscSums`] has those of the log-scales.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 struct DiscGradient {
@@ -549,7 +547,7 @@ struct DiscGradient {
     quaternion: Quaternion,
 }
 
-/// c × Σ gradient · ray; the anchor's part vanishes where the anchor is the projected centre.
+/// c × Σ gradient · ray. The term of the anchor is 0 if the anchor is the projected centre.
 #[cube]
 fn centre_cross(disc: Disc, g: Vec3) -> Vec3 {
     let anchored = scale(disc.anchor_ray, g.x * (1.0f32 - disc.centred));
@@ -562,7 +560,7 @@ fn along(disc: Disc, g: Vec3) -> Vec3 {
     add(scale(disc.anchor_ray, g.x), vec3(g.y, g.z, 0.0f32))
 }
 
-/// From the sums to the parameters.
+/// Gradients with respect to the parameters, from the sums.
 #[cube]
 fn disc_backward(view: View, disc: Disc, quaternion: Quaternion, sums: DiscSums) -> DiscGradient {
     let grad_tangent_v = centre_cross(disc, sums.u);
@@ -649,21 +647,21 @@ pub struct DiscTensors<'a> {
     pub positions: &'a CubeTensor,
     /// [N, 4]
     pub quaternions: &'a CubeTensor,
-    /// [N, 2], or [N, 3] of which the third means nothing
+    /// [N, 2], or [N, 3] with an unused third column
     pub log_scales: &'a CubeTensor,
 }
 
-/// What of discs does not depend on the pixel.
+/// The part of the discs that does not depend on the pixel.
 pub struct Planes {
-    /// [N, [`PLANE`]], and what rounding took from it
+    /// [N, [`PLANE`]] planes and their rounding errors
     pub planes: CubeTensor,
     pub lows: CubeTensor,
     /// [N, [`RECT`]] pixel rectangles; uninitialised without a radius
     pub rects: CubeTensor,
 }
 
-/// Planes of `discs`, rows in `order` [N] if there is one, and the pixels that they reach within `radius`, in σ; a
-/// negative radius reaches none.
+/// Planes of `discs`, and the pixels that they reach within `radius`, in σ ([`reach`]). Row i is disc i, or disc
+/// `order[i]` with an `order` [N].
 pub fn planes(discs: &DiscTensors, order: Option<&CubeTensor>, radius: Option<f32>, camera: &Camera) -> Planes {
     let like = discs.positions;
     let count = like.shape()[0];
@@ -691,7 +689,7 @@ pub fn planes(discs: &DiscTensors, order: Option<&CubeTensor>, radius: Option<f3
     Planes { planes, lows, rects }
 }
 
-/// Gradients with respect to `discs`, into `out`, from the `sums` [N, [`DISC_SUMS`]].
+/// Writes the gradients with respect to `discs` into `out`, from the `sums` [N, [`DISC_SUMS`]].
 pub fn backward(discs: &DiscTensors, sums: &CubeTensor, camera: &Camera, out: &DiscTensors) {
     let count = sums.shape()[0];
     disc_backward_kernel::launch(

@@ -1,4 +1,4 @@
-//! Gaussians as operations take them: a tensor for each attribute on the tape, rows in host memory.
+//! Gaussians as operations take them: one tensor for each attribute, or rows in host memory.
 
 use std::borrow::Cow;
 
@@ -68,7 +68,7 @@ impl<B: Backend, S: CheckpointStrategy> GaussianTensors<Autodiff<B, S>> {
 }
 
 impl<B: Host> GaussianTensors<B> {
-    /// From rows in the order of the fields.
+    /// From row-major values in the order of the fields.
     pub fn from_rows<T: Real>(
         [positions, quaternions, log_scales, opacities, colours]: [Vec<T>; 5],
         device: &B::Device,
@@ -86,7 +86,7 @@ impl<B: Host> GaussianTensors<B> {
 
 #[cfg(feature = "gpu")]
 impl GaussianTensors<burn_cubecl::CubeBackend> {
-    /// Uninitialised tensors for the gradients of `count` Gaussians, beside `like`.
+    /// Uninitialised tensors of `count` Gaussians on the device of `like`.
     pub fn empty(like: &burn_cubecl::tensor::CubeTensor, count: usize) -> Self {
         use crate::gpu::launch::empty_f32;
         Self {
@@ -141,7 +141,7 @@ impl<'a, T: Real> GaussianRows<'a, T> {
         row(&self.colours, i)
     }
 
-    /// `None` where no pixel can see it.
+    /// Footprint of Gaussian `i`; `None` if no pixel can see it.
     pub fn splat(&self, camera: &CameraOf<T>, i: usize) -> Option<Splat<T>> {
         Splat::new(camera, &self.parameters(i), self.colour(i))
     }

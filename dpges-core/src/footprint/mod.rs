@@ -1,12 +1,13 @@
-//! What a surfel or a Gaussian is at a pixel: shared by `peel`, `splat` and `blend`.
+//! Footprints: the value of a surfel or a Gaussian at a pixel. `peel`, `splat` and `blend` share them.
 //!
-//! [`splat`] and [`disc`] are the CPU's, `splat_cube` and `disc_cube` their twins for GPUs. A *splat* is a Gaussian
-//! projected as a whole (EWA); a *disc* is a surfel met by the ray through a pixel.
+//! A *splat* is the ellipse that a Gaussian projects to (EWA). A *disc* is a surfel that the ray through a pixel
+//! meets. `splat` and `disc` run on CPUs; `splat_cube` and `disc_cube` are their twins for GPUs.
 
 pub(crate) mod disc;
 #[cfg(feature = "gpu")]
 pub(crate) mod disc_cube;
 pub(crate) mod gaussians;
+pub(crate) mod moments;
 pub(crate) mod splat;
 #[cfg(feature = "gpu")]
 pub(crate) mod splat_cube;

@@ -7,6 +7,7 @@ use cubecl::prelude::*;
 
 use super::CUTOFF;
 use super::gaussians::GaussianTensors;
+use super::moments::MOMENTS;
 use super::splat::{self, LOW_PASS, MIN_COMPENSATION_SQUARED};
 use crate::camera::Camera;
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, empty_u32, units};
@@ -24,10 +25,8 @@ pub const CUTOFF_F32: f32 = CUTOFF as f32;
 pub const INVERSE_CUTOFF: f32 = (1.0 / CUTOFF) as f32;
 const JACOBIAN_MARGIN: f32 = splat::JACOBIAN_MARGIN as f32;
 
-/// Numbers of a [`Splat`].
+/// Number of values in a [`Splat`].
 pub const SPLAT: usize = 8;
-/// Numbers of [`Moments`].
-pub const MOMENTS: usize = 6;
 
 /// Footprint: `strength · exp(−½ (a dx² + 2 b dx dy + c dy²))` at offset (dx, dy) px from the mean.
 #[derive(CubeType, Clone, Copy)]
@@ -38,7 +37,7 @@ pub struct Splat {
     pub a: f32,
     pub b: f32,
     pub c: f32,
-    /// Opacity times the compensation for the low-pass filter, 0 where it is not visible.
+    /// Opacity times the compensation for the low-pass filter; 0 if the Gaussian is invisible.
     pub strength: f32,
     /// Camera-space z of the centre, world units.
     pub depth: f32,
@@ -48,7 +47,7 @@ pub struct Splat {
 
 #[cube]
 impl Splat {
-    /// From [`SPLAT`] numbers, `start` the first.
+    /// Reads [`SPLAT`] numbers from `start` on.
     pub fn load(numbers: &[f32], start: usize) -> Splat {
         Splat {
             mean_x: numbers[start],
@@ -99,8 +98,8 @@ impl Splat {
     }
 }
 
-/// Sums over the pixels of a Gaussian: with g the gradient of the exponent, Σ g, Σ g dx, Σ g dy, Σ g dx²,
-/// Σ g dx dy, Σ g dy².
+/// Sums over the pixels of a Gaussian, [`MOMENTS`] numbers: Σ g, Σ g dx, Σ g dy, Σ g dx², Σ g dx dy,
+/// Σ g dy², where g is the gradient of the exponent.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub struct Moments {
@@ -127,7 +126,7 @@ impl Moments {
         }
     }
 
-    /// Whether any pixel added to them.
+    /// Whether any pixel contributed.
     pub fn any(&self) -> bool {
         self.total != 0.0f32
             || self.x != 0.0f32
@@ -227,8 +226,8 @@ fn compensation(p: Projection) -> f32 {
     f32::sqrt(max(p.ratio, MIN_RATIO))
 }
 
-/// The footprint of a Gaussian and the pixels that it can reach: none behind the near plane, below the
-/// cutoff everywhere, or where the projection overflows.
+/// The footprint of a Gaussian and the pixels that it can reach. It reaches none behind the near plane,
+/// where it stays below the cutoff, and where its projection overflows.
 #[cube]
 fn splat_of(view: View, p: Projection, opacity: f32) -> (Splat, Rect) {
     let strength = max(opacity, 0.0f32) * compensation(p);
@@ -388,7 +387,7 @@ fn place_backward_kernel(
         terminate!();
     }
     let moments = Moments::load(moments, i);
-    // what is not visible has no projection to go back through
+    // an invisible Gaussian has no projection to differentiate
     if moments.any() {
         let gradient = gradient(positions, quaternions, log_scales, opacities, moments, view, i);
         write3(grad_positions, i, gradient.position);
@@ -426,8 +425,8 @@ fn shape_backward_kernel(
     }
 }
 
-/// Gradients of one Gaussian. Two kernels write them, since one would need more buffers than every
-/// device has.
+/// Gradients of one Gaussian. Two kernels write them, because one kernel would need more buffers than
+/// every device has.
 #[cube]
 fn gradient(
     positions: &[f32],
@@ -443,7 +442,8 @@ fn gradient(
     splat_backward(view, projection, quaternion, opacities[i], moments)
 }
 
-/// Splats [M, [`SPLAT`]] and pixel rectangles [M, [`RECT`]] of `gaussians`, rows in `order` [M] if there is one.
+/// Splats [M, [`SPLAT`]] and pixel rectangles [M, [`RECT`]] of `gaussians`. Row i is Gaussian i, or Gaussian
+/// `order[i]` with an `order` [M].
 pub fn splats(
     gaussians: &GaussianTensors<CubeBackend>,
     order: Option<&CubeTensor>,
@@ -470,8 +470,8 @@ pub fn splats(
     (splats, rects)
 }
 
-/// Gradients with respect to positions, quaternions, log-scales and opacities, into `out`, from the
-/// `moments` [M, [`MOMENTS`]].
+/// Writes the gradients with respect to positions, quaternions, log-scales and opacities into `out`, from
+/// the `moments` [M, [`MOMENTS`]].
 pub fn backward(
     gaussians: &GaussianTensors<CubeBackend>,
     moments: &CubeTensor,

@@ -1,9 +1,9 @@
-//! The gather: [`LANES`] units go over the pixels of one primitive, a cube over those of [`GATHERED`]
-//! primitives, so that nothing is accumulated across cubes.
+//! Gathering: [`LANES`] units visit the pixels of one primitive and a cube serves [`GATHERED`] primitives, so
+//! that no sum crosses cubes.
 //!
-//! A kernel that gathers ends surplus cubes, sets its numbers to zero with [`zeros`], goes over every
-//! [`LANES`]-th pixel of the rectangle of its primitive ([`primitive`]) from its [`lane`] on, and leaves
-//! the rest to [`total`] or [`largest`].
+//! Every kernel that gathers has the same steps. It terminates surplus cubes and starts from [`zeros`]. Each
+//! unit visits every [`LANES`]-th pixel in the rectangle of its [`primitive`], beginning with its [`lane`].
+//! [`total`] or [`largest`] then combines the units of a primitive.
 
 use cubecl::prelude::*;
 
@@ -15,12 +15,13 @@ pub fn primitive() -> usize {
     CUBE_POS * GATHERED + (UNIT_POS / LANES) as usize
 }
 
-/// Which of the units of its primitive this is.
+/// Position of this unit among those of its primitive.
 #[cube]
 pub fn lane() -> u32 {
     UNIT_POS % LANES
 }
 
+/// The numbers of a unit before its first pixel.
 #[cube]
 pub fn zeros(#[comptime] numbers: usize) -> Array<f32> {
     let mut own = Array::<f32>::new(numbers);
@@ -31,7 +32,7 @@ pub fn zeros(#[comptime] numbers: usize) -> Array<f32> {
     own
 }
 
-/// One number of one primitive, which this unit is to write where it is `present`.
+/// A number of a primitive. This unit writes it if it is `present`.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub struct Gathered {
@@ -67,13 +68,13 @@ fn fold(own: &Array<f32>, count: u32, #[comptime] numbers: usize, #[comptime] su
     Gathered { present, primitive, number, value }
 }
 
-/// Sums of the numbers of all units of a primitive, in the order of the lanes.
+/// Adds the numbers of all units of a primitive, in the order of the lanes.
 #[cube]
 pub fn total(own: &Array<f32>, count: u32, #[comptime] numbers: usize) -> Gathered {
     fold(own, count, numbers, true)
 }
 
-/// The largest of the numbers, none of which is negative, of all units of a primitive.
+/// Takes the largest of the numbers of all units of a primitive. None may be negative.
 #[cube]
 pub fn largest(own: &Array<f32>, count: u32, #[comptime] numbers: usize) -> Gathered {
     fold(own, count, numbers, false)

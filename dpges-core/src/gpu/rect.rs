@@ -1,8 +1,8 @@
-//! Rectangles of pixels as kernels keep them.
+//! Rectangles of pixels in buffers of kernels.
 
 use cubecl::prelude::*;
 
-/// Numbers of a [`Rect`].
+/// Number of values in a [`Rect`].
 pub const RECT: usize = 4;
 
 /// Columns and rows of pixels, half open.
@@ -17,12 +17,13 @@ pub struct Rect {
 
 #[cube]
 impl Rect {
-    /// Row `i` of a [N, [`RECT`]] buffer.
+    /// Reads row `i` of a [N, [`RECT`]] buffer.
     pub fn load(rects: &[u32], i: usize) -> Rect {
         let o = i * RECT;
         Rect { x0: rects[o], x1: rects[o + 1], y0: rects[o + 2], y1: rects[o + 3] }
     }
 
+    /// Writes row `i` of a [N, [`RECT`]] buffer.
     pub fn store(&self, rects: &mut [u32], i: usize) {
         let o = i * RECT;
         rects[o] = self.x0;
@@ -31,6 +32,7 @@ impl Rect {
         rects[o + 3] = self.y1;
     }
 
+    /// Whether it has pixels.
     pub fn is_filled(&self) -> bool {
         self.x0 < self.x1 && self.y0 < self.y1
     }

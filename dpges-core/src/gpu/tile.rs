@@ -1,4 +1,4 @@
-//! The tile of a cube: a unit for each pixel.
+//! Kernels in which a cube handles a tile and a unit handles a pixel.
 
 use cubecl::prelude::*;
 
@@ -10,11 +10,11 @@ use crate::tiles;
 pub const TILE: u32 = tiles::TILE as u32;
 const _: () = assert!(TILE * TILE == UNITS, "one unit per pixel of a tile");
 
-/// A unit's pixel.
+/// The pixel of a unit.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub struct Pixel {
-    /// Whether it lies in the image.
+    /// Whether the pixel lies in the image.
     pub inside: bool,
     /// Position within a plane, 0 outside the image.
     pub at: usize,
@@ -23,7 +23,7 @@ pub struct Pixel {
     pub y: f32,
 }
 
-/// This unit's pixel in `tile`.
+/// The pixel of this unit in `tile`.
 #[cube]
 pub fn own_pixel(view: View, tile: u32) -> Pixel {
     let column = tile % view.columns * TILE + UNIT_POS % TILE;
@@ -37,7 +37,7 @@ pub fn own_pixel(view: View, tile: u32) -> Pixel {
     }
 }
 
-/// Pixels of a plane.
+/// Number of pixels in a plane.
 #[cube]
 pub fn plane_of(view: View) -> usize {
     (view.width * view.height) as usize

@@ -1,4 +1,4 @@
-//! How kernels cut an image: square tiles, groups of lanes within a tile, rectangles of pixels, and horizontal bands.
+//! Parts of an image: square tiles, groups of lanes within a tile, rectangles of pixels, and horizontal bands.
 
 pub(crate) mod bands;
 pub(crate) mod layout;
@@ -54,7 +54,7 @@ impl PixelRect {
     pub fn covering(bounds: [f64; 4], width: usize, height: usize) -> Self {
         const SLACK_PX: f64 = 1e-3;
         let [x_low, x_high, y_low, y_high] = bounds;
-        // `f64 as u32` saturates, and NaN falls to `max`'s other side
+        // `f64 as u32` saturates, and `max` drops NaN
         let first = |low: f64| (low - 0.5 - SLACK_PX).ceil().max(0.0) as u32;
         let end = |high: f64, size: usize| ((high - 0.5 + SLACK_PX).floor() + 1.0).min(size as f64).max(0.0) as u32;
         let rect = Self { x0: first(x_low), x1: end(x_high, width), y0: first(y_low), y1: end(y_high, height) };

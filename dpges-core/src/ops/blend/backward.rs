@@ -1,5 +1,5 @@
-//! `blend` on the tape: one node for all planes, so that a loss on several of them goes back through
-//! the primitives once.
+//! `blend` on the tape: all planes share one node, so that a loss on several planes passes through the primitives
+//! once.
 
 use burn::backend::autodiff::checkpoint::base::Checkpointer;
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;

@@ -1,6 +1,6 @@
-//! CPU kernels: one task per tile, its primitives front to back. Backward goes through them once more
-//! from the back, where dividing by 1 − α recovers T. Its sums are made per tile and added in the
-//! order of the tiles, so that the result does not depend on the number of threads.
+//! CPU kernels: one task per tile goes front to back. Backward then goes back to front, where a division by
+//! 1 − α recovers T. Sums belong to a tile and are added in the order of the tiles, so that the result does
+//! not depend on the number of threads.
 
 mod disc;
 mod distortion;

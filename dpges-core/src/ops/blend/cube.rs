@@ -1,6 +1,6 @@
-//! GPU kernels: primitives are sorted by depth, so that lists in ascending order run front to back, and
-//! so do all primitives, which a tile whose list does not fit goes over. Forward there is one unit per
-//! pixel; backward there is one cube per tile, and then one unit per primitive.
+//! GPU kernels. Primitives are sorted by depth, so that ascending lists run front to back. So does the
+//! sequence of all primitives, which replaces a list that does not fit its buffer. Forward, one unit handles
+//! one pixel; backward, one cube handles one tile and then one unit one primitive.
 
 mod fragments;
 mod gather;

@@ -1,4 +1,4 @@
-//! `composite` on the tape: every output is a node of its own over the same forward pass.
+//! `composite` on the tape: each output has its own node over one forward pass.
 
 use burn::backend::Autodiff;
 use burn::backend::Backend;

@@ -1,5 +1,5 @@
-//! GPU kernels: one unit per pixel; the gradient of the surfels' colours is gathered over the pixels
-//! in which each surfel is a layer.
+//! GPU kernels: one unit per pixel. The gradient of the colours is gathered over the pixels in which each
+//! surfel is a layer.
 
 use burn::backend::TensorMetadata;
 use burn::backend::tensor::FloatTensor;
@@ -42,12 +42,12 @@ fn write_rgb(image: &mut [f32], pixel: usize, plane: usize, colour: Vec3) {
     image[2 * plane + pixel] = colour.z;
 }
 
-/// Colour of layer `k`; black where there is none.
+/// Colour of the surfel `id`; black if it is −1.
 #[cube]
 fn layer_colour(colours: &[f32], id: i32) -> Vec3 {
     let present = id >= 0i32;
     let colour = row3(colours, max(id, 0i32) as usize);
-    // selected, not multiplied by 0: without surfels the buffer holds anything
+    // selected and not multiplied by 0, because without surfels the buffer is uninitialised
     vec3(select(present, colour.x, 0.0f32), select(present, colour.y, 0.0f32), select(present, colour.z, 0.0f32))
 }
 
@@ -179,8 +179,8 @@ fn alpha_backward_kernel(
     }
 }
 
-/// Gradients with respect to what an output is made of: a colour for surfels and Gaussians, as far
-/// as each is part of it, and the Gaussians' weight.
+/// Gradients with respect to the parts of an output: a colour, scaled for surfels and for Gaussians, and the
+/// weight of the Gaussians.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 struct Incoming {
@@ -291,7 +291,7 @@ fn sums_backward_kernel(
     }
 }
 
-/// Gradients with respect to the surfels' colours, gathered over the pixels in which each is a layer.
+/// Gathers the gradients with respect to the surfels' colours.
 #[cube(launch)]
 fn colours_backward_kernel(
     alpha: &[f32],
@@ -356,7 +356,7 @@ fn blend(shape: [usize; 3], options: &CompositeOptions) -> BlendLaunch {
     BlendLaunch::new(red, green, blue, (height * width) as u32, width as u32, gate)
 }
 
-/// A buffer that is bound and neither read nor written.
+/// A buffer that no kernel reads or writes.
 fn unused(like: &CubeTensor) -> CubeTensor {
     empty_f32(like, [0, 3])
 }

@@ -37,7 +37,7 @@ pub(super) fn limits<T: Real>(
                 let end = match lookup {
                     _ if ids[at] < 0 => T::INFINITY,
                     MarginLookup::Shifted => depth[at] + margins[ids[at] as usize],
-                    // of the last interval only the cap is the end
+                    // only the cap ends the last interval
                     MarginLookup::Literal if k + 1 == layers => T::INFINITY,
                     MarginLookup::Literal => depth[at],
                 };

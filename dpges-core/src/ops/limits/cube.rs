@@ -45,7 +45,7 @@ fn limits_kernel(
     }
     let cap = select(closed || present == layers as u32, last, infinity);
     if comptime!(literal) {
-        // of the last interval only the cap is the end
+        // only the cap ends the last interval
         ends[layers - 1] = infinity;
     }
     let mut reached = -infinity;

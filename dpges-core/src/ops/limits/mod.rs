@@ -1,8 +1,8 @@
-//! `interval_limits`: where the depth intervals of every pixel end.
+//! `interval_limits`: the ends of the depth intervals of every pixel.
 //!
 //! ids, alpha and depth [K, H, W] of the layers and margins [N] of the surfels → upper limits [K, H, W],
-//! world units, ascending: peeled depths, shifted by the margins or bare (DP-GES, transmittance lookup).
-//! +∞ where nothing ends an interval.
+//! world units, ascending: the depths of the layers, with or without the margins (DP-GES, transmittance lookup).
+//! An interval without an end has the limit +∞.
 //!
 //! No gradient.
 
@@ -41,10 +41,10 @@ pub trait LimitOps: Backend {
 /// Upper limits [K, H, W] of the depth intervals of every pixel, ascending, for `margins` [N] of the
 /// surfels (DP-GES, transmittance lookup). No gradient.
 ///
-/// A Gaussian at depth d belongs to the first layer with `d < D + ε`, or with `d < D` where `lookup`
-/// is [`MarginLookup::Literal`], or else to the K-th; a missing layer lies at infinity. A pixel is
-/// closed when its last layer is opaque or is the K-th: then nothing at or behind `D + ε` of the last
-/// layer is visible, whatever the lookup. With a running maximum and that cap the intervals are
+/// A Gaussian at depth d belongs to the first layer with `d < D + ε`, or with `d < D` if `lookup` is
+/// [`MarginLookup::Literal`], and otherwise to the K-th layer. A missing layer lies at infinity. A pixel is
+/// closed if its last layer is opaque or is the K-th: with either lookup, nothing at or behind `D + ε` of the
+/// last layer is visible. The limits are the running maximum, capped there, so that interval k is
 /// `limit(k−1) ≤ d < limit(k)`.
 ///
 /// # Errors

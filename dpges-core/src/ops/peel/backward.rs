@@ -1,5 +1,5 @@
-//! `peel` on the tape: alpha and depth are separate nodes over the same forward pass, so that a
-//! loss that uses only one of them pays for only one.
+//! `peel` on the tape: alpha and depth have separate nodes over one forward pass, so that a loss that uses
+//! one of them does not pay for the other.
 
 use burn::backend::autodiff::checkpoint::base::Checkpointer;
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;

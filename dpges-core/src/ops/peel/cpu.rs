@@ -1,4 +1,4 @@
-//! CPU kernels: one task per tile forward, one per band of rows backward.
+//! CPU kernels. Forward, one task handles one tile; backward, one band of rows.
 
 use std::borrow::Cow;
 
@@ -134,8 +134,8 @@ fn peel_tile<T: Real>(
     end_behind_opaque(options.layer_count, slots);
 }
 
-/// Bubbles a fragment per lane into the sorted lists. Candidates come in ascending order of index,
-/// so a strict comparison breaks ties in depth by index; what it displaces all moves down by one.
+/// Inserts one fragment per lane into the sorted lists and moves those behind it by one. Candidates ascend by
+/// index, so a strict comparison breaks ties in depth by index.
 #[inline(always)]
 #[expect(clippy::too_many_arguments, reason = "three parallel arrays on each side")]
 fn insert<T: Real>(

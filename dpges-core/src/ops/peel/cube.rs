@@ -1,5 +1,5 @@
-//! GPU kernels: one cube per tile forward; backward every surfel gathers over the pixels in which it
-//! is a layer, so that nothing is accumulated across cubes.
+//! GPU kernels. Forward, one cube handles one tile. Backward gathers over the pixels in which each surfel is
+//! a layer.
 
 use burn::backend::TensorMetadata;
 use burn::backend::tensor::{FloatTensor, IntTensor};

@@ -24,9 +24,10 @@ use crate::error::{Error, Result};
 use crate::scene::tensors::check_shape;
 use crate::scene::{Footprint, SceneInfo};
 
-/// Most layers that can be asked for.
+/// Largest number of layers.
 pub const MAX_LAYERS: usize = 8;
 
+/// Number and opacity of layers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PeelOptions {
     /// K, 1 to [`MAX_LAYERS`].
@@ -37,7 +38,7 @@ pub struct PeelOptions {
 }
 
 impl Default for PeelOptions {
-    /// The paper's: 3 layers, w = 30, footprint to G = 1/255.
+    /// Those of DP-GES: 3 layers, w = 30, footprint to G = 1/255.
     fn default() -> Self {
         Self { layer_count: 3, modulation: 30.0, footprint: Footprint::Kernel }
     }
@@ -83,7 +84,7 @@ pub struct PeelOutput<B: Backend> {
     pub depth: FloatTensor<B>,
 }
 
-/// What of the surfels [`peel`] depends on, or the gradients with respect to it.
+/// The attributes of surfels that [`peel`] depends on, or the gradients with respect to them.
 #[derive(ExtensionType, Debug, Clone)]
 pub struct SurfelShapes<B: Backend> {
     /// [N, 3]
@@ -94,7 +95,7 @@ pub struct SurfelShapes<B: Backend> {
     pub log_scales: FloatTensor<B>,
 }
 
-/// Which output of [`peel`] an incoming gradient belongs to.
+/// The output of [`peel`] that an incoming gradient belongs to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PeelGradient {
     Alpha,
@@ -126,7 +127,7 @@ pub trait PeelBackwardOps: Backend {
 /// Peels surfels with `positions` [N, 3], `quaternions` [N, 4] and `log_scales` [N, 2].
 ///
 /// # Errors
-/// [`Error::Shape`], [`Error::Camera`] or [`Error::Option`] for input that does not fit.
+/// [`Error::Shape`], [`Error::Camera`] or [`Error::Option`] if the input is invalid.
 pub fn peel(
     positions: &Tensor<2>,
     quaternions: &Tensor<2>,

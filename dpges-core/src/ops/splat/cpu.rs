@@ -1,5 +1,5 @@
-//! CPU kernels: one task per tile forward; backward and contributions gather, each Gaussian over
-//! its own pixels, so that nothing is accumulated across tasks.
+//! CPU kernels. Forward, one task handles one tile. Backward and contributions gather over the pixels of each
+//! Gaussian.
 
 use burn::backend::TensorMetadata;
 use burn::backend::tensor::FloatTensor;
@@ -9,6 +9,7 @@ use super::{SplatBackwardOps, SplatOps, SplatOptions};
 use crate::binning::cpu::bin;
 use crate::camera::Camera;
 use crate::footprint::gaussians::{GaussianRows, GaussianTensors};
+use crate::footprint::moments::{MOMENTS, add_moments};
 use crate::footprint::splat::{self, Splat, SplatGrad};
 use crate::host::{self, Host, for_each_cpu_backend, with_real};
 use crate::math::CameraOf;
@@ -21,14 +22,14 @@ use crate::tiles::{PixelRect, TILE_PIXELS, TileGrid, for_each_group};
 const CHANNELS: usize = 4;
 const CHUNK: usize = 256;
 
-/// Interval limits of the pixels of a tile, [K, `TILE_PIXELS`], and over the tile: for each interval
-/// the smallest lower and the largest upper limit of a pixel where it is not empty.
+/// Interval limits of the pixels of a tile, [K, `TILE_PIXELS`], and of the whole tile: for each interval, the
+/// smallest lower and the largest upper limit among the pixels where it is not empty.
 struct TileLimits<'a, T> {
     upper: &'a [T],
     ranges: &'a [[T; 2]],
 }
 
-/// Interval limits of an image in tile blocks. Pixels outside the image see nothing.
+/// Interval limits of an image in tile blocks. All intervals are empty outside the image.
 struct LimitBlocks<T> {
     layers: usize,
     upper: Vec<T>,
@@ -66,7 +67,7 @@ impl<T: Real> TileLimits<'_, T> {
         self.ranges.iter().enumerate().filter(move |(_, range)| depth >= range[0] && depth < range[1]).map(|(k, _)| k)
     }
 
-    /// Per lane 1 where `depth` falls into interval `k`, else 0.
+    /// For each lane 1 if `depth` falls into interval `k`, else 0.
     #[inline(always)]
     fn mask(&self, k: usize, start: usize, depth: T) -> [T; LANES] {
         let upper = lanes(self.upper, k * TILE_PIXELS + start);
@@ -172,18 +173,18 @@ fn for_each_lit_tile<T: Real>(
     }
 }
 
-/// Lanes that [`gather`] works on. In memory that outlives it: the compiler takes local arrays apart
-/// into scalars and then fails to put vectors together again.
+/// Lanes that [`gather`] works on. They are on the heap because the compiler splits local arrays into scalars
+/// and then does not vectorise.
 struct Scratch<T> {
     /// Red, green, blue and alpha gradients of the pixels, weight, gradient of the exponent.
     pixel: Vec<[T; LANES]>,
-    /// Six moments and three colour sums, as in [`SplatGrad`].
+    /// Moments and three colour sums, as in [`SplatGrad`].
     sums: Vec<[T; LANES]>,
 }
 
 impl<T: Real> Scratch<T> {
     fn new() -> Self {
-        Self { pixel: vec![[T::zero(); LANES]; 6], sums: vec![[T::zero(); LANES]; 9] }
+        Self { pixel: vec![[T::zero(); LANES]; 6], sums: vec![[T::zero(); LANES]; MOMENTS + 3] }
     }
 }
 
@@ -221,7 +222,7 @@ fn gather<T: Real>(
         },
     );
     let total = |sum: usize| scratch.sums[sum].iter().copied().sum::<T>();
-    SplatGrad { moments: std::array::from_fn(total), colour: std::array::from_fn(|c| total(6 + c)) }
+    SplatGrad { moments: std::array::from_fn(total), colour: std::array::from_fn(|c| total(MOMENTS + c)) }
 }
 
 /// Gradients of the sums that a Gaussian at `depth` adds to, for each channel and lane.
@@ -259,36 +260,13 @@ fn add_group<T: Real>(splat: &Splat<T>, dx: &[T; LANES], dy: T, scratch: &mut Sc
     for lane in 0..LANES {
         power[lane] = weight[lane] * (alpha[lane] + r * red[lane] + g * green[lane] + b * blue[lane]);
     }
-    let [sum, sum_x, sum_y, sum_xx, sum_xy, sum_yy, sum_red, sum_green, sum_blue] = scratch.sums.as_mut_slice() else {
-        unreachable!("nine rows of lanes");
-    };
-    for lane in 0..LANES {
-        sum_red[lane] = sum_red[lane] + weight[lane] * red[lane];
+    let (moments, colours) = scratch.sums.split_at_mut(MOMENTS);
+    for (sum, grad) in colours.iter_mut().zip([&*red, &*green, &*blue]) {
+        for lane in 0..LANES {
+            sum[lane] = sum[lane] + weight[lane] * grad[lane];
+        }
     }
-    for lane in 0..LANES {
-        sum_green[lane] = sum_green[lane] + weight[lane] * green[lane];
-    }
-    for lane in 0..LANES {
-        sum_blue[lane] = sum_blue[lane] + weight[lane] * blue[lane];
-    }
-    for lane in 0..LANES {
-        sum[lane] = sum[lane] + power[lane];
-    }
-    for lane in 0..LANES {
-        sum_x[lane] = sum_x[lane] + power[lane] * dx[lane];
-    }
-    for lane in 0..LANES {
-        sum_y[lane] = sum_y[lane] + power[lane] * dy;
-    }
-    for lane in 0..LANES {
-        sum_xx[lane] = sum_xx[lane] + power[lane] * dx[lane] * dx[lane];
-    }
-    for lane in 0..LANES {
-        sum_xy[lane] = sum_xy[lane] + power[lane] * dx[lane] * dy;
-    }
-    for lane in 0..LANES {
-        sum_yy[lane] = sum_yy[lane] + power[lane] * dy * dy;
-    }
+    add_moments(moments, power, dx, dy);
 }
 
 /// Gradients with respect to positions, quaternions, log-scales, opacities and colours.

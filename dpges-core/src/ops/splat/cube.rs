@@ -1,5 +1,5 @@
-//! GPU kernels: one cube per tile forward; backward and contributions gather, 32 units for each
-//! Gaussian over its own pixels, so that nothing is accumulated across cubes.
+//! GPU kernels. Forward, one cube handles one tile. Backward and contributions gather over the pixels
+//! of each Gaussian.
 
 use burn::backend::TensorMetadata;
 use burn::backend::tensor::FloatTensor;
@@ -11,7 +11,8 @@ use crate::binning::capacity::ListKind;
 use crate::binning::cube::{Ellipses, TileList, bin};
 use crate::camera::Camera;
 use crate::footprint::gaussians::GaussianTensors;
-use crate::footprint::splat_cube::{self, MOMENTS, SPLAT, Splat, add_moments};
+use crate::footprint::moments::MOMENTS;
+use crate::footprint::splat_cube::{self, SPLAT, Splat, add_moments};
 use crate::gpu::gather::{lane, largest, primitive, total, zeros};
 use crate::gpu::launch::{GATHERED, LANES, UNITS, buffer, cube_dim, cubes, empty_f32, floats, gatherers};
 use crate::gpu::rect::Rect;
@@ -25,10 +26,10 @@ const CHANNELS: usize = 4;
 const COLOUR: usize = 3;
 /// A splat and its colour.
 const STAGED: usize = SPLAT + COLOUR;
-/// What is gathered of a Gaussian: moments and colour.
+/// What is gathered for a Gaussian: moments and the gradient of its colour.
 const SUMS: usize = MOMENTS + COLOUR;
 
-/// Depth at and behind which no pixel of a tile sees anything: the largest of its last limits.
+/// Depth at and behind which no pixel of a tile sees a Gaussian: the largest of its last limits.
 #[cube(launch)]
 fn ends_kernel(limits: &[f32], ends: &mut [f32], view: View, #[comptime] layers: usize) {
     if CUBE_POS >= (view.columns * view.rows) as usize {
@@ -121,7 +122,7 @@ fn splat_kernel(
     }
 }
 
-/// Moments and colour sums of every Gaussian over its pixels.
+/// Sums the moments and the gradient of the colour of every Gaussian over its pixels.
 #[cube(launch)]
 fn gather_kernel(
     splats: &[f32],

@@ -1,9 +1,9 @@
 //! `splat`: order-free sums of Gaussians, one per depth interval of a pixel.
 //!
 //! Gaussians and interval limits → [K, 4, H, W]: for interval k the sums of (colour · α, α) over the
-//! Gaussians whose centre depth d satisfies `limit(k−1) ≤ d < limit(k)`; a Gaussian at or behind the
-//! last limit is occluded. α = max(0, opacity) · compensation · exp(−½ dᵀ Q d), dropped below 1/255;
-//! EWA projection with 0.1 px² low-pass (GES). No order, no sorting.
+//! Gaussians whose centre depth d satisfies `limit(k−1) ≤ d < limit(k)`. A Gaussian at or behind the last
+//! limit is occluded. α = max(0, opacity) · compensation · exp(−½ dᵀ Q d), or 0 if that is below 1/255, by
+//! EWA projection with a low-pass filter of 0.1 px² (GES).
 //!
 //! Gradients: from the sums to positions, quaternions, log-scales, opacities and colours. Depth
 //! comparisons and limits carry none.
@@ -25,10 +25,11 @@ use crate::footprint::gaussians::GaussianTensors;
 use crate::scene::Gaussians;
 use crate::scene::tensors::check_shape;
 
+/// How the sums are computed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SplatOptions {
-    /// Adds in the same order every time on GPUs, so that results are the same bits in every run. It costs a
-    /// ranking of the list of every tile, quadratic in its length. CPU backends always have a fixed order.
+    /// Whether GPUs add in a fixed order, so that every run gives the same bits. They then rank the list of
+    /// every tile, which takes time quadratic in its length. CPU backends always add in a fixed order.
     pub deterministic: bool,
 }
 
@@ -65,11 +66,11 @@ pub trait SplatBackwardOps: Backend {
     ) -> GaussianTensors<Self>;
 }
 
-/// Sums [K, 4, H, W] of `gaussians`, coloured `colours` [M, 3] as seen from the camera, for
-/// ascending interval `limits` [K, H, W] ([`interval_limits`](super::limits::interval_limits)).
+/// Sums [K, 4, H, W] of `gaussians` in `colours` [M, 3], as seen from the camera, for ascending interval
+/// `limits` [K, H, W] ([`interval_limits`](super::limits::interval_limits)).
 ///
 /// # Errors
-/// [`crate::Error::Shape`] or [`crate::Error::Camera`] for input that does not fit.
+/// [`crate::Error::Shape`] or [`crate::Error::Camera`] if the input is invalid.
 pub fn splat(
     gaussians: &Gaussians,
     colours: &Tensor<2>,
@@ -88,7 +89,7 @@ pub fn splat(
 /// [K, H, W] is the weight of interval k in the pixel, T_k / (1 + W_G) (GES, pruning). No gradient.
 ///
 /// # Errors
-/// [`crate::Error::Shape`] or [`crate::Error::Camera`] for input that does not fit.
+/// [`crate::Error::Shape`] or [`crate::Error::Camera`] if the input is invalid.
 pub fn contributions(
     gaussians: &Gaussians,
     colours: &Tensor<2>,

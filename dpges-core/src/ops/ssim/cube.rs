@@ -1,4 +1,4 @@
-//! GPU kernels: one cube per tile; the windows are separated in workgroup memory.
+//! GPU kernels: one cube per tile, separable windows in workgroup memory.
 
 use burn::backend::TensorMetadata;
 use burn::backend::ops::FloatTensorOps;
@@ -13,17 +13,19 @@ use crate::gpu::launch::{UNITS, buffer, cube_dim, cubes, empty_f32, floats};
 use crate::gpu::tile::TILE;
 use crate::tiles;
 
-/// Reach of the window on both sides, px, and numbers of a line of it.
+/// Reach of the window on either side, px.
 const REACH: u32 = RADIUS as u32;
+/// Weights along one axis of the window.
 const TAPS: u32 = 2 * REACH + 1;
-/// Edge of a tile with the reach of the window on both sides.
+/// Edge of a tile padded by the reach of the window, px.
 const PADDED: u32 = TILE + 2 * REACH;
-/// Pixels of a padded tile, and of its rows without the padding.
+/// Pixels of a padded tile.
 const PADDED_PIXELS: usize = (PADDED * PADDED) as usize;
+/// Pixels of a tile padded in y only.
 const ROWS: usize = (PADDED * TILE) as usize;
-/// Windowed means of a, b, a², b² and a·b.
+/// Windowed means: of a, b, a², b² and a·b.
 const MEANS: usize = 5;
-/// Partial derivatives.
+/// Partial derivatives of SSIM: [`SsimOutput::partials`].
 const PARTIALS: usize = 3;
 const C1: f32 = cpu::C1 as f32;
 const C2: f32 = cpu::C2 as f32;
@@ -68,7 +70,7 @@ fn tap(window: Window, #[comptime] t: u32) -> f32 {
 #[cube]
 fn padded_pixel(window: Window, index: u32) -> (usize, bool) {
     let tile = CUBE_POS as u32 % window.tiles;
-    // columns and rows are counted from the padding on
+    // column 0 and row 0 are the first of the padding
     let column = tile % window.columns * TILE + index % PADDED;
     let row = tile / window.columns * TILE + index / PADDED;
     let inside = column >= REACH && row >= REACH && column < window.width + REACH && row < window.height + REACH;

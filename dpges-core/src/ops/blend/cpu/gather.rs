@@ -1,4 +1,4 @@
-//! The way back: from the gradients of the planes to those of the parameters.
+//! The backward pass: from the gradients of the planes to those of the parameters.
 
 use rayon::prelude::*;
 
@@ -23,7 +23,7 @@ const BATCH: usize = 64;
 /// Primitives that one task adds sums to.
 const CHUNK: usize = 4096;
 
-/// Lanes that the way back works on; in memory that outlives it, as in `splat`.
+/// Lanes that the backward pass works on, on the heap as in `splat`.
 struct Scratch<T> {
     /// α before it is capped, z, derivative of the payload, αT, gradient of the exponent, gradient of z.
     pixel: Vec<[T; LANES]>,
@@ -49,7 +49,7 @@ struct Entry<'a, T, F> {
     normal: V3<T>,
 }
 
-/// The pixels of a tile on the way from the back to the front.
+/// The pixels of a tile in the backward pass.
 struct WayBack<'a, T> {
     /// T behind the primitive that is next.
     progress: Progress<T>,
@@ -122,7 +122,7 @@ impl<T: Real> WayBack<'_, T> {
         }
     }
 
-    /// Takes one primitive away from a group of pixels and adds what they pass on to it to the sums.
+    /// Removes one primitive from a group of pixels and adds its gradients to the sums.
     #[inline(always)]
     fn pass<F: Projected<T>, const MAPS: bool>(
         &mut self,

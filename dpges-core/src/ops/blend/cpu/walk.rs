@@ -1,4 +1,4 @@
-//! Primitives sorted by depth, and the way through a tile front to back.
+//! Primitives sorted by depth, and the walk through a tile from front to back.
 
 use rayon::prelude::*;
 
@@ -62,14 +62,14 @@ impl<T: Real> Thresholds<T> {
     }
 }
 
-/// How far the pixels of a tile got.
+/// State of the pixels of a tile.
 pub struct Progress<T> {
     /// T
     pub through: [T; TILE_PIXELS],
     /// 1 until a pixel has ended, then 0; 0 outside the image.
     open: [T; TILE_PIXELS],
-    /// Entry of the tile's list before which a pixel ends; 0 outside the image. A whole number, but of the type of
-    /// what it is compared and mixed with, so that lanes stay together.
+    /// Entry of the list before which a pixel ends; 0 outside the image. A whole number of type `T`, so that loops
+    /// over it vectorise.
     pub end: [T; TILE_PIXELS],
 }
 
@@ -99,7 +99,7 @@ pub fn group<V>(values: &mut [V], start: usize) -> &mut [V; LANES] {
     (&mut values[start..start + LANES]).try_into().expect("one group")
 }
 
-/// What [`walk_tile`] tells of a group of lanes. In memory: arrays of their own would be taken apart into scalars.
+/// Fragments of a group of lanes. They are on the heap because the compiler splits local arrays into scalars.
 pub struct Fragments<T> {
     /// α before it is capped.
     weight: [T; LANES],

@@ -1,4 +1,4 @@
-//! What the kernels know of every primitive, nearest first, and its value at a pixel.
+//! Footprint and payload of every primitive, nearest first, and its fragment at a pixel.
 
 use burn::backend::TensorMetadata;
 use burn_cubecl::CubeBackend;
@@ -21,14 +21,14 @@ use crate::gpu::view::{Rests, View, pixel_range, to_camera, view_rotation};
 use crate::ops::blend::Form;
 use crate::tiles::TileGrid;
 
-/// Squared radius, σ², of the disc whose bounding box the screen low-pass is centred in (2DGS).
+/// The low-pass filter is centred in the bounding box of the disc at this squared radius, σ² (2DGS).
 pub const LOW_PASS_SQUARED_RADIUS: f32 = 9.0;
-/// Offset, px, of a low-pass that reaches no pixel; its square is finite.
+/// Offset of a low-pass filter that reaches no pixel, px. Its square is finite.
 const NOWHERE: f32 = 1e15;
-/// Numbers of a primitive beside its shape: a [`Payload`] and, of discs, a [`LowPass`] and its [`Tangents`].
+/// Number of values of a primitive beside its shape: a [`Payload`] and, for discs, [`LowPass`] and [`Tangents`].
 pub const FEATURES: usize = 18;
 
-/// What a primitive adds to the planes where it is blended.
+/// The values of a primitive that are blended.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub struct Payload {
@@ -55,7 +55,7 @@ impl Payload {
     }
 }
 
-/// The low-pass of a disc.
+/// The low-pass filter of a disc.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub struct LowPass {
@@ -114,7 +114,7 @@ impl Tangents {
     }
 }
 
-/// The axis that is the normal: of the smallest scale, the first of several, or a disc's third.
+/// The axis that is the normal: the first with the smallest scale, or the third axis of a disc.
 #[cube]
 pub fn normal_axis(log_scales: Vec3, #[comptime] form: Form) -> u32 {
     let mut axis = 2u32;
@@ -126,7 +126,7 @@ pub fn normal_axis(log_scales: Vec3, #[comptime] form: Form) -> u32 {
     axis
 }
 
-/// −1 where a normal, given in camera space, is turned to face the camera, else 1.
+/// −1 if a normal in camera space must be turned to face the camera, else 1.
 #[cube]
 pub fn facing_sign(normal: Vec3, centre: Vec3) -> f32 {
     select(dot(normal, centre) > 0.0f32, -1.0f32, 1.0f32)
@@ -183,7 +183,7 @@ fn features_kernel(
         let visible = centre.z > view.near;
         let (scale_u, scale_v) = (bounded_scale(log_scales.x), bounded_scale(log_scales.y));
         let (a, b) = (scale(axes.row0, scale_u), scale(axes.row1, scale_v));
-        // centre of the box, relative to the projected centre: nothing large cancels
+        // centre of the box relative to the projected centre, without cancellation of large numbers
         let bulk = LOW_PASS_SQUARED_RADIUS * (a.z * a.z + b.z * b.z) - centre.z * centre.z;
         let bounded = visible && bulk < 0.0f32;
         let factor = LOW_PASS_SQUARED_RADIUS / select(bounded, bulk, -1.0f32);
@@ -201,8 +201,7 @@ fn features_kernel(
     }
 }
 
-/// Pixels that a disc can reach at 1/255, by its plane or by its low-pass. The box around a disc that
-/// crosses the near plane is that of the square around it.
+/// Pixels at which a disc can reach 1/255, by its plane or by its low-pass filter.
 #[cube(launch)]
 fn reach_kernel(
     positions: &[f32],
@@ -275,7 +274,7 @@ pub fn fragment(
     let mut by_plane = 1.0f32;
     if comptime!(form == Form::Ellipsoids) {
         let splat = Splat::load(shapes, i * SPLAT);
-        // one that is not visible has no conic
+        // an invisible splat has no conic
         if splat.strength > 0.0f32 {
             weight = splat.weight(x - splat.mean_x, y - splat.mean_y);
             depth = splat.depth;

@@ -1,8 +1,7 @@
-//! Sums over the pixels of every primitive: one cube per tile goes front to back as the forward pass
-//! does, then from the back to the front, where dividing by 1 − α recovers T. The sums over the
-//! pixels of a tile go into a slot for each entry of its list, and slots are added in the order of
-//! the tiles. Tiles whose slots do not fit are left to a single cube, which goes over all primitives
-//! in one tile after the other and adds to their sums itself: slow, but right.
+//! Sums over the pixels of every primitive. One cube per tile goes front to back like the forward pass, then
+//! back to front, where a division by 1 − α recovers T. Every entry of the list of a tile has a slot for the
+//! sums over the pixels of the tile, and slots are added in the order of the tiles. A single cube handles the
+//! tiles whose slots do not fit: it visits all primitives in one tile after the other. That is slow but correct.
 
 use burn::backend::TensorMetadata;
 use burn::backend::ops::FloatTensorOps;
@@ -15,7 +14,8 @@ use super::Thresholds;
 use super::fragments::{Fragments, LowPass, Payload, Tangents, fragment};
 use crate::camera::Camera;
 use crate::footprint::disc_cube::{DISC_SUMS, DiscPixel, Hit, PLANE, Plane, add_disc_sums};
-use crate::footprint::splat_cube::{MOMENTS, SPLAT, Splat, add_moments};
+use crate::footprint::moments::MOMENTS;
+use crate::footprint::splat_cube::{SPLAT, Splat, add_moments};
 use crate::gpu::launch::{UNITS, buffer, cube_dim, cubes, empty_f32, units};
 use crate::gpu::rect::Rect;
 use crate::gpu::tile::{TILE, own_pixel, plane_of};
@@ -23,16 +23,16 @@ use crate::gpu::view::View;
 use crate::ops::blend::{BlendOptions, Form};
 use crate::tiles::TileGrid;
 
-/// Units that fold one sum together, and the parts that are left of it: [`UNITS`] is its square.
+/// Units that fold one sum, and parts of a sum after the first fold.
 const FOLD: usize = 16;
 const _: () = assert!(FOLD * FOLD == UNITS as usize);
-/// Σ x, Σ y, Σ |x|, Σ |y|
+/// Sums of the probe: Σ x, Σ y, Σ |x|, Σ |y|.
 pub const PROBE: usize = 4;
-/// Sums that are added over the units of a cube at a time.
+/// Sums that a cube folds at a time.
 const GROUP: usize = 12;
 
-/// Which sums there are, in this order: those of the shape ([`MOMENTS`] or [`DISC_SUMS`]), then the rest:
-/// of the colour, of what the shape's sums lack, of the normal, of the probe.
+/// The sums of a primitive, in this order: those of the shape ([`MOMENTS`] or [`DISC_SUMS`]), then the rest:
+/// of the colour, of gradients that the shape lacks, of the normal, of the probe.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Layout {
     pub form: Form,
@@ -48,8 +48,8 @@ impl Layout {
         }
     }
 
-    /// Place among the rest of what the shape's sums lack: of ellipsoids the depth, of discs the two
-    /// coordinates of the low-pass and the exponent.
+    /// Place among the rest of the gradients that the shape lacks: the depth of ellipsoids; the two coordinates
+    /// of the low-pass filter and the exponent of discs.
     pub fn beside(self) -> usize {
         3
     }
@@ -334,7 +334,7 @@ fn gather_kernel(
                     }
                 }
                 sync_cube();
-                // several units for each sum, then one
+                // several units fold each sum, then one unit
                 if unit < FOLD * GROUP {
                     let mut part = 0.0f32;
                     for k in 0..FOLD {
@@ -357,8 +357,8 @@ fn gather_kernel(
     }
 }
 
-/// `taken` sums of every primitive, from the `first` on, in the order of the parameters: its slots in
-/// the order of the tiles.
+/// Adds the slots of every primitive in the order of the tiles: `taken` sums from the `first` on. Rows are in the
+/// order of the parameters.
 #[cube(launch)]
 fn collect_kernel(
     rects: &[u32],
@@ -416,8 +416,8 @@ fn zeros(like: &CubeTensor, rows: usize, width: usize) -> CubeTensor {
     CubeBackend::float_zeros(Shape::from([rows.max(1), width]), &like.device, FloatDType::F32)
 }
 
-/// Sums of the shape [M, [`Layout::shape`]] and the rest [M, [`Layout::rest`]], rows in the order of
-/// the parameters, for the gradient `grad` [P, H, W].
+/// Sums of the shape [M, [`Layout::shape`]] and the rest [M, [`Layout::rest`]] for the gradient `grad` [P, H, W].
+/// Rows are in the order of the parameters.
 pub fn gather(
     fragments: &Fragments,
     grad: &CubeTensor,

@@ -1,4 +1,4 @@
-//! From the sums over the pixels of every primitive to its raw parameters.
+//! Gradients of the raw parameters of every primitive, from the sums over its pixels.
 
 use burn::backend::TensorMetadata;
 use burn_cubecl::CubeBackend;
