@@ -9,13 +9,12 @@ use dpges_benches::training::{Parameter, Training, Variant, adam_settings};
 use dpges_benches::{cpus, devices, machine, plain};
 use dpges_core::ops::blend::{Blend, BlendOptions, Form, blend};
 use dpges_core::ops::composite::{Composite, CompositeOptions, composite};
+use dpges_core::ops::limits::interval_limits;
 use dpges_core::ops::peel::{Layers, PeelOptions, peel};
-use dpges_core::ops::splat::limits::interval_limits;
-use dpges_core::ops::splat::splat;
+use dpges_core::ops::splat::{SplatOptions, splat};
 use dpges_core::ops::ssim::ssim;
 use dpges_core::render::{Render, RenderOptions, render};
 use dpges_core::scene::schema::Columns;
-use dpges_core::scene::tensors::flat;
 use dpges_core::scene::{Gaussians, MarginLookup, Surfels};
 use dpges_core::testing::scenes::{TestScene, realistic};
 
@@ -52,12 +51,12 @@ impl View {
     fn peel_leaves(&self, of: impl Fn(Tensor<2>) -> Tensor<2>) -> Layers {
         let s = &self.surfels;
         let [p, q, l] = [&s.positions, &s.quaternions, &s.log_scales].map(|tensor| of(tensor.clone()));
-        peel(p, q, l, &self.scene.camera, &PeelOptions::default()).unwrap()
+        peel(&p, &q, &l, &self.scene.camera, &PeelOptions::default()).unwrap()
     }
 
     fn splat(&self) -> Tensor<4> {
-        let colours = self.render.gaussian_colours.clone();
-        splat(&self.gaussians, colours, self.render.limits.clone(), &self.scene.camera).unwrap()
+        let (colours, limits) = (&self.render.gaussian_colours, &self.render.limits);
+        splat(&self.gaussians, colours, limits, &self.scene.camera, &SplatOptions::default()).unwrap()
     }
 
     fn gaussian_leaves(&self) -> Gaussians {
@@ -66,12 +65,12 @@ impl View {
 
     fn splat_leaves(&self) -> Tensor<4> {
         let limits = self.render.limits.clone().autodiff();
-        splat(&self.gaussian_leaves(), leaf(&self.render.gaussian_colours), limits, &self.scene.camera).unwrap()
+        let colours = leaf(&self.render.gaussian_colours);
+        splat(&self.gaussian_leaves(), &colours, &limits, &self.scene.camera, &SplatOptions::default()).unwrap()
     }
 
     fn blend(&self, options: &BlendOptions) -> Blend {
-        let colours = self.render.gaussian_colours.clone();
-        blend(&self.gaussians, colours, None, &self.scene.camera, options).unwrap()
+        blend(&self.gaussians, &self.render.gaussian_colours, None, &self.scene.camera, options).unwrap()
     }
 
     /// All outputs that carry gradients.
@@ -79,7 +78,7 @@ impl View {
         let colours = &self.render.gaussian_colours;
         let zeros = || Tensor::<2>::zeros([self.gaussians.len(), 4], (&colours.device(), colours.dtype()));
         let probe = with_probe.then(|| leaf(&zeros()));
-        let out = blend(&self.gaussian_leaves(), leaf(colours), probe, &self.scene.camera, options).unwrap();
+        let out = blend(&self.gaussian_leaves(), &leaf(colours), probe.as_ref(), &self.scene.camera, options).unwrap();
         let loss = out.colour.sum() + out.alpha.sum();
         match out.maps {
             Some(maps) => loss + maps.depth.sum() + maps.normal.sum() + maps.distortion.sum(),
@@ -94,7 +93,7 @@ impl View {
 
     fn composite_of(&self, layers: Layers, colours: Tensor<2>, sums: Tensor<4>, own: bool) -> Composite {
         if own {
-            composite(&layers, colours, sums, BLENDING).unwrap()
+            composite(&layers, &colours, &sums, &BLENDING).unwrap()
         } else {
             plain::composite(&layers, colours, sums, &BLENDING)
         }
@@ -153,14 +152,14 @@ fn operations(c: &mut Criterion) {
         };
         forward("peel", &|| _ = black_box(view.peel()));
         forward("limits", &|| {
-            let margins = flat(&view.surfels.margins);
+            let margins = &view.surfels.margins;
             _ = black_box(interval_limits(&view.render.layers, margins, MarginLookup::Shifted).unwrap());
         });
         forward("splat", &|| _ = black_box(view.splat()));
         forward("composite", &|| _ = black_box(view.composite(&sums, true)));
         forward("composite, plain", &|| _ = black_box(view.composite(&sums, false)));
         let (image, target) = (&view.render.composite.image, &view.render.composite.surfel_image);
-        forward("ssim", &|| _ = black_box(ssim(image.clone(), target.clone()).unwrap()));
+        forward("ssim", &|| _ = black_box(ssim(image, target).unwrap()));
         forward("render", &|| {
             _ = black_box(
                 render(&view.surfels, &view.gaussians, &view.scene.camera, &RenderOptions::default()).unwrap(),
@@ -191,7 +190,7 @@ fn operations(c: &mut Criterion) {
         backward("splat", &|| view.splat_leaves().sum());
         backward("composite", &|| view.composite_loss(&sums, true));
         backward("composite, plain", &|| view.composite_loss(&sums, false));
-        backward("ssim", &|| ssim(leaf(image), target.clone().autodiff()).unwrap());
+        backward("ssim", &|| ssim(&leaf(image), &target.clone().autodiff()).unwrap());
         for (operation, own) in [("Adam", true), ("Adam, plain", false)] {
             let (mut parameters, mut time) = (parameters(&view), 0);
             group.bench_function(operation, |b| {

@@ -5,12 +5,11 @@ use dpges_core::losses::{LossWeights, losses};
 use dpges_core::ops::adam::{AdamStep, adam_step};
 use dpges_core::ops::colour::colour;
 use dpges_core::ops::composite::CompositeOptions;
+use dpges_core::ops::limits::interval_limits;
 use dpges_core::ops::peel::peel;
-use dpges_core::ops::splat::limits::interval_limits;
 use dpges_core::ops::splat::splat;
 use dpges_core::render::{Render, RenderOptions, Values, render_values, validate};
 use dpges_core::scene::schema::{Columns, GaussianColumns, SurfelColumns};
-use dpges_core::scene::tensors::flat;
 use dpges_core::scene::{Gaussians, Surfels};
 use dpges_core::testing::scenes::TestScene;
 
@@ -60,7 +59,7 @@ impl Parameter {
         let (value, moments) = self.state.take().expect("nothing is being stepped");
         self.state = Some(if own {
             let gate = Tensor::ones([1], (&grad.device(), grad.dtype()));
-            adam_step(value, moments, grad, gate, step).expect("a gradient has the shape of its parameter")
+            adam_step(value, moments, &grad, &gate, &step).expect("a gradient has the shape of its parameter")
         } else {
             plain::adam_step(value, moments, grad, &step)
         });
@@ -133,11 +132,10 @@ impl Training {
         let centre = camera.centre().to_array();
         let surfel_colours = colour(&surfels.colour, &surfels.positions, centre).expect("valid");
         let gaussian_colours = colour(&gaussians.colour, &gaussians.positions, centre).expect("valid");
-        let [positions, quaternions, log_scales] =
-            [&surfels.positions, &surfels.quaternions, &surfels.log_scales].map(Clone::clone);
-        let layers = peel(positions, quaternions, log_scales, camera, &options.peel).expect("valid");
-        let limits = interval_limits(&layers, flat(&surfels.margins), options.margin_lookup).expect("valid");
-        let sums = splat(gaussians, gaussian_colours.clone(), limits.clone(), camera).expect("valid");
+        let (positions, quaternions) = (&surfels.positions, &surfels.quaternions);
+        let layers = peel(positions, quaternions, &surfels.log_scales, camera, &options.peel).expect("valid");
+        let limits = interval_limits(&layers, &surfels.margins, options.margin_lookup).expect("valid");
+        let sums = splat(gaussians, &gaussian_colours, &limits, camera, &options.splat).expect("valid");
         let blending = CompositeOptions { background: options.background, detach_transmittance: false };
         let composite = plain::composite(&layers, surfel_colours.clone(), sums, &blending);
         Render { composite, layers, limits, surfel_colours, gaussian_colours }

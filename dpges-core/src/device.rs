@@ -1,6 +1,4 @@
-//! What kind of device a tensor lives on, and how devices add up.
-
-use std::sync::atomic::{AtomicBool, Ordering};
+//! What kind of device a tensor lives on.
 
 use burn::tensor::Device;
 
@@ -11,18 +9,4 @@ pub fn is_gpu(device: &Device) -> bool {
         burn::backend::DispatchDevice::Cube(_) => true,
         _ => false,
     }
-}
-
-static DETERMINISTIC: AtomicBool = AtomicBool::new(false);
-
-/// Fixes the order of sums on GPUs from now on, for the whole process, so that results are the same
-/// bits in every run. It costs a ranking of the list of every tile, quadratic in its length.
-/// CPU backends always have a fixed order.
-pub fn fix_order_of_sums() {
-    DETERMINISTIC.store(true, Ordering::Relaxed);
-}
-
-/// Whether [`fix_order_of_sums`] was called.
-pub fn is_deterministic() -> bool {
-    DETERMINISTIC.load(Ordering::Relaxed)
 }

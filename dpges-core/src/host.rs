@@ -33,12 +33,13 @@ pub fn ints<B: Host>(tensor: &IntTensor<B>) -> Cow<'_, [i32]> {
     })
 }
 
-/// The elements of a float tensor in a vector of its own; moved out where nothing else shares them.
+/// The elements of a float tensor as a vector, moved out if nothing else shares them.
 pub fn take_floats<B: Host, T: Real>(tensor: FloatTensor<B>) -> Vec<T> {
     let data = read_sync(B::float_into_data(tensor)).expect("tensors in host memory can be read");
     data.try_into_vec().expect("element type was matched by the caller")
 }
 
+/// A float tensor of row-major `values`.
 pub fn float_tensor<B: Backend, T: Real, const D: usize>(
     values: Vec<T>,
     shape: [usize; D],
@@ -47,6 +48,7 @@ pub fn float_tensor<B: Backend, T: Real, const D: usize>(
     B::float_from_data(TensorData::new(values, shape), device)
 }
 
+/// An integer tensor of row-major `values`.
 pub fn int_tensor<B: Backend, const D: usize>(values: Vec<i32>, shape: [usize; D], device: &B::Device) -> IntTensor<B> {
     B::int_from_data(TensorData::new(values, shape), device)
 }
@@ -90,8 +92,8 @@ impl Host for burn::backend::Flex {
     }
 }
 
-/// Calls `$body` with the type alias `$T` bound to the element type of a tensor; the public
-/// functions reject every other element type before an operation is dispatched.
+/// Evaluates `$body` with `$T` as an alias of the element type of a tensor. Public functions reject other element
+/// types before they dispatch.
 macro_rules! with_real {
     ($dtype:expr, $T:ident => $body:expr) => {
         match $dtype {
@@ -109,7 +111,7 @@ macro_rules! with_real {
 }
 pub(crate) use with_real;
 
-/// Implements an operation for every CPU backend that is switched on.
+/// Implements an operation for every CPU backend whose feature is enabled.
 macro_rules! for_each_cpu_backend {
     ($implement:ident) => {
         #[cfg(feature = "ndarray")]

@@ -24,11 +24,13 @@
 #![recursion_limit = "256"]
 
 pub mod atomic;
+pub mod binning;
 pub mod camera;
 pub mod device;
 pub mod error;
+pub mod footprint;
 #[cfg(feature = "gpu")]
-pub mod gpu;
+mod gpu;
 mod host;
 pub mod losses;
 mod math;
@@ -38,8 +40,10 @@ mod real;
 pub mod render;
 pub mod scene;
 mod simd;
+mod tape;
 pub mod tensor_file;
 #[cfg(any(test, feature = "testing"))]
 pub mod testing;
+mod tiles;
 
 pub use error::{Error, Result};

@@ -42,7 +42,7 @@ pub fn l1(image: Tensor<3>, target: Tensor<3>) -> Tensor<1> {
 /// # Errors
 /// [`crate::Error::Shape`] if the images differ in shape.
 pub fn rgb(image: Tensor<3>, target: Tensor<3>, dssim_share: f64) -> Result<Tensor<1>> {
-    let similarity = ssim(image.clone(), target.clone())?;
+    let similarity = ssim(&image, &target)?;
     Ok(l1(image, target) * (1.0 - dssim_share) + (similarity * -1.0 + 1.0) * dssim_share)
 }
 

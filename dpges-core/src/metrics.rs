@@ -22,5 +22,5 @@ pub fn psnr(image: Tensor<3>, target: Tensor<3>) -> f64 {
 /// # Errors
 /// [`crate::Error::Shape`] if they differ in shape.
 pub fn mean_ssim(image: Tensor<3>, target: Tensor<3>) -> Result<f64> {
-    Ok(ssim(image, target)?.into_data().iter::<f64>().next().unwrap_or(f64::NAN))
+    Ok(ssim(&image, &target)?.into_data().iter::<f64>().next().unwrap_or(f64::NAN))
 }

@@ -11,7 +11,7 @@ pub trait Real: num_traits::Float + Element + bytemuck::Pod + Send + Sync + std:
 
     fn as_f64(self) -> f64;
 
-    /// e^self for self ≤ 0 to within 2 units in the last place (0 far below the cutoff), written so that loops over it vectorise.
+    /// e^self for self ≤ 0, within 2 units in the last place; 0 far below the cutoff. Loops over it vectorise.
     fn exp_nonpositive(self) -> Self;
 }
 

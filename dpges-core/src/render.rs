@@ -10,16 +10,16 @@ use crate::error::{Error, Result};
 use crate::ops::colour::colour;
 use crate::ops::composite::{Composite, CompositeOptions, composite};
 use crate::ops::finite::{FiniteChecks, check_finite};
+use crate::ops::limits::interval_limits;
 use crate::ops::peel::{Layers, PeelOptions, peel};
-use crate::ops::splat::limits::interval_limits;
-use crate::ops::splat::splat;
+use crate::ops::splat::{SplatOptions, splat};
 use crate::scene::schema::Columns;
-use crate::scene::tensors::flat;
 use crate::scene::{Gaussians, MarginLookup, SceneInfo, Surfels};
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RenderOptions {
     pub peel: PeelOptions,
+    pub splat: SplatOptions,
     /// Where the depth intervals of the transmittance end.
     pub margin_lookup: MarginLookup,
     /// C_b, display-referred.
@@ -32,6 +32,7 @@ impl Default for RenderOptions {
     fn default() -> Self {
         Self {
             peel: PeelOptions::default(),
+            splat: SplatOptions::default(),
             margin_lookup: MarginLookup::default(),
             background: [0.0; 3],
             detach_transmittance: false,
@@ -43,6 +44,7 @@ impl From<&SceneInfo> for RenderOptions {
     fn from(info: &SceneInfo) -> Self {
         Self {
             peel: PeelOptions::from(info),
+            splat: SplatOptions::default(),
             margin_lookup: info.margin_lookup,
             background: info.background,
             detach_transmittance: false,
@@ -160,17 +162,11 @@ pub fn render_values(
     let centre = camera.centre().to_array();
     let surfel_colours = colour(&surfels.colour, &surfels.positions, centre)?;
     let gaussian_colours = colour(&gaussians.colour, &gaussians.positions, centre)?;
-    let layers = peel(
-        surfels.positions.clone(),
-        surfels.quaternions.clone(),
-        surfels.log_scales.clone(),
-        camera,
-        &options.peel,
-    )?;
-    let limits = interval_limits(&layers, flat(&surfels.margins), options.margin_lookup)?;
-    let sums = splat(gaussians, gaussian_colours.clone(), limits.clone(), camera)?;
+    let layers = peel(&surfels.positions, &surfels.quaternions, &surfels.log_scales, camera, &options.peel)?;
+    let limits = interval_limits(&layers, &surfels.margins, options.margin_lookup)?;
+    let sums = splat(gaussians, &gaussian_colours, &limits, camera, &options.splat)?;
     let blending =
         CompositeOptions { background: options.background, detach_transmittance: options.detach_transmittance };
-    let composite = composite(&layers, surfel_colours.clone(), sums, blending)?;
+    let composite = composite(&layers, &surfel_colours, &sums, &blending)?;
     Ok(Render { composite, layers, limits, surfel_colours, gaussian_colours })
 }

@@ -1,4 +1,7 @@
-//! Kernels are written as loops over fixed-size lanes; this picks the instructions they compile to.
+//! Vector instructions for kernels that are loops over a fixed number of lanes.
+
+/// Pixels that kernels process together.
+pub const LANES: usize = 8;
 
 /// Runs `kernel` compiled for the widest vector instructions of this machine. Everything it calls
 /// must be `#[inline(always)]` to profit.

@@ -62,6 +62,16 @@ impl Renderer {
         }
     }
 
+    /// The same scene, rendered to the same bits in every run if `deterministic`
+    /// ([`SplatOptions::deterministic`](dpges_core::ops::splat::SplatOptions)).
+    #[must_use]
+    pub fn deterministic(mut self, deterministic: bool) -> Self {
+        if let Options::Peeled(options) = &mut self.options {
+            options.splat.deterministic = deterministic;
+        }
+        self
+    }
+
     /// The view from `camera`, which stands in the scene's own coordinates.
     ///
     /// # Errors
@@ -80,6 +90,6 @@ impl Renderer {
 
     /// Blended depth and normal of the surfels in a `view` from `camera`.
     pub fn geometry(&self, camera: &Camera, view: &Render) -> Geometry {
-        geometry(&self.surfels, camera, &view.layers, &view.composite.transmittance)
+        geometry(&self.surfels, &view.layers, &view.composite.transmittance, camera)
     }
 }

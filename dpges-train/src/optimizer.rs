@@ -69,7 +69,7 @@ impl Parameter {
         let gradient = gradient.unwrap_or_else(|| self.raw.zeros_like());
         // Moved out, so that the step can work in place.
         let raw = std::mem::replace(&mut self.raw, zeros([0, 0], &gate.device()));
-        let (raw, moments) = adam_step(raw, moments, gradient, gate.clone(), step)?;
+        let (raw, moments) = adam_step(raw, moments, &gradient, gate, &step)?;
         (self.raw, self.moments) = (raw, Some(moments));
         Ok(())
     }

@@ -16,7 +16,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use burn::tensor::Device;
-use dpges_core::device::{fix_order_of_sums, is_gpu};
+use dpges_core::device::is_gpu;
 use dpges_core::scene::{GaussianData, SceneData};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -121,9 +121,6 @@ impl Trainer {
     /// [`TrainError::Init`] if the dataset has nothing to start from, [`TrainError::Given`] if a file that the
     /// configuration names cannot take the place of a stage.
     pub fn new(dataset: Arc<Dataset>, config: Config, device: Device) -> Result<Self, TrainError> {
-        if config.train.deterministic {
-            fix_order_of_sums();
-        }
         let plan = config.plan();
         let rng = ChaCha8Rng::seed_from_u64(config.train.seed);
         let mut context = Context { dataset, config, device, rng, remaining_views: Vec::new(), completed_steps: 0 };

@@ -124,7 +124,7 @@ fn a_fourth_rim_is_ignored_and_the_transmittance_loss_opens_the_other_three() {
     let colours = Tensor::<2>::from_data(render.surfel_colours.clone().into_data(), (&device, DType::F64));
     let sums = Tensor::<4>::zeros([3, 4, 1, 1], (&device, DType::F64));
     let blending = CompositeOptions { background: BACKGROUND, detach_transmittance: false };
-    let composite = composite(&layers, colours.clone(), sums, blending).unwrap();
+    let composite = composite(&layers, &colours, &sums, &blending).unwrap();
     let limits = on_tape(&render.limits);
     let view = Render { composite, layers, limits, surfel_colours: colours.clone(), gaussian_colours: colours };
     let gradient = values(&opacity.grad(&losses::transmittance(&view).backward()).unwrap());

@@ -1,8 +1,7 @@
 //! CPU and GPU: every operation on the same input, forward and backward, and whole renders.
 
 use burn::tensor::{DType, Device};
-use dpges_core::device::fix_order_of_sums;
-use dpges_core::gpu::lists::cap_lists;
+use dpges_core::binning::cap_lists;
 use dpges_core::ops::blend::Form;
 use dpges_core::ops::peel::PeelOptions;
 use dpges_core::scene::{ColourModel, Footprint};
@@ -167,8 +166,7 @@ fn ordered_sums_are_the_same_bits_every_time() {
     let Some(device) = gpu("ordered_sums_are_the_same_bits_every_time") else { return };
     let scene = scenes::realistic(300, 4_000, 96, 64, 2);
     let reference = on(&scene, PeelOptions::default(), &ndarray()).reference();
-    fix_order_of_sums();
-    let run = || on(&scene, PeelOptions::default(), &device).against(&reference);
+    let run = || on(&scene, PeelOptions::default(), &device).deterministic().against(&reference);
     let first = run();
     for _ in 0..3 {
         assert!(run() == first, "two runs differ");

@@ -1,13 +1,13 @@
-//! Sums and products of f32 numbers without rounding error, as unevaluated sums of two (Dekker, Knuth).
+//! Sums and products of f32 numbers without rounding errors, as unevaluated sums of two numbers (Dekker, Knuth).
 //!
-//! Shader compilers may simplify `(a + b) − a` to `b`, which is what these functions live on. Results
-//! that must be rounded pass through [`opaque`], an exclusive or with a zero that only the host knows.
+//! These functions rely on the rounding of `(a + b) − a`, which shader compilers may simplify to `b`. Results
+//! that must be rounded therefore pass through [`opaque`]: an exclusive or with a zero that only the host knows.
 
 use cubecl::prelude::*;
 
 use super::vector::{Vec3, vec3};
 
-/// high + low, |low| at most half a unit in the last place of high.
+/// The number high + low. |low| is at most half a unit in the last place of high.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub struct Pair {
@@ -29,7 +29,7 @@ pub fn two_sum(a: f32, b: f32, zero: u32) -> Pair {
     Pair { high, low: opaque(a - of_a, zero) + opaque(b - of_b, zero) }
 }
 
-/// The upper half of the significand; the rest of x is exact.
+/// x with the upper half of its significand. x minus this is exact.
 #[cube]
 fn upper(x: f32) -> f32 {
     f32::reinterpret(u32::reinterpret(x) & 0xffff_f000u32)

@@ -7,20 +7,20 @@ use burn_cubecl::kernel::into_contiguous;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::{BufferArg, CubeCount, CubeDim};
 
-/// Units of a cube in every kernel.
+/// Units of a cube, in every kernel.
 pub const UNITS: u32 = 256;
-/// Units that gather for one primitive together.
+/// Units that gather for one primitive.
 pub const LANES: u32 = 32;
-/// Primitives that one cube gathers for.
-pub const GATHERED: u32 = UNITS / LANES;
-/// What every implementation allows along one axis of a grid.
+/// Primitives that a cube gathers for.
+pub const GATHERED: usize = (UNITS / LANES) as usize;
+/// Cubes along one axis of a grid that every implementation allows.
 const MAX_CUBES: u32 = 65_535;
 
 pub fn cube_dim() -> CubeDim {
     CubeDim::new_1d(UNITS)
 }
 
-/// A grid of at least `count` cubes; kernels end surplus cubes.
+/// A grid of at least `count` cubes. Kernels terminate surplus cubes.
 pub fn cubes(count: usize) -> CubeCount {
     let count = u32::try_from(count).expect("fewer than 2³² cubes").max(1);
     let rows = count.div_ceil(MAX_CUBES);
@@ -34,10 +34,10 @@ pub fn units(count: usize) -> CubeCount {
 
 /// A grid with [`LANES`] units for each of `count` primitives.
 pub fn gatherers(count: usize) -> CubeCount {
-    cubes(count.div_ceil(GATHERED as usize))
+    cubes(count.div_ceil(GATHERED))
 }
 
-/// An uninitialised contiguous tensor beside `like`.
+/// An uninitialised contiguous tensor on the device of `like`.
 pub fn empty(like: &CubeTensor, shape: impl Into<Shape>, dtype: DType) -> CubeTensor {
     let shape = shape.into();
     let handle = like.client.empty(shape.num_elements().max(1) * dtype.size());
@@ -52,7 +52,7 @@ pub fn empty_u32(like: &CubeTensor, shape: impl Into<Shape>) -> CubeTensor {
     empty(like, shape, DType::U32)
 }
 
-/// Zeros beside `like`.
+/// Zeros on the device of `like`.
 pub fn zeros_u32(like: &CubeTensor, shape: impl Into<Shape>) -> CubeTensor {
     use burn::backend::ops::IntTensorOps;
     CubeBackend::int_zeros(shape.into(), &like.device, burn::tensor::IntDType::U32)
@@ -61,7 +61,7 @@ pub fn zeros_u32(like: &CubeTensor, shape: impl Into<Shape>) -> CubeTensor {
 /// Row-major `f32` tensor for a kernel.
 ///
 /// # Panics
-/// For another element type: GPUs compute in f32, f64 belongs to the CPU backends.
+/// If the element type is not f32: only CPU backends compute in f64.
 pub fn floats(tensor: CubeTensor) -> CubeTensor {
     assert_eq!(tensor.dtype, DType::F32, "GPU kernels take f32 tensors");
     into_contiguous(tensor)
@@ -73,7 +73,7 @@ pub fn integers(tensor: CubeTensor) -> CubeTensor {
     into_contiguous(tensor)
 }
 
-/// A tensor as the argument of a kernel; an empty one is bound as a buffer that nothing reads.
+/// A tensor as the argument of a kernel. An empty tensor is bound as a buffer that no kernel reads.
 pub fn buffer(tensor: &CubeTensor) -> BufferArg {
     if tensor.shape().num_elements() == 0 {
         return empty(tensor, [1], tensor.dtype).into_buffer_arg();

@@ -1,11 +1,13 @@
-//! What the CubeCL kernels share: launching, uniforms, vectors, exact arithmetic, settings.
+//! The kernel kit: launching, uniforms, vectors, exact arithmetic, gathering. It knows no operation.
 //!
-//! Every kernel keeps within what WebGPU guarantees: at most 7 buffers of its own (the eighth holds
-//! the scalars), 16 KiB of workgroup memory, 256 units, no float atomics, no subgroups, no reliance
-//! on NaN; infinity is never a constant but a uniform.
+//! Every kernel stays within the limits that WebGPU guarantees: at most 7 buffers (an eighth holds the
+//! scalars), 16 KiB of workgroup memory, 256 units, no float atomics, no subgroups. No kernel relies on
+//! NaN, and infinity is a uniform, never a constant.
 
 pub(crate) mod exact;
+pub(crate) mod gather;
 pub(crate) mod launch;
-pub mod lists;
+pub(crate) mod rect;
+pub(crate) mod tile;
 pub(crate) mod vector;
 pub(crate) mod view;

@@ -10,7 +10,7 @@ pub struct Vec3 {
     pub z: f32,
 }
 
-/// By rows.
+/// A 3 × 3 matrix by rows.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub struct Mat3 {
@@ -33,23 +33,44 @@ pub fn vec3(x: f32, y: f32, z: f32) -> Vec3 {
     Vec3 { x, y, z }
 }
 
-/// Row `i` of a [N, 3] buffer.
+/// Reads three numbers from `start` on.
 #[cube]
-pub fn row3(values: &[f32], i: usize) -> Vec3 {
-    vec3(values[3 * i], values[3 * i + 1], values[3 * i + 2])
+pub fn load3(values: &[f32], start: usize) -> Vec3 {
+    vec3(values[start], values[start + 1], values[start + 2])
 }
 
-/// Row `i` of a [N, 4] buffer.
+/// Reads row `i` of a [N, 3] buffer.
+#[cube]
+pub fn row3(values: &[f32], i: usize) -> Vec3 {
+    load3(values, 3 * i)
+}
+
+/// Adds to row `i` of a [N, 3] buffer.
+#[cube]
+pub fn add3(out: &mut [f32], i: usize, v: Vec3) {
+    out[3 * i] += v.x;
+    out[3 * i + 1] += v.y;
+    out[3 * i + 2] += v.z;
+}
+
+/// Reads row `i` of a [N, 4] buffer.
 #[cube]
 pub fn row4(values: &[f32], i: usize) -> Quaternion {
     Quaternion { w: values[4 * i], x: values[4 * i + 1], y: values[4 * i + 2], z: values[4 * i + 3] }
 }
 
+/// Writes three numbers from `start` on.
+#[cube]
+pub fn store3(out: &mut [f32], start: usize, v: Vec3) {
+    out[start] = v.x;
+    out[start + 1] = v.y;
+    out[start + 2] = v.z;
+}
+
+/// Writes row `i` of a [N, 3] buffer.
 #[cube]
 pub fn write3(out: &mut [f32], i: usize, v: Vec3) {
-    out[3 * i] = v.x;
-    out[3 * i + 1] = v.y;
-    out[3 * i + 2] = v.z;
+    store3(out, 3 * i, v);
 }
 
 #[cube]
@@ -87,7 +108,7 @@ pub fn transpose(m: Mat3) -> Mat3 {
     }
 }
 
-/// A power of two near the largest component, and its reciprocal; (0, 0) where all are zero.
+/// A power of two near the largest component and its reciprocal; (0, 0) if all components are zero.
 #[cube]
 fn magnitude(q: Quaternion) -> (f32, f32) {
     let largest = max(max(f32::abs(q.w), f32::abs(q.x)), max(f32::abs(q.y), f32::abs(q.z)));
@@ -110,7 +131,7 @@ pub fn unit(q: Quaternion) -> (Quaternion, f32) {
     (normalised, inverse * inverse_power)
 }
 
-/// Quaternion scaled by a power of two, exactly, so that its largest component is in [1, 2); the
+/// The quaternion scaled exactly, by a power of two, so that its largest component lies in [1, 2). The
 /// identity for a zero quaternion.
 #[cube]
 pub fn near_unit(q: Quaternion) -> Quaternion {
@@ -171,6 +192,7 @@ pub fn rotation_backward(raw: Quaternion, d: Mat3) -> Quaternion {
     }
 }
 
+/// Writes row `i` of a [N, 4] buffer.
 #[cube]
 pub fn write4(out: &mut [f32], i: usize, q: Quaternion) {
     out[4 * i] = q.w;
@@ -182,8 +204,8 @@ pub fn write4(out: &mut [f32], i: usize, q: Quaternion) {
 /// 2 / π
 const PER_QUARTER: f32 = std::f32::consts::FRAC_2_PI;
 
-/// Sine and cosine to f32 accuracy, which WGSL does not promise: reduction by π/2 in three parts,
-/// polynomials on [−π/4, π/4] (Cephes).
+/// Sine and cosine to f32 accuracy, which WGSL does not guarantee. Reduces by π/2 in three parts and
+/// evaluates polynomials on [−π/4, π/4] (Cephes).
 #[cube]
 pub fn sin_cos(angle: f32) -> (f32, f32) {
     let quarter = f32::round(angle * PER_QUARTER);

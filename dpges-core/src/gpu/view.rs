@@ -4,7 +4,7 @@ use cubecl::prelude::*;
 
 use super::vector::{Mat3, Vec3, add, apply, vec3};
 use crate::camera::Camera;
-use crate::ops::binning::TileGrid;
+use crate::tiles::TileGrid;
 
 /// Uniforms of every kernel that looks through a camera.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
@@ -31,9 +31,9 @@ pub struct View {
     pub cx: f32,
     pub cy: f32,
     pub near: f32,
-    /// A constant infinity is an error in WGSL.
+    /// +∞. WGSL rejects a constant infinity.
     pub infinity: f32,
-    /// 0, unknown to the compiler: see [`super::exact`].
+    /// Always 0, but the compiler does not know: see [`super::exact`].
     pub zero: u32,
     pub width: u32,
     pub height: u32,
@@ -104,7 +104,7 @@ pub fn pixel_range(low: f32, high: f32, size: u32) -> (u32, u32) {
     (u32::cast_from(first), u32::cast_from(end))
 }
 
-/// The camera to twice the precision of f32: each number beside what rounding took from it.
+/// Rounding errors of [`View`]: a number of the camera in f64 is the sum of the two.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub struct Rests {

@@ -1,26 +1,37 @@
 //! The custom operations, in the order in which a training step uses them: [`finite`], [`colour`],
-//! [`peel`], [`splat`], [`composite`], [`ssim`], [`adam`]; [`coverage`] and [`jitter`] serve refinement; [`blend`]
-//! takes the place of peel, splat and composite where Gaussians or discs are trained alone; [`binning`],
-//! [`bands`] and, on GPUs, `boxes` are shared.
+//! [`peel`], [`limits`], [`splat`], [`composite`], [`ssim`], [`adam`]. [`coverage`] and [`jitter`] serve refinement.
+//! [`blend`] replaces peel, splat and composite where Gaussians or discs are trained alone.
 //!
-//! Each folder has the same files: `mod.rs` is the contract (shapes, units, which gradients exist,
-//! source) and the public function, `cpu.rs` the kernels of the CPU backends, `cube.rs` their CubeCL
-//! twins for GPUs, `backward.rs` the registration with Burn's tape, `tests.rs` what only this
-//! operation needs. To add an operation, copy the shape of `colour`, the smallest that has them all.
+//! Every folder has the same files:
+//!
+//! | file | holds |
+//! |---|---|
+//! | `mod.rs` | the contract (shapes, units, source, which gradients exist) and the public function |
+//! | `cpu.rs` | kernels of the CPU backends |
+//! | `cube.rs` | their CubeCL twins for GPUs |
+//! | `backward.rs` | the operation on Burn's tape |
+//! | `tests.rs` | what only this operation needs |
+//!
+//! A file that grew too long has a folder of its name beside it. To add an operation, copy the shape of
+//! `colour`, the smallest that has them all. Operations use the rooms below them: `binning`, below that
+//! `footprint`, below that `gpu` and `tiles`. None of these knows an operation.
+//!
+//! # Arguments
+//!
+//! Every public function takes its arguments in the same order: structs of tensors, tensors, camera, options.
+//! All are taken by reference; numbers and choices without fields are taken by value. Only
+//! [`adam_step`](adam::adam_step) takes tensors by value: it changes them in place and returns them.
 //!
 //! Images are planar, [C, H, W], row-major; per-layer images are [K, H, W].
 
 pub mod adam;
-pub mod bands;
-pub mod binning;
 pub mod blend;
-#[cfg(feature = "gpu")]
-mod boxes;
 pub mod colour;
 pub mod composite;
 pub mod coverage;
 pub mod finite;
 pub mod jitter;
+pub mod limits;
 pub mod peel;
 pub mod splat;
 pub mod ssim;

@@ -47,7 +47,7 @@ pub struct BlendedRender {
 /// A typed error naming what does not fit: see [`validate_gaussians`], [`Camera::validate`], [`BlendOptions::validate`].
 pub fn render_blended(
     gaussians: &Gaussians,
-    probe: Option<Tensor<2>>,
+    probe: Option<&Tensor<2>>,
     camera: &Camera,
     options: &BlendedOptions,
     values: Values,
@@ -55,7 +55,7 @@ pub fn render_blended(
     camera.validate()?;
     validate_gaussians(gaussians, values)?;
     let colours = colour(&gaussians.colour, &gaussians.positions, camera.centre().to_array())?.clamp_min(0.0);
-    let blend = blend(gaussians, colours, probe, camera, &options.blend)?;
+    let blend = blend(gaussians, &colours, probe, camera, &options.blend)?;
     let image = if options.background == [0.0; 3] {
         blend.colour.clone()
     } else {

@@ -237,7 +237,7 @@ impl Found<'_> {
         self.image("out.transmittance", &composite.transmittance);
         self.image("out.gaussian_colour", &composite.gaussian_colour);
         self.image("out.gaussian_weight", &composite.gaussian_weight);
-        let shape = geometry(&inputs.surfels, &self.case.camera, &rendered.layers, &composite.transmittance);
+        let shape = geometry(&inputs.surfels, &rendered.layers, &composite.transmittance, &self.case.camera);
         self.image("out.surfel_depth", &shape.depth);
         self.image("out.surfel_normal", &shape.normal);
         self.image("out.layers.alpha", &rendered.layers.alpha);
@@ -265,7 +265,7 @@ impl Found<'_> {
         let case = self.case;
         let image = || rendered.composite.image.clone();
         self.compare("loss.rgb", &values(&losses::rgb(image(), inputs.target.clone(), 0.2).expect("shapes agree")));
-        self.compare("loss.ssim", &values(&ssim(image(), inputs.target.clone()).expect("shapes agree")));
+        self.compare("loss.ssim", &values(&ssim(&image(), &inputs.target).expect("shapes agree")));
         self.compare(
             "loss.surfel",
             &values(&losses::l1(rendered.composite.surfel_image.clone(), inputs.target.clone())),

@@ -19,12 +19,11 @@ use crate::ops::colour::colour;
 use crate::ops::composite::{CompositeOptions, composite};
 use crate::ops::coverage::coverage;
 use crate::ops::jitter::{JitterOptions, NoiseGate, jitter};
+use crate::ops::limits::interval_limits;
 use crate::ops::peel::{Layers, PeelOptions, peel};
-use crate::ops::splat::limits::interval_limits;
-use crate::ops::splat::{contributions, splat};
+use crate::ops::splat::{SplatOptions, contributions, splat};
 use crate::ops::ssim::ssim;
 use crate::scene::schema::Columns;
-use crate::scene::tensors::flat;
 use crate::scene::{Gaussians, MarginLookup, Surfels};
 
 /// A tensor by name, as `peel.alpha` or `splat.grad.positions`.
@@ -68,6 +67,7 @@ impl Reference {
 pub struct Bench<'a> {
     scene: &'a TestScene,
     options: PeelOptions,
+    splat_options: SplatOptions,
     device: Device,
     surfels: Surfels,
     gaussians: Gaussians,
@@ -79,7 +79,13 @@ impl<'a> Bench<'a> {
     pub fn new(scene: &'a TestScene, options: PeelOptions, device: &Device) -> Self {
         let device = device.clone().autodiff();
         let (surfels, gaussians) = scene.leaves(&device, DType::F32);
-        Self { scene, options, device, surfels, gaussians, found: Vec::new() }
+        Self { scene, options, splat_options: SplatOptions::default(), device, surfels, gaussians, found: Vec::new() }
+    }
+
+    /// With sums in a fixed order.
+    #[must_use]
+    pub fn deterministic(self) -> Self {
+        Self { splat_options: SplatOptions { deterministic: true }, ..self }
     }
 
     fn tensor<const D: usize>(&self, values: &[f64], shape: [usize; D]) -> Tensor<D> {
@@ -115,8 +121,8 @@ impl<'a> Bench<'a> {
     }
 
     fn peeled(&self) -> Layers {
-        let (s, camera) = (self.surfels.clone(), &self.scene.camera);
-        peel(s.positions, s.quaternions, s.log_scales, camera, &self.options).expect("valid input")
+        let (s, camera) = (&self.surfels, &self.scene.camera);
+        peel(&s.positions, &s.quaternions, &s.log_scales, camera, &self.options).expect("valid input")
     }
 
     /// [K, H, W] surfels of the layers, −1 where there is none.
@@ -163,7 +169,7 @@ impl<'a> Bench<'a> {
     fn splat(&mut self, limits: Tensor<3>, colours: Tensor<2>) -> Tensor<4> {
         let (gaussians, camera) = (self.gaussians.clone(), &self.scene.camera);
         let colours = colours.require_grad();
-        let sums = splat(&gaussians, colours.clone(), limits.clone(), camera).expect("valid input");
+        let sums = splat(&gaussians, &colours, &limits, camera, &self.splat_options).expect("valid input");
         self.note("splat.sums", &sums);
         let gradients = (sums.clone() * self.upstream(&sums, 3)).sum().backward();
         self.gradient("splat.grad.positions", &gaussians.positions, &gradients);
@@ -172,7 +178,7 @@ impl<'a> Bench<'a> {
         self.gradient("splat.grad.opacities", &gaussians.opacities, &gradients);
         self.gradient("splat.grad.colours", &colours, &gradients);
         let gates = self.upstream(&limits, 4).abs();
-        let largest = contributions(&gaussians, colours, limits, gates, camera).expect("valid input");
+        let largest = contributions(&gaussians, &colours, &limits, &gates, camera).expect("valid input");
         self.note("splat.contributions", &largest);
         sums
     }
@@ -182,7 +188,7 @@ impl<'a> Bench<'a> {
             let options = CompositeOptions { background: [0.3, 0.6, 0.1], detach_transmittance };
             let layers = Layers { alpha: layers.alpha.clone().require_grad(), ..layers.clone() };
             let (colours, sums) = (colours.clone().require_grad(), sums.clone().require_grad());
-            let out = composite(&layers, colours.clone(), sums.clone(), options).expect("valid input");
+            let out = composite(&layers, &colours, &sums, &options).expect("valid input");
             let outputs = [
                 ("image", out.image),
                 ("surfel_image", out.surfel_image),
@@ -207,7 +213,7 @@ impl<'a> Bench<'a> {
         let random = |seed| Random::new(seed).numbers(count, 0.0, 1.0);
         let image = self.tensor(&random(6), [3, height, width]).require_grad();
         let target = self.tensor(&random(7), [3, height, width]);
-        let value = ssim(image.clone(), target).expect("one shape");
+        let value = ssim(&image, &target).expect("one shape");
         self.note("ssim", &value);
         let gradients = (value * 0.7).sum().backward();
         self.gradient("ssim.grad", &image, &gradients);
@@ -217,7 +223,7 @@ impl<'a> Bench<'a> {
         let (parameter, moments, gradient) = (inner(8), [inner(9), inner(10)], inner(11));
         for (name, gate) in [("open", 1.0), ("closed", 0.0)] {
             let gate = self.tensor(&[gate], [1]).inner();
-            let stepped = adam_step(parameter.clone(), moments.clone(), gradient.clone(), gate, step);
+            let stepped = adam_step(parameter.clone(), moments.clone(), &gradient, &gate, &step);
             let (parameter, [moment_1, moment_2]) = stepped.expect("one shape");
             self.note(&format!("adam.{name}.parameter"), &parameter);
             self.note(&format!("adam.{name}.moment_1"), &moment_1);
@@ -244,7 +250,7 @@ impl<'a> Bench<'a> {
         for &name in outputs {
             let colours = self.tensor(&Random::new(12).numbers(3 * count, 0.0, 1.0), [count, 3]).require_grad();
             let probe = self.tensor(&vec![0.0; 4 * count], [count, 4]).require_grad();
-            let out = blend(&gaussians, colours.clone(), Some(probe.clone()), &self.scene.camera, &options);
+            let out = blend(&gaussians, &colours, Some(&probe), &self.scene.camera, &options);
             let out = out.expect("valid input");
             let output = match (name, out.maps) {
                 ("colour", _) => out.colour,
@@ -271,11 +277,11 @@ impl<'a> Bench<'a> {
     /// Runs everything forward, each operation on its own results.
     pub fn reference(mut self) -> Reference {
         let layers = self.peeled();
-        let margins = flat(&self.surfels.margins);
-        let limits = interval_limits(&layers, margins, MarginLookup::Shifted).expect("one shape");
+        let limits = interval_limits(&layers, &self.surfels.margins, MarginLookup::Shifted).expect("one shape");
         let [surfel_colours, gaussian_colours] = self.colours();
         let camera = &self.scene.camera;
-        let sums = splat(&self.gaussians, gaussian_colours.clone(), limits.clone(), camera).expect("valid input");
+        let sums =
+            splat(&self.gaussians, &gaussian_colours, &limits, camera, &self.splat_options).expect("valid input");
         Reference {
             agreed: vec![1.0; self.shape().iter().product()],
             ids: layers.ids.clone().into_data().iter::<i64>().collect(),
@@ -298,7 +304,7 @@ impl<'a> Bench<'a> {
         let covered = coverage(&layers, surfels).into_data().iter::<f64>().collect();
         self.found.push(("coverage".into(), covered));
         for (name, lookup) in [("limits", MarginLookup::Shifted), ("limits.literal", MarginLookup::Literal)] {
-            let limits = interval_limits(&layers, flat(&self.surfels.margins), lookup).expect("one shape");
+            let limits = interval_limits(&layers, &self.surfels.margins, lookup).expect("one shape");
             self.note(name, &limits);
         }
         let limits = self.tensor(&reference.limits, [layer_count, height, width]);

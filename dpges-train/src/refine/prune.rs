@@ -1,7 +1,7 @@
 //! Which primitives are worth keeping (GES, DP-GES). A rule that would remove every
 //! row removes none and logs a warning: it then says something about its threshold, not the rows.
 
-use dpges_core::ops::peel::CUTOFF;
+use dpges_core::footprint::CUTOFF;
 
 use super::RowEdit;
 

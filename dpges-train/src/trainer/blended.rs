@@ -257,7 +257,7 @@ impl BlendedStage {
         let weights = self.weights(&context.config, completed);
         let mut options = BlendedOptions::new(&self.info)?;
         options.blend.maps = weights.normal > 0.0 || weights.distortion > 0.0;
-        let rendered = render_blended(&gaussians, probe.clone(), &view.camera, &options, known).map_err(at)?;
+        let rendered = render_blended(&gaussians, probe.as_ref(), &view.camera, &options, known).map_err(at)?;
         let rgb = losses::rgb(rendered.image.clone(), target.clone(), context.config.train.lambda_dssim).map_err(at)?;
         let total = weights.add(rgb.clone(), &gaussians, &rendered, &view.camera);
 

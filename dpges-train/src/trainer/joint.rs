@@ -2,6 +2,7 @@
 
 use dpges_core::losses::geometry::{GeometryWeights, geometry};
 use dpges_core::losses::{LossWeights, losses};
+use dpges_core::ops::splat::SplatOptions;
 use dpges_core::render::{RenderOptions, Values, render_values};
 use dpges_core::scene::{Rendering, SceneData, SceneInfo};
 
@@ -107,7 +108,11 @@ impl JointStage {
     }
 
     pub fn render_options(&self, config: &Config) -> RenderOptions {
-        RenderOptions { detach_transmittance: config.train.detach_transmittance, ..RenderOptions::from(&self.info) }
+        RenderOptions {
+            splat: SplatOptions { deterministic: config.train.deterministic },
+            detach_transmittance: config.train.detach_transmittance,
+            ..RenderOptions::from(&self.info)
+        }
     }
 
     /// Learning rates of the Gaussians for the step after `completed` ones.

@@ -2,7 +2,7 @@
 
 use burn::tensor::{DType, Tensor};
 use dpges_core::camera::Camera;
-use dpges_core::ops::splat::splat;
+use dpges_core::ops::splat::{SplatOptions, splat};
 use dpges_core::render::{Render, Values, render_values};
 use dpges_core::scene::Gaussians;
 use dpges_core::scene::tensors::{rows_to_tensor, tensor_to_rows};
@@ -135,12 +135,13 @@ impl JointStage {
         for (index, view) in dataset.train.iter().enumerate() {
             let share = count / views + usize::from(index < count % views);
             if share > 0 {
+                let options = self.render_options(&context.config).splat;
                 let rendered = self.render_view(context, view)?;
                 let error = squared_error(&rendered, view.target(&context.device));
                 let pixels = draw_in_proportion(&error, share, &mut context.rng);
                 let mut depths = tensor_to_rows(&rendered.layers.depth);
                 if everywhere && pixels.iter().any(|&pixel| !depths[pixel].is_finite()) {
-                    let behind = gaussian_depth(&self.gaussians.values(), rendered.limits.clone(), &view.camera)?;
+                    let behind = gaussian_depth(&self.gaussians.values(), &rendered.limits, &view.camera, &options)?;
                     depths.iter_mut().zip(behind).filter(|(depth, _)| !depth.is_finite()).for_each(|(d, z)| *d = z);
                 }
                 spots.add(&depths, view, &pixels);
@@ -189,12 +190,17 @@ fn squared_error(rendered: &Render, target: Tensor<3>) -> Vec<f32> {
 
 /// [H × W] mean depth of the Gaussians in front of the last of `limits` [K, H, W] at each pixel, weighted by their α,
 /// world units; not finite where there is none.
-fn gaussian_depth(gaussians: &Gaussians, limits: Tensor<3>, camera: &Camera) -> Result<Vec<f32>, TrainError> {
+fn gaussian_depth(
+    gaussians: &Gaussians,
+    limits: &Tensor<3>,
+    camera: &Camera,
+    options: &SplatOptions,
+) -> Result<Vec<f32>, TrainError> {
     let positions = tensor_to_rows(&gaussians.positions);
     let depth = |position: &[f32; 3]| camera.depth(DVec3::from_array(position.map(f64::from))) as f32;
     let depths: Vec<f32> = positions.as_chunks::<3>().0.iter().flat_map(|position| [depth(position); 3]).collect();
     let depths = rows_to_tensor(&depths, 3, &gaussians.positions.device(), DType::F32);
-    let sums = tensor_to_rows(&splat(gaussians, depths, limits, camera)?.sum_dim(0));
+    let sums = tensor_to_rows(&splat(gaussians, &depths, limits, camera, options)?.sum_dim(0));
     let area = camera.width * camera.height;
     Ok((0..area).map(|pixel| sums[pixel] / sums[3 * area + pixel]).collect())
 }
@@ -252,7 +258,7 @@ mod tests {
         let device = "cpu".parse::<DeviceName>().unwrap().open().unwrap();
         let gaussians = Gaussians::from_data(&gaussians, &device, DType::F32);
         let limits = Tensor::full([1, height, width], 4.5, (&device, DType::F32));
-        let depth = gaussian_depth(&gaussians, limits, &camera).unwrap();
+        let depth = gaussian_depth(&gaussians, &limits, &camera, &SplatOptions::default()).unwrap();
         assert!((depth[4 * width + 8] - 2.0).abs() < 1e-3, "{}", depth[4 * width + 8]);
         assert!(!depth[0].is_finite() && !depth[4 * width + 13].is_finite());
     }

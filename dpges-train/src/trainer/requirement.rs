@@ -3,13 +3,14 @@
 use dpges_core::render::{Values, render_values};
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{ColourData, ColourModel};
+use dpges_render::Renderer;
 
 use super::TrainError;
 use super::context::Context;
 use super::joint::JointStage;
 use crate::config::Budget;
 use crate::config::range::MAX_LAYERS;
-use crate::eval::evaluate;
+use crate::eval::evaluate_each;
 use crate::refine::growth::{Decision, Growth};
 use crate::refine::layer_count::{MOST_OPEN, choose, open_share};
 use crate::refine::lobes::{drop_lobes, spare_lobes};
@@ -28,7 +29,10 @@ impl JointStage {
             return Ok(Some(reason.to_string()));
         }
         let scene = self.scene();
-        let psnr = evaluate(&scene, &context.dataset.validation, &context.device)?.psnr;
+        let device = &context.device;
+        let renderer = Renderer::new(&scene, device).deterministic(context.config.train.deterministic);
+        let psnr =
+            evaluate_each(&renderer, &scene, &context.dataset.validation, device, |_, _| Ok::<_, TrainError>(()))?.psnr;
         let growth = self.growth.get_or_insert_with(Growth::default);
         let primitives = scene.surfels.len() + scene.gaussians.len();
         Ok(match growth.observe(primitives, psnr) {

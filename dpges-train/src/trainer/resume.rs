@@ -4,7 +4,6 @@ use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
 use burn::tensor::Device;
-use dpges_core::device::fix_order_of_sums;
 use dpges_core::scene::schema::{Attribute, Columns};
 use dpges_core::scene::{ColourModel, GaussianData, Rendering};
 
@@ -87,9 +86,6 @@ impl Trainer {
             let (before, now) = (progress.view_names.len(), dataset.train.len());
             let reason = format!("it was made with {before} training views, and these {now} are not the same ones");
             return Err(TrainError::Resume { reason });
-        }
-        if progress.config.train.deterministic {
-            fix_order_of_sums();
         }
         let plan = progress.config.plan();
         let Some(&current) = plan.get(progress.stage) else {

@@ -75,7 +75,7 @@ impl Statistics {
         if !gaussians.is_empty() && later(&schedule.gaussian_prune) {
             let colours = render.gaussian_colours.clone().inner();
             let limits = render.limits.clone().inner();
-            let found = contributions(&gaussians.values(), colours, limits, gates(render), camera)?;
+            let found = contributions(&gaussians.values(), &colours, &limits, &gates(render), camera)?;
             self.max_contributions = self.max_contributions.clone().max_pair(found);
         }
         Ok(())

@@ -2,11 +2,10 @@
 //!
 //! `m ← β1 m + (1 − β1) g`, `v ← β2 v + (1 − β2) g²`,
 //! `θ ← θ − lr / (1 − β1^t) · m / (√v / √(1 − β2^t) + ε)` (Kingma and Ba). No gradient.
-//! Nothing is changed where a gate on the device is not 1, so that a bad gradient can be held back
-//! without waiting to hear of it.
+//! Nothing changes unless a gate on the device is 1: a bad gradient is held back without reading it back.
 //!
-//! An operation of its own because it works in place: tensor operations take four times as long and
-//! hold several copies of every attribute (`benches/README.md`).
+//! The step is an operation because it works in place. Tensor operations take four times as long and hold
+//! several copies of every attribute (`benches/README.md`).
 
 mod cpu;
 #[cfg(feature = "gpu")]
@@ -27,7 +26,7 @@ pub struct AdamStep {
     pub beta_1: f64,
     pub beta_2: f64,
     pub epsilon: f64,
-    /// t ≥ 1: steps of this tensor, this one included.
+    /// t ≥ 1: number of steps of this tensor, including this one.
     pub time: u64,
 }
 
@@ -50,29 +49,29 @@ pub trait AdamOps: Backend {
     ) -> AdamOutput<Self>;
 }
 
-/// Steps `parameter` along `grad` if `gate` [1] is 1; returns it with its first and second moments.
-/// None is on a tape.
+/// Steps `parameter` along `grad` if `gate` [1] is 1. Returns it with its first and second moments. All tensors
+/// are off the tape. Those taken by value are changed in place if nothing else shares them.
 ///
 /// # Errors
 /// [`crate::Error::Shape`] if the four differ in shape or the gate is not one number.
 pub fn adam_step<const D: usize>(
     parameter: Tensor<D>,
     [moment_1, moment_2]: [Tensor<D>; 2],
-    grad: Tensor<D>,
-    gate: Tensor<1>,
-    step: AdamStep,
+    grad: &Tensor<D>,
+    gate: &Tensor<1>,
+    step: &AdamStep,
 ) -> Result<(Tensor<D>, [Tensor<D>; 2])> {
     check_shape("moment 1", &moment_1, parameter.dims())?;
     check_shape("moment 2", &moment_2, parameter.dims())?;
-    check_shape("gradient", &grad, parameter.dims())?;
-    check_shape("gate", &gate, [1])?;
+    check_shape("gradient", grad, parameter.dims())?;
+    check_shape("gate", gate, [1])?;
     let out = Dispatch::adam_step(
         parameter.into_dispatch(),
         moment_1.into_dispatch(),
         moment_2.into_dispatch(),
-        grad.into_dispatch(),
-        gate.into_dispatch(),
-        step,
+        grad.clone().into_dispatch(),
+        gate.clone().into_dispatch(),
+        *step,
     );
     Ok((
         Tensor::from_dispatch(out.parameter),

@@ -18,13 +18,13 @@ fn two_steps_by_hand() {
     let device = device().inner();
     let of = |values: &[f64]| tensor(values, DType::F64, &device);
     let moments = [of(&[0.0, 0.0]), of(&[0.0, 0.0])];
-    let (parameter, moments) = adam_step(of(&[1.0, -2.0]), moments, of(&[3.0, -0.5]), of(&[1.0]), step(1)).unwrap();
+    let (parameter, moments) = adam_step(of(&[1.0, -2.0]), moments, &of(&[3.0, -0.5]), &of(&[1.0]), &step(1)).unwrap();
     // the first step is lr · sign(g) whatever the size of g
     for (found, expected) in values(&parameter).iter().zip([0.9, -1.9]) {
         approx::assert_relative_eq!(*found, expected, epsilon = 1e-12);
     }
     let (parameter, [moment_1, moment_2]) =
-        adam_step(parameter, moments, of(&[1.0, 0.0]), of(&[1.0]), step(2)).unwrap();
+        adam_step(parameter, moments, &of(&[1.0, 0.0]), &of(&[1.0]), &step(2)).unwrap();
     // m = 0.9 · 0.3 + 0.1 · 1 = 0.37, v = 0.999 · 0.009 + 0.001 · 1 = 0.009991; m̂ = m / 0.19, v̂ = v / 0.001999
     // m = 0.9 · −0.05 = −0.045, v = 0.999 · 0.00025 = 0.00024975
     let expected = [
@@ -51,7 +51,7 @@ fn many_steps_follow_the_formula() {
         let (mut parameter, mut moments) = (of(&p), [of(&m), of(&v)]);
         for time in 1..=5 {
             let grad: Vec<f64> = random.numbers(count, -1.0, 1.0).iter().map(|g| g.powi(5)).collect();
-            (parameter, moments) = adam_step(parameter, moments, of(&grad), of(&[1.0]), step(time)).unwrap();
+            (parameter, moments) = adam_step(parameter, moments, &of(&grad), &of(&[1.0]), &step(time)).unwrap();
             let (correct_1, correct_2) = (1.0 - 0.9f64.powi(time as i32), 1.0 - 0.999f64.powi(time as i32));
             for i in 0..count {
                 m[i] = 0.9 * m[i] + 0.1 * grad[i];
@@ -73,11 +73,11 @@ fn a_step_leaves_shared_tensors_alone_and_stands_still_without_a_gradient() {
     let of = |values: &[f64]| tensor(values, DType::F32, &device);
     let (before, zero) = (of(&[1.0, 2.0]), of(&[0.0, 0.0]));
     let (after, _) =
-        adam_step(before.clone(), [zero.clone(), zero.clone()], of(&[1.0, 0.0]), of(&[1.0]), step(1)).unwrap();
+        adam_step(before.clone(), [zero.clone(), zero.clone()], &of(&[1.0, 0.0]), &of(&[1.0]), &step(1)).unwrap();
     assert_eq!(values(&before), [1.0, 2.0]);
     assert_eq!(values(&zero), [0.0, 0.0]);
     assert_eq!(values(&after)[1], 2.0);
-    assert!(adam_step(before, [zero.clone(), zero], of(&[1.0]), of(&[1.0]), step(1)).is_err());
+    assert!(adam_step(before, [zero.clone(), zero], &of(&[1.0]), &of(&[1.0]), &step(1)).is_err());
 }
 
 #[test]
@@ -87,7 +87,7 @@ fn a_closed_gate_holds_everything_back() {
         let of = |values: &[f64]| tensor(values, dtype, &device);
         let moments = [of(&[0.5, 0.25]), of(&[0.125, 1.0])];
         let grad = of(&[f64::NAN, 3.0]);
-        let (parameter, [m, v]) = adam_step(of(&[1.0, 2.0]), moments, grad, of(&[0.0]), step(3)).unwrap();
+        let (parameter, [m, v]) = adam_step(of(&[1.0, 2.0]), moments, &grad, &of(&[0.0]), &step(3)).unwrap();
         assert_eq!(values(&parameter), [1.0, 2.0]);
         assert_eq!(values(&m), [0.5, 0.25]);
         assert_eq!(values(&v), [0.125, 1.0]);

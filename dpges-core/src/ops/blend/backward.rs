@@ -1,15 +1,15 @@
-//! `blend` on the tape: one node for all planes, so that a loss on several of them goes back through
-//! the primitives once.
+//! `blend` on the tape: all planes share one node, so that a loss on several planes passes through the primitives
+//! once.
 
 use burn::backend::autodiff::checkpoint::base::Checkpointer;
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
 use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
-use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, AutodiffBackend, Backend};
 
 use super::{BlendBackwardOps, BlendInput, BlendOps, BlendOptions, BlendOutput};
 use crate::camera::Camera;
+use crate::tape::pass_back;
 
 #[derive(Clone, Debug)]
 struct BlendState<B: Backend> {
@@ -25,31 +25,20 @@ impl<B: BlendBackwardOps> Backward<B, 6> for BlendBackward {
     type State = BlendState<B>;
 
     fn backward(self, ops: Ops<Self::State, 6>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let grad = grads.consume::<B>(&ops.node);
-        let BlendState { input, camera, options } = ops.state;
-        let out = B::blend_backward(input, grad, camera, options);
-        let out = [out.positions, out.quaternions, out.log_scales, out.opacities, out.colours, out.probe];
-        for (parent, grad) in ops.parents.into_iter().zip(out) {
-            if let Some(parent) = parent {
-                grads.register::<B>(parent.id, grad);
-            }
-        }
+        pass_back::<B, _, 6>(ops, grads, |BlendState { input, camera, options }, grad| {
+            let BlendInput { gaussians, probe } = B::blend_backward(input, grad, camera, options);
+            let [positions, quaternions, log_scales, opacities, colours] = gaussians.into_array();
+            [positions, quaternions, log_scales, opacities, colours, probe].map(Some)
+        });
     }
 }
 
 impl<B: BlendOps + BlendBackwardOps, S: CheckpointStrategy> BlendOps for Autodiff<B, S> {
     fn blend(input: BlendInput<Self>, camera: Camera, options: BlendOptions) -> BlendOutput<Self> {
-        let inner = |tensor: &FloatTensor<Self>| tensor.clone().into_parts().0;
-        let values = BlendInput {
-            positions: inner(&input.positions),
-            quaternions: inner(&input.quaternions),
-            log_scales: inner(&input.log_scales),
-            opacities: inner(&input.opacities),
-            colours: inner(&input.colours),
-            probe: inner(&input.probe),
-        };
+        let BlendInput { gaussians, probe } = input;
+        let values = BlendInput { gaussians: gaussians.values(), probe: probe.clone().into_parts().0 };
         let out = B::blend(values.clone(), camera, options);
-        let BlendInput { positions, quaternions, log_scales, opacities, colours, probe } = input;
+        let [positions, quaternions, log_scales, opacities, colours] = gaussians.into_array();
         let parents = [positions, quaternions, log_scales, opacities, colours, probe];
         let parents = parents.map(|tensor| tensor.into_parts().1);
         let planes = match BlendBackward.prepare::<S>(parents).compute_bound().stateful() {

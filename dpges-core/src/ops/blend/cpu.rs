@@ -1,27 +1,35 @@
-//! CPU kernels: one task per tile, its primitives front to back. Backward goes through them once more
-//! from the back, where dividing by 1 − α recovers T. Its sums are made per tile and added in the
-//! order of the tiles, so that the result does not depend on the number of threads.
+//! CPU kernels: one task per tile goes front to back. Backward then goes back to front, where a division by
+//! 1 − α recovers T. Sums belong to a tile and are added in the order of the tiles, so that the result does
+//! not depend on the number of threads.
+
+mod disc;
+mod distortion;
+mod gather;
+mod normal;
+mod projected;
+mod walk;
 
 use burn::backend::TensorMetadata;
 use burn::backend::tensor::FloatTensor;
 use rayon::prelude::*;
 
-use super::disc::DiscFootprint;
-use super::distortion::{self, Spread};
-use super::footprint::{Ellipse, Projected, View};
-use super::gather::backward;
-use super::walk::{Fragments, Sorted, Thresholds, group, walk_tile};
+use self::disc::DiscFootprint;
+use self::distortion::Spread;
+use self::gather::backward;
+use self::projected::{Ellipse, Projected, View};
+use self::walk::{Fragments, Sorted, Thresholds, group, walk_tile};
 use super::{
     ALL_PLANES, ALPHA_PLANE, BlendBackwardOps, BlendInput, BlendOps, BlendOptions, BlendOutput, COLOUR_PLANES,
     DEPTH_PLANE, DISTORTION_PLANE, Form, NORMAL_PLANE,
 };
 use crate::camera::Camera;
+use crate::footprint::gaussians::{GaussianRows, GaussianTensors};
 use crate::host::{self, Host, for_each_cpu_backend, with_real};
-use crate::ops::binning::layout::to_planes;
-use crate::ops::binning::{LANES, TILE_PIXELS};
-use crate::ops::splat::GaussianRows;
 use crate::real::Real;
+use crate::simd::LANES;
 use crate::simd::vectorised;
+use crate::tiles::TILE_PIXELS;
+use crate::tiles::layout::to_planes;
 
 /// Median depth follows the planes where there are maps.
 const MEDIAN: usize = ALL_PLANES;
@@ -108,10 +116,9 @@ fn forward<T: Real, F: Projected<T>>(
 }
 
 fn blend_on<B: Host>(input: &BlendInput<B>, camera: &Camera, options: &BlendOptions) -> BlendOutput<B> {
-    let (height, width, device) = (camera.height, camera.width, input.positions.device());
-    let primitives = input.primitives();
-    with_real!(input.positions.dtype(), T => {
-        let rows = GaussianRows::<T>::new(&primitives);
+    let (height, width, device) = (camera.height, camera.width, input.gaussians.positions.device());
+    with_real!(input.gaussians.positions.dtype(), T => {
+        let rows = GaussianRows::<T>::new(&input.gaussians);
         let [planes, median_depth] = match options.form {
             Form::Ellipsoids => forward::<T, Ellipse<T>>(&rows, camera, options),
             Form::Discs => forward::<T, DiscFootprint<T>>(&rows, camera, options),
@@ -130,20 +137,15 @@ fn blend_backward_on<B: Host>(
     camera: &Camera,
     options: &BlendOptions,
 ) -> BlendInput<B> {
-    let (count, probed, device) = (host::rows(&input.opacities), host::rows(&input.probe), grad.device());
-    let primitives = input.primitives();
+    let (probed, device) = (host::rows(&input.probe), grad.device());
     with_real!(grad.dtype(), T => {
-        let (rows, grad) = (GaussianRows::<T>::new(&primitives), host::floats::<B, T>(grad));
+        let (rows, grad) = (GaussianRows::<T>::new(&input.gaussians), host::floats::<B, T>(grad));
         let [positions, quaternions, log_scales, opacities, colours, probe] = match options.form {
             Form::Ellipsoids => backward::<T, Ellipse<T>>(&rows, &grad, probed > 0, camera, options),
             Form::Discs => backward::<T, DiscFootprint<T>>(&rows, &grad, probed > 0, camera, options),
         };
         BlendInput {
-            positions: host::float_tensor::<B, T, 2>(positions, [count, 3], &device),
-            quaternions: host::float_tensor::<B, T, 2>(quaternions, [count, 4], &device),
-            log_scales: host::float_tensor::<B, T, 2>(log_scales, [count, 3], &device),
-            opacities: host::float_tensor::<B, T, 1>(opacities, [count], &device),
-            colours: host::float_tensor::<B, T, 2>(colours, [count, 3], &device),
+            gaussians: GaussianTensors::from_rows([positions, quaternions, log_scales, opacities, colours], &device),
             probe: host::float_tensor::<B, T, 2>(probe, [probed, 4], &device),
         }
     })

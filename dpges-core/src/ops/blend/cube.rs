@@ -1,6 +1,6 @@
-//! GPU kernels: primitives are sorted by depth, so that lists in ascending order run front to back, and
-//! so do all primitives, which a tile whose list does not fit goes over. Forward there is one unit per
-//! pixel; backward there is one cube per tile, and then one unit per primitive.
+//! GPU kernels. Primitives are sorted by depth, so that ascending lists run front to back. So does the
+//! sequence of all primitives, which replaces a list that does not fit its buffer. Forward, one unit handles
+//! one pixel; backward, one cube handles one tile and then one unit one primitive.
 
 mod fragments;
 mod gather;
@@ -12,14 +12,15 @@ use burn::backend::tensor::FloatTensor;
 use burn_cubecl::CubeBackend;
 use cubecl::prelude::*;
 
-use self::fragments::{FEATURES, Fragments, NORMAL, fragment};
+use self::fragments::{Fragments, Payload, fragment};
 use self::gather::{Layout, gather};
 use super::{BlendBackwardOps, BlendInput, BlendOps, BlendOptions, BlendOutput, Form, far};
+use crate::binning::cube::TileList;
 use crate::camera::Camera;
 use crate::gpu::launch::{buffer, cube_dim, cubes, empty_f32, floats};
+use crate::gpu::tile::{own_pixel, plane_of};
 use crate::gpu::view::View;
-use crate::ops::binning::TileGrid;
-use crate::ops::binning::cube::{entry, own_pixel, tile_list};
+use crate::tiles::TileGrid;
 
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
@@ -56,11 +57,9 @@ fn blend_kernel(
     if CUBE_POS >= (view.columns * view.rows) as usize {
         terminate!();
     }
-    let (start, length, listed) = tile_list(offsets, capacity, count);
-    let (column, row) = own_pixel(view);
-    if column < view.width && row < view.height {
-        let x = f32::cast_from(column) + 0.5f32;
-        let y = f32::cast_from(row) + 0.5f32;
+    let list = TileList::own(offsets, capacity, count);
+    let own = own_pixel(view, CUBE_POS as u32);
+    if own.inside {
         let mut through = 1.0f32;
         let mut red = 0.0f32;
         let mut green = 0.0f32;
@@ -77,24 +76,24 @@ fn blend_kernel(
         let mut second_moment = 0.0f32;
         let mut distortion = 0.0f32;
         let mut position = 0u32;
-        let mut end = length;
+        let mut end = list.length;
         while position < end {
-            let i = entry(ids, start, position, listed) as usize;
-            let found = fragment(shapes, features, i, x, y, view.near, form);
+            let i = list.entry(ids, position) as usize;
+            let found = fragment(shapes, features, i, own.x, own.y, view.near, form);
             if found.weight > 0.0f32 {
                 let alpha = min(found.weight, thresholds.max_alpha);
                 let behind = through * (1.0f32 - alpha);
                 if behind >= thresholds.min_transmittance {
-                    let f = i * FEATURES;
+                    let payload = Payload::load(features, i);
                     let covered = alpha * through;
-                    red += covered * features[f];
-                    green += covered * features[f + 1];
-                    blue += covered * features[f + 2];
+                    red += covered * payload.colour.x;
+                    green += covered * payload.colour.y;
+                    blue += covered * payload.colour.z;
                     if comptime!(maps) {
                         depth += covered * found.depth;
-                        normal_x += covered * features[f + NORMAL];
-                        normal_y += covered * features[f + NORMAL + 1];
-                        normal_z += covered * features[f + NORMAL + 2];
+                        normal_x += covered * payload.normal.x;
+                        normal_y += covered * payload.normal.y;
+                        normal_z += covered * payload.normal.z;
                         median = select(behind <= 0.5f32 && median == 0.0f32, found.depth, median);
                         let inverse = 1.0f32 / found.depth;
                         reference = select(reference == 0.0f32, inverse, reference);
@@ -112,8 +111,7 @@ fn blend_kernel(
             }
             position += 1u32;
         }
-        let plane = (view.width * view.height) as usize;
-        let pixel = (row * view.width + column) as usize;
+        let (plane, pixel) = (plane_of(view), own.at);
         planes[pixel] = red;
         planes[pixel + plane] = green;
         planes[pixel + 2 * plane] = blue;
@@ -129,23 +127,12 @@ fn blend_kernel(
     }
 }
 
-fn contiguous(input: BlendInput<CubeBackend>) -> BlendInput<CubeBackend> {
-    BlendInput {
-        positions: floats(input.positions),
-        quaternions: floats(input.quaternions),
-        log_scales: floats(input.log_scales),
-        opacities: floats(input.opacities),
-        colours: floats(input.colours),
-        probe: floats(input.probe),
-    }
-}
-
 impl BlendOps for CubeBackend {
     fn blend(input: BlendInput<Self>, camera: Camera, options: BlendOptions) -> BlendOutput<Self> {
-        let input = contiguous(input);
-        let (like, count) = (&input.positions, input.positions.shape()[0]);
+        let gaussians = input.gaussians.contiguous();
+        let (like, count) = (&gaussians.positions, gaussians.positions.shape()[0]);
         let (height, width) = (camera.height, camera.width);
-        let fragments = Fragments::new(&input, &camera, options.form);
+        let fragments = Fragments::new(&gaussians, &camera, options.form);
         let planes = empty_f32(like, [options.planes(), height, width]);
         let median_depth = empty_f32(like, [usize::from(options.maps), height, width]);
         blend_kernel::launch(
@@ -176,10 +163,10 @@ impl BlendBackwardOps for CubeBackend {
         camera: Camera,
         options: BlendOptions,
     ) -> BlendInput<Self> {
-        let (input, grad) = (contiguous(input), floats(grad));
+        let (gaussians, grad) = (input.gaussians.contiguous(), floats(grad));
         let layout = Layout { form: options.form, maps: options.maps, probe: input.probe.shape()[0] > 0 };
-        let fragments = Fragments::new(&input, &camera, options.form);
+        let fragments = Fragments::new(&gaussians, &camera, options.form);
         let [sums, rest] = gather(&fragments, &grad, &camera, &options, layout);
-        parameters::backward(&input, &sums, &rest, &camera, layout)
+        parameters::backward(&gaussians, &sums, &rest, &camera, layout)
     }
 }

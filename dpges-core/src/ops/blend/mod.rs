@@ -12,52 +12,43 @@
 //! | 8 | `Σ_{j<i} w_i w_j (m_i − m_j)²` | depth distortion (2DGS), m of z see [`far`] |
 //!
 //! P is 4, or 9 with [`BlendOptions::maps`]. Median depth is the z_i of the first fragment behind which
-//! T ≤ ½, 0 where there is none (2DGS). Primitives are ordered by (camera-space z of the centre, index),
-//! alike in all pixels; those with a centre at or behind the near plane do not exist. A pixel ends before
-//! the first fragment that would take T below [`BlendOptions::min_transmittance`]. α is capped at
-//! [`BlendOptions::max_alpha`], and a fragment with α below 1/255 does not exist.
+//! T ≤ ½, or 0 if there is none (2DGS). All pixels share one order of primitives: by camera-space z of the
+//! centre, then by index. A primitive whose centre is at or behind the near plane does not exist. A pixel
+//! ends before the first fragment that would take T below [`BlendOptions::min_transmittance`]. α is capped
+//! at [`BlendOptions::max_alpha`], and a fragment with α below 1/255 does not exist.
 //!
 //! [`Form::Ellipsoids`]: α = max(0, opacity) · compensation · exp(−½ dᵀ Q d), the footprint of
-//! [`splat`](super::splat): EWA, 0.1 px² low-pass, compensated. z is that of the centre, n the axis with
-//! the smallest scale. DBS has 0.3 px² and no compensation, but then Gaussians change when they go on to
-//! be splatted.
+//! [`splat`](super::splat): EWA, a low-pass filter of 0.1 px², compensation. z is that of the centre, n the axis
+//! with the smallest scale. DBS uses 0.3 px² without compensation; Gaussians trained that way would change
+//! when they are splatted.
 //!
 //! [`Form::Discs`]: α = max(0, opacity) · exp(−ρ/2) with ρ = min(u² + v², 2 |d|²): (u, v) in units of the
 //! first two scales is where the ray meets the disc, d the distance in px from the centre of the box
-//! around the disc at 3 σ (the low-pass of 2DGS, which a disc that reaches the camera's plane at 3 σ does
-//! not have). z is that of the hit under either, and a hit at or nearer than the near plane does not
-//! exist; n is the third axis. The third scale means nothing.
+//! around the disc at 3 σ. The second term is the low-pass filter of 2DGS; a disc that reaches the plane of
+//! the camera at 3 σ has none. z is that of the hit with either term. A hit at or nearer than the near plane
+//! does not exist. n is the third axis. The third scale is unused.
 //!
 //! Gradients: from the planes to positions, quaternions, log-scales, opacities and colours, all in one
-//! pass. A capped α, the order, where a pixel ends, which axis is a normal and its sign, and median
-//! depth carry none.
+//! pass. Median depth, a capped α, the order, the end of a pixel and the choice of a normal carry none.
 //!
 //! The *probe* is a [M, 4] tensor that no value depends on. Its gradient is Σ g_x, Σ g_y, Σ |g_x|, Σ |g_y|
 //! over the pixels, where (g_x, g_y) is a pixel's gradient with respect to the projected centre in units
-//! of half the image: what 3DGS, 2DGS (from hits with the disc only) and AbsGS decide by.
+//! of half the image. 3DGS, 2DGS (only from hits with the disc) and AbsGS base densification on it.
 
 mod backward;
-#[cfg(test)]
-mod brute_force;
 mod cpu;
 #[cfg(feature = "gpu")]
 mod cube;
-mod disc;
-mod distortion;
-mod footprint;
-mod gather;
-mod normal;
 #[cfg(test)]
 mod tests;
-mod walk;
 
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, Dispatch, ExtensionType, backend_extension};
 use burn::tensor::Tensor;
 
-use super::splat::SplatInput;
 use crate::camera::Camera;
 use crate::error::{Error, Result};
+use crate::footprint::gaussians::GaussianTensors;
 use crate::scene::Gaussians;
 use crate::scene::tensors::check_shape;
 
@@ -74,7 +65,7 @@ pub const DISTORTION_PLANE: usize = 8;
 /// Largest [`BlendOptions::max_alpha`]: backward divides by 1 − α.
 pub const HIGHEST_MAX_ALPHA: f64 = 0.9999;
 
-/// Depth that distortion maps to 1, world units (2DGS), where it is large enough beside the near plane.
+/// Depth that distortion maps to 1, world units, unless the near plane is close to it (2DGS).
 pub const FAR: f64 = 100.0;
 
 /// Depth that distortion maps to 1: m = far / (far − near) · (1 − near / z). [`FAR`], but at least 10 · `near`.
@@ -82,7 +73,7 @@ pub fn far(near: f64) -> f64 {
     FAR.max(10.0 * near)
 }
 
-/// What a primitive is.
+/// Form of the primitives.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Form {
     /// Three scales, projected as a whole (3DGS).
@@ -92,14 +83,15 @@ pub enum Form {
     Discs,
 }
 
+/// Form of the primitives and thresholds of blending.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BlendOptions {
     pub form: Form,
-    /// α of a primitive at a pixel is capped here; above 0, at most [`HIGHEST_MAX_ALPHA`].
+    /// Largest α of a fragment; above 0, at most [`HIGHEST_MAX_ALPHA`].
     pub max_alpha: f64,
-    /// A pixel ends before T falls below this; between 0 and 1.
+    /// Smallest T at which a pixel ends; between 0 and 1.
     pub min_transmittance: f64,
-    /// Whether depth, normal and distortion are wanted.
+    /// Whether to compute depth, normal and distortion.
     pub maps: bool,
 }
 
@@ -132,39 +124,17 @@ impl BlendOptions {
 /// Primitives and the probe, or the gradients with respect to them.
 #[derive(ExtensionType, Debug, Clone)]
 pub struct BlendInput<B: Backend> {
-    /// [M, 3]
-    pub positions: FloatTensor<B>,
-    /// [M, 4]
-    pub quaternions: FloatTensor<B>,
-    /// [M, 3]
-    pub log_scales: FloatTensor<B>,
-    /// [M]
-    pub opacities: FloatTensor<B>,
-    /// [M, 3]
-    pub colours: FloatTensor<B>,
-    /// [M, 4], or [0, 4] where it is not wanted
+    #[extension_type]
+    pub gaussians: GaussianTensors<B>,
+    /// [M, 4], or [0, 4] without a probe
     pub probe: FloatTensor<B>,
-}
-
-impl<B: Backend> BlendInput<B> {
-    /// Without the probe.
-    fn primitives(&self) -> SplatInput<B> {
-        SplatInput {
-            positions: self.positions.clone(),
-            quaternions: self.quaternions.clone(),
-            log_scales: self.log_scales.clone(),
-            opacities: self.opacities.clone(),
-            colours: self.colours.clone(),
-        }
-    }
 }
 
 #[derive(ExtensionType, Debug, Clone)]
 pub struct BlendOutput<B: Backend> {
     /// [P, H, W]
     pub planes: FloatTensor<B>,
-    /// [1, H, W] world units, 0 where T stays above ½; no gradient. Not computed without maps: then it may
-    /// be empty.
+    /// [1, H, W] world units, 0 where T stays above ½; no gradient. May be empty without maps.
     pub median_depth: FloatTensor<B>,
 }
 
@@ -213,16 +183,16 @@ pub struct Maps {
     pub distortion: Tensor<3>,
 }
 
-/// Blends `gaussians`, coloured `colours` [M, 3] as seen from the camera. `probe` [M, 4] is there for its gradient
-/// alone: Σ g_x, Σ g_y, Σ |g_x|, Σ |g_y| over the pixels, the gradient with respect to the projected centre in units
-/// of half the image.
+/// Blends `gaussians` in `colours` [M, 3], as seen from the camera. Only the gradient of `probe` [M, 4] means anything:
+/// Σ g_x, Σ g_y, Σ |g_x|, Σ |g_y| over the pixels, with the gradient with respect to the projected centre in units of
+/// half the image.
 ///
 /// # Errors
-/// [`Error::Shape`], [`Error::Camera`] or [`Error::Option`] for input that does not fit.
+/// [`Error::Shape`], [`Error::Camera`] or [`Error::Option`] if the input is invalid.
 pub fn blend(
     gaussians: &Gaussians,
-    colours: Tensor<2>,
-    probe: Option<Tensor<2>>,
+    colours: &Tensor<2>,
+    probe: Option<&Tensor<2>>,
     camera: &Camera,
     options: &BlendOptions,
 ) -> Result<Blend> {
@@ -230,15 +200,12 @@ pub fn blend(
     options.validate()?;
     let probe = match probe {
         Some(probe) => {
-            check_shape("probe", &probe, [gaussians.len(), 4])?;
-            probe
+            check_shape("probe", probe, [gaussians.len(), 4])?;
+            probe.clone()
         }
         None => Tensor::zeros([0, 4], (&colours.device(), colours.dtype())),
     };
-    let SplatInput { positions, quaternions, log_scales, opacities, colours } =
-        super::splat::input(gaussians, colours)?;
-    let probe = probe.into_dispatch();
-    let input = BlendInput { positions, quaternions, log_scales, opacities, colours, probe };
+    let input = BlendInput { gaussians: GaussianTensors::new(gaussians, colours)?, probe: probe.into_dispatch() };
     let out = Dispatch::blend(input, *camera, *options);
     let planes = Tensor::<3>::from_dispatch(out.planes);
     let part =

@@ -1,3 +1,4 @@
+mod brute_force;
 mod gradients;
 mod pictures;
 mod precision;
@@ -6,10 +7,10 @@ mod probe;
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use glam::{DMat3, DVec3};
 
-use super::brute_force::{self, Pixel, Primitive, Shape, centre_of, pixel};
+use self::brute_force::{Pixel, Primitive, Shape, centre_of, pixel};
 use super::{ALPHA_PLANE, Blend, BlendOptions, DEPTH_PLANE, DISTORTION_PLANE, Form, NORMAL_PLANE, blend};
 use crate::camera::{Camera, CameraFromWorld};
-use crate::ops::splat::footprint::Parameters;
+use crate::footprint::splat::Parameters;
 use crate::scene::{Colour, ColourModel, Gaussians};
 use crate::testing::compare::relative_l2;
 use crate::testing::device;
@@ -111,7 +112,7 @@ fn reversed(rows: &[f64], width: usize) -> Vec<f64> {
 
 impl Leaves {
     fn blend(&self, camera: &Camera, options: &BlendOptions) -> Blend {
-        blend(&self.gaussians, self.colours.clone(), Some(self.probe.clone()), camera, options).unwrap()
+        blend(&self.gaussians, &self.colours, Some(&self.probe), camera, options).unwrap()
     }
 
     /// Sum of some outputs, every element with a weight of its own.

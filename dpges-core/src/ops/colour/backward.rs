@@ -9,6 +9,7 @@ use burn::backend::tensor::FloatTensor;
 
 use super::{ColourBackwardOps, ColourOps};
 use crate::scene::ColourModel;
+use crate::tape::pass_back;
 
 #[derive(Clone, Debug)]
 struct ColourState<F: Clone> {
@@ -25,14 +26,10 @@ impl<B: ColourBackwardOps> Backward<B, 2> for ColourBackward {
     type State = ColourState<FloatTensor<B>>;
 
     fn backward(self, ops: Ops<Self::State, 2>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let grad = grads.consume::<B>(&ops.node);
-        let state = ops.state;
-        let (base, detail) = B::colour_backward(state.detail, state.positions, grad, state.centre, state.model);
-        for (parent, grad) in ops.parents.into_iter().zip([base, detail]) {
-            if let Some(parent) = parent {
-                grads.register::<B>(parent.id, grad);
-            }
-        }
+        pass_back::<B, _, 2>(ops, grads, |ColourState { detail, positions, centre, model }, grad| {
+            let (base, detail) = B::colour_backward(detail, positions, grad, centre, model);
+            [Some(base), Some(detail)]
+        });
     }
 }
 

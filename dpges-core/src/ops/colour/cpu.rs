@@ -1,10 +1,12 @@
 //! CPU kernels: one row at a time.
 
+pub(super) mod model;
+
 use burn::backend::TensorMetadata;
 use burn::backend::tensor::FloatTensor;
 use rayon::prelude::*;
 
-use super::{ColourBackwardOps, ColourOps, model};
+use super::{ColourBackwardOps, ColourOps};
 use crate::host::{self, Host, for_each_cpu_backend, with_real};
 use crate::math::{add, row};
 use crate::real::Real;

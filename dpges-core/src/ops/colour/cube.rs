@@ -5,8 +5,7 @@ use burn::backend::tensor::FloatTensor;
 use burn_cubecl::CubeBackend;
 use cubecl::prelude::*;
 
-use super::model::{LARGEST_BETA, SHARPNESS};
-use super::{ColourBackwardOps, ColourOps};
+use super::{ColourBackwardOps, ColourOps, LARGEST_BETA, SHARPNESS};
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, floats, units};
 use crate::gpu::vector::{Vec3, dot, row3, scale, sin_cos, vec3, write3};
 use crate::scene::{ColourModel, SH_C0};

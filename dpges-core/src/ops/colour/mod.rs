@@ -1,17 +1,16 @@
-//! `colour`: what every primitive looks like from the camera.
+//! `colour`: the colour of every primitive as seen from the camera.
 //!
 //! Base [N, 3], detail [N, [`ColourModel::detail_len`]] and positions [N, 3] → colour [N, 3], not
 //! clamped: `0.5 + C0 k0` plus, for spherical Beta, `Σ softplus(rgb) max(0, d·μ)^(4 e^β)` over the
 //! lobes (DBS) or, for spherical harmonics, the higher bands (3DGS).
 //! d is the unit vector from the camera to the primitive, in world axes.
 //!
-//! Gradients: to base and detail. The direction carries none to the position (DP-GES, DBS).
+//! Gradients: to base and detail. The direction passes none to the position (DP-GES, DBS).
 
 mod backward;
 mod cpu;
 #[cfg(feature = "gpu")]
 mod cube;
-mod model;
 #[cfg(test)]
 mod tests;
 
@@ -22,6 +21,11 @@ use burn::tensor::Tensor;
 use crate::error::Result;
 use crate::scene::tensors::check_shape;
 use crate::scene::{Colour, ColourModel};
+
+/// Sharpness of the softplus of a lobe's colour: a raw value of 0 means 0.1.
+const SHARPNESS: f64 = 10.0 * std::f64::consts::LN_2;
+/// Raw β is bounded here: a sharper lobe is narrower than a hundredth of a degree, and e^β would overflow.
+const LARGEST_BETA: f64 = 14.0;
 
 #[backend_extension(
     Cube: cfg(feature = "gpu"),
@@ -50,7 +54,8 @@ pub trait ColourBackwardOps: Backend {
     ) -> (FloatTensor<Self>, FloatTensor<Self>);
 }
 
-/// Colours [N, 3] of primitives at `positions` [N, 3] seen from `centre`, world units.
+/// Colours [N, 3] of primitives at `positions` [N, 3] seen from `centre`, world
+/// units.
 ///
 /// # Errors
 /// [`crate::Error::Shape`] if the tensors do not fit each other or the colour model.

@@ -1,7 +1,7 @@
 use burn::tensor::Tensor;
 
 use super::colour;
-use super::model::{base, lobes, lobes_backward};
+use super::cpu::model::{base, lobes, lobes_backward};
 use crate::scene::{Colour, ColourModel, SH_C0};
 use crate::testing::device;
 use crate::testing::golden::values;

@@ -1,4 +1,4 @@
-//! `composite` on the tape: every output is a node of its own over the same forward pass.
+//! `composite` on the tape: each output has its own node over one forward pass.
 
 use burn::backend::Autodiff;
 use burn::backend::Backend;
@@ -9,6 +9,7 @@ use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::tensor::FloatTensor;
 
 use super::{CompositeBackwardOps, CompositeInput, CompositeOps, CompositeOptions, CompositeOutput, OutputKind};
+use crate::tape::pass_back;
 
 #[derive(Clone, Debug)]
 struct CompositeState<B: Backend> {
@@ -24,15 +25,11 @@ impl<B: CompositeBackwardOps> Backward<B, 3> for CompositeBackward {
     type State = CompositeState<B>;
 
     fn backward(self, ops: Ops<Self::State, 3>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let grad = grads.consume::<B>(&ops.node);
-        let CompositeState { input, kind, options } = ops.state;
-        let out = B::composite_backward(input, grad, kind, options);
-        let reached = [(out.alpha, true), (out.colours, kind.reaches_colours()), (out.sums, kind.reaches_sums())];
-        for (parent, (grad, reached)) in ops.parents.into_iter().zip(reached) {
-            if let (Some(parent), true) = (parent, reached) {
-                grads.register::<B>(parent.id, grad);
-            }
-        }
+        pass_back::<B, _, 3>(ops, grads, |CompositeState { input, kind, options }, grad| {
+            let out = B::composite_backward(input, grad, kind, options);
+            let (colours, sums) = (kind.reaches_colours(), kind.reaches_sums());
+            [Some(out.alpha), colours.then_some(out.colours), sums.then_some(out.sums)]
+        });
     }
 }
 

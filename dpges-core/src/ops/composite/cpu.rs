@@ -10,9 +10,9 @@ use super::{
 };
 use crate::host::{self, Host, for_each_cpu_backend, with_real};
 use crate::math::{V3, add, dot, row, scale};
-use crate::ops::bands::{BAND_COUNT, Bands};
 use crate::ops::peel::MAX_LAYERS;
 use crate::real::Real;
+use crate::tiles::bands::{BAND_COUNT, Bands};
 
 struct Inputs<'a, T: Real> {
     layers: usize,
@@ -26,7 +26,7 @@ struct Inputs<'a, T: Real> {
     detach_transmittance: bool,
 }
 
-/// What one pixel is made of; arrays are filled up to the number of layers.
+/// The parts of one pixel. Arrays are filled up to the number of layers.
 struct Pixel<T> {
     alpha: [T; MAX_LAYERS],
     colour: [V3<T>; MAX_LAYERS],
@@ -67,7 +67,7 @@ impl<T: Real> Inputs<'_, T> {
         })
     }
 
-    /// The pixel at a position within a plane; what neither `colours` nor `sums` asks for is left at zero.
+    /// The pixel at a position within a plane. Its colours and sums are 0 unless they are asked for.
     #[inline(always)]
     fn pixel(&self, at: usize, colours: bool, sums: bool) -> Pixel<T> {
         let plane = self.height * self.width;

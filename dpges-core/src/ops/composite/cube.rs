@@ -1,5 +1,5 @@
-//! GPU kernels: one unit per pixel; the gradient of the surfels' colours is gathered over the pixels
-//! in which each surfel is a layer.
+//! GPU kernels: one unit per pixel. The gradient of the colours is gathered over the pixels in which each
+//! surfel is a layer.
 
 use burn::backend::TensorMetadata;
 use burn::backend::tensor::FloatTensor;
@@ -11,9 +11,11 @@ use super::{
     CompositeBackwardOps, CompositeGradients, CompositeInput, CompositeOps, CompositeOptions, CompositeOutput,
     OutputKind,
 };
-use crate::gpu::launch::{buffer, cube_dim, empty_f32, floats, gatherers, integers, units};
+use crate::binning::boxes::visible_boxes;
+use crate::gpu::gather::{lane, primitive, total, zeros};
+use crate::gpu::launch::{GATHERED, LANES, buffer, cube_dim, empty_f32, floats, gatherers, integers, units};
+use crate::gpu::rect::Rect;
 use crate::gpu::vector::{Vec3, add, dot, row3, scale, vec3};
-use crate::ops::boxes::visible_boxes;
 
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
@@ -40,12 +42,12 @@ fn write_rgb(image: &mut [f32], pixel: usize, plane: usize, colour: Vec3) {
     image[2 * plane + pixel] = colour.z;
 }
 
-/// Colour of layer `k`; black where there is none.
+/// Colour of the surfel `id`; black if it is −1.
 #[cube]
 fn layer_colour(colours: &[f32], id: i32) -> Vec3 {
     let present = id >= 0i32;
     let colour = row3(colours, max(id, 0i32) as usize);
-    // selected, not multiplied by 0: without surfels the buffer holds anything
+    // selected and not multiplied by 0, because without surfels the buffer is uninitialised
     vec3(select(present, colour.x, 0.0f32), select(present, colour.y, 0.0f32), select(present, colour.z, 0.0f32))
 }
 
@@ -177,8 +179,8 @@ fn alpha_backward_kernel(
     }
 }
 
-/// Gradients with respect to what an output is made of: a colour for surfels and Gaussians, as far
-/// as each is part of it, and the Gaussians' weight.
+/// Gradients with respect to the parts of an output: a colour, scaled for surfels and for Gaussians, and the
+/// weight of the Gaussians.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 struct Incoming {
@@ -289,7 +291,7 @@ fn sums_backward_kernel(
     }
 }
 
-/// Gradients with respect to the surfels' colours: 32 units per surfel.
+/// Gathers the gradients with respect to the surfels' colours.
 #[cube(launch)]
 fn colours_backward_kernel(
     alpha: &[f32],
@@ -301,23 +303,19 @@ fn colours_backward_kernel(
     count: u32,
     #[comptime] layers: usize,
 ) {
-    if CUBE_POS * 8 >= count as usize {
+    if CUBE_POS * GATHERED >= count as usize {
         terminate!();
     }
-    let mut partial = Shared::<[f32]>::new_slice(768usize);
-    let mut red = 0.0f32;
-    let mut green = 0.0f32;
-    let mut blue = 0.0f32;
-    let surfel = CUBE_POS * 8 + (UNIT_POS / 32u32) as usize;
+    let mut own = zeros(3usize);
+    let surfel = primitive();
     if surfel < count as usize {
-        let (x0, x1) = (boxes[4 * surfel], boxes[4 * surfel + 1]);
-        let (y0, y1) = (boxes[4 * surfel + 2], boxes[4 * surfel + 3]);
+        let rect = Rect::load(boxes, surfel);
         let plane = blend.pixels as usize;
-        let width = x1 - x0;
-        let area = width * (y1 - y0);
-        let mut p = UNIT_POS % 32u32;
+        let area = rect.area();
+        let mut p = lane();
         while p < area {
-            let pixel = ((y0 + p / width) * blend.width + x0 + p % width) as usize;
+            let (column, row) = rect.pixel(p);
+            let pixel = (row * blend.width + column) as usize;
             let mut through = 1.0f32;
             let mut share = 0.0f32;
             #[unroll]
@@ -329,28 +327,16 @@ fn colours_backward_kernel(
             }
             if share != 0.0f32 {
                 let incoming = rgb(grad_pixel, pixel, plane);
-                red += share * incoming.x;
-                green += share * incoming.y;
-                blue += share * incoming.z;
+                own[0] += share * incoming.x;
+                own[1] += share * incoming.y;
+                own[2] += share * incoming.z;
             }
-            p += 32u32;
+            p += LANES;
         }
     }
-    let unit = UNIT_POS as usize;
-    partial[3 * unit] = red;
-    partial[3 * unit + 1] = green;
-    partial[3 * unit + 2] = blue;
-    sync_cube();
-    if UNIT_POS < 24u32 {
-        let (slot, channel) = ((UNIT_POS / 3u32) as usize, (UNIT_POS % 3u32) as usize);
-        let target = CUBE_POS * 8 + slot;
-        if target < count as usize {
-            let mut sum = 0.0f32;
-            for lane in 0..32u32 {
-                sum += partial[(slot * 32 + lane as usize) * 3 + channel];
-            }
-            grad_colours[target * 3 + channel] = sum;
-        }
+    let sum = total(&own, count, 3usize);
+    if sum.present {
+        grad_colours[sum.primitive * 3 + sum.number] = sum.value;
     }
 }
 
@@ -370,7 +356,7 @@ fn blend(shape: [usize; 3], options: &CompositeOptions) -> BlendLaunch {
     BlendLaunch::new(red, green, blue, (height * width) as u32, width as u32, gate)
 }
 
-/// A buffer that is bound and neither read nor written.
+/// A buffer that no kernel reads or writes.
 fn unused(like: &CubeTensor) -> CubeTensor {
     empty_f32(like, [0, 3])
 }

@@ -1,5 +1,5 @@
-//! Depth and normal of the surfel layers, blended like their colours; plain tensor operations, since
-//! only the geometry losses and pictures ask for them.
+//! Depth and normal of the surfel layers, blended like their colours. Only geometry losses and pictures use
+//! them, so they are plain tensor operations.
 
 use burn::tensor::Tensor;
 
@@ -7,6 +7,7 @@ use crate::camera::Camera;
 use crate::ops::peel::Layers;
 use crate::scene::Surfels;
 
+/// Blended geometry of one view.
 #[derive(Clone, Debug)]
 pub struct Geometry {
     /// [1, H, W] `Σ A_i T_{i−1} D_i`, world units
@@ -15,7 +16,7 @@ pub struct Geometry {
     pub normal: Tensor<3>,
 }
 
-/// Unit normals [N, 3] of surfels in world axes, towards the camera; the side carries no gradient.
+/// Unit normals [N, 3] of surfels in world axes, towards the camera. The side carries no gradient.
 fn normals_towards(surfels: &Surfels, camera: &Camera) -> Tensor<2> {
     let device = surfels.positions.device();
     let dtype = surfels.positions.dtype();
@@ -44,7 +45,7 @@ fn normals_towards(surfels: &Surfels, camera: &Camera) -> Tensor<2> {
 }
 
 /// Blends depth and normal of `layers`; `transmittance` [K + 1, H, W] is the composite's.
-pub fn geometry(surfels: &Surfels, camera: &Camera, layers: &Layers, transmittance: &Tensor<3>) -> Geometry {
+pub fn geometry(surfels: &Surfels, layers: &Layers, transmittance: &Tensor<3>, camera: &Camera) -> Geometry {
     let [count, height, width] = layers.alpha.dims();
     let before = transmittance.clone().slice([0..count, 0..height, 0..width]);
     let weight = layers.alpha.clone() * before;

@@ -1,4 +1,4 @@
-//! `composite`: layers and Gaussian sums to the image.
+//! `composite`: the image from the surfel layers and the sums of the Gaussians.
 //!
 //! Opacities [K, H, W], ids [K, H, W], surfel colours [N, 3] and sums [K, 4, H, W] →
 //! `T_i = Π_{j≤i} (1 − A_j)` [K + 1, H, W] with T_0 = 1, the surfel image
@@ -6,11 +6,11 @@
 //! and the image `C = (C_s + C_G) / (1 + W_G)` (DP-GES). Colour images are [3, H, W],
 //! not clamped; the weight is [1, H, W].
 //!
-//! Gradients: from every output to opacities, colours and sums, without dividing by 1 − A or T
-//! (both are exactly 0 behind an opaque layer). `detach_transmittance` cuts the path
-//! from the Gaussians' image to the opacities.
+//! Gradients: from every output to opacities, colours and sums, without a division by 1 − A or T, which are
+//! exactly 0 behind an opaque layer. `detach_transmittance` cuts the path from the Gaussians' image to the
+//! opacities.
 //!
-//! An operation of its own because burn-ndarray takes over ten times as long for the same in tensor
+//! Compositing is an operation because burn-ndarray takes over ten times as long for the same tensor
 //! operations (burn-flex does not): see `benches/README.md`.
 
 mod backward;
@@ -31,7 +31,7 @@ use crate::scene::tensors::check_shape;
 
 pub use geometry::{Geometry, geometry};
 
-/// What does not carry a gradient.
+/// Options without gradients.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CompositeOptions {
     /// C_b, display-referred.
@@ -61,7 +61,7 @@ pub struct CompositeOutput<B: Backend> {
     pub gaussian_weight: FloatTensor<B>,
 }
 
-/// Gradients; those that a kind of output does not reach are empty.
+/// Gradients. Those that the output does not reach are empty.
 #[derive(ExtensionType, Debug, Clone)]
 pub struct CompositeGradients<B: Backend> {
     pub alpha: FloatTensor<B>,
@@ -69,7 +69,7 @@ pub struct CompositeGradients<B: Backend> {
     pub sums: FloatTensor<B>,
 }
 
-/// Which output an incoming gradient belongs to.
+/// The output that an incoming gradient belongs to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum OutputKind {
     Image,
@@ -127,18 +127,23 @@ pub struct Composite {
 /// Composites `layers`, surfel `colours` [N, 3] and Gaussian `sums` [K, 4, H, W].
 ///
 /// # Errors
-/// [`crate::Error::Shape`] for tensors that do not fit each other.
-pub fn composite(layers: &Layers, colours: Tensor<2>, sums: Tensor<4>, options: CompositeOptions) -> Result<Composite> {
+/// [`crate::Error::Shape`] if the tensors do not fit each other.
+pub fn composite(
+    layers: &Layers,
+    colours: &Tensor<2>,
+    sums: &Tensor<4>,
+    options: &CompositeOptions,
+) -> Result<Composite> {
     let [count, height, width] = layers.alpha.dims();
-    check_shape("sums", &sums, [count, 4, height, width])?;
-    check_shape("surfel colours", &colours, [colours.dims()[0], 3])?;
+    check_shape("sums", sums, [count, 4, height, width])?;
+    check_shape("surfel colours", colours, [colours.dims()[0], 3])?;
     let input = CompositeInput {
         alpha: layers.alpha.clone().into_dispatch(),
-        colours: colours.into_dispatch(),
-        sums: sums.into_dispatch(),
+        colours: colours.clone().into_dispatch(),
+        sums: sums.clone().into_dispatch(),
         ids: layers.ids.clone().into_dispatch(),
     };
-    let out = Dispatch::composite(input, options);
+    let out = Dispatch::composite(input, *options);
     Ok(Composite {
         image: Tensor::from_dispatch(out.image),
         surfel_image: Tensor::from_dispatch(out.surfel_image),

@@ -68,7 +68,7 @@ impl Flat {
         let ids = Tensor::<3, Int>::from_data(ids, (&device(), DType::I32));
         let layers = Layers { ids, alpha: alpha.clone(), depth: alpha.clone().detach() };
         let options = CompositeOptions { background: BACKGROUND, detach_transmittance: detach };
-        composite(&layers, colours.clone(), sums.clone(), options).unwrap()
+        composite(&layers, colours, sums, &options).unwrap()
     }
 
     fn transmittance(&self, at: usize) -> Vec<f64> {

@@ -1,4 +1,4 @@
-//! GPU kernel: one unit per number, looking at its bits, since WGSL need not know NaN.
+//! GPU kernel: one unit per number. It tests bits, because WGSL implementations may ignore NaN.
 
 use burn::backend::TensorMetadata;
 use burn::backend::tensor::{FloatTensor, IntTensor};
@@ -9,7 +9,7 @@ use cubecl::prelude::*;
 use super::FiniteOps;
 use crate::gpu::launch::{buffer, cube_dim, empty, floats, units, zeros_u32};
 
-/// Raises `furthest` to the distance of a bad number from the end, so that 0 means none.
+/// Raises `furthest` to the distance of a bad number from the end. It stays 0 if there is none.
 #[cube(launch)]
 fn finite_kernel(values: &[f32], furthest: &[Atomic<u32>], count: u32) {
     let i = ABSOLUTE_POS;

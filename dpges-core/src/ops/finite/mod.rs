@@ -1,17 +1,17 @@
-//! `first_non_finite`: where a tensor first holds a value that is not a finite number.
+//! `first_non_finite`: the position of the first value of a tensor that is not a finite number.
 //!
 //! Any float tensor → [1] integer: position in row-major order of the first NaN or infinity, −1 if
-//! there is none. Checks that guard a training step are made with it.
+//! there is none. Training checks every step with it.
 
+mod backward;
 mod cpu;
 #[cfg(feature = "gpu")]
 mod cube;
 #[cfg(test)]
 mod tests;
 
-use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
 use burn::backend::tensor::{FloatTensor, IntTensor};
-use burn::backend::{Autodiff, Backend, Dispatch, backend_extension};
+use burn::backend::{Backend, Dispatch, backend_extension};
 use burn::tensor::{Int, Tensor};
 
 use crate::error::{Error, Result};
@@ -26,13 +26,7 @@ pub trait FiniteOps: Backend {
     fn first_non_finite(tensor: FloatTensor<Self>) -> IntTensor<Self>;
 }
 
-impl<B: FiniteOps, S: CheckpointStrategy> FiniteOps for Autodiff<B, S> {
-    fn first_non_finite(tensor: FloatTensor<Self>) -> IntTensor<Self> {
-        B::first_non_finite(tensor.into_parts().0)
-    }
-}
-
-/// Where each of several tensors first holds a bad value, all asked for before any answer is read.
+/// Checks of several tensors. All are launched before the first result is read.
 #[derive(Clone, Default)]
 pub struct FiniteChecks {
     names: Vec<String>,
@@ -41,6 +35,7 @@ pub struct FiniteChecks {
 }
 
 impl FiniteChecks {
+    /// Launches the check of `tensor`.
     pub fn add<const D: usize>(&mut self, name: impl Into<String>, tensor: &Tensor<D>) {
         let position = Dispatch::first_non_finite(tensor.clone().into_dispatch());
         self.names.push(name.into());
@@ -48,7 +43,7 @@ impl FiniteChecks {
         self.row_lens.push(tensor.dims()[1..].iter().product::<usize>().max(1));
     }
 
-    /// [tensors] position of the first bad value in each tensor, −1 where there is none.
+    /// [tensors] position of the first bad value in each tensor, −1 if there is none.
     ///
     /// # Panics
     /// If nothing was added.
@@ -57,9 +52,10 @@ impl FiniteChecks {
     }
 }
 
+/// Reads the results of `checks`.
+///
 /// # Errors
-/// [`Error::NonFinite`] naming the first of the added tensors that holds a bad value, and the row
-/// (first dimension).
+/// [`Error::NonFinite`] with the name of the first tensor that holds a bad value, and its row (first dimension).
 pub fn check_finite(checks: &FiniteChecks) -> Result<()> {
     if checks.names.is_empty() {
         return Ok(());

@@ -1,5 +1,5 @@
-//! `peel` on the tape: alpha and depth are separate nodes over the same forward pass, so that a
-//! loss that uses only one of them pays for only one.
+//! `peel` on the tape: alpha and depth have separate nodes over one forward pass, so that a loss that uses
+//! one of them does not pay for the other.
 
 use burn::backend::autodiff::checkpoint::base::Checkpointer;
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
@@ -10,6 +10,7 @@ use burn::backend::{Autodiff, Backend};
 
 use super::{PeelBackwardOps, PeelGradient, PeelOps, PeelOptions, PeelOutput, SurfelShapes};
 use crate::camera::Camera;
+use crate::tape::pass_back;
 
 #[derive(Clone, Debug)]
 struct PeelState<B: Backend> {
@@ -27,14 +28,10 @@ impl<B: PeelBackwardOps> Backward<B, 3> for PeelBackward {
     type State = PeelState<B>;
 
     fn backward(self, ops: Ops<Self::State, 3>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let grad = grads.consume::<B>(&ops.node);
-        let PeelState { surfels, ids, of, camera, options } = ops.state;
-        let out = B::peel_backward(surfels, ids, grad, of, camera, options);
-        for (parent, grad) in ops.parents.into_iter().zip([out.positions, out.quaternions, out.log_scales]) {
-            if let Some(parent) = parent {
-                grads.register::<B>(parent.id, grad);
-            }
-        }
+        pass_back::<B, _, 3>(ops, grads, |PeelState { surfels, ids, of, camera, options }, grad| {
+            let out = B::peel_backward(surfels, ids, grad, of, camera, options);
+            [out.positions, out.quaternions, out.log_scales].map(Some)
+        });
     }
 }
 

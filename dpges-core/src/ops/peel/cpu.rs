@@ -1,4 +1,4 @@
-//! CPU kernels: one task per tile forward, one per band of rows backward.
+//! CPU kernels. Forward, one task handles one tile; backward, one band of rows.
 
 use std::borrow::Cow;
 
@@ -6,17 +6,20 @@ use burn::backend::TensorMetadata;
 use burn::backend::tensor::{FloatTensor, IntTensor};
 use rayon::prelude::*;
 
-use super::disc::{CUTOFF, Disc, DiscGrad, MIN_FACING, Parameters, Plane};
 use super::{PeelBackwardOps, PeelGradient, PeelOps, PeelOptions, PeelOutput, SurfelShapes};
+use crate::binning::cpu::bin;
 use crate::camera::Camera;
+use crate::footprint::CUTOFF;
+use crate::footprint::disc::{Disc, DiscGrad, MIN_FACING, Parameters, Plane};
 use crate::host::{self, Host, for_each_cpu_backend, with_real};
 use crate::math::{CameraOf, row};
-use crate::ops::bands::{BAND_COUNT, Bands};
-use crate::ops::binning::layout::to_planes;
-use crate::ops::binning::{LANES, PixelRect, TILE, TILE_PIXELS, TileGrid, bin};
 use crate::real::Real;
 use crate::scene::Footprint;
+use crate::simd::LANES;
 use crate::simd::vectorised;
+use crate::tiles::bands::{BAND_COUNT, Bands};
+use crate::tiles::layout::to_planes;
+use crate::tiles::{PixelRect, TILE, TILE_PIXELS, TileGrid};
 
 /// Parameters of all surfels, row-major.
 struct SurfelRows<'a, T: Real> {
@@ -131,8 +134,8 @@ fn peel_tile<T: Real>(
     end_behind_opaque(options.layer_count, slots);
 }
 
-/// Bubbles a fragment per lane into the sorted lists. Candidates come in ascending order of index,
-/// so a strict comparison breaks ties in depth by index; what it displaces all moves down by one.
+/// Inserts one fragment per lane into the sorted lists and moves those behind it by one. Candidates ascend by
+/// index, so a strict comparison breaks ties in depth by index.
 #[inline(always)]
 #[expect(clippy::too_many_arguments, reason = "three parallel arrays on each side")]
 fn insert<T: Real>(

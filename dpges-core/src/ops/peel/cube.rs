@@ -1,53 +1,33 @@
-//! GPU kernels: one cube per tile forward; backward every surfel gathers over the pixels in which it
-//! is a layer, so that nothing is accumulated across cubes.
+//! GPU kernels. Forward, one cube handles one tile. Backward gathers over the pixels in which each surfel is
+//! a layer.
 
 use burn::backend::TensorMetadata;
 use burn::backend::tensor::{FloatTensor, IntTensor};
 use burn::tensor::DType;
 use burn_cubecl::CubeBackend;
-use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
-use super::disc::{CUTOFF, MIN_FACING};
-use super::disc_cube::{
-    LARGEST_LOG_SCALE, PLANE, SUMS, disc, disc_backward, exact_disc, exact_hit, hit, write_plane, write_reach,
-};
 use super::{PeelBackwardOps, PeelGradient, PeelOps, PeelOptions, PeelOutput, SurfelShapes};
+use crate::binning::boxes::visible_boxes;
+use crate::binning::capacity::ListKind;
+use crate::binning::cube::{TileList, bin};
 use crate::camera::Camera;
-use crate::gpu::launch::{buffer, cube_dim, cubes, empty, empty_f32, empty_u32, floats, gatherers, integers, units};
-use crate::gpu::lists::ListKind;
-use crate::gpu::vector::{row3, row4, write3, write4};
-use crate::gpu::view::{Rests, View};
-use crate::ops::binning::TileGrid;
-use crate::ops::binning::cube::{bin, entry, own_pixel, tile_list};
-use crate::ops::boxes::visible_boxes;
+use crate::footprint::disc_cube::{
+    self, DISC_SUMS, DiscPixel, DiscTensors, MIN_FACING, PLANE, Plane, Planes, add_disc_sums, bounded_scale, exact_hit,
+};
+use crate::footprint::splat_cube::CUTOFF_F32;
+use crate::gpu::gather::{lane, primitive, total, zeros};
+use crate::gpu::launch::{
+    GATHERED, LANES, UNITS, buffer, cube_dim, cubes, empty, empty_f32, floats, gatherers, integers,
+};
+use crate::gpu::rect::Rect;
+use crate::gpu::tile::{own_pixel, plane_of};
+use crate::gpu::view::View;
 use crate::scene::Footprint;
+use crate::tiles::TileGrid;
 
-const CUTOFF_F32: f32 = CUTOFF as f32;
-const MIN_FACING_F32: f32 = MIN_FACING as f32;
-
-#[cube(launch)]
-fn setup_kernel(
-    positions: &[f32],
-    quaternions: &[f32],
-    log_scales: &[f32],
-    planes: &mut [f32],
-    lows: &mut [f32],
-    rects: &mut [u32],
-    view: View,
-    rests: Rests,
-    radius: f32,
-    count: u32,
-) {
-    let i = ABSOLUTE_POS;
-    if i >= count as usize {
-        terminate!();
-    }
-    let exact = exact_disc(view, rests, row3(positions, i), row4(quaternions, i));
-    let disc = disc(view, exact, log_scales[2 * i], log_scales[2 * i + 1]);
-    write_plane(view, rests, exact, disc, planes, lows, i);
-    write_reach(view, disc, radius, rects, i);
-}
+/// Index of a layer that is missing: −1 as unsigned.
+const NONE: u32 = u32::MAX;
 
 #[cube(launch)]
 fn peel_kernel(
@@ -67,14 +47,9 @@ fn peel_kernel(
     if CUBE_POS >= (view.columns * view.rows) as usize {
         terminate!();
     }
-    let (start, length, listed) = tile_list(offsets, capacity, count);
-    let (column, row) = own_pixel(view);
-    let x = f32::cast_from(column) + 0.5f32;
-    let y = f32::cast_from(row) + 0.5f32;
-    let unit = UNIT_POS as usize;
-
-    let mut staged = Shared::<[f32]>::new_slice(256usize * PLANE);
-    let mut staged_ids = Shared::<[u32]>::new_slice(256usize);
+    let list = TileList::own(offsets, capacity, count);
+    let pixel = own_pixel(view, CUBE_POS as u32);
+    let mut staged = Shared::<[f32]>::new_slice(comptime!(UNITS as usize * PLANE));
     // slots in ascending order of (depth, id); an empty one is at infinity
     let mut slot_depth = Array::<f32>::new(layers);
     let mut slot_alpha = Array::<f32>::new(layers);
@@ -83,35 +58,24 @@ fn peel_kernel(
     for k in 0..layers {
         slot_depth[k] = view.infinity;
         slot_alpha[k] = 0.0f32;
-        slot_id[k] = 0xffff_ffffu32;
+        slot_id[k] = NONE;
     }
 
-    let rounds = length.div_ceil(256u32);
-    for round in 0..rounds {
-        let at = round * 256u32 + UNIT_POS;
-        sync_cube();
-        if at < length {
-            let id = entry(ids, start, at, listed);
-            staged_ids[unit] = id;
-            #[unroll]
-            for number in 0..PLANE {
-                staged[unit * PLANE + number] = planes[id as usize * PLANE + number];
-            }
-        }
-        sync_cube();
-        let batch = min(256u32, length - round * 256u32);
-        for j in 0..batch {
-            let found = hit(&staged, j as usize * PLANE, x, y);
+    let batches = list.batches();
+    for batch in 0..batches {
+        let entries = list.stage(ids, batch, planes, planes, &mut staged, PLANE, 0usize);
+        for j in 0..entries {
+            let found = Plane::load(&staged, j as usize * PLANE).hit(pixel.x, pixel.y);
             let opacity = min(modulation * found.kernel, 1.0f32);
             let mut measure = opacity;
             if comptime!(by_kernel) {
                 measure = found.kernel;
             }
-            let exists = f32::abs(found.facing) > MIN_FACING_F32 && found.depth > view.near && measure >= CUTOFF_F32;
+            let exists = f32::abs(found.facing) > MIN_FACING && found.depth > view.near && measure >= CUTOFF_F32;
             if exists && found.depth <= slot_depth[layers - 1] {
                 let mut depth = found.depth;
                 let mut alpha = opacity;
-                let mut id = staged_ids[j as usize];
+                let mut id = list.entry(ids, batch * UNITS + j);
                 #[unroll]
                 for k in 0..layers {
                     let before = depth < slot_depth[k] || (depth == slot_depth[k] && id < slot_id[k]);
@@ -127,13 +91,12 @@ fn peel_kernel(
         }
     }
 
-    if column < view.width && row < view.height {
-        let plane = (view.width * view.height) as usize;
-        let pixel = (row * view.width + column) as usize;
+    if pixel.inside {
+        let plane = plane_of(view);
         let mut opaque = false;
         #[unroll]
         for k in 0..layers {
-            let at = k * plane + pixel;
+            let at = k * plane + pixel.at;
             out_ids[at] = select(opaque, -1i32, i32::reinterpret(slot_id[k]));
             out_alpha[at] = select(opaque, 0.0f32, slot_alpha[k]);
             out_depth[at] = select(opaque, view.infinity, slot_depth[k]);
@@ -142,7 +105,7 @@ fn peel_kernel(
     }
 }
 
-/// Sums of gradients over the pixels in which each surfel is a layer: 32 units per surfel.
+/// Sums of gradients over the pixels in which each surfel is a layer.
 #[cube(launch)]
 fn gather_kernel(
     planes: &[f32],
@@ -153,148 +116,63 @@ fn gather_kernel(
     sums: &mut [f32],
     view: View,
     modulation: f32,
-    scales: &[f32],
+    log_scales: &[f32],
     count: u32,
     #[comptime] layers: usize,
     #[comptime] of_depth: bool,
 ) {
-    if CUBE_POS * 8 >= count as usize {
+    if CUBE_POS * GATHERED >= count as usize {
         terminate!();
     }
-    let mut partial = Shared::<[f32]>::new_slice(256usize * SUMS);
-    let mut own = Array::<f32>::new(SUMS);
-    #[unroll]
-    for s in 0..SUMS {
-        own[s] = 0.0f32;
-    }
-    let surfel = CUBE_POS * 8 + (UNIT_POS / 32u32) as usize;
+    let mut own = zeros(DISC_SUMS);
+    let surfel = primitive();
     if surfel < count as usize {
-        let (x0, x1) = (boxes[4 * surfel], boxes[4 * surfel + 1]);
-        let (y0, y1) = (boxes[4 * surfel + 2], boxes[4 * surfel + 3]);
-        let o = surfel * PLANE;
-        let scale_u = f32::exp(min(scales[2 * surfel], LARGEST_LOG_SCALE));
-        let scale_v = f32::exp(min(scales[2 * surfel + 1], LARGEST_LOG_SCALE));
-        let plane = (view.width * view.height) as usize;
-        let width = x1 - x0;
-        let area = width * (y1 - y0);
-        let mut p = UNIT_POS % 32u32;
+        let rect = Rect::load(boxes, surfel);
+        let scale_u = bounded_scale(log_scales[2 * surfel]);
+        let scale_v = bounded_scale(log_scales[2 * surfel + 1]);
+        let plane_size = plane_of(view);
+        let area = rect.area();
+        let mut p = lane();
         while p < area {
-            let (column, row) = (x0 + p % width, y0 + p / width);
+            let (column, row) = rect.pixel(p);
             let pixel = (row * view.width + column) as usize;
             let mut incoming = 0.0f32;
             #[unroll]
             for k in 0..layers {
-                if ids[k * plane + pixel] == surfel as i32 {
-                    incoming = grad[k * plane + pixel];
+                if ids[k * plane_size + pixel] == surfel as i32 {
+                    incoming = grad[k * plane_size + pixel];
                 }
             }
             if incoming != 0.0f32 {
                 let (x, y) = (f32::cast_from(column) + 0.5f32, f32::cast_from(row) + 0.5f32);
-                let found = exact_hit(planes, lows, o, x, y, view.zero);
-                let (across, down) = ((x - planes[o]) / view.fx, (y - planes[o + 1]) / view.fy);
+                let plane = Plane::load(planes, surfel * PLANE);
+                let hit = exact_hit(plane, Plane::load(lows, surfel * PLANE), x, y, view.zero);
+                let (across, down) = ((x - plane.anchor_x) / view.fx, (y - plane.anchor_y) / view.fy);
                 if comptime!(of_depth) {
-                    let towards_facing = -incoming * found.depth / found.facing;
-                    own[6] += towards_facing;
-                    own[7] += towards_facing * across;
-                    own[8] += towards_facing * down;
-                    own[9] += incoming / found.facing;
-                } else if modulation * found.kernel < 1.0f32 {
-                    let grad_kernel = modulation * incoming * found.kernel;
-                    let (grad_u, grad_v) = (-grad_kernel * found.u, -grad_kernel * found.v);
-                    let towards_u = grad_u / (found.facing * scale_u);
-                    let towards_v = grad_v / (found.facing * scale_v);
-                    let towards_facing = -(grad_u * found.u + grad_v * found.v) / found.facing;
-                    own[0] += towards_u;
-                    own[1] += towards_u * across;
-                    own[2] += towards_u * down;
-                    own[3] += towards_v;
-                    own[4] += towards_v * across;
-                    own[5] += towards_v * down;
-                    own[6] += towards_facing;
-                    own[7] += towards_facing * across;
-                    own[8] += towards_facing * down;
-                    own[10] -= grad_u * found.u;
-                    own[11] -= grad_v * found.v;
+                    let pixel = DiscPixel { hit, across, down, scale_u, scale_v, power: 0.0f32, grad_depth: incoming };
+                    add_disc_sums(&mut own, pixel, false, true);
+                } else if modulation * hit.kernel < 1.0f32 {
+                    let power = modulation * incoming * hit.kernel;
+                    let pixel = DiscPixel { hit, across, down, scale_u, scale_v, power, grad_depth: 0.0f32 };
+                    add_disc_sums(&mut own, pixel, true, false);
                 }
             }
-            p += 32u32;
+            p += LANES;
         }
     }
-    #[unroll]
-    for s in 0..SUMS {
-        partial[UNIT_POS as usize * SUMS + s] = own[s];
-    }
-    sync_cube();
-    if UNIT_POS < 96u32 {
-        let (slot, s) = ((UNIT_POS / 12u32) as usize, (UNIT_POS % 12u32) as usize);
-        let target = CUBE_POS * 8 + slot;
-        if target < count as usize {
-            let mut sum = 0.0f32;
-            for lane in 0..32u32 {
-                sum += partial[(slot * 32 + lane as usize) * SUMS + s];
-            }
-            sums[target * SUMS + s] = sum;
-        }
+    let sum = total(&own, count, DISC_SUMS);
+    if sum.present {
+        sums[sum.primitive * DISC_SUMS + sum.number] = sum.value;
     }
 }
 
-#[cube(launch)]
-fn disc_backward_kernel(
-    positions: &[f32],
-    quaternions: &[f32],
-    log_scales: &[f32],
-    sums: &[f32],
-    grad_positions: &mut [f32],
-    grad_quaternions: &mut [f32],
-    grad_log_scales: &mut [f32],
-    view: View,
-    rests: Rests,
-    count: u32,
-) {
-    let i = ABSOLUTE_POS;
-    if i >= count as usize {
-        terminate!();
-    }
-    let quaternion = row4(quaternions, i);
-    let exact = exact_disc(view, rests, row3(positions, i), quaternion);
-    let disc = disc(view, exact, log_scales[2 * i], log_scales[2 * i + 1]);
-    let gradient = disc_backward(view, disc, quaternion, sums, i);
-    write3(grad_positions, i, gradient.position);
-    write4(grad_quaternions, i, gradient.quaternion);
-    grad_log_scales[2 * i] = sums[i * SUMS + 10];
-    grad_log_scales[2 * i + 1] = sums[i * SUMS + 11];
+fn discs(surfels: &SurfelShapes<CubeBackend>) -> DiscTensors<'_> {
+    DiscTensors { positions: &surfels.positions, quaternions: &surfels.quaternions, log_scales: &surfels.log_scales }
 }
 
-/// What does not depend on the pixel.
-struct Setup {
-    /// [N, [`PLANE`]], and what rounding took from it
-    planes: CubeTensor,
-    lows: CubeTensor,
-    /// [N, 4] pixel rectangles
-    rects: CubeTensor,
-}
-
-fn setup(surfels: &SurfelShapes<CubeBackend>, camera: &Camera, options: &PeelOptions) -> Setup {
-    let (like, count) = (&surfels.positions, surfels.positions.shape()[0]);
-    let (planes, lows) = (empty_f32(like, [count, PLANE]), empty_f32(like, [count, PLANE]));
-    let rects = empty_u32(like, [count, 4]);
+fn setup(surfels: &SurfelShapes<CubeBackend>, camera: &Camera, options: &PeelOptions) -> Planes {
     let radius = options.footprint.radius(options.modulation).map_or(-1.0, |radius| radius as f32);
-    setup_kernel::launch(
-        &surfels.positions.client.clone(),
-        units(count),
-        cube_dim(),
-        buffer(&surfels.positions),
-        buffer(&surfels.quaternions),
-        buffer(&surfels.log_scales),
-        buffer(&planes),
-        buffer(&lows),
-        buffer(&rects),
-        View::launch(camera),
-        Rests::launch(camera),
-        radius,
-        count as u32,
-    );
-    Setup { planes, lows, rects }
+    disc_cube::planes(&discs(surfels), None, Some(radius), camera)
 }
 
 fn contiguous(surfels: SurfelShapes<CubeBackend>) -> SurfelShapes<CubeBackend> {
@@ -310,7 +188,7 @@ impl PeelOps for CubeBackend {
         let surfels = contiguous(surfels);
         let like = surfels.positions.clone();
         let count = like.shape()[0];
-        let Setup { planes, rects, .. } = setup(&surfels, &camera, &options);
+        let Planes { planes, rects, .. } = setup(&surfels, &camera, &options);
         let lists = bin(&rects, None, &camera, ListKind::Surfels);
         let shape = [options.layer_count, camera.height, camera.width];
         let (ids, alpha, depth) = (empty(&like, shape, DType::I32), empty_f32(&like, shape), empty_f32(&like, shape));
@@ -348,9 +226,9 @@ impl PeelBackwardOps for CubeBackend {
         let (ids, grad) = (integers(ids), floats(grad));
         let like = surfels.positions.clone();
         let (client, count) = (like.client.clone(), like.shape()[0]);
-        let Setup { planes, lows, .. } = setup(&surfels, &camera, &options);
+        let Planes { planes, lows, .. } = setup(&surfels, &camera, &options);
         let boxes = visible_boxes(&ids, count);
-        let sums = empty_f32(&like, [count, SUMS]);
+        let sums = empty_f32(&like, [count, DISC_SUMS]);
         gather_kernel::launch(
             &client,
             gatherers(count),
@@ -373,21 +251,7 @@ impl PeelBackwardOps for CubeBackend {
             quaternions: empty_f32(&like, [count, 4]),
             log_scales: empty_f32(&like, [count, 2]),
         };
-        disc_backward_kernel::launch(
-            &client,
-            units(count),
-            cube_dim(),
-            buffer(&surfels.positions),
-            buffer(&surfels.quaternions),
-            buffer(&surfels.log_scales),
-            buffer(&sums),
-            buffer(&out.positions),
-            buffer(&out.quaternions),
-            buffer(&out.log_scales),
-            View::launch(&camera),
-            Rests::launch(&camera),
-            count as u32,
-        );
+        disc_cube::backward(&discs(&surfels), &sums, &camera, &discs(&out));
         out
     }
 }

@@ -12,9 +12,6 @@ mod backward;
 mod cpu;
 #[cfg(feature = "gpu")]
 mod cube;
-pub(super) mod disc;
-#[cfg(feature = "gpu")]
-pub(super) mod disc_cube;
 #[cfg(test)]
 mod tests;
 
@@ -27,11 +24,10 @@ use crate::error::{Error, Result};
 use crate::scene::tensors::check_shape;
 use crate::scene::{Footprint, SceneInfo};
 
-pub use disc::{CUTOFF, MIN_FACING};
-
-/// Most layers that can be asked for.
+/// Largest number of layers.
 pub const MAX_LAYERS: usize = 8;
 
+/// Number and opacity of layers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PeelOptions {
     /// K, 1 to [`MAX_LAYERS`].
@@ -42,7 +38,7 @@ pub struct PeelOptions {
 }
 
 impl Default for PeelOptions {
-    /// The paper's: 3 layers, w = 30, footprint to G = 1/255.
+    /// Those of DP-GES: 3 layers, w = 30, footprint to G = 1/255.
     fn default() -> Self {
         Self { layer_count: 3, modulation: 30.0, footprint: Footprint::Kernel }
     }
@@ -88,7 +84,7 @@ pub struct PeelOutput<B: Backend> {
     pub depth: FloatTensor<B>,
 }
 
-/// What of the surfels [`peel`] depends on, or the gradients with respect to it.
+/// The attributes of surfels that [`peel`] depends on, or the gradients with respect to them.
 #[derive(ExtensionType, Debug, Clone)]
 pub struct SurfelShapes<B: Backend> {
     /// [N, 3]
@@ -99,7 +95,7 @@ pub struct SurfelShapes<B: Backend> {
     pub log_scales: FloatTensor<B>,
 }
 
-/// Which output of [`peel`] an incoming gradient belongs to.
+/// The output of [`peel`] that an incoming gradient belongs to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PeelGradient {
     Alpha,
@@ -131,24 +127,24 @@ pub trait PeelBackwardOps: Backend {
 /// Peels surfels with `positions` [N, 3], `quaternions` [N, 4] and `log_scales` [N, 2].
 ///
 /// # Errors
-/// [`Error::Shape`], [`Error::Camera`] or [`Error::Option`] for input that does not fit.
+/// [`Error::Shape`], [`Error::Camera`] or [`Error::Option`] if the input is invalid.
 pub fn peel(
-    positions: Tensor<2>,
-    quaternions: Tensor<2>,
-    log_scales: Tensor<2>,
+    positions: &Tensor<2>,
+    quaternions: &Tensor<2>,
+    log_scales: &Tensor<2>,
     camera: &Camera,
     options: &PeelOptions,
 ) -> Result<Layers> {
     camera.validate()?;
     options.validate()?;
     let count = positions.dims()[0];
-    check_shape("surfels.positions", &positions, [count, 3])?;
-    check_shape("surfels.quaternions", &quaternions, [count, 4])?;
-    check_shape("surfels.log_scales", &log_scales, [count, 2])?;
+    check_shape("surfels.positions", positions, [count, 3])?;
+    check_shape("surfels.quaternions", quaternions, [count, 4])?;
+    check_shape("surfels.log_scales", log_scales, [count, 2])?;
     let surfels = SurfelShapes {
-        positions: positions.into_dispatch(),
-        quaternions: quaternions.into_dispatch(),
-        log_scales: log_scales.into_dispatch(),
+        positions: positions.clone().into_dispatch(),
+        quaternions: quaternions.clone().into_dispatch(),
+        log_scales: log_scales.clone().into_dispatch(),
     };
     let out = Dispatch::peel(surfels, *camera, *options);
     Ok(Layers {

@@ -1,17 +1,18 @@
 use burn::tensor::Tensor;
 use glam::{DMat3, DVec3};
 
-use super::disc::{Disc, Parameters};
-use super::{CUTOFF, Layers, MIN_FACING, PeelGradient, PeelOptions, peel};
+use super::{Layers, PeelGradient, PeelOptions, peel};
 use crate::camera::{Camera, CameraFromWorld};
+use crate::footprint::CUTOFF;
+use crate::footprint::disc::{Disc, MIN_FACING, Parameters};
 use crate::math::{CameraOf, M3, V3, add, apply, column, dot, rotation, scale, sub};
-use crate::ops::binning::PixelRect;
 use crate::scene::{ColourModel, Footprint};
 use crate::testing::device;
 use crate::testing::golden::values;
 use crate::testing::gradients::{check, leaf};
 use crate::testing::random::Random;
 use crate::testing::scenes::{self, Recipe};
+use crate::tiles::PixelRect;
 
 /// A surfel in camera space, as the specification has it.
 struct Dense {
@@ -90,7 +91,7 @@ impl Flat {
 
     fn peel(&self, camera: &Camera, options: &PeelOptions) -> Layers {
         let [positions, quaternions, log_scales] = self.leaves();
-        peel(positions, quaternions, log_scales, camera, options).unwrap()
+        peel(&positions, &quaternions, &log_scales, camera, options).unwrap()
     }
 
     /// The layers by sorting every fragment of every pixel; [K, H, W].
@@ -297,7 +298,7 @@ fn a_zero_quaternion_is_the_identity_and_gets_no_gradient() {
     let expected = Flat::of(&surfels).peel_densely(&camera, &options);
     surfels[1].quaternion = [0.0; 4];
     let [positions, quaternions, log_scales] = Flat::of(&surfels).leaves();
-    let layers = peel(positions, quaternions.clone(), log_scales, &camera, &options).unwrap();
+    let layers = peel(&positions, &quaternions, &log_scales, &camera, &options).unwrap();
     assert_same(&layers, &expected);
     let gradient = values(&quaternions.grad(&layers.alpha.sum().backward()).unwrap());
     assert!(gradient[..4].iter().any(|g| g.abs() > 1e-3) && gradient[4..].iter().all(|g| *g == 0.0), "{gradient:?}");
@@ -325,7 +326,7 @@ fn gradients_of_alpha_and_depth_are_central_differences() {
         let weights = leaf(&Random::new(seed).numbers(shape.iter().product(), -1.0, 1.0), shape, &device()).detach();
         for of in [PeelGradient::Alpha, PeelGradient::Depth] {
             let leaves = surfels.leaves();
-            let [positions, quaternions, log_scales] = leaves.clone();
+            let [positions, quaternions, log_scales] = &leaves;
             let layers = peel(positions, quaternions, log_scales, &camera, &options).unwrap();
             let gradients = loss(&layers, of, &weights).backward();
             for (i, leaf) in leaves.iter().enumerate() {

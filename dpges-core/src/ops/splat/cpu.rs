@@ -1,75 +1,35 @@
-//! CPU kernels: one task per tile forward; backward and contributions gather, each Gaussian over
-//! its own pixels, so that nothing is accumulated across tasks.
-
-use std::borrow::Cow;
+//! CPU kernels. Forward, one task handles one tile. Backward and contributions gather over the pixels of each
+//! Gaussian.
 
 use burn::backend::TensorMetadata;
 use burn::backend::tensor::FloatTensor;
 use rayon::prelude::*;
 
-use super::footprint::{self, Parameters, Splat, SplatGrad};
-use super::{SplatBackwardOps, SplatInput, SplatOps};
+use super::{SplatBackwardOps, SplatOps, SplatOptions};
+use crate::binning::cpu::bin;
 use crate::camera::Camera;
+use crate::footprint::gaussians::{GaussianRows, GaussianTensors};
+use crate::footprint::moments::{MOMENTS, add_moments};
+use crate::footprint::splat::{self, Splat, SplatGrad};
 use crate::host::{self, Host, for_each_cpu_backend, with_real};
-use crate::math::{CameraOf, V3, row};
-use crate::ops::binning::layout::{to_planes, to_tiles};
-use crate::ops::binning::{LANES, PixelRect, TILE, TILE_PIXELS, TileGrid, bin};
+use crate::math::CameraOf;
 use crate::real::Real;
+use crate::simd::LANES;
 use crate::simd::vectorised;
+use crate::tiles::layout::{to_planes, to_tiles};
+use crate::tiles::{PixelRect, TILE_PIXELS, TileGrid, for_each_group};
 
 const CHANNELS: usize = 4;
 const CHUNK: usize = 256;
 
-/// Parameters of all Gaussians, row-major.
-pub struct GaussianRows<'a, T: Real> {
-    positions: Cow<'a, [T]>,
-    quaternions: Cow<'a, [T]>,
-    log_scales: Cow<'a, [T]>,
-    opacities: Cow<'a, [T]>,
-    colours: Cow<'a, [T]>,
-}
-
-impl<'a, T: Real> GaussianRows<'a, T> {
-    pub fn new<B: Host>(input: &'a SplatInput<B>) -> Self {
-        Self {
-            positions: host::floats::<B, T>(&input.positions),
-            quaternions: host::floats::<B, T>(&input.quaternions),
-            log_scales: host::floats::<B, T>(&input.log_scales),
-            opacities: host::floats::<B, T>(&input.opacities),
-            colours: host::floats::<B, T>(&input.colours),
-        }
-    }
-
-    pub fn len(&self) -> usize {
-        self.opacities.len()
-    }
-
-    pub fn parameters(&self, i: usize) -> Parameters<T> {
-        Parameters {
-            position: row(&self.positions, i),
-            quaternion: row(&self.quaternions, i),
-            log_scales: row(&self.log_scales, i),
-            opacity: self.opacities[i],
-        }
-    }
-
-    pub fn colour(&self, i: usize) -> V3<T> {
-        row(&self.colours, i)
-    }
-
-    fn splat(&self, camera: &CameraOf<T>, i: usize) -> Option<Splat<T>> {
-        Splat::new(camera, &self.parameters(i), self.colour(i))
-    }
-}
-
-/// Interval limits of the pixels of a tile, [K, `TILE_PIXELS`], and over the tile: for each interval
-/// the smallest lower and the largest upper limit of a pixel where it is not empty.
+/// Interval limits of the pixels of a tile, [K, `TILE_PIXELS`], and of the whole tile: for each interval, the
+/// smallest lower and the largest upper limit among the pixels where it is not empty.
 struct TileLimits<'a, T> {
     upper: &'a [T],
     ranges: &'a [[T; 2]],
 }
 
-/// Interval limits of an image in tile blocks. Pixels outside the image see nothing.
+/// Interval limits of an image in tile blocks. All intervals are empty outside the image.
 struct LimitBlocks<T> {
     layers: usize,
     upper: Vec<T>,
@@ -107,7 +67,7 @@ impl<T: Real> TileLimits<'_, T> {
         self.ranges.iter().enumerate().filter(move |(_, range)| depth >= range[0] && depth < range[1]).map(|(k, _)| k)
     }
 
-    /// Per lane 1 where `depth` falls into interval `k`, else 0.
+    /// For each lane 1 if `depth` falls into interval `k`, else 0.
     #[inline(always)]
     fn mask(&self, k: usize, start: usize, depth: T) -> [T; LANES] {
         let upper = lanes(self.upper, k * TILE_PIXELS + start);
@@ -123,29 +83,6 @@ impl<T: Real> TileLimits<'_, T> {
 #[inline(always)]
 fn lanes<T: Real>(values: &[T], start: usize) -> [T; LANES] {
     values[start..start + LANES].try_into().expect("one group")
-}
-
-/// Calls `visit(start, dx, dy)` for every group of lanes of a tile that lies in `rect`: position of
-/// the group within the tile and offsets of its pixels from `anchor`, px.
-#[inline(always)]
-pub fn for_each_group<T: Real>(
-    anchor: [T; 2],
-    rect: &PixelRect,
-    origin: (usize, usize),
-    mut visit: impl FnMut(usize, [T; LANES], T),
-) {
-    let [x0, x1, y0, y1] = rect.within_tile(origin);
-    for line in y0..y1 {
-        let dy = T::of((origin.1 + line) as f64 + 0.5) - anchor[1];
-        for group in x0 / LANES..x1.div_ceil(LANES) {
-            let left = T::of((origin.0 + group * LANES) as f64 + 0.5) - anchor[0];
-            let mut dx = [T::zero(); LANES];
-            for (lane, dx) in dx.iter_mut().enumerate() {
-                *dx = left + T::of(lane as f64);
-            }
-            visit(line * TILE + group * LANES, dx, dy);
-        }
-    }
 }
 
 /// Sums as [K, 4, H, W].
@@ -236,18 +173,18 @@ fn for_each_lit_tile<T: Real>(
     }
 }
 
-/// Lanes that [`gather`] works on. In memory that outlives it: the compiler takes local arrays apart
-/// into scalars and then fails to put vectors together again.
+/// Lanes that [`gather`] works on. They are on the heap because the compiler splits local arrays into scalars
+/// and then does not vectorise.
 struct Scratch<T> {
     /// Red, green, blue and alpha gradients of the pixels, weight, gradient of the exponent.
     pixel: Vec<[T; LANES]>,
-    /// Six moments and three colour sums, as in [`SplatGrad`].
+    /// Moments and three colour sums, as in [`SplatGrad`].
     sums: Vec<[T; LANES]>,
 }
 
 impl<T: Real> Scratch<T> {
     fn new() -> Self {
-        Self { pixel: vec![[T::zero(); LANES]; 6], sums: vec![[T::zero(); LANES]; 9] }
+        Self { pixel: vec![[T::zero(); LANES]; 6], sums: vec![[T::zero(); LANES]; MOMENTS + 3] }
     }
 }
 
@@ -285,7 +222,7 @@ fn gather<T: Real>(
         },
     );
     let total = |sum: usize| scratch.sums[sum].iter().copied().sum::<T>();
-    SplatGrad { moments: std::array::from_fn(total), colour: std::array::from_fn(|c| total(6 + c)) }
+    SplatGrad { moments: std::array::from_fn(total), colour: std::array::from_fn(|c| total(MOMENTS + c)) }
 }
 
 /// Gradients of the sums that a Gaussian at `depth` adds to, for each channel and lane.
@@ -323,36 +260,13 @@ fn add_group<T: Real>(splat: &Splat<T>, dx: &[T; LANES], dy: T, scratch: &mut Sc
     for lane in 0..LANES {
         power[lane] = weight[lane] * (alpha[lane] + r * red[lane] + g * green[lane] + b * blue[lane]);
     }
-    let [sum, sum_x, sum_y, sum_xx, sum_xy, sum_yy, sum_red, sum_green, sum_blue] = scratch.sums.as_mut_slice() else {
-        unreachable!("nine rows of lanes");
-    };
-    for lane in 0..LANES {
-        sum_red[lane] = sum_red[lane] + weight[lane] * red[lane];
+    let (moments, colours) = scratch.sums.split_at_mut(MOMENTS);
+    for (sum, grad) in colours.iter_mut().zip([&*red, &*green, &*blue]) {
+        for lane in 0..LANES {
+            sum[lane] = sum[lane] + weight[lane] * grad[lane];
+        }
     }
-    for lane in 0..LANES {
-        sum_green[lane] = sum_green[lane] + weight[lane] * green[lane];
-    }
-    for lane in 0..LANES {
-        sum_blue[lane] = sum_blue[lane] + weight[lane] * blue[lane];
-    }
-    for lane in 0..LANES {
-        sum[lane] = sum[lane] + power[lane];
-    }
-    for lane in 0..LANES {
-        sum_x[lane] = sum_x[lane] + power[lane] * dx[lane];
-    }
-    for lane in 0..LANES {
-        sum_y[lane] = sum_y[lane] + power[lane] * dy;
-    }
-    for lane in 0..LANES {
-        sum_xx[lane] = sum_xx[lane] + power[lane] * dx[lane] * dx[lane];
-    }
-    for lane in 0..LANES {
-        sum_xy[lane] = sum_xy[lane] + power[lane] * dx[lane] * dy;
-    }
-    for lane in 0..LANES {
-        sum_yy[lane] = sum_yy[lane] + power[lane] * dy * dy;
-    }
+    add_moments(moments, power, dx, dy);
 }
 
 /// Gradients with respect to positions, quaternions, log-scales, opacities and colours.
@@ -385,7 +299,7 @@ fn backward<T: Real>(
                         let i = chunk * CHUNK + j;
                         let Some(splat) = gaussians.splat(&camera, i) else { continue };
                         let sum = gather(&splat, grid, &limits, &grad, &mut scratch);
-                        let grads = footprint::backward(&camera, &gaussians.parameters(i), &splat, &sum);
+                        let grads = splat::backward(&camera, &gaussians.parameters(i), &splat, &sum);
                         positions[3 * j..3 * j + 3].copy_from_slice(&grads.position);
                         quaternions[4 * j..4 * j + 4].copy_from_slice(&grads.quaternion);
                         log_scales[3 * j..3 * j + 3].copy_from_slice(&grads.log_scales);
@@ -431,7 +345,7 @@ fn contributions<T: Real>(
     (0..gaussians.len()).into_par_iter().map(|i| gaussians.splat(&camera, i).map_or(T::zero(), largest)).collect()
 }
 
-fn splat_on<B: Host>(gaussians: &SplatInput<B>, limits: &FloatTensor<B>, camera: &Camera) -> FloatTensor<B> {
+fn splat_on<B: Host>(gaussians: &GaussianTensors<B>, limits: &FloatTensor<B>, camera: &Camera) -> FloatTensor<B> {
     let layers = host::rows(limits);
     with_real!(limits.dtype(), T => {
         let sums = forward(&GaussianRows::<T>::new(gaussians), &host::floats::<B, T>(limits), layers, camera);
@@ -440,28 +354,21 @@ fn splat_on<B: Host>(gaussians: &SplatInput<B>, limits: &FloatTensor<B>, camera:
 }
 
 fn splat_backward_on<B: Host>(
-    gaussians: &SplatInput<B>,
+    gaussians: &GaussianTensors<B>,
     limits: &FloatTensor<B>,
     grad: &FloatTensor<B>,
     camera: &Camera,
-) -> SplatInput<B> {
-    let (count, device) = (host::rows(&gaussians.opacities), limits.device());
+) -> GaussianTensors<B> {
+    let device = limits.device();
     with_real!(limits.dtype(), T => {
         let rows = GaussianRows::<T>::new(gaussians);
         let (limit, grad) = (host::floats::<B, T>(limits), host::floats::<B, T>(grad));
-        let [positions, quaternions, log_scales, opacities, colours] = backward(&rows, &limit, &grad, host::rows(limits), camera);
-        SplatInput {
-            positions: host::float_tensor::<B, T, 2>(positions, [count, 3], &device),
-            quaternions: host::float_tensor::<B, T, 2>(quaternions, [count, 4], &device),
-            log_scales: host::float_tensor::<B, T, 2>(log_scales, [count, 3], &device),
-            opacities: host::float_tensor::<B, T, 1>(opacities, [count], &device),
-            colours: host::float_tensor::<B, T, 2>(colours, [count, 3], &device),
-        }
+        GaussianTensors::from_rows(backward(&rows, &limit, &grad, host::rows(limits), camera), &device)
     })
 }
 
 fn contributions_on<B: Host>(
-    gaussians: &SplatInput<B>,
+    gaussians: &GaussianTensors<B>,
     limits: &FloatTensor<B>,
     gates: &FloatTensor<B>,
     camera: &Camera,
@@ -477,12 +384,17 @@ fn contributions_on<B: Host>(
 macro_rules! implement {
     ($backend:ty) => {
         impl SplatOps for $backend {
-            fn splat(gaussians: SplatInput<Self>, limits: FloatTensor<Self>, camera: Camera) -> FloatTensor<Self> {
+            fn splat(
+                gaussians: GaussianTensors<Self>,
+                limits: FloatTensor<Self>,
+                camera: Camera,
+                _: SplatOptions,
+            ) -> FloatTensor<Self> {
                 splat_on::<Self>(&gaussians, &limits, &camera)
             }
 
             fn splat_contributions(
-                gaussians: SplatInput<Self>,
+                gaussians: GaussianTensors<Self>,
                 limits: FloatTensor<Self>,
                 gates: FloatTensor<Self>,
                 camera: Camera,
@@ -493,11 +405,11 @@ macro_rules! implement {
 
         impl SplatBackwardOps for $backend {
             fn splat_backward(
-                gaussians: SplatInput<Self>,
+                gaussians: GaussianTensors<Self>,
                 limits: FloatTensor<Self>,
                 grad: FloatTensor<Self>,
                 camera: Camera,
-            ) -> SplatInput<Self> {
+            ) -> GaussianTensors<Self> {
                 splat_backward_on::<Self>(&gaussians, &limits, &grad, &camera)
             }
         }

@@ -1,20 +1,20 @@
-use burn::tensor::{DType, Int, Tensor, TensorData};
+use burn::tensor::Tensor;
 use glam::{DMat3, DVec3};
 
-use super::footprint::{LOW_PASS, MIN_COMPENSATION_SQUARED, Parameters, Splat};
-use super::limits::interval_limits;
-use super::{contributions, splat};
+use super::{SplatOptions, contributions, splat};
 use crate::camera::{Camera, CameraFromWorld};
+use crate::footprint::CUTOFF;
+use crate::footprint::splat::{LOW_PASS, MIN_COMPENSATION_SQUARED, Parameters, Splat};
 use crate::math::{CameraOf, rotation};
-use crate::ops::binning::PixelRect;
-use crate::ops::peel::{CUTOFF, Layers};
-use crate::scene::{Colour, ColourModel, Gaussians, MarginLookup};
+use crate::scene::{Colour, ColourModel, Gaussians};
 use crate::testing::device;
 use crate::testing::golden::values;
 use crate::testing::gradients::{check, leaf};
 use crate::testing::random::Random;
 use crate::testing::scenes::{self, Recipe};
+use crate::tiles::PixelRect;
 
+const OPTIONS: SplatOptions = SplatOptions { deterministic: false };
 /// Widths of positions, quaternions, log-scales, opacities and colours.
 const WIDTHS: [usize; 5] = [3, 4, 3, 1, 3];
 const NAMES: [&str; 5] = ["positions", "quaternions", "log_scales", "opacities", "colours"];
@@ -71,7 +71,7 @@ impl Flat {
 
     fn splat(&self, limits: &Tensor<3>, camera: &Camera) -> Tensor<4> {
         let Leaves { gaussians, colours } = self.leaves();
-        splat(&gaussians, colours, limits.clone(), camera).unwrap()
+        splat(&gaussians, &colours, limits, camera, &OPTIONS).unwrap()
     }
 
     /// Weight of a Gaussian at every pixel, and its depth, by the formulas of the specification.
@@ -196,7 +196,7 @@ fn tiled_sums_and_contributions_equal_dense_ones() {
             let (limits, gates) = (image(&limits, layers, &camera), image(&gates, layers, &camera));
             assert_close(&values(&gaussians.splat(&limits, &camera)), &sums, 1e-12);
             let Leaves { gaussians, colours } = gaussians.leaves();
-            let found = contributions(&gaussians, colours, limits, gates, &camera).unwrap();
+            let found = contributions(&gaussians, &colours, &limits, &gates, &camera).unwrap();
             assert_close(&values(&found), &largest, 1e-12);
         }
     }
@@ -257,60 +257,14 @@ fn a_gaussian_at_a_limit_lies_behind_it() {
 }
 
 #[test]
-fn intervals_are_those_of_the_first_layer_that_lies_behind() {
-    let (layers, camera) = (3, axis_camera());
-    let (pixels, mut random) = (camera.width * camera.height, Random::new(21));
-    let margins = random.numbers(20, 0.0, 0.6);
-    let (mut ids, mut alpha, mut depth) =
-        (vec![-1i32; layers * pixels], vec![0.0; layers * pixels], vec![f64::INFINITY; layers * pixels]);
-    for at in 0..pixels {
-        let mut stack = random.numbers(random.clone().below(layers + 1), 1.0, 3.0);
-        stack.sort_by(f64::total_cmp);
-        let opaque_end = random.below(2) == 0;
-        for (k, &d) in stack.iter().enumerate() {
-            let opaque = opaque_end && k + 1 == stack.len();
-            let slot = k * pixels + at;
-            (ids[slot], depth[slot]) = (random.below(20) as i32, d);
-            alpha[slot] = if opaque { 1.0 } else { random.between(0.1, 0.9) };
-        }
-    }
-    let id_tensor = TensorData::new(ids.clone(), [layers, camera.height, camera.width]);
-    let peeled = Layers {
-        ids: Tensor::<3, Int>::from_data(id_tensor, (&device(), DType::I32)),
-        alpha: image(&alpha, layers, &camera),
-        depth: image(&depth, layers, &camera),
-    };
-    let margin_tensor = leaf(&margins, [20], &device()).detach();
-    let limits = [MarginLookup::Shifted, MarginLookup::Literal]
-        .map(|lookup| values(&interval_limits(&peeled, margin_tensor.clone(), lookup).unwrap()));
-    for at in 0..pixels {
-        let shifted: Vec<f64> = (0..layers)
-            .map(|k| k * pixels + at)
-            .map(|slot| if ids[slot] < 0 { f64::INFINITY } else { depth[slot] + margins[ids[slot] as usize] })
-            .collect();
-        let present = (0..layers).filter(|k| ids[k * pixels + at] >= 0).count();
-        let closed = present == layers || (0..layers).any(|k| alpha[k * pixels + at] >= 1.0);
-        for d in random.numbers(20, 0.8, 4.0).into_iter().chain(shifted.iter().copied().filter(|d| d.is_finite())) {
-            let occluded = closed && d >= shifted[present - 1];
-            let in_shifted = (0..layers).find(|&k| d < shifted[k]);
-            let in_literal = (0..layers - 1).find(|&k| d < depth[k * pixels + at]).or(Some(layers - 1));
-            for (limits, expected) in limits.iter().zip([in_shifted, in_literal]) {
-                let found = (0..layers).find(|k| d < limits[k * pixels + at]);
-                assert_eq!(found, expected.filter(|_| !occluded), "pixel {at}, depth {d}");
-            }
-        }
-    }
-}
-
-#[test]
 fn no_gaussians_sum_to_nothing() {
     let camera = axis_camera();
     let limits = image(&random_limits(3, 2.0, &camera, 4), 3, &camera);
     let Leaves { gaussians, colours } = Flat::default().leaves();
-    let sums = splat(&gaussians, colours.clone(), limits.clone(), &camera).unwrap();
+    let sums = splat(&gaussians, &colours, &limits, &camera, &OPTIONS).unwrap();
     assert!(values(&sums).iter().all(|s| *s == 0.0));
     assert_eq!(sums.dims(), [3, 4, camera.height, camera.width]);
-    assert_eq!(contributions(&gaussians, colours, limits.clone(), limits, &camera).unwrap().dims(), [0]);
+    assert_eq!(contributions(&gaussians, &colours, &limits, &limits, &camera).unwrap().dims(), [0]);
 }
 
 #[test]
@@ -329,7 +283,7 @@ fn gradients_of_the_sums_are_central_differences() {
         let weights = leaf(&Random::new(9).numbers(shape.iter().product(), -1.0, 1.0), shape, &device()).detach();
         let loss = |sums: Tensor<4>| (sums * weights.clone()).sum();
         let leaves = gaussians.leaves();
-        let sums = splat(&leaves.gaussians, leaves.colours.clone(), limits.clone(), &camera).unwrap();
+        let sums = splat(&leaves.gaussians, &leaves.colours, &limits, &camera, &OPTIONS).unwrap();
         let gradients = loss(sums).backward();
         let g = &leaves.gaussians;
         let found = [&g.positions, &g.quaternions, &g.log_scales].map(|t| values(&t.grad(&gradients).unwrap()));

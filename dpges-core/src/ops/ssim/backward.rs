@@ -8,6 +8,7 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, AutodiffBackend};
 
 use super::{SsimBackwardOps, SsimOps, SsimOutput};
+use crate::tape::pass_back;
 
 #[derive(Clone, Debug)]
 struct SsimState<F: Clone> {
@@ -23,12 +24,9 @@ impl<B: SsimBackwardOps> Backward<B, 1> for SsimBackward {
     type State = SsimState<FloatTensor<B>>;
 
     fn backward(self, ops: Ops<Self::State, 1>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let grad = grads.consume::<B>(&ops.node);
-        let state = ops.state;
-        let [parent] = ops.parents;
-        if let Some(parent) = parent {
-            grads.register::<B>(parent.id, B::ssim_backward(state.image, state.target, state.partials, grad));
-        }
+        pass_back::<B, _, 1>(ops, grads, |SsimState { image, target, partials }, grad| {
+            [Some(B::ssim_backward(image, target, partials, grad))]
+        });
     }
 }
 

@@ -1,4 +1,4 @@
-//! GPU kernels: one cube per tile of 16 × 16 px; the windows are separated in workgroup memory.
+//! GPU kernels: one cube per tile, separable windows in workgroup memory.
 
 use burn::backend::TensorMetadata;
 use burn::backend::ops::FloatTensorOps;
@@ -9,10 +9,24 @@ use cubecl::prelude::*;
 
 use super::cpu::{self, RADIUS, taps};
 use super::{SsimBackwardOps, SsimOps, SsimOutput};
-use crate::gpu::launch::{buffer, cube_dim, cubes, empty_f32, floats};
+use crate::gpu::launch::{UNITS, buffer, cube_dim, cubes, empty_f32, floats};
+use crate::gpu::tile::TILE;
+use crate::tiles;
 
-/// Edge of a tile with the reach of the window on both sides.
-const PADDED: u32 = 26;
+/// Reach of the window on either side, px.
+const REACH: u32 = RADIUS as u32;
+/// Weights along one axis of the window.
+const TAPS: u32 = 2 * REACH + 1;
+/// Edge of a tile padded by the reach of the window, px.
+const PADDED: u32 = TILE + 2 * REACH;
+/// Pixels of a padded tile.
+const PADDED_PIXELS: usize = (PADDED * PADDED) as usize;
+/// Pixels of a tile padded in y only.
+const ROWS: usize = (PADDED * TILE) as usize;
+/// Windowed means: of a, b, a², b² and a·b.
+const MEANS: usize = 5;
+/// Partial derivatives of SSIM: [`SsimOutput::partials`].
+const PARTIALS: usize = 3;
 const C1: f32 = cpu::C1 as f32;
 const C2: f32 = cpu::C2 as f32;
 
@@ -36,7 +50,7 @@ struct Window {
 
 #[cube]
 fn tap(window: Window, #[comptime] t: u32) -> f32 {
-    let distance = comptime!(t.abs_diff(5));
+    let distance = comptime!(t.abs_diff(REACH));
     let mut weight = window.w0;
     if comptime!(distance == 1) {
         weight = window.w1;
@@ -56,11 +70,11 @@ fn tap(window: Window, #[comptime] t: u32) -> f32 {
 #[cube]
 fn padded_pixel(window: Window, index: u32) -> (usize, bool) {
     let tile = CUBE_POS as u32 % window.tiles;
-    // columns and rows are counted from 5 before the image: 0 to 4 are outside
-    let column = tile % window.columns * 16u32 + index % PADDED;
-    let row = tile / window.columns * 16u32 + index / PADDED;
-    let inside = column >= 5u32 && row >= 5u32 && column < window.width + 5u32 && row < window.height + 5u32;
-    let at = select(inside, (row - 5u32) * window.width + column - 5u32, 0u32);
+    // column 0 and row 0 are the first of the padding
+    let column = tile % window.columns * TILE + index % PADDED;
+    let row = tile / window.columns * TILE + index / PADDED;
+    let inside = column >= REACH && row >= REACH && column < window.width + REACH && row < window.height + REACH;
+    let at = select(inside, (row - REACH) * window.width + column - REACH, 0u32);
     (at as usize, inside)
 }
 
@@ -71,28 +85,27 @@ fn ssim_kernel(image: &[f32], target: &[f32], values: &mut [f32], partials: &mut
     }
     let plane = (window.width * window.height) as usize;
     let channel = (CUBE_POS as u32 / window.tiles) as usize * plane;
-    let mut a = Shared::<[f32]>::new_slice(676usize);
-    let mut b = Shared::<[f32]>::new_slice(676usize);
-    // five windowed quantities of 26 rows of 16
-    let mut rows = Shared::<[f32]>::new_slice(2080usize);
+    let mut a = Shared::<[f32]>::new_slice(PADDED_PIXELS);
+    let mut b = Shared::<[f32]>::new_slice(PADDED_PIXELS);
+    let mut rows = Shared::<[f32]>::new_slice(comptime!(ROWS * MEANS));
     let mut index = UNIT_POS;
     while index < PADDED * PADDED {
         let (at, inside) = padded_pixel(window, index);
         a[index as usize] = select(inside, image[channel + at], 0.0f32);
         b[index as usize] = select(inside, target[channel + at], 0.0f32);
-        index += 256u32;
+        index += UNITS;
     }
     sync_cube();
     let mut line = UNIT_POS;
-    while line < PADDED * 16u32 {
-        let start = (line / 16u32 * PADDED + line % 16u32) as usize;
+    while line < PADDED * TILE {
+        let start = (line / TILE * PADDED + line % TILE) as usize;
         let mut mean_a = 0.0f32;
         let mut mean_b = 0.0f32;
         let mut square_a = 0.0f32;
         let mut square_b = 0.0f32;
         let mut product = 0.0f32;
         #[unroll]
-        for t in 0..11u32 {
+        for t in 0..TAPS {
             let w = tap(window, t);
             let (va, vb) = (a[start + t as usize], b[start + t as usize]);
             mean_a += w * va;
@@ -101,18 +114,18 @@ fn ssim_kernel(image: &[f32], target: &[f32], values: &mut [f32], partials: &mut
             square_b += w * vb * vb;
             product += w * va * vb;
         }
-        let o = line as usize * 5;
+        let o = line as usize * MEANS;
         rows[o] = mean_a;
         rows[o + 1] = mean_b;
         rows[o + 2] = square_a;
         rows[o + 3] = square_b;
         rows[o + 4] = product;
-        line += 256u32;
+        line += UNITS;
     }
     sync_cube();
     let tile = CUBE_POS as u32 % window.tiles;
-    let (x, y) = (UNIT_POS % 16u32, UNIT_POS / 16u32);
-    let (column, row) = (tile % window.columns * 16u32 + x, tile / window.columns * 16u32 + y);
+    let (x, y) = (UNIT_POS % TILE, UNIT_POS / TILE);
+    let (column, row) = (tile % window.columns * TILE + x, tile / window.columns * TILE + y);
     if column < window.width && row < window.height {
         let mut mean_a = 0.0f32;
         let mut mean_b = 0.0f32;
@@ -120,9 +133,9 @@ fn ssim_kernel(image: &[f32], target: &[f32], values: &mut [f32], partials: &mut
         let mut square_b = 0.0f32;
         let mut product = 0.0f32;
         #[unroll]
-        for t in 0..11u32 {
+        for t in 0..TAPS {
             let w = tap(window, t);
-            let o = ((y + t) * 16u32 + x) as usize * 5;
+            let o = ((y + t) * TILE + x) as usize * MEANS;
             mean_a += w * rows[o];
             mean_b += w * rows[o + 1];
             square_a += w * rows[o + 2];
@@ -163,52 +176,51 @@ fn ssim_backward_kernel(
     }
     let plane = (window.width * window.height) as usize;
     let channel = (CUBE_POS as u32 / window.tiles) as usize * plane;
-    // three partial derivatives of 26 × 26 pixels, then of 26 rows of 16
-    let mut padded = Shared::<[f32]>::new_slice(2028usize);
-    let mut rows = Shared::<[f32]>::new_slice(1248usize);
+    let mut padded = Shared::<[f32]>::new_slice(comptime!(PADDED_PIXELS * PARTIALS));
+    let mut rows = Shared::<[f32]>::new_slice(comptime!(ROWS * PARTIALS));
     let mut index = UNIT_POS;
     while index < PADDED * PADDED {
         let (at, inside) = padded_pixel(window, index);
         #[unroll]
-        for quantity in 0..3usize {
-            padded[index as usize * 3 + quantity] =
+        for quantity in 0..PARTIALS {
+            padded[index as usize * PARTIALS + quantity] =
                 select(inside, partials[quantity * total as usize + channel + at], 0.0f32);
         }
-        index += 256u32;
+        index += UNITS;
     }
     sync_cube();
     let mut line = UNIT_POS;
-    while line < PADDED * 16u32 {
-        let start = (line / 16u32 * PADDED + line % 16u32) as usize;
+    while line < PADDED * TILE {
+        let start = (line / TILE * PADDED + line % TILE) as usize;
         let mut first = 0.0f32;
         let mut second = 0.0f32;
         let mut third = 0.0f32;
         #[unroll]
-        for t in 0..11u32 {
+        for t in 0..TAPS {
             let w = tap(window, t);
-            let o = (start + t as usize) * 3;
+            let o = (start + t as usize) * PARTIALS;
             first += w * padded[o];
             second += w * padded[o + 1];
             third += w * padded[o + 2];
         }
-        let o = line as usize * 3;
+        let o = line as usize * PARTIALS;
         rows[o] = first;
         rows[o + 1] = second;
         rows[o + 2] = third;
-        line += 256u32;
+        line += UNITS;
     }
     sync_cube();
     let tile = CUBE_POS as u32 % window.tiles;
-    let (x, y) = (UNIT_POS % 16u32, UNIT_POS / 16u32);
-    let (column, row) = (tile % window.columns * 16u32 + x, tile / window.columns * 16u32 + y);
+    let (x, y) = (UNIT_POS % TILE, UNIT_POS / TILE);
+    let (column, row) = (tile % window.columns * TILE + x, tile / window.columns * TILE + y);
     if column < window.width && row < window.height {
         let mut first = 0.0f32;
         let mut second = 0.0f32;
         let mut third = 0.0f32;
         #[unroll]
-        for t in 0..11u32 {
+        for t in 0..TAPS {
             let w = tap(window, t);
-            let o = ((y + t) * 16u32 + x) as usize * 3;
+            let o = ((y + t) * TILE + x) as usize * PARTIALS;
             first += w * rows[o];
             second += w * rows[o + 1];
             third += w * rows[o + 2];
@@ -223,7 +235,7 @@ fn window(shape: [usize; 3]) -> (WindowLaunch, usize) {
     let [channels, height, width] = shape;
     let taps = taps::<f32>();
     let [w0, w1, w2, w3, w4, w5]: [f32; RADIUS + 1] = std::array::from_fn(|distance| taps[RADIUS + distance]);
-    let (columns, rows) = (width.div_ceil(16), height.div_ceil(16));
+    let (columns, rows) = (width.div_ceil(tiles::TILE), height.div_ceil(tiles::TILE));
     let count = columns * rows * channels;
     let launch = WindowLaunch::new(
         w0,

@@ -51,7 +51,7 @@ pub trait SsimBackwardOps: Backend {
 ///
 /// # Errors
 /// [`crate::Error::Shape`] if the two differ in shape.
-pub fn ssim(image: Tensor<3>, target: Tensor<3>) -> Result<Tensor<1>> {
-    check_shape("target", &target, image.dims())?;
-    Ok(Tensor::from_dispatch(Dispatch::ssim(image.into_dispatch(), target.into_dispatch()).value))
+pub fn ssim(image: &Tensor<3>, target: &Tensor<3>) -> Result<Tensor<1>> {
+    check_shape("target", target, image.dims())?;
+    Ok(Tensor::from_dispatch(Dispatch::ssim(image.clone().into_dispatch(), target.clone().into_dispatch()).value))
 }

@@ -48,7 +48,7 @@ fn ssim_plainly((a, shape): &Image, (b, _): &Image) -> f64 {
 fn separable_windows_equal_two_dimensional_ones() {
     for shape in [[3, 24, 31], [3, 4, 3], [1, 1, 1], [2, 1, 20], [3, 13, 2], [3, 11, 11]] {
         let (a, b) = (random_image(shape, 1), random_image(shape, 2));
-        let found = values(&ssim(tensor(&a), tensor(&b)).unwrap())[0];
+        let found = values(&ssim(&tensor(&a), &tensor(&b)).unwrap())[0];
         approx::assert_relative_eq!(found, ssim_plainly(&a, &b), epsilon = 1e-12);
     }
 }
@@ -57,7 +57,7 @@ fn separable_windows_equal_two_dimensional_ones() {
 fn identical_images_are_perfectly_similar_and_cannot_become_more_so() {
     let image = random_image([3, 20, 17], 3);
     let a = tensor(&image);
-    let value = ssim(a.clone(), tensor(&image).detach()).unwrap();
+    let value = ssim(&a, &tensor(&image).detach()).unwrap();
     approx::assert_relative_eq!(values(&value)[0], 1.0, epsilon = 1e-14);
     let gradient = values(&a.grad(&value.backward()).unwrap());
     assert!(gradient.iter().all(|g| g.abs() < 1e-14), "{gradient:?}");
@@ -69,7 +69,7 @@ fn the_gradient_is_central_differences() {
         let (image, target) = (random_image(shape, 4), random_image(shape, 5));
         let a = tensor(&image);
         // not of unit weight: the incoming gradient is used
-        let loss = |a: Tensor<3>| ssim(a, tensor(&target).detach()).unwrap() * -3.0;
+        let loss = |a: Tensor<3>| ssim(&a, &tensor(&target).detach()).unwrap() * -3.0;
         let gradient = values(&a.grad(&loss(a.clone()).backward()).unwrap());
         let elements: Vec<usize> = (0..gradient.len()).step_by(1 + gradient.len() / 150).collect();
         check_elements(&format!("SSIM of {shape:?}"), &image.0, &gradient, &elements, 1e-5, |moved| {
@@ -80,6 +80,6 @@ fn the_gradient_is_central_differences() {
 
 #[test]
 fn images_of_different_shapes_are_refused() {
-    let error = ssim(tensor(&random_image([3, 4, 5], 1)), tensor(&random_image([3, 5, 4], 1))).unwrap_err();
+    let error = ssim(&tensor(&random_image([3, 4, 5], 1)), &tensor(&random_image([3, 5, 4], 1))).unwrap_err();
     assert_eq!(error.to_string(), "tensor `target` has shape [3, 5, 4], expected [3, 4, 5]");
 }

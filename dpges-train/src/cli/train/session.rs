@@ -221,7 +221,8 @@ impl Session {
             return Ok(None);
         }
         let step = self.trainer.completed_steps();
-        let renderer = Renderer::new(scene, &self.device);
+        let deterministic = self.trainer.config().train.deterministic;
+        let renderer = Renderer::new(scene, &self.device).deterministic(deterministic);
         let stems = file_stems(views);
         let shown = evenly_spaced(self.trainer.config().train.picture_views, views.len());
         let folder = &self.folder;

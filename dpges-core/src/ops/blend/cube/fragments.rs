@@ -1,4 +1,4 @@
-//! What the kernels know of every primitive, nearest first, and its value at a pixel.
+//! Footprint and payload of every primitive, nearest first, and its fragment at a pixel.
 
 use burn::backend::TensorMetadata;
 use burn_cubecl::CubeBackend;
@@ -6,42 +6,115 @@ use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
 use super::order::{depth_order, sorted};
+use crate::binning::capacity::ListKind;
+use crate::binning::cube::{CubeLists, Ellipses, bin};
 use crate::camera::Camera;
-use crate::gpu::launch::{buffer, cube_dim, empty_f32, empty_u32, units};
-use crate::gpu::lists::ListKind;
-use crate::gpu::vector::{Mat3, Vec3, apply, dot, rotation, row3, row4, scale, transpose, vec3};
+use crate::footprint::disc_cube::{
+    self, DiscTensors, MIN_FACING, PLANE, Plane, bounded_scale, disc_of, exact_disc, reach,
+};
+use crate::footprint::gaussians::GaussianTensors;
+use crate::footprint::splat_cube::{self, CUTOFF_F32, INVERSE_CUTOFF, SPLAT, Splat};
+use crate::gpu::launch::{buffer, cube_dim, empty_f32, units};
+use crate::gpu::rect::Rect;
+use crate::gpu::vector::{Mat3, Vec3, apply, dot, load3, rotation, row3, row4, scale, store3, transpose, vec3};
 use crate::gpu::view::{Rests, View, pixel_range, to_camera, view_rotation};
-use crate::ops::binning::TileGrid;
-use crate::ops::binning::cube::{CubeLists, Ellipses, SPLAT, bin};
-use crate::ops::blend::{BlendInput, Form};
-use crate::ops::peel::disc_cube::{LARGEST_LOG_SCALE, PLANE, disc, exact_disc, hit, write_plane, write_reach};
-use crate::ops::peel::{CUTOFF, MIN_FACING};
-use crate::ops::splat::footprint_cube::{project, weight as splat_weight, write_splat};
+use crate::ops::blend::Form;
+use crate::tiles::TileGrid;
 
-const CUTOFF_F32: f32 = CUTOFF as f32;
-const INVERSE_CUTOFF: f32 = (1.0 / CUTOFF) as f32;
-const MIN_FACING_F32: f32 = MIN_FACING as f32;
-/// Squared radius, σ², of the disc whose bounding box the screen low-pass is centred in (2DGS).
+/// The low-pass filter is centred in the bounding box of the disc at this squared radius, σ² (2DGS).
 pub const LOW_PASS_SQUARED_RADIUS: f32 = 9.0;
-/// Offset, px, of a low-pass that reaches no pixel; its square is finite.
+/// Offset of a low-pass filter that reaches no pixel, px. Its square is finite.
 const NOWHERE: f32 = 1e15;
-
-/// Numbers of a primitive beside its shape, at these places.
+/// Number of values of a primitive beside its shape: a [`Payload`] and, for discs, [`LowPass`] and [`Tangents`].
 pub const FEATURES: usize = 18;
-/// Camera-space z of the centre; the colour comes before it.
-pub const DEPTH: usize = 3;
-/// In camera space, facing the camera.
-pub const NORMAL: usize = 4;
-/// Of a disc: max(0, opacity), 0 behind the near plane; an ellipsoid's is in its splat.
-pub const OPACITY: usize = 7;
-/// Of a disc: centre of its low-pass, px from its anchor.
-pub const OFFSET: usize = 8;
-/// Of a disc: t_u and t_v in camera space.
-pub const TANGENTS: usize = 10;
-/// Of a disc: along t_u and t_v, world units.
-pub const SCALES: usize = 16;
 
-/// The axis that is the normal: of the smallest scale, the first of several, or a disc's third.
+/// The values of a primitive that are blended.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub struct Payload {
+    pub colour: Vec3,
+    /// Camera-space z of the centre, world units.
+    pub depth: f32,
+    /// In camera space, facing the camera.
+    pub normal: Vec3,
+}
+
+#[cube]
+impl Payload {
+    /// Of row `i` of the features.
+    pub fn load(features: &[f32], i: usize) -> Payload {
+        let o = i * FEATURES;
+        Payload { colour: load3(features, o), depth: features[o + 3], normal: load3(features, o + 4) }
+    }
+
+    fn store(&self, features: &mut [f32], i: usize) {
+        let o = i * FEATURES;
+        store3(features, o, self.colour);
+        features[o + 3] = self.depth;
+        store3(features, o + 4, self.normal);
+    }
+}
+
+/// The low-pass filter of a disc.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub struct LowPass {
+    /// max(0, opacity) of the disc, 0 behind the near plane.
+    pub opacity: f32,
+    /// Centre, px from the anchor of the disc.
+    pub offset_x: f32,
+    pub offset_y: f32,
+}
+
+#[cube]
+impl LowPass {
+    /// Of row `i` of the features.
+    pub fn load(features: &[f32], i: usize) -> LowPass {
+        let o = i * FEATURES + 7;
+        LowPass { opacity: features[o], offset_x: features[o + 1], offset_y: features[o + 2] }
+    }
+
+    fn store(&self, features: &mut [f32], i: usize) {
+        let o = i * FEATURES + 7;
+        features[o] = self.opacity;
+        features[o + 1] = self.offset_x;
+        features[o + 2] = self.offset_y;
+    }
+}
+
+/// Axes of a disc in camera space, and its scales along them, world units.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub struct Tangents {
+    pub u: Vec3,
+    pub v: Vec3,
+    pub scale_u: f32,
+    pub scale_v: f32,
+}
+
+#[cube]
+impl Tangents {
+    /// Of row `i` of the features.
+    pub fn load(features: &[f32], i: usize) -> Tangents {
+        let o = i * FEATURES + 10;
+        Tangents {
+            u: load3(features, o),
+            v: load3(features, o + 3),
+            scale_u: features[o + 6],
+            scale_v: features[o + 7],
+        }
+    }
+
+    fn store(&self, features: &mut [f32], i: usize) {
+        let o = i * FEATURES + 10;
+        store3(features, o, self.u);
+        store3(features, o + 3, self.v);
+        features[o + 6] = self.scale_u;
+        features[o + 7] = self.scale_v;
+    }
+}
+
+/// The axis that is the normal: the first with the smallest scale, or the third axis of a disc.
 #[cube]
 pub fn normal_axis(log_scales: Vec3, #[comptime] form: Form) -> u32 {
     let mut axis = 2u32;
@@ -53,7 +126,7 @@ pub fn normal_axis(log_scales: Vec3, #[comptime] form: Form) -> u32 {
     axis
 }
 
-/// −1 where a normal, given in camera space, is turned to face the camera, else 1.
+/// −1 if a normal in camera space must be turned to face the camera, else 1.
 #[cube]
 pub fn facing_sign(normal: Vec3, centre: Vec3) -> f32 {
     select(dot(normal, centre) > 0.0f32, -1.0f32, 1.0f32)
@@ -105,22 +178,12 @@ fn features_kernel(
     let axes = camera_axes(view, rotation(row4(quaternions, i)));
     let normal = own_normal(axes, log_scales, form);
     let facing = scale(normal, facing_sign(normal, centre));
-    let colour = row3(colours, i);
-    let o = rank * FEATURES;
-    features[o] = colour.x;
-    features[o + 1] = colour.y;
-    features[o + 2] = colour.z;
-    features[o + DEPTH] = centre.z;
-    features[o + NORMAL] = facing.x;
-    features[o + NORMAL + 1] = facing.y;
-    features[o + NORMAL + 2] = facing.z;
+    Payload { colour: row3(colours, i), depth: centre.z, normal: facing }.store(features, rank);
     if comptime!(form == Form::Discs) {
         let visible = centre.z > view.near;
-        features[o + OPACITY] = select(visible, max(opacities[i], 0.0f32), 0.0f32);
-        let scale_u = f32::exp(min(log_scales.x, LARGEST_LOG_SCALE));
-        let scale_v = f32::exp(min(log_scales.y, LARGEST_LOG_SCALE));
+        let (scale_u, scale_v) = (bounded_scale(log_scales.x), bounded_scale(log_scales.y));
         let (a, b) = (scale(axes.row0, scale_u), scale(axes.row1, scale_v));
-        // centre of the box, relative to the projected centre: nothing large cancels
+        // centre of the box relative to the projected centre, without cancellation of large numbers
         let bulk = LOW_PASS_SQUARED_RADIUS * (a.z * a.z + b.z * b.z) - centre.z * centre.z;
         let bounded = visible && bulk < 0.0f32;
         let factor = LOW_PASS_SQUARED_RADIUS / select(bounded, bulk, -1.0f32);
@@ -128,64 +191,17 @@ fn features_kernel(
         let (slope_x, slope_y) = (centre.x / depth, centre.y / depth);
         let across = a.z * (a.x - slope_x * a.z) + b.z * (b.x - slope_x * b.z);
         let down = a.z * (a.y - slope_y * a.z) + b.z * (b.y - slope_y * b.z);
-        features[o + OFFSET] = select(bounded, view.fx * factor * across, NOWHERE);
-        features[o + OFFSET + 1] = select(bounded, view.fy * factor * down, NOWHERE);
-        features[o + TANGENTS] = axes.row0.x;
-        features[o + TANGENTS + 1] = axes.row0.y;
-        features[o + TANGENTS + 2] = axes.row0.z;
-        features[o + TANGENTS + 3] = axes.row1.x;
-        features[o + TANGENTS + 4] = axes.row1.y;
-        features[o + TANGENTS + 5] = axes.row1.z;
-        features[o + SCALES] = scale_u;
-        features[o + SCALES + 1] = scale_v;
+        let low_pass = LowPass {
+            opacity: select(visible, max(opacities[i], 0.0f32), 0.0f32),
+            offset_x: select(bounded, view.fx * factor * across, NOWHERE),
+            offset_y: select(bounded, view.fy * factor * down, NOWHERE),
+        };
+        low_pass.store(features, rank);
+        Tangents { u: axes.row0, v: axes.row1, scale_u, scale_v }.store(features, rank);
     }
 }
 
-#[cube(launch)]
-fn splats_kernel(
-    positions: &[f32],
-    quaternions: &[f32],
-    log_scales: &[f32],
-    opacities: &[f32],
-    order: &[u32],
-    splats: &mut [f32],
-    rects: &mut [u32],
-    view: View,
-    count: u32,
-) {
-    let rank = ABSOLUTE_POS;
-    if rank >= count as usize {
-        terminate!();
-    }
-    let i = order[rank] as usize;
-    let projection = project(view, row3(positions, i), row4(quaternions, i), row3(log_scales, i));
-    write_splat(view, projection, opacities[i], splats, rects, rank);
-}
-
-#[cube(launch)]
-fn planes_kernel(
-    positions: &[f32],
-    quaternions: &[f32],
-    log_scales: &[f32],
-    order: &[u32],
-    planes: &mut [f32],
-    lows: &mut [f32],
-    view: View,
-    rests: Rests,
-    count: u32,
-) {
-    let rank = ABSOLUTE_POS;
-    if rank >= count as usize {
-        terminate!();
-    }
-    let i = order[rank] as usize;
-    let exact = exact_disc(view, rests, row3(positions, i), row4(quaternions, i));
-    let disc = disc(view, exact, log_scales[3 * i], log_scales[3 * i + 1]);
-    write_plane(view, rests, exact, disc, planes, lows, rank);
-}
-
-/// Pixels that a disc can reach at 1/255, by its plane or by its low-pass. The box around a disc that
-/// crosses the near plane is that of the square around it.
+/// Pixels at which a disc can reach 1/255, by its plane or by its low-pass filter.
 #[cube(launch)]
 fn reach_kernel(
     positions: &[f32],
@@ -204,25 +220,29 @@ fn reach_kernel(
     }
     let i = order[rank] as usize;
     let exact = exact_disc(view, rests, row3(positions, i), row4(quaternions, i));
-    let disc = disc(view, exact, log_scales[3 * i], log_scales[3 * i + 1]);
-    let o = rank * FEATURES;
-    let strength = features[o + OPACITY] * INVERSE_CUTOFF;
+    let disc = disc_of(view, exact, log_scales[3 * i], log_scales[3 * i + 1]);
+    let low_pass = LowPass::load(features, rank);
+    let strength = low_pass.opacity * INVERSE_CUTOFF;
     let drawn = strength > 1.0f32;
     let squared = 2.0f32 * f32::ln(max(strength, 1.0f32));
-    write_reach(view, disc, select(drawn, f32::sqrt(squared), -1.0f32), rects, rank);
-    let x = view.fx * disc.anchor_ray.x + view.cx + features[o + OFFSET];
-    let y = view.fy * disc.anchor_ray.y + view.cy + features[o + OFFSET + 1];
+    let by_plane = reach(view, disc, select(drawn, f32::sqrt(squared), -1.0f32));
+    let x = view.fx * disc.anchor_ray.x + view.cx + low_pass.offset_x;
+    let y = view.fy * disc.anchor_ray.y + view.cy + low_pass.offset_y;
     // exp(−ρ / 2) with ρ = 2 |d|²
     let radius = f32::sqrt(0.5f32 * squared) + 0.01f32;
     let (x0, x1) = pixel_range(x - radius, x + radius, view.width);
     let (y0, y1) = pixel_range(y - radius, y + radius, view.height);
-    let r = rank * 4;
-    let reached = rects[r] < rects[r + 1] && rects[r + 2] < rects[r + 3];
+    let reached = by_plane.is_filled();
     if drawn && x0 < x1 && y0 < y1 {
-        rects[r] = select(reached, min(rects[r], x0), x0);
-        rects[r + 1] = select(reached, max(rects[r + 1], x1), x1);
-        rects[r + 2] = select(reached, min(rects[r + 2], y0), y0);
-        rects[r + 3] = select(reached, max(rects[r + 3], y1), y1);
+        let both = Rect {
+            x0: select(reached, min(by_plane.x0, x0), x0),
+            x1: select(reached, max(by_plane.x1, x1), x1),
+            y0: select(reached, min(by_plane.y0, y0), y0),
+            y1: select(reached, max(by_plane.y1, y1), y1),
+        };
+        both.store(rects, rank);
+    } else {
+        by_plane.store(rects, rank);
     }
 }
 
@@ -253,21 +273,22 @@ pub fn fragment(
     let mut depth = 1.0f32;
     let mut by_plane = 1.0f32;
     if comptime!(form == Form::Ellipsoids) {
-        let o = i * SPLAT;
-        // one that is not visible has no conic
-        if shapes[o + 5] > 0.0f32 {
-            weight = splat_weight(shapes, o, x - shapes[o], y - shapes[o + 1]);
-            depth = shapes[o + 6];
+        let splat = Splat::load(shapes, i * SPLAT);
+        // an invisible splat has no conic
+        if splat.strength > 0.0f32 {
+            weight = splat.weight(x - splat.mean_x, y - splat.mean_y);
+            depth = splat.depth;
         }
     } else {
-        let (o, f) = (i * PLANE, i * FEATURES);
-        let found = hit(shapes, o, x, y);
-        let dx = x - shapes[o] - features[f + OFFSET];
-        let dy = y - shapes[o + 1] - features[f + OFFSET + 1];
+        let plane = Plane::load(shapes, i * PLANE);
+        let low_pass = LowPass::load(features, i);
+        let found = plane.hit(x, y);
+        let dx = x - plane.anchor_x - low_pass.offset_x;
+        let dy = y - plane.anchor_y - low_pass.offset_y;
         let on_disc = found.u * found.u + found.v * found.v;
         let on_screen = 2.0f32 * (dx * dx + dy * dy);
-        let alpha = features[f + OPACITY] * f32::exp(max(-0.5f32 * min(on_disc, on_screen), -100.0f32));
-        if f32::abs(found.facing) > MIN_FACING_F32 && found.depth > near && alpha >= CUTOFF_F32 {
+        let alpha = low_pass.opacity * f32::exp(max(-0.5f32 * min(on_disc, on_screen), -100.0f32));
+        if f32::abs(found.facing) > MIN_FACING && found.depth > near && alpha >= CUTOFF_F32 {
             weight = alpha;
             depth = found.depth;
             by_plane = select(on_disc <= on_screen, 1.0f32, 0.0f32);
@@ -291,82 +312,62 @@ pub struct Fragments {
 }
 
 impl Fragments {
-    pub fn new(input: &BlendInput<CubeBackend>, camera: &Camera, form: Form) -> Self {
-        let (like, count) = (&input.positions, input.positions.shape()[0]);
+    pub fn new(gaussians: &GaussianTensors<CubeBackend>, camera: &Camera, form: Form) -> Self {
+        let (like, count) = (&gaussians.positions, gaussians.positions.shape()[0]);
         let (client, tiles) = (like.client.clone(), TileGrid::new(camera.width, camera.height).len());
         let order = depth_order(like, camera);
-        let (features, rects) = (empty_f32(like, [count, FEATURES]), empty_u32(like, [count, 4]));
+        let features = empty_f32(like, [count, FEATURES]);
         features_kernel::launch(
             &client,
             units(count),
             cube_dim(),
-            buffer(&input.positions),
-            buffer(&input.quaternions),
-            buffer(&input.log_scales),
-            buffer(&input.opacities),
-            buffer(&input.colours),
+            buffer(&gaussians.positions),
+            buffer(&gaussians.quaternions),
+            buffer(&gaussians.log_scales),
+            buffer(&gaussians.opacities),
+            buffer(&gaussians.colours),
             buffer(&order),
             buffer(&features),
             View::launch(camera),
             count as u32,
             form,
         );
-        let (shapes, lists) = match form {
+        let (shapes, rects, lists) = match form {
             Form::Ellipsoids => {
-                let splats = empty_f32(like, [count, SPLAT]);
-                splats_kernel::launch(
-                    &client,
-                    units(count),
-                    cube_dim(),
-                    buffer(&input.positions),
-                    buffer(&input.quaternions),
-                    buffer(&input.log_scales),
-                    buffer(&input.opacities),
-                    buffer(&order),
-                    buffer(&splats),
-                    buffer(&rects),
-                    View::launch(camera),
-                    count as u32,
-                );
-                let ends = unlimited(like, tiles);
-                let ellipses = Ellipses { splats: &splats, ends: &ends };
+                let (splats, rects) = splat_cube::splats(gaussians, Some(&order), camera);
+                let ellipses = Ellipses { splats: &splats, ends: &unlimited(like, tiles) };
                 let lists = bin(&rects, Some(ellipses), camera, ListKind::Gaussians);
-                (splats, lists)
+                (splats, rects, lists)
             }
             Form::Discs => {
-                let (planes, lows) = (empty_f32(like, [count, PLANE]), empty_f32(like, [count, PLANE]));
-                planes_kernel::launch(
-                    &client,
-                    units(count),
-                    cube_dim(),
-                    buffer(&input.positions),
-                    buffer(&input.quaternions),
-                    buffer(&input.log_scales),
-                    buffer(&order),
-                    buffer(&planes),
-                    buffer(&lows),
-                    View::launch(camera),
-                    Rests::launch(camera),
-                    count as u32,
-                );
+                let planes = disc_cube::planes(&discs(gaussians), Some(&order), None, camera);
                 reach_kernel::launch(
                     &client,
                     units(count),
                     cube_dim(),
-                    buffer(&input.positions),
-                    buffer(&input.quaternions),
-                    buffer(&input.log_scales),
+                    buffer(&gaussians.positions),
+                    buffer(&gaussians.quaternions),
+                    buffer(&gaussians.log_scales),
                     buffer(&features),
                     buffer(&order),
-                    buffer(&rects),
+                    buffer(&planes.rects),
                     View::launch(camera),
                     Rests::launch(camera),
                     count as u32,
                 );
-                (planes, bin(&rects, None, camera, ListKind::Surfels))
+                let lists = bin(&planes.rects, None, camera, ListKind::Surfels);
+                (planes.planes, planes.rects, lists)
             }
         };
         Self { order, shapes, features, rects, lists: sorted(lists, tiles) }
+    }
+}
+
+pub fn discs(gaussians: &GaussianTensors<CubeBackend>) -> DiscTensors<'_> {
+    DiscTensors {
+        positions: &gaussians.positions,
+        quaternions: &gaussians.quaternions,
+        log_scales: &gaussians.log_scales,
     }
 }
 

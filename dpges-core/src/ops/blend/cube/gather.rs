@@ -1,8 +1,7 @@
-//! Sums over the pixels of every primitive: one cube per tile goes front to back as the forward pass
-//! does, then from the back to the front, where dividing by 1 − α recovers T. The sums over the
-//! pixels of a tile go into a slot for each entry of its list, and slots are added in the order of
-//! the tiles. Tiles whose slots do not fit are left to a single cube, which goes over all primitives
-//! in one tile after the other and adds to their sums itself: slow, but right.
+//! Sums over the pixels of every primitive. One cube per tile goes front to back like the forward pass, then
+//! back to front, where a division by 1 − α recovers T. Every entry of the list of a tile has a slot for the
+//! sums over the pixels of the tile, and slots are added in the order of the tiles. A single cube handles the
+//! tiles whose slots do not fit: it visits all primitives in one tile after the other. That is slow but correct.
 
 use burn::backend::TensorMetadata;
 use burn::backend::ops::FloatTensorOps;
@@ -12,21 +11,28 @@ use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
 use super::Thresholds;
-use super::fragments::{DEPTH, FEATURES, Fragments, NORMAL, OFFSET, SCALES, TANGENTS, fragment};
+use super::fragments::{Fragments, LowPass, Payload, Tangents, fragment};
 use crate::camera::Camera;
-use crate::gpu::launch::{buffer, cube_dim, cubes, empty_f32, units};
+use crate::footprint::disc_cube::{DISC_SUMS, DiscPixel, Hit, PLANE, Plane, add_disc_sums};
+use crate::footprint::moments::MOMENTS;
+use crate::footprint::splat_cube::{SPLAT, Splat, add_moments};
+use crate::gpu::launch::{UNITS, buffer, cube_dim, cubes, empty_f32, units};
+use crate::gpu::rect::Rect;
+use crate::gpu::tile::{TILE, own_pixel, plane_of};
 use crate::gpu::view::View;
-use crate::ops::binning::TileGrid;
-use crate::ops::binning::cube::SPLAT;
 use crate::ops::blend::{BlendOptions, Form};
-use crate::ops::peel::disc_cube::{PLANE, SUMS, hit};
-use crate::ops::splat::footprint_cube::MOMENTS;
+use crate::tiles::TileGrid;
 
-/// Sums that are added over the units of a cube at a time.
+/// Units that fold one sum, and parts of a sum after the first fold.
+const FOLD: usize = 16;
+const _: () = assert!(FOLD * FOLD == UNITS as usize);
+/// Sums of the probe: Σ x, Σ y, Σ |x|, Σ |y|.
+pub const PROBE: usize = 4;
+/// Sums that a cube folds at a time.
 const GROUP: usize = 12;
 
-/// Which sums there are, in this order: those of the shape ([`MOMENTS`] or [`SUMS`]), then the rest:
-/// of the colour, of what the shape's sums lack, of the normal, of the probe.
+/// The sums of a primitive, in this order: those of the shape ([`MOMENTS`] or [`DISC_SUMS`]), then the rest:
+/// of the colour, of gradients that the shape lacks, of the normal, of the probe.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Layout {
     pub form: Form,
@@ -38,12 +44,12 @@ impl Layout {
     pub fn shape(self) -> usize {
         match self.form {
             Form::Ellipsoids => MOMENTS,
-            Form::Discs => SUMS,
+            Form::Discs => DISC_SUMS,
         }
     }
 
-    /// Place among the rest of what the shape's sums lack: of ellipsoids the depth, of discs the two
-    /// coordinates of the low-pass and the exponent.
+    /// Place among the rest of the gradients that the shape lacks: the depth of ellipsoids; the two coordinates
+    /// of the low-pass filter and the exponent of discs.
     pub fn beside(self) -> usize {
         3
     }
@@ -61,7 +67,7 @@ impl Layout {
     }
 
     pub fn rest(self) -> usize {
-        self.probe() + if self.probe { 4 } else { 0 }
+        self.probe() + if self.probe { PROBE } else { 0 }
     }
 
     pub fn width(self) -> usize {
@@ -122,7 +128,7 @@ fn gather_kernel(
     let normal = comptime!(layout.shape() + layout.normal());
     let probe = comptime!(layout.shape() + layout.probe());
     let unit = UNIT_POS as usize;
-    let plane = (view.width * view.height) as usize;
+    let plane = plane_of(view);
 
     // tiles to go through, and the list of them
     let mut range = Shared::<[u32]>::new_slice(4usize);
@@ -146,24 +152,19 @@ fn gather_kernel(
     let start = workgroup_uniform_load(&range[2]);
     let length = workgroup_uniform_load(&range[3]);
 
-    let mut partial = Shared::<[f32]>::new_slice(256usize * GROUP);
-    let mut folded = Shared::<[f32]>::new_slice(16usize * GROUP);
-    let mut ends = Shared::<[u32]>::new_slice(256usize);
+    let mut partial = Shared::<[f32]>::new_slice(comptime!(UNITS as usize * GROUP));
+    let mut folded = Shared::<[f32]>::new_slice(comptime!(FOLD * GROUP));
+    let mut ends = Shared::<[u32]>::new_slice(comptime!(UNITS as usize));
     let mut own = Array::<f32>::new(width);
 
     for tile in first_tile..end_tile {
-        let column = tile % view.columns * 16u32 + UNIT_POS % 16u32;
-        let row = tile / view.columns * 16u32 + UNIT_POS / 16u32;
-        let x = f32::cast_from(column) + 0.5f32;
-        let y = f32::cast_from(row) + 0.5f32;
-        let inside = column < view.width && row < view.height;
-        let at = select(inside, row * view.width + column, 0u32);
-        let pixel = at as usize;
+        let place = own_pixel(view, tile);
+        let (x, y, pixel) = (place.x, place.y, place.at);
 
         // front to back: T behind the last fragment, where the pixel ends, sums of αT, αT m, αT m² with m
         // relative to the first fragment's
         let mut through = 1.0f32;
-        let mut end = select(inside, length, 0u32);
+        let mut end = select(place.inside, length, 0u32);
         let mut total = 0.0f32;
         let mut reference = 0.0f32;
         let mut first_moment = 0.0f32;
@@ -194,7 +195,7 @@ fn gather_kernel(
         }
 
         ends[unit] = end;
-        let mut step = 128usize;
+        let mut step = UNITS as usize / 2;
         while step > 0usize {
             sync_cube();
             if unit < step {
@@ -233,11 +234,12 @@ fn gather_kernel(
                 let i = listed(ids, start + position, left_out);
                 let found = fragment(shapes, features, i, x, y, view.near, form);
                 if found.weight > 0.0f32 {
-                    let f = i * FEATURES;
+                    let payload = Payload::load(features, i);
                     let alpha = min(found.weight, thresholds.max_alpha);
                     let before = through / (1.0f32 - alpha);
                     let covered = alpha * before;
-                    let mut value = features[f] * red + features[f + 1] * green + features[f + 2] * blue;
+                    let colour = payload.colour;
+                    let mut value = colour.x * red + colour.y * green + colour.z * blue;
                     let mut grad_depth = 0.0f32;
                     if comptime!(layout.maps) {
                         let inverse = 1.0f32 / found.depth;
@@ -245,9 +247,9 @@ fn gather_kernel(
                         let spread = mapped * mapped * total + second_moment - 2.0f32 * mapped * first_moment;
                         let of_mapped = of_distortion * 2.0f32 * (mapped * total - first_moment);
                         value += of_depth * found.depth + of_distortion * spread;
-                        value += features[f + NORMAL] * of_x;
-                        value += features[f + NORMAL + 1] * of_y;
-                        value += features[f + NORMAL + 2] * of_z;
+                        value += payload.normal.x * of_x;
+                        value += payload.normal.y * of_y;
+                        value += payload.normal.z * of_z;
                         grad_depth = covered * (of_depth + of_mapped * thresholds.slope * inverse * inverse);
                         own[normal] = covered * of_x;
                         own[normal + 1] = covered * of_y;
@@ -261,59 +263,51 @@ fn gather_kernel(
                     let mut towards_x = 0.0f32;
                     let mut towards_y = 0.0f32;
                     if comptime!(form == Form::Ellipsoids) {
-                        let o = i * SPLAT;
-                        let (dx, dy) = (x - shapes[o], y - shapes[o + 1]);
-                        own[0] = power;
-                        own[1] = power * dx;
-                        own[2] = power * dy;
-                        own[3] = power * dx * dx;
-                        own[4] = power * dx * dy;
-                        own[5] = power * dy * dy;
+                        let splat = Splat::load(shapes, i * SPLAT);
+                        let (dx, dy) = (x - splat.mean_x, y - splat.mean_y);
+                        add_moments(&mut own, power, dx, dy);
                         own[beside] = grad_depth;
-                        towards_x = power * (shapes[o + 2] * dx + shapes[o + 3] * dy);
-                        towards_y = power * (shapes[o + 3] * dx + shapes[o + 4] * dy);
+                        towards_x = power * (splat.a * dx + splat.b * dy);
+                        towards_y = power * (splat.b * dx + splat.c * dy);
                     } else {
-                        let o = i * PLANE;
-                        let met = hit(shapes, o, x, y);
-                        let (across, down) = ((x - shapes[o]) / view.fx, (y - shapes[o + 1]) / view.fy);
-                        let on_screen = 2.0f32 * power * (1.0f32 - found.by_plane);
+                        let disc = Plane::load(shapes, i * PLANE);
+                        let (low_pass, tangents) = (LowPass::load(features, i), Tangents::load(features, i));
+                        let met = disc.hit(x, y);
+                        let (dx, dy) = (x - disc.anchor_x, y - disc.anchor_y);
                         // far from the disc they may be infinite
                         let by_plane = found.by_plane > 0.5f32;
-                        let u = select(by_plane, met.u, 0.0f32);
-                        let v = select(by_plane, met.v, 0.0f32);
-                        let (grad_u, grad_v) = (-power * u, -power * v);
-                        let towards_u = grad_u / (met.facing * features[f + SCALES]);
-                        let towards_v = grad_v / (met.facing * features[f + SCALES + 1]);
-                        let towards_facing = -(grad_u * u + grad_v * v + grad_depth * met.depth) / met.facing;
-                        let towards_distance = grad_depth / met.facing;
-                        own[0] = towards_u;
-                        own[1] = towards_u * across;
-                        own[2] = towards_u * down;
-                        own[3] = towards_v;
-                        own[4] = towards_v * across;
-                        own[5] = towards_v * down;
-                        own[6] = towards_facing;
-                        own[7] = towards_facing * across;
-                        own[8] = towards_facing * down;
-                        own[9] = towards_distance;
-                        own[10] = -grad_u * u;
-                        own[11] = -grad_v * v;
-                        own[beside] = on_screen * (x - shapes[o] - features[f + OFFSET]);
-                        own[beside + 1] = on_screen * (y - shapes[o + 1] - features[f + OFFSET + 1]);
+                        let hit = Hit {
+                            u: select(by_plane, met.u, 0.0f32),
+                            v: select(by_plane, met.v, 0.0f32),
+                            depth: met.depth,
+                            facing: met.facing,
+                            kernel: met.kernel,
+                        };
+                        let on_way = DiscPixel {
+                            hit,
+                            across: dx / view.fx,
+                            down: dy / view.fy,
+                            scale_u: tangents.scale_u,
+                            scale_v: tangents.scale_v,
+                            power,
+                            grad_depth,
+                        };
+                        let towards = add_disc_sums(&mut own, on_way, true, layout.maps);
+                        let on_screen = 2.0f32 * power * (1.0f32 - found.by_plane);
+                        own[beside] = on_screen * (dx - low_pass.offset_x);
+                        own[beside + 1] = on_screen * (dy - low_pass.offset_y);
                         own[beside + 2] = power;
                         if comptime!(layout.probe) {
                             // gradient of the centre in camera space, over fx and fy: that of T_u.z and T_v.z
                             let (ray_x, ray_y) = ((x - view.cx) / view.fx, (y - view.cy) / view.fy);
-                            let t = f + TANGENTS;
-                            let (ux, uy, uz) = (features[t], features[t + 1], features[t + 2]);
-                            let (vx, vy, vz) = (features[t + 3], features[t + 4], features[t + 5]);
-                            let centre_x = towards_u * (ray_y * vz - vy)
-                                + towards_v * (uy - uz * ray_y)
-                                + towards_distance * (uy * vz - uz * vy);
-                            let centre_y = towards_u * (vx - ray_x * vz)
-                                + towards_v * (uz * ray_x - ux)
-                                + towards_distance * (uz * vx - ux * vz);
-                            let share = found.by_plane * features[f + DEPTH];
+                            let (u, v) = (tangents.u, tangents.v);
+                            let centre_x = towards.x * (ray_y * v.z - v.y)
+                                + towards.y * (u.y - u.z * ray_y)
+                                + towards.z * (u.y * v.z - u.z * v.y);
+                            let centre_y = towards.x * (v.x - ray_x * v.z)
+                                + towards.y * (u.z * ray_x - u.x)
+                                + towards.z * (u.z * v.x - u.x * v.z);
+                            let share = found.by_plane * payload.depth;
                             towards_x = share * centre_x / view.fx;
                             towards_y = share * centre_y / view.fy;
                         }
@@ -336,24 +330,24 @@ fn gather_kernel(
                 #[unroll]
                 for s in 0..GROUP {
                     if comptime!(group * GROUP + s < width) {
-                        partial[s * 256 + unit] = own[group * GROUP + s];
+                        partial[s * UNITS as usize + unit] = own[group * GROUP + s];
                     }
                 }
                 sync_cube();
-                // 16 units for each sum, then one
-                if unit < 16 * GROUP {
-                    let mut sixteen = 0.0f32;
-                    for k in 0..16u32 {
-                        sixteen += partial[unit * 16 + k as usize];
+                // several units fold each sum, then one unit
+                if unit < FOLD * GROUP {
+                    let mut part = 0.0f32;
+                    for k in 0..FOLD {
+                        part += partial[unit * FOLD + k];
                     }
-                    folded[unit] = sixteen;
+                    folded[unit] = part;
                 }
                 sync_cube();
                 let number = comptime!(group * GROUP);
                 if unit < GROUP && number + unit < width {
                     let mut sum = 0.0f32;
-                    for k in 0..16u32 {
-                        sum += folded[unit * 16 + k as usize];
+                    for k in 0..FOLD {
+                        sum += folded[unit * FOLD + k];
                     }
                     // slots and sums begin at 0
                     sums[target + number + unit] += sum;
@@ -363,8 +357,8 @@ fn gather_kernel(
     }
 }
 
-/// `taken` sums of every primitive, from the `first` on, in the order of the parameters: its slots in
-/// the order of the tiles.
+/// Adds the slots of every primitive in the order of the tiles: `taken` sums from the `first` on. Rows are in the
+/// order of the parameters.
 #[cube(launch)]
 fn collect_kernel(
     rects: &[u32],
@@ -389,10 +383,10 @@ fn collect_kernel(
     let number = at % taken;
     let own = rank as u32;
     let mut sum = left_out[rank * width + first + number];
-    let (x0, x1, y0, y1) = (rects[4 * rank], rects[4 * rank + 1], rects[4 * rank + 2], rects[4 * rank + 3]);
-    if x0 < x1 && y0 < y1 {
-        for row in y0 / 16u32..y1.div_ceil(16u32) {
-            for column in x0 / 16u32..x1.div_ceil(16u32) {
+    let rect = Rect::load(rects, rank);
+    if rect.is_filled() {
+        for row in rect.y0 / TILE..rect.y1.div_ceil(TILE) {
+            for column in rect.x0 / TILE..rect.x1.div_ceil(TILE) {
                 let tile = (row * columns + column) as usize;
                 let end = offsets[tile + 1];
                 if end <= capacity {
@@ -422,8 +416,8 @@ fn zeros(like: &CubeTensor, rows: usize, width: usize) -> CubeTensor {
     CubeBackend::float_zeros(Shape::from([rows.max(1), width]), &like.device, FloatDType::F32)
 }
 
-/// Sums of the shape [M, [`Layout::shape`]] and the rest [M, [`Layout::rest`]], rows in the order of
-/// the parameters, for the gradient `grad` [P, H, W].
+/// Sums of the shape [M, [`Layout::shape`]] and the rest [M, [`Layout::rest`]] for the gradient `grad` [P, H, W].
+/// Rows are in the order of the parameters.
 pub fn gather(
     fragments: &Fragments,
     grad: &CubeTensor,

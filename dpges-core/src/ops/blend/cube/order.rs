@@ -1,22 +1,22 @@
-//! Primitives in the order of their depths, and the list of every tile in ascending order, by bitonic
-//! sorting networks of which every comparison puts the larger value behind: places beyond the end
-//! count as the largest value, which such a network never moves.
+//! Sorts primitives by depth and the list of every tile by index, with bitonic sorting networks. Every
+//! comparison puts the larger value behind. Places beyond the end count as the largest value, which such a
+//! network never moves.
 
 use burn::backend::TensorMetadata;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
+use crate::binning::cube::{CubeLists, TileList};
 use crate::camera::Camera;
 use crate::gpu::launch::{UNITS, buffer, cube_dim, cubes, empty_u32, units};
 use crate::gpu::vector::row3;
 use crate::gpu::view::{View, to_camera};
-use crate::ops::binning::cube::{CubeLists, tile_list};
 
-/// Values that one cube sorts: each unit compares two.
+/// Values that one cube sorts. Each unit compares two.
 const BLOCK: usize = 2 * UNITS as usize;
 
-/// Bits of the depth of every primitive. As integers they ascend with a positive depth, and those of
-/// a negative depth are larger.
+/// Bits of the depth of every primitive. As integers they ascend with positive depth, and negative depths
+/// come last.
 #[cube(launch)]
 fn keys_kernel(positions: &[f32], keys: &mut [u32], order: &mut [u32], view: View, count: u32) {
     let i = ABSOLUTE_POS;
@@ -52,13 +52,12 @@ fn compare(keys: &mut [u32], order: &mut [u32], low: u32, high: u32, count: u32)
     }
 }
 
-/// Sorts every block where `first` is 1; where it is half a block, does the steps of a merge that stay
-/// within blocks.
+/// Sorts every block if `first` is 1. If it is half a block, does the steps of a merge within blocks.
 #[cube(launch)]
 fn block_kernel(keys: &mut [u32], order: &mut [u32], count: u32, first: u32) {
     let pair = ABSOLUTE_POS as u32;
     let mut half = first;
-    while half <= 256u32 {
+    while half <= UNITS {
         let mut step = half;
         while step > 0u32 {
             let (low, high) = places(pair, step, step == half && first == 1u32);
@@ -70,15 +69,15 @@ fn block_kernel(keys: &mut [u32], order: &mut [u32], count: u32, first: u32) {
     }
 }
 
-/// One step of a merge that reaches across blocks.
+/// One step of a merge across blocks.
 #[cube(launch)]
 fn step_kernel(keys: &mut [u32], order: &mut [u32], count: u32, step: u32, mirrored: u32) {
     let (low, high) = places(ABSOLUTE_POS as u32, step, mirrored == 1u32);
     compare(keys, order, low, high, count);
 }
 
-/// [M] indices of the primitives at `positions` [M, 3], nearest first, ties by index; those at or
-/// behind the camera last.
+/// [M] indices of the primitives at `positions` [M, 3] by (depth, index). Primitives at or behind the camera
+/// come last.
 pub fn depth_order(positions: &CubeTensor, camera: &Camera) -> CubeTensor {
     let (client, count) = (positions.client.clone(), positions.shape()[0]);
     let (keys, order) = (empty_u32(positions, [count]), empty_u32(positions, [count]));
@@ -119,14 +118,15 @@ pub fn depth_order(positions: &CubeTensor, camera: &Camera) -> CubeTensor {
     order
 }
 
-/// Puts every list that fits in ascending order: one cube per tile.
+/// Sorts every list that fits its buffer: one cube per tile.
 #[cube(launch)]
 fn lists_kernel(offsets: &[u32], ids: &mut [u32], tiles: u32, capacity: u32) {
     if CUBE_POS >= tiles as usize {
         terminate!();
     }
     // a list that does not fit has no entries here
-    let (start, length, _listed) = tile_list(offsets, capacity, 0u32);
+    let list = TileList::own(offsets, capacity, 0u32);
+    let (start, length) = (list.start, list.length);
     let mut half = 1u32;
     while half < length {
         let mut step = half;
@@ -144,7 +144,7 @@ fn lists_kernel(offsets: &[u32], ids: &mut [u32], tiles: u32, capacity: u32) {
                         ids[b] = id_a;
                     }
                 }
-                pair += 256u32;
+                pair += UNITS;
             }
             sync_storage();
             step /= 2u32;

@@ -1,21 +1,22 @@
-//! From the sums over the pixels of every primitive to its raw parameters.
+//! Gradients of the raw parameters of every primitive, from the sums over its pixels.
 
 use burn::backend::TensorMetadata;
 use burn_cubecl::CubeBackend;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
-use super::fragments::{LOW_PASS_SQUARED_RADIUS as K, camera_axes, facing_sign, normal_axis, own_normal};
-use super::gather::Layout;
+use super::fragments::{LOW_PASS_SQUARED_RADIUS as K, camera_axes, discs, facing_sign, normal_axis, own_normal};
+use super::gather::{Layout, PROBE};
 use crate::camera::Camera;
+use crate::footprint::disc_cube::{self, bounded_scale};
+use crate::footprint::gaussians::GaussianTensors;
+use crate::footprint::splat_cube;
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, units};
 use crate::gpu::vector::{
-    Mat3, apply, dot, rotation, rotation_backward, row3, row4, scale, transpose, vec3, write3, write4,
+    Mat3, add3, apply, dot, load3, rotation, rotation_backward, row3, row4, scale, transpose, vec3, write3,
 };
-use crate::gpu::view::{Rests, View, to_camera, view_rotation};
+use crate::gpu::view::{View, to_camera, view_rotation};
 use crate::ops::blend::{BlendInput, Form};
-use crate::ops::peel::disc_cube::{LARGEST_LOG_SCALE, SUMS, disc, disc_backward, exact_disc};
-use crate::ops::splat::cube::footprint_backward;
 
 /// Colours, probe and, of discs, opacities.
 #[cube(launch)]
@@ -36,45 +37,17 @@ fn payload_kernel(
     let probe = comptime!(layout.probe());
     let exponent = comptime!(layout.beside() + 2);
     let o = i * width;
-    write3(grad_colours, i, vec3(rest[o], rest[o + 1], rest[o + 2]));
+    write3(grad_colours, i, load3(rest, o));
     if comptime!(layout.probe) {
-        let p = o + probe;
-        grad_probe[4 * i] = rest[p];
-        grad_probe[4 * i + 1] = rest[p + 1];
-        grad_probe[4 * i + 2] = rest[p + 2];
-        grad_probe[4 * i + 3] = rest[p + 3];
+        #[unroll]
+        for number in 0..PROBE {
+            grad_probe[PROBE * i + number] = rest[o + probe + number];
+        }
     }
     if comptime!(layout.form == Form::Discs) {
         let (opacity, power) = (opacities[i], rest[o + exponent]);
         grad_opacities[i] = select(opacity > 0.0f32, power / max(opacity, 1e-30f32), 0.0f32);
     }
-}
-
-/// The sums of the plane of a disc.
-#[cube(launch)]
-fn planes_backward_kernel(
-    positions: &[f32],
-    quaternions: &[f32],
-    log_scales: &[f32],
-    sums: &[f32],
-    grad_positions: &mut [f32],
-    grad_quaternions: &mut [f32],
-    grad_log_scales: &mut [f32],
-    view: View,
-    rests: Rests,
-    count: u32,
-) {
-    let i = ABSOLUTE_POS;
-    if i >= count as usize {
-        terminate!();
-    }
-    let quaternion = row4(quaternions, i);
-    let exact = exact_disc(view, rests, row3(positions, i), quaternion);
-    let disc = disc(view, exact, log_scales[3 * i], log_scales[3 * i + 1]);
-    let gradient = disc_backward(view, disc, quaternion, sums, i);
-    write3(grad_positions, i, gradient.position);
-    write4(grad_quaternions, i, gradient.quaternion);
-    write3(grad_log_scales, i, vec3(sums[i * SUMS + 10], sums[i * SUMS + 11], 0.0f32));
 }
 
 /// Adds what the sums of the shape lack: the depth of an ellipsoid's centre, the low-pass of a disc,
@@ -121,7 +94,7 @@ fn rest_kernel(
     if comptime!(layout.maps) {
         let at = o + normal;
         let sign = facing_sign(own_normal(axes, log_scales, form), centre);
-        let towards = vec3(sign * rest[at], sign * rest[at + 1], sign * rest[at + 2]);
+        let towards = scale(load3(rest, at), sign);
         let axis = normal_axis(log_scales, form);
         let (first, second) = (axis == 0u32, axis == 1u32);
         u_x = select(first, towards.x, 0.0f32);
@@ -136,12 +109,9 @@ fn rest_kernel(
     }
     if comptime!(form == Form::Ellipsoids) {
         let moved = scale(pose.row2, rest[beside]);
-        grad_positions[3 * i] += moved.x;
-        grad_positions[3 * i + 1] += moved.y;
-        grad_positions[3 * i + 2] += moved.z;
+        add3(grad_positions, i, moved);
     } else {
-        let scale_u = f32::exp(min(log_scales.x, LARGEST_LOG_SCALE));
-        let scale_v = f32::exp(min(log_scales.y, LARGEST_LOG_SCALE));
+        let (scale_u, scale_v) = (bounded_scale(log_scales.x), bounded_scale(log_scales.y));
         let (a, b) = (scale(axes.row0, scale_u), scale(axes.row1, scale_v));
         let bulk = K * (a.z * a.z + b.z * b.z) - centre.z * centre.z;
         if bulk < 0.0f32 {
@@ -168,9 +138,7 @@ fn rest_kernel(
                 towards_x * (twice_x * centre.z - centre.x) + towards_y * (twice_y * centre.z - centre.y),
             );
             let moved = apply(back, of_centre);
-            grad_positions[3 * i] += moved.x;
-            grad_positions[3 * i + 1] += moved.y;
-            grad_positions[3 * i + 2] += moved.z;
+            add3(grad_positions, i, moved);
             grad_log_scales[3 * i] += dot(of_a, a);
             grad_log_scales[3 * i + 1] += dot(of_b, b);
             u_x += scale_u * of_a.x;
@@ -195,47 +163,27 @@ fn rest_kernel(
 
 /// Gradients with respect to the input, from the sums of the shape and the rest of them.
 pub fn backward(
-    input: &BlendInput<CubeBackend>,
+    gaussians: &GaussianTensors<CubeBackend>,
     sums: &CubeTensor,
     rest: &CubeTensor,
     camera: &Camera,
     layout: Layout,
 ) -> BlendInput<CubeBackend> {
     let (client, count) = (sums.client.clone(), sums.shape()[0]);
-    let out = BlendInput {
-        positions: empty_f32(sums, [count, 3]),
-        quaternions: empty_f32(sums, [count, 4]),
-        log_scales: empty_f32(sums, [count, 3]),
-        opacities: empty_f32(sums, [count]),
-        colours: empty_f32(sums, [count, 3]),
-        probe: empty_f32(sums, [if layout.probe { count } else { 0 }, 4]),
-    };
+    let out = GaussianTensors::empty(sums, count);
+    let probe = empty_f32(sums, [if layout.probe { count } else { 0 }, PROBE]);
     match layout.form {
-        Form::Ellipsoids => footprint_backward(&input.primitives(), sums, camera, &out.primitives()),
-        Form::Discs => planes_backward_kernel::launch(
-            &client,
-            units(count),
-            cube_dim(),
-            buffer(&input.positions),
-            buffer(&input.quaternions),
-            buffer(&input.log_scales),
-            buffer(sums),
-            buffer(&out.positions),
-            buffer(&out.quaternions),
-            buffer(&out.log_scales),
-            View::launch(camera),
-            Rests::launch(camera),
-            count as u32,
-        ),
+        Form::Ellipsoids => splat_cube::backward(gaussians, sums, camera, &out),
+        Form::Discs => disc_cube::backward(&discs(gaussians), sums, camera, &discs(&out)),
     }
     payload_kernel::launch(
         &client,
         units(count),
         cube_dim(),
         buffer(rest),
-        buffer(&input.opacities),
+        buffer(&gaussians.opacities),
         buffer(&out.colours),
-        buffer(&out.probe),
+        buffer(&probe),
         buffer(&out.opacities),
         count as u32,
         layout,
@@ -246,9 +194,9 @@ pub fn backward(
             &client,
             units(count),
             cube_dim(),
-            buffer(&input.positions),
-            buffer(&input.quaternions),
-            buffer(&input.log_scales),
+            buffer(&gaussians.positions),
+            buffer(&gaussians.quaternions),
+            buffer(&gaussians.log_scales),
             buffer(rest),
             buffer(&out.positions),
             buffer(&out.quaternions),
@@ -258,5 +206,5 @@ pub fn backward(
             layout,
         );
     }
-    out
+    BlendInput { gaussians: out, probe }
 }

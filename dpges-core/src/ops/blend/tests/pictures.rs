@@ -177,7 +177,7 @@ fn the_number_of_threads_does_not_matter() {
 fn options_outside_their_range_are_refused() {
     let leaves = capped().leaves();
     let refused = |options: BlendOptions| {
-        blend(&leaves.gaussians, leaves.colours.clone(), None, &axis_camera(), &options).unwrap_err().to_string()
+        blend(&leaves.gaussians, &leaves.colours, None, &axis_camera(), &options).unwrap_err().to_string()
     };
     let opaque = BlendOptions { max_alpha: 1.0, ..BlendOptions::default() };
     assert_eq!(refused(opaque), "option `max_alpha` is 1, expected a number above 0 and at most 0.9999");

@@ -57,7 +57,7 @@ fn no_value_depends_on_the_probe() {
     let (leaves, camera) = (capped().leaves(), axis_camera());
     for options in FORMS.map(with_maps) {
         let with = |probe: Option<Tensor<2>>| {
-            images(&blend(&leaves.gaussians, leaves.colours.clone(), probe, &camera, &options).unwrap())
+            images(&blend(&leaves.gaussians, &leaves.colours, probe.as_ref(), &camera, &options).unwrap())
         };
         assert_eq!(with(None), with(Some(leaves.probe.clone() + 1.0)));
     }
@@ -66,7 +66,7 @@ fn no_value_depends_on_the_probe() {
 #[test]
 fn a_probe_of_another_shape_is_refused() {
     let leaves = capped().leaves();
-    let probe = Some(leaves.colours.clone());
-    let error = blend(&leaves.gaussians, leaves.colours, probe, &axis_camera(), &BlendOptions::default()).unwrap_err();
+    let (colours, camera) = (&leaves.colours, axis_camera());
+    let error = blend(&leaves.gaussians, colours, Some(colours), &camera, &BlendOptions::default()).unwrap_err();
     assert_eq!(error.to_string(), "tensor `probe` has shape [7, 3], expected [7, 4]");
 }

@@ -1,11 +1,11 @@
-//! GPU kernel of [`super::limits`]: one unit per pixel.
+//! GPU kernel: one unit per pixel.
 
 use burn::backend::TensorMetadata;
 use burn::backend::tensor::{FloatTensor, IntTensor};
 use burn_cubecl::CubeBackend;
 use cubecl::prelude::*;
 
-use super::limits::LimitOps;
+use super::LimitOps;
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, floats, integers, units};
 use crate::scene::MarginLookup;
 
@@ -45,7 +45,7 @@ fn limits_kernel(
     }
     let cap = select(closed || present == layers as u32, last, infinity);
     if comptime!(literal) {
-        // of the last interval only the cap is the end
+        // only the cap ends the last interval
         ends[layers - 1] = infinity;
     }
     let mut reached = -infinity;

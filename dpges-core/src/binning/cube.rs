@@ -1,16 +1,18 @@
-//! GPU kernels: counting with integer atomics, a prefix sum, a fill. The lists of tiles are in no
-//! particular order unless order is asked for.
+//! GPU binning: count with integer atomics, prefix sum and fill.
 
+use burn::backend::TensorMetadata;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
-use super::{TILE, TileGrid};
+use super::capacity::{self, ListKind};
 use crate::camera::Camera;
+use crate::footprint::splat_cube::{SPLAT, Splat};
 use crate::gpu::launch::{UNITS, buffer, cube_dim, cubes, empty_f32, empty_u32, units, zeros_u32};
-use crate::gpu::lists::{self, ListKind};
-use crate::gpu::view::View;
+use crate::gpu::rect::Rect;
+use crate::gpu::tile::TILE;
+use crate::tiles::TileGrid;
 
-/// Lists of primitives, one per tile. Those that end beyond the capacity are incomplete: see [`tile_list`].
+/// Lists of primitives, one per tile. A list that ends beyond the capacity is incomplete ([`TileList`]).
 pub struct CubeLists {
     /// [tiles + 1]
     pub offsets: CubeTensor,
@@ -19,7 +21,7 @@ pub struct CubeLists {
     pub capacity: u32,
 }
 
-/// What Gaussians know beside their rectangle.
+/// Data of Gaussians that excludes tiles within their rectangles.
 pub struct Ellipses<'a> {
     /// [M, [`SPLAT`]]
     pub splats: &'a CubeTensor,
@@ -27,31 +29,8 @@ pub struct Ellipses<'a> {
     pub ends: &'a CubeTensor,
 }
 
-/// Numbers of a projected Gaussian: mean, conic, strength, depth, squared radius.
-pub const SPLAT: usize = 8;
-
-/// Whether a Gaussian can add to a pixel of a tile: its ellipse reaches a pixel centre, and it is not
-/// behind everything visible there.
-#[cube]
-fn reaches(splats: &[f32], ends: &[f32], i: usize, column: u32, row: u32, tile: usize) -> bool {
-    let o = i * SPLAT;
-    let (a, b, c) = (splats[o + 2], splats[o + 3], splats[o + 4]);
-    let x0 = f32::cast_from(column * 16u32) + 0.5f32 - splats[o];
-    let y0 = f32::cast_from(row * 16u32) + 0.5f32 - splats[o + 1];
-    let (x1, y1) = (x0 + 15.0f32, y0 + 15.0f32);
-    let dx = clamp(0.0f32, x0, x1);
-    let dy = clamp(0.0f32, y0, y1);
-    // the convex form is smallest at the mean or on one of the two edges that face it
-    let beside = clamp(-b * dx / c, y0, y1);
-    let below = clamp(-b * dy / a, x0, x1);
-    let on_vertical = a * dx * dx + 2.0f32 * b * dx * beside + c * beside * beside;
-    let on_horizontal = a * below * below + 2.0f32 * b * below * dy + c * dy * dy;
-    let outside = min(on_vertical, on_horizontal) > splats[o + 7] * 1.001f32 + 0.01f32;
-    !outside && splats[o + 6] < ends[tile]
-}
-
-/// Visits every tile that a primitive touches, raises the tile's `cursor` and enters the primitive into
-/// `ids` where it stood. From cursors at 0 and without room for entries, that counts.
+/// Writes each primitive to the list of every tile that it touches, at the `cursor` of the tile, and advances
+/// the cursor. With cursors at 0 and a capacity of 0 the cursors end as counts.
 #[cube(launch)]
 fn visit_kernel(
     rects: &[u32],
@@ -68,14 +47,15 @@ fn visit_kernel(
     if i >= count as usize {
         terminate!();
     }
-    let (x0, x1, y0, y1) = (rects[4 * i], rects[4 * i + 1], rects[4 * i + 2], rects[4 * i + 3]);
-    if x0 < x1 && y0 < y1 {
-        for row in y0 / 16u32..y1.div_ceil(16u32) {
-            for column in x0 / 16u32..x1.div_ceil(16u32) {
+    let rect = Rect::load(rects, i);
+    if rect.is_filled() {
+        for row in rect.y0 / TILE..rect.y1.div_ceil(TILE) {
+            for column in rect.x0 / TILE..rect.x1.div_ceil(TILE) {
                 let tile = (row * columns + column) as usize;
                 let mut touched = true;
                 if comptime!(elliptic) {
-                    touched = reaches(splats, ends, i, column, row, tile);
+                    let splat = Splat::load(splats, i * SPLAT);
+                    touched = splat.touches(column, row) && splat.depth < ends[tile];
                 }
                 if touched {
                     let slot = cursor[tile].fetch_add(1u32);
@@ -91,19 +71,19 @@ fn visit_kernel(
 /// Exclusive prefix sum of `counts` by one cube; `total` is the sum.
 #[cube(launch)]
 fn scan_kernel(counts: &[u32], offsets: &mut [u32], cursor: &mut [u32], total: &mut [u32], count: u32) {
-    let mut sums = Shared::<[u32]>::new_slice(256usize);
+    let mut sums = Shared::<[u32]>::new_slice(comptime!(UNITS as usize));
     let unit = UNIT_POS as usize;
     let mut carry = 0u32;
-    let rounds = count.div_ceil(256u32);
+    let rounds = count.div_ceil(UNITS);
     for round in 0..rounds {
-        let at = round * 256u32 + UNIT_POS;
+        let at = round * UNITS + UNIT_POS;
         let mut own = 0u32;
         if at < count {
             own = counts[at as usize];
         }
         sums[unit] = own;
         let mut step = 1usize;
-        while step < 256usize {
+        while step < UNITS as usize {
             sync_cube();
             let mut sum = sums[unit];
             if unit >= step {
@@ -119,7 +99,7 @@ fn scan_kernel(counts: &[u32], offsets: &mut [u32], cursor: &mut [u32], total: &
             offsets[at as usize] = before;
             cursor[at as usize] = before;
         }
-        carry += sums[255];
+        carry += sums[UNITS as usize - 1];
         sync_cube();
     }
     if UNIT_POS == 0u32 {
@@ -128,7 +108,7 @@ fn scan_kernel(counts: &[u32], offsets: &mut [u32], cursor: &mut [u32], total: &
     }
 }
 
-/// Puts every list in ascending order: an entry's place is the number of smaller ones.
+/// Puts every list in ascending order: the place of an entry is the number of smaller entries.
 #[cube(launch)]
 fn rank_kernel(offsets: &[u32], ids: &[u32], ranked: &mut [u32], tiles: u32, capacity: u32) {
     if CUBE_POS >= tiles as usize {
@@ -146,47 +126,86 @@ fn rank_kernel(offsets: &[u32], ids: &[u32], ranked: &mut [u32], tiles: u32, cap
                 }
             }
             ranked[place as usize] = id;
-            at += 256u32;
+            at += UNITS;
         }
     }
 }
 
-/// Where the list of this cube's tile starts, its length, and whether it is one: a list that did not
-/// fit is replaced by all `count` primitives. The same for all units of the cube.
+/// The list of a tile.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub struct TileList {
+    /// Place of the first entry.
+    pub start: u32,
+    pub length: u32,
+    /// Whether the list fitted its buffer. If not, it stands for all primitives.
+    listed: bool,
+}
+
 #[cube]
-pub fn tile_list(offsets: &[u32], capacity: u32, count: u32) -> (u32, u32, u32) {
-    let mut range = Shared::<[u32]>::new_slice(2usize);
-    if UNIT_POS == 0u32 {
-        range[0] = offsets[CUBE_POS];
-        range[1] = offsets[CUBE_POS + 1];
+impl TileList {
+    /// The list of the tile of this cube, from `count` primitives. It is uniform over the cube.
+    pub fn own(offsets: &[u32], capacity: u32, count: u32) -> TileList {
+        let mut range = Shared::<[u32]>::new_slice(2usize);
+        if UNIT_POS == 0u32 {
+            range[0] = offsets[CUBE_POS];
+            range[1] = offsets[CUBE_POS + 1];
+        }
+        let low = workgroup_uniform_load(&range[0]);
+        let high = workgroup_uniform_load(&range[1]);
+        let listed = high <= capacity;
+        TileList { start: select(listed, low, 0u32), length: select(listed, high - low, count), listed }
     }
-    let low = workgroup_uniform_load(&range[0]);
-    let high = workgroup_uniform_load(&range[1]);
-    let listed = high <= capacity;
-    (select(listed, low, 0u32), select(listed, high - low, count), u32::cast_from(listed))
-}
 
-/// Entry `at` of a list from [`tile_list`].
-#[cube]
-pub fn entry(ids: &[u32], start: u32, at: u32, listed: u32) -> u32 {
-    let mut id = at;
-    if listed == 1u32 {
-        id = ids[(start + at) as usize];
+    /// Primitive at place `at` of the list.
+    pub fn entry(&self, ids: &[u32], at: u32) -> u32 {
+        let mut id = at;
+        if self.listed {
+            id = ids[(self.start + at) as usize];
+        }
+        id
     }
-    id
+
+    /// Batches of [`UNITS`] entries.
+    pub fn batches(&self) -> u32 {
+        self.length.div_ceil(UNITS)
+    }
+
+    /// Copies a batch into workgroup memory and returns its number of entries. The record of an entry is the
+    /// row of its primitive in `first` [N, `first_width`], followed by that in `second` [N, `second_width`].
+    /// All units of the cube must call this together.
+    pub fn stage(
+        &self,
+        ids: &[u32],
+        batch: u32,
+        first: &[f32],
+        second: &[f32],
+        staged: &mut [f32],
+        #[comptime] first_width: usize,
+        #[comptime] second_width: usize,
+    ) -> u32 {
+        let stride = comptime!(first_width + second_width);
+        let at = batch * UNITS + UNIT_POS;
+        sync_cube();
+        if at < self.length {
+            let id = self.entry(ids, at) as usize;
+            let own = UNIT_POS as usize * stride;
+            #[unroll]
+            for number in 0..first_width {
+                staged[own + number] = first[id * first_width + number];
+            }
+            #[unroll]
+            for number in 0..second_width {
+                staged[own + first_width + number] = second[id * second_width + number];
+            }
+        }
+        sync_cube();
+        min(UNITS, self.length - batch * UNITS)
+    }
 }
 
-/// Column and row of this unit's pixel in this cube's tile.
-#[cube]
-pub fn own_pixel(view: View) -> (u32, u32) {
-    let tile = CUBE_POS as u32;
-    (tile % view.columns * 16u32 + UNIT_POS % 16u32, tile / view.columns * 16u32 + UNIT_POS / 16u32)
-}
-
-/// Lists of all tiles for `rects` [count, 4] (x0, x1, y0, y1; half open, px).
+/// Lists of all tiles of the image of `camera`, for `rects` [N, 4] and, of Gaussians, their `ellipses`.
 pub fn bin(rects: &CubeTensor, ellipses: Option<Ellipses>, camera: &Camera, kind: ListKind) -> CubeLists {
-    const { assert!(TILE * TILE == UNITS as usize, "one unit per pixel of a tile") };
-    use burn::backend::TensorMetadata;
     let (grid, count) = (TileGrid::new(camera.width, camera.height), rects.shape()[0]);
     let (client, tiles) = (rects.client.clone(), grid.len());
     let unused = empty_f32(rects, [1]);
@@ -221,11 +240,11 @@ pub fn bin(rects: &CubeTensor, ellipses: Option<Ellipses>, camera: &Camera, kind
         buffer(&total),
         tiles as u32,
     );
-    let capacity = lists::capacity(rects, kind, count, tiles);
+    let capacity = capacity::entries(rects, kind, count, tiles);
     let ids = empty_u32(rects, [capacity]);
     let capacity = u32::try_from(capacity).unwrap_or(u32::MAX);
     visit(&cursor, &ids, capacity);
-    lists::observe(&total, kind, capacity as usize);
+    capacity::observe(&total, kind, capacity as usize);
     CubeLists { offsets, ids, capacity }
 }
 

@@ -1,13 +1,13 @@
-//! Images cut into horizontal bands. Sums over pixels scattered to primitives use a fixed number of
-//! bands, each with sums of its own, added in order, so that the result does not depend on the
-//! number of threads.
+//! Horizontal bands of an image. Kernels that scatter sums over pixels to primitives keep separate sums for
+//! each of a fixed number of bands and add them in order. The result then does not depend on the number of
+//! threads.
 
 use std::ops::Range;
 
-/// Bands for sums that are scattered to primitives; each costs one set of sums.
+/// Number of bands. Each costs one set of sums.
 pub const BAND_COUNT: usize = 8;
 
-/// An image's rows cut into [`BAND_COUNT`] bands.
+/// The rows of an image in [`BAND_COUNT`] bands.
 #[derive(Clone, Copy, Debug)]
 pub struct Bands {
     height: usize,

@@ -1,10 +1,12 @@
-//! What the CPU kernels need to know of a primitive as a camera sees it, whichever its form.
+//! A primitive of either form as a camera sees it.
 
 use crate::camera::Camera;
+use crate::footprint::moments::{MOMENTS, add_moments};
+use crate::footprint::splat::{self, ParameterGrad, Parameters, Splat, SplatGrad};
 use crate::math::{CameraOf, V3, add, scale};
-use crate::ops::binning::{LANES, PixelRect, TileGrid};
-use crate::ops::splat::footprint::{self, ParameterGrad, Parameters, Splat, SplatGrad};
 use crate::real::Real;
+use crate::simd::LANES;
+use crate::tiles::{PixelRect, TileGrid};
 
 /// A camera in the element type of the kernels and in f64.
 pub struct View<T> {
@@ -118,7 +120,7 @@ pub trait Projected<T: Real>: Copy + Send + Sync {
 pub struct Ellipse<T>(Splat<T>);
 
 impl<T: Real> Projected<T> for Ellipse<T> {
-    const SUMS: usize = 6;
+    const SUMS: usize = MOMENTS;
 
     fn new(view: &View<T>, parameters: &Parameters<T>, colour: V3<T>) -> Option<Self> {
         Splat::new(&view.camera, parameters, colour).map(Self)
@@ -164,27 +166,7 @@ impl<T: Real> Projected<T> for Ellipse<T> {
     #[inline(always)]
     fn gather<const MAPS: bool>(&self, group: &Group<T>, _: &mut [[T; LANES]; WORK_ROWS], sums: &mut Sums<[T; LANES]>) {
         let (dx, dy, power) = (group.dx, group.dy, group.power);
-        let [sum, sum_x, sum_y, sum_xx, sum_xy, sum_yy] = &mut *sums.footprint else {
-            unreachable!("six rows of lanes");
-        };
-        for lane in 0..LANES {
-            sum[lane] = sum[lane] + power[lane];
-        }
-        for lane in 0..LANES {
-            sum_x[lane] = sum_x[lane] + power[lane] * dx[lane];
-        }
-        for lane in 0..LANES {
-            sum_y[lane] = sum_y[lane] + power[lane] * dy;
-        }
-        for lane in 0..LANES {
-            sum_xx[lane] = sum_xx[lane] + power[lane] * dx[lane] * dx[lane];
-        }
-        for lane in 0..LANES {
-            sum_xy[lane] = sum_xy[lane] + power[lane] * dx[lane] * dy;
-        }
-        for lane in 0..LANES {
-            sum_yy[lane] = sum_yy[lane] + power[lane] * dy * dy;
-        }
+        add_moments(sums.footprint, power, dx, dy);
         if let [x, y, size_x, size_y] = &mut *sums.probe {
             let [a, b, c] = self.0.conic;
             for lane in 0..LANES {
@@ -209,7 +191,7 @@ impl<T: Real> Projected<T> for Ellipse<T> {
             moments: std::array::from_fn(|i| sums.footprint[i]),
             colour: std::array::from_fn(|c| sums.colour[c]),
         };
-        let mut grad = footprint::backward(&view.camera, parameters, &self.0, &sum);
+        let mut grad = splat::backward(&view.camera, parameters, &self.0, &sum);
         if let [.., of_depth] = *sums.maps {
             grad.position = add(grad.position, scale(view.camera.rotation[2], of_depth));
         }

@@ -1,9 +1,8 @@
-//! How long the tile lists of a device may become: an upper bound that grows.
+//! Capacity of the tile lists of a device: a bound that grows.
 //!
-//! The length of all lists together is known only on the device. Waiting for it would stall the
-//! queue, so buffers are made from a bound, and the true length is read back in the background. A
-//! tile whose list does not fit is still right: its kernel then goes over all primitives. The bound
-//! is raised before the next launch.
+//! Only the device knows the length of all lists, and waiting for it would stall the queue. Buffers are
+//! therefore allocated from a bound, and the length is read back in the background. The result is correct
+//! even if a list does not fit: the kernel then visits all primitives. The bound rises before the next launch.
 
 use std::collections::HashMap;
 use std::future::Future;
@@ -15,7 +14,7 @@ use burn_cubecl::tensor::CubeTensor;
 
 type Length = Pin<Box<dyn Future<Output = Option<usize>> + Send>>;
 
-/// Which lists: of surfels and of Gaussians differ in length.
+/// Whose lists: those of surfels and of Gaussians have different lengths.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum ListKind {
     Surfels,
@@ -25,7 +24,7 @@ pub(crate) enum ListKind {
 #[derive(Default)]
 struct Bound {
     entries: usize,
-    /// Of the last launch, with the capacity it had.
+    /// The length of an earlier launch, and its capacity.
     pending: Option<(Length, usize)>,
 }
 
@@ -33,11 +32,11 @@ static BOUNDS: LazyLock<Mutex<HashMap<(String, ListKind), Bound>>> = LazyLock::n
 #[cfg(any(test, feature = "testing"))]
 static CEILING: std::sync::atomic::AtomicUsize = std::sync::atomic::AtomicUsize::new(usize::MAX);
 
-/// Entries of a list at first, for each primitive and for each tile.
+/// Initial entries for each primitive and for each tile.
 const PER_PRIMITIVE: usize = 4;
 const PER_TILE: usize = 64;
 
-/// Caps every list from now on, to test what happens when they overflow.
+/// Caps the capacity in this process, to test lists that overflow.
 #[cfg(any(test, feature = "testing"))]
 pub fn cap_lists(entries: usize) {
     CEILING.store(entries, std::sync::atomic::Ordering::Relaxed);
@@ -54,8 +53,8 @@ fn key(beside: &CubeTensor, kind: ListKind) -> (String, ListKind) {
     (format!("{:?}", beside.device), kind)
 }
 
-/// Entries to make room for.
-pub(crate) fn capacity(beside: &CubeTensor, kind: ListKind, primitives: usize, tiles: usize) -> usize {
+/// Entries to allocate.
+pub(crate) fn entries(beside: &CubeTensor, kind: ListKind, primitives: usize, tiles: usize) -> usize {
     let mut bounds = BOUNDS.lock().expect("no holder panics");
     let bound = bounds.entry(key(beside, kind)).or_default();
     bound.collect();
@@ -64,7 +63,7 @@ pub(crate) fn capacity(beside: &CubeTensor, kind: ListKind, primitives: usize, t
     bound.entries.min(ceiling()).min(largest).max(1)
 }
 
-/// Takes note of the length [1] that lists made with `capacity` turned out to need.
+/// Learns, as soon as it can be read, the `length` [1] of lists that had `capacity`.
 pub(crate) fn observe(length: &CubeTensor, kind: ListKind, capacity: usize) {
     let mut bounds = BOUNDS.lock().expect("no holder panics");
     let bound = bounds.entry(key(length, kind)).or_default();
@@ -76,7 +75,7 @@ pub(crate) fn observe(length: &CubeTensor, kind: ListKind, capacity: usize) {
         let bytes = client.read_async(vec![handle]).await.ok()?.pop()?;
         Some(bytemuck::pod_read_unaligned::<u32>(bytes.get(..4)?) as usize)
     });
-    // a future begins when it is first polled
+    // a future starts when it is first polled
     match poll(&mut length) {
         Poll::Ready(length) => bound.learn(length, capacity),
         Poll::Pending => bound.pending = Some((length, capacity)),
@@ -102,8 +101,8 @@ impl Bound {
         let Some(length) = length else { return };
         if length > capacity {
             tracing::warn!(
-                "tile lists of {length} entries did not fit the {capacity} there was room for: \
-                 that picture took longer, and the next will have room"
+                "{length} entries of tile lists exceeded a capacity of {capacity}: \
+                 this image took longer to render, and the capacity grows for the next"
             );
         }
         self.entries = self.entries.max(length + length / 4);

@@ -1,14 +1,15 @@
-//! Which pixels a surfel is a layer of: the smallest box around them, found with integer atomics.
-//! On GPUs gradients are gathered over these boxes.
+//! The smallest rectangle around the pixels in which a surfel is a layer, found with integer atomics. GPU
+//! kernels gather gradients over these rectangles.
 
 use burn::backend::TensorMetadata;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
 use crate::gpu::launch::{buffer, cube_dim, empty_u32, units, zeros_u32};
+use crate::gpu::rect::{RECT, Rect};
 
-/// Records, at the pixels where a run of the same layer of the same surfel begins or ends, how far the
-/// box reaches: as distances from the far side, so that the zero of a fresh buffer means nothing.
+/// Records how far the rectangle of a surfel reaches, at the pixels where a run of the surfel begins or ends.
+/// Left and top are distances from the far side of the image, so that 0 means that nothing was recorded.
 #[cube(launch)]
 fn extremes_kernel(ids: &[i32], extremes: &[Atomic<u32>], width: u32, height: u32, count: u32) {
     let at = ABSOLUTE_POS;
@@ -19,7 +20,7 @@ fn extremes_kernel(ids: &[i32], extremes: &[Atomic<u32>], width: u32, height: u3
     let (x, y) = (pixel % width, pixel / width);
     let id = ids[at];
     if id >= 0i32 {
-        let o = id as usize * 4;
+        let o = id as usize * RECT;
         let mut first = x == 0u32;
         let mut last = x + 1u32 == width;
         let mut top = y == 0u32;
@@ -57,18 +58,17 @@ fn boxes_kernel(extremes: &[u32], boxes: &mut [u32], width: u32, height: u32, co
     if i >= count as usize {
         terminate!();
     }
-    // nowhere: 0 to 0
-    let seen = extremes[4 * i + 1] > 0u32;
-    boxes[4 * i] = select(seen, width - extremes[4 * i], 0u32);
-    boxes[4 * i + 1] = extremes[4 * i + 1];
-    boxes[4 * i + 2] = select(seen, height - extremes[4 * i + 2], 0u32);
-    boxes[4 * i + 3] = extremes[4 * i + 3];
+    let reached = Rect::load(extremes, i);
+    // a surfel that is no layer reaches from 0 to 0
+    let seen = reached.x1 > 0u32;
+    let (x0, y0) = (select(seen, width - reached.x0, 0u32), select(seen, height - reached.y0, 0u32));
+    Rect { x0, x1: reached.x1, y0, y1: reached.y1 }.store(boxes, i);
 }
 
-/// [count, 4] columns and rows, half open, of the pixels of `ids` [K, H, W] that belong to each surfel.
+/// [count, [`RECT`]] rectangles around the pixels of `ids` [K, H, W] that belong to each surfel.
 pub fn visible_boxes(ids: &CubeTensor, count: usize) -> CubeTensor {
     let [layers, height, width] = ids.shape().dims();
-    let extremes = zeros_u32(ids, [count.max(1), 4]);
+    let extremes = zeros_u32(ids, [count.max(1), RECT]);
     let pixels = layers * height * width;
     extremes_kernel::launch(
         &ids.client.clone(),
@@ -80,7 +80,7 @@ pub fn visible_boxes(ids: &CubeTensor, count: usize) -> CubeTensor {
         height as u32,
         pixels as u32,
     );
-    let boxes = empty_u32(ids, [count, 4]);
+    let boxes = empty_u32(ids, [count, RECT]);
     boxes_kernel::launch(
         &ids.client.clone(),
         units(count),

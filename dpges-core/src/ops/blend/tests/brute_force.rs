@@ -1,10 +1,10 @@
 //! `blend` as its contract has it: at every pixel all primitives in order, every plane from its definition.
 
-use super::{ALL_PLANES, BlendOptions, DEPTH_PLANE, DISTORTION_PLANE, Form, NORMAL_PLANE, far};
 use crate::camera::Camera;
+use crate::footprint::CUTOFF;
+use crate::footprint::splat::{Parameters, Splat};
 use crate::math::{CameraOf, M3, V3, apply, column, cross, dot, rotation, scale};
-use crate::ops::peel::CUTOFF;
-use crate::ops::splat::footprint::{Parameters, Splat};
+use crate::ops::blend::{ALL_PLANES, BlendOptions, DEPTH_PLANE, DISTORTION_PLANE, Form, NORMAL_PLANE, far};
 
 /// What of a primitive decides α and z at a pixel.
 #[derive(Clone, Copy)]

@@ -1,27 +1,29 @@
-//! The way back: from the gradients of the planes to those of the parameters.
+//! The backward pass: from the gradients of the planes to those of the parameters.
 
 use rayon::prelude::*;
 
 use super::distortion::{self, Spread};
-use super::footprint::{Group, Layout, Projected, Sums, View, WORK_ROWS};
 use super::normal::normal_backward;
+use super::projected::{Group, Layout, Projected, Sums, View, WORK_ROWS};
 use super::walk::{Fragments, Progress, Sorted, Thresholds, group, is_nothing, walk_tile};
-use super::{ALPHA_PLANE, BlendOptions, COLOUR_PLANES, DEPTH_PLANE, DISTORTION_PLANE, NORMAL_PLANE};
 use crate::camera::Camera;
+use crate::footprint::gaussians::GaussianRows;
+use crate::footprint::splat::ParameterGrad;
 use crate::math::V3;
-use crate::ops::binning::layout::to_tiles;
-use crate::ops::binning::{LANES, TILE_PIXELS};
-use crate::ops::splat::footprint::ParameterGrad;
-use crate::ops::splat::{GaussianRows, for_each_group};
+use crate::ops::blend::{ALPHA_PLANE, BlendOptions, COLOUR_PLANES, DEPTH_PLANE, DISTORTION_PLANE, NORMAL_PLANE};
 use crate::real::Real;
+use crate::simd::LANES;
 use crate::simd::vectorised;
+use crate::tiles::TILE_PIXELS;
+use crate::tiles::for_each_group;
+use crate::tiles::layout::to_tiles;
 
 /// Tiles whose sums are held at a time.
 const BATCH: usize = 64;
 /// Primitives that one task adds sums to.
 const CHUNK: usize = 4096;
 
-/// Lanes that the way back works on; in memory that outlives it, as in `splat`.
+/// Lanes that the backward pass works on, on the heap as in `splat`.
 struct Scratch<T> {
     /// α before it is capped, z, derivative of the payload, αT, gradient of the exponent, gradient of z.
     pixel: Vec<[T; LANES]>,
@@ -47,7 +49,7 @@ struct Entry<'a, T, F> {
     normal: V3<T>,
 }
 
-/// The pixels of a tile on the way from the back to the front.
+/// The pixels of a tile in the backward pass.
 struct WayBack<'a, T> {
     /// T behind the primitive that is next.
     progress: Progress<T>,
@@ -120,7 +122,7 @@ impl<T: Real> WayBack<'_, T> {
         }
     }
 
-    /// Takes one primitive away from a group of pixels and adds what they pass on to it to the sums.
+    /// Removes one primitive from a group of pixels and adds its gradients to the sums.
     #[inline(always)]
     fn pass<F: Projected<T>, const MAPS: bool>(
         &mut self,

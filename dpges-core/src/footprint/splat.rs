@@ -1,14 +1,15 @@
-//! One Gaussian seen by one camera: its elliptical footprint, the pixels it can reach, and the way
-//! back from the footprint's gradients to the Gaussian's parameters.
+//! One Gaussian seen by one camera: its elliptical footprint, the pixels it can reach, and the gradients of
+//! its parameters.
 
+use super::CUTOFF;
+use super::moments::MOMENTS;
 use crate::math::{CameraOf, M3, V3, add, apply_transposed, column, cross, dot, rotation, rotation_backward, scale};
-use crate::ops::binning::{PixelRect, TILE};
-use crate::ops::peel::CUTOFF;
 use crate::real::Real;
+use crate::tiles::{PixelRect, TILE};
 
 /// Added to the diagonal of the projected covariance, px² (GES).
 pub const LOW_PASS: f64 = 0.1;
-/// The squared ratio by which the low-pass filter dims a Gaussian is kept above this.
+/// Lower bound of the squared factor by which the low-pass filter dims a Gaussian (GES).
 pub const MIN_COMPENSATION_SQUARED: f64 = 2.5e-5;
 /// The Jacobian is evaluated at most this fraction of the image size outside the image (3DGS: 1.3 × tan fov/2).
 pub const JACOBIAN_MARGIN: f64 = 0.15;
@@ -41,7 +42,7 @@ pub struct Splat<T> {
 #[derive(Clone, Copy, Debug)]
 pub struct SplatGrad<T> {
     /// With g the gradient of the exponent: Σ g, Σ g dx, Σ g dy, Σ g dx², Σ g dx dy, Σ g dy².
-    pub moments: [T; 6],
+    pub moments: [T; MOMENTS],
     pub colour: V3<T>,
 }
 
@@ -113,7 +114,7 @@ impl<T: Real> Projection<T> {
 }
 
 impl<T: Real> Splat<T> {
-    /// `None` behind the near plane, below the cutoff everywhere, or where the projection overflows.
+    /// `None` behind the near plane, where the weight stays below the cutoff, and where the projection overflows.
     #[inline(always)]
     pub fn new(camera: &CameraOf<T>, p: &Parameters<T>, colour: V3<T>) -> Option<Self> {
         let projection = Projection::new(camera, p);
@@ -159,7 +160,7 @@ impl<T: Real> Splat<T> {
         let on_horizontal = form((-b * dy / a).max(x0).min(x1), dy);
         let smallest = on_vertical.min(on_horizontal);
         let outside = smallest > self.squared_radius * T::of(1.0 + 1e-4) + T::of(1e-4);
-        // so that NaN touches
+        // NaN counts as touching
         !outside
     }
 
@@ -182,7 +183,7 @@ pub struct ParameterGrad<T> {
     pub opacity: T,
 }
 
-/// From the sums over a Gaussian's pixels to its raw parameters (3DGS; the compensation is of GES).
+/// Gradients with respect to the raw parameters, from the sums over the pixels (3DGS; compensation: GES).
 pub fn backward<T: Real>(
     camera: &CameraOf<T>,
     p: &Parameters<T>,

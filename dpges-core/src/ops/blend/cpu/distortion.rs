@@ -3,11 +3,12 @@
 //! Only differences of m count, so m is taken relative to that of a pixel's first fragment: of
 //! m = far / (far − near) · (1 − near / z) itself f32 would leave nothing but rounding where z ≫ near.
 
-use super::far;
 use super::walk::group;
 use crate::math::CameraOf;
-use crate::ops::binning::{LANES, TILE_PIXELS};
+use crate::ops::blend::far;
 use crate::real::Real;
+use crate::simd::LANES;
+use crate::tiles::TILE_PIXELS;
 
 /// d m / d(−1 / z)
 pub fn slope<T: Real>(camera: &CameraOf<T>) -> T {

@@ -1,16 +1,15 @@
 //! One surfel seen by one camera: where a ray meets its disc, and which pixels it can reach.
 
+use super::CUTOFF;
 use crate::math::{CameraOf, M3, V3, add, apply_transposed, column, cross, dot, rotation, rotation_backward, scale};
-use crate::ops::binning::PixelRect;
 use crate::real::Real;
 use crate::scene::Footprint;
+use crate::tiles::PixelRect;
 
-/// A ray direction with less than this along the normal does not meet the disc.
+/// A ray misses the disc if the component of its direction along the normal is smaller than this.
 pub const MIN_FACING: f64 = 1e-12;
-/// Beyond this a surfel covers everything it faces, and squares of its scale would overflow.
+/// Log-scales are bounded here: a larger surfel covers everything it faces, and its squared scale overflows.
 pub const LARGEST_LOG_SCALE: f64 = 80.0;
-/// A fragment below this value does not exist.
-pub const CUTOFF: f64 = 1.0 / 255.0;
 
 /// A disc as linear functions of the pixel position, relative to an anchor pixel.
 ///
@@ -29,7 +28,7 @@ pub struct Plane<T> {
     pub distance: T,
 }
 
-/// A ray's meeting with a disc.
+/// The point where a ray meets a disc.
 #[derive(Clone, Copy, Debug)]
 pub struct Hit<T> {
     pub u: T,
@@ -71,8 +70,8 @@ impl Plane<f64> {
     }
 }
 
-/// One surfel in camera space. In f64 whatever the tensors hold: an edge-on disc magnifies the
-/// rounding of its plane by 1 / r·n, in the gradients by its square.
+/// One surfel in camera space, always in f64. An edge-on disc magnifies the rounding errors of its plane by
+/// 1 / r·n, and in the gradients by the square of it.
 #[derive(Clone, Copy, Debug)]
 pub struct Disc {
     pub plane: Plane<f64>,
@@ -86,7 +85,7 @@ pub struct Disc {
     centred: bool,
 }
 
-/// Sums over the pixels of a surfel of the gradients of its linear functions.
+/// Gradients of the linear functions of a surfel, summed over its pixels.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct DiscGrad {
     /// Of r·(t_v × c): at the anchor, times offset in x, times offset in y (offsets in units of the ray).
@@ -134,7 +133,7 @@ impl Disc {
         Self { plane, anchor_ray, centre, axes, scales, centred }
     }
 
-    /// Adds the gradients of one pixel, from those with respect to the kernel and the depth.
+    /// Adds one pixel, given the gradients with respect to its kernel value and its depth.
     #[inline(always)]
     pub fn accumulate(
         &self,

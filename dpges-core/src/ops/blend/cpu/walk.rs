@@ -1,14 +1,17 @@
-//! Primitives sorted by depth, and the way through a tile front to back.
+//! Primitives sorted by depth, and the walk through a tile from front to back.
 
 use rayon::prelude::*;
 
-use super::BlendOptions;
-use super::footprint::{Projected, View};
 use super::normal::normal;
+use super::projected::{Projected, View};
+use crate::binning::cpu::{TileLists, bin};
+use crate::footprint::gaussians::GaussianRows;
 use crate::math::V3;
-use crate::ops::binning::{LANES, PixelRect, TILE, TILE_PIXELS, TileGrid, TileLists, bin};
-use crate::ops::splat::{GaussianRows, for_each_group};
+use crate::ops::blend::BlendOptions;
 use crate::real::Real;
+use crate::simd::LANES;
+use crate::tiles::for_each_group;
+use crate::tiles::{PixelRect, TILE, TILE_PIXELS, TileGrid};
 
 /// Whether all pixels of a tile have ended is looked up after this many primitives.
 const LOOK_EVERY: usize = 16;
@@ -59,14 +62,14 @@ impl<T: Real> Thresholds<T> {
     }
 }
 
-/// How far the pixels of a tile got.
+/// State of the pixels of a tile.
 pub struct Progress<T> {
     /// T
     pub through: [T; TILE_PIXELS],
     /// 1 until a pixel has ended, then 0; 0 outside the image.
     open: [T; TILE_PIXELS],
-    /// Entry of the tile's list before which a pixel ends; 0 outside the image. A whole number, but of the type of
-    /// what it is compared and mixed with, so that lanes stay together.
+    /// Entry of the list before which a pixel ends; 0 outside the image. A whole number of type `T`, so that loops
+    /// over it vectorise.
     pub end: [T; TILE_PIXELS],
 }
 
@@ -96,7 +99,7 @@ pub fn group<V>(values: &mut [V], start: usize) -> &mut [V; LANES] {
     (&mut values[start..start + LANES]).try_into().expect("one group")
 }
 
-/// What [`walk_tile`] tells of a group of lanes. In memory: arrays of their own would be taken apart into scalars.
+/// Fragments of a group of lanes. They are on the heap because the compiler splits local arrays into scalars.
 pub struct Fragments<T> {
     /// α before it is capped.
     weight: [T; LANES],

@@ -1,11 +1,9 @@
 //! The two colour models for one primitive, forward and backward.
 
 use crate::math::{V3, dot, scale, sub};
+use crate::ops::colour::{LARGEST_BETA, SHARPNESS};
 use crate::real::Real;
 use crate::scene::SH_C0;
-
-/// Sharpness of the softplus of a lobe's colour: a raw value of 0 means 0.1.
-pub const SHARPNESS: f64 = 10.0 * std::f64::consts::LN_2;
 
 /// Unit vector from the camera to a primitive; zero at the camera itself.
 #[inline(always)]
@@ -18,9 +16,6 @@ pub fn direction<T: Real>(position: V3<T>, centre: V3<T>) -> V3<T> {
 pub fn base<T: Real>(coefficients: V3<T>) -> V3<T> {
     coefficients.map(|k| T::of(0.5) + T::of(SH_C0) * k)
 }
-
-/// Raw β beyond this changes nothing: the lobe is narrower than a hundredth of a degree, and e^β would overflow.
-pub const LARGEST_BETA: f64 = 14.0;
 
 /// Stable softplus and its derivative.
 #[inline(always)]

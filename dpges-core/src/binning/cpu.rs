@@ -1,98 +1,13 @@
-//! Primitives → tiles: which primitives can touch which tile of the image, in ascending order of
-//! index, by counting, prefix sum and fill.
-
-#[cfg(feature = "gpu")]
-pub(crate) mod cube;
-pub mod layout;
+//! CPU binning: count, prefix sum and fill, in chunks of primitives.
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use rayon::prelude::*;
 
-/// Edge of a square tile, px.
-pub const TILE: usize = 16;
-/// Pixels of a tile.
-pub const TILE_PIXELS: usize = TILE * TILE;
-/// Pixels that kernels process together; a tile row is `TILE / LANES` groups.
-pub const LANES: usize = 8;
+use crate::tiles::{PixelRect, TileGrid};
 
+/// Primitives of one task.
 const CHUNK: usize = 4096;
-
-/// The tiles of an image.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct TileGrid {
-    /// Image size, px.
-    pub width: usize,
-    pub height: usize,
-    /// Number of tiles along each axis.
-    pub columns: usize,
-    pub rows: usize,
-}
-
-impl TileGrid {
-    pub fn new(width: usize, height: usize) -> Self {
-        Self { width, height, columns: width.div_ceil(TILE), rows: height.div_ceil(TILE) }
-    }
-
-    pub fn len(&self) -> usize {
-        self.columns * self.rows
-    }
-
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
-
-    /// First pixel column and row of a tile.
-    pub fn origin(&self, tile: usize) -> (usize, usize) {
-        (tile % self.columns * TILE, tile / self.columns * TILE)
-    }
-}
-
-/// Half-open rectangle of pixels whose centres a primitive can reach.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct PixelRect {
-    pub x0: u32,
-    pub x1: u32,
-    pub y0: u32,
-    pub y1: u32,
-}
-
-impl PixelRect {
-    pub const EMPTY: Self = Self { x0: 0, x1: 0, y0: 0, y1: 0 };
-
-    /// Pixels with centres in [x_low, x_high] × [y_low, y_high] px, widened by `SLACK_PX` for
-    /// rounding and clipped to the image. Bounds that are not numbers reach everywhere.
-    pub fn covering(bounds: [f64; 4], width: usize, height: usize) -> Self {
-        const SLACK_PX: f64 = 1e-3;
-        let [x_low, x_high, y_low, y_high] = bounds;
-        // `f64 as u32` saturates, and NaN falls to `max`'s other side
-        let first = |low: f64| (low - 0.5 - SLACK_PX).ceil().max(0.0) as u32;
-        let end = |high: f64, size: usize| ((high - 0.5 + SLACK_PX).floor() + 1.0).min(size as f64).max(0.0) as u32;
-        let rect = Self { x0: first(x_low), x1: end(x_high, width), y0: first(y_low), y1: end(y_high, height) };
-        if rect.x0 >= rect.x1 || rect.y0 >= rect.y1 { Self::EMPTY } else { rect }
-    }
-
-    pub fn is_empty(&self) -> bool {
-        self.x0 >= self.x1
-    }
-
-    /// Tiles touched: columns and rows, half open.
-    #[inline(always)]
-    pub fn tiles(&self) -> [usize; 4] {
-        if self.is_empty() {
-            return [0; 4];
-        }
-        let tile = TILE as u32;
-        [self.x0 / tile, (self.x1 - 1) / tile + 1, self.y0 / tile, (self.y1 - 1) / tile + 1].map(|v| v as usize)
-    }
-
-    /// The part inside the tile with this origin: columns and rows relative to it, half open.
-    #[inline(always)]
-    pub fn within_tile(&self, (x, y): (usize, usize)) -> [usize; 4] {
-        let clip = |v: u32, origin: usize| (v as usize).saturating_sub(origin).min(TILE);
-        [clip(self.x0, x), clip(self.x1, x), clip(self.y0, y), clip(self.y1, y)]
-    }
-}
 
 /// Lists of primitives, one per tile.
 #[derive(Clone, Debug)]
@@ -204,14 +119,5 @@ mod tests {
                 .collect();
             assert_eq!(lists.of(tile), expected);
         }
-    }
-
-    #[test]
-    fn rectangles_cover_pixel_centres_and_clip_to_the_image() {
-        let rect = PixelRect::covering([2.6, 4.4, -3.0, 100.0], 10, 8);
-        assert_eq!(rect, PixelRect { x0: 3, x1: 4, y0: 0, y1: 8 });
-        assert!(PixelRect::covering([2.6, 3.4, 0.0, 1.0], 10, 8).is_empty());
-        let everywhere = PixelRect::covering([f64::NAN, f64::INFINITY, f64::NEG_INFINITY, f64::NAN], 10, 8);
-        assert_eq!(everywhere, PixelRect { x0: 0, x1: 10, y0: 0, y1: 8 });
     }
 }

@@ -1,13 +1,15 @@
 //! A disc met by rays, with the low-pass filter of 2DGS (its sections 4.2 and 4.3); where a ray meets it and the way
-//! back from there are those of [`peel`](crate::ops::peel).
+//! back from there are those of [`footprint`](crate::footprint::disc).
 
-use super::footprint::{Group, Projected, Sums, View, WORK_ROWS};
+use super::projected::{Group, Projected, Sums, View, WORK_ROWS};
+use crate::footprint::CUTOFF;
+use crate::footprint::disc::{self, Disc, DiscGrad, MIN_FACING, Plane};
+use crate::footprint::moments::{FIRST_MOMENTS, add_first_moments};
+use crate::footprint::splat::{ParameterGrad, Parameters};
 use crate::math::{CameraOf, M3, V3, add, apply_transposed, column, dot, rotation_backward, scale};
-use crate::ops::binning::{LANES, PixelRect, TileGrid};
-use crate::ops::peel::disc::{self, Disc, DiscGrad, Plane};
-use crate::ops::peel::{CUTOFF, MIN_FACING};
-use crate::ops::splat::footprint::{ParameterGrad, Parameters};
 use crate::real::Real;
+use crate::simd::LANES;
+use crate::tiles::{PixelRect, TileGrid};
 
 /// The low-pass filter is centred in the box around the disc at this radius, in σ (2DGS).
 const LOW_PASS_RADIUS: f64 = 3.0;
@@ -138,22 +140,6 @@ impl<T: Real> DiscFootprint<T> {
     }
 }
 
-#[inline(always)]
-fn add_moments<T: Real>(sums: &mut [[T; LANES]], values: &[T; LANES], dx: &[T; LANES], dy: T) {
-    let [sum, sum_x, sum_y] = sums else {
-        unreachable!("three rows of lanes");
-    };
-    for lane in 0..LANES {
-        sum[lane] = sum[lane] + values[lane];
-    }
-    for lane in 0..LANES {
-        sum_x[lane] = sum_x[lane] + values[lane] * dx[lane];
-    }
-    for lane in 0..LANES {
-        sum_y[lane] = sum_y[lane] + values[lane] * dy;
-    }
-}
-
 impl<T: Real> Projected<T> for DiscFootprint<T> {
     /// Gradient of the exponent, moments of the gradients of the plane's u, v and facing, offsets of the low-pass
     /// filter weighted by the gradient of the exponent.
@@ -275,8 +261,8 @@ impl<T: Real> Projected<T> for DiscFootprint<T> {
         for lane in 0..LANES {
             sum[lane] = sum[lane] + power[lane];
         }
-        for (moments, values) in moments.chunks_exact_mut(3).zip([&*to_u, &*to_v, &*to_facing]) {
-            add_moments(moments, values, dx, dy);
+        for (moments, values) in moments.chunks_exact_mut(FIRST_MOMENTS).zip([&*to_u, &*to_v, &*to_facing]) {
+            add_first_moments(moments, values, dx, dy);
         }
         for lane in 0..LANES {
             screen_x[lane] = screen_x[lane] + on_screen[lane] * (dx[lane] - self.low_pass[0]);

@@ -1,0 +1,15 @@
+//! Binning: for every tile of an image, the list of the primitives that can touch it.
+//!
+//! CPU lists ascend by index. GPU lists are unordered unless they are ranked, and a list that does not fit its
+//! buffer stands for all primitives.
+
+#[cfg(feature = "gpu")]
+pub(crate) mod boxes;
+#[cfg(feature = "gpu")]
+pub(crate) mod capacity;
+pub(crate) mod cpu;
+#[cfg(feature = "gpu")]
+pub(crate) mod cube;
+
+#[cfg(all(feature = "gpu", any(test, feature = "testing")))]
+pub use capacity::cap_lists;

@@ -1,0 +1,16 @@
+//! Footprints: the value of a surfel or a Gaussian at a pixel. `peel`, `splat` and `blend` share them.
+//!
+//! A *splat* is the ellipse that a Gaussian projects to (EWA). A *disc* is a surfel that the ray through a pixel
+//! meets. `splat` and `disc` run on CPUs; `splat_cube` and `disc_cube` are their twins for GPUs.
+
+pub(crate) mod disc;
+#[cfg(feature = "gpu")]
+pub(crate) mod disc_cube;
+pub(crate) mod gaussians;
+pub(crate) mod moments;
+pub(crate) mod splat;
+#[cfg(feature = "gpu")]
+pub(crate) mod splat_cube;
+
+/// A fragment whose value is below this does not exist.
+pub const CUTOFF: f64 = 1.0 / 255.0;

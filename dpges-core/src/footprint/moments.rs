@@ -1,0 +1,45 @@
+//! Moments of a value over the pixels of a primitive, a group of lanes at a time.
+
+use crate::real::Real;
+use crate::simd::LANES;
+
+/// Number of moments up to the first order.
+pub const FIRST_MOMENTS: usize = 3;
+/// Number of moments up to the second order.
+pub const MOMENTS: usize = 6;
+
+/// Adds a group of pixels, at offsets (`dx`, `dy`) px, to Σ g, Σ g dx, Σ g dy.
+#[inline(always)]
+pub fn add_first_moments<T: Real>(sums: &mut [[T; LANES]], g: &[T; LANES], dx: &[T; LANES], dy: T) {
+    let [sum, sum_x, sum_y] = sums else {
+        unreachable!("three rows of lanes");
+    };
+    for lane in 0..LANES {
+        sum[lane] = sum[lane] + g[lane];
+    }
+    for lane in 0..LANES {
+        sum_x[lane] = sum_x[lane] + g[lane] * dx[lane];
+    }
+    for lane in 0..LANES {
+        sum_y[lane] = sum_y[lane] + g[lane] * dy;
+    }
+}
+
+/// Adds a group of pixels to Σ g, Σ g dx, Σ g dy, Σ g dx², Σ g dx dy, Σ g dy².
+#[inline(always)]
+pub fn add_moments<T: Real>(sums: &mut [[T; LANES]], g: &[T; LANES], dx: &[T; LANES], dy: T) {
+    let (first, second) = sums.split_at_mut(FIRST_MOMENTS);
+    add_first_moments(first, g, dx, dy);
+    let [sum_xx, sum_xy, sum_yy] = second else {
+        unreachable!("three rows of lanes");
+    };
+    for lane in 0..LANES {
+        sum_xx[lane] = sum_xx[lane] + g[lane] * dx[lane] * dx[lane];
+    }
+    for lane in 0..LANES {
+        sum_xy[lane] = sum_xy[lane] + g[lane] * dx[lane] * dy;
+    }
+    for lane in 0..LANES {
+        sum_yy[lane] = sum_yy[lane] + g[lane] * dy * dy;
+    }
+}

@@ -1,0 +1,510 @@
+//! One Gaussian seen by one camera, on the device; the CPU's twin is [`super::splat`].
+
+use burn::backend::TensorMetadata;
+use burn_cubecl::CubeBackend;
+use burn_cubecl::tensor::CubeTensor;
+use cubecl::prelude::*;
+
+use super::CUTOFF;
+use super::gaussians::GaussianTensors;
+use super::moments::MOMENTS;
+use super::splat::{self, LOW_PASS, MIN_COMPENSATION_SQUARED};
+use crate::camera::Camera;
+use crate::gpu::launch::{buffer, cube_dim, empty_f32, empty_u32, units};
+use crate::gpu::rect::{RECT, Rect};
+use crate::gpu::tile::TILE;
+use crate::gpu::vector::{
+    Mat3, Quaternion, Vec3, add, apply, cross, dot, rotation, rotation_backward, row3, row4, scale, transpose, vec3,
+    write3, write4,
+};
+use crate::gpu::view::{View, pixel_range, to_camera, view_rotation};
+
+const LOW_PASS_F32: f32 = LOW_PASS as f32;
+const MIN_RATIO: f32 = MIN_COMPENSATION_SQUARED as f32;
+pub const CUTOFF_F32: f32 = CUTOFF as f32;
+pub const INVERSE_CUTOFF: f32 = (1.0 / CUTOFF) as f32;
+const JACOBIAN_MARGIN: f32 = splat::JACOBIAN_MARGIN as f32;
+
+/// Number of values in a [`Splat`].
+pub const SPLAT: usize = 8;
+
+/// Footprint: `strength · exp(−½ (a dx² + 2 b dx dy + c dy²))` at offset (dx, dy) px from the mean.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub struct Splat {
+    pub mean_x: f32,
+    pub mean_y: f32,
+    pub a: f32,
+    pub b: f32,
+    pub c: f32,
+    /// Opacity times the compensation for the low-pass filter; 0 if the Gaussian is invisible.
+    pub strength: f32,
+    /// Camera-space z of the centre, world units.
+    pub depth: f32,
+    /// Value of the quadratic form at the cutoff.
+    pub squared_radius: f32,
+}
+
+#[cube]
+impl Splat {
+    /// Reads [`SPLAT`] numbers from `start` on.
+    pub fn load(numbers: &[f32], start: usize) -> Splat {
+        Splat {
+            mean_x: numbers[start],
+            mean_y: numbers[start + 1],
+            a: numbers[start + 2],
+            b: numbers[start + 3],
+            c: numbers[start + 4],
+            strength: numbers[start + 5],
+            depth: numbers[start + 6],
+            squared_radius: numbers[start + 7],
+        }
+    }
+
+    pub fn store(&self, numbers: &mut [f32], start: usize) {
+        numbers[start] = self.mean_x;
+        numbers[start + 1] = self.mean_y;
+        numbers[start + 2] = self.a;
+        numbers[start + 3] = self.b;
+        numbers[start + 4] = self.c;
+        numbers[start + 5] = self.strength;
+        numbers[start + 6] = self.depth;
+        numbers[start + 7] = self.squared_radius;
+    }
+
+    /// Weight at an offset from the mean, 0 below the cutoff.
+    pub fn weight(&self, dx: f32, dy: f32) -> f32 {
+        let power = -0.5f32 * (self.a * dx * dx + self.c * dy * dy) - self.b * dx * dy;
+        let weight = self.strength * f32::exp(clamp(power, -100.0f32, 0.0f32));
+        select(weight >= CUTOFF_F32, weight, 0.0f32)
+    }
+
+    /// Whether the ellipse can reach a pixel centre of the tile at a column and row of tiles.
+    pub fn touches(&self, column: u32, row: u32) -> bool {
+        let (a, b, c) = (self.a, self.b, self.c);
+        let x0 = f32::cast_from(column * TILE) + 0.5f32 - self.mean_x;
+        let y0 = f32::cast_from(row * TILE) + 0.5f32 - self.mean_y;
+        let last = f32::cast_from(TILE - 1u32);
+        let (x1, y1) = (x0 + last, y0 + last);
+        let dx = clamp(0.0f32, x0, x1);
+        let dy = clamp(0.0f32, y0, y1);
+        // the convex form is smallest at the mean or on one of the two edges that face it
+        let beside = clamp(-b * dx / c, y0, y1);
+        let below = clamp(-b * dy / a, x0, x1);
+        let on_vertical = a * dx * dx + 2.0f32 * b * dx * beside + c * beside * beside;
+        let on_horizontal = a * below * below + 2.0f32 * b * below * dy + c * dy * dy;
+        let outside = min(on_vertical, on_horizontal) > self.squared_radius * 1.001f32 + 0.01f32;
+        !outside
+    }
+}
+
+/// Sums over the pixels of a Gaussian, [`MOMENTS`] numbers: Σ g, Σ g dx, Σ g dy, Σ g dx², Σ g dx dy,
+/// Σ g dy², where g is the gradient of the exponent.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub struct Moments {
+    pub total: f32,
+    pub x: f32,
+    pub y: f32,
+    pub xx: f32,
+    pub xy: f32,
+    pub yy: f32,
+}
+
+#[cube]
+impl Moments {
+    /// Row `i` of a [M, [`MOMENTS`]] buffer.
+    pub fn load(moments: &[f32], i: usize) -> Moments {
+        let o = i * MOMENTS;
+        Moments {
+            total: moments[o],
+            x: moments[o + 1],
+            y: moments[o + 2],
+            xx: moments[o + 3],
+            xy: moments[o + 4],
+            yy: moments[o + 5],
+        }
+    }
+
+    /// Whether any pixel contributed.
+    pub fn any(&self) -> bool {
+        self.total != 0.0f32
+            || self.x != 0.0f32
+            || self.y != 0.0f32
+            || self.xx != 0.0f32
+            || self.xy != 0.0f32
+            || self.yy != 0.0f32
+    }
+}
+
+/// Adds a pixel at an offset from the mean to the first [`MOMENTS`] of a unit's sums.
+#[cube]
+pub fn add_moments(own: &mut Array<f32>, power: f32, dx: f32, dy: f32) {
+    own[0] += power;
+    own[1] += power * dx;
+    own[2] += power * dy;
+    own[3] += power * dx * dx;
+    own[4] += power * dx * dy;
+    own[5] += power * dy * dy;
+}
+
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+struct Projection {
+    centre: Vec3,
+    /// x / z and y / z, clamped for the Jacobian, and 1 where they were not, else 0.
+    slope_x: f32,
+    slope_y: f32,
+    free_x: f32,
+    free_y: f32,
+    rotation: Mat3,
+    scales: Vec3,
+    /// Rows of J W.
+    plane0: Vec3,
+    plane1: Vec3,
+    /// Rows of J W R S.
+    half0: Vec3,
+    half1: Vec3,
+    /// A, B, C of the filtered covariance, px².
+    cov_a: f32,
+    cov_b: f32,
+    cov_c: f32,
+    determinant: f32,
+    minors: Vec3,
+    ratio: f32,
+}
+
+#[cube]
+fn project(view: View, position: Vec3, quaternion: Quaternion, log_scales: Vec3) -> Projection {
+    let centre = to_camera(view, position);
+    let z = select(centre.z > view.near, centre.z, 1.0f32);
+    let (width, height) = (f32::cast_from(view.width), f32::cast_from(view.height));
+    let (margin_x, margin_y) = (JACOBIAN_MARGIN * width / view.fx, JACOBIAN_MARGIN * height / view.fy);
+    let (raw_x, raw_y) = (centre.x / z, centre.y / z);
+    let slope_x = min(max(raw_x, -view.cx / view.fx - margin_x), (width - view.cx) / view.fx + margin_x);
+    let slope_y = min(max(raw_y, -view.cy / view.fy - margin_y), (height - view.cy) / view.fy + margin_y);
+    let pose = view_rotation(view);
+    let plane0 = scale(add(pose.row0, scale(pose.row2, -slope_x)), view.fx / z);
+    let plane1 = scale(add(pose.row1, scale(pose.row2, -slope_y)), view.fy / z);
+    let rotation = rotation(quaternion);
+    let scales = vec3(f32::exp(log_scales.x), f32::exp(log_scales.y), f32::exp(log_scales.z));
+    let axes = transpose(rotation);
+    let turned0 = apply(axes, plane0);
+    let turned1 = apply(axes, plane1);
+    let half0 = vec3(turned0.x * scales.x, turned0.y * scales.y, turned0.z * scales.z);
+    let half1 = vec3(turned1.x * scales.x, turned1.y * scales.y, turned1.z * scales.z);
+    let cov_a = dot(half0, half0) + LOW_PASS_F32;
+    let cov_b = dot(half0, half1);
+    let cov_c = dot(half1, half1) + LOW_PASS_F32;
+    let minors = cross(half0, half1);
+    // det(Σ + εI) = det Σ + ε tr Σ + ε², every term non-negative: no cancellation for needles
+    let unfiltered = dot(minors, minors);
+    let determinant = unfiltered + LOW_PASS_F32 * (cov_a + cov_c - LOW_PASS_F32);
+    Projection {
+        centre,
+        slope_x,
+        slope_y,
+        free_x: select(raw_x == slope_x, 1.0f32, 0.0f32),
+        free_y: select(raw_y == slope_y, 1.0f32, 0.0f32),
+        rotation,
+        scales,
+        plane0,
+        plane1,
+        half0,
+        half1,
+        cov_a,
+        cov_b,
+        cov_c,
+        determinant,
+        minors,
+        ratio: unfiltered / determinant,
+    }
+}
+
+#[cube]
+fn compensation(p: Projection) -> f32 {
+    f32::sqrt(max(p.ratio, MIN_RATIO))
+}
+
+/// The footprint of a Gaussian and the pixels that it can reach. It reaches none behind the near plane,
+/// where it stays below the cutoff, and where its projection overflows.
+#[cube]
+fn splat_of(view: View, p: Projection, opacity: f32) -> (Splat, Rect) {
+    let strength = max(opacity, 0.0f32) * compensation(p);
+    let d = p.determinant;
+    let visible = p.centre.z > view.near && strength >= CUTOFF_F32 && d > 0.0f32 && d < 3e38f32;
+    let z = select(visible, p.centre.z, 1.0f32);
+    let inverse = 1.0f32 / select(visible, d, 1.0f32);
+    let squared = 2.0f32 * f32::ln(max(strength * INVERSE_CUTOFF, 1.0f32));
+    let x = view.fx * p.centre.x / z + view.cx;
+    let y = view.fy * p.centre.y / z + view.cy;
+    let reach = squared * 1.001f32 + 0.01f32;
+    let (half_x, half_y) = (f32::sqrt(reach * p.cov_a), f32::sqrt(reach * p.cov_c));
+    let slack = 0.01f32;
+    let (x0, x1) = pixel_range(x - half_x - slack, x + half_x + slack, view.width);
+    let (y0, y1) = pixel_range(y - half_y - slack, y + half_y + slack, view.height);
+    let splat = Splat {
+        mean_x: x,
+        mean_y: y,
+        a: p.cov_c * inverse,
+        b: -p.cov_b * inverse,
+        c: p.cov_a * inverse,
+        strength: select(visible, strength, 0.0f32),
+        depth: p.centre.z,
+        squared_radius: squared,
+    };
+    (splat, Rect { x0, x1: select(visible, x1, x0), y0, y1: select(visible, y1, y0) })
+}
+
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+struct SplatGradient {
+    position: Vec3,
+    quaternion: Quaternion,
+    log_scales: Vec3,
+    opacity: f32,
+}
+
+/// From the moments to the raw parameters.
+#[cube]
+fn splat_backward(
+    view: View,
+    p: Projection,
+    raw_quaternion: Quaternion,
+    raw_opacity: f32,
+    moments: Moments,
+) -> SplatGradient {
+    let (total, mx, my) = (moments.total, moments.x, moments.y);
+    let (mxx, mxy, myy) = (moments.xx, moments.xy, moments.yy);
+    let inverse = 1.0f32 / p.determinant;
+    let (a, b, c) = (p.cov_c * inverse, -p.cov_b * inverse, p.cov_a * inverse);
+    let (grad_x, grad_y) = (a * mx + b * my, b * mx + c * my);
+    // ∂Q = −½ Σ g d dᵀ, ∂Σ = −Q ∂Q Q
+    let direct_a = 0.5f32 * (a * a * mxx + 2.0f32 * a * b * mxy + b * b * myy);
+    let direct_b = a * b * mxx + (a * c + b * b) * mxy + b * c * myy;
+    let direct_c = 0.5f32 * (b * b * mxx + 2.0f32 * b * c * mxy + c * c * myy);
+
+    let dimming = compensation(p);
+    let opacity = max(raw_opacity, 0.0f32);
+    let strength = opacity * dimming;
+    let grad_strength = total / max(strength, 1e-30f32);
+    let live = select(p.ratio > MIN_RATIO, 1.0f32, 0.0f32);
+    let grad_unfiltered = live * grad_strength * opacity * 0.5f32 / dimming * inverse;
+    let grad_determinant = -grad_unfiltered * p.ratio;
+    let ga = direct_a + grad_determinant * p.cov_c;
+    let gb = direct_b - 2.0f32 * grad_determinant * p.cov_b;
+    let gc = direct_c + grad_determinant * p.cov_a;
+    let grad_minors = scale(p.minors, 2.0f32 * grad_unfiltered);
+    let grad_half0 = add(cross(p.half1, grad_minors), add(scale(p.half0, 2.0f32 * ga), scale(p.half1, gb)));
+    let grad_half1 = add(cross(grad_minors, p.half0), add(scale(p.half1, 2.0f32 * gc), scale(p.half0, gb)));
+
+    // half = plane · R S
+    let r = p.rotation;
+    let s = p.scales;
+    let factor = Mat3 {
+        row0: vec3(r.row0.x * s.x, r.row0.y * s.y, r.row0.z * s.z),
+        row1: vec3(r.row1.x * s.x, r.row1.y * s.y, r.row1.z * s.z),
+        row2: vec3(r.row2.x * s.x, r.row2.y * s.y, r.row2.z * s.z),
+    };
+    let of0 = add(scale(grad_half0, p.plane0.x), scale(grad_half1, p.plane1.x));
+    let of1 = add(scale(grad_half0, p.plane0.y), scale(grad_half1, p.plane1.y));
+    let of2 = add(scale(grad_half0, p.plane0.z), scale(grad_half1, p.plane1.z));
+    let log_scales = vec3(
+        of0.x * factor.row0.x + of1.x * factor.row1.x + of2.x * factor.row2.x,
+        of0.y * factor.row0.y + of1.y * factor.row1.y + of2.y * factor.row2.y,
+        of0.z * factor.row0.z + of1.z * factor.row1.z + of2.z * factor.row2.z,
+    );
+    let grad_rotation = Mat3 {
+        row0: vec3(of0.x * s.x, of0.y * s.y, of0.z * s.z),
+        row1: vec3(of1.x * s.x, of1.y * s.y, of1.z * s.z),
+        row2: vec3(of2.x * s.x, of2.y * s.y, of2.z * s.z),
+    };
+
+    // plane row 0 = fx / z (W₀ − s_x W₂), s_x = x / z unless clamped
+    let z = p.centre.z;
+    let pose = view_rotation(view);
+    let grad_plane0 = apply(factor, grad_half0);
+    let grad_plane1 = apply(factor, grad_half1);
+    let grad_slope_x = -p.free_x * view.fx / z * dot(grad_plane0, pose.row2);
+    let grad_slope_y = -p.free_y * view.fy / z * dot(grad_plane1, pose.row2);
+    let centre_x = grad_slope_x / z + view.fx / z * grad_x;
+    let centre_y = grad_slope_y / z + view.fy / z * grad_y;
+    let centre_z = -dot(grad_plane0, p.plane0) / z
+        - dot(grad_plane1, p.plane1) / z
+        - grad_slope_x * p.slope_x / z
+        - grad_slope_y * p.slope_y / z
+        - view.fx * p.centre.x / (z * z) * grad_x
+        - view.fy * p.centre.y / (z * z) * grad_y;
+    SplatGradient {
+        position: apply(transpose(pose), vec3(centre_x, centre_y, centre_z)),
+        quaternion: rotation_backward(raw_quaternion, grad_rotation),
+        log_scales,
+        opacity: select(raw_opacity > 0.0f32, grad_strength * dimming, 0.0f32),
+    }
+}
+
+#[cube(launch)]
+fn splats_kernel(
+    positions: &[f32],
+    quaternions: &[f32],
+    log_scales: &[f32],
+    opacities: &[f32],
+    order: &[u32],
+    splats: &mut [f32],
+    rects: &mut [u32],
+    view: View,
+    count: u32,
+    #[comptime] ordered: bool,
+) {
+    let rank = ABSOLUTE_POS;
+    if rank >= count as usize {
+        terminate!();
+    }
+    let mut i = rank;
+    if comptime!(ordered) {
+        i = order[rank] as usize;
+    }
+    let projection = project(view, row3(positions, i), row4(quaternions, i), row3(log_scales, i));
+    let (splat, rect) = splat_of(view, projection, opacities[i]);
+    splat.store(splats, rank * SPLAT);
+    rect.store(rects, rank);
+}
+
+#[cube(launch)]
+fn place_backward_kernel(
+    positions: &[f32],
+    quaternions: &[f32],
+    log_scales: &[f32],
+    opacities: &[f32],
+    moments: &[f32],
+    grad_positions: &mut [f32],
+    grad_opacities: &mut [f32],
+    view: View,
+    count: u32,
+) {
+    let i = ABSOLUTE_POS;
+    if i >= count as usize {
+        terminate!();
+    }
+    let moments = Moments::load(moments, i);
+    // an invisible Gaussian has no projection to differentiate
+    if moments.any() {
+        let gradient = gradient(positions, quaternions, log_scales, opacities, moments, view, i);
+        write3(grad_positions, i, gradient.position);
+        grad_opacities[i] = gradient.opacity;
+    } else {
+        write3(grad_positions, i, vec3(0.0f32, 0.0f32, 0.0f32));
+        grad_opacities[i] = 0.0f32;
+    }
+}
+
+#[cube(launch)]
+fn shape_backward_kernel(
+    positions: &[f32],
+    quaternions: &[f32],
+    log_scales: &[f32],
+    opacities: &[f32],
+    moments: &[f32],
+    grad_quaternions: &mut [f32],
+    grad_log_scales: &mut [f32],
+    view: View,
+    count: u32,
+) {
+    let i = ABSOLUTE_POS;
+    if i >= count as usize {
+        terminate!();
+    }
+    let moments = Moments::load(moments, i);
+    if moments.any() {
+        let gradient = gradient(positions, quaternions, log_scales, opacities, moments, view, i);
+        write4(grad_quaternions, i, gradient.quaternion);
+        write3(grad_log_scales, i, gradient.log_scales);
+    } else {
+        write4(grad_quaternions, i, Quaternion { w: 0.0f32, x: 0.0f32, y: 0.0f32, z: 0.0f32 });
+        write3(grad_log_scales, i, vec3(0.0f32, 0.0f32, 0.0f32));
+    }
+}
+
+/// Gradients of one Gaussian. Two kernels write them, because one kernel would need more buffers than
+/// every device has.
+#[cube]
+fn gradient(
+    positions: &[f32],
+    quaternions: &[f32],
+    log_scales: &[f32],
+    opacities: &[f32],
+    moments: Moments,
+    view: View,
+    i: usize,
+) -> SplatGradient {
+    let quaternion = row4(quaternions, i);
+    let projection = project(view, row3(positions, i), quaternion, row3(log_scales, i));
+    splat_backward(view, projection, quaternion, opacities[i], moments)
+}
+
+/// Splats [M, [`SPLAT`]] and pixel rectangles [M, [`RECT`]] of `gaussians`. Row i is Gaussian i, or Gaussian
+/// `order[i]` with an `order` [M].
+pub fn splats(
+    gaussians: &GaussianTensors<CubeBackend>,
+    order: Option<&CubeTensor>,
+    camera: &Camera,
+) -> (CubeTensor, CubeTensor) {
+    let like = &gaussians.positions;
+    let count = like.shape()[0];
+    let (splats, rects) = (empty_f32(like, [count, SPLAT]), empty_u32(like, [count, RECT]));
+    splats_kernel::launch(
+        &like.client.clone(),
+        units(count),
+        cube_dim(),
+        buffer(&gaussians.positions),
+        buffer(&gaussians.quaternions),
+        buffer(&gaussians.log_scales),
+        buffer(&gaussians.opacities),
+        buffer(order.unwrap_or(&empty_u32(like, [1]))),
+        buffer(&splats),
+        buffer(&rects),
+        View::launch(camera),
+        count as u32,
+        order.is_some(),
+    );
+    (splats, rects)
+}
+
+/// Writes the gradients with respect to positions, quaternions, log-scales and opacities into `out`, from
+/// the `moments` [M, [`MOMENTS`]].
+pub fn backward(
+    gaussians: &GaussianTensors<CubeBackend>,
+    moments: &CubeTensor,
+    camera: &Camera,
+    out: &GaussianTensors<CubeBackend>,
+) {
+    let (client, count) = (moments.client.clone(), moments.shape()[0]);
+    place_backward_kernel::launch(
+        &client,
+        units(count),
+        cube_dim(),
+        buffer(&gaussians.positions),
+        buffer(&gaussians.quaternions),
+        buffer(&gaussians.log_scales),
+        buffer(&gaussians.opacities),
+        buffer(moments),
+        buffer(&out.positions),
+        buffer(&out.opacities),
+        View::launch(camera),
+        count as u32,
+    );
+    shape_backward_kernel::launch(
+        &client,
+        units(count),
+        cube_dim(),
+        buffer(&gaussians.positions),
+        buffer(&gaussians.quaternions),
+        buffer(&gaussians.log_scales),
+        buffer(&gaussians.opacities),
+        buffer(moments),
+        buffer(&out.quaternions),
+        buffer(&out.log_scales),
+        View::launch(camera),
+        count as u32,
+    );
+}

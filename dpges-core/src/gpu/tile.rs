@@ -1,0 +1,44 @@
+//! Kernels in which a cube handles a tile and a unit handles a pixel.
+
+use cubecl::prelude::*;
+
+use super::launch::UNITS;
+use super::view::View;
+use crate::tiles;
+
+/// Edge of a tile, px.
+pub const TILE: u32 = tiles::TILE as u32;
+const _: () = assert!(TILE * TILE == UNITS, "one unit per pixel of a tile");
+
+/// The pixel of a unit.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub struct Pixel {
+    /// Whether the pixel lies in the image.
+    pub inside: bool,
+    /// Position within a plane, 0 outside the image.
+    pub at: usize,
+    /// Centre, px.
+    pub x: f32,
+    pub y: f32,
+}
+
+/// The pixel of this unit in `tile`.
+#[cube]
+pub fn own_pixel(view: View, tile: u32) -> Pixel {
+    let column = tile % view.columns * TILE + UNIT_POS % TILE;
+    let row = tile / view.columns * TILE + UNIT_POS / TILE;
+    let inside = column < view.width && row < view.height;
+    Pixel {
+        inside,
+        at: select(inside, row * view.width + column, 0u32) as usize,
+        x: f32::cast_from(column) + 0.5f32,
+        y: f32::cast_from(row) + 0.5f32,
+    }
+}
+
+/// Number of pixels in a plane.
+#[cube]
+pub fn plane_of(view: View) -> usize {
+    (view.width * view.height) as usize
+}

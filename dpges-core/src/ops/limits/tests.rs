@@ -1,0 +1,76 @@
+use burn::tensor::{DType, Int, Tensor, TensorData};
+
+use super::cpu::limits;
+use super::interval_limits;
+use crate::ops::peel::Layers;
+use crate::scene::MarginLookup;
+use crate::testing::device;
+use crate::testing::golden::values;
+use crate::testing::gradients::leaf;
+use crate::testing::random::Random;
+
+const WIDTH: usize = 40;
+const HEIGHT: usize = 30;
+
+fn image(values: &[f64], layers: usize) -> Tensor<3> {
+    leaf(values, [layers, HEIGHT, WIDTH], &device()).detach()
+}
+
+#[test]
+fn limits_ascend_and_close_behind_the_last_layer() {
+    // two layers; pixels: rim then opaque | margin of the first reaches past the second | nothing | one rim
+    let ids = [0, 1, -1, 2, 1, 0, -1, -1];
+    let alpha = [0.5, 0.5, 0.0, 0.5, 1.0, 0.5, 0.0, 0.0];
+    let inf = f64::INFINITY;
+    let depth = [1.0, 1.0, inf, 1.0, 2.0, 2.0, inf, inf];
+    let margins = [0.1, 5.0, 0.3];
+    let shifted = limits::<f64>(&ids, &alpha, &depth, &margins, 2, MarginLookup::Shifted);
+    assert_eq!(shifted, [1.1, 2.1, inf, 1.3, 7.0, 2.1, inf, inf]);
+    let literal = limits::<f64>(&ids, &alpha, &depth, &margins, 2, MarginLookup::Literal);
+    assert_eq!(literal, [1.0, 1.0, inf, 1.0, 7.0, 2.1, inf, inf]);
+}
+
+#[test]
+fn intervals_are_those_of_the_first_layer_that_lies_behind() {
+    let (layers, pixels, mut random) = (3, WIDTH * HEIGHT, Random::new(21));
+    let margins = random.numbers(20, 0.0, 0.6);
+    let (mut ids, mut alpha, mut depth) =
+        (vec![-1i32; layers * pixels], vec![0.0; layers * pixels], vec![f64::INFINITY; layers * pixels]);
+    for at in 0..pixels {
+        let mut stack = random.numbers(random.clone().below(layers + 1), 1.0, 3.0);
+        stack.sort_by(f64::total_cmp);
+        let opaque_end = random.below(2) == 0;
+        for (k, &d) in stack.iter().enumerate() {
+            let opaque = opaque_end && k + 1 == stack.len();
+            let slot = k * pixels + at;
+            (ids[slot], depth[slot]) = (random.below(20) as i32, d);
+            alpha[slot] = if opaque { 1.0 } else { random.between(0.1, 0.9) };
+        }
+    }
+    let id_tensor = TensorData::new(ids.clone(), [layers, HEIGHT, WIDTH]);
+    let peeled = Layers {
+        ids: Tensor::<3, Int>::from_data(id_tensor, (&device(), DType::I32)),
+        alpha: image(&alpha, layers),
+        depth: image(&depth, layers),
+    };
+    let margin_tensor = leaf(&margins, [20, 1], &device()).detach();
+    let limits = [MarginLookup::Shifted, MarginLookup::Literal]
+        .map(|lookup| values(&interval_limits(&peeled, &margin_tensor, lookup).unwrap()));
+    for at in 0..pixels {
+        let shifted: Vec<f64> = (0..layers)
+            .map(|k| k * pixels + at)
+            .map(|slot| if ids[slot] < 0 { f64::INFINITY } else { depth[slot] + margins[ids[slot] as usize] })
+            .collect();
+        let present = (0..layers).filter(|k| ids[k * pixels + at] >= 0).count();
+        let closed = present == layers || (0..layers).any(|k| alpha[k * pixels + at] >= 1.0);
+        for d in random.numbers(20, 0.8, 4.0).into_iter().chain(shifted.iter().copied().filter(|d| d.is_finite())) {
+            let occluded = closed && d >= shifted[present - 1];
+            let in_shifted = (0..layers).find(|&k| d < shifted[k]);
+            let in_literal = (0..layers - 1).find(|&k| d < depth[k * pixels + at]).or(Some(layers - 1));
+            for (limits, expected) in limits.iter().zip([in_shifted, in_literal]) {
+                let found = (0..layers).find(|k| d < limits[k * pixels + at]);
+                assert_eq!(found, expected.filter(|_| !occluded), "pixel {at}, depth {d}");
+            }
+        }
+    }
+}
