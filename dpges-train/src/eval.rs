@@ -1,7 +1,7 @@
-//! How well a scene shows views it was not trained on.
+//! Measures how well a scene shows views that it was not trained on.
 //!
-//! PSNR and SSIM are those of the pictures as 8-bit PNGs, rendered and photographed alike: PSNR over all pixels and
-//! channels of a view, then the mean over views (the protocol of 3DGS).
+//! PSNR and SSIM compare renders and photographs after both are quantised to 8 bits. PSNR is taken over all pixels and
+//! channels of a view, then averaged over views (the protocol of 3DGS).
 
 use std::time::Instant;
 
@@ -14,17 +14,17 @@ use serde::{Deserialize, Serialize};
 
 use crate::dataset::{Picture, View};
 
-/// PSNR of a picture that is equal to its photograph, whose true value, infinity, JSON cannot hold and means cannot use.
+/// PSNR of a picture that is equal to its photograph, dB. The true value, infinity, has no place in JSON or in a mean.
 pub const LARGEST_PSNR: f64 = 100.0;
 
-/// One view.
+/// The scores of one view.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ViewScore {
     pub name: String,
     /// dB, at most [`LARGEST_PSNR`].
     pub psnr: f64,
     pub ssim: f64,
-    /// For rendering alone.
+    /// Time to render it.
     pub seconds: f64,
     /// px
     pub width: usize,
@@ -32,7 +32,7 @@ pub struct ViewScore {
     pub height: usize,
 }
 
-/// All views, and their means.
+/// The scores of all views, and their means.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Evaluation {
     pub views: Vec<ViewScore>,
@@ -42,7 +42,7 @@ pub struct Evaluation {
     pub ssim: f64,
     pub surfels: usize,
     pub gaussians: usize,
-    /// For rendering alone, mean over the views.
+    /// Time to render a view, mean over the views.
     pub seconds_per_view: f64,
 }
 
@@ -69,7 +69,8 @@ pub fn evaluate(scene: &SceneData, views: &[View], device: &Device) -> Result<Ev
     evaluate_each(&Renderer::new(scene, device), scene, views, device, |_, _| Ok(()))
 }
 
-/// Like [`evaluate`], with a scene that is on its device already; hands every view's index and render to `visit`.
+/// Like [`evaluate`], with a scene that is on its device already. Calls `visit` with the index and the render of every
+/// view.
 ///
 /// # Errors
 /// Those of [`evaluate`] and of `visit`.
@@ -87,7 +88,7 @@ pub fn evaluate_each<E: From<Error>>(
     for (index, view) in views.iter().enumerate() {
         let start = Instant::now();
         let render = renderer.render(&view.camera)?;
-        // a GPU may only have begun
+        // a GPU may have only begun
         device.sync().map_err(|error| Error::Device { reason: error.to_string() })?;
         let seconds = start.elapsed().as_secs_f64();
         scores.push(score(view, &render, seconds, device)?);

@@ -1,8 +1,8 @@
 //! Training of depth-peeled Gaussian-enhanced surfels from photographs.
 //!
-//! A [`trainer::Trainer`] takes a [`dataset::Dataset`] through the stages of a [`config::Config`]: discs, Gaussians,
-//! then surfels and Gaussians together. What it starts from is made by [`init`]; [`refine`] decides which primitives
-//! come and go; [`eval`] measures the scene.
+//! A [`run`] takes a [`dataset::Dataset`] through the stages of a [`config::Config`]: discs, Gaussians, then surfels and
+//! Gaussians together. [`init`] makes what it begins with; [`refine`] decides which primitives come and go; [`eval`]
+//! measures the scene.
 //!
 //! # Dependencies
 //!
@@ -21,20 +21,18 @@
 //! | clap, ctrlc, indicatif, tracing, tracing-indicatif, tracing-subscriber | the command line |
 //! | mimalloc | the binary's allocator |
 
-pub mod checkpoint;
 pub mod config;
 pub mod dataset;
 pub mod device;
 pub mod eval;
 pub mod init;
-pub mod metrics_log;
 pub mod neighbours;
 pub mod optimizer;
 pub mod pictures;
 pub mod refine;
-pub mod run_folder;
+pub mod run;
 pub mod scene_state;
-pub mod trainer;
+mod stage;
 
 /// The example of the README, compiled.
 #[cfg(doctest)]

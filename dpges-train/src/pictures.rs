@@ -1,4 +1,4 @@
-//! PNGs to look at: a render beside its photograph, and names for the files of a set of views.
+//! PNGs of renders beside their photographs, and names for the files of a set of views.
 
 use std::collections::HashSet;
 use std::io::Write;
@@ -23,7 +23,7 @@ pub fn comparison(view: &View, render: &Rendered) -> Rgb8Image {
     Rgb8Image::beside(&parts)
 }
 
-/// Writes a PNG; an existing file is replaced only once the new one is complete.
+/// Writes a PNG. It replaces an existing file only once it is complete.
 ///
 /// # Errors
 /// [`dpges_core::Error::Io`] naming `path`.
@@ -37,7 +37,8 @@ pub fn save_png(image: &Rgb8Image, path: &Path) -> Result<()> {
     })
 }
 
-/// A file name without extension for every view, unique among them: folders and odd characters become `_`.
+/// File names without extension, one for each view and all different. Separators of folders, and characters that are
+/// not alphanumeric, `-`, `_` or `.`, become `_`.
 pub fn file_stems(views: &[View]) -> Vec<String> {
     let mut taken = HashSet::new();
     let mut stems = Vec::with_capacity(views.len());

@@ -1,9 +1,9 @@
-//! How far a training run is: a bar, lines, or nothing.
+//! How far a run is: a bar, lines of text or JSON, or nothing.
 
 use std::fmt;
 use std::time::{Duration, Instant};
 
-use dpges_train::trainer::StepReport;
+use dpges_train::run::StepReport;
 use indicatif::ProgressStyle;
 use tracing::Span;
 use tracing_indicatif::span_ext::IndicatifSpanExt;
@@ -13,7 +13,7 @@ use crate::logging::LogStyle;
 const TEMPLATE: &str = "{wide_bar} {pos}/{len}\n{msg}";
 const REDRAW: Duration = Duration::from_millis(100);
 const LINE: Duration = Duration::from_secs(5);
-/// What is left of a smoothed value after one step.
+/// Weight of the previous value when a smoothed value takes the next.
 const MEMORY: f64 = 0.98;
 
 /// Mean over about 50 steps.
@@ -35,7 +35,7 @@ impl Smoothed {
 }
 
 /// Progress of one run, on standard error.
-pub struct Progress {
+pub struct ProgressDisplay {
     style: LogStyle,
     steps: usize,
     span: Span,
@@ -45,8 +45,8 @@ pub struct Progress {
     seconds_per_step: Smoothed,
 }
 
-impl Progress {
-    /// Of a run of `steps` steps, of which `completed` are done.
+impl ProgressDisplay {
+    /// The progress of a run of `steps` steps, of which `completed` are done.
     pub fn new(style: LogStyle, steps: usize, completed: usize) -> Self {
         let span = if style == LogStyle::Bar { tracing::info_span!("training") } else { Span::none() };
         span.pb_set_style(&ProgressStyle::with_template(TEMPLATE).expect("a valid template"));
@@ -105,7 +105,7 @@ impl Progress {
     }
 }
 
-/// A duration for people.
+/// A duration, shown in one or two units.
 pub struct Seconds(pub f64);
 
 impl fmt::Display for Seconds {

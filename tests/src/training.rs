@@ -6,7 +6,7 @@ use burn::tensor::Device;
 use dpges_train::config::Config;
 use dpges_train::dataset::{BuiltinOptions, Dataset, builtin};
 use dpges_train::eval::evaluate;
-use dpges_train::trainer::Trainer;
+use dpges_train::run::Trainer;
 
 use crate::devices::ndarray;
 use crate::gpu::gpu;
@@ -33,7 +33,7 @@ fn config(steps: usize, more: &[&str]) -> Config {
 /// A whole run; reports come one step late from a GPU, and all of them come.
 fn trained(data: &Arc<Dataset>, config: Config, device: &Device) -> Trainer {
     let steps = config.train.steps;
-    let mut trainer = Trainer::new(Arc::clone(data), config, device.clone()).unwrap();
+    let mut trainer = Trainer::new(config, Arc::clone(data), device.clone()).unwrap();
     let mut reported = Vec::new();
     while !trainer.is_finished() {
         reported.extend(trainer.step().unwrap().map(|report| report.step));
@@ -54,7 +54,7 @@ fn a_gpu_trains_as_well_as_a_cpu() {
     let slow = slow.map(|rate| format!("optimizer.{rate}"));
     let settings: Vec<&str> = slow.iter().map(String::as_str).chain(["train.deterministic=true"]).collect();
     let config = || config(200, &settings);
-    let untrained = psnr(&Trainer::new(Arc::clone(&data), config(), ndarray()).unwrap(), &ndarray());
+    let untrained = psnr(&Trainer::new(config(), Arc::clone(&data), ndarray()).unwrap(), &ndarray());
     let cpu = psnr(&trained(&data, config(), &ndarray()), &ndarray());
     let gpu = psnr(&trained(&data, config(), &device), &device);
     println!("held out: {untrained:.3} dB at first, {cpu:.3} dB on the CPU, {gpu:.3} dB on the GPU");

@@ -8,7 +8,7 @@ use dpges_core::camera::Camera;
 use dpges_core::scene::{SceneData, SceneInfo};
 use dpges_train::config::{Background, Config, DataConfig};
 use dpges_train::dataset::{self, BuiltinOptions, Dataset, View};
-use dpges_train::run_folder::RunFolder;
+use dpges_train::run::folder::RunFolder;
 use glam::DVec3;
 
 use super::{Failure, Result};

@@ -1,7 +1,7 @@
 //! GPUs that fail at work: reset, unplugged, out of memory.
 //!
-//! Burn tells of it by a panic, of the thread that reads a result or of its own thread for the device. The latter it
-//! catches, and goes on with whatever the memory holds: so a panic counts on whatever thread it is, caught or not.
+//! Burn reports a failure by a panic, either on the thread that reads a result or on its own thread for the device. It
+//! catches the latter and goes on with whatever the memory holds. So a panic on any thread counts, caught or not.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -10,22 +10,22 @@ use dpges_train::device::DeviceName;
 
 use super::{Failure, Result};
 
-/// What the device, or Burn for it, said when it failed.
+/// The message of the device, or of Burn, when it failed.
 #[derive(Clone, Debug, thiserror::Error)]
 #[error("{text}")]
 pub struct DeviceFailure {
     text: String,
 }
 
-/// Keeps the first panic of the process, instead of printing any, as long as it or a clone of it lives.
+/// Keeps the first panic of the process and prints none, as long as it or a clone of it lives.
 #[derive(Clone)]
 pub struct Watch {
     first: Arc<Mutex<Option<DeviceFailure>>>,
 }
 
 impl DeviceFailure {
-    /// Of the message of an error or a panic, in one line: what happened and its root cause, without what lies between
-    /// and without the stack that Burn adds.
+    /// Shortens the message of an error or a panic to one line: what happened and its root cause, without the causes
+    /// between them and without the stack that Burn adds.
     pub fn new(message: &str) -> Self {
         let is_stack = |line: &&str| ["Backtrace", "No backtrace", "0:"].iter().any(|start| line.starts_with(start));
         let lines = message.lines().map(str::trim).filter(|line| !line.is_empty());
@@ -49,7 +49,7 @@ impl DeviceFailure {
     /// What can be done about it.
     pub fn advice(&self) -> &'static str {
         if self.is_out_of_memory() {
-            "the memory of the device is too small for this: go on on another one (`--device cpu` has the machine's), \
+            "the memory of the device is too small: use another device (`--device cpu` has the memory of the machine), \
              or train anew with a smaller --max-resolution or --budget (refine.budget)"
         } else {
             "`--device cpu` goes on without the device; `dpges selftest --device …` checks it, and a newer driver may \
@@ -58,7 +58,7 @@ impl DeviceFailure {
     }
 }
 
-/// What `work` returns, which uses `device` and leaves nothing behind if that fails.
+/// Returns what `work` returns, which uses `device` and leaves nothing behind if the device fails.
 pub fn watched(device: DeviceName, work: impl FnOnce() -> Result<()>) -> Result<()> {
     if device.is_cpu() {
         return work();
@@ -69,6 +69,7 @@ pub fn watched(device: DeviceName, work: impl FnOnce() -> Result<()>) -> Result<
 }
 
 impl Watch {
+    /// Watches from now on.
     pub fn start() -> Self {
         let first = Arc::new(Mutex::new(None));
         let watched = Arc::downgrade(&first);
@@ -89,16 +90,16 @@ impl Watch {
         lock(&self.first).clone()
     }
 
-    /// What `work` returns.
+    /// Returns what `work` returns.
     ///
     /// # Errors
-    /// The first panic since the start, if there was any.
+    /// The first panic since the start, if there was one.
     pub fn catch<T>(&self, work: impl FnOnce() -> T) -> std::result::Result<T, DeviceFailure> {
         let result = catch_unwind(AssertUnwindSafe(work));
         match (result, self.failure()) {
             (_, Some(failure)) => Err(failure),
             (Ok(value), None) => Ok(value),
-            (Err(_), None) => Err(DeviceFailure::new("a panic that was thrown on")),
+            (Err(_), None) => Err(DeviceFailure::new("a panic that was thrown again")),
         }
     }
 }

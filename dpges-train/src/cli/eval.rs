@@ -9,7 +9,7 @@ use dpges_render::{Renderer, Rgb8Image};
 use dpges_train::device::DeviceName;
 use dpges_train::eval::{EvalReport, Evaluation, evaluate_each};
 use dpges_train::pictures::{file_stems, save_png};
-use dpges_train::run_folder::write_json;
+use dpges_train::run::folder::write_json;
 
 use super::data::{Scene, ViewArgs};
 use super::{Result, print, table};

@@ -7,7 +7,7 @@ use dpges_core::scene::Rendering;
 use dpges_render::{LayerPictures, Renderer, Rgb8Image, layer_pictures};
 use dpges_train::device::DeviceName;
 use dpges_train::pictures::{file_stems, save_png};
-use dpges_train::run_folder::write_json;
+use dpges_train::run::folder::write_json;
 use serde_json::{Value, json};
 
 use super::data::{Scene, ViewArgs};

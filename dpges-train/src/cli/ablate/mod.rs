@@ -9,18 +9,19 @@ use std::sync::atomic::AtomicBool;
 
 use burn::tensor::Device;
 use clap::Args;
-use dpges_train::checkpoint::Checkpoint;
 use dpges_train::config::Config;
 use dpges_train::dataset::Dataset;
 use dpges_train::device::DeviceName;
 use dpges_train::eval::EvalReport;
-use dpges_train::metrics_log::MetricsLog;
-use dpges_train::run_folder::RunFolder;
+use dpges_train::run::folder::{Origin, RunFolder};
+use dpges_train::run::metrics_log::MetricsLog;
+use dpges_train::run::{Run, SavedRun};
 
 use super::data::Source;
+use super::train::display::watch_for_interrupts;
 use super::train::options::ConfigArgs;
-use super::train::session::{Session, Setting, watch_for_interrupts};
-use super::train::{differences, open, origin, resumed_on};
+use super::train::session::Session;
+use super::train::{differences, open, say_resumed};
 use super::{Failure, Result, print};
 use crate::logging::LogStyle;
 use report::Row;
@@ -58,8 +59,8 @@ enum State {
     Finished,
 }
 
-/// One variant.
-struct Run {
+/// The run of one variant.
+struct Entry {
     variant: Variant,
     config: Config,
     folder: RunFolder,
@@ -85,7 +86,7 @@ pub fn run(args: &AblateArgs, style: LogStyle) -> Result<()> {
             run.train(&common)?;
         }
     }
-    let rows = runs.iter().map(Run::row).collect::<Result<Vec<Row>>>()?;
+    let rows = runs.iter().map(Entry::row).collect::<Result<Vec<Row>>>()?;
     let files = report::write(&args.out, &rows)?;
     if style == LogStyle::Quiet { Ok(()) } else { print(&(report::table(&rows) + &files)) }
 }
@@ -93,12 +94,12 @@ pub fn run(args: &AblateArgs, style: LogStyle) -> Result<()> {
 impl AblateArgs {
     /// The variants that are asked for, in the order of [`Variant`]. Folders that hold anything else are found here,
     /// before the first step.
-    fn runs(&self, source: &Source) -> Result<Vec<Run>> {
-        let run = |variant: Variant| -> Result<Run> {
+    fn runs(&self, source: &Source) -> Result<Vec<Entry>> {
+        let run = |variant: Variant| -> Result<Entry> {
             let config = self.options.resolve(source, &variant.settings())?;
-            let folder = RunFolder::new(&self.out.join(variant.name()));
+            let folder = RunFolder::new(self.out.join(variant.name()));
             let state = state(&folder, &config, source)?;
-            Ok(Run { variant, config, folder, state })
+            Ok(Entry { variant, config, folder, state })
         };
         Variant::chosen(&self.only).into_iter().map(run).collect()
     }
@@ -139,39 +140,31 @@ impl Common {
         }
         Ok(Self { source, dataset, name, device, style, interrupted: watch_for_interrupts()? })
     }
-
-    fn setting(&self, folder: &RunFolder) -> Setting {
-        Setting {
-            dataset: Arc::clone(&self.dataset),
-            origin: origin(&self.source, self.name),
-            device: self.device.clone(),
-            folder: folder.clone(),
-            style: self.style,
-        }
-    }
 }
 
-impl Run {
+impl Entry {
     /// Trains what is left of it.
     fn train(&self, common: &Common) -> Result<()> {
         let Self { variant, config, folder, state } = self;
-        let setting = common.setting(folder);
-        let session = match state {
+        let (data, opened) = (Arc::clone(&common.dataset), common.device.clone());
+        let run = match state {
             State::Finished => {
                 tracing::info!("{variant}: finished before");
                 return Ok(());
             }
             State::Begun => {
                 tracing::info!("{variant}: goes on");
-                let origin = resumed_on(folder.read_origin()?, common.name);
-                Session::resume(Setting { origin, ..setting }, Checkpoint::load(&folder.checkpoint())?)?
+                let saved = SavedRun::open(folder.clone())?;
+                say_resumed(&saved, common.name);
+                Run::resume(saved, data, opened)?
             }
             State::New => {
                 tracing::info!("{variant}: {} steps", config.train.steps);
-                Session::start(setting, config.clone())?
+                let origin = Origin::new(&common.source, common.name);
+                Run::new(config.clone(), data, opened)?.overwrite(folder.clone(), origin)?
             }
         };
-        session.run(&common.interrupted)?;
+        Session { run, folder: folder.clone(), device: common.name, style: common.style }.train(&common.interrupted)?;
         Ok(())
     }
 
@@ -201,14 +194,14 @@ fn read_evaluation(path: &Path) -> Result<EvalReport> {
 
 #[cfg(test)]
 mod tests {
-    use dpges_train::run_folder::{Origin, write_json};
+    use dpges_train::run::folder::write_json;
 
     use super::*;
 
     #[test]
     fn a_folder_is_new_begun_finished_or_refused() {
         let at = tempfile::tempdir().unwrap();
-        let folder = RunFolder::new(&at.path().join("full"));
+        let folder = RunFolder::new(at.path().join("full"));
         let config = Config::default();
         let state = |config: &Config| state(&folder, config, &Source::Builtin);
         let refused = |config: &Config| match state(config) {
@@ -216,7 +209,7 @@ mod tests {
             _ => panic!("not refused"),
         };
         assert_eq!(state(&config).unwrap(), State::New);
-        folder.start(&origin(&Source::Builtin, "cpu".parse().unwrap()), &config).unwrap();
+        folder.start(&Origin::new(&Source::Builtin, "cpu"), &config).unwrap();
         assert_eq!(state(&config).unwrap(), State::New, "stopped before its first checkpoint");
         std::fs::write(folder.checkpoint(), "of a step").unwrap();
         assert_eq!(state(&config).unwrap(), State::Begun);
@@ -225,7 +218,7 @@ mod tests {
         let mut longer = config.clone();
         longer.train.steps = 7;
         assert!(refused(&longer).contains("`train.steps` is 5000, not 7"));
-        let elsewhere = Origin { dataset: "/data/garden".into(), device: "cpu".into(), version: "0".into() };
+        let elsewhere = Origin::new("/data/garden", "cpu");
         write_json(&folder.origin(), &elsewhere).unwrap();
         assert!(refused(&config).contains("/data/garden"));
     }

@@ -1,24 +1,25 @@
 //! `dpges train`: from photographs to a scene.
 
+pub mod display;
 pub mod options;
 pub mod session;
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use burn::tensor::Device;
 use clap::Args;
-use dpges_train::checkpoint::Checkpoint;
 use dpges_train::config::Config;
 use dpges_train::device::DeviceName;
-use dpges_train::run_folder::{Origin, RunFolder, RunFolderError};
+use dpges_train::run::folder::{Origin, RunFolder, RunFolderError};
+use dpges_train::run::{Run, RunError, SavedRun};
 use toml::Table;
 
 use super::data::Source;
 use super::{Failure, Result, print};
 use crate::logging::LogStyle;
+use display::watch_for_interrupts;
 use options::ConfigArgs;
-use session::{Session, Setting, watch_for_interrupts};
+use session::Session;
 
 /// Train a scene from photographs with known cameras
 ///
@@ -50,7 +51,7 @@ pub struct TrainArgs {
 
 pub fn run(args: TrainArgs, style: LogStyle) -> Result<()> {
     let session = if args.resume { args.resume(style)? } else { args.start(style)? };
-    let summary = session.run(&*watch_for_interrupts()?)?;
+    let summary = session.train(&*watch_for_interrupts()?)?;
     if style == LogStyle::Quiet { Ok(()) } else { print(&summary) }
 }
 
@@ -64,7 +65,7 @@ impl TrainArgs {
             Source::Folder(path) => Path::new("runs").join(path.file_name().unwrap_or_else(|| "dataset".as_ref())),
             Source::Builtin => PathBuf::from("runs/builtin"),
         };
-        RunFolder::new(&self.out.clone().unwrap_or_else(named))
+        RunFolder::new(self.out.clone().unwrap_or_else(named))
     }
 
     fn start(self, style: LogStyle) -> Result<Session> {
@@ -81,32 +82,33 @@ impl TrainArgs {
             None => "cpu".parse().map_err(Failure::Usage)?,
         };
         let opened = open(device)?;
-        let dataset = Arc::new(source.load_for_training(&config)?);
-        let origin = origin(&source, device);
-        Session::start(Setting { dataset, origin, device: opened, folder, style }, config)
+        let dataset = source.load_for_training(&config)?;
+        let run = Run::new(config, dataset, opened)?.overwrite(folder.clone(), Origin::new(&source, device))?;
+        Ok(Session { run, folder, device, style })
     }
 
     fn resume(self, style: LogStyle) -> Result<Session> {
         let folder = self.folder();
-        folder.check_resumable().map_err(|error| {
-            Failure::with_help(error, "name the folder of a run with --out, or start one without --resume")
+        let saved = SavedRun::open(folder.clone()).map_err(|error| match error {
+            RunError::Folder(RunFolderError::NoCheckpoint { .. }) => {
+                Failure::with_help(error, "name the folder of a run with --out, or start one without --resume")
+            }
+            RunError::Folder(_) => Failure::with_help(error, "the folder is not complete: train anew into another one"),
+            other => other.into(),
         })?;
-        let checkpoint = Checkpoint::load(&folder.checkpoint())?;
-        let origin = folder.read_origin().map_err(|error: RunFolderError| {
-            Failure::with_help(error, "the folder is not complete: train anew into another one")
-        })?;
+        let origin = saved.origin();
         if self.dataset.is_some() && self.source().to_string() != origin.dataset {
             let (asked, trained) = (self.source(), &origin.dataset);
             return Err(Failure::Usage(format!("the run to resume was trained on {trained}, not on {asked}")));
         }
         let source = Source::new(Path::new(&origin.dataset));
-        folder.write_config(checkpoint.config())?;
+        folder.write_config(saved.config())?;
         let asked = if self.options.names_a_whole() {
             self.options.resolve(&source, &[])?
         } else {
             self.options.resolve_on(&folder.config())?
         };
-        let differences = differences(checkpoint.config(), &asked);
+        let differences = differences(saved.config(), &asked);
         if !differences.is_empty() {
             let list = differences.join(", ");
             return Err(Failure::Usage(format!("a run is resumed with the configuration it was started with: {list}")));
@@ -115,27 +117,23 @@ impl TrainArgs {
             Some(device) => device,
             None => origin.device.parse().map_err(Failure::Usage)?,
         };
-        let origin = resumed_on(origin, device);
+        say_resumed(&saved, device);
         let opened = open(device)?;
-        let dataset = Arc::new(source.load_for_training(checkpoint.config())?);
-        Session::resume(Setting { dataset, origin, device: opened, folder, style }, checkpoint)
+        let dataset = source.load_for_training(saved.config())?;
+        Ok(Session { run: Run::resume(saved, dataset, opened)?, folder, device, style })
     }
 }
 
-/// Of a run that starts now.
-pub fn origin(source: &Source, device: DeviceName) -> Origin {
-    Origin { dataset: source.to_string(), device: device.to_string(), version: env!("CARGO_PKG_VERSION").to_owned() }
-}
-
-/// The origin of a run that goes on on `device`.
-pub fn resumed_on(origin: Origin, device: DeviceName) -> Origin {
-    if device.to_string() != origin.device {
-        tracing::warn!("resuming on {device} what was started on {}: the result will differ a little", origin.device);
+/// Says where `saved` goes on, and if the device is another one.
+pub fn say_resumed(saved: &SavedRun, device: DeviceName) {
+    let before = &saved.origin().device;
+    if device.to_string() != *before {
+        tracing::warn!("resuming on {device} what was started on {before}: the result will differ a little");
     }
-    Origin { device: device.to_string(), ..origin }
+    tracing::info!("resuming after step {}", saved.completed_steps());
 }
 
-/// The device, before anything is read for it; says which adapter a GPU's name stands for.
+/// Opens the device, before anything is read for it, and says which adapter a GPU's name stands for.
 pub fn open(device: DeviceName) -> Result<Device> {
     let opened = device.open()?;
     if !device.is_cpu() {
@@ -144,7 +142,7 @@ pub fn open(device: DeviceName) -> Result<Device> {
     Ok(opened)
 }
 
-/// Keys whose value in `found` is not that in `expected`, the configuration of a run.
+/// Says for each key whose value in `found` is not that in `expected`, the configuration of a run, what the two are.
 pub fn differences(expected: &Config, found: &Config) -> Vec<String> {
     let table = |config: &Config| config.to_toml().parse::<Table>().unwrap_or_default();
     let (expected, found) = (table(expected), table(found));

@@ -1,114 +1,27 @@
-//! A training run: the stages of its plan one after another, one view per step.
+//! The steps of a run, without evaluations and files: the stages of its plan one after another, one view per step.
 
-mod blended;
-mod context;
-mod joint;
-mod pending;
-mod refinement;
-mod requirement;
-mod resume;
-mod start;
-mod statistics;
-mod supervision;
-mod validation;
-
-use std::path::PathBuf;
 use std::sync::Arc;
 
 use burn::tensor::Device;
 use dpges_core::device::is_gpu;
-use dpges_core::scene::{GaussianData, SceneData};
+use dpges_core::scene::SceneData;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use crate::config::{Config, StageKind, StagePlan};
+use super::checkpoint::{Checkpoint, RunState};
+use super::validation::Validation;
+use crate::config::{Config, StagePlan};
 use crate::dataset::Dataset;
-use crate::init::InitError;
-use blended::BlendedStage;
-use context::Context;
-use joint::JointStage;
-use pending::PendingStep;
-pub use validation::{Validation, Verdict};
+use crate::stage::{self, Context, PendingStep, Stage, StageCheckpoint, StepReport, TrainError, Trained, begin_step};
 
-#[derive(Debug, thiserror::Error)]
-pub enum TrainError {
-    #[error("initialisation: {0}")]
-    Init(#[from] InitError),
-    #[error("`{key}`: {path} does not serve: {reason}")]
-    Given { key: &'static str, path: PathBuf, reason: String },
-    #[error("{0}")]
-    Plan(String),
-    #[error("step {step}, view `{view}`: {source}; the step was not taken")]
-    Step { step: usize, view: String, source: dpges_core::Error },
-    #[error("step {step}, view `{view}`: the loss is {loss}; the step was not taken")]
-    Loss { step: usize, view: String, loss: f64 },
-    #[error("step {step}: the device failed: {reason}")]
-    Device { step: usize, reason: String },
-    #[error(transparent)]
-    Core(#[from] dpges_core::Error),
-    #[error("the checkpoint does not fit: {reason}")]
-    Resume { reason: String },
-}
-
-/// What one step did.
-#[derive(Clone, Debug, PartialEq)]
-pub struct StepReport {
-    /// Completed steps of the run, this one included.
-    pub step: usize,
-    pub stage: StageKind,
-    /// Index of the training view.
-    pub view: usize,
-    /// Weighted sum of the terms.
-    pub loss: f64,
-    pub rgb: f64,
-    /// L_s; 0 in stages without surfels, as the next two.
-    pub surfel: f64,
-    pub scale: f64,
-    pub transmittance: f64,
-    /// dB of the training view before the step, clamped and not quantised.
-    pub psnr: f64,
-    pub surfels: usize,
-    pub gaussians: usize,
-    /// What refinement did before the step.
-    pub events: Vec<String>,
-}
-
-impl StepReport {
-    /// Before the numbers are known.
-    fn begin(step: usize, stage: StageKind, view: usize, events: Vec<String>) -> Self {
-        let unknown = f64::NAN;
-        Self {
-            step,
-            stage,
-            view,
-            loss: unknown,
-            rgb: unknown,
-            surfel: unknown,
-            scale: unknown,
-            transmittance: unknown,
-            psnr: unknown,
-            surfels: 0,
-            gaussians: 0,
-            events,
-        }
-    }
-}
-
-/// What is trained now.
-enum Stage {
-    Blended(Box<BlendedStage>),
-    Joint(Box<JointStage>),
-}
-
-/// A run: a dataset, a scene that learns it, and where in its plan it stands.
+/// A scene that learns a dataset, and where in the plan of its stages it stands.
 pub struct Trainer {
     context: Context,
     plan: Vec<StagePlan>,
     /// Index in the plan.
     at: usize,
-    stage: Stage,
-    /// The trained discs, from their stage until nothing needs them any more.
-    discs: Option<GaussianData>,
+    stage: Box<dyn Stage>,
+    trained: Trained,
     validation: Validation,
     /// A GPU works on this step while the host prepares the next.
     pending: Option<PendingStep>,
@@ -118,114 +31,149 @@ impl Trainer {
     /// A run before its first step.
     ///
     /// # Errors
-    /// [`TrainError::Init`] if the dataset has nothing to start from, [`TrainError::Given`] if a file that the
-    /// configuration names cannot take the place of a stage.
-    pub fn new(dataset: Arc<Dataset>, config: Config, device: Device) -> Result<Self, TrainError> {
+    /// [`TrainError::Init`] if the dataset has nothing to begin with, [`TrainError::Given`] if a file that the
+    /// configuration names cannot take the place of a stage, [`TrainError::Plan`] if the plan lacks something else.
+    pub fn new(config: Config, dataset: Arc<Dataset>, device: Device) -> Result<Self, TrainError> {
         let plan = config.plan();
         let rng = ChaCha8Rng::seed_from_u64(config.train.seed);
         let mut context = Context { dataset, config, device, rng, remaining_views: Vec::new(), completed_steps: 0 };
-        context.check_given(&plan)?;
-        let stage = context.begin_stage(plan[0], None, None)?;
-        let validation = Validation::default();
-        Ok(Self { context, plan, at: 0, stage, discs: None, validation, pending: None })
+        context.check_plan(&plan)?;
+        let mut trained = Trained::default();
+        let stage = stage::begin(plan[0], &mut trained, &mut context)?;
+        Ok(Self { context, plan, at: 0, stage, trained, validation: Validation::default(), pending: None })
+    }
+
+    /// Goes on where `checkpoint` was made.
+    ///
+    /// # Errors
+    /// [`TrainError::Resume`] if the dataset is another one or the checkpoint contradicts itself.
+    pub fn resume(checkpoint: Checkpoint, dataset: Arc<Dataset>, device: Device) -> Result<Self, TrainError> {
+        let Checkpoint { state, attributes, columns, max_pixels } = checkpoint;
+        let RunState { config, info, completed_steps, stage: at, validation, growth, rng, remaining_views, view_names } =
+            state;
+        if view_names != names_of_views(&dataset) {
+            let (before, now) = (view_names.len(), dataset.train.len());
+            let reason = format!("it was made with {before} training views, and these {now} are not the same ones");
+            return Err(TrainError::Resume { reason });
+        }
+        let plan = config.plan();
+        let Some(&current) = plan.get(at) else {
+            return Err(TrainError::Resume { reason: format!("stage {at} of {} does not exist", plan.len()) });
+        };
+        let context = Context { dataset, config, device, rng, remaining_views, completed_steps };
+        let of_stage = StageCheckpoint { info, growth, attributes, columns, max_pixels };
+        let (stage, trained) = stage::resume(current, of_stage, &context)?;
+        Ok(Self { context, plan, at, stage, trained, validation, pending: None })
+    }
+
+    /// All that [`resume`](Self::resume) needs to go on to the same result. Settle before.
+    pub fn checkpoint(&self) -> Checkpoint {
+        let context = &self.context;
+        let mut stage = self.stage.checkpoint();
+        if let Some(discs) = &self.trained.discs {
+            stage.add_discs(discs);
+        }
+        let StageCheckpoint { info, growth, attributes, columns, max_pixels } = stage;
+        let state = RunState {
+            config: context.config.clone(),
+            info,
+            completed_steps: context.completed_steps,
+            stage: self.at,
+            validation: self.validation,
+            growth,
+            rng: context.rng.clone(),
+            remaining_views: context.remaining_views.clone(),
+            view_names: names_of_views(&context.dataset),
+        };
+        Checkpoint { state, attributes, columns, max_pixels }
     }
 
     pub fn config(&self) -> &Config {
         &self.context.config
     }
 
+    pub fn dataset(&self) -> &Arc<Dataset> {
+        &self.context.dataset
+    }
+
+    pub fn device(&self) -> &Device {
+        &self.context.device
+    }
+
+    /// Steps of the whole run that are done, or that a GPU is still working on.
     pub fn completed_steps(&self) -> usize {
         self.context.completed_steps
     }
 
-    /// The stage of the next step, or of the last.
+    /// The stage of the last step, or of the next one before the first.
     pub fn stage(&self) -> StagePlan {
         self.plan[self.at]
     }
 
-    /// Whether all steps of all stages are done, or the validation views said that it is enough.
+    /// Whether all steps of all stages are done, or the validation views have stopped to improve.
     pub fn is_finished(&self) -> bool {
-        self.validation.stopped() || (self.at + 1 == self.plan.len() && self.stage_is_over())
+        self.validation.stopped() || (self.is_in_last_stage() && self.stage_is_over())
     }
 
-    /// Whether all steps of this stage are done.
+    /// Whether all steps of the current stage are done.
     pub fn stage_is_over(&self) -> bool {
         self.context.completed_steps >= self.stage().end()
     }
 
-    /// The scene as it stands.
-    pub fn scene(&self) -> SceneData {
-        match &self.stage {
-            Stage::Blended(stage) => stage.scene(),
-            Stage::Joint(stage) => stage.scene(),
-        }
+    pub fn is_in_last_stage(&self) -> bool {
+        self.at + 1 == self.plan.len()
     }
 
-    /// How validation views have fared, to be told of every evaluation of theirs.
+    /// The scene as it stands.
+    pub fn scene(&self) -> SceneData {
+        self.stage.scene()
+    }
+
+    /// What has become of the validation views. It wants to be told of every evaluation of theirs, and then ends the
+    /// run with `train.stop = "validation"`.
     pub fn validation_mut(&mut self) -> &mut Validation {
         &mut self.validation
     }
 
-    /// Begins the stage after one that is over and settled.
+    /// Begins the stage after one that is over, settled and not the last.
     ///
     /// # Errors
-    /// Those of [`new`](Self::new); [`TrainError::Plan`] if nothing came out of the stage that the next can use.
-    pub fn next_stage(&mut self) -> Result<(), TrainError> {
-        let trained = match &self.stage {
-            Stage::Blended(stage) => stage.gaussians(),
-            Stage::Joint(_) => unreachable!("the joint stage is the last"),
-        };
-        let mut gaussians = None;
-        match self.stage().kind {
-            StageKind::Discs => self.discs = Some(trained),
-            StageKind::Gaussians(_) | StageKind::Joint => gaussians = Some(trained),
-        }
+    /// Those of [`new`](Self::new).
+    pub(super) fn next_stage(&mut self) -> Result<(), TrainError> {
+        self.stage.hand_on(&mut self.trained);
+        self.stage = stage::begin(self.plan[self.at + 1], &mut self.trained, &mut self.context)?;
         self.at += 1;
-        self.stage = self.context.begin_stage(self.stage(), self.discs.as_ref(), gaussians)?;
-        if self.stage().kind == StageKind::Joint {
-            self.discs = None;
-        }
         Ok(())
     }
 
-    /// Whatever refinement is due, then one optimisation step on the next view; first of all the next stage, if this
-    /// one is over.
+    /// Begins the next stage if this one is over, refines if that is due, then takes one optimisation step on the next
+    /// view.
     ///
-    /// In this order, since a scene is at its worst right after Gaussians were added: between two steps,
-    /// when it is evaluated and saved, it has been optimised since.
+    /// Refinement comes first because a scene is at its worst right after Gaussians were added. Between two steps, when
+    /// it is evaluated and saved, it has been optimised since.
     ///
-    /// Returns the report of this step on a CPU. A GPU is still working on this step: there it is the
-    /// report of the step before, if [`settle`](Self::settle) has not given it away.
+    /// Returns the report of this step on a CPU. A GPU is still working on this step: there it is the report of the
+    /// step before, unless [`settle`](Self::settle) has returned it already.
     ///
     /// # Errors
-    /// [`TrainError::Step`] or [`TrainError::Loss`] if the loss or a gradient was not finite; that step
-    /// then changed nothing. Those of [`next_stage`](Self::next_stage).
+    /// [`TrainError::Step`] or [`TrainError::Loss`] if the loss or a gradient was not finite; that step then changed
+    /// nothing. [`TrainError::Device`] if the device failed. Those of [`new`](Self::new) where a stage begins.
     pub fn step(&mut self) -> Result<Option<StepReport>, TrainError> {
         let mut known = None;
         if self.stage_is_over() {
             known = self.settle()?;
             self.next_stage()?;
         }
-        let completed = self.context.completed_steps - self.stage().begin;
-        let due = match &self.stage {
-            Stage::Blended(stage) => stage.is_due(completed),
-            Stage::Joint(stage) => stage.due(completed) != Default::default(),
-        };
+        let completed = self.context.completed_in(self.stage());
         let mut events = Vec::new();
-        if due {
+        if self.stage.is_due(completed) {
             known = self.settle()?.or(known);
-            events = match &mut self.stage {
-                Stage::Blended(stage) => stage.refine(&mut self.context)?,
-                Stage::Joint(stage) => stage.refine(&mut self.context)?,
-            };
+            events = self.stage.refine(completed, &mut self.context)?;
         }
         let before = self.pending.take();
         let view = self.context.next_view();
         let report = StepReport::begin(self.context.completed_steps + 1, self.stage().kind, view, events);
-        self.pending = Some(match &mut self.stage {
-            Stage::Blended(stage) => stage.begin_step(&mut self.context, report)?,
-            Stage::Joint(stage) => stage.begin_step(&mut self.context, report)?,
-        });
+        self.pending = Some(begin_step(&mut *self.stage, &mut self.context, report)?);
         self.context.completed_steps += 1;
         if !is_gpu(&self.context.device) {
             return self.settle();
@@ -236,13 +184,18 @@ impl Trainer {
         Ok(known)
     }
 
-    /// Waits for the step that the device is working on and returns its report, if there is one.
+    /// Waits for the step that the device is working on. Returns its report, if there is one.
     ///
     /// # Errors
-    /// Those of [`step`](Self::step).
+    /// [`TrainError::Step`] or [`TrainError::Loss`] if its loss or a gradient was not finite, [`TrainError::Device`] if
+    /// the device failed.
     pub fn settle(&mut self) -> Result<Option<StepReport>, TrainError> {
         self.pending.take().map(PendingStep::settle).transpose()
     }
+}
+
+fn names_of_views(dataset: &Dataset) -> Vec<String> {
+    dataset.train.iter().map(|view| view.name.clone()).collect()
 }
 
 #[cfg(test)]
@@ -251,28 +204,12 @@ mod tests {
 
     use dpges_core::scene::Rendering;
 
+    use super::super::fixtures::{config, dataset, device};
     use super::*;
-    use crate::checkpoint::Checkpoint;
-    use crate::dataset::{BuiltinOptions, builtin};
-    use crate::device::DeviceName;
-
-    fn dataset() -> Arc<Dataset> {
-        let options =
-            BuiltinOptions { width: 24, height: 24, train_views: 3, test_views: 1, points: 200, ..Default::default() };
-        Arc::new(builtin(&options))
-    }
-
-    fn config(set: &[&str]) -> Config {
-        let set: Vec<String> = set.iter().map(|&text| text.to_owned()).collect();
-        Config::resolve(None, None, &set).unwrap()
-    }
-
-    fn device() -> Device {
-        "cpu".parse::<DeviceName>().unwrap().open().unwrap()
-    }
+    use crate::scene_state::GaussianState;
 
     fn trainer(set: &[&str]) -> Trainer {
-        Trainer::new(dataset(), config(set), device()).unwrap()
+        Trainer::new(config(set), dataset(), device()).unwrap()
     }
 
     /// All stages and everything that changes something in them.
@@ -320,11 +257,8 @@ mod tests {
         assert_ne!(after.gaussians.positions, before.gaussians.positions);
     }
 
-    fn joint(trainer: &mut Trainer) -> &mut JointStage {
-        match &mut trainer.stage {
-            Stage::Joint(stage) => stage,
-            Stage::Blended(_) => panic!("not the joint stage"),
-        }
+    fn gaussians(trainer: &mut Trainer) -> &mut GaussianState {
+        trainer.stage.parameters().gaussians
     }
 
     #[test]
@@ -335,17 +269,17 @@ mod tests {
             while trainer.completed_steps() < 52 {
                 trainer.step().unwrap();
             }
-            let mut opacities = joint(&mut trainer).gaussians.to_data().opacities;
+            let mut opacities = gaussians(&mut trainer).opacities();
             let (count, left) = (opacities.len(), opacities.iter().filter(|&&o| o > 0.1).count());
             assert!(left > 20 && left < count, "{left} of {count}");
             opacities.iter_mut().filter(|o| **o <= 0.1).for_each(|o| *o = -1.0);
-            joint(&mut trainer).gaussians.reset_opacities(&opacities);
+            gaussians(&mut trainer).reset_opacities(&opacities);
             assert_eq!(trainer.scene().gaussians.len(), left);
 
             let report = trainer.step().unwrap().unwrap();
             let said = format!("{} Gaussians that draw nothing removed", count - left);
             assert_eq!(report.events.iter().any(|event| event.contains(&said)), replaced, "{:?}", report.events);
-            let alive = joint(&mut trainer).gaussians.to_data().opacities.iter().filter(|&&o| o > 0.0).count();
+            let alive = gaussians(&mut trainer).opacities().iter().filter(|&&o| o > 0.0).count();
             assert_eq!(alive > left, replaced, "{alive}, {left} before");
         }
     }
@@ -359,7 +293,7 @@ mod tests {
             while !trainer.is_finished() {
                 trainer.step().unwrap();
             }
-            assert_eq!(joint(&mut trainer).gaussians.len() > 100, grows, "{set}");
+            assert_eq!(gaussians(&mut trainer).len() > 100, grows, "{set}");
         }
     }
 
@@ -404,7 +338,7 @@ mod tests {
                     first.step().unwrap();
                 }
                 let checkpoint = saved_and_loaded(&first.checkpoint(), folder.path());
-                let second = Trainer::resume(dataset(), checkpoint, device()).unwrap();
+                let second = Trainer::resume(checkpoint, dataset(), device()).unwrap();
                 assert!(finished(second) == whole, "{set:?} stopped after {stop}");
             }
         }
@@ -427,7 +361,7 @@ mod tests {
 
     #[test]
     fn plans_that_lack_something_are_refused_before_the_first_step() {
-        let error = |set: &[&str]| match Trainer::new(dataset(), config(set), device()) {
+        let error = |set: &[&str]| match Trainer::new(config(set), dataset(), device()) {
             Err(error) => error.to_string(),
             Ok(_) => panic!("not refused"),
         };

@@ -5,6 +5,7 @@ use std::pin::Pin;
 use std::task::{Context, Poll, Waker};
 
 use burn::tensor::{ExecutionError, Tensor, TensorData, read_sync};
+use dpges_core::losses::Losses;
 use dpges_core::ops::finite::{FiniteChecks, check_finite};
 use dpges_core::scene::schema::Attribute;
 
@@ -12,8 +13,9 @@ use super::{StepReport, TrainError};
 
 type Numbers = Result<TensorData, ExecutionError>;
 
+/// A step on the device.
 pub struct PendingStep {
-    /// All but the numbers.
+    /// Complete but for the numbers.
     report: StepReport,
     view_name: String,
     checks: FiniteChecks,
@@ -25,12 +27,12 @@ enum Waiting {
     No(Numbers),
 }
 
-/// Whether a step may be taken: its loss and its gradients are finite.
+/// Whether a step may be taken: whether its loss and all its gradients are finite.
 pub struct Gate {
     checks: FiniteChecks,
-    /// [1] tensors that are not finite.
+    /// [1] number of tensors that are not finite.
     bad: Tensor<1>,
-    /// [1] 1 if there are none, else 0.
+    /// [1] 1 if all are finite, else 0.
     pub open: Tensor<1>,
 }
 
@@ -54,24 +56,24 @@ impl Gate {
 }
 
 impl PendingStep {
-    /// Asks for the numbers without waiting for them: loss, L_rgb, L_s, L_scale and L_t, each [1], and the error of
-    /// `image` [3, H, W].
+    /// Asks for the numbers without waiting for them: the `losses`, and the error of `image` [3, H, W].
     pub fn new(
         report: StepReport,
         view_name: String,
-        terms: [Tensor<1>; 5],
+        losses: Losses,
         image: Tensor<3>,
         target: Tensor<3>,
         gate: &Gate,
     ) -> Self {
         let difference = image.inner().clamp(0.0, 1.0) - target.inner();
         let squared_error = difference.clone().mul(difference).mean();
-        let mut numbers: Vec<Tensor<1>> = terms.map(Tensor::inner).into();
+        let Losses { total, rgb, surfel, scale, transmittance } = losses;
+        let mut numbers: Vec<Tensor<1>> = [total, rgb, surfel, scale, transmittance].map(Tensor::inner).into();
         numbers.extend([squared_error, gate.bad.clone()]);
         let checks = gate.checks.clone();
         let mut future: Pin<Box<dyn Future<Output = Numbers> + Send>> =
             Box::pin(Tensor::cat(numbers, 0).into_data_async());
-        // a future begins when it is first polled: this one is to begin now
+        // a future begins when it is first polled: poll it now, so that the device begins
         let numbers = match future.as_mut().poll(&mut Context::from_waker(Waker::noop())) {
             Poll::Ready(numbers) => Waiting::No(numbers),
             Poll::Pending => Waiting::For(future),
@@ -82,7 +84,8 @@ impl PendingStep {
     /// Waits for the numbers.
     ///
     /// # Errors
-    /// [`TrainError`] if one of them, or a gradient, was not finite, or the device failed.
+    /// [`TrainError::Loss`] or [`TrainError::Step`] if the loss or a gradient was not finite, [`TrainError::Device`] if
+    /// the device failed.
     pub fn settle(self) -> Result<StepReport, TrainError> {
         let numbers = match self.numbers {
             Waiting::For(future) => read_sync(future),

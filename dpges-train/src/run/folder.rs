@@ -3,16 +3,17 @@
 //! ```text
 //! config.toml               every key of the configuration as used
 //! run.json                  the dataset, the device, the version of the program
-//! metrics.jsonl             losses, PSNR and counts along the run, see `metrics_log`
+//! metrics.jsonl             losses, PSNR and counts along the run, see `run::metrics_log`
 //! scene.safetensors         the scene at the last checkpoint, then the result
 //! checkpoint.safetensors    what `--resume` continues from
-//! stage_NAME.safetensors    the scene at the end of a stage before the last (`2dgs`, `dbs`, `mcmc`), and
-//! stage_NAME.json           what its held-out views said, as eval.json
-//! best.safetensors          the best scene so far by the validation views, where they end the run
-//! eval.json                 the held-out views of the finished run, see `eval::EvalReport`
+//! stage_NAME.safetensors    the scene at the end of a stage before the last (`2dgs`, `dbs`, `mcmc`)
+//! stage_NAME.json           its evaluation, like eval.json
+//! best.safetensors          the best scene so far by the validation views, if they end the run
+//! eval.json                 the evaluation of the finished run, see `eval::EvalReport`
 //! pictures/step_N_VIEW.png  photograph · render · surfels only · error
 //! ```
 
+use std::fmt;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -39,14 +40,19 @@ const FILES: [&str; 13] = [
 ];
 const PICTURES: &str = "pictures";
 
+/// Why a folder cannot be used for a run.
 #[derive(Debug, thiserror::Error)]
 pub enum RunFolderError {
+    /// A file of another run is there.
     #[error("{path} holds another run ({found})")]
     Used { path: PathBuf, found: &'static str },
+    /// There is nothing to go on with.
     #[error("{path} holds no run to resume: {missing} is missing")]
     NoCheckpoint { path: PathBuf, missing: PathBuf },
+    /// `run.json` is missing or broken.
     #[error("{path} does not say what it was trained on: {reason}")]
     Origin { path: PathBuf, reason: String },
+    /// A file cannot be written or removed.
     #[error(transparent)]
     File(#[from] Error),
 }
@@ -62,6 +68,14 @@ pub struct Origin {
     pub version: String,
 }
 
+impl Origin {
+    /// The origin of a run that starts now with this version of the program.
+    pub fn new(dataset: impl fmt::Display, device: impl fmt::Display) -> Self {
+        let version = env!("CARGO_PKG_VERSION").to_owned();
+        Self { dataset: dataset.to_string(), device: device.to_string(), version }
+    }
+}
+
 /// Paths of a run's files.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RunFolder {
@@ -69,8 +83,9 @@ pub struct RunFolder {
 }
 
 impl RunFolder {
-    pub fn new(path: &Path) -> Self {
-        Self { path: path.to_owned() }
+    /// The folder at `path`, which need not exist.
+    pub fn new(path: impl Into<PathBuf>) -> Self {
+        Self { path: path.into() }
     }
 
     pub fn path(&self) -> &Path {
@@ -113,13 +128,20 @@ impl RunFolder {
         self.path.join(format!("stage_{stage}.json"))
     }
 
-    /// Comparison picture of the view with file stem `view` after `step` steps.
-    pub fn picture(&self, step: usize, view: &str) -> PathBuf {
-        self.path.join(PICTURES).join(format!("step_{step:06}_{view}.png"))
+    /// Folder of the comparison pictures.
+    pub fn pictures(&self) -> PathBuf {
+        self.path.join(PICTURES)
     }
 
+    /// Comparison picture of the view with file stem `view` after `step` steps.
+    pub fn picture(&self, step: usize, view: &str) -> PathBuf {
+        self.pictures().join(format!("step_{step:06}_{view}.png"))
+    }
+
+    /// Checks that the folder holds no file of a run.
+    ///
     /// # Errors
-    /// [`RunFolderError::Used`] if any file of a run is there.
+    /// [`RunFolderError::Used`] names the first one found.
     pub fn check_unused(&self) -> Result<(), RunFolderError> {
         match FILES.into_iter().find(|file| self.path.join(file).exists()) {
             Some(found) => Err(RunFolderError::Used { path: self.path.clone(), found }),
@@ -127,20 +149,21 @@ impl RunFolder {
         }
     }
 
+    /// Checks that there is a checkpoint.
+    ///
     /// # Errors
-    /// [`RunFolderError::NoCheckpoint`].
+    /// [`RunFolderError::NoCheckpoint`] if there is none.
     pub fn check_resumable(&self) -> Result<(), RunFolderError> {
         let missing = self.checkpoint();
         if missing.is_file() { Ok(()) } else { Err(RunFolderError::NoCheckpoint { path: self.path.clone(), missing }) }
     }
 
-    /// Makes the folder, removes the files of an earlier run (and nothing else), and writes `run.json` and
-    /// `config.toml`.
+    /// Makes the folder, removes the files of an earlier run and nothing else, and writes `run.json` and `config.toml`.
     ///
     /// # Errors
-    /// [`RunFolderError::File`].
+    /// [`RunFolderError::File`] if a file cannot be removed or written.
     pub fn start(&self, origin: &Origin, config: &Config) -> Result<(), RunFolderError> {
-        let pictures = self.path.join(PICTURES);
+        let pictures = self.pictures();
         for file in FILES {
             remove(&self.path.join(file))?;
         }
@@ -160,14 +183,18 @@ impl RunFolder {
         Ok(self.write_config(config)?)
     }
 
+    /// Writes `config.toml`.
+    ///
     /// # Errors
     /// [`Error::Io`].
     pub fn write_config(&self, config: &Config) -> Result<(), Error> {
         write_atomically(&self.config(), |file| file.write_all(config.to_toml().as_bytes()))
     }
 
+    /// Reads `run.json`.
+    ///
     /// # Errors
-    /// [`RunFolderError::Origin`] if `run.json` is missing or not what was written.
+    /// [`RunFolderError::Origin`] if it is missing or not what was written.
     pub fn read_origin(&self) -> Result<Origin, RunFolderError> {
         let path = self.origin();
         let wrong = |reason: String| RunFolderError::Origin { path: path.clone(), reason };
@@ -203,8 +230,8 @@ mod tests {
     #[test]
     fn starting_removes_an_earlier_run_and_nothing_else() {
         let folder = tempfile::tempdir().unwrap();
-        let run = RunFolder::new(&folder.path().join("new/run"));
-        let origin = Origin { dataset: "builtin".into(), device: "cpu".into(), version: "0".into() };
+        let run = RunFolder::new(folder.path().join("new/run"));
+        let origin = Origin::new("builtin", "cpu");
         run.check_unused().unwrap();
         assert!(run.check_resumable().unwrap_err().to_string().contains("checkpoint.safetensors"));
         run.start(&origin, &Config::default()).unwrap();

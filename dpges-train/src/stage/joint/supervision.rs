@@ -1,4 +1,4 @@
-//! What the surfels' depths and normals are held to: those of the discs they come from (DP-GES, geometry).
+//! Targets of the geometry losses: depths and normals of the discs that the surfels come from (DP-GES, geometry).
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use dpges_core::losses::geometry::{Supervision, expected_depth};
@@ -6,25 +6,28 @@ use dpges_core::ops::blend::Maps;
 use dpges_core::render::Values;
 use dpges_core::render::blended::{BlendedOptions, render_blended};
 use dpges_core::scene::tensors::tensor_to_rows;
-use dpges_core::scene::{GaussianData, Gaussians, SceneInfo};
+use dpges_core::scene::{GaussianData, Gaussians, Rendering};
 
-use super::TrainError;
-use crate::dataset::Dataset;
+use super::super::{Context, TrainError};
 
 /// Depth and normal of every training view, in host memory.
 pub struct Supervisions {
     discs: GaussianData,
+    /// Depth [H × W], world units, and unit normal [3 × H × W].
     views: Vec<[Vec<f32>; 2]>,
     /// Height and width of every view, px.
     sizes: Vec<[usize; 2]>,
 }
 
 impl Supervisions {
+    /// Renders `discs` in every training view.
+    ///
     /// # Errors
-    /// [`TrainError::Core`] if the discs cannot be rendered.
-    pub fn new(discs: &GaussianData, info: &SceneInfo, dataset: &Dataset, device: &Device) -> Result<Self, TrainError> {
-        let gaussians = Gaussians::from_data(discs, device, DType::F32);
-        let mut options = BlendedOptions::new(info)?;
+    /// [`TrainError::Core`] if they cannot be rendered.
+    pub fn new(discs: &GaussianData, context: &Context) -> Result<Self, TrainError> {
+        let (dataset, info) = (&context.dataset, context.scene_info(Rendering::Discs));
+        let gaussians = Gaussians::from_data(discs, &context.device, DType::F32);
+        let mut options = BlendedOptions::new(&info)?;
         options.blend.maps = true;
         let mut views = Vec::with_capacity(dataset.train.len());
         let mut sizes = Vec::with_capacity(dataset.train.len());
@@ -39,12 +42,12 @@ impl Supervisions {
         Ok(Self { discs: discs.clone(), views, sizes })
     }
 
-    /// What they were rendered from.
+    /// The discs that were rendered.
     pub fn discs(&self) -> &GaussianData {
         &self.discs
     }
 
-    /// Of the training view with index `view`.
+    /// The target of the training view with index `view`, on `device`.
     pub fn of(&self, view: usize, device: &Device) -> Supervision {
         let [height, width] = self.sizes[view];
         let [depth, normal] = &self.views[view];

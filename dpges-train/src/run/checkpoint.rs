@@ -11,19 +11,20 @@ use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors};
 use serde::{Deserialize, Serialize};
 
+use super::validation::Validation;
 use crate::config::Config;
 use crate::optimizer::ParameterRows;
 use crate::refine::growth::Growth;
-use crate::trainer::Validation;
 
 const FORMAT: &str = "dpges-checkpoint";
 const VERSION: &str = "3";
-/// What the names of columns begin with in the file.
+/// Prefix of the names of columns in the file.
 const COLUMN: &str = "column/";
 /// What the names of the tensors of an attribute end with.
 const RAW: &str = "raw";
 const MOMENTS: [&str; 2] = ["moment_1", "moment_2"];
 
+/// Why a checkpoint cannot be written or read.
 #[derive(Debug, thiserror::Error)]
 pub enum CheckpointError {
     #[error("cannot read checkpoint {path}: {source}")]
@@ -34,51 +35,53 @@ pub enum CheckpointError {
     Write(#[from] dpges_core::Error),
 }
 
-/// State of a run that is not made of rows.
+/// Where a run stands: all of its state but the rows of primitives. The metadata `progress` of the file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Progress {
+pub struct RunState {
     pub config: Config,
     pub info: SceneInfo,
     pub completed_steps: usize,
     /// Index of the stage in the plan of the configuration.
     pub stage: usize,
     pub validation: Validation,
+    /// Growth decisions of an automatic budget; `None` before the first, and with a fixed budget.
     pub growth: Option<Growth>,
     pub rng: ChaCha8Rng,
-    /// Training views still to come in this pass, last first.
+    /// Indices of the training views still to come in this pass, last first.
     pub remaining_views: Vec<u32>,
-    /// Names of all training views: a run goes on only with the dataset it began with.
+    /// Names of all training views. A run goes on only with the dataset it began with.
     pub view_names: Vec<String>,
 }
 
 /// A run between two steps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Checkpoint {
-    pub progress: Progress,
-    /// Attributes by their raw names, with their moments.
+    pub state: RunState,
+    /// Parameters by their raw names, with their moments.
     pub attributes: HashMap<String, ParameterRows>,
-    /// Further numbers by name: running statistics, results of earlier stages.
+    /// Further numbers by name: running statistics, the discs of an earlier stage.
     pub columns: BTreeMap<String, Vec<f32>>,
-    /// [N] most pixels at which each surfel was the nearest in one view since the last pruning.
+    /// [N] largest number of pixels of one view at which a surfel was the nearest, since the last pruning; empty in stages
+    /// without surfels.
     pub max_pixels: Vec<u32>,
 }
 
 impl Checkpoint {
     pub fn config(&self) -> &Config {
-        &self.progress.config
+        &self.state.config
     }
 
     pub fn completed_steps(&self) -> usize {
-        self.progress.completed_steps
+        self.state.completed_steps
     }
 
-    /// Whether it was made between two stages, or at the end.
+    /// Whether it was made between two stages or at the end of the run.
     pub fn stage_is_over(&self) -> bool {
-        let stage = self.config().plan().get(self.progress.stage).copied();
-        self.progress.validation.stopped() || stage.is_none_or(|stage| self.completed_steps() >= stage.end())
+        let stage = self.config().plan().get(self.state.stage).copied();
+        self.state.validation.stopped() || stage.is_none_or(|stage| self.completed_steps() >= stage.end())
     }
 
-    /// Writes the file at once or not at all.
+    /// Writes the whole file or nothing.
     ///
     /// # Errors
     /// [`CheckpointError::Write`] if the file cannot be written.
@@ -103,17 +106,19 @@ impl Checkpoint {
             let dtype = if name == "max_pixels" { Dtype::U32 } else { Dtype::F32 };
             (name.as_str(), TensorView::new(dtype, shape.to_vec(), bytes).expect("bytes fit the shape"))
         });
-        let progress = serde_json::to_string(&self.progress).expect("progress is plain data");
+        let state = serde_json::to_string(&self.state).expect("the state is plain data");
         let metadata = HashMap::from(
-            [("format", FORMAT), ("version", VERSION), ("progress", progress.as_str())]
+            [("format", FORMAT), ("version", VERSION), ("progress", state.as_str())]
                 .map(|(key, value)| (key.to_owned(), value.to_owned())),
         );
         let file = tensor_file::serialize(views, metadata).expect("names are unique");
         Ok(write_atomically(path, |out| std::io::Write::write_all(out, &file))?)
     }
 
+    /// Reads a file that [`save`](Self::save) has written.
+    ///
     /// # Errors
-    /// [`CheckpointError`] naming the file and what is wrong with it.
+    /// [`CheckpointError`] names the file and what is wrong with it.
     pub fn load(path: &Path) -> Result<Self, CheckpointError> {
         let bytes = std::fs::read(path).map_err(|source| CheckpointError::Read { path: path.to_owned(), source })?;
         parse(&bytes).map_err(|reason| CheckpointError::Content { path: path.to_owned(), reason })
@@ -128,7 +133,7 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
         let (format, version) = (text("format"), text("version"));
         return Err(format!("format {format} version {version} found, {FORMAT} version {VERSION} expected"));
     }
-    let progress: Progress = serde_json::from_str(text("progress")).map_err(|e| format!("progress: {e}"))?;
+    let state: RunState = serde_json::from_str(text("progress")).map_err(|e| format!("progress: {e}"))?;
     let file = SafeTensors::deserialize(bytes).map_err(|e| format!("not a whole safetensors file ({e})"))?;
     let words = |name: &str| -> Result<([usize; 2], Vec<[u8; 4]>), String> {
         let view = file.tensor(name).map_err(|_| format!("tensor `{name}` is missing"))?;
@@ -160,7 +165,7 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
         columns.insert(name.to_owned(), floats(&format!("{COLUMN}{name}"))?.1);
     }
     Ok(Checkpoint {
-        progress,
+        state,
         attributes,
         columns,
         max_pixels: words("max_pixels")?.1.into_iter().map(u32::from_le_bytes).collect(),

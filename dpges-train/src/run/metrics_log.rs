@@ -1,8 +1,12 @@
 //! `metrics.jsonl`: one JSON object per line, appended while a run goes on.
 //!
-//! `{"kind":"step","step":…}` with stage, losses, PSNR (dB), counts and events of single training steps,
-//! `{"kind":"evaluation","step":…}` with the means over the held-out views, and `{"kind":"validation","step":…}` with
-//! those over the views that are kept for decisions. `seconds` is the time trained so far.
+//! | line | content |
+//! |---|---|
+//! | `{"kind":"step","step":…}` | stage, losses, PSNR (dB), counts and events of one training step |
+//! | `{"kind":"evaluation","step":…}` | means over the held-out views |
+//! | `{"kind":"validation","step":…}` | means over the views that are kept for decisions |
+//!
+//! `seconds` is the time trained so far.
 
 use std::fs::{File, OpenOptions};
 use std::io::Write;
@@ -13,14 +17,13 @@ use dpges_core::{Error, Result};
 use serde_json::{Value, json};
 
 use crate::eval::Evaluation;
-use crate::trainer::StepReport;
+use crate::stage::StepReport;
 
-/// Open for appending; every line is handed to the system at once.
+/// A log that is open for appending. Every line is handed to the system at once.
 #[derive(Debug)]
 pub struct MetricsLog {
     file: File,
     path: PathBuf,
-    seconds_before: f64,
 }
 
 impl MetricsLog {
@@ -30,16 +33,16 @@ impl MetricsLog {
     /// [`Error::Io`].
     pub fn create(path: &Path) -> Result<Self> {
         write_atomically(path, |_| Ok(()))?;
-        Self::open(path, 0.0)
+        Self::open(path)
     }
 
-    /// The log of a run that goes on after step `completed_steps`. Lines of later steps are dropped, as is a line
-    /// that was never finished, and the evaluation after `completed_steps` if it `evaluates_again`: they all come
-    /// again. A log that is missing starts anew.
+    /// The log of a run that goes on after step `completed_steps`, and the seconds that the run had taken by then. Lines
+    /// of later steps are dropped, as is a line that was never finished, and the evaluation after `completed_steps` if
+    /// it `evaluates_again`: they all come again. A log that is missing starts anew.
     ///
     /// # Errors
     /// [`Error::Io`].
-    pub fn resume(path: &Path, completed_steps: usize, evaluates_again: bool) -> Result<Self> {
+    pub fn resume(path: &Path, completed_steps: usize, evaluates_again: bool) -> Result<(Self, f64)> {
         let text = match std::fs::read_to_string(path) {
             Ok(text) => text,
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => String::new(),
@@ -55,7 +58,7 @@ impl MetricsLog {
         let kept: Vec<&str> = text.lines().filter(stays).collect();
         let seconds = kept.last().and_then(|line| parsed(line)?["seconds"].as_f64()).unwrap_or(0.0);
         write_atomically(path, |file| kept.iter().try_for_each(|line| writeln!(file, "{line}")))?;
-        Self::open(path, seconds)
+        Ok((Self::open(path)?, seconds))
     }
 
     /// Seconds that the run of the log at `path` had taken at its last logged step, evaluations on the way included.
@@ -73,24 +76,20 @@ impl MetricsLog {
         Ok(step.and_then(|line| line["seconds"].as_f64()).unwrap_or(0.0))
     }
 
-    fn open(path: &Path, seconds_before: f64) -> Result<Self> {
+    fn open(path: &Path) -> Result<Self> {
         let file = OpenOptions::new().append(true).open(path).map_err(|source| error(path, source))?;
-        Ok(Self { file, path: path.to_owned(), seconds_before })
+        Ok(Self { file, path: path.to_owned() })
     }
 
-    /// Seconds that the run had taken before this log was opened.
-    pub fn seconds_before(&self) -> f64 {
-        self.seconds_before
-    }
-
-    /// `seconds` is the time of the whole run so far.
+    /// Appends a step; `seconds` is the time of the whole run so far.
     ///
     /// # Errors
     /// [`Error::Io`].
     pub fn step(&mut self, report: &StepReport, seconds: f64) -> Result<()> {
         let mut line = json!({
-            "kind": "step", "step": report.step, "stage": report.stage.to_string(), "view": report.view, "loss": report.loss, "rgb": report.rgb,
-            "surfel": report.surfel, "scale": report.scale, "transmittance": report.transmittance,
+            "kind": "step", "step": report.step, "stage": report.stage.to_string(), "view": report.view,
+            "loss": report.loss, "rgb": report.rgb, "surfel": report.surfel, "scale": report.scale,
+            "transmittance": report.transmittance,
             "psnr": report.psnr, "surfels": report.surfels, "gaussians": report.gaussians, "seconds": seconds,
         });
         if !report.events.is_empty() {
@@ -99,7 +98,7 @@ impl MetricsLog {
         self.append(&line)
     }
 
-    /// `seconds` is the time of the whole run so far.
+    /// Appends an evaluation of the held-out views; `seconds` is the time of the whole run so far.
     ///
     /// # Errors
     /// [`Error::Io`].
@@ -111,7 +110,7 @@ impl MetricsLog {
         }))
     }
 
-    /// `seconds` is the time of the whole run so far.
+    /// Appends an evaluation of the validation views; `seconds` is the time of the whole run so far.
     ///
     /// # Errors
     /// [`Error::Io`].
@@ -163,8 +162,8 @@ mod tests {
             log.step(&report(step), step as f64).unwrap();
         }
         OpenOptions::new().append(true).open(&path).unwrap().write_all(b"{\"kind\":\"st").unwrap();
-        let mut log = MetricsLog::resume(&path, 20, false).unwrap();
-        assert_eq!(log.seconds_before(), 20.0);
+        let (mut log, seconds) = MetricsLog::resume(&path, 20, false).unwrap();
+        assert_eq!(seconds, 20.0);
         log.step(&report(21), 21.0).unwrap();
         let text = std::fs::read_to_string(&path).unwrap();
         let steps: Vec<u64> =
@@ -178,6 +177,6 @@ mod tests {
         MetricsLog::resume(&path, 21, true).unwrap();
         assert!(!std::fs::read_to_string(&path).unwrap().contains("evaluation"));
         std::fs::remove_file(&path).unwrap();
-        assert_eq!(MetricsLog::resume(&path, 20, false).unwrap().seconds_before(), 0.0);
+        assert_eq!(MetricsLog::resume(&path, 20, false).unwrap().1, 0.0);
     }
 }

@@ -1,13 +1,12 @@
-//! An automatic budget: only what the scene requires, as the views that are kept from training show it.
+//! The decisions of an automatic budget: the scene grows, and peels layers, as long as validation views improve.
 
 use dpges_core::render::{Values, render_values};
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{ColourData, ColourModel};
 use dpges_render::Renderer;
 
-use super::TrainError;
-use super::context::Context;
-use super::joint::JointStage;
+use super::super::{Context, Stage, TrainError};
+use super::JointStage;
 use crate::config::Budget;
 use crate::config::range::MAX_LAYERS;
 use crate::eval::evaluate_each;
@@ -15,11 +14,11 @@ use crate::refine::growth::{Decision, Growth};
 use crate::refine::layer_count::{MOST_OPEN, choose, open_share};
 use crate::refine::lobes::{drop_lobes, spare_lobes};
 
-/// A lobe whose absence changes no colour by more is dropped: half a step of a picture of 8 bits.
+/// A lobe is dropped if its absence changes no colour by more than this: half a step of an 8-bit picture.
 const UNSEEN: f64 = 0.5 / 255.0;
 
 impl JointStage {
-    /// Why no more Gaussians are to be added, if an automatic budget says so.
+    /// Why no more Gaussians are added; `None` while they are, and with a fixed budget.
     pub fn end_of_growth(&mut self, context: &Context) -> Result<Option<String>, TrainError> {
         if context.config.refine.budget != Budget::Auto {
             return Ok(None);
@@ -41,7 +40,7 @@ impl JointStage {
         })
     }
 
-    /// Peels as many layers as leave hardly any pixel of the validation views open.
+    /// Chooses the smallest number of layers that leaves hardly any pixel of the validation views open.
     pub fn choose_layer_count(&mut self, context: &Context) -> Result<String, TrainError> {
         let mut options = self.render_options(&context.config);
         options.peel.layer_count = MAX_LAYERS;
@@ -65,7 +64,7 @@ impl JointStage {
         ))
     }
 
-    /// Drops the lobes that no camera would miss; `None` of colours without lobes.
+    /// Drops the lobes whose absence no camera would show; `None` if colours have no lobes.
     pub fn drop_lobes(&mut self, context: &Context) -> Option<String> {
         let ColourModel::SphericalBeta { lobes } = self.info.colour_model else { return None };
         let dataset = &context.dataset;

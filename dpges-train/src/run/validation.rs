@@ -1,4 +1,4 @@
-//! When a run that is judged by views kept from training has learnt enough.
+//! When a run that validation views judge has learnt enough.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Validation {
     best: Option<Best>,
-    /// Evaluations since then.
+    /// Number of evaluations since then.
     since: usize,
     stopped: bool,
 }
@@ -23,14 +23,15 @@ struct Best {
 pub enum Verdict {
     /// The scene is the best so far.
     Best,
-    /// It was better before: after how many evaluations of `patience`.
+    /// It was better before; this is the `since`th evaluation that did not improve it.
     Worse { since: usize, best_step: usize, best_psnr: f64 },
-    /// It has not been better for long enough: the run ends.
+    /// It has not improved for `patience` evaluations: the run ends.
     Enough { best_step: usize, best_psnr: f64 },
 }
 
 impl Validation {
-    /// Takes note of the PSNR (dB) of the validation views after `step` steps.
+    /// Takes note of the mean PSNR of the validation views after `step` steps, dB. The run ends after `patience`
+    /// evaluations without a better one.
     pub fn observe(&mut self, step: usize, psnr: f64, patience: usize) -> Verdict {
         match self.best {
             Some(best) if psnr <= best.psnr => {
@@ -50,6 +51,7 @@ impl Validation {
         }
     }
 
+    /// Whether the run has ended.
     pub fn stopped(&self) -> bool {
         self.stopped
     }

@@ -1,4 +1,4 @@
-//! What pruning wants to know about the views since it last happened; kept on the device.
+//! What pruning wants to know about the views since the last pruning. It stays on the device.
 
 use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 use dpges_core::camera::Camera;
@@ -13,9 +13,9 @@ use crate::scene_state::GaussianState;
 /// Running maxima over views.
 #[derive(Clone, Debug)]
 pub struct Statistics {
-    /// [N] most pixels at which a surfel was the nearest in one view.
+    /// [N] largest number of pixels of one view at which a surfel was the nearest.
     max_pixels: Tensor<1, Int>,
-    /// [M] largest contribution of a Gaussian to a pixel.
+    /// [M] largest contribution of a Gaussian to a pixel, in units of colour.
     max_contributions: Tensor<1>,
 }
 
@@ -24,7 +24,7 @@ impl Statistics {
         Self::from_rows(&vec![0; surfels], &vec![0.0; gaussians], device)
     }
 
-    /// As [`max_pixels`](Self::max_pixels) and [`max_contributions`](Self::max_contributions) gave them.
+    /// From what [`max_pixels`](Self::max_pixels) and [`max_contributions`](Self::max_contributions) returned.
     pub fn from_rows(max_pixels: &[u32], max_contributions: &[f32], device: &Device) -> Self {
         let pixels: Vec<i32> = max_pixels.iter().map(|&count| i32::try_from(count).unwrap_or(i32::MAX)).collect();
         let pixels = TensorData::new(pixels, [max_pixels.len()]);
@@ -43,19 +43,19 @@ impl Statistics {
         tensor_to_rows(&self.max_contributions)
     }
 
-    /// Begins again for another number of surfels.
+    /// Forgets what was observed of surfels; from now on there are `count`.
     pub fn reset_surfels(&mut self, count: usize) {
         let device = self.max_pixels.device();
         self.max_pixels = Self::new(count, 0, &device).max_pixels;
     }
 
-    /// Begins again for another number of Gaussians.
+    /// Forgets what was observed of Gaussians; from now on there are `count`.
     pub fn reset_gaussians(&mut self, count: usize) {
         let device = self.max_contributions.device();
         self.max_contributions = Self::new(0, count, &device).max_contributions;
     }
 
-    /// Adds one rendered view, as far as a later pruning of `schedule` still needs it.
+    /// Adds one rendered view, as far as a pruning of `schedule` after `completed_steps` needs it.
     ///
     /// # Errors
     /// [`dpges_core::Error`] if the render belongs to other Gaussians.

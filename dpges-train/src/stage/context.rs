@@ -7,22 +7,33 @@ use dpges_core::scene::{Rendering, SceneInfo};
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
-use crate::config::Config;
+use crate::config::{Config, StagePlan};
 use crate::dataset::Dataset;
 
+/// What all stages of a run share.
 pub struct Context {
     pub dataset: Arc<Dataset>,
     pub config: Config,
     pub device: Device,
     pub rng: ChaCha8Rng,
-    /// Views still to come in this pass, last first.
+    /// Indices of the views still to come in this pass, last first.
     pub remaining_views: Vec<u32>,
     /// Of the whole run.
     pub completed_steps: usize,
 }
 
 impl Context {
-    /// The next view of this pass; passes go over all views in random order (3DGS).
+    /// The steps of the current stage, that of `plan`, that are done.
+    pub fn completed_in(&self, plan: StagePlan) -> usize {
+        self.completed_steps - plan.begin
+    }
+
+    /// The device that records what is done on it for a backward pass.
+    pub fn tape(&self) -> Device {
+        self.device.clone().autodiff()
+    }
+
+    /// Index of the next view of this pass. A pass goes over all views in random order (3DGS).
     pub fn next_view(&mut self) -> usize {
         if self.remaining_views.is_empty() {
             self.remaining_views = (0..self.dataset.train.len() as u32).collect();
@@ -31,7 +42,7 @@ impl Context {
         self.remaining_views.pop().expect("a dataset has training views") as usize
     }
 
-    /// What the scene file of this run says besides its tensors.
+    /// The metadata of the scenes of this run.
     pub fn scene_info(&self, rendering: Rendering) -> SceneInfo {
         let (model, dataset) = (&self.config.model, &self.dataset);
         SceneInfo {
@@ -48,18 +59,18 @@ impl Context {
         }
     }
 
-    /// Most surfels and Gaussians together.
+    /// The largest number of surfels and Gaussians together.
     pub fn budget(&self) -> usize {
         self.config.most_primitives(mean_pixels(&self.dataset))
     }
 
-    /// Most primitives of a stage that may fill `share` of the budget.
+    /// The largest number of primitives of a stage that may fill `share` of the budget.
     pub fn most_primitives(&self, share: f64) -> usize {
         ((self.budget() as f64 * share) as usize).max(1)
     }
 }
 
-/// Pixels of a training view, on average.
+/// Mean number of pixels of a training view.
 pub fn mean_pixels(dataset: &Dataset) -> usize {
     let pixels: usize = dataset.train.iter().map(|view| view.picture.width * view.picture.height).sum();
     pixels / dataset.train.len().max(1)

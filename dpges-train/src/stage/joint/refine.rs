@@ -1,4 +1,4 @@
-//! Applies the decisions of [`crate::refine`] to surfels and Gaussians when the schedule asks for them.
+//! Applies the decisions of [`crate::refine`] to surfels and Gaussians.
 
 use burn::tensor::{DType, Tensor};
 use dpges_core::camera::Camera;
@@ -8,10 +8,10 @@ use dpges_core::scene::Gaussians;
 use dpges_core::scene::tensors::{rows_to_tensor, tensor_to_rows};
 use glam::DVec3;
 
-use super::TrainError;
-use super::context::{Context, mean_pixels};
-use super::joint::JointStage;
-use crate::config::{AddAs, Budget};
+use super::super::context::mean_pixels;
+use super::super::{Context, TrainError};
+use super::JointStage;
+use crate::config::{AddAs, Budget, Due};
 use crate::dataset::View;
 use crate::refine::add::{batch_size, draw_in_proportion, gaussians_of_pixels, new_gaussians};
 use crate::refine::growth::Decision;
@@ -24,9 +24,8 @@ use crate::refine::{GaussianEdit, RowEdit};
 const MAX_ADDED_SCALE: f64 = 0.01;
 
 impl JointStage {
-    /// Does what is due after the completed steps, in the order prune, margins, split, add; says what it did.
-    pub fn refine(&mut self, context: &mut Context) -> Result<Vec<String>, TrainError> {
-        let due = self.due(context.completed_steps - self.plan.begin);
+    /// Does what is `due` in the order prune, margins, split, add. Returns a sentence for each thing it did.
+    pub fn refine_due(&mut self, due: Due, context: &mut Context) -> Result<Vec<String>, TrainError> {
         let mut events = Vec::new();
         if due.surfel_prune {
             events.push(self.prune_surfels(context));
@@ -103,7 +102,7 @@ impl JointStage {
         format!("{} of {before} Gaussians split", self.gaussians.len() - before)
     }
 
-    /// Takes out Gaussians that draw nothing; returns how many.
+    /// Removes Gaussians that draw nothing. Returns how many.
     fn remove_undrawn(&mut self) -> usize {
         let before = self.gaussians.len();
         let rows = drawn(&self.gaussians.opacities());
@@ -116,9 +115,9 @@ impl JointStage {
         self.growth.as_ref().is_some_and(|growth| growth.decision() != Decision::Grow)
     }
 
-    /// Adds a batch of Gaussians, or as many as were `removed` where growth has ended, where the pictures are worst:
-    /// pixels drawn by squared error, in the depth of the nearest layer (GES, DP-GES), or of the Gaussians where there
-    /// is no layer.
+    /// Adds a batch of Gaussians; once growth has ended, as many as were `removed`. Their pixels are drawn with a
+    /// probability in proportion to the squared error. They take the depth of the nearest layer (GES, DP-GES), or the
+    /// mean depth of existing Gaussians where there is no layer and `refine.add_everywhere` asks for it.
     fn add_gaussians(
         &mut self,
         context: &mut Context,
@@ -158,13 +157,13 @@ impl JointStage {
         Ok(event)
     }
 
-    /// Edits the set; statistics on it start again.
+    /// Edits the set of Gaussians and restarts their statistics.
     fn edit_gaussians(&mut self, edit: &GaussianEdit) {
         self.gaussians.edit(edit);
         self.statistics.reset_gaussians(self.gaussians.len());
     }
 
-    /// A view of the scene as it stands, without a tape.
+    /// Renders a view of the scene as it stands, without a tape.
     fn render_view(&self, context: &Context, view: &View) -> Result<Render, TrainError> {
         let (surfels, gaussians) = (self.surfels.values(), self.gaussians.values());
         Ok(render_values(
@@ -177,7 +176,7 @@ impl JointStage {
     }
 }
 
-/// A threshold given for views of 1 megapixel, in views of `pixels` px: the same share of the picture.
+/// The threshold that is the same share of a view of `pixels` px as `per_megapixel` of 10⁶ px.
 fn min_pixels(per_megapixel: usize, pixels: usize) -> usize {
     (per_megapixel as f64 * pixels as f64 / 1e6) as usize
 }
@@ -188,8 +187,8 @@ fn squared_error(rendered: &Render, target: Tensor<3>) -> Vec<f32> {
     tensor_to_rows(&(difference.clone() * difference).sum_dim(0))
 }
 
-/// [H × W] mean depth of the Gaussians in front of the last of `limits` [K, H, W] at each pixel, weighted by their α,
-/// world units; not finite where there is none.
+/// [H × W] mean depth at each pixel of the Gaussians in front of the last of `limits` [K, H, W], weighted by their α, in
+/// world units. It is not finite where there are none.
 fn gaussian_depth(
     gaussians: &Gaussians,
     limits: &Tensor<3>,
@@ -217,7 +216,7 @@ struct Spots {
 }
 
 impl Spots {
-    /// `pixels` at the depths that are given for them, world units; those with none that is finite are left out.
+    /// Adds `pixels` of `view` at their `depths` [H × W], world units. Pixels without a finite depth are left out.
     fn add(&mut self, depths: &[f32], view: &View, pixels: &[usize]) {
         let (camera, planes) = (&view.camera, &view.picture.planes);
         let area = camera.width * camera.height;

@@ -1,0 +1,85 @@
+//! What a run shows while it trains, and how Ctrl-C and a failing device end it.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use dpges_core::scene::SceneData;
+use dpges_train::config::StagePlan;
+use dpges_train::eval::Evaluation;
+use dpges_train::run::{Observer, Run, StepReport, Verdict};
+
+use super::super::Result;
+use super::super::device_failure::Watch;
+use crate::logging::LogStyle;
+use crate::progress::ProgressDisplay;
+
+/// Messages and progress of one run, on standard error.
+pub struct Display<'a> {
+    progress: ProgressDisplay,
+    patience: usize,
+    interrupted: &'a AtomicBool,
+    watch: Option<Watch>,
+}
+
+impl<'a> Display<'a> {
+    /// Stops `run` once `interrupted`, or when `watch` sees that the device has failed.
+    pub fn new(run: &Run, style: LogStyle, interrupted: &'a AtomicBool, watch: Option<Watch>) -> Self {
+        let (config, completed) = (run.trainer().config(), run.trainer().completed_steps());
+        let progress = ProgressDisplay::new(style, config.total_steps(), completed);
+        Self { progress, patience: config.train.patience, interrupted, watch }
+    }
+}
+
+impl Observer for Display<'_> {
+    fn step(&mut self, report: &StepReport, seconds: f64) {
+        self.progress.step(report, seconds);
+        for event in &report.events {
+            tracing::info!("step {}: {event}", report.step);
+        }
+    }
+
+    fn evaluated(&mut self, step: usize, evaluation: &Evaluation) {
+        let Evaluation { psnr, ssim, views, .. } = evaluation;
+        tracing::info!("step {step}: held-out PSNR {psnr:.2} dB, SSIM {ssim:.4} over {} views", views.len());
+    }
+
+    fn validated(&mut self, step: usize, psnr: f64, verdict: Verdict) {
+        let patience = self.patience;
+        match verdict {
+            Verdict::Best => tracing::info!("step {step}: validation PSNR {psnr:.2} dB, the best so far"),
+            Verdict::Worse { since, best_step, best_psnr } => tracing::info!(
+                "step {step}: validation PSNR {psnr:.2} dB, not above the {best_psnr:.2} dB of step {best_step}; \
+                 {since} of {patience}"
+            ),
+            Verdict::Enough { best_step, best_psnr } => tracing::info!(
+                "step {step}: validation PSNR {psnr:.2} dB, not above the {best_psnr:.2} dB of step {best_step} for \
+                 {patience} evaluations: the run ends with the scene of step {best_step}"
+            ),
+        }
+    }
+
+    fn stage_ended(&mut self, stage: StagePlan, scene: &SceneData) {
+        tracing::info!("stage {} is over: {} Gaussians", stage.kind, scene.gaussians.len());
+    }
+
+    fn should_stop(&mut self) -> bool {
+        self.interrupted.load(Ordering::SeqCst)
+    }
+
+    fn device_failure(&mut self) -> Option<String> {
+        self.watch.as_ref()?.failure().map(|failure| failure.to_string())
+    }
+}
+
+/// True from the first Ctrl-C on; the second ends the process. Call it once in a process.
+pub fn watch_for_interrupts() -> Result<Arc<AtomicBool>> {
+    let interrupted = Arc::new(AtomicBool::new(false));
+    let flag = Arc::clone(&interrupted);
+    ctrlc::set_handler(move || {
+        if flag.swap(true, Ordering::SeqCst) {
+            std::process::exit(1);
+        }
+        tracing::warn!("finishing this step and saving; Ctrl-C again aborts at once");
+    })?;
+    Ok(interrupted)
+}

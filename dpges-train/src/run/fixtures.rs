@@ -1,0 +1,28 @@
+//! Small runs for tests.
+
+use std::sync::Arc;
+
+use burn::tensor::Device;
+
+use crate::config::Config;
+use crate::dataset::{BuiltinOptions, Dataset, builtin};
+use crate::device::DeviceName;
+
+pub fn dataset() -> Arc<Dataset> {
+    dataset_of(3)
+}
+
+pub fn dataset_of(train_views: usize) -> Arc<Dataset> {
+    let options =
+        BuiltinOptions { width: 24, height: 24, train_views, test_views: 1, points: 200, ..Default::default() };
+    Arc::new(builtin(&options))
+}
+
+pub fn config(set: &[&str]) -> Config {
+    let set: Vec<String> = set.iter().map(|&text| text.to_owned()).collect();
+    Config::resolve(None, None, &set).unwrap()
+}
+
+pub fn device() -> Device {
+    "cpu".parse::<DeviceName>().unwrap().open().unwrap()
+}

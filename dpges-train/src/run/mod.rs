@@ -1,0 +1,192 @@
+//! A run from configuration and data to a scene.
+//!
+//! ```no_run
+//! use dpges_train::config::Config;
+//! use dpges_train::dataset;
+//! use dpges_train::device::DeviceName;
+//! use dpges_train::run::{Run, StepReport};
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let config = Config::resolve(Some("cpu"), None, &["train.steps=1000".to_owned()])?;
+//! let data = dataset::load("data/garden".as_ref(), &config.data.load_options())?;
+//! let device = "cpu".parse::<DeviceName>()?.open()?;
+//!
+//! let mut run = Run::new(config, data, device)?;
+//! let outcome = run.train(&mut |report: &StepReport| println!("{:5}  loss {:.4}", report.step, report.loss))?;
+//!
+//! outcome.scene.save("garden.safetensors".as_ref())?;
+//! if let Some(evaluation) = outcome.evaluation {
+//!     println!("held out: {:.2} dB", evaluation.psnr);
+//! }
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! [`Run::new`] keeps everything in memory. [`Run::write_to`] makes it write scenes, checkpoints, metrics and pictures
+//! to a [folder], from which [`Run::resume`] goes on after it was stopped or killed, to identical bytes. An [`Observer`]
+//! is told of everything that happens, and can stop the run. A [`Trainer`] takes single steps, without evaluations and
+//! files.
+
+pub mod checkpoint;
+mod error;
+#[cfg(test)]
+mod fixtures;
+pub mod folder;
+pub mod metrics_log;
+mod observer;
+mod record;
+#[cfg(test)]
+mod tests;
+mod trainer;
+mod training;
+mod validation;
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use burn::tensor::Device;
+use dpges_core::scene::SceneData;
+
+use crate::config::Config;
+use crate::dataset::Dataset;
+use crate::eval::Evaluation;
+pub use crate::stage::{StepReport, TrainError};
+use checkpoint::Checkpoint;
+pub use error::RunError;
+use folder::{Origin, RunFolder};
+pub use observer::Observer;
+use record::Record;
+pub use trainer::Trainer;
+pub use validation::{Validation, Verdict};
+
+/// A run from its first step, or the one it was stopped after, to its last.
+pub struct Run {
+    trainer: Trainer,
+    /// `None` if the run is kept in memory.
+    record: Option<Record>,
+    /// The best scene by the validation views, unless it is in the folder.
+    best: Option<SceneData>,
+    /// Time that the run had taken when [`train`](Run::train) was called last.
+    seconds_before: f64,
+    started: Instant,
+}
+
+/// What a finished run has made.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Outcome {
+    /// The scene after the last step; with `train.stop = "validation"` the best by the validation views.
+    pub scene: SceneData,
+    /// How well it shows the held-out views; `None` if there are none.
+    pub evaluation: Option<Evaluation>,
+    /// Wall clock of training, evaluations on the way included, before and after every resumption.
+    pub seconds: f64,
+}
+
+/// A run in a folder, before it goes on.
+#[derive(Clone, Debug)]
+pub struct SavedRun {
+    folder: RunFolder,
+    origin: Origin,
+    checkpoint: Checkpoint,
+}
+
+impl SavedRun {
+    /// Reads the checkpoint in `folder`, and what the run was started with.
+    ///
+    /// # Errors
+    /// [`RunError::Folder`] if the folder holds no run that can go on, [`RunError::Checkpoint`] if the checkpoint cannot
+    /// be read.
+    pub fn open(folder: RunFolder) -> Result<Self, RunError> {
+        folder.check_resumable()?;
+        let checkpoint = Checkpoint::load(&folder.checkpoint())?;
+        let origin = folder.read_origin()?;
+        Ok(Self { folder, origin, checkpoint })
+    }
+
+    /// The configuration that the run was started with and goes on with.
+    pub fn config(&self) -> &Config {
+        self.checkpoint.config()
+    }
+
+    /// The dataset and the device that the run was started with.
+    pub fn origin(&self) -> &Origin {
+        &self.origin
+    }
+
+    pub fn completed_steps(&self) -> usize {
+        self.checkpoint.completed_steps()
+    }
+}
+
+impl Run {
+    /// A run before its first step, in memory. Where the configuration decides by validation views and `data` has none,
+    /// every [`Config::validation_every`]th training view becomes one.
+    ///
+    /// # Errors
+    /// [`RunError::Train`] if the dataset, or a file that the configuration names, is not what the run begins with.
+    pub fn new(config: Config, data: impl Into<Arc<Dataset>>, device: Device) -> Result<Self, RunError> {
+        let data = with_validation(data.into(), &config);
+        Ok(Self::of(Trainer::new(config, data, device)?))
+    }
+
+    /// Goes on where `saved` was last saved, with the dataset that it was started with.
+    ///
+    /// # Errors
+    /// [`RunError::Train`] if the dataset is another one or the checkpoint contradicts itself, [`RunError::Core`] if the
+    /// metrics cannot be read.
+    pub fn resume(saved: SavedRun, data: impl Into<Arc<Dataset>>, device: Device) -> Result<Self, RunError> {
+        let SavedRun { folder, origin, checkpoint } = saved;
+        let data = with_validation(data.into(), checkpoint.config());
+        let (record, seconds_before) = Record::resume(folder, origin, &checkpoint)?;
+        let trainer = Trainer::resume(checkpoint, data, device)?;
+        Ok(Self { record: Some(record), seconds_before, ..Self::of(trainer) })
+    }
+
+    fn of(trainer: Trainer) -> Self {
+        Self { trainer, record: None, best: None, seconds_before: 0.0, started: Instant::now() }
+    }
+
+    /// Makes the run write to `folder` from now on.
+    ///
+    /// # Errors
+    /// [`RunError::Folder`] if the folder holds another run or cannot be written.
+    pub fn write_to(self, folder: RunFolder, origin: Origin) -> Result<Self, RunError> {
+        folder.check_unused()?;
+        self.overwrite(folder, origin)
+    }
+
+    /// Like [`write_to`](Self::write_to), but removes the files of another run in `folder`, and nothing else.
+    ///
+    /// # Errors
+    /// [`RunError::Folder`] if the folder cannot be written.
+    pub fn overwrite(self, folder: RunFolder, origin: Origin) -> Result<Self, RunError> {
+        let record = Record::start(folder, origin, self.trainer.config())?;
+        if let Some(best) = &self.best {
+            best.save(&record.folder.best())?;
+        }
+        Ok(Self { record: Some(record), best: None, ..self })
+    }
+
+    /// The scene as it stands, the configuration, the state.
+    pub fn trainer(&self) -> &Trainer {
+        &self.trainer
+    }
+
+    /// Where the run writes to; `None` if it is kept in memory.
+    pub fn folder(&self) -> Option<&RunFolder> {
+        self.record.as_ref().map(|record| &record.folder)
+    }
+
+    /// Completed steps of the checkpoint in the folder; `None` if there is none.
+    pub fn saved_step(&self) -> Option<usize> {
+        self.record.as_ref().and_then(|record| record.saved)
+    }
+}
+
+fn with_validation(mut data: Arc<Dataset>, config: &Config) -> Arc<Dataset> {
+    let every = config.validation_every();
+    if every > 0 && data.validation.is_empty() {
+        Arc::make_mut(&mut data).keep_for_validation(every);
+    }
+    data
+}

@@ -1,0 +1,76 @@
+//! What a run writes to its folder.
+
+use std::path::Path;
+
+use dpges_core::scene::SceneData;
+use dpges_core::{Error, Result};
+
+use super::StepReport;
+use super::checkpoint::{Checkpoint, CheckpointError};
+use super::folder::{Origin, RunFolder, RunFolderError, write_json};
+use super::metrics_log::MetricsLog;
+use crate::config::Config;
+use crate::eval::{EvalReport, Evaluation};
+
+/// Steps between lines of `metrics.jsonl`.
+const METRICS_EVERY: usize = 10;
+
+/// The folder of a run, and its open log.
+pub struct Record {
+    pub folder: RunFolder,
+    origin: Origin,
+    pub metrics: MetricsLog,
+    /// Completed steps of the checkpoint in the folder.
+    pub saved: Option<usize>,
+}
+
+impl Record {
+    /// The record of a run before its first step, in place of another run in the folder.
+    ///
+    /// # Errors
+    /// [`RunFolderError::File`].
+    pub fn start(folder: RunFolder, origin: Origin, config: &Config) -> Result<Self, RunFolderError> {
+        folder.start(&origin, config)?;
+        let metrics = MetricsLog::create(&folder.metrics())?;
+        Ok(Self { folder, origin, metrics, saved: None })
+    }
+
+    /// The record of a run that goes on where `checkpoint` was made, and the seconds that it had taken by then.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn resume(folder: RunFolder, origin: Origin, checkpoint: &Checkpoint) -> Result<(Self, f64)> {
+        let completed = checkpoint.completed_steps();
+        let (metrics, seconds) = MetricsLog::resume(&folder.metrics(), completed, checkpoint.stage_is_over())?;
+        Ok((Self { folder, origin, metrics, saved: Some(completed) }, seconds))
+    }
+
+    /// Logs every tenth step, those with events, and the `last`; `seconds` is the time of the whole run so far.
+    pub fn step(&mut self, report: &StepReport, last: bool, seconds: f64) -> Result<()> {
+        if report.step.is_multiple_of(METRICS_EVERY) || !report.events.is_empty() || last {
+            self.metrics.step(report, seconds)?;
+        }
+        Ok(())
+    }
+
+    pub fn save(&mut self, scene: &SceneData, checkpoint: &Checkpoint) -> Result<(), CheckpointError> {
+        scene.save(&self.folder.scene())?;
+        checkpoint.save(&self.folder.checkpoint())?;
+        self.saved = Some(checkpoint.completed_steps());
+        Ok(())
+    }
+
+    /// Writes to `path` how well the scene in the file `scene` shows the held-out views.
+    pub fn report(&self, scene: &Path, evaluation: &Evaluation, path: &Path) -> Result<()> {
+        let file = std::fs::metadata(scene);
+        let file = file.map_err(|source| Error::Io { action: "cannot read", path: scene.to_owned(), source })?;
+        let report = EvalReport {
+            scene: scene.display().to_string(),
+            dataset: self.origin.dataset.clone(),
+            split: "test".to_owned(),
+            evaluation: evaluation.clone(),
+            bytes: file.len(),
+        };
+        write_json(path, &report)
+    }
+}

@@ -1,0 +1,197 @@
+use std::path::Path;
+
+use dpges_core::scene::SceneData;
+
+use super::checkpoint::CheckpointError;
+use super::fixtures::{config, dataset, dataset_of, device};
+use super::folder::RunFolderError;
+use super::*;
+use crate::config::StagePlan;
+
+/// Two stages, evaluations and a checkpoint on the way.
+const SHORT: [&str; 6] = [
+    "train.steps=30",
+    "stages.surfels=0.4",
+    "stages.surfel_opacity=0.05",
+    "refine.budget=500",
+    "train.evaluate_every=8",
+    "train.checkpoint_every=10",
+];
+
+fn run(set: &[&str]) -> Run {
+    Run::new(config(set), dataset(), device()).unwrap()
+}
+
+fn in_folder(set: &[&str], path: &Path) -> Run {
+    run(set).write_to(RunFolder::new(path), Origin::new("builtin", "cpu")).unwrap()
+}
+
+fn error<T>(result: Result<T, RunError>) -> RunError {
+    result.err().expect("it fails")
+}
+
+/// Writes down what it is told; stops after step `stop`.
+#[derive(Default)]
+struct Notes {
+    stop: Option<usize>,
+    fails_after: Option<usize>,
+    steps: Vec<usize>,
+    evaluated: Vec<usize>,
+    validated: Vec<(usize, Verdict)>,
+    ended: Vec<(String, usize)>,
+    saved: Vec<usize>,
+}
+
+impl Observer for Notes {
+    fn step(&mut self, report: &StepReport, seconds: f64) {
+        assert!(report.loss.is_finite() && seconds > 0.0);
+        self.steps.push(report.step);
+    }
+
+    fn evaluated(&mut self, step: usize, evaluation: &Evaluation) {
+        assert_eq!(evaluation.views.len(), 1);
+        self.evaluated.push(step);
+    }
+
+    fn validated(&mut self, step: usize, psnr: f64, verdict: Verdict) {
+        assert!(psnr > 0.0);
+        self.validated.push((step, verdict));
+    }
+
+    fn stage_ended(&mut self, stage: StagePlan, scene: &SceneData) {
+        self.ended.push((stage.kind.to_string(), scene.gaussians.len()));
+    }
+
+    fn saved(&mut self, step: usize) {
+        self.saved.push(step);
+    }
+
+    fn should_stop(&mut self) -> bool {
+        self.steps.last().copied() == self.stop
+    }
+
+    fn device_failure(&mut self) -> Option<String> {
+        let failed = self.fails_after.is_some_and(|step| self.steps.last().is_some_and(|&last| last >= step));
+        failed.then(|| "the device is lost".to_owned())
+    }
+}
+
+#[test]
+fn a_run_in_memory_trains_evaluates_and_leaves_a_scene_to_save() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = run(&SHORT);
+    let mut losses = Vec::new();
+    let outcome = run.train(&mut |report: &StepReport| losses.push(report.loss)).unwrap();
+    assert!(losses.len() == 30 && run.trainer().is_finished());
+    assert!((run.folder(), run.saved_step()) == (None, None) && outcome.seconds > 0.0);
+    let evaluation = outcome.evaluation.unwrap();
+    assert_eq!(
+        (evaluation.surfels, evaluation.gaussians),
+        (outcome.scene.surfels.len(), outcome.scene.gaussians.len())
+    );
+    let path = folder.path().join("scene.safetensors");
+    outcome.scene.save(&path).unwrap();
+    assert_eq!(SceneData::load(&path).unwrap(), outcome.scene);
+}
+
+#[test]
+fn an_observer_is_told_of_everything() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut notes = Notes::default();
+    in_folder(&SHORT, &folder.path().join("run")).train(&mut notes).unwrap();
+    assert_eq!(notes.steps, (1..=30).collect::<Vec<_>>());
+    assert_eq!(notes.evaluated, [8, 12, 16, 24, 30], "on the way, at the end of a stage and of the run");
+    assert_eq!(notes.saved, [10, 12, 20, 30]);
+    assert!(notes.ended.len() == 1 && notes.ended[0].0 == "2dgs" && notes.ended[0].1 > 0, "{:?}", notes.ended);
+}
+
+#[test]
+fn an_observer_stops_a_run_that_then_goes_on_to_the_same_scene() {
+    let whole = run(&SHORT).train(&mut ()).unwrap();
+    let mut run = run(&SHORT);
+    for stop in [5, 12, 20] {
+        let stopped = run.train(&mut Notes { stop: Some(stop), ..Notes::default() });
+        assert!(matches!(stopped, Err(RunError::Stopped { step, steps: 30 }) if step == stop));
+    }
+    assert!(run.train(&mut ()).unwrap().scene == whole.scene);
+}
+
+#[test]
+fn a_run_in_a_folder_is_resumed_to_identical_bytes() {
+    let at = tempfile::tempdir().unwrap();
+    let (whole, parts) = (at.path().join("whole"), at.path().join("parts"));
+    in_folder(&SHORT, &whole).train(&mut ()).unwrap();
+    error(in_folder(&SHORT, &parts).train(&mut Notes { stop: Some(7), ..Notes::default() }));
+    for stop in [12, 23] {
+        let saved = SavedRun::open(RunFolder::new(&parts)).unwrap();
+        assert!(saved.config() == &config(&SHORT) && saved.origin() == &Origin::new("builtin", "cpu"));
+        let mut run = Run::resume(saved, dataset(), device()).unwrap();
+        error(run.train(&mut Notes { stop: Some(stop), ..Notes::default() }));
+        assert_eq!(run.saved_step(), Some(stop));
+    }
+    let saved = SavedRun::open(RunFolder::new(&parts)).unwrap();
+    assert_eq!(saved.completed_steps(), 23);
+    let outcome = Run::resume(saved, dataset(), device()).unwrap().train(&mut ()).unwrap();
+    for file in ["scene.safetensors", "checkpoint.safetensors", "stage_2dgs.safetensors"] {
+        assert!(std::fs::read(whole.join(file)).unwrap() == std::fs::read(parts.join(file)).unwrap(), "{file}");
+    }
+    assert!(SceneData::load(&parts.join("scene.safetensors")).unwrap() == outcome.scene);
+}
+
+#[test]
+fn validation_views_are_kept_and_end_a_run_with_the_best_scene() {
+    let set = ["train.steps=400", "train.stop=validation", "train.evaluate_every=4", "train.patience=1"];
+    let judged = |folder: Option<&Path>| {
+        let mut run = Run::new(config(&set), dataset_of(9), device()).unwrap();
+        if let Some(folder) = folder {
+            run = run.write_to(RunFolder::new(folder), Origin::new("builtin", "cpu")).unwrap();
+        }
+        let mut notes = Notes::default();
+        let scene = run.train(&mut notes).unwrap().scene;
+        assert!(!run.trainer().dataset().validation.is_empty());
+        let &(last, Verdict::Enough { best_step, .. }) = notes.validated.last().unwrap() else { panic!("no verdict") };
+        assert_eq!(last, best_step + 4);
+        scene
+    };
+    let at = tempfile::tempdir().unwrap();
+    let folder = at.path().join("run");
+    let scene = judged(Some(&folder));
+    assert!(judged(None) == scene && SceneData::load(&folder.join("scene.safetensors")).unwrap() == scene);
+}
+
+#[test]
+fn errors_say_which_part_failed() {
+    let at = tempfile::tempdir().unwrap();
+    let folder = || RunFolder::new(at.path().join("run"));
+    let no_checkpoint = error(SavedRun::open(folder()));
+    assert!(matches!(no_checkpoint, RunError::Folder(RunFolderError::NoCheckpoint { .. })), "{no_checkpoint}");
+    in_folder(&SHORT, folder().path()).train(&mut ()).unwrap();
+    let used = error(run(&SHORT).write_to(folder(), Origin::new("builtin", "cpu")));
+    assert!(matches!(used, RunError::Folder(RunFolderError::Used { .. })), "{used}");
+    let other = error(Run::resume(SavedRun::open(folder()).unwrap(), dataset_of(4), device()));
+    assert!(matches!(other, RunError::Train(TrainError::Resume { .. })), "{other}");
+    std::fs::write(folder().checkpoint(), "half").unwrap();
+    let broken = error(SavedRun::open(folder()));
+    assert!(matches!(broken, RunError::Checkpoint(CheckpointError::Content { .. })), "{broken}");
+    let two_views = error(Run::new(config(&["refine.budget=auto"]), dataset_of(2), device()));
+    assert!(matches!(two_views, RunError::Train(TrainError::Plan(_))), "{two_views}");
+}
+
+#[test]
+fn a_step_that_is_not_finite_leaves_the_state_before_it_in_the_folder() {
+    let at = tempfile::tempdir().unwrap();
+    let mut run = in_folder(&["train.steps=5", "train.lambda_surfel=1e39"], &at.path().join("run"));
+    let failed = error(run.train(&mut ()));
+    assert!(matches!(failed, RunError::Train(TrainError::Loss { step: 1, .. })), "{failed}");
+    assert_eq!(run.saved_step(), Some(1));
+}
+
+#[test]
+fn a_device_that_has_failed_leaves_the_files_of_earlier_steps_alone() {
+    let at = tempfile::tempdir().unwrap();
+    let mut run = in_folder(&SHORT, &at.path().join("run"));
+    let mut notes = Notes { fails_after: Some(15), ..Notes::default() };
+    let failed = error(run.train(&mut notes));
+    assert!(matches!(failed, RunError::Train(TrainError::Device { .. })), "{failed}");
+    assert_eq!((run.saved_step(), notes.saved), (Some(12), vec![10, 12]));
+}

@@ -1,0 +1,219 @@
+//! Training to the end: steps, and between them evaluations, checkpoints and the ends of stages.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use dpges_core::scene::SceneData;
+use dpges_render::Renderer;
+
+use super::{Observer, Outcome, Run, RunError, StepReport, TrainError, Trainer, Verdict};
+use crate::config::Stop;
+use crate::eval::{Evaluation, evaluate_each};
+use crate::pictures::{comparison, file_stems, save_png};
+
+/// What the trainer is asked to do; the report of the step whose numbers it then knows.
+type Work = fn(&mut Trainer) -> Result<Option<StepReport>, TrainError>;
+
+impl Run {
+    /// Trains to the end. Evaluates and saves on the way, as the configuration says.
+    ///
+    /// # Errors
+    /// [`RunError::Stopped`] if the observer has asked for it, [`RunError::Train`] if a step or the beginning of a stage
+    /// failed, others if a file cannot be written or a view cannot be rendered. A run in a folder whose step was not
+    /// taken because something was not finite has saved the state before that step.
+    pub fn train(&mut self, observer: &mut dyn Observer) -> Result<Outcome, RunError> {
+        self.started = Instant::now();
+        let result = self.train_to_the_end(observer);
+        self.seconds_before = self.seconds();
+        let (scene, evaluation) = result?;
+        Ok(Outcome { scene, evaluation, seconds: self.seconds_before })
+    }
+
+    fn train_to_the_end(&mut self, observer: &mut dyn Observer) -> Result<(SceneData, Option<Evaluation>), RunError> {
+        let train = self.trainer.config().train.clone();
+        while !self.trainer.is_finished() {
+            if self.trainer.stage_is_over() {
+                self.end_stage(observer)?;
+            }
+            self.work(Trainer::step, observer)?;
+            let step = self.trainer.completed_steps();
+            let (evaluates, stage_is_over) = (is_due(step, train.evaluate_every), self.trainer.stage_is_over());
+            if evaluates && !stage_is_over {
+                self.work(Trainer::settle, observer)?;
+                self.evaluate(&self.trainer.scene(), observer)?;
+            }
+            if train.stop == Stop::Validation && (evaluates || stage_is_over) && self.trainer.is_in_last_stage() {
+                self.work(Trainer::settle, observer)?;
+                self.validate(train.patience, observer)?;
+            }
+            let finished = self.trainer.is_finished();
+            let stop = !finished && observer.should_stop();
+            if is_due(step, train.checkpoint_every) || finished || stop {
+                self.work(Trainer::settle, observer)?;
+                self.save(observer)?;
+            }
+            if stop {
+                return Err(RunError::Stopped { step, steps: self.trainer.config().total_steps() });
+            }
+        }
+        let scene = if train.stop == Stop::Validation { self.best_scene()? } else { self.trainer.scene() };
+        let evaluation = self.evaluate(&scene, observer)?;
+        if let (Some(evaluation), Some(record)) = (&evaluation, &self.record) {
+            record.report(&record.folder.scene(), evaluation, &record.folder.evaluation())?;
+        }
+        Ok((scene, evaluation))
+    }
+
+    /// Lets the trainer work, then reports the step whose numbers are known by that: on a GPU not the one it has just
+    /// begun.
+    fn work(&mut self, work: Work, observer: &mut dyn Observer) -> Result<(), RunError> {
+        let start = Instant::now();
+        let known = match work(&mut self.trainer) {
+            Ok(known) => known,
+            Err(error) => {
+                // a step that was not taken has changed nothing: the state before it is worth saving
+                if matches!(error, TrainError::Step { .. } | TrainError::Loss { .. }) {
+                    self.save(observer)?;
+                }
+                return Err(error.into());
+            }
+        };
+        self.check_device(observer)?;
+        let Some(report) = known else { return Ok(()) };
+        observer.step(&report, start.elapsed().as_secs_f64());
+        let last = report.step == self.trainer.config().total_steps();
+        let seconds = self.seconds();
+        if let Some(record) = &mut self.record {
+            record.step(&report, last, seconds)?;
+        }
+        Ok(())
+    }
+
+    /// Evaluates and saves what a stage has made, and begins the next.
+    fn end_stage(&mut self, observer: &mut dyn Observer) -> Result<(), RunError> {
+        self.work(Trainer::settle, observer)?;
+        let (stage, scene) = (self.trainer.stage(), self.trainer.scene());
+        self.check_device(observer)?;
+        if let Some(record) = &self.record {
+            scene.save(&record.folder.stage_scene(stage.kind))?;
+        }
+        observer.stage_ended(stage, &scene);
+        if let (Some(evaluation), Some(record)) = (self.evaluate(&scene, observer)?, &self.record) {
+            let folder = &record.folder;
+            record.report(&folder.stage_scene(stage.kind), &evaluation, &folder.stage_evaluation(stage.kind))?;
+        }
+        self.trainer.next_stage()?;
+        self.save(observer)
+    }
+
+    /// Lets the validation views judge the scene as it stands.
+    fn validate(&mut self, patience: usize, observer: &mut dyn Observer) -> Result<(), RunError> {
+        let (step, scene) = (self.trainer.completed_steps(), self.trainer.scene());
+        self.check_device(observer)?;
+        let (views, device) = (&self.trainer.dataset().validation, self.trainer.device());
+        let evaluation = evaluate_each(&self.renderer(&scene), &scene, views, device, |_, _| Ok::<_, RunError>(()))?;
+        let verdict = self.trainer.validation_mut().observe(step, evaluation.psnr, patience);
+        let is_best = verdict == Verdict::Best;
+        let seconds = self.seconds();
+        if let Some(record) = &mut self.record {
+            record.metrics.validation(step, &evaluation, seconds)?;
+            if is_best {
+                scene.save(&record.folder.best())?;
+            }
+        } else if is_best {
+            self.best = Some(scene);
+        }
+        observer.validated(step, evaluation.psnr, verdict);
+        Ok(())
+    }
+
+    /// The best scene by the validation views; in a folder it becomes the scene of the run.
+    fn best_scene(&self) -> Result<SceneData, RunError> {
+        let Some(record) = &self.record else {
+            return Ok(self.best.clone().unwrap_or_else(|| self.trainer.scene()));
+        };
+        let best = SceneData::load(&record.folder.best())?;
+        best.save(&record.folder.scene())?;
+        Ok(best)
+    }
+
+    fn renderer(&self, scene: &SceneData) -> Renderer {
+        let deterministic = self.trainer.config().train.deterministic;
+        Renderer::new(scene, self.trainer.device()).deterministic(deterministic)
+    }
+
+    /// Evaluates the held-out views and writes pictures of a few; `None` if there are none.
+    fn evaluate(&mut self, scene: &SceneData, observer: &mut dyn Observer) -> Result<Option<Evaluation>, RunError> {
+        let dataset = Arc::clone(self.trainer.dataset());
+        if dataset.test.is_empty() {
+            return Ok(None);
+        }
+        let (views, step, device) = (&dataset.test, self.trainer.completed_steps(), self.trainer.device());
+        let stems = file_stems(views);
+        let shown = evenly_spaced(self.trainer.config().train.picture_views, views.len());
+        let evaluation = evaluate_each(&self.renderer(scene), scene, views, device, |index, render| {
+            let Some(record) = self.record.as_ref().filter(|_| shown.contains(&index)) else { return Ok(()) };
+            save_png(&comparison(&views[index], render), &record.folder.picture(step, &stems[index]))
+        })?;
+        observer.evaluated(step, &evaluation);
+        let seconds = self.seconds();
+        if let Some(record) = &mut self.record {
+            record.metrics.evaluation(step, &evaluation, seconds)?;
+        }
+        Ok(Some(evaluation))
+    }
+
+    /// Saves scene and checkpoint, if there is a folder.
+    fn save(&mut self, observer: &mut dyn Observer) -> Result<(), RunError> {
+        if self.record.is_none() {
+            return Ok(());
+        }
+        let (scene, checkpoint) = (self.trainer.scene(), self.trainer.checkpoint());
+        // what was read from a device that has failed must not replace the files of an earlier step
+        self.check_device(observer)?;
+        if let Some(record) = &mut self.record {
+            record.save(&scene, &checkpoint)?;
+            observer.saved(checkpoint.completed_steps());
+        }
+        Ok(())
+    }
+
+    /// Time of the whole run so far.
+    fn seconds(&self) -> f64 {
+        self.seconds_before + self.started.elapsed().as_secs_f64()
+    }
+
+    fn check_device(&self, observer: &mut dyn Observer) -> Result<(), RunError> {
+        match observer.device_failure() {
+            Some(reason) => Err(TrainError::Device { step: self.trainer.completed_steps().max(1), reason }.into()),
+            None => Ok(()),
+        }
+    }
+}
+
+fn is_due(step: usize, every: usize) -> bool {
+    every > 0 && step.is_multiple_of(every)
+}
+
+/// `count` of `0..len`, or all of them.
+fn evenly_spaced(count: usize, len: usize) -> Vec<usize> {
+    let count = count.min(len);
+    (0..count).map(|index| index * len / count).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shown_views_are_spread_over_all() {
+        assert_eq!(evenly_spaced(3, 7), [0, 2, 4]);
+        assert_eq!(evenly_spaced(3, 2), [0, 1]);
+        assert_eq!(evenly_spaced(0, 2), [0usize; 0]);
+    }
+
+    #[test]
+    fn nothing_is_due_every_zero_steps() {
+        assert!(is_due(20, 10) && !is_due(15, 10) && !is_due(10, 0));
+    }
+}

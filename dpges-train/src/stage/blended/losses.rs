@@ -1,0 +1,71 @@
+//! The terms of the loss of blended Gaussians beside L_rgb.
+
+use burn::tensor::Tensor;
+use dpges_core::camera::Camera;
+use dpges_core::losses::geometry::{expected_depth, normal_consistency, normals_from_depth};
+use dpges_core::ops::blend::Maps;
+use dpges_core::render::blended::BlendedRender;
+use dpges_core::scene::Gaussians;
+
+use crate::config::{DiscsConfig, RelocationConfig, StagePlan};
+use crate::refine::relocate::Relocation;
+
+/// Weights of the terms beside L_rgb.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Weights {
+    /// Of the mean opacity.
+    opacity: f64,
+    /// Of the mean scale, world units.
+    scale: f64,
+    /// Of normals against those of the depth.
+    normal: f64,
+    /// Of the spread of depths along a ray.
+    distortion: f64,
+}
+
+impl Weights {
+    /// The weights of discs after `completed` steps (2DGS).
+    pub fn of_discs(discs: &DiscsConfig, plan: StagePlan, completed: usize) -> Self {
+        let from = |step: usize, weight: f64| if completed >= plan.scaled(step) { weight } else { 0.0 };
+        Self {
+            normal: from(discs.normal_from, discs.lambda_normal),
+            distortion: from(discs.distortion_from, discs.lambda_distortion),
+            ..Self::default()
+        }
+    }
+
+    /// The weights of Gaussians after `completed` steps. DBS has these terms only as long as it relocates.
+    pub fn of_relocated(config: &RelocationConfig, kind: Relocation, plan: StagePlan, completed: usize) -> Self {
+        let relocates = (plan.scaled(config.from)..plan.scaled(config.until)).contains(&completed);
+        if kind == Relocation::Beta && !relocates {
+            return Self::default();
+        }
+        Self { opacity: config.lambda_opacity, scale: config.lambda_scale, ..Self::default() }
+    }
+
+    /// Whether the terms need normals or distortions of every pixel.
+    pub fn need_maps(&self) -> bool {
+        self.normal > 0.0 || self.distortion > 0.0
+    }
+
+    /// `rgb` [1] plus the weighted terms.
+    pub fn add(&self, rgb: Tensor<1>, gaussians: &Gaussians, rendered: &BlendedRender, camera: &Camera) -> Tensor<1> {
+        let mut total = rgb;
+        if self.opacity > 0.0 {
+            total = total + gaussians.opacities.clone().mean() * self.opacity;
+        }
+        if self.scale > 0.0 {
+            total = total + gaussians.log_scales.clone().exp().mean() * self.scale;
+        }
+        let Some(Maps { depth, normal, distortion, .. }) = rendered.blend.maps.clone() else { return total };
+        if self.normal > 0.0 {
+            let alpha = rendered.blend.alpha.clone();
+            let depth_normal = normals_from_depth(expected_depth(depth, alpha.clone()), camera);
+            total = total + normal_consistency(normal, depth_normal, alpha) * self.normal;
+        }
+        if self.distortion > 0.0 {
+            total = total + distortion.mean() * self.distortion;
+        }
+        total
+    }
+}

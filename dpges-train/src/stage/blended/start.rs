@@ -1,0 +1,46 @@
+//! What a stage of blended Gaussians begins with: the points of the dataset.
+
+use dpges_core::scene::{GaussianData, SurfelData};
+
+use super::super::{Context, TrainError};
+use crate::config::StagePlan;
+use crate::init::{Room, initialise};
+
+/// Thickness of a Gaussian that is made of a surfel, over the mean of its two scales (GES).
+const THICKNESS: f64 = 0.1;
+
+impl Context {
+    pub fn start_of_discs(&mut self, plan: StagePlan) -> Result<GaussianData, TrainError> {
+        let mut config = self.config.clone();
+        config.init.surfel_scale = config.discs.start_scale;
+        config.init.gaussian_scale = config.discs.start_scale;
+        let opacity = config.discs.start_opacity as f32;
+        let room = self.most_primitives(plan.budget_share) as f64;
+        let start = initialise(&self.dataset, &config, Room::new(room, room), &mut self.rng)?;
+        let mut discs = if start.surfels.is_empty() { start.gaussians } else { flat(start.surfels) };
+        discs.opacities.fill(opacity);
+        Ok(discs)
+    }
+
+    pub fn start_of_gaussians(&mut self, plan: StagePlan) -> Result<GaussianData, TrainError> {
+        let mut config = self.config.clone();
+        config.init.gaussian_scale = config.relocation.start_scale;
+        config.init.gaussian_opacity = config.relocation.start_opacity;
+        let room = self.most_primitives(plan.budget_share) as f64;
+        Ok(initialise(&self.dataset, &config, Room::new(room, room), &mut self.rng)?.gaussians)
+    }
+}
+
+/// Surfels as flat Gaussians.
+fn flat(surfels: SurfelData) -> GaussianData {
+    let thick = |&[x, y]: &[f32; 2]| {
+        let mean = (f64::from(x).exp() + f64::from(y).exp()) / 2.0;
+        [x, y, (THICKNESS * mean).ln() as f32]
+    };
+    let mut discs = GaussianData::neutral(surfels.colour.model, surfels.len());
+    discs.log_scales = surfels.log_scales.as_chunks::<2>().0.iter().flat_map(thick).collect();
+    discs.positions = surfels.positions;
+    discs.quaternions = surfels.quaternions;
+    discs.colour = surfels.colour;
+    discs
+}

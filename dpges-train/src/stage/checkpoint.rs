@@ -1,0 +1,168 @@
+//! A stage to and from its part of a checkpoint.
+
+use std::collections::{BTreeMap, HashMap};
+
+use dpges_core::scene::schema::{Attribute, Columns};
+use dpges_core::scene::{ColourModel, GaussianData, SceneInfo};
+
+use super::blended::{BlendedStage, ScreenGradients};
+use super::joint::{JointStage, Statistics, Supervisions};
+use super::{Context, TrainError};
+use crate::config::{OpacityActivation, StagePlan};
+use crate::optimizer::ParameterRows;
+use crate::refine::growth::Growth;
+use crate::refine::relocate::Relocation;
+use crate::scene_state::{GaussianState, NamedRows, SurfelState};
+
+const MAX_CONTRIBUTIONS: &str = "max_contributions";
+
+/// What a stage adds to the checkpoint of its run.
+pub struct StageCheckpoint {
+    pub info: SceneInfo,
+    /// Growth decisions of an automatic budget; `None` before the first, and with a fixed budget.
+    pub growth: Option<Growth>,
+    /// Parameters by their raw names, with their moments.
+    pub attributes: HashMap<String, ParameterRows>,
+    /// Further numbers by name.
+    pub columns: BTreeMap<String, Vec<f32>>,
+    /// [N] see [`Statistics`]; empty in stages without surfels.
+    pub max_pixels: Vec<u32>,
+}
+
+impl StageCheckpoint {
+    pub fn of_blended(stage: &BlendedStage) -> Self {
+        let columns = ScreenGradients::NAMES.into_iter().zip(stage.screen_gradients.columns());
+        Self {
+            info: stage.info.clone(),
+            growth: None,
+            attributes: named([stage.gaussians.rows()]),
+            columns: columns.map(|(name, values)| (name.to_owned(), values)).collect(),
+            max_pixels: Vec::new(),
+        }
+    }
+
+    pub fn of_joint(stage: &JointStage) -> Self {
+        let columns = [(MAX_CONTRIBUTIONS.to_owned(), stage.statistics.max_contributions())];
+        let mut checkpoint = Self {
+            info: stage.info.clone(),
+            growth: stage.growth.clone(),
+            attributes: named([stage.surfels.rows(), stage.gaussians.rows()]),
+            columns: columns.into(),
+            max_pixels: stage.statistics.max_pixels(),
+        };
+        if let Some(supervisions) = &stage.supervisions {
+            checkpoint.add_discs(supervisions.discs());
+        }
+        checkpoint
+    }
+
+    /// Adds trained discs that a stage still needs.
+    pub fn add_discs(&mut self, discs: &GaussianData) {
+        self.columns.extend(discs.iter().map(|(attribute, values)| (disc_column(attribute), values.clone())));
+    }
+
+    /// Takes out the trained discs, if there are any.
+    ///
+    /// # Errors
+    /// [`TrainError::Resume`] if their columns do not fit together.
+    pub fn take_discs(&mut self) -> Result<Option<GaussianData>, TrainError> {
+        take_discs(&mut self.columns, self.info.colour_model)
+    }
+}
+
+impl BlendedStage {
+    /// The stage of `plan` where `checkpoint` was made.
+    ///
+    /// # Errors
+    /// [`TrainError::Resume`] if the checkpoint contradicts itself.
+    pub fn resume(
+        plan: StagePlan,
+        relocation: Option<Relocation>,
+        checkpoint: StageCheckpoint,
+        context: &Context,
+    ) -> Result<Self, TrainError> {
+        let StageCheckpoint { info, mut attributes, mut columns, .. } = checkpoint;
+        let model = info.colour_model;
+        let mut found = Vec::with_capacity(3);
+        for name in ScreenGradients::NAMES {
+            found.push(column(&mut columns, name)?);
+        }
+        let gaussians = GaussianState::from_rows(&mut attributes, model, OpacityActivation::Sigmoid, &context.device)
+            .map_err(|reason| TrainError::Resume { reason })?;
+        if found.iter().any(|column| column.len() != gaussians.len()) {
+            let reason = "columns `screen_gradients` do not fit the Gaussians".into();
+            return Err(TrainError::Resume { reason });
+        }
+        let gradients = ScreenGradients::from_columns([&found[0], &found[1], &found[2]], &context.device);
+        Ok(Self::new(plan, relocation, gaussians, gradients, context))
+    }
+}
+
+impl JointStage {
+    /// The stage of `plan` where `checkpoint` was made, with the `discs` of its losses.
+    ///
+    /// # Errors
+    /// [`TrainError::Resume`] if the checkpoint contradicts itself, [`TrainError::Core`] if the discs cannot be rendered.
+    pub fn resume(
+        plan: StagePlan,
+        checkpoint: StageCheckpoint,
+        discs: Option<GaussianData>,
+        context: &Context,
+    ) -> Result<Self, TrainError> {
+        let StageCheckpoint { info, growth, mut attributes, mut columns, max_pixels } = checkpoint;
+        let (model, device) = (info.colour_model, &context.device);
+        let contributions = column(&mut columns, MAX_CONTRIBUTIONS)?;
+        let wrong = |reason| TrainError::Resume { reason };
+        let surfels =
+            SurfelState::from_rows(&mut attributes, model, OpacityActivation::Linear, device).map_err(wrong)?;
+        let gaussians =
+            GaussianState::from_rows(&mut attributes, model, context.config.model.opacity, device).map_err(wrong)?;
+        if (max_pixels.len(), contributions.len()) != (surfels.len(), gaussians.len()) {
+            return Err(wrong("`max_pixels` or `max_contributions` does not fit the primitives".into()));
+        }
+        Ok(Self {
+            plan,
+            schedule: context.config.schedule(context.dataset.train.len()),
+            surfels,
+            gaussians,
+            statistics: Statistics::from_rows(&max_pixels, &contributions, device),
+            supervisions: discs.map(|discs| Supervisions::new(&discs, context)).transpose()?,
+            growth,
+            info,
+        })
+    }
+}
+
+fn named<const N: usize>(rows: [NamedRows; N]) -> HashMap<String, ParameterRows> {
+    rows.into_iter().flatten().map(|(name, rows)| (name.to_owned(), rows)).collect()
+}
+
+fn column(columns: &mut BTreeMap<String, Vec<f32>>, name: &str) -> Result<Vec<f32>, TrainError> {
+    columns.remove(name).ok_or_else(|| TrainError::Resume { reason: format!("column `{name}` is missing") })
+}
+
+/// Name of the column of the trained discs that holds an attribute.
+fn disc_column(attribute: &Attribute) -> String {
+    attribute.name.replace("gaussians.", "discs.")
+}
+
+/// The trained discs, if the checkpoint has them.
+fn take_discs(
+    columns: &mut BTreeMap<String, Vec<f32>>,
+    model: ColourModel,
+) -> Result<Option<GaussianData>, TrainError> {
+    let first = &GaussianData::ATTRIBUTES[0];
+    let Some(positions) = columns.get(&disc_column(first)) else { return Ok(None) };
+    let count = positions.len() / first.width.under(model);
+    let discs = GaussianData::try_generate(model, |attribute| {
+        let name = disc_column(attribute);
+        let values = column(columns, &name)?;
+        let [count, width] = attribute.shape(count, model);
+        if values.len() != count * width {
+            let reason = format!("column `{name}` has {} numbers, expected {count} × {width}", values.len());
+            return Err(TrainError::Resume { reason });
+        }
+        Ok(values)
+    })?;
+    Ok(Some(discs))
+}

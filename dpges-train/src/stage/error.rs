@@ -1,0 +1,34 @@
+//! Why a run cannot be trained.
+
+use std::path::PathBuf;
+
+use crate::init::InitError;
+
+/// Why a run cannot begin, go on or be resumed.
+#[derive(Debug, thiserror::Error)]
+pub enum TrainError {
+    /// The dataset has nothing to begin with.
+    #[error("initialisation: {0}")]
+    Init(#[from] InitError),
+    /// A file that the configuration names cannot take the place of a stage.
+    #[error("`{key}`: {path} cannot be used: {reason}")]
+    Given { key: &'static str, path: PathBuf, reason: String },
+    /// The stages, or what decides on them, lack something.
+    #[error("{0}")]
+    Plan(String),
+    /// A render or a gradient was not finite. The step changed nothing.
+    #[error("step {step}, view `{view}`: {source}; the step was not taken")]
+    Step { step: usize, view: String, source: dpges_core::Error },
+    /// The loss was not finite. The step changed nothing.
+    #[error("step {step}, view `{view}`: the loss is {loss}; the step was not taken")]
+    Loss { step: usize, view: String, loss: f64 },
+    /// The device failed at or before this step: what it holds is worth nothing.
+    #[error("step {step}: the device failed: {reason}")]
+    Device { step: usize, reason: String },
+    /// A view could not be rendered.
+    #[error(transparent)]
+    Core(#[from] dpges_core::Error),
+    /// The checkpoint contradicts itself or belongs to another dataset.
+    #[error("the checkpoint does not fit: {reason}")]
+    Resume { reason: String },
+}

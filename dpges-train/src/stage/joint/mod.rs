@@ -1,0 +1,147 @@
+//! The joint optimisation of surfels and Gaussians (DP-GES).
+
+mod automatic_budget;
+mod refine;
+mod start;
+mod statistics;
+mod supervision;
+
+use dpges_core::losses::geometry::{GeometryWeights, geometry};
+use dpges_core::losses::{LossWeights, losses};
+use dpges_core::ops::splat::SplatOptions;
+use dpges_core::render::{RenderOptions, render_values};
+use dpges_core::scene::{Rendering, SceneData, SceneInfo};
+
+use super::{Context, ForwardPass, Leaves, Parameters, Stage, StageCheckpoint, StepInput, StepRates, TrainError};
+use crate::config::{Config, Due, OpacityActivation, Schedule, StagePlan};
+use crate::init::InitialScene;
+use crate::refine::growth::Growth;
+use crate::refine::prune::drawn;
+use crate::scene_state::{GaussianState, Rates, SurfelState};
+pub use statistics::Statistics;
+pub use supervision::Supervisions;
+
+/// Share of the position schedule that the joint stage would take (DP-GES: 25,000 of 30,000 steps).
+const JOINT: f64 = 25.0 / 30.0;
+
+/// The stage in which surfels and Gaussians learn together.
+pub struct JointStage {
+    pub plan: StagePlan,
+    pub info: SceneInfo,
+    pub schedule: Schedule,
+    pub surfels: SurfelState,
+    pub gaussians: GaussianState,
+    pub statistics: Statistics,
+    /// Targets of the geometry losses; `None` without them.
+    pub supervisions: Option<Supervisions>,
+    /// Growth decisions of an automatic budget; `None` before the first, and with a fixed budget.
+    pub growth: Option<Growth>,
+}
+
+impl JointStage {
+    /// A stage that begins with `start`.
+    fn new(plan: StagePlan, start: &InitialScene, supervisions: Option<Supervisions>, context: &Context) -> Self {
+        let (config, device) = (&context.config, &context.device);
+        Self {
+            plan,
+            info: context.scene_info(Rendering::Peeled),
+            schedule: config.schedule(context.dataset.train.len()),
+            surfels: SurfelState::new(&start.surfels, OpacityActivation::Linear, device),
+            gaussians: GaussianState::new(&start.gaussians, config.model.opacity, device),
+            statistics: Statistics::new(start.surfels.len(), start.gaussians.len(), device),
+            supervisions,
+            growth: None,
+        }
+    }
+
+    fn render_options(&self, config: &Config) -> RenderOptions {
+        RenderOptions {
+            splat: SplatOptions { deterministic: config.train.deterministic },
+            detach_transmittance: config.train.detach_transmittance,
+            ..RenderOptions::from(&self.info)
+        }
+    }
+}
+
+impl Stage for JointStage {
+    fn plan(&self) -> StagePlan {
+        self.plan
+    }
+
+    fn parameters(&mut self) -> Parameters<'_> {
+        Parameters { surfels: &mut self.surfels, gaussians: &mut self.gaussians }
+    }
+
+    /// Leaves out Gaussians that draw nothing.
+    fn scene(&self) -> SceneData {
+        let gaussians = self.gaussians.to_data();
+        let gaussians = gaussians.select(&drawn(&gaussians.opacities).keep);
+        SceneData { info: self.info.clone(), surfels: self.surfels.to_data(), gaussians }
+    }
+
+    fn is_due(&self, completed: usize) -> bool {
+        self.schedule.due(completed) != Due::default()
+    }
+
+    fn refine(&mut self, completed: usize, context: &mut Context) -> Result<Vec<String>, TrainError> {
+        self.refine_due(self.schedule.due(completed), context)
+    }
+
+    fn forward(
+        &mut self,
+        leaves: &Leaves,
+        input: &StepInput<'_>,
+        context: &Context,
+    ) -> dpges_core::Result<ForwardPass> {
+        let Leaves { surfels, gaussians, .. } = leaves;
+        let camera = &input.view.camera;
+        let options = self.render_options(&context.config);
+        let rendered = render_values(surfels, gaussians, camera, &options, input.values)?;
+        self.statistics.observe(&rendered, &self.gaussians, camera, &self.schedule, input.completed)?;
+        let weights = loss_weights(&context.config);
+        let mut losses = losses(&rendered, surfels.log_scales.clone(), input.target.clone(), &weights)?;
+        if let Some(supervisions) = &self.supervisions {
+            let supervision = supervisions.of(input.index, &context.tape());
+            let weights = geometry_weights(&context.config);
+            losses.total = losses.total + geometry(&rendered, surfels, camera, &supervision, &weights)?;
+        }
+        Ok(ForwardPass { losses, image: rendered.composite.image, probe: None })
+    }
+
+    fn rates(&self, completed: usize, config: &Config) -> StepRates {
+        let optimizer = &config.optimizer;
+        let progress = completed as f64 / self.plan.steps as f64;
+        let travelled = if config.joins_trained() { config.stages.position_share + JOINT * progress } else { progress };
+        let (position, decay) = (optimizer.position_rate(travelled, self.info.extent), optimizer.decay_at(progress));
+        let gaussians = Rates {
+            positions: position,
+            quaternions: optimizer.quaternions * decay,
+            log_scales: optimizer.log_scales * decay,
+            opacities: optimizer.opacities * decay,
+            base: optimizer.base * decay,
+            detail: optimizer.detail * decay,
+        };
+        let surfels = Rates { positions: position * optimizer.surfel_position_factor, ..gaussians };
+        let surfels = if config.train.freeze_surfels { surfels.of_colours() } else { surfels };
+        StepRates { surfels, gaussians }
+    }
+
+    fn checkpoint(&self) -> StageCheckpoint {
+        StageCheckpoint::of_joint(self)
+    }
+}
+
+fn loss_weights(config: &Config) -> LossWeights {
+    let train = &config.train;
+    LossWeights {
+        dssim: train.lambda_dssim,
+        surfel: train.lambda_surfel,
+        scale: train.lambda_scale,
+        transmittance: train.lambda_transmittance,
+    }
+}
+
+fn geometry_weights(config: &Config) -> GeometryWeights {
+    let train = &config.train;
+    GeometryWeights { depth: train.lambda_depth, normal: train.lambda_normal, depth_normal: train.lambda_depth_normal }
+}

@@ -1,0 +1,132 @@
+//! The stages of a run: discs, Gaussians, then surfels and Gaussians together.
+//!
+//! Every kind implements [`Stage`]. The skeleton of a step, [`begin_step`], is the same for all of them: a stage only
+//! says how a view is rendered and compared, at which rates it learns, and what refinement is due.
+
+mod blended;
+mod checkpoint;
+mod context;
+mod error;
+mod given;
+mod joint;
+mod parameters;
+mod pending;
+mod report;
+mod step;
+
+use burn::tensor::Tensor;
+use dpges_core::losses::Losses;
+use dpges_core::scene::{GaussianData, SceneData};
+
+use crate::config::{Config, StageKind, StagePlan};
+use blended::BlendedStage;
+pub use checkpoint::StageCheckpoint;
+pub use context::Context;
+pub use error::TrainError;
+use joint::JointStage;
+pub use parameters::{Leaves, Parameters, StepRates};
+pub use pending::PendingStep;
+pub use report::StepReport;
+pub use step::{StepInput, begin_step};
+
+/// The training of one kind of scene. `completed` is the number of steps of this stage that are done.
+pub trait Stage: Send {
+    fn plan(&self) -> StagePlan;
+
+    /// What it trains.
+    fn parameters(&mut self) -> Parameters<'_>;
+
+    /// The scene as it stands.
+    fn scene(&self) -> SceneData;
+
+    /// Whether [`refine`](Self::refine) has something to do after `completed` steps.
+    fn is_due(&self, completed: usize) -> bool;
+
+    /// Refines the scene as is due after `completed` steps. Returns a sentence for each thing it did.
+    ///
+    /// # Errors
+    /// [`TrainError::Core`] if a view that decides on it cannot be rendered.
+    fn refine(&mut self, completed: usize, context: &mut Context) -> Result<Vec<String>, TrainError>;
+
+    /// Renders a view from `leaves` and compares it with its photograph; takes note of what refinement wants to know
+    /// of the view.
+    ///
+    /// # Errors
+    /// [`dpges_core::Error`] if the leaves or the view are not what the operations expect.
+    fn forward(&mut self, leaves: &Leaves, input: &StepInput<'_>, context: &Context)
+    -> dpges_core::Result<ForwardPass>;
+
+    /// Takes note of the gradient of the [probe](ForwardPass::probe) of a step.
+    fn observe_probe(&mut self, _gradient: Tensor<2>) {}
+
+    /// Learning rates of the step after `completed` ones.
+    fn rates(&self, completed: usize, config: &Config) -> StepRates;
+
+    /// Changes parameters beyond what the optimiser does in the step after `completed` ones.
+    ///
+    /// # Errors
+    /// [`TrainError::Core`] if an operation refuses the parameters.
+    fn after_step(&mut self, _completed: usize, _context: &mut Context) -> Result<(), TrainError> {
+        Ok(())
+    }
+
+    /// All that [`resume`] needs to go on with this stage, on the host.
+    fn checkpoint(&self) -> StageCheckpoint;
+
+    /// Leaves what it has trained to the stages after it. The last stage leaves nothing.
+    fn hand_on(&self, _trained: &mut Trained) {}
+}
+
+/// What a stage makes of a view, on the tape of one step.
+pub struct ForwardPass {
+    /// [1] each; terms that the stage does not have are 0.
+    pub losses: Losses,
+    /// [3, H, W]
+    pub image: Tensor<3>,
+    /// Leaf beside the parameters whose gradient the stage wants to know.
+    pub probe: Option<Tensor<2>>,
+}
+
+/// What the stages so far have trained for those to come.
+#[derive(Default)]
+pub struct Trained {
+    pub discs: Option<GaussianData>,
+    pub gaussians: Option<GaussianData>,
+}
+
+/// Begins the stage of `plan` with what is `trained`, with the files that the configuration names, or with the points of
+/// the dataset. The joint stage takes `trained` with it.
+///
+/// # Errors
+/// [`TrainError::Init`] if the dataset has nothing to begin with, [`TrainError::Given`] if a file is of no use,
+/// [`TrainError::Plan`] if there is nothing to train.
+pub fn begin(plan: StagePlan, trained: &mut Trained, context: &mut Context) -> Result<Box<dyn Stage>, TrainError> {
+    Ok(match plan.kind {
+        StageKind::Discs => Box::new(BlendedStage::begin(plan, None, context)?),
+        StageKind::Gaussians(relocation) => Box::new(BlendedStage::begin(plan, Some(relocation), context)?),
+        StageKind::Joint => Box::new(JointStage::begin(plan, std::mem::take(trained), context)?),
+    })
+}
+
+/// Goes on with the stage of `plan` where `checkpoint` was made. Returns it, and what the stages before it have left to
+/// those after it.
+///
+/// # Errors
+/// [`TrainError::Resume`] if the checkpoint contradicts itself, [`TrainError::Core`] if its discs cannot be rendered.
+pub fn resume(
+    plan: StagePlan,
+    mut checkpoint: StageCheckpoint,
+    context: &Context,
+) -> Result<(Box<dyn Stage>, Trained), TrainError> {
+    let discs = checkpoint.take_discs()?;
+    let relocation = match plan.kind {
+        StageKind::Joint => {
+            let stage = JointStage::resume(plan, checkpoint, discs, context)?;
+            return Ok((Box::new(stage), Trained::default()));
+        }
+        StageKind::Discs => None,
+        StageKind::Gaussians(relocation) => Some(relocation),
+    };
+    let stage = BlendedStage::resume(plan, relocation, checkpoint, context)?;
+    Ok((Box::new(stage), Trained { discs, gaussians: None }))
+}

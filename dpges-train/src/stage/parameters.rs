@@ -1,0 +1,74 @@
+//! The parameters of a stage, and what one step does with all of them.
+
+use burn::tensor::{Gradients, Tensor};
+use dpges_core::ops::adam::AdamStep;
+use dpges_core::scene::schema::Attribute;
+use dpges_core::scene::{Gaussians, Surfels};
+
+use crate::scene_state::{self, GaussianState, GradientList, Rates, SurfelState};
+
+/// What a stage trains.
+pub struct Parameters<'a> {
+    /// Empty in stages without surfels.
+    pub surfels: &'a mut SurfelState,
+    pub gaussians: &'a mut GaussianState,
+}
+
+/// The same, on the tape of one step.
+pub struct Leaves {
+    pub surfels: Surfels,
+    pub gaussians: Gaussians,
+    raw_surfels: Surfels,
+    raw_gaussians: Gaussians,
+}
+
+/// Gradients of all parameters.
+pub struct ParameterGradients {
+    surfels: GradientList,
+    gaussians: GradientList,
+}
+
+/// Learning rates of one step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StepRates {
+    pub surfels: Rates,
+    pub gaussians: Rates,
+}
+
+impl Parameters<'_> {
+    pub fn leaves(&self) -> Leaves {
+        let scene_state::Leaves { values: surfels, raw: raw_surfels } = self.surfels.leaves();
+        let scene_state::Leaves { values: gaussians, raw: raw_gaussians } = self.gaussians.leaves();
+        Leaves { surfels, gaussians, raw_surfels, raw_gaussians }
+    }
+
+    /// Takes out of `gradients` what a backward pass left for `leaves`.
+    pub fn gradients(&self, leaves: &Leaves, gradients: &mut Gradients) -> ParameterGradients {
+        ParameterGradients {
+            surfels: self.surfels.gradients(&leaves.raw_surfels, gradients),
+            gaussians: self.gaussians.gradients(&leaves.raw_gaussians, gradients),
+        }
+    }
+
+    /// Takes one optimisation step. Nothing changes where `gate` [1] is not 1.
+    ///
+    /// # Errors
+    /// [`dpges_core::Error::Shape`] if the gradients belong to other rows.
+    pub fn step(
+        self,
+        gradients: ParameterGradients,
+        gate: &Tensor<1>,
+        rates: &StepRates,
+        adam: AdamStep,
+    ) -> dpges_core::Result<()> {
+        self.surfels.step(gradients.surfels, gate, &rates.surfels, adam)?;
+        self.gaussians.step(gradients.gaussians, gate, &rates.gaussians, adam)
+    }
+}
+
+impl ParameterGradients {
+    /// With their attributes; `None` where no gradient reached one.
+    pub fn iter(&self) -> impl Iterator<Item = &(&'static Attribute, Option<Tensor<2>>)> {
+        self.surfels.iter().chain(&self.gaussians)
+    }
+}

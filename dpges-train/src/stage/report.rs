@@ -1,0 +1,52 @@
+//! What one step did.
+
+use crate::config::StageKind;
+
+/// What one step did.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StepReport {
+    /// Completed steps of the run, this one included.
+    pub step: usize,
+    pub stage: StageKind,
+    /// Index of the training view.
+    pub view: usize,
+    /// Weighted sum of all terms.
+    pub loss: f64,
+    /// L_rgb: the photometric loss.
+    pub rgb: f64,
+    /// L_s: the photometric loss of the surfels alone; 0 in stages without surfels, as are the next two.
+    pub surfel: f64,
+    /// L_scale
+    pub scale: f64,
+    /// L_t
+    pub transmittance: f64,
+    /// dB, of the training view before the step, clamped to 0..1 and not quantised.
+    pub psnr: f64,
+    /// Number of surfels.
+    pub surfels: usize,
+    /// Number of Gaussians.
+    pub gaussians: usize,
+    /// What refinement did before the step, a sentence each.
+    pub events: Vec<String>,
+}
+
+impl StepReport {
+    /// The report of a step whose numbers are not known yet: they are NaN, and the counts 0.
+    pub fn begin(step: usize, stage: StageKind, view: usize, events: Vec<String>) -> Self {
+        let unknown = f64::NAN;
+        Self {
+            step,
+            stage,
+            view,
+            loss: unknown,
+            rgb: unknown,
+            surfel: unknown,
+            scale: unknown,
+            transmittance: unknown,
+            psnr: unknown,
+            surfels: 0,
+            gaussians: 0,
+            events,
+        }
+    }
+}

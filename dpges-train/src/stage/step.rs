@@ -1,0 +1,60 @@
+//! One step of any stage: render, compare, go back, optimise.
+
+use burn::tensor::Tensor;
+use dpges_core::render::Values;
+
+use super::pending::{Gate, PendingStep};
+use super::{Context, Stage, StepReport, TrainError};
+use crate::dataset::View;
+
+/// What a step learns from.
+pub struct StepInput<'a> {
+    /// Steps of the stage that are done.
+    pub completed: usize,
+    /// Index of the training view.
+    pub index: usize,
+    pub view: &'a View,
+    /// [3, H, W] the photograph, on the device of the tape.
+    pub target: Tensor<3>,
+    /// What is known of the parameters.
+    pub values: Values,
+}
+
+/// Hands everything of one step to the device, and does not wait for it.
+///
+/// # Errors
+/// [`TrainError::Step`] if the parameters or the view are not what the operations expect.
+pub fn begin_step(
+    stage: &mut dyn Stage,
+    context: &mut Context,
+    mut report: StepReport,
+) -> Result<PendingStep, TrainError> {
+    let completed = context.completed_in(stage.plan());
+    let dataset = context.dataset.clone();
+    let view = &dataset.train[report.view];
+
+    let parameters = stage.parameters();
+    (report.surfels, report.gaussians) = (parameters.surfels.len(), parameters.gaussians.len());
+    let leaves = parameters.leaves();
+    let target = view.target(&context.tape());
+    // After the first step they stay finite, since a step with a gradient that is not finite is held back
+    let values = if completed == 0 { Values::Unknown } else { Values::KnownFinite };
+    let input = StepInput { completed, index: report.view, view, target: target.clone(), values };
+    let at = |source| TrainError::Step { step: report.step, view: view.name.clone(), source };
+    let forward = stage.forward(&leaves, &input, context).map_err(at)?;
+
+    let mut gradients = forward.losses.total.backward();
+    let found = stage.parameters().gradients(&leaves, &mut gradients);
+    if let Some(gradient) = forward.probe.and_then(|probe| probe.grad_remove(&mut gradients)) {
+        stage.observe_probe(gradient);
+    }
+    let gate = Gate::new(&forward.losses.total, found.iter());
+    let pending = PendingStep::new(report, view.name.clone(), forward.losses, forward.image, target, &gate);
+    // The tape shares the parameters: without it the optimiser can work in place
+    drop(leaves);
+
+    let rates = stage.rates(completed, &context.config);
+    stage.parameters().step(found, &gate.open, &rates, context.config.optimizer.adam(completed))?;
+    stage.after_step(completed, context)?;
+    Ok(pending)
+}
