@@ -14,85 +14,55 @@ use crate::gpu::exact::{
     two_product, two_sum,
 };
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, empty_u32, units};
+use crate::gpu::record::{Record, record};
 use crate::gpu::rect::{RECT, Rect};
 use crate::gpu::vector::{
-    Mat3, Quaternion, Vec3, add, apply, cross, load3, near_unit, rotation_backward, row3, row4, scale, transpose, vec3,
+    Mat3, Quaternion, Vec3, add, apply, cross, near_unit, rotation_backward, row3, row4, scale, transpose, vec3,
     write3, write4,
 };
 use crate::gpu::view::{Rests, View, pixel_range, view_rotation};
 
 /// Number of values in a [`Plane`].
-pub const PLANE: usize = 12;
+pub const PLANE: usize = Plane::LEN;
 /// Number of values in the sums over the pixels of a disc.
-pub const DISC_SUMS: usize = 12;
+pub const DISC_SUMS: usize = DiscSums::LEN;
 pub const MIN_FACING: f32 = on_cpu::MIN_FACING as f32;
 const LARGEST_LOG_SCALE: f32 = on_cpu::LARGEST_LOG_SCALE as f32;
 
-/// A linear function of the pixel position.
-#[derive(CubeType, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
-pub struct Linear {
-    /// Value at the anchor.
-    pub constant: f32,
-    /// Slope per px in x and in y.
-    pub across: f32,
-    pub down: f32,
+record! {
+    /// A linear function of the pixel position.
+    pub struct Linear {
+        /// Value at the anchor.
+        pub constant: f32,
+        /// Slope per px in x and in y.
+        pub across: f32,
+        pub down: f32,
+    }
 }
 
 #[cube]
 impl Linear {
-    fn load(numbers: &[f32], start: usize) -> Linear {
-        Linear { constant: numbers[start], across: numbers[start + 1], down: numbers[start + 2] }
-    }
-
-    fn store(&self, numbers: &mut [f32], start: usize) {
-        numbers[start] = self.constant;
-        numbers[start + 1] = self.across;
-        numbers[start + 2] = self.down;
-    }
-
     /// Value at an offset from the anchor, px.
     fn at(&self, dx: f32, dy: f32) -> f32 {
         self.constant + self.across * dx + self.down * dy
     }
 }
 
-/// A disc as linear functions of the pixel position relative to an anchor ([`on_cpu::Plane`]).
-#[derive(CubeType, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
-pub struct Plane {
-    /// px
-    pub anchor_x: f32,
-    pub anchor_y: f32,
-    pub u: Linear,
-    pub v: Linear,
-    pub facing: Linear,
-    pub distance: f32,
+record! {
+    /// A disc as linear functions of the pixel position relative to an anchor ([`on_cpu::Plane`]).
+    pub struct Plane {
+        /// px
+        pub anchor_x: f32,
+        pub anchor_y: f32,
+        pub u: Linear,
+        pub v: Linear,
+        pub facing: Linear,
+        pub distance: f32,
+    }
 }
 
 #[cube]
 impl Plane {
-    /// Reads [`PLANE`] numbers from `start` on.
-    pub fn load(numbers: &[f32], start: usize) -> Plane {
-        Plane {
-            anchor_x: numbers[start],
-            anchor_y: numbers[start + 1],
-            u: Linear::load(numbers, start + 2),
-            v: Linear::load(numbers, start + 5),
-            facing: Linear::load(numbers, start + 8),
-            distance: numbers[start + 11],
-        }
-    }
-
-    fn store(&self, numbers: &mut [f32], start: usize) {
-        numbers[start] = self.anchor_x;
-        numbers[start + 1] = self.anchor_y;
-        self.u.store(numbers, start + 2);
-        self.v.store(numbers, start + 5);
-        self.facing.store(numbers, start + 8);
-        numbers[start + 11] = self.distance;
-    }
-
     /// Where the ray through the point (`x`, `y`) px meets the plane.
     pub fn hit(&self, x: f32, y: f32) -> Hit {
         let (dx, dy) = (x - self.anchor_x, y - self.anchor_y);
@@ -118,32 +88,16 @@ fn meeting(u: f32, v: f32, facing: f32, distance: f32) -> Hit {
     Hit { u, v, depth: distance * inverse, facing, kernel: f32::exp(max(-0.5f32 * (u * u + v * v), -100.0f32)) }
 }
 
-/// Gradients of the linear functions of a surfel, summed over its pixels.
-#[derive(CubeType, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
-struct DiscSums {
-    /// Of r·(t_v × c): at the anchor, times offset in x, times offset in y (offsets in units of the ray).
-    u: Vec3,
-    v: Vec3,
-    facing: Vec3,
-    distance: f32,
-    log_scale_u: f32,
-    log_scale_v: f32,
-}
-
-#[cube]
-impl DiscSums {
-    /// Row `i` of a [N, [`DISC_SUMS`]] buffer.
-    fn load(sums: &[f32], i: usize) -> DiscSums {
-        let o = i * DISC_SUMS;
-        DiscSums {
-            u: load3(sums, o),
-            v: load3(sums, o + 3),
-            facing: load3(sums, o + 6),
-            distance: sums[o + 9],
-            log_scale_u: sums[o + 10],
-            log_scale_v: sums[o + 11],
-        }
+record! {
+    /// Gradients of the linear functions of a surfel, summed over its pixels.
+    struct DiscSums {
+        /// Of r·(t_v × c): at the anchor, times offset in x, times offset in y (offsets in units of the ray).
+        pub u: Vec3,
+        pub v: Vec3,
+        pub facing: Vec3,
+        pub distance: f32,
+        pub log_scale_u: f32,
+        pub log_scale_v: f32,
     }
 }
 
@@ -445,8 +399,8 @@ fn store_plane(
         facing: facing.lows(),
         distance: distance.low,
     };
-    high.store(planes, start);
-    low.store(lows, start);
+    Plane::store(high, planes, start);
+    Plane::store(low, lows, start);
 }
 
 /// [`Plane::hit`] in pairs, for the gradients. `low` holds the rounding errors of `plane`.
@@ -630,7 +584,7 @@ fn disc_backward_kernel(
     let quaternion = row4(quaternions, i);
     let exact = exact_disc(view, rests, row3(positions, i), quaternion);
     let disc = disc_of(view, exact, log_scales[scales * i], log_scales[scales * i + 1]);
-    let sums = DiscSums::load(sums, i);
+    let sums = DiscSums::load(sums, i * DISC_SUMS);
     let gradient = disc_backward(view, disc, quaternion, sums);
     write3(grad_positions, i, gradient.position);
     write4(grad_quaternions, i, gradient.quaternion);
