@@ -8,6 +8,7 @@ use super::capacity::{self, ListKind};
 use crate::camera::Camera;
 use crate::footprint::splat_cube::{SPLAT, Splat};
 use crate::gpu::launch::{UNITS, buffer, cube_dim, cubes, empty_f32, empty_u32, units, zeros_u32};
+use crate::gpu::record::Record;
 use crate::gpu::rect::Rect;
 use crate::gpu::tile::TILE;
 use crate::tiles::TileGrid;
@@ -172,7 +173,7 @@ impl TileList {
     }
 
     /// Copies a batch into workgroup memory and returns its number of entries. The record of an entry is the
-    /// row of its primitive in `first` [N, `first_width`], followed by that in `second` [N, `second_width`].
+    /// row of its primitive in `first`, followed by that in `second`; `widths` are those of the two tables.
     /// All units of the cube must call this together.
     pub fn stage(
         &self,
@@ -181,9 +182,9 @@ impl TileList {
         first: &[f32],
         second: &[f32],
         staged: &mut [f32],
-        #[comptime] first_width: usize,
-        #[comptime] second_width: usize,
+        #[comptime] widths: (usize, usize),
     ) -> u32 {
+        let (first_width, second_width) = comptime!(widths);
         let stride = comptime!(first_width + second_width);
         let at = batch * UNITS + UNIT_POS;
         sync_cube();

@@ -11,6 +11,7 @@ use super::moments::MOMENTS;
 use super::splat::{self, LOW_PASS, MIN_COMPENSATION_SQUARED};
 use crate::camera::Camera;
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, empty_u32, units};
+use crate::gpu::record::{Record, record};
 use crate::gpu::rect::{RECT, Rect};
 use crate::gpu::tile::TILE;
 use crate::gpu::vector::{
@@ -26,52 +27,27 @@ pub const INVERSE_CUTOFF: f32 = (1.0 / CUTOFF) as f32;
 const JACOBIAN_MARGIN: f32 = splat::JACOBIAN_MARGIN as f32;
 
 /// Number of values in a [`Splat`].
-pub const SPLAT: usize = 8;
+pub const SPLAT: usize = Splat::LEN;
 
-/// Footprint: `strength · exp(−½ (a dx² + 2 b dx dy + c dy²))` at offset (dx, dy) px from the mean.
-#[derive(CubeType, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
-pub struct Splat {
-    pub mean_x: f32,
-    pub mean_y: f32,
-    pub a: f32,
-    pub b: f32,
-    pub c: f32,
-    /// Opacity times the compensation for the low-pass filter; 0 if the Gaussian is invisible.
-    pub strength: f32,
-    /// Camera-space z of the centre, world units.
-    pub depth: f32,
-    /// Value of the quadratic form at the cutoff.
-    pub squared_radius: f32,
+record! {
+    /// Footprint: `strength · exp(−½ (a dx² + 2 b dx dy + c dy²))` at offset (dx, dy) px from the mean.
+    pub struct Splat {
+        pub mean_x: f32,
+        pub mean_y: f32,
+        pub a: f32,
+        pub b: f32,
+        pub c: f32,
+        /// Opacity times the compensation for the low-pass filter; 0 if the Gaussian is invisible.
+        pub strength: f32,
+        /// Camera-space z of the centre, world units.
+        pub depth: f32,
+        /// Value of the quadratic form at the cutoff.
+        pub squared_radius: f32,
+    }
 }
 
 #[cube]
 impl Splat {
-    /// Reads [`SPLAT`] numbers from `start` on.
-    pub fn load(numbers: &[f32], start: usize) -> Splat {
-        Splat {
-            mean_x: numbers[start],
-            mean_y: numbers[start + 1],
-            a: numbers[start + 2],
-            b: numbers[start + 3],
-            c: numbers[start + 4],
-            strength: numbers[start + 5],
-            depth: numbers[start + 6],
-            squared_radius: numbers[start + 7],
-        }
-    }
-
-    pub fn store(&self, numbers: &mut [f32], start: usize) {
-        numbers[start] = self.mean_x;
-        numbers[start + 1] = self.mean_y;
-        numbers[start + 2] = self.a;
-        numbers[start + 3] = self.b;
-        numbers[start + 4] = self.c;
-        numbers[start + 5] = self.strength;
-        numbers[start + 6] = self.depth;
-        numbers[start + 7] = self.squared_radius;
-    }
-
     /// Weight at an offset from the mean, 0 below the cutoff.
     pub fn weight(&self, dx: f32, dy: f32) -> f32 {
         let power = -0.5f32 * (self.a * dx * dx + self.c * dy * dy) - self.b * dx * dy;
@@ -98,34 +74,21 @@ impl Splat {
     }
 }
 
-/// Sums over the pixels of a Gaussian, [`MOMENTS`] numbers: Σ g, Σ g dx, Σ g dy, Σ g dx², Σ g dx dy,
-/// Σ g dy², where g is the gradient of the exponent.
-#[derive(CubeType, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
-pub struct Moments {
-    pub total: f32,
-    pub x: f32,
-    pub y: f32,
-    pub xx: f32,
-    pub xy: f32,
-    pub yy: f32,
+record! {
+    /// Sums over the pixels of a Gaussian, [`MOMENTS`] numbers: Σ g, Σ g dx, Σ g dy, Σ g dx², Σ g dx dy,
+    /// Σ g dy², where g is the gradient of the exponent.
+    pub struct Moments {
+        pub total: f32,
+        pub x: f32,
+        pub y: f32,
+        pub xx: f32,
+        pub xy: f32,
+        pub yy: f32,
+    }
 }
 
 #[cube]
 impl Moments {
-    /// Row `i` of a [M, [`MOMENTS`]] buffer.
-    pub fn load(moments: &[f32], i: usize) -> Moments {
-        let o = i * MOMENTS;
-        Moments {
-            total: moments[o],
-            x: moments[o + 1],
-            y: moments[o + 2],
-            xx: moments[o + 3],
-            xy: moments[o + 4],
-            yy: moments[o + 5],
-        }
-    }
-
     /// Whether any pixel contributed.
     pub fn any(&self) -> bool {
         self.total != 0.0f32
@@ -366,7 +329,7 @@ fn splats_kernel(
     }
     let projection = project(view, row3(positions, i), row4(quaternions, i), row3(log_scales, i));
     let (splat, rect) = splat_of(view, projection, opacities[i]);
-    splat.store(splats, rank * SPLAT);
+    Splat::store(splat, splats, rank * SPLAT);
     rect.store(rects, rank);
 }
 
@@ -386,7 +349,7 @@ fn place_backward_kernel(
     if i >= count as usize {
         terminate!();
     }
-    let moments = Moments::load(moments, i);
+    let moments = Moments::load(moments, i * MOMENTS);
     // an invisible Gaussian has no projection to differentiate
     if moments.any() {
         let gradient = gradient(positions, quaternions, log_scales, opacities, moments, view, i);
@@ -414,7 +377,7 @@ fn shape_backward_kernel(
     if i >= count as usize {
         terminate!();
     }
-    let moments = Moments::load(moments, i);
+    let moments = Moments::load(moments, i * MOMENTS);
     if moments.any() {
         let gradient = gradient(positions, quaternions, log_scales, opacities, moments, view, i);
         write4(grad_quaternions, i, gradient.quaternion);

@@ -1,4 +1,5 @@
-//! The kernel kit: launching, uniforms, vectors, exact arithmetic, gathering. It knows no operation.
+//! The kernel kit: launching, uniforms, vectors, exact arithmetic, records,
+//! gathering. It knows no operation.
 //!
 //! Every kernel stays within the limits that WebGPU guarantees: at most 7 buffers (an eighth holds the
 //! scalars), 16 KiB of workgroup memory, 256 units, no float atomics, no subgroups. No kernel relies on
@@ -7,6 +8,7 @@
 pub(crate) mod exact;
 pub(crate) mod gather;
 pub(crate) mod launch;
+pub(crate) mod record;
 pub(crate) mod rect;
 pub(crate) mod tile;
 pub(crate) mod vector;

@@ -2,12 +2,14 @@
 
 use cubecl::prelude::*;
 
-#[derive(CubeType, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
-pub struct Vec3 {
-    pub x: f32,
-    pub y: f32,
-    pub z: f32,
+use super::record::{Record, record};
+
+record! {
+    pub struct Vec3 {
+        pub x: f32,
+        pub y: f32,
+        pub z: f32,
+    }
 }
 
 /// A 3 × 3 matrix by rows.
@@ -19,13 +21,13 @@ pub struct Mat3 {
     pub row2: Vec3,
 }
 
-#[derive(CubeType, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
-pub struct Quaternion {
-    pub w: f32,
-    pub x: f32,
-    pub y: f32,
-    pub z: f32,
+record! {
+    pub struct Quaternion {
+        pub w: f32,
+        pub x: f32,
+        pub y: f32,
+        pub z: f32,
+    }
 }
 
 #[cube]
@@ -33,16 +35,10 @@ pub fn vec3(x: f32, y: f32, z: f32) -> Vec3 {
     Vec3 { x, y, z }
 }
 
-/// Reads three numbers from `start` on.
-#[cube]
-pub fn load3(values: &[f32], start: usize) -> Vec3 {
-    vec3(values[start], values[start + 1], values[start + 2])
-}
-
 /// Reads row `i` of a [N, 3] buffer.
 #[cube]
 pub fn row3(values: &[f32], i: usize) -> Vec3 {
-    load3(values, 3 * i)
+    Vec3::load(values, i * Vec3::LEN)
 }
 
 /// Adds to row `i` of a [N, 3] buffer.
@@ -56,21 +52,13 @@ pub fn add3(out: &mut [f32], i: usize, v: Vec3) {
 /// Reads row `i` of a [N, 4] buffer.
 #[cube]
 pub fn row4(values: &[f32], i: usize) -> Quaternion {
-    Quaternion { w: values[4 * i], x: values[4 * i + 1], y: values[4 * i + 2], z: values[4 * i + 3] }
-}
-
-/// Writes three numbers from `start` on.
-#[cube]
-pub fn store3(out: &mut [f32], start: usize, v: Vec3) {
-    out[start] = v.x;
-    out[start + 1] = v.y;
-    out[start + 2] = v.z;
+    Quaternion::load(values, i * Quaternion::LEN)
 }
 
 /// Writes row `i` of a [N, 3] buffer.
 #[cube]
 pub fn write3(out: &mut [f32], i: usize, v: Vec3) {
-    store3(out, 3 * i, v);
+    Vec3::store(v, out, i * Vec3::LEN);
 }
 
 #[cube]
@@ -195,10 +183,7 @@ pub fn rotation_backward(raw: Quaternion, d: Mat3) -> Quaternion {
 /// Writes row `i` of a [N, 4] buffer.
 #[cube]
 pub fn write4(out: &mut [f32], i: usize, q: Quaternion) {
-    out[4 * i] = q.w;
-    out[4 * i + 1] = q.x;
-    out[4 * i + 2] = q.y;
-    out[4 * i + 3] = q.z;
+    Quaternion::store(q, out, i * Quaternion::LEN);
 }
 
 /// 2 / π

@@ -12,12 +12,13 @@ use burn::backend::tensor::FloatTensor;
 use burn_cubecl::CubeBackend;
 use cubecl::prelude::*;
 
-use self::fragments::{Fragments, Payload, fragment};
+use self::fragments::{FEATURES, Fragments, Payload, fragment};
 use self::gather::{Layout, gather};
 use super::{BlendBackwardOps, BlendInput, BlendOps, BlendOptions, BlendOutput, Form, far};
 use crate::binning::cube::TileList;
 use crate::camera::Camera;
 use crate::gpu::launch::{buffer, cube_dim, cubes, empty_f32, floats};
+use crate::gpu::record::Record;
 use crate::gpu::tile::{own_pixel, plane_of};
 use crate::gpu::view::View;
 use crate::tiles::TileGrid;
@@ -84,7 +85,7 @@ fn blend_kernel(
                 let alpha = min(found.weight, thresholds.max_alpha);
                 let behind = through * (1.0f32 - alpha);
                 if behind >= thresholds.min_transmittance {
-                    let payload = Payload::load(features, i);
+                    let payload = Payload::load(features, i * FEATURES);
                     let covered = alpha * through;
                     red += covered * payload.colour.x;
                     green += covered * payload.colour.y;

@@ -20,6 +20,7 @@ use crate::gpu::gather::{lane, primitive, total, zeros};
 use crate::gpu::launch::{
     GATHERED, LANES, UNITS, buffer, cube_dim, cubes, empty, empty_f32, floats, gatherers, integers,
 };
+use crate::gpu::record::Record;
 use crate::gpu::rect::Rect;
 use crate::gpu::tile::{own_pixel, plane_of};
 use crate::gpu::view::View;
@@ -63,7 +64,7 @@ fn peel_kernel(
 
     let batches = list.batches();
     for batch in 0..batches {
-        let entries = list.stage(ids, batch, planes, planes, &mut staged, PLANE, 0usize);
+        let entries = list.stage(ids, batch, planes, planes, &mut staged, (PLANE, 0));
         for j in 0..entries {
             let found = Plane::load(&staged, j as usize * PLANE).hit(pixel.x, pixel.y);
             let opacity = min(modulation * found.kernel, 1.0f32);

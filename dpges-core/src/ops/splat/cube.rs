@@ -15,9 +15,10 @@ use crate::footprint::moments::MOMENTS;
 use crate::footprint::splat_cube::{self, SPLAT, Splat, add_moments};
 use crate::gpu::gather::{lane, largest, primitive, total, zeros};
 use crate::gpu::launch::{GATHERED, LANES, UNITS, buffer, cube_dim, cubes, empty_f32, floats, gatherers};
+use crate::gpu::record::Record;
 use crate::gpu::rect::Rect;
 use crate::gpu::tile::{own_pixel, plane_of};
-use crate::gpu::vector::{load3, row3};
+use crate::gpu::vector::{Vec3, row3};
 use crate::gpu::view::View;
 use crate::tiles::TileGrid;
 
@@ -89,14 +90,14 @@ fn splat_kernel(
 
     let batches = list.batches();
     for batch in 0..batches {
-        let entries = list.stage(ids, batch, splats, colours, &mut staged, SPLAT, COLOUR);
+        let entries = list.stage(ids, batch, splats, colours, &mut staged, (SPLAT, COLOUR));
         for j in 0..entries {
             let o = j as usize * STAGED;
             let splat = Splat::load(&staged, o);
             if splat.depth > view.near && splat.depth < upper[layers - 1] {
                 let weight = splat.weight(pixel.x - splat.mean_x, pixel.y - splat.mean_y);
                 if weight > 0.0f32 {
-                    let colour = load3(&staged, o + SPLAT);
+                    let colour = Vec3::load(&staged, o + SPLAT);
                     #[unroll]
                     for k in 0..layers {
                         let mut lower = -view.infinity;

@@ -15,8 +15,9 @@ use crate::footprint::disc_cube::{
 use crate::footprint::gaussians::GaussianTensors;
 use crate::footprint::splat_cube::{self, CUTOFF_F32, INVERSE_CUTOFF, SPLAT, Splat};
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, units};
+use crate::gpu::record::{Record, record};
 use crate::gpu::rect::Rect;
-use crate::gpu::vector::{Mat3, Vec3, apply, dot, load3, rotation, row3, row4, scale, store3, transpose, vec3};
+use crate::gpu::vector::{Mat3, Vec3, apply, dot, rotation, row3, row4, scale, transpose, vec3};
 use crate::gpu::view::{Rests, View, pixel_range, to_camera, view_rotation};
 use crate::ops::blend::Form;
 use crate::tiles::TileGrid;
@@ -25,92 +26,42 @@ use crate::tiles::TileGrid;
 pub const LOW_PASS_SQUARED_RADIUS: f32 = 9.0;
 /// Offset of a low-pass filter that reaches no pixel, px. Its square is finite.
 const NOWHERE: f32 = 1e15;
-/// Number of values of a primitive beside its shape: a [`Payload`] and, for discs, [`LowPass`] and [`Tangents`].
-pub const FEATURES: usize = 18;
+/// Number of values in a row of features: a [`Payload`], a [`LowPass`] and [`Tangents`]. Ellipsoids have only the
+/// first.
+pub const FEATURES: usize = TANGENTS + Tangents::LEN;
+/// Places of the other two in the row.
+pub const LOW_PASS: usize = Payload::LEN;
+pub const TANGENTS: usize = LOW_PASS + LowPass::LEN;
 
-/// The values of a primitive that are blended.
-#[derive(CubeType, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
-pub struct Payload {
-    pub colour: Vec3,
-    /// Camera-space z of the centre, world units.
-    pub depth: f32,
-    /// In camera space, facing the camera.
-    pub normal: Vec3,
-}
-
-#[cube]
-impl Payload {
-    /// Of row `i` of the features.
-    pub fn load(features: &[f32], i: usize) -> Payload {
-        let o = i * FEATURES;
-        Payload { colour: load3(features, o), depth: features[o + 3], normal: load3(features, o + 4) }
-    }
-
-    fn store(&self, features: &mut [f32], i: usize) {
-        let o = i * FEATURES;
-        store3(features, o, self.colour);
-        features[o + 3] = self.depth;
-        store3(features, o + 4, self.normal);
+record! {
+    /// The values of a primitive that are blended.
+    pub struct Payload {
+        pub colour: Vec3,
+        /// Camera-space z of the centre, world units.
+        pub depth: f32,
+        /// In camera space, facing the camera.
+        pub normal: Vec3,
     }
 }
 
-/// The low-pass filter of a disc.
-#[derive(CubeType, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
-pub struct LowPass {
-    /// max(0, opacity) of the disc, 0 behind the near plane.
-    pub opacity: f32,
-    /// Centre, px from the anchor of the disc.
-    pub offset_x: f32,
-    pub offset_y: f32,
-}
-
-#[cube]
-impl LowPass {
-    /// Of row `i` of the features.
-    pub fn load(features: &[f32], i: usize) -> LowPass {
-        let o = i * FEATURES + 7;
-        LowPass { opacity: features[o], offset_x: features[o + 1], offset_y: features[o + 2] }
-    }
-
-    fn store(&self, features: &mut [f32], i: usize) {
-        let o = i * FEATURES + 7;
-        features[o] = self.opacity;
-        features[o + 1] = self.offset_x;
-        features[o + 2] = self.offset_y;
+record! {
+    /// The low-pass filter of a disc.
+    pub struct LowPass {
+        /// max(0, opacity) of the disc, 0 behind the near plane.
+        pub opacity: f32,
+        /// Centre, px from the anchor of the disc.
+        pub offset_x: f32,
+        pub offset_y: f32,
     }
 }
 
-/// Axes of a disc in camera space, and its scales along them, world units.
-#[derive(CubeType, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
-pub struct Tangents {
-    pub u: Vec3,
-    pub v: Vec3,
-    pub scale_u: f32,
-    pub scale_v: f32,
-}
-
-#[cube]
-impl Tangents {
-    /// Of row `i` of the features.
-    pub fn load(features: &[f32], i: usize) -> Tangents {
-        let o = i * FEATURES + 10;
-        Tangents {
-            u: load3(features, o),
-            v: load3(features, o + 3),
-            scale_u: features[o + 6],
-            scale_v: features[o + 7],
-        }
-    }
-
-    fn store(&self, features: &mut [f32], i: usize) {
-        let o = i * FEATURES + 10;
-        store3(features, o, self.u);
-        store3(features, o + 3, self.v);
-        features[o + 6] = self.scale_u;
-        features[o + 7] = self.scale_v;
+record! {
+    /// Axes of a disc in camera space, and its scales along them, world units.
+    pub struct Tangents {
+        pub u: Vec3,
+        pub v: Vec3,
+        pub scale_u: f32,
+        pub scale_v: f32,
     }
 }
 
@@ -178,7 +129,9 @@ fn features_kernel(
     let axes = camera_axes(view, rotation(row4(quaternions, i)));
     let normal = own_normal(axes, log_scales, form);
     let facing = scale(normal, facing_sign(normal, centre));
-    Payload { colour: row3(colours, i), depth: centre.z, normal: facing }.store(features, rank);
+    let o = rank * FEATURES;
+    let payload = Payload { colour: row3(colours, i), depth: centre.z, normal: facing };
+    Payload::store(payload, features, o);
     if comptime!(form == Form::Discs) {
         let visible = centre.z > view.near;
         let (scale_u, scale_v) = (bounded_scale(log_scales.x), bounded_scale(log_scales.y));
@@ -196,8 +149,9 @@ fn features_kernel(
             offset_x: select(bounded, view.fx * factor * across, NOWHERE),
             offset_y: select(bounded, view.fy * factor * down, NOWHERE),
         };
-        low_pass.store(features, rank);
-        Tangents { u: axes.row0, v: axes.row1, scale_u, scale_v }.store(features, rank);
+        LowPass::store(low_pass, features, o + LOW_PASS);
+        let tangents = Tangents { u: axes.row0, v: axes.row1, scale_u, scale_v };
+        Tangents::store(tangents, features, o + TANGENTS);
     }
 }
 
@@ -221,7 +175,7 @@ fn reach_kernel(
     let i = order[rank] as usize;
     let exact = exact_disc(view, rests, row3(positions, i), row4(quaternions, i));
     let disc = disc_of(view, exact, log_scales[3 * i], log_scales[3 * i + 1]);
-    let low_pass = LowPass::load(features, rank);
+    let low_pass = LowPass::load(features, rank * FEATURES + LOW_PASS);
     let strength = low_pass.opacity * INVERSE_CUTOFF;
     let drawn = strength > 1.0f32;
     let squared = 2.0f32 * f32::ln(max(strength, 1.0f32));
@@ -281,7 +235,7 @@ pub fn fragment(
         }
     } else {
         let plane = Plane::load(shapes, i * PLANE);
-        let low_pass = LowPass::load(features, i);
+        let low_pass = LowPass::load(features, i * FEATURES + LOW_PASS);
         let found = plane.hit(x, y);
         let dx = x - plane.anchor_x - low_pass.offset_x;
         let dy = y - plane.anchor_y - low_pass.offset_y;

@@ -11,12 +11,13 @@ use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
 use super::Thresholds;
-use super::fragments::{Fragments, LowPass, Payload, Tangents, fragment};
+use super::fragments::{FEATURES, Fragments, LOW_PASS, LowPass, Payload, TANGENTS, Tangents, fragment};
 use crate::camera::Camera;
 use crate::footprint::disc_cube::{DISC_SUMS, DiscPixel, Hit, PLANE, Plane, add_disc_sums};
 use crate::footprint::moments::MOMENTS;
 use crate::footprint::splat_cube::{SPLAT, Splat, add_moments};
 use crate::gpu::launch::{UNITS, buffer, cube_dim, cubes, empty_f32, units};
+use crate::gpu::record::Record;
 use crate::gpu::rect::Rect;
 use crate::gpu::tile::{TILE, own_pixel, plane_of};
 use crate::gpu::view::View;
@@ -234,7 +235,7 @@ fn gather_kernel(
                 let i = listed(ids, start + position, left_out);
                 let found = fragment(shapes, features, i, x, y, view.near, form);
                 if found.weight > 0.0f32 {
-                    let payload = Payload::load(features, i);
+                    let payload = Payload::load(features, i * FEATURES);
                     let alpha = min(found.weight, thresholds.max_alpha);
                     let before = through / (1.0f32 - alpha);
                     let covered = alpha * before;
@@ -271,7 +272,8 @@ fn gather_kernel(
                         towards_y = power * (splat.b * dx + splat.c * dy);
                     } else {
                         let disc = Plane::load(shapes, i * PLANE);
-                        let (low_pass, tangents) = (LowPass::load(features, i), Tangents::load(features, i));
+                        let low_pass = LowPass::load(features, i * FEATURES + LOW_PASS);
+                        let tangents = Tangents::load(features, i * FEATURES + TANGENTS);
                         let met = disc.hit(x, y);
                         let (dx, dy) = (x - disc.anchor_x, y - disc.anchor_y);
                         // far from the disc they may be infinite

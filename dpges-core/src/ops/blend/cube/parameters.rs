@@ -12,8 +12,9 @@ use crate::footprint::disc_cube::{self, bounded_scale};
 use crate::footprint::gaussians::GaussianTensors;
 use crate::footprint::splat_cube;
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, units};
+use crate::gpu::record::Record;
 use crate::gpu::vector::{
-    Mat3, add3, apply, dot, load3, rotation, rotation_backward, row3, row4, scale, transpose, vec3, write3,
+    Mat3, Vec3, add3, apply, dot, rotation, rotation_backward, row3, row4, scale, transpose, vec3, write3,
 };
 use crate::gpu::view::{View, to_camera, view_rotation};
 use crate::ops::blend::{BlendInput, Form};
@@ -37,7 +38,7 @@ fn payload_kernel(
     let probe = comptime!(layout.probe());
     let exponent = comptime!(layout.beside() + 2);
     let o = i * width;
-    write3(grad_colours, i, load3(rest, o));
+    write3(grad_colours, i, Vec3::load(rest, o));
     if comptime!(layout.probe) {
         #[unroll]
         for number in 0..PROBE {
@@ -94,7 +95,7 @@ fn rest_kernel(
     if comptime!(layout.maps) {
         let at = o + normal;
         let sign = facing_sign(own_normal(axes, log_scales, form), centre);
-        let towards = scale(load3(rest, at), sign);
+        let towards = scale(Vec3::load(rest, at), sign);
         let axis = normal_axis(log_scales, form);
         let (first, second) = (axis == 0u32, axis == 1u32);
         u_x = select(first, towards.x, 0.0f32);
