@@ -5,7 +5,7 @@
 //! So that a scene is no larger than it needs to be: which lobes can go ([`lobes`]), when enough primitives have
 //! been added ([`growth`]), how many layers are peeled ([`layer_count`]).
 //! Splitting and doubling draw new rows alike (`children`).
-//! They return plans; the trainer applies the same plan to the parameters and to the moments of
+//! They return plans; a stage applies the same plan to the parameters and to the moments of
 //! the optimiser, where new rows start at zero.
 
 pub mod add;

@@ -167,7 +167,7 @@ impl Run {
         Ok(Self { record: Some(record), best: None, ..self })
     }
 
-    /// The scene as it stands, the configuration, the state.
+    /// What takes the steps of the run: it knows the scene as it stands, the configuration and the state.
     pub fn trainer(&self) -> &Trainer {
         &self.trainer
     }

@@ -143,7 +143,7 @@ impl Common {
 }
 
 impl Entry {
-    /// Trains what is left of it.
+    /// Trains what is left of the variant.
     fn train(&self, common: &Common) -> Result<()> {
         let Self { variant, config, folder, state } = self;
         let (data, opened) = (Arc::clone(&common.dataset), common.device.clone());
@@ -168,7 +168,7 @@ impl Entry {
         Ok(())
     }
 
-    /// What came out of it.
+    /// The line of the variant in the comparison.
     fn row(&self) -> Result<Row> {
         let report = read_evaluation(&self.folder.evaluation())?;
         Ok(Row {

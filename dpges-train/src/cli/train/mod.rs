@@ -124,7 +124,7 @@ impl TrainArgs {
     }
 }
 
-/// Says where `saved` goes on, and if the device is another one.
+/// Says where `saved` goes on, and warns if it was started on another device.
 pub fn say_resumed(saved: &SavedRun, device: DeviceName) {
     let before = &saved.origin().device;
     if device.to_string() != *before {

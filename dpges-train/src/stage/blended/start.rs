@@ -10,6 +10,10 @@ use crate::init::{Room, initialise};
 const THICKNESS: f64 = 0.1;
 
 impl Context {
+    /// Discs at the surfels that the configuration asks for, or at the Gaussians if there are no surfels.
+    ///
+    /// # Errors
+    /// [`TrainError::Init`] if the dataset has nothing to begin with.
     pub fn start_of_discs(&mut self, plan: StagePlan) -> Result<GaussianData, TrainError> {
         let mut config = self.config.clone();
         config.init.surfel_scale = config.discs.start_scale;
@@ -22,6 +26,8 @@ impl Context {
         Ok(discs)
     }
 
+    /// # Errors
+    /// [`TrainError::Init`] if the dataset has nothing to begin with.
     pub fn start_of_gaussians(&mut self, plan: StagePlan) -> Result<GaussianData, TrainError> {
         let mut config = self.config.clone();
         config.init.gaussian_scale = config.relocation.start_scale;
@@ -31,7 +37,7 @@ impl Context {
     }
 }
 
-/// Surfels as flat Gaussians.
+/// Opaque flat Gaussians of the shape and colour of `surfels`.
 fn flat(surfels: SurfelData) -> GaussianData {
     let thick = |&[x, y]: &[f32; 2]| {
         let mean = (f64::from(x).exp() + f64::from(y).exp()) / 2.0;

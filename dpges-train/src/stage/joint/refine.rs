@@ -20,7 +20,7 @@ use crate::refine::prune::{drawn, gaussians_to_keep, surfels_to_keep};
 use crate::refine::split::split;
 use crate::refine::{GaussianEdit, RowEdit};
 
-/// Scale of an added Gaussian at most, as a fraction of the extent.
+/// Largest scale of an added Gaussian, as a fraction of the extent.
 const MAX_ADDED_SCALE: f64 = 0.01;
 
 impl JointStage {
