@@ -26,6 +26,7 @@
 pub mod atomic;
 pub mod camera;
 pub mod device;
+pub mod docs;
 pub mod error;
 #[cfg(feature = "gpu")]
 pub mod gpu;
@@ -42,4 +43,9 @@ pub mod tensor_file;
 #[cfg(any(test, feature = "testing"))]
 pub mod testing;
 
+pub use camera::{Camera, CameraFromWorld};
 pub use error::{Error, Result};
+pub use metrics::{mean_ssim, psnr};
+pub use render::blended::{BlendedOptions, render_blended};
+pub use render::{Render, RenderOptions, render};
+pub use scene::{Colour, ColourData, ColourModel, GaussianData, Gaussians, SceneData, SceneInfo, SurfelData, Surfels};
