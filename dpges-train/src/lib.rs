@@ -13,6 +13,7 @@
 //! | glam | poses in f64 |
 //! | image, serde-ply | photographs; the points of nerfstudio datasets |
 //! | kiddo | nearest neighbours: point spacing, margins, splits |
+//! | nalgebra | eigenvectors: the normals of points |
 //! | rand, rand_chacha | random numbers that a checkpoint can hold |
 //! | rayon | reading pictures, neighbours |
 //! | safetensors, serde, serde_json, toml, tempfile | checkpoints, configuration, logs |
@@ -25,6 +26,7 @@ pub mod checkpoint;
 pub mod config;
 pub mod dataset;
 pub mod device;
+pub mod docs;
 pub mod eval;
 pub mod init;
 pub mod metrics_log;
@@ -35,8 +37,3 @@ pub mod refine;
 pub mod run_folder;
 pub mod scene_state;
 pub mod trainer;
-
-/// The example of the README, compiled.
-#[cfg(doctest)]
-#[doc = include_str!("../../README.md")]
-struct Readme;

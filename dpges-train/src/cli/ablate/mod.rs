@@ -12,7 +12,7 @@ use clap::Args;
 use dpges_train::checkpoint::Checkpoint;
 use dpges_train::config::Config;
 use dpges_train::dataset::Dataset;
-use dpges_train::device::DeviceName;
+use dpges_train::device::{DeviceName, DeviceRequest};
 use dpges_train::eval::EvalReport;
 use dpges_train::metrics_log::MetricsLog;
 use dpges_train::run_folder::RunFolder;
@@ -20,8 +20,8 @@ use dpges_train::run_folder::RunFolder;
 use super::data::Source;
 use super::train::options::ConfigArgs;
 use super::train::session::{Session, Setting, watch_for_interrupts};
-use super::train::{differences, open, origin, resumed_on};
-use super::{Failure, Result, print};
+use super::train::{differences, origin, resumed_on};
+use super::{Failure, Result, device_choice, print};
 use crate::logging::LogStyle;
 use report::Row;
 use variant::Variant;
@@ -40,9 +40,10 @@ pub struct AblateArgs {
     /// Folder of the runs and of the comparison
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// cpu, cpu-flex, wgpu (the best GPU), or what else `dpges devices` lists
-    #[arg(long, value_name = "NAME", default_value = "cpu")]
-    device: DeviceName,
+    /// auto (a GPU that passes a check, or else the CPU), cpu, cpu-flex, wgpu (the best GPU), or another one that
+    /// `dpges devices` lists
+    #[arg(long, value_name = "NAME", default_value_t)]
+    device: DeviceRequest,
     /// These variants instead of those of the paper's table, with commas between
     #[arg(long, value_name = "VARIANT", value_enum, value_delimiter = ',')]
     only: Vec<Variant>,
@@ -130,8 +131,9 @@ fn state(folder: &RunFolder, config: &Config, source: &Source) -> Result<State> 
 }
 
 impl Common {
-    fn load(source: Source, config: &Config, name: DeviceName, style: LogStyle) -> Result<Self> {
-        let device = open(name)?;
+    fn load(source: Source, config: &Config, device: DeviceRequest, style: LogStyle) -> Result<Self> {
+        let name = device_choice::select(device)?;
+        let device = name.open()?;
         let dataset = Arc::new(source.load_for_training(config)?);
         if dataset.test.is_empty() {
             let help = "hold out views with --test-every";

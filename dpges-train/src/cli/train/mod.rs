@@ -6,16 +6,15 @@ pub mod session;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use burn::tensor::Device;
 use clap::Args;
 use dpges_train::checkpoint::Checkpoint;
 use dpges_train::config::Config;
-use dpges_train::device::DeviceName;
+use dpges_train::device::{DeviceName, DeviceRequest};
 use dpges_train::run_folder::{Origin, RunFolder, RunFolderError};
 use toml::Table;
 
 use super::data::Source;
-use super::{Failure, Result, print};
+use super::{Failure, Result, device_choice, print};
 use crate::logging::LogStyle;
 use options::ConfigArgs;
 use session::{Session, Setting, watch_for_interrupts};
@@ -35,9 +34,10 @@ pub struct TrainArgs {
     /// Folder of the run [default: runs/NAME OF THE DATASET]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// cpu, cpu-flex, wgpu (the best GPU), or what else `dpges devices` lists [default: cpu]
+    /// auto (a GPU that passes a check, or else the CPU), cpu, cpu-flex, wgpu (the best GPU), or another one that
+    /// `dpges devices` lists [default: auto; with --resume, the device of the run]
     #[arg(long, value_name = "NAME")]
-    device: Option<DeviceName>,
+    device: Option<DeviceRequest>,
     #[command(flatten)]
     options: ConfigArgs,
     /// Go on from the checkpoint in the run's folder
@@ -76,11 +76,8 @@ impl TrainArgs {
                 Failure::with_help(error, "go on with it (--resume), replace it (--overwrite), or name another --out")
             })?;
         }
-        let device = match self.device {
-            Some(device) => device,
-            None => "cpu".parse().map_err(Failure::Usage)?,
-        };
-        let opened = open(device)?;
+        let device = device_choice::select(self.device.unwrap_or_default())?;
+        let opened = device.open()?;
         let dataset = Arc::new(source.load_for_training(&config)?);
         let origin = origin(&source, device);
         Session::start(Setting { dataset, origin, device: opened, folder, style }, config)
@@ -111,12 +108,9 @@ impl TrainArgs {
             let list = differences.join(", ");
             return Err(Failure::Usage(format!("a run is resumed with the configuration it was started with: {list}")));
         }
-        let device = match self.device {
-            Some(device) => device,
-            None => origin.device.parse().map_err(Failure::Usage)?,
-        };
+        let device = device_choice::select_again(self.device, &origin.device)?;
         let origin = resumed_on(origin, device);
-        let opened = open(device)?;
+        let opened = device.open()?;
         let dataset = Arc::new(source.load_for_training(checkpoint.config())?);
         Session::resume(Setting { dataset, origin, device: opened, folder, style }, checkpoint)
     }
@@ -133,15 +127,6 @@ pub fn resumed_on(origin: Origin, device: DeviceName) -> Origin {
         tracing::warn!("resuming on {device} what was started on {}: the result will differ a little", origin.device);
     }
     Origin { device: device.to_string(), ..origin }
-}
-
-/// The device, before anything is read for it; says which adapter a GPU's name stands for.
-pub fn open(device: DeviceName) -> Result<Device> {
-    let opened = device.open()?;
-    if !device.is_cpu() {
-        tracing::info!("device {device}: {}", device.describe()?);
-    }
-    Ok(opened)
 }
 
 /// Keys whose value in `found` is not that in `expected`, the configuration of a run.
