@@ -56,7 +56,7 @@ pub struct Checkpoint {
     pub attributes: HashMap<String, AttributeRows>,
     /// Further numbers by name: margins, running statistics, results of earlier stages.
     pub columns: BTreeMap<String, Vec<f32>>,
-    /// [N] most pixels at which each surfel was the nearest in one view since the last pruning.
+    /// `[N]` most pixels at which each surfel was the nearest in one view since the last pruning.
     pub max_pixels: Vec<u32>,
 }
 

@@ -85,7 +85,7 @@ impl Attribute {
         leaf.grad_remove(gradients)
     }
 
-    /// Nothing changes where `gate` [1] is not 1.
+    /// Nothing changes where `gate` `[1]` is not 1.
     ///
     /// # Errors
     /// [`dpges_core::Error::Shape`] if the gradient belongs to another set of rows.

@@ -38,7 +38,7 @@ impl Rates {
     }
 }
 
-/// Attributes of surfels; the order of [`all`](Self::all) is the order of everything that goes over them.
+/// Attributes of surfels; the order of `all` is the order of everything that goes over them.
 #[derive(Clone, Debug)]
 pub struct SurfelState {
     model: ColourModel,
@@ -158,7 +158,7 @@ impl SurfelState {
         gradients_of(self.all(), tensors, gradients)
     }
 
-    /// Nothing changes where `gate` [1] is not 1.
+    /// Nothing changes where `gate` `[1]` is not 1.
     ///
     /// # Errors
     /// [`dpges_core::Error::Shape`] if the gradients belong to other rows.
@@ -193,7 +193,7 @@ impl SurfelState {
         self.base.set_value(base);
     }
 
-    /// [N] world units.
+    /// `[N]` world units.
     pub fn set_margins(&mut self, margins: &[f32]) {
         self.margins = margin_tensor(margins, &self.margins.device());
     }
@@ -302,7 +302,7 @@ impl GaussianState {
         gradients_of(self.all(), tensors, gradients)
     }
 
-    /// Nothing changes where `gate` [1] is not 1.
+    /// Nothing changes where `gate` `[1]` is not 1.
     ///
     /// # Errors
     /// [`dpges_core::Error::Shape`] if the gradients belong to other rows.
@@ -352,7 +352,7 @@ impl GaussianState {
         self.positions.set_value(positions);
     }
 
-    /// [M] as they are rendered; their moments start again.
+    /// `[M]` as they are rendered; their moments start again.
     pub fn reset_opacities(&mut self, opacities: &[f32]) {
         let raw = raw_opacities(opacities, self.opacity);
         let rows: Vec<usize> = (0..raw.len()).collect();

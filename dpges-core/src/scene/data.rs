@@ -22,7 +22,7 @@ pub struct SurfelData {
     /// [N × 2] natural logarithm of the scales along the first two columns, world units.
     pub log_scales: Vec<f32>,
     pub colour: ColourData,
-    /// [N] depth margin ε, world units.
+    /// `[N]` depth margin ε, world units.
     pub margins: Vec<f32>,
 }
 
@@ -35,7 +35,7 @@ pub struct GaussianData {
     pub quaternions: Vec<f32>,
     /// [M × 3] natural logarithm of the scales, world units.
     pub log_scales: Vec<f32>,
-    /// [M] linear opacity, used as max(0, opacity); may exceed 1.
+    /// `[M]` linear opacity, used as max(0, opacity); may exceed 1.
     pub opacities: Vec<f32>,
     pub colour: ColourData,
 }

@@ -25,7 +25,7 @@ pub struct Surfels {
     /// [N, 2]
     pub log_scales: Tensor<2>,
     pub colour: Colour,
-    /// [N], never carries a gradient
+    /// `[N]`, never carries a gradient
     pub margins: Tensor<1>,
 }
 
@@ -38,7 +38,7 @@ pub struct Gaussians {
     pub quaternions: Tensor<2>,
     /// [M, 3]
     pub log_scales: Tensor<2>,
-    /// [M]
+    /// `[M]`
     pub opacities: Tensor<1>,
     pub colour: Colour,
 }
@@ -167,7 +167,7 @@ pub fn check_shape<const D: usize>(name: &str, tensor: &Tensor<D>, expected: [us
     Err(Error::Shape { tensor: name.to_owned(), expected: format!("{expected:?}"), found: tensor.dims().to_vec() })
 }
 
-/// [rows] integer tensor of row numbers, for `Tensor::select`.
+/// `[rows]` integer tensor of row numbers, for `Tensor::select`.
 pub fn row_indices(rows: &[usize], device: &Device) -> Tensor<1, Int> {
     let rows: Vec<i64> = rows.iter().map(|&row| row as i64).collect();
     let count = rows.len();

@@ -50,7 +50,7 @@ pub trait AdamOps: Backend {
     ) -> AdamOutput<Self>;
 }
 
-/// Steps `parameter` along `grad` if `gate` [1] is 1; returns it with its first and second moments.
+/// Steps `parameter` along `grad` if `gate` `[1]` is 1; returns it with its first and second moments.
 /// None is on a tape.
 ///
 /// # Errors

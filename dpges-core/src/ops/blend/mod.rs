@@ -138,7 +138,7 @@ pub struct BlendInput<B: Backend> {
     pub quaternions: FloatTensor<B>,
     /// [M, 3]
     pub log_scales: FloatTensor<B>,
-    /// [M]
+    /// `[M]`
     pub opacities: FloatTensor<B>,
     /// [M, 3]
     pub colours: FloatTensor<B>,

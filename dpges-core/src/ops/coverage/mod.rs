@@ -1,6 +1,6 @@
 //! `coverage`: at how many pixels each surfel is the nearest layer.
 //!
-//! ids [K, H, W] → [N] integers, counted in plane 0. No gradient.
+//! ids [K, H, W] → `[N]` integers, counted in plane 0. No gradient.
 
 mod cpu;
 #[cfg(feature = "gpu")]
@@ -19,7 +19,7 @@ pub trait CoverageOps: Backend {
     fn coverage(ids: IntTensor<Self>, count: usize) -> IntTensor<Self>;
 }
 
-/// [count] pixels at which each of `count` surfels is the nearest of `layers`.
+/// `[count]` pixels at which each of `count` surfels is the nearest of `layers`.
 pub fn coverage(layers: &Layers, count: usize) -> Tensor<1, Int> {
     Tensor::from_dispatch(Dispatch::coverage(layers.ids.clone().inner().into_dispatch(), count))
 }

@@ -1,6 +1,6 @@
 //! `first_non_finite`: where a tensor first holds a value that is not a finite number.
 //!
-//! Any float tensor → [1] integer: position in row-major order of the first NaN or infinity, −1 if
+//! Any float tensor → `[1]` integer: position in row-major order of the first NaN or infinity, −1 if
 //! there is none. Checks that guard a training step are made with it.
 
 mod cpu;
@@ -48,7 +48,7 @@ impl FiniteChecks {
         self.row_lens.push(tensor.dims()[1..].iter().product::<usize>().max(1));
     }
 
-    /// [tensors] position of the first bad value in each tensor, −1 where there is none.
+    /// `[tensors]` position of the first bad value in each tensor, −1 where there is none.
     ///
     /// # Panics
     /// If nothing was added.

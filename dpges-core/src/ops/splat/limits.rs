@@ -29,7 +29,7 @@ pub trait LimitOps: Backend {
     ) -> FloatTensor<Self>;
 }
 
-/// Upper limits [K, H, W] of the depth intervals of every pixel, ascending, for `margins` [N] of the
+/// Upper limits [K, H, W] of the depth intervals of every pixel, ascending, for `margins` `[N]` of the
 /// surfels (DP-GES, transmittance lookup). No gradient.
 ///
 /// A Gaussian at depth d belongs to the first layer with `d < D + ε`, or with `d < D` where `lookup`

@@ -41,7 +41,7 @@ pub struct SplatInput<B: Backend> {
     pub quaternions: FloatTensor<B>,
     /// [M, 3]
     pub log_scales: FloatTensor<B>,
-    /// [M]
+    /// `[M]`
     pub opacities: FloatTensor<B>,
     /// [M, 3]
     pub colours: FloatTensor<B>,
@@ -60,7 +60,7 @@ pub trait SplatOps: Backend {
         camera: Camera,
     ) -> FloatTensor<Self>;
 
-    /// Largest contribution of each Gaussian to any pixel, [M]; no gradient.
+    /// Largest contribution of each Gaussian to any pixel, `[M]`; no gradient.
     fn splat_contributions(
         #[extension_type] gaussians: SplatInput<Self>,
         limits: FloatTensor<Self>,
@@ -103,7 +103,7 @@ pub fn splat(gaussians: &Gaussians, colours: Tensor<2>, limits: Tensor<3>, camer
     Ok(Tensor::from_dispatch(Dispatch::splat(input(gaussians, colours)?, limits.into_dispatch(), *camera)))
 }
 
-/// Largest value over all pixels of α · gate · max|colour| for each Gaussian, [M], where `gates`
+/// Largest value over all pixels of α · gate · max|colour| for each Gaussian, `[M]`, where `gates`
 /// [K, H, W] is the weight of interval k in the pixel, T_k / (1 + W_G) (GES, pruning). No gradient.
 ///
 /// # Errors
