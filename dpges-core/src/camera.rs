@@ -1,5 +1,5 @@
-//! A pinhole camera: OpenCV axes (x right, y down, z forward), pixel (column i, row j) sampled at
-//! (i + 0.5, j + 0.5), principal point wherever it is.
+//! Pinhole cameras with OpenCV axes (x right, y down, z forward) and a free principal point. Pixel (column i, row j) is
+//! sampled at (i + 0.5, j + 0.5).
 
 use glam::{DMat3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
@@ -14,13 +14,13 @@ pub struct CameraFromWorld {
 }
 
 impl CameraFromWorld {
-    /// From a unit quaternion (w, x, y, z) and a translation, COLMAP's convention.
+    /// From a quaternion (w, x, y, z), which is normalised, and a translation, as in COLMAP.
     pub fn from_quaternion(wxyz: [f64; 4], translation: DVec3) -> Self {
         let [w, x, y, z] = wxyz;
         Self { rotation: DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize()), translation }
     }
 
-    /// A camera at `eye` whose optical axis meets `target`; `up` points up in the picture.
+    /// A camera at `eye` that looks at `target`, with `up` upwards in the picture.
     pub fn look_at(eye: DVec3, target: DVec3, up: DVec3) -> Self {
         let forward = (target - eye).normalize();
         let right = forward.cross(up).normalize();
@@ -34,7 +34,7 @@ impl CameraFromWorld {
         -(self.rotation.transpose() * self.translation)
     }
 
-    /// The same camera after the world was shifted by `-offset`.
+    /// The same camera in the world shifted by `-offset`.
     pub fn recentred(&self, offset: DVec3) -> Self {
         Self { rotation: self.rotation, translation: self.translation + self.rotation * offset }
     }
@@ -50,11 +50,13 @@ pub struct Camera {
     pub cy: f64,
     pub width: usize,
     pub height: usize,
-    /// Fragments and Gaussian centres with camera-space z at or below this do not exist.
+    /// Near plane: fragments, and Gaussians by their centres, exist only beyond this camera-space z.
     pub near: f64,
 }
 
 impl Camera {
+    /// Checks that the camera can be rendered from.
+    ///
     /// # Errors
     /// [`Error::Camera`] for an empty image, a focal length that is not positive, or any value that is not finite.
     pub fn validate(&self) -> Result<()> {

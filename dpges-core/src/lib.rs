@@ -27,6 +27,7 @@ pub mod atomic;
 pub mod binning;
 pub mod camera;
 pub mod device;
+pub mod docs;
 pub mod error;
 pub mod footprint;
 #[cfg(feature = "gpu")]
@@ -46,4 +47,9 @@ pub mod tensor_file;
 pub mod testing;
 mod tiles;
 
+pub use camera::{Camera, CameraFromWorld};
 pub use error::{Error, Result};
+pub use metrics::{mean_ssim, psnr};
+pub use render::blended::{BlendedOptions, render_blended};
+pub use render::{Render, RenderOptions, render};
+pub use scene::{Colour, ColourData, ColourModel, GaussianData, Gaussians, SceneData, SceneInfo, SurfelData, Surfels};

@@ -1,4 +1,4 @@
-//! The losses of DP-GES, each a tensor function returning [1].
+//! The losses of DP-GES. Each is a function of tensors that returns a tensor `[1]`.
 
 pub mod geometry;
 
@@ -8,8 +8,8 @@ use crate::error::Result;
 use crate::ops::ssim::ssim;
 use crate::render::Render;
 
-/// Beyond this x the scale loss continues exp(x) by its tangent, so that one huge surfel neither
-/// overflows nor loses its gradient.
+/// Beyond this x, the tangent continues the exp(x) of the scale loss, so that one huge surfel neither overflows nor
+/// loses its gradient.
 pub const SCALE_LOSS_LINEAR_FROM: f64 = 20.0;
 
 /// Weights of the terms of the total loss.
@@ -26,13 +26,13 @@ pub struct LossWeights {
 }
 
 impl Default for LossWeights {
-    /// The paper's, for a bounded scene.
+    /// The weights of the paper for a bounded scene.
     fn default() -> Self {
         Self { dssim: 0.2, surfel: 0.01, scale: 1e-5, transmittance: 0.08 }
     }
 }
 
-/// Mean absolute difference of two images.
+/// Mean absolute difference of two images of the same shape.
 pub fn l1(image: Tensor<3>, target: Tensor<3>) -> Tensor<1> {
     (image - target).abs().mean()
 }
@@ -46,8 +46,8 @@ pub fn rgb(image: Tensor<3>, target: Tensor<3>, dssim_share: f64) -> Result<Tens
     Ok(l1(image, target) * (1.0 - dssim_share) + (similarity * -1.0 + 1.0) * dssim_share)
 }
 
-/// L_scale: mean of exp(x), x the mean of a surfel's two scales over the mean scale of all surfels;
-/// that mean carries no gradient. Zero without surfels. `log_scales` [N, 2].
+/// L_scale: the mean of exp(x), where x is the mean of a surfel's two scales divided by the mean scale of all surfels,
+/// which carries no gradient. 0 without surfels. `log_scales` [N, 2].
 pub fn scale(log_scales: Tensor<2>) -> Tensor<1> {
     let device = log_scales.device();
     if log_scales.dims()[0] == 0 {
@@ -60,8 +60,8 @@ pub fn scale(log_scales: Tensor<2>) -> Tensor<1> {
     (clamped.clone().exp() * (x - clamped + 1.0)).mean()
 }
 
-/// L_t: (1 − T_K)² averaged over all pixels; pixels covered by fewer than two layers contribute
-/// neither value nor gradient.
+/// L_t: (1 − T_K)² averaged over all pixels. Pixels covered by fewer than two layers contribute neither value nor
+/// gradient.
 pub fn transmittance(render: &Render) -> Tensor<1> {
     let [count, height, width] = render.layers.alpha.dims();
     if count < 2 {
@@ -72,7 +72,7 @@ pub fn transmittance(render: &Render) -> Tensor<1> {
     (last * -1.0 + 1.0).powi_scalar(2).mask_fill(uncovered, 0.0).mean()
 }
 
-/// The terms of the total loss of one view, unweighted.
+/// The unweighted terms of the loss of one view, `[1]` each, and their weighted sum.
 #[derive(Clone, Debug)]
 pub struct Losses {
     pub rgb: Tensor<1>,
@@ -83,7 +83,8 @@ pub struct Losses {
     pub total: Tensor<1>,
 }
 
-/// All terms for one rendered view; terms with weight 0 are not evaluated for their gradient.
+/// All terms for one rendered view. Terms of weight 0 are not part of the total, so no gradient flows through them.
+/// `log_scales` [N, 2] of the surfels, `target` [3, H, W].
 ///
 /// # Errors
 /// [`crate::Error::Shape`] if the target does not fit the image.

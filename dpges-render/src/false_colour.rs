@@ -1,8 +1,8 @@
-//! Numbers as colours: depth, normals, transmittance, error.
+//! Depth, normals, transmittance and error as colours.
 
 use crate::image::{Rgb8Image, to_byte};
 
-/// Viridis at eighths: equal steps look equally large, also in grey and to colour-blind eyes.
+/// Viridis at eighths: equal steps look equally large, in grey and to colour-blind people too.
 const RAMP: [[u8; 3]; 9] = [
     [68, 1, 84],
     [71, 45, 123],
@@ -14,14 +14,14 @@ const RAMP: [[u8; 3]; 9] = [
     [173, 220, 48],
     [253, 231, 37],
 ];
-/// Share of a pixel that surfels must cover for its depth to mean something.
+/// Smallest coverage of a pixel with a meaningful depth.
 const MIN_COVERAGE: f32 = 0.1;
-/// Fractions of the covered pixels that are nearer than the start and the end of the ramp.
+/// Shares of the covered pixels that are nearer than the start and the end of the ramp.
 const DEPTH_PERCENTILES: [f64; 2] = [0.02, 0.98];
 /// Mean absolute error per channel at the end of the ramp.
 const LARGEST_ERROR: f32 = 0.25;
 
-/// Colour of `value` in [0, 1], dark blue to yellow; outside, the nearer end.
+/// Colour of `value`, dark blue at 0 to yellow at 1. Values outside take the colour of the nearer end.
 pub fn ramp(value: f32) -> [u8; 3] {
     let position = value.clamp(0.0, 1.0) * (RAMP.len() - 1) as f32;
     let below = (position as usize).min(RAMP.len() - 2);
@@ -32,15 +32,16 @@ pub fn ramp(value: f32) -> [u8; 3] {
     })
 }
 
-/// Shades of grey for `values` [height, width]: 0 black, 1 white.
+/// A picture of `values` [height, width] in shades of grey: 0 is black, 1 is white.
 pub fn grey(values: &[f32], width: usize, height: usize) -> Rgb8Image {
     Rgb8Image::from_pixels(width, height, values.iter().map(|&value| [to_byte(value); 3]))
 }
 
-/// Depth on the [`ramp`], near dark, black where surfels cover less than a tenth of the pixel; with the depths in
-/// world units at both ends of the ramp: the 2nd and 98th percentile. `None` if nothing is covered.
+/// A picture of depth on the [`ramp`], and the depths at the ends of the ramp, world units: the 2nd and 98th
+/// percentile, or `None` if nothing is covered. Near is dark. Pixels of which surfels cover less than a tenth are
+/// black.
 ///
-/// `depth` [height, width] is blended, `coverage` [height, width] the sum of its weights.
+/// `depth` [height, width] is blended; `coverage` [height, width] is the sum of its weights.
 pub fn depth(depth: &[f32], coverage: &[f32], width: usize, height: usize) -> (Rgb8Image, Option<[f32; 2]>) {
     let mean = |(&depth, &coverage): (&f32, &f32)| (coverage >= MIN_COVERAGE).then(|| depth / coverage);
     let depths: Vec<Option<f32>> = depth.iter().zip(coverage).map(mean).collect();
@@ -54,13 +55,14 @@ pub fn depth(depth: &[f32], coverage: &[f32], width: usize, height: usize) -> (R
     (Rgb8Image::from_pixels(width, height, pixels), range)
 }
 
-/// World normals `planes` [3, height, width]: x, y, z from −1 to 1 as red, green, blue; grey where there is none.
+/// A picture of normals, `planes` [3, height, width]: x, y, z from −1 to 1 as red, green, blue. Grey: no normal.
 pub fn normal(planes: &[f32], width: usize, height: usize) -> Rgb8Image {
     let planes: Vec<f32> = planes.iter().map(|value| 0.5 + 0.5 * value).collect();
     Rgb8Image::from_planes(&planes, width, height)
 }
 
-/// Mean absolute difference of two pictures of one size on the [`ramp`], which ends at a quarter of full scale.
+/// A picture of the mean absolute difference of two pictures of the same size, on the [`ramp`], which ends at a quarter
+/// of full scale.
 pub fn error(found: &Rgb8Image, expected: &Rgb8Image) -> Rgb8Image {
     let difference = |(a, b): (&[u8], &[u8])| {
         let sum: u32 = a.iter().zip(b).map(|(&a, &b)| u32::from(a.abs_diff(b))).sum();

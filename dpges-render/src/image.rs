@@ -1,4 +1,4 @@
-//! Eight bits per channel, row by row, as a PNG stores it.
+//! Pictures with 8 bits per channel, as a PNG stores them.
 
 use burn::tensor::Tensor;
 use dpges_core::scene::tensors::tensor_to_rows;
@@ -18,7 +18,7 @@ pub struct Rgb8Image {
 }
 
 impl Rgb8Image {
-    /// From pixels in rows, as many as `width` · `height`.
+    /// From `width` · `height` pixels, row by row.
     pub fn from_pixels(width: usize, height: usize, pixels: impl Iterator<Item = [u8; 3]>) -> Self {
         let bytes: Vec<u8> = pixels.flatten().collect();
         debug_assert_eq!(bytes.len(), 3 * width * height);
@@ -38,7 +38,7 @@ impl Rgb8Image {
         Self::from_planes(&tensor_to_rows(image), width, height)
     }
 
-    /// Pictures of one height from left to right with a thin white line between them.
+    /// Joins pictures of the same height from left to right, with a thin white line between them.
     pub fn beside(images: &[Self]) -> Self {
         let height = images.iter().map(|image| image.height).min().unwrap_or(0);
         let separators = SEPARATOR * images.len().saturating_sub(1);
@@ -56,7 +56,7 @@ impl Rgb8Image {
     }
 }
 
-/// [0, 1] to 0..=255.
+/// Clamps to [0, 1] and rounds to a byte.
 pub(crate) fn to_byte(value: f32) -> u8 {
     (value.clamp(0.0, 1.0) * 255.0).round_ties_even() as u8
 }

@@ -1,4 +1,4 @@
-//! What a view is made of, one picture for each part.
+//! The layers of a rendered view as pictures.
 
 use dpges_core::camera::Camera;
 use dpges_core::render::Render;
@@ -7,22 +7,22 @@ use dpges_core::scene::tensors::tensor_to_rows;
 use crate::image::Rgb8Image;
 use crate::{Renderer, false_colour};
 
-/// The parts of a view.
+/// The layers of a view, one picture each.
 #[derive(Clone, Debug)]
 pub struct LayerPictures {
     /// The surfels alone on the background.
     pub surfels: Rgb8Image,
-    /// Behind the first, second, … and last peeled layer: white where all light comes through.
+    /// Transmittance behind the first, second, … and last peeled layer. White: all light passes.
     pub transmittance: Vec<Rgb8Image>,
-    /// Of the surfels, near dark.
+    /// Depth of the surfels. Dark: near.
     pub depth: Rgb8Image,
-    /// Depths at both ends of the colour ramp, world units; `None` where no surfel is in sight.
+    /// Depths at the ends of the colour ramp, world units; `None` if no surfel is visible.
     pub depth_range: Option<[f32; 2]>,
-    /// Of the surfels, world axes as red, green, blue.
+    /// Normals of the surfels: world x, y, z as red, green, blue.
     pub normal: Rgb8Image,
 }
 
-/// Pictures of the parts of `view`, which `renderer` rendered from `camera`.
+/// Pictures of the layers of `view`, which `renderer` rendered from `camera`.
 pub fn layer_pictures(renderer: &Renderer, camera: &Camera, view: &Render) -> LayerPictures {
     let (width, height) = (camera.width, camera.height);
     let transmittance = tensor_to_rows(&view.composite.transmittance);

@@ -1,4 +1,4 @@
-//! Pictures of trained scenes for people: rendered views, and every layer of them in colours that can be read.
+//! Pictures of trained scenes: rendered views, and their layers in legible colours.
 //!
 //! ```no_run
 //! use dpges_core::camera::Camera;

@@ -1,4 +1,4 @@
-//! A scene kept on a device, ready for one view after another.
+//! A scene on a device, from which views are rendered.
 
 use burn::tensor::{DType, Device, Tensor};
 use dpges_core::Result;
@@ -8,7 +8,7 @@ use dpges_core::render::blended::{BlendedOptions, BlendedRender, render_blended}
 use dpges_core::render::{Render, RenderOptions, Values, render};
 use dpges_core::scene::{Gaussians, Rendering, SceneData, Surfels};
 
-/// A scene as f32 tensors, with the options it was trained with.
+/// A scene as f32 tensors, with the options that it was trained with.
 #[derive(Clone, Debug)]
 pub struct Renderer {
     surfels: Surfels,
@@ -30,7 +30,7 @@ pub enum Rendered {
 }
 
 impl Rendered {
-    /// [3, H, W] display-referred, not clamped.
+    /// The image, [3, H, W], display-referred and not clamped.
     pub fn image(&self) -> &Tensor<3> {
         match self {
             Self::Peeled(render) => &render.composite.image,
@@ -38,7 +38,7 @@ impl Rendered {
         }
     }
 
-    /// What a view of surfels and Gaussians is made of; `None` of blended Gaussians.
+    /// The layers of a view of surfels and Gaussians; `None` for blended Gaussians.
     pub fn peeled(&self) -> Option<&Render> {
         match self {
             Self::Peeled(render) => Some(render),
@@ -48,6 +48,7 @@ impl Rendered {
 }
 
 impl Renderer {
+    /// Uploads `scene` to `device`.
     pub fn new(scene: &SceneData, device: &Device) -> Self {
         let options = match scene.info.rendering {
             Rendering::Peeled => Options::Peeled(RenderOptions::from(&scene.info)),
@@ -72,7 +73,7 @@ impl Renderer {
         self
     }
 
-    /// The view from `camera`, which stands in the scene's own coordinates.
+    /// Renders the view from `camera`, in the coordinates of the scene.
     ///
     /// # Errors
     /// As [`render`] and [`render_blended`].
@@ -88,7 +89,7 @@ impl Renderer {
         }
     }
 
-    /// Blended depth and normal of the surfels in a `view` from `camera`.
+    /// Blended depth and normals of the surfels in a `view` from `camera`.
     pub fn geometry(&self, camera: &Camera, view: &Render) -> Geometry {
         geometry(&self.surfels, &view.layers, &view.composite.transmittance, camera)
     }

@@ -1,18 +1,21 @@
-//! Names of the devices a scene can be trained and rendered on.
+//! Devices that scenes can be trained and rendered on, by name.
 
 #[cfg(feature = "gpu")]
 pub mod adapter;
+pub mod auto;
 pub mod choice;
+pub mod selftest;
 
 use std::fmt;
 use std::str::FromStr;
 
 use burn::tensor::Device;
 
+pub use auto::{DeviceRequest, Selection};
 use choice::AdapterChoice;
 
-/// A device by name: `cpu` and `ndarray` are burn-ndarray, `cpu-flex` and `flex` are burn-flex, all others are
-/// graphics adapters, named as [`AdapterChoice`] says.
+/// The name of a device: `cpu` and `ndarray` are burn-ndarray, `cpu-flex` and `flex` are burn-flex. All others are
+/// graphics adapters, see [`AdapterChoice`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DeviceName {
     #[cfg(feature = "ndarray")]
@@ -34,22 +37,24 @@ pub enum DeviceError {
     Unsuitable { asked: AdapterChoice, adapter: String, shortcoming: String },
     #[error("{adapter} cannot be opened: {reason}; update its driver, or name another device (`dpges devices`)")]
     Refused { adapter: String, reason: String },
+    #[error("there is no device to choose: {reason}, and this build leaves the CPU backends out")]
+    NoCpu { reason: String },
 }
 
-/// What to do on a machine without any adapter.
+/// Advice for a machine without any adapter.
 pub const NO_ADAPTER_ADVICE: &str = "install the driver of the GPU (on Linux with Vulkan; where there is no GPU, \
                                      Debian's mesa-vulkan-drivers and libvulkan1 do its work on the CPU), or use \
                                      `--device cpu`";
 
-/// Names that are accepted, for messages.
-const KNOWN: &str = "cpu (burn-ndarray, also called ndarray), cpu-flex (burn-flex, also called flex), wgpu (the best \
-                     GPU) and what else `dpges devices` lists";
+/// The accepted names, for messages.
+const KNOWN: &str = "auto (a GPU that passes a check, or else the CPU), cpu (burn-ndarray, also called ndarray), \
+                     cpu-flex (burn-flex, also called flex), wgpu (the best GPU), and what else `dpges devices` lists";
 const CPUS: [&str; 4] = ["cpu", "ndarray", "cpu-flex", "flex"];
-/// Names people try that belong to other ways to a GPU.
+/// Names of other ways to a GPU, which people try.
 const OTHER_GPUS: [&str; 3] = ["cuda", "rocm", "hip"];
 
 impl DeviceName {
-    /// The device itself, without autodiff. A GPU is started the first time, and shared from then on.
+    /// The device itself, without autodiff. A GPU is started the first time and shared from then on.
     ///
     /// # Errors
     /// [`DeviceError`] if there is no such adapter, the kernels do not run on it, or its driver refuses it.
@@ -65,7 +70,7 @@ impl DeviceName {
         }
     }
 
-    /// Whether it is a backend for CPUs; a software adapter is a GPU here.
+    /// Whether the device is a CPU backend. A software adapter counts as a GPU.
     pub fn is_cpu(self) -> bool {
         match self {
             #[cfg(feature = "ndarray")]
@@ -77,7 +82,7 @@ impl DeviceName {
         }
     }
 
-    /// What the name stands for on this machine, for people.
+    /// What the name stands for on this machine, as text for people.
     ///
     /// # Errors
     /// [`DeviceError`] if there is no such adapter or the kernels do not run on it.
@@ -93,7 +98,7 @@ impl DeviceName {
     }
 }
 
-/// What [`FromStr`] reads as the same.
+/// Text that [`FromStr`] reads back.
 impl fmt::Display for DeviceName {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {

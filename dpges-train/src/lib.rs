@@ -13,6 +13,7 @@
 //! | glam | poses in f64 |
 //! | image, serde-ply | photographs; the points of nerfstudio datasets |
 //! | kiddo | nearest neighbours: point spacing, margins, splits |
+//! | nalgebra | eigenvectors: the normals of points |
 //! | rand, rand_chacha | random numbers that a checkpoint can hold |
 //! | rayon | reading pictures, neighbours |
 //! | safetensors, serde, serde_json, toml, tempfile | checkpoints, configuration, logs |
@@ -24,6 +25,7 @@
 pub mod config;
 pub mod dataset;
 pub mod device;
+pub mod docs;
 pub mod eval;
 pub mod init;
 pub mod neighbours;
@@ -33,8 +35,3 @@ pub mod refine;
 pub mod run;
 pub mod scene_state;
 mod stage;
-
-/// The example of the README, compiled.
-#[cfg(doctest)]
-#[doc = include_str!("../../README.md")]
-struct Readme;

@@ -1,23 +1,23 @@
-//! Nearest neighbours among points: exact, the same on every machine, whatever the points are.
+//! Exact nearest neighbours among points. The result does not depend on the machine.
 
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
 use std::num::NonZero;
 
-/// A neighbour: its row and its squared distance in world units².
+/// A neighbour: its row, and its squared distance in world units².
 pub type Neighbour = (u32, f32);
 
-/// For every point the `count` nearest other points, nearest first, ties by row. The point itself
-/// is left out by row, so that a duplicate of it is a neighbour at distance 0.
+/// The `count` nearest other points of every point, nearest first, ties by row. The point itself is excluded by its
+/// row, so a duplicate of it is a neighbour at distance 0.
 ///
-/// A row has fewer than `count` neighbours where there are not that many. Points that are not
-/// finite have no neighbours and are nobody's neighbour.
+/// A point has fewer than `count` neighbours if there are not that many. Points that are not finite have no neighbours
+/// and are neighbours of no point.
 pub fn nearest(positions: &[[f32; 3]], count: usize) -> Vec<Vec<Neighbour>> {
     let sites = Sites::new(positions);
     positions.par_iter().enumerate().map(|(row, &query)| sites.nearest(query, count, Some(row as u32))).collect()
 }
 
-/// For every query the `count` nearest of `positions`, nearest first, ties by row; otherwise like [`nearest`].
+/// The `count` nearest of `positions` for every query, nearest first, ties by row; otherwise as [`nearest`].
 pub fn nearest_to(queries: &[[f32; 3]], positions: &[[f32; 3]], count: usize) -> Vec<Vec<Neighbour>> {
     let sites = Sites::new(positions);
     queries.par_iter().map(|&query| sites.nearest(query, count, None)).collect()
@@ -33,8 +33,8 @@ pub fn as_points(rows: &[f32]) -> &[[f32; 3]] {
     points
 }
 
-/// Distinct finite positions, each with the rows that lie there. A tree over them stays balanced
-/// and quick where many points coincide.
+/// Distinct finite positions, each with the rows at this position. A tree over them stays balanced and fast if many
+/// points coincide.
 struct Sites {
     tree: Option<ImmutableKdTree<f32, 3>>,
     positions: Vec<[f32; 3]>,

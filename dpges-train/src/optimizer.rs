@@ -60,7 +60,7 @@ impl Parameter {
         if self.attribute.learns() { leaf.grad_remove(gradients) } else { None }
     }
 
-    /// Nothing changes where `gate` [1] is not 1, or if the attribute does not learn.
+    /// Nothing changes where `gate` `[1]` is not 1, or if the attribute does not learn.
     ///
     /// # Errors
     /// [`dpges_core::Error::Shape`] if the gradient belongs to another set of rows.

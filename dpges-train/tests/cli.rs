@@ -8,8 +8,10 @@ use image::{Rgba, RgbaImage};
 use serde_json::{Map, Value, json};
 use tempfile::TempDir;
 
-/// A run of a few seconds: every kind of event happens, the scene changes its size.
-const TINY: [&str; 8] = [
+/// A run of a few seconds: every kind of event happens, the scene changes its size. On the CPU, where the same seed
+/// gives the same bytes.
+const TINY: [&str; 9] = [
+    "--device=cpu",
     "--max-resolution=32",
     "--steps=60",
     "--set=init.max_points=400",
@@ -145,7 +147,7 @@ fn a_run_writes_everything_and_can_be_measured_and_shown() {
     let written = json(run.join("eval.json"));
     let size = bytes(run.join("scene.safetensors")).len() as u64;
     assert_eq!((written["bytes"].as_u64(), written["split"].as_str()), (Some(size), Some("test")));
-    let result = ok(at, &["eval", "run", "--save-images", "views"]);
+    let result = ok(at, &["eval", "run", "--save-images", "views", "--device=cpu"]);
     let mut measured: Value = serde_json::from_str(&result).unwrap();
     assert_eq!(measured["views"].as_array().unwrap().len(), 6);
     for key in ["name", "psnr", "ssim", "seconds", "width", "height"] {
@@ -162,13 +164,14 @@ fn a_run_writes_everything_and_can_be_measured_and_shown() {
     };
     assert_eq!(times(&measured), times(&written), "the file in the run says the same");
 
-    let table = ok(at, &["eval", "run/scene.safetensors", "--split", "train", "--json", "train.json"]);
+    let table = ok(at, &["eval", "run/scene.safetensors", "--device=cpu", "--split", "train", "--json", "train.json"]);
     assert!(table.contains("mean"));
     assert_eq!(json(at.join("train.json"))["views"].as_array().unwrap().len(), 24);
 
     std::fs::copy(run.join("scene.safetensors"), at.join("alone.safetensors")).unwrap();
     assert!(fails(at, 2, &["eval", "alone.safetensors"]).contains("--data"));
-    let small = ok(at, &["eval", "alone.safetensors", "--data", "builtin", "--max-resolution", "32"]);
+    let small = ["eval", "alone.safetensors", "--data", "builtin", "--max-resolution", "32", "--device=cpu"];
+    let small = ok(at, &small);
     assert_eq!(serde_json::from_str::<Value>(&small).unwrap()["psnr"], written["psnr"]);
 
     ok(at, &["render", "run", "--out", "layers", "--layers"]);
@@ -238,7 +241,14 @@ fn a_step_that_is_not_finite_ends_the_run_with_the_state_before_it() {
 fn steps_are_scaled_once() {
     let folder = folder();
     let at = folder.path();
-    let args = ["train", "--out=run", "--steps-scale=0.002", "--max-resolution=24", "--set=init.max_points=100"];
+    let args = [
+        "train",
+        "--out=run",
+        "--device=cpu",
+        "--steps-scale=0.002",
+        "--max-resolution=24",
+        "--set=init.max_points=100",
+    ];
     ok(at, &args);
     assert!(String::from_utf8(bytes(at.join("run/config.toml"))).unwrap().contains("\nsteps = 4\n"));
     ok(at, &[&args[..], &["--resume"]].concat());
@@ -264,13 +274,24 @@ fn blender_scenes_begin_with_stages_unless_told_otherwise() {
         }
     }
     let config = |out: &str| -> toml::Table { String::from_utf8(bytes(at.join(out))).unwrap().parse().unwrap() };
-    ok(at, &["train", "toy", "--out=stages", "--steps=10"]);
+    ok(at, &["train", "toy", "--device=cpu", "--out=stages", "--steps=10"]);
     assert_eq!(config("stages/config.toml")["stages"]["surfels"].as_float(), Some(0.2));
     assert!(at.join("stages/stage_2dgs.safetensors").is_file() && at.join("stages/stage_dbs.safetensors").is_file());
     ok(at, &["train", "toy", "--out=stages", "--steps=10", "--resume"]);
-    ok(at, &["train", "toy", "--out=preset", "--steps=10", "--preset=quick"]);
+    ok(at, &["train", "toy", "--device=cpu", "--out=preset", "--steps=10", "--preset=quick"]);
     assert_eq!(config("preset/config.toml")["stages"]["surfels"].as_float(), Some(0.2));
-    ok(at, &["train", "toy", "--out=alone", "--steps=4", "--set=stages.surfels=0", "--set=stages.gaussians=0"]);
+    ok(
+        at,
+        &[
+            "train",
+            "toy",
+            "--device=cpu",
+            "--out=alone",
+            "--steps=4",
+            "--set=stages.surfels=0",
+            "--set=stages.gaussians=0",
+        ],
+    );
     assert_eq!(config("alone/config.toml")["stages"]["surfels"].as_float(), Some(0.0));
 }
 
@@ -278,8 +299,16 @@ fn blender_scenes_begin_with_stages_unless_told_otherwise() {
 fn variants_are_trained_once_and_compared() {
     let folder = folder();
     let at = folder.path();
-    let args =
-        ["ablate", "--out=study", "--steps=6", "--seed=3", "--max-resolution=32", "--budget=900", "--only=sh,full"];
+    let args = [
+        "ablate",
+        "--out=study",
+        "--device=cpu",
+        "--steps=6",
+        "--seed=3",
+        "--max-resolution=32",
+        "--budget=900",
+        "--only=sh,full",
+    ];
     let table = ok(at, &args);
     for part in ["full", "sh", "dB", "Gaussians", "ablation.csv", "ablation.svg"] {
         assert!(table.contains(part), "{part}: {table}");
@@ -311,6 +340,40 @@ fn variants_are_trained_once_and_compared() {
     let message = fails(at, 1, &[&args[..], &["--seed=4"]].concat());
     assert!(message.contains("study/full holds another run") && message.contains("`train.seed` is 3"), "{message}");
     assert!(ok(at, &["info", "study/sh"]).contains("margin_lookup"));
+}
+
+#[test]
+fn the_first_line_says_which_device_and_why() {
+    let folder = folder();
+    let at = folder.path();
+    let first_line = |args: &[&str]| -> String {
+        let output = dpges(at, args);
+        let message = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(0), "{args:?}: {message}");
+        message.lines().next().unwrap().to_owned()
+    };
+    let short = ["train", "--out=run", "--steps=2", "--max-resolution=24", "--set=init.max_points=100"];
+    let trained = first_line(&short);
+    let chosen = ok(at, &["devices", "--auto"]);
+    let device = chosen.split(',').next().unwrap();
+    assert!(trained.contains(&format!("device: {device}, since ")), "{trained}, but {chosen}");
+    if device == "cpu" {
+        assert!(["no GPU", "no hardware GPU"].iter().any(|part| chosen.contains(part)), "{chosen}");
+    } else {
+        assert!(device.starts_with("wgpu:") && chosen.contains("passed a check"), "{chosen}");
+    }
+    assert_eq!(json(at.join("run/run.json"))["device"], device, "a name, not `auto`");
+
+    let again = first_line(&["train", "--out=run", "--resume"]);
+    assert!(again.contains(&format!("device: {device} (")) && again.contains("as before"), "{again}");
+    assert!(first_line(&["train", "--out=run", "--resume", "--device=auto"]).contains(", since "));
+    assert!(first_line(&["eval", "run"]).contains(&format!("device: {device}, since ")));
+    let named = first_line(&["render", "run", "--out=pictures", "--device=cpu-flex"]);
+    assert!(named.contains("device: cpu-flex (burn-flex on the CPU), as --device says"), "{named}");
+    let study = ["ablate", "--out=study", "--only=full", "--steps=2", "--max-resolution=24", "--device=auto"];
+    assert!(first_line(&study).contains(&format!("device: {device}, since ")));
+    let selection: Value = serde_json::from_str(&ok(at, &["devices", "--auto", "--json"])).unwrap();
+    assert_eq!(selection["device"], device);
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Every golden case, on both CPU backends in both element types, and on a GPU.
 //!
-//! `DPGES_GOLDEN_DIR` names a further folder whose `*.safetensors` are all checked.
+//! `DPGES_GOLDEN_DIR` names another folder whose `*.safetensors` are all checked too.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -8,8 +8,7 @@ use std::path::{Path, PathBuf};
 use burn::tensor::{DType, Device};
 use dpges_core::testing::golden::{Deviation, GoldenCase};
 
-use crate::devices::{flex, ndarray};
-use crate::gpu::gpu;
+use crate::devices::flex;
 
 const TOLERANCE_F64: f64 = 1e-9;
 /// Beside what rounding the inputs to f32 causes.
@@ -58,7 +57,7 @@ fn check_folder(folder: &Path, device: &Device, dtype: DType) {
     assert!(failures.is_empty(), "{}", failures.join("\n"));
 }
 
-fn check_all(device: &Device, dtype: DType) {
+pub fn check_all(device: &Device, dtype: DType) {
     check_folder(&own_cases(), device, dtype);
     if let Some(folder) = std::env::var_os("DPGES_GOLDEN_DIR") {
         check_folder(Path::new(&folder), device, dtype);
@@ -67,12 +66,12 @@ fn check_all(device: &Device, dtype: DType) {
 
 #[test]
 fn ndarray_f64() {
-    check_all(&ndarray(), DType::F64);
+    check_all(&crate::devices::ndarray(), DType::F64);
 }
 
 #[test]
 fn ndarray_f32() {
-    check_all(&ndarray(), DType::F32);
+    check_all(&crate::devices::ndarray(), DType::F32);
 }
 
 #[test]
@@ -83,13 +82,6 @@ fn flex_f64() {
 #[test]
 fn flex_f32() {
     check_all(&flex(), DType::F32);
-}
-
-#[test]
-fn gpu_f32() {
-    if let Some(device) = gpu("golden cases") {
-        check_all(&device, DType::F32);
-    }
 }
 
 #[test]

@@ -1,34 +1,68 @@
-//! The GPU that tests run on: the best that wgpu finds, a software driver where there is no other.
+//! The tests on a GPU: the best adapter that wgpu finds, which is a software driver where there is no other.
 //!
-//! `DPGES_REQUIRE_GPU=1` makes a missing adapter a failure; without it tests that need one say that
-//! they were skipped.
+//! Without an adapter they are ignored. With `DPGES_REQUIRE_GPU=1` they fail.
 
-use std::io::Write;
-
-use burn::tensor::Device;
+use burn::tensor::{DType, Device};
 use dpges_train::device::DeviceName;
+use libtest_mimic::Trial;
 
-/// The device, or `None` where there is none and none is required.
-///
-/// # Panics
-/// If there is none and `DPGES_REQUIRE_GPU` is 1.
-pub fn gpu(test: &str) -> Option<Device> {
-    let best: DeviceName = "wgpu".parse().unwrap();
-    match best.describe().and_then(|adapter| Ok((adapter, best.open()?))) {
-        Ok((adapter, device)) => {
-            say(&format!("{test}: on {adapter}"));
-            Some(device)
-        }
-        Err(error) => {
-            let required = std::env::var("DPGES_REQUIRE_GPU").is_ok_and(|value| value == "1");
-            assert!(!required, "{test}: DPGES_REQUIRE_GPU=1, and {error}");
-            say(&format!("{test}: SKIPPED, {error}"));
-            None
-        }
-    }
+use crate::{golden, gpu, parity, training};
+
+/// Every function named, with its name.
+macro_rules! named {
+    ($($module:ident::$name:ident),* $(,)?) => {
+        [$((concat!(stringify!($module), "::", stringify!($name)), $module::$name as fn(Device))),*]
+    };
 }
 
-/// Past the capture of the test harness: a skipped test is not to look like one that passed.
-fn say(line: &str) {
-    let _ = writeln!(std::io::stderr().lock(), "{line}");
+pub fn trials() -> Vec<Trial> {
+    let tests = named![
+        gpu::golden_cases,
+        parity::every_operation_agrees_on_random_scenes,
+        parity::every_operation_agrees_for_every_number_of_layers_and_footprint,
+        parity::every_operation_agrees_on_a_realistic_scene,
+        parity::every_operation_agrees_with_nothing_to_show,
+        parity::sorted_blending_agrees_on_random_scenes,
+        parity::sorted_blending_agrees_in_a_crowd,
+        parity::sorted_blending_agrees_with_little_or_nothing_to_show,
+        parity::lists_that_overflow_change_nothing,
+        parity::ordered_sums_are_the_same_bits_every_time,
+        parity::doubles_on_a_gpu_are_refused_by_name,
+        gpu::starts_once,
+        training::a_gpu_trains_as_well_as_a_cpu,
+        training::a_deterministic_run_on_a_gpu_is_the_same_bytes_every_time,
+    ];
+    let device = best();
+    let required = std::env::var("DPGES_REQUIRE_GPU").is_ok_and(|value| value == "1");
+    if let Err(reason) = &device {
+        eprintln!("tests on a GPU cannot run: {reason}");
+    }
+    let trial = |(name, test): (&str, fn(Device))| {
+        let device = device.clone();
+        let is_ignored = device.is_err() && !required;
+        let run = move || {
+            test(device.map_err(|reason| format!("DPGES_REQUIRE_GPU=1, and {reason}"))?);
+            Ok(())
+        };
+        Trial::test(name, run).with_kind("GPU").with_ignored_flag(is_ignored)
+    };
+    tests.into_iter().map(trial).collect()
+}
+
+fn best() -> Result<Device, String> {
+    let best: DeviceName = "wgpu".parse()?;
+    let (adapter, device) =
+        best.describe().and_then(|adapter| Ok((adapter, best.open()?))).map_err(|e| e.to_string())?;
+    eprintln!("tests on a GPU run on {adapter}");
+    Ok(device)
+}
+
+pub fn golden_cases(device: Device) {
+    golden::check_all(&device, DType::F32);
+}
+
+/// Opening a device again gives the same one.
+pub fn starts_once(device: Device) {
+    device.sync().unwrap();
+    assert_eq!(best().unwrap(), device);
 }

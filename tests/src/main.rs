@@ -1,11 +1,9 @@
-//! Tests that need more than one crate, files or the binary.
+//! Tests that need more than one crate, files or the binary, and run on any machine. Those that need more of a machine
+//! are in `machine.rs`.
 
 mod acceptance;
 mod devices;
 mod golden;
-mod gpu;
 mod invariance;
-mod parity;
 mod robustness;
 mod total_gradient;
-mod training;

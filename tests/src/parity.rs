@@ -9,7 +9,6 @@ use dpges_core::testing::parity::{Bench, Named, Reference, distances};
 use dpges_core::testing::scenes::{self, Recipe, TestScene};
 
 use crate::devices::ndarray;
-use crate::gpu::gpu;
 
 const TOLERANCE: f64 = 2e-4;
 
@@ -62,9 +61,7 @@ fn random(seed: u64, model: ColourModel) -> TestScene {
     scenes::random(seed, &Recipe { surfels: 150, gaussians: 400, width: 75, height: 50, model, ..Recipe::default() })
 }
 
-#[test]
-fn every_operation_agrees_on_random_scenes() {
-    let Some(device) = gpu("every_operation_agrees_on_random_scenes") else { return };
+pub fn every_operation_agrees_on_random_scenes(device: Device) {
     let models = [
         ColourModel::SphericalBeta { lobes: 2 },
         ColourModel::SphericalHarmonics { degree: 3 },
@@ -75,9 +72,7 @@ fn every_operation_agrees_on_random_scenes() {
     }
 }
 
-#[test]
-fn every_operation_agrees_for_every_number_of_layers_and_footprint() {
-    let Some(device) = gpu("every_operation_agrees_for_every_number_of_layers_and_footprint") else { return };
+pub fn every_operation_agrees_for_every_number_of_layers_and_footprint(device: Device) {
     let scene = random(41, ColourModel::SphericalBeta { lobes: 1 });
     for layer_count in [1, 2, 4, 8] {
         for (footprint, modulation) in [(Footprint::Kernel, 30.0), (Footprint::Opacity, 255.0)] {
@@ -87,41 +82,31 @@ fn every_operation_agrees_for_every_number_of_layers_and_footprint() {
     }
 }
 
-#[test]
-fn every_operation_agrees_on_a_realistic_scene() {
-    let Some(device) = gpu("every_operation_agrees_on_a_realistic_scene") else { return };
+pub fn every_operation_agrees_on_a_realistic_scene(device: Device) {
     check("realistic", &scenes::realistic(900, 9_000, 120, 80, 1), PeelOptions::default(), &device);
 }
 
-#[test]
-fn every_operation_agrees_with_nothing_to_show() {
-    let Some(device) = gpu("every_operation_agrees_with_nothing_to_show") else { return };
+pub fn every_operation_agrees_with_nothing_to_show(device: Device) {
     for (surfels, gaussians) in [(0, 0), (5, 0), (0, 5)] {
         let scene = scenes::random(50, &Recipe { surfels, gaussians, ..Recipe::default() });
         check(&format!("{surfels} surfels, {gaussians} Gaussians"), &scene, PeelOptions::default(), &device);
     }
 }
 
-#[test]
-fn sorted_blending_agrees_on_random_scenes() {
-    let Some(device) = gpu("sorted_blending_agrees_on_random_scenes") else { return };
+pub fn sorted_blending_agrees_on_random_scenes(device: Device) {
     for seed in 90..93 {
         let scene = random(seed, ColourModel::SphericalBeta { lobes: 0 });
         check_blending(&format!("seed {seed}"), &scene, &FORMS, &device);
     }
 }
 
-#[test]
-fn sorted_blending_agrees_in_a_crowd() {
-    let Some(device) = gpu("sorted_blending_agrees_in_a_crowd") else { return };
+pub fn sorted_blending_agrees_in_a_crowd(device: Device) {
     // several blocks to sort, lists longer than a cube has units, pixels that end early
     let recipe = Recipe { surfels: 0, gaussians: 2_500, width: 40, height: 30, ..Recipe::default() };
     check_blending("a crowd", &scenes::random(94, &recipe), &[Form::Ellipsoids], &device);
 }
 
-#[test]
-fn sorted_blending_agrees_with_little_or_nothing_to_show() {
-    let Some(device) = gpu("sorted_blending_agrees_with_little_or_nothing_to_show") else { return };
+pub fn sorted_blending_agrees_with_little_or_nothing_to_show(device: Device) {
     for gaussians in [0, 1, 5] {
         let scene = scenes::random(95, &Recipe { surfels: 0, gaussians, ..Recipe::default() });
         check_blending(&format!("{gaussians} primitives"), &scene, &FORMS, &device);
@@ -129,8 +114,7 @@ fn sorted_blending_agrees_with_little_or_nothing_to_show() {
 }
 
 /// A comparison is worth something only if it fails where it should.
-#[test]
-fn a_device_that_is_off_is_found_out() {
+pub fn a_device_that_is_off_is_found_out() {
     let scene = random(60, ColourModel::SphericalBeta { lobes: 2 });
     let options = PeelOptions::default();
     let mut ids = on(&scene, options, &ndarray()).ids();
@@ -151,9 +135,7 @@ fn a_device_that_is_off_is_found_out() {
     assert!((apart * (75.0 * 50.0) - 1.0).abs() < 1e-6, "one pixel is other: {apart}");
 }
 
-#[test]
-fn lists_that_overflow_change_nothing() {
-    let Some(device) = gpu("lists_that_overflow_change_nothing") else { return };
+pub fn lists_that_overflow_change_nothing(device: Device) {
     let scene = random(70, ColourModel::SphericalBeta { lobes: 2 });
     cap_lists(100);
     check("lists of 100 entries", &scene, PeelOptions::default(), &device);
@@ -161,9 +143,7 @@ fn lists_that_overflow_change_nothing() {
     cap_lists(usize::MAX);
 }
 
-#[test]
-fn ordered_sums_are_the_same_bits_every_time() {
-    let Some(device) = gpu("ordered_sums_are_the_same_bits_every_time") else { return };
+pub fn ordered_sums_are_the_same_bits_every_time(device: Device) {
     let scene = scenes::realistic(300, 4_000, 96, 64, 2);
     let reference = on(&scene, PeelOptions::default(), &ndarray()).reference();
     let run = || on(&scene, PeelOptions::default(), &device).deterministic().against(&reference);
@@ -173,9 +153,7 @@ fn ordered_sums_are_the_same_bits_every_time() {
     }
 }
 
-#[test]
-fn doubles_on_a_gpu_are_refused_by_name() {
-    let Some(device) = gpu("doubles_on_a_gpu_are_refused_by_name") else { return };
+pub fn doubles_on_a_gpu_are_refused_by_name(device: Device) {
     if !device.supports_dtype(DType::F64) {
         return;
     }

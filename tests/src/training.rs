@@ -9,7 +9,6 @@ use dpges_train::eval::evaluate;
 use dpges_train::run::Trainer;
 
 use crate::devices::ndarray;
-use crate::gpu::gpu;
 
 fn dataset() -> Arc<Dataset> {
     let (size, defaults) = (64, BuiltinOptions::default());
@@ -43,9 +42,7 @@ fn trained(data: &Arc<Dataset>, config: Config, device: &Device) -> Trainer {
     trainer
 }
 
-#[test]
-fn a_gpu_trains_as_well_as_a_cpu() {
-    let Some(device) = gpu("a_gpu_trains_as_well_as_a_cpu") else { return };
+pub fn a_gpu_trains_as_well_as_a_cpu(device: Device) {
     let data = dataset();
     let psnr = |trainer: &Trainer, device: &Device| evaluate(&trainer.scene(), &data.test, device).unwrap().psnr;
     // in a fixed order, so that the difference is the same in every run, and at the paper's rates: at the faster ones of
@@ -62,9 +59,7 @@ fn a_gpu_trains_as_well_as_a_cpu() {
     assert!((cpu - gpu).abs() <= 0.1, "{cpu:.3} dB on the CPU, {gpu:.3} dB on the GPU");
 }
 
-#[test]
-fn a_deterministic_run_on_a_gpu_is_the_same_bytes_every_time() {
-    let Some(device) = gpu("a_deterministic_run_on_a_gpu_is_the_same_bytes_every_time") else { return };
+pub fn a_deterministic_run_on_a_gpu_is_the_same_bytes_every_time(device: Device) {
     let data = dataset();
     let run = || trained(&data, config(50, &["train.deterministic=true"]), &device).checkpoint();
     let (first, second) = (run(), run());

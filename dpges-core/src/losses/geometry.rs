@@ -1,5 +1,5 @@
-//! Geometry terms: agreement of rendered depth and normals with each other (2DGS) and with those of
-//! another rendering (DP-GES, geometric regularisation).
+//! Losses for geometry: rendered depth and normals should agree with each other (2DGS) and with those of another
+//! rendering (DP-GES, geometric regularisation).
 //!
 //! Depth is camera-space z in world units, [1, H, W], 0 where there is none; normals are [3, H, W].
 
@@ -34,7 +34,7 @@ impl Default for GeometryWeights {
     }
 }
 
-/// What the surfels should look like from one camera.
+/// The depth and normals that the surfels should have from one camera.
 #[derive(Clone, Debug)]
 pub struct Supervision {
     /// [1, H, W] expected depth, world units, 0 where it is unknown

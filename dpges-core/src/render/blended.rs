@@ -41,7 +41,7 @@ pub struct BlendedRender {
 }
 
 /// Renders `gaussians` from `camera`, nearest first. Colours below 0 count as 0 (3DGS). The gradient of `probe` [M, 4]
-/// tells how much the picture wants each of them to move, see [`blend`](crate::ops::blend::blend).
+/// tells how much the picture wants each of them to move, see [`blend()`].
 ///
 /// # Errors
 /// A typed error naming what does not fit: see [`validate_gaussians`], [`Camera::validate`], [`BlendOptions::validate`].

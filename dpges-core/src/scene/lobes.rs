@@ -30,7 +30,7 @@ pub fn present(detail: &[f32], count: usize, lobes: usize) -> Vec<u8> {
 }
 
 /// The lobes that are there in `detail` [N × 6 L] of N = `count` primitives with room for L = `lobes`: how many each
-/// primitive has [N], and the numbers of all, in order [sum of the counts × 6].
+/// primitive has `[N]`, and the numbers of all, in order [sum of the counts × 6].
 ///
 /// # Panics
 /// Those of [`present`].
@@ -40,7 +40,7 @@ pub fn pack(detail: &[f32], count: usize, lobes: usize) -> (Vec<u8>, Vec<f32>) {
     (present(detail, count, lobes), rows)
 }
 
-/// Undoes [`pack`]: detail [N × 6 L] of N primitives with `counts` [N] of the lobes in `rows`, and room for L = `lobes`.
+/// Undoes [`pack`]: detail [N × 6 L] of N primitives with `counts` `[N]` of the lobes in `rows`, and room for L = `lobes`.
 /// The lobes of a primitive come first, then as many [`ABSENT_LOBE`]s as there is room for.
 ///
 /// # Errors

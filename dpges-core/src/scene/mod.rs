@@ -1,5 +1,5 @@
 //! A scene: surfels, Gaussians, and what is needed to render them. [`schema`] declares their attributes; [`data`] holds
-//! them in host memory, [`tensors`] on a device, [`file`] on disk.
+//! them in host memory, [`tensors`] on a device, [`mod@file`] on disk.
 
 mod colour_model;
 pub mod data;
@@ -86,4 +86,22 @@ pub struct SceneInfo {
     pub extent: f64,
     /// World units; cameras made for this scene use it.
     pub near: f64,
+}
+
+impl Default for SceneInfo {
+    /// The paper's model in a bounded scene around the origin.
+    fn default() -> Self {
+        Self {
+            colour_model: ColourModel::SphericalBeta { lobes: 2 },
+            modulation: 30.0,
+            layer_count: 3,
+            footprint: Footprint::default(),
+            margin_lookup: MarginLookup::default(),
+            rendering: Rendering::default(),
+            background: [0.0; 3],
+            offset: [0.0; 3],
+            extent: 1.0,
+            near: 0.01,
+        }
+    }
 }

@@ -102,7 +102,7 @@ pub fn check_shape<const D: usize>(name: &str, tensor: &Tensor<D>, expected: [us
     Err(Error::Shape { tensor: name.to_owned(), expected: format!("{expected:?}"), found: tensor.dims().to_vec() })
 }
 
-/// [rows] integer tensor of row numbers, for `Tensor::select`.
+/// `[rows]` integer tensor of row numbers, for `Tensor::select`.
 pub fn row_indices(rows: &[usize], device: &Device) -> Tensor<1, Int> {
     let rows: Vec<i64> = rows.iter().map(|&row| row as i64).collect();
     let count = rows.len();

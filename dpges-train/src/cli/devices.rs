@@ -1,7 +1,7 @@
 //! `dpges devices`: what scenes can be trained and shown on.
 
 use clap::Args;
-use dpges_train::device::DeviceName;
+use dpges_train::device::{DeviceName, Selection, auto};
 #[cfg(feature = "gpu")]
 use dpges_train::device::{
     NO_ADAPTER_ADVICE,
@@ -10,12 +10,17 @@ use dpges_train::device::{
 };
 use serde_json::{Value, json};
 
-use super::{Result, print, table};
+use super::{Result, device_choice, print, table};
 
-/// List the devices that --device can name
+/// List the devices that --device accepts
+///
+/// For each graphics adapter: its kind, graphics API, driver and limits, and whether the kernels run on it.
 #[derive(Debug, Args)]
 pub struct DevicesArgs {
-    /// As JSON
+    /// Say instead which device `--device auto` stands for, and why; checks GPUs, which takes a few seconds
+    #[arg(long)]
+    auto: bool,
+    /// Print JSON
     #[arg(long)]
     json: bool,
 }
@@ -30,6 +35,9 @@ struct Entry {
 }
 
 pub fn run(args: &DevicesArgs) -> Result<()> {
+    if args.auto {
+        return choose(args.json);
+    }
     let (cpus, adapters) = (cpus()?, adapters()?);
     let advice = adapters.is_empty().then(no_adapter);
     if args.json {
@@ -44,6 +52,15 @@ pub fn run(args: &DevicesArgs) -> Result<()> {
     }
     rows.extend(advice.map(|advice| ("wgpu", advice)));
     print(&table(&rows))
+}
+
+/// In this process for JSON, which is what another `dpges` asks for, and so in a child process otherwise.
+fn choose(json: bool) -> Result<()> {
+    if json {
+        return print(&format!("{}\n", serde_json::to_string(&auto::select()?)?));
+    }
+    let Selection { device, reason } = device_choice::automatic()?;
+    print(&format!("{device}, since {reason}\n"))
 }
 
 fn cpus() -> Result<Vec<Entry>> {

@@ -1,4 +1,4 @@
-//! `dpges eval`: how well a scene shows the views of a dataset.
+//! `dpges eval`: image quality of a scene against photographs.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -6,41 +6,49 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use dpges_core::Error;
 use dpges_render::{Renderer, Rgb8Image};
-use dpges_train::device::DeviceName;
+use dpges_train::device::{DeviceName, DeviceRequest};
 use dpges_train::eval::{EvalReport, Evaluation, evaluate_each};
 use dpges_train::pictures::{file_stems, save_png};
 use dpges_train::run::folder::write_json;
 
 use super::data::{Scene, ViewArgs};
-use super::{Result, print, table};
+use super::device_failure::watched;
+use super::{Result, device_choice, print, table};
 
 /// Measure PSNR and SSIM of a scene against photographs
 ///
-/// The result is JSON on standard output, or in the file that --json names and then as a table.
+/// Prints the result as JSON on standard output and as a table on standard error. With --json FILE, the JSON goes to
+/// the file and the table to standard output.
 #[derive(Debug, Args)]
 pub struct EvalArgs {
     /// Scene file or folder of a run
     scene: PathBuf,
     #[command(flatten)]
     views: ViewArgs,
-    /// cpu, cpu-flex, wgpu (the best GPU), or what else `dpges devices` lists
-    #[arg(long, value_name = "NAME", default_value = "cpu")]
-    pub device: DeviceName,
-    /// Write the rendered views as PNGs
+    /// auto (a GPU that passes a check, or else the CPU), cpu, cpu-flex, wgpu (the best GPU), or another one that
+    /// `dpges devices` lists
+    #[arg(long, value_name = "NAME", default_value_t)]
+    device: DeviceRequest,
+    /// Write the rendered views as PNGs to this folder
     #[arg(long, value_name = "DIR")]
     save_images: Option<PathBuf>,
-    /// Write the result here; `-` is standard output
+    /// Write the result to this file; `-` is standard output
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
 }
 
 pub fn run(args: &EvalArgs) -> Result<()> {
-    let mut scene = Scene::load(&args.scene)?;
+    let scene = Scene::load(&args.scene)?;
+    let device = device_choice::select(args.device)?;
+    watched(device, || measure(args, scene, device))
+}
+
+fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> {
     let (source, views) = args.views.load(&mut scene)?;
     if let Some(folder) = &args.save_images {
         make_folder(folder)?;
     }
-    let device = args.device.open()?;
+    let device = device.open()?;
     let stems = file_stems(&views);
     let renderer = Renderer::new(&scene.data, &device);
     let evaluation = evaluate_each(&renderer, &scene.data, &views, &device, |index, render| {

@@ -1,4 +1,4 @@
-//! `dpges info`: what is in a scene file.
+//! `dpges info`: the content of a scene file.
 
 use std::path::PathBuf;
 
@@ -12,12 +12,12 @@ use super::{Result, print, table};
 
 const PERCENTILES: [usize; 3] = [5, 50, 95];
 
-/// Say what is in a scene
+/// Describe a scene: counts, size, colour model, rendering, extent, percentiles
 #[derive(Debug, Args)]
 pub struct InfoArgs {
     /// Scene file or folder of a run
     scene: PathBuf,
-    /// As JSON
+    /// Print JSON
     #[arg(long)]
     json: bool,
 }
@@ -75,7 +75,7 @@ fn describe(scene: &Scene) -> Vec<(&'static str, Value)> {
     ]
 }
 
-/// Lobes of surfels and of Gaussians that are there; `None` of colours without lobes.
+/// Numbers of lobes of the surfels and of the Gaussians; `None` for colours without lobes.
 fn lobes(scene: &Scene) -> Option<[usize; 2]> {
     let ColourModel::SphericalBeta { lobes } = scene.data.info.colour_model else { return None };
     let (surfels, gaussians) = (&scene.data.surfels, &scene.data.gaussians);
@@ -83,7 +83,7 @@ fn lobes(scene: &Scene) -> Option<[usize; 2]> {
     Some(sets.map(|(detail, count)| present(detail, count, lobes).into_iter().map(usize::from).sum()))
 }
 
-/// `None` of nothing.
+/// `None` without values.
 fn percentiles(mut values: Vec<f32>) -> Option<[f32; 3]> {
     values.sort_unstable_by(f32::total_cmp);
     let last = values.len().checked_sub(1)?;

@@ -2,10 +2,13 @@
 
 mod ablate;
 mod data;
+mod device_choice;
 mod device_failure;
 mod devices;
 mod eval;
 mod info;
+#[cfg(test)]
+mod reference;
 mod render;
 mod selftest;
 mod train;
@@ -19,7 +22,6 @@ use dpges_train::config::ConfigError;
 use miette::{Diagnostic, MietteHandlerOpts, Report};
 
 use crate::logging::{self, LogStyle};
-use device_failure::watched;
 
 /// Train, measure and look at depth-peeled Gaussian-enhanced surfels.
 #[derive(Debug, Parser)]
@@ -98,8 +100,8 @@ pub fn run() -> ExitCode {
     let result = match cli.command {
         Command::Train(args) => train::run(args, style),
         Command::Ablate(args) => ablate::run(&args, style),
-        Command::Eval(args) => watched(args.device, || eval::run(&args)),
-        Command::Render(args) => watched(args.device, || render::run(&args)),
+        Command::Eval(args) => eval::run(&args),
+        Command::Render(args) => render::run(&args),
         Command::Info(args) => info::run(&args),
         Command::Devices(args) => devices::run(&args),
         Command::Selftest(args) => selftest::run(&args),

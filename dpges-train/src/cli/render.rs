@@ -5,14 +5,15 @@ use std::path::PathBuf;
 use clap::Args;
 use dpges_core::scene::Rendering;
 use dpges_render::{LayerPictures, Renderer, Rgb8Image, layer_pictures};
-use dpges_train::device::DeviceName;
+use dpges_train::device::{DeviceName, DeviceRequest};
 use dpges_train::pictures::{file_stems, save_png};
 use dpges_train::run::folder::write_json;
 use serde_json::{Value, json};
 
 use super::data::{Scene, ViewArgs};
+use super::device_failure::watched;
 use super::eval::make_folder;
-use super::{Failure, Result, print};
+use super::{Failure, Result, device_choice, print};
 
 /// Write a PNG of every view of a dataset
 #[derive(Debug, Args)]
@@ -24,9 +25,10 @@ pub struct RenderArgs {
     /// Folder for the pictures
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// cpu, cpu-flex, wgpu (the best GPU), or what else `dpges devices` lists
-    #[arg(long, value_name = "NAME", default_value = "cpu")]
-    pub device: DeviceName,
+    /// auto (a GPU that passes a check, or else the CPU), cpu, cpu-flex, wgpu (the best GPU), or another one that
+    /// `dpges devices` lists
+    #[arg(long, value_name = "NAME", default_value_t)]
+    device: DeviceRequest,
     /// Also write the surfels alone, the transmittance behind each layer, depth and normals, and their depth ranges
     /// in layers.json
     #[arg(long)]
@@ -34,31 +36,36 @@ pub struct RenderArgs {
 }
 
 pub fn run(args: &RenderArgs) -> Result<()> {
-    let mut scene = Scene::load(&args.scene)?;
-    let (_, views) = args.views.load(&mut scene)?;
+    let scene = Scene::load(&args.scene)?;
     let rendering = scene.data.info.rendering;
     if args.layers && rendering != Rendering::Peeled {
         let of = args.scene.display();
         return Err(Failure::Usage(format!("--layers: {of} is a scene of {rendering}, which has no layers")));
     }
-    make_folder(&args.out)?;
-    let renderer = Renderer::new(&scene.data, &args.device.open()?);
-    let mut ranges = Vec::new();
-    for (view, stem) in views.iter().zip(file_stems(&views)) {
-        let render = renderer.render(&view.camera)?;
-        save_png(&Rgb8Image::from_tensor(render.image()), &args.out.join(format!("{stem}.png")))?;
-        if let (true, Some(render)) = (args.layers, render.peeled()) {
-            let pictures = layer_pictures(&renderer, &view.camera, render);
-            ranges.push(args.save_layers(&stem, &view.name, &pictures)?);
-        }
-    }
-    if args.layers {
-        write_json(&args.out.join("layers.json"), &ranges)?;
-    }
-    print(&format!("{} views in {}\n", views.len(), args.out.display()))
+    let device = device_choice::select(args.device)?;
+    watched(device, || args.write(scene, device))
 }
 
 impl RenderArgs {
+    fn write(&self, mut scene: Scene, device: DeviceName) -> Result<()> {
+        let (_, views) = self.views.load(&mut scene)?;
+        make_folder(&self.out)?;
+        let renderer = Renderer::new(&scene.data, &device.open()?);
+        let mut ranges = Vec::new();
+        for (view, stem) in views.iter().zip(file_stems(&views)) {
+            let render = renderer.render(&view.camera)?;
+            save_png(&Rgb8Image::from_tensor(render.image()), &self.out.join(format!("{stem}.png")))?;
+            if let (true, Some(render)) = (self.layers, render.peeled()) {
+                let pictures = layer_pictures(&renderer, &view.camera, render);
+                ranges.push(self.save_layers(&stem, &view.name, &pictures)?);
+            }
+        }
+        if self.layers {
+            write_json(&self.out.join("layers.json"), &ranges)?;
+        }
+        print(&format!("{} views in {}\n", views.len(), self.out.display()))
+    }
+
     /// Returns the view's entry in `layers.json`.
     fn save_layers(&self, stem: &str, view: &str, pictures: &LayerPictures) -> Result<Value> {
         let mut named = vec![

@@ -1,4 +1,4 @@
-//! From a described dataset to one that can be trained on: pictures, pinhole cameras, split, extent, origin.
+//! Turns the description of a dataset into one to train on: pictures, pinhole cameras, split, extent, origin.
 
 use std::path::{Component, Path, PathBuf};
 
@@ -63,7 +63,7 @@ fn frames_of(source: &Source, split: Split) -> impl Iterator<Item = &Frame> {
     source.frames.iter().filter(move |frame| frame.split == split)
 }
 
-/// What can be refused before an image is opened.
+/// Checks that need no pixels.
 fn check(source: &Source, near: f64, options: &LoadOptions) -> Result<()> {
     let path = source.described_in.clone();
     if source.frames.is_empty() {

@@ -7,7 +7,7 @@ use super::error::Result;
 use super::source::{RawPoints, Source, Split};
 use super::transforms::read_transforms;
 
-/// `transforms_train.json` trains, `transforms_test.json` is held out, or `transforms_val.json` where there is none.
+/// Trains on `transforms_train.json` and holds out `transforms_test.json`, or else `transforms_val.json`.
 ///
 /// # Errors
 /// [`super::DatasetError`] from [`super::transforms`].

@@ -1,5 +1,4 @@
-//! What can be wrong with a dataset on disk. Every message names the file, says what was found there
-//! and what to do about it.
+//! Errors in datasets on disk. Every message names the file, what was found there, and the remedy.
 
 use std::path::{Path, PathBuf};
 

@@ -13,9 +13,9 @@ use super::error::{DatasetError, Result};
 pub struct Picture {
     pub width: usize,
     pub height: usize,
-    /// [3, height, width], red, green and blue planes in 0..1, composited on the background.
+    /// Red, green and blue planes in 0..1, [3, height, width], composited on the background.
     pub planes: Vec<f32>,
-    /// [height, width] coverage in 0..1, where the file had an alpha channel.
+    /// Coverage in 0..1, [height, width]. `None` if the file has no alpha channel.
     pub alpha: Option<Vec<f32>>,
 }
 
@@ -25,7 +25,7 @@ impl Picture {
         std::array::from_fn(|channel| self.planes[(channel * self.height + y) * self.width + x])
     }
 
-    /// Downscaled to `width` × `height` px with a Catmull-Rom filter as wide as the reduction asks for.
+    /// The picture downscaled to `width` × `height` px by a Catmull-Rom filter, widened by the reduction.
     pub(super) fn downscaled(&self, width: usize, height: usize) -> Self {
         let mut interleaved = Vec::with_capacity(self.planes.len());
         for y in 0..self.height {
@@ -40,7 +40,7 @@ impl Picture {
     }
 }
 
-/// What the header of an image file says.
+/// The header of an image file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Header {
     pub width: usize,
@@ -59,7 +59,7 @@ pub(super) fn header(path: &Path) -> Result<Header> {
     Ok(Header { width: width as usize, height: height as usize, has_alpha: colour.has_alpha() })
 }
 
-/// Decodes a PNG or JPEG of 8 or 16 bits, grey or coloured. Where it has alpha (not premultiplied), colour is
+/// Decodes a PNG or JPEG of 8 or 16 bits, grey or coloured. If the file has alpha (not premultiplied), colour is
 /// composited in float: `alpha · colour + (1 − alpha) · background`.
 ///
 /// # Errors

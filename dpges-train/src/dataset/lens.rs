@@ -1,4 +1,4 @@
-//! Intrinsics of a photograph as it was taken, lens distortion included.
+//! Intrinsics of a photograph as taken, including lens distortion.
 
 use dpges_core::camera::{Camera, CameraFromWorld};
 
@@ -46,7 +46,7 @@ pub(super) struct Lens {
 }
 
 impl Lens {
-    /// The pinhole camera with these intrinsics; distortion is left to [`super::undistort`].
+    /// The pinhole camera with these intrinsics, without distortion; see [`super::undistort`].
     pub fn camera(&self, camera_from_world: CameraFromWorld, near: f64) -> Camera {
         let Self { width, height, fx, fy, cx, cy, .. } = *self;
         Camera { camera_from_world, fx, fy, cx, cy, width, height, near }

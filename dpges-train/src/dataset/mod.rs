@@ -33,12 +33,12 @@ pub use images::Picture;
 
 use error::Result;
 
-/// A photograph and the pinhole camera that took it, at the same resolution.
+/// A photograph and the pinhole camera that took it. Both have the same resolution.
 #[derive(Clone, Debug)]
 pub struct View {
     /// The image's path within its dataset, unique.
     pub name: String,
-    /// In the recentred world, see [`Dataset::offset`].
+    /// In the shifted world, see [`Dataset::offset`].
     pub camera: Camera,
     pub picture: Picture,
 }
@@ -46,7 +46,7 @@ pub struct View {
 /// Points on the surfaces of the scene.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PointCloud {
-    /// World units, recentred, see [`Dataset::offset`].
+    /// World units, in the shifted world, see [`Dataset::offset`].
     pub positions: Vec<[f32; 3]>,
     /// Red, green, blue in 0..1, display-referred.
     pub colours: Vec<[f32; 3]>,
@@ -54,23 +54,23 @@ pub struct PointCloud {
     pub seen_by: Vec<Vec<u32>>,
 }
 
-/// A scene to train on. Views are sorted by name.
+/// Photographs, cameras and points to train on. Views are sorted by name.
 #[derive(Clone, Debug)]
 pub struct Dataset {
     pub train: Vec<View>,
     /// Held out from training.
     pub test: Vec<View>,
-    /// Kept from training too, for decisions on the way, see [`Dataset::keep_for_validation`].
+    /// Excluded from training, for decisions during training, see [`Dataset::keep_for_validation`].
     pub validation: Vec<View>,
-    /// Empty where the dataset has none.
+    /// Points on surfaces. Empty if the dataset has none.
     pub points: PointCloud,
-    /// World position, in the dataset's coordinates, of the origin used here: add it to get back. Zero unless the
-    /// mean of the camera centres is more than 100 extents from the origin; beyond, the spacing of f32 would exceed
-    /// 10⁻⁵ of the extent.
+    /// Position of this dataset's origin in the coordinates of the files: files = here + offset. World units. It is
+    /// zero unless the mean of the camera centres is more than 100 extents from the origin of the files, where the
+    /// spacing of f32 would exceed 10⁻⁵ of the extent.
     pub offset: DVec3,
     /// 1.1 × the largest distance of a training camera centre from their mean, world units; 1 where that is 0.
     pub extent: f64,
-    /// Red, green, blue in 0..1 behind the scene; images with alpha are composited on it.
+    /// Background colour: red, green, blue in 0..1. Images with alpha are composited on it.
     pub background: [f64; 3],
     pub format: Format,
     /// Near plane of every camera, world units.
@@ -78,7 +78,7 @@ pub struct Dataset {
 }
 
 impl View {
-    /// [3, H, W] the picture on `device`.
+    /// The picture on `device`, [3, H, W].
     pub fn target(&self, device: &Device) -> Tensor<3> {
         let Picture { width, height, ref planes, .. } = self.picture;
         Tensor::from_data(TensorData::new(planes.clone(), [3, height, width]), (device, DType::F32))
@@ -86,9 +86,9 @@ impl View {
 }
 
 impl Dataset {
-    /// Takes every `every`-th training view out of training; 0 takes none. Not the first, which often is the end of a
-    /// path and shows what no other view does, but those in the middle of as many. At least two views stay. Points that
-    /// only the others saw stay, seen by none.
+    /// Moves every `every`-th training view to [`validation`](Self::validation); 0 moves none. It takes the middle view
+    /// of each group of `every`, because the first view is often the end of a path and shows what no other view does.
+    /// At least two training views remain. Points that only removed views saw remain, with no view that sees them.
     pub fn keep_for_validation(&mut self, every: usize) {
         let count = self.train.len();
         let first = (every / 2).min(count.saturating_sub(1) / 2);
@@ -111,7 +111,7 @@ impl Dataset {
     }
 }
 
-/// Where a dataset came from.
+/// The layout that a dataset was read from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
     Colmap,
@@ -132,7 +132,8 @@ impl fmt::Display for Format {
 }
 
 impl Format {
-    /// Captured scenes keep the 0.2 of 3DGS; synthetic ones are small.
+    /// Near plane of this format's cameras, world units: 0.2 for captured scenes (3DGS), 0.01 for synthetic ones, which
+    /// are small.
     fn default_near(self) -> f64 {
         match self {
             Self::Colmap | Self::Nerfstudio => 0.2,
@@ -147,10 +148,10 @@ pub struct LoadOptions {
     pub background: Option<[f64; 3]>,
     /// Read `images_2`, `images_4`, … as shipped instead of `images`.
     pub image_scale: Option<u32>,
-    /// Cap on the longer side of a picture, px; larger ones are downscaled.
+    /// Largest length of the longer side of a picture, px. Larger pictures are downscaled.
     pub max_resolution: Option<usize>,
-    /// Hold out every n-th view by name where the dataset stores no split of its own. 0 holds none out and accepts a
-    /// dataset without held-out views.
+    /// Hold out every n-th view by name if the dataset stores no split. 0 holds none out and accepts a dataset without
+    /// held-out views.
     pub test_every: usize,
     /// World units. `None`: 0.2 for COLMAP and nerfstudio, 0.01 for Blender.
     pub near: Option<f64>,
@@ -162,8 +163,8 @@ impl Default for LoadOptions {
     }
 }
 
-/// Layout of the folder `path`: COLMAP where there is a `sparse` folder, Blender where there is
-/// `transforms_train.json`, nerfstudio where there is `transforms.json`, tried in this order.
+/// The layout of folder `path`: COLMAP if it has a folder `sparse`, else Blender if it has `transforms_train.json`,
+/// else nerfstudio if it has `transforms.json`.
 pub fn format(path: &Path) -> Option<Format> {
     if path.join("sparse").is_dir() {
         Some(Format::Colmap)
@@ -174,10 +175,10 @@ pub fn format(path: &Path) -> Option<Format> {
     }
 }
 
-/// Reads the dataset in folder `path`, see [`format`].
+/// Reads the dataset in folder `path`, see [`format()`].
 ///
 /// # Errors
-/// [`DatasetError`] names the file at fault and what to do.
+/// [`DatasetError`] names the file at fault and the remedy.
 pub fn load(path: &Path, options: &LoadOptions) -> Result<Dataset> {
     let source = match format(path) {
         Some(Format::Colmap) => colmap::read(path, options)?,

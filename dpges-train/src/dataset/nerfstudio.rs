@@ -9,8 +9,8 @@ use super::source::{Frame, RawPoints, Source, Split};
 use super::transforms::{Transforms, name, read_transforms};
 use super::{Format, LoadOptions, ply, split};
 
-/// Held-out frames are those that the file lists itself (`test_filenames`, else `val_filenames`), else those of
-/// `transforms_test.json` or `transforms_val.json` beside it, else every n-th by name.
+/// Held-out frames are, in this order of preference: `test_filenames` of the file, its `val_filenames`, the frames of
+/// `transforms_test.json` or `transforms_val.json` beside it, every n-th frame by name.
 ///
 /// # Errors
 /// [`super::DatasetError`] from [`super::transforms`], and for a point cloud that cannot be read.
@@ -41,8 +41,8 @@ pub(super) fn read(root: &Path, options: &LoadOptions) -> Result<Source> {
     })
 }
 
-/// What `train_filenames`, `test_filenames` and `val_filenames` ask for; frames in none of them are left out, or
-/// train where there is no `train_filenames`.
+/// The split by `train_filenames`, `test_filenames` and `val_filenames`. Frames in none of them are omitted, or are
+/// training frames if there is no `train_filenames`.
 fn listed_split(transforms: &Transforms) -> Option<impl Fn(&str) -> Split> {
     let set = |names: &Option<Vec<String>>| -> Option<BTreeSet<String>> {
         names.as_ref().map(|names| names.iter().map(|listed| name(listed).to_owned()).collect())
@@ -64,7 +64,7 @@ fn listed_split(transforms: &Transforms) -> Option<impl Fn(&str) -> Split> {
     })
 }
 
-/// Training frames that are also held out do not train.
+/// Removes held-out frames from the training frames.
 fn with_held_out(train: Vec<Frame>, held_out: Vec<Frame>) -> Vec<Frame> {
     let names: BTreeSet<&str> = held_out.iter().map(|frame| frame.name.as_str()).collect();
     let mut frames: Vec<Frame> = train.into_iter().filter(|frame| !names.contains(frame.name.as_str())).collect();

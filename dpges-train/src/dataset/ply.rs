@@ -1,4 +1,4 @@
-//! Point clouds in PLY files, ascii or binary: positions and, where there are any, colours.
+//! Point clouds in PLY files, ASCII or binary: positions and optional colours.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use serde_ply::{DeserializeError, ElementDef, PlyReader, PropertyType, ScalarTyp
 use super::error::{DatasetError, Result, read};
 use super::source::RawPoints;
 
-/// Colour of points whose file has none.
+/// Colour of points without one in the file.
 const GREY: f64 = 0.5;
 
 #[derive(Deserialize)]
@@ -25,12 +25,12 @@ struct Vertex {
     blue: Option<f64>,
 }
 
-/// A row of an element that is of no interest.
+/// A row of an element that is skipped.
 #[derive(Deserialize)]
 struct Skipped {}
 
-/// The vertices of the file; `red`, `green`, `blue` may be integers over their range or floats in 0..1. No views are
-/// known to see them.
+/// The vertices of the file. `red`, `green` and `blue` may be integers, which span their range, or floats in 0..1. The
+/// views that see a point are unknown.
 ///
 /// # Errors
 /// [`DatasetError::Read`], [`DatasetError::Ply`], [`DatasetError::Malformed`] for coordinates that are not finite.

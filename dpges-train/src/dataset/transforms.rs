@@ -1,7 +1,7 @@
-//! The JSON that Blender and nerfstudio datasets share: `transforms*.json`.
+//! `transforms*.json`, which Blender and nerfstudio datasets share.
 //!
-//! Poses are camera to world with OpenGL axes (y up, looking along −z). Intrinsics may stand at the top, for all
-//! frames, or in a frame, for that one.
+//! Poses map camera to world with OpenGL axes (y up, looking along −z). Intrinsics at the top level apply to all
+//! frames, intrinsics in a frame to that frame.
 
 use std::path::{Path, PathBuf};
 
@@ -14,7 +14,7 @@ use super::images;
 use super::lens::{Distortion, Lens};
 use super::source::{Frame, Split};
 
-/// Entries of RᵀR − I beyond which a pose is refused instead of being made orthonormal.
+/// Largest entry of RᵀR − I with which a pose is made orthonormal; other poses are refused.
 const ROTATION_TOLERANCE: f64 = 1e-3;
 
 #[derive(Clone, Debug, Deserialize)]
@@ -91,7 +91,7 @@ impl Transforms {
     }
 }
 
-/// The image file; Blender's scenes leave the extension away.
+/// The image file. Blender scenes omit its extension.
 fn image_path(root: &Path, described_in: &Path, name: &str) -> Result<PathBuf> {
     ["", ".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG"]
         .iter()
@@ -129,7 +129,7 @@ fn camera_from_world(path: &Path, view: &str, matrix: &[Vec<f64>]) -> Result<Cam
 }
 
 impl Intrinsics {
-    /// The frame's own values where it has them, those of the file elsewhere.
+    /// The frame's own values, and those of the file where the frame has none.
     fn or(self, file: &Self) -> Self {
         Self {
             camera_model: self.camera_model.or_else(|| file.camera_model.clone()),
@@ -149,7 +149,7 @@ impl Intrinsics {
         }
     }
 
-    /// Size from the image where the file has none; square pixels and a centred principal point likewise.
+    /// Fills gaps: the size from the image, square pixels, a centred principal point.
     fn lens(&self, path: &Path, view: &str, image: &Path) -> Result<Lens> {
         self.check_model(path, view)?;
         let (width, height) = match (self.w, self.h) {

@@ -1,4 +1,4 @@
-//! From a photograph with radial and tangential distortion to the pinhole picture the renderer can fit.
+//! Resamples photographs with radial and tangential distortion for a pinhole camera, which the renderer can fit.
 //!
 //! As COLMAP's `image_undistorter` with `blank_pixels` = 0, the pinhole camera is chosen so that every one of its
 //! pixels lies on the photograph. COLMAP keeps the focal length and changes the size of the picture; here
@@ -8,10 +8,10 @@
 use super::images::Picture;
 use super::lens::{Distortion, Lens};
 
-/// Zooms tried; beyond them the pinhole picture would show a small part of the photograph or blur it.
+/// Range of zooms. Outside, the pinhole picture would show a small part of the photograph, or blur it.
 const ZOOM_RANGE: [f64; 2] = [0.5, 2.0];
 
-/// The widest pinhole lens whose pixels all lie on the photograph; `None` where no zoom in [½, 2] achieves that.
+/// The widest pinhole lens whose pixels all lie on the photograph; `None` if no zoom in [½, 2] achieves that.
 pub(super) fn pinhole(lens: &Lens) -> Option<Lens> {
     if lens.distortion.is_zero() {
         return Some(*lens);
@@ -32,7 +32,7 @@ pub(super) fn pinhole(lens: &Lens) -> Option<Lens> {
     Some(zoomed(high))
 }
 
-/// `photograph` [3, height, width] taken through `lens`, resampled bilinearly for `pinhole`.
+/// The `photograph` [3, height, width], taken through `lens`, resampled bilinearly for `pinhole`.
 pub(super) fn resample(photograph: &Picture, lens: &Lens, pinhole: &Lens) -> Picture {
     let (width, height) = (photograph.width, photograph.height);
     let pixels = width * height;
@@ -51,7 +51,7 @@ pub(super) fn resample(photograph: &Picture, lens: &Lens, pinhole: &Lens) -> Pic
     Picture { width, height, planes, alpha }
 }
 
-/// Where the pinhole's position (x, y) px lies on the photograph, in px.
+/// Position on the photograph, px, of the position (x, y), px, of the pinhole picture.
 fn source_position(lens: &Lens, pinhole: &Lens, x: f64, y: f64) -> (f64, f64) {
     let (x, y) = lens.distortion.apply((x - pinhole.cx) / pinhole.fx, (y - pinhole.cy) / pinhole.fy);
     (lens.fx * x + lens.cx, lens.fy * y + lens.cy)

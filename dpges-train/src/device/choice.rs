@@ -1,10 +1,10 @@
-//! Which of a machine's graphics adapters is meant.
+//! Names of the graphics adapters of a machine.
 
 use std::fmt;
 
 use serde::Serialize;
 
-/// What an adapter is, best first.
+/// Kinds of adapters, best first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Kind {
@@ -14,9 +14,9 @@ pub enum Kind {
     Integrated,
     /// A share of a GPU.
     Virtual,
-    /// A GPU of which the driver does not say more.
+    /// A GPU whose driver does not report its kind.
     Other,
-    /// A driver that does the work of a GPU on the CPU.
+    /// A driver that emulates a GPU on the CPU.
     Software,
 }
 
@@ -57,7 +57,7 @@ impl Api {
 }
 
 impl AdapterChoice {
-    /// `None` of what names no adapter.
+    /// `None` if the text names no adapter.
     pub fn parse(text: &str) -> Option<Self> {
         let (word, number) = match text.split_once(':') {
             Some((word, number)) => (word, Some(number.parse::<usize>().ok()?)),
@@ -99,7 +99,7 @@ impl fmt::Display for Api {
     }
 }
 
-/// What [`AdapterChoice::parse`] reads as the same.
+/// Text that [`AdapterChoice::parse`] reads back.
 impl fmt::Display for AdapterChoice {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {

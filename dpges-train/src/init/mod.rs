@@ -1,8 +1,9 @@
-//! The first scene. A way to initialise is a module that returns an [`InitialScene`], an
-//! [`InitMethod`] that names it, and an arm of [`initialise`]. Most find [`OrientedPoints`] on the
-//! surfaces of the scene and leave the rest to [`placement`]; [`promote`] makes surfels of trained discs.
+//! The first scene of a run.
+//!
+//! A method of initialisation consists of a module that returns an [`InitialScene`], an [`InitMethod`] that names it,
+//! and an arm of [`initialise`]. Most methods find [`OrientedPoints`] on the surfaces of the scene, and [`placement`]
+//! turns these into primitives. [`promote`] turns trained discs into surfels.
 
-mod eigen;
 pub mod placement;
 pub mod promote;
 pub mod random;
@@ -21,23 +22,23 @@ use placement::{OrientedPoints, Placement};
 use region::Region;
 use silhouette::Silhouette;
 
-/// How many primitives a start may have.
+/// The largest size of an initial scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Room {
-    /// Points, each of which makes a surfel and a Gaussian.
+    /// Points, each of which becomes a surfel and a Gaussian.
     points: usize,
-    /// Gaussians without surfels.
+    /// Gaussians of a scene without surfels.
     gaussians: usize,
 }
 
 impl Room {
-    /// Rounded down, but for at least one.
+    /// Rounds down, to at least 1.
     pub fn new(points: f64, gaussians: f64) -> Self {
         Self { points: (points as usize).max(1), gaussians: (gaussians as usize).max(1) }
     }
 }
 
-/// What training starts from; surfels have their margins.
+/// The primitives that training starts from. Surfels have their margins.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct InitialScene {
     pub surfels: SurfelData,
@@ -56,8 +57,8 @@ pub enum InitError {
     EmptyHull,
 }
 
-/// Surfels and Gaussians to start from, no more than there is `room` for; `init.method` "auto" takes points where there
-/// are some, else silhouettes, else random Gaussians.
+/// The initial scene of a dataset, within the limits of `room`. `init.method` "auto" starts from points if the dataset
+/// has some, else from silhouettes, else from random Gaussians.
 ///
 /// # Errors
 /// [`InitError`] if there are no training views or the dataset lacks what the method needs.

@@ -1,4 +1,4 @@
-//! From points on surfaces to surfels and Gaussians.
+//! Turns points on surfaces into surfels and Gaussians.
 
 use std::f32::consts::{PI, TAU};
 
@@ -10,14 +10,14 @@ use rand_chacha::ChaCha8Rng;
 use crate::config::Config;
 use crate::neighbours::nearest;
 
-/// 3DGS: mean squared distances are at least this, world units².
+/// Lower limit of mean squared distances (3DGS), world units².
 const MIN_SQUARED_SPACING: f32 = 1e-7;
-/// Raw colour of a lobe nobody notices: an amplitude of 0.017 (DP-GES).
+/// Raw colour of an inconspicuous lobe, of amplitude 0.017 (DP-GES).
 const FAINT_LOBE: f32 = -0.3;
-/// Scale of a primitive that has no neighbour, as a fraction of the extent.
+/// Scale of a primitive without neighbours, as a fraction of the extent.
 const LONE_SCALE: f64 = 0.01;
 
-/// Points with the outward normals of the surfaces they lie on.
+/// Points on surfaces, with colours and outward normals.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct OrientedPoints {
     /// World units.
@@ -37,7 +37,7 @@ impl OrientedPoints {
         self.positions.is_empty()
     }
 
-    /// Leaves at most `count` points, drawn at random, in their order.
+    /// Keeps at most `count` points, drawn at random, in their order.
     pub fn thin_out(&mut self, count: usize, rng: &mut ChaCha8Rng) {
         let rows = draw_rows(self.len(), count, rng);
         self.positions = rows.iter().map(|&row| self.positions[row]).collect();
@@ -46,7 +46,7 @@ impl OrientedPoints {
     }
 }
 
-/// At most `count` of `total` rows, each as likely as the others, ascending.
+/// At most `count` of `total` rows, drawn uniformly, ascending.
 pub fn draw_rows(total: usize, count: usize, rng: &mut ChaCha8Rng) -> Vec<usize> {
     let mut rows: Vec<usize> = (0..total).collect();
     if count < total {
@@ -59,7 +59,7 @@ pub fn draw_rows(total: usize, count: usize, rng: &mut ChaCha8Rng) -> Vec<usize>
     rows
 }
 
-/// What `[init]` says about primitives, for a scene of a given extent.
+/// The settings of `[init]` that concern primitives, for a scene of a given extent.
 #[derive(Clone, Copy, Debug)]
 pub struct Placement {
     pub model: ColourModel,
@@ -70,12 +70,12 @@ pub struct Placement {
     pub max_scale: f64,
     /// Multiple of the median scale.
     pub max_scale_median: f64,
-    /// World units, before the factors above.
+    /// Largest scale before the factors above, world units.
     pub lone_scale: f64,
 }
 
 impl Placement {
-    /// `extent` in world units; 0 limits no scale.
+    /// `extent` in world units. An extent of 0 limits no scale.
     pub fn new(config: &Config, extent: f64) -> Self {
         let init = &config.init;
         let known = extent > 0.0;
@@ -103,16 +103,15 @@ impl Placement {
     }
 }
 
-/// Root of the mean squared distance to the 3 nearest other points, world units, at least 3.2e-4
-/// (3DGS); `None` for a point alone.
+/// Root mean square distance to the 3 nearest other points, world units, at least 3.2e-4 (3DGS). `None` for a single
+/// point.
 pub fn spacing(positions: &[[f32; 3]]) -> Vec<Option<f32>> {
     let mean = |near: &Vec<(u32, f32)>| near.iter().map(|&(_, d)| d).sum::<f32>() / near.len() as f32;
     let spacing = |near: Vec<(u32, f32)>| (!near.is_empty()).then(|| mean(&near).max(MIN_SQUARED_SPACING).sqrt());
     nearest(positions, 3).into_iter().map(spacing).collect()
 }
 
-/// A disc at every point, facing along its normal, as wide as the spacing of the points. Margins
-/// are zero.
+/// One disc per point, perpendicular to its normal, as wide as the spacing of the points. Margins are zero.
 pub fn surfels(points: &OrientedPoints, placement: &Placement, rng: &mut ChaCha8Rng) -> SurfelData {
     let log_scales = placement.log_scales(&points.positions, placement.surfel_scale);
     let mut surfels = SurfelData::neutral(placement.model, points.len());
@@ -123,7 +122,7 @@ pub fn surfels(points: &OrientedPoints, placement: &Placement, rng: &mut ChaCha8
     surfels
 }
 
-/// A faint ball at every point.
+/// One isotropic Gaussian of low opacity per point.
 pub fn gaussians(points: &OrientedPoints, placement: &Placement, rng: &mut ChaCha8Rng) -> GaussianData {
     let log_scales = placement.log_scales(&points.positions, placement.gaussian_scale);
     let mut gaussians = GaussianData::neutral(placement.model, points.len());
@@ -135,7 +134,7 @@ pub fn gaussians(points: &OrientedPoints, placement: &Placement, rng: &mut ChaCh
     gaussians
 }
 
-/// Quaternion (w, x, y, z) of a rotation whose third column is `normal`, a unit vector.
+/// Quaternion (w, x, y, z) of a rotation whose third column is the unit vector `normal`.
 pub fn facing(normal: DVec3) -> [f32; 4] {
     let q = DQuat::from_rotation_arc(DVec3::Z, normal);
     [q.w, q.x, q.y, q.z].map(|x| x as f32)
@@ -146,8 +145,8 @@ fn colour(points: &OrientedPoints, model: ColourModel, rng: &mut ChaCha8Rng) -> 
     ColourData { model, base, detail: faint_detail(model, points.len(), rng) }
 }
 
-/// Raw detail of `count` primitives whose colour does not depend on the direction yet: lobes of
-/// amplitude 0.017 in random directions (θ from 0 to π, φ from 0 to 2π, β = 0), harmonics of 0.
+/// Raw colour detail of `count` primitives that look nearly the same from all directions: lobes of amplitude 0.017 in
+/// random directions (θ from 0 to π, φ from 0 to 2π, β = 0), or harmonics of 0.
 pub fn faint_detail(model: ColourModel, count: usize, rng: &mut ChaCha8Rng) -> Vec<f32> {
     match model {
         ColourModel::SphericalHarmonics { .. } => vec![0.0; count * model.detail_len()],

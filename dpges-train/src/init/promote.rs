@@ -1,15 +1,15 @@
-//! From trained discs to surfels (DP-GES): the opaque become surfels, the others Gaussians.
+//! Turns trained discs into surfels and Gaussians (DP-GES, GES): opaque discs become surfels, the others Gaussians.
 
 use dpges_core::scene::{GaussianData, SurfelData};
 
-/// GES: thickness of a Gaussian that was a disc, over the mean of its two scales.
+/// Thickness of a Gaussian that was a disc, relative to the mean of its two scales (GES).
 const THICKNESS: f32 = 0.1;
 
-/// Discs of more than `min_opacity` (GES: 0.8) as surfels, with their scales times `scale_factor`,
-/// and the others as Gaussians a tenth as thick as wide. Positions, rotations and colours stay, and
-/// so does the order of rows. Margins are zero.
+/// Discs with an opacity above `min_opacity` (GES: 0.8) as surfels, with their scales multiplied by `scale_factor`, and
+/// the others as Gaussians a tenth as thick as wide. Positions, rotations, colours and the order of rows are kept.
+/// Margins are zero.
 ///
-/// Opacities are effective, from 0 to 1; the third scale of a disc means nothing.
+/// Opacities are effective, from 0 to 1. The third scale of a disc is ignored.
 pub fn promote(discs: &GaussianData, min_opacity: f64, scale_factor: f64) -> (SurfelData, GaussianData) {
     let is_opaque = |row: &usize| f64::from(discs.opacities[*row]) > min_opacity;
     let (opaque, others): (Vec<usize>, Vec<usize>) = (0..discs.len()).partition(is_opaque);

@@ -1,4 +1,4 @@
-//! A start for scenes that say nothing about where their surfaces are (3DGS).
+//! Initialisation of datasets without points and silhouettes (3DGS).
 
 use glam::DVec3;
 use rand::RngExt;
@@ -7,7 +7,7 @@ use rand_chacha::ChaCha8Rng;
 use super::placement::OrientedPoints;
 use super::region::Region;
 
-/// `count` grey points, uniform in the region.
+/// `count` grey points, drawn uniformly from the region.
 pub fn points(region: Region, count: usize, rng: &mut ChaCha8Rng) -> OrientedPoints {
     let mut draw =
         || (region.low + region.size() * DVec3::from_array([0; 3].map(|_| rng.random()))).as_vec3().to_array();

@@ -1,12 +1,12 @@
-//! The part of the world that a set of cameras looks at.
+//! The part of the world that the cameras look at.
 
 use dpges_core::camera::Camera;
 use glam::{DMat3, DVec3};
 
-/// How much further than the sphere a typical camera sees whole the region reaches.
+/// Size of the region relative to the sphere that a typical camera sees completely.
 const SLACK: f64 = 1.1;
 
-/// A box along the axes of the world, world units.
+/// An axis-aligned box, world units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Region {
     pub low: DVec3,
@@ -19,9 +19,9 @@ impl Region {
         self.high - self.low
     }
 
-    /// A cube around the point nearest to all optical axes, that holds the sphere the median camera
-    /// sees whole. Cameras that look away from each other get the cube around their mean that reaches
-    /// `extent` (world units) to each side.
+    /// A cube around the point nearest to all optical axes that contains the sphere the median camera sees completely.
+    /// If the cameras look away from each other, the cube is centred on their mean and reaches `extent` (world units)
+    /// to each side.
     pub fn in_sight(cameras: &[&Camera], extent: f64) -> Self {
         let mean = cameras.iter().map(|camera| camera.centre()).sum::<DVec3>() / cameras.len().max(1) as f64;
         let focus = nearest_to_axes(cameras, mean, extent);
@@ -39,7 +39,7 @@ impl Region {
     }
 }
 
-/// Least squares; where the axes are parallel, the point about `extent` ahead of `mean`.
+/// The point nearest to all optical axes, by least squares. For parallel axes, a point about `extent` ahead of `mean`.
 fn nearest_to_axes(cameras: &[&Camera], mean: DVec3, extent: f64) -> DVec3 {
     const PULL: f64 = 1e-4;
     let looking = cameras.iter().map(|camera| forward(camera)).sum::<DVec3>().try_normalize().unwrap_or(DVec3::ZERO);
@@ -59,7 +59,7 @@ fn forward(camera: &Camera) -> DVec3 {
     camera.camera_from_world.rotation.row(2)
 }
 
-/// Sine of the smallest angle between the optical axis and an edge of the picture.
+/// Sine of the smallest angle between the optical axis and a border of the picture.
 fn narrowest_sine(camera: &Camera) -> f64 {
     let across = camera.cx.min(camera.width as f64 - camera.cx) / camera.fx;
     let along = camera.cy.min(camera.height as f64 - camera.cy) / camera.fy;

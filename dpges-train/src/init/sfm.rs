@@ -1,24 +1,24 @@
-//! Points of structure from motion as a start: their neighbours give the normal, the cameras that
-//! saw them the side it points to.
+//! Initialisation from the points of structure from motion. The neighbours of a point determine its normal, and the
+//! cameras that saw it the sign of the normal.
 
 use std::collections::HashMap;
 
-use glam::{DMat3, DVec3};
+use glam::DVec3;
+use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-use super::eigen::symmetric_eigen;
 use super::placement::{OrientedPoints, draw_rows};
 use crate::dataset::PointCloud;
 use crate::neighbours::{Neighbour, nearest};
 
-/// Neighbours that vote on a normal.
+/// Neighbours that determine a normal.
 const NEIGHBOURS: usize = 16;
-/// Below this ratio of the middle to the largest eigenvalue, points lie on a line that has no normal.
+/// Below this ratio of the middle to the largest eigenvalue, points count as collinear and have no normal.
 const LINE: f64 = 1e-6;
 
-/// At most `max_points` finite points at distinct positions, drawn at random, in their order.
-/// Points at the same place become the first of them, seen by all that saw one.
+/// At most `max_points` finite points at distinct positions, drawn at random, in their order. Points at the same
+/// position are merged into the first of them, which is then seen by all views that see any of them.
 pub fn usable_points(points: &PointCloud, max_points: usize, rng: &mut ChaCha8Rng) -> PointCloud {
     let mut row_at: HashMap<[u32; 3], usize> = HashMap::with_capacity(points.positions.len());
     let mut usable = PointCloud::default();
@@ -51,9 +51,9 @@ pub fn usable_points(points: &PointCloud, max_points: usize, rng: &mut ChaCha8Rn
     }
 }
 
-/// Gives every point the normal of the plane through its 16 nearest neighbours, turned towards the
-/// mean of the `camera_centres` (world units) that saw it, of all where that is unknown. Points that
-/// span no plane look at that mean.
+/// Gives every point the normal of the plane through its 16 nearest neighbours, towards the mean of the
+/// `camera_centres` (world units) that saw the point, or of all cameras if that is unknown. If the points span no
+/// plane, the normal points at that mean.
 pub fn orient(points: PointCloud, camera_centres: &[DVec3]) -> OrientedPoints {
     let all: Vec<u32> = (0..camera_centres.len() as u32).collect();
     let normal = |(row, around): (usize, &Vec<Neighbour>)| {
@@ -72,14 +72,20 @@ pub fn orient(points: PointCloud, camera_centres: &[DVec3]) -> OrientedPoints {
     OrientedPoints { positions: points.positions, colours: points.colours, normals }
 }
 
-/// Direction in which a point and its neighbours spread least.
+/// The direction in which a point and its neighbours spread least; `None` if they span no plane.
 fn plane_normal(positions: &[[f32; 3]], row: usize, around: &[Neighbour]) -> Option<DVec3> {
     let patch = || around.iter().map(|&(row, _)| row as usize).chain([row]).map(|row| point(positions[row]));
     let mean = patch().sum::<DVec3>() / (around.len() + 1) as f64;
-    let outer = |d: DVec3| DMat3::from_cols(d * d.x, d * d.y, d * d.z);
-    let covariance = patch().fold(DMat3::ZERO, |sum, p| sum + outer(p - mean));
-    let [(_, smallest), (middle, _), (largest, _)] = symmetric_eigen(covariance);
-    (middle > LINE * largest).then_some(smallest)
+    let covariance = patch().fold(Matrix3::zeros(), |sum, p| {
+        let d = Vector3::from((p - mean).to_array());
+        sum + d * d.transpose()
+    });
+    let SymmetricEigen { eigenvalues, eigenvectors } = SymmetricEigen::new(covariance);
+    let mut ascending = [0, 1, 2];
+    ascending.sort_by(|&a, &b| eigenvalues[a].total_cmp(&eigenvalues[b]));
+    let [smallest, middle, largest] = ascending;
+    (eigenvalues[middle] > LINE * eigenvalues[largest])
+        .then(|| DVec3::from_slice(eigenvectors.column(smallest).as_slice()).normalize())
 }
 
 fn point(position: [f32; 3]) -> DVec3 {

@@ -1,5 +1,5 @@
-//! The visual hull of pictures with alpha as a start: what lies inside every silhouette, its
-//! surface, and the colours the nearest unobstructed views give it.
+//! Initialisation from the visual hull of pictures with alpha (Laurentini): the surface of what lies inside every
+//! silhouette, coloured by the views that face it best.
 
 use dpges_core::camera::Camera;
 use glam::{DVec3, IVec3};
@@ -8,19 +8,19 @@ use rayon::prelude::*;
 use super::placement::OrientedPoints;
 use super::region::Region;
 
-/// Alpha at or below this is outside.
+/// A pixel with at most this alpha is outside the silhouette.
 pub const INSIDE: f32 = 0.5;
-/// Alpha above this shows nothing of the background.
+/// A pixel with more than this alpha shows no background.
 const OPAQUE: f32 = 0.9;
-/// Views that vote on a colour.
+/// Number of views that determine a colour.
 const VOTERS: usize = 5;
-/// Voxels a point may lie behind what hides it and still count as seen.
+/// Largest distance of a visible point behind the nearest surface, voxels.
 const HIDDEN_BEHIND: f64 = 2.5;
 
-/// One picture of known alpha.
+/// A picture with alpha, and its camera.
 #[derive(Clone, Copy, Debug)]
 pub struct Silhouette<'a> {
-    /// Of the picture's resolution, H × W.
+    /// A camera with the resolution of the picture, H × W.
     pub camera: &'a Camera,
     /// [H × W]
     pub alpha: &'a [f32],
@@ -29,7 +29,7 @@ pub struct Silhouette<'a> {
 }
 
 impl Silhouette<'_> {
-    /// Pixel that sees a world point, and the point's depth.
+    /// The pixel that sees a world point, and the depth of the point.
     fn pixel(&self, world: DVec3) -> Option<(usize, f64)> {
         let (x, y, depth) = self.camera.project(world)?;
         let inside = x >= 0.0 && y >= 0.0 && x < self.camera.width as f64 && y < self.camera.height as f64;
@@ -42,7 +42,7 @@ impl Silhouette<'_> {
     }
 }
 
-/// Cubes, or nearly so, that fill a region: `sides` of them along each axis.
+/// Nearly cubic voxels that fill a region, `sides` of them along each axis.
 struct Grid {
     region: Region,
     sides: usize,
@@ -73,10 +73,10 @@ impl Grid {
     }
 }
 
-/// Points on the surface of the hull inside `region`, one per boundary voxel of a grid with
-/// `resolution` voxels along each side, which is first fitted to what is occupied. A voxel is
-/// occupied if at least half of the views show its centre and at most `tolerance` of those show it
-/// outside their silhouette. Empty if the silhouettes have no volume in common.
+/// Points on the surface of the visual hull inside `region`, one per boundary voxel. The grid has `resolution` voxels
+/// along each side and is fitted to the occupied part of the region. A voxel is occupied if at least half of the views
+/// show its centre and at most the share `tolerance` of these show it outside their silhouette. Empty if the
+/// silhouettes have no volume in common.
 pub fn hull_points(silhouettes: &[Silhouette], region: Region, resolution: usize, tolerance: f64) -> OrientedPoints {
     let coarse = Grid { region, sides: resolution.div_ceil(2) };
     let region = occupied_region(&coarse, &carve(&coarse, silhouettes, tolerance)).unwrap_or(region);
@@ -114,7 +114,7 @@ fn carve(grid: &Grid, silhouettes: &[Silhouette], tolerance: f64) -> Vec<bool> {
     (0..grid.len()).into_par_iter().map(occupied).collect()
 }
 
-/// The box around the occupied voxels, with room for what the grid was too coarse to show.
+/// The box around the occupied voxels, enlarged by what a coarse grid may miss.
 fn occupied_region(grid: &Grid, occupied: &[bool]) -> Option<Region> {
     let corners = (0..grid.len()).filter(|&index| occupied[index]).map(|index| grid.voxel(index));
     let (low, high) = corners.fold(None, |bounds: Option<(IVec3, IVec3)>, voxel| {
@@ -127,7 +127,7 @@ fn occupied_region(grid: &Grid, occupied: &[bool]) -> Option<Region> {
     Some(Region { low: (low - room).max(grid.region.low), high: (high + room).min(grid.region.high) })
 }
 
-/// Away from the occupied voxels around `voxel`: minus the gradient of the occupancy.
+/// The outward direction at `voxel`: minus the gradient of the occupancy around it.
 fn outwards(voxel: IVec3, is_occupied: impl Fn(IVec3) -> bool) -> DVec3 {
     let reach = || -2..=2;
     let offsets = reach().flat_map(|x| reach().flat_map(move |y| reach().map(move |z| IVec3::new(x, y, z))));
@@ -138,7 +138,7 @@ fn outwards(voxel: IVec3, is_occupied: impl Fn(IVec3) -> bool) -> DVec3 {
     (-gradient).try_normalize().unwrap_or(DVec3::Z)
 }
 
-/// Depth of the nearest point per cell of a view.
+/// The depth of the nearest point in each cell of a view.
 struct DepthMap {
     /// px
     cell: f64,
@@ -147,7 +147,7 @@ struct DepthMap {
 }
 
 impl DepthMap {
-    /// Cells are about as large as a voxel of side `step` (world units) looks at the mean depth.
+    /// Cells are about as large as the image of a voxel of side `step` (world units) at the mean depth.
     fn new(camera: &Camera, points: &[DVec3], step: f64) -> Self {
         let seen: Vec<(f64, f64, f64)> = points.iter().filter_map(|&point| camera.project(point)).collect();
         let mean_depth = seen.iter().map(|p| p.2).sum::<f64>() / seen.len().max(1) as f64;
@@ -167,14 +167,14 @@ impl DepthMap {
         map
     }
 
-    /// Of the nearest point around `pixel` of a picture `width` px wide.
+    /// The depth of the nearest point around `pixel` of a picture `width` px wide.
     fn at(&self, pixel: usize, width: usize) -> f64 {
         let cell = |px: usize| (px as f64 / self.cell) as usize;
         self.depths[cell(pixel / width) * self.columns + cell(pixel % width)]
     }
 }
 
-/// Median colour over the views that see a point unobstructed and face it best; grey if none does.
+/// The median colour of each point over the views that see it unobstructed and face it best; grey if there is none.
 fn colours(silhouettes: &[Silhouette], points: &[DVec3], normals: &[DVec3], step: f64) -> Vec<[f32; 3]> {
     let depths: Vec<DepthMap> =
         silhouettes.par_iter().map(|silhouette| DepthMap::new(silhouette.camera, points, step)).collect();

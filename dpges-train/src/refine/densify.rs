@@ -28,12 +28,12 @@ pub struct DensifyRule {
 /// What views have said about N rows since the last densification.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GradientSums {
-    /// [N] sum over views of the norm of the gradient with respect to the projected centre,
+    /// `[N]` sum over views of the norm of the gradient with respect to the projected centre,
     /// normalised device coordinates.
     pub signed: Vec<f32>,
-    /// [N] the same of the gradient whose components are summed over pixels by absolute value.
+    /// `[N]` the same of the gradient whose components are summed over pixels by absolute value.
     pub absolute: Vec<f32>,
-    /// [N] views that saw the row.
+    /// `[N]` views that saw the row.
     pub views: Vec<u32>,
 }
 

@@ -6,7 +6,7 @@ use crate::neighbours::{as_points, nearest};
 /// Surfels around a primitive whose margins are consulted.
 pub const NEIGHBOURS: usize = 16;
 
-/// Margins [N] in world units of surfels at `positions` [N × 3] with `log_scales` [N × 2].
+/// Margins `[N]` in world units of surfels at `positions` [N × 3] with `log_scales` [N × 2].
 ///
 /// [`Margin::Raw`]: ε = `2.5 (s_x + s_y)`. [`Margin::Median`]: the lower median of that over the 16
 /// nearest other surfels, fewer where there are fewer; a surfel alone has its own.

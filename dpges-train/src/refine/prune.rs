@@ -5,7 +5,7 @@ use dpges_core::footprint::CUTOFF;
 
 use super::RowEdit;
 
-/// Surfels that stay: nearest at more than `min_pixels` px in some view (`max_pixels` [N] is the
+/// Surfels that stay: nearest at more than `min_pixels` px in some view (`max_pixels` `[N]` is the
 /// largest count over the views) and with both scales of `log_scales` [N × 2] at most
 /// `max_scale_fraction` of the extent (world units). An extent of 0, as of a single camera, limits no scale.
 pub fn surfels_to_keep(
@@ -22,7 +22,7 @@ pub fn surfels_to_keep(
     unless_nothing_is_left(RowEdit::retain(max_pixels.len(), stays), max_pixels.len(), "surfel")
 }
 
-/// Gaussians that stay: `max_contribution` [M], the largest `max|c| α t / (1 + W)` over pixels and
+/// Gaussians that stay: `max_contribution` `[M]`, the largest `max|c| α t / (1 + W)` over pixels and
 /// views, is at least `threshold`. A contribution that is not a number goes.
 pub fn gaussians_to_keep(max_contribution: &[f32], threshold: f64) -> RowEdit {
     let stays = |row: &usize| f64::from(max_contribution[*row]) >= threshold;

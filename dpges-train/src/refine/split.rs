@@ -8,7 +8,7 @@ use super::margins::NEIGHBOURS;
 use super::{GaussianEdit, RowEdit};
 use crate::neighbours::{as_points, nearest_to};
 
-/// Splits Gaussians whose mean scale exceeds `factor` × the mean of `margins` [N] (world units)
+/// Splits Gaussians whose mean scale exceeds `factor` × the mean of `margins` `[N]` (world units)
 /// over the 16 surfels of `surfel_positions` [N × 3] nearest to them. The parent goes; its two
 /// children lie at `μ + R · N(0, diag s²)`, have its scales / 1.6 and otherwise its parameters.
 ///

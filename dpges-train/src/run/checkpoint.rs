@@ -61,8 +61,8 @@ pub struct Checkpoint {
     pub attributes: HashMap<String, ParameterRows>,
     /// Further numbers by name: running statistics, the discs of an earlier stage.
     pub columns: BTreeMap<String, Vec<f32>>,
-    /// [N] largest number of pixels of one view at which a surfel was the nearest, since the last pruning; empty in stages
-    /// without surfels.
+    /// `[N]` largest number of pixels of one view at which a surfel was the nearest, since the last pruning; empty in
+    /// stages without surfels.
     pub max_pixels: Vec<u32>,
 }
 

@@ -49,7 +49,7 @@ pub trait AdamOps: Backend {
     ) -> AdamOutput<Self>;
 }
 
-/// Steps `parameter` along `grad` if `gate` [1] is 1. Returns it with its first and second moments. All tensors
+/// Steps `parameter` along `grad` if `gate` `[1]` is 1. Returns it with its first and second moments. All tensors
 /// are off the tape. Those taken by value are changed in place if nothing else shares them.
 ///
 /// # Errors

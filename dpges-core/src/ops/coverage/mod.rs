@@ -1,6 +1,6 @@
 //! `coverage`: the number of pixels at which each surfel is the nearest layer.
 //!
-//! ids [K, H, W] → [N] integers, counted in plane 0. No gradient.
+//! ids [K, H, W] → `[N]` integers, counted in plane 0. No gradient.
 
 mod cpu;
 #[cfg(feature = "gpu")]
@@ -19,7 +19,7 @@ pub trait CoverageOps: Backend {
     fn coverage(ids: IntTensor<Self>, count: usize) -> IntTensor<Self>;
 }
 
-/// [count] number of pixels at which each of `count` surfels is the nearest of `layers`.
+/// `[count]` number of pixels at which each of `count` surfels is the nearest of `layers`.
 pub fn coverage(layers: &Layers, count: usize) -> Tensor<1, Int> {
     Tensor::from_dispatch(Dispatch::coverage(layers.ids.clone().inner().into_dispatch(), count))
 }

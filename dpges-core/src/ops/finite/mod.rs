@@ -1,6 +1,6 @@
 //! `first_non_finite`: the position of the first value of a tensor that is not a finite number.
 //!
-//! Any float tensor → [1] integer: position in row-major order of the first NaN or infinity, −1 if
+//! Any float tensor → `[1]` integer: position in row-major order of the first NaN or infinity, −1 if
 //! there is none. Training checks every step with it.
 
 mod backward;
@@ -43,7 +43,7 @@ impl FiniteChecks {
         self.row_lens.push(tensor.dims()[1..].iter().product::<usize>().max(1));
     }
 
-    /// [tensors] position of the first bad value in each tensor, −1 if there is none.
+    /// `[tensors]` position of the first bad value in each tensor, −1 if there is none.
     ///
     /// # Panics
     /// If nothing was added.

@@ -47,7 +47,7 @@ pub trait SplatOps: Backend {
         options: SplatOptions,
     ) -> FloatTensor<Self>;
 
-    /// Largest contribution of each Gaussian to any pixel, [M]; no gradient.
+    /// Largest contribution of each Gaussian to any pixel, `[M]`; no gradient.
     fn splat_contributions(
         #[extension_type] gaussians: GaussianTensors<Self>,
         limits: FloatTensor<Self>,
@@ -85,7 +85,7 @@ pub fn splat(
     Ok(Tensor::from_dispatch(Dispatch::splat(gaussians, limits.clone().into_dispatch(), *camera, *options)))
 }
 
-/// Largest value over all pixels of α · gate · max|colour| for each Gaussian, [M], where `gates`
+/// Largest value over all pixels of α · gate · max|colour| for each Gaussian, `[M]`, where `gates`
 /// [K, H, W] is the weight of interval k in the pixel, T_k / (1 + W_G) (GES, pruning). No gradient.
 ///
 /// # Errors

@@ -1,6 +1,6 @@
 //! `ssim`: mean structural similarity of two images.
 //!
-//! Two images [C, H, W] in [0, 1] → [1]: 11 × 11 Gaussian window with σ = 1.5 px, zero padding,
+//! Two images [C, H, W] in [0, 1] → `[1]`: 11 × 11 Gaussian window with σ = 1.5 px, zero padding,
 //! C1 = 0.01², C2 = 0.03², mean over pixels and channels (3DGS).
 //!
 //! Gradient: to the first image; the second is the target.
@@ -21,7 +21,7 @@ use crate::scene::tensors::check_shape;
 
 #[derive(ExtensionType, Debug, Clone)]
 pub struct SsimOutput<B: Backend> {
-    /// [1]
+    /// `[1]`
     pub value: FloatTensor<B>,
     /// [3, C, H, W] derivatives of the value with respect to the windowed means of a, a² and a·b
     pub partials: FloatTensor<B>,
@@ -47,7 +47,7 @@ pub trait SsimBackwardOps: Backend {
     ) -> FloatTensor<Self>;
 }
 
-/// Mean SSIM [1] of `image` against `target`, both [C, H, W].
+/// Mean SSIM `[1]` of `image` against `target`, both [C, H, W].
 ///
 /// # Errors
 /// [`crate::Error::Shape`] if the two differ in shape.

@@ -11,7 +11,7 @@ use burn::tensor::Device;
 use clap::Args;
 use dpges_train::config::Config;
 use dpges_train::dataset::Dataset;
-use dpges_train::device::DeviceName;
+use dpges_train::device::{DeviceName, DeviceRequest};
 use dpges_train::eval::EvalReport;
 use dpges_train::run::folder::{Origin, RunFolder};
 use dpges_train::run::metrics_log::MetricsLog;
@@ -21,8 +21,8 @@ use super::data::Source;
 use super::train::display::watch_for_interrupts;
 use super::train::options::ConfigArgs;
 use super::train::session::Session;
-use super::train::{differences, open, say_resumed};
-use super::{Failure, Result, print};
+use super::train::{differences, say_resumed};
+use super::{Failure, Result, device_choice, print};
 use crate::logging::LogStyle;
 use report::Row;
 use variant::Variant;
@@ -41,9 +41,10 @@ pub struct AblateArgs {
     /// Folder of the runs and of the comparison
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// cpu, cpu-flex, wgpu (the best GPU), or what else `dpges devices` lists
-    #[arg(long, value_name = "NAME", default_value = "cpu")]
-    device: DeviceName,
+    /// auto (a GPU that passes a check, or else the CPU), cpu, cpu-flex, wgpu (the best GPU), or another one that
+    /// `dpges devices` lists
+    #[arg(long, value_name = "NAME", default_value_t)]
+    device: DeviceRequest,
     /// These variants instead of those of the paper's table, with commas between
     #[arg(long, value_name = "VARIANT", value_enum, value_delimiter = ',')]
     only: Vec<Variant>,
@@ -131,8 +132,9 @@ fn state(folder: &RunFolder, config: &Config, source: &Source) -> Result<State> 
 }
 
 impl Common {
-    fn load(source: Source, config: &Config, name: DeviceName, style: LogStyle) -> Result<Self> {
-        let device = open(name)?;
+    fn load(source: Source, config: &Config, device: DeviceRequest, style: LogStyle) -> Result<Self> {
+        let name = device_choice::select(device)?;
+        let device = name.open()?;
         let dataset = Arc::new(source.load_for_training(config)?);
         if dataset.test.is_empty() {
             let help = "hold out views with --test-every";

@@ -6,16 +6,15 @@ pub mod session;
 
 use std::path::{Path, PathBuf};
 
-use burn::tensor::Device;
 use clap::Args;
 use dpges_train::config::Config;
-use dpges_train::device::DeviceName;
+use dpges_train::device::{DeviceName, DeviceRequest};
 use dpges_train::run::folder::{Origin, RunFolder, RunFolderError};
 use dpges_train::run::{Run, RunError, SavedRun};
 use toml::Table;
 
 use super::data::Source;
-use super::{Failure, Result, print};
+use super::{Failure, Result, device_choice, print};
 use crate::logging::LogStyle;
 use display::watch_for_interrupts;
 use options::ConfigArgs;
@@ -36,9 +35,10 @@ pub struct TrainArgs {
     /// Folder of the run [default: runs/NAME OF THE DATASET]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// cpu, cpu-flex, wgpu (the best GPU), or what else `dpges devices` lists [default: cpu]
+    /// auto (a GPU that passes a check, or else the CPU), cpu, cpu-flex, wgpu (the best GPU), or another one that
+    /// `dpges devices` lists [default: auto; with --resume, the device of the run]
     #[arg(long, value_name = "NAME")]
-    device: Option<DeviceName>,
+    device: Option<DeviceRequest>,
     #[command(flatten)]
     options: ConfigArgs,
     /// Go on from the checkpoint in the run's folder
@@ -77,11 +77,8 @@ impl TrainArgs {
                 Failure::with_help(error, "go on with it (--resume), replace it (--overwrite), or name another --out")
             })?;
         }
-        let device = match self.device {
-            Some(device) => device,
-            None => "cpu".parse().map_err(Failure::Usage)?,
-        };
-        let opened = open(device)?;
+        let device = device_choice::select(self.device.unwrap_or_default())?;
+        let opened = device.open()?;
         let dataset = source.load_for_training(&config)?;
         let run = Run::new(config, dataset, opened)?.overwrite(folder.clone(), Origin::new(&source, device))?;
         Ok(Session { run, folder, device, style })
@@ -113,12 +110,9 @@ impl TrainArgs {
             let list = differences.join(", ");
             return Err(Failure::Usage(format!("a run is resumed with the configuration it was started with: {list}")));
         }
-        let device = match self.device {
-            Some(device) => device,
-            None => origin.device.parse().map_err(Failure::Usage)?,
-        };
+        let device = device_choice::select_again(self.device, &origin.device)?;
         say_resumed(&saved, device);
-        let opened = open(device)?;
+        let opened = device.open()?;
         let dataset = source.load_for_training(saved.config())?;
         Ok(Session { run: Run::resume(saved, dataset, opened)?, folder, device, style })
     }
@@ -131,15 +125,6 @@ pub fn say_resumed(saved: &SavedRun, device: DeviceName) {
         tracing::warn!("resuming on {device} what was started on {before}: the result will differ a little");
     }
     tracing::info!("resuming after step {}", saved.completed_steps());
-}
-
-/// Opens the device, before anything is read for it, and says which adapter a GPU's name stands for.
-pub fn open(device: DeviceName) -> Result<Device> {
-    let opened = device.open()?;
-    if !device.is_cpu() {
-        tracing::info!("device {device}: {}", device.describe()?);
-    }
-    Ok(opened)
 }
 
 /// Says for each key whose value in `found` is not that in `expected`, the configuration of a run, what the two are.

@@ -23,7 +23,7 @@ pub struct ConfigArgs {
     /// Length of the run, one view per step
     #[arg(long, value_name = "N")]
     steps: Option<usize>,
-    /// Make the run F times as long as it would be; everything in [refine] scales with it
+    /// Make the run F times as long as it would be; everything in `[refine]` scales with it
     #[arg(long, value_name = "F", value_parser = factor, allow_negative_numbers = true, conflicts_with = "steps")]
     steps_scale: Option<f64>,
     /// Of everything random

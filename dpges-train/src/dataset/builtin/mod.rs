@@ -1,4 +1,4 @@
-//! A small scene made on the spot: photographs, points, and exact depth and normals to test against.
+//! A small ray-traced scene: photographs and points to train on, exact depth and normals to test against.
 
 mod room;
 
@@ -19,9 +19,9 @@ const FIELD_OF_VIEW: f64 = 0.9;
 const TARGET: DVec3 = DVec3::new(0.0, 0.0, 0.3);
 /// Rotates successive views around the scene by the golden angle, so that any number of them covers it.
 const GOLDEN_ANGLE: f64 = 2.399_963_229_728_653;
-/// Points lie off their surface by up to this, world units.
+/// Largest distance of a point from its surface, world units.
 const POINT_NOISE: f64 = 0.003;
-/// A surface point is seen where the traced depth agrees with its own to this, relatively.
+/// A view sees a surface point if the traced depth agrees with the depth of the point to this relative error.
 const VISIBILITY_TOLERANCE: f64 = 1e-6;
 
 #[derive(Clone, Debug, PartialEq)]
@@ -32,9 +32,9 @@ pub struct BuiltinOptions {
     pub train_views: usize,
     pub test_views: usize,
     pub points: usize,
-    /// Colour is the mean of this many rays squared per pixel; at least 1.
+    /// Colour is the mean over a grid of this many rays by as many per pixel; at least 1.
     pub supersampling: usize,
-    /// Of the points; views do not depend on it.
+    /// Seed of the points. Views do not depend on it.
     pub seed: u64,
 }
 
@@ -44,8 +44,8 @@ impl Default for BuiltinOptions {
     }
 }
 
-/// A furnished room seen from a dome of cameras, the same on every machine for the same options. The camera's near
-/// plane is at 0.01, one world unit is a metre, pictures have no alpha.
+/// A furnished room seen from a dome of cameras. The same options give the same dataset on every machine. The near
+/// plane is at 0.01, a world unit is a metre, and pictures have no alpha.
 pub fn builtin(options: &BuiltinOptions) -> Dataset {
     let near = Format::Builtin.default_near();
     let views = |name: &str, count: usize, phase: f64| -> Vec<View> {
@@ -103,7 +103,7 @@ fn dome_camera(options: &BuiltinOptions, index: usize, count: usize, phase: f64,
     Camera { camera_from_world, fx: focal, fy: focal, cx, cy, width, height, near }
 }
 
-/// What is seen at position (x, y) px. The ray's direction has camera-space z 1: its distances are depths.
+/// The surface at position (x, y), px. The ray's direction has camera-space z = 1, so its distances are depths.
 fn hit(camera: &Camera, x: f64, y: f64) -> Hit {
     let eye = camera.centre();
     trace(eye, camera.unproject(x, y, 1.0) - eye)
@@ -129,7 +129,7 @@ fn photograph(camera: &Camera, supersampling: usize) -> Picture {
     Picture { width, height, planes, alpha: None }
 }
 
-/// Points where rays through random places of random training views end, as structure from motion would find them.
+/// The ends of rays through random positions of random training views, as structure from motion might find them.
 fn surface_points(train: &[View], options: &BuiltinOptions) -> PointCloud {
     let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
     let mut points = PointCloud::default();

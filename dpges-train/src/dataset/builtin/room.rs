@@ -12,7 +12,7 @@ const BOX_HIGH: DVec3 = DVec3::new(-0.2, 0.85, 0.6);
 const LIGHT: DVec3 = DVec3::new(1.0, -1.5, 2.8);
 const AMBIENT: f64 = 0.4;
 const SHININESS: f64 = 24.0;
-/// Hits closer than this to the ray's origin are the surface the ray left.
+/// Hits nearer than this belong to the surface that the ray left.
 const SELF_HIT: f64 = 1e-7;
 
 /// Centre and radius.
@@ -29,13 +29,13 @@ enum Thing {
     Ball(usize),
 }
 
-/// Where a ray meets a surface.
+/// The intersection of a ray with a surface.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Hit {
     /// In units of the length of the ray's direction.
     pub distance: f64,
     pub position: DVec3,
-    /// Unit, towards the side the ray comes from.
+    /// Unit normal, towards the origin of the ray.
     pub normal: DVec3,
     thing: Thing,
 }
@@ -57,7 +57,7 @@ impl Hit {
         Self { distance, position: origin + distance * direction, normal, thing }
     }
 
-    /// Display-referred colour without highlights, the same from everywhere.
+    /// Display-referred colour without highlights, the same from all directions.
     pub fn diffuse(&self) -> DVec3 {
         let lambert = self.normal.dot((LIGHT - self.position).normalize()).max(0.0);
         (self.albedo() * (AMBIENT + (1.0 - AMBIENT) * lambert)).clamp(DVec3::ZERO, DVec3::ONE)

@@ -101,8 +101,8 @@ impl<'a> Bytes<'a> {
         Ok(Fields(record))
     }
 
-    /// A 64-bit count of entries of at least `entry_bytes` each, which the file must be long enough to hold: a corrupt
-    /// count is found here, before anything is allocated for it.
+    /// A 64-bit count of entries of at least `entry_bytes` each. The file must be long enough to hold them, so that a
+    /// corrupt count is found before memory is allocated for it.
     fn count(&mut self, entry_bytes: usize, what: impl Fn() -> String) -> Result<usize> {
         let count = self.record(8, &what)?.u64();
         let needed = count.saturating_mul(entry_bytes as u64);

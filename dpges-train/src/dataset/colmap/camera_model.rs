@@ -1,4 +1,5 @@
-//! COLMAP's camera models (`src/colmap/sensor/models.h`): which are pinholes, which are undistorted, which refused.
+//! COLMAP's camera models (`src/colmap/sensor/models.h`): pinhole models, models that are undistorted, and models that
+//! are refused.
 
 use std::path::Path;
 
@@ -26,7 +27,7 @@ pub(super) fn by_id(id: i32) -> Option<(&'static str, usize)> {
     usize::try_from(id).ok().and_then(|id| MODELS.get(id)).copied()
 }
 
-/// A camera as the file states it.
+/// A camera as stored in the file.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct CameraRecord {
     pub id: u32,

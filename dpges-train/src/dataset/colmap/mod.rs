@@ -1,7 +1,7 @@
 //! COLMAP's sparse models, binary and text (<https://colmap.github.io/format.html>).
 //!
-//! A dataset is `images/` beside `sparse/`; the model lies in `sparse/0`, in `sparse` itself, or, where mapping
-//! gave several, in the `sparse/N` with the most registered images.
+//! A dataset has `images/` beside `sparse/`. The model lies in `sparse/0`, in `sparse` itself, or, if mapping produced
+//! several models, in the `sparse/N` with the most registered images.
 
 mod binary;
 mod camera_model;

@@ -1,4 +1,4 @@
-//! The text files of a model: one entry a line, `#` comments.
+//! The text files of a model: one entry per line, comments after `#`.
 
 use std::path::Path;
 use std::str::FromStr;
@@ -121,7 +121,7 @@ impl Words<'_> {
         words.collect::<Result<_, _>>().map_err(|_| self.line.malformed(self.path, self.layout))
     }
 
-    /// The rest of the line as it stands: names may contain spaces.
+    /// The rest of the line, unchanged: names may contain spaces.
     fn remainder(&mut self) -> Result<String> {
         match std::mem::take(&mut self.rest).trim() {
             "" => Err(self.line.malformed(self.path, self.layout)),

@@ -1,0 +1,13 @@
+//! The guides of `docs/`: how to train, and what to expect.
+
+#[doc = include_str!("../docs/commands.md")]
+pub mod commands {}
+
+#[doc = include_str!("../docs/stages.md")]
+pub mod stages {}
+
+#[doc = include_str!("../docs/results.md")]
+pub mod results {}
+
+#[doc = include_str!("../docs/library.md")]
+pub mod library {}

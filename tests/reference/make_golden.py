@@ -1,0 +1,179 @@
+"""Writes the golden cases: small scenes with the images, losses and gradients of the float64 model.
+
+    python make_golden.py FOLDER [--seed 0]
+
+Each case becomes FOLDER/NAME.safetensors. Its tensors, float64 but for the integer ids:
+  surfels.*, gaussians.*   inputs, stored raw: log scales, linear opacities, unnormalised quaternions
+  camera.rotation [3,3], camera.translation [3], camera.intrinsics (fx, fy, cx, cy)
+  background [3], target [H,W,3], upstream [H,W,3]
+  out.*                    image, surfel_image, transmittance, gaussian_colour, gaussian_weight,
+                           surfel_depth, surfel_normal, layers.{ids, alpha, depth}
+  loss.*                   rgb, ssim, surfel, scale, transmittance, total
+  grad_image.*             d sum(upstream * image) / d input
+  grad_detached.*          the same without the gradient through the transmittance
+  grad_total.*             d total loss / d input
+Its metadata: width, height, near, layer_count, modulation, footprint.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from autograd import grad
+from safetensors.numpy import save_file
+
+import model
+
+
+def random_colour(rng, count, lobes):
+    raw = np.concatenate(
+        [
+            rng.normal(0.0, 0.3, (count, lobes, 3)),
+            rng.uniform(0.0, np.pi, (count, lobes, 1)),
+            rng.uniform(0.0, 2 * np.pi, (count, lobes, 1)),
+            rng.normal(0.0, 0.7, (count, lobes, 1)),
+        ],
+        -1,
+    )
+    return model.Colour(rng.normal(0.0, 1.0, (count, 3)), raw)
+
+
+def random_scene(rng, surfels, gaussians, lobes=2, extent=1.0, surfel_scale=(-2.5, -1.2), gaussian_scale=(-4.0, -1.5)):
+    return (
+        model.Surfels(
+            rng.uniform(-extent, extent, (surfels, 3)),
+            rng.normal(size=(surfels, 4)),
+            rng.uniform(*surfel_scale, (surfels, 2)) + np.log(extent),
+            random_colour(rng, surfels, lobes),
+            rng.uniform(0.0, 0.2 * extent, surfels),
+        ),
+        model.Gaussians(
+            rng.uniform(-extent, extent, (gaussians, 3)),
+            rng.normal(size=(gaussians, 4)),
+            rng.uniform(*gaussian_scale, (gaussians, 3)) + np.log(extent),
+            rng.uniform(-0.1, 1.6, gaussians),
+            random_colour(rng, gaussians, lobes),
+        ),
+    )
+
+
+def look_at(rng, distance, width, height, focal):
+    """A camera in a random direction from the origin that sees it near the middle of the image."""
+    forward = rng.normal(size=3)
+    forward /= np.linalg.norm(forward)
+    right = np.cross([0.0, 0.0, 1.0], forward)
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    position = -distance * forward + 0.1 * rng.normal(size=3)
+    shift = rng.uniform(-3, 3, 2)
+    cx, cy = width / 2 + shift[0], height / 2 + shift[1]
+    return model.Camera(rotation, -rotation @ position, focal, focal * 1.03, cx, cy, width, height)
+
+
+def cases(seed):
+    """Name, surfels, Gaussians, camera and options of every case, each from random numbers of its own."""
+    square = (4.0, 32, 32, 40.0)
+    recipes = [
+        ("basic", (30, 40), {}, (4.0, 48, 32, 60.0), {}),
+        ("crowded", (200, 200), {"surfel_scale": (-3.0, -1.5)}, (3.0, 40, 40, 45.0), {"footprint": "opacity"}),
+        ("inside", (60, 60), {}, (0.3, 40, 30, 30.0), {}),
+        ("one_layer_opaque", (40, 60), {}, square, {"layer_count": 1, "modulation": 255.0}),
+        ("two_layers", (40, 60), {}, square, {"layer_count": 2}),
+        ("four_layers_translucent", (40, 60), {}, square, {"layer_count": 4, "modulation": 0.8}),
+        ("no_lobes", (30, 40), {"lobes": 0}, square, {}),
+        ("no_gaussians", (30, 0), {}, square, {}),
+        ("no_surfels", (0, 40), {}, square, {}),
+        ("large_world", (40, 60), {"extent": 1000.0}, (4000.0, 32, 32, 40.0), {}),
+        ("subpixel", (200, 200), {"surfel_scale": (-6.0, -4.0), "gaussian_scale": (-7.0, -5.0)}, square, {}),
+    ]
+    for index, (name, counts, scene, camera, options) in enumerate(recipes):
+        rng = np.random.default_rng([seed, index])
+        yield name, *random_scene(rng, *counts, **scene), look_at(rng, *camera), options
+
+
+def named(prefix, tree):
+    """The arrays of nested tuples by their dotted names."""
+    arrays = {}
+    for name, value in tree._asdict().items():
+        arrays |= named(f"{prefix}.{name}", value) if hasattr(value, "_asdict") else {f"{prefix}.{name}": value}
+    return arrays
+
+
+def scene_from(arrays):
+    """Surfels and Gaussians from the arrays that `named` gives."""
+
+    def part(kind, of):
+        colour = model.Colour(arrays[f"{of}.colour.base"], arrays[f"{of}.colour.lobes"])
+        return kind(*(colour if field == "colour" else arrays[f"{of}.{field}"] for field in kind._fields))
+
+    return part(model.Surfels, "surfels"), part(model.Gaussians, "gaussians")
+
+
+def tensors_of(seed, surfels, gaussians, camera, options):
+    rng = np.random.default_rng([seed, 1000])
+    shape = (camera.height, camera.width, 3)
+    target, upstream = rng.uniform(0, 1, shape), rng.normal(0, 1, shape)
+    background = np.array([0.1, 0.2, 0.3])
+    inputs = named("surfels", surfels) | named("gaussians", gaussians)
+
+    def image_dot(arrays, detach):
+        result = model.render(*scene_from(arrays), camera, background, detach_transmittance=detach, **options)
+        return model.np.sum(upstream * result.image)
+
+    def total(arrays):
+        return model.total_loss(*scene_from(arrays), camera, target, background, **options)
+
+    result = model.render(surfels, gaussians, camera, background, **options)
+    tensors = inputs | {
+        "camera.rotation": camera.rotation,
+        "camera.translation": camera.translation,
+        "camera.intrinsics": np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
+        "background": background,
+        "target": target,
+        "upstream": upstream,
+        "loss.rgb": model.rgb_loss(result.image, target),
+        "loss.ssim": model.ssim(result.image, target),
+        "loss.surfel": model.surfel_loss(result.surfel_image, target),
+        "loss.transmittance": model.transmittance_loss(result),
+        "loss.total": total(inputs),
+    }
+    if len(surfels.positions):
+        tensors["loss.scale"] = model.scale_loss(surfels.log_scales)
+    outputs = named("out", result)
+    tensors |= {name: value for name, value in outputs.items() if name.split(".")[-1] not in ("colour", "normal", "margin")}
+    tensors["out.layers.ids"] = result.layers.ids.astype(np.int32)
+    gradients = {
+        "grad_image": grad(lambda arrays: image_dot(arrays, False)),
+        "grad_detached": grad(lambda arrays: image_dot(arrays, True)),
+        "grad_total": grad(total),
+    }
+    for prefix, gradient in gradients.items():
+        tensors |= {f"{prefix}.{name}": value for name, value in gradient(inputs).items()}
+    return {name: np.ascontiguousarray(value) for name, value in tensors.items()}
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    arguments.folder.mkdir(parents=True, exist_ok=True)
+    for name, surfels, gaussians, camera, options in cases(arguments.seed):
+        tensors = tensors_of(arguments.seed, surfels, gaussians, camera, options)
+        for key, value in tensors.items():
+            # absent layers lie at infinity
+            assert key == "out.layers.depth" or np.all(np.isfinite(value)), f"{name}: {key} is not finite"
+        metadata = {
+            "width": str(camera.width),
+            "height": str(camera.height),
+            "near": str(camera.near),
+            "layer_count": str(options.get("layer_count", 3)),
+            "modulation": str(options.get("modulation", model.SURFEL_MODULATION)),
+            "footprint": options.get("footprint", "kernel"),
+        }
+        save_file(tensors, arguments.folder / f"{name}.safetensors", metadata=metadata)
+        print(name, f"image mean {tensors['out.image'].mean():.6f}")
+
+
+if __name__ == "__main__":
+    main()

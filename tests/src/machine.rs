@@ -1,0 +1,26 @@
+//! Tests that need more than a CPU: a graphics adapter, or Python. `cargo test` counts those that cannot run here as
+//! ignored, and names them.
+
+mod devices;
+mod golden;
+mod gpu;
+mod parity;
+mod reference;
+mod training;
+
+use std::process::ExitCode;
+
+use libtest_mimic::{Arguments, Trial};
+
+fn main() -> ExitCode {
+    let mut arguments = Arguments::from_args();
+    // Each uses all of the device, and one switches the whole process to sums in a fixed order.
+    arguments.test_threads = arguments.test_threads.or(Some(1));
+    let mut trials = gpu::trials();
+    trials.extend(reference::trials());
+    trials.push(Trial::test("parity::a_device_that_is_off_is_found_out", || {
+        parity::a_device_that_is_off_is_found_out();
+        Ok(())
+    }));
+    libtest_mimic::run(&arguments, trials).exit_code()
+}
