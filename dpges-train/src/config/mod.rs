@@ -23,7 +23,9 @@ pub use budget::Budget;
 use budget::primitives_for;
 pub use layers::ConfigError;
 pub use schedule::{Due, Schedule};
-pub use stages::{DiscsConfig, GaussianStage, Method, RelocationConfig, StageKind, StagePlan, StagesConfig};
+pub use stages::{
+    DiscsConfig, GaussianStage, Method, Relocation, RelocationConfig, StageKind, StagePlan, StagesConfig,
+};
 
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]

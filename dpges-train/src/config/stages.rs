@@ -6,7 +6,6 @@ use serde::{Deserialize, Serialize};
 
 use super::Config;
 use super::schedule::REFERENCE_STEPS;
-use crate::refine::relocate::Relocation;
 
 /// What a run trains.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -119,6 +118,15 @@ pub struct DiscsConfig {
     pub start_opacity: f64,
     /// Scale at the start over the root mean square distance to the 3 nearest points.
     pub start_scale: f64,
+}
+
+/// What changes when several Gaussians take the place of one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Relocation {
+    /// Opacity and scales (3DGS-MCMC).
+    Mcmc,
+    /// Opacity alone (DBS).
+    Beta,
 }
 
 /// What one stage trains.

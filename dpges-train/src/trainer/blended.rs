@@ -14,11 +14,11 @@ use super::context::Context;
 use super::pending::{Gate, PendingStep};
 use super::{StepReport, TrainError};
 use crate::config::stages::SHORTEST_RESET;
-use crate::config::{Config, Opacity, StageKind, StagePlan};
+use crate::config::{Config, Opacity, Relocation, StageKind, StagePlan};
 use crate::optimizer::AttributeRows;
 use crate::refine::densify::{DensifyRule, GradientSums, densify, reset_opacities};
 use crate::refine::noise::{Noise, jitter};
-use crate::refine::relocate::{Relocation, grown, relocate_and_add};
+use crate::refine::relocate::{grown, relocate_and_add};
 use crate::scene_state::{GaussianState, Rates};
 
 /// Steps between relocations at least: fewer would say nothing new about who is dead, and cost more than the steps.
