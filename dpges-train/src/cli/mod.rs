@@ -1,6 +1,7 @@
 //! The command line: one module per subcommand.
 
 mod ablate;
+mod config;
 mod data;
 mod device_failure;
 mod devices;
@@ -39,6 +40,7 @@ struct Cli {
 enum Command {
     Train(train::TrainArgs),
     Ablate(ablate::AblateArgs),
+    Config(config::ConfigArgs),
     Eval(eval::EvalArgs),
     Render(render::RenderArgs),
     Info(info::InfoArgs),
@@ -98,6 +100,7 @@ pub fn run() -> ExitCode {
     let result = match cli.command {
         Command::Train(args) => train::run(args, style),
         Command::Ablate(args) => ablate::run(&args, style),
+        Command::Config(args) => config::run(&args),
         Command::Eval(args) => watched(args.device, || eval::run(&args)),
         Command::Render(args) => watched(args.device, || render::run(&args)),
         Command::Info(args) => info::run(&args),

@@ -204,7 +204,7 @@ impl BlendedStage {
         let rule = DensifyRule {
             gradient_threshold: discs.gradient_threshold,
             by_quantile: discs.by_quantile,
-            dense_fraction: discs.clone_scale,
+            dense_fraction: discs.dense_fraction,
             min_opacity: discs.min_opacity,
             max_scale_fraction: (completed >= self.plan.scaled(discs.max_scale_from)).then_some(discs.max_scale),
             flat: true,

@@ -1,5 +1,6 @@
 //! An automatic budget: only what the scene requires, as the views that are kept from training show it.
 
+use dpges_core::ops::peel::MAX_LAYERS;
 use dpges_core::render::{Values, render_values};
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{ColourData, ColourModel};
@@ -8,7 +9,6 @@ use super::TrainError;
 use super::context::Context;
 use super::joint::JointStage;
 use crate::config::Budget;
-use crate::config::range::MAX_LAYERS;
 use crate::eval::evaluate;
 use crate::refine::growth::{Decision, Growth};
 use crate::refine::layer_count::{MOST_OPEN, choose, open_share};
