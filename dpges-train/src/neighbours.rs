@@ -4,6 +4,9 @@ use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
 use std::num::NonZero;
 
+/// Lower limit of mean squared distances (3DGS), world units².
+const MIN_SQUARED_SPACING: f32 = 1e-7;
+
 /// A neighbour: its row, and its squared distance in world units².
 pub type Neighbour = (u32, f32);
 
@@ -21,6 +24,14 @@ pub fn nearest(positions: &[[f32; 3]], count: usize) -> Vec<Vec<Neighbour>> {
 pub fn nearest_to(queries: &[[f32; 3]], positions: &[[f32; 3]], count: usize) -> Vec<Vec<Neighbour>> {
     let sites = Sites::new(positions);
     queries.par_iter().map(|&query| sites.nearest(query, count, None)).collect()
+}
+
+/// Root of the mean squared distance to the 3 nearest other points, world units, at least 3.2e-4
+/// (3DGS); `None` for a point alone.
+pub fn spacing(positions: &[[f32; 3]]) -> Vec<Option<f32>> {
+    let mean = |near: &Vec<(u32, f32)>| near.iter().map(|&(_, d)| d).sum::<f32>() / near.len() as f32;
+    let spacing = |near: Vec<(u32, f32)>| (!near.is_empty()).then(|| mean(&near).max(MIN_SQUARED_SPACING).sqrt());
+    nearest(positions, 3).into_iter().map(spacing).collect()
 }
 
 /// [N × 3] numbers as points.
@@ -177,5 +188,15 @@ mod tests {
         assert!(start.elapsed().as_secs() < 10);
         assert_eq!(found[0].iter().map(|n| n.0).collect::<Vec<_>>(), (1..17).collect::<Vec<_>>());
         assert_eq!(found[99_999][0], (0, 0.0));
+    }
+
+    #[test]
+    fn spacing_is_the_root_of_the_mean_square_of_three_distances() {
+        let positions = [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0], [9.0, 9.0, 9.0]];
+        assert_eq!(spacing(&positions)[0], Some((14f32 / 3.0).sqrt()));
+        assert_eq!(spacing(&positions[..1]), [None]);
+        assert_eq!(spacing(&positions[..2]), [Some(1.0); 2]);
+        assert_eq!(spacing(&[[1.0; 3]; 2]), [Some(1e-7f32.sqrt()); 2]);
+        assert!(spacing(&[]).is_empty());
     }
 }

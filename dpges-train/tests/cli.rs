@@ -89,6 +89,7 @@ fn wrong_usage_is_exit_code_2_and_says_what_is_right() {
     let at = folder.path();
     assert!(fails(at, 2, &["train", "--stepz", "3"]).contains("--steps"));
     assert!(fails(at, 2, &["train", "--preset", "fast"]).contains("default, quick, cpu"));
+    assert!(fails(at, 2, &["config", "--preset", "fast"]).contains("default, quick, cpu"));
     assert!(fails(at, 2, &["train", "--set", "train.step=3"]).contains("did you mean `train.steps`"));
     assert!(fails(at, 2, &["train", "--steps", "0"]).contains("at least 1"));
     for factor in ["0", "-1", "inf"] {

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use dpges_core::camera::Camera;
 use dpges_core::scene::{SceneData, SceneInfo};
-use dpges_train::config::{Background, Config, DataConfig};
+use dpges_train::config::{Background, Config, DataConfig, key};
 use dpges_train::dataset::{self, BuiltinOptions, Dataset, View};
 use dpges_train::run::folder::RunFolder;
 use glam::DVec3;
@@ -155,17 +155,13 @@ impl fmt::Display for Split {
 /// Options that replace keys of `[data]`.
 #[derive(Debug, Args)]
 pub struct DataArgs {
-    /// Colour behind everything: auto, black, white, or r,g,b from 0 to 1
-    #[arg(long, value_name = "COLOUR")]
+    #[arg(long, value_name = "COLOUR", help = key("data.background").help())]
     pub background: Option<Background>,
-    /// Read images_2, images_4 or images_8 as shipped
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", help = key("data.image_scale").help())]
     pub image_scale: Option<u32>,
-    /// Make pictures with a longer side above this smaller, px
-    #[arg(long, value_name = "PX")]
+    #[arg(long, value_name = "PX", help = key("data.max_resolution").help())]
     pub max_resolution: Option<usize>,
-    /// Hold out every n-th view where the dataset has no split of its own
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", help = key("data.test_every").help())]
     pub test_every: Option<usize>,
 }
 

@@ -1,6 +1,7 @@
 //! The command line: one module per subcommand.
 
 mod ablate;
+mod config;
 mod data;
 mod device_choice;
 mod device_failure;
@@ -41,6 +42,7 @@ struct Cli {
 enum Command {
     Train(train::TrainArgs),
     Ablate(ablate::AblateArgs),
+    Config(config::ConfigArgs),
     Eval(eval::EvalArgs),
     Render(render::RenderArgs),
     Info(info::InfoArgs),
@@ -100,6 +102,7 @@ pub fn run() -> ExitCode {
     let result = match cli.command {
         Command::Train(args) => train::run(args, style),
         Command::Ablate(args) => ablate::run(&args, style),
+        Command::Config(args) => config::run(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Render(args) => render::run(&args),
         Command::Info(args) => info::run(&args),

@@ -1,4 +1,4 @@
-//! How large a scene may become.
+//! How large a scene may grow.
 
 use std::fmt;
 use std::str::FromStr;
@@ -6,26 +6,35 @@ use std::str::FromStr;
 use dpges_core::scene::ColourModel;
 use serde::{Deserialize, Serialize};
 
+use super::declare::value;
+
 /// Bytes.
 pub const MEGABYTE: f64 = 1e6;
 
-/// `pixels` or `0`, `auto`, a number of primitives, or a size such as `12.5MB`. In TOML a number of primitives is a
-/// whole number, anything else a string.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+/// Largest number of surfels and Gaussians together, or largest size of the scene file. `0` reads as `pixels`. In TOML
+/// a number of primitives is a whole number, anything else a string.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Written", into = "Written")]
 pub enum Budget {
     /// One primitive per two pixels of a training view.
-    #[default]
     Pixels,
     /// As many as improve the pictures of validation views.
     Auto,
-    /// Surfels and Gaussians together, at least 1.
+    /// At least 1.
     Primitives(usize),
-    /// Size of the scene file in units of 10⁶ bytes; positive and finite.
+    /// In units of 10⁶ bytes; positive and finite.
     Megabytes(f64),
 }
 
-/// A budget as TOML and JSON have it.
+value!(
+    Budget, "a whole number or a string", |value| value.is_integer() || value.is_str(),
+    "pixels" => "One primitive per two pixels of a training view, at least 16,384.",
+    "auto" => "As many as improve the pictures of validation views, at most twice `pixels`.",
+    "N" => "N surfels and Gaussians together.",
+    "NMB" => "As many as a scene file of N million bytes holds with all lobes, not counting its header."
+);
+
+/// A budget as TOML and JSON contain it.
 #[derive(Serialize, Deserialize)]
 #[serde(untagged, expecting = "expected pixels, auto, a whole number of primitives or a size such as 12.5MB")]
 enum Written {
@@ -56,7 +65,7 @@ impl FromStr for Budget {
         if let Some(size) = text.strip_suffix("MB") {
             return match size.trim().parse::<f64>() {
                 Ok(size) if size.is_finite() && size > 0.0 => Ok(Self::Megabytes(size)),
-                Ok(_) => Err(format!("budget `{text}` is no positive, finite number of MB")),
+                Ok(_) => Err(format!("budget `{text}` is not a positive, finite number of MB")),
                 Err(_) => Err(unknown(text)),
             };
         }
@@ -95,7 +104,7 @@ impl From<Budget> for Written {
     }
 }
 
-/// Bytes that a surfel and a Gaussian take in a scene file if all lobes of `model` are there.
+/// Bytes of a surfel and of a Gaussian in a scene file, with all lobes of `model`.
 pub fn bytes_per_primitive(model: ColourModel) -> [usize; 2] {
     let base = 3;
     let [surfel, gaussian] = [3 + 4 + 2 + base + 1, 3 + 4 + 3 + base + 1];
@@ -106,8 +115,8 @@ pub fn bytes_per_primitive(model: ColourModel) -> [usize; 2] {
     [surfel, gaussian].map(|numbers| size_of::<f32>() * (numbers + model.detail_len()) + lobe_count)
 }
 
-/// How many primitives a scene file of `bytes` has room for, its header aside, if the share `surfel_share` of them, from
-/// 0 to 1, are surfels and all lobes of `model` are there.
+/// Number of primitives that a scene file of `bytes` holds, not counting its header, with all lobes of `model`.
+/// `surfel_share`, from 0 to 1, is the share of surfels among them.
 pub fn primitives_for(bytes: f64, model: ColourModel, surfel_share: f64) -> usize {
     let [surfel, gaussian] = bytes_per_primitive(model).map(|bytes| bytes as f64);
     (bytes / (surfel_share * surfel + (1.0 - surfel_share) * gaussian)) as usize
@@ -160,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_budget_is_told() {
+    fn what_is_not_a_budget_is_refused() {
         for text in ["", "many", "-1", "1.5", "MB", "12GB", "12mb", "1,5MB", "1e5"] {
             let error = text.parse::<Budget>().unwrap_err();
             assert!(error.contains(&format!("`{text}` is neither pixels, auto")), "{error}");

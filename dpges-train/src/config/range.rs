@@ -1,163 +1,157 @@
 //! Which values make sense.
 
+use std::fmt::Display;
+use std::ops::{Bound, RangeBounds};
+
 use super::{Config, ConfigError};
 
-/// Largest number of layers that are peeled.
-pub const MAX_LAYERS: usize = 8;
+/// Above 0.
+pub const POSITIVE: (Bound<f64>, Bound<f64>) = (Bound::Excluded(0.0), Bound::Unbounded);
+/// Above 0, at most 1.
+pub const POSITIVE_SHARE: (Bound<f64>, Bound<f64>) = (Bound::Excluded(0.0), Bound::Included(1.0));
+/// Above 0, below 1: what has a finite logit.
+pub const OPACITY: (Bound<f64>, Bound<f64>) = (Bound::Excluded(0.0), Bound::Excluded(1.0));
 
 impl Config {
     /// # Errors
     /// [`ConfigError::Range`] naming the first key that is out of range.
     pub fn validate(&self) -> Result<(), ConfigError> {
-        let Self { data, train, model, init, stages, discs, relocation, optimizer, refine } = self;
-        at_least("data.image_scale", data.image_scale as usize, 1)?;
-        not_negative("data.near", data.near)?;
-
-        at_least("train.steps", train.steps, 1)?;
-        at_least("train.patience", train.patience, 1)?;
-        if train.seed > i64::MAX as u64 {
-            return Err(out_of_range("train.seed", train.seed, format!("at most {}", i64::MAX)));
+        self.check_ranges()?;
+        let (surfels, gaussians) = (self.stages.surfels, self.stages.gaussians);
+        if surfels + gaussians < 1.0 {
+            return Ok(());
         }
-        not_negative("train.lambda_surfel", train.lambda_surfel)?;
-        not_negative("train.lambda_scale", train.lambda_scale)?;
-        not_negative("train.lambda_transmittance", train.lambda_transmittance)?;
-        fraction("train.lambda_dssim", train.lambda_dssim)?;
-        not_negative("train.lambda_depth", train.lambda_depth)?;
-        not_negative("train.lambda_normal", train.lambda_normal)?;
-        not_negative("train.lambda_depth_normal", train.lambda_depth_normal)?;
-
-        if !(1..=MAX_LAYERS).contains(&model.layers) {
-            return Err(out_of_range("model.layers", model.layers, format!("from 1 to {MAX_LAYERS}")));
-        }
-        positive("model.modulation", model.modulation)?;
-
-        at_least("init.max_points", init.max_points, 1)?;
-        positive("init.surfel_scale", init.surfel_scale)?;
-        positive("init.gaussian_scale", init.gaussian_scale)?;
-        positive("init.max_scale_extent", init.max_scale_extent)?;
-        positive("init.max_scale_median", init.max_scale_median)?;
-        positive("init.gaussian_opacity", init.gaussian_opacity)?;
-        at_least("init.random_gaussians", init.random_gaussians, 1)?;
-        if !(8..=512).contains(&init.hull_resolution) {
-            return Err(out_of_range("init.hull_resolution", init.hull_resolution, "from 8 to 512".to_owned()));
-        }
-        fraction("init.hull_tolerance", init.hull_tolerance)?;
-
-        fraction("stages.surfels", stages.surfels)?;
-        fraction("stages.gaussians", stages.gaussians)?;
-        if stages.surfels + stages.gaussians >= 1.0 {
-            let found = format!("{} + {}", stages.surfels, stages.gaussians);
-            return Err(out_of_range("stages.surfels + stages.gaussians", found, "a sum below 1".to_owned()));
-        }
-        fraction("stages.surfel_opacity", stages.surfel_opacity)?;
-        positive("stages.surfel_scale", stages.surfel_scale)?;
-        positive("stages.surfel_budget", stages.surfel_budget)?;
-        fraction("stages.surfel_budget", stages.surfel_budget)?;
-        positive("stages.gaussian_budget", stages.gaussian_budget)?;
-        fraction("stages.gaussian_budget", stages.gaussian_budget)?;
-        not_negative("stages.opacities", stages.opacities)?;
-        fraction("stages.position_share", stages.position_share)?;
-
-        at_least("discs.densify_every", discs.densify_every, 1)?;
-        positive("discs.gradient_threshold", discs.gradient_threshold)?;
-        positive("discs.clone_scale", discs.clone_scale)?;
-        fraction("discs.min_opacity", discs.min_opacity)?;
-        positive("discs.max_scale", discs.max_scale)?;
-        at_least("discs.reset_every", discs.reset_every, 1)?;
-        opacity("discs.reset_opacity", discs.reset_opacity)?;
-        not_negative("discs.lambda_normal", discs.lambda_normal)?;
-        not_negative("discs.lambda_distortion", discs.lambda_distortion)?;
-        opacity("discs.start_opacity", discs.start_opacity)?;
-        positive("discs.start_scale", discs.start_scale)?;
-
-        at_least("relocation.every", relocation.every, 1)?;
-        check("relocation.growth", relocation.growth, relocation.growth >= 1.0, "a finite number of at least 1")?;
-        opacity("relocation.min_opacity", relocation.min_opacity)?;
-        not_negative("relocation.lambda_opacity", relocation.lambda_opacity)?;
-        not_negative("relocation.lambda_scale", relocation.lambda_scale)?;
-        not_negative("relocation.noise", relocation.noise)?;
-        opacity("relocation.start_opacity", relocation.start_opacity)?;
-        positive("relocation.start_scale", relocation.start_scale)?;
-
-        positive("optimizer.position_start", optimizer.position_start)?;
-        positive("optimizer.position_end", optimizer.position_end)?;
-        not_negative("optimizer.surfel_position_factor", optimizer.surfel_position_factor)?;
-        not_negative("optimizer.quaternions", optimizer.quaternions)?;
-        not_negative("optimizer.log_scales", optimizer.log_scales)?;
-        not_negative("optimizer.opacities", optimizer.opacities)?;
-        not_negative("optimizer.base", optimizer.base)?;
-        not_negative("optimizer.detail", optimizer.detail)?;
-        positive("optimizer.decay", optimizer.decay)?;
-        below_one("optimizer.beta1", optimizer.beta1)?;
-        below_one("optimizer.beta2", optimizer.beta2)?;
-        positive("optimizer.epsilon", optimizer.epsilon)?;
-
-        at_least("refine.surfel_prune_every", refine.surfel_prune_every, 1)?;
-        positive("refine.surfel_max_scale", refine.surfel_max_scale)?;
-        at_least("refine.gaussian_prune_every", refine.gaussian_prune_every, 1)?;
-        not_negative("refine.gaussian_min_contribution", refine.gaussian_min_contribution)?;
-        at_least("refine.add_every", refine.add_every, 1)?;
-        at_least("refine.split_every", refine.split_every, 1)?;
-        positive("refine.split_factor", refine.split_factor)
+        let (key, found) = ("stages.surfels + stages.gaussians", format!("{surfels} + {gaussians}"));
+        Err(ConfigError::Range { key, found, expected: "a sum below 1".to_owned() })
     }
 }
 
-fn out_of_range(key: &'static str, found: impl ToString, expected: String) -> ConfigError {
-    ConfigError::Range { key, found: found.to_string(), expected }
+/// A number that a key may have.
+pub trait Number: Copy + PartialOrd + Display {
+    fn is_finite(self) -> bool {
+        true
+    }
 }
 
-fn at_least(key: &'static str, found: usize, least: usize) -> Result<(), ConfigError> {
-    if found >= least { Ok(()) } else { Err(out_of_range(key, found, format!("at least {least}"))) }
+impl Number for u32 {}
+impl Number for u64 {}
+impl Number for usize {}
+impl Number for f64 {
+    fn is_finite(self) -> bool {
+        f64::is_finite(self)
+    }
 }
 
-fn check(key: &'static str, found: f64, ok: bool, expected: &str) -> Result<(), ConfigError> {
-    if ok && found.is_finite() { Ok(()) } else { Err(out_of_range(key, found, expected.to_owned())) }
+/// # Errors
+/// [`ConfigError::Range`] if `value` is not finite or not in `range`.
+pub fn check<T: Number>(key: &'static str, value: T, range: &impl RangeBounds<T>) -> Result<(), ConfigError> {
+    if value.is_finite() && range.contains(&value) {
+        return Ok(());
+    }
+    let expected = if value.is_finite() { phrase(range) } else { format!("a finite number, {}", phrase(range)) };
+    Err(ConfigError::Range { key, found: value.to_string(), expected })
 }
 
-fn positive(key: &'static str, found: f64) -> Result<(), ConfigError> {
-    check(key, found, found > 0.0, "a positive, finite number")
-}
-
-fn not_negative(key: &'static str, found: f64) -> Result<(), ConfigError> {
-    check(key, found, found >= 0.0, "a finite number of at least 0")
-}
-
-fn fraction(key: &'static str, found: f64) -> Result<(), ConfigError> {
-    check(key, found, (0.0..=1.0).contains(&found), "a number from 0 to 1")
-}
-
-fn opacity(key: &'static str, found: f64) -> Result<(), ConfigError> {
-    check(key, found, found > 0.0 && found < 1.0, "a number between 0 and 1")
-}
-
-fn below_one(key: &'static str, found: f64) -> Result<(), ConfigError> {
-    check(key, found, (0.0..1.0).contains(&found), "a number of at least 0 and below 1")
+/// A range in words: "at least 1", "from 0 to 1", "above 0 and below 1".
+pub fn phrase<T: Number>(range: &impl RangeBounds<T>) -> String {
+    let low = match range.start_bound() {
+        Bound::Included(low) => Some(format!("at least {low}")),
+        Bound::Excluded(low) => Some(format!("above {low}")),
+        Bound::Unbounded => None,
+    };
+    let high = match range.end_bound() {
+        Bound::Included(high) => Some(format!("at most {high}")),
+        Bound::Excluded(high) => Some(format!("below {high}")),
+        Bound::Unbounded => None,
+    };
+    match (range.start_bound(), range.end_bound()) {
+        (Bound::Included(low), Bound::Included(high)) => format!("from {low} to {high}"),
+        _ => low.into_iter().chain(high).collect::<Vec<_>>().join(" and "),
+    }
 }
 
 #[cfg(test)]
-mod tests {
+pub mod tests {
     use super::*;
 
-    #[test]
-    fn defaults_are_in_range_and_each_bad_value_is_named() {
-        Config::default().validate().unwrap();
-        type Spoil = fn(&mut Config);
-        let bad: [(&str, Spoil); 9] = [
-            ("train.steps", |c| c.train.steps = 0),
-            ("train.seed", |c| c.train.seed = u64::MAX),
-            ("train.lambda_dssim", |c| c.train.lambda_dssim = 1.5),
-            ("model.layers", |c| c.model.layers = 0),
-            ("model.layers", |c| c.model.layers = 9),
-            ("init.hull_resolution", |c| c.init.hull_resolution = 100_000),
-            ("optimizer.log_scales", |c| c.optimizer.log_scales = -1e-3),
-            ("optimizer.beta2", |c| c.optimizer.beta2 = 1.0),
-            ("model.modulation", |c| c.model.modulation = f64::NAN),
-        ];
-        for (key, spoil) in bad {
-            let mut config = Config::default();
-            spoil(&mut config);
-            let error = config.validate().unwrap_err().to_string();
-            assert!(error.contains(&format!("`{key}`")), "{error}");
+    /// Values next to a range but outside it.
+    pub trait Outside: Number {
+        fn below(self) -> Option<Self>;
+        fn above(self) -> Option<Self>;
+        fn never() -> Vec<Self> {
+            Vec::new()
         }
+    }
+
+    macro_rules! whole {
+        ($($Type:ty),+) => {$(
+            impl Outside for $Type {
+                fn below(self) -> Option<Self> {
+                    self.checked_sub(1)
+                }
+                fn above(self) -> Option<Self> {
+                    self.checked_add(1)
+                }
+            }
+        )+};
+    }
+    whole!(u32, u64, usize);
+
+    impl Outside for f64 {
+        fn below(self) -> Option<Self> {
+            Some(self.next_down())
+        }
+        fn above(self) -> Option<Self> {
+            Some(self.next_up())
+        }
+        fn never() -> Vec<Self> {
+            vec![f64::NAN, f64::INFINITY, f64::NEG_INFINITY]
+        }
+    }
+
+    pub fn outside<T: Outside>(range: &impl RangeBounds<T>) -> Vec<T> {
+        let low = match range.start_bound() {
+            Bound::Included(low) => low.below(),
+            Bound::Excluded(low) => Some(*low),
+            Bound::Unbounded => None,
+        };
+        let high = match range.end_bound() {
+            Bound::Included(high) => high.above(),
+            Bound::Excluded(high) => Some(*high),
+            Bound::Unbounded => None,
+        };
+        low.into_iter().chain(high).chain(T::never()).collect()
+    }
+
+    #[test]
+    fn defaults_are_in_range_and_each_value_outside_is_refused_with_its_key() {
+        Config::default().validate().unwrap();
+        let spoiled = Config::out_of_range();
+        assert!(spoiled.len() > 100, "{}", spoiled.len());
+        for (key, config) in spoiled {
+            let ConfigError::Range { key: named, found, expected } = config.validate().unwrap_err() else { panic!() };
+            assert_eq!(named, key);
+            let range = super::super::key(key).range.unwrap()();
+            assert!(expected.ends_with(&range), "{key} = {found}: {expected}");
+        }
+    }
+
+    #[test]
+    fn shares_of_stages_leave_steps_for_the_joint_one() {
+        let mut config = Config::default();
+        (config.stages.surfels, config.stages.gaussians) = (0.5, 0.5);
+        let error = config.validate().unwrap_err().to_string();
+        assert_eq!(error, "key `stages.surfels + stages.gaussians` is 0.5 + 0.5, expected a sum below 1");
+    }
+
+    #[test]
+    fn ranges_in_words() {
+        assert_eq!(phrase::<usize>(&(1..)), "at least 1");
+        assert_eq!(phrase::<u64>(&..=9), "at most 9");
+        assert_eq!(phrase(&(0.0..=1.0)), "from 0 to 1");
+        assert_eq!(phrase(&(0.0..1.0)), "at least 0 and below 1");
+        assert_eq!([POSITIVE, POSITIVE_SHARE].map(|range| phrase(&range)), ["above 0", "above 0 and at most 1"]);
+        let error = check("a.b", f64::NAN, &OPACITY).unwrap_err().to_string();
+        assert_eq!(error, "key `a.b` is NaN, expected a finite number, above 0 and below 1");
     }
 }

@@ -1,22 +1,22 @@
-//! At which steps of a run the set of primitives changes.
+//! The steps of the joint stage at which the set of primitives changes.
 
 use super::{Budget, Config, ConfigError};
 
-/// Length of the run in whose steps `[refine]` is written (DP-GES: the joint stage).
+/// Length of the joint stage for which the steps in `[refine]` are given (DP-GES).
 pub const REFERENCE_STEPS: usize = 25_000;
 
-/// Steps of one stage, ascending, counted as its completed steps: a change due at 1000 happens after the
-/// 1000th step, margins due at 0 are computed before the first. Nothing is due after the last step.
+/// Numbers of completed steps of the stage, ascending: a change due at 1000 happens after the 1000th step, margins due
+/// at 0 are computed before the first. Nothing is due after the last step.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Schedule {
     pub margins: Vec<usize>,
     pub surfel_prune: Vec<usize>,
     pub gaussian_prune: Vec<usize>,
     pub add: Vec<usize>,
-    /// After the last batch.
+    /// Replacements of Gaussians that are not drawn, after the last batch of new ones.
     pub replace: Vec<usize>,
     pub split: Vec<usize>,
-    /// Of an automatic budget only.
+    /// Empty unless the budget is automatic.
     pub drop_lobes: Vec<usize>,
 }
 
@@ -26,9 +26,9 @@ pub struct Due {
     pub margins: bool,
     pub surfel_prune: bool,
     pub gaussian_prune: bool,
-    /// Batches of Gaussians still to be added, this one included; `None` if none is due now.
+    /// Batches of Gaussians still to add, including one now; `None` if none is due now.
     pub batches_left: Option<usize>,
-    /// Whether Gaussians that nothing shows any more are replaced by new ones.
+    /// Whether Gaussians that are not drawn are replaced by new ones.
     pub replace: bool,
     pub split: bool,
     pub drop_lobes: bool,
@@ -41,16 +41,16 @@ impl Due {
     }
 }
 
-/// Most steps that a factor may lead to: larger numbers are not whole in f64.
+/// Largest number of steps after scaling; f64 does not hold much larger whole numbers exactly.
 const MOST_SCALED_STEPS: f64 = 1e15;
 
 impl Config {
-    /// Makes the run `factor` times as long. `[refine]` scales with it; `train.evaluate_every` and
-    /// `train.checkpoint_every` stay as they are, in steps of the run as it then is.
+    /// Makes the run `factor` times as long. `[discs]`, `[relocation]` and `[refine]` scale with it;
+    /// `train.evaluate_every` and `train.checkpoint_every` remain numbers of steps of the longer or shorter run.
     ///
     /// # Errors
-    /// [`ConfigError::Range`] if that leaves no step or more than 1e15, as does every factor that is not positive and
-    /// finite.
+    /// [`ConfigError::Range`] if the result is not from 1 to 1e15 steps, which includes every factor that is not
+    /// positive and finite.
     pub fn scale_steps(&mut self, factor: f64) -> Result<(), ConfigError> {
         let before = self.train.steps;
         let steps = (before as f64 * factor).round();
@@ -68,13 +68,11 @@ impl Config {
         (step as f64 * scale).round() as usize
     }
 
-    /// The schedule of the joint stage over `views` training views, every one of which is drawn once per
-    /// `views` steps.
+    /// The schedule of the joint stage over `views` training views, each of which is drawn once per `views` steps.
     ///
-    /// Pruning is moved up to the next whole pass over the views, so that its statistics always
-    /// cover each of them: short windows are stretched, and prunings that fall together become one.
-    /// A run that ends, or whose `_until` comes, before the first pass is over prunes nothing. Frozen surfels are
-    /// not pruned.
+    /// Pruning is postponed to the end of the pass over the views, so that its statistics cover every view. Prunings
+    /// that then coincide become one, and none happens if the run or its `_until` ends before the first pass. Frozen
+    /// surfels are not pruned.
     pub fn schedule(&self, views: usize) -> Schedule {
         let (refine, length) = (&self.refine, self.last_stage_steps());
         let run = |steps: Vec<usize>, first: usize| {

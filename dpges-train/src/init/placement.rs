@@ -1,19 +1,14 @@
 //! Turns points on surfaces into surfels and Gaussians.
 
-use std::f32::consts::{PI, TAU};
-
 use dpges_core::scene::{ColourData, ColourModel, GaussianData, SH_C0, SurfelData};
 use glam::{DQuat, DVec3};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use crate::config::Config;
-use crate::neighbours::nearest;
+use crate::neighbours::spacing;
+use crate::refine::add::faint_detail;
 
-/// Lower limit of mean squared distances (3DGS), world units².
-const MIN_SQUARED_SPACING: f32 = 1e-7;
-/// Raw colour of an inconspicuous lobe, of amplitude 0.017 (DP-GES).
-const FAINT_LOBE: f32 = -0.3;
 /// Scale of a primitive without neighbours, as a fraction of the extent.
 const LONE_SCALE: f64 = 0.01;
 
@@ -103,14 +98,6 @@ impl Placement {
     }
 }
 
-/// Root mean square distance to the 3 nearest other points, world units, at least 3.2e-4 (3DGS). `None` for a single
-/// point.
-pub fn spacing(positions: &[[f32; 3]]) -> Vec<Option<f32>> {
-    let mean = |near: &Vec<(u32, f32)>| near.iter().map(|&(_, d)| d).sum::<f32>() / near.len() as f32;
-    let spacing = |near: Vec<(u32, f32)>| (!near.is_empty()).then(|| mean(&near).max(MIN_SQUARED_SPACING).sqrt());
-    nearest(positions, 3).into_iter().map(spacing).collect()
-}
-
 /// One disc per point, perpendicular to its normal, as wide as the spacing of the points. Margins are zero.
 pub fn surfels(points: &OrientedPoints, placement: &Placement, rng: &mut ChaCha8Rng) -> SurfelData {
     let log_scales = placement.log_scales(&points.positions, placement.surfel_scale);
@@ -145,22 +132,10 @@ fn colour(points: &OrientedPoints, model: ColourModel, rng: &mut ChaCha8Rng) -> 
     ColourData { model, base, detail: faint_detail(model, points.len(), rng) }
 }
 
-/// Raw colour detail of `count` primitives that look nearly the same from all directions: lobes of amplitude 0.017 in
-/// random directions (θ from 0 to π, φ from 0 to 2π, β = 0), or harmonics of 0.
-pub fn faint_detail(model: ColourModel, count: usize, rng: &mut ChaCha8Rng) -> Vec<f32> {
-    match model {
-        ColourModel::SphericalHarmonics { .. } => vec![0.0; count * model.detail_len()],
-        ColourModel::SphericalBeta { lobes } => (0..count * lobes)
-            .flat_map(|_| {
-                let (theta, phi) = (PI * rng.random::<f32>(), TAU * rng.random::<f32>());
-                [FAINT_LOBE, FAINT_LOBE, FAINT_LOBE, theta, phi, 0.0]
-            })
-            .collect(),
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use std::f32::consts::{PI, TAU};
+
     use rand::SeedableRng;
 
     use super::*;
@@ -172,16 +147,6 @@ mod tests {
     fn points(positions: &[[f32; 3]]) -> OrientedPoints {
         let n = positions.len();
         OrientedPoints { positions: positions.to_vec(), colours: vec![[0.5, 1.0, 0.0]; n], normals: vec![DVec3::X; n] }
-    }
-
-    #[test]
-    fn spacing_is_the_root_of_the_mean_square_of_three_distances() {
-        let positions = [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0], [9.0, 9.0, 9.0]];
-        assert_eq!(spacing(&positions)[0], Some((14f32 / 3.0).sqrt()));
-        assert_eq!(spacing(&positions[..1]), [None]);
-        assert_eq!(spacing(&positions[..2]), [Some(1.0); 2]);
-        assert_eq!(spacing(&[[1.0; 3]; 2]), [Some(1e-7f32.sqrt()); 2]);
-        assert!(spacing(&[]).is_empty());
     }
 
     #[test]

@@ -1,16 +1,20 @@
 //! New Gaussians where pictures are worst (GES, DP-GES).
 
+use std::f32::consts::{PI, TAU};
+
 use dpges_core::scene::{ColourModel, GaussianData, SH_C0};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use super::normal;
-use crate::init::placement::{faint_detail, spacing};
+use crate::neighbours::spacing;
 
 /// GES: a new Gaussian's scale over the root mean square distance to the 3 nearest of its batch.
 const SCALE: f32 = 0.5;
 /// GES: a new Gaussian's linear opacity.
 const OPACITY: f32 = 0.5;
+/// Raw colour of a lobe nobody notices: an amplitude of 0.017 (DP-GES).
+const FAINT_LOBE: f32 = -0.3;
 /// Scale of a Gaussian that shows a pixel, in pixels, at most.
 const MOST_PIXELS: f32 = 1.0;
 
@@ -74,6 +78,20 @@ pub fn new_gaussians(positions: &[[f32; 3]], max_scale: f32, model: ColourModel,
     new.colour.base.fill((-0.5 / SH_C0) as f32);
     new.colour.detail = faint_detail(model, count, rng);
     new
+}
+
+/// Raw detail of `count` primitives whose colour does not depend on the direction yet: lobes of
+/// amplitude 0.017 in random directions (θ from 0 to π, φ from 0 to 2π, β = 0), harmonics of 0.
+pub fn faint_detail(model: ColourModel, count: usize, rng: &mut ChaCha8Rng) -> Vec<f32> {
+    match model {
+        ColourModel::SphericalHarmonics { .. } => vec![0.0; count * model.detail_len()],
+        ColourModel::SphericalBeta { lobes } => (0..count * lobes)
+            .flat_map(|_| {
+                let (theta, phi) = (PI * rng.random::<f32>(), TAU * rng.random::<f32>());
+                [FAINT_LOBE, FAINT_LOBE, FAINT_LOBE, theta, phi, 0.0]
+            })
+            .collect(),
+    }
 }
 
 /// A unit quaternion (w, x, y, z), uniform over the rotations.

@@ -5,6 +5,7 @@ use dpges_core::scene::GaussianData;
 use rand_chacha::ChaCha8Rng;
 
 use super::add::draw_in_proportion;
+use crate::config::Relocation;
 
 /// 3DGS-MCMC: Gaussians that share one opacity, counted no further than this.
 const MAX_COPIES: usize = 51;
@@ -12,15 +13,6 @@ const MAX_COPIES: usize = 51;
 const MIN_OPACITY: f64 = 0.005;
 /// 3DGS-MCMC: and at most 1 − ε of `f32`.
 const MAX_OPACITY: f64 = 1.0 - f32::EPSILON as f64;
-
-/// What changes when several Gaussians take the place of one.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Relocation {
-    /// Opacity and scales (3DGS-MCMC).
-    Mcmc,
-    /// Opacity alone (DBS).
-    Beta,
-}
 
 /// The set after relocation and addition: the N old rows in place, then the added ones.
 #[derive(Clone, Debug, PartialEq)]

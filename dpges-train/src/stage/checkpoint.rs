@@ -8,10 +8,9 @@ use dpges_core::scene::{ColourModel, GaussianData, SceneInfo};
 use super::blended::{BlendedStage, ScreenGradients};
 use super::joint::{JointStage, Statistics, Supervisions};
 use super::{Context, TrainError};
-use crate::config::{OpacityActivation, StagePlan};
+use crate::config::{OpacityActivation, Relocation, StagePlan};
 use crate::optimizer::ParameterRows;
 use crate::refine::growth::Growth;
-use crate::refine::relocate::Relocation;
 use crate::scene_state::{GaussianState, NamedRows, SurfelState};
 
 const MAX_CONTRIBUTIONS: &str = "max_contributions";

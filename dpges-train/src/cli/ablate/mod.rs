@@ -29,30 +29,32 @@ use variant::Variant;
 
 /// Train the method and its ablations one after another, and compare them
 ///
-/// Every variant is a run of its own in a folder of its name, with the same data, seed and steps. Asked again, variants
-/// that are finished are not trained again, and one that was interrupted goes on. The comparison is in ablation.csv and
-/// ablation.svg.
+/// Each variant is a run in a folder of its own, with the same data, seed and steps. The same command again skips finished
+/// variants and resumes one that was interrupted. The comparison is written to ablation.csv and ablation.svg.
 ///
-/// Without DATASET it is done on the built-in scene, with the defaults of `dpges train`.
+/// Without DATASET the built-in scene is used, with the defaults of `dpges train`.
 #[derive(Debug, Args)]
 pub struct AblateArgs {
     /// Folder of a COLMAP, Blender or nerfstudio dataset, or `builtin`
     dataset: Option<PathBuf>,
-    /// Folder of the runs and of the comparison
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
+    /// Folder for the runs and the comparison
+    #[arg(long, value_name = "DIR", required_unless_present = "list")]
+    out: Option<PathBuf>,
     /// auto (a GPU that passes a check, or else the CPU), cpu, cpu-flex, wgpu (the best GPU), or another one that
     /// `dpges devices` lists
     #[arg(long, value_name = "NAME", default_value_t)]
     device: DeviceRequest,
-    /// These variants instead of those of the paper's table, with commas between
+    /// Variants to train, separated by commas, instead of those of the paper's table
     #[arg(long, value_name = "VARIANT", value_enum, value_delimiter = ',')]
     only: Vec<Variant>,
+    /// Print all variants as a table in Markdown, and train nothing
+    #[arg(long)]
+    list: bool,
     #[command(flatten)]
     options: ConfigArgs,
 }
 
-/// How far a variant is.
+/// How far the run of a variant has come.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
     New,
@@ -68,7 +70,7 @@ struct Entry {
     state: State,
 }
 
-/// What the runs share.
+/// What all runs share.
 struct Common {
     source: Source,
     dataset: Arc<Dataset>,
@@ -79,8 +81,9 @@ struct Common {
 }
 
 pub fn run(args: &AblateArgs, style: LogStyle) -> Result<()> {
+    let (false, Some(out)) = (args.list, &args.out) else { return print(&Variant::list()) };
     let source = Source::named(args.dataset.as_deref());
-    let runs = args.runs(&source)?;
+    let runs = args.runs(&source, out)?;
     if runs.iter().any(|run| run.state != State::Finished) {
         let common = Common::load(source, &runs[0].config, args.device, style)?;
         for run in &runs {
@@ -88,17 +91,16 @@ pub fn run(args: &AblateArgs, style: LogStyle) -> Result<()> {
         }
     }
     let rows = runs.iter().map(Entry::row).collect::<Result<Vec<Row>>>()?;
-    let files = report::write(&args.out, &rows)?;
+    let files = report::write(out, &rows)?;
     if style == LogStyle::Quiet { Ok(()) } else { print(&(report::table(&rows) + &files)) }
 }
 
 impl AblateArgs {
-    /// The variants that are asked for, in the order of [`Variant`]. Folders that hold anything else are found here,
-    /// before the first step.
-    fn runs(&self, source: &Source) -> Result<Vec<Entry>> {
+    /// The runs of the chosen variants. Folders that hold anything else are refused here, before the first step.
+    fn runs(&self, source: &Source, out: &Path) -> Result<Vec<Entry>> {
         let run = |variant: Variant| -> Result<Entry> {
             let config = self.options.resolve(source, &variant.settings())?;
-            let folder = RunFolder::new(self.out.join(variant.name()));
+            let folder = RunFolder::new(out.join(variant.name));
             let state = state(&folder, &config, source)?;
             Ok(Entry { variant, config, folder, state })
         };
@@ -106,14 +108,17 @@ impl AblateArgs {
     }
 }
 
-/// What is in `folder`: nothing, or as much as there is of the run of `config`.
+/// How far the run of `config` in `folder` has come.
+///
+/// # Errors
+/// If the folder holds another run.
 fn state(folder: &RunFolder, config: &Config, source: &Source) -> Result<State> {
     if folder.check_unused().is_ok() {
         return Ok(State::New);
     }
     let other = |reason: String| {
         let message = format!("{} holds another run: {reason}", folder.path().display());
-        Failure::with_help(message, "name another --out, or remove that folder")
+        Failure::with_help(message, "choose another --out, or remove that folder")
     };
     let trained_on = folder.read_origin().map_err(|error| other(error.to_string()))?.dataset;
     if trained_on != source.to_string() {
@@ -145,17 +150,17 @@ impl Common {
 }
 
 impl Entry {
-    /// Trains what is left of the variant.
+    /// Trains the steps that are left.
     fn train(&self, common: &Common) -> Result<()> {
         let Self { variant, config, folder, state } = self;
         let (data, opened) = (Arc::clone(&common.dataset), common.device.clone());
         let run = match state {
             State::Finished => {
-                tracing::info!("{variant}: finished before");
+                tracing::info!("{variant}: already finished");
                 return Ok(());
             }
             State::Begun => {
-                tracing::info!("{variant}: goes on");
+                tracing::info!("{variant}: resumed");
                 let saved = SavedRun::open(folder.clone())?;
                 say_resumed(&saved, common.name);
                 Run::resume(saved, data, opened)?
@@ -170,7 +175,7 @@ impl Entry {
         Ok(())
     }
 
-    /// The line of the variant in the comparison.
+    /// Its result.
     fn row(&self) -> Result<Row> {
         let report = read_evaluation(&self.folder.evaluation())?;
         Ok(Row {
@@ -187,7 +192,7 @@ impl Entry {
 
 fn read_evaluation(path: &Path) -> Result<EvalReport> {
     let wrong = |error: String| {
-        let help = "remove it, and its run is finished again";
+        let help = "remove it to finish its run again";
         Failure::with_help(format!("{} cannot be read: {error}", path.display()), help)
     };
     let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;

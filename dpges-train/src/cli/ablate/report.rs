@@ -12,7 +12,7 @@ use crate::progress::Seconds;
 
 const COLUMNS: &str = "variant,psnr,ssim,surfels,gaussians,bytes,seconds";
 
-/// Of the chart, px: width of names, of the longest bar and of numbers; height of a row and of its bar; margin.
+/// Sizes in the chart, px: width of names, of the longest bar and of numbers; height of a row and of its bar; margin.
 const NAMES: usize = 210;
 const LONGEST: usize = 400;
 const NUMBERS: usize = 90;
@@ -20,7 +20,7 @@ const ROW: usize = 28;
 const BAR: usize = 18;
 const MARGIN: usize = 16;
 
-/// For light and dark surroundings; the bars stand out from both.
+/// For light and dark backgrounds.
 const STYLE: &str = "<style>
 text { fill: #24292f; font: 13px sans-serif; }
 rect { fill: #4a8fd0; }
@@ -28,11 +28,11 @@ rect { fill: #4a8fd0; }
 </style>
 ";
 
-/// One variant.
+/// The result of one variant.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Row {
     pub variant: Variant,
-    /// dB, mean over the held-out views.
+    /// Mean over the held-out views, dB.
     pub psnr: f64,
     /// Mean over the held-out views.
     pub ssim: f64,
@@ -40,7 +40,7 @@ pub struct Row {
     pub gaussians: usize,
     /// Size of the scene file.
     pub bytes: u64,
-    /// Of all steps, evaluations on the way included.
+    /// Wall-clock time up to the last step, including evaluations.
     pub seconds: f64,
 }
 
@@ -55,9 +55,9 @@ pub fn write(folder: &Path, rows: &[Row]) -> Result<String> {
     Ok(paths)
 }
 
-/// For people.
+/// The comparison for the terminal, a line per variant.
 pub fn table(rows: &[Row]) -> String {
-    let names: Vec<String> = rows.iter().map(|row| row.variant.name()).collect();
+    let names: Vec<String> = rows.iter().map(|row| row.variant.to_string()).collect();
     let values = rows.iter().map(|row| {
         let Row { psnr, ssim, surfels, gaussians, bytes, seconds, .. } = row;
         let megabytes = *bytes as f64 / 1e6;
@@ -94,7 +94,7 @@ fn chart(rows: &[Row]) -> String {
     for (row, Row { variant, psnr, .. }) in rows.iter().enumerate() {
         let y = middle(row + 1);
         let length = LONGEST as f64 * psnr.max(0.0) / largest;
-        svg += &label((NAMES - 10) as f64, y, "end", &variant.name());
+        svg += &label((NAMES - 10) as f64, y, "end", variant.name);
         let top = y - BAR / 2;
         _ = writeln!(svg, "<rect x=\"{NAMES}\" y=\"{top}\" width=\"{length:.1}\" height=\"{BAR}\"/>");
         svg += &label(NAMES as f64 + length + 8.0, y, "start", &format!("{psnr:.2}"));
@@ -104,6 +104,7 @@ fn chart(rows: &[Row]) -> String {
 
 #[cfg(test)]
 mod tests {
+    use super::super::variant::tests::variant;
     use super::*;
 
     fn rows() -> Vec<Row> {
@@ -116,7 +117,7 @@ mod tests {
             bytes: 6_700_000,
             seconds: 89.04,
         };
-        vec![row(Variant::Full, 28.0), row(Variant::Ges, 14.0), row(Variant::Sh, -3.0)]
+        vec![row(variant("full"), 28.0), row(variant("ges"), 14.0), row(variant("sh"), -3.0)]
     }
 
     /// Names of all elements, each of which must end where it should.

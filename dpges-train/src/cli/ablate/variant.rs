@@ -1,13 +1,39 @@
 //! The variants of the method, as settings of a configuration.
 
 use std::fmt;
+use std::sync::LazyLock;
 
 use clap::ValueEnum;
-use dpges_train::config::layers::PRESETS;
+use clap::builder::PossibleValue;
+use dpges_train::config::keys;
+use dpges_train::config::sources::preset_text;
 use toml::{Table, Value};
 
-/// Keys of a preset that say how long a run is, how fast it learns and what it writes on the way, not what the method
-/// is; and sections of such keys.
+/// The paper's table (DP-GES, ablation studies), in its order.
+const PAPER: [&str; 9] = [
+    "full",
+    "layers-2",
+    "layers-4",
+    "no-transmittance-gradient",
+    "no-surfel-loss",
+    "no-scale-loss",
+    "no-transmittance-loss",
+    "sh",
+    "ges",
+];
+
+/// Variants that are more or less than one key.
+const OTHERS: [Variant; 3] = [
+    Variant { name: "full", effect: "The method as configured", changes: Changes::Keys(&[]) },
+    Variant { name: "ges", effect: "The predecessor (GES): preset `ges`", changes: Changes::Preset("ges") },
+    Variant {
+        name: "base",
+        effect: "Colours as `sh`, and Gaussians from the discs that are no surfels (GES); needs stages.surfels",
+        changes: Changes::Keys(&["model.colour=sh3", "stages.gaussians=0", "stages.gaussians_by=rest"]),
+    },
+];
+
+/// Keys and sections of a preset that are no part of the method: length of the run, learning rates, output.
 const OF_THE_RUN: [&str; 7] = [
     "train.steps",
     "train.evaluate_every",
@@ -18,110 +44,90 @@ const OF_THE_RUN: [&str; 7] = [
     "optimizer",
 ];
 
-/// The method, or the method but for one thing (DP-GES, ablation studies).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Variant {
-    /// The method as configured
-    Full,
-    /// Two layers are peeled
-    #[value(name = "layers-2")]
-    Layers2,
-    /// Four layers are peeled
-    #[value(name = "layers-4")]
-    Layers4,
-    /// No gradient from Gaussians to surfels
-    NoTransmittanceGradient,
-    /// Without the loss of the surfels alone
-    NoSurfelLoss,
-    /// Without the scale loss
-    NoScaleLoss,
-    /// Without the transmittance loss
-    NoTransmittanceLoss,
-    /// Spherical harmonics of degree 3 as colours
-    Sh,
-    /// The predecessor: preset `ges`
-    Ges,
-    /// Spherical harmonics, and Gaussians from the discs that are no surfels, as in GES; needs stages.surfels
-    Base,
-    /// Surfels start where the points are
-    NoSurfelStage,
-    /// Gaussians start where the points are
-    NoGaussianStage,
-    /// Without splitting Gaussians
-    NoSplit,
-    /// Margins of a surfel's own scales
-    RawMargin,
-    /// Transmittance looked up at bare depths
-    LiteralLookup,
-    /// Surfels end where their opacity, not their kernel, does
-    OpacityFootprint,
-    /// Opacities of Gaussians below 1
-    SigmoidOpacity,
+/// All variants: those of the paper's table, then others in the order of their keys.
+static ALL: LazyLock<Vec<Variant>> = LazyLock::new(|| {
+    let of_keys = keys().flat_map(|key| {
+        key.ablations.iter().map(|ablation| Variant {
+            name: ablation.name,
+            effect: ablation.effect,
+            changes: Changes::Key(key.name, ablation.value),
+        })
+    });
+    let mut all: Vec<Variant> = OTHERS.into_iter().chain(of_keys).collect();
+    all.sort_by_key(|variant| PAPER.iter().position(|name| *name == variant.name).unwrap_or(PAPER.len()));
+    all
+});
+
+/// The method, or the method but for one thing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Variant {
+    /// As `--only` takes it; also the name of its folder.
+    pub name: &'static str,
+    effect: &'static str,
+    changes: Changes,
 }
 
-/// The variants of the paper's table.
-const PAPER: [Variant; 9] = [
-    Variant::Full,
-    Variant::Layers2,
-    Variant::Layers4,
-    Variant::NoTransmittanceGradient,
-    Variant::NoSurfelLoss,
-    Variant::NoScaleLoss,
-    Variant::NoTransmittanceLoss,
-    Variant::Sh,
-    Variant::Ges,
-];
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Changes {
+    /// A key and its value.
+    Key(&'static str, &'static str),
+    /// Any number of `key=value`.
+    Keys(&'static [&'static str]),
+    /// What a preset says of the method.
+    Preset(&'static str),
+}
 
-impl Variant {
-    /// Those of `only` in their order, or where that is empty those of the paper's table.
-    pub fn chosen(only: &[Self]) -> Vec<Self> {
-        let among = if only.is_empty() { &PAPER } else { only };
-        Self::value_variants().iter().copied().filter(|variant| among.contains(variant)).collect()
+impl ValueEnum for Variant {
+    fn value_variants<'a>() -> &'a [Self] {
+        &ALL
     }
 
-    /// As `--only` takes it; also the name of its folder.
-    pub fn name(self) -> String {
-        self.to_possible_value().expect("none is skipped").get_name().to_owned()
-    }
-
-    /// `key=value` of every key in which it differs from the method.
-    pub fn settings(self) -> Vec<String> {
-        let setting = match self {
-            Self::Full => return Vec::new(),
-            Self::Layers2 => "model.layers=2",
-            Self::Layers4 => "model.layers=4",
-            Self::NoTransmittanceGradient => "train.detach_transmittance=true",
-            Self::NoSurfelLoss => "train.lambda_surfel=0",
-            Self::NoScaleLoss => "train.lambda_scale=0",
-            Self::NoTransmittanceLoss => "train.lambda_transmittance=0",
-            Self::Sh => "model.colour=sh3",
-            Self::Ges => return method_of("ges"),
-            Self::Base => {
-                let settings = ["model.colour=sh3", "stages.gaussians=0", "stages.gaussians_by=rest"];
-                return settings.map(str::to_owned).into();
-            }
-            Self::NoSurfelStage => "stages.surfels=0",
-            Self::NoGaussianStage => "stages.gaussians=0",
-            Self::NoSplit => "refine.split=false",
-            Self::RawMargin => "model.margin=raw",
-            Self::LiteralLookup => "model.margin_lookup=literal",
-            Self::OpacityFootprint => "model.footprint=opacity",
-            Self::SigmoidOpacity => "model.opacity=sigmoid",
-        };
-        vec![setting.to_owned()]
+    fn to_possible_value(&self) -> Option<PossibleValue> {
+        Some(PossibleValue::new(self.name).help(self.effect))
     }
 }
 
 impl fmt::Display for Variant {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.name())
+        f.write_str(self.name)
+    }
+}
+
+impl Variant {
+    /// Those of `only` in the order of all variants; if it is empty, those of the paper's table.
+    pub fn chosen(only: &[Self]) -> Vec<Self> {
+        let is_chosen = |variant: &&Self| {
+            if only.is_empty() { PAPER.contains(&variant.name) } else { only.contains(variant) }
+        };
+        ALL.iter().filter(is_chosen).copied().collect()
+    }
+
+    /// `key=value` of every key in which it differs from the method.
+    pub fn settings(self) -> Vec<String> {
+        match self.changes {
+            Changes::Key(key, value) => vec![format!("{key}={value}")],
+            Changes::Keys(settings) => settings.iter().map(|setting| setting.to_string()).collect(),
+            Changes::Preset(preset) => method_of(preset),
+        }
+    }
+
+    /// All variants as a table in Markdown.
+    pub fn list() -> String {
+        let row = |variant: &Self| {
+            let keys = match variant.changes {
+                Changes::Preset(preset) => format!("preset `{preset}`"),
+                _ => variant.settings().iter().map(|set| format!("`{set}`")).collect::<Vec<_>>().join(", "),
+            };
+            format!("| `{}` | {} | {keys} |\n", variant.name, variant.effect)
+        };
+        let rows: String = ALL.iter().map(row).collect();
+        format!("| variant | what changes | keys |\n|---|---|---|\n{rows}")
     }
 }
 
 /// `key=value` of what a preset says of the method.
 fn method_of(preset: &str) -> Vec<String> {
-    let (_, text) = PRESETS.into_iter().find(|(name, _)| *name == preset).expect("comes with the program");
-    let sections: Table = text.parse().expect("presets are valid TOML");
+    let sections: Table = preset_text(preset).ok().and_then(|text| text.parse().ok()).expect("comes with the program");
     let mut settings = Vec::new();
     for (section, keys) in sections {
         let Value::Table(keys) = keys else { continue };
@@ -134,75 +140,59 @@ fn method_of(preset: &str) -> Vec<String> {
 }
 
 #[cfg(test)]
-mod tests {
-    use dpges_train::config::{Config, GaussianStage, OpacityActivation};
+pub mod tests {
+    use std::collections::HashSet;
+
+    use dpges_train::config::{Config, GaussianStage};
 
     use super::*;
+
+    pub fn variant(name: &str) -> Variant {
+        *ALL.iter().find(|variant| variant.name == name).unwrap()
+    }
 
     fn config(variant: Variant) -> Config {
         Config::resolve(None, None, &variant.settings()).unwrap()
     }
 
     #[test]
-    fn every_variant_has_the_name_of_the_paper() {
-        let names: Vec<String> = Variant::chosen(&[]).into_iter().map(Variant::name).collect();
-        let expected = [
-            "full",
-            "layers-2",
-            "layers-4",
-            "no-transmittance-gradient",
-            "no-surfel-loss",
-            "no-scale-loss",
-            "no-transmittance-loss",
-            "sh",
-            "ges",
-        ];
-        assert_eq!(names, expected);
+    fn the_paper_s_variants_come_first_and_names_are_unique() {
+        assert_eq!(Variant::chosen(&[]).iter().map(|variant| variant.name).collect::<Vec<_>>(), PAPER);
+        assert_eq!(ALL[..PAPER.len()], Variant::chosen(&[]));
+        assert_eq!(ALL.iter().map(|variant| variant.name).collect::<HashSet<_>>().len(), ALL.len());
+        let [full, ges] = ["full", "ges"].map(variant);
+        assert_eq!(Variant::chosen(&[ges, full]), [full, ges]);
     }
 
     #[test]
     fn every_variant_differs_from_the_method_and_keeps_data_seed_and_steps() {
-        let full = config(Variant::Full);
-        assert_eq!(full, Config::default());
-        for &variant in &Variant::value_variants()[1..] {
-            let found = config(variant);
-            let without_stages = matches!(variant, Variant::NoSurfelStage | Variant::NoGaussianStage);
-            assert_eq!(found == full, without_stages, "{variant}");
+        let staged = |variant: Variant| {
+            let stages = ["stages.surfels=0.2", "stages.gaussians=0.3"].map(str::to_owned);
+            Config::resolve(None, None, &[&stages[..], &variant.settings()].concat()).unwrap()
+        };
+        let full = staged(variant("full"));
+        assert_eq!(config(variant("full")), Config::default());
+        for &variant in &ALL[1..] {
+            let found = staged(variant);
+            assert_ne!(found, full, "{variant}");
             assert_eq!((&found.data, &found.init), (&full.data, &full.init), "{variant}");
             let length = |config: &Config| (config.train.steps, config.train.seed, config.train.evaluate_every);
             assert_eq!(length(&found), length(&full), "{variant}");
         }
-        assert_eq!(config(Variant::Layers2).model.layers, 2);
-        assert_eq!(config(Variant::Layers4).model.layers, 4);
-        assert!(config(Variant::NoTransmittanceGradient).train.detach_transmittance);
-        assert_eq!(config(Variant::NoSurfelLoss).train.lambda_surfel, 0.0);
-        assert_eq!(config(Variant::NoScaleLoss).train.lambda_scale, 0.0);
-        assert_eq!(config(Variant::NoTransmittanceLoss).train.lambda_transmittance, 0.0);
-        assert_eq!(config(Variant::Sh).model.colour.to_string(), "sh3");
-        assert_eq!(config(Variant::SigmoidOpacity).model.opacity, OpacityActivation::Sigmoid);
-        assert_eq!(config(Variant::Base).stages.gaussians_by, GaussianStage::Rest);
-        let staged = |variant: Variant| {
-            let stages = ["stages.surfels=0.2", "stages.gaussians=0.3"].map(str::to_owned);
-            let stages = Config::resolve(None, None, &[&stages[..], &variant.settings()].concat()).unwrap().stages;
-            (stages.surfels, stages.gaussians)
-        };
-        assert_eq!(staged(Variant::NoSurfelStage), (0.0, 0.3));
-        assert_eq!(staged(Variant::NoGaussianStage), (0.2, 0.0));
-        assert_eq!(Variant::chosen(&[Variant::Ges, Variant::Full]), [Variant::Full, Variant::Ges]);
+        assert_eq!(config(variant("base")).stages.gaussians_by, GaussianStage::Rest);
     }
 
     #[test]
     fn ges_is_its_preset_but_for_the_length_and_the_rates() {
         let mut preset = Config::resolve(Some("ges"), None, &[]).unwrap();
-        let full = config(Variant::Full).train;
-        preset.train.steps = full.steps;
-        preset.train.evaluate_every = full.evaluate_every;
-        preset.train.checkpoint_every = full.checkpoint_every;
-        let Config { optimizer, stages, refine, .. } = config(Variant::Full);
+        let Config { train, optimizer, stages, refine, .. } = config(variant("full"));
+        preset.train.steps = train.steps;
+        preset.train.evaluate_every = train.evaluate_every;
+        preset.train.checkpoint_every = train.checkpoint_every;
         preset.optimizer = optimizer;
         preset.stages.position_share = stages.position_share;
         preset.stages.surfel_scale = stages.surfel_scale;
         preset.refine.add_as = refine.add_as;
-        assert_eq!(config(Variant::Ges), preset);
+        assert_eq!(config(variant("ges")), preset);
     }
 }

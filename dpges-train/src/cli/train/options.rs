@@ -3,84 +3,75 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use dpges_train::config::Config;
+use dpges_train::config::{Config, key};
 use dpges_train::dataset::{self, Format};
 
 use super::super::data::{DataArgs, Source};
 use super::super::{Failure, Result};
 
-/// What the built-in scene is trained with where nothing else is asked for: about two minutes.
+/// Defaults for the built-in scene: about two minutes of training.
 const BUILTIN_DEFAULTS: [&str; 4] =
     ["train.steps=2000", "train.evaluate_every=500", "train.checkpoint_every=500", "refine.surfel_min_pixels=1"];
 
-/// What objects in the Blender layout are trained with where nothing else is asked for: their silhouettes say where they
-/// end, but only discs find their surfaces.
+/// Defaults for datasets in the Blender layout: silhouettes bound an object, but only discs find its surface.
 const BLENDER_DEFAULTS: [&str; 3] = ["stages.surfels=0.2", "stages.gaussians=0.3", "refine.surfel_min_pixels=4"];
 
-/// Options that replace keys of the configuration, and what they replace them in.
+/// Options that select and change the configuration. Those that set a key take their help from its declaration.
 #[derive(Debug, Args)]
 pub struct ConfigArgs {
-    /// Length of the run, one view per step
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", help = key("train.steps").help())]
     steps: Option<usize>,
-    /// Make the run F times as long as it would be; everything in `[refine]` scales with it
+    /// Make the run F times as long; the steps in [discs], [relocation] and [refine] scale with it
     #[arg(long, value_name = "F", value_parser = factor, allow_negative_numbers = true, conflicts_with = "steps")]
     steps_scale: Option<f64>,
-    /// Of everything random
-    #[arg(long, value_name = "S")]
+    #[arg(long, value_name = "S", help = key("train.seed").help())]
     seed: Option<u64>,
-    /// Fix the order of sums on GPUs, so that two runs give the same file; on CPUs it always is
-    #[arg(long)]
+    #[arg(long, help = key("train.deterministic").help())]
     deterministic: bool,
-    /// Configuration that comes with the program, such as cpu
+    /// Configuration that comes with the program, such as cpu; `dpges config --markdown` lists them
     #[arg(long, value_name = "NAME")]
     preset: Option<String>,
-    /// Configuration file (TOML)
+    /// Configuration file (TOML); `dpges config` prints one with every key
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Any key of the configuration, such as refine.budget=50000; may be repeated
+    /// Set any key of the configuration, such as refine.budget=50000; may be repeated
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<String>,
-    /// What to train: dpges, or one of its beginnings alone: 2dgs, mcmc, dbs
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", help = key("train.method").help())]
     method: Option<String>,
-    /// Scene file to take discs or surfels from, instead of training them first
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", help = key("stages.surfels_from").help())]
     init_surfels: Option<PathBuf>,
-    /// Scene file to take Gaussians from, instead of training them first
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", help = key("stages.gaussians_from").help())]
     init_gaussians: Option<PathBuf>,
-    /// When to stop: after `steps`, or by `validation`, when views kept from training no longer improve
-    #[arg(long, value_name = "WHEN")]
+    #[arg(long, value_name = "WHEN", help = key("train.stop").help())]
     stop: Option<String>,
-    /// Most surfels and Gaussians together: a number, a size of the scene file (12MB), or `auto`: what the scene requires
-    #[arg(long, value_name = "N|MB|auto")]
+    #[arg(long, value_name = "N|MB|auto", help = key("refine.budget").help())]
     budget: Option<String>,
     #[command(flatten)]
     data: DataArgs,
 }
 
 impl ConfigArgs {
-    /// Whether a preset or a file says what single options do not.
+    /// Whether a preset or a file is named.
     pub fn names_a_whole(&self) -> bool {
         self.preset.is_some() || self.config.is_some()
     }
 
-    /// What was asked for, with `more` (`key=value`) on top.
+    /// The configuration for a dataset, with `more` (`key=value`) on top.
     pub fn resolve(&self, source: &Source, more: &[String]) -> Result<Config> {
-        let mut config = self.layered(of_dataset(source), self.config.as_deref(), more)?;
+        let mut config = self.resolved(of_dataset(source), self.config.as_deref(), more)?;
         if let Some(factor) = self.steps_scale {
             config.scale_steps(factor).map_err(Failure::from_config)?;
         }
         Ok(config)
     }
 
-    /// What was asked for on top of `file`, the configuration of a run, whose steps are scaled already.
+    /// `file`, the configuration of a run, with the options on top. Its steps are already scaled.
     pub fn resolve_on(&self, file: &Path) -> Result<Config> {
-        self.layered(&[], Some(file), &[])
+        self.resolved(&[], Some(file), &[])
     }
 
-    fn layered(&self, of_dataset: &[&str], file: Option<&Path>, more: &[String]) -> Result<Config> {
+    fn resolved(&self, of_dataset: &[&str], file: Option<&Path>, more: &[String]) -> Result<Config> {
         let mut set = self.set.clone();
         set.extend(self.data.assignments());
         set.extend(self.steps.map(|steps| format!("train.steps={steps}")));
@@ -97,7 +88,7 @@ impl ConfigArgs {
     }
 }
 
-/// Defaults of the kind of dataset.
+/// Defaults for the kind of dataset.
 fn of_dataset(source: &Source) -> &'static [&'static str] {
     match source {
         Source::Builtin => &BUILTIN_DEFAULTS,
@@ -109,7 +100,7 @@ fn of_dataset(source: &Source) -> &'static [&'static str] {
 fn factor(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(factor) if factor.is_finite() && factor > 0.0 => Ok(factor),
-        _ => Err("a positive, finite number is needed: 0.1 is a tenth of the steps".to_owned()),
+        _ => Err("expected a positive, finite number, such as 0.1 for a tenth of the steps".to_owned()),
     }
 }
 

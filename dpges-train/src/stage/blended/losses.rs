@@ -7,8 +7,7 @@ use dpges_core::ops::blend::Maps;
 use dpges_core::render::blended::BlendedRender;
 use dpges_core::scene::Gaussians;
 
-use crate::config::{DiscsConfig, RelocationConfig, StagePlan};
-use crate::refine::relocate::Relocation;
+use crate::config::{DiscsConfig, Relocation, RelocationConfig, StagePlan};
 
 /// Weights of the terms beside L_rgb.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

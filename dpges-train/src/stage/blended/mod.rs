@@ -15,8 +15,7 @@ use dpges_core::scene::{Rendering, SceneData, SceneInfo, SurfelData};
 use super::{
     Context, ForwardPass, Leaves, Parameters, Stage, StageCheckpoint, StepInput, StepRates, TrainError, Trained,
 };
-use crate::config::{Config, OpacityActivation, StagePlan};
-use crate::refine::relocate::Relocation;
+use crate::config::{Config, OpacityActivation, Relocation, StagePlan};
 use crate::scene_state::{GaussianState, Rates, SurfelState};
 use losses::Weights;
 use schedule::{BlendedDue, BlendedSchedule};

@@ -6,8 +6,9 @@ use rand::RngExt;
 use super::super::{Context, TrainError};
 use super::schedule::BlendedDue;
 use super::{BlendedStage, ScreenGradients};
+use crate::config::Relocation;
 use crate::refine::densify::{DensifyRule, densify, reset_opacities};
-use crate::refine::relocate::{Relocation, grown, relocate_and_add};
+use crate::refine::relocate::{grown, relocate_and_add};
 
 /// Jitter of DBS over that of 3DGS-MCMC, where both relocate.
 const BETA_NOISE: f64 = 0.1;
@@ -45,7 +46,7 @@ impl BlendedStage {
         let rule = DensifyRule {
             gradient_threshold: discs.gradient_threshold,
             by_quantile: discs.by_quantile,
-            dense_fraction: discs.clone_scale,
+            dense_fraction: discs.dense_fraction,
             min_opacity: discs.min_opacity,
             max_scale_fraction: (completed >= self.plan.scaled(discs.max_scale_from)).then_some(discs.max_scale),
             flat: true,

@@ -1,8 +1,7 @@
 //! At which steps of a stage of blended Gaussians the set of Gaussians changes.
 
 use crate::config::stages::SHORTEST_RESET;
-use crate::config::{Config, StagePlan};
-use crate::refine::relocate::Relocation;
+use crate::config::{Config, Relocation, StagePlan};
 
 /// Fewest steps between two relocations: fewer would say nothing new about who is dead, and cost more than the steps.
 const SHORTEST_RELOCATION: usize = 5;

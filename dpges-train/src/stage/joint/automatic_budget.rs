@@ -1,5 +1,6 @@
 //! The decisions of an automatic budget: the scene grows, and peels layers, as long as validation views improve.
 
+use dpges_core::ops::peel::MAX_LAYERS;
 use dpges_core::render::{Values, render_values};
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{ColourData, ColourModel};
@@ -8,7 +9,6 @@ use dpges_render::Renderer;
 use super::super::{Context, Stage, TrainError};
 use super::JointStage;
 use crate::config::Budget;
-use crate::config::range::MAX_LAYERS;
 use crate::eval::evaluate_each;
 use crate::refine::growth::{Decision, Growth};
 use crate::refine::layer_count::{MOST_OPEN, choose, open_share};

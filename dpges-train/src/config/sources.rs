@@ -1,17 +1,14 @@
-//! Layers of a configuration: defaults < those of a kind of dataset < preset < file < `key=value`, each naming only what
-//! it changes.
+//! Where values come from: defaults, those of a kind of dataset, a preset, a file, `key=value`. Each names only what it
+//! changes, and later ones win.
 
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 use toml::{Table, Value};
 
-use super::{Config, DataConfig};
+use super::{Config, DataConfig, Key, SECTIONS, keys};
 
-/// Keys that hold a whole number or a string, whichever their default is.
-const WHOLE_OR_STRING: [&str; 1] = ["refine.budget"];
-
-/// Configurations that come with the program: name and TOML.
+/// Configurations that come with the program: name and TOML, which begins with a comment on what it is for.
 pub const PRESETS: [(&str, &str); 9] = [
     ("default", include_str!("../../../configs/default.toml")),
     ("quick", include_str!("../../../configs/quick.toml")),
@@ -43,8 +40,8 @@ pub enum ConfigError {
 }
 
 impl Config {
-    /// Defaults, then `preset`, then `file`, then each `key=value` of `set` in order (keys with
-    /// dots: `train.steps=1000`); later layers win. The result is validated.
+    /// Defaults, then `preset`, then `file`, then each `key=value` of `set` in order (`train.steps=1000`); later ones
+    /// win. The result is validated.
     ///
     /// # Errors
     /// Any [`ConfigError`]; it names the key, and the preset, file or option it came from.
@@ -52,7 +49,7 @@ impl Config {
         Self::resolve_for(&[], preset, file, set)
     }
 
-    /// Like [`resolve`](Self::resolve), with each `key=value` of `of_dataset` beneath all layers but the defaults.
+    /// Like [`resolve`](Self::resolve), with each `key=value` of `of_dataset` above the defaults and below the preset.
     ///
     /// # Errors
     /// Any [`ConfigError`].
@@ -62,50 +59,109 @@ impl Config {
         file: Option<&Path>,
         set: &[String],
     ) -> Result<Self, ConfigError> {
-        let mut layers = Layers::new();
+        let mut config = Self::default();
         for text in of_dataset {
-            layers.add_assignment(text)?;
+            config.assign_text(text)?;
         }
         if let Some(name) = preset {
-            let Some((_, text)) = PRESETS.iter().find(|(known, _)| *known == name) else {
-                let known = PRESETS.map(|(name, _)| name).join(", ");
-                return Err(ConfigError::UnknownPreset { name: name.to_owned(), known });
-            };
-            layers.add_toml(text, &format!("preset `{name}`"))?;
+            config.assign_table(parse(preset_text(name)?, name)?, &format!("preset `{name}`"))?;
         }
         if let Some(path) = file {
-            layers.add_toml(&read(path)?, &path.display().to_string())?;
+            let origin = path.display().to_string();
+            config.assign_table(parse(&read(path)?, &origin)?, &origin)?;
         }
         for text in set {
-            layers.add_assignment(text)?;
+            config.assign_text(text)?;
         }
-        layers.config.validate()?;
-        Ok(layers.config)
+        config.validate()?;
+        Ok(config)
     }
 
-    /// The section `[data]` of `file`, the configuration of a run, with each `key=value` of `set` on top. What else the
-    /// file holds does not matter: a scene outlives the keys that it was trained with.
+    /// The section `[data]` of `file`, the configuration of a run, with each `key=value` of `set` on top. Other sections
+    /// of the file are ignored: a scene can be older than the keys that it was trained with.
     ///
     /// # Errors
     /// Any [`ConfigError`].
     pub fn resolve_data(file: Option<&Path>, set: &[String]) -> Result<DataConfig, ConfigError> {
-        let mut layers = Layers::new();
+        let mut config = Self::default();
         if let Some(path) = file {
             let origin = path.display().to_string();
             let data = parse(&read(path)?, &origin)?.remove_entry("data");
-            layers.add_table(data.into_iter().collect(), &origin)?;
+            config.assign_table(data.into_iter().collect(), &origin)?;
         }
         for text in set {
-            layers.add_assignment(text)?;
+            config.assign_text(text)?;
         }
-        layers.config.validate()?;
-        Ok(layers.config.data)
+        config.validate()?;
+        Ok(config.data)
     }
 
     /// Every key with its value, as TOML that [`Config::resolve`] reads back.
     pub fn to_toml(&self) -> String {
         toml::to_string(self).expect("tables of numbers, strings and arrays, seeds within i64 once validated")
     }
+
+    /// Every key with its value.
+    pub(super) fn to_table(&self) -> Table {
+        Table::try_from(self).expect("tables of numbers, strings and arrays, seeds within i64")
+    }
+
+    fn assign_table(&mut self, table: Table, origin: &str) -> Result<(), ConfigError> {
+        for (section, value) in table {
+            let is_known = SECTIONS.iter().any(|known| known.name == section);
+            match value {
+                Value::Table(keys) if is_known => {
+                    for (key, value) in keys {
+                        self.assign(&format!("{section}.{key}"), value, origin)?;
+                    }
+                }
+                value if is_known => {
+                    let reason = format!("expected a section [{section}], found {}", kind(&value));
+                    return Err(ConfigError::Value { key: section, origin: origin.to_owned(), reason });
+                }
+                _ => return Err(unknown(&section, origin)),
+            }
+        }
+        Ok(())
+    }
+
+    /// `text` is `section.key=value`; strings may lack their quotes.
+    fn assign_text(&mut self, text: &str) -> Result<(), ConfigError> {
+        let Some((name, value)) = text.split_once('=') else {
+            return Err(ConfigError::Set { text: text.to_owned() });
+        };
+        let (name, value, origin) = (name.trim(), value.trim(), format!("`{text}`"));
+        let key = find(name, &origin)?;
+        let parsed = format!("value = {value}").parse::<Table>().ok().and_then(|mut table| table.remove("value"));
+        let string = || Value::String(value.to_owned());
+        let value = parsed.filter(|parsed| parsed.is_str() || !(key.takes)(&string())).unwrap_or_else(string);
+        self.assign(name, value, &origin)
+    }
+
+    fn assign(&mut self, name: &str, value: Value, origin: &str) -> Result<(), ConfigError> {
+        let key = find(name, origin)?;
+        let wrong = |reason| ConfigError::Value { key: name.to_owned(), origin: origin.to_owned(), reason };
+        if !(key.takes)(&value) {
+            return Err(wrong(format!("expected {}, found {} ({value})", key.kind, kind(&value))));
+        }
+        let (section, name) = name.split_once('.').expect("names of keys begin with their section");
+        let mut changed = self.to_table();
+        changed[section][name] = value;
+        *self = Self::deserialize(changed).map_err(|error| wrong(error.message().trim_end().to_owned()))?;
+        Ok(())
+    }
+}
+
+/// The TOML of a preset.
+///
+/// # Errors
+/// [`ConfigError::UnknownPreset`].
+pub fn preset_text(name: &str) -> Result<&'static str, ConfigError> {
+    let found = PRESETS.iter().find(|(known, _)| *known == name);
+    found.map(|(_, text)| *text).ok_or_else(|| {
+        let known = PRESETS.map(|(name, _)| name).join(", ");
+        ConfigError::UnknownPreset { name: name.to_owned(), known }
+    })
 }
 
 fn read(path: &Path) -> Result<String, ConfigError> {
@@ -117,99 +173,28 @@ fn parse(text: &str, origin: &str) -> Result<Table, ConfigError> {
         .map_err(|error: toml::de::Error| ConfigError::Syntax { origin: origin.to_owned(), reason: error.to_string() })
 }
 
-/// The layers so far, and the defaults as the list of all keys.
-struct Layers {
-    defaults: Table,
-    config: Config,
+fn find(name: &str, origin: &str) -> Result<&'static Key, ConfigError> {
+    keys().find(|key| key.name == name).ok_or_else(|| unknown(name, origin))
 }
 
-impl Layers {
-    fn new() -> Self {
-        let config = Config::default();
-        Self { defaults: table(&config), config }
+/// Names the section or key that `name` is most like, or that was called so.
+fn unknown(name: &str, origin: &str) -> ConfigError {
+    let last = |name: &str| name.rsplit('.').next().unwrap_or(name).to_owned();
+    let likeness = |known: &str| {
+        let whole = strsim::jaro_winkler(name, known);
+        whole.max(strsim::jaro_winkler(&last(name), &last(known)) - 0.01)
+    };
+    let sections = SECTIONS.iter().map(|section| (likeness(section.name), section.name));
+    let keys = keys().map(|key| {
+        let renamed = key.former_name == Some(&last(name));
+        (if renamed { 1.0 } else { likeness(key.name) }, key.name)
+    });
+    let nearest = keys.chain(sections).max_by(|a, b| a.0.total_cmp(&b.0)).filter(|(likeness, _)| *likeness > 0.75);
+    ConfigError::UnknownKey {
+        key: name.to_owned(),
+        origin: origin.to_owned(),
+        nearest: nearest.map(|(_, name)| name.to_owned()),
     }
-
-    fn add_toml(&mut self, text: &str, origin: &str) -> Result<(), ConfigError> {
-        self.add_table(parse(text, origin)?, origin)
-    }
-
-    fn add_table(&mut self, layer: Table, origin: &str) -> Result<(), ConfigError> {
-        for (section, keys) in layer {
-            match keys {
-                Value::Table(keys) if self.defaults.contains_key(&section) => {
-                    for (key, value) in keys {
-                        self.assign(&format!("{section}.{key}"), value, origin)?;
-                    }
-                }
-                value if self.defaults.contains_key(&section) => {
-                    let reason = format!("expected a section [{section}], found {}", kind(&value));
-                    return Err(ConfigError::Value { key: section, origin: origin.to_owned(), reason });
-                }
-                _ => return Err(self.unknown(&section, origin)),
-            }
-        }
-        Ok(())
-    }
-
-    /// `text` is `section.key=value`; a key that holds a string takes the value with or without quotes.
-    fn add_assignment(&mut self, text: &str) -> Result<(), ConfigError> {
-        let origin = format!("`{text}`");
-        let Some((key, value)) = text.split_once('=') else {
-            return Err(ConfigError::Set { text: text.to_owned() });
-        };
-        let (key, value) = (key.trim(), value.trim());
-        let parsed = format!("value = {value}").parse::<Table>().ok().and_then(|mut table| table.remove("value"));
-        let value = match (self.default_of(key), parsed) {
-            (None, _) => return Err(self.unknown(key, &origin)),
-            (Some(Value::String(_)), Some(Value::String(value))) => Value::String(value),
-            (Some(Value::String(_)), _) | (_, None) => Value::String(value.to_owned()),
-            (_, Some(value)) => value,
-        };
-        self.assign(key, value, &origin)
-    }
-
-    fn assign(&mut self, key: &str, value: Value, origin: &str) -> Result<(), ConfigError> {
-        let Some(default) = self.default_of(key) else { return Err(self.unknown(key, origin)) };
-        let wrong = |reason| ConfigError::Value { key: key.to_owned(), origin: origin.to_owned(), reason };
-        let either = WHOLE_OR_STRING.contains(&key);
-        let expected = if either { "a whole number or a string" } else { kind(default) };
-        let found = kind(&value);
-        let whole_for_fraction = default.is_float() && value.is_integer();
-        let one_of_two = either && (value.is_integer() || value.is_str());
-        if expected != found && !whole_for_fraction && !one_of_two {
-            return Err(wrong(format!("expected {expected}, found {found} ({value})")));
-        }
-        let (section, name) = key.split_once('.').expect("every key of the defaults is in a section");
-        let mut changed = table(&self.config);
-        changed[section][name] = value;
-        self.config = Config::deserialize(changed).map_err(|error| wrong(error.message().trim_end().to_owned()))?;
-        Ok(())
-    }
-
-    fn default_of(&self, key: &str) -> Option<&Value> {
-        let (section, name) = key.split_once('.')?;
-        self.defaults.get(section)?.get(name)
-    }
-
-    fn unknown(&self, key: &str, origin: &str) -> ConfigError {
-        let known = self.defaults.iter().flat_map(|(section, keys)| {
-            let keys = keys.as_table().into_iter().flat_map(Table::keys);
-            keys.map(move |key| format!("{section}.{key}")).chain([section.clone()])
-        });
-        let name = |key: &str| key.rsplit('.').next().unwrap_or(key).to_owned();
-        let nearest = known
-            .map(|known| {
-                let whole = strsim::jaro_winkler(key, &known);
-                (whole.max(strsim::jaro_winkler(&name(key), &name(&known)) - 0.01), known)
-            })
-            .max_by(|a, b| a.0.total_cmp(&b.0))
-            .filter(|(likeness, _)| *likeness > 0.75);
-        ConfigError::UnknownKey { key: key.to_owned(), origin: origin.to_owned(), nearest: nearest.map(|(_, key)| key) }
-    }
-}
-
-fn table(config: &Config) -> Table {
-    Table::try_from(config).expect("tables of numbers, strings and arrays")
 }
 
 fn kind(value: &Value) -> &'static str {
@@ -243,7 +228,7 @@ mod tests {
 
     #[test]
     fn the_default_preset_names_every_key_with_its_default() {
-        assert_eq!(PRESETS[0].1.parse::<Table>().unwrap(), table(&Config::default()));
+        assert_eq!(PRESETS[0].1.parse::<Table>().unwrap(), Config::default().to_table());
         assert_eq!(Config::resolve(Some("default"), None, &[]).unwrap(), Config::default());
     }
 
@@ -336,7 +321,7 @@ mod tests {
     }
 
     #[test]
-    fn later_layers_win() {
+    fn later_sources_win() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("mine.toml");
         std::fs::write(&path, "[train]\nsteps = 300\nseed = 4\n[data]\nnear = 1\n").unwrap();
@@ -373,6 +358,7 @@ mod tests {
         std::fs::write(&path, "[optimiser]\nbase = 1\n").unwrap();
         let error = message(Config::resolve(None, Some(&path), &[]));
         assert!(error.contains("mine.toml") && error.contains("did you mean `optimizer`"), "{error}");
+        assert!(message(set(&["discs.clone_scale=0.1"])).contains("did you mean `discs.dense_fraction`"));
     }
 
     #[test]

@@ -1,0 +1,144 @@
+//! Values of keys that are neither numbers nor paths.
+
+use std::fmt;
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+use super::declare::{choices, value};
+
+choices! {
+    /// What a run trains.
+    Method {
+        /// Surfels and Gaussians together, after the stages of `[stages]` (DP-GES).
+        "dpges" => Dpges,
+        /// Discs alone: flat Gaussians, sorted by depth and blended (2DGS).
+        "2dgs" => Discs,
+        /// Gaussians alone, sorted and blended, relocated at intervals and jittered at every step (3DGS-MCMC).
+        "mcmc" => Mcmc,
+        /// Gaussians alone, sorted and blended, jittered only when they are relocated (DBS with a Gaussian kernel).
+        "dbs" => Dbs,
+    }
+
+    /// Where the Gaussians of the joint stage come from.
+    GaussianStage {
+        /// A stage of DBS (DP-GES).
+        "dbs" => Dbs,
+        /// A stage of 3DGS-MCMC.
+        "mcmc" => Mcmc,
+        /// The discs that are not opaque enough to become surfels (GES).
+        "rest" => Rest,
+    }
+
+    /// What ends a run.
+    Stop {
+        /// Its length, `train.steps`.
+        "steps" => Steps,
+        /// Validation views that no longer improve, or its length. The result is the best scene, not the last.
+        "validation" => Validation,
+    }
+
+    /// Appearance of a Gaussian that is added at a pixel.
+    AddAs {
+        /// The colour of the photograph, no larger than a pixel: useful at once.
+        "picture" => Picture,
+        /// Black, and as wide as the distance to its neighbours (GES, DP-GES).
+        "black" => Black,
+    }
+
+    /// Which scales the depth margin of a surfel is computed from.
+    Margin {
+        /// The median over the 16 nearest surfels (DP-GES).
+        "median" => Median,
+        /// Its own (GES).
+        "raw" => Raw,
+    }
+
+    /// Where surfels and Gaussians start.
+    InitMethod {
+        /// The first of the following that the dataset allows.
+        "auto" => Auto,
+        /// On the points of structure from motion.
+        "sfm" => Sfm,
+        /// On the visual hull of pictures with alpha.
+        "silhouette" => Silhouette,
+        /// Gaussians at random places in view of the cameras; no surfels.
+        "random" => Random,
+    }
+}
+
+/// Colour behind the scene.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub enum Background {
+    /// White for datasets in the Blender layout, black otherwise.
+    Auto,
+    /// Display-referred red, green and blue, 0 to 1.
+    Colour([f64; 3]),
+}
+
+value!(
+    Background, "a string", toml::Value::is_str,
+    "auto" => "White for datasets in the Blender layout, black otherwise.",
+    "black" => "",
+    "white" => "",
+    "r,g,b" => "Display-referred red, green and blue, 0 to 1."
+);
+
+impl fmt::Display for Background {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Auto => write!(f, "auto"),
+            Self::Colour([0.0, 0.0, 0.0]) => write!(f, "black"),
+            Self::Colour([1.0, 1.0, 1.0]) => write!(f, "white"),
+            Self::Colour([r, g, b]) => write!(f, "{r},{g},{b}"),
+        }
+    }
+}
+
+impl FromStr for Background {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "auto" => return Ok(Self::Auto),
+            "black" => return Ok(Self::Colour([0.0; 3])),
+            "white" => return Ok(Self::Colour([1.0; 3])),
+            _ => {}
+        }
+        let parts: Option<Vec<f64>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
+        match parts.as_deref() {
+            Some(&[r, g, b]) if [r, g, b].iter().all(|c| (0.0..=1.0).contains(c)) => Ok(Self::Colour([r, g, b])),
+            _ => Err(format!("background `{text}` is neither auto, black, white nor three numbers from 0 to 1")),
+        }
+    }
+}
+
+impl TryFrom<String> for Background {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        text.parse()
+    }
+}
+
+impl From<Background> for String {
+    fn from(background: Background) -> Self {
+        background.to_string()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn backgrounds_read_what_they_write() {
+        for text in ["auto", "black", "white", "0.25,0.5,1"] {
+            assert_eq!(text.parse::<Background>().unwrap().to_string(), text);
+        }
+        for text in ["", "red", "1,1", "1,1,2", "0,0,nan"] {
+            assert!(text.parse::<Background>().unwrap_err().contains(text));
+        }
+    }
+}

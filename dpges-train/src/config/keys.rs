@@ -1,0 +1,308 @@
+//! Every key of the configuration: its meaning, default, unit, range and ablations.
+//!
+//! Documents that repeat them are made from this file; `dpges-train/tests/documents.rs` says how.
+
+use dpges_core::ops::peel::MAX_LAYERS;
+use dpges_core::scene::{ColourModel, Footprint, MarginLookup, OpacityActivation};
+
+use super::budget::Budget;
+use super::choices::{AddAs, Background, GaussianStage, InitMethod, Margin, Method, Stop};
+use super::declare::{Ablation, Key, Section, Value, configuration, optional};
+use super::range::{self, OPACITY, POSITIVE, POSITIVE_SHARE};
+use super::sources::ConfigError;
+
+configuration! {
+    /// How a dataset is read.
+    [data] DataConfig {
+        /// Colour behind the scene. Pictures with alpha are composited on it.
+        background: Background = Background::Auto;
+        /// Which photographs to read: 1 for the folder `images`, N for `images_N`, downsampled N times as shipped.
+        image_scale: u32 = 1, range: 1..;
+        /// Longest side of a picture. Larger photographs are downsampled; 0 sets no limit.
+        max_resolution: usize = 1600, unit: "px";
+        /// Hold out every n-th view by name for testing if the dataset has no split of its own. 0 holds out none.
+        test_every: usize = 8, unit: "views";
+        /// Keep every n-th training view for validation, for `train.stop` and `refine.budget` to decide by. 0 keeps
+        /// every 8th if `train.stop = "validation"` or `refine.budget = "auto"`, and none otherwise.
+        validation_every: usize = 0, unit: "views";
+        /// Near plane of every camera. 0 takes the default of the dataset's format.
+        near: f64 = 0.0, unit: "world units", range: 0.0..;
+    }
+
+    /// Length, losses and output of a run.
+    [train] TrainConfig {
+        /// What to train.
+        method: Method = Method::Dpges;
+        /// Length of the run, all stages together. Each step renders one view.
+        steps: usize = 5000, unit: "steps", range: 1..;
+        /// What ends the run.
+        stop: Stop = Stop::Steps;
+        /// End the run after this many evaluations in a row without a better validation PSNR, if
+        /// `train.stop = "validation"`.
+        patience: usize = 5, unit: "evaluations", range: 1..;
+        /// Seed of all random numbers.
+        seed: u64 = 0, range: ..=i64::MAX as u64;
+        /// Fix the order of sums on GPUs, so that two runs give the same file. CPUs always do.
+        deterministic: bool = false;
+        /// λ1: weight of the L1 loss of the surfels rendered alone (DP-GES).
+        lambda_surfel: f64 = 0.01, range: 0.0..,
+            ablation: "no-surfel-loss" = "0" ("Without the loss of the surfels rendered alone");
+        /// λ2: weight of the scale loss (DP-GES: 5e-5 for unbounded and 1e-5 for bounded scenes).
+        lambda_scale: f64 = 1e-5, range: 0.0.., ablation: "no-scale-loss" = "0" ("Without the scale loss");
+        /// λ3: weight of the transmittance loss (DP-GES).
+        lambda_transmittance: f64 = 0.08, range: 0.0..,
+            ablation: "no-transmittance-loss" = "0" ("Without the transmittance loss");
+        /// Share of D-SSIM in the image loss; the rest is L1 (3DGS).
+        lambda_dssim: f64 = 0.2, range: 0.0..=1.0;
+        /// λ4: weight of the difference between the depths of surfels and of the discs they come from, for surface
+        /// reconstruction (DP-GES: 0.1). It acts in the joint stage and needs a stage or a file of discs.
+        lambda_depth: f64 = 0.0, range: 0.0..;
+        /// λ5: weight of the difference between the normals of surfels and discs, likewise (DP-GES: 0.05).
+        lambda_normal: f64 = 0.0, range: 0.0..;
+        /// λ6: weight of the difference between the normals of the surfels' depth and the discs' normals, likewise
+        /// (DP-GES: 0.05).
+        lambda_depth_normal: f64 = 0.0, range: 0.0..;
+        /// Stop the gradient from Gaussians to surfels through the transmittance.
+        detach_transmittance: bool = false,
+            ablation: "no-transmittance-gradient" = "true" ("Without the gradient from Gaussians to surfels");
+        /// Keep positions, rotations and scales of surfels in the joint stage, and prune none. Colours are still
+        /// trained (GES).
+        freeze_surfels: bool = false, ablation: "frozen-surfels" = "true" ("Train only the colours of surfels");
+        /// Interval of evaluations on held-out views. 0 evaluates only at the end.
+        evaluate_every: usize = 1000, unit: "steps";
+        /// Interval of checkpoints. 0 writes one only at the end.
+        checkpoint_every: usize = 1000, unit: "steps";
+        /// Number of held-out views written as pictures at each evaluation.
+        picture_views: usize = 3;
+    }
+
+    /// What a scene consists of.
+    [model] ModelConfig {
+        /// How colours depend on the viewing direction.
+        colour: ColourModel = ColourModel::SphericalBeta { lobes: 2 },
+            ablation: "sh" = "sh3" ("Replace spherical Beta lobes by spherical harmonics of degree 3");
+        /// K: number of surfels peeled per pixel (DP-GES).
+        layers: usize = 3, range: 1..=MAX_LAYERS,
+            ablation: "layers-2" = "2" ("Peel two layers"), ablation: "layers-4" = "4" ("Peel four layers");
+        /// w: steepness of a surfel's rim. Its opacity is min(1, w G), where G is its Gaussian kernel (DP-GES: 30,
+        /// GES: 255).
+        modulation: f64 = 30.0, range: POSITIVE, ablation: "modulation-60" = "60" ("Make rims of surfels twice as steep");
+        /// How the opacity of a Gaussian in the joint stage follows from the trained number.
+        opacity: OpacityActivation = OpacityActivation::Linear,
+            ablation: "sigmoid-opacity" = "sigmoid" ("Keep opacities of Gaussians below 1");
+        /// Where a surfel is cut off.
+        footprint: Footprint = Footprint::Kernel,
+            ablation: "opacity-footprint" = "opacity" ("Cut surfels off by opacity instead of kernel value");
+        /// Which scales the depth margin of a surfel is computed from.
+        margin: Margin = Margin::Median, ablation: "raw-margin" = "raw" ("Compute margins from a surfel's own scales");
+        /// Which depths a Gaussian's depth is compared with to find its transmittance. The scene file keeps it.
+        margin_lookup: MarginLookup = MarginLookup::Shifted,
+            ablation: "literal-lookup" = "literal" ("Look the transmittance up without margins");
+    }
+
+    /// Where surfels and Gaussians start, unless a stage has trained them.
+    [init] InitConfig {
+        /// Where surfels and Gaussians start.
+        method: InitMethod = InitMethod::Auto;
+        /// Largest number of points. The rest are dropped at random; each point gives a surfel and a Gaussian.
+        max_points: usize = 50_000, unit: "points", range: 1..;
+        /// Scale of a surfel relative to the root mean square distance to the 3 nearest points.
+        surfel_scale: f64 = 0.4, range: POSITIVE;
+        /// Scale of a Gaussian relative to the same distance.
+        gaussian_scale: f64 = 0.5, range: POSITIVE;
+        /// Largest scale relative to the extent of the scene.
+        max_scale_extent: f64 = 0.06, unit: "extents", range: POSITIVE;
+        /// Largest scale relative to the median scale.
+        max_scale_median: f64 = 10.0, range: POSITIVE;
+        /// Opacity of Gaussians.
+        gaussian_opacity: f64 = 0.1, range: POSITIVE;
+        /// Number of Gaussians if the dataset has neither points nor silhouettes.
+        random_gaussians: usize = 50_000, range: 1..;
+        /// Voxels along each side of the visual hull.
+        hull_resolution: usize = 96, unit: "voxels", range: 8..=512;
+        /// Share of the views whose silhouettes may miss a voxel of the visual hull.
+        hull_tolerance: f64 = 0.02, range: 0.0..=1.0;
+    }
+
+    /// Stages before surfels and Gaussians are trained together.
+    [stages] StagesConfig {
+        /// Share of `train.steps` for discs (2DGS), the opaque ones of which become surfels (DP-GES: 20/65). 0 starts
+        /// surfels as `[init]` says.
+        surfels: f64 = 0.0, range: 0.0..=1.0,
+            ablation: "no-surfel-stage" = "0" ("Without the stage of discs, if the run has one");
+        /// Share of `train.steps` for Gaussians (DP-GES: 20/65). 0 starts them as `[init]` says. It has no effect with
+        /// `stages.gaussians_by = "rest"`.
+        gaussians: f64 = 0.0, range: 0.0..=1.0,
+            ablation: "no-gaussian-stage" = "0" ("Without the stage of Gaussians, if the run has one");
+        /// Where the Gaussians of the joint stage come from.
+        gaussians_by: GaussianStage = GaussianStage::Dbs,
+            ablation: "mcmc-gaussians" = "mcmc" ("Train Gaussians by 3DGS-MCMC, if the run has a stage of them");
+        /// Scene file whose discs or surfels replace the stage of discs. Empty for none.
+        surfels_from: String = String::new();
+        /// Scene file whose Gaussians replace the stage of Gaussians. Empty for none.
+        gaussians_from: String = String::new();
+        /// Opacity above which a disc becomes a surfel (GES, DP-GES).
+        surfel_opacity: f64 = 0.8, range: 0.0..=1.0;
+        /// Scale of a surfel relative to its disc (DP-GES: 1). A disc is half opaque at 1.2 σ and a surfel with w = 30
+        /// at 2.9 σ, so they cover the same area at about 0.4.
+        surfel_scale: f64 = 0.35, range: POSITIVE;
+        /// Share of `refine.budget` that discs may use.
+        surfel_budget: f64 = 0.3, range: POSITIVE_SHARE;
+        /// Share of `refine.budget` that Gaussians may use before the joint stage (DP-GES: 0.5 to 0.6).
+        gaussian_budget: f64 = 0.6, range: POSITIVE_SHARE;
+        /// Learning rate of the logits of opacities in these stages (3DGS).
+        opacities: f64 = 0.05, range: 0.0..;
+        /// Share of the decay from `optimizer.position_start` to `optimizer.position_end` that each of these stages goes
+        /// through, and at which the joint stage begins (DP-GES: 2/3).
+        position_share: f64 = 0.0, range: 0.0..=1.0;
+    }
+
+    /// Training of discs (2DGS). Numbers of steps are those of a stage of 20,000 steps, or of a run of 30,000 with
+    /// `train.method = "2dgs"`, and scale with its length.
+    [discs] DiscsConfig {
+        /// Interval of densification. It is extended to whole passes over the training views.
+        densify_every: usize = 100, unit: "steps", range: 1..;
+        /// Step after which densification begins.
+        densify_from: usize = 500, unit: "steps";
+        /// Step at which densification ends, exclusive.
+        densify_until: usize = 15_000, unit: "steps";
+        /// Mean norm of the gradient of the projected centre above which a disc is cloned or split (3DGS).
+        gradient_threshold: f64 = 2e-4, unit: "per NDC unit", range: POSITIVE;
+        /// Densify as many discs again by the sums of absolute gradients over their pixels (GES).
+        by_quantile: bool = true;
+        /// Scale up to which a disc is cloned; larger ones are split (3DGS: `percent_dense`).
+        dense_fraction: f64 = 0.01, unit: "extents", range: POSITIVE, formerly: "clone_scale";
+        /// Opacity below which a disc is removed (2DGS).
+        min_opacity: f64 = 0.05, range: 0.0..=1.0;
+        /// Scale above which a disc is removed (3DGS).
+        max_scale: f64 = 0.1, unit: "extents", range: POSITIVE;
+        /// Step from which discs above `discs.max_scale` are removed.
+        max_scale_from: usize = 3000, unit: "steps";
+        /// Interval of opacity resets (3DGS). Opacities are not reset if that is less than 500 steps of the run, too few
+        /// to recover in.
+        reset_every: usize = 3000, unit: "steps", range: 1..;
+        /// Largest opacity after a reset.
+        reset_opacity: f64 = 0.01, range: OPACITY;
+        /// Weight of the difference between normals and the normals of the depth (2DGS).
+        lambda_normal: f64 = 0.05, range: 0.0..;
+        /// Step from which `discs.lambda_normal` acts.
+        normal_from: usize = 7000, unit: "steps";
+        /// Weight of the depth distortion (2DGS).
+        lambda_distortion: f64 = 0.0, range: 0.0..;
+        /// Step from which `discs.lambda_distortion` acts.
+        distortion_from: usize = 3000, unit: "steps";
+        /// Opacity at the start.
+        start_opacity: f64 = 0.1, range: OPACITY;
+        /// Scale at the start relative to the root mean square distance to the 3 nearest points.
+        start_scale: f64 = 1.0, range: POSITIVE;
+    }
+
+    /// Training of Gaussians that are relocated (3DGS-MCMC, DBS). Numbers of steps are those of a stage of 20,000 steps,
+    /// or of a run of 30,000 with `train.method = "mcmc"` or `"dbs"`, and scale with its length.
+    [relocation] RelocationConfig {
+        /// Interval of relocation and growth.
+        every: usize = 100, unit: "steps", range: 1..;
+        /// Step after which relocation begins.
+        from: usize = 500, unit: "steps";
+        /// Step at which relocation ends, exclusive.
+        until: usize = 25_000, unit: "steps";
+        /// Factor on the number of Gaussians each time, up to the budget (3DGS-MCMC).
+        growth: f64 = 1.05, range: 1.0..;
+        /// Opacity below which a Gaussian is relocated (3DGS-MCMC).
+        min_opacity: f64 = 0.005, range: OPACITY;
+        /// Weight of the mean opacity in the loss (3DGS-MCMC).
+        lambda_opacity: f64 = 0.01, range: 0.0..;
+        /// Weight of the mean scale in the loss (3DGS-MCMC).
+        lambda_scale: f64 = 0.01, unit: "per world unit", range: 0.0..;
+        /// Noise on positions relative to their learning rate (3DGS-MCMC). DBS takes a tenth, and only when it
+        /// relocates.
+        noise: f64 = 5e5, range: 0.0..;
+        /// Opacity at the start.
+        start_opacity: f64 = 0.5, range: OPACITY;
+        /// Scale at the start relative to the root mean square distance to the 3 nearest points (DBS: 1, 3DGS-MCMC:
+        /// 0.1).
+        start_scale: f64 = 1.0, range: POSITIVE;
+    }
+
+    /// Adam. Learning rates are per step and of raw parameters. The defaults suit 5000 steps; the presets of benchmarks
+    /// have the paper's rates, for 65,000.
+    [optimizer] OptimizerConfig {
+        /// Learning rate of positions at the first step (3DGS).
+        position_start: f64 = 1.6e-4, unit: "extents", range: POSITIVE;
+        /// Learning rate of positions at the last step. Its logarithm is interpolated in between (3DGS).
+        position_end: f64 = 1.6e-6, unit: "extents", range: POSITIVE;
+        /// Learning rate of surfel positions relative to that of Gaussian positions.
+        surfel_position_factor: f64 = 1.0, range: 0.0..;
+        /// Learning rate of quaternions.
+        quaternions: f64 = 2e-3, range: 0.0..;
+        /// Learning rate of the logarithms of scales.
+        log_scales: f64 = 7.5e-3, range: 0.0..;
+        /// Learning rate of opacities in the joint stage.
+        opacities: f64 = 1e-2, range: 0.0..;
+        /// Learning rate of base colours.
+        base: f64 = 5e-3, range: 0.0..;
+        /// Learning rate of lobes, or of spherical harmonics above degree 0.
+        detail: f64 = 5e-3, range: 0.0..;
+        /// Factor on all learning rates but those of positions at the last step. Its logarithm is interpolated from 1 at
+        /// the first.
+        decay: f64 = 1.0, range: POSITIVE;
+        /// Decay of the mean of gradients.
+        beta1: f64 = 0.9, range: 0.0..1.0;
+        /// Decay of the mean of squared gradients.
+        beta2: f64 = 0.999, range: 0.0..1.0;
+        /// Added to the denominator.
+        epsilon: f64 = 1e-15, range: POSITIVE;
+    }
+
+    /// How the set of surfels and Gaussians changes in the joint stage. Numbers of steps are those of a stage of 25,000
+    /// steps and scale with its length.
+    [refine] RefineConfig {
+        /// Steps at which margins are computed (DP-GES).
+        margins_at: Vec<usize> = vec![0, 4000], unit: "steps";
+        /// Interval of pruning surfels. It is extended to whole passes over the training views.
+        surfel_prune_every: usize = 1000, unit: "steps", range: 1..;
+        /// First step at which surfels are pruned.
+        surfel_prune_from: usize = 1000, unit: "steps";
+        /// Last step at which surfels are pruned, inclusive.
+        surfel_prune_until: usize = 15_000, unit: "steps";
+        /// Remove a surfel that is the nearest at no more pixels than this in every view. The number is for pictures of
+        /// 1 megapixel and scales with their size.
+        surfel_min_pixels: usize = 16, unit: "px";
+        /// Scale above which a surfel is removed.
+        surfel_max_scale: f64 = 0.06, unit: "extents", range: POSITIVE;
+        /// Interval of pruning Gaussians. It is extended to whole passes over the training views.
+        gaussian_prune_every: usize = 500, unit: "steps", range: 1..;
+        /// Step at which pruning of Gaussians ends, exclusive.
+        gaussian_prune_until: usize = 2000, unit: "steps";
+        /// Remove a Gaussian that contributes less than this colour to every pixel.
+        gaussian_min_contribution: f64 = 0.02, range: 0.0..;
+        /// Interval of adding Gaussians.
+        add_every: usize = 1000, unit: "steps", range: 1..;
+        /// First step at which Gaussians are added.
+        add_from: usize = 3000, unit: "steps";
+        /// Step at which adding Gaussians ends, exclusive.
+        add_until: usize = 13_000, unit: "steps";
+        /// Step at which replacing Gaussians ends, exclusive (DP-GES: 0). From `refine.add_until` on, and with every
+        /// batch before, new Gaussians take the place of those too faint to be drawn.
+        replace_until: usize = 20_000, unit: "steps",
+            ablation: "no-replacement" = "0" ("Replace no Gaussians after the last batch");
+        /// Add Gaussians also where no surfel is (DP-GES: false). They take the depth of the nearest surfel, or the mean
+        /// depth of existing Gaussians where there is none.
+        add_everywhere: bool = true,
+            ablation: "add-over-surfels" = "false" ("Add Gaussians over surfels only");
+        /// Appearance of new Gaussians.
+        add_as: AddAs = AddAs::Picture, ablation: "black-gaussians" = "black" ("Add Gaussians that are black and wide");
+        /// Largest number of surfels and Gaussians together, or largest size of the scene file.
+        budget: Budget = Budget::Pixels;
+        /// Steps at which an automatic budget drops lobes that change no colour visibly.
+        drop_lobes_at: Vec<usize> = vec![16_000, 22_000], unit: "steps";
+        /// Split Gaussians that are large compared with the margins around them (DP-GES).
+        split: bool = true, ablation: "no-split" = "false" ("Split no Gaussians");
+        /// Interval of splitting Gaussians.
+        split_every: usize = 2000, unit: "steps", range: 1..;
+        /// Last step at which Gaussians are split, inclusive.
+        split_until: usize = 16_000, unit: "steps";
+        /// Mean scale of a Gaussian relative to the margins around it above which it is split.
+        split_factor: f64 = 2.0, range: POSITIVE;
+    }
+}
