@@ -18,8 +18,7 @@ fn main() -> Result<()> {
     let row = |values: &[f32]| Param::from_data(TensorData::new(values.to_vec(), [1, values.len()]), &device);
     let surfel = [row(&[0.0; 3]), row(&[-1.5; 2]), row(&[0.0; 3])];
     let mut pair = Pair { surfel, gaussian: [row(&[0.0, 0.0, -0.5]), row(&[-1.5; 3]), row(&[0.0; 3])] };
-    let turn = || Tensor::from_floats([[1.0, 0.0, 0.0, 0.0]], &device);
-    let one = |value: f32| Tensor::full([1], value, &device);
+    let (turn, one) = (|| Tensor::from_floats([[1., 0., 0., 0.]], &device), |x: f32| Tensor::full([1], x, &device));
     let (model, none) = (ColourModel::SphericalBeta { lobes: 0 }, Tensor::zeros([1, 0], &device));
     let colour = |base| Colour { model, base, detail: none.clone() };
     let target = Tensor::<3>::zeros([3, 48, 48], &device).slice_fill([0..3, 18..34, 14..30], 0.8);
