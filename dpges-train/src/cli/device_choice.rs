@@ -69,8 +69,9 @@ fn in_child() -> Result<Selection, String> {
         let status = child.wait().map_err(not_started)?;
         return Err(format!("the check of GPUs ended with {status}"));
     }
-    // It may hang in a driver, also at its end: it is not waited for.
     let _ = child.kill();
+    // On a thread of its own: a process that hangs in a driver may not end.
+    std::thread::spawn(move || child.wait());
     match answer {
         Ok(Ok(line)) => {
             serde_json::from_str(&line).map_err(|error| format!("the check of GPUs is unreadable: {error}"))

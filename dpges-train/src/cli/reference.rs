@@ -8,17 +8,15 @@ const FILE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/commands.md");
 const MARKER: &str = "<!-- generated from here on -->\n";
 const WRITE: &str = "DPGES_WRITE_DOCS";
 
-/// The long help of every subcommand, as Markdown.
+/// What `--help` prints for every subcommand, as Markdown.
 fn reference() -> String {
-    let mut cli = Cli::command().term_width(110);
-    cli.build();
     let section = |command: &Command| {
-        // Without the line of spaces that separates long descriptions of options.
-        let help = command.clone().render_long_help().to_string();
+        let name = command.get_name();
+        let help = Cli::command().try_get_matches_from(["dpges", name, "--help"]).unwrap_err().to_string();
         let lines: Vec<&str> = help.lines().map(str::trim_end).collect();
-        format!("\n### dpges {}\n\n```text\n{}\n```\n", command.get_name(), lines.join("\n").trim_end())
+        format!("\n### dpges {name}\n\n```text\n{}\n```\n", lines.join("\n").trim_end())
     };
-    cli.get_subcommands().filter(|command| command.get_name() != "help").map(section).collect()
+    Cli::command().get_subcommands().map(section).collect()
 }
 
 #[test]
