@@ -28,7 +28,7 @@ fn scene() -> TestScene {
 }
 
 /// A rendered view whose tensors are leaves of a tape, or off it.
-struct View {
+struct Fixture {
     scene: TestScene,
     device: Device,
     surfels: Surfels,
@@ -36,7 +36,7 @@ struct View {
     render: Render,
 }
 
-impl View {
+impl Fixture {
     fn new(device: &Device) -> Self {
         let scene = scene();
         let (surfels, gaussians) = scene.tensors(device, DType::F32);
@@ -128,7 +128,7 @@ fn blends() -> [(&'static str, BlendOptions); 4] {
 }
 
 /// Adam's parameters of a step: positions, rotations, scales and colours of all Gaussians.
-fn parameters(view: &View) -> Vec<(Parameter, Tensor<2>)> {
+fn parameters(view: &Fixture) -> Vec<(Parameter, Tensor<2>)> {
     let g = &view.gaussians;
     [&g.positions, &g.quaternions, &g.log_scales, &g.colour.base, &g.colour.detail]
         .map(|tensor| (Parameter::new(tensor), tensor.clone() * 1e-3))
@@ -138,7 +138,7 @@ fn parameters(view: &View) -> Vec<(Parameter, Tensor<2>)> {
 fn operations(c: &mut Criterion) {
     println!("{}", machine());
     for (name, device) in devices() {
-        let view = View::new(&device);
+        let view = Fixture::new(&device);
         let sums = view.splat();
         let mut group = c.benchmark_group(name);
         group.sampling_mode(SamplingMode::Flat);

@@ -21,7 +21,7 @@ use crate::gpu::rect::RECT;
 use crate::gpu::vector::{
     Mat3, Quaternion, Vec3, add, apply, cross, rotation_backward, row3, row4, scale, transpose, vec3, write3, write4,
 };
-use crate::gpu::view::{Rests, View, view_rotation};
+use crate::gpu::view::{CameraUniforms, Rests, view_rotation};
 
 /// Number of values in a [`Plane`].
 pub const PLANE: usize = Plane::LEN;
@@ -202,7 +202,7 @@ fn along(disc: Disc, g: Vec3) -> Vec3 {
 
 /// Gradients with respect to the parameters, from the sums.
 #[cube]
-fn disc_backward(view: View, disc: Disc, quaternion: Quaternion, sums: DiscSums) -> DiscGradient {
+fn disc_backward(view: CameraUniforms, disc: Disc, quaternion: Quaternion, sums: DiscSums) -> DiscGradient {
     let grad_tangent_v = centre_cross(disc, sums.u);
     let grad_tangent_u = scale(centre_cross(disc, sums.v), -1.0f32);
     let grad_normal = add(along(disc, sums.facing), scale(disc.centre, sums.distance));
@@ -225,7 +225,7 @@ fn planes_kernel(
     planes: &mut [f32],
     lows: &mut [f32],
     rects: &mut [u32],
-    view: View,
+    view: CameraUniforms,
     rests: Rests,
     radius: f32,
     count: u32,
@@ -258,7 +258,7 @@ fn disc_backward_kernel(
     grad_positions: &mut [f32],
     grad_quaternions: &mut [f32],
     grad_log_scales: &mut [f32],
-    view: View,
+    view: CameraUniforms,
     rests: Rests,
     count: u32,
     #[comptime] scales: usize,
@@ -318,7 +318,7 @@ pub fn planes(discs: &DiscTensors, order: Option<&CubeTensor>, radius: Option<f3
         buffer(&planes),
         buffer(&lows),
         buffer(&rects),
-        View::launch(camera),
+        CameraUniforms::launch(camera),
         Rests::launch(camera),
         radius.unwrap_or(-1.0),
         count as u32,
@@ -343,7 +343,7 @@ pub fn backward(discs: &DiscTensors, sums: &CubeTensor, camera: &Camera, out: &D
         buffer(out.positions),
         buffer(out.quaternions),
         buffer(out.log_scales),
-        View::launch(camera),
+        CameraUniforms::launch(camera),
         Rests::launch(camera),
         count as u32,
         discs.log_scales.shape()[1],

@@ -18,7 +18,7 @@ use crate::gpu::vector::{
     Mat3, Quaternion, Vec3, add, apply, cross, dot, rotation, rotation_backward, row3, row4, scale, transpose, vec3,
     write3, write4,
 };
-use crate::gpu::view::{View, pixel_range, to_camera, view_rotation};
+use crate::gpu::view::{CameraUniforms, pixel_range, to_camera, view_rotation};
 
 const LOW_PASS_F32: f32 = LOW_PASS as f32;
 const MIN_RATIO: f32 = MIN_COMPENSATION_SQUARED as f32;
@@ -138,7 +138,7 @@ struct Projection {
 }
 
 #[cube]
-fn project(view: View, position: Vec3, quaternion: Quaternion, log_scales: Vec3) -> Projection {
+fn project(view: CameraUniforms, position: Vec3, quaternion: Quaternion, log_scales: Vec3) -> Projection {
     let centre = to_camera(view, position);
     let z = select(centre.z > view.near, centre.z, 1.0f32);
     let (width, height) = (f32::cast_from(view.width), f32::cast_from(view.height));
@@ -192,7 +192,7 @@ fn compensation(p: Projection) -> f32 {
 /// The footprint of a Gaussian and the pixels that it can reach. It reaches none behind the near plane,
 /// where it stays below the cutoff, and where its projection overflows.
 #[cube]
-fn splat_of(view: View, p: Projection, opacity: f32) -> (Splat, Rect) {
+fn splat_of(view: CameraUniforms, p: Projection, opacity: f32) -> (Splat, Rect) {
     let strength = max(opacity, 0.0f32) * compensation(p);
     let d = p.determinant;
     let visible = p.centre.z > view.near && strength >= CUTOFF_F32 && d > 0.0f32 && d < 3e38f32;
@@ -231,7 +231,7 @@ struct SplatGradient {
 /// From the moments to the raw parameters.
 #[cube]
 fn splat_backward(
-    view: View,
+    view: CameraUniforms,
     p: Projection,
     raw_quaternion: Quaternion,
     raw_opacity: f32,
@@ -315,7 +315,7 @@ fn splats_kernel(
     order: &[u32],
     splats: &mut [f32],
     rects: &mut [u32],
-    view: View,
+    view: CameraUniforms,
     count: u32,
     #[comptime] ordered: bool,
 ) {
@@ -342,7 +342,7 @@ fn place_backward_kernel(
     moments: &[f32],
     grad_positions: &mut [f32],
     grad_opacities: &mut [f32],
-    view: View,
+    view: CameraUniforms,
     count: u32,
 ) {
     let i = ABSOLUTE_POS;
@@ -370,7 +370,7 @@ fn shape_backward_kernel(
     moments: &[f32],
     grad_quaternions: &mut [f32],
     grad_log_scales: &mut [f32],
-    view: View,
+    view: CameraUniforms,
     count: u32,
 ) {
     let i = ABSOLUTE_POS;
@@ -397,7 +397,7 @@ fn gradient(
     log_scales: &[f32],
     opacities: &[f32],
     moments: Moments,
-    view: View,
+    view: CameraUniforms,
     i: usize,
 ) -> SplatGradient {
     let quaternion = row4(quaternions, i);
@@ -426,7 +426,7 @@ pub fn splats(
         buffer(order.unwrap_or(&empty_u32(like, [1]))),
         buffer(&splats),
         buffer(&rects),
-        View::launch(camera),
+        CameraUniforms::launch(camera),
         count as u32,
         order.is_some(),
     );
@@ -453,7 +453,7 @@ pub fn backward(
         buffer(moments),
         buffer(&out.positions),
         buffer(&out.opacities),
-        View::launch(camera),
+        CameraUniforms::launch(camera),
         count as u32,
     );
     shape_backward_kernel::launch(
@@ -467,7 +467,7 @@ pub fn backward(
         buffer(moments),
         buffer(&out.quaternions),
         buffer(&out.log_scales),
-        View::launch(camera),
+        CameraUniforms::launch(camera),
         count as u32,
     );
 }

@@ -3,7 +3,7 @@
 use cubecl::prelude::*;
 
 use super::launch::UNITS;
-use super::view::View;
+use super::view::CameraUniforms;
 use crate::tiles;
 
 /// Edge of a tile, px.
@@ -25,7 +25,7 @@ pub struct Pixel {
 
 /// The pixel of this unit in `tile`.
 #[cube]
-pub fn own_pixel(view: View, tile: u32) -> Pixel {
+pub fn own_pixel(view: CameraUniforms, tile: u32) -> Pixel {
     let column = tile % view.columns * TILE + UNIT_POS % TILE;
     let row = tile / view.columns * TILE + UNIT_POS / TILE;
     let inside = column < view.width && row < view.height;
@@ -39,6 +39,6 @@ pub fn own_pixel(view: View, tile: u32) -> Pixel {
 
 /// Number of pixels in a plane.
 #[cube]
-pub fn plane_of(view: View) -> usize {
+pub fn plane_of(view: CameraUniforms) -> usize {
     (view.width * view.height) as usize
 }

@@ -9,7 +9,7 @@ use crate::tiles::TileGrid;
 /// Uniforms of every kernel that looks through a camera.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-pub struct View {
+pub struct CameraUniforms {
     pub r00: f32,
     pub r01: f32,
     pub r02: f32,
@@ -42,14 +42,14 @@ pub struct View {
     pub rows: u32,
 }
 
-impl View {
-    pub fn launch(camera: &Camera) -> ViewLaunch {
+impl CameraUniforms {
+    pub fn launch(camera: &Camera) -> CameraUniformsLaunch {
         let rotation = camera.camera_from_world.rotation.transpose().to_cols_array_2d();
         let [r0, r1, r2] = rotation.map(|row| row.map(|v| v as f32));
         let t = camera.camera_from_world.translation.to_array().map(|v| v as f32);
         let centre = camera.centre().to_array().map(|v| v as f32);
         let grid = TileGrid::new(camera.width, camera.height);
-        ViewLaunch::new(
+        CameraUniformsLaunch::new(
             r0[0],
             r0[1],
             r0[2],
@@ -81,7 +81,7 @@ impl View {
 }
 
 #[cube]
-pub fn view_rotation(view: View) -> Mat3 {
+pub fn view_rotation(view: CameraUniforms) -> Mat3 {
     Mat3 {
         row0: vec3(view.r00, view.r01, view.r02),
         row1: vec3(view.r10, view.r11, view.r12),
@@ -91,7 +91,7 @@ pub fn view_rotation(view: View) -> Mat3 {
 
 /// World point in camera axes.
 #[cube]
-pub fn to_camera(view: View, world: Vec3) -> Vec3 {
+pub fn to_camera(view: CameraUniforms, world: Vec3) -> Vec3 {
     add(apply(view_rotation(view), world), vec3(view.tx, view.ty, view.tz))
 }
 
@@ -104,7 +104,7 @@ pub fn pixel_range(low: f32, high: f32, size: u32) -> (u32, u32) {
     (u32::cast_from(first), u32::cast_from(end))
 }
 
-/// Rounding errors of [`View`]: a number of the camera in f64 is the sum of the two.
+/// Rounding errors of [`CameraUniforms`]: a number of the camera in f64 is the sum of the two.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub struct Rests {

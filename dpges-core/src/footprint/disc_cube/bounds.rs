@@ -5,7 +5,7 @@ use cubecl::prelude::*;
 use super::Disc;
 use crate::gpu::rect::Rect;
 use crate::gpu::vector::scale;
-use crate::gpu::view::{View, pixel_range};
+use crate::gpu::view::{CameraUniforms, pixel_range};
 
 /// Widens a range by more than the rounding errors of f32, px.
 #[cube]
@@ -57,7 +57,7 @@ fn clipped_square(cx: f32, cz: f32, ax: f32, az: f32, bx: f32, bz: f32, near: f3
 /// Pixels that the footprint can reach within `radius`, in σ; none if the radius is negative. The square
 /// around a disc bounds it if the disc crosses the near plane.
 #[cube]
-pub fn reach(view: View, disc: Disc, radius: f32) -> Rect {
+pub fn reach(view: CameraUniforms, disc: Disc, radius: f32) -> Rect {
     let c = disc.centre;
     let a = scale(disc.tangent_u, radius * disc.scale_u);
     let b = scale(disc.tangent_v, radius * disc.scale_v);

@@ -9,7 +9,7 @@ use crate::gpu::exact::{
 };
 use crate::gpu::record::Record;
 use crate::gpu::vector::{Quaternion, Vec3, near_unit, scale, vec3};
-use crate::gpu::view::{Rests, View};
+use crate::gpu::view::{CameraUniforms, Rests};
 
 /// A disc in camera space. All axes have the same length: the squared length of the quaternion.
 #[derive(CubeType, Clone, Copy)]
@@ -50,7 +50,7 @@ fn away(position: f32, centre: f32, rest: f32, zero: u32) -> Pair {
 
 /// A world direction in camera axes.
 #[cube]
-fn turned(view: View, rests: Rests, v: Pairs3) -> Pairs3 {
+fn turned(view: CameraUniforms, rests: Rests, v: Pairs3) -> Pairs3 {
     let zero = view.zero;
     let row0 = Pairs3 { x: pair(view.r00, rests.r00), y: pair(view.r01, rests.r01), z: pair(view.r02, rests.r02) };
     let row1 = Pairs3 { x: pair(view.r10, rests.r10), y: pair(view.r11, rests.r11), z: pair(view.r12, rests.r12) };
@@ -59,7 +59,7 @@ fn turned(view: View, rests: Rests, v: Pairs3) -> Pairs3 {
 }
 
 #[cube]
-pub fn exact_disc(view: View, rests: Rests, position: Vec3, quaternion: Quaternion) -> ExactDisc {
+pub fn exact_disc(view: CameraUniforms, rests: Rests, position: Vec3, quaternion: Quaternion) -> ExactDisc {
     let zero = view.zero;
     let q = near_unit(quaternion);
     let offset = Pairs3 {
@@ -92,7 +92,7 @@ pub fn exact_disc(view: View, rests: Rests, position: Vec3, quaternion: Quaterni
 }
 
 #[cube]
-pub fn disc_of(view: View, exact: ExactDisc, log_scale_u: f32, log_scale_v: f32) -> Disc {
+pub fn disc_of(view: CameraUniforms, exact: ExactDisc, log_scale_u: f32, log_scale_v: f32) -> Disc {
     let centre = rounded(exact.centre);
     let inverse = 1.0f32 / exact.stretch;
     let is_centred = centre.z > view.near;
@@ -167,7 +167,7 @@ struct ExactScales {
 /// Writes the linear functions of a disc to `planes` and their rounding errors to `lows`, from `start` on.
 #[cube]
 pub fn store_plane(
-    view: View,
+    view: CameraUniforms,
     rests: Rests,
     exact: ExactDisc,
     disc: Disc,

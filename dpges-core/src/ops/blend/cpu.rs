@@ -16,7 +16,7 @@ use rayon::prelude::*;
 use self::disc::DiscFootprint;
 use self::distortion::Spread;
 use self::gather::backward;
-use self::projected::{Ellipse, Projected, View};
+use self::projected::{CameraPair, Ellipse, Projected};
 use self::walk::{Fragments, Sorted, Thresholds, group, walk_tile};
 use super::{
     ALL_PLANES, ALPHA_PLANE, BlendBackwardOps, BlendInput, BlendOps, BlendOptions, BlendOutput, COLOUR_PLANES,
@@ -93,7 +93,7 @@ fn forward<T: Real, F: Projected<T>>(
     camera: &Camera,
     options: &BlendOptions,
 ) -> [Vec<T>; 2] {
-    let view = View::<T>::new(camera);
+    let view = CameraPair::<T>::new(camera);
     let sorted = Sorted::<T, F>::new(gaussians, &view, options);
     let (thresholds, slope) = (Thresholds::new(options), distortion::slope(&view.camera));
     let count = if options.maps { ALL_PLANES + 1 } else { COLOUR_PLANES };

@@ -20,7 +20,7 @@ use crate::camera::Camera;
 use crate::gpu::launch::{buffer, cube_dim, cubes, empty_f32, floats};
 use crate::gpu::record::Record;
 use crate::gpu::tile::{own_pixel, plane_of};
-use crate::gpu::view::View;
+use crate::gpu::view::CameraUniforms;
 use crate::tiles::TileGrid;
 
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
@@ -48,7 +48,7 @@ fn blend_kernel(
     ids: &[u32],
     planes: &mut [f32],
     median_depth: &mut [f32],
-    view: View,
+    view: CameraUniforms,
     thresholds: Thresholds,
     capacity: u32,
     count: u32,
@@ -146,7 +146,7 @@ impl BlendOps for CubeBackend {
             buffer(&fragments.lists.ids),
             buffer(&planes),
             buffer(&median_depth),
-            View::launch(&camera),
+            CameraUniforms::launch(&camera),
             Thresholds::launch(&camera, &options),
             fragments.lists.capacity,
             count as u32,

@@ -23,7 +23,7 @@ use crate::gpu::launch::{
 use crate::gpu::record::Record;
 use crate::gpu::rect::Rect;
 use crate::gpu::tile::{own_pixel, plane_of};
-use crate::gpu::view::View;
+use crate::gpu::view::CameraUniforms;
 use crate::scene::Footprint;
 use crate::tiles::TileGrid;
 
@@ -38,7 +38,7 @@ fn peel_kernel(
     out_ids: &mut [i32],
     out_alpha: &mut [f32],
     out_depth: &mut [f32],
-    view: View,
+    view: CameraUniforms,
     modulation: f32,
     capacity: u32,
     count: u32,
@@ -115,7 +115,7 @@ fn gather_kernel(
     ids: &[i32],
     grad: &[f32],
     sums: &mut [f32],
-    view: View,
+    view: CameraUniforms,
     modulation: f32,
     log_scales: &[f32],
     count: u32,
@@ -203,7 +203,7 @@ impl PeelOps for CubeBackend {
             buffer(&ids),
             buffer(&alpha),
             buffer(&depth),
-            View::launch(&camera),
+            CameraUniforms::launch(&camera),
             options.modulation as f32,
             lists.capacity,
             count as u32,
@@ -240,7 +240,7 @@ impl PeelBackwardOps for CubeBackend {
             buffer(&ids),
             buffer(&grad),
             buffer(&sums),
-            View::launch(&camera),
+            CameraUniforms::launch(&camera),
             options.modulation as f32,
             buffer(&surfels.log_scales),
             count as u32,

@@ -19,7 +19,7 @@ use crate::gpu::record::Record;
 use crate::gpu::rect::Rect;
 use crate::gpu::tile::{own_pixel, plane_of};
 use crate::gpu::vector::{Vec3, row3};
-use crate::gpu::view::View;
+use crate::gpu::view::CameraUniforms;
 use crate::tiles::TileGrid;
 
 const CHANNELS: usize = 4;
@@ -32,7 +32,7 @@ const SUMS: usize = MOMENTS + COLOUR;
 
 /// Depth at and behind which no pixel of a tile sees a Gaussian: the largest of its last limits.
 #[cube(launch)]
-fn ends_kernel(limits: &[f32], ends: &mut [f32], view: View, #[comptime] layers: usize) {
+fn ends_kernel(limits: &[f32], ends: &mut [f32], view: CameraUniforms, #[comptime] layers: usize) {
     if CUBE_POS >= (view.columns * view.rows) as usize {
         terminate!();
     }
@@ -65,7 +65,7 @@ fn splat_kernel(
     offsets: &[u32],
     ids: &[u32],
     sums: &mut [f32],
-    view: View,
+    view: CameraUniforms,
     capacity: u32,
     count: u32,
     #[comptime] layers: usize,
@@ -133,7 +133,7 @@ fn gather_kernel(
     grad: &[f32],
     moments: &mut [f32],
     grad_colours: &mut [f32],
-    view: View,
+    view: CameraUniforms,
     count: u32,
     #[comptime] layers: usize,
 ) {
@@ -195,7 +195,7 @@ fn contributions_kernel(
     limits: &[f32],
     gates: &[f32],
     contributions: &mut [f32],
-    view: View,
+    view: CameraUniforms,
     count: u32,
     #[comptime] layers: usize,
 ) {
@@ -254,7 +254,7 @@ impl SplatOps for CubeBackend {
             cube_dim(),
             buffer(&limits),
             buffer(&ends),
-            View::launch(&camera),
+            CameraUniforms::launch(&camera),
             layers,
         );
         let ellipses = Ellipses { splats: &splats, ends: &ends };
@@ -273,7 +273,7 @@ impl SplatOps for CubeBackend {
             buffer(&lists.offsets),
             buffer(&lists.ids),
             buffer(&sums),
-            View::launch(&camera),
+            CameraUniforms::launch(&camera),
             lists.capacity,
             count as u32,
             layers,
@@ -301,7 +301,7 @@ impl SplatOps for CubeBackend {
             buffer(&limits),
             buffer(&gates),
             buffer(&largest),
-            View::launch(&camera),
+            CameraUniforms::launch(&camera),
             count as u32,
             layers,
         );
@@ -332,7 +332,7 @@ impl SplatBackwardOps for CubeBackend {
             buffer(&grad),
             buffer(&moments),
             buffer(&out.colours),
-            View::launch(&camera),
+            CameraUniforms::launch(&camera),
             count as u32,
             layers,
         );

@@ -1,7 +1,7 @@
 //! A disc met by rays, with the low-pass filter of 2DGS (its sections 4.2 and 4.3); where a ray meets it and the way
 //! back from there are those of [`footprint`](crate::footprint::disc).
 
-use super::projected::{Group, Projected, Sums, View, WORK_ROWS};
+use super::projected::{CameraPair, Group, Projected, Sums, WORK_ROWS};
 use crate::footprint::CUTOFF;
 use crate::footprint::disc::{self, Disc, DiscGrad, MIN_FACING, Plane};
 use crate::footprint::moments::{FIRST_MOMENTS, add_first_moments};
@@ -145,7 +145,7 @@ impl<T: Real> Projected<T> for DiscFootprint<T> {
     /// filter weighted by the gradient of the exponent.
     const SUMS: usize = 12;
 
-    fn new(view: &View<T>, parameters: &Parameters<T>, colour: V3<T>) -> Option<Self> {
+    fn new(view: &CameraPair<T>, parameters: &Parameters<T>, colour: V3<T>) -> Option<Self> {
         let camera = &view.exact;
         let disc = disc_of(camera, parameters);
         let opacity = parameters.opacity.as_f64();
@@ -291,7 +291,7 @@ impl<T: Real> Projected<T> for DiscFootprint<T> {
         }
     }
 
-    fn backward(&self, view: &View<T>, parameters: &Parameters<T>, sums: &Sums<T>) -> ParameterGrad<T> {
+    fn backward(&self, view: &CameraPair<T>, parameters: &Parameters<T>, sums: &Sums<T>) -> ParameterGrad<T> {
         let camera = &view.exact;
         let disc = disc_of(camera, parameters);
         let quaternion = parameters.quaternion.map(T::as_f64);

@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use super::distortion::{self, Spread};
 use super::normal::normal_backward;
-use super::projected::{Group, Layout, Projected, Sums, View, WORK_ROWS};
+use super::projected::{CameraPair, Group, Layout, Projected, Sums, WORK_ROWS};
 use super::walk::{Fragments, Progress, Sorted, Thresholds, group, is_nothing, walk_tile};
 use crate::camera::Camera;
 use crate::footprint::gaussians::GaussianRows;
@@ -302,7 +302,7 @@ pub fn backward<T: Real, F: Projected<T>>(
     camera: &Camera,
     options: &BlendOptions,
 ) -> [Vec<T>; 6] {
-    let view = View::<T>::new(camera);
+    let view = CameraPair::<T>::new(camera);
     let sorted = Sorted::<T, F>::new(gaussians, &view, options);
     let layout = Layout { footprint: F::SUMS, probe: probed, maps: options.maps };
     let mut sums = gather(&sorted, grad, &layout, distortion::slope(&view.camera), options);

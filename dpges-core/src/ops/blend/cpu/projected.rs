@@ -9,12 +9,12 @@ use crate::simd::LANES;
 use crate::tiles::{PixelRect, TileGrid};
 
 /// A camera in the element type of the kernels and in f64.
-pub struct View<T> {
+pub struct CameraPair<T> {
     pub camera: CameraOf<T>,
     pub exact: CameraOf<f64>,
 }
 
-impl<T: Real> View<T> {
+impl<T: Real> CameraPair<T> {
     pub fn new(camera: &Camera) -> Self {
         Self { camera: CameraOf::new(camera), exact: CameraOf::new(camera) }
     }
@@ -80,7 +80,7 @@ pub trait Projected<T: Real>: Copy + Send + Sync {
     const SUMS: usize;
 
     /// `None` where no pixel can see it.
-    fn new(view: &View<T>, parameters: &Parameters<T>, colour: V3<T>) -> Option<Self>;
+    fn new(view: &CameraPair<T>, parameters: &Parameters<T>, colour: V3<T>) -> Option<Self>;
 
     /// Which axis is the normal.
     fn normal_axis(parameters: &Parameters<T>) -> usize;
@@ -112,7 +112,7 @@ pub trait Projected<T: Real>: Copy + Send + Sync {
     );
 
     /// From the sums to the raw parameters; what the normal and the colour pass on is not included.
-    fn backward(&self, view: &View<T>, parameters: &Parameters<T>, sums: &Sums<T>) -> ParameterGrad<T>;
+    fn backward(&self, view: &CameraPair<T>, parameters: &Parameters<T>, sums: &Sums<T>) -> ParameterGrad<T>;
 }
 
 /// An ellipsoid's ellipse, anchored at its mean.
@@ -122,7 +122,7 @@ pub struct Ellipse<T>(Splat<T>);
 impl<T: Real> Projected<T> for Ellipse<T> {
     const SUMS: usize = MOMENTS;
 
-    fn new(view: &View<T>, parameters: &Parameters<T>, colour: V3<T>) -> Option<Self> {
+    fn new(view: &CameraPair<T>, parameters: &Parameters<T>, colour: V3<T>) -> Option<Self> {
         Splat::new(&view.camera, parameters, colour).map(Self)
     }
 
@@ -186,7 +186,7 @@ impl<T: Real> Projected<T> for Ellipse<T> {
         }
     }
 
-    fn backward(&self, view: &View<T>, parameters: &Parameters<T>, sums: &Sums<T>) -> ParameterGrad<T> {
+    fn backward(&self, view: &CameraPair<T>, parameters: &Parameters<T>, sums: &Sums<T>) -> ParameterGrad<T> {
         let sum = SplatGrad {
             moments: std::array::from_fn(|i| sums.footprint[i]),
             colour: std::array::from_fn(|c| sums.colour[c]),

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use super::normal::normal;
-use super::projected::{Projected, View};
+use super::projected::{CameraPair, Projected};
 use crate::binning::cpu::{TileLists, bin};
 use crate::footprint::gaussians::GaussianRows;
 use crate::math::V3;
@@ -30,7 +30,7 @@ pub struct Sorted<T, F> {
 }
 
 impl<T: Real, F: Projected<T>> Sorted<T, F> {
-    pub fn new(gaussians: &GaussianRows<T>, view: &View<T>, options: &BlendOptions) -> Self {
+    pub fn new(gaussians: &GaussianRows<T>, view: &CameraPair<T>, options: &BlendOptions) -> Self {
         let grid = TileGrid::new(view.camera.width, view.camera.height);
         let project = |row: usize| F::new(view, &gaussians.parameters(row), gaussians.colour(row));
         let mut visible: Vec<(usize, F)> = (0..gaussians.len())

@@ -18,7 +18,7 @@ use crate::gpu::launch::{buffer, cube_dim, empty_f32, units};
 use crate::gpu::record::{Record, record};
 use crate::gpu::rect::Rect;
 use crate::gpu::vector::{Mat3, Vec3, apply, dot, rotation, row3, row4, scale, transpose, vec3};
-use crate::gpu::view::{Rests, View, pixel_range, to_camera, view_rotation};
+use crate::gpu::view::{CameraUniforms, Rests, pixel_range, to_camera, view_rotation};
 use crate::ops::blend::Form;
 use crate::tiles::TileGrid;
 
@@ -95,7 +95,7 @@ fn row_of(m: Mat3, row: u32) -> Vec3 {
 
 /// Axes of a primitive in camera space, by rows.
 #[cube]
-pub fn camera_axes(view: View, world: Mat3) -> Mat3 {
+pub fn camera_axes(view: CameraUniforms, world: Mat3) -> Mat3 {
     let (pose, axes) = (view_rotation(view), transpose(world));
     Mat3 { row0: apply(pose, axes.row0), row1: apply(pose, axes.row1), row2: apply(pose, axes.row2) }
 }
@@ -115,7 +115,7 @@ fn features_kernel(
     colours: &[f32],
     order: &[u32],
     features: &mut [f32],
-    view: View,
+    view: CameraUniforms,
     count: u32,
     #[comptime] form: Form,
 ) {
@@ -164,7 +164,7 @@ fn reach_kernel(
     features: &[f32],
     order: &[u32],
     rects: &mut [u32],
-    view: View,
+    view: CameraUniforms,
     rests: Rests,
     count: u32,
 ) {
@@ -282,7 +282,7 @@ impl Fragments {
             buffer(&gaussians.colours),
             buffer(&order),
             buffer(&features),
-            View::launch(camera),
+            CameraUniforms::launch(camera),
             count as u32,
             form,
         );
@@ -305,7 +305,7 @@ impl Fragments {
                     buffer(&features),
                     buffer(&order),
                     buffer(&planes.rects),
-                    View::launch(camera),
+                    CameraUniforms::launch(camera),
                     Rests::launch(camera),
                     count as u32,
                 );

@@ -20,7 +20,7 @@ use crate::gpu::launch::{UNITS, buffer, cube_dim, cubes, empty_f32, units};
 use crate::gpu::record::Record;
 use crate::gpu::rect::Rect;
 use crate::gpu::tile::{TILE, own_pixel, plane_of};
-use crate::gpu::view::View;
+use crate::gpu::view::CameraUniforms;
 use crate::ops::blend::{BlendOptions, Form};
 use crate::tiles::TileGrid;
 
@@ -110,7 +110,7 @@ fn gather_kernel(
     ids: &[u32],
     grad: &[f32],
     sums: &mut [f32],
-    view: View,
+    view: CameraUniforms,
     thresholds: Thresholds,
     capacity: u32,
     count: u32,
@@ -443,7 +443,7 @@ pub fn gather(
             buffer(&fragments.lists.ids),
             buffer(grad),
             buffer(sums),
-            View::launch(camera),
+            CameraUniforms::launch(camera),
             Thresholds::launch(camera, options),
             rows as u32,
             count as u32,

@@ -10,7 +10,7 @@ use crate::binning::cube::{CubeLists, TileList};
 use crate::camera::Camera;
 use crate::gpu::launch::{UNITS, buffer, cube_dim, cubes, empty_u32, units};
 use crate::gpu::vector::row3;
-use crate::gpu::view::{View, to_camera};
+use crate::gpu::view::{CameraUniforms, to_camera};
 
 /// Values that one cube sorts. Each unit compares two.
 const BLOCK: usize = 2 * UNITS as usize;
@@ -18,7 +18,7 @@ const BLOCK: usize = 2 * UNITS as usize;
 /// Bits of the depth of every primitive. As integers they ascend with positive depth, and negative depths
 /// come last.
 #[cube(launch)]
-fn keys_kernel(positions: &[f32], keys: &mut [u32], order: &mut [u32], view: View, count: u32) {
+fn keys_kernel(positions: &[f32], keys: &mut [u32], order: &mut [u32], view: CameraUniforms, count: u32) {
     let i = ABSOLUTE_POS;
     if i >= count as usize {
         terminate!();
@@ -88,7 +88,7 @@ pub fn depth_order(positions: &CubeTensor, camera: &Camera) -> CubeTensor {
         buffer(positions),
         buffer(&keys),
         buffer(&order),
-        View::launch(camera),
+        CameraUniforms::launch(camera),
         count as u32,
     );
     let in_blocks = |first: u32| {

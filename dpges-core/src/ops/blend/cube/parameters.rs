@@ -16,7 +16,7 @@ use crate::gpu::record::Record;
 use crate::gpu::vector::{
     Mat3, Vec3, add3, apply, dot, rotation, rotation_backward, row3, row4, scale, transpose, vec3, write3,
 };
-use crate::gpu::view::{View, to_camera, view_rotation};
+use crate::gpu::view::{CameraUniforms, to_camera, view_rotation};
 use crate::ops::blend::{BlendInput, Form};
 
 /// Colours, probe and, of discs, opacities.
@@ -62,7 +62,7 @@ fn rest_kernel(
     grad_positions: &mut [f32],
     grad_quaternions: &mut [f32],
     grad_log_scales: &mut [f32],
-    view: View,
+    view: CameraUniforms,
     count: u32,
     #[comptime] layout: Layout,
 ) {
@@ -202,7 +202,7 @@ pub fn backward(
             buffer(&out.positions),
             buffer(&out.quaternions),
             buffer(&out.log_scales),
-            View::launch(camera),
+            CameraUniforms::launch(camera),
             count as u32,
             layout,
         );
