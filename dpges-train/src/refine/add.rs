@@ -1,4 +1,4 @@
-//! New Gaussians where pictures are worst (GES, DP-GES).
+//! New Gaussians where the image error is largest (GES, DP-GES).
 
 use std::f32::consts::{PI, TAU};
 
@@ -9,16 +9,16 @@ use rand_chacha::ChaCha8Rng;
 use super::normal;
 use crate::neighbours::spacing;
 
-/// GES: a new Gaussian's scale over the root mean square distance to the 3 nearest of its batch.
+/// Scale of a new Gaussian relative to the root mean square distance to the 3 nearest of its batch (GES).
 const SCALE: f32 = 0.5;
-/// GES: a new Gaussian's linear opacity.
+/// Linear opacity of a new Gaussian (GES).
 const OPACITY: f32 = 0.5;
-/// Raw colour of a lobe nobody notices: an amplitude of 0.017 (DP-GES).
+/// Raw colour of an inconspicuous lobe, of amplitude 0.017 (DP-GES).
 const FAINT_LOBE: f32 = -0.3;
-/// Scale of a Gaussian that shows a pixel, in pixels, at most.
+/// Largest scale of a Gaussian that is added for a pixel, px.
 const MOST_PIXELS: f32 = 1.0;
 
-/// Gaussians to add now so that `batches_left` equal batches, this one included, fill the budget.
+/// The size of a batch such that `batches_left` equal batches, this one included, fill the budget.
 pub fn batch_size(budget: usize, primitives: usize, batches_left: usize) -> usize {
     budget.saturating_sub(primitives).checked_div(batches_left).unwrap_or(0)
 }
@@ -80,8 +80,8 @@ pub fn new_gaussians(positions: &[[f32; 3]], max_scale: f32, model: ColourModel,
     new
 }
 
-/// Raw detail of `count` primitives whose colour does not depend on the direction yet: lobes of
-/// amplitude 0.017 in random directions (θ from 0 to π, φ from 0 to 2π, β = 0), harmonics of 0.
+/// Raw colour detail of `count` primitives that look nearly the same from all directions: lobes of amplitude 0.017 in
+/// random directions (θ from 0 to π, φ from 0 to 2π, β = 0), or harmonics of 0.
 pub fn faint_detail(model: ColourModel, count: usize, rng: &mut ChaCha8Rng) -> Vec<f32> {
     match model {
         ColourModel::SphericalHarmonics { .. } => vec![0.0; count * model.detail_len()],

@@ -1,4 +1,4 @@
-//! Gaussians that come of others (3DGS).
+//! The children of Gaussians that are split (3DGS).
 
 use dpges_core::scene::GaussianData;
 use glam::{DQuat, DVec3, Vec3};
@@ -6,10 +6,11 @@ use rand_chacha::ChaCha8Rng;
 
 use super::normal;
 
-/// 3DGS: scale of a parent over that of its children.
+/// Scale of a parent relative to its children (3DGS).
 pub const SHRINKAGE: f64 = 1.6;
 
-/// Two of each of `parents`, drawn from its distribution, in its plane if they are `flat`; otherwise alike but smaller.
+/// Two children of each of `parents`, drawn from its distribution, or in its plane if they are `flat`. Otherwise they are
+/// the same but smaller.
 pub fn children(
     gaussians: &GaussianData,
     parents: impl Iterator<Item = usize>,
@@ -30,7 +31,7 @@ pub fn vector(values: &[f32], row: usize) -> DVec3 {
     Vec3::from_slice(&values[row * 3..][..3]).as_dvec3()
 }
 
-/// World from the axes of Gaussian `row`; a quaternion of length 0 turns nothing.
+/// World from the axes of Gaussian `row`; a quaternion of length 0 is the identity.
 pub fn rotation(gaussians: &GaussianData, row: usize) -> DQuat {
     let [w, x, y, z] = [0, 1, 2, 3].map(|i| f64::from(gaussians.quaternions[row * 4 + i]));
     let rotation = DQuat::from_xyzw(x, y, z, w);

@@ -1,5 +1,5 @@
-//! More Gaussians or discs where their places pull most: the small are cloned, the large are split,
-//! the faint and the huge are pruned (3DGS, 2DGS, GES).
+//! Adaptive density control: rows with large positional gradients are cloned if they are small and split if they are
+//! large; faint and huge rows are pruned (3DGS, 2DGS, GES).
 
 use dpges_core::scene::GaussianData;
 use rand_chacha::ChaCha8Rng;
@@ -7,7 +7,7 @@ use rand_chacha::ChaCha8Rng;
 use super::children::{SHRINKAGE, children};
 use super::{GaussianEdit, RowEdit};
 
-/// What is cloned, split and pruned.
+/// The thresholds of cloning, splitting and pruning.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DensifyRule {
     /// Least mean gradient norm of a row that is densified, per unit of normalised device coordinates (3DGS: 2e-4).
@@ -21,11 +21,11 @@ pub struct DensifyRule {
     pub min_opacity: f64,
     /// Fraction of the extent; larger rows are pruned (3DGS: 0.1, after the first opacity reset).
     pub max_scale_fraction: Option<f64>,
-    /// The rows are discs: the third scale means nothing, and children lie in the plane of the first two axes.
+    /// Whether the rows are discs. Then the third scale is ignored, and children lie in the plane of the first two axes.
     pub flat: bool,
 }
 
-/// What views have said about N rows since the last densification.
+/// Gradients of N rows, summed over views since the last densification.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GradientSums {
     /// `[N]` sum over views of the norm of the gradient with respect to the projected centre,
@@ -67,7 +67,7 @@ impl DensifyRule {
         rows
     }
 
-    /// Whether no scale of `row` exceeds `limit` (world units). Scales that are not numbers do.
+    /// Whether no scale of `row` exceeds `limit` (world units). NaN exceeds it.
     fn fits(&self, gaussians: &GaussianData, row: usize, limit: f64) -> bool {
         let axes = if self.flat { 2 } else { 3 };
         gaussians.log_scales[row * 3..][..axes].iter().all(|log_scale| f64::from(*log_scale).exp() <= limit)
@@ -84,12 +84,11 @@ fn quantile(mut values: Vec<f64>, fraction: f64) -> f64 {
 }
 
 /// Densifies rows of large mean gradient, at most `room` of them, one more row each, those of the
-/// largest mean first. A small one is cloned in its place. A large one goes, and its two children lie
-/// at `μ + R · N(0, diag s²)`, have its scales / 1.6 and otherwise its parameters. Then old and new
-/// rows are pruned (3DGS).
+/// largest mean first. A small one is cloned in place. A large one is replaced by two children at
+/// `μ + R · N(0, diag s²)` with its scales / 1.6 and otherwise its parameters. Then old and new rows are pruned (3DGS).
 ///
 /// `extent` in world units; 0, as of a single camera, limits no scale. Opacities are effective, from
-/// 0 to 1; `sums` has as many rows as `gaussians`. If nothing would be left nothing changes, with a warning.
+/// 0 to 1; `sums` has as many rows as `gaussians`. If no row would be left, nothing changes and a warning is logged.
 pub fn densify(
     gaussians: &GaussianData,
     sums: &GradientSums,
@@ -123,7 +122,7 @@ pub fn densify(
     GaussianEdit { rows, added }
 }
 
-/// Opacities for a new start: each at most `at_most` (3DGS: 0.01 every 3000 steps).
+/// Opacities after a reset: each at most `at_most` (3DGS: 0.01 every 3000 steps).
 pub fn reset_opacities(opacities: &[f32], at_most: f32) -> Vec<f32> {
     opacities.iter().map(|opacity| opacity.min(at_most)).collect()
 }

@@ -1,4 +1,4 @@
-//! When adding Gaussians has stopped to pay: the automatic end of growth.
+//! The automatic end of growth: no Gaussians are added once they no longer improve validation views.
 
 use std::fmt;
 
@@ -15,7 +15,7 @@ pub const BATCHES: usize = 2;
 /// A scene just before a batch was added: number of primitives, validation PSNR in dB.
 pub type Point = (usize, f64);
 
-/// What growth has brought so far; part of a checkpoint.
+/// The history of growth. It is part of a checkpoint.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Growth {
     /// Each has more primitives than the one before.
@@ -42,9 +42,9 @@ impl Growth {
     /// Call it before every batch, with what the last batch has become: the number of primitives and their PSNR in dB
     /// over the validation views.
     ///
-    /// Training improves a scene between two batches even if it does not grow. That counts as gained by the batch, so
-    /// that growth ends rather late than early. A scene that has not become larger takes the place of those it is not
-    /// larger than; a PSNR that is not finite is left out. Once growth has stopped, nothing starts it again.
+    /// Training improves a scene between two batches even if it does not grow. The gain is attributed to the batch, so
+    /// growth ends late rather than early. A scene that is not larger than earlier ones replaces them. A PSNR that is
+    /// not finite is ignored. Growth that has stopped does not start again.
     pub fn observe(&mut self, primitives: usize, validation_psnr: f64) -> Decision {
         if self.decision() == Decision::Grow && validation_psnr.is_finite() {
             while self.points.last().is_some_and(|&(before, _)| before >= primitives) {
@@ -55,7 +55,7 @@ impl Growth {
         self.decision()
     }
 
-    /// What the last observation led to.
+    /// The decision after the last observation.
     pub fn decision(&self) -> Decision {
         let Some(&points) = self.points.last_chunk::<{ BATCHES + 1 }>() else { return Decision::Grow };
         let gains: [f64; BATCHES] = std::array::from_fn(|batch| gain(points[batch], points[batch + 1]));

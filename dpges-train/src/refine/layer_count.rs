@@ -1,9 +1,9 @@
-//! How many layers a scene needs: as few as leave hardly any pixel open that more layers would close.
+//! The number of layers that a scene needs: the fewest that leave hardly any pixel open that more layers would close.
 
-/// Share of the pixels that may stay open though more layers would close them.
+/// Largest share of pixels that may stay open although more layers would close them.
 pub const MOST_OPEN: f64 = 0.02;
 
-/// A pixel that lets more light than this through its layers is open: one step of a picture of 8 bits.
+/// A pixel is open if its layers transmit more light than this: one step of an 8-bit picture.
 const OPEN_TRANSMITTANCE: f32 = 1.0 / 255.0;
 
 /// Share of the pixels that are open after K layers, for K from 1 to the number of layers peeled, among those that
@@ -25,8 +25,8 @@ pub fn open_share(transmittance: &[f32], pixels: usize) -> Vec<f64> {
 }
 
 /// The fewest layers K ≥ 1 after which at most the share `most` of the pixels is open that all layers together close:
-/// `open_share[K − 1]`, as [`open_share`] or a mean of it over views gives it. Where rims meet the sky no layer closes
-/// a pixel, and more of them would only cost time.
+/// `open_share[K − 1]`, from [`open_share`] or its mean over views. No layer closes a pixel where rims meet the sky;
+/// more layers would only cost time.
 pub fn choose(open_share: &[f64], most: f64) -> usize {
     let never = open_share.last().copied().unwrap_or(0.0);
     let enough = open_share.iter().position(|&share| share - never <= most);

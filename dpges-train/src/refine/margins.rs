@@ -1,15 +1,15 @@
-//! The depth margin ε of every surfel: how far behind it Gaussians still count (GES; DP-GES).
+//! The depth margin ε of every surfel: Gaussians this far behind it still contribute (GES, DP-GES).
 
 use crate::config::Margin;
 use crate::neighbours::{as_points, nearest};
 
-/// Surfels around a primitive whose margins are consulted.
+/// Number of neighbouring surfels whose margins are used.
 pub const NEIGHBOURS: usize = 16;
 
 /// Margins `[N]` in world units of surfels at `positions` [N × 3] with `log_scales` [N × 2].
 ///
-/// [`Margin::Raw`]: ε = `2.5 (s_x + s_y)`. [`Margin::Median`]: the lower median of that over the 16
-/// nearest other surfels, fewer where there are fewer; a surfel alone has its own.
+/// [`Margin::Raw`]: ε = `2.5 (s_x + s_y)`. [`Margin::Median`]: the lower median of these over the 16
+/// nearest other surfels, or all others if there are fewer. A single surfel keeps its own.
 pub fn margins(positions: &[f32], log_scales: &[f32], kind: Margin) -> Vec<f32> {
     let raw: Vec<f32> = log_scales.as_chunks::<2>().0.iter().map(|[x, y]| 2.5 * (x.exp() + y.exp())).collect();
     if kind == Margin::Raw {

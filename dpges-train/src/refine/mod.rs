@@ -1,12 +1,17 @@
-//! Decisions about the set of primitives, as pure functions on rows: which stay ([`prune`]), which
-//! are divided ([`split`]), where new ones go ([`add`]), how deep surfels reach ([`margins`]); for the
-//! stages that train the first scene, which are doubled where pictures are poor ([`densify`]), which
-//! move away from where they have faded ([`relocate`]).
-//! So that a scene is no larger than it needs to be: which lobes can go ([`lobes`]), when enough primitives have
-//! been added ([`growth`]), how many layers are peeled ([`layer_count`]).
-//! Splitting and doubling draw new rows alike (`children`).
-//! They return plans; a stage applies the same plan to the parameters and to the moments of
-//! the optimiser, where new rows start at zero.
+//! Decisions about the set of primitives, as pure functions on rows.
+//!
+//! | module | decides |
+//! |---|---|
+//! | [`prune`] | which primitives stay |
+//! | [`split`] | which Gaussians of the joint stage are split |
+//! | [`add`] | where new Gaussians are placed |
+//! | [`margins`] | the depth margins of surfels |
+//! | [`densify`] | which discs are cloned, split and pruned |
+//! | [`relocate`] | which Gaussians of MCMC and DBS are relocated |
+//! | [`lobes`], [`growth`], [`layer_count`] | with an automatic budget: lobes to drop, the end of growth, the number of layers |
+//!
+//! Each returns a plan. A stage applies it to the parameters and to the moments of the optimiser, where new rows start
+//! at zero.
 
 pub mod add;
 mod children;
@@ -25,7 +30,7 @@ use dpges_core::scene::GaussianData;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-/// Rows of a set that stay.
+/// The rows of a set that are kept.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RowEdit {
     /// Rows of the old set, ascending.
@@ -33,23 +38,23 @@ pub struct RowEdit {
 }
 
 impl RowEdit {
-    /// The rows below `count` for which `stays` holds.
+    /// Keeps those of `count` rows for which `stays` holds.
     pub fn retain(count: usize, stays: impl FnMut(&usize) -> bool) -> Self {
         Self { keep: (0..count).filter(stays).collect() }
     }
 
-    /// Every one of `count` rows.
+    /// Keeps all of `count` rows.
     pub fn keep_all(count: usize) -> Self {
         Self { keep: (0..count).collect() }
     }
 
-    /// How many of `count` rows go.
+    /// The number of rows that are removed from `count`.
     pub fn removed_from(&self, count: usize) -> usize {
         count - self.keep.len()
     }
 }
 
-/// Gaussians that stay, followed by new ones.
+/// Gaussians that are kept, followed by new ones.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GaussianEdit {
     pub rows: RowEdit,

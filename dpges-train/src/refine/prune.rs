@@ -1,11 +1,11 @@
-//! Which primitives are worth keeping (GES, DP-GES). A rule that would remove every
-//! row removes none and logs a warning: it then says something about its threshold, not the rows.
+//! Selects the primitives to keep (GES, DP-GES). A rule that would remove every row removes none and logs a warning: then
+//! its threshold is wrong, not the rows.
 
 use dpges_core::footprint::CUTOFF;
 
 use super::RowEdit;
 
-/// Surfels that stay: nearest at more than `min_pixels` px in some view (`max_pixels` `[N]` is the
+/// The surfels to keep: nearest at more than `min_pixels` px in some view (`max_pixels` `[N]` is the
 /// largest count over the views) and with both scales of `log_scales` [N × 2] at most
 /// `max_scale_fraction` of the extent (world units). An extent of 0, as of a single camera, limits no scale.
 pub fn surfels_to_keep(
@@ -22,15 +22,15 @@ pub fn surfels_to_keep(
     unless_nothing_is_left(RowEdit::retain(max_pixels.len(), stays), max_pixels.len(), "surfel")
 }
 
-/// Gaussians that stay: `max_contribution` `[M]`, the largest `max|c| α t / (1 + W)` over pixels and
-/// views, is at least `threshold`. A contribution that is not a number goes.
+/// The Gaussians to keep: `max_contribution` `[M]`, the largest `max|c| α t / (1 + W)` over pixels and
+/// views, is at least `threshold`. Gaussians whose contribution is NaN are removed.
 pub fn gaussians_to_keep(max_contribution: &[f32], threshold: f64) -> RowEdit {
     let stays = |row: &usize| f64::from(max_contribution[*row]) >= threshold;
     unless_nothing_is_left(RowEdit::retain(max_contribution.len(), stays), max_contribution.len(), "Gaussian")
 }
 
-/// Gaussians that can draw a pixel: α is at most the opacity, and below 1/255 there is nothing, no gradient either that
-/// would bring them back. Linear opacities that Adam has pushed below 0 are such; the others render the same picture.
+/// The Gaussians that can draw a pixel. α is at most the opacity, and below 1/255 neither colour nor gradient is left.
+/// Adam can push linear opacities below 0. The Gaussians that are kept render the same picture.
 pub fn drawn(opacities: &[f32]) -> RowEdit {
     RowEdit::retain(opacities.len(), |&row| opacities[row] >= CUTOFF as f32)
 }

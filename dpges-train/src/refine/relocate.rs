@@ -1,5 +1,5 @@
-//! Gaussians that have faded away move to where others are opaque, and new ones join them
-//! (3DGS-MCMC, DBS). Sources and copies share the opacity of the source, so that the picture stays.
+//! Moves faded Gaussians to opaque ones and adds new ones there (3DGS-MCMC, DBS). A source and its copies share the opacity
+//! of the source, so that the picture does not change.
 
 use dpges_core::scene::GaussianData;
 use rand_chacha::ChaCha8Rng;
@@ -7,11 +7,11 @@ use rand_chacha::ChaCha8Rng;
 use super::add::draw_in_proportion;
 use crate::config::Relocation;
 
-/// 3DGS-MCMC: Gaussians that share one opacity, counted no further than this.
+/// Largest number of Gaussians that count as sharing one opacity (3DGS-MCMC).
 const MAX_COPIES: usize = 51;
-/// 3DGS-MCMC: opacities are at least this after they were shared.
+/// Smallest opacity after sharing (3DGS-MCMC).
 const MIN_OPACITY: f64 = 0.005;
-/// 3DGS-MCMC: and at most 1 − ε of `f32`.
+/// Largest opacity after sharing: 1 − ε of `f32` (3DGS-MCMC).
 const MAX_OPACITY: f64 = 1.0 - f32::EPSILON as f64;
 
 /// The set after relocation and addition: the N old rows in place, then the added ones.
@@ -87,8 +87,8 @@ fn mass(shared: f64, copies: f64) -> f64 {
     sum
 }
 
-/// Gaussians wanted after an addition to `count`: `factor` times as many (3DGS-MCMC: 1.05), rounded
-/// down, but at most `cap`, and no fewer than there are.
+/// The number of Gaussians after growing from `count`: `factor` times as many (3DGS-MCMC: 1.05), rounded down, at most
+/// `cap` and at least `count`.
 pub fn grown(count: usize, factor: f64, cap: usize) -> usize {
     ((count as f64 * factor) as usize).min(cap).max(count)
 }
@@ -97,7 +97,7 @@ pub fn grown(count: usize, factor: f64, cap: usize) -> usize {
 /// are `target`. Sources are drawn with replacement in proportion to their opacity, for the addition
 /// to that after relocation (3DGS-MCMC).
 ///
-/// Opacities are effective, from 0 to 1. Without living Gaussians none is moved. `None` if nothing changes.
+/// Opacities are effective, from 0 to 1. Without living Gaussians none is relocated. `None` if nothing changes.
 pub fn relocate_and_add(
     gaussians: &GaussianData,
     target: usize,

@@ -1,4 +1,4 @@
-//! Gaussians too large for the surfels around them are divided in two (DP-GES; 3DGS).
+//! Splits Gaussians that are too large for the surfels around them (DP-GES, 3DGS).
 
 use dpges_core::scene::GaussianData;
 use rand_chacha::ChaCha8Rng;
@@ -9,11 +9,10 @@ use super::{GaussianEdit, RowEdit};
 use crate::neighbours::{as_points, nearest_to};
 
 /// Splits Gaussians whose mean scale exceeds `factor` × the mean of `margins` `[N]` (world units)
-/// over the 16 surfels of `surfel_positions` [N × 3] nearest to them. The parent goes; its two
-/// children lie at `μ + R · N(0, diag s²)`, have its scales / 1.6 and otherwise its parameters.
+/// over the 16 surfels of `surfel_positions` [N × 3] nearest to them. The parent is
+/// replaced by two children at `μ + R · N(0, diag s²)`, with its scales / 1.6 and otherwise its parameters.
 ///
-/// At most `room` Gaussians, one more row each, are split: those that exceed their limit most.
-/// Without surfels nothing is.
+/// At most `room` Gaussians are split, those that exceed their limit most; each adds one row. Without surfels none is split.
 pub fn split(
     gaussians: &GaussianData,
     surfel_positions: &[f32],
@@ -30,7 +29,7 @@ pub fn split(
     GaussianEdit { rows: RowEdit::retain(gaussians.len(), |&row| !is_parent[row]), added }
 }
 
-/// Rows to be split, ascending.
+/// The rows to split, ascending.
 fn parents(
     gaussians: &GaussianData,
     surfel_positions: &[f32],
