@@ -1,6 +1,6 @@
-//! Fits one surfel and one Gaussian to a square: cargo run --release -p dpges-core --example fit
+//! Fits one surfel and one Gaussian to a square: cargo run --release --example fit
 use burn::module::{Module, Param};
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Tensor, TensorData};
 use burn_optim::{AdamConfig, GradientsParams};
 use dpges_core::*;
 
@@ -12,14 +12,13 @@ struct Pair {
 }
 
 fn main() -> Result<()> {
-    let device = Device::default().autodiff();
+    let device = device::cpu().autodiff();
     let camera_from_world = CameraFromWorld::look_at([0.0, 0.0, -4.0].into(), [0.0; 3].into(), [0.0, -1.0, 0.0].into());
     let camera = Camera { camera_from_world, fx: 60., fy: 60., cx: 24., cy: 24., width: 48, height: 48, near: 0.01 };
     let row = |values: &[f32]| Param::from_data(TensorData::new(values.to_vec(), [1, values.len()]), &device);
     let surfel = [row(&[0.0; 3]), row(&[-1.5; 2]), row(&[0.0; 3])];
     let mut pair = Pair { surfel, gaussian: [row(&[0.0, 0.0, -0.5]), row(&[-1.5; 3]), row(&[0.0; 3])] };
-    let turn = || Tensor::from_floats([[1.0, 0.0, 0.0, 0.0]], &device);
-    let one = |value: f32| Tensor::full([1, 1], value, &device);
+    let (turn, one) = (|| Tensor::from_floats([[1., 0., 0., 0.]], &device), |x: f32| Tensor::full([1, 1], x, &device));
     let (model, none) = (ColourModel::SphericalBeta { lobes: 0 }, Tensor::zeros([1, 0], &device));
     let colour = |base| Colour { model, base, detail: none.clone() };
     let target = Tensor::<3>::zeros([3, 48, 48], &device).slice_fill([0..3, 18..34, 14..30], 0.8);

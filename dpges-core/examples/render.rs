@@ -1,12 +1,12 @@
-//! Loads a scene file and writes a picture: cargo run --release -p dpges-core --example render [SCENE [PICTURE]]
-use burn::tensor::{DType, Device};
+//! Loads a scene file and writes a picture: cargo run --release --example render [SCENE [PICTURE]]
+use burn::tensor::DType;
 use dpges_core::*;
 use glam::DVec3;
 
 fn main() -> std::result::Result<(), Box<dyn std::error::Error>> {
     let mut arguments = std::env::args().skip(1);
     let scene = arguments.next().map_or_else(|| Ok(tiny()), |path| SceneData::load(path.as_ref()))?;
-    let device = Device::default();
+    let device = device::cpu();
     let surfels = Surfels::from_data(&scene.surfels, &device, DType::F32);
     let gaussians = Gaussians::from_data(&scene.gaussians, &device, DType::F32);
 

@@ -1,6 +1,16 @@
-//! What kind of device a tensor lives on.
+//! Devices: the CPU, and whether a device is a GPU.
 
 use burn::tensor::Device;
+
+/// The CPU, by burn-ndarray, or by burn-flex without the feature `ndarray`. Burn's own default device is a GPU wherever
+/// the feature `gpu` is on.
+#[cfg(any(feature = "ndarray", feature = "flex"))]
+pub fn cpu() -> Device {
+    #[cfg(feature = "ndarray")]
+    return Device::ndarray();
+    #[cfg(not(feature = "ndarray"))]
+    Device::flex()
+}
 
 /// Whether `device` works on its own while the host goes on, and in f32 only: every CubeCL runtime.
 pub fn is_gpu(device: &Device) -> bool {

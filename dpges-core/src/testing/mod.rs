@@ -10,9 +10,5 @@ pub mod scenes;
 /// A CPU device that is switched on, with a tape.
 #[cfg(any(feature = "ndarray", feature = "flex"))]
 pub fn device() -> burn::tensor::Device {
-    #[cfg(feature = "ndarray")]
-    let device = burn::tensor::Device::ndarray();
-    #[cfg(not(feature = "ndarray"))]
-    let device = burn::tensor::Device::flex();
-    device.autodiff()
+    crate::device::cpu().autodiff()
 }
