@@ -11,3 +11,9 @@ pub mod results {}
 
 #[doc = include_str!("../docs/library.md")]
 pub mod library {}
+
+#[doc = include_str!("../docs/configuration.md")]
+pub mod configuration {}
+
+#[doc = include_str!("../docs/ablations.md")]
+pub mod ablations {}

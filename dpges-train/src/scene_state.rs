@@ -161,7 +161,7 @@ impl<C: Columns<Value = Parameter, With<Parameter> = C>> State<C> {
         columns.map(|((attribute, parameter), leaf)| (attribute, parameter.gradient(leaf, gradients))).collect()
     }
 
-    /// Nothing changes where `gate` [1] is not 1.
+    /// Nothing changes where `gate` `[1]` is not 1.
     ///
     /// # Errors
     /// [`dpges_core::Error::Shape`] if the gradients belong to other rows.
@@ -201,7 +201,7 @@ impl<C: Columns<Value = Parameter, With<Parameter> = C>> State<C> {
 }
 
 impl GaussianState {
-    /// [M] opacities as they are rendered, in host memory.
+    /// `[M]` opacities as they are rendered, in host memory.
     pub fn opacities(&self) -> Vec<f32> {
         let raw = tensor_to_rows(&self.columns.opacities.raw());
         raw.into_iter().map(|raw| self.opacity.value(raw)).collect()
@@ -227,7 +227,7 @@ impl GaussianState {
         self.columns.opacities.set(&raw_opacities(opacities, self.opacity));
     }
 
-    /// [M] as they are rendered; their moments start again.
+    /// `[M]` as they are rendered; their moments start again.
     pub fn reset_opacities(&mut self, opacities: &[f32]) {
         self.columns.opacities.restart(&raw_opacities(opacities, self.opacity));
     }

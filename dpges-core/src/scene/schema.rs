@@ -14,7 +14,7 @@ use super::colour_model::ColourModel;
 /// Numbers per primitive of an attribute.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Width {
-    /// One. Files store such an attribute as [N], tensors in memory are [N, 1].
+    /// One. Files store such an attribute as `[N]`, tensors in memory are [N, 1].
     Scalar,
     /// As many.
     Fixed(usize),

@@ -30,7 +30,7 @@ pub fn tensor_to_rows<const D: usize>(tensor: &Tensor<D>) -> Vec<f32> {
     data.convert::<f32>().try_to_vec().expect("just converted to f32")
 }
 
-/// A [N, 1] column as a vector [N].
+/// A [N, 1] column as a vector `[N]`.
 pub fn flat(column: &Tensor<2>) -> Tensor<1> {
     column.clone().reshape([column.dims()[0]])
 }

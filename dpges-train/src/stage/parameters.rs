@@ -50,7 +50,7 @@ impl Parameters<'_> {
         }
     }
 
-    /// Takes one optimisation step. Nothing changes where `gate` [1] is not 1.
+    /// Takes one optimisation step. Nothing changes where `gate` `[1]` is not 1.
     ///
     /// # Errors
     /// [`dpges_core::Error::Shape`] if the gradients belong to other rows.

@@ -56,7 +56,7 @@ pub struct JitterInput<B: Backend> {
     pub quaternions: FloatTensor<B>,
     /// [M, 3]
     pub log_scales: FloatTensor<B>,
-    /// [M]
+    /// `[M]`
     pub opacities: FloatTensor<B>,
 }
 
