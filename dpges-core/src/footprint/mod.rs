@@ -12,5 +12,7 @@ pub(crate) mod splat;
 #[cfg(feature = "gpu")]
 pub(crate) mod splat_cube;
 
+pub use gaussians::GaussianTensors;
+
 /// A fragment whose value is below this does not exist.
 pub const CUTOFF: f64 = 1.0 / 255.0;

@@ -9,6 +9,8 @@ use cubecl::prelude::{BufferArg, CubeCount, CubeDim};
 
 /// Units of a cube, in every kernel.
 pub const UNITS: u32 = 256;
+/// Halvings of [`UNITS`] down to 1.
+pub const HALVINGS: u32 = UNITS.ilog2();
 /// Units that gather for one primitive.
 pub const LANES: u32 = 32;
 /// Primitives that a cube gathers for.

@@ -14,7 +14,7 @@ use crate::footprint::gaussians::GaussianTensors;
 use crate::footprint::moments::MOMENTS;
 use crate::footprint::splat_cube::{self, SPLAT, Splat, add_moments};
 use crate::gpu::gather::{lane, largest, primitive, total, zeros};
-use crate::gpu::launch::{GATHERED, LANES, UNITS, buffer, cube_dim, cubes, empty_f32, floats, gatherers};
+use crate::gpu::launch::{GATHERED, HALVINGS, LANES, UNITS, buffer, cube_dim, cubes, empty_f32, floats, gatherers};
 use crate::gpu::record::Record;
 use crate::gpu::rect::Rect;
 use crate::gpu::tile::{own_pixel, plane_of};
@@ -44,13 +44,13 @@ fn ends_kernel(limits: &[f32], ends: &mut [f32], view: CameraUniforms, #[comptim
         own = limits[(layers - 1) * plane_of(view) + pixel.at];
     }
     furthest[unit] = own;
-    let mut step = UNITS as usize / 2;
-    while step > 0usize {
+    #[unroll]
+    for halving in 0..HALVINGS {
+        let step = comptime!((UNITS >> (halving + 1)) as usize);
         sync_cube();
         if unit < step {
             furthest[unit] = max(furthest[unit], furthest[unit + step]);
         }
-        step /= 2;
     }
     if UNIT_POS == 0u32 {
         ends[CUBE_POS] = furthest[0];

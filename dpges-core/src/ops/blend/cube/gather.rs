@@ -16,7 +16,7 @@ use crate::camera::Camera;
 use crate::footprint::disc_cube::{DISC_SUMS, DiscPixel, Hit, PLANE, Plane, add_disc_sums};
 use crate::footprint::moments::MOMENTS;
 use crate::footprint::splat_cube::{SPLAT, Splat, add_moments};
-use crate::gpu::launch::{UNITS, buffer, cube_dim, cubes, empty_f32, units};
+use crate::gpu::launch::{HALVINGS, UNITS, buffer, cube_dim, cubes, empty_f32, units};
 use crate::gpu::record::Record;
 use crate::gpu::rect::Rect;
 use crate::gpu::tile::{TILE, own_pixel, plane_of};
@@ -196,13 +196,13 @@ fn gather_kernel(
         }
 
         ends[unit] = end;
-        let mut step = UNITS as usize / 2;
-        while step > 0usize {
+        #[unroll]
+        for halving in 0..HALVINGS {
+            let step = comptime!((UNITS >> (halving + 1)) as usize);
             sync_cube();
             if unit < step {
                 ends[unit] = max(ends[unit], ends[unit + step]);
             }
-            step /= 2;
         }
         let furthest = workgroup_uniform_load(&ends[0]);
 
