@@ -27,11 +27,11 @@ fn main() -> std::result::Result<(), Box<dyn std::error::Error>> {
 /// A red disc in the x-y plane with a blue ball over it.
 fn tiny() -> SceneData {
     let colour = |red, green, blue| ColourData { base: vec![red, green, blue], ..ColourData::default() };
-    let (red, blue, quaternions) = (colour(1.5, -1.0, -1.0), colour(-1.0, -1.0, 1.5), vec![1.0, 0.0, 0.0, 0.0]);
-    let (positions, log_scales, margins) = (vec![0.0; 3], vec![-1.5; 2], vec![0.1]);
-    let surfels = SurfelData { positions, quaternions: quaternions.clone(), log_scales, colour: red, margins };
-    let (positions, log_scales, opacities) = (vec![0.0, 0.0, 0.4], vec![-2.0; 3], vec![2.0]);
-    let gaussians = GaussianData { positions, quaternions, log_scales, opacities, colour: blue };
+    let (red, blue) = (colour(1.5, -1.0, -1.0), colour(-1.0, -1.0, 1.5));
     let colour_model = ColourModel::SphericalBeta { lobes: 0 };
+    let disc = SurfelData::neutral(colour_model, 1);
+    let surfels = SurfelData { log_scales: vec![-1.5; 2], colour: red, margins: vec![0.1], ..disc };
+    let (ball, positions) = (GaussianData::neutral(colour_model, 1), vec![0.0, 0.0, 0.4]);
+    let gaussians = GaussianData { positions, log_scales: vec![-2.0; 3], opacities: vec![2.0], colour: blue, ..ball };
     SceneData { info: SceneInfo { colour_model, extent: 3.0, ..SceneInfo::default() }, surfels, gaussians }
 }

@@ -6,7 +6,7 @@ use dpges_core::losses;
 use dpges_core::ops::composite::{CompositeOptions, composite};
 use dpges_core::ops::peel::PeelOptions;
 use dpges_core::render::{Render, RenderOptions, render};
-use dpges_core::scene::{ColourData, Footprint, GaussianData, SurfelData};
+use dpges_core::scene::{ColourData, ColourModel, Footprint, GaussianData, SurfelData};
 use dpges_core::testing::golden::values;
 use dpges_core::testing::scenes::{Recipe, TestScene, random};
 use glam::DVec3;
@@ -87,10 +87,8 @@ fn rims(depths: &[f64], size: usize) -> TestScene {
     let base = (0..3 * count).map(|i| (i as f32 * 0.7).sin()).collect();
     let surfels = SurfelData {
         positions: depths.iter().flat_map(beside).collect(),
-        quaternions: [1.0, 0.0, 0.0, 0.0].repeat(count),
-        log_scales: vec![0.0; 2 * count],
         colour: ColourData { base, ..ColourData::default() },
-        margins: vec![0.0; count],
+        ..SurfelData::neutral(ColourModel::default(), count)
     };
     TestScene { surfels, gaussians: GaussianData::default(), camera: facing_camera(size) }
 }
@@ -140,10 +138,10 @@ fn a_camera_moves_across_a_rim_without_a_jump() {
     let mut scene = rims(&[5.0, 6.0], 9);
     scene.gaussians = GaussianData {
         positions: vec![0.0, 0.0, -0.8, 0.1, 0.0, 0.5, 0.0, 0.1, 2.5],
-        quaternions: [1.0, 0.0, 0.0, 0.0].repeat(3),
         log_scales: vec![-1.0; 9],
         opacities: vec![0.8, 0.9, 1.2],
         colour: ColourData { base: vec![1.5, -1.0, 0.2, -1.2, 0.8, 1.0, 0.3, 1.4, -1.4], ..ColourData::default() },
+        ..GaussianData::neutral(ColourModel::default(), 3)
     };
     let largest_change = |steps: usize| {
         let frame = |step: usize| {

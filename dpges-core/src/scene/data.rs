@@ -30,8 +30,11 @@ macro_rules! on_the_host {
         impl $data {
             /// `count` primitives of which nothing is known: every attribute has its neutral value.
             pub fn neutral(model: ColourModel, count: usize) -> Self {
-                let value = |attribute: &Attribute| vec![attribute.neutral; count * attribute.width.under(model)];
-                Self::generate(model, Self::ATTRIBUTES.iter().map(value))
+                let values = |attribute: &Attribute| {
+                    let all = attribute.neutral.iter().copied().cycle();
+                    all.take(count * attribute.width.under(model)).collect()
+                };
+                Self::generate(model, Self::ATTRIBUTES.iter().map(values))
             }
 
             pub fn len(&self) -> usize {
@@ -95,6 +98,7 @@ mod tests {
         let model = ColourModel::SphericalBeta { lobes: 1 };
         let mut surfels = SurfelData::neutral(model, 3);
         assert_eq!((surfels.len(), surfels.colour.detail.len(), surfels.margins.len()), (3, 18, 3));
+        assert_eq!(surfels.quaternions, [1.0, 0.0, 0.0, 0.0].repeat(3));
         surfels.margins = vec![1.0, 2.0, 3.0];
         surfels.append(surfels.select(&[2, 0]));
         assert_eq!((surfels.len(), &surfels.margins[..]), (5, &[1.0, 2.0, 3.0, 3.0, 1.0][..]));

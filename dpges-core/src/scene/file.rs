@@ -250,13 +250,17 @@ fn check_info(info: &SceneInfo) -> Result<(), String> {
 mod tests {
     use super::*;
     use crate::scene::lobes::ABSENT_LOBE;
-    use crate::scene::{ColourData, Footprint, MarginLookup};
+    use crate::scene::{Footprint, MarginLookup};
 
     const TWO_LOBES: ColourModel = ColourModel::SphericalBeta { lobes: 2 };
 
     fn scene(model: ColourModel, surfels: usize, gaussians: usize) -> SceneData {
-        let rows = |count: usize, width: usize| (0..count * width).map(|i| (i as f32 * 0.37).sin()).collect::<Vec<_>>();
-        let colour = |count| ColourData { model, base: rows(count, 3), detail: rows(count, model.detail_len()) };
+        let rows = |count: usize| {
+            move |attribute: &'static Attribute| {
+                let numbers = count * attribute.width.under(model);
+                (0..numbers).map(|i| (i as f32 * 0.37).sin()).collect::<Vec<f32>>()
+            }
+        };
         SceneData {
             info: SceneInfo {
                 colour_model: model,
@@ -270,20 +274,8 @@ mod tests {
                 extent: 4.5,
                 near: 0.2,
             },
-            surfels: SurfelData {
-                positions: rows(surfels, 3),
-                quaternions: rows(surfels, 4),
-                log_scales: rows(surfels, 2),
-                colour: colour(surfels),
-                margins: rows(surfels, 1),
-            },
-            gaussians: GaussianData {
-                positions: rows(gaussians, 3),
-                quaternions: rows(gaussians, 4),
-                log_scales: rows(gaussians, 3),
-                opacities: rows(gaussians, 1),
-                colour: colour(gaussians),
-            },
+            surfels: SurfelData::generate(model, SurfelData::ATTRIBUTES.iter().map(rows(surfels))),
+            gaussians: GaussianData::generate(model, GaussianData::ATTRIBUTES.iter().map(rows(gaussians))),
         }
     }
 

@@ -65,8 +65,8 @@ pub struct Attribute {
     pub width: Width,
     pub activation: Activation,
     pub rate: RateGroup,
-    /// Value of a primitive of which nothing is known.
-    pub neutral: f32,
+    /// Values of a primitive of which nothing is known, repeated as often as it has room for them.
+    pub neutral: &'static [f32],
 }
 
 impl Attribute {
@@ -177,7 +177,7 @@ macro_rules! columns {
                     width: $width,
                     activation: Activation::$activation,
                     rate: RateGroup::$rate,
-                    neutral: $neutral,
+                    neutral: &$neutral,
                 },)*
                 Attribute {
                     name: concat!($kind, ".colour.base"),
@@ -185,7 +185,7 @@ macro_rules! columns {
                     width: Width::Fixed(3),
                     activation: Activation::Identity,
                     rate: RateGroup::Base,
-                    neutral: 0.0,
+                    neutral: &[0.0],
                 },
                 Attribute {
                     name: concat!($kind, ".colour.detail"),
@@ -193,7 +193,7 @@ macro_rules! columns {
                     width: Width::Detail,
                     activation: Activation::Identity,
                     rate: RateGroup::Detail,
-                    neutral: 0.0,
+                    neutral: &[0.0],
                 },
             ];
 
@@ -231,13 +231,13 @@ columns! {
     /// N surfels: opaque discs with semi-transparent rims.
     SurfelColumns, "surfels", {
         /// [N, 3] world units.
-        positions: Width::Fixed(3), Identity, Positions, neutral 0.0;
+        positions: Width::Fixed(3), Identity, Positions, neutral [0.0];
         /// [N, 4] (w, x, y, z), not necessarily of unit length; the third column of the rotation is the normal.
-        quaternions: Width::Fixed(4), Identity, Quaternions, neutral 0.5;
+        quaternions: Width::Fixed(4), Identity, Quaternions, neutral [1.0, 0.0, 0.0, 0.0];
         /// [N, 2] natural logarithm of the scales along the first two columns, world units.
-        log_scales: Width::Fixed(2), Identity, LogScales, neutral 0.0;
+        log_scales: Width::Fixed(2), Identity, LogScales, neutral [0.0];
         /// [N, 1] depth margin ε, world units; carries no gradient.
-        margins: Width::Scalar, Identity, Fixed, neutral 0.0;
+        margins: Width::Scalar, Identity, Fixed, neutral [0.0];
     }
 }
 
@@ -245,13 +245,13 @@ columns! {
     /// M Gaussians.
     GaussianColumns, "gaussians", {
         /// [M, 3] world units.
-        positions: Width::Fixed(3), Identity, Positions, neutral 0.0;
+        positions: Width::Fixed(3), Identity, Positions, neutral [0.0];
         /// [M, 4] (w, x, y, z), not necessarily of unit length.
-        quaternions: Width::Fixed(4), Identity, Quaternions, neutral 0.5;
+        quaternions: Width::Fixed(4), Identity, Quaternions, neutral [1.0, 0.0, 0.0, 0.0];
         /// [M, 3] natural logarithm of the scales, world units.
-        log_scales: Width::Fixed(3), Identity, LogScales, neutral 0.0;
+        log_scales: Width::Fixed(3), Identity, LogScales, neutral [0.0];
         /// [M, 1] linear opacity, used as max(0, opacity); may exceed 1.
-        opacities: Width::Scalar, Opacity, Opacities, neutral 1.0;
+        opacities: Width::Scalar, Opacity, Opacities, neutral [1.0];
     }
 }
 
