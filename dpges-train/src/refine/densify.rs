@@ -317,7 +317,8 @@ mod tests {
         old.opacities = vec![0.01; 2];
         let edit = run(&old, &[1.0; 2], RULE, 9);
         assert_eq!((edit.rows.keep.len(), edit.added.len()), (2, 0));
-        assert_eq!(run(&gaussians(&[]), &[], RULE, 9), GaussianEdit::default());
+        let nothing = GaussianEdit { added: GaussianData::neutral(MODEL, 0), ..GaussianEdit::default() };
+        assert_eq!(run(&gaussians(&[]), &[], RULE, 9), nothing);
     }
 
     #[test]

@@ -109,6 +109,6 @@ mod tests {
         let edit = split(&gaussians(&[3.0, 2.0]), &[], &[], 2.0, 10, &mut rng());
         assert_eq!((edit.rows.keep.len(), edit.added.len()), (2, 0));
         let edit = split(&gaussians(&[]), &[0.0; 3], &[1.0], 2.0, 10, &mut rng());
-        assert_eq!(edit, GaussianEdit::default());
+        assert_eq!(edit, GaussianEdit { added: GaussianData::neutral(MODEL, 0), ..GaussianEdit::default() });
     }
 }

@@ -6,8 +6,8 @@ use rayon::ThreadPoolBuilder;
 
 use super::cpu::{hash, normals};
 use super::{JitterOptions, NoiseGate, jitter};
+use crate::device::cpu;
 use crate::scene::{ColourModel, GaussianData, Gaussians};
-use crate::testing::device;
 use crate::testing::golden::values;
 
 const MCMC: JitterOptions = JitterOptions { gate: NoiseGate::Mcmc, amount: 1.0, seed: 31 };
@@ -25,7 +25,7 @@ fn gaussians(opacities: Vec<f32>) -> Gaussians {
         opacities,
         ..GaussianData::neutral(ColourModel::default(), n)
     };
-    Gaussians::from_data(&data, &device(), DType::F64)
+    Gaussians::from_data(&data, &cpu(), DType::F64)
 }
 
 /// How far each row moves.
