@@ -24,7 +24,7 @@ pub struct GaussianTensors<B: Backend> {
     pub quaternions: FloatTensor<B>,
     /// [M, 3]
     pub log_scales: FloatTensor<B>,
-    /// [M]
+    /// `[M]`
     pub opacities: FloatTensor<B>,
     /// [M, 3] as seen from the camera
     pub colours: FloatTensor<B>,
