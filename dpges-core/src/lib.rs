@@ -20,6 +20,7 @@
 //! | thiserror | errors |
 //! | burn-cubecl, cubecl | feature `gpu`: kernels for any GPU that wgpu reaches |
 //! | tracing | feature `gpu`: a warning when a buffer had to grow |
+//! | burn-optim, image | the examples: an optimiser of Burn, a PNG |
 #![cfg_attr(feature = "ndarray", expect(deprecated, reason = "burn-ndarray is deprecated upstream and supported here"))]
 #![recursion_limit = "256"]
 
