@@ -8,11 +8,14 @@
 //! camera-space z in world units; quaternions (w, x, y, z), raw; scales as natural logarithms; linear opacity.
 //! Shape letters: N surfels, M Gaussians, K layers, H × W pixels; images are planar, [C, H, W].
 //!
+//! Without the feature `burn`, which every backend switches on, there are [`camera`], [`mod@scene`] in host memory, and its
+//! file: what a renderer needs that does not differentiate.
+//!
 //! # Dependencies
 //!
 //! | crate | for |
 //! |---|---|
-//! | burn | tensors, tape, backends |
+//! | burn | feature `burn`: tensors, tape, backends |
 //! | glam | cameras in f64 |
 //! | num-traits, bytemuck | kernels generic over f32 and f64 on tensors viewed as slices |
 //! | rayon, pulp | threads; the vector instructions of the machine, chosen at run time |
@@ -25,32 +28,50 @@
 #![recursion_limit = "256"]
 
 pub mod atomic;
+#[cfg(feature = "burn")]
 pub mod binning;
 pub mod camera;
+#[cfg(feature = "burn")]
 pub mod device;
 pub mod docs;
 pub mod error;
+#[cfg(feature = "burn")]
 pub mod footprint;
 #[cfg(feature = "gpu")]
 mod gpu;
+#[cfg(feature = "burn")]
 mod host;
+#[cfg(feature = "burn")]
 pub mod losses;
+#[cfg(feature = "burn")]
 mod math;
+#[cfg(feature = "burn")]
 pub mod metrics;
+#[cfg(feature = "burn")]
 pub mod ops;
+#[cfg(feature = "burn")]
 mod real;
+#[cfg(feature = "burn")]
 pub mod render;
 pub mod scene;
+#[cfg(feature = "burn")]
 mod simd;
+#[cfg(feature = "burn")]
 mod tape;
 pub mod tensor_file;
 #[cfg(any(test, feature = "testing"))]
 pub mod testing;
+#[cfg(feature = "burn")]
 mod tiles;
 
 pub use camera::{Camera, CameraFromWorld};
 pub use error::{Error, Result};
+#[cfg(feature = "burn")]
 pub use metrics::{mean_ssim, psnr};
+#[cfg(feature = "burn")]
 pub use render::blended::{BlendedOptions, render_blended};
+#[cfg(feature = "burn")]
 pub use render::{Render, RenderOptions, render};
-pub use scene::{Colour, ColourData, ColourModel, GaussianData, Gaussians, SceneData, SceneInfo, SurfelData, Surfels};
+#[cfg(feature = "burn")]
+pub use scene::{Colour, Gaussians, Surfels};
+pub use scene::{ColourData, ColourModel, GaussianData, SceneData, SceneInfo, SurfelData};

@@ -1,8 +1,5 @@
 //! Pictures with 8 bits per channel, as a PNG stores them.
 
-use burn::tensor::Tensor;
-use dpges_core::scene::tensors::tensor_to_rows;
-
 /// Width of the line between pictures that stand side by side, px.
 const SEPARATOR: usize = 2;
 
@@ -25,17 +22,11 @@ impl Rgb8Image {
         Self { width, height, bytes }
     }
 
-    /// From `planes` [3, height, width], clamped to [0, 1] and rounded as [`dpges_core::metrics::quantised`] rounds.
+    /// From `planes` [3, height, width], clamped to [0, 1] and rounded as `dpges_core::metrics::quantised` rounds.
     pub fn from_planes(planes: &[f32], width: usize, height: usize) -> Self {
         let count = width * height;
         let pixels = (0..count).map(|pixel| std::array::from_fn(|channel| to_byte(planes[channel * count + pixel])));
         Self::from_pixels(width, height, pixels)
-    }
-
-    /// From an image [3, H, W] with display-referred values.
-    pub fn from_tensor(image: &Tensor<3>) -> Self {
-        let [_, height, width] = image.dims();
-        Self::from_planes(&tensor_to_rows(image), width, height)
     }
 
     /// Joins pictures of the same height from left to right, with a thin white line between them.

@@ -9,10 +9,10 @@ use burn::tensor::Device;
 use dpges_core::metrics::{mean_ssim, psnr, quantised};
 use dpges_core::scene::SceneData;
 use dpges_core::{Error, Result};
-use dpges_render::{Rendered, Renderer};
 use serde::{Deserialize, Serialize};
 
 use crate::dataset::{Picture, View};
+use crate::rendered::{Rendered, Renderer};
 
 /// PSNR of a picture that is equal to its photograph, dB. The true value, infinity, has no place in JSON or in a mean.
 pub const LARGEST_PSNR: f64 = 100.0;

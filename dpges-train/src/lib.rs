@@ -32,6 +32,7 @@ pub mod neighbours;
 pub mod optimizer;
 pub mod pictures;
 pub mod refine;
+pub mod rendered;
 pub mod run;
 pub mod scene_state;
 mod stage;

@@ -6,18 +6,19 @@ use std::path::Path;
 
 use dpges_core::Result;
 use dpges_core::atomic::write_atomically;
-use dpges_render::{Rendered, Rgb8Image, false_colour};
+use dpges_render::{Rgb8Image, false_colour};
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 
 use crate::dataset::View;
+use crate::rendered::{Rendered, to_picture};
 
 /// Photograph · render · surfels only, if there are any · error, from left to right.
 pub fn comparison(view: &View, render: &Rendered) -> Rgb8Image {
     let picture = &view.picture;
     let photograph = Rgb8Image::from_planes(&picture.planes, picture.width, picture.height);
-    let image = Rgb8Image::from_tensor(render.image());
-    let surfels = render.peeled().map(|render| Rgb8Image::from_tensor(&render.composite.surfel_image));
+    let image = to_picture(render.image());
+    let surfels = render.peeled().map(|render| to_picture(&render.composite.surfel_image));
     let error = false_colour::error(&image, &photograph);
     let parts: Vec<Rgb8Image> = [Some(photograph), Some(image), surfels, Some(error)].into_iter().flatten().collect();
     Rgb8Image::beside(&parts)

@@ -65,7 +65,7 @@ pub fn unpack(counts: &[u8], rows: &[f32], lobes: usize) -> Result<Vec<f32>, Str
     Ok(detail)
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "burn"))]
 mod tests {
     use burn::tensor::DType;
 

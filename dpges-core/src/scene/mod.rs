@@ -6,6 +6,7 @@ pub mod data;
 pub mod file;
 pub mod lobes;
 pub mod schema;
+#[cfg(feature = "burn")]
 pub mod tensors;
 
 use std::fmt;
@@ -15,6 +16,7 @@ use serde::{Deserialize, Serialize};
 pub use colour_model::{ColourModel, SH_C0};
 pub use data::{ColourData, GaussianData, SceneData, SurfelData};
 pub use schema::OpacityActivation;
+#[cfg(feature = "burn")]
 pub use tensors::{Colour, Gaussians, Surfels};
 
 /// Where a surfel ends.

@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use dpges_core::Error;
-use dpges_render::{Renderer, Rgb8Image};
 use dpges_train::device::{DeviceName, DeviceRequest};
 use dpges_train::eval::{EvalReport, Evaluation, evaluate_each};
 use dpges_train::pictures::{file_stems, save_png};
+use dpges_train::rendered::{Renderer, to_picture};
 use dpges_train::run::folder::write_json;
 
 use super::data::{Scene, ViewArgs};
@@ -53,7 +53,7 @@ fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> 
     let renderer = Renderer::new(&scene.data, &device);
     let evaluation = evaluate_each(&renderer, &scene.data, &views, &device, |index, render| {
         let Some(folder) = &args.save_images else { return Ok(()) };
-        save_png(&Rgb8Image::from_tensor(render.image()), &folder.join(format!("{}.png", stems[index])))
+        save_png(&to_picture(render.image()), &folder.join(format!("{}.png", stems[index])))
     })?;
     let report = EvalReport {
         scene: scene.path.display().to_string(),

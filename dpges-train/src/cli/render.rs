@@ -4,9 +4,9 @@ use std::path::PathBuf;
 
 use clap::Args;
 use dpges_core::scene::Rendering;
-use dpges_render::{LayerPictures, Renderer, Rgb8Image, layer_pictures};
 use dpges_train::device::{DeviceName, DeviceRequest};
 use dpges_train::pictures::{file_stems, save_png};
+use dpges_train::rendered::{LayerPictures, Renderer, layer_pictures, to_picture};
 use dpges_train::run::folder::write_json;
 use serde_json::{Value, json};
 
@@ -54,7 +54,7 @@ impl RenderArgs {
         let mut ranges = Vec::new();
         for (view, stem) in views.iter().zip(file_stems(&views)) {
             let render = renderer.render(&view.camera)?;
-            save_png(&Rgb8Image::from_tensor(render.image()), &self.out.join(format!("{stem}.png")))?;
+            save_png(&to_picture(render.image()), &self.out.join(format!("{stem}.png")))?;
             if let (true, Some(render)) = (self.layers, render.peeled()) {
                 let pictures = layer_pictures(&renderer, &view.camera, render);
                 ranges.push(self.save_layers(&stem, &view.name, &pictures)?);

@@ -4,12 +4,12 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use dpges_core::scene::SceneData;
-use dpges_render::Renderer;
 
 use super::{Observer, Outcome, Run, RunError, StepReport, TrainError, Trainer, Verdict};
 use crate::config::Stop;
 use crate::eval::{Evaluation, evaluate_each};
 use crate::pictures::{comparison, file_stems, save_png};
+use crate::rendered::Renderer;
 
 /// What the trainer is asked to do; the report of the step whose numbers it then knows.
 type Work = fn(&mut Trainer) -> Result<Option<StepReport>, TrainError>;

@@ -4,7 +4,6 @@ use dpges_core::ops::peel::MAX_LAYERS;
 use dpges_core::render::{Values, render_values};
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{ColourData, ColourModel};
-use dpges_render::Renderer;
 
 use super::super::{Context, Stage, TrainError};
 use super::JointStage;
@@ -13,6 +12,7 @@ use crate::eval::evaluate_each;
 use crate::refine::growth::{Decision, Growth};
 use crate::refine::layer_count::{MOST_OPEN, choose, open_share};
 use crate::refine::lobes::{drop_lobes, spare_lobes};
+use crate::rendered::Renderer;
 
 /// A lobe is dropped if its absence changes no colour by more than this: half a step of an 8-bit picture.
 const UNSEEN: f64 = 0.5 / 255.0;

@@ -3,9 +3,9 @@
 use dpges_core::camera::Camera;
 use dpges_core::render::Render;
 use dpges_core::scene::tensors::tensor_to_rows;
+use dpges_render::{Rgb8Image, false_colour};
 
-use crate::image::Rgb8Image;
-use crate::{Renderer, false_colour};
+use super::{Renderer, to_picture};
 
 /// The layers of a view, one picture each.
 #[derive(Clone, Debug)]
@@ -31,7 +31,7 @@ pub fn layer_pictures(renderer: &Renderer, camera: &Camera, view: &Render) -> La
     let coverage: Vec<f32> = behind.last().into_iter().flat_map(|last| last.iter().map(|t| 1.0 - t)).collect();
     let (depth, depth_range) = false_colour::depth(&tensor_to_rows(&geometry.depth), &coverage, width, height);
     LayerPictures {
-        surfels: Rgb8Image::from_tensor(&view.composite.surfel_image),
+        surfels: to_picture(&view.composite.surfel_image),
         transmittance: behind.into_iter().map(|plane| false_colour::grey(plane, width, height)).collect(),
         depth,
         depth_range,

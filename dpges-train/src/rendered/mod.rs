@@ -1,4 +1,6 @@
-//! A scene on a device, from which views are rendered.
+//! A scene on a device of Burn, from which views are rendered, and pictures of what was rendered.
+
+mod layers;
 
 use burn::tensor::{DType, Device, Tensor};
 use dpges_core::Result;
@@ -6,7 +8,17 @@ use dpges_core::camera::Camera;
 use dpges_core::ops::composite::{Geometry, geometry};
 use dpges_core::render::blended::{BlendedOptions, BlendedRender, render_blended};
 use dpges_core::render::{Render, RenderOptions, Values, render};
+use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{Gaussians, Rendering, SceneData, Surfels};
+use dpges_render::Rgb8Image;
+
+pub use layers::{LayerPictures, layer_pictures};
+
+/// The picture of an image [3, H, W] with display-referred values.
+pub fn to_picture(image: &Tensor<3>) -> Rgb8Image {
+    let [_, height, width] = image.dims();
+    Rgb8Image::from_planes(&tensor_to_rows(image), width, height)
+}
 
 /// A scene as f32 tensors, with the options that it was trained with.
 #[derive(Clone, Debug)]

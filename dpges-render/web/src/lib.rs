@@ -1,0 +1,2 @@
+//! The renderer in a browser.
+#![cfg(target_arch = "wasm32")]
