@@ -1,6 +1,50 @@
-//! Real-time rendering of trained scenes.
+//! Real-time rendering of trained scenes on the graphics pipeline of any GPU, without compute shaders and without Burn.
+//!
+//! [`Renderer`] draws into a view of a texture of an application's own device; [`Headless`] makes pictures without a
+//! window.
+//!
+//! ```no_run
+//! use dpges_core::camera::Camera;
+//! use dpges_core::scene::SceneData;
+//! use dpges_render::{Headless, RenderOptions, Rgb8Image};
+//!
+//! fn picture(camera: &Camera) -> Result<Rgb8Image, Box<dyn std::error::Error>> {
+//!     let scene = SceneData::load("runs/first/scene.safetensors".as_ref())?;
+//!     Ok(Headless::new()?.picture(&scene, camera, &RenderOptions::from(&scene.info))?)
+//! }
+//! ```
+//!
+//! # How
+//!
+//! K passes over all surfels find the layers of every pixel: the depth test keeps the nearest fragment, and a comparison
+//! with the previous layer rejects what was found before, by (depth, index), so that neither of two surfels that meet is
+//! lost. One pass over the pixels makes the surfels' picture and packs what Gaussians need to know of it. Gaussians are
+//! then added in any order. Nothing is sorted, and colours and ellipses are computed once per primitive, by a pass in
+//! which a fragment is a primitive. Scenes of blended Gaussians or discs are sorted by depth on the host for each frame.
+//!
+//! Attributes are packed: see `scene/packing.rs` and `scene/colours.rs`. Depths are near / z in 32-bit floats.
 
+pub mod error;
 pub mod false_colour;
+mod groups;
+#[cfg(not(target_arch = "wasm32"))]
+mod headless;
 mod image;
+mod options;
+mod order;
+mod passes;
+pub mod path;
+mod profile;
+mod readback;
+mod renderer;
+mod scene;
+mod targets;
 
+pub use error::{RenderError, Result};
+#[cfg(not(target_arch = "wasm32"))]
+pub use headless::{Headless, PICTURE_FORMAT};
 pub use image::Rgb8Image;
+pub use options::{Display, MAX_LAYERS, Precision, RenderOptions};
+pub use path::CameraPath;
+pub use profile::PassTime;
+pub use renderer::Renderer;

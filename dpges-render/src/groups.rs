@@ -1,0 +1,50 @@
+//! Bind groups of a scene that is drawn into targets.
+
+use crate::passes::{Passes, textures_group};
+use crate::scene::SceneTextures;
+use crate::targets::{PerPrimitive, Targets};
+
+#[derive(Debug)]
+pub(crate) struct Groups {
+    pub colours: wgpu::BindGroup,
+    pub project: wgpu::BindGroup,
+    /// That of layer k has layer k − 1 as the previous one.
+    pub peel: Vec<wgpu::BindGroup>,
+    pub resolve: wgpu::BindGroup,
+    pub splat: wgpu::BindGroup,
+    pub present: wgpu::BindGroup,
+}
+
+impl Groups {
+    pub fn new(
+        device: &wgpu::Device,
+        passes: &Passes,
+        scene: &SceneTextures,
+        per_primitive: &PerPrimitive,
+        targets: &Targets,
+    ) -> Self {
+        let group = |layout, views: &[&wgpu::TextureView]| textures_group(device, layout, views);
+        let (surfels, gaussians, layers) = (&scene.surfels, &scene.gaussians, &targets.layers);
+        let coloured = if scene.is_peeled() { surfels } else { gaussians };
+        // the first layer has no previous one, and its pipeline reads none: any other texture of the format will do
+        let previous = |k: usize| &layers[(k + layers.len() - 1) % layers.len()].nearest;
+        let peel = |k| group(&passes.peel.layout, &[&surfels.places, &surfels.forms, previous(k)]);
+        let mut resolve = vec![&surfels.places, &per_primitive.colours];
+        resolve.extend(layers.iter().map(|layer| &layer.nearest));
+        resolve.extend(layers.iter().map(|layer| &layer.opacity));
+        let mut present = vec![&targets.surfels, &targets.sums, &layers[0].opacity];
+        present.extend(layers.iter().map(|layer| &layer.nearest));
+        present.push(&surfels.forms);
+        Self {
+            colours: group(&passes.colours.layout, &[&coloured.places, &coloured.colours]),
+            project: group(&passes.project.layout, &[&gaussians.places, &gaussians.forms, &gaussians.colours]),
+            peel: (0..layers.len()).map(peel).collect(),
+            resolve: group(&passes.resolve.layout, &resolve),
+            splat: group(
+                &passes.splat.layout,
+                &[&per_primitive.firsts, &per_primitive.seconds, &targets.intervals, &targets.thirds],
+            ),
+            present: group(&passes.present.layout, &present),
+        }
+    }
+}

@@ -1,0 +1,142 @@
+//! A device without a window, for files and tests.
+
+use dpges_core::camera::Camera;
+use dpges_core::scene::SceneData;
+
+use crate::error::{RenderError, Result};
+use crate::image::Rgb8Image;
+use crate::options::{Precision, RenderOptions};
+use crate::renderer::Renderer;
+use crate::{readback, targets};
+
+/// An adapter and its device.
+#[derive(Clone, Debug)]
+pub struct Headless {
+    adapter: wgpu::AdapterInfo,
+    device: wgpu::Device,
+    queue: wgpu::Queue,
+}
+
+impl Headless {
+    /// The adapter that wgpu prefers (`WGPU_BACKEND` and `WGPU_ADAPTER_NAME` choose another), with what helps the
+    /// renderer and the adapter has.
+    ///
+    /// # Errors
+    /// [`RenderError::NoAdapter`], [`RenderError::Adapter`].
+    pub fn new() -> Result<Self> {
+        pollster::block_on(Self::open())
+    }
+
+    async fn open() -> Result<Self> {
+        let descriptor = wgpu::InstanceDescriptor::new_without_display_handle_from_env();
+        let instance = wgpu::Instance::new(descriptor);
+        let wanted = wgpu::RequestAdapterOptions {
+            power_preference: wgpu::PowerPreference::HighPerformance,
+            ..wgpu::RequestAdapterOptions::default()
+        };
+        let adapter = match wgpu::util::initialize_adapter_from_env(&instance, None).await {
+            Ok(adapter) => adapter,
+            Err(_) => {
+                instance.request_adapter(&wanted).await.map_err(|error| RenderError::NoAdapter(error.to_string()))?
+            }
+        };
+        let descriptor = wgpu::DeviceDescriptor {
+            label: Some("dpges"),
+            required_features: Renderer::required_features(&adapter),
+            required_limits: adapter.limits(),
+            ..wgpu::DeviceDescriptor::default()
+        };
+        let refused = |error: wgpu::RequestDeviceError| RenderError::Adapter {
+            adapter: adapter.get_info().name,
+            reason: error.to_string(),
+        };
+        let (device, queue) = adapter.request_device(&descriptor).await.map_err(refused)?;
+        Ok(Self { adapter: adapter.get_info(), device, queue })
+    }
+
+    pub fn device(&self) -> &wgpu::Device {
+        &self.device
+    }
+
+    pub fn queue(&self) -> &wgpu::Queue {
+        &self.queue
+    }
+
+    /// Name and interface of the adapter.
+    pub fn adapter_name(&self) -> String {
+        format!("{} ({})", self.adapter.name, self.adapter.backend)
+    }
+
+    /// A renderer for [`picture`](Self::picture) with the best precision of the device.
+    ///
+    /// # Errors
+    /// Those of [`Renderer::new`].
+    pub fn renderer(&self) -> Result<Renderer> {
+        Renderer::new(&self.device, &self.queue, PICTURE_FORMAT, Renderer::best_precision(&self.device))
+    }
+
+    /// The picture of the scene that `renderer` holds, which must render into [`PICTURE_FORMAT`].
+    ///
+    /// # Errors
+    /// Those of [`Renderer::render`]; [`RenderError::Device`] if it cannot be read back.
+    pub fn draw(&self, renderer: &mut Renderer, camera: &Camera, options: &RenderOptions) -> Result<Rgb8Image> {
+        let bytes = self.bytes(renderer, camera, options, PICTURE_FORMAT)?;
+        let pixels = bytes.chunks_exact(4).map(|rgba| [rgba[0], rgba[1], rgba[2]]);
+        Ok(Rgb8Image::from_pixels(camera.width, camera.height, pixels))
+    }
+
+    /// The picture of `scene` from `camera`.
+    ///
+    /// # Errors
+    /// Those of [`Renderer::upload`] and [`draw`](Self::draw).
+    pub fn picture(&self, scene: &SceneData, camera: &Camera, options: &RenderOptions) -> Result<Rgb8Image> {
+        let mut renderer = self.renderer()?;
+        renderer.upload(scene)?;
+        self.draw(&mut renderer, camera, options)
+    }
+
+    /// The planes [3, H, W] of a picture, not clamped and not rounded to bytes, with sums of `precision`.
+    ///
+    /// # Errors
+    /// Those of [`picture`](Self::picture) and of [`Renderer::new`].
+    pub fn planes(
+        &self,
+        scene: &SceneData,
+        camera: &Camera,
+        options: &RenderOptions,
+        precision: Precision,
+    ) -> Result<Vec<f32>> {
+        let format = wgpu::TextureFormat::Rgba32Float;
+        let mut renderer = Renderer::new(&self.device, &self.queue, format, precision)?;
+        renderer.upload(scene)?;
+        let bytes = self.bytes(&mut renderer, camera, options, format)?;
+        let (pixels, _) = bytemuck::cast_slice::<u8, f32>(&bytes).as_chunks::<4>();
+        Ok((0..3).flat_map(|channel| pixels.iter().map(move |pixel| pixel[channel])).collect())
+    }
+
+    fn bytes(
+        &self,
+        renderer: &mut Renderer,
+        camera: &Camera,
+        options: &RenderOptions,
+        format: wgpu::TextureFormat,
+    ) -> Result<Vec<u8>> {
+        camera.validate()?;
+        let (width, height) = (camera.width as u32, camera.height as u32);
+        let side_px = self.device.limits().max_texture_dimension_2d;
+        if width.max(height) > side_px {
+            return Err(RenderError::PictureTooLarge { width: camera.width, height: camera.height, side_px });
+        }
+        let size = wgpu::Extent3d { width, height, depth_or_array_layers: 1 };
+        let target = targets::texture(&self.device, size, format, wgpu::TextureUsages::COPY_SRC);
+        let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        renderer.render(&mut encoder, &targets::view(&target), camera, options)?;
+        self.queue.submit([encoder.finish()]);
+        renderer.finish_frame();
+        let failed = || RenderError::Device("the picture could not be read back".to_owned());
+        readback::texels(&self.device, &self.queue, &target, wgpu::Origin3d::ZERO, [width, height]).ok_or_else(failed)
+    }
+}
+
+/// What [`Headless::draw`] draws into.
+pub const PICTURE_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;

@@ -1,0 +1,74 @@
+//! What all passes of a frame share: `struct Frame` of `frame.wgsl`.
+
+use bytemuck::{Pod, Zeroable};
+use dpges_core::camera::Camera;
+use dpges_core::scene::{ColourModel, MarginLookup, Rendering};
+
+use crate::options::{RenderOptions, squared_radius};
+use crate::scene::SceneTextures;
+
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+pub(crate) struct Frame {
+    rows: [[f32; 4]; 3],
+    lens: [f32; 4],
+    centre_near: [f32; 4],
+    size: [f32; 4],
+    background: [f32; 4],
+    surfel: [f32; 4],
+    counts: [u32; 4],
+    colour: [u32; 4],
+}
+
+/// Switches of `frame.wgsl`.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Switches {
+    /// The target stores what it is given as sRGB.
+    pub encode_srgb: bool,
+}
+
+impl Frame {
+    /// A frame for primitives in the grid of `log2_width` with `texels` per colour.
+    pub fn new(
+        scene: &SceneTextures,
+        camera: &Camera,
+        options: &RenderOptions,
+        depths: [f64; 2],
+        switches: Switches,
+    ) -> Self {
+        let pose = &camera.camera_from_world;
+        let rows = std::array::from_fn(|i| {
+            let row = pose.rotation.row(i);
+            [row.x, row.y, row.z, pose.translation[i]].map(|value| value as f32)
+        });
+        let [x, y, z] = camera.centre().to_array();
+        let radius = squared_radius(options.footprint, options.modulation);
+        let model = scene.info.colour_model;
+        let (kind, parts) = match model {
+            ColourModel::SphericalBeta { lobes } => (0, lobes),
+            ColourModel::SphericalHarmonics { .. } => (1, model.detail_len() / 3),
+        };
+        let switched = |bit: u32, on: bool| if on { bit } else { 0 };
+        let all = switched(1, scene.info.margin_lookup == MarginLookup::Literal)
+            | switched(2, scene.info.rendering != Rendering::Peeled)
+            | switched(4, switches.encode_srgb);
+        let [r, g, b] = options.background;
+        let narrow = |values: [f64; 4]| values.map(|value| value as f32);
+        let grid = scene.surfels.grid;
+        Self {
+            rows,
+            lens: narrow([camera.fx, camera.fy, camera.cx, camera.cy]),
+            centre_near: narrow([x, y, z, camera.near]),
+            size: narrow([camera.width as f64, camera.height as f64, options.smallest_px, grid.log2_width.into()]),
+            background: narrow([r, g, b, 1.0]),
+            surfel: narrow([options.modulation, radius, depths[0], depths[1]]),
+            counts: [
+                scene.surfels.count as u32,
+                scene.gaussians.count as u32,
+                options.layer_count as u32,
+                options.display as u32,
+            ],
+            colour: [scene.colour_texels as u32, kind, parts as u32, all],
+        }
+    }
+}

@@ -1,0 +1,85 @@
+//! The passes of a frame, in their order. The WGSL of each stands beside it.
+//!
+//! | pass | reads | writes |
+//! |---|---|---|
+//! | [`colours`] | packed surfels | colour of every surfel from this camera |
+//! | [`project`] | packed Gaussians | ellipse and colour of every Gaussian |
+//! | [`peel`], K times | surfels, previous layer | nearest fragment behind it, by the depth test |
+//! | [`resolve`] | layers | C_s; interval ends and transmittances; the depth that hides |
+//! | [`splat`] | ellipses, intervals | sums of weighted colours and weights, additively |
+//! | [`sorted`] | ellipses or discs, an order | blended colours: scenes that are not peeled |
+//! | [`present`] | C_s, sums | the picture |
+
+mod colours;
+mod frame;
+mod peel;
+mod pipeline;
+mod present;
+mod project;
+mod resolve;
+mod sorted;
+mod splat;
+
+pub(crate) use frame::{Frame, Switches};
+pub(crate) use pipeline::{Kit, Texture, textures_group};
+
+/// Format of depth buffers: near / z, so that floats are dense where scenes are far.
+pub(crate) const DEPTH_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
+/// near / z as bits, index of the surfel.
+pub(crate) const LAYER_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rg32Uint;
+pub(crate) const OPACITY_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::R16Float;
+pub(crate) const COLOUR_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
+pub(crate) const RECORD_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba32Uint;
+pub(crate) const INTERVAL_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba32Float;
+pub(crate) const THIRD_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rg32Float;
+pub(crate) const ORDER_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::R32Uint;
+
+/// The pipelines of all passes.
+#[derive(Debug)]
+pub(crate) struct Passes {
+    pub colours: colours::ColoursPass,
+    pub project: project::ProjectPass,
+    pub peel: peel::PeelPass,
+    pub resolve: resolve::ResolvePass,
+    pub splat: splat::SplatPass,
+    pub sorted: sorted::SortedPass,
+    pub present: present::PresentPass,
+}
+
+impl Passes {
+    /// Sums of Gaussians in textures of format `sums`, pictures in those of `format`.
+    pub fn new(kit: &Kit, sums: wgpu::TextureFormat, format: wgpu::TextureFormat) -> Self {
+        Self {
+            colours: colours::ColoursPass::new(kit),
+            project: project::ProjectPass::new(kit),
+            peel: peel::PeelPass::new(kit, sums),
+            resolve: resolve::ResolvePass::new(kit),
+            splat: splat::SplatPass::new(kit, sums),
+            sorted: sorted::SortedPass::new(kit, sums),
+            present: present::PresentPass::new(kit, format),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    /// Every shader is valid for every device, WebGL2 included.
+    #[test]
+    fn shaders_are_valid() {
+        use wgpu::naga::{front::wgsl, valid};
+        let shaders = [
+            ("colours", super::colours::SHADER),
+            ("project", super::project::SHADER),
+            ("peel", super::peel::SHADER),
+            ("resolve", super::resolve::SHADER),
+            ("splat", super::splat::SHADER),
+            ("sorted", super::sorted::SHADER),
+            ("present", super::present::SHADER),
+        ];
+        for (name, source) in shaders {
+            let module = wgsl::parse_str(source).unwrap_or_else(|error| panic!("{}", error.emit_to_string(source)));
+            let mut validator = valid::Validator::new(valid::ValidationFlags::all(), valid::Capabilities::empty());
+            validator.validate(&module).unwrap_or_else(|error| panic!("{name}: {error:?}"));
+        }
+    }
+}

@@ -1,0 +1,144 @@
+//! Paths around what the cameras of a dataset look at.
+
+use std::f64::consts::TAU;
+
+use dpges_core::camera::{Camera, CameraFromWorld};
+use glam::{DMat3, DVec3};
+
+use super::{CameraPath, PathError};
+
+/// Keys of a turn.
+const KEYS: usize = 24;
+
+/// Where cameras stand and what they look at.
+struct Surroundings {
+    /// The point nearest to all viewing axes.
+    focus: DVec3,
+    /// Mean of what is up in the pictures.
+    up: DVec3,
+    /// Mean of the centres.
+    middle: DVec3,
+    /// Mean distance of the centres from the focus.
+    distance: f64,
+}
+
+impl Surroundings {
+    fn new(cameras: &[Camera]) -> Self {
+        let count = cameras.len() as f64;
+        let axis = |camera: &Camera, row: usize| camera.camera_from_world.rotation.row(row);
+        let middle = cameras.iter().map(Camera::centre).sum::<DVec3>() / count;
+        let up = -cameras.iter().map(|camera| axis(camera, 1)).sum::<DVec3>();
+        // Σ (I − d dᵀ) (x − c) = 0, held at the mean distance along the axes where they are parallel
+        let mut across = DMat3::ZERO;
+        let mut right = DVec3::ZERO;
+        for camera in cameras {
+            let forward = axis(camera, 2);
+            let outer = DMat3::from_cols(forward * forward.x, forward * forward.y, forward * forward.z);
+            let project = DMat3::IDENTITY - outer;
+            across += project;
+            right += project * camera.centre();
+        }
+        let spread = cameras.iter().map(|camera| (camera.centre() - middle).length()).sum::<f64>() / count;
+        let ahead = middle + cameras.iter().map(|camera| axis(camera, 2)).sum::<DVec3>() / count * spread.max(1e-3);
+        let slight = 1e-3 * count;
+        let focus = (across + DMat3::from_diagonal(DVec3::splat(slight))).inverse() * (right + slight * ahead);
+        let distance = cameras.iter().map(|camera| (camera.centre() - focus).length()).sum::<f64>() / count;
+        Self { focus, up: up.try_normalize().unwrap_or(DVec3::Z), middle, distance }
+    }
+
+    /// Two directions at right angles to up; the first points from the focus to the middle of the cameras.
+    fn level(&self) -> [DVec3; 2] {
+        let from_focus = self.middle - self.focus;
+        let flat = from_focus - self.up * from_focus.dot(self.up);
+        let first = flat.try_normalize().unwrap_or_else(|| self.up.any_orthonormal_vector());
+        [first, self.up.cross(first)]
+    }
+}
+
+fn looking(camera: &Camera, eye: DVec3, target: DVec3, up: DVec3) -> Camera {
+    Camera { camera_from_world: CameraFromWorld::look_at(eye, target, up), ..*camera }
+}
+
+impl CameraPath {
+    /// A circle around what `cameras` look at, as far from it and as high as they are on average, with the lens and
+    /// size of the first.
+    ///
+    /// # Errors
+    /// [`PathError::Empty`] without cameras.
+    pub fn orbit(cameras: &[Camera]) -> Result<Self, PathError> {
+        let first = cameras.first().ok_or(PathError::Empty)?;
+        let around = Surroundings::new(cameras);
+        let [x, y] = around.level();
+        let height = (around.middle - around.focus).dot(around.up).clamp(-0.9 * around.distance, 0.9 * around.distance);
+        let radius = (around.distance * around.distance - height * height).sqrt();
+        let key = |index: usize| {
+            let (sine, cosine) = (index as f64 / KEYS as f64 * TAU).sin_cos();
+            let eye = around.focus + radius * (x * cosine + y * sine) + height * around.up;
+            looking(first, eye, around.focus, around.up)
+        };
+        Self::new((0..KEYS).map(key).collect(), true)
+    }
+
+    /// Two small turns about the middle of `cameras`, nearer and further, with a look at what they look at: for scenes
+    /// that face one way.
+    ///
+    /// # Errors
+    /// [`PathError::Empty`] without cameras.
+    pub fn spiral(cameras: &[Camera]) -> Result<Self, PathError> {
+        let first = cameras.first().ok_or(PathError::Empty)?;
+        let around = Surroundings::new(cameras);
+        let forward = (around.focus - around.middle).try_normalize().unwrap_or(DVec3::X);
+        let right = forward.cross(around.up).try_normalize().unwrap_or_else(|| forward.any_orthonormal_vector());
+        let up = right.cross(forward);
+        let radius = 0.15 * around.distance;
+        let key = |index: usize| {
+            let turn = 2.0 * index as f64 / (2 * KEYS) as f64 * TAU;
+            let (sine, cosine) = turn.sin_cos();
+            let eye = around.middle + radius * (right * cosine + up * sine + forward * (0.5 * turn).sin());
+            looking(first, eye, around.focus, around.up)
+        };
+        Self::new((0..2 * KEYS).map(key).collect(), true)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::path::tests::camera;
+
+    fn ring() -> Vec<Camera> {
+        (0..12)
+            .map(|i| {
+                let (sine, cosine) = (f64::from(i) / 12.0 * TAU).sin_cos();
+                camera([3.0 * cosine, 3.0 * sine, 1.0], 50.0)
+            })
+            .collect()
+    }
+
+    #[test]
+    fn an_orbit_keeps_its_distance_and_looks_at_the_middle() {
+        let path = CameraPath::orbit(&ring()).unwrap();
+        for frame in path.frames(50) {
+            let centre = frame.centre();
+            assert!((centre.length() - 10f64.sqrt()).abs() < 0.01, "{centre}");
+            assert!((centre.z - 1.0).abs() < 0.01, "{centre}");
+            let (x, y, _) = frame.project(DVec3::ZERO).unwrap();
+            assert!((x - 32.0).abs() < 0.2 && (y - 24.0).abs() < 0.2, "{x} {y}");
+        }
+    }
+
+    #[test]
+    fn a_spiral_stays_near_the_cameras_also_if_they_are_parallel() {
+        let mut cameras = ring();
+        cameras.truncate(1);
+        cameras.push(Camera {
+            camera_from_world: cameras[0].camera_from_world.recentred(DVec3::new(0.1, 0.0, 0.0)),
+            ..cameras[0]
+        });
+        let path = CameraPath::spiral(&cameras).unwrap();
+        for frame in path.frames(40) {
+            assert!(frame.camera_from_world.translation.is_finite());
+            assert!((frame.centre() - cameras[0].centre()).length() < 2.0);
+        }
+    }
+}

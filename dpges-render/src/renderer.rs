@@ -1,0 +1,422 @@
+//! The renderer: a scene on a device, drawn into a view of a texture.
+
+use dpges_core::camera::Camera;
+use dpges_core::scene::{Rendering, SceneData, SceneInfo};
+use wgpu::util::DeviceExt;
+
+use crate::error::{RenderError, Result};
+use crate::groups::Groups;
+use crate::options::{Display, Precision, RenderOptions};
+use crate::order::back_to_front;
+use crate::passes::{Frame, Kit, ORDER_FORMAT, Passes, Switches, textures_group};
+use crate::profile::{PassTime, Profile};
+use crate::scene::{Grid, SceneTextures};
+use crate::targets::{PerPrimitive, Targets, texture, view};
+
+/// Shares of the primitives before the camera that are nearer than the ends of the colour ramp of depths.
+const DEPTH_PERCENTILES: [f64; 2] = [0.02, 0.98];
+
+/// Draws one scene at a time. Works on any device of wgpu, with the limits of WebGL2.
+#[derive(Debug)]
+pub struct Renderer {
+    device: wgpu::Device,
+    queue: wgpu::Queue,
+    format: wgpu::TextureFormat,
+    sums: wgpu::TextureFormat,
+    frame_layout: wgpu::BindGroupLayout,
+    passes: Passes,
+    profile: Profile,
+    scene: Option<Uploaded>,
+    targets: Option<Targets>,
+    groups: Option<Groups>,
+    /// Near plane and layers of the last frame.
+    last: Option<(f64, usize)>,
+}
+
+#[derive(Debug)]
+struct Uploaded {
+    textures: SceneTextures,
+    per_primitive: PerPrimitive,
+    /// Positions of Gaussians that are blended in an order; empty if none is needed.
+    positions: Vec<[f32; 3]>,
+}
+
+/// What a pass draws into, before its pipeline is set.
+type Attachment<'a> = (&'a wgpu::TextureView, wgpu::LoadOp<wgpu::Color>);
+
+impl Renderer {
+    /// A renderer into views of `format`. A device without [`wgpu::Features::FLOAT32_BLENDABLE`] can do
+    /// [`Precision::Half`] only.
+    ///
+    /// # Errors
+    /// [`RenderError::Device`] if the device lacks what `precision` needs.
+    pub fn new(
+        device: &wgpu::Device,
+        queue: &wgpu::Queue,
+        format: wgpu::TextureFormat,
+        precision: Precision,
+    ) -> Result<Self> {
+        let sums = match precision {
+            Precision::Float => wgpu::TextureFormat::Rgba32Float,
+            Precision::Half => wgpu::TextureFormat::Rgba16Float,
+        };
+        if precision == Precision::Float && Self::best_precision(device) != Precision::Float {
+            return Err(RenderError::Device("it cannot blend 32-bit floats: use half precision".to_owned()));
+        }
+        let frame_layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some("frame"),
+            entries: &[wgpu::BindGroupLayoutEntry {
+                binding: 0,
+                visibility: wgpu::ShaderStages::VERTEX_FRAGMENT,
+                ty: wgpu::BindingType::Buffer {
+                    ty: wgpu::BufferBindingType::Uniform,
+                    has_dynamic_offset: false,
+                    min_binding_size: None,
+                },
+                count: None,
+            }],
+        });
+        let passes = Passes::new(&Kit { device, frame: &frame_layout }, sums, format);
+        Ok(Self {
+            device: device.clone(),
+            queue: queue.clone(),
+            format,
+            sums,
+            frame_layout,
+            passes,
+            profile: Profile::new(device)?,
+            scene: None,
+            targets: None,
+            groups: None,
+            last: None,
+        })
+    }
+
+    /// The highest precision that `device` can do.
+    pub fn best_precision(device: &wgpu::Device) -> Precision {
+        if device.features().contains(wgpu::Features::FLOAT32_BLENDABLE) { Precision::Float } else { Precision::Half }
+    }
+
+    /// Features of `adapter` that a device should be created with: blending of 32-bit floats, timestamps. None is
+    /// needed.
+    pub fn required_features(adapter: &wgpu::Adapter) -> wgpu::Features {
+        adapter.features() & (wgpu::Features::FLOAT32_BLENDABLE | wgpu::Features::TIMESTAMP_QUERY)
+    }
+
+    /// Takes `scene` in place of what was there.
+    ///
+    /// # Errors
+    /// [`RenderError::TooMany`] if it does not fit into textures of this device; what was there stays.
+    pub fn upload(&mut self, scene: &SceneData) -> Result<()> {
+        let textures = SceneTextures::new(&self.device, &self.queue, scene)?;
+        let per_primitive = PerPrimitive::new(&self.device, &textures);
+        let positions = match scene.info.rendering {
+            Rendering::Peeled => Vec::new(),
+            Rendering::Ellipsoids | Rendering::Discs => scene.gaussians.positions.as_chunks::<3>().0.to_vec(),
+        };
+        self.scene = Some(Uploaded { textures, per_primitive, positions });
+        self.groups = None;
+        self.last = None;
+        Ok(())
+    }
+
+    pub fn scene_info(&self) -> Option<&SceneInfo> {
+        self.scene.as_ref().map(|scene| &scene.textures.info)
+    }
+
+    pub fn surfel_count(&self) -> usize {
+        self.scene.as_ref().map_or(0, |scene| scene.textures.surfels.count)
+    }
+
+    pub fn gaussian_count(&self) -> usize {
+        self.scene.as_ref().map_or(0, |scene| scene.textures.gaussians.count)
+    }
+
+    /// Records a picture from `camera` into the upper left of `target`, `camera.width` × `camera.height` px. Submit the
+    /// encoder, then call [`finish_frame`](Self::finish_frame).
+    ///
+    /// # Errors
+    /// [`RenderError::Input`] for a camera or an option out of range, [`RenderError::PictureTooLarge`],
+    /// [`RenderError::NoScene`], [`RenderError::Display`].
+    pub fn render(
+        &mut self,
+        encoder: &mut wgpu::CommandEncoder,
+        target: &wgpu::TextureView,
+        camera: &Camera,
+        options: &RenderOptions,
+    ) -> Result<()> {
+        camera.validate()?;
+        options.validate()?;
+        let rendering = self.scene.as_ref().ok_or(RenderError::NoScene)?.textures.info.rendering;
+        let side_px = self.device.limits().max_texture_dimension_2d;
+        if camera.width.max(camera.height) > side_px as usize {
+            return Err(RenderError::PictureTooLarge { width: camera.width, height: camera.height, side_px });
+        }
+        use Display::{Gaussians, Image, Overdraw, Transmittance};
+        if rendering != Rendering::Peeled && !matches!(options.display, Image | Gaussians | Transmittance | Overdraw) {
+            return Err(RenderError::Display { display: options.display, rendering });
+        }
+        self.prepare(camera.width as u32, camera.height as u32);
+        let frame = self.frame_group(camera, options);
+        if rendering == Rendering::Peeled {
+            self.peeled(encoder, &frame, options);
+        } else {
+            self.sorted(encoder, &frame, camera, options, rendering);
+        }
+        self.present(encoder, &frame, target, camera, rendering);
+        self.profile.resolve(encoder);
+        self.last = Some((camera.near, if rendering == Rendering::Peeled { options.layer_count } else { 0 }));
+        Ok(())
+    }
+
+    /// After the submission of what [`render`](Self::render) recorded: takes the times of finished frames.
+    pub fn finish_frame(&mut self) {
+        self.profile.finish_frame(&self.queue);
+    }
+
+    /// Times of the last frame that the GPU has finished; `None` on a device without timestamps.
+    pub fn pass_times(&self) -> Option<&[PassTime]> {
+        self.profile.times()
+    }
+
+    /// Depth (camera-space z, world units) of the nearest surfel at a pixel of the last frame; `None` where there is
+    /// none. Waits for the GPU, which browsers do not allow.
+    pub fn depth_at(&self, x_px: u32, y_px: u32) -> Option<f64> {
+        let targets = self.targets.as_ref()?;
+        let (near, layers) = self.last?;
+        if layers == 0 || x_px >= targets.width || y_px >= targets.height {
+            return None;
+        }
+        let origin = wgpu::Origin3d { x: x_px, y: y_px, z: 0 };
+        let bytes = crate::readback::texels(&self.device, &self.queue, &targets.layers[0].texture, origin, [1, 1])?;
+        let words: &[u32] = bytemuck::cast_slice(&bytes);
+        let depth = near / f64::from(f32::from_bits(words[0]));
+        (words[1] != u32::MAX && depth.is_finite()).then_some(depth)
+    }
+
+    /// Targets of this size, and groups that bind them.
+    fn prepare(&mut self, width: u32, height: u32) {
+        let fits = |targets: &Targets| (targets.width, targets.height) == (width, height);
+        if !self.targets.as_ref().is_some_and(fits) {
+            self.targets = Some(Targets::new(&self.device, width, height, self.sums));
+            self.groups = None;
+        }
+        if let (None, Some(targets), Some(scene)) = (&self.groups, &self.targets, &self.scene) {
+            self.groups = Some(Groups::new(&self.device, &self.passes, &scene.textures, &scene.per_primitive, targets));
+        }
+    }
+
+    fn frame_group(&self, camera: &Camera, options: &RenderOptions) -> wgpu::BindGroup {
+        let (scene, _, _) = self.prepared();
+        let depths =
+            if options.display == Display::Depth { depth_range(&scene.textures.sample, camera) } else { [0.0; 2] };
+        let switches = Switches { encode_srgb: self.format.is_srgb() };
+        let frame = Frame::new(&scene.textures, camera, options, depths, switches);
+        let buffer = self.device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+            label: Some("frame"),
+            contents: bytemuck::bytes_of(&frame),
+            usage: wgpu::BufferUsages::UNIFORM,
+        });
+        self.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("frame"),
+            layout: &self.frame_layout,
+            entries: &[wgpu::BindGroupEntry { binding: 0, resource: buffer.as_entire_binding() }],
+        })
+    }
+
+    fn prepared(&self) -> (&Uploaded, &Targets, &Groups) {
+        match (&self.scene, &self.targets, &self.groups) {
+            (Some(scene), Some(targets), Some(groups)) => (scene, targets, groups),
+            _ => unreachable!("`prepare` made them"),
+        }
+    }
+
+    fn peeled(&self, encoder: &mut wgpu::CommandEncoder, frame: &wgpu::BindGroup, options: &RenderOptions) {
+        let (scene, targets, groups) = self.prepared();
+        let (passes, per_primitive) = (&self.passes, &scene.per_primitive);
+        let (surfels, gaussians) = (scene.textures.surfels.count as u32, scene.textures.gaussians.count as u32);
+        let visible = crate::options::squared_radius(options.footprint, options.modulation) > 0.0;
+        let surfels = if visible { surfels } else { 0 };
+        let counting = options.display == Display::Overdraw;
+        let (zero, nothing) = (wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT), wgpu::LoadOp::Clear(NOTHING));
+
+        if surfels > 0 {
+            let attachments = &[(&per_primitive.colours, zero)];
+            self.pass(encoder, "colours", attachments, None, |pass| {
+                draw(pass, &passes.colours.pipeline, [frame, &groups.colours], 3, 1);
+            });
+        }
+        if gaussians > 0 {
+            let attachments = &[(&per_primitive.firsts, zero), (&per_primitive.seconds, zero)];
+            self.pass(encoder, "project", attachments, None, |pass| {
+                draw(pass, &passes.project.pipeline, [frame, &groups.project], 3, 1);
+            });
+        }
+        for (k, layer) in targets.layers.iter().enumerate() {
+            // layers that are not asked for say that nothing is there
+            let asked = k < options.layer_count;
+            let attachments = &[(&layer.nearest, nothing), (&layer.opacity, zero)];
+            let depth = Some((&targets.depth, true));
+            self.pass(encoder, "peel", attachments, depth, |pass| {
+                if asked && surfels > 0 {
+                    if k > 0 {
+                        draw(pass, &passes.peel.close, [frame, &groups.peel[k]], 3, 1);
+                    }
+                    let pipeline = if k == 0 { &passes.peel.first } else { &passes.peel.next };
+                    draw(pass, pipeline, [frame, &groups.peel[k]], 4, surfels);
+                }
+            });
+        }
+        let attachments = &[(&targets.surfels, zero), (&targets.intervals, zero), (&targets.thirds, zero)];
+        self.pass(encoder, "resolve", attachments, Some((&targets.depth, true)), |pass| {
+            draw(pass, &passes.resolve.pipeline, [frame, &groups.resolve], 3, 1);
+        });
+        if counting {
+            self.pass(encoder, "splat", &[(&targets.sums, zero)], None, |pass| {
+                draw(pass, &passes.peel.count, [frame, &groups.peel[0]], 4, surfels);
+            });
+        }
+        let sums = if counting { wgpu::LoadOp::Load } else { zero };
+        self.pass(encoder, "splat", &[(&targets.sums, sums)], Some((&targets.depth, false)), |pass| {
+            let pipeline = if counting { &passes.splat.count } else { passes.splat.of(options.layer_count) };
+            draw(pass, pipeline, [frame, &groups.splat], 4, gaussians);
+        });
+    }
+
+    fn sorted(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        frame: &wgpu::BindGroup,
+        camera: &Camera,
+        options: &RenderOptions,
+        rendering: Rendering,
+    ) {
+        let (scene, targets, groups) = self.prepared();
+        let (passes, per_primitive, gaussians) = (&self.passes, &scene.per_primitive, &scene.textures.gaussians);
+        let zero = wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT);
+        let discs = rendering == Rendering::Discs;
+        if discs {
+            self.pass(encoder, "colours", &[(&per_primitive.colours, zero)], None, |pass| {
+                draw(pass, &passes.colours.pipeline, [frame, &groups.colours], 3, 1);
+            });
+        } else {
+            let attachments = &[(&per_primitive.firsts, zero), (&per_primitive.seconds, zero)];
+            self.pass(encoder, "project", attachments, None, |pass| {
+                draw(pass, &passes.project.pipeline, [frame, &groups.project], 3, 1);
+            });
+        }
+        let order = back_to_front(&scene.positions, camera);
+        let list = self.order_texture(gaussians.grid, &order);
+        let views = [
+            &list,
+            &per_primitive.firsts,
+            &per_primitive.seconds,
+            &gaussians.places,
+            &gaussians.forms,
+            &per_primitive.colours,
+        ];
+        let group = textures_group(&self.device, &passes.sorted.layout, &views);
+        let pipeline = match (discs, options.display == Display::Overdraw) {
+            (true, false) => &passes.sorted.discs,
+            (false, false) => &passes.sorted.ellipses,
+            (true, true) => &passes.sorted.count_discs,
+            (false, true) => &passes.sorted.count_ellipses,
+        };
+        self.pass(encoder, "sorted", &[(&targets.sums, zero)], None, |pass| {
+            draw(pass, pipeline, [frame, &group], 4, order.len() as u32);
+        });
+    }
+
+    fn order_texture(&self, grid: Grid, order: &[u32]) -> wgpu::TextureView {
+        let mut texels = order.to_vec();
+        texels.resize(grid.len(), 0);
+        let list = texture(
+            &self.device,
+            grid.size(),
+            ORDER_FORMAT,
+            wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
+        );
+        let layout =
+            wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(4 << grid.log2_width), rows_per_image: None };
+        self.queue.write_texture(list.as_image_copy(), bytemuck::cast_slice(&texels), layout, grid.size());
+        view(&list)
+    }
+
+    fn present(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        frame: &wgpu::BindGroup,
+        target: &wgpu::TextureView,
+        camera: &Camera,
+        rendering: Rendering,
+    ) {
+        let (_, _, groups) = self.prepared();
+        let present = &self.passes.present;
+        let pipeline = if rendering == Rendering::Peeled { &present.peeled } else { &present.blended };
+        self.pass(encoder, "present", &[(target, wgpu::LoadOp::Load)], None, |pass| {
+            pass.set_viewport(0.0, 0.0, camera.width as f32, camera.height as f32, 0.0, 1.0);
+            draw(pass, pipeline, [frame, &groups.present], 3, 1);
+        });
+    }
+
+    /// Records one pass. With a depth buffer that is cleared, or only tested.
+    fn pass(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        name: &'static str,
+        attachments: &[Attachment],
+        depth: Option<(&wgpu::TextureView, bool)>,
+        draw: impl FnOnce(&mut wgpu::RenderPass),
+    ) {
+        let mut colours = Vec::with_capacity(attachments.len());
+        for &(view, load) in attachments {
+            let ops = wgpu::Operations { load, store: wgpu::StoreOp::Store };
+            colours.push(Some(wgpu::RenderPassColorAttachment { view, depth_slice: None, resolve_target: None, ops }));
+        }
+        let cleared = wgpu::Operations { load: wgpu::LoadOp::Clear(0.0), store: wgpu::StoreOp::Store };
+        let query = self.profile.begin(name, encoder);
+        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: Some(name),
+            color_attachments: &colours,
+            depth_stencil_attachment: depth.map(|(view, clears)| wgpu::RenderPassDepthStencilAttachment {
+                view,
+                depth_ops: clears.then_some(cleared),
+                stencil_ops: None,
+            }),
+            timestamp_writes: query.as_ref().and_then(|query| query.render_pass_timestamp_writes()),
+            occlusion_query_set: None,
+            multiview_mask: None,
+        });
+        draw(&mut pass);
+        drop(pass);
+        self.profile.end(encoder, query);
+    }
+}
+
+/// A layer where nothing is, as the clear value of its texture.
+const NOTHING: wgpu::Color = {
+    let all = u32::MAX as f64;
+    wgpu::Color { r: 0.0, g: all, b: 0.0, a: 0.0 }
+};
+
+fn draw(
+    pass: &mut wgpu::RenderPass,
+    pipeline: &wgpu::RenderPipeline,
+    groups: [&wgpu::BindGroup; 2],
+    vertices: u32,
+    instances: u32,
+) {
+    pass.set_pipeline(pipeline);
+    pass.set_bind_group(0, groups[0], &[]);
+    pass.set_bind_group(1, groups[1], &[]);
+    pass.draw(0..vertices, 0..instances);
+}
+
+/// Depths at the ends of the colour ramp.
+fn depth_range(positions: &[[f32; 3]], camera: &Camera) -> [f64; 2] {
+    let depths = positions.iter().map(|position| camera.depth(position.map(f64::from).into()));
+    let mut sorted: Vec<f64> = depths.filter(|&depth| depth > camera.near).collect();
+    sorted.sort_unstable_by(f64::total_cmp);
+    let at = |share: f64| sorted[(share * (sorted.len() - 1) as f64).round() as usize];
+    if sorted.is_empty() { [0.0, 1.0] } else { DEPTH_PERCENTILES.map(at) }
+}

@@ -1,0 +1,7 @@
+//! A scene in textures: attributes packed on the host, and what is computed from them for each frame.
+
+mod colours;
+mod packing;
+mod textures;
+
+pub(crate) use textures::{Grid, SceneTextures};

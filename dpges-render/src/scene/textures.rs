@@ -1,0 +1,154 @@
+//! The textures of a scene, laid out as grids: primitive i stands in row i / width.
+
+use dpges_core::scene::{Rendering, SceneData, SceneInfo};
+use wgpu::util::DeviceExt;
+
+use super::{colours, packing};
+use crate::error::{RenderError, Result};
+
+/// Widest grid, px.
+const WIDEST: u32 = 8192;
+
+/// How texels that belong to primitives are laid out in a texture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Grid {
+    /// Width = 2^this.
+    pub log2_width: u32,
+    pub rows: u32,
+}
+
+impl Grid {
+    /// # Errors
+    /// [`RenderError::TooMany`] if `count` × `texels` do not fit.
+    pub fn new(limits: &wgpu::Limits, what: &'static str, count: usize, texels: usize) -> Result<Self> {
+        let side_px = limits.max_texture_dimension_2d;
+        let log2_width = side_px.min(WIDEST).ilog2();
+        let most = (side_px as usize) << log2_width;
+        let rows = (count * texels).div_ceil(1 << log2_width).max(1);
+        if rows > side_px as usize {
+            return Err(RenderError::TooMany { what, count, most: most / texels, side_px });
+        }
+        Ok(Self { log2_width, rows: rows as u32 })
+    }
+
+    pub fn size(self) -> wgpu::Extent3d {
+        wgpu::Extent3d { width: 1 << self.log2_width, height: self.rows, depth_or_array_layers: 1 }
+    }
+
+    pub fn len(self) -> usize {
+        (self.rows as usize) << self.log2_width
+    }
+}
+
+/// Primitives of one kind.
+#[derive(Debug)]
+pub struct Primitives {
+    pub count: usize,
+    /// Of one texel per primitive.
+    pub grid: Grid,
+    /// Rgba32Float: position, margin of a surfel or opacity of a Gaussian.
+    pub places: wgpu::TextureView,
+    /// Rgba32Uint: see [`packing`].
+    pub forms: wgpu::TextureView,
+    /// Rgba32Uint: see [`colours`].
+    pub colours: wgpu::TextureView,
+}
+
+/// A scene on a device.
+#[derive(Debug)]
+pub struct SceneTextures {
+    pub info: SceneInfo,
+    pub surfels: Primitives,
+    pub gaussians: Primitives,
+    /// Texels per primitive of the textures of colours.
+    pub colour_texels: usize,
+    /// World positions `[n, 3]` of at most a few thousand primitives.
+    pub sample: Vec<[f32; 3]>,
+}
+
+/// Positions that are looked at to find the range of depths.
+const SAMPLE: usize = 4096;
+
+impl SceneTextures {
+    /// # Errors
+    /// [`RenderError::TooMany`].
+    pub fn new(device: &wgpu::Device, queue: &wgpu::Queue, scene: &SceneData) -> Result<Self> {
+        let upload = Upload { device, queue };
+        let surfels = upload.primitives("surfels", packing::surfels(&scene.surfels), &scene.surfels.colour)?;
+        let gaussians =
+            upload.primitives("Gaussians", packing::gaussians(&scene.gaussians), &scene.gaussians.colour)?;
+        let all = if scene.surfels.is_empty() { &scene.gaussians.positions } else { &scene.surfels.positions };
+        let (positions, _) = all.as_chunks::<3>();
+        let sample = positions.iter().step_by((positions.len() / SAMPLE).max(1)).copied().collect();
+        let colour_texels = colours::texels(scene.info.colour_model);
+        Ok(Self { info: scene.info.clone(), surfels, gaussians, colour_texels, sample })
+    }
+
+    pub fn is_peeled(&self) -> bool {
+        self.info.rendering == Rendering::Peeled
+    }
+}
+
+struct Upload<'a> {
+    device: &'a wgpu::Device,
+    queue: &'a wgpu::Queue,
+}
+
+impl Upload<'_> {
+    fn primitives(
+        &self,
+        what: &'static str,
+        shapes: packing::Shapes,
+        colour: &dpges_core::scene::ColourData,
+    ) -> Result<Primitives> {
+        let (count, limits) = (shapes.places.len(), self.device.limits());
+        let grid = Grid::new(&limits, what, count, 1)?;
+        let wide = Grid::new(&limits, what, count, colours::texels(colour.model))?;
+        Ok(Primitives {
+            count,
+            grid,
+            places: self.texture(grid, wgpu::TextureFormat::Rgba32Float, shapes.places),
+            forms: self.texture(grid, wgpu::TextureFormat::Rgba32Uint, shapes.forms),
+            colours: self.texture(wide, wgpu::TextureFormat::Rgba32Uint, colours::pack(colour)),
+        })
+    }
+
+    fn texture<T: bytemuck::Pod>(
+        &self,
+        grid: Grid,
+        format: wgpu::TextureFormat,
+        mut texels: Vec<[T; 4]>,
+    ) -> wgpu::TextureView {
+        texels.resize(grid.len(), [T::zeroed(); 4]);
+        let descriptor = wgpu::TextureDescriptor {
+            label: Some("scene"),
+            size: grid.size(),
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format,
+            usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
+            view_formats: &[],
+        };
+        let order = wgpu::util::TextureDataOrder::LayerMajor;
+        let texture =
+            self.device.create_texture_with_data(self.queue, &descriptor, order, bytemuck::cast_slice(&texels));
+        texture.create_view(&wgpu::TextureViewDescriptor::default())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_grid_has_room_for_all_and_refuses_more() {
+        let limits = wgpu::Limits { max_texture_dimension_2d: 2048, ..wgpu::Limits::default() };
+        let grid = |count, texels| Grid::new(&limits, "surfels", count, texels);
+        assert_eq!(grid(0, 2).unwrap(), Grid { log2_width: 11, rows: 1 });
+        assert_eq!(grid(1025, 2).unwrap(), Grid { log2_width: 11, rows: 2 });
+        assert_eq!(grid(1 << 22, 1).unwrap().rows, 2048);
+        let error = grid((1 << 21) + 1, 2).unwrap_err().to_string();
+        assert!(error.contains("2097153 surfels are more than the 2097152"), "{error}");
+    }
+}

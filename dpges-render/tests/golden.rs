@@ -1,0 +1,180 @@
+//! The renderer against the golden files: images of the float64 specification of the model. Ignored without a graphics
+//! adapter, unless `DPGES_REQUIRE_GPU` is set.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use dpges_core::camera::{Camera, CameraFromWorld};
+use dpges_core::scene::schema::{Attribute, Columns};
+use dpges_core::scene::{ColourModel, Footprint, GaussianData, SceneData, SceneInfo, SurfelData};
+use dpges_render::{Display, Headless, MAX_LAYERS, Precision, RenderOptions};
+use glam::{DMat3, DVec3};
+use libtest_mimic::{Arguments, Failed, Trial};
+use safetensors::SafeTensors;
+
+/// Least PSNR with 32-bit and with 16-bit sums, dB.
+const LEAST_DB: [(Precision, f64); 2] = [(Precision::Float, 50.0), (Precision::Half, 40.0)];
+
+struct Golden {
+    scene: SceneData,
+    camera: Camera,
+    /// [3, H, W]
+    image: Vec<f32>,
+}
+
+fn files() -> Vec<PathBuf> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/golden");
+    let entries = std::fs::read_dir(&folder).unwrap_or_else(|error| panic!("{}: {error}", folder.display()));
+    let mut files: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
+    files.retain(|file| file.extension().is_some_and(|extension| extension == "safetensors"));
+    files.sort();
+    assert!(!files.is_empty(), "no golden files in {}", folder.display());
+    files
+}
+
+fn numbers(file: &SafeTensors, name: &str) -> Vec<f64> {
+    let view = file.tensor(name).unwrap_or_else(|error| panic!("{name}: {error}"));
+    view.data().as_chunks::<8>().0.iter().map(|&bytes| f64::from_le_bytes(bytes)).collect()
+}
+
+impl Golden {
+    fn load(path: &Path) -> Self {
+        let bytes = std::fs::read(path).unwrap();
+        let (_, header) = SafeTensors::read_metadata(&bytes).unwrap();
+        let metadata = header.metadata().clone().unwrap();
+        let file = SafeTensors::deserialize(&bytes).unwrap();
+        let number = |key: &str| metadata[key].parse::<f64>().unwrap();
+        let lens = numbers(&file, "camera.intrinsics");
+        let camera = Camera {
+            camera_from_world: CameraFromWorld {
+                rotation: DMat3::from_cols_slice(&numbers(&file, "camera.rotation")).transpose(),
+                translation: DVec3::from_slice(&numbers(&file, "camera.translation")),
+            },
+            fx: lens[0],
+            fy: lens[1],
+            cx: lens[2],
+            cy: lens[3],
+            width: number("width") as usize,
+            height: number("height") as usize,
+            near: number("near"),
+        };
+        let lobes = file.tensor("gaussians.colour.lobes").unwrap().shape()[1];
+        let model = ColourModel::SphericalBeta { lobes };
+        let read = |attribute: &'static Attribute| {
+            let name = attribute.name.replace(".detail", ".lobes");
+            numbers(&file, &name).into_iter().map(|value| value as f32).collect::<Vec<f32>>()
+        };
+        let scene = SceneData {
+            info: SceneInfo {
+                colour_model: model,
+                modulation: number("modulation"),
+                layer_count: number("layer_count") as usize,
+                footprint: if metadata["footprint"] == "opacity" { Footprint::Opacity } else { Footprint::Kernel },
+                background: numbers(&file, "background").try_into().unwrap(),
+                ..SceneInfo::default()
+            },
+            surfels: SurfelData::generate(model, SurfelData::ATTRIBUTES.iter().map(read)),
+            gaussians: GaussianData::generate(model, GaussianData::ATTRIBUTES.iter().map(read)),
+        };
+        let pixels = numbers(&file, "out.image");
+        let plane = |channel: usize| pixels.iter().skip(channel).step_by(3).map(|&value| value as f32);
+        let image = (0..3).flat_map(plane).collect();
+        Self { scene, camera, image }
+    }
+}
+
+/// dB
+fn psnr(found: &[f32], expected: &[f32]) -> f64 {
+    assert_eq!(found.len(), expected.len());
+    let squares = found.iter().zip(expected).map(|(a, b)| f64::from(a - b).powi(2));
+    -10.0 * (squares.sum::<f64>() / found.len() as f64).log10()
+}
+
+/// The permutation of `count` rows that a linear congruence makes.
+fn shuffled(count: usize) -> Vec<usize> {
+    let mut rows: Vec<usize> = (0..count).collect();
+    let mut state = 12345u64;
+    for last in (1..count).rev() {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        rows.swap(last, (state >> 33) as usize % (last + 1));
+    }
+    rows
+}
+
+fn agrees(headless: &Headless, path: &Path) -> Result<(), Failed> {
+    let golden = Golden::load(path);
+    let options = RenderOptions::from(&golden.scene.info);
+    assert!(golden.scene.info.layer_count <= MAX_LAYERS);
+    for (precision, least) in LEAST_DB {
+        let found = headless.planes(&golden.scene, &golden.camera, &options, precision)?;
+        let db = psnr(&found, &golden.image);
+        println!("{}, {precision:?}: {db:.1} dB", path.file_stem().unwrap().to_string_lossy());
+        if db < least {
+            return Err(format!("{precision:?}: {db:.2} dB, expected at least {least}").into());
+        }
+        let beside = Camera { cx: golden.camera.cx + 1.0, ..golden.camera };
+        let wrong = headless.planes(&golden.scene, &beside, &options, precision)?;
+        if psnr(&wrong, &golden.image) >= least {
+            return Err("a picture that is shifted by a pixel is not told from the right one".into());
+        }
+    }
+    Ok(())
+}
+
+fn order_does_not_matter(headless: &Headless) -> Result<(), Failed> {
+    for path in files() {
+        let Golden { mut scene, camera, .. } = Golden::load(&path);
+        let options = RenderOptions::from(&scene.info);
+        let before = headless.planes(&scene, &camera, &options, Precision::Float)?;
+        scene.surfels = scene.surfels.select(&shuffled(scene.surfels.len()));
+        scene.gaussians = scene.gaussians.select(&shuffled(scene.gaussians.len()));
+        let after = headless.planes(&scene, &camera, &options, Precision::Float)?;
+        let largest = before.iter().zip(&after).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        println!("{}: largest difference {largest:.1e}", path.file_stem().unwrap().to_string_lossy());
+        if largest > 1e-5 {
+            return Err(format!("{}: shuffled primitives differ by {largest}", path.display()).into());
+        }
+    }
+    Ok(())
+}
+
+fn displays_differ(headless: &Headless) -> Result<(), Failed> {
+    let path = files().into_iter().find(|file| file.file_stem().is_some_and(|stem| stem == "basic")).unwrap();
+    let Golden { scene, camera, .. } = Golden::load(&path);
+    let mut renderer = headless.renderer()?;
+    renderer.upload(&scene)?;
+    let picture = |renderer: &mut _, display| {
+        headless.draw(renderer, &camera, &RenderOptions { display, ..RenderOptions::from(&scene.info) })
+    };
+    let pictures =
+        Display::ALL.iter().map(|&display| picture(&mut renderer, display)).collect::<Result<Vec<_>, _>>()?;
+    for (index, picture) in pictures.iter().enumerate() {
+        assert!(pictures[..index].iter().all(|other| other != picture), "{} looks like another", Display::ALL[index]);
+        assert!(picture.bytes.iter().any(|&byte| byte != picture.bytes[0]), "{} is empty", Display::ALL[index]);
+    }
+    Ok(())
+}
+
+fn main() -> ExitCode {
+    let mut arguments = Arguments::from_args();
+    arguments.test_threads = arguments.test_threads.or(Some(1));
+    let headless = Headless::new();
+    if std::env::var_os("DPGES_REQUIRE_GPU").is_some() {
+        headless.as_ref().expect("DPGES_REQUIRE_GPU is set");
+    }
+    let ignored = headless.is_err();
+    let trial = |name: String, test: Box<dyn FnOnce(&Headless) -> Result<(), Failed> + Send>| {
+        let headless = headless.as_ref().ok().cloned();
+        Trial::test(name, move || test(headless.as_ref().ok_or("no graphics adapter")?)).with_ignored_flag(ignored)
+    };
+    let mut trials: Vec<Trial> = files()
+        .into_iter()
+        .map(|path| {
+            let name = format!("agrees_with_{}", path.file_stem().unwrap().to_string_lossy());
+            trial(name, Box::new(move |headless| agrees(headless, &path)))
+        })
+        .collect();
+    trials.push(trial("order_does_not_matter".to_owned(), Box::new(order_does_not_matter)));
+    trials.push(trial("displays_differ".to_owned(), Box::new(displays_differ)));
+    libtest_mimic::run(&arguments, trials).exit_code()
+}
