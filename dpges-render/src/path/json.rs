@@ -151,7 +151,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("cameras.json");
         for (text, reason) in [
-            ("{", "EOF"),
+            ("{}", "expected a sequence"),
             ("[]", "at least one camera"),
             (r#"[{"id": 0}]"#, "img_name"),
             (
