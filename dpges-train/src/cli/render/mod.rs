@@ -1,0 +1,110 @@
+//! `dpges render`: pictures of a scene, from the cameras of a dataset or along a path.
+
+mod cameras;
+mod painter;
+mod sink;
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use dpges_core::scene::Rendering;
+use dpges_train::device::DeviceRequest;
+
+use super::data::{Scene, ViewArgs};
+use super::device_failure::watched;
+use super::{Failure, Result, device_choice, print};
+use cameras::{PathChoice, Shot, Size, shots};
+use painter::{Painter, RasterPainter, TrainingPainter};
+use sink::Sink;
+
+/// Write pictures of a scene: PNGs or a video, of the views of a dataset or along a camera path
+#[derive(Debug, Args)]
+pub struct RenderArgs {
+    /// Scene file or folder of a run
+    scene: PathBuf,
+    #[command(flatten)]
+    views: ViewArgs,
+    /// Folder for PNGs
+    #[arg(long, value_name = "DIR", required_unless_present = "video")]
+    out: Option<PathBuf>,
+    /// Write a video of the frames, by the program ffmpeg; the ending chooses the format
+    #[arg(long, value_name = "FILE")]
+    video: Option<PathBuf>,
+    /// Pictures per second of the video
+    #[arg(long, value_name = "N", default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..=240))]
+    fps: u32,
+    /// The program that makes the video
+    #[arg(long, value_name = "PROGRAM", default_value = "ffmpeg")]
+    ffmpeg: PathBuf,
+    /// Cameras: views (of the dataset), interpolated (a smooth path through them), orbit, spiral, or a file in the
+    /// convention of the cameras.json of 3DGS, in the scene's coordinates
+    #[arg(long, value_name = "PATH", default_value = "views")]
+    path: PathChoice,
+    /// Frames along the path
+    #[arg(long, value_name = "N", default_value_t = 120, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    frames: u32,
+    /// Size of the pictures, as in 1920x1080; the vertical field of view stays
+    #[arg(long, value_name = "WIDTHxHEIGHT")]
+    size: Option<Size>,
+    /// Which renderer
+    #[arg(long, value_enum, default_value_t = Engine::Training)]
+    renderer: Engine,
+    /// Device of the training renderer: auto (a GPU that passes a check, or else the CPU), cpu, cpu-flex, wgpu (the best
+    /// GPU), or another one that `dpges devices` lists. The other one takes the graphics adapter that wgpu prefers
+    #[arg(long, value_name = "NAME", default_value_t)]
+    device: DeviceRequest,
+    /// Also write the surfels alone, the transmittance behind each layer, depth and normals, and their depth ranges
+    /// in layers.json
+    #[arg(long, requires = "out")]
+    layers: bool,
+}
+
+/// What makes the pictures.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Engine {
+    /// The one that is trained with: CPU or compute kernels
+    Training,
+    /// The real-time one: the graphics pipeline
+    Raster,
+}
+
+pub fn run(args: &RenderArgs) -> Result<()> {
+    let mut scene = Scene::load(&args.scene)?;
+    let rendering = scene.data.info.rendering;
+    if args.layers && rendering != Rendering::Peeled {
+        let of = args.scene.display();
+        return Err(Failure::Usage(format!("--layers: {of} is a scene of {rendering}, which has no layers")));
+    }
+    if args.layers && args.renderer == Engine::Raster {
+        let message = "--layers: pictures of layers are made by `--renderer training`";
+        return Err(Failure::Usage(message.to_owned()));
+    }
+    match args.renderer {
+        Engine::Raster => {
+            let shots = args.shots(&mut scene)?;
+            args.write(&shots, &mut RasterPainter::new(&scene.data)?)
+        }
+        Engine::Training => {
+            let device = device_choice::select(args.device)?;
+            watched(device, || {
+                let shots = args.shots(&mut scene)?;
+                args.write(&shots, &mut TrainingPainter::new(&scene.data, &device.open()?, args.layers))
+            })
+        }
+    }
+}
+
+impl RenderArgs {
+    fn shots(&self, scene: &mut Scene) -> Result<Vec<Shot>> {
+        shots(&self.path, self.frames as usize, self.size, &self.views, scene)
+    }
+
+    fn write(&self, shots: &[Shot], painter: &mut dyn Painter) -> Result<()> {
+        let mut sink = Sink::new(self, shots)?;
+        for shot in shots {
+            let painted = painter.paint(&shot.camera)?;
+            sink.take(shot, &painted)?;
+        }
+        print(&sink.finish()?)
+    }
+}
