@@ -26,6 +26,8 @@
 
 pub mod error;
 pub mod false_colour;
+#[cfg(not(target_arch = "wasm32"))]
+pub mod frame_times;
 mod groups;
 #[cfg(not(target_arch = "wasm32"))]
 mod headless;

@@ -1,6 +1,7 @@
 //! The command line: one module per subcommand.
 
 mod ablate;
+mod bench;
 mod config;
 mod data;
 mod device_choice;
@@ -45,6 +46,7 @@ enum Command {
     Config(config::ConfigArgs),
     Eval(eval::EvalArgs),
     Render(render::RenderArgs),
+    Bench(bench::BenchArgs),
     Info(info::InfoArgs),
     Devices(devices::DevicesArgs),
     Selftest(selftest::SelftestArgs),
@@ -105,6 +107,7 @@ pub fn run() -> ExitCode {
         Command::Config(args) => config::run(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Render(args) => render::run(&args),
+        Command::Bench(args) => bench::run(&args),
         Command::Info(args) => info::run(&args),
         Command::Devices(args) => devices::run(&args),
         Command::Selftest(args) => selftest::run(&args),

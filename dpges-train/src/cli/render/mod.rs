@@ -13,7 +13,8 @@ use dpges_train::device::DeviceRequest;
 use super::data::{Scene, ViewArgs};
 use super::device_failure::watched;
 use super::{Failure, Result, device_choice, print};
-use cameras::{PathChoice, Shot, Size, shots};
+pub use cameras::Size;
+use cameras::{PathChoice, Shot, shots};
 use painter::{Painter, RasterPainter, TrainingPainter};
 use sink::Sink;
 

@@ -1,0 +1,115 @@
+//! How long frames take.
+
+use std::time::Instant;
+
+use dpges_core::camera::Camera;
+use serde::Serialize;
+
+use crate::error::{RenderError, Result};
+use crate::headless::{Headless, PICTURE_FORMAT};
+use crate::options::RenderOptions;
+use crate::renderer::Renderer;
+use crate::targets;
+
+/// Times of frames, ms. A frame ends when the device has finished it, so that nothing of it overlaps with the next.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct FrameTimes {
+    pub frames: usize,
+    /// 1000 / mean time
+    pub frames_per_second: f64,
+    pub p50_ms: f64,
+    pub p99_ms: f64,
+    /// By the GPU's clock, in the order of the passes; empty without timestamps.
+    pub passes: Vec<PassShare>,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PassShare {
+    pub name: &'static str,
+    pub p50_ms: f64,
+    /// Of the sum over the passes.
+    pub share: f64,
+}
+
+/// How many frames are measured.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Rounds {
+    /// Rounds over the cameras that are not counted.
+    pub warm_up: usize,
+    pub counted: usize,
+}
+
+/// Draws what `renderer` holds from each of `cameras`, again and again. `renderer` must render into [`PICTURE_FORMAT`].
+///
+/// # Errors
+/// Those of [`Renderer::render`]; [`RenderError::Device`] if the device stops to answer.
+pub fn frame_times(
+    headless: &Headless,
+    renderer: &mut Renderer,
+    cameras: &[Camera],
+    options: &RenderOptions,
+    rounds: Rounds,
+) -> Result<FrameTimes> {
+    let (device, queue) = (headless.device(), headless.queue());
+    let (mut times, mut passes) = (Vec::new(), Vec::new());
+    for round in 0..rounds.warm_up + rounds.counted {
+        for camera in cameras {
+            let (width, height) = (camera.width as u32, camera.height as u32);
+            let size = wgpu::Extent3d { width, height, depth_or_array_layers: 1 };
+            let target = targets::texture(device, size, PICTURE_FORMAT, wgpu::TextureUsages::empty());
+            let start = Instant::now();
+            let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+            renderer.render(&mut encoder, &targets::view(&target), camera, options)?;
+            queue.submit([encoder.finish()]);
+            device.poll(wgpu::PollType::wait_indefinitely()).map_err(|error| RenderError::Device(error.to_string()))?;
+            let milliseconds = 1e3 * start.elapsed().as_secs_f64();
+            renderer.finish_frame();
+            if round >= rounds.warm_up {
+                times.push(milliseconds);
+                passes.push(renderer.pass_times().unwrap_or_default().to_vec());
+            }
+        }
+    }
+    let mut shares: Vec<PassShare> = Vec::new();
+    for pass in passes.first().into_iter().flatten() {
+        let of = passes.iter().flatten().filter(|other| other.name == pass.name).map(|other| other.milliseconds);
+        shares.push(PassShare { name: pass.name, p50_ms: percentile(of.collect(), 0.5), share: 0.0 });
+    }
+    let sum: f64 = shares.iter().map(|pass| pass.p50_ms).sum();
+    shares.iter_mut().for_each(|pass| pass.share = pass.p50_ms / sum);
+    Ok(FrameTimes::new(times, shares))
+}
+
+impl FrameTimes {
+    /// From the times of frames, ms.
+    ///
+    /// # Panics
+    /// Without any.
+    pub fn new(times: Vec<f64>, passes: Vec<PassShare>) -> Self {
+        let mean = times.iter().sum::<f64>() / times.len() as f64;
+        Self {
+            frames: times.len(),
+            frames_per_second: 1e3 / mean,
+            p50_ms: percentile(times.clone(), 0.5),
+            p99_ms: percentile(times, 0.99),
+            passes,
+        }
+    }
+}
+
+fn percentile(mut values: Vec<f64>, share: f64) -> f64 {
+    values.sort_unstable_by(f64::total_cmp);
+    values[(share * (values.len() - 1) as f64).round() as usize]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn percentiles_are_of_the_sorted_times() {
+        let times = FrameTimes::new((1..=101).rev().map(f64::from).collect(), Vec::new());
+        assert_eq!((times.frames, times.p50_ms, times.p99_ms), (101, 51.0, 100.0));
+        assert!((times.frames_per_second - 1e3 / 51.0).abs() < 1e-9);
+    }
+}

@@ -1,0 +1,164 @@
+//! `dpges bench render`: frames per second of a scene.
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use clap::Args;
+use dpges_core::camera::Camera;
+use dpges_core::scene::{Rendering, SceneData};
+use dpges_render::frame_times::{FrameTimes, Rounds, frame_times};
+use dpges_render::{Display, Headless, RenderOptions};
+use dpges_train::device::DeviceRequest;
+use dpges_train::rendered::Renderer;
+use dpges_train::run::folder::write_json;
+use serde::Serialize;
+
+use super::super::data::{Scene, ViewArgs};
+use super::super::device_failure::watched;
+use super::super::render::Size;
+use super::super::{Result, device_choice, print};
+
+/// Measure frames per second of a scene over the cameras of a dataset
+#[derive(Debug, Args)]
+pub struct BenchRenderArgs {
+    /// Scene file or folder of a run
+    scene: PathBuf,
+    #[command(flatten)]
+    views: ViewArgs,
+    /// Size of the pictures; the vertical field of view stays
+    #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "1920x1080")]
+    size: Size,
+    /// Numbers of layers, one row each; scenes of blended Gaussians have one row
+    #[arg(long, value_name = "K,…", value_delimiter = ',', default_value = "1,2,3,4")]
+    layers: Vec<usize>,
+    /// Counted rounds over the cameras
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    rounds: u32,
+    /// Rounds before those
+    #[arg(long, value_name = "N", default_value_t = 2)]
+    warm_up: u32,
+    /// At most this many cameras, evenly chosen
+    #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    cameras: u32,
+    /// Also measure the renderer that is trained with, on this device (cpu, wgpu, …)
+    #[arg(long, value_name = "NAME")]
+    training: Option<DeviceRequest>,
+    /// Write the figures as JSON
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+}
+
+#[derive(Serialize)]
+struct Report {
+    scene: String,
+    surfels: usize,
+    gaussians: usize,
+    width: usize,
+    height: usize,
+    cameras: usize,
+    rows: Vec<Row>,
+}
+
+#[derive(Serialize)]
+struct Row {
+    /// `raster` or `training`
+    renderer: &'static str,
+    /// Adapter, or device.
+    on: String,
+    layers: Option<usize>,
+    #[serde(flatten)]
+    times: FrameTimes,
+}
+
+pub fn run(args: &BenchRenderArgs) -> Result<()> {
+    let mut scene = Scene::load(&args.scene)?;
+    let (_, views) = args.views.load(&mut scene)?;
+    let step = views.len().div_ceil(args.cameras as usize);
+    let cameras: Vec<Camera> = views.iter().step_by(step).map(|view| args.size.apply(&view.camera)).collect();
+    let mut report = Report {
+        scene: scene.path.display().to_string(),
+        surfels: scene.data.surfels.len(),
+        gaussians: scene.data.gaussians.len(),
+        width: args.size.width,
+        height: args.size.height,
+        cameras: cameras.len(),
+        rows: args.raster(&scene.data, &cameras)?,
+    };
+    if let Some(request) = args.training {
+        let device = device_choice::select(request)?;
+        watched(device, || {
+            let times = args.training(&Renderer::new(&scene.data, &device.open()?), &cameras)?;
+            let layers = is_peeled(&scene.data).then_some(scene.data.info.layer_count);
+            report.rows.push(Row { renderer: "training", on: device.to_string(), layers, times });
+            Ok(())
+        })?;
+    }
+    if let Some(file) = &args.json {
+        write_json(file, &report)?;
+    }
+    print(&report.table())
+}
+
+fn is_peeled(scene: &SceneData) -> bool {
+    scene.info.rendering == Rendering::Peeled
+}
+
+impl BenchRenderArgs {
+    fn raster(&self, scene: &SceneData, cameras: &[Camera]) -> Result<Vec<Row>> {
+        let headless = Headless::new()?;
+        let mut renderer = headless.renderer()?;
+        renderer.upload(scene)?;
+        let rounds = Rounds { warm_up: self.warm_up as usize, counted: self.rounds as usize };
+        let own = RenderOptions { display: Display::Image, ..RenderOptions::from(&scene.info) };
+        let mut row = |layers: Option<usize>| {
+            let options = RenderOptions { layer_count: layers.unwrap_or(own.layer_count), ..own };
+            let times = frame_times(&headless, &mut renderer, cameras, &options, rounds)?;
+            Ok(Row { renderer: "raster", on: headless.adapter_name(), layers, times })
+        };
+        if is_peeled(scene) {
+            self.layers.iter().map(|&layers| row(Some(layers))).collect()
+        } else {
+            Ok(vec![row(None)?])
+        }
+    }
+
+    fn training(&self, renderer: &Renderer, cameras: &[Camera]) -> Result<FrameTimes> {
+        let mut times = Vec::new();
+        for round in 0..self.warm_up + self.rounds {
+            for camera in cameras {
+                let start = Instant::now();
+                let render = renderer.render(camera)?;
+                // reading one number waits for the picture
+                let corner = render.image().clone().slice([0..1, 0..1, 0..1]).into_data();
+                drop(corner);
+                if round >= self.warm_up {
+                    times.push(1e3 * start.elapsed().as_secs_f64());
+                }
+            }
+        }
+        Ok(FrameTimes::new(times, Vec::new()))
+    }
+}
+
+impl Report {
+    fn table(&self) -> String {
+        let Self { surfels, gaussians, width, height, cameras, .. } = self;
+        let mut text = format!("{surfels} surfels, {gaussians} Gaussians, {width}x{height} px, {cameras} cameras\n");
+        text += "renderer  K  frames/s    p50 ms    p99 ms  passes by the GPU's clock\n";
+        for row in &self.rows {
+            let layers = row.layers.map_or("-".to_owned(), |layers| layers.to_string());
+            let share = |pass: &dpges_render::frame_times::PassShare| {
+                format!("{} {:.2} ms ({:.0} %)", pass.name, pass.p50_ms, 100.0 * pass.share)
+            };
+            let passes = row.times.passes.iter().map(share).collect::<Vec<_>>().join(", ");
+            let FrameTimes { frames_per_second, p50_ms, p99_ms, .. } = row.times;
+            let line =
+                format!("{:8}  {layers}  {frames_per_second:8.1}  {p50_ms:8.2}  {p99_ms:8.2}  {passes}", row.renderer);
+            text += line.trim_end();
+            text += "\n";
+        }
+        let mut places: Vec<String> = self.rows.iter().map(|row| format!("{}: {}\n", row.renderer, row.on)).collect();
+        places.dedup();
+        text + &places.concat()
+    }
+}
