@@ -5,6 +5,7 @@ mod devices;
 mod golden;
 mod gpu;
 mod parity;
+mod raster;
 mod reference;
 mod training;
 
@@ -17,6 +18,7 @@ fn main() -> ExitCode {
     // Each uses all of the device, and one switches the whole process to sums in a fixed order.
     arguments.test_threads = arguments.test_threads.or(Some(1));
     let mut trials = gpu::trials();
+    trials.extend(raster::trials());
     trials.extend(reference::trials());
     trials.push(Trial::test("parity::a_device_that_is_off_is_found_out", || {
         parity::a_device_that_is_off_is_found_out();

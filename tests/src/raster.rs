@@ -1,0 +1,219 @@
+//! The real-time renderer against the one that is trained with: scenes that were trained, cameras that were held out.
+//!
+//! Without a graphics adapter the tests are ignored. With `DPGES_REQUIRE_GPU=1` they fail.
+
+use std::sync::{Arc, OnceLock};
+
+use dpges_core::camera::Camera;
+use dpges_core::scene::tensors::tensor_to_rows;
+use dpges_core::scene::{Footprint, MarginLookup, Rendering, SceneData};
+use dpges_render::{CameraPath, Headless, Precision, RenderOptions};
+use dpges_train::config::Config;
+use dpges_train::dataset::{BuiltinOptions, Dataset, builtin};
+use dpges_train::rendered::Renderer;
+use dpges_train::run::Trainer;
+use libtest_mimic::{Failed, Trial};
+
+use crate::devices::flex;
+
+type Test = fn(&Headless) -> Result<(), Failed>;
+
+/// Least PSNR with 32-bit and with 16-bit sums, dB.
+const LEAST_DB: [(Precision, f64); 2] = [(Precision::Float, 50.0), (Precision::Half, 40.0)];
+/// Frames of the path along which popping is looked for.
+const FRAMES: usize = 120;
+/// Largest difference between two frames, in medians of all.
+const LARGEST_SPIKE: f64 = 3.0;
+
+pub fn trials() -> Vec<Trial> {
+    let tests: [(&str, Test); 4] = [
+        ("raster::a_trained_scene_looks_the_same", a_trained_scene_looks_the_same),
+        ("raster::every_number_of_layers_and_lookup_looks_the_same", every_number_of_layers_and_lookup_looks_the_same),
+        ("raster::scenes_of_stages_look_the_same", scenes_of_stages_look_the_same),
+        ("raster::nothing_pops_along_a_path", nothing_pops_along_a_path),
+    ];
+    let headless = Headless::new();
+    let required = std::env::var("DPGES_REQUIRE_GPU").is_ok_and(|value| value == "1");
+    if let Ok(headless) = &headless {
+        eprintln!("tests of the real-time renderer run on {}", headless.adapter_name());
+    }
+    let trial = |(name, test): (&str, Test)| {
+        let headless = headless.as_ref().map(Headless::clone).map_err(ToString::to_string);
+        let is_ignored = headless.is_err() && !required;
+        let run = move || test(&headless?);
+        Trial::test(name, run).with_kind("GPU").with_ignored_flag(is_ignored)
+    };
+    tests.into_iter().map(trial).collect()
+}
+
+fn dataset() -> Arc<Dataset> {
+    static DATASET: OnceLock<Arc<Dataset>> = OnceLock::new();
+    let options =
+        BuiltinOptions { width: 64, height: 64, train_views: 12, test_views: 3, points: 800, ..Default::default() };
+    Arc::clone(DATASET.get_or_init(|| Arc::new(builtin(&options))))
+}
+
+/// A scene after `steps` steps with the keys `set`.
+fn trained(steps: usize, set: &[&str]) -> SceneData {
+    let steps = format!("train.steps={steps}");
+    let keys: Vec<String> =
+        [steps.as_str(), "refine.budget=3000"].iter().chain(set).map(|&key| key.to_owned()).collect();
+    let config = Config::resolve(None, None, &keys).unwrap();
+    let mut trainer = Trainer::new(config, dataset(), flex()).unwrap();
+    while !trainer.is_finished() {
+        trainer.step().unwrap();
+    }
+    trainer.scene()
+}
+
+fn joint() -> &'static SceneData {
+    static SCENE: OnceLock<SceneData> = OnceLock::new();
+    SCENE.get_or_init(|| trained(150, &[]))
+}
+
+/// Held-out cameras, larger and of another shape than what was trained on.
+fn cameras(scene: &SceneData) -> Vec<Camera> {
+    let wide = |camera: &Camera| Camera { width: 200, cx: camera.cx + 30.0, near: scene.info.near, ..*camera };
+    dataset().test.iter().map(|view| wide(&view.camera.resized(140, 140))).collect()
+}
+
+/// dB
+fn psnr(found: &[f32], expected: &[f32]) -> f64 {
+    assert_eq!(found.len(), expected.len());
+    let squares = found.iter().zip(expected).map(|(a, b)| f64::from(a - b).powi(2));
+    -10.0 * (squares.sum::<f64>() / found.len() as f64).log10()
+}
+
+fn compare(headless: &Headless, name: &str, scene: &SceneData) -> Result<(), Failed> {
+    let renderer = Renderer::new(scene, &flex());
+    let options = RenderOptions::from(&scene.info);
+    for camera in cameras(scene) {
+        let expected = tensor_to_rows(renderer.render(&camera)?.image());
+        let spread = expected.iter().fold([f32::MAX, f32::MIN], |[low, high], &v| [low.min(v), high.max(v)]);
+        assert!(spread[1] - spread[0] > 0.3, "{name}: the picture is empty");
+        for (precision, least) in LEAST_DB {
+            let db = psnr(&headless.planes(scene, &camera, &options, precision)?, &expected);
+            println!("{name}, {precision:?}: {db:.1} dB");
+            if db < least {
+                return Err(format!("{name}, {precision:?}: {db:.2} dB, expected at least {least}").into());
+            }
+        }
+    }
+    Ok(())
+}
+
+fn a_trained_scene_looks_the_same(headless: &Headless) -> Result<(), Failed> {
+    compare(headless, "joint, sb2", joint())?;
+    compare(headless, "joint, sh3", &trained(60, &["model.colour=sh3"]))
+}
+
+fn every_number_of_layers_and_lookup_looks_the_same(headless: &Headless) -> Result<(), Failed> {
+    for layer_count in 1..=4 {
+        for (footprint, margin_lookup) in
+            [(Footprint::Kernel, MarginLookup::Literal), (Footprint::Opacity, MarginLookup::Shifted)]
+        {
+            let mut scene = joint().clone();
+            // rims that let much through need more than one layer
+            (scene.info.layer_count, scene.info.modulation) = (layer_count, 2.0);
+            (scene.info.footprint, scene.info.margin_lookup) = (footprint, margin_lookup);
+            compare(headless, &format!("K = {layer_count}, {footprint:?}, {margin_lookup:?}"), &scene)?;
+        }
+    }
+    Ok(())
+}
+
+fn scenes_of_stages_look_the_same(headless: &Headless) -> Result<(), Failed> {
+    for (method, rendering) in [("mcmc", Rendering::Ellipsoids), ("2dgs", Rendering::Discs)] {
+        let scene = trained(60, &[&format!("train.method={method}")]);
+        assert_eq!(scene.info.rendering, rendering);
+        compare(headless, method, &scene)?;
+    }
+    Ok(())
+}
+
+/// What a frame shows, for reprojection.
+struct Frame {
+    camera: Camera,
+    /// [3, H, W]
+    planes: Vec<f32>,
+    /// [H, W] of the nearest surfel; infinite where there is none.
+    depth: Vec<f32>,
+}
+
+impl Frame {
+    /// Mean absolute difference from `other`, where the surfels of this frame are seen in both.
+    fn difference(&self, other: &Self) -> f64 {
+        let (width, height) = (self.camera.width, self.camera.height);
+        let (mut sum, mut count) = (0.0, 0usize);
+        for (pixel, &depth) in self.depth.iter().enumerate().filter(|(_, depth)| depth.is_finite()) {
+            let centre = [(pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5];
+            let world = self.camera.unproject(centre[0], centre[1], f64::from(depth));
+            let Some((x, y, there)) = other.camera.project(world) else { continue };
+            let (left, top) = ((x - 0.5).floor(), (y - 0.5).floor());
+            if left < 0.0 || top < 0.0 || left as usize + 1 >= width || top as usize + 1 >= height {
+                continue;
+            }
+            let corner = top as usize * width + left as usize;
+            let corners = [corner, corner + 1, corner + width, corner + width + 1];
+            // hidden there, or beside an edge
+            if corners.iter().any(|&at| (f64::from(other.depth[at]) - there).abs() > 0.02 * there) {
+                continue;
+            }
+            let (right, down) = (x - 0.5 - left, y - 0.5 - top);
+            let weights = [(1.0 - right) * (1.0 - down), right * (1.0 - down), (1.0 - right) * down, right * down];
+            for channel in 0..3 {
+                let plane = channel * width * height;
+                let seen: f64 =
+                    corners.iter().zip(weights).map(|(&at, weight)| weight * f64::from(other.planes[plane + at])).sum();
+                sum += (seen - f64::from(self.planes[plane + pixel])).abs();
+            }
+            count += 3;
+        }
+        sum / count.max(1) as f64
+    }
+}
+
+/// Largest and median difference between neighbours.
+fn spikes(frames: &[Frame]) -> [f64; 2] {
+    let mut differences: Vec<f64> = frames.windows(2).map(|pair| pair[1].difference(&pair[0])).collect();
+    differences.sort_unstable_by(f64::total_cmp);
+    [differences[differences.len() - 1], differences[differences.len() / 2]]
+}
+
+/// A smooth path, frames compared after reprojection by the depth of the surfels; the same path through a sorted scene
+/// beside it, which is allowed to pop.
+fn nothing_pops_along_a_path(headless: &Headless) -> Result<(), Failed> {
+    let scene = joint();
+    let keys: Vec<Camera> = dataset().train.iter().map(|view| view.camera.resized(96, 96)).collect();
+    // a slow turn, as someone who looks around makes it
+    let path: Vec<Camera> = CameraPath::orbit(&keys)?.frames(8 * FRAMES).into_iter().take(FRAMES).collect();
+    let surfels = Renderer::new(scene, &flex());
+    let sorted = trained(60, &["train.method=mcmc"]);
+    let frames = |shown: &SceneData| {
+        let frame = |camera: &Camera| {
+            let layers = surfels.render(camera)?;
+            let depth = tensor_to_rows(&layers.peeled().ok_or("a peeled scene")?.layers.depth);
+            let planes = headless.planes(shown, camera, &RenderOptions::from(&shown.info), Precision::Float)?;
+            Ok(Frame { camera: *camera, planes, depth: depth[..camera.width * camera.height].to_vec() })
+        };
+        path.iter().map(frame).collect::<Result<Vec<Frame>, Failed>>()
+    };
+    let mut own = frames(scene)?;
+    let [largest, median] = spikes(&own);
+    let [sorted_largest, sorted_median] = spikes(&frames(&sorted)?);
+    println!("largest and median difference: {largest:.5}, {median:.5} ({:.2} medians)", largest / median);
+    println!(
+        "sorted Gaussians: {sorted_largest:.5}, {sorted_median:.5} ({:.2} medians)",
+        sorted_largest / sorted_median
+    );
+    if median <= 0.0 || largest > LARGEST_SPIKE * median {
+        return Err(format!("a step of {largest:.5} is {:.2} medians", largest / median).into());
+    }
+    // a frame in which something pops is found
+    own[FRAMES / 2].planes.iter_mut().for_each(|value| *value += (LARGEST_SPIKE * median) as f32 * 2.0);
+    let [popped, median] = spikes(&own);
+    if popped <= LARGEST_SPIKE * median {
+        return Err(format!("a frame that pops is not found: {:.2} medians", popped / median).into());
+    }
+    Ok(())
+}
