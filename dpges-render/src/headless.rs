@@ -40,6 +40,7 @@ impl Headless {
                 instance.request_adapter(&wanted).await.map_err(|error| RenderError::NoAdapter(error.to_string()))?
             }
         };
+        Renderer::check_adapter(&adapter)?;
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("dpges"),
             required_features: Renderer::required_features(&adapter),

@@ -8,7 +8,7 @@ use crate::error::{RenderError, Result};
 use crate::groups::Groups;
 use crate::options::{Display, Precision, RenderOptions};
 use crate::order::back_to_front;
-use crate::passes::{Frame, Kit, ORDER_FORMAT, Passes, Switches, textures_group};
+use crate::passes::{DRAWN_FORMATS, Frame, Kit, ORDER_FORMAT, Passes, Switches, textures_group};
 use crate::profile::{PassTime, Profile};
 use crate::scene::{Grid, SceneTextures};
 use crate::targets::{PerPrimitive, Targets, texture, view};
@@ -103,6 +103,24 @@ impl Renderer {
         adapter.features() & (wgpu::Features::FLOAT32_BLENDABLE | wgpu::Features::TIMESTAMP_QUERY)
     }
 
+    /// Whether `adapter` can draw into the formats that the renderer needs between passes.
+    ///
+    /// # Errors
+    /// [`RenderError::Adapter`] naming the first format that it cannot.
+    pub fn check_adapter(adapter: &wgpu::Adapter) -> Result<()> {
+        let draws = |&format: &wgpu::TextureFormat| {
+            let usages = adapter.get_texture_format_features(format).allowed_usages;
+            usages.contains(wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING)
+        };
+        match DRAWN_FORMATS.iter().find(|format| !draws(format)) {
+            Some(format) => Err(RenderError::Adapter {
+                adapter: adapter.get_info().name,
+                reason: format!("it cannot draw into textures of format {format:?}"),
+            }),
+            None => Ok(()),
+        }
+    }
+
     /// Takes `scene` in place of what was there.
     ///
     /// # Errors
@@ -163,7 +181,7 @@ impl Renderer {
         } else {
             self.sorted(encoder, &frame, camera, options, rendering);
         }
-        self.present(encoder, &frame, target, camera, rendering);
+        self.present(encoder, &frame, target, camera, rendering, options.display);
         self.profile.resolve(encoder);
         self.last = Some((camera.near, if rendering == Rendering::Peeled { options.layer_count } else { 0 }));
         Ok(())
@@ -349,10 +367,15 @@ impl Renderer {
         target: &wgpu::TextureView,
         camera: &Camera,
         rendering: Rendering,
+        display: Display,
     ) {
         let (_, _, groups) = self.prepared();
         let present = &self.passes.present;
-        let pipeline = if rendering == Rendering::Peeled { &present.peeled } else { &present.blended };
+        let pipeline = match (rendering, display) {
+            (Rendering::Peeled, Display::Image) => &present.image,
+            (Rendering::Peeled, _) => &present.peeled,
+            (Rendering::Ellipsoids | Rendering::Discs, _) => &present.blended,
+        };
         self.pass(encoder, "present", &[(target, wgpu::LoadOp::Load)], None, |pass| {
             pass.set_viewport(0.0, 0.0, camera.width as f32, camera.height as f32, 0.0, 1.0);
             draw(pass, pipeline, [frame, &groups.present], 3, 1);

@@ -34,6 +34,10 @@ pub(crate) const INTERVAL_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgb
 pub(crate) const THIRD_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rg32Float;
 pub(crate) const ORDER_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::R32Uint;
 
+/// What is drawn into and read, apart from sums.
+pub(crate) const DRAWN_FORMATS: [wgpu::TextureFormat; 6] =
+    [LAYER_FORMAT, OPACITY_FORMAT, COLOUR_FORMAT, RECORD_FORMAT, INTERVAL_FORMAT, THIRD_FORMAT];
+
 /// The pipelines of all passes.
 #[derive(Debug)]
 pub(crate) struct Passes {

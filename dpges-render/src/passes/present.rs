@@ -8,6 +8,9 @@ pub(crate) const SHADER: &str = concat!(include_str!("frame.wgsl"), include_str!
 #[derive(Debug)]
 pub(crate) struct PresentPass {
     pub layout: wgpu::BindGroupLayout,
+    /// The picture alone.
+    pub image: wgpu::RenderPipeline,
+    /// Any display.
     pub peeled: wgpu::RenderPipeline,
     pub blended: wgpu::RenderPipeline,
 }
@@ -30,6 +33,6 @@ impl PresentPass {
             };
             kit.pipeline(&shader, &layout, &stage)
         };
-        Self { peeled: pipeline("fragment"), blended: pipeline("blended"), layout }
+        Self { image: pipeline("image"), peeled: pipeline("fragment"), blended: pipeline("blended"), layout }
     }
 }

@@ -44,7 +44,6 @@ fn shown(position: vec4f) -> vec3f {
     let nearest = textureLoad(layer_1, at, 0).xy;
     let empty = nearest.y == NOTHING;
     switch frame.counts.w {
-        case 0u: { return (surfel.rgb + sum.rgb) / (1.0 + sum.a); }
         case 1u: { return surfel.rgb; }
         case 2u: { return sum.rgb / (1.0 + sum.a); }
         case 3u: {
@@ -73,6 +72,14 @@ fn shown(position: vec4f) -> vec3f {
 fn linear(value: vec3f) -> vec3f {
     let bounded = clamp(value, vec3f(0.0), vec3f(1.0));
     return select(pow((bounded + 0.055) / 1.055, vec3f(2.4)), bounded / 12.92, bounded <= vec3f(0.04045));
+}
+
+@fragment
+fn image(@builtin(position) position: vec4f) -> @location(0) vec4f {
+    let at = vec2u(position.xy);
+    let sum = textureLoad(sums, at, 0);
+    let colour = (textureLoad(surfels, at, 0).rgb + sum.rgb) / (1.0 + sum.a);
+    return vec4f(select(colour, linear(colour), switched(ENCODE_SRGB)), 1.0);
 }
 
 @fragment
