@@ -2,6 +2,7 @@
 
 use dpges_core::camera::Camera;
 use dpges_core::scene::SceneData;
+use half::f16;
 
 use crate::error::{RenderError, Result};
 use crate::image::Rgb8Image;
@@ -13,6 +14,8 @@ use crate::{readback, targets};
 #[derive(Clone, Debug)]
 pub struct Headless {
     adapter: wgpu::AdapterInfo,
+    /// Whether pictures can have 32-bit floats.
+    draws_floats: bool,
     device: wgpu::Device,
     queue: wgpu::Queue,
 }
@@ -51,8 +54,10 @@ impl Headless {
             adapter: adapter.get_info().name,
             reason: error.to_string(),
         };
+        let usages = adapter.get_texture_format_features(wgpu::TextureFormat::Rgba32Float).allowed_usages;
+        let draws_floats = usages.contains(wgpu::TextureUsages::RENDER_ATTACHMENT);
         let (device, queue) = adapter.request_device(&descriptor).await.map_err(refused)?;
-        Ok(Self { adapter: adapter.get_info(), device, queue })
+        Ok(Self { adapter: adapter.get_info(), draws_floats, device, queue })
     }
 
     pub fn device(&self) -> &wgpu::Device {
@@ -66,6 +71,10 @@ impl Headless {
     /// Name and interface of the adapter.
     pub fn adapter_name(&self) -> String {
         format!("{} ({})", self.adapter.name, self.adapter.backend)
+    }
+
+    pub fn backend(&self) -> wgpu::Backend {
+        self.adapter.backend
     }
 
     /// A renderer for [`picture`](Self::picture) with the best precision of the device.
@@ -96,7 +105,8 @@ impl Headless {
         self.draw(&mut renderer, camera, options)
     }
 
-    /// The planes [3, H, W] of a picture, not clamped and not rounded to bytes, with sums of `precision`.
+    /// The planes [3, H, W] of a picture, not clamped and not rounded to bytes, with sums of `precision`. Where the
+    /// device cannot draw into 32-bit floats, numbers are rounded to 16 bits.
     ///
     /// # Errors
     /// Those of [`picture`](Self::picture) and of [`Renderer::new`].
@@ -107,11 +117,17 @@ impl Headless {
         options: &RenderOptions,
         precision: Precision,
     ) -> Result<Vec<f32>> {
-        let format = wgpu::TextureFormat::Rgba32Float;
+        use wgpu::TextureFormat::{Rgba16Float, Rgba32Float};
+        let format = if self.draws_floats { Rgba32Float } else { Rgba16Float };
         let mut renderer = Renderer::new(&self.device, &self.queue, format, precision)?;
         renderer.upload(scene)?;
         let bytes = self.bytes(&mut renderer, camera, options, format)?;
-        let (pixels, _) = bytemuck::cast_slice::<u8, f32>(&bytes).as_chunks::<4>();
+        let numbers: Vec<f32> = if self.draws_floats {
+            bytemuck::pod_collect_to_vec(&bytes)
+        } else {
+            bytes.as_chunks::<2>().0.iter().map(|&half| f16::from_le_bytes(half).to_f32()).collect()
+        };
+        let (pixels, _) = numbers.as_chunks::<4>();
         Ok((0..3).flat_map(|channel| pixels.iter().map(move |pixel| pixel[channel])).collect())
     }
 

@@ -30,8 +30,9 @@ pub(crate) const LAYER_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rg32Ui
 pub(crate) const OPACITY_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::R16Float;
 pub(crate) const COLOUR_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
 pub(crate) const RECORD_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba32Uint;
-pub(crate) const INTERVAL_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba32Float;
-pub(crate) const THIRD_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rg32Float;
+/// 32-bit floats as bits: every device can draw into integers, not every one into 32-bit floats.
+pub(crate) const INTERVAL_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba32Uint;
+pub(crate) const THIRD_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rg32Uint;
 pub(crate) const ORDER_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::R32Uint;
 
 /// What is drawn into and read, apart from sums.

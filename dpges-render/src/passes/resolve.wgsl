@@ -17,10 +17,10 @@ const OPAQUE: u32 = 0x80000000u;
 struct Resolved {
     // C_s, T_K
     @location(0) surfels: vec4f,
-    // Ends of the first two intervals as near / depth, T_1, T_2
-    @location(1) intervals: vec4f,
-    // End of the third, T_3
-    @location(2) third: vec2f,
+    // Ends of the first two intervals as near / depth, T_1, T_2, as bits
+    @location(1) intervals: vec4u,
+    // End of the third, T_3, as bits
+    @location(2) third: vec2u,
     // near / depth behind which Gaussians are hidden
     @builtin(frag_depth) closed_at: f32,
 }
@@ -92,8 +92,8 @@ fn fragment(@builtin(position) position: vec4f) -> Resolved {
 
     var resolved: Resolved;
     resolved.surfels = vec4f(colour + through * frame.background.rgb, through);
-    resolved.intervals = vec4f(ends.xy, throughs.xy);
-    resolved.third = vec2f(ends.z, throughs.z);
+    resolved.intervals = bitcast<vec4u>(vec4f(ends.xy, throughs.xy));
+    resolved.third = bitcast<vec2u>(vec2f(ends.z, throughs.z));
     resolved.closed_at = closed_at;
     return resolved;
 }

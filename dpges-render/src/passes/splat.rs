@@ -18,7 +18,7 @@ pub(crate) struct SplatPass {
 impl SplatPass {
     pub fn new(kit: &Kit, sums: wgpu::TextureFormat) -> Self {
         let shader = kit.shader("splat", SHADER);
-        let layout = kit.textures("splat", &[Texture::Uint, Texture::Uint, Texture::Float, Texture::Float]);
+        let layout = kit.textures("splat", &[Texture::Uint; 4]);
         let pipeline = |fragment| {
             let stage = Stage {
                 label: "splat",

@@ -2,8 +2,8 @@
 
 @group(1) @binding(0) var firsts: texture_2d<u32>;
 @group(1) @binding(1) var seconds: texture_2d<u32>;
-@group(1) @binding(2) var intervals: texture_2d<f32>;
-@group(1) @binding(3) var thirds: texture_2d<f32>;
+@group(1) @binding(2) var intervals: texture_2d<u32>;
+@group(1) @binding(3) var thirds: texture_2d<u32>;
 
 struct Corner {
     @builtin(position) position: vec4f,
@@ -46,7 +46,7 @@ fn one_layer(corner: Corner) -> @location(0) vec4f {
 }
 
 fn through(corner: Corner) -> f32 {
-    let packed = textureLoad(intervals, vec2u(corner.position.xy), 0);
+    let packed = bitcast<vec4f>(textureLoad(intervals, vec2u(corner.position.xy), 0));
     // in front of the first layer, of the second, behind both
     return select(select(packed.w, packed.z, corner.depth > packed.y), 1.0, corner.depth > packed.x);
 }
@@ -68,8 +68,8 @@ fn four_layers(corner: Corner) -> @location(0) vec4f {
     }
     var share = through(corner);
     let at = vec2u(corner.position.xy);
-    let third = textureLoad(thirds, at, 0).xy;
-    if corner.depth <= textureLoad(intervals, at, 0).y && corner.depth <= third.x {
+    let third = bitcast<vec2f>(textureLoad(thirds, at, 0).xy);
+    if corner.depth <= bitcast<f32>(textureLoad(intervals, at, 0).y) && corner.depth <= third.x {
         share = third.y;
     }
     return vec4f(corner.colour_strength.rgb, 1.0) * (alpha * share);
