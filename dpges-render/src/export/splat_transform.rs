@@ -43,14 +43,14 @@ fn table(path: &Path) -> HashMap<String, Vec<f32>> {
 fn differences(columns: &HashMap<String, Vec<f32>>, cloud: &SplatCloud) -> [f32; 6] {
     let rest = cloud.harmonics_len() / 3 - 1;
     let mut largest = [0.0f32; 6];
-    for row in 0..cloud.len() {
+    for (row, &position) in cloud.positions.iter().enumerate() {
         let value = |name: &str| columns[name][row];
         let mut differ = |of: usize, found: f32, expected: f32| {
             largest[of] = largest[of].max((found - expected).abs());
         };
         let harmonics = cloud.harmonics_of(row);
         for axis in 0..3 {
-            differ(0, value(["x", "y", "z"][axis]), cloud.positions[row][axis]);
+            differ(0, value(["x", "y", "z"][axis]), position[axis]);
             differ(1, value(&format!("scale_{axis}")), cloud.log_scales[row][axis]);
             differ(3, value(&format!("f_dc_{axis}")), harmonics[0][axis]);
             for (index, coefficient) in harmonics[1..].iter().enumerate() {
