@@ -1,13 +1,15 @@
 //! Files for other programs: a scene as [splats](SplatCloud) that are sorted and blended (PLY, SPZ, glTF), or as a
-//! [mesh](mesh) (PLY, glTF).
+//! [`mesh`] (PLY, glTF).
 //!
-//! Splats are an approximation: see [`flatten`](mod@flatten). The guide `docs/exports.md` says what each format keeps.
+//! Splats are an approximation: see [`flatten`](mod@flatten). The [`guide`] says what each format keeps.
 
 mod axes;
 mod cloud;
 mod error;
 pub mod flatten;
 mod glb;
+#[doc = include_str!("../../docs/exports.md")]
+pub mod guide {}
 mod harmonics;
 pub mod mesh;
 mod splat_glb;
@@ -15,7 +17,7 @@ mod splat_ply;
 #[cfg(test)]
 mod splat_transform;
 pub mod spz;
-#[cfg(test)]
+
 pub use axes::UpAxis;
 pub use cloud::SplatCloud;
 pub use error::ExportError;

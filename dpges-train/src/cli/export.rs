@@ -24,6 +24,8 @@ use super::{Failure, Result, device_choice, print, table};
 const VOXELS_PER_EXTENT: f64 = 128.0;
 /// Surfels farther than this are not meshed, extents.
 const FARTHEST_EXTENTS: f64 = 4.0;
+/// Steps of a fit, unless they are given.
+const FIT_STEPS: usize = 300;
 /// Steps of a fit between two lines about it.
 const REPORT_EVERY: usize = 50;
 
@@ -77,9 +79,10 @@ pub struct ExportArgs {
     /// Axis of the scene that points up; files in SPZ and glTF stand upright
     #[arg(long, value_enum, default_value_t = Up::Auto)]
     up: Up,
-    /// Train the splats for this many steps on the training views, so that less is lost
-    #[arg(long, value_name = "STEPS", default_value_t = 0)]
-    fit: usize,
+    /// Train the splats for this many steps on the training views, so that less is lost [default: 300 if surfels are
+    /// flattened and the dataset is at hand, or else 0]
+    #[arg(long, value_name = "STEPS")]
+    fit: Option<usize>,
     /// Distance between the voxels that a mesh is made of, world units [default: a 128th of the extent]
     #[arg(long, value_name = "SIZE")]
     voxel: Option<f64>,
@@ -114,13 +117,15 @@ impl ExportArgs {
         let up = self.up_axis(data.as_ref().ok().map(|(_, dataset)| dataset.format));
         let degree = usize::from(self.degree);
         let device = device.open()?;
-        let (mut cloud, mut data) = (flatten(scene, degree)?, data);
-        if self.fit > 0 {
+        let mut cloud = flatten(scene, degree)?;
+        let peeled = scene.info.rendering == Rendering::Peeled;
+        let steps = self.fit.unwrap_or(if peeled && data.is_ok() { FIT_STEPS } else { 0 });
+        if steps > 0 {
             let (_, dataset) =
                 data.as_ref().map_err(|failure| Failure::Usage(format!("--fit: {}", reason(failure))))?;
-            let fitted = fit(&cloud.to_scene(), &dataset.train, self.fit, &device, |completed| {
-                if completed % REPORT_EVERY == 0 || completed == self.fit {
-                    tracing::info!("fit: step {completed}/{}", self.fit);
+            let fitted = fit(&cloud.to_scene(), &dataset.train, steps, &device, |completed| {
+                if completed % REPORT_EVERY == 0 || completed == steps {
+                    tracing::info!("splats: step {completed}/{steps}");
                 }
             })?;
             cloud = flatten(&fitted, degree)?;
@@ -136,11 +141,9 @@ impl ExportArgs {
             "splats",
             format!("{} of {} surfels and {} Gaussians", cloud.len(), scene.surfels.len(), scene.gaussians.len()),
         ));
-        rows.push((
-            "up",
-            format!("{up}{}", if self.format == ExportFormat::Ply { ", as in the scene" } else { ", turned to y" }),
-        ));
-        if scene.info.rendering == Rendering::Peeled {
+        let axes = if self.format == ExportFormat::Ply { "as in the scene" } else { "turned to y" };
+        rows.push(("up", format!("{up}, {axes}")));
+        if peeled {
             rows.push((
                 "note",
                 "approximation: sorted splats cannot express peeled surfels and order-free Gaussians".into(),
@@ -150,19 +153,15 @@ impl ExportArgs {
             // what is measured is what the file holds
             cloud = SplatCloud { info: cloud.info, ..from_spz(&bytes)?.rotated(up.to_rub().transpose()) };
         }
-        if let Ok((source, dataset)) = &data
-            && self.views.chosen(dataset).is_empty()
-        {
-            data = Err(Failure::Usage(format!("{source} has no views in split `{}`", self.views.split)));
-        }
         let loss = match &data {
+            Ok((source, dataset)) if self.views.chosen(dataset).is_empty() => {
+                format!("not measured: {source} has no views in split `{}`", self.views.split)
+            }
             Ok((_, dataset)) => self.loss(scene, &cloud, self.views.chosen(dataset), &device)?,
             Err(failure) => format!("not measured: {}", reason(failure)),
         };
         rows.push(("PSNR", loss));
-        if scene.info.rendering == Rendering::Peeled && self.fit == 0 {
-            rows.push(("hint", "--fit 300 trains the splats to lose less".into()));
-        }
+        rows.push(("fit", if steps > 0 { format!("{steps} steps") } else { "none".to_owned() }));
         Ok(rows)
     }
 
@@ -206,10 +205,8 @@ impl ExportArgs {
         let mut rows = self.write(&bytes)?;
         rows.push(("mesh", format!("{} vertices, {} triangles", mesh.positions.len(), mesh.triangles.len())));
         rows.push(("voxel", format!("{voxel:.4} world units, {} training views", dataset.train.len())));
-        rows.push((
-            "up",
-            format!("{up}{}", if self.format == ExportFormat::MeshPly { ", as in the scene" } else { ", turned to y" }),
-        ));
+        let axes = if self.format == ExportFormat::MeshPly { "as in the scene" } else { "turned to y" };
+        rows.push(("up", format!("{up}, {axes}")));
         rows.push(("note", "surfels alone: what Gaussians draw is missing".into()));
         if source == Source::Builtin {
             rows.push(("exact depth", exact_error(&mesh, &dataset.test)));
