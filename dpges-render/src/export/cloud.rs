@@ -10,13 +10,13 @@ use super::harmonics::{HarmonicsRotation, coefficient_count};
 /// [`flatten`](super::flatten()) makes it of a scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SplatCloud {
-    /// [N] centres, world units.
+    /// `[N]` centres, world units.
     pub positions: Vec<[f32; 3]>,
-    /// [N] unit quaternions (w, x, y, z).
+    /// `[N]` unit quaternions (w, x, y, z).
     pub quaternions: Vec<[f32; 4]>,
-    /// [N] natural logarithms of the standard deviations along the columns of the rotation, world units.
+    /// `[N]` natural logarithms of the standard deviations along the columns of the rotation, world units.
     pub log_scales: Vec<[f32; 3]>,
-    /// [N] between 0 and 1, neither included.
+    /// `[N]` between 0 and 1, neither included.
     pub opacities: Vec<f32>,
     /// Degree of the harmonics, 0 to 3.
     pub degree: usize,

@@ -16,7 +16,7 @@
 //! can be, [`LARGEST_OPACITY`], its disc is scaled so that this radius is [`OPAQUE_RADIUS_SIGMAS`] of its standard
 //! deviations, and it is as thick as a thousandth of its smaller scale. Covering as much as the surfel would ask for a
 //! larger scale (2.07 instead of 1.30 at w = 30), but that hides more of the Gaussians within the margin, and the
-//! picture loses more: 1.9 dB at the built-in scene.
+//! picture loses more: 2.0 dB at the built-in scene.
 //!
 //! Colours become spherical harmonics (exactly, if they are; else see the module `harmonics`). Discs and ellipsoids of a
 //! scene that is blended already stay what they are.

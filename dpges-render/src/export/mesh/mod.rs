@@ -15,12 +15,12 @@ pub use fusion::{DepthView, Fusion, FusionOptions};
 /// Triangles with a colour and a normal at every vertex, in the coordinates of the scene.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TriangleMesh {
-    /// [V] world units.
+    /// `[V]` world units.
     pub positions: Vec<[f32; 3]>,
-    /// [V] unit vectors, towards the side that is seen.
+    /// `[V]` unit vectors, towards the side that is seen.
     pub normals: Vec<[f32; 3]>,
-    /// [V] red, green, blue; display-referred.
+    /// `[V]` red, green, blue; display-referred.
     pub colours: Vec<[u8; 3]>,
-    /// [F] vertices, counter-clockwise for those who see the front.
+    /// `[F]` vertices, counter-clockwise for those who see the front.
     pub triangles: Vec<[u32; 3]>,
 }

@@ -13,7 +13,7 @@
 //! | rotations | 32 bits | index of the largest component, the three others with 9 bits and a sign |
 //! | harmonics | 3 bytes per coefficient | 128 k + 128, rounded to 5 bits in degree 1 and to 4 bits above |
 //!
-//! SPZ has axes with x right, y up, and z towards the viewer (RUB); [`UpAxis`](super::UpAxis) says how they come about.
+//! SPZ has axes with x right, y up, and z towards the viewer (RUB); [`UpAxis`] says how they come about.
 //! The file has no place for an offset, nor for the note that it is an approximation.
 
 mod quantise;
