@@ -25,6 +25,8 @@
 //! Attributes are packed: see `scene/packing.rs` and `scene/colours.rs`. Depths are near / z in 32-bit floats.
 
 pub mod error;
+#[cfg(feature = "export")]
+pub mod export;
 pub mod false_colour;
 #[cfg(not(target_arch = "wasm32"))]
 pub mod frame_times;

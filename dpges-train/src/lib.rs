@@ -35,4 +35,5 @@ pub mod refine;
 pub mod rendered;
 pub mod run;
 pub mod scene_state;
+pub mod splat_fit;
 mod stage;

@@ -196,9 +196,23 @@ pub struct ViewArgs {
 }
 
 impl ViewArgs {
-    /// The views, with cameras in the scene's coordinates, and what they were read from. The options of a run are
-    /// those it was trained with, unless given; the background is the scene's, unless given, and then the scene's too.
+    /// The views of the split, as [`dataset`](Self::dataset) has them, and what they were read from.
     pub fn load(&self, scene: &mut Scene) -> Result<(Source, Vec<View>)> {
+        let (source, dataset) = self.dataset(scene)?;
+        let (views, other) = match self.split {
+            Split::Test => (dataset.test, Split::Train),
+            Split::Train => (dataset.train, Split::Test),
+        };
+        if views.is_empty() {
+            let help = format!("`--split {other}` has views");
+            return Err(Failure::with_help(format!("{source} has no views in split `{}`", self.split), help));
+        }
+        Ok((source, views))
+    }
+
+    /// The dataset, with cameras in the scene's coordinates, and what it was read from. The options of a run are those
+    /// it was trained with, unless given; the background is the scene's, unless given, and then the scene's too.
+    pub fn dataset(&self, scene: &mut Scene) -> Result<(Source, Dataset)> {
         let source = match (&self.data, &scene.run) {
             (Some(path), _) => Source::new(path),
             (None, Some(run)) => Source::new(Path::new(&run.read_origin()?.dataset)),
@@ -214,18 +228,25 @@ impl ViewArgs {
             Some(Background::Colour(colour)) => scene.data.info.background = colour,
             _ => data.background = Background::Colour(scene.data.info.background),
         }
-        let dataset = source.load(&data)?;
+        let mut dataset = source.load(&data)?;
         let offset = dataset.offset;
-        let (views, other) = match self.split {
-            Split::Test => (dataset.test, Split::Train),
-            Split::Train => (dataset.train, Split::Test),
-        };
-        if views.is_empty() {
-            let help = format!("`--split {other}` has views");
-            return Err(Failure::with_help(format!("{source} has no views in split `{}`", self.split), help));
+        for view in dataset.train.iter_mut().chain(&mut dataset.test) {
+            view.camera = in_scene(view.camera, offset, &scene.data.info);
         }
-        let place = |view: View| View { camera: in_scene(view.camera, offset, &scene.data.info), ..view };
-        Ok((source, views.into_iter().map(place).collect()))
+        Ok((source, dataset))
+    }
+
+    /// Those of the views of `dataset` that are asked for.
+    pub fn chosen<'a>(&self, dataset: &'a Dataset) -> &'a [View] {
+        match self.split {
+            Split::Test => &dataset.test,
+            Split::Train => &dataset.train,
+        }
+    }
+
+    /// Whether the command line names a dataset.
+    pub fn names_dataset(&self) -> bool {
+        self.data.is_some()
     }
 }
 

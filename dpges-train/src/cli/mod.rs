@@ -8,6 +8,7 @@ mod device_choice;
 mod device_failure;
 mod devices;
 mod eval;
+mod export;
 mod info;
 #[cfg(test)]
 mod reference;
@@ -47,6 +48,7 @@ enum Command {
     Eval(eval::EvalArgs),
     Render(render::RenderArgs),
     Bench(bench::BenchArgs),
+    Export(export::ExportArgs),
     Info(info::InfoArgs),
     Devices(devices::DevicesArgs),
     Selftest(selftest::SelftestArgs),
@@ -108,6 +110,7 @@ pub fn run() -> ExitCode {
         Command::Eval(args) => eval::run(&args),
         Command::Render(args) => render::run(&args),
         Command::Bench(args) => bench::run(&args),
+        Command::Export(args) => export::run(&args),
         Command::Info(args) => info::run(&args),
         Command::Devices(args) => devices::run(&args),
         Command::Selftest(args) => selftest::run(&args),

@@ -1,0 +1,31 @@
+//! Why a scene cannot be exported, or a file not be read.
+
+#[derive(Debug, thiserror::Error)]
+pub enum ExportError {
+    #[error("harmonics of degree {found} cannot be exported: use a degree from 0 to 3")]
+    Degree { found: usize },
+    #[error("the scene draws nothing: it has no surfels, and all of its {gaussians} Gaussians are transparent")]
+    Empty { gaussians: usize },
+    #[error("the scene has no surfels, and a mesh is made of them: export the splats instead")]
+    NoSurfels,
+    #[error(
+        "a splat is {found:.3e} world units from the origin, and SPZ holds positions below {limit:.3e}: move the scene \
+         nearer to the origin, or export another format"
+    )]
+    TooFar { found: f64, limit: f64 },
+    #[error("{count} splats are more than the format can count, at most {limit}")]
+    TooMany { count: usize, limit: usize },
+    #[error(
+        "voxels of {voxel} world units are too small for this scene: the surfaces of {views} views need more than \
+         {limit} voxels; use larger ones"
+    )]
+    TooManyVoxels { voxel: f64, views: usize, limit: usize },
+    #[error("a voxel of {found} world units is none: use a positive, finite number")]
+    Voxel { found: f64 },
+    #[error("a view has {found} numbers of {what}, expected {expected} for its {width} × {height} pixels")]
+    View { what: &'static str, found: usize, expected: usize, width: usize, height: usize },
+    #[error("no surface was found: no view shows a surfel, or the voxels are larger than all of them")]
+    NoSurface,
+    #[error("{format} file: {reason}")]
+    Malformed { format: &'static str, reason: String },
+}

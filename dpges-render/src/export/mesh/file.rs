@@ -1,0 +1,159 @@
+//! Meshes as files: PLY in the axes of the dataset, binary glTF with y up.
+
+use gltf_json::Mesh;
+use gltf_json::mesh::{Mode, Primitive, Semantic};
+use gltf_json::validation::Checked::Valid;
+
+use super::super::GENERATOR;
+use super::super::axes::UpAxis;
+use super::super::error::ExportError;
+use super::super::glb::{Column, GlbBuilder};
+use super::TriangleMesh;
+
+/// What files say about themselves.
+const NOTE: &str = "Mesh of the surfels alone: what Gaussians draw is missing";
+
+impl TriangleMesh {
+    /// A PLY file: binary, little endian, `x y z nx ny nz` as floats, `red green blue` as bytes, and `vertex_indices`. It
+    /// is in the axes of the dataset and in the coordinates of the scene; comments name `up` and the scene's `offset`.
+    pub fn to_ply(&self, up: UpAxis, offset: [f64; 3]) -> Vec<u8> {
+        let [x, y, z] = offset;
+        let mut text = format!(
+            "ply\nformat binary_little_endian 1.0\ncomment Exported from {GENERATOR}\ncomment {NOTE}\n\
+             comment Vertical axis: {up}\n\
+             comment Offset: {x} {y} {z} (add it to positions to get coordinates of the dataset)\n"
+        );
+        text.push_str(&format!("element vertex {}\n", self.positions.len()));
+        text.extend(["x", "y", "z", "nx", "ny", "nz"].map(|name| format!("property float {name}\n")));
+        text.extend(["red", "green", "blue"].map(|name| format!("property uchar {name}\n")));
+        text.push_str(&format!("element face {}\nproperty list uchar int vertex_indices\n", self.triangles.len()));
+        text.push_str("end_header\n");
+        let mut bytes = text.into_bytes();
+        for (index, position) in self.positions.iter().enumerate() {
+            let numbers = position.iter().chain(&self.normals[index]);
+            bytes.extend(numbers.flat_map(|number| number.to_le_bytes()));
+            bytes.extend(self.colours[index]);
+        }
+        for triangle in &self.triangles {
+            bytes.push(3);
+            bytes.extend(triangle.iter().flat_map(|corner| corner.to_le_bytes()));
+        }
+        bytes
+    }
+
+    /// A binary glTF file of the mesh, which stands in axes with `up` upwards, turned so that y is up. Vertex colours
+    /// are linear, as glTF wants them.
+    ///
+    /// # Errors
+    /// [`ExportError::TooMany`] if the file would exceed the 4 GiB that its header can say.
+    pub fn to_glb(&self, up: UpAxis, offset: [f64; 3]) -> Result<Vec<u8>, ExportError> {
+        // 28 bytes a vertex, and about two triangles of 12 bytes to each
+        let limit = u32::MAX as usize / 64;
+        if self.positions.len().max(self.triangles.len() / 2) > limit {
+            return Err(ExportError::TooMany { count: self.positions.len(), limit });
+        }
+        let rotation = up.to_gltf().as_mat3();
+        let turn = |rows: &[[f32; 3]]| -> Vec<[f32; 3]> {
+            rows.iter().map(|&row| (rotation * glam::Vec3::from(row)).to_array()).collect()
+        };
+        let mut builder = GlbBuilder::new();
+        let linear: Vec<u8> = (0..=255u8).map(to_linear).collect();
+        let colours = self.colours.iter().map(|rgb| {
+            let [red, green, blue] = rgb.map(|channel| linear[usize::from(channel)]);
+            [red, green, blue, 255]
+        });
+        let attributes = [
+            (Valid(Semantic::Positions), builder.add(Column::positions(&turn(&self.positions)))),
+            (Valid(Semantic::Normals), builder.add(Column::floats(turn(&self.normals).into_iter()))),
+            (Valid(Semantic::Colors(0)), builder.add(Column::colours(colours))),
+        ];
+        let indices = builder.add(Column::indices(self.triangles.as_flattened()));
+        builder.root.meshes.push(Mesh {
+            extensions: None,
+            extras: Default::default(),
+            primitives: vec![Primitive {
+                attributes: attributes.into(),
+                extensions: None,
+                extras: Default::default(),
+                indices: Some(indices),
+                material: None,
+                mode: Valid(Mode::Triangles),
+                targets: None,
+            }],
+            weights: None,
+        });
+        Ok(builder.finish(NOTE, offset, |_| ()))
+    }
+}
+
+/// From sRGB.
+fn to_linear(byte: u8) -> u8 {
+    let value = f32::from(byte) / 255.0;
+    let linear = if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) };
+    crate::image::to_byte(linear)
+}
+
+#[cfg(test)]
+mod tests {
+    use serde::Deserialize;
+
+    use super::super::super::glb::{floats, parts};
+    use super::*;
+
+    fn mesh() -> TriangleMesh {
+        TriangleMesh {
+            positions: vec![[0.0, 1.0, 2.0], [3.0, 4.0, 5.0], [6.0, -7.0, 8.5], [0.5, 0.25, 0.125]],
+            normals: vec![[0.0, 0.0, 1.0]; 4],
+            colours: vec![[0, 128, 255], [1, 2, 3], [4, 5, 6], [7, 8, 9]],
+            triangles: vec![[0, 1, 2], [2, 1, 3]],
+        }
+    }
+
+    #[derive(Deserialize)]
+    struct Vertex {
+        x: f32,
+        z: f32,
+        nz: f32,
+        green: u8,
+    }
+
+    #[derive(Deserialize)]
+    struct Face {
+        vertex_indices: Vec<u32>,
+    }
+
+    #[derive(Deserialize)]
+    struct File {
+        vertex: Vec<Vertex>,
+        face: Vec<Face>,
+    }
+
+    #[test]
+    fn a_general_reader_opens_the_ply() {
+        let bytes = mesh().to_ply(UpAxis::Z, [1.0, 2.5, 3.0]);
+        assert!(String::from_utf8_lossy(&bytes).contains("comment Offset: 1 2.5 3 ("));
+        let file: File = serde_ply::from_bytes(&bytes).unwrap();
+        assert_eq!((file.vertex.len(), file.face.len()), (4, 2));
+        let last = &file.vertex[2];
+        assert_eq!((last.x, last.z, last.nz, last.green), (6.0, 8.5, 1.0, 5));
+        assert_eq!(file.face[1].vertex_indices, [2, 1, 3]);
+    }
+
+    #[test]
+    fn the_glb_is_valid_upright_and_linear() {
+        let bytes = mesh().to_glb(UpAxis::Z, [0.0; 3]).unwrap();
+        let (document, binary) = parts(&bytes);
+        let root: gltf_json::Root = serde_json::from_value(document.clone()).unwrap();
+        let mut problems = Vec::new();
+        gltf_json::validation::Validate::validate(&root, &root, gltf_json::Path::new, &mut |path, error| {
+            problems.push(format!("{} {error}", path()));
+        });
+        assert!(problems.is_empty(), "{problems:?}");
+        let primitive = &document["meshes"][0]["primitives"][0];
+        let positions = floats(&document, binary, &primitive["attributes"]["POSITION"]);
+        assert_eq!(positions[3..6], [3.0, 5.0, -4.0]);
+        assert_eq!(floats(&document, binary, &primitive["attributes"]["NORMAL"])[..3], [0.0, 1.0, 0.0]);
+        assert_eq!(document["accessors"][primitive["indices"].as_u64().unwrap() as usize]["count"], 6);
+        assert_eq!([0, 128, 255].map(to_linear), [0, 55, 255]);
+    }
+}

@@ -1,0 +1,345 @@
+//! Depths of many views fused into a truncated signed distance field (Curless and Levoy 1996).
+
+use std::collections::BTreeSet;
+
+use dpges_core::camera::Camera;
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::super::error::ExportError;
+use super::TriangleMesh;
+use super::field::{BLOCK, BLOCK_LEN, Block, BlockKey, Field};
+use super::surface::extract;
+
+/// Pixels that surfels cover less have no depth.
+const MIN_COVERAGE: f32 = 0.5;
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FusionOptions {
+    /// Distance between lattice points, world units.
+    pub voxel: f64,
+    /// Distances from a surface end here, voxels. At least 2; noise of the depths asks for more.
+    pub truncation_voxels: f64,
+    /// Depths beyond are not fused, world units.
+    pub farthest: f64,
+    /// Voxels that the memory may be filled with, 20 bytes each.
+    pub max_voxels: usize,
+}
+
+impl FusionOptions {
+    /// Voxels of `voxel` world units, truncation after 4 of them, all depths, 640 MB.
+    pub fn new(voxel: f64) -> Self {
+        Self { voxel, truncation_voxels: 4.0, farthest: f64::INFINITY, max_voxels: 32 << 20 }
+    }
+}
+
+/// What surfels look like from one camera, in the coordinates of the scene.
+#[derive(Clone, Copy, Debug)]
+pub struct DepthView<'a> {
+    pub camera: &'a Camera,
+    /// [H, W] mean camera-space z of the surfels at a pixel, world units.
+    pub depth: &'a [f32],
+    /// [H, W] how much of a pixel surfels cover, 0 to 1. Pixels below one half have no depth.
+    pub coverage: &'a [f32],
+    /// [3, H, W] display-referred.
+    pub colour: &'a [f32],
+}
+
+/// Views that become a mesh.
+pub struct Fusion {
+    options: FusionOptions,
+    field: Field,
+    views: usize,
+}
+
+impl Fusion {
+    /// # Errors
+    /// [`ExportError::Voxel`] for a voxel that is not positive and finite.
+    pub fn new(options: FusionOptions) -> Result<Self, ExportError> {
+        if !(options.voxel.is_finite() && options.voxel > 0.0) {
+            return Err(ExportError::Voxel { found: options.voxel });
+        }
+        Ok(Self { options, field: Field::default(), views: 0 })
+    }
+
+    /// Fuses one more view.
+    ///
+    /// # Errors
+    /// [`ExportError::View`] if a plane has another size than the camera, [`ExportError::TooManyVoxels`] if the view
+    /// needs more memory than the options allow; then it is not fused.
+    pub fn add(&mut self, view: &DepthView<'_>) -> Result<(), ExportError> {
+        view.check()?;
+        self.views += 1;
+        let view =
+            Sight { view, options: &self.options, truncation: self.options.truncation_voxels * self.options.voxel };
+        let keys: Vec<BlockKey> = view.blocks().into_iter().filter(|key| !self.field.contains(key)).collect();
+        if self.field.voxel_count() + keys.len() * BLOCK_LEN > self.options.max_voxels {
+            let FusionOptions { voxel, max_voxels, .. } = self.options;
+            return Err(ExportError::TooManyVoxels { voxel, views: self.views, limit: max_voxels });
+        }
+        keys.into_iter().for_each(|key| self.field.insert(key));
+        self.field.blocks.par_iter_mut().for_each(|block| view.fuse(block));
+        Ok(())
+    }
+
+    /// The surface between what was seen and what lies behind it.
+    ///
+    /// # Errors
+    /// [`ExportError::NoSurface`] if there is none.
+    pub fn finish(self) -> Result<TriangleMesh, ExportError> {
+        let mesh = extract(&self.field, self.options.voxel);
+        if mesh.triangles.is_empty() { Err(ExportError::NoSurface) } else { Ok(mesh) }
+    }
+}
+
+impl DepthView<'_> {
+    fn check(&self) -> Result<(), ExportError> {
+        let Camera { width, height, .. } = *self.camera;
+        let planes = [("depth", self.depth, 1), ("coverage", self.coverage, 1), ("colour", self.colour, 3)];
+        for (what, plane, channels) in planes {
+            let expected = channels * width * height;
+            if plane.len() != expected {
+                return Err(ExportError::View { what, found: plane.len(), expected, width, height });
+            }
+        }
+        Ok(())
+    }
+
+    /// Depth at a pixel, if it has one.
+    fn at(&self, x_px: usize, y_px: usize) -> Option<f64> {
+        let pixel = y_px * self.camera.width + x_px;
+        let depth = self.depth[pixel];
+        (self.coverage[pixel] >= MIN_COVERAGE && depth > 0.0 && depth.is_finite()).then(|| f64::from(depth))
+    }
+}
+
+/// A view and what it is needed for.
+struct Sight<'a> {
+    view: &'a DepthView<'a>,
+    options: &'a FusionOptions,
+    /// World units.
+    truncation: f64,
+}
+
+impl Sight<'_> {
+    /// Blocks within the truncation of a surface, in order.
+    fn blocks(&self) -> BTreeSet<BlockKey> {
+        let camera = self.view.camera;
+        let (eye, side) = (camera.centre(), f64::from(BLOCK) * self.options.voxel);
+        let row = |y: usize| {
+            let mut keys = BTreeSet::new();
+            for x in 0..camera.width {
+                let Some(depth) = self.view.at(x, y).filter(|&depth| depth <= self.options.farthest) else { continue };
+                let point = camera.unproject(x as f64 + 0.5, y as f64 + 0.5, depth);
+                let along = (point - eye).normalize() * self.options.voxel;
+                let reach = self.options.truncation_voxels.ceil() as i32;
+                for step in -reach..=reach {
+                    let sample = (point + f64::from(step) * along) / side;
+                    keys.insert(sample.to_array().map(|x| x.floor() as i32));
+                }
+            }
+            keys
+        };
+        (0..camera.height).into_par_iter().map(row).reduce(BTreeSet::new, |mut all, keys| {
+            all.extend(keys);
+            all
+        })
+    }
+
+    /// Takes what this view knows into all voxels of a block.
+    fn fuse(&self, block: &mut Block) {
+        let (camera, voxel) = (self.view.camera, self.options.voxel);
+        let first = block.key.map(|i| f64::from(i * BLOCK));
+        let half = 0.5 * f64::from(BLOCK - 1);
+        let centre = DVec3::from_array(first.map(|i| (i + half) * voxel));
+        let radius = (half + 1.0) * voxel * 3f64.sqrt();
+        if camera.depth(centre) + radius < camera.near {
+            return;
+        }
+        for (at, known) in block.voxels.iter_mut().enumerate() {
+            let at = at as i32;
+            let local = [at % BLOCK, at / BLOCK % BLOCK, at / (BLOCK * BLOCK)];
+            let point = DVec3::from_array(std::array::from_fn(|axis| (first[axis] + f64::from(local[axis])) * voxel));
+            if let Some((distance, pixel)) = self.distance(point) {
+                let pixels = camera.width * camera.height;
+                let colour = std::array::from_fn(|channel| self.view.colour[channel * pixels + pixel]);
+                known.add(distance as f32, colour);
+            }
+        }
+    }
+
+    /// Truncated distance of a point from the surface along its ray, in units of the truncation, and the nearest pixel.
+    /// `None` where the view knows nothing: outside it, where it has no depth, and far behind the surface.
+    fn distance(&self, point: DVec3) -> Option<(f64, usize)> {
+        let camera = self.view.camera;
+        let (x, y, z) = camera.project(point)?;
+        let inside = x >= 0.0 && y >= 0.0 && x < camera.width as f64 && y < camera.height as f64;
+        if !inside {
+            return None;
+        }
+        let (column, row) = (x as usize, y as usize);
+        let nearest = self.view.at(column, row)?;
+        if nearest > self.options.farthest {
+            return None;
+        }
+        let depth = self.interpolated(x, y, nearest);
+        let per_depth = (point - camera.centre()).length() / z;
+        let distance = (depth - z) * per_depth / self.truncation;
+        (distance >= -1.0).then(|| (distance.min(1.0), row * camera.width + column))
+    }
+
+    /// Depth between pixel centres: 1 / depth is linear on a plane. That of the `nearest` pixel at the border of the
+    /// view, and where its neighbours belong to another surface.
+    fn interpolated(&self, x: f64, y: f64, nearest: f64) -> f64 {
+        let camera = self.view.camera;
+        let ([left, right], [top, bottom]) = (neighbours(x, camera.width), neighbours(y, camera.height));
+        let mut inverse = 0.0;
+        for (row, share_y) in [top, bottom] {
+            for (column, share_x) in [left, right] {
+                match self.view.at(column, row) {
+                    Some(depth) if (depth - nearest).abs() < self.truncation => inverse += share_x * share_y / depth,
+                    _ => return nearest,
+                }
+            }
+        }
+        1.0 / inverse
+    }
+}
+
+/// The two pixels whose centres a position lies between, and their shares.
+fn neighbours(position: f64, size: usize) -> [(usize, f64); 2] {
+    let centre = (position - 0.5).clamp(0.0, (size - 1) as f64);
+    let low = centre as usize;
+    let share = centre - low as f64;
+    [(low, 1.0 - share), ((low + 1).min(size - 1), share)]
+}
+
+#[cfg(test)]
+mod tests {
+    use dpges_core::camera::CameraFromWorld;
+
+    use super::super::depth_map;
+    use super::*;
+
+    const RADIUS: f64 = 0.8;
+
+    fn cameras() -> Vec<Camera> {
+        let golden = 2.399_963_229_728_653;
+        (0..30)
+            .map(|index| {
+                let z = 1.0 - (2.0 * f64::from(index) + 1.0) / 30.0;
+                let (sin, cos) = (golden * f64::from(index)).sin_cos();
+                let direction = DVec3::new((1.0 - z * z).sqrt() * cos, (1.0 - z * z).sqrt() * sin, z);
+                let pose = CameraFromWorld::look_at(3.0 * direction, DVec3::ZERO, DVec3::new(0.1, 0.2, 0.97));
+                Camera {
+                    camera_from_world: pose,
+                    fx: 90.0,
+                    fy: 95.0,
+                    cx: 41.0,
+                    cy: 38.5,
+                    width: 80,
+                    height: 80,
+                    near: 0.01,
+                }
+            })
+            .collect()
+    }
+
+    /// Exact depth, coverage, and colour: of a ball around the origin whose colour is its position.
+    fn ball(camera: &Camera) -> [Vec<f32>; 3] {
+        let pixels = camera.width * camera.height;
+        let [mut depth, mut coverage, mut colour] = [vec![0.0; pixels], vec![0.0; pixels], vec![0.0; 3 * pixels]];
+        for pixel in 0..pixels {
+            let (x, y) = ((pixel % camera.width) as f64 + 0.5, (pixel / camera.width) as f64 + 0.5);
+            let (eye, ray) = (camera.centre(), camera.unproject(x, y, 1.0) - camera.centre());
+            let (a, b, c) = (ray.length_squared(), eye.dot(ray), eye.length_squared() - RADIUS * RADIUS);
+            let discriminant = b * b - a * c;
+            if discriminant > 0.0 {
+                let z = (-b - discriminant.sqrt()) / a;
+                let hit = eye + z * ray;
+                (depth[pixel], coverage[pixel]) = (z as f32, 1.0);
+                for channel in 0..3 {
+                    colour[channel * pixels + pixel] = (0.5 + 0.5 * hit[channel]) as f32;
+                }
+            }
+        }
+        [depth, coverage, colour]
+    }
+
+    fn fused(options: FusionOptions) -> Result<TriangleMesh, ExportError> {
+        let mut fusion = Fusion::new(options)?;
+        for camera in &cameras() {
+            let [depth, coverage, colour] = ball(camera);
+            fusion.add(&DepthView { camera, depth: &depth, coverage: &coverage, colour: &colour })?;
+        }
+        fusion.finish()
+    }
+
+    #[test]
+    fn a_ball_comes_back_within_a_fraction_of_a_voxel() {
+        let voxel = 0.05;
+        let mesh = fused(FusionOptions::new(voxel)).unwrap();
+        let points: Vec<DVec3> = mesh.positions.iter().map(|&p| glam::Vec3::from(p).as_dvec3()).collect();
+        let errors: Vec<f64> = points.iter().map(|p| (p.length() - RADIUS).abs() / voxel).collect();
+        let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+        let largest = errors.iter().copied().fold(0.0, f64::max);
+        assert!(mean < 0.1 && largest < 0.5, "{mean} {largest} voxels");
+        // closed: no edge has one triangle alone; surface nets join sheets at few edges
+        let edges: std::collections::HashMap<[u32; 2], usize> = mesh
+            .triangles
+            .iter()
+            .flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]])
+            .fold(Default::default(), |mut count, [a, b]| {
+                *count.entry([a.min(b), a.max(b)]).or_default() += 1;
+                count
+            });
+        assert!(edges.values().all(|count| count % 2 == 0));
+        assert!(edges.values().filter(|&&count| count > 2).count() < edges.len() / 1000);
+        // slivers at those edges aside, triangles face those who see them
+        let faces = |&&[a, b, c]: &&[u32; 3]| {
+            let [a, b, c] = [a, b, c].map(|index| points[index as usize]);
+            (b - a).cross(c - a).dot(a + b + c) > 0.0
+        };
+        let facing = mesh.triangles.iter().filter(faces).count();
+        assert!(facing * 1000 > mesh.triangles.len() * 999, "{facing} of {}", mesh.triangles.len());
+        let fits = |&index: &usize| {
+            let (point, normal) = (points[index], glam::Vec3::from(mesh.normals[index]).as_dvec3());
+            let expected = point.to_array().map(|x| 255.0 * (0.5 + 0.5 * x));
+            let off = mesh.colours[index].iter().zip(expected).map(|(&found, x)| (f64::from(found) - x).abs());
+            normal.dot(point.normalize()) > 0.95 && off.fold(0.0, f64::max) < 8.0
+        };
+        let fitting = (0..points.len()).filter(fits).count();
+        assert!(fitting * 100 > points.len() * 99, "{fitting} of {}", points.len());
+    }
+
+    #[test]
+    fn the_mesh_seen_again_has_the_depth_it_was_made_of() {
+        let mesh = fused(FusionOptions::new(0.04)).unwrap();
+        let camera = &cameras()[7];
+        let (found, [expected, ..]) = (depth_map(&mesh, camera), ball(camera));
+        let both: Vec<f32> =
+            found.iter().zip(&expected).filter(|(a, b)| **a > 0.0 && **b > 0.0).map(|(a, b)| (a - b).abs()).collect();
+        let seen = expected.iter().filter(|depth| **depth > 0.0).count();
+        assert!(both.len() > seen * 97 / 100, "{} of {seen}", both.len());
+        assert!(both.iter().sum::<f32>() / (both.len() as f32) < 0.006);
+    }
+
+    #[test]
+    fn what_does_not_fit_into_memory_is_told_before_it_is_taken() {
+        let error = fused(FusionOptions { max_voxels: 100 * BLOCK_LEN, ..FusionOptions::new(0.01) }).unwrap_err();
+        assert!(error.to_string().contains("voxels of 0.01 world units are too small"), "{error}");
+        assert!(matches!(fused(FusionOptions::new(0.0)), Err(ExportError::Voxel { .. })));
+        let near = fused(FusionOptions { farthest: 1.0, ..FusionOptions::new(0.05) });
+        assert!(matches!(near, Err(ExportError::NoSurface)), "all depths lie beyond 2");
+    }
+
+    #[test]
+    fn views_of_another_size_are_named() {
+        let mut fusion = Fusion::new(FusionOptions::new(0.1)).unwrap();
+        let camera = &cameras()[0];
+        let [depth, coverage, colour] = ball(camera);
+        let view = DepthView { camera, depth: &depth, coverage: &coverage[1..], colour: &colour };
+        let error = fusion.add(&view).unwrap_err().to_string();
+        assert!(error.contains("6399 numbers of coverage, expected 6400"), "{error}");
+    }
+}

@@ -1,0 +1,26 @@
+//! A mesh of the surfels: their rendered depths are [fused](Fusion) into a truncated signed distance field, and surface
+//! nets make triangles of it.
+//!
+//! What surfels do not show, a mesh does not have: what Gaussians alone draw is missing, and holes stay holes.
+
+mod depth_map;
+mod field;
+mod file;
+mod fusion;
+mod surface;
+
+pub use depth_map::depth_map;
+pub use fusion::{DepthView, Fusion, FusionOptions};
+
+/// Triangles with a colour and a normal at every vertex, in the coordinates of the scene.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TriangleMesh {
+    /// `[V]` world units.
+    pub positions: Vec<[f32; 3]>,
+    /// `[V]` unit vectors, towards the side that is seen.
+    pub normals: Vec<[f32; 3]>,
+    /// `[V]` red, green, blue; display-referred.
+    pub colours: Vec<[u8; 3]>,
+    /// `[F]` vertices, counter-clockwise for those who see the front.
+    pub triangles: Vec<[u32; 3]>,
+}

@@ -1,0 +1,33 @@
+//! Files for other programs: a scene as [splats](SplatCloud) that are sorted and blended (PLY, SPZ, glTF), or as a
+//! [`mesh`] (PLY, glTF).
+//!
+//! Splats are an approximation: see [`flatten`](mod@flatten). The [`guide`] says what each format keeps.
+
+mod axes;
+mod cloud;
+mod error;
+pub mod flatten;
+mod glb;
+#[doc = include_str!("../../docs/exports.md")]
+pub mod guide {}
+mod harmonics;
+pub mod mesh;
+mod splat_glb;
+mod splat_ply;
+#[cfg(test)]
+mod splat_transform;
+pub mod spz;
+
+pub use axes::UpAxis;
+pub use cloud::SplatCloud;
+pub use error::ExportError;
+pub use flatten::flatten;
+pub use harmonics::{MAX_DEGREE, coefficient_count};
+pub use splat_glb::to_glb;
+pub use splat_ply::to_ply;
+
+/// What comments in files call the program.
+const GENERATOR: &str = concat!("dpges ", env!("CARGO_PKG_VERSION"));
+/// What files of splats say about themselves, where the format has a place for it.
+const APPROXIMATION: &str =
+    "Approximation: sorted splats in place of depth-peeled surfels with order-free Gaussians (DP-GES)";
