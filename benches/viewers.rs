@@ -1,4 +1,4 @@
-//! `cargo bench -p dpges-benches --bench viewers -- [SCENE CAMERAS]`: frames per second of the real-time renderer, of a
+//! `cargo bench -p dpges-benches --features viewers --bench viewers -- [SCENE CAMERAS]`: frames per second of the real-time renderer, of a
 //! sorted 3DGS viewer (the crate wgpu-3dgs-viewer) at the same number of primitives, and of the renderer that is trained
 //! with, on the same adapter in the same run. Without a scene file and its cameras (`cameras.json` of 3DGS) it is the
 //! scene of the other benchmarks.
