@@ -5,7 +5,7 @@ use dpges_core::scene::SceneData;
 use eframe::egui_wgpu::RenderState;
 use egui::TextureId;
 
-use super::readback::read_texture;
+use crate::readback::texels;
 use crate::{PassTime, RenderError, RenderOptions, Renderer, Rgb8Image};
 
 /// What egui shows without conversion; colours are display-referred.
@@ -91,14 +91,18 @@ impl Canvas {
     /// What `camera` sees, as bytes. Waits for the GPU.
     ///
     /// # Errors
-    /// Those of [`Renderer::render`].
+    /// Those of [`Renderer::render`], and [`RenderError::Device`].
     pub fn picture(&mut self, camera: &Camera, options: &RenderOptions) -> Result<Rgb8Image, RenderError> {
         // the renderer remembers one frame, and this becomes it
         self.shown = None;
         let texture = self.make_texture([camera.width, camera.height]);
         let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
         submit(&self.state, &mut self.renderer, &view, camera, options)?;
-        Ok(read_texture(&self.state.device, &self.state.queue, &texture))
+        let (origin, size) = (wgpu::Origin3d::ZERO, [texture.width(), texture.height()]);
+        let rgba = texels(&self.state.device, &self.state.queue, &texture, origin, size)
+            .ok_or_else(|| RenderError::Device("the picture could not be read back".to_owned()))?;
+        let pixels = rgba.chunks_exact(4).map(|pixel| [pixel[0], pixel[1], pixel[2]]);
+        Ok(Rgb8Image::from_pixels(camera.width, camera.height, pixels))
     }
 
     fn make_texture(&self, [width, height]: [usize; 2]) -> wgpu::Texture {

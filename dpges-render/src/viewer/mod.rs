@@ -16,7 +16,6 @@ pub mod navigation;
 mod panels;
 mod path_editor;
 mod picture;
-mod readback;
 mod recent;
 mod resolution;
 mod screenshot;

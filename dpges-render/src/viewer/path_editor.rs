@@ -1,9 +1,7 @@
 //! A camera path in the making.
 
-use std::io::Write;
 use std::path::Path;
 
-use dpges_core::atomic::write_atomically;
 use dpges_core::camera::Camera;
 
 use crate::CameraPath;
@@ -65,7 +63,7 @@ impl PathEditor {
     }
 
     fn camera_at(&self, share: f64) -> Option<Camera> {
-        Some(CameraPath::from_cameras(self.cameras.clone())?.at(share))
+        Some(CameraPath::new(self.cameras.clone(), false).ok()?.at(share))
     }
 
     /// Writes the key cameras as JSON.
@@ -73,9 +71,8 @@ impl PathEditor {
     /// # Errors
     /// What is wrong, naming the file.
     pub fn save(&self, path: &Path) -> Result<(), String> {
-        let keys = CameraPath::from_cameras(self.cameras.clone()).ok_or("there is no camera in the path yet")?;
-        let text = keys.to_json();
-        write_atomically(path, |file| file.write_all(text.as_bytes())).map_err(|error| error.to_string())
+        let path_of_cameras = CameraPath::new(self.cameras.clone(), false).map_err(|error| error.to_string())?;
+        path_of_cameras.save(path).map_err(|error| error.to_string())
     }
 
     /// Takes the key cameras of a file; `near` is their near plane, world units.
@@ -83,10 +80,8 @@ impl PathEditor {
     /// # Errors
     /// What is wrong, naming the file.
     pub fn load(&mut self, path: &Path, near: f64) -> Result<(), String> {
-        let name = path.display();
-        let text = std::fs::read_to_string(path).map_err(|error| format!("cannot read {name}: {error}"))?;
-        let keys = CameraPath::from_json(&text, near).map_err(|error| format!("{name} is no camera path: {error}"))?;
-        self.cameras = keys.cameras().to_vec();
+        let loaded = CameraPath::load(path, near).map_err(|error| error.to_string())?;
+        self.cameras = loaded.keys().to_vec();
         self.playing = None;
         Ok(())
     }

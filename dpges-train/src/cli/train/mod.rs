@@ -1,6 +1,8 @@
 //! `dpges train`: from photographs to a scene.
 
 pub mod display;
+#[cfg(feature = "viewer")]
+mod live;
 pub mod options;
 pub mod session;
 
@@ -47,15 +49,30 @@ pub struct TrainArgs {
     /// Replace the run in the folder
     #[arg(long)]
     overwrite: bool,
+    /// Show the scene in a window while it trains
+    #[cfg(feature = "viewer")]
+    #[arg(long)]
+    view: bool,
 }
 
 pub fn run(args: TrainArgs, style: LogStyle) -> Result<()> {
-    let session = if args.resume { args.resume(style)? } else { args.start(style)? };
-    let summary = session.train(&*watch_for_interrupts()?)?;
+    let interrupted = watch_for_interrupts()?;
+    #[cfg(feature = "viewer")]
+    let summary = if args.view {
+        live::train_in_window(move || args.session(style), interrupted)?
+    } else {
+        args.session(style)?.train(&interrupted)?
+    };
+    #[cfg(not(feature = "viewer"))]
+    let summary = args.session(style)?.train(&interrupted)?;
     if style == LogStyle::Quiet { Ok(()) } else { print(&summary) }
 }
 
 impl TrainArgs {
+    fn session(self, style: LogStyle) -> Result<Session> {
+        if self.resume { self.resume(style) } else { self.start(style) }
+    }
+
     fn source(&self) -> Source {
         Source::named(self.dataset.as_deref())
     }
