@@ -169,7 +169,7 @@ impl Viewer {
             }
         }
         if self.panel_open && self.scene.is_some() {
-            let panel = Panel::right("panel").default_size(290.0).size_range(230.0..=460.0);
+            let panel = Panel::right("panel").default_size(316.0).size_range(250.0..=480.0);
             panel.show(ui, |ui| panels::show(self, ui));
         }
         if let Some(live) = self.live.clone() {

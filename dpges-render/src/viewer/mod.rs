@@ -6,6 +6,8 @@ mod comparison;
 mod dialogs;
 mod error;
 mod frame_times;
+#[cfg(test)]
+mod gpu_tests;
 mod help;
 mod keys;
 mod live;

@@ -2,14 +2,16 @@
 
 /// Smallest share of the window's pixels along an edge.
 pub const LEAST_SCALE: f64 = 0.25;
-/// Frames whose median decides.
+/// Frames whose median decides, at most.
 const WINDOW: usize = 8;
+/// Fewer decide if they took this long together, ms.
+const LONG_ENOUGH: f64 = 500.0;
 /// Frame times, in parts of the goal, between which nothing changes.
 const HELD: std::ops::RangeInclusive<f64> = 0.6..=1.1;
 /// Frame time that a change aims at, in parts of the goal.
 const AIM: f64 = 0.85;
-/// Largest change of the scale at once.
-const LARGEST_CHANGE: f64 = 1.4;
+/// Smallest and largest factor of the scale at once.
+const CHANGE: [f64; 2] = [0.4, 1.4];
 
 /// Chooses the scale of the picture by the time that frames take. Time grows with the square of the scale, so that a
 /// change lands between the limits within which nothing changes.
@@ -44,15 +46,15 @@ impl ResolutionControl {
     /// Takes note of a frame at the present scale that took `milliseconds`; the goal is `goal` milliseconds.
     pub fn observe(&mut self, milliseconds: f64, goal: f64) {
         self.times.push(milliseconds / goal);
-        if self.times.len() < WINDOW {
+        if self.times.len() < WINDOW && self.times.iter().sum::<f64>() * goal < LONG_ENOUGH {
             return;
         }
         self.times.sort_unstable_by(f64::total_cmp);
-        let median = self.times[WINDOW / 2];
+        let median = self.times[self.times.len() / 2];
         self.times.clear();
         self.full_ms = Some(median * goal / self.scale.powi(2));
         if !HELD.contains(&median) {
-            let change = (AIM / median).sqrt().clamp(1.0 / LARGEST_CHANGE, LARGEST_CHANGE);
+            let change = (AIM / median).sqrt().clamp(CHANGE[0], CHANGE[1]);
             self.scale = (self.scale * change).clamp(LEAST_SCALE, 1.0);
         }
     }
@@ -89,6 +91,12 @@ mod tests {
         assert_eq!(control.scale(), 1.0);
         run(&mut control, 1e6, 200);
         assert_eq!(control.scale(), LEAST_SCALE);
+    }
+
+    #[test]
+    fn very_slow_frames_are_answered_at_once() {
+        let mut control = ResolutionControl::default();
+        assert!(run(&mut control, 2000.0, 1)[0] < 0.5);
     }
 
     #[test]

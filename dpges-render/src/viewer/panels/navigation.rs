@@ -16,7 +16,7 @@ const AXES: [(&str, DVec3); 6] = [
 ];
 
 pub fn show(viewer: &mut Viewer, ui: &mut Ui) {
-    ui.horizontal(|ui| {
+    ui.horizontal_wrapped(|ui| {
         ui.label("dragging");
         ui.selectable_value(&mut viewer.navigator.mode, Mode::Orbit, "orbits");
         ui.selectable_value(&mut viewer.navigator.mode, Mode::Fly, "looks around");

@@ -11,7 +11,7 @@ pub fn show(viewer: &mut Viewer, ui: &mut Ui) {
     ui.checkbox(&mut resolution.automatic, "fewer pixels while moving, to hold");
     if resolution.automatic {
         ui.add(Slider::new(&mut resolution.frames_per_second, 5.0..=240.0).logarithmic(true).text("frames/s"));
-        ui.weak(format!("{:.0} % along an edge", 100.0 * resolution.control.scale()));
+        ui.weak(format!("while moving: {:.0} % of the pixels along an edge", 100.0 * resolution.control.scale()));
     } else {
         ui.add(Slider::new(&mut resolution.scale, LEAST_SCALE..=1.0).text("pixels along an edge"));
     }
