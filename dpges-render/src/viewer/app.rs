@@ -236,7 +236,7 @@ impl Viewer {
             Some(Answer::File(purpose, file)) => self.use_file(context, purpose, file),
             Some(Answer::NoDialogs) => {
                 let text = "This system shows no file dialogs (no desktop portal): drop the file onto the window, or \
-                            type its path.";
+                            start with `dpges view FILE`.";
                 self.message = Some(Message::Note(text.to_owned()));
             }
             Some(Answer::Cancelled) | None => {}

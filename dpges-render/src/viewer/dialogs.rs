@@ -5,7 +5,7 @@ use std::sync::mpsc::{Receiver, TryRecvError, channel};
 use std::time::{Duration, Instant};
 
 /// Nobody closes a dialog sooner than this: one that is gone by then was never there.
-const LEAST_TIME: Duration = Duration::from_millis(300);
+const LEAST_TIME: Duration = Duration::from_millis(400);
 
 /// What the file is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,7 +29,7 @@ pub enum Answer {
 /// One dialog at a time, beside the window.
 #[derive(Default)]
 pub struct Dialogs {
-    open: Option<(Purpose, Instant, Receiver<Option<PathBuf>>)>,
+    open: Option<Receiver<Answer>>,
 }
 
 impl Dialogs {
@@ -49,20 +49,20 @@ impl Dialogs {
         };
         let (sender, receiver) = channel();
         std::thread::spawn(move || {
+            let since = Instant::now();
             let file = pollster::block_on(question).map(|file| file.path().to_owned());
             // nobody listens if the window is closed
-            let _ = sender.send(file);
+            let _ = sender.send(answer(purpose, file, since.elapsed()));
             wake();
         });
-        self.open = Some((purpose, Instant::now(), receiver));
+        self.open = Some(receiver);
     }
 
     pub fn poll(&mut self) -> Option<Answer> {
-        let (purpose, since, receiver) = self.open.as_ref()?;
-        let answer = match receiver.try_recv() {
+        let answer = match self.open.as_ref()?.try_recv() {
             Err(TryRecvError::Empty) => return None,
             Err(TryRecvError::Disconnected) => Answer::NoDialogs,
-            Ok(file) => answer(*purpose, file, since.elapsed()),
+            Ok(answer) => answer,
         };
         self.open = None;
         Some(answer)

@@ -44,7 +44,7 @@ impl FrameTimes {
 
     /// Median of the last frames that followed one another, frames per second.
     pub fn frames_per_second(&self) -> Option<f64> {
-        let mut times: Vec<f64> = self.0.iter().rev().take(30).filter_map(|frame| frame.wall_ms).collect();
+        let mut times: Vec<f64> = self.0.iter().rev().take(10).filter_map(|frame| frame.wall_ms).collect();
         times.sort_unstable_by(f64::total_cmp);
         times.get(times.len() / 2).map(|ms| 1e3 / ms)
     }

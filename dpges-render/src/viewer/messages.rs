@@ -18,6 +18,7 @@ impl Message {
         };
         let frame = Frame::new().fill(fill).inner_margin(8.0);
         let shown = frame.show(ui, |ui| {
+            ui.set_width(ui.available_width());
             ui.horizontal_wrapped(|ui| {
                 let closed = ui.small_button("close").clicked();
                 ui.label(RichText::new(text).color(Color32::WHITE));

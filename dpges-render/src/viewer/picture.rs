@@ -49,7 +49,7 @@ impl Viewer {
 
     /// Moves the view. Returns whether it goes on moving by itself.
     fn advance(&mut self, ui: &Ui, response: &Response) -> bool {
-        let seconds = f64::from(ui.input(|input| input.stable_dt)).min(0.1);
+        let seconds = f64::from(ui.input(|input| input.stable_dt));
         let takes_keys = !ui.ctx().egui_wants_keyboard_input();
         let input = gestures(ui, response, self.navigator.mode, takes_keys);
         if input.is_active() {

@@ -13,8 +13,8 @@ const COASTING: f64 = 0.14;
 const KEYS: f64 = 0.08;
 /// Time over which the speed of a drag is averaged, s.
 const DRAG: f64 = 0.04;
-/// Longest step, s: after a pause the view does not jump.
-const LONGEST_STEP: f64 = 0.1;
+/// Longest step, s: a slow frame does not throw the view.
+const LONGEST_STEP: f64 = 0.2;
 
 /// What dragging turns about.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -110,18 +110,18 @@ impl Navigator {
 
     /// Goes on by `seconds`. Returns whether the view changes by itself from here, so that another frame is wanted.
     pub fn advance(&mut self, input: &Input, seconds: f64) -> bool {
-        let step = seconds.clamp(1e-4, LONGEST_STEP);
         if input.is_active() {
             self.flight = None;
         }
         if let Some(flight) = &mut self.flight {
-            let (viewpoint, arrived) = flight.advance(step);
+            let (viewpoint, arrived) = flight.advance(seconds);
             self.viewpoint = viewpoint;
             if arrived {
                 self.flight = None;
             }
             return !arrived;
         }
+        let step = seconds.clamp(1e-4, LONGEST_STEP);
         self.thrown = self.thrown + (1.0 / COASTING) * input.push;
         let coasted = if input.dragging {
             let fresh = 1.0 - (-step / DRAG).exp();
@@ -268,7 +268,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pause_is_no_jump() {
+    fn a_slow_frame_is_no_jump() {
         let mut navigator = navigator();
         let keys = Input { keys: Motion { walk: dvec3(0.0, 0.0, 1.0), ..Motion::NONE }, ..Input::default() };
         navigator.advance(&keys, 60.0);

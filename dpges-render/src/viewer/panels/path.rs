@@ -60,7 +60,7 @@ fn keys(viewer: &Viewer, ui: &mut Ui) -> Option<Request> {
     for at in 0..count {
         let row = ui.horizontal(|ui| {
             let id = Id::unique(("key camera", at));
-            ui.dnd_drag_source(id, at, |ui| ui.label(format!("☰ view {}", at + 1)));
+            ui.dnd_drag_source(id, at, |ui| ui.label(format!("↕ view {}", at + 1)));
             if ui.small_button("show").clicked() {
                 request = Some(Request::Show(at));
             }
