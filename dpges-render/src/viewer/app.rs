@@ -147,7 +147,7 @@ impl Viewer {
         match start {
             Start::Page => {}
             Start::Open(path) => viewer.open(context, path),
-            Start::Scene { name, opened } => viewer.take(context, name, opened),
+            Start::Scene { name, opened } => viewer.take(context, name, *opened),
             Start::Live(live, views) => {
                 let egui = context.clone();
                 live.on_news(move || egui.request_repaint());

@@ -19,13 +19,30 @@ pub enum ViewerError {
     Window { reason: String },
 }
 
+/// The last part of a message, without the places in source files that winit puts before it.
+fn cause(message: &str) -> String {
+    message.rsplit(": ").next().unwrap_or(message).trim_end_matches('.').to_owned()
+}
+
 impl From<eframe::Error> for ViewerError {
     fn from(error: eframe::Error) -> Self {
         let reason = error.to_string();
         match error {
-            eframe::Error::WinitEventLoop(_) => Self::NoDisplay { reason },
+            eframe::Error::WinitEventLoop(_) => Self::NoDisplay { reason: cause(&reason) },
             eframe::Error::Wgpu(_) => Self::NoGpu { reason },
             _ => Self::Window { reason },
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_cause_is_what_is_said() {
+        let message = "winit EventLoopError: os error at src/linux/mod.rs:765: neither DISPLAY nor another is set.";
+        assert_eq!(cause(message), "neither DISPLAY nor another is set");
+        assert_eq!(cause("no display"), "no display");
     }
 }

@@ -43,7 +43,7 @@ fn opened() -> Opened {
 
 fn window() -> Harness<'static, Viewer> {
     let gpu = create_render_state(default_wgpu_setup(), Default::default());
-    let start = Start::Scene { name: "disc".to_owned(), opened: opened() };
+    let start = Start::Scene { name: "disc".to_owned(), opened: Box::new(opened()) };
     let context = egui::Context::default();
     let viewer =
         Viewer::new(&context, Some(&gpu), None, start, Arc::new(open_scene), DeviceFailure::default()).unwrap();

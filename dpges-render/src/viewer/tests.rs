@@ -53,7 +53,7 @@ fn window(start: Start, opener: Opener) -> Harness<'static, Viewer> {
 }
 
 fn with_scene() -> Harness<'static, Viewer> {
-    window(Start::Scene { name: "room".to_owned(), opened: opened(20) }, Arc::new(open_scene))
+    window(Start::Scene { name: "room".to_owned(), opened: Box::new(opened(20)) }, Arc::new(open_scene))
 }
 
 fn press(harness: &mut Harness<'_, Viewer>, key: Key) {
@@ -129,7 +129,7 @@ fn scenes_that_are_blended_show_nothing_but_an_image() {
     let mut blended = scene(0);
     blended.info.rendering = Rendering::Ellipsoids;
     let opened = Opened { scene: blended, views: Views::None };
-    let mut harness = window(Start::Scene { name: "stage".to_owned(), opened }, Arc::new(open_scene));
+    let mut harness = window(Start::Scene { name: "stage".to_owned(), opened: Box::new(opened) }, Arc::new(open_scene));
     press(&mut harness, Key::Num4);
     assert_eq!(harness.state().options.display, Display::Image);
 }
@@ -277,7 +277,8 @@ fn views_come_after_their_scene_and_the_view_goes_to_the_first_unless_it_was_mov
             Ok(views(6))
         };
         let opened = Opened { scene: scene(20), views: Views::Later(Box::new(read)) };
-        let mut harness = window(Start::Scene { name: "room".to_owned(), opened }, Arc::new(open_scene));
+        let mut harness =
+            window(Start::Scene { name: "room".to_owned(), opened: Box::new(opened) }, Arc::new(open_scene));
         harness.get_by_label("reading the dataset");
         if moves {
             harness.key_down(Key::W);
@@ -300,7 +301,7 @@ fn views_come_after_their_scene_and_the_view_goes_to_the_first_unless_it_was_mov
 fn views_that_cannot_be_read_leave_the_scene() {
     let read = || Err("the folder photographs is gone".to_owned());
     let opened = Opened { scene: scene(20), views: Views::Later(Box::new(read)) };
-    let mut harness = window(Start::Scene { name: "room".to_owned(), opened }, Arc::new(open_scene));
+    let mut harness = window(Start::Scene { name: "room".to_owned(), opened: Box::new(opened) }, Arc::new(open_scene));
     wait(&mut harness, |viewer| viewer.message.is_some());
     harness.run_steps(2);
     harness.get_by_label_contains("the folder photographs is gone");

@@ -24,7 +24,7 @@ pub enum Start {
     Open(PathBuf),
     Scene {
         name: String,
-        opened: Opened,
+        opened: Box<Opened>,
     },
     /// A scene in training, and the views it is trained on.
     Live(LiveScene, Option<DatasetViews>),
