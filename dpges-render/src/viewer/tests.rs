@@ -307,3 +307,27 @@ fn views_that_cannot_be_read_leave_the_scene() {
     harness.get_by_label_contains("the folder photographs is gone");
     harness.get_by_label_contains("20 surfels");
 }
+
+#[test]
+fn a_failed_device_and_a_finished_command_close_the_window() {
+    let closes = |harness: &Harness<'_, Viewer>| {
+        let commands = &harness.output().viewport_output[&egui::ViewportId::ROOT].commands;
+        commands.contains(&egui::ViewportCommand::Close)
+    };
+    let failure = DeviceFailure::default();
+    let context = egui::Context::default();
+    let viewer = Viewer::new(&context, None, None, Start::Page, Arc::new(open_scene), failure.clone()).unwrap();
+    let show = |ui: &mut egui::Ui, viewer: &mut Viewer| viewer.show(ui);
+    let mut harness = Harness::builder().build_ui_state(show, viewer);
+    harness.step();
+    assert!(!closes(&harness));
+    failure.set("it was lost".to_owned());
+    harness.step();
+    assert!(closes(&harness));
+
+    let live = LiveScene::new();
+    let mut harness = window(Start::Live(live.clone(), None), Arc::new(open_scene));
+    live.close_window();
+    harness.step();
+    assert!(closes(&harness));
+}

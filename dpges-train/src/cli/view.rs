@@ -11,8 +11,8 @@ use dpges_render::viewer::{self, DatasetViews, Opened, Start, ViewerOptions, Vie
 use dpges_train::config::DataConfig;
 use dpges_train::dataset::View;
 
-use super::data::{DataArgs, Scene, Source, in_scene};
 use super::Result;
+use super::data::{DataArgs, Scene, Source, in_scene};
 
 /// Look at a scene in a window
 ///

@@ -14,6 +14,7 @@ const INSIDE: f64 = 0.8;
 const ELEVATION: f64 = 0.35;
 /// Cameras whose upward directions add up to less, per camera, have none in common.
 const LEAST_COMMON_UP: f64 = 0.2;
+const UP_STEPS: usize = 200;
 
 /// Where the primitives of a scene are; a few that are far off do not matter.
 #[derive(Clone, Debug, PartialEq)]
@@ -68,14 +69,20 @@ fn percentile(mut values: Vec<f64>, share: f64) -> Option<f64> {
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(at, f64::total_cmp).1)
 }
 
-/// Upwards, as most of `cameras` are held; −y, down in their own axes, if they agree on nothing.
+/// Upwards, as most of `cameras` are held: the direction that is most nearly at right angles to what is to the right of
+/// each, since people hold cameras level however far they look up or down. −y if they agree on nothing.
 pub fn mean_up<'a>(cameras: impl Iterator<Item = &'a Camera>) -> DVec3 {
-    let (mut sum, mut count) = (DVec3::ZERO, 0.0);
-    for camera in cameras {
-        sum -= Pose::of(&camera.camera_from_world).down();
-        count += 1.0;
+    let poses: Vec<Pose> = cameras.map(|camera| Pose::of(&camera.camera_from_world)).collect();
+    let count = poses.len() as f64;
+    let sum = -poses.iter().map(Pose::down).sum::<DVec3>();
+    if sum.length() <= LEAST_COMMON_UP * count {
+        return DVec3::NEG_Y;
     }
-    if sum.length() > LEAST_COMMON_UP * count { sum.normalize() } else { DVec3::NEG_Y }
+    // power iteration: takes away, again and again, the parts along the directions to the right
+    (0..UP_STEPS).fold(sum.normalize(), |up, _| {
+        let along = poses.iter().map(|pose| pose.right().dot(up) * pose.right()).sum::<DVec3>();
+        (count * up - along).normalize_or(up)
+    })
 }
 
 #[cfg(test)]
@@ -144,9 +151,11 @@ mod tests {
             let pose = Pose::of(&CameraFromWorld::look_at(eye, DVec3::ZERO, up));
             LENS.camera(&pose, [10, 10])
         };
-        let around = [dvec3(1.0, 0.0, 0.3), dvec3(-1.0, 0.0, 0.3), dvec3(0.0, 1.0, 0.3)];
-        let cameras = around.map(|eye| held(eye, DVec3::Z));
-        assert!(mean_up(cameras.iter()).dot(DVec3::Z) > 0.9);
+        let from_above = [dvec3(1.0, 0.1, 0.9), dvec3(0.8, 0.6, 1.2), dvec3(0.0, 1.0, 0.7)];
+        let cameras = from_above.map(|eye| held(eye, DVec3::Z));
+        assert!(mean_up(cameras.iter()).dot(DVec3::Z) > 0.9999, "{}", mean_up(cameras.iter()));
+        let alone = mean_up(cameras[..1].iter());
+        assert!(alone.dot(-Pose::of(&cameras[0].camera_from_world).down()) > 0.9999, "{alone}");
         let odds = [held(DVec3::X, DVec3::Z), held(DVec3::X, DVec3::NEG_Z)];
         assert_eq!(mean_up(odds.iter()), DVec3::NEG_Y);
         assert_eq!(mean_up(std::iter::empty()), DVec3::NEG_Y);

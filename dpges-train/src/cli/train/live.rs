@@ -3,7 +3,7 @@
 use std::panic::resume_unwind;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::channel;
+use std::sync::mpsc::{Sender, channel};
 use std::thread;
 
 use dpges_core::scene::SceneData;
@@ -14,39 +14,32 @@ use dpges_train::eval::Evaluation;
 use dpges_train::run::{Observer, StepReport};
 
 use super::super::Result;
+use super::display::watch_for_interrupts;
 use super::session::Session;
 
 /// Share of a training view in the mean PSNR that the window shows.
 const FRESH: f64 = 0.05;
 
+/// What the window needs of a run.
+type Begun = (DatasetViews, Option<viewer::Gpu>);
+
 /// Trains what `begin` returns, beside a window on this thread, the main one. Returns what came out, as a table for
 /// people. A window that cannot be opened does not end the run.
-pub fn train_in_window(
-    begin: impl FnOnce() -> Result<Session> + Send + 'static,
-    interrupted: Arc<AtomicBool>,
-) -> Result<String> {
+pub fn train_in_window(begin: impl FnOnce() -> Result<Session> + Send + 'static) -> Result<String> {
     let live = LiveScene::new();
     let (sender, begun) = channel();
     let trainer = {
         let live = live.clone();
         thread::spawn(move || {
-            let result = begin().and_then(|session| {
-                // nobody listens if the main thread has panicked
-                let _ = sender.send((views(session.run.trainer().dataset()), gpu(&session)));
-                let steps = session.run.trainer().config().total_steps();
-                let mut publisher = Publisher { live: live.clone(), interrupted: Arc::clone(&interrupted), steps, psnr: None };
-                session.train_watched(&interrupted, &mut publisher)
-            });
+            let result = begin().and_then(|session| train(session, &live, &sender));
             live.finish(match &result {
                 Ok(_) => Ok("the training is over".to_owned()),
                 Err(failure) => Err(failure.text()),
             });
-            if interrupted.load(Ordering::SeqCst) {
-                live.close_window();
-            }
             result
         })
     };
+    // without a run there is no window
     if let Ok((views, gpu)) = begun.recv() {
         let start = Start::Live(live.clone(), Some(views));
         let options = ViewerOptions { title: "dpges: training".to_owned(), start, gpu, ..ViewerOptions::default() };
@@ -56,6 +49,20 @@ pub fn train_in_window(
         }
     }
     trainer.join().unwrap_or_else(|panic| resume_unwind(panic))
+}
+
+fn train(session: Session, live: &LiveScene, begun: &Sender<Begun>) -> Result<String> {
+    let interrupted = watch_for_interrupts()?;
+    let trainer = session.run.trainer();
+    // nobody listens if the main thread has panicked
+    let _ = begun.send((views(trainer.dataset()), gpu(&session)));
+    let steps = trainer.config().total_steps();
+    let mut publisher = Publisher { live: live.clone(), interrupted: Arc::clone(&interrupted), steps, psnr: None };
+    let result = session.train_watched(&interrupted, &mut publisher);
+    if interrupted.load(Ordering::SeqCst) {
+        live.close_window();
+    }
+    result
 }
 
 /// The views that the run is trained on.

@@ -56,16 +56,16 @@ pub struct TrainArgs {
 }
 
 pub fn run(args: TrainArgs, style: LogStyle) -> Result<()> {
-    let interrupted = watch_for_interrupts()?;
     #[cfg(feature = "viewer")]
-    let summary = if args.view {
-        live::train_in_window(move || args.session(style), interrupted)?
-    } else {
-        args.session(style)?.train(&interrupted)?
-    };
-    #[cfg(not(feature = "viewer"))]
-    let summary = args.session(style)?.train(&interrupted)?;
-    if style == LogStyle::Quiet { Ok(()) } else { print(&summary) }
+    if args.view {
+        return report(&live::train_in_window(move || args.session(style))?, style);
+    }
+    let session = args.session(style)?;
+    report(&session.train(&*watch_for_interrupts()?)?, style)
+}
+
+fn report(summary: &str, style: LogStyle) -> Result<()> {
+    if style == LogStyle::Quiet { Ok(()) } else { print(summary) }
 }
 
 impl TrainArgs {
