@@ -11,26 +11,22 @@ use glam::DVec3;
 const SIZE: usize = 600;
 const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
 
-type Error = Box<dyn std::error::Error + Send + Sync>;
-
 struct Turntable {
     gpu: RenderState,
     renderer: Renderer,
     options: RenderOptions,
     view: wgpu::TextureView,
     picture: egui::TextureId,
-    distance: f64,
     angle: f64,
 }
 
 impl eframe::App for Turntable {
     fn ui(&mut self, ui: &mut egui::Ui, _frame: &mut eframe::Frame) {
         ui.add(egui::Slider::new(&mut self.angle, 0.0..=std::f64::consts::TAU).text("angle"));
-        let eye = self.distance * DVec3::new(self.angle.cos(), self.angle.sin(), 0.5);
+        let eye = 2.5 * DVec3::new(self.angle.cos(), self.angle.sin(), 0.5);
         let camera_from_world = CameraFromWorld::look_at(eye, DVec3::ZERO, DVec3::Z);
         let (f, c) = (SIZE as f64, 0.5 * SIZE as f64);
         let camera = Camera { camera_from_world, fx: f, fy: f, cx: c, cy: c, width: SIZE, height: SIZE, near: 0.01 };
-
         let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
         self.renderer.render(&mut encoder, &self.view, &camera, &self.options).expect("there is a scene");
         self.gpu.queue.submit([encoder.finish()]);
@@ -39,31 +35,26 @@ impl eframe::App for Turntable {
     }
 }
 
-fn main() -> Result<(), Error> {
+fn main() -> Result<(), Box<dyn std::error::Error>> {
     let scene = SceneData::load(std::env::args_os().nth(1).ok_or("name a scene file")?.as_ref())?;
-    let create = move |context: &eframe::CreationContext<'_>| -> Result<Box<dyn eframe::App>, Error> {
+    let create = move |context: &eframe::CreationContext<'_>| -> Result<Box<dyn eframe::App>, _> {
         let gpu = context.wgpu_render_state.clone().ok_or("eframe draws without wgpu")?;
-        let precision = Renderer::best_precision(&gpu.device);
-        let mut renderer = Renderer::new(&gpu.device, &gpu.queue, FORMAT, precision)?;
+        let mut renderer = Renderer::new(&gpu.device, &gpu.queue, FORMAT, Renderer::best_precision(&gpu.device))?;
         renderer.upload(&scene)?;
-        let view = picture(&gpu.device).create_view(&Default::default());
+        let texture = gpu.device.create_texture(&wgpu::TextureDescriptor {
+            label: None,
+            size: wgpu::Extent3d { width: SIZE as u32, height: SIZE as u32, depth_or_array_layers: 1 },
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format: FORMAT,
+            usage: wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING,
+            view_formats: &[],
+        });
+        let view = texture.create_view(&Default::default());
         let picture = gpu.renderer.write().register_native_texture(&gpu.device, &view, wgpu::FilterMode::Linear);
-        let (options, distance) = (RenderOptions::from(&scene.info), 0.6 * scene.info.extent);
-        Ok(Box::new(Turntable { gpu, renderer, options, view, picture, distance, angle: 0.0 }))
+        let options = RenderOptions::from(&scene.info);
+        Ok(Box::new(Turntable { gpu, renderer, options, view, picture, angle: 0.0 }))
     };
     Ok(eframe::run_native("embedded", Default::default(), Box::new(create))?)
-}
-
-fn picture(device: &wgpu::Device) -> wgpu::Texture {
-    let side = SIZE as u32;
-    device.create_texture(&wgpu::TextureDescriptor {
-        label: Some("scene"),
-        size: wgpu::Extent3d { width: side, height: side, depth_or_array_layers: 1 },
-        mip_level_count: 1,
-        sample_count: 1,
-        dimension: wgpu::TextureDimension::D2,
-        format: FORMAT,
-        usage: wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING,
-        view_formats: &[],
-    })
 }
