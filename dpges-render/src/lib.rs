@@ -43,6 +43,8 @@ mod readback;
 mod renderer;
 mod scene;
 mod targets;
+#[cfg(feature = "viewer")]
+pub mod viewer;
 
 pub use error::{RenderError, Result};
 #[cfg(not(target_arch = "wasm32"))]

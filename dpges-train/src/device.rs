@@ -70,6 +70,16 @@ impl DeviceName {
         }
     }
 
+    /// What wgpu has of a GPU that was [opened](Self::open): to draw on the device that Burn uses.
+    #[cfg(feature = "gpu")]
+    pub fn wgpu_setup(self) -> Option<&'static burn_wgpu::WgpuSetup> {
+        match self {
+            Self::Gpu(choice) => choice.pick(adapter::adapters()).ok()?.setup(),
+            #[cfg(any(feature = "ndarray", feature = "flex"))]
+            _ => None,
+        }
+    }
+
     /// Whether the device is a CPU backend. A software adapter counts as a GPU.
     pub fn is_cpu(self) -> bool {
         match self {

@@ -124,14 +124,38 @@ impl Scene {
     pub fn load(path: &Path) -> Result<Self> {
         let folder = RunFolder::new(if path.is_dir() { path } else { path.parent().unwrap_or(path) });
         let is_run = folder.config().is_file() && folder.origin().is_file();
-        let path = if path.is_dir() { folder.scene() } else { path.to_owned() };
-        if !path.is_file() {
-            let help = "name a scene file or the folder of a run (`dpges train --out FOLDER` makes one)";
-            return Err(Failure::with_help(format!("there is no scene file {}", path.display()), help));
-        }
+        let path = Self::check(path)?;
         let data = SceneData::load(&path)?;
         let bytes = std::fs::metadata(&path)?.len();
         Ok(Self { path, data, bytes, run: is_run.then_some(folder) })
+    }
+
+    /// The scene file that `path` names, which is there.
+    pub fn check(path: &Path) -> Result<PathBuf> {
+        let path = if path.is_dir() { RunFolder::new(path).scene() } else { path.to_owned() };
+        if path.is_file() {
+            return Ok(path);
+        }
+        let help = "name a scene file or the folder of a run (`dpges train --out FOLDER` makes one)";
+        Err(Failure::with_help(format!("there is no scene file {}", path.display()), help))
+    }
+
+    /// The dataset to show the scene with, and how it is read: `data`, or that of the scene's run; `None` if there is
+    /// neither. The options of a run are those it was trained with, unless given; the background is the scene's, unless
+    /// given, and then the scene's too.
+    pub fn dataset(&mut self, data: Option<&Path>, options: &DataArgs) -> Result<Option<(Source, DataConfig)>> {
+        let source = match (data, &self.run) {
+            (Some(path), _) => Source::new(path),
+            (None, Some(run)) => Source::new(Path::new(&run.read_origin()?.dataset)),
+            (None, None) => return Ok(None),
+        };
+        let file = self.run.as_ref().map(RunFolder::config);
+        let mut config = Config::resolve_data(file.as_deref(), &options.assignments()).map_err(Failure::from_config)?;
+        match options.background {
+            Some(Background::Colour(colour)) => self.data.info.background = colour,
+            _ => config.background = Background::Colour(self.data.info.background),
+        }
+        Ok(Some((source, config)))
     }
 }
 
@@ -210,25 +234,13 @@ impl ViewArgs {
         Ok((source, views))
     }
 
-    /// The dataset, with cameras in the scene's coordinates, and what it was read from. The options of a run are those
-    /// it was trained with, unless given; the background is the scene's, unless given, and then the scene's too.
+    /// The dataset, with cameras in the scene's coordinates, and what it was read from: see [`Scene::dataset`].
     pub fn dataset(&self, scene: &mut Scene) -> Result<(Source, Dataset)> {
-        let source = match (&self.data, &scene.run) {
-            (Some(path), _) => Source::new(path),
-            (None, Some(run)) => Source::new(Path::new(&run.read_origin()?.dataset)),
-            (None, None) => {
-                let message = format!("{} is not in a run folder: name its dataset with --data", scene.path.display());
-                return Err(Failure::Usage(message));
-            }
+        let Some((source, config)) = scene.dataset(self.data.as_deref(), &self.options)? else {
+            let message = format!("{} is not in a run folder: name its dataset with --data", scene.path.display());
+            return Err(Failure::Usage(message));
         };
-        let file = scene.run.as_ref().map(RunFolder::config);
-        let mut data =
-            Config::resolve_data(file.as_deref(), &self.options.assignments()).map_err(Failure::from_config)?;
-        match self.options.background {
-            Some(Background::Colour(colour)) => scene.data.info.background = colour,
-            _ => data.background = Background::Colour(scene.data.info.background),
-        }
-        let mut dataset = source.load(&data)?;
+        let mut dataset = source.load(&config)?;
         let offset = dataset.offset;
         for view in dataset.train.iter_mut().chain(&mut dataset.test) {
             view.camera = in_scene(view.camera, offset, &scene.data.info);
@@ -251,7 +263,7 @@ impl ViewArgs {
 }
 
 /// A camera of a dataset that was moved by `offset`, in the coordinates of a scene.
-fn in_scene(camera: Camera, offset: DVec3, info: &SceneInfo) -> Camera {
+pub fn in_scene(camera: Camera, offset: DVec3, info: &SceneInfo) -> Camera {
     let shift = DVec3::from_array(info.offset) - offset;
     Camera { camera_from_world: camera.camera_from_world.recentred(shift), near: info.near, ..camera }
 }

@@ -15,6 +15,8 @@ mod reference;
 mod render;
 mod selftest;
 mod train;
+#[cfg(feature = "viewer")]
+mod view;
 
 use std::io::Write;
 use std::process::ExitCode;
@@ -47,6 +49,8 @@ enum Command {
     Config(config::ConfigArgs),
     Eval(eval::EvalArgs),
     Render(render::RenderArgs),
+    #[cfg(feature = "viewer")]
+    View(view::WindowArgs),
     Bench(bench::BenchArgs),
     Export(export::ExportArgs),
     Info(info::InfoArgs),
@@ -75,6 +79,18 @@ impl Failure {
     /// A failure with advice.
     pub fn with_help(message: impl ToString, help: impl ToString) -> Self {
         Self::Failed(Report::new(Problem { message: message.to_string(), help: Some(help.to_string()) }))
+    }
+
+    /// In one line, with the advice.
+    #[cfg(feature = "viewer")]
+    pub fn text(&self) -> String {
+        match self {
+            Self::Usage(message) => message.clone(),
+            Self::Failed(report) => match report.help() {
+                Some(help) => format!("{report}: {help}"),
+                None => report.to_string(),
+            },
+        }
     }
 
     /// A configuration that makes no sense is wrong usage, a file that cannot be read is not.
@@ -109,6 +125,8 @@ pub fn run() -> ExitCode {
         Command::Config(args) => config::run(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Render(args) => render::run(&args),
+        #[cfg(feature = "viewer")]
+        Command::View(args) => view::run(args),
         Command::Bench(args) => bench::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Info(args) => info::run(&args),

@@ -6,7 +6,7 @@ use std::sync::OnceLock;
 use burn::backend::WgpuDeviceKind;
 use burn::tensor::{Device, read_sync};
 use burn_wgpu::graphics::AutoGraphicsApi;
-use burn_wgpu::{RuntimeOptions, WgpuBackend, WgpuDevice, try_init_setup, wgpu};
+use burn_wgpu::{RuntimeOptions, WgpuBackend, WgpuDevice, WgpuSetup, try_init_setup, wgpu};
 use serde::Serialize;
 
 use super::DeviceError;
@@ -42,9 +42,9 @@ pub struct Adapter {
     /// Place among the adapters of the same API and kind.
     #[serde(skip)]
     place: usize,
-    /// Whether it could be started, once that was tried.
+    /// What wgpu has of it, or why it could not be started, once that was tried.
     #[serde(skip)]
-    started: OnceLock<Result<(), String>>,
+    started: OnceLock<Result<WgpuSetup, String>>,
 }
 
 /// All adapters, in the order of [`Api::ALL`]. The process looks for them once.
@@ -150,12 +150,19 @@ impl Adapter {
         });
         let start = || {
             let setup = RuntimeOptions::try_default().and_then(|opts| try_init_setup::<AutoGraphicsApi>(&device, opts));
-            setup.map(drop).map_err(|error| error.to_string())
+            setup.map_err(|error| error.to_string())
         };
         match self.started.get_or_init(start) {
-            Ok(()) => Ok(Device::new(device)),
+            Ok(_) => Ok(Device::new(device)),
             Err(reason) => Err(DeviceError::Refused { adapter: self.to_string(), reason: reason.clone() }),
         }
+    }
+}
+
+impl Adapter {
+    /// What wgpu has of the adapter that [`open`](Self::open) has started: to draw on Burn's device.
+    pub fn setup(&self) -> Option<&WgpuSetup> {
+        self.started.get()?.as_ref().ok()
     }
 }
 

@@ -26,6 +26,15 @@ pub trait Observer {
     /// Scene and checkpoint are in the folder of the run.
     fn saved(&mut self, _step: usize) {}
 
+    /// Asked after every step: whether [`scene`](Self::scene) is to be told of the scene as it stands. On a GPU that
+    /// waits for the step.
+    fn wants_scene(&mut self) -> bool {
+        false
+    }
+
+    /// The scene that was asked for.
+    fn scene(&mut self, _step: usize, _scene: SceneData) {}
+
     /// Asked after every step: whether the run is to save its state and end with
     /// [`RunError::Stopped`](super::RunError::Stopped).
     fn should_stop(&mut self) -> bool {

@@ -40,6 +40,8 @@ struct Notes {
     validated: Vec<(usize, Verdict)>,
     ended: Vec<(String, usize)>,
     saved: Vec<usize>,
+    wanted_after: Option<usize>,
+    scenes: Vec<(usize, SceneData)>,
 }
 
 impl Observer for Notes {
@@ -64,6 +66,14 @@ impl Observer for Notes {
 
     fn saved(&mut self, step: usize) {
         self.saved.push(step);
+    }
+
+    fn wants_scene(&mut self) -> bool {
+        self.wanted_after.is_some() && self.steps.last().copied() == self.wanted_after
+    }
+
+    fn scene(&mut self, step: usize, scene: SceneData) {
+        self.scenes.push((step, scene));
     }
 
     fn should_stop(&mut self) -> bool {
@@ -103,6 +113,15 @@ fn an_observer_is_told_of_everything() {
     assert_eq!(notes.evaluated, [8, 12, 16, 24, 30], "on the way, at the end of a stage and of the run");
     assert_eq!(notes.saved, [10, 12, 20, 30]);
     assert!(notes.ended.len() == 1 && notes.ended[0].0 == "2dgs" && notes.ended[0].1 > 0, "{:?}", notes.ended);
+}
+
+#[test]
+fn an_observer_sees_the_scene_when_it_asks_and_changes_nothing_by_it() {
+    let whole = run(&SHORT).train(&mut ()).unwrap();
+    let mut notes = Notes { wanted_after: Some(14), ..Notes::default() };
+    assert!(run(&SHORT).train(&mut notes).unwrap().scene == whole.scene);
+    let [(14, scene)] = &notes.scenes[..] else { panic!("{} scenes", notes.scenes.len()) };
+    assert!(!scene.surfels.is_empty() && *scene != whole.scene);
 }
 
 #[test]

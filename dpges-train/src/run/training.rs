@@ -46,6 +46,10 @@ impl Run {
                 self.work(Trainer::settle, observer)?;
                 self.validate(train.patience, observer)?;
             }
+            if observer.wants_scene() {
+                self.work(Trainer::settle, observer)?;
+                observer.scene(step, self.trainer.scene());
+            }
             let finished = self.trainer.is_finished();
             let stop = !finished && observer.should_stop();
             if is_due(step, train.checkpoint_every) || finished || stop {

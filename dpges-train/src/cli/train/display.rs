@@ -19,14 +19,22 @@ pub struct Display<'a> {
     patience: usize,
     interrupted: &'a AtomicBool,
     watch: Option<Watch>,
+    other: &'a mut dyn Observer,
 }
 
 impl<'a> Display<'a> {
-    /// Stops `run` once `interrupted`, or when `watch` sees that the device has failed.
-    pub fn new(run: &Run, style: LogStyle, interrupted: &'a AtomicBool, watch: Option<Watch>) -> Self {
+    /// Stops `run` once `interrupted`, when `watch` sees that the device has failed, or when `other` asks for it, which
+    /// hears of everything too.
+    pub fn new(
+        run: &Run,
+        style: LogStyle,
+        interrupted: &'a AtomicBool,
+        watch: Option<Watch>,
+        other: &'a mut dyn Observer,
+    ) -> Self {
         let (config, completed) = (run.trainer().config(), run.trainer().completed_steps());
         let progress = ProgressDisplay::new(style, config.total_steps(), completed);
-        Self { progress, patience: config.train.patience, interrupted, watch }
+        Self { progress, patience: config.train.patience, interrupted, watch, other }
     }
 }
 
@@ -36,11 +44,13 @@ impl Observer for Display<'_> {
         for event in &report.events {
             tracing::info!("step {}: {event}", report.step);
         }
+        self.other.step(report, seconds);
     }
 
     fn evaluated(&mut self, step: usize, evaluation: &Evaluation) {
         let Evaluation { psnr, ssim, views, .. } = evaluation;
         tracing::info!("step {step}: held-out PSNR {psnr:.2} dB, SSIM {ssim:.4} over {} views", views.len());
+        self.other.evaluated(step, evaluation);
     }
 
     fn validated(&mut self, step: usize, psnr: f64, verdict: Verdict) {
@@ -56,14 +66,29 @@ impl Observer for Display<'_> {
                  {patience} evaluations: the run ends with the scene of step {best_step}"
             ),
         }
+        self.other.validated(step, psnr, verdict);
     }
 
     fn stage_ended(&mut self, stage: StagePlan, scene: &SceneData) {
         tracing::info!("stage {} is over: {} Gaussians", stage.kind, scene.gaussians.len());
+        self.other.stage_ended(stage, scene);
+    }
+
+    fn saved(&mut self, step: usize) {
+        self.other.saved(step);
+    }
+
+    fn wants_scene(&mut self) -> bool {
+        self.other.wants_scene()
+    }
+
+    fn scene(&mut self, step: usize, scene: SceneData) {
+        self.other.scene(step, scene);
     }
 
     fn should_stop(&mut self) -> bool {
-        self.interrupted.load(Ordering::SeqCst)
+        let asked = self.other.should_stop();
+        asked || self.interrupted.load(Ordering::SeqCst)
     }
 
     fn device_failure(&mut self) -> Option<String> {

@@ -1,6 +1,8 @@
 //! `dpges train`: from photographs to a scene.
 
 pub mod display;
+#[cfg(feature = "viewer")]
+mod live;
 pub mod options;
 pub mod session;
 
@@ -47,15 +49,30 @@ pub struct TrainArgs {
     /// Replace the run in the folder
     #[arg(long)]
     overwrite: bool,
+    /// Show the scene in a window while it trains
+    #[cfg(feature = "viewer")]
+    #[arg(long)]
+    view: bool,
 }
 
 pub fn run(args: TrainArgs, style: LogStyle) -> Result<()> {
-    let session = if args.resume { args.resume(style)? } else { args.start(style)? };
-    let summary = session.train(&*watch_for_interrupts()?)?;
-    if style == LogStyle::Quiet { Ok(()) } else { print(&summary) }
+    #[cfg(feature = "viewer")]
+    if args.view {
+        return report(&live::train_in_window(move || args.session(style))?, style);
+    }
+    let session = args.session(style)?;
+    report(&session.train(&*watch_for_interrupts()?)?, style)
+}
+
+fn report(summary: &str, style: LogStyle) -> Result<()> {
+    if style == LogStyle::Quiet { Ok(()) } else { print(summary) }
 }
 
 impl TrainArgs {
+    fn session(self, style: LogStyle) -> Result<Session> {
+        if self.resume { self.resume(style) } else { self.start(style) }
+    }
+
     fn source(&self) -> Source {
         Source::named(self.dataset.as_deref())
     }

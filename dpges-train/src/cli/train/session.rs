@@ -5,7 +5,7 @@ use std::sync::atomic::AtomicBool;
 use dpges_train::device::DeviceName;
 use dpges_train::eval::{EvalReport, Evaluation};
 use dpges_train::run::folder::RunFolder;
-use dpges_train::run::{Outcome, Run, RunError, TrainError};
+use dpges_train::run::{Observer, Outcome, Run, RunError, TrainError};
 
 use super::super::device_failure::{DeviceFailure, Watch};
 use super::super::{Failure, Result, table};
@@ -25,10 +25,15 @@ pub struct Session {
 
 impl Session {
     /// Trains to the end, or until `interrupted`. Returns what came out, as a table for people.
-    pub fn train(mut self, interrupted: &AtomicBool) -> Result<String> {
+    pub fn train(self, interrupted: &AtomicBool) -> Result<String> {
+        self.train_watched(interrupted, &mut ())
+    }
+
+    /// [`train`](Self::train) with another observer, which hears of everything too.
+    pub fn train_watched(mut self, interrupted: &AtomicBool, other: &mut dyn Observer) -> Result<String> {
         // a CPU does not fail while a run goes on
         let watch = (!self.device.is_cpu()).then(Watch::start);
-        let mut display = Display::new(&self.run, self.style, interrupted, watch.clone());
+        let mut display = Display::new(&self.run, self.style, interrupted, watch.clone(), other);
         let result = match watch {
             Some(watch) => watch.catch(|| self.run.train(&mut display)),
             None => Ok(self.run.train(&mut display)),

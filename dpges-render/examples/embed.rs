@@ -1,0 +1,60 @@
+//! A scene in an egui application of one's own: `cargo run -p dpges-render --features viewer --example embed -- SCENE`.
+
+use dpges_core::camera::{Camera, CameraFromWorld};
+use dpges_core::scene::SceneData;
+use dpges_render::{RenderOptions, Renderer};
+use eframe::egui_wgpu::RenderState;
+use eframe::{egui, wgpu};
+use glam::DVec3;
+
+/// Of the picture, px.
+const SIZE: usize = 600;
+const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
+
+struct Turntable {
+    gpu: RenderState,
+    renderer: Renderer,
+    options: RenderOptions,
+    view: wgpu::TextureView,
+    picture: egui::TextureId,
+    angle: f64,
+}
+
+impl eframe::App for Turntable {
+    fn ui(&mut self, ui: &mut egui::Ui, _frame: &mut eframe::Frame) {
+        ui.add(egui::Slider::new(&mut self.angle, 0.0..=std::f64::consts::TAU).text("angle"));
+        let eye = 2.5 * DVec3::new(self.angle.cos(), self.angle.sin(), 0.5);
+        let camera_from_world = CameraFromWorld::look_at(eye, DVec3::ZERO, DVec3::Z);
+        let (f, c) = (SIZE as f64, 0.5 * SIZE as f64);
+        let camera = Camera { camera_from_world, fx: f, fy: f, cx: c, cy: c, width: SIZE, height: SIZE, near: 0.01 };
+        let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
+        self.renderer.render(&mut encoder, &self.view, &camera, &self.options).expect("there is a scene");
+        self.gpu.queue.submit([encoder.finish()]);
+        self.renderer.finish_frame();
+        ui.image((self.picture, egui::Vec2::splat(SIZE as f32)));
+    }
+}
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let scene = SceneData::load(std::env::args_os().nth(1).ok_or("name a scene file")?.as_ref())?;
+    let create = move |context: &eframe::CreationContext<'_>| -> Result<Box<dyn eframe::App>, _> {
+        let gpu = context.wgpu_render_state.clone().ok_or("eframe draws without wgpu")?;
+        let mut renderer = Renderer::new(&gpu.device, &gpu.queue, FORMAT, Renderer::best_precision(&gpu.device))?;
+        renderer.upload(&scene)?;
+        let texture = gpu.device.create_texture(&wgpu::TextureDescriptor {
+            label: None,
+            size: wgpu::Extent3d { width: SIZE as u32, height: SIZE as u32, depth_or_array_layers: 1 },
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format: FORMAT,
+            usage: wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING,
+            view_formats: &[],
+        });
+        let view = texture.create_view(&Default::default());
+        let picture = gpu.renderer.write().register_native_texture(&gpu.device, &view, wgpu::FilterMode::Linear);
+        let options = RenderOptions::from(&scene.info);
+        Ok(Box::new(Turntable { gpu, renderer, options, view, picture, angle: 0.0 }))
+    };
+    Ok(eframe::run_native("embedded", Default::default(), Box::new(create))?)
+}

@@ -1,0 +1,166 @@
+//! The window with pictures, on whatever graphics adapter there is.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use dpges_core::camera::{Camera, CameraFromWorld};
+use dpges_core::scene::{ColourModel, GaussianData, SceneData, SceneInfo, SurfelData};
+use egui::Key;
+use egui_kittest::Harness;
+use egui_kittest::kittest::Queryable;
+use egui_kittest::wgpu::{WgpuTestRenderer, create_render_state, default_wgpu_setup};
+use glam::{DVec3, dvec3};
+
+use super::app::Viewer;
+use super::canvas::Canvas;
+use super::comparison::Comparison;
+use super::loading::{Opened, open_scene};
+use super::messages::Message;
+use super::views::{DatasetViews, Views};
+use super::window::{DeviceFailure, Start};
+use crate::{Display, RenderOptions, Rgb8Image};
+
+/// Distance of the first camera from the disc.
+const DISTANCE: f64 = 4.0;
+
+/// A grey disc with a radius of 1 around the origin, seen from +z.
+fn opened() -> Opened {
+    let model = ColourModel::default();
+    let info = SceneInfo { colour_model: model, ..SceneInfo::default() };
+    let mut surfels = SurfelData::neutral(model, 1);
+    surfels.log_scales = vec![0.3f32.ln(); 2];
+    let scene = SceneData { info, surfels, gaussians: GaussianData::neutral(model, 0) };
+    let camera = |eye| {
+        let camera_from_world = CameraFromWorld::look_at(eye, DVec3::ZERO, DVec3::Y);
+        let (width, height) = (80, 60);
+        Camera { camera_from_world, fx: 60.0, fy: 60.0, cx: 40.0, cy: 30.0, width, height, near: 0.01 }
+    };
+    let eyes = [dvec3(0.0, 0.0, DISTANCE), dvec3(3.0, 0.0, 3.0)];
+    let cameras = eyes.into_iter().map(|eye| (format!("{eye}"), camera(eye))).collect();
+    let red = |_| Some(Rgb8Image { width: 80, height: 60, bytes: [200, 0, 0].repeat(4800) });
+    Opened { scene, views: Views::Ready(DatasetViews { cameras, photograph: Box::new(red) }) }
+}
+
+fn window() -> Harness<'static, Viewer> {
+    let gpu = create_render_state(default_wgpu_setup(), Default::default());
+    let start = Start::Scene { name: "disc".to_owned(), opened: Box::new(opened()) };
+    let context = egui::Context::default();
+    let viewer =
+        Viewer::new(&context, Some(&gpu), None, start, Arc::new(open_scene), DeviceFailure::default()).unwrap();
+    let show = |ui: &mut egui::Ui, viewer: &mut Viewer| viewer.show(ui);
+    let renderer = WgpuTestRenderer::from_render_state(gpu);
+    let mut harness = Harness::builder().with_size([640.0, 480.0]).renderer(renderer).build_ui_state(show, viewer);
+    harness.run_steps(2);
+    harness.key_press(Key::N);
+    harness.run_steps(3);
+    harness
+}
+
+fn pixel(harness: &mut Harness<'_, Viewer>, offset: [f32; 2]) -> [u8; 3] {
+    let place = harness.ctx.content_rect().center() + offset.into();
+    let picture = harness.render().unwrap();
+    let [red, green, blue, _] = picture.get_pixel(place.x as u32, place.y as u32).0;
+    [red, green, blue]
+}
+
+fn click(harness: &mut Harness<'_, Viewer>, offset: [f32; 2]) {
+    let place = harness.ctx.content_rect().center() + offset.into();
+    harness.drag_at(place);
+    harness.step();
+    harness.drop_at(place);
+    harness.run_steps(2);
+}
+
+fn is_grey(colour: [u8; 3]) -> bool {
+    colour.iter().all(|&channel| channel.abs_diff(128) < 4)
+}
+
+#[test]
+fn the_window_shows_the_scene_and_its_display_modes() {
+    let mut harness = window();
+    assert!(is_grey(pixel(&mut harness, [0.0, 0.0])));
+    assert_eq!(pixel(&mut harness, [300.0, 0.0]), [0; 3], "beside the disc");
+    harness.key_press(Key::Num6);
+    harness.run_steps(2);
+    assert_eq!(harness.state().options.display, Display::Normal);
+    let [x, y, z] = pixel(&mut harness, [0.0, 0.0]);
+    assert!(x.abs_diff(128) < 4 && y.abs_diff(128) < 4 && z > 250, "{x} {y} {z}");
+}
+
+#[test]
+fn photographs_are_wiped_over_the_scene_and_subtracted_from_it() {
+    let mut harness = window();
+    harness.state_mut().comparing.kind = Comparison::Wipe;
+    harness.run_steps(2);
+    assert!(is_grey(pixel(&mut harness, [-30.0, 0.0])));
+    assert_eq!(pixel(&mut harness, [30.0, 0.0]), [200, 0, 0]);
+    harness.state_mut().comparing.divider = 0.75;
+    harness.run_steps(2);
+    assert!(is_grey(pixel(&mut harness, [30.0, 0.0])));
+    harness.state_mut().comparing.kind = Comparison::Error;
+    harness.run_steps(2);
+    let mean = harness.state().comparing.mean_error().unwrap();
+    assert!(mean > 0.2 && mean < 0.35, "{mean}");
+}
+
+#[test]
+fn two_clicks_measure_a_distance() {
+    let mut harness = window();
+    harness.key_press(Key::M);
+    harness.run_steps(2);
+    click(&mut harness, [0.0, 0.0]);
+    click(&mut harness, [60.0, 0.0]);
+    let state = harness.state();
+    let focal = state.window_px[1] as f64 / state.navigator.viewpoint().lens.height_at_one();
+    let expected = 60.0 * DISTANCE / focal;
+    let distance = state.measuring.distance().unwrap();
+    assert!((distance - expected).abs() < 0.01 * expected, "{distance}, expected {expected}");
+    assert!(state.measuring.points().iter().all(|point| point.z.abs() < 1e-2), "{:?}", state.measuring.points());
+    click(&mut harness, [300.0, 0.0]);
+    assert!(matches!(&harness.state().message, Some(Message::Note(text)) if text.contains("no surface")));
+}
+
+#[test]
+fn screenshots_have_the_chosen_size() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("disc.png");
+    let mut harness = window();
+    harness.state_mut().screenshot.file = file.display().to_string();
+    harness.state_mut().screenshot.size = Some([90, 50]);
+    harness.key_press(Key::P);
+    harness.run_steps(2);
+    let picture = image::open(&file).unwrap().into_rgb8();
+    assert_eq!((picture.width(), picture.height()), (90, 50));
+    assert!(is_grey(picture.get_pixel(45, 25).0));
+    harness.state_mut().screenshot.file = PathBuf::from("/no/such/folder/a.png").display().to_string();
+    harness.key_press(Key::P);
+    harness.run_steps(2);
+    harness.get_by_label_contains("/no/such/folder/a.png");
+    assert!(is_grey(pixel(&mut harness, [0.0, 0.0])), "the window shows what it did");
+}
+
+#[test]
+fn nothing_is_drawn_twice_and_nothing_without_pixels() {
+    let gpu = create_render_state(default_wgpu_setup(), Default::default());
+    let mut canvas = Canvas::new(&gpu).unwrap();
+    let Opened { scene, views: Views::Ready(views) } = opened() else { unreachable!() };
+    let (camera, options) = (views.cameras[0].1, RenderOptions::from(&scene.info));
+    assert!(canvas.draw(&camera, &options).is_err(), "there is no scene yet");
+    canvas.upload(&scene).unwrap();
+    assert!(canvas.draw(&camera, &options).unwrap() && !canvas.draw(&camera, &options).unwrap());
+    let other = RenderOptions { layer_count: 1, ..options };
+    assert!(canvas.draw(&camera, &other).unwrap());
+    assert!(canvas.depth_at(40, 30).is_some_and(|depth| (depth - DISTANCE).abs() < 1e-3));
+    assert_eq!(canvas.depth_at(1, 1), None);
+    assert!(canvas.draw(&camera.resized(40, 30), &other).unwrap());
+    canvas.picture(&camera, &other).unwrap();
+    assert!(canvas.draw(&camera.resized(40, 30), &other).unwrap(), "the renderer drew something else since");
+
+    let mut harness = window();
+    harness.set_size([0.0, 0.0].into());
+    harness.run_steps(2);
+    assert!(harness.state().window_px.contains(&0));
+    harness.set_size([640.0, 480.0].into());
+    harness.run_steps(2);
+    assert!(is_grey(pixel(&mut harness, [0.0, 0.0])));
+}

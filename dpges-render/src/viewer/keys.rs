@@ -1,0 +1,86 @@
+//! The keys: what each does, and the list that the help shows.
+
+use egui::{InputState, Key};
+
+use crate::Display;
+
+/// What a key asks for, besides moving.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Command {
+    Display(Display),
+    Mode,
+    Home,
+    LevelUp,
+    PreviousView,
+    NextView,
+    Compare,
+    Measure,
+    Screenshot,
+    AddToPath,
+    PlayPath,
+    Open,
+    Panel,
+    Help,
+    Fullscreen,
+    Escape,
+}
+
+const DISPLAY_KEYS: [Key; 8] = [Key::Num1, Key::Num2, Key::Num3, Key::Num4, Key::Num5, Key::Num6, Key::Num7, Key::Num8];
+
+const KEYS: [(Key, Command); 15] = [
+    (Key::F, Command::Mode),
+    (Key::Home, Command::Home),
+    (Key::U, Command::LevelUp),
+    (Key::PageUp, Command::PreviousView),
+    (Key::PageDown, Command::NextView),
+    (Key::C, Command::Compare),
+    (Key::M, Command::Measure),
+    (Key::P, Command::Screenshot),
+    (Key::K, Command::AddToPath),
+    (Key::Space, Command::PlayPath),
+    (Key::O, Command::Open),
+    (Key::N, Command::Panel),
+    (Key::F1, Command::Help),
+    (Key::F11, Command::Fullscreen),
+    (Key::Escape, Command::Escape),
+];
+
+/// What mouse and keys do, for the help.
+pub const HELP: [(&str, &str); 26] = [
+    ("drag", "turn about the focus (orbit) or look around (fly)"),
+    ("right drag, shift + drag", "pan"),
+    ("ctrl + drag", "look around"),
+    ("wheel, pinch", "nearer, farther"),
+    ("two fingers on a touchpad", "turn; with shift: pan"),
+    ("double click", "focus on that point"),
+    ("W A S D, Q E", "fly; Q down, E up"),
+    ("arrows", "turn"),
+    ("shift", "four times as fast"),
+    ("F", "dragging turns about the focus or about the eye"),
+    ("Home", "back to the first view"),
+    ("U", "what is up in this view is up in the world"),
+    ("page up, page down", "fly to the camera before, the next one"),
+    ("1 … 8", "image, surfels, Gaussians, transmittance, depth, normals, layers, overdraw"),
+    ("C", "compare with the photograph: side by side, wipe, error, off"),
+    ("M", "measure: click two points"),
+    ("P", "screenshot"),
+    ("K", "add this view to the camera path"),
+    ("space", "play or stop the path"),
+    ("O", "open a scene"),
+    ("N", "show or hide the panel"),
+    ("F11", "full screen"),
+    ("F1", "this list"),
+    ("Esc", "close this list; end measuring and playing"),
+    ("drop a file", "open a scene file or the folder of a run"),
+    ("click, double click on a camera", "fly there, be there"),
+];
+
+/// The commands of the keys that were pressed.
+pub fn commands(input: &InputState) -> Vec<Command> {
+    if input.modifiers.command || input.modifiers.alt {
+        return Vec::new();
+    }
+    let displays = DISPLAY_KEYS.into_iter().zip(Display::ALL.map(Command::Display));
+    let pressed = |&(key, _): &(Key, Command)| input.key_pressed(key);
+    displays.chain(KEYS).filter(pressed).map(|(_, command)| command).collect()
+}

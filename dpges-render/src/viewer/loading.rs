@@ -1,0 +1,135 @@
+//! Opening scenes without stopping the window.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, TryRecvError, channel};
+
+use dpges_core::scene::SceneData;
+
+use super::views::{DatasetViews, ReadViews, Views};
+
+/// Name of the scene file in the folder of a run.
+const SCENE_OF_RUN: &str = "scene.safetensors";
+
+/// A scene, and the views that it is compared with.
+pub struct Opened {
+    pub scene: SceneData,
+    pub views: Views,
+}
+
+/// Reads a scene file or the folder of a run; the error is what the window says.
+pub type Opener = Arc<dyn Fn(&Path) -> Result<Opened, String> + Send + Sync>;
+
+/// Reads the scene file, or that of the run, without views.
+pub fn open_scene(path: &Path) -> Result<Opened, String> {
+    let file = if path.is_dir() { path.join(SCENE_OF_RUN) } else { path.to_owned() };
+    let scene = SceneData::load(&file).map_err(|error| error.to_string())?;
+    Ok(Opened { scene, views: Views::None })
+}
+
+/// What came of opening a path.
+pub struct Loaded {
+    pub path: PathBuf,
+    pub result: Result<Opened, String>,
+}
+
+/// Opens one path at a time on a thread of its own; the last asked for counts.
+#[derive(Default)]
+pub struct Loader {
+    running: Option<(PathBuf, Receiver<Result<Opened, String>>)>,
+}
+
+impl Loader {
+    /// Calls `wake` when it is done.
+    pub fn start(&mut self, path: PathBuf, opener: &Opener, wake: impl Fn() + Send + 'static) {
+        let (sender, receiver) = channel();
+        let (opener, opened) = (Arc::clone(opener), path.clone());
+        std::thread::spawn(move || {
+            // nobody listens if another path was asked for since
+            let _ = sender.send(opener(&opened));
+            wake();
+        });
+        self.running = Some((path, receiver));
+    }
+
+    /// What is being opened.
+    pub fn path(&self) -> Option<&Path> {
+        self.running.as_ref().map(|(path, _)| path.as_path())
+    }
+
+    pub fn poll(&mut self) -> Option<Loaded> {
+        let (_, receiver) = self.running.as_ref()?;
+        let result = match receiver.try_recv() {
+            Ok(result) => result,
+            Err(TryRecvError::Empty) => return None,
+            Err(TryRecvError::Disconnected) => Err("reading it failed unexpectedly".to_owned()),
+        };
+        let (path, _) = self.running.take()?;
+        Some(Loaded { path, result })
+    }
+}
+
+/// Views that are being read.
+pub struct ViewsLoader(Receiver<Result<DatasetViews, String>>);
+
+impl ViewsLoader {
+    /// Calls `wake` when it is done.
+    pub fn start(read: ReadViews, wake: impl Fn() + Send + 'static) -> Self {
+        let (sender, receiver) = channel();
+        std::thread::spawn(move || {
+            // nobody listens if another scene was opened since
+            let _ = sender.send(read());
+            wake();
+        });
+        Self(receiver)
+    }
+
+    pub fn poll(&self) -> Option<Result<DatasetViews, String>> {
+        match self.0.try_recv() {
+            Ok(result) => Some(result),
+            Err(TryRecvError::Empty) => None,
+            Err(TryRecvError::Disconnected) => Some(Err("reading the dataset failed unexpectedly".to_owned())),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn wait(loader: &mut Loader, woken: &Receiver<()>) -> Loaded {
+        woken.recv().unwrap();
+        loader.poll().unwrap()
+    }
+
+    fn start(loader: &mut Loader, path: &str, opener: &Opener) -> Receiver<()> {
+        let (sender, receiver) = channel();
+        loader.start(path.into(), opener, move || sender.send(()).unwrap());
+        receiver
+    }
+
+    #[test]
+    fn errors_name_the_file() {
+        let folder = tempfile::tempdir().unwrap();
+        for path in [folder.path().to_owned(), folder.path().join("absent.safetensors")] {
+            let error = open_scene(&path).err().unwrap();
+            assert!(error.contains(".safetensors"), "{error}");
+        }
+        let file = folder.path().join("photo.jpg");
+        std::fs::write(&file, "no scene").unwrap();
+        assert!(open_scene(&file).err().unwrap().contains("photo.jpg"));
+    }
+
+    #[test]
+    fn the_last_path_counts() {
+        let mut loader = Loader::default();
+        let opener: Opener = Arc::new(|path| Err(path.display().to_string()));
+        let first = start(&mut loader, "first", &opener);
+        first.recv().unwrap();
+        let second = start(&mut loader, "second", &opener);
+        assert_eq!(loader.path(), Some(Path::new("second")));
+        let loaded = wait(&mut loader, &second);
+        assert_eq!(loaded.result.err().as_deref(), Some("second"));
+        assert!(loader.path().is_none() && loader.poll().is_none());
+    }
+}

@@ -1,0 +1,121 @@
+//! The distance between two points on surfaces.
+
+use dpges_core::camera::Camera;
+use egui::{Align2, Color32, FontId, Painter, Pos2, Rect, Stroke};
+use glam::DVec3;
+
+const COLOUR: Color32 = Color32::from_rgb(255, 200, 60);
+
+/// Up to two picked points.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Measuring {
+    /// Whether clicks pick points.
+    pub active: bool,
+    points: Vec<DVec3>,
+}
+
+impl Measuring {
+    /// A third point begins anew.
+    pub fn pick(&mut self, point: DVec3) {
+        if self.points.len() == 2 {
+            self.points.clear();
+        }
+        self.points.push(point);
+    }
+
+    pub fn clear(&mut self) {
+        self.points.clear();
+    }
+
+    pub fn points(&self) -> &[DVec3] {
+        &self.points
+    }
+
+    /// World units; `None` before the second point.
+    pub fn distance(&self) -> Option<f64> {
+        match self.points[..] {
+            [from, to] => Some((to - from).length()),
+            _ => None,
+        }
+    }
+
+    /// Draws points, line and distance over the picture in `rect` that `camera` sees.
+    pub fn paint(&self, painter: &Painter, rect: Rect, camera: &Camera) {
+        let place = |point: &DVec3| {
+            let (x, y, _) = camera.project(*point)?;
+            Some(at_pixel(rect, camera, x, y))
+        };
+        let places: Vec<Option<Pos2>> = self.points.iter().map(place).collect();
+        for place in places.iter().flatten() {
+            painter.circle(*place, 4.0, COLOUR, Stroke::new(1.0, Color32::BLACK));
+        }
+        if let ([Some(from), Some(to)], Some(distance)) = (&places[..], self.distance()) {
+            painter.line_segment([*from, *to], Stroke::new(3.5, Color32::from_black_alpha(160)));
+            painter.line_segment([*from, *to], Stroke::new(2.0, COLOUR));
+            let middle = from.lerp(*to, 0.5) + egui::vec2(0.0, -8.0);
+            let text = painter.layout_no_wrap(text_of(distance), FontId::proportional(15.0), COLOUR);
+            let place = Align2::CENTER_BOTTOM.anchor_size(middle, text.size());
+            painter.rect_filled(place.expand(3.0), 3.0, Color32::from_black_alpha(190));
+            painter.galley(place.min, text, COLOUR);
+        }
+    }
+}
+
+/// With four significant digits.
+pub fn text_of(distance: f64) -> String {
+    let digits = (3.0 - distance.abs().max(1e-12).log10().floor()).clamp(0.0, 9.0) as usize;
+    format!("{distance:.digits$}")
+}
+
+/// Where in `rect` the pixel position (`x`, `y`) of a picture of `camera`'s size is shown.
+pub fn at_pixel(rect: Rect, camera: &Camera, x: f64, y: f64) -> Pos2 {
+    let share = egui::vec2((x / camera.width as f64) as f32, (y / camera.height as f64) as f32);
+    rect.min + share * rect.size()
+}
+
+/// Pixel position of `place` in a picture of `camera`'s size that is shown in `rect`; `None` outside.
+pub fn pixel_at(rect: Rect, camera: &Camera, place: Pos2) -> Option<(f64, f64)> {
+    let share = (place - rect.min) / rect.size();
+    let inside = |share: f32| (0.0..1.0).contains(&share);
+    let inside = inside(share.x) && inside(share.y);
+    inside.then(|| (f64::from(share.x) * camera.width as f64, f64::from(share.y) * camera.height as f64))
+}
+
+#[cfg(test)]
+mod tests {
+    use dpges_core::camera::CameraFromWorld;
+    use glam::dvec3;
+
+    use super::*;
+
+    #[test]
+    fn two_points_have_a_distance_and_a_third_begins_anew() {
+        let mut measuring = Measuring::default();
+        measuring.pick(dvec3(1.0, 0.0, 0.0));
+        assert_eq!(measuring.distance(), None);
+        measuring.pick(dvec3(1.0, 3.0, 4.0));
+        assert_eq!(measuring.distance(), Some(5.0));
+        measuring.pick(DVec3::ZERO);
+        assert_eq!((measuring.points(), measuring.distance()), (&[DVec3::ZERO][..], None));
+    }
+
+    #[test]
+    fn distances_have_four_digits() {
+        assert_eq!([0.012345, 1.23456, 123.456, 123456.7].map(text_of), ["0.01235", "1.235", "123.5", "123457"]);
+        assert_eq!(text_of(0.0), "0.000000000");
+    }
+
+    #[test]
+    fn pixels_and_places_in_the_window_agree() {
+        let pose = CameraFromWorld::look_at(DVec3::X, DVec3::ZERO, DVec3::Z);
+        let (width, height) = (320, 180);
+        let camera =
+            Camera { camera_from_world: pose, fx: 100.0, fy: 100.0, cx: 160.0, cy: 90.0, width, height, near: 0.1 };
+        let rect = Rect::from_min_size(egui::pos2(20.0, 10.0), egui::vec2(640.0, 360.0));
+        let place = at_pixel(rect, &camera, 80.0, 45.0);
+        assert_eq!(place, egui::pos2(180.0, 100.0));
+        assert_eq!(pixel_at(rect, &camera, place), Some((80.0, 45.0)));
+        assert_eq!(pixel_at(rect, &camera, egui::pos2(19.0, 100.0)), None);
+        assert_eq!(pixel_at(rect, &camera, egui::pos2(180.0, 371.0)), None);
+    }
+}

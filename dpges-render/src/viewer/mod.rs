@@ -1,0 +1,34 @@
+//! A window that shows a scene: [`run`] opens it and returns when it is closed. Its guide is `docs/viewer.md`.
+
+mod app;
+mod canvas;
+mod comparison;
+mod dialogs;
+mod error;
+mod frame_times;
+#[cfg(test)]
+mod gpu_tests;
+mod help;
+mod keys;
+mod live;
+mod loading;
+mod measuring;
+mod messages;
+pub mod navigation;
+mod panels;
+mod path_editor;
+mod picture;
+mod recent;
+mod resolution;
+mod screenshot;
+mod start_page;
+#[cfg(test)]
+mod tests;
+mod views;
+mod window;
+
+pub use error::ViewerError;
+pub use live::{LiveProgress, LiveScene};
+pub use loading::{Opened, Opener, open_scene};
+pub use views::{DatasetViews, Photograph, ReadViews, Views};
+pub use window::{Gpu, Start, ViewerOptions, run};

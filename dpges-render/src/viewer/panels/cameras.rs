@@ -1,0 +1,53 @@
+//! The cameras of the dataset.
+
+use egui::{ScrollArea, Ui};
+
+use super::super::app::Viewer;
+
+/// Height of the list, points.
+const HEIGHT: f32 = 130.0;
+
+pub fn show(viewer: &mut Viewer, ui: &mut Ui) {
+    let count = viewer.views.as_ref().map_or(0, |views| views.cameras.len());
+    if viewer.views_loader.is_some() {
+        ui.horizontal(|ui| {
+            ui.spinner();
+            ui.weak("reading the dataset");
+        });
+        return;
+    }
+    if count == 0 {
+        ui.weak("This scene came without cameras: `--data DATASET` names them.");
+        return;
+    }
+    let mut step = 0;
+    ui.horizontal(|ui| {
+        if ui.button("Previous").clicked() {
+            step = -1;
+        }
+        if ui.button("Next").clicked() {
+            step = 1;
+        }
+        ui.weak(format!("{count} cameras"));
+    });
+    if step != 0 {
+        viewer.step_view(step);
+    }
+    let mut chosen = None;
+    let row = ui.spacing().interact_size.y;
+    let list = ScrollArea::vertical().id_salt("cameras").max_height(HEIGHT).auto_shrink([false, true]);
+    list.show_rows(ui, row, count, |ui, rows| {
+        for index in rows {
+            let name = viewer.views.as_ref().map_or("", |views| &views.cameras[index].0);
+            let response = ui.selectable_label(viewer.chosen_view == Some(index), name);
+            if response.double_clicked() {
+                chosen = Some((index, true));
+            } else if response.clicked() {
+                chosen = Some((index, false));
+            }
+        }
+    });
+    if let Some((index, at_once)) = chosen {
+        viewer.go_to_view(index, at_once);
+    }
+}

@@ -1,0 +1,29 @@
+//! Distances.
+
+use egui::Ui;
+
+use super::super::app::Viewer;
+use super::super::measuring::text_of;
+
+pub fn show(viewer: &mut Viewer, ui: &mut Ui) {
+    let measuring = &mut viewer.measuring;
+    ui.horizontal(|ui| {
+        ui.toggle_value(&mut measuring.active, "Pick points");
+        if ui.add_enabled(!measuring.points().is_empty(), egui::Button::new("Clear")).clicked() {
+            measuring.clear();
+        }
+    });
+    for (point, name) in measuring.points().iter().zip(["from", "to"]) {
+        let [x, y, z] = point.to_array();
+        ui.monospace(format!("{name:4} {x:9.4} {y:9.4} {z:9.4}"));
+    }
+    match (measuring.distance(), measuring.active) {
+        (Some(distance), _) => {
+            ui.strong(format!("{} world units", text_of(distance)));
+        }
+        (None, true) => {
+            ui.weak("Click two points on surfaces.");
+        }
+        (None, false) => {}
+    }
+}

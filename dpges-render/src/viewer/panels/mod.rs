@@ -1,0 +1,40 @@
+//! The panel on the right: one file per section.
+
+mod cameras;
+mod comparison;
+mod measuring;
+mod navigation;
+mod path;
+mod scene;
+mod screenshot;
+mod speed;
+pub mod training;
+
+use egui::{CollapsingHeader, ScrollArea, Ui};
+
+use super::app::Viewer;
+
+type Section = fn(&mut Viewer, &mut Ui);
+
+/// Titles, whether they are open at first, and what they show.
+const SECTIONS: [(&str, bool, Section); 8] = [
+    ("Picture", true, scene::show),
+    ("View", true, navigation::show),
+    ("Cameras", true, cameras::show),
+    ("Comparison", true, comparison::show),
+    ("Speed", false, speed::show),
+    ("Measure", false, measuring::show),
+    ("Camera path", false, path::show),
+    ("Screenshot", false, screenshot::show),
+];
+
+/// Shows all sections.
+pub fn show(viewer: &mut Viewer, ui: &mut Ui) {
+    ScrollArea::vertical().auto_shrink([false, true]).show(ui, |ui| {
+        ui.add_space(4.0);
+        scene::title(viewer, ui);
+        for (title, open, section) in SECTIONS {
+            CollapsingHeader::new(title).default_open(open).show(ui, |ui| section(viewer, ui));
+        }
+    });
+}

@@ -1,0 +1,80 @@
+//! The camera path.
+
+use egui::{Button, DragValue, Id, TextEdit, Ui};
+
+use super::super::app::Viewer;
+use super::super::dialogs::Purpose;
+use super::super::navigation::Viewpoint;
+
+/// What was asked of a key camera.
+enum Request {
+    Show(usize),
+    Remove(usize),
+    Move(usize, usize),
+}
+
+pub fn show(viewer: &mut Viewer, ui: &mut Ui) {
+    ui.horizontal(|ui| {
+        if ui.button("Add view").on_hover_text("key K").clicked() {
+            viewer.add_to_path();
+        }
+        let name = if viewer.path.is_playing() { "Stop" } else { "Play" };
+        if ui.add_enabled(viewer.path.can_play(), Button::new(name)).clicked() {
+            viewer.path.play_or_stop();
+        }
+        ui.add(DragValue::new(&mut viewer.path.seconds).range(0.5..=600.0).speed(0.1).suffix(" s"));
+    });
+    match keys(viewer, ui) {
+        Some(Request::Show(at)) => {
+            let focus_distance = viewer.navigator.viewpoint().focus_distance;
+            viewer.leave_for(Viewpoint::of(&viewer.path.cameras[at], focus_distance));
+        }
+        Some(Request::Remove(at)) => viewer.path.remove(at),
+        Some(Request::Move(from, to)) => viewer.path.reorder(from, to),
+        None => {}
+    }
+    ui.add(TextEdit::singleline(&mut viewer.path.file).desired_width(f32::INFINITY));
+    ui.horizontal(|ui| {
+        if ui.add_enabled(!viewer.path.cameras.is_empty(), Button::new("Save")).clicked() {
+            viewer.save_path();
+        }
+        if ui.button("Load").clicked() {
+            viewer.load_path();
+        }
+        if ui.button("Save as…").clicked() {
+            viewer.ask(ui.ctx(), Purpose::SavePath);
+        }
+        if ui.button("Load from…").clicked() {
+            viewer.ask(ui.ctx(), Purpose::LoadPath);
+        }
+    });
+}
+
+/// The list of key cameras, which are dragged into another order.
+fn keys(viewer: &Viewer, ui: &mut Ui) -> Option<Request> {
+    let mut request = None;
+    let count = viewer.path.cameras.len();
+    if count < 2 {
+        ui.weak("A path goes through two views or more.");
+    }
+    for at in 0..count {
+        let row = ui.horizontal(|ui| {
+            let id = Id::unique(("key camera", at));
+            ui.dnd_drag_source(id, at, |ui| ui.label(format!("↕ view {}", at + 1)));
+            if ui.small_button("show").clicked() {
+                request = Some(Request::Show(at));
+            }
+            if ui.small_button("delete").clicked() {
+                request = Some(Request::Remove(at));
+            }
+        });
+        if let Some(from) = row.response.dnd_release_payload::<usize>() {
+            request = Some(Request::Move(*from, at));
+        }
+        if row.response.dnd_hover_payload::<usize>().is_some() {
+            let stroke = ui.visuals().selection.stroke;
+            ui.painter().rect_stroke(row.response.rect, 2.0, stroke, egui::StrokeKind::Outside);
+        }
+    }
+    request
+}

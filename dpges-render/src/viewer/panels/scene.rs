@@ -1,0 +1,78 @@
+//! What is drawn, and how.
+
+use dpges_core::scene::{Footprint, Rendering};
+use egui::{ComboBox, Slider, Ui};
+
+use super::super::app::Viewer;
+use super::super::dialogs::Purpose;
+use crate::{Display, MAX_LAYERS, RenderOptions};
+
+/// Largest w of the slider.
+const LARGEST_MODULATION: f64 = 200.0;
+
+/// Name and size of the scene, and the way to another.
+pub fn title(viewer: &mut Viewer, ui: &mut Ui) {
+    let mut asked = None;
+    ui.horizontal_wrapped(|ui| {
+        if ui.button("Open scene…").clicked() {
+            asked = Some(Purpose::OpenScene);
+        }
+        if ui.button("Open run…").clicked() {
+            asked = Some(Purpose::OpenRun);
+        }
+        if ui.button("Help").clicked() {
+            viewer.help_open = true;
+        }
+    });
+    if let Some(purpose) = asked {
+        viewer.ask(ui.ctx(), purpose);
+    }
+    if let Some(scene) = &viewer.scene {
+        ui.add(egui::Label::new(egui::RichText::new(&scene.name).strong()).truncate());
+        let [surfels, gaussians] = scene.counts;
+        ui.weak(format!("{surfels} surfels, {gaussians} Gaussians, {}", scene.info.rendering));
+    }
+}
+
+pub fn show(viewer: &mut Viewer, ui: &mut Ui) {
+    let Some(info) = viewer.scene.as_ref().map(|scene| scene.info.clone()) else { return };
+    let peeled = info.rendering == Rendering::Peeled;
+    let mut display = viewer.options.display;
+    ui.add_enabled_ui(peeled, |ui| {
+        ui.horizontal_wrapped(|ui| {
+            for (kind, number) in Display::ALL.into_iter().zip(1..) {
+                let choice = ui.selectable_value(&mut display, kind, kind.to_string());
+                choice.on_hover_text(format!("key {number}"));
+            }
+        });
+    });
+    viewer.set_display(display);
+    let options = &mut viewer.options;
+    ui.add_enabled_ui(peeled, |ui| {
+        ui.add(Slider::new(&mut options.layer_count, 1..=MAX_LAYERS).text("layers K"));
+        ui.add(Slider::new(&mut options.modulation, 1.0..=LARGEST_MODULATION).logarithmic(true).text("rims w"))
+            .on_hover_text("The opacity of a surfel is min(1, w G): the larger, the harder its rim.");
+        let name = |footprint| match footprint {
+            Footprint::Kernel => "kernel",
+            Footprint::Opacity => "opacity",
+        };
+        ComboBox::from_label("footprint").selected_text(name(options.footprint)).show_ui(ui, |ui| {
+            for footprint in [Footprint::Kernel, Footprint::Opacity] {
+                ui.selectable_value(&mut options.footprint, footprint, name(footprint));
+            }
+        });
+    });
+    ui.add(Slider::new(&mut options.smallest_px, 0.0..=4.0).text("smallest, px"))
+        .on_hover_text("Primitives that are smaller on the screen are not drawn.");
+    ui.horizontal(|ui| {
+        let mut colour = options.background.map(|channel| channel as f32);
+        if ui.color_edit_button_rgb(&mut colour).changed() {
+            options.background = colour.map(f64::from);
+        }
+        ui.label("background");
+        let trained = RenderOptions { display: options.display, ..RenderOptions::from(&info) };
+        if ui.add_enabled(*options != trained, egui::Button::new("As trained")).clicked() {
+            *options = trained;
+        }
+    });
+}

@@ -1,0 +1,56 @@
+//! Frame times, and how many pixels are drawn.
+
+use egui::{Slider, Ui};
+use egui_plot::{HLine, Legend, Line, Plot, PlotPoints};
+
+use super::super::app::Viewer;
+use super::super::resolution::LEAST_SCALE;
+
+pub fn show(viewer: &mut Viewer, ui: &mut Ui) {
+    let resolution = &mut viewer.resolution;
+    ui.checkbox(&mut resolution.automatic, "fewer pixels while moving, to hold");
+    if resolution.automatic {
+        ui.add(Slider::new(&mut resolution.frames_per_second, 5.0..=240.0).logarithmic(true).text("frames/s"));
+        ui.weak(format!("while moving: {:.0} % of the pixels along an edge", 100.0 * resolution.control.scale()));
+    } else {
+        ui.add(Slider::new(&mut resolution.scale, LEAST_SCALE..=1.0).text("pixels along an edge"));
+    }
+    let goal = 1e3 / resolution.frames_per_second;
+    let shows_goal = resolution.automatic;
+    let (wall, gpu) = (viewer.frame_times.wall(), viewer.frame_times.gpu());
+    let plot = Plot::new("frame times").height(110.0).legend(Legend::default()).include_y(0.0).allow_drag(false);
+    plot.allow_zoom(false).allow_scroll(false).show_x(false).y_axis_label("ms").show_axes([false, true]).show(
+        ui,
+        |plot| {
+            plot.line(Line::new("frame", PlotPoints::from(wall)));
+            plot.line(Line::new("GPU", PlotPoints::from(gpu)));
+            if shows_goal {
+                plot.hline(HLine::new("goal", goal));
+            }
+        },
+    );
+    passes(viewer, ui);
+    if let Some(canvas) = &viewer.canvas {
+        ui.weak(canvas.adapter_name());
+    }
+}
+
+/// What each pass of the last frame took on the GPU.
+fn passes(viewer: &Viewer, ui: &mut Ui) {
+    let Some(frame) = viewer.frame_times.last() else { return };
+    let Some(sum) = frame.gpu_ms() else {
+        ui.weak("This device has no clock for its passes.");
+        return;
+    };
+    egui::Grid::new("passes").num_columns(3).striped(true).show(ui, |ui| {
+        for (name, ms) in &frame.passes {
+            ui.label(*name);
+            ui.monospace(format!("{ms:7.2} ms"));
+            ui.weak(format!("{:3.0} %", 100.0 * ms / sum.max(1e-9)));
+            ui.end_row();
+        }
+        ui.strong("GPU");
+        ui.monospace(format!("{sum:7.2} ms"));
+        ui.end_row();
+    });
+}

@@ -1,0 +1,138 @@
+//! The window itself: its device, and how it ends.
+
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use eframe::egui_wgpu::{RenderState, WgpuConfiguration, WgpuSetup, WgpuSetupCreateNew, WgpuSetupExisting};
+
+use super::app::Viewer;
+use super::error::ViewerError;
+use super::live::LiveScene;
+use super::loading::{Opened, Opener, open_scene};
+use super::views::DatasetViews;
+use crate::Renderer;
+
+/// Name under which the desktop knows the window, and of the folder of its settings.
+const APPLICATION: &str = "dpges";
+
+/// What the window shows first.
+pub enum Start {
+    /// What can be done.
+    Page,
+    /// A scene file or the folder of a run, which is read while the window is there already.
+    Open(PathBuf),
+    Scene {
+        name: String,
+        opened: Box<Opened>,
+    },
+    /// A scene in training, and the views it is trained on.
+    Live(LiveScene, Option<DatasetViews>),
+}
+
+/// A device of the application that the window draws on.
+#[derive(Clone)]
+pub struct Gpu {
+    pub instance: wgpu::Instance,
+    pub adapter: wgpu::Adapter,
+    pub device: wgpu::Device,
+    pub queue: wgpu::Queue,
+}
+
+/// What [`run`] shows, and with what.
+pub struct ViewerOptions {
+    pub title: String,
+    pub start: Start,
+    /// Reads what is opened from the window.
+    pub opener: Opener,
+    /// `None`: a device of its own.
+    pub gpu: Option<Gpu>,
+}
+
+impl Default for ViewerOptions {
+    /// The start page; scene files without views can be opened.
+    fn default() -> Self {
+        Self { title: APPLICATION.to_owned(), start: Start::Page, opener: Arc::new(open_scene), gpu: None }
+    }
+}
+
+/// Why the device failed, once it has.
+#[derive(Clone, Default)]
+pub(super) struct DeviceFailure(Arc<Mutex<Option<String>>>);
+
+impl DeviceFailure {
+    pub fn set(&self, reason: String) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(reason);
+    }
+
+    pub fn reason(&self) -> Option<String> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Learns of the failure of a device that nobody else watches.
+    fn watch(&self, state: &RenderState, wake: impl Fn() + Send + Sync + Clone + 'static) {
+        let (lost, woken) = (self.clone(), wake.clone());
+        state.device.set_device_lost_callback(move |reason, message| {
+            if reason != wgpu::DeviceLostReason::Destroyed {
+                lost.set(format!("it was lost: {message}"));
+                woken();
+            }
+        });
+        let failed = self.clone();
+        state.device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
+            failed.set(error.to_string());
+            wake();
+        }));
+    }
+}
+
+/// Opens a window and returns when it is closed. Call it on the main thread.
+///
+/// # Errors
+/// [`ViewerError`] without a display, without a graphics adapter, or when the device failed.
+pub fn run(options: ViewerOptions) -> Result<(), ViewerError> {
+    let failure = DeviceFailure::default();
+    let ViewerOptions { title, start, opener, gpu } = options;
+    let watches = gpu.is_none();
+    let native = eframe::NativeOptions {
+        viewport: egui::ViewportBuilder::default()
+            .with_title(title)
+            .with_app_id(APPLICATION)
+            .with_inner_size([1280.0, 800.0])
+            .with_min_inner_size([320.0, 240.0])
+            .with_drag_and_drop(true),
+        renderer: eframe::Renderer::Wgpu,
+        wgpu_options: WgpuConfiguration { wgpu_setup: setup(gpu), ..WgpuConfiguration::default() },
+        ..eframe::NativeOptions::default()
+    };
+    let of_window = failure.clone();
+    let create = move |context: &eframe::CreationContext<'_>| -> Result<Box<dyn eframe::App>, _> {
+        if let (true, Some(state)) = (watches, &context.wgpu_render_state) {
+            let egui = context.egui_ctx.clone();
+            of_window.watch(state, move || egui.request_repaint());
+        }
+        let gpu = context.wgpu_render_state.as_ref();
+        let viewer = Viewer::new(&context.egui_ctx, gpu, context.storage, start, opener, of_window)?;
+        Ok(Box::new(viewer))
+    };
+    // egui panics where its device is gone
+    let end = catch_unwind(AssertUnwindSafe(|| eframe::run_native(APPLICATION, native, Box::new(create))));
+    match (failure.reason(), end) {
+        (Some(reason), _) => Err(ViewerError::Device { reason }),
+        (None, Ok(end)) => Ok(end?),
+        (None, Err(panic)) => resume_unwind(panic),
+    }
+}
+
+fn setup(gpu: Option<Gpu>) -> WgpuSetup {
+    if let Some(Gpu { instance, adapter, device, queue }) = gpu {
+        return WgpuSetupExisting { instance, adapter, device, queue }.into();
+    }
+    let device = |adapter: &wgpu::Adapter| wgpu::DeviceDescriptor {
+        label: Some("viewer"),
+        required_features: Renderer::required_features(adapter),
+        required_limits: adapter.limits(),
+        ..wgpu::DeviceDescriptor::default()
+    };
+    WgpuSetupCreateNew { device_descriptor: Arc::new(device), ..WgpuSetupCreateNew::without_display_handle() }.into()
+}

@@ -1,0 +1,73 @@
+//! `dpges view`: a scene in a window.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use clap::Args;
+use dpges_core::camera::Camera;
+use dpges_core::scene::SceneInfo;
+use dpges_render::Rgb8Image;
+use dpges_render::viewer::{self, DatasetViews, Opened, Start, ViewerOptions, Views};
+use dpges_train::config::DataConfig;
+use dpges_train::dataset::View;
+
+use super::Result;
+use super::data::{DataArgs, Scene, Source, in_scene};
+
+/// Look at a scene in a window
+///
+/// Without SCENE a page says what can be done. F1 lists what mouse and keys do.
+#[derive(Debug, Args)]
+pub struct WindowArgs {
+    /// Scene file or folder of a run
+    scene: Option<PathBuf>,
+    /// Folder of the dataset whose cameras and photographs are shown too, or `builtin`; a run knows its own
+    #[arg(long, value_name = "DATASET", requires = "scene")]
+    data: Option<PathBuf>,
+    #[command(flatten)]
+    options: DataArgs,
+}
+
+pub fn run(args: WindowArgs) -> Result<()> {
+    let title = args.scene.as_ref().map_or_else(|| "dpges".to_owned(), |scene| format!("dpges: {}", scene.display()));
+    let start = match &args.scene {
+        Some(path) => {
+            Scene::check(path)?;
+            Start::Open(path.clone())
+        }
+        None => Start::Page,
+    };
+    let opener = Arc::new(move |path: &Path| args.open(path).map_err(|failure| failure.text()));
+    Ok(viewer::run(ViewerOptions { title, start, opener, gpu: None })?)
+}
+
+impl WindowArgs {
+    /// The scene at once, the views later: reading photographs takes longer.
+    fn open(&self, path: &Path) -> Result<Opened> {
+        let mut scene = Scene::load(path)?;
+        let named = self.data.as_deref().filter(|_| self.scene.as_deref() == Some(path));
+        let views = match scene.dataset(named, &self.options)? {
+            None => Views::None,
+            Some((source, config)) => {
+                let info = scene.data.info.clone();
+                Views::Later(Box::new(move || read(&source, &config, &info).map_err(|failure| failure.text())))
+            }
+        };
+        Ok(Opened { scene: scene.data, views })
+    }
+}
+
+/// The views of a dataset, held-out ones last, in the coordinates of the scene.
+fn read(source: &Source, config: &DataConfig, info: &SceneInfo) -> Result<DatasetViews> {
+    let dataset = source.load(config)?;
+    let offset = dataset.offset;
+    let held_out = dataset.test.into_iter().map(|view| (format!("{} (held out)", view.name), view));
+    let views = dataset.train.into_iter().map(|view| (view.name.clone(), view)).chain(held_out);
+    let mut cameras: Vec<(String, Camera)> = Vec::new();
+    let mut photographs = Vec::new();
+    for (name, View { camera, picture, .. }) in views {
+        cameras.push((name, in_scene(camera, offset, info)));
+        photographs.push(Rgb8Image::from_planes(&picture.planes, picture.width, picture.height));
+    }
+    Ok(DatasetViews { cameras, photograph: Box::new(move |index| photographs.get(index).cloned()) })
+}
