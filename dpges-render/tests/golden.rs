@@ -18,6 +18,8 @@ const LEAST_DB: [(Precision, f64); 2] = [(Precision::Float, 50.0), (Precision::H
 /// GL maps depths to −1 … 1, where floats are not dense: layers that are 10⁵ near planes away are told apart badly. dB
 const LEAST_FAR_ON_GL_DB: f64 = 30.0;
 
+type Test = Box<dyn FnOnce(&Headless) -> Result<(), Failed> + Send>;
+
 struct Golden {
     scene: SceneData,
     camera: Camera,
@@ -176,7 +178,7 @@ fn main() -> ExitCode {
         headless.as_ref().expect("DPGES_REQUIRE_GPU is set");
     }
     let ignored = headless.is_err();
-    let trial = |name: String, test: Box<dyn FnOnce(&Headless) -> Result<(), Failed> + Send>| {
+    let trial = |name: String, test: Test| {
         let headless = headless.as_ref().ok().cloned();
         Trial::test(name, move || test(headless.as_ref().ok_or("no graphics adapter")?)).with_ignored_flag(ignored)
     };
