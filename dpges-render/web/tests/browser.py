@@ -1,0 +1,194 @@
+#!/usr/bin/env python3
+"""The browser viewer in headless Chromium: pictures against the native renderer's, faults, and behaviour.
+
+    dpges-render/web/tests/browser.py              builds the page, exports a test scene, tests WebGPU and WebGL2
+    dpges-render/web/tests/browser.py --folder F   tests the folder F that an earlier run left with --keep F
+"""
+
+import argparse
+import base64
+import json
+import math
+import os
+import pathlib
+import subprocess
+import sys
+import tempfile
+
+from chromium import Chromium
+from site_with_faults import Site
+
+WEB = pathlib.Path(__file__).resolve().parent.parent
+BACKENDS = {"webgpu": "WebGPU", "webgl": "WebGL2"}
+# Least PSNR between the browser's picture and the native one, dB, by the bits of the browser's sums: native ones have 32.
+LEAST_PSNR = {32: 50.0, 16: 40.0}
+# Nothing is drawn for so long once nothing moves, ms.
+QUIET_MS = 700
+
+READ = """
+(async () => {
+  const { page } = await import("./viewer.js");
+  const image = await page.picture(%s, %s);
+  let text = "";
+  for (let at = 0; at < image.data.length; at += 8192) text += String.fromCharCode(...image.data.subarray(at, at + 8192));
+  return btoa(text);
+})()
+"""
+# Counts the frames that are drawn from now on.
+COUNT = """
+(async () => {
+  const { page } = await import("./viewer.js");
+  const draw = page.viewer.draw;
+  window.frames_drawn = 0;
+  page.viewer.draw = function () { window.frames_drawn += 1; return draw.call(this); };
+})()
+"""
+EYE = """(async () => (await import("./viewer.js")).page.camera.eye())()"""
+WAIT = "new Promise((resolve) => setTimeout(resolve, %d))"
+
+failures = []
+
+
+def check(name, passed, found=""):
+    print(f"{'ok    ' if passed else 'FAILED'}  {name}{f': {found}' if found != '' else ''}", flush=True)
+    if not passed:
+        failures.append(name)
+
+
+def prepare(folder, scene):
+    """Builds the page and exports `scene`, or a made one, to `folder`, with native pictures of it."""
+    subprocess.run([WEB / "build.sh"], check=True)
+    command = "cargo test --package dpges-render --features export,viewer --test browser_fixture -- --ignored --nocapture"
+    environment = {**os.environ, "DPGES_WEB_FIXTURE": str(folder)}
+    if scene:
+        environment["DPGES_WEB_SCENE"] = str(scene.resolve())
+    subprocess.run(command.split(), check=True, cwd=WEB.parent.parent, env=environment)
+
+
+def read_ppm(path):
+    kind, width, height, largest, pixels = path.read_bytes().split(maxsplit=4)
+    assert (kind, largest) == (b"P6", b"255")
+    width, height = int(width), int(height)
+    assert len(pixels) == 3 * width * height
+    return pixels
+
+
+def psnr(a, b):
+    squares = sum((x - y) * (x - y) for x, y in zip(a, b, strict=True))
+    return math.inf if squares == 0 else 10 * math.log10(255 * 255 * len(a) / squares)
+
+
+def pictures(tab, folder, backend, label, save):
+    for reference in json.loads((folder / "reference.json").read_text()):
+        name, camera, options = reference["name"], json.dumps(reference["camera"]), json.dumps(reference["options"])
+        found = base64.b64decode(tab.evaluate(READ % (camera, options)))
+        opaque = all(alpha == 255 for alpha in found[3::4])
+        rgb = bytes(byte for at, byte in enumerate(found) if at % 4 != 3)
+        if save:
+            size = f"{reference['camera']['width']} {reference['camera']['height']}"
+            (save / f"{name}_{backend}.ppm").write_bytes(f"P6 {size} 255\n".encode() + rgb)
+        expected = read_ppm(folder / f"{name}.ppm")
+        several = len(set(zip(expected[::3], expected[1::3], expected[2::3]))) > 8
+        least = LEAST_PSNR[json.loads(tab.evaluate(DEVICE))["precision_bits"]]
+        found_psnr = psnr(rgb, expected)
+        check(f"{label}: {name}", several and opaque and found_psnr >= least, f"{found_psnr:.2f} dB, at least {least:.0f}")
+
+
+DEVICE = """(async () => (await import("./viewer.js")).page.viewer.device())()"""
+TEXT = """document.getElementById("message-text").textContent"""
+
+
+def behaviour(tab, label):
+    """Frames are drawn when something changes, and only then."""
+    tab.evaluate(COUNT)
+    tab.evaluate(WAIT % QUIET_MS)
+    check(f"{label}: at rest nothing is drawn", tab.evaluate("window.frames_drawn") == 0)
+    before = tab.evaluate(EYE)
+    mouse = lambda kind, x, y: tab.call(
+        "Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=1, clickCount=1
+    )
+    mouse("mousePressed", 400, 300)
+    for step in range(1, 6):
+        mouse("mouseMoved", 400 + 20 * step, 300)
+    mouse("mouseReleased", 500, 300)
+    tab.evaluate(WAIT % (3 * QUIET_MS))
+    drawn = tab.evaluate("window.frames_drawn")
+    check(f"{label}: a drag turns the scene", drawn > 0 and tab.evaluate(EYE) != before, f"{drawn} frames")
+    tab.evaluate("window.frames_drawn = 0")
+    tab.evaluate(WAIT % QUIET_MS)
+    check(f"{label}: it comes to rest", tab.evaluate("window.frames_drawn") == 0)
+
+    before = tab.evaluate(EYE)
+    finger = lambda kind, points: tab.call(
+        "Input.dispatchTouchEvent", type=kind, touchPoints=[{"x": x, "y": y, "id": at} for at, (x, y) in enumerate(points)]
+    )
+    finger("touchStart", [(300, 300), (500, 300)])
+    for step in range(1, 6):
+        finger("touchMove", [(300 - 10 * step, 300), (500 + 10 * step, 300)])
+    finger("touchEnd", [])
+    tab.evaluate(WAIT % QUIET_MS)
+    check(f"{label}: two fingers zoom", tab.evaluate(EYE) != before)
+    key = lambda kind: tab.call("Input.dispatchKeyEvent", type=kind, code="KeyR", key="r", windowsVirtualKeyCode=82)
+    key("keyDown")
+    key("keyUp")
+    tab.evaluate(WAIT % QUIET_MS)
+    check(f"{label}: no message", tab.evaluate(f"!document.getElementById('message').hidden && {TEXT}") is False)
+
+
+def faults(tab, site):
+    """What is wrong is said, and what to do."""
+    page = f"{site.here}/?url="
+    cases = {
+        "a file that is not there": (f"{site.here}/absent.safetensors", "404"),
+        "half a file": (f"{site.here}/half/scene.safetensors", "ended after"),
+        "a foreign file": (f"{site.here}/foreign/scene.safetensors", "not a safetensors file"),
+        "a web page": (f"{site.here}/page/scene.safetensors", "It is a web page"),
+        "another site without CORS": (f"{site.elsewhere}/scene.safetensors", "Access-Control-Allow-Origin"),
+        "an address that is no web address": ("javascript:alert(1)", "not an address of the web"),
+    }
+    for name, (url, expected) in cases.items():
+        state, text = tab.open(page + url), tab.evaluate(TEXT)
+        check(name, state == "failed" and expected in text, text)
+    state = tab.open(f"{site.here}/?url={site.here}/slow/scene.safetensors")
+    check("a file of unknown length", state == "shown", state)
+    tab.call("Page.addScriptToEvaluateOnNewDocument", source="""
+        Object.defineProperty(navigator, "gpu", { value: undefined });
+        HTMLCanvasElement.prototype.getContext = () => null;
+    """)
+    state, text = tab.open(f"{site.here}/"), tab.evaluate(TEXT)
+    check("neither WebGPU nor WebGL2", state == "failed" and "needs WebGPU or WebGL2" in text, text)
+
+
+def main():
+    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments.add_argument("--folder", type=pathlib.Path, help="an exported folder with references; nothing is built")
+    arguments.add_argument("--keep", type=pathlib.Path, help="where to export to, in place of a temporary folder")
+    arguments.add_argument("--scene", type=pathlib.Path, help="a scene file in place of a made scene")
+    arguments.add_argument("--backends", nargs="+", choices=BACKENDS, default=list(BACKENDS))
+    arguments.add_argument("--save", type=pathlib.Path, help="where to write the browser's pictures")
+    chosen = arguments.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = chosen.folder or chosen.keep or pathlib.Path(temporary)
+        if chosen.folder is None:
+            prepare(folder.resolve(), chosen.scene)
+        with Site(folder) as site:
+            for backend in chosen.backends:
+                with Chromium() as tab:
+                    state = tab.open(f"{site.here}/?backend={backend}")
+                    label = BACKENDS[backend]
+                    if state != "shown":
+                        check(f"{label}: the exported scene is shown", False, f"{state}: {tab.evaluate(TEXT)} {tab.log}")
+                        continue
+                    device = json.loads(tab.evaluate(DEVICE))
+                    check(f"{label}: the exported scene is shown", device["backend"] == label, json.dumps(device))
+                    behaviour(tab, label)
+                    pictures(tab, folder, backend, label, chosen.save)
+            with Chromium() as tab:
+                faults(tab, site)
+    if failures:
+        sys.exit(f"{len(failures)} failed: {', '.join(failures)}")
+    print("all passed")
+
+
+if __name__ == "__main__":
+    main()
