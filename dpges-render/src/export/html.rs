@@ -9,7 +9,8 @@ use std::path::{Path, PathBuf};
 use dpges_core::atomic::write_atomically;
 use dpges_core::camera::Camera;
 use dpges_core::scene::SceneData;
-use serde::Serialize;
+
+use crate::path::CameraPath;
 
 /// Names the folder of the built page where no option does.
 pub const PAGE_VARIABLE: &str = "DPGES_WEB_PAGE";
@@ -124,47 +125,11 @@ pub fn write_html(
     if let Some(poster) = page.poster_jpeg {
         writer.write(Path::new(POSTER), poster)?;
     }
-    let entries: Vec<_> = page.cameras.iter().enumerate().map(|(id, camera)| Entry::new(id, camera, scene)).collect();
-    let json = serde_json::to_vec(&entries).map_err(|error| writer.error("cannot write", CAMERAS, error.into()))?;
     // Without cameras too: an older file would be taken for this scene's.
-    writer.write(Path::new(CAMERAS), &json)?;
+    let cameras = CameraPath::new(page.cameras.to_vec(), false).map_or_else(|_| "[]".to_owned(), |path| path.to_json());
+    writer.write(Path::new(CAMERAS), cameras.as_bytes())?;
     writer.write(Path::new(INDEX), index.as_bytes())?;
     Ok(writer.files)
-}
-
-/// A camera in the convention of `cameras.json` of 3DGS: in the coordinates of the dataset.
-#[derive(Serialize)]
-struct Entry {
-    id: usize,
-    img_name: String,
-    width: usize,
-    height: usize,
-    /// World units.
-    position: [f64; 3],
-    /// Camera to world, row-major.
-    rotation: [[f64; 3]; 3],
-    /// px
-    fx: f64,
-    /// px
-    fy: f64,
-}
-
-impl Entry {
-    fn new(id: usize, camera: &Camera, scene: &SceneData) -> Self {
-        let centre = camera.centre().to_array();
-        let offset = scene.info.offset;
-        Self {
-            id,
-            img_name: format!("{id:05}"),
-            width: camera.width,
-            height: camera.height,
-            position: std::array::from_fn(|axis| centre[axis] + offset[axis]),
-            // Columns of camera_from_world are rows of its inverse.
-            rotation: camera.camera_from_world.rotation.to_cols_array_2d(),
-            fx: camera.fx,
-            fy: camera.fy,
-        }
-    }
 }
 
 /// The page's `index.html` with the names of the files and the title.
@@ -238,8 +203,6 @@ impl Writer<'_> {
 mod tests {
     use dpges_core::camera::CameraFromWorld;
     use dpges_core::scene::{ColourModel, GaussianData, SceneInfo, SurfelData};
-    use serde_json::Value;
-
     use super::*;
 
     fn scene() -> SceneData {
@@ -284,16 +247,9 @@ mod tests {
         ] {
             assert!(index.contains(part), "{part}");
         }
-        let cameras: Value = serde_json::from_slice(&fs::read(folder.join(CAMERAS)).unwrap()).unwrap();
-        let numbers = |value: &Value| serde_json::from_value::<[f64; 3]>(value.clone()).unwrap();
-        for (found, expected) in numbers(&cameras[0]["position"]).into_iter().zip([101.0, 2.0, -2.0]) {
-            assert!((found - expected).abs() < 1e-12, "{cameras}");
-        }
-        let forward = [0, 1, 2].map(|row| numbers(&cameras[0]["rotation"][row])[2]);
-        for (found, eye) in forward.into_iter().zip([1.0, 2.0, 3.0]) {
-            assert!((found + eye / 14f64.sqrt()).abs() < 1e-12, "{cameras}");
-        }
-        assert_eq!((&cameras[0]["fx"], &cameras[0]["width"]), (&50.0.into(), &64.into()));
+        let cameras = CameraPath::load(&folder.join(CAMERAS), 0.5).unwrap();
+        assert!((cameras.keys()[0].centre() - camera().centre()).length() < 1e-12, "{cameras:?}");
+        assert_eq!((cameras.keys()[0].fx, cameras.keys()[0].width), (50.0, 64));
     }
 
     #[test]

@@ -22,6 +22,12 @@ const HELD = {
   Equal: [0, 0, 0, 0, 0, -1], NumpadAdd: [0, 0, 0, 0, 0, -1], Minus: [0, 0, 0, 0, 0, 1], NumpadSubtract: [0, 0, 0, 0, 0, 1],
 };
 
+// Whether a key is meant for the scene: not for a button, a setting or the browser.
+export function isForScene(event) {
+  const free = event.target === document.body || event.target instanceof HTMLCanvasElement;
+  return free && !event.ctrlKey && !event.metaKey && !event.altKey;
+}
+
 export class Controls {
   pointers = new Map();
   held = new Set();
@@ -38,9 +44,9 @@ export class Controls {
     on("pointercancel", this.release);
     on("wheel", this.wheel, { passive: false });
     on("contextmenu", (event) => event.preventDefault());
-    on("keydown", this.keyDown);
-    on("keyup", (event) => this.keyUp(event));
-    on("blur", () => this.held.clear());
+    document.addEventListener("keydown", (event) => this.keyDown(event));
+    document.addEventListener("keyup", (event) => this.keyUp(event));
+    addEventListener("blur", () => this.held.clear());
   }
 
   press(event) {
@@ -103,7 +109,7 @@ export class Controls {
 
   keyDown(event) {
     this.faster = event.shiftKey;
-    if (!(event.code in HELD) || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (!(event.code in HELD) || !isForScene(event)) return;
     event.preventDefault();
     this.held.add(event.code);
     this.changed();

@@ -14,8 +14,8 @@ export async function download(url, progress, signal) {
     if (error.name === "AbortError") throw error;
     throw new Error(unreachable(url));
   }
-  if (response.status === 404) throw new Error(`${name} is not there (404): check the address ${url}`);
-  if (!response.ok) throw new Error(`${name} could not be loaded: the server answered ${response.status} ${response.statusText}`);
+  if (response.status === 404) throw new Error(`The file ${name} is not there (404): check the address ${url}`);
+  if (!response.ok) throw new Error(`The file ${name} could not be loaded: the server answered ${response.status} ${response.statusText}`);
   // The length of a compressed answer is not that of the file.
   const plain = !response.headers.get("content-encoding");
   const total = plain ? Number(response.headers.get("content-length")) || 0 : 0;
@@ -51,18 +51,18 @@ export function nameOf(url) {
 // Only what a page may load: no scripts in addresses.
 export function webAddress(text, base) {
   const url = new URL(text, base);
-  if (!["http:", "https:", "blob:"].includes(url.protocol)) throw new Error(`${text} is not an address of the web`);
+  if (!["http:", "https:", "blob:"].includes(url.protocol)) throw new Error(`"${text}" is not an address of the web.`);
   return url.href;
 }
 
 function unreachable(url) {
   const { origin, protocol } = new URL(url);
-  if (protocol === "blob:" || origin === location.origin) return `${url} could not be reached: is the server running?`;
-  return `${url} could not be read. Either ${origin} cannot be reached, or it does not let other sites read its files: `
+  if (protocol === "blob:" || origin === location.origin) return `The address ${url} could not be reached: is the server running?`;
+  return `The address ${url} could not be read. Either ${origin} cannot be reached, or it does not let other sites read its files: `
     + `it has to send the header "Access-Control-Allow-Origin: *" (CORS).`;
 }
 
 function cut(name, size, total) {
   const of = total ? ` of ${megabytes(total)}` : "";
-  return `the download of ${name} ended after ${megabytes(size)}${of}: load the page again`;
+  return `The download of ${name} ended after ${megabytes(size)}${of}: load the page again.`;
 }

@@ -2,9 +2,11 @@
 
 import init, { Viewer } from "./pkg/dpges_web.js";
 import { OrbitCamera, parseCameras, upOf } from "./camera.js";
-import { Controls } from "./controls.js";
+import { Controls, isForScene } from "./controls.js";
 import { download, megabytes, nameOf, webAddress } from "./download.js";
 
+// What scenes of blended Gaussians or discs cannot show.
+const OF_LAYERS = ["surfels", "depth", "normal", "layer_count"];
 // Pictures beyond this many px per CSS px cost more than they show.
 const LARGEST_RATIO = 2;
 // How often a device that draws nothing is asked whether it was lost, ms.
@@ -29,9 +31,12 @@ let scene = null;
 let address = null;
 let firstCameras = [];
 let loading = null;
+// w: the slider has it as a power of ten, rounded.
+let modulation = 1;
 let frameMs = 0;
 let drawnAt = 0;
 let pending = false;
+let faulty = false;
 
 const controls = new Controls(canvas, camera, draw);
 
@@ -47,9 +52,10 @@ function state(name) {
 function fail(error) {
   console.error(error);
   const crashed = error instanceof WebAssembly.RuntimeError;
-  const cause = crashed ? "The viewer stopped; load the page again. The browser's console says more." : error.message ?? String(error);
-  element("message-text").textContent = cause.charAt(0).toUpperCase() + cause.slice(1);
+  const crash = "The viewer stopped: load the page again. The browser's console says more.";
+  element("message-text").textContent = crashed ? crash : error.message ?? String(error);
   element("message").hidden = false;
+  for (const button of document.querySelectorAll(".recover")) button.hidden = crashed || faulty || !viewer;
   if (crashed || !scene) state("failed");
 }
 
@@ -133,12 +139,12 @@ async function show(bytes, name, cameras) {
     throw new Error(error.message + hint(bytes));
   }
   firstCameras = cameras;
+  frameMs = 0;
   fillSettings();
   reset();
   state("shown");
   drawNow();
   element("poster").hidden = true;
-  canvas.focus({ preventScroll: true });
 }
 
 // What a file that is no scene may be instead.
@@ -155,9 +161,7 @@ function reset() {
   camera.stop();
   camera.setUp(upDirection());
   if (firstCameras.length > 0) {
-    const [x, y, z] = scene.offset;
-    const { position: p } = firstCameras[0];
-    camera.place({ ...firstCameras[0], position: [p[0] - x, p[1] - y, p[2] - z] }, scene.centre, scene.radius);
+    camera.place(firstCameras[0], scene.centre, scene.radius);
   } else {
     camera.field = new OrbitCamera().field;
     camera.fit(scene.centre, scene.radius);
@@ -184,14 +188,14 @@ function view() {
   const options = {
     display: settings.display.value,
     layer_count: Number(settings.layers.value),
-    modulation: modulation(),
+    modulation,
     background,
   };
   return [camera.entry(px(canvas.clientWidth), px(canvas.clientHeight)), options];
 }
 
 function draw() {
-  if (pending || !scene) return;
+  if (pending || faulty || !scene) return;
   pending = true;
   requestAnimationFrame(frame);
 }
@@ -232,40 +236,44 @@ function describe() {
 
 function checkFault() {
   const fault = viewer.fault();
-  if (!fault || state.faulty) return;
-  state.faulty = true;
+  if (!fault || faulty) return;
+  faulty = true;
   fail(new Error(`${fault}. Load the page again; if it happens again, try the parameter backend=webgl, or a smaller scene.`));
 }
 
 // --- Settings ---
 
-function modulation() {
-  return 10 ** Number(settings.hardness.value);
-}
-
 function fillSettings() {
+  for (const option of settings.display.options) {
+    option.disabled = scene.rendering !== "peeled" && OF_LAYERS.includes(option.value);
+  }
   const hex = (value) => Math.round(Math.min(Math.max(value, 0), 1) * 255).toString(16).padStart(2, "0");
   const background = parameter("background");
   settings.display.value = parameter("display") ?? "image";
   settings.layers.value = parameter("k") ?? scene.layer_count;
-  settings.hardness.value = Math.log10(Number(parameter("w")) || scene.modulation);
+  modulation = Number(parameter("w")) > 0 ? Number(parameter("w")) : scene.modulation;
+  settings.hardness.value = Math.log10(modulation);
   settings.background.value = /^[0-9a-f]{6}$/i.test(background) ? `#${background}` : `#${scene.background.map(hex).join("")}`;
   settings.scale.value = parameter("scale") ?? "1";
   settings.up.value = parameter("up") ?? "";
   for (const select of [settings.display, settings.scale, settings.up]) {
-    if (select.selectedIndex < 0) select.selectedIndex = 0;
+    if (select.selectedIndex < 0 || select.selectedOptions[0].disabled) select.selectedIndex = 0;
   }
 }
 
 function labelSettings() {
-  const label = (input, text) => { input.parentElement.querySelector("output").textContent = text; };
+  const label = (input, text) => {
+    input.parentElement.querySelector(".value").textContent = text;
+    input.setAttribute("aria-valuetext", text);
+  };
   label(settings.layers, settings.layers.value);
-  label(settings.hardness, modulation().toFixed(1));
+  label(settings.hardness, modulation.toFixed(1));
   label(settings.field, `${Math.round(settings.field.value)}°`);
 }
 
 settings.addEventListener("input", (event) => {
   if (event.target === settings.field) camera.fieldDegrees = Number(settings.field.value);
+  if (event.target === settings.hardness) modulation = 10 ** Number(settings.hardness.value);
   if (event.target === settings.up) return reset();
   labelSettings();
   draw();
@@ -284,6 +292,7 @@ function embed() {
     ? "This scene is on your device only: put it on a web server, then open it from there."
     : "Copy this into your page.";
   element("embed-text").value = text;
+  showSettings(false);
   element("embed").showModal();
 }
 
@@ -297,20 +306,20 @@ async function copy() {
   }
 }
 
-function toggleSettings() {
-  settings.hidden = !settings.hidden;
-  document.querySelector('[data-action="settings"]').setAttribute("aria-expanded", String(!settings.hidden));
+function showSettings(shown) {
+  settings.hidden = !shown;
+  document.querySelector('[data-action="settings"]').setAttribute("aria-expanded", String(shown));
 }
 
 const actions = {
   open: () => element("file").click(),
   dismiss: () => {
     element("message").hidden = true;
-    if (!scene) state(viewer ? "empty" : "failed");
+    if (!scene) state("empty");
   },
   reset,
   fullscreen: () => (document.fullscreenElement ? document.exitFullscreen() : element("stage").requestFullscreen()),
-  settings: toggleSettings,
+  settings: () => showSettings(settings.hidden),
   embed,
   copy,
   help: () => element("help").showModal(),
@@ -321,12 +330,13 @@ document.addEventListener("click", (event) => {
   const action = event.target.closest("[data-action]")?.dataset.action;
   if (action) actions[action]();
 });
-canvas.addEventListener("keydown", (event) => {
-  if (event.ctrlKey || event.metaKey || event.altKey || !scene) return;
+document.addEventListener("keydown", (event) => {
+  if (!scene || !isForScene(event)) return;
   if (event.code in keys) actions[keys[event.code]]();
   const display = /^Digit([1-8])$/.exec(event.code);
   if (display) {
-    settings.display.selectedIndex = Number(display[1]) - 1;
+    const option = settings.display.options[Number(display[1]) - 1];
+    if (!option.disabled) settings.display.value = option.value;
     draw();
   }
 });
@@ -349,9 +359,11 @@ addEventListener("drop", (event) => {
   if (file && viewer) loadFile(file).catch(fail);
 });
 
-canvas.addEventListener("webglcontextlost", () => fail(new Error("the graphics device was lost: load the page again")));
+canvas.addEventListener("webglcontextlost", () => {
+  faulty = true;
+  fail(new Error("The graphics device was lost: load the page again."));
+});
 new ResizeObserver(draw).observe(canvas);
-matchMedia("(resolution: 1dppx)").addEventListener("change", draw);
 
 start().catch((error) => {
   if (error.name !== "AbortError") fail(error);

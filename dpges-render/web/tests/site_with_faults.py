@@ -42,12 +42,17 @@ class Handler(http.server.SimpleHTTPRequestHandler):
         self.answer(self.scene())
 
 
+class Server(http.server.ThreadingHTTPServer):
+    def handle_error(self, *_):
+        """Browsers close connections that they no longer need."""
+
+
 class Site:
     """Serves `folder` at two addresses; for a page of one, the other is another site, which sends no CORS headers."""
 
     def __init__(self, folder):
         handler = functools.partial(Handler, directory=str(folder))
-        self.servers = [http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) for _ in range(2)]
+        self.servers = [Server(("127.0.0.1", 0), handler) for _ in range(2)]
         self.here, self.elsewhere = (f"http://127.0.0.1:{server.server_port}" for server in self.servers)
 
     def __enter__(self):
