@@ -1,12 +1,12 @@
 //! What `web/tests/browser.py` compares a browser with: an exported page, and pictures of its scene by this machine's
 //! renderer.
-#![cfg(all(feature = "export", feature = "viewer"))]
+#![cfg(all(feature = "export", feature = "native"))]
 
 use std::f64::consts::TAU;
 use std::path::Path;
 
 use dpges_core::camera::{Camera, CameraFromWorld};
-use dpges_core::scene::{GaussianData, SceneData, SceneInfo, SurfelData};
+use dpges_core::scene::{GaussianData, Rendering, SceneData, SceneInfo, SurfelData};
 use dpges_render::export::html::{Page, find_page, write_html};
 use dpges_render::{Display, Headless, RenderOptions, Rgb8Image};
 use image::ExtendedColorType::Rgb8;
@@ -123,36 +123,58 @@ fn export_a_page_and_pictures_of_its_scene() {
     };
     let device = Headless::new().unwrap();
     println!("native pictures by {}", device.adapter_name());
-    let picture = |camera: &Camera, options: &RenderOptions| device.picture(&scene, camera, options).unwrap();
+    let picture =
+        |scene: &SceneData, camera: &Camera, options: &RenderOptions| device.picture(scene, camera, options).unwrap();
 
     let first = camera(&scene, 640, 360);
     let trained = RenderOptions::from(&scene.info);
-    let poster = jpeg(&picture(&first, &trained));
+    let poster = jpeg(&picture(&scene, &first, &trained));
     let page = Page { title: "Test scene", poster_jpeg: Some(&poster), cameras: &[first] };
     write_html(folder, &find_page(None).unwrap(), &scene, &page).unwrap();
 
-    let wide = camera(&scene, 320, 180);
-    let odd = camera(&scene, 161, 203);
-    let shown = |display| RenderOptions { display, ..trained };
-    let hard = RenderOptions { layer_count: 1, modulation: 100.0, background: [0.9, 0.5, 0.1], ..trained };
-    let cases = [
-        ("image", wide, trained),
-        ("image_of_odd_size", odd, trained),
-        ("one_hard_layer", wide, hard),
-        ("four_layers", wide, RenderOptions { layer_count: 4, ..trained }),
-        ("surfels", wide, shown(Display::Surfels)),
-        ("gaussians", wide, shown(Display::Gaussians)),
-        ("transmittance", wide, shown(Display::Transmittance)),
-        ("depth", wide, shown(Display::Depth)),
-        ("normal", wide, shown(Display::Normal)),
-    ];
-    let references = cases.map(|(name, camera, options)| {
-        write_ppm(&folder.join(format!("{name}.ppm")), &picture(&camera, &options));
+    let mut references = Vec::new();
+    let mut refer = |name: &str, file: &str, scene: &SceneData, camera: &Camera, options: RenderOptions| {
+        write_ppm(&folder.join(format!("{name}.ppm")), &picture(scene, camera, &options));
         let RenderOptions { display, layer_count, modulation, background, .. } = options;
         let options = json!({
             "display": display, "layer_count": layer_count, "modulation": modulation, "background": background,
         });
-        json!({ "name": name, "camera": page_camera(&camera), "options": options })
-    });
-    std::fs::write(folder.join("reference.json"), Value::from(references.to_vec()).to_string()).unwrap();
+        references.push(json!({ "name": name, "scene": file, "camera": page_camera(camera), "options": options }));
+    };
+
+    let wide = camera(&scene, 320, 180);
+    let shown = |display| RenderOptions { display, ..trained };
+    let hard = RenderOptions { layer_count: 1, modulation: 100.0, background: [0.9, 0.5, 0.1], ..trained };
+    for (name, options) in [
+        ("image", trained),
+        ("one_hard_layer", hard),
+        ("four_layers", RenderOptions { layer_count: 4, ..trained }),
+        ("surfels", shown(Display::Surfels)),
+        ("gaussians", shown(Display::Gaussians)),
+        ("transmittance", shown(Display::Transmittance)),
+        ("depth", shown(Display::Depth)),
+        ("normal", shown(Display::Normal)),
+    ] {
+        refer(name, "scene.safetensors", &scene, &wide, options);
+    }
+    refer("odd_size", "scene.safetensors", &scene, &camera(&scene, 161, 203), trained);
+
+    let (no_surfels, no_gaussians) = (scene.surfels.select(&[]), scene.gaussians.select(&[]));
+    let blended = |rendering| SceneData {
+        info: SceneInfo { rendering, ..scene.info.clone() },
+        surfels: no_surfels.clone(),
+        gaussians: scene.gaussians.clone(),
+    };
+    for (name, other) in [
+        ("ellipsoids", blended(Rendering::Ellipsoids)),
+        ("discs", blended(Rendering::Discs)),
+        ("gaussians_alone", blended(Rendering::Peeled)),
+        ("surfels_alone", SceneData { gaussians: no_gaussians.clone(), ..scene.clone() }),
+        ("nothing", SceneData { gaussians: no_gaussians, ..blended(Rendering::Peeled) }),
+    ] {
+        let file = format!("{name}.safetensors");
+        other.save(&folder.join(&file)).unwrap();
+        refer(name, &file, &other, &wide, trained);
+    }
+    std::fs::write(folder.join("reference.json"), Value::from(references).to_string()).unwrap();
 }

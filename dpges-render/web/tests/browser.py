@@ -45,7 +45,18 @@ COUNT = """
   page.viewer.draw = function () { window.frames_drawn += 1; return draw.call(this); };
 })()
 """
+# Drops the scene on the page as a file.
+DROP = """
+(async () => {
+  document.documentElement.dataset.state = "waits";
+  const transfer = new DataTransfer();
+  transfer.items.add(new File([await (await fetch("scene.safetensors")).blob()], "dropped.safetensors"));
+  dispatchEvent(new DragEvent("drop", { dataTransfer: transfer }));
+})()
+"""
 EYE = """(async () => (await import("./viewer.js")).page.camera.eye())()"""
+DEVICE = """(async () => (await import("./viewer.js")).page.viewer.device())()"""
+TEXT = """document.getElementById("message-text").textContent"""
 WAIT = "new Promise((resolve) => setTimeout(resolve, %d))"
 
 failures = []
@@ -80,24 +91,44 @@ def psnr(a, b):
     return math.inf if squares == 0 else 10 * math.log10(255 * 255 * len(a) / squares)
 
 
-def pictures(tab, folder, backend, label, save):
+def pictures(tab, site, folder, backend, save):
+    """Every picture of `reference.json` is what the native renderer made."""
+    label, scene = BACKENDS[backend], None
     for reference in json.loads((folder / "reference.json").read_text()):
         name, camera, options = reference["name"], json.dumps(reference["camera"]), json.dumps(reference["options"])
+        if reference["scene"] != scene:
+            scene = reference["scene"]
+            state = tab.open(f"{site.here}/?backend={backend}&url={scene}")
+            check(f"{label}: {scene} is shown", state == "shown", tab.evaluate(TEXT))
+        least = LEAST_PSNR[json.loads(tab.evaluate(DEVICE))["precision_bits"]]
         found = base64.b64decode(tab.evaluate(READ % (camera, options)))
         opaque = all(alpha == 255 for alpha in found[3::4])
         rgb = bytes(byte for at, byte in enumerate(found) if at % 4 != 3)
         if save:
             size = f"{reference['camera']['width']} {reference['camera']['height']}"
+            save.mkdir(parents=True, exist_ok=True)
             (save / f"{name}_{backend}.ppm").write_bytes(f"P6 {size} 255\n".encode() + rgb)
         expected = read_ppm(folder / f"{name}.ppm")
-        several = len(set(zip(expected[::3], expected[1::3], expected[2::3]))) > 8
-        least = LEAST_PSNR[json.loads(tab.evaluate(DEVICE))["precision_bits"]]
+        several = name == "nothing" or len(set(zip(expected[::3], expected[1::3], expected[2::3]))) > 8
         found_psnr = psnr(rgb, expected)
         check(f"{label}: {name}", several and opaque and found_psnr >= least, f"{found_psnr:.2f} dB, at least {least:.0f}")
 
 
-DEVICE = """(async () => (await import("./viewer.js")).page.viewer.device())()"""
-TEXT = """document.getElementById("message-text").textContent"""
+def exported(tab, folder, label):
+    """The page is what was exported: it starts at the first camera and had a poster."""
+    device = json.loads(tab.evaluate(DEVICE))
+    check(f"{label}: draws the exported scene", device["backend"] == label, json.dumps(device))
+    position = json.loads((folder / "reference.json").read_text())[0]["camera"]["position"]
+    distance = math.dist(tab.evaluate(EYE), position)
+    check(f"{label}: starts at the first camera", distance < 1e-9, distance)
+    poster = tab.evaluate("[document.getElementById('poster').naturalWidth, document.getElementById('poster').hidden]")
+    check(f"{label}: had a poster", poster == [640, True], poster)
+    try:
+        camera, options = tab.evaluate("(async () => (await import('./viewer.js')).page.view())()")
+        tab.evaluate(READ % (json.dumps(camera), json.dumps({**options, "layer_count": 9})))
+        check(f"{label}: nine layers are refused", False)
+    except RuntimeError as error:
+        check(f"{label}: nine layers are refused", "`layer_count` is 9" in str(error), str(error).splitlines()[0])
 
 
 def wait_until(tab, expression):
@@ -175,6 +206,8 @@ def faults(tab, site):
         check(name, state == "failed" and expected in text, text)
     state = tab.open(f"{site.here}/?url={site.here}/slow/scene.safetensors")
     check("a file of unknown length", state == "shown", state)
+    tab.evaluate(DROP)
+    check("a dropped file", wait_until(tab, "document.documentElement.dataset.state === 'shown'"), tab.evaluate(TEXT))
     tab.call("Page.addScriptToEvaluateOnNewDocument", source="""
         Object.defineProperty(navigator, "gpu", { value: undefined });
         HTMLCanvasElement.prototype.getContext = () => null;
@@ -201,12 +234,11 @@ def main():
                     state = tab.open(f"{site.here}/?backend={backend}")
                     label = BACKENDS[backend]
                     if state != "shown":
-                        check(f"{label}: the exported scene is shown", False, f"{state}: {tab.evaluate(TEXT)} {tab.log}")
+                        check(f"{label}: draws the exported scene", False, f"{state}: {tab.evaluate(TEXT)} {tab.log}")
                         continue
-                    device = json.loads(tab.evaluate(DEVICE))
-                    check(f"{label}: the exported scene is shown", device["backend"] == label, json.dumps(device))
+                    exported(tab, folder, label)
                     behaviour(tab, label)
-                    pictures(tab, folder, backend, label, chosen.save)
+                    pictures(tab, site, folder, backend, chosen.save)
             with Chromium() as tab:
                 faults(tab, site)
     if failures:
