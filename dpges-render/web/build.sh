@@ -12,7 +12,7 @@ wasm_bindgen_version=0.2.130
 export CARGO_PROFILE_RELEASE_OPT_LEVEL=s CARGO_PROFILE_RELEASE_LTO=fat CARGO_PROFILE_RELEASE_CODEGEN_UNITS=1
 export CARGO_PROFILE_RELEASE_DEBUG=false CARGO_PROFILE_RELEASE_STRIP=debuginfo CARGO_PROFILE_RELEASE_PANIC=abort
 # A folder of its own: builds with another profile would replace each other.
-export CARGO_TARGET_DIR="${CARGO_TARGET_DIR:-$PWD/../../target/web}"
+export CARGO_TARGET_DIR="${CARGO_TARGET_DIR:-$PWD/../../target}/web"
 
 if ! wasm-bindgen --version 2>/dev/null | grep -qF "$wasm_bindgen_version"; then
     echo "missing: cargo install wasm-bindgen-cli --version $wasm_bindgen_version" >&2

@@ -203,6 +203,7 @@ impl Writer<'_> {
 mod tests {
     use dpges_core::camera::CameraFromWorld;
     use dpges_core::scene::{ColourModel, GaussianData, SceneInfo, SurfelData};
+
     use super::*;
 
     fn scene() -> SceneData {

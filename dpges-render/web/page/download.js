@@ -1,8 +1,11 @@
 // Files from the web, with their progress, and errors that say what to do.
 
+const KB = 1e3;
 const MB = 1e6;
 
-export const megabytes = (bytes) => `${(bytes / MB).toFixed(bytes < 10 * MB ? 1 : 0)} MB`;
+export function sizeOf(bytes) {
+  return bytes < MB ? `${Math.round(bytes / KB)} kB` : `${(bytes / MB).toFixed(bytes < 10 * MB ? 1 : 0)} MB`;
+}
 
 // The bytes at `url`. `progress` gets the bytes so far and the total, 0 if the server does not say.
 export async function download(url, progress, signal) {
@@ -63,6 +66,6 @@ function unreachable(url) {
 }
 
 function cut(name, size, total) {
-  const of = total ? ` of ${megabytes(total)}` : "";
-  return `The download of ${name} ended after ${megabytes(size)}${of}: load the page again.`;
+  const of = total ? ` of ${sizeOf(total)}` : "";
+  return `The download of ${name} ended after ${sizeOf(size)}${of}: load the page again.`;
 }

@@ -3,7 +3,7 @@
 import init, { Viewer } from "./pkg/dpges_web.js";
 import { OrbitCamera, parseCameras, upOf } from "./camera.js";
 import { Controls, isForScene } from "./controls.js";
-import { download, megabytes, nameOf, webAddress } from "./download.js";
+import { download, sizeOf, nameOf, webAddress } from "./download.js";
 
 // What scenes of blended Gaussians or discs cannot show.
 const OF_LAYERS = ["surfels", "depth", "normal", "layer_count"];
@@ -27,6 +27,7 @@ const parameter = (name) => parameters.get(name) ?? null;
 const camera = new OrbitCamera();
 
 let viewer;
+let largestPx = 0;
 let scene = null;
 let address = null;
 let firstCameras = [];
@@ -78,7 +79,7 @@ async function start() {
     throw new Error(`${error.message} ${NEEDS}`);
   }
   const device = JSON.parse(viewer.device());
-  viewer.largestPx = device.largest_px;
+  largestPx = device.largest_px;
   element("device").textContent = `${device.backend}, ${device.precision_bits}-bit sums${device.adapter ? `, ${device.adapter}` : ""}`;
   setInterval(checkFault, FAULT_CHECK_MS);
   const url = parameter("url") ?? ofPage("scene");
@@ -102,7 +103,7 @@ async function loadAddress(url) {
   const bytes = await download(url, (size, total) => {
     element("progress-bar").value = total ? size / total : 0;
     if (!total) element("progress-bar").removeAttribute("value");
-    say(`${nameOf(url)}: ${megabytes(size)}${total ? ` of ${megabytes(total)}` : ""}`);
+    say(`${nameOf(url)}: ${sizeOf(size)}${total ? ` of ${sizeOf(total)}` : ""}`);
   }, signal);
   await show(bytes, nameOf(url), await cameras);
   address = url;
@@ -122,7 +123,7 @@ async function fetchCameras(url, signal) {
 async function loadFile(file) {
   loading?.abort();
   state("loading");
-  say(`${file.name}: ${megabytes(file.size)}`);
+  say(`${file.name}: ${sizeOf(file.size)}`);
   element("progress-bar").removeAttribute("value");
   await show(new Uint8Array(await file.arrayBuffer()), file.name, []);
   address = null;
@@ -183,7 +184,7 @@ function upDirection() {
 // The camera and the options as the viewer takes them.
 function view() {
   const ratio = Math.min(devicePixelRatio, LARGEST_RATIO) * Number(settings.scale.value);
-  const px = (length) => Math.min(Math.max(Math.round(length * ratio), 1), viewer.largestPx);
+  const px = (length) => Math.min(Math.max(Math.round(length * ratio), 1), largestPx);
   const background = settings.background.value.match(/[0-9a-f]{2}/gi).map((byte) => parseInt(byte, 16) / 255);
   const options = {
     display: settings.display.value,

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """The browser viewer in headless Chromium: pictures against the native renderer's, faults, and behaviour.
 
-    dpges-render/web/tests/browser.py              builds the page, exports a test scene, tests WebGPU and WebGL2
-    dpges-render/web/tests/browser.py --folder F   tests the folder F that an earlier run left with --keep F
+    browser.py              builds the page, exports a made scene, tests WebGPU and WebGL2
+    browser.py --folder F   tests the folder F that an earlier run left with --keep F
 """
 
 import argparse
@@ -16,13 +16,14 @@ import sys
 import tempfile
 import time
 
-from chromium import Chromium
+from chromium import Chromium, vulkan_driver
 from site_with_faults import Site
 
 WEB = pathlib.Path(__file__).resolve().parent.parent
 BACKENDS = {"webgpu": "WebGPU", "webgl": "WebGL2"}
 # Least PSNR between the browser's picture and the native one, dB, by the bits of the browser's sums: native ones have 32.
-LEAST_PSNR = {32: 50.0, 16: 40.0}
+# Both are drawn by SwiftShader: drivers differ in where exactly a surfel's rim ends, by a 256th of a pixel.
+LEAST_PSNR = {32: 70.0, 16: 50.0}
 # Nothing is drawn for so long once nothing moves, ms.
 QUIET_MS = 700
 PATIENCE_S = 60
@@ -72,7 +73,8 @@ def prepare(folder, scene):
     """Builds the page and exports `scene`, or a made one, to `folder`, with native pictures of it."""
     subprocess.run([WEB / "build.sh"], check=True)
     command = "cargo test --package dpges-render --features export,viewer --test browser_fixture -- --ignored --nocapture"
-    environment = {**os.environ, "DPGES_WEB_FIXTURE": str(folder)}
+    driver = str(vulkan_driver())
+    environment = {**os.environ, "DPGES_WEB_FIXTURE": str(folder), "VK_DRIVER_FILES": driver, "VK_ICD_FILENAMES": driver}
     if scene:
         environment["DPGES_WEB_SCENE"] = str(scene.resolve())
     subprocess.run(command.split(), check=True, cwd=WEB.parent.parent, env=environment)

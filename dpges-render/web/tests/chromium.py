@@ -4,6 +4,7 @@ import base64
 import itertools
 import json
 import os
+import pathlib
 import select
 import shutil
 import subprocess
@@ -16,20 +17,38 @@ FLAGS = """--no-sandbox --enable-unsafe-webgpu --enable-unsafe-swiftshader --use
 --disable-background-networking --disable-component-update --disable-sync --disable-dev-shm-usage
 --remote-debugging-pipe --hide-scrollbars""".split()
 
+DRIVER = "vk_swiftshader_icd.json"
+# Where distributions install what a script in PATH starts.
+INSTALLED = ("/usr/lib/chromium", "/usr/lib/chromium-browser", "/opt/google/chrome")
+
+
+def program():
+    """The path of the browser."""
+    found = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    if found is None:
+        raise SystemExit("missing: chromium (on Debian: apt-get install chromium)")
+    return found
+
+
+def vulkan_driver():
+    """The description of the Vulkan driver that comes with the browser, SwiftShader."""
+    folders = [pathlib.Path(program()).resolve().parent, *map(pathlib.Path, INSTALLED)]
+    found = next((folder / DRIVER for folder in folders if (folder / DRIVER).is_file()), None)
+    if found is None:
+        raise SystemExit(f"missing: {DRIVER}, which should be in one of {', '.join(map(str, folders))}")
+    return found
+
 
 class Chromium:
     """One tab. `with Chromium() as tab: tab.open(url); tab.evaluate("1 + 1")`"""
 
     def __init__(self, width=1280, height=720, window=False):
-        program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-        if program is None:
-            raise SystemExit("missing: chromium (on Debian: apt-get install chromium)")
         self.profile = tempfile.TemporaryDirectory(prefix="dpges-web-", ignore_cleanup_errors=True)
         to_browser, self.write_end = os.pipe()
         self.read_end, from_browser = os.pipe()
         mode = [] if window else ["--headless=new"]
         # The browser reads commands from descriptor 3 and writes answers to descriptor 4.
-        command = [program, *mode, *FLAGS, f"--window-size={width},{height}", f"--user-data-dir={self.profile.name}"]
+        command = [program(), *mode, *FLAGS, f"--window-size={width},{height}", f"--user-data-dir={self.profile.name}"]
         script = f'exec "$@" 3<&{to_browser} 4>&{from_browser}'
         self.process = subprocess.Popen(
             ["bash", "-c", script, "bash", *command, "about:blank"],
