@@ -46,9 +46,9 @@ fn sphere_in_a_cloud() -> SceneData {
     let mut surfels = SurfelData::neutral(info.colour_model, SURFELS);
     for row in 0..SURFELS {
         let at = on_sphere(row, SURFELS);
-        for axis in 0..3 {
-            surfels.positions[3 * row + axis] = at[axis] as f32;
-            surfels.colour.base[3 * row + axis] = (0.5 + 0.4 * at[axis] + 0.1 * noise(row, axis)) as f32;
+        for (axis, coordinate) in at.into_iter().enumerate() {
+            surfels.positions[3 * row + axis] = coordinate as f32;
+            surfels.colour.base[3 * row + axis] = (0.5 + 0.4 * coordinate + 0.1 * noise(row, axis)) as f32;
         }
         surfels.quaternions[4 * row..][..4].copy_from_slice(&quaternion_to(at).map(|number| number as f32));
         surfels.log_scales[2 * row..][..2].copy_from_slice(&[0.025f32.ln(), 0.04f32.ln()]);

@@ -24,8 +24,8 @@ BACKENDS = {"webgpu": "WebGPU", "webgl": "WebGL2"}
 # Least PSNR between the browser's picture and the native one, dB, by the bits of the browser's sums: native ones have 32.
 # Both are drawn by SwiftShader: drivers differ in where exactly a surfel's rim ends, by a 256th of a pixel.
 LEAST_PSNR = {32: 70.0, 16: 50.0}
-# Nothing is drawn for so long once nothing moves, ms.
-QUIET_MS = 700
+# No frame is asked for in so long once nothing moves, ms.
+QUIET_MS = 300
 PATIENCE_S = 60
 
 READ = """
@@ -37,14 +37,15 @@ READ = """
   return btoa(text);
 })()
 """
-# Counts the frames that are drawn from now on.
+# Counts the frames that the page has asked for: all, and those that the browser has yet to draw.
 COUNT = """
-(async () => {
-  const { page } = await import("./viewer.js");
-  const draw = page.viewer.draw;
-  window.frames_drawn = 0;
-  page.viewer.draw = function () { window.frames_drawn += 1; return draw.call(this); };
-})()
+window.frames = { asked: 0, waiting: 0 };
+const request = window.requestAnimationFrame;
+window.requestAnimationFrame = (callback) => {
+  frames.asked += 1;
+  frames.waiting += 1;
+  return request((now) => { frames.waiting -= 1; callback(now); });
+};
 """
 # Drops the scene on the page as a file.
 DROP = """
@@ -144,12 +145,12 @@ def wait_until(tab, expression):
 
 
 def rests(tab):
-    """Whether there comes a time in which nothing is drawn."""
+    """Whether there comes a time in which no frame is asked for."""
     until = time.monotonic() + PATIENCE_S
     while time.monotonic() < until:
-        tab.evaluate("window.frames_drawn = 0")
+        asked, waiting = tab.evaluate("[frames.asked, frames.waiting]")
         tab.evaluate(WAIT % QUIET_MS)
-        if tab.evaluate("window.frames_drawn") == 0:
+        if waiting == 0 and tab.evaluate("frames.asked") == asked:
             return True
     return False
 
@@ -160,9 +161,8 @@ def moved(before):
 
 def behaviour(tab, label):
     """Frames are drawn when something changes, and only then."""
-    tab.evaluate(COUNT)
     check(f"{label}: at rest nothing is drawn", rests(tab))
-    before = tab.evaluate(EYE)
+    before, asked = tab.evaluate(EYE), tab.evaluate("frames.asked")
 
     def mouse(kind, x):
         tab.call("Input.dispatchMouseEvent", type=kind, x=x, y=300, button="left", buttons=1, clickCount=1)
@@ -171,7 +171,7 @@ def behaviour(tab, label):
     for step in range(1, 6):
         mouse("mouseMoved", 400 + 20 * step)
     mouse("mouseReleased", 500)
-    turned = wait_until(tab, moved(before)) and wait_until(tab, "window.frames_drawn > 0")
+    turned = wait_until(tab, moved(before)) and tab.evaluate("frames.asked") > asked
     check(f"{label}: a drag turns the scene", turned)
     check(f"{label}: it comes to rest", rests(tab))
 
@@ -196,7 +196,7 @@ def faults(tab, site):
     """What is wrong is said, and what to do."""
     page = f"{site.here}/?url="
     cases = {
-        "a file that is not there": (f"{site.here}/absent.safetensors", "404"),
+        "a file that is not there": (f"{site.here}/absent.safetensors", "is not there (404)"),
         "half a file": (f"{site.here}/half/scene.safetensors", "ended after"),
         "a foreign file": (f"{site.here}/foreign/scene.safetensors", "not a safetensors file"),
         "a web page": (f"{site.here}/page/scene.safetensors", "It is a web page"),
@@ -233,6 +233,7 @@ def main():
         with Site(folder) as site:
             for backend in chosen.backends:
                 with Chromium() as tab:
+                    tab.call("Page.addScriptToEvaluateOnNewDocument", source=COUNT)
                     state = tab.open(f"{site.here}/?backend={backend}")
                     label = BACKENDS[backend]
                     if state != "shown":
