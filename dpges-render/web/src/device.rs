@@ -91,6 +91,7 @@ async fn adapter(instance: &Instance, surface: Option<&Surface<'static>>) -> Res
 }
 
 async fn device(adapter: &Adapter) -> Result<(Device, Queue), String> {
+    Renderer::check_adapter(adapter).map_err(|error| error.to_string())?;
     let descriptor = wgpu::DeviceDescriptor {
         label: Some("dpges"),
         required_features: Renderer::required_features(adapter),
