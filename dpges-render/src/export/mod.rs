@@ -11,6 +11,7 @@ mod glb;
 #[doc = include_str!("../../docs/exports.md")]
 pub mod guide {}
 mod harmonics;
+pub mod html;
 pub mod mesh;
 mod splat_glb;
 mod splat_ply;

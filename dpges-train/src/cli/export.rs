@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use dpges_core::atomic::write_atomically;
+use dpges_core::camera::Camera;
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{Rendering, SceneData};
 use dpges_render::export::mesh::{DepthView, Fusion, FusionOptions, TriangleMesh, depth_map};
@@ -18,7 +19,7 @@ use dpges_train::splat_fit::fit;
 
 use super::data::{Scene, Source, Split, ViewArgs};
 use super::device_failure::watched;
-use super::{Failure, Result, device_choice, print, table};
+use super::{Failure, Result, device_choice, export_html, print, table};
 
 /// Voxels along the extent of the scene, unless they are given.
 const VOXELS_PER_EXTENT: f64 = 128.0;
@@ -44,6 +45,8 @@ pub enum ExportFormat {
     MeshPly,
     /// Triangles of the surfels in binary glTF
     MeshGlb,
+    /// A folder for any web server: the scene itself in a page for browsers
+    Html,
 }
 
 /// Which axis of the scene points up.
@@ -57,7 +60,7 @@ enum Up {
     Z,
 }
 
-/// Write a scene for other programs: splats (PLY, SPZ, glTF) or a mesh (PLY, glTF)
+/// Write a scene for other programs: splats (PLY, SPZ, glTF), a mesh (PLY, glTF) or a page for browsers (HTML)
 ///
 /// Splats are an approximation. If the dataset is at hand, the PSNR of its held-out views is printed before and after.
 /// A mesh is made of the surfels, seen from the training views.
@@ -68,8 +71,8 @@ pub struct ExportArgs {
     /// Kind of file
     #[arg(long, value_enum)]
     format: ExportFormat,
-    /// File to write
-    #[arg(long, value_name = "FILE")]
+    /// File to write, or folder of html
+    #[arg(long, value_name = "PATH")]
     out: PathBuf,
     #[command(flatten)]
     views: ViewArgs,
@@ -86,6 +89,10 @@ pub struct ExportArgs {
     /// Distance between the voxels that a mesh is made of, world units [default: a 128th of the extent]
     #[arg(long, value_name = "SIZE")]
     voxel: Option<f64>,
+    /// Folder of the browser viewer for html, as dpges-render/web/build.sh builds it [default: DPGES_WEB_PAGE, dpges-web
+    /// beside the program, or that of its sources]
+    #[arg(long, value_name = "DIR")]
+    page: Option<PathBuf>,
     /// auto (a GPU that passes a check, or else the CPU), cpu, cpu-flex, wgpu (the best GPU), or another one that
     /// `dpges devices` lists
     #[arg(long, value_name = "NAME", default_value_t)]
@@ -94,6 +101,9 @@ pub struct ExportArgs {
 
 pub fn run(args: &ExportArgs) -> Result<()> {
     let scene = Scene::load(&args.scene)?;
+    if args.format == ExportFormat::Html {
+        return args.html(scene);
+    }
     let device = device_choice::select(args.device)?;
     watched(device, || args.export(scene, device))
 }
@@ -101,6 +111,16 @@ pub fn run(args: &ExportArgs) -> Result<()> {
 type Rows = Vec<(&'static str, String)>;
 
 impl ExportArgs {
+    fn html(&self, mut scene: Scene) -> Result<()> {
+        let cameras: Vec<Camera> = match self.views.dataset(&mut scene) {
+            Ok((_, dataset)) => dataset.train.iter().map(|view| view.camera).collect(),
+            Err(failure) if self.views.names_dataset() => return Err(failure),
+            Err(_) => Vec::new(),
+        };
+        let title = self.out.file_name().unwrap_or_default().to_string_lossy();
+        print(&table(&export_html::write(&scene.data, &cameras, &title, self.page.as_deref(), &self.out)?))
+    }
+
     fn export(&self, mut scene: Scene, device: DeviceName) -> Result<()> {
         let data = match self.views.dataset(&mut scene) {
             Err(failure) if self.views.names_dataset() => return Err(failure),

@@ -9,6 +9,7 @@ mod device_failure;
 mod devices;
 mod eval;
 mod export;
+mod export_html;
 mod info;
 #[cfg(test)]
 mod reference;

@@ -1,0 +1,278 @@
+//! A folder that any web server can serve: the browser viewer's page, a scene, a poster picture and cameras.
+//!
+//! The page is not part of the program, because it is built for another target. `dpges-render/web/build.sh` builds it. The
+//! [`guide`] tells how it is used.
+
+use std::fs;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use dpges_core::atomic::write_atomically;
+use dpges_core::camera::Camera;
+use dpges_core::scene::SceneData;
+
+use crate::path::CameraPath;
+
+#[doc = include_str!("../../docs/web.md")]
+pub mod guide {}
+
+/// Names the folder of the built page where no option does.
+pub const PAGE_VARIABLE: &str = "DPGES_WEB_PAGE";
+/// Beside the program: the folder of the built page.
+const BESIDE_PROGRAM: &str = "dpges-web";
+const BUILD_COMMAND: &str = "dpges-render/web/build.sh";
+
+const INDEX: &str = "index.html";
+const SCENE: &str = "scene.safetensors";
+const POSTER: &str = "poster.jpg";
+const CAMERAS: &str = "cameras.json";
+/// What `index.html` has in place of the scene, the poster and the title.
+const NO_SCENE: &str = r#"<meta name="dpges-scene" content="">"#;
+const NO_POSTER: &str = r#"<meta name="dpges-poster" content="">"#;
+const NO_TITLE: &str = "<title>dpges</title>";
+/// Where the page has its program.
+const PACKAGE: &str = "pkg";
+
+/// What can be wrong with a page or the folder it is written to.
+#[derive(Debug, thiserror::Error)]
+pub enum HtmlError {
+    #[error(
+        "the browser viewer is not built: none of {} has an {INDEX}. Run {BUILD_COMMAND}, or name the folder that it \
+         wrote (--page, or the variable {PAGE_VARIABLE})",
+        listed(.0)
+    )]
+    NoPage(Vec<PathBuf>),
+    #[error("{path} is not of this version of the browser viewer: {missing} is missing. Run {BUILD_COMMAND} again", path = .path.display())]
+    ForeignPage { path: PathBuf, missing: &'static str },
+    #[error("{path} is the built page itself: choose another folder to write to", path = .0.display())]
+    SameFolder(PathBuf),
+    #[error("{action} {path}: {source}", path = .path.display())]
+    Io { action: &'static str, path: PathBuf, source: io::Error },
+    #[error(transparent)]
+    Write(#[from] dpges_core::Error),
+}
+
+fn listed(folders: &[PathBuf]) -> String {
+    folders.iter().map(|folder| folder.display().to_string()).collect::<Vec<_>>().join(", ")
+}
+
+/// What a page shows besides the scene.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Page<'a> {
+    /// Of the window or tab.
+    pub title: &'a str,
+    /// A picture in the JPEG format, shown until the scene has been loaded.
+    pub poster_jpeg: Option<&'a [u8]>,
+    /// In the scene's coordinates. The page starts at the first and takes its up direction from all.
+    pub cameras: &'a [Camera],
+}
+
+/// A file that was written.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct WrittenFile {
+    pub path: PathBuf,
+    pub bytes: u64,
+}
+
+/// The folder of the built page: `given`, or that of the environment variable [`PAGE_VARIABLE`], or else the first that is
+/// there of `dpges-web` beside the program and `dpges-render/web/dist` in the sources that the program was built from.
+///
+/// # Errors
+/// [`HtmlError::NoPage`] with every folder that was looked at.
+pub fn find_page(given: Option<&Path>) -> Result<PathBuf, HtmlError> {
+    let named = given.map(Path::to_owned).or_else(|| std::env::var_os(PAGE_VARIABLE).map(PathBuf::from));
+    let folders = match named {
+        Some(folder) => vec![folder],
+        None => {
+            let program = std::env::current_exe().ok();
+            let beside = program.and_then(|program| Some(program.parent()?.join(BESIDE_PROGRAM)));
+            beside.into_iter().chain([Path::new(env!("CARGO_MANIFEST_DIR")).join("web/dist")]).collect()
+        }
+    };
+    let found = folders.iter().find(|folder| folder.join(INDEX).is_file()).cloned();
+    found.ok_or(HtmlError::NoPage(folders))
+}
+
+/// Writes to `folder`, which is created, the page built in `page_folder`, `scene`, and what `page` says. Files of the same
+/// names are replaced; `index.html` comes last. Returns the files.
+///
+/// # Errors
+/// [`HtmlError::ForeignPage`] if `page_folder` has another page, [`HtmlError::SameFolder`], [`HtmlError::Io`], or [`HtmlError::Write`] if the scene is
+/// not valid or the folder cannot be written.
+pub fn write_html(
+    folder: &Path,
+    page_folder: &Path,
+    scene: &SceneData,
+    page: &Page,
+) -> Result<Vec<WrittenFile>, HtmlError> {
+    let index = filled_index(&page_folder.join(INDEX), page)?;
+    let package = page_folder.join(PACKAGE);
+    let package_files = files_in(&package)?;
+    if !package_files.iter().any(|path| path.extension().is_some_and(|extension| extension == "wasm")) {
+        return Err(HtmlError::ForeignPage { path: package, missing: "the WebAssembly file" });
+    }
+    let mut writer = Writer { folder, files: Vec::new() };
+    writer.create_folder("")?;
+    let canonical = |folder: &Path| folder.canonicalize().ok();
+    if canonical(folder).is_some_and(|folder| canonical(page_folder) == Some(folder)) {
+        return Err(HtmlError::SameFolder(folder.to_owned()));
+    }
+    writer.create_folder(PACKAGE)?;
+    for path in &package_files {
+        writer.copy(path, &Path::new(PACKAGE).join(path.file_name().unwrap_or_default()))?;
+    }
+    for path in files_in(page_folder)?.iter().filter(|path| !path.ends_with(INDEX)) {
+        writer.copy(path, Path::new(path.file_name().unwrap_or_default()))?;
+    }
+    scene.save(&folder.join(SCENE))?;
+    writer.note(folder.join(SCENE))?;
+    if let Some(poster) = page.poster_jpeg {
+        writer.write(Path::new(POSTER), poster)?;
+    }
+    // Without cameras too: an older file would be taken for this scene's.
+    let cameras = CameraPath::new(page.cameras.to_vec(), false).map_or_else(|_| "[]".to_owned(), |path| path.to_json());
+    writer.write(Path::new(CAMERAS), cameras.as_bytes())?;
+    writer.write(Path::new(INDEX), index.as_bytes())?;
+    Ok(writer.files)
+}
+
+/// The page's `index.html` with the names of the files and the title.
+fn filled_index(path: &Path, page: &Page) -> Result<String, HtmlError> {
+    let index = fs::read_to_string(path).map_err(|source| HtmlError::Io {
+        action: "cannot read",
+        path: path.to_owned(),
+        source,
+    })?;
+    if let Some(&missing) = [NO_SCENE, NO_POSTER, NO_TITLE].iter().find(|part| !index.contains(**part)) {
+        return Err(HtmlError::ForeignPage { path: path.to_owned(), missing });
+    }
+    let named = |empty: &str, name: &str| empty.replace(r#"content="""#, &format!(r#"content="{name}""#));
+    let poster = if page.poster_jpeg.is_some() { POSTER } else { "" };
+    let title = if page.title.is_empty() { "dpges".to_owned() } else { escaped(page.title) };
+    let index = index.replace(NO_SCENE, &named(NO_SCENE, SCENE)).replace(NO_POSTER, &named(NO_POSTER, poster));
+    Ok(index.replace(NO_TITLE, &format!("<title>{title}</title>")))
+}
+
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
+}
+
+/// Files in `folder`, not in folders of it, in the order of their names.
+fn files_in(folder: &Path) -> Result<Vec<PathBuf>, HtmlError> {
+    let read = || -> io::Result<Vec<PathBuf>> {
+        let entries = fs::read_dir(folder)?.collect::<io::Result<Vec<_>>>()?;
+        Ok(entries.iter().map(fs::DirEntry::path).filter(|path| path.is_file()).collect())
+    };
+    let failed = |source| HtmlError::Io { action: "cannot read", path: folder.to_owned(), source };
+    let mut files = read().map_err(failed)?;
+    files.sort();
+    Ok(files)
+}
+
+struct Writer<'a> {
+    folder: &'a Path,
+    files: Vec<WrittenFile>,
+}
+
+impl Writer<'_> {
+    fn error(&self, action: &'static str, name: &str, source: io::Error) -> HtmlError {
+        HtmlError::Io { action, path: self.folder.join(name), source }
+    }
+
+    fn create_folder(&self, name: &str) -> Result<(), HtmlError> {
+        fs::create_dir_all(self.folder.join(name)).map_err(|source| self.error("cannot create", name, source))
+    }
+
+    fn copy(&mut self, from: &Path, name: &Path) -> Result<(), HtmlError> {
+        let bytes =
+            fs::read(from).map_err(|source| HtmlError::Io { action: "cannot read", path: from.to_owned(), source })?;
+        self.write(name, &bytes)
+    }
+
+    fn write(&mut self, name: &Path, bytes: &[u8]) -> Result<(), HtmlError> {
+        let path = self.folder.join(name);
+        write_atomically(&path, |file| file.write_all(bytes))?;
+        self.note(path)
+    }
+
+    fn note(&mut self, path: PathBuf) -> Result<(), HtmlError> {
+        let found = fs::metadata(&path);
+        let bytes = found.map_err(|source| HtmlError::Io { action: "cannot read", path: path.clone(), source })?.len();
+        self.files.push(WrittenFile { path, bytes });
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use dpges_core::camera::CameraFromWorld;
+    use dpges_core::scene::{ColourModel, GaussianData, SceneInfo, SurfelData};
+
+    use super::*;
+
+    fn scene() -> SceneData {
+        let info = SceneInfo { offset: [100.0, 0.0, -5.0], ..SceneInfo::default() };
+        let model: ColourModel = info.colour_model;
+        SceneData { surfels: SurfelData::neutral(model, 2), gaussians: GaussianData::neutral(model, 3), info }
+    }
+
+    /// The sources of the page, with an empty program.
+    fn built_page(folder: &Path) {
+        for path in files_in(&Path::new(env!("CARGO_MANIFEST_DIR")).join("web/page")).unwrap() {
+            fs::copy(&path, folder.join(path.file_name().unwrap())).unwrap();
+        }
+        fs::create_dir(folder.join(PACKAGE)).unwrap();
+        fs::write(folder.join(PACKAGE).join("dpges_web_bg.wasm"), b"\0asm").unwrap();
+        fs::write(folder.join(PACKAGE).join("dpges_web.js"), b"export {}").unwrap();
+    }
+
+    fn camera() -> Camera {
+        let pose = CameraFromWorld::look_at([1.0, 2.0, 3.0].into(), [0.0; 3].into(), [0.0, 0.0, 1.0].into());
+        Camera { camera_from_world: pose, fx: 50.0, fy: 60.0, cx: 32.0, cy: 24.0, width: 64, height: 48, near: 0.01 }
+    }
+
+    #[test]
+    fn a_folder_has_the_page_the_scene_the_poster_and_the_cameras() {
+        let [built, out] = [(); 2].map(|()| tempfile::tempdir().unwrap());
+        built_page(built.path());
+        let folder = out.path().join("new/page");
+        let page = Page { title: "Fox & <friends>", poster_jpeg: Some(b"jpeg"), cameras: &[camera()] };
+        let files = write_html(&folder, built.path(), &scene(), &page).unwrap();
+        assert!(files.iter().all(|file| fs::metadata(&file.path).unwrap().len() == file.bytes));
+        assert!(files.last().unwrap().path.ends_with(INDEX));
+        for name in ["viewer.js", "camera.js", "style.css", "pkg/dpges_web.js", "pkg/dpges_web_bg.wasm", POSTER] {
+            assert!(files.iter().any(|file| file.path == folder.join(name)), "{name}");
+        }
+        assert_eq!(SceneData::load(&folder.join(SCENE)).unwrap(), scene());
+        let index = fs::read_to_string(folder.join(INDEX)).unwrap();
+        for part in [
+            r#"<meta name="dpges-scene" content="scene.safetensors">"#,
+            r#"<meta name="dpges-poster" content="poster.jpg">"#,
+            "<title>Fox &amp; &lt;friends&gt;</title>",
+        ] {
+            assert!(index.contains(part), "{part}");
+        }
+        let cameras = CameraPath::load(&folder.join(CAMERAS), 0.5).unwrap();
+        assert!((cameras.keys()[0].centre() - camera().centre()).length() < 1e-12, "{cameras:?}");
+        assert_eq!((cameras.keys()[0].fx, cameras.keys()[0].width), (50.0, 64));
+    }
+
+    #[test]
+    fn a_page_that_is_missing_or_of_another_version_is_named() {
+        let [built, out] = [(); 2].map(|()| tempfile::tempdir().unwrap());
+        let missing = find_page(Some(built.path())).unwrap_err().to_string();
+        assert!(missing.contains(&*built.path().to_string_lossy()) && missing.contains(BUILD_COMMAND), "{missing}");
+        built_page(built.path());
+        assert_eq!(find_page(Some(built.path())).unwrap(), built.path());
+        let write = || write_html(out.path(), built.path(), &scene(), &Page::default()).map(|_| ());
+        write().unwrap();
+        assert_eq!(fs::read(out.path().join(CAMERAS)).unwrap(), b"[]");
+        assert!(!out.path().join(POSTER).exists());
+        let itself = write_html(built.path(), built.path(), &scene(), &Page::default()).unwrap_err().to_string();
+        assert!(itself.contains("is the built page itself"), "{itself}");
+        fs::remove_file(built.path().join("pkg/dpges_web_bg.wasm")).unwrap();
+        assert!(write().unwrap_err().to_string().contains("WebAssembly"));
+        fs::write(built.path().join(INDEX), "<title>dpges</title>").unwrap();
+        assert!(write().unwrap_err().to_string().contains("dpges-scene"));
+    }
+}

@@ -1,0 +1,180 @@
+//! What `web/tests/browser.py` compares a browser with: an exported page, and pictures of its scene by this machine's
+//! renderer.
+#![cfg(all(feature = "export", feature = "native"))]
+
+use std::f64::consts::TAU;
+use std::path::Path;
+
+use dpges_core::camera::{Camera, CameraFromWorld};
+use dpges_core::scene::{GaussianData, Rendering, SceneData, SceneInfo, SurfelData};
+use dpges_render::export::html::{Page, find_page, write_html};
+use dpges_render::{Display, Headless, RenderOptions, Rgb8Image};
+use image::ExtendedColorType::Rgb8;
+use image::ImageEncoder;
+use image::codecs::jpeg::JpegEncoder;
+use serde_json::{Value, json};
+
+const SURFELS: usize = 600;
+const GAUSSIANS: usize = 300;
+
+/// Numbers from 0 to 1 that look unordered.
+fn noise(index: usize, stream: usize) -> f64 {
+    let x = (index * 8 + stream) as f64;
+    ((x * 12.9898).sin() * 43758.5453).rem_euclid(1.0)
+}
+
+/// Point `index` of `count`, spread evenly over the unit sphere.
+fn on_sphere(index: usize, count: usize) -> [f64; 3] {
+    let z = 1.0 - 2.0 * (index as f64 + 0.5) / count as f64;
+    let angle = TAU * 0.618_034 * index as f64;
+    let ring = (1.0 - z * z).sqrt();
+    [ring * angle.cos(), ring * angle.sin(), z]
+}
+
+/// The quaternion (w, x, y, z) that turns z to `normal`.
+fn quaternion_to(normal: [f64; 3]) -> [f64; 4] {
+    let [x, y, z] = normal;
+    let w = 1.0 + z;
+    let length = (w * w + x * x + y * y).sqrt().max(1e-6);
+    [w / length, -y / length, x / length, 0.0]
+}
+
+/// A sphere of coloured discs, which is seen through its rims, in a cloud of coloured Gaussians.
+fn sphere_in_a_cloud() -> SceneData {
+    let info =
+        SceneInfo { background: [0.1, 0.12, 0.2], offset: [10.0, 0.0, -3.0], extent: 4.0, ..SceneInfo::default() };
+    let mut surfels = SurfelData::neutral(info.colour_model, SURFELS);
+    for row in 0..SURFELS {
+        let at = on_sphere(row, SURFELS);
+        for (axis, coordinate) in at.into_iter().enumerate() {
+            surfels.positions[3 * row + axis] = coordinate as f32;
+            surfels.colour.base[3 * row + axis] = (0.5 + 0.4 * coordinate + 0.1 * noise(row, axis)) as f32;
+        }
+        surfels.quaternions[4 * row..][..4].copy_from_slice(&quaternion_to(at).map(|number| number as f32));
+        surfels.log_scales[2 * row..][..2].copy_from_slice(&[0.025f32.ln(), 0.04f32.ln()]);
+        surfels.margins[row] = 0.05;
+    }
+    let mut gaussians = GaussianData::neutral(info.colour_model, GAUSSIANS);
+    for row in 0..GAUSSIANS {
+        let at = on_sphere(row, GAUSSIANS).map(|number| (number * (0.3 + 1.4 * noise(row, 3))) as f32);
+        gaussians.positions[3 * row..][..3].copy_from_slice(&at);
+        for axis in 0..3 {
+            gaussians.log_scales[3 * row + axis] = (0.02 + 0.12 * noise(row, axis)).ln() as f32;
+            gaussians.colour.base[3 * row + axis] = noise(row, 4 + axis) as f32;
+        }
+        gaussians.quaternions[4 * row..][..4].copy_from_slice(&[0, 1, 2, 3].map(|at| noise(row + 1, at) as f32 - 0.4));
+        gaussians.opacities[row] = (0.2 + noise(row, 7)) as f32;
+    }
+    for detail in [&mut surfels.colour.detail, &mut gaussians.colour.detail] {
+        for (index, number) in detail.iter_mut().enumerate() {
+            *number = (2.0 * noise(index, 5) - 2.0) as f32;
+        }
+    }
+    SceneData { info, surfels, gaussians }
+}
+
+fn camera(scene: &SceneData, width: usize, height: usize) -> Camera {
+    let extent = scene.info.extent;
+    let eye = [0.5, -0.6, 0.35].map(|part| part * extent);
+    let pose = CameraFromWorld::look_at(eye.into(), [0.0; 3].into(), [0.0, 0.0, 1.0].into());
+    let focal = 0.9 * width as f64;
+    Camera {
+        camera_from_world: pose,
+        fx: focal,
+        fy: focal,
+        cx: 0.5 * width as f64,
+        cy: 0.5 * height as f64,
+        width,
+        height,
+        near: scene.info.near,
+    }
+}
+
+/// As the page takes it.
+fn page_camera(camera: &Camera) -> Value {
+    json!({
+        "position": camera.centre().to_array(),
+        "rotation": camera.camera_from_world.rotation.to_cols_array_2d(),
+        "fx": camera.fx, "fy": camera.fy, "width": camera.width, "height": camera.height,
+    })
+}
+
+fn jpeg(picture: &Rgb8Image) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let encoder = JpegEncoder::new_with_quality(&mut bytes, 85);
+    encoder.write_image(&picture.bytes, picture.width as u32, picture.height as u32, Rgb8).unwrap();
+    bytes
+}
+
+fn write_ppm(path: &Path, picture: &Rgb8Image) {
+    let header = format!("P6 {} {} 255\n", picture.width, picture.height);
+    std::fs::write(path, [header.as_bytes(), &picture.bytes].concat()).unwrap();
+}
+
+/// `DPGES_WEB_FIXTURE` names the folder; `DPGES_WEB_SCENE` another scene file than the made one.
+#[test]
+#[ignore = "web/tests/browser.py runs it, after it has built the page"]
+fn export_a_page_and_pictures_of_its_scene() {
+    let folder = std::env::var_os("DPGES_WEB_FIXTURE").expect("DPGES_WEB_FIXTURE names the folder to write to");
+    let folder = Path::new(&folder);
+    let scene = match std::env::var_os("DPGES_WEB_SCENE") {
+        Some(path) => SceneData::load(Path::new(&path)).unwrap(),
+        None => sphere_in_a_cloud(),
+    };
+    let device = Headless::new().unwrap();
+    println!("native pictures by {}", device.adapter_name());
+    let picture =
+        |scene: &SceneData, camera: &Camera, options: &RenderOptions| device.picture(scene, camera, options).unwrap();
+
+    let first = camera(&scene, 640, 360);
+    let trained = RenderOptions::from(&scene.info);
+    let poster = jpeg(&picture(&scene, &first, &trained));
+    let page = Page { title: "Test scene", poster_jpeg: Some(&poster), cameras: &[first] };
+    write_html(folder, &find_page(None).unwrap(), &scene, &page).unwrap();
+
+    let mut references = Vec::new();
+    let mut refer = |name: &str, file: &str, scene: &SceneData, camera: &Camera, options: RenderOptions| {
+        write_ppm(&folder.join(format!("{name}.ppm")), &picture(scene, camera, &options));
+        let RenderOptions { display, layer_count, modulation, background, .. } = options;
+        let options = json!({
+            "display": display, "layer_count": layer_count, "modulation": modulation, "background": background,
+        });
+        references.push(json!({ "name": name, "scene": file, "camera": page_camera(camera), "options": options }));
+    };
+
+    let wide = camera(&scene, 320, 180);
+    let shown = |display| RenderOptions { display, ..trained };
+    let hard = RenderOptions { layer_count: 1, modulation: 100.0, background: [0.9, 0.5, 0.1], ..trained };
+    for (name, options) in [
+        ("image", trained),
+        ("one_hard_layer", hard),
+        ("four_layers", RenderOptions { layer_count: 4, ..trained }),
+        ("surfels", shown(Display::Surfels)),
+        ("gaussians", shown(Display::Gaussians)),
+        ("transmittance", shown(Display::Transmittance)),
+        ("depth", shown(Display::Depth)),
+        ("normal", shown(Display::Normal)),
+    ] {
+        refer(name, "scene.safetensors", &scene, &wide, options);
+    }
+    refer("odd_size", "scene.safetensors", &scene, &camera(&scene, 161, 203), trained);
+
+    let (no_surfels, no_gaussians) = (scene.surfels.select(&[]), scene.gaussians.select(&[]));
+    let blended = |rendering| SceneData {
+        info: SceneInfo { rendering, ..scene.info.clone() },
+        surfels: no_surfels.clone(),
+        gaussians: scene.gaussians.clone(),
+    };
+    for (name, other) in [
+        ("ellipsoids", blended(Rendering::Ellipsoids)),
+        ("discs", blended(Rendering::Discs)),
+        ("gaussians_alone", blended(Rendering::Peeled)),
+        ("surfels_alone", SceneData { gaussians: no_gaussians.clone(), ..scene.clone() }),
+        ("nothing", SceneData { gaussians: no_gaussians, ..blended(Rendering::Peeled) }),
+    ] {
+        let file = format!("{name}.safetensors");
+        other.save(&folder.join(&file)).unwrap();
+        refer(name, &file, &other, &wide, trained);
+    }
+    std::fs::write(folder.join("reference.json"), Value::from(references).to_string()).unwrap();
+}

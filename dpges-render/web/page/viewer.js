@@ -1,0 +1,371 @@
+// The page: loads a scene, shows it, and draws again only when something has changed.
+
+import init, { Viewer } from "./pkg/dpges_web.js";
+import { OrbitCamera, parseCameras, upOf } from "./camera.js";
+import { Controls, isForScene } from "./controls.js";
+import { download, sizeOf, nameOf, webAddress } from "./download.js";
+
+// What scenes of blended Gaussians or discs cannot show.
+const OF_LAYERS = ["surfels", "depth", "normal", "layer_count"];
+// Pictures beyond this many px per CSS px cost more than they show.
+const LARGEST_RATIO = 2;
+// How often a device that draws nothing is asked whether it was lost, ms.
+const FAULT_CHECK_MS = 1000;
+// Frames farther apart than this were not drawn one after the other, ms.
+const PAUSE_MS = 1000;
+// Share of the newest frame in the mean frame time.
+const NEWEST = 0.1;
+
+const NEEDS = "This page needs WebGPU or WebGL2: update the browser, and switch hardware acceleration on in its settings.";
+
+const element = (id) => document.getElementById(id);
+const canvas = element("canvas");
+const settings = element("settings");
+const parameters = new URLSearchParams(location.search);
+const ofPage = (name) => document.querySelector(`meta[name="dpges-${name}"]`).content || null;
+const parameter = (name) => parameters.get(name) ?? null;
+const camera = new OrbitCamera();
+
+let viewer;
+let largestPx = 0;
+let scene = null;
+let address = null;
+let firstCameras = [];
+let loading = null;
+// w: the slider has it as a power of ten, rounded.
+let modulation = 1;
+let frameMs = 0;
+let drawnAt = 0;
+let pending = false;
+let faulty = false;
+
+const controls = new Controls(canvas, camera, draw);
+
+// What a test needs to see; nothing in the page uses it.
+export const page = { get viewer() { return viewer; }, get scene() { return scene; }, camera, draw, view, picture };
+
+function state(name) {
+  document.documentElement.dataset.state = name;
+  element("start").hidden = name !== "empty";
+  element("progress").hidden = name !== "loading";
+}
+
+function fail(error) {
+  console.error(error);
+  const crashed = error instanceof WebAssembly.RuntimeError;
+  const crash = "The viewer stopped: load the page again. The browser's console says more.";
+  element("message-text").textContent = crashed ? crash : error.message ?? String(error);
+  element("message").hidden = false;
+  for (const button of document.querySelectorAll(".recover")) button.hidden = crashed || faulty || !viewer;
+  if (crashed || !scene) state("failed");
+}
+
+function say(text) {
+  element("progress-text").textContent = text;
+}
+
+// --- Loading ---
+
+async function start() {
+  const poster = parameter("poster") ?? ofPage("poster");
+  if (poster) showPoster(webAddress(poster, location.href));
+  if (parameter("controls") === "0") document.documentElement.dataset.controls = "0";
+  state("loading");
+  say("Starting");
+  await init();
+  try {
+    viewer = await Viewer.create(canvas, parameter("backend") ?? "auto");
+  } catch (error) {
+    throw new Error(`${error.message} ${NEEDS}`);
+  }
+  const device = JSON.parse(viewer.device());
+  largestPx = device.largest_px;
+  element("device").textContent = `${device.backend}, ${device.precision_bits}-bit sums${device.adapter ? `, ${device.adapter}` : ""}`;
+  setInterval(checkFault, FAULT_CHECK_MS);
+  const url = parameter("url") ?? ofPage("scene");
+  if (!url) return state("empty");
+  await loadAddress(webAddress(url, location.href));
+}
+
+function showPoster(url) {
+  element("poster").src = url;
+  element("poster").hidden = false;
+}
+
+async function loadAddress(url) {
+  loading?.abort();
+  loading = new AbortController();
+  const signal = loading.signal;
+  state("loading");
+  say(nameOf(url));
+  const camerasUrl = new URL(parameter("cameras") ?? new URL("cameras.json", url), location.href);
+  const cameras = fetchCameras(camerasUrl, signal);
+  const bytes = await download(url, (size, total) => {
+    element("progress-bar").value = total ? size / total : 0;
+    if (!total) element("progress-bar").removeAttribute("value");
+    say(`${nameOf(url)}: ${sizeOf(size)}${total ? ` of ${sizeOf(total)}` : ""}`);
+  }, signal);
+  await show(bytes, nameOf(url), await cameras);
+  address = url;
+}
+
+// A scene without cameras is looked at from outside.
+async function fetchCameras(url, signal) {
+  try {
+    const response = await fetch(url, { signal });
+    return response.ok ? parseCameras(await response.text()) : [];
+  } catch (error) {
+    console.warn(`${url} is not used: ${error.message}`);
+    return [];
+  }
+}
+
+async function loadFile(file) {
+  loading?.abort();
+  state("loading");
+  say(`${file.name}: ${sizeOf(file.size)}`);
+  element("progress-bar").removeAttribute("value");
+  await show(new Uint8Array(await file.arrayBuffer()), file.name, []);
+  address = null;
+}
+
+async function show(bytes, name, cameras) {
+  element("message").hidden = true;
+  // The browser draws the text before the page is busy.
+  await new Promise((resolve) => setTimeout(resolve));
+  try {
+    scene = JSON.parse(viewer.load(bytes, name));
+  } catch (error) {
+    state(scene ? "shown" : "failed");
+    throw new Error(error.message + hint(bytes));
+  }
+  firstCameras = cameras;
+  frameMs = 0;
+  fillSettings();
+  reset();
+  state("shown");
+  drawNow();
+  element("poster").hidden = true;
+}
+
+// What a file that is no scene may be instead.
+function hint(bytes) {
+  const opening = new TextDecoder().decode(bytes.subarray(0, 16)).trimStart().toLowerCase();
+  if (opening.startsWith("<")) return ". It is a web page: check the address.";
+  if (opening.startsWith("ply") || opening.startsWith("gltf")) return ". This page shows the scene.safetensors that dpges writes.";
+  return "";
+}
+
+// --- Drawing ---
+
+function reset() {
+  camera.stop();
+  camera.setUp(upDirection());
+  if (firstCameras.length > 0) {
+    camera.place(firstCameras[0], scene.centre, scene.radius);
+  } else {
+    camera.field = new OrbitCamera().field;
+    camera.fit(scene.centre, scene.radius);
+  }
+  const field = Number(parameter("fov"));
+  if (field > 0 && field < 170) camera.fieldDegrees = field;
+  settings.field.value = camera.fieldDegrees;
+  labelSettings();
+  draw();
+}
+
+function upDirection() {
+  const axes = { x: [1, 0, 0], y: [0, 1, 0], z: [0, 0, 1] };
+  const name = settings.up.value;
+  if (!name) return upOf(firstCameras);
+  return axes[name.at(-1)].map((value) => (name.startsWith("-") ? -value : value));
+}
+
+// The camera and the options as the viewer takes them.
+function view() {
+  const ratio = Math.min(devicePixelRatio, LARGEST_RATIO) * Number(settings.scale.value);
+  const px = (length) => Math.min(Math.max(Math.round(length * ratio), 1), largestPx);
+  const background = settings.background.value.match(/[0-9a-f]{2}/gi).map((byte) => parseInt(byte, 16) / 255);
+  const options = {
+    display: settings.display.value,
+    layer_count: Number(settings.layers.value),
+    modulation,
+    background,
+  };
+  return [camera.entry(px(canvas.clientWidth), px(canvas.clientHeight)), options];
+}
+
+function draw() {
+  if (pending || faulty || !scene) return;
+  pending = true;
+  requestAnimationFrame(frame);
+}
+
+function frame(now) {
+  pending = false;
+  const passed = now - drawnAt;
+  const moving = controls.advance(Math.min(passed, 100) / 1000);
+  if (passed < PAUSE_MS && drawnAt > 0) frameMs = frameMs > 0 ? frameMs + NEWEST * (passed - frameMs) : passed;
+  drawnAt = now;
+  try {
+    drawNow();
+  } catch (error) {
+    return fail(error);
+  }
+  if (moving) draw();
+}
+
+function drawNow() {
+  viewer.set_view(...view().map((part) => JSON.stringify(part)));
+  if (!viewer.draw()) draw();
+  describe();
+}
+
+// The picture of a camera and options as ImageData, read back from a texture.
+async function picture(entry, options) {
+  viewer.set_view(JSON.stringify(entry), JSON.stringify(options));
+  return new ImageData(await viewer.read_pixels(), entry.width, entry.height);
+}
+
+function describe() {
+  const count = (number) => number.toLocaleString("en");
+  const time = frameMs > 0 ? ` · ${frameMs.toFixed(1)} ms` : "";
+  element("status").textContent = `${count(scene.surfels)} surfels · ${count(scene.gaussians)} Gaussians${time}`;
+  const times = viewer.pass_times();
+  element("status").title = times ? JSON.parse(times).map(([name, ms]) => `${name} ${ms.toFixed(2)} ms`).join(", ") : "";
+}
+
+function checkFault() {
+  const fault = viewer.fault();
+  if (!fault || faulty) return;
+  faulty = true;
+  fail(new Error(`${fault}. Load the page again; if it happens again, try the parameter backend=webgl, or a smaller scene.`));
+}
+
+// --- Settings ---
+
+function fillSettings() {
+  for (const option of settings.display.options) {
+    option.disabled = scene.rendering !== "peeled" && OF_LAYERS.includes(option.value);
+  }
+  const hex = (value) => Math.round(Math.min(Math.max(value, 0), 1) * 255).toString(16).padStart(2, "0");
+  const background = parameter("background");
+  settings.display.value = parameter("display") ?? "image";
+  settings.layers.value = parameter("k") ?? scene.layer_count;
+  modulation = Number(parameter("w")) > 0 ? Number(parameter("w")) : scene.modulation;
+  settings.hardness.value = Math.log10(modulation);
+  settings.background.value = /^[0-9a-f]{6}$/i.test(background) ? `#${background}` : `#${scene.background.map(hex).join("")}`;
+  settings.scale.value = parameter("scale") ?? "1";
+  settings.up.value = parameter("up") ?? "";
+  for (const select of [settings.display, settings.scale, settings.up]) {
+    if (select.selectedIndex < 0 || select.selectedOptions[0].disabled) select.selectedIndex = 0;
+  }
+}
+
+function labelSettings() {
+  const label = (input, text) => {
+    input.parentElement.querySelector(".value").textContent = text;
+    input.setAttribute("aria-valuetext", text);
+  };
+  label(settings.layers, settings.layers.value);
+  label(settings.hardness, modulation.toFixed(1));
+  label(settings.field, `${Math.round(settings.field.value)}°`);
+}
+
+settings.addEventListener("input", (event) => {
+  if (event.target === settings.field) camera.fieldDegrees = Number(settings.field.value);
+  if (event.target === settings.hardness) modulation = 10 ** Number(settings.hardness.value);
+  if (event.target === settings.up) return reset();
+  labelSettings();
+  draw();
+});
+settings.addEventListener("submit", (event) => event.preventDefault());
+
+// --- Buttons, keys, files ---
+
+function embed() {
+  const url = new URL(location.href);
+  if (address && !ofPage("scene")) url.searchParams.set("url", address);
+  const text = `<iframe src="${url.href.replaceAll("&", "&amp;").replaceAll('"', "%22")}" title="dpges scene" width="800" height="450"`
+    + ` style="border:0" loading="lazy" allow="fullscreen; webgpu"></iframe>`;
+  const local = !address || /^(localhost|127\.|\[::1\])/.test(url.hostname);
+  element("embed-note").textContent = local
+    ? "This scene is on your device only: put it on a web server, then open it from there."
+    : "Copy this into your page.";
+  element("embed-text").value = text;
+  showSettings(false);
+  element("embed").showModal();
+}
+
+async function copy() {
+  element("embed-text").select();
+  try {
+    await navigator.clipboard.writeText(element("embed-text").value);
+    element("embed-note").textContent = "Copied.";
+  } catch {
+    element("embed-note").textContent = "The text is selected: press Ctrl+C.";
+  }
+}
+
+function showSettings(shown) {
+  settings.hidden = !shown;
+  document.querySelector('[data-action="settings"]').setAttribute("aria-expanded", String(shown));
+}
+
+const actions = {
+  open: () => element("file").click(),
+  dismiss: () => {
+    element("message").hidden = true;
+    if (!scene) state("empty");
+  },
+  reset,
+  fullscreen: () => (document.fullscreenElement ? document.exitFullscreen() : element("stage").requestFullscreen()),
+  settings: () => showSettings(settings.hidden),
+  embed,
+  copy,
+  help: () => element("help").showModal(),
+};
+const keys = { KeyR: "reset", KeyF: "fullscreen", KeyT: "settings", KeyH: "help" };
+
+document.addEventListener("click", (event) => {
+  const action = event.target.closest("[data-action]")?.dataset.action;
+  if (action) actions[action]();
+});
+document.addEventListener("keydown", (event) => {
+  if (!scene || !isForScene(event)) return;
+  if (event.code in keys) actions[keys[event.code]]();
+  const display = /^Digit([1-8])$/.exec(event.code);
+  if (display) {
+    const option = settings.display.options[Number(display[1]) - 1];
+    if (!option.disabled) settings.display.value = option.value;
+    draw();
+  }
+});
+if (!document.fullscreenEnabled) document.querySelector('[data-action="fullscreen"]').hidden = true;
+
+element("file").addEventListener("change", () => {
+  const [file] = element("file").files;
+  element("file").value = "";
+  if (file) loadFile(file).catch(fail);
+});
+let over = 0;
+const dropping = (change) => document.documentElement.classList.toggle("dropping", (over = change === 0 ? 0 : over + change) > 0);
+addEventListener("dragenter", () => dropping(1));
+addEventListener("dragleave", () => dropping(-1));
+addEventListener("dragover", (event) => event.preventDefault());
+addEventListener("drop", (event) => {
+  event.preventDefault();
+  dropping(0);
+  const [file] = event.dataTransfer.files;
+  if (file && viewer) loadFile(file).catch(fail);
+});
+
+canvas.addEventListener("webglcontextlost", () => {
+  faulty = true;
+  fail(new Error("The graphics device was lost: load the page again."));
+});
+new ResizeObserver(draw).observe(canvas);
+
+start().catch((error) => {
+  if (error.name !== "AbortError") fail(error);
+});
