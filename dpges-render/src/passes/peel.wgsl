@@ -10,12 +10,23 @@
 const OPAQUE: u32 = 0x80000000u;
 const LARGEST_LOG_SCALE: f32 = 80.0;
 
+// Where the ray of a pixel meets the disc: u, v and r·n are linear in the position, relative to an anchor in px, which is
+// the projected centre where there is one. They are not interpolated between the corners: rasterisers move corners to
+// steps of up to 1/16 px.
 struct Corner {
     @builtin(position) @invariant position: vec4f,
-    // in σ
-    @location(0) uv: vec2f,
-    @location(1) @interpolate(flat, either) index: u32,
+    // anchor, u and v there times r·n
+    @location(0) @interpolate(flat, either) anchor: vec4f,
+    // slopes of u r·n and of v r·n
+    @location(1) @interpolate(flat, either) slopes: vec4f,
+    // r·n at the anchor, its slopes
+    @location(2) @interpolate(flat, either) facing: vec3f,
+    @location(3) @interpolate(flat, either) index: u32,
 }
+
+// Corners lie further out than the disc, by a share and in px, so that no step of theirs cuts it.
+const WIDER: f32 = 1.01;
+const WIDER_PX: f32 = 0.125;
 
 struct Layer {
     @location(0) nearest: vec2u,
@@ -33,34 +44,55 @@ fn vertex(@builtin(vertex_index) at: u32, @builtin(instance_index) index: u32) -
     let radius = reach * max(scales.x, scales.y);
     let near = frame.centre_near.w;
     let radius_px = max(frame.lens.x, frame.lens.y) * radius / max(camera.z, near);
+    let u = turned(axes[0]);
+    let v = turned(axes[1]);
+    let n = turned(axes[2]);
+    let focal = frame.lens.xy;
+    let centred = camera.z > near;
+    let ray = select(vec3f(0.0, 0.0, 1.0), camera / camera.z, centred);
+    let along_u = cross(v, camera) / scales.x;
+    let along_v = cross(camera, u) / scales.y;
+    let at_anchor = select(vec2f(dot(ray, along_u), dot(ray, along_v)), vec2f(0.0), centred);
     var corner: Corner;
     corner.index = index;
-    corner.uv = corner_of(at) * reach;
-    let offset = axes[0] * (scales.x * corner.uv.x) + axes[1] * (scales.y * corner.uv.y);
-    corner.position = project(camera + turned(offset));
+    corner.anchor = vec4f(ray.xy * focal + frame.lens.zw, at_anchor);
+    corner.slopes = vec4f(along_u.xy / focal, along_v.xy / focal);
+    corner.facing = vec3f(dot(ray, n), n.xy / focal);
+    let wider = WIDER_PX * max(camera.z, near) / max(focal.x, focal.y);
+    let sides = (WIDER * reach * scales + wider) * corner_of(at);
+    corner.position = project(camera + u * sides.x + v * sides.y);
     if camera.z + radius <= near || radius_px < frame.size.z {
         corner.position = NOWHERE;
     }
     return corner;
 }
 
-fn layer_of(corner: Corner) -> Layer {
-    let squared = dot(corner.uv, corner.uv);
+// Squared distance from the centre in σ.
+fn squared_radius(corner: Corner) -> f32 {
+    let d = corner.position.xy - corner.anchor.xy;
+    let facing = corner.facing.x + dot(corner.facing.yz, d);
+    let hit = corner.anchor.zw + vec2f(dot(corner.slopes.xy, d), dot(corner.slopes.zw, d));
+    return dot(hit, hit) / (facing * facing);
+}
+
+fn layer_of(corner: Corner, squared: f32) -> Layer {
     let opacity = min(1.0, frame.surfel.x * exp(-0.5 * squared));
     let mark = select(0u, OPAQUE, opacity >= 1.0);
     return Layer(vec2u(bitcast<u32>(corner.position.z), corner.index | mark), opacity);
 }
 
-fn outside(corner: Corner) -> bool {
-    return dot(corner.uv, corner.uv) > frame.surfel.y;
+// Also for an edge-on disc, which no ray meets.
+fn outside(squared: f32) -> bool {
+    return !(squared <= frame.surfel.y);
 }
 
 @fragment
 fn first(corner: Corner) -> Layer {
-    if outside(corner) {
+    let squared = squared_radius(corner);
+    if outside(squared) {
         discard;
     }
-    return layer_of(corner);
+    return layer_of(corner, squared);
 }
 
 @fragment
@@ -69,10 +101,11 @@ fn next(corner: Corner) -> Layer {
     let depth = corner.position.z;
     let depth_before = bitcast<f32>(before.x);
     let behind = depth < depth_before || (depth == depth_before && corner.index > (before.y & ~OPAQUE));
-    if outside(corner) || !behind || before.y >= OPAQUE {
+    let squared = squared_radius(corner);
+    if outside(squared) || !behind || before.y >= OPAQUE {
         discard;
     }
-    return layer_of(corner);
+    return layer_of(corner, squared);
 }
 
 // Before the next layer: pixels at which no other layer can be are closed at the near plane, so that the depth test
@@ -93,7 +126,7 @@ fn close(@builtin(position) position: vec4f) -> Layer {
 // Counts fragments of surfels.
 @fragment
 fn count(corner: Corner) -> @location(0) vec4f {
-    if outside(corner) {
+    if outside(squared_radius(corner)) {
         discard;
     }
     return vec4f(0.0, 0.0, 0.0, 1.0);
