@@ -23,6 +23,22 @@
 //! which a fragment is a primitive. Scenes of blended Gaussians or discs are sorted by depth on the host for each frame.
 //!
 //! Attributes are packed: see `scene/packing.rs` and `scene/colours.rs`. Depths are near / z in 32-bit floats.
+//!
+//! # Dependencies
+//!
+//! | crate | for |
+//! |---|---|
+//! | wgpu | the graphics pipeline; the feature `native` adds the interfaces of desktops |
+//! | dpges-core, without Burn | scenes, cameras, files |
+//! | bytemuck, half, glam | texels, halves, cameras in f64 |
+//! | radsort | the order of scenes that are blended |
+//! | wgpu-profiler | times of passes |
+//! | pollster | waiting for a device without a window |
+//! | serde, serde_json | files of camera paths |
+//! | thiserror | errors |
+//! | zstd, flate2, gltf-json, fast-surface-nets, rayon | feature `export`: the formats, the surface of a mesh |
+//! | eframe, egui, egui_plot, rfd, image | feature `viewer`: the window, its graph, dialogs, screenshots |
+//! | egui_kittest, libtest-mimic, serde-ply, safetensors, tempfile, approx | tests |
 
 pub mod error;
 #[cfg(feature = "export")]
