@@ -115,9 +115,13 @@ impl Video {
             return Err(Failure::Usage(message));
         };
         let folder = file.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let unfinished = tempfile::Builder::new()
-            .prefix(".dpges-")
-            .suffix(&format!(".{extension}"))
+        let (prefix, suffix) = (".dpges-", format!(".{extension}"));
+        let mut builder = tempfile::Builder::new();
+        #[cfg(unix)]
+        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+        let unfinished = builder
+            .prefix(prefix)
+            .suffix(&suffix)
             .tempfile_in(folder)
             .map_err(|error| {
                 Failure::with_help(format!("cannot write into {}: {error}", folder.display()), "choose another folder")
