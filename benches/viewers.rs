@@ -1,7 +1,7 @@
-//! `cargo bench -p dpges-benches --features viewers --bench viewers -- [SCENE CAMERAS]`: frames per second of the real-time renderer, of a
-//! sorted 3DGS viewer (the crate wgpu-3dgs-viewer) at the same number of primitives, and of the renderer that is trained
-//! with, on the same adapter in the same run. Without a scene file and its cameras (`cameras.json` of 3DGS) it is the
-//! scene of the other benchmarks.
+//! `cargo bench -p dpges-benches --features viewers --bench viewers -- [SCENE CAMERAS]`: frames per second of the
+//! real-time renderer, of a sorted 3DGS viewer (the crate wgpu-3dgs-viewer) at the same number of primitives, and of the
+//! renderer that is trained with, on the same adapter in the same run. Without a scene file and its cameras
+//! (`cameras.json` of 3DGS) it is the scene of the other benchmarks.
 //!
 //! `--surfels`, `--gaussians`, `--width`, `--height` and `--rounds` change what is measured.
 
@@ -14,8 +14,9 @@ use dpges_core::testing::scenes::realistic;
 use dpges_render::export::flatten;
 use dpges_render::frame_times::{FrameTimes, Rounds, frame_times};
 use dpges_render::{CameraPath, Headless, PICTURE_FORMAT, RenderOptions};
+use wgpu_3dgs_viewer::core::Gaussian;
+use wgpu_3dgs_viewer::core::glam::camera::rh::proj::directx::perspective;
 use wgpu_3dgs_viewer::core::glam::{Mat4, Quat, U8Vec4, UVec2, Vec3, Vec4};
-use wgpu_3dgs_viewer::core::{BufferWrapper, Gaussian};
 use wgpu_3dgs_viewer::{CameraPod, CameraTrait, DefaultGaussianPod, Viewer};
 
 struct Arguments {
@@ -93,7 +94,7 @@ impl CameraTrait for Lens<'_> {
 
     fn projection(&self, aspect_ratio: f32) -> Mat4 {
         let half_height = 0.5 * self.0.height as f64 / self.0.fy;
-        Mat4::perspective_rh(2.0 * half_height.atan() as f32, aspect_ratio, self.0.near as f32, 1e4)
+        perspective(2.0 * half_height.atan() as f32, aspect_ratio, self.0.near as f32, 1e4)
     }
 }
 
@@ -120,6 +121,7 @@ fn sorted_viewer(headless: &Headless, scene: &SceneData, cameras: &[Camera], rou
     let (device, queue) = (headless.device(), headless.queue());
     let mut viewer = Viewer::<DefaultGaussianPod>::new(device, PICTURE_FORMAT, &splats(scene)).expect("a viewer");
     let mut times = Vec::new();
+    let mut last = None;
     for round in 0..rounds.warm_up + rounds.counted {
         for camera in cameras {
             let (width, height) = (camera.width as u32, camera.height as u32);
@@ -130,7 +132,7 @@ fn sorted_viewer(headless: &Headless, scene: &SceneData, cameras: &[Camera], rou
                 sample_count: 1,
                 dimension: wgpu::TextureDimension::D2,
                 format: PICTURE_FORMAT,
-                usage: wgpu::TextureUsages::RENDER_ATTACHMENT,
+                usage: wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC,
                 view_formats: &[],
             });
             let start = Instant::now();
@@ -142,31 +144,35 @@ fn sorted_viewer(headless: &Headless, scene: &SceneData, cameras: &[Camera], rou
             if round >= rounds.warm_up {
                 times.push(1e3 * start.elapsed().as_secs_f64());
             }
+            last = Some(target);
         }
     }
-    // the last frame must have drawn something: vertices of the indirect draw, instances
-    let drawn = drawn_instances(headless, viewer.indirect_args_buffer.buffer());
-    assert!(drawn > 0, "the sorted viewer draws nothing: its times mean nothing");
-    println!("sorted viewer: {drawn} splats drawn in the last frame");
+    let last = last.expect("a camera");
+    let (lit, pixels) = (lit_pixels(headless, &last), cameras.last().map_or(0, |camera| camera.width * camera.height));
+    assert!(lit > 0, "the sorted viewer draws nothing: its times mean nothing");
+    println!("sorted viewer: {lit} of {pixels} pixels of the last frame are not black");
     FrameTimes::new(times, Vec::new())
 }
 
-/// The second number of the arguments of an indirect draw.
-fn drawn_instances(headless: &Headless, arguments: &wgpu::Buffer) -> u32 {
+/// How many pixels of `texture` are not black.
+fn lit_pixels(headless: &Headless, texture: &wgpu::Texture) -> usize {
     let (device, queue) = (headless.device(), headless.queue());
+    let row = (4 * texture.width()).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
     let host = device.create_buffer(&wgpu::BufferDescriptor {
         label: None,
-        size: 16,
+        size: u64::from(row * texture.height()),
         usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
         mapped_at_creation: false,
     });
     let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-    encoder.copy_buffer_to_buffer(arguments, 0, &host, 0, 16);
+    let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(row), rows_per_image: None };
+    let target = wgpu::TexelCopyBufferInfo { buffer: &host, layout };
+    encoder.copy_texture_to_buffer(texture.as_image_copy(), target, texture.size());
     queue.submit([encoder.finish()]);
     host.slice(..).map_async(wgpu::MapMode::Read, |result| result.expect("mapped"));
     device.poll(wgpu::PollType::wait_indefinitely()).expect("the device answers");
     let bytes = host.slice(..).get_mapped_range().expect("mapped");
-    u32::from_le_bytes(bytes[4..8].try_into().expect("four bytes"))
+    bytes.chunks_exact(4).filter(|pixel| pixel[..3].iter().any(|&byte| byte > 0)).count()
 }
 
 /// Kernels of the training renderer on the same adapter.

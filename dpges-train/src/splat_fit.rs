@@ -111,7 +111,7 @@ mod tests {
         assert_eq!((reported, fitted.gaussians.len(), &fitted.info), (60, 300, &scene.info));
         let psnr = |scene: &SceneData| evaluate(scene, &data.train, &device).unwrap().psnr;
         let (before, after) = (psnr(&scene), psnr(&fitted));
-        assert!(after > before + 3.0, "{before} {after}");
+        assert!(after > before + 2.0, "{before} {after}");
     }
 
     #[test]
