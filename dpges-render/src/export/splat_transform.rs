@@ -2,8 +2,8 @@
 //! PLY files, from which SPZ differs by half a turn about x.
 //!
 //! ```sh
-//! npm install --prefix /tmp/splat-transform @playcanvas/splat-transform@2.7.1
-//! export DPGES_SPLAT_TRANSFORM=/tmp/splat-transform/node_modules/.bin/splat-transform
+//! npm install --prefix target/splat-transform @playcanvas/splat-transform@2.7.1
+//! export DPGES_SPLAT_TRANSFORM="$PWD/target/splat-transform/node_modules/.bin/splat-transform"
 //! cargo test -p dpges-render --features export --lib splat_transform -- --ignored
 //! ```
 

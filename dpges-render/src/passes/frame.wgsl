@@ -89,3 +89,9 @@ fn rotation(packed: vec2u) -> mat3x3f {
         vec3f(twice.x * v.z + twice.y * w, twice.y * v.z - twice.x * w, 1.0 - twice.x * v.x - twice.y * v.y),
     );
 }
+
+// Scales of a Gaussian from packed log-scales.
+fn scales_of(words: vec2u) -> vec3f {
+    let steps = vec3u(words.x & 0x1fffffu, (words.x >> 21u) | ((words.y & 0x3ffu) << 11u), (words.y >> 10u) & 0x1fffffu);
+    return exp(vec3f(steps) / 2097151.0 * 64.0 - 32.0);
+}

@@ -3,7 +3,8 @@
 use super::pipeline::{ADDITIVE, Depth, Stage};
 use super::{Kit, LAYER_FORMAT, OPACITY_FORMAT, Texture};
 
-pub(crate) const SHADER: &str = concat!(include_str!("frame.wgsl"), include_str!("peel.wgsl"));
+pub(crate) const SHADER: &str =
+    concat!(include_str!("frame.wgsl"), include_str!("layer.wgsl"), include_str!("peel.wgsl"));
 
 #[derive(Debug)]
 pub(crate) struct PeelPass {

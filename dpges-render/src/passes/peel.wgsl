@@ -1,13 +1,12 @@
 // The nearest fragment of surfels at every pixel that is behind the previous layer, found by the depth test.
 //
 // A layer is (near / z as bits, index of the surfel), and its opacity. The nearest is the largest in the first, then
-// the smallest in the second. OPAQUE marks a fragment behind which there is nothing, and pixels without a fragment.
+// the smallest in the second.
 
 @group(1) @binding(0) var places: texture_2d<f32>;
 @group(1) @binding(1) var forms: texture_2d<u32>;
 @group(1) @binding(2) var previous: texture_2d<u32>;
 
-const OPAQUE: u32 = 0x80000000u;
 const LARGEST_LOG_SCALE: f32 = 80.0;
 
 // Where the ray of a pixel meets the disc: u, v and r·n are linear in the position, relative to an anchor in px, which is

@@ -3,7 +3,8 @@
 use super::pipeline::{Depth, Stage};
 use super::{Kit, Texture};
 
-pub(crate) const SHADER: &str = concat!(include_str!("frame.wgsl"), include_str!("present.wgsl"));
+pub(crate) const SHADER: &str =
+    concat!(include_str!("frame.wgsl"), include_str!("layer.wgsl"), include_str!("present.wgsl"));
 
 #[derive(Debug)]
 pub(crate) struct PresentPass {

@@ -9,8 +9,6 @@
 @group(1) @binding(6) var layer_4: texture_2d<u32>;
 @group(1) @binding(7) var forms: texture_2d<u32>;
 
-const NOTHING: u32 = 0xffffffffu;
-const OPAQUE: u32 = 0x80000000u;
 // Fragments at the end of the ramp of overdraw.
 const MOST_FRAGMENTS: f32 = 64.0;
 

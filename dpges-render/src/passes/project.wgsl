@@ -24,11 +24,6 @@ fn vertex(@builtin(vertex_index) at: u32) -> @builtin(position) vec4f {
     return everywhere(at, 0.0);
 }
 
-fn scales_of(words: vec2u) -> vec3f {
-    let steps = vec3u(words.x & 0x1fffffu, (words.x >> 21u) | ((words.y & 0x3ffu) << 11u), (words.y >> 10u) & 0x1fffffu);
-    return exp(vec3f(steps) / 2097151.0 * 64.0 - 32.0);
-}
-
 @fragment
 fn fragment(@builtin(position) position: vec4f) -> Record {
     let index = index_of(position);

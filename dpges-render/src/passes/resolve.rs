@@ -3,7 +3,8 @@
 use super::pipeline::{Depth, Stage};
 use super::{COLOUR_FORMAT, INTERVAL_FORMAT, Kit, THIRD_FORMAT, Texture};
 
-pub(crate) const SHADER: &str = concat!(include_str!("frame.wgsl"), include_str!("resolve.wgsl"));
+pub(crate) const SHADER: &str =
+    concat!(include_str!("frame.wgsl"), include_str!("layer.wgsl"), include_str!("resolve.wgsl"));
 
 #[derive(Debug)]
 pub(crate) struct ResolvePass {

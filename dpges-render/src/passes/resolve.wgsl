@@ -11,9 +11,6 @@
 @group(1) @binding(8) var opacity_3: texture_2d<f32>;
 @group(1) @binding(9) var opacity_4: texture_2d<f32>;
 
-const NOTHING: u32 = 0xffffffffu;
-const OPAQUE: u32 = 0x80000000u;
-
 struct Resolved {
     // C_s, T_K
     @location(0) surfels: vec4f,

@@ -26,13 +26,10 @@ fn ellipse_vertex(@builtin(vertex_index) at: u32, @builtin(instance_index) insta
         corner.position = NOWHERE;
         return corner;
     }
-    let second = textureLoad(seconds, texel(index), 0);
-    let blue_strength = unpack2x16float(second.w);
-    corner.colour_strength = vec4f(unpack2x16float(first.w), blue_strength);
-    corner.offset = corner_of(at) * sqrt(max(2.0 * log(blue_strength.y / CUTOFF), 0.0));
-    let major = bitcast<vec2f>(second.xy);
-    let minor = normalize(vec2f(-major.y, major.x)) * bitcast<f32>(second.z);
-    corner.position = at_px(bitcast<vec2f>(first.xy) + corner.offset.x * major + corner.offset.y * minor, 0.5);
+    let ellipse = ellipse_corner(first, textureLoad(seconds, texel(index), 0), at);
+    corner.colour_strength = ellipse.colour_strength;
+    corner.offset = ellipse.offset;
+    corner.position = at_px(ellipse.place, 0.5);
     return corner;
 }
 
@@ -71,7 +68,6 @@ const LOW_PASS_RADIUS_SQUARED: f32 = 9.0;
 // Further away than any disc reaches, px.
 const NOWHERE_PX: f32 = 1e15;
 const MIN_FACING: f32 = 1e-12;
-const LARGEST_LOG_SCALE: f32 = 80.0;
 
 // Centre and half extent in px of the box around a disc at a radius; `ok` is 0 if it reaches the camera's plane.
 struct Bounds {
@@ -103,8 +99,7 @@ fn disc_vertex(@builtin(vertex_index) at: u32, @builtin(instance_index) instance
         return corner;
     }
     let axes = rotation(form.xy);
-    let steps = vec2u(form.z & 0x1fffffu, (form.z >> 21u) | ((form.w & 0x3ffu) << 11u));
-    let scales = exp(vec2f(steps) / 2097151.0 * 64.0 - 32.0);
+    let scales = scales_of(form.zw).xy;
     let u = turned(axes[0]);
     let v = turned(axes[1]);
     let n = turned(axes[2]);

@@ -3,7 +3,8 @@
 use super::pipeline::{ADDITIVE, Depth, Stage};
 use super::{Kit, Texture};
 
-pub(crate) const SHADER: &str = concat!(include_str!("frame.wgsl"), include_str!("splat.wgsl"));
+pub(crate) const SHADER: &str =
+    concat!(include_str!("frame.wgsl"), include_str!("ellipse.wgsl"), include_str!("splat.wgsl"));
 
 #[derive(Debug)]
 pub(crate) struct SplatPass {

@@ -21,14 +21,11 @@ fn vertex(@builtin(vertex_index) at: u32, @builtin(instance_index) index: u32) -
         corner.position = NOWHERE;
         return corner;
     }
-    let second = textureLoad(seconds, texel(index), 0);
-    let blue_strength = unpack2x16float(second.w);
-    corner.colour_strength = vec4f(unpack2x16float(first.w), blue_strength);
+    let ellipse = ellipse_corner(first, textureLoad(seconds, texel(index), 0), at);
+    corner.colour_strength = ellipse.colour_strength;
     corner.depth = bitcast<f32>(first.z);
-    corner.offset = corner_of(at) * sqrt(max(2.0 * log(blue_strength.y / CUTOFF), 0.0));
-    let major = bitcast<vec2f>(second.xy);
-    let minor = normalize(vec2f(-major.y, major.x)) * bitcast<f32>(second.z);
-    corner.position = at_px(bitcast<vec2f>(first.xy) + corner.offset.x * major + corner.offset.y * minor, corner.depth);
+    corner.offset = ellipse.offset;
+    corner.position = at_px(ellipse.place, corner.depth);
     return corner;
 }
 
