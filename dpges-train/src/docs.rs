@@ -6,6 +6,9 @@ pub mod commands {}
 #[doc = include_str!("../docs/stages.md")]
 pub mod stages {}
 
+#[doc = include_str!("../docs/paper.md")]
+pub mod paper {}
+
 #[doc = include_str!("../docs/results.md")]
 pub mod results {}
 

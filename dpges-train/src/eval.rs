@@ -115,7 +115,9 @@ fn score(view: &View, render: &Rendered, seconds: f64, device: &Device) -> Resul
 
 #[cfg(test)]
 mod tests {
-    use dpges_core::scene::{ColourModel, Footprint, GaussianData, MarginLookup, Rendering, SceneInfo, SurfelData};
+    use dpges_core::scene::{
+        ColourModel, Footprint, GaussianData, MarginLookup, Rendering, SceneInfo, ScreenFilter, SurfelData,
+    };
 
     use super::*;
     use crate::dataset::{BuiltinOptions, builtin};
@@ -129,6 +131,7 @@ mod tests {
             footprint: Footprint::Kernel,
             margin_lookup: MarginLookup::Shifted,
             rendering: Rendering::Peeled,
+            screen_filter: ScreenFilter::Compensated,
             background,
             offset: [0.0; 3],
             extent: 1.0,

@@ -2,9 +2,9 @@
 
 use burn::tensor::{DType, Device};
 use dpges_core::binning::cap_lists;
-use dpges_core::ops::blend::Form;
+use dpges_core::ops::blend::{BlendOptions, Form};
 use dpges_core::ops::peel::PeelOptions;
-use dpges_core::scene::{ColourModel, Footprint};
+use dpges_core::scene::{ColourModel, Footprint, ScreenFilter};
 use dpges_core::testing::parity::{Bench, Named, Reference, distances};
 use dpges_core::testing::scenes::{self, Recipe, TestScene};
 
@@ -46,16 +46,21 @@ fn assert_near(what: &str, found: &[Named], expected: &[Named]) {
 }
 
 /// Sorted blending; its lists and its order do not depend on layers.
-fn check_blending(what: &str, scene: &TestScene, forms: &[Form], device: &Device) {
-    for &form in forms {
+fn check_blending(what: &str, scene: &TestScene, forms: &[(Form, ScreenFilter)], device: &Device) {
+    for &(form, filter) in forms {
         for maps in [false, true] {
-            let run = |device: &Device| on(scene, PeelOptions::default(), device).blended(form, maps);
-            assert_near(&format!("{what}, {form:?}, maps {maps}"), &run(device), &run(&ndarray()));
+            let options = BlendOptions { form, filter, maps, ..BlendOptions::default() };
+            let run = |device: &Device| on(scene, PeelOptions::default(), device).blended(options);
+            assert_near(&format!("{what}, {form:?}, {filter:?}, maps {maps}"), &run(device), &run(&ndarray()));
         }
     }
 }
 
-const FORMS: [Form; 2] = [Form::Ellipsoids, Form::Discs];
+const FORMS: [(Form, ScreenFilter); 3] = [
+    (Form::Ellipsoids, ScreenFilter::Compensated),
+    (Form::Ellipsoids, ScreenFilter::Plain),
+    (Form::Discs, ScreenFilter::Compensated),
+];
 
 fn random(seed: u64, model: ColourModel) -> TestScene {
     scenes::random(seed, &Recipe { surfels: 150, gaussians: 400, width: 75, height: 50, model, ..Recipe::default() })
@@ -103,7 +108,7 @@ pub fn sorted_blending_agrees_on_random_scenes(device: Device) {
 pub fn sorted_blending_agrees_in_a_crowd(device: Device) {
     // several blocks to sort, lists longer than a cube has units, pixels that end early
     let recipe = Recipe { surfels: 0, gaussians: 2_500, width: 40, height: 30, ..Recipe::default() };
-    check_blending("a crowd", &scenes::random(94, &recipe), &[Form::Ellipsoids], &device);
+    check_blending("a crowd", &scenes::random(94, &recipe), &FORMS[..1], &device);
 }
 
 pub fn sorted_blending_agrees_with_little_or_nothing_to_show(device: Device) {

@@ -12,7 +12,7 @@ use crate::error::Result;
 use crate::host::{self, Host};
 use crate::math::{CameraOf, V3, row};
 use crate::real::Real;
-use crate::scene::Gaussians;
+use crate::scene::{Gaussians, ScreenFilter};
 use crate::scene::tensors::{check_shape, flat};
 
 /// Gaussians, or the gradients with respect to them.
@@ -141,8 +141,8 @@ impl<'a, T: Real> GaussianRows<'a, T> {
         row(&self.colours, i)
     }
 
-    /// Footprint of Gaussian `i`; `None` if no pixel can see it.
+    /// Footprint of Gaussian `i`, with the filter of peeled scenes; `None` if no pixel can see it.
     pub fn splat(&self, camera: &CameraOf<T>, i: usize) -> Option<Splat<T>> {
-        Splat::new(camera, &self.parameters(i), self.colour(i))
+        Splat::new(camera, &self.parameters(i), self.colour(i), ScreenFilter::Compensated)
     }
 }

@@ -5,10 +5,9 @@ use super::CUTOFF;
 use super::moments::MOMENTS;
 use crate::math::{CameraOf, M3, V3, add, apply_transposed, column, cross, dot, rotation, rotation_backward, scale};
 use crate::real::Real;
+use crate::scene::ScreenFilter;
 use crate::tiles::{PixelRect, TILE};
 
-/// Added to the diagonal of the projected covariance, px² (GES).
-pub const LOW_PASS: f64 = 0.1;
 /// Lower bound of the squared factor by which the low-pass filter dims a Gaussian (GES).
 pub const MIN_COMPENSATION_SQUARED: f64 = 2.5e-5;
 /// The Jacobian is evaluated at most this fraction of the image size outside the image (3DGS: 1.3 × tan fov/2).
@@ -29,7 +28,7 @@ pub struct Splat<T> {
     pub mean: [T; 2],
     /// a, b, c
     pub conic: [T; 3],
-    /// Opacity times the compensation for the low-pass filter.
+    /// Opacity times the compensation for the low-pass filter, if it has one.
     pub strength: T,
     /// Camera-space z of the centre.
     pub depth: T,
@@ -65,11 +64,12 @@ struct Projection<T> {
     minors: V3<T>,
     /// Ratio of the determinants.
     ratio: T,
+    filter: ScreenFilter,
 }
 
 impl<T: Real> Projection<T> {
     #[inline(always)]
-    fn new(camera: &CameraOf<T>, p: &Parameters<T>) -> Self {
+    fn new(camera: &CameraOf<T>, p: &Parameters<T>, filter: ScreenFilter) -> Self {
         let centre = camera.transform(p.position);
         let [x, y, z] = centre;
         let clamp = |slope: T, principal: T, focal: T, size: usize| {
@@ -86,7 +86,7 @@ impl<T: Real> Projection<T> {
         let rotation = rotation(p.quaternion);
         let scales = p.log_scales.map(T::exp);
         let half = plane.map(|row| std::array::from_fn(|d| dot(row, column(&rotation, d)) * scales[d]));
-        let low_pass = T::of(LOW_PASS);
+        let low_pass = T::of(filter.variance());
         let covariance = [dot(half[0], half[0]) + low_pass, dot(half[0], half[1]), dot(half[1], half[1]) + low_pass];
         let minors = cross(half[0], half[1]);
         // det(Σ + εI) = det Σ + ε tr Σ + ε², every term non-negative: no cancellation for needles
@@ -104,20 +104,29 @@ impl<T: Real> Projection<T> {
             determinant,
             minors,
             ratio: unfiltered / determinant,
+            filter,
         }
     }
 
     #[inline(always)]
     fn compensation(&self) -> T {
-        self.ratio.max(T::of(MIN_COMPENSATION_SQUARED)).sqrt()
+        match self.filter {
+            ScreenFilter::Compensated => self.ratio.max(T::of(MIN_COMPENSATION_SQUARED)).sqrt(),
+            ScreenFilter::Plain => T::one(),
+        }
+    }
+
+    /// Whether the compensation depends on the covariance.
+    fn compensates(&self) -> bool {
+        self.filter == ScreenFilter::Compensated && self.ratio > T::of(MIN_COMPENSATION_SQUARED)
     }
 }
 
 impl<T: Real> Splat<T> {
     /// `None` behind the near plane, where the weight stays below the cutoff, and where the projection overflows.
     #[inline(always)]
-    pub fn new(camera: &CameraOf<T>, p: &Parameters<T>, colour: V3<T>) -> Option<Self> {
-        let projection = Projection::new(camera, p);
+    pub fn new(camera: &CameraOf<T>, p: &Parameters<T>, colour: V3<T>, filter: ScreenFilter) -> Option<Self> {
+        let projection = Projection::new(camera, p, filter);
         let [x, y, z] = projection.centre;
         let strength = p.opacity.max(T::zero()) * projection.compensation();
         let [a, b, c] = projection.covariance;
@@ -189,8 +198,9 @@ pub fn backward<T: Real>(
     p: &Parameters<T>,
     splat: &Splat<T>,
     sum: &SplatGrad<T>,
+    filter: ScreenFilter,
 ) -> ParameterGrad<T> {
-    let projection = Projection::new(camera, p);
+    let projection = Projection::new(camera, p, filter);
     let [x, y, z] = projection.centre;
     let [total, mx, my, mxx, mxy, myy] = sum.moments;
     let (half, two) = (T::of(0.5), T::of(2.0));
@@ -205,7 +215,7 @@ pub fn backward<T: Real>(
     let compensation = projection.compensation();
     let opacity = p.opacity.max(T::zero());
     let mut grad_half = [[T::zero(); 3]; 2];
-    if projection.ratio > T::of(MIN_COMPENSATION_SQUARED) {
+    if projection.compensates() {
         let grad_ratio = grad_strength * opacity * half / compensation;
         let grad_unfiltered = grad_ratio / projection.determinant;
         let grad_determinant = -grad_unfiltered * projection.ratio;

@@ -8,7 +8,7 @@ use cubecl::prelude::*;
 use super::CUTOFF;
 use super::gaussians::GaussianTensors;
 use super::moments::MOMENTS;
-use super::splat::{self, LOW_PASS, MIN_COMPENSATION_SQUARED};
+use super::splat::{self, MIN_COMPENSATION_SQUARED};
 use crate::camera::Camera;
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, empty_u32, units};
 use crate::gpu::record::{Record, record};
@@ -19,8 +19,8 @@ use crate::gpu::vector::{
     write3, write4,
 };
 use crate::gpu::view::{CameraUniforms, pixel_range, to_camera, view_rotation};
+use crate::scene::ScreenFilter;
 
-const LOW_PASS_F32: f32 = LOW_PASS as f32;
 const MIN_RATIO: f32 = MIN_COMPENSATION_SQUARED as f32;
 pub const CUTOFF_F32: f32 = CUTOFF as f32;
 pub const INVERSE_CUTOFF: f32 = (1.0 / CUTOFF) as f32;
@@ -138,7 +138,14 @@ struct Projection {
 }
 
 #[cube]
-fn project(view: CameraUniforms, position: Vec3, quaternion: Quaternion, log_scales: Vec3) -> Projection {
+fn project(
+    view: CameraUniforms,
+    position: Vec3,
+    quaternion: Quaternion,
+    log_scales: Vec3,
+    #[comptime] filter: ScreenFilter,
+) -> Projection {
+    let low_pass = comptime!(filter.variance() as f32);
     let centre = to_camera(view, position);
     let z = select(centre.z > view.near, centre.z, 1.0f32);
     let (width, height) = (f32::cast_from(view.width), f32::cast_from(view.height));
@@ -156,13 +163,13 @@ fn project(view: CameraUniforms, position: Vec3, quaternion: Quaternion, log_sca
     let turned1 = apply(axes, plane1);
     let half0 = vec3(turned0.x * scales.x, turned0.y * scales.y, turned0.z * scales.z);
     let half1 = vec3(turned1.x * scales.x, turned1.y * scales.y, turned1.z * scales.z);
-    let cov_a = dot(half0, half0) + LOW_PASS_F32;
+    let cov_a = dot(half0, half0) + low_pass;
     let cov_b = dot(half0, half1);
-    let cov_c = dot(half1, half1) + LOW_PASS_F32;
+    let cov_c = dot(half1, half1) + low_pass;
     let minors = cross(half0, half1);
     // det(Σ + εI) = det Σ + ε tr Σ + ε², every term non-negative: no cancellation for needles
     let unfiltered = dot(minors, minors);
-    let determinant = unfiltered + LOW_PASS_F32 * (cov_a + cov_c - LOW_PASS_F32);
+    let determinant = unfiltered + low_pass * (cov_a + cov_c - low_pass);
     Projection {
         centre,
         slope_x,
@@ -185,15 +192,19 @@ fn project(view: CameraUniforms, position: Vec3, quaternion: Quaternion, log_sca
 }
 
 #[cube]
-fn compensation(p: Projection) -> f32 {
-    f32::sqrt(max(p.ratio, MIN_RATIO))
+fn compensation(p: Projection, #[comptime] filter: ScreenFilter) -> f32 {
+    let mut factor = 1.0f32;
+    if comptime!(filter == ScreenFilter::Compensated) {
+        factor = f32::sqrt(max(p.ratio, MIN_RATIO));
+    }
+    factor
 }
 
 /// The footprint of a Gaussian and the pixels that it can reach. It reaches none behind the near plane,
 /// where it stays below the cutoff, and where its projection overflows.
 #[cube]
-fn splat_of(view: CameraUniforms, p: Projection, opacity: f32) -> (Splat, Rect) {
-    let strength = max(opacity, 0.0f32) * compensation(p);
+fn splat_of(view: CameraUniforms, p: Projection, opacity: f32, #[comptime] filter: ScreenFilter) -> (Splat, Rect) {
+    let strength = max(opacity, 0.0f32) * compensation(p, filter);
     let d = p.determinant;
     let visible = p.centre.z > view.near && strength >= CUTOFF_F32 && d > 0.0f32 && d < 3e38f32;
     let z = select(visible, p.centre.z, 1.0f32);
@@ -236,6 +247,7 @@ fn splat_backward(
     raw_quaternion: Quaternion,
     raw_opacity: f32,
     moments: Moments,
+    #[comptime] filter: ScreenFilter,
 ) -> SplatGradient {
     let (total, mx, my) = (moments.total, moments.x, moments.y);
     let (mxx, mxy, myy) = (moments.xx, moments.xy, moments.yy);
@@ -247,11 +259,14 @@ fn splat_backward(
     let direct_b = a * b * mxx + (a * c + b * b) * mxy + b * c * myy;
     let direct_c = 0.5f32 * (b * b * mxx + 2.0f32 * b * c * mxy + c * c * myy);
 
-    let dimming = compensation(p);
+    let dimming = compensation(p, filter);
     let opacity = max(raw_opacity, 0.0f32);
     let strength = opacity * dimming;
     let grad_strength = total / max(strength, 1e-30f32);
-    let live = select(p.ratio > MIN_RATIO, 1.0f32, 0.0f32);
+    let mut live = 0.0f32;
+    if comptime!(filter == ScreenFilter::Compensated) {
+        live = select(p.ratio > MIN_RATIO, 1.0f32, 0.0f32);
+    }
     let grad_unfiltered = live * grad_strength * opacity * 0.5f32 / dimming * inverse;
     let grad_determinant = -grad_unfiltered * p.ratio;
     let ga = direct_a + grad_determinant * p.cov_c;
@@ -318,6 +333,7 @@ fn splats_kernel(
     view: CameraUniforms,
     count: u32,
     #[comptime] ordered: bool,
+    #[comptime] filter: ScreenFilter,
 ) {
     let rank = ABSOLUTE_POS;
     if rank >= count as usize {
@@ -327,8 +343,8 @@ fn splats_kernel(
     if comptime!(ordered) {
         i = order[rank] as usize;
     }
-    let projection = project(view, row3(positions, i), row4(quaternions, i), row3(log_scales, i));
-    let (splat, rect) = splat_of(view, projection, opacities[i]);
+    let projection = project(view, row3(positions, i), row4(quaternions, i), row3(log_scales, i), filter);
+    let (splat, rect) = splat_of(view, projection, opacities[i], filter);
     Splat::store(splat, splats, rank * SPLAT);
     rect.store(rects, rank);
 }
@@ -344,6 +360,7 @@ fn place_backward_kernel(
     grad_opacities: &mut [f32],
     view: CameraUniforms,
     count: u32,
+    #[comptime] filter: ScreenFilter,
 ) {
     let i = ABSOLUTE_POS;
     if i >= count as usize {
@@ -352,7 +369,7 @@ fn place_backward_kernel(
     let moments = Moments::load(moments, i * MOMENTS);
     // an invisible Gaussian has no projection to differentiate
     if moments.any() {
-        let gradient = gradient(positions, quaternions, log_scales, opacities, moments, view, i);
+        let gradient = gradient(positions, quaternions, log_scales, opacities, moments, view, i, filter);
         write3(grad_positions, i, gradient.position);
         grad_opacities[i] = gradient.opacity;
     } else {
@@ -372,6 +389,7 @@ fn shape_backward_kernel(
     grad_log_scales: &mut [f32],
     view: CameraUniforms,
     count: u32,
+    #[comptime] filter: ScreenFilter,
 ) {
     let i = ABSOLUTE_POS;
     if i >= count as usize {
@@ -379,7 +397,7 @@ fn shape_backward_kernel(
     }
     let moments = Moments::load(moments, i * MOMENTS);
     if moments.any() {
-        let gradient = gradient(positions, quaternions, log_scales, opacities, moments, view, i);
+        let gradient = gradient(positions, quaternions, log_scales, opacities, moments, view, i, filter);
         write4(grad_quaternions, i, gradient.quaternion);
         write3(grad_log_scales, i, gradient.log_scales);
     } else {
@@ -399,10 +417,11 @@ fn gradient(
     moments: Moments,
     view: CameraUniforms,
     i: usize,
+    #[comptime] filter: ScreenFilter,
 ) -> SplatGradient {
     let quaternion = row4(quaternions, i);
-    let projection = project(view, row3(positions, i), quaternion, row3(log_scales, i));
-    splat_backward(view, projection, quaternion, opacities[i], moments)
+    let projection = project(view, row3(positions, i), quaternion, row3(log_scales, i), filter);
+    splat_backward(view, projection, quaternion, opacities[i], moments, filter)
 }
 
 /// Splats [M, [`SPLAT`]] and pixel rectangles [M, [`RECT`]] of `gaussians`. Row i is Gaussian i, or Gaussian
@@ -411,6 +430,7 @@ pub fn splats(
     gaussians: &GaussianTensors<CubeBackend>,
     order: Option<&CubeTensor>,
     camera: &Camera,
+    filter: ScreenFilter,
 ) -> (CubeTensor, CubeTensor) {
     let like = &gaussians.positions;
     let count = like.shape()[0];
@@ -429,6 +449,7 @@ pub fn splats(
         CameraUniforms::launch(camera),
         count as u32,
         order.is_some(),
+        filter,
     );
     (splats, rects)
 }
@@ -439,6 +460,7 @@ pub fn backward(
     gaussians: &GaussianTensors<CubeBackend>,
     moments: &CubeTensor,
     camera: &Camera,
+    filter: ScreenFilter,
     out: &GaussianTensors<CubeBackend>,
 ) {
     let (client, count) = (moments.client.clone(), moments.shape()[0]);
@@ -455,6 +477,7 @@ pub fn backward(
         buffer(&out.opacities),
         CameraUniforms::launch(camera),
         count as u32,
+        filter,
     );
     shape_backward_kernel::launch(
         &client,
@@ -469,5 +492,6 @@ pub fn backward(
         buffer(&out.log_scales),
         CameraUniforms::launch(camera),
         count as u32,
+        filter,
     );
 }

@@ -28,7 +28,8 @@ impl BlendedOptions {
                 return Err(Error::Option { option: "rendering", expected, found: info.rendering.to_string() });
             }
         };
-        Ok(Self { blend: BlendOptions { form, ..BlendOptions::default() }, background: info.background })
+        let blend = BlendOptions { form, filter: info.screen_filter, max_alpha: info.max_alpha(), ..BlendOptions::default() };
+        Ok(Self { blend, background: info.background })
     }
 }
 

@@ -42,6 +42,27 @@ pub enum MarginLookup {
     Literal,
 }
 
+/// The low-pass filter of the projected covariance of a Gaussian.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ScreenFilter {
+    /// 0.1 px²; opacities are dimmed so that the weight over the picture stays (GES, Mip-Splatting).
+    #[default]
+    Compensated,
+    /// 0.3 px² (3DGS): Gaussians finer than a pixel become brighter from farther away.
+    Plain,
+}
+
+impl ScreenFilter {
+    /// What is added to the diagonal of the covariance, px².
+    pub const fn variance(self) -> f64 {
+        match self {
+            Self::Compensated => 0.1,
+            Self::Plain => 0.3,
+        }
+    }
+}
+
 /// How a scene becomes a picture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -80,6 +101,9 @@ pub struct SceneInfo {
     /// Files without it are [`Rendering::Peeled`].
     #[serde(default)]
     pub rendering: Rendering,
+    /// Of blended Gaussians. Files without it are [`ScreenFilter::Compensated`], and so is everything that is peeled.
+    #[serde(default)]
+    pub screen_filter: ScreenFilter,
     /// Display-referred colour behind everything.
     pub background: [f64; 3],
     /// World units: subtract from the dataset's coordinates to get the scene's.
@@ -88,6 +112,15 @@ pub struct SceneInfo {
     pub extent: f64,
     /// World units; cameras made for this scene use it.
     pub near: f64,
+}
+
+impl SceneInfo {
+    /// The largest α of a fragment of blended Gaussians: that of the method which trains them (3DGS, 2DGS: 0.99, DBS:
+    /// 0.999).
+    pub fn max_alpha(&self) -> f64 {
+        let as_published = self.rendering == Rendering::Discs || self.screen_filter == ScreenFilter::Plain;
+        if as_published { 0.99 } else { 0.999 }
+    }
 }
 
 impl Default for SceneInfo {
@@ -100,6 +133,7 @@ impl Default for SceneInfo {
             footprint: Footprint::default(),
             margin_lookup: MarginLookup::default(),
             rendering: Rendering::default(),
+            screen_filter: ScreenFilter::default(),
             background: [0.0; 3],
             offset: [0.0; 3],
             extent: 1.0,

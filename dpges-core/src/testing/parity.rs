@@ -14,7 +14,7 @@ use super::golden::values;
 use super::random::Random;
 use super::scenes::TestScene;
 use crate::ops::adam::{AdamStep, adam_step};
-use crate::ops::blend::{BlendOptions, Form, blend};
+use crate::ops::blend::{BlendOptions, blend};
 use crate::ops::colour::colour;
 use crate::ops::composite::{CompositeOptions, composite};
 use crate::ops::coverage::coverage;
@@ -242,11 +242,10 @@ impl<'a> Bench<'a> {
     }
 
     /// Runs sorted blending of the Gaussians in random colours, and goes back from each of its outputs.
-    pub fn blended(mut self, form: Form, maps: bool) -> Vec<Named> {
+    pub fn blended(mut self, options: BlendOptions) -> Vec<Named> {
         let (gaussians, count) = (self.gaussians.clone(), self.gaussians.len());
-        let options = BlendOptions { form, maps, ..BlendOptions::default() };
         let outputs: &[&str] =
-            if maps { &["colour", "alpha", "depth", "normal", "distortion"] } else { &["colour", "alpha"] };
+            if options.maps { &["colour", "alpha", "depth", "normal", "distortion"] } else { &["colour", "alpha"] };
         for &name in outputs {
             let colours = self.tensor(&Random::new(12).numbers(3 * count, 0.0, 1.0), [count, 3]).require_grad();
             let probe = self.tensor(&vec![0.0; 4 * count], [count, 4]).require_grad();

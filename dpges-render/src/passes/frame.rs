@@ -2,7 +2,7 @@
 
 use bytemuck::{Pod, Zeroable};
 use dpges_core::camera::Camera;
-use dpges_core::scene::{ColourModel, MarginLookup, Rendering};
+use dpges_core::scene::{ColourModel, MarginLookup, Rendering, ScreenFilter};
 
 use crate::options::{RenderOptions, squared_radius};
 use crate::scene::SceneTextures;
@@ -51,7 +51,8 @@ impl Frame {
         let switched = |bit: u32, on: bool| if on { bit } else { 0 };
         let all = switched(1, scene.info.margin_lookup == MarginLookup::Literal)
             | switched(2, scene.info.rendering != Rendering::Peeled)
-            | switched(4, switches.encode_srgb);
+            | switched(4, switches.encode_srgb)
+            | switched(8, scene.info.screen_filter == ScreenFilter::Plain);
         let [r, g, b] = options.background;
         let narrow = |values: [f64; 4]| values.map(|value| value as f32);
         let grid = scene.surfels.grid;
@@ -60,7 +61,7 @@ impl Frame {
             lens: narrow([camera.fx, camera.fy, camera.cx, camera.cy]),
             centre_near: narrow([x, y, z, camera.near]),
             size: narrow([camera.width as f64, camera.height as f64, options.smallest_px, grid.log2_width.into()]),
-            background: narrow([r, g, b, 1.0]),
+            background: narrow([r, g, b, scene.info.max_alpha()]),
             surfel: narrow([options.modulation, radius, depths[0], depths[1]]),
             counts: [
                 scene.surfels.count as u32,

@@ -11,6 +11,7 @@ struct Frame {
     centre_near: vec4f,
     // Width and height in px, smallest radius in px, texture width of a grid as a power of two.
     size: vec4f,
+    // Red, green, blue; largest α of a fragment of blended Gaussians.
     background: vec4f,
     // w, squared radius of a surfel in σ, depths at the ends of the colour ramp.
     surfel: vec4f,
@@ -23,6 +24,7 @@ struct Frame {
 const LITERAL_LOOKUP: u32 = 1u;
 const CLAMP_COLOURS: u32 = 2u;
 const ENCODE_SRGB: u32 = 4u;
+const PLAIN_FILTER: u32 = 8u;
 
 const CUTOFF: f32 = 1.0 / 255.0;
 // Behind every clip volume: what is placed here is never rasterised.

@@ -7,8 +7,9 @@
 @group(1) @binding(1) var forms: texture_2d<u32>;
 @group(1) @binding(2) var colours: texture_2d<u32>;
 
-// Added to the diagonal of the projected covariance, px² (GES).
-const LOW_PASS: f32 = 0.1;
+// Added to the diagonal of the projected covariance, px² (GES, 3DGS).
+const COMPENSATED_LOW_PASS: f32 = 0.1;
+const PLAIN_LOW_PASS: f32 = 0.3;
 // Lower bound of the squared factor by which the low-pass filter dims a Gaussian (GES).
 const MIN_COMPENSATION_SQUARED: f32 = 2.5e-5;
 // The Jacobian is evaluated at most this fraction of the image size outside the image (3DGS).
@@ -45,13 +46,16 @@ fn fragment(@builtin(position) position: vec4f) -> Record {
     let down = (frame.row_y.xyz - frame.row_z.xyz * slope.y) * (frame.lens.y / z);
     let half_x = (across * axes) * scales;
     let half_y = (down * axes) * scales;
-    let a = dot(half_x, half_x) + LOW_PASS;
+    let plain = (frame.colour.w & PLAIN_FILTER) != 0u;
+    let low_pass = select(COMPENSATED_LOW_PASS, PLAIN_LOW_PASS, plain);
+    let a = dot(half_x, half_x) + low_pass;
     let b = dot(half_x, half_y);
-    let c = dot(half_y, half_y) + LOW_PASS;
+    let c = dot(half_y, half_y) + low_pass;
     let minors = cross(half_x, half_y);
     let unfiltered = dot(minors, minors);
-    let determinant = unfiltered + LOW_PASS * (a + c - LOW_PASS);
-    let compensation = sqrt(max(unfiltered / determinant, MIN_COMPENSATION_SQUARED));
+    let determinant = unfiltered + low_pass * (a + c - low_pass);
+    let dimmed = sqrt(max(unfiltered / determinant, MIN_COMPENSATION_SQUARED));
+    let compensation = select(dimmed, 1.0, plain);
     let strength = place.w * compensation;
     if !(strength >= CUTOFF) || !(determinant > 0.0) || !(determinant < 3e38) {
         return record;

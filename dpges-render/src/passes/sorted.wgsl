@@ -7,9 +7,6 @@
 @group(1) @binding(4) var forms: texture_2d<u32>;
 @group(1) @binding(5) var colours: texture_2d<f32>;
 
-// Largest opacity of a fragment (DBS).
-const MAX_ALPHA: f32 = 0.999;
-
 struct Ellipse {
     @builtin(position) position: vec4f,
     // from the centre, in σ
@@ -38,7 +35,7 @@ fn blended(colour_strength: vec4f, squared: f32) -> vec4f {
     if weight < CUTOFF {
         discard;
     }
-    return vec4f(colour_strength.rgb, 1.0) * min(weight, MAX_ALPHA);
+    return vec4f(colour_strength.rgb, 1.0) * min(weight, frame.background.w);
 }
 
 @fragment

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use dpges_core::scene::lobes::present;
-use dpges_core::scene::{ColourModel, Footprint, MarginLookup};
+use dpges_core::scene::{ColourModel, Footprint, MarginLookup, ScreenFilter};
 use serde_json::{Map, Value, json};
 
 use super::data::Scene;
@@ -49,6 +49,10 @@ fn describe(scene: &Scene) -> Vec<(&'static str, Value)> {
         MarginLookup::Shifted => "shifted",
         MarginLookup::Literal => "literal",
     };
+    let screen_filter = match info.screen_filter {
+        ScreenFilter::Compensated => "compensated",
+        ScreenFilter::Plain => "plain",
+    };
     vec![
         ("scene", json!(scene.path.display().to_string())),
         ("bytes", json!(scene.bytes)),
@@ -57,6 +61,7 @@ fn describe(scene: &Scene) -> Vec<(&'static str, Value)> {
         ("colour_model", json!(info.colour_model.to_string())),
         ("lobes", json!(lobes(scene))),
         ("rendering", json!(info.rendering.to_string())),
+        ("screen_filter", json!(screen_filter)),
         ("layers", json!(info.layer_count)),
         ("modulation", json!(info.modulation)),
         ("footprint", json!(footprint)),

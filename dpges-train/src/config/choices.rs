@@ -18,6 +18,14 @@ choices! {
         "mcmc" => Mcmc,
         /// Gaussians alone, sorted and blended, jittered only when they are relocated (DBS with a Gaussian kernel).
         "dbs" => Dbs,
+        /// Gaussians alone, sorted and blended, cloned, split and removed by their gradients and opacities, with spherical
+        /// harmonics and the rates of its paper (3DGS).
+        "3dgs" => Gaussians3d,
+        /// The same, splitting by the sums of absolute gradients (AbsGS).
+        "absgs" => Absolute,
+        /// 3DGS with Gaussians no finer than what the training views resolve, and a filter that keeps their weight on the
+        /// screen (Mip-Splatting).
+        "mip-splatting" => MipSplatting,
     }
 
     /// Where the Gaussians of the joint stage come from.
@@ -44,6 +52,30 @@ choices! {
         "picture" => Picture,
         /// Black, and as wide as the distance to its neighbours (GES, DP-GES).
         "black" => Black,
+    }
+
+    /// Where surfels start if no discs were trained.
+    SurfelStart {
+        /// On the surfaces that trained Gaussians show to several views; as `[init]` says if none were trained.
+        "depth" => Depth,
+        /// As `[init]` says.
+        "points" => Points,
+    }
+
+    /// Opacity in the joint stage of a Gaussian that was blended before.
+    JointOpacity {
+        /// α / (1 − α), the weight that gives it the same share of a pixel before a surfel.
+        "odds" => Odds,
+        /// α, as it was (GES, DP-GES).
+        "kept" => Kept,
+    }
+
+    /// What a number of pixels is counted in.
+    PixelsOf {
+        /// A picture of 1 megapixel: the number scales with the size of the pictures.
+        "megapixel" => Megapixel,
+        /// The pictures as they are (GES, DP-GES).
+        "picture" => Picture,
     }
 
     /// Which scales the depth margin of a surfel is computed from.

@@ -6,7 +6,7 @@ use dpges_core::ops::peel::MAX_LAYERS;
 use dpges_core::scene::{ColourModel, Footprint, MarginLookup, OpacityActivation};
 
 use super::budget::Budget;
-use super::choices::{AddAs, Background, GaussianStage, InitMethod, Margin, Method, Stop};
+use super::choices::{AddAs, Background, GaussianStage, InitMethod, JointOpacity, Margin, Method, PixelsOf, Stop, SurfelStart};
 use super::declare::{Ablation, Key, Section, Value, configuration, optional};
 use super::range::{self, OPACITY, POSITIVE, POSITIVE_SHARE};
 use super::sources::ConfigError;
@@ -118,6 +118,9 @@ configuration! {
         gaussian_opacity: f64 = 0.1, range: POSITIVE;
         /// Number of Gaussians if the dataset has neither points nor silhouettes.
         random_gaussians: usize = 50_000, range: 1..;
+        /// Half the side of the cube around the origin in which they are (3DGS: 1.3 for NeRF-Synthetic). 0 takes a cube that
+        /// the cameras see.
+        random_half_side: f64 = 0.0, unit: "world units", range: 0.0..;
         /// Voxels along each side of the visual hull.
         hull_resolution: usize = 96, unit: "voxels", range: 8..=512;
         /// Share of the views whose silhouettes may miss a voxel of the visual hull.
@@ -146,10 +149,16 @@ configuration! {
         /// Scale of a surfel relative to its disc (DP-GES: 1). A disc is half opaque at 1.2 σ and a surfel with w = 30
         /// at 2.9 σ, so they cover the same area at about 0.4.
         surfel_scale: f64 = 0.35, range: POSITIVE;
-        /// Share of `refine.budget` that discs may use.
-        surfel_budget: f64 = 0.3, range: POSITIVE_SHARE;
+        /// Where surfels start if no discs were trained.
+        surfels_by: SurfelStart = SurfelStart::Depth;
+        /// Share of `refine.budget` of surfels that start on surfaces seen in depths.
+        depth_surfels: f64 = 0.2, range: POSITIVE_SHARE;
+        /// Share of `refine.budget` that discs may use. 0 sets no limit (2DGS).
+        surfel_budget: f64 = 0.3, range: 0.0..;
         /// Share of `refine.budget` that Gaussians may use before the joint stage (DP-GES: 0.5 to 0.6).
         gaussian_budget: f64 = 0.6, range: POSITIVE_SHARE;
+        /// Opacity in the joint stage of Gaussians that were blended before.
+        joint_opacity: JointOpacity = JointOpacity::Odds;
         /// Learning rate of the logits of opacities in these stages (3DGS).
         opacities: f64 = 0.05, range: 0.0..;
         /// Share of the decay from `optimizer.position_start` to `optimizer.position_end` that each of these stages goes
@@ -195,6 +204,47 @@ configuration! {
         start_opacity: f64 = 0.1, range: OPACITY;
         /// Scale at the start relative to the root mean square distance to the 3 nearest points.
         start_scale: f64 = 1.0, range: POSITIVE;
+    }
+
+    /// Training of Gaussians under adaptive density control (3DGS, AbsGS, Mip-Splatting). Numbers of steps are those of a run
+    /// of 30,000 and scale with its length.
+    [density] DensityConfig {
+        /// Interval of densification. It is extended to as many steps of the run, or to a pass over the training views if
+        /// that is shorter.
+        every: usize = 100, unit: "steps", range: 1..;
+        /// Step after which densification begins.
+        from: usize = 500, unit: "steps";
+        /// Step at which densification ends, exclusive.
+        until: usize = 15_000, unit: "steps";
+        /// Mean norm of the gradient of the projected centre above which a Gaussian is cloned or split (3DGS).
+        gradient_threshold: f64 = 2e-4, unit: "per NDC unit", range: POSITIVE;
+        /// Mean norm of the sums of absolute gradients above which a Gaussian is split, with `train.method = "absgs"`
+        /// (AbsGS).
+        absolute_threshold: f64 = 4e-4, unit: "per NDC unit", range: POSITIVE;
+        /// Scale up to which a Gaussian is cloned; larger ones are split (3DGS).
+        dense_fraction: f64 = 0.01, unit: "extents", range: POSITIVE;
+        /// The same with `train.method = "absgs"` (AbsGS).
+        absolute_dense_fraction: f64 = 0.001, unit: "extents", range: POSITIVE;
+        /// Opacity below which a Gaussian is removed (3DGS).
+        min_opacity: f64 = 0.005, range: 0.0..=1.0;
+        /// Scale above which a Gaussian is removed (3DGS).
+        max_scale: f64 = 0.1, unit: "extents", range: POSITIVE;
+        /// Step from which Gaussians above `density.max_scale` are removed.
+        max_scale_from: usize = 3000, unit: "steps";
+        /// Interval of opacity resets (3DGS). Opacities are not reset if that is less than 500 steps of the run, too few
+        /// to recover in.
+        reset_every: usize = 3000, unit: "steps", range: 1..;
+        /// Largest opacity after a reset.
+        reset_opacity: f64 = 0.01, range: OPACITY;
+        /// Interval at which harmonics of another degree begin to learn (3DGS). With 0 all learn from the start.
+        degree_every: usize = 1000, unit: "steps";
+        /// Opacity at the start.
+        start_opacity: f64 = 0.1, range: OPACITY;
+        /// Scale at the start relative to the root mean square distance to the 3 nearest points.
+        start_scale: f64 = 1.0, range: POSITIVE;
+        /// Standard deviation of the filter that limits how fine Gaussians are, with `train.method = "mip-splatting"`: in
+        /// pixels of the training view that resolves them best (Mip-Splatting: √0.2).
+        smoothing: f64 = 0.447_213_6, unit: "px", range: 0.0..;
     }
 
     /// Training of Gaussians that are relocated (3DGS-MCMC, DBS). Numbers of steps are those of a stage of 20,000 steps,
@@ -259,17 +309,23 @@ configuration! {
     [refine] RefineConfig {
         /// Steps at which margins are computed (DP-GES).
         margins_at: Vec<usize> = vec![0, 4000], unit: "steps";
+        /// Compute margins also whenever surfels were pruned (DP-GES: false).
+        margins_with_pruning: bool = false;
         /// Interval of pruning surfels. It is extended to whole passes over the training views.
         surfel_prune_every: usize = 1000, unit: "steps", range: 1..;
         /// First step at which surfels are pruned.
         surfel_prune_from: usize = 1000, unit: "steps";
         /// Last step at which surfels are pruned, inclusive.
         surfel_prune_until: usize = 15_000, unit: "steps";
-        /// Remove a surfel that is the nearest at no more pixels than this in every view. The number is for pictures of
-        /// 1 megapixel and scales with their size.
+        /// Remove a surfel that is the nearest at no more pixels than this in every view.
         surfel_min_pixels: usize = 16, unit: "px";
+        /// What these pixels are counted in.
+        surfel_pixels_of: PixelsOf = PixelsOf::Megapixel;
         /// Scale above which a surfel is removed.
         surfel_max_scale: f64 = 0.06, unit: "extents", range: POSITIVE;
+        /// Steps at which surfels leave without which pictures are better: validation views, or training views if there are
+        /// none (DP-GES: never).
+        judge_surfels_at: Vec<usize> = vec![0, 4000, 9000, 14_000], unit: "steps";
         /// Interval of pruning Gaussians. It is extended to whole passes over the training views.
         gaussian_prune_every: usize = 500, unit: "steps", range: 1..;
         /// Step at which pruning of Gaussians ends, exclusive.
@@ -290,6 +346,10 @@ configuration! {
         /// depth of existing Gaussians where there is none.
         add_everywhere: bool = true,
             ablation: "add-over-surfels" = "false" ("Add Gaussians over surfels only");
+        /// Least number of other views whose photographs have the colour of a new Gaussian at its place. Depths around that of
+        /// the nearest surfel are tried, and what too few views agree about is not added. 0 asks no view (DP-GES).
+        add_agreement: usize = 2, unit: "views",
+            ablation: "unconfirmed-gaussians" = "0" ("Add Gaussians that no other photograph confirms");
         /// Appearance of new Gaussians.
         add_as: AddAs = AddAs::Picture, ablation: "black-gaussians" = "black" ("Add Gaussians that are black and wide");
         /// Largest number of surfels and Gaussians together, or largest size of the scene file.

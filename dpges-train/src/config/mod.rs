@@ -26,16 +26,16 @@ use crate::dataset::LoadOptions;
 
 pub use budget::Budget;
 use budget::{MEGABYTE, primitives_for};
-pub use choices::{AddAs, Background, GaussianStage, InitMethod, Margin, Method, Stop};
+pub use choices::{AddAs, Background, GaussianStage, InitMethod, JointOpacity, Margin, Method, PixelsOf, Stop, SurfelStart};
 pub use declare::{Ablation, Key, Section};
 pub use dpges_core::scene::OpacityActivation;
 pub use keys::{
-    Config, DataConfig, DiscsConfig, InitConfig, ModelConfig, OptimizerConfig, RefineConfig, RelocationConfig,
+    Config, DataConfig, DensityConfig, DiscsConfig, InitConfig, ModelConfig, OptimizerConfig, RefineConfig, RelocationConfig,
     SECTIONS, StagesConfig, TrainConfig,
 };
 pub use schedule::{Due, Schedule};
 pub use sources::ConfigError;
-pub use stages::{Relocation, StageKind, StagePlan};
+pub use stages::{Blended, Density, Relocation, StageKind, StagePlan};
 
 /// Smallest budget by the size of the views, in primitives: even a small picture shows a whole scene.
 pub const SMALLEST_BUDGET_BY_PIXELS: usize = 16_384;

@@ -11,6 +11,8 @@ pub const REFERENCE_STEPS: usize = 25_000;
 pub struct Schedule {
     pub margins: Vec<usize>,
     pub surfel_prune: Vec<usize>,
+    /// When surfels that do harm are removed.
+    pub judge_surfels: Vec<usize>,
     pub gaussian_prune: Vec<usize>,
     pub add: Vec<usize>,
     /// Replacements of Gaussians that are not drawn, after the last batch of new ones.
@@ -25,6 +27,7 @@ pub struct Schedule {
 pub struct Due {
     pub margins: bool,
     pub surfel_prune: bool,
+    pub judge_surfels: bool,
     pub gaussian_prune: bool,
     /// Batches of Gaussians still to add, including one now; `None` if none is due now.
     pub batches_left: Option<usize>,
@@ -37,7 +40,7 @@ pub struct Due {
 impl Due {
     /// Whether rows may appear or disappear.
     pub fn changes_rows(&self) -> bool {
-        self.surfel_prune || self.gaussian_prune || self.batches_left.is_some() || self.replace || self.split
+        self.surfel_prune || self.judge_surfels || self.gaussian_prune || self.batches_left.is_some() || self.replace || self.split
     }
 }
 
@@ -102,6 +105,7 @@ impl Config {
         Schedule {
             margins: run(refine.margins_at.clone(), 0),
             surfel_prune: whole_passes(run(surfel_prune, 1), self.scaled(refine.surfel_prune_until) + 1),
+            judge_surfels: run(only_if(!self.train.freeze_surfels, refine.judge_surfels_at.clone()), 0),
             gaussian_prune: whole_passes(run(gaussian_prune, 1), self.scaled(refine.gaussian_prune_until)),
             add: run(every(refine.add_every, refine.add_from, refine.add_until), 1),
             replace: run(every(refine.add_every, refine.add_until, refine.replace_until), 1),
@@ -117,6 +121,7 @@ impl Schedule {
         Due {
             margins: is_in(&self.margins).is_ok(),
             surfel_prune: is_in(&self.surfel_prune).is_ok(),
+            judge_surfels: is_in(&self.judge_surfels).is_ok(),
             gaussian_prune: is_in(&self.gaussian_prune).is_ok(),
             batches_left: is_in(&self.add).ok().map(|batch| self.add.len() - batch),
             replace: is_in(&self.replace).is_ok(),
@@ -148,7 +153,7 @@ mod tests {
         let due = schedule.due(12_000);
         assert_eq!(due, Due { surfel_prune: true, batches_left: Some(1), split: true, ..Due::default() });
         assert_eq!(schedule.due(3000).batches_left, Some(10));
-        assert!(schedule.due(0).margins && !schedule.due(0).changes_rows());
+        assert!(schedule.due(0).margins && schedule.due(0).judge_surfels);
         assert_eq!(schedule.due(3001), Due::default());
     }
 
@@ -182,7 +187,10 @@ mod tests {
         let all = config(REFERENCE_STEPS).schedule(100);
         let mut frozen = config(REFERENCE_STEPS);
         frozen.train.freeze_surfels = true;
-        assert_eq!(frozen.schedule(100), Schedule { surfel_prune: vec![], ..all.clone() });
+        assert_eq!(
+            frozen.schedule(100),
+            Schedule { surfel_prune: vec![], judge_surfels: vec![], ..all.clone() }
+        );
         let mut automatic = config(REFERENCE_STEPS);
         automatic.refine.budget = Budget::Auto;
         assert_eq!(automatic.schedule(100), Schedule { drop_lobes: vec![16_000, 22_000], ..all.clone() });

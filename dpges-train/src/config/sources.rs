@@ -50,6 +50,7 @@ impl Config {
     }
 
     /// Like [`resolve`](Self::resolve), with each `key=value` of `of_dataset` above the defaults and below the preset.
+    /// [What the method brings with it](super::Method::settings) comes between the two.
     ///
     /// # Errors
     /// Any [`ConfigError`].
@@ -59,8 +60,21 @@ impl Config {
         file: Option<&Path>,
         set: &[String],
     ) -> Result<Self, ConfigError> {
+        let config = Self::resolve_over(of_dataset, preset, file, set)?;
+        match config.train.method.settings() {
+            [] => Ok(config),
+            of_method => Self::resolve_over(&[of_dataset, of_method].concat(), preset, file, set),
+        }
+    }
+
+    fn resolve_over(
+        below: &[&str],
+        preset: Option<&str>,
+        file: Option<&Path>,
+        set: &[String],
+    ) -> Result<Self, ConfigError> {
         let mut config = Self::default();
-        for text in of_dataset {
+        for text in below {
             config.assign_text(text)?;
         }
         if let Some(name) = preset {

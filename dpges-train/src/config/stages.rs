@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+use dpges_core::scene::{Rendering, ScreenFilter};
+
 use super::schedule::REFERENCE_STEPS;
 use super::{Config, GaussianStage, Method};
 
@@ -22,20 +24,62 @@ pub enum Relocation {
     Beta,
 }
 
+/// How adaptive density control chooses what to clone and to split (3DGS).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Density {
+    /// By gradients whose parts cancel (3DGS).
+    Signed,
+    /// Splits by the sums of absolute gradients (AbsGS).
+    Absolute,
+    /// By both, as many by absolute sums as by the others; with the filters of Mip-Splatting.
+    Smoothed,
+}
+
+/// How a set of blended primitives changes while it is trained.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Blended {
+    /// Discs, under adaptive density control (2DGS).
+    Discs,
+    /// Gaussians under adaptive density control.
+    Controlled(Density),
+    /// Gaussians that are relocated.
+    Relocated(Relocation),
+}
+
+impl Blended {
+    pub fn relocation(self) -> Option<Relocation> {
+        if let Self::Relocated(relocation) = self { Some(relocation) } else { None }
+    }
+
+    pub fn rendering(self) -> Rendering {
+        if self == Self::Discs { Rendering::Discs } else { Rendering::Ellipsoids }
+    }
+
+    /// The low-pass filter of its paper; what is handed on to the joint stage must look the same there.
+    pub fn screen_filter(self) -> ScreenFilter {
+        match self {
+            Self::Controlled(Density::Signed | Density::Absolute) => ScreenFilter::Plain,
+            _ => ScreenFilter::Compensated,
+        }
+    }
+}
+
 /// What one stage trains.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StageKind {
-    Discs,
-    Gaussians(Relocation),
+    Blended(Blended),
     Joint,
 }
 
 impl fmt::Display for StageKind {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
-            Self::Discs => "2dgs",
-            Self::Gaussians(Relocation::Mcmc) => "mcmc",
-            Self::Gaussians(Relocation::Beta) => "dbs",
+            Self::Blended(Blended::Discs) => "2dgs",
+            Self::Blended(Blended::Relocated(Relocation::Mcmc)) => "mcmc",
+            Self::Blended(Blended::Relocated(Relocation::Beta)) => "dbs",
+            Self::Blended(Blended::Controlled(Density::Signed)) => "3dgs",
+            Self::Blended(Blended::Controlled(Density::Absolute)) => "absgs",
+            Self::Blended(Blended::Controlled(Density::Smoothed)) => "mip-splatting",
             Self::Joint => "joint",
         })
     }
@@ -50,7 +94,7 @@ pub struct StagePlan {
     pub steps: usize,
     /// Length of the stage for which its schedule is given.
     pub reference_steps: usize,
-    /// Largest number of primitives, as a share of `refine.budget`.
+    /// Largest number of primitives, as a share of `refine.budget`; infinite without a limit.
     pub budget_share: f64,
 }
 
@@ -66,18 +110,45 @@ impl StagePlan {
     }
 }
 
+impl Method {
+    /// What it trains in one stage of blended primitives; `None` for DP-GES.
+    pub fn alone(self) -> Option<Blended> {
+        Some(match self {
+            Self::Dpges => return None,
+            Self::Discs => Blended::Discs,
+            Self::Mcmc => Blended::Relocated(Relocation::Mcmc),
+            Self::Dbs => Blended::Relocated(Relocation::Beta),
+            Self::Gaussians3d => Blended::Controlled(Density::Signed),
+            Self::Absolute => Blended::Controlled(Density::Absolute),
+            Self::MipSplatting => Blended::Controlled(Density::Smoothed),
+        })
+    }
+
+    /// `key=value` of its paper that differ from the defaults, which are those of DP-GES.
+    pub fn settings(self) -> &'static [&'static str] {
+        match self {
+            Self::Gaussians3d | Self::Absolute | Self::MipSplatting => &[
+                "model.colour=sh3",
+                "init.max_scale_extent=1e6",
+                "init.max_scale_median=1e6",
+                "optimizer.quaternions=1e-3",
+                "optimizer.log_scales=5e-3",
+                "optimizer.base=2.5e-3",
+                "optimizer.detail=1.25e-4",
+            ],
+            Self::Dpges | Self::Discs | Self::Mcmc | Self::Dbs => &[],
+        }
+    }
+}
+
 impl Config {
     /// The stages of a run in their order; the last has at least one step. A stage whose result comes from a file is
     /// left out, and the run is shorter by its steps.
     pub fn plan(&self) -> Vec<StagePlan> {
         let (all, stages) = (self.train.steps, &self.stages);
-        let alone =
-            |kind| vec![StagePlan { kind, begin: 0, steps: all, reference_steps: METHOD_STEPS, budget_share: 1.0 }];
-        match self.train.method {
-            Method::Discs => return alone(StageKind::Discs),
-            Method::Mcmc => return alone(StageKind::Gaussians(Relocation::Mcmc)),
-            Method::Dbs => return alone(StageKind::Gaussians(Relocation::Beta)),
-            Method::Dpges => {}
+        if let Some(blended) = self.train.method.alone() {
+            let kind = StageKind::Blended(blended);
+            return vec![StagePlan { kind, begin: 0, steps: all, reference_steps: METHOD_STEPS, budget_share: 1.0 }];
         }
         let share = |share: f64| (share * all as f64).round() as usize;
         let gaussians_by = match stages.gaussians_by {
@@ -89,10 +160,12 @@ impl Config {
         let gaussians = gaussians_by.map_or(0, |_| share(stages.gaussians));
         let mut before = Vec::new();
         if stages.surfels_from.is_empty() {
-            before.push((StageKind::Discs, discs, stages.surfel_budget));
+            let share = if stages.surfel_budget > 0.0 { stages.surfel_budget } else { f64::INFINITY };
+            before.push((StageKind::Blended(Blended::Discs), discs, share));
         }
         if let (Some(kind), true) = (gaussians_by, stages.gaussians_from.is_empty()) {
-            before.push((StageKind::Gaussians(kind), gaussians, stages.gaussian_budget));
+            let kind = StageKind::Blended(Blended::Relocated(kind));
+            before.push((kind, gaussians, stages.gaussian_budget));
         }
         let mut plan: Vec<StagePlan> = Vec::new();
         let mut begin = 0;

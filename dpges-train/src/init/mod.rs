@@ -4,6 +4,7 @@
 //! and an arm of [`initialise`]. Most methods find [`OrientedPoints`] on the surfaces of the scene, and [`placement`]
 //! turns these into primitives. [`promote`] turns trained discs into surfels.
 
+pub mod fusion;
 pub mod placement;
 pub mod promote;
 pub mod random;
@@ -16,7 +17,7 @@ use dpges_core::scene::{GaussianData, SurfelData};
 use rand_chacha::ChaCha8Rng;
 
 use crate::config::{Config, InitMethod};
-use crate::dataset::Dataset;
+use crate::dataset::{Dataset, PointCloud};
 use crate::refine::margins::margins;
 use placement::{OrientedPoints, Placement};
 use region::Region;
@@ -130,9 +131,17 @@ fn from_silhouettes(
 
 fn random_gaussians(dataset: &Dataset, config: &Config, room: Room, rng: &mut ChaCha8Rng) -> InitialScene {
     let count = config.init.random_gaussians.min(room.gaussians);
-    let points = random::points(in_sight(dataset), count, rng);
+    let half_side = config.init.random_half_side;
+    let region = if half_side > 0.0 { Region::cube(-dataset.offset, half_side) } else { in_sight(dataset) };
+    let points = random::points(region, count, rng);
     let gaussians = placement::gaussians(&points, &Placement::new(config, dataset.extent), rng);
     InitialScene { surfels: SurfelData::default(), gaussians }
+}
+
+/// A surfel at every point. Margins are zero.
+pub fn surfels_at(points: PointCloud, dataset: &Dataset, config: &Config, rng: &mut ChaCha8Rng) -> SurfelData {
+    let centres: Vec<_> = dataset.train.iter().map(|view| view.camera.centre()).collect();
+    placement::surfels(&sfm::orient(points, &centres), &Placement::new(config, dataset.extent), rng)
 }
 
 /// A surfel and a faint Gaussian at every point.
@@ -155,7 +164,7 @@ mod tests {
     use rand::SeedableRng;
 
     use super::*;
-    use crate::dataset::{Format, Picture, PointCloud, View};
+    use crate::dataset::{Format, Picture, View};
 
     const SIZE: usize = 40;
 
@@ -210,6 +219,24 @@ mod tests {
         let random = start(&dataset(6, false, vec![[f32::NAN; 3]]), InitMethod::Auto).unwrap();
         assert_eq!((random.surfels.len(), random.gaussians.len()), (0, 300));
         assert!(random.gaussians.positions.iter().all(|x| x.abs() < 4.4));
+    }
+
+    #[test]
+    fn random_gaussians_fill_the_cube_that_is_asked_for() {
+        let mut moved = dataset(6, false, vec![]);
+        moved.offset = DVec3::new(1.0, -2.0, 0.5);
+        let mut config = Config::default();
+        (config.init.method, config.init.random_half_side) = (InitMethod::Random, 1.3);
+        let room = Room::new(1e6, 5000.0);
+        let scene = initialise(&moved, &config, room, &mut ChaCha8Rng::seed_from_u64(4)).unwrap();
+        assert_eq!((scene.surfels.len(), scene.gaussians.len()), (0, 5000));
+        for (axis, offset) in moved.offset.to_array().into_iter().enumerate() {
+            let along = scene.gaussians.positions.iter().skip(axis).step_by(3);
+            let (low, high) = along.fold((f64::MAX, f64::MIN), |(low, high), &x| {
+                (low.min(f64::from(x) + offset), high.max(f64::from(x) + offset))
+            });
+            assert!((-1.3..-1.29).contains(&low) && (1.29..1.3001).contains(&high), "{low}, {high}");
+        }
     }
 
     #[test]

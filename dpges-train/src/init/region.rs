@@ -34,7 +34,7 @@ impl Region {
         }
     }
 
-    fn cube(centre: DVec3, half_side: f64) -> Self {
+    pub fn cube(centre: DVec3, half_side: f64) -> Self {
         Self { low: centre - half_side, high: centre + half_side }
     }
 }

@@ -7,14 +7,26 @@ use rand_chacha::ChaCha8Rng;
 use super::children::{SHRINKAGE, children};
 use super::{GaussianEdit, RowEdit};
 
+/// What the sums of absolute gradients decide.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum ByAbsolute {
+    /// Nothing (3DGS, 2DGS).
+    #[default]
+    Nothing,
+    /// As many rows again are densified: those at or above the quantile of the share of rows below
+    /// [`DensifyRule::gradient_threshold`] (GES, Mip-Splatting).
+    Quantile,
+    /// Which large rows are split: those of at least this mean norm. Then the signed gradients decide only which small ones
+    /// are cloned (AbsGS).
+    Splits(f64),
+}
+
 /// The thresholds of cloning, splitting and pruning.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DensifyRule {
     /// Least mean gradient norm of a row that is densified, per unit of normalised device coordinates (3DGS: 2e-4).
     pub gradient_threshold: f64,
-    /// Densify as many rows again by the mean norm of the absolute sums: those at or above its
-    /// quantile of the share of rows below `gradient_threshold` (GES, init stage).
-    pub by_quantile: bool,
+    pub by_absolute: ByAbsolute,
     /// Fraction of the extent; larger rows are split, the others cloned (3DGS: 0.01).
     pub dense_fraction: f64,
     /// Rows of less opacity are pruned (2DGS: 0.05, 3DGS: 0.005).
@@ -47,20 +59,28 @@ impl GradientSums {
 }
 
 impl DensifyRule {
-    /// At most `room` rows to be densified, ascending: those of the largest mean gradient, ties by row.
-    fn selected(&self, sums: &GradientSums, room: usize) -> Vec<usize> {
+    /// At most `room` rows to be densified, ascending: those of the largest mean gradient, ties by row. `is_small` says
+    /// which would be cloned.
+    fn selected(&self, sums: &GradientSums, room: usize, is_small: impl Fn(&usize) -> bool) -> Vec<usize> {
         let gradients = sums.means(&sums.signed);
         let absolute = sums.means(&sums.absolute);
         let is_steep = |row: &usize| gradients[*row] >= self.gradient_threshold;
-        let absolute_threshold = if self.by_quantile {
-            let steep = (0..gradients.len()).filter(is_steep).count();
-            quantile(absolute.clone(), 1.0 - steep as f64 / gradients.len() as f64)
-        } else {
-            f64::INFINITY
+        let absolute_threshold = match self.by_absolute {
+            ByAbsolute::Nothing => f64::INFINITY,
+            ByAbsolute::Quantile => {
+                let steep = (0..gradients.len()).filter(is_steep).count();
+                quantile(absolute.clone(), 1.0 - steep as f64 / gradients.len() as f64)
+            }
+            ByAbsolute::Splits(threshold) => threshold,
         };
         let is_busy = |row: &usize| absolute[*row] > 0.0 && absolute[*row] >= absolute_threshold;
+        let is_chosen = |row: &usize| match self.by_absolute {
+            ByAbsolute::Splits(_) if is_small(row) => is_steep(row),
+            ByAbsolute::Splits(_) => is_busy(row),
+            _ => is_steep(row) || is_busy(row),
+        };
 
-        let mut rows: Vec<usize> = (0..gradients.len()).filter(|row| is_steep(row) || is_busy(row)).collect();
+        let mut rows: Vec<usize> = (0..gradients.len()).filter(is_chosen).collect();
         rows.sort_by(|a, b| gradients[*b].total_cmp(&gradients[*a]));
         rows.truncate(room);
         rows.sort_unstable();
@@ -105,7 +125,7 @@ pub fn densify(
     };
 
     let is_small = |row: &usize| rule.fits(gaussians, *row, limit(rule.dense_fraction));
-    let (mut cloned, parents): (Vec<usize>, Vec<usize>) = rule.selected(sums, room).into_iter().partition(is_small);
+    let (mut cloned, parents): (Vec<usize>, Vec<usize>) = rule.selected(sums, room, is_small).into_iter().partition(is_small);
     let mut is_parent = vec![false; count];
     parents.iter().for_each(|&row| is_parent[row] = true);
     let rows = RowEdit::retain(count, |&row| !is_parent[row] && stays(row, max_scale));
@@ -139,7 +159,7 @@ mod tests {
     const MODEL: ColourModel = ColourModel::SphericalBeta { lobes: 1 };
     const RULE: DensifyRule = DensifyRule {
         gradient_threshold: 2e-4,
-        by_quantile: false,
+        by_absolute: ByAbsolute::Nothing,
         dense_fraction: 0.01,
         min_opacity: 0.05,
         max_scale_fraction: None,
@@ -269,7 +289,7 @@ mod tests {
         // One of five is steep, so that the absolute threshold is the quantile of 0.8: 4.2.
         let sums = sums(&[1e-4, 3e-4, 0.0, 0.0, 0.0], &[5.0, 1.0, 3.0, 2.0, 4.0]);
         let old = gaussians(&[0.005; 5]);
-        let by_quantile = DensifyRule { by_quantile: true, ..RULE };
+        let by_quantile = DensifyRule { by_absolute: ByAbsolute::Quantile, ..RULE };
         let added = |rule: DensifyRule, room: usize| densify(&old, &sums, 1.0, &rule, room, &mut rng()).added;
         assert_eq!(added(RULE, 9), old.select(&[1]));
         assert_eq!(added(by_quantile, 9), old.select(&[0, 1]));
@@ -277,8 +297,19 @@ mod tests {
     }
 
     #[test]
+    fn absolute_sums_split_the_large_and_clone_nothing() {
+        let rule = DensifyRule { by_absolute: ByAbsolute::Splits(4e-4), dense_fraction: 0.001, ..RULE };
+        let sums = sums(&[3e-4, 1e-4, 3e-4, 1e-4], &[5e-4, 5e-4, 3e-4, 5e-4]);
+        // small, small, large, large
+        let old = gaussians(&[0.0005, 0.0005, 0.005, 0.005]);
+        let edit = densify(&old, &sums, 1.0, &rule, 9, &mut rng());
+        assert_eq!(edit.rows.keep, [0, 1, 2], "the last is split");
+        assert_eq!(edit.added.opacities, old.select(&[0, 3, 3]).opacities);
+    }
+
+    #[test]
     fn unseen_rows_are_in_no_quantile() {
-        let by_quantile = DensifyRule { by_quantile: true, ..RULE };
+        let by_quantile = DensifyRule { by_absolute: ByAbsolute::Quantile, ..RULE };
         let old = gaussians(&[0.005; 4]);
         assert_eq!(run(&old, &[0.0, 3e-4, 0.0, 0.0], by_quantile, 9).added, old.select(&[1]));
     }

@@ -4,9 +4,12 @@
 //! |---|---|
 //! | [`prune`] | which primitives stay |
 //! | [`split`] | which Gaussians of the joint stage are split |
+//! | [`worth`] | which surfels earn their place |
 //! | [`add`] | where new Gaussians are placed |
+//! | [`agreement`] | at which depth new Gaussians are placed |
 //! | [`margins`] | the depth margins of surfels |
-//! | [`densify`] | which discs are cloned, split and pruned |
+//! | [`densify`] | which discs and Gaussians are cloned, split and pruned |
+//! | [`sampling`] | how fine Gaussians may be |
 //! | [`relocate`] | which Gaussians of MCMC and DBS are relocated |
 //! | [`lobes`], [`growth`], [`layer_count`] | with an automatic budget: lobes to drop, the end of growth, the number of layers |
 //!
@@ -14,6 +17,7 @@
 //! at zero.
 
 pub mod add;
+pub mod agreement;
 mod children;
 pub mod densify;
 pub mod growth;
@@ -22,7 +26,9 @@ pub mod lobes;
 pub mod margins;
 pub mod prune;
 pub mod relocate;
+pub mod sampling;
 pub mod split;
+pub mod worth;
 
 use std::f64::consts::TAU;
 

@@ -15,11 +15,17 @@ pub fn surfels_to_keep(
     min_pixels: usize,
     max_scale_fraction: f64,
 ) -> RowEdit {
-    let max_scale = if extent > 0.0 { max_scale_fraction * extent } else { f64::MAX };
-    let small = |[x, y]: &[f32; 2]| f64::from(*x).exp() <= max_scale && f64::from(*y).exp() <= max_scale;
-    let (scales, _) = log_scales.as_chunks::<2>();
-    let stays = |row: &usize| max_pixels[*row] as usize > min_pixels && small(&scales[*row]);
+    let small = small_surfels(log_scales, extent, max_scale_fraction);
+    let stays = |row: &usize| max_pixels[*row] as usize > min_pixels && small.keep.binary_search(row).is_ok();
     unless_nothing_is_left(RowEdit::retain(max_pixels.len(), stays), max_pixels.len(), "surfel")
+}
+
+/// The surfels with both scales of `log_scales` [N × 2] at most `max_scale_fraction` of the `extent` (world units). An
+/// extent of 0 limits no scale. NaN is too large.
+pub fn small_surfels(log_scales: &[f32], extent: f64, max_scale_fraction: f64) -> RowEdit {
+    let max_scale = if extent > 0.0 { max_scale_fraction * extent } else { f64::MAX };
+    let (scales, _) = log_scales.as_chunks::<2>();
+    RowEdit::retain(scales.len(), |&row| scales[row].iter().all(|&scale| f64::from(scale).exp() <= max_scale))
 }
 
 /// The Gaussians to keep: `max_contribution` `[M]`, the largest `max|c| α t / (1 + W)` over pixels and

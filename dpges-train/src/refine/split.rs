@@ -13,6 +13,7 @@ use crate::neighbours::{as_points, nearest_to};
 /// replaced by two children at `μ + R · N(0, diag s²)`, with its scales / 1.6 and otherwise its parameters.
 ///
 /// At most `room` Gaussians are split, those that exceed their limit most; each adds one row. Without surfels none is split.
+/// Returns also how many exceed it.
 pub fn split(
     gaussians: &GaussianData,
     surfel_positions: &[f32],
@@ -20,22 +21,24 @@ pub fn split(
     factor: f64,
     room: usize,
     rng: &mut ChaCha8Rng,
-) -> GaussianEdit {
-    let parents = parents(gaussians, surfel_positions, margins, factor, room);
+) -> (GaussianEdit, usize) {
+    let mut parents = parents(gaussians, surfel_positions, margins, factor);
+    let too_large = parents.len();
+    parents.truncate(room);
+    parents.sort_unstable();
     let mut is_parent = vec![false; gaussians.len()];
     parents.iter().for_each(|&row| is_parent[row] = true);
 
     let added = children(gaussians, parents.into_iter(), false, rng);
-    GaussianEdit { rows: RowEdit::retain(gaussians.len(), |&row| !is_parent[row]), added }
+    (GaussianEdit { rows: RowEdit::retain(gaussians.len(), |&row| !is_parent[row]), added }, too_large)
 }
 
-/// The rows to split, ascending.
+/// The rows to split, those that exceed their limit most first.
 fn parents(
     gaussians: &GaussianData,
     surfel_positions: &[f32],
     margins: &[f32],
     factor: f64,
-    room: usize,
 ) -> Vec<usize> {
     let around = nearest_to(as_points(&gaussians.positions), as_points(surfel_positions), NEIGHBOURS);
     let (log_scales, _) = gaussians.log_scales.as_chunks::<3>();
@@ -51,10 +54,7 @@ fn parents(
         .filter(|(_, excess)| *excess > 1.0)
         .collect();
     exceeding.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
-    exceeding.truncate(room);
-    let mut rows: Vec<usize> = exceeding.into_iter().map(|(row, _)| row).collect();
-    rows.sort_unstable();
-    rows
+    exceeding.into_iter().map(|(row, _)| row).collect()
 }
 
 #[cfg(test)]
@@ -86,8 +86,8 @@ mod tests {
     #[test]
     fn the_large_are_replaced_by_two_smaller() {
         let old = gaussians(&[0.9, 1.1, 0.5, 5.0]);
-        let edit = split(&old, &[0.0; 9], &[1.0, 1.0, 1.0], 2.0, 10, &mut rng());
-        assert_eq!(edit.rows.keep, [0, 2]);
+        let (edit, too_large) = split(&old, &[0.0; 9], &[1.0, 1.0, 1.0], 2.0, 10, &mut rng());
+        assert_eq!((&edit.rows.keep, too_large), (&vec![0, 2], 2));
         assert_eq!(edit.added.opacities, [1.0, 1.0, 3.0, 3.0]);
         assert!((edit.added.log_scales[0] - (4.4f32 / 1.6).ln()).abs() < 1e-6);
         assert_eq!(edit.added.colour.detail, vec![0.75; 24]);
@@ -98,17 +98,17 @@ mod tests {
 
     #[test]
     fn room_goes_to_those_that_exceed_most() {
-        let edit = split(&gaussians(&[3.0, 2.0, 5.0]), &[0.0; 3], &[1.0], 1.0, 2, &mut rng());
-        assert_eq!(edit.rows.keep, [1]);
-        let edit = split(&gaussians(&[3.0, 2.0]), &[0.0; 3], &[1.0], 1.0, 0, &mut rng());
-        assert_eq!((edit.rows.keep.len(), edit.added.len()), (2, 0));
+        let (edit, too_large) = split(&gaussians(&[3.0, 2.0, 5.0]), &[0.0; 3], &[1.0], 1.0, 2, &mut rng());
+        assert_eq!((edit.rows.keep, too_large), (vec![1], 3));
+        let (edit, too_large) = split(&gaussians(&[3.0, 2.0]), &[0.0; 3], &[1.0], 1.0, 0, &mut rng());
+        assert_eq!((edit.rows.keep.len(), edit.added.len(), too_large), (2, 0, 2));
     }
 
     #[test]
     fn without_surfels_or_gaussians_nothing_is_split() {
-        let edit = split(&gaussians(&[3.0, 2.0]), &[], &[], 2.0, 10, &mut rng());
+        let (edit, _) = split(&gaussians(&[3.0, 2.0]), &[], &[], 2.0, 10, &mut rng());
         assert_eq!((edit.rows.keep.len(), edit.added.len()), (2, 0));
-        let edit = split(&gaussians(&[]), &[0.0; 3], &[1.0], 2.0, 10, &mut rng());
+        let (edit, _) = split(&gaussians(&[]), &[0.0; 3], &[1.0], 2.0, 10, &mut rng());
         assert_eq!(edit, GaussianEdit { added: GaussianData::neutral(MODEL, 0), ..GaussianEdit::default() });
     }
 }

@@ -141,6 +141,7 @@ impl Trainer {
     /// Those of [`new`](Self::new).
     pub(super) fn next_stage(&mut self) -> Result<(), TrainError> {
         self.stage.hand_on(&mut self.trained);
+        self.context.begin_pass();
         self.stage = stage::begin(self.plan[self.at + 1], &mut self.trained, &mut self.context)?;
         self.at += 1;
         Ok(())
@@ -200,12 +201,16 @@ fn names_of_views(dataset: &Dataset) -> Vec<String> {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
     use std::path::Path;
 
-    use dpges_core::scene::Rendering;
+    use dpges_core::scene::{Rendering, ScreenFilter};
+    use glam::DVec3;
 
-    use super::super::fixtures::{config, dataset, device};
+    use super::super::fixtures::{config, dataset, dataset_of, device};
     use super::*;
+    use crate::config::StageKind;
+    use crate::dataset::{BuiltinOptions, builtin, builtin_geometry};
     use crate::scene_state::GaussianState;
 
     fn trainer(set: &[&str]) -> Trainer {
@@ -324,10 +329,11 @@ mod tests {
     #[test]
     fn a_run_goes_on_from_any_step_of_any_stage_to_the_same_end() {
         let folder = tempfile::tempdir().unwrap();
-        let runs: [(&[&str], &[usize]); 4] = [
+        let runs: [(&[&str], &[usize]); 5] = [
             (&STAGES, &[7, 18, 19, 30, 36, 50]),
             (&["train.steps=40", "train.method=mcmc", "refine.budget=300"], &[1, 25]),
             (&["train.steps=40", "train.method=dbs", "refine.budget=300"], &[25]),
+            (&["train.steps=40", "train.method=mip-splatting", "refine.budget=300"], &[11, 25]),
             (&["train.steps=40", "train.method=2dgs", "refine.budget=300", "model.colour=sh1"], &[25]),
         ];
         for (set, stops) in runs {
@@ -345,8 +351,88 @@ mod tests {
     }
 
     #[test]
+    fn surfels_enter_where_views_agree_and_leave_where_they_do_harm() {
+        let set = [
+            "train.steps=300",
+            "stages.gaussians=0.7",
+            "refine.budget=1500",
+            "refine.judge_surfels_at=[0, 1000]",
+            "refine.surfel_prune_from=15000",
+        ];
+        let options = BuiltinOptions { width: 40, height: 40, train_views: 12, points: 400, ..Default::default() };
+        let dataset = Arc::new(builtin(&options));
+        let mut trainer = Trainer::new(config(&set), dataset.clone(), device()).unwrap();
+        while trainer.stage().kind != StageKind::Joint {
+            trainer.step().unwrap();
+        }
+        let surfels = trainer.scene().surfels;
+        assert!((40..=300).contains(&surfels.len()), "{}", surfels.len());
+        // their centres are on the surfaces of the room
+        let depths: Vec<Vec<f32>> = dataset.train.iter().map(|view| builtin_geometry(&view.camera).0).collect();
+        let on_surface = |position: &[f32; 3]| {
+            let world = DVec3::from_array(position.map(f64::from));
+            let errors = dataset.train.iter().zip(&depths).filter_map(|(view, depth)| {
+                let (x, y, z) = view.camera.project(world)?;
+                let inside = x >= 0.0 && y >= 0.0 && x < 40.0 && y < 40.0;
+                inside.then(|| (f64::from(depth[y as usize * 40 + x as usize]) - z).abs() / z)
+            });
+            errors.fold(f64::INFINITY, f64::min) < 0.05
+        };
+        let good = surfels.positions.as_chunks::<3>().0.iter().filter(|position| on_surface(position)).count();
+        assert!(good * 10 > surfels.len() * 9, "{good} of {}", surfels.len());
+
+        // a wall close before the first camera: all of it leaves when surfels are judged
+        let mut wall = surfels.clone();
+        let camera = &dataset.train[0].camera;
+        for (position, i) in wall.positions.as_chunks_mut::<3>().0.iter_mut().zip(0..) {
+            let (x, y) = (f64::from(i % 10) * 4.0 + 2.0, f64::from(i / 10 % 10) * 4.0 + 2.0);
+            *position = camera.unproject(x, y, 0.5).as_vec3().to_array();
+        }
+        trainer.stage.parameters().surfels.columns.positions.set(&wall.positions);
+        let judged = |trainer: &mut Trainer| {
+            let events = trainer.step().unwrap().unwrap().events;
+            events.iter().any(|event| event.contains("surfels left"))
+        };
+        let mut before = trainer.scene().surfels.len();
+        while !judged(&mut trainer) {
+            before = trainer.scene().surfels.len();
+        }
+        let after = trainer.scene().surfels.len();
+        assert!(before > 20 && after * 3 < before, "{after} of {before}");
+    }
+
+    #[test]
+    fn all_views_are_seen_between_two_changes_that_judge_by_views() {
+        // 7 views, stages of 40, 40 and 120 steps: no stage begins where a pass over the views would
+        let views = 7;
+        let set = ["train.steps=200", "stages.surfels=0.2", "stages.gaussians=0.2", "refine.surfel_min_pixels=0"];
+        let mut trainer = Trainer::new(config(&set), dataset_of(views), device()).unwrap();
+        let mut stage = trainer.stage();
+        // views since the last of these events, and their number at each of them
+        let mut windows = ["added by densification", "surfels pruned", "Gaussians pruned"]
+            .map(|event| (event, BTreeSet::new(), Vec::<usize>::new()));
+        while !trainer.is_finished() {
+            let report = trainer.step().unwrap().unwrap();
+            for (event, seen, counts) in &mut windows {
+                if trainer.stage() != stage {
+                    seen.clear();
+                }
+                if report.events.iter().any(|said| said.contains(*event)) {
+                    counts.push(seen.len());
+                    seen.clear();
+                }
+                seen.insert(report.view);
+            }
+            stage = trainer.stage();
+        }
+        for (event, _, counts) in windows {
+            assert!(!counts.is_empty() && counts.iter().all(|&count| count == views), "{event}: {counts:?}");
+        }
+    }
+
+    #[test]
     fn methods_alone_learn() {
-        for method in ["2dgs", "mcmc", "dbs"] {
+        for method in ["2dgs", "mcmc", "dbs", "3dgs", "absgs", "mip-splatting"] {
             let method = format!("train.method={method}");
             let mut trainer = trainer(&["train.steps=60", &method, "refine.budget=500"]);
             let mut loss = Vec::new();
@@ -357,6 +443,19 @@ mod tests {
             let (early, late) = (mean(&loss[..6]), mean(&loss[54..]));
             assert!(late < 0.8 * early, "{method}: {early} at first, {late} at last");
         }
+    }
+
+    #[test]
+    fn what_is_fine_is_drawn_as_coarse_as_the_views_resolve_it() {
+        let mut trainer = trainer(&["train.steps=20", "train.method=mip-splatting", "refine.budget=300"]);
+        let log_scales = |trainer: &mut Trainer| gaussians(trainer).to_data().log_scales;
+        let fine = vec![-20.0; log_scales(&mut trainer).len()];
+        gaussians(&mut trainer).columns.log_scales.set(&fine);
+        let scene = trainer.scene();
+        // a pixel of a view of 24 px is more than 0.01 of this scene, which is about 2 wide
+        assert!(scene.gaussians.log_scales.iter().all(|&scale| f64::from(scale).exp() > 0.447 * 0.01));
+        assert!(scene.gaussians.opacities.iter().all(|&opacity| opacity < 1e-6), "what has no size has no weight");
+        assert_eq!(scene.info.screen_filter, ScreenFilter::Compensated);
     }
 
     #[test]

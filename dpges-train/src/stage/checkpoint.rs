@@ -7,8 +7,9 @@ use dpges_core::scene::{ColourModel, GaussianData, SceneInfo};
 
 use super::blended::{BlendedStage, ScreenGradients};
 use super::joint::{JointStage, Statistics, Supervisions};
+use super::sampling_limit::SamplingLimit;
 use super::{Context, TrainError};
-use crate::config::{OpacityActivation, Relocation, StagePlan};
+use crate::config::{Blended, OpacityActivation, StagePlan};
 use crate::optimizer::ParameterRows;
 use crate::refine::growth::Growth;
 use crate::scene_state::{GaussianState, NamedRows, SurfelState};
@@ -30,7 +31,9 @@ pub struct StageCheckpoint {
 
 impl StageCheckpoint {
     pub fn of_blended(stage: &BlendedStage) -> Self {
-        let columns = ScreenGradients::NAMES.into_iter().zip(stage.screen_gradients.columns());
+        let gradients = ScreenGradients::NAMES.into_iter().zip(stage.screen_gradients.columns());
+        let limit = stage.sampling_limit.iter().map(|limit| (SamplingLimit::NAME, limit.column()));
+        let columns = gradients.chain(limit);
         Self {
             info: stage.info.clone(),
             growth: None,
@@ -76,7 +79,7 @@ impl BlendedStage {
     /// [`TrainError::Resume`] if the checkpoint contradicts itself.
     pub fn resume(
         plan: StagePlan,
-        relocation: Option<Relocation>,
+        blended: Blended,
         checkpoint: StageCheckpoint,
         context: &Context,
     ) -> Result<Self, TrainError> {
@@ -93,7 +96,18 @@ impl BlendedStage {
             return Err(TrainError::Resume { reason });
         }
         let gradients = ScreenGradients::from_columns([&found[0], &found[1], &found[2]], &context.device);
-        Ok(Self::new(plan, relocation, gaussians, gradients, context))
+        let sampling_limit = match columns.remove(SamplingLimit::NAME) {
+            Some(column) if column.len() != gaussians.len() => {
+                let reason = "column `sampling_limit` does not fit the Gaussians".into();
+                return Err(TrainError::Resume { reason });
+            }
+            column => column.map(|column| {
+                SamplingLimit::from_column(&column, context.config.density.smoothing, &context.device)
+            }),
+        };
+        let mut stage = Self::new(plan, blended, gaussians, gradients, context);
+        stage.sampling_limit = sampling_limit;
+        Ok(stage)
     }
 }
 

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use burn::tensor::Device;
-use dpges_core::scene::{Rendering, SceneInfo};
+use dpges_core::scene::{Rendering, SceneInfo, ScreenFilter};
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
@@ -42,6 +42,11 @@ impl Context {
         self.remaining_views.pop().expect("a dataset has training views") as usize
     }
 
+    /// Begins a new pass. A stage does so at its start, since its schedule counts passes from there.
+    pub fn begin_pass(&mut self) {
+        self.remaining_views.clear();
+    }
+
     /// The metadata of the scenes of this run.
     pub fn scene_info(&self, rendering: Rendering) -> SceneInfo {
         let (model, dataset) = (&self.config.model, &self.dataset);
@@ -52,6 +57,7 @@ impl Context {
             footprint: model.footprint,
             margin_lookup: model.margin_lookup,
             rendering,
+            screen_filter: ScreenFilter::Compensated,
             background: dataset.background,
             offset: dataset.offset.to_array(),
             extent: dataset.extent,

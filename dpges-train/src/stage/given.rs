@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use dpges_core::scene::{Rendering, SceneData};
 
 use super::{Context, TrainError};
-use crate::config::{Budget, GaussianStage, StageKind, StagePlan, Stop};
+use crate::config::{Blended, Budget, GaussianStage, StageKind, StagePlan, Stop};
 
 /// Key of the file to take discs or surfels from.
 pub const SURFELS_FROM: &str = "stages.surfels_from";
@@ -34,7 +34,7 @@ impl Context {
                 return Err(needs("train.stop = \"validation\""));
             }
         }
-        let has_discs = plan.iter().any(|stage| stage.kind == StageKind::Discs)
+        let has_discs = plan.iter().any(|stage| stage.kind == StageKind::Blended(Blended::Discs))
             || surfels.is_some_and(|scene| scene.info.rendering == Rendering::Discs);
         let joint = plan.iter().any(|stage| stage.kind == StageKind::Joint);
         if joint && !has_discs {

@@ -12,6 +12,7 @@ mod joint;
 mod parameters;
 mod pending;
 mod report;
+mod sampling_limit;
 mod step;
 
 use burn::tensor::Tensor;
@@ -102,8 +103,7 @@ pub struct Trained {
 /// [`TrainError::Plan`] if there is nothing to train.
 pub fn begin(plan: StagePlan, trained: &mut Trained, context: &mut Context) -> Result<Box<dyn Stage>, TrainError> {
     Ok(match plan.kind {
-        StageKind::Discs => Box::new(BlendedStage::begin(plan, None, context)?),
-        StageKind::Gaussians(relocation) => Box::new(BlendedStage::begin(plan, Some(relocation), context)?),
+        StageKind::Blended(blended) => Box::new(BlendedStage::begin(plan, blended, context)?),
         StageKind::Joint => Box::new(JointStage::begin(plan, std::mem::take(trained), context)?),
     })
 }
@@ -119,14 +119,13 @@ pub fn resume(
     context: &Context,
 ) -> Result<(Box<dyn Stage>, Trained), TrainError> {
     let discs = checkpoint.take_discs()?;
-    let relocation = match plan.kind {
+    let blended = match plan.kind {
         StageKind::Joint => {
             let stage = JointStage::resume(plan, checkpoint, discs, context)?;
             return Ok((Box::new(stage), Trained::default()));
         }
-        StageKind::Discs => None,
-        StageKind::Gaussians(relocation) => Some(relocation),
+        StageKind::Blended(blended) => blended,
     };
-    let stage = BlendedStage::resume(plan, relocation, checkpoint, context)?;
+    let stage = BlendedStage::resume(plan, blended, checkpoint, context)?;
     Ok((Box::new(stage), Trained { discs, gaussians: None }))
 }

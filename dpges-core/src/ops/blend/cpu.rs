@@ -93,7 +93,7 @@ fn forward<T: Real, F: Projected<T>>(
     camera: &Camera,
     options: &BlendOptions,
 ) -> [Vec<T>; 2] {
-    let view = CameraPair::<T>::new(camera);
+    let view = CameraPair::<T>::new(camera, options.filter);
     let sorted = Sorted::<T, F>::new(gaussians, &view, options);
     let (thresholds, slope) = (Thresholds::new(options), distortion::slope(&view.camera));
     let count = if options.maps { ALL_PLANES + 1 } else { COLOUR_PLANES };

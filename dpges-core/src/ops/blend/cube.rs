@@ -133,7 +133,7 @@ impl BlendOps for CubeBackend {
         let gaussians = input.gaussians.contiguous();
         let (like, count) = (&gaussians.positions, gaussians.positions.shape()[0]);
         let (height, width) = (camera.height, camera.width);
-        let fragments = Fragments::new(&gaussians, &camera, options.form);
+        let fragments = Fragments::new(&gaussians, &camera, &options);
         let planes = empty_f32(like, [options.planes(), height, width]);
         let median_depth = empty_f32(like, [usize::from(options.maps), height, width]);
         blend_kernel::launch(
@@ -166,8 +166,8 @@ impl BlendBackwardOps for CubeBackend {
     ) -> BlendInput<Self> {
         let (gaussians, grad) = (input.gaussians.contiguous(), floats(grad));
         let layout = Layout { form: options.form, maps: options.maps, probe: input.probe.shape()[0] > 0 };
-        let fragments = Fragments::new(&gaussians, &camera, options.form);
+        let fragments = Fragments::new(&gaussians, &camera, &options);
         let [sums, rest] = gather(&fragments, &grad, &camera, &options, layout);
-        parameters::backward(&gaussians, &sums, &rest, &camera, layout)
+        parameters::backward(&gaussians, &sums, &rest, &camera, options.filter, layout)
     }
 }

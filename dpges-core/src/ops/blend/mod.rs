@@ -18,9 +18,9 @@
 //! at [`BlendOptions::max_alpha`], and a fragment with α below 1/255 does not exist.
 //!
 //! [`Form::Ellipsoids`]: α = max(0, opacity) · compensation · exp(−½ dᵀ Q d), the footprint of
-//! [`splat`](super::splat): EWA, a low-pass filter of 0.1 px², compensation. z is that of the centre, n the axis
-//! with the smallest scale. DBS uses 0.3 px² without compensation; Gaussians trained that way would change
-//! when they are splatted.
+//! [`splat`](super::splat): EWA, a low-pass filter of 0.1 px², compensation; or, with [`ScreenFilter::Plain`],
+//! 0.3 px² without compensation (3DGS, DBS). Gaussians trained that way change when they are splatted. z is that
+//! of the centre, n the axis with the smallest scale.
 //!
 //! [`Form::Discs`]: α = max(0, opacity) · exp(−ρ/2) with ρ = min(u² + v², 2 |d|²): (u, v) in units of the
 //! first two scales is where the ray meets the disc, d the distance in px from the centre of the box
@@ -49,8 +49,8 @@ use burn::tensor::Tensor;
 use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::footprint::gaussians::GaussianTensors;
-use crate::scene::Gaussians;
 use crate::scene::tensors::check_shape;
+use crate::scene::{Gaussians, ScreenFilter};
 
 /// Red, green, blue, alpha.
 pub const COLOUR_PLANES: usize = 4;
@@ -87,6 +87,8 @@ pub enum Form {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BlendOptions {
     pub form: Form,
+    /// Of ellipsoids.
+    pub filter: ScreenFilter,
     /// Largest α of a fragment; above 0, at most [`HIGHEST_MAX_ALPHA`].
     pub max_alpha: f64,
     /// Smallest T at which a pixel ends; between 0 and 1.
@@ -98,7 +100,7 @@ pub struct BlendOptions {
 impl Default for BlendOptions {
     /// Ellipsoids, α up to 0.999 (DBS), pixels end at 1e-4 (3DGS), no maps.
     fn default() -> Self {
-        Self { form: Form::Ellipsoids, max_alpha: 0.999, min_transmittance: 1e-4, maps: false }
+        Self { form: Form::Ellipsoids, filter: ScreenFilter::default(), max_alpha: 0.999, min_transmittance: 1e-4, maps: false }
     }
 }
 

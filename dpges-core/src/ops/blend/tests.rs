@@ -11,7 +11,7 @@ use self::brute_force::{Pixel, Primitive, Shape, centre_of, pixel};
 use super::{ALPHA_PLANE, Blend, BlendOptions, DEPTH_PLANE, DISTORTION_PLANE, Form, NORMAL_PLANE, blend};
 use crate::camera::{Camera, CameraFromWorld};
 use crate::footprint::splat::Parameters;
-use crate::scene::{Colour, ColourModel, Gaussians};
+use crate::scene::{Colour, ColourModel, Gaussians, ScreenFilter};
 use crate::testing::compare::relative_l2;
 use crate::testing::device;
 use crate::testing::golden::values;
@@ -68,6 +68,10 @@ impl Output {
 
 fn with_maps(form: Form) -> BlendOptions {
     BlendOptions { form, maps: true, ..BlendOptions::default() }
+}
+
+fn plainly_filtered() -> BlendOptions {
+    BlendOptions { filter: ScreenFilter::Plain, ..with_maps(Form::Ellipsoids) }
 }
 
 /// Positions, quaternions, log-scales, opacities and colours, row-major.
@@ -198,11 +202,11 @@ impl Flat {
     }
 
     /// Front to back.
-    fn primitives(&self, camera: &Camera, form: Form) -> Vec<Primitive> {
+    fn primitives(&self, camera: &Camera, options: &BlendOptions) -> Vec<Primitive> {
         let primitive = |i: usize| {
             let (position, quaternion, log_scales) = (self.row(0, i), self.row(1, i), self.row(2, i));
             let parameters = Parameters { position, quaternion, log_scales, opacity: self.0[3][i] };
-            Primitive::new(camera, form, i, &parameters, self.row(4, i))
+            Primitive::new(camera, options, i, &parameters, self.row(4, i))
         };
         let mut primitives: Vec<Primitive> = (0..self.len()).filter_map(primitive).collect();
         brute_force::sort(&mut primitives);

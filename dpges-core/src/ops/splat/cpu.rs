@@ -14,6 +14,7 @@ use crate::footprint::splat::{self, Splat, SplatGrad};
 use crate::host::{self, Host, for_each_cpu_backend, with_real};
 use crate::math::CameraOf;
 use crate::real::Real;
+use crate::scene::ScreenFilter;
 use crate::simd::LANES;
 use crate::simd::vectorised;
 use crate::tiles::layout::{to_planes, to_tiles};
@@ -299,7 +300,7 @@ fn backward<T: Real>(
                         let i = chunk * CHUNK + j;
                         let Some(splat) = gaussians.splat(&camera, i) else { continue };
                         let sum = gather(&splat, grid, &limits, &grad, &mut scratch);
-                        let grads = splat::backward(&camera, &gaussians.parameters(i), &splat, &sum);
+                        let grads = splat::backward(&camera, &gaussians.parameters(i), &splat, &sum, ScreenFilter::Compensated);
                         positions[3 * j..3 * j + 3].copy_from_slice(&grads.position);
                         quaternions[4 * j..4 * j + 4].copy_from_slice(&grads.quaternion);
                         log_scales[3 * j..3 * j + 3].copy_from_slice(&grads.log_scales);

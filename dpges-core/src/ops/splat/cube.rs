@@ -20,6 +20,7 @@ use crate::gpu::rect::Rect;
 use crate::gpu::tile::{own_pixel, plane_of};
 use crate::gpu::vector::{Vec3, row3};
 use crate::gpu::view::CameraUniforms;
+use crate::scene::ScreenFilter;
 use crate::tiles::TileGrid;
 
 const CHANNELS: usize = 4;
@@ -246,7 +247,7 @@ impl SplatOps for CubeBackend {
         let (gaussians, limits) = (gaussians.contiguous(), floats(limits));
         let (client, layers, count) = (limits.client.clone(), limits.shape()[0], gaussians.opacities.shape()[0]);
         let tiles = TileGrid::new(camera.width, camera.height).len();
-        let (splats, rects) = splat_cube::splats(&gaussians, None, &camera);
+        let (splats, rects) = splat_cube::splats(&gaussians, None, &camera, ScreenFilter::Compensated);
         let ends = empty_f32(&limits, [tiles]);
         ends_kernel::launch(
             &client,
@@ -289,7 +290,7 @@ impl SplatOps for CubeBackend {
     ) -> FloatTensor<Self> {
         let (gaussians, limits, gates) = (gaussians.contiguous(), floats(limits), floats(gates));
         let (layers, count) = (limits.shape()[0], gaussians.opacities.shape()[0]);
-        let (splats, rects) = splat_cube::splats(&gaussians, None, &camera);
+        let (splats, rects) = splat_cube::splats(&gaussians, None, &camera, ScreenFilter::Compensated);
         let largest = empty_f32(&limits, [count]);
         contributions_kernel::launch(
             &limits.client.clone(),
@@ -318,7 +319,7 @@ impl SplatBackwardOps for CubeBackend {
     ) -> GaussianTensors<Self> {
         let (gaussians, limits, grad) = (gaussians.contiguous(), floats(limits), floats(grad));
         let (client, layers, count) = (limits.client.clone(), limits.shape()[0], gaussians.opacities.shape()[0]);
-        let (splats, rects) = splat_cube::splats(&gaussians, None, &camera);
+        let (splats, rects) = splat_cube::splats(&gaussians, None, &camera, ScreenFilter::Compensated);
         let moments = empty_f32(&limits, [count, MOMENTS]);
         let out = GaussianTensors::empty(&limits, count);
         gather_kernel::launch(
@@ -336,7 +337,7 @@ impl SplatBackwardOps for CubeBackend {
             count as u32,
             layers,
         );
-        splat_cube::backward(&gaussians, &moments, &camera, &out);
+        splat_cube::backward(&gaussians, &moments, &camera, ScreenFilter::Compensated, &out);
         out
     }
 }

@@ -4,9 +4,9 @@ use glam::{DMat3, DVec3};
 use super::{SplatOptions, contributions, splat};
 use crate::camera::{Camera, CameraFromWorld};
 use crate::footprint::CUTOFF;
-use crate::footprint::splat::{LOW_PASS, MIN_COMPENSATION_SQUARED, Parameters, Splat};
+use crate::footprint::splat::{MIN_COMPENSATION_SQUARED, Parameters, Splat};
 use crate::math::{CameraOf, rotation};
-use crate::scene::{Colour, ColourModel, Gaussians};
+use crate::scene::{Colour, ColourModel, Gaussians, ScreenFilter};
 use crate::testing::device;
 use crate::testing::golden::values;
 use crate::testing::gradients::{check, leaf};
@@ -96,9 +96,10 @@ impl Flat {
         let half = jacobian.map(|row| factor.transpose() * row);
         let unfiltered = half[0].cross(half[1]).length_squared();
         let trace = half[0].length_squared() + half[1].length_squared();
-        let determinant = unfiltered + LOW_PASS * trace + LOW_PASS * LOW_PASS;
+        let low_pass = ScreenFilter::Compensated.variance();
+        let determinant = unfiltered + low_pass * trace + low_pass * low_pass;
         let (a, b, d) =
-            (half[0].length_squared() + LOW_PASS, half[0].dot(half[1]), half[1].length_squared() + LOW_PASS);
+            (half[0].length_squared() + low_pass, half[0].dot(half[1]), half[1].length_squared() + low_pass);
         let strength = self.0[3][i].max(0.0) * (unfiltered / determinant).max(MIN_COMPENSATION_SQUARED).sqrt();
         let mean = [camera.fx * c.x / c.z + camera.cx, camera.fy * c.y / c.z + camera.cy];
         let weight = |at: usize| {
@@ -211,7 +212,7 @@ fn reach_is_the_box_of_the_ellipse_of_the_cutoff() {
         let opacity = flat.0[3][i];
         let log_scales = flat.row(2, i);
         let parameters = Parameters { position: flat.row(0, i), quaternion: flat.row(1, i), log_scales, opacity };
-        let Some(splat) = Splat::new(&of, &parameters, flat.row(4, i)) else { continue };
+        let Some(splat) = Splat::new(&of, &parameters, flat.row(4, i), ScreenFilter::Compensated) else { continue };
         let [a, b, c] = splat.conic;
         let squared = 2.0 * (splat.strength / CUTOFF).ln();
         // θ → offset: L⁻ᵀ (cos θ, sin θ) for the conic L Lᵀ

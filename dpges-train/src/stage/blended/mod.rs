@@ -1,4 +1,5 @@
-//! Training of blended Gaussians: discs (2DGS), or ellipsoids that are relocated (3DGS-MCMC, DBS).
+//! Training of blended Gaussians: discs (2DGS), or ellipsoids that are cloned and split (3DGS) or relocated (3DGS-MCMC,
+//! DBS).
 
 mod losses;
 mod refine;
@@ -10,61 +11,70 @@ use burn::tensor::{DType, Device, Tensor};
 use dpges_core::losses::{Losses, rgb};
 use dpges_core::ops::jitter::NoiseGate;
 use dpges_core::render::blended::{BlendedOptions, render_blended};
-use dpges_core::scene::{Rendering, SceneData, SceneInfo, SurfelData};
+use dpges_core::scene::tensors::rows_to_tensor;
+use dpges_core::scene::{ColourModel, GaussianData, Gaussians, SH_C0, SceneData, SceneInfo, SurfelData};
 
+use super::sampling_limit::SamplingLimit;
 use super::{
     Context, ForwardPass, Leaves, Parameters, Stage, StageCheckpoint, StepInput, StepRates, TrainError, Trained,
 };
-use crate::config::{Config, OpacityActivation, Relocation, StagePlan};
+use crate::config::{Blended, Config, Density, OpacityActivation, Relocation, StagePlan};
 use crate::scene_state::{GaussianState, Rates, SurfelState};
 use losses::Weights;
 use schedule::{BlendedDue, BlendedSchedule};
 pub use screen_gradients::ScreenGradients;
 
+/// Base colour that is black without detail: 0.5 + C₀ k = 0.
+const BLACK: f64 = -0.5 / SH_C0;
+
 /// A stage of blended Gaussians. Their opacities are trained as logits.
 pub struct BlendedStage {
     pub plan: StagePlan,
-    /// How Gaussians are relocated; `None` for discs, which are densified instead.
-    relocation: Option<Relocation>,
+    blended: Blended,
     pub info: SceneInfo,
     schedule: BlendedSchedule,
     /// There are none.
     surfels: SurfelState,
     pub gaussians: GaussianState,
     pub screen_gradients: ScreenGradients,
+    /// `None` without a filter in the world.
+    pub sampling_limit: Option<SamplingLimit>,
 }
 
 impl BlendedStage {
-    /// A stage of discs, or of Gaussians that are relocated.
+    /// A stage of discs or of Gaussians.
     ///
     /// # Errors
     /// Those of [`begin`](super::begin).
-    pub fn begin(plan: StagePlan, relocation: Option<Relocation>, context: &mut Context) -> Result<Self, TrainError> {
-        let start = match relocation {
-            None => context.start_of_discs(plan)?,
-            Some(_) => context.start_of_gaussians(plan)?,
+    pub fn begin(plan: StagePlan, blended: Blended, context: &mut Context) -> Result<Self, TrainError> {
+        let start = match blended {
+            Blended::Discs => context.start_of_discs(plan)?,
+            Blended::Controlled(_) | Blended::Relocated(_) => context.start_of_gaussians(plan, blended)?,
         };
         let device = &context.device;
         let gaussians = GaussianState::new(&start, OpacityActivation::Sigmoid, device);
         let screen_gradients = ScreenGradients::new(start.len(), device);
-        Ok(Self::new(plan, relocation, gaussians, screen_gradients, context))
+        let smooths = blended == Blended::Controlled(Density::Smoothed);
+        let smoothing_px = context.config.density.smoothing;
+        let positions = gaussians.columns.positions.raw();
+        let sampling_limit = smooths.then(|| SamplingLimit::new(&positions, smoothing_px, context));
+        Ok(Self { sampling_limit, ..Self::new(plan, blended, gaussians, screen_gradients, context) })
     }
 
-    /// A stage that goes on with `gaussians` and their `screen_gradients`.
+    /// A stage that goes on with `gaussians` and their `screen_gradients`, without a sampling limit.
     pub fn new(
         plan: StagePlan,
-        relocation: Option<Relocation>,
+        blended: Blended,
         gaussians: GaussianState,
         screen_gradients: ScreenGradients,
         context: &Context,
     ) -> Self {
         let config = &context.config;
-        let rendering = if relocation.is_none() { Rendering::Discs } else { Rendering::Ellipsoids };
         Self {
             plan,
-            relocation,
-            info: context.scene_info(rendering),
-            schedule: BlendedSchedule::new(config, plan, relocation, context.dataset.train.len()),
+            blended,
+            info: SceneInfo { screen_filter: blended.screen_filter(), ..context.scene_info(blended.rendering()) },
+            schedule: BlendedSchedule::new(config, plan, blended, context.dataset.train.len()),
             surfels: SurfelState::new(
                 &SurfelData::neutral(config.model.colour, 0),
                 OpacityActivation::Linear,
@@ -72,6 +82,61 @@ impl BlendedStage {
             ),
             gaussians,
             screen_gradients,
+            sampling_limit: None,
+        }
+    }
+
+    /// The Gaussians as they are drawn, wherever they come from: with their sampling limit, and without base colours below
+    /// black, which count as black as long as they are blended (DBS).
+    fn drawn(&self) -> GaussianData {
+        let mut gaussians = self.gaussians.to_data();
+        if let Some(limit) = &self.sampling_limit {
+            limit.bake(&mut gaussians);
+        }
+        if let ColourModel::SphericalBeta { .. } = self.info.colour_model {
+            gaussians.colour.base.iter_mut().for_each(|base| *base = base.max(BLACK as f32));
+        }
+        gaussians
+    }
+
+    /// What a step draws.
+    fn drawn_on_tape(&self, gaussians: &Gaussians, completed: usize, config: &Config, tape: &Device) -> Gaussians {
+        let mut gaussians = match &self.sampling_limit {
+            Some(limit) => limit.smoothed(gaussians),
+            None => gaussians.clone(),
+        };
+        match self.info.colour_model {
+            ColourModel::SphericalBeta { .. } => {
+                gaussians.colour.base = gaussians.colour.base.clamp_min(BLACK);
+            }
+            ColourModel::SphericalHarmonics { degree } => {
+                let learning = self.degree(completed, config);
+                let (of, all) = (ColourModel::SphericalHarmonics { degree: learning }.detail_len(), degree);
+                if learning < all {
+                    let mask = (0..self.info.colour_model.detail_len()).map(|at| f32::from(u8::from(at < of)));
+                    let mask: Vec<f32> = mask.collect();
+                    gaussians.colour.detail =
+                        gaussians.colour.detail * rows_to_tensor(&mask, mask.len(), tape, DType::F32);
+                }
+            }
+        }
+        gaussians
+    }
+
+    /// The degree up to which harmonics learn.
+    fn degree(&self, completed: usize, config: &Config) -> usize {
+        let interval = match self.blended {
+            Blended::Controlled(_) => self.plan.scaled(config.density.degree_every),
+            Blended::Discs | Blended::Relocated(_) => 0,
+        };
+        completed.checked_div(interval).unwrap_or(usize::MAX)
+    }
+
+    /// Forgets what was observed of Gaussians that are no longer the same.
+    fn restart_observations(&mut self, context: &Context) {
+        self.screen_gradients = ScreenGradients::new(self.gaussians.len(), &context.device);
+        if let Some(limit) = &mut self.sampling_limit {
+            limit.measure(&self.gaussians.columns.positions.raw(), context);
         }
     }
 
@@ -82,9 +147,10 @@ impl BlendedStage {
     }
 
     fn weights(&self, completed: usize, config: &Config) -> Weights {
-        match self.relocation {
-            None => Weights::of_discs(&config.discs, self.plan, completed),
-            Some(kind) => Weights::of_relocated(&config.relocation, kind, self.plan, completed),
+        match self.blended {
+            Blended::Discs => Weights::of_discs(&config.discs, self.plan, completed),
+            Blended::Controlled(_) => Weights::default(),
+            Blended::Relocated(kind) => Weights::of_relocated(&config.relocation, kind, self.plan, completed),
         }
     }
 
@@ -108,7 +174,7 @@ impl Stage for BlendedStage {
 
     fn scene(&self) -> SceneData {
         let surfels = SurfelData::neutral(self.info.colour_model, 0);
-        SceneData { info: self.info.clone(), surfels, gaussians: self.gaussians.to_data() }
+        SceneData { info: self.info.clone(), surfels, gaussians: self.drawn() }
     }
 
     fn is_due(&self, completed: usize) -> bool {
@@ -125,9 +191,14 @@ impl Stage for BlendedStage {
         input: &StepInput<'_>,
         context: &Context,
     ) -> dpges_core::Result<ForwardPass> {
-        let (gaussians, camera) = (&leaves.gaussians, &input.view.camera);
+        let camera = &input.view.camera;
         let tape = context.tape();
         let probe = self.probe(input.completed, &tape);
+        if probe.is_some() {
+            let axes = if self.blended == Blended::Discs { 2 } else { 3 };
+            self.screen_gradients.see(&self.gaussians.values(), axes, camera);
+        }
+        let gaussians = &self.drawn_on_tape(&leaves.gaussians, input.completed, &context.config, &tape);
         let weights = self.weights(input.completed, &context.config);
         let mut options = BlendedOptions::new(&self.info)?;
         options.blend.maps = weights.need_maps();
@@ -157,7 +228,7 @@ impl Stage for BlendedStage {
     }
 
     fn after_step(&mut self, completed: usize, context: &mut Context) -> Result<(), TrainError> {
-        if self.relocation == Some(Relocation::Mcmc) {
+        if self.blended == Blended::Relocated(Relocation::Mcmc) {
             self.jitter(NoiseGate::Mcmc, completed, context)?;
         }
         Ok(())
@@ -168,10 +239,10 @@ impl Stage for BlendedStage {
     }
 
     fn hand_on(&self, trained: &mut Trained) {
-        let gaussians = Some(self.gaussians.to_data());
-        match self.relocation {
-            None => trained.discs = gaussians,
-            Some(_) => trained.gaussians = gaussians,
+        let gaussians = Some(self.drawn());
+        match self.blended {
+            Blended::Discs => trained.discs = gaussians,
+            Blended::Controlled(_) | Blended::Relocated(_) => trained.gaussians = gaussians,
         }
     }
 }

@@ -4,10 +4,10 @@ use dpges_core::ops::jitter::{JitterOptions, NoiseGate, jitter};
 use rand::RngExt;
 
 use super::super::{Context, TrainError};
-use super::schedule::BlendedDue;
-use super::{BlendedStage, ScreenGradients};
-use crate::config::Relocation;
-use crate::refine::densify::{DensifyRule, densify, reset_opacities};
+use super::BlendedStage;
+use super::schedule::{BlendedDue, CAPPED_OPACITY};
+use crate::config::{Blended, Density, Relocation};
+use crate::refine::densify::{ByAbsolute, DensifyRule, densify, reset_opacities};
 use crate::refine::relocate::{grown, relocate_and_add};
 
 /// Jitter of DBS over that of 3DGS-MCMC, where both relocate.
@@ -26,12 +26,19 @@ impl BlendedStage {
             events.push(self.densify(completed, context));
         }
         if due.reset {
-            let discs = &context.config.discs;
-            let opacities = reset_opacities(&self.gaussians.opacities(), discs.reset_opacity as f32);
-            self.gaussians.reset_opacities(&opacities);
-            events.push(format!("opacities reset to at most {}", discs.reset_opacity));
+            let config = &context.config;
+            let discs = self.blended == Blended::Discs;
+            let at_most = if discs { config.discs.reset_opacity } else { config.density.reset_opacity };
+            self.limit_opacities(at_most);
+            events.push(format!("opacities reset to at most {at_most}"));
         }
-        if let (true, Some(kind)) = (due.relocate, self.relocation) {
+        if due.cap {
+            self.limit_opacities(CAPPED_OPACITY);
+        }
+        if let (true, Some(limit)) = (due.measure, &mut self.sampling_limit) {
+            limit.measure(&self.gaussians.columns.positions.raw(), context);
+        }
+        if let (true, Some(kind)) = (due.relocate, self.blended.relocation()) {
             self.relocate(kind, context);
             if kind == Relocation::Beta {
                 self.jitter(NoiseGate::Beta, completed, context)?;
@@ -40,17 +47,42 @@ impl BlendedStage {
         Ok(events)
     }
 
-    /// Clones or splits the discs whose pictures want them to move, and removes faint and large ones.
-    fn densify(&mut self, completed: usize, context: &mut Context) -> String {
-        let discs = &context.config.discs;
-        let rule = DensifyRule {
-            gradient_threshold: discs.gradient_threshold,
-            by_quantile: discs.by_quantile,
-            dense_fraction: discs.dense_fraction,
-            min_opacity: discs.min_opacity,
-            max_scale_fraction: (completed >= self.plan.scaled(discs.max_scale_from)).then_some(discs.max_scale),
-            flat: true,
+    fn limit_opacities(&mut self, at_most: f64) {
+        let opacities = reset_opacities(&self.gaussians.opacities(), at_most as f32);
+        self.gaussians.reset_opacities(&opacities);
+    }
+
+    fn densify_rule(&self, completed: usize, context: &Context) -> DensifyRule {
+        let (discs, density) = (&context.config.discs, &context.config.density);
+        let from = |step: usize, limit: f64| (completed >= self.plan.scaled(step)).then_some(limit);
+        let Blended::Controlled(kind) = self.blended else {
+            return DensifyRule {
+                gradient_threshold: discs.gradient_threshold,
+                by_absolute: if discs.by_quantile { ByAbsolute::Quantile } else { ByAbsolute::Nothing },
+                dense_fraction: discs.dense_fraction,
+                min_opacity: discs.min_opacity,
+                max_scale_fraction: from(discs.max_scale_from, discs.max_scale),
+                flat: true,
+            };
         };
+        let (by_absolute, dense_fraction) = match kind {
+            Density::Signed => (ByAbsolute::Nothing, density.dense_fraction),
+            Density::Absolute => (ByAbsolute::Splits(density.absolute_threshold), density.absolute_dense_fraction),
+            Density::Smoothed => (ByAbsolute::Quantile, density.dense_fraction),
+        };
+        DensifyRule {
+            gradient_threshold: density.gradient_threshold,
+            by_absolute,
+            dense_fraction,
+            min_opacity: density.min_opacity,
+            max_scale_fraction: from(density.max_scale_from, density.max_scale),
+            flat: false,
+        }
+    }
+
+    /// Clones or splits the primitives whose pictures want them to move, and removes faint and large ones.
+    fn densify(&mut self, completed: usize, context: &mut Context) -> String {
+        let rule = self.densify_rule(completed, context);
         let before = self.gaussians.len();
         let room = context.most_primitives(self.plan.budget_share).saturating_sub(before);
         let edit = densify(
@@ -62,9 +94,10 @@ impl BlendedStage {
             &mut context.rng,
         );
         self.gaussians.edit(&edit);
-        self.screen_gradients = ScreenGradients::new(self.gaussians.len(), &context.device);
+        self.restart_observations(context);
         let (removed, added) = (edit.rows.removed_from(before), edit.added.len());
-        format!("{added} of {before} discs added by densification, {removed} removed")
+        let what = if self.blended == Blended::Discs { "discs" } else { "Gaussians" };
+        format!("{added} of {before} {what} added by densification, {removed} removed")
     }
 
     /// Moves faint Gaussians to where opaque ones are, and adds some, up to the budget. This happens every few steps, so
@@ -77,7 +110,7 @@ impl BlendedStage {
         let min_opacity = relocation.min_opacity;
         let Some(relocated) = relocate_and_add(&gaussians, target, min_opacity, kind, &mut context.rng) else { return };
         self.gaussians.relocate(&relocated);
-        self.screen_gradients = ScreenGradients::new(self.gaussians.len(), &context.device);
+        self.restart_observations(context);
         tracing::debug!("{} Gaussians relocated, {} added", relocated.relocated, relocated.added);
     }
 

@@ -1,10 +1,15 @@
-//! At which steps of a stage of blended Gaussians the set of Gaussians changes.
+//! At which steps of a stage of blended primitives their set changes.
 
 use crate::config::stages::SHORTEST_RESET;
-use crate::config::{Config, Relocation, StagePlan};
+use crate::config::{Blended, Config, Density, StagePlan};
 
 /// Fewest steps between two relocations: fewer would say nothing new about who is dead, and cost more than the steps.
 const SHORTEST_RELOCATION: usize = 5;
+/// Interval of limiting opacities and their limit (AbsGS).
+const CAP_EVERY: usize = 500;
+pub const CAPPED_OPACITY: f64 = 0.8;
+/// Fewest steps between two limitations.
+const SHORTEST_CAP: usize = 100;
 
 /// Completed steps of a stage at which something changes, ascending.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -12,7 +17,11 @@ pub struct BlendedSchedule {
     pub densify: Vec<usize>,
     /// When opacities are reset.
     pub reset: Vec<usize>,
+    /// When opacities are limited.
+    pub cap: Vec<usize>,
     pub relocate: Vec<usize>,
+    /// When the sampling limit is measured, besides whenever Gaussians come or go.
+    pub measure: Vec<usize>,
 }
 
 /// What is due after a given number of completed steps.
@@ -20,13 +29,15 @@ pub struct BlendedSchedule {
 pub struct BlendedDue {
     pub densify: bool,
     pub reset: bool,
+    pub cap: bool,
     pub relocate: bool,
+    pub measure: bool,
 }
 
 impl BlendedSchedule {
-    /// The schedule of a stage over `views` training views, of Gaussians that are relocated or, without `relocation`, of
-    /// discs. Densification waits until all views were seen, as pruning does.
-    pub fn new(config: &Config, plan: StagePlan, relocation: Option<Relocation>, views: usize) -> Self {
+    /// The schedule of a stage over `views` training views. Densification of discs waits until all views were seen, as
+    /// pruning does.
+    pub fn new(config: &Config, plan: StagePlan, blended: Blended, views: usize) -> Self {
         let scaled = |steps: Vec<usize>| -> Vec<usize> {
             let mut steps: Vec<usize> = steps.into_iter().map(|step| plan.scaled(step)).collect();
             steps.retain(|&step| step > 0 && step < plan.steps);
@@ -34,8 +45,12 @@ impl BlendedSchedule {
             steps
         };
         let every = |every: usize, from: usize, until: usize| (from..until).step_by(every.max(1)).collect::<Vec<_>>();
-        match relocation {
-            None => {
+        let resets = |interval: usize, until: usize| {
+            let enough = plan.scaled(interval) >= SHORTEST_RESET;
+            if enough { scaled(every(interval, interval, until)) } else { Vec::new() }
+        };
+        match blended {
+            Blended::Discs => {
                 let discs = &config.discs;
                 let views = views.max(1);
                 let until = plan.scaled(discs.densify_until).min(plan.steps);
@@ -44,15 +59,24 @@ impl BlendedSchedule {
                     scaled(steps).into_iter().map(|step| step.div_ceil(views) * views).collect();
                 densify.retain(|&step| step < until);
                 densify.dedup();
-                let resets = plan.scaled(discs.reset_every) >= SHORTEST_RESET;
-                let reset = if resets {
-                    scaled(every(discs.reset_every, discs.reset_every, discs.densify_until))
-                } else {
-                    Vec::new()
-                };
-                Self { densify, reset, relocate: Vec::new() }
+                Self { densify, reset: resets(discs.reset_every, discs.densify_until), ..Self::default() }
             }
-            Some(_) => {
+            Blended::Controlled(density) => {
+                let control = &config.density;
+                let interval = plan.scaled(control.every).max(control.every.min(views)).max(1);
+                let from = plan.scaled(control.from) + interval;
+                let until = plan.scaled(control.until).min(plan.steps);
+                let cap = plan.scaled(CAP_EVERY) >= SHORTEST_CAP && density == Density::Absolute;
+                let measures = density == Density::Smoothed;
+                Self {
+                    densify: every(interval, from, until),
+                    reset: resets(control.reset_every, control.until),
+                    cap: if cap { scaled(every(CAP_EVERY, CAP_EVERY, control.until)) } else { Vec::new() },
+                    measure: if measures { every(interval, interval, plan.steps) } else { Vec::new() },
+                    ..Self::default()
+                }
+            }
+            Blended::Relocated(_) => {
                 let relocation = &config.relocation;
                 let steps = every(relocation.every, relocation.from + relocation.every, relocation.until);
                 let mut relocate = scaled(steps);
@@ -69,21 +93,25 @@ impl BlendedSchedule {
 
     pub fn due(&self, completed: usize) -> BlendedDue {
         let due = |steps: &[usize]| steps.binary_search(&completed).is_ok();
-        BlendedDue { densify: due(&self.densify), reset: due(&self.reset), relocate: due(&self.relocate) }
+        BlendedDue {
+            densify: due(&self.densify),
+            reset: due(&self.reset),
+            cap: due(&self.cap),
+            relocate: due(&self.relocate),
+            measure: due(&self.measure),
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::{Method, StageKind};
+    use crate::config::Method;
 
     fn schedule(method: Method, steps: usize, views: usize) -> BlendedSchedule {
         let mut config = Config::default();
         (config.train.method, config.train.steps) = (method, steps);
-        let plan = config.plan()[0];
-        let relocation = if let StageKind::Gaussians(relocation) = plan.kind { Some(relocation) } else { None };
-        BlendedSchedule::new(&config, plan, relocation, views)
+        BlendedSchedule::new(&config, config.plan()[0], method.alone().unwrap(), views)
     }
 
     #[test]
@@ -91,6 +119,13 @@ mod tests {
         let discs = schedule(Method::Discs, 30_000, 100);
         assert_eq!((discs.densify[0], discs.densify.last(), discs.densify.len()), (600, Some(&14_900), 144));
         assert_eq!(discs.reset, [3000, 6000, 9000, 12_000]);
+        let plain = schedule(Method::Gaussians3d, 30_000, 300);
+        assert_eq!((&plain.densify, &plain.reset), (&discs.densify, &discs.reset));
+        assert!(plain.cap.is_empty() && plain.measure.is_empty());
+        let absolute = schedule(Method::Absolute, 30_000, 300);
+        assert_eq!((absolute.cap[0], absolute.cap.last(), absolute.cap.len()), (500, Some(&14_500), 29));
+        let smoothed = schedule(Method::MipSplatting, 30_000, 300);
+        assert_eq!((smoothed.measure[0], smoothed.measure.last()), (100, Some(&29_900)));
         let dbs = schedule(Method::Dbs, 30_000, 100);
         assert_eq!((dbs.relocate[0], dbs.relocate.last(), dbs.relocate.len()), (600, Some(&24_900), 244));
         assert!(dbs.densify.is_empty() && discs.relocate.is_empty());
@@ -104,5 +139,8 @@ mod tests {
         let mcmc = schedule(Method::Mcmc, 300, 40);
         assert!(mcmc.relocate.windows(2).all(|pair| pair[0] + 5 <= pair[1]) && mcmc.relocate.len() > 40);
         assert!(mcmc.relocate.iter().all(|&step| step < 250));
+        let plain = schedule(Method::Gaussians3d, 2000, 112);
+        assert_eq!((plain.densify[0], plain.densify[1], plain.densify.len()), (133, 233, 9));
+        assert!(plain.reset.is_empty());
     }
 }

@@ -1,7 +1,9 @@
 //! How much the pictures want each Gaussian to move on the screen: what densification decides by.
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
-use dpges_core::scene::tensors::tensor_to_rows;
+use dpges_core::camera::Camera;
+use dpges_core::scene::Gaussians;
+use dpges_core::scene::tensors::{rows_to_tensor, tensor_to_rows};
 
 use crate::refine::densify::GradientSums;
 
@@ -11,7 +13,7 @@ pub struct ScreenGradients {
     signed: Tensor<1>,
     /// [M] sum of the norms of their absolute values, summed over pixels.
     absolute: Tensor<1>,
-    /// [M] number of views in which the Gaussian took part.
+    /// [M] number of views that had the Gaussian in their picture, hidden or not.
     views: Tensor<1>,
 }
 
@@ -37,13 +39,20 @@ impl ScreenGradients {
         [&self.signed, &self.absolute, &self.views].map(tensor_to_rows)
     }
 
+    /// Counts a view for the Gaussians of which something may be in its picture. `axes` of their scales count: 2 of discs,
+    /// 3 of ellipsoids.
+    pub fn see(&mut self, gaussians: &Gaussians, axes: usize, camera: &Camera) {
+        if !gaussians.is_empty() {
+            self.views = self.views.clone() + in_picture(gaussians, axes, camera);
+        }
+    }
+
     /// Adds the gradient [M, 4] of the probe of one view.
     pub fn add(&mut self, probe: Tensor<2>) {
         let [count, _] = probe.dims();
         let squares = probe.clone() * probe.clone();
         let norm = |from: usize| squares.clone().slice([0..count, from..from + 2]).sum_dim(1).sqrt().reshape([count]);
         let (signed, absolute) = (norm(0), norm(2));
-        self.views = self.views.clone() + absolute.clone().greater_elem(0.0).float();
         self.signed = self.signed.clone() + signed;
         self.absolute = self.absolute.clone() + absolute;
     }
@@ -55,18 +64,68 @@ impl ScreenGradients {
     }
 }
 
+/// `[M]` 1 for each Gaussian in front of the near plane whose sphere of 3 of its largest σ reaches the picture, else 0
+/// (3DGS takes the box of its ellipse).
+fn in_picture(gaussians: &Gaussians, axes: usize, camera: &Camera) -> Tensor<1> {
+    const SIGMAS: f64 = 3.0;
+    let (positions, count) = (&gaussians.positions, gaussians.len());
+    let pose = &camera.camera_from_world;
+    let rotation: Vec<f32> = (0..3).flat_map(|i| pose.rotation.row(i).to_array()).map(|value| value as f32).collect();
+    let rotation = rows_to_tensor(&rotation, 3, &positions.device(), DType::F32);
+    let in_camera = positions.clone().matmul(rotation.transpose());
+    let column = |i: usize| in_camera.clone().slice([0..count, i..i + 1]).reshape([count]) + pose.translation[i];
+    let (x, y, z) = (column(0), column(1), column(2));
+    let ahead = z.clone().greater_elem(camera.near);
+    let z = z.clamp_min(camera.near);
+    let largest = gaussians.log_scales.clone().slice([0..count, 0..axes]).max_dim(1).reshape([count]).exp();
+    let reach = |along: Tensor<1>, focal: f64, centre: f64, size: usize| {
+        let half = size as f64 / 2.0;
+        let from_middle = (along * focal / z.clone() + (centre - half)).abs();
+        from_middle.lower(largest.clone() * (SIGMAS * focal) / z.clone() + half)
+    };
+    let beside = reach(x, camera.fx, camera.cx, camera.width);
+    let above = reach(y, camera.fy, camera.cy, camera.height);
+    ahead.bool_and(beside).bool_and(above).float()
+}
+
 #[cfg(test)]
 mod tests {
+    use dpges_core::camera::CameraFromWorld;
+    use dpges_core::scene::{ColourModel, GaussianData};
+    use glam::DVec3;
+
     use super::*;
 
     #[test]
-    fn screen_gradients_are_summed_by_norm_and_counted_where_there_are_any() {
+    fn views_count_for_what_is_in_their_picture_hidden_or_not() {
+        let camera_from_world = CameraFromWorld::look_at(DVec3::ZERO, DVec3::Z, -DVec3::Y);
+        let camera = Camera { camera_from_world, fx: 50.0, fy: 50.0, cx: 10.0, cy: 10.0, width: 40, height: 20, near: 0.5 };
+        // seen, behind, too near, beyond the left border (10 px left of the axis), reaching over it, below the picture
+        let positions = [
+            [0.0, 0.0, 2.0], [0.0, 0.0, -2.0], [0.0, 0.0, 0.4], [-0.5, 0.0, 2.0], [-0.5, 0.0, 2.0], [0.0, 0.5, 2.0],
+        ];
+        let mut data = GaussianData::neutral(ColourModel::SphericalBeta { lobes: 0 }, 6);
+        data.positions = positions.as_flattened().to_vec();
+        let scales = |scale: f32| [scale.ln(), scale.ln(), 2.0];
+        data.log_scales = [0.01, 0.01, 0.01, 0.01, 0.05, 0.01].into_iter().flat_map(scales).collect();
+        let device = Device::flex();
+        let gaussians = Gaussians::from_data(&data, &device, DType::F32);
+        let mut sums = ScreenGradients::new(6, &device);
+        sums.see(&gaussians, 2, &camera);
+        sums.see(&gaussians, 2, &camera);
+        assert_eq!(sums.sums().views, [2, 0, 0, 0, 2, 0]);
+        sums.see(&gaussians, 3, &camera);
+        assert_eq!(sums.sums().views, [3, 0, 0, 1, 3, 1]);
+    }
+
+    #[test]
+    fn screen_gradients_are_summed_by_norm() {
         let device = Device::flex();
         let mut sums = ScreenGradients::new(2, &device);
         let probe = |rows: [f32; 8]| Tensor::from_data(TensorData::new(rows.to_vec(), [2, 4]), (&device, DType::F32));
         sums.add(probe([3.0, -4.0, 6.0, 8.0, 0.0, 0.0, 0.0, 0.0]));
         sums.add(probe([0.0, 1.0, 0.0, 2.0, 0.0, 0.0, 1.0, 0.0]));
         let GradientSums { signed, absolute, views } = sums.sums();
-        assert_eq!((signed, absolute, views), (vec![6.0, 0.0], vec![12.0, 1.0], vec![2, 1]));
+        assert_eq!((signed, absolute, views), (vec![6.0, 0.0], vec![12.0, 1.0], vec![0, 0]));
     }
 }

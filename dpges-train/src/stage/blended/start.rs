@@ -3,7 +3,7 @@
 use dpges_core::scene::{GaussianData, SurfelData};
 
 use super::super::{Context, TrainError};
-use crate::config::StagePlan;
+use crate::config::{Blended, StagePlan};
 use crate::init::{Room, initialise};
 
 /// Thickness of a Gaussian that is made of a surfel, over the mean of its two scales (GES).
@@ -28,10 +28,13 @@ impl Context {
 
     /// # Errors
     /// [`TrainError::Init`] if the dataset has nothing to begin with.
-    pub fn start_of_gaussians(&mut self, plan: StagePlan) -> Result<GaussianData, TrainError> {
+    pub fn start_of_gaussians(&mut self, plan: StagePlan, blended: Blended) -> Result<GaussianData, TrainError> {
         let mut config = self.config.clone();
-        config.init.gaussian_scale = config.relocation.start_scale;
-        config.init.gaussian_opacity = config.relocation.start_opacity;
+        let (density, relocation) = (&config.density, &config.relocation);
+        (config.init.gaussian_scale, config.init.gaussian_opacity) = match blended {
+            Blended::Controlled(_) => (density.start_scale, density.start_opacity),
+            Blended::Discs | Blended::Relocated(_) => (relocation.start_scale, relocation.start_opacity),
+        };
         let room = self.most_primitives(plan.budget_share) as f64;
         Ok(initialise(&self.dataset, &config, Room::new(room, room), &mut self.rng)?.gaussians)
     }

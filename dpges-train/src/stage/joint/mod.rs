@@ -1,6 +1,7 @@
 //! The joint optimisation of surfels and Gaussians (DP-GES).
 
 mod automatic_budget;
+mod evidence;
 mod refine;
 mod start;
 mod statistics;

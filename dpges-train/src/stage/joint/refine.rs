@@ -1,5 +1,7 @@
 //! Applies the decisions of [`crate::refine`] to surfels and Gaussians.
 
+use std::collections::HashSet;
+
 use burn::tensor::{DType, Tensor};
 use dpges_core::camera::Camera;
 use dpges_core::ops::splat::{SplatOptions, splat};
@@ -11,15 +13,18 @@ use glam::DVec3;
 use super::super::context::mean_pixels;
 use super::super::{Context, TrainError};
 use super::JointStage;
-use crate::config::{AddAs, Budget, Due};
+use crate::config::{AddAs, Budget, Due, PixelsOf};
 use crate::dataset::View;
 use crate::refine::add::{batch_size, draw_in_proportion, gaussians_of_pixels, new_gaussians};
+use crate::refine::agreement::{agreed_depth, nearest_views};
 use crate::refine::growth::Decision;
 use crate::refine::margins::margins;
 use crate::refine::prune::{drawn, gaussians_to_keep, surfels_to_keep};
 use crate::refine::split::split;
 use crate::refine::{GaussianEdit, RowEdit};
 
+/// Pixels that are drawn for each that other views shall confirm.
+const UNCONFIRMED: usize = 3;
 /// Largest scale of an added Gaussian, as a fraction of the extent.
 const MAX_ADDED_SCALE: f64 = 0.01;
 
@@ -33,11 +38,16 @@ impl JointStage {
         if due.gaussian_prune {
             events.push(self.prune_gaussians(context));
         }
-        if due.margins {
+        if due.judge_surfels {
+            events.extend(self.judge_surfels(context)?);
+        }
+        if due.margins || (due.surfel_prune && context.config.refine.margins_with_pruning) {
             let surfels = self.surfels.to_data();
             let margins = margins(&surfels.positions, &surfels.log_scales, context.config.model.margin);
             self.surfels.columns.margins.set(&margins);
             events.push(format!("margins of {} surfels computed", surfels.len()));
+        }
+        if due.margins {
             let begun = context.completed_steps > self.plan.begin;
             if begun && context.config.refine.budget == Budget::Auto {
                 events.push(self.choose_layer_count(context)?);
@@ -69,7 +79,10 @@ impl JointStage {
             &self.statistics.max_pixels(),
             &log_scales,
             self.info.extent,
-            min_pixels(refine.surfel_min_pixels, mean_pixels(&context.dataset)),
+            match refine.surfel_pixels_of {
+                PixelsOf::Picture => refine.surfel_min_pixels,
+                PixelsOf::Megapixel => min_pixels(refine.surfel_min_pixels, mean_pixels(&context.dataset)),
+            },
             refine.surfel_max_scale,
         );
         let before = self.surfels.len();
@@ -87,19 +100,16 @@ impl JointStage {
     }
 
     fn split_gaussians(&mut self, context: &mut Context) -> String {
+        self.remove_undrawn();
         let surfels = self.surfels.to_data();
         let room = context.budget().saturating_sub(self.surfels.len() + self.gaussians.len());
         let before = self.gaussians.len();
-        let edit = split(
-            &self.gaussians.to_data(),
-            &surfels.positions,
-            &surfels.margins,
-            context.config.refine.split_factor,
-            room,
-            &mut context.rng,
-        );
+        let factor = context.config.refine.split_factor;
+        let gaussians = self.gaussians.to_data();
+        let (edit, too_large) =
+            split(&gaussians, &surfels.positions, &surfels.margins, factor, room, &mut context.rng);
         self.edit_gaussians(&edit);
-        format!("{} of {before} Gaussians split", self.gaussians.len() - before)
+        format!("{} of {too_large} Gaussians split that are too large, of {before}", self.gaussians.len() - before)
     }
 
     /// Removes Gaussians that draw nothing. Returns how many.
@@ -130,6 +140,8 @@ impl JointStage {
         let everywhere = context.config.refine.add_everywhere;
         let views = context.dataset.train.len();
         let dataset = context.dataset.clone();
+        let least = context.config.refine.add_agreement;
+        let neighbours = if least > 0 { nearest_views(&context.dataset.train) } else { Vec::new() };
         let mut spots = Spots::default();
         for (index, view) in dataset.train.iter().enumerate() {
             let share = count / views + usize::from(index < count % views);
@@ -137,13 +149,26 @@ impl JointStage {
                 let options = self.render_options(&context.config).splat;
                 let rendered = self.render_view(context, view)?;
                 let error = squared_error(&rendered, view.target(&context.device));
-                let pixels = draw_in_proportion(&error, share, &mut context.rng);
+                let drawn = if least > 0 { UNCONFIRMED * share } else { share };
+                let pixels = draw_in_proportion(&error, drawn, &mut context.rng);
                 let mut depths = tensor_to_rows(&rendered.layers.depth);
                 if everywhere && pixels.iter().any(|&pixel| !depths[pixel].is_finite()) {
                     let behind = gaussian_depth(&self.gaussians.values(), &rendered.limits, &view.camera, &options)?;
                     depths.iter_mut().zip(behind).filter(|(depth, _)| !depth.is_finite()).for_each(|(d, z)| *d = z);
                 }
-                spots.add(&depths, view, &pixels);
+                let agreed = |pixel: usize| {
+                    let assumed = f64::from(depths[pixel]);
+                    if least == 0 {
+                        return Some(assumed);
+                    }
+                    let others = neighbours[index].iter().map(|&other| &dataset.train[other]);
+                    agreed_depth(view, others, pixel, assumed, least)
+                };
+                let mut taken = HashSet::new();
+                let known = pixels.iter().filter(|&&pixel| depths[pixel].is_finite());
+                let known = known.filter(|&&pixel| least == 0 || taken.insert(pixel));
+                let found = known.filter_map(|&pixel| Some((pixel, agreed(pixel)?)));
+                spots.add(view, found.take(share));
             }
         }
         let (model, rng) = (self.info.colour_model, &mut context.rng);
@@ -182,7 +207,7 @@ fn min_pixels(per_megapixel: usize, pixels: usize) -> usize {
 }
 
 /// [H × W] squared error summed over channels.
-fn squared_error(rendered: &Render, target: Tensor<3>) -> Vec<f32> {
+pub fn squared_error(rendered: &Render, target: Tensor<3>) -> Vec<f32> {
     let difference = rendered.composite.image.clone() - target;
     tensor_to_rows(&(difference.clone() * difference).sum_dim(0))
 }
@@ -216,18 +241,15 @@ struct Spots {
 }
 
 impl Spots {
-    /// Adds `pixels` of `view` at their `depths` [H × W], world units. Pixels without a finite depth are left out.
-    fn add(&mut self, depths: &[f32], view: &View, pixels: &[usize]) {
+    /// Adds pixels of `view` at their depths, world units.
+    fn add(&mut self, view: &View, pixels: impl Iterator<Item = (usize, f64)>) {
         let (camera, planes) = (&view.camera, &view.picture.planes);
         let area = camera.width * camera.height;
-        for &pixel in pixels {
-            let depth = f64::from(depths[pixel]);
-            if depth.is_finite() {
-                let (x, y) = ((pixel % camera.width) as f64 + 0.5, (pixel / camera.width) as f64 + 0.5);
-                self.positions.push(camera.unproject(x, y, depth).as_vec3().to_array());
-                self.pixel_sizes.push((depth / camera.fx.max(camera.fy)) as f32);
-                self.colours.push([0, 1, 2].map(|channel| planes[channel * area + pixel]));
-            }
+        for (pixel, depth) in pixels {
+            let (x, y) = ((pixel % camera.width) as f64 + 0.5, (pixel / camera.width) as f64 + 0.5);
+            self.positions.push(camera.unproject(x, y, depth).as_vec3().to_array());
+            self.pixel_sizes.push((depth / camera.fx.max(camera.fy)) as f32);
+            self.colours.push([0, 1, 2].map(|channel| planes[channel * area + pixel]));
         }
     }
 }

@@ -1,14 +1,15 @@
 //! What the joint stage begins with: trained discs and Gaussians, files, or the points of the dataset.
 
-use dpges_core::scene::{GaussianData, Rendering, SceneData};
+use dpges_core::scene::{GaussianData, Rendering, SceneData, ScreenFilter};
 
 use super::super::given::{GAUSSIANS_FROM, SURFELS_FROM};
 use super::super::{Context, TrainError, Trained};
 use super::{JointStage, Supervisions};
-use crate::config::{GaussianStage, StagePlan};
+use crate::config::{GaussianStage, JointOpacity, StagePlan, SurfelStart};
 use crate::init::promote::promote;
 use crate::init::{InitialScene, Room, initialise};
 use crate::refine::margins::margins;
+use crate::refine::prune::small_surfels;
 
 /// DP-GES starts from 50 to 60 % of the primitives it ends with.
 const START_SHARE: f64 = 0.6;
@@ -43,10 +44,12 @@ impl Context {
         let (mut surfels, rest) = match (discs, given) {
             (Some(discs), _) => {
                 let (surfels, rest) = promote(discs, stages.surfel_opacity, stages.surfel_scale);
+                let small = small_surfels(&surfels.log_scales, self.dataset.extent, self.config.refine.surfel_max_scale);
+                let surfels = surfels.select(&small.keep);
                 tracing::info!("{} of {} discs become surfels", surfels.len(), discs.len());
                 if surfels.is_empty() {
                     tracing::warn!(
-                        "no disc is more opaque than {}, so there are no surfels: train longer, give discs a larger share \
+                        "no disc is more opaque than {} and small enough, so there are no surfels: train longer, give discs a larger share \
                          of the steps (stages.surfels), or lower stages.surfel_opacity",
                         stages.surfel_opacity
                     );
@@ -56,11 +59,21 @@ impl Context {
             (None, Some(scene)) => (Some(scene.surfels.clone()), None),
             (None, None) => (None, None),
         };
-        let mut gaussians = match (gaussians, stages.gaussians_by) {
-            (Some(gaussians), _) => Some(gaussians),
-            (None, GaussianStage::Rest) => rest,
-            (None, _) => self.given(GAUSSIANS_FROM)?.map(|scene| scene.gaussians),
+        // with the filter that they were blended with, if they were
+        let (mut gaussians, blended_with) = match (gaussians, stages.gaussians_by) {
+            (Some(gaussians), _) => (Some(gaussians), Some(ScreenFilter::Compensated)),
+            (None, GaussianStage::Rest) => (rest, Some(ScreenFilter::Compensated)),
+            (None, _) => match self.given(GAUSSIANS_FROM)? {
+                Some(SceneData { info, gaussians, .. }) => {
+                    (Some(gaussians), (info.rendering != Rendering::Peeled).then_some(info.screen_filter))
+                }
+                None => (None, None),
+            },
         };
+        let by_depth = surfels.is_none() && stages.surfels_by == SurfelStart::Depth && self.has_views_to_agree();
+        if let (true, Some(trained), Some(filter)) = (by_depth, &gaussians, blended_with) {
+            surfels = Some(self.surfels_of_depth(trained, filter)?);
+        }
         if surfels.is_none() || gaussians.is_none() {
             let budget = self.budget() as f64;
             let room = Room::new(budget * START_SHARE / 2.0, budget * START_SHARE);
@@ -68,7 +81,10 @@ impl Context {
             surfels.get_or_insert(start.surfels);
             gaussians.get_or_insert(start.gaussians);
         }
-        let (mut surfels, gaussians) = (surfels.unwrap_or_default(), gaussians.unwrap_or_default());
+        let (mut surfels, mut gaussians) = (surfels.unwrap_or_default(), gaussians.unwrap_or_default());
+        if blended_with.is_some() && stages.joint_opacity == JointOpacity::Odds {
+            gaussians.opacities.iter_mut().for_each(|opacity| *opacity = odds(*opacity));
+        }
         if surfels.is_empty() && gaussians.is_empty() {
             return Err(TrainError::Plan("the joint stage has neither surfels nor Gaussians to begin with".into()));
         }
@@ -78,5 +94,29 @@ impl Context {
         }
         surfels.margins = margins(&surfels.positions, &surfels.log_scales, self.config.model.margin);
         Ok(InitialScene { surfels, gaussians })
+    }
+}
+
+/// Largest opacity that is converted: more would not be seen, and take long to unlearn.
+const MOST_OPAQUE: f32 = 0.9;
+
+/// α / (1 − α): the weight against a surfel behind it, or the background, of weight 1 with which a Gaussian has the share α
+/// of a pixel, as when it was blended.
+fn odds(opacity: f32) -> f32 {
+    let opacity = opacity.clamp(0.0, MOST_OPAQUE);
+    opacity / (1.0 - opacity)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn odds_give_a_gaussian_before_a_surfel_its_share() {
+        for share in [0.0, 0.1, 0.5, 0.8] {
+            let weight = odds(share);
+            assert!((weight / (1.0 + weight) - share).abs() < 1e-6);
+        }
+        assert_eq!(odds(1.0), odds(MOST_OPAQUE));
     }
 }

@@ -8,6 +8,7 @@ use dpges_core::render::Render;
 use dpges_core::scene::tensors::tensor_to_rows;
 
 use crate::config::Schedule;
+use crate::refine::RowEdit;
 use crate::scene_state::GaussianState;
 
 /// Running maxima over views.
@@ -47,6 +48,13 @@ impl Statistics {
     pub fn reset_surfels(&mut self, count: usize) {
         let device = self.max_pixels.device();
         self.max_pixels = Self::new(count, 0, &device).max_pixels;
+    }
+
+    /// Keeps what was observed of the surfels that stay.
+    pub fn keep_surfels(&mut self, rows: &RowEdit) {
+        let pixels = self.max_pixels();
+        let kept: Vec<u32> = rows.keep.iter().map(|&row| pixels[row]).collect();
+        self.max_pixels = Self::from_rows(&kept, &[], &self.max_pixels.device()).max_pixels;
     }
 
     /// Forgets what was observed of Gaussians; from now on there are `count`.

@@ -302,7 +302,7 @@ pub fn backward<T: Real, F: Projected<T>>(
     camera: &Camera,
     options: &BlendOptions,
 ) -> [Vec<T>; 6] {
-    let view = CameraPair::<T>::new(camera);
+    let view = CameraPair::<T>::new(camera, options.filter);
     let sorted = Sorted::<T, F>::new(gaussians, &view, options);
     let layout = Layout { footprint: F::SUMS, probe: probed, maps: options.maps };
     let mut sums = gather(&sorted, grad, &layout, distortion::slope(&view.camera), options);

@@ -5,18 +5,20 @@ use crate::footprint::moments::{MOMENTS, add_moments};
 use crate::footprint::splat::{self, ParameterGrad, Parameters, Splat, SplatGrad};
 use crate::math::{CameraOf, V3, add, scale};
 use crate::real::Real;
+use crate::scene::ScreenFilter;
 use crate::simd::LANES;
 use crate::tiles::{PixelRect, TileGrid};
 
-/// A camera in the element type of the kernels and in f64.
+/// A camera in the element type of the kernels and in f64, and its filter of ellipsoids.
 pub struct CameraPair<T> {
     pub camera: CameraOf<T>,
     pub exact: CameraOf<f64>,
+    pub filter: ScreenFilter,
 }
 
 impl<T: Real> CameraPair<T> {
-    pub fn new(camera: &Camera) -> Self {
-        Self { camera: CameraOf::new(camera), exact: CameraOf::new(camera) }
+    pub fn new(camera: &Camera, filter: ScreenFilter) -> Self {
+        Self { camera: CameraOf::new(camera), exact: CameraOf::new(camera), filter }
     }
 }
 
@@ -123,7 +125,7 @@ impl<T: Real> Projected<T> for Ellipse<T> {
     const SUMS: usize = MOMENTS;
 
     fn new(view: &CameraPair<T>, parameters: &Parameters<T>, colour: V3<T>) -> Option<Self> {
-        Splat::new(&view.camera, parameters, colour).map(Self)
+        Splat::new(&view.camera, parameters, colour, view.filter).map(Self)
     }
 
     /// The thinnest.
@@ -191,7 +193,7 @@ impl<T: Real> Projected<T> for Ellipse<T> {
             moments: std::array::from_fn(|i| sums.footprint[i]),
             colour: std::array::from_fn(|c| sums.colour[c]),
         };
-        let mut grad = splat::backward(&view.camera, parameters, &self.0, &sum);
+        let mut grad = splat::backward(&view.camera, parameters, &self.0, &sum, view.filter);
         if let [.., of_depth] = *sums.maps {
             grad.position = add(grad.position, scale(view.camera.rotation[2], of_depth));
         }

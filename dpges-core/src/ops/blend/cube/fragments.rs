@@ -19,7 +19,7 @@ use crate::gpu::record::{Record, record};
 use crate::gpu::rect::Rect;
 use crate::gpu::vector::{Mat3, Vec3, apply, dot, rotation, row3, row4, scale, transpose, vec3};
 use crate::gpu::view::{CameraUniforms, Rests, pixel_range, to_camera, view_rotation};
-use crate::ops::blend::Form;
+use crate::ops::blend::{BlendOptions, Form};
 use crate::tiles::TileGrid;
 
 /// The low-pass filter is centred in the bounding box of the disc at this squared radius, σ² (2DGS).
@@ -266,7 +266,8 @@ pub struct Fragments {
 }
 
 impl Fragments {
-    pub fn new(gaussians: &GaussianTensors<CubeBackend>, camera: &Camera, form: Form) -> Self {
+    pub fn new(gaussians: &GaussianTensors<CubeBackend>, camera: &Camera, options: &BlendOptions) -> Self {
+        let BlendOptions { form, filter, .. } = *options;
         let (like, count) = (&gaussians.positions, gaussians.positions.shape()[0]);
         let (client, tiles) = (like.client.clone(), TileGrid::new(camera.width, camera.height).len());
         let order = depth_order(like, camera);
@@ -288,7 +289,7 @@ impl Fragments {
         );
         let (shapes, rects, lists) = match form {
             Form::Ellipsoids => {
-                let (splats, rects) = splat_cube::splats(gaussians, Some(&order), camera);
+                let (splats, rects) = splat_cube::splats(gaussians, Some(&order), camera, filter);
                 let ellipses = Ellipses { splats: &splats, ends: &unlimited(like, tiles) };
                 let lists = bin(&rects, Some(ellipses), camera, ListKind::Gaussians);
                 (splats, rects, lists)

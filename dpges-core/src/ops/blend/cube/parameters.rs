@@ -18,6 +18,7 @@ use crate::gpu::vector::{
 };
 use crate::gpu::view::{CameraUniforms, to_camera, view_rotation};
 use crate::ops::blend::{BlendInput, Form};
+use crate::scene::ScreenFilter;
 
 /// Colours, probe and, of discs, opacities.
 #[cube(launch)]
@@ -168,13 +169,14 @@ pub fn backward(
     sums: &CubeTensor,
     rest: &CubeTensor,
     camera: &Camera,
+    filter: ScreenFilter,
     layout: Layout,
 ) -> BlendInput<CubeBackend> {
     let (client, count) = (sums.client.clone(), sums.shape()[0]);
     let out = GaussianTensors::empty(sums, count);
     let probe = empty_f32(sums, [if layout.probe { count } else { 0 }, PROBE]);
     match layout.form {
-        Form::Ellipsoids => splat_cube::backward(gaussians, sums, camera, &out),
+        Form::Ellipsoids => splat_cube::backward(gaussians, sums, camera, filter, &out),
         Form::Discs => disc_cube::backward(&discs(gaussians), sums, camera, &discs(&out)),
     }
     payload_kernel::launch(

@@ -93,11 +93,18 @@ fn disc(camera: &CameraOf<f64>, p: &Parameters<f64>) -> (M3<f64>, Option<[f64; 2
 }
 
 impl Primitive {
-    pub fn new(camera: &Camera, form: Form, row: usize, p: &Parameters<f64>, colour: V3<f64>) -> Option<Self> {
+    pub fn new(
+        camera: &Camera,
+        options: &BlendOptions,
+        row: usize,
+        p: &Parameters<f64>,
+        colour: V3<f64>,
+    ) -> Option<Self> {
+        let BlendOptions { form, filter, .. } = *options;
         let of = CameraOf::<f64>::new(camera);
         let centre = of.transform(p.position);
         let shape = match form {
-            Form::Ellipsoids => Shape::Ellipse(Splat::new(&of, p, colour)?),
+            Form::Ellipsoids => Shape::Ellipse(Splat::new(&of, p, colour, filter)?),
             Form::Discs => {
                 let (rows, low_pass) = disc(&of, p);
                 Shape::Disc { rows, low_pass, opacity: p.opacity, near: camera.near }

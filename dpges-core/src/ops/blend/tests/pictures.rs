@@ -10,10 +10,11 @@ fn blending_equals_sorting_at_every_pixel() {
         let recipe = Recipe { surfels: 0, gaussians, width: 45, height: 37, ..Recipe::default() };
         scenes.push(Flat::random(seed, &recipe));
     }
-    for (form, tolerance) in [(Form::Ellipsoids, 1e-11), (Form::Discs, 1e-9)] {
-        let options = with_maps(form);
+    let options =
+        [(with_maps(Form::Ellipsoids), 1e-11), (plainly_filtered(), 1e-11), (with_maps(Form::Discs), 1e-9)];
+    for (options, tolerance) in options {
         for (flat, camera) in &scenes {
-            let expected = images_of_pixels(&dense(&flat.primitives(camera, form), camera, &options));
+            let expected = images_of_pixels(&dense(&flat.primitives(camera, &options), camera, &options));
             assert!(expected[1].iter().any(|alpha| *alpha > 0.5));
             let leaves = flat.leaves();
             let found = images(&leaves.blend(camera, &options));
@@ -31,9 +32,29 @@ fn blending_equals_sorting_at_every_pixel() {
 }
 
 #[test]
+fn the_plain_filter_widens_and_does_not_dim() {
+    let camera = axis_camera();
+    // on the axis at depth 2, thin: 20 px × 0.1 σ across the screen
+    let (mut flat, opacity, colour) = (Flat::default(), 0.7, [1.0, 0.5, 0.0]);
+    flat.push([0.0, 0.0, 2.0], [-4.0, -2.0, -3.0], opacity, colour);
+    flat.0[1] = vec![1.0, 0.0, 0.0, 0.0];
+    let alpha = images(&flat.leaves().blend(&camera, &plainly_filtered()))[1].clone();
+    let variance = |log_scale: f64, focal: f64| (focal / 2.0 * log_scale.exp()).powi(2) + 0.3;
+    let (across, down) = (variance(-4.0, camera.fx), variance(-2.0, camera.fy));
+    for (i, found) in alpha.iter().enumerate() {
+        let [x, y] = centre_of(&camera, i);
+        let (dx, dy) = (x - camera.cx, y - camera.cy);
+        let expected = opacity * (-0.5 * (dx * dx / across + dy * dy / down)).exp();
+        let expected = if expected < 1.0 / 255.0 { 0.0 } else { expected };
+        assert!((found - expected).abs() < 1e-12, "({x}, {y}): {found}, expected {expected}");
+    }
+    assert!(alpha.iter().filter(|alpha| **alpha > 0.0).count() > 20);
+}
+
+#[test]
 fn the_slanted_discs_have_both_kinds_of_hits_and_of_low_pass_filters() {
     let camera = axis_camera();
-    let discs = slanted().primitives(&camera, Form::Discs);
+    let discs = slanted().primitives(&camera, &with_maps(Form::Discs));
     let unfiltered = |disc: &Primitive| matches!(disc.shape, Shape::Disc { low_pass: None, .. });
     assert_eq!(discs.iter().filter(|disc| unfiltered(disc)).count(), 1);
     let filtered = |disc: &Primitive| (0..1200).filter(|&i| disc.shape.is_filtered(centre_of(&camera, i))).count();

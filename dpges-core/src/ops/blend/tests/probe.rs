@@ -6,7 +6,7 @@ fn brute_force_probe(flat: &Flat, camera: &Camera, options: &BlendOptions) -> Ve
     const STEP: f64 = 1e-6;
     let pixels = camera.width * camera.height;
     let weights: Vec<f64> = OUTPUTS.iter().flat_map(|output| output.weights(pixels)).collect();
-    let mut primitives = flat.primitives(camera, options.form);
+    let mut primitives = flat.primitives(camera, options);
     let mut sums = vec![0.0; 4 * flat.len()];
     for k in 0..primitives.len() {
         let Primitive { row, shape, .. } = primitives[k];

@@ -1,0 +1,103 @@
+//! Where a pixel is in the world, judged by whether the photographs of other views have its colour there.
+
+use crate::dataset::View;
+
+/// Other views that are asked: those whose cameras are nearest.
+const ASKED_VIEWS: usize = 8;
+/// Largest difference of a channel between colours that agree.
+const SAME_COLOUR: f32 = 0.08;
+/// Depths that are tried, relative to the depth that is assumed. The first of the best is taken.
+const TRIED_DEPTHS: [f64; 7] = [1.0, 0.95, 1.05, 0.88, 1.14, 0.75, 1.33];
+
+/// For each view, the others, nearest first.
+pub fn nearest_views(views: &[View]) -> Vec<Vec<usize>> {
+    let centres: Vec<_> = views.iter().map(|view| view.camera.centre()).collect();
+    let of = |index: usize| {
+        let mut others: Vec<usize> = (0..views.len()).filter(|&other| other != index).collect();
+        let distance = |view: usize| centres[view].distance_squared(centres[index]);
+        others.sort_by(|&a, &b| distance(a).total_cmp(&distance(b)).then(a.cmp(&b)));
+        others.truncate(ASKED_VIEWS);
+        others
+    };
+    (0..views.len()).map(of).collect()
+}
+
+/// The depth of pixel `pixel` of `view`, near the `assumed` one (camera-space z, world units), at which most of `others`
+/// have the pixel's colour; `None` if fewer than `least` agree at any depth.
+pub fn agreed_depth<'a>(
+    view: &View,
+    others: impl Iterator<Item = &'a View> + Clone,
+    pixel: usize,
+    assumed: f64,
+    least: usize,
+) -> Option<f64> {
+    let width = view.camera.width;
+    let (x, y) = ((pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5);
+    let colour = colour(view, pixel);
+    let agreeing = |depth: f64| {
+        let world = view.camera.unproject(x, y, depth);
+        let agrees = |other: &&View| {
+            let (width, height) = (other.camera.width, other.camera.height);
+            let Some((x, y, _)) = other.camera.project(world) else { return false };
+            let inside = x >= 0.0 && y >= 0.0 && x < width as f64 && y < height as f64;
+            inside && is_same(self::colour(other, y as usize * width + x as usize), colour)
+        };
+        others.clone().filter(agrees).count()
+    };
+    let mut best = (0, assumed);
+    for factor in TRIED_DEPTHS {
+        let count = agreeing(factor * assumed);
+        if count > best.0 {
+            best = (count, factor * assumed);
+        }
+    }
+    (best.0 >= least).then_some(best.1)
+}
+
+fn colour(view: &View, pixel: usize) -> [f32; 3] {
+    let area = view.camera.width * view.camera.height;
+    [0, 1, 2].map(|channel| view.picture.planes[channel * area + pixel])
+}
+
+fn is_same(a: [f32; 3], b: [f32; 3]) -> bool {
+    a.iter().zip(b).all(|(a, b)| (a - b).abs() <= SAME_COLOUR)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::{BuiltinOptions, builtin, builtin_geometry};
+
+    /// Pixels of the built-in scene whose assumed depth is wrong by a factor that is tried.
+    fn found(factor: f64, least: usize) -> (usize, usize, usize) {
+        let options = BuiltinOptions { width: 64, height: 64, train_views: 24, ..Default::default() };
+        let views = builtin(&options).train;
+        let others = nearest_views(&views);
+        let (depth, _) = builtin_geometry(&views[0].camera);
+        let (mut right, mut wrong, mut none) = (0, 0, 0);
+        for pixel in (0..64 * 64).step_by(7) {
+            let truth = f64::from(depth[pixel]);
+            let asked = others[0].iter().map(|&other| &views[other]);
+            match agreed_depth(&views[0], asked, pixel, truth * factor, least) {
+                Some(depth) if (depth / truth - 1.0).abs() < 0.07 => right += 1,
+                Some(_) => wrong += 1,
+                None => none += 1,
+            }
+        }
+        (right, wrong, none)
+    }
+
+    #[test]
+    fn right_depths_are_confirmed_and_wrong_ones_corrected_more_often_than_not() {
+        let (right, wrong, _) = found(1.0, 2);
+        assert!(right > 8 * wrong, "{right} right, {wrong} wrong");
+        let (corrected, left_wrong, _) = found(1.0 / 0.75, 2);
+        assert!(corrected > left_wrong, "{corrected} corrected, {left_wrong} not");
+    }
+
+    #[test]
+    fn more_views_are_harder_to_convince() {
+        let refused = |least: usize| found(1.0, least).2;
+        assert!(refused(2) < refused(6) && refused(9) == 586, "{} {}", refused(2), refused(6));
+    }
+}

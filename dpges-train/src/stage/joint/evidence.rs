@@ -1,0 +1,176 @@
+//! Surfels have to earn their place: they enter where trained Gaussians agree about a surface, and leave where pictures are
+//! better without them.
+
+use burn::tensor::{DType, Tensor};
+use dpges_core::losses::geometry::expected_depth;
+use dpges_core::ops::blend::Maps;
+use dpges_core::render::blended::{BlendedOptions, render_blended};
+use dpges_core::render::{Render, RenderOptions, Values, render_values};
+use dpges_core::scene::tensors::tensor_to_rows;
+use dpges_core::scene::{GaussianData, Gaussians, Rendering, SceneInfo, ScreenFilter, SurfelData, Surfels};
+
+use super::super::{Context, TrainError};
+use super::JointStage;
+use super::refine::squared_error;
+use crate::dataset::View;
+use crate::init::fusion::{DepthView, FusionRule, surface_points};
+use crate::init::surfels_at;
+use crate::refine::RowEdit;
+use crate::refine::worth::{Worths, members};
+
+/// Least alpha of a pixel that may show a surface.
+const OPAQUE: f32 = 0.9;
+/// Largest difference between the mean and the median depth of a pixel that shows one surface, relative to the median.
+const OF_ONE_DEPTH: f32 = 0.03;
+/// Depths that differ by less agree.
+const RULE: FusionRule = FusionRule { tolerance: 0.015, min_views: 3 };
+/// Distances between surface points that are tried, px: the first that fits the share of surfels is taken.
+const STRIDES_PX: [usize; 7] = [3, 4, 6, 8, 12, 16, 24];
+/// Views that judge surfels: enough to see most of them several times.
+const JUDGING_VIEWS: usize = 24;
+/// Surfels are judged in as many groups. The fewer neighbours a surfel is left out with, the better its own effect shows.
+const GROUPS: usize = 3;
+
+impl Context {
+    /// Whether there are enough views to agree about a surface. Otherwise surfels start as `[init]` says.
+    pub fn has_views_to_agree(&self) -> bool {
+        self.dataset.train.len() > RULE.min_views
+    }
+
+    /// Surfels on the surfaces that blended `gaussians` show to several training views. Margins are zero.
+    ///
+    /// # Errors
+    /// [`TrainError::Core`] if the Gaussians cannot be rendered.
+    pub fn surfels_of_depth(
+        &mut self,
+        gaussians: &GaussianData,
+        filter: ScreenFilter,
+    ) -> Result<SurfelData, TrainError> {
+        let dataset = self.dataset.clone();
+        let most = self.most_primitives(self.config.stages.depth_surfels);
+        let info = SceneInfo { screen_filter: filter, ..self.scene_info(Rendering::Ellipsoids) };
+        let gaussians = Gaussians::from_data(gaussians, &self.device, DType::F32);
+        let mut options = BlendedOptions::new(&info)?;
+        options.blend.maps = true;
+        let mut views = Vec::with_capacity(dataset.train.len());
+        for view in &dataset.train {
+            let rendered = render_blended(&gaussians, None, &view.camera, &options, Values::KnownFinite)?;
+            let alpha = rendered.blend.alpha;
+            let Some(Maps { depth, median_depth, .. }) = rendered.blend.maps else { unreachable!("maps were asked for") };
+            let mean = tensor_to_rows(&expected_depth(depth, alpha.clone()));
+            let depth = certain(&tensor_to_rows(&alpha), &mean, tensor_to_rows(&median_depth));
+            views.push(DepthView { camera: &view.camera, depth, photograph: &view.picture.planes });
+        }
+        let mut points = surface_points(&views, STRIDES_PX[0], RULE);
+        let mut stride_px = STRIDES_PX[0];
+        for stride in &STRIDES_PX[1..] {
+            if points.positions.len() <= most {
+                break;
+            }
+            stride_px = *stride;
+            points = surface_points(&views, stride_px, RULE);
+        }
+        let found = points.positions.len();
+        let points = crate::init::sfm::usable_points(&points, most, &mut self.rng);
+        tracing::info!(
+            "{found} points on surfaces that at least {} views agree about, about {stride_px} px from one another: {} \
+             surfels",
+            RULE.min_views + 1,
+            points.positions.len()
+        );
+        Ok(surfels_at(points, &dataset, &self.config, &mut self.rng))
+    }
+}
+
+/// [H × W] `median` depths where a pixel is opaque and of one depth, else 0.
+fn certain(alpha: &[f32], mean: &[f32], mut median: Vec<f32>) -> Vec<f32> {
+    for (pixel, median) in median.iter_mut().enumerate() {
+        let of_one_depth = (mean[pixel] - *median).abs() <= OF_ONE_DEPTH * *median;
+        if !(alpha[pixel] >= OPAQUE && of_one_depth) {
+            *median = 0.0;
+        }
+    }
+    median
+}
+
+impl JointStage {
+    /// Removes surfels without which the judging views are better. Returns what it did, if there are surfels.
+    ///
+    /// # Errors
+    /// [`TrainError::Core`] if a view cannot be rendered.
+    pub fn judge_surfels(&mut self, context: &Context) -> Result<Option<String>, TrainError> {
+        if self.surfels.is_empty() {
+            return Ok(None);
+        }
+        let (surfels, gaussians) = (self.surfels.to_data(), self.gaussians.values());
+        let options = self.render_options(&context.config);
+        let worths = judged(&surfels, &gaussians, &options, context)?;
+        let rows = RowEdit { keep: worths.worthy() };
+        let left = surfels.len() - rows.keep.len();
+        let lost: f64 = worths.saved.iter().filter(|&&saved| saved < 0.0).sum();
+        let saved: f64 = worths.saved.iter().filter(|&&saved| saved > 0.0).sum();
+        self.surfels.keep(&rows);
+        self.statistics.keep_surfels(&rows);
+        let pixels = judging_views(context).map(|view| 3 * view.camera.width * view.camera.height).sum::<usize>();
+        let mean = |squares: f64| squares / pixels.max(1) as f64;
+        Ok(Some(format!(
+            "{left} of {} surfels left: they cost a squared error of {:.2e} per value of {} views, the others save {:.2e}",
+            surfels.len(),
+            mean(-lost),
+            judging_views(context).count(),
+            mean(saved)
+        )))
+    }
+}
+
+/// The views that judge surfels: validation views, or else training views, evenly spread.
+fn judging_views(context: &Context) -> impl Iterator<Item = &View> {
+    let (validation, train) = (&context.dataset.validation, &context.dataset.train);
+    let views = if validation.is_empty() { train } else { validation };
+    views.iter().step_by(views.len().div_ceil(JUDGING_VIEWS).max(1))
+}
+
+fn judged(
+    surfels: &SurfelData,
+    gaussians: &Gaussians,
+    options: &RenderOptions,
+    context: &Context,
+) -> Result<Worths, TrainError> {
+    let device = &context.device;
+    let mut worths = Worths::new(surfels.len());
+    let on_device = |surfels: &SurfelData| Surfels::from_data(surfels, device, DType::F32);
+    let render = |surfels: &Surfels, view: &View| -> Result<Render, TrainError> {
+        Ok(render_values(surfels, gaussians, &view.camera, options, Values::KnownFinite)?)
+    };
+    let all = on_device(surfels);
+    let groups = (0..GROUPS).map(|group| {
+        let left_out = members(surfels.len(), group, GROUPS);
+        let others: Vec<usize> = (0..surfels.len()).filter(|&row| !left_out[row]).collect();
+        (on_device(&surfels.select(&others)), left_out)
+    });
+    let groups: Vec<_> = groups.collect();
+    for view in judging_views(context) {
+        let target = view.target(device);
+        let error = |render: &Render, target: Tensor<3>| squared_error(render, target);
+        let with = render(&all, view)?;
+        let area = view.camera.width * view.camera.height;
+        let nearest: Vec<i32> = with.layers.ids.clone().into_data().iter::<i32>().take(area).collect();
+        let with = error(&with, target.clone());
+        for (others, left_out) in &groups {
+            let without = error(&render(others, view)?, target.clone());
+            worths.add(&nearest, &with, &without, left_out);
+        }
+    }
+    Ok(worths)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn depths_are_certain_where_a_pixel_is_opaque_and_of_one_depth() {
+        let (alpha, mean) = ([1.0, 0.5, 0.95, 0.95, 1.0], [2.0, 2.0, 2.05, 2.1, f32::NAN]);
+        assert_eq!(certain(&alpha, &mean, vec![2.0, 2.0, 2.0, 2.0, 2.0]), [2.0, 0.0, 2.0, 0.0, 0.0]);
+    }
+}
