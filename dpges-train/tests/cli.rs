@@ -429,7 +429,7 @@ fn methods_are_trained_once_and_compared() {
     assert_eq!(ok(at, &args), table);
     assert!(bytes(run("dpges/seed_4/metrics.jsonl")) == log && bytes(at.join("study/comparison.json")) == written);
     let scene = bytes(run("mcmc/seed_3/scene.safetensors"));
-    for file in ["eval.json", "validation.json", "scene.safetensors"] {
+    for file in ["eval.json", "validation.json"] {
         std::fs::remove_file(run("mcmc/seed_3").join(file)).unwrap();
     }
     std::fs::remove_dir_all(run("dpges/seed_3")).unwrap();
@@ -445,6 +445,22 @@ fn methods_are_trained_once_and_compared() {
         (scores(comparison), scores(json(at.join("study/comparison.json"))));
     assert_eq!(before, after);
     assert!(bytes(run("mcmc/seed_3/scene.safetensors")) == scene);
+
+    #[cfg(unix)]
+    {
+        let again = [&args[..], &["--out=killed"]].concat();
+        let mut child = start(at, &again);
+        wait_until(|| at.join("killed/mcmc/seed_3/checkpoint.safetensors").is_file());
+        child.kill().unwrap();
+        child.wait().unwrap();
+        ok(at, &again);
+        for name in ["mcmc/seed_3", "mcmc/seed_4", "dpges/seed_3", "dpges/seed_4"] {
+            assert!(is_equal(
+                run(name).join("scene.safetensors"),
+                at.join("killed").join(name).join("scene.safetensors")
+            ));
+        }
+    }
 
     let message = fails(at, 1, &[&args[..], &["--steps=13"]].concat());
     assert!(message.contains("study/mcmc/seed_3 holds another run") && message.contains("`train.steps` is 12"));
@@ -567,7 +583,7 @@ fn stages_leave_their_scenes_and_a_killed_run_goes_on_in_the_middle_of_one() {
 
     #[cfg(unix)]
     {
-        let mut child = start(at, "killed", &stages);
+        let mut child = start_training(at, "killed", &stages);
         wait_until(|| at.join("killed/stage_2dgs.safetensors").is_file());
         child.kill().unwrap();
         child.wait().unwrap();
@@ -633,16 +649,19 @@ fn wait_until(condition: impl Fn() -> bool) {
 }
 
 #[cfg(unix)]
-fn start(folder: &Path, out: &str, more: &[&str]) -> std::process::Child {
+fn start(folder: &Path, args: &[&str]) -> std::process::Child {
     std::process::Command::new(env!("CARGO_BIN_EXE_dpges"))
         .current_dir(folder)
-        .args(["train", "--out", out])
-        .args(TINY)
-        .args(more)
+        .args(args)
         .stdout(std::process::Stdio::null())
         .stderr(std::process::Stdio::piped())
         .spawn()
         .unwrap()
+}
+
+#[cfg(unix)]
+fn start_training(folder: &Path, out: &str, more: &[&str]) -> std::process::Child {
+    start(folder, &[&["train", "--out", out], &TINY[..], more].concat())
 }
 
 #[cfg(unix)]
@@ -652,7 +671,7 @@ fn an_interrupted_run_resumes_to_the_same_scene() {
     let at = folder.path();
     train(at, "whole", &[]);
 
-    let child = start(at, "stopped", &[]);
+    let child = start_training(at, "stopped", &[]);
     wait_until(|| std::fs::metadata(at.join("stopped/metrics.jsonl")).is_ok_and(|file| file.len() > 0));
     let killed = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
     assert!(killed.success());
@@ -663,7 +682,7 @@ fn an_interrupted_run_resumes_to_the_same_scene() {
     ok(at, &["info", "stopped"]);
     ok(at, &["train", "--out", "stopped", "--resume"]);
 
-    let mut child = start(at, "killed", &[]);
+    let mut child = start_training(at, "killed", &[]);
     wait_until(|| at.join("killed/checkpoint.safetensors").is_file());
     child.kill().unwrap();
     child.wait().unwrap();
