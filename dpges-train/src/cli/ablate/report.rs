@@ -154,6 +154,8 @@ mod tests {
         assert!(shown.ends_with("over 3 seeds; in parentheses the difference to full, seed by seed\n"), "{shown}");
         let without = table(&[row("ges", &[1.0, 2.0, 3.0]), row("sh", &[11.0, 22.0, 33.0])]);
         assert!(without.contains("22.00 ± 11.00 dB") && without.ends_with("over 3 seeds\n"), "{without}");
+        let alone = table(&[row("full", &[11.0, 22.0, 33.0])]);
+        assert!(alone.contains("full  22.00 ± 11.00 dB") && alone.ends_with("over 3 seeds\n"), "{alone}");
     }
 
     #[test]
