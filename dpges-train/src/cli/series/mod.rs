@@ -40,7 +40,7 @@ pub struct SeriesArgs {
     #[arg(long, value_name = "NAME", default_value_t)]
     device: DeviceRequest,
     /// Number of runs of each: with the seed of the configuration, and with those that follow it
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = value_parser!(u64).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = value_parser!(u64).range(1..=1000))]
     seeds: u64,
     #[command(flatten)]
     pub options: ConfigArgs,
