@@ -18,8 +18,8 @@ const RAMP: [[u8; 3]; 9] = [
 const MIN_COVERAGE: f32 = 0.1;
 /// Shares of the covered pixels that are nearer than the start and the end of the ramp.
 const DEPTH_PERCENTILES: [f64; 2] = [0.02, 0.98];
-/// Mean absolute error per channel at the end of the ramp.
-const LARGEST_ERROR: f32 = 0.25;
+/// Mean absolute difference per channel at the end of the ramp of [`error`], as a share of full scale.
+pub const LARGEST_ERROR: f32 = 0.25;
 
 /// Colour of `value`, dark blue at 0 to yellow at 1. Values outside take the colour of the nearer end.
 pub fn ramp(value: f32) -> [u8; 3] {

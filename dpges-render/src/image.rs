@@ -45,6 +45,22 @@ impl Rgb8Image {
         }
         Self { width, height, bytes }
     }
+
+    /// Joins pictures of the same width from top to bottom, with a thin white line between them.
+    pub fn below(images: &[Self]) -> Self {
+        let width = images.iter().map(|image| image.width).min().unwrap_or(0);
+        let separators = SEPARATOR * images.len().saturating_sub(1);
+        let height = images.iter().map(|image| image.height).sum::<usize>() + separators;
+        let mut bytes = Vec::with_capacity(3 * width * height);
+        for (index, image) in images.iter().enumerate() {
+            if index > 0 {
+                bytes.extend(std::iter::repeat_n(255, 3 * SEPARATOR * width));
+            }
+            let rows = image.bytes.chunks_exact(3 * image.width.max(1));
+            bytes.extend(rows.flat_map(|row| &row[..3 * width]));
+        }
+        Self { width, height, bytes }
+    }
 }
 
 /// Clamps to [0, 1] and rounds to a byte.
@@ -71,5 +87,15 @@ mod tests {
         assert_eq!(both.bytes[..12], [1, 2, 3, 255, 255, 255, 255, 255, 255, 7, 7, 7]);
         assert_eq!(both.bytes[12..15], [4, 5, 6]);
         assert_eq!(Rgb8Image::beside(&[]).bytes.len(), 0);
+    }
+
+    #[test]
+    fn pictures_stand_below_each_other() {
+        let one = Rgb8Image { width: 2, height: 1, bytes: vec![1, 2, 3, 4, 5, 6] };
+        let two = Rgb8Image { width: 2, height: 1, bytes: vec![7; 6] };
+        let both = Rgb8Image::below(&[one, two]);
+        assert_eq!((both.width, both.height), (2, 4));
+        assert_eq!(both.bytes, [&[1, 2, 3, 4, 5, 6][..], &[255; 12], &[7; 6]].concat());
+        assert_eq!(Rgb8Image::below(&[]).bytes.len(), 0);
     }
 }

@@ -20,3 +20,6 @@ pub mod configuration {}
 
 #[doc = include_str!("../docs/ablations.md")]
 pub mod ablations {}
+
+#[doc = include_str!("../docs/comparisons.md")]
+pub mod comparisons {}

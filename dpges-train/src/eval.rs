@@ -53,7 +53,7 @@ pub struct EvalReport {
     pub scene: String,
     /// Folder of the dataset, or `builtin`.
     pub dataset: String,
-    /// `test` or `train`.
+    /// `test`, `train` or `validation`.
     pub split: String,
     #[serde(flatten)]
     pub evaluation: Evaluation,

@@ -15,13 +15,28 @@ use crate::rendered::{Rendered, to_picture};
 
 /// Photograph · render · surfels only, if there are any · error, from left to right.
 pub fn comparison(view: &View, render: &Rendered) -> Rgb8Image {
-    let picture = &view.picture;
-    let photograph = Rgb8Image::from_planes(&picture.planes, picture.width, picture.height);
+    let photograph = photograph(view);
     let image = to_picture(render.image());
     let surfels = render.peeled().map(|render| to_picture(&render.composite.surfel_image));
     let error = false_colour::error(&image, &photograph);
     let parts: Vec<Rgb8Image> = [Some(photograph), Some(image), surfels, Some(error)].into_iter().flatten().collect();
     Rgb8Image::beside(&parts)
+}
+
+/// Two rows: photograph · each of `renders`, which have its size; and below each its error.
+pub fn sheet(view: &View, renders: &[Rgb8Image]) -> Rgb8Image {
+    let photograph = photograph(view);
+    let (width, height) = (photograph.width, photograph.height);
+    let errors = renders.iter().map(|render| false_colour::error(render, &photograph));
+    let nothing = Rgb8Image { width, height, bytes: vec![255; 3 * width * height] };
+    let below: Vec<Rgb8Image> = std::iter::once(nothing).chain(errors).collect();
+    let above: Vec<Rgb8Image> = std::iter::once(photograph).chain(renders.iter().cloned()).collect();
+    Rgb8Image::below(&[Rgb8Image::beside(&above), Rgb8Image::beside(&below)])
+}
+
+fn photograph(view: &View) -> Rgb8Image {
+    let picture = &view.picture;
+    Rgb8Image::from_planes(&picture.planes, picture.width, picture.height)
 }
 
 /// Writes a PNG. It replaces an existing file only once it is complete.
@@ -75,6 +90,23 @@ mod tests {
     fn file_stems_are_safe_and_unique() {
         let views = views(&["images/a b.jpg", "images_a b.png", "./test/r_0", "v1.5.png", "../x"]);
         assert_eq!(file_stems(&views), ["images_a_b", "images_a_b-2", "test_r_0", "v1.5", "x"]);
+    }
+
+    #[test]
+    fn a_sheet_has_errors_below_renders() {
+        let view = views(&["a"]).remove(0);
+        let exact = photograph(&view);
+        let wrong = Rgb8Image { bytes: exact.bytes.iter().map(|byte| byte ^ 0x80).collect(), ..exact.clone() };
+        let sheet = sheet(&view, &[exact.clone(), wrong.clone()]);
+        // three columns and two rows of 2 x 2 px, 2 px apart
+        assert_eq!((sheet.width, sheet.height), (10, 6));
+        let part = |column: usize, row: usize| -> Vec<u8> {
+            let line = |y: usize| &sheet.bytes[3 * ((4 * row + y) * sheet.width + 4 * column)..][..6];
+            [line(0), line(1)].concat()
+        };
+        assert_eq!([part(0, 0), part(1, 0), part(2, 0)], [exact.bytes.clone(), exact.bytes, wrong.bytes]);
+        let of_ramp = |value: f32| false_colour::ramp(value).repeat(4);
+        assert_eq!([part(0, 1), part(1, 1), part(2, 1)], [vec![255; 12], of_ramp(0.0), of_ramp(1.0)]);
     }
 
     #[test]

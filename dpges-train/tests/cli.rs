@@ -99,6 +99,11 @@ fn wrong_usage_is_exit_code_2_and_says_what_is_right() {
     assert!(fails(at, 2, &["train", "--steps-scale", "1e-6"]).contains("`train.steps` is 2000 ×"));
     assert!(fails(at, 2, &["ablate"]).contains("--out"));
     assert!(fails(at, 2, &["ablate", "--out", "a", "--only", "full,lobes"]).contains("no-surfel-loss"));
+    assert!(fails(at, 2, &["compare"]).contains("--out"));
+    assert!(fails(at, 2, &["compare", "--out", "a", "--methods", "dpgas"]).contains("'dpges'"));
+    assert!(fails(at, 2, &["compare", "--out", "a", "--seeds", "0"]).contains("--seeds"));
+    assert!(fails(at, 2, &["compare", "--out", "a", "--budget", "auto"]).contains("--budget N"));
+    assert!(fails(at, 2, &["compare", "--out", "a", "--method", "mcmc"]).contains("--methods"));
     assert!(fails(at, 2, &["train", "--device", "cuda"]).contains("through wgpu"));
     assert!(fails(at, 2, &["train", "--device", "tpu"]).contains("cpu-flex"));
     assert!(fails(at, 2, &["train", "--resume", "--overwrite"]).contains("cannot be used with"));
@@ -319,7 +324,7 @@ fn variants_are_trained_once_and_compared() {
     assert_eq!(lines[0], ["variant", "psnr", "ssim", "surfels", "gaussians", "bytes", "seconds"]);
     assert_eq!((lines[1][0], lines[2][0], lines.len()), ("full", "sh", 3));
     for line in &lines[1..] {
-        let run = at.join("study").join(line[0]);
+        let run = at.join("study").join(line[0]).join("seed_3");
         let written = json(run.join("eval.json"));
         assert!((line[1].parse::<f64>().unwrap() - written["psnr"].as_f64().unwrap()).abs() < 1e-4, "{csv}");
         assert_eq!(line[5].parse::<u64>().unwrap(), bytes(run.join("scene.safetensors")).len() as u64);
@@ -330,17 +335,135 @@ fn variants_are_trained_once_and_compared() {
     assert!(String::from_utf8(bytes(at.join("study/ablation.svg"))).unwrap().starts_with("<svg "));
 
     // finished, finished but for its evaluation
-    let logs = ["full", "sh"].map(|variant| bytes(at.join("study").join(variant).join("metrics.jsonl")));
-    let scene = bytes(at.join("study/sh/scene.safetensors"));
-    std::fs::remove_file(at.join("study/sh/eval.json")).unwrap();
+    let [full, sh] = ["full", "sh"].map(|variant| at.join("study").join(variant).join("seed_3"));
+    let (log, scene) = (bytes(full.join("metrics.jsonl")), bytes(sh.join("scene.safetensors")));
+    std::fs::remove_file(sh.join("eval.json")).unwrap();
     ok(at, &args);
-    assert!(bytes(at.join("study/full/metrics.jsonl")) == logs[0], "it is not trained again");
-    assert!(bytes(at.join("study/sh/scene.safetensors")) == scene && at.join("study/sh/eval.json").is_file());
+    assert!(bytes(full.join("metrics.jsonl")) == log, "it is not trained again");
+    assert!(bytes(sh.join("scene.safetensors")) == scene && sh.join("eval.json").is_file());
     assert_eq!(String::from_utf8(bytes(at.join("study/ablation.csv"))).unwrap(), csv);
 
-    let message = fails(at, 1, &[&args[..], &["--seed=4"]].concat());
-    assert!(message.contains("study/full holds another run") && message.contains("`train.seed` is 3"), "{message}");
-    assert!(ok(at, &["info", "study/sh"]).contains("margin_lookup"));
+    // a second seed
+    let table = ok(at, &[&args[..], &["--seeds=2"]].concat());
+    assert!(table.contains(" ± ") && table.contains("over 2 seeds"), "{table}");
+    assert!(bytes(full.join("metrics.jsonl")) == log, "the first is not trained again");
+    let second =
+        |variant: &str| json(at.join("study").join(variant).join("seed_4/eval.json"))["psnr"].as_f64().unwrap();
+    let first = |line: &[&str]| line[1].parse::<f64>().unwrap();
+    let csv = String::from_utf8(bytes(at.join("study/ablation.csv"))).unwrap();
+    let of_both: Vec<Vec<&str>> = csv.lines().map(|line| line.split(',').collect()).collect();
+    let mean = (first(&lines[2]) + second("sh")) / 2.0;
+    let difference = mean - (first(&lines[1]) + second("full")) / 2.0;
+    let column = |name: &str| of_both[0].iter().position(|column| *column == name).unwrap();
+    for (name, expected) in [("psnr", mean), ("psnr_difference", difference)] {
+        assert!((of_both[2][column(name)].parse::<f64>().unwrap() - expected).abs() < 2e-4, "{name}: {csv}");
+    }
+    assert!(of_both[2][column("psnr_deviation")].parse::<f64>().unwrap() > 0.0, "{csv}");
+
+    let message = fails(at, 1, &[&args[..], &["--budget=901"]].concat());
+    assert!(message.contains("study/full/seed_3 holds another run") && message.contains("`refine.budget` is 900"));
+    assert!(ok(at, &["info", "study/sh/seed_3"]).contains("margin_lookup"));
+}
+
+#[test]
+fn methods_are_trained_once_and_compared() {
+    let folder = folder();
+    let at = folder.path();
+    let args = [
+        "compare",
+        "builtin",
+        "--out=study",
+        "--device=cpu",
+        "--methods=mcmc,dpges",
+        "--seeds=2",
+        "--seed=3",
+        "--steps=12",
+        "--max-resolution=32",
+        "--budget=700",
+        "--set=data.validation_every=4",
+        "--set=train.evaluate_every=0",
+        "--set=train.checkpoint_every=4",
+        "--set=init.max_points=300",
+    ];
+    let table = ok(at, &args);
+    for part in ["| mcmc", "| dpges", " ± ", "to mcmc", "validation PSNR", "at most 700 primitives", "comparison.csv"]
+    {
+        assert!(table.contains(part), "{part}: {table}");
+    }
+    let comparison = json(at.join("study/comparison.json"));
+    assert_eq!((&comparison["steps"], &comparison["budget"]), (&Value::from(12), &Value::from(700)));
+    assert_eq!(comparison["seeds"], json!([3, 4]));
+    for (method, name) in comparison["methods"].as_array().unwrap().iter().zip(["mcmc", "dpges"]) {
+        assert_eq!(method["method"], name);
+        assert_eq!(method["settings"][0], format!("train.method={name}"));
+        let runs = method["runs"].as_array().unwrap();
+        let psnr: Vec<f64> = runs.iter().map(|run| run["test"]["psnr"].as_f64().unwrap()).collect();
+        assert!((method["psnr"]["mean"].as_f64().unwrap() - (psnr[0] + psnr[1]) / 2.0).abs() < 1e-9, "{method}");
+        let half = (psnr[0] - psnr[1]).abs() / 2f64.sqrt();
+        assert!((method["psnr"]["deviation"].as_f64().unwrap() - half).abs() < 1e-9 && half > 0.0, "{method}");
+        for run in runs {
+            let path = at.join("study").join(run["folder"].as_str().unwrap());
+            let (test, kept) = (json(path.join("eval.json")), json(path.join("validation.json")));
+            assert_eq!((&run["test"]["psnr"], &run["validation"]["psnr"]), (&test["psnr"], &kept["psnr"]));
+            assert_eq!((&test["split"], &kept["split"]), (&"test".into(), &"validation".into()));
+            assert!(kept["views"][0]["name"].as_str().unwrap().starts_with("train"), "{kept}");
+            let config = String::from_utf8(bytes(path.join("config.toml"))).unwrap();
+            assert!(config.contains("\nbudget = 700\n") && config.contains(&format!("\nseed = {}\n", run["seed"])));
+        }
+    }
+    let sheets = comparison["pictures"]["sheets"].as_array().unwrap();
+    assert_eq!((sheets.len(), &comparison["pictures"]["columns"]), (3, &json!(["photograph", "mcmc", "dpges"])));
+    for sheet in sheets {
+        let picture = image::open(at.join("study").join(sheet["file"].as_str().unwrap())).unwrap();
+        assert_eq!((picture.width(), picture.height()), (3 * 32 + 2 * 2, 2 * 32 + 2), "{sheet}");
+    }
+    let views = json(at.join("study/mcmc/seed_3/eval.json"))["views"].clone();
+    let lowest = views.as_array().unwrap().iter().map(|view| view["psnr"].as_f64().unwrap()).fold(f64::MAX, f64::min);
+    assert_eq!((&sheets[0]["psnr"][0], &sheets[0]["chosen"]), (&Value::from(lowest), &Value::from("worst")));
+    assert!(String::from_utf8(bytes(at.join("study/comparison.svg"))).unwrap().contains(" ± "));
+
+    // again: nothing is trained; then a run as it is left by an interruption
+    let run = |name: &str| at.join("study").join(name);
+    let log = bytes(run("dpges/seed_4/metrics.jsonl"));
+    let written = bytes(at.join("study/comparison.json"));
+    assert_eq!(ok(at, &args), table);
+    assert!(bytes(run("dpges/seed_4/metrics.jsonl")) == log && bytes(at.join("study/comparison.json")) == written);
+    let scene = bytes(run("mcmc/seed_3/scene.safetensors"));
+    for file in ["eval.json", "validation.json"] {
+        std::fs::remove_file(run("mcmc/seed_3").join(file)).unwrap();
+    }
+    std::fs::remove_dir_all(run("dpges/seed_3")).unwrap();
+    let output = dpges(at, &args);
+    let messages = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(0), "{messages}");
+    for part in ["mcmc, seed 3: resumed", "mcmc, seed 4: already finished", "dpges, seed 3: 12 steps"] {
+        assert!(messages.contains(part), "{part}: {messages}");
+    }
+    let scores =
+        |comparison: Value| comparison["methods"].as_array().unwrap().iter().map(|m| m["psnr"].clone()).collect();
+    let (before, after): (Vec<Value>, Vec<Value>) =
+        (scores(comparison), scores(json(at.join("study/comparison.json"))));
+    assert_eq!(before, after);
+    assert!(bytes(run("mcmc/seed_3/scene.safetensors")) == scene);
+
+    #[cfg(unix)]
+    {
+        let again = [&args[..], &["--out=killed"]].concat();
+        let mut child = start(at, &again);
+        wait_until(|| at.join("killed/mcmc/seed_3/checkpoint.safetensors").is_file());
+        child.kill().unwrap();
+        child.wait().unwrap();
+        ok(at, &again);
+        for name in ["mcmc/seed_3", "mcmc/seed_4", "dpges/seed_3", "dpges/seed_4"] {
+            assert!(is_equal(
+                run(name).join("scene.safetensors"),
+                at.join("killed").join(name).join("scene.safetensors")
+            ));
+        }
+    }
+
+    let message = fails(at, 1, &[&args[..], &["--steps=13"]].concat());
+    assert!(message.contains("study/mcmc/seed_3 holds another run") && message.contains("`train.steps` is 12"));
 }
 
 #[test]
@@ -460,7 +583,7 @@ fn stages_leave_their_scenes_and_a_killed_run_goes_on_in_the_middle_of_one() {
 
     #[cfg(unix)]
     {
-        let mut child = start(at, "killed", &stages);
+        let mut child = start_training(at, "killed", &stages);
         wait_until(|| at.join("killed/stage_2dgs.safetensors").is_file());
         child.kill().unwrap();
         child.wait().unwrap();
@@ -526,16 +649,19 @@ fn wait_until(condition: impl Fn() -> bool) {
 }
 
 #[cfg(unix)]
-fn start(folder: &Path, out: &str, more: &[&str]) -> std::process::Child {
+fn start(folder: &Path, args: &[&str]) -> std::process::Child {
     std::process::Command::new(env!("CARGO_BIN_EXE_dpges"))
         .current_dir(folder)
-        .args(["train", "--out", out])
-        .args(TINY)
-        .args(more)
+        .args(args)
         .stdout(std::process::Stdio::null())
         .stderr(std::process::Stdio::piped())
         .spawn()
         .unwrap()
+}
+
+#[cfg(unix)]
+fn start_training(folder: &Path, out: &str, more: &[&str]) -> std::process::Child {
+    start(folder, &[&["train", "--out", out], &TINY[..], more].concat())
 }
 
 #[cfg(unix)]
@@ -545,7 +671,7 @@ fn an_interrupted_run_resumes_to_the_same_scene() {
     let at = folder.path();
     train(at, "whole", &[]);
 
-    let child = start(at, "stopped", &[]);
+    let child = start_training(at, "stopped", &[]);
     wait_until(|| std::fs::metadata(at.join("stopped/metrics.jsonl")).is_ok_and(|file| file.len() > 0));
     let killed = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
     assert!(killed.success());
@@ -556,7 +682,7 @@ fn an_interrupted_run_resumes_to_the_same_scene() {
     ok(at, &["info", "stopped"]);
     ok(at, &["train", "--out", "stopped", "--resume"]);
 
-    let mut child = start(at, "killed", &[]);
+    let mut child = start_training(at, "killed", &[]);
     wait_until(|| at.join("killed/checkpoint.safetensors").is_file());
     child.kill().unwrap();
     child.wait().unwrap();

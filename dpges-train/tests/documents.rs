@@ -8,10 +8,11 @@ use assert_cmd::Command;
 const WRITE: &str = "DPGES_WRITE_DOCUMENTS";
 
 /// Document, command whose output it contains.
-const GENERATED: [(&str, &[&str]); 3] = [
+const GENERATED: [(&str, &[&str]); 4] = [
     ("../configs/default.toml", &["config"]),
     ("docs/configuration.md", &["config", "--markdown"]),
     ("docs/ablations.md", &["ablate", "--list"]),
+    ("docs/comparisons.md", &["compare", "--list"]),
 ];
 
 /// `document` with its generated part replaced: in Markdown what lies between comments that name the command, elsewhere

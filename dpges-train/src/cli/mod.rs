@@ -2,6 +2,7 @@
 
 mod ablate;
 mod bench;
+mod compare;
 mod config;
 mod data;
 mod device_choice;
@@ -15,6 +16,7 @@ mod info;
 mod reference;
 mod render;
 mod selftest;
+mod series;
 mod train;
 #[cfg(feature = "viewer")]
 mod view;
@@ -47,6 +49,7 @@ struct Cli {
 enum Command {
     Train(train::TrainArgs),
     Ablate(ablate::AblateArgs),
+    Compare(compare::CompareArgs),
     Config(config::ConfigArgs),
     Eval(eval::EvalArgs),
     Render(render::RenderArgs),
@@ -123,6 +126,7 @@ pub fn run() -> ExitCode {
     let result = match cli.command {
         Command::Train(args) => train::run(args, style),
         Command::Ablate(args) => ablate::run(&args, style),
+        Command::Compare(args) => compare::run(&args, style),
         Command::Config(args) => config::run(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Render(args) => render::run(&args),

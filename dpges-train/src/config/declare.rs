@@ -90,10 +90,15 @@ impl Key {
 }
 
 impl Choice {
+    /// What it means; empty if the name says it.
+    pub fn about(&self) -> String {
+        joined(self.about)
+    }
+
     /// As in TOML, and what it means if the name does not say it.
     pub(super) fn documented(&self, quote: &str) -> String {
         let written = if self.name == "N" { self.name.to_owned() } else { format!("{:?}", self.name) };
-        let about = joined(self.about);
+        let about = self.about();
         format!("{quote}{written}{quote}{}{about}", if about.is_empty() { "" } else { ": " })
     }
 }

@@ -10,6 +10,7 @@
 //! stage_NAME.json           its evaluation, like eval.json
 //! best.safetensors          the best scene so far by the validation views, if they end the run
 //! eval.json                 the evaluation of the finished run, see `eval::EvalReport`
+//! validation.json           the same of the views that were kept for decisions, if there are any
 //! pictures/step_N_VIEW.png  photograph · render · surfels only · error
 //! ```
 
@@ -23,13 +24,14 @@ use serde::{Deserialize, Serialize};
 
 use crate::config::{Config, StageKind};
 
-const FILES: [&str; 13] = [
+const FILES: [&str; 14] = [
     "config.toml",
     "run.json",
     "metrics.jsonl",
     "scene.safetensors",
     "checkpoint.safetensors",
     "eval.json",
+    "validation.json",
     "best.safetensors",
     "stage_2dgs.safetensors",
     "stage_2dgs.json",
@@ -114,6 +116,10 @@ impl RunFolder {
 
     pub fn evaluation(&self) -> PathBuf {
         self.path.join("eval.json")
+    }
+
+    pub fn validation(&self) -> PathBuf {
+        self.path.join("validation.json")
     }
 
     pub fn best(&self) -> PathBuf {

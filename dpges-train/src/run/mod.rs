@@ -50,7 +50,7 @@ use dpges_core::scene::SceneData;
 use crate::config::Config;
 use crate::dataset::Dataset;
 use crate::eval::Evaluation;
-pub use crate::stage::{StepReport, TrainError};
+pub use crate::stage::{StepReport, TrainError, budget};
 use checkpoint::Checkpoint;
 pub use error::RunError;
 use folder::{Origin, RunFolder};

@@ -60,14 +60,14 @@ impl Record {
         Ok(())
     }
 
-    /// Writes to `path` how well the scene in the file `scene` shows the held-out views.
-    pub fn report(&self, scene: &Path, evaluation: &Evaluation, path: &Path) -> Result<()> {
+    /// Writes to `path` how well the scene in the file `scene` shows the views of `split`, as [`EvalReport`] names it.
+    pub fn report(&self, split: &str, scene: &Path, evaluation: &Evaluation, path: &Path) -> Result<()> {
         let file = std::fs::metadata(scene);
         let file = file.map_err(|source| Error::Io { action: "cannot read", path: scene.to_owned(), source })?;
         let report = EvalReport {
             scene: scene.display().to_string(),
             dataset: self.origin.dataset.clone(),
-            split: "test".to_owned(),
+            split: split.to_owned(),
             evaluation: evaluation.clone(),
             bytes: file.len(),
         };

@@ -7,6 +7,7 @@ use super::fixtures::{config, dataset, dataset_of, device};
 use super::folder::RunFolderError;
 use super::*;
 use crate::config::StagePlan;
+use crate::eval::EvalReport;
 
 /// Two stages, evaluations and a checkpoint on the way.
 const SHORT: [&str; 6] = [
@@ -168,14 +169,19 @@ fn validation_views_are_kept_and_end_a_run_with_the_best_scene() {
         let mut notes = Notes::default();
         let scene = run.train(&mut notes).unwrap().scene;
         assert!(!run.trainer().dataset().validation.is_empty());
-        let &(last, Verdict::Enough { best_step, .. }) = notes.validated.last().unwrap() else { panic!("no verdict") };
+        let &(last, Verdict::Enough { best_step, best_psnr }) = notes.validated.last().unwrap() else {
+            panic!("no verdict")
+        };
         assert_eq!(last, best_step + 4);
-        scene
+        (scene, best_psnr)
     };
     let at = tempfile::tempdir().unwrap();
     let folder = at.path().join("run");
-    let scene = judged(Some(&folder));
-    assert!(judged(None) == scene && SceneData::load(&folder.join("scene.safetensors")).unwrap() == scene);
+    let (scene, best_psnr) = judged(Some(&folder));
+    assert!(judged(None).0 == scene && SceneData::load(&folder.join("scene.safetensors")).unwrap() == scene);
+    let text = std::fs::read_to_string(folder.join("validation.json")).unwrap();
+    let report: EvalReport = serde_json::from_str(&text).unwrap();
+    assert_eq!((report.split.as_str(), report.evaluation.psnr), ("validation", best_psnr));
 }
 
 #[test]

@@ -61,9 +61,10 @@ impl Run {
             }
         }
         let scene = if train.stop == Stop::Validation { self.best_scene()? } else { self.trainer.scene() };
+        self.report_validation(&scene, observer)?;
         let evaluation = self.evaluate(&scene, observer)?;
         if let (Some(evaluation), Some(record)) = (&evaluation, &self.record) {
-            record.report(&record.folder.scene(), evaluation, &record.folder.evaluation())?;
+            record.report("test", &record.folder.scene(), evaluation, &record.folder.evaluation())?;
         }
         Ok((scene, evaluation))
     }
@@ -104,7 +105,12 @@ impl Run {
         observer.stage_ended(stage, &scene);
         if let (Some(evaluation), Some(record)) = (self.evaluate(&scene, observer)?, &self.record) {
             let folder = &record.folder;
-            record.report(&folder.stage_scene(stage.kind), &evaluation, &folder.stage_evaluation(stage.kind))?;
+            record.report(
+                "test",
+                &folder.stage_scene(stage.kind),
+                &evaluation,
+                &folder.stage_evaluation(stage.kind),
+            )?;
         }
         self.trainer.next_stage()?;
         self.save(observer)
@@ -114,8 +120,7 @@ impl Run {
     fn validate(&mut self, patience: usize, observer: &mut dyn Observer) -> Result<(), RunError> {
         let (step, scene) = (self.trainer.completed_steps(), self.trainer.scene());
         self.check_device(observer)?;
-        let (views, device) = (&self.trainer.dataset().validation, self.trainer.device());
-        let evaluation = evaluate_each(&self.renderer(&scene), &scene, views, device, |_, _| Ok::<_, RunError>(()))?;
+        let evaluation = self.evaluate_validation(&scene)?;
         let verdict = self.trainer.validation_mut().observe(step, evaluation.psnr, patience);
         let is_best = verdict == Verdict::Best;
         let seconds = self.seconds();
@@ -129,6 +134,23 @@ impl Run {
         }
         observer.validated(step, evaluation.psnr, verdict);
         Ok(())
+    }
+
+    /// Writes down how well `scene`, the result, shows the validation views, if there are any and there is a folder.
+    fn report_validation(&self, scene: &SceneData, observer: &mut dyn Observer) -> Result<(), RunError> {
+        let Some(record) = &self.record else { return Ok(()) };
+        if self.trainer.dataset().validation.is_empty() {
+            return Ok(());
+        }
+        let evaluation = self.evaluate_validation(scene)?;
+        self.check_device(observer)?;
+        let folder = &record.folder;
+        Ok(record.report("validation", &folder.scene(), &evaluation, &folder.validation())?)
+    }
+
+    fn evaluate_validation(&self, scene: &SceneData) -> Result<Evaluation, RunError> {
+        let (views, device) = (&self.trainer.dataset().validation, self.trainer.device());
+        evaluate_each(&self.renderer(scene), scene, views, device, |_, _| Ok(()))
     }
 
     /// The best scene by the validation views; in a folder it becomes the scene of the run.

@@ -67,13 +67,18 @@ impl Context {
 
     /// The largest number of surfels and Gaussians together.
     pub fn budget(&self) -> usize {
-        self.config.most_primitives(mean_pixels(&self.dataset))
+        budget(&self.config, &self.dataset)
     }
 
     /// The largest number of primitives of a stage that may fill `share` of the budget.
     pub fn most_primitives(&self, share: f64) -> usize {
         ((self.budget() as f64 * share) as usize).max(1)
     }
+}
+
+/// The largest number of surfels and Gaussians together that a run of `config` on `dataset` may have.
+pub fn budget(config: &Config, dataset: &Dataset) -> usize {
+    config.most_primitives(mean_pixels(dataset))
 }
 
 /// Mean number of pixels of a training view.

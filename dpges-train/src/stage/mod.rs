@@ -22,7 +22,7 @@ use dpges_core::scene::{GaussianData, SceneData};
 use crate::config::{Config, StageKind, StagePlan};
 use blended::BlendedStage;
 pub use checkpoint::StageCheckpoint;
-pub use context::Context;
+pub use context::{Context, budget};
 pub use error::TrainError;
 use joint::JointStage;
 pub use parameters::{Leaves, Parameters, StepRates};

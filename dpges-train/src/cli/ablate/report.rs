@@ -6,48 +6,22 @@ use std::path::Path;
 
 use dpges_core::atomic::write_atomically;
 
+use super::super::series::chart::psnr_chart;
+use super::super::series::row::{Measured, Row};
+use super::super::series::statistics::Spread;
 use super::super::{Result, table as names_and_values};
-use super::variant::Variant;
+use super::variant::METHOD;
 use crate::progress::Seconds;
 
 const COLUMNS: &str = "variant,psnr,ssim,surfels,gaussians,bytes,seconds";
-
-/// Sizes in the chart, px: width of names, of the longest bar and of numbers; height of a row and of its bar; margin.
-const NAMES: usize = 210;
-const LONGEST: usize = 400;
-const NUMBERS: usize = 90;
-const ROW: usize = 28;
-const BAR: usize = 18;
-const MARGIN: usize = 16;
-
-/// For light and dark backgrounds.
-const STYLE: &str = "<style>
-text { fill: #24292f; font: 13px sans-serif; }
-rect { fill: #4a8fd0; }
-@media (prefers-color-scheme: dark) { text { fill: #e6edf3; } }
-</style>
-";
-
-/// The result of one variant.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Row {
-    pub variant: Variant,
-    /// Mean over the held-out views, dB.
-    pub psnr: f64,
-    /// Mean over the held-out views.
-    pub ssim: f64,
-    pub surfels: usize,
-    pub gaussians: usize,
-    /// Size of the scene file.
-    pub bytes: u64,
-    /// Wall-clock time up to the last step, including evaluations.
-    pub seconds: f64,
-}
+/// Further columns with several seeds. Differences are to the row of [`METHOD`].
+const OF_SEEDS: &str = ",seeds,psnr_deviation,ssim_deviation,psnr_difference,psnr_difference_deviation,\
+                        ssim_difference,ssim_difference_deviation";
 
 /// Writes `ablation.csv` and `ablation.svg` into `folder`; returns their paths, one a line.
 pub fn write(folder: &Path, rows: &[Row]) -> Result<String> {
     let mut paths = String::new();
-    for (name, text) in [("ablation.csv", csv(rows)), ("ablation.svg", chart(rows))] {
+    for (name, text) in [("ablation.csv", csv(rows)), ("ablation.svg", psnr_chart(rows))] {
         let path = folder.join(name);
         write_atomically(&path, |file| file.write_all(text.as_bytes()))?;
         _ = writeln!(paths, "{}", path.display());
@@ -55,91 +29,89 @@ pub fn write(folder: &Path, rows: &[Row]) -> Result<String> {
     Ok(paths)
 }
 
-/// The comparison for the terminal, a line per variant.
+/// The comparison for the terminal, a line per variant: means over the seeds, with several seeds also sample standard
+/// deviations, and differences to the method in parentheses.
 pub fn table(rows: &[Row]) -> String {
-    let names: Vec<String> = rows.iter().map(|row| row.variant.to_string()).collect();
+    let base = base(rows);
     let values = rows.iter().map(|row| {
-        let Row { psnr, ssim, surfels, gaussians, bytes, seconds, .. } = row;
-        let megabytes = *bytes as f64 / 1e6;
+        let mean = |of: fn(&Measured) -> f64| row.spread(of).mean;
+        let mut psnr = row.spread(psnr).to_string();
+        let mut ssim = format!("{:.4}", row.spread(ssim));
+        if let Some(base) = base {
+            _ = write!(psnr, " ({:+.2})", row.difference(base, self::psnr));
+            _ = write!(ssim, " ({:+.4})", row.difference(base, self::ssim));
+        }
+        let (surfels, gaussians) = (mean(|run| run.surfels as f64), mean(|run| run.gaussians as f64));
+        let (megabytes, seconds) = (mean(|run| run.bytes as f64) / 1e6, Seconds(mean(|run| run.seconds)));
         format!(
-            "{psnr:6.2} dB  {ssim:.4}  {surfels:>7} surfels  {gaussians:>8} Gaussians  {megabytes:>6.1} MB  {}",
-            Seconds(*seconds)
+            "{psnr:>6} dB  {ssim}  {surfels:>7.0} surfels  {gaussians:>8.0} Gaussians  {megabytes:>6.1} MB  {seconds}"
         )
     });
-    names_and_values(&names.iter().map(String::as_str).zip(values).collect::<Vec<_>>())
+    let lines = names_and_values(&rows.iter().map(|row| row.label).zip(values).collect::<Vec<_>>());
+    match (rows.first().map_or(1, |row| row.runs.len()), base) {
+        (0 | 1, _) => lines,
+        (seeds, None) => format!("{lines}mean ± sample standard deviation over {seeds} seeds\n"),
+        (seeds, Some(_)) => format!(
+            "{lines}mean ± sample standard deviation over {seeds} seeds; in parentheses the difference to {METHOD}, seed \
+             by seed\n"
+        ),
+    }
 }
 
-/// A line per variant under a line of [`COLUMNS`].
+/// A line per variant under a line of names.
 fn csv(rows: &[Row]) -> String {
-    let mut text = format!("{COLUMNS}\n");
-    for Row { variant, psnr, ssim, surfels, gaussians, bytes, seconds } in rows {
-        _ = writeln!(text, "{variant},{psnr:.4},{ssim:.6},{surfels},{gaussians},{bytes},{seconds:.1}");
+    let has_seeds = rows.iter().any(|row| row.runs.len() > 1);
+    let mut text = format!("{COLUMNS}{}\n", if has_seeds { OF_SEEDS } else { "" });
+    for row in rows {
+        let [psnr_spread, ssim_spread] = [row.spread(psnr), row.spread(ssim)];
+        let counts: [fn(&Measured) -> f64; 3] =
+            [|run| run.surfels as f64, |run| run.gaussians as f64, |run| run.bytes as f64];
+        let [surfels, gaussians, bytes] = counts.map(|of| row.spread(of).mean);
+        _ = write!(text, "{},{:.4},{:.6}", row.label, psnr_spread.mean, ssim_spread.mean);
+        _ = write!(text, ",{surfels:.0},{gaussians:.0},{bytes:.0},{:.1}", row.spread(|run| run.seconds).mean);
+        if has_seeds {
+            let difference = |of| base(rows).map(|base| row.difference(base, of));
+            let [by_psnr, by_ssim] = [difference(psnr as fn(&Measured) -> f64), difference(ssim)];
+            let deviation = |spread: Option<Spread>| spread.and_then(|spread| spread.deviation);
+            let mean = |spread: Option<Spread>| spread.map(|spread| spread.mean);
+            _ = write!(text, ",{}", row.runs.len());
+            for (value, digits) in [
+                (psnr_spread.deviation, 4),
+                (ssim_spread.deviation, 6),
+                (mean(by_psnr), 4),
+                (deviation(by_psnr), 4),
+                (mean(by_ssim), 6),
+                (deviation(by_ssim), 6),
+            ] {
+                text += ",";
+                text += &value.map(|value| format!("{value:.digits$}")).unwrap_or_default();
+            }
+        }
+        text += "\n";
     }
     text
 }
 
-/// A bar per variant, from 0 dB, as long as its PSNR.
-fn chart(rows: &[Row]) -> String {
-    let largest = rows.iter().map(|row| row.psnr).fold(1.0, f64::max);
-    let (width, height) = (NAMES + LONGEST + NUMBERS, ROW * (rows.len() + 1) + MARGIN);
-    let mut svg = format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" viewBox=\"0 0 {width} \
-         {height}\" role=\"img\">\n<title>PSNR of the held-out views, dB</title>\n{STYLE}"
-    );
-    let middle = |row: usize| MARGIN / 2 + ROW * row + ROW / 2;
-    let label = |x: f64, y: usize, anchor: &str, text: &str| {
-        format!("<text x=\"{x:.1}\" y=\"{y}\" text-anchor=\"{anchor}\" dominant-baseline=\"central\">{text}</text>\n")
-    };
-    svg += &label(NAMES as f64, middle(0), "start", "PSNR of the held-out views, dB");
-    for (row, Row { variant, psnr, .. }) in rows.iter().enumerate() {
-        let y = middle(row + 1);
-        let length = LONGEST as f64 * psnr.max(0.0) / largest;
-        svg += &label((NAMES - 10) as f64, y, "end", variant.name);
-        let top = y - BAR / 2;
-        _ = writeln!(svg, "<rect x=\"{NAMES}\" y=\"{top}\" width=\"{length:.1}\" height=\"{BAR}\"/>");
-        svg += &label(NAMES as f64 + length + 8.0, y, "start", &format!("{psnr:.2}"));
-    }
-    svg + "</svg>\n"
+fn psnr(run: &Measured) -> f64 {
+    run.test.psnr
+}
+
+fn ssim(run: &Measured) -> f64 {
+    run.test.ssim
+}
+
+/// What others are compared with if there are several seeds and several rows: the row of the method, if it is there.
+fn base(rows: &[Row]) -> Option<&Row> {
+    rows.iter().find(|row| row.label == METHOD && row.runs.len() > 1 && rows.len() > 1)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::variant::tests::variant;
+    use super::super::super::series::row::tests::row;
     use super::*;
 
     fn rows() -> Vec<Row> {
-        let row = |variant, psnr| Row {
-            variant,
-            psnr,
-            ssim: 0.75,
-            surfels: 12,
-            gaussians: 345,
-            bytes: 6_700_000,
-            seconds: 89.04,
-        };
-        vec![row(variant("full"), 28.0), row(variant("ges"), 14.0), row(variant("sh"), -3.0)]
-    }
-
-    /// Names of all elements, each of which must end where it should.
-    fn elements(xml: &str) -> Vec<String> {
-        let (mut open, mut all) = (Vec::new(), Vec::new());
-        for tag in xml.split('<').skip(1) {
-            let (tag, text) = tag.split_once('>').expect("a tag ends");
-            assert!(!text.contains('>') && !text.contains('&'), "{text}");
-            assert_eq!(tag.matches('"').count() % 2, 0, "{tag}");
-            let name = tag.trim_start_matches('/').split([' ', '/']).next().unwrap().to_owned();
-            if tag.starts_with('/') {
-                assert_eq!(open.pop(), Some(name));
-                continue;
-            }
-            assert!(!open.is_empty() || all.is_empty(), "one root");
-            all.push(name.clone());
-            if !tag.ends_with('/') {
-                open.push(name);
-            }
-        }
-        assert!(open.is_empty(), "{open:?}");
-        all
+        vec![row("full", &[28.0]), row("ges", &[14.0]), row("sh", &[-3.0])]
     }
 
     #[test]
@@ -153,15 +125,14 @@ mod tests {
     }
 
     #[test]
-    fn the_chart_is_well_formed_and_its_bars_are_as_long_as_the_psnr() {
-        let svg = chart(&rows());
-        let count = |name: &str| elements(&svg).iter().filter(|element| *element == name).count();
-        assert_eq!((count("svg"), count("style"), count("rect"), count("text")), (1, 1, 3, 1 + 2 * 3));
-        assert!(svg.starts_with("<svg xmlns=\"http://www.w3.org/2000/svg\""));
-        for part in ["width=\"400.0\"", "width=\"200.0\"", "width=\"0.0\"", ">full<", ">28.00<", ">-3.00<", "dark"] {
-            assert!(svg.contains(part), "{part}: {svg}");
-        }
-        assert_eq!(elements(&chart(&[])), ["svg", "title", "style", "text"]);
+    fn with_several_seeds_the_csv_has_spreads_and_paired_differences() {
+        let expected = "variant,psnr,ssim,surfels,gaussians,bytes,seconds,seeds,psnr_deviation,ssim_deviation,\
+                        psnr_difference,psnr_difference_deviation,ssim_difference,ssim_difference_deviation\n\
+                        full,20.0000,0.750000,12,347,6700000,89.0,3,10.0000,0.000000,0.0000,0.0000,0.000000,0.000000\n\
+                        sh,22.0000,0.750000,12,347,6700000,89.0,3,11.0000,0.000000,2.0000,1.0000,0.000000,0.000000\n";
+        assert_eq!(csv(&[row("full", &[10.0, 20.0, 30.0]), row("sh", &[11.0, 22.0, 33.0])]), expected);
+        let without = csv(&[row("ges", &[1.0, 2.0, 3.0]), row("sh", &[11.0, 22.0, 33.0])]);
+        assert!(without.ends_with("sh,22.0000,0.750000,12,347,6700000,89.0,3,11.0000,0.000000,,,,\n"), "{without}");
     }
 
     #[test]
@@ -169,9 +140,22 @@ mod tests {
         let table = table(&rows());
         assert_eq!(table.lines().count(), 3);
         let first = table.lines().next().unwrap();
-        for part in ["full", "28.00 dB", "0.7500", "12 surfels", "345 Gaussians", "6.7 MB", "1 min 29 s"] {
-            assert!(first.contains(part), "{part}: {first}");
+        let expected = "full   28.00 dB  0.7500       12 surfels       345 Gaussians     6.7 MB  1 min 29 s";
+        assert_eq!(first, expected);
+    }
+
+    #[test]
+    fn with_several_seeds_the_table_has_spreads_and_paired_differences() {
+        let shown = table(&[row("full", &[10.0, 20.0, 30.0]), row("sh", &[11.0, 22.0, 33.0])]);
+        for part in ["full  20.00 ± 10.00 (+0.00 ± 0.00) dB", "sh    22.00 ± 11.00 (+2.00 ± 1.00) dB", "347 Gaussians"]
+        {
+            assert!(shown.contains(part), "{part}: {shown}");
         }
+        assert!(shown.ends_with("over 3 seeds; in parentheses the difference to full, seed by seed\n"), "{shown}");
+        let without = table(&[row("ges", &[1.0, 2.0, 3.0]), row("sh", &[11.0, 22.0, 33.0])]);
+        assert!(without.contains("22.00 ± 11.00 dB") && without.ends_with("over 3 seeds\n"), "{without}");
+        let alone = table(&[row("full", &[11.0, 22.0, 33.0])]);
+        assert!(alone.contains("full  22.00 ± 11.00 dB") && alone.ends_with("over 3 seeds\n"), "{alone}");
     }
 
     #[test]

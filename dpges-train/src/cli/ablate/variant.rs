@@ -6,12 +6,15 @@ use std::sync::LazyLock;
 use clap::ValueEnum;
 use clap::builder::PossibleValue;
 use dpges_train::config::keys;
-use dpges_train::config::sources::preset_text;
-use toml::{Table, Value};
+
+use super::super::series::preset::method_of;
+
+/// The variant that is the method itself.
+pub const METHOD: &str = "full";
 
 /// The paper's table (DP-GES, ablation studies), in its order.
 const PAPER: [&str; 9] = [
-    "full",
+    METHOD,
     "layers-2",
     "layers-4",
     "no-transmittance-gradient",
@@ -24,24 +27,13 @@ const PAPER: [&str; 9] = [
 
 /// Variants that are more or less than one key.
 const OTHERS: [Variant; 3] = [
-    Variant { name: "full", effect: "The method as configured", changes: Changes::Keys(&[]) },
+    Variant { name: METHOD, effect: "The method as configured", changes: Changes::Keys(&[]) },
     Variant { name: "ges", effect: "The predecessor (GES): preset `ges`", changes: Changes::Preset("ges") },
     Variant {
         name: "base",
         effect: "Colours as `sh`, and Gaussians from the discs that are no surfels (GES); needs stages.surfels",
         changes: Changes::Keys(&["model.colour=sh3", "stages.gaussians=0", "stages.gaussians_by=rest"]),
     },
-];
-
-/// Keys and sections of a preset that are no part of the method: length of the run, learning rates, output.
-const OF_THE_RUN: [&str; 7] = [
-    "train.steps",
-    "train.evaluate_every",
-    "train.checkpoint_every",
-    "stages.position_share",
-    "stages.surfel_scale",
-    "refine.add_as",
-    "optimizer",
 ];
 
 /// All variants: those of the paper's table, then others in the order of their keys.
@@ -125,29 +117,15 @@ impl Variant {
     }
 }
 
-/// `key=value` of what a preset says of the method.
-fn method_of(preset: &str) -> Vec<String> {
-    let sections: Table = preset_text(preset).ok().and_then(|text| text.parse().ok()).expect("comes with the program");
-    let mut settings = Vec::new();
-    for (section, keys) in sections {
-        let Value::Table(keys) = keys else { continue };
-        let named = keys.into_iter().map(|(key, value)| (format!("{section}.{key}"), value));
-        let is_of_the_run = |key: &str| OF_THE_RUN.contains(&key) || OF_THE_RUN.contains(&section.as_str());
-        let of_the_method = named.filter(|(key, _)| !is_of_the_run(key));
-        settings.extend(of_the_method.map(|(key, value)| format!("{key}={value}")));
-    }
-    settings
-}
-
 #[cfg(test)]
-pub mod tests {
+mod tests {
     use std::collections::HashSet;
 
     use dpges_train::config::{Config, GaussianStage};
 
     use super::*;
 
-    pub fn variant(name: &str) -> Variant {
+    fn variant(name: &str) -> Variant {
         *ALL.iter().find(|variant| variant.name == name).unwrap()
     }
 
@@ -180,19 +158,5 @@ pub mod tests {
             assert_eq!(length(&found), length(&full), "{variant}");
         }
         assert_eq!(config(variant("base")).stages.gaussians_by, GaussianStage::Rest);
-    }
-
-    #[test]
-    fn ges_is_its_preset_but_for_the_length_and_the_rates() {
-        let mut preset = Config::resolve(Some("ges"), None, &[]).unwrap();
-        let Config { train, optimizer, stages, refine, .. } = config(variant("full"));
-        preset.train.steps = train.steps;
-        preset.train.evaluate_every = train.evaluate_every;
-        preset.train.checkpoint_every = train.checkpoint_every;
-        preset.optimizer = optimizer;
-        preset.stages.position_share = stages.position_share;
-        preset.stages.surfel_scale = stages.surfel_scale;
-        preset.refine.add_as = refine.add_as;
-        assert_eq!(config(variant("ges")), preset);
     }
 }

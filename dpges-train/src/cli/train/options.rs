@@ -57,6 +57,11 @@ impl ConfigArgs {
         self.preset.is_some() || self.config.is_some()
     }
 
+    /// Whether `--method` is given.
+    pub fn names_method(&self) -> bool {
+        self.method.is_some()
+    }
+
     /// The configuration for a dataset, with `more` (`key=value`) on top.
     pub fn resolve(&self, source: &Source, more: &[String]) -> Result<Config> {
         let mut config = self.resolved(of_dataset(source), self.config.as_deref(), more)?;

@@ -1,0 +1,355 @@
+//! The comparison of methods: a table in Markdown, `comparison.csv`, `comparison.json`, `comparison.svg`.
+
+use std::fmt::Write as _;
+use std::io::Write as _;
+use std::path::Path;
+
+use dpges_core::atomic::write_atomically;
+use dpges_train::run::folder::write_json;
+use serde::Serialize;
+
+use super::super::Result;
+use super::super::data::Source;
+use super::super::series::Member;
+use super::super::series::chart::psnr_chart;
+use super::super::series::row::{Measured, Row, Scores};
+use super::super::series::statistics::Spread;
+use super::sheets::Pictures;
+
+const COLUMNS: &str = "method,seeds,psnr,psnr_deviation,ssim,ssim_deviation,psnr_difference,psnr_difference_deviation,\
+                       ssim_difference,ssim_difference_deviation,validation_psnr,validation_psnr_deviation,\
+                       validation_ssim,validation_ssim_deviation,surfels,gaussians,bytes,seconds";
+
+/// Everything that is known of a comparison: the content of `comparison.json`.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Comparison {
+    /// Folder of the dataset, or `builtin`.
+    dataset: String,
+    /// `train.steps` of every run.
+    steps: usize,
+    /// Largest number of surfels and Gaussians together, of every run.
+    budget: usize,
+    seeds: Vec<u64>,
+    /// In the order in which they were asked for.
+    methods: Vec<Entry>,
+    pictures: Pictures,
+    #[serde(skip)]
+    rows: Vec<Row>,
+}
+
+/// A method: means and spreads over its seeds.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+struct Entry {
+    method: &'static str,
+    /// `key=value` of what makes a configuration this method.
+    settings: Vec<String>,
+    /// Of the held-out views, dB.
+    psnr: Spread,
+    /// Of the held-out views.
+    ssim: Spread,
+    /// To the first method, seed by seed, dB.
+    psnr_difference: Spread,
+    /// To the first method, seed by seed.
+    ssim_difference: Spread,
+    /// Of the validation views, dB; `None` if there are none.
+    validation_psnr: Option<Spread>,
+    validation_ssim: Option<Spread>,
+    surfels: Spread,
+    gaussians: Spread,
+    /// Size of the scene file.
+    bytes: Spread,
+    /// Wall-clock time up to the last step.
+    seconds: Spread,
+    runs: Vec<RunEntry>,
+}
+
+/// A run of a method.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+struct RunEntry {
+    seed: u64,
+    /// Relative to the folder of the comparison.
+    folder: String,
+    test: Scores,
+    validation: Option<Scores>,
+    surfels: usize,
+    gaussians: usize,
+    bytes: u64,
+    seconds: f64,
+}
+
+impl Comparison {
+    /// `rows` are those of `members`, in their order.
+    pub fn new(
+        source: &Source,
+        steps: usize,
+        budget: usize,
+        members: &[Member],
+        rows: Vec<Row>,
+        pictures: Pictures,
+    ) -> Self {
+        let entry = |(member, row): (&Member, &Row)| Entry::new(member, row, &rows[0]);
+        Self {
+            dataset: source.to_string(),
+            steps,
+            budget,
+            seeds: rows.first().map_or_else(Vec::new, |row| row.runs.iter().map(|run| run.seed).collect()),
+            methods: members.iter().zip(&rows).map(entry).collect(),
+            pictures,
+            rows,
+        }
+    }
+
+    /// Writes all files but the pictures into `folder`; returns the paths of all, one a line.
+    pub fn write(&self, folder: &Path) -> Result<String> {
+        let mut paths = String::new();
+        for (name, text) in [("comparison.csv", self.csv()), ("comparison.svg", psnr_chart(&self.rows))] {
+            let path = folder.join(name);
+            write_atomically(&path, |file| file.write_all(text.as_bytes()))?;
+            _ = writeln!(paths, "{}", path.display());
+        }
+        let path = folder.join("comparison.json");
+        write_json(&path, self)?;
+        _ = writeln!(paths, "{}", path.display());
+        for sheet in &self.pictures.sheets {
+            _ = writeln!(paths, "{}", folder.join(&sheet.file).display());
+        }
+        Ok(paths)
+    }
+
+    /// The comparison in Markdown, and what it is of.
+    pub fn table(&self) -> String {
+        let validates = self.methods.iter().any(|entry| entry.validation_psnr.is_some());
+        let has_others = self.methods.len() > 1;
+        let first = self.methods.first().map_or("", |entry| entry.method);
+        let mut lines = vec![vec!["method".to_owned(), "PSNR, dB".to_owned()]];
+        lines[0].extend(has_others.then(|| format!("to {first}")));
+        lines[0].push("SSIM".to_owned());
+        if validates {
+            lines[0].extend(["validation PSNR", "validation SSIM"].map(str::to_owned));
+        }
+        lines[0].extend(["surfels + Gaussians", "MB", "seconds"].map(str::to_owned));
+        for (index, entry) in self.methods.iter().enumerate() {
+            let mut line = vec![entry.method.to_owned(), format!("{:.2}", entry.psnr)];
+            line.extend(has_others.then(|| match index {
+                0 => String::new(),
+                _ => format!("{:+.2}", entry.psnr_difference),
+            }));
+            line.push(format!("{:.4}", entry.ssim));
+            if validates {
+                line.push(entry.validation_psnr.map(|spread| format!("{spread:.2}")).unwrap_or_default());
+                line.push(entry.validation_ssim.map(|spread| format!("{spread:.4}")).unwrap_or_default());
+            }
+            line.push(format!("{:.0} + {:.0}", entry.surfels.mean, entry.gaussians.mean));
+            line.extend([format!("{:.2}", entry.bytes.mean / 1e6), format!("{:.0}", entry.seconds.mean)]);
+            lines.push(line);
+        }
+        markdown(&lines) + "\n" + &self.conditions()
+    }
+
+    /// What the table is of, in sentences.
+    fn conditions(&self) -> String {
+        let Self { dataset, steps, budget, seeds, .. } = self;
+        let mut text = format!("{dataset}: held-out views, {steps} steps, at most {budget} primitives, ");
+        text += match seeds.len() {
+            1 => "seed ",
+            _ => "mean ± sample standard deviation over seeds ",
+        };
+        text += &seeds.iter().map(u64::to_string).collect::<Vec<_>>().join(", ");
+        if seeds.len() > 1 && self.methods.len() > 1 {
+            text += "; differences are taken seed by seed";
+        }
+        text += ".\n";
+        if !self.pictures.sheets.is_empty() {
+            let columns = self.pictures.columns.join(" · ");
+            _ = writeln!(text, "Pictures: {columns}; below each its error. Seed {}.", self.pictures.seed);
+        }
+        text
+    }
+
+    /// A line per method under a line of [`COLUMNS`]. What is not known is empty.
+    fn csv(&self) -> String {
+        let mut text = format!("{COLUMNS}\n");
+        for entry in &self.methods {
+            _ = write!(text, "{},{}", entry.method, entry.runs.len());
+            let with_deviation = [
+                (Some(entry.psnr), 4),
+                (Some(entry.ssim), 6),
+                (Some(entry.psnr_difference), 4),
+                (Some(entry.ssim_difference), 6),
+                (entry.validation_psnr, 4),
+                (entry.validation_ssim, 6),
+            ];
+            for (spread, digits) in with_deviation {
+                for value in [spread.map(|spread| spread.mean), spread.and_then(|spread| spread.deviation)] {
+                    text += ",";
+                    text += &value.map(|value| format!("{value:.digits$}")).unwrap_or_default();
+                }
+            }
+            let Entry { surfels, gaussians, bytes, seconds, .. } = entry;
+            let (surfels, gaussians, bytes, seconds) = (surfels.mean, gaussians.mean, bytes.mean, seconds.mean);
+            _ = writeln!(text, ",{surfels:.0},{gaussians:.0},{bytes:.0},{seconds:.1}");
+        }
+        text
+    }
+}
+
+impl Entry {
+    fn new(member: &Member, row: &Row, base: &Row) -> Self {
+        let psnr: fn(&Measured) -> f64 = |run| run.test.psnr;
+        let ssim: fn(&Measured) -> f64 = |run| run.test.ssim;
+        Self {
+            method: member.label,
+            settings: member.settings.clone(),
+            psnr: row.spread(psnr),
+            ssim: row.spread(ssim),
+            psnr_difference: row.difference(base, psnr),
+            ssim_difference: row.difference(base, ssim),
+            validation_psnr: row.validation(|scores| scores.psnr),
+            validation_ssim: row.validation(|scores| scores.ssim),
+            surfels: row.spread(|run| run.surfels as f64),
+            gaussians: row.spread(|run| run.gaussians as f64),
+            bytes: row.spread(|run| run.bytes as f64),
+            seconds: row.spread(|run| run.seconds),
+            runs: row.runs.iter().map(RunEntry::new).collect(),
+        }
+    }
+}
+
+impl RunEntry {
+    fn new(run: &Measured) -> Self {
+        let Measured { seed, ref folder, test, validation, surfels, gaussians, bytes, seconds, .. } = *run;
+        Self { seed, folder: folder.clone(), test, validation, surfels, gaussians, bytes, seconds }
+    }
+}
+
+/// A table in Markdown whose columns are aligned as text too; the first line is its head, numbers stand right.
+fn markdown(lines: &[Vec<String>]) -> String {
+    let columns = lines.iter().map(Vec::len).max().unwrap_or(0);
+    let length = |line: &Vec<String>, column: usize| line.get(column).map_or(0, |cell| cell.chars().count());
+    let widths: Vec<usize> =
+        (0..columns).map(|column| lines.iter().map(|line| length(line, column)).max().unwrap_or(0).max(3)).collect();
+    let written = |line: &Vec<String>| {
+        let cells = line.iter().zip(&widths).enumerate().map(|(column, (cell, &width))| match column {
+            0 => format!(" {cell:width$} |"),
+            _ => format!(" {cell:>width$} |"),
+        });
+        format!("|{}\n", cells.collect::<String>())
+    };
+    let rules = widths.iter().enumerate().map(|(column, &width)| match column {
+        0 => format!("{}|", "-".repeat(width + 2)),
+        _ => format!("{}:|", "-".repeat(width + 1)),
+    });
+    let mut text = lines.first().map(&written).unwrap_or_default();
+    text += &format!("|{}\n", rules.collect::<String>());
+    text + &lines.iter().skip(1).map(written).collect::<String>()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::super::series::row::tests::row;
+    use super::super::sheets::Sheet;
+    use super::*;
+
+    fn comparison(rows: Vec<Row>) -> Comparison {
+        let sheet = Sheet {
+            file: "pictures/a.png".to_owned(),
+            view: "a.jpg".to_owned(),
+            chosen: "worst",
+            psnr: vec![Some(9.0)],
+        };
+        let pictures = Pictures {
+            seed: 0,
+            columns: std::iter::once("photograph").chain(rows.iter().map(|row| row.label)).collect(),
+            rows: ["picture", "error"],
+            largest_error: 0.25,
+            sheets: vec![sheet],
+        };
+        let member = |row: &Row| Member { label: row.label, settings: vec![format!("train.method={}", row.label)] };
+        let members: Vec<Member> = rows.iter().map(member).collect();
+        Comparison::new(&Source::Builtin, 30, 900, &members, rows, pictures)
+    }
+
+    fn two() -> Vec<Row> {
+        vec![row("dpges", &[10.0, 20.0, 30.0]), row("mcmc", &[11.0, 22.0, 33.0])]
+    }
+
+    #[test]
+    fn the_table_has_means_spreads_and_paired_differences() {
+        let expected = "\
+            | method |      PSNR, dB |     to dpges |            SSIM | surfels + Gaussians |   MB | seconds |\n\
+            |--------|--------------:|-------------:|----------------:|--------------------:|-----:|--------:|\n\
+            | dpges  | 20.00 ± 10.00 |              | 0.7500 ± 0.0000 |            12 + 347 | 6.70 |      89 |\n\
+            | mcmc   | 22.00 ± 11.00 | +2.00 ± 1.00 | 0.7500 ± 0.0000 |            12 + 347 | 6.70 |      89 |\n\
+            \n\
+            builtin: held-out views, 30 steps, at most 900 primitives, mean ± sample standard deviation over seeds 0, 1, \
+            2; differences are taken seed by seed.\n\
+            Pictures: photograph · dpges · mcmc; below each its error. Seed 0.\n";
+        assert_eq!(comparison(two()).table(), expected);
+    }
+
+    #[test]
+    fn one_seed_has_no_spread_and_one_method_no_difference() {
+        let table = comparison(vec![row("dpges", &[28.0])]).table();
+        assert!(table.contains("28.00 |") && table.contains("seed 0.\n"), "{table}");
+        assert!(!table.contains('±') && !table.contains("to dpges"), "{table}");
+    }
+
+    #[test]
+    fn validation_views_have_columns_if_there_are_any() {
+        let mut rows = two();
+        for (row, psnr) in rows.iter_mut().zip([15.0, 17.5]) {
+            row.runs.iter_mut().for_each(|run| run.validation = Some(Scores { psnr, ssim: 0.5 }));
+        }
+        let with = comparison(rows);
+        for part in ["| validation PSNR |", "15.00 ± 0.00", "17.50 ± 0.00", "0.5000 ± 0.0000"] {
+            assert!(with.table().contains(part), "{part}: {}", with.table());
+        }
+        assert!(with.csv().contains(",15.0000,0.0000,0.500000,0.000000,12,"), "{}", with.csv());
+        assert!(!comparison(two()).table().contains("validation"));
+    }
+
+    #[test]
+    fn the_csv_has_a_line_per_method_and_leaves_out_what_is_unknown() {
+        let csv = comparison(two()).csv();
+        let lines: Vec<&str> = csv.lines().collect();
+        assert_eq!(lines[0], COLUMNS);
+        assert_eq!(
+            lines[2],
+            "mcmc,3,22.0000,11.0000,0.750000,0.000000,2.0000,1.0000,0.000000,0.000000,,,,,12,347,6700000,89.0"
+        );
+        assert!(lines.iter().all(|line| line.split(',').count() == 18), "{csv}");
+        let once = comparison(vec![row("dpges", &[28.0])]).csv();
+        assert!(once.ends_with("dpges,1,28.0000,,0.750000,,0.0000,,0.000000,,,,,,12,345,6700000,89.0\n"), "{once}");
+    }
+
+    #[test]
+    fn the_json_has_the_documented_keys() {
+        let json = serde_json::to_value(comparison(two())).unwrap();
+        let keys = |value: &serde_json::Value| {
+            let mut keys: Vec<String> = value.as_object().unwrap().keys().cloned().collect();
+            keys.sort();
+            keys.join(" ")
+        };
+        assert_eq!(keys(&json), "budget dataset methods pictures seeds steps");
+        let second = &json["methods"][1];
+        assert_eq!(
+            keys(second),
+            "bytes gaussians method psnr psnr_difference runs seconds settings ssim ssim_difference surfels \
+             validation_psnr validation_ssim"
+        );
+        assert_eq!(second["psnr_difference"], serde_json::json!({ "mean": 2.0, "deviation": 1.0 }));
+        assert_eq!(keys(&second["runs"][0]), "bytes folder gaussians seconds seed surfels test validation");
+        assert_eq!(second["runs"][2]["test"]["psnr"], 33.0);
+        assert_eq!(keys(&json["pictures"]), "columns largest_error rows seed sheets");
+        assert_eq!(keys(&json["pictures"]["sheets"][0]), "chosen file psnr view");
+    }
+
+    #[test]
+    fn all_files_are_written_and_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let paths = comparison(two()).write(folder.path()).unwrap();
+        let names: Vec<&str> = paths.lines().map(|path| path.rsplit('/').next().unwrap()).collect();
+        assert_eq!(names, ["comparison.csv", "comparison.svg", "comparison.json", "a.png"]);
+        assert!(paths.lines().take(3).all(|path| Path::new(path).is_file()));
+    }
+}

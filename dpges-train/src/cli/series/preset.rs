@@ -1,0 +1,50 @@
+//! Presets as settings for a run of any length.
+
+use dpges_train::config::sources::preset_text;
+use toml::{Table, Value};
+
+/// Keys and sections of a preset that are no part of the method: length of the run, learning rates, output.
+const OF_THE_RUN: [&str; 7] = [
+    "train.steps",
+    "train.evaluate_every",
+    "train.checkpoint_every",
+    "stages.position_share",
+    "stages.surfel_scale",
+    "refine.add_as",
+    "optimizer",
+];
+
+/// `key=value` of what a preset says of the method.
+pub fn method_of(preset: &str) -> Vec<String> {
+    let sections: Table = preset_text(preset).ok().and_then(|text| text.parse().ok()).expect("comes with the program");
+    let mut settings = Vec::new();
+    for (section, keys) in sections {
+        let Value::Table(keys) = keys else { continue };
+        let named = keys.into_iter().map(|(key, value)| (format!("{section}.{key}"), value));
+        let is_of_the_run = |key: &str| OF_THE_RUN.contains(&key) || OF_THE_RUN.contains(&section.as_str());
+        let of_the_method = named.filter(|(key, _)| !is_of_the_run(key));
+        settings.extend(of_the_method.map(|(key, value)| format!("{key}={value}")));
+    }
+    settings
+}
+
+#[cfg(test)]
+mod tests {
+    use dpges_train::config::Config;
+
+    use super::*;
+
+    #[test]
+    fn ges_is_its_preset_but_for_the_length_and_the_rates() {
+        let mut preset = Config::resolve(Some("ges"), None, &[]).unwrap();
+        let Config { train, optimizer, stages, refine, .. } = Config::default();
+        preset.train.steps = train.steps;
+        preset.train.evaluate_every = train.evaluate_every;
+        preset.train.checkpoint_every = train.checkpoint_every;
+        preset.optimizer = optimizer;
+        preset.stages.position_share = stages.position_share;
+        preset.stages.surfel_scale = stages.surfel_scale;
+        preset.refine.add_as = refine.add_as;
+        assert_eq!(Config::resolve(None, None, &method_of("ges")).unwrap(), preset);
+    }
+}

@@ -1,0 +1,144 @@
+//! What the runs of a series have come to.
+
+use std::path::Path;
+
+use dpges_train::eval::{EvalReport, ViewScore};
+use dpges_train::run::folder::RunFolder;
+use dpges_train::run::metrics_log::MetricsLog;
+use serde::Serialize;
+
+use super::super::{Failure, Result};
+use super::statistics::Spread;
+
+/// What came out of one run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Measured {
+    pub seed: u64,
+    /// Relative to the folder of the series.
+    pub folder: String,
+    /// Of the held-out views.
+    pub test: Scores,
+    /// Of the views that were kept for decisions, if there are any.
+    pub validation: Option<Scores>,
+    pub surfels: usize,
+    pub gaussians: usize,
+    /// Size of the scene file.
+    pub bytes: u64,
+    /// Wall-clock time up to the last step, including evaluations, before and after every resumption.
+    pub seconds: f64,
+    /// The held-out views one by one.
+    pub views: Vec<ViewScore>,
+}
+
+/// Means over views.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Scores {
+    /// dB
+    pub psnr: f64,
+    pub ssim: f64,
+}
+
+/// The runs of one configuration, a seed each.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Row {
+    pub label: &'static str,
+    /// At least one.
+    pub runs: Vec<Measured>,
+}
+
+impl Measured {
+    /// From the folder of a finished run; `relative` is what it is called in the folder of the series.
+    pub fn read(folder: &RunFolder, relative: String, seed: u64) -> Result<Self> {
+        let report = read_report(&folder.evaluation())?;
+        let path = folder.validation();
+        let validation = if path.is_file() { Some(Scores::of(&read_report(&path)?)) } else { None };
+        Ok(Self {
+            seed,
+            folder: relative,
+            test: Scores::of(&report),
+            validation,
+            surfels: report.evaluation.surfels,
+            gaussians: report.evaluation.gaussians,
+            bytes: report.bytes,
+            seconds: MetricsLog::seconds_of_steps(&folder.metrics())?,
+            views: report.evaluation.views,
+        })
+    }
+}
+
+impl Scores {
+    fn of(report: &EvalReport) -> Self {
+        Self { psnr: report.evaluation.psnr, ssim: report.evaluation.ssim }
+    }
+}
+
+impl Row {
+    /// Mean and spread over the seeds.
+    pub fn spread(&self, of: impl Fn(&Measured) -> f64) -> Spread {
+        Spread::of(&self.values(of))
+    }
+
+    /// Mean and spread of the difference to `base`, seed by seed. Both have the same seeds.
+    pub fn difference(&self, base: &Self, of: impl Fn(&Measured) -> f64) -> Spread {
+        Spread::of_differences(&self.values(&of), &base.values(&of))
+    }
+
+    /// Mean and spread over the seeds; `None` if a run has no validation views.
+    pub fn validation(&self, of: impl Fn(&Scores) -> f64) -> Option<Spread> {
+        let values: Option<Vec<f64>> = self.runs.iter().map(|run| run.validation.as_ref().map(&of)).collect();
+        values.map(|values| Spread::of(&values))
+    }
+
+    fn values(&self, of: impl Fn(&Measured) -> f64) -> Vec<f64> {
+        self.runs.iter().map(of).collect()
+    }
+}
+
+fn read_report(path: &Path) -> Result<EvalReport> {
+    let wrong = |error: String| {
+        let help = "remove it to finish its run again";
+        Failure::with_help(format!("{} cannot be read: {error}", path.display()), help)
+    };
+    let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
+    serde_json::from_str(&text).map_err(|error| wrong(error.to_string()))
+}
+
+#[cfg(test)]
+pub mod tests {
+    use super::*;
+
+    /// A row with seeds 0, 1, …, and a PSNR for each.
+    pub fn row(label: &'static str, psnr: &[f64]) -> Row {
+        let measured = |(seed, &psnr): (usize, &f64)| Measured {
+            seed: seed as u64,
+            folder: format!("{label}/seed_{seed}"),
+            test: Scores { psnr, ssim: 0.75 },
+            validation: None,
+            surfels: 12,
+            gaussians: 345 + 2 * seed,
+            bytes: 6_700_000,
+            seconds: 89.04,
+            views: Vec::new(),
+        };
+        Row { label, runs: psnr.iter().enumerate().map(measured).collect() }
+    }
+
+    #[test]
+    fn validation_is_known_if_it_is_of_every_run() {
+        let mut row = row("a", &[20.0, 30.0]);
+        assert_eq!(row.validation(|scores| scores.psnr), None);
+        row.runs[0].validation = Some(Scores { psnr: 10.0, ssim: 0.5 });
+        assert_eq!(row.validation(|scores| scores.psnr), None);
+        row.runs[1].validation = Some(Scores { psnr: 14.0, ssim: 0.5 });
+        assert_eq!(row.validation(|scores| scores.psnr).unwrap().mean, 12.0);
+    }
+
+    #[test]
+    fn reports_that_cannot_be_read_are_named() {
+        let at = tempfile::tempdir().unwrap();
+        let folder = RunFolder::new(at.path());
+        std::fs::write(folder.evaluation(), "{}").unwrap();
+        let Err(Failure::Failed(report)) = Measured::read(&folder, String::new(), 0) else { panic!("it is read") };
+        assert!(report.to_string().contains("eval.json cannot be read: missing field"), "{report}");
+    }
+}
