@@ -125,8 +125,7 @@ fn every_number_of_layers_and_lookup_looks_the_same(headless: &Headless) -> Resu
 }
 
 fn scenes_of_stages_look_the_same(headless: &Headless) -> Result<(), Failed> {
-    let methods =
-        [("mcmc", Rendering::Ellipsoids), ("3dgs", Rendering::Ellipsoids), ("2dgs", Rendering::Discs)];
+    let methods = [("mcmc", Rendering::Ellipsoids), ("3dgs", Rendering::Ellipsoids), ("2dgs", Rendering::Discs)];
     for (method, rendering) in methods {
         let scene = trained(60, &[&format!("train.method={method}")]);
         assert_eq!(scene.info.rendering, rendering);

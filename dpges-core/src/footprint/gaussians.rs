@@ -12,8 +12,8 @@ use crate::error::Result;
 use crate::host::{self, Host};
 use crate::math::{CameraOf, V3, row};
 use crate::real::Real;
-use crate::scene::{Gaussians, ScreenFilter};
 use crate::scene::tensors::{check_shape, flat};
+use crate::scene::{Gaussians, ScreenFilter};
 
 /// Gaussians, or the gradients with respect to them.
 #[derive(ExtensionType, Debug, Clone)]

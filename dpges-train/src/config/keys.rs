@@ -6,7 +6,9 @@ use dpges_core::ops::peel::MAX_LAYERS;
 use dpges_core::scene::{ColourModel, Footprint, MarginLookup, OpacityActivation};
 
 use super::budget::Budget;
-use super::choices::{AddAs, Background, GaussianStage, InitMethod, JointOpacity, Margin, Method, PixelsOf, Stop, SurfelStart};
+use super::choices::{
+    AddAs, Background, GaussianStage, InitMethod, JointOpacity, Margin, Method, PixelsOf, Stop, SurfelStart,
+};
 use super::declare::{Ablation, Key, Section, Value, configuration, optional};
 use super::range::{self, OPACITY, POSITIVE, POSITIVE_SHARE};
 use super::sources::ConfigError;

@@ -26,12 +26,14 @@ use crate::dataset::LoadOptions;
 
 pub use budget::Budget;
 use budget::{MEGABYTE, primitives_for};
-pub use choices::{AddAs, Background, GaussianStage, InitMethod, JointOpacity, Margin, Method, PixelsOf, Stop, SurfelStart};
+pub use choices::{
+    AddAs, Background, GaussianStage, InitMethod, JointOpacity, Margin, Method, PixelsOf, Stop, SurfelStart,
+};
 pub use declare::{Ablation, Key, Section};
 pub use dpges_core::scene::OpacityActivation;
 pub use keys::{
-    Config, DataConfig, DensityConfig, DiscsConfig, InitConfig, ModelConfig, OptimizerConfig, RefineConfig, RelocationConfig,
-    SECTIONS, StagesConfig, TrainConfig,
+    Config, DataConfig, DensityConfig, DiscsConfig, InitConfig, ModelConfig, OptimizerConfig, RefineConfig,
+    RelocationConfig, SECTIONS, StagesConfig, TrainConfig,
 };
 pub use schedule::{Due, Schedule};
 pub use sources::ConfigError;

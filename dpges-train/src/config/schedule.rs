@@ -40,7 +40,12 @@ pub struct Due {
 impl Due {
     /// Whether rows may appear or disappear.
     pub fn changes_rows(&self) -> bool {
-        self.surfel_prune || self.judge_surfels || self.gaussian_prune || self.batches_left.is_some() || self.replace || self.split
+        self.surfel_prune
+            || self.judge_surfels
+            || self.gaussian_prune
+            || self.batches_left.is_some()
+            || self.replace
+            || self.split
     }
 }
 
@@ -187,10 +192,7 @@ mod tests {
         let all = config(REFERENCE_STEPS).schedule(100);
         let mut frozen = config(REFERENCE_STEPS);
         frozen.train.freeze_surfels = true;
-        assert_eq!(
-            frozen.schedule(100),
-            Schedule { surfel_prune: vec![], judge_surfels: vec![], ..all.clone() }
-        );
+        assert_eq!(frozen.schedule(100), Schedule { surfel_prune: vec![], judge_surfels: vec![], ..all.clone() });
         let mut automatic = config(REFERENCE_STEPS);
         automatic.refine.budget = Budget::Auto;
         assert_eq!(automatic.schedule(100), Schedule { drop_lobes: vec![16_000, 22_000], ..all.clone() });

@@ -125,7 +125,8 @@ pub fn densify(
     };
 
     let is_small = |row: &usize| rule.fits(gaussians, *row, limit(rule.dense_fraction));
-    let (mut cloned, parents): (Vec<usize>, Vec<usize>) = rule.selected(sums, room, is_small).into_iter().partition(is_small);
+    let (mut cloned, parents): (Vec<usize>, Vec<usize>) =
+        rule.selected(sums, room, is_small).into_iter().partition(is_small);
     let mut is_parent = vec![false; count];
     parents.iter().for_each(|&row| is_parent[row] = true);
     let rows = RowEdit::retain(count, |&row| !is_parent[row] && stays(row, max_scale));

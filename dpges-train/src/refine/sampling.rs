@@ -41,8 +41,10 @@ mod tests {
 
     #[test]
     fn the_nearest_view_that_sees_a_point_decides() {
-        let (near, far, behind) = (camera(2.0, 100.0), camera(8.0, 100.0), camera(-1.0, 1e6));
-        let cameras = [&far, &near, &behind];
+        let (near, far) = (camera(2.0, 100.0), camera(8.0, 100.0));
+        let away = CameraFromWorld::look_at(DVec3::new(0.0, 0.0, 30.0), DVec3::new(0.0, 0.0, 60.0), -DVec3::Y);
+        let away = Camera { camera_from_world: away, ..camera(2.0, 1e6) };
+        let cameras = [&far, &near, &away];
         // in the middle; 1 to the side: 50 px of the near view, 12.5 of the far; beyond both; behind them
         let positions = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 9.0, 0.0, 0.0, 0.0, 0.0, -20.0];
         let found = finest_pixels(&positions, &cameras);

@@ -34,12 +34,7 @@ pub fn split(
 }
 
 /// The rows to split, those that exceed their limit most first.
-fn parents(
-    gaussians: &GaussianData,
-    surfel_positions: &[f32],
-    margins: &[f32],
-    factor: f64,
-) -> Vec<usize> {
+fn parents(gaussians: &GaussianData, surfel_positions: &[f32], margins: &[f32], factor: f64) -> Vec<usize> {
     let around = nearest_to(as_points(&gaussians.positions), as_points(surfel_positions), NEIGHBOURS);
     let (log_scales, _) = gaussians.log_scales.as_chunks::<3>();
     let excess = |row: usize| {

@@ -101,9 +101,8 @@ impl BlendedStage {
                 let reason = "column `sampling_limit` does not fit the Gaussians".into();
                 return Err(TrainError::Resume { reason });
             }
-            column => column.map(|column| {
-                SamplingLimit::from_column(&column, context.config.density.smoothing, &context.device)
-            }),
+            column => column
+                .map(|column| SamplingLimit::from_column(&column, context.config.density.smoothing, &context.device)),
         };
         let mut stage = Self::new(plan, blended, gaussians, gradients, context);
         stage.sampling_limit = sampling_limit;

@@ -50,11 +50,7 @@ impl SamplingLimit {
             return gaussians.clone();
         }
         let like = &gaussians.log_scales;
-        let deviations = if like.is_autodiff() {
-            self.deviations.clone().autodiff()
-        } else {
-            self.deviations.clone()
-        };
+        let deviations = if like.is_autodiff() { self.deviations.clone().autodiff() } else { self.deviations.clone() };
         let log_scales = ((like.clone() * 2.0).exp() + (deviations.clone() * deviations)).clamp_min(1e-30).log() * 0.5;
         let dimming = (like.clone() - log_scales.clone()).sum_dim(1).exp();
         Gaussians { opacities: gaussians.opacities.clone() * dimming, log_scales, ..gaussians.clone() }

@@ -100,7 +100,13 @@ pub struct BlendOptions {
 impl Default for BlendOptions {
     /// Ellipsoids, α up to 0.999 (DBS), pixels end at 1e-4 (3DGS), no maps.
     fn default() -> Self {
-        Self { form: Form::Ellipsoids, filter: ScreenFilter::default(), max_alpha: 0.999, min_transmittance: 1e-4, maps: false }
+        Self {
+            form: Form::Ellipsoids,
+            filter: ScreenFilter::default(),
+            max_alpha: 0.999,
+            min_transmittance: 1e-4,
+            maps: false,
+        }
     }
 }
 

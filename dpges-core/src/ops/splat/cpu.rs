@@ -300,7 +300,8 @@ fn backward<T: Real>(
                         let i = chunk * CHUNK + j;
                         let Some(splat) = gaussians.splat(&camera, i) else { continue };
                         let sum = gather(&splat, grid, &limits, &grad, &mut scratch);
-                        let grads = splat::backward(&camera, &gaussians.parameters(i), &splat, &sum, ScreenFilter::Compensated);
+                        let grads =
+                            splat::backward(&camera, &gaussians.parameters(i), &splat, &sum, ScreenFilter::Compensated);
                         positions[3 * j..3 * j + 3].copy_from_slice(&grads.position);
                         quaternions[4 * j..4 * j + 4].copy_from_slice(&grads.quaternion);
                         log_scales[3 * j..3 * j + 3].copy_from_slice(&grads.log_scales);

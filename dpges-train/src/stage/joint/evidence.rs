@@ -56,7 +56,9 @@ impl Context {
         for view in &dataset.train {
             let rendered = render_blended(&gaussians, None, &view.camera, &options, Values::KnownFinite)?;
             let alpha = rendered.blend.alpha;
-            let Some(Maps { depth, median_depth, .. }) = rendered.blend.maps else { unreachable!("maps were asked for") };
+            let Some(Maps { depth, median_depth, .. }) = rendered.blend.maps else {
+                unreachable!("maps were asked for")
+            };
             let mean = tensor_to_rows(&expected_depth(depth, alpha.clone()));
             let depth = certain(&tensor_to_rows(&alpha), &mean, tensor_to_rows(&median_depth));
             views.push(DepthView { camera: &view.camera, depth, photograph: &view.picture.planes });

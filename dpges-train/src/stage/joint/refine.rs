@@ -106,8 +106,7 @@ impl JointStage {
         let before = self.gaussians.len();
         let factor = context.config.refine.split_factor;
         let gaussians = self.gaussians.to_data();
-        let (edit, too_large) =
-            split(&gaussians, &surfels.positions, &surfels.margins, factor, room, &mut context.rng);
+        let (edit, too_large) = split(&gaussians, &surfels.positions, &surfels.margins, factor, room, &mut context.rng);
         self.edit_gaussians(&edit);
         format!("{} of {too_large} Gaussians split that are too large, of {before}", self.gaussians.len() - before)
     }

@@ -44,7 +44,8 @@ impl Context {
         let (mut surfels, rest) = match (discs, given) {
             (Some(discs), _) => {
                 let (surfels, rest) = promote(discs, stages.surfel_opacity, stages.surfel_scale);
-                let small = small_surfels(&surfels.log_scales, self.dataset.extent, self.config.refine.surfel_max_scale);
+                let small =
+                    small_surfels(&surfels.log_scales, self.dataset.extent, self.config.refine.surfel_max_scale);
                 let surfels = surfels.select(&small.keep);
                 tracing::info!("{} of {} discs become surfels", surfels.len(), discs.len());
                 if surfels.is_empty() {

@@ -10,8 +10,7 @@ fn blending_equals_sorting_at_every_pixel() {
         let recipe = Recipe { surfels: 0, gaussians, width: 45, height: 37, ..Recipe::default() };
         scenes.push(Flat::random(seed, &recipe));
     }
-    let options =
-        [(with_maps(Form::Ellipsoids), 1e-11), (plainly_filtered(), 1e-11), (with_maps(Form::Discs), 1e-9)];
+    let options = [(with_maps(Form::Ellipsoids), 1e-11), (plainly_filtered(), 1e-11), (with_maps(Form::Discs), 1e-9)];
     for (options, tolerance) in options {
         for (flat, camera) in &scenes {
             let expected = images_of_pixels(&dense(&flat.primitives(camera, &options), camera, &options));
