@@ -70,7 +70,7 @@ fn sphere_in_a_cloud() -> SceneData {
             *number = (2.0 * noise(index, 5) - 2.0) as f32;
         }
     }
-    SceneData { info, surfels, gaussians }
+    SceneData { info, surfels, gaussians, environment: None }
 }
 
 fn camera(scene: &SceneData, width: usize, height: usize) -> Camera {
@@ -164,6 +164,7 @@ fn export_a_page_and_pictures_of_its_scene() {
         info: SceneInfo { rendering, ..scene.info.clone() },
         surfels: no_surfels.clone(),
         gaussians: scene.gaussians.clone(),
+        environment: None,
     };
     for (name, other) in [
         ("ellipsoids", blended(Rendering::Ellipsoids)),

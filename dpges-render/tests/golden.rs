@@ -80,6 +80,7 @@ impl Golden {
             },
             surfels: SurfelData::generate(model, SurfelData::ATTRIBUTES.iter().map(read)),
             gaussians: GaussianData::generate(model, GaussianData::ATTRIBUTES.iter().map(read)),
+            environment: None,
         };
         let pixels = numbers(&file, "out.image");
         let plane = |channel: usize| pixels.iter().skip(channel).step_by(3).map(|&value| value as f32);

@@ -97,7 +97,7 @@ mod tests {
         gaussians.log_scales.fill(-2.5);
         gaussians.opacities.fill(0.5);
         let info = SceneInfo { colour_model: model, rendering, ..SceneInfo::default() };
-        SceneData { info, surfels: SurfelData::neutral(model, 0), gaussians }
+        SceneData { info, surfels: SurfelData::neutral(model, 0), gaussians, environment: None }
     }
 
     #[test]

@@ -3,6 +3,7 @@
 
 mod colour_model;
 pub mod data;
+mod environment;
 pub mod file;
 pub mod lobes;
 pub mod schema;
@@ -15,6 +16,7 @@ use serde::{Deserialize, Serialize};
 
 pub use colour_model::{ColourModel, SH_C0};
 pub use data::{ColourData, GaussianData, SceneData, SurfelData};
+pub use environment::EnvironmentData;
 pub use schema::OpacityActivation;
 #[cfg(feature = "burn")]
 pub use tensors::{Colour, Gaussians, Surfels};

@@ -26,7 +26,7 @@ use crate::dataset::LoadOptions;
 
 pub use budget::Budget;
 use budget::{MEGABYTE, primitives_for};
-pub use choices::{AddAs, Background, GaussianStage, InitMethod, Margin, Method, Stop};
+pub use choices::{AddAs, Background, Environment, GaussianStage, InitMethod, Margin, Method, Stop};
 pub use declare::{Ablation, Key, Section};
 pub use dpges_core::scene::OpacityActivation;
 pub use keys::{

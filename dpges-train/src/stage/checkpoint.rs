@@ -7,7 +7,7 @@ use dpges_core::scene::{ColourModel, GaussianData, SceneInfo};
 
 use super::blended::{BlendedStage, ScreenGradients};
 use super::joint::{JointStage, Statistics, Supervisions};
-use super::{Context, TrainError};
+use super::{Context, EnvironmentState, TrainError};
 use crate::config::{OpacityActivation, Relocation, StagePlan};
 use crate::optimizer::ParameterRows;
 use crate::refine::growth::Growth;
@@ -34,7 +34,7 @@ impl StageCheckpoint {
         Self {
             info: stage.info.clone(),
             growth: None,
-            attributes: named([stage.gaussians.rows()]),
+            attributes: named([stage.gaussians.rows()], &stage.environment),
             columns: columns.map(|(name, values)| (name.to_owned(), values)).collect(),
             max_pixels: Vec::new(),
         }
@@ -45,7 +45,7 @@ impl StageCheckpoint {
         let mut checkpoint = Self {
             info: stage.info.clone(),
             growth: stage.growth.clone(),
-            attributes: named([stage.surfels.rows(), stage.gaussians.rows()]),
+            attributes: named([stage.surfels.rows(), stage.gaussians.rows()], &stage.environment),
             columns: columns.into(),
             max_pixels: stage.statistics.max_pixels(),
         };
@@ -88,12 +88,14 @@ impl BlendedStage {
         }
         let gaussians = GaussianState::from_rows(&mut attributes, model, OpacityActivation::Sigmoid, &context.device)
             .map_err(|reason| TrainError::Resume { reason })?;
+        let environment = EnvironmentState::from_rows(&mut attributes, &context.device)
+            .map_err(|reason| TrainError::Resume { reason })?;
         if found.iter().any(|column| column.len() != gaussians.len()) {
             let reason = "columns `screen_gradients` do not fit the Gaussians".into();
             return Err(TrainError::Resume { reason });
         }
         let gradients = ScreenGradients::from_columns([&found[0], &found[1], &found[2]], &context.device);
-        Ok(Self::new(plan, relocation, gaussians, gradients, context))
+        Ok(Self::new(plan, relocation, gaussians, environment, gradients, context))
     }
 }
 
@@ -116,6 +118,7 @@ impl JointStage {
             SurfelState::from_rows(&mut attributes, model, OpacityActivation::Linear, device).map_err(wrong)?;
         let gaussians =
             GaussianState::from_rows(&mut attributes, model, context.config.model.opacity, device).map_err(wrong)?;
+        let environment = EnvironmentState::from_rows(&mut attributes, device).map_err(wrong)?;
         if (max_pixels.len(), contributions.len()) != (surfels.len(), gaussians.len()) {
             return Err(wrong("`max_pixels` or `max_contributions` does not fit the primitives".into()));
         }
@@ -124,6 +127,7 @@ impl JointStage {
             schedule: context.config.schedule(context.dataset.train.len()),
             surfels,
             gaussians,
+            environment,
             statistics: Statistics::from_rows(&max_pixels, &contributions, device),
             supervisions: discs.map(|discs| Supervisions::new(&discs, context)).transpose()?,
             growth,
@@ -132,8 +136,8 @@ impl JointStage {
     }
 }
 
-fn named<const N: usize>(rows: [NamedRows; N]) -> HashMap<String, ParameterRows> {
-    rows.into_iter().flatten().map(|(name, rows)| (name.to_owned(), rows)).collect()
+fn named<const N: usize>(rows: [NamedRows; N], environment: &EnvironmentState) -> HashMap<String, ParameterRows> {
+    rows.into_iter().flatten().chain(environment.rows()).map(|(name, rows)| (name.to_owned(), rows)).collect()
 }
 
 fn column(columns: &mut BTreeMap<String, Vec<f32>>, name: &str) -> Result<Vec<f32>, TrainError> {

@@ -6,6 +6,7 @@
 mod blended;
 mod checkpoint;
 mod context;
+mod environment;
 mod error;
 mod given;
 mod joint;
@@ -16,12 +17,13 @@ mod step;
 
 use burn::tensor::Tensor;
 use dpges_core::losses::Losses;
-use dpges_core::scene::{GaussianData, SceneData};
+use dpges_core::scene::{EnvironmentData, GaussianData, SceneData};
 
 use crate::config::{Config, StageKind, StagePlan};
 use blended::BlendedStage;
 pub use checkpoint::StageCheckpoint;
 pub use context::Context;
+pub use environment::EnvironmentState;
 pub use error::TrainError;
 use joint::JointStage;
 pub use parameters::{Leaves, Parameters, StepRates};
@@ -92,6 +94,8 @@ pub struct ForwardPass {
 pub struct Trained {
     pub discs: Option<GaussianData>,
     pub gaussians: Option<GaussianData>,
+    /// What the next stage begins with; `None` in runs without one.
+    pub environment: Option<EnvironmentData>,
 }
 
 /// Begins the stage of `plan` with what is `trained`, with the files that the configuration names, or with the points of
@@ -102,8 +106,8 @@ pub struct Trained {
 /// [`TrainError::Plan`] if there is nothing to train.
 pub fn begin(plan: StagePlan, trained: &mut Trained, context: &mut Context) -> Result<Box<dyn Stage>, TrainError> {
     Ok(match plan.kind {
-        StageKind::Discs => Box::new(BlendedStage::begin(plan, None, context)?),
-        StageKind::Gaussians(relocation) => Box::new(BlendedStage::begin(plan, Some(relocation), context)?),
+        StageKind::Discs => Box::new(BlendedStage::begin(plan, None, trained, context)?),
+        StageKind::Gaussians(relocation) => Box::new(BlendedStage::begin(plan, Some(relocation), trained, context)?),
         StageKind::Joint => Box::new(JointStage::begin(plan, std::mem::take(trained), context)?),
     })
 }
@@ -128,5 +132,5 @@ pub fn resume(
         StageKind::Gaussians(relocation) => Some(relocation),
     };
     let stage = BlendedStage::resume(plan, relocation, checkpoint, context)?;
-    Ok((Box::new(stage), Trained { discs, gaussians: None }))
+    Ok((Box::new(stage), Trained { discs, ..Trained::default() }))
 }

@@ -8,12 +8,14 @@ mod start;
 
 use burn::tensor::{DType, Device, Tensor};
 use dpges_core::losses::{Losses, rgb};
+use dpges_core::ops::environment::environment;
 use dpges_core::ops::jitter::NoiseGate;
 use dpges_core::render::blended::{BlendedOptions, render_blended};
 use dpges_core::scene::{Rendering, SceneData, SceneInfo, SurfelData};
 
 use super::{
-    Context, ForwardPass, Leaves, Parameters, Stage, StageCheckpoint, StepInput, StepRates, TrainError, Trained,
+    Context, EnvironmentState, ForwardPass, Leaves, Parameters, Stage, StageCheckpoint, StepInput, StepRates,
+    TrainError, Trained,
 };
 use crate::config::{Config, OpacityActivation, Relocation, StagePlan};
 use crate::scene_state::{GaussianState, Rates, SurfelState};
@@ -31,15 +33,21 @@ pub struct BlendedStage {
     /// There are none.
     surfels: SurfelState,
     pub gaussians: GaussianState,
+    pub environment: EnvironmentState,
     pub screen_gradients: ScreenGradients,
 }
 
 impl BlendedStage {
-    /// A stage of discs, or of Gaussians that are relocated.
+    /// A stage of discs, or of Gaussians that are relocated, before the environment that is `trained`.
     ///
     /// # Errors
     /// Those of [`begin`](super::begin).
-    pub fn begin(plan: StagePlan, relocation: Option<Relocation>, context: &mut Context) -> Result<Self, TrainError> {
+    pub fn begin(
+        plan: StagePlan,
+        relocation: Option<Relocation>,
+        trained: &Trained,
+        context: &mut Context,
+    ) -> Result<Self, TrainError> {
         let start = match relocation {
             None => context.start_of_discs(plan)?,
             Some(_) => context.start_of_gaussians(plan)?,
@@ -47,14 +55,16 @@ impl BlendedStage {
         let device = &context.device;
         let gaussians = GaussianState::new(&start, OpacityActivation::Sigmoid, device);
         let screen_gradients = ScreenGradients::new(start.len(), device);
-        Ok(Self::new(plan, relocation, gaussians, screen_gradients, context))
+        let environment = EnvironmentState::new(trained.environment.as_ref(), device);
+        Ok(Self::new(plan, relocation, gaussians, environment, screen_gradients, context))
     }
 
-    /// A stage that goes on with `gaussians` and their `screen_gradients`.
+    /// A stage that goes on with `gaussians`, their `screen_gradients` and an `environment`.
     pub fn new(
         plan: StagePlan,
         relocation: Option<Relocation>,
         gaussians: GaussianState,
+        environment: EnvironmentState,
         screen_gradients: ScreenGradients,
         context: &Context,
     ) -> Self {
@@ -71,6 +81,7 @@ impl BlendedStage {
                 &context.device,
             ),
             gaussians,
+            environment,
             screen_gradients,
         }
     }
@@ -103,12 +114,13 @@ impl Stage for BlendedStage {
     }
 
     fn parameters(&mut self) -> Parameters<'_> {
-        Parameters { surfels: &mut self.surfels, gaussians: &mut self.gaussians }
+        Parameters { surfels: &mut self.surfels, gaussians: &mut self.gaussians, environment: &mut self.environment }
     }
 
     fn scene(&self) -> SceneData {
         let surfels = SurfelData::neutral(self.info.colour_model, 0);
-        SceneData { info: self.info.clone(), surfels, gaussians: self.gaussians.to_data() }
+        let (gaussians, environment) = (self.gaussians.to_data(), self.environment.to_data());
+        SceneData { info: self.info.clone(), surfels, gaussians, environment }
     }
 
     fn is_due(&self, completed: usize) -> bool {
@@ -132,6 +144,10 @@ impl Stage for BlendedStage {
         let mut options = BlendedOptions::new(&self.info)?;
         options.blend.maps = weights.need_maps();
         let rendered = render_blended(gaussians, probe.as_ref(), camera, &options, input.values)?;
+        let rendered = match &leaves.environment {
+            Some(coefficients) => rendered.in_front_of(environment(coefficients, camera)?),
+            None => rendered,
+        };
         let rgb = rgb(rendered.image.clone(), input.target.clone(), context.config.train.lambda_dssim)?;
         let total = weights.add(rgb.clone(), gaussians, &rendered, camera);
         let none = Tensor::zeros([1], (&tape, DType::F32));
@@ -153,7 +169,7 @@ impl Stage for BlendedStage {
             base: optimizer.base,
             detail: optimizer.detail,
         };
-        StepRates { surfels: rates, gaussians: rates }
+        StepRates { surfels: rates, gaussians: rates, environment: optimizer.environment }
     }
 
     fn after_step(&mut self, completed: usize, context: &mut Context) -> Result<(), TrainError> {
@@ -168,6 +184,7 @@ impl Stage for BlendedStage {
     }
 
     fn hand_on(&self, trained: &mut Trained) {
+        trained.environment = self.environment.to_data();
         let gaussians = Some(self.gaussians.to_data());
         match self.relocation {
             None => trained.discs = gaussians,

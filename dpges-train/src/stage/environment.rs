@@ -1,0 +1,124 @@
+//! The environment in training: whether a run has one, what it begins with, its steps.
+
+use std::collections::HashMap;
+
+use burn::tensor::{Device, Gradients, Tensor};
+use dpges_core::ops::adam::AdamStep;
+use dpges_core::scene::schema::{Attribute, ENVIRONMENT};
+use dpges_core::scene::tensors::tensor_to_rows;
+use dpges_core::scene::{EnvironmentData, SH_C0};
+
+use super::Context;
+use crate::config::{Background, Environment};
+use crate::dataset::{Dataset, Format};
+use crate::init::sky::open_sky;
+use crate::optimizer::{Parameter, ParameterRows};
+
+/// Share of open sky above which a scene gets an environment by itself.
+const SKY: f64 = 0.05;
+/// The degree that it gets.
+const DEGREE: usize = 3;
+
+/// The environment of a stage; empty in runs without one.
+#[derive(Clone, Debug, Default)]
+pub struct EnvironmentState(Option<Parameter>);
+
+/// Gradient of the coefficients; `None` in runs without an environment.
+pub type EnvironmentGradient = Option<(&'static Attribute, Option<Tensor<2>>)>;
+
+impl EnvironmentState {
+    pub fn new(data: Option<&EnvironmentData>, device: &Device) -> Self {
+        Self(data.map(|data| Parameter::fresh(&ENVIRONMENT, &data.coefficients, [data.len(), 3], device)))
+    }
+
+    /// Takes the environment out of `rows`, if there is one.
+    ///
+    /// # Errors
+    /// A message if its coefficients are those of no degree, or have no moments.
+    pub fn from_rows(rows: &mut HashMap<String, ParameterRows>, device: &Device) -> Result<Self, String> {
+        let name = ENVIRONMENT.raw_name;
+        let Some(found) = rows.remove(name) else { return Ok(Self::default()) };
+        if found.width != 3 || EnvironmentData::degree_of(found.count).is_none() || found.moments.is_none() {
+            let (count, width) = (found.count, found.width);
+            return Err(format!("`{name}` is {count} × {width}, expected 1, 4, 9 or 16 × 3 with moments"));
+        }
+        Ok(Self(Some(Parameter::from_rows(&ENVIRONMENT, &found, device))))
+    }
+
+    pub fn rows(&self) -> Option<(&'static str, ParameterRows)> {
+        self.0.as_ref().map(|parameter| (ENVIRONMENT.raw_name, parameter.rows()))
+    }
+
+    pub fn to_data(&self) -> Option<EnvironmentData> {
+        self.value().map(|coefficients| EnvironmentData { coefficients: tensor_to_rows(&coefficients) })
+    }
+
+    /// [(degree + 1)², 3] without a tape.
+    pub fn value(&self) -> Option<Tensor<2>> {
+        self.0.as_ref().map(Parameter::raw)
+    }
+
+    /// [(degree + 1)², 3] on a new tape, for one step.
+    pub fn leaf(&self) -> Option<Tensor<2>> {
+        self.0.as_ref().map(Parameter::leaf)
+    }
+
+    /// The gradient that a backward pass left for the [`leaf`](Self::leaf).
+    pub fn gradient(&self, leaf: Option<&Tensor<2>>, gradients: &mut Gradients) -> EnvironmentGradient {
+        self.0.as_ref().zip(leaf).map(|(parameter, leaf)| (&ENVIRONMENT, parameter.gradient(leaf, gradients)))
+    }
+
+    /// Nothing changes where `gate` `[1]` is not 1.
+    ///
+    /// # Errors
+    /// [`dpges_core::Error::Shape`] if the gradient has another shape.
+    pub fn step(&mut self, gradient: EnvironmentGradient, gate: &Tensor<1>, step: AdamStep) -> dpges_core::Result<()> {
+        let gradient = gradient.and_then(|(_, gradient)| gradient);
+        self.0.as_mut().map_or(Ok(()), |parameter| parameter.step(gradient, gate, step))
+    }
+}
+
+impl Context {
+    /// The environment that a run begins with, if it has one: everywhere the mean colour of the open sky, or that of the
+    /// background where there is none.
+    pub fn start_of_environment(&self) -> Option<EnvironmentData> {
+        let wanted = self.config.model.environment;
+        if wanted == Environment::None {
+            return None;
+        }
+        let dataset = &self.dataset;
+        if wanted == Environment::Auto && (has_background(dataset) || self.config.data.background != Background::Auto) {
+            tracing::info!("the background is given, so the scene has no environment");
+            return None;
+        }
+        let sky = open_sky(dataset);
+        let percent = 100.0 * sky.share;
+        let degree = match wanted.degree() {
+            Some(degree) => degree,
+            None if sky.share > SKY => DEGREE,
+            None => {
+                tracing::info!(
+                    "{percent:.1} % of the pixels are open sky, above all points of the dataset: no environment, which \
+                     takes {} % (model.environment)",
+                    100.0 * SKY
+                );
+                return None;
+            }
+        };
+        tracing::info!(
+            "{percent:.1} % of the pixels are open sky, above all points of the dataset: an environment of degree {degree} \
+             (model.environment)"
+        );
+        let mut start = EnvironmentData::neutral(degree);
+        let colour = sky.colour.unwrap_or(dataset.background);
+        for ((k, colour), background) in start.coefficients.iter_mut().zip(colour).zip(dataset.background) {
+            *k = ((colour - background) / SH_C0) as f32;
+        }
+        Some(start)
+    }
+}
+
+/// Whether the photographs show the background of the dataset, not a world.
+fn has_background(dataset: &Dataset) -> bool {
+    dataset.format == Format::Blender || dataset.train.iter().any(|view| view.picture.alpha.is_some())
+}
