@@ -44,8 +44,8 @@ impl EnvironmentData {
     }
 
     /// # Errors
-    /// [`Error::Shape`] or [`Error::NonFinite`].
-    pub(crate) fn check(&self) -> Result<()> {
+    /// [`Error::Shape`] if the number of coefficients is that of no degree, [`Error::NonFinite`].
+    pub fn check(&self) -> Result<()> {
         let (name, found) = (ENVIRONMENT.name, self.coefficients.len());
         if Self::degree_of(self.len()).is_none() {
             let (tensor, expected) = (name.to_owned(), Self::EXPECTED_SHAPE.to_owned());

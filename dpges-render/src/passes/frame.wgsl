@@ -11,6 +11,7 @@ struct Frame {
     centre_near: vec4f,
     // Width and height in px, smallest radius in px, texture width of a grid as a power of two.
     size: vec4f,
+    // Red, green, blue, number of coefficients of the environment.
     background: vec4f,
     // w, squared radius of a surfel in σ, depths at the ends of the colour ramp.
     surfel: vec4f,
@@ -18,6 +19,8 @@ struct Frame {
     counts: vec4u,
     // Texels per colour, kind of colour (0 lobes, 1 harmonics), lobes or coefficients, switches.
     colour: vec4u,
+    // Coefficients of the environment: red, green, blue.
+    environment: array<vec4f, 16>,
 }
 
 const LITERAL_LOOKUP: u32 = 1u;

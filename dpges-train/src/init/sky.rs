@@ -153,7 +153,7 @@ fn open_pixels(view: &View, points: &[[f32; 3]], up: DVec3) -> Sums {
 }
 
 #[cfg(test)]
-mod tests {
+pub mod tests {
     use dpges_core::camera::CameraFromWorld;
 
     use super::*;
@@ -161,8 +161,8 @@ mod tests {
 
     const SIZE: usize = 64;
 
-    /// A ring of cameras around the origin that look down on it, `tilt` below the horizon at a height of `height`.
-    fn ring(height: f64, points: Vec<[f32; 3]>) -> Dataset {
+    /// A ring of cameras around the origin that look at it from a height of `height`. Their photographs are plain blue.
+    pub fn ring(height: f64, points: Vec<[f32; 3]>) -> Dataset {
         let options = BuiltinOptions {
             width: SIZE,
             height: SIZE,
@@ -185,7 +185,7 @@ mod tests {
     }
 
     /// A wall of points around the origin, up to a height of `top`.
-    fn tower(top: f32) -> Vec<[f32; 3]> {
+    pub fn tower(top: f32) -> Vec<[f32; 3]> {
         let mut points = Vec::new();
         for layer in 0..100 {
             for at in 0..100 {

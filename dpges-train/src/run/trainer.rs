@@ -202,7 +202,7 @@ fn names_of_views(dataset: &Dataset) -> Vec<String> {
 mod tests {
     use std::path::Path;
 
-    use dpges_core::scene::Rendering;
+    use dpges_core::scene::{EnvironmentData, Rendering};
 
     use super::super::fixtures::{config, dataset, device};
     use super::*;
@@ -213,8 +213,9 @@ mod tests {
     }
 
     /// All stages and everything that changes something in them.
-    const STAGES: [&str; 12] = [
+    const STAGES: [&str; 13] = [
         "train.steps=60",
+        "model.environment=sh1",
         "refine.budget=700",
         "stages.surfels=0.3",
         "stages.gaussians=0.3",
@@ -322,11 +323,33 @@ mod tests {
     }
 
     #[test]
+    fn an_environment_learns_in_every_stage_and_goes_from_one_to_the_next() {
+        let mut trainer = trainer(&STAGES);
+        let mut before = trainer.scene().environment.unwrap();
+        assert_eq!(before, EnvironmentData::neutral(1));
+        for stage in ["2dgs", "dbs", "joint"] {
+            assert_eq!(trainer.scene().environment.as_ref(), Some(&before), "{stage}");
+            while !trainer.stage_is_over() {
+                trainer.step().unwrap();
+            }
+            assert_eq!(trainer.stage().kind.to_string(), stage);
+            let after = trainer.scene().environment.unwrap();
+            let pairs = after.coefficients.iter().zip(&before.coefficients);
+            assert!(pairs.clone().count() == 12 && pairs.clone().all(|(a, b)| a != b), "{stage}: {after:?}");
+            before = after;
+            if !trainer.is_in_last_stage() {
+                trainer.next_stage().unwrap();
+            }
+        }
+        assert_eq!(self::trainer(&["train.steps=9"]).scene().environment, None);
+    }
+
+    #[test]
     fn a_run_goes_on_from_any_step_of_any_stage_to_the_same_end() {
         let folder = tempfile::tempdir().unwrap();
         let runs: [(&[&str], &[usize]); 4] = [
             (&STAGES, &[7, 18, 19, 30, 36, 50]),
-            (&["train.steps=40", "train.method=mcmc", "refine.budget=300"], &[1, 25]),
+            (&["train.steps=40", "train.method=mcmc", "refine.budget=300", "model.environment=sh2"], &[1, 25]),
             (&["train.steps=40", "train.method=dbs", "refine.budget=300"], &[25]),
             (&["train.steps=40", "train.method=2dgs", "refine.budget=300", "model.colour=sh1"], &[25]),
         ];

@@ -120,5 +120,74 @@ impl Context {
 
 /// Whether the photographs show the background of the dataset, not a world.
 fn has_background(dataset: &Dataset) -> bool {
-    dataset.format == Format::Blender || dataset.train.iter().any(|view| view.picture.alpha.is_some())
+    let is_transparent = |alpha: &Vec<f32>| alpha.iter().any(|&alpha| alpha < 0.5);
+    dataset.format == Format::Blender
+        || dataset.train.iter().any(|view| view.picture.alpha.as_ref().is_some_and(is_transparent))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+    use crate::init::sky::tests::{ring, tower};
+    use crate::run::fixtures::{config, device};
+
+    fn start(dataset: Dataset, set: &[&str]) -> Option<EnvironmentData> {
+        let context = Context {
+            dataset: Arc::new(dataset),
+            config: config(set),
+            device: device(),
+            rng: ChaCha8Rng::seed_from_u64(0),
+            remaining_views: Vec::new(),
+            completed_steps: 0,
+        };
+        context.start_of_environment()
+    }
+
+    fn outdoors() -> Dataset {
+        ring(0.0, tower(0.0))
+    }
+
+    fn indoors() -> Dataset {
+        ring(0.0, tower(20.0))
+    }
+
+    #[test]
+    fn open_sky_decides_and_gives_its_colour() {
+        let sky = start(outdoors(), &[]).unwrap();
+        assert_eq!(EnvironmentData::degree_of(sky.len()), Some(DEGREE));
+        for (k, colour) in sky.coefficients.iter().zip([0.25, 0.5, 1.0]) {
+            assert!((f64::from(*k) * SH_C0 - colour).abs() < 1e-6, "{k}");
+        }
+        assert!(sky.coefficients[3..].iter().all(|&k| k == 0.0));
+        assert_eq!(start(indoors(), &[]), None);
+        assert_eq!(start(ring(0.0, Vec::new()), &[]), None);
+    }
+
+    #[test]
+    fn a_background_that_is_known_is_kept() {
+        assert_eq!(start(outdoors(), &["data.background=black"]), None);
+        assert_eq!(start(Dataset { format: Format::Blender, ..outdoors() }, &[]), None);
+        let mut masked = outdoors();
+        let pixels = masked.train[2].picture.planes.len() / 3;
+        masked.train[2].picture.alpha = Some(vec![1.0; pixels]);
+        assert!(start(masked.clone(), &[]).is_some());
+        masked.train[2].picture.alpha = Some(vec![0.0; pixels]);
+        assert_eq!(start(masked, &[]), None);
+    }
+
+    #[test]
+    fn what_is_asked_for_is_done() {
+        assert_eq!(start(outdoors(), &["model.environment=none"]), None);
+        for (degree, name) in ["sh0", "sh1", "sh2", "sh3"].into_iter().enumerate() {
+            let set = format!("model.environment={name}");
+            let mut dataset = indoors();
+            dataset.background = [0.5; 3];
+            assert_eq!(start(dataset, &[&set]), Some(EnvironmentData::neutral(degree)), "{name}");
+        }
+    }
 }
