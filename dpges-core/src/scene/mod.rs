@@ -82,7 +82,7 @@ pub struct SceneInfo {
     /// Files without it are [`Rendering::Peeled`].
     #[serde(default)]
     pub rendering: Rendering,
-    /// Display-referred colour behind everything.
+    /// Display-referred colour behind everything; an [environment](EnvironmentData) adds to it.
     pub background: [f64; 3],
     /// World units: subtract from the dataset's coordinates to get the scene's.
     pub offset: [f64; 3],
