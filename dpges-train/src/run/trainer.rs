@@ -38,7 +38,7 @@ impl Trainer {
         let rng = ChaCha8Rng::seed_from_u64(config.train.seed);
         let mut context = Context { dataset, config, device, rng, remaining_views: Vec::new(), completed_steps: 0 };
         context.check_plan(&plan)?;
-        let mut trained = Trained { environment: context.start_of_environment(), ..Trained::default() };
+        let mut trained = Trained { environment: context.start_of_environment()?, ..Trained::default() };
         let stage = stage::begin(plan[0], &mut trained, &mut context)?;
         Ok(Self { context, plan, at: 0, stage, trained, validation: Validation::default(), pending: None })
     }

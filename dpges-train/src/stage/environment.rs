@@ -6,9 +6,10 @@ use burn::tensor::{Device, Gradients, Tensor};
 use dpges_core::ops::adam::AdamStep;
 use dpges_core::scene::schema::{Attribute, ENVIRONMENT};
 use dpges_core::scene::tensors::tensor_to_rows;
-use dpges_core::scene::{EnvironmentData, SH_C0};
+use dpges_core::scene::{EnvironmentData, SH_C0, SceneData};
 
-use super::Context;
+use super::given::{GAUSSIANS_FROM, SURFELS_FROM};
+use super::{Context, TrainError};
 use crate::config::{Background, Environment};
 use crate::dataset::{Dataset, Format};
 use crate::init::sky::open_sky;
@@ -79,18 +80,42 @@ impl EnvironmentState {
 }
 
 impl Context {
-    /// The environment that a run begins with, if it has one: everywhere the mean colour of the open sky, or that of the
-    /// background where there is none.
-    pub fn start_of_environment(&self) -> Option<EnvironmentData> {
+    /// The environment that a run begins with, if it has one: that of a file that takes the place of a stage, the last
+    /// that has one of the degree that is wanted; or everywhere the mean colour of the open sky, or that of the background
+    /// where there is none.
+    ///
+    /// # Errors
+    /// [`TrainError::Given`] if such a file is of no use.
+    pub fn start_of_environment(&self) -> Result<Option<EnvironmentData>, TrainError> {
         let wanted = self.config.model.environment;
         if wanted == Environment::None {
-            return None;
+            return Ok(None);
         }
-        let dataset = &self.dataset;
-        if wanted == Environment::Auto && (has_background(dataset) || self.config.data.background != Background::Auto) {
+        let is_given = has_background(&self.dataset) || self.config.data.background != Background::Auto;
+        if wanted == Environment::Auto && is_given {
             tracing::info!("the background is given, so the scene has no environment");
-            return None;
+            return Ok(None);
         }
+        for key in [GAUSSIANS_FROM, SURFELS_FROM] {
+            let Some(SceneData { info, environment: Some(mut found), .. }) = self.given(key)? else { continue };
+            if wanted == Environment::Auto || EnvironmentData::degree_of(found.len()) == wanted.degree() {
+                self.add(&mut found, info.background);
+                return Ok(Some(found));
+            }
+        }
+        Ok(self.environment_of_sky(wanted))
+    }
+
+    /// Adds `colour` to an environment before the background of this dataset, and takes the latter away.
+    fn add(&self, environment: &mut EnvironmentData, colour: [f64; 3]) {
+        let pairs = colour.into_iter().zip(self.dataset.background);
+        for (k, (colour, background)) in environment.coefficients.iter_mut().zip(pairs) {
+            *k += ((colour - background) / SH_C0) as f32;
+        }
+    }
+
+    fn environment_of_sky(&self, wanted: Environment) -> Option<EnvironmentData> {
+        let dataset = &self.dataset;
         let sky = open_sky(dataset);
         let percent = 100.0 * sky.share;
         let degree = match wanted.degree() {
@@ -110,10 +135,7 @@ impl Context {
              (model.environment)"
         );
         let mut start = EnvironmentData::neutral(degree);
-        let colour = sky.colour.unwrap_or(dataset.background);
-        for ((k, colour), background) in start.coefficients.iter_mut().zip(colour).zip(dataset.background) {
-            *k = ((colour - background) / SH_C0) as f32;
-        }
+        self.add(&mut start, sky.colour.unwrap_or(dataset.background));
         Some(start)
     }
 }
@@ -129,6 +151,7 @@ fn has_background(dataset: &Dataset) -> bool {
 mod tests {
     use std::sync::Arc;
 
+    use dpges_core::scene::{GaussianData, Rendering, SceneInfo, SurfelData};
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
 
@@ -145,7 +168,7 @@ mod tests {
             remaining_views: Vec::new(),
             completed_steps: 0,
         };
-        context.start_of_environment()
+        context.start_of_environment().unwrap()
     }
 
     fn outdoors() -> Dataset {
@@ -178,6 +201,33 @@ mod tests {
         assert!(start(masked.clone(), &[]).is_some());
         masked.train[2].picture.alpha = Some(vec![0.0; pixels]);
         assert_eq!(start(masked, &[]), None);
+    }
+
+    #[test]
+    fn a_file_that_takes_the_place_of_a_stage_gives_its_environment() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("gaussians.safetensors");
+        let colour_model = config(&[]).model.colour;
+        let info = SceneInfo { colour_model, rendering: Rendering::Ellipsoids, ..SceneInfo::default() };
+        let coefficients: Vec<f32> = (0..12).map(|at| at as f32).collect();
+        SceneData {
+            info: SceneInfo { background: [0.5, 0.0, 0.0], ..info },
+            surfels: SurfelData::neutral(colour_model, 0),
+            gaussians: GaussianData::neutral(colour_model, 1),
+            environment: Some(EnvironmentData { coefficients: coefficients.clone() }),
+        }
+        .save(&path)
+        .unwrap();
+        let from = format!("stages.gaussians_from={}", path.display());
+        // the same colours before the black background of the dataset
+        let expected = [&[(0.5 / SH_C0) as f32][..], &coefficients[1..]].concat();
+        for set in [&[from.as_str()][..], &[&from, "model.environment=sh1"]] {
+            assert_eq!(start(indoors(), set), Some(EnvironmentData { coefficients: expected.clone() }), "{set:?}");
+        }
+        assert_eq!(start(indoors(), &[&from, "model.environment=none"]), None);
+        assert_eq!(start(indoors(), &[&from, "data.background=black"]), None);
+        let other = start(indoors(), &[&from, "model.environment=sh2"]);
+        assert_eq!(other, Some(EnvironmentData::neutral(2)));
     }
 
     #[test]
