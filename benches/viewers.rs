@@ -57,7 +57,10 @@ impl Arguments {
             [] => {
                 let made = realistic(self.surfels, self.gaussians, self.width, self.height, 1);
                 let info = SceneInfo { colour_model: made.surfels.colour.model, ..SceneInfo::default() };
-                (SceneData { info, surfels: made.surfels, gaussians: made.gaussians }, vec![made.camera])
+                (
+                    SceneData { info, surfels: made.surfels, gaussians: made.gaussians, environment: None },
+                    vec![made.camera],
+                )
             }
             [scene, cameras] => {
                 let scene = SceneData::load(scene.as_ref()).expect("a scene file");

@@ -33,5 +33,10 @@ fn tiny() -> SceneData {
     let surfels = SurfelData { log_scales: vec![-1.5; 2], colour: red, margins: vec![0.1], ..disc };
     let (ball, positions) = (GaussianData::neutral(colour_model, 1), vec![0.0, 0.0, 0.4]);
     let gaussians = GaussianData { positions, log_scales: vec![-2.0; 3], opacities: vec![2.0], colour: blue, ..ball };
-    SceneData { info: SceneInfo { colour_model, extent: 3.0, ..SceneInfo::default() }, surfels, gaussians }
+    SceneData {
+        info: SceneInfo { colour_model, extent: 3.0, ..SceneInfo::default() },
+        surfels,
+        gaussians,
+        environment: None,
+    }
 }

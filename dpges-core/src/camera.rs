@@ -109,6 +109,16 @@ impl Camera {
         (p.z > self.near).then(|| (self.fx * p.x / p.z + self.cx, self.fy * p.y / p.z + self.cy, p.z))
     }
 
+    /// Maps a pixel position (x, y, 1), px, to a vector in world axes along its ray, of camera-space z 1.
+    pub fn world_from_pixel(&self) -> DMat3 {
+        let camera_from_pixel = DMat3::from_cols(
+            DVec3::new(1.0 / self.fx, 0.0, 0.0),
+            DVec3::new(0.0, 1.0 / self.fy, 0.0),
+            DVec3::new(-self.cx / self.fx, -self.cy / self.fy, 1.0),
+        );
+        self.camera_from_world.rotation.transpose() * camera_from_pixel
+    }
+
     /// World point seen at pixel position (`x_px`, `y_px`) at camera-space z `depth`.
     pub fn unproject(&self, x_px: f64, y_px: f64, depth: f64) -> DVec3 {
         let p = DVec3::new((x_px - self.cx) / self.fx, (y_px - self.cy) / self.fy, 1.0) * depth;
@@ -144,6 +154,8 @@ mod tests {
         let camera = camera().resized(96, 64);
         let (x, y, depth) = camera.project(world).unwrap();
         assert!((camera.unproject(x, y, depth) - world).length() < 1e-12);
+        let along = camera.world_from_pixel() * DVec3::new(x, y, 1.0) * depth;
+        assert!((camera.centre() + along - world).length() < 1e-12);
         let pose = camera.camera_from_world;
         let far = Camera { camera_from_world: pose.recentred(-offset), ..camera };
         let near = Camera { camera_from_world: far.camera_from_world.recentred(offset), ..far };

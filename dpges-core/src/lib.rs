@@ -74,4 +74,4 @@ pub use render::blended::{BlendedOptions, render_blended};
 pub use render::{Render, RenderOptions, render};
 #[cfg(feature = "burn")]
 pub use scene::{Colour, Gaussians, Surfels};
-pub use scene::{ColourData, ColourModel, GaussianData, SceneData, SceneInfo, SurfelData};
+pub use scene::{ColourData, ColourModel, EnvironmentData, GaussianData, SceneData, SceneInfo, SurfelData};

@@ -66,6 +66,15 @@ pub struct Render {
     pub gaussian_colours: Tensor<2>,
 }
 
+impl Render {
+    /// The same view with an [environment](mod@crate::ops::environment) [3, H, W] behind everything, see
+    /// [`Composite::in_front_of`].
+    #[must_use]
+    pub fn in_front_of(self, environment: Tensor<3>) -> Self {
+        Self { composite: self.composite.in_front_of(environment), ..self }
+    }
+}
+
 /// Whether the values of the parameters are looked at before they are rendered; on a GPU that waits
 /// for everything the device still has to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -124,7 +124,8 @@ impl Renderer {
     /// Takes `scene` in place of what was there.
     ///
     /// # Errors
-    /// [`RenderError::TooMany`] if it does not fit into textures of this device; what was there stays.
+    /// [`RenderError::TooMany`] if it does not fit into textures of this device, [`RenderError::Input`] if its environment
+    /// is of no degree; what was there stays.
     pub fn upload(&mut self, scene: &SceneData) -> Result<()> {
         let textures = SceneTextures::new(&self.device, &self.queue, scene)?;
         let per_primitive = PerPrimitive::new(&self.device, &textures);

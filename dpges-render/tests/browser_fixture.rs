@@ -6,7 +6,7 @@ use std::f64::consts::TAU;
 use std::path::Path;
 
 use dpges_core::camera::{Camera, CameraFromWorld};
-use dpges_core::scene::{GaussianData, Rendering, SceneData, SceneInfo, SurfelData};
+use dpges_core::scene::{EnvironmentData, GaussianData, Rendering, SceneData, SceneInfo, SurfelData};
 use dpges_render::export::html::{Page, find_page, write_html};
 use dpges_render::{Display, Headless, RenderOptions, Rgb8Image};
 use image::ExtendedColorType::Rgb8;
@@ -70,7 +70,7 @@ fn sphere_in_a_cloud() -> SceneData {
             *number = (2.0 * noise(index, 5) - 2.0) as f32;
         }
     }
-    SceneData { info, surfels, gaussians }
+    SceneData { info, surfels, gaussians, environment: None }
 }
 
 fn camera(scene: &SceneData, width: usize, height: usize) -> Camera {
@@ -164,12 +164,17 @@ fn export_a_page_and_pictures_of_its_scene() {
         info: SceneInfo { rendering, ..scene.info.clone() },
         surfels: no_surfels.clone(),
         gaussians: scene.gaussians.clone(),
+        environment: None,
     };
+    let coefficients = (0..48).map(|at| (0.4 * noise(at, 9) - 0.2) as f32).collect();
+    let sky = Some(EnvironmentData { coefficients });
     for (name, other) in [
         ("ellipsoids", blended(Rendering::Ellipsoids)),
         ("discs", blended(Rendering::Discs)),
         ("gaussians_alone", blended(Rendering::Peeled)),
         ("surfels_alone", SceneData { gaussians: no_gaussians.clone(), ..scene.clone() }),
+        ("environment", SceneData { environment: sky.clone(), ..scene.clone() }),
+        ("discs_before_environment", SceneData { environment: sky, ..blended(Rendering::Discs) }),
         ("nothing", SceneData { gaussians: no_gaussians, ..blended(Rendering::Peeled) }),
     ] {
         let file = format!("{name}.safetensors");

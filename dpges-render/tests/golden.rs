@@ -6,7 +6,7 @@ use std::process::ExitCode;
 
 use dpges_core::camera::{Camera, CameraFromWorld};
 use dpges_core::scene::schema::{Attribute, Columns};
-use dpges_core::scene::{ColourModel, Footprint, GaussianData, SceneData, SceneInfo, SurfelData};
+use dpges_core::scene::{ColourModel, EnvironmentData, Footprint, GaussianData, SceneData, SceneInfo, SurfelData};
 use dpges_render::{Display, Headless, MAX_LAYERS, Precision, RenderOptions, Renderer};
 use glam::{DMat3, DVec3};
 use libtest_mimic::{Arguments, Failed, Trial};
@@ -80,6 +80,10 @@ impl Golden {
             },
             surfels: SurfelData::generate(model, SurfelData::ATTRIBUTES.iter().map(read)),
             gaussians: GaussianData::generate(model, GaussianData::ATTRIBUTES.iter().map(read)),
+            environment: file.tensor("environment").is_ok().then(|| {
+                let coefficients = numbers(&file, "environment").into_iter().map(|value| value as f32).collect();
+                EnvironmentData { coefficients }
+            }),
         };
         let pixels = numbers(&file, "out.image");
         let plane = |channel: usize| pixels.iter().skip(channel).step_by(3).map(|&value| value as f32);

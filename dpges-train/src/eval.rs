@@ -137,7 +137,7 @@ mod tests {
             extent: 1.0,
             near: 0.01,
         };
-        SceneData { info, surfels: SurfelData::default(), gaussians: GaussianData::default() }
+        SceneData { info, surfels: SurfelData::default(), gaussians: GaussianData::default(), environment: None }
     }
 
     #[test]

@@ -4,12 +4,14 @@
 //! A scene flattened to splats loses what only peeling can draw. Nothing is added or removed here: positions, shapes,
 //! opacities and colours of the splats learn from photographs, at the rates of the configuration's defaults.
 
-use burn::tensor::{Device, Tensor};
+use burn::tensor::{DType, Device, Tensor};
 use dpges_core::losses::rgb;
+use dpges_core::ops::environment::environment;
 use dpges_core::ops::finite::{FiniteChecks, check_finite};
 use dpges_core::render::Values;
 use dpges_core::render::blended::{BlendedOptions, render_blended};
 use dpges_core::scene::SceneData;
+use dpges_core::scene::tensors::rows_to_tensor;
 use dpges_core::{Error, Result};
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -19,7 +21,7 @@ use crate::config::{Config, OpacityActivation};
 use crate::dataset::View;
 use crate::scene_state::{GaussianState, Rates};
 
-/// Trains the ellipsoids of `scene` for `steps` steps on `views`, whose cameras are in the coordinates of the scene.
+/// Trains the ellipsoids of `scene`, in front of its environment, for `steps` steps on `views`, whose cameras are in the coordinates of the scene.
 /// Calls `report` with the number of steps that are done.
 ///
 /// # Errors
@@ -38,6 +40,8 @@ pub fn fit(
     let config = Config::default();
     let options = BlendedOptions::new(&scene.info)?;
     let mut state = GaussianState::new(&scene.gaussians, OpacityActivation::Sigmoid, device);
+    let behind = scene.environment.as_ref();
+    let behind = behind.map(|e| rows_to_tensor(&e.coefficients, 3, device, DType::F32).autodiff());
     let mut rng = ChaCha8Rng::seed_from_u64(0);
     let mut remaining = Vec::new();
     for completed in 0..steps {
@@ -48,7 +52,12 @@ pub fn fit(
         let Some(view) = remaining.pop() else { break };
         let leaves = state.leaves();
         let values = if completed == 0 { Values::Unknown } else { Values::KnownFinite };
-        let image = render_blended(&leaves.values, None, &view.camera, &options, values)?.image;
+        let rendered = render_blended(&leaves.values, None, &view.camera, &options, values)?;
+        let image = match &behind {
+            Some(coefficients) => rendered.in_front_of(environment(coefficients, &view.camera)?),
+            None => rendered,
+        }
+        .image;
         let loss = rgb(image, view.target(&device.clone().autodiff()), config.train.lambda_dssim)?;
         let mut gradients = loss.backward();
         let found = state.gradients(&leaves.raw, &mut gradients);
@@ -97,7 +106,7 @@ mod tests {
         gaussians.log_scales.fill(-2.5);
         gaussians.opacities.fill(0.5);
         let info = SceneInfo { colour_model: model, rendering, ..SceneInfo::default() };
-        SceneData { info, surfels: SurfelData::neutral(model, 0), gaussians }
+        SceneData { info, surfels: SurfelData::neutral(model, 0), gaussians, environment: None }
     }
 
     #[test]

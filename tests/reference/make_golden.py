@@ -6,6 +6,7 @@ Each case becomes FOLDER/NAME.safetensors. Its tensors, float64 but for the inte
   surfels.*, gaussians.*   inputs, stored raw: log scales, linear opacities, unnormalised quaternions
   camera.rotation [3,3], camera.translation [3], camera.intrinsics (fx, fy, cx, cy)
   background [3], target [H,W,3], upstream [H,W,3]
+  environment [16,3]       coefficients, in the case that has one
   out.*                    image, surfel_image, transmittance, gaussian_colour, gaussian_weight,
                            surfel_depth, surfel_normal, layers.{ids, alpha, depth}
   loss.*                   rgb, ssim, surfel, scale, transmittance, total
@@ -85,10 +86,15 @@ def cases(seed):
         ("no_surfels", (0, 40), {}, square, {}),
         ("large_world", (40, 60), {"extent": 1000.0}, (4000.0, 32, 32, 40.0), {}),
         ("subpixel", (200, 200), {"surfel_scale": (-6.0, -4.0), "gaussian_scale": (-7.0, -5.0)}, square, {}),
+        ("environment", (30, 40), {}, (2.0, 40, 28, 25.0), {"modulation": 1.5, "environment": True}),
     ]
     for index, (name, counts, scene, camera, options) in enumerate(recipes):
         rng = np.random.default_rng([seed, index])
-        yield name, *random_scene(rng, *counts, **scene), look_at(rng, *camera), options
+        surfels, gaussians = random_scene(rng, *counts, **scene)
+        camera = look_at(rng, *camera)
+        if options.pop("environment", False):
+            options["environment"] = rng.normal(0.0, 0.5, (16, 3))
+        yield name, surfels, gaussians, camera, options
 
 
 def named(prefix, tree):
@@ -115,15 +121,23 @@ def tensors_of(seed, surfels, gaussians, camera, options):
     target, upstream = rng.uniform(0, 1, shape), rng.normal(0, 1, shape)
     background = np.array([0.1, 0.2, 0.3])
     inputs = named("surfels", surfels) | named("gaussians", gaussians)
+    options = dict(options)
+    environment = options.pop("environment", None)
+    if environment is not None:
+        inputs["environment"] = environment
+
+    def rendered(arrays, **more):
+        behind = arrays.get("environment")
+        return model.render(*scene_from(arrays), camera, background, environment=behind, **options, **more)
 
     def image_dot(arrays, detach):
-        result = model.render(*scene_from(arrays), camera, background, detach_transmittance=detach, **options)
-        return model.np.sum(upstream * result.image)
+        return model.np.sum(upstream * rendered(arrays, detach_transmittance=detach).image)
 
     def total(arrays):
-        return model.total_loss(*scene_from(arrays), camera, target, background, **options)
+        behind = arrays.get("environment")
+        return model.total_loss(*scene_from(arrays), camera, target, background, environment=behind, **options)
 
-    result = model.render(surfels, gaussians, camera, background, **options)
+    result = rendered(inputs)
     tensors = inputs | {
         "camera.rotation": camera.rotation,
         "camera.translation": camera.translation,

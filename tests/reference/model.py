@@ -269,8 +269,45 @@ def splat(gaussians, camera, layers):
     return sums.reshape((camera.height, camera.width, layer_count, 4))
 
 
+def harmonics(direction):
+    """[..., 16] spherical harmonics of degree 0 to 3 of unit vectors [..., 3] (3DGS)."""
+    x, y, z = (direction[..., i] for i in range(3))
+    xx, yy, zz = x * x, y * y, z * z
+    values = [
+        SH_C0 * np.ones(x.shape),
+        -0.4886025119029199 * y,
+        0.4886025119029199 * z,
+        -0.4886025119029199 * x,
+        1.0925484305920792 * x * y,
+        -1.0925484305920792 * y * z,
+        0.31539156525252005 * (2.0 * zz - xx - yy),
+        -1.0925484305920792 * x * z,
+        0.5462742152960396 * (xx - yy),
+        -0.5900435899266435 * y * (3.0 * xx - yy),
+        2.890611442640554 * x * y * z,
+        -0.4570457994644658 * y * (4.0 * zz - xx - yy),
+        0.3731763325901154 * z * (2.0 * zz - 3.0 * xx - 3.0 * yy),
+        -0.4570457994644658 * x * (4.0 * zz - xx - yy),
+        1.445305721320277 * z * (xx - yy),
+        -0.5900435899266435 * x * (xx - 3.0 * yy),
+    ]
+    return np.stack(values, -1)
+
+
+def environment_image(coefficients, camera):
+    """[H, W, 3] sum_k c_k Y_k(v), where v is the world direction of a pixel's ray, for coefficients [C, 3]."""
+    x, y = pixel_grid(camera)
+    in_camera = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones(x.shape)], -1)
+    direction = in_camera @ camera.rotation
+    direction = direction / np.sqrt(np.sum(direction**2, -1, keepdims=True))
+    values = harmonics(direction)[:, : coefficients.shape[0]] @ coefficients
+    return values.reshape((camera.height, camera.width, 3))
+
+
 def composite(layers, sums, background, detach_transmittance=False):
     """Blends the layers front to back, weighs the Gaussian sums by transmittance, and normalises.
+
+    `background` is one colour [3] or one for every pixel [H, W, 3].
 
     `detach_transmittance` stops the gradient from the Gaussians to the surfels (ablation).
     """
@@ -307,8 +344,11 @@ def render(
     modulation=SURFEL_MODULATION,
     footprint="kernel",
     detach_transmittance=False,
+    environment=None,
 ):
     layers = peel(surfels, camera, layer_count, modulation, footprint)
+    if environment is not None:
+        background = background + environment_image(environment, camera)
     return composite(layers, splat(gaussians, camera, layers), background, detach_transmittance)
 
 

@@ -6,7 +6,7 @@ use std::sync::{Arc, OnceLock};
 
 use dpges_core::camera::Camera;
 use dpges_core::scene::tensors::tensor_to_rows;
-use dpges_core::scene::{Footprint, MarginLookup, Rendering, SceneData};
+use dpges_core::scene::{EnvironmentData, Footprint, MarginLookup, Rendering, SceneData};
 use dpges_render::{CameraPath, Headless, Precision, RenderOptions};
 use dpges_train::config::Config;
 use dpges_train::dataset::{BuiltinOptions, Dataset, builtin};
@@ -26,10 +26,11 @@ const FRAMES: usize = 120;
 const LARGEST_SPIKE: f64 = 3.0;
 
 pub fn trials() -> Vec<Trial> {
-    let tests: [(&str, Test); 4] = [
+    let tests: [(&str, Test); 5] = [
         ("raster::a_trained_scene_looks_the_same", a_trained_scene_looks_the_same),
         ("raster::every_number_of_layers_and_lookup_looks_the_same", every_number_of_layers_and_lookup_looks_the_same),
         ("raster::scenes_of_stages_look_the_same", scenes_of_stages_look_the_same),
+        ("raster::scenes_before_an_environment_look_the_same", scenes_before_an_environment_look_the_same),
         ("raster::nothing_pops_along_a_path", nothing_pops_along_a_path),
     ];
     let headless = Headless::new();
@@ -130,6 +131,31 @@ fn scenes_of_stages_look_the_same(headless: &Headless) -> Result<(), Failed> {
         let scene = trained(60, &[&format!("train.method={method}")]);
         assert_eq!(scene.info.rendering, rendering);
         compare(headless, method, &scene)?;
+    }
+    Ok(())
+}
+
+/// With a third of the primitives, so that much of what lies behind them is seen.
+fn scenes_before_an_environment_look_the_same(headless: &Headless) -> Result<(), Failed> {
+    let third = |count: usize| (0..count).step_by(3).collect::<Vec<usize>>();
+    let blended = ["mcmc", "2dgs"].map(|method| trained(30, &[&format!("train.method={method}")]));
+    for mut scene in [joint().clone()].into_iter().chain(blended) {
+        scene.surfels = scene.surfels.select(&third(scene.surfels.len()));
+        scene.gaussians = scene.gaussians.select(&third(scene.gaussians.len()));
+        scene.info.background = [0.2, 0.3, 0.1];
+        let bare = scene.clone();
+        for degree in 0..=3 {
+            let mut environment = EnvironmentData::neutral(degree);
+            let coefficients = environment.coefficients.iter_mut().enumerate();
+            coefficients.for_each(|(at, k)| *k = 0.4 * ((at * at) as f32 + 1.0).sin());
+            scene.environment = Some(environment);
+            let name = format!("{}, environment of degree {degree}", scene.info.rendering);
+            compare(headless, &name, &scene)?;
+            let [camera, ..] = cameras(&scene)[..] else { unreachable!("there are held-out cameras") };
+            let own = tensor_to_rows(Renderer::new(&scene, &flex()).render(&camera)?.image());
+            let without = tensor_to_rows(Renderer::new(&bare, &flex()).render(&camera)?.image());
+            assert!(psnr(&own, &without) < 30.0, "{name}: little of it is seen");
+        }
     }
     Ok(())
 }

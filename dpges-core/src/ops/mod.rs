@@ -1,5 +1,6 @@
 //! The custom operations, in the order in which a training step uses them: [`finite`], [`colour`],
-//! [`peel`], [`limits`], [`splat`], [`composite`], [`ssim`], [`adam`]. [`coverage`] and [`jitter`] serve refinement.
+//! [`peel`], [`limits`], [`splat`], [`composite`], [`environment`](mod@environment), [`ssim`], [`adam`]. [`coverage`] and
+//! [`jitter`] serve refinement.
 //! [`blend`] replaces peel, splat and composite where Gaussians or discs are trained alone.
 //!
 //! Every folder has the same files:
@@ -29,6 +30,7 @@ pub mod blend;
 pub mod colour;
 pub mod composite;
 pub mod coverage;
+pub mod environment;
 pub mod finite;
 pub mod jitter;
 pub mod limits;

@@ -42,6 +42,16 @@ pub struct BlendedRender {
     pub blend: Blend,
 }
 
+impl BlendedRender {
+    /// The same view with an [environment](mod@crate::ops::environment) [3, H, W] behind everything, which adds to the
+    /// background: `(1 − alpha) E`.
+    #[must_use]
+    pub fn in_front_of(self, environment: Tensor<3>) -> Self {
+        let behind = (self.blend.alpha.clone() * -1.0 + 1.0) * environment;
+        Self { image: self.image + behind, ..self }
+    }
+}
+
 /// Renders `gaussians` from `camera`, nearest first. Colours below 0 count as 0 (3DGS). The gradient of `probe` [M, 4]
 /// tells how much the picture wants each of them to move, see [`blend()`].
 ///

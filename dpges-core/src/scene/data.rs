@@ -2,7 +2,7 @@
 //! the scene file holds.
 
 use super::schema::{Attribute, Colour, Columns, GaussianColumns, SurfelColumns};
-use super::{ColourModel, SceneInfo};
+use super::{ColourModel, EnvironmentData, SceneInfo};
 use crate::error::{Error, Result};
 
 /// View-dependent colour of N primitives: each column has N × its width numbers.
@@ -18,6 +18,8 @@ pub struct SceneData {
     pub info: SceneInfo,
     pub surfels: SurfelData,
     pub gaussians: GaussianData,
+    /// What lies behind them; `None` where that is the constant background of [`info`](Self::info).
+    pub environment: Option<EnvironmentData>,
 }
 
 /// Rows of `values` (`width` numbers each) in the order of `rows`.

@@ -2,6 +2,8 @@
 //! [`SceneData`] (`surfels.positions` [N, 3] … `gaussians.colour.detail` [M, D]) and three strings
 //! of metadata: `format` = "dpges-scene", `version` = "2", `info` = [`SceneInfo`] as JSON.
 //!
+//! A scene with an environment has one tensor more, `environment` [(degree + 1)², 3]; see [`EnvironmentData`].
+//!
 //! Of spherical Beta colours a file has only the lobes that are there (see [`lobes`](super::lobes)). In place of
 //! `surfels.colour.detail` [N, 6 × lobes] stand `surfels.colour.lobe_counts` `[N]`, one byte for every surfel, and
 //! `surfels.colour.lobes` [sum of the counts, 6], those of the first surfel first; likewise for the Gaussians. Files of
@@ -16,8 +18,8 @@ use safetensors::{Dtype, SafeTensors, View};
 
 use super::data::check_numbers;
 use super::lobes::{LOBE_LEN, pack, unpack};
-use super::schema::{Attribute, Columns, Width};
-use super::{ColourModel, GaussianData, SceneData, SceneInfo, SurfelData};
+use super::schema::{Attribute, Columns, ENVIRONMENT, Width};
+use super::{ColourModel, EnvironmentData, GaussianData, SceneData, SceneInfo, SurfelData};
 use crate::atomic::write_atomically;
 use crate::error::{Error, Result};
 use crate::tensor_file;
@@ -124,7 +126,8 @@ impl SceneData {
 
     fn check(&self) -> Result<()> {
         self.surfels.check()?;
-        self.gaussians.check()
+        self.gaussians.check()?;
+        self.environment.as_ref().map_or(Ok(()), EnvironmentData::check)
     }
 
     /// The tensors of the file; those in memory must have been checked.
@@ -132,6 +135,8 @@ impl SceneData {
         let mut stored = Vec::new();
         stored_columns(&self.surfels, self.surfels.len(), self.info.colour_model, &mut stored);
         stored_columns(&self.gaussians, self.gaussians.len(), self.info.colour_model, &mut stored);
+        let environment = self.environment.iter();
+        stored.extend(environment.map(|e| Rows::numbers(ENVIRONMENT.name, vec![e.len(), 3], &e.coefficients[..])));
         stored
     }
 }
@@ -187,7 +192,7 @@ fn parse(bytes: &[u8]) -> Result<SceneData, String> {
     let packed = version == VERSION;
     let surfels = read_columns::<SurfelData>(&file, info.colour_model, packed)?;
     let gaussians = read_columns::<GaussianData>(&file, info.colour_model, packed)?;
-    let scene = SceneData { surfels, gaussians, info };
+    let scene = SceneData { surfels, gaussians, environment: read_environment(&file)?, info };
     scene.check().map_err(|error| error.to_string())?;
     Ok(scene)
 }
@@ -205,6 +210,18 @@ fn read_columns<C: Columns>(file: &SafeTensors, model: ColourModel, packed: bool
         }
         _ => read(file, attribute.name, &attribute.stored_shape(count, model)),
     })
+}
+
+/// The environment, if the file has one.
+fn read_environment(file: &SafeTensors) -> Result<Option<EnvironmentData>, String> {
+    let name = ENVIRONMENT.name;
+    let Ok(tensor) = file.tensor(name) else { return Ok(None) };
+    let count = tensor.shape().first().copied().unwrap_or(0);
+    if tensor.shape() != [count, 3] || EnvironmentData::degree_of(count).is_none() {
+        let expected = EnvironmentData::EXPECTED_SHAPE;
+        return Err(format!("tensor `{name}` has shape {:?}, expected {expected}", tensor.shape()));
+    }
+    Ok(Some(EnvironmentData { coefficients: read(file, name, &[count, 3])? }))
 }
 
 fn row_count(file: &SafeTensors, name: &str) -> Result<usize, String> {
@@ -285,6 +302,7 @@ mod tests {
             },
             surfels: SurfelData::generate(model, SurfelData::ATTRIBUTES.iter().map(rows(surfels))),
             gaussians: GaussianData::generate(model, GaussianData::ATTRIBUTES.iter().map(rows(gaussians))),
+            environment: None,
         }
     }
 
@@ -368,6 +386,38 @@ mod tests {
         };
         let loaded = read_back(&save_bytes(&scene, without, "")).unwrap();
         assert_eq!(loaded.info, SceneInfo { margin_lookup: MarginLookup::Shifted, ..scene.info });
+    }
+
+    #[test]
+    fn an_environment_of_every_degree_comes_back_and_wrong_ones_are_named() {
+        let with = |count: usize| {
+            let coefficients = (0..3 * count).map(|i| (i as f32 * 0.7).cos()).collect();
+            SceneData { environment: Some(EnvironmentData { coefficients }), ..scene(TWO_LOBES, 3, 5) }
+        };
+        for (degree, count) in [(0, 1), (1, 4), (2, 9), (3, 16)] {
+            assert_eq!(EnvironmentData::neutral(degree).len(), count);
+            let good = with(count);
+            assert_eq!(read_back(&save_bytes(&good, |_| {}, "")).unwrap(), good);
+            assert_eq!(read_back(&save_bytes(&good, |_| {}, "environment")).unwrap().environment, None);
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("scene.safetensors");
+        let mut spoilt = with(4);
+        spoilt.environment.as_mut().unwrap().coefficients[7] = f32::NAN;
+        for (bad, expected) in [
+            (with(0), "tensor `environment` has shape [0, 3], expected [(degree + 1)², 3]"),
+            (with(5), "tensor `environment` has shape [5, 3], expected [(degree + 1)², 3]"),
+            (with(25), "tensor `environment` has shape [25, 3]"),
+            (spoilt, "`environment` is not finite at row 2"),
+        ] {
+            let error = load_bytes(&save_bytes(&bad, |_| {}, ""));
+            assert!(error.contains(expected), "{error}");
+            assert!(bad.save(&path).unwrap_err().to_string().contains("`environment`"));
+        }
+        let flat = [0.5; 12];
+        let wide = with_tensor(&with(4), Rows::numbers("environment", vec![3, 4], &flat[..]));
+        assert!(load_bytes(&wide).contains("`environment` has shape [3, 4]"));
+        assert!(!path.exists());
     }
 
     #[test]

@@ -3,6 +3,7 @@
 
 mod colour_model;
 pub mod data;
+mod environment;
 pub mod file;
 pub mod lobes;
 pub mod schema;
@@ -15,6 +16,7 @@ use serde::{Deserialize, Serialize};
 
 pub use colour_model::{ColourModel, SH_C0};
 pub use data::{ColourData, GaussianData, SceneData, SurfelData};
+pub use environment::EnvironmentData;
 pub use schema::OpacityActivation;
 #[cfg(feature = "burn")]
 pub use tensors::{Colour, Gaussians, Surfels};
@@ -104,7 +106,7 @@ pub struct SceneInfo {
     /// Of blended Gaussians. Files without it are [`ScreenFilter::Compensated`], and so is everything that is peeled.
     #[serde(default)]
     pub screen_filter: ScreenFilter,
-    /// Display-referred colour behind everything.
+    /// Display-referred colour behind everything; an [environment](EnvironmentData) adds to it.
     pub background: [f64; 3],
     /// World units: subtract from the dataset's coordinates to get the scene's.
     pub offset: [f64; 3],

@@ -53,6 +53,8 @@ pub enum RateGroup {
     Opacities,
     Base,
     Detail,
+    /// Of the coefficients of an environment; no primitive has such an attribute.
+    Environment,
 }
 
 /// One attribute of a kind of primitive.
@@ -87,6 +89,16 @@ impl Attribute {
         self.rate != RateGroup::Fixed
     }
 }
+
+/// The coefficients of an environment: [(degree + 1)², 3], in memory as in scene files.
+pub const ENVIRONMENT: Attribute = Attribute {
+    name: "environment",
+    raw_name: "environment",
+    width: Width::Fixed(3),
+    activation: Activation::Identity,
+    rate: RateGroup::Environment,
+    neutral: &[0.0],
+};
 
 /// View-dependent colour of N primitives.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -12,10 +12,11 @@ use super::compare::relative_l2;
 use crate::camera::{Camera, CameraFromWorld};
 use crate::losses::{self, LossWeights};
 use crate::ops::composite::geometry;
+use crate::ops::environment::environment;
 use crate::ops::peel::PeelOptions;
 use crate::ops::ssim::ssim;
 use crate::render::{Render, RenderOptions, render};
-use crate::scene::schema::{Attribute, Columns, Width};
+use crate::scene::schema::{Attribute, Columns, ENVIRONMENT, Width};
 use crate::scene::{ColourModel, Footprint, Gaussians, Surfels};
 
 struct Array {
@@ -43,6 +44,8 @@ pub struct Deviation {
 struct Inputs {
     surfels: Surfels,
     gaussians: Gaussians,
+    /// [16, 3]
+    environment: Option<Tensor<2>>,
     upstream: Tensor<3>,
     target: Tensor<3>,
 }
@@ -110,7 +113,10 @@ impl GoldenCase {
     #[must_use]
     pub fn rounded_to_f32(mut self) -> Self {
         for (name, array) in &mut self.arrays {
-            if ["surfels.", "gaussians.", "upstream", "target"].iter().any(|input| name.starts_with(input)) {
+            if ["surfels.", "gaussians.", "environment", "upstream", "target"]
+                .iter()
+                .any(|input| name.starts_with(input))
+            {
                 array.values.iter_mut().for_each(|value| *value = f64::from(*value as f32));
             }
         }
@@ -160,10 +166,16 @@ impl GoldenCase {
         C::generate(model, C::ATTRIBUTES.iter().map(|attribute| self.rows(&golden_name(attribute), device, dtype)))
     }
 
+    fn environment(&self, device: &Device, dtype: DType) -> Option<Tensor<2>> {
+        let name = ENVIRONMENT.name;
+        self.arrays.contains_key(name).then(|| self.rows(name, device, dtype).require_grad())
+    }
+
     fn inputs(&self, device: &Device, dtype: DType) -> Inputs {
         Inputs {
             surfels: self.columns::<Surfels>(device, dtype).require_grad(),
             gaussians: self.columns::<Gaussians>(device, dtype).require_grad(),
+            environment: self.environment(device, dtype),
             upstream: self.image("upstream", device, dtype),
             target: self.image("target", device, dtype),
         }
@@ -189,7 +201,14 @@ impl GoldenCase {
 
     fn render(&self, inputs: &Inputs, detach_transmittance: bool) -> Render {
         let options = RenderOptions { detach_transmittance, ..self.options };
-        render(&inputs.surfels, &inputs.gaussians, &self.camera, &options).expect("golden inputs are valid")
+        let rendered =
+            render(&inputs.surfels, &inputs.gaussians, &self.camera, &options).expect("golden inputs are valid");
+        match &inputs.environment {
+            Some(coefficients) => {
+                rendered.in_front_of(environment(coefficients, &self.camera).expect("16 coefficients"))
+            }
+            None => rendered,
+        }
     }
 
     fn total(&self, inputs: &Inputs) -> Tensor<1> {
@@ -276,7 +295,9 @@ impl Found<'_> {
     }
 
     fn gradients(&mut self, prefix: &str, inputs: &Inputs, gradients: &Gradients) {
-        for (attribute, tensor) in inputs.surfels.iter().chain(inputs.gaussians.iter()).filter(|(a, _)| a.learns()) {
+        let environment = inputs.environment.iter().map(|coefficients| (&ENVIRONMENT, coefficients));
+        let all = inputs.surfels.iter().chain(inputs.gaussians.iter()).chain(environment);
+        for (attribute, tensor) in all.filter(|(attribute, _)| attribute.learns()) {
             let gradient =
                 tensor.grad(gradients).map_or_else(|| vec![0.0; tensor.dims().iter().product()], |g| values(&g));
             self.compare(&format!("{prefix}.{}", golden_name(attribute)), &gradient);

@@ -18,6 +18,7 @@ use crate::ops::blend::{BlendOptions, blend};
 use crate::ops::colour::colour;
 use crate::ops::composite::{CompositeOptions, composite};
 use crate::ops::coverage::coverage;
+use crate::ops::environment::environment;
 use crate::ops::jitter::{JitterOptions, NoiseGate, jitter};
 use crate::ops::limits::interval_limits;
 use crate::ops::peel::{Layers, PeelOptions, peel};
@@ -217,6 +218,14 @@ impl<'a> Bench<'a> {
         self.note("ssim", &value);
         let gradients = (value * 0.7).sum().backward();
         self.gradient("ssim.grad", &image, &gradients);
+
+        for count in [1, 4, 9, 16] {
+            let coefficients = self.tensor(&Random::new(15).numbers(3 * count, -1.0, 1.0), [count, 3]).require_grad();
+            let image = environment(&coefficients, &self.scene.camera).expect("coefficients of a degree");
+            self.note(&format!("environment.{count}"), &image);
+            let gradients = (image.clone() * self.upstream(&image, 16)).sum().backward();
+            self.gradient(&format!("environment.{count}.grad"), &coefficients, &gradients);
+        }
 
         let step = AdamStep { learning_rate: 0.01, beta_1: 0.9, beta_2: 0.999, epsilon: 1e-15, time: 3 };
         let inner = |seed| self.tensor(&random(seed), [3, height, width]).inner();

@@ -66,6 +66,7 @@ impl SplatCloud {
                 opacities: self.opacities.clone(),
                 colour,
             },
+            environment: None,
         }
     }
 

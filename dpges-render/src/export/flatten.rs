@@ -159,7 +159,7 @@ mod tests {
         gaussians.opacities = vec![1.0, 2.5, -0.3];
         gaussians.quaternions[..4].copy_from_slice(&[0.0, 3.0, 0.0, 4.0]);
         let info = SceneInfo { colour_model: model, rendering, ..SceneInfo::default() };
-        SceneData { info, surfels, gaussians }
+        SceneData { info, surfels, gaussians, environment: None }
     }
 
     #[test]

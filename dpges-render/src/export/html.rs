@@ -213,7 +213,8 @@ mod tests {
     fn scene() -> SceneData {
         let info = SceneInfo { offset: [100.0, 0.0, -5.0], ..SceneInfo::default() };
         let model: ColourModel = info.colour_model;
-        SceneData { surfels: SurfelData::neutral(model, 2), gaussians: GaussianData::neutral(model, 3), info }
+        let (surfels, gaussians) = (SurfelData::neutral(model, 2), GaussianData::neutral(model, 3));
+        SceneData { info, surfels, gaussians, environment: None }
     }
 
     /// The sources of the page, with an empty program.

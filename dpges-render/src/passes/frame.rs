@@ -2,10 +2,13 @@
 
 use bytemuck::{Pod, Zeroable};
 use dpges_core::camera::Camera;
-use dpges_core::scene::{ColourModel, MarginLookup, Rendering, ScreenFilter};
+use dpges_core::scene::{ColourModel, EnvironmentData, MarginLookup, Rendering, ScreenFilter};
 
 use crate::options::{RenderOptions, squared_radius};
 use crate::scene::SceneTextures;
+
+/// Of an environment.
+const MAX_COEFFICIENTS: usize = EnvironmentData::coefficient_count(EnvironmentData::MAX_DEGREE);
 
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
@@ -18,6 +21,7 @@ pub(crate) struct Frame {
     surfel: [f32; 4],
     counts: [u32; 4],
     colour: [u32; 4],
+    environment: [[f32; 4]; MAX_COEFFICIENTS],
 }
 
 /// Switches of `frame.wgsl`.
@@ -52,16 +56,21 @@ impl Frame {
         let all = switched(1, scene.info.margin_lookup == MarginLookup::Literal)
             | switched(2, scene.info.rendering != Rendering::Peeled)
             | switched(4, switches.encode_srgb)
-            | switched(8, scene.info.screen_filter == ScreenFilter::Plain);
+            | switched(8, scene.info.screen_filter == ScreenFilter::Plain)
+            | switched(16, scene.info.max_alpha() < 0.995);
         let [r, g, b] = options.background;
         let narrow = |values: [f64; 4]| values.map(|value| value as f32);
         let grid = scene.surfels.grid;
+        let mut environment = [[0.0; 4]; MAX_COEFFICIENTS];
+        for (row, &[r, g, b]) in environment.iter_mut().zip(&scene.environment) {
+            *row = [r, g, b, 0.0];
+        }
         Self {
             rows,
             lens: narrow([camera.fx, camera.fy, camera.cx, camera.cy]),
             centre_near: narrow([x, y, z, camera.near]),
             size: narrow([camera.width as f64, camera.height as f64, options.smallest_px, grid.log2_width.into()]),
-            background: narrow([r, g, b, scene.info.max_alpha()]),
+            background: narrow([r, g, b, scene.environment.len() as f64]),
             surfel: narrow([options.modulation, radius, depths[0], depths[1]]),
             counts: [
                 scene.surfels.count as u32,
@@ -70,6 +79,7 @@ impl Frame {
                 options.display as u32,
             ],
             colour: [scene.colour_texels as u32, kind, parts as u32, all],
+            environment,
         }
     }
 }

@@ -11,7 +11,7 @@ struct Frame {
     centre_near: vec4f,
     // Width and height in px, smallest radius in px, texture width of a grid as a power of two.
     size: vec4f,
-    // Red, green, blue; largest α of a fragment of blended Gaussians.
+    // Red, green, blue, number of coefficients of the environment.
     background: vec4f,
     // w, squared radius of a surfel in σ, depths at the ends of the colour ramp.
     surfel: vec4f,
@@ -19,12 +19,16 @@ struct Frame {
     counts: vec4u,
     // Texels per colour, kind of colour (0 lobes, 1 harmonics), lobes or coefficients, switches.
     colour: vec4u,
+    // Coefficients of the environment: red, green, blue.
+    environment: array<vec4f, 16>,
 }
 
 const LITERAL_LOOKUP: u32 = 1u;
 const CLAMP_COLOURS: u32 = 2u;
 const ENCODE_SRGB: u32 = 4u;
 const PLAIN_FILTER: u32 = 8u;
+// A fragment of blended Gaussians covers at most 0.99 of a pixel, else 0.999.
+const LOW_CAP: u32 = 16u;
 
 const CUTOFF: f32 = 1.0 / 255.0;
 // Behind every clip volume: what is placed here is never rasterised.

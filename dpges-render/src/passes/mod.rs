@@ -1,5 +1,5 @@
-//! The passes of a frame, in their order. The WGSL of each stands beside it; `frame`, `colour`, `ellipse` and `layer` hold
-//! what several share.
+//! The passes of a frame, in their order. The WGSL of each stands beside it; `frame`, `harmonics`, `colour`, `behind`,
+//! `ellipse` and `layer` hold what several share.
 //!
 //! | pass | reads | writes |
 //! |---|---|---|

@@ -3,8 +3,13 @@
 use super::pipeline::{Depth, Stage};
 use super::{Kit, Texture};
 
-pub(crate) const SHADER: &str =
-    concat!(include_str!("frame.wgsl"), include_str!("layer.wgsl"), include_str!("present.wgsl"));
+pub(crate) const SHADER: &str = concat!(
+    include_str!("frame.wgsl"),
+    include_str!("harmonics.wgsl"),
+    include_str!("behind.wgsl"),
+    include_str!("layer.wgsl"),
+    include_str!("present.wgsl")
+);
 
 #[derive(Debug)]
 pub(crate) struct PresentPass {

@@ -86,11 +86,11 @@ fn fragment(@builtin(position) position: vec4f) -> @location(0) vec4f {
     return vec4f(select(colour, linear(colour), switched(ENCODE_SRGB)), 1.0);
 }
 
-// A scene of blended Gaussians: on the background.
+// A scene of blended Gaussians: in front of what lies behind it.
 @fragment
 fn blended(@builtin(position) position: vec4f) -> @location(0) vec4f {
     let sum = textureLoad(sums, vec2u(position.xy), 0);
-    var colour = sum.rgb + (1.0 - sum.a) * frame.background.rgb;
+    var colour = sum.rgb + (1.0 - sum.a) * behind(position.xy);
     switch frame.counts.w {
         case 2u: { colour = sum.rgb; }
         case 3u: { colour = vec3f(1.0 - sum.a); }

@@ -3,8 +3,12 @@
 use super::pipeline::{Depth, Stage};
 use super::{Kit, RECORD_FORMAT, Texture};
 
-pub(crate) const SHADER: &str =
-    concat!(include_str!("frame.wgsl"), include_str!("colour.wgsl"), include_str!("project.wgsl"));
+pub(crate) const SHADER: &str = concat!(
+    include_str!("frame.wgsl"),
+    include_str!("harmonics.wgsl"),
+    include_str!("colour.wgsl"),
+    include_str!("project.wgsl")
+);
 
 #[derive(Debug)]
 pub(crate) struct ProjectPass {

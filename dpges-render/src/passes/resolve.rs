@@ -3,8 +3,13 @@
 use super::pipeline::{Depth, Stage};
 use super::{COLOUR_FORMAT, INTERVAL_FORMAT, Kit, THIRD_FORMAT, Texture};
 
-pub(crate) const SHADER: &str =
-    concat!(include_str!("frame.wgsl"), include_str!("layer.wgsl"), include_str!("resolve.wgsl"));
+pub(crate) const SHADER: &str = concat!(
+    include_str!("frame.wgsl"),
+    include_str!("harmonics.wgsl"),
+    include_str!("behind.wgsl"),
+    include_str!("layer.wgsl"),
+    include_str!("resolve.wgsl")
+);
 
 #[derive(Debug)]
 pub(crate) struct ResolvePass {

@@ -88,7 +88,7 @@ fn fragment(@builtin(position) position: vec4f) -> Resolved {
     ends = max(ends, vec4f(closed_at));
 
     var resolved: Resolved;
-    resolved.surfels = vec4f(colour + through * frame.background.rgb, through);
+    resolved.surfels = vec4f(colour + through * behind(position.xy), through);
     resolved.intervals = bitcast<vec4u>(vec4f(ends.xy, throughs.xy));
     resolved.third = bitcast<vec2u>(vec2f(ends.z, throughs.z));
     resolved.closed_at = closed_at;

@@ -35,7 +35,7 @@ fn blended(colour_strength: vec4f, squared: f32) -> vec4f {
     if weight < CUTOFF {
         discard;
     }
-    return vec4f(colour_strength.rgb, 1.0) * min(weight, frame.background.w);
+    return vec4f(colour_strength.rgb, 1.0) * min(weight, select(0.999, 0.99, switched(LOW_CAP)));
 }
 
 @fragment

@@ -58,6 +58,8 @@ pub struct Primitives {
 #[derive(Debug)]
 pub struct SceneTextures {
     pub info: SceneInfo,
+    /// Coefficients of the environment; empty for a scene without one.
+    pub environment: Vec<[f32; 3]>,
     pub surfels: Primitives,
     pub gaussians: Primitives,
     /// Texels per primitive of the textures of colours.
@@ -71,7 +73,7 @@ const SAMPLE: usize = 4096;
 
 impl SceneTextures {
     /// # Errors
-    /// [`RenderError::TooMany`].
+    /// [`RenderError::TooMany`], [`RenderError::Input`] for an environment of no degree.
     pub fn new(device: &wgpu::Device, queue: &wgpu::Queue, scene: &SceneData) -> Result<Self> {
         let upload = Upload { device, queue };
         let surfels = upload.primitives("surfels", packing::surfels(&scene.surfels), &scene.surfels.colour)?;
@@ -81,7 +83,14 @@ impl SceneTextures {
         let (positions, _) = all.as_chunks::<3>();
         let sample = positions.iter().step_by((positions.len() / SAMPLE).max(1)).copied().collect();
         let colour_texels = colours::texels(scene.info.colour_model);
-        Ok(Self { info: scene.info.clone(), surfels, gaussians, colour_texels, sample })
+        let environment = match &scene.environment {
+            Some(environment) => {
+                environment.check()?;
+                environment.coefficients.as_chunks::<3>().0.to_vec()
+            }
+            None => Vec::new(),
+        };
+        Ok(Self { info: scene.info.clone(), environment, surfels, gaussians, colour_texels, sample })
     }
 
     pub fn is_peeled(&self) -> bool {

@@ -105,7 +105,7 @@ impl Viewer {
         let info = SceneInfo::default();
         let lens = Lens { vertical_field_of_view: FIELD_OF_VIEW, near: info.near };
         let surroundings = Surroundings { up: glam::DVec3::NEG_Y, size: 1.0 };
-        let nothing = SceneData { surfels: Default::default(), gaussians: Default::default(), info };
+        let nothing = SceneData { surfels: Default::default(), gaussians: Default::default(), environment: None, info };
         let home = Extent::of(&nothing).overview(lens, surroundings.up);
         let mut viewer = Self {
             canvas: gpu.map(Canvas::new).transpose()?,

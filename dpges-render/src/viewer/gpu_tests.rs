@@ -29,7 +29,7 @@ fn opened() -> Opened {
     let info = SceneInfo { colour_model: model, ..SceneInfo::default() };
     let mut surfels = SurfelData::neutral(model, 1);
     surfels.log_scales = vec![0.3f32.ln(); 2];
-    let scene = SceneData { info, surfels, gaussians: GaussianData::neutral(model, 0) };
+    let scene = SceneData { info, surfels, gaussians: GaussianData::neutral(model, 0), environment: None };
     let camera = |eye| {
         let camera_from_world = CameraFromWorld::look_at(eye, DVec3::ZERO, DVec3::Y);
         let (width, height) = (80, 60);

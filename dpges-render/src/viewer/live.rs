@@ -206,7 +206,12 @@ mod tests {
     fn scene() -> SceneData {
         let model = ColourModel::default();
         let info = SceneInfo { colour_model: model, ..SceneInfo::default() };
-        SceneData { info, surfels: SurfelData::neutral(model, 1), gaussians: GaussianData::neutral(model, 0) }
+        SceneData {
+            info,
+            surfels: SurfelData::neutral(model, 1),
+            gaussians: GaussianData::neutral(model, 0),
+            environment: None,
+        }
     }
 
     #[test]

@@ -24,7 +24,7 @@ fn scene(count: usize) -> SceneData {
     let mut surfels = SurfelData::neutral(model, count);
     surfels.positions = (0..3 * count).map(|at| (at as f32).sin()).collect();
     let info = SceneInfo { colour_model: model, layer_count: 2, modulation: 40.0, ..SceneInfo::default() };
-    SceneData { info, surfels, gaussians: GaussianData::neutral(model, 5) }
+    SceneData { info, surfels, gaussians: GaussianData::neutral(model, 5), environment: None }
 }
 
 fn views(count: usize) -> DatasetViews {

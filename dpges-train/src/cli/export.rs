@@ -143,7 +143,8 @@ impl ExportArgs {
         if steps > 0 {
             let (_, dataset) =
                 data.as_ref().map_err(|failure| Failure::Usage(format!("--fit: {}", reason(failure))))?;
-            let fitted = fit(&cloud.to_scene(), &dataset.train, steps, &device, |completed| {
+            let start = in_front_of(&cloud, scene);
+            let fitted = fit(&start, &dataset.train, steps, &device, |completed| {
                 if completed % REPORT_EVERY == 0 || completed == steps {
                     tracing::info!("splats: step {completed}/{steps}");
                 }
@@ -167,6 +168,12 @@ impl ExportArgs {
             rows.push((
                 "note",
                 "approximation: sorted splats cannot express peeled surfels and order-free Gaussians".into(),
+            ));
+        }
+        if scene.environment.is_some() {
+            rows.push((
+                "sky",
+                "missing: the format has no environment; the PSNR is that of the splats before it".into(),
             ));
         }
         if let ExportFormat::Spz | ExportFormat::Spz3 = self.format {
@@ -194,7 +201,7 @@ impl ExportArgs {
         device: &burn::tensor::Device,
     ) -> Result<String> {
         let before = evaluate(scene, views, device)?.psnr;
-        let after = evaluate(&cloud.to_scene(), views, device)?.psnr;
+        let after = evaluate(&in_front_of(cloud, scene), views, device)?.psnr;
         let of = match self.views.split {
             Split::Test => "held-out",
             Split::Train => "training",
@@ -246,6 +253,11 @@ impl ExportArgs {
             (Up::Z, _) | (Up::Auto, Some(Format::Blender | Format::Nerfstudio | Format::Builtin)) => UpAxis::Z,
         }
     }
+}
+
+/// The scene of `cloud` with what lies behind `scene`, which the formats have no place for.
+fn in_front_of(cloud: &SplatCloud, scene: &SceneData) -> SceneData {
+    SceneData { environment: scene.environment.clone(), ..cloud.to_scene() }
 }
 
 fn reason(failure: &Failure) -> String {

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use dpges_core::scene::lobes::present;
-use dpges_core::scene::{ColourModel, Footprint, MarginLookup, ScreenFilter};
+use dpges_core::scene::{ColourModel, EnvironmentData, Footprint, MarginLookup, ScreenFilter};
 use serde_json::{Map, Value, json};
 
 use super::data::Scene;
@@ -67,6 +67,7 @@ fn describe(scene: &Scene) -> Vec<(&'static str, Value)> {
         ("footprint", json!(footprint)),
         ("margin_lookup", json!(margin_lookup)),
         ("background", json!(info.background)),
+        ("environment", json!(scene.data.environment.as_ref().map(|e| EnvironmentData::degree_of(e.len())))),
         ("extent", json!(info.extent)),
         ("near", json!(info.near)),
         ("offset", json!(info.offset)),

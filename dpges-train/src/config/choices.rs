@@ -86,6 +86,24 @@ choices! {
         "raw" => Raw,
     }
 
+    /// What lies behind every surfel and every Gaussian, in the direction of a pixel.
+    Environment {
+        /// Spherical harmonics of degree 3 if more than 5 % of the training pixels are open sky: above the horizon, with
+        /// no point of the dataset from there up to the border of the picture. The background alone otherwise, and if
+        /// `data.background` is set or pictures have alpha.
+        "auto" => Auto,
+        /// The background alone.
+        "none" => None,
+        /// The background and a colour that is learnt.
+        "sh0" => Degree0,
+        /// The background and spherical harmonics of degree 1 to 3.
+        "sh1" => Degree1,
+        /// Likewise.
+        "sh2" => Degree2,
+        /// Likewise.
+        "sh3" => Degree3,
+    }
+
     /// Where surfels and Gaussians start.
     InitMethod {
         /// The first of the following that the dataset allows.
@@ -96,6 +114,19 @@ choices! {
         "silhouette" => Silhouette,
         /// Gaussians at random places in view of the cameras; no surfels.
         "random" => Random,
+    }
+}
+
+impl Environment {
+    /// The degree that is asked for; `None` without an environment, and where the dataset decides.
+    pub fn degree(self) -> Option<usize> {
+        match self {
+            Self::Auto | Self::None => None,
+            Self::Degree0 => Some(0),
+            Self::Degree1 => Some(1),
+            Self::Degree2 => Some(2),
+            Self::Degree3 => Some(3),
+        }
     }
 }
 

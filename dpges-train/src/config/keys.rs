@@ -7,7 +7,8 @@ use dpges_core::scene::{ColourModel, Footprint, MarginLookup, OpacityActivation}
 
 use super::budget::Budget;
 use super::choices::{
-    AddAs, Background, GaussianStage, InitMethod, JointOpacity, Margin, Method, PixelsOf, Stop, SurfelStart,
+    AddAs, Background, Environment, GaussianStage, InitMethod, JointOpacity, Margin, Method, PixelsOf, Stop,
+    SurfelStart,
 };
 use super::declare::{Ablation, Key, Section, Value, configuration, optional};
 use super::range::{self, OPACITY, POSITIVE, POSITIVE_SHARE};
@@ -100,6 +101,9 @@ configuration! {
         /// Which depths a Gaussian's depth is compared with to find its transmittance. The scene file keeps it.
         margin_lookup: MarginLookup = MarginLookup::Shifted,
             ablation: "literal-lookup" = "literal" ("Look the transmittance up without margins");
+        /// What lies behind every surfel and every Gaussian, in the direction of a pixel.
+        environment: Environment = Environment::Auto,
+            ablation: "no-environment" = "none" ("Without an environment, if the run has one");
     }
 
     /// Where surfels and Gaussians start, unless a stage has trained them.
@@ -295,6 +299,8 @@ configuration! {
         base: f64 = 5e-3, range: 0.0..;
         /// Learning rate of lobes, or of spherical harmonics above degree 0.
         detail: f64 = 5e-3, range: 0.0..;
+        /// Learning rate of the environment.
+        environment: f64 = 5e-3, range: 0.0..;
         /// Factor on all learning rates but those of positions at the last step. Its logarithm is interpolated from 1 at
         /// the first.
         decay: f64 = 1.0, range: POSITIVE;

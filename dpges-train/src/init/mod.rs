@@ -11,6 +11,7 @@ pub mod random;
 pub mod region;
 pub mod sfm;
 pub mod silhouette;
+pub mod sky;
 
 use dpges_core::camera::Camera;
 use dpges_core::scene::{GaussianData, SurfelData};

@@ -6,9 +6,10 @@ use burn::tensor::{DType, Device, Tensor};
 use dpges_core::Result;
 use dpges_core::camera::Camera;
 use dpges_core::ops::composite::{Geometry, geometry};
+use dpges_core::ops::environment::environment;
 use dpges_core::render::blended::{BlendedOptions, BlendedRender, render_blended};
 use dpges_core::render::{Render, RenderOptions, Values, render};
-use dpges_core::scene::tensors::tensor_to_rows;
+use dpges_core::scene::tensors::{rows_to_tensor, tensor_to_rows};
 use dpges_core::scene::{Gaussians, Rendering, SceneData, Surfels};
 use dpges_render::Rgb8Image;
 
@@ -25,6 +26,8 @@ pub fn to_picture(image: &Tensor<3>) -> Rgb8Image {
 pub struct Renderer {
     surfels: Surfels,
     gaussians: Gaussians,
+    /// [(degree + 1)², 3]
+    environment: Option<Tensor<2>>,
     options: Options,
 }
 
@@ -50,6 +53,14 @@ impl Rendered {
         }
     }
 
+    /// The same view with an environment [3, H, W] behind everything.
+    fn in_front_of(self, environment: Tensor<3>) -> Self {
+        match self {
+            Self::Peeled(render) => Self::Peeled(Box::new(render.in_front_of(environment))),
+            Self::Blended(render) => Self::Blended(Box::new(render.in_front_of(environment))),
+        }
+    }
+
     /// The layers of a view of surfels and Gaussians; `None` for blended Gaussians.
     pub fn peeled(&self) -> Option<&Render> {
         match self {
@@ -71,6 +82,7 @@ impl Renderer {
         Self {
             surfels: Surfels::from_data(&scene.surfels, device, DType::F32),
             gaussians: Gaussians::from_data(&scene.gaussians, device, DType::F32),
+            environment: scene.environment.as_ref().map(|e| rows_to_tensor(&e.coefficients, 3, device, DType::F32)),
             options,
         }
     }
@@ -90,15 +102,19 @@ impl Renderer {
     /// # Errors
     /// As [`render`] and [`render_blended`].
     pub fn render(&self, camera: &Camera) -> Result<Rendered> {
-        match &self.options {
+        let rendered = match &self.options {
             Options::Peeled(options) => {
-                Ok(Rendered::Peeled(Box::new(render(&self.surfels, &self.gaussians, camera, options)?)))
+                Rendered::Peeled(Box::new(render(&self.surfels, &self.gaussians, camera, options)?))
             }
             Options::Blended(options) => {
                 let rendered = render_blended(&self.gaussians, None, camera, options, Values::Unknown)?;
-                Ok(Rendered::Blended(Box::new(rendered)))
+                Rendered::Blended(Box::new(rendered))
             }
-        }
+        };
+        Ok(match &self.environment {
+            Some(coefficients) => rendered.in_front_of(environment(coefficients, camera)?),
+            None => rendered,
+        })
     }
 
     /// Blended depth and normals of the surfels in a `view` from `camera`.

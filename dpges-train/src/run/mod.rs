@@ -30,7 +30,7 @@
 pub mod checkpoint;
 mod error;
 #[cfg(test)]
-mod fixtures;
+pub mod fixtures;
 pub mod folder;
 pub mod metrics_log;
 mod observer;

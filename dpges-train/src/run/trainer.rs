@@ -38,7 +38,7 @@ impl Trainer {
         let rng = ChaCha8Rng::seed_from_u64(config.train.seed);
         let mut context = Context { dataset, config, device, rng, remaining_views: Vec::new(), completed_steps: 0 };
         context.check_plan(&plan)?;
-        let mut trained = Trained::default();
+        let mut trained = Trained { environment: context.start_of_environment()?, ..Trained::default() };
         let stage = stage::begin(plan[0], &mut trained, &mut context)?;
         Ok(Self { context, plan, at: 0, stage, trained, validation: Validation::default(), pending: None })
     }
@@ -204,7 +204,7 @@ mod tests {
     use std::collections::BTreeSet;
     use std::path::Path;
 
-    use dpges_core::scene::{Rendering, ScreenFilter};
+    use dpges_core::scene::{EnvironmentData, Rendering, ScreenFilter};
     use glam::DVec3;
 
     use super::super::fixtures::{config, dataset, dataset_of, device};
@@ -218,8 +218,9 @@ mod tests {
     }
 
     /// All stages and everything that changes something in them.
-    const STAGES: [&str; 12] = [
+    const STAGES: [&str; 13] = [
         "train.steps=60",
+        "model.environment=sh1",
         "refine.budget=700",
         "stages.surfels=0.3",
         "stages.gaussians=0.3",
@@ -327,11 +328,33 @@ mod tests {
     }
 
     #[test]
+    fn an_environment_learns_in_every_stage_and_goes_from_one_to_the_next() {
+        let mut trainer = trainer(&STAGES);
+        let mut before = trainer.scene().environment.unwrap();
+        assert_eq!(before, EnvironmentData::neutral(1));
+        for stage in ["2dgs", "dbs", "joint"] {
+            assert_eq!(trainer.scene().environment.as_ref(), Some(&before), "{stage}");
+            while !trainer.stage_is_over() {
+                trainer.step().unwrap();
+            }
+            assert_eq!(trainer.stage().kind.to_string(), stage);
+            let after = trainer.scene().environment.unwrap();
+            let pairs = after.coefficients.iter().zip(&before.coefficients);
+            assert!(pairs.clone().count() == 12 && pairs.clone().all(|(a, b)| a != b), "{stage}: {after:?}");
+            before = after;
+            if !trainer.is_in_last_stage() {
+                trainer.next_stage().unwrap();
+            }
+        }
+        assert_eq!(self::trainer(&["train.steps=9"]).scene().environment, None);
+    }
+
+    #[test]
     fn a_run_goes_on_from_any_step_of_any_stage_to_the_same_end() {
         let folder = tempfile::tempdir().unwrap();
         let runs: [(&[&str], &[usize]); 5] = [
             (&STAGES, &[7, 18, 19, 30, 36, 50]),
-            (&["train.steps=40", "train.method=mcmc", "refine.budget=300"], &[1, 25]),
+            (&["train.steps=40", "train.method=mcmc", "refine.budget=300", "model.environment=sh2"], &[1, 25]),
             (&["train.steps=40", "train.method=dbs", "refine.budget=300"], &[25]),
             (&["train.steps=40", "train.method=mip-splatting", "refine.budget=300"], &[11, 25]),
             (&["train.steps=40", "train.method=2dgs", "refine.budget=300", "model.colour=sh1"], &[25]),

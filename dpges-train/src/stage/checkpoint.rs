@@ -8,7 +8,7 @@ use dpges_core::scene::{ColourModel, GaussianData, SceneInfo};
 use super::blended::{BlendedStage, ScreenGradients};
 use super::joint::{JointStage, Statistics, Supervisions};
 use super::sampling_limit::SamplingLimit;
-use super::{Context, TrainError};
+use super::{Context, EnvironmentState, TrainError};
 use crate::config::{Blended, OpacityActivation, StagePlan};
 use crate::optimizer::ParameterRows;
 use crate::refine::growth::Growth;
@@ -37,7 +37,7 @@ impl StageCheckpoint {
         Self {
             info: stage.info.clone(),
             growth: None,
-            attributes: named([stage.gaussians.rows()]),
+            attributes: named([stage.gaussians.rows()], &stage.environment),
             columns: columns.map(|(name, values)| (name.to_owned(), values)).collect(),
             max_pixels: Vec::new(),
         }
@@ -48,7 +48,7 @@ impl StageCheckpoint {
         let mut checkpoint = Self {
             info: stage.info.clone(),
             growth: stage.growth.clone(),
-            attributes: named([stage.surfels.rows(), stage.gaussians.rows()]),
+            attributes: named([stage.surfels.rows(), stage.gaussians.rows()], &stage.environment),
             columns: columns.into(),
             max_pixels: stage.statistics.max_pixels(),
         };
@@ -91,6 +91,8 @@ impl BlendedStage {
         }
         let gaussians = GaussianState::from_rows(&mut attributes, model, OpacityActivation::Sigmoid, &context.device)
             .map_err(|reason| TrainError::Resume { reason })?;
+        let environment = EnvironmentState::from_rows(&mut attributes, &context.device)
+            .map_err(|reason| TrainError::Resume { reason })?;
         if found.iter().any(|column| column.len() != gaussians.len()) {
             let reason = "columns `screen_gradients` do not fit the Gaussians".into();
             return Err(TrainError::Resume { reason });
@@ -104,7 +106,7 @@ impl BlendedStage {
             column => column
                 .map(|column| SamplingLimit::from_column(&column, context.config.density.smoothing, &context.device)),
         };
-        let mut stage = Self::new(plan, blended, gaussians, gradients, context);
+        let mut stage = Self::new(plan, blended, gaussians, environment, gradients, context);
         stage.sampling_limit = sampling_limit;
         Ok(stage)
     }
@@ -129,6 +131,7 @@ impl JointStage {
             SurfelState::from_rows(&mut attributes, model, OpacityActivation::Linear, device).map_err(wrong)?;
         let gaussians =
             GaussianState::from_rows(&mut attributes, model, context.config.model.opacity, device).map_err(wrong)?;
+        let environment = EnvironmentState::from_rows(&mut attributes, device).map_err(wrong)?;
         if (max_pixels.len(), contributions.len()) != (surfels.len(), gaussians.len()) {
             return Err(wrong("`max_pixels` or `max_contributions` does not fit the primitives".into()));
         }
@@ -137,6 +140,7 @@ impl JointStage {
             schedule: context.config.schedule(context.dataset.train.len()),
             surfels,
             gaussians,
+            environment,
             statistics: Statistics::from_rows(&max_pixels, &contributions, device),
             supervisions: discs.map(|discs| Supervisions::new(&discs, context)).transpose()?,
             growth,
@@ -145,8 +149,8 @@ impl JointStage {
     }
 }
 
-fn named<const N: usize>(rows: [NamedRows; N]) -> HashMap<String, ParameterRows> {
-    rows.into_iter().flatten().map(|(name, rows)| (name.to_owned(), rows)).collect()
+fn named<const N: usize>(rows: [NamedRows; N], environment: &EnvironmentState) -> HashMap<String, ParameterRows> {
+    rows.into_iter().flatten().chain(environment.rows()).map(|(name, rows)| (name.to_owned(), rows)).collect()
 }
 
 fn column(columns: &mut BTreeMap<String, Vec<f32>>, name: &str) -> Result<Vec<f32>, TrainError> {

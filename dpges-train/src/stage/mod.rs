@@ -6,6 +6,7 @@
 mod blended;
 mod checkpoint;
 mod context;
+mod environment;
 mod error;
 mod given;
 mod joint;
@@ -17,12 +18,13 @@ mod step;
 
 use burn::tensor::Tensor;
 use dpges_core::losses::Losses;
-use dpges_core::scene::{GaussianData, SceneData};
+use dpges_core::scene::{EnvironmentData, GaussianData, SceneData};
 
 use crate::config::{Config, StageKind, StagePlan};
 use blended::BlendedStage;
 pub use checkpoint::StageCheckpoint;
 pub use context::{Context, budget};
+pub use environment::EnvironmentState;
 pub use error::TrainError;
 use joint::JointStage;
 pub use parameters::{Leaves, Parameters, StepRates};
@@ -93,6 +95,8 @@ pub struct ForwardPass {
 pub struct Trained {
     pub discs: Option<GaussianData>,
     pub gaussians: Option<GaussianData>,
+    /// What the next stage begins with; `None` in runs without one.
+    pub environment: Option<EnvironmentData>,
 }
 
 /// Begins the stage of `plan` with what is `trained`, with the files that the configuration names, or with the points of
@@ -103,7 +107,7 @@ pub struct Trained {
 /// [`TrainError::Plan`] if there is nothing to train.
 pub fn begin(plan: StagePlan, trained: &mut Trained, context: &mut Context) -> Result<Box<dyn Stage>, TrainError> {
     Ok(match plan.kind {
-        StageKind::Blended(blended) => Box::new(BlendedStage::begin(plan, blended, context)?),
+        StageKind::Blended(blended) => Box::new(BlendedStage::begin(plan, blended, trained, context)?),
         StageKind::Joint => Box::new(JointStage::begin(plan, std::mem::take(trained), context)?),
     })
 }
@@ -127,5 +131,5 @@ pub fn resume(
         StageKind::Blended(blended) => blended,
     };
     let stage = BlendedStage::resume(plan, blended, checkpoint, context)?;
-    Ok((Box::new(stage), Trained { discs, gaussians: None }))
+    Ok((Box::new(stage), Trained { discs, ..Trained::default() }))
 }

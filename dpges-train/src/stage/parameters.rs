@@ -5,6 +5,7 @@ use dpges_core::ops::adam::AdamStep;
 use dpges_core::scene::schema::Attribute;
 use dpges_core::scene::{Gaussians, Surfels};
 
+use super::environment::{EnvironmentGradient, EnvironmentState};
 use crate::scene_state::{self, GaussianState, GradientList, Rates, SurfelState};
 
 /// What a stage trains.
@@ -12,12 +13,15 @@ pub struct Parameters<'a> {
     /// Empty in stages without surfels.
     pub surfels: &'a mut SurfelState,
     pub gaussians: &'a mut GaussianState,
+    pub environment: &'a mut EnvironmentState,
 }
 
 /// The same, on the tape of one step.
 pub struct Leaves {
     pub surfels: Surfels,
     pub gaussians: Gaussians,
+    /// [(degree + 1)², 3]; `None` in runs without one.
+    pub environment: Option<Tensor<2>>,
     raw_surfels: Surfels,
     raw_gaussians: Gaussians,
 }
@@ -26,6 +30,7 @@ pub struct Leaves {
 pub struct ParameterGradients {
     surfels: GradientList,
     gaussians: GradientList,
+    environment: EnvironmentGradient,
 }
 
 /// Learning rates of one step.
@@ -33,13 +38,14 @@ pub struct ParameterGradients {
 pub struct StepRates {
     pub surfels: Rates,
     pub gaussians: Rates,
+    pub environment: f64,
 }
 
 impl Parameters<'_> {
     pub fn leaves(&self) -> Leaves {
         let scene_state::Leaves { values: surfels, raw: raw_surfels } = self.surfels.leaves();
         let scene_state::Leaves { values: gaussians, raw: raw_gaussians } = self.gaussians.leaves();
-        Leaves { surfels, gaussians, raw_surfels, raw_gaussians }
+        Leaves { surfels, gaussians, environment: self.environment.leaf(), raw_surfels, raw_gaussians }
     }
 
     /// Takes out of `gradients` what a backward pass left for `leaves`.
@@ -47,6 +53,7 @@ impl Parameters<'_> {
         ParameterGradients {
             surfels: self.surfels.gradients(&leaves.raw_surfels, gradients),
             gaussians: self.gaussians.gradients(&leaves.raw_gaussians, gradients),
+            environment: self.environment.gradient(leaves.environment.as_ref(), gradients),
         }
     }
 
@@ -62,13 +69,15 @@ impl Parameters<'_> {
         adam: AdamStep,
     ) -> dpges_core::Result<()> {
         self.surfels.step(gradients.surfels, gate, &rates.surfels, adam)?;
-        self.gaussians.step(gradients.gaussians, gate, &rates.gaussians, adam)
+        self.gaussians.step(gradients.gaussians, gate, &rates.gaussians, adam)?;
+        let step = AdamStep { learning_rate: rates.environment, ..adam };
+        self.environment.step(gradients.environment, gate, step)
     }
 }
 
 impl ParameterGradients {
     /// With their attributes; `None` where no gradient reached one.
     pub fn iter(&self) -> impl Iterator<Item = &(&'static Attribute, Option<Tensor<2>>)> {
-        self.surfels.iter().chain(&self.gaussians)
+        self.surfels.iter().chain(&self.gaussians).chain(&self.environment)
     }
 }

@@ -1,6 +1,6 @@
 //! CPU kernels: one row at a time.
 
-pub(super) mod model;
+pub(in crate::ops) mod model;
 
 use burn::backend::TensorMetadata;
 use burn::backend::tensor::FloatTensor;

@@ -80,13 +80,15 @@ fn lobe(detail: &[f32], o: usize, d: Vec3) -> Lobe {
     }
 }
 
-/// Value of the spherical harmonic Y`index` (1 to 15) in direction `d` (3DGS).
+/// Value of the spherical harmonic Y`index` (0 to 15) in direction `d` (3DGS).
 #[cube]
-fn harmonic(d: Vec3, #[comptime] index: usize) -> f32 {
+pub fn harmonic(d: Vec3, #[comptime] index: usize) -> f32 {
     let (x, y, z) = (d.x, d.y, d.z);
     let (xx, yy, zz) = (x * x, y * y, z * z);
     let mut value = 0.0f32;
-    if comptime!(index == 1) {
+    if comptime!(index == 0) {
+        value = C0;
+    } else if comptime!(index == 1) {
         value = -0.488_602_52f32 * y;
     } else if comptime!(index == 2) {
         value = 0.488_602_52f32 * z;

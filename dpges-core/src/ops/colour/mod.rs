@@ -8,9 +8,9 @@
 //! Gradients: to base and detail. The direction passes none to the position (DP-GES, DBS).
 
 mod backward;
-mod cpu;
+pub(super) mod cpu;
 #[cfg(feature = "gpu")]
-mod cube;
+pub(super) mod cube;
 #[cfg(test)]
 mod tests;
 

@@ -124,6 +124,20 @@ pub struct Composite {
     pub gaussian_weight: Tensor<3>,
 }
 
+impl Composite {
+    /// The same view with an [`environment`](mod@crate::ops::environment) [3, H, W] behind everything, which adds to the
+    /// background: `T_K E` to the surfel image, `T_K E / (1 + W_G)` to the image.
+    #[must_use]
+    pub fn in_front_of(mut self, environment: Tensor<3>) -> Self {
+        let [planes, height, width] = self.transmittance.dims();
+        let open = self.transmittance.clone().slice([planes - 1..planes, 0..height, 0..width]);
+        let behind = open * environment;
+        self.image = self.image + behind.clone() / (self.gaussian_weight.clone() + 1.0);
+        self.surfel_image = self.surfel_image + behind;
+        self
+    }
+}
+
 /// Composites `layers`, surfel `colours` [N, 3] and Gaussian `sums` [K, 4, H, W].
 ///
 /// # Errors

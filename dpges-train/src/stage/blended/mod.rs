@@ -9,6 +9,7 @@ mod start;
 
 use burn::tensor::{DType, Device, Tensor};
 use dpges_core::losses::{Losses, rgb};
+use dpges_core::ops::environment::environment;
 use dpges_core::ops::jitter::NoiseGate;
 use dpges_core::render::blended::{BlendedOptions, render_blended};
 use dpges_core::scene::tensors::rows_to_tensor;
@@ -16,7 +17,8 @@ use dpges_core::scene::{ColourModel, GaussianData, Gaussians, SH_C0, SceneData, 
 
 use super::sampling_limit::SamplingLimit;
 use super::{
-    Context, ForwardPass, Leaves, Parameters, Stage, StageCheckpoint, StepInput, StepRates, TrainError, Trained,
+    Context, EnvironmentState, ForwardPass, Leaves, Parameters, Stage, StageCheckpoint, StepInput, StepRates,
+    TrainError, Trained,
 };
 use crate::config::{Blended, Config, Density, OpacityActivation, Relocation, StagePlan};
 use crate::scene_state::{GaussianState, Rates, SurfelState};
@@ -36,17 +38,23 @@ pub struct BlendedStage {
     /// There are none.
     surfels: SurfelState,
     pub gaussians: GaussianState,
+    pub environment: EnvironmentState,
     pub screen_gradients: ScreenGradients,
     /// `None` without a filter in the world.
     pub sampling_limit: Option<SamplingLimit>,
 }
 
 impl BlendedStage {
-    /// A stage of discs or of Gaussians.
+    /// A stage of discs or of Gaussians, before the environment that is `trained`.
     ///
     /// # Errors
     /// Those of [`begin`](super::begin).
-    pub fn begin(plan: StagePlan, blended: Blended, context: &mut Context) -> Result<Self, TrainError> {
+    pub fn begin(
+        plan: StagePlan,
+        blended: Blended,
+        trained: &Trained,
+        context: &mut Context,
+    ) -> Result<Self, TrainError> {
         let start = match blended {
             Blended::Discs => context.start_of_discs(plan)?,
             Blended::Controlled(_) | Blended::Relocated(_) => context.start_of_gaussians(plan, blended)?,
@@ -54,18 +62,20 @@ impl BlendedStage {
         let device = &context.device;
         let gaussians = GaussianState::new(&start, OpacityActivation::Sigmoid, device);
         let screen_gradients = ScreenGradients::new(start.len(), device);
+        let environment = EnvironmentState::new(trained.environment.as_ref(), device);
         let smooths = blended == Blended::Controlled(Density::Smoothed);
         let smoothing_px = context.config.density.smoothing;
         let positions = gaussians.columns.positions.raw();
         let sampling_limit = smooths.then(|| SamplingLimit::new(&positions, smoothing_px, context));
-        Ok(Self { sampling_limit, ..Self::new(plan, blended, gaussians, screen_gradients, context) })
+        Ok(Self { sampling_limit, ..Self::new(plan, blended, gaussians, environment, screen_gradients, context) })
     }
 
-    /// A stage that goes on with `gaussians` and their `screen_gradients`, without a sampling limit.
+    /// A stage that goes on with `gaussians`, their `screen_gradients` and an `environment`, without a sampling limit.
     pub fn new(
         plan: StagePlan,
         blended: Blended,
         gaussians: GaussianState,
+        environment: EnvironmentState,
         screen_gradients: ScreenGradients,
         context: &Context,
     ) -> Self {
@@ -81,6 +91,7 @@ impl BlendedStage {
                 &context.device,
             ),
             gaussians,
+            environment,
             screen_gradients,
             sampling_limit: None,
         }
@@ -169,12 +180,13 @@ impl Stage for BlendedStage {
     }
 
     fn parameters(&mut self) -> Parameters<'_> {
-        Parameters { surfels: &mut self.surfels, gaussians: &mut self.gaussians }
+        Parameters { surfels: &mut self.surfels, gaussians: &mut self.gaussians, environment: &mut self.environment }
     }
 
     fn scene(&self) -> SceneData {
         let surfels = SurfelData::neutral(self.info.colour_model, 0);
-        SceneData { info: self.info.clone(), surfels, gaussians: self.drawn() }
+        let (gaussians, environment) = (self.drawn(), self.environment.to_data());
+        SceneData { info: self.info.clone(), surfels, gaussians, environment }
     }
 
     fn is_due(&self, completed: usize) -> bool {
@@ -203,6 +215,10 @@ impl Stage for BlendedStage {
         let mut options = BlendedOptions::new(&self.info)?;
         options.blend.maps = weights.need_maps();
         let rendered = render_blended(gaussians, probe.as_ref(), camera, &options, input.values)?;
+        let rendered = match &leaves.environment {
+            Some(coefficients) => rendered.in_front_of(environment(coefficients, camera)?),
+            None => rendered,
+        };
         let rgb = rgb(rendered.image.clone(), input.target.clone(), context.config.train.lambda_dssim)?;
         let total = weights.add(rgb.clone(), gaussians, &rendered, camera);
         let none = Tensor::zeros([1], (&tape, DType::F32));
@@ -224,7 +240,7 @@ impl Stage for BlendedStage {
             base: optimizer.base,
             detail: optimizer.detail,
         };
-        StepRates { surfels: rates, gaussians: rates }
+        StepRates { surfels: rates, gaussians: rates, environment: optimizer.environment }
     }
 
     fn after_step(&mut self, completed: usize, context: &mut Context) -> Result<(), TrainError> {
@@ -239,6 +255,7 @@ impl Stage for BlendedStage {
     }
 
     fn hand_on(&self, trained: &mut Trained) {
+        trained.environment = self.environment.to_data();
         let gaussians = Some(self.drawn());
         match self.blended {
             Blended::Discs => trained.discs = gaussians,

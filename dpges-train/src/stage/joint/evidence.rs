@@ -4,6 +4,7 @@
 use burn::tensor::{DType, Tensor};
 use dpges_core::losses::geometry::expected_depth;
 use dpges_core::ops::blend::Maps;
+use dpges_core::ops::environment::environment;
 use dpges_core::render::blended::{BlendedOptions, render_blended};
 use dpges_core::render::{Render, RenderOptions, Values, render_values};
 use dpges_core::scene::tensors::tensor_to_rows;
@@ -106,7 +107,8 @@ impl JointStage {
         }
         let (surfels, gaussians) = (self.surfels.to_data(), self.gaussians.values());
         let options = self.render_options(&context.config);
-        let worths = judged(&surfels, &gaussians, &options, context)?;
+        let behind = self.environment.value();
+        let worths = judged(&surfels, &gaussians, behind.as_ref(), &options, context)?;
         let rows = RowEdit { keep: worths.worthy() };
         let left = surfels.len() - rows.keep.len();
         let lost: f64 = worths.saved.iter().filter(|&&saved| saved < 0.0).sum();
@@ -135,6 +137,7 @@ fn judging_views(context: &Context) -> impl Iterator<Item = &View> {
 fn judged(
     surfels: &SurfelData,
     gaussians: &Gaussians,
+    behind: Option<&Tensor<2>>,
     options: &RenderOptions,
     context: &Context,
 ) -> Result<Worths, TrainError> {
@@ -142,7 +145,11 @@ fn judged(
     let mut worths = Worths::new(surfels.len());
     let on_device = |surfels: &SurfelData| Surfels::from_data(surfels, device, DType::F32);
     let render = |surfels: &Surfels, view: &View| -> Result<Render, TrainError> {
-        Ok(render_values(surfels, gaussians, &view.camera, options, Values::KnownFinite)?)
+        let rendered = render_values(surfels, gaussians, &view.camera, options, Values::KnownFinite)?;
+        Ok(match behind {
+            Some(coefficients) => rendered.in_front_of(environment(coefficients, &view.camera)?),
+            None => rendered,
+        })
     };
     let all = on_device(surfels);
     let groups = (0..GROUPS).map(|group| {

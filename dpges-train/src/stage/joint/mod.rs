@@ -9,11 +9,15 @@ mod supervision;
 
 use dpges_core::losses::geometry::{GeometryWeights, geometry};
 use dpges_core::losses::{LossWeights, losses};
+use dpges_core::ops::environment::environment;
 use dpges_core::ops::splat::SplatOptions;
 use dpges_core::render::{RenderOptions, render_values};
 use dpges_core::scene::{Rendering, SceneData, SceneInfo};
 
-use super::{Context, ForwardPass, Leaves, Parameters, Stage, StageCheckpoint, StepInput, StepRates, TrainError};
+use super::{
+    Context, EnvironmentState, ForwardPass, Leaves, Parameters, Stage, StageCheckpoint, StepInput, StepRates,
+    TrainError,
+};
 use crate::config::{Config, Due, OpacityActivation, Schedule, StagePlan};
 use crate::init::InitialScene;
 use crate::refine::growth::Growth;
@@ -32,6 +36,7 @@ pub struct JointStage {
     pub schedule: Schedule,
     pub surfels: SurfelState,
     pub gaussians: GaussianState,
+    pub environment: EnvironmentState,
     pub statistics: Statistics,
     /// Targets of the geometry losses; `None` without them.
     pub supervisions: Option<Supervisions>,
@@ -41,7 +46,13 @@ pub struct JointStage {
 
 impl JointStage {
     /// A stage that begins with `start`.
-    fn new(plan: StagePlan, start: &InitialScene, supervisions: Option<Supervisions>, context: &Context) -> Self {
+    fn new(
+        plan: StagePlan,
+        start: &InitialScene,
+        environment: EnvironmentState,
+        supervisions: Option<Supervisions>,
+        context: &Context,
+    ) -> Self {
         let (config, device) = (&context.config, &context.device);
         Self {
             plan,
@@ -49,6 +60,7 @@ impl JointStage {
             schedule: config.schedule(context.dataset.train.len()),
             surfels: SurfelState::new(&start.surfels, OpacityActivation::Linear, device),
             gaussians: GaussianState::new(&start.gaussians, config.model.opacity, device),
+            environment,
             statistics: Statistics::new(start.surfels.len(), start.gaussians.len(), device),
             supervisions,
             growth: None,
@@ -70,14 +82,15 @@ impl Stage for JointStage {
     }
 
     fn parameters(&mut self) -> Parameters<'_> {
-        Parameters { surfels: &mut self.surfels, gaussians: &mut self.gaussians }
+        Parameters { surfels: &mut self.surfels, gaussians: &mut self.gaussians, environment: &mut self.environment }
     }
 
     /// Leaves out Gaussians that draw nothing.
     fn scene(&self) -> SceneData {
         let gaussians = self.gaussians.to_data();
         let gaussians = gaussians.select(&drawn(&gaussians.opacities).keep);
-        SceneData { info: self.info.clone(), surfels: self.surfels.to_data(), gaussians }
+        let (surfels, environment) = (self.surfels.to_data(), self.environment.to_data());
+        SceneData { info: self.info.clone(), surfels, gaussians, environment }
     }
 
     fn is_due(&self, completed: usize) -> bool {
@@ -98,6 +111,10 @@ impl Stage for JointStage {
         let camera = &input.view.camera;
         let options = self.render_options(&context.config);
         let rendered = render_values(surfels, gaussians, camera, &options, input.values)?;
+        let rendered = match &leaves.environment {
+            Some(coefficients) => rendered.in_front_of(environment(coefficients, camera)?),
+            None => rendered,
+        };
         self.statistics.observe(&rendered, &self.gaussians, camera, &self.schedule, input.completed)?;
         let weights = loss_weights(&context.config);
         let mut losses = losses(&rendered, surfels.log_scales.clone(), input.target.clone(), &weights)?;
@@ -124,7 +141,7 @@ impl Stage for JointStage {
         };
         let surfels = Rates { positions: position * optimizer.surfel_position_factor, ..gaussians };
         let surfels = if config.train.freeze_surfels { surfels.of_colours() } else { surfels };
-        StepRates { surfels, gaussians }
+        StepRates { surfels, gaussians, environment: optimizer.environment * decay }
     }
 
     fn checkpoint(&self) -> StageCheckpoint {

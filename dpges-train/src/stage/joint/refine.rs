@@ -4,6 +4,7 @@ use std::collections::HashSet;
 
 use burn::tensor::{DType, Tensor};
 use dpges_core::camera::Camera;
+use dpges_core::ops::environment::environment;
 use dpges_core::ops::splat::{SplatOptions, splat};
 use dpges_core::render::{Render, Values, render_values};
 use dpges_core::scene::Gaussians;
@@ -190,13 +191,12 @@ impl JointStage {
     /// Renders a view of the scene as it stands, without a tape.
     fn render_view(&self, context: &Context, view: &View) -> Result<Render, TrainError> {
         let (surfels, gaussians) = (self.surfels.values(), self.gaussians.values());
-        Ok(render_values(
-            &surfels,
-            &gaussians,
-            &view.camera,
-            &self.render_options(&context.config),
-            Values::KnownFinite,
-        )?)
+        let options = self.render_options(&context.config);
+        let rendered = render_values(&surfels, &gaussians, &view.camera, &options, Values::KnownFinite)?;
+        Ok(match self.environment.value() {
+            Some(coefficients) => rendered.in_front_of(environment(&coefficients, &view.camera)?),
+            None => rendered,
+        })
     }
 }
 

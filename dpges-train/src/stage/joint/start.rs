@@ -3,7 +3,7 @@
 use dpges_core::scene::{GaussianData, Rendering, SceneData, ScreenFilter};
 
 use super::super::given::{GAUSSIANS_FROM, SURFELS_FROM};
-use super::super::{Context, TrainError, Trained};
+use super::super::{Context, EnvironmentState, TrainError, Trained};
 use super::{JointStage, Supervisions};
 use crate::config::{GaussianStage, JointOpacity, StagePlan, SurfelStart};
 use crate::init::promote::promote;
@@ -28,7 +28,8 @@ impl JointStage {
             _ => None,
         };
         let start = context.start_of_joint(given.as_ref(), discs, trained.gaussians)?;
-        Ok(Self::new(plan, &start, supervisions, context))
+        let environment = EnvironmentState::new(trained.environment.as_ref(), &context.device);
+        Ok(Self::new(plan, &start, environment, supervisions, context))
     }
 }
 

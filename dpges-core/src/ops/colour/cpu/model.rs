@@ -92,7 +92,7 @@ pub fn lobes_backward<T: Real>(raw: &[T], d: V3<T>, grad: V3<T>, out: &mut [T]) 
 
 /// Values of the spherical harmonics Y1..Y15 in direction `d` (3DGS).
 #[inline(always)]
-fn harmonics<T: Real>([x, y, z]: V3<T>) -> [T; 15] {
+pub fn harmonics<T: Real>([x, y, z]: V3<T>) -> [T; 15] {
     let c = T::of;
     let (xx, yy, zz) = (x * x, y * y, z * z);
     [

@@ -1,0 +1,126 @@
+//! CPU kernels: one task per band of image rows, several pixels at a time.
+
+use burn::backend::TensorMetadata;
+use burn::backend::tensor::FloatTensor;
+use rayon::prelude::*;
+
+use super::{EnvironmentBackwardOps, EnvironmentOps, PixelRays};
+use crate::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::math::{M3, V3, apply, dot, scale};
+use crate::ops::colour::cpu::model::harmonics;
+use crate::real::Real;
+use crate::scene::{EnvironmentData, SH_C0};
+use crate::simd::{LANES, vectorised};
+use crate::tiles::bands::{BAND_COUNT, Bands};
+
+/// Y0 … Y15.
+const MAX_COEFFICIENTS: usize = EnvironmentData::coefficient_count(EnvironmentData::MAX_DEGREE);
+
+/// Values of all harmonics along the rays through [`LANES`] pixels of row `y`, from column `x` on.
+#[inline(always)]
+fn basis<T: Real>(world_from_pixel: &M3<T>, x: usize, y: usize) -> [[T; LANES]; MAX_COEFFICIENTS] {
+    let half = T::of(0.5);
+    let (left, row) = (T::of(x as f64) + half, T::of(y as f64) + half);
+    let mut values = [[T::of(SH_C0); LANES]; MAX_COEFFICIENTS];
+    for lane in 0..LANES {
+        let ray: V3<T> = apply(world_from_pixel, [left + T::of(lane as f64), row, T::one()]);
+        let higher = harmonics(scale(ray, T::one() / dot(ray, ray).sqrt()));
+        for (values, y) in values[1..].iter_mut().zip(higher) {
+            values[lane] = y;
+        }
+    }
+    values
+}
+
+fn forward<T: Real>(coefficients: &[T], rays: &PixelRays) -> Vec<T> {
+    let PixelRays { width, height, .. } = *rays;
+    let world_from_pixel = rays.world_from_pixel.map(|row| row.map(T::of));
+    let bands = Bands::new(height);
+    let mut image = vec![T::zero(); 3 * width * height];
+    bands.split(&mut image, width).into_par_iter().enumerate().for_each(|(band, mut planes)| {
+        vectorised(|| {
+            for (local, y) in bands.rows(band).enumerate() {
+                for x in (0..width).step_by(LANES) {
+                    let values = basis(&world_from_pixel, x, y);
+                    let (at, count) = (local * width + x, LANES.min(width - x));
+                    for (c, plane) in planes.iter_mut().enumerate() {
+                        let mut sum = [T::zero(); LANES];
+                        for (k, values) in coefficients.chunks_exact(3).zip(&values) {
+                            sum = std::array::from_fn(|lane| sum[lane] + k[c] * values[lane]);
+                        }
+                        plane[at..at + count].copy_from_slice(&sum[..count]);
+                    }
+                }
+            }
+        });
+    });
+    image
+}
+
+/// Gradient with respect to the first `count` coefficients.
+fn backward<T: Real>(grad: &[T], rays: &PixelRays, count: usize) -> Vec<T> {
+    let PixelRays { width, height, .. } = *rays;
+    let world_from_pixel = rays.world_from_pixel.map(|row| row.map(T::of));
+    let (bands, plane) = (Bands::new(height), width * height);
+    let none = [T::zero(); LANES];
+    let partial: Vec<[[[T; LANES]; 3]; MAX_COEFFICIENTS]> = (0..BAND_COUNT)
+        .into_par_iter()
+        .map(|band| {
+            let mut sums = [[none; 3]; MAX_COEFFICIENTS];
+            vectorised(|| {
+                for y in bands.rows(band) {
+                    for x in (0..width).step_by(LANES) {
+                        let (at, present) = (y * width + x, LANES.min(width - x));
+                        let mut incoming = [none; 3];
+                        for (c, incoming) in incoming.iter_mut().enumerate() {
+                            incoming[..present].copy_from_slice(&grad[c * plane + at..][..present]);
+                        }
+                        // hidden behind surfels
+                        if incoming == [none; 3] {
+                            continue;
+                        }
+                        for (sum, values) in sums[..count].iter_mut().zip(basis(&world_from_pixel, x, y)) {
+                            for (sum, incoming) in sum.iter_mut().zip(&incoming) {
+                                *sum = std::array::from_fn(|lane| sum[lane] + incoming[lane] * values[lane]);
+                            }
+                        }
+                    }
+                }
+            });
+            sums
+        })
+        .collect();
+    let total = |i: usize| partial.iter().flat_map(|sums| sums[i / 3][i % 3]).sum();
+    (0..3 * count).map(total).collect()
+}
+
+fn environment_on<B: Host>(coefficients: &FloatTensor<B>, rays: &PixelRays) -> FloatTensor<B> {
+    with_real!(coefficients.dtype(), T => {
+        let image = forward::<T>(&host::floats::<B, T>(coefficients), rays);
+        host::float_tensor::<B, T, 3>(image, [3, rays.height, rays.width], &coefficients.device())
+    })
+}
+
+fn environment_backward_on<B: Host>(grad: &FloatTensor<B>, rays: &PixelRays, count: usize) -> FloatTensor<B> {
+    with_real!(grad.dtype(), T => {
+        let coefficients = backward::<T>(&host::floats::<B, T>(grad), rays, count);
+        host::float_tensor::<B, T, 2>(coefficients, [count, 3], &grad.device())
+    })
+}
+
+macro_rules! implement {
+    ($backend:ty) => {
+        impl EnvironmentOps for $backend {
+            fn environment(coefficients: FloatTensor<Self>, rays: PixelRays) -> FloatTensor<Self> {
+                environment_on::<Self>(&coefficients, &rays)
+            }
+        }
+
+        impl EnvironmentBackwardOps for $backend {
+            fn environment_backward(grad: FloatTensor<Self>, rays: PixelRays, count: usize) -> FloatTensor<Self> {
+                environment_backward_on::<Self>(&grad, &rays, count)
+            }
+        }
+    };
+}
+for_each_cpu_backend!(implement);

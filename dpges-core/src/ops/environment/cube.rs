@@ -1,0 +1,153 @@
+//! GPU kernels: one unit per pixel; the gradient has one cube per coefficient, which visits all pixels.
+
+use burn::backend::TensorMetadata;
+use burn::backend::tensor::FloatTensor;
+use burn_cubecl::CubeBackend;
+use cubecl::prelude::*;
+
+use super::{EnvironmentBackwardOps, EnvironmentOps, PixelRays};
+use crate::gpu::launch::{HALVINGS, UNITS, buffer, cube_dim, cubes, empty_f32, floats, units};
+use crate::gpu::vector::{Vec3, dot, row3, scale, vec3};
+use crate::ops::colour::cube::harmonic;
+
+/// [`PixelRays`] with rows x, y and z of the matrix.
+#[derive(CubeType, CubeLaunch, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+struct Rays {
+    xx: f32,
+    xy: f32,
+    xz: f32,
+    yx: f32,
+    yy: f32,
+    yz: f32,
+    zx: f32,
+    zy: f32,
+    zz: f32,
+    width: u32,
+    pixels: u32,
+}
+
+/// Unit vector in world axes along the ray through the centre of a pixel.
+#[cube]
+fn direction(rays: Rays, pixel: u32) -> Vec3 {
+    let x = f32::cast_from(pixel % rays.width) + 0.5f32;
+    let y = f32::cast_from(pixel / rays.width) + 0.5f32;
+    let ray = vec3(
+        rays.xx * x + rays.xy * y + rays.xz,
+        rays.yx * x + rays.yy * y + rays.yz,
+        rays.zx * x + rays.zy * y + rays.zz,
+    );
+    scale(ray, 1.0f32 / f32::sqrt(dot(ray, ray)))
+}
+
+#[cube(launch)]
+fn environment_kernel(coefficients: &[f32], image: &mut [f32], rays: Rays, #[comptime] count: usize) {
+    let pixel = ABSOLUTE_POS;
+    if pixel >= rays.pixels as usize {
+        terminate!();
+    }
+    let d = direction(rays, pixel as u32);
+    let mut red = 0.0f32;
+    let mut green = 0.0f32;
+    let mut blue = 0.0f32;
+    #[unroll]
+    for k in 0..count {
+        let value = harmonic(d, k);
+        let row = row3(coefficients, k);
+        red += value * row.x;
+        green += value * row.y;
+        blue += value * row.z;
+    }
+    let plane = rays.pixels as usize;
+    image[pixel] = red;
+    image[plane + pixel] = green;
+    image[2 * plane + pixel] = blue;
+}
+
+#[cube(launch)]
+fn environment_backward_kernel(grad: &[f32], coefficients: &mut [f32], rays: Rays, #[comptime] count: usize) {
+    let own = CUBE_POS;
+    if own >= count {
+        terminate!();
+    }
+    let plane = rays.pixels as usize;
+    let unit = UNIT_POS as usize;
+    let mut red = 0.0f32;
+    let mut green = 0.0f32;
+    let mut blue = 0.0f32;
+    let mut pixel = UNIT_POS;
+    while pixel < rays.pixels {
+        let d = direction(rays, pixel);
+        let mut value = 0.0f32;
+        #[unroll]
+        for k in 0..count {
+            if own == k {
+                value = harmonic(d, k);
+            }
+        }
+        let at = pixel as usize;
+        red += value * grad[at];
+        green += value * grad[plane + at];
+        blue += value * grad[2 * plane + at];
+        pixel += UNITS;
+    }
+    let mut sums = Shared::<[f32]>::new_slice(comptime!(3 * UNITS as usize));
+    sums[unit] = red;
+    sums[UNITS as usize + unit] = green;
+    sums[2 * UNITS as usize + unit] = blue;
+    let mut reach = UNITS / 2u32;
+    for _ in 0..HALVINGS {
+        sync_cube();
+        if UNIT_POS < reach {
+            #[unroll]
+            for channel in 0..3usize {
+                let at = channel * UNITS as usize + unit;
+                sums[at] += sums[at + reach as usize];
+            }
+        }
+        reach /= 2u32;
+    }
+    sync_cube();
+    if unit < 3 {
+        coefficients[3 * own + unit] = sums[unit * UNITS as usize];
+    }
+}
+
+fn launch(rays: &PixelRays) -> RaysLaunch {
+    let [[xx, xy, xz], [yx, yy, yz], [zx, zy, zz]] = rays.world_from_pixel.map(|row| row.map(|v| v as f32));
+    RaysLaunch::new(xx, xy, xz, yx, yy, yz, zx, zy, zz, rays.width as u32, (rays.width * rays.height) as u32)
+}
+
+impl EnvironmentOps for CubeBackend {
+    fn environment(coefficients: FloatTensor<Self>, rays: PixelRays) -> FloatTensor<Self> {
+        let coefficients = floats(coefficients);
+        let image = empty_f32(&coefficients, [3, rays.height, rays.width]);
+        environment_kernel::launch(
+            &coefficients.client.clone(),
+            units(rays.width * rays.height),
+            cube_dim(),
+            buffer(&coefficients),
+            buffer(&image),
+            launch(&rays),
+            coefficients.shape()[0],
+        );
+        image
+    }
+}
+
+impl EnvironmentBackwardOps for CubeBackend {
+    fn environment_backward(grad: FloatTensor<Self>, rays: PixelRays, count: usize) -> FloatTensor<Self> {
+        let grad = floats(grad);
+        let coefficients = empty_f32(&grad, [count, 3]);
+        environment_backward_kernel::launch(
+            &grad.client.clone(),
+            cubes(count),
+            cube_dim(),
+            buffer(&grad),
+            buffer(&coefficients),
+            launch(&rays),
+            count,
+        );
+        coefficients
+    }
+}

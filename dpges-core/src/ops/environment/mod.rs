@@ -1,0 +1,80 @@
+//! `environment`: the colour of what lies at infinity, in the direction of every pixel.
+//!
+//! Coefficients [(degree + 1)², 3] of spherical harmonics and a camera → `E(v) = Σ c_k Y_k(v)` [3, H, W], not clamped.
+//! v is the unit vector in world axes along the ray through the centre of a pixel; the harmonics are those of the
+//! colour model (3DGS).
+//!
+//! Gradient: to the coefficients.
+
+mod backward;
+mod cpu;
+#[cfg(feature = "gpu")]
+mod cube;
+#[cfg(test)]
+mod tests;
+
+use burn::backend::tensor::FloatTensor;
+use burn::backend::{Backend, Dispatch, backend_extension};
+use burn::tensor::{DType, Tensor};
+
+use crate::camera::Camera;
+use crate::error::{Error, Result};
+use crate::scene::EnvironmentData;
+use crate::scene::schema::ENVIRONMENT;
+
+/// The rays of a camera's pixels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PixelRays {
+    /// By rows; maps (x, y, 1), px, to a vector along the ray in world axes.
+    pub world_from_pixel: [[f64; 3]; 3],
+    /// px
+    pub width: usize,
+    /// px
+    pub height: usize,
+}
+
+impl From<&Camera> for PixelRays {
+    fn from(camera: &Camera) -> Self {
+        Self {
+            world_from_pixel: camera.world_from_pixel().transpose().to_cols_array_2d(),
+            width: camera.width,
+            height: camera.height,
+        }
+    }
+}
+
+#[backend_extension(
+    Cube: cfg(feature = "gpu"),
+    NdArray: cfg(feature = "ndarray"),
+    Flex: cfg(feature = "flex"),
+    Autodiff
+)]
+pub trait EnvironmentOps: Backend {
+    fn environment(coefficients: FloatTensor<Self>, rays: PixelRays) -> FloatTensor<Self>;
+}
+
+#[backend_extension(Cube: cfg(feature = "gpu"), NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
+pub trait EnvironmentBackwardOps: Backend {
+    /// [`count`, 3] from the gradient of the image [3, H, W].
+    fn environment_backward(grad: FloatTensor<Self>, rays: PixelRays, count: usize) -> FloatTensor<Self>;
+}
+
+/// The environment [3, H, W] with `coefficients` [(degree + 1)², 3], seen by `camera`.
+///
+/// # Errors
+/// [`Error::Shape`] if the number of coefficients is that of no degree from 0 to 3, [`Error::DType`] if they are neither
+/// f32 nor f64.
+pub fn environment(coefficients: &Tensor<2>, camera: &Camera) -> Result<Tensor<3>> {
+    let [count, width] = coefficients.dims();
+    if width != 3 || EnvironmentData::degree_of(count).is_none() {
+        let (tensor, expected) = (ENVIRONMENT.name.to_owned(), EnvironmentData::EXPECTED_SHAPE.to_owned());
+        return Err(Error::Shape { tensor, expected, found: vec![count, width] });
+    }
+    let dtype = coefficients.dtype();
+    if !matches!(dtype, DType::F32 | DType::F64) {
+        let (tensor, expected) = (ENVIRONMENT.name.to_owned(), "F32 or F64".to_owned());
+        return Err(Error::DType { tensor, expected, found: format!("{dtype:?}") });
+    }
+    let image = Dispatch::environment(coefficients.clone().into_dispatch(), PixelRays::from(camera));
+    Ok(Tensor::from_dispatch(image))
+}

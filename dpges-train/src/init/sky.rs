@@ -1,0 +1,236 @@
+//! What the photographs show above the scene: pixels that no point of the dataset explains.
+//!
+//! A cell of a photograph is *open sky* if no point of the dataset projects into it, at whatever depth, if such cells
+//! connect it with the upper border, and if it lies above the horizon. White walls and close photographs of one surface
+//! have few points as well, but points that other views found project into them, or they lie below the horizon.
+
+use dpges_core::camera::Camera;
+use glam::DVec3;
+use nalgebra::{Matrix3, SymmetricEigen, Vector3};
+use rayon::prelude::*;
+
+use crate::dataset::{Dataset, View};
+
+/// Points that project into a cell of a view, on average: a cell without any is no accident.
+const POINTS_PER_CELL: f64 = 64.0;
+/// Weight of the mean upward axis of the cameras against the horizontal ones. It decides where these span no plane.
+const UPRIGHT: f64 = 0.05;
+
+/// The open sky of the training views.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OpenSky {
+    /// Of all pixels, 0 to 1.
+    pub share: f64,
+    /// Mean colour, display-referred; `None` without open sky.
+    pub colour: Option<[f64; 3]>,
+}
+
+/// Sums over the pixels of one view.
+#[derive(Clone, Copy, Default)]
+struct Sums {
+    pixels: usize,
+    open: usize,
+    colour: [f64; 3],
+}
+
+/// The open sky of the training views of `dataset`; none if it has no points.
+pub fn open_sky(dataset: &Dataset) -> OpenSky {
+    let up = upwards(dataset.train.iter().map(|view| &view.camera));
+    let views: Vec<Sums> =
+        dataset.train.par_iter().map(|view| open_pixels(view, &dataset.points.positions, up)).collect();
+    let sum = views.iter().fold(Sums::default(), |sum, view| Sums {
+        pixels: sum.pixels + view.pixels,
+        open: sum.open + view.open,
+        colour: std::array::from_fn(|c| sum.colour[c] + view.colour[c]),
+    });
+    OpenSky {
+        share: sum.open as f64 / sum.pixels.max(1) as f64,
+        colour: (sum.open > 0).then(|| sum.colour.map(|channel| channel / sum.open as f64)),
+    }
+}
+
+/// The direction that is up in the world: perpendicular to the horizontal axes of the cameras, which photographers hold
+/// level, however much they tilt them.
+fn upwards<'a>(cameras: impl Iterator<Item = &'a Camera>) -> DVec3 {
+    let (mut level, mut upright, mut count) = (Matrix3::zeros(), Vector3::zeros(), 0.0);
+    for camera in cameras {
+        let world_from_camera = camera.camera_from_world.rotation.transpose();
+        let right = Vector3::from((world_from_camera * DVec3::X).to_array());
+        level += right * right.transpose();
+        upright -= Vector3::from((world_from_camera * DVec3::Y).to_array());
+        count += 1.0;
+    }
+    let upright = upright.try_normalize(0.0).unwrap_or_else(|| -Vector3::y());
+    let eigen = SymmetricEigen::new(level / f64::max(count, 1.0) - UPRIGHT * upright * upright.transpose());
+    let up = eigen.eigenvectors.column(eigen.eigenvalues.imin()).into_owned();
+    DVec3::from_array(if up.dot(&upright) < 0.0 { -up } else { up }.into())
+}
+
+/// A view in cells, row by row from the upper border.
+struct Cells {
+    columns: usize,
+    rows: usize,
+    /// px
+    width: usize,
+    /// px
+    height: usize,
+}
+
+impl Cells {
+    fn new(camera: &Camera, points: usize) -> Self {
+        let (width, height) = (camera.width, camera.height);
+        let side = ((width * height) as f64 * POINTS_PER_CELL / points.max(1) as f64).sqrt();
+        let along = |length: usize| ((length as f64 / side).round() as usize).clamp(1, length);
+        Self { columns: along(width), rows: along(height), width, height }
+    }
+
+    /// The cell of a position in px.
+    fn at(&self, x: f64, y: f64) -> usize {
+        let along = |position: f64, length: usize, cells: usize| {
+            ((position / length as f64 * cells as f64) as usize).min(cells - 1)
+        };
+        along(y, self.height, self.rows) * self.columns + along(x, self.width, self.columns)
+    }
+
+    /// px
+    fn centre(&self, cell: usize) -> (f64, f64) {
+        let along = |at: usize, length: usize, cells: usize| (at as f64 + 0.5) / cells as f64 * length as f64;
+        (along(cell % self.columns, self.width, self.columns), along(cell / self.columns, self.height, self.rows))
+    }
+
+    fn neighbours(&self, cell: usize) -> impl Iterator<Item = usize> {
+        let (column, row) = (cell % self.columns, cell / self.columns);
+        let left = (column > 0).then(|| cell - 1);
+        let right = (column + 1 < self.columns).then(|| cell + 1);
+        let above = (row > 0).then(|| cell - self.columns);
+        let below = (row + 1 < self.rows).then(|| cell + self.columns);
+        [left, right, above, below].into_iter().flatten()
+    }
+
+    /// Which of the cells that are `empty` such cells connect with the upper border.
+    fn connected_with_top(&self, empty: &[bool]) -> Vec<bool> {
+        let mut connected = vec![false; empty.len()];
+        let mut next: Vec<usize> = (0..self.columns).filter(|&cell| empty[cell]).collect();
+        next.iter().for_each(|&cell| connected[cell] = true);
+        while let Some(cell) = next.pop() {
+            for cell in self.neighbours(cell).filter(|&cell| empty[cell]) {
+                if !std::mem::replace(&mut connected[cell], true) {
+                    next.push(cell);
+                }
+            }
+        }
+        connected
+    }
+}
+
+fn open_pixels(view: &View, points: &[[f32; 3]], up: DVec3) -> Sums {
+    let (camera, planes) = (&view.camera, &view.picture.planes);
+    let (width, height) = (camera.width, camera.height);
+    let inside = |&(x, y, _): &(f64, f64, f64)| x >= 0.0 && y >= 0.0 && x < width as f64 && y < height as f64;
+    let seen: Vec<(f64, f64, f64)> = points
+        .iter()
+        .filter_map(|point| camera.project(DVec3::from_array(point.map(f64::from))).filter(inside))
+        .collect();
+    let cells = Cells::new(camera, seen.len());
+    let mut empty = vec![true; cells.columns * cells.rows];
+    seen.iter().for_each(|&(x, y, _)| empty[cells.at(x, y)] = false);
+    let mut open = cells.connected_with_top(&empty);
+    let world_from_pixel = camera.world_from_pixel();
+    for (cell, open) in open.iter_mut().enumerate() {
+        let (x, y) = cells.centre(cell);
+        *open &= (world_from_pixel * DVec3::new(x, y, 1.0)).dot(up) > 0.0;
+    }
+    let mut sums = Sums { pixels: width * height, ..Sums::default() };
+    for pixel in 0..width * height {
+        if open[cells.at((pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5)] {
+            sums.open += 1;
+            for (channel, sum) in sums.colour.iter_mut().enumerate() {
+                *sum += f64::from(planes[channel * width * height + pixel]);
+            }
+        }
+    }
+    sums
+}
+
+#[cfg(test)]
+pub mod tests {
+    use dpges_core::camera::CameraFromWorld;
+
+    use super::*;
+    use crate::dataset::{BuiltinOptions, PointCloud, builtin};
+
+    const SIZE: usize = 64;
+
+    /// A ring of cameras around the origin that look at it from a height of `height`. Their photographs are plain blue.
+    pub fn ring(height: f64, points: Vec<[f32; 3]>) -> Dataset {
+        let options = BuiltinOptions {
+            width: SIZE,
+            height: SIZE,
+            train_views: 12,
+            test_views: 1,
+            points: 0,
+            ..BuiltinOptions::default()
+        };
+        let mut dataset = builtin(&options);
+        for (index, view) in dataset.train.iter_mut().enumerate() {
+            let angle = index as f64 / 12.0 * std::f64::consts::TAU;
+            let eye = DVec3::new(5.0 * angle.cos(), 5.0 * angle.sin(), height);
+            let camera_from_world = CameraFromWorld::look_at(eye, DVec3::ZERO, DVec3::Z);
+            let (fx, cx) = (SIZE as f64, SIZE as f64 / 2.0);
+            view.camera = Camera { camera_from_world, fx, fy: fx, cx, cy: cx, ..view.camera };
+            view.picture.planes = [0.25, 0.5, 1.0].iter().flat_map(|&c| vec![c; SIZE * SIZE]).collect();
+        }
+        dataset.points = PointCloud { positions: points, ..PointCloud::default() };
+        dataset
+    }
+
+    /// A wall of points around the origin, up to a height of `top`.
+    pub fn tower(top: f32) -> Vec<[f32; 3]> {
+        let mut points = Vec::new();
+        for layer in 0..100 {
+            for at in 0..100 {
+                let angle = at as f32 / 100.0 * std::f32::consts::TAU;
+                points.push([angle.cos() * 20.0, angle.sin() * 20.0, top - layer as f32 * 0.4]);
+            }
+        }
+        points
+    }
+
+    #[test]
+    fn up_is_perpendicular_to_level_cameras_whatever_their_tilt() {
+        for height in [-3.0, 0.0, 4.0] {
+            let dataset = ring(height, Vec::new());
+            let half = upwards(dataset.train[..5].iter().map(|view| &view.camera));
+            assert!(half.dot(DVec3::Z) > 0.999, "{height}: {half}");
+            let one = upwards(dataset.train[..1].iter().map(|view| &view.camera));
+            assert!(one.dot(DVec3::Z) > 0.7, "{height}: {one}");
+        }
+    }
+
+    #[test]
+    fn open_sky_is_what_lies_above_all_points_and_has_its_colour() {
+        // level cameras whose horizon is the middle of the picture: the points reach it, and the half above is empty
+        let sky = open_sky(&ring(0.0, tower(0.0)));
+        assert!((sky.share - 0.5).abs() < 0.05, "{sky:?}");
+        let colour = sky.colour.unwrap();
+        assert!(colour.iter().zip([0.25, 0.5, 1.0]).all(|(a, b)| (a - b).abs() < 1e-9), "{colour:?}");
+        // points everywhere
+        assert!(open_sky(&ring(0.0, tower(20.0))).share < 0.02);
+    }
+
+    #[test]
+    fn what_lies_below_the_horizon_or_is_enclosed_by_points_is_no_sky() {
+        // cameras high above look down: the horizon is above the pictures, whose upper parts have no points
+        let sky = open_sky(&ring(5.0, tower(-8.0)));
+        assert_eq!((sky.share, sky.colour), (0.0, None));
+        // a hole in the points that does not reach the upper border
+        let mut window = tower(20.0);
+        window.retain(|point| !(3.0..9.0).contains(&point[2]));
+        assert!(open_sky(&ring(0.0, window)).share < 0.02);
+    }
+
+    #[test]
+    fn without_points_nothing_is_known() {
+        assert_eq!(open_sky(&ring(0.0, Vec::new())).share, 0.0);
+    }
+}

@@ -1,0 +1,243 @@
+//! The environment in training: whether a run has one, what it begins with, its steps.
+
+use std::collections::HashMap;
+
+use burn::tensor::{Device, Gradients, Tensor};
+use dpges_core::ops::adam::AdamStep;
+use dpges_core::scene::schema::{Attribute, ENVIRONMENT};
+use dpges_core::scene::tensors::tensor_to_rows;
+use dpges_core::scene::{EnvironmentData, SH_C0, SceneData};
+
+use super::given::{GAUSSIANS_FROM, SURFELS_FROM};
+use super::{Context, TrainError};
+use crate::config::{Background, Environment};
+use crate::dataset::{Dataset, Format};
+use crate::init::sky::open_sky;
+use crate::optimizer::{Parameter, ParameterRows};
+
+/// Share of open sky above which a scene gets an environment by itself.
+const SKY: f64 = 0.05;
+/// The degree that it gets.
+const DEGREE: usize = 3;
+
+/// The environment of a stage; empty in runs without one.
+#[derive(Clone, Debug, Default)]
+pub struct EnvironmentState(Option<Parameter>);
+
+/// Gradient of the coefficients; `None` in runs without an environment.
+pub type EnvironmentGradient = Option<(&'static Attribute, Option<Tensor<2>>)>;
+
+impl EnvironmentState {
+    pub fn new(data: Option<&EnvironmentData>, device: &Device) -> Self {
+        Self(data.map(|data| Parameter::fresh(&ENVIRONMENT, &data.coefficients, [data.len(), 3], device)))
+    }
+
+    /// Takes the environment out of `rows`, if there is one.
+    ///
+    /// # Errors
+    /// A message if its coefficients are those of no degree, or have no moments.
+    pub fn from_rows(rows: &mut HashMap<String, ParameterRows>, device: &Device) -> Result<Self, String> {
+        let name = ENVIRONMENT.raw_name;
+        let Some(found) = rows.remove(name) else { return Ok(Self::default()) };
+        if found.width != 3 || EnvironmentData::degree_of(found.count).is_none() || found.moments.is_none() {
+            let (count, width) = (found.count, found.width);
+            return Err(format!("`{name}` is {count} × {width}, expected 1, 4, 9 or 16 × 3 with moments"));
+        }
+        Ok(Self(Some(Parameter::from_rows(&ENVIRONMENT, &found, device))))
+    }
+
+    pub fn rows(&self) -> Option<(&'static str, ParameterRows)> {
+        self.0.as_ref().map(|parameter| (ENVIRONMENT.raw_name, parameter.rows()))
+    }
+
+    pub fn to_data(&self) -> Option<EnvironmentData> {
+        self.value().map(|coefficients| EnvironmentData { coefficients: tensor_to_rows(&coefficients) })
+    }
+
+    /// [(degree + 1)², 3] without a tape.
+    pub fn value(&self) -> Option<Tensor<2>> {
+        self.0.as_ref().map(Parameter::raw)
+    }
+
+    /// [(degree + 1)², 3] on a new tape, for one step.
+    pub fn leaf(&self) -> Option<Tensor<2>> {
+        self.0.as_ref().map(Parameter::leaf)
+    }
+
+    /// The gradient that a backward pass left for the [`leaf`](Self::leaf).
+    pub fn gradient(&self, leaf: Option<&Tensor<2>>, gradients: &mut Gradients) -> EnvironmentGradient {
+        self.0.as_ref().zip(leaf).map(|(parameter, leaf)| (&ENVIRONMENT, parameter.gradient(leaf, gradients)))
+    }
+
+    /// Nothing changes where `gate` `[1]` is not 1.
+    ///
+    /// # Errors
+    /// [`dpges_core::Error::Shape`] if the gradient has another shape.
+    pub fn step(&mut self, gradient: EnvironmentGradient, gate: &Tensor<1>, step: AdamStep) -> dpges_core::Result<()> {
+        let gradient = gradient.and_then(|(_, gradient)| gradient);
+        self.0.as_mut().map_or(Ok(()), |parameter| parameter.step(gradient, gate, step))
+    }
+}
+
+impl Context {
+    /// The environment that a run begins with, if it has one: that of a file that takes the place of a stage, the last
+    /// that has one of the degree that is wanted; or everywhere the mean colour of the open sky, or that of the background
+    /// where there is none.
+    ///
+    /// # Errors
+    /// [`TrainError::Given`] if such a file is of no use.
+    pub fn start_of_environment(&self) -> Result<Option<EnvironmentData>, TrainError> {
+        let wanted = self.config.model.environment;
+        if wanted == Environment::None {
+            return Ok(None);
+        }
+        let is_given = has_background(&self.dataset) || self.config.data.background != Background::Auto;
+        if wanted == Environment::Auto && is_given {
+            tracing::info!("the background is given, so the scene has no environment");
+            return Ok(None);
+        }
+        for key in [GAUSSIANS_FROM, SURFELS_FROM] {
+            let Some(SceneData { info, environment: Some(mut found), .. }) = self.given(key)? else { continue };
+            if wanted == Environment::Auto || EnvironmentData::degree_of(found.len()) == wanted.degree() {
+                self.add(&mut found, info.background);
+                return Ok(Some(found));
+            }
+        }
+        Ok(self.environment_of_sky(wanted))
+    }
+
+    /// Adds `colour` to an environment before the background of this dataset, and takes the latter away.
+    fn add(&self, environment: &mut EnvironmentData, colour: [f64; 3]) {
+        let pairs = colour.into_iter().zip(self.dataset.background);
+        for (k, (colour, background)) in environment.coefficients.iter_mut().zip(pairs) {
+            *k += ((colour - background) / SH_C0) as f32;
+        }
+    }
+
+    fn environment_of_sky(&self, wanted: Environment) -> Option<EnvironmentData> {
+        let dataset = &self.dataset;
+        let sky = open_sky(dataset);
+        let percent = 100.0 * sky.share;
+        let degree = match wanted.degree() {
+            Some(degree) => degree,
+            None if sky.share > SKY => DEGREE,
+            None => {
+                tracing::info!(
+                    "{percent:.1} % of the pixels are open sky, above all points of the dataset: no environment, which \
+                     takes {} % (model.environment)",
+                    100.0 * SKY
+                );
+                return None;
+            }
+        };
+        tracing::info!(
+            "{percent:.1} % of the pixels are open sky, above all points of the dataset: an environment of degree {degree} \
+             (model.environment)"
+        );
+        let mut start = EnvironmentData::neutral(degree);
+        self.add(&mut start, sky.colour.unwrap_or(dataset.background));
+        Some(start)
+    }
+}
+
+/// Whether the photographs show the background of the dataset, not a world.
+fn has_background(dataset: &Dataset) -> bool {
+    let is_transparent = |alpha: &Vec<f32>| alpha.iter().any(|&alpha| alpha < 0.5);
+    dataset.format == Format::Blender
+        || dataset.train.iter().any(|view| view.picture.alpha.as_ref().is_some_and(is_transparent))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use dpges_core::scene::{GaussianData, Rendering, SceneInfo, SurfelData};
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+    use crate::init::sky::tests::{ring, tower};
+    use crate::run::fixtures::{config, device};
+
+    fn start(dataset: Dataset, set: &[&str]) -> Option<EnvironmentData> {
+        let context = Context {
+            dataset: Arc::new(dataset),
+            config: config(set),
+            device: device(),
+            rng: ChaCha8Rng::seed_from_u64(0),
+            remaining_views: Vec::new(),
+            completed_steps: 0,
+        };
+        context.start_of_environment().unwrap()
+    }
+
+    fn outdoors() -> Dataset {
+        ring(0.0, tower(0.0))
+    }
+
+    fn indoors() -> Dataset {
+        ring(0.0, tower(20.0))
+    }
+
+    #[test]
+    fn open_sky_decides_and_gives_its_colour() {
+        let sky = start(outdoors(), &[]).unwrap();
+        assert_eq!(EnvironmentData::degree_of(sky.len()), Some(DEGREE));
+        for (k, colour) in sky.coefficients.iter().zip([0.25, 0.5, 1.0]) {
+            assert!((f64::from(*k) * SH_C0 - colour).abs() < 1e-6, "{k}");
+        }
+        assert!(sky.coefficients[3..].iter().all(|&k| k == 0.0));
+        assert_eq!(start(indoors(), &[]), None);
+        assert_eq!(start(ring(0.0, Vec::new()), &[]), None);
+    }
+
+    #[test]
+    fn a_background_that_is_known_is_kept() {
+        assert_eq!(start(outdoors(), &["data.background=black"]), None);
+        assert_eq!(start(Dataset { format: Format::Blender, ..outdoors() }, &[]), None);
+        let mut masked = outdoors();
+        let pixels = masked.train[2].picture.planes.len() / 3;
+        masked.train[2].picture.alpha = Some(vec![1.0; pixels]);
+        assert!(start(masked.clone(), &[]).is_some());
+        masked.train[2].picture.alpha = Some(vec![0.0; pixels]);
+        assert_eq!(start(masked, &[]), None);
+    }
+
+    #[test]
+    fn a_file_that_takes_the_place_of_a_stage_gives_its_environment() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("gaussians.safetensors");
+        let colour_model = config(&[]).model.colour;
+        let info = SceneInfo { colour_model, rendering: Rendering::Ellipsoids, ..SceneInfo::default() };
+        let coefficients: Vec<f32> = (0..12).map(|at| at as f32).collect();
+        SceneData {
+            info: SceneInfo { background: [0.5, 0.0, 0.0], ..info },
+            surfels: SurfelData::neutral(colour_model, 0),
+            gaussians: GaussianData::neutral(colour_model, 1),
+            environment: Some(EnvironmentData { coefficients: coefficients.clone() }),
+        }
+        .save(&path)
+        .unwrap();
+        let from = format!("stages.gaussians_from={}", path.display());
+        // the same colours before the black background of the dataset
+        let expected = [&[(0.5 / SH_C0) as f32][..], &coefficients[1..]].concat();
+        for set in [&[from.as_str()][..], &[&from, "model.environment=sh1"]] {
+            assert_eq!(start(indoors(), set), Some(EnvironmentData { coefficients: expected.clone() }), "{set:?}");
+        }
+        assert_eq!(start(indoors(), &[&from, "model.environment=none"]), None);
+        assert_eq!(start(indoors(), &[&from, "data.background=black"]), None);
+        let other = start(indoors(), &[&from, "model.environment=sh2"]);
+        assert_eq!(other, Some(EnvironmentData::neutral(2)));
+    }
+
+    #[test]
+    fn what_is_asked_for_is_done() {
+        assert_eq!(start(outdoors(), &["model.environment=none"]), None);
+        for (degree, name) in ["sh0", "sh1", "sh2", "sh3"].into_iter().enumerate() {
+            let set = format!("model.environment={name}");
+            let mut dataset = indoors();
+            dataset.background = [0.5; 3];
+            assert_eq!(start(dataset, &[&set]), Some(EnvironmentData::neutral(degree)), "{name}");
+        }
+    }
+}
