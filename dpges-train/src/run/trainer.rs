@@ -389,7 +389,7 @@ mod tests {
             trainer.step().unwrap();
         }
         let surfels = trainer.scene().surfels;
-        assert!((40..=300).contains(&surfels.len()), "{}", surfels.len());
+        assert!((10..=300).contains(&surfels.len()), "{}", surfels.len());
         // their centres are on the surfaces of the room
         let depths: Vec<Vec<f32>> = dataset.train.iter().map(|view| builtin_geometry(&view.camera).0).collect();
         let on_surface = |position: &[f32; 3]| {
@@ -404,24 +404,22 @@ mod tests {
         let good = surfels.positions.as_chunks::<3>().0.iter().filter(|position| on_surface(position)).count();
         assert!(good * 10 > surfels.len() * 9, "{good} of {}", surfels.len());
 
-        // a wall close before the first camera: all of it leaves when surfels are judged
-        let mut wall = surfels.clone();
-        let camera = &dataset.train[0].camera;
-        for (position, i) in wall.positions.as_chunks_mut::<3>().0.iter_mut().zip(0..) {
-            let (x, y) = (f64::from(i % 10) * 4.0 + 2.0, f64::from(i / 10 % 10) * 4.0 + 2.0);
-            *position = camera.unproject(x, y, 0.5).as_vec3().to_array();
+        // shifted towards the cameras, out of place and in a colour of no photograph, most leave where they are judged
+        while trainer.completed_steps() < 214 {
+            trainer.step().unwrap();
         }
-        trainer.stage.parameters().surfels.columns.positions.set(&wall.positions);
-        let judged = |trainer: &mut Trainer| {
-            let events = trainer.step().unwrap().unwrap().events;
-            events.iter().any(|event| event.contains("surfels left"))
-        };
-        let mut before = trainer.scene().surfels.len();
-        while !judged(&mut trainer) {
-            before = trainer.scene().surfels.len();
+        let mut wrong = trainer.scene().surfels;
+        for (position, i) in wrong.positions.as_chunks_mut::<3>().0.iter_mut().zip(0..) {
+            let (camera, cell) = (&dataset.train[i % 12].camera, 8.0 * (i / 12) as f64 + 12.0);
+            *position = camera.unproject(cell, cell, 1.0).as_vec3().to_array();
         }
+        let surfels = trainer.stage.parameters().surfels;
+        surfels.columns.positions.set(&wrong.positions);
+        surfels.columns.colour.base.set(&vec![20.0; 3 * wrong.len()]);
+        let events = trainer.step().unwrap().unwrap().events;
+        assert!(events.iter().any(|event| event.contains("surfels left")), "{events:?}");
         let after = trainer.scene().surfels.len();
-        assert!(before > 20 && after * 3 < before, "{after} of {before}");
+        assert!(wrong.len() > 8 && after * 3 < wrong.len(), "{after} of {}", wrong.len());
     }
 
     #[test]

@@ -95,17 +95,17 @@ fn environment_backward_kernel(grad: &[f32], coefficients: &mut [f32], rays: Ray
     sums[unit] = red;
     sums[UNITS as usize + unit] = green;
     sums[2 * UNITS as usize + unit] = blue;
-    let mut reach = UNITS / 2u32;
-    for _ in 0..HALVINGS {
+    #[unroll]
+    for halving in 0..HALVINGS {
+        let step = comptime!((UNITS >> (halving + 1)) as usize);
         sync_cube();
-        if UNIT_POS < reach {
+        if unit < step {
             #[unroll]
             for channel in 0..3usize {
-                let at = channel * UNITS as usize + unit;
-                sums[at] += sums[at + reach as usize];
+                let at = comptime!(channel * UNITS as usize) + unit;
+                sums[at] += sums[at + step];
             }
         }
-        reach /= 2u32;
     }
     sync_cube();
     if unit < 3 {
