@@ -110,7 +110,7 @@ impl JointStage {
         let behind = self.environment.value();
         let worths = judged(&surfels, &gaussians, behind.as_ref(), &options, context)?;
         let rows = RowEdit { keep: worths.worthy() };
-        let left = surfels.len() - rows.keep.len();
+        let removed = surfels.len() - rows.keep.len();
         let lost: f64 = worths.saved.iter().filter(|&&saved| saved < 0.0).sum();
         let saved: f64 = worths.saved.iter().filter(|&&saved| saved > 0.0).sum();
         self.surfels.keep(&rows);
@@ -118,7 +118,7 @@ impl JointStage {
         let pixels = judging_views(context).map(|view| 3 * view.camera.width * view.camera.height).sum::<usize>();
         let mean = |squares: f64| squares / pixels.max(1) as f64;
         Ok(Some(format!(
-            "{left} of {} surfels left: they cost a squared error of {:.2e} per value of {} views, the others save {:.2e}",
+            "{removed} of {} surfels removed that cost a squared error of {:.2e} per value of {} views; the others save {:.2e}",
             surfels.len(),
             mean(-lost),
             judging_views(context).count(),
