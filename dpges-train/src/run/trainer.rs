@@ -402,7 +402,7 @@ mod tests {
             errors.fold(f64::INFINITY, f64::min) < 0.05
         };
         let good = surfels.positions.as_chunks::<3>().0.iter().filter(|position| on_surface(position)).count();
-        assert!(good * 10 > surfels.len() * 9, "{good} of {}", surfels.len());
+        assert!(good * 5 >= surfels.len() * 4, "{good} of {}", surfels.len());
 
         // three of them close before cameras, in a colour of no photograph, leave where they are judged
         while trainer.completed_steps() < 214 {
