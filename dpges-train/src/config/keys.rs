@@ -163,7 +163,8 @@ configuration! {
         surfel_budget: f64 = 0.3, range: 0.0..;
         /// Share of `refine.budget` that Gaussians may use before the joint stage (DP-GES: 0.5 to 0.6).
         gaussian_budget: f64 = 0.6, range: POSITIVE_SHARE;
-        /// Opacity in the joint stage of Gaussians that were blended before.
+        /// Opacity in the joint stage of Gaussians that were blended before, if `model.opacity` is linear; otherwise it is
+        /// kept.
         joint_opacity: JointOpacity = JointOpacity::Odds;
         /// Learning rate of the logits of opacities in these stages (3DGS).
         opacities: f64 = 0.05, range: 0.0..;

@@ -424,6 +424,20 @@ mod tests {
     }
 
     #[test]
+    fn only_linear_opacities_become_odds() {
+        let first_joint = |opacity: &str| {
+            let set = ["train.steps=40", "stages.gaussians=0.5", "refine.budget=300", opacity];
+            let mut trainer = trainer(&set);
+            while trainer.stage().kind != StageKind::Joint {
+                trainer.step().unwrap();
+            }
+            gaussians(&mut trainer).opacities().into_iter().fold(0.0, f32::max)
+        };
+        let (linear, logistic) = (first_joint("model.opacity=linear"), first_joint("model.opacity=sigmoid"));
+        assert!(linear > 0.9 && logistic < 0.9, "{linear}, {logistic}");
+    }
+
+    #[test]
     fn all_views_are_seen_between_two_changes_that_judge_by_views() {
         // 7 views, stages of 40, 40 and 120 steps: no stage begins where a pass over the views would
         let views = 7;

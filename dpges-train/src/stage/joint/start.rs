@@ -5,7 +5,7 @@ use dpges_core::scene::{GaussianData, Rendering, SceneData, ScreenFilter};
 use super::super::given::{GAUSSIANS_FROM, SURFELS_FROM};
 use super::super::{Context, EnvironmentState, TrainError, Trained};
 use super::{JointStage, Supervisions};
-use crate::config::{GaussianStage, JointOpacity, StagePlan, SurfelStart};
+use crate::config::{GaussianStage, JointOpacity, OpacityActivation, StagePlan, SurfelStart};
 use crate::init::promote::promote;
 use crate::init::{InitialScene, Room, initialise};
 use crate::refine::margins::margins;
@@ -84,7 +84,9 @@ impl Context {
             gaussians.get_or_insert(start.gaussians);
         }
         let (mut surfels, mut gaussians) = (surfels.unwrap_or_default(), gaussians.unwrap_or_default());
-        if blended_with.is_some() && stages.joint_opacity == JointOpacity::Odds {
+        // a logistic opacity has no room above 1, and would hardly learn next to it
+        let linear = self.config.model.opacity == OpacityActivation::Linear;
+        if blended_with.is_some() && linear && stages.joint_opacity == JointOpacity::Odds {
             gaussians.opacities.iter_mut().for_each(|opacity| *opacity = odds(*opacity));
         }
         if surfels.is_empty() && gaussians.is_empty() {
