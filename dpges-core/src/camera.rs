@@ -109,6 +109,14 @@ impl Camera {
         (p.z > self.near).then(|| (self.fx * p.x / p.z + self.cx, self.fy * p.y / p.z + self.cy, p.z))
     }
 
+    /// Row-major index of the pixel that shows a world point, and the camera-space depth of the point, world units; `None`
+    /// if it is not in the picture.
+    pub fn pixel(&self, world: DVec3) -> Option<(usize, f64)> {
+        let (x, y, depth) = self.project(world)?;
+        let inside = x >= 0.0 && y >= 0.0 && x < self.width as f64 && y < self.height as f64;
+        inside.then(|| (y as usize * self.width + x as usize, depth))
+    }
+
     /// Maps a pixel position (x, y, 1), px, to a vector in world axes along its ray, of camera-space z 1.
     pub fn world_from_pixel(&self) -> DMat3 {
         let camera_from_pixel = DMat3::from_cols(
@@ -160,6 +168,20 @@ mod tests {
         let far = Camera { camera_from_world: pose.recentred(-offset), ..camera };
         let near = Camera { camera_from_world: far.camera_from_world.recentred(offset), ..far };
         assert!((near.project(world).unwrap().0 - x).abs() < 1e-6);
+    }
+
+    #[test]
+    fn pixels_show_what_is_in_the_picture() {
+        let camera = camera();
+        let (width, height) = (camera.width, camera.height);
+        let at = |x: f64, y: f64| camera.pixel(camera.unproject(x, y, 2.0));
+        assert_eq!(at(3.5, 2.5).map(|(pixel, _)| pixel), Some(2 * width + 3));
+        assert!((at(3.5, 2.5).unwrap().1 - 2.0).abs() < 1e-12);
+        assert_eq!(at(width as f64 - 0.5, height as f64 - 0.5).map(|(pixel, _)| pixel), Some(width * height - 1));
+        for (x, y) in [(-0.5, 2.5), (width as f64 + 0.5, 2.5), (3.5, -0.5), (3.5, height as f64 + 0.5)] {
+            assert_eq!(at(x, y), None);
+        }
+        assert_eq!(camera.pixel(camera.unproject(3.5, 2.5, -1.0)), None);
     }
 
     #[test]

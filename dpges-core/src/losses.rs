@@ -72,6 +72,15 @@ pub fn transmittance(render: &Render) -> Tensor<1> {
     (last * -1.0 + 1.0).powi_scalar(2).mask_fill(uncovered, 0.0).mean()
 }
 
+/// Mean over all pixels of the share of what is behind everything, background or environment, that surfels and Gaussians
+/// hide, where `mask` [1, H, W] is 1; elsewhere it is 0.
+pub fn hidden(render: &Render, mask: Tensor<3>) -> Tensor<1> {
+    let [planes, height, width] = render.composite.transmittance.dims();
+    let last = render.composite.transmittance.clone().slice([planes - 1..planes, 0..height, 0..width]);
+    let shown = last / (render.composite.gaussian_weight.clone() + 1.0);
+    ((shown * -1.0 + 1.0) * mask).mean()
+}
+
 /// The unweighted terms of the loss of one view, `[1]` each, and their weighted sum.
 #[derive(Clone, Debug)]
 pub struct Losses {

@@ -1,18 +1,21 @@
 //! Measures how well a scene shows views that it was not trained on.
 //!
-//! PSNR and SSIM compare renders and photographs after both are quantised to 8 bits. PSNR is taken over all pixels and
-//! channels of a view, then averaged over views (the protocol of 3DGS).
+//! PSNR, SSIM and FLIP compare renders and photographs after both are quantised to 8 bits. PSNR is taken over all pixels
+//! and channels of a view, then averaged over views (the protocol of 3DGS).
 
 use std::time::Instant;
 
 use burn::tensor::Device;
 use dpges_core::metrics::{mean_ssim, psnr, quantised};
 use dpges_core::scene::SceneData;
+use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::{Error, Result};
 use serde::{Deserialize, Serialize};
 
 use crate::dataset::{Picture, View};
+use crate::metrics::flip;
 use crate::rendered::{Rendered, Renderer};
+use crate::sight::Floaters;
 
 /// PSNR of a picture that is equal to its photograph, dB. The true value, infinity, has no place in JSON or in a mean.
 pub const LARGEST_PSNR: f64 = 100.0;
@@ -24,6 +27,8 @@ pub struct ViewScore {
     /// dB, at most [`LARGEST_PSNR`].
     pub psnr: f64,
     pub ssim: f64,
+    /// An error, from 0 to 1.
+    pub flip: f64,
     /// Time to render it.
     pub seconds: f64,
     /// px
@@ -40,6 +45,8 @@ pub struct Evaluation {
     pub psnr: f64,
     /// Mean over the views.
     pub ssim: f64,
+    /// Mean over the views, an error from 0 to 1.
+    pub flip: f64,
     pub surfels: usize,
     pub gaussians: usize,
     /// Time to render a view, mean over the views.
@@ -59,6 +66,9 @@ pub struct EvalReport {
     pub evaluation: Evaluation,
     /// Size of the scene file.
     pub bytes: u64,
+    /// Primitives in the way of points that training views saw; absent if the dataset does not say which view saw what.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub floaters: Option<Floaters>,
 }
 
 /// Renders every view and compares it with its photograph.
@@ -98,6 +108,7 @@ pub fn evaluate_each<E: From<Error>>(
     Ok(Evaluation {
         psnr: mean(|view| view.psnr),
         ssim: mean(|view| view.ssim),
+        flip: mean(|view| view.flip),
         seconds_per_view: mean(|view| view.seconds),
         surfels: scene.surfels.len(),
         gaussians: scene.gaussians.len(),
@@ -109,8 +120,9 @@ fn score(view: &View, render: &Rendered, seconds: f64, device: &Device) -> Resul
     let Picture { width, height, .. } = view.picture;
     let picture = quantised(view.target(device));
     let image = quantised(render.image().clone());
+    let flip = flip(&tensor_to_rows(&picture), &tensor_to_rows(&image), width, height);
     let (psnr, ssim) = (psnr(image.clone(), picture.clone()), mean_ssim(image, picture)?);
-    Ok(ViewScore { name: view.name.clone(), psnr: psnr.min(LARGEST_PSNR), ssim, seconds, width, height })
+    Ok(ViewScore { name: view.name.clone(), psnr: psnr.min(LARGEST_PSNR), ssim, flip, seconds, width, height })
 }
 
 #[cfg(test)]

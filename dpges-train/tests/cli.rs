@@ -156,7 +156,7 @@ fn a_run_writes_everything_and_can_be_measured_and_shown() {
     let result = ok(at, &["eval", "run", "--save-images", "views", "--device=cpu"]);
     let mut measured: Value = serde_json::from_str(&result).unwrap();
     assert_eq!(measured["views"].as_array().unwrap().len(), 6);
-    for key in ["name", "psnr", "ssim", "seconds", "width", "height"] {
+    for key in ["name", "psnr", "ssim", "flip", "seconds", "width", "height"] {
         assert!(measured["views"][0].get(key).is_some(), "{key}");
     }
     assert!(measured["psnr"].as_f64().unwrap() > 10.0 && measured["seconds_per_view"].as_f64().unwrap() > 0.0);

@@ -1,6 +1,6 @@
 //! What the paper promises of its pictures, each on a scene where it can be seen.
 
-use burn::tensor::{DType, Tensor};
+use burn::tensor::{DType, Tensor, TensorData};
 use dpges_core::camera::{Camera, CameraFromWorld};
 use dpges_core::losses;
 use dpges_core::ops::composite::{CompositeOptions, composite};
@@ -127,6 +127,10 @@ fn a_fourth_rim_is_ignored_and_the_transmittance_loss_opens_the_other_three() {
     let view = Render { composite, layers, limits, surfel_colours: colours.clone(), gaussian_colours: colours };
     let gradient = values(&opacity.grad(&losses::transmittance(&view).backward()).unwrap());
     let open = (1.0 - a) * (1.0 - b) * (1.0 - c);
+    for (mask, expected) in [(1.0, 1.0 - open), (0.0, 0.0)] {
+        let mask = Tensor::<3>::from_data(TensorData::new(vec![mask], [1, 1, 1]), (&device, DType::F64));
+        approx::assert_relative_eq!(values(&losses::hidden(&view, mask))[0], expected, epsilon = 1e-14);
+    }
     for (found, own) in gradient.iter().zip([a, b, c]) {
         approx::assert_relative_eq!(*found, 2.0 * (1.0 - open) * open / (1.0 - own), epsilon = 1e-12);
     }

@@ -9,7 +9,7 @@ use dpges_core::scene::{SceneData, SceneInfo};
 use dpges_train::config::{Background, Config, DataConfig, key};
 use dpges_train::dataset::{self, BuiltinOptions, Dataset, View};
 use dpges_train::run::folder::RunFolder;
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 
 use super::{Failure, Result};
 
@@ -222,19 +222,29 @@ pub struct ViewArgs {
 impl ViewArgs {
     /// The views of the split, as [`dataset`](Self::dataset) has them, and what they were read from.
     pub fn load(&self, scene: &mut Scene) -> Result<(Source, Vec<View>)> {
-        let (source, dataset) = self.dataset(scene)?;
-        let (views, other) = match self.split {
-            Split::Test => (dataset.test, Split::Train),
-            Split::Train => (dataset.train, Split::Test),
+        let (source, dataset) = self.load_dataset(scene)?;
+        let views = match self.split {
+            Split::Test => dataset.test,
+            Split::Train => dataset.train,
         };
-        if views.is_empty() {
-            let help = format!("`--split {other}` has views");
-            return Err(Failure::with_help(format!("{source} has no views in split `{}`", self.split), help));
-        }
         Ok((source, views))
     }
 
-    /// The dataset, with cameras in the scene's coordinates, and what it was read from: see [`Scene::dataset`].
+    /// Like [`dataset`](Self::dataset), but refuses one without views in the split.
+    pub fn load_dataset(&self, scene: &mut Scene) -> Result<(Source, Dataset)> {
+        let (source, dataset) = self.dataset(scene)?;
+        if self.chosen(&dataset).is_empty() {
+            let other = match self.split {
+                Split::Test => Split::Train,
+                Split::Train => Split::Test,
+            };
+            let help = format!("`--split {other}` has views");
+            return Err(Failure::with_help(format!("{source} has no views in split `{}`", self.split), help));
+        }
+        Ok((source, dataset))
+    }
+
+    /// The dataset, with cameras and points in the scene's coordinates, and what it was read from: see [`Scene::dataset`].
     pub fn dataset(&self, scene: &mut Scene) -> Result<(Source, Dataset)> {
         let Some((source, config)) = scene.dataset(self.data.as_deref(), &self.options)? else {
             let message = format!("{} is not in a run folder: name its dataset with --data", scene.path.display());
@@ -244,6 +254,10 @@ impl ViewArgs {
         let offset = dataset.offset;
         for view in dataset.train.iter_mut().chain(&mut dataset.test) {
             view.camera = in_scene(view.camera, offset, &scene.data.info);
+        }
+        let shift = (DVec3::from_array(scene.data.info.offset) - offset).as_vec3();
+        for point in &mut dataset.points.positions {
+            *point = (Vec3::from_array(*point) - shift).to_array();
         }
         Ok((source, dataset))
     }

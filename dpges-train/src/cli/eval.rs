@@ -10,12 +10,13 @@ use dpges_train::eval::{EvalReport, Evaluation, evaluate_each};
 use dpges_train::pictures::{file_stems, save_png};
 use dpges_train::rendered::{Renderer, to_picture};
 use dpges_train::run::folder::write_json;
+use dpges_train::sight::Floaters;
 
 use super::data::{Scene, ViewArgs};
 use super::device_failure::watched;
 use super::{Result, device_choice, print, table};
 
-/// Measure PSNR and SSIM of a scene against photographs
+/// Measure PSNR, SSIM and FLIP of a scene against photographs
 ///
 /// Prints the result as JSON on standard output and as a table on standard error. With --json FILE, the JSON goes to
 /// the file and the table to standard output.
@@ -44,14 +45,15 @@ pub fn run(args: &EvalArgs) -> Result<()> {
 }
 
 fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> {
-    let (source, views) = args.views.load(&mut scene)?;
+    let (source, dataset) = args.views.load_dataset(&mut scene)?;
+    let views = args.views.chosen(&dataset);
     if let Some(folder) = &args.save_images {
         make_folder(folder)?;
     }
     let device = device.open()?;
-    let stems = file_stems(&views);
+    let stems = file_stems(views);
     let renderer = Renderer::new(&scene.data, &device);
-    let evaluation = evaluate_each(&renderer, &scene.data, &views, &device, |index, render| {
+    let evaluation = evaluate_each(&renderer, &scene.data, views, &device, |index, render| {
         let Some(folder) = &args.save_images else { return Ok(()) };
         save_png(&to_picture(render.image()), &folder.join(format!("{}.png", stems[index])))
     })?;
@@ -61,6 +63,7 @@ fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> 
         split: args.views.split.to_string(),
         evaluation,
         bytes: scene.bytes,
+        floaters: renderer.floaters(&dataset)?,
     };
     match args.json.as_deref().filter(|path| *path != Path::new("-")) {
         Some(path) => {
@@ -86,11 +89,15 @@ pub fn make_folder(path: &Path) -> Result<(), Error> {
 }
 
 fn summary(report: &EvalReport) -> String {
-    let Evaluation { views, psnr, ssim, surfels, gaussians, seconds_per_view } = &report.evaluation;
+    let Evaluation { views, psnr, ssim, flip, surfels, gaussians, seconds_per_view } = &report.evaluation;
+    let scores = |psnr: f64, ssim: f64, flip: f64| format!("{psnr:.2} dB  {ssim:.4}  {flip:.4}");
     let mut rows: Vec<(&str, String)> =
-        views.iter().map(|view| (view.name.as_str(), format!("{:.2} dB  {:.4}", view.psnr, view.ssim))).collect();
-    rows.push(("mean", format!("{psnr:.2} dB  {ssim:.4}")));
+        views.iter().map(|view| (view.name.as_str(), scores(view.psnr, view.ssim, view.flip))).collect();
+    rows.push(("mean", scores(*psnr, *ssim, *flip)));
     rows.push(("scene", format!("{surfels} surfels, {gaussians} Gaussians, {:.1} MB", report.bytes as f64 / 1e6)));
+    if let Some(Floaters { surfels, gaussians }) = report.floaters {
+        rows.push(("floaters", format!("{surfels} surfels, {gaussians} Gaussians")));
+    }
     rows.push(("rendering", format!("{:.1} ms per view", 1e3 * seconds_per_view)));
     table(&rows)
 }

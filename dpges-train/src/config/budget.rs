@@ -16,7 +16,7 @@ pub const MEGABYTE: f64 = 1e6;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Written", into = "Written")]
 pub enum Budget {
-    /// One primitive per two pixels of a training view.
+    /// One primitive per two different pixels of the training views.
     Pixels,
     /// As many as improve the pictures of validation views.
     Auto,
@@ -28,7 +28,7 @@ pub enum Budget {
 
 value!(
     Budget, "a whole number or a string", |value| value.is_integer() || value.is_str(),
-    "pixels" => "One primitive per two pixels of a training view, at least 16,384.",
+    "pixels" => "One primitive per two different pixels of the training views, at least 16,384; views that share what they show count once.",
     "auto" => "As many as improve the pictures of validation views, at most twice `pixels`.",
     "N" => "N surfels and Gaussians together.",
     "NMB" => "As many as a scene file of N million bytes holds with all lobes, not counting its header."

@@ -55,6 +55,16 @@ configuration! {
         /// λ3: weight of the transmittance loss (DP-GES).
         lambda_transmittance: f64 = 0.08, range: 0.0..,
             ablation: "no-transmittance-loss" = "0" ("Without the transmittance loss");
+        /// Weight of the mean opacity of Gaussians in the joint stage of scenes with an environment (3DGS-MCMC: 0.01,
+        /// DP-GES: 0). It makes those fade that few pictures need, of which there are many outdoors.
+        lambda_opacity: f64 = 3e-3, range: 0.0..,
+            ablation: "no-opacity-loss" = "0" ("Let Gaussians stay that few pictures need");
+        /// Weight of the mean scale of these Gaussians, relative to the extent of the scene (DP-GES: 0; 3DGS-MCMC: 0.01 per
+        /// world unit).
+        lambda_gaussian_scale: f64 = 0.05, unit: "per extent", range: 0.0..;
+        /// Weight of what surfels and Gaussians hide of the environment, in the joint stage, at pixels that show nothing but
+        /// sky: above the horizon, with no point of the dataset up to the border of the picture, and of the colour of the sky.
+        lambda_sky: f64 = 0.1, range: 0.0.., ablation: "no-sky-loss" = "0" ("Let surfels and Gaussians take part in the sky");
         /// Share of D-SSIM in the image loss; the rest is L1 (3DGS).
         lambda_dssim: f64 = 0.2, range: 0.0..=1.0;
         /// λ4: weight of the difference between the depths of surfels and of the discs they come from, for surface
@@ -104,6 +114,10 @@ configuration! {
         /// What lies behind every surfel and every Gaussian, in the direction of a pixel.
         environment: Environment = Environment::Auto,
             ablation: "no-environment" = "none" ("Without an environment, if the run has one");
+        /// Standard deviation of a filter in the world that limits how fine surfels and Gaussians of the joint stage are:
+        /// in pixels of the training view that resolves them best (Mip-Splatting: √0.2). 0 sets no limit (DP-GES).
+        sampling_limit: f64 = 0.447_213_6, unit: "px", range: 0.0..,
+            ablation: "no-sampling-limit" = "0" ("Let primitives be finer than the training views resolve");
     }
 
     /// Where surfels and Gaussians start, unless a stage has trained them.
@@ -359,6 +373,9 @@ configuration! {
         /// the nearest surfel are tried, and what too few views agree about is not added. 0 asks no view (DP-GES).
         add_agreement: usize = 2, unit: "views",
             ablation: "unconfirmed-gaussians" = "0" ("Add Gaussians that no other photograph confirms");
+        /// Remove surfels and Gaussians that hide points of the dataset from views that saw them, with every batch of new
+        /// Gaussians and every replacement, if the dataset says which view saw what (DP-GES: false).
+        clear_sight: bool = true, ablation: "floaters" = "false" ("Keep what hides points from views that saw them");
         /// Appearance of new Gaussians.
         add_as: AddAs = AddAs::Picture, ablation: "black-gaussians" = "black" ("Add Gaussians that are black and wide");
         /// Largest number of surfels and Gaussians together, or largest size of the scene file.

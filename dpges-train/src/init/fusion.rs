@@ -5,7 +5,7 @@
 //! it. What is no surface (leaves, sky, floaters) has no such points.
 
 use dpges_core::camera::Camera;
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 use rayon::prelude::*;
 
 use crate::dataset::PointCloud;
@@ -76,13 +76,6 @@ fn nearest_views(views: &[DepthView<'_>], index: usize) -> Vec<usize> {
 }
 
 impl DepthView<'_> {
-    /// The pixel at which a world point is seen, and its depth.
-    fn pixel(&self, world: DVec3) -> Option<(usize, f64)> {
-        let (x, y, z) = self.camera.project(world)?;
-        let inside = x >= 0.0 && y >= 0.0 && x < self.camera.width as f64 && y < self.camera.height as f64;
-        inside.then(|| (y as usize * self.camera.width + x as usize, z))
-    }
-
     /// The depth at a pixel, if it is known.
     fn known_depth(&self, pixel: usize) -> Option<f64> {
         let depth = f64::from(self.depth[pixel]);
@@ -95,7 +88,7 @@ fn covered(view: &DepthView<'_>, positions: &[[f32; 3]], stride_px: usize, rule:
     let (columns, rows) = squares(view.camera, stride_px);
     let mut covered = vec![false; columns * rows];
     for &position in positions {
-        let Some((pixel, z)) = view.pixel(Vec3::from_array(position).as_dvec3()) else { continue };
+        let Some((pixel, z)) = view.camera.pixel(Vec3::from_array(position).as_dvec3()) else { continue };
         let hidden = view.known_depth(pixel).is_some_and(|depth| z > depth * (1.0 + rule.tolerance));
         if !hidden {
             let (x, y) = (pixel % view.camera.width, pixel / view.camera.width);
@@ -122,7 +115,7 @@ fn surface_point(
     let mut seen_by = vec![index as u32];
     let mut looked_through = 0;
     for &other in neighbours {
-        let Some((at, z)) = views[other].pixel(world) else { continue };
+        let Some((at, z)) = views[other].camera.pixel(world) else { continue };
         let Some(depth) = views[other].known_depth(at) else { continue };
         if (depth - z).abs() <= rule.tolerance * z {
             seen_by.push(other as u32);
@@ -140,6 +133,7 @@ fn surface_point(
 #[cfg(test)]
 mod tests {
     use dpges_core::camera::CameraFromWorld;
+    use glam::DVec3;
 
     use super::*;
 

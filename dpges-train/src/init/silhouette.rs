@@ -29,13 +29,6 @@ pub struct Silhouette<'a> {
 }
 
 impl Silhouette<'_> {
-    /// The pixel that sees a world point, and the depth of the point.
-    fn pixel(&self, world: DVec3) -> Option<(usize, f64)> {
-        let (x, y, depth) = self.camera.project(world)?;
-        let inside = x >= 0.0 && y >= 0.0 && x < self.camera.width as f64 && y < self.camera.height as f64;
-        inside.then(|| (y as usize * self.camera.width + x as usize, depth))
-    }
-
     fn colour(&self, pixel: usize) -> [f32; 3] {
         let plane = self.camera.width * self.camera.height;
         [0, 1, 2].map(|channel| self.planes[channel * plane + pixel])
@@ -101,7 +94,7 @@ fn carve(grid: &Grid, silhouettes: &[Silhouette], tolerance: f64) -> Vec<bool> {
         let centre = grid.centre(grid.voxel(index));
         let (mut seen, mut misses) = (0, 0);
         for silhouette in silhouettes {
-            if let Some((pixel, _)) = silhouette.pixel(centre) {
+            if let Some((pixel, _)) = silhouette.camera.pixel(centre) {
                 seen += 1;
                 misses += usize::from(silhouette.alpha[pixel] <= INSIDE);
                 if misses as f64 > most_misses {
@@ -186,7 +179,7 @@ fn colours(silhouettes: &[Silhouette], points: &[DVec3], normals: &[DVec3], step
             .zip(&centres)
             .filter_map(|((silhouette, map), centre)| {
                 let facing = (*centre - point).normalize_or_zero().dot(normal);
-                let (pixel, depth) = silhouette.pixel(point).filter(|_| facing > 0.0)?;
+                let (pixel, depth) = silhouette.camera.pixel(point).filter(|_| facing > 0.0)?;
                 let unobstructed = depth <= map.at(pixel, silhouette.camera.width) + HIDDEN_BEHIND * step;
                 let trusted = unobstructed && silhouette.alpha[pixel] > OPAQUE;
                 Some((trusted, facing, silhouette.colour(pixel)))

@@ -33,12 +33,25 @@ struct Sums {
     colour: [f64; 3],
 }
 
+/// Largest difference of a channel between the sky and the median of the open sky of a view. Leaves and roofs in open cells
+/// differ by more.
+const OF_THE_SKY: f32 = 0.15;
+
 /// The open sky of the training views of `dataset`; none if it has no points.
 pub fn open_sky(dataset: &Dataset) -> OpenSky {
-    let up = upwards(dataset.train.iter().map(|view| &view.camera));
-    let views: Vec<Sums> =
-        dataset.train.par_iter().map(|view| open_pixels(view, &dataset.points.positions, up)).collect();
-    let sum = views.iter().fold(Sums::default(), |sum, view| Sums {
+    let sum = of_views(dataset, |view, open| {
+        let planes = &view.picture.planes;
+        let mut sums = Sums { pixels: open.len(), ..Sums::default() };
+        for pixel in (0..open.len()).filter(|&pixel| open[pixel]) {
+            sums.open += 1;
+            for (channel, sum) in sums.colour.iter_mut().enumerate() {
+                *sum += f64::from(planes[channel * open.len() + pixel]);
+            }
+        }
+        sums
+    })
+    .into_iter()
+    .fold(Sums::default(), |sum, view| Sums {
         pixels: sum.pixels + view.pixels,
         open: sum.open + view.open,
         colour: std::array::from_fn(|c| sum.colour[c] + view.colour[c]),
@@ -47,6 +60,31 @@ pub fn open_sky(dataset: &Dataset) -> OpenSky {
         share: sum.open as f64 / sum.pixels.max(1) as f64,
         colour: (sum.open > 0).then(|| sum.colour.map(|channel| channel / sum.open as f64)),
     }
+}
+
+/// For each training view of `dataset`, which pixels [H × W] show nothing but sky: open sky of the colour that most of it
+/// has in this view. Empty for views without any.
+pub fn sky_pixels(dataset: &Dataset) -> Vec<Vec<bool>> {
+    of_views(dataset, |view, mut open| {
+        let planes = &view.picture.planes;
+        let area = open.len();
+        let median = [0, 1, 2].map(|channel| {
+            let plane = &planes[channel * area..][..area];
+            let mut values: Vec<f32> = (0..area).filter(|&pixel| open[pixel]).map(|pixel| plane[pixel]).collect();
+            let middle = values.len() / 2;
+            if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f32::total_cmp).1 }
+        });
+        for (pixel, open) in open.iter_mut().enumerate() {
+            *open &= (0..3).all(|channel| (planes[channel * area + pixel] - median[channel]).abs() <= OF_THE_SKY);
+        }
+        if open.contains(&true) { open } else { Vec::new() }
+    })
+}
+
+/// What `of` says of every training view and of its open pixels.
+fn of_views<T: Send>(dataset: &Dataset, of: impl Fn(&View, Vec<bool>) -> T + Sync) -> Vec<T> {
+    let up = upwards(dataset.train.iter().map(|view| &view.camera));
+    dataset.train.par_iter().map(|view| of(view, open_pixels(&view.camera, &dataset.points.positions, up))).collect()
 }
 
 /// The direction that is up in the world: perpendicular to the horizontal axes of the cameras, which photographers hold
@@ -123,8 +161,8 @@ impl Cells {
     }
 }
 
-fn open_pixels(view: &View, points: &[[f32; 3]], up: DVec3) -> Sums {
-    let (camera, planes) = (&view.camera, &view.picture.planes);
+/// [H × W] whether a pixel of `camera` is open sky.
+fn open_pixels(camera: &Camera, points: &[[f32; 3]], up: DVec3) -> Vec<bool> {
     let (width, height) = (camera.width, camera.height);
     let inside = |&(x, y, _): &(f64, f64, f64)| x >= 0.0 && y >= 0.0 && x < width as f64 && y < height as f64;
     let seen: Vec<(f64, f64, f64)> = points
@@ -140,16 +178,8 @@ fn open_pixels(view: &View, points: &[[f32; 3]], up: DVec3) -> Sums {
         let (x, y) = cells.centre(cell);
         *open &= (world_from_pixel * DVec3::new(x, y, 1.0)).dot(up) > 0.0;
     }
-    let mut sums = Sums { pixels: width * height, ..Sums::default() };
-    for pixel in 0..width * height {
-        if open[cells.at((pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5)] {
-            sums.open += 1;
-            for (channel, sum) in sums.colour.iter_mut().enumerate() {
-                *sum += f64::from(planes[channel * width * height + pixel]);
-            }
-        }
-    }
-    sums
+    let is_open = |pixel: usize| open[cells.at((pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5)];
+    (0..width * height).map(is_open).collect()
 }
 
 #[cfg(test)]
@@ -217,6 +247,20 @@ pub mod tests {
         assert!(colour.iter().zip([0.25, 0.5, 1.0]).all(|(a, b)| (a - b).abs() < 1e-9), "{colour:?}");
         // points everywhere
         assert!(open_sky(&ring(0.0, tower(20.0))).share < 0.02);
+    }
+
+    #[test]
+    fn leaves_in_open_sky_are_not_sky() {
+        let mut dataset = ring(0.0, tower(0.0));
+        let open = of_views(&dataset, |_, open| open);
+        let first = open[0].iter().position(|&open| open).unwrap();
+        let leaf = [0.25, 0.2, 0.1];
+        let planes = &mut dataset.train[0].picture.planes;
+        leaf.iter().enumerate().for_each(|(channel, &value)| planes[channel * SIZE * SIZE + first] = value);
+        let sky = sky_pixels(&dataset);
+        assert!(!sky[0][first] && sky[1..] == open[1..]);
+        assert_eq!(sky[0].iter().filter(|&&sky| sky).count() + 1, open[0].iter().filter(|&&open| open).count());
+        assert!(sky_pixels(&ring(5.0, tower(-8.0))).iter().all(Vec::is_empty));
     }
 
     #[test]

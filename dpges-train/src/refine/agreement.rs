@@ -37,10 +37,8 @@ pub fn agreed_depth<'a>(
     let agreeing = |depth: f64| {
         let world = view.camera.unproject(x, y, depth);
         let agrees = |other: &&View| {
-            let (width, height) = (other.camera.width, other.camera.height);
-            let Some((x, y, _)) = other.camera.project(world) else { return false };
-            let inside = x >= 0.0 && y >= 0.0 && x < width as f64 && y < height as f64;
-            inside && is_same(self::colour(other, y as usize * width + x as usize), colour)
+            let Some((pixel, _)) = other.camera.pixel(world) else { return false };
+            is_same(self::colour(other, pixel), colour)
         };
         others.clone().filter(agrees).count()
     };

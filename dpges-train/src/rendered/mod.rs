@@ -7,12 +7,15 @@ use dpges_core::Result;
 use dpges_core::camera::Camera;
 use dpges_core::ops::composite::{Geometry, geometry};
 use dpges_core::ops::environment::environment;
+use dpges_core::ops::peel::PeelOptions;
 use dpges_core::render::blended::{BlendedOptions, BlendedRender, render_blended};
 use dpges_core::render::{Render, RenderOptions, Values, render};
 use dpges_core::scene::tensors::{rows_to_tensor, tensor_to_rows};
 use dpges_core::scene::{Gaussians, Rendering, SceneData, Surfels};
 use dpges_render::Rgb8Image;
 
+use crate::dataset::Dataset;
+use crate::sight::{Floaters, Sights};
 pub use layers::{LayerPictures, layer_pictures};
 
 /// The picture of an image [3, H, W] with display-referred values.
@@ -115,6 +118,20 @@ impl Renderer {
             Some(coefficients) => rendered.in_front_of(environment(coefficients, camera)?),
             None => rendered,
         })
+    }
+
+    /// How many primitives float, see [`sight`](crate::sight); `None` if `dataset`, in the coordinates of the scene, does
+    /// not say which view saw what.
+    ///
+    /// # Errors
+    /// As [`render`].
+    pub fn floaters(&self, dataset: &Dataset) -> Result<Option<Floaters>> {
+        let peel = match &self.options {
+            Options::Peeled(options) => options.peel,
+            Options::Blended(_) => PeelOptions::default(),
+        };
+        let sights = Sights::measure(&self.surfels, &self.gaussians, &peel, dataset)?;
+        Ok(sights.map(|sights| sights.floaters()))
     }
 
     /// Blended depth and normals of the surfels in a `view` from `camera`.

@@ -104,7 +104,7 @@ impl MetricsLog {
     /// [`Error::Io`].
     pub fn evaluation(&mut self, step: usize, evaluation: &Evaluation, seconds: f64) -> Result<()> {
         self.append(&json!({
-            "kind": "evaluation", "step": step, "psnr": evaluation.psnr, "ssim": evaluation.ssim,
+            "kind": "evaluation", "step": step, "psnr": evaluation.psnr, "ssim": evaluation.ssim, "flip": evaluation.flip,
             "views": evaluation.views.len(), "surfels": evaluation.surfels, "gaussians": evaluation.gaussians,
             "seconds_per_view": evaluation.seconds_per_view, "seconds": seconds,
         }))
@@ -116,7 +116,7 @@ impl MetricsLog {
     /// [`Error::Io`].
     pub fn validation(&mut self, step: usize, evaluation: &Evaluation, seconds: f64) -> Result<()> {
         self.append(&json!({
-            "kind": "validation", "step": step, "psnr": evaluation.psnr, "ssim": evaluation.ssim,
+            "kind": "validation", "step": step, "psnr": evaluation.psnr, "ssim": evaluation.ssim, "flip": evaluation.flip,
             "views": evaluation.views.len(), "surfels": evaluation.surfels, "gaussians": evaluation.gaussians,
             "seconds": seconds,
         }))

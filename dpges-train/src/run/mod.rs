@@ -66,6 +66,8 @@ pub struct Run {
     record: Option<Record>,
     /// The best scene by the validation views, unless it is in the folder.
     best: Option<SceneData>,
+    /// The scene that the last stage began with, unless it is in the folder or there was no stage before.
+    before_last_stage: Option<SceneData>,
     /// Time that the run had taken when [`train`](Run::train) was called last.
     seconds_before: f64,
     started: Instant,
@@ -74,7 +76,8 @@ pub struct Run {
 /// What a finished run has made.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Outcome {
-    /// The scene after the last step; with `train.stop = "validation"` the best by the validation views.
+    /// The scene after the last step; with `train.stop = "validation"` the best by the validation views. The scene of the
+    /// stage before the last if validation views are better with that.
     pub scene: SceneData,
     /// How well it shows the held-out views; `None` if there are none.
     pub evaluation: Option<Evaluation>,
@@ -143,7 +146,14 @@ impl Run {
     }
 
     fn of(trainer: Trainer) -> Self {
-        Self { trainer, record: None, best: None, seconds_before: 0.0, started: Instant::now() }
+        Self {
+            trainer,
+            record: None,
+            best: None,
+            before_last_stage: None,
+            seconds_before: 0.0,
+            started: Instant::now(),
+        }
     }
 
     /// Makes the run write to `folder` from now on.

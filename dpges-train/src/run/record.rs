@@ -11,6 +11,7 @@ use super::folder::{Origin, RunFolder, RunFolderError, write_json};
 use super::metrics_log::MetricsLog;
 use crate::config::Config;
 use crate::eval::{EvalReport, Evaluation};
+use crate::sight::Floaters;
 
 /// Steps between lines of `metrics.jsonl`.
 const METRICS_EVERY: usize = 10;
@@ -61,7 +62,14 @@ impl Record {
     }
 
     /// Writes to `path` how well the scene in the file `scene` shows the views of `split`, as [`EvalReport`] names it.
-    pub fn report(&self, split: &str, scene: &Path, evaluation: &Evaluation, path: &Path) -> Result<()> {
+    pub fn report(
+        &self,
+        split: &str,
+        scene: &Path,
+        evaluation: &Evaluation,
+        floaters: Option<Floaters>,
+        path: &Path,
+    ) -> Result<()> {
         let file = std::fs::metadata(scene);
         let file = file.map_err(|source| Error::Io { action: "cannot read", path: scene.to_owned(), source })?;
         let report = EvalReport {
@@ -70,6 +78,7 @@ impl Record {
             split: split.to_owned(),
             evaluation: evaluation.clone(),
             bytes: file.len(),
+            floaters,
         };
         write_json(path, &report)
     }

@@ -1,6 +1,6 @@
 use std::path::Path;
 
-use dpges_core::scene::SceneData;
+use dpges_core::scene::{Rendering, SceneData};
 
 use super::checkpoint::CheckpointError;
 use super::fixtures::{config, dataset, dataset_of, device};
@@ -182,6 +182,26 @@ fn validation_views_are_kept_and_end_a_run_with_the_best_scene() {
     let text = std::fs::read_to_string(folder.join("validation.json")).unwrap();
     let report: EvalReport = serde_json::from_str(&text).unwrap();
     assert_eq!((report.split.as_str(), report.evaluation.psnr), ("validation", best_psnr));
+}
+
+#[test]
+fn a_last_stage_that_makes_validation_views_worse_is_undone() {
+    let result = |decay: &str, folder: Option<&Path>| {
+        let set = ["train.steps=60", "stages.gaussians=0.7", "data.validation_every=3", "refine.budget=500", decay];
+        let mut run = Run::new(config(&set), dataset_of(9), device()).unwrap();
+        if let Some(folder) = folder {
+            run = run.write_to(RunFolder::new(folder), Origin::new("builtin", "cpu")).unwrap();
+        }
+        run.train(&mut ()).unwrap().scene
+    };
+    let at = tempfile::tempdir().unwrap();
+    let folder = at.path().join("worse");
+    let worse = result("optimizer.decay=1e3", Some(&folder));
+    assert_eq!(worse.info.rendering, Rendering::Ellipsoids);
+    assert!(SceneData::load(&folder.join("scene.safetensors")).unwrap() == worse);
+    assert!(SceneData::load(&folder.join("stage_dbs.safetensors")).unwrap() == worse);
+    assert!(result("optimizer.decay=1e3", None) == worse);
+    assert_eq!(result("optimizer.decay=1", None).info.rendering, Rendering::Peeled);
 }
 
 #[test]

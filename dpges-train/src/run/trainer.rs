@@ -124,12 +124,22 @@ impl Trainer {
         self.at + 1 == self.plan.len()
     }
 
+    /// The stage before the last; `None` if there is only one.
+    pub fn last_but_one(&self) -> Option<StagePlan> {
+        Some(self.plan[self.plan.len().checked_sub(2)?])
+    }
+
     /// The scene as it stands.
     pub fn scene(&self) -> SceneData {
         self.stage.scene()
     }
 
-    /// What has become of the validation views. It wants to be told of every evaluation of theirs, and then ends the
+    /// What has become of the validation views.
+    pub fn validation(&self) -> &Validation {
+        &self.validation
+    }
+
+    /// The same, to be changed. It wants to be told of every evaluation of theirs, and then ends the
     /// run with `train.stop = "validation"`.
     pub fn validation_mut(&mut self) -> &mut Validation {
         &mut self.validation
@@ -204,6 +214,7 @@ mod tests {
     use std::collections::BTreeSet;
     use std::path::Path;
 
+    use dpges_core::scene::tensors::tensor_to_rows;
     use dpges_core::scene::{EnvironmentData, Rendering, ScreenFilter};
     use glam::DVec3;
 
@@ -218,9 +229,12 @@ mod tests {
     }
 
     /// All stages and everything that changes something in them.
-    const STAGES: [&str; 13] = [
+    const STAGES: [&str; 16] = [
         "train.steps=60",
+        "train.lambda_opacity=0.01",
+        "train.lambda_gaussian_scale=0.01",
         "model.environment=sh1",
+        "model.sampling_limit=0.3",
         "refine.budget=700",
         "stages.surfels=0.3",
         "stages.gaussians=0.3",
@@ -287,6 +301,40 @@ mod tests {
             assert_eq!(report.events.iter().any(|event| event.contains(&said)), replaced, "{:?}", report.events);
             let alive = gaussians(&mut trainer).opacities().iter().filter(|&&o| o > 0.0).count();
             assert_eq!(alive > left, replaced, "{alive}, {left} before");
+        }
+    }
+
+    #[test]
+    fn what_hides_points_from_views_that_saw_them_is_removed_if_that_is_wanted() {
+        for (set, is_wanted) in [("refine.clear_sight=true", true), ("refine.clear_sight=false", false)] {
+            // batches after 12, 16, …, 48 steps
+            let mut trainer = trainer(&["train.steps=100", "refine.budget=300", "refine.split=false", set]);
+            while trainer.completed_steps() < 48 {
+                trainer.step().unwrap();
+            }
+            // the first Gaussian hides what two cameras have before them
+            let data = dataset();
+            let centres: Vec<DVec3> = data.train.iter().map(|view| view.camera.centre()).collect();
+            let near = |a: &DVec3, b: &DVec3| a.distance(centres[0]).total_cmp(&b.distance(centres[0]));
+            let other = *centres[1..].iter().min_by(|a, b| near(a, b)).unwrap();
+            let ahead = data.train[0].camera.camera_from_world.rotation.transpose() * DVec3::Z;
+            let distance = centres[0].distance(other);
+            let middle = 0.5 * (centres[0] + other) + distance * ahead;
+            let gaussians = gaussians(&mut trainer);
+            let mut positions = tensor_to_rows(&gaussians.columns.positions.raw());
+            positions[..3].copy_from_slice(&middle.as_vec3().to_array());
+            gaussians.columns.positions.set(&positions);
+            let mut log_scales = tensor_to_rows(&gaussians.columns.log_scales.raw());
+            log_scales[..3].fill((0.5 * distance).ln() as f32);
+            gaussians.columns.log_scales.set(&log_scales);
+            let mut opacities = gaussians.opacities();
+            opacities[0] = 0.9;
+            gaussians.reset_opacities(&opacities);
+
+            let events = trainer.step().unwrap().unwrap().events;
+            let removed = events.iter().find_map(|event| event.split_once(" Gaussians removed that hide points"));
+            let count = removed.map(|(before, _)| before.rsplit(' ').next().unwrap().parse::<usize>().unwrap());
+            assert_eq!(count.is_some_and(|count| count > 0), is_wanted, "{events:?}");
         }
     }
 

@@ -10,6 +10,7 @@ use crate::config::Stop;
 use crate::eval::{Evaluation, evaluate_each};
 use crate::pictures::{comparison, file_stems, save_png};
 use crate::rendered::Renderer;
+use crate::sight::Floaters;
 
 /// What the trainer is asked to do; the report of the step whose numbers it then knows.
 type Work = fn(&mut Trainer) -> Result<Option<StepReport>, TrainError>;
@@ -61,10 +62,12 @@ impl Run {
             }
         }
         let scene = if train.stop == Stop::Validation { self.best_scene()? } else { self.trainer.scene() };
+        let scene = self.unless_it_was_better_before(scene)?;
         self.report_validation(&scene, observer)?;
         let evaluation = self.evaluate(&scene, observer)?;
         if let (Some(evaluation), Some(record)) = (&evaluation, &self.record) {
-            record.report("test", &record.folder.scene(), evaluation, &record.folder.evaluation())?;
+            let (folder, floaters) = (&record.folder, self.floaters(&scene)?);
+            record.report("test", &folder.scene(), evaluation, floaters, &folder.evaluation())?;
         }
         Ok((scene, evaluation))
     }
@@ -109,11 +112,43 @@ impl Run {
                 "test",
                 &folder.stage_scene(stage.kind),
                 &evaluation,
+                self.floaters(&scene)?,
                 &folder.stage_evaluation(stage.kind),
             )?;
         }
+        if self.trainer.last_but_one().is_some_and(|before| before.kind == stage.kind) {
+            if !self.trainer.dataset().validation.is_empty() {
+                let psnr = self.evaluate_validation(&scene)?.psnr;
+                self.trainer.validation_mut().begin_last_stage(psnr);
+            }
+            self.before_last_stage = self.record.is_none().then_some(scene);
+        }
         self.trainer.next_stage()?;
         self.save(observer)
+    }
+
+    /// `scene`, the result of the last stage, or the scene that this stage began with if the validation views are better
+    /// with that; then it becomes the scene of the run.
+    fn unless_it_was_better_before(&mut self, scene: SceneData) -> Result<SceneData, RunError> {
+        let (Some(before), Some(stage)) = (self.trainer.validation().before_last_stage(), self.trainer.last_but_one())
+        else {
+            return Ok(scene);
+        };
+        let psnr = self.evaluate_validation(&scene)?.psnr;
+        if psnr >= before {
+            return Ok(scene);
+        }
+        tracing::warn!(
+            "the last stage has made validation views worse, from {before:.2} to {psnr:.2} dB: the result is the scene of \
+             stage {} (a longer run may be better: --steps)",
+            stage.kind
+        );
+        let Some(record) = &self.record else {
+            return Ok(self.before_last_stage.take().expect("kept when the stage ended"));
+        };
+        let earlier = SceneData::load(&record.folder.stage_scene(stage.kind))?;
+        earlier.save(&record.folder.scene())?;
+        Ok(earlier)
     }
 
     /// Lets the validation views judge the scene as it stands.
@@ -145,7 +180,7 @@ impl Run {
         let evaluation = self.evaluate_validation(scene)?;
         self.check_device(observer)?;
         let folder = &record.folder;
-        Ok(record.report("validation", &folder.scene(), &evaluation, &folder.validation())?)
+        Ok(record.report("validation", &folder.scene(), &evaluation, None, &folder.validation())?)
     }
 
     fn evaluate_validation(&self, scene: &SceneData) -> Result<Evaluation, RunError> {
@@ -161,6 +196,10 @@ impl Run {
         let best = SceneData::load(&record.folder.best())?;
         best.save(&record.folder.scene())?;
         Ok(best)
+    }
+
+    fn floaters(&self, scene: &SceneData) -> Result<Option<Floaters>, RunError> {
+        Ok(self.renderer(scene).floaters(self.trainer.dataset())?)
     }
 
     fn renderer(&self, scene: &SceneData) -> Renderer {

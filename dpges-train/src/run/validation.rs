@@ -9,6 +9,9 @@ pub struct Validation {
     /// Number of evaluations since then.
     since: usize,
     stopped: bool,
+    /// PSNR of the scene that the last stage began with, dB; `None` without validation views or an earlier stage.
+    #[serde(default)]
+    before_last_stage: Option<f64>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -49,6 +52,16 @@ impl Validation {
                 Verdict::Best
             }
         }
+    }
+
+    /// Takes note of the mean PSNR, dB, of the validation views in the scene that the last stage begins with.
+    pub fn begin_last_stage(&mut self, psnr: f64) {
+        self.before_last_stage = Some(psnr);
+    }
+
+    /// What [`begin_last_stage`](Self::begin_last_stage) was told.
+    pub fn before_last_stage(&self) -> Option<f64> {
+        self.before_last_stage
     }
 
     /// Whether the run has ended.

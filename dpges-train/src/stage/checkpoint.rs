@@ -1,12 +1,13 @@
 //! A stage to and from its part of a checkpoint.
 
 use std::collections::{BTreeMap, HashMap};
+use std::iter;
 
 use dpges_core::scene::schema::{Attribute, Columns};
 use dpges_core::scene::{ColourModel, GaussianData, SceneInfo};
 
 use super::blended::{BlendedStage, ScreenGradients};
-use super::joint::{JointStage, Statistics, Supervisions};
+use super::joint::{JointStage, SamplingLimits, SkyMasks, Statistics, Supervisions};
 use super::sampling_limit::SamplingLimit;
 use super::{Context, EnvironmentState, TrainError};
 use crate::config::{Blended, OpacityActivation, StagePlan};
@@ -15,6 +16,9 @@ use crate::refine::growth::Growth;
 use crate::scene_state::{GaussianState, NamedRows, SurfelState};
 
 const MAX_CONTRIBUTIONS: &str = "max_contributions";
+/// Columns of the filters of surfels and of Gaussians.
+const SURFEL_LIMIT: &str = "surfel_sampling_limit";
+const GAUSSIAN_LIMIT: &str = "sampling_limit";
 
 /// What a stage adds to the checkpoint of its run.
 pub struct StageCheckpoint {
@@ -32,7 +36,7 @@ pub struct StageCheckpoint {
 impl StageCheckpoint {
     pub fn of_blended(stage: &BlendedStage) -> Self {
         let gradients = ScreenGradients::NAMES.into_iter().zip(stage.screen_gradients.columns());
-        let limit = stage.sampling_limit.iter().map(|limit| (SamplingLimit::NAME, limit.column()));
+        let limit = stage.sampling_limit.iter().map(|limit| (GAUSSIAN_LIMIT, limit.column()));
         let columns = gradients.chain(limit);
         Self {
             info: stage.info.clone(),
@@ -44,12 +48,16 @@ impl StageCheckpoint {
     }
 
     pub fn of_joint(stage: &JointStage) -> Self {
-        let columns = [(MAX_CONTRIBUTIONS.to_owned(), stage.statistics.max_contributions())];
+        let limits = stage
+            .limits
+            .iter()
+            .flat_map(|limits| [(SURFEL_LIMIT, limits.surfels.column()), (GAUSSIAN_LIMIT, limits.gaussians.column())]);
+        let columns = iter::once((MAX_CONTRIBUTIONS, stage.statistics.max_contributions())).chain(limits);
         let mut checkpoint = Self {
             info: stage.info.clone(),
             growth: stage.growth.clone(),
             attributes: named([stage.surfels.rows(), stage.gaussians.rows()], &stage.environment),
-            columns: columns.into(),
+            columns: columns.map(|(name, values)| (name.to_owned(), values)).collect(),
             max_pixels: stage.statistics.max_pixels(),
         };
         if let Some(supervisions) = &stage.supervisions {
@@ -98,14 +106,8 @@ impl BlendedStage {
             return Err(TrainError::Resume { reason });
         }
         let gradients = ScreenGradients::from_columns([&found[0], &found[1], &found[2]], &context.device);
-        let sampling_limit = match columns.remove(SamplingLimit::NAME) {
-            Some(column) if column.len() != gaussians.len() => {
-                let reason = "column `sampling_limit` does not fit the Gaussians".into();
-                return Err(TrainError::Resume { reason });
-            }
-            column => column
-                .map(|column| SamplingLimit::from_column(&column, context.config.density.smoothing, &context.device)),
-        };
+        let smoothing_px = context.config.density.smoothing;
+        let sampling_limit = limit(&mut columns, GAUSSIAN_LIMIT, gaussians.len(), smoothing_px, context)?;
         let mut stage = Self::new(plan, blended, gaussians, environment, gradients, context);
         stage.sampling_limit = sampling_limit;
         Ok(stage)
@@ -135,11 +137,16 @@ impl JointStage {
         if (max_pixels.len(), contributions.len()) != (surfels.len(), gaussians.len()) {
             return Err(wrong("`max_pixels` or `max_contributions` does not fit the primitives".into()));
         }
+        let smoothing_px = context.config.model.sampling_limit;
+        let surfel_limit = limit(&mut columns, SURFEL_LIMIT, surfels.len(), smoothing_px, context)?;
+        let gaussian_limit = limit(&mut columns, GAUSSIAN_LIMIT, gaussians.len(), smoothing_px, context)?;
         Ok(Self {
             plan,
             schedule: context.config.schedule(context.dataset.train.len()),
+            limits: surfel_limit.zip(gaussian_limit).map(|(surfels, gaussians)| SamplingLimits { surfels, gaussians }),
             surfels,
             gaussians,
+            sky: SkyMasks::new(&environment, context),
             environment,
             statistics: Statistics::from_rows(&max_pixels, &contributions, device),
             supervisions: discs.map(|discs| Supervisions::new(&discs, context)).transpose()?,
@@ -155,6 +162,22 @@ fn named<const N: usize>(rows: [NamedRows; N], environment: &EnvironmentState) -
 
 fn column(columns: &mut BTreeMap<String, Vec<f32>>, name: &str) -> Result<Vec<f32>, TrainError> {
     columns.remove(name).ok_or_else(|| TrainError::Resume { reason: format!("column `{name}` is missing") })
+}
+
+/// The filter in column `name`, if there is one.
+fn limit(
+    columns: &mut BTreeMap<String, Vec<f32>>,
+    name: &str,
+    primitives: usize,
+    smoothing_px: f64,
+    context: &Context,
+) -> Result<Option<SamplingLimit>, TrainError> {
+    let Some(column) = columns.remove(name) else { return Ok(None) };
+    if column.len() != primitives {
+        let reason = format!("column `{name}` has {} numbers, expected {primitives}", column.len());
+        return Err(TrainError::Resume { reason });
+    }
+    Ok(Some(SamplingLimit::from_column(&column, smoothing_px, &context.device)))
 }
 
 /// Name of the column of the trained discs that holds an attribute.

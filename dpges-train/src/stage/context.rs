@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use burn::tensor::Device;
 use dpges_core::scene::{Rendering, SceneInfo, ScreenFilter};
+use glam::Vec3;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
@@ -76,13 +77,72 @@ impl Context {
     }
 }
 
+/// Most points of a dataset that are looked up in its views to find how much these share.
+const SAMPLED_POINTS: usize = 2000;
+/// Largest number of pictures without anything in common that a budget is made for.
+const MOST_PICTURES: f64 = 4.0;
+
 /// The largest number of surfels and Gaussians together that a run of `config` on `dataset` may have.
 pub fn budget(config: &Config, dataset: &Dataset) -> usize {
-    config.most_primitives(mean_pixels(dataset))
+    config.most_primitives((mean_pixels(dataset) as f64 * different_pictures(dataset)) as usize)
+}
+
+/// How many pictures without anything in common show as much as the training views do, from 1 to [`MOST_PICTURES`]: the
+/// number of views over the mean number of views that have a point of the dataset in their pictures. 1 without points.
+fn different_pictures(dataset: &Dataset) -> f64 {
+    let points = &dataset.points.positions;
+    let sample = points.iter().step_by(points.len().div_ceil(SAMPLED_POINTS).max(1));
+    let views_of = |point: &[f32; 3]| {
+        let world = Vec3::from_array(*point).as_dvec3();
+        dataset.train.iter().filter(|view| view.camera.pixel(world).is_some()).count()
+    };
+    let counts: Vec<usize> = sample.map(views_of).filter(|&views| views > 0).collect();
+    let views = counts.iter().sum::<usize>() as f64;
+    if counts.is_empty() { 1.0 } else { (dataset.train.len() * counts.len()) as f64 / views }.clamp(1.0, MOST_PICTURES)
 }
 
 /// Mean number of pixels of a training view.
 pub fn mean_pixels(dataset: &Dataset) -> usize {
     let pixels: usize = dataset.train.iter().map(|view| view.picture.width * view.picture.height).sum();
     pixels / dataset.train.len().max(1)
+}
+
+#[cfg(test)]
+mod tests {
+    use dpges_core::camera::{Camera, CameraFromWorld};
+    use glam::DVec3;
+
+    use super::*;
+    use crate::dataset::{BuiltinOptions, View, builtin};
+
+    /// The built-in scene with `views`, each a camera at the origin that looks along x turned about y, rad.
+    fn looking(turns: &[f64], points: Vec<[f32; 3]>) -> Dataset {
+        let mut dataset = builtin(&BuiltinOptions { width: 8, height: 8, train_views: 2, ..Default::default() });
+        let view = dataset.train[0].clone();
+        let camera = |turn: f64| {
+            let at = DVec3::new(turn.cos(), 0.0, turn.sin());
+            Camera { camera_from_world: CameraFromWorld::look_at(DVec3::ZERO, at, -DVec3::Y), ..view.camera }
+        };
+        dataset.train = turns.iter().map(|&turn| View { camera: camera(turn), ..view.clone() }).collect();
+        dataset.points.seen_by = vec![Vec::new(); points.len()];
+        dataset.points.positions = points;
+        dataset
+    }
+
+    #[test]
+    fn views_of_the_same_count_once_and_others_as_often_as_they_differ() {
+        let (ahead, behind) = ([2.0, 0.0, 0.0], [-2.0, 0.0, 0.0]);
+        let half_turn = std::f64::consts::PI;
+        let pictures = |turns: &[f64], points: &[[f32; 3]]| different_pictures(&looking(turns, points.to_vec()));
+        assert_eq!(pictures(&[0.0, 0.0, 0.0], &[ahead]), 1.0);
+        assert_eq!(pictures(&[0.0, half_turn], &[ahead, behind]), 2.0);
+        assert_eq!(pictures(&[0.0, 0.0, half_turn, half_turn], &[ahead, behind, [0.0, 9.0, 0.0]]), 2.0);
+        assert_eq!(pictures(&[0.0, 1.5, 3.0, 4.5, 1.0, 2.0], &[ahead]), 4.0);
+        assert_eq!(pictures(&[0.0, half_turn], &[]), 1.0);
+        let (one, two) = (looking(&[0.0], vec![ahead]), looking(&[0.0, half_turn], vec![ahead, behind]));
+        let pixels = mean_pixels(&one);
+        let config = Config::default();
+        assert_eq!(budget(&config, &one), config.most_primitives(pixels));
+        assert_eq!(budget(&config, &two), config.most_primitives(2 * pixels));
+    }
 }

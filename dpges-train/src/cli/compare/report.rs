@@ -6,6 +6,7 @@ use std::path::Path;
 
 use dpges_core::atomic::write_atomically;
 use dpges_train::run::folder::write_json;
+use dpges_train::sight::Floaters;
 use serde::Serialize;
 
 use super::super::Result;
@@ -16,9 +17,9 @@ use super::super::series::row::{Measured, Row, Scores};
 use super::super::series::statistics::Spread;
 use super::sheets::Pictures;
 
-const COLUMNS: &str = "method,seeds,psnr,psnr_deviation,ssim,ssim_deviation,psnr_difference,psnr_difference_deviation,\
+const COLUMNS: &str = "method,seeds,psnr,psnr_deviation,ssim,ssim_deviation,flip,flip_deviation,psnr_difference,psnr_difference_deviation,\
                        ssim_difference,ssim_difference_deviation,validation_psnr,validation_psnr_deviation,\
-                       validation_ssim,validation_ssim_deviation,surfels,gaussians,bytes,seconds";
+                       validation_ssim,validation_ssim_deviation,surfels,gaussians,floaters,bytes,seconds";
 
 /// Everything that is known of a comparison: the content of `comparison.json`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -47,6 +48,8 @@ struct Entry {
     psnr: Spread,
     /// Of the held-out views.
     ssim: Spread,
+    /// Of the held-out views, an error.
+    flip: Spread,
     /// To the first method, seed by seed, dB.
     psnr_difference: Spread,
     /// To the first method, seed by seed.
@@ -56,6 +59,8 @@ struct Entry {
     validation_ssim: Option<Spread>,
     surfels: Spread,
     gaussians: Spread,
+    /// Primitives in the way of points that training views saw; `None` if the dataset does not say which view saw what.
+    floaters: Option<Spread>,
     /// Size of the scene file.
     bytes: Spread,
     /// Wall-clock time up to the last step.
@@ -73,6 +78,7 @@ struct RunEntry {
     validation: Option<Scores>,
     surfels: usize,
     gaussians: usize,
+    floaters: Option<Floaters>,
     bytes: u64,
     seconds: f64,
 }
@@ -123,23 +129,29 @@ impl Comparison {
         let first = self.methods.first().map_or("", |entry| entry.method);
         let mut lines = vec![vec!["method".to_owned(), "PSNR, dB".to_owned()]];
         lines[0].extend(has_others.then(|| format!("to {first}")));
-        lines[0].push("SSIM".to_owned());
+        lines[0].extend(["SSIM", "FLIP"].map(str::to_owned));
         if validates {
             lines[0].extend(["validation PSNR", "validation SSIM"].map(str::to_owned));
         }
-        lines[0].extend(["surfels + Gaussians", "MB", "seconds"].map(str::to_owned));
+        let floats = self.methods.iter().any(|entry| entry.floaters.is_some());
+        lines[0].push("surfels + Gaussians".to_owned());
+        lines[0].extend(floats.then(|| "floaters".to_owned()));
+        lines[0].extend(["MB", "seconds"].map(str::to_owned));
         for (index, entry) in self.methods.iter().enumerate() {
             let mut line = vec![entry.method.to_owned(), format!("{:.2}", entry.psnr)];
             line.extend(has_others.then(|| match index {
                 0 => String::new(),
                 _ => format!("{:+.2}", entry.psnr_difference),
             }));
-            line.push(format!("{:.4}", entry.ssim));
+            line.extend([entry.ssim, entry.flip].map(|spread| format!("{spread:.4}")));
             if validates {
                 line.push(entry.validation_psnr.map(|spread| format!("{spread:.2}")).unwrap_or_default());
                 line.push(entry.validation_ssim.map(|spread| format!("{spread:.4}")).unwrap_or_default());
             }
             line.push(format!("{:.0} + {:.0}", entry.surfels.mean, entry.gaussians.mean));
+            if floats {
+                line.push(entry.floaters.map(|spread| format!("{:.0}", spread.mean)).unwrap_or_default());
+            }
             line.extend([format!("{:.2}", entry.bytes.mean / 1e6), format!("{:.0}", entry.seconds.mean)]);
             lines.push(line);
         }
@@ -174,6 +186,7 @@ impl Comparison {
             let with_deviation = [
                 (Some(entry.psnr), 4),
                 (Some(entry.ssim), 6),
+                (Some(entry.flip), 6),
                 (Some(entry.psnr_difference), 4),
                 (Some(entry.ssim_difference), 6),
                 (entry.validation_psnr, 4),
@@ -187,7 +200,8 @@ impl Comparison {
             }
             let Entry { surfels, gaussians, bytes, seconds, .. } = entry;
             let (surfels, gaussians, bytes, seconds) = (surfels.mean, gaussians.mean, bytes.mean, seconds.mean);
-            _ = writeln!(text, ",{surfels:.0},{gaussians:.0},{bytes:.0},{seconds:.1}");
+            let floaters = entry.floaters.map(|spread| format!("{:.0}", spread.mean)).unwrap_or_default();
+            _ = writeln!(text, ",{surfels:.0},{gaussians:.0},{floaters},{bytes:.0},{seconds:.1}");
         }
         text
     }
@@ -202,12 +216,14 @@ impl Entry {
             settings: member.settings.clone(),
             psnr: row.spread(psnr),
             ssim: row.spread(ssim),
+            flip: row.spread(|run| run.test.flip),
             psnr_difference: row.difference(base, psnr),
             ssim_difference: row.difference(base, ssim),
             validation_psnr: row.validation(|scores| scores.psnr),
             validation_ssim: row.validation(|scores| scores.ssim),
             surfels: row.spread(|run| run.surfels as f64),
             gaussians: row.spread(|run| run.gaussians as f64),
+            floaters: row.spread_if_known(|run| run.floaters.map(|found| (found.surfels + found.gaussians) as f64)),
             bytes: row.spread(|run| run.bytes as f64),
             seconds: row.spread(|run| run.seconds),
             runs: row.runs.iter().map(RunEntry::new).collect(),
@@ -217,8 +233,8 @@ impl Entry {
 
 impl RunEntry {
     fn new(run: &Measured) -> Self {
-        let Measured { seed, ref folder, test, validation, surfels, gaussians, bytes, seconds, .. } = *run;
-        Self { seed, folder: folder.clone(), test, validation, surfels, gaussians, bytes, seconds }
+        let Measured { seed, ref folder, test, validation, surfels, gaussians, floaters, bytes, seconds, .. } = *run;
+        Self { seed, folder: folder.clone(), test, validation, surfels, gaussians, floaters, bytes, seconds }
     }
 }
 
@@ -276,10 +292,14 @@ mod tests {
     #[test]
     fn the_table_has_means_spreads_and_paired_differences() {
         let expected = "\
-            | method |      PSNR, dB |     to dpges |            SSIM | surfels + Gaussians |   MB | seconds |\n\
-            |--------|--------------:|-------------:|----------------:|--------------------:|-----:|--------:|\n\
-            | dpges  | 20.00 ± 10.00 |              | 0.7500 ± 0.0000 |            12 + 347 | 6.70 |      89 |\n\
-            | mcmc   | 22.00 ± 11.00 | +2.00 ± 1.00 | 0.7500 ± 0.0000 |            12 + 347 | 6.70 |      89 |\n\
+            | method |      PSNR, dB |     to dpges |            SSIM |            FLIP | surfels + Gaussians |   MB | \
+            seconds |\n\
+            |--------|--------------:|-------------:|----------------:|----------------:|--------------------:|-----:|\
+            --------:|\n\
+            | dpges  | 20.00 ± 10.00 |              | 0.7500 ± 0.0000 | 0.1250 ± 0.0000 |            12 + 347 | 6.70 |      \
+            89 |\n\
+            | mcmc   | 22.00 ± 11.00 | +2.00 ± 1.00 | 0.7500 ± 0.0000 | 0.1250 ± 0.0000 |            12 + 347 | 6.70 |      \
+            89 |\n\
             \n\
             builtin: held-out views, 30 steps, at most 900 primitives, mean ± sample standard deviation over seeds 0, 1, \
             2; differences are taken seed by seed.\n\
@@ -298,7 +318,7 @@ mod tests {
     fn validation_views_have_columns_if_there_are_any() {
         let mut rows = two();
         for (row, psnr) in rows.iter_mut().zip([15.0, 17.5]) {
-            row.runs.iter_mut().for_each(|run| run.validation = Some(Scores { psnr, ssim: 0.5 }));
+            row.runs.iter_mut().for_each(|run| run.validation = Some(Scores { psnr, ssim: 0.5, flip: 0.25 }));
         }
         let with = comparison(rows);
         for part in ["| validation PSNR |", "15.00 ± 0.00", "17.50 ± 0.00", "0.5000 ± 0.0000"] {
@@ -309,17 +329,40 @@ mod tests {
     }
 
     #[test]
+    fn floaters_have_a_column_if_they_are_known() {
+        let mut rows = two();
+        for (row, gaussians) in rows.iter_mut().zip([5, 9]) {
+            row.runs.iter_mut().for_each(|run| run.floaters = Some(Floaters { surfels: 1, gaussians }));
+        }
+        let with = comparison(rows);
+        assert!(
+            with.table().contains("| floaters |") && with.table().contains("|       10 | 6.70 |"),
+            "{}",
+            with.table()
+        );
+        assert!(
+            with.csv().contains(",12,347,6,6700000,") && with.csv().contains(",12,347,10,6700000,"),
+            "{}",
+            with.csv()
+        );
+        assert!(!comparison(two()).table().contains("floaters"));
+    }
+
+    #[test]
     fn the_csv_has_a_line_per_method_and_leaves_out_what_is_unknown() {
         let csv = comparison(two()).csv();
         let lines: Vec<&str> = csv.lines().collect();
         assert_eq!(lines[0], COLUMNS);
         assert_eq!(
             lines[2],
-            "mcmc,3,22.0000,11.0000,0.750000,0.000000,2.0000,1.0000,0.000000,0.000000,,,,,12,347,6700000,89.0"
+            "mcmc,3,22.0000,11.0000,0.750000,0.000000,0.125000,0.000000,2.0000,1.0000,0.000000,0.000000,,,,,12,347,,6700000,89.0"
         );
-        assert!(lines.iter().all(|line| line.split(',').count() == 18), "{csv}");
+        assert!(lines.iter().all(|line| line.split(',').count() == 21), "{csv}");
         let once = comparison(vec![row("dpges", &[28.0])]).csv();
-        assert!(once.ends_with("dpges,1,28.0000,,0.750000,,0.0000,,0.000000,,,,,,12,345,6700000,89.0\n"), "{once}");
+        assert!(
+            once.ends_with("dpges,1,28.0000,,0.750000,,0.125000,,0.0000,,0.000000,,,,,,12,345,,6700000,89.0\n"),
+            "{once}"
+        );
     }
 
     #[test]
@@ -334,11 +377,11 @@ mod tests {
         let second = &json["methods"][1];
         assert_eq!(
             keys(second),
-            "bytes gaussians method psnr psnr_difference runs seconds settings ssim ssim_difference surfels \
+            "bytes flip floaters gaussians method psnr psnr_difference runs seconds settings ssim ssim_difference surfels \
              validation_psnr validation_ssim"
         );
         assert_eq!(second["psnr_difference"], serde_json::json!({ "mean": 2.0, "deviation": 1.0 }));
-        assert_eq!(keys(&second["runs"][0]), "bytes folder gaussians seconds seed surfels test validation");
+        assert_eq!(keys(&second["runs"][0]), "bytes floaters folder gaussians seconds seed surfels test validation");
         assert_eq!(second["runs"][2]["test"]["psnr"], 33.0);
         assert_eq!(keys(&json["pictures"]), "columns largest_error rows seed sheets");
         assert_eq!(keys(&json["pictures"]["sheets"][0]), "chosen file psnr view");

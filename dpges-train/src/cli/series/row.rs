@@ -2,9 +2,10 @@
 
 use std::path::Path;
 
-use dpges_train::eval::{EvalReport, ViewScore};
+use dpges_train::eval::{EvalReport, Evaluation, ViewScore};
 use dpges_train::run::folder::RunFolder;
 use dpges_train::run::metrics_log::MetricsLog;
+use dpges_train::sight::Floaters;
 use serde::Serialize;
 
 use super::super::{Failure, Result};
@@ -22,6 +23,8 @@ pub struct Measured {
     pub validation: Option<Scores>,
     pub surfels: usize,
     pub gaussians: usize,
+    /// `None` if the dataset does not say which view saw what.
+    pub floaters: Option<Floaters>,
     /// Size of the scene file.
     pub bytes: u64,
     /// Wall-clock time up to the last step, including evaluations, before and after every resumption.
@@ -36,6 +39,8 @@ pub struct Scores {
     /// dB
     pub psnr: f64,
     pub ssim: f64,
+    /// An error, from 0 to 1.
+    pub flip: f64,
 }
 
 /// The runs of one configuration, a seed each.
@@ -59,6 +64,7 @@ impl Measured {
             validation,
             surfels: report.evaluation.surfels,
             gaussians: report.evaluation.gaussians,
+            floaters: report.floaters,
             bytes: report.bytes,
             seconds: MetricsLog::seconds_of_steps(&folder.metrics())?,
             views: report.evaluation.views,
@@ -68,7 +74,8 @@ impl Measured {
 
 impl Scores {
     fn of(report: &EvalReport) -> Self {
-        Self { psnr: report.evaluation.psnr, ssim: report.evaluation.ssim }
+        let Evaluation { psnr, ssim, flip, .. } = report.evaluation;
+        Self { psnr, ssim, flip }
     }
 }
 
@@ -85,7 +92,12 @@ impl Row {
 
     /// Mean and spread over the seeds; `None` if a run has no validation views.
     pub fn validation(&self, of: impl Fn(&Scores) -> f64) -> Option<Spread> {
-        let values: Option<Vec<f64>> = self.runs.iter().map(|run| run.validation.as_ref().map(&of)).collect();
+        self.spread_if_known(|run| run.validation.as_ref().map(&of))
+    }
+
+    /// Mean and spread over the seeds; `None` if a run does not have it.
+    pub fn spread_if_known(&self, of: impl Fn(&Measured) -> Option<f64>) -> Option<Spread> {
+        let values: Option<Vec<f64>> = self.runs.iter().map(of).collect();
         values.map(|values| Spread::of(&values))
     }
 
@@ -112,10 +124,11 @@ pub mod tests {
         let measured = |(seed, &psnr): (usize, &f64)| Measured {
             seed: seed as u64,
             folder: format!("{label}/seed_{seed}"),
-            test: Scores { psnr, ssim: 0.75 },
+            test: Scores { psnr, ssim: 0.75, flip: 0.125 },
             validation: None,
             surfels: 12,
             gaussians: 345 + 2 * seed,
+            floaters: None,
             bytes: 6_700_000,
             seconds: 89.04,
             views: Vec::new(),
@@ -127,9 +140,9 @@ pub mod tests {
     fn validation_is_known_if_it_is_of_every_run() {
         let mut row = row("a", &[20.0, 30.0]);
         assert_eq!(row.validation(|scores| scores.psnr), None);
-        row.runs[0].validation = Some(Scores { psnr: 10.0, ssim: 0.5 });
+        row.runs[0].validation = Some(Scores { psnr: 10.0, ssim: 0.5, flip: 0.25 });
         assert_eq!(row.validation(|scores| scores.psnr), None);
-        row.runs[1].validation = Some(Scores { psnr: 14.0, ssim: 0.5 });
+        row.runs[1].validation = Some(Scores { psnr: 14.0, ssim: 0.5, flip: 0.25 });
         assert_eq!(row.validation(|scores| scores.psnr).unwrap().mean, 12.0);
     }
 

@@ -48,8 +48,9 @@ impl Observer for Display<'_> {
     }
 
     fn evaluated(&mut self, step: usize, evaluation: &Evaluation) {
-        let Evaluation { psnr, ssim, views, .. } = evaluation;
-        tracing::info!("step {step}: held-out PSNR {psnr:.2} dB, SSIM {ssim:.4} over {} views", views.len());
+        let Evaluation { psnr, ssim, flip, views, .. } = evaluation;
+        let count = views.len();
+        tracing::info!("step {step}: held-out PSNR {psnr:.2} dB, SSIM {ssim:.4}, FLIP {flip:.4} over {count} views");
         self.other.evaluated(step, evaluation);
     }
 

@@ -44,7 +44,7 @@ impl JointStage {
     pub fn choose_layer_count(&mut self, context: &Context) -> Result<String, TrainError> {
         let mut options = self.render_options(&context.config);
         options.peel.layer_count = MAX_LAYERS;
-        let (surfels, gaussians) = (self.surfels.values(), self.gaussians.values());
+        let (surfels, gaussians) = self.drawn_values();
         let mut shares = vec![0.0; MAX_LAYERS];
         let views = &context.dataset.validation;
         for view in views {

@@ -105,7 +105,7 @@ impl JointStage {
         if self.surfels.is_empty() {
             return Ok(None);
         }
-        let (surfels, gaussians) = (self.surfels.to_data(), self.gaussians.values());
+        let (surfels, gaussians) = (self.drawn_surfel_data(), self.drawn_values().1);
         let options = self.render_options(&context.config);
         let behind = self.environment.value();
         let worths = judged(&surfels, &gaussians, behind.as_ref(), &options, context)?;
@@ -114,6 +114,7 @@ impl JointStage {
         let lost: f64 = worths.saved.iter().filter(|&&saved| saved < 0.0).sum();
         let saved: f64 = worths.saved.iter().filter(|&&saved| saved > 0.0).sum();
         self.surfels.keep(&rows);
+        self.measure_surfel_limit(context);
         self.statistics.keep_surfels(&rows);
         let pixels = judging_views(context).map(|view| 3 * view.camera.width * view.camera.height).sum::<usize>();
         let mean = |squares: f64| squares / pixels.max(1) as f64;

@@ -2,13 +2,15 @@
 
 mod automatic_budget;
 mod evidence;
+mod limits;
 mod refine;
+mod sky;
 mod start;
 mod statistics;
 mod supervision;
 
 use dpges_core::losses::geometry::{GeometryWeights, geometry};
-use dpges_core::losses::{LossWeights, losses};
+use dpges_core::losses::{LossWeights, hidden, losses};
 use dpges_core::ops::environment::environment;
 use dpges_core::ops::splat::SplatOptions;
 use dpges_core::render::{RenderOptions, render_values};
@@ -23,6 +25,8 @@ use crate::init::InitialScene;
 use crate::refine::growth::Growth;
 use crate::refine::prune::drawn;
 use crate::scene_state::{GaussianState, Rates, SurfelState};
+pub use limits::SamplingLimits;
+pub use sky::SkyMasks;
 pub use statistics::Statistics;
 pub use supervision::Supervisions;
 
@@ -37,6 +41,10 @@ pub struct JointStage {
     pub surfels: SurfelState,
     pub gaussians: GaussianState,
     pub environment: EnvironmentState,
+    /// `None` if primitives may be as fine as they like.
+    pub limits: Option<SamplingLimits>,
+    /// `None` if nothing holds the sky free.
+    pub sky: Option<SkyMasks>,
     pub statistics: Statistics,
     /// Targets of the geometry losses; `None` without them.
     pub supervisions: Option<Supervisions>,
@@ -54,12 +62,16 @@ impl JointStage {
         context: &Context,
     ) -> Self {
         let (config, device) = (&context.config, &context.device);
+        let surfels = SurfelState::new(&start.surfels, OpacityActivation::Linear, device);
+        let gaussians = GaussianState::new(&start.gaussians, config.model.opacity, device);
         Self {
             plan,
             info: context.scene_info(Rendering::Peeled),
             schedule: config.schedule(context.dataset.train.len()),
-            surfels: SurfelState::new(&start.surfels, OpacityActivation::Linear, device),
-            gaussians: GaussianState::new(&start.gaussians, config.model.opacity, device),
+            limits: SamplingLimits::new(&surfels, &gaussians, context),
+            surfels,
+            gaussians,
+            sky: SkyMasks::new(&environment, context),
             environment,
             statistics: Statistics::new(start.surfels.len(), start.gaussians.len(), device),
             supervisions,
@@ -87,9 +99,9 @@ impl Stage for JointStage {
 
     /// Leaves out Gaussians that draw nothing.
     fn scene(&self) -> SceneData {
-        let gaussians = self.gaussians.to_data();
+        let gaussians = self.drawn_gaussian_data();
         let gaussians = gaussians.select(&drawn(&gaussians.opacities).keep);
-        let (surfels, environment) = (self.surfels.to_data(), self.environment.to_data());
+        let (surfels, environment) = (self.drawn_surfel_data(), self.environment.to_data());
         SceneData { info: self.info.clone(), surfels, gaussians, environment }
     }
 
@@ -107,7 +119,7 @@ impl Stage for JointStage {
         input: &StepInput<'_>,
         context: &Context,
     ) -> dpges_core::Result<ForwardPass> {
-        let Leaves { surfels, gaussians, .. } = leaves;
+        let (surfels, gaussians) = (&self.drawn_surfels(&leaves.surfels), &self.drawn_gaussians(&leaves.gaussians));
         let camera = &input.view.camera;
         let options = self.render_options(&context.config);
         let rendered = render_values(surfels, gaussians, camera, &options, input.values)?;
@@ -115,9 +127,18 @@ impl Stage for JointStage {
             Some(coefficients) => rendered.in_front_of(environment(coefficients, camera)?),
             None => rendered,
         };
-        self.statistics.observe(&rendered, &self.gaussians, camera, &self.schedule, input.completed)?;
+        self.statistics.observe(&rendered, gaussians, camera, &self.schedule, input.completed)?;
         let weights = loss_weights(&context.config);
         let mut losses = losses(&rendered, surfels.log_scales.clone(), input.target.clone(), &weights)?;
+        let train = &context.config.train;
+        if leaves.environment.is_some() && !self.gaussians.is_empty() {
+            let opacity = gaussians.opacities.clone().abs().mean() * train.lambda_opacity;
+            let scale = gaussians.log_scales.clone().exp().mean() * (train.lambda_gaussian_scale / self.info.extent);
+            losses.total = losses.total + opacity + scale;
+        }
+        if let Some(mask) = self.sky.as_ref().and_then(|sky| sky.of(input.index, input.view, &context.tape())) {
+            losses.total = losses.total + hidden(&rendered, mask) * train.lambda_sky;
+        }
         if let Some(supervisions) = &self.supervisions {
             let supervision = supervisions.of(input.index, &context.tape());
             let weights = geometry_weights(&context.config);

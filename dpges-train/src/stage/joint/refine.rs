@@ -23,6 +23,7 @@ use crate::refine::margins::margins;
 use crate::refine::prune::{drawn, gaussians_to_keep, surfels_to_keep};
 use crate::refine::split::split;
 use crate::refine::{GaussianEdit, RowEdit};
+use crate::sight::{Floaters, Sights};
 
 /// Pixels that are drawn for each that other views shall confirm.
 const UNCONFIRMED: usize = 3;
@@ -43,7 +44,7 @@ impl JointStage {
             events.extend(self.judge_surfels(context)?);
         }
         if due.margins || (due.surfel_prune && context.config.refine.margins_with_pruning) {
-            let surfels = self.surfels.to_data();
+            let surfels = self.drawn_surfel_data();
             let margins = margins(&surfels.positions, &surfels.log_scales, context.config.model.margin);
             self.surfels.columns.margins.set(&margins);
             events.push(format!("margins of {} surfels computed", surfels.len()));
@@ -60,14 +61,17 @@ impl JointStage {
         if due.split {
             events.push(self.split_gaussians(context));
         }
+        if context.config.refine.clear_sight && (due.batches_left.is_some() || due.replace) {
+            events.extend(self.clear_sight(context)?);
+        }
         if let Some(batches_left) = due.batches_left {
-            let removed = self.remove_undrawn();
+            let removed = self.remove_undrawn(context);
             if !self.has_stopped_growing() {
                 events.extend(self.end_of_growth(context)?);
             }
             events.push(self.add_gaussians(context, batches_left, removed)?);
         } else if due.replace {
-            let removed = self.remove_undrawn();
+            let removed = self.remove_undrawn(context);
             events.push(self.add_gaussians(context, 1, removed)?);
         }
         Ok(events)
@@ -88,6 +92,7 @@ impl JointStage {
         );
         let before = self.surfels.len();
         self.surfels.keep(&edit);
+        self.measure_surfel_limit(context);
         self.statistics.reset_surfels(self.surfels.len());
         format!("{} of {before} surfels pruned", before - self.surfels.len())
     }
@@ -96,27 +101,48 @@ impl JointStage {
         let rows =
             gaussians_to_keep(&self.statistics.max_contributions(), context.config.refine.gaussian_min_contribution);
         let before = self.gaussians.len();
-        self.edit_gaussians(&GaussianEdit { rows, ..GaussianEdit::default() });
+        self.edit_gaussians(&GaussianEdit { rows, ..GaussianEdit::default() }, context);
         format!("{} of {before} Gaussians pruned", before - self.gaussians.len())
     }
 
+    /// Removes what hides points from views that saw them; `None` if the dataset does not say which view saw what.
+    fn clear_sight(&mut self, context: &Context) -> Result<Option<String>, TrainError> {
+        let (surfels, gaussians) = self.drawn_values();
+        let options = self.render_options(&context.config).peel;
+        let Some(sights) = Sights::measure(&surfels, &gaussians, &options, &context.dataset)? else { return Ok(None) };
+        let Floaters { surfels, gaussians } = sights.floaters();
+        if surfels > 0 && !context.config.train.freeze_surfels {
+            let rows = RowEdit::retain(self.surfels.len(), |&row| !sights.surfels[row].floats());
+            self.surfels.keep(&rows);
+            self.measure_surfel_limit(context);
+            self.statistics.keep_surfels(&rows);
+        }
+        if gaussians > 0 {
+            let rows = RowEdit::retain(self.gaussians.len(), |&row| !sights.gaussians[row].floats());
+            self.edit_gaussians(&GaussianEdit { rows, ..GaussianEdit::default() }, context);
+        }
+        Ok(Some(format!(
+            "{surfels} surfels and {gaussians} Gaussians removed that hide points from views that saw them"
+        )))
+    }
+
     fn split_gaussians(&mut self, context: &mut Context) -> String {
-        self.remove_undrawn();
+        self.remove_undrawn(context);
         let surfels = self.surfels.to_data();
         let room = context.budget().saturating_sub(self.surfels.len() + self.gaussians.len());
         let before = self.gaussians.len();
         let factor = context.config.refine.split_factor;
         let gaussians = self.gaussians.to_data();
         let (edit, too_large) = split(&gaussians, &surfels.positions, &surfels.margins, factor, room, &mut context.rng);
-        self.edit_gaussians(&edit);
+        self.edit_gaussians(&edit, context);
         format!("{} of {too_large} Gaussians split that are too large, of {before}", self.gaussians.len() - before)
     }
 
     /// Removes Gaussians that draw nothing. Returns how many.
-    fn remove_undrawn(&mut self) -> usize {
+    fn remove_undrawn(&mut self, context: &Context) -> usize {
         let before = self.gaussians.len();
         let rows = drawn(&self.gaussians.opacities());
-        self.edit_gaussians(&GaussianEdit { rows, ..GaussianEdit::default() });
+        self.edit_gaussians(&GaussianEdit { rows, ..GaussianEdit::default() }, context);
         before - self.gaussians.len()
     }
 
@@ -126,7 +152,7 @@ impl JointStage {
     }
 
     /// Adds a batch of Gaussians; once growth has ended, as many as were `removed`. Their pixels are drawn with a
-    /// probability in proportion to the squared error. They take the depth of the nearest layer (GES, DP-GES), or the
+    /// probability in proportion to the squared error, none where a view shows nothing but sky. They take the depth of the nearest layer (GES, DP-GES), or the
     /// mean depth of existing Gaussians where there is no layer and `refine.add_everywhere` asks for it.
     fn add_gaussians(
         &mut self,
@@ -148,12 +174,15 @@ impl JointStage {
             if share > 0 {
                 let options = self.render_options(&context.config).splat;
                 let rendered = self.render_view(context, view)?;
-                let error = squared_error(&rendered, view.target(&context.device));
+                let mut error = squared_error(&rendered, view.target(&context.device));
+                if let Some(sky) = &self.sky {
+                    sky.clear(index, &mut error);
+                }
                 let drawn = if least > 0 { UNCONFIRMED * share } else { share };
                 let pixels = draw_in_proportion(&error, drawn, &mut context.rng);
                 let mut depths = tensor_to_rows(&rendered.layers.depth);
                 if everywhere && pixels.iter().any(|&pixel| !depths[pixel].is_finite()) {
-                    let behind = gaussian_depth(&self.gaussians.values(), &rendered.limits, &view.camera, &options)?;
+                    let behind = gaussian_depth(&self.drawn_values().1, &rendered.limits, &view.camera, &options)?;
                     depths.iter_mut().zip(behind).filter(|(depth, _)| !depth.is_finite()).for_each(|(d, z)| *d = z);
                 }
                 let agreed = |pixel: usize| {
@@ -178,19 +207,20 @@ impl JointStage {
         };
         let rows = RowEdit::keep_all(self.gaussians.len());
         let event = format!("{removed} Gaussians that draw nothing removed, {} added of {count} wanted", added.len());
-        self.edit_gaussians(&GaussianEdit { rows, added });
+        self.edit_gaussians(&GaussianEdit { rows, added }, context);
         Ok(event)
     }
 
-    /// Edits the set of Gaussians and restarts their statistics.
-    fn edit_gaussians(&mut self, edit: &GaussianEdit) {
+    /// Edits the set of Gaussians and restarts what was measured of them.
+    fn edit_gaussians(&mut self, edit: &GaussianEdit, context: &Context) {
         self.gaussians.edit(edit);
+        self.measure_gaussian_limit(context);
         self.statistics.reset_gaussians(self.gaussians.len());
     }
 
     /// Renders a view of the scene as it stands, without a tape.
     fn render_view(&self, context: &Context, view: &View) -> Result<Render, TrainError> {
-        let (surfels, gaussians) = (self.surfels.values(), self.gaussians.values());
+        let (surfels, gaussians) = self.drawn_values();
         let options = self.render_options(&context.config);
         let rendered = render_values(&surfels, &gaussians, &view.camera, &options, Values::KnownFinite)?;
         Ok(match self.environment.value() {

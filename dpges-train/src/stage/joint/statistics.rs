@@ -5,11 +5,12 @@ use dpges_core::camera::Camera;
 use dpges_core::ops::coverage::coverage;
 use dpges_core::ops::splat::contributions;
 use dpges_core::render::Render;
+use dpges_core::scene::Gaussians;
+use dpges_core::scene::schema::Columns;
 use dpges_core::scene::tensors::tensor_to_rows;
 
 use crate::config::Schedule;
 use crate::refine::RowEdit;
-use crate::scene_state::GaussianState;
 
 /// Running maxima over views.
 #[derive(Clone, Debug)]
@@ -63,14 +64,14 @@ impl Statistics {
         self.max_contributions = Self::new(0, count, &device).max_contributions;
     }
 
-    /// Adds one rendered view, as far as a pruning of `schedule` after `completed_steps` needs it.
+    /// Adds one view rendered from `gaussians` on a tape, as far as a pruning of `schedule` after `completed_steps` needs it.
     ///
     /// # Errors
     /// [`dpges_core::Error`] if the render belongs to other Gaussians.
     pub fn observe(
         &mut self,
         render: &Render,
-        gaussians: &GaussianState,
+        gaussians: &Gaussians,
         camera: &Camera,
         schedule: &Schedule,
         completed_steps: usize,
@@ -80,10 +81,11 @@ impl Statistics {
         if surfels > 0 && later(&schedule.surfel_prune) {
             self.max_pixels = self.max_pixels.clone().max_pair(coverage(&render.layers, surfels));
         }
-        if !gaussians.is_empty() && later(&schedule.gaussian_prune) {
+        if self.max_contributions.dims()[0] > 0 && later(&schedule.gaussian_prune) {
+            let gaussians = gaussians.map_ref(|_, values| values.clone().inner());
             let colours = render.gaussian_colours.clone().inner();
             let limits = render.limits.clone().inner();
-            let found = contributions(&gaussians.values(), &colours, &limits, &gates(render), camera)?;
+            let found = contributions(&gaussians, &colours, &limits, &gates(render), camera)?;
             self.max_contributions = self.max_contributions.clone().max_pair(found);
         }
         Ok(())
