@@ -196,11 +196,11 @@ fn a_last_stage_that_makes_validation_views_worse_is_undone() {
     };
     let at = tempfile::tempdir().unwrap();
     let folder = at.path().join("worse");
-    let worse = result("optimizer.decay=1e3", Some(&folder));
+    let worse = result("optimizer.decay=1e4", Some(&folder));
     assert_eq!(worse.info.rendering, Rendering::Ellipsoids);
     assert!(SceneData::load(&folder.join("scene.safetensors")).unwrap() == worse);
     assert!(SceneData::load(&folder.join("stage_dbs.safetensors")).unwrap() == worse);
-    assert!(result("optimizer.decay=1e3", None) == worse);
+    assert!(result("optimizer.decay=1e4", None) == worse);
     assert_eq!(result("optimizer.decay=1", None).info.rendering, Rendering::Peeled);
 }
 

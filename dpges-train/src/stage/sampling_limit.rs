@@ -69,15 +69,17 @@ impl SamplingLimit {
         scales.iter_mut().zip(self.column()).for_each(|(scales, deviation)| widen(scales, deviation));
     }
 
-    /// [N, A] logarithms of √(s² + f²).
+    /// [N, A] logarithms of √(s² + f²), relative to the larger of the two so that neither overflows.
     fn widened(&self, log_scales: &Tensor<2>) -> Tensor<2> {
-        let [count, _] = self.deviations.dims();
+        let [count, axes] = log_scales.dims();
         if count == 0 {
             return log_scales.clone();
         }
-        let tape = log_scales.is_autodiff();
-        let deviations = if tape { self.deviations.clone().autodiff() } else { self.deviations.clone() };
-        ((log_scales.clone() * 2.0).exp() + deviations.clone() * deviations).clamp_min(1e-30).log() * 0.5
+        let filters = self.deviations.clone().clamp_min(f32::MIN_POSITIVE).log().expand([count, axes]);
+        let filters = if log_scales.is_autodiff() { filters.autodiff() } else { filters };
+        let largest = log_scales.clone().detach().max_pair(filters.clone());
+        let squares = ((log_scales.clone() - largest.clone()) * 2.0).exp() + ((filters - largest.clone()) * 2.0).exp();
+        largest + squares.log() * 0.5
     }
 }
 
@@ -186,6 +188,27 @@ mod tests {
         let smoothed = limit.smoothed_surfels(&Surfels::from_data(&surfels, &device(), DType::F32));
         assert!(near(&baked.log_scales, &tensor_to_rows(&smoothed.log_scales)));
         assert!((baked.log_scales[1].exp() - 0.2f32.hypot(0.3)).abs() < 1e-6);
+    }
+
+    #[test]
+    fn extreme_scales_stay_finite() {
+        let data = GaussianData { log_scales: vec![80.0, -80.0, 0.0, 60.0, -100.0, -60.0], ..gaussians() };
+        let mut leaves = Gaussians::from_data(&data, &device().autodiff(), DType::F32);
+        leaves.log_scales = leaves.log_scales.require_grad();
+        let limit = SamplingLimit::from_column(&[0.3, 0.0], 0.5, &device());
+        let smoothed = limit.smoothed(&leaves);
+        let gradients = smoothed.log_scales.clone().sum().backward();
+        let found = tensor_to_rows(&smoothed.log_scales);
+        let gradient = tensor_to_rows(&leaves.log_scales.grad(&gradients).unwrap());
+        for (at, (expected, slope)) in
+            [(80.0, 1.0), (0.3f32.ln(), 0.0), (0.5 * 1.09f32.ln(), 1.0 / 1.09), (60.0, 1.0)].into_iter().enumerate()
+        {
+            assert!(
+                (found[at] - expected).abs() < 1e-5 && (gradient[at] - slope).abs() < 1e-5,
+                "{found:?} {gradient:?}"
+            );
+        }
+        assert!(found.iter().chain(&gradient).all(|value| value.is_finite()), "{found:?} {gradient:?}");
     }
 
     #[test]
