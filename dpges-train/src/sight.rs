@@ -1,7 +1,8 @@
 //! Sight lines. A camera that saw a point saw it through empty space: what is opaque there floats.
 //!
 //! Datasets of structure from motion say which points each photograph shows. A primitive *blocks* a view if it hides a
-//! pixel that shows a point and is well before the point, and *supports* it if it is about where the point is.
+//! pixel that shows a point and is well before the point, and *supports* it if it is about where the point is. Nor is there
+//! anything close around a camera that saw only what is far: what no view supports there is seen large by cameras nearby.
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use dpges_core::Result;
@@ -10,7 +11,8 @@ use dpges_core::ops::peel::{Layers, PeelOptions, peel};
 use dpges_core::ops::splat::contributions;
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{Gaussians, Surfels};
-use glam::Vec3;
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::dataset::{Dataset, PointCloud};
@@ -21,6 +23,10 @@ const AT_THE_POINT: [f32; 2] = [0.9, 1.1];
 const HIDES: f32 = 0.1;
 /// Least number of views that a floating primitive blocks.
 const BLOCKED_VIEWS: u32 = 2;
+/// Radius of the empty space around a camera, relative to the distance of the nearest points that it saw.
+const CLEARANCE: f64 = 0.5;
+/// Share of the points of a view that are nearer than its nearest points: some are wrong.
+const TOO_NEAR: f64 = 0.01;
 
 /// How many views every primitive blocks and supports.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -29,11 +35,15 @@ pub struct Sights {
     pub gaussians: Vec<Sight>,
 }
 
-/// Numbers of views of one primitive.
+/// What the views say of one primitive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Sight {
+    /// Number of views that it blocks.
     pub blocked: u32,
+    /// Number of views that it supports.
     pub supported: u32,
+    /// Whether it is in the empty space around a camera.
+    pub is_close: bool,
 }
 
 /// Numbers of primitives that float.
@@ -44,9 +54,9 @@ pub struct Floaters {
 }
 
 impl Sight {
-    /// Whether it is in the way of several views, and of more than it is of use to.
+    /// Whether it is in the way of several views and of more than it is of use to, or close to a camera and of use to none.
     pub fn floats(self) -> bool {
-        self.blocked >= BLOCKED_VIEWS && self.blocked > self.supported
+        (self.blocked >= BLOCKED_VIEWS && self.blocked > self.supported) || (self.is_close && self.supported == 0)
     }
 }
 
@@ -65,14 +75,14 @@ impl Sights {
         let [mut of_surfels, mut of_gaussians] = counts.map(|count| vec![Sight::default(); count]);
         let device = surfels.positions.device();
         let white = Tensor::ones([counts[1], 3], (&device, DType::F32));
-        let mut found = false;
+        let mut empty = Vec::new();
         for (index, view) in dataset.train.iter().enumerate() {
             let depths = seen_depths(&dataset.points, index as u32, &view.camera);
             if depths.iter().all(|&depth| depth == 0.0) {
                 continue;
             }
-            found = true;
             let camera = &view.camera;
+            empty.push(empty_space(&dataset.points, index as u32, camera));
             let layers = peel(&surfels.positions, &surfels.quaternions, &surfels.log_scales, camera, options)?;
             observe_surfels(&mut of_surfels, &layers, &depths);
             if counts[1] > 0 {
@@ -83,7 +93,10 @@ impl Sights {
                 }
             }
         }
-        Ok(found.then_some(Self { surfels: of_surfels, gaussians: of_gaussians }))
+        for (sights, positions) in [(&mut of_surfels, &surfels.positions), (&mut of_gaussians, &gaussians.positions)] {
+            observe_closeness(sights, &tensor_to_rows(positions), &empty);
+        }
+        Ok((!empty.is_empty()).then_some(Self { surfels: of_surfels, gaussians: of_gaussians }))
     }
 
     pub fn floaters(&self) -> Floaters {
@@ -105,6 +118,26 @@ fn seen_depths(points: &PointCloud, view: u32, camera: &Camera) -> Vec<f32> {
         *at = if *at == 0.0 { depth as f32 } else { at.min(depth as f32) };
     }
     depths
+}
+
+/// Centre of the camera of the training view `view`, and the radius in which nothing is, world units.
+fn empty_space(points: &PointCloud, view: u32, camera: &Camera) -> (DVec3, f64) {
+    let centre = camera.centre();
+    let seen = points.positions.iter().zip(&points.seen_by).filter(|(_, seen_by)| seen_by.binary_search(&view).is_ok());
+    let mut distances: Vec<f64> =
+        seen.map(|(position, _)| centre.distance(Vec3::from_array(*position).as_dvec3())).collect();
+    let at = (TOO_NEAR * distances.len() as f64) as usize;
+    let nearest = if distances.is_empty() { 0.0 } else { *distances.select_nth_unstable_by(at, f64::total_cmp).1 };
+    (centre, CLEARANCE * nearest)
+}
+
+/// Adds which of the primitives at `positions` [N × 3] are in one of the `empty` spaces.
+fn observe_closeness(sights: &mut [Sight], positions: &[f32], empty: &[(DVec3, f64)]) {
+    let positions = positions.as_chunks::<3>().0;
+    sights.par_iter_mut().zip(positions).for_each(|(sight, position)| {
+        let position = Vec3::from_array(*position).as_dvec3();
+        sight.is_close = empty.iter().any(|(centre, radius)| position.distance_squared(*centre) < radius * radius);
+    });
 }
 
 /// Largest α of each Gaussian at a pixel that shows a point: `[M]` before it, and `[M]` where it is.
@@ -152,13 +185,11 @@ fn observe_surfels(sights: &mut [Sight], layers: &Layers, depths: &[f32]) {
 
 #[cfg(test)]
 mod tests {
-    use dpges_core::camera::CameraFromWorld;
-    use dpges_core::scene::{ColourData, GaussianData, SurfelData};
-    use glam::DVec3;
-
     use super::*;
     use crate::dataset::{BuiltinOptions, View, builtin};
     use crate::device::DeviceName;
+    use dpges_core::camera::CameraFromWorld;
+    use dpges_core::scene::{ColourData, GaussianData, SurfelData};
 
     /// Three cameras before the origin that look at it, all of which saw one point there, or only the first.
     fn dataset(all_saw: bool) -> Dataset {
@@ -175,7 +206,7 @@ mod tests {
     }
 
     /// At depths from the point towards the cameras, of a size of about a pixel.
-    const TOWARDS_CAMERAS: [f32; 4] = [0.0, -0.3, -2.0, 1.0];
+    const TOWARDS_CAMERAS: [f32; 4] = [0.0, -0.3, -1.9, 1.0];
 
     fn sights(dataset: &Dataset) -> Option<Sights> {
         let device = "cpu".parse::<DeviceName>().unwrap().open().unwrap();
@@ -205,7 +236,7 @@ mod tests {
     #[test]
     fn what_is_well_before_a_point_blocks_and_what_is_near_it_supports() {
         let found = sights(&dataset(true)).unwrap();
-        let sight = |blocked, supported| Sight { blocked, supported };
+        let sight = |blocked, supported| Sight { blocked, supported, is_close: false };
         assert_eq!(found.gaussians, [sight(0, 3), sight(0, 3), sight(3, 0), sight(0, 0)]);
         // only the nearest surfel of a pixel is seen; those behind it are not asked
         assert_eq!(found.surfels[2], sight(3, 0));
@@ -215,7 +246,7 @@ mod tests {
     #[test]
     fn one_view_convicts_nothing_and_no_view_has_no_say() {
         let found = sights(&dataset(false)).unwrap();
-        assert_eq!(found.gaussians[2], Sight { blocked: 1, supported: 0 });
+        assert_eq!(found.gaussians[2], Sight { blocked: 1, supported: 0, is_close: false });
         assert_eq!(found.floaters(), Floaters { surfels: 0, gaussians: 0 });
         let mut unknown = dataset(true);
         unknown.points.seen_by = vec![Vec::new()];
@@ -224,7 +255,21 @@ mod tests {
 
     #[test]
     fn what_supports_as_many_views_as_it_blocks_stays() {
-        let floats = |blocked, supported| Sight { blocked, supported }.floats();
+        let floats = |blocked, supported| Sight { blocked, supported, is_close: false }.floats();
         assert!(floats(2, 1) && floats(5, 4) && !floats(2, 2) && !floats(1, 0) && !floats(0, 0));
+    }
+
+    #[test]
+    fn what_is_close_to_a_camera_floats_unless_a_view_supports_it() {
+        let close = |supported| Sight { blocked: 0, supported, is_close: true };
+        assert!(close(0).floats() && !close(1).floats());
+        let data = dataset(true);
+        let empty: Vec<_> =
+            data.train.iter().zip(0..).map(|(view, i)| empty_space(&data.points, i, &view.camera)).collect();
+        assert!((empty[1].1 - 2.0).abs() < 1e-9 && empty[0].1 > 2.0, "{empty:?}");
+        let mut sights = vec![Sight::default(); 3];
+        // the middle camera is 4 before the point; behind it is as empty as before it
+        observe_closeness(&mut sights, &[0.0, 0.0, -1.9, 0.0, 0.0, -2.2, 0.0, 0.0, -5.5], &empty[1..2]);
+        assert_eq!(sights.iter().map(|sight| sight.is_close).collect::<Vec<_>>(), [false, true, true]);
     }
 }

@@ -373,8 +373,9 @@ configuration! {
         /// the nearest surfel are tried, and what too few views agree about is not added. 0 asks no view (DP-GES).
         add_agreement: usize = 2, unit: "views",
             ablation: "unconfirmed-gaussians" = "0" ("Add Gaussians that no other photograph confirms");
-        /// Remove surfels and Gaussians that hide points of the dataset from views that saw them, with every batch of new
-        /// Gaussians and every replacement, if the dataset says which view saw what (DP-GES: false).
+        /// Remove surfels and Gaussians that hide points of the dataset from views that saw them, or float close to a
+        /// camera, with every batch of new Gaussians and every replacement, if the dataset says which view saw what (DP-GES:
+        /// false).
         clear_sight: bool = true, ablation: "floaters" = "false" ("Keep what hides points from views that saw them");
         /// Appearance of new Gaussians.
         add_as: AddAs = AddAs::Picture, ablation: "black-gaussians" = "black" ("Add Gaussians that are black and wide");

@@ -122,7 +122,8 @@ impl JointStage {
             self.edit_gaussians(&GaussianEdit { rows, ..GaussianEdit::default() }, context);
         }
         Ok(Some(format!(
-            "{surfels} surfels and {gaussians} Gaussians removed that hide points from views that saw them"
+            "{surfels} surfels and {gaussians} Gaussians removed that hide points from views that saw them, or float \
+             close to a camera"
         )))
     }
 
