@@ -66,7 +66,7 @@ pub struct EvalReport {
     pub evaluation: Evaluation,
     /// Size of the scene file.
     pub bytes: u64,
-    /// Primitives in the way of points that training views saw; absent if the dataset does not say which view saw what.
+    /// Primitives that float, see [`sight`](crate::sight); absent if the dataset does not say which view saw what.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub floaters: Option<Floaters>,
 }
