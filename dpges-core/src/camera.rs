@@ -55,31 +55,32 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// Checks that the camera can be rendered from.
+    /// Checks that the camera can be rendered from, also in f32.
     ///
     /// # Errors
-    /// [`Error::Camera`] for an empty image, a focal length that is not positive, or any value that is not finite.
+    /// [`Error::Camera`] for an empty image, a focal length or near plane that is not positive, or any value that is not
+    /// finite, each as an f32.
     pub fn validate(&self) -> Result<()> {
         let positive = |field, value: f64| {
-            if value.is_finite() && value > 0.0 {
+            if (value as f32).is_finite() && value as f32 > 0.0 {
                 Ok(())
             } else {
-                Err(Error::Camera { field, expected: "a positive, finite number", found: value.to_string() })
+                Err(Error::Camera { field, expected: "a positive, finite 32-bit number", found: value.to_string() })
             }
         };
         let finite = |field, ok: bool, found: String| {
-            if ok { Ok(()) } else { Err(Error::Camera { field, expected: "finite numbers", found }) }
+            if ok { Ok(()) } else { Err(Error::Camera { field, expected: "finite 32-bit numbers", found }) }
         };
         positive("width", self.width as f64)?;
         positive("height", self.height as f64)?;
         positive("fx", self.fx)?;
         positive("fy", self.fy)?;
         positive("near", self.near)?;
-        finite("cx", self.cx.is_finite(), self.cx.to_string())?;
-        finite("cy", self.cy.is_finite(), self.cy.to_string())?;
+        finite("cx", (self.cx as f32).is_finite(), self.cx.to_string())?;
+        finite("cy", (self.cy as f32).is_finite(), self.cy.to_string())?;
         let pose = &self.camera_from_world;
-        finite("rotation", pose.rotation.is_finite(), format!("{:?}", pose.rotation))?;
-        finite("translation", pose.translation.is_finite(), format!("{:?}", pose.translation))
+        finite("rotation", pose.rotation.as_mat3().is_finite(), format!("{:?}", pose.rotation))?;
+        finite("translation", pose.translation.as_vec3().is_finite(), format!("{:?}", pose.translation))
     }
 
     /// Camera centre in world units.
@@ -193,6 +194,10 @@ mod tests {
         let mut bad = camera();
         bad.camera_from_world.translation.y = f64::NAN;
         assert!(bad.validate().unwrap_err().to_string().contains("`translation`"));
+        bad.camera_from_world.translation.y = 1e300;
+        assert!(bad.validate().unwrap_err().to_string().contains("`translation`"));
+        let bad = Camera { near: 1e-60, ..camera() };
+        assert!(bad.validate().unwrap_err().to_string().contains("`near` is 0.00"));
         camera().validate().unwrap();
     }
 }

@@ -6,7 +6,7 @@ use burn::tensor::{DType, Device};
 use dpges_train::device::DeviceName;
 use libtest_mimic::Trial;
 
-use crate::{golden, gpu, parity, training};
+use crate::{extremes, golden, gpu, parity, training};
 
 /// Every function named, with its name.
 macro_rules! named {
@@ -18,6 +18,7 @@ macro_rules! named {
 pub fn trials() -> Vec<Trial> {
     let tests = named![
         gpu::golden_cases,
+        extremes::every_hazard_alone_is_finite,
         parity::every_operation_agrees_on_random_scenes,
         parity::every_operation_agrees_for_every_number_of_layers_and_footprint,
         parity::every_operation_agrees_on_a_realistic_scene,

@@ -2,6 +2,7 @@
 //! ignored, and names them.
 
 mod devices;
+mod extremes;
 mod golden;
 mod gpu;
 mod parity;

@@ -3,7 +3,10 @@
 
 mod acceptance;
 mod devices;
+mod extremes;
+mod fuzz;
 mod golden;
 mod invariance;
+mod precision;
 mod robustness;
 mod total_gradient;

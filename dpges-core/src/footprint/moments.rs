@@ -25,21 +25,21 @@ pub fn add_first_moments<T: Real>(sums: &mut [[T; LANES]], g: &[T; LANES], dx: &
     }
 }
 
-/// Adds a group of pixels to Σ g, Σ g dx, Σ g dy, Σ g dx², Σ g dx dy, Σ g dy².
+/// Adds a group of pixels, at (`u`, `v`), to Σ g, Σ g u, Σ g v, Σ g u², Σ g u v, Σ g v².
 #[inline(always)]
-pub fn add_moments<T: Real>(sums: &mut [[T; LANES]], g: &[T; LANES], dx: &[T; LANES], dy: T) {
+pub fn add_moments<T: Real>(sums: &mut [[T; LANES]], g: &[T; LANES], u: &[T; LANES], v: T) {
     let (first, second) = sums.split_at_mut(FIRST_MOMENTS);
-    add_first_moments(first, g, dx, dy);
-    let [sum_xx, sum_xy, sum_yy] = second else {
+    add_first_moments(first, g, u, v);
+    let [sum_uu, sum_uv, sum_vv] = second else {
         unreachable!("three rows of lanes");
     };
     for lane in 0..LANES {
-        sum_xx[lane] = sum_xx[lane] + g[lane] * dx[lane] * dx[lane];
+        sum_uu[lane] = sum_uu[lane] + g[lane] * u[lane] * u[lane];
     }
     for lane in 0..LANES {
-        sum_xy[lane] = sum_xy[lane] + g[lane] * dx[lane] * dy;
+        sum_uv[lane] = sum_uv[lane] + g[lane] * u[lane] * v;
     }
     for lane in 0..LANES {
-        sum_yy[lane] = sum_yy[lane] + g[lane] * dy * dy;
+        sum_vv[lane] = sum_vv[lane] + g[lane] * v * v;
     }
 }

@@ -22,12 +22,17 @@ pub struct Parameters<T> {
     pub opacity: T,
 }
 
-/// Footprint: `strength · exp(−½ (a dx² + 2 b dx dy + c dy²))` at offset (dx, dy) px from the mean.
+/// Footprint: `strength · exp(−½ (u² + v²))`, where u and v are the offset (dx, dy) px from the mean in units of the
+/// standard deviations: `u = p dx + q dy`, `v = r dy`.
+///
+/// The form is not expanded into `a dx² + 2 b dx dy + c dy²`, whose terms cancel along a needle.
 #[derive(Clone, Copy, Debug)]
 pub struct Splat<T> {
     pub mean: [T; 2],
-    /// a, b, c
-    pub conic: [T; 3],
+    /// p, q, r: the upper triangular root of the inverse covariance, 1 / px.
+    pub root: [T; 3],
+    /// Variances in x and y, px².
+    variances: [T; 2],
     /// Opacity times the compensation for the low-pass filter, if it has one.
     pub strength: T,
     /// Camera-space z of the centre.
@@ -40,7 +45,7 @@ pub struct Splat<T> {
 /// Sums over the pixels of a Gaussian.
 #[derive(Clone, Copy, Debug)]
 pub struct SplatGrad<T> {
-    /// With g the gradient of the exponent: Σ g, Σ g dx, Σ g dy, Σ g dx², Σ g dx dy, Σ g dy².
+    /// With g the gradient of the exponent: Σ g, Σ g u, Σ g v, Σ g u², Σ g u v, Σ g v².
     pub moments: [T; MOMENTS],
     pub colour: V3<T>,
 }
@@ -59,11 +64,15 @@ struct Projection<T> {
     half: [V3<T>; 2],
     /// A, B, C of the filtered covariance, px².
     covariance: [T; 3],
+    /// The larger of A and C, px². Determinants are those of covariances divided by it: that of a Gaussian as large as
+    /// the world would overflow.
+    size: T,
     determinant: T,
-    /// Cross product of the rows of `half`; its square is the determinant of the unfiltered covariance.
+    /// Cross product of the rows of `half` divided by `size`; its square is the determinant of the unfiltered covariance.
     minors: V3<T>,
-    /// Ratio of the determinants.
+    /// Ratio of the determinants, and what it lacks to 1.
     ratio: T,
+    lack: T,
     filter: ScreenFilter,
 }
 
@@ -88,10 +97,14 @@ impl<T: Real> Projection<T> {
         let half = plane.map(|row| std::array::from_fn(|d| dot(row, column(&rotation, d)) * scales[d]));
         let low_pass = T::of(filter.variance());
         let covariance = [dot(half[0], half[0]) + low_pass, dot(half[0], half[1]), dot(half[1], half[1]) + low_pass];
-        let minors = cross(half[0], half[1]);
+        let size = covariance[0].max(covariance[2]);
+        let length = size.sqrt();
+        let minors = cross(half[0].map(|v| v / length), half[1].map(|v| v / length));
         // det(Σ + εI) = det Σ + ε tr Σ + ε², every term non-negative: no cancellation for needles
         let unfiltered = dot(minors, minors);
-        let determinant = unfiltered + low_pass * (covariance[0] + covariance[2] - low_pass);
+        let trace = covariance[0] / size + covariance[2] / size;
+        let added = low_pass / size * (trace - low_pass / size);
+        let determinant = unfiltered + added;
         Self {
             centre,
             slopes: [sx, sy],
@@ -101,9 +114,11 @@ impl<T: Real> Projection<T> {
             plane,
             half,
             covariance,
+            size,
             determinant,
             minors,
             ratio: unfiltered / determinant,
+            lack: added / determinant,
             filter,
         }
     }
@@ -129,12 +144,14 @@ impl<T: Real> Splat<T> {
         let projection = Projection::new(camera, p, filter);
         let [x, y, z] = projection.centre;
         let strength = p.opacity.max(T::zero()) * projection.compensation();
-        let [a, b, c] = projection.covariance;
-        let d = projection.determinant;
-        let visible = z > camera.near && strength >= T::of(CUTOFF) && d > T::zero() && d < T::INFINITY;
+        let [variance_x, covariance, variance_y] = projection.covariance;
+        let (size, d) = (projection.size, projection.determinant);
+        let visible = z > camera.near && strength >= T::of(CUTOFF) && d > T::zero() && size < T::INFINITY;
+        let across = (variance_y / size / d / size).sqrt();
         visible.then(|| Self {
             mean: [camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy],
-            conic: [c / d, -b / d, a / d],
+            root: [across, -across * (covariance / variance_y), T::one() / variance_y.sqrt()],
+            variances: [variance_x, variance_y],
             strength,
             depth: z,
             colour,
@@ -144,10 +161,8 @@ impl<T: Real> Splat<T> {
 
     /// Pixels at which the weight can reach the cutoff: the bounding box of the ellipse.
     pub fn reach(&self, width: usize, height: usize) -> PixelRect {
-        let [a, b, c] = self.conic.map(T::as_f64);
-        let determinant = a * c - b * b;
         let squared = self.squared_radius.as_f64() * (1.0 + 1e-5);
-        let (half_x, half_y) = ((squared * c / determinant).sqrt(), (squared * a / determinant).sqrt());
+        let [half_x, half_y] = self.variances.map(|variance| (squared * variance.as_f64()).sqrt());
         let (x, y) = (self.mean[0].as_f64(), self.mean[1].as_f64());
         PixelRect::covering([x - half_x, x + half_x, y - half_y, y + half_y], width, height)
     }
@@ -155,7 +170,7 @@ impl<T: Real> Splat<T> {
     /// Whether any pixel centre of a tile can lie inside the ellipse.
     #[inline(always)]
     pub fn touches(&self, tile_x: usize, tile_y: usize) -> bool {
-        let [a, b, c] = self.conic;
+        let [p, q, r] = self.root;
         let nearest = |tile: usize, mean: T| {
             let low = T::of((tile * TILE) as f64 + 0.5) - mean;
             let high = low + T::of(TILE as f64 - 1.0);
@@ -164,21 +179,29 @@ impl<T: Real> Splat<T> {
         let (x0, x1, dx) = nearest(tile_x, self.mean[0]);
         let (y0, y1, dy) = nearest(tile_y, self.mean[1]);
         // the convex form is smallest at the mean or on one of the two edges that face it
-        let form = |dx: T, dy: T| a * dx * dx + T::of(2.0) * b * dx * dy + c * dy * dy;
-        let on_vertical = form(dx, (-b * dx / c).max(y0).min(y1));
-        let on_horizontal = form((-b * dy / a).max(x0).min(x1), dy);
+        let form = |dx: T, dy: T| {
+            let [u, v] = self.in_deviations(dx, dy);
+            u * u + v * v
+        };
+        let on_vertical = form(dx, (-p * q * dx / (q * q + r * r)).max(y0).min(y1));
+        let on_horizontal = form((-q * dy / p).max(x0).min(x1), dy);
         let smallest = on_vertical.min(on_horizontal);
         let outside = smallest > self.squared_radius * T::of(1.0 + 1e-4) + T::of(1e-4);
         // NaN counts as touching
         !outside
     }
 
-    /// Weight at an offset from the mean, 0 below the cutoff.
+    /// An offset from the mean, px, in units of the standard deviations: (u, v).
     #[inline(always)]
-    pub fn weight(&self, dx: T, dy: T) -> T {
-        let [a, b, c] = self.conic;
-        let power = T::of(-0.5) * (a * dx * dx + c * dy * dy) - b * dx * dy;
-        let weight = self.strength * power.exp_nonpositive();
+    pub fn in_deviations(&self, dx: T, dy: T) -> [T; 2] {
+        let [p, q, r] = self.root;
+        [p * dx + q * dy, r * dy]
+    }
+
+    /// Weight at an offset (u, v) in standard deviations, 0 below the cutoff.
+    #[inline(always)]
+    pub fn weight(&self, u: T, v: T) -> T {
+        let weight = self.strength * (T::of(-0.5) * (u * u + v * v)).exp_nonpositive();
         if weight >= T::of(CUTOFF) { weight } else { T::zero() }
     }
 }
@@ -202,34 +225,28 @@ pub fn backward<T: Real>(
 ) -> ParameterGrad<T> {
     let projection = Projection::new(camera, p, filter);
     let [x, y, z] = projection.centre;
-    let [total, mx, my, mxx, mxy, myy] = sum.moments;
+    let [total, mu, mv, muu, muv, mvv] = sum.moments;
     let (half, two) = (T::of(0.5), T::of(2.0));
-    let [a, b, c] = splat.conic;
-    let grad_mean = [a * mx + b * my, b * mx + c * my];
-    // ∂Q = −½ Σ g d dᵀ, ∂Σ = −Q ∂Q Q
-    let q_moment = |u: [T; 2], v: [T; 2]| u[0] * v[0] * mxx + (u[0] * v[1] + u[1] * v[0]) * mxy + u[1] * v[1] * myy;
-    let (row0, row1) = ([a, b], [b, c]);
-    let mut grad_covariance = [half * q_moment(row0, row0), q_moment(row0, row1), half * q_moment(row1, row1)];
+    let [p0, q0, r0] = splat.root;
+    let grad_mean = [p0 * mu, q0 * mu + r0 * mv];
+    // with Q = Rᵀ R and M = Σ g w wᵀ, w = R d: ∂Σ = ½ Rᵀ M R, and ∂H = 2 ∂Σ H = Rᵀ (M (R H)) for Σ = H Hᵀ + εI
+    let [h0, h1] = projection.half;
+    let (w0, w1) = (add(scale(h0, p0), scale(h1, q0)), scale(h1, r0));
+    let (n0, n1) = (add(scale(w0, muu), scale(w1, muv)), add(scale(w0, muv), scale(w1, mvv)));
+    let mut grad_half = [scale(n0, p0), add(scale(n0, q0), scale(n1, r0))];
 
     let grad_strength = total / splat.strength;
     let compensation = projection.compensation();
     let opacity = p.opacity.max(T::zero());
-    let mut grad_half = [[T::zero(); 3]; 2];
     if projection.compensates() {
         let grad_ratio = grad_strength * opacity * half / compensation;
-        let grad_unfiltered = grad_ratio / projection.determinant;
-        let grad_determinant = -grad_unfiltered * projection.ratio;
-        let [ca, cb, cc] = projection.covariance;
-        grad_covariance[0] = grad_covariance[0] + grad_determinant * cc;
-        grad_covariance[1] = grad_covariance[1] - two * grad_determinant * cb;
-        grad_covariance[2] = grad_covariance[2] + grad_determinant * ca;
-        let grad_minors = scale(projection.minors, two * grad_unfiltered);
-        grad_half = [cross(projection.half[1], grad_minors), cross(grad_minors, projection.half[0])];
+        let per_size = T::of(filter.variance()) / projection.size;
+        let by_ratio = two * grad_ratio / projection.determinant / projection.size;
+        let (by_minors, by_half) = (by_ratio * projection.lack, -by_ratio * projection.ratio * per_size);
+        let minors = projection.minors;
+        grad_half[0] = add(grad_half[0], add(scale(cross(h1, minors), by_minors), scale(h0, by_half)));
+        grad_half[1] = add(grad_half[1], add(scale(cross(minors, h0), by_minors), scale(h1, by_half)));
     }
-    let [ga, gb, gc] = grad_covariance;
-    let [h0, h1] = projection.half;
-    grad_half[0] = add(grad_half[0], add(scale(h0, two * ga), scale(h1, gb)));
-    grad_half[1] = add(grad_half[1], add(scale(h1, two * gc), scale(h0, gb)));
 
     // half = plane · R S
     let factor: M3<T> =

@@ -30,34 +30,38 @@ const JACOBIAN_MARGIN: f32 = splat::JACOBIAN_MARGIN as f32;
 pub const SPLAT: usize = Splat::LEN;
 
 record! {
-    /// Footprint: `strength · exp(−½ (a dx² + 2 b dx dy + c dy²))` at offset (dx, dy) px from the mean.
+    /// Footprint: `strength · exp(−½ (u² + v²))` at offset (dx, dy) px from the mean, `u = p dx + q dy`, `v = r dy`.
     pub struct Splat {
         pub mean_x: f32,
         pub mean_y: f32,
-        pub a: f32,
-        pub b: f32,
-        pub c: f32,
+        pub p: f32,
+        pub q: f32,
+        pub r: f32,
         /// Opacity times the compensation for the low-pass filter; 0 if the Gaussian is invisible.
         pub strength: f32,
         /// Camera-space z of the centre, world units.
         pub depth: f32,
-        /// Value of the quadratic form at the cutoff.
+        /// Value of u² + v² at the cutoff.
         pub squared_radius: f32,
     }
 }
 
 #[cube]
 impl Splat {
-    /// Weight at an offset from the mean, 0 below the cutoff.
-    pub fn weight(&self, dx: f32, dy: f32) -> f32 {
-        let power = -0.5f32 * (self.a * dx * dx + self.c * dy * dy) - self.b * dx * dy;
-        let weight = self.strength * f32::exp(clamp(power, -100.0f32, 0.0f32));
+    /// u at an offset from the mean, px.
+    pub fn u(&self, dx: f32, dy: f32) -> f32 {
+        self.p * dx + self.q * dy
+    }
+
+    /// Weight at an offset (u, v) in standard deviations, 0 below the cutoff.
+    pub fn weight(&self, u: f32, v: f32) -> f32 {
+        let weight = self.strength * f32::exp(max(-0.5f32 * (u * u + v * v), -100.0f32));
         select(weight >= CUTOFF_F32, weight, 0.0f32)
     }
 
     /// Whether the ellipse can reach a pixel centre of the tile at a column and row of tiles.
     pub fn touches(&self, column: u32, row: u32) -> bool {
-        let (a, b, c) = (self.a, self.b, self.c);
+        let (p, q, r) = (self.p, self.q, self.r);
         let x0 = f32::cast_from(column * TILE) + 0.5f32 - self.mean_x;
         let y0 = f32::cast_from(row * TILE) + 0.5f32 - self.mean_y;
         let last = f32::cast_from(TILE - 1u32);
@@ -65,25 +69,27 @@ impl Splat {
         let dx = clamp(0.0f32, x0, x1);
         let dy = clamp(0.0f32, y0, y1);
         // the convex form is smallest at the mean or on one of the two edges that face it
-        let beside = clamp(-b * dx / c, y0, y1);
-        let below = clamp(-b * dy / a, x0, x1);
-        let on_vertical = a * dx * dx + 2.0f32 * b * dx * beside + c * beside * beside;
-        let on_horizontal = a * below * below + 2.0f32 * b * below * dy + c * dy * dy;
+        let beside = clamp(-p * q * dx / (q * q + r * r), y0, y1);
+        let below = clamp(-q * dy / p, x0, x1);
+        let (vertical_u, vertical_v) = (p * dx + q * beside, r * beside);
+        let (horizontal_u, horizontal_v) = (p * below + q * dy, r * dy);
+        let on_vertical = vertical_u * vertical_u + vertical_v * vertical_v;
+        let on_horizontal = horizontal_u * horizontal_u + horizontal_v * horizontal_v;
         let outside = min(on_vertical, on_horizontal) > self.squared_radius * 1.001f32 + 0.01f32;
         !outside
     }
 }
 
 record! {
-    /// Sums over the pixels of a Gaussian, [`MOMENTS`] numbers: Σ g, Σ g dx, Σ g dy, Σ g dx², Σ g dx dy,
-    /// Σ g dy², where g is the gradient of the exponent.
+    /// Sums over the pixels of a Gaussian, [`MOMENTS`] numbers: Σ g, Σ g u, Σ g v, Σ g u², Σ g u v, Σ g v², where g is
+    /// the gradient of the exponent.
     pub struct Moments {
         pub total: f32,
-        pub x: f32,
-        pub y: f32,
-        pub xx: f32,
-        pub xy: f32,
-        pub yy: f32,
+        pub u: f32,
+        pub v: f32,
+        pub uu: f32,
+        pub uv: f32,
+        pub vv: f32,
     }
 }
 
@@ -92,23 +98,23 @@ impl Moments {
     /// Whether any pixel contributed.
     pub fn any(&self) -> bool {
         self.total != 0.0f32
-            || self.x != 0.0f32
-            || self.y != 0.0f32
-            || self.xx != 0.0f32
-            || self.xy != 0.0f32
-            || self.yy != 0.0f32
+            || self.u != 0.0f32
+            || self.v != 0.0f32
+            || self.uu != 0.0f32
+            || self.uv != 0.0f32
+            || self.vv != 0.0f32
     }
 }
 
-/// Adds a pixel at an offset from the mean to the first [`MOMENTS`] of a unit's sums.
+/// Adds a pixel at (u, v) to the first [`MOMENTS`] of a unit's sums.
 #[cube]
-pub fn add_moments(own: &mut Array<f32>, power: f32, dx: f32, dy: f32) {
+pub fn add_moments(own: &mut Array<f32>, power: f32, u: f32, v: f32) {
     own[0] += power;
-    own[1] += power * dx;
-    own[2] += power * dy;
-    own[3] += power * dx * dx;
-    own[4] += power * dx * dy;
-    own[5] += power * dy * dy;
+    own[1] += power * u;
+    own[2] += power * v;
+    own[3] += power * u * u;
+    own[4] += power * u * v;
+    own[5] += power * v * v;
 }
 
 #[derive(CubeType, Clone, Copy)]
@@ -132,9 +138,13 @@ struct Projection {
     cov_a: f32,
     cov_b: f32,
     cov_c: f32,
+    /// The larger of A and C, px². Determinants are those of covariances divided by it, see the twin.
+    size: f32,
     determinant: f32,
     minors: Vec3,
+    /// Ratio of the determinants, and what it lacks to 1.
     ratio: f32,
+    lack: f32,
 }
 
 #[cube]
@@ -166,10 +176,13 @@ fn project(
     let cov_a = dot(half0, half0) + low_pass;
     let cov_b = dot(half0, half1);
     let cov_c = dot(half1, half1) + low_pass;
-    let minors = cross(half0, half1);
+    let size = max(cov_a, cov_c);
+    let per_length = 1.0f32 / f32::sqrt(size);
+    let minors = cross(scale(half0, per_length), scale(half1, per_length));
     // det(Σ + εI) = det Σ + ε tr Σ + ε², every term non-negative: no cancellation for needles
     let unfiltered = dot(minors, minors);
-    let determinant = unfiltered + low_pass * (cov_a + cov_c - low_pass);
+    let added = low_pass / size * (cov_a / size + cov_c / size - low_pass / size);
+    let determinant = unfiltered + added;
     Projection {
         centre,
         slope_x,
@@ -185,9 +198,11 @@ fn project(
         cov_a,
         cov_b,
         cov_c,
+        size,
         determinant,
         minors,
         ratio: unfiltered / determinant,
+        lack: added / determinant,
     }
 }
 
@@ -200,15 +215,27 @@ fn compensation(p: Projection, #[comptime] filter: ScreenFilter) -> f32 {
     factor
 }
 
+/// p, q and r of a footprint whose projection does not overflow.
+#[cube]
+fn root(cov_b: f32, cov_c: f32, size: f32, determinant: f32) -> Vec3 {
+    let across = f32::sqrt(cov_c / size / determinant / size);
+    vec3(across, -across * (cov_b / cov_c), 1.0f32 / f32::sqrt(cov_c))
+}
+
 /// The footprint of a Gaussian and the pixels that it can reach. It reaches none behind the near plane,
 /// where it stays below the cutoff, and where its projection overflows.
 #[cube]
 fn splat_of(view: CameraUniforms, p: Projection, opacity: f32, #[comptime] filter: ScreenFilter) -> (Splat, Rect) {
     let strength = max(opacity, 0.0f32) * compensation(p, filter);
     let d = p.determinant;
-    let visible = p.centre.z > view.near && strength >= CUTOFF_F32 && d > 0.0f32 && d < 3e38f32;
+    let visible = p.centre.z > view.near && strength >= CUTOFF_F32 && d > 0.0f32 && p.size < 3e38f32;
     let z = select(visible, p.centre.z, 1.0f32);
-    let inverse = 1.0f32 / select(visible, d, 1.0f32);
+    let root = root(
+        select(visible, p.cov_b, 0.0f32),
+        select(visible, p.cov_c, 1.0f32),
+        select(visible, p.size, 1.0f32),
+        select(visible, d, 1.0f32),
+    );
     let squared = 2.0f32 * f32::ln(max(strength * INVERSE_CUTOFF, 1.0f32));
     let x = view.fx * p.centre.x / z + view.cx;
     let y = view.fy * p.centre.y / z + view.cy;
@@ -220,9 +247,9 @@ fn splat_of(view: CameraUniforms, p: Projection, opacity: f32, #[comptime] filte
     let splat = Splat {
         mean_x: x,
         mean_y: y,
-        a: p.cov_c * inverse,
-        b: -p.cov_b * inverse,
-        c: p.cov_a * inverse,
+        p: root.x,
+        q: root.y,
+        r: root.z,
         strength: select(visible, strength, 0.0f32),
         depth: p.centre.z,
         squared_radius: squared,
@@ -249,15 +276,15 @@ fn splat_backward(
     moments: Moments,
     #[comptime] filter: ScreenFilter,
 ) -> SplatGradient {
-    let (total, mx, my) = (moments.total, moments.x, moments.y);
-    let (mxx, mxy, myy) = (moments.xx, moments.xy, moments.yy);
-    let inverse = 1.0f32 / p.determinant;
-    let (a, b, c) = (p.cov_c * inverse, -p.cov_b * inverse, p.cov_a * inverse);
-    let (grad_x, grad_y) = (a * mx + b * my, b * mx + c * my);
-    // ∂Q = −½ Σ g d dᵀ, ∂Σ = −Q ∂Q Q
-    let direct_a = 0.5f32 * (a * a * mxx + 2.0f32 * a * b * mxy + b * b * myy);
-    let direct_b = a * b * mxx + (a * c + b * b) * mxy + b * c * myy;
-    let direct_c = 0.5f32 * (b * b * mxx + 2.0f32 * b * c * mxy + c * c * myy);
+    let total = moments.total;
+    let root = root(p.cov_b, p.cov_c, p.size, p.determinant);
+    let (grad_x, grad_y) = (root.x * moments.u, root.y * moments.u + root.z * moments.v);
+    // ∂H = Rᵀ (M (R H)), see the twin
+    let (w0, w1) = (add(scale(p.half0, root.x), scale(p.half1, root.y)), scale(p.half1, root.z));
+    let n0 = add(scale(w0, moments.uu), scale(w1, moments.uv));
+    let n1 = add(scale(w0, moments.uv), scale(w1, moments.vv));
+    let direct0 = scale(n0, root.x);
+    let direct1 = add(scale(n0, root.y), scale(n1, root.z));
 
     let dimming = compensation(p, filter);
     let opacity = max(raw_opacity, 0.0f32);
@@ -267,14 +294,11 @@ fn splat_backward(
     if comptime!(filter == ScreenFilter::Compensated) {
         live = select(p.ratio > MIN_RATIO, 1.0f32, 0.0f32);
     }
-    let grad_unfiltered = live * grad_strength * opacity * 0.5f32 / dimming * inverse;
-    let grad_determinant = -grad_unfiltered * p.ratio;
-    let ga = direct_a + grad_determinant * p.cov_c;
-    let gb = direct_b - 2.0f32 * grad_determinant * p.cov_b;
-    let gc = direct_c + grad_determinant * p.cov_a;
-    let grad_minors = scale(p.minors, 2.0f32 * grad_unfiltered);
-    let grad_half0 = add(cross(p.half1, grad_minors), add(scale(p.half0, 2.0f32 * ga), scale(p.half1, gb)));
-    let grad_half1 = add(cross(grad_minors, p.half0), add(scale(p.half1, 2.0f32 * gc), scale(p.half0, gb)));
+    let low_pass = comptime!(filter.variance() as f32);
+    let by_ratio = live * grad_strength * opacity / dimming / p.determinant / p.size;
+    let (by_minors, by_half) = (by_ratio * p.lack, -by_ratio * p.ratio * (low_pass / p.size));
+    let grad_half0 = add(direct0, add(scale(cross(p.half1, p.minors), by_minors), scale(p.half0, by_half)));
+    let grad_half1 = add(direct1, add(scale(cross(p.minors, p.half0), by_minors), scale(p.half1, by_half)));
 
     // half = plane · R S
     let r = p.rotation;

@@ -1,9 +1,12 @@
-//! What tests of this crate and of its users share: golden cases, gradient checks, random scenes.
+//! What tests of this crate and of its users share: golden cases, gradient checks, random and extreme scenes.
 
 pub mod compare;
+pub mod extremes;
 pub mod golden;
 pub mod gradients;
 pub mod parity;
+#[cfg(any(feature = "ndarray", feature = "flex"))]
+pub mod precision;
 pub mod random;
 pub mod scenes;
 

@@ -41,7 +41,7 @@ pub(super) fn points(path: &Path) -> Result<RawPoints> {
     let mut points = RawPoints::default();
     for (index, vertex) in vertices.iter().enumerate() {
         let position = DVec3::new(vertex.x, vertex.y, vertex.z);
-        if !position.is_finite() {
+        if !position.as_vec3().is_finite() {
             let what = format!("the position of vertex {index}");
             return Err(DatasetError::malformed(path, what, position, "finite coordinates"));
         }

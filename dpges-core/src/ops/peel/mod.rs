@@ -52,15 +52,20 @@ impl From<&SceneInfo> for PeelOptions {
 
 impl PeelOptions {
     /// # Errors
-    /// [`Error::Option`] for a layer count outside 1..=8 or a modulation that is not positive.
+    /// [`Error::Option`] for a layer count outside 1..=8 or a modulation that is not positive and finite in f32.
     pub fn validate(&self) -> Result<()> {
         if !(1..=MAX_LAYERS).contains(&self.layer_count) {
             let expected = format!("1 to {MAX_LAYERS}");
             return Err(Error::Option { option: "layer_count", expected, found: self.layer_count.to_string() });
         }
-        if !(self.modulation.is_finite() && self.modulation > 0.0) {
+        let modulation = self.modulation as f32;
+        if !(modulation.is_finite() && modulation > 0.0) {
             let found = self.modulation.to_string();
-            return Err(Error::Option { option: "modulation", expected: "a positive, finite number".into(), found });
+            return Err(Error::Option {
+                option: "modulation",
+                expected: "a positive, finite 32-bit number".into(),
+                found,
+            });
         }
         Ok(())
     }

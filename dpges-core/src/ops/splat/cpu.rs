@@ -132,7 +132,8 @@ fn splat_tile<T: Real>(
             |start, dx, dy| {
                 let mut weight = [T::zero(); LANES];
                 for lane in 0..LANES {
-                    weight[lane] = splat.weight(dx[lane], dy);
+                    let [u, v] = splat.in_deviations(dx[lane], dy);
+                    weight[lane] = splat.weight(u, v);
                 }
                 for k in intervals.clone() {
                     let mask = limits.mask(k, start, splat.depth);
@@ -177,7 +178,7 @@ fn for_each_lit_tile<T: Real>(
 /// Lanes that [`gather`] works on. They are on the heap because the compiler splits local arrays into scalars
 /// and then does not vectorise.
 struct Scratch<T> {
-    /// Red, green, blue and alpha gradients of the pixels, weight, gradient of the exponent.
+    /// Red, green, blue and alpha gradients of the pixels, weight, gradient of the exponent, u.
     pixel: Vec<[T; LANES]>,
     /// Moments and three colour sums, as in [`SplatGrad`].
     sums: Vec<[T; LANES]>,
@@ -185,7 +186,7 @@ struct Scratch<T> {
 
 impl<T: Real> Scratch<T> {
     fn new() -> Self {
-        Self { pixel: vec![[T::zero(); LANES]; 6], sums: vec![[T::zero(); LANES]; MOMENTS + 3] }
+        Self { pixel: vec![[T::zero(); LANES]; 7], sums: vec![[T::zero(); LANES]; MOMENTS + 3] }
     }
 }
 
@@ -251,11 +252,14 @@ fn read_gradients<T: Real>(
 /// Adds one group of pixels to the sums of a Gaussian.
 #[inline(always)]
 fn add_group<T: Real>(splat: &Splat<T>, dx: &[T; LANES], dy: T, scratch: &mut Scratch<T>) {
-    let [red, green, blue, alpha, weight, power] = scratch.pixel.as_mut_slice() else {
-        unreachable!("six rows of lanes");
+    let [red, green, blue, alpha, weight, power, u] = scratch.pixel.as_mut_slice() else {
+        unreachable!("seven rows of lanes");
     };
+    let [p, q, r] = splat.root;
+    let v = r * dy;
     for lane in 0..LANES {
-        weight[lane] = splat.weight(dx[lane], dy);
+        u[lane] = p * dx[lane] + q * dy;
+        weight[lane] = splat.weight(u[lane], v);
     }
     let [r, g, b] = splat.colour;
     for lane in 0..LANES {
@@ -267,7 +271,7 @@ fn add_group<T: Real>(splat: &Splat<T>, dx: &[T; LANES], dy: T, scratch: &mut Sc
             sum[lane] = sum[lane] + weight[lane] * grad[lane];
         }
     }
-    add_moments(moments, power, dx, dy);
+    add_moments(moments, power, u, v);
 }
 
 /// Gradients with respect to positions, quaternions, log-scales, opacities and colours.
@@ -336,7 +340,8 @@ fn contributions<T: Real>(
                     let mask = limits.mask(k, start, splat.depth);
                     let gate = lanes(gates, k * TILE_PIXELS + start);
                     for lane in 0..LANES {
-                        largest[lane] = largest[lane].max(splat.weight(dx[lane], dy) * mask[lane] * gate[lane]);
+                        let [u, v] = splat.in_deviations(dx[lane], dy);
+                        largest[lane] = largest[lane].max(splat.weight(u, v) * mask[lane] * gate[lane]);
                     }
                 }
             });

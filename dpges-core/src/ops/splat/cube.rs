@@ -96,7 +96,8 @@ fn splat_kernel(
             let o = j as usize * STAGED;
             let splat = Splat::load(&staged, o);
             if splat.depth > view.near && splat.depth < upper[layers - 1] {
-                let weight = splat.weight(pixel.x - splat.mean_x, pixel.y - splat.mean_y);
+                let dy = pixel.y - splat.mean_y;
+                let weight = splat.weight(splat.u(pixel.x - splat.mean_x, dy), splat.r * dy);
                 if weight > 0.0f32 {
                     let colour = Vec3::load(&staged, o + SPLAT);
                     #[unroll]
@@ -155,7 +156,8 @@ fn gather_kernel(
             let pixel = (row * view.width + column) as usize;
             let dx = f32::cast_from(column) + 0.5f32 - splat.mean_x;
             let dy = f32::cast_from(row) + 0.5f32 - splat.mean_y;
-            let weight = splat.weight(dx, dy);
+            let (u, v) = (splat.u(dx, dy), splat.r * dy);
+            let weight = splat.weight(u, v);
             if weight > 0.0f32 && splat.depth < limits[(layers - 1) * plane + pixel] {
                 let mut lower = -view.infinity;
                 #[unroll]
@@ -166,7 +168,7 @@ fn gather_kernel(
                         let (red, green) = (grad[at], grad[at + plane]);
                         let (blue, alpha) = (grad[at + 2 * plane], grad[at + 3 * plane]);
                         let power = weight * (alpha + colour.x * red + colour.y * green + colour.z * blue);
-                        add_moments(&mut own, power, dx, dy);
+                        add_moments(&mut own, power, u, v);
                         own[MOMENTS] += weight * red;
                         own[MOMENTS + 1] += weight * green;
                         own[MOMENTS + 2] += weight * blue;
@@ -216,7 +218,7 @@ fn contributions_kernel(
             let pixel = (row * view.width + column) as usize;
             let dx = f32::cast_from(column) + 0.5f32 - splat.mean_x;
             let dy = f32::cast_from(row) + 0.5f32 - splat.mean_y;
-            let weight = splat.weight(dx, dy);
+            let weight = splat.weight(splat.u(dx, dy), splat.r * dy);
             let mut lower = -view.infinity;
             #[unroll]
             for k in 0..layers {

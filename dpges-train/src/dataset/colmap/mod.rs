@@ -142,7 +142,7 @@ fn points(model: &Path, images: &[ImageRecord]) -> Result<RawPoints> {
     let mut points = RawPoints::default();
     for (index, record) in records.into_iter().enumerate() {
         let position = DVec3::from_array(record.position);
-        if !position.is_finite() {
+        if !position.as_vec3().is_finite() {
             let what = format!("the position of point {index}");
             return Err(DatasetError::malformed(&path, what, position, "finite coordinates"));
         }

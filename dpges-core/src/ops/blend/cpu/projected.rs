@@ -160,7 +160,8 @@ impl<T: Real> Projected<T> for Ellipse<T> {
     #[inline(always)]
     fn fragments(&self, dx: &[T; LANES], dy: T, weight: &mut [T; LANES], depth: &mut [T; LANES]) {
         for lane in 0..LANES {
-            weight[lane] = self.0.weight(dx[lane], dy);
+            let [u, v] = self.0.in_deviations(dx[lane], dy);
+            weight[lane] = self.0.weight(u, v);
         }
         depth.fill(self.0.depth);
     }
@@ -168,12 +169,17 @@ impl<T: Real> Projected<T> for Ellipse<T> {
     #[inline(always)]
     fn gather<const MAPS: bool>(&self, group: &Group<T>, _: &mut [[T; LANES]; WORK_ROWS], sums: &mut Sums<[T; LANES]>) {
         let (dx, dy, power) = (group.dx, group.dy, group.power);
-        add_moments(sums.footprint, power, dx, dy);
+        let [p, q, r] = self.0.root;
+        let mut u = [T::zero(); LANES];
+        for lane in 0..LANES {
+            u[lane] = p * dx[lane] + q * dy;
+        }
+        let v = r * dy;
+        add_moments(sums.footprint, power, &u, v);
         if let [x, y, size_x, size_y] = &mut *sums.probe {
-            let [a, b, c] = self.0.conic;
             for lane in 0..LANES {
-                let grad_x = power[lane] * (a * dx[lane] + b * dy);
-                let grad_y = power[lane] * (b * dx[lane] + c * dy);
+                let grad_x = power[lane] * p * u[lane];
+                let grad_y = power[lane] * (q * u[lane] + r * v);
                 x[lane] = x[lane] + grad_x;
                 y[lane] = y[lane] + grad_y;
                 size_x[lane] = size_x[lane] + grad_x.abs();

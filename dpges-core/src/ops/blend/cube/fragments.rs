@@ -228,9 +228,9 @@ pub fn fragment(
     let mut by_plane = 1.0f32;
     if comptime!(form == Form::Ellipsoids) {
         let splat = Splat::load(shapes, i * SPLAT);
-        // an invisible splat has no conic
         if splat.strength > 0.0f32 {
-            weight = splat.weight(x - splat.mean_x, y - splat.mean_y);
+            let dy = y - splat.mean_y;
+            weight = splat.weight(splat.u(x - splat.mean_x, dy), splat.r * dy);
             depth = splat.depth;
         }
     } else {

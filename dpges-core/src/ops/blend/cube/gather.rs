@@ -266,10 +266,11 @@ fn gather_kernel(
                     if comptime!(form == Form::Ellipsoids) {
                         let splat = Splat::load(shapes, i * SPLAT);
                         let (dx, dy) = (x - splat.mean_x, y - splat.mean_y);
-                        add_moments(&mut own, power, dx, dy);
+                        let (u, v) = (splat.u(dx, dy), splat.r * dy);
+                        add_moments(&mut own, power, u, v);
                         own[beside] = grad_depth;
-                        towards_x = power * (splat.a * dx + splat.b * dy);
-                        towards_y = power * (splat.b * dx + splat.c * dy);
+                        towards_x = power * splat.p * u;
+                        towards_y = power * (splat.q * u + splat.r * v);
                     } else {
                         let disc = Plane::load(shapes, i * PLANE);
                         let low_pass = LowPass::load(features, i * FEATURES + LOW_PASS);

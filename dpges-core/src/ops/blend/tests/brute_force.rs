@@ -59,7 +59,13 @@ impl Shape {
     /// α before it is capped and z.
     fn fragment(&self, at: [f64; 2]) -> Option<(f64, f64)> {
         let (alpha, z) = match self {
-            Self::Ellipse(splat) => (splat.weight(at[0] - splat.mean[0], at[1] - splat.mean[1]), splat.depth),
+            Self::Ellipse(splat) => (
+                {
+                    let [u, v] = splat.in_deviations(at[0] - splat.mean[0], at[1] - splat.mean[1]);
+                    splat.weight(u, v)
+                },
+                splat.depth,
+            ),
             Self::Disc { rows, low_pass, opacity, near } => {
                 let [u, v, z] = meet(rows, at).filter(|hit| hit[2] > *near)?;
                 let squared = low_pass.map_or(f64::INFINITY, |centre| on_screen(centre, at)).min(u * u + v * v);

@@ -1,10 +1,13 @@
 //! `dpges selftest`: whether a device computes correctly.
 
+mod extremes;
+
 use std::time::Instant;
 
-use clap::Args;
+use clap::{Args, value_parser};
 use dpges_train::device::selftest::{CASES, Finding, worst};
 use dpges_train::device::{DeviceName, DeviceRequest};
+use indicatif::ProgressBar;
 use serde::Serialize;
 
 use super::device_failure::Watch;
@@ -14,12 +17,19 @@ use super::{Failure, Result, device_choice, print, table};
 ///
 /// Renders small scenes on the device in f32 and compares pictures, losses and gradients with those of the model's
 /// float64 specification, which are part of the program. Exits with 1 if the error of any is too large.
+///
+/// With --extremes, random scenes at the extremes instead (needles, discs seen edge-on, huge and tiny worlds and scales,
+/// 0.1° and 179° of view, …), rendered and differentiated in f32 on the device and in f64 on the CPU. Prints how far the
+/// two are apart, as tables in Markdown. Exits with 1 if any value is not finite.
 #[derive(Debug, Args)]
 pub struct SelftestArgs {
     /// auto (a GPU that passes a check, or else the CPU), cpu, cpu-flex, wgpu (the best GPU), or another one that
     /// `dpges devices` lists
     #[arg(long, value_name = "NAME", default_value = "wgpu")]
     device: DeviceRequest,
+    /// Render N random scenes at the extremes
+    #[arg(long, value_name = "N", value_parser = value_parser!(u64).range(1..))]
+    extremes: Option<u64>,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -41,6 +51,9 @@ pub fn run(args: &SelftestArgs) -> Result<()> {
     let name = device_choice::select(args.device)?;
     let device = name.open()?;
     let description = name.describe()?;
+    if let Some(count) = args.extremes {
+        return at_extremes(count, name, &description, args.json);
+    }
     let start = Instant::now();
     let findings = Watch::start()
         .catch(|| CASES.iter().flat_map(|case| case.check(&device)).collect::<Vec<_>>())
@@ -61,6 +74,24 @@ pub fn run(args: &SelftestArgs) -> Result<()> {
     let wrong = findings.iter().filter(|finding| !finding.passed).count();
     let message = format!("{} computes {wrong} of {} tensors wrongly", report.description, report.tensors);
     Err(Failure::with_help(message, advice(name)))
+}
+
+fn at_extremes(count: u64, name: DeviceName, description: &str, json: bool) -> Result<()> {
+    let device = name.open()?;
+    let progress = ProgressBar::new(count);
+    let found = Watch::start()
+        .catch(|| extremes::measure(count, &device, description, &progress))
+        .map_err(|failure| Failure::with_help(format!("{description} failed: {failure}"), advice(name)))??;
+    progress.finish_and_clear();
+    let text = if json { format!("{}\n", serde_json::to_string_pretty(&found)?) } else { found.markdown() };
+    print(&text)?;
+    match found.non_finite {
+        0 => Ok(()),
+        count => {
+            let message = format!("{count} tensors have values that are not finite");
+            Err(Failure::with_help(message, "please report it with the table above"))
+        }
+    }
 }
 
 fn advice(device: DeviceName) -> &'static str {

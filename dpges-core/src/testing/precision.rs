@@ -1,0 +1,199 @@
+//! How far 32-bit pictures and gradients are from 64-bit ones, and whether they are finite, at the extremes.
+
+use burn::tensor::{DType, Device, Gradients, Tensor, TensorData};
+
+use super::extremes::{Extreme, Hazard};
+use super::golden::values;
+use super::random::Random;
+use crate::error::Result;
+use crate::losses::{self, LossWeights, losses};
+use crate::ops::blend::{BlendOptions, Form};
+use crate::render::blended::{BlendedOptions, render_blended};
+use crate::render::{RenderOptions, Values, render};
+use crate::scene::schema::Columns;
+use crate::scene::{Gaussians, ScreenFilter, Surfels};
+
+/// Gradients smaller than this are compared as if they were of this size. The loss is of the order of 1, a position in
+/// units of the size of the world.
+const SMALLEST_NORM: f64 = 1e-9;
+
+/// How a scene is rendered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Way {
+    /// Peeled surfels and Gaussians.
+    Peeled,
+    /// Blended ellipsoids.
+    Ellipsoids,
+    /// Blended ellipsoids without compensation.
+    PlainEllipsoids,
+    /// Blended discs.
+    Discs,
+}
+
+impl Way {
+    pub const ALL: [Self; 4] = [Self::Peeled, Self::Ellipsoids, Self::PlainEllipsoids, Self::Discs];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Peeled => "peeled",
+            Self::Ellipsoids => "ellipsoids",
+            Self::PlainEllipsoids => "ellipsoids, plain",
+            Self::Discs => "discs",
+        }
+    }
+}
+
+/// One tensor of one scene, rendered in one way: the picture, or the gradient of the loss with respect to an attribute.
+#[derive(Clone, Debug)]
+pub struct Deviation {
+    pub seed: u64,
+    pub hazards: Vec<Hazard>,
+    pub way: Way,
+    /// `image`, or the name of an attribute.
+    pub tensor: &'static str,
+    /// Values that are NaN or infinite.
+    pub non_finite: usize,
+    /// Of a picture: the largest difference of a value, where the largest value is 1 or more, relative to that. Of a
+    /// gradient: relative L2 distance, with positions in units of the size of the world. Infinite if a value is not
+    /// finite.
+    pub error: f64,
+}
+
+/// Tensors by name.
+type Found = Vec<(&'static str, Vec<f64>)>;
+
+/// Renders and differentiates an extreme scene in f32 on `device` and in f64 on the CPU.
+///
+/// # Errors
+/// Those of rendering, which a scene with finite parameters and a valid camera does not have.
+pub fn deviations(extreme: &Extreme, way: Way, device: &Device) -> Result<Vec<Deviation>> {
+    let found = compute(extreme, way, device, DType::F32)?;
+    let exact = compute(extreme, way, &crate::device::cpu(), DType::F64)?;
+    let compare = |((tensor, found), (_, exact)): ((&'static str, Vec<f64>), (&'static str, Vec<f64>))| {
+        let non_finite = found.iter().chain(&exact).filter(|value| !value.is_finite()).count();
+        let error = match (non_finite, tensor) {
+            (0, IMAGE) => largest_difference(&found, &exact),
+            (0, _) if tensor.ends_with(".positions") => {
+                let in_worlds = |values: &[f64]| values.iter().map(|v| v * extreme.extent).collect::<Vec<_>>();
+                relative(&in_worlds(&found), &in_worlds(&exact))
+            }
+            (0, _) => relative(&found, &exact),
+            _ => f64::INFINITY,
+        };
+        Deviation { seed: extreme.seed, hazards: extreme.hazards.clone(), way, tensor, non_finite, error }
+    };
+    Ok(found.into_iter().zip(exact).map(compare).collect())
+}
+
+const IMAGE: &str = "image";
+
+fn largest_difference(found: &[f64], exact: &[f64]) -> f64 {
+    let largest = exact.iter().fold(1.0f64, |largest, value| largest.max(value.abs()));
+    found.iter().zip(exact).fold(0.0f64, |worst, (a, b)| worst.max((a - b).abs())) / largest
+}
+
+fn relative(found: &[f64], exact: &[f64]) -> f64 {
+    let norm = |values: &mut dyn Iterator<Item = f64>| {
+        // scaled, so that squares of huge gradients do not overflow
+        let values: Vec<f64> = values.collect();
+        let largest = values.iter().fold(0.0f64, |largest, value| largest.max(value.abs()));
+        if largest == 0.0 { 0.0 } else { largest * values.iter().map(|v| (v / largest).powi(2)).sum::<f64>().sqrt() }
+    };
+    let difference = norm(&mut found.iter().zip(exact).map(|(a, b)| a - b));
+    difference / norm(&mut exact.iter().copied()).max(SMALLEST_NORM)
+}
+
+fn compute(extreme: &Extreme, way: Way, device: &Device, dtype: DType) -> Result<Found> {
+    let device = device.clone().autodiff();
+    let (surfels, gaussians) = extreme.scene.leaves(&device, dtype);
+    let camera = &extreme.scene.camera;
+    let count = 3 * camera.width * camera.height;
+    let target = Random::new(extreme.seed).numbers(count, 0.0, 1.0);
+    let target = TensorData::new(target, [3, camera.height, camera.width]).convert_dtype(dtype);
+    let target = Tensor::<3>::from_data(target, (&device, dtype));
+    if way == Way::Peeled {
+        let options = RenderOptions { peel: extreme.peel, background: [0.2, 0.4, 0.6], ..RenderOptions::default() };
+        let rendered = render(&surfels, &gaussians, camera, &options)?;
+        let total = losses(&rendered, surfels.log_scales.clone(), target, &LossWeights::default())?.total;
+        let gradients = total.backward();
+        let mut found = vec![(IMAGE, values(&rendered.composite.image))];
+        found.extend(gradients_of_surfels(&surfels, &gradients));
+        found.extend(gradients_of_gaussians(&gaussians, &gradients));
+        return Ok(found);
+    }
+    let (form, filter) = match way {
+        Way::Discs => (Form::Discs, ScreenFilter::Compensated),
+        Way::PlainEllipsoids => (Form::Ellipsoids, ScreenFilter::Plain),
+        Way::Peeled | Way::Ellipsoids => (Form::Ellipsoids, ScreenFilter::Compensated),
+    };
+    let blend = BlendOptions { form, filter, ..BlendOptions::default() };
+    let options = BlendedOptions { blend, background: [0.2, 0.4, 0.6] };
+    let rendered = render_blended(&gaussians, None, camera, &options, Values::Unknown)?;
+    let gradients = losses::rgb(rendered.image.clone(), target, LossWeights::default().dssim)?.backward();
+    let mut found = vec![(IMAGE, values(&rendered.image))];
+    found.extend(gradients_of_gaussians(&gaussians, &gradients));
+    Ok(found)
+}
+
+fn gradient<const D: usize>(leaf: &Tensor<D>, gradients: &Gradients) -> Vec<f64> {
+    leaf.grad(gradients).map_or_else(|| vec![0.0; leaf.dims().iter().product()], |gradient| values(&gradient))
+}
+
+fn gradients_of_surfels(surfels: &Surfels, gradients: &Gradients) -> Found {
+    let learnt = surfels.iter().filter(|(attribute, _)| attribute.learns());
+    learnt.map(|(attribute, tensor)| (attribute.name, gradient(tensor, gradients))).collect()
+}
+
+fn gradients_of_gaussians(gaussians: &Gaussians, gradients: &Gradients) -> Found {
+    let learnt = gaussians.iter().filter(|(attribute, _)| attribute.learns());
+    learnt.map(|(attribute, tensor)| (attribute.name, gradient(tensor, gradients))).collect()
+}
+
+/// The errors of one group of tensors.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Distribution {
+    pub count: usize,
+    pub median: f64,
+    /// The error that 99.9 % do not exceed.
+    pub nearly_all: f64,
+    pub largest: f64,
+}
+
+impl Distribution {
+    /// Of `errors`; `None` if there are none.
+    pub fn of(mut errors: Vec<f64>) -> Option<Self> {
+        errors.sort_by(f64::total_cmp);
+        let last = errors.len().checked_sub(1)?;
+        let at = |share: f64| errors[(share * last as f64).ceil() as usize];
+        Some(Self { count: errors.len(), median: at(0.5), nearly_all: at(0.999), largest: errors[last] })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::extremes::extreme_of;
+    use super::*;
+
+    #[test]
+    fn ordinary_scenes_are_close_and_a_value_that_is_off_is_found() {
+        let extreme = extreme_of(Hazard::OneDepth, 3);
+        for way in Way::ALL {
+            let found = deviations(&extreme, way, &crate::device::cpu()).unwrap();
+            assert!(found.len() >= 6, "{found:?}");
+            assert!(found.iter().all(|deviation| deviation.error < 1e-2), "{found:?}");
+            assert!(found.iter().any(|deviation| deviation.error > 0.0), "f32 and f64 differ somewhere");
+        }
+        assert_eq!(largest_difference(&[1.0, 2.0], &[1.0, 4.0]), 0.5);
+        assert!((relative(&[3.0, 4.0], &[3.0, 3.0]) - 1.0 / 18f64.sqrt()).abs() < 1e-15);
+        assert_eq!(relative(&[1e300, 0.0], &[-1e300, 0.0]), 2.0);
+        assert_eq!(relative(&[0.0], &[0.0]), 0.0);
+    }
+
+    #[test]
+    fn distributions_are_those_of_sorted_errors() {
+        let errors: Vec<f64> = (0..=1000).rev().map(f64::from).collect();
+        let found = Distribution::of(errors).unwrap();
+        assert_eq!(found, Distribution { count: 1001, median: 500.0, nearly_all: 999.0, largest: 1000.0 });
+        assert_eq!(Distribution::of(Vec::new()), None);
+    }
+}

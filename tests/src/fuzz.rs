@@ -1,0 +1,262 @@
+//! Files from strangers: whatever the bytes, a reader returns what it read or an error with a message. It never panics.
+//!
+//! Files of `corpus/` and some written here are changed at random and read again. `DPGES_FUZZ_CASES` sets the number of
+//! cases per kind of file (500 unless set), `DPGES_FUZZ_SEED` the seed (0): the same numbers make the same cases.
+
+mod mutation;
+
+use std::cell::Cell;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use dpges_core::scene::{
+    ColourModel, EnvironmentData, Footprint, MarginLookup, Rendering, SceneData, SceneInfo, ScreenFilter,
+};
+use dpges_core::testing::scenes::{Recipe, random};
+use dpges_train::config::Config;
+use dpges_train::dataset::{BuiltinOptions, LoadOptions, builtin, load};
+use dpges_train::run::folder::{Origin, RunFolder};
+use dpges_train::run::{Run, SavedRun, StepReport};
+use proptest::test_runner::{Config as Settings, RngAlgorithm, TestError, TestRng, TestRunner};
+
+use crate::devices::ndarray;
+use mutation::{Mutation, mutated, mutations};
+
+const CASES: u32 = 500;
+
+fn from_environment(name: &str, default: u32) -> u32 {
+    let Ok(text) = std::env::var(name) else { return default };
+    text.parse().unwrap_or_else(|_| panic!("{name} is {text}, expected a whole number"))
+}
+
+/// Calls `read` with changed contents of `files`; it says whether they could be read.
+fn fuzz(what: &str, files: &[Vec<u8>], read: impl Fn(usize, &[u8]) -> bool) {
+    let mut seed = [0; 32];
+    seed[..4].copy_from_slice(&from_environment("DPGES_FUZZ_SEED", 0).to_le_bytes());
+    let settings = Settings {
+        cases: from_environment("DPGES_FUZZ_CASES", CASES),
+        failure_persistence: None,
+        ..Settings::default()
+    };
+    let mut runner = TestRunner::new_with_rng(settings, TestRng::from_seed(RngAlgorithm::ChaCha, &seed));
+    let (cases, readable, slowest) = (Cell::new(0u32), Cell::new(0u32), Cell::new(Duration::ZERO));
+    let result = runner.run(&(0..files.len(), mutations()), |(file, changes)| {
+        let bytes = mutated(&files[file], &changes);
+        let start = Instant::now();
+        let is_readable = read(file, &bytes);
+        slowest.set(slowest.get().max(start.elapsed()));
+        cases.set(cases.get() + 1);
+        readable.set(readable.get() + u32::from(is_readable));
+        Ok(())
+    });
+    println!("{what}: {} cases, {} readable, slowest {:?}", cases.get(), readable.get(), slowest.get());
+    if let Err(TestError::Fail(reason, (file, changes))) = result {
+        panic!("{what}: file {file} after {changes:?}: {reason}");
+    }
+    assert!(readable.get() > 0, "{what}: no case can be read, so that nothing behind the first check is reached");
+}
+
+fn scene(model: ColourModel, environment: bool) -> SceneData {
+    let scene = random(3, &Recipe { surfels: 3, gaussians: 4, model, ..Recipe::default() });
+    let info = SceneInfo {
+        colour_model: model,
+        modulation: 30.0,
+        layer_count: 3,
+        footprint: Footprint::Kernel,
+        margin_lookup: MarginLookup::Shifted,
+        rendering: Rendering::Peeled,
+        screen_filter: ScreenFilter::Compensated,
+        background: [0.0, 0.5, 1.0],
+        offset: [0.0; 3],
+        extent: 1.0,
+        near: 0.1,
+    };
+    let environment = environment.then(|| EnvironmentData::neutral(1));
+    SceneData { info, surfels: scene.surfels, gaussians: scene.gaussians, environment }
+}
+
+#[test]
+fn scene_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.safetensors");
+    let models = [
+        (ColourModel::SphericalBeta { lobes: 2 }, true),
+        (ColourModel::SphericalBeta { lobes: 0 }, false),
+        (ColourModel::SphericalHarmonics { degree: 1 }, false),
+    ];
+    let files = models.map(|(model, environment)| {
+        scene(model, environment).save(&path).unwrap();
+        fs::read(&path).unwrap()
+    });
+    fuzz("scene files", &files, |_, bytes| match SceneData::from_bytes(bytes, "a stranger's file") {
+        Ok(scene) => {
+            scene.save(&path).expect("what is read is whole");
+            true
+        }
+        Err(error) => {
+            assert!(error.to_string().contains("a stranger's file"), "{error}");
+            false
+        }
+    });
+}
+
+/// A copy of a dataset of the corpus, whose `names` are changed and read again.
+fn datasets(what: &str, corpus: &str, names: &[&str]) {
+    let folder = tempfile::tempdir().unwrap();
+    copy(&Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus").join(corpus), folder.path());
+    let paths: Vec<PathBuf> = names.iter().map(|name| folder.path().join(name)).collect();
+    let files: Vec<Vec<u8>> = paths.iter().map(|path| fs::read(path).unwrap()).collect();
+    let options = LoadOptions { test_every: 2, max_resolution: Some(64), ..LoadOptions::default() };
+    load(folder.path(), &options).unwrap();
+    fuzz(what, &files, |file, bytes| {
+        fs::write(&paths[file], bytes).unwrap();
+        let result = load(folder.path(), &options);
+        fs::write(&paths[file], &files[file]).unwrap();
+        match result {
+            Ok(dataset) => {
+                let views = dataset.train.iter().chain(&dataset.test);
+                views.for_each(|view| view.camera.validate().expect("cameras can be rendered from"));
+                assert!(dataset.points.positions.iter().flatten().all(|p| p.is_finite()), "points are finite");
+                true
+            }
+            Err(error) => {
+                assert!(!error.to_string().is_empty());
+                false
+            }
+        }
+    });
+}
+
+fn copy(from: &Path, to: &Path) {
+    fs::create_dir_all(to).unwrap();
+    for entry in fs::read_dir(from).unwrap() {
+        let path = entry.unwrap().path();
+        let target = to.join(path.file_name().unwrap());
+        if path.is_dir() {
+            copy(&path, &target);
+        } else {
+            fs::copy(&path, &target).unwrap();
+        }
+    }
+}
+
+#[test]
+fn colmap_binaries() {
+    datasets("COLMAP binaries", "colmap", &["sparse/0/cameras.bin", "sparse/0/images.bin", "sparse/0/points3D.bin"]);
+}
+
+#[test]
+fn colmap_texts() {
+    let names = ["sparse/0/cameras.txt", "sparse/0/images.txt", "sparse/0/points3D.txt"];
+    datasets("COLMAP texts", "colmap_opencv", &names);
+}
+
+#[test]
+fn transforms() {
+    datasets("transforms.json of nerfstudio", "nerfstudio", &["transforms.json"]);
+    datasets("transforms.json of Blender", "blender", &["transforms_train.json", "transforms_test.json"]);
+}
+
+#[test]
+fn point_clouds() {
+    datasets("PLY", "nerfstudio", &["points.ply"]);
+}
+
+#[test]
+fn pictures() {
+    datasets("pictures", "blender", &["train/1.png"]);
+}
+
+#[test]
+fn configurations() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("config.toml");
+    let files = [Config::default().to_toml().into_bytes(), b"[train]\nsteps = 3\n[model]\nlayers = 2\n".to_vec()];
+    fuzz("configurations", &files, |_, bytes| {
+        fs::write(&path, bytes).unwrap();
+        match Config::resolve(None, Some(&path), &[]) {
+            Ok(config) => {
+                fs::write(&path, config.to_toml()).unwrap();
+                assert_eq!(Config::resolve(None, Some(&path), &[]).expect("what is accepted is valid"), config);
+                true
+            }
+            Err(error) => {
+                assert!(!error.to_string().is_empty());
+                false
+            }
+        }
+    });
+}
+
+/// The folder of a run of two steps.
+fn run_folder(path: &Path) -> RunFolder {
+    let set = ["train.steps=2", "refine.budget=40", "init.max_points=30"].map(str::to_owned);
+    let config = Config::resolve(None, None, &set).unwrap();
+    let data = BuiltinOptions { width: 8, height: 8, train_views: 2, test_views: 1, points: 40, ..Default::default() };
+    let run = Run::new(config, builtin(&data), ndarray()).unwrap();
+    let mut run = run.write_to(RunFolder::new(path), Origin::new("builtin", "cpu")).unwrap();
+    run.train(&mut |_: &StepReport| {}).unwrap();
+    run.folder().unwrap().clone()
+}
+
+#[test]
+fn checkpoints() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = run_folder(folder.path());
+    let file = fs::read(run.checkpoint()).unwrap();
+    fuzz("checkpoints", &[file], |_, bytes| {
+        fs::write(run.checkpoint(), bytes).unwrap();
+        match SavedRun::open(run.clone()) {
+            Ok(saved) => {
+                // what does not fit the rest of the run is found when it goes on
+                let data = BuiltinOptions {
+                    width: 8,
+                    height: 8,
+                    train_views: 2,
+                    test_views: 1,
+                    points: 40,
+                    ..Default::default()
+                };
+                let _ = Run::resume(saved, builtin(&data), ndarray());
+                true
+            }
+            Err(error) => {
+                assert!(error.to_string().contains("checkpoint.safetensors"), "{error}");
+                false
+            }
+        }
+    });
+}
+
+#[test]
+fn files_cut_anywhere_are_refused_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = run_folder(folder.path());
+    let (checkpoint, path) = (fs::read(run.checkpoint()).unwrap(), folder.path().join("cut.safetensors"));
+    scene(ColourModel::SphericalBeta { lobes: 2 }, true).save(&path).unwrap();
+    let scene = fs::read(&path).unwrap();
+    for end in 0..scene.len() {
+        let error = SceneData::from_bytes(&scene[..end], "cut").unwrap_err().to_string();
+        assert!(error.contains("cut"), "{end} bytes: {error}");
+    }
+    // every byte of the header, and then some
+    for end in (0..4000).chain((4000..checkpoint.len()).step_by(97)).take_while(|&end| end < checkpoint.len()) {
+        fs::write(run.checkpoint(), &checkpoint[..end]).unwrap();
+        let error = SavedRun::open(run.clone()).err().unwrap_or_else(|| panic!("{end} bytes are read")).to_string();
+        assert!(error.contains("checkpoint.safetensors"), "{end} bytes: {error}");
+    }
+}
+
+#[test]
+fn changes_do_what_they_say() {
+    let bytes = b"abc 12.5, def".to_vec();
+    let after = |change: Mutation| mutated(&bytes, &[change]);
+    assert_eq!(after(Mutation::Truncate { at: 3 }), b"abc");
+    assert_eq!(after(Mutation::Flip { at: 0, bit: 0 }), b"`bc 12.5, def");
+    assert_eq!(after(Mutation::Number { at: 1, number: "-1".into() }), b"abc -1, def");
+    assert_eq!(after(Mutation::Remove { at: 0, length: 4 }), b"12.5, def");
+    assert_eq!(after(Mutation::Insert { at: 13, bytes: vec![b'!'] }), b"abc 12.5, def!");
+    assert_eq!(after(Mutation::Integer { at: 0, width: 4, value: 1 }), b"\x01\0\0\x0012.5, def");
+    assert_eq!(mutated(&[], &[Mutation::Flip { at: 7, bit: 1 }]), b"");
+}
