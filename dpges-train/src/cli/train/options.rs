@@ -9,9 +9,15 @@ use dpges_train::dataset::{self, Format};
 use super::super::data::{DataArgs, Source};
 use super::super::{Failure, Result};
 
-/// Defaults for the built-in scene: about two minutes of training.
-const BUILTIN_DEFAULTS: [&str; 4] =
-    ["train.steps=2000", "train.evaluate_every=500", "train.checkpoint_every=500", "refine.surfel_min_pixels=1"];
+/// Defaults for the built-in scene: about two minutes of training. Its pictures are exact, so that new Gaussians need no
+/// confirmation.
+const BUILTIN_DEFAULTS: [&str; 5] = [
+    "train.steps=2000",
+    "train.evaluate_every=500",
+    "train.checkpoint_every=500",
+    "refine.surfel_min_pixels=1",
+    "refine.add_agreement=0",
+];
 
 /// Defaults for datasets in the Blender layout: silhouettes bound an object, but only discs find its surface.
 const BLENDER_DEFAULTS: [&str; 3] = ["stages.surfels=0.2", "stages.gaussians=0.3", "refine.surfel_min_pixels=4"];
