@@ -4,6 +4,7 @@
 mod devices;
 mod golden;
 mod gpu;
+mod lpips;
 mod parity;
 mod raster;
 mod reference;

@@ -49,8 +49,8 @@ pub struct Metric {
     of: fn(&Scores) -> Option<f64>,
 }
 
-/// All of them, in the order in which they are shown.
-pub const METRICS: [Metric; 7] = [
+/// All of them, in the order in which they are shown: three that every evaluation has, then those of [`Perceptual`].
+pub static METRICS: [Metric; 7] = [
     Metric { key: "psnr", title: "PSNR", unit: " dB", digits: 2, is_error: false, of: |scores| Some(scores.psnr) },
     Metric { key: "ssim", title: "SSIM", unit: "", digits: 4, is_error: false, of: |scores| Some(scores.ssim) },
     Metric { key: "flip", title: "FLIP", unit: "", digits: 4, is_error: true, of: |scores| Some(scores.flip) },
@@ -87,6 +87,11 @@ pub const METRICS: [Metric; 7] = [
         of: |scores| scores.perceptual.lpips_vgg,
     },
 ];
+
+/// The metrics of [`Perceptual`].
+pub fn perceptual_metrics() -> &'static [Metric] {
+    &METRICS[3..]
+}
 
 impl Perceptual {
     /// MS-SSIM and SSIMULACRA2 of two pictures [3 × `height` × `width`], display-referred (sRGB) from 0 to 1.
@@ -169,11 +174,13 @@ mod tests {
         let whole = Scores { psnr: 20.0, ssim: 0.75, flip: 0.1, perceptual: all };
         let json = serde_json::to_value(whole).unwrap();
         assert_eq!(json.as_object().unwrap().len(), METRICS.len());
-        for metric in METRICS {
+        for metric in &METRICS {
             assert_eq!(json[metric.key].as_f64(), metric.of(&whole), "{}", metric.key);
         }
         assert_eq!(serde_json::from_value::<Scores>(json).unwrap(), whole);
-        let few = serde_json::to_string(&scores(20.0, 0.25, None)).unwrap();
+        let basic = scores(20.0, 0.25, None);
+        assert!(perceptual_metrics().iter().all(|metric| metric.of(&basic).is_none()));
+        let few = serde_json::to_string(&basic).unwrap();
         assert_eq!(few, r#"{"psnr":20.0,"ssim":0.5,"flip":0.25}"#);
         assert_eq!(serde_json::from_str::<Scores>(&few).unwrap(), scores(20.0, 0.25, None));
     }
