@@ -1,7 +1,7 @@
 //! Measures how well a scene shows views that it was not trained on.
 //!
-//! PSNR, SSIM and FLIP compare renders and photographs after both are quantised to 8 bits. PSNR is taken over all pixels
-//! and channels of a view, then averaged over views (the protocol of 3DGS).
+//! All metrics compare renders and photographs after both are quantised to 8 bits. PSNR is taken over all pixels and
+//! channels of a view, then averaged over views (the protocol of 3DGS). `docs/metrics.md` defines the others.
 
 use std::time::Instant;
 
@@ -13,7 +13,8 @@ use dpges_core::{Error, Result};
 use serde::{Deserialize, Serialize};
 
 use crate::dataset::{Picture, View};
-use crate::metrics::flip;
+use crate::metrics::lpips::{Lpips, Network};
+use crate::metrics::{Perceptual, Scores, flip};
 use crate::rendered::{Rendered, Renderer};
 use crate::sight::Floaters;
 
@@ -29,6 +30,8 @@ pub struct ViewScore {
     pub ssim: f64,
     /// An error, from 0 to 1.
     pub flip: f64,
+    #[serde(flatten)]
+    pub perceptual: Perceptual,
     /// Time to render it.
     pub seconds: f64,
     /// px
@@ -47,6 +50,9 @@ pub struct Evaluation {
     pub ssim: f64,
     /// Mean over the views, an error from 0 to 1.
     pub flip: f64,
+    /// Means over the views, of what all of them have.
+    #[serde(flatten)]
+    pub perceptual: Perceptual,
     pub surfels: usize,
     pub gaussians: usize,
     /// Time to render a view, mean over the views.
@@ -69,18 +75,51 @@ pub struct EvalReport {
     /// Primitives that float, see [`sight`](crate::sight); absent if the dataset does not say which view saw what.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub floaters: Option<Floaters>,
+    /// Wall-clock time of the run up to its last step, see [`MetricsLog::seconds_of_steps`]; absent if the scene is not that
+    /// of a run.
+    ///
+    /// [`MetricsLog::seconds_of_steps`]: crate::run::metrics_log::MetricsLog::seconds_of_steps
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub training_seconds: Option<f64>,
+    /// The most memory that the process which wrote the report has had in use; absent where it is not known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub peak_memory_bytes: Option<u64>,
 }
 
-/// Renders every view and compares it with its photograph.
+/// What is measured besides PSNR, SSIM and FLIP.
+#[derive(Clone, Copy, Debug)]
+pub enum Measures<'a> {
+    /// Nothing: what a run needs to go on.
+    Basic,
+    /// MS-SSIM, SSIMULACRA2, and LPIPS by these networks, which are on the device that renders.
+    Perceptual(&'a [Lpips]),
+}
+
+impl ViewScore {
+    pub fn scores(&self) -> Scores {
+        let Self { psnr, ssim, flip, perceptual, .. } = *self;
+        Scores { psnr, ssim, flip, perceptual }
+    }
+}
+
+impl Evaluation {
+    /// The means over the views.
+    pub fn scores(&self) -> Scores {
+        let Self { psnr, ssim, flip, perceptual, .. } = *self;
+        Scores { psnr, ssim, flip, perceptual }
+    }
+}
+
+/// Renders every view and compares it with its photograph, by PSNR, SSIM and FLIP.
 ///
 /// # Errors
 /// Those of [`Renderer::render`]; [`Error::Option`] if there are no views.
 pub fn evaluate(scene: &SceneData, views: &[View], device: &Device) -> Result<Evaluation> {
-    evaluate_each(&Renderer::new(scene, device), scene, views, device, |_, _| Ok(()))
+    evaluate_each(&Renderer::new(scene, device), scene, views, device, Measures::Basic, |_, _| Ok(()))
 }
 
-/// Like [`evaluate`], with a scene that is on its device already. Calls `visit` with the index and the render of every
-/// view.
+/// Like [`evaluate`], with a scene that is on its device already, by all `measures`. Calls `visit` with the index and the
+/// render of every view.
 ///
 /// # Errors
 /// Those of [`evaluate`] and of `visit`.
@@ -89,6 +128,7 @@ pub fn evaluate_each<E: From<Error>>(
     scene: &SceneData,
     views: &[View],
     device: &Device,
+    measures: Measures<'_>,
     mut visit: impl FnMut(usize, &Rendered) -> Result<(), E>,
 ) -> Result<Evaluation, E> {
     if views.is_empty() {
@@ -101,7 +141,7 @@ pub fn evaluate_each<E: From<Error>>(
         // a GPU may have only begun
         device.sync().map_err(|error| Error::Device { reason: error.to_string() })?;
         let seconds = start.elapsed().as_secs_f64();
-        scores.push(score(view, &render, seconds, device)?);
+        scores.push(score(view, &render, seconds, device, measures)?);
         visit(index, &render)?;
     }
     let mean = |of: fn(&ViewScore) -> f64| scores.iter().map(of).sum::<f64>() / scores.len() as f64;
@@ -109,6 +149,7 @@ pub fn evaluate_each<E: From<Error>>(
         psnr: mean(|view| view.psnr),
         ssim: mean(|view| view.ssim),
         flip: mean(|view| view.flip),
+        perceptual: Perceptual::mean(&scores.iter().map(|view| view.perceptual).collect::<Vec<_>>()),
         seconds_per_view: mean(|view| view.seconds),
         surfels: scene.surfels.len(),
         gaussians: scene.gaussians.len(),
@@ -116,13 +157,28 @@ pub fn evaluate_each<E: From<Error>>(
     })
 }
 
-fn score(view: &View, render: &Rendered, seconds: f64, device: &Device) -> Result<ViewScore> {
+fn score(view: &View, render: &Rendered, seconds: f64, device: &Device, measures: Measures<'_>) -> Result<ViewScore> {
     let Picture { width, height, .. } = view.picture;
     let picture = quantised(view.target(device));
     let image = quantised(render.image().clone());
-    let flip = flip(&tensor_to_rows(&picture), &tensor_to_rows(&image), width, height);
-    let (psnr, ssim) = (psnr(image.clone(), picture.clone()), mean_ssim(image, picture)?);
-    Ok(ViewScore { name: view.name.clone(), psnr: psnr.min(LARGEST_PSNR), ssim, flip, seconds, width, height })
+    let (reference, test) = (tensor_to_rows(&picture), tensor_to_rows(&image));
+    let perceptual = match measures {
+        Measures::Basic => Perceptual::default(),
+        Measures::Perceptual(networks) => {
+            let mut perceptual = Perceptual::without_networks(&reference, &test, width, height);
+            for lpips in networks {
+                let distance = lpips.distance(&picture, &image)?;
+                match lpips.network {
+                    Network::Alex => perceptual.lpips_alex = distance,
+                    Network::Vgg => perceptual.lpips_vgg = distance,
+                }
+            }
+            perceptual
+        }
+    };
+    let flip = flip(&reference, &test, width, height);
+    let (psnr, ssim) = (psnr(image.clone(), picture.clone()).min(LARGEST_PSNR), mean_ssim(image, picture)?);
+    Ok(ViewScore { name: view.name.clone(), psnr, ssim, flip, perceptual, seconds, width, height })
 }
 
 #[cfg(test)]
@@ -134,6 +190,7 @@ mod tests {
     use super::*;
     use crate::dataset::{BuiltinOptions, builtin};
     use crate::device::DeviceName;
+    use crate::metrics::lpips::Weights;
 
     fn nothing(background: [f64; 3]) -> SceneData {
         let info = SceneInfo {
@@ -165,6 +222,50 @@ mod tests {
         assert!((evaluation.views[1].psnr + 20.0 * error.log10()).abs() < 1e-3);
         assert!((evaluation.views[0].ssim - 1.0).abs() < 1e-6 && evaluation.views[1].ssim < 1.0);
         assert_eq!(evaluation.psnr, (evaluation.views[0].psnr + evaluation.views[1].psnr) / 2.0);
+        assert_eq!(evaluation.perceptual, Perceptual::default());
         assert!(evaluate(&nothing([0.0; 3]), &[], &device).unwrap_err().to_string().contains("views"));
+    }
+
+    #[test]
+    fn perceptual_measures_are_those_of_the_same_pictures() {
+        let options = BuiltinOptions { width: 32, height: 32, train_views: 2, test_views: 2, ..Default::default() };
+        let mut views = builtin(&options).test;
+        views[0].picture.planes.fill(0.5009);
+        let device = "cpu".parse::<DeviceName>().unwrap().open().unwrap();
+        let weights = Weights::new(Network::Alex, |tensor| {
+            (0..tensor.shape.iter().product::<usize>()).map(|i| (i * 37 % 101) as f32 / 1000.0).collect()
+        });
+        let networks = [Lpips::new(&weights, &device)];
+        let scene = nothing([0.5; 3]);
+        let renderer = Renderer::new(&scene, &device);
+        let measures = Measures::Perceptual(&networks);
+        let evaluation: Result<Evaluation> = evaluate_each(&renderer, &scene, &views, &device, measures, |_, _| Ok(()));
+        let evaluation = evaluation.unwrap();
+        let equal = evaluation.views[0].perceptual;
+        assert_eq!((equal.ms_ssim, equal.lpips_vgg), (None, None), "too small, and not asked for");
+        assert_eq!((equal.ssimulacra2, equal.lpips_alex), (Some(100.0), Some(0.0)));
+        let other = evaluation.views[1].perceptual;
+        assert!(other.ssimulacra2.unwrap() < 100.0 && other.lpips_alex.unwrap() > 0.0);
+        assert_eq!(evaluation.perceptual, Perceptual::mean(&[equal, other]));
+        assert_eq!(evaluation.scores().perceptual, evaluation.perceptual);
+    }
+
+    #[test]
+    fn reports_of_earlier_versions_are_read() {
+        let view = r#"{"name":"a","psnr":20.0,"ssim":0.5,"flip":0.25,"seconds":0.5,"width":8,"height":4}"#;
+        let text = format!(
+            r#"{{"scene":"a","dataset":"builtin","split":"test","views":[{view}],"psnr":20.0,"ssim":0.5,"flip":0.25,
+            "surfels":1,"gaussians":2,"seconds_per_view":0.5,"bytes":3}}"#
+        );
+        let report: EvalReport = serde_json::from_str(&text).unwrap();
+        assert_eq!((report.training_seconds, report.peak_memory_bytes), (None, None));
+        assert_eq!(report.evaluation.views[0].perceptual, Perceptual::default());
+        let mut written = serde_json::to_value(&report).unwrap();
+        assert_eq!(written, serde_json::from_str::<serde_json::Value>(&text).unwrap(), "nothing is added");
+        written["lpips_vgg"] = 0.125.into();
+        written["views"][0]["ssimulacra2"] = 60.5.into();
+        let report: EvalReport = serde_json::from_value(written).unwrap();
+        assert_eq!(report.evaluation.perceptual.lpips_vgg, Some(0.125));
+        assert_eq!(report.evaluation.views[0].scores().perceptual.ssimulacra2, Some(60.5));
     }
 }

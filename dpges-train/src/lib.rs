@@ -17,6 +17,7 @@
 //! | rand, rand_chacha | random numbers that a checkpoint can hold |
 //! | rayon | reading pictures, neighbours |
 //! | safetensors, serde, serde_json, toml, tempfile | checkpoints, configuration, logs |
+//! | ssimulacra2 | the metric of that name |
 //! | strsim | the nearest known key for an unknown one |
 //! | thiserror; miette in the binary | errors |
 //! | clap, ctrlc, indicatif, tracing, tracing-indicatif, tracing-subscriber | the command line |
@@ -28,6 +29,7 @@ pub mod device;
 pub mod docs;
 pub mod eval;
 pub mod init;
+pub mod memory;
 pub mod metrics;
 pub mod neighbours;
 pub mod optimizer;

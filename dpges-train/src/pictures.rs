@@ -11,6 +11,7 @@ use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 
 use crate::dataset::View;
+use crate::metrics::flip_map;
 use crate::rendered::{Rendered, to_picture};
 
 /// Photograph · render · surfels only, if there are any · error, from left to right.
@@ -21,6 +22,23 @@ pub fn comparison(view: &View, render: &Rendered) -> Rgb8Image {
     let error = false_colour::error(&image, &photograph);
     let parts: Vec<Rgb8Image> = [Some(photograph), Some(image), surfels, Some(error)].into_iter().flatten().collect();
     Rgb8Image::beside(&parts)
+}
+
+/// Photograph · render · FLIP, dark blue where there is none and yellow where it is 1, from left to right.
+pub fn with_flip(view: &View, render: &Rendered) -> Rgb8Image {
+    let photograph = photograph(view);
+    let image = to_picture(render.image());
+    let (width, height) = (photograph.width, photograph.height);
+    let [reference, test] = [&photograph, &image].map(planes);
+    let errors = flip_map(&reference, &test, width, height);
+    let flip = Rgb8Image::from_pixels(width, height, errors.iter().map(|&error| false_colour::ramp(error as f32)));
+    Rgb8Image::beside(&[photograph, image, flip])
+}
+
+/// [3, height, width], from 0 to 1.
+fn planes(image: &Rgb8Image) -> Vec<f32> {
+    let channel = |channel: usize| image.bytes.iter().skip(channel).step_by(3).map(|&byte| f32::from(byte) / 255.0);
+    (0..3).flat_map(channel).collect()
 }
 
 /// Two rows: photograph · each of `renders`, which have its size; and below each its error.
@@ -107,6 +125,14 @@ mod tests {
         assert_eq!([part(0, 0), part(1, 0), part(2, 0)], [exact.bytes.clone(), exact.bytes, wrong.bytes]);
         let of_ramp = |value: f32| false_colour::ramp(value).repeat(4);
         assert_eq!([part(0, 1), part(1, 1), part(2, 1)], [vec![255; 12], of_ramp(0.0), of_ramp(1.0)]);
+    }
+
+    #[test]
+    fn planes_are_those_that_a_picture_is_made_of() {
+        let picture = Rgb8Image { width: 2, height: 1, bytes: vec![0, 51, 255, 102, 204, 153] };
+        let planes = planes(&picture);
+        assert_eq!(planes, [0.0, 102.0, 51.0, 204.0, 255.0, 153.0].map(|byte: f32| byte / 255.0));
+        assert_eq!(Rgb8Image::from_planes(&planes, 2, 1), picture);
     }
 
     #[test]

@@ -4,7 +4,10 @@ use std::path::{Path, PathBuf};
 use std::process::Output;
 
 use assert_cmd::Command;
+use dpges_train::metrics::lpips::Network;
 use image::{Rgba, RgbaImage};
+use safetensors::Dtype;
+use safetensors::tensor::TensorView;
 use serde_json::{Map, Value, json};
 use tempfile::TempDir;
 
@@ -77,6 +80,24 @@ fn png_names(folder: &Path) -> Vec<String> {
         .collect();
     names.sort();
     names
+}
+
+/// A file for `--lpips` with arbitrary weights.
+fn write_network(path: &Path) {
+    let tensors: Vec<(String, Vec<usize>, Vec<u8>)> = Network::Alex
+        .tensors()
+        .into_iter()
+        .map(|tensor| {
+            let value = |i: usize| (i * 37 % 101) as f32 / 1000.0;
+            let bytes = (0..tensor.shape.iter().product()).flat_map(|i| value(i).to_le_bytes()).collect();
+            (tensor.name, tensor.shape, bytes)
+        })
+        .collect();
+    let views = tensors
+        .iter()
+        .map(|(name, shape, bytes)| (name.as_str(), TensorView::new(Dtype::F32, shape.clone(), bytes).unwrap()));
+    let metadata = [("network", "alex"), ("version", "0.1")].map(|(key, value)| (key.to_owned(), value.to_owned()));
+    safetensors::serialize_to_file(views, Some(metadata.into()), path).unwrap();
 }
 
 fn folder() -> TempDir {
@@ -156,7 +177,7 @@ fn a_run_writes_everything_and_can_be_measured_and_shown() {
     let result = ok(at, &["eval", "run", "--save-images", "views", "--device=cpu"]);
     let mut measured: Value = serde_json::from_str(&result).unwrap();
     assert_eq!(measured["views"].as_array().unwrap().len(), 6);
-    for key in ["name", "psnr", "ssim", "flip", "seconds", "width", "height"] {
+    for key in ["name", "psnr", "ssim", "flip", "ssimulacra2", "seconds", "width", "height"] {
         assert!(measured["views"][0].get(key).is_some(), "{key}");
     }
     assert!(measured["psnr"].as_f64().unwrap() > 10.0 && measured["seconds_per_view"].as_f64().unwrap() > 0.0);
@@ -165,10 +186,14 @@ fn a_run_writes_everything_and_can_be_measured_and_shown() {
     let times = |value: &Value| {
         let mut value = value.clone();
         value["seconds_per_view"] = Value::Null;
+        value["peak_memory_bytes"] = Value::Null;
         value["views"].as_array_mut().unwrap().iter_mut().for_each(|view| view["seconds"] = Value::Null);
         value
     };
     assert_eq!(times(&measured), times(&written), "the file in the run says the same");
+    assert!(measured["training_seconds"].as_f64().unwrap() > 0.0);
+    assert_eq!(measured["peak_memory_bytes"].is_u64(), cfg!(target_os = "linux"));
+    assert!(["ms_ssim", "lpips_alex", "lpips_vgg"].iter().all(|key| measured.get(key).is_none()), "{measured}");
 
     let table = ok(at, &["eval", "run/scene.safetensors", "--device=cpu", "--split", "train", "--json", "train.json"]);
     assert!(table.contains("mean"));
@@ -194,6 +219,42 @@ fn a_run_writes_everything_and_can_be_measured_and_shown() {
     let info: Value = serde_json::from_str(&ok(at, &["info", "run", "--json"])).unwrap();
     assert_eq!((&info["surfels"], &info["bytes"]), (&written["surfels"], &written["bytes"]));
     assert_eq!(info["lobes"].as_array().unwrap().iter().map(|n| n.as_u64().unwrap()).sum::<u64>(), lobes);
+}
+
+#[test]
+fn lpips_is_measured_with_a_network_and_worst_views_are_shown() {
+    let folder = folder();
+    let at = folder.path();
+    train(at, "run", &["--steps=20", "--set=train.evaluate_every=0"]);
+    write_network(&at.join("alex.safetensors"));
+    let eval = ["eval", "run", "--device=cpu"];
+    let without = dpges(at, &eval);
+    let said = String::from_utf8(without.stderr).unwrap();
+    assert!(said.contains("LPIPS") && said.contains("lpips_weights.py") && said.contains("SSIMULACRA2"), "{said}");
+
+    let more = ["--lpips=alex.safetensors", "--worst=worst", "--json=result.json"];
+    let table = ok(at, &[&eval[..], &more].concat());
+    for part in ["LPIPS (Alex)", "SSIMULACRA2", "worst", "worst/worst_psnr.png"] {
+        assert!(table.contains(part), "{part}: {table}");
+    }
+    assert!(!table.contains("not measured") && !table.contains("MS-SSIM"), "{table}");
+    let result = json(at.join("result.json"));
+    let views = result["views"].as_array().unwrap();
+    let mean = views.iter().map(|view| view["lpips_alex"].as_f64().unwrap()).sum::<f64>() / views.len() as f64;
+    assert!(mean > 0.0 && (result["lpips_alex"].as_f64().unwrap() - mean).abs() < 1e-12, "{result}");
+    assert!(result.get("lpips_vgg").is_none());
+    let names = ["flip", "lpips_alex", "psnr", "ssim", "ssimulacra2"].map(|metric| format!("worst_{metric}.png"));
+    assert_eq!(png_names(&at.join("worst")), names);
+    let picture = image::open(at.join("worst/worst_flip.png")).unwrap();
+    assert_eq!((picture.width(), picture.height()), (3 * 32 + 2 * 2, 32));
+
+    let twice = [&eval[..], &["--lpips=alex.safetensors", "--lpips=alex.safetensors"]].concat();
+    assert!(fails(at, 2, &twice).contains("both hold network `alex`"));
+    std::fs::write(at.join("vgg.safetensors"), "no tensors").unwrap();
+    let broken = fails(at, 1, &[&eval[..], &["--lpips=vgg.safetensors"]].concat());
+    assert!(broken.contains("vgg.safetensors") && broken.contains("docs/metrics.md"), "{broken}");
+    let scene = fails(at, 1, &[&eval[..], &["--lpips=run/scene.safetensors"]].concat());
+    assert!(scene.contains("run/scene.safetensors") && scene.contains("`network`"), "{scene}");
 }
 
 #[test]
@@ -428,6 +489,21 @@ fn methods_are_trained_once_and_compared() {
     let written = bytes(at.join("study/comparison.json"));
     assert_eq!(ok(at, &args), table);
     assert!(bytes(run("dpges/seed_4/metrics.jsonl")) == log && bytes(at.join("study/comparison.json")) == written);
+    write_network(&at.join("alex.safetensors"));
+    let table = ok(at, &[&args[..], &["--lpips=alex.safetensors"]].concat());
+    assert!(table.contains("LPIPS (Alex)") && table.contains("SSIMULACRA2"), "{table}");
+    assert!(bytes(run("dpges/seed_4/metrics.jsonl")) == log);
+    let with = json(at.join("study/comparison.json"));
+    for method in with["methods"].as_array().unwrap() {
+        let of_run = |seed: u64| {
+            let folder = format!("{}/seed_{seed}", method["method"].as_str().unwrap());
+            json(run(&folder).join("eval.json"))["lpips_alex"].as_f64().unwrap()
+        };
+        let mean = (of_run(3) + of_run(4)) / 2.0;
+        assert!(mean > 0.0 && (method["lpips_alex"]["mean"].as_f64().unwrap() - mean).abs() < 1e-12, "{method}");
+    }
+    assert!(ok(at, &args).contains("LPIPS (Alex)"), "it stays in the files of the runs");
+
     let scene = bytes(run("mcmc/seed_3/scene.safetensors"));
     for file in ["eval.json", "validation.json"] {
         std::fs::remove_file(run("mcmc/seed_3").join(file)).unwrap();

@@ -5,6 +5,7 @@ mod devices;
 mod extremes;
 mod golden;
 mod gpu;
+mod lpips;
 mod parity;
 mod raster;
 mod reference;

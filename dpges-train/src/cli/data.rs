@@ -9,6 +9,7 @@ use dpges_core::scene::{SceneData, SceneInfo};
 use dpges_train::config::{Background, Config, DataConfig, key};
 use dpges_train::dataset::{self, BuiltinOptions, Dataset, View};
 use dpges_train::run::folder::RunFolder;
+use dpges_train::run::metrics_log::MetricsLog;
 use glam::{DVec3, Vec3};
 
 use super::{Failure, Result};
@@ -138,6 +139,14 @@ impl Scene {
         }
         let help = "name a scene file or the folder of a run (`dpges train --out FOLDER` makes one)";
         Err(Failure::with_help(format!("there is no scene file {}", path.display()), help))
+    }
+
+    /// Time that its training took, s; `None` unless the file is the result of a run.
+    pub fn training_seconds(&self) -> Result<Option<f64>> {
+        let Some(run) = self.run.as_ref().filter(|run| run.scene() == self.path && run.metrics().is_file()) else {
+            return Ok(None);
+        };
+        Ok(Some(MetricsLog::seconds_of_steps(&run.metrics())?))
     }
 
     /// The dataset to show the scene with, and how it is read: `data`, or that of the scene's run; `None` if there is

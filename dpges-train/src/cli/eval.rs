@@ -6,7 +6,9 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use dpges_core::Error;
 use dpges_train::device::{DeviceName, DeviceRequest};
-use dpges_train::eval::{EvalReport, Evaluation, evaluate_each};
+use dpges_train::eval::{EvalReport, Evaluation, Measures, evaluate_each};
+use dpges_train::memory::peak_memory_bytes;
+use dpges_train::metrics::{METRICS, Metric, Scores};
 use dpges_train::pictures::{file_stems, save_png};
 use dpges_train::rendered::{Renderer, to_picture};
 use dpges_train::run::folder::write_json;
@@ -14,12 +16,16 @@ use dpges_train::sight::Floaters;
 
 use super::data::{Scene, ViewArgs};
 use super::device_failure::watched;
+use super::lpips::LpipsArgs;
+use super::worst::{self, WorstView};
 use super::{Result, device_choice, print, table};
+use crate::progress::Seconds;
 
-/// Measure PSNR, SSIM and FLIP of a scene against photographs
+/// Measure PSNR, SSIM, FLIP, MS-SSIM, SSIMULACRA2 and LPIPS of a scene against photographs
 ///
 /// Prints the result as JSON on standard output and as a table on standard error. With --json FILE, the JSON goes to
-/// the file and the table to standard output.
+/// the file and the table to standard output. A metric that does not fit the size of the pictures is left out, and so is
+/// LPIPS without --lpips.
 #[derive(Debug, Args)]
 pub struct EvalArgs {
     /// Scene file or folder of a run
@@ -30,9 +36,15 @@ pub struct EvalArgs {
     /// `dpges devices` lists
     #[arg(long, value_name = "NAME", default_value_t)]
     device: DeviceRequest,
+    #[command(flatten)]
+    lpips: LpipsArgs,
     /// Write the rendered views as PNGs to this folder
     #[arg(long, value_name = "DIR")]
     save_images: Option<PathBuf>,
+    /// Write the view that each metric finds worst to this folder, as worst_METRIC.png: photograph, render and FLIP side by
+    /// side
+    #[arg(long, value_name = "DIR")]
+    worst: Option<PathBuf>,
     /// Write the result to this file; `-` is standard output
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
@@ -45,18 +57,24 @@ pub fn run(args: &EvalArgs) -> Result<()> {
 }
 
 fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> {
+    let device = device.open()?;
+    let networks = args.lpips.load(&device)?;
     let (source, dataset) = args.views.load_dataset(&mut scene)?;
     let views = args.views.chosen(&dataset);
-    if let Some(folder) = &args.save_images {
+    for folder in args.save_images.iter().chain(&args.worst) {
         make_folder(folder)?;
     }
-    let device = device.open()?;
     let stems = file_stems(views);
     let renderer = Renderer::new(&scene.data, &device);
-    let evaluation = evaluate_each(&renderer, &scene.data, views, &device, |index, render| {
+    let measures = Measures::Perceptual(&networks);
+    let evaluation = evaluate_each(&renderer, &scene.data, views, &device, measures, |index, render| {
         let Some(folder) = &args.save_images else { return Ok(()) };
         save_png(&to_picture(render.image()), &folder.join(format!("{}.png", stems[index])))
     })?;
+    let worst = match &args.worst {
+        Some(folder) => worst::write(folder, &evaluation, views, &renderer)?,
+        None => Vec::new(),
+    };
     let report = EvalReport {
         scene: scene.path.display().to_string(),
         dataset: source.to_string(),
@@ -64,15 +82,18 @@ fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> 
         evaluation,
         bytes: scene.bytes,
         floaters: renderer.floaters(&dataset)?,
+        training_seconds: scene.training_seconds()?,
+        peak_memory_bytes: peak_memory_bytes(),
     };
+    let summary = summary(&report, &worst, args.lpips.is_empty());
     match args.json.as_deref().filter(|path| *path != Path::new("-")) {
         Some(path) => {
             write_json(path, &report)?;
-            print(&summary(&report))
+            print(&summary)
         }
         None => {
             // The table is for people: if nobody can read it, the result is still on standard output.
-            let _ = std::io::stderr().write_all(summary(&report).as_bytes());
+            let _ = std::io::stderr().write_all(summary.as_bytes());
             print(&format!("{}\n", serde_json::to_string_pretty(&report)?))
         }
     }
@@ -88,16 +109,34 @@ pub fn make_folder(path: &Path) -> Result<(), Error> {
     })
 }
 
-fn summary(report: &EvalReport) -> String {
-    let Evaluation { views, psnr, ssim, flip, surfels, gaussians, seconds_per_view } = &report.evaluation;
-    let scores = |psnr: f64, ssim: f64, flip: f64| format!("{psnr:.2} dB  {ssim:.4}  {flip:.4}");
-    let mut rows: Vec<(&str, String)> =
-        views.iter().map(|view| (view.name.as_str(), scores(view.psnr, view.ssim, view.flip))).collect();
-    rows.push(("mean", scores(*psnr, *ssim, *flip)));
+fn summary(report: &EvalReport, worst: &[WorstView], lacks_lpips: bool) -> String {
+    let Evaluation { views, surfels, gaussians, seconds_per_view, .. } = &report.evaluation;
+    let mut scores: Vec<(&str, Scores)> = views.iter().map(|view| (view.name.as_str(), view.scores())).collect();
+    scores.push(("mean", report.evaluation.scores()));
+    let is_known = |metric: &&Metric| scores.iter().any(|(_, scores)| metric.of(scores).is_some());
+    let shown: Vec<&Metric> = METRICS.iter().filter(is_known).collect();
+    let line = |cell: &dyn Fn(&Metric) -> String| -> String {
+        let cells: Vec<String> = shown.iter().map(|metric| format!("{:>1$}", cell(metric), width(metric))).collect();
+        cells.join("  ")
+    };
+    let mut rows = vec![("view", line(&|metric| metric.title.to_owned()))];
+    rows.extend(scores.iter().map(|(name, scores)| (*name, line(&|metric| metric.text(metric.of(scores))))));
+    rows.extend(worst.iter().map(|view| ("worst", view.to_string())));
+    if lacks_lpips {
+        let how = "not measured: dpges-train/tools/lpips_weights.py makes the file that --lpips takes";
+        rows.push(("LPIPS", how.to_owned()));
+    }
     rows.push(("scene", format!("{surfels} surfels, {gaussians} Gaussians, {:.1} MB", report.bytes as f64 / 1e6)));
     if let Some(Floaters { surfels, gaussians }) = report.floaters {
         rows.push(("floaters", format!("{surfels} surfels, {gaussians} Gaussians")));
     }
+    rows.extend(report.training_seconds.map(|seconds| ("training", Seconds(seconds).to_string())));
     rows.push(("rendering", format!("{:.1} ms per view", 1e3 * seconds_per_view)));
+    rows.extend(report.peak_memory_bytes.map(|bytes| ("memory", format!("{:.0} MB at most", bytes as f64 / 1e6))));
     table(&rows)
+}
+
+/// Of a column, characters.
+fn width(metric: &Metric) -> usize {
+    metric.title.len().max("-100.00".len() + metric.unit.len())
 }

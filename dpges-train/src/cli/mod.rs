@@ -12,6 +12,7 @@ mod eval;
 mod export;
 mod export_html;
 mod info;
+mod lpips;
 #[cfg(test)]
 mod reference;
 mod render;
@@ -20,6 +21,7 @@ mod series;
 mod train;
 #[cfg(feature = "viewer")]
 mod view;
+mod worst;
 
 use std::io::Write;
 use std::process::ExitCode;

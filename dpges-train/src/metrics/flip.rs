@@ -7,6 +7,8 @@ use std::f64::consts::PI;
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
+use super::plane::Plane;
+
 /// A display 0.7 m wide with 3840 px, seen from 0.7 m.
 const PIXELS_PER_DEGREE: f64 = 3840.0 * PI / 180.0;
 
@@ -39,6 +41,15 @@ const FEATURE_EXPONENT: f64 = 0.5;
 /// # Panics
 /// If the planes are not of that size.
 pub fn flip(reference: &[f32], test: &[f32], width: usize, height: usize) -> f64 {
+    // summed in order, so that the result is the same for any number of threads
+    flip_map(reference, test, width, height).iter().sum::<f64>() / (width * height).max(1) as f64
+}
+
+/// FLIP of every pixel, [`height` × `width`], of two pictures as [`flip`] takes them.
+///
+/// # Panics
+/// If the planes are not of that size.
+pub fn flip_map(reference: &[f32], test: &[f32], width: usize, height: usize) -> Vec<f64> {
     let [reference, test] = [reference, test].map(|planes| {
         assert_eq!(planes.len(), 3 * width * height, "a picture of {width}x{height} px");
         Seen::new(planes, width, height)
@@ -57,8 +68,7 @@ pub fn flip(reference: &[f32], test: &[f32], width: usize, height: usize) -> f64
         let feature = (edges.max(points) / 2f64.sqrt()).powf(FEATURE_EXPONENT);
         colour.powf(1.0 - feature)
     });
-    // summed in order, so that the result is the same for any number of threads
-    errors.collect::<Vec<f64>>().iter().sum::<f64>() / (width * height).max(1) as f64
+    errors.collect()
 }
 
 /// What of a picture is seen, a value per pixel.
@@ -183,37 +193,6 @@ fn filtered(channel: &[f64], sensitivities: &[Sensitivity], plane: Plane) -> Vec
     sums
 }
 
-/// The size of a picture, px.
-#[derive(Clone, Copy)]
-struct Plane {
-    width: usize,
-    height: usize,
-}
-
-impl Plane {
-    /// `values` convolved with `across` along rows and `down` along columns; pixels beyond the border are those at it.
-    fn convolved(self, values: &[f64], across: &[f64], down: &[f64]) -> Vec<f64> {
-        let Self { width, height } = self;
-        let near = |at: usize, offset: usize, kernel: &[f64], length: usize| {
-            (at + offset).saturating_sub(kernel.len() / 2).min(length - 1)
-        };
-        let mut rows = vec![0.0; values.len()];
-        rows.par_chunks_mut(width.max(1)).zip(values.par_chunks(width.max(1))).for_each(|(out, row)| {
-            for (x, out) in out.iter_mut().enumerate() {
-                *out = across.iter().enumerate().map(|(k, weight)| weight * row[near(x, k, across, width)]).sum();
-            }
-        });
-        let mut columns = vec![0.0; values.len()];
-        columns.par_chunks_mut(width.max(1)).enumerate().for_each(|(y, out)| {
-            for (k, weight) in down.iter().enumerate() {
-                let row = &rows[near(y, k, down, height) * width..][..width];
-                out.iter_mut().zip(row).for_each(|(out, value)| *out += weight * value);
-            }
-        });
-        columns
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -287,6 +266,7 @@ mod tests {
     #[test]
     fn equal_pictures_do_not_differ() {
         assert_eq!(flip(&discs(), &discs(), WIDTH, HEIGHT), 0.0);
+        assert_eq!(flip_map(&discs(), &discs(), WIDTH, HEIGHT), vec![0.0; WIDTH * HEIGHT]);
         assert_eq!(flip(&[], &[], 0, 0), 0.0);
         assert!(flip(&[0.5; 3], &[0.6; 3], 1, 1) > 0.01);
     }

@@ -11,6 +11,7 @@ use super::folder::{Origin, RunFolder, RunFolderError, write_json};
 use super::metrics_log::MetricsLog;
 use crate::config::Config;
 use crate::eval::{EvalReport, Evaluation};
+use crate::memory::peak_memory_bytes;
 use crate::sight::Floaters;
 
 /// Steps between lines of `metrics.jsonl`.
@@ -79,6 +80,8 @@ impl Record {
             evaluation: evaluation.clone(),
             bytes: file.len(),
             floaters,
+            training_seconds: Some(MetricsLog::seconds_of_steps(&self.folder.metrics())?),
+            peak_memory_bytes: peak_memory_bytes(),
         };
         write_json(path, &report)
     }

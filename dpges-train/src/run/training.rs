@@ -7,7 +7,7 @@ use dpges_core::scene::SceneData;
 
 use super::{Observer, Outcome, Run, RunError, StepReport, TrainError, Trainer, Verdict};
 use crate::config::Stop;
-use crate::eval::{Evaluation, evaluate_each};
+use crate::eval::{Evaluation, Measures, evaluate_each};
 use crate::pictures::{comparison, file_stems, save_png};
 use crate::rendered::Renderer;
 use crate::sight::Floaters;
@@ -41,7 +41,7 @@ impl Run {
             let (evaluates, stage_is_over) = (is_due(step, train.evaluate_every), self.trainer.stage_is_over());
             if evaluates && !stage_is_over {
                 self.work(Trainer::settle, observer)?;
-                self.evaluate(&self.trainer.scene(), observer)?;
+                self.evaluate(&self.trainer.scene(), Measures::Basic, observer)?;
             }
             if train.stop == Stop::Validation && (evaluates || stage_is_over) && self.trainer.is_in_last_stage() {
                 self.work(Trainer::settle, observer)?;
@@ -64,7 +64,7 @@ impl Run {
         let scene = if train.stop == Stop::Validation { self.best_scene()? } else { self.trainer.scene() };
         let scene = self.unless_it_was_better_before(scene)?;
         self.report_validation(&scene, observer)?;
-        let evaluation = self.evaluate(&scene, observer)?;
+        let evaluation = self.evaluate(&scene, Measures::Perceptual(&[]), observer)?;
         if let (Some(evaluation), Some(record)) = (&evaluation, &self.record) {
             let (folder, floaters) = (&record.folder, self.floaters(&scene)?);
             record.report("test", &folder.scene(), evaluation, floaters, &folder.evaluation())?;
@@ -106,7 +106,7 @@ impl Run {
             scene.save(&record.folder.stage_scene(stage.kind))?;
         }
         observer.stage_ended(stage, &scene);
-        if let (Some(evaluation), Some(record)) = (self.evaluate(&scene, observer)?, &self.record) {
+        if let (Some(evaluation), Some(record)) = (self.evaluate(&scene, Measures::Basic, observer)?, &self.record) {
             let folder = &record.folder;
             record.report(
                 "test",
@@ -185,7 +185,7 @@ impl Run {
 
     fn evaluate_validation(&self, scene: &SceneData) -> Result<Evaluation, RunError> {
         let (views, device) = (&self.trainer.dataset().validation, self.trainer.device());
-        evaluate_each(&self.renderer(scene), scene, views, device, |_, _| Ok(()))
+        evaluate_each(&self.renderer(scene), scene, views, device, Measures::Basic, |_, _| Ok(()))
     }
 
     /// The best scene by the validation views; in a folder it becomes the scene of the run.
@@ -208,7 +208,12 @@ impl Run {
     }
 
     /// Evaluates the held-out views and writes pictures of a few; `None` if there are none.
-    fn evaluate(&mut self, scene: &SceneData, observer: &mut dyn Observer) -> Result<Option<Evaluation>, RunError> {
+    fn evaluate(
+        &mut self,
+        scene: &SceneData,
+        measures: Measures<'_>,
+        observer: &mut dyn Observer,
+    ) -> Result<Option<Evaluation>, RunError> {
         let dataset = Arc::clone(self.trainer.dataset());
         if dataset.test.is_empty() {
             return Ok(None);
@@ -216,7 +221,7 @@ impl Run {
         let (views, step, device) = (&dataset.test, self.trainer.completed_steps(), self.trainer.device());
         let stems = file_stems(views);
         let shown = evenly_spaced(self.trainer.config().train.picture_views, views.len());
-        let evaluation = evaluate_each(&self.renderer(scene), scene, views, device, |index, render| {
+        let evaluation = evaluate_each(&self.renderer(scene), scene, views, device, measures, |index, render| {
             let Some(record) = self.record.as_ref().filter(|_| shown.contains(&index)) else { return Ok(()) };
             save_png(&comparison(&views[index], render), &record.folder.picture(step, &stems[index]))
         })?;

@@ -1,5 +1,6 @@
 //! `dpges compare`: methods on the same data, with equal steps, budgets and seeds.
 
+mod lpips;
 mod method;
 mod report;
 mod sheets;
@@ -9,6 +10,7 @@ use dpges_train::config::{Budget, Config};
 use dpges_train::run::budget;
 
 use super::device_failure::watched;
+use super::lpips::LpipsArgs;
 use super::series::{Member, SeriesArgs};
 use super::{Failure, Result, print};
 use crate::logging::LogStyle;
@@ -33,6 +35,8 @@ pub struct CompareArgs {
     #[arg(long)]
     list: bool,
     #[command(flatten)]
+    lpips: LpipsArgs,
+    #[command(flatten)]
     series: SeriesArgs,
 }
 
@@ -47,9 +51,11 @@ pub fn run(args: &CompareArgs, style: LogStyle) -> Result<()> {
     let budget = budget(&config, &common.dataset);
     let members = members(&methods, budget);
     let series = args.series.series(&common.source, &members)?;
+    let networks = args.lpips.load(&common.device)?;
     series.train(&common)?;
-    let rows = series.rows()?;
     watched(common.name, || {
+        lpips::measure(out, &series.rows()?, &common, &networks)?;
+        let rows = series.rows()?;
         let pictures = sheets::write(out, &rows, &common)?;
         let comparison = Comparison::new(&common.source, config.train.steps, budget, &members, rows, pictures);
         let files = comparison.write(out)?;

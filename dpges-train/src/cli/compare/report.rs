@@ -5,6 +5,7 @@ use std::io::Write as _;
 use std::path::Path;
 
 use dpges_core::atomic::write_atomically;
+use dpges_train::metrics::{Metric, Scores, perceptual_metrics};
 use dpges_train::run::folder::write_json;
 use dpges_train::sight::Floaters;
 use serde::Serialize;
@@ -13,11 +14,13 @@ use super::super::Result;
 use super::super::data::Source;
 use super::super::series::Member;
 use super::super::series::chart::psnr_chart;
-use super::super::series::row::{Measured, Row, Scores};
+use super::super::series::row::{Measured, Row};
 use super::super::series::statistics::Spread;
 use super::sheets::Pictures;
 
-const COLUMNS: &str = "method,seeds,psnr,psnr_deviation,ssim,ssim_deviation,flip,flip_deviation,psnr_difference,psnr_difference_deviation,\
+const COLUMNS: &str = "method,seeds,psnr,psnr_deviation,ssim,ssim_deviation,flip,flip_deviation,\
+                       ms_ssim,ms_ssim_deviation,ssimulacra2,ssimulacra2_deviation,lpips_alex,lpips_alex_deviation,\
+                       lpips_vgg,lpips_vgg_deviation,psnr_difference,psnr_difference_deviation,\
                        ssim_difference,ssim_difference_deviation,validation_psnr,validation_psnr_deviation,\
                        validation_ssim,validation_ssim_deviation,surfels,gaussians,floaters,bytes,seconds";
 
@@ -50,6 +53,13 @@ struct Entry {
     ssim: Spread,
     /// Of the held-out views, an error.
     flip: Spread,
+    /// Of the held-out views, and the same of the three that follow; `None` if a run does not have it.
+    ms_ssim: Option<Spread>,
+    ssimulacra2: Option<Spread>,
+    /// An error.
+    lpips_alex: Option<Spread>,
+    /// An error.
+    lpips_vgg: Option<Spread>,
     /// To the first method, seed by seed, dB.
     psnr_difference: Spread,
     /// To the first method, seed by seed.
@@ -130,6 +140,8 @@ impl Comparison {
         let mut lines = vec![vec!["method".to_owned(), "PSNR, dB".to_owned()]];
         lines[0].extend(has_others.then(|| format!("to {first}")));
         lines[0].extend(["SSIM", "FLIP"].map(str::to_owned));
+        let perceptual = self.perceptual();
+        lines[0].extend(perceptual.iter().map(|metric| metric.title.to_owned()));
         if validates {
             lines[0].extend(["validation PSNR", "validation SSIM"].map(str::to_owned));
         }
@@ -137,13 +149,15 @@ impl Comparison {
         lines[0].push("surfels + Gaussians".to_owned());
         lines[0].extend(floats.then(|| "floaters".to_owned()));
         lines[0].extend(["MB", "seconds"].map(str::to_owned));
-        for (index, entry) in self.methods.iter().enumerate() {
+        for (index, (entry, row)) in self.methods.iter().zip(&self.rows).enumerate() {
             let mut line = vec![entry.method.to_owned(), format!("{:.2}", entry.psnr)];
             line.extend(has_others.then(|| match index {
                 0 => String::new(),
                 _ => format!("{:+.2}", entry.psnr_difference),
             }));
             line.extend([entry.ssim, entry.flip].map(|spread| format!("{spread:.4}")));
+            let of = |metric: &Metric| row.spread_if_known(|run| metric.of(&run.test));
+            line.extend(perceptual.iter().filter_map(|metric| Some(format!("{:.*}", metric.digits, of(metric)?))));
             if validates {
                 line.push(entry.validation_psnr.map(|spread| format!("{spread:.2}")).unwrap_or_default());
                 line.push(entry.validation_ssim.map(|spread| format!("{spread:.4}")).unwrap_or_default());
@@ -156,6 +170,13 @@ impl Comparison {
             lines.push(line);
         }
         markdown(&lines) + "\n" + &self.conditions()
+    }
+
+    /// The perceptual metrics that every run has.
+    fn perceptual(&self) -> Vec<&'static Metric> {
+        let is_known =
+            |metric: &&Metric| self.rows.iter().flat_map(|row| &row.runs).all(|run| metric.of(&run.test).is_some());
+        perceptual_metrics().iter().filter(is_known).collect()
     }
 
     /// What the table is of, in sentences.
@@ -187,6 +208,10 @@ impl Comparison {
                 (Some(entry.psnr), 4),
                 (Some(entry.ssim), 6),
                 (Some(entry.flip), 6),
+                (entry.ms_ssim, 6),
+                (entry.ssimulacra2, 4),
+                (entry.lpips_alex, 6),
+                (entry.lpips_vgg, 6),
                 (Some(entry.psnr_difference), 4),
                 (Some(entry.ssim_difference), 6),
                 (entry.validation_psnr, 4),
@@ -217,6 +242,10 @@ impl Entry {
             psnr: row.spread(psnr),
             ssim: row.spread(ssim),
             flip: row.spread(|run| run.test.flip),
+            ms_ssim: row.spread_if_known(|run| run.test.perceptual.ms_ssim),
+            ssimulacra2: row.spread_if_known(|run| run.test.perceptual.ssimulacra2),
+            lpips_alex: row.spread_if_known(|run| run.test.perceptual.lpips_alex),
+            lpips_vgg: row.spread_if_known(|run| run.test.perceptual.lpips_vgg),
             psnr_difference: row.difference(base, psnr),
             ssim_difference: row.difference(base, ssim),
             validation_psnr: row.validation(|scores| scores.psnr),
@@ -262,7 +291,7 @@ fn markdown(lines: &[Vec<String>]) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::super::super::series::row::tests::row;
+    use super::super::super::series::row::tests::{row, scores};
     use super::super::sheets::Sheet;
     use super::*;
 
@@ -318,7 +347,7 @@ mod tests {
     fn validation_views_have_columns_if_there_are_any() {
         let mut rows = two();
         for (row, psnr) in rows.iter_mut().zip([15.0, 17.5]) {
-            row.runs.iter_mut().for_each(|run| run.validation = Some(Scores { psnr, ssim: 0.5, flip: 0.25 }));
+            row.runs.iter_mut().for_each(|run| run.validation = Some(scores(psnr, 0.5, 0.25)));
         }
         let with = comparison(rows);
         for part in ["| validation PSNR |", "15.00 ± 0.00", "17.50 ± 0.00", "0.5000 ± 0.0000"] {
@@ -349,18 +378,37 @@ mod tests {
     }
 
     #[test]
+    fn perceptual_metrics_have_columns_if_every_run_has_them() {
+        let mut rows = two();
+        for run in rows.iter_mut().flat_map(|row| &mut row.runs) {
+            run.test.perceptual.lpips_alex = Some(0.25);
+            run.test.perceptual.ssimulacra2 = Some(if run.seed == 2 { 50.0 } else { 20.0 });
+        }
+        rows[1].runs[0].test.perceptual.lpips_vgg = Some(0.5);
+        let mut with = comparison(rows);
+        let table = with.table();
+        assert!(table.contains(" SSIMULACRA2 |") && table.contains("| 30.00 ± 17.32 |"), "{table}");
+        assert!(table.contains("LPIPS (Alex) |") && table.contains("| 0.2500 ± 0.0000 |"), "{table}");
+        assert!(!table.contains("VGG") && !table.contains("MS-SSIM"), "{table}");
+        let part = ",,,30.0000,17.3205,0.250000,0.000000,,,";
+        assert!(with.csv().lines().skip(1).all(|line| line.contains(part)), "{}", with.csv());
+        with.rows[1].runs[0].test.perceptual.lpips_alex = None;
+        assert!(!with.table().contains("LPIPS"), "{}", with.table());
+    }
+
+    #[test]
     fn the_csv_has_a_line_per_method_and_leaves_out_what_is_unknown() {
         let csv = comparison(two()).csv();
         let lines: Vec<&str> = csv.lines().collect();
         assert_eq!(lines[0], COLUMNS);
         assert_eq!(
             lines[2],
-            "mcmc,3,22.0000,11.0000,0.750000,0.000000,0.125000,0.000000,2.0000,1.0000,0.000000,0.000000,,,,,12,347,,6700000,89.0"
+            "mcmc,3,22.0000,11.0000,0.750000,0.000000,0.125000,0.000000,,,,,,,,,2.0000,1.0000,0.000000,0.000000,,,,,12,347,,6700000,89.0"
         );
-        assert!(lines.iter().all(|line| line.split(',').count() == 21), "{csv}");
+        assert!(lines.iter().all(|line| line.split(',').count() == 29), "{csv}");
         let once = comparison(vec![row("dpges", &[28.0])]).csv();
         assert!(
-            once.ends_with("dpges,1,28.0000,,0.750000,,0.125000,,0.0000,,0.000000,,,,,,12,345,,6700000,89.0\n"),
+            once.ends_with("dpges,1,28.0000,,0.750000,,0.125000,,,,,,,,,,0.0000,,0.000000,,,,,,12,345,,6700000,89.0\n"),
             "{once}"
         );
     }
@@ -377,8 +425,8 @@ mod tests {
         let second = &json["methods"][1];
         assert_eq!(
             keys(second),
-            "bytes flip floaters gaussians method psnr psnr_difference runs seconds settings ssim ssim_difference surfels \
-             validation_psnr validation_ssim"
+            "bytes flip floaters gaussians lpips_alex lpips_vgg method ms_ssim psnr psnr_difference runs seconds settings ssim \
+             ssim_difference ssimulacra2 surfels validation_psnr validation_ssim"
         );
         assert_eq!(second["psnr_difference"], serde_json::json!({ "mean": 2.0, "deviation": 1.0 }));
         assert_eq!(keys(&second["runs"][0]), "bytes floaters folder gaussians seconds seed surfels test validation");

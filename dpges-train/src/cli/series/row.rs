@@ -2,11 +2,11 @@
 
 use std::path::Path;
 
-use dpges_train::eval::{EvalReport, Evaluation, ViewScore};
+use dpges_train::eval::{EvalReport, ViewScore};
+use dpges_train::metrics::Scores;
 use dpges_train::run::folder::RunFolder;
 use dpges_train::run::metrics_log::MetricsLog;
 use dpges_train::sight::Floaters;
-use serde::Serialize;
 
 use super::super::{Failure, Result};
 use super::statistics::Spread;
@@ -33,16 +33,6 @@ pub struct Measured {
     pub views: Vec<ViewScore>,
 }
 
-/// Means over views.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Scores {
-    /// dB
-    pub psnr: f64,
-    pub ssim: f64,
-    /// An error, from 0 to 1.
-    pub flip: f64,
-}
-
 /// The runs of one configuration, a seed each.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Row {
@@ -56,11 +46,11 @@ impl Measured {
     pub fn read(folder: &RunFolder, relative: String, seed: u64) -> Result<Self> {
         let report = read_report(&folder.evaluation())?;
         let path = folder.validation();
-        let validation = if path.is_file() { Some(Scores::of(&read_report(&path)?)) } else { None };
+        let validation = if path.is_file() { Some(read_report(&path)?.evaluation.scores()) } else { None };
         Ok(Self {
             seed,
             folder: relative,
-            test: Scores::of(&report),
+            test: report.evaluation.scores(),
             validation,
             surfels: report.evaluation.surfels,
             gaussians: report.evaluation.gaussians,
@@ -69,13 +59,6 @@ impl Measured {
             seconds: MetricsLog::seconds_of_steps(&folder.metrics())?,
             views: report.evaluation.views,
         })
-    }
-}
-
-impl Scores {
-    fn of(report: &EvalReport) -> Self {
-        let Evaluation { psnr, ssim, flip, .. } = report.evaluation;
-        Self { psnr, ssim, flip }
     }
 }
 
@@ -106,7 +89,8 @@ impl Row {
     }
 }
 
-fn read_report(path: &Path) -> Result<EvalReport> {
+/// Reads an evaluation of a run.
+pub fn read_report(path: &Path) -> Result<EvalReport> {
     let wrong = |error: String| {
         let help = "remove it to finish its run again";
         Failure::with_help(format!("{} cannot be read: {error}", path.display()), help)
@@ -117,14 +101,21 @@ fn read_report(path: &Path) -> Result<EvalReport> {
 
 #[cfg(test)]
 pub mod tests {
+    use dpges_train::metrics::Perceptual;
+
     use super::*;
+
+    /// Without perceptual measures.
+    pub fn scores(psnr: f64, ssim: f64, flip: f64) -> Scores {
+        Scores { psnr, ssim, flip, perceptual: Perceptual::default() }
+    }
 
     /// A row with seeds 0, 1, …, and a PSNR for each.
     pub fn row(label: &'static str, psnr: &[f64]) -> Row {
         let measured = |(seed, &psnr): (usize, &f64)| Measured {
             seed: seed as u64,
             folder: format!("{label}/seed_{seed}"),
-            test: Scores { psnr, ssim: 0.75, flip: 0.125 },
+            test: scores(psnr, 0.75, 0.125),
             validation: None,
             surfels: 12,
             gaussians: 345 + 2 * seed,
@@ -140,9 +131,9 @@ pub mod tests {
     fn validation_is_known_if_it_is_of_every_run() {
         let mut row = row("a", &[20.0, 30.0]);
         assert_eq!(row.validation(|scores| scores.psnr), None);
-        row.runs[0].validation = Some(Scores { psnr: 10.0, ssim: 0.5, flip: 0.25 });
+        row.runs[0].validation = Some(scores(10.0, 0.5, 0.25));
         assert_eq!(row.validation(|scores| scores.psnr), None);
-        row.runs[1].validation = Some(Scores { psnr: 14.0, ssim: 0.5, flip: 0.25 });
+        row.runs[1].validation = Some(scores(14.0, 0.5, 0.25));
         assert_eq!(row.validation(|scores| scores.psnr).unwrap().mean, 12.0);
     }
 

@@ -8,11 +8,11 @@ use dpges_core::scene::{ColourData, ColourModel};
 use super::super::{Context, Stage, TrainError};
 use super::JointStage;
 use crate::config::Budget;
-use crate::eval::evaluate_each;
+use crate::eval::{Measures, evaluate_each};
 use crate::refine::growth::{Decision, Growth};
 use crate::refine::layer_count::{MOST_OPEN, choose, open_share};
 use crate::refine::lobes::{drop_lobes, spare_lobes};
-use crate::rendered::Renderer;
+use crate::rendered::{Rendered, Renderer};
 
 /// A lobe is dropped if its absence changes no colour by more than this: half a step of an 8-bit picture.
 const UNSEEN: f64 = 0.5 / 255.0;
@@ -30,8 +30,8 @@ impl JointStage {
         let scene = self.scene();
         let device = &context.device;
         let renderer = Renderer::new(&scene, device).deterministic(context.config.train.deterministic);
-        let psnr =
-            evaluate_each(&renderer, &scene, &context.dataset.validation, device, |_, _| Ok::<_, TrainError>(()))?.psnr;
+        let (views, nothing) = (&context.dataset.validation, |_: usize, _: &Rendered| Ok::<_, TrainError>(()));
+        let psnr = evaluate_each(&renderer, &scene, views, device, Measures::Basic, nothing)?.psnr;
         let growth = self.growth.get_or_insert_with(Growth::default);
         let primitives = scene.surfels.len() + scene.gaussians.len();
         Ok(match growth.observe(primitives, psnr) {

@@ -1,0 +1,31 @@
+//! The memory of this process.
+
+/// The most memory that this process has had in use so far, bytes, as the operating system counts it; `None` on systems
+/// other than Linux.
+pub fn peak_memory_bytes() -> Option<u64> {
+    peak_of(&std::fs::read_to_string("/proc/self/status").ok()?)
+}
+
+/// The peak in the text of `/proc/self/status`.
+fn peak_of(status: &str) -> Option<u64> {
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    Some(line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()? * 1024)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_peak_is_read_in_bytes() {
+        assert_eq!(peak_of("VmPeak:\t  900 kB\nVmHWM:\t   123 kB\nVmRSS:\t  99 kB\n"), Some(123 * 1024));
+        assert_eq!(peak_of("VmPeak:\t  900 kB\n"), None);
+        assert_eq!(peak_of("VmHWM:\t much\n"), None);
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn this_process_has_a_peak() {
+        assert!(peak_memory_bytes().is_some_and(|bytes| bytes > 1 << 20));
+    }
+}

@@ -1,0 +1,194 @@
+//! What is measured of a view, or in the mean over views, and how people read it.
+
+use serde::{Deserialize, Serialize};
+
+use super::{ms_ssim, ssimulacra2};
+
+/// What takes longer than PSNR, SSIM and FLIP. Each is absent where it was not measured or the picture is too small for it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Perceptual {
+    /// From 0 to 1.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ms_ssim: Option<f64>,
+    /// At most 100.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ssimulacra2: Option<f64>,
+    /// An error by the features of AlexNet.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lpips_alex: Option<f64>,
+    /// An error by the features of VGG16.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lpips_vgg: Option<f64>,
+}
+
+/// The quality of a picture, or its mean over pictures.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Scores {
+    /// dB
+    pub psnr: f64,
+    pub ssim: f64,
+    /// An error, from 0 to 1.
+    pub flip: f64,
+    #[serde(flatten)]
+    pub perceptual: Perceptual,
+}
+
+/// One of the numbers in [`Scores`].
+#[derive(Clone, Copy, Debug)]
+pub struct Metric {
+    /// As JSON, CSV and file names call it.
+    pub key: &'static str,
+    /// As people call it.
+    pub title: &'static str,
+    /// What stands behind its values, with a space, or nothing.
+    pub unit: &'static str,
+    /// Digits behind the point.
+    pub digits: usize,
+    /// Whether less is better.
+    pub is_error: bool,
+    of: fn(&Scores) -> Option<f64>,
+}
+
+/// All of them, in the order in which they are shown: three that every evaluation has, then those of [`Perceptual`].
+pub static METRICS: [Metric; 7] = [
+    Metric { key: "psnr", title: "PSNR", unit: " dB", digits: 2, is_error: false, of: |scores| Some(scores.psnr) },
+    Metric { key: "ssim", title: "SSIM", unit: "", digits: 4, is_error: false, of: |scores| Some(scores.ssim) },
+    Metric { key: "flip", title: "FLIP", unit: "", digits: 4, is_error: true, of: |scores| Some(scores.flip) },
+    Metric {
+        key: "ms_ssim",
+        title: "MS-SSIM",
+        unit: "",
+        digits: 4,
+        is_error: false,
+        of: |scores| scores.perceptual.ms_ssim,
+    },
+    Metric {
+        key: "ssimulacra2",
+        title: "SSIMULACRA2",
+        unit: "",
+        digits: 2,
+        is_error: false,
+        of: |scores| scores.perceptual.ssimulacra2,
+    },
+    Metric {
+        key: "lpips_alex",
+        title: "LPIPS (Alex)",
+        unit: "",
+        digits: 4,
+        is_error: true,
+        of: |scores| scores.perceptual.lpips_alex,
+    },
+    Metric {
+        key: "lpips_vgg",
+        title: "LPIPS (VGG)",
+        unit: "",
+        digits: 4,
+        is_error: true,
+        of: |scores| scores.perceptual.lpips_vgg,
+    },
+];
+
+/// The metrics of [`Perceptual`].
+pub fn perceptual_metrics() -> &'static [Metric] {
+    &METRICS[3..]
+}
+
+impl Perceptual {
+    /// MS-SSIM and SSIMULACRA2 of two pictures [3 × `height` × `width`], display-referred (sRGB) from 0 to 1.
+    ///
+    /// # Panics
+    /// If the planes are not of that size.
+    pub fn without_networks(reference: &[f32], test: &[f32], width: usize, height: usize) -> Self {
+        Self {
+            ms_ssim: ms_ssim(reference, test, width, height),
+            ssimulacra2: ssimulacra2(reference, test, width, height),
+            ..Self::default()
+        }
+    }
+
+    /// The mean over views of what every view has.
+    pub fn mean(views: &[Self]) -> Self {
+        let mean = |of: fn(&Self) -> Option<f64>| {
+            let values = views.iter().map(of).collect::<Option<Vec<f64>>>().filter(|values| !values.is_empty())?;
+            Some(values.iter().sum::<f64>() / values.len() as f64)
+        };
+        Self {
+            ms_ssim: mean(|view| view.ms_ssim),
+            ssimulacra2: mean(|view| view.ssimulacra2),
+            lpips_alex: mean(|view| view.lpips_alex),
+            lpips_vgg: mean(|view| view.lpips_vgg),
+        }
+    }
+}
+
+impl Metric {
+    /// Its value; `None` if it is absent.
+    pub fn of(&self, scores: &Scores) -> Option<f64> {
+        (self.of)(scores)
+    }
+
+    /// Which of `views` it finds worst, the first of equals; `None` if no view has it.
+    pub fn worst(&self, views: &[Scores]) -> Option<usize> {
+        let badness = |index: usize| self.of(&views[index]).map(|value| if self.is_error { value } else { -value });
+        let known = (0..views.len()).filter_map(|index| Some((index, badness(index)?)));
+        known.reduce(|worst, other| if other.1 > worst.1 { other } else { worst }).map(|(index, _)| index)
+    }
+
+    /// `value` with its unit, or a dash if it is absent.
+    pub fn text(&self, value: Option<f64>) -> String {
+        value.map_or_else(|| "—".to_owned(), |value| format!("{value:.*}{}", self.digits, self.unit))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn scores(psnr: f64, flip: f64, ssimulacra2: Option<f64>) -> Scores {
+        Scores { psnr, ssim: 0.5, flip, perceptual: Perceptual { ssimulacra2, ..Perceptual::default() } }
+    }
+
+    #[test]
+    fn the_worst_view_has_the_least_quality_or_the_largest_error() {
+        let views = [scores(20.0, 0.1, None), scores(10.0, 0.2, Some(-3.0)), scores(10.0, 0.3, Some(40.0))];
+        let worst = |key: &str| METRICS.iter().find(|metric| metric.key == key).unwrap().worst(&views);
+        assert_eq!(
+            ["psnr", "ssim", "flip", "ssimulacra2", "ms_ssim"].map(worst),
+            [Some(1), Some(0), Some(2), Some(1), None]
+        );
+        assert_eq!(METRICS[0].worst(&[]), None);
+    }
+
+    #[test]
+    fn a_mean_is_over_all_views_or_absent() {
+        let view = |ms_ssim, ssimulacra2| Perceptual { ms_ssim, ssimulacra2, ..Perceptual::default() };
+        let mean = Perceptual::mean(&[view(Some(0.5), Some(10.0)), view(None, Some(30.0))]);
+        assert_eq!(mean, view(None, Some(20.0)));
+        assert_eq!(Perceptual::mean(&[]), Perceptual::default());
+    }
+
+    #[test]
+    fn keys_are_those_of_json_and_what_is_absent_has_none() {
+        let all =
+            Perceptual { ms_ssim: Some(0.5), ssimulacra2: Some(50.0), lpips_alex: Some(0.25), lpips_vgg: Some(0.125) };
+        let whole = Scores { psnr: 20.0, ssim: 0.75, flip: 0.1, perceptual: all };
+        let json = serde_json::to_value(whole).unwrap();
+        assert_eq!(json.as_object().unwrap().len(), METRICS.len());
+        for metric in &METRICS {
+            assert_eq!(json[metric.key].as_f64(), metric.of(&whole), "{}", metric.key);
+        }
+        assert_eq!(serde_json::from_value::<Scores>(json).unwrap(), whole);
+        let basic = scores(20.0, 0.25, None);
+        assert!(perceptual_metrics().iter().all(|metric| metric.of(&basic).is_none()));
+        let few = serde_json::to_string(&basic).unwrap();
+        assert_eq!(few, r#"{"psnr":20.0,"ssim":0.5,"flip":0.25}"#);
+        assert_eq!(serde_json::from_str::<Scores>(&few).unwrap(), scores(20.0, 0.25, None));
+    }
+
+    #[test]
+    fn values_have_their_units_and_digits() {
+        assert_eq!(METRICS[0].text(Some(23.456)), "23.46 dB");
+        assert_eq!(METRICS[1].text(Some(0.98767)), "0.9877");
+        assert_eq!(METRICS[3].text(None), "—");
+    }
+}
