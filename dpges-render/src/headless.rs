@@ -77,6 +77,11 @@ impl Headless {
         self.adapter.backend
     }
 
+    /// Bytes of everything that is allocated on the device; `None` where its interface does not tell.
+    pub fn allocated_bytes(&self) -> Option<u64> {
+        self.device.generate_allocator_report().map(|report| report.total_allocated_bytes)
+    }
+
     /// A renderer for [`picture`](Self::picture) with the best precision of the device.
     ///
     /// # Errors

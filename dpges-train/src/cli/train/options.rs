@@ -93,8 +93,8 @@ impl ConfigArgs {
     }
 }
 
-/// Defaults for the kind of dataset.
-fn of_dataset(source: &Source) -> &'static [&'static str] {
+/// Defaults for the kind of dataset, as `key=value`.
+pub fn of_dataset(source: &Source) -> &'static [&'static str] {
     match source {
         Source::Builtin => &BUILTIN_DEFAULTS,
         Source::Folder(path) if dataset::format(path) == Some(Format::Blender) => &BLENDER_DEFAULTS,
