@@ -87,7 +87,16 @@ impl Headless {
     /// # Errors
     /// Those of [`Renderer::new`].
     pub fn renderer(&self) -> Result<Renderer> {
-        Renderer::new(&self.device, &self.queue, PICTURE_FORMAT, Renderer::best_precision(&self.device))
+        self.renderer_with(None)
+    }
+
+    /// [`renderer`](Self::renderer) with `precision`, if that is given.
+    ///
+    /// # Errors
+    /// Those of [`Renderer::new`].
+    pub fn renderer_with(&self, precision: Option<Precision>) -> Result<Renderer> {
+        let precision = precision.unwrap_or_else(|| Renderer::best_precision(&self.device));
+        Renderer::new(&self.device, &self.queue, PICTURE_FORMAT, precision)
     }
 
     /// The picture of the scene that `renderer` holds, which must render into [`PICTURE_FORMAT`].

@@ -70,6 +70,20 @@ pub struct EvalReport {
     /// Primitives that float, see [`sight`](crate::sight); absent if the dataset does not say which view saw what.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub floaters: Option<Floaters>,
+    /// What the run was to reach; absent without a target.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub target: Option<TargetReport>,
+}
+
+/// What a run was to reach, what was expected of it before, and what it has come to.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TargetReport {
+    /// As it was asked for, such as `10MB`.
+    pub asked: String,
+    /// `bytes` of the scene file, `seconds` of training up to the last step, or `frames_per_second`.
+    pub unit: String,
+    pub expected: f64,
+    pub got: f64,
 }
 
 /// Renders every view and compares it with its photograph.

@@ -64,6 +64,7 @@ fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> 
         evaluation,
         bytes: scene.bytes,
         floaters: renderer.floaters(&dataset)?,
+        target: None,
     };
     match args.json.as_deref().filter(|path| *path != Path::new("-")) {
         Some(path) => {

@@ -16,6 +16,7 @@ mod info;
 #[cfg(test)]
 mod reference;
 mod render;
+mod rendering_preset;
 mod selftest;
 mod series;
 mod trade;

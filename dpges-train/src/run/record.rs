@@ -79,6 +79,7 @@ impl Record {
             evaluation: evaluation.clone(),
             bytes: file.len(),
             floaters,
+            target: None,
         };
         write_json(path, &report)
     }

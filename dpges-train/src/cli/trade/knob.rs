@@ -9,6 +9,22 @@ use dpges_core::scene::{Footprint, Rendering, SceneData};
 use dpges_render::MAX_LAYERS;
 use dpges_train::simplify::{Contributions, detail_of, with_detail};
 
+/// All knobs by name: those of rendering, then those that only training has. `layers`, `detail` and `resolution` are
+/// turned in both.
+pub const KNOBS: [&str; 11] = [
+    "layers",
+    "footprint",
+    "modulation",
+    "detail",
+    "primitives",
+    "resolution",
+    "sums",
+    "budget",
+    "colour",
+    "method",
+    "steps",
+];
+
 /// One knob at one of its values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Change {
@@ -149,6 +165,7 @@ pub mod tests {
             "sums=16bit",
         ];
         assert_eq!(labels, expected);
+        assert!(Change::all(&scene, true).iter().all(|change| KNOBS.contains(&change.knob())));
         assert!(!Change::all(&scene, false).contains(&Change::HalfSums));
         let mut blended = scene;
         blended.info.rendering = Rendering::Ellipsoids;

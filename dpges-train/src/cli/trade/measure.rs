@@ -7,7 +7,7 @@ use clap::ValueEnum;
 use dpges_core::camera::Camera;
 use dpges_core::scene::{SceneData, SceneInfo};
 use dpges_render::frame_times::{FrameTimes, Rounds, frame_times};
-use dpges_render::{Headless, PICTURE_FORMAT, Precision, RenderOptions, Rgb8Image};
+use dpges_render::{Headless, Precision, RenderOptions, Rgb8Image};
 use dpges_train::dataset::View;
 use dpges_train::device::DeviceName;
 use dpges_train::eval::{ViewScore, score_picture};
@@ -121,9 +121,7 @@ impl Bench<'_> {
         frames: &[Camera],
         half_sums: bool,
     ) -> Result<(Vec<Rgb8Image>, FrameTimes, Option<u64>)> {
-        let best = dpges_render::Renderer::best_precision(headless.device());
-        let precision = if half_sums { Precision::Half } else { best };
-        let mut renderer = dpges_render::Renderer::new(headless.device(), headless.queue(), PICTURE_FORMAT, precision)?;
+        let mut renderer = headless.renderer_with(half_sums.then_some(Precision::Half))?;
         renderer.upload(scene)?;
         let options = RenderOptions::from(&scene.info);
         let draw = |camera: &Camera| headless.draw(&mut renderer, camera, &options);

@@ -36,6 +36,7 @@ use super::render::Size;
 use super::train::display::watch_for_interrupts;
 use super::{Failure, Result, device_choice, duration, print};
 use crate::logging::LogStyle;
+use knob::KNOBS;
 use limit::Limit;
 use measure::{Bench, Engine};
 use plot::{AXES, Plot};
@@ -81,6 +82,9 @@ pub struct TradeArgs {
     /// Measure nothing that begins later, and stop a training that goes on longer; the same command goes on
     #[arg(long, value_name = "TIME", value_parser = duration::duration)]
     time_limit: Option<Duration>,
+    /// Turn only these knobs, separated by commas
+    #[arg(long, value_name = "KNOB", value_delimiter = ',', value_parser = KNOBS)]
+    only: Vec<String>,
     /// Also train: budgets, lobes, layers, resolutions, lengths, a colour model and a method, as far as they differ from
     /// the configuration of the scene's run
     #[arg(long)]
@@ -131,13 +135,15 @@ impl TradeArgs {
         let interrupted = watch_for_interrupts()?;
         let mut sweep = Sweep::new(bench, &self.out, store);
         let cameras = judging_cameras(&dataset);
-        let of_scene = sweep::Subject { scene: &scene.data, cameras: &cameras };
+        let is_wanted = |knob: &str| self.only.is_empty() || self.only.iter().any(|wanted| wanted == knob);
+        let of_scene = sweep::Subject { scene: &scene.data, cameras: &cameras, is_wanted: &is_wanted };
         sweep.render(&of_scene, &|| !limit.is_over() && !interrupted.load(Ordering::SeqCst))?;
         if let Some(config) = config.filter(|_| !interrupted.load(Ordering::SeqCst)) {
             let training = Training {
                 source: &source,
                 config: &config,
                 resolve: &resolve,
+                is_wanted: &is_wanted,
                 seeds: self.seeds,
                 name,
                 device: &opened,
@@ -276,6 +282,7 @@ mod tests {
         assert!(parsed(&["--time-limit=30"]).unwrap_err().contains("s, min or h"));
         assert!(parsed(&["--seeds=2"]).unwrap_err().contains("--train"));
         assert!(parsed(&["--set=train.steps=3"]).unwrap_err().contains("--train"));
+        assert!(parsed(&["--only=layers,lobes"]).unwrap_err().contains("[possible values: layers, footprint"));
         assert!(parsed(&["--size=big"]).unwrap_err().contains("1920x1080"));
         assert!(parsed(&["--views=0"]).is_err() && parsed(&["--rounds=0"]).is_err());
     }

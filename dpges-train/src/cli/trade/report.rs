@@ -8,7 +8,7 @@ use base64::prelude::BASE64_STANDARD;
 use image::codecs::jpeg::JpegEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 
-use super::super::Result;
+use super::super::{Failure, Result};
 use super::point::{Kind, Point};
 use super::store::Trade;
 
@@ -148,10 +148,7 @@ fn shown(trade: &Trade) -> Vec<&Point> {
 fn figure(page: &mut String, folder: &Path, file: &str, caption: &str) -> Result<()> {
     let path = folder.join(file);
     let picture = image::open(&path).map_err(|error| {
-        super::super::Failure::with_help(
-            format!("cannot read {}: {error}", path.display()),
-            "remove trade.json to measure anew",
-        )
+        Failure::with_help(format!("cannot read {}: {error}", path.display()), "remove trade.json to measure anew")
     })?;
     let picture = picture.into_rgb8();
     let mut jpeg = Vec::new();
@@ -237,7 +234,7 @@ mod tests {
         assert_eq!(made.matches("<img ").count(), 3);
         trade.points[0].picture = "pictures/absent.png".to_owned();
         let Err(error) = page(folder.path(), &trade, &plots, "pictures/photograph.png", &about) else { panic!("made") };
-        let super::super::super::Failure::Failed(report) = error else { panic!("wrong usage") };
+        let Failure::Failed(report) = error else { panic!("wrong usage") };
         assert!(report.to_string().contains("absent.png"), "{report}");
     }
 }

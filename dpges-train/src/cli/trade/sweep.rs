@@ -32,6 +32,8 @@ pub struct Subject<'a> {
     pub scene: &'a SceneData,
     /// In its coordinates: where it is looked at from, for what primitives contribute and how their colours change.
     pub cameras: &'a [Camera],
+    /// Whether a knob is turned.
+    pub is_wanted: &'a dyn Fn(&str) -> bool,
 }
 
 impl<'a> Sweep<'a> {
@@ -41,11 +43,16 @@ impl<'a> Sweep<'a> {
 
     /// Measures `subject` at every setting, as long as `goes_on` says so.
     pub fn render(&mut self, subject: &Subject, goes_on: &dyn Fn() -> bool) -> Result<()> {
-        let singles = Change::all(subject.scene, self.bench.sums_floats());
+        let mut singles = Change::all(subject.scene, self.bench.sums_floats());
+        singles.retain(|change| (subject.is_wanted)(change.knob()));
         let alone: Vec<Vec<Change>> =
             std::iter::once(Vec::new()).chain(singles.iter().map(|&change| vec![change])).collect();
         let contributions = OnceCell::new();
         self.measure(subject, &alone, &contributions, goes_on)?;
+        if !singles.iter().all(|single| self.store.has(&single.to_string(), None)) {
+            self.leave_out("combinations", None);
+            return Ok(());
+        }
         let together = combinations(&singles, &self.store.trade.points);
         self.measure(subject, &together, &contributions, goes_on)
     }

@@ -40,7 +40,10 @@ pub struct Training<'a> {
     pub source: &'a Source,
     /// Of the run that the scene comes from, or that `dpges train` would have, with options on top.
     pub config: &'a Config,
+    /// The same with more `key=value`.
     pub resolve: &'a dyn Fn(&[String]) -> Result<Config>,
+    /// Whether a knob is turned.
+    pub is_wanted: &'a dyn Fn(&str) -> bool,
     pub seeds: u64,
     pub name: DeviceName,
     pub device: &'a Device,
@@ -53,7 +56,12 @@ impl Training<'_> {
     /// time is over. Folders that hold anything else are refused before the first step.
     pub fn run(&self, sweep: &mut Sweep, out: &Path, limit: &Limit) -> Result<()> {
         let dataset = Arc::new(self.source.load_for_training(self.config)?);
-        let variations = variations(self.config, &dataset);
+        if dataset.test.is_empty() {
+            let message = format!("{} has no held-out views to compare runs on", self.source);
+            return Err(Failure::with_help(message, "hold out views with --test-every"));
+        }
+        let mut variations = variations(self.config, &dataset);
+        variations.retain(|variation| variation.knob.is_none_or(self.is_wanted));
         let mut entries = Vec::new();
         for seed in (self.config.train.seed..).take(self.seeds as usize) {
             let seeded = format!("train.seed={seed}");
@@ -171,6 +179,7 @@ mod tests {
 
     use dpges_train::dataset::{BuiltinOptions, builtin};
 
+    use super::super::knob::KNOBS;
     use super::*;
 
     fn dataset() -> Dataset {
@@ -193,6 +202,7 @@ mod tests {
             assert_eq!(resolve(&all[0].settings), base);
             assert!(all.iter().map(|variation| variation.label).collect::<HashSet<_>>().len() == all.len());
             for variation in &all[1..] {
+                assert!(variation.knob.is_some_and(|knob| KNOBS.contains(&knob)), "{variation:?}");
                 assert_ne!(resolve(&variation.settings), base, "{variation:?}");
             }
         }

@@ -62,6 +62,16 @@ impl ConfigArgs {
         self.method.is_some()
     }
 
+    /// Whether `--budget` is given.
+    pub fn names_budget(&self) -> bool {
+        self.budget.is_some()
+    }
+
+    /// Whether `--steps` or `--steps-scale` is given.
+    pub fn names_length(&self) -> bool {
+        self.steps.is_some() || self.steps_scale.is_some()
+    }
+
     /// The configuration for a dataset, with `more` (`key=value`) on top.
     pub fn resolve(&self, source: &Source, more: &[String]) -> Result<Config> {
         let mut config = self.resolved(of_dataset(source), self.config.as_deref(), more)?;
