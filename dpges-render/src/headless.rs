@@ -77,12 +77,26 @@ impl Headless {
         self.adapter.backend
     }
 
+    /// Bytes of everything that is allocated on the device; `None` where its interface does not tell.
+    pub fn allocated_bytes(&self) -> Option<u64> {
+        self.device.generate_allocator_report().map(|report| report.total_allocated_bytes)
+    }
+
     /// A renderer for [`picture`](Self::picture) with the best precision of the device.
     ///
     /// # Errors
     /// Those of [`Renderer::new`].
     pub fn renderer(&self) -> Result<Renderer> {
-        Renderer::new(&self.device, &self.queue, PICTURE_FORMAT, Renderer::best_precision(&self.device))
+        self.renderer_with(None)
+    }
+
+    /// [`renderer`](Self::renderer) with `precision`, if that is given.
+    ///
+    /// # Errors
+    /// Those of [`Renderer::new`].
+    pub fn renderer_with(&self, precision: Option<Precision>) -> Result<Renderer> {
+        let precision = precision.unwrap_or_else(|| Renderer::best_precision(&self.device));
+        Renderer::new(&self.device, &self.queue, PICTURE_FORMAT, precision)
     }
 
     /// The picture of the scene that `renderer` holds, which must render into [`PICTURE_FORMAT`].

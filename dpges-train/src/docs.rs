@@ -23,3 +23,6 @@ pub mod ablations {}
 
 #[doc = include_str!("../docs/comparisons.md")]
 pub mod comparisons {}
+
+#[doc = include_str!("../docs/trade.md")]
+pub mod trade {}

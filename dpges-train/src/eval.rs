@@ -5,11 +5,12 @@
 
 use std::time::Instant;
 
-use burn::tensor::Device;
+use burn::tensor::{DType, Device, Tensor, TensorData};
 use dpges_core::metrics::{mean_ssim, psnr, quantised};
 use dpges_core::scene::SceneData;
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::{Error, Result};
+use dpges_render::Rgb8Image;
 use serde::{Deserialize, Serialize};
 
 use crate::dataset::{Picture, View};
@@ -84,6 +85,20 @@ pub struct EvalReport {
     /// The most memory that the process which wrote the report has had in use; absent where it is not known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub peak_memory_bytes: Option<u64>,
+    /// What the run was to reach; absent without a target.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub target: Option<TargetReport>,
+}
+
+/// What a run was to reach, what was expected of it before, and what it has come to.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TargetReport {
+    /// As it was asked for, such as `10MB`.
+    pub asked: String,
+    /// `bytes` of the scene file, `seconds` of training up to the last step, or `frames_per_second`.
+    pub unit: String,
+    pub expected: f64,
+    pub got: f64,
 }
 
 /// What is measured besides PSNR, SSIM and FLIP.
@@ -141,7 +156,7 @@ pub fn evaluate_each<E: From<Error>>(
         // a GPU may have only begun
         device.sync().map_err(|error| Error::Device { reason: error.to_string() })?;
         let seconds = start.elapsed().as_secs_f64();
-        scores.push(score(view, &render, seconds, device, measures)?);
+        scores.push(score(view, render.image().clone(), seconds, device, measures)?);
         visit(index, &render)?;
     }
     let mean = |of: fn(&ViewScore) -> f64| scores.iter().map(of).sum::<f64>() / scores.len() as f64;
@@ -157,10 +172,26 @@ pub fn evaluate_each<E: From<Error>>(
     })
 }
 
-fn score(view: &View, render: &Rendered, seconds: f64, device: &Device, measures: Measures<'_>) -> Result<ViewScore> {
+/// The scores of a finished `picture` of `view`, which took `seconds` to render.
+///
+/// # Errors
+/// [`Error::Shape`] if the picture has another size than the photograph.
+pub fn score_picture(view: &View, picture: &Rgb8Image, seconds: f64, device: &Device) -> Result<ViewScore> {
+    let (width, height) = (view.picture.width, view.picture.height);
+    if (picture.width, picture.height) != (width, height) {
+        let found = vec![picture.height, picture.width, 3];
+        return Err(Error::Shape { tensor: "picture".to_owned(), expected: format!("[{height}, {width}, 3]"), found });
+    }
+    let channel = |channel: usize| picture.bytes.iter().skip(channel).step_by(3).map(|&byte| f32::from(byte) / 255.0);
+    let planes: Vec<f32> = (0..3).flat_map(channel).collect();
+    let image = Tensor::from_data(TensorData::new(planes, [3, height, width]), (device, DType::F32));
+    score(view, image, seconds, device, Measures::Basic)
+}
+
+fn score(view: &View, image: Tensor<3>, seconds: f64, device: &Device, measures: Measures<'_>) -> Result<ViewScore> {
     let Picture { width, height, .. } = view.picture;
     let picture = quantised(view.target(device));
-    let image = quantised(render.image().clone());
+    let image = quantised(image);
     let (reference, test) = (tensor_to_rows(&picture), tensor_to_rows(&image));
     let perceptual = match measures {
         Measures::Basic => Perceptual::default(),
@@ -224,6 +255,16 @@ mod tests {
         assert_eq!(evaluation.psnr, (evaluation.views[0].psnr + evaluation.views[1].psnr) / 2.0);
         assert_eq!(evaluation.perceptual, Perceptual::default());
         assert!(evaluate(&nothing([0.0; 3]), &[], &device).unwrap_err().to_string().contains("views"));
+
+        let picture = |value: u8| Rgb8Image { width: 12, height: 12, bytes: vec![value; 3 * 12 * 12] };
+        let scored = |index: usize, value: u8| score_picture(&views[index], &picture(value), 0.0, &device).unwrap();
+        assert_eq!(scored(0, 128).psnr, LARGEST_PSNR);
+        for (found, expected) in [(scored(1, 128), &evaluation.views[1]), (scored(0, 128), &evaluation.views[0])] {
+            assert!((found.psnr - expected.psnr).abs() < 1e-4 && (found.ssim - expected.ssim).abs() < 1e-6);
+            assert!((found.flip - expected.flip).abs() < 1e-6);
+        }
+        let narrow = Rgb8Image { width: 11, height: 12, bytes: vec![0; 3 * 11 * 12] };
+        assert!(score_picture(&views[0], &narrow, 0.0, &device).unwrap_err().to_string().contains("picture"));
     }
 
     #[test]

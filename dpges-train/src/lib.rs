@@ -20,6 +20,8 @@
 //! | ssimulacra2 | the metric of that name |
 //! | strsim | the nearest known key for an unknown one |
 //! | thiserror; miette in the binary | errors |
+//! | plotters, epaint_default_fonts, base64 in the binary | plots, their letters, pictures within a report |
+//! | humantime in the binary | durations, the date of a report |
 //! | clap, ctrlc, indicatif, tracing, tracing-indicatif, tracing-subscriber | the command line |
 //! | mimalloc | the binary's allocator |
 
@@ -39,5 +41,6 @@ pub mod rendered;
 pub mod run;
 pub mod scene_state;
 pub mod sight;
+pub mod simplify;
 pub mod splat_fit;
 mod stage;

@@ -109,8 +109,8 @@ fn wrong_usage_is_exit_code_2_and_says_what_is_right() {
     let folder = folder();
     let at = folder.path();
     assert!(fails(at, 2, &["train", "--stepz", "3"]).contains("--steps"));
-    assert!(fails(at, 2, &["train", "--preset", "fast"]).contains("default, quick, cpu"));
-    assert!(fails(at, 2, &["config", "--preset", "fast"]).contains("default, quick, cpu"));
+    assert!(fails(at, 2, &["train", "--preset", "faster"]).contains("default, quick, cpu"));
+    assert!(fails(at, 2, &["config", "--preset", "faster"]).contains("default, quick, cpu"));
     assert!(fails(at, 2, &["train", "--set", "train.step=3"]).contains("did you mean `train.steps`"));
     assert!(fails(at, 2, &["train", "--steps", "0"]).contains("at least 1"));
     for factor in ["0", "-1", "inf"] {
@@ -712,6 +712,130 @@ fn an_automatic_budget_says_what_it_decides_and_why() {
     train(at, "size", &["--budget=0.1MB"]);
     assert!(bytes(at.join("size/scene.safetensors")).len() < 105_000);
     assert!(fails(at, 2, &["train", "--budget=12GB"]).contains("12.5MB"));
+}
+
+#[test]
+fn the_trade_of_speed_and_quality_is_measured_once() {
+    let folder = folder();
+    let at = folder.path();
+    train(at, "run", &["--quiet"]);
+    let args = [
+        "trade",
+        "run",
+        "--out=trade",
+        "--device=cpu",
+        "--renderer=training",
+        "--size=24x16",
+        "--views=2",
+        "--rounds=1",
+        "--only=detail,primitives,budget",
+    ];
+    let table = ok(at, &args);
+    for part in ["as trained", "trade.csv", "trade_frame_time.svg", "trade_bytes.png", "report.html"] {
+        assert!(table.contains(part), "{part}: {table}");
+    }
+    let trade = || json(at.join("trade/trade.json"));
+    let points = || trade()["points"].as_array().unwrap().clone();
+    let point = |label: &str| points().into_iter().find(|point| point["label"] == label).unwrap();
+    let singles = ["as trained", "detail=1", "detail=0", "primitives=75%", "primitives=50%", "primitives=25%"];
+    let labels: Vec<Value> = points().iter().map(|point| point["label"].clone()).collect();
+    assert_eq!(labels[..6], singles.map(Value::from));
+    assert!(labels[6..].iter().all(|label| label.as_str().unwrap().contains(" + ")), "{labels:?}");
+    let (whole, half, bare) = (point("as trained"), point("primitives=50%"), point("detail=0"));
+    let count = |point: &Value| point["surfels"].as_u64().unwrap() + point["gaussians"].as_u64().unwrap();
+    assert_eq!(whole["bytes"].as_u64().unwrap(), bytes(at.join("run/scene.safetensors")).len() as u64);
+    assert_eq!((count(&half), count(&bare)), (count(&whole).div_ceil(2), count(&whole)));
+    assert!(bare["bytes"].as_u64() < whole["bytes"].as_u64() && half["bytes"].as_u64() < whole["bytes"].as_u64());
+    assert_eq!(whole["frames"], 2);
+    for key in ["psnr", "ssim", "flip", "frame_ms", "frame_p99_ms"] {
+        assert!(whole[key].as_f64().unwrap() > 0.0, "{key}: {whole}");
+    }
+    assert!(whole["device"].as_str().unwrap().contains("by the renderer that is trained with"), "{whole}");
+    let frontiers = &trade()["frontiers"];
+    assert!(!frontiers["bytes"].as_array().unwrap().is_empty() && frontiers["training_seconds"] == json!([]));
+    let csv = String::from_utf8(bytes(at.join("trade/trade.csv"))).unwrap();
+    assert_eq!(csv.lines().count(), 1 + points().len());
+    let plot = image::open(at.join("trade/trade_bytes.png")).unwrap();
+    assert_eq!((plot.width(), plot.height()), (1100, 620));
+    assert!(!at.join("trade/trade_training_time.svg").exists());
+    let page = String::from_utf8(bytes(at.join("trade/report.html"))).unwrap();
+    assert!(page.contains("data:image/jpeg;base64,") && page.contains("<svg ") && !page.contains("src=\"http"));
+
+    // again: nothing is measured; then one point that is missing
+    let before = points();
+    assert_eq!(ok(at, &args), table);
+    assert_eq!(points(), before);
+    let mut without = trade();
+    without["points"].as_array_mut().unwrap().remove(1);
+    std::fs::write(at.join("trade/trade.json"), without.to_string()).unwrap();
+    ok(at, &args);
+    assert!(points().iter().any(|point| point["label"] == "detail=1"));
+    assert!(before.iter().filter(|point| point["label"] != "detail=1").all(|point| points().contains(point)));
+
+    let message = fails(at, 1, &[&args[..], &["--size=25x16"]].concat());
+    assert!(message.contains("trade/trade.json holds other measurements: `frame_size` is [24,16], not [25,16]"));
+    let message = fails(at, 1, &[&args[..], &["--split=train"]].concat());
+    assert!(message.contains("`split` is \"test\", not \"train\""), "{message}");
+
+    // training: first without any time, then with enough
+    let trained = [&args[..], &["--train", "--set=train.steps=6", "--set=train.evaluate_every=0"]].concat();
+    let left = ok(at, &[&trained[..], &["--time-limit=0.001s"]].concat());
+    assert!(left.contains("the same command goes on: ") && left.contains("budget-half, seed 3"), "{left}");
+    ok(at, &trained);
+    let of_training: Vec<Value> = points().into_iter().filter(|point| point["kind"] == "training").collect();
+    let expected = ["trained-again", "budget-half", "budget-quarter", "detail-1", "detail-0"];
+    assert_eq!(of_training.iter().map(|point| point["label"].clone()).collect::<Vec<_>>(), expected.map(Value::from));
+    assert_eq!(trade()["not_run"], json!([]));
+    for point in &of_training {
+        assert!(point["training_seconds"].as_f64().unwrap() > 0.0 && point["seed"] == 3, "{point}");
+        let run = at.join("trade/runs").join(point["label"].as_str().unwrap()).join("seed_3");
+        assert_eq!(point["bytes"].as_u64().unwrap(), bytes(run.join("scene.safetensors")).len() as u64);
+    }
+    assert!(at.join("trade/trade_training_time.svg").is_file());
+    let before = points();
+    ok(at, &trained);
+    assert_eq!(points(), before);
+    let message = fails(at, 1, &[&args[..], &["--train", "--set=train.steps=7"]].concat());
+    assert!(message.contains("holds another run"), "{message}");
+}
+
+#[test]
+fn targets_are_kept_and_what_was_reached_is_said() {
+    let folder = folder();
+    let at = folder.path();
+    let without_budget: Vec<&str> = TINY.into_iter().filter(|option| !option.starts_with("--budget")).collect();
+    let table = ok(at, &[&["train", "--out=run", "--target=60kB"], &without_budget[..]].concat());
+    assert!(table.contains("60kB: 0.06 MB expected"), "{table}");
+    let target = json(at.join("run/eval.json"))["target"].clone();
+    assert_eq!((&target["asked"], &target["unit"]), (&"60kB".into(), &"bytes".into()));
+    let size = bytes(at.join("run/scene.safetensors")).len() as f64;
+    assert!(target["got"] == size && size <= target["expected"].as_f64().unwrap() && size <= 6e4, "{target}");
+    assert!(ok(at, &["train", "--out=run", "--resume"]).contains("60kB: "));
+
+    assert!(fails(at, 2, &["train", "--target=1 GB fps"]).contains("kB, MB or GB"));
+    assert!(fails(at, 2, &["train", "--target=0MB"]).contains("positive"));
+    assert!(fails(at, 2, &["train", "--target=9MB", "--budget=500"]).contains("--budget"));
+    assert!(fails(at, 2, &["train", "--target=5min", "--steps=50"]).contains("--steps"));
+    assert!(fails(at, 2, &["train", "--target=9MB", "--resume"]).contains("cannot be used with"));
+    let message = fails(at, 1, &[&["train", "--out=no", "--target=5kB"], &without_budget[..]].concat());
+    assert!(message.contains("fewer than 100 primitives") && !at.join("no").exists(), "{message}");
+}
+
+#[test]
+fn rendering_presets_draw_less() {
+    let folder = folder();
+    let at = folder.path();
+    train(at, "run", &["--quiet"]);
+    for preset in ["quality", "fast"] {
+        ok(at, &["render", "run", "--device=cpu", "--out", preset, "--preset", preset]);
+    }
+    ok(at, &["render", "run", "--device=cpu", "--out=plain"]);
+    let names = png_names(&at.join("plain"));
+    let equal =
+        |preset: &str| names.iter().filter(|n| is_equal(at.join("plain").join(n), at.join(preset).join(n))).count();
+    assert_eq!((names.len(), equal("quality")), (6, 6));
+    assert!(equal("fast") < 6);
+    assert!(fails(at, 2, &["render", "run", "--out=a", "--preset=cpu"]).contains("balanced"));
 }
 
 /// Waits for `condition`, at most half a minute.

@@ -149,6 +149,11 @@ impl Scene {
         Ok(Some(MetricsLog::seconds_of_steps(&run.metrics())?))
     }
 
+    /// The configuration of the run that the scene comes from, where there is one.
+    pub fn run_config(&self) -> Option<PathBuf> {
+        self.run.as_ref().map(RunFolder::config)
+    }
+
     /// The dataset to show the scene with, and how it is read: `data`, or that of the scene's run; `None` if there is
     /// neither. The options of a run are those it was trained with, unless given; the background is the scene's, unless
     /// given, and then the scene's too.
@@ -277,6 +282,11 @@ impl ViewArgs {
             Split::Test => &dataset.test,
             Split::Train => &dataset.train,
         }
+    }
+
+    /// The options that replace keys of `[data]`, as `key=value`.
+    pub fn assignments(&self) -> Vec<String> {
+        self.options.assignments()
     }
 
     /// Whether the command line names a dataset.

@@ -84,6 +84,7 @@ fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> 
         floaters: renderer.floaters(&dataset)?,
         training_seconds: scene.training_seconds()?,
         peak_memory_bytes: peak_memory_bytes(),
+        target: None,
     };
     let summary = summary(&report, &worst, args.lpips.is_empty());
     match args.json.as_deref().filter(|path| *path != Path::new("-")) {

@@ -8,6 +8,7 @@ mod data;
 mod device_choice;
 mod device_failure;
 mod devices;
+mod duration;
 mod eval;
 mod export;
 mod export_html;
@@ -16,8 +17,10 @@ mod lpips;
 #[cfg(test)]
 mod reference;
 mod render;
+mod rendering_preset;
 mod selftest;
 mod series;
+mod trade;
 mod train;
 #[cfg(feature = "viewer")]
 mod view;
@@ -52,6 +55,7 @@ enum Command {
     Train(train::TrainArgs),
     Ablate(ablate::AblateArgs),
     Compare(compare::CompareArgs),
+    Trade(trade::TradeArgs),
     Config(config::ConfigArgs),
     Eval(eval::EvalArgs),
     Render(render::RenderArgs),
@@ -129,6 +133,7 @@ pub fn run() -> ExitCode {
         Command::Train(args) => train::run(args, style),
         Command::Ablate(args) => ablate::run(&args, style),
         Command::Compare(args) => compare::run(&args, style),
+        Command::Trade(args) => trade::run(&args, style),
         Command::Config(args) => config::run(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Render(args) => render::run(&args),

@@ -13,6 +13,7 @@ use dpges_train::dataset::View;
 
 use super::Result;
 use super::data::{DataArgs, Scene, Source, in_scene};
+use super::rendering_preset::RenderingPreset;
 
 /// Look at a scene in a window
 ///
@@ -24,6 +25,10 @@ pub struct WindowArgs {
     /// Folder of the dataset whose cameras and photographs are shown too, or `builtin`; a run knows its own
     #[arg(long, value_name = "DATASET", requires = "scene")]
     data: Option<PathBuf>,
+    /// Draw less than was trained, in less time. The window sums Gaussians as precisely as the GPU can, whatever the
+    /// preset
+    #[arg(long, value_name = "NAME", value_enum)]
+    preset: Option<RenderingPreset>,
     #[command(flatten)]
     options: DataArgs,
 }
@@ -53,6 +58,9 @@ impl WindowArgs {
                 Views::Later(Box::new(move || read(&source, &config, &info).map_err(|failure| failure.text())))
             }
         };
+        if let Some(preset) = self.preset {
+            preset.apply(&mut scene.data, &[]);
+        }
         Ok(Opened { scene: scene.data, views })
     }
 }

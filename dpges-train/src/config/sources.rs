@@ -9,10 +9,13 @@ use toml::{Table, Value};
 use super::{Config, DataConfig, Key, SECTIONS, keys};
 
 /// Configurations that come with the program: name and TOML, which begins with a comment on what it is for.
-pub const PRESETS: [(&str, &str); 9] = [
+pub const PRESETS: [(&str, &str); 12] = [
     ("default", include_str!("../../../configs/default.toml")),
     ("quick", include_str!("../../../configs/quick.toml")),
     ("cpu", include_str!("../../../configs/cpu.toml")),
+    ("fast", include_str!("../../../configs/fast.toml")),
+    ("balanced", include_str!("../../../configs/balanced.toml")),
+    ("quality", include_str!("../../../configs/quality.toml")),
     ("staged", include_str!("../../../configs/staged.toml")),
     ("mipnerf360", include_str!("../../../configs/mipnerf360.toml")),
     ("tanks-and-temples", include_str!("../../../configs/tanks-and-temples.toml")),
@@ -251,12 +254,22 @@ mod tests {
         for (name, _) in PRESETS {
             Config::resolve(Some(name), None, &[]).unwrap();
         }
-        let error = message(Config::resolve(Some("fast"), None, &[]));
-        assert!(error.contains("`fast`") && error.contains("default, quick, cpu"), "{error}");
+        let error = message(Config::resolve(Some("faster"), None, &[]));
+        assert!(error.contains("`faster`") && error.contains("default, quick, cpu"), "{error}");
     }
 
     fn preset(name: &str) -> Config {
         Config::resolve(Some(name), None, &[]).unwrap()
+    }
+
+    #[test]
+    fn presets_of_speed_and_quality_lie_on_both_sides_of_the_defaults() {
+        let [fast, balanced, quality] = ["fast", "balanced", "quality"].map(preset);
+        assert_eq!(balanced, Config::default());
+        assert!(fast.train.steps < balanced.train.steps && balanced.train.steps < quality.train.steps);
+        assert!(fast.model.layers < quality.model.layers && fast.data.max_resolution < quality.data.max_resolution);
+        assert!(fast.most_primitives(1 << 20) <= balanced.most_primitives(1 << 20));
+        assert!(balanced.most_primitives(1 << 20) < quality.most_primitives(1 << 20));
     }
 
     #[test]

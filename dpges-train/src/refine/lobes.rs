@@ -5,7 +5,7 @@ use std::array::from_fn;
 use std::f64::consts::LN_2;
 
 use dpges_core::scene::lobes::{ABSENT_LOBE, LOBE_LEN, is_absent};
-use dpges_core::scene::{ColourData, SH_C0};
+use dpges_core::scene::{ColourData, ColourModel, SH_C0};
 use rayon::prelude::*;
 
 use crate::neighbours::as_points;
@@ -84,29 +84,108 @@ pub fn drop_lobes(colour: &mut ColourData, lobes: usize, spare: &[SpareLobe]) ->
     dropped
 }
 
+/// The `keep` lobes of every primitive that differ most between cameras, in their order; what the others add in the
+/// mean over the cameras becomes part of the base colour. `positions`, `colour`, `lobes` and `camera_centres` are those
+/// of [`spare_lobes`], and there is at least one camera. The result has room for `keep` lobes.
+pub fn keep_lobes(
+    positions: &[f32],
+    colour: &ColourData,
+    lobes: usize,
+    camera_centres: &[[f64; 3]],
+    keep: usize,
+) -> ColourData {
+    let (all, _) = colour.detail.as_chunks::<LOBE_LEN>();
+    let of_primitive = |(row, position): (usize, &[f32; 3])| {
+        let directions: Vec<[f64; 3]> = camera_centres.iter().map(|centre| direction(position, centre)).collect();
+        let raw = &all[row * lobes..(row + 1) * lobes];
+        let change = |raw: &[f32; LOBE_LEN]| if is_absent(raw) { -1.0 } else { Lit::new(raw).change(&directions) };
+        let changes: Vec<f64> = raw.iter().map(change).collect();
+        let mut order: Vec<usize> = (0..lobes).collect();
+        order.sort_by(|&a, &b| changes[b].total_cmp(&changes[a]));
+        let (kept, others) = order.split_at_mut(keep.min(lobes));
+        kept.sort_unstable();
+        let mut base: [f32; 3] = from_fn(|channel| colour.base[3 * row + channel]);
+        for lobe in others.iter().map(|&lobe| &raw[lobe]).filter(|raw| !is_absent(&raw[..])).map(Lit::new) {
+            let mean = lobe.mean(&directions);
+            base.iter_mut().zip(lobe.colour).for_each(|(base, channel)| *base += (channel * mean / SH_C0) as f32);
+        }
+        let mut detail: Vec<f32> = kept.iter().flat_map(|&lobe| raw[lobe]).collect();
+        detail.extend([ABSENT_LOBE].repeat(keep.saturating_sub(lobes)).as_flattened());
+        (base, detail)
+    };
+    let primitives: Vec<_> = as_points(positions).par_iter().enumerate().map(of_primitive).collect();
+    ColourData {
+        model: ColourModel::SphericalBeta { lobes: keep },
+        base: primitives.iter().flat_map(|(base, _)| *base).collect(),
+        detail: primitives.into_iter().flat_map(|(_, detail)| detail).collect(),
+    }
+}
+
 /// Whether the lobe `raw` can go if it is seen in `directions`, and why.
 fn judge(raw: &[f32; LOBE_LEN], directions: &[[f64; 3]], threshold: f64) -> Option<Spare> {
     if is_absent(raw) {
         return None;
     }
-    let [red, green, blue, theta, phi, beta] = raw.map(f64::from);
-    let colour = [red, green, blue].map(softplus);
-    let largest = colour.into_iter().fold(0.0, f64::max);
-    let axis = [theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos()];
-    let exponent = 4.0 * beta.exp();
-    let cosine = |d: &[f64; 3]| (d[0] * axis[0] + d[1] * axis[1] + d[2] * axis[2]).clamp(0.0, 1.0);
-    let lit = |cosine: f64| if cosine > 0.0 { cosine.powf(exponent) } else { 0.0 };
-
-    let extremes = |(least, most): (f64, f64), cosine: f64| (least.min(cosine), most.max(cosine));
-    let (least, most) = directions.iter().map(cosine).fold((1.0, 0.0), extremes);
-    if largest * lit(most) < threshold {
+    let lobe = Lit::new(raw);
+    let (_, most) = lobe.extremes(directions);
+    if lobe.largest() * most < threshold {
         return Some(Spare::Idle);
     }
-    if largest * (lit(most) - lit(least)) < threshold {
-        let mean = directions.iter().map(|d| lit(cosine(d))).sum::<f64>() / directions.len() as f64;
-        return Some(Spare::Constant(colour.map(|channel| channel * mean)));
+    if lobe.change(directions) < threshold {
+        let mean = lobe.mean(directions);
+        return Some(Spare::Constant(lobe.colour.map(|channel| channel * mean)));
     }
     None
+}
+
+/// A lobe as it is rendered: `colour max(0, d·axis)^exponent` in direction d.
+struct Lit {
+    colour: [f64; 3],
+    axis: [f64; 3],
+    exponent: f64,
+}
+
+impl Lit {
+    fn new(raw: &[f32; LOBE_LEN]) -> Self {
+        let [red, green, blue, theta, phi, beta] = raw.map(f64::from);
+        Self {
+            colour: [red, green, blue].map(softplus),
+            axis: [theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos()],
+            exponent: 4.0 * beta.exp(),
+        }
+    }
+
+    /// The brightest channel.
+    fn largest(&self) -> f64 {
+        self.colour.into_iter().fold(0.0, f64::max)
+    }
+
+    fn cosine(&self, d: &[f64; 3]) -> f64 {
+        (d[0] * self.axis[0] + d[1] * self.axis[1] + d[2] * self.axis[2]).clamp(0.0, 1.0)
+    }
+
+    /// The share of its colour that it adds at an angle to its axis.
+    fn share(&self, cosine: f64) -> f64 {
+        if cosine > 0.0 { cosine.powf(self.exponent) } else { 0.0 }
+    }
+
+    /// The least and the largest share over `directions`.
+    fn extremes(&self, directions: &[[f64; 3]]) -> (f64, f64) {
+        let cosines = directions.iter().map(|d| self.cosine(d));
+        let (least, most) = cosines.fold((1.0, 0.0), |(least, most): (f64, f64), c| (least.min(c), most.max(c)));
+        (self.share(least), self.share(most))
+    }
+
+    /// Largest difference between two of `directions`, in units of colour.
+    fn change(&self, directions: &[[f64; 3]]) -> f64 {
+        let (least, most) = self.extremes(directions);
+        self.largest() * (most - least)
+    }
+
+    /// Mean share over `directions`.
+    fn mean(&self, directions: &[[f64; 3]]) -> f64 {
+        directions.iter().map(|d| self.share(self.cosine(d))).sum::<f64>() / directions.len() as f64
+    }
 }
 
 /// Unit vector from a camera to a primitive; zero at the camera itself.
@@ -125,8 +204,8 @@ fn softplus(raw: f64) -> f64 {
 mod tests {
     use burn::tensor::DType;
     use dpges_core::ops::colour::colour;
+    use dpges_core::scene::Colour;
     use dpges_core::scene::tensors::rows_to_tensor;
-    use dpges_core::scene::{Colour, ColourModel};
     use dpges_core::testing::device;
     use dpges_core::testing::golden::values;
 
@@ -196,6 +275,27 @@ mod tests {
         assert_eq!(colour.base, [0.0; 9]);
         let plain = ColourData { base: vec![0.0; 9], ..ColourData::default() };
         assert!(spare_lobes(&[0.0; 9], &plain, 0, &cameras(&[0.0]), 1.0).is_empty());
+    }
+
+    #[test]
+    fn the_lobes_that_change_most_are_kept_and_the_mean_of_others_goes_into_the_base_colour() {
+        // seen from 0° and 60°: the first changes by 0.09375, the second by less than 7e-4, the third is absent
+        let (sharp, flat) = (along_z(0.0, 0.0), along_z(0.0, -6.0));
+        let colour = at_origin(&[flat, sharp, ABSENT_LOBE]);
+        let cameras = cameras(&[0.0, 60.0]);
+        let kept = keep_lobes(&[0.0; 3], &colour, 3, &cameras, 1);
+        assert_eq!((kept.model, &kept.detail[..]), (ColourModel::SphericalBeta { lobes: 1 }, &sharp[..]));
+        let expected = (0.099_657_5 / SH_C0) as f32;
+        assert!(kept.base.iter().all(|base| (base - expected).abs() < 1e-5), "{:?}", kept.base);
+        assert_eq!(keep_lobes(&[0.0; 3], &colour, 3, &cameras, 2).detail, [flat, sharp].concat());
+        let none = keep_lobes(&[0.0; 3], &colour, 3, &cameras, 0);
+        // the mean of the sharp one is 0.1 (1 + 1/16) / 2
+        let expected = ((0.099_657_5 + 0.053_125) / SH_C0) as f32;
+        assert!(none.detail.is_empty() && none.base.iter().all(|base| (base - expected).abs() < 1e-5), "{none:?}");
+        let all = keep_lobes(&[0.0; 3], &colour, 3, &cameras, 3);
+        assert_eq!((&all.base, &all.detail), (&colour.base, &colour.detail));
+        let more = keep_lobes(&[0.0; 3], &colour, 3, &cameras, 4);
+        assert_eq!(more.detail, [flat, sharp, ABSENT_LOBE, ABSENT_LOBE].concat());
     }
 
     /// Colours [N × 3] from `centre`.

@@ -10,6 +10,7 @@
 //! stage_NAME.json           its evaluation, like eval.json
 //! best.safetensors          the best scene so far by the validation views, if they end the run
 //! eval.json                 the evaluation of the finished run, see `eval::EvalReport`
+//! target.json               what the run is to reach, and what is expected of it, if there is a target
 //! validation.json           the same of the views that were kept for decisions, if there are any
 //! pictures/step_N_VIEW.png  photograph · render · surfels only · error
 //! ```
@@ -24,7 +25,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::config::{Config, StageKind};
 
-const FILES: [&str; 14] = [
+const FILES: [&str; 15] = [
     "config.toml",
     "run.json",
     "metrics.jsonl",
@@ -32,6 +33,7 @@ const FILES: [&str; 14] = [
     "checkpoint.safetensors",
     "eval.json",
     "validation.json",
+    "target.json",
     "best.safetensors",
     "stage_2dgs.safetensors",
     "stage_2dgs.json",
@@ -120,6 +122,10 @@ impl RunFolder {
 
     pub fn validation(&self) -> PathBuf {
         self.path.join("validation.json")
+    }
+
+    pub fn target(&self) -> PathBuf {
+        self.path.join("target.json")
     }
 
     pub fn best(&self) -> PathBuf {

@@ -82,6 +82,7 @@ impl Record {
             floaters,
             training_seconds: Some(MetricsLog::seconds_of_steps(&self.folder.metrics())?),
             peak_memory_bytes: peak_memory_bytes(),
+            target: None,
         };
         write_json(path, &report)
     }

@@ -12,6 +12,7 @@ use dpges_train::device::DeviceRequest;
 
 use super::data::{Scene, ViewArgs};
 use super::device_failure::watched;
+use super::rendering_preset::RenderingPreset;
 use super::{Failure, Result, device_choice, print};
 pub use cameras::Size;
 use cameras::{PathChoice, Shot, shots};
@@ -54,6 +55,9 @@ pub struct RenderArgs {
     /// GPU), or another one that `dpges devices` lists. The other one takes the graphics adapter that wgpu prefers
     #[arg(long, value_name = "NAME", default_value_t)]
     device: DeviceRequest,
+    /// Draw less than was trained, in less time
+    #[arg(long, value_name = "NAME", value_enum)]
+    preset: Option<RenderingPreset>,
     /// Also write the surfels alone, the transmittance behind each layer, depth and normals, and their depth ranges
     /// in layers.json
     #[arg(long, requires = "out")]
@@ -83,7 +87,8 @@ pub fn run(args: &RenderArgs) -> Result<()> {
     match args.renderer {
         Engine::Raster => {
             let shots = args.shots(&mut scene)?;
-            args.write(&shots, &mut RasterPainter::new(&scene.data)?)
+            let half_sums = args.preset.is_some_and(RenderingPreset::half_sums);
+            args.write(&shots, &mut RasterPainter::new(&scene.data, half_sums)?)
         }
         Engine::Training => {
             let device = device_choice::select(args.device)?;
@@ -96,8 +101,14 @@ pub fn run(args: &RenderArgs) -> Result<()> {
 }
 
 impl RenderArgs {
+    /// The pictures to take; leaves out of `scene` what the preset does without.
     fn shots(&self, scene: &mut Scene) -> Result<Vec<Shot>> {
-        shots(&self.path, self.frames as usize, self.size, &self.views, scene)
+        let shots = shots(&self.path, self.frames as usize, self.size, &self.views, scene)?;
+        if let Some(preset) = self.preset {
+            let centres: Vec<[f64; 3]> = shots.iter().map(|shot| shot.camera.centre().to_array()).collect();
+            preset.apply(&mut scene.data, &centres);
+        }
+        Ok(shots)
     }
 
     fn write(&self, shots: &[Shot], painter: &mut dyn Painter) -> Result<()> {

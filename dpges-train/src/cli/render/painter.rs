@@ -3,7 +3,7 @@
 use burn::tensor::Device;
 use dpges_core::camera::Camera;
 use dpges_core::scene::SceneData;
-use dpges_render::{Headless, RenderOptions, Rgb8Image};
+use dpges_render::{Headless, Precision, RenderOptions, Rgb8Image};
 use dpges_train::rendered::{LayerPictures, Renderer, layer_pictures, to_picture};
 
 use super::super::Result;
@@ -50,10 +50,11 @@ pub struct RasterPainter {
 }
 
 impl RasterPainter {
-    pub fn new(scene: &SceneData) -> Result<Self> {
+    /// Gaussians are summed in 16 bits if `half_sums`, otherwise as precisely as the adapter can.
+    pub fn new(scene: &SceneData, half_sums: bool) -> Result<Self> {
         let headless = Headless::new()?;
         tracing::info!("rendering on {}", headless.adapter_name());
-        let mut renderer = headless.renderer()?;
+        let mut renderer = headless.renderer_with(half_sums.then_some(Precision::Half))?;
         renderer.upload(scene)?;
         Ok(Self { headless, renderer, options: RenderOptions::from(&scene.info) })
     }

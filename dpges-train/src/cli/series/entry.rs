@@ -3,9 +3,10 @@
 use std::path::Path;
 use std::sync::Arc;
 
+use dpges_core::scene::SceneData;
 use dpges_train::config::Config;
 use dpges_train::run::folder::{Origin, RunFolder};
-use dpges_train::run::{Run, SavedRun};
+use dpges_train::run::{Observer, Run, SavedRun};
 
 use super::super::data::Source;
 use super::super::train::session::Session;
@@ -57,6 +58,11 @@ impl Entry {
 
     /// Trains the steps that are left.
     pub fn train(&self, common: &Common) -> Result<()> {
+        self.train_watched(common, &mut ())
+    }
+
+    /// [`train`](Self::train) with an observer, which hears of everything and can stop the run.
+    pub fn train_watched(&self, common: &Common, observer: &mut dyn Observer) -> Result<()> {
         let Self { config, folder, state, name, .. } = self;
         let (data, opened) = (Arc::clone(&common.dataset), common.device.clone());
         let run = match state {
@@ -76,8 +82,14 @@ impl Entry {
                 Run::new(config.clone(), data, opened)?.overwrite(folder.clone(), origin)?
             }
         };
-        Session { run, folder: folder.clone(), device: common.name, style: common.style }.train(&common.interrupted)?;
+        let session = Session { run, folder: folder.clone(), device: common.name, style: common.style };
+        session.train_watched(&common.interrupted, observer)?;
         Ok(())
+    }
+
+    /// The scene of the finished run.
+    pub fn scene(&self) -> Result<SceneData> {
+        Ok(SceneData::load(&self.folder.scene())?)
     }
 
     /// What came out of it.

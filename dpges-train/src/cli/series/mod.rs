@@ -4,7 +4,7 @@
 //! holds another run is refused.
 
 pub mod chart;
-mod entry;
+pub mod entry;
 pub mod preset;
 pub mod row;
 pub mod statistics;
@@ -60,8 +60,9 @@ pub struct Common {
     pub dataset: Arc<Dataset>,
     pub name: DeviceName,
     pub device: Device,
-    style: LogStyle,
-    interrupted: Arc<AtomicBool>,
+    pub style: LogStyle,
+    /// True from the first Ctrl-C on.
+    pub interrupted: Arc<AtomicBool>,
 }
 
 /// Runs of each member with each seed.

@@ -5,8 +5,10 @@ pub mod display;
 mod live;
 pub mod options;
 pub mod session;
+mod target;
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use clap::Args;
 use dpges_train::config::Config;
@@ -21,6 +23,7 @@ use crate::logging::LogStyle;
 use display::watch_for_interrupts;
 use options::ConfigArgs;
 use session::Session;
+use target::Target;
 
 /// Train a scene from photographs with known cameras
 ///
@@ -43,6 +46,11 @@ pub struct TrainArgs {
     device: Option<DeviceRequest>,
     #[command(flatten)]
     options: ConfigArgs,
+    /// Reach a size of the scene file (10MB), a length of the training (5min) or a speed of the real-time renderer ("30
+    /// fps") by setting refine.budget or train.steps, after measuring this device; the run says what was expected and what
+    /// was reached
+    #[arg(long, value_name = "N UNIT", conflicts_with = "resume")]
+    target: Option<Target>,
     /// Go on from the checkpoint in the run's folder
     #[arg(long, conflicts_with = "overwrite")]
     resume: bool,
@@ -56,12 +64,18 @@ pub struct TrainArgs {
 }
 
 pub fn run(args: TrainArgs, style: LogStyle) -> Result<()> {
+    let folder = args.folder();
+    let summary = train(args, style)?;
+    report(&(summary + &target::conclude(&folder)?), style)
+}
+
+fn train(args: TrainArgs, style: LogStyle) -> Result<String> {
     #[cfg(feature = "viewer")]
     if args.view {
-        return report(&live::train_in_window(move || args.session(style))?, style);
+        return live::train_in_window(move || args.session(style));
     }
     let session = args.session(style)?;
-    report(&session.train(&*watch_for_interrupts()?)?, style)
+    session.train(&*watch_for_interrupts()?)
 }
 
 fn report(summary: &str, style: LogStyle) -> Result<()> {
@@ -87,7 +101,10 @@ impl TrainArgs {
 
     fn start(self, style: LogStyle) -> Result<Session> {
         let source = self.source();
-        let config = self.options.resolve(&source, &[])?;
+        let mut config = self.options.resolve(&source, &[])?;
+        if let Some(target) = &self.target {
+            target.check(&self.options)?;
+        }
         let folder = self.folder();
         if !self.overwrite {
             folder.check_unused().map_err(|error| {
@@ -96,8 +113,13 @@ impl TrainArgs {
         }
         let device = device_choice::select(self.device.unwrap_or_default())?;
         let opened = device.open()?;
-        let dataset = source.load_for_training(&config)?;
+        let dataset = Arc::new(source.load_for_training(&config)?);
+        let pursue = |target: &Target| target.pursue(&mut config, &dataset, &opened);
+        let pursuit = self.target.as_ref().map(pursue).transpose()?;
         let run = Run::new(config, dataset, opened)?.overwrite(folder.clone(), Origin::new(&source, device))?;
+        if let Some(pursuit) = pursuit {
+            pursuit.save(&folder)?;
+        }
         Ok(Session { run, folder, device, style })
     }
 

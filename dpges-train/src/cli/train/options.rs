@@ -68,6 +68,16 @@ impl ConfigArgs {
         self.method.is_some()
     }
 
+    /// Whether `--budget` is given.
+    pub fn names_budget(&self) -> bool {
+        self.budget.is_some()
+    }
+
+    /// Whether `--steps` or `--steps-scale` is given.
+    pub fn names_length(&self) -> bool {
+        self.steps.is_some() || self.steps_scale.is_some()
+    }
+
     /// The configuration for a dataset, with `more` (`key=value`) on top.
     pub fn resolve(&self, source: &Source, more: &[String]) -> Result<Config> {
         let mut config = self.resolved(of_dataset(source), self.config.as_deref(), more)?;
@@ -99,8 +109,8 @@ impl ConfigArgs {
     }
 }
 
-/// Defaults for the kind of dataset.
-fn of_dataset(source: &Source) -> &'static [&'static str] {
+/// Defaults for the kind of dataset, as `key=value`.
+pub fn of_dataset(source: &Source) -> &'static [&'static str] {
     match source {
         Source::Builtin => &BUILTIN_DEFAULTS,
         Source::Folder(path) if dataset::format(path) == Some(Format::Blender) => &BLENDER_DEFAULTS,

@@ -1,0 +1,322 @@
+//! `dpges trade`: what is gained in speed, size and time for what is lost in quality.
+
+mod combine;
+mod knob;
+mod limit;
+mod measure;
+mod memory;
+mod pareto;
+mod plot;
+mod point;
+mod report;
+mod store;
+mod sweep;
+mod training;
+
+use std::fmt::Write as _;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
+use std::time::{Duration, SystemTime};
+
+use clap::{Args, value_parser};
+use dpges_core::atomic::write_atomically;
+use dpges_core::camera::Camera;
+use dpges_render::{Headless, Rgb8Image};
+use dpges_train::config::Config;
+use dpges_train::dataset::{Dataset, View};
+use dpges_train::device::{DeviceName, DeviceRequest};
+use dpges_train::pictures::save_png;
+use glam::DVec3;
+
+use super::data::{Scene, Source, ViewArgs};
+use super::device_failure::watched;
+use super::eval::make_folder;
+use super::render::Size;
+use super::train::display::watch_for_interrupts;
+use super::{Failure, Result, device_choice, duration, print};
+use crate::logging::LogStyle;
+use knob::KNOBS;
+use limit::Limit;
+use measure::{Bench, Engine};
+use plot::{AXES, Plot};
+use report::About;
+use store::{Store, Trade, checksum};
+use sweep::{PICTURES, Sweep};
+use training::{Training, base_config};
+
+/// Most training views that say what a primitive contributes.
+const JUDGING_VIEWS: usize = 32;
+
+/// Measure what is lost in quality for what is gained in speed, size and time
+///
+/// Draws the scene at different settings of rendering (layers, footprint, steepness of rims, lobes, primitives,
+/// resolution, 16-bit sums; each alone, then some together), and with --train trains it at different settings. Each point
+/// has PSNR, SSIM and FLIP of the views, frame times and the size of the scene file. Results are trade.csv, trade.json,
+/// plots with the frontier, and report.html. The same command again measures only what is missing.
+#[derive(Debug, Args)]
+pub struct TradeArgs {
+    /// Scene file or folder of a run
+    scene: PathBuf,
+    #[command(flatten)]
+    views: ViewArgs,
+    /// Folder for the results
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Where pictures are compared and scenes trained: auto (a GPU that passes a check, or else the CPU), cpu, cpu-flex,
+    /// wgpu (the best GPU), or another one that `dpges devices` lists
+    #[arg(long, value_name = "NAME", default_value_t)]
+    device: DeviceRequest,
+    /// What draws pictures and frames [default: raster, or training where there is no graphics adapter]
+    #[arg(long, value_enum)]
+    renderer: Option<Engine>,
+    /// Size of the frames whose time is measured; the vertical field of view stays
+    #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "1920x1080")]
+    size: Size,
+    /// At most this many views, evenly chosen
+    #[arg(long = "views", value_name = "N", default_value_t = 8, value_parser = value_parser!(u32).range(1..=100_000))]
+    count: u32,
+    /// Counted rounds over the views, for frame times
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = value_parser!(u32).range(1..=100_000))]
+    rounds: u32,
+    /// Measure nothing that begins later, and stop a training that goes on longer; the same command goes on
+    #[arg(long, value_name = "TIME", value_parser = duration::duration)]
+    time_limit: Option<Duration>,
+    /// Turn only these knobs, separated by commas
+    #[arg(long, value_name = "KNOB", value_delimiter = ',', value_parser = KNOBS)]
+    only: Vec<String>,
+    /// Also train: budgets, lobes, layers, resolutions, lengths, a colour model and a method, as far as they differ from
+    /// the configuration of the scene's run
+    #[arg(long)]
+    train: bool,
+    /// Number of runs of each: with the seed of the configuration, and with those that follow it
+    #[arg(long, value_name = "N", default_value_t = 1, requires = "train", value_parser = value_parser!(u64).range(1..=1000))]
+    seeds: u64,
+    /// Set a key of the configuration that is trained with, such as train.steps=2000; may be repeated
+    #[arg(long, value_name = "KEY=VALUE", requires = "train")]
+    set: Vec<String>,
+}
+
+pub fn run(args: &TradeArgs, style: LogStyle) -> Result<()> {
+    let limit = Limit::new(args.time_limit);
+    let mut scene = Scene::load(&args.scene)?;
+    let device = device_choice::select(args.device)?;
+    watched(device, || args.measure(&mut scene, device, &limit, style))
+}
+
+impl TradeArgs {
+    fn measure(&self, scene: &mut Scene, name: DeviceName, limit: &Limit, style: LogStyle) -> Result<()> {
+        let config_of_run = scene.run_config();
+        let (source, dataset) = self.views.load_dataset(scene)?;
+        let source = Source::named(Some(Path::new(&source.to_string())));
+        let resolve = |more: &[String]| -> Result<Config> {
+            let set = [&self.views.assignments()[..], &self.set, more].concat();
+            base_config(&source, config_of_run.as_deref(), &set)
+        };
+        let config = self.train.then(|| resolve(&[])).transpose()?;
+        let opened = name.open()?;
+        let bench = Bench {
+            views: every_nth(self.views.chosen(&dataset), self.count as usize).collect(),
+            offset: DVec3::from_array(scene.data.info.offset),
+            size: self.size,
+            rounds: self.rounds as usize,
+            name,
+            device: &opened,
+            headless: self.headless()?,
+        };
+        let subject = self.subject(scene, &source, &bench)?;
+        tracing::info!("drawn on {}", subject.device);
+        make_folder(&self.out.join(PICTURES))?;
+        let store = Store::open(&self.out, subject)?;
+        let first = &bench.views[0].picture;
+        let photograph = format!("{PICTURES}/photograph.png");
+        save_png(&Rgb8Image::from_planes(&first.planes, first.width, first.height), &self.out.join(&photograph))?;
+
+        let interrupted = watch_for_interrupts()?;
+        let mut sweep = Sweep::new(bench, &self.out, store);
+        let cameras = judging_cameras(&dataset);
+        let is_wanted = |knob: &str| self.only.is_empty() || self.only.iter().any(|wanted| wanted == knob);
+        let of_scene = sweep::Subject { scene: &scene.data, cameras: &cameras, is_wanted: &is_wanted };
+        sweep.render(&of_scene, &|| !limit.is_over() && !interrupted.load(Ordering::SeqCst))?;
+        if let Some(config) = config.filter(|_| !interrupted.load(Ordering::SeqCst)) {
+            let training = Training {
+                source: &source,
+                config: &config,
+                resolve: &resolve,
+                is_wanted: &is_wanted,
+                seeds: self.seeds,
+                name,
+                device: &opened,
+                style,
+                interrupted: interrupted.clone(),
+            };
+            training.run(&mut sweep, &self.out, limit)?;
+        }
+        let store = sweep.finish()?;
+        let files = write(&self.out, &store.trade, &photograph)?;
+        if interrupted.load(Ordering::SeqCst) {
+            let message = format!("interrupted: what was measured is in {}", self.out.display());
+            return Err(Failure::with_help(message, "the same command goes on"));
+        }
+        if style == LogStyle::Quiet { Ok(()) } else { print(&(table(&store.trade) + &files)) }
+    }
+
+    /// `None` for the renderer that is trained with.
+    fn headless(&self) -> Result<Option<Headless>> {
+        match self.renderer {
+            Some(Engine::Training) => Ok(None),
+            Some(Engine::Raster) => Ok(Some(Headless::new()?)),
+            None => Ok(Headless::new().map_or_else(
+                |error| {
+                    tracing::warn!("frame times are those of the renderer that is trained with: {error}");
+                    None
+                },
+                Some,
+            )),
+        }
+    }
+
+    fn subject(&self, scene: &Scene, source: &Source, bench: &Bench) -> Result<store::Subject> {
+        let path = std::path::absolute(&scene.path)?;
+        let first = &bench.views[0].camera;
+        Ok(store::Subject {
+            scene: path.display().to_string(),
+            scene_checksum: checksum(&std::fs::read(&path)?),
+            dataset: source.to_string(),
+            split: self.views.split.to_string(),
+            views: bench.views.iter().map(|view| view.name.clone()).collect(),
+            view_size: [first.width, first.height],
+            frame_size: [self.size.width, self.size.height],
+            rounds: self.rounds as usize,
+            device: bench.device_text()?,
+        })
+    }
+}
+
+/// At most `most` of `views`, evenly chosen; at least one, if there are any.
+fn every_nth(views: &[View], most: usize) -> impl Iterator<Item = &View> {
+    views.iter().step_by(views.len().div_ceil(most.max(1)).max(1))
+}
+
+/// Where the training views are, or the held-out ones without them.
+fn judging_cameras(dataset: &Dataset) -> Vec<Camera> {
+    let views = if dataset.train.is_empty() { &dataset.test } else { &dataset.train };
+    every_nth(views, JUDGING_VIEWS).map(|view| view.camera).collect()
+}
+
+/// Writes the table, the plots and the page; returns the paths of all files, one a line.
+fn write(out: &Path, trade: &Trade, photograph: &str) -> Result<String> {
+    let mut paths = String::new();
+    let mut note = |name: &str| {
+        let path = out.join(name);
+        _ = writeln!(paths, "{}", path.display());
+        path
+    };
+    let csv = point::csv(&trade.points);
+    write_atomically(&note("trade.csv"), |file| file.write_all(csv.as_bytes()))?;
+    note("trade.json");
+    let drawn = |text: String| Failure::with_help(text, "this is a fault of the program");
+    let mut plots = Vec::new();
+    for axis in &AXES {
+        let Some(plot) = Plot::new(&trade.points, axis) else { continue };
+        let svg = plot.svg().map_err(drawn)?;
+        write_atomically(&note(&format!("trade_{}.svg", axis.name)), |file| file.write_all(svg.as_bytes()))?;
+        save_png(&plot.picture().map_err(drawn)?, &note(&format!("trade_{}.png", axis.name)))?;
+        plots.push(svg);
+    }
+    let command = std::env::args().collect::<Vec<_>>().join(" ");
+    let date = humantime::format_rfc3339_seconds(SystemTime::now()).to_string();
+    let page = report::page(out, trade, &plots, photograph, &About { command: &command, date: &date })?;
+    write_atomically(&note("report.html"), |file| file.write_all(page.as_bytes()))?;
+    Ok(paths)
+}
+
+/// The points on frontiers in Markdown, by ascending frame time, and what was left out.
+fn table(trade: &Trade) -> String {
+    let frontiers = &trade.frontiers;
+    let on_one = |label: &String| frontiers.frame_ms.contains(label) || frontiers.bytes.contains(label);
+    let mut points: Vec<&point::Point> =
+        trade.points.iter().filter(|point| on_one(&point.label) || point.knobs.is_empty()).collect();
+    points.sort_by(|a, b| a.frame_ms.total_cmp(&b.frame_ms));
+    let mut text = format!("{} points on {}; those that no other beats:\n\n", trade.points.len(), trade.subject.device);
+    text += "| point | PSNR, dB | SSIM | FLIP | frame, ms | MB | primitives |\n|---|---|---|---|---|---|---|\n";
+    for point in points {
+        let seed = point.seed.map(|seed| format!(", seed {seed}")).unwrap_or_default();
+        let point::Point { label, psnr, ssim, flip, frame_ms, bytes, .. } = point;
+        let (megabytes, primitives) = (*bytes as f64 / 1e6, point.primitives());
+        _ = writeln!(
+            text,
+            "| {label}{seed} | {psnr:.2} | {ssim:.4} | {flip:.4} | {frame_ms:.2} | {megabytes:.2} | {primitives} |"
+        );
+    }
+    if !trade.not_run.is_empty() {
+        _ = writeln!(text, "\nnot measured, the same command goes on: {}", trade.not_run.join("; "));
+    }
+    text + "\n"
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::point::tests::point;
+    use super::store::Frontiers;
+    use super::store::tests::subject;
+    use super::*;
+
+    #[derive(Debug, Parser)]
+    struct Command {
+        #[command(flatten)]
+        trade: TradeArgs,
+    }
+
+    fn parsed(arguments: &[&str]) -> Result<TradeArgs, String> {
+        let command = Command::try_parse_from([&["trade", "run", "--out=a"], arguments].concat());
+        command.map(|command| command.trade).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn options_are_checked() {
+        let args = parsed(&["--time-limit=30min", "--views=3", "--train", "--seeds=2"]).unwrap();
+        assert_eq!((args.time_limit, args.count, args.seeds), (Some(Duration::from_secs(1800)), 3, 2));
+        assert!(parsed(&["--time-limit=30"]).unwrap_err().contains("s, min or h"));
+        assert!(parsed(&["--seeds=2"]).unwrap_err().contains("--train"));
+        assert!(parsed(&["--set=train.steps=3"]).unwrap_err().contains("--train"));
+        assert!(parsed(&["--only=layers,lobes"]).unwrap_err().contains("[possible values: layers, footprint"));
+        assert!(parsed(&["--size=big"]).unwrap_err().contains("1920x1080"));
+        assert!(parsed(&["--views=0"]).is_err() && parsed(&["--rounds=0"]).is_err());
+    }
+
+    #[test]
+    fn views_are_spread_over_all() {
+        let options = dpges_train::dataset::BuiltinOptions {
+            width: 4,
+            height: 4,
+            train_views: 7,
+            test_views: 1,
+            points: 0,
+            ..Default::default()
+        };
+        let dataset = dpges_train::dataset::builtin(&options);
+        let names = |most: usize| every_nth(&dataset.train, most).map(|view| view.name.as_str()).collect::<Vec<_>>();
+        assert_eq!(names(3), ["train_000", "train_003", "train_006"]);
+        assert_eq!((names(100).len(), names(1).len()), (7, 1));
+        assert_eq!(judging_cameras(&dataset).len(), 7);
+    }
+
+    #[test]
+    fn the_table_shows_frontiers_and_what_is_left() {
+        let points = vec![
+            point("as trained", 30.0, 5.0, 100),
+            point("layers=1", 29.0, 3.0, 100),
+            point("modulation=4w", 20.0, 5.0, 100),
+        ];
+        let frontiers = Frontiers { frame_ms: vec!["layers=1".into(), "as trained".into()], ..Frontiers::default() };
+        let trade = Trade { subject: subject(), points, not_run: vec!["steps-half, seed 1".to_owned()], frontiers };
+        let text = table(&trade);
+        let rows: Vec<&str> = text.lines().filter(|line| line.starts_with("| ")).collect();
+        assert_eq!(rows.len(), 3, "{text}");
+        assert!(rows[1].starts_with("| layers=1 | 29.00 | 0.7500 | 0.1250 | 3.00 |"), "{text}");
+        assert!(text.contains("3 points on") && text.contains("goes on: steps-half, seed 1"), "{text}");
+    }
+}

@@ -1,0 +1,119 @@
+//! Colours that depend less on the direction they are seen from.
+
+use dpges_core::scene::data::select_rows;
+use dpges_core::scene::{ColourData, ColourModel, SceneData};
+
+use crate::refine::lobes::keep_lobes;
+
+/// Distance of cameras that stand for all directions, in extents: primitives look alike from one of them.
+const FAR: f64 = 1e3;
+
+/// Lobes, or the degree of the harmonics.
+pub fn detail_of(model: ColourModel) -> usize {
+    match model {
+        ColourModel::SphericalBeta { lobes } => lobes,
+        ColourModel::SphericalHarmonics { degree } => degree,
+    }
+}
+
+/// `scene` with at most `most` lobes per primitive, or harmonics of at most that degree. Of lobes those stay that change
+/// most between cameras at `camera_centres` (world units); what the others add in the mean becomes part of the base
+/// colour. Without cameras all directions count alike.
+pub fn with_detail(scene: &SceneData, most: usize, camera_centres: &[[f64; 3]]) -> SceneData {
+    let model = scene.info.colour_model;
+    if most >= detail_of(model) {
+        return scene.clone();
+    }
+    let around = all_around(scene.info.extent);
+    let centres = if camera_centres.is_empty() { &around[..] } else { camera_centres };
+    let reduced = |positions: &[f32], colour: &ColourData| match model {
+        ColourModel::SphericalBeta { lobes } => keep_lobes(positions, colour, lobes, centres, most),
+        ColourModel::SphericalHarmonics { .. } => lower_degree(colour, model, most),
+    };
+    let mut scene = scene.clone();
+    scene.surfels.colour = reduced(&scene.surfels.positions, &scene.surfels.colour);
+    scene.gaussians.colour = reduced(&scene.gaussians.positions, &scene.gaussians.colour);
+    scene.info.colour_model = scene.gaussians.colour.model;
+    scene
+}
+
+/// Harmonics are orthogonal: those that remain are the best of their degree over all directions.
+fn lower_degree(colour: &ColourData, model: ColourModel, degree: usize) -> ColourData {
+    let lower = ColourModel::SphericalHarmonics { degree };
+    let (width, kept) = (model.detail_len(), lower.detail_len());
+    let rows: Vec<usize> = (0..colour.base.len() / 3).collect();
+    let detail = rows.iter().flat_map(|row| select_rows(&colour.detail[row * width..], kept, &[0])).collect();
+    ColourData { model: lower, base: colour.base.clone(), detail }
+}
+
+/// Cameras before the faces and the corners of a cube around everything.
+fn all_around(extent: f64) -> Vec<[f64; 3]> {
+    let distance = FAR * extent.max(f64::MIN_POSITIVE);
+    let signs = [-1.0, 0.0, 1.0];
+    let all = signs.into_iter().flat_map(|x| signs.into_iter().flat_map(move |y| signs.map(|z| [x, y, z])));
+    let zeros = |v: &[f64; 3]| v.iter().filter(|&&x| x == 0.0).count();
+    let ends = all.filter(|v| matches!(zeros(v), 0 | 2));
+    ends.map(|v| {
+        let length = v.iter().map(|x| x * x).sum::<f64>().sqrt();
+        v.map(|x| distance * x / length)
+    })
+    .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use dpges_core::scene::SceneInfo;
+    use dpges_core::testing::scenes::{Recipe, random};
+
+    use super::*;
+
+    fn scene(model: ColourModel) -> SceneData {
+        let made = random(3, &Recipe { surfels: 4, gaussians: 5, model, ..Recipe::default() });
+        let info = SceneInfo { colour_model: model, ..SceneInfo::default() };
+        SceneData { info, surfels: made.surfels, gaussians: made.gaussians, environment: None }
+    }
+
+    fn is_valid(scene: &SceneData) -> bool {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("scene");
+        scene.save(&path).unwrap();
+        SceneData::load(&path).unwrap() == *scene
+    }
+
+    #[test]
+    fn lobes_and_degrees_are_taken_away_and_never_added() {
+        for model in [ColourModel::SphericalBeta { lobes: 2 }, ColourModel::SphericalHarmonics { degree: 2 }] {
+            let before = scene(model);
+            for most in 0..2 {
+                let after = with_detail(&before, most, &[]);
+                assert_eq!(detail_of(after.info.colour_model), most);
+                assert_eq!((after.surfels.len(), after.gaussians.len()), (4, 5));
+                assert!(is_valid(&after), "{model} with {most}");
+            }
+            assert_eq!(with_detail(&before, 2, &[]), before);
+            assert_eq!(with_detail(&before, 7, &[]), before);
+        }
+    }
+
+    #[test]
+    fn lower_degrees_are_the_beginning_of_higher_ones() {
+        let before = scene(ColourModel::SphericalHarmonics { degree: 2 });
+        let after = with_detail(&before, 1, &[[0.0; 3]]);
+        for row in 0..5 {
+            let (long, short) =
+                (&before.gaussians.colour.detail[24 * row..], &after.gaussians.colour.detail[9 * row..]);
+            assert_eq!(long[..9], short[..9], "row {row}");
+        }
+        assert_eq!(before.gaussians.colour.base, after.gaussians.colour.base);
+    }
+
+    #[test]
+    fn all_directions_are_those_to_the_faces_and_corners_of_a_cube() {
+        let around = all_around(2.0);
+        assert_eq!(around.len(), 6 + 8);
+        for centre in &around {
+            let length = centre.iter().map(|x| x * x).sum::<f64>().sqrt();
+            assert!((length - 2e3).abs() < 1e-6, "{centre:?}");
+        }
+    }
+}
