@@ -5,6 +5,7 @@ mod knob;
 mod limit;
 mod measure;
 mod memory;
+mod output;
 mod pareto;
 mod plot;
 mod point;
@@ -13,14 +14,11 @@ mod store;
 mod sweep;
 mod training;
 
-use std::fmt::Write as _;
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
-use std::time::{Duration, SystemTime};
+use std::time::Duration;
 
 use clap::{Args, value_parser};
-use dpges_core::atomic::write_atomically;
 use dpges_core::camera::Camera;
 use dpges_render::{Headless, Rgb8Image};
 use dpges_train::config::Config;
@@ -39,9 +37,7 @@ use crate::logging::LogStyle;
 use knob::KNOBS;
 use limit::Limit;
 use measure::{Bench, Engine};
-use plot::{AXES, Plot};
-use report::About;
-use store::{Store, Trade, checksum};
+use store::{Store, checksum};
 use sweep::{PICTURES, Sweep};
 use training::{Training, base_config};
 
@@ -153,12 +149,12 @@ impl TradeArgs {
             training.run(&mut sweep, &self.out, limit)?;
         }
         let store = sweep.finish()?;
-        let files = write(&self.out, &store.trade, &photograph)?;
+        let files = output::write(&self.out, &store.trade, &photograph)?;
         if interrupted.load(Ordering::SeqCst) {
             let message = format!("interrupted: what was measured is in {}", self.out.display());
             return Err(Failure::with_help(message, "the same command goes on"));
         }
-        if style == LogStyle::Quiet { Ok(()) } else { print(&(table(&store.trade) + &files)) }
+        if style == LogStyle::Quiet { Ok(()) } else { print(&(output::table(&store.trade) + &files)) }
     }
 
     /// `None` for the renderer that is trained with.
@@ -204,64 +200,10 @@ fn judging_cameras(dataset: &Dataset) -> Vec<Camera> {
     every_nth(views, JUDGING_VIEWS).map(|view| view.camera).collect()
 }
 
-/// Writes the table, the plots and the page; returns the paths of all files, one a line.
-fn write(out: &Path, trade: &Trade, photograph: &str) -> Result<String> {
-    let mut paths = String::new();
-    let mut note = |name: &str| {
-        let path = out.join(name);
-        _ = writeln!(paths, "{}", path.display());
-        path
-    };
-    let csv = point::csv(&trade.points);
-    write_atomically(&note("trade.csv"), |file| file.write_all(csv.as_bytes()))?;
-    note("trade.json");
-    let drawn = |text: String| Failure::with_help(text, "this is a fault of the program");
-    let mut plots = Vec::new();
-    for axis in &AXES {
-        let Some(plot) = Plot::new(&trade.points, axis) else { continue };
-        let svg = plot.svg().map_err(drawn)?;
-        write_atomically(&note(&format!("trade_{}.svg", axis.name)), |file| file.write_all(svg.as_bytes()))?;
-        save_png(&plot.picture().map_err(drawn)?, &note(&format!("trade_{}.png", axis.name)))?;
-        plots.push(svg);
-    }
-    let command = std::env::args().collect::<Vec<_>>().join(" ");
-    let date = humantime::format_rfc3339_seconds(SystemTime::now()).to_string();
-    let page = report::page(out, trade, &plots, photograph, &About { command: &command, date: &date })?;
-    write_atomically(&note("report.html"), |file| file.write_all(page.as_bytes()))?;
-    Ok(paths)
-}
-
-/// The points on frontiers in Markdown, by ascending frame time, and what was left out.
-fn table(trade: &Trade) -> String {
-    let frontiers = &trade.frontiers;
-    let on_one = |label: &String| frontiers.frame_ms.contains(label) || frontiers.bytes.contains(label);
-    let mut points: Vec<&point::Point> =
-        trade.points.iter().filter(|point| on_one(&point.label) || point.knobs.is_empty()).collect();
-    points.sort_by(|a, b| a.frame_ms.total_cmp(&b.frame_ms));
-    let mut text = format!("{} points on {}; those that no other beats:\n\n", trade.points.len(), trade.subject.device);
-    text += "| point | PSNR, dB | SSIM | FLIP | frame, ms | MB | primitives |\n|---|---|---|---|---|---|---|\n";
-    for point in points {
-        let seed = point.seed.map(|seed| format!(", seed {seed}")).unwrap_or_default();
-        let point::Point { label, psnr, ssim, flip, frame_ms, bytes, .. } = point;
-        let (megabytes, primitives) = (*bytes as f64 / 1e6, point.primitives());
-        _ = writeln!(
-            text,
-            "| {label}{seed} | {psnr:.2} | {ssim:.4} | {flip:.4} | {frame_ms:.2} | {megabytes:.2} | {primitives} |"
-        );
-    }
-    if !trade.not_run.is_empty() {
-        _ = writeln!(text, "\nnot measured, the same command goes on: {}", trade.not_run.join("; "));
-    }
-    text + "\n"
-}
-
 #[cfg(test)]
 mod tests {
     use clap::Parser;
 
-    use super::point::tests::point;
-    use super::store::Frontiers;
-    use super::store::tests::subject;
     use super::*;
 
     #[derive(Debug, Parser)]
@@ -302,21 +244,5 @@ mod tests {
         assert_eq!(names(3), ["train_000", "train_003", "train_006"]);
         assert_eq!((names(100).len(), names(1).len()), (7, 1));
         assert_eq!(judging_cameras(&dataset).len(), 7);
-    }
-
-    #[test]
-    fn the_table_shows_frontiers_and_what_is_left() {
-        let points = vec![
-            point("as trained", 30.0, 5.0, 100),
-            point("layers=1", 29.0, 3.0, 100),
-            point("modulation=4w", 20.0, 5.0, 100),
-        ];
-        let frontiers = Frontiers { frame_ms: vec!["layers=1".into(), "as trained".into()], ..Frontiers::default() };
-        let trade = Trade { subject: subject(), points, not_run: vec!["steps-half, seed 1".to_owned()], frontiers };
-        let text = table(&trade);
-        let rows: Vec<&str> = text.lines().filter(|line| line.starts_with("| ")).collect();
-        assert_eq!(rows.len(), 3, "{text}");
-        assert!(rows[1].starts_with("| layers=1 | 29.00 | 0.7500 | 0.1250 | 3.00 |"), "{text}");
-        assert!(text.contains("3 points on") && text.contains("goes on: steps-half, seed 1"), "{text}");
     }
 }

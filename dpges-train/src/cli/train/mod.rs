@@ -5,7 +5,7 @@ pub mod display;
 mod live;
 pub mod options;
 pub mod session;
-mod target;
+mod targets;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -23,7 +23,7 @@ use crate::logging::LogStyle;
 use display::watch_for_interrupts;
 use options::ConfigArgs;
 use session::Session;
-use target::Target;
+use targets::Target;
 
 /// Train a scene from photographs with known cameras
 ///
@@ -66,7 +66,7 @@ pub struct TrainArgs {
 pub fn run(args: TrainArgs, style: LogStyle) -> Result<()> {
     let folder = args.folder();
     let summary = train(args, style)?;
-    report(&(summary + &target::conclude(&folder)?), style)
+    report(&(summary + &targets::conclude(&folder)?), style)
 }
 
 fn train(args: TrainArgs, style: LogStyle) -> Result<String> {
