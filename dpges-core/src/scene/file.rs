@@ -7,15 +7,17 @@
 //! Of spherical Beta colours a file has only the lobes that are there (see [`lobes`](super::lobes)). In place of
 //! `surfels.colour.detail` [N, 6 × lobes] stand `surfels.colour.lobe_counts` `[N]`, one byte for every surfel, and
 //! `surfels.colour.lobes` [sum of the counts, 6], those of the first surfel first; likewise for the Gaussians. Files of
-//! version "1", in which `detail` has every lobe, are read as well.
+//! version "1", in which `detail` has every lobe, are read as well, and so are [compressed](super::compressed) files.
 
 use std::borrow::Cow;
 use std::collections::HashMap;
 use std::io::Write;
 use std::path::Path;
 
+use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors, View};
 
+use super::compressed;
 use super::data::check_numbers;
 use super::lobes::{LOBE_LEN, pack, unpack};
 use super::schema::{Attribute, Columns, ENVIRONMENT, Width};
@@ -31,22 +33,22 @@ const DENSE_VERSION: &str = "1";
 const MAX_LOBES: usize = 64;
 
 /// One tensor of the file: its name, the shape it must have, its values row-major.
-struct Rows<'a> {
-    name: &'static str,
+pub(super) struct Rows<'a> {
+    pub(super) name: &'static str,
     shape: Vec<usize>,
     values: Values<'a>,
 }
 
 enum Values<'a> {
     Numbers(Cow<'a, [f32]>),
-    Counts(Vec<u8>),
+    Bytes(Vec<u8>),
 }
 
 impl View for Rows<'_> {
     fn dtype(&self) -> Dtype {
         match self.values {
             Values::Numbers(_) => Dtype::F32,
-            Values::Counts(_) => Dtype::U8,
+            Values::Bytes(_) => Dtype::U8,
         }
     }
 
@@ -57,21 +59,25 @@ impl View for Rows<'_> {
     fn data(&self) -> Cow<'_, [u8]> {
         match &self.values {
             Values::Numbers(values) => values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>().into(),
-            Values::Counts(counts) => counts.into(),
+            Values::Bytes(bytes) => bytes.into(),
         }
     }
 
     fn data_len(&self) -> usize {
         match &self.values {
             Values::Numbers(values) => size_of::<f32>() * values.len(),
-            Values::Counts(counts) => counts.len(),
+            Values::Bytes(bytes) => bytes.len(),
         }
     }
 }
 
 impl<'a> Rows<'a> {
-    fn numbers(name: &'static str, shape: Vec<usize>, values: impl Into<Cow<'a, [f32]>>) -> Self {
+    pub(super) fn numbers(name: &'static str, shape: Vec<usize>, values: impl Into<Cow<'a, [f32]>>) -> Self {
         Self { name, shape, values: Values::Numbers(values.into()) }
+    }
+
+    pub(super) fn bytes(name: &'static str, bytes: Vec<u8>) -> Self {
+        Self { name, shape: vec![bytes.len()], values: Values::Bytes(bytes) }
     }
 }
 
@@ -83,16 +89,7 @@ impl SceneData {
     /// field of the info that is out of range, [`Error::Io`].
     pub fn save(&self, path: &Path) -> Result<()> {
         let wrong = |reason| Error::SceneFile { path: path.to_owned(), reason };
-        check_info(&self.info).map_err(wrong)?;
-        let models = [
-            ("surfels", self.surfels.len(), self.surfels.model()),
-            ("gaussians", self.gaussians.len(), self.gaussians.model()),
-        ];
-        let expected = self.info.colour_model;
-        if let Some((of, _, model)) = models.into_iter().find(|&(_, count, model)| count > 0 && model != expected) {
-            return Err(wrong(format!("the colours of {of} are {model}, info `colour_model` is {expected}")));
-        }
-        self.check()?;
+        self.check_to_save(path)?;
         let metadata = HashMap::from([
             ("format".to_owned(), FORMAT.to_owned()),
             ("version".to_owned(), VERSION.to_owned()),
@@ -122,6 +119,21 @@ impl SceneData {
     /// [`Error::SceneFile`], as [`load`](Self::load).
     pub fn from_bytes(bytes: &[u8], name: &str) -> Result<Self> {
         parse(bytes).map_err(|reason| Error::SceneFile { path: name.into(), reason })
+    }
+
+    /// What is wrong with the scene, for a file at `path`.
+    pub(super) fn check_to_save(&self, path: &Path) -> Result<()> {
+        let wrong = |reason| Error::SceneFile { path: path.to_owned(), reason };
+        check_info(&self.info).map_err(wrong)?;
+        let models = [
+            ("surfels", self.surfels.len(), self.surfels.model()),
+            ("gaussians", self.gaussians.len(), self.gaussians.model()),
+        ];
+        let expected = self.info.colour_model;
+        if let Some((of, _, model)) = models.into_iter().find(|&(_, count, model)| count > 0 && model != expected) {
+            return Err(wrong(format!("the colours of {of} are {model}, info `colour_model` is {expected}")));
+        }
+        self.check()
     }
 
     fn check(&self) -> Result<()> {
@@ -154,7 +166,7 @@ fn stored_columns<'a, C: Columns<Value = Vec<f32>>>(
                 let (counts, numbers) = pack(values, count, lobes);
                 let listed = vec![numbers.len() / LOBE_LEN, LOBE_LEN];
                 let [counted, lobes] = lobe_names(attribute);
-                stored.push(Rows { name: counted, shape: vec![count], values: Values::Counts(counts) });
+                stored.push(Rows::bytes(counted, counts));
                 stored.push(Rows::numbers(lobes, listed, numbers));
             }
             _ => {
@@ -169,7 +181,7 @@ const SURFEL_LOBES: [&str; 2] = ["surfels.colour.lobe_counts", "surfels.colour.l
 const GAUSSIAN_LOBES: [&str; 2] = ["gaussians.colour.lobe_counts", "gaussians.colour.lobes"];
 
 /// The tensors that stand in place of `detail`.
-fn lobe_names(detail: &Attribute) -> [&'static str; 2] {
+pub(super) fn lobe_names(detail: &Attribute) -> [&'static str; 2] {
     if detail.name.starts_with("surfels") { SURFEL_LOBES } else { GAUSSIAN_LOBES }
 }
 
@@ -178,26 +190,34 @@ fn parse(bytes: &[u8]) -> Result<SceneData, String> {
     let file = SafeTensors::deserialize(bytes).map_err(unreadable)?;
     let metadata = header.metadata().clone().unwrap_or_default();
     let entry = |key: &str| metadata.get(key).map(String::as_str);
-    if entry("format") != Some(FORMAT) {
-        return Err("a safetensors file, but not a dpges scene".to_owned());
-    }
+    let versions: &[&str] = match entry("format") {
+        Some(FORMAT) => &[VERSION, DENSE_VERSION],
+        Some(compressed::FORMAT) => &[compressed::VERSION],
+        _ => return Err("a safetensors file, but not a dpges scene".to_owned()),
+    };
     let version = entry("version").unwrap_or("(none)");
-    if ![VERSION, DENSE_VERSION].contains(&version) {
-        return Err(format!("version {version} is unknown, expected {VERSION} or {DENSE_VERSION}"));
+    if !versions.contains(&version) {
+        return Err(format!("version {version} is unknown, expected {}", versions.join(" or ")));
     }
     let info = entry("info").ok_or("metadata `info` is missing")?;
     let info: SceneInfo = serde_json::from_str(info).map_err(|error| format!("metadata `info`: {error}"))?;
     check_info(&info)?;
 
-    let packed = version == VERSION;
-    let surfels = read_columns::<SurfelData>(&file, info.colour_model, packed)?;
-    let gaussians = read_columns::<GaussianData>(&file, info.colour_model, packed)?;
+    let (surfels, gaussians) = if entry("format") == Some(compressed::FORMAT) {
+        compressed::read(&file, &metadata, &info, bytes.len())?
+    } else {
+        let packed = version == VERSION;
+        (
+            read_columns::<SurfelData>(&file, info.colour_model, packed)?,
+            read_columns::<GaussianData>(&file, info.colour_model, packed)?,
+        )
+    };
     let scene = SceneData { surfels, gaussians, environment: read_environment(&file)?, info };
     scene.check().map_err(|error| error.to_string())?;
     Ok(scene)
 }
 
-fn unreadable(error: safetensors::SafeTensorError) -> String {
+pub(super) fn unreadable(error: safetensors::SafeTensorError) -> String {
     format!("not a safetensors file, or truncated: {error}")
 }
 
@@ -243,11 +263,21 @@ fn read(file: &SafeTensors, name: &str, shape: &[usize]) -> Result<Vec<f32>, Str
     Ok(numbers.iter().map(|&bytes| f32::from_le_bytes(bytes)).collect())
 }
 
-fn bytes<'a>(file: &SafeTensors<'a>, name: &str, dtype: Dtype, shape: &[usize]) -> Result<&'a [u8], String> {
+/// The bytes of a tensor of bytes of any shape.
+pub(super) fn payload<'a>(file: &SafeTensors<'a>, name: &str) -> Result<&'a [u8], String> {
+    Ok(tensor(file, name, Dtype::U8)?.data())
+}
+
+fn tensor<'a>(file: &SafeTensors<'a>, name: &str, dtype: Dtype) -> Result<TensorView<'a>, String> {
     let tensor = file.tensor(name).map_err(|_| format!("tensor `{name}` is missing"))?;
     if tensor.dtype() != dtype {
         return Err(format!("tensor `{name}` has element type {:?}, expected {dtype:?}", tensor.dtype()));
     }
+    Ok(tensor)
+}
+
+fn bytes<'a>(file: &SafeTensors<'a>, name: &str, dtype: Dtype, shape: &[usize]) -> Result<&'a [u8], String> {
+    let tensor = tensor(file, name, dtype)?;
     if tensor.shape() != shape {
         return Err(format!("tensor `{name}` has shape {:?}, expected {shape:?}", tensor.shape()));
     }
@@ -505,10 +535,7 @@ mod tests {
     #[test]
     fn lobes_that_do_not_fit_their_counts_are_named() {
         let good = scene(TWO_LOBES, 3, 5);
-        let counts = |values: &[u8]| {
-            let (shape, values) = (vec![values.len()], Values::Counts(values.to_vec()));
-            with_tensor(&good, Rows { name: SURFEL_LOBES[0], shape, values })
-        };
+        let counts = |values: &[u8]| with_tensor(&good, Rows::bytes(SURFEL_LOBES[0], values.to_vec()));
         let lobes = |shape: [usize; 2], values: &[f32]| {
             with_tensor(&good, Rows::numbers(SURFEL_LOBES[1], shape.to_vec(), values))
         };

@@ -1,12 +1,14 @@
 //! A scene: surfels, Gaussians, and what is needed to render them. [`schema`] declares their attributes; [`data`] holds
-//! them in host memory, [`tensors`] on a device, [`mod@file`] on disk.
+//! them in host memory, [`tensors`] on a device, [`mod@file`] on disk, [`compressed`] in fewer bytes.
 
 mod colour_model;
+pub mod compressed;
 pub mod data;
 mod environment;
 pub mod file;
 pub mod lobes;
 pub mod schema;
+mod stored_size;
 #[cfg(feature = "burn")]
 pub mod tensors;
 
@@ -15,6 +17,7 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 pub use colour_model::{ColourModel, SH_C0};
+pub use compressed::Quality;
 pub use data::{ColourData, GaussianData, SceneData, SurfelData};
 pub use environment::EnvironmentData;
 pub use schema::OpacityActivation;
