@@ -12,6 +12,9 @@ pub mod paper {}
 #[doc = include_str!("../docs/results.md")]
 pub mod results {}
 
+#[doc = include_str!("../docs/metrics.md")]
+pub mod metrics {}
+
 #[doc = include_str!("../docs/library.md")]
 pub mod library {}
 

@@ -7,6 +7,7 @@ mod extremes;
 mod fuzz;
 mod golden;
 mod invariance;
+mod long_training;
 mod precision;
 mod robustness;
 mod total_gradient;

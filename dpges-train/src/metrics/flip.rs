@@ -45,7 +45,7 @@ pub fn flip(reference: &[f32], test: &[f32], width: usize, height: usize) -> f64
     flip_map(reference, test, width, height).iter().sum::<f64>() / (width * height).max(1) as f64
 }
 
-/// FLIP of every pixel, [`height` × `width`], of two pictures as [`flip`] takes them.
+/// FLIP of every pixel, row by row, of two pictures as [`flip`] takes them.
 ///
 /// # Panics
 /// If the planes are not of that size.

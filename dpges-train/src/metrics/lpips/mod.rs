@@ -95,9 +95,9 @@ impl Lpips {
                 let [a, b] = features.clone().map(unit_length);
                 let difference = a - b;
                 let [_, _, height, width] = difference.dims();
-                let weighted = (difference.clone() * difference * linear.clone()).sum();
-                let sum = weighted.into_data().iter::<f64>().next().unwrap_or(f64::NAN);
-                distance += sum / (height * width) as f64;
+                let of_pixels = (difference.clone() * difference * linear.clone()).sum_dim(1);
+                // in f64, since there are many
+                distance += of_pixels.into_data().iter::<f64>().sum::<f64>() / (height * width) as f64;
             }
         }
         Ok(Some(distance))

@@ -101,12 +101,12 @@ impl Network {
 
     /// Whether pictures of that size, px, are large enough: 31 px on the shorter side for AlexNet, 16 px for VGG16.
     pub fn fits(self, width: usize, height: usize) -> bool {
-        let left = self.convolutions().iter().try_fold(width.min(height), |side, convolution| {
+        let left_side = self.convolutions().iter().try_fold(width.min(height), |side, convolution| {
             let pooled = convolution.pool.map_or(Some(side), |window| Some(side.checked_sub(window)? / 2 + 1))?;
             let padded = pooled + 2 * convolution.padding;
             Some(padded.checked_sub(convolution.kernel)? / convolution.stride + 1)
         });
-        left.is_some_and(|side| side > 0)
+        left_side.is_some()
     }
 }
 

@@ -136,7 +136,7 @@ mod tests {
         let costs = Costs { step: 0.1, refinement: 20.0, evaluation: 5.0 };
         // 20 s, 5 s at the end, and 0.15 s per step
         let steps = costs.steps_within(325.0, &config);
-        assert_eq!(steps, 2000.0);
+        assert!((steps - 2000.0).abs() <= 1.0, "{steps}");
         config.train.steps = 2000;
         assert!((costs.of(&config) - (20.0 + 200.0 + 19.0 * 5.0)).abs() < 1e-9);
         config.train.evaluate_every = 0;
