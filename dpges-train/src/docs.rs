@@ -3,6 +3,9 @@
 #[doc = include_str!("../docs/commands.md")]
 pub mod commands {}
 
+#[doc = include_str!("../docs/compression.md")]
+pub mod compression {}
+
 #[doc = include_str!("../docs/stages.md")]
 pub mod stages {}
 

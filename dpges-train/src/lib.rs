@@ -25,6 +25,7 @@
 //! | clap, ctrlc, indicatif, tracing, tracing-indicatif, tracing-subscriber | the command line |
 //! | mimalloc | the binary's allocator |
 
+pub mod compress;
 pub mod config;
 pub mod dataset;
 pub mod device;

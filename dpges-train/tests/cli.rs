@@ -258,6 +258,61 @@ fn lpips_is_measured_with_a_network_and_worst_views_are_shown() {
 }
 
 #[test]
+fn a_compressed_scene_is_smaller_and_read_like_any_other() {
+    let folder = folder();
+    let at = folder.path();
+    train(at, "run", &[]);
+    let compress = |args: &[&str]| ok(at, &[&["compress", "run", "--device=cpu"], args].concat());
+    let report = |name: &str| json(at.join(name));
+    let number = |report: &Value, key: &str| report[key].as_f64().unwrap_or_else(|| panic!("{key}: {report}"));
+    let loss = |report: &Value| number(report, "psnr_before") - number(report, "psnr_after");
+
+    let table = compress(&["--out", "medium", "--json", "medium.json"]);
+    assert!(table.contains("times smaller") && table.contains("6 views, split `test`"), "{table}");
+    let medium = report("medium.json");
+    assert_eq!(number(&medium, "bytes_before"), bytes(at.join("run/scene.safetensors")).len() as f64);
+    assert_eq!(number(&medium, "bytes_after"), bytes(at.join("medium")).len() as f64);
+    assert!(number(&medium, "ratio") > 1.5 && loss(&medium) < 1.0, "{medium}");
+    assert!(number(&medium["attributes"]["gaussians.positions"], "bits_before") == 96.0);
+    compress(&["--out", "again"]);
+    assert!(is_equal(at.join("medium"), at.join("again")));
+
+    let info = |scene: &str| serde_json::from_str::<Value>(&ok(at, &["info", scene, "--json"])).unwrap();
+    let (before, after) = (info("run"), info("medium"));
+    for key in ["surfels", "gaussians", "colour_model", "lobes", "rendering", "background", "extent"] {
+        assert_eq!(before[key], after[key], "{key}");
+    }
+    let measured = ok(at, &["eval", "medium", "--data=builtin", "--max-resolution=32", "--device=cpu"]);
+    let measured: Value = serde_json::from_str(&measured).unwrap();
+    assert!((number(&measured, "psnr") - number(&medium, "psnr_after")).abs() < 1e-6);
+
+    compress(&["--out", "low", "--quality", "low", "--json", "low.json"]);
+    let low = report("low.json");
+    let [small, large] = [&low, &medium].map(|report| number(report, "bytes_after") as usize);
+    assert!(small < large);
+    let between = (small + large) / 2;
+    compress(&["--out", "between", "--target", &format!("{}MB", between as f64 / 1e6)]);
+    assert!((small..=between).contains(&bytes(at.join("between")).len()));
+    let message = fails(at, 1, &["compress", "run", "--device=cpu", "--out", "tiny", "--target", "0.001MB"]);
+    assert!(message.contains(&small.to_string()) && message.contains("--target"), "{message}");
+
+    let allowed = loss(&medium).max(0.05);
+    compress(&["--out", "close", "--target", &format!("{allowed}dB"), "--json", "close.json"]);
+    let close = report("close.json");
+    assert!(loss(&close) <= allowed && number(&close, "bytes_after") <= number(&medium, "bytes_after"), "{close}");
+
+    std::fs::copy(at.join("run/scene.safetensors"), at.join("alone.safetensors")).unwrap();
+    let table = ok(at, &["compress", "alone.safetensors", "--out", "alone"]);
+    assert!(table.contains("not measured") && is_equal(at.join("alone"), at.join("medium")), "{table}");
+    let refused = |args: &[&str]| fails(at, 2, &[&["compress", "alone.safetensors"], args].concat());
+    assert!(refused(&["--out", "no", "--target", "0.1dB"]).contains("--data"));
+    assert!(refused(&["--out", "no", "--target", "7"]).contains("such as 10MB"));
+    assert!(refused(&["--out", "no", "--target", "1MB", "--quality", "low"]).contains("cannot be used with"));
+    assert!(refused(&["--out", "alone.safetensors"]).contains("--out is the scene itself"));
+    assert!(!at.join("no").exists() && !at.join("tiny").exists());
+}
+
+#[test]
 fn equal_seeds_give_equal_files_and_a_run_is_not_overwritten_by_accident() {
     let folder = folder();
     let at = folder.path();

@@ -260,7 +260,8 @@ fn in_front_of(cloud: &SplatCloud, scene: &SceneData) -> SceneData {
     SceneData { environment: scene.environment.clone(), ..cloud.to_scene() }
 }
 
-fn reason(failure: &Failure) -> String {
+/// In words, without advice.
+pub fn reason(failure: &Failure) -> String {
     match failure {
         Failure::Usage(message) => message.clone(),
         Failure::Failed(report) => report.to_string(),

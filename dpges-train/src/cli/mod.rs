@@ -3,6 +3,7 @@
 mod ablate;
 mod bench;
 mod compare;
+mod compress;
 mod config;
 mod data;
 mod device_choice;
@@ -63,6 +64,7 @@ enum Command {
     View(view::WindowArgs),
     Bench(bench::BenchArgs),
     Export(export::ExportArgs),
+    Compress(compress::CompressArgs),
     Info(info::InfoArgs),
     Devices(devices::DevicesArgs),
     Selftest(selftest::SelftestArgs),
@@ -141,6 +143,7 @@ pub fn run() -> ExitCode {
         Command::View(args) => view::run(args),
         Command::Bench(args) => bench::run(&args),
         Command::Export(args) => export::run(&args),
+        Command::Compress(args) => compress::run(&args),
         Command::Info(args) => info::run(&args),
         Command::Devices(args) => devices::run(&args),
         Command::Selftest(args) => selftest::run(&args),

@@ -10,9 +10,9 @@ pub fn along_morton_curve(positions: &[f32]) -> Vec<usize> {
     let mut low = [f64::INFINITY; 3];
     let mut high = [f64::NEG_INFINITY; 3];
     for point in points {
-        for axis in 0..3 {
-            low[axis] = low[axis].min(point[axis].into());
-            high[axis] = high[axis].max(point[axis].into());
+        for ((low, high), &coordinate) in low.iter_mut().zip(&mut high).zip(point) {
+            *low = low.min(coordinate.into());
+            *high = high.max(coordinate.into());
         }
     }
     let cells = f64::from((1u32 << AXIS_BITS) - 1);

@@ -166,6 +166,9 @@ mod tests {
             lying[..8].copy_from_slice(&length.to_le_bytes());
             assert!(decode(&lying, 40, &[8]).unwrap_err().contains("ends within a plane"));
         }
+        let mut nothing = encoded;
+        nothing[..8].fill(0);
+        assert!(decode(&nothing, 40, &[8]).unwrap_err().contains("broken"));
     }
 
     #[test]

@@ -22,12 +22,8 @@ pub fn encode(quaternions: &[f32], bits: u8) -> Vec<u32> {
     let mut symbols = Vec::with_capacity(quaternions.len());
     for quaternion in quaternions.as_chunks::<LEN>().0 {
         let raw = quaternion.map(f64::from);
-        let mut index = 0;
-        for component in 1..LEN {
-            if raw[component].abs() > raw[index].abs() {
-                index = component;
-            }
-        }
+        let larger = |a: usize, b: usize| if raw[b].abs() > raw[a].abs() { b } else { a };
+        let index = (1..LEN).fold(0, larger);
         let length = raw.iter().map(|component| component * component).sum::<f64>().sqrt().copysign(raw[index]);
         symbols.push(index as u32);
         symbols.extend(others(index).map(|component| {
