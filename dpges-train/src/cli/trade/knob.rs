@@ -5,13 +5,13 @@
 
 use std::fmt;
 
-use dpges_core::scene::{Footprint, Rendering, SceneData};
+use dpges_core::scene::{Footprint, Quality, Rendering, SceneData};
 use dpges_render::MAX_LAYERS;
 use dpges_train::simplify::{Contributions, detail_of, with_detail};
 
 /// All knobs by name: those of rendering, then those that only training has. `layers`, `detail` and `resolution` are
 /// turned in both.
-pub const KNOBS: [&str; 11] = [
+pub const KNOBS: [&str; 12] = [
     "layers",
     "footprint",
     "modulation",
@@ -19,6 +19,7 @@ pub const KNOBS: [&str; 11] = [
     "primitives",
     "resolution",
     "sums",
+    "compression",
     "budget",
     "colour",
     "method",
@@ -42,6 +43,8 @@ pub enum Change {
     Resolution(u32),
     /// Gaussians are summed in 16 bits instead of 32.
     HalfSums,
+    /// The scene file is compressed, with a level of [`Quality::LEVELS`].
+    Compression(usize),
 }
 
 impl Change {
@@ -61,6 +64,7 @@ impl Change {
         all.extend([75, 50, 25].map(Self::Primitives));
         all.extend([75, 50, 25].map(Self::Resolution));
         all.extend(sums_floats.then_some(Self::HalfSums));
+        all.extend((0..Quality::LEVELS.len()).map(Self::Compression));
         all
     }
 
@@ -74,6 +78,7 @@ impl Change {
             Self::Primitives(_) => "primitives",
             Self::Resolution(_) => "resolution",
             Self::HalfSums => "sums",
+            Self::Compression(_) => "compression",
         }
     }
 }
@@ -88,6 +93,7 @@ impl fmt::Display for Change {
             Self::Modulation(factor) => write!(f, "{factor}w"),
             Self::Primitives(percent) | Self::Resolution(percent) => write!(f, "{percent}%"),
             Self::HalfSums => f.write_str("16bit"),
+            Self::Compression(level) => f.write_str(Quality::LEVELS[*level].0),
         }
     }
 }
@@ -119,7 +125,7 @@ pub fn apply(
             Change::Modulation(factor) => scene.info.modulation *= factor,
             Change::Detail(most) => scene = with_detail(&scene, most, camera_centres),
             Change::Primitives(percent) => scene = contributions.keep_heaviest(&scene, f64::from(percent) / 100.0),
-            Change::Resolution(_) | Change::HalfSums => {}
+            Change::Resolution(_) | Change::HalfSums | Change::Compression(_) => {}
         }
     }
     scene
@@ -164,7 +170,8 @@ pub mod tests {
             "resolution=25%",
             "sums=16bit",
         ];
-        assert_eq!(labels, expected);
+        let levels = Quality::LEVELS.iter().map(|(name, _)| format!("compression={name}"));
+        assert_eq!(labels, expected.into_iter().map(str::to_owned).chain(levels).collect::<Vec<_>>());
         assert!(Change::all(&scene, true).iter().all(|change| KNOBS.contains(&change.knob())));
         assert!(!Change::all(&scene, false).contains(&Change::HalfSums));
         let mut blended = scene;
@@ -178,7 +185,7 @@ pub mod tests {
         let (scene, contributions) = scene();
         let changed = |changes: &[Change]| apply(&scene, changes, &contributions, &[]);
         assert_eq!(changed(&[]), scene);
-        assert_eq!(changed(&[Change::HalfSums, Change::Resolution(50)]), scene);
+        assert_eq!(changed(&[Change::HalfSums, Change::Resolution(50), Change::Compression(0)]), scene);
         let found = changed(&[Change::Layers(1), Change::Modulation(2.0), Change::Footprint(Footprint::Opacity)]);
         let info = SceneInfo { layer_count: 1, modulation: 60.0, footprint: Footprint::Opacity, ..scene.info.clone() };
         assert_eq!(found, SceneData { info, ..scene.clone() });

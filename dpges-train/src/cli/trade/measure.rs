@@ -1,13 +1,15 @@
 //! Pictures and frame times of a scene, on the real-time renderer or, without an adapter, on the one that trains.
 
+use std::path::Path;
 use std::time::Instant;
 
 use burn::tensor::Device;
 use clap::ValueEnum;
 use dpges_core::camera::Camera;
-use dpges_core::scene::{SceneData, SceneInfo};
+use dpges_core::scene::{Quality, SceneData, SceneInfo};
 use dpges_render::frame_times::{FrameTimes, Rounds, frame_times};
 use dpges_render::{Headless, Precision, RenderOptions, Rgb8Image};
+use dpges_train::compress::Compressed;
 use dpges_train::dataset::View;
 use dpges_train::device::DeviceName;
 use dpges_train::eval::{ViewScore, score_picture};
@@ -82,6 +84,18 @@ impl Bench<'_> {
             Change::Resolution(percent) => Some(*percent),
             _ => None,
         });
+        let level = changes.iter().find_map(|change| match change {
+            Change::Compression(level) => Some(Quality::LEVELS[*level].1),
+            _ => None,
+        });
+        let (compressed, bytes) = match level {
+            Some(quality) => {
+                let compressed = Compressed::new(scene, &quality, Path::new("scene.safetensors"))?;
+                (Some(compressed.scene()?), compressed.bytes.len() as u64)
+            }
+            None => (None, file_bytes(scene)?),
+        };
+        let scene = compressed.as_ref().unwrap_or(scene);
         let smaller = |camera: Camera| percent.map_or(camera, |percent| reduced(&camera, percent));
         let cameras: Vec<Camera> = self.views.iter().map(|view| self.camera(view, &scene.info)).collect();
         let frames: Vec<Camera> = cameras.iter().map(|camera| smaller(self.size.apply(camera))).collect();
@@ -103,7 +117,7 @@ impl Bench<'_> {
             ssim: mean(|view| view.ssim),
             flip: mean(|view| view.flip),
             times,
-            bytes: file_bytes(scene)?,
+            bytes,
             gpu_bytes,
             picture: shown.into_iter().next().expect("there is at least one view"),
         })
@@ -211,6 +225,8 @@ mod tests {
             assert!(seen.psnr.is_finite() && seen.psnr > 0.0 && seen.times.p50_ms > 0.0);
         }
         assert_eq!(whole.bytes, half.bytes);
+        let compressed = bench.see(&scene, &[Change::Compression(0)]).unwrap();
+        assert!(compressed.bytes != whole.bytes && (compressed.psnr - whole.psnr).abs() < 0.5, "{}", compressed.psnr);
         assert!(whole.picture != half.picture && !bench.sums_floats());
         assert!(bench.device_text().unwrap().contains("burn-ndarray"));
     }
