@@ -80,6 +80,7 @@ fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> 
     let networks = args.lpips.load(&device)?;
     let (source, dataset) = args.views.load_dataset(&mut scene)?;
     let views = args.views.chosen(&dataset);
+    let path = args.popping.then(|| arc(&dataset, &scene.data.info)).transpose()?;
     for folder in args.save_images.iter().chain(&args.worst) {
         make_folder(folder)?;
     }
@@ -94,7 +95,10 @@ fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> 
         Some(folder) => worst::write(folder, &evaluation, views, &renderer)?,
         None => Vec::new(),
     };
-    let popping = if args.popping { Popping::measure(&renderer, &arc(&dataset, &scene.data.info)?)? } else { None };
+    let popping = match &path {
+        Some(path) => Popping::measure(&renderer, path)?,
+        None => None,
+    };
     let mut notes = Vec::new();
     if args.popping && popping.is_none() {
         notes.push(("popping", "not measured: no surface is seen from two frames".to_owned()));

@@ -8,8 +8,10 @@ use rayon::prelude::*;
 
 use crate::rendered::Renderer;
 
-/// Two pixels show the same surface if their depths from one camera agree to this relative error.
+/// A surface is seen in both frames if its depth agrees to this relative error with that between four pixels, ...
 const DEPTH_TOLERANCE: f64 = 0.02;
+/// ... and with that of each of them to this one: they are not on both sides of an edge.
+const EDGE: f64 = 0.1;
 
 /// What a camera shows, and how far away it is.
 #[derive(Clone, Debug)]
@@ -79,12 +81,17 @@ impl Frame {
         }
         let corner = top as usize * width + left as usize;
         let corners = [corner, corner + 1, corner + width, corner + width + 1];
-        // hidden there, or beside an edge
-        if corners.iter().any(|&at| (f64::from(earlier.depth[at]) - depth).abs() > DEPTH_TOLERANCE * depth) {
+        let depths = corners.map(|at| f64::from(earlier.depth[at]));
+        if depths.iter().any(|there| (there - depth).abs() > EDGE * depth) {
             return None;
         }
         let (right, down) = (x - 0.5 - left, y - 0.5 - top);
         let weights = [(1.0 - right) * (1.0 - down), right * (1.0 - down), (1.0 - right) * down, right * down];
+        // of a plane it is 1 / z that changes evenly over the picture
+        let inverse: f64 = depths.iter().zip(weights).map(|(there, weight)| weight / there).sum();
+        if (inverse * depth - 1.0).abs() > DEPTH_TOLERANCE {
+            return None;
+        }
         Some([0, 1, 2].map(|channel| {
             let plane = &earlier.planes[channel * width * height..];
             corners.iter().zip(weights).map(|(&at, weight)| weight * f64::from(plane[at])).sum::<f64>() as f32
