@@ -32,3 +32,6 @@ pub mod comparisons {}
 
 #[doc = include_str!("../docs/trade.md")]
 pub mod trade {}
+
+#[doc = include_str!("../docs/popping.md")]
+pub mod popping {}

@@ -16,6 +16,7 @@ use serde::{Deserialize, Serialize};
 use crate::dataset::{Picture, View};
 use crate::metrics::lpips::{Lpips, Network};
 use crate::metrics::{Perceptual, Scores, flip};
+use crate::popping::Popping;
 use crate::rendered::{Rendered, Renderer};
 use crate::sight::Floaters;
 
@@ -88,6 +89,29 @@ pub struct EvalReport {
     /// What the run was to reach; absent without a target.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub target: Option<TargetReport>,
+    /// How much the scene pops along [an arc](fn@crate::popping::arc); absent unless it was measured.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub popping: Option<Popping>,
+    /// Absent unless they were measured.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frame_ms: Option<FrameMs>,
+}
+
+/// Times of the frames of a renderer, and what they were measured on.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FrameMs {
+    /// Median, ms.
+    pub p50: f64,
+    /// The time that 99 % of the frames do not exceed, ms.
+    pub p99: f64,
+    /// Name and interface of the adapter.
+    pub device: String,
+    /// px
+    pub width: usize,
+    /// px
+    pub height: usize,
+    /// `raster`, the real-time one.
+    pub renderer: String,
 }
 
 /// What a run was to reach, what was expected of it before, and what it has come to.

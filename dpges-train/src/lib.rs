@@ -37,6 +37,7 @@ pub mod metrics;
 pub mod neighbours;
 pub mod optimizer;
 pub mod pictures;
+pub mod popping;
 pub mod refine;
 pub mod rendered;
 pub mod run;

@@ -193,7 +193,8 @@ fn a_run_writes_everything_and_can_be_measured_and_shown() {
     assert_eq!(times(&measured), times(&written), "the file in the run says the same");
     assert!(measured["training_seconds"].as_f64().unwrap() > 0.0);
     assert_eq!(measured["peak_memory_bytes"].is_u64(), cfg!(target_os = "linux"));
-    assert!(["ms_ssim", "lpips_alex", "lpips_vgg"].iter().all(|key| measured.get(key).is_none()), "{measured}");
+    let absent = ["ms_ssim", "lpips_alex", "lpips_vgg", "popping", "frame_ms"];
+    assert!(absent.iter().all(|key| measured.get(key).is_none()), "{measured}");
 
     let table = ok(at, &["eval", "run/scene.safetensors", "--device=cpu", "--split", "train", "--json", "train.json"]);
     assert!(table.contains("mean"));
@@ -219,6 +220,34 @@ fn a_run_writes_everything_and_can_be_measured_and_shown() {
     let info: Value = serde_json::from_str(&ok(at, &["info", "run", "--json"])).unwrap();
     assert_eq!((&info["surfels"], &info["bytes"]), (&written["surfels"], &written["bytes"]));
     assert_eq!(info["lobes"].as_array().unwrap().iter().map(|n| n.as_u64().unwrap()).sum::<u64>(), lobes);
+}
+
+#[test]
+fn popping_and_frame_times_are_measured_when_asked_for() {
+    let folder = folder();
+    let at = folder.path();
+    train(at, "run", &["--set=train.evaluate_every=0"]);
+    let table = ok(at, &["eval", "run", "--device=cpu", "--popping", "--frame-times", "--json=result.json"]);
+    assert!(table.contains("FLIP_1") && table.contains("over 60 frames"), "{table}");
+    let result = json(at.join("result.json"));
+    let popping = &result["popping"];
+    assert_eq!(popping["frames"], 60);
+    for key in ["flip_1", "flip_7"] {
+        assert!(popping[key].as_f64().is_some_and(|flip| flip > 0.0 && flip < 1.0), "{popping}");
+    }
+    let shares = popping["pixels_compared"].as_array().unwrap();
+    assert!(shares.len() == 2 && shares.iter().all(|share| share.as_f64().unwrap() <= 1.0), "{popping}");
+    match result.get("frame_ms") {
+        Some(times) => {
+            assert!(times["p50"].as_f64().unwrap() > 0.0 && times["p99"].as_f64() >= times["p50"].as_f64(), "{times}");
+            assert_eq!(
+                (&times["width"], &times["height"], &times["renderer"]),
+                (&32.into(), &32.into(), &"raster".into())
+            );
+            assert!(table.contains(times["device"].as_str().unwrap()), "{table}");
+        }
+        None => assert!(table.contains("not measured: ") && table.contains("adapter"), "{table}"),
+    }
 }
 
 #[test]
@@ -558,6 +587,16 @@ fn methods_are_trained_once_and_compared() {
         assert!(mean > 0.0 && (method["lpips_alex"]["mean"].as_f64().unwrap() - mean).abs() < 1e-12, "{method}");
     }
     assert!(ok(at, &args).contains("LPIPS (Alex)"), "it stays in the files of the runs");
+
+    let pops = [&args[..], &["--popping"]].concat();
+    assert!(ok(at, &pops).contains("FLIP_7"));
+    for method in ["mcmc", "dpges"] {
+        let popping = json(run(method).join("seed_3/eval.json"))["popping"].clone();
+        assert!(popping["flip_7"].as_f64().unwrap() > 0.0 && popping["frames"] == 60, "{popping}");
+    }
+    let again = String::from_utf8(dpges(at, &pops).stderr).unwrap();
+    assert!(!again.contains("measuring popping"), "{again}");
+    assert!(ok(at, &args).contains("FLIP_7"), "it stays there too");
 
     let scene = bytes(run("mcmc/seed_3/scene.safetensors"));
     for file in ["eval.json", "validation.json"] {

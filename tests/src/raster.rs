@@ -10,6 +10,7 @@ use dpges_core::scene::{EnvironmentData, Footprint, MarginLookup, Rendering, Sce
 use dpges_render::{CameraPath, Headless, Precision, RenderOptions};
 use dpges_train::config::Config;
 use dpges_train::dataset::{BuiltinOptions, Dataset, builtin};
+use dpges_train::popping::Frame;
 use dpges_train::rendered::Renderer;
 use dpges_train::run::Trainer;
 use libtest_mimic::{Failed, Trial};
@@ -160,51 +161,18 @@ fn scenes_before_an_environment_look_the_same(headless: &Headless) -> Result<(),
     Ok(())
 }
 
-/// What a frame shows, for reprojection.
-struct Frame {
-    camera: Camera,
-    /// [3, H, W]
-    planes: Vec<f32>,
-    /// [H, W] of the nearest surfel; infinite where there is none.
-    depth: Vec<f32>,
-}
-
-impl Frame {
-    /// Mean absolute difference from `other`, where the surfels of this frame are seen in both.
-    fn difference(&self, other: &Self) -> f64 {
-        let (width, height) = (self.camera.width, self.camera.height);
-        let (mut sum, mut count) = (0.0, 0usize);
-        for (pixel, &depth) in self.depth.iter().enumerate().filter(|(_, depth)| depth.is_finite()) {
-            let centre = [(pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5];
-            let world = self.camera.unproject(centre[0], centre[1], f64::from(depth));
-            let Some((x, y, there)) = other.camera.project(world) else { continue };
-            let (left, top) = ((x - 0.5).floor(), (y - 0.5).floor());
-            if left < 0.0 || top < 0.0 || left as usize + 1 >= width || top as usize + 1 >= height {
-                continue;
-            }
-            let corner = top as usize * width + left as usize;
-            let corners = [corner, corner + 1, corner + width, corner + width + 1];
-            // hidden there, or beside an edge
-            if corners.iter().any(|&at| (f64::from(other.depth[at]) - there).abs() > 0.02 * there) {
-                continue;
-            }
-            let (right, down) = (x - 0.5 - left, y - 0.5 - top);
-            let weights = [(1.0 - right) * (1.0 - down), right * (1.0 - down), (1.0 - right) * down, right * down];
-            for channel in 0..3 {
-                let plane = channel * width * height;
-                let seen: f64 =
-                    corners.iter().zip(weights).map(|(&at, weight)| weight * f64::from(other.planes[plane + at])).sum();
-                sum += (seen - f64::from(self.planes[plane + pixel])).abs();
-            }
-            count += 3;
-        }
-        sum / count.max(1) as f64
-    }
+/// Mean absolute difference between `frame` and `earlier` as its camera would show it, where both show the same surface.
+fn difference(frame: &Frame, earlier: &Frame) -> f64 {
+    let warped = frame.warped(earlier);
+    let differences = frame.planes.iter().zip(&warped.planes).map(|(a, b)| f64::from((a - b).abs()));
+    let count = warped.is_seen.iter().filter(|&&is_seen| is_seen).count();
+    // what is not seen in both does not differ
+    differences.sum::<f64>() / (3 * count.max(1)) as f64
 }
 
 /// Largest and median difference between neighbours.
 fn spikes(frames: &[Frame]) -> [f64; 2] {
-    let mut differences: Vec<f64> = frames.windows(2).map(|pair| pair[1].difference(&pair[0])).collect();
+    let mut differences: Vec<f64> = frames.windows(2).map(|pair| difference(&pair[1], &pair[0])).collect();
     differences.sort_unstable_by(f64::total_cmp);
     [differences[differences.len() - 1], differences[differences.len() / 2]]
 }

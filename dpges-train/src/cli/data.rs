@@ -300,3 +300,8 @@ pub fn in_scene(camera: Camera, offset: DVec3, info: &SceneInfo) -> Camera {
     let shift = DVec3::from_array(info.offset) - offset;
     Camera { camera_from_world: camera.camera_from_world.recentred(shift), near: info.near, ..camera }
 }
+
+/// At most `most` of `views`, evenly chosen; at least one, if there are any.
+pub fn every_nth(views: &[View], most: usize) -> impl Iterator<Item = &View> {
+    views.iter().step_by(views.len().div_ceil(most.max(1)).max(1))
+}

@@ -5,21 +5,33 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use dpges_core::Error;
+use dpges_core::camera::Camera;
+use dpges_core::scene::SceneData;
+use dpges_render::Headless;
+use dpges_render::frame_times::{FrameTimes, Rounds};
+use dpges_train::dataset::View;
 use dpges_train::device::{DeviceName, DeviceRequest};
-use dpges_train::eval::{EvalReport, Evaluation, Measures, evaluate_each};
+use dpges_train::eval::{EvalReport, Evaluation, FrameMs, Measures, evaluate_each};
 use dpges_train::memory::peak_memory_bytes;
 use dpges_train::metrics::{METRICS, Metric, Scores};
 use dpges_train::pictures::{file_stems, save_png};
+use dpges_train::popping::{Popping, arc};
 use dpges_train::rendered::{Renderer, to_picture};
 use dpges_train::run::folder::write_json;
 use dpges_train::sight::Floaters;
 
-use super::data::{Scene, ViewArgs};
+use super::data::{Scene, ViewArgs, every_nth};
 use super::device_failure::watched;
+use super::frame_times::of_raster;
 use super::lpips::LpipsArgs;
+use super::render::Size;
 use super::worst::{self, WorstView};
 use super::{Result, device_choice, print, table};
 use crate::progress::Seconds;
+
+/// At most so many views are timed.
+const TIMED_VIEWS: usize = 16;
+const ROUNDS: Rounds = Rounds { warm_up: 1, counted: 10 };
 
 /// Measure PSNR, SSIM, FLIP, MS-SSIM, SSIMULACRA2 and LPIPS of a scene against photographs
 ///
@@ -45,6 +57,13 @@ pub struct EvalArgs {
     /// side
     #[arg(long, value_name = "DIR")]
     worst: Option<PathBuf>,
+    /// Also measure popping: FLIP between frames of a short path that are 1 and 7 apart, where the motion of the camera does
+    /// not explain it. Renders 60 frames
+    #[arg(long)]
+    popping: bool,
+    /// Also measure the frame times of the real-time renderer, over up to 16 of the views at the size of the first
+    #[arg(long)]
+    frame_times: bool,
     /// Write the result to this file; `-` is standard output
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
@@ -61,6 +80,7 @@ fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> 
     let networks = args.lpips.load(&device)?;
     let (source, dataset) = args.views.load_dataset(&mut scene)?;
     let views = args.views.chosen(&dataset);
+    let path = args.popping.then(|| arc(&dataset, &scene.data.info)).transpose()?;
     for folder in args.save_images.iter().chain(&args.worst) {
         make_folder(folder)?;
     }
@@ -75,6 +95,26 @@ fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> 
         Some(folder) => worst::write(folder, &evaluation, views, &renderer)?,
         None => Vec::new(),
     };
+    let popping = match &path {
+        Some(path) => Popping::measure(&renderer, path)?,
+        None => None,
+    };
+    let mut notes = Vec::new();
+    if args.popping && popping.is_none() {
+        notes.push(("popping", "not measured: no surface is seen from two frames".to_owned()));
+    }
+    let frame_ms = match args.frame_times.then(Headless::new) {
+        Some(Ok(headless)) => Some(frame_ms(&headless, &scene.data, views)?),
+        Some(Err(error)) => {
+            notes.push(("frames", format!("not measured: {error}")));
+            None
+        }
+        None => None,
+    };
+    if args.lpips.is_empty() {
+        let how = "not measured: dpges-train/tools/lpips_weights.py makes the file that --lpips takes";
+        notes.push(("LPIPS", how.to_owned()));
+    }
     let report = EvalReport {
         scene: scene.path.display().to_string(),
         dataset: source.to_string(),
@@ -85,8 +125,10 @@ fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> 
         training_seconds: scene.training_seconds()?,
         peak_memory_bytes: peak_memory_bytes(),
         target: None,
+        popping,
+        frame_ms,
     };
-    let summary = summary(&report, &worst, args.lpips.is_empty());
+    let summary = summary(&report, &worst, notes);
     match args.json.as_deref().filter(|path| *path != Path::new("-")) {
         Some(path) => {
             write_json(path, &report)?;
@@ -110,7 +152,18 @@ pub fn make_folder(path: &Path) -> Result<(), Error> {
     })
 }
 
-fn summary(report: &EvalReport, worst: &[WorstView], lacks_lpips: bool) -> String {
+/// Times of the real-time renderer from some of `views`, at the size of the first.
+fn frame_ms(headless: &Headless, scene: &SceneData, views: &[View]) -> Result<FrameMs> {
+    let Camera { width, height, .. } = views[0].camera;
+    let size = Size { width, height };
+    let cameras: Vec<Camera> = every_nth(views, TIMED_VIEWS).map(|view| size.apply(&view.camera)).collect();
+    let FrameTimes { p50_ms, p99_ms, .. } = of_raster(headless, scene, &cameras, ROUNDS)?;
+    let (device, renderer) = (headless.adapter_name(), "raster".to_owned());
+    Ok(FrameMs { p50: p50_ms, p99: p99_ms, device, width, height, renderer })
+}
+
+/// `notes` say what was not measured.
+fn summary(report: &EvalReport, worst: &[WorstView], notes: Vec<(&'static str, String)>) -> String {
     let Evaluation { views, surfels, gaussians, seconds_per_view, .. } = &report.evaluation;
     let mut scores: Vec<(&str, Scores)> = views.iter().map(|view| (view.name.as_str(), view.scores())).collect();
     scores.push(("mean", report.evaluation.scores()));
@@ -123,16 +176,25 @@ fn summary(report: &EvalReport, worst: &[WorstView], lacks_lpips: bool) -> Strin
     let mut rows = vec![("view", line(&|metric| metric.title.to_owned()))];
     rows.extend(scores.iter().map(|(name, scores)| (*name, line(&|metric| metric.text(metric.of(scores))))));
     rows.extend(worst.iter().map(|view| ("worst", view.to_string())));
-    if lacks_lpips {
-        let how = "not measured: dpges-train/tools/lpips_weights.py makes the file that --lpips takes";
-        rows.push(("LPIPS", how.to_owned()));
-    }
+    rows.extend(report.popping.map(|popping| {
+        let Popping { flip_1, flip_7, frames, pixels_compared } = popping;
+        let [of_1, of_7] = pixels_compared.map(|share| 100.0 * share);
+        let text = format!(
+            "FLIP_1 {flip_1:.4}, FLIP_7 {flip_7:.4} over {frames} frames, {of_1:.0} % and {of_7:.0} % of the pixels"
+        );
+        ("popping", text)
+    }));
+    rows.extend(notes);
     rows.push(("scene", format!("{surfels} surfels, {gaussians} Gaussians, {:.1} MB", report.bytes as f64 / 1e6)));
     if let Some(Floaters { surfels, gaussians }) = report.floaters {
         rows.push(("floaters", format!("{surfels} surfels, {gaussians} Gaussians")));
     }
     rows.extend(report.training_seconds.map(|seconds| ("training", Seconds(seconds).to_string())));
     rows.push(("rendering", format!("{:.1} ms per view", 1e3 * seconds_per_view)));
+    rows.extend(report.frame_ms.as_ref().map(|times| {
+        let FrameMs { p50, p99, device, width, height, .. } = times;
+        ("frames", format!("p50 {p50:.2} ms, p99 {p99:.2} ms at {width}x{height} px in real time on {device}"))
+    }));
     rows.extend(report.peak_memory_bytes.map(|bytes| ("memory", format!("{:.0} MB at most", bytes as f64 / 1e6))));
     table(&rows)
 }

@@ -13,6 +13,7 @@ mod duration;
 mod eval;
 mod export;
 mod export_html;
+mod frame_times;
 mod info;
 mod lpips;
 #[cfg(test)]

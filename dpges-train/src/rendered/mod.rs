@@ -1,6 +1,7 @@
 //! A scene on a device of Burn, from which views are rendered, and pictures of what was rendered.
 
 mod layers;
+mod median_depth;
 
 use burn::tensor::{DType, Device, Tensor};
 use dpges_core::Result;
@@ -105,7 +106,26 @@ impl Renderer {
     /// # Errors
     /// As [`render`] and [`render_blended`].
     pub fn render(&self, camera: &Camera) -> Result<Rendered> {
-        let rendered = match &self.options {
+        self.render_with(camera, &self.options)
+    }
+
+    /// The view from `camera` and its median depth [height × width]: camera-space z of the first surfel, or of the first
+    /// blended Gaussian, behind which no more than half of the light passes, world units; 0 where there is none.
+    ///
+    /// # Errors
+    /// Those of [`render`](Self::render).
+    pub fn render_with_depth(&self, camera: &Camera) -> Result<(Rendered, Vec<f32>)> {
+        let mut options = self.options;
+        if let Options::Blended(options) = &mut options {
+            options.blend.maps = true;
+        }
+        let rendered = self.render_with(camera, &options)?;
+        let depth = median_depth::median_depth(&rendered, camera);
+        Ok((rendered, depth))
+    }
+
+    fn render_with(&self, camera: &Camera, options: &Options) -> Result<Rendered> {
+        let rendered = match options {
             Options::Peeled(options) => {
                 Rendered::Peeled(Box::new(render(&self.surfels, &self.gaussians, camera, options)?))
             }

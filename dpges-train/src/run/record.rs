@@ -83,6 +83,8 @@ impl Record {
             training_seconds: Some(MetricsLog::seconds_of_steps(&self.folder.metrics())?),
             peak_memory_bytes: peak_memory_bytes(),
             target: None,
+            popping: None,
+            frame_ms: None,
         };
         write_json(path, &report)
     }

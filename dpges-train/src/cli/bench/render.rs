@@ -1,7 +1,6 @@
 //! `dpges bench render`: frames per second of a scene.
 
 use std::path::PathBuf;
-use std::time::Instant;
 
 use clap::Args;
 use dpges_core::camera::Camera;
@@ -13,8 +12,9 @@ use dpges_train::rendered::Renderer;
 use dpges_train::run::folder::write_json;
 use serde::Serialize;
 
-use super::super::data::{Scene, ViewArgs};
+use super::super::data::{Scene, ViewArgs, every_nth};
 use super::super::device_failure::watched;
+use super::super::frame_times::of_training;
 use super::super::render::Size;
 use super::super::{Result, device_choice, print};
 
@@ -73,8 +73,8 @@ struct Row {
 pub fn run(args: &BenchRenderArgs) -> Result<()> {
     let mut scene = Scene::load(&args.scene)?;
     let (_, views) = args.views.load(&mut scene)?;
-    let step = views.len().div_ceil(args.cameras as usize);
-    let cameras: Vec<Camera> = views.iter().step_by(step).map(|view| args.size.apply(&view.camera)).collect();
+    let cameras: Vec<Camera> =
+        every_nth(&views, args.cameras as usize).map(|view| args.size.apply(&view.camera)).collect();
     let mut report = Report {
         scene: scene.path.display().to_string(),
         surfels: scene.data.surfels.len(),
@@ -87,7 +87,8 @@ pub fn run(args: &BenchRenderArgs) -> Result<()> {
     if let Some(request) = args.training {
         let device = device_choice::select(request)?;
         watched(device, || {
-            let times = args.training(&Renderer::new(&scene.data, &device.open()?), &cameras)?;
+            let renderer = Renderer::new(&scene.data, &device.open()?);
+            let times = of_training(&renderer, &cameras, args.counts())?;
             let layers = is_peeled(&scene.data).then_some(scene.data.info.layer_count);
             report.rows.push(Row { renderer: "training", on: device.to_string(), layers, times });
             Ok(())
@@ -108,7 +109,7 @@ impl BenchRenderArgs {
         let headless = Headless::new()?;
         let mut renderer = headless.renderer()?;
         renderer.upload(scene)?;
-        let rounds = Rounds { warm_up: self.warm_up as usize, counted: self.rounds as usize };
+        let rounds = self.counts();
         let own = RenderOptions { display: Display::Image, ..RenderOptions::from(&scene.info) };
         let mut row = |layers: Option<usize>| {
             let options = RenderOptions { layer_count: layers.unwrap_or(own.layer_count), ..own };
@@ -122,21 +123,8 @@ impl BenchRenderArgs {
         }
     }
 
-    fn training(&self, renderer: &Renderer, cameras: &[Camera]) -> Result<FrameTimes> {
-        let mut times = Vec::new();
-        for round in 0..self.warm_up + self.rounds {
-            for camera in cameras {
-                let start = Instant::now();
-                let render = renderer.render(camera)?;
-                // reading one number waits for the picture
-                let corner = render.image().clone().slice([0..1, 0..1, 0..1]).into_data();
-                drop(corner);
-                if round >= self.warm_up {
-                    times.push(1e3 * start.elapsed().as_secs_f64());
-                }
-            }
-        }
-        Ok(FrameTimes::new(times, Vec::new()))
+    fn counts(&self) -> Rounds {
+        Rounds { warm_up: self.warm_up as usize, counted: self.rounds as usize }
     }
 }
 

@@ -2,6 +2,7 @@
 
 mod lpips;
 mod method;
+mod popping;
 mod report;
 mod sheets;
 
@@ -36,6 +37,10 @@ pub struct CompareArgs {
     list: bool,
     #[command(flatten)]
     lpips: LpipsArgs,
+    /// Measure popping of every run: FLIP between frames of a short path that are 1 and 7 apart, where the motion of the
+    /// camera does not explain it
+    #[arg(long)]
+    popping: bool,
     #[command(flatten)]
     series: SeriesArgs,
 }
@@ -55,6 +60,9 @@ pub fn run(args: &CompareArgs, style: LogStyle) -> Result<()> {
     series.train(&common)?;
     watched(common.name, || {
         lpips::measure(out, &series.rows()?, &common, &networks)?;
+        if args.popping {
+            popping::measure(out, &series.rows()?, &common)?;
+        }
         let rows = series.rows()?;
         let pictures = sheets::write(out, &rows, &common)?;
         let comparison = Comparison::new(&common.source, config.train.steps, budget, &members, rows, pictures);

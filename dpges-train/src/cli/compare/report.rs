@@ -6,6 +6,7 @@ use std::path::Path;
 
 use dpges_core::atomic::write_atomically;
 use dpges_train::metrics::{Metric, Scores, perceptual_metrics};
+use dpges_train::popping::Popping;
 use dpges_train::run::folder::write_json;
 use dpges_train::sight::Floaters;
 use serde::Serialize;
@@ -22,7 +23,8 @@ const COLUMNS: &str = "method,seeds,psnr,psnr_deviation,ssim,ssim_deviation,flip
                        ms_ssim,ms_ssim_deviation,ssimulacra2,ssimulacra2_deviation,lpips_alex,lpips_alex_deviation,\
                        lpips_vgg,lpips_vgg_deviation,psnr_difference,psnr_difference_deviation,\
                        ssim_difference,ssim_difference_deviation,validation_psnr,validation_psnr_deviation,\
-                       validation_ssim,validation_ssim_deviation,surfels,gaussians,floaters,bytes,seconds";
+                       validation_ssim,validation_ssim_deviation,surfels,gaussians,floaters,bytes,seconds,\
+                       flip_1,flip_1_deviation,flip_7,flip_7_deviation";
 
 /// Everything that is known of a comparison: the content of `comparison.json`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -60,6 +62,9 @@ struct Entry {
     lpips_alex: Option<Spread>,
     /// An error.
     lpips_vgg: Option<Spread>,
+    /// Popping, an error, and the same of the next; `None` if a run does not have it.
+    flip_1: Option<Spread>,
+    flip_7: Option<Spread>,
     /// To the first method, seed by seed, dB.
     psnr_difference: Spread,
     /// To the first method, seed by seed.
@@ -89,6 +94,7 @@ struct RunEntry {
     surfels: usize,
     gaussians: usize,
     floaters: Option<Floaters>,
+    popping: Option<Popping>,
     bytes: u64,
     seconds: f64,
 }
@@ -142,6 +148,10 @@ impl Comparison {
         lines[0].extend(["SSIM", "FLIP"].map(str::to_owned));
         let perceptual = self.perceptual();
         lines[0].extend(perceptual.iter().map(|metric| metric.title.to_owned()));
+        let pops = self.methods.iter().all(|entry| entry.flip_1.is_some());
+        if pops {
+            lines[0].extend(["FLIP_1", "FLIP_7"].map(str::to_owned));
+        }
         if validates {
             lines[0].extend(["validation PSNR", "validation SSIM"].map(str::to_owned));
         }
@@ -158,6 +168,9 @@ impl Comparison {
             line.extend([entry.ssim, entry.flip].map(|spread| format!("{spread:.4}")));
             let of = |metric: &Metric| row.spread_if_known(|run| metric.of(&run.test));
             line.extend(perceptual.iter().filter_map(|metric| Some(format!("{:.*}", metric.digits, of(metric)?))));
+            if pops {
+                line.extend([entry.flip_1, entry.flip_7].into_iter().flatten().map(|spread| format!("{spread:.4}")));
+            }
             if validates {
                 line.push(entry.validation_psnr.map(|spread| format!("{spread:.2}")).unwrap_or_default());
                 line.push(entry.validation_ssim.map(|spread| format!("{spread:.4}")).unwrap_or_default());
@@ -204,7 +217,7 @@ impl Comparison {
         let mut text = format!("{COLUMNS}\n");
         for entry in &self.methods {
             _ = write!(text, "{},{}", entry.method, entry.runs.len());
-            let with_deviation = [
+            text += &with_deviations(&[
                 (Some(entry.psnr), 4),
                 (Some(entry.ssim), 6),
                 (Some(entry.flip), 6),
@@ -216,20 +229,29 @@ impl Comparison {
                 (Some(entry.ssim_difference), 6),
                 (entry.validation_psnr, 4),
                 (entry.validation_ssim, 6),
-            ];
-            for (spread, digits) in with_deviation {
-                for value in [spread.map(|spread| spread.mean), spread.and_then(|spread| spread.deviation)] {
-                    text += ",";
-                    text += &value.map(|value| format!("{value:.digits$}")).unwrap_or_default();
-                }
-            }
+            ]);
             let Entry { surfels, gaussians, bytes, seconds, .. } = entry;
             let (surfels, gaussians, bytes, seconds) = (surfels.mean, gaussians.mean, bytes.mean, seconds.mean);
             let floaters = entry.floaters.map(|spread| format!("{:.0}", spread.mean)).unwrap_or_default();
-            _ = writeln!(text, ",{surfels:.0},{gaussians:.0},{floaters},{bytes:.0},{seconds:.1}");
+            _ = write!(text, ",{surfels:.0},{gaussians:.0},{floaters},{bytes:.0},{seconds:.1}");
+            text += &with_deviations(&[(entry.flip_1, 6), (entry.flip_7, 6)]);
+            text += "\n";
         }
         text
     }
+}
+
+/// A mean and a deviation for each, with so many digits; empty where nothing is known.
+fn with_deviations(spreads: &[(Option<Spread>, usize)]) -> String {
+    let cell = |(value, digits): (Option<f64>, usize)| match value {
+        Some(value) => format!(",{value:.digits$}"),
+        None => ",".to_owned(),
+    };
+    let cells = |&(spread, digits): &(Option<Spread>, usize)| {
+        let values = [spread.map(|spread| spread.mean), spread.and_then(|spread| spread.deviation)];
+        values.map(|value| cell((value, digits))).concat()
+    };
+    spreads.iter().map(cells).collect()
 }
 
 impl Entry {
@@ -246,6 +268,8 @@ impl Entry {
             ssimulacra2: row.spread_if_known(|run| run.test.perceptual.ssimulacra2),
             lpips_alex: row.spread_if_known(|run| run.test.perceptual.lpips_alex),
             lpips_vgg: row.spread_if_known(|run| run.test.perceptual.lpips_vgg),
+            flip_1: row.spread_if_known(|run| run.popping.map(|popping| popping.flip_1)),
+            flip_7: row.spread_if_known(|run| run.popping.map(|popping| popping.flip_7)),
             psnr_difference: row.difference(base, psnr),
             ssim_difference: row.difference(base, ssim),
             validation_psnr: row.validation(|scores| scores.psnr),
@@ -262,8 +286,9 @@ impl Entry {
 
 impl RunEntry {
     fn new(run: &Measured) -> Self {
-        let Measured { seed, ref folder, test, validation, surfels, gaussians, floaters, bytes, seconds, .. } = *run;
-        Self { seed, folder: folder.clone(), test, validation, surfels, gaussians, floaters, bytes, seconds }
+        let Measured { seed, test, validation, surfels, gaussians, floaters, popping, bytes, seconds, .. } = *run;
+        let folder = run.folder.clone();
+        Self { seed, folder, test, validation, surfels, gaussians, floaters, popping, bytes, seconds }
     }
 }
 
@@ -397,18 +422,39 @@ mod tests {
     }
 
     #[test]
+    fn popping_has_columns_if_every_run_has_it() {
+        let mut rows = two();
+        for (row, flip_7) in rows.iter_mut().zip([0.25, 0.5]) {
+            let popping = Popping { flip_1: 0.125, flip_7, frames: 60, pixels_compared: [0.9, 0.8] };
+            row.runs.iter_mut().for_each(|run| run.popping = Some(popping));
+        }
+        let with = comparison(rows.clone());
+        let table = with.table();
+        assert!(table.contains(" FLIP_1 |") && table.contains("| 0.5000 ± 0.0000 |"), "{table}");
+        let csv = with.csv();
+        assert!(csv.ends_with(",89.0,0.125000,0.000000,0.500000,0.000000\n"), "{csv}");
+        assert!(csv.lines().all(|line| line.split(',').count() == 33), "{csv}");
+        rows[0].runs[1].popping = None;
+        let without = comparison(rows);
+        assert!(!without.table().contains("FLIP_1"), "{}", without.table());
+        assert!(without.csv().lines().nth(1).unwrap().ends_with(",89.0,,,,"), "{}", without.csv());
+    }
+
+    #[test]
     fn the_csv_has_a_line_per_method_and_leaves_out_what_is_unknown() {
         let csv = comparison(two()).csv();
         let lines: Vec<&str> = csv.lines().collect();
         assert_eq!(lines[0], COLUMNS);
         assert_eq!(
             lines[2],
-            "mcmc,3,22.0000,11.0000,0.750000,0.000000,0.125000,0.000000,,,,,,,,,2.0000,1.0000,0.000000,0.000000,,,,,12,347,,6700000,89.0"
+            "mcmc,3,22.0000,11.0000,0.750000,0.000000,0.125000,0.000000,,,,,,,,,2.0000,1.0000,0.000000,0.000000,,,,,12,347,,6700000,89.0,,,,"
         );
-        assert!(lines.iter().all(|line| line.split(',').count() == 29), "{csv}");
+        assert!(lines.iter().all(|line| line.split(',').count() == 33), "{csv}");
         let once = comparison(vec![row("dpges", &[28.0])]).csv();
         assert!(
-            once.ends_with("dpges,1,28.0000,,0.750000,,0.125000,,,,,,,,,,0.0000,,0.000000,,,,,,12,345,,6700000,89.0\n"),
+            once.ends_with(
+                "dpges,1,28.0000,,0.750000,,0.125000,,,,,,,,,,0.0000,,0.000000,,,,,,12,345,,6700000,89.0,,,,\n"
+            ),
             "{once}"
         );
     }
@@ -425,11 +471,14 @@ mod tests {
         let second = &json["methods"][1];
         assert_eq!(
             keys(second),
-            "bytes flip floaters gaussians lpips_alex lpips_vgg method ms_ssim psnr psnr_difference runs seconds settings ssim \
+            "bytes flip flip_1 flip_7 floaters gaussians lpips_alex lpips_vgg method ms_ssim psnr psnr_difference runs seconds settings ssim \
              ssim_difference ssimulacra2 surfels validation_psnr validation_ssim"
         );
         assert_eq!(second["psnr_difference"], serde_json::json!({ "mean": 2.0, "deviation": 1.0 }));
-        assert_eq!(keys(&second["runs"][0]), "bytes floaters folder gaussians seconds seed surfels test validation");
+        assert_eq!(
+            keys(&second["runs"][0]),
+            "bytes floaters folder gaussians popping seconds seed surfels test validation"
+        );
         assert_eq!(second["runs"][2]["test"]["psnr"], 33.0);
         assert_eq!(keys(&json["pictures"]), "columns largest_error rows seed sheets");
         assert_eq!(keys(&json["pictures"]["sheets"][0]), "chosen file psnr view");

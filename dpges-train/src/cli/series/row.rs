@@ -4,6 +4,7 @@ use std::path::Path;
 
 use dpges_train::eval::{EvalReport, ViewScore};
 use dpges_train::metrics::Scores;
+use dpges_train::popping::Popping;
 use dpges_train::run::folder::RunFolder;
 use dpges_train::run::metrics_log::MetricsLog;
 use dpges_train::sight::Floaters;
@@ -25,6 +26,8 @@ pub struct Measured {
     pub gaussians: usize,
     /// `None` if the dataset does not say which view saw what.
     pub floaters: Option<Floaters>,
+    /// `None` unless it was measured.
+    pub popping: Option<Popping>,
     /// Size of the scene file.
     pub bytes: u64,
     /// Wall-clock time up to the last step, including evaluations, before and after every resumption.
@@ -55,6 +58,7 @@ impl Measured {
             surfels: report.evaluation.surfels,
             gaussians: report.evaluation.gaussians,
             floaters: report.floaters,
+            popping: report.popping,
             bytes: report.bytes,
             seconds: MetricsLog::seconds_of_steps(&folder.metrics())?,
             views: report.evaluation.views,
@@ -120,6 +124,7 @@ pub mod tests {
             surfels: 12,
             gaussians: 345 + 2 * seed,
             floaters: None,
+            popping: None,
             bytes: 6_700_000,
             seconds: 89.04,
             views: Vec::new(),

@@ -1,7 +1,6 @@
 //! Pictures and frame times of a scene, on the real-time renderer or, without an adapter, on the one that trains.
 
 use std::path::Path;
-use std::time::Instant;
 
 use burn::tensor::Device;
 use clap::ValueEnum;
@@ -20,6 +19,7 @@ use image::{ImageBuffer, Rgb};
 
 use super::super::Result;
 use super::super::data::in_scene;
+use super::super::frame_times::of_training;
 use super::super::render::Size;
 use super::knob::Change;
 
@@ -123,6 +123,10 @@ impl Bench<'_> {
         })
     }
 
+    fn counts(&self) -> Rounds {
+        Rounds { warm_up: WARM_UP, counted: self.rounds }
+    }
+
     fn camera(&self, view: &View, info: &SceneInfo) -> Camera {
         in_scene(view.camera, self.offset, info)
     }
@@ -140,8 +144,7 @@ impl Bench<'_> {
         let options = RenderOptions::from(&scene.info);
         let draw = |camera: &Camera| headless.draw(&mut renderer, camera, &options);
         let pictures = cameras.iter().map(draw).collect::<dpges_render::Result<_>>()?;
-        let rounds = Rounds { warm_up: WARM_UP, counted: self.rounds };
-        let times = frame_times(headless, &mut renderer, frames, &options, rounds)?;
+        let times = frame_times(headless, &mut renderer, frames, &options, self.counts())?;
         Ok((pictures, times, headless.allocated_bytes()))
     }
 
@@ -154,18 +157,7 @@ impl Bench<'_> {
         let renderer = Renderer::new(scene, self.device);
         let picture = |camera: &Camera| Ok(to_picture(renderer.render(camera)?.image()));
         let pictures = cameras.iter().map(picture).collect::<Result<_>>()?;
-        let mut times = Vec::new();
-        for round in 0..WARM_UP + self.rounds {
-            for camera in frames {
-                let start = Instant::now();
-                // reading it waits for the picture
-                drop(renderer.render(camera)?.image().clone().slice([0..1, 0..1, 0..1]).into_data());
-                if round >= WARM_UP {
-                    times.push(1e3 * start.elapsed().as_secs_f64());
-                }
-            }
-        }
-        Ok((pictures, FrameTimes::new(times, Vec::new()), None))
+        Ok((pictures, of_training(&renderer, frames, self.counts())?, None))
     }
 }
 

@@ -22,12 +22,12 @@ use clap::{Args, value_parser};
 use dpges_core::camera::Camera;
 use dpges_render::{Headless, Rgb8Image};
 use dpges_train::config::Config;
-use dpges_train::dataset::{Dataset, View};
+use dpges_train::dataset::Dataset;
 use dpges_train::device::{DeviceName, DeviceRequest};
 use dpges_train::pictures::save_png;
 use glam::DVec3;
 
-use super::data::{Scene, Source, ViewArgs};
+use super::data::{Scene, Source, ViewArgs, every_nth};
 use super::device_failure::watched;
 use super::eval::make_folder;
 use super::render::Size;
@@ -187,11 +187,6 @@ impl TradeArgs {
             device: bench.device_text()?,
         })
     }
-}
-
-/// At most `most` of `views`, evenly chosen; at least one, if there are any.
-fn every_nth(views: &[View], most: usize) -> impl Iterator<Item = &View> {
-    views.iter().step_by(views.len().div_ceil(most.max(1)).max(1))
 }
 
 /// Where the training views are, or the held-out ones without them.

@@ -5,12 +5,13 @@ use std::sync::Arc;
 use burn::tensor::Device;
 use dpges_core::camera::Camera;
 use dpges_core::scene::SceneData;
-use dpges_render::frame_times::{Rounds, frame_times};
-use dpges_render::{Headless, RenderOptions};
+use dpges_render::Headless;
+use dpges_render::frame_times::Rounds;
 use dpges_train::config::{Budget, Config};
 use dpges_train::dataset::{BuiltinOptions, Dataset, builtin};
 use dpges_train::run::{Trainer, budget};
 
+use super::super::super::frame_times::of_raster;
 use super::super::super::render::Size;
 use super::super::super::{Failure, Result};
 use super::plan::Plan;
@@ -96,9 +97,7 @@ pub fn frames_per_second(scene: &SceneData, cameras: &[Camera]) -> Result<f64> {
 }
 
 fn median_ms(headless: &Headless, scene: &SceneData, cameras: &[Camera]) -> Result<f64> {
-    let mut renderer = headless.renderer()?;
-    renderer.upload(scene)?;
-    Ok(frame_times(headless, &mut renderer, cameras, &RenderOptions::from(&scene.info), ROUNDS)?.p50_ms)
+    Ok(of_raster(headless, scene, cameras, ROUNDS)?.p50_ms)
 }
 
 /// The largest width and height of the training views.
