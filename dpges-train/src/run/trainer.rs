@@ -440,8 +440,7 @@ mod tests {
             let report = trainer.step().unwrap().unwrap();
             let of_growth = |event: &&String| event.starts_with("batch of") || event.starts_with("validation error");
             told.extend(report.events.iter().filter(of_growth).map(|event| (report.step, event.clone())));
-            let scene = trainer.scene();
-            counts.push(scene.surfels.len() + scene.gaussians.len());
+            counts.push(gaussians(&mut trainer).len());
         }
         let steps: Vec<usize> = told.iter().map(|&(step, _)| step).collect();
         assert_eq!(steps, [13, 17, 21], "{told:?}");

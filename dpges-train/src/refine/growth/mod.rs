@@ -94,7 +94,7 @@ impl Growth {
     ///
     /// Right after a batch only the control before it is known. As improvement slows down, that one rather promises too
     /// much; a batch that exceeds it clearly is followed by the next. Otherwise a control follows, and the two on both sides
-    /// of the batch decide, see [`Interval::rises_without`].
+    /// of the batch decide, by the rate between them that the trend has in the middle of the batch.
     ///
     /// `None` if no interval was running, or if it showed nothing because a PSNR is not finite.
     pub fn end(&mut self, completed: usize, psnr: &[f64], least_gain: f64) -> Option<Finding> {

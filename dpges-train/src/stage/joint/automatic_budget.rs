@@ -10,7 +10,6 @@ use dpges_core::scene::{ColourData, ColourModel};
 use super::super::{Context, TrainError};
 use super::JointStage;
 use super::evidence::judging_views;
-use crate::config::Due;
 use crate::eval::LARGEST_PSNR;
 use crate::refine::add::geometric_batch_size;
 use crate::refine::growth::{Growth, Mean, Next};
@@ -43,61 +42,69 @@ impl JointStage {
         Ok(Some(psnr))
     }
 
-    /// Begins the interval of growth that is `due` after Gaussians were `removed`: with a batch or, as a control, without
-    /// one. Once growth has ended, and after the last batch, it adds as many as were removed. `measured` is the PSNR of the
-    /// judging views, dB, if it is known. Returns a sentence for each thing it did.
+    /// Begins the first interval of growth, which shows what training does alone.
+    ///
+    /// # Errors
+    /// [`TrainError::Core`] if a view cannot be rendered.
+    pub fn begin_control(&mut self, context: &Context) -> Result<(), TrainError> {
+        let psnr = self.psnr_of_views(context)?;
+        let (completed, primitives) = (context.completed_in(self.plan), self.surfels.len() + self.gaussians.len());
+        self.growth.get_or_insert_default().begin(completed, psnr, primitives, 0);
+        Ok(())
+    }
+
+    /// Begins the next interval of growth after Gaussians were `removed`: with one of the `batches_left` or, as a control,
+    /// without one. Once growth has ended, and if `batches_left` is `None`, it adds as many as were removed. `measured` is the
+    /// PSNR of the judging views, dB, if it is known. Returns a sentence for each thing it did.
     ///
     /// # Errors
     /// [`TrainError::Core`] if a view cannot be rendered.
     pub fn grow(
         &mut self,
         context: &mut Context,
-        due: &Due,
+        batches_left: Option<usize>,
         removed: usize,
         measured: Option<Vec<f64>>,
     ) -> Result<Vec<String>, TrainError> {
-        let primitives = self.surfels.len() + self.gaussians.len();
+        let (primitives, budget) = (self.surfels.len() + self.gaussians.len(), context.budget());
         let mut events = Vec::new();
-        let growth = self.growth.get_or_insert_with(Growth::default);
-        let count = match (growth.next(), due.batches_left) {
-            (Next::Batch, Some(batches_left)) => {
-                let count = geometric_batch_size(context.budget(), primitives, batches_left);
-                if count == 0 {
-                    growth.finish();
-                    events.push(format!(
-                        "growth stops at {primitives} primitives, the most that an automatic budget has"
-                    ));
-                }
-                count
+        let growth = self.growth.get_or_insert_default();
+        let next = growth.next();
+        let is_full = next == Next::Batch && primitives >= budget;
+        let count = match batches_left {
+            Some(batches_left) if next == Next::Batch && !is_full => {
+                geometric_batch_size(budget, primitives, batches_left)
             }
-            (Next::Control, Some(_)) => 0,
-            (_, None) if due.control => 0,
-            _ => removed,
+            Some(_) if next == Next::Control => 0,
+            _ => {
+                if next != Next::Nothing {
+                    growth.finish();
+                    let why = if is_full { "at its limit" } else { "with the schedule" };
+                    events.push(format!("growth stops {why}, at {primitives} of {budget} primitives"));
+                }
+                removed.min(budget.saturating_sub(primitives))
+            }
         };
-        let is_measured = growth.next() != Next::Nothing && (due.control || due.batches_left.is_some());
-        let psnr = match measured {
-            Some(psnr) => psnr,
-            None if is_measured => self.psnr_of_views(context)?,
-            None => Vec::new(),
-        };
+        if growth.next() == Next::Nothing {
+            events.push(self.add_gaussians(context, count, removed)?);
+            return Ok(events);
+        }
+        let psnr = measured.map_or_else(|| self.psnr_of_views(context), Ok)?;
         let before = self.gaussians.len();
         events.push(self.add_gaussians(context, count, removed)?);
-        let added = self.gaussians.len() - before;
-        let completed = context.completed_in(self.plan);
-        if let (true, Some(growth)) = (is_measured, &mut self.growth) {
-            growth.begin(completed, psnr, primitives, added);
-        }
+        let (completed, added) = (context.completed_in(self.plan), self.gaussians.len() - before);
+        self.growth.get_or_insert_default().begin(completed, psnr, primitives, added);
         Ok(events)
     }
 
     /// PSNR of the judging views, dB, as evaluations measure it.
     fn psnr_of_views(&self, context: &Context) -> Result<Vec<f64>, TrainError> {
-        let psnr = |view| {
+        let of_view = |view| {
             let rendered = self.render_view(context, view)?;
             let (image, target) = (quantised(rendered.composite.image), quantised(view.target(&context.device)));
             Ok(psnr(image, target).clamp(0.0, LARGEST_PSNR))
         };
-        judging_views(context).map(psnr).collect()
+        judging_views(context).map(of_view).collect()
     }
 
     /// Chooses the smallest number of layers that leaves hardly any pixel of the validation views open.

@@ -33,11 +33,8 @@ impl JointStage {
     /// Does what is `due` in the order prune, margins, split, add. Returns a sentence for each thing it did.
     pub fn refine_due(&mut self, due: Due, context: &mut Context) -> Result<Vec<String>, TrainError> {
         let mut events = Vec::new();
-        let measured = if due.control || due.batches_left.is_some() || due.replace {
-            self.end_interval(context, &mut events)?
-        } else {
-            None
-        };
+        let ends_interval = due.batches_left.is_some() || due.replace;
+        let measured = if ends_interval { self.end_interval(context, &mut events)? } else { None };
         let told = events.len();
         if due.surfel_prune {
             events.push(self.prune_surfels(context));
@@ -69,12 +66,15 @@ impl JointStage {
         if context.config.refine.clear_sight && (due.batches_left.is_some() || due.replace) {
             events.extend(self.clear_sight(context)?);
         }
-        if due.control || due.batches_left.is_some() || due.replace {
+        if due.control {
+            self.begin_control(context)?;
+        }
+        if due.batches_left.is_some() || due.replace {
             let removed = self.remove_undrawn(context);
-            // what else was due may have changed the views
-            let measured = measured.filter(|_| events.len() == told);
             if context.config.refine.budget == Budget::Auto {
-                events.extend(self.grow(context, &due, removed, measured)?);
+                // what else was due may have changed the views
+                let measured = measured.filter(|_| events.len() == told);
+                events.extend(self.grow(context, due.batches_left, removed, measured)?);
             } else {
                 let primitives = self.surfels.len() + self.gaussians.len();
                 let count = batch_size(context.budget(), primitives, due.batches_left.unwrap_or(1));
