@@ -381,6 +381,9 @@ configuration! {
         add_as: AddAs = AddAs::Picture, ablation: "black-gaussians" = "black" ("Add Gaussians that are black and wide");
         /// Largest number of surfels and Gaussians together, or largest size of the scene file.
         budget: Budget = Budget::Pixels;
+        /// Gain of PSNR by twice the primitives below which an automatic budget adds none: by how much more validation views
+        /// improve in the interval after a batch than in intervals without one. Part of what a batch gains shows later.
+        least_gain: f64 = 0.05, unit: "dB", range: 0.0..;
         /// Steps at which an automatic budget drops lobes that change no colour visibly.
         drop_lobes_at: Vec<usize> = vec![16_000, 22_000], unit: "steps";
         /// Split Gaussians that are large compared with the margins around them (DP-GES).

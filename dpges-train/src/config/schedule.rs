@@ -15,6 +15,9 @@ pub struct Schedule {
     pub judge_surfels: Vec<usize>,
     pub gaussian_prune: Vec<usize>,
     pub add: Vec<usize>,
+    /// The interval of batches before the first one, in which training alone is measured. Empty unless the budget is
+    /// automatic.
+    pub control: Vec<usize>,
     /// Replacements of Gaussians that are not drawn, after the last batch of new ones.
     pub replace: Vec<usize>,
     pub split: Vec<usize>,
@@ -31,6 +34,8 @@ pub struct Due {
     pub gaussian_prune: bool,
     /// Batches of Gaussians still to add, including one now; `None` if none is due now.
     pub batches_left: Option<usize>,
+    /// Whether an interval without a batch begins, the first that is measured.
+    pub control: bool,
     /// Whether Gaussians that are not drawn are replaced by new ones.
     pub replace: bool,
     pub split: bool,
@@ -107,15 +112,19 @@ impl Config {
             every(refine.gaussian_prune_every, refine.gaussian_prune_every, refine.gaussian_prune_until);
         let split =
             only_if(refine.split, every(refine.split_every, refine.split_every, refine.split_until.saturating_add(1)));
+        let automatic = refine.budget == Budget::Auto;
+        let add = run(every(refine.add_every, refine.add_from, refine.add_until), 1);
+        let control = refine.add_from.checked_sub(refine.add_every).filter(|_| automatic && !add.is_empty());
         Schedule {
             margins: run(refine.margins_at.clone(), 0),
             surfel_prune: whole_passes(run(surfel_prune, 1), self.scaled(refine.surfel_prune_until) + 1),
             judge_surfels: run(only_if(!self.train.freeze_surfels, refine.judge_surfels_at.clone()), 0),
             gaussian_prune: whole_passes(run(gaussian_prune, 1), self.scaled(refine.gaussian_prune_until)),
-            add: run(every(refine.add_every, refine.add_from, refine.add_until), 1),
+            add,
+            control: run(control.into_iter().collect(), 1),
             replace: run(every(refine.add_every, refine.add_until, refine.replace_until), 1),
             split: run(split, 1),
-            drop_lobes: run(only_if(refine.budget == Budget::Auto, refine.drop_lobes_at.clone()), 1),
+            drop_lobes: run(only_if(automatic, refine.drop_lobes_at.clone()), 1),
         }
     }
 }
@@ -129,6 +138,7 @@ impl Schedule {
             judge_surfels: is_in(&self.judge_surfels).is_ok(),
             gaussian_prune: is_in(&self.gaussian_prune).is_ok(),
             batches_left: is_in(&self.add).ok().map(|batch| self.add.len() - batch),
+            control: is_in(&self.control).is_ok(),
             replace: is_in(&self.replace).is_ok(),
             split: is_in(&self.split).is_ok(),
             drop_lobes: is_in(&self.drop_lobes).is_ok(),
@@ -195,7 +205,14 @@ mod tests {
         assert_eq!(frozen.schedule(100), Schedule { surfel_prune: vec![], judge_surfels: vec![], ..all.clone() });
         let mut automatic = config(REFERENCE_STEPS);
         automatic.refine.budget = Budget::Auto;
-        assert_eq!(automatic.schedule(100), Schedule { drop_lobes: vec![16_000, 22_000], ..all.clone() });
+        let measured = Schedule { control: vec![2000], drop_lobes: vec![16_000, 22_000], ..all.clone() };
+        assert_eq!(automatic.schedule(100), measured);
+        assert!(measured.due(2000).control && !measured.due(3000).control);
+        for (every, until) in [(4000, 13_000), (1000, 3000)] {
+            let mut unmeasured = automatic.clone();
+            (unmeasured.refine.add_every, unmeasured.refine.add_until) = (every, until);
+            assert!(unmeasured.schedule(100).control.is_empty());
+        }
         let mut unsplit = config(REFERENCE_STEPS);
         unsplit.refine.split = false;
         assert_eq!(unsplit.schedule(100), Schedule { split: vec![], ..all });

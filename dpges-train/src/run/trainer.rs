@@ -222,6 +222,7 @@ mod tests {
     use super::*;
     use crate::config::StageKind;
     use crate::dataset::{BuiltinOptions, builtin, builtin_geometry};
+    use crate::refine::growth::Growth;
     use crate::scene_state::GaussianState;
 
     fn trainer(set: &[&str]) -> Trainer {
@@ -418,6 +419,55 @@ mod tests {
                 let second = Trainer::resume(checkpoint, dataset(), device()).unwrap();
                 assert!(finished(second) == whole, "{set:?} stopped after {stop}");
             }
+        }
+    }
+
+    /// Every 3rd of 9 views validates, and no batch is worth it: a control after 8 steps, a batch after 12, a control after
+    /// 16, the end of growth after 20.
+    fn automatic() -> (Config, Arc<Dataset>) {
+        let mut data = (*dataset_of(9)).clone();
+        data.keep_for_validation(3);
+        let set = ["train.steps=100", "refine.budget=auto", "refine.least_gain=100", "refine.split=false"];
+        (config(&set), Arc::new(data))
+    }
+
+    #[test]
+    fn an_automatic_budget_ends_growth_after_a_batch_that_is_not_worth_it() {
+        let (config, data) = automatic();
+        let mut trainer = Trainer::new(config, data, device()).unwrap();
+        let (mut told, mut counts) = (Vec::new(), Vec::new());
+        while !trainer.is_finished() {
+            let report = trainer.step().unwrap().unwrap();
+            let of_growth = |event: &&String| event.starts_with("batch of") || event.starts_with("validation error");
+            told.extend(report.events.iter().filter(of_growth).map(|event| (report.step, event.clone())));
+            counts.push(gaussians(&mut trainer).len());
+        }
+        let steps: Vec<usize> = told.iter().map(|&(step, _)| step).collect();
+        assert_eq!(steps, [13, 17, 21], "{told:?}");
+        assert!(told[0].1.contains("4 steps without new Gaussians"), "{told:?}");
+        assert!(told[1].1.ends_with("an interval without a batch follows"), "{told:?}");
+        assert!(told[2].1.ends_with("growth stops"), "{told:?}");
+        // counts[n] is that after step n + 1
+        assert!(counts[12] > counts[11], "{counts:?}");
+        assert!(counts[13..].iter().all(|&count| count <= counts[12]), "{counts:?}");
+    }
+
+    #[test]
+    fn a_run_goes_on_from_the_middle_of_an_interval_of_growth() {
+        let folder = tempfile::tempdir().unwrap();
+        let (config, data) = automatic();
+        let begin = || Trainer::new(config.clone(), data.clone(), device()).unwrap();
+        let whole = finished(begin());
+        for stop in [10, 12, 14, 18, 30] {
+            let mut first = begin();
+            while first.completed_steps() < stop {
+                first.step().unwrap();
+            }
+            let checkpoint = saved_and_loaded(&first.checkpoint(), folder.path());
+            let is_running = checkpoint.state.growth.as_ref().is_some_and(Growth::is_running);
+            assert_eq!(is_running, stop < 20);
+            let second = Trainer::resume(checkpoint, data.clone(), device()).unwrap();
+            assert!(finished(second) == whole, "stopped after {stop}");
         }
     }
 

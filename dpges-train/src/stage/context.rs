@@ -8,7 +8,7 @@ use glam::Vec3;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
-use crate::config::{Config, StagePlan};
+use crate::config::{Budget, Config, StagePlan};
 use crate::dataset::Dataset;
 
 /// What all stages of a run share.
@@ -71,9 +71,15 @@ impl Context {
         budget(&self.config, &self.dataset)
     }
 
+    /// What shares of the budget before the joint stage are of. With an automatic budget that is `pixels`, half of the
+    /// largest number: growth beyond it has to be worth it.
+    pub fn budget_before_growth(&self) -> usize {
+        if self.config.refine.budget == Budget::Auto { self.budget() / 2 } else { self.budget() }
+    }
+
     /// The largest number of primitives of a stage that may fill `share` of the budget.
     pub fn most_primitives(&self, share: f64) -> usize {
-        ((self.budget() as f64 * share) as usize).max(1)
+        ((self.budget_before_growth() as f64 * share) as usize).max(1)
     }
 }
 

@@ -1,47 +1,115 @@
-//! The decisions of an automatic budget: the scene grows, and peels layers, as long as validation views improve.
+//! The decisions of an automatic budget, by validation views: how long the scene grows, how many layers it peels, and which
+//! lobes it does without.
 
+use dpges_core::metrics::{psnr, quantised};
 use dpges_core::ops::peel::MAX_LAYERS;
 use dpges_core::render::{Values, render_values};
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{ColourData, ColourModel};
 
-use super::super::{Context, Stage, TrainError};
+use super::super::{Context, TrainError};
 use super::JointStage;
-use crate::config::Budget;
-use crate::eval::{Measures, evaluate_each};
-use crate::refine::growth::{Decision, Growth};
+use super::evidence::judging_views;
+use crate::eval::LARGEST_PSNR;
+use crate::refine::add::geometric_batch_size;
+use crate::refine::growth::{Growth, Mean, Next};
 use crate::refine::layer_count::{MOST_OPEN, choose, open_share};
 use crate::refine::lobes::{drop_lobes, spare_lobes};
-use crate::rendered::{Rendered, Renderer};
 
 /// A lobe is dropped if its absence changes no colour by more than this: half a step of an 8-bit picture.
 const UNSEEN: f64 = 0.5 / 255.0;
+/// dB that validation views may lose by all lobes dropped at once. Many invisible changes may add up.
+const MOST_LOST: f64 = 0.01;
 
 impl JointStage {
-    /// Why no more Gaussians are added; `None` while they are, and with a fixed budget.
-    pub fn end_of_growth(&mut self, context: &Context) -> Result<Option<String>, TrainError> {
-        if context.config.refine.budget != Budget::Auto {
+    /// Ends the interval of growth that is running, and tells `events` what it has shown. Returns the PSNR of the judging
+    /// views, dB; `None` if no interval was running.
+    ///
+    /// # Errors
+    /// [`TrainError::Core`] if a view cannot be rendered.
+    pub fn end_interval(
+        &mut self,
+        context: &Context,
+        events: &mut Vec<String>,
+    ) -> Result<Option<Vec<f64>>, TrainError> {
+        if !self.growth.as_ref().is_some_and(Growth::is_running) {
             return Ok(None);
         }
-        let growth = self.growth.get_or_insert_with(Growth::default);
-        if let Decision::Stop(reason) = growth.decision() {
-            return Ok(Some(reason.to_string()));
+        let psnr = self.psnr_of_views(context)?;
+        let (completed, least_gain) = (context.completed_in(self.plan), context.config.refine.least_gain);
+        let found = self.growth.as_mut().and_then(|growth| growth.end(completed, &psnr, least_gain));
+        events.extend(found.map(|found| found.to_string()));
+        Ok(Some(psnr))
+    }
+
+    /// Begins the first interval of growth, which shows what training does alone.
+    ///
+    /// # Errors
+    /// [`TrainError::Core`] if a view cannot be rendered.
+    pub fn begin_control(&mut self, context: &Context) -> Result<(), TrainError> {
+        let psnr = self.psnr_of_views(context)?;
+        let (completed, primitives) = (context.completed_in(self.plan), self.surfels.len() + self.gaussians.len());
+        self.growth.get_or_insert_default().begin(completed, psnr, primitives, 0);
+        Ok(())
+    }
+
+    /// Begins the next interval of growth after Gaussians were `removed`: with one of the `batches_left` or, as a control,
+    /// without one. Once growth has ended, and if `batches_left` is `None`, it adds as many as were removed. `measured` is the
+    /// PSNR of the judging views, dB, if it is known. Returns a sentence for each thing it did.
+    ///
+    /// # Errors
+    /// [`TrainError::Core`] if a view cannot be rendered.
+    pub fn grow(
+        &mut self,
+        context: &mut Context,
+        batches_left: Option<usize>,
+        removed: usize,
+        measured: Option<Vec<f64>>,
+    ) -> Result<Vec<String>, TrainError> {
+        let (primitives, budget) = (self.surfels.len() + self.gaussians.len(), context.budget());
+        let mut events = Vec::new();
+        let growth = self.growth.get_or_insert_default();
+        let next = growth.next();
+        let is_full = next == Next::Batch && primitives >= budget;
+        let count = match batches_left {
+            Some(batches_left) if next == Next::Batch && !is_full => {
+                geometric_batch_size(budget, primitives, batches_left)
+            }
+            Some(_) if next == Next::Control => 0,
+            _ => {
+                if next != Next::Nothing {
+                    growth.finish();
+                    let why = if is_full { "at its limit" } else { "with the schedule" };
+                    events.push(format!("growth stops {why}, at {primitives} of {budget} primitives"));
+                }
+                removed.min(budget.saturating_sub(primitives))
+            }
+        };
+        if growth.next() == Next::Nothing {
+            events.push(self.add_gaussians(context, count, removed)?);
+            return Ok(events);
         }
-        let scene = self.scene();
-        let device = &context.device;
-        let renderer = Renderer::new(&scene, device).deterministic(context.config.train.deterministic);
-        let (views, nothing) = (&context.dataset.validation, |_: usize, _: &Rendered| Ok::<_, TrainError>(()));
-        let psnr = evaluate_each(&renderer, &scene, views, device, Measures::Basic, nothing)?.psnr;
-        let growth = self.growth.get_or_insert_with(Growth::default);
-        let primitives = scene.surfels.len() + scene.gaussians.len();
-        Ok(match growth.observe(primitives, psnr) {
-            Decision::Grow => None,
-            Decision::Stop(reason) => Some(reason.to_string()),
-        })
+        let psnr = measured.map_or_else(|| self.psnr_of_views(context), Ok)?;
+        let before = self.gaussians.len();
+        events.push(self.add_gaussians(context, count, removed)?);
+        let (completed, added) = (context.completed_in(self.plan), self.gaussians.len() - before);
+        self.growth.get_or_insert_default().begin(completed, psnr, primitives, added);
+        Ok(events)
+    }
+
+    /// PSNR of the judging views, dB, as evaluations measure it.
+    fn psnr_of_views(&self, context: &Context) -> Result<Vec<f64>, TrainError> {
+        let of_view = |view| {
+            let rendered = self.render_view(context, view)?;
+            let (image, target) = (quantised(rendered.composite.image), quantised(view.target(&context.device)));
+            Ok(psnr(image, target).clamp(0.0, LARGEST_PSNR))
+        };
+        judging_views(context).map(of_view).collect()
     }
 
     /// Chooses the smallest number of layers that leaves hardly any pixel of the validation views open.
     pub fn choose_layer_count(&mut self, context: &Context) -> Result<String, TrainError> {
+        let psnr_before = self.psnr_of_views(context)?;
         let mut options = self.render_options(&context.config);
         options.peel.layer_count = MAX_LAYERS;
         let (surfels, gaussians) = self.drawn_values();
@@ -55,23 +123,30 @@ impl JointStage {
         }
         let (before, after) = (self.info.layer_count, choose(&shares, MOST_OPEN));
         self.info.layer_count = after;
+        let change = Mean::of_changes(&psnr_before, &self.psnr_of_views(context)?);
         let percents: Vec<String> = shares.iter().map(|share| format!("{:.2}", 100.0 * share)).collect();
         Ok(format!(
             "{after} layers instead of {before}: behind 1, 2, … layers {} % of the covered pixels let more than 1/255 \
-             through; up to {} % more than behind the last may do so",
+             through; up to {} % more than behind the last may do so; validation PSNR {change} by that",
             percents.join(", "),
             100.0 * MOST_OPEN
         ))
     }
 
-    /// Drops the lobes whose absence no camera would show; `None` if colours have no lobes.
-    pub fn drop_lobes(&mut self, context: &Context) -> Option<String> {
-        let ColourModel::SphericalBeta { lobes } = self.info.colour_model else { return None };
+    /// Drops the lobes whose absence no camera would show, unless validation views lose clearly by all of them together.
+    /// `None` if colours have no lobes.
+    ///
+    /// # Errors
+    /// [`TrainError::Core`] if a view cannot be rendered.
+    pub fn drop_lobes(&mut self, context: &Context) -> Result<Option<String>, TrainError> {
+        let ColourModel::SphericalBeta { lobes } = self.info.colour_model else { return Ok(None) };
+        let psnr_before = self.psnr_of_views(context)?;
         let dataset = &context.dataset;
         let views = dataset.train.iter().chain(&dataset.validation);
         let centres: Vec<[f64; 3]> = views.map(|view| view.camera.centre().to_array()).collect();
         let (surfels, gaussians) = (self.surfels.columns.positions.raw(), self.gaussians.columns.positions.raw());
-        let (mut surfel_colour, mut gaussian_colour) = (self.surfels.colour(), self.gaussians.colour());
+        let all = [self.surfels.colour(), self.gaussians.colour()];
+        let [mut surfel_colour, mut gaussian_colour] = all.clone();
         let mut dropped = [0; 2];
         let mut drop = |positions: &[f32], colour: &mut ColourData| {
             let spare = spare_lobes(positions, colour, lobes, &centres, UNSEEN);
@@ -83,10 +158,21 @@ impl JointStage {
         drop(&tensor_to_rows(&gaussians), &mut gaussian_colour);
         self.surfels.set_colour(&surfel_colour);
         self.gaussians.set_colour(&gaussian_colour);
-        let all = lobes * (self.surfels.len() + self.gaussians.len());
+        let count = lobes * (self.surfels.len() + self.gaussians.len());
         let [idle, folded] = dropped;
-        Some(format!(
-            "of {all} lobes {idle} dropped that add less than half of 1/255 in any camera, {folded} that do not change"
-        ))
+        let change = Mean::of_changes(&psnr_before, &self.psnr_of_views(context)?);
+        if change.is_clearly_below(-MOST_LOST) {
+            let [surfel_colour, gaussian_colour] = all;
+            self.surfels.set_colour(&surfel_colour);
+            self.gaussians.set_colour(&gaussian_colour);
+            return Ok(Some(format!(
+                "all of {count} lobes stay: without {} that hardly show, validation PSNR changes by {change}",
+                idle + folded
+            )));
+        }
+        Ok(Some(format!(
+            "of {count} lobes {idle} dropped that add less than half of 1/255 in any camera, {folded} that do not change: \
+             validation PSNR {change}"
+        )))
     }
 }

@@ -129,7 +129,7 @@ impl JointStage {
 }
 
 /// The views that judge surfels: validation views, or else training views, evenly spread.
-fn judging_views(context: &Context) -> impl Iterator<Item = &View> {
+pub fn judging_views(context: &Context) -> impl Iterator<Item = &View> {
     let (validation, train) = (&context.dataset.validation, &context.dataset.train);
     let views = if validation.is_empty() { train } else { validation };
     views.iter().step_by(views.len().div_ceil(JUDGING_VIEWS).max(1))

@@ -18,7 +18,6 @@ use crate::config::{AddAs, Budget, Due, PixelsOf};
 use crate::dataset::View;
 use crate::refine::add::{batch_size, draw_in_proportion, gaussians_of_pixels, new_gaussians};
 use crate::refine::agreement::{agreed_depth, nearest_views};
-use crate::refine::growth::Decision;
 use crate::refine::margins::margins;
 use crate::refine::prune::{drawn, gaussians_to_keep, surfels_to_keep};
 use crate::refine::split::split;
@@ -34,6 +33,9 @@ impl JointStage {
     /// Does what is `due` in the order prune, margins, split, add. Returns a sentence for each thing it did.
     pub fn refine_due(&mut self, due: Due, context: &mut Context) -> Result<Vec<String>, TrainError> {
         let mut events = Vec::new();
+        let ends_interval = due.batches_left.is_some() || due.replace;
+        let measured = if ends_interval { self.end_interval(context, &mut events)? } else { None };
+        let told = events.len();
         if due.surfel_prune {
             events.push(self.prune_surfels(context));
         }
@@ -56,7 +58,7 @@ impl JointStage {
             }
         }
         if due.drop_lobes {
-            events.extend(self.drop_lobes(context));
+            events.extend(self.drop_lobes(context)?);
         }
         if due.split {
             events.push(self.split_gaussians(context));
@@ -64,15 +66,20 @@ impl JointStage {
         if context.config.refine.clear_sight && (due.batches_left.is_some() || due.replace) {
             events.extend(self.clear_sight(context)?);
         }
-        if let Some(batches_left) = due.batches_left {
+        if due.control {
+            self.begin_control(context)?;
+        }
+        if due.batches_left.is_some() || due.replace {
             let removed = self.remove_undrawn(context);
-            if !self.has_stopped_growing() {
-                events.extend(self.end_of_growth(context)?);
+            if context.config.refine.budget == Budget::Auto {
+                // what else was due may have changed the views
+                let measured = measured.filter(|_| events.len() == told);
+                events.extend(self.grow(context, due.batches_left, removed, measured)?);
+            } else {
+                let primitives = self.surfels.len() + self.gaussians.len();
+                let count = batch_size(context.budget(), primitives, due.batches_left.unwrap_or(1));
+                events.push(self.add_gaussians(context, count, removed)?);
             }
-            events.push(self.add_gaussians(context, batches_left, removed)?);
-        } else if due.replace {
-            let removed = self.remove_undrawn(context);
-            events.push(self.add_gaussians(context, 1, removed)?);
         }
         Ok(events)
     }
@@ -147,23 +154,13 @@ impl JointStage {
         before - self.gaussians.len()
     }
 
-    /// Whether an automatic budget has ended growth.
-    fn has_stopped_growing(&self) -> bool {
-        self.growth.as_ref().is_some_and(|growth| growth.decision() != Decision::Grow)
-    }
-
-    /// Adds a batch of Gaussians; once growth has ended, as many as were `removed`. Their pixels are drawn with a
+    /// Adds a batch of `count` Gaussians after as many as were `removed` have left. Their pixels are drawn with a
     /// probability in proportion to the squared error, none where a view shows nothing but sky. They take the depth of the nearest layer (GES, DP-GES), or the
     /// mean depth of existing Gaussians where there is no layer and `refine.add_everywhere` asks for it.
-    fn add_gaussians(
-        &mut self,
-        context: &mut Context,
-        batches_left: usize,
-        removed: usize,
-    ) -> Result<String, TrainError> {
-        let primitives = self.surfels.len() + self.gaussians.len();
-        let count =
-            if self.has_stopped_growing() { removed } else { batch_size(context.budget(), primitives, batches_left) };
+    ///
+    /// # Errors
+    /// [`TrainError::Core`] if a view cannot be rendered.
+    pub fn add_gaussians(&mut self, context: &mut Context, count: usize, removed: usize) -> Result<String, TrainError> {
         let everywhere = context.config.refine.add_everywhere;
         let views = context.dataset.train.len();
         let dataset = context.dataset.clone();
@@ -220,7 +217,10 @@ impl JointStage {
     }
 
     /// Renders a view of the scene as it stands, without a tape.
-    fn render_view(&self, context: &Context, view: &View) -> Result<Render, TrainError> {
+    ///
+    /// # Errors
+    /// [`TrainError::Core`] if it cannot be rendered.
+    pub fn render_view(&self, context: &Context, view: &View) -> Result<Render, TrainError> {
         let (surfels, gaussians) = self.drawn_values();
         let options = self.render_options(&context.config);
         let rendered = render_values(&surfels, &gaussians, &view.camera, &options, Values::KnownFinite)?;

@@ -77,7 +77,7 @@ impl Context {
             surfels = Some(self.surfels_of_depth(trained, filter)?);
         }
         if surfels.is_none() || gaussians.is_none() {
-            let budget = self.budget() as f64;
+            let budget = self.budget_before_growth() as f64;
             let room = Room::new(budget * START_SHARE / 2.0, budget * START_SHARE);
             let start = initialise(&self.dataset, &self.config, room, &mut self.rng)?;
             surfels.get_or_insert(start.surfels);
