@@ -29,7 +29,7 @@ fn command(folder: &Path, args: &[&str]) -> Command {
     command
 }
 
-fn begin<'a>(out: &'a str) -> Vec<&'a str> {
+fn begin(out: &str) -> Vec<&str> {
     [&["train", "--out", out], &RUN[..]].concat()
 }
 

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use dpges_core::scene::{
-    ColourModel, EnvironmentData, Footprint, MarginLookup, Rendering, SceneData, SceneInfo, ScreenFilter,
+    ColourModel, EnvironmentData, Footprint, MarginLookup, Quality, Rendering, SceneData, SceneInfo, ScreenFilter,
 };
 use dpges_core::testing::scenes::{Recipe, random};
 use dpges_train::config::Config;
@@ -85,20 +85,24 @@ fn scene_files() {
         (ColourModel::SphericalBeta { lobes: 0 }, false),
         (ColourModel::SphericalHarmonics { degree: 1 }, false),
     ];
-    let files = models.map(|(model, environment)| {
+    let plain = models.map(|(model, environment)| {
         scene(model, environment).save(&path).unwrap();
         fs::read(&path).unwrap()
     });
-    fuzz("scene files", &files, |_, bytes| match SceneData::from_bytes(bytes, "a stranger's file") {
-        Ok(scene) => {
-            scene.save(&path).expect("what is read is whole");
-            true
-        }
-        Err(error) => {
-            assert!(error.to_string().contains("a stranger's file"), "{error}");
-            false
-        }
-    });
+    let compressed =
+        models.map(|(model, environment)| scene(model, environment).to_compressed(&Quality::MEDIUM, &path).unwrap());
+    for (what, files) in [("scene files", &plain), ("compressed scene files", &compressed)] {
+        fuzz(what, files, |_, bytes| match SceneData::from_bytes(bytes, "a stranger's file") {
+            Ok(scene) => {
+                scene.save(&path).expect("what is read is whole");
+                true
+            }
+            Err(error) => {
+                assert!(error.to_string().contains("a stranger's file"), "{error}");
+                false
+            }
+        });
+    }
 }
 
 /// A copy of a dataset of the corpus, whose `names` are changed and read again.

@@ -87,9 +87,10 @@ impl Hazard {
 }
 
 impl Hazard {
-    /// Whether rounding decides what is there at all: centres at the near plane, and positions that f32 holds to a unit.
+    /// Whether rounding decides: what is there at all (centres at the near plane, positions that f32 holds to a unit), in
+    /// which order it is blended (one depth), or gradients that vanish but for rounding (scales far beyond the world).
     pub fn is_decided_by_rounding(self) -> bool {
-        matches!(self, Self::AtNearPlane | Self::FarFromOrigin)
+        matches!(self, Self::AtNearPlane | Self::FarFromOrigin | Self::OnePoint | Self::OneDepth | Self::HugeScales)
     }
 }
 

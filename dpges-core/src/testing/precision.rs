@@ -59,8 +59,9 @@ pub struct Deviation {
     pub error: f64,
 }
 
-/// Tensors by name.
-type Found = Vec<(&'static str, Vec<f64>)>;
+/// A tensor and its name.
+type Named = (&'static str, Vec<f64>);
+type Found = Vec<Named>;
 
 /// Renders and differentiates an extreme scene in f32 on `device` and in f64 on the CPU.
 ///
@@ -69,7 +70,7 @@ type Found = Vec<(&'static str, Vec<f64>)>;
 pub fn deviations(extreme: &Extreme, way: Way, device: &Device) -> Result<Vec<Deviation>> {
     let found = compute(extreme, way, device, DType::F32)?;
     let exact = compute(extreme, way, &crate::device::cpu(), DType::F64)?;
-    let compare = |((tensor, found), (_, exact)): ((&'static str, Vec<f64>), (&'static str, Vec<f64>))| {
+    let compare = |((tensor, found), (_, exact)): (Named, Named)| {
         let non_finite = found.iter().chain(&exact).filter(|value| !value.is_finite()).count();
         let error = match (non_finite, tensor) {
             (0, IMAGE) => largest_difference(&found, &exact),

@@ -117,7 +117,7 @@ mod tests {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
             (state >> 33) as u32
         };
-        let mut symbol = |at: usize| if at % 3 == 0 { at as u32 / 30 } else { noise() };
+        let mut symbol = |at: usize| if at.is_multiple_of(3) { at as u32 / 30 } else { noise() };
         (0..rows * bits.len()).map(&mut symbol).zip(bits.iter().cycle()).map(|(s, &bits)| s & largest(bits)).collect()
     }
 

@@ -98,7 +98,7 @@ impl Extremes {
             let several = |d: &Deviation| d.hazards.len() > 1;
             let rounding = |d: &Deviation| d.hazards.iter().any(|hazard| hazard.is_decided_by_rounding());
             lines.extend(line("two or three".to_owned(), all, |d| of(d) && several(d) && !rounding(d)));
-            let name = "two or three, among them the near plane or far from the origin";
+            let name = "two or three, with one that rounding decides";
             lines.extend(line(name.to_owned(), all, |d| of(d) && several(d) && rounding(d)));
             lines
         };
@@ -146,7 +146,7 @@ impl Extremes {
             self.scenes,
             self.device,
             self.non_finite,
-            table("tensor, unless at the near plane or far from the origin", &self.tensors),
+            table("tensor, unless rounding decides", &self.tensors),
             table("pictures by what is extreme, peeled", &self.pictures),
             table("gradients by what is extreme, peeled", &self.gradients),
         )

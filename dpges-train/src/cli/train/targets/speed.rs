@@ -112,8 +112,7 @@ fn builtin_scene(config: &Config, points: usize, size: Size, device: &Device) ->
         BuiltinOptions { width: 16, height: 16, train_views: CAMERAS, test_views: 0, points, ..Default::default() };
     let dataset = builtin(&options);
     let cameras = dataset.train.iter().map(|view| size.apply(&view.camera)).collect();
-    let mut begin = Config::default();
-    begin.model = config.model.clone();
+    let mut begin = Config { model: config.model.clone(), ..Config::default() };
     begin.train.method = config.train.method;
     begin.init.max_points = points;
     // room for all of them: a run begins with a part of its budget
