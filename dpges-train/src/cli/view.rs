@@ -59,7 +59,7 @@ impl WindowArgs {
             }
         };
         if let Some(preset) = self.preset {
-            preset.apply(&mut scene.data, &[]);
+            preset.apply(&mut scene.data);
         }
         Ok(Opened { scene: scene.data, views })
     }

@@ -105,8 +105,7 @@ impl RenderArgs {
     fn shots(&self, scene: &mut Scene) -> Result<Vec<Shot>> {
         let shots = shots(&self.path, self.frames as usize, self.size, &self.views, scene)?;
         if let Some(preset) = self.preset {
-            let centres: Vec<[f64; 3]> = shots.iter().map(|shot| shot.camera.centre().to_array()).collect();
-            preset.apply(&mut scene.data, &centres);
+            preset.apply(&mut scene.data);
         }
         Ok(shots)
     }
