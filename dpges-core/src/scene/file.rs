@@ -7,7 +7,7 @@
 //! Of spherical Beta colours a file has only the lobes that are there (see [`lobes`](super::lobes)). In place of
 //! `surfels.colour.detail` [N, 6 × lobes] stand `surfels.colour.lobe_counts` `[N]`, one byte for every surfel, and
 //! `surfels.colour.lobes` [sum of the counts, 6], those of the first surfel first; likewise for the Gaussians. Files of
-//! version "1", in which `detail` has every lobe, are read as well, and so are [compressed](super::compressed) files.
+//! version "1", in which `detail` has every lobe, are read as well, and so are [compressed](mod@super::compressed) files.
 
 use std::borrow::Cow;
 use std::collections::HashMap;
