@@ -53,9 +53,11 @@ pub fn scale(log_scales: Tensor<2>) -> Tensor<1> {
     if log_scales.dims()[0] == 0 {
         return Tensor::zeros([1], (&device, log_scales.dtype()));
     }
-    let scales = log_scales.exp();
-    let mean = scales.clone().detach().mean();
-    let x = (scales / mean.unsqueeze::<2>()).mean_dim(1);
+    // relative to the largest: scales of surfels that no view sees shrink until their exponentials, and the mean, are 0
+    let fixed = log_scales.clone().detach();
+    let largest = fixed.clone().max();
+    let log_mean = (fixed - largest.clone().unsqueeze::<2>()).exp().mean().log() + largest;
+    let x = (log_scales - log_mean.unsqueeze::<2>()).exp().mean_dim(1);
     let clamped = x.clone().clamp_max(SCALE_LOSS_LINEAR_FROM);
     (clamped.clone().exp() * (x - clamped + 1.0)).mean()
 }

@@ -1,7 +1,12 @@
 //! The memory of this process.
 
-/// The most memory that this process has had in use so far, bytes, as the operating system counts it; `None` on systems
-/// other than Linux.
+/// Forgets the peak, so that it is measured anew; false where that cannot be done.
+pub fn reset_peak_memory() -> bool {
+    std::fs::write("/proc/self/clear_refs", "5").is_ok()
+}
+
+/// The most memory that this process has had in use so far, or since [`reset_peak_memory`], bytes, as the operating
+/// system counts it; `None` on systems other than Linux.
 pub fn peak_memory_bytes() -> Option<u64> {
     peak_of(&std::fs::read_to_string("/proc/self/status").ok()?)
 }

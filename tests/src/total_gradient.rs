@@ -167,3 +167,18 @@ fn the_gradient_of_the_scale_loss_is_central_differences_about_a_fixed_mean() {
     });
     check("scale loss, huge surfel", &log_scales[80..], last, 1e-5, |moved| of_surfel(moved) / 41.0);
 }
+
+/// Surfels that no view sees shrink until their scales, exponentiated, are 0 or, growing, infinite.
+#[test]
+fn the_scale_loss_depends_on_ratios_only() {
+    let log_scales = Random::new(2).numbers(2 * 10, -1.0, 1.0);
+    let [plain, small, large] = [0.0, -900.0, 900.0].map(|shift| {
+        let shifted: Vec<f64> = log_scales.iter().map(|s| s + shift).collect();
+        let tensor = leaf(&shifted, [10, 2], &flex().autodiff());
+        let loss = losses::scale(tensor.clone());
+        [values(&loss), values(&tensor.grad(&loss.backward()).unwrap())].concat()
+    });
+    for shifted in [small, large] {
+        approx::assert_relative_eq!(shifted.as_slice(), plain.as_slice(), max_relative = 1e-9);
+    }
+}

@@ -3,13 +3,14 @@
 use dpges_train::config::sources::preset_text;
 use toml::{Table, Value};
 
-/// Keys and sections of a preset that are no part of the method: length of the run, learning rates, output.
-const OF_THE_RUN: [&str; 7] = [
+/// Keys and sections of a preset that are no part of the method: length of the run, budget, learning rates, output.
+const OF_THE_RUN: [&str; 8] = [
     "train.steps",
     "train.evaluate_every",
     "train.checkpoint_every",
     "stages.position_share",
     "stages.surfel_scale",
+    "stages.surfel_budget",
     "refine.add_as",
     "optimizer",
 ];
@@ -44,6 +45,7 @@ mod tests {
         preset.optimizer = optimizer;
         preset.stages.position_share = stages.position_share;
         preset.stages.surfel_scale = stages.surfel_scale;
+        preset.stages.surfel_budget = stages.surfel_budget;
         preset.refine.add_as = refine.add_as;
         assert_eq!(Config::resolve(None, None, &method_of("ges")).unwrap(), preset);
     }

@@ -4,7 +4,6 @@ mod combine;
 mod knob;
 mod limit;
 mod measure;
-mod memory;
 mod output;
 mod pareto;
 mod plot;

@@ -9,6 +9,7 @@ use dpges_core::scene::ColourModel;
 use dpges_train::config::{Config, Method};
 use dpges_train::dataset::Dataset;
 use dpges_train::device::DeviceName;
+use dpges_train::memory::{peak_memory_bytes, reset_peak_memory};
 use dpges_train::run::{Observer, budget};
 use dpges_train::simplify::detail_of;
 
@@ -17,7 +18,6 @@ use super::super::series::Common;
 use super::super::series::entry::Entry;
 use super::super::{Failure, Result};
 use super::limit::Limit;
-use super::memory;
 use super::point::Kind;
 use super::sweep::Sweep;
 use crate::logging::LogStyle;
@@ -84,7 +84,7 @@ impl Training<'_> {
                 common = self.common(Arc::new(self.source.load_for_training(&entry.config)?));
                 data = entry.config.data.clone();
             }
-            let measures = !entry.is_finished() && memory::reset_peak();
+            let measures = !entry.is_finished() && reset_peak_memory();
             match entry.train_watched(&common, &mut Until(limit)) {
                 Err(_) if limit.has_stopped() => {
                     tracing::info!("{}: the time is over, the same command goes on with it", entry.label);
@@ -93,7 +93,7 @@ impl Training<'_> {
                 }
                 other => other?,
             }
-            let peak = if measures { memory::peak_bytes() } else { None };
+            let peak = if measures { peak_memory_bytes() } else { None };
             let measured = entry.measured()?;
             let mut point = sweep.point(&entry.scene()?, &[], entry.label, Some(seed))?;
             point.kind = Kind::Training;
