@@ -10,6 +10,7 @@ use burn::tensor::ops::PadMode;
 use burn::tensor::{Tensor, TensorData};
 
 use crate::camera::Camera;
+use crate::counters::transfers::upload;
 use crate::error::Result;
 use crate::ops::composite;
 use crate::render::Render;
@@ -63,7 +64,7 @@ pub fn normals_from_depth(depth: Tensor<3>, camera: &Camera) -> Tensor<3> {
     let rays = |focal_px: f64, principal_px: f64, shape: [usize; 3]| {
         let count = shape.into_iter().product::<usize>();
         let slopes: Vec<f64> = (0..count).map(|i| (i as f64 + 1.5 - principal_px) / focal_px).collect();
-        Tensor::<3>::from_data(TensorData::new(slopes, shape).convert_dtype(dtype), (&device, dtype))
+        Tensor::<3>::from_data(upload(TensorData::new(slopes, shape).convert_dtype(dtype)), (&device, dtype))
     };
     // With points as depth · ray (x, y, 1) and rays linear in the pixel, the cross product over both sums of depths is
     // (across, down, −(across x + down y + 1)). Its component along the ray is −1, so it never vanishes.
@@ -100,7 +101,7 @@ pub fn in_camera_axes(normal: Tensor<3>, camera: &Camera) -> Tensor<3> {
     let (shape, device, dtype) = (normal.dims(), normal.device(), normal.dtype());
     let columns = camera.camera_from_world.rotation.to_cols_array().to_vec();
     let columns = TensorData::new(columns, [3, 3, 1, 1]).convert_dtype(dtype);
-    let columns = Tensor::<4>::from_data(columns, (&device, dtype));
+    let columns = Tensor::<4>::from_data(upload(columns), (&device, dtype));
     (columns * normal.unsqueeze_dim::<4>(1)).sum_dim(0).reshape(shape)
 }
 

@@ -25,6 +25,7 @@ use std::path::Path;
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use dpges_core::camera::Camera;
+use dpges_core::counters::transfers::upload;
 use glam::DVec3;
 
 pub use builtin::{BuiltinOptions, builtin, builtin_geometry};
@@ -81,7 +82,7 @@ impl View {
     /// The picture on `device`, [3, H, W].
     pub fn target(&self, device: &Device) -> Tensor<3> {
         let Picture { width, height, ref planes, .. } = self.picture;
-        Tensor::from_data(TensorData::new(planes.clone(), [3, height, width]), (device, DType::F32))
+        Tensor::from_data(upload(TensorData::new(planes.clone(), [3, height, width])), (device, DType::F32))
     }
 }
 

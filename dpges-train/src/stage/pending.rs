@@ -5,6 +5,7 @@ use std::pin::Pin;
 use std::task::{Context, Poll, Waker};
 
 use burn::tensor::{ExecutionError, Tensor, TensorData, read_sync};
+use dpges_core::counters::transfers::{download, wait};
 use dpges_core::losses::Losses;
 use dpges_core::ops::finite::{FiniteChecks, check_finite};
 use dpges_core::scene::schema::Attribute;
@@ -88,12 +89,12 @@ impl PendingStep {
     /// the device failed.
     pub fn settle(self) -> Result<StepReport, TrainError> {
         let numbers = match self.numbers {
-            Waiting::For(future) => read_sync(future),
+            Waiting::For(future) => wait(|| read_sync(future)),
             Waiting::No(numbers) => numbers,
         };
         let (step, view) = (self.report.step, self.view_name);
         let numbers = numbers.map_err(|error| TrainError::Device { step, reason: error.to_string() })?;
-        let numbers: Vec<f64> = numbers.iter::<f64>().collect();
+        let numbers: Vec<f64> = download(numbers).iter::<f64>().collect();
         let &[loss, rgb, surfel, scale, transmittance, squared_error, bad] = numbers.as_slice() else {
             unreachable!("seven numbers were asked for");
         };

@@ -1,6 +1,7 @@
 //! What is known to be sky belongs to the environment.
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
+use dpges_core::counters::transfers::upload;
 
 use super::super::{Context, EnvironmentState};
 use crate::dataset::View;
@@ -26,6 +27,6 @@ impl SkyMasks {
         let pixels = &self.0[index];
         let values: Vec<f32> = pixels.iter().map(|&is_sky| f32::from(u8::from(is_sky))).collect();
         let data = || TensorData::new(values, [1, view.camera.height, view.camera.width]);
-        (!pixels.is_empty()).then(|| Tensor::from_data(data(), (device, DType::F32)))
+        (!pixels.is_empty()).then(|| Tensor::from_data(upload(data()), (device, DType::F32)))
     }
 }

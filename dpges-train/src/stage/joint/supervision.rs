@@ -1,6 +1,7 @@
 //! Targets of the geometry losses: depths and normals of the discs that the surfels come from (DP-GES, geometry).
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
+use dpges_core::counters::transfers::upload;
 use dpges_core::losses::geometry::{Supervision, expected_depth};
 use dpges_core::ops::blend::Maps;
 use dpges_core::render::Values;
@@ -52,7 +53,7 @@ impl Supervisions {
         let [height, width] = self.sizes[view];
         let [depth, normal] = &self.views[view];
         let tensor = |values: &Vec<f32>, planes: usize| -> Tensor<3> {
-            Tensor::from_data(TensorData::new(values.clone(), [planes, height, width]), (device, DType::F32))
+            Tensor::from_data(upload(TensorData::new(values.clone(), [planes, height, width])), (device, DType::F32))
         };
         Supervision { depth: tensor(depth, 1), normal: tensor(normal, 3) }
     }
