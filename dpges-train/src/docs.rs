@@ -35,3 +35,6 @@ pub mod trade {}
 
 #[doc = include_str!("../docs/popping.md")]
 pub mod popping {}
+
+#[doc = include_str!("../docs/step.md")]
+pub mod step {}

@@ -46,3 +46,4 @@ pub mod sight;
 pub mod simplify;
 pub mod splat_fit;
 mod stage;
+pub mod step_cost;

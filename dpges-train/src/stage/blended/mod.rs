@@ -97,6 +97,15 @@ impl BlendedStage {
         }
     }
 
+    /// A stage that begins with the Gaussians and the environment of `scene` as they are, without a sampling limit.
+    pub fn of_scene(plan: StagePlan, blended: Blended, scene: &SceneData, context: &Context) -> Self {
+        let device = &context.device;
+        let gaussians = GaussianState::new(&scene.gaussians, OpacityActivation::Sigmoid, device);
+        let environment = EnvironmentState::new(scene.environment.as_ref(), device);
+        let screen_gradients = ScreenGradients::new(scene.gaussians.len(), device);
+        Self::new(plan, blended, gaussians, environment, screen_gradients, context)
+    }
+
     /// The Gaussians as they are drawn, wherever they come from: with their sampling limit, and without base colours below
     /// black, which count as black as long as they are blended (DBS).
     fn drawn(&self) -> GaussianData {

@@ -79,6 +79,13 @@ impl JointStage {
         }
     }
 
+    /// A stage that begins with `scene` as it is, without geometry losses.
+    pub fn of_scene(plan: StagePlan, scene: &SceneData, context: &Context) -> Self {
+        let start = InitialScene { surfels: scene.surfels.clone(), gaussians: scene.gaussians.clone() };
+        let environment = EnvironmentState::new(scene.environment.as_ref(), &context.device);
+        Self::new(plan, &start, environment, None, context)
+    }
+
     fn render_options(&self, config: &Config) -> RenderOptions {
         RenderOptions {
             splat: SplatOptions { deterministic: config.train.deterministic },
