@@ -26,7 +26,7 @@ pub fn count_launches<T>(work: impl FnOnce() -> T) -> (T, Launches) {
     (result, launches)
 }
 
-/// Calls `work` and measures what it launches, the longest first; `None` where the adapter has no timestamps. Every kernel
+/// Calls `work` and measures what it launches, the longest first; `None` where the adapter has no timestamps, or none came. Every kernel
 /// is handed to the device by itself, so that the work takes longer than it would; the kernels do not.
 pub fn time_kernels<T>(work: impl FnOnce() -> T) -> (T, Option<Vec<KernelTime>>) {
     let timer = Arc::new(Timer::default());
@@ -49,7 +49,7 @@ pub fn time_kernels<T>(work: impl FnOnce() -> T) -> (T, Option<Vec<KernelTime>>)
     let named = |(kernel, (launches, milliseconds))| KernelTime { kernel, launches, milliseconds };
     let mut times: Vec<KernelTime> = times.into_iter().map(named).collect();
     times.sort_by(|a, b| b.milliseconds.total_cmp(&a.milliseconds));
-    (result, Some(times))
+    (result, (!times.is_empty()).then_some(times))
 }
 
 /// Calls `work` and looks at the memory of `device` before each of its launches, which slows it down; `None` if `device`
