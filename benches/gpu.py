@@ -39,15 +39,16 @@ class Sizes:
     """What is measured: as large as scenes are, or as small as a try on a CPU bears (--tiny)."""
 
     def __init__(self, tiny):
-        self.train = ["--steps", "20", "--max-resolution", "32"] if tiny else []
-        self.fallback_train = ["--steps", "20", "--max-resolution", "32"] if tiny else ["--steps", "300"]
+        small = ["--steps", "20", "--max-resolution", "32", "--budget", "1000", "--set", "init.max_points=300"]
+        self.train = small if tiny else []
+        self.fallback_train = small if tiny else ["--steps", "300"]
         self.render = ["--size", "64x48", "--rounds", "1", "--warm-up", "0"] if tiny else ["--rounds", "5"]
         self.rounds = ["--rounds", "2", "--warm-up", "1"] if tiny else []
         self.builtin = ["--size", "32x32"] if tiny else []
         self.step = ["--size", "64x48", "--surfels", "100", "--gaussians", "500"] if tiny else ["--size", "400x400"]
         large = ["--size", "1920x1080", "--surfels", "150000", "--gaussians", "1500000"]
         self.large = ["--size", "96x64", "--surfels", "200", "--gaussians", "1000"] if tiny else large
-        self.dataset = ["--steps", "20", "--max-resolution", "64"] if tiny else []
+        self.dataset = small if tiny else []
 
 
 class LeftOut(Exception):
