@@ -26,8 +26,8 @@ pub fn count_launches<T>(work: impl FnOnce() -> T) -> (T, Launches) {
     (result, launches)
 }
 
-/// Calls `work` and measures what it launches, the longest first; `None` where the adapter has no timestamps, or none came. Every kernel
-/// is handed to the device by itself, so that the work takes longer than it would; the kernels do not.
+/// Calls `work` and measures what it launches, the longest first; `None` where the adapter has no timestamps, or none came.
+/// Every kernel is handed to the device by itself, so that the work takes longer than it would; the kernels do not.
 pub fn time_kernels<T>(work: impl FnOnce() -> T) -> (T, Option<Vec<KernelTime>>) {
     let timer = Arc::new(Timer::default());
     let result = observed(timer.clone(), work);
