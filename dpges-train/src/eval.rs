@@ -1,12 +1,14 @@
 //! Measures how well a scene shows views that it was not trained on.
 //!
 //! All metrics compare renders and photographs after both are quantised to 8 bits. PSNR is taken over all pixels and
-//! channels of a view, then averaged over views (the protocol of 3DGS). `docs/metrics.md` defines the others.
+//! channels of a view, then averaged over views (the protocol of 3DGS). `docs/metrics.md` defines the others, and what
+//! masks do to all of them.
 
 use std::time::Instant;
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
-use dpges_core::metrics::{mean_ssim, psnr, quantised};
+use dpges_core::losses::Target;
+use dpges_core::metrics::{OF_IGNORED_PIXELS, mean_ssim, psnr, quantised};
 use dpges_core::scene::SceneData;
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::{Error, Result};
@@ -15,7 +17,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::dataset::{Picture, View};
 use crate::metrics::lpips::{Lpips, Network};
-use crate::metrics::{Perceptual, Scores, flip};
+use crate::metrics::{Perceptual, Scores, flip, flip_map};
 use crate::popping::Popping;
 use crate::rendered::{Rendered, Renderer};
 use crate::sight::Floaters;
@@ -213,9 +215,12 @@ pub fn score_picture(view: &View, picture: &Rgb8Image, seconds: f64, device: &De
 }
 
 fn score(view: &View, image: Tensor<3>, seconds: f64, device: &Device, measures: Measures<'_>) -> Result<ViewScore> {
-    let Picture { width, height, .. } = view.picture;
-    let picture = quantised(view.target(device));
-    let image = quantised(image);
+    let Picture { width, height, ref counted, .. } = view.picture;
+    let Target { image: picture, mask } = view.target(device);
+    let [image, picture] = [image, picture].map(|picture| match &mask {
+        Some(mask) => mask.filled(quantised(picture), OF_IGNORED_PIXELS),
+        None => quantised(picture),
+    });
     let (reference, test) = (tensor_to_rows(&picture), tensor_to_rows(&image));
     let perceptual = match measures {
         Measures::Basic => Perceptual::default(),
@@ -231,9 +236,19 @@ fn score(view: &View, image: Tensor<3>, seconds: f64, device: &Device, measures:
             perceptual
         }
     };
-    let flip = flip(&reference, &test, width, height);
-    let (psnr, ssim) = (psnr(image.clone(), picture.clone()).min(LARGEST_PSNR), mean_ssim(image, picture)?);
+    let flip = match counted {
+        Some(counted) => mean_where(&flip_map(&reference, &test, width, height), counted),
+        None => flip(&reference, &test, width, height),
+    };
+    let target = Target { image: picture, mask };
+    let (psnr, ssim) = (psnr(image.clone(), target.clone()).min(LARGEST_PSNR), mean_ssim(image, target)?);
     Ok(ViewScore { name: view.name.clone(), psnr, ssim, flip, perceptual, seconds, width, height })
+}
+
+/// Mean of the `values` of pixels that count; at least one does.
+fn mean_where(values: &[f64], counted: &[bool]) -> f64 {
+    let of_counted = || values.iter().zip(counted).filter(|(_, counts)| **counts).map(|(value, _)| value);
+    of_counted().sum::<f64>() / of_counted().count() as f64
 }
 
 #[cfg(test)]
@@ -289,6 +304,33 @@ mod tests {
         }
         let narrow = Rgb8Image { width: 11, height: 12, bytes: vec![0; 3 * 11 * 12] };
         assert!(score_picture(&views[0], &narrow, 0.0, &device).unwrap_err().to_string().contains("picture"));
+    }
+
+    #[test]
+    fn what_does_not_count_is_in_no_score() {
+        let options = BuiltinOptions { width: 32, height: 32, train_views: 2, test_views: 2, ..Default::default() };
+        let mut views = builtin(&options).test;
+        let counted: Vec<bool> = (0..32 * 32).map(|pixel| pixel % 32 < 20).collect();
+        for (index, view) in views.iter_mut().enumerate() {
+            view.picture.planes.fill(0.5);
+            for pixel in (0..32 * 32).filter(|&pixel| !counted[pixel]) {
+                (0..3).for_each(|channel| view.picture.planes[channel * 32 * 32 + pixel] = index as f32);
+            }
+            view.picture.counted = Some(counted.clone());
+        }
+        let device = "cpu".parse::<DeviceName>().unwrap().open().unwrap();
+        let scored = |value: f64| {
+            let scene = nothing([value; 3]);
+            let (renderer, measures) = (Renderer::new(&scene, &device), Measures::Perceptual(&[]));
+            let evaluation: Result<Evaluation> =
+                evaluate_each(&renderer, &scene, &views, &device, measures, |_, _| Ok(()));
+            evaluation.unwrap().views.iter().map(ViewScore::scores).collect::<Vec<_>>()
+        };
+        let [equal, darker] = [scored(0.5), scored(0.25)].map(|scores| [scores[0], scores[1]]);
+        assert!(equal[0] == equal[1] && darker[0] == darker[1], "{equal:?} {darker:?}");
+        assert_eq!((equal[0].psnr, equal[0].flip, equal[0].perceptual.ssimulacra2), (LARGEST_PSNR, 0.0, Some(100.0)));
+        assert!((equal[0].ssim - 1.0).abs() < 1e-6 && darker[0].ssim < 1.0 && darker[0].flip > 0.0);
+        assert!((darker[0].psnr + 20.0 * (64.0 / 255.0f64).log10()).abs() < 1e-3, "{darker:?}");
     }
 
     #[test]

@@ -14,12 +14,13 @@ use crate::dataset::View;
 use crate::metrics::flip_map;
 use crate::rendered::{Rendered, to_picture};
 
-/// Photograph · render · surfels only, if there are any · error, from left to right.
+/// Photograph · render · surfels only, if there are any · error, from left to right. There is no error where pixels do not
+/// count.
 pub fn comparison(view: &View, render: &Rendered) -> Rgb8Image {
     let photograph = photograph(view);
     let image = to_picture(render.image());
     let surfels = render.peeled().map(|render| to_picture(&render.composite.surfel_image));
-    let error = false_colour::error(&image, &photograph);
+    let error = false_colour::error(&where_it_counts(view, &image, &photograph), &photograph);
     let parts: Vec<Rgb8Image> = [Some(photograph), Some(image), surfels, Some(error)].into_iter().flatten().collect();
     Rgb8Image::beside(&parts)
 }
@@ -29,7 +30,7 @@ pub fn with_flip(view: &View, render: &Rendered) -> Rgb8Image {
     let photograph = photograph(view);
     let image = to_picture(render.image());
     let (width, height) = (photograph.width, photograph.height);
-    let [reference, test] = [&photograph, &image].map(planes);
+    let [reference, test] = [&photograph, &where_it_counts(view, &image, &photograph)].map(planes);
     let errors = flip_map(&reference, &test, width, height);
     let flip = Rgb8Image::from_pixels(width, height, errors.iter().map(|&error| false_colour::ramp(error as f32)));
     Rgb8Image::beside(&[photograph, image, flip])
@@ -45,11 +46,22 @@ fn planes(image: &Rgb8Image) -> Vec<f32> {
 pub fn sheet(view: &View, renders: &[Rgb8Image]) -> Rgb8Image {
     let photograph = photograph(view);
     let (width, height) = (photograph.width, photograph.height);
-    let errors = renders.iter().map(|render| false_colour::error(render, &photograph));
+    let error = |render: &Rgb8Image| false_colour::error(&where_it_counts(view, render, &photograph), &photograph);
+    let errors = renders.iter().map(error);
     let nothing = Rgb8Image { width, height, bytes: vec![255; 3 * width * height] };
     let below: Vec<Rgb8Image> = std::iter::once(nothing).chain(errors).collect();
     let above: Vec<Rgb8Image> = std::iter::once(photograph).chain(renders.iter().cloned()).collect();
     Rgb8Image::below(&[Rgb8Image::beside(&above), Rgb8Image::beside(&below)])
+}
+
+/// `image` with the `photograph` of `view` where pixels do not count.
+fn where_it_counts(view: &View, image: &Rgb8Image, photograph: &Rgb8Image) -> Rgb8Image {
+    let mut shown = image.clone();
+    let pixels = shown.bytes.chunks_exact_mut(3).zip(photograph.bytes.chunks_exact(3)).enumerate();
+    for (_, (shown, photograph)) in pixels.filter(|(pixel, _)| !view.picture.counts(*pixel)) {
+        shown.copy_from_slice(photograph);
+    }
+    shown
 }
 
 fn photograph(view: &View) -> Rgb8Image {
@@ -125,6 +137,17 @@ mod tests {
         assert_eq!([part(0, 0), part(1, 0), part(2, 0)], [exact.bytes.clone(), exact.bytes, wrong.bytes]);
         let of_ramp = |value: f32| false_colour::ramp(value).repeat(4);
         assert_eq!([part(0, 1), part(1, 1), part(2, 1)], [vec![255; 12], of_ramp(0.0), of_ramp(1.0)]);
+    }
+
+    #[test]
+    fn there_is_no_error_where_pixels_do_not_count() {
+        let mut view = views(&["a"]).remove(0);
+        view.picture.counted = Some(vec![true, false, true, true]);
+        let exact = photograph(&view);
+        let wrong = Rgb8Image { bytes: exact.bytes.iter().map(|byte| byte ^ 0x80).collect(), ..exact.clone() };
+        let shown = where_it_counts(&view, &wrong, &exact);
+        assert_eq!((&shown.bytes[3..6], &shown.bytes[..3]), (&exact.bytes[3..6], &wrong.bytes[..3]));
+        assert_eq!(shown.bytes[6..], wrong.bytes[6..]);
     }
 
     #[test]

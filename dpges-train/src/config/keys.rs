@@ -7,7 +7,7 @@ use dpges_core::scene::{ColourModel, Footprint, MarginLookup, OpacityActivation}
 
 use super::budget::Budget;
 use super::choices::{
-    AddAs, Background, Environment, GaussianStage, InitMethod, JointOpacity, Margin, Method, PixelsOf, Stop,
+    AddAs, Alpha, Background, Environment, GaussianStage, InitMethod, JointOpacity, Margin, Method, PixelsOf, Stop,
     SurfelStart,
 };
 use super::declare::{Ablation, Key, Section, Value, configuration, optional};
@@ -19,6 +19,10 @@ configuration! {
     [data] DataConfig {
         /// Colour behind the scene. Pictures with alpha are composited on it.
         background: Background = Background::Auto;
+        /// What the alpha of pictures says.
+        alpha: Alpha = Alpha::Matte;
+        /// Masks are black where pixels count, and white where they are ignored, instead of the other way round.
+        invert_masks: bool = false;
         /// Which photographs to read: 1 for the folder `images`, N for `images_N`, downsampled N times as shipped.
         image_scale: u32 = 1, range: 1..;
         /// Longest side of a picture. Larger photographs are downsampled; 0 sets no limit.

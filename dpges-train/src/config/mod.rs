@@ -27,7 +27,7 @@ use crate::dataset::LoadOptions;
 pub use budget::Budget;
 use budget::{MEGABYTE, primitives_for};
 pub use choices::{
-    AddAs, Background, Environment, GaussianStage, InitMethod, JointOpacity, Margin, Method, PixelsOf, Stop,
+    AddAs, Alpha, Background, Environment, GaussianStage, InitMethod, JointOpacity, Margin, Method, PixelsOf, Stop,
     SurfelStart,
 };
 pub use declare::{Ablation, Key, Section};
@@ -94,6 +94,8 @@ impl DataConfig {
             max_resolution: (self.max_resolution > 0).then_some(self.max_resolution),
             test_every: self.test_every,
             near: (self.near > 0.0).then_some(self.near),
+            alpha_masks: self.alpha == Alpha::Mask,
+            invert_masks: self.invert_masks,
         }
     }
 }

@@ -7,9 +7,9 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::error::{DatasetError, Result, listing};
-use super::images::{self, Picture};
+use super::images::{self, Alpha, Picture};
 use super::source::{Frame, RawPoints, Source, Split};
-use super::{Dataset, Format, LoadOptions, PointCloud, View, undistort};
+use super::{Dataset, Format, LoadOptions, PointCloud, View, masks, undistort};
 
 /// Distance of the cameras from the origin, in extents, beyond which the world is moved there. f32 has 24 bits: at
 /// 100 extents positions are rounded to 100 · 2⁻²⁴ = 6·10⁻⁶ extents, a fraction of a pixel.
@@ -30,6 +30,10 @@ pub(super) fn assemble(root: &Path, mut source: Source, options: &LoadOptions) -
             return Err(missing_image(frame));
         }
     }
+    for frame in &mut source.frames {
+        frame.mask = masks::find(root, frame)?;
+    }
+    masks::warn_of_strangers(root, &source.frames);
 
     let train_centres: Vec<DVec3> =
         frames_of(&source, Split::Train).map(|frame| frame.camera_from_world.centre()).collect();
@@ -39,11 +43,15 @@ pub(super) fn assemble(root: &Path, mut source: Source, options: &LoadOptions) -
         Some(background) => background,
         None => default_background(&source)?,
     };
+    let reading = Reading {
+        alpha: if options.alpha_masks { Alpha::Mask } else { Alpha::Matte(background) },
+        invert_masks: options.invert_masks,
+        max_resolution: options.max_resolution,
+    };
 
     let views = |split| -> Result<Vec<View>> {
         let frames: Vec<&Frame> = frames_of(&source, split).collect();
-        let views: Vec<_> =
-            frames.into_par_iter().map(|frame| view(frame, offset, near, background, options.max_resolution)).collect();
+        let views: Vec<_> = frames.into_par_iter().map(|frame| view(frame, offset, near, &reading)).collect();
         views.into_iter().collect()
     };
     Ok(Dataset {
@@ -138,8 +146,20 @@ fn missing_image(frame: &Frame) -> DatasetError {
     }
 }
 
-fn view(frame: &Frame, offset: DVec3, near: f64, background: [f64; 3], max_resolution: Option<usize>) -> Result<View> {
-    let mut picture = images::decode(&frame.image, background)?;
+/// How photographs are read.
+struct Reading {
+    alpha: Alpha,
+    invert_masks: bool,
+    /// px
+    max_resolution: Option<usize>,
+}
+
+fn view(frame: &Frame, offset: DVec3, near: f64, reading: &Reading) -> Result<View> {
+    let mut picture = images::decode(&frame.image, reading.alpha)?;
+    if let Some(mask) = &frame.mask {
+        let size = [picture.width, picture.height];
+        picture.count_only(masks::read(mask, &frame.image, size, reading.invert_masks)?);
+    }
     if !frame.lens.fits(picture.width, picture.height) {
         return Err(DatasetError::ImageSize {
             path: frame.image.clone(),
@@ -155,7 +175,10 @@ fn view(frame: &Frame, offset: DVec3, near: f64, background: [f64; 3], max_resol
         picture = undistort::resample(&picture, &lens, &pinhole);
     }
     let camera = pinhole.camera(frame.camera_from_world.recentred(offset), near);
-    let (camera, picture) = capped(camera, picture, max_resolution);
+    let (camera, picture) = capped(camera, picture, reading.max_resolution);
+    if picture.counted.as_ref().is_some_and(|counted| !counted.contains(&true)) {
+        return Err(DatasetError::NothingCounts { path: frame.image.clone(), view: frame.name.clone() });
+    }
     Ok(View { name: frame.name.clone(), camera, picture })
 }
 

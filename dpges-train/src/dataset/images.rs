@@ -3,9 +3,13 @@
 use std::path::Path;
 
 use image::imageops::{self, FilterType};
-use image::{ColorType, ImageBuffer, ImageDecoder, ImageError, ImageReader, Luma, Pixel, Rgb};
+use image::{ColorType, DynamicImage, ImageBuffer, ImageDecoder, ImageError, ImageReader, Luma, Pixel, Rgb};
 
 use super::error::{DatasetError, Result};
+use super::masks;
+
+/// Alpha from which on a pixel counts, where alpha is a mask.
+const COUNTS: f32 = 0.5;
 
 /// An image in display-referred values, as stored in the file; EXIF orientation is not applied, because
 /// poses and intrinsics refer to the stored pixels.
@@ -15,14 +19,30 @@ pub struct Picture {
     pub height: usize,
     /// Red, green and blue planes in 0..1, [3, height, width], composited on the background.
     pub planes: Vec<f32>,
-    /// Coverage in 0..1, [height, width]. `None` if the file has no alpha channel.
+    /// Coverage in 0..1, [height, width]. `None` if the file has no alpha channel, or if that is a mask.
     pub alpha: Option<Vec<f32>>,
+    /// Whether a pixel counts, [height, width]. `None` if all do.
+    pub counted: Option<Vec<bool>>,
+}
+
+/// What the alpha of images says.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Alpha {
+    /// How much of the photograph covers this background.
+    Matte([f64; 3]),
+    /// Which pixels count.
+    Mask,
 }
 
 impl Picture {
     /// Red, green and blue of the pixel in column `x`, row `y`.
     pub fn rgb(&self, x: usize, y: usize) -> [f32; 3] {
-        std::array::from_fn(|channel| self.planes[(channel * self.height + y) * self.width + x])
+        self.colour(y * self.width + x)
+    }
+
+    /// Red, green and blue of a pixel, counted row by row.
+    pub fn colour(&self, pixel: usize) -> [f32; 3] {
+        std::array::from_fn(|channel| self.planes[channel * self.width * self.height + pixel])
     }
 
     /// The picture downscaled to `width` × `height` px by a Catmull-Rom filter, widened by the reduction.
@@ -36,7 +56,28 @@ impl Picture {
         let size = [self.width, self.height, width, height].map(|side| side as u32);
         let planes = planar(&resize::<Rgb<f32>>(interleaved, size));
         let alpha = self.alpha.as_ref().map(|alpha| resize::<Luma<f32>>(alpha.clone(), size));
-        Self { width, height, planes, alpha }
+        let of_size = |counted| masks::downscaled(counted, [self.width, self.height], [width, height]);
+        Self { width, height, planes, alpha, counted: self.counted.as_deref().map(of_size) }
+    }
+
+    /// Whether the pixel counts.
+    pub fn counts(&self, pixel: usize) -> bool {
+        self.counted.as_ref().is_none_or(|counted| counted[pixel])
+    }
+
+    /// Sets `values` [height × width] to 0 where pixels do not count.
+    pub fn clear_ignored(&self, values: &mut [f32]) {
+        if let Some(counted) = &self.counted {
+            values.iter_mut().zip(counted).filter(|(_, counts)| !**counts).for_each(|(value, _)| *value = 0.0);
+        }
+    }
+
+    /// Lets only those of the pixels count that `counted` [height × width] counts.
+    pub(super) fn count_only(&mut self, counted: Vec<bool>) {
+        match &mut self.counted {
+            Some(own) => own.iter_mut().zip(counted).for_each(|(own, counts)| *own &= counts),
+            None => self.counted = Some(counted),
+        }
     }
 }
 
@@ -59,17 +100,29 @@ pub(super) fn header(path: &Path) -> Result<Header> {
     Ok(Header { width: width as usize, height: height as usize, has_alpha: colour.has_alpha() })
 }
 
-/// Decodes a PNG or JPEG of 8 or 16 bits, grey or coloured. If the file has alpha (not premultiplied), colour is
-/// composited in float: `alpha · colour + (1 − alpha) · background`.
+/// Decodes a PNG or JPEG of 8 or 16 bits, grey or coloured. If the file has alpha (not premultiplied), which is a matte,
+/// colour is composited in float: `alpha · colour + (1 − alpha) · background`. If alpha is a mask, colour is as stored, and
+/// pixels of less than half alpha do not count.
 ///
 /// # Errors
 /// [`DatasetError::Read`], [`DatasetError::Decode`].
-pub(super) fn decode(path: &Path, background: [f64; 3]) -> Result<Picture> {
-    let decoded = reader(path)?.decode().map_err(|source| undecodable(path, source))?;
+pub(super) fn decode(path: &Path, alpha: Alpha) -> Result<Picture> {
+    let decoded = decoded(path)?;
     let (width, height) = (decoded.width() as usize, decoded.height() as usize);
+    let opaque = |decoded: DynamicImage, counted| {
+        let planes = planar(decoded.into_rgb32f().as_raw());
+        Ok(Picture { width, height, planes, alpha: None, counted })
+    };
     if !decoded.color().has_alpha() {
-        return Ok(Picture { width, height, planes: planar(decoded.into_rgb32f().as_raw()), alpha: None });
+        return opaque(decoded, None);
     }
+    let background = match alpha {
+        Alpha::Matte(background) => background,
+        Alpha::Mask => {
+            let counted = decoded.to_rgba32f().pixels().map(|pixel| pixel.0[3] >= COUNTS).collect();
+            return opaque(decoded, Some(counted));
+        }
+    };
     let rgba = decoded.into_rgba32f();
     let mut planes = vec![0.0; 3 * width * height];
     let mut alpha = vec![0.0; width * height];
@@ -80,7 +133,15 @@ pub(super) fn decode(path: &Path, background: [f64; 3]) -> Result<Picture> {
         }
         alpha[pixel] = a;
     }
-    Ok(Picture { width, height, planes, alpha: Some(alpha) })
+    Ok(Picture { width, height, planes, alpha: Some(alpha), counted: None })
+}
+
+/// The image in a file.
+///
+/// # Errors
+/// [`DatasetError::Read`], [`DatasetError::Decode`].
+pub(super) fn decoded(path: &Path) -> Result<DynamicImage> {
+    reader(path)?.decode().map_err(|source| undecodable(path, source))
 }
 
 fn reader(path: &Path) -> Result<ImageReader<std::io::BufReader<std::fs::File>>> {
@@ -109,7 +170,7 @@ fn resize<P: Pixel<Subpixel = f32> + 'static>(samples: Vec<f32>, size: [u32; 4])
 
 #[cfg(test)]
 mod tests {
-    use image::{DynamicImage, GrayImage, ImageBuffer, Luma, Rgba, RgbaImage};
+    use image::{GrayImage, ImageBuffer, Luma, Rgba, RgbaImage};
 
     use super::*;
 
@@ -123,14 +184,14 @@ mod tests {
     #[test]
     fn grey_and_sixteen_bit_images_become_three_planes() {
         let (_folder, path) = saved("grey.png", GrayImage::from_fn(3, 2, |x, y| Luma([(x * 50 + y) as u8])));
-        let picture = decode(&path, [0.0; 3]).unwrap();
+        let picture = decode(&path, Alpha::Matte([0.0; 3])).unwrap();
         assert_eq!((picture.width, picture.height, &picture.alpha), (3, 2, &None));
         assert!(picture.rgb(2, 1).iter().all(|value| (value - 101.0 / 255.0).abs() < 1e-7));
         assert_eq!(header(&path).unwrap(), Header { width: 3, height: 2, has_alpha: false });
 
         let deep = ImageBuffer::from_fn(2, 2, |x, _| Rgb([(x * 257) as u16, 65535u16, 1000]));
         let (_folder, path) = saved("deep.png", DynamicImage::ImageRgb16(deep));
-        let rgb = decode(&path, [0.0; 3]).unwrap().rgb(1, 0);
+        let rgb = decode(&path, Alpha::Matte([0.0; 3])).unwrap().rgb(1, 0);
         for (found, expected) in rgb.into_iter().zip([257.0, 65535.0, 1000.0]) {
             assert!((found - expected / 65535.0).abs() < 1e-7);
         }
@@ -139,7 +200,7 @@ mod tests {
     #[test]
     fn alpha_is_composited_in_float() {
         let (_folder, path) = saved("a.png", RgbaImage::from_fn(2, 1, |x, _| Rgba([200, 100, 0, 51 * x as u8])));
-        let picture = decode(&path, [1.0, 0.5, 0.0]).unwrap();
+        let picture = decode(&path, Alpha::Matte([1.0, 0.5, 0.0])).unwrap();
         assert_eq!(picture.rgb(0, 0), [1.0, 0.5, 0.0]);
         let expected = [0.2 * 200.0 / 255.0 + 0.8, 0.2 * 100.0 / 255.0 + 0.4, 0.0];
         for (found, expected) in picture.rgb(1, 0).into_iter().zip(expected) {
@@ -147,6 +208,18 @@ mod tests {
         }
         assert_eq!(picture.alpha.unwrap(), [0.0, 0.2]);
         assert!(header(&path).unwrap().has_alpha);
+    }
+
+    #[test]
+    fn alpha_that_is_a_mask_leaves_colours_alone() {
+        let alphas = [0, 127, 128, 255];
+        let image = RgbaImage::from_fn(4, 1, |x, _| Rgba([200, 100, 0, alphas[x as usize]]));
+        let (_folder, path) = saved("a.png", image);
+        let picture = decode(&path, Alpha::Mask).unwrap();
+        assert_eq!((picture.counted, picture.alpha.is_none()), (Some(vec![false, false, true, true]), true));
+        assert_eq!(picture.planes[..8], [[200.0f32 / 255.0; 4], [100.0 / 255.0; 4]].concat());
+        let (_folder, path) = saved("b.png", image::RgbImage::new(2, 2));
+        assert_eq!(decode(&path, Alpha::Mask).unwrap().counted, None);
     }
 
     #[test]
@@ -160,7 +233,7 @@ mod tests {
         turned.extend(tiff);
         turned.extend(&plain[2..]);
         std::fs::write(&jpeg.1, turned).unwrap();
-        let picture = decode(&jpeg.1, [0.0; 3]).unwrap();
+        let picture = decode(&jpeg.1, Alpha::Matte([0.0; 3])).unwrap();
         assert_eq!((picture.width, picture.height), (16, 8));
         assert!(picture.rgb(15, 0)[0] > picture.rgb(0, 0)[0]);
     }
@@ -168,7 +241,8 @@ mod tests {
     #[test]
     fn downscaling_averages_fine_detail_instead_of_aliasing() {
         let stripes: Vec<f32> = (0..3 * 64 * 32).map(|i| (i % 2) as f32).collect();
-        let picture = Picture { width: 64, height: 32, planes: stripes, alpha: Some(vec![0.25; 64 * 32]) };
+        let picture =
+            Picture { width: 64, height: 32, planes: stripes, alpha: Some(vec![0.25; 64 * 32]), counted: None };
         let small = picture.downscaled(16, 8);
         assert_eq!((small.width, small.height, small.planes.len()), (16, 8, 3 * 16 * 8));
         for y in 2..6 {
@@ -184,7 +258,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("broken.png");
         std::fs::write(&path, b"\x89PNG\r\n\x1a\nnothing else").unwrap();
-        for error in [decode(&path, [0.0; 3]).unwrap_err(), header(&path).unwrap_err()] {
+        for error in [decode(&path, Alpha::Matte([0.0; 3])).unwrap_err(), header(&path).unwrap_err()] {
             assert!(error.to_string().contains("broken.png") && error.to_string().contains("replace it"), "{error}");
         }
     }

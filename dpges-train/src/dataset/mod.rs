@@ -13,6 +13,7 @@ mod error;
 mod fixtures;
 mod images;
 mod lens;
+mod masks;
 mod nerfstudio;
 mod ply;
 mod source;
@@ -25,11 +26,13 @@ use std::path::Path;
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use dpges_core::camera::Camera;
+use dpges_core::losses::{Mask, Target};
 use glam::DVec3;
 
 pub use builtin::{BuiltinOptions, builtin, builtin_geometry};
 pub use error::DatasetError;
 pub use images::Picture;
+pub use masks::Masked;
 
 use error::Result;
 
@@ -78,14 +81,23 @@ pub struct Dataset {
 }
 
 impl View {
-    /// The picture on `device`, [3, H, W].
-    pub fn target(&self, device: &Device) -> Tensor<3> {
-        let Picture { width, height, ref planes, .. } = self.picture;
-        Tensor::from_data(TensorData::new(planes.clone(), [3, height, width]), (device, DType::F32))
+    /// The picture on `device`, and which of its pixels count.
+    pub fn target(&self, device: &Device) -> Target {
+        let Picture { width, height, ref planes, ref counted, .. } = self.picture;
+        let image = Tensor::from_data(TensorData::new(planes.clone(), [3, height, width]), (device, DType::F32));
+        let mask = counted.as_ref().map(|counted| {
+            Mask::new(counted, width, height, device).expect("a picture in which some pixel counts, of its size")
+        });
+        Target { image, mask }
     }
 }
 
 impl Dataset {
+    /// How much of its views is masked.
+    pub fn masked(&self) -> Masked {
+        Masked::of(self.train.iter().chain(&self.test).chain(&self.validation))
+    }
+
     /// Moves every `every`-th training view to [`validation`](Self::validation); 0 moves none. It takes the middle view
     /// of each group of `every`, because the first view is often the end of a path and shows what no other view does.
     /// At least two training views remain. Points that only removed views saw remain, with no view that sees them.
@@ -155,11 +167,23 @@ pub struct LoadOptions {
     pub test_every: usize,
     /// World units. `None`: 0.2 for COLMAP and nerfstudio, 0.01 for Blender.
     pub near: Option<f64>,
+    /// Whether alpha says which pixels count, those from one half, instead of how much of the background they show.
+    pub alpha_masks: bool,
+    /// Whether masks are black where pixels count, instead of white.
+    pub invert_masks: bool,
 }
 
 impl Default for LoadOptions {
     fn default() -> Self {
-        Self { background: None, image_scale: None, max_resolution: None, test_every: 8, near: None }
+        Self {
+            background: None,
+            image_scale: None,
+            max_resolution: None,
+            test_every: 8,
+            near: None,
+            alpha_masks: false,
+            invert_masks: false,
+        }
     }
 }
 

@@ -38,6 +38,7 @@ pub(super) fn resample(photograph: &Picture, lens: &Lens, pinhole: &Lens) -> Pic
     let pixels = width * height;
     let mut planes = vec![0.0; 3 * pixels];
     let mut alpha = photograph.alpha.as_ref().map(|_| vec![0.0; pixels]);
+    let mut counted = photograph.counted.as_ref().map(|_| vec![false; pixels]);
     for pixel in 0..pixels {
         let (u, v) = source_position(lens, pinhole, (pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5);
         let tap = Bilinear::new(u, v, width, height);
@@ -47,8 +48,11 @@ pub(super) fn resample(photograph: &Picture, lens: &Lens, pinhole: &Lens) -> Pic
         if let (Some(to), Some(from)) = (&mut alpha, &photograph.alpha) {
             to[pixel] = tap.sample(from);
         }
+        if let (Some(to), Some(from)) = (&mut counted, &photograph.counted) {
+            to[pixel] = tap.counts(from);
+        }
     }
-    Picture { width, height, planes, alpha }
+    Picture { width, height, planes, alpha, counted }
 }
 
 /// Position on the photograph, px, of the position (x, y), px, of the pinhole picture.
@@ -99,6 +103,11 @@ impl Bilinear {
     fn sample(&self, plane: &[f32]) -> f32 {
         self.indices.iter().zip(self.weights).map(|(&index, weight)| plane[index] * weight).sum()
     }
+
+    /// Whether all pixels that have a part in the sample count.
+    fn counts(&self, counted: &[bool]) -> bool {
+        self.indices.iter().zip(self.weights).all(|(&index, weight)| counted[index] || weight == 0.0)
+    }
 }
 
 #[cfg(test)]
@@ -134,7 +143,8 @@ mod tests {
                 pattern(i / (lens.width * lens.height), x, y)
             })
             .collect();
-        Picture { width: lens.width, height: lens.height, planes, alpha: Some(vec![1.0; lens.width * lens.height]) }
+        let alpha = Some(vec![1.0; lens.width * lens.height]);
+        Picture { width: lens.width, height: lens.height, planes, alpha, counted: None }
     }
 
     #[test]
@@ -152,6 +162,26 @@ mod tests {
             assert!(worst < 2e-3, "{worst}");
             assert!(picture.alpha.unwrap().iter().all(|a| (a - 1.0).abs() < 1e-6));
         }
+    }
+
+    #[test]
+    fn what_does_not_count_has_no_part_in_what_does() {
+        let lens = lens([0.06, -0.08, 0.0, 0.0], [0.002, -0.003]);
+        let pinhole = pinhole(&lens).unwrap();
+        let pixels = lens.width * lens.height;
+        let is_counted = |pixel: usize| pixel % lens.width < 70 || pixel / lens.width > 40;
+        let mut clean = photograph(&lens);
+        clean.counted = Some((0..pixels).map(is_counted).collect());
+        let mut overpainted = clean.clone();
+        (0..pixels).filter(|&pixel| !is_counted(pixel)).for_each(|pixel| overpainted.planes[pixel] = 9.0);
+        let [clean, overpainted] = [clean, overpainted].map(|picture| resample(&picture, &lens, &pinhole));
+        let counted = clean.counted.unwrap();
+        let count = counted.iter().filter(|&&counts| counts).count();
+        assert!((pixels / 3..pixels).contains(&count), "{count} of {pixels}");
+        for pixel in (0..pixels).filter(|&pixel| counted[pixel]) {
+            assert_eq!(clean.planes[pixel], overpainted.planes[pixel], "pixel {pixel}");
+        }
+        assert!(clean.planes != overpainted.planes);
     }
 
     #[test]

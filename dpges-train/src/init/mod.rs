@@ -109,14 +109,8 @@ fn from_silhouettes(
     room: Room,
     rng: &mut ChaCha8Rng,
 ) -> Result<InitialScene, InitError> {
-    let silhouettes: Vec<Silhouette> = dataset
-        .train
-        .iter()
-        .filter_map(|view| {
-            let alpha = view.picture.alpha.as_deref().filter(|alpha| alpha.iter().any(|&a| a <= silhouette::INSIDE))?;
-            Some(Silhouette { camera: &view.camera, alpha, planes: &view.picture.planes })
-        })
-        .collect();
+    let silhouettes: Vec<Silhouette> =
+        dataset.train.iter().filter_map(|view| Silhouette::new(&view.camera, &view.picture)).collect();
     if silhouettes.is_empty() {
         return Err(InitError::NoSilhouettes);
     }
@@ -185,6 +179,7 @@ mod tests {
                 height: SIZE,
                 planes: vec![0.25; 3 * SIZE * SIZE],
                 alpha: alpha.then_some(disc),
+                counted: None,
             };
             View { name: i.to_string(), camera, picture }
         };

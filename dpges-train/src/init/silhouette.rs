@@ -7,11 +7,14 @@ use rayon::prelude::*;
 
 use super::placement::OrientedPoints;
 use super::region::Region;
+use crate::dataset::Picture;
 
 /// A pixel with at most this alpha is outside the silhouette.
-pub const INSIDE: f32 = 0.5;
+const INSIDE: f32 = 0.5;
 /// A pixel with more than this alpha shows no background.
 const OPAQUE: f32 = 0.9;
+/// Alpha of a pixel that does not count: it is not outside, and its colour is not trusted.
+const UNKNOWN: f32 = 0.75;
 /// Number of views that determine a colour.
 const VOTERS: usize = 5;
 /// Largest distance of a visible point behind the nearest surface, voxels.
@@ -22,16 +25,20 @@ const HIDDEN_BEHIND: f64 = 2.5;
 pub struct Silhouette<'a> {
     /// A camera with the resolution of the picture, H × W.
     pub camera: &'a Camera,
+    pub picture: &'a Picture,
     /// [H × W]
-    pub alpha: &'a [f32],
-    /// [3 × H × W]
-    pub planes: &'a [f32],
+    alpha: &'a [f32],
 }
 
-impl Silhouette<'_> {
-    fn colour(&self, pixel: usize) -> [f32; 3] {
-        let plane = self.camera.width * self.camera.height;
-        [0, 1, 2].map(|channel| self.planes[channel * plane + pixel])
+impl<'a> Silhouette<'a> {
+    /// `None` if nothing in the picture is outside.
+    pub fn new(camera: &'a Camera, picture: &'a Picture) -> Option<Self> {
+        let silhouette = Self { camera, picture, alpha: picture.alpha.as_deref()? };
+        (0..silhouette.alpha.len()).any(|pixel| silhouette.alpha(pixel) <= INSIDE).then_some(silhouette)
+    }
+
+    fn alpha(&self, pixel: usize) -> f32 {
+        if self.picture.counts(pixel) { self.alpha[pixel] } else { UNKNOWN }
     }
 }
 
@@ -96,7 +103,7 @@ fn carve(grid: &Grid, silhouettes: &[Silhouette], tolerance: f64) -> Vec<bool> {
         for silhouette in silhouettes {
             if let Some((pixel, _)) = silhouette.camera.pixel(centre) {
                 seen += 1;
-                misses += usize::from(silhouette.alpha[pixel] <= INSIDE);
+                misses += usize::from(silhouette.alpha(pixel) <= INSIDE);
                 if misses as f64 > most_misses {
                     return false;
                 }
@@ -181,8 +188,8 @@ fn colours(silhouettes: &[Silhouette], points: &[DVec3], normals: &[DVec3], step
                 let facing = (*centre - point).normalize_or_zero().dot(normal);
                 let (pixel, depth) = silhouette.camera.pixel(point).filter(|_| facing > 0.0)?;
                 let unobstructed = depth <= map.at(pixel, silhouette.camera.width) + HIDDEN_BEHIND * step;
-                let trusted = unobstructed && silhouette.alpha[pixel] > OPAQUE;
-                Some((trusted, facing, silhouette.colour(pixel)))
+                let trusted = unobstructed && silhouette.alpha(pixel) > OPAQUE;
+                Some((trusted, facing, silhouette.picture.colour(pixel)))
             })
             .collect();
         views.sort_by(|a, b| b.0.cmp(&a.0).then(b.1.total_cmp(&a.1)));
@@ -207,8 +214,7 @@ mod tests {
 
     struct Photo {
         camera: Camera,
-        alpha: Vec<f32>,
-        planes: Vec<f32>,
+        picture: Picture,
     }
 
     /// Pictures of a ball of radius 1: red where x > 0, else blue; white behind.
@@ -232,25 +238,26 @@ mod tests {
                 height: 100,
                 near: 0.01,
             };
-            let mut photo = Photo { camera, alpha: vec![0.0; 10_000], planes: vec![1.0; 30_000] };
+            let (mut alpha, mut planes) = (vec![0.0; 10_000], vec![1.0; 30_000]);
             for pixel in 0..10_000 {
                 let ray =
                     (camera.unproject((pixel % 100) as f64 + 0.5, (pixel / 100) as f64 + 0.5, 1.0) - eye).normalize();
                 let (b, c) = (eye.dot(ray), eye.length_squared() - 1.0);
                 if b * b >= c {
                     let hit = eye + ray * (-b - (b * b - c).sqrt());
-                    photo.alpha[pixel] = 1.0;
+                    alpha[pixel] = 1.0;
                     let colour = if hit.x > 0.0 { [1.0, 0.0, 0.0] } else { [0.0, 0.0, 1.0] };
-                    (0..3).for_each(|channel| photo.planes[channel * 10_000 + pixel] = colour[channel]);
+                    (0..3).for_each(|channel| planes[channel * 10_000 + pixel] = colour[channel]);
                 }
             }
-            photo
+            let picture = Picture { width: 100, height: 100, planes, alpha: Some(alpha), counted: None };
+            Photo { camera, picture }
         };
         (0..count).map(photo).collect()
     }
 
     fn silhouettes(photos: &[Photo]) -> Vec<Silhouette<'_>> {
-        photos.iter().map(|p| Silhouette { camera: &p.camera, alpha: &p.alpha, planes: &p.planes }).collect()
+        photos.iter().filter_map(|photo| Silhouette::new(&photo.camera, &photo.picture)).collect()
     }
 
     fn region(photos: &[Photo]) -> Region {
@@ -278,15 +285,26 @@ mod tests {
     #[test]
     fn one_wrong_mask_in_sixty_is_tolerated() {
         let mut photos = photos(60);
-        photos[7].alpha.fill(0.0);
+        photos[7].picture.alpha.as_mut().unwrap().fill(0.0);
         assert!(hull_points(&silhouettes(&photos), region(&photos), 32, 0.0).is_empty());
         assert!(hull_points(&silhouettes(&photos), region(&photos), 32, 0.02).len() > 500);
     }
 
     #[test]
+    fn pixels_that_do_not_count_take_nothing_away() {
+        let mut photos = photos(60);
+        photos[7].picture.alpha.as_mut().unwrap().fill(0.0);
+        let mut counted = vec![true; 10_000];
+        counted[2500..7500].fill(false);
+        photos[7].picture.counted = Some(counted);
+        let hull = hull_points(&silhouettes(&photos), region(&photos), 32, 0.0);
+        assert!(hull.len() > 300, "what photo 7 shows in the middle is not carved away: {}", hull.len());
+    }
+
+    #[test]
     fn disjoint_silhouettes_have_no_hull() {
         let mut photos = photos(4);
-        photos.iter_mut().for_each(|photo| photo.alpha.fill(0.0));
+        photos.iter_mut().for_each(|photo| photo.picture.alpha.as_mut().unwrap().fill(0.0));
         assert!(hull_points(&silhouettes(&photos), region(&photos), 16, 0.0).is_empty());
     }
 }

@@ -19,7 +19,7 @@ const UPRIGHT: f64 = 0.05;
 /// The open sky of the training views.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OpenSky {
-    /// Of all pixels, 0 to 1.
+    /// Of all pixels that count, 0 to 1.
     pub share: f64,
     /// Mean colour, display-referred; `None` without open sky.
     pub colour: Option<[f64; 3]>,
@@ -41,7 +41,8 @@ const OF_THE_SKY: f32 = 0.15;
 pub fn open_sky(dataset: &Dataset) -> OpenSky {
     let sum = of_views(dataset, |view, open| {
         let planes = &view.picture.planes;
-        let mut sums = Sums { pixels: open.len(), ..Sums::default() };
+        let counted = view.picture.counted.as_ref().map(|counted| counted.iter().filter(|&&counts| counts).count());
+        let mut sums = Sums { pixels: counted.unwrap_or(open.len()), ..Sums::default() };
         for pixel in (0..open.len()).filter(|&pixel| open[pixel]) {
             sums.open += 1;
             for (channel, sum) in sums.colour.iter_mut().enumerate() {
@@ -81,10 +82,17 @@ pub fn sky_pixels(dataset: &Dataset) -> Vec<Vec<bool>> {
     })
 }
 
-/// What `of` says of every training view and of its open pixels.
+/// What `of` says of every training view and of its open pixels that count.
 fn of_views<T: Send>(dataset: &Dataset, of: impl Fn(&View, Vec<bool>) -> T + Sync) -> Vec<T> {
     let up = upwards(dataset.train.iter().map(|view| &view.camera));
-    dataset.train.par_iter().map(|view| of(view, open_pixels(&view.camera, &dataset.points.positions, up))).collect()
+    let of_view = |view: &View| {
+        let mut open = open_pixels(&view.camera, &dataset.points.positions, up);
+        if let Some(counted) = &view.picture.counted {
+            open.iter_mut().zip(counted).for_each(|(open, counts)| *open &= counts);
+        }
+        of(view, open)
+    };
+    dataset.train.par_iter().map(of_view).collect()
 }
 
 /// The direction that is up in the world: perpendicular to the horizontal axes of the cameras, which photographers hold

@@ -23,7 +23,7 @@ pub fn nearest_views(views: &[View]) -> Vec<Vec<usize>> {
 }
 
 /// The depth of pixel `pixel` of `view`, near the `assumed` one (camera-space z, world units), at which most of `others`
-/// have the pixel's colour; `None` if fewer than `least` agree at any depth.
+/// have the pixel's colour at a pixel that counts; `None` if fewer than `least` agree at any depth.
 pub fn agreed_depth<'a>(
     view: &View,
     others: impl Iterator<Item = &'a View> + Clone,
@@ -38,7 +38,7 @@ pub fn agreed_depth<'a>(
         let world = view.camera.unproject(x, y, depth);
         let agrees = |other: &&View| {
             let Some((pixel, _)) = other.camera.pixel(world) else { return false };
-            is_same(self::colour(other, pixel), colour)
+            other.picture.counts(pixel) && is_same(self::colour(other, pixel), colour)
         };
         others.clone().filter(agrees).count()
     };

@@ -32,6 +32,8 @@ mod error;
 #[cfg(test)]
 pub mod fixtures;
 pub mod folder;
+#[cfg(test)]
+mod masked_tests;
 pub mod metrics_log;
 mod observer;
 mod record;

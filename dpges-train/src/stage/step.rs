@@ -1,6 +1,6 @@
 //! One step of any stage: render, compare, go back, optimise.
 
-use burn::tensor::Tensor;
+use dpges_core::losses::Target;
 use dpges_core::render::Values;
 
 use super::pending::{Gate, PendingStep};
@@ -14,8 +14,8 @@ pub struct StepInput<'a> {
     /// Index of the training view.
     pub index: usize,
     pub view: &'a View,
-    /// [3, H, W] the photograph, on the device of the tape.
-    pub target: Tensor<3>,
+    /// The photograph, on the device of the tape.
+    pub target: Target,
     /// What is known of the parameters.
     pub values: Values,
 }

@@ -126,7 +126,7 @@ fn photograph(camera: &Camera, supersampling: usize) -> Picture {
             planes[channel * pixels + pixel] = (sum[channel] * step * step) as f32;
         }
     }
-    Picture { width, height, planes, alpha: None }
+    Picture { width, height, planes, alpha: None, counted: None }
 }
 
 /// The ends of rays through random positions of random training views, as structure from motion might find them.

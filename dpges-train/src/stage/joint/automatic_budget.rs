@@ -1,6 +1,7 @@
 //! The decisions of an automatic budget, by validation views: how long the scene grows, how many layers it peels, and which
 //! lobes it does without.
 
+use dpges_core::losses::Target;
 use dpges_core::metrics::{psnr, quantised};
 use dpges_core::ops::peel::MAX_LAYERS;
 use dpges_core::render::{Values, render_values};
@@ -101,8 +102,9 @@ impl JointStage {
     fn psnr_of_views(&self, context: &Context) -> Result<Vec<f64>, TrainError> {
         let of_view = |view| {
             let rendered = self.render_view(context, view)?;
-            let (image, target) = (quantised(rendered.composite.image), quantised(view.target(&context.device)));
-            Ok(psnr(image, target).clamp(0.0, LARGEST_PSNR))
+            let Target { image: target, mask } = view.target(&context.device);
+            let target = Target { image: quantised(target), mask };
+            Ok(psnr(quantised(rendered.composite.image), target).clamp(0.0, LARGEST_PSNR))
         };
         judging_views(context).map(of_view).collect()
     }

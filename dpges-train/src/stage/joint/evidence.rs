@@ -13,7 +13,7 @@ use dpges_core::scene::{GaussianData, Gaussians, Rendering, SceneInfo, ScreenFil
 use super::super::{Context, TrainError};
 use super::JointStage;
 use super::refine::squared_error;
-use crate::dataset::View;
+use crate::dataset::{Masked, View};
 use crate::init::fusion::{DepthView, FusionRule, surface_points};
 use crate::init::surfels_at;
 use crate::refine::RowEdit;
@@ -61,7 +61,8 @@ impl Context {
                 unreachable!("maps were asked for")
             };
             let mean = tensor_to_rows(&expected_depth(depth, alpha.clone()));
-            let depth = certain(&tensor_to_rows(&alpha), &mean, tensor_to_rows(&median_depth));
+            let mut depth = certain(&tensor_to_rows(&alpha), &mean, tensor_to_rows(&median_depth));
+            view.picture.clear_ignored(&mut depth);
             views.push(DepthView { camera: &view.camera, depth, photograph: &view.picture.planes });
         }
         let mut points = surface_points(&views, STRIDES_PX[0], RULE);
@@ -116,13 +117,14 @@ impl JointStage {
         self.surfels.keep(&rows);
         self.measure_surfel_limit(context);
         self.statistics.keep_surfels(&rows);
-        let pixels = judging_views(context).map(|view| 3 * view.camera.width * view.camera.height).sum::<usize>();
+        let judging = Masked::of(judging_views(context));
+        let pixels = 3 * (judging.pixels - judging.ignored_pixels);
         let mean = |squares: f64| squares / pixels.max(1) as f64;
         Ok(Some(format!(
             "{removed} of {} surfels removed that cost a squared error of {:.2e} per value of {} views; the others save {:.2e}",
             surfels.len(),
             mean(-lost),
-            judging_views(context).count(),
+            judging.views,
             mean(saved)
         )))
     }
@@ -161,13 +163,12 @@ fn judged(
     let groups: Vec<_> = groups.collect();
     for view in judging_views(context) {
         let target = view.target(device);
-        let error = |render: &Render, target: Tensor<3>| squared_error(render, target);
         let with = render(&all, view)?;
         let area = view.camera.width * view.camera.height;
         let nearest: Vec<i32> = with.layers.ids.clone().into_data().iter::<i32>().take(area).collect();
-        let with = error(&with, target.clone());
+        let with = squared_error(&with, &target);
         for (others, left_out) in &groups {
-            let without = error(&render(others, view)?, target.clone());
+            let without = squared_error(&render(others, view)?, &target);
             worths.add(&nearest, &with, &without, left_out);
         }
     }

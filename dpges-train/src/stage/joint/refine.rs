@@ -4,6 +4,7 @@ use std::collections::HashSet;
 
 use burn::tensor::{DType, Tensor};
 use dpges_core::camera::Camera;
+use dpges_core::losses::Target;
 use dpges_core::ops::environment::environment;
 use dpges_core::ops::splat::{SplatOptions, splat};
 use dpges_core::render::{Render, Values, render_values};
@@ -155,7 +156,7 @@ impl JointStage {
     }
 
     /// Adds a batch of `count` Gaussians after as many as were `removed` have left. Their pixels are drawn with a
-    /// probability in proportion to the squared error, none where a view shows nothing but sky. They take the depth of the nearest layer (GES, DP-GES), or the
+    /// probability in proportion to the squared error, none where a view shows nothing but sky or pixels do not count. They take the depth of the nearest layer (GES, DP-GES), or the
     /// mean depth of existing Gaussians where there is no layer and `refine.add_everywhere` asks for it.
     ///
     /// # Errors
@@ -172,7 +173,7 @@ impl JointStage {
             if share > 0 {
                 let options = self.render_options(&context.config).splat;
                 let rendered = self.render_view(context, view)?;
-                let mut error = squared_error(&rendered, view.target(&context.device));
+                let mut error = squared_error(&rendered, &view.target(&context.device));
                 if let Some(sky) = &self.sky {
                     sky.clear(index, &mut error);
                 }
@@ -236,10 +237,14 @@ fn min_pixels(per_megapixel: usize, pixels: usize) -> usize {
     (per_megapixel as f64 * pixels as f64 / 1e6) as usize
 }
 
-/// [H × W] squared error summed over channels.
-pub fn squared_error(rendered: &Render, target: Tensor<3>) -> Vec<f32> {
-    let difference = rendered.composite.image.clone() - target;
-    tensor_to_rows(&(difference.clone() * difference).sum_dim(0))
+/// [H × W] squared error summed over channels; 0 where pixels do not count.
+pub fn squared_error(rendered: &Render, target: &Target) -> Vec<f32> {
+    let difference = rendered.composite.image.clone() - target.image.clone();
+    let error = (difference.clone() * difference).sum_dim(0);
+    tensor_to_rows(&match &target.mask {
+        Some(mask) => mask.filled(error, 0.0),
+        None => error,
+    })
 }
 
 /// [H × W] mean depth at each pixel of the Gaussians in front of the last of `limits` [K, H, W], weighted by their α, in
