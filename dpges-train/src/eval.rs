@@ -15,7 +15,7 @@ use dpges_core::{Error, Result};
 use dpges_render::Rgb8Image;
 use serde::{Deserialize, Serialize};
 
-use crate::dataset::{Picture, View};
+use crate::dataset::{Picture, View, pictures};
 use crate::metrics::lpips::{Lpips, Network};
 use crate::metrics::{Perceptual, Scores, flip, flip_map};
 use crate::popping::Popping;
@@ -176,13 +176,14 @@ pub fn evaluate_each<E: From<Error>>(
         return Err(Error::Option { option: "views", expected: "at least one".to_owned(), found: "none".into() }.into());
     }
     let mut scores = Vec::with_capacity(views.len());
-    for (index, view) in views.iter().enumerate() {
+    for (index, (view, picture)) in pictures(views).enumerate() {
+        let picture = picture?;
         let start = Instant::now();
         let render = renderer.render(&view.camera)?;
         // a GPU may have only begun
         device.sync().map_err(|error| Error::Device { reason: error.to_string() })?;
         let seconds = start.elapsed().as_secs_f64();
-        scores.push(score(view, render.image().clone(), seconds, device, measures)?);
+        scores.push(score(&view.name, &picture, render.image().clone(), seconds, device, measures)?);
         visit(index, &render)?;
     }
     let mean = |of: fn(&ViewScore) -> f64| scores.iter().map(of).sum::<f64>() / scores.len() as f64;
@@ -201,9 +202,9 @@ pub fn evaluate_each<E: From<Error>>(
 /// The scores of a finished `picture` of `view`, which took `seconds` to render.
 ///
 /// # Errors
-/// [`Error::Shape`] if the picture has another size than the photograph.
+/// [`Error::Shape`] if the picture has another size than the photograph, [`Error::Io`] if that cannot be read again.
 pub fn score_picture(view: &View, picture: &Rgb8Image, seconds: f64, device: &Device) -> Result<ViewScore> {
-    let (width, height) = (view.picture.width, view.picture.height);
+    let (width, height) = (view.camera.width, view.camera.height);
     if (picture.width, picture.height) != (width, height) {
         let found = vec![picture.height, picture.width, 3];
         return Err(Error::Shape { tensor: "picture".to_owned(), expected: format!("[{height}, {width}, 3]"), found });
@@ -211,12 +212,21 @@ pub fn score_picture(view: &View, picture: &Rgb8Image, seconds: f64, device: &De
     let channel = |channel: usize| picture.bytes.iter().skip(channel).step_by(3).map(|&byte| f32::from(byte) / 255.0);
     let planes: Vec<f32> = (0..3).flat_map(channel).collect();
     let image = Tensor::from_data(TensorData::new(planes, [3, height, width]), (device, DType::F32));
-    score(view, image, seconds, device, Measures::Basic)
+    let photograph = view.picture()?;
+    score(&view.name, &photograph, image, seconds, device, Measures::Basic)
 }
 
-fn score(view: &View, image: Tensor<3>, seconds: f64, device: &Device, measures: Measures<'_>) -> Result<ViewScore> {
-    let Picture { width, height, ref counted, .. } = view.picture;
-    let Target { image: picture, mask } = view.target(device);
+fn score(
+    name: &str,
+    photograph: &Picture,
+    image: Tensor<3>,
+    seconds: f64,
+    device: &Device,
+    measures: Measures<'_>,
+) -> Result<ViewScore> {
+    let Picture { width, height, counted, .. } = photograph;
+    let (width, height) = (*width, *height);
+    let Target { image: picture, mask } = photograph.target(device);
     let [image, picture] = [image, picture].map(|picture| match &mask {
         Some(mask) => mask.filled(quantised(picture), OF_IGNORED_PIXELS),
         None => quantised(picture),
@@ -242,7 +252,7 @@ fn score(view: &View, image: Tensor<3>, seconds: f64, device: &Device, measures:
     };
     let target = Target { image: picture, mask };
     let (psnr, ssim) = (psnr(image.clone(), target.clone()).min(LARGEST_PSNR), mean_ssim(image, target)?);
-    Ok(ViewScore { name: view.name.clone(), psnr, ssim, flip, perceptual, seconds, width, height })
+    Ok(ViewScore { name: name.to_owned(), psnr, ssim, flip, perceptual, seconds, width, height })
 }
 
 /// Mean of the `values` of pixels that count; at least one does.
@@ -283,11 +293,11 @@ mod tests {
     fn scores_are_those_of_eight_bit_pictures() {
         let options = BuiltinOptions { width: 12, height: 12, train_views: 2, test_views: 2, ..Default::default() };
         let mut views = builtin(&options).test;
-        views[0].picture.planes.fill(0.5009);
-        views[1].picture.planes.fill(0.25);
+        views[0].repaint(|picture| picture.bytes.fill(128)).unwrap();
+        views[1].repaint(|picture| picture.bytes.fill(64)).unwrap();
         let device = "cpu".parse::<DeviceName>().unwrap().open().unwrap();
         let evaluation = evaluate(&nothing([0.5; 3]), &views, &device).unwrap();
-        assert_eq!(evaluation.views[0].psnr, LARGEST_PSNR, "0.5 and 0.5009 are the same of 256 steps");
+        assert_eq!(evaluation.views[0].psnr, LARGEST_PSNR, "0.5 and 128/255 are the same of 256 steps");
         let error = (128.0 - 64.0) / 255.0f64;
         assert!((evaluation.views[1].psnr + 20.0 * error.log10()).abs() < 1e-3);
         assert!((evaluation.views[0].ssim - 1.0).abs() < 1e-6 && evaluation.views[1].ssim < 1.0);
@@ -312,11 +322,12 @@ mod tests {
         let mut views = builtin(&options).test;
         let counted: Vec<bool> = (0..32 * 32).map(|pixel| pixel % 32 < 20).collect();
         for (index, view) in views.iter_mut().enumerate() {
-            view.picture.planes.fill(0.5);
-            for pixel in (0..32 * 32).filter(|&pixel| !counted[pixel]) {
-                (0..3).for_each(|channel| view.picture.planes[channel * 32 * 32 + pixel] = index as f32);
-            }
-            view.picture.counted = Some(counted.clone());
+            let garbage = 255 * index as u8;
+            let paint = |picture: &mut Picture| {
+                picture.bytes = counted.iter().flat_map(|&counts| [if counts { 128 } else { garbage }; 3]).collect();
+                picture.counted = Some(counted.clone());
+            };
+            view.repaint(paint).unwrap();
         }
         let device = "cpu".parse::<DeviceName>().unwrap().open().unwrap();
         let scored = |value: f64| {
@@ -337,7 +348,7 @@ mod tests {
     fn perceptual_measures_are_those_of_the_same_pictures() {
         let options = BuiltinOptions { width: 32, height: 32, train_views: 2, test_views: 2, ..Default::default() };
         let mut views = builtin(&options).test;
-        views[0].picture.planes.fill(0.5009);
+        views[0].repaint(|picture| picture.bytes.fill(128)).unwrap();
         let device = "cpu".parse::<DeviceName>().unwrap().open().unwrap();
         let weights = Weights::new(Network::Alex, |tensor| {
             (0..tensor.shape.iter().product::<usize>()).map(|i| (i * 37 % 101) as f32 / 1000.0).collect()

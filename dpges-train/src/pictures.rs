@@ -10,30 +10,38 @@ use dpges_render::{Rgb8Image, false_colour};
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 
-use crate::dataset::View;
+use crate::dataset::{Picture, View};
 use crate::metrics::flip_map;
 use crate::rendered::{Rendered, to_picture};
 
 /// Photograph · render · surfels only, if there are any · error, from left to right. There is no error where pixels do not
 /// count.
-pub fn comparison(view: &View, render: &Rendered) -> Rgb8Image {
-    let photograph = photograph(view);
+///
+/// # Errors
+/// [`dpges_core::Error::Io`] if the photograph cannot be read again.
+pub fn comparison(view: &View, render: &Rendered) -> Result<Rgb8Image> {
+    let picture = view.picture()?;
+    let photograph = photograph(&picture);
     let image = to_picture(render.image());
     let surfels = render.peeled().map(|render| to_picture(&render.composite.surfel_image));
-    let error = false_colour::error(&where_it_counts(view, &image, &photograph), &photograph);
+    let error = false_colour::error(&where_it_counts(&picture, &image), &photograph);
     let parts: Vec<Rgb8Image> = [Some(photograph), Some(image), surfels, Some(error)].into_iter().flatten().collect();
-    Rgb8Image::beside(&parts)
+    Ok(Rgb8Image::beside(&parts))
 }
 
 /// Photograph · render · FLIP, dark blue where there is none and yellow where it is 1, from left to right.
-pub fn with_flip(view: &View, render: &Rendered) -> Rgb8Image {
-    let photograph = photograph(view);
+///
+/// # Errors
+/// [`dpges_core::Error::Io`] if the photograph cannot be read again.
+pub fn with_flip(view: &View, render: &Rendered) -> Result<Rgb8Image> {
+    let picture = view.picture()?;
+    let photograph = photograph(&picture);
     let image = to_picture(render.image());
     let (width, height) = (photograph.width, photograph.height);
-    let [reference, test] = [&photograph, &where_it_counts(view, &image, &photograph)].map(planes);
+    let [reference, test] = [&photograph, &where_it_counts(&picture, &image)].map(planes);
     let errors = flip_map(&reference, &test, width, height);
     let flip = Rgb8Image::from_pixels(width, height, errors.iter().map(|&error| false_colour::ramp(error as f32)));
-    Rgb8Image::beside(&[photograph, image, flip])
+    Ok(Rgb8Image::beside(&[photograph, image, flip]))
 }
 
 /// [3, height, width], from 0 to 1.
@@ -43,30 +51,34 @@ fn planes(image: &Rgb8Image) -> Vec<f32> {
 }
 
 /// Two rows: photograph · each of `renders`, which have its size; and below each its error.
-pub fn sheet(view: &View, renders: &[Rgb8Image]) -> Rgb8Image {
-    let photograph = photograph(view);
+///
+/// # Errors
+/// [`dpges_core::Error::Io`] if the photograph cannot be read again.
+pub fn sheet(view: &View, renders: &[Rgb8Image]) -> Result<Rgb8Image> {
+    let picture = view.picture()?;
+    let photograph = photograph(&picture);
     let (width, height) = (photograph.width, photograph.height);
-    let error = |render: &Rgb8Image| false_colour::error(&where_it_counts(view, render, &photograph), &photograph);
+    let error = |render: &Rgb8Image| false_colour::error(&where_it_counts(&picture, render), &photograph);
     let errors = renders.iter().map(error);
     let nothing = Rgb8Image { width, height, bytes: vec![255; 3 * width * height] };
     let below: Vec<Rgb8Image> = std::iter::once(nothing).chain(errors).collect();
     let above: Vec<Rgb8Image> = std::iter::once(photograph).chain(renders.iter().cloned()).collect();
-    Rgb8Image::below(&[Rgb8Image::beside(&above), Rgb8Image::beside(&below)])
+    Ok(Rgb8Image::below(&[Rgb8Image::beside(&above), Rgb8Image::beside(&below)]))
 }
 
-/// `image` with the `photograph` of `view` where pixels do not count.
-fn where_it_counts(view: &View, image: &Rgb8Image, photograph: &Rgb8Image) -> Rgb8Image {
+/// `image` with the `photograph` where pixels do not count.
+fn where_it_counts(photograph: &Picture, image: &Rgb8Image) -> Rgb8Image {
     let mut shown = image.clone();
     let pixels = shown.bytes.chunks_exact_mut(3).zip(photograph.bytes.chunks_exact(3)).enumerate();
-    for (_, (shown, photograph)) in pixels.filter(|(pixel, _)| !view.picture.counts(*pixel)) {
+    for (_, (shown, photograph)) in pixels.filter(|(pixel, _)| !photograph.counts(*pixel)) {
         shown.copy_from_slice(photograph);
     }
     shown
 }
 
-fn photograph(view: &View) -> Rgb8Image {
-    let picture = &view.picture;
-    Rgb8Image::from_planes(&picture.planes, picture.width, picture.height)
+/// A photograph as a picture to show.
+pub fn photograph(picture: &Picture) -> Rgb8Image {
+    Rgb8Image { width: picture.width, height: picture.height, bytes: picture.bytes.clone() }
 }
 
 /// Writes a PNG. It replaces an existing file only once it is complete.
@@ -125,9 +137,9 @@ mod tests {
     #[test]
     fn a_sheet_has_errors_below_renders() {
         let view = views(&["a"]).remove(0);
-        let exact = photograph(&view);
+        let exact = photograph(&view.picture().unwrap());
         let wrong = Rgb8Image { bytes: exact.bytes.iter().map(|byte| byte ^ 0x80).collect(), ..exact.clone() };
-        let sheet = sheet(&view, &[exact.clone(), wrong.clone()]);
+        let sheet = sheet(&view, &[exact.clone(), wrong.clone()]).unwrap();
         // three columns and two rows of 2 x 2 px, 2 px apart
         assert_eq!((sheet.width, sheet.height), (10, 6));
         let part = |column: usize, row: usize| -> Vec<u8> {
@@ -142,10 +154,11 @@ mod tests {
     #[test]
     fn there_is_no_error_where_pixels_do_not_count() {
         let mut view = views(&["a"]).remove(0);
-        view.picture.counted = Some(vec![true, false, true, true]);
-        let exact = photograph(&view);
+        view.repaint(|picture| picture.counted = Some(vec![true, false, true, true])).unwrap();
+        let picture = view.picture().unwrap();
+        let exact = photograph(&picture);
         let wrong = Rgb8Image { bytes: exact.bytes.iter().map(|byte| byte ^ 0x80).collect(), ..exact.clone() };
-        let shown = where_it_counts(&view, &wrong, &exact);
+        let shown = where_it_counts(&picture, &wrong);
         assert_eq!((&shown.bytes[3..6], &shown.bytes[..3]), (&exact.bytes[3..6], &wrong.bytes[..3]));
         assert_eq!(shown.bytes[6..], wrong.bytes[6..]);
     }

@@ -108,6 +108,7 @@ fn builtin(config: &DataConfig) -> Result<Dataset> {
     if let Background::Colour(colour) = config.background {
         dataset.background = colour;
     }
+    dataset.spare_memory = config.memory.bytes();
     if config.near > 0.0 {
         dataset.near = config.near;
         dataset.train.iter_mut().chain(&mut dataset.test).for_each(|view| view.camera.near = config.near);

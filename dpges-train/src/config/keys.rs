@@ -11,6 +11,7 @@ use super::choices::{
     SurfelStart,
 };
 use super::declare::{Ablation, Key, Section, Value, configuration, optional};
+use super::memory::Memory;
 use super::range::{self, OPACITY, POSITIVE, POSITIVE_SHARE};
 use super::sources::ConfigError;
 
@@ -32,6 +33,9 @@ configuration! {
         /// Keep every n-th training view for validation, for `train.stop` and `refine.budget` to decide by. 0 keeps
         /// every 8th if `train.stop = "validation"` or `refine.budget = "auto"`, and none otherwise.
         validation_every: usize = 0, unit: "views";
+        /// Most memory for photographs. Those beyond are read again from their files whenever they are needed, which takes
+        /// time and changes nothing else.
+        memory: Memory = Memory::Auto;
         /// Near plane of every camera. 0 takes the default of the dataset's format.
         near: f64 = 0.0, unit: "world units", range: 0.0..;
     }

@@ -27,13 +27,12 @@ impl Masked {
     /// Of these views.
     pub fn of<'a>(views: impl IntoIterator<Item = &'a View>) -> Self {
         views.into_iter().fold(Self::default(), |sum, view| {
-            let counted = view.picture.counted.as_ref();
+            let ignored = view.photograph.ignored_pixels();
             Self {
                 views: sum.views + 1,
-                masked_views: sum.masked_views + usize::from(counted.is_some()),
-                pixels: sum.pixels + view.picture.width * view.picture.height,
-                ignored_pixels: sum.ignored_pixels
-                    + counted.map_or(0, |counted| counted.iter().filter(|&&counts| !counts).count()),
+                masked_views: sum.masked_views + usize::from(ignored.is_some()),
+                pixels: sum.pixels + view.camera.width * view.camera.height,
+                ignored_pixels: sum.ignored_pixels + ignored.unwrap_or(0),
             }
         })
     }
@@ -150,10 +149,12 @@ fn reaches(from: usize, to: usize) -> Vec<[usize; 2]> {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use image::{GrayImage, Luma, Rgb, RgbImage, Rgba, RgbaImage};
 
     use super::super::fixtures::{self, Encoding, FixtureScene};
-    use super::super::{Dataset, LoadOptions, load};
+    use super::super::{Dataset, LoadOptions, Picture, load};
     use super::*;
 
     const SIZE: [u32; 2] = [24, 16];
@@ -170,8 +171,12 @@ mod tests {
         (folder, scene)
     }
 
-    fn counted<'a>(data: &'a Dataset, name: &str) -> Option<&'a Vec<bool>> {
-        data.train.iter().find(|view| view.name == name).unwrap().picture.counted.as_ref()
+    fn counted(data: &Dataset, name: &str) -> Option<Vec<bool>> {
+        picture(data, name).counted.clone()
+    }
+
+    fn picture(data: &Dataset, name: &str) -> Arc<Picture> {
+        data.train.iter().find(|view| view.name == name).unwrap().picture().unwrap()
     }
 
     /// [width × height] whether a column counts.
@@ -185,14 +190,14 @@ mod tests {
         write_mask(&folder.path().join("masks/left/001.png.png"), SIZE, 5);
         write_mask(&folder.path().join("masks/left/002.png"), SIZE, 7);
         let data = load(folder.path(), &LoadOptions::default()).unwrap();
-        assert_eq!(counted(&data, "left/001.png"), Some(&columns(24, 16, |x| x >= 5)));
-        assert_eq!(counted(&data, "left/002.png"), Some(&columns(24, 16, |x| x >= 7)));
+        assert_eq!(counted(&data, "left/001.png"), Some(columns(24, 16, |x| x >= 5)));
+        assert_eq!(counted(&data, "left/002.png"), Some(columns(24, 16, |x| x >= 7)));
         assert_eq!(counted(&data, "left/003.png"), None);
         let masked = data.masked();
         assert_eq!((masked.views, masked.masked_views, masked.ignored_pixels), (9, 2, 12 * 16));
         assert_eq!(masked.to_string(), "2 of 9 views have masks; 5.6 % of all pixels do not count");
         let inverted = load(folder.path(), &LoadOptions { invert_masks: true, ..Default::default() }).unwrap();
-        assert_eq!(counted(&inverted, "left/001.png"), Some(&columns(24, 16, |x| x < 5)));
+        assert_eq!(counted(&inverted, "left/001.png"), Some(columns(24, 16, |x| x < 5)));
         assert_eq!(counted(&inverted, "left/003.png"), None);
     }
 
@@ -209,16 +214,15 @@ mod tests {
         let options = LoadOptions { max_resolution: Some(12), test_every: 0, ..Default::default() };
         let read = |garbage: u8| {
             image(name, garbage);
-            let data = load(folder.path(), &options).unwrap();
-            data.train.into_iter().find(|view| view.name == name).unwrap().picture
+            picture(&load(folder.path(), &options).unwrap(), name)
         };
         let (black, white) = (read(0), read(255));
-        // the filter of a column reaches two columns to each side: 4 of the photograph
-        assert_eq!(black.counted.as_ref(), Some(&columns(12, 8, |x| x >= 7)));
+        // the filter of column x reaches from 2 x − 3 to 2 x + 4 in the photograph
+        assert_eq!(black.counted, Some(columns(12, 8, |x| x >= 6)));
         for pixel in 0..12 * 8 {
             assert!(!black.counts(pixel) || black.colour(pixel) == white.colour(pixel), "pixel {pixel}");
         }
-        assert!(black.planes != white.planes);
+        assert!(black.bytes != white.bytes);
     }
 
     #[test]
@@ -235,7 +239,7 @@ mod tests {
         }
         write_mask(&folder.path().join("masks_2/left/001.png"), [12, 8], 2);
         let data = load(folder.path(), &options).unwrap();
-        assert_eq!(counted(&data, "left/001.png"), Some(&columns(12, 8, |x| x >= 2)));
+        assert_eq!(counted(&data, "left/001.png"), Some(columns(12, 8, |x| x >= 2)));
     }
 
     #[test]
@@ -257,9 +261,8 @@ mod tests {
         write_mask(&folder.path().join("masks").join(name), SIZE, 3);
         let options = LoadOptions { alpha_masks: true, test_every: 0, ..Default::default() };
         let data = load(folder.path(), &options).unwrap();
-        assert_eq!(counted(&data, name), Some(&columns(24, 16, |x| (3..20).contains(&x))));
-        let view = data.train.iter().find(|view| view.name == name).unwrap();
-        assert_eq!(view.picture.rgb(23, 0), [8.0, 80.0, 160.0].map(|value: f32| value / 255.0));
+        assert_eq!(counted(&data, name), Some(columns(24, 16, |x| (3..20).contains(&x))));
+        assert_eq!(picture(&data, name).bytes[3 * 23..3 * 24], [8, 80, 160]);
     }
 
     #[test]
@@ -281,7 +284,7 @@ mod tests {
         write_mask(&folder.path().join("masks/2.png"), SIZE, 6);
         let data = load(folder.path(), &options).unwrap();
         assert_eq!(counted(&data, "images/0.png"), None);
-        assert_eq!(counted(&data, "images/1.png"), Some(&columns(24, 16, |x| x >= 4)));
-        assert_eq!(counted(&data, "images/2.png"), Some(&columns(24, 16, |x| x >= 6)));
+        assert_eq!(counted(&data, "images/1.png"), Some(columns(24, 16, |x| x >= 4)));
+        assert_eq!(counted(&data, "images/2.png"), Some(columns(24, 16, |x| x >= 6)));
     }
 }

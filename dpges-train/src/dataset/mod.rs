@@ -10,12 +10,15 @@ mod builtin;
 mod colmap;
 mod error;
 #[cfg(test)]
-mod fixtures;
+pub(crate) mod fixtures;
 mod images;
 mod lens;
 mod masks;
 mod nerfstudio;
+mod photograph;
+mod picture;
 mod ply;
+mod reading;
 mod source;
 mod split;
 mod transforms;
@@ -23,16 +26,18 @@ mod undistort;
 
 use std::fmt;
 use std::path::Path;
+use std::sync::Arc;
 
-use burn::tensor::{DType, Device, Tensor, TensorData};
+use burn::tensor::Device;
 use dpges_core::camera::Camera;
-use dpges_core::losses::{Mask, Target};
+use dpges_core::losses::Target;
 use glam::DVec3;
 
 pub use builtin::{BuiltinOptions, builtin, builtin_geometry};
 pub use error::DatasetError;
-pub use images::Picture;
 pub use masks::Masked;
+pub use photograph::{Photograph, pictures};
+pub use picture::Picture;
 
 use error::Result;
 
@@ -43,7 +48,7 @@ pub struct View {
     pub name: String,
     /// In the shifted world, see [`Dataset::offset`].
     pub camera: Camera,
-    pub picture: Picture,
+    pub photograph: Photograph,
 }
 
 /// Points on the surfaces of the scene.
@@ -78,17 +83,36 @@ pub struct Dataset {
     pub format: Format,
     /// Near plane of every camera, world units.
     pub near: f64,
+    /// What the photographs leave of [`LoadOptions::memory`], bytes: room for other numbers per pixel.
+    pub spare_memory: usize,
 }
 
 impl View {
-    /// The picture on `device`, and which of its pixels count.
-    pub fn target(&self, device: &Device) -> Target {
-        let Picture { width, height, ref planes, ref counted, .. } = self.picture;
-        let image = Tensor::from_data(TensorData::new(planes.clone(), [3, height, width]), (device, DType::F32));
-        let mask = counted.as_ref().map(|counted| {
-            Mask::new(counted, width, height, device).expect("a picture in which some pixel counts, of its size")
-        });
-        Target { image, mask }
+    /// The photograph, from memory or from its file.
+    ///
+    /// # Errors
+    /// [`dpges_core::Error::Io`] if the file is not what it was when the dataset was loaded.
+    pub fn picture(&self) -> dpges_core::Result<Arc<Picture>> {
+        self.photograph.picture()
+    }
+
+    /// The photograph on `device`, and which of its pixels count.
+    ///
+    /// # Errors
+    /// Those of [`picture`](Self::picture).
+    pub fn target(&self, device: &Device) -> dpges_core::Result<Target> {
+        Ok(self.picture()?.target(device))
+    }
+
+    /// Changes the photograph, which is in memory from then on.
+    ///
+    /// # Errors
+    /// Those of [`picture`](Self::picture).
+    pub fn repaint(&mut self, change: impl FnOnce(&mut Picture)) -> dpges_core::Result<()> {
+        let mut picture = Arc::unwrap_or_clone(self.picture()?);
+        change(&mut picture);
+        self.photograph = picture.into();
+        Ok(())
     }
 }
 
@@ -171,6 +195,8 @@ pub struct LoadOptions {
     pub alpha_masks: bool,
     /// Whether masks are black where pixels count, instead of white.
     pub invert_masks: bool,
+    /// Most memory for photographs, bytes. Those beyond are read again from their files whenever they are needed.
+    pub memory: usize,
 }
 
 impl Default for LoadOptions {
@@ -183,6 +209,7 @@ impl Default for LoadOptions {
             near: None,
             alpha_masks: false,
             invert_masks: false,
+            memory: usize::MAX,
         }
     }
 }

@@ -5,7 +5,7 @@
 //! size and principal point are kept and both focal lengths are multiplied by one zoom, so that sizes agree
 //! with the files.
 
-use super::images::Picture;
+use super::Picture;
 use super::lens::{Distortion, Lens};
 
 /// Range of zooms. Outside, the pinhole picture would show a small part of the photograph, or blur it.
@@ -32,27 +32,25 @@ pub(super) fn pinhole(lens: &Lens) -> Option<Lens> {
     Some(zoomed(high))
 }
 
-/// The `photograph` [3, height, width], taken through `lens`, resampled bilinearly for `pinhole`.
+/// The `photograph`, taken through `lens`, resampled bilinearly for `pinhole` and rounded to 8 bits.
 pub(super) fn resample(photograph: &Picture, lens: &Lens, pinhole: &Lens) -> Picture {
     let (width, height) = (photograph.width, photograph.height);
     let pixels = width * height;
-    let mut planes = vec![0.0; 3 * pixels];
-    let mut alpha = photograph.alpha.as_ref().map(|_| vec![0.0; pixels]);
-    let mut counted = photograph.counted.as_ref().map(|_| vec![false; pixels]);
+    let mut bytes = Vec::with_capacity(3 * pixels);
+    let mut alpha = photograph.alpha.as_ref().map(|_| Vec::with_capacity(pixels));
+    let mut counted = photograph.counted.as_ref().map(|_| Vec::with_capacity(pixels));
     for pixel in 0..pixels {
         let (u, v) = source_position(lens, pinhole, (pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5);
         let tap = Bilinear::new(u, v, width, height);
-        for channel in 0..3 {
-            planes[channel * pixels + pixel] = tap.sample(&photograph.planes[channel * pixels..][..pixels]);
-        }
+        bytes.extend([0, 1, 2].map(|channel| tap.sample(|pixel| photograph.bytes[3 * pixel + channel])));
         if let (Some(to), Some(from)) = (&mut alpha, &photograph.alpha) {
-            to[pixel] = tap.sample(from);
+            to.push(tap.sample(|pixel| from[pixel]));
         }
         if let (Some(to), Some(from)) = (&mut counted, &photograph.counted) {
-            to[pixel] = tap.counts(from);
+            to.push(tap.counts(from));
         }
     }
-    Picture { width, height, planes, alpha, counted }
+    Picture { width, height, bytes, alpha, counted }
 }
 
 /// Position on the photograph, px, of the position (x, y), px, of the pinhole picture.
@@ -100,8 +98,9 @@ impl Bilinear {
         }
     }
 
-    fn sample(&self, plane: &[f32]) -> f32 {
-        self.indices.iter().zip(self.weights).map(|(&index, weight)| plane[index] * weight).sum()
+    fn sample(&self, of_pixel: impl Fn(usize) -> u8) -> u8 {
+        let sum: f32 = self.indices.iter().zip(self.weights).map(|(&i, weight)| f32::from(of_pixel(i)) * weight).sum();
+        sum.round() as u8
     }
 
     /// Whether all pixels that have a part in the sample count.
@@ -134,7 +133,7 @@ mod tests {
     }
 
     fn photograph(lens: &Lens) -> Picture {
-        let planes = (0..3 * lens.width * lens.height)
+        let planes: Vec<f32> = (0..3 * lens.width * lens.height)
             .map(|i| {
                 let pixel = i % (lens.width * lens.height);
                 let u = (pixel % lens.width) as f64 + 0.5;
@@ -143,8 +142,8 @@ mod tests {
                 pattern(i / (lens.width * lens.height), x, y)
             })
             .collect();
-        let alpha = Some(vec![1.0; lens.width * lens.height]);
-        Picture { width: lens.width, height: lens.height, planes, alpha, counted: None }
+        let alpha = Some(vec![255; lens.width * lens.height]);
+        Picture { alpha, ..Picture::from_planes(&planes, lens.width, lens.height) }
     }
 
     #[test]
@@ -154,13 +153,15 @@ mod tests {
             let picture = resample(&photograph(&lens), &lens, &pinhole);
             let pixels = lens.width * lens.height;
             let mut worst = 0f32;
+            let planes = picture.planes();
             for i in 0..3 * pixels {
                 let x = ((i % pixels % lens.width) as f64 + 0.5 - pinhole.cx) / pinhole.fx;
                 let y = ((i % pixels / lens.width) as f64 + 0.5 - pinhole.cy) / pinhole.fy;
-                worst = worst.max((picture.planes[i] - pattern(i / pixels, x, y)).abs());
+                worst = worst.max((planes[i] - pattern(i / pixels, x, y)).abs());
             }
-            assert!(worst < 2e-3, "{worst}");
-            assert!(picture.alpha.unwrap().iter().all(|a| (a - 1.0).abs() < 1e-6));
+            // rounded to steps of 1/255 twice
+            assert!(worst < 2e-3 + 1.01 / 255.0, "{worst}");
+            assert!(picture.alpha.unwrap().iter().all(|&alpha| alpha == 255));
         }
     }
 
@@ -173,15 +174,15 @@ mod tests {
         let mut clean = photograph(&lens);
         clean.counted = Some((0..pixels).map(is_counted).collect());
         let mut overpainted = clean.clone();
-        (0..pixels).filter(|&pixel| !is_counted(pixel)).for_each(|pixel| overpainted.planes[pixel] = 9.0);
+        (0..pixels).filter(|&pixel| !is_counted(pixel)).for_each(|pixel| overpainted.bytes[3 * pixel] ^= 0x80);
         let [clean, overpainted] = [clean, overpainted].map(|picture| resample(&picture, &lens, &pinhole));
-        let counted = clean.counted.unwrap();
+        let counted = clean.counted.clone().unwrap();
         let count = counted.iter().filter(|&&counts| counts).count();
         assert!((pixels / 3..pixels).contains(&count), "{count} of {pixels}");
         for pixel in (0..pixels).filter(|&pixel| counted[pixel]) {
-            assert_eq!(clean.planes[pixel], overpainted.planes[pixel], "pixel {pixel}");
+            assert_eq!(clean.colour(pixel), overpainted.colour(pixel), "pixel {pixel}");
         }
-        assert!(clean.planes != overpainted.planes);
+        assert!(clean.bytes != overpainted.bytes);
     }
 
     #[test]
@@ -205,7 +206,7 @@ mod tests {
         assert!((pinhole(&tiny).unwrap().fx / tiny.fx - 1.0).abs() < 1e-6);
         let photograph = photograph(&tiny);
         let picture = resample(&photograph, &tiny, &pinhole(&tiny).unwrap());
-        assert!(photograph.planes.iter().zip(&picture.planes).all(|(a, b)| (a - b).abs() < 1e-5));
+        assert!(photograph.bytes.iter().zip(&picture.bytes).all(|(a, b)| a.abs_diff(*b) <= 1));
         assert!(pinhole(&lens([40.0, 0.0, 0.0, 0.0], [0.0, 0.0])).is_none());
     }
 }

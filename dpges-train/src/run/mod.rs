@@ -38,6 +38,8 @@ pub mod metrics_log;
 mod observer;
 mod record;
 #[cfg(test)]
+mod streamed_tests;
+#[cfg(test)]
 mod tests;
 mod trainer;
 mod training;

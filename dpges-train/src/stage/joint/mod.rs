@@ -55,29 +55,32 @@ pub struct JointStage {
 
 impl JointStage {
     /// A stage that begins with `start`.
+    ///
+    /// # Errors
+    /// [`TrainError::Core`] if a photograph cannot be read again.
     fn new(
         plan: StagePlan,
         start: &InitialScene,
         environment: EnvironmentState,
         supervisions: Option<Supervisions>,
         context: &Context,
-    ) -> Self {
+    ) -> Result<Self, TrainError> {
         let (config, device) = (&context.config, &context.device);
         let surfels = SurfelState::new(&start.surfels, OpacityActivation::Linear, device);
         let gaussians = GaussianState::new(&start.gaussians, config.model.opacity, device);
-        Self {
+        Ok(Self {
             plan,
             info: context.scene_info(Rendering::Peeled),
             schedule: config.schedule(context.dataset.train.len()),
             limits: SamplingLimits::new(&surfels, &gaussians, context),
             surfels,
             gaussians,
-            sky: SkyMasks::new(&environment, context),
+            sky: SkyMasks::new(&environment, context)?,
             environment,
             statistics: Statistics::new(start.surfels.len(), start.gaussians.len(), device),
             supervisions,
             growth: None,
-        }
+        })
     }
 
     fn render_options(&self, config: &Config) -> RenderOptions {
@@ -139,11 +142,11 @@ impl Stage for JointStage {
             let scale = gaussians.log_scales.clone().exp().mean() * (train.lambda_gaussian_scale / self.info.extent);
             losses.total = losses.total + opacity + scale;
         }
-        if let Some(sky) = self.sky.as_ref().and_then(|sky| sky.of(input.index, input.view, &context.tape())) {
+        if let Some(sky) = self.sky.as_ref().and_then(|sky| sky.of(input.index, input.picture, &context.tape())) {
             losses.total = losses.total + of_counted(hidden(&rendered, sky)) * train.lambda_sky;
         }
         if let Some(supervisions) = &self.supervisions {
-            let supervision = supervisions.of(input.index, &context.tape());
+            let supervision = supervisions.of(input.index, input.view, &context.tape())?;
             let supervision = match mask {
                 Some(mask) => supervision.within(mask),
                 None => supervision,
