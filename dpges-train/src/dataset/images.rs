@@ -59,9 +59,9 @@ pub(super) fn header(path: &Path) -> Result<Header> {
     Ok(Header { width: width as usize, height: height as usize, has_alpha: colour.has_alpha(), is_deep })
 }
 
-/// Decodes a PNG or JPEG, grey or coloured; 16 bits are rounded to 8. If the file has alpha (not premultiplied), which is a
-/// matte, colour is composited in float, `alpha · colour + (1 − alpha) · background`, then rounded. If alpha is a mask, colour
-/// is as stored, and pixels of less than half alpha do not count.
+/// Decodes a PNG or JPEG, grey or coloured; 16 bits are rounded to 8. If the file has alpha (not premultiplied), which is
+/// a matte, colour is composited in float, `alpha · colour + (1 − alpha) · background`, then rounded. If alpha is a mask,
+/// colour is as stored, and pixels of less than half alpha do not count.
 ///
 /// # Errors
 /// [`DatasetError::Read`], [`DatasetError::Decode`].

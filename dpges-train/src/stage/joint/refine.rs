@@ -156,8 +156,9 @@ impl JointStage {
     }
 
     /// Adds a batch of `count` Gaussians after as many as were `removed` have left. Their pixels are drawn with a
-    /// probability in proportion to the squared error, none where a view shows nothing but sky or pixels do not count. They take the depth of the nearest layer (GES, DP-GES), or the
-    /// mean depth of existing Gaussians where there is no layer and `refine.add_everywhere` asks for it.
+    /// probability in proportion to the squared error, none where a view shows nothing but sky or pixels do not count. They
+    /// take the depth of the nearest layer (GES, DP-GES), or the mean depth of existing Gaussians where there is no layer
+    /// and `refine.add_everywhere` asks for it.
     ///
     /// # Errors
     /// [`TrainError::Core`] if a view cannot be rendered, or a photograph not be read again.
