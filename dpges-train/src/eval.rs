@@ -1,21 +1,23 @@
 //! Measures how well a scene shows views that it was not trained on.
 //!
 //! All metrics compare renders and photographs after both are quantised to 8 bits. PSNR is taken over all pixels and
-//! channels of a view, then averaged over views (the protocol of 3DGS). `docs/metrics.md` defines the others.
+//! channels of a view, then averaged over views (the protocol of 3DGS). `docs/metrics.md` defines the others, and what
+//! masks do to all of them.
 
 use std::time::Instant;
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
-use dpges_core::metrics::{mean_ssim, psnr, quantised};
+use dpges_core::losses::Target;
+use dpges_core::metrics::{OF_IGNORED_PIXELS, mean_ssim, psnr, quantised};
 use dpges_core::scene::SceneData;
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::{Error, Result};
 use dpges_render::Rgb8Image;
 use serde::{Deserialize, Serialize};
 
-use crate::dataset::{Picture, View};
+use crate::dataset::{Picture, View, pictures};
 use crate::metrics::lpips::{Lpips, Network};
-use crate::metrics::{Perceptual, Scores, flip};
+use crate::metrics::{Perceptual, Scores, flip, flip_map};
 use crate::popping::Popping;
 use crate::rendered::{Rendered, Renderer};
 use crate::sight::Floaters;
@@ -174,13 +176,14 @@ pub fn evaluate_each<E: From<Error>>(
         return Err(Error::Option { option: "views", expected: "at least one".to_owned(), found: "none".into() }.into());
     }
     let mut scores = Vec::with_capacity(views.len());
-    for (index, view) in views.iter().enumerate() {
+    for (index, (view, picture)) in pictures(views).enumerate() {
+        let picture = picture?;
         let start = Instant::now();
         let render = renderer.render(&view.camera)?;
         // a GPU may have only begun
         device.sync().map_err(|error| Error::Device { reason: error.to_string() })?;
         let seconds = start.elapsed().as_secs_f64();
-        scores.push(score(view, render.image().clone(), seconds, device, measures)?);
+        scores.push(score(&view.name, &picture, render.image().clone(), seconds, device, measures)?);
         visit(index, &render)?;
     }
     let mean = |of: fn(&ViewScore) -> f64| scores.iter().map(of).sum::<f64>() / scores.len() as f64;
@@ -199,9 +202,9 @@ pub fn evaluate_each<E: From<Error>>(
 /// The scores of a finished `picture` of `view`, which took `seconds` to render.
 ///
 /// # Errors
-/// [`Error::Shape`] if the picture has another size than the photograph.
+/// [`Error::Shape`] if the picture has another size than the photograph, [`Error::Io`] if that cannot be read again.
 pub fn score_picture(view: &View, picture: &Rgb8Image, seconds: f64, device: &Device) -> Result<ViewScore> {
-    let (width, height) = (view.picture.width, view.picture.height);
+    let (width, height) = (view.camera.width, view.camera.height);
     if (picture.width, picture.height) != (width, height) {
         let found = vec![picture.height, picture.width, 3];
         return Err(Error::Shape { tensor: "picture".to_owned(), expected: format!("[{height}, {width}, 3]"), found });
@@ -209,13 +212,25 @@ pub fn score_picture(view: &View, picture: &Rgb8Image, seconds: f64, device: &De
     let channel = |channel: usize| picture.bytes.iter().skip(channel).step_by(3).map(|&byte| f32::from(byte) / 255.0);
     let planes: Vec<f32> = (0..3).flat_map(channel).collect();
     let image = Tensor::from_data(TensorData::new(planes, [3, height, width]), (device, DType::F32));
-    score(view, image, seconds, device, Measures::Basic)
+    let photograph = view.picture()?;
+    score(&view.name, &photograph, image, seconds, device, Measures::Basic)
 }
 
-fn score(view: &View, image: Tensor<3>, seconds: f64, device: &Device, measures: Measures<'_>) -> Result<ViewScore> {
-    let Picture { width, height, .. } = view.picture;
-    let picture = quantised(view.target(device));
-    let image = quantised(image);
+fn score(
+    name: &str,
+    photograph: &Picture,
+    image: Tensor<3>,
+    seconds: f64,
+    device: &Device,
+    measures: Measures<'_>,
+) -> Result<ViewScore> {
+    let Picture { width, height, counted, .. } = photograph;
+    let (width, height) = (*width, *height);
+    let Target { image: picture, mask } = photograph.target(device);
+    let [image, picture] = [image, picture].map(|picture| match &mask {
+        Some(mask) => mask.filled(quantised(picture), OF_IGNORED_PIXELS),
+        None => quantised(picture),
+    });
     let (reference, test) = (tensor_to_rows(&picture), tensor_to_rows(&image));
     let perceptual = match measures {
         Measures::Basic => Perceptual::default(),
@@ -231,9 +246,19 @@ fn score(view: &View, image: Tensor<3>, seconds: f64, device: &Device, measures:
             perceptual
         }
     };
-    let flip = flip(&reference, &test, width, height);
-    let (psnr, ssim) = (psnr(image.clone(), picture.clone()).min(LARGEST_PSNR), mean_ssim(image, picture)?);
-    Ok(ViewScore { name: view.name.clone(), psnr, ssim, flip, perceptual, seconds, width, height })
+    let flip = match counted {
+        Some(counted) => mean_where(&flip_map(&reference, &test, width, height), counted),
+        None => flip(&reference, &test, width, height),
+    };
+    let target = Target { image: picture, mask };
+    let (psnr, ssim) = (psnr(image.clone(), target.clone()).min(LARGEST_PSNR), mean_ssim(image, target)?);
+    Ok(ViewScore { name: name.to_owned(), psnr, ssim, flip, perceptual, seconds, width, height })
+}
+
+/// Mean of the `values` of pixels that count; at least one does.
+fn mean_where(values: &[f64], counted: &[bool]) -> f64 {
+    let of_counted = || values.iter().zip(counted).filter(|(_, counts)| **counts).map(|(value, _)| value);
+    of_counted().sum::<f64>() / of_counted().count() as f64
 }
 
 #[cfg(test)]
@@ -268,11 +293,11 @@ mod tests {
     fn scores_are_those_of_eight_bit_pictures() {
         let options = BuiltinOptions { width: 12, height: 12, train_views: 2, test_views: 2, ..Default::default() };
         let mut views = builtin(&options).test;
-        views[0].picture.planes.fill(0.5009);
-        views[1].picture.planes.fill(0.25);
+        views[0].repaint(|picture| picture.bytes.fill(128)).unwrap();
+        views[1].repaint(|picture| picture.bytes.fill(64)).unwrap();
         let device = "cpu".parse::<DeviceName>().unwrap().open().unwrap();
         let evaluation = evaluate(&nothing([0.5; 3]), &views, &device).unwrap();
-        assert_eq!(evaluation.views[0].psnr, LARGEST_PSNR, "0.5 and 0.5009 are the same of 256 steps");
+        assert_eq!(evaluation.views[0].psnr, LARGEST_PSNR, "0.5 and 128/255 are the same of 256 steps");
         let error = (128.0 - 64.0) / 255.0f64;
         assert!((evaluation.views[1].psnr + 20.0 * error.log10()).abs() < 1e-3);
         assert!((evaluation.views[0].ssim - 1.0).abs() < 1e-6 && evaluation.views[1].ssim < 1.0);
@@ -292,10 +317,38 @@ mod tests {
     }
 
     #[test]
+    fn what_does_not_count_is_in_no_score() {
+        let options = BuiltinOptions { width: 32, height: 32, train_views: 2, test_views: 2, ..Default::default() };
+        let mut views = builtin(&options).test;
+        let counted: Vec<bool> = (0..32 * 32).map(|pixel| pixel % 32 < 20).collect();
+        for (index, view) in views.iter_mut().enumerate() {
+            let garbage = 255 * index as u8;
+            let paint = |picture: &mut Picture| {
+                picture.bytes = counted.iter().flat_map(|&counts| [if counts { 128 } else { garbage }; 3]).collect();
+                picture.counted = Some(counted.clone());
+            };
+            view.repaint(paint).unwrap();
+        }
+        let device = "cpu".parse::<DeviceName>().unwrap().open().unwrap();
+        let scored = |value: f64| {
+            let scene = nothing([value; 3]);
+            let (renderer, measures) = (Renderer::new(&scene, &device), Measures::Perceptual(&[]));
+            let evaluation: Result<Evaluation> =
+                evaluate_each(&renderer, &scene, &views, &device, measures, |_, _| Ok(()));
+            evaluation.unwrap().views.iter().map(ViewScore::scores).collect::<Vec<_>>()
+        };
+        let [equal, darker] = [scored(0.5), scored(0.25)].map(|scores| [scores[0], scores[1]]);
+        assert!(equal[0] == equal[1] && darker[0] == darker[1], "{equal:?} {darker:?}");
+        assert_eq!((equal[0].psnr, equal[0].flip, equal[0].perceptual.ssimulacra2), (LARGEST_PSNR, 0.0, Some(100.0)));
+        assert!((equal[0].ssim - 1.0).abs() < 1e-6 && darker[0].ssim < 1.0 && darker[0].flip > 0.0);
+        assert!((darker[0].psnr + 20.0 * (64.0 / 255.0f64).log10()).abs() < 1e-3, "{darker:?}");
+    }
+
+    #[test]
     fn perceptual_measures_are_those_of_the_same_pictures() {
         let options = BuiltinOptions { width: 32, height: 32, train_views: 2, test_views: 2, ..Default::default() };
         let mut views = builtin(&options).test;
-        views[0].picture.planes.fill(0.5009);
+        views[0].repaint(|picture| picture.bytes.fill(128)).unwrap();
         let device = "cpu".parse::<DeviceName>().unwrap().open().unwrap();
         let weights = Weights::new(Network::Alex, |tensor| {
             (0..tensor.shape.iter().product::<usize>()).map(|i| (i * 37 % 101) as f32 / 1000.0).collect()

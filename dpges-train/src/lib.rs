@@ -38,6 +38,7 @@ pub mod neighbours;
 pub mod optimizer;
 pub mod pictures;
 pub mod popping;
+mod recent;
 pub mod refine;
 pub mod rendered;
 pub mod run;

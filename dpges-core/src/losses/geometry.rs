@@ -9,6 +9,7 @@ mod tests;
 use burn::tensor::ops::PadMode;
 use burn::tensor::{Tensor, TensorData};
 
+use super::{Mask, mean_of_counted};
 use crate::camera::Camera;
 use crate::counters::transfers::upload;
 use crate::error::Result;
@@ -42,6 +43,14 @@ pub struct Supervision {
     pub depth: Tensor<3>,
     /// [3, H, W] unit normals in camera axes towards the camera, 0 where they are unknown
     pub normal: Tensor<3>,
+}
+
+impl Supervision {
+    /// The same, unknown where pixels do not count.
+    #[must_use]
+    pub fn within(self, mask: &Mask) -> Self {
+        Self { depth: mask.filled(self.depth, 0.0), normal: mask.filled(self.normal, 0.0) }
+    }
 }
 
 /// Unit normals [3, H, W] of the surface at `depth` [1, H, W], in camera axes, towards the camera: the
@@ -90,10 +99,15 @@ fn disagreement(a: Tensor<3>, b: Tensor<3>) -> Tensor<3> {
     (a * b).sum_dim(0) * -1.0 + 1.0
 }
 
-/// Mean over all pixels of `1 − N · Ñ A` (2DGS, "normal consistency"): `normal` N = Σ w n and `depth_normal` Ñ, that of
-/// [`normals_from_depth`], in the same axes; `alpha` A [1, H, W] carries no gradient.
-pub fn normal_consistency(normal: Tensor<3>, depth_normal: Tensor<3>, alpha: Tensor<3>) -> Tensor<1> {
-    disagreement(normal, depth_normal * alpha.detach()).mean()
+/// Mean over all pixels that count of `1 − N · Ñ A` (2DGS, "normal consistency"): `normal` N = Σ w n and `depth_normal` Ñ,
+/// that of [`normals_from_depth`], in the same axes; `alpha` A [1, H, W] carries no gradient.
+pub fn normal_consistency(
+    normal: Tensor<3>,
+    depth_normal: Tensor<3>,
+    alpha: Tensor<3>,
+    mask: Option<&Mask>,
+) -> Tensor<1> {
+    mean_of_counted(disagreement(normal, depth_normal * alpha.detach()), mask)
 }
 
 /// `normal` [3, H, W] of world axes in camera axes.

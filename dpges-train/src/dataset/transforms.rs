@@ -32,6 +32,7 @@ pub(super) struct Transforms {
 #[derive(Clone, Debug, Deserialize)]
 struct JsonFrame {
     file_path: String,
+    mask_path: Option<String>,
     /// 4×4 or 3×4, row by row.
     transform_matrix: Vec<Vec<f64>>,
     #[serde(flatten)]
@@ -83,7 +84,8 @@ impl Transforms {
                 let image = image_path(root, path, &name)?;
                 let lens = frame.intrinsics.clone().or(&self.intrinsics).lens(path, &name, &image)?;
                 let camera_from_world = camera_from_world(path, &name, &frame.transform_matrix)?;
-                Ok(Frame { name, image, lens, camera_from_world, split, described_in: path.to_owned() })
+                let mask = frame.mask_path.as_deref().map(|path| root.join(self::name(path)));
+                Ok(Frame { name, image, mask, lens, camera_from_world, split, described_in: path.to_owned() })
             })
             .collect::<Result<_>>()?;
         frames.sort_by(|a, b| a.name.cmp(&b.name));

@@ -1,6 +1,11 @@
 //! Where a pixel is in the world, judged by whether the photographs of other views have its colour there.
 
-use crate::dataset::View;
+use std::sync::Arc;
+
+use dpges_core::Result;
+use dpges_core::camera::Camera;
+
+use crate::dataset::{Picture, View};
 
 /// Other views that are asked: those whose cameras are nearest.
 const ASKED_VIEWS: usize = 8;
@@ -8,6 +13,22 @@ const ASKED_VIEWS: usize = 8;
 const SAME_COLOUR: f32 = 0.08;
 /// Depths that are tried, relative to the depth that is assumed. The first of the best is taken.
 const TRIED_DEPTHS: [f64; 7] = [1.0, 0.95, 1.05, 0.88, 1.14, 0.75, 1.33];
+
+/// A camera, and the photograph that it took.
+pub struct Seen<'a> {
+    pub camera: &'a Camera,
+    pub picture: Arc<Picture>,
+}
+
+impl<'a> Seen<'a> {
+    /// What a view saw.
+    ///
+    /// # Errors
+    /// [`dpges_core::Error::Io`] if its photograph cannot be read again.
+    pub fn by(view: &'a View) -> Result<Self> {
+        Ok(Self { camera: &view.camera, picture: view.picture()? })
+    }
+}
 
 /// For each view, the others, nearest first.
 pub fn nearest_views(views: &[View]) -> Vec<Vec<usize>> {
@@ -23,24 +44,18 @@ pub fn nearest_views(views: &[View]) -> Vec<Vec<usize>> {
 }
 
 /// The depth of pixel `pixel` of `view`, near the `assumed` one (camera-space z, world units), at which most of `others`
-/// have the pixel's colour; `None` if fewer than `least` agree at any depth.
-pub fn agreed_depth<'a>(
-    view: &View,
-    others: impl Iterator<Item = &'a View> + Clone,
-    pixel: usize,
-    assumed: f64,
-    least: usize,
-) -> Option<f64> {
+/// have the pixel's colour at a pixel that counts; `None` if fewer than `least` agree at any depth.
+pub fn agreed_depth(view: &Seen<'_>, others: &[Seen<'_>], pixel: usize, assumed: f64, least: usize) -> Option<f64> {
     let width = view.camera.width;
     let (x, y) = ((pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5);
-    let colour = colour(view, pixel);
+    let colour = view.picture.colour(pixel);
     let agreeing = |depth: f64| {
         let world = view.camera.unproject(x, y, depth);
-        let agrees = |other: &&View| {
+        let agrees = |other: &&Seen<'_>| {
             let Some((pixel, _)) = other.camera.pixel(world) else { return false };
-            is_same(self::colour(other, pixel), colour)
+            other.picture.counts(pixel) && is_same(other.picture.colour(pixel), colour)
         };
-        others.clone().filter(agrees).count()
+        others.iter().filter(agrees).count()
     };
     let mut best = (0, assumed);
     for factor in TRIED_DEPTHS {
@@ -50,11 +65,6 @@ pub fn agreed_depth<'a>(
         }
     }
     (best.0 >= least).then_some(best.1)
-}
-
-fn colour(view: &View, pixel: usize) -> [f32; 3] {
-    let area = view.camera.width * view.camera.height;
-    [0, 1, 2].map(|channel| view.picture.planes[channel * area + pixel])
 }
 
 fn is_same(a: [f32; 3], b: [f32; 3]) -> bool {
@@ -72,11 +82,12 @@ mod tests {
         let views = builtin(&options).train;
         let others = nearest_views(&views);
         let (depth, _) = builtin_geometry(&views[0].camera);
+        let asked: Vec<Seen> = others[0].iter().map(|&other| Seen::by(&views[other]).unwrap()).collect();
+        let own = Seen::by(&views[0]).unwrap();
         let (mut right, mut wrong, mut none) = (0, 0, 0);
         for pixel in (0..64 * 64).step_by(7) {
             let truth = f64::from(depth[pixel]);
-            let asked = others[0].iter().map(|&other| &views[other]);
-            match agreed_depth(&views[0], asked, pixel, truth * factor, least) {
+            match agreed_depth(&own, &asked, pixel, truth * factor, least) {
                 Some(depth) if (depth / truth - 1.0).abs() < 0.07 => right += 1,
                 Some(_) => wrong += 1,
                 None => none += 1,

@@ -90,7 +90,7 @@ impl Steps {
             remaining_views: Vec::new(),
             completed_steps: plan.begin + (PROGRESS * plan.steps as f64) as usize,
         };
-        let stage = stage::of_scene(plan, scene, &context);
+        let stage = stage::of_scene(plan, scene, &context)?;
         Ok(Self { scene: scene.clone(), context, stage, next: 0, pending: None })
     }
 
@@ -187,9 +187,9 @@ fn dataset(scene: &SceneData, cameras: &[Camera], device: &Device) -> dpges_core
     let renderer = Renderer::new(scene, device);
     let view = |(number, camera): (usize, &Camera)| -> dpges_core::Result<View> {
         let image = tensor_to_rows(renderer.render(camera)?.image());
-        let planes = image.into_iter().map(|value| DARKER * value.clamp(0.0, 1.0)).collect();
-        let picture = Picture { width: camera.width, height: camera.height, planes, alpha: None };
-        Ok(View { name: format!("view_{number:03}"), camera: *camera, picture })
+        let planes: Vec<f32> = image.into_iter().map(|value| DARKER * value.clamp(0.0, 1.0)).collect();
+        let photograph = Picture::from_planes(&planes, camera.width, camera.height).into();
+        Ok(View { name: format!("view_{number:03}"), camera: *camera, photograph })
     };
     Ok(Dataset {
         train: cameras.iter().enumerate().map(view).collect::<dpges_core::Result<_>>()?,
@@ -201,5 +201,6 @@ fn dataset(scene: &SceneData, cameras: &[Camera], device: &Device) -> dpges_core
         background: scene.info.background,
         format: Format::Builtin,
         near: scene.info.near,
+        spare_memory: usize::MAX,
     })
 }

@@ -229,7 +229,7 @@ impl Stage for BlendedStage {
             None => rendered,
         };
         let rgb = rgb(rendered.image.clone(), input.target.clone(), context.config.train.lambda_dssim)?;
-        let total = weights.add(rgb.clone(), gaussians, &rendered, camera);
+        let total = weights.add(rgb.clone(), gaussians, &rendered, camera, input.target.mask.as_ref());
         let none = Tensor::zeros([1], (&tape, DType::F32));
         let losses = Losses { rgb, surfel: none.clone(), scale: none.clone(), transmittance: none, total };
         Ok(ForwardPass { losses, image: rendered.image, probe })

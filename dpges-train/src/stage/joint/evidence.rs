@@ -1,6 +1,8 @@
 //! Surfels have to earn their place: they enter where trained Gaussians agree about a surface, and leave where pictures are
 //! better without them.
 
+use std::sync::Arc;
+
 use burn::tensor::{DType, Tensor};
 use dpges_core::losses::geometry::expected_depth;
 use dpges_core::ops::blend::Maps;
@@ -13,9 +15,10 @@ use dpges_core::scene::{GaussianData, Gaussians, Rendering, SceneInfo, ScreenFil
 use super::super::{Context, TrainError};
 use super::JointStage;
 use super::refine::squared_error;
-use crate::dataset::View;
-use crate::init::fusion::{DepthView, FusionRule, surface_points};
+use crate::dataset::{Masked, View, pictures};
+use crate::init::fusion::{CHECKED_VIEWS, DepthViews, FusionRule, surface_points};
 use crate::init::surfels_at;
+use crate::recent::Recent;
 use crate::refine::RowEdit;
 use crate::refine::worth::{Worths, members};
 
@@ -41,7 +44,7 @@ impl Context {
     /// Surfels on the surfaces that blended `gaussians` show to several training views. Margins are zero.
     ///
     /// # Errors
-    /// [`TrainError::Core`] if the Gaussians cannot be rendered.
+    /// [`TrainError::Core`] if the Gaussians cannot be rendered, or a photograph not be read again.
     pub fn surfels_of_depth(
         &mut self,
         gaussians: &GaussianData,
@@ -53,25 +56,33 @@ impl Context {
         let gaussians = Gaussians::from_data(gaussians, &self.device, DType::F32);
         let mut options = BlendedOptions::new(&info)?;
         options.blend.maps = true;
-        let mut views = Vec::with_capacity(dataset.train.len());
-        for view in &dataset.train {
-            let rendered = render_blended(&gaussians, None, &view.camera, &options, Values::KnownFinite)?;
-            let alpha = rendered.blend.alpha;
-            let Some(Maps { depth, median_depth, .. }) = rendered.blend.maps else {
-                unreachable!("maps were asked for")
-            };
-            let mean = tensor_to_rows(&expected_depth(depth, alpha.clone()));
-            let depth = certain(&tensor_to_rows(&alpha), &mean, tensor_to_rows(&median_depth));
-            views.push(DepthView { camera: &view.camera, depth, photograph: &view.picture.planes });
-        }
-        let mut points = surface_points(&views, STRIDES_PX[0], RULE);
+        // those that are checked beside one stay, whatever the room
+        let maps = Recent::new(dataset.spare_memory, CHECKED_VIEWS + 1);
+        let depth = |index: usize| -> dpges_core::Result<Arc<Vec<f32>>> {
+            let view = &dataset.train[index];
+            maps.get(index, size_of::<f32>() * view.camera.width * view.camera.height, || {
+                let rendered = render_blended(&gaussians, None, &view.camera, &options, Values::KnownFinite)?;
+                let alpha = rendered.blend.alpha;
+                let Some(Maps { depth, median_depth, .. }) = rendered.blend.maps else {
+                    unreachable!("maps were asked for")
+                };
+                let mean = tensor_to_rows(&expected_depth(depth, alpha.clone()));
+                let mut depth = certain(&tensor_to_rows(&alpha), &mean, tensor_to_rows(&median_depth));
+                view.picture()?.clear_ignored(&mut depth);
+                Ok(depth)
+            })
+        };
+        let picture = |index: usize| dataset.train[index].picture();
+        let cameras = dataset.train.iter().map(|view| &view.camera).collect();
+        let views = DepthViews { cameras, depth: &depth, picture: &picture };
+        let mut points = surface_points(&views, STRIDES_PX[0], RULE)?;
         let mut stride_px = STRIDES_PX[0];
         for stride in &STRIDES_PX[1..] {
             if points.positions.len() <= most {
                 break;
             }
             stride_px = *stride;
-            points = surface_points(&views, stride_px, RULE);
+            points = surface_points(&views, stride_px, RULE)?;
         }
         let found = points.positions.len();
         let points = crate::init::sfm::usable_points(&points, most, &mut self.rng);
@@ -116,13 +127,14 @@ impl JointStage {
         self.surfels.keep(&rows);
         self.measure_surfel_limit(context);
         self.statistics.keep_surfels(&rows);
-        let pixels = judging_views(context).map(|view| 3 * view.camera.width * view.camera.height).sum::<usize>();
+        let judging = Masked::of(judging_views(context));
+        let pixels = 3 * (judging.pixels - judging.ignored_pixels);
         let mean = |squares: f64| squares / pixels.max(1) as f64;
         Ok(Some(format!(
             "{removed} of {} surfels removed that cost a squared error of {:.2e} per value of {} views; the others save {:.2e}",
             surfels.len(),
             mean(-lost),
-            judging_views(context).count(),
+            judging.views,
             mean(saved)
         )))
     }
@@ -159,15 +171,14 @@ fn judged(
         (on_device(&surfels.select(&others)), left_out)
     });
     let groups: Vec<_> = groups.collect();
-    for view in judging_views(context) {
-        let target = view.target(device);
-        let error = |render: &Render, target: Tensor<3>| squared_error(render, target);
+    for (view, picture) in pictures(judging_views(context)) {
+        let target = picture?.target(device);
         let with = render(&all, view)?;
         let area = view.camera.width * view.camera.height;
         let nearest: Vec<i32> = with.layers.ids.clone().into_data().iter::<i32>().take(area).collect();
-        let with = error(&with, target.clone());
+        let with = squared_error(&with, &target);
         for (others, left_out) in &groups {
-            let without = error(&render(others, view)?, target.clone());
+            let without = squared_error(&render(others, view)?, &target);
             worths.add(&nearest, &with, &without, left_out);
         }
     }
