@@ -10,7 +10,7 @@ mod builtin;
 mod colmap;
 mod error;
 #[cfg(test)]
-mod fixtures;
+pub(crate) mod fixtures;
 mod images;
 mod lens;
 mod nerfstudio;
@@ -28,6 +28,7 @@ use dpges_core::camera::Camera;
 use glam::DVec3;
 
 pub use builtin::{BuiltinOptions, builtin, builtin_geometry};
+pub(crate) use colmap::{ModelContent, model_content};
 pub use error::DatasetError;
 pub use images::Picture;
 
