@@ -12,6 +12,7 @@
 //! | burn-wgpu | feature `gpu`: the graphics adapters of the machine |
 //! | glam | poses in f64 |
 //! | image, serde-ply | photographs; the points of nerfstudio datasets |
+//! | kamadak-exif | which camera and lens took a photograph |
 //! | kiddo | nearest neighbours: point spacing, margins, splits |
 //! | nalgebra | eigenvectors: the normals of points |
 //! | rand, rand_chacha | random numbers that a checkpoint can hold |
@@ -43,6 +44,8 @@ pub mod refine;
 pub mod rendered;
 pub mod run;
 pub mod scene_state;
+pub mod sfm;
+pub mod sharpness;
 pub mod sight;
 pub mod simplify;
 pub mod splat_fit;

@@ -22,6 +22,7 @@ mod render;
 mod rendering_preset;
 mod selftest;
 mod series;
+mod sfm;
 mod trade;
 mod train;
 #[cfg(feature = "viewer")]
@@ -55,6 +56,7 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Train(train::TrainArgs),
+    Sfm(sfm::SfmArgs),
     Ablate(ablate::AblateArgs),
     Compare(compare::CompareArgs),
     Trade(trade::TradeArgs),
@@ -134,6 +136,7 @@ pub fn run() -> ExitCode {
     keep_lines_whole();
     let result = match cli.command {
         Command::Train(args) => train::run(args, style),
+        Command::Sfm(args) => sfm::run(&args, style),
         Command::Ablate(args) => ablate::run(&args, style),
         Command::Compare(args) => compare::run(&args, style),
         Command::Trade(args) => trade::run(&args, style),

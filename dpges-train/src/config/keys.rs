@@ -7,8 +7,8 @@ use dpges_core::scene::{ColourModel, Footprint, MarginLookup, OpacityActivation}
 
 use super::budget::Budget;
 use super::choices::{
-    AddAs, Alpha, Background, Environment, GaussianStage, InitMethod, JointOpacity, Margin, Method, PixelsOf, Stop,
-    SurfelStart,
+    AddAs, Alpha, Background, Environment, GaussianStage, InitMethod, JointOpacity, Margin, Method, PixelsOf,
+    SfmCamera, SfmMatching, SfmProgram, Stop, SurfelStart,
 };
 use super::declare::{Ablation, Key, Section, Value, configuration, optional};
 use super::memory::Memory;
@@ -38,6 +38,14 @@ configuration! {
         memory: Memory = Memory::Auto;
         /// Near plane of every camera. 0 takes the default of the dataset's format.
         near: f64 = 0.0, unit: "world units", range: 0.0..;
+        /// Which program places the cameras of photographs without cameras.
+        sfm: SfmProgram = SfmProgram::Colmap;
+        /// Which camera model it fits to them.
+        sfm_camera: SfmCamera = SfmCamera::OpenCv;
+        /// Which pairs of them it compares.
+        sfm_matching: SfmMatching = SfmMatching::Auto;
+        /// Largest number of frames of a video that become photographs. Of neighbouring frames the sharpest is taken.
+        video_frames: usize = 150, unit: "frames", range: 3..;
     }
 
     /// Length, losses and output of a run.
