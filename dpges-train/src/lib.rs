@@ -26,6 +26,7 @@
 //! | clap, ctrlc, indicatif, tracing, tracing-indicatif, tracing-subscriber | the command line |
 //! | mimalloc | the binary's allocator |
 
+pub mod check;
 pub mod compress;
 pub mod config;
 pub mod dataset;
@@ -35,6 +36,7 @@ pub mod eval;
 pub mod init;
 pub mod memory;
 pub mod metrics;
+mod names;
 pub mod neighbours;
 pub mod optimizer;
 pub mod pictures;

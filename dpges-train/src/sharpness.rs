@@ -39,7 +39,7 @@ impl Luma {
     }
 
     /// The mean of each block of 2 × 2 px; at a side of odd length the last column or row is left out.
-    fn halved(&self) -> Self {
+    pub fn halved(&self) -> Self {
         let (width, height) = ((self.width / 2).max(1), (self.height / 2).max(1));
         let at = |x: usize, y: usize| self.values[y.min(self.height - 1) * self.width + x.min(self.width - 1)];
         let mean = |x: usize, y: usize| {
@@ -70,6 +70,24 @@ impl Luma {
         let count = ((width - 2) * (height - 2)) as f64;
         (squares / count - (sum / count).powi(2)).max(0.0)
     }
+
+    /// Mean squares of the second differences along rows and along columns: how much detail of the size of a pixel there is
+    /// in each direction. 0 where there are fewer than 3 px.
+    pub fn detail(&self) -> [f64; 2] {
+        let (width, height) = (self.width, self.height);
+        let mean = |columns: usize, rows: usize, step: usize| {
+            let mut sum = 0.0;
+            for y in 0..rows {
+                for x in 0..columns {
+                    let at = y * width + x;
+                    let difference = self.values[at] + self.values[at + 2 * step] - 2.0 * self.values[at + step];
+                    sum += f64::from(difference * difference);
+                }
+            }
+            sum / (columns * rows).max(1) as f64
+        };
+        [mean(width.saturating_sub(2), height, 1), mean(width, height.saturating_sub(2), width)]
+    }
 }
 
 #[cfg(test)]
@@ -90,6 +108,15 @@ mod tests {
         assert!(soft > 0.0 && soft < 0.1 * edge, "{soft}");
         assert!(luma(8, 8, |x, y| (x + y) as f32 / 16.0).laplacian_variance() < 1e-12);
         assert_eq!(luma(2, 9, |x, _| x as f32).laplacian_variance(), 0.0);
+    }
+
+    #[test]
+    fn detail_has_directions() {
+        let columns = luma(6, 4, |x, _| (x % 2) as f32);
+        assert_eq!(columns.detail(), [4.0, 0.0]);
+        let rows = luma(4, 6, |_, y| (y % 2) as f32);
+        assert_eq!(rows.detail(), [0.0, 4.0]);
+        assert_eq!(luma(2, 1, |x, _| x as f32).detail(), [0.0; 2]);
     }
 
     #[test]

@@ -112,6 +112,8 @@ fn photographs_are_trained_on_as_if_they_were_a_dataset() {
     assert!(!log.contains("features:"), "{log}");
     ok(at, &["train", "room", "--resume"]);
     ok(at, &["eval", "runs/room", "--quiet"]);
+    let (report, _) = ok(at, &["data", "room"]);
+    assert!(report.contains("6 for training, 1 held out") && report.contains("! there are only 6"), "{report}");
     assert_eq!(calls(at), ALL, "it is done once");
     assert_eq!(std::fs::read_dir(at.join("room")).unwrap().count(), PHOTOGRAPHS, "the photographs are left alone");
 }

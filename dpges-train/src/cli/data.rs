@@ -12,7 +12,7 @@ use dpges_train::run::folder::RunFolder;
 use dpges_train::run::metrics_log::MetricsLog;
 use glam::{DVec3, Vec3};
 
-use super::{Failure, Result, sfm};
+use super::{Failure, Result, inspect, sfm};
 
 /// Name of the scene that needs no files.
 pub const BUILTIN: &str = "builtin";
@@ -78,6 +78,9 @@ impl Source {
     /// The dataset of a run: without the views that are kept for its decisions.
     pub fn load_for_training(&self, config: &Config) -> Result<Dataset> {
         let mut dataset = self.load(&config.data)?;
+        if let Self::Folder(_) = self {
+            inspect::warn(&dataset);
+        }
         let every = config.validation_every();
         dataset.keep_for_validation(every);
         if every > 0 {

@@ -15,6 +15,8 @@ mod export;
 mod export_html;
 mod frame_times;
 mod info;
+mod inspect;
+mod letters;
 mod lpips;
 #[cfg(test)]
 mod reference;
@@ -57,6 +59,7 @@ struct Cli {
 enum Command {
     Train(train::TrainArgs),
     Sfm(sfm::SfmArgs),
+    Data(inspect::InspectArgs),
     Ablate(ablate::AblateArgs),
     Compare(compare::CompareArgs),
     Trade(trade::TradeArgs),
@@ -137,6 +140,7 @@ pub fn run() -> ExitCode {
     let result = match cli.command {
         Command::Train(args) => train::run(args, style),
         Command::Sfm(args) => sfm::run(&args, style),
+        Command::Data(args) => inspect::run(&args, style),
         Command::Ablate(args) => ablate::run(&args, style),
         Command::Compare(args) => compare::run(&args, style),
         Command::Trade(args) => trade::run(&args, style),

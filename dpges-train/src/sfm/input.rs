@@ -13,6 +13,7 @@ use serde_json::{Value, json};
 use super::FEWEST;
 use super::error::{SfmError, io};
 use crate::dataset;
+use crate::names::list;
 
 /// Pictures that are read.
 const PHOTOGRAPHS: [&str; 3] = ["jpg", "jpeg", "png"];
@@ -126,14 +127,6 @@ fn files(folder: &Path, extensions: &[&str]) -> Vec<String> {
         .collect();
     names.sort();
     names
-}
-
-/// At most eight of the names.
-pub(super) fn list(names: &[String]) -> String {
-    match names.len() {
-        0..=8 => names.join(", "),
-        more => format!("{} and {} more", names[..8].join(", "), more - 8),
-    }
 }
 
 pub(super) fn unread_warning(unread: &[String]) -> String {

@@ -4,10 +4,10 @@ use std::path::{Path, PathBuf};
 
 use super::FEWEST;
 use super::error::{SfmError, io};
-use super::input::list;
 use super::step::Step;
 use super::workspace::{Workspace, file_names, replace};
 use crate::dataset::{ModelContent, model_content};
+use crate::names::list;
 
 /// Share of the photographs that must have found a place, or there is a warning.
 const ENOUGH: f64 = 0.5;

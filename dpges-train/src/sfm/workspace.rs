@@ -19,8 +19,8 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::error::{SfmError, io};
-use super::input::list;
 use super::step::Step;
+use crate::names::list;
 use crate::run::folder::write_json;
 
 pub(super) struct Workspace {
