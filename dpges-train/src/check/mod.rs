@@ -58,8 +58,11 @@ pub struct Report {
 
 impl Report {
     /// Of `dataset`.
-    pub fn of(dataset: &Dataset, effort: Effort) -> Self {
-        let views = view::facts(dataset, effort);
+    ///
+    /// # Errors
+    /// [`dpges_core::Error::Io`] if a photograph cannot be read again.
+    pub fn of(dataset: &Dataset, effort: Effort) -> dpges_core::Result<Self> {
+        let views = view::facts(dataset, effort)?;
         let seen: usize = dataset.points.seen_by.iter().map(Vec::len).sum();
         let points = dataset.points.positions.len();
         let mut findings = Vec::new();
@@ -72,7 +75,8 @@ impl Report {
         findings.extend(duplicates::duplicates(&views));
         findings.extend(points::unexplained(&views));
         findings.extend(finding::few_views(&views));
-        Self { views, points, views_per_point: (seen > 0).then(|| seen as f64 / points as f64), findings }
+        let views_per_point = (seen > 0).then(|| seen as f64 / points as f64);
+        Ok(Self { views, points, views_per_point, findings })
     }
 
     /// Whether a finding names the view.

@@ -73,7 +73,10 @@ struct Pixels {
 }
 
 /// Of training, held-out and validation views.
-pub(super) fn facts(dataset: &Dataset, effort: Effort) -> Vec<ViewFacts> {
+///
+/// # Errors
+/// [`dpges_core::Error::Io`] if a photograph cannot be read again.
+pub(super) fn facts(dataset: &Dataset, effort: Effort) -> dpges_core::Result<Vec<ViewFacts>> {
     let train = dataset.train.iter().map(|view| (Role::Train, view));
     let test = dataset.test.iter().map(|view| (Role::Test, view));
     let validation = dataset.validation.iter().map(|view| (Role::Validation, view));
@@ -88,14 +91,16 @@ pub(super) fn facts(dataset: &Dataset, effort: Effort) -> Vec<ViewFacts> {
         .step_by(dataset.points.positions.len().div_ceil(MOST_POINTS).max(1))
         .map(|position| DVec3::from_array(position.map(f64::from)))
         .collect();
-    let measured = views.par_iter().enumerate().map(|(index, &(role, view))| {
+    let measured = views.par_iter().enumerate().map(|(index, &(role, view))| -> dpges_core::Result<_> {
         let seen: Option<&[u32]> = seen.get(index).map(Vec::as_slice);
         let facts = of_points(dataset, role, view, seen, &some);
-        (facts, looks.then(|| of_pixels(dataset, view, seen.unwrap_or_default())))
+        let pixels = if looks { Some(of_pixels(dataset, view, seen.unwrap_or_default())?) } else { None };
+        Ok((facts, pixels))
     });
-    let (mut facts, pixels): (Vec<ViewFacts>, Vec<Option<Pixels>>) = measured.unzip();
+    let measured: Vec<_> = measured.collect::<dpges_core::Result<_>>()?;
+    let (mut facts, pixels): (Vec<ViewFacts>, Vec<Option<Pixels>>) = measured.into_iter().unzip();
     relate(&mut facts, pixels);
-    facts
+    Ok(facts)
 }
 
 fn of_points(dataset: &Dataset, role: Role, view: &View, seen: Option<&[u32]>, some: &[DVec3]) -> ViewFacts {
@@ -115,12 +120,12 @@ fn of_points(dataset: &Dataset, role: Role, view: &View, seen: Option<&[u32]>, s
     }
 }
 
-fn of_pixels(dataset: &Dataset, view: &View, seen: &[u32]) -> Pixels {
-    let picture = &view.picture;
-    let luma = Luma::of(picture);
+fn of_pixels(dataset: &Dataset, view: &View, seen: &[u32]) -> dpges_core::Result<Pixels> {
+    let picture = view.picture()?;
+    let luma = Luma::of(&picture);
     let detail = [luma.detail(), luma.halved().detail()];
-    let exposure = exposure::of_view(&view.camera, picture, &dataset.points, seen);
-    Pixels { detail, exposure, thumbnail: Thumbnail::of(&luma) }
+    let exposure = exposure::of_view(&view.camera, &picture, &dataset.points, seen);
+    Ok(Pixels { detail, exposure, thumbnail: Thumbnail::of(&luma) })
 }
 
 /// Compares each view with the median of all.

@@ -79,7 +79,7 @@ impl Source {
     pub fn load_for_training(&self, config: &Config) -> Result<Dataset> {
         let mut dataset = self.load(&config.data)?;
         if let Self::Folder(_) = self {
-            inspect::warn(&dataset);
+            inspect::warn(&dataset)?;
         }
         let every = config.validation_every();
         dataset.keep_for_validation(every);

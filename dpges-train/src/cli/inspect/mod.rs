@@ -44,7 +44,7 @@ pub fn run(args: &InspectArgs, style: LogStyle) -> Result<()> {
     sfm::prepare(Some(&args.dataset), &config, style)?;
     let source = Source::named(Some(&args.dataset));
     let dataset = source.load(&config)?;
-    let report = Report::of(&dataset, Effort::Full);
+    let report = Report::of(&dataset, Effort::Full)?;
     print(&summary(&source, &dataset, &report))?;
     if let Some(path) = &args.json {
         write_json(path, &report)?;
@@ -56,10 +56,11 @@ pub fn run(args: &InspectArgs, style: LogStyle) -> Result<()> {
 }
 
 /// Warns of what can be found in seconds.
-pub fn warn(dataset: &Dataset) {
-    for finding in Report::of(dataset, Effort::Quick).findings {
+pub fn warn(dataset: &Dataset) -> Result<()> {
+    for finding in Report::of(dataset, Effort::Quick)?.findings {
         tracing::warn!("{finding}");
     }
+    Ok(())
 }
 
 /// Writes the pictures; returns their paths, one a line.
@@ -67,12 +68,16 @@ fn write(out: &Path, dataset: &Dataset, report: &Report) -> Result<String> {
     std::fs::create_dir_all(out).map_err(|error| {
         Failure::with_help(format!("cannot make folder {}: {error}", out.display()), "name another one with --out")
     })?;
-    let drawn = |text: String| Failure::with_help(text, "this is a fault of the program");
     let (sheet, map) = (out.join("contact_sheet.png"), out.join("cameras.svg"));
-    save_png(&sheet::contact_sheet(dataset, report).map_err(drawn)?, &sheet)?;
-    let svg = map::svg(&Map::of(dataset, report)).map_err(drawn)?;
+    save_png(&sheet::contact_sheet(dataset, report)?, &sheet)?;
+    let svg = map::svg(&Map::of(dataset, report)).map_err(fault)?;
     write_atomically(&map, |file| file.write_all(svg.as_bytes()))?;
     Ok(format!("\n{}\n{}\n", sheet.display(), map.display()))
+}
+
+/// Of what could not be drawn.
+fn fault(text: String) -> Failure {
+    Failure::with_help(text, "this is a fault of the program")
 }
 
 fn summary(source: &Source, dataset: &Dataset, report: &Report) -> String {
@@ -151,7 +156,7 @@ mod tests {
         let options =
             BuiltinOptions { width: 48, height: 32, train_views: 4, test_views: 2, points: 800, ..Default::default() };
         let dataset = builtin(&options);
-        let text = summary(&Source::Builtin, &dataset, &Report::of(&dataset, Effort::Full));
+        let text = summary(&Source::Builtin, &dataset, &Report::of(&dataset, Effort::Full).unwrap());
         for part in [
             "dataset      builtin: built-in\n",
             "views        4 for training, 2 held out\n",
@@ -165,14 +170,14 @@ mod tests {
             assert!(text.contains(part), "{part}: {text}");
         }
         let clean = builtin(&BuiltinOptions::default());
-        let text = summary(&Source::Builtin, &clean, &Report::of(&clean, Effort::Full));
+        let text = summary(&Source::Builtin, &clean, &Report::of(&clean, Effort::Full).unwrap());
         assert!(text.ends_with("Nothing is wrong with it.\n"), "{text}");
     }
 
     #[test]
     fn sizes_are_counted() {
         let dataset = Source::Builtin.load(&DataConfig { max_resolution: 16, ..DataConfig::default() }).unwrap();
-        let mut views = Report::of(&dataset, Effort::Quick).views;
+        let mut views = Report::of(&dataset, Effort::Quick).unwrap().views;
         views.truncate(5);
         let of = |views: &[ViewFacts]| counted(views, |view| format!("{} px", view.camera.width));
         assert_eq!(of(&views), "16 px");

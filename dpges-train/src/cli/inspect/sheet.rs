@@ -6,7 +6,9 @@ use dpges_train::dataset::{Dataset, View};
 use plotters::prelude::{BitMapBackend, Color, IntoDrawingArea, IntoFont, RGBColor, Rectangle, Text};
 use rayon::prelude::*;
 
+use super::super::Result;
 use super::super::letters::{self, FAMILY};
+use super::fault;
 
 /// Photographs on a sheet at most: those that are marked, and an even choice of the others.
 const MOST: usize = 400;
@@ -27,8 +29,8 @@ const MARK: RGBColor = RGBColor(220, 30, 30);
 /// The photographs of `dataset` by the order of the views of `report`.
 ///
 /// # Errors
-/// What cannot be drawn.
-pub fn contact_sheet(dataset: &Dataset, report: &Report) -> Result<Rgb8Image, String> {
+/// If a photograph cannot be read again, or the sheet not be drawn.
+pub fn contact_sheet(dataset: &Dataset, report: &Report) -> Result<Rgb8Image> {
     let views: Vec<&View> = dataset.train.iter().chain(&dataset.test).chain(&dataset.validation).collect();
     let step = views.len().div_ceil(MOST).max(1);
     let is_marked = |view: &View| report.is_flagged(&view.name);
@@ -38,7 +40,11 @@ pub fn contact_sheet(dataset: &Dataset, report: &Report) -> Result<Rgb8Image, St
         .filter(|(index, view)| index % step == 0 || is_marked(view))
         .map(|(_, view)| view)
         .collect();
-    let small: Vec<Rgb8Image> = chosen.par_iter().map(|view| small(view)).collect();
+    let small: Vec<Rgb8Image> = chosen.par_iter().map(|view| small(view)).collect::<dpges_core::Result<_>>()?;
+    drawn(&chosen, &small, is_marked).map_err(fault)
+}
+
+fn drawn(chosen: &[&View], small: &[Rgb8Image], is_marked: impl Fn(&View) -> bool) -> Result<Rgb8Image, String> {
     let columns = COLUMNS.min(chosen.len()).max(1);
     let rows = chosen.len().div_ceil(columns);
     let (cell_width, cell_height) = (SIDE + 2 * FRAME + SPACE, SIDE + 2 * FRAME + NAME + SPACE);
@@ -51,7 +57,7 @@ pub fn contact_sheet(dataset: &Dataset, report: &Report) -> Result<Rgb8Image, St
         let draw = || -> Result<(), Box<dyn std::error::Error>> {
             area.fill(&PAPER)?;
             let font = (FAMILY, LETTERS).into_font();
-            for (index, (view, small)) in chosen.iter().zip(&small).enumerate() {
+            for (index, (view, small)) in chosen.iter().zip(small).enumerate() {
                 let (x, y) = place(index, columns);
                 let (right, bottom) = (x + small.width + 2 * FRAME, y + small.height + 2 * FRAME);
                 if is_marked(view) {
@@ -94,17 +100,17 @@ fn short(name: &str) -> String {
 }
 
 /// A photograph of at most 150 px; each pixel is the mean of those that it stands for.
-fn small(view: &View) -> Rgb8Image {
-    let picture = &view.picture;
+fn small(view: &View) -> dpges_core::Result<Rgb8Image> {
+    let picture = view.picture()?;
     let (width, height) = (picture.width, picture.height);
     let longer = width.max(height);
     let along = |length: usize| if longer <= SIDE { length } else { (length * SIDE / longer).max(1) };
     let (columns, rows) = (along(width), along(height));
-    let area = width * height;
+    let (area, planes) = (width * height, picture.planes());
     let mean = |channel: usize, column: usize, row: usize| {
         let (x, y) = (column * width / columns, row * height / rows);
         let (right, bottom) = ((column + 1) * width / columns, (row + 1) * height / rows);
-        let plane = &picture.planes[channel * area..][..area];
+        let plane = &planes[channel * area..][..area];
         let sum: f32 = (y..bottom).map(|y| plane[y * width + x..y * width + right].iter().sum::<f32>()).sum();
         sum / ((right - x) * (bottom - y)) as f32
     };
@@ -112,7 +118,7 @@ fn small(view: &View) -> Rgb8Image {
     let planes: Vec<f32> = (0..3)
         .flat_map(|channel| (0..rows * columns).map(move |pixel| mean(channel, pixel % columns, pixel / columns)))
         .collect();
-    Rgb8Image::from_planes(&planes, columns, rows)
+    Ok(Rgb8Image::from_planes(&planes, columns, rows))
 }
 
 #[cfg(test)]
@@ -126,7 +132,7 @@ mod tests {
     fn all_photographs_are_there_and_those_that_were_found_are_marked() {
         let options = BuiltinOptions { width: 300, height: 200, train_views: 9, test_views: 1, ..Default::default() };
         let dataset = builtin(&BuiltinOptions { points: 10, supersampling: 1, ..options });
-        let mut report = Report::of(&dataset, Effort::Quick);
+        let mut report = Report::of(&dataset, Effort::Quick).unwrap();
         report.findings = vec![Finding {
             kind: Kind::Blurred,
             views: vec!["train_008".to_owned()],
@@ -140,7 +146,7 @@ mod tests {
         // the ninth is the first of the second row
         assert_eq!(pixel(11, 10 + 186 + 20), mark);
         assert_ne!(pixel(11, 10 + 20), mark);
-        let expected = small(&dataset.train[0]);
+        let expected = small(&dataset.train[0]).unwrap();
         assert_eq!((expected.width, expected.height), (150, 100));
         assert_eq!(pixel(10 + FRAME + 70, 10 + FRAME + 50)[..], expected.bytes[3 * (50 * 150 + 70)..][..3]);
         let dark = |x: usize, y: usize| pixel(x, y)[0] < 200;
