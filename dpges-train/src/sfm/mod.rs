@@ -110,19 +110,18 @@ pub fn reconstruct(request: &Request, observer: &mut dyn Observer) -> Result<Out
         reconstruction.check_programs(Step::ALL[0])?;
     }
     let mut workspace = Workspace::open(request.dataset)?;
-    let mut is_changed = false;
-    for step in Step::ALL {
+    let Some(first) = reconstruction.first_to_do(&workspace)? else {
+        return model::outcome(&workspace);
+    };
+    if workspace.is_finished() && !request.overwrite {
+        return Err(SfmError::Changed { dataset: request.dataset.to_owned(), what: first.depends_on() });
+    }
+    let first = workspace.with_what_it_needs(first);
+    if !is_new {
+        reconstruction.check_programs(first)?;
+    }
+    for step in Step::ALL.into_iter().filter(|&step| step >= first) {
         let key = reconstruction.key(step, &workspace)?;
-        if !is_changed && workspace.is_done(step, &key) {
-            continue;
-        }
-        if !is_changed && workspace.is_finished() && !request.overwrite {
-            return Err(SfmError::Changed { dataset: request.dataset.to_owned(), what: step.depends_on() });
-        }
-        if !is_changed && !is_new {
-            reconstruction.check_programs(step)?;
-        }
-        is_changed = true;
         let start = Instant::now();
         workspace.begin(step, key)?;
         reconstruction.observer.begin(step);
@@ -142,6 +141,16 @@ struct Reconstruction<'a> {
 }
 
 impl Reconstruction<'_> {
+    /// The first step whose result is not there, or depends on what has changed since.
+    fn first_to_do(&self, workspace: &Workspace) -> Result<Option<Step>, SfmError> {
+        for step in Step::ALL {
+            if !workspace.is_done(step, &self.key(step, workspace)?) {
+                return Ok(Some(step));
+            }
+        }
+        Ok(None)
+    }
+
     /// What the result of a step depends on, besides the steps before it.
     fn key(&self, step: Step, workspace: &Workspace) -> Result<Value, SfmError> {
         let options = self.request.options;

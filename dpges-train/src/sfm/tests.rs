@@ -159,6 +159,10 @@ fn photographs_become_a_dataset_once() {
     std::fs::remove_dir_all(outcome.dataset.join("sfm/models")).unwrap();
     let left = stage.reconstruct().unwrap();
     assert_eq!((left.placed(), left.models.len(), stage.calls().len()), (5, 0, 3), "the model is what matters");
+    std::fs::remove_dir_all(outcome.dataset.join("sparse")).unwrap();
+    let (result, heard) = stage.try_to(&stage.path("room"), false);
+    assert_eq!(result.unwrap().placed(), 5);
+    assert_eq!(heard.steps, Step::ALL[1..], "what the model needs is made again");
 }
 
 #[test]

@@ -95,21 +95,26 @@ impl Workspace {
         self.root.join("sfm").join(name)
     }
 
-    /// Whether there is a model.
+    /// Whether there is a model, and nothing is left to do.
     pub fn is_finished(&self) -> bool {
-        self.sparse().is_dir()
+        let model = self.record.steps.get(&Step::Model);
+        self.sparse().is_dir() && model.is_some_and(|entry| entry.seconds.is_some())
     }
 
-    /// Whether the result of `step` is there and depends on `key`. What only a model is made of may have been removed once
-    /// that is there.
+    /// Whether `step` has been done, depending on `key`. What only later steps need may have been removed since.
     pub fn is_done(&self, step: Step, key: &Value) -> bool {
         let is_there = match step {
             Step::Pictures => self.images().is_dir(),
-            Step::Features | Step::Matches => self.is_finished() || self.database().is_file(),
-            Step::Mapping => self.is_finished() || self.models().is_dir(),
-            Step::Model => self.is_finished(),
+            Step::Model => self.sparse().is_dir(),
+            Step::Features | Step::Matches | Step::Mapping => true,
         };
         is_there && self.record.steps.get(&step).is_some_and(|entry| entry.key == *key && entry.seconds.is_some())
+    }
+
+    /// `step`, or the step before it whose result it needs and that has been removed.
+    pub fn with_what_it_needs(&self, step: Step) -> Step {
+        let step = if step > Step::Mapping && !self.models().is_dir() { Step::Mapping } else { step };
+        if step > Step::Features && step <= Step::Mapping && !self.database().is_file() { Step::Features } else { step }
     }
 
     /// Notes that `step` is not done, nor those after it, and removes what they left, unless this step goes on.
@@ -270,6 +275,7 @@ mod tests {
         assert!(file_names(&workspace.models()).unwrap().is_empty(), "models of an interrupted mapping are not kept");
         workspace.end(Step::Mapping, 2.0).unwrap();
         std::fs::create_dir(workspace.sparse()).unwrap();
+        assert!(!workspace.is_finished(), "it was interrupted before it noted that the model is there");
         assert_eq!(workspace.seconds(), [(Step::Features, 1.5), (Step::Mapping, 2.0)]);
 
         workspace.begin(Step::Features, key("b")).unwrap();
