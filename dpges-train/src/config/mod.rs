@@ -155,7 +155,8 @@ mod tests {
     #[test]
     fn zeros_and_auto_leave_the_choice_to_the_dataset() {
         let options = DataConfig { max_resolution: 0, ..Default::default() }.load_options();
-        assert_eq!(options, LoadOptions::default());
+        let memory = Memory::Auto.bytes();
+        assert_eq!(options, LoadOptions { memory, ..LoadOptions::default() });
         let data =
             DataConfig { background: Background::Colour([1.0; 3]), image_scale: 4, near: 0.5, ..Default::default() };
         let options = data.load_options();

@@ -153,11 +153,10 @@ mod tests {
             let picture = resample(&photograph(&lens), &lens, &pinhole);
             let pixels = lens.width * lens.height;
             let mut worst = 0f32;
-            let planes = picture.planes();
-            for i in 0..3 * pixels {
+            for (i, value) in picture.planes().into_iter().enumerate() {
                 let x = ((i % pixels % lens.width) as f64 + 0.5 - pinhole.cx) / pinhole.fx;
                 let y = ((i % pixels / lens.width) as f64 + 0.5 - pinhole.cy) / pinhole.fy;
-                worst = worst.max((planes[i] - pattern(i / pixels, x, y)).abs());
+                worst = worst.max((value - pattern(i / pixels, x, y)).abs());
             }
             // rounded to steps of 1/255 twice
             assert!(worst < 2e-3 + 1.01 / 255.0, "{worst}");
