@@ -119,6 +119,8 @@ mod tests {
             for choice in key.choices {
                 let example = match choice.name {
                     "N" => "2",
+                    "sbN" => "sb2",
+                    "shN" => "sh2",
                     "NMB" => "2MB",
                     "NGB" => "2GB",
                     "r,g,b" => "0,0.5,1",
