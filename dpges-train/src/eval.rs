@@ -14,8 +14,9 @@ use dpges_render::Rgb8Image;
 use serde::{Deserialize, Serialize};
 
 use crate::dataset::{Picture, View};
+use crate::exposure::Correction;
 use crate::metrics::lpips::{Lpips, Network};
-use crate::metrics::{Perceptual, Scores, flip};
+use crate::metrics::{Fitted, Perceptual, Scores, flip};
 use crate::popping::Popping;
 use crate::rendered::{Rendered, Renderer};
 use crate::sight::Floaters;
@@ -34,6 +35,8 @@ pub struct ViewScore {
     pub flip: f64,
     #[serde(flatten)]
     pub perceptual: Perceptual,
+    #[serde(flatten)]
+    pub fitted: Fitted,
     /// Time to render it.
     pub seconds: f64,
     /// px
@@ -55,6 +58,9 @@ pub struct Evaluation {
     /// Means over the views, of what all of them have.
     #[serde(flatten)]
     pub perceptual: Perceptual,
+    /// Likewise.
+    #[serde(flatten)]
+    pub fitted: Fitted,
     pub surfels: usize,
     pub gaussians: usize,
     /// Time to render a view, mean over the views.
@@ -127,25 +133,46 @@ pub struct TargetReport {
 
 /// What is measured besides PSNR, SSIM and FLIP.
 #[derive(Clone, Copy, Debug)]
-pub enum Measures<'a> {
+pub struct Measures<'a> {
+    /// MS-SSIM, SSIMULACRA2, and LPIPS by these networks, which are on the device that renders; `None`: none of them.
+    pub perceptual: Option<&'a [Lpips]>,
+    /// Whether PSNR and SSIM are also measured after a fit of exposure, see [`Fitted`].
+    pub fitted: bool,
+}
+
+impl<'a> Measures<'a> {
     /// Nothing: what a run needs to go on.
-    Basic,
-    /// MS-SSIM, SSIMULACRA2, and LPIPS by these networks, which are on the device that renders.
-    Perceptual(&'a [Lpips]),
+    pub const BASIC: Self = Self { perceptual: None, fitted: false };
+
+    /// MS-SSIM, SSIMULACRA2, and LPIPS by `networks`.
+    pub fn perceptual(networks: &'a [Lpips]) -> Self {
+        Self { perceptual: Some(networks), ..Self::BASIC }
+    }
+
+    /// The same, and a fit of exposure if it is wanted.
+    #[must_use]
+    pub fn fitted(self, fitted: bool) -> Self {
+        Self { fitted, ..self }
+    }
 }
 
 impl ViewScore {
     pub fn scores(&self) -> Scores {
-        let Self { psnr, ssim, flip, perceptual, .. } = *self;
-        Scores { psnr, ssim, flip, perceptual }
+        let Self { psnr, ssim, flip, perceptual, fitted, .. } = *self;
+        Scores { psnr, ssim, flip, perceptual, fitted }
     }
 }
 
 impl Evaluation {
     /// The means over the views.
     pub fn scores(&self) -> Scores {
-        let Self { psnr, ssim, flip, perceptual, .. } = *self;
-        Scores { psnr, ssim, flip, perceptual }
+        let Self { psnr, ssim, flip, perceptual, fitted, .. } = *self;
+        Scores { psnr, ssim, flip, perceptual, fitted }
+    }
+
+    /// The PSNR that a run decides by, dB: after a fit of exposure if that was measured.
+    pub fn deciding_psnr(&self) -> f64 {
+        self.fitted.psnr_fitted.unwrap_or(self.psnr)
     }
 }
 
@@ -154,7 +181,7 @@ impl Evaluation {
 /// # Errors
 /// Those of [`Renderer::render`]; [`Error::Option`] if there are no views.
 pub fn evaluate(scene: &SceneData, views: &[View], device: &Device) -> Result<Evaluation> {
-    evaluate_each(&Renderer::new(scene, device), scene, views, device, Measures::Basic, |_, _| Ok(()))
+    evaluate_each(&Renderer::new(scene, device), scene, views, device, Measures::BASIC, |_, _| Ok(()))
 }
 
 /// Like [`evaluate`], with a scene that is on its device already, by all `measures`. Calls `visit` with the index and the
@@ -189,6 +216,7 @@ pub fn evaluate_each<E: From<Error>>(
         ssim: mean(|view| view.ssim),
         flip: mean(|view| view.flip),
         perceptual: Perceptual::mean(&scores.iter().map(|view| view.perceptual).collect::<Vec<_>>()),
+        fitted: Fitted::mean(&scores.iter().map(|view| view.fitted).collect::<Vec<_>>()),
         seconds_per_view: mean(|view| view.seconds),
         surfels: scene.surfels.len(),
         gaussians: scene.gaussians.len(),
@@ -209,17 +237,18 @@ pub fn score_picture(view: &View, picture: &Rgb8Image, seconds: f64, device: &De
     let channel = |channel: usize| picture.bytes.iter().skip(channel).step_by(3).map(|&byte| f32::from(byte) / 255.0);
     let planes: Vec<f32> = (0..3).flat_map(channel).collect();
     let image = Tensor::from_data(TensorData::new(planes, [3, height, width]), (device, DType::F32));
-    score(view, image, seconds, device, Measures::Basic)
+    score(view, image, seconds, device, Measures::BASIC)
 }
 
 fn score(view: &View, image: Tensor<3>, seconds: f64, device: &Device, measures: Measures<'_>) -> Result<ViewScore> {
     let Picture { width, height, .. } = view.picture;
     let picture = quantised(view.target(device));
+    let fitted = if measures.fitted { fitted(&picture, &image)? } else { Fitted::default() };
     let image = quantised(image);
     let (reference, test) = (tensor_to_rows(&picture), tensor_to_rows(&image));
-    let perceptual = match measures {
-        Measures::Basic => Perceptual::default(),
-        Measures::Perceptual(networks) => {
+    let perceptual = match measures.perceptual {
+        None => Perceptual::default(),
+        Some(networks) => {
             let mut perceptual = Perceptual::without_networks(&reference, &test, width, height);
             for lpips in networks {
                 let distance = lpips.distance(&picture, &image)?;
@@ -233,7 +262,22 @@ fn score(view: &View, image: Tensor<3>, seconds: f64, device: &Device, measures:
     };
     let flip = flip(&reference, &test, width, height);
     let (psnr, ssim) = (psnr(image.clone(), picture.clone()).min(LARGEST_PSNR), mean_ssim(image, picture)?);
-    Ok(ViewScore { name: view.name.clone(), psnr, ssim, flip, perceptual, seconds, width, height })
+    Ok(ViewScore { name: view.name.clone(), psnr, ssim, flip, perceptual, fitted, seconds, width, height })
+}
+
+/// How well the right half of `image` shows that of `picture`, both [3, H, W], with the exposure that fits their left halves.
+fn fitted(picture: &Tensor<3>, image: &Tensor<3>) -> Result<Fitted> {
+    let [_, height, width] = picture.dims();
+    let half = width / 2;
+    if half == 0 {
+        return Ok(Fitted::default());
+    }
+    let left = |of: &Tensor<3>| of.clone().slice([0..3, 0..height, 0..half]);
+    let right = |of: &Tensor<3>| of.clone().slice([0..3, 0..height, half..width]);
+    let correction = Correction::fitted(&left(image), &left(picture));
+    let (image, picture) = (quantised(correction.applied(right(image))), right(picture));
+    let psnr = psnr(image.clone(), picture.clone()).min(LARGEST_PSNR);
+    Ok(Fitted { psnr_fitted: Some(psnr), ssim_fitted: Some(mean_ssim(image, picture)?) })
 }
 
 #[cfg(test)]
@@ -303,7 +347,7 @@ mod tests {
         let networks = [Lpips::new(&weights, &device)];
         let scene = nothing([0.5; 3]);
         let renderer = Renderer::new(&scene, &device);
-        let measures = Measures::Perceptual(&networks);
+        let measures = Measures::perceptual(&networks);
         let evaluation: Result<Evaluation> = evaluate_each(&renderer, &scene, &views, &device, measures, |_, _| Ok(()));
         let evaluation = evaluation.unwrap();
         let equal = evaluation.views[0].perceptual;
@@ -313,6 +357,53 @@ mod tests {
         assert!(other.ssimulacra2.unwrap() < 100.0 && other.lpips_alex.unwrap() > 0.0);
         assert_eq!(evaluation.perceptual, Perceptual::mean(&[equal, other]));
         assert_eq!(evaluation.scores().perceptual, evaluation.perceptual);
+    }
+
+    #[test]
+    fn an_exposure_that_fits_the_left_half_is_applied_to_the_right() {
+        let (width, height) = (17, 12);
+        let change = Correction { gain: [0.5, 0.75, 1.25], offset: [0.25, 0.0, -0.125] };
+        let shape = |values: Vec<f32>| {
+            Tensor::<3>::from_data(TensorData::new(values, [3, height, width]), (&Device::flex(), DType::F32))
+        };
+        let values = (0..3 * height * width).map(|i| 0.2 + 0.6 * (i * 37 % 101) as f32 / 101.0).collect();
+        let image = shape(values);
+        let photograph = change.applied(image.clone());
+        let both = fitted(&quantised(photograph.clone()), &image).unwrap();
+        assert!(both.psnr_fitted.unwrap() > 50.0 && both.ssim_fitted.unwrap() > 0.999, "{both:?}");
+        // the right half of another photograph: what the left half says of it is wrong
+        let half = width / 2;
+        let [left, right] = [0..half, half..width].map(|columns| [0..3, 0..height, columns]);
+        let mixed = Tensor::cat(vec![photograph.slice(left), image.clone().slice(right)], 2);
+        let wrong = fitted(&quantised(mixed), &image).unwrap();
+        assert!(wrong.psnr_fitted.unwrap() < 25.0, "{wrong:?}");
+        let narrow = image.slice([0..3, 0..height, 0..1]);
+        assert_eq!(fitted(&narrow, &narrow).unwrap(), Fitted::default());
+    }
+
+    #[test]
+    fn fits_are_part_of_an_evaluation_if_they_are_wanted() {
+        let options = BuiltinOptions { width: 12, height: 12, train_views: 2, test_views: 2, ..Default::default() };
+        let mut views = builtin(&options).test;
+        views[0].picture.planes.fill(0.75);
+        let device = "cpu".parse::<DeviceName>().unwrap().open().unwrap();
+        let scene = nothing([0.5; 3]);
+        let renderer = Renderer::new(&scene, &device);
+        let measured = |measures| -> Evaluation {
+            let found: Result<Evaluation> = evaluate_each(&renderer, &scene, &views, &device, measures, |_, _| Ok(()));
+            found.unwrap()
+        };
+        let plain = measured(Measures::BASIC);
+        assert_eq!((plain.fitted, plain.deciding_psnr()), (Fitted::default(), plain.psnr));
+        assert!(!serde_json::to_string(&plain).unwrap().contains("fitted"));
+        let with = measured(Measures::BASIC.fitted(true));
+        // a plain picture differs from a plain photograph by an offset
+        assert!(with.views[0].psnr < 13.0 && with.views[0].fitted.psnr_fitted.unwrap() > 50.0);
+        let mean = (0..2).map(|view| with.views[view].fitted.psnr_fitted.unwrap()).sum::<f64>() / 2.0;
+        assert_eq!((with.fitted.psnr_fitted, with.deciding_psnr()), (Some(mean), mean));
+        let json = serde_json::to_value(&with).unwrap();
+        assert_eq!(json["psnr_fitted"].as_f64(), Some(mean));
+        assert_eq!(serde_json::from_value::<Evaluation>(json).unwrap(), with);
     }
 
     #[test]

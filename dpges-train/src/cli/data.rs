@@ -99,7 +99,13 @@ fn builtin(config: &DataConfig) -> Result<Dataset> {
     }
     let cap = if config.max_resolution == 0 { BUILTIN_SIZE } else { config.max_resolution };
     let size = cap.min(BUILTIN_SIZE);
-    let options = BuiltinOptions { width: size, height: size, points: BUILTIN_POINTS, ..Default::default() };
+    let options = BuiltinOptions {
+        width: size,
+        height: size,
+        points: BUILTIN_POINTS,
+        exposure_stops: config.builtin_exposure_stops,
+        ..Default::default()
+    };
     let mut dataset = dataset::builtin(&options);
     if let Background::Colour(colour) = config.background {
         dataset.background = colour;
@@ -147,6 +153,11 @@ impl Scene {
             return Ok(None);
         };
         Ok(Some(MetricsLog::seconds_of_steps(&run.metrics())?))
+    }
+
+    /// Whether the run that the scene comes from has corrected exposures.
+    pub fn has_exposure(&self) -> bool {
+        self.run.as_ref().is_some_and(|run| run.exposure().is_file())
     }
 
     /// The configuration of the run that the scene comes from, where there is one.

@@ -46,6 +46,17 @@ choices! {
         "validation" => Validation,
     }
 
+    /// Whether every training view has a colour correction of its own.
+    Exposure {
+        /// Photographs are taken as they are.
+        "off" => Off,
+        /// Each has a gain and an offset per channel, which are learnt.
+        "on" => On,
+        /// On if the points of the dataset are differently bright in different photographs: by a standard deviation of
+        /// more than 0.1 stops of display-referred values.
+        "auto" => Auto,
+    }
+
     /// Appearance of a Gaussian that is added at a pixel.
     AddAs {
         /// The colour of the photograph, no larger than a pixel: useful at once.

@@ -7,7 +7,7 @@ use dpges_core::scene::{ColourModel, Footprint, MarginLookup, OpacityActivation}
 
 use super::budget::Budget;
 use super::choices::{
-    AddAs, Background, Environment, GaussianStage, InitMethod, JointOpacity, Margin, Method, PixelsOf, Stop,
+    AddAs, Background, Environment, Exposure, GaussianStage, InitMethod, JointOpacity, Margin, Method, PixelsOf, Stop,
     SurfelStart,
 };
 use super::declare::{Ablation, Key, Section, Value, configuration, optional};
@@ -30,6 +30,9 @@ configuration! {
         validation_every: usize = 0, unit: "views";
         /// Near plane of every camera. 0 takes the default of the dataset's format.
         near: f64 = 0.0, unit: "world units", range: 0.0..;
+        /// Largest change of exposure of a view of the built-in scene, up or down: by how much differs from view to view. It
+        /// is for tests of `train.exposure`.
+        builtin_exposure_stops: f64 = 0.0, unit: "stops", range: 0.0..=4.0;
     }
 
     /// Length, losses and output of a run.
@@ -67,6 +70,9 @@ configuration! {
         lambda_sky: f64 = 0.1, range: 0.0.., ablation: "no-sky-loss" = "0" ("Let surfels and Gaussians take part in the sky");
         /// Share of D-SSIM in the image loss; the rest is L1 (3DGS).
         lambda_dssim: f64 = 0.2, range: 0.0..=1.0;
+        /// Whether every training view has a colour correction of its own, for photographs with different exposures or
+        /// white balances. The scene has the mean exposure of all.
+        exposure: Exposure = Exposure::Off;
         /// λ4: weight of the difference between the depths of surfels and of the discs they come from, for surface
         /// reconstruction (DP-GES: 0.1). It acts in the joint stage and needs a stage or a file of discs.
         lambda_depth: f64 = 0.0, range: 0.0..;
@@ -316,6 +322,9 @@ configuration! {
         detail: f64 = 5e-3, range: 0.0..;
         /// Learning rate of the environment.
         environment: f64 = 5e-3, range: 0.0..;
+        /// Learning rate of the colour corrections of `train.exposure` at the first step of the run. It falls to a tenth at
+        /// the last.
+        exposure: f64 = 5e-3, range: 0.0..;
         /// Factor on all learning rates but those of positions at the last step. Its logarithm is interpolated from 1 at
         /// the first.
         decay: f64 = 1.0, range: POSITIVE;

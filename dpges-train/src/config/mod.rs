@@ -27,7 +27,7 @@ use crate::dataset::LoadOptions;
 pub use budget::Budget;
 use budget::{MEGABYTE, primitives_for};
 pub use choices::{
-    AddAs, Background, Environment, GaussianStage, InitMethod, JointOpacity, Margin, Method, PixelsOf, Stop,
+    AddAs, Background, Environment, Exposure, GaussianStage, InitMethod, JointOpacity, Margin, Method, PixelsOf, Stop,
     SurfelStart,
 };
 pub use declare::{Ablation, Key, Section};
@@ -44,6 +44,8 @@ pub use stages::{Blended, Density, Relocation, StageKind, StagePlan};
 pub const SMALLEST_BUDGET_BY_PIXELS: usize = 16_384;
 /// Share of surfels for which a budget in megabytes is converted into primitives. Surfels and Gaussians differ by 4 %.
 const SURFEL_SHARE: f64 = 0.1;
+/// Factor on the learning rate of colour corrections at the last step.
+const EXPOSURE_DECAY: f64 = 0.1;
 /// Every how many-th training view is kept for validation by default.
 const DEFAULT_VALIDATION_EVERY: usize = 8;
 
@@ -123,6 +125,11 @@ impl OptimizerConfig {
         extent * between(self.position_start, self.position_end, progress)
     }
 
+    /// Learning rate of colour corrections at `progress` of the whole run. Its logarithm is linear in `progress`.
+    pub fn exposure_rate(&self, progress: f64) -> f64 {
+        self.exposure * between(1.0, EXPOSURE_DECAY, progress)
+    }
+
     /// Factor on every other learning rate at `progress`.
     pub fn decay_at(&self, progress: f64) -> f64 {
         between(1.0, self.decay, progress)
@@ -145,6 +152,8 @@ mod tests {
         assert!((rates.position_rate(0.5, 1.0) - 1.6e-5).abs() < 1e-15);
         assert!((rates.decay_at(0.5) - 0.1).abs() < 1e-12);
         assert_eq!(rates.decay_at(0.0), 1.0);
+        assert_eq!(rates.exposure_rate(0.0), rates.exposure);
+        assert!((rates.exposure_rate(1.0) - 0.1 * rates.exposure).abs() < 1e-12);
     }
 
     #[test]

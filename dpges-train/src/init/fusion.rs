@@ -9,6 +9,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use crate::dataset::PointCloud;
+use crate::exposure::Correction;
 
 /// Views that a point is checked in: those whose cameras are nearest to its own.
 const CHECKED_VIEWS: usize = 24;
@@ -20,6 +21,8 @@ pub struct DepthView<'a> {
     pub depth: Vec<f32>,
     /// [3 × H × W] of the photograph.
     pub photograph: &'a [f32],
+    /// What the exposure of the photograph has changed; `None` if it is taken as it is.
+    pub correction: Option<Correction>,
 }
 
 /// When a depth is a surface.
@@ -126,6 +129,7 @@ fn surface_point(
     let agreeing = seen_by.len() - 1;
     seen_by.sort_unstable();
     let colour = [0, 1, 2].map(|channel| view.photograph[channel * area + pixel]);
+    let colour = view.correction.map_or(colour, |correction| correction.undone_colour(colour));
     (agreeing >= rule.min_views && agreeing >= 2 * looked_through)
         .then(|| (world.as_vec3().to_array(), colour, seen_by))
 }
@@ -159,6 +163,7 @@ mod tests {
             camera,
             depth: (0..SIZE * SIZE).map(|pixel| depth(i, pixel)).collect(),
             photograph,
+            correction: None,
         };
         cameras.iter().enumerate().map(of).collect()
     }
@@ -172,6 +177,10 @@ mod tests {
         assert!(found.positions.iter().all(|position| position[2].abs() < 1e-5));
         assert!(found.seen_by.iter().all(|seen| seen.len() > 3 && seen.is_sorted()));
         assert_eq!(found.colours[0], [0.25; 3]);
+        let mut bright = views(&cameras, &photograph, |_, _| 4.0);
+        let twice = Correction { gain: [2.0; 3], offset: [0.0, 0.125, 0.0] };
+        bright.iter_mut().for_each(|view| view.correction = Some(twice));
+        assert_eq!(surface_points(&bright, 8, RULE).colours[0], [0.125, 0.0625, 0.125]);
     }
 
     #[test]

@@ -1,3 +1,4 @@
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use dpges_core::scene::{Rendering, SceneData};
@@ -8,6 +9,7 @@ use super::folder::RunFolderError;
 use super::*;
 use crate::config::StagePlan;
 use crate::eval::EvalReport;
+use crate::exposure::Correction;
 
 /// Two stages, evaluations and a checkpoint on the way.
 const SHORT: [&str; 6] = [
@@ -156,6 +158,29 @@ fn a_run_in_a_folder_is_resumed_to_identical_bytes() {
         assert!(std::fs::read(whole.join(file)).unwrap() == std::fs::read(parts.join(file)).unwrap(), "{file}");
     }
     assert!(SceneData::load(&parts.join("scene.safetensors")).unwrap() == outcome.scene);
+}
+
+#[test]
+fn corrections_of_exposure_are_in_the_folder_and_scores_say_what_they_are_worth() {
+    let at = tempfile::tempdir().unwrap();
+    let folder = RunFolder::new(at.path().join("run"));
+    in_folder(&[&SHORT[..], &["train.exposure=on"]].concat(), folder.path()).train(&mut ()).unwrap();
+    let text = std::fs::read_to_string(folder.exposure()).unwrap();
+    let found: BTreeMap<String, Correction> = serde_json::from_str(&text).unwrap();
+    assert_eq!(found.keys().collect::<Vec<_>>(), ["train_000", "train_001", "train_002"]);
+    for channel in 0..3 {
+        let gain: f64 = found.values().map(|correction| correction.gain[channel].ln()).sum();
+        let offset: f64 = found.values().map(|correction| correction.offset[channel]).sum();
+        assert!(gain.abs() < 1e-5 && offset.abs() < 1e-5, "{found:?}");
+    }
+    let report: EvalReport = serde_json::from_str(&std::fs::read_to_string(folder.evaluation()).unwrap()).unwrap();
+    assert!(report.evaluation.fitted.psnr_fitted.is_some() && report.evaluation.views[0].fitted.ssim_fitted.is_some());
+
+    let again = run(&SHORT).overwrite(folder.clone(), Origin::new("builtin", "cpu"));
+    again.unwrap().train(&mut ()).unwrap();
+    assert!(!folder.exposure().exists());
+    let text = std::fs::read_to_string(folder.evaluation()).unwrap();
+    assert!(!text.contains("fitted"), "{text}");
 }
 
 #[test]

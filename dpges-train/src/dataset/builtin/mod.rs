@@ -34,13 +34,24 @@ pub struct BuiltinOptions {
     pub points: usize,
     /// Colour is the mean over a grid of this many rays by as many per pixel; at least 1.
     pub supersampling: usize,
-    /// Seed of the points. Views do not depend on it.
+    /// Largest change of exposure of a view, up or down, stops of linear light.
+    pub exposure_stops: f64,
+    /// Seed of the points and of the exposures. Cameras do not depend on it.
     pub seed: u64,
 }
 
 impl Default for BuiltinOptions {
     fn default() -> Self {
-        Self { width: 96, height: 96, train_views: 24, test_views: 6, points: 2000, supersampling: 3, seed: 1 }
+        Self {
+            width: 96,
+            height: 96,
+            train_views: 24,
+            test_views: 6,
+            points: 2000,
+            supersampling: 3,
+            exposure_stops: 0.0,
+            seed: 1,
+        }
     }
 }
 
@@ -48,12 +59,17 @@ impl Default for BuiltinOptions {
 /// plane is at 0.01, a world unit is a metre, and pictures have no alpha.
 pub fn builtin(options: &BuiltinOptions) -> Dataset {
     let near = Format::Builtin.default_near();
-    let views = |name: &str, count: usize, phase: f64| -> Vec<View> {
+    let mut exposures = ChaCha8Rng::seed_from_u64(options.seed);
+    exposures.set_stream(1);
+    let mut views = |name: &str, count: usize, phase: f64| -> Vec<View> {
+        let changes: Vec<f64> =
+            (0..count).map(|_| options.exposure_stops * exposures.random_range(-1.0..=1.0)).collect();
         (0..count)
             .into_par_iter()
             .map(|index| {
                 let camera = dome_camera(options, index, count, phase, near);
-                View { name: format!("{name}_{index:03}"), camera, picture: photograph(&camera, options.supersampling) }
+                let picture = photograph(&camera, options.supersampling, changes[index]);
+                View { name: format!("{name}_{index:03}"), camera, picture }
             })
             .collect()
     };
@@ -109,7 +125,8 @@ fn hit(camera: &Camera, x: f64, y: f64) -> Hit {
     trace(eye, camera.unproject(x, y, 1.0) - eye)
 }
 
-fn photograph(camera: &Camera, supersampling: usize) -> Picture {
+/// What `camera` sees, with an exposure changed by `stops`.
+fn photograph(camera: &Camera, supersampling: usize, stops: f64) -> Picture {
     let (width, height) = (camera.width, camera.height);
     let pixels = width * height;
     let eye = camera.centre();
@@ -123,10 +140,21 @@ fn photograph(camera: &Camera, supersampling: usize) -> Picture {
             sum += hit(camera, x, y).colour(eye);
         }
         for channel in 0..3 {
-            planes[channel * pixels + pixel] = (sum[channel] * step * step) as f32;
+            planes[channel * pixels + pixel] = exposed(sum[channel] * step * step, stops) as f32;
         }
     }
     Picture { width, height, planes, alpha: None }
+}
+
+/// A display-referred value of a photograph with an exposure changed by `stops` of linear light, which clips at 1.
+fn exposed(value: f64, stops: f64) -> f64 {
+    if stops == 0.0 {
+        return value;
+    }
+    // the transfer function of sRGB and its inverse
+    let linear = if value <= 0.040_45 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) };
+    let light = (linear * stops.exp2()).min(1.0);
+    if light <= 0.003_130_8 { 12.92 * light } else { 1.055 * light.powf(1.0 / 2.4) - 0.055 }
 }
 
 /// The ends of rays through random positions of random training views, as structure from motion might find them.
@@ -218,6 +246,27 @@ mod tests {
             }
         }
         assert!(on_floor > 1000, "{on_floor}");
+    }
+
+    #[test]
+    fn exposures_change_brightness_alone_and_by_no_more_than_asked() {
+        assert_eq!(exposed(0.3, 0.0), 0.3);
+        // half of the linear light of 0.5 is 0.107, that of 0.3608
+        assert!((exposed(0.5, -1.0) - 0.3608).abs() < 1e-3, "{}", exposed(0.5, -1.0));
+        assert!((exposed(exposed(0.5, -1.0), 1.0) - 0.5).abs() < 1e-6);
+        assert_eq!(exposed(0.95, 2.0), 1.0);
+        let options = BuiltinOptions { width: 24, height: 24, ..Default::default() };
+        let plain = builtin(&options);
+        let changed = builtin(&BuiltinOptions { exposure_stops: 0.5, ..options });
+        assert_eq!(plain.points, changed.points);
+        let pairs = || plain.train.iter().chain(&plain.test).zip(changed.train.iter().chain(&changed.test));
+        let brightness = |view: &View| f64::from(view.picture.planes.iter().sum::<f32>());
+        let ratios: Vec<f64> = pairs().map(|(a, b)| brightness(b) / brightness(a)).collect();
+        let (low, high) =
+            ratios.iter().fold((f64::MAX, 0.0f64), |(low, high), &ratio| (low.min(ratio), high.max(ratio)));
+        // half a stop is a factor of about 1.17 in display-referred values
+        assert!(low > 0.8 && low < 0.95 && high > 1.05 && high < 1.25, "{low} to {high}");
+        assert!(pairs().all(|(a, b)| a.camera == b.camera && a.name == b.name));
     }
 
     #[test]

@@ -215,10 +215,11 @@ impl Stage for BlendedStage {
         let mut options = BlendedOptions::new(&self.info)?;
         options.blend.maps = weights.need_maps();
         let rendered = render_blended(gaussians, probe.as_ref(), camera, &options, input.values)?;
-        let rendered = match &leaves.environment {
+        let mut rendered = match &leaves.environment {
             Some(coefficients) => rendered.in_front_of(environment(coefficients, camera)?),
             None => rendered,
         };
+        rendered.image = input.photographed(rendered.image);
         let rgb = rgb(rendered.image.clone(), input.target.clone(), context.config.train.lambda_dssim)?;
         let total = weights.add(rgb.clone(), gaussians, &rendered, camera);
         let none = Tensor::zeros([1], (&tape, DType::F32));

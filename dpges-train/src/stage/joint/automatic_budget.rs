@@ -9,7 +9,7 @@ use dpges_core::scene::{ColourData, ColourModel};
 
 use super::super::{Context, TrainError};
 use super::JointStage;
-use super::evidence::judging_views;
+use super::evidence::{judging_target, judging_views};
 use crate::eval::LARGEST_PSNR;
 use crate::refine::add::geometric_batch_size;
 use crate::refine::growth::{Growth, Mean, Next};
@@ -101,8 +101,9 @@ impl JointStage {
     fn psnr_of_views(&self, context: &Context) -> Result<Vec<f64>, TrainError> {
         let of_view = |view| {
             let rendered = self.render_view(context, view)?;
-            let (image, target) = (quantised(rendered.composite.image), quantised(view.target(&context.device)));
-            Ok(psnr(image, target).clamp(0.0, LARGEST_PSNR))
+            let image = rendered.composite.image;
+            let target = quantised(judging_target(view, &image, context));
+            Ok(psnr(quantised(image), target).clamp(0.0, LARGEST_PSNR))
         };
         judging_views(context).map(of_view).collect()
     }

@@ -14,6 +14,7 @@ use super::super::{Context, TrainError};
 use super::JointStage;
 use super::refine::squared_error;
 use crate::dataset::View;
+use crate::exposure::Correction;
 use crate::init::fusion::{DepthView, FusionRule, surface_points};
 use crate::init::surfels_at;
 use crate::refine::RowEdit;
@@ -53,8 +54,9 @@ impl Context {
         let gaussians = Gaussians::from_data(gaussians, &self.device, DType::F32);
         let mut options = BlendedOptions::new(&info)?;
         options.blend.maps = true;
+        let corrections = self.exposure.corrections();
         let mut views = Vec::with_capacity(dataset.train.len());
-        for view in &dataset.train {
+        for (index, view) in dataset.train.iter().enumerate() {
             let rendered = render_blended(&gaussians, None, &view.camera, &options, Values::KnownFinite)?;
             let alpha = rendered.blend.alpha;
             let Some(Maps { depth, median_depth, .. }) = rendered.blend.maps else {
@@ -62,7 +64,8 @@ impl Context {
             };
             let mean = tensor_to_rows(&expected_depth(depth, alpha.clone()));
             let depth = certain(&tensor_to_rows(&alpha), &mean, tensor_to_rows(&median_depth));
-            views.push(DepthView { camera: &view.camera, depth, photograph: &view.picture.planes });
+            let (photograph, correction) = (&view.picture.planes, corrections.of(index).copied());
+            views.push(DepthView { camera: &view.camera, depth, photograph, correction });
         }
         let mut points = surface_points(&views, STRIDES_PX[0], RULE);
         let mut stride_px = STRIDES_PX[0];
@@ -135,6 +138,16 @@ pub fn judging_views(context: &Context) -> impl Iterator<Item = &View> {
     views.iter().step_by(views.len().div_ceil(JUDGING_VIEWS).max(1))
 }
 
+/// The photograph of a judging `view`, [3, H, W]. In a run that corrects exposures, without what the exposure that fits
+/// best explains of its difference from the rendered `image` [3, H, W]: validation views have no correction of their own.
+pub fn judging_target(view: &View, image: &Tensor<3>, context: &Context) -> Tensor<3> {
+    let photograph = view.target(&context.device);
+    if !context.exposure.is_on() {
+        return photograph;
+    }
+    Correction::fitted(image, &photograph).undone(photograph)
+}
+
 fn judged(
     surfels: &SurfelData,
     gaussians: &Gaussians,
@@ -160,9 +173,9 @@ fn judged(
     });
     let groups: Vec<_> = groups.collect();
     for view in judging_views(context) {
-        let target = view.target(device);
         let error = |render: &Render, target: Tensor<3>| squared_error(render, target);
         let with = render(&all, view)?;
+        let target = judging_target(view, &with.composite.image, context);
         let area = view.camera.width * view.camera.height;
         let nearest: Vec<i32> = with.layers.ids.clone().into_data().iter::<i32>().take(area).collect();
         let with = error(&with, target.clone());

@@ -123,10 +123,12 @@ impl Stage for JointStage {
         let camera = &input.view.camera;
         let options = self.render_options(&context.config);
         let rendered = render_values(surfels, gaussians, camera, &options, input.values)?;
-        let rendered = match &leaves.environment {
+        let mut rendered = match &leaves.environment {
             Some(coefficients) => rendered.in_front_of(environment(coefficients, camera)?),
             None => rendered,
         };
+        rendered.composite.image = input.photographed(rendered.composite.image);
+        rendered.composite.surfel_image = input.photographed(rendered.composite.surfel_image);
         self.statistics.observe(&rendered, gaussians, camera, &self.schedule, input.completed)?;
         let weights = loss_weights(&context.config);
         let mut losses = losses(&rendered, surfels.log_scales.clone(), input.target.clone(), &weights)?;

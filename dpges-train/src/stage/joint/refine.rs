@@ -16,6 +16,7 @@ use super::super::{Context, TrainError};
 use super::JointStage;
 use crate::config::{AddAs, Budget, Due, PixelsOf};
 use crate::dataset::View;
+use crate::exposure::Photographs;
 use crate::refine::add::{batch_size, draw_in_proportion, gaussians_of_pixels, new_gaussians};
 use crate::refine::agreement::{agreed_depth, nearest_views};
 use crate::refine::margins::margins;
@@ -166,13 +167,15 @@ impl JointStage {
         let dataset = context.dataset.clone();
         let least = context.config.refine.add_agreement;
         let neighbours = if least > 0 { nearest_views(&context.dataset.train) } else { Vec::new() };
+        let corrections = context.exposure.corrections();
+        let photographs = Photographs { views: &dataset.train, corrections: &corrections };
         let mut spots = Spots::default();
         for (index, view) in dataset.train.iter().enumerate() {
             let share = count / views + usize::from(index < count % views);
             if share > 0 {
                 let options = self.render_options(&context.config).splat;
                 let rendered = self.render_view(context, view)?;
-                let mut error = squared_error(&rendered, view.target(&context.device));
+                let mut error = squared_error(&rendered, photographs.target(index, &context.device));
                 if let Some(sky) = &self.sky {
                     sky.clear(index, &mut error);
                 }
@@ -188,14 +191,13 @@ impl JointStage {
                     if least == 0 {
                         return Some(assumed);
                     }
-                    let others = neighbours[index].iter().map(|&other| &dataset.train[other]);
-                    agreed_depth(view, others, pixel, assumed, least)
+                    agreed_depth(photographs, index, &neighbours[index], pixel, assumed, least)
                 };
                 let mut taken = HashSet::new();
                 let known = pixels.iter().filter(|&&pixel| depths[pixel].is_finite());
                 let known = known.filter(|&&pixel| least == 0 || taken.insert(pixel));
                 let found = known.filter_map(|&pixel| Some((pixel, agreed(pixel)?)));
-                spots.add(view, found.take(share));
+                spots.add(photographs, index, found.take(share));
             }
         }
         let (model, rng) = (self.info.colour_model, &mut context.rng);
@@ -266,20 +268,19 @@ struct Spots {
     positions: Vec<[f32; 3]>,
     /// World units per px.
     pixel_sizes: Vec<f32>,
-    /// Of the photograph.
+    /// Of the photograph, without what its exposure has changed.
     colours: Vec<[f32; 3]>,
 }
 
 impl Spots {
-    /// Adds pixels of `view` at their depths, world units.
-    fn add(&mut self, view: &View, pixels: impl Iterator<Item = (usize, f64)>) {
-        let (camera, planes) = (&view.camera, &view.picture.planes);
-        let area = camera.width * camera.height;
+    /// Adds pixels of view `index` at their depths, world units.
+    fn add(&mut self, photographs: Photographs<'_>, index: usize, pixels: impl Iterator<Item = (usize, f64)>) {
+        let camera = &photographs.views[index].camera;
         for (pixel, depth) in pixels {
             let (x, y) = ((pixel % camera.width) as f64 + 0.5, (pixel / camera.width) as f64 + 0.5);
             self.positions.push(camera.unproject(x, y, depth).as_vec3().to_array());
             self.pixel_sizes.push((depth / camera.fx.max(camera.fy)) as f32);
-            self.colours.push([0, 1, 2].map(|channel| planes[channel * area + pixel]));
+            self.colours.push(photographs.colour(index, pixel));
         }
     }
 }
