@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use dpges_core::camera::Camera;
 use dpges_core::scene::{SceneData, SceneInfo};
-use dpges_train::config::{Background, Config, DataConfig, key};
+use dpges_train::config::{Background, Config, DataConfig, DepthMaps, key};
 use dpges_train::dataset::{self, BuiltinOptions, Dataset, View};
 use dpges_train::run::folder::RunFolder;
 use dpges_train::run::metrics_log::MetricsLog;
@@ -104,6 +104,7 @@ fn builtin(config: &DataConfig) -> Result<Dataset> {
         height: size,
         points: BUILTIN_POINTS,
         exposure_stops: config.builtin_exposure_stops,
+        depth: config.load_options().depth,
         ..Default::default()
     };
     let mut dataset = dataset::builtin(&options);
@@ -180,6 +181,8 @@ impl Scene {
             Some(Background::Colour(colour)) => self.data.info.background = colour,
             _ => config.background = Background::Colour(self.data.info.background),
         }
+        // only training looks at them
+        config.depth = DepthMaps::None;
         Ok(Some((source, config)))
     }
 }

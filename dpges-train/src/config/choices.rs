@@ -46,6 +46,18 @@ choices! {
         "validation" => Validation,
     }
 
+    /// Depth maps beside the photographs.
+    DepthMaps {
+        /// There are none, or they are not read.
+        "none" => None,
+        /// Depths: camera-space z. A step of their values is `depth_unit_scale_factor` world units, 0.001 if the dataset
+        /// does not say.
+        "metric" => Metric,
+        /// Disparities, larger where what they show is nearer, with a scale and a shift that differ from map to map: what
+        /// networks make of single photographs.
+        "relative" => Relative,
+    }
+
     /// Whether every training view has a colour correction of its own.
     Exposure {
         /// Photographs are taken as they are.

@@ -7,8 +7,8 @@ use dpges_core::scene::{ColourModel, Footprint, MarginLookup, OpacityActivation}
 
 use super::budget::Budget;
 use super::choices::{
-    AddAs, Background, Environment, Exposure, GaussianStage, InitMethod, JointOpacity, Margin, Method, PixelsOf, Stop,
-    SurfelStart,
+    AddAs, Background, DepthMaps, Environment, Exposure, GaussianStage, InitMethod, JointOpacity, Margin, Method,
+    PixelsOf, Stop, SurfelStart,
 };
 use super::declare::{Ablation, Key, Section, Value, configuration, optional};
 use super::range::{self, OPACITY, POSITIVE, POSITIVE_SHARE};
@@ -30,6 +30,9 @@ configuration! {
         validation_every: usize = 0, unit: "views";
         /// Near plane of every camera. 0 takes the default of the dataset's format.
         near: f64 = 0.0, unit: "world units", range: 0.0..;
+        /// Depth maps beside the photographs, 16-bit grey PNGs in which 0 means unknown: the `depth_file_path` of a frame,
+        /// or files in the folder `depths` named as the photographs. `train.lambda_depth_maps` is their weight.
+        depth: DepthMaps = DepthMaps::None;
         /// Largest change of exposure of a view of the built-in scene, up or down: by how much differs from view to view. It
         /// is for tests of `train.exposure`.
         builtin_exposure_stops: f64 = 0.0, unit: "stops", range: 0.0..=4.0;
@@ -81,6 +84,11 @@ configuration! {
         /// λ6: weight of the difference between the normals of the surfels' depth and the discs' normals, likewise
         /// (DP-GES: 0.05).
         lambda_depth_normal: f64 = 0.0, range: 0.0..;
+        /// Weight of the relative error of rendered depths against the depth maps of `data.depth`: of surfels in the joint
+        /// stage, of all primitives in the stages before it. With 0 maps are read but not used.
+        lambda_depth_maps: f64 = 0.2, range: 0.0..;
+        /// Factor on `train.lambda_depth_maps` at the last step of the run. Its logarithm is interpolated from 1 at the first.
+        depth_maps_decay: f64 = 0.01, range: POSITIVE_SHARE;
         /// Stop the gradient from Gaussians to surfels through the transmittance.
         detach_transmittance: bool = false,
             ablation: "no-transmittance-gradient" = "true" ("Without the gradient from Gaussians to surfels");

@@ -22,13 +22,13 @@ pub mod stages;
 
 use dpges_core::ops::adam::AdamStep;
 
-use crate::dataset::LoadOptions;
+use crate::dataset::{DepthKind, LoadOptions};
 
 pub use budget::Budget;
 use budget::{MEGABYTE, primitives_for};
 pub use choices::{
-    AddAs, Background, Environment, Exposure, GaussianStage, InitMethod, JointOpacity, Margin, Method, PixelsOf, Stop,
-    SurfelStart,
+    AddAs, Background, DepthMaps, Environment, Exposure, GaussianStage, InitMethod, JointOpacity, Margin, Method,
+    PixelsOf, Stop, SurfelStart,
 };
 pub use declare::{Ablation, Key, Section};
 pub use dpges_core::scene::OpacityActivation;
@@ -96,11 +96,21 @@ impl DataConfig {
             max_resolution: (self.max_resolution > 0).then_some(self.max_resolution),
             test_every: self.test_every,
             near: (self.near > 0.0).then_some(self.near),
+            depth: match self.depth {
+                DepthMaps::None => None,
+                DepthMaps::Metric => Some(DepthKind::Metric),
+                DepthMaps::Relative => Some(DepthKind::Relative),
+            },
         }
     }
 }
 
 impl TrainConfig {
+    /// Weight of the loss of depth maps at `progress` of the whole run. Its logarithm is linear in `progress`.
+    pub fn depth_map_weight(&self, progress: f64) -> f64 {
+        self.lambda_depth_maps * between(1.0, self.depth_maps_decay, progress)
+    }
+
     /// Whether a loss compares surfels with discs.
     pub fn has_geometry_losses(&self) -> bool {
         self.lambda_depth > 0.0 || self.lambda_normal > 0.0 || self.lambda_depth_normal > 0.0
@@ -152,6 +162,11 @@ mod tests {
         assert!((rates.position_rate(0.5, 1.0) - 1.6e-5).abs() < 1e-15);
         assert!((rates.decay_at(0.5) - 0.1).abs() < 1e-12);
         assert_eq!(rates.decay_at(0.0), 1.0);
+        let train = TrainConfig { lambda_depth_maps: 0.5, depth_maps_decay: 0.04, ..Default::default() };
+        assert_eq!(train.depth_map_weight(0.0), 0.5);
+        assert!(
+            (train.depth_map_weight(0.5) - 0.1).abs() < 1e-12 && (train.depth_map_weight(1.0) - 0.02).abs() < 1e-12
+        );
         assert_eq!(rates.exposure_rate(0.0), rates.exposure);
         assert!((rates.exposure_rate(1.0) - 0.1 * rates.exposure).abs() < 1e-12);
     }
@@ -164,6 +179,8 @@ mod tests {
             DataConfig { background: Background::Colour([1.0; 3]), image_scale: 4, near: 0.5, ..Default::default() };
         let options = data.load_options();
         assert_eq!((options.background, options.image_scale, options.near), (Some([1.0; 3]), Some(4), Some(0.5)));
-        assert_eq!(options.max_resolution, Some(1600));
+        assert_eq!((options.max_resolution, options.depth), (Some(1600), None));
+        let data = DataConfig { depth: DepthMaps::Relative, ..Default::default() };
+        assert_eq!(data.load_options().depth, Some(DepthKind::Relative));
     }
 }

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use super::error::{DatasetError, Result, listing};
 use super::images::{self, Picture};
 use super::source::{Frame, RawPoints, Source, Split};
-use super::{Dataset, Format, LoadOptions, PointCloud, View, undistort};
+use super::{Dataset, Format, LoadOptions, PointCloud, View, depth, undistort};
 
 /// Distance of the cameras from the origin, in extents, beyond which the world is moved there. f32 has 24 bits: at
 /// 100 extents positions are rounded to 100 · 2⁻²⁴ = 6·10⁻⁶ extents, a fraction of a pixel.
@@ -31,6 +31,10 @@ pub(super) fn assemble(root: &Path, mut source: Source, options: &LoadOptions) -
         }
     }
 
+    if options.depth.is_some() {
+        check_depth(root, &source)?;
+    }
+
     let train_centres: Vec<DVec3> =
         frames_of(&source, Split::Train).map(|frame| frame.camera_from_world.centre()).collect();
     let (mean, extent) = mean_and_extent(&train_centres);
@@ -42,8 +46,15 @@ pub(super) fn assemble(root: &Path, mut source: Source, options: &LoadOptions) -
 
     let views = |split| -> Result<Vec<View>> {
         let frames: Vec<&Frame> = frames_of(&source, split).collect();
-        let views: Vec<_> =
-            frames.into_par_iter().map(|frame| view(frame, offset, near, background, options.max_resolution)).collect();
+        let kind = options.depth.filter(|_| split == Split::Train);
+        let with_depth = |frame: &Frame| -> Result<View> {
+            let mut view = view(frame, offset, near, background, options.max_resolution)?;
+            if let (Some(kind), Some(file)) = (kind, depth::file(root, frame)) {
+                view.depth = Some(depth::read(&file, kind, frame, &view.picture)?);
+            }
+            Ok(view)
+        };
+        let views: Vec<_> = frames.into_par_iter().map(with_depth).collect();
         views.into_iter().collect()
     };
     Ok(Dataset {
@@ -138,6 +149,25 @@ fn missing_image(frame: &Frame) -> DatasetError {
     }
 }
 
+/// # Errors
+/// [`DatasetError::MissingDepth`] for the first training view whose map is not there, [`DatasetError::NoDepth`] if no
+/// training view has one.
+fn check_depth(root: &Path, source: &Source) -> Result<()> {
+    let mut found = false;
+    for frame in frames_of(source, Split::Train) {
+        let Some(file) = depth::file(root, frame) else { continue };
+        if !file.path.is_file() {
+            return Err(DatasetError::MissingDepth {
+                path: file.path,
+                view: frame.name.clone(),
+                described_in: frame.described_in.clone(),
+            });
+        }
+        found = true;
+    }
+    if found { Ok(()) } else { Err(DatasetError::NoDepth { path: root.join(depth::FOLDER) }) }
+}
+
 fn view(frame: &Frame, offset: DVec3, near: f64, background: [f64; 3], max_resolution: Option<usize>) -> Result<View> {
     let mut picture = images::decode(&frame.image, background)?;
     if !frame.lens.fits(picture.width, picture.height) {
@@ -156,7 +186,7 @@ fn view(frame: &Frame, offset: DVec3, near: f64, background: [f64; 3], max_resol
     }
     let camera = pinhole.camera(frame.camera_from_world.recentred(offset), near);
     let (camera, picture) = capped(camera, picture, max_resolution);
-    Ok(View { name: frame.name.clone(), camera, picture })
+    Ok(View { name: frame.name.clone(), camera, picture, depth: None })
 }
 
 fn capped(camera: Camera, picture: Picture, max_resolution: Option<usize>) -> (Camera, Picture) {

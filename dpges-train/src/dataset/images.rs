@@ -83,13 +83,13 @@ pub(super) fn decode(path: &Path, background: [f64; 3]) -> Result<Picture> {
     Ok(Picture { width, height, planes, alpha: Some(alpha) })
 }
 
-fn reader(path: &Path) -> Result<ImageReader<std::io::BufReader<std::fs::File>>> {
+pub(super) fn reader(path: &Path) -> Result<ImageReader<std::io::BufReader<std::fs::File>>> {
     ImageReader::open(path)
         .and_then(ImageReader::with_guessed_format)
         .map_err(|source| DatasetError::Read { path: path.to_owned(), source })
 }
 
-fn undecodable(path: &Path, source: ImageError) -> DatasetError {
+pub(super) fn undecodable(path: &Path, source: ImageError) -> DatasetError {
     DatasetError::Decode { path: path.to_owned(), source }
 }
 

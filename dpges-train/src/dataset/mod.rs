@@ -8,6 +8,7 @@ mod assemble;
 mod blender;
 mod builtin;
 mod colmap;
+mod depth;
 mod error;
 #[cfg(test)]
 mod fixtures;
@@ -28,6 +29,7 @@ use dpges_core::camera::Camera;
 use glam::DVec3;
 
 pub use builtin::{BuiltinOptions, builtin, builtin_geometry};
+pub use depth::{DepthKind, DepthMap};
 pub use error::DatasetError;
 pub use images::Picture;
 
@@ -41,6 +43,8 @@ pub struct View {
     /// In the shifted world, see [`Dataset::offset`].
     pub camera: Camera,
     pub picture: Picture,
+    /// `None` if there is none, or none was asked for. Only training views have one.
+    pub depth: Option<DepthMap>,
 }
 
 /// Points on the surfaces of the scene.
@@ -155,11 +159,13 @@ pub struct LoadOptions {
     pub test_every: usize,
     /// World units. `None`: 0.2 for COLMAP and nerfstudio, 0.01 for Blender.
     pub near: Option<f64>,
+    /// Read the depth maps of training views, which have values of this kind. `None` reads none.
+    pub depth: Option<DepthKind>,
 }
 
 impl Default for LoadOptions {
     fn default() -> Self {
-        Self { background: None, image_scale: None, max_resolution: None, test_every: 8, near: None }
+        Self { background: None, image_scale: None, max_resolution: None, test_every: 8, near: None, depth: None }
     }
 }
 

@@ -26,6 +26,16 @@ pub(super) struct Frame {
     pub split: Split,
     /// File that holds the pose, named in messages.
     pub described_in: PathBuf,
+    /// The depth map that the dataset names; `None` if it lies where depth maps lie by default, or there is none.
+    pub depth: Option<DepthFile>,
+}
+
+/// A depth map on disk.
+#[derive(Clone, Debug)]
+pub(super) struct DepthFile {
+    pub path: PathBuf,
+    /// World units of depth of a step of its values.
+    pub unit: f64,
 }
 
 /// Points in the frame of the file, in f64: geo-referenced coordinates do not fit f32.

@@ -9,10 +9,11 @@ use dpges_core::camera::CameraFromWorld;
 use glam::{DMat3, DQuat, DVec3};
 use serde::Deserialize;
 
+use super::depth::DEFAULT_UNIT;
 use super::error::{DatasetError, Result, read};
 use super::images;
 use super::lens::{Distortion, Lens};
-use super::source::{Frame, Split};
+use super::source::{DepthFile, Frame, Split};
 
 /// Largest entry of RᵀR − I with which a pose is made orthonormal; other poses are refused.
 const ROTATION_TOLERANCE: f64 = 1e-3;
@@ -21,6 +22,8 @@ const ROTATION_TOLERANCE: f64 = 1e-3;
 pub(super) struct Transforms {
     #[serde(flatten)]
     intrinsics: Intrinsics,
+    /// World units of depth of a step of the depth maps; 0.001 if absent.
+    depth_unit_scale_factor: Option<f64>,
     /// Point cloud in the frame of the poses.
     pub ply_file_path: Option<String>,
     pub train_filenames: Option<Vec<String>>,
@@ -34,6 +37,7 @@ struct JsonFrame {
     file_path: String,
     /// 4×4 or 3×4, row by row.
     transform_matrix: Vec<Vec<f64>>,
+    depth_file_path: Option<String>,
     #[serde(flatten)]
     intrinsics: Intrinsics,
 }
@@ -75,6 +79,11 @@ impl Transforms {
     /// # Errors
     /// [`DatasetError`] for missing images, fisheye lenses, poses that are no rigid motions.
     pub fn frames(&self, root: &Path, path: &Path, split: Split) -> Result<Vec<Frame>> {
+        let unit = self.depth_unit_scale_factor.unwrap_or(DEFAULT_UNIT);
+        if !(unit.is_finite() && unit > 0.0) {
+            let what = "`depth_unit_scale_factor`".to_owned();
+            return Err(DatasetError::malformed(path, what, unit, "a positive number"));
+        }
         let mut frames: Vec<Frame> = self
             .frames
             .iter()
@@ -83,7 +92,8 @@ impl Transforms {
                 let image = image_path(root, path, &name)?;
                 let lens = frame.intrinsics.clone().or(&self.intrinsics).lens(path, &name, &image)?;
                 let camera_from_world = camera_from_world(path, &name, &frame.transform_matrix)?;
-                Ok(Frame { name, image, lens, camera_from_world, split, described_in: path.to_owned() })
+                let depth = frame.depth_file_path.as_ref().map(|file| DepthFile { path: root.join(file), unit });
+                Ok(Frame { name, image, lens, camera_from_world, split, described_in: path.to_owned(), depth })
             })
             .collect::<Result<_>>()?;
         frames.sort_by(|a, b| a.name.cmp(&b.name));

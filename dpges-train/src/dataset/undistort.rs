@@ -52,7 +52,7 @@ pub(super) fn resample(photograph: &Picture, lens: &Lens, pinhole: &Lens) -> Pic
 }
 
 /// Position on the photograph, px, of the position (x, y), px, of the pinhole picture.
-fn source_position(lens: &Lens, pinhole: &Lens, x: f64, y: f64) -> (f64, f64) {
+pub(super) fn source_position(lens: &Lens, pinhole: &Lens, x: f64, y: f64) -> (f64, f64) {
     let (x, y) = lens.distortion.apply((x - pinhole.cx) / pinhole.fx, (y - pinhole.cy) / pinhole.fy);
     (lens.fx * x + lens.cx, lens.fy * y + lens.cy)
 }

@@ -186,7 +186,7 @@ mod tests {
                 planes: vec![0.25; 3 * SIZE * SIZE],
                 alpha: alpha.then_some(disc),
             };
-            View { name: i.to_string(), camera, picture }
+            View { name: i.to_string(), camera, picture, depth: None }
         };
         let colours = vec![[0.75; 3]; points.len()];
         Dataset {

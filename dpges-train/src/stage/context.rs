@@ -10,7 +10,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::config::{Budget, Config, StagePlan};
 use crate::dataset::Dataset;
-use crate::stage::ExposureState;
+use crate::stage::{DepthMaps, ExposureState};
 
 /// What all stages of a run share.
 pub struct Context {
@@ -24,6 +24,8 @@ pub struct Context {
     pub completed_steps: usize,
     /// Of the training views, through all stages.
     pub exposure: ExposureState,
+    /// `None` if no depth maps are learnt from.
+    pub depth: Option<DepthMaps>,
 }
 
 impl Context {

@@ -169,6 +169,7 @@ mod tests {
             remaining_views: Vec::new(),
             completed_steps: 0,
             exposure: ExposureState::default(),
+            depth: None,
         };
         context.start_of_environment().unwrap()
     }

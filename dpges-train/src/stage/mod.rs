@@ -6,6 +6,7 @@
 mod blended;
 mod checkpoint;
 mod context;
+mod depth;
 mod environment;
 mod error;
 mod exposure;
@@ -25,6 +26,7 @@ use crate::config::{Config, StageKind, StagePlan};
 use blended::BlendedStage;
 pub use checkpoint::StageCheckpoint;
 pub use context::{Context, budget};
+pub use depth::DepthMaps;
 pub use environment::EnvironmentState;
 pub use error::TrainError;
 pub use exposure::{EXPOSURE, ExposureState};

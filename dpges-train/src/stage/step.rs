@@ -3,6 +3,7 @@
 use burn::tensor::Tensor;
 use dpges_core::render::Values;
 
+use super::depth::DepthTarget;
 use super::exposure::photographed;
 use super::pending::{Gate, PendingStep};
 use super::{Context, Stage, StepReport, TrainError};
@@ -19,6 +20,8 @@ pub struct StepInput<'a> {
     pub target: Tensor<3>,
     /// What is known of the parameters.
     pub values: Values,
+    /// What a depth map says of the view; `None` if it has none.
+    pub depth: Option<DepthTarget>,
     /// [1, 6] the colour correction of the view, on the tape; `None` in runs without any.
     pub exposure: Option<Tensor<2>>,
 }
@@ -52,9 +55,10 @@ pub fn begin_step(
     let target = view.target(&context.tape());
     // After the first step they stay finite, since a step with a gradient that is not finite is held back
     let values = if completed == 0 { Values::Unknown } else { Values::KnownFinite };
+    let depth = context.depth_target(report.view, &context.tape());
     let corrections = context.exposure.leaf();
     let exposure = corrections.as_ref().map(|leaf| leaf.clone().slice([report.view..report.view + 1, 0..6]));
-    let input = StepInput { completed, index: report.view, view, target: target.clone(), values, exposure };
+    let input = StepInput { completed, index: report.view, view, target: target.clone(), values, depth, exposure };
     let at = |source| TrainError::Step { step: report.step, view: view.name.clone(), source };
     let forward = stage.forward(&leaves, &input, context).map_err(at)?;
 

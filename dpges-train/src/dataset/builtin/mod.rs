@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use self::room::{Hit, trace};
 use super::assemble::mean_and_extent;
 use super::images::Picture;
-use super::{Dataset, Format, PointCloud, View};
+use super::{Dataset, DepthKind, DepthMap, Format, PointCloud, View};
 
 const FIELD_OF_VIEW: f64 = 0.9;
 const TARGET: DVec3 = DVec3::new(0.0, 0.0, 0.3);
@@ -36,6 +36,9 @@ pub struct BuiltinOptions {
     pub supersampling: usize,
     /// Largest change of exposure of a view, up or down, stops of linear light.
     pub exposure_stops: f64,
+    /// Depth maps of the training views: exact, but for their steps. Relative ones are scaled and shifted from view to
+    /// view.
+    pub depth: Option<DepthKind>,
     /// Seed of the points and of the exposures. Cameras do not depend on it.
     pub seed: u64,
 }
@@ -50,6 +53,7 @@ impl Default for BuiltinOptions {
             points: 2000,
             supersampling: 3,
             exposure_stops: 0.0,
+            depth: None,
             seed: 1,
         }
     }
@@ -61,7 +65,7 @@ pub fn builtin(options: &BuiltinOptions) -> Dataset {
     let near = Format::Builtin.default_near();
     let mut exposures = ChaCha8Rng::seed_from_u64(options.seed);
     exposures.set_stream(1);
-    let mut views = |name: &str, count: usize, phase: f64| -> Vec<View> {
+    let mut views = |name: &str, count: usize, phase: f64, depth: Option<DepthKind>| -> Vec<View> {
         let changes: Vec<f64> =
             (0..count).map(|_| options.exposure_stops * exposures.random_range(-1.0..=1.0)).collect();
         (0..count)
@@ -69,16 +73,17 @@ pub fn builtin(options: &BuiltinOptions) -> Dataset {
             .map(|index| {
                 let camera = dome_camera(options, index, count, phase, near);
                 let picture = photograph(&camera, options.supersampling, changes[index]);
-                View { name: format!("{name}_{index:03}"), camera, picture }
+                let of_kind = |kind| DepthMap::from_depths(kind, &builtin_geometry(&camera).0);
+                View { name: format!("{name}_{index:03}"), camera, picture, depth: depth.map(of_kind) }
             })
             .collect()
     };
-    let train = views("train", options.train_views, 0.0);
+    let train = views("train", options.train_views, 0.0, options.depth);
     let centres: Vec<DVec3> = train.iter().map(|view| view.camera.centre()).collect();
     let (_, extent) = mean_and_extent(&centres);
     Dataset {
         points: surface_points(&train, options),
-        test: views("test", options.test_views, 0.5),
+        test: views("test", options.test_views, 0.5, None),
         validation: Vec::new(),
         train,
         offset: DVec3::ZERO,

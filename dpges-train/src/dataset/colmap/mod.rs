@@ -127,6 +127,7 @@ fn frames(
                 camera_from_world: CameraFromWorld::from_quaternion(image.wxyz, image.translation.into()),
                 split,
                 described_in: described_in.to_owned(),
+                depth: None,
             })
         })
         .collect()

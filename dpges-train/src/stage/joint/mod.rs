@@ -9,6 +9,7 @@ mod start;
 mod statistics;
 mod supervision;
 
+use dpges_core::losses::depth::surfel_depth;
 use dpges_core::losses::geometry::{GeometryWeights, geometry};
 use dpges_core::losses::{LossWeights, hidden, losses};
 use dpges_core::ops::environment::environment;
@@ -140,6 +141,10 @@ impl Stage for JointStage {
         }
         if let Some(mask) = self.sky.as_ref().and_then(|sky| sky.of(input.index, input.view, &context.tape())) {
             losses.total = losses.total + hidden(&rendered, mask) * train.lambda_sky;
+        }
+        if let Some(target) = &input.depth {
+            let [depth, coverage] = surfel_depth(&rendered);
+            losses.total = losses.total + target.loss(depth, coverage)?;
         }
         if let Some(supervisions) = &self.supervisions {
             let supervision = supervisions.of(input.index, &context.tape());
