@@ -3,6 +3,9 @@
 #[doc = include_str!("../docs/commands.md")]
 pub mod commands {}
 
+#[doc = include_str!("../docs/captures.md")]
+pub mod captures {}
+
 #[doc = include_str!("../docs/compression.md")]
 pub mod compression {}
 
@@ -41,3 +44,6 @@ pub mod trade {}
 
 #[doc = include_str!("../docs/popping.md")]
 pub mod popping {}
+
+#[doc = include_str!("../docs/step.md")]
+pub mod step {}

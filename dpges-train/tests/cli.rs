@@ -999,3 +999,36 @@ fn an_interrupted_run_resumes_to_the_same_scene() {
         assert_eq!(pictures("whole"), pictures(run));
     }
 }
+
+#[test]
+fn bench_step_measures_with_and_without_files() {
+    let folder = folder();
+    let small = ["--device=cpu", "--size=48x32", "--rounds=2", "--warm-up=0"];
+    let made = [
+        "bench",
+        "step",
+        "realistic",
+        "--surfels=50",
+        "--gaussians=200",
+        "--json=step.json",
+        "--save-scene=a.safetensors",
+    ];
+    let table = ok(folder.path(), &[&made[..], &small].concat());
+    assert!(table.starts_with("joint step, 50 surfels, 200 Gaussians, 1 view of 48x32 px, on burn-ndarray"), "{table}");
+    let found = json(folder.path().join("step.json"));
+    assert!(
+        found["hardware"] == "cpu" && found["gpu"].is_null() && found["not_measured"].as_array().unwrap().len() == 1
+    );
+    assert!(found["time"]["steps"] == 2 && found["time"]["median_ms"].as_f64().unwrap() > 0.0, "{found}");
+    assert!(found["lists"]["gaussians"]["inside_pairs"].as_u64().unwrap() > 0, "{found}");
+    assert_eq!((&found["camera"]["cx"], &found["camera"]["cy"]), (&json!(24.0), &json!(16.0)));
+
+    let again = ["bench", "step", "a.safetensors", "--data=builtin", "--cameras=2", "--stage=blended"];
+    let table = ok(folder.path(), &[&again[..], &small].concat());
+    assert!(table.starts_with("mcmc step, 0 surfels, 200 Gaussians, 2 views of 48x32 px"), "{table}");
+
+    let without = ["bench", "step", "realistic", "--surfels=0", "--gaussians=0", "--device=cpu"];
+    assert!(fails(folder.path(), 2, &without).contains("nothing to train"));
+    let wrong = fails(folder.path(), 2, &["bench", "step", "realistic", "--stage=mixed"]);
+    assert!(wrong.contains("mixed") && wrong.contains("joint (surfels and Gaussians)"), "{wrong}");
+}

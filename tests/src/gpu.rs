@@ -6,7 +6,7 @@ use burn::tensor::{DType, Device};
 use dpges_train::device::DeviceName;
 use libtest_mimic::Trial;
 
-use crate::{extremes, golden, gpu, lpips, parity, training};
+use crate::{extremes, golden, gpu, lpips, parity, step_cost, training};
 
 /// Every function named, with its name.
 macro_rules! named {
@@ -33,6 +33,8 @@ pub fn trials() -> Vec<Trial> {
         gpu::starts_once,
         training::a_gpu_trains_as_well_as_a_cpu,
         training::a_deterministic_run_on_a_gpu_is_the_same_bytes_every_time,
+        step_cost::a_step_is_counted_alike_every_time,
+        step_cost::a_blended_step_is_counted,
     ];
     let device = best();
     let required = std::env::var("DPGES_REQUIRE_GPU").is_ok_and(|value| value == "1");

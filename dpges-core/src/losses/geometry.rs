@@ -9,7 +9,9 @@ mod tests;
 use burn::tensor::ops::PadMode;
 use burn::tensor::{Tensor, TensorData};
 
+use super::{Mask, mean_of_counted};
 use crate::camera::Camera;
+use crate::counters::transfers::upload;
 use crate::error::Result;
 use crate::ops::composite;
 use crate::render::Render;
@@ -43,6 +45,14 @@ pub struct Supervision {
     pub normal: Tensor<3>,
 }
 
+impl Supervision {
+    /// The same, unknown where pixels do not count.
+    #[must_use]
+    pub fn within(self, mask: &Mask) -> Self {
+        Self { depth: mask.filled(self.depth, 0.0), normal: mask.filled(self.normal, 0.0) }
+    }
+}
+
 /// Unit normals [3, H, W] of the surface at `depth` [1, H, W], in camera axes, towards the camera: the
 /// cross product of central differences of un-projected pixel centres (2DGS, "normal consistency").
 ///
@@ -63,7 +73,7 @@ pub fn normals_from_depth(depth: Tensor<3>, camera: &Camera) -> Tensor<3> {
     let rays = |focal_px: f64, principal_px: f64, shape: [usize; 3]| {
         let count = shape.into_iter().product::<usize>();
         let slopes: Vec<f64> = (0..count).map(|i| (i as f64 + 1.5 - principal_px) / focal_px).collect();
-        Tensor::<3>::from_data(TensorData::new(slopes, shape).convert_dtype(dtype), (&device, dtype))
+        Tensor::<3>::from_data(upload(TensorData::new(slopes, shape).convert_dtype(dtype)), (&device, dtype))
     };
     // With points as depth · ray (x, y, 1) and rays linear in the pixel, the cross product over both sums of depths is
     // (across, down, −(across x + down y + 1)). Its component along the ray is −1, so it never vanishes.
@@ -89,10 +99,15 @@ fn disagreement(a: Tensor<3>, b: Tensor<3>) -> Tensor<3> {
     (a * b).sum_dim(0) * -1.0 + 1.0
 }
 
-/// Mean over all pixels of `1 − N · Ñ A` (2DGS, "normal consistency"): `normal` N = Σ w n and `depth_normal` Ñ, that of
-/// [`normals_from_depth`], in the same axes; `alpha` A [1, H, W] carries no gradient.
-pub fn normal_consistency(normal: Tensor<3>, depth_normal: Tensor<3>, alpha: Tensor<3>) -> Tensor<1> {
-    disagreement(normal, depth_normal * alpha.detach()).mean()
+/// Mean over all pixels that count of `1 − N · Ñ A` (2DGS, "normal consistency"): `normal` N = Σ w n and `depth_normal` Ñ,
+/// that of [`normals_from_depth`], in the same axes; `alpha` A [1, H, W] carries no gradient.
+pub fn normal_consistency(
+    normal: Tensor<3>,
+    depth_normal: Tensor<3>,
+    alpha: Tensor<3>,
+    mask: Option<&Mask>,
+) -> Tensor<1> {
+    mean_of_counted(disagreement(normal, depth_normal * alpha.detach()), mask)
 }
 
 /// `normal` [3, H, W] of world axes in camera axes.
@@ -100,7 +115,7 @@ pub fn in_camera_axes(normal: Tensor<3>, camera: &Camera) -> Tensor<3> {
     let (shape, device, dtype) = (normal.dims(), normal.device(), normal.dtype());
     let columns = camera.camera_from_world.rotation.to_cols_array().to_vec();
     let columns = TensorData::new(columns, [3, 3, 1, 1]).convert_dtype(dtype);
-    let columns = Tensor::<4>::from_data(columns, (&device, dtype));
+    let columns = Tensor::<4>::from_data(upload(columns), (&device, dtype));
     (columns * normal.unsqueeze_dim::<4>(1)).sum_dim(0).reshape(shape)
 }
 

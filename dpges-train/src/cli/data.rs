@@ -60,6 +60,10 @@ impl Source {
             test.len(),
             points.positions.len()
         );
+        let masked = dataset.masked();
+        if masked.masked_views > 0 {
+            tracing::info!("{masked}");
+        }
         Ok(dataset)
     }
 }
@@ -111,6 +115,7 @@ fn builtin(config: &DataConfig) -> Result<Dataset> {
     if let Background::Colour(colour) = config.background {
         dataset.background = colour;
     }
+    dataset.spare_memory = config.memory.bytes();
     if config.near > 0.0 {
         dataset.near = config.near;
         dataset.train.iter_mut().chain(&mut dataset.test).for_each(|view| view.camera.near = config.near);
@@ -215,6 +220,8 @@ pub struct DataArgs {
     pub max_resolution: Option<usize>,
     #[arg(long, value_name = "N", help = key("data.test_every").help())]
     pub test_every: Option<usize>,
+    #[arg(long, help = key("data.invert_masks").help())]
+    pub invert_masks: bool,
 }
 
 impl DataArgs {
@@ -227,6 +234,7 @@ impl DataArgs {
             set("image_scale", self.image_scale.map(|scale| scale.to_string())),
             set("max_resolution", text(self.max_resolution)),
             set("test_every", text(self.test_every)),
+            set("invert_masks", self.invert_masks.then(|| "true".to_owned())),
         ]
         .into_iter()
         .flatten()

@@ -341,7 +341,7 @@ mod tests {
         let mut fusion = Fusion::new(FusionOptions::new(0.06)).unwrap();
         for view in &data.train {
             let (depth, _) = builtin_geometry(&view.camera);
-            let (coverage, colour) = (vec![1.0; depth.len()], &view.picture.planes);
+            let (coverage, colour) = (vec![1.0; depth.len()], &view.picture().unwrap().planes());
             fusion.add(&DepthView { camera: &view.camera, depth: &depth, coverage: &coverage, colour }).unwrap();
         }
         let text = exact_error(&fusion.finish().unwrap(), &data.test);

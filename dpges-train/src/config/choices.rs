@@ -38,6 +38,14 @@ choices! {
         "rest" => Rest,
     }
 
+    /// What the alpha of pictures says.
+    Alpha {
+        /// How much of a photograph covers the background: it is composited on `data.background`.
+        "matte" => Matte,
+        /// Which pixels count: those of at least half alpha, with the colour that they have.
+        "mask" => Mask,
+    }
+
     /// What ends a run.
     Stop {
         /// Its length, `train.steps`.

@@ -7,10 +7,11 @@ use dpges_core::scene::{ColourModel, Footprint, MarginLookup, OpacityActivation}
 
 use super::budget::Budget;
 use super::choices::{
-    AddAs, Background, DepthMaps, Environment, Exposure, GaussianStage, InitMethod, JointOpacity, Margin, Method,
-    PixelsOf, Stop, SurfelStart,
+    AddAs, Alpha, Background, DepthMaps, Environment, Exposure, GaussianStage, InitMethod, JointOpacity, Margin,
+    Method, PixelsOf, Stop, SurfelStart,
 };
 use super::declare::{Ablation, Key, Section, Value, configuration, optional};
+use super::memory::Memory;
 use super::range::{self, OPACITY, POSITIVE, POSITIVE_SHARE};
 use super::sources::ConfigError;
 
@@ -19,6 +20,10 @@ configuration! {
     [data] DataConfig {
         /// Colour behind the scene. Pictures with alpha are composited on it.
         background: Background = Background::Auto;
+        /// What the alpha of pictures says.
+        alpha: Alpha = Alpha::Matte;
+        /// Masks are black where pixels count, and white where they are ignored, instead of the other way round.
+        invert_masks: bool = false;
         /// Which photographs to read: 1 for the folder `images`, N for `images_N`, downsampled N times as shipped.
         image_scale: u32 = 1, range: 1..;
         /// Longest side of a picture. Larger photographs are downsampled; 0 sets no limit.
@@ -28,6 +33,9 @@ configuration! {
         /// Keep every n-th training view for validation, for `train.stop` and `refine.budget` to decide by. 0 keeps
         /// every 8th if `train.stop = "validation"` or `refine.budget = "auto"`, and none otherwise.
         validation_every: usize = 0, unit: "views";
+        /// Most memory for photographs. Those beyond are read again from their files whenever they are needed, which takes
+        /// time and changes nothing else.
+        memory: Memory = Memory::Auto;
         /// Near plane of every camera. 0 takes the default of the dataset's format.
         near: f64 = 0.0, unit: "world units", range: 0.0..;
         /// Depth maps beside the photographs, 16-bit grey PNGs in which 0 means unknown: the `depth_file_path` of a frame,

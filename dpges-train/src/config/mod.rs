@@ -4,7 +4,7 @@
 //! |---|---|
 //! | [`mod@keys`] | the declarations |
 //! | [`declare`] | the macro that they are written in, and what it makes of them |
-//! | [`choices`], [`budget`] | types of values |
+//! | [`choices`], [`budget`], [`memory`] | types of values |
 //! | [`range`] | which numbers make sense |
 //! | [`sources`] | defaults, presets, files and options, one over the other |
 //! | [`document`] | the keys as TOML and Markdown |
@@ -15,6 +15,7 @@ pub mod choices;
 pub mod declare;
 pub mod document;
 pub mod keys;
+pub mod memory;
 pub mod range;
 pub mod schedule;
 pub mod sources;
@@ -27,8 +28,8 @@ use crate::dataset::{DepthKind, LoadOptions};
 pub use budget::Budget;
 use budget::{MEGABYTE, primitives_for};
 pub use choices::{
-    AddAs, Background, DepthMaps, Environment, Exposure, GaussianStage, InitMethod, JointOpacity, Margin, Method,
-    PixelsOf, Stop, SurfelStart,
+    AddAs, Alpha, Background, DepthMaps, Environment, Exposure, GaussianStage, InitMethod, JointOpacity, Margin,
+    Method, PixelsOf, Stop, SurfelStart,
 };
 pub use declare::{Ablation, Key, Section};
 pub use dpges_core::scene::OpacityActivation;
@@ -36,6 +37,7 @@ pub use keys::{
     Config, DataConfig, DensityConfig, DiscsConfig, InitConfig, ModelConfig, OptimizerConfig, RefineConfig,
     RelocationConfig, SECTIONS, StagesConfig, TrainConfig,
 };
+pub use memory::Memory;
 pub use schedule::{Due, Schedule};
 pub use sources::ConfigError;
 pub use stages::{Blended, Density, Relocation, StageKind, StagePlan};
@@ -96,6 +98,9 @@ impl DataConfig {
             max_resolution: (self.max_resolution > 0).then_some(self.max_resolution),
             test_every: self.test_every,
             near: (self.near > 0.0).then_some(self.near),
+            alpha_masks: self.alpha == Alpha::Mask,
+            invert_masks: self.invert_masks,
+            memory: self.memory.bytes(),
             depth: match self.depth {
                 DepthMaps::None => None,
                 DepthMaps::Metric => Some(DepthKind::Metric),

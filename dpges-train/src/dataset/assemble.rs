@@ -4,12 +4,11 @@ use std::path::{Component, Path, PathBuf};
 
 use dpges_core::camera::Camera;
 use glam::DVec3;
-use rayon::prelude::*;
 
 use super::error::{DatasetError, Result, listing};
-use super::images::{self, Picture};
+use super::images::{self, Alpha};
 use super::source::{Frame, RawPoints, Source, Split};
-use super::{Dataset, Format, LoadOptions, PointCloud, View, depth, undistort};
+use super::{Dataset, DepthMap, Format, LoadOptions, Picture, PointCloud, depth, masks, reading, undistort};
 
 /// Distance of the cameras from the origin, in extents, beyond which the world is moved there. f32 has 24 bits: at
 /// 100 extents positions are rounded to 100 · 2⁻²⁴ = 6·10⁻⁶ extents, a fraction of a pixel.
@@ -30,6 +29,10 @@ pub(super) fn assemble(root: &Path, mut source: Source, options: &LoadOptions) -
             return Err(missing_image(frame));
         }
     }
+    for frame in &mut source.frames {
+        frame.mask = masks::find(root, frame)?;
+    }
+    masks::warn_of_strangers(root, &source.frames);
 
     if options.depth.is_some() {
         check_depth(root, &source)?;
@@ -43,23 +46,26 @@ pub(super) fn assemble(root: &Path, mut source: Source, options: &LoadOptions) -
         Some(background) => background,
         None => default_background(&source)?,
     };
-
-    let views = |split| -> Result<Vec<View>> {
-        let frames: Vec<&Frame> = frames_of(&source, split).collect();
-        let kind = options.depth.filter(|_| split == Split::Train);
-        let with_depth = |frame: &Frame| -> Result<View> {
-            let mut view = view(frame, offset, near, background, options.max_resolution)?;
-            if let (Some(kind), Some(file)) = (kind, depth::file(root, frame)) {
-                view.depth = Some(depth::read(&file, kind, frame, &view.picture)?);
-            }
-            Ok(view)
-        };
-        let views: Vec<_> = frames.into_par_iter().map(with_depth).collect();
-        views.into_iter().collect()
+    let reading = Reading {
+        alpha: if options.alpha_masks { Alpha::Mask } else { Alpha::Matte(background) },
+        invert_masks: options.invert_masks,
+        max_resolution: options.max_resolution,
     };
+
+    warn_of_deep_images(&source.frames)?;
+    // photographs to train on come first: they are needed more often
+    let frames: Vec<&Frame> =
+        [Split::Train, Split::Test].into_iter().flat_map(|split| frames_of(&source, split)).collect();
+    let read = move |frame: &Frame| photograph(frame, offset, near, &reading);
+    let depth = |frame: &Frame, picture: &Picture| -> Result<Option<DepthMap>> {
+        let Some(kind) = options.depth.filter(|_| frame.split == Split::Train) else { return Ok(None) };
+        depth::file(root, frame).map(|file| depth::read(&file, kind, frame, picture)).transpose()
+    };
+    let (mut train, spare_memory) = reading::views(&frames, options.memory, read, depth)?;
+    let test = train.split_off(train_centres.len());
     Ok(Dataset {
-        train: views(Split::Train)?,
-        test: views(Split::Test)?,
+        train,
+        test,
         validation: Vec::new(),
         points: recentred_points(&source, offset),
         offset,
@@ -67,6 +73,7 @@ pub(super) fn assemble(root: &Path, mut source: Source, options: &LoadOptions) -
         background,
         format: source.format,
         near,
+        spare_memory,
     })
 }
 
@@ -168,8 +175,37 @@ fn check_depth(root: &Path, source: &Source) -> Result<()> {
     if found { Ok(()) } else { Err(DatasetError::NoDepth { path: root.join(depth::FOLDER) }) }
 }
 
-fn view(frame: &Frame, offset: DVec3, near: f64, background: [f64; 3], max_resolution: Option<usize>) -> Result<View> {
-    let mut picture = images::decode(&frame.image, background)?;
+/// Says so if images have more than 8 bits per value.
+fn warn_of_deep_images(frames: &[Frame]) -> Result<()> {
+    let mut deep = Vec::new();
+    let is_png = |frame: &&Frame| frame.image.extension().is_some_and(|found| found.eq_ignore_ascii_case("png"));
+    for frame in frames.iter().filter(|frame| frame.split != Split::Neither).filter(is_png) {
+        if images::header(&frame.image)?.is_deep {
+            deep.push(frame.image.display());
+        }
+    }
+    if let Some(first) = deep.first() {
+        tracing::info!("{} images of 16 bits per value are rounded to 8, such as {first}", deep.len());
+    }
+    Ok(())
+}
+
+/// How photographs are read.
+#[derive(Clone, Copy)]
+struct Reading {
+    alpha: Alpha,
+    invert_masks: bool,
+    /// px
+    max_resolution: Option<usize>,
+}
+
+/// The photograph of a frame, undistorted and made smaller, and the camera that would have taken it.
+fn photograph(frame: &Frame, offset: DVec3, near: f64, reading: &Reading) -> Result<(Camera, Picture)> {
+    let mut picture = images::decode(&frame.image, reading.alpha)?;
+    if let Some(mask) = &frame.mask {
+        let size = [picture.width, picture.height];
+        picture.count_only(masks::read(mask, &frame.image, size, reading.invert_masks)?);
+    }
     if !frame.lens.fits(picture.width, picture.height) {
         return Err(DatasetError::ImageSize {
             path: frame.image.clone(),
@@ -185,8 +221,11 @@ fn view(frame: &Frame, offset: DVec3, near: f64, background: [f64; 3], max_resol
         picture = undistort::resample(&picture, &lens, &pinhole);
     }
     let camera = pinhole.camera(frame.camera_from_world.recentred(offset), near);
-    let (camera, picture) = capped(camera, picture, max_resolution);
-    Ok(View { name: frame.name.clone(), camera, picture, depth: None })
+    let (camera, picture) = capped(camera, picture, reading.max_resolution);
+    if picture.counted.as_ref().is_some_and(|counted| !counted.contains(&true)) {
+        return Err(DatasetError::NothingCounts { path: frame.image.clone(), view: frame.name.clone() });
+    }
+    Ok((camera, picture))
 }
 
 fn capped(camera: Camera, picture: Picture, max_resolution: Option<usize>) -> (Camera, Picture) {
@@ -283,7 +322,7 @@ mod tests {
         let camera = data.train[0].camera;
         assert_eq!((camera.width, camera.height), (12, 8));
         assert_eq!((camera.fx, camera.cx, camera.cy), (10.0, 6.0, 4.0));
-        assert_eq!(data.train[0].picture.rgb(3, 3), [10.0 / 255.0, 20.0 / 255.0, 30.0 / 255.0]);
+        assert_eq!(data.train[0].picture().unwrap().bytes[..3], [10, 20, 30]);
     }
 
     #[test]
@@ -295,10 +334,11 @@ mod tests {
         let small = load(folder.path(), &options).unwrap();
         let camera = small.train[0].camera;
         assert_eq!((camera.width, camera.height, camera.fx, camera.near), (12, 8, 10.0, 0.5));
-        assert_eq!(small.train[0].picture.planes.len(), 3 * 12 * 8);
+        assert_eq!(small.train[0].picture().unwrap().bytes.len(), 3 * 12 * 8);
         assert_eq!((full.train[0].camera.width, full.near), (24, 0.2));
         let enough = LoadOptions { max_resolution: Some(24), ..Default::default() };
-        assert_eq!(load(folder.path(), &enough).unwrap().train[0].picture, full.train[0].picture);
+        let same = load(folder.path(), &enough).unwrap();
+        assert_eq!(same.train[0].picture().unwrap(), full.train[0].picture().unwrap());
     }
 
     #[test]

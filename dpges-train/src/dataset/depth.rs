@@ -5,9 +5,9 @@ use std::path::Path;
 use image::{DynamicImage, ImageBuffer, Luma};
 
 use super::error::{DatasetError, Result};
-use super::images::{Picture, reader, undecodable};
+use super::images::decoded;
 use super::source::{DepthFile, Frame};
-use super::undistort;
+use super::{Picture, undistort};
 
 /// Where the depth maps of views lie that do not name theirs, below the folder of the dataset.
 pub(super) const FOLDER: &str = "depths";
@@ -27,7 +27,7 @@ pub enum DepthKind {
 #[derive(Clone, Debug, PartialEq)]
 pub struct DepthMap {
     pub kind: DepthKind,
-    /// [height × width] of the picture of the view, row by row; 0 where nothing is known.
+    /// [height × width] of the picture of the view, row by row; 0 where nothing is known or the pixel does not count.
     pub steps: Vec<u16>,
     /// Of one step: world units of camera-space z; or, if relative, 1/65535.
     pub step: f64,
@@ -76,14 +76,15 @@ pub(super) fn file(root: &Path, frame: &Frame) -> Option<DepthFile> {
 }
 
 /// Reads the depth map of `frame` for its finished `picture`. Each pixel takes the value of the map where it lies, without
-/// interpolation: between the depths on both sides of an edge there is nothing.
+/// interpolation: between the depths on both sides of an edge there is nothing. Of pixels that do not count nothing is
+/// known.
 ///
 /// # Errors
 /// [`DatasetError::Read`], [`DatasetError::Decode`]; [`DatasetError::DepthType`] unless it is a 16-bit grey PNG, or an
 /// 8-bit one if relative; [`DatasetError::DepthSize`] unless it has the aspect of the photograph.
 pub(super) fn read(file: &DepthFile, kind: DepthKind, frame: &Frame, picture: &Picture) -> Result<DepthMap> {
     let path = &file.path;
-    let map = match (reader(path)?.decode().map_err(|source| undecodable(path, source))?, kind) {
+    let map = match (decoded(path)?, kind) {
         (DynamicImage::ImageLuma16(map), _) => map,
         (map @ DynamicImage::ImageLuma8(_), DepthKind::Relative) => map.into_luma16(),
         (other, _) => {
@@ -105,7 +106,8 @@ pub(super) fn read(file: &DepthFile, kind: DepthKind, frame: &Frame, picture: &P
         });
     }
     let step = if kind == DepthKind::Metric { file.unit } else { 1.0 / f64::from(u16::MAX) };
-    let steps = sampled(&map, frame, [picture.width, picture.height])?;
+    let mut steps = sampled(&map, frame, [picture.width, picture.height])?;
+    picture.clear_ignored(&mut steps);
     Ok(DepthMap { kind, steps, step })
 }
 
@@ -197,6 +199,23 @@ mod tests {
         let folder = colmap(12, 8);
         let map = load(folder.path(), &of_kind(DepthKind::Metric)).unwrap().train[0].depth.clone().unwrap();
         assert_eq!((map.steps.len(), map.steps[3 * 24 + 5], map.steps[3 * 24 + 6]), (24 * 16, step(2, 1), step(3, 1)));
+    }
+
+    #[test]
+    fn nothing_is_known_of_pixels_that_do_not_count() {
+        let folder = colmap(24, 16);
+        let mask = folder.path().join("masks/left/003.png");
+        std::fs::create_dir_all(mask.parent().unwrap()).unwrap();
+        image::GrayImage::from_fn(24, 16, |x, _| Luma([u8::from(x > 5)])).save(mask).unwrap();
+        for memory in [0, usize::MAX] {
+            let data = load(folder.path(), &LoadOptions { memory, ..of_kind(DepthKind::Metric) }).unwrap();
+            let known = |name: &str, pixel: usize| {
+                let view = data.train.iter().find(|view| view.name == name).unwrap();
+                view.depth.as_ref().unwrap().value(pixel).is_some()
+            };
+            let in_row_3 = |name: &str| [5, 6].map(|x| known(name, 3 * 24 + x));
+            assert_eq!((in_row_3("left/003.png"), in_row_3("left/002.png")), ([false, true], [true, true]));
+        }
     }
 
     fn nerfstudio(folder: &Path, global: &str, of_frame: &str) -> PathBuf {

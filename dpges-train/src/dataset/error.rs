@@ -80,6 +80,18 @@ pub enum DatasetError {
         found[0], found[1], camera[0], camera[1]
     )]
     ImageSize { path: PathBuf, found: [usize; 2], camera: [usize; 2], described_in: PathBuf },
+    #[error("mask {path} of view `{view}` is missing; {described_in} names it, restore the file or remove its name")]
+    MissingMask { path: PathBuf, view: String, described_in: PathBuf },
+    #[error(
+        "mask {mask} is {}x{} px, its image {image} {}x{}; make the mask anew for this image, or remove it",
+        found[0], found[1], expected[0], expected[1]
+    )]
+    MaskSize { mask: PathBuf, found: [usize; 2], image: PathBuf, expected: [usize; 2] },
+    #[error(
+        "no pixel of image {path} of view `{view}` counts: masks are white where a picture counts; turn them round \
+         (--invert-masks), or remove the view"
+    )]
+    NothingCounts { path: PathBuf, view: String },
 }
 
 impl DatasetError {

@@ -6,6 +6,8 @@ use std::path::Path;
 use dpges_core::camera::CameraFromWorld;
 use glam::{DMat3, DQuat, DVec3};
 
+use super::{Dataset, View};
+
 /// Size and intrinsics of the photographs of [`scene`].
 const WIDTH: u64 = 24;
 const HEIGHT: u64 = 16;
@@ -81,6 +83,38 @@ pub(super) fn transform_matrix(pose: &CameraFromWorld) -> String {
         .map(|i| format!("[{}, {}, {}, {}]", columns.col(0)[i], columns.col(1)[i], columns.col(2)[i], pose.centre()[i]))
         .collect();
     format!("[{}, [0, 0, 0, 1]]", rows.join(", "))
+}
+
+/// Training and held-out views as a nerfstudio dataset: `images/`, `masks/` where pictures have them, `transforms.json`.
+pub(crate) fn export(root: &Path, data: &Dataset) {
+    let file = |view: &View| format!("images/{}.png", view.name);
+    let frame = |view: &View| {
+        let (picture, camera) = (view.picture().unwrap(), view.camera);
+        let (width, height) = (picture.width as u32, picture.height as u32);
+        let path = root.join(file(view));
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        image::RgbImage::from_raw(width, height, picture.bytes.clone()).unwrap().save(path).unwrap();
+        if let Some(counted) = &picture.counted {
+            let path = root.join(format!("masks/{}.png", view.name));
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            let white = counted.iter().map(|&counts| if counts { 255 } else { 0 }).collect();
+            image::GrayImage::from_raw(width, height, white).unwrap().save(path).unwrap();
+        }
+        format!(
+            r#"{{"file_path": "{}", "w": {width}, "h": {height}, "fl_x": {}, "fl_y": {}, "cx": {}, "cy": {},
+            "transform_matrix": {}}}"#,
+            file(view),
+            camera.fx,
+            camera.fy,
+            camera.cx,
+            camera.cy,
+            transform_matrix(&camera.camera_from_world)
+        )
+    };
+    let frames: Vec<String> = data.train.iter().chain(&data.test).map(frame).collect();
+    let held_out: Vec<String> = data.test.iter().map(|view| format!("{:?}", file(view))).collect();
+    let json = format!(r#"{{"test_filenames": [{}], "frames": [{}]}}"#, held_out.join(","), frames.join(","));
+    std::fs::write(root.join("transforms.json"), json).unwrap();
 }
 
 /// `images/` and `sparse/0`.

@@ -11,11 +11,15 @@ mod colmap;
 mod depth;
 mod error;
 #[cfg(test)]
-mod fixtures;
+pub(crate) mod fixtures;
 mod images;
 mod lens;
+mod masks;
 mod nerfstudio;
+mod photograph;
+mod picture;
 mod ply;
+mod reading;
 mod source;
 mod split;
 mod transforms;
@@ -23,15 +27,19 @@ mod undistort;
 
 use std::fmt;
 use std::path::Path;
+use std::sync::Arc;
 
-use burn::tensor::{DType, Device, Tensor, TensorData};
+use burn::tensor::Device;
 use dpges_core::camera::Camera;
+use dpges_core::losses::Target;
 use glam::DVec3;
 
 pub use builtin::{BuiltinOptions, builtin, builtin_geometry};
 pub use depth::{DepthKind, DepthMap};
 pub use error::DatasetError;
-pub use images::Picture;
+pub use masks::Masked;
+pub use photograph::{Photograph, pictures};
+pub use picture::Picture;
 
 use error::Result;
 
@@ -42,7 +50,7 @@ pub struct View {
     pub name: String,
     /// In the shifted world, see [`Dataset::offset`].
     pub camera: Camera,
-    pub picture: Picture,
+    pub photograph: Photograph,
     /// `None` if there is none, or none was asked for. Only training views have one.
     pub depth: Option<DepthMap>,
 }
@@ -79,17 +87,45 @@ pub struct Dataset {
     pub format: Format,
     /// Near plane of every camera, world units.
     pub near: f64,
+    /// What the photographs leave of [`LoadOptions::memory`], bytes: room for other numbers per pixel.
+    pub spare_memory: usize,
 }
 
 impl View {
-    /// The picture on `device`, [3, H, W].
-    pub fn target(&self, device: &Device) -> Tensor<3> {
-        let Picture { width, height, ref planes, .. } = self.picture;
-        Tensor::from_data(TensorData::new(planes.clone(), [3, height, width]), (device, DType::F32))
+    /// The photograph, from memory or from its file.
+    ///
+    /// # Errors
+    /// [`dpges_core::Error::Io`] if the file is not what it was when the dataset was loaded.
+    pub fn picture(&self) -> dpges_core::Result<Arc<Picture>> {
+        self.photograph.picture()
+    }
+
+    /// The photograph on `device`, and which of its pixels count.
+    ///
+    /// # Errors
+    /// Those of [`picture`](Self::picture).
+    pub fn target(&self, device: &Device) -> dpges_core::Result<Target> {
+        Ok(self.picture()?.target(device))
+    }
+
+    /// Changes the photograph, which is in memory from then on.
+    ///
+    /// # Errors
+    /// Those of [`picture`](Self::picture).
+    pub fn repaint(&mut self, change: impl FnOnce(&mut Picture)) -> dpges_core::Result<()> {
+        let mut picture = Arc::unwrap_or_clone(self.picture()?);
+        change(&mut picture);
+        self.photograph = picture.into();
+        Ok(())
     }
 }
 
 impl Dataset {
+    /// How much of its views is masked.
+    pub fn masked(&self) -> Masked {
+        Masked::of(self.train.iter().chain(&self.test).chain(&self.validation))
+    }
+
     /// Moves every `every`-th training view to [`validation`](Self::validation); 0 moves none. It takes the middle view
     /// of each group of `every`, because the first view is often the end of a path and shows what no other view does.
     /// At least two training views remain. Points that only removed views saw remain, with no view that sees them.
@@ -159,13 +195,29 @@ pub struct LoadOptions {
     pub test_every: usize,
     /// World units. `None`: 0.2 for COLMAP and nerfstudio, 0.01 for Blender.
     pub near: Option<f64>,
+    /// Whether alpha says which pixels count, those from one half, instead of how much of the background they show.
+    pub alpha_masks: bool,
+    /// Whether masks are black where pixels count, instead of white.
+    pub invert_masks: bool,
+    /// Most memory for photographs, bytes. Those beyond are read again from their files whenever they are needed.
+    pub memory: usize,
     /// Read the depth maps of training views, which have values of this kind. `None` reads none.
     pub depth: Option<DepthKind>,
 }
 
 impl Default for LoadOptions {
     fn default() -> Self {
-        Self { background: None, image_scale: None, max_resolution: None, test_every: 8, near: None, depth: None }
+        Self {
+            background: None,
+            image_scale: None,
+            max_resolution: None,
+            test_every: 8,
+            near: None,
+            alpha_masks: false,
+            invert_masks: false,
+            memory: usize::MAX,
+            depth: None,
+        }
     }
 }
 

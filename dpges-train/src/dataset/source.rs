@@ -21,6 +21,8 @@ pub(super) enum Split {
 pub(super) struct Frame {
     pub name: String,
     pub image: PathBuf,
+    /// The mask that the dataset names; after [`super::masks::find`] the one that is there.
+    pub mask: Option<PathBuf>,
     pub lens: Lens,
     pub camera_from_world: CameraFromWorld,
     pub split: Split,

@@ -35,6 +35,7 @@ pub(super) struct Transforms {
 #[derive(Clone, Debug, Deserialize)]
 struct JsonFrame {
     file_path: String,
+    mask_path: Option<String>,
     /// 4×4 or 3×4, row by row.
     transform_matrix: Vec<Vec<f64>>,
     depth_file_path: Option<String>,
@@ -92,8 +93,9 @@ impl Transforms {
                 let image = image_path(root, path, &name)?;
                 let lens = frame.intrinsics.clone().or(&self.intrinsics).lens(path, &name, &image)?;
                 let camera_from_world = camera_from_world(path, &name, &frame.transform_matrix)?;
+                let mask = frame.mask_path.as_deref().map(|path| root.join(self::name(path)));
                 let depth = frame.depth_file_path.as_ref().map(|file| DepthFile { path: root.join(file), unit });
-                Ok(Frame { name, image, lens, camera_from_world, split, described_in: path.to_owned(), depth })
+                Ok(Frame { name, image, mask, lens, camera_from_world, split, described_in: path.to_owned(), depth })
             })
             .collect::<Result<_>>()?;
         frames.sort_by(|a, b| a.name.cmp(&b.name));

@@ -5,7 +5,7 @@
 //! size and principal point are kept and both focal lengths are multiplied by one zoom, so that sizes agree
 //! with the files.
 
-use super::images::Picture;
+use super::Picture;
 use super::lens::{Distortion, Lens};
 
 /// Range of zooms. Outside, the pinhole picture would show a small part of the photograph, or blur it.
@@ -32,23 +32,25 @@ pub(super) fn pinhole(lens: &Lens) -> Option<Lens> {
     Some(zoomed(high))
 }
 
-/// The `photograph` [3, height, width], taken through `lens`, resampled bilinearly for `pinhole`.
+/// The `photograph`, taken through `lens`, resampled bilinearly for `pinhole` and rounded to 8 bits.
 pub(super) fn resample(photograph: &Picture, lens: &Lens, pinhole: &Lens) -> Picture {
     let (width, height) = (photograph.width, photograph.height);
     let pixels = width * height;
-    let mut planes = vec![0.0; 3 * pixels];
-    let mut alpha = photograph.alpha.as_ref().map(|_| vec![0.0; pixels]);
+    let mut bytes = Vec::with_capacity(3 * pixels);
+    let mut alpha = photograph.alpha.as_ref().map(|_| Vec::with_capacity(pixels));
+    let mut counted = photograph.counted.as_ref().map(|_| Vec::with_capacity(pixels));
     for pixel in 0..pixels {
         let (u, v) = source_position(lens, pinhole, (pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5);
         let tap = Bilinear::new(u, v, width, height);
-        for channel in 0..3 {
-            planes[channel * pixels + pixel] = tap.sample(&photograph.planes[channel * pixels..][..pixels]);
-        }
+        bytes.extend([0, 1, 2].map(|channel| tap.sample(|pixel| photograph.bytes[3 * pixel + channel])));
         if let (Some(to), Some(from)) = (&mut alpha, &photograph.alpha) {
-            to[pixel] = tap.sample(from);
+            to.push(tap.sample(|pixel| from[pixel]));
+        }
+        if let (Some(to), Some(from)) = (&mut counted, &photograph.counted) {
+            to.push(tap.counts(from));
         }
     }
-    Picture { width, height, planes, alpha }
+    Picture { width, height, bytes, alpha, counted }
 }
 
 /// Position on the photograph, px, of the position (x, y), px, of the pinhole picture.
@@ -96,8 +98,14 @@ impl Bilinear {
         }
     }
 
-    fn sample(&self, plane: &[f32]) -> f32 {
-        self.indices.iter().zip(self.weights).map(|(&index, weight)| plane[index] * weight).sum()
+    fn sample(&self, of_pixel: impl Fn(usize) -> u8) -> u8 {
+        let sum: f32 = self.indices.iter().zip(self.weights).map(|(&i, weight)| f32::from(of_pixel(i)) * weight).sum();
+        sum.round() as u8
+    }
+
+    /// Whether all pixels that have a part in the sample count.
+    fn counts(&self, counted: &[bool]) -> bool {
+        self.indices.iter().zip(self.weights).all(|(&index, weight)| counted[index] || weight == 0.0)
     }
 }
 
@@ -125,7 +133,7 @@ mod tests {
     }
 
     fn photograph(lens: &Lens) -> Picture {
-        let planes = (0..3 * lens.width * lens.height)
+        let planes: Vec<f32> = (0..3 * lens.width * lens.height)
             .map(|i| {
                 let pixel = i % (lens.width * lens.height);
                 let u = (pixel % lens.width) as f64 + 0.5;
@@ -134,7 +142,8 @@ mod tests {
                 pattern(i / (lens.width * lens.height), x, y)
             })
             .collect();
-        Picture { width: lens.width, height: lens.height, planes, alpha: Some(vec![1.0; lens.width * lens.height]) }
+        let alpha = Some(vec![255; lens.width * lens.height]);
+        Picture { alpha, ..Picture::from_planes(&planes, lens.width, lens.height) }
     }
 
     #[test]
@@ -144,14 +153,36 @@ mod tests {
             let picture = resample(&photograph(&lens), &lens, &pinhole);
             let pixels = lens.width * lens.height;
             let mut worst = 0f32;
+            let planes = picture.planes();
             for i in 0..3 * pixels {
                 let x = ((i % pixels % lens.width) as f64 + 0.5 - pinhole.cx) / pinhole.fx;
                 let y = ((i % pixels / lens.width) as f64 + 0.5 - pinhole.cy) / pinhole.fy;
-                worst = worst.max((picture.planes[i] - pattern(i / pixels, x, y)).abs());
+                worst = worst.max((planes[i] - pattern(i / pixels, x, y)).abs());
             }
-            assert!(worst < 2e-3, "{worst}");
-            assert!(picture.alpha.unwrap().iter().all(|a| (a - 1.0).abs() < 1e-6));
+            // rounded to steps of 1/255 twice
+            assert!(worst < 2e-3 + 1.01 / 255.0, "{worst}");
+            assert!(picture.alpha.unwrap().iter().all(|&alpha| alpha == 255));
         }
+    }
+
+    #[test]
+    fn what_does_not_count_has_no_part_in_what_does() {
+        let lens = lens([0.06, -0.08, 0.0, 0.0], [0.002, -0.003]);
+        let pinhole = pinhole(&lens).unwrap();
+        let pixels = lens.width * lens.height;
+        let is_counted = |pixel: usize| pixel % lens.width < 70 || pixel / lens.width > 40;
+        let mut clean = photograph(&lens);
+        clean.counted = Some((0..pixels).map(is_counted).collect());
+        let mut overpainted = clean.clone();
+        (0..pixels).filter(|&pixel| !is_counted(pixel)).for_each(|pixel| overpainted.bytes[3 * pixel] ^= 0x80);
+        let [clean, overpainted] = [clean, overpainted].map(|picture| resample(&picture, &lens, &pinhole));
+        let counted = clean.counted.clone().unwrap();
+        let count = counted.iter().filter(|&&counts| counts).count();
+        assert!((pixels / 3..pixels).contains(&count), "{count} of {pixels}");
+        for pixel in (0..pixels).filter(|&pixel| counted[pixel]) {
+            assert_eq!(clean.colour(pixel), overpainted.colour(pixel), "pixel {pixel}");
+        }
+        assert!(clean.bytes != overpainted.bytes);
     }
 
     #[test]
@@ -175,7 +206,7 @@ mod tests {
         assert!((pinhole(&tiny).unwrap().fx / tiny.fx - 1.0).abs() < 1e-6);
         let photograph = photograph(&tiny);
         let picture = resample(&photograph, &tiny, &pinhole(&tiny).unwrap());
-        assert!(photograph.planes.iter().zip(&picture.planes).all(|(a, b)| (a - b).abs() < 1e-5));
+        assert!(photograph.bytes.iter().zip(&picture.bytes).all(|(a, b)| a.abs_diff(*b) <= 1));
         assert!(pinhole(&lens([40.0, 0.0, 0.0, 0.0], [0.0, 0.0])).is_none());
     }
 }

@@ -1,7 +1,7 @@
 //! Where a pixel is in the world, judged by whether the photographs of other views have its colour there.
 
 use crate::dataset::View;
-use crate::exposure::Photographs;
+use crate::exposure::Seen;
 
 /// Other views that are asked: those whose cameras are nearest.
 const ASKED_VIEWS: usize = 8;
@@ -23,24 +23,17 @@ pub fn nearest_views(views: &[View]) -> Vec<Vec<usize>> {
     (0..views.len()).map(of).collect()
 }
 
-/// The depth of pixel `pixel` of view `index`, near the `assumed` one (camera-space z, world units), at which most of
-/// `others` have the pixel's colour; `None` if fewer than `least` agree at any depth.
-pub fn agreed_depth(
-    photographs: Photographs<'_>,
-    index: usize,
-    others: &[usize],
-    pixel: usize,
-    assumed: f64,
-    least: usize,
-) -> Option<f64> {
-    let camera = &photographs.views[index].camera;
-    let (x, y) = ((pixel % camera.width) as f64 + 0.5, (pixel / camera.width) as f64 + 0.5);
-    let colour = photographs.colour(index, pixel);
+/// The depth of pixel `pixel` of `view`, near the `assumed` one (camera-space z, world units), at which most of `others`
+/// have the pixel's colour at a pixel that counts; `None` if fewer than `least` agree at any depth.
+pub fn agreed_depth(view: &Seen<'_>, others: &[Seen<'_>], pixel: usize, assumed: f64, least: usize) -> Option<f64> {
+    let width = view.camera.width;
+    let (x, y) = ((pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5);
+    let colour = view.colour(pixel);
     let agreeing = |depth: f64| {
-        let world = camera.unproject(x, y, depth);
-        let agrees = |other: &&usize| {
-            let Some((pixel, _)) = photographs.views[**other].camera.pixel(world) else { return false };
-            is_same(photographs.colour(**other, pixel), colour)
+        let world = view.camera.unproject(x, y, depth);
+        let agrees = |other: &&Seen<'_>| {
+            let Some((pixel, _)) = other.camera.pixel(world) else { return false };
+            other.picture.counts(pixel) && is_same(other.colour(pixel), colour)
         };
         others.iter().filter(agrees).count()
     };
@@ -74,11 +67,13 @@ mod tests {
         let views = builtin(&options).train;
         let others = nearest_views(&views);
         let (depth, _) = builtin_geometry(&views[0].camera);
+        let seen = |view: usize| Seen::by(&views[view], corrections.of(view)).unwrap();
+        let asked: Vec<Seen> = others[0].iter().map(|&other| seen(other)).collect();
+        let own = seen(0);
         let (mut right, mut wrong, mut none) = (0, 0, 0);
         for pixel in (0..64 * 64).step_by(7) {
             let truth = f64::from(depth[pixel]);
-            let photographs = Photographs { views: &views, corrections };
-            match agreed_depth(photographs, 0, &others[0], pixel, truth * factor, least) {
+            match agreed_depth(&own, &asked, pixel, truth * factor, least) {
                 Some(depth) if (depth / truth - 1.0).abs() < 0.07 => right += 1,
                 Some(_) => wrong += 1,
                 None => none += 1,

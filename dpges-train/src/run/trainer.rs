@@ -42,7 +42,7 @@ impl Trainer {
         let mut context =
             Context { dataset, config, device, rng, remaining_views, completed_steps: 0, exposure, depth: None };
         context.check_plan(&plan)?;
-        context.exposure = context.start_of_exposure();
+        context.exposure = context.start_of_exposure()?;
         context.depth = context.start_of_depth();
         let mut trained = Trained { environment: context.start_of_environment()?, ..Trained::default() };
         let stage = stage::begin(plan[0], &mut trained, &mut context)?;
@@ -665,7 +665,8 @@ mod tests {
         assert!(with > without && none.is_none(), "{with} with, {without} dB without");
 
         // by how much each photograph is brighter than the scene, and than the others
-        let brightness = |view: &View| f64::from(view.picture.planes.iter().sum::<f32>() / (3.0 * 32.0 * 32.0));
+        let brightness =
+            |view: &View| f64::from(view.picture().unwrap().planes().iter().sum::<f32>() / (3.0 * 32.0 * 32.0));
         let found = found.expect("exposures differ by more than auto takes");
         let pairs = changed.train.iter().zip(&plain.train);
         let (truth, learnt): (Vec<f64>, Vec<f64>) = pairs

@@ -226,7 +226,7 @@ impl Run {
         let shown = evenly_spaced(self.trainer.config().train.picture_views, views.len());
         let evaluation = evaluate_each(&self.renderer(scene), scene, views, device, measures, |index, render| {
             let Some(record) = self.record.as_ref().filter(|_| shown.contains(&index)) else { return Ok(()) };
-            save_png(&comparison(&views[index], render), &record.folder.picture(step, &stems[index]))
+            save_png(&comparison(&views[index], render)?, &record.folder.picture(step, &stems[index]))
         })?;
         observer.evaluated(step, &evaluation);
         let seconds = self.seconds();

@@ -1,6 +1,7 @@
 //! What depth maps beside the photographs say about the depth of a training view.
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
+use dpges_core::counters::transfers::upload;
 use dpges_core::losses::depth::{depth_map, fitted_disparity};
 use glam::Vec3;
 
@@ -115,7 +116,7 @@ impl Context {
         let values = TensorData::new(maps.disparities(map, view), [1, camera.height, camera.width]);
         let progress = self.completed_steps as f64 / self.config.total_steps().max(1) as f64;
         Some(DepthTarget {
-            values: Tensor::from_data(values, (device, DType::F32)),
+            values: Tensor::from_data(upload(values), (device, DType::F32)),
             is_relative: map.kind == DepthKind::Relative && maps.0[view].is_none(),
             weight: self.config.train.depth_map_weight(progress),
         })

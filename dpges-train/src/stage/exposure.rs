@@ -6,7 +6,7 @@ use burn::tensor::{Device, Gradients, Tensor};
 use dpges_core::ops::adam::AdamStep;
 use dpges_core::scene::schema::{Activation, Attribute, RateGroup, Width};
 
-use super::Context;
+use super::{Context, TrainError};
 use crate::config::Exposure;
 use crate::exposure::{Correction, Corrections, brightness_spread};
 use crate::optimizer::{Parameter, ParameterRows};
@@ -99,8 +99,11 @@ pub fn photographed(image: Tensor<3>, correction: &Tensor<2>) -> Tensor<3> {
 
 impl Context {
     /// The corrections that a run begins with.
-    pub fn start_of_exposure(&self) -> ExposureState {
-        let spread = brightness_spread(&self.dataset);
+    ///
+    /// # Errors
+    /// [`TrainError::Core`] if a photograph cannot be read again.
+    pub fn start_of_exposure(&self) -> Result<ExposureState, TrainError> {
+        let spread = brightness_spread(&self.dataset)?;
         let said = spread.map(|stops| format!("the brightness of the same points differs by {stops:.2} stops"));
         let said = said.unwrap_or_else(|| "which photographs are brighter is not known without points in them".into());
         let is_large = spread.is_some_and(|stops| stops > LARGE_SPREAD);
@@ -118,7 +121,7 @@ impl Context {
                 tracing::debug!("{said} between photographs: they are taken as they are (train.exposure)")
             }
         }
-        if is_on { ExposureState::new(self.dataset.train.len(), &self.device) } else { ExposureState::default() }
+        Ok(if is_on { ExposureState::new(self.dataset.train.len(), &self.device) } else { ExposureState::default() })
     }
 
     /// The step of the corrections in the current step of the run.

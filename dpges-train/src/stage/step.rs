@@ -1,13 +1,14 @@
 //! One step of any stage: render, compare, go back, optimise.
 
 use burn::tensor::Tensor;
+use dpges_core::losses::Target;
 use dpges_core::render::Values;
 
 use super::depth::DepthTarget;
 use super::exposure::photographed;
 use super::pending::{Gate, PendingStep};
 use super::{Context, Stage, StepReport, TrainError};
-use crate::dataset::View;
+use crate::dataset::{Picture, View};
 
 /// What a step learns from.
 pub struct StepInput<'a> {
@@ -16,8 +17,10 @@ pub struct StepInput<'a> {
     /// Index of the training view.
     pub index: usize,
     pub view: &'a View,
-    /// [3, H, W] the photograph, on the device of the tape.
-    pub target: Tensor<3>,
+    /// Its photograph.
+    pub picture: &'a Picture,
+    /// The photograph, on the device of the tape.
+    pub target: Target,
     /// What is known of the parameters.
     pub values: Values,
     /// What a depth map says of the view; `None` if it has none.
@@ -39,7 +42,8 @@ impl StepInput<'_> {
 /// Hands everything of one step to the device, and does not wait for it.
 ///
 /// # Errors
-/// [`TrainError::Step`] if the parameters or the view are not what the operations expect.
+/// [`TrainError::Step`] if the parameters or the view are not what the operations expect, [`TrainError::Core`] if its
+/// photograph cannot be read again.
 pub fn begin_step(
     stage: &mut dyn Stage,
     context: &mut Context,
@@ -52,13 +56,17 @@ pub fn begin_step(
     let parameters = stage.parameters();
     (report.surfels, report.gaussians) = (parameters.surfels.len(), parameters.gaussians.len());
     let leaves = parameters.leaves();
-    let target = view.target(&context.tape());
+    let picture = view.picture()?;
+    context.read_ahead();
+    let target = picture.target(&context.tape());
     // After the first step they stay finite, since a step with a gradient that is not finite is held back
     let values = if completed == 0 { Values::Unknown } else { Values::KnownFinite };
     let depth = context.depth_target(report.view, &context.tape());
     let corrections = context.exposure.leaf();
     let exposure = corrections.as_ref().map(|leaf| leaf.clone().slice([report.view..report.view + 1, 0..6]));
-    let input = StepInput { completed, index: report.view, view, target: target.clone(), values, depth, exposure };
+    let index = report.view;
+    let input =
+        StepInput { completed, index, view, picture: &picture, target: target.clone(), values, depth, exposure };
     let at = |source| TrainError::Step { step: report.step, view: view.name.clone(), source };
     let forward = stage.forward(&leaves, &input, context).map_err(at)?;
 

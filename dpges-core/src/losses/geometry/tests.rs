@@ -145,7 +145,7 @@ fn normal_consistency_is_its_formula_and_alpha_is_detached() {
     let normal = leaf(&[0.0, 0.6, 0.0, 0.2, -0.5, 0.0], [3, 1, 2], &device());
     let depth_normal = leaf(&[0.0, 1.0, 0.0, 0.0, -1.0, 0.0], [3, 1, 2], &device());
     let alpha = leaf(&[0.5, 0.8], [1, 1, 2], &device());
-    let loss = normal_consistency(normal.clone(), depth_normal.clone(), alpha.clone());
+    let loss = normal_consistency(normal.clone(), depth_normal.clone(), alpha.clone(), None);
     approx::assert_relative_eq!(values(&loss)[0], (0.75 + 0.52) / 2.0, max_relative = 1e-14);
     let gradients = loss.backward();
     let assert_close = |found: &Tensor<3>, expected: [f64; 6]| {

@@ -4,6 +4,7 @@
 use burn::tensor::Tensor;
 
 use crate::camera::Camera;
+use crate::counters::transfers::upload;
 use crate::ops::peel::Layers;
 use crate::scene::Surfels;
 
@@ -34,7 +35,7 @@ fn normals_towards(surfels: &Surfels, camera: &Camera) -> Tensor<2> {
         1,
     );
     let centre = Tensor::<1>::from_data(
-        burn::tensor::TensorData::from(camera.centre().to_array()).convert_dtype(dtype),
+        upload(burn::tensor::TensorData::from(camera.centre().to_array()).convert_dtype(dtype)),
         (&device, dtype),
     );
     let offset = surfels.positions.clone().detach() - centre.unsqueeze::<2>();

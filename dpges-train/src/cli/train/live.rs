@@ -7,10 +7,10 @@ use std::sync::mpsc::{Sender, channel};
 use std::thread;
 
 use dpges_core::scene::SceneData;
-use dpges_render::Rgb8Image;
 use dpges_render::viewer::{self, DatasetViews, LiveProgress, LiveScene, Start, ViewerOptions};
 use dpges_train::dataset::Dataset;
 use dpges_train::eval::Evaluation;
+use dpges_train::pictures;
 use dpges_train::run::{Observer, StepReport};
 
 use super::super::Result;
@@ -70,8 +70,8 @@ fn views(dataset: &Arc<Dataset>) -> DatasetViews {
     let cameras = dataset.train.iter().map(|view| (view.name.clone(), view.camera)).collect();
     let dataset = Arc::clone(dataset);
     let photograph = move |index: usize| {
-        let picture = &dataset.train.get(index)?.picture;
-        Some(Rgb8Image::from_planes(&picture.planes, picture.width, picture.height))
+        let picture = dataset.train.get(index)?.picture();
+        picture.inspect_err(|error| tracing::warn!("{error}")).ok().map(|picture| pictures::photograph(&picture))
     };
     DatasetViews { cameras, photograph: Box::new(photograph) }
 }

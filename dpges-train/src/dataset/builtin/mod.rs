@@ -12,8 +12,7 @@ use rayon::prelude::*;
 
 use self::room::{Hit, trace};
 use super::assemble::mean_and_extent;
-use super::images::Picture;
-use super::{Dataset, DepthKind, DepthMap, Format, PointCloud, View};
+use super::{Dataset, DepthKind, DepthMap, Format, Picture, PointCloud, View};
 
 const FIELD_OF_VIEW: f64 = 0.9;
 const TARGET: DVec3 = DVec3::new(0.0, 0.0, 0.3);
@@ -72,9 +71,9 @@ pub fn builtin(options: &BuiltinOptions) -> Dataset {
             .into_par_iter()
             .map(|index| {
                 let camera = dome_camera(options, index, count, phase, near);
-                let picture = photograph(&camera, options.supersampling, changes[index]);
+                let photograph = photograph(&camera, options.supersampling, changes[index]).into();
                 let of_kind = |kind| DepthMap::from_depths(kind, &builtin_geometry(&camera).0);
-                View { name: format!("{name}_{index:03}"), camera, picture, depth: depth.map(of_kind) }
+                View { name: format!("{name}_{index:03}"), camera, photograph, depth: depth.map(of_kind) }
             })
             .collect()
     };
@@ -91,6 +90,7 @@ pub fn builtin(options: &BuiltinOptions) -> Dataset {
         background: [0.0; 3],
         format: Format::Builtin,
         near,
+        spare_memory: usize::MAX,
     }
 }
 
@@ -148,7 +148,7 @@ fn photograph(camera: &Camera, supersampling: usize, stops: f64) -> Picture {
             planes[channel * pixels + pixel] = exposed(sum[channel] * step * step, stops) as f32;
         }
     }
-    Picture { width, height, planes, alpha: None }
+    Picture::from_planes(&planes, width, height)
 }
 
 /// A display-referred value of a photograph with an exposure changed by `stops` of linear light, which clips at 1.
@@ -200,23 +200,30 @@ mod tests {
         assert!(data.extent > 1.5 && data.extent < 3.0, "{}", data.extent);
         for view in data.train.iter().chain(&data.test) {
             view.camera.validate().unwrap();
-            assert_eq!((view.camera.width, view.picture.height, view.picture.planes.len()), (96, 96, 3 * 96 * 96));
-            assert!(view.picture.planes.iter().all(|value| (0.0..=1.0).contains(value)));
+            let picture = view.picture().unwrap();
+            assert_eq!((view.camera.width, picture.height, picture.bytes.len()), (96, 96, 3 * 96 * 96));
+            assert!(view.photograph.is_kept());
         }
         let again = builtin(&BuiltinOptions::default());
         assert_eq!(data.points, again.points);
-        assert!(data.train.iter().zip(&again.train).all(|(a, b)| a.picture == b.picture && a.camera == b.camera));
+        assert!(
+            data.train
+                .iter()
+                .zip(&again.train)
+                .all(|(a, b)| { a.picture().unwrap() == b.picture().unwrap() && a.camera == b.camera })
+        );
     }
 
     #[test]
     fn points_have_the_colour_of_the_pixels_that_see_them() {
         let data = builtin(&BuiltinOptions::default());
+        let pictures: Vec<_> = data.train.iter().map(|view| view.picture().unwrap()).collect();
         let (mut sum, mut shuffled, mut observations) = (0.0, 0.0, 0);
         for (index, views) in data.points.seen_by.iter().enumerate() {
             assert!(!views.is_empty(), "point {index} was sampled in a view");
             let position = DVec3::from_array(data.points.positions[index].map(f64::from));
             for &view in views {
-                let View { camera, picture, .. } = &data.train[view as usize];
+                let (camera, picture) = (&data.train[view as usize].camera, &pictures[view as usize]);
                 let (x, y, _) = camera.project(position).unwrap();
                 let rgb = picture.rgb((x as usize).min(95), (y as usize).min(95));
                 let other = data.points.colours[(index + 977) % 2000];
@@ -265,7 +272,7 @@ mod tests {
         let changed = builtin(&BuiltinOptions { exposure_stops: 0.5, ..options });
         assert_eq!(plain.points, changed.points);
         let pairs = || plain.train.iter().chain(&plain.test).zip(changed.train.iter().chain(&changed.test));
-        let brightness = |view: &View| f64::from(view.picture.planes.iter().sum::<f32>());
+        let brightness = |view: &View| f64::from(view.picture().unwrap().planes().iter().sum::<f32>());
         let ratios: Vec<f64> = pairs().map(|(a, b)| brightness(b) / brightness(a)).collect();
         let (low, high) =
             ratios.iter().fold((f64::MAX, 0.0f64), |(low, high), &ratio| (low.min(ratio), high.max(ratio)));

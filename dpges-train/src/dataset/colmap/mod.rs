@@ -123,6 +123,7 @@ fn frames(
             Ok(Frame {
                 name: image.name.clone(),
                 image: root.join("images").join(&image.name),
+                mask: None,
                 lens: camera.lens(&cameras_path)?,
                 camera_from_world: CameraFromWorld::from_quaternion(image.wxyz, image.translation.into()),
                 split,

@@ -24,7 +24,7 @@ fn binary_and_text_say_the_same() {
     let text = loaded(written(&scene, Encoding::Text).path());
     assert_eq!(binary.points, text.points);
     for (a, b) in binary.train.iter().zip(&text.train).chain(binary.test.iter().zip(&text.test)) {
-        assert_eq!((&a.name, a.camera, &a.picture), (&b.name, b.camera, &b.picture));
+        assert_eq!((&a.name, a.camera, a.picture().unwrap()), (&b.name, b.camera, b.picture().unwrap()));
     }
     assert_eq!((binary.train.len(), text.test.len()), (8, 2));
 }
@@ -36,7 +36,7 @@ fn views_are_sorted_split_and_matched_to_tracks() {
     let names: Vec<&str> = data.test.iter().map(|view| view.name.as_str()).collect();
     assert_eq!(names, ["left/000.png", "left/008.png"]);
     assert_eq!(data.train[0].name, "left/001.png");
-    assert_eq!(data.train[0].picture.rgb(5, 5), [1.0 / 255.0, 100.0 / 255.0, 200.0 / 255.0]);
+    assert_eq!(data.train[0].picture().unwrap().bytes[..3], [1, 100, 200]);
     // Image 107 is left/001, the first that trains; image 100 is held out.
     assert_eq!(data.points.seen_by, [vec![0], vec![0], vec![0, 1], vec![0, 2], vec![0, 3]]);
     assert_eq!(data.points.colours[1], [50.0 / 255.0, 1.0, 0.0]);

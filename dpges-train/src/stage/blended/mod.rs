@@ -98,6 +98,15 @@ impl BlendedStage {
         }
     }
 
+    /// A stage that begins with the Gaussians and the environment of `scene` as they are, without a sampling limit.
+    pub fn of_scene(plan: StagePlan, blended: Blended, scene: &SceneData, context: &Context) -> Self {
+        let device = &context.device;
+        let gaussians = GaussianState::new(&scene.gaussians, OpacityActivation::Sigmoid, device);
+        let environment = EnvironmentState::new(scene.environment.as_ref(), device);
+        let screen_gradients = ScreenGradients::new(scene.gaussians.len(), device);
+        Self::new(plan, blended, gaussians, environment, screen_gradients, context)
+    }
+
     /// The Gaussians as they are drawn, wherever they come from: with their sampling limit, and without base colours below
     /// black, which count as black as long as they are blended (DBS).
     fn drawn(&self) -> GaussianData {
@@ -222,7 +231,7 @@ impl Stage for BlendedStage {
         };
         rendered.image = input.photographed(rendered.image);
         let rgb = rgb(rendered.image.clone(), input.target.clone(), context.config.train.lambda_dssim)?;
-        let mut total = weights.add(rgb.clone(), gaussians, &rendered, camera);
+        let mut total = weights.add(rgb.clone(), gaussians, &rendered, camera, input.target.mask.as_ref());
         if let (Some(target), Some(maps)) = (&input.depth, &rendered.blend.maps) {
             let alpha = rendered.blend.alpha.clone();
             total = total + target.loss(expected_depth(maps.depth.clone(), alpha.clone()), alpha)?;
