@@ -149,6 +149,24 @@ fn what_is_missing_is_exit_code_1_and_named() {
 }
 
 #[test]
+fn a_dataset_is_checked() {
+    let folder = folder();
+    let at = folder.path();
+    let text = ok(at, &["data", "builtin", "--max-resolution", "48", "--json", "a.json", "--out", "pictures"]);
+    for part in ["24 for training, 6 held out", "48 x 48 px", "points seen", "contact_sheet.png", "cameras.svg"] {
+        assert!(text.contains(part), "{part}: {text}");
+    }
+    let report = json(at.join("a.json"));
+    assert_eq!(report["views"].as_array().unwrap().len(), 30);
+    assert!(report["views"][0]["exposure"].is_f64(), "{report}");
+    let sheet = image::open(at.join("pictures/contact_sheet.png")).unwrap();
+    assert!(sheet.width() > 1000 && sheet.height() > 500);
+    assert!(String::from_utf8(bytes(at.join("pictures/cameras.svg"))).unwrap().contains("from the side"));
+    assert!(fails(at, 1, &["data", "nowhere"]).contains("nowhere"));
+    assert!(fails(at, 2, &["data"]).contains("<DATASET>"));
+}
+
+#[test]
 fn a_run_writes_everything_and_can_be_measured_and_shown() {
     let folder = folder();
     let at = folder.path();

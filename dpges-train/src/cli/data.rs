@@ -12,7 +12,7 @@ use dpges_train::run::folder::RunFolder;
 use dpges_train::run::metrics_log::MetricsLog;
 use glam::{DVec3, Vec3};
 
-use super::{Failure, Result};
+use super::{Failure, Result, inspect, sfm};
 
 /// Name of the scene that needs no files.
 pub const BUILTIN: &str = "builtin";
@@ -34,9 +34,13 @@ impl Source {
         if text == Path::new(BUILTIN) { Self::Builtin } else { Self::Folder(text.to_owned()) }
     }
 
-    /// As a command names it: the folder by its absolute path, the built-in scene where there is none.
+    /// As a command names it: the folder by its absolute path, the built-in scene where there is none. For photographs
+    /// without cameras it is the folder of the dataset that [`sfm::prepare`] makes of them.
     pub fn named(dataset: Option<&Path>) -> Self {
-        dataset.map_or(Self::Builtin, Self::new).absolute()
+        match dataset.map_or(Self::Builtin, Self::new).absolute() {
+            Self::Folder(path) => Self::Folder(sfm::dataset_of(&path).unwrap_or(path)),
+            Self::Builtin => Self::Builtin,
+        }
     }
 
     /// With an absolute path where there is a folder.
@@ -50,7 +54,9 @@ impl Source {
     pub fn load(&self, config: &DataConfig) -> Result<Dataset> {
         let dataset = match self {
             Self::Builtin => builtin(config)?,
-            Self::Folder(path) => dataset::load(path, &config.load_options())?,
+            Self::Folder(path) => {
+                dataset::load(path, &config.load_options()).map_err(|error| sfm::explained(error, path))?
+            }
         };
         let Dataset { train, test, points, format, extent, .. } = &dataset;
         let [width, height] = train.first().map_or([0; 2], |view| [view.camera.width, view.camera.height]);
@@ -72,6 +78,9 @@ impl Source {
     /// The dataset of a run: without the views that are kept for its decisions.
     pub fn load_for_training(&self, config: &Config) -> Result<Dataset> {
         let mut dataset = self.load(&config.data)?;
+        if let Self::Folder(_) = self {
+            inspect::warn(&dataset)?;
+        }
         let every = config.validation_every();
         dataset.keep_for_validation(every);
         if every > 0 {

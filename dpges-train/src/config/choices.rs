@@ -135,6 +135,40 @@ choices! {
         "sh3" => Degree3,
     }
 
+    /// Which program places the cameras of photographs without cameras.
+    SfmProgram {
+        /// COLMAP, one photograph after another.
+        "colmap" => Colmap,
+        /// GLOMAP, all photographs at once: quicker if there are hundreds. Features and matches are COLMAP's.
+        "glomap" => Glomap,
+    }
+
+    /// Which camera model is fitted to photographs without cameras, by its name in COLMAP.
+    SfmCamera {
+        /// Two focal lengths, a centre, two radial and two tangential coefficients.
+        "OPENCV" => OpenCv,
+        /// The same with six radial coefficients.
+        "FULL_OPENCV" => FullOpenCv,
+        /// One focal length, a centre, two radial coefficients.
+        "RADIAL" => Radial,
+        /// One focal length, a centre, one radial coefficient.
+        "SIMPLE_RADIAL" => SimpleRadial,
+        /// Two focal lengths and a centre: for pictures without distortion.
+        "PINHOLE" => Pinhole,
+        /// One focal length and a centre: likewise.
+        "SIMPLE_PINHOLE" => SimplePinhole,
+    }
+
+    /// Which pairs of photographs without cameras are compared.
+    SfmMatching {
+        /// All pairs of up to 200 photographs; neighbours if there are more, in a video or by numbered names.
+        "auto" => Auto,
+        /// All pairs.
+        "exhaustive" => Exhaustive,
+        /// Each with those that follow it by name, at distances up to 10 and at powers of two.
+        "sequential" => Sequential,
+    }
+
     /// Where surfels and Gaussians start.
     InitMethod {
         /// The first of the following that the dataset allows.
@@ -145,6 +179,20 @@ choices! {
         "silhouette" => Silhouette,
         /// Gaussians at random places in view of the cameras; no surfels.
         "random" => Random,
+    }
+}
+
+impl SfmCamera {
+    /// Its name in COLMAP.
+    pub fn colmap_name(self) -> &'static str {
+        match self {
+            Self::OpenCv => "OPENCV",
+            Self::FullOpenCv => "FULL_OPENCV",
+            Self::Radial => "RADIAL",
+            Self::SimpleRadial => "SIMPLE_RADIAL",
+            Self::Pinhole => "PINHOLE",
+            Self::SimplePinhole => "SIMPLE_PINHOLE",
+        }
     }
 }
 

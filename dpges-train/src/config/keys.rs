@@ -8,7 +8,7 @@ use dpges_core::scene::{ColourModel, Footprint, MarginLookup, OpacityActivation}
 use super::budget::Budget;
 use super::choices::{
     AddAs, Alpha, Background, DepthMaps, Environment, Exposure, GaussianStage, InitMethod, JointOpacity, Margin,
-    Method, PixelsOf, Stop, SurfelStart,
+    Method, PixelsOf, SfmCamera, SfmMatching, SfmProgram, Stop, SurfelStart,
 };
 use super::declare::{Ablation, Key, Section, Value, configuration, optional};
 use super::memory::Memory;
@@ -44,6 +44,14 @@ configuration! {
         /// Largest change of exposure of a view of the built-in scene, up or down: by how much differs from view to view. It
         /// is for tests of `train.exposure`.
         builtin_exposure_stops: f64 = 0.0, unit: "stops", range: 0.0..=4.0;
+        /// Which program places the cameras of photographs without cameras.
+        sfm: SfmProgram = SfmProgram::Colmap;
+        /// Which camera model it fits to them.
+        sfm_camera: SfmCamera = SfmCamera::OpenCv;
+        /// Which pairs of them it compares.
+        sfm_matching: SfmMatching = SfmMatching::Auto;
+        /// Largest number of frames of a video that become photographs. Of neighbouring frames the sharpest is taken.
+        video_frames: usize = 150, unit: "frames", range: 3..;
     }
 
     /// Length, losses and output of a run.

@@ -29,7 +29,7 @@ pub use budget::Budget;
 use budget::{MEGABYTE, primitives_for};
 pub use choices::{
     AddAs, Alpha, Background, DepthMaps, Environment, Exposure, GaussianStage, InitMethod, JointOpacity, Margin,
-    Method, PixelsOf, Stop, SurfelStart,
+    Method, PixelsOf, SfmCamera, SfmMatching, SfmProgram, Stop, SurfelStart,
 };
 pub use declare::{Ablation, Key, Section};
 pub use dpges_core::scene::OpacityActivation;

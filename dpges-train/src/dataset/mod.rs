@@ -35,6 +35,7 @@ use dpges_core::losses::Target;
 use glam::DVec3;
 
 pub use builtin::{BuiltinOptions, builtin, builtin_geometry};
+pub(crate) use colmap::{ModelContent, model_content};
 pub use depth::{DepthKind, DepthMap};
 pub use error::DatasetError;
 pub use masks::Masked;

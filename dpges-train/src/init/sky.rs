@@ -121,7 +121,7 @@ fn of_views<T: Send>(dataset: &Dataset, of: impl Fn(&Picture, OpenCells) -> T + 
 
 /// The direction that is up in the world: perpendicular to the horizontal axes of the cameras, which photographers hold
 /// level, however much they tilt them.
-fn upwards<'a>(cameras: impl Iterator<Item = &'a Camera>) -> DVec3 {
+pub(crate) fn upwards<'a>(cameras: impl Iterator<Item = &'a Camera>) -> DVec3 {
     let (mut level, mut upright, mut count) = (Matrix3::zeros(), Vector3::zeros(), 0.0);
     for camera in cameras {
         let world_from_camera = camera.camera_from_world.rotation.transpose();
