@@ -49,7 +49,7 @@ impl Lens {
     /// The pinhole camera with these intrinsics, without distortion; see [`super::undistort`].
     pub fn camera(&self, camera_from_world: CameraFromWorld, near: f64) -> Camera {
         let Self { width, height, fx, fy, cx, cy, .. } = *self;
-        Camera { camera_from_world, fx, fy, cx, cy, width, height, near }
+        Camera { camera_from_world, fx, fy, cx, cy, width, height, near, lens: None }
     }
 
     /// The same lens for the photograph resized to `width` × `height` px.

@@ -145,7 +145,17 @@ mod tests {
         let camera = |i: usize| {
             let eye = DVec3::new(0.1 * i as f64, 0.0, -4.0);
             let camera_from_world = CameraFromWorld::look_at(eye, eye + DVec3::Z, -DVec3::Y);
-            Camera { camera_from_world, fx: 40.0, fy: 40.0, cx: 20.0, cy: 20.0, width: SIZE, height: SIZE, near: 0.1 }
+            Camera {
+                camera_from_world,
+                fx: 40.0,
+                fy: 40.0,
+                cx: 20.0,
+                cy: 20.0,
+                width: SIZE,
+                height: SIZE,
+                near: 0.1,
+                lens: None,
+            }
         };
         (0..count).map(camera).collect()
     }

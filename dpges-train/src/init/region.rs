@@ -75,7 +75,17 @@ mod tests {
 
     fn camera(eye: DVec3, target: DVec3) -> Camera {
         let camera_from_world = CameraFromWorld::look_at(eye, target, DVec3::Z);
-        Camera { camera_from_world, fx: 1111.0, fy: 1111.0, cx: 400.0, cy: 400.0, width: 800, height: 800, near: 0.01 }
+        Camera {
+            camera_from_world,
+            fx: 1111.0,
+            fy: 1111.0,
+            cx: 400.0,
+            cy: 400.0,
+            width: 800,
+            height: 800,
+            near: 0.01,
+            lens: None,
+        }
     }
 
     fn around(middle: DVec3) -> Vec<Camera> {

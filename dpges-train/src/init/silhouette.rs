@@ -231,6 +231,7 @@ mod tests {
                 width: 100,
                 height: 100,
                 near: 0.01,
+                lens: None,
             };
             let mut photo = Photo { camera, alpha: vec![0.0; 10_000], planes: vec![1.0; 30_000] };
             for pixel in 0..10_000 {

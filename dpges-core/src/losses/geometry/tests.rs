@@ -21,7 +21,17 @@ fn constant<const D: usize>(values: &[f64], shape: [usize; D]) -> Tensor<D> {
 /// In the world's axes; the principal point is far from the centre of the image.
 fn axis_camera() -> Camera {
     let pose = CameraFromWorld { rotation: DMat3::IDENTITY, translation: DVec3::ZERO };
-    Camera { camera_from_world: pose, fx: 40.0, fy: 55.0, cx: 3.2, cy: 9.1, width: 13, height: 11, near: 0.1 }
+    Camera {
+        camera_from_world: pose,
+        fx: 40.0,
+        fy: 55.0,
+        cx: 3.2,
+        cy: 9.1,
+        width: 13,
+        height: 11,
+        near: 0.1,
+        lens: None,
+    }
 }
 
 fn pixel_count(camera: &Camera) -> usize {

@@ -205,6 +205,9 @@ pub fn blend(
     options: &BlendOptions,
 ) -> Result<Blend> {
     camera.validate()?;
+    if options.form == Form::Discs {
+        camera.require_pinhole()?;
+    }
     options.validate()?;
     let probe = match probe {
         Some(probe) => {

@@ -17,7 +17,7 @@ const COUNTS: [usize; 4] = [1, 4, 9, 16];
 
 fn camera() -> Camera {
     let camera_from_world = CameraFromWorld::look_at(DVec3::new(1.0, -3.0, 2.0), DVec3::ZERO, DVec3::Z);
-    Camera { camera_from_world, fx: 9.0, fy: 11.0, cx: 5.5, cy: 3.0, width: 13, height: 9, near: 0.01 }
+    Camera { camera_from_world, fx: 9.0, fy: 11.0, cx: 5.5, cy: 3.0, width: 13, height: 9, near: 0.01, lens: None }
 }
 
 fn image(coefficients: &[f64], camera: &Camera) -> Vec<f64> {

@@ -100,7 +100,7 @@ fn dome_camera(options: &BuiltinOptions, index: usize, count: usize, phase: f64,
     let (width, height) = (options.width, options.height);
     let focal = 0.5 * width as f64 / (0.5 * FIELD_OF_VIEW).tan();
     let (cx, cy) = (0.5 * width as f64, 0.5 * height as f64);
-    Camera { camera_from_world, fx: focal, fy: focal, cx, cy, width, height, near }
+    Camera { camera_from_world, fx: focal, fy: focal, cx, cy, width, height, near, lens: None }
 }
 
 /// The surface at position (x, y), px. The ray's direction has camera-space z = 1, so its distances are depths.

@@ -99,8 +99,17 @@ mod tests {
     #[test]
     fn views_count_for_what_is_in_their_picture_hidden_or_not() {
         let camera_from_world = CameraFromWorld::look_at(DVec3::ZERO, DVec3::Z, -DVec3::Y);
-        let camera =
-            Camera { camera_from_world, fx: 50.0, fy: 50.0, cx: 10.0, cy: 10.0, width: 40, height: 20, near: 0.5 };
+        let camera = Camera {
+            camera_from_world,
+            fx: 50.0,
+            fy: 50.0,
+            cx: 10.0,
+            cy: 10.0,
+            width: 40,
+            height: 20,
+            near: 0.5,
+            lens: None,
+        };
         // seen, behind, too near, beyond the left border (10 px left of the axis), reaching over it, below the picture
         let positions =
             [[0.0, 0.0, 2.0], [0.0, 0.0, -2.0], [0.0, 0.0, 0.4], [-0.5, 0.0, 2.0], [-0.5, 0.0, 2.0], [0.0, 0.5, 2.0]];
