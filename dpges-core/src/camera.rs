@@ -119,6 +119,11 @@ impl Camera {
         }
     }
 
+    /// The pinhole camera with the same intrinsics.
+    pub fn without_lens(&self) -> Self {
+        Self { lens: None, ..*self }
+    }
+
     /// Camera centre in world units.
     pub fn centre(&self) -> DVec3 {
         self.camera_from_world.centre()

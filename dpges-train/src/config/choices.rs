@@ -28,6 +28,14 @@ choices! {
         "mip-splatting" => MipSplatting,
     }
 
+    /// Lens of the built-in scene.
+    BuiltinLens {
+        /// A pinhole camera.
+        "none" => None,
+        /// A fisheye lens that sees 170° across the picture (`OPENCV_FISHEYE`).
+        "fisheye" => Fisheye,
+    }
+
     /// Where the Gaussians of the joint stage come from.
     GaussianStage {
         /// A stage of DBS (DP-GES).

@@ -7,8 +7,8 @@ use dpges_core::scene::{ColourModel, Footprint, MarginLookup, OpacityActivation}
 
 use super::budget::Budget;
 use super::choices::{
-    AddAs, Background, Environment, GaussianStage, InitMethod, JointOpacity, Margin, Method, PixelsOf, Stop,
-    SurfelStart,
+    AddAs, Background, BuiltinLens, Environment, GaussianStage, InitMethod, JointOpacity, Margin, Method, PixelsOf,
+    Stop, SurfelStart,
 };
 use super::declare::{Ablation, Key, Section, Value, configuration, optional};
 use super::range::{self, OPACITY, POSITIVE, POSITIVE_SHARE};
@@ -30,6 +30,11 @@ configuration! {
         validation_every: usize = 0, unit: "views";
         /// Near plane of every camera. 0 takes the default of the dataset's format.
         near: f64 = 0.0, unit: "world units", range: 0.0..;
+        /// Resample photographs that were taken through a lens for a pinhole camera. Otherwise the scene is trained and
+        /// evaluated through the lens, on the photographs as they are, which discs cannot be (`stages.surfels = 0`).
+        undistort: bool = true;
+        /// Lens of the built-in scene.
+        builtin_lens: BuiltinLens = BuiltinLens::None;
     }
 
     /// Length, losses and output of a run.

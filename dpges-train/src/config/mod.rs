@@ -27,8 +27,8 @@ use crate::dataset::LoadOptions;
 pub use budget::Budget;
 use budget::{MEGABYTE, primitives_for};
 pub use choices::{
-    AddAs, Background, Environment, GaussianStage, InitMethod, JointOpacity, Margin, Method, PixelsOf, Stop,
-    SurfelStart,
+    AddAs, Background, BuiltinLens, Environment, GaussianStage, InitMethod, JointOpacity, Margin, Method, PixelsOf,
+    Stop, SurfelStart,
 };
 pub use declare::{Ablation, Key, Section};
 pub use dpges_core::scene::OpacityActivation;
@@ -93,6 +93,7 @@ impl DataConfig {
             image_scale: (self.image_scale > 1).then_some(self.image_scale),
             max_resolution: (self.max_resolution > 0).then_some(self.max_resolution),
             test_every: self.test_every,
+            undistort: self.undistort,
             near: (self.near > 0.0).then_some(self.near),
         }
     }

@@ -1,4 +1,4 @@
-//! Turns the description of a dataset into one to train on: pictures, pinhole cameras, split, extent, origin.
+//! Turns the description of a dataset into one to train on: pictures, cameras, split, extent, origin.
 
 use std::path::{Component, Path, PathBuf};
 
@@ -43,7 +43,7 @@ pub(super) fn assemble(root: &Path, mut source: Source, options: &LoadOptions) -
     let views = |split| -> Result<Vec<View>> {
         let frames: Vec<&Frame> = frames_of(&source, split).collect();
         let views: Vec<_> =
-            frames.into_par_iter().map(|frame| view(frame, offset, near, background, options.max_resolution)).collect();
+            frames.into_par_iter().map(|frame| view(frame, offset, near, background, options)).collect();
         views.into_iter().collect()
     };
     Ok(Dataset {
@@ -77,7 +77,7 @@ fn check(source: &Source, near: f64, options: &LoadOptions) -> Result<()> {
         return Err(DatasetError::NoTestViews { path, reason: source.no_test_reason });
     }
     for frame in &source.frames {
-        frame.lens.camera(frame.camera_from_world, near).validate().map_err(|source| DatasetError::Camera {
+        frame.calibration.camera(frame.camera_from_world, near).validate().map_err(|source| DatasetError::Camera {
             path: frame.described_in.clone(),
             view: frame.name.clone(),
             source: Box::new(source),
@@ -138,24 +138,25 @@ fn missing_image(frame: &Frame) -> DatasetError {
     }
 }
 
-fn view(frame: &Frame, offset: DVec3, near: f64, background: [f64; 3], max_resolution: Option<usize>) -> Result<View> {
+fn view(frame: &Frame, offset: DVec3, near: f64, background: [f64; 3], options: &LoadOptions) -> Result<View> {
     let mut picture = images::decode(&frame.image, background)?;
-    if !frame.lens.fits(picture.width, picture.height) {
+    if !frame.calibration.fits(picture.width, picture.height) {
         return Err(DatasetError::ImageSize {
             path: frame.image.clone(),
             found: [picture.width, picture.height],
-            camera: [frame.lens.width, frame.lens.height],
+            camera: [frame.calibration.width, frame.calibration.height],
             described_in: frame.described_in.clone(),
         });
     }
-    let lens = frame.lens.resized(picture.width, picture.height);
-    let pinhole = undistort::pinhole(&lens)
-        .ok_or_else(|| DatasetError::Distortion { path: frame.described_in.clone(), view: frame.name.clone() })?;
-    if pinhole != lens {
-        picture = undistort::resample(&picture, &lens, &pinhole);
+    let taken = frame.calibration.camera(frame.camera_from_world.recentred(offset), near);
+    let mut camera = taken.resized(picture.width, picture.height);
+    if options.undistort && camera.lens.is_some() {
+        let pinhole = undistort::pinhole(&camera)
+            .ok_or_else(|| DatasetError::Distortion { path: frame.described_in.clone(), view: frame.name.clone() })?;
+        picture = undistort::resample(&picture, &camera, &pinhole);
+        camera = pinhole;
     }
-    let camera = pinhole.camera(frame.camera_from_world.recentred(offset), near);
-    let (camera, picture) = capped(camera, picture, max_resolution);
+    let (camera, picture) = capped(camera, picture, options.max_resolution);
     Ok(View { name: frame.name.clone(), camera, picture })
 }
 

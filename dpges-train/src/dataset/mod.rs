@@ -1,18 +1,18 @@
 //! Photographs, cameras and points from disk: COLMAP, Blender and nerfstudio folders, and a small built-in scene.
 //!
 //! A format reader (`colmap`, `blender`, `nerfstudio`) describes the dataset as a list of frames with lenses and
-//! poses; `assemble` then decodes the images in parallel, undistorts and downscales them, and moves
+//! poses; `assemble` then decodes the images in parallel, undistorts them if asked to, downscales them, and moves
 //! geo-referenced worlds to the origin. Cameras have OpenCV axes (x right, y down, z forward).
 
 mod assemble;
 mod blender;
 mod builtin;
+mod calibration;
 mod colmap;
 mod error;
 #[cfg(test)]
 mod fixtures;
 mod images;
-mod lens;
 mod nerfstudio;
 mod ply;
 mod source;
@@ -33,7 +33,7 @@ pub use images::Picture;
 
 use error::Result;
 
-/// A photograph and the pinhole camera that took it. Both have the same resolution.
+/// A photograph and the camera that took it. Both have the same resolution.
 #[derive(Clone, Debug)]
 pub struct View {
     /// The image's path within its dataset, unique.
@@ -78,6 +78,22 @@ pub struct Dataset {
 }
 
 impl View {
+    /// The camera without its lens: the widest pinhole camera all of whose pixels are on the photograph; `None` if no camera
+    /// of half to twice its focal length has that.
+    pub fn undistorted_camera(&self) -> Option<Camera> {
+        undistort::pinhole(&self.camera)
+    }
+
+    /// The view with its [`undistorted_camera`](Self::undistorted_camera) and the photograph resampled for it.
+    pub fn undistorted(&self) -> Option<Self> {
+        let camera = self.undistorted_camera()?;
+        let picture = match self.camera.lens {
+            None => self.picture.clone(),
+            Some(_) => undistort::resample(&self.picture, &self.camera, &camera),
+        };
+        Some(Self { name: self.name.clone(), camera, picture })
+    }
+
     /// The picture on `device`, [3, H, W].
     pub fn target(&self, device: &Device) -> Tensor<3> {
         let Picture { width, height, ref planes, .. } = self.picture;
@@ -153,13 +169,15 @@ pub struct LoadOptions {
     /// Hold out every n-th view by name if the dataset stores no split. 0 holds none out and accepts a dataset without
     /// held-out views.
     pub test_every: usize,
+    /// Whether photographs taken through a lens are resampled for a pinhole camera; otherwise the cameras have the lens.
+    pub undistort: bool,
     /// World units. `None`: 0.2 for COLMAP and nerfstudio, 0.01 for Blender.
     pub near: Option<f64>,
 }
 
 impl Default for LoadOptions {
     fn default() -> Self {
-        Self { background: None, image_scale: None, max_resolution: None, test_every: 8, near: None }
+        Self { background: None, image_scale: None, max_resolution: None, test_every: 8, undistort: true, near: None }
     }
 }
 

@@ -6,7 +6,7 @@ use dpges_core::camera::CameraFromWorld;
 use glam::DVec3;
 
 use super::Format;
-use super::lens::Lens;
+use super::calibration::Calibration;
 
 /// Which set a view belongs to; `Neither` for a view that the dataset's own lists leave out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,7 +21,7 @@ pub(super) enum Split {
 pub(super) struct Frame {
     pub name: String,
     pub image: PathBuf,
-    pub lens: Lens,
+    pub calibration: Calibration,
     pub camera_from_world: CameraFromWorld,
     pub split: Split,
     /// File that holds the pose, named in messages.

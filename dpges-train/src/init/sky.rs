@@ -176,7 +176,11 @@ fn open_pixels(camera: &Camera, points: &[[f32; 3]], up: DVec3) -> Vec<bool> {
     let world_from_pixel = camera.world_from_pixel();
     for (cell, open) in open.iter_mut().enumerate() {
         let (x, y) = cells.centre(cell);
-        *open &= (world_from_pixel * DVec3::new(x, y, 1.0)).dot(up) > 0.0;
+        let direction = match camera.lens {
+            None => world_from_pixel * DVec3::new(x, y, 1.0),
+            Some(_) => camera.unproject(x, y, 1.0) - camera.centre(),
+        };
+        *open &= direction.dot(up) > 0.0;
     }
     let is_open = |pixel: usize| open[cells.at((pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5)];
     (0..width * height).map(is_open).collect()
