@@ -55,8 +55,7 @@ impl<T: Real> Directions<T> {
 fn basis<T: Real>(directions: &Directions<T>, x: usize, y: usize) -> [[T; LANES]; MAX_COEFFICIENTS] {
     let rays = directions.of(x, y);
     let mut values = [[T::of(SH_C0); LANES]; MAX_COEFFICIENTS];
-    for lane in 0..LANES {
-        let ray = rays[lane];
+    for (lane, &ray) in rays.iter().enumerate() {
         let higher = harmonics(scale(ray, T::one() / dot(ray, ray).sqrt()));
         for (values, y) in values[1..].iter_mut().zip(higher) {
             values[lane] = y;
