@@ -1,6 +1,6 @@
 //! Losses that hold rendered depths to depth maps: those of a sensor, of stereo, or of a network that sees one picture.
 //!
-//! A map has disparities, one over camera-space z in world units, [1, H, W]; 0 where nothing is known. Depths are
+//! A map has disparities, one over depth ([`crate::camera`]) in world units, [1, H, W]; 0 where nothing is known. Depths are
 //! [1, H, W] in world units, 0 where nothing is rendered.
 
 use burn::tensor::Tensor;
@@ -180,8 +180,17 @@ mod tests {
         const SIDE: usize = 6;
         const PLANE: f64 = 2.0;
         let camera_from_world = CameraFromWorld { rotation: DMat3::IDENTITY, translation: DVec3::ZERO };
-        let camera =
-            Camera { camera_from_world, fx: 40.0, fy: 40.0, cx: 12.0, cy: 12.0, width: 24, height: 24, near: 0.01 };
+        let camera = Camera {
+            camera_from_world,
+            fx: 40.0,
+            fy: 40.0,
+            cx: 12.0,
+            cy: 12.0,
+            width: 24,
+            height: 24,
+            near: 0.01,
+            lens: None,
+        };
         let mut random = Random::new(5);
         // beside one another, so that none hides another
         let mut positions = Vec::new();

@@ -28,6 +28,14 @@ choices! {
         "mip-splatting" => MipSplatting,
     }
 
+    /// Lens of the built-in scene.
+    BuiltinLens {
+        /// A pinhole camera.
+        "none" => None,
+        /// A fisheye lens that sees 170° across the picture (`OPENCV_FISHEYE`).
+        "fisheye" => Fisheye,
+    }
+
     /// Where the Gaussians of the joint stage come from.
     GaussianStage {
         /// A stage of DBS (DP-GES).
@@ -58,8 +66,8 @@ choices! {
     DepthMaps {
         /// There are none, or they are not read.
         "none" => None,
-        /// Depths: camera-space z. A step of their values is `depth_unit_scale_factor` world units, 0.001 if the dataset
-        /// does not say.
+        /// Depths: camera-space z, or distances from the camera's centre for photographs through a fisheye lens. A step of
+        /// their values is `depth_unit_scale_factor` world units, 0.001 if the dataset does not say.
         "metric" => Metric,
         /// Disparities, larger where what they show is nearer, with a scale and a shift that differ from map to map: what
         /// networks make of single photographs.
@@ -157,6 +165,8 @@ choices! {
         "PINHOLE" => Pinhole,
         /// One focal length and a centre: likewise.
         "SIMPLE_PINHOLE" => SimplePinhole,
+        /// Two focal lengths, a centre, four coefficients of a fisheye lens. `data.undistort` keeps or undoes it.
+        "OPENCV_FISHEYE" => OpenCvFisheye,
     }
 
     /// Which pairs of photographs without cameras are compared.
@@ -192,6 +202,7 @@ impl SfmCamera {
             Self::SimpleRadial => "SIMPLE_RADIAL",
             Self::Pinhole => "PINHOLE",
             Self::SimplePinhole => "SIMPLE_PINHOLE",
+            Self::OpenCvFisheye => "OPENCV_FISHEYE",
         }
     }
 }

@@ -7,8 +7,8 @@ use dpges_core::scene::{ColourModel, Footprint, MarginLookup, OpacityActivation}
 
 use super::budget::Budget;
 use super::choices::{
-    AddAs, Alpha, Background, DepthMaps, Environment, Exposure, GaussianStage, InitMethod, JointOpacity, Margin,
-    Method, PixelsOf, SfmCamera, SfmMatching, SfmProgram, Stop, SurfelStart,
+    AddAs, Alpha, Background, BuiltinLens, DepthMaps, Environment, Exposure, GaussianStage, InitMethod, JointOpacity,
+    Margin, Method, PixelsOf, SfmCamera, SfmMatching, SfmProgram, Stop, SurfelStart,
 };
 use super::declare::{Ablation, Key, Section, Value, configuration, optional};
 use super::memory::Memory;
@@ -38,9 +38,14 @@ configuration! {
         memory: Memory = Memory::Auto;
         /// Near plane of every camera. 0 takes the default of the dataset's format.
         near: f64 = 0.0, unit: "world units", range: 0.0..;
+        /// Resample photographs that were taken through a lens for a pinhole camera. Otherwise the scene is trained and
+        /// evaluated through the lens, on the photographs as they are, which discs cannot be (`stages.surfels = 0`).
+        undistort: bool = true;
         /// Depth maps beside the photographs, 16-bit grey PNGs in which 0 means unknown: the `depth_file_path` of a frame,
         /// or files in the folder `depths` named as the photographs. `train.lambda_depth_maps` is their weight.
         depth: DepthMaps = DepthMaps::None;
+        /// Lens of the built-in scene.
+        builtin_lens: BuiltinLens = BuiltinLens::None;
         /// Largest change of exposure of a view of the built-in scene, up or down: by how much differs from view to view. It
         /// is for tests of `train.exposure`.
         builtin_exposure_stops: f64 = 0.0, unit: "stops", range: 0.0..=4.0;

@@ -28,8 +28,8 @@ use crate::dataset::{DepthKind, LoadOptions};
 pub use budget::Budget;
 use budget::{MEGABYTE, primitives_for};
 pub use choices::{
-    AddAs, Alpha, Background, DepthMaps, Environment, Exposure, GaussianStage, InitMethod, JointOpacity, Margin,
-    Method, PixelsOf, SfmCamera, SfmMatching, SfmProgram, Stop, SurfelStart,
+    AddAs, Alpha, Background, BuiltinLens, DepthMaps, Environment, Exposure, GaussianStage, InitMethod, JointOpacity,
+    Margin, Method, PixelsOf, SfmCamera, SfmMatching, SfmProgram, Stop, SurfelStart,
 };
 pub use declare::{Ablation, Key, Section};
 pub use dpges_core::scene::OpacityActivation;
@@ -97,6 +97,7 @@ impl DataConfig {
             image_scale: (self.image_scale > 1).then_some(self.image_scale),
             max_resolution: (self.max_resolution > 0).then_some(self.max_resolution),
             test_every: self.test_every,
+            undistort: self.undistort,
             near: (self.near > 0.0).then_some(self.near),
             alpha_masks: self.alpha == Alpha::Mask,
             invert_masks: self.invert_masks,

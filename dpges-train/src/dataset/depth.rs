@@ -1,8 +1,12 @@
 //! Depth maps beside photographs: 16-bit grey PNGs in which 0 means unknown.
+//!
+//! Depth is what it is for the camera that took the photograph ([`dpges_core::camera`]): camera-space z, or the distance from
+//! the camera's centre through a fisheye lens.
 
 use std::path::Path;
 
-use image::{DynamicImage, ImageBuffer, Luma};
+use dpges_core::camera::Camera;
+use image::DynamicImage;
 
 use super::error::{DatasetError, Result};
 use super::images::decoded;
@@ -17,9 +21,9 @@ pub(super) const DEFAULT_UNIT: f64 = 1e-3;
 /// What the values of a depth map are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DepthKind {
-    /// Camera-space z.
+    /// Depths.
     Metric,
-    /// Disparities up to a scale and a shift: larger where z is smaller.
+    /// Disparities up to a scale and a shift: larger where depths are smaller.
     Relative,
 }
 
@@ -29,13 +33,13 @@ pub struct DepthMap {
     pub kind: DepthKind,
     /// [height × width] of the picture of the view, row by row; 0 where nothing is known or the pixel does not count.
     pub steps: Vec<u16>,
-    /// Of one step: world units of camera-space z; or, if relative, 1/65535.
+    /// Of one step: world units of depth; or, if relative, 1/65535.
     pub step: f64,
 }
 
 impl DepthMap {
-    /// The map of positive `depths` [height × width], camera-space z in world units, in the finest steps that hold them
-    /// all. A relative map has the disparities from 1/65535 for the farthest to 1 for the nearest.
+    /// The map of positive `depths` [height × width], world units, in the finest steps that hold them all. A relative
+    /// map has the disparities from 1/65535 for the farthest to 1 for the nearest.
     pub fn from_depths(kind: DepthKind, depths: &[f32]) -> Self {
         let most = f64::from(u16::MAX);
         let (near, far) = depths.iter().fold((f64::INFINITY, 0.0f64), |(near, far), &depth| {
@@ -56,11 +60,18 @@ impl DepthMap {
         Self { kind, steps: depths.iter().map(of).collect(), step }
     }
 
-    /// The value at row-major pixel `pixel`: camera-space z in world units, or a relative disparity up to 1; `None` where
-    /// nothing is known.
+    /// The value at row-major pixel `pixel`: a depth in world units, or a relative disparity up to 1; `None` where nothing
+    /// is known.
     pub fn value(&self, pixel: usize) -> Option<f64> {
         let steps = self.steps[pixel];
         (steps > 0).then(|| f64::from(steps) * self.step)
+    }
+
+    /// The map, which is of the photograph that `taken` took, for the `picture` that was made of it for `camera`.
+    pub(super) fn seen_by(&self, camera: &Camera, taken: &Camera, picture: &Picture) -> Self {
+        let mut steps = sampled(&self.steps, [taken.width, taken.height], self.kind, camera, taken);
+        picture.clear_ignored(&mut steps);
+        Self { steps, ..*self }
     }
 }
 
@@ -75,14 +86,20 @@ pub(super) fn file(root: &Path, frame: &Frame) -> Option<DepthFile> {
     path.is_file().then_some(DepthFile { path, unit: DEFAULT_UNIT })
 }
 
-/// Reads the depth map of `frame` for its finished `picture`. Each pixel takes the value of the map where it lies, without
-/// interpolation: between the depths on both sides of an edge there is nothing. Of pixels that do not count nothing is
-/// known.
+/// Reads the depth map of `frame` for its finished `picture` and the `camera` of that. Each pixel takes the value of the map
+/// where it lies, without interpolation: between the depths on both sides of an edge there is nothing. Of pixels that do not
+/// count nothing is known.
 ///
 /// # Errors
 /// [`DatasetError::Read`], [`DatasetError::Decode`]; [`DatasetError::DepthType`] unless it is a 16-bit grey PNG, or an
 /// 8-bit one if relative; [`DatasetError::DepthSize`] unless it has the aspect of the photograph.
-pub(super) fn read(file: &DepthFile, kind: DepthKind, frame: &Frame, picture: &Picture) -> Result<DepthMap> {
+pub(super) fn read(
+    file: &DepthFile,
+    kind: DepthKind,
+    frame: &Frame,
+    camera: &Camera,
+    picture: &Picture,
+) -> Result<DepthMap> {
     let path = &file.path;
     let map = match (decoded(path)?, kind) {
         (DynamicImage::ImageLuma16(map), _) => map,
@@ -97,46 +114,55 @@ pub(super) fn read(file: &DepthFile, kind: DepthKind, frame: &Frame, picture: &P
         }
     };
     let (width, height) = (map.width() as usize, map.height() as usize);
-    if !frame.lens.fits(width, height) {
+    if !frame.calibration.fits(width, height) {
         return Err(DatasetError::DepthSize {
             path: path.clone(),
             found: [width, height],
-            camera: [frame.lens.width, frame.lens.height],
+            camera: [frame.calibration.width, frame.calibration.height],
             described_in: frame.described_in.clone(),
         });
     }
     let step = if kind == DepthKind::Metric { file.unit } else { 1.0 / f64::from(u16::MAX) };
-    let mut steps = sampled(&map, frame, [picture.width, picture.height])?;
+    let taken = frame.calibration.camera(frame.camera_from_world, camera.near);
+    let mut steps = sampled(map.as_raw(), [width, height], kind, camera, &taken);
     picture.clear_ignored(&mut steps);
     Ok(DepthMap { kind, steps, step })
 }
 
-/// [height × width] the value of `map` at every pixel of the finished picture, `size` px wide and high.
-fn sampled(map: &ImageBuffer<Luma<u16>, Vec<u16>>, frame: &Frame, size: [usize; 2]) -> Result<Vec<u16>> {
-    let (lens, [width, height]) = (&frame.lens, size);
-    let pinhole = undistort::pinhole(lens)
-        .ok_or_else(|| DatasetError::Distortion { path: frame.described_in.clone(), view: frame.name.clone() })?;
-    let is_distorted = pinhole != *lens;
-    let at = |position: f64, of: usize, in_map: u32| {
-        ((position / of as f64 * f64::from(in_map)).max(0.0) as u32).min(in_map - 1)
+/// [height × width] the steps that the pixels of the picture of `camera` have in the map, `steps` [rows × columns], of the
+/// photograph that `taken` took. The camera is that one, or the pinhole camera that is made of it, at any size. Metric depths
+/// become those of `camera`.
+fn sampled(steps: &[u16], [columns, rows]: [usize; 2], kind: DepthKind, camera: &Camera, taken: &Camera) -> Vec<u16> {
+    let straightens = taken.lens.is_some() && camera.lens.is_none();
+    let is_distance = kind == DepthKind::Metric && straightens && taken.lens.is_some_and(|lens| lens.is_wide());
+    let full = camera.resized(taken.width, taken.height);
+    let at = |position: f64, of: usize, count: usize| {
+        ((position / of as f64 * count as f64).max(0.0) as usize).min(count - 1)
     };
     let value = |pixel: usize| {
-        let x = (pixel % width) as f64 + 0.5;
-        let y = (pixel / width) as f64 + 0.5;
-        // on the pinhole picture at full size, then on the photograph
-        let (x, y) = (x * lens.width as f64 / width as f64, y * lens.height as f64 / height as f64);
-        let (x, y) = if is_distorted { undistort::source_position(lens, &pinhole, x, y) } else { (x, y) };
-        map.get_pixel(at(x, lens.width, map.width()), at(y, lens.height, map.height())).0[0]
+        let x = (pixel % camera.width) as f64 + 0.5;
+        let y = (pixel / camera.width) as f64 + 0.5;
+        // at full size, then on the photograph
+        let (x, y) = (x * taken.width as f64 / camera.width as f64, y * taken.height as f64 / camera.height as f64);
+        let (u, v) = if straightens { undistort::source_position(taken, &full, x, y) } else { (x, y) };
+        let steps = steps[at(v, taken.height, rows) * columns + at(u, taken.width, columns)];
+        if !is_distance || steps == 0 {
+            return steps;
+        }
+        let z_of_distance = full.ray(x, y).map_or(1.0, |ray| ray.z / ray.length());
+        ((f64::from(steps) * z_of_distance).round() as u16).max(1)
     };
-    Ok((0..width * height).map(value).collect())
+    (0..camera.width * camera.height).map(value).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use std::path::PathBuf;
 
+    use image::{ImageBuffer, Luma};
+
     use super::super::fixtures::{self, Encoding, transform_matrix};
-    use super::super::{BuiltinOptions, LoadOptions, builtin, builtin_geometry, load};
+    use super::super::{BuiltinOptions, LoadOptions, View, builtin, builtin_geometry, load};
     use super::*;
 
     fn of_kind(kind: DepthKind) -> LoadOptions {
@@ -278,6 +304,54 @@ mod tests {
         let radial = 1.0 + 0.2 * (x * x + y * y);
         let (u, v) = (20.0 * x * radial + 12.0, 20.0 * y * radial + 8.0);
         assert_eq!(map.steps[12 * 24 + 20], step(u as usize, v as usize));
+    }
+
+    #[test]
+    fn maps_of_photographs_that_keep_their_lens_are_as_they_are() {
+        let lenses = [(r#""k1": 0.2,"#, false), (r#""camera_model": "OPENCV_FISHEYE", "k1": 0.01,"#, true)];
+        for (lens, is_wide) in lenses {
+            let folder = tempfile::tempdir().unwrap();
+            write_map(&folder.path().join("depths/1.png"), 24, 16);
+            nerfstudio(folder.path(), lens, "");
+            let [bent, straight] = [false, true].map(|undistort| {
+                let options = LoadOptions { undistort, ..of_kind(DepthKind::Metric) };
+                load(folder.path(), &options).unwrap().train[0].clone()
+            });
+            assert!(bent.camera.lens.is_some_and(|lens| lens.is_wide() == is_wide) && straight.camera.lens.is_none());
+            let expected: Vec<u16> = (0..24 * 16).map(|pixel| step(pixel % 24, pixel / 24)).collect();
+            assert_eq!(bent.depth.unwrap().steps, expected);
+            // where the lens shows what the pinhole camera has at (20.5, 12.5)
+            let (u, v, _) = bent.camera.project(straight.camera.unproject(20.5, 12.5, 1.0)).unwrap();
+            let ray = straight.camera.ray(20.5, 12.5).unwrap();
+            let z_of_depth = if is_wide { 1.0 / ray.length() } else { 1.0 };
+            let expected = (f64::from(step(u as usize, v as usize)) * z_of_depth).round() as u16;
+            assert_eq!(straight.depth.unwrap().steps[12 * 24 + 20], expected);
+        }
+    }
+
+    #[test]
+    fn maps_of_the_built_in_scene_are_exact_through_its_lens_and_without_it() {
+        let (train_views, test_views, points) = (1, 0, 0);
+        let options = BuiltinOptions { train_views, test_views, points, supersampling: 1, ..Default::default() };
+        let options = BuiltinOptions { fisheye: true, depth: Some(DepthKind::Metric), ..options };
+        let view = builtin(&options).train.remove(0);
+        let median_error = |view: &View| {
+            let (depth, _) = builtin_geometry(&view.camera);
+            let map = view.depth.as_ref().unwrap();
+            let error = |(pixel, depth): (usize, &f32)| (map.value(pixel).unwrap() / f64::from(*depth) - 1.0).abs();
+            let mut errors: Vec<f64> = depth.iter().enumerate().map(error).collect();
+            errors.sort_by(f64::total_cmp);
+            errors[errors.len() / 2]
+        };
+        assert!(median_error(&view) < 1e-3);
+        // the corners are behind the camera
+        let distance = view.depth.as_ref().unwrap().value(0).unwrap();
+        let corner = view.camera.unproject(0.5, 0.5, distance);
+        assert!((corner.distance(view.camera.centre()) - distance).abs() < 1e-9);
+        assert!(view.camera.without_lens().depth(corner) < 0.0);
+        let straight = view.undistorted().unwrap().unwrap();
+        let error = median_error(&straight);
+        assert!(straight.camera.lens.is_none() && error < 0.03, "{error}");
     }
 
     #[test]

@@ -32,12 +32,12 @@ pub enum DatasetError {
     Ply { path: PathBuf, source: serde_ply::DeserializeError },
     #[error(
         "{path}: camera model {model} of {camera} is not supported: {reason}; \
-         undistort the photographs to PINHOLE first"
+         convert it to another model or undistort the photographs to PINHOLE first"
     )]
     CameraModel { path: PathBuf, camera: String, model: String, reason: &'static str },
     #[error(
         "{path}: the distortion of view `{view}` cannot be undone with a pinhole camera of half to twice its focal \
-         length; check its coefficients or undistort the photographs first"
+         length; check its coefficients, undistort the photographs first, or use them as they are (`data.undistort` = false)"
     )]
     Distortion { path: PathBuf, view: String },
     #[error("{path}: view `{view}`: {source}; repair the view or remove it")]

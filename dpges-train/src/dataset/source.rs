@@ -6,7 +6,7 @@ use dpges_core::camera::CameraFromWorld;
 use glam::DVec3;
 
 use super::Format;
-use super::lens::Lens;
+use super::calibration::Calibration;
 
 /// Which set a view belongs to; `Neither` for a view that the dataset's own lists leave out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,7 +23,7 @@ pub(super) struct Frame {
     pub image: PathBuf,
     /// The mask that the dataset names; after [`super::masks::find`] the one that is there.
     pub mask: Option<PathBuf>,
-    pub lens: Lens,
+    pub calibration: Calibration,
     pub camera_from_world: CameraFromWorld,
     pub split: Split,
     /// File that holds the pose, named in messages.

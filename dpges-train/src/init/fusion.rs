@@ -20,7 +20,7 @@ pub const CHECKED_VIEWS: usize = 24;
 /// What trained Gaussians look like in views, and their photographs: both are made when they are asked for.
 pub struct DepthViews<'a> {
     pub cameras: Vec<&'a Camera>,
-    /// [H × W] camera-space z, world units; not positive where the picture is not opaque and of one depth, or does not count.
+    /// [H × W] depth, world units; not positive where the picture is not opaque and of one depth, or does not count.
     pub depth: &'a dyn Fn(usize) -> Result<Arc<Vec<f32>>>,
     pub photograph: &'a dyn Fn(usize) -> Result<Seen<'a>>,
 }
@@ -158,7 +158,17 @@ mod tests {
         let camera = |i: usize| {
             let eye = DVec3::new(0.1 * i as f64, 0.0, -4.0);
             let camera_from_world = CameraFromWorld::look_at(eye, eye + DVec3::Z, -DVec3::Y);
-            Camera { camera_from_world, fx: 40.0, fy: 40.0, cx: 20.0, cy: 20.0, width: SIZE, height: SIZE, near: 0.1 }
+            Camera {
+                camera_from_world,
+                fx: 40.0,
+                fy: 40.0,
+                cx: 20.0,
+                cy: 20.0,
+                width: SIZE,
+                height: SIZE,
+                near: 0.1,
+                lens: None,
+            }
         };
         (0..count).map(camera).collect()
     }

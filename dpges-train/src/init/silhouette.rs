@@ -253,6 +253,7 @@ mod tests {
                 width: 100,
                 height: 100,
                 near: 0.01,
+                lens: None,
             };
             let (mut alpha, mut planes) = (vec![0; 10_000], vec![1.0f32; 30_000]);
             for pixel in 0..10_000 {

@@ -23,7 +23,7 @@ pub fn nearest_views(views: &[View]) -> Vec<Vec<usize>> {
     (0..views.len()).map(of).collect()
 }
 
-/// The depth of pixel `pixel` of `view`, near the `assumed` one (camera-space z, world units), at which most of `others`
+/// The depth of pixel `pixel` of `view`, near the `assumed` one (world units), at which most of `others`
 /// have the pixel's colour at a pixel that counts; `None` if fewer than `least` agree at any depth.
 pub fn agreed_depth(view: &Seen<'_>, others: &[Seen<'_>], pixel: usize, assumed: f64, least: usize) -> Option<f64> {
     let width = view.camera.width;

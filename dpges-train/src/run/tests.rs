@@ -4,11 +4,11 @@ use std::path::Path;
 use dpges_core::scene::{Rendering, SceneData};
 
 use super::checkpoint::CheckpointError;
-use super::fixtures::{config, dataset, dataset_of, device};
+use super::fixtures::{config, dataset, dataset_of, device, fisheye_dataset};
 use super::folder::RunFolderError;
 use super::*;
 use crate::config::StagePlan;
-use crate::eval::EvalReport;
+use crate::eval::{EvalReport, evaluate};
 use crate::exposure::Correction;
 
 /// Two stages, evaluations and a checkpoint on the way.
@@ -105,6 +105,32 @@ fn a_run_in_memory_trains_evaluates_and_leaves_a_scene_to_save() {
     let path = folder.path().join("scene.safetensors");
     outcome.scene.save(&path).unwrap();
     assert_eq!(SceneData::load(&path).unwrap(), outcome.scene);
+}
+
+#[test]
+fn scenes_are_learnt_through_a_fisheye_lens() {
+    let data = fisheye_dataset();
+    let psnr = |run: &Run| evaluate(&run.trainer().scene(), &data.train, &device()).unwrap().psnr;
+    for (method, steps, gain) in [("dpges", "150", 1.5), ("3dgs", "60", 0.0), ("mcmc", "60", 0.0)] {
+        let set = [format!("train.method={method}"), format!("train.steps={steps}"), "refine.budget=1500".to_owned()];
+        let config = config(&set.each_ref().map(String::as_str));
+        let mut run = Run::new(config, Arc::clone(&data), device()).unwrap();
+        let before = psnr(&run);
+        let outcome = run.train(&mut |_: &StepReport| ()).unwrap();
+        let after = psnr(&run);
+        assert!(after > before + gain, "{method}: {before:.2} dB before, {after:.2} dB after");
+        assert!(outcome.evaluation.is_some_and(|evaluation| evaluation.psnr > 5.0), "{method}");
+    }
+}
+
+#[test]
+fn discs_and_lenses_do_not_go_together() {
+    for set in [&["train.method=2dgs"], &["stages.surfels=0.4"]] {
+        let message = error(Run::new(config(set), fisheye_dataset(), device())).to_string();
+        for part in ["discs", "lens", "train_000", "data.undistort"] {
+            assert!(message.contains(part), "{message}");
+        }
+    }
 }
 
 #[test]

@@ -4,7 +4,7 @@ mod room;
 
 use std::f64::consts::TAU;
 
-use dpges_core::camera::{Camera, CameraFromWorld};
+use dpges_core::camera::{Camera, CameraFromWorld, Distortion, Lens, Projection};
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -20,6 +20,10 @@ const TARGET: DVec3 = DVec3::new(0.0, 0.0, 0.3);
 const GOLDEN_ANGLE: f64 = 2.399_963_229_728_653;
 /// Largest distance of a point from its surface, world units.
 const POINT_NOISE: f64 = 0.003;
+/// Angle that the fisheye lens sees across the picture, radians: 170°.
+const FISHEYE_ANGLE: f64 = 170.0 / 360.0 * TAU;
+/// k₁..k₄ of the fisheye lens (`OPENCV_FISHEYE`).
+const FISHEYE: [f64; 4] = [0.03, -0.008, 0.001, 0.0];
 /// A view sees a surface point if the traced depth agrees with the depth of the point to this relative error.
 const VISIBILITY_TOLERANCE: f64 = 1e-6;
 
@@ -40,6 +44,8 @@ pub struct BuiltinOptions {
     pub depth: Option<DepthKind>,
     /// Seed of the points and of the exposures. Cameras do not depend on it.
     pub seed: u64,
+    /// Whether the photographs are taken through a fisheye lens that sees 170° across the picture.
+    pub fisheye: bool,
 }
 
 impl Default for BuiltinOptions {
@@ -54,6 +60,7 @@ impl Default for BuiltinOptions {
             exposure_stops: 0.0,
             depth: None,
             seed: 1,
+            fisheye: false,
         }
     }
 }
@@ -94,7 +101,7 @@ pub fn builtin(options: &BuiltinOptions) -> Dataset {
     }
 }
 
-/// Depth [height, width] (camera-space z, world units) and world normal [3, height, width] (unit, towards the camera)
+/// Depth [height, width] (world units) and world normal [3, height, width] (unit, towards the camera)
 /// at the pixel centres of `camera`, which must stand inside the room |x|, |y| < 3, 0 < z < 3, outside its furniture.
 pub fn builtin_geometry(camera: &Camera) -> (Vec<f32>, Vec<f32>) {
     let pixels = camera.width * camera.height;
@@ -119,12 +126,16 @@ fn dome_camera(options: &BuiltinOptions, index: usize, count: usize, phase: f64,
     let direction = DVec3::new(elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin());
     let camera_from_world = CameraFromWorld::look_at(TARGET + 2.3 * direction, TARGET, DVec3::Z);
     let (width, height) = (options.width, options.height);
-    let focal = 0.5 * width as f64 / (0.5 * FIELD_OF_VIEW).tan();
+    let lens = options
+        .fisheye
+        .then(|| Lens::new(Distortion { numerator: FISHEYE, ..Distortion::new(Projection::Equidistant) }));
+    let half = lens.map_or((0.5 * FIELD_OF_VIEW).tan(), |lens| lens.radial(0.5 * FISHEYE_ANGLE));
+    let focal = 0.5 * width as f64 / half;
     let (cx, cy) = (0.5 * width as f64, 0.5 * height as f64);
-    Camera { camera_from_world, fx: focal, fy: focal, cx, cy, width, height, near }
+    Camera { camera_from_world, fx: focal, fy: focal, cx, cy, width, height, near, lens }
 }
 
-/// The surface at position (x, y), px. The ray's direction has camera-space z = 1, so its distances are depths.
+/// The surface at position (x, y), px. The ray's direction has depth 1, so its distances are depths.
 fn hit(camera: &Camera, x: f64, y: f64) -> Hit {
     let eye = camera.centre();
     trace(eye, camera.unproject(x, y, 1.0) - eye)
@@ -279,6 +290,35 @@ mod tests {
         // half a stop is a factor of about 1.17 in display-referred values
         assert!(low > 0.8 && low < 0.95 && high > 1.05 && high < 1.25, "{low} to {high}");
         assert!(pairs().all(|(a, b)| a.camera == b.camera && a.name == b.name));
+    }
+
+    #[test]
+    fn a_fisheye_sees_170_degrees_across_its_picture() {
+        let size = 64;
+        let options = BuiltinOptions { width: size, height: size, fisheye: true, points: 300, ..Default::default() };
+        let data = builtin(&options);
+        let camera = data.train[3].camera;
+        camera.validate().unwrap();
+        let [left, right] = [0.0, size as f64].map(|x| camera.ray(x, 0.5 * size as f64).unwrap());
+        assert!((left.angle_between(right).to_degrees() - 170.0).abs() < 1e-6);
+        // as with the other lens, points have the colour of the pixels that see them
+        let pictures: Vec<_> = data.train.iter().map(|view| view.picture().unwrap()).collect();
+        let (mut apart, mut shuffled, mut seen) = (0.0, 0.0, 0.0);
+        for (index, views) in data.points.seen_by.iter().enumerate() {
+            let position = DVec3::from_array(data.points.positions[index].map(f64::from));
+            for &view in views {
+                let (camera, picture) = (&data.train[view as usize].camera, &pictures[view as usize]);
+                let (x, y, _) = camera.project(position).unwrap();
+                let rgb = picture.rgb((x as usize).min(size - 1), (y as usize).min(size - 1));
+                let difference = |colour: [f32; 3]| (0..3).map(|c| (rgb[c] - colour[c]).abs() / 3.0).sum::<f32>();
+                apart += difference(data.points.colours[index]);
+                shuffled += difference(data.points.colours[(index + 143) % 300]);
+                seen += 1.0;
+            }
+        }
+        assert!(seen > 1000.0 && apart / seen < 0.1 && shuffled > 2.0 * apart, "{apart} {shuffled} of {seen}");
+        let straight = data.train[3].undistorted().unwrap().unwrap();
+        assert!(straight.camera.lens.is_none() && straight.picture().unwrap() != pictures[3]);
     }
 
     #[test]

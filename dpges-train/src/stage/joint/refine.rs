@@ -307,7 +307,8 @@ mod tests {
     fn the_depth_of_gaussians_is_their_mean_where_they_are() {
         let camera_from_world = CameraFromWorld::look_at(DVec3::new(0.0, 0.0, -1.0), DVec3::ZERO, -DVec3::Y);
         let (width, height) = (16, 8);
-        let camera = Camera { camera_from_world, fx: 16.0, fy: 16.0, cx: 8.0, cy: 4.0, width, height, near: 0.01 };
+        let camera =
+            Camera { camera_from_world, fx: 16.0, fy: 16.0, cx: 8.0, cy: 4.0, width, height, near: 0.01, lens: None };
         // in the middle at depths 1 and 3, as wide on the screen and as opaque; on the right behind the limit
         let scales = [0.1f32, 0.1, 1e-4, 0.3, 0.3, 1e-4, 0.1, 0.1, 1e-4];
         let gaussians = GaussianData {
