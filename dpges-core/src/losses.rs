@@ -1,5 +1,6 @@
 //! The losses of DP-GES. Each is a function of tensors that returns a tensor `[1]`.
 
+pub mod depth;
 pub mod geometry;
 mod target;
 #[cfg(test)]

@@ -10,6 +10,7 @@ use crate::binning::cpu::{TileLists, bin};
 use crate::camera::Camera;
 use crate::footprint::CUTOFF;
 use crate::footprint::disc::{self, Disc, MIN_FACING, Plane};
+use crate::footprint::rays::rays;
 use crate::footprint::splat::{self, Splat};
 use crate::math::{CameraOf, row};
 use crate::ops::peel::PeelOptions;
@@ -71,8 +72,12 @@ pub fn surfel_work(surfels: &SurfelData, camera: &Camera, options: &PeelOptions)
     let (planes, rects): (Vec<Plane<f32>>, Vec<PixelRect>) = (0..surfels.len()).into_par_iter().map(seen).unzip();
     let grid = TileGrid::new(camera.width, camera.height);
     let (near, modulation) = (camera.near as f32, options.modulation as f32);
+    let rays = rays(camera);
     let is_inside = |i: usize, x: f32, y: f32| {
-        let hit = planes[i].hit(x, y);
+        let hit = match &rays {
+            None => planes[i].hit(x, y),
+            Some(rays) => planes[i].hit_by(rays[y as usize * camera.width + x as usize].map(|v| v as f32)),
+        };
         let measure = match options.footprint {
             Footprint::Kernel => hit.kernel,
             Footprint::Opacity => (modulation * hit.kernel).min(1.0),

@@ -12,6 +12,12 @@ pub mod compression {}
 #[doc = include_str!("../docs/stages.md")]
 pub mod stages {}
 
+#[doc = include_str!("../docs/depth.md")]
+pub mod depth {}
+
+#[doc = include_str!("../docs/exposure.md")]
+pub mod exposure {}
+
 #[doc = include_str!("../docs/paper.md")]
 pub mod paper {}
 

@@ -33,6 +33,7 @@ pub mod dataset;
 pub mod device;
 pub mod docs;
 pub mod eval;
+pub mod exposure;
 pub mod init;
 pub mod memory;
 pub mod metrics;

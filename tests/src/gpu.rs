@@ -23,6 +23,7 @@ pub fn trials() -> Vec<Trial> {
         parity::every_operation_agrees_for_every_number_of_layers_and_footprint,
         parity::every_operation_agrees_on_a_realistic_scene,
         parity::every_operation_agrees_with_nothing_to_show,
+        parity::every_operation_agrees_through_lenses,
         parity::sorted_blending_agrees_on_random_scenes,
         parity::sorted_blending_agrees_in_a_crowd,
         parity::sorted_blending_agrees_with_little_or_nothing_to_show,

@@ -105,6 +105,7 @@ pub fn random(seed: u64, recipe: &Recipe) -> TestScene {
         width: recipe.width,
         height: recipe.height,
         near: 0.02 * extent,
+        lens: None,
     };
     TestScene { surfels, gaussians, camera }
 }
@@ -148,6 +149,7 @@ pub fn realistic(surfels: usize, gaussians: usize, width: usize, height: usize, 
         width,
         height,
         near: 0.2,
+        lens: None,
     };
     // a place on a surface, its normal, and how large a pixel is there
     let place = |pixel: DVec2| {

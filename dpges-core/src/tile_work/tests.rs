@@ -6,6 +6,7 @@ use crate::camera::CameraFromWorld;
 use crate::render::{Render, RenderOptions, render};
 use crate::scene::{ColourModel, Gaussians, Surfels};
 use crate::testing::golden::values;
+use crate::testing::lenses::{behind, every_model};
 use crate::testing::scenes::{Recipe, TestScene, random};
 
 /// 3 × 2 tiles; a pixel is 1/32 of a world unit at depth 1.
@@ -19,6 +20,7 @@ fn camera() -> Camera {
         width: 48,
         height: 32,
         near: 0.1,
+        lens: None,
     }
 }
 
@@ -84,5 +86,20 @@ fn pairs_inside_are_those_of_every_primitive_drawn_alone() {
             assert!(work.tiles == 12 && share > 0.0 && share < 1.0, "seed {seed}: {work:?}");
             assert_eq!(work.evaluated_pairs, 256 * work.entries as u64);
         }
+    }
+}
+
+#[test]
+fn pairs_inside_are_those_that_lenses_show() {
+    // one of each projection
+    for (name, distortion) in every_model().into_iter().step_by(4) {
+        let mut scene = random(2, &Recipe { width: 50, height: 35, ..Recipe::default() });
+        scene.camera = behind(scene.camera, distortion, 120.0);
+        let (surfels, gaussians) = brute_force(&scene);
+        let of_surfels = surfel_work(&scene.surfels, &scene.camera, &PeelOptions::default());
+        let of_gaussians = gaussian_work(&scene.gaussians, &scene.camera, ScreenFilter::Compensated, None);
+        assert!(surfels > 0 && gaussians > 0, "{name}: {surfels}, {gaussians}");
+        assert_eq!(of_surfels.inside_pairs, surfels as u64, "{name}");
+        assert_eq!(of_gaussians.inside_pairs, gaussians as u64, "{name}");
     }
 }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use dpges_core::camera::Camera;
 use dpges_core::scene::{SceneData, SceneInfo};
-use dpges_train::config::{Background, Config, DataConfig, key};
+use dpges_train::config::{Background, BuiltinLens, Config, DataConfig, DepthMaps, key};
 use dpges_train::dataset::{self, BuiltinOptions, Dataset, View};
 use dpges_train::run::folder::RunFolder;
 use dpges_train::run::metrics_log::MetricsLog;
@@ -112,8 +112,22 @@ fn builtin(config: &DataConfig) -> Result<Dataset> {
     }
     let cap = if config.max_resolution == 0 { BUILTIN_SIZE } else { config.max_resolution };
     let size = cap.min(BUILTIN_SIZE);
-    let options = BuiltinOptions { width: size, height: size, points: BUILTIN_POINTS, ..Default::default() };
+    let fisheye = config.builtin_lens == BuiltinLens::Fisheye;
+    let options = BuiltinOptions {
+        width: size,
+        height: size,
+        points: BUILTIN_POINTS,
+        exposure_stops: config.builtin_exposure_stops,
+        depth: config.load_options().depth,
+        fisheye,
+        ..Default::default()
+    };
     let mut dataset = dataset::builtin(&options);
+    if config.undistort && fisheye {
+        for view in dataset.train.iter_mut().chain(&mut dataset.test) {
+            *view = view.undistorted()?.expect("the middle of a fisheye picture fits a pinhole camera");
+        }
+    }
     if let Background::Colour(colour) = config.background {
         dataset.background = colour;
     }
@@ -132,6 +146,8 @@ pub struct Scene {
     /// Size of the file.
     pub bytes: u64,
     run: Option<RunFolder>,
+    /// Whether datasets are read for pinhole cameras alone.
+    pinhole: bool,
 }
 
 impl Scene {
@@ -142,7 +158,13 @@ impl Scene {
         let path = Self::check(path)?;
         let data = SceneData::load(&path)?;
         let bytes = std::fs::metadata(&path)?.len();
-        Ok(Self { path, data, bytes, run: is_run.then_some(folder) })
+        Ok(Self { path, data, bytes, run: is_run.then_some(folder), pinhole: false })
+    }
+
+    /// Reads photographs that were taken through a lens for pinhole cameras, whatever the run was trained with: what
+    /// follows draws nothing else.
+    pub fn use_pinholes(&mut self) {
+        self.pinhole = true;
     }
 
     /// The scene file that `path` names, which is there.
@@ -161,6 +183,11 @@ impl Scene {
             return Ok(None);
         };
         Ok(Some(MetricsLog::seconds_of_steps(&run.metrics())?))
+    }
+
+    /// Whether the run that the scene comes from has corrected exposures.
+    pub fn has_exposure(&self) -> bool {
+        self.run.as_ref().is_some_and(|run| run.exposure().is_file())
     }
 
     /// The configuration of the run that the scene comes from, where there is one.
@@ -183,6 +210,9 @@ impl Scene {
             Some(Background::Colour(colour)) => self.data.info.background = colour,
             _ => config.background = Background::Colour(self.data.info.background),
         }
+        config.undistort |= self.pinhole;
+        // only training looks at them
+        config.depth = DepthMaps::None;
         Ok(Some((source, config)))
     }
 }

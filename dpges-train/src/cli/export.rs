@@ -100,7 +100,8 @@ pub struct ExportArgs {
 }
 
 pub fn run(args: &ExportArgs) -> Result<()> {
-    let scene = Scene::load(&args.scene)?;
+    let mut scene = Scene::load(&args.scene)?;
+    scene.use_pinholes();
     if args.format == ExportFormat::Html {
         return args.html(scene);
     }

@@ -67,7 +67,8 @@ impl WindowArgs {
 
 /// The views of a dataset, held-out ones last, in the coordinates of the scene.
 fn read(source: &Source, config: &DataConfig, info: &SceneInfo) -> Result<DatasetViews> {
-    let dataset = source.load(config)?;
+    // the window draws pinhole cameras alone
+    let dataset = source.load(&DataConfig { undistort: true, ..config.clone() })?;
     let offset = dataset.offset;
     let held_out = dataset.test.into_iter().map(|view| (format!("{} (held out)", view.name), view));
     let views = dataset.train.into_iter().map(|view| (view.name.clone(), view)).chain(held_out);

@@ -28,6 +28,14 @@ choices! {
         "mip-splatting" => MipSplatting,
     }
 
+    /// Lens of the built-in scene.
+    BuiltinLens {
+        /// A pinhole camera.
+        "none" => None,
+        /// A fisheye lens that sees 170° across the picture (`OPENCV_FISHEYE`).
+        "fisheye" => Fisheye,
+    }
+
     /// Where the Gaussians of the joint stage come from.
     GaussianStage {
         /// A stage of DBS (DP-GES).
@@ -52,6 +60,29 @@ choices! {
         "steps" => Steps,
         /// Validation views that no longer improve, or its length. The result is the best scene, not the last.
         "validation" => Validation,
+    }
+
+    /// Depth maps beside the photographs.
+    DepthMaps {
+        /// There are none, or they are not read.
+        "none" => None,
+        /// Depths: camera-space z, or distances from the camera's centre for photographs through a fisheye lens. A step of
+        /// their values is `depth_unit_scale_factor` world units, 0.001 if the dataset does not say.
+        "metric" => Metric,
+        /// Disparities, larger where what they show is nearer, with a scale and a shift that differ from map to map: what
+        /// networks make of single photographs.
+        "relative" => Relative,
+    }
+
+    /// Whether every training view has a colour correction of its own.
+    Exposure {
+        /// Photographs are taken as they are.
+        "off" => Off,
+        /// Each has a gain and an offset per channel, which are learnt.
+        "on" => On,
+        /// On if the points of the dataset are differently bright in different photographs: by a standard deviation of
+        /// more than 0.1 stops of display-referred values.
+        "auto" => Auto,
     }
 
     /// Appearance of a Gaussian that is added at a pixel.
@@ -134,6 +165,8 @@ choices! {
         "PINHOLE" => Pinhole,
         /// One focal length and a centre: likewise.
         "SIMPLE_PINHOLE" => SimplePinhole,
+        /// Two focal lengths, a centre, four coefficients of a fisheye lens. `data.undistort` keeps or undoes it.
+        "OPENCV_FISHEYE" => OpenCvFisheye,
     }
 
     /// Which pairs of photographs without cameras are compared.
@@ -169,6 +202,7 @@ impl SfmCamera {
             Self::SimpleRadial => "SIMPLE_RADIAL",
             Self::Pinhole => "PINHOLE",
             Self::SimplePinhole => "SIMPLE_PINHOLE",
+            Self::OpenCvFisheye => "OPENCV_FISHEYE",
         }
     }
 }

@@ -1,18 +1,19 @@
 //! Photographs, cameras and points from disk: COLMAP, Blender and nerfstudio folders, and a small built-in scene.
 //!
 //! A format reader (`colmap`, `blender`, `nerfstudio`) describes the dataset as a list of frames with lenses and
-//! poses; `assemble` then decodes the images in parallel, undistorts and downscales them, and moves
+//! poses; `assemble` then decodes the images in parallel, undistorts them if asked to, downscales them, and moves
 //! geo-referenced worlds to the origin. Cameras have OpenCV axes (x right, y down, z forward).
 
 mod assemble;
 mod blender;
 mod builtin;
+mod calibration;
 mod colmap;
+mod depth;
 mod error;
 #[cfg(test)]
 pub(crate) mod fixtures;
 mod images;
-mod lens;
 mod masks;
 mod nerfstudio;
 mod photograph;
@@ -35,6 +36,7 @@ use glam::DVec3;
 
 pub use builtin::{BuiltinOptions, builtin, builtin_geometry};
 pub(crate) use colmap::{ModelContent, model_content};
+pub use depth::{DepthKind, DepthMap};
 pub use error::DatasetError;
 pub use masks::Masked;
 pub use photograph::{Photograph, pictures};
@@ -42,7 +44,7 @@ pub use picture::Picture;
 
 use error::Result;
 
-/// A photograph and the pinhole camera that took it. Both have the same resolution.
+/// A photograph and the camera that took it. Both have the same resolution.
 #[derive(Clone, Debug)]
 pub struct View {
     /// The image's path within its dataset, unique.
@@ -50,6 +52,8 @@ pub struct View {
     /// In the shifted world, see [`Dataset::offset`].
     pub camera: Camera,
     pub photograph: Photograph,
+    /// `None` if there is none, or none was asked for. Only training views have one.
+    pub depth: Option<DepthMap>,
 }
 
 /// Points on the surfaces of the scene.
@@ -114,6 +118,28 @@ impl View {
         change(&mut picture);
         self.photograph = picture.into();
         Ok(())
+    }
+
+    /// The camera without its lens: the widest pinhole camera all of whose pixels are on the photograph; `None` if no camera
+    /// of half to twice its focal length has that.
+    pub fn undistorted_camera(&self) -> Option<Camera> {
+        undistort::pinhole(&self.camera)
+    }
+
+    /// The view with its [`undistorted_camera`](Self::undistorted_camera), if there is one: the photograph, which is in
+    /// memory from then on, and the depth map are resampled for it.
+    ///
+    /// # Errors
+    /// Those of [`picture`](Self::picture).
+    pub fn undistorted(&self) -> dpges_core::Result<Option<Self>> {
+        if self.camera.lens.is_none() {
+            return Ok(Some(self.clone()));
+        }
+        let Some(camera) = self.undistorted_camera() else { return Ok(None) };
+        let photograph = self.picture()?;
+        let picture = undistort::resample(&photograph, &self.camera, &camera);
+        let depth = self.depth.as_ref().map(|map| map.seen_by(&camera, &self.camera, &picture));
+        Ok(Some(Self { name: self.name.clone(), camera, photograph: picture.into(), depth }))
     }
 }
 
@@ -190,6 +216,8 @@ pub struct LoadOptions {
     /// Hold out every n-th view by name if the dataset stores no split. 0 holds none out and accepts a dataset without
     /// held-out views.
     pub test_every: usize,
+    /// Whether photographs taken through a lens are resampled for a pinhole camera; otherwise the cameras have the lens.
+    pub undistort: bool,
     /// World units. `None`: 0.2 for COLMAP and nerfstudio, 0.01 for Blender.
     pub near: Option<f64>,
     /// Whether alpha says which pixels count, those from one half, instead of how much of the background they show.
@@ -198,6 +226,8 @@ pub struct LoadOptions {
     pub invert_masks: bool,
     /// Most memory for photographs, bytes. Those beyond are read again from their files whenever they are needed.
     pub memory: usize,
+    /// Read the depth maps of training views, which have values of this kind. `None` reads none.
+    pub depth: Option<DepthKind>,
 }
 
 impl Default for LoadOptions {
@@ -207,10 +237,12 @@ impl Default for LoadOptions {
             image_scale: None,
             max_resolution: None,
             test_every: 8,
+            undistort: true,
             near: None,
             alpha_masks: false,
             invert_masks: false,
             memory: usize::MAX,
+            depth: None,
         }
     }
 }

@@ -87,9 +87,9 @@ impl Picture {
     }
 
     /// Sets `values` [height × width] to 0 where pixels do not count.
-    pub fn clear_ignored(&self, values: &mut [f32]) {
+    pub fn clear_ignored<T: Default>(&self, values: &mut [T]) {
         if let Some(counted) = &self.counted {
-            values.iter_mut().zip(counted).filter(|(_, counts)| !**counts).for_each(|(value, _)| *value = 0.0);
+            values.iter_mut().zip(counted).filter(|(_, counts)| !**counts).for_each(|(value, _)| *value = T::default());
         }
     }
 

@@ -9,7 +9,7 @@ use dpges_core::camera::Camera;
 use super::error::Result;
 use super::photograph::{About, Photograph, Shelf};
 use super::source::Frame;
-use super::{Picture, View};
+use super::{DepthMap, Picture, View};
 
 /// Memory that reading a photograph takes for a while, bytes per pixel: the decoded image, and what is between it and a
 /// smaller one.
@@ -22,16 +22,19 @@ struct Read {
     /// `None` if there was no room left for it.
     picture: Option<Arc<Picture>>,
     about: About,
+    depth: Option<DepthMap>,
 }
 
 /// The views of `frames`, in their order. `read` reads a photograph and its camera, again and again if need be. The first
-/// photographs are kept, `memory` bytes of them at most. Returns the bytes that are left over, too.
+/// photographs are kept, `memory` bytes of them at most. `depth` reads the depth map that belongs to a photograph and its camera,
+/// once. Returns the bytes that are left over, too.
 ///
 /// # Errors
-/// Those of `read`: the error of the first frame that has one, whatever the number of threads.
-pub(super) fn views<F>(frames: &[&Frame], memory: usize, read: F) -> Result<(Vec<View>, usize)>
+/// Those of `read` and `depth`: the error of the first frame that has one, whatever the number of threads.
+pub(super) fn views<F, D>(frames: &[&Frame], memory: usize, read: F, depth: D) -> Result<(Vec<View>, usize)>
 where
     F: Fn(&Frame) -> Result<(Camera, Picture)> + Clone + Send + Sync + 'static,
+    D: Fn(&Frame, &Camera, &Picture) -> Result<Option<DepthMap>> + Sync,
 {
     let kept_bytes = AtomicUsize::new(0);
     let fits = |bytes: usize| {
@@ -40,8 +43,8 @@ where
     };
     let first = |index: usize| -> Result<(Camera, Read)> {
         let (camera, picture) = read(frames[index])?;
-        let about = About::of(&picture);
-        Ok((camera, Read { picture: fits(about.bytes).then(|| Arc::new(picture)), about }))
+        let (about, depth) = (About::of(&picture), depth(frames[index], &camera, &picture)?);
+        Ok((camera, Read { picture: fits(about.bytes).then(|| Arc::new(picture)), about, depth }))
     };
     let found: Result<Vec<_>> = in_parallel(frames.len(), threads(frames, memory), first).into_iter().collect();
     let mut found = found?;
@@ -77,7 +80,7 @@ where
             }
             (picture, _) => Photograph::kept(picture.expect("all that fits is kept"), found.about),
         };
-        View { name: frame.name.clone(), camera, photograph }
+        View { name: frame.name.clone(), camera, photograph, depth: found.depth }
     };
     let views = frames.iter().zip(found).enumerate().map(view).collect();
     Ok((views, if all_fit { memory - all } else { 0 }))
@@ -85,7 +88,8 @@ where
 
 /// Number of photographs that are read at the same time, so that what they take meanwhile fits into `memory`, bytes.
 fn threads(frames: &[&Frame], memory: usize) -> usize {
-    let largest = frames.iter().map(|frame| frame.lens.width.saturating_mul(frame.lens.height)).max().unwrap_or(0);
+    let largest =
+        frames.iter().map(|frame| frame.calibration.width.saturating_mul(frame.calibration.height)).max().unwrap_or(0);
     let each = largest.saturating_mul(WORKING_BYTES_PER_PIXEL).max(1);
     (memory / each).clamp(1, rayon::current_num_threads())
 }

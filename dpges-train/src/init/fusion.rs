@@ -11,7 +11,8 @@ use dpges_core::camera::Camera;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use crate::dataset::{Picture, PointCloud};
+use crate::dataset::PointCloud;
+use crate::exposure::Seen;
 
 /// Views that a point is checked in: those whose cameras are nearest to its own.
 pub const CHECKED_VIEWS: usize = 24;
@@ -19,9 +20,9 @@ pub const CHECKED_VIEWS: usize = 24;
 /// What trained Gaussians look like in views, and their photographs: both are made when they are asked for.
 pub struct DepthViews<'a> {
     pub cameras: Vec<&'a Camera>,
-    /// [H × W] camera-space z, world units; not positive where the picture is not opaque and of one depth, or does not count.
+    /// [H × W] depth, world units; not positive where the picture is not opaque and of one depth, or does not count.
     pub depth: &'a dyn Fn(usize) -> Result<Arc<Vec<f32>>>,
-    pub picture: &'a dyn Fn(usize) -> Result<Arc<Picture>>,
+    pub photograph: &'a dyn Fn(usize) -> Result<Seen<'a>>,
 }
 
 /// A camera, and what it sees.
@@ -48,7 +49,7 @@ pub fn surface_points(views: &DepthViews<'_>, stride_px: usize, rule: FusionRule
     let mut cloud = PointCloud::default();
     let view_at = |index: usize| Ok(DepthView { camera: views.cameras[index], depth: (views.depth)(index)? });
     for index in 0..views.cameras.len() {
-        let (view, picture) = (view_at(index)?, (views.picture)(index)?);
+        let (view, photograph) = (view_at(index)?, (views.photograph)(index)?);
         let others: Result<Vec<_>> =
             nearest_views(&views.cameras, index).into_iter().map(|other| Ok((other, view_at(other)?))).collect();
         let others = others?;
@@ -62,7 +63,7 @@ pub fn surface_points(views: &DepthViews<'_>, stride_px: usize, rule: FusionRule
                 let x = pixel(square % columns, view.camera.width);
                 let y = pixel(square / columns, view.camera.height);
                 let (position, seen_by) = surface_point(index, &view, &others, [x, y], rule)?;
-                Some((position, picture.rgb(x, y), seen_by))
+                Some((position, photograph.colour(y * view.camera.width + x), seen_by))
             })
             .collect();
         for (position, colour, seen_by) in found {
@@ -146,6 +147,8 @@ mod tests {
     use glam::DVec3;
 
     use super::*;
+    use crate::dataset::Picture;
+    use crate::exposure::Correction;
 
     const SIZE: usize = 40;
     const RULE: FusionRule = FusionRule { tolerance: 0.01, min_views: 3 };
@@ -155,20 +158,38 @@ mod tests {
         let camera = |i: usize| {
             let eye = DVec3::new(0.1 * i as f64, 0.0, -4.0);
             let camera_from_world = CameraFromWorld::look_at(eye, eye + DVec3::Z, -DVec3::Y);
-            Camera { camera_from_world, fx: 40.0, fy: 40.0, cx: 20.0, cy: 20.0, width: SIZE, height: SIZE, near: 0.1 }
+            Camera {
+                camera_from_world,
+                fx: 40.0,
+                fy: 40.0,
+                cx: 20.0,
+                cy: 20.0,
+                width: SIZE,
+                height: SIZE,
+                near: 0.1,
+                lens: None,
+            }
         };
         (0..count).map(camera).collect()
     }
 
-    /// Points where cameras see `depth` of a view at a pixel, in grey photographs.
-    fn points(cameras: &[Camera], depth: impl Fn(usize, usize) -> f32) -> PointCloud {
+    /// Points where cameras see `depth` of a view at a pixel, in grey photographs with this `correction`.
+    fn corrected(
+        cameras: &[Camera],
+        depth: impl Fn(usize, usize) -> f32,
+        correction: Option<&Correction>,
+    ) -> PointCloud {
         let grey = Arc::new(Picture::from_planes(&vec![0.2; 3 * SIZE * SIZE], SIZE, SIZE));
         let views = DepthViews {
             cameras: cameras.iter().collect(),
             depth: &|view| Ok(Arc::new((0..SIZE * SIZE).map(|pixel| depth(view, pixel)).collect())),
-            picture: &|_| Ok(Arc::clone(&grey)),
+            photograph: &|view| Ok(Seen { camera: &cameras[view], picture: Arc::clone(&grey), correction }),
         };
         surface_points(&views, 8, RULE).unwrap()
+    }
+
+    fn points(cameras: &[Camera], depth: impl Fn(usize, usize) -> f32) -> PointCloud {
+        corrected(cameras, depth, None)
     }
 
     #[test]
@@ -179,6 +200,10 @@ mod tests {
         assert!(found.positions.iter().all(|position| position[2].abs() < 1e-5));
         assert!(found.seen_by.iter().all(|seen| seen.len() > 3 && seen.is_sorted()));
         assert_eq!(found.colours[0], [0.2; 3]);
+        let twice = Correction { gain: [2.0; 3], offset: [0.0, 0.125, 0.0] };
+        let undone = corrected(&cameras(6), |_, _| 4.0, Some(&twice));
+        assert_eq!(undone.positions, found.positions);
+        assert_eq!(undone.colours[0], [0.2 / 2.0, (0.2 - 0.125) / 2.0, 0.2 / 2.0]);
     }
 
     #[test]

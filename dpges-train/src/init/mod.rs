@@ -169,13 +169,22 @@ mod tests {
             let eye = 4.0 * DVec3::new(turn.cos(), turn.sin(), 0.5 * (3.0 * turn).sin());
             let camera_from_world = CameraFromWorld::look_at(eye, DVec3::ZERO, DVec3::Z);
             let (f, c) = (50.0, SIZE as f64 / 2.0);
-            let camera =
-                Camera { camera_from_world, fx: f, fy: f, cx: c, cy: c, width: SIZE, height: SIZE, near: 0.01 };
+            let camera = Camera {
+                camera_from_world,
+                fx: f,
+                fy: f,
+                cx: c,
+                cy: c,
+                width: SIZE,
+                height: SIZE,
+                near: 0.01,
+                lens: None,
+            };
             let radius = |pixel: usize| ((pixel % SIZE) as f64 + 0.5 - c).hypot((pixel / SIZE) as f64 + 0.5 - c);
             let disc = (0..SIZE * SIZE).map(|pixel| if radius(pixel) < 12.0 { 255 } else { 0 }).collect();
             let (bytes, alpha) = (vec![64; 3 * SIZE * SIZE], alpha.then_some(disc));
             let picture = Picture { width: SIZE, height: SIZE, bytes, alpha, counted: None };
-            View { name: i.to_string(), camera, photograph: picture.into() }
+            View { name: i.to_string(), camera, photograph: picture.into(), depth: None }
         };
         let colours = vec![[0.75; 3]; points.len()];
         Dataset {

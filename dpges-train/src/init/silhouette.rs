@@ -253,6 +253,7 @@ mod tests {
                 width: 100,
                 height: 100,
                 near: 0.01,
+                lens: None,
             };
             let (mut alpha, mut planes) = (vec![0; 10_000], vec![1.0f32; 30_000]);
             for pixel in 0..10_000 {
@@ -267,7 +268,7 @@ mod tests {
                 }
             }
             let picture = Picture { alpha: Some(alpha), ..Picture::from_planes(&planes, 100, 100) };
-            View { name: i.to_string(), camera, photograph: picture.into() }
+            View { name: i.to_string(), camera, photograph: picture.into(), depth: None }
         };
         (0..count).map(photo).collect()
     }

@@ -230,7 +230,11 @@ fn open_cells(camera: &Camera, points: &[[f32; 3]], up: DVec3) -> OpenCells {
     let world_from_pixel = camera.world_from_pixel();
     for (cell, open) in open.iter_mut().enumerate() {
         let (x, y) = cells.centre(cell);
-        *open &= (world_from_pixel * DVec3::new(x, y, 1.0)).dot(up) > 0.0;
+        let direction = match camera.lens {
+            None => world_from_pixel * DVec3::new(x, y, 1.0),
+            Some(_) => camera.unproject(x, y, 1.0) - camera.centre(),
+        };
+        *open &= direction.dot(up) > 0.0;
     }
     OpenCells { cells, open }
 }

@@ -20,6 +20,14 @@ pub fn dataset_of(train_views: usize) -> Arc<Dataset> {
     Arc::new(builtin(&options))
 }
 
+/// Taken through a fisheye lens.
+pub fn fisheye_dataset() -> Arc<Dataset> {
+    let (width, height, train_views, test_views, points) = (32, 32, 6, 2, 400);
+    let fisheye = true;
+    let options = BuiltinOptions { width, height, train_views, test_views, points, fisheye, ..Default::default() };
+    Arc::new(builtin(&options))
+}
+
 pub fn config(set: &[&str]) -> Config {
     let set: Vec<String> = set.iter().map(|&text| text.to_owned()).collect();
     Config::resolve(None, None, &set).unwrap()

@@ -38,7 +38,7 @@ fn dataset(size: usize, train_views: usize) -> Dataset {
 
 #[test]
 fn what_is_painted_over_and_masked_changes_no_bit_of_a_run() {
-    let runs: [&[&str]; 3] = [
+    let runs: [&[&str]; 4] = [
         &[
             "train.steps=60",
             "model.environment=sh1",
@@ -57,6 +57,14 @@ fn what_is_painted_over_and_masked_changes_no_bit_of_a_run() {
             "discs.distortion_from=0",
         ],
         &["train.steps=60", "stages.gaussians=0.5", "refine.budget=700", "refine.add_agreement=1"],
+        &[
+            "train.steps=60",
+            "train.exposure=on",
+            "stages.gaussians=0.5",
+            "refine.budget=700",
+            "refine.add_agreement=1",
+            "refine.judge_surfels_at=[15000]",
+        ],
         &["train.steps=30", "train.method=3dgs", "refine.budget=300", "model.colour=sh1"],
     ];
     let clean = dataset(24, 5);
@@ -64,13 +72,15 @@ fn what_is_painted_over_and_masked_changes_no_bit_of_a_run() {
         let [black, white] = [0, 255].map(|value| finished(set, overpainted(&clean, value, true)));
         assert!(black == white, "{set:?}");
     }
-    let set = ["train.steps=30", "refine.budget=auto", "data.validation_every=2"];
-    let [black, white] = [0, 255].map(|value| {
-        let mut data = overpainted(&clean, value, true);
-        data.keep_for_validation(2);
-        finished(&set, data)
-    });
-    assert!(black == white, "{set:?}");
+    for exposure in ["train.exposure=off", "train.exposure=on"] {
+        let set = ["train.steps=30", "refine.budget=auto", "data.validation_every=2", exposure];
+        let [black, white] = [0, 255].map(|value| {
+            let mut data = overpainted(&clean, value, true);
+            data.keep_for_validation(2);
+            finished(&set, data)
+        });
+        assert!(black == white, "{set:?}");
+    }
 }
 
 #[test]

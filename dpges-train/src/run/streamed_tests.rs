@@ -46,7 +46,7 @@ fn where_photographs_are_kept_changes_no_bit_of_a_run() {
             "train.lambda_depth=0.1",
             "train.lambda_normal=0.05",
         ],
-        &["train.steps=60", "stages.gaussians=0.5", "refine.budget=700"],
+        &["train.steps=60", "stages.gaussians=0.5", "refine.budget=700", "train.exposure=on"],
         &["train.steps=40", "train.method=mcmc", "refine.budget=300"],
     ];
     for set in runs {

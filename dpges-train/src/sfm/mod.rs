@@ -8,9 +8,9 @@
 //! | [`Step::Mapping`] | COLMAP or GLOMAP | `sfm/models/0`, `1`, … |
 //! | [`Step::Model`] | | `sparse/0`, the model with the most photographs |
 //!
-//! The result is a COLMAP dataset as [`crate::dataset`] reads it, which undistorts the photographs. `sfm/steps.json` says
-//! which steps are done, with what they depend on: [`reconstruct`] goes on where it was interrupted, and repeats a step if
-//! that has changed. What a program says is in `sfm/STEP.log`.
+//! The result is a COLMAP dataset as [`crate::dataset`] reads it, which undistorts the photographs if asked to.
+//! `sfm/steps.json` says which steps are done, with what they depend on: [`reconstruct`] goes on where it was interrupted, and
+//! repeats a step if that has changed. What a program says is in `sfm/STEP.log`.
 
 mod commands;
 mod error;

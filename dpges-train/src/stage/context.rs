@@ -10,6 +10,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::config::{Budget, Config, StagePlan};
 use crate::dataset::Dataset;
+use crate::stage::{DepthMaps, ExposureState};
 
 /// What all stages of a run share.
 pub struct Context {
@@ -21,6 +22,10 @@ pub struct Context {
     pub remaining_views: Vec<u32>,
     /// Of the whole run.
     pub completed_steps: usize,
+    /// Of the training views, through all stages.
+    pub exposure: ExposureState,
+    /// `None` if no depth maps are learnt from.
+    pub depth: Option<DepthMaps>,
 }
 
 impl Context {

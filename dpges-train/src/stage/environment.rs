@@ -153,6 +153,7 @@ mod tests {
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
 
+    use super::super::ExposureState;
     use super::*;
     use crate::init::sky::tests::{BLUE, ring, tower};
     use crate::run::fixtures::{config, device};
@@ -165,6 +166,8 @@ mod tests {
             rng: ChaCha8Rng::seed_from_u64(0),
             remaining_views: Vec::new(),
             completed_steps: 0,
+            exposure: ExposureState::default(),
+            depth: None,
         };
         context.start_of_environment().unwrap()
     }

@@ -17,7 +17,7 @@ use crate::config::{Config, Method, StageKind};
 use crate::dataset::{Dataset, Format, Picture, PointCloud, View};
 use crate::rendered::Renderer;
 use crate::run::{StepReport, TrainError};
-use crate::stage::{self, Context, PendingStep, Stage, begin_step};
+use crate::stage::{self, Context, ExposureState, PendingStep, Stage, begin_step};
 
 /// Where in the stage the steps are, as a share: surfels are still judged, blended Gaussians still densified.
 const PROGRESS: f64 = 0.4;
@@ -89,6 +89,8 @@ impl Steps {
             rng: ChaCha8Rng::seed_from_u64(0),
             remaining_views: Vec::new(),
             completed_steps: plan.begin + (PROGRESS * plan.steps as f64) as usize,
+            exposure: ExposureState::default(),
+            depth: None,
         };
         let stage = stage::of_scene(plan, scene, &context)?;
         Ok(Self { scene: scene.clone(), context, stage, next: 0, pending: None })
@@ -189,7 +191,7 @@ fn dataset(scene: &SceneData, cameras: &[Camera], device: &Device) -> dpges_core
         let image = tensor_to_rows(renderer.render(camera)?.image());
         let planes: Vec<f32> = image.into_iter().map(|value| DARKER * value.clamp(0.0, 1.0)).collect();
         let photograph = Picture::from_planes(&planes, camera.width, camera.height).into();
-        Ok(View { name: format!("view_{number:03}"), camera: *camera, photograph })
+        Ok(View { name: format!("view_{number:03}"), camera: *camera, photograph, depth: None })
     };
     Ok(Dataset {
         train: cameras.iter().enumerate().map(view).collect::<dpges_core::Result<_>>()?,

@@ -156,6 +156,8 @@ impl BenchStepArgs {
             return Ok((scene, self.cameras(&dataset.train)));
         }
         let mut scene = Scene::load(&self.scene)?;
+        // the report has pinhole cameras, so that others can take the same step
+        scene.use_pinholes();
         let (_, views) = self.views.load(&mut scene)?;
         Ok((scene.data, self.cameras(&views)))
     }
@@ -310,7 +312,17 @@ mod tests {
 
     fn camera() -> Camera {
         let camera_from_world = CameraFromWorld::look_at(DVec3::new(0.0, -2.0, 0.0), DVec3::ZERO, DVec3::Z);
-        Camera { camera_from_world, fx: 40.0, fy: 41.0, cx: 24.0, cy: 16.0, width: 48, height: 32, near: 0.1 }
+        Camera {
+            camera_from_world,
+            fx: 40.0,
+            fy: 41.0,
+            cx: 24.0,
+            cy: 16.0,
+            width: 48,
+            height: 32,
+            near: 0.1,
+            lens: None,
+        }
     }
 
     #[test]

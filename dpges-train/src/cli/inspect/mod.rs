@@ -132,8 +132,18 @@ fn counted(views: &[ViewFacts], of: impl Fn(&ViewFacts) -> String) -> String {
 
 fn lens(view: &ViewFacts) -> String {
     let camera = &view.camera;
-    let angle = 2.0 * (camera.width as f64 / (2.0 * camera.fx)).atan().to_degrees();
-    format!("{angle:.0}° wide, focal length {:.0} px", camera.fx)
+    let kind = match camera.lens {
+        None => "",
+        Some(lens) if lens.is_wide() => "fisheye, ",
+        Some(_) => "with distortion, ",
+    };
+    let bearing = |x: f64| camera.ray(x, camera.cy).map(|ray| ray.x.atan2(ray.z).to_degrees());
+    let angle = match (bearing(0.0), bearing(camera.width as f64)) {
+        (Some(left), Some(right)) => format!("{:.0}° wide, ", right - left),
+        // the lens does not reach the borders
+        _ => String::new(),
+    };
+    format!("{kind}{angle}focal length {:.0} px", camera.fx)
 }
 
 fn points(report: &Report) -> String {
@@ -169,6 +179,9 @@ mod tests {
         ] {
             assert!(text.contains(part), "{part}: {text}");
         }
+        let fisheye = builtin(&BuiltinOptions { fisheye: true, ..options });
+        let text = summary(&Source::Builtin, &fisheye, &Report::of(&fisheye, Effort::Quick).unwrap());
+        assert!(text.contains("cameras      fisheye, 170° wide, focal length "), "{text}");
         let clean = builtin(&BuiltinOptions::default());
         let text = summary(&Source::Builtin, &clean, &Report::of(&clean, Effort::Full).unwrap());
         assert!(text.ends_with("Nothing is wrong with it.\n"), "{text}");

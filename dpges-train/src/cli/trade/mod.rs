@@ -95,6 +95,7 @@ pub struct TradeArgs {
 pub fn run(args: &TradeArgs, style: LogStyle) -> Result<()> {
     let limit = Limit::new(args.time_limit);
     let mut scene = Scene::load(&args.scene)?;
+    scene.use_pinholes();
     let device = device_choice::select(args.device)?;
     watched(device, || args.measure(&mut scene, device, &limit, style))
 }

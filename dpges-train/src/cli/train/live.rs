@@ -65,12 +65,19 @@ fn train(session: Session, live: &LiveScene, begun: &Sender<Begun>) -> Result<St
     result
 }
 
-/// The views that the run is trained on.
+/// The views that the run is trained on, as pinhole cameras take them: the window draws nothing else.
 fn views(dataset: &Arc<Dataset>) -> DatasetViews {
-    let cameras = dataset.train.iter().map(|view| (view.name.clone(), view.camera)).collect();
+    let cameras = dataset
+        .train
+        .iter()
+        .map(|view| {
+            let camera = view.undistorted_camera().unwrap_or_else(|| view.camera.without_lens());
+            (view.name.clone(), camera)
+        })
+        .collect();
     let dataset = Arc::clone(dataset);
     let photograph = move |index: usize| {
-        let picture = dataset.train.get(index)?.picture();
+        let picture = dataset.train.get(index)?.undistorted().transpose()?.and_then(|view| view.picture());
         picture.inspect_err(|error| tracing::warn!("{error}")).ok().map(|picture| pictures::photograph(&picture))
     };
     DatasetViews { cameras, photograph: Box::new(photograph) }

@@ -42,7 +42,7 @@ struct PointRecord {
 /// The views and points of the COLMAP dataset in folder `root`.
 ///
 /// # Errors
-/// [`DatasetError`] for files that are missing, truncated or malformed, for fisheye lenses, for a model without points.
+/// [`DatasetError`] for files that are missing, truncated or malformed, for unknown lenses, for a model without points.
 pub(super) fn read(root: &Path, options: &LoadOptions) -> Result<Source> {
     let sparse = root.join("sparse");
     let (model, mut images) = largest_model(&sparse)?;
@@ -148,10 +148,11 @@ fn frames(
                 name: image.name.clone(),
                 image: root.join("images").join(&image.name),
                 mask: None,
-                lens: camera.lens(&cameras_path)?,
+                calibration: camera.calibration(&cameras_path)?,
                 camera_from_world: CameraFromWorld::from_quaternion(image.wxyz, image.translation.into()),
                 split,
                 described_in: described_in.to_owned(),
+                depth: None,
             })
         })
         .collect()

@@ -12,7 +12,7 @@ use dpges_core::scene::{ColourData, ColourModel};
 
 use super::super::{Context, TrainError};
 use super::JointStage;
-use super::evidence::judging_views;
+use super::evidence::{judging_target, judging_views};
 use crate::dataset::{Picture, View, pictures};
 use crate::eval::LARGEST_PSNR;
 use crate::refine::add::geometric_batch_size;
@@ -104,10 +104,12 @@ impl JointStage {
     /// PSNR of the judging views, dB, as evaluations measure it.
     fn psnr_of_views(&self, context: &Context) -> Result<Vec<f64>, TrainError> {
         let of_view = |(view, picture): (&View, dpges_core::Result<Arc<Picture>>)| -> Result<f64, TrainError> {
+            let picture = picture?;
             let rendered = self.render_view(context, view)?;
-            let Target { image: target, mask } = picture?.target(&context.device);
+            let image = rendered.composite.image;
+            let Target { image: target, mask } = judging_target(&picture, &image, context);
             let target = Target { image: quantised(target), mask };
-            Ok(psnr(quantised(rendered.composite.image), target).clamp(0.0, LARGEST_PSNR))
+            Ok(psnr(quantised(image), target).clamp(0.0, LARGEST_PSNR))
         };
         pictures(judging_views(context)).map(of_view).collect()
     }

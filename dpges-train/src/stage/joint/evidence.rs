@@ -4,6 +4,7 @@
 use std::sync::Arc;
 
 use burn::tensor::{DType, Tensor};
+use dpges_core::losses::Target;
 use dpges_core::losses::geometry::expected_depth;
 use dpges_core::ops::blend::Maps;
 use dpges_core::ops::environment::environment;
@@ -15,7 +16,8 @@ use dpges_core::scene::{GaussianData, Gaussians, Rendering, SceneInfo, ScreenFil
 use super::super::{Context, TrainError};
 use super::JointStage;
 use super::refine::squared_error;
-use crate::dataset::{Masked, View, pictures};
+use crate::dataset::{Masked, Picture, View, pictures};
+use crate::exposure::{Correction, Seen};
 use crate::init::fusion::{CHECKED_VIEWS, DepthViews, FusionRule, surface_points};
 use crate::init::surfels_at;
 use crate::recent::Recent;
@@ -72,9 +74,10 @@ impl Context {
                 Ok(depth)
             })
         };
-        let picture = |index: usize| dataset.train[index].picture();
+        let corrections = self.exposure.corrections();
+        let photograph = |index: usize| Seen::by(&dataset.train[index], corrections.of(index));
         let cameras = dataset.train.iter().map(|view| &view.camera).collect();
-        let views = DepthViews { cameras, depth: &depth, picture: &picture };
+        let views = DepthViews { cameras, depth: &depth, photograph: &photograph };
         let mut points = surface_points(&views, STRIDES_PX[0], RULE)?;
         let mut stride_px = STRIDES_PX[0];
         for stride in &STRIDES_PX[1..] {
@@ -147,6 +150,17 @@ pub fn judging_views(context: &Context) -> impl Iterator<Item = &View> {
     views.iter().step_by(views.len().div_ceil(JUDGING_VIEWS).max(1))
 }
 
+/// The photograph of a judging view on the device. In a run that corrects exposures, without what the exposure that fits
+/// best explains of its difference from the rendered `image` [3, H, W]: validation views have no correction of their own.
+pub fn judging_target(picture: &Picture, image: &Tensor<3>, context: &Context) -> Target {
+    let Target { image: photograph, mask } = picture.target(&context.device);
+    if !context.exposure.is_on() {
+        return Target { image: photograph, mask };
+    }
+    let correction = Correction::fitted(image, &photograph, picture.counted.as_deref());
+    Target { image: correction.undone(photograph), mask }
+}
+
 fn judged(
     surfels: &SurfelData,
     gaussians: &Gaussians,
@@ -172,8 +186,9 @@ fn judged(
     });
     let groups: Vec<_> = groups.collect();
     for (view, picture) in pictures(judging_views(context)) {
-        let target = picture?.target(device);
+        let picture = picture?;
         let with = render(&all, view)?;
+        let target = judging_target(&picture, &with.composite.image, context);
         let area = view.camera.width * view.camera.height;
         let nearest: Vec<i32> = with.layers.ids.clone().into_data().iter::<i32>().take(area).collect();
         let with = squared_error(&with, &target);

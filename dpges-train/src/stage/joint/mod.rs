@@ -10,6 +10,7 @@ mod statistics;
 mod supervision;
 
 use burn::tensor::Tensor;
+use dpges_core::losses::depth::surfel_depth;
 use dpges_core::losses::geometry::{GeometryWeights, geometry};
 use dpges_core::losses::{LossWeights, hidden, losses};
 use dpges_core::ops::environment::environment;
@@ -137,10 +138,12 @@ impl Stage for JointStage {
         let camera = &input.view.camera;
         let options = self.render_options(&context.config);
         let rendered = render_values(surfels, gaussians, camera, &options, input.values)?;
-        let rendered = match &leaves.environment {
+        let mut rendered = match &leaves.environment {
             Some(coefficients) => rendered.in_front_of(environment(coefficients, camera)?),
             None => rendered,
         };
+        rendered.composite.image = input.photographed(rendered.composite.image);
+        rendered.composite.surfel_image = input.photographed(rendered.composite.surfel_image);
         self.statistics.observe(&rendered, gaussians, camera, &self.schedule, input.completed)?;
         let weights = loss_weights(&context.config);
         let mut losses = losses(&rendered, surfels.log_scales.clone(), input.target.clone(), &weights)?;
@@ -154,6 +157,10 @@ impl Stage for JointStage {
         }
         if let Some(sky) = self.sky.as_ref().and_then(|sky| sky.of(input.index, input.picture, &context.tape())) {
             losses.total = losses.total + of_counted(hidden(&rendered, sky)) * train.lambda_sky;
+        }
+        if let Some(target) = &input.depth {
+            let [depth, coverage] = surfel_depth(&rendered);
+            losses.total = losses.total + target.loss(depth, coverage)?;
         }
         if let Some(supervisions) = &self.supervisions {
             let supervision = supervisions.of(input.index, input.view, &context.tape())?;

@@ -17,8 +17,9 @@ use super::super::{Context, TrainError};
 use super::JointStage;
 use crate::config::{AddAs, Budget, Due, PixelsOf};
 use crate::dataset::{View, pictures};
+use crate::exposure::Seen;
 use crate::refine::add::{batch_size, draw_in_proportion, gaussians_of_pixels, new_gaussians};
-use crate::refine::agreement::{Seen, agreed_depth, nearest_views};
+use crate::refine::agreement::{agreed_depth, nearest_views};
 use crate::refine::margins::margins;
 use crate::refine::prune::{drawn, gaussians_to_keep, surfels_to_keep};
 use crate::refine::split::split;
@@ -168,16 +169,18 @@ impl JointStage {
         let dataset = context.dataset.clone();
         let least = context.config.refine.add_agreement;
         let neighbours = if least > 0 { nearest_views(&context.dataset.train) } else { Vec::new() };
+        let corrections = context.exposure.corrections();
         let mut spots = Spots::default();
         let share = |index: usize| count / views + usize::from(index < count % views);
         // the others have no share
         for (index, (view, picture)) in pictures(dataset.train.iter().take(count)).enumerate() {
-            let (share, picture) = (share(index), picture?);
+            let own = Seen { camera: &view.camera, picture: picture?, correction: corrections.of(index) };
+            let share = share(index);
             let options = self.render_options(&context.config).splat;
             let rendered = self.render_view(context, view)?;
-            let mut error = squared_error(&rendered, &picture.target(&context.device));
+            let mut error = squared_error(&rendered, &own.target(&context.device));
             if let Some(sky) = &self.sky {
-                sky.clear(index, &picture, &mut error);
+                sky.clear(index, &own.picture, &mut error);
             }
             let drawn = if least > 0 { UNCONFIRMED * share } else { share };
             let pixels = draw_in_proportion(&error, drawn, &mut context.rng);
@@ -188,11 +191,11 @@ impl JointStage {
             }
             let others: Vec<Seen> = match neighbours.get(index) {
                 Some(others) => {
-                    others.iter().map(|&other| Seen::by(&dataset.train[other])).collect::<Result<_, _>>()?
+                    let seen = |&other: &usize| Seen::by(&dataset.train[other], corrections.of(other));
+                    others.iter().map(seen).collect::<Result<_, _>>()?
                 }
                 None => Vec::new(),
             };
-            let own = Seen { camera: &view.camera, picture };
             let agreed = |pixel: usize| {
                 let assumed = f64::from(depths[pixel]);
                 if least == 0 { Some(assumed) } else { agreed_depth(&own, &others, pixel, assumed, least) }
@@ -275,18 +278,19 @@ struct Spots {
     positions: Vec<[f32; 3]>,
     /// World units per px.
     pixel_sizes: Vec<f32>,
-    /// Of the photograph.
+    /// Of the photograph, without what its exposure has changed.
     colours: Vec<[f32; 3]>,
 }
 
 impl Spots {
     /// Adds pixels of a view at their depths, world units.
-    fn add(&mut self, Seen { camera, picture }: &Seen<'_>, pixels: impl Iterator<Item = (usize, f64)>) {
+    fn add(&mut self, seen: &Seen<'_>, pixels: impl Iterator<Item = (usize, f64)>) {
+        let camera = seen.camera;
         for (pixel, depth) in pixels {
             let (x, y) = ((pixel % camera.width) as f64 + 0.5, (pixel / camera.width) as f64 + 0.5);
             self.positions.push(camera.unproject(x, y, depth).as_vec3().to_array());
             self.pixel_sizes.push((depth / camera.fx.max(camera.fy)) as f32);
-            self.colours.push(picture.colour(pixel));
+            self.colours.push(seen.colour(pixel));
         }
     }
 }
@@ -303,7 +307,8 @@ mod tests {
     fn the_depth_of_gaussians_is_their_mean_where_they_are() {
         let camera_from_world = CameraFromWorld::look_at(DVec3::new(0.0, 0.0, -1.0), DVec3::ZERO, -DVec3::Y);
         let (width, height) = (16, 8);
-        let camera = Camera { camera_from_world, fx: 16.0, fy: 16.0, cx: 8.0, cy: 4.0, width, height, near: 0.01 };
+        let camera =
+            Camera { camera_from_world, fx: 16.0, fy: 16.0, cx: 8.0, cy: 4.0, width, height, near: 0.01, lens: None };
         // in the middle at depths 1 and 3, as wide on the screen and as opaque; on the right behind the limit
         let scales = [0.1f32, 0.1, 1e-4, 0.3, 0.3, 1e-4, 0.1, 0.1, 1e-4];
         let gaussians = GaussianData {

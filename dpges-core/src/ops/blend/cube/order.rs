@@ -10,7 +10,7 @@ use crate::binning::cube::{CubeLists, TileList};
 use crate::camera::Camera;
 use crate::gpu::launch::{UNITS, buffer, cube_dim, cubes, empty_u32, units};
 use crate::gpu::vector::row3;
-use crate::gpu::view::{CameraUniforms, to_camera};
+use crate::gpu::view::{CameraUniforms, to_camera, view_depth};
 
 /// Values that one cube sorts. Each unit compares two.
 const BLOCK: usize = 2 * UNITS as usize;
@@ -24,7 +24,7 @@ fn keys_kernel(positions: &[f32], keys: &mut [u32], order: &mut [u32], view: Cam
         terminate!();
     }
     let centre = to_camera(view, row3(positions, i));
-    keys[i] = u32::reinterpret(centre.z);
+    keys[i] = u32::reinterpret(view_depth(view, centre));
     order[i] = i as u32;
 }
 
