@@ -198,27 +198,27 @@ mod tests {
             let along = |index: usize| 0.2 * index as f64 - 0.5;
             positions.extend([along(at % SIDE), along(at / SIDE), PLANE + random.between(-0.15, 0.15)]);
         }
-        let (others, gaussians) = scene(SIDE * SIDE).tensors(&device(), DType::F64);
+        let rest = scene(SIDE * SIDE);
         let count = SIDE * SIDE;
-        let quaternions = leaf(&[1.0, 0.0, 0.0, 0.0].repeat(count), [count, 4], &device()).detach();
-        let log_scales = leaf(&vec![0.03f64.ln(); 2 * count], [count, 2], &device()).detach();
-        let disparity = row(&vec![1.0 / PLANE; 24 * 24]).reshape([1, 24, 24]);
         let error = |positions: &[f64]| {
             let off = positions.iter().skip(2).step_by(3).map(|z| (z - PLANE).abs());
             off.sum::<f64>() / count as f64
         };
         let before = error(&positions);
         for step in 0..80 {
+            // of this step: what one backward pass has used belongs to its graph, and to no other
             let leaves = leaf(&positions, [count, 3], &device());
+            let (others, gaussians) = rest.tensors(&device(), DType::F64);
             let surfels = Surfels {
                 positions: leaves.clone(),
-                quaternions: quaternions.clone(),
-                log_scales: log_scales.clone(),
-                ..others.clone()
+                quaternions: leaf(&[1.0, 0.0, 0.0, 0.0].repeat(count), [count, 4], &device()),
+                log_scales: leaf(&vec![0.03f64.ln(); 2 * count], [count, 2], &device()),
+                ..others
             };
+            let disparity = row(&vec![1.0 / PLANE; 24 * 24]).reshape([1, 24, 24]);
             let rendered = render(&surfels, &gaussians, &camera, &RenderOptions::default()).unwrap();
             let [depth, coverage] = surfel_depth(&rendered);
-            let gradients = depth_map(depth, coverage, disparity.clone()).unwrap().backward();
+            let gradients = depth_map(depth, coverage, disparity).unwrap().backward();
             let gradient = values(&leaves.grad(&gradients).unwrap());
             let largest = gradient.iter().fold(0.0f64, |largest, g| largest.max(g.abs()));
             let rate = 0.02 * (1.0 - f64::from(step) / 80.0) / largest;
