@@ -5,6 +5,7 @@ use dpges_core::binning::cap_lists;
 use dpges_core::ops::blend::{BlendOptions, Form};
 use dpges_core::ops::peel::PeelOptions;
 use dpges_core::scene::{ColourModel, Footprint, ScreenFilter};
+use dpges_core::testing::limit_buffers;
 use dpges_core::testing::parity::{Bench, Named, Reference, distances};
 use dpges_core::testing::scenes::{self, Recipe, TestScene};
 
@@ -146,6 +147,47 @@ pub fn lists_that_overflow_change_nothing(device: Device) {
     check("lists of 100 entries", &scene, PeelOptions::default(), &device);
     check_blending("lists of 100 entries", &scene, &FORMS, &device);
     cap_lists(usize::MAX);
+}
+
+/// Scenes with some Gaussians that fill the picture.
+fn with_large_ones(mut scene: TestScene, large: usize) -> TestScene {
+    for i in 0..large {
+        scene.gaussians.log_scales[3 * i..3 * i + 3].copy_from_slice(&[1.2, 1.5, 0.9]);
+        scene.gaussians.opacities[i] = 0.2;
+    }
+    scene
+}
+
+pub fn primitives_larger_than_the_picture_agree(device: Device) {
+    let scene = with_large_ones(scenes::realistic(300, 2_000, 200, 150, 3), 6);
+    check("larger than the picture", &scene, PeelOptions::default(), &device);
+    check_blending("larger than the picture", &scene, &FORMS, &device);
+}
+
+pub fn gradients_beyond_the_largest_buffer_are_gathered_in_parts(device: Device) {
+    let recipe = Recipe { surfels: 0, gaussians: 2_500, width: 40, height: 30, ..Recipe::default() };
+    let scene = with_large_ones(scenes::random(96, &recipe), 1_500);
+    let run = || {
+        let options = BlendOptions { maps: true, ..BlendOptions::default() };
+        on(&scene, PeelOptions::default(), &device).blended(options)
+    };
+    let whole = run();
+    // the sums of a tile fit, those of all six do not
+    limit_buffers(180_000);
+    let in_parts = run();
+    limit_buffers(usize::MAX);
+    assert_near("in parts", &in_parts, &whole);
+}
+
+pub fn what_no_buffer_holds_is_refused_by_name(device: Device) {
+    let recipe = Recipe { surfels: 0, gaussians: 100, width: 200, height: 150, ..Recipe::default() };
+    let scene = with_large_ones(scenes::random(97, &recipe), 100);
+    limit_buffers(40_000);
+    let refused = std::panic::catch_unwind(|| on(&scene, PeelOptions::default(), &device).blended(Default::default()));
+    limit_buffers(usize::MAX);
+    let message = refused.expect_err("too many entries").downcast::<String>().expect("a message");
+    assert!(message.contains("the 100 primitives of this view touch"), "{message}");
+    assert!(message.contains("buffers of at most 40000"), "{message}");
 }
 
 pub fn ordered_sums_are_the_same_bits_every_time(device: Device) {

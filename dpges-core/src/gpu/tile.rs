@@ -2,13 +2,20 @@
 
 use cubecl::prelude::*;
 
-use super::launch::UNITS;
+use super::launch::{LANES, UNITS};
 use super::view::CameraUniforms;
 use crate::tiles;
 
 /// Edge of a tile, px.
 pub const TILE: u32 = tiles::TILE as u32;
 const _: () = assert!(TILE * TILE == UNITS, "one unit per pixel of a tile");
+
+/// A tile consists of regions, each with the pixels of [`LANES`] consecutive units. Sizes in px.
+pub const REGION_WIDTH: u32 = 8;
+pub const REGION_HEIGHT: u32 = LANES / REGION_WIDTH;
+/// Regions in a row of a tile, and in a tile.
+pub const REGION_COLUMNS: u32 = TILE / REGION_WIDTH;
+pub const REGIONS: usize = (UNITS / LANES) as usize;
 
 /// The pixel of a unit.
 #[derive(CubeType, Clone, Copy)]
@@ -26,8 +33,9 @@ pub struct Pixel {
 /// The pixel of this unit in `tile`.
 #[cube]
 pub fn own_pixel(view: CameraUniforms, tile: u32) -> Pixel {
-    let column = tile % view.columns * TILE + UNIT_POS % TILE;
-    let row = tile / view.columns * TILE + UNIT_POS / TILE;
+    let (region, lane) = (UNIT_POS / LANES, UNIT_POS % LANES);
+    let column = tile % view.columns * TILE + region % REGION_COLUMNS * REGION_WIDTH + lane % REGION_WIDTH;
+    let row = tile / view.columns * TILE + region / REGION_COLUMNS * REGION_HEIGHT + lane / REGION_WIDTH;
     let inside = column < view.width && row < view.height;
     Pixel {
         inside,

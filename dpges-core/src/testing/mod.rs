@@ -10,6 +10,9 @@ pub mod precision;
 pub mod random;
 pub mod scenes;
 
+#[cfg(feature = "gpu")]
+pub use crate::gpu::launch::limit_buffers;
+
 /// A CPU device that is switched on, with a tape.
 #[cfg(any(feature = "ndarray", feature = "flex"))]
 pub fn device() -> burn::tensor::Device {

@@ -1,6 +1,5 @@
-//! GPU kernels. Primitives are sorted by depth, so that ascending lists run front to back. So does the
-//! sequence of all primitives, which replaces a list that does not fit its buffer. Forward, one unit handles
-//! one pixel; backward, one cube handles one tile and then one unit one primitive.
+//! GPU kernels. Primitives are sorted by depth, so that ascending lists run front to back. Forward, one unit handles
+//! one pixel; backward, one cube handles one tile and then several units one primitive.
 
 mod fragments;
 mod gather;
@@ -14,7 +13,7 @@ use cubecl::prelude::*;
 
 use self::fragments::{FEATURES, Fragments, Payload, fragment};
 use self::gather::{Layout, gather};
-use super::{BlendBackwardOps, BlendInput, BlendOps, BlendOptions, BlendOutput, Form, far};
+use super::{BlendBackwardOps, BlendInput, BlendLists, BlendOps, BlendOptions, BlendOutput, Form, far};
 use crate::binning::cube::TileList;
 use crate::camera::Camera;
 use crate::gpu::launch::{buffer, cube_dim, cubes, empty_f32, floats};
@@ -133,7 +132,7 @@ impl BlendOps for CubeBackend {
         let gaussians = input.gaussians.contiguous();
         let (like, count) = (&gaussians.positions, gaussians.positions.shape()[0]);
         let (height, width) = (camera.height, camera.width);
-        let fragments = Fragments::new(&gaussians, &camera, &options);
+        let (fragments, lists) = Fragments::new(&gaussians, &camera, &options);
         let planes = empty_f32(like, [options.planes(), height, width]);
         let median_depth = empty_f32(like, [usize::from(options.maps), height, width]);
         blend_kernel::launch(
@@ -142,32 +141,33 @@ impl BlendOps for CubeBackend {
             cube_dim(),
             buffer(&fragments.shapes),
             buffer(&fragments.features),
-            buffer(&fragments.lists.offsets),
-            buffer(&fragments.lists.ids),
+            buffer(&lists.offsets),
+            buffer(&lists.primitives),
             buffer(&planes),
             buffer(&median_depth),
             CameraUniforms::launch(&camera),
             Thresholds::launch(&camera, &options),
-            fragments.lists.capacity,
+            lists.primitives.shape()[0] as u32,
             count as u32,
             options.form,
             options.maps,
         );
-        BlendOutput { planes, median_depth }
+        BlendOutput { planes, median_depth, lists }
     }
 }
 
 impl BlendBackwardOps for CubeBackend {
     fn blend_backward(
         input: BlendInput<Self>,
+        lists: BlendLists<Self>,
         grad: FloatTensor<Self>,
         camera: Camera,
         options: BlendOptions,
     ) -> BlendInput<Self> {
         let (gaussians, grad) = (input.gaussians.contiguous(), floats(grad));
         let layout = Layout { form: options.form, maps: options.maps, probe: input.probe.shape()[0] > 0 };
-        let fragments = Fragments::new(&gaussians, &camera, &options);
-        let [sums, rest] = gather(&fragments, &grad, &camera, &options, layout);
+        let (fragments, _) = Fragments::in_order(&gaussians, &lists.order, &camera, &options);
+        let [sums, rest] = gather(&fragments, &lists, &grad, &camera, &options, layout);
         parameters::backward(&gaussians, &sums, &rest, &camera, options.filter, layout)
     }
 }

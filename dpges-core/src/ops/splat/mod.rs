@@ -28,8 +28,8 @@ use crate::scene::tensors::check_shape;
 /// How the sums are computed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SplatOptions {
-    /// Whether GPUs add in a fixed order, so that every run gives the same bits. They then rank the list of
-    /// every tile, which takes time quadratic in its length. CPU backends always add in a fixed order.
+    /// Whether every run must give the same bits. All backends add in a fixed order now, so that this is true of
+    /// either setting.
     pub deterministic: bool,
 }
 

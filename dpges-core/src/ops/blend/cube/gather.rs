@@ -1,11 +1,11 @@
 //! Sums over the pixels of every primitive. One cube per tile goes front to back like the forward pass, then
 //! back to front, where a division by 1 − α recovers T. Every entry of the list of a tile has a slot for the
-//! sums over the pixels of the tile, and slots are added in the order of the tiles. A single cube handles the
-//! tiles whose slots do not fit: it visits all primitives in one tile after the other. That is slow but correct.
+//! sums over the pixels of the tile, and slots are added in the order of the tiles. Where the slots of all tiles
+//! exceed the largest buffer, some tiles are handled after the others.
+
+use std::ops::Range;
 
 use burn::backend::TensorMetadata;
-use burn::backend::ops::FloatTensorOps;
-use burn::tensor::{FloatDType, Shape};
 use burn_cubecl::CubeBackend;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
@@ -16,12 +16,14 @@ use crate::camera::Camera;
 use crate::footprint::disc_cube::{DISC_SUMS, DiscPixel, Hit, PLANE, Plane, add_disc_sums};
 use crate::footprint::moments::MOMENTS;
 use crate::footprint::splat_cube::{SPLAT, Splat, add_moments};
-use crate::gpu::launch::{HALVINGS, UNITS, buffer, cube_dim, cubes, empty_f32, units};
+use crate::gpu::gather::{lane, primitive, total, zeros};
+use crate::gpu::launch::{
+    GATHERED, HALVINGS, LANES, UNITS, buffer, cube_dim, cubes, empty_f32, empty_u32, gatherers, largest_buffer, units,
+};
 use crate::gpu::record::Record;
-use crate::gpu::rect::Rect;
-use crate::gpu::tile::{TILE, own_pixel, plane_of};
+use crate::gpu::tile::{own_pixel, plane_of};
 use crate::gpu::view::CameraUniforms;
-use crate::ops::blend::{BlendOptions, Form};
+use crate::ops::blend::{BlendLists, BlendOptions, Form};
 use crate::tiles::TileGrid;
 
 /// Units that fold one sum, and parts of a sum after the first fold.
@@ -76,32 +78,6 @@ impl Layout {
     }
 }
 
-/// The first tile whose list ends beyond the capacity.
-#[cube]
-fn first_left_out(offsets: &[u32], tiles: u32, capacity: u32) -> u32 {
-    let mut low = 0u32;
-    let mut high = tiles;
-    while low < high {
-        let middle = (low + high) / 2u32;
-        if offsets[(middle + 1u32) as usize] <= capacity {
-            low = middle + 1u32;
-        } else {
-            high = middle;
-        }
-    }
-    low
-}
-
-/// The primitive at a place of a list, or at that place of all.
-#[cube]
-fn listed(ids: &[u32], at: u32, #[comptime] left_out: bool) -> usize {
-    let mut id = at;
-    if comptime!(!left_out) {
-        id = ids[at as usize];
-    }
-    id as usize
-}
-
 #[cube(launch)]
 fn gather_kernel(
     shapes: &[f32],
@@ -112,13 +88,12 @@ fn gather_kernel(
     sums: &mut [f32],
     view: CameraUniforms,
     thresholds: Thresholds,
-    capacity: u32,
-    count: u32,
+    first_tile: u32,
+    end_tile: u32,
     #[comptime] layout: Layout,
-    #[comptime] left_out: bool,
 ) {
-    let tiles = view.columns * view.rows;
-    if CUBE_POS >= tiles as usize {
+    let tile = first_tile + CUBE_POS as u32;
+    if tile >= end_tile {
         terminate!();
     }
     let form = comptime!(layout.form);
@@ -131,349 +106,367 @@ fn gather_kernel(
     let unit = UNIT_POS as usize;
     let plane = plane_of(view);
 
-    // tiles to go through, and the list of them
-    let mut range = Shared::<[u32]>::new_slice(4usize);
+    // the list of the tile, and the place of the first slot
+    let mut range = Shared::<[u32]>::new_slice(3usize);
     if UNIT_POS == 0u32 {
-        if comptime!(left_out) {
-            range[0] = first_left_out(offsets, tiles, capacity);
-            range[1] = tiles;
-            range[2] = 0u32;
-            range[3] = count;
-        } else {
-            let low = offsets[CUBE_POS];
-            let high = offsets[CUBE_POS + 1];
-            range[0] = CUBE_POS as u32;
-            range[1] = CUBE_POS as u32 + u32::cast_from(high <= capacity);
-            range[2] = low;
-            range[3] = high - low;
-        }
+        range[0] = offsets[tile as usize];
+        range[1] = offsets[(tile + 1u32) as usize];
+        range[2] = offsets[first_tile as usize];
     }
-    let first_tile = workgroup_uniform_load(&range[0]);
-    let end_tile = workgroup_uniform_load(&range[1]);
-    let start = workgroup_uniform_load(&range[2]);
-    let length = workgroup_uniform_load(&range[3]);
+    let start = workgroup_uniform_load(&range[0]);
+    let length = workgroup_uniform_load(&range[1]) - start;
+    let slot = start - workgroup_uniform_load(&range[2]);
 
     let mut partial = Shared::<[f32]>::new_slice(comptime!(UNITS as usize * GROUP));
     let mut folded = Shared::<[f32]>::new_slice(comptime!(FOLD * GROUP));
     let mut ends = Shared::<[u32]>::new_slice(comptime!(UNITS as usize));
     let mut own = Array::<f32>::new(width);
 
-    for tile in first_tile..end_tile {
-        let place = own_pixel(view, tile);
-        let (x, y, pixel) = (place.x, place.y, place.at);
+    let place = own_pixel(view, tile);
+    let (x, y, pixel) = (place.x, place.y, place.at);
 
-        // front to back: T behind the last fragment, where the pixel ends, sums of αT, αT m, αT m² with m
-        // relative to the first fragment's
-        let mut through = 1.0f32;
-        let mut end = select(place.inside, length, 0u32);
-        let mut total = 0.0f32;
-        let mut reference = 0.0f32;
-        let mut first_moment = 0.0f32;
-        let mut second_moment = 0.0f32;
-        let mut position = 0u32;
-        while position < end {
-            let i = listed(ids, start + position, left_out);
+    // front to back: T behind the last fragment, where the pixel ends, sums of αT, αT m, αT m² with m
+    // relative to the first fragment's
+    let mut through = 1.0f32;
+    let mut end = select(place.inside, length, 0u32);
+    let mut total = 0.0f32;
+    let mut reference = 0.0f32;
+    let mut first_moment = 0.0f32;
+    let mut second_moment = 0.0f32;
+    let mut position = 0u32;
+    while position < end {
+        let i = ids[(start + position) as usize] as usize;
+        let found = fragment(shapes, features, i, x, y, view.near, form);
+        if found.weight > 0.0f32 {
+            let alpha = min(found.weight, thresholds.max_alpha);
+            let behind = through * (1.0f32 - alpha);
+            if behind >= thresholds.min_transmittance {
+                if comptime!(layout.maps) {
+                    let covered = alpha * through;
+                    let inverse = 1.0f32 / found.depth;
+                    reference = select(reference == 0.0f32, inverse, reference);
+                    let mapped = thresholds.slope * (reference - inverse);
+                    total += covered;
+                    first_moment += covered * mapped;
+                    second_moment += covered * mapped * mapped;
+                }
+                through = behind;
+            } else {
+                end = position;
+            }
+        }
+        position += 1u32;
+    }
+
+    ends[unit] = end;
+    #[unroll]
+    for halving in 0..HALVINGS {
+        let step = comptime!((UNITS >> (halving + 1)) as usize);
+        sync_cube();
+        if unit < step {
+            ends[unit] = max(ends[unit], ends[unit + step]);
+        }
+    }
+    let furthest = workgroup_uniform_load(&ends[0]);
+
+    let red = grad[pixel];
+    let green = grad[pixel + plane];
+    let blue = grad[pixel + 2 * plane];
+    let mut of_depth = 0.0f32;
+    let mut of_x = 0.0f32;
+    let mut of_y = 0.0f32;
+    let mut of_z = 0.0f32;
+    let mut of_distortion = 0.0f32;
+    if comptime!(layout.maps) {
+        of_depth = grad[pixel + 4 * plane];
+        of_x = grad[pixel + 5 * plane];
+        of_y = grad[pixel + 6 * plane];
+        of_z = grad[pixel + 7 * plane];
+        of_distortion = grad[pixel + 8 * plane];
+    }
+
+    // back to front; derivative with respect to T behind the fragment that is next
+    let of_alpha = grad[pixel + 3 * plane];
+    let mut behind = -of_alpha;
+    for back in 0..furthest {
+        let position = furthest - 1u32 - back;
+        #[unroll]
+        for s in 0..width {
+            own[s] = 0.0f32;
+        }
+        if position < end {
+            let i = ids[(start + position) as usize] as usize;
             let found = fragment(shapes, features, i, x, y, view.near, form);
             if found.weight > 0.0f32 {
+                let payload = Payload::load(features, i * FEATURES);
                 let alpha = min(found.weight, thresholds.max_alpha);
-                let behind = through * (1.0f32 - alpha);
-                if behind >= thresholds.min_transmittance {
-                    if comptime!(layout.maps) {
-                        let covered = alpha * through;
-                        let inverse = 1.0f32 / found.depth;
-                        reference = select(reference == 0.0f32, inverse, reference);
-                        let mapped = thresholds.slope * (reference - inverse);
-                        total += covered;
-                        first_moment += covered * mapped;
-                        second_moment += covered * mapped * mapped;
-                    }
-                    through = behind;
+                let before = through / (1.0f32 - alpha);
+                let covered = alpha * before;
+                let colour = payload.colour;
+                let mut value = colour.x * red + colour.y * green + colour.z * blue;
+                let mut grad_depth = 0.0f32;
+                if comptime!(layout.maps) {
+                    let inverse = 1.0f32 / found.depth;
+                    let mapped = thresholds.slope * (reference - inverse);
+                    let spread = mapped * mapped * total + second_moment - 2.0f32 * mapped * first_moment;
+                    let of_mapped = of_distortion * 2.0f32 * (mapped * total - first_moment);
+                    value += of_depth * found.depth + of_distortion * spread;
+                    value += payload.normal.x * of_x;
+                    value += payload.normal.y * of_y;
+                    value += payload.normal.z * of_z;
+                    grad_depth = covered * (of_depth + of_mapped * thresholds.slope * inverse * inverse);
+                    own[normal] = covered * of_x;
+                    own[normal + 1] = covered * of_y;
+                    own[normal + 2] = covered * of_z;
+                }
+                own[rest] = covered * red;
+                own[rest + 1] = covered * green;
+                own[rest + 2] = covered * blue;
+                // a capped α has no gradient
+                let power = select(found.weight < thresholds.max_alpha, covered * (value - behind), 0.0f32);
+                let mut towards_x = 0.0f32;
+                let mut towards_y = 0.0f32;
+                if comptime!(form == Form::Ellipsoids) {
+                    let splat = Splat::load(shapes, i * SPLAT);
+                    let (dx, dy) = (x - splat.mean_x, y - splat.mean_y);
+                    let (u, v) = (splat.u(dx, dy), splat.r * dy);
+                    add_moments(&mut own, power, u, v);
+                    own[beside] = grad_depth;
+                    towards_x = power * splat.p * u;
+                    towards_y = power * (splat.q * u + splat.r * v);
                 } else {
-                    end = position;
-                }
-            }
-            position += 1u32;
-        }
-
-        ends[unit] = end;
-        #[unroll]
-        for halving in 0..HALVINGS {
-            let step = comptime!((UNITS >> (halving + 1)) as usize);
-            sync_cube();
-            if unit < step {
-                ends[unit] = max(ends[unit], ends[unit + step]);
-            }
-        }
-        let furthest = workgroup_uniform_load(&ends[0]);
-
-        let red = grad[pixel];
-        let green = grad[pixel + plane];
-        let blue = grad[pixel + 2 * plane];
-        let mut of_depth = 0.0f32;
-        let mut of_x = 0.0f32;
-        let mut of_y = 0.0f32;
-        let mut of_z = 0.0f32;
-        let mut of_distortion = 0.0f32;
-        if comptime!(layout.maps) {
-            of_depth = grad[pixel + 4 * plane];
-            of_x = grad[pixel + 5 * plane];
-            of_y = grad[pixel + 6 * plane];
-            of_z = grad[pixel + 7 * plane];
-            of_distortion = grad[pixel + 8 * plane];
-        }
-
-        // back to front; derivative with respect to T behind the fragment that is next
-        let of_alpha = grad[pixel + 3 * plane];
-        let mut behind = -of_alpha;
-        for back in 0..furthest {
-            let position = furthest - 1u32 - back;
-            #[unroll]
-            for s in 0..width {
-                own[s] = 0.0f32;
-            }
-            if position < end {
-                let i = listed(ids, start + position, left_out);
-                let found = fragment(shapes, features, i, x, y, view.near, form);
-                if found.weight > 0.0f32 {
-                    let payload = Payload::load(features, i * FEATURES);
-                    let alpha = min(found.weight, thresholds.max_alpha);
-                    let before = through / (1.0f32 - alpha);
-                    let covered = alpha * before;
-                    let colour = payload.colour;
-                    let mut value = colour.x * red + colour.y * green + colour.z * blue;
-                    let mut grad_depth = 0.0f32;
-                    if comptime!(layout.maps) {
-                        let inverse = 1.0f32 / found.depth;
-                        let mapped = thresholds.slope * (reference - inverse);
-                        let spread = mapped * mapped * total + second_moment - 2.0f32 * mapped * first_moment;
-                        let of_mapped = of_distortion * 2.0f32 * (mapped * total - first_moment);
-                        value += of_depth * found.depth + of_distortion * spread;
-                        value += payload.normal.x * of_x;
-                        value += payload.normal.y * of_y;
-                        value += payload.normal.z * of_z;
-                        grad_depth = covered * (of_depth + of_mapped * thresholds.slope * inverse * inverse);
-                        own[normal] = covered * of_x;
-                        own[normal + 1] = covered * of_y;
-                        own[normal + 2] = covered * of_z;
-                    }
-                    own[rest] = covered * red;
-                    own[rest + 1] = covered * green;
-                    own[rest + 2] = covered * blue;
-                    // a capped α has no gradient
-                    let power = select(found.weight < thresholds.max_alpha, covered * (value - behind), 0.0f32);
-                    let mut towards_x = 0.0f32;
-                    let mut towards_y = 0.0f32;
-                    if comptime!(form == Form::Ellipsoids) {
-                        let splat = Splat::load(shapes, i * SPLAT);
-                        let (dx, dy) = (x - splat.mean_x, y - splat.mean_y);
-                        let (u, v) = (splat.u(dx, dy), splat.r * dy);
-                        add_moments(&mut own, power, u, v);
-                        own[beside] = grad_depth;
-                        towards_x = power * splat.p * u;
-                        towards_y = power * (splat.q * u + splat.r * v);
-                    } else {
-                        let disc = Plane::load(shapes, i * PLANE);
-                        let low_pass = LowPass::load(features, i * FEATURES + LOW_PASS);
-                        let tangents = Tangents::load(features, i * FEATURES + TANGENTS);
-                        let met = disc.hit(x, y);
-                        let (dx, dy) = (x - disc.anchor_x, y - disc.anchor_y);
-                        // far from the disc they may be infinite
-                        let by_plane = found.by_plane > 0.5f32;
-                        let hit = Hit {
-                            u: select(by_plane, met.u, 0.0f32),
-                            v: select(by_plane, met.v, 0.0f32),
-                            depth: met.depth,
-                            facing: met.facing,
-                            kernel: met.kernel,
-                        };
-                        let on_way = DiscPixel {
-                            hit,
-                            across: dx / view.fx,
-                            down: dy / view.fy,
-                            scale_u: tangents.scale_u,
-                            scale_v: tangents.scale_v,
-                            power,
-                            grad_depth,
-                        };
-                        let towards = add_disc_sums(&mut own, on_way, true, layout.maps);
-                        let on_screen = 2.0f32 * power * (1.0f32 - found.by_plane);
-                        own[beside] = on_screen * (dx - low_pass.offset_x);
-                        own[beside + 1] = on_screen * (dy - low_pass.offset_y);
-                        own[beside + 2] = power;
-                        if comptime!(layout.probe) {
-                            // gradient of the centre in camera space, over fx and fy: that of T_u.z and T_v.z
-                            let (ray_x, ray_y) = ((x - view.cx) / view.fx, (y - view.cy) / view.fy);
-                            let (u, v) = (tangents.u, tangents.v);
-                            let centre_x = towards.x * (ray_y * v.z - v.y)
-                                + towards.y * (u.y - u.z * ray_y)
-                                + towards.z * (u.y * v.z - u.z * v.y);
-                            let centre_y = towards.x * (v.x - ray_x * v.z)
-                                + towards.y * (u.z * ray_x - u.x)
-                                + towards.z * (u.z * v.x - u.x * v.z);
-                            let share = found.by_plane * payload.depth;
-                            towards_x = share * centre_x / view.fx;
-                            towards_y = share * centre_y / view.fy;
-                        }
-                    }
+                    let disc = Plane::load(shapes, i * PLANE);
+                    let low_pass = LowPass::load(features, i * FEATURES + LOW_PASS);
+                    let tangents = Tangents::load(features, i * FEATURES + TANGENTS);
+                    let met = disc.hit(x, y);
+                    let (dx, dy) = (x - disc.anchor_x, y - disc.anchor_y);
+                    // far from the disc they may be infinite
+                    let by_plane = found.by_plane > 0.5f32;
+                    let hit = Hit {
+                        u: select(by_plane, met.u, 0.0f32),
+                        v: select(by_plane, met.v, 0.0f32),
+                        depth: met.depth,
+                        facing: met.facing,
+                        kernel: met.kernel,
+                    };
+                    let on_way = DiscPixel {
+                        hit,
+                        across: dx / view.fx,
+                        down: dy / view.fy,
+                        scale_u: tangents.scale_u,
+                        scale_v: tangents.scale_v,
+                        power,
+                        grad_depth,
+                    };
+                    let towards = add_disc_sums(&mut own, on_way, true, layout.maps);
+                    let on_screen = 2.0f32 * power * (1.0f32 - found.by_plane);
+                    own[beside] = on_screen * (dx - low_pass.offset_x);
+                    own[beside + 1] = on_screen * (dy - low_pass.offset_y);
+                    own[beside + 2] = power;
                     if comptime!(layout.probe) {
-                        let ndc_x = towards_x * f32::cast_from(view.width) * 0.5f32;
-                        let ndc_y = towards_y * f32::cast_from(view.height) * 0.5f32;
-                        own[probe] = ndc_x;
-                        own[probe + 1] = ndc_y;
-                        own[probe + 2] = f32::abs(ndc_x);
-                        own[probe + 3] = f32::abs(ndc_y);
+                        // gradient of the centre in camera space, over fx and fy: that of T_u.z and T_v.z
+                        let (ray_x, ray_y) = ((x - view.cx) / view.fx, (y - view.cy) / view.fy);
+                        let (u, v) = (tangents.u, tangents.v);
+                        let centre_x = towards.x * (ray_y * v.z - v.y)
+                            + towards.y * (u.y - u.z * ray_y)
+                            + towards.z * (u.y * v.z - u.z * v.y);
+                        let centre_y = towards.x * (v.x - ray_x * v.z)
+                            + towards.y * (u.z * ray_x - u.x)
+                            + towards.z * (u.z * v.x - u.x * v.z);
+                        let share = found.by_plane * payload.depth;
+                        towards_x = share * centre_x / view.fx;
+                        towards_y = share * centre_y / view.fy;
                     }
-                    behind = alpha * value + (1.0f32 - alpha) * behind;
-                    through = before;
+                }
+                if comptime!(layout.probe) {
+                    let ndc_x = towards_x * f32::cast_from(view.width) * 0.5f32;
+                    let ndc_y = towards_y * f32::cast_from(view.height) * 0.5f32;
+                    own[probe] = ndc_x;
+                    own[probe + 1] = ndc_y;
+                    own[probe + 2] = f32::abs(ndc_x);
+                    own[probe + 3] = f32::abs(ndc_y);
+                }
+                behind = alpha * value + (1.0f32 - alpha) * behind;
+                through = before;
+            }
+        }
+        let target = (slot + position) as usize * width;
+        #[unroll]
+        for group in 0..groups {
+            #[unroll]
+            for s in 0..GROUP {
+                if comptime!(group * GROUP + s < width) {
+                    partial[s * UNITS as usize + unit] = own[group * GROUP + s];
                 }
             }
-            let target = (start + position) as usize * width;
-            #[unroll]
-            for group in 0..groups {
-                #[unroll]
-                for s in 0..GROUP {
-                    if comptime!(group * GROUP + s < width) {
-                        partial[s * UNITS as usize + unit] = own[group * GROUP + s];
-                    }
+            sync_cube();
+            // several units fold each sum, then one unit
+            if unit < FOLD * GROUP {
+                let mut part = 0.0f32;
+                for k in 0..FOLD {
+                    part += partial[unit * FOLD + k];
                 }
-                sync_cube();
-                // several units fold each sum, then one unit
-                if unit < FOLD * GROUP {
-                    let mut part = 0.0f32;
-                    for k in 0..FOLD {
-                        part += partial[unit * FOLD + k];
-                    }
-                    folded[unit] = part;
+                folded[unit] = part;
+            }
+            sync_cube();
+            let number = comptime!(group * GROUP);
+            if unit < GROUP && number + unit < width {
+                let mut sum = 0.0f32;
+                for k in 0..FOLD {
+                    sum += folded[unit * FOLD + k];
                 }
-                sync_cube();
-                let number = comptime!(group * GROUP);
-                if unit < GROUP && number + unit < width {
-                    let mut sum = 0.0f32;
-                    for k in 0..FOLD {
-                        sum += folded[unit * FOLD + k];
-                    }
-                    // slots and sums begin at 0
-                    sums[target + number + unit] += sum;
-                }
+                sums[target + number + unit] = sum;
             }
         }
     }
+    // entries behind the ends of all pixels
+    let mut at = furthest as usize * width + unit;
+    while at < length as usize * width {
+        sums[slot as usize * width + at] = 0.0f32;
+        at += UNITS as usize;
+    }
+}
+
+/// The place of every pair among those sorted by tile.
+#[cube(launch)]
+fn places_kernel(pairs: &[u32], places: &mut [u32], count: u32) {
+    if ABSOLUTE_POS >= count as usize {
+        terminate!();
+    }
+    places[pairs[ABSOLUTE_POS] as usize] = ABSOLUTE_POS as u32;
 }
 
 /// Adds the slots of every primitive in the order of the tiles: `taken` sums from the `first` on. Rows are in the
 /// order of the parameters.
 #[cube(launch)]
 fn collect_kernel(
-    rects: &[u32],
+    starts: &[u32],
+    places: &[u32],
     offsets: &[u32],
-    ids: &[u32],
     order: &[u32],
     slots: &[f32],
-    left_out: &[f32],
     sums: &mut [f32],
-    columns: u32,
-    capacity: u32,
+    first_tile: u32,
+    end_tile: u32,
     count: u32,
     #[comptime] first: usize,
     #[comptime] taken: usize,
     #[comptime] width: usize,
 ) {
-    let at = ABSOLUTE_POS;
-    if at >= count as usize * taken {
+    if CUBE_POS * GATHERED >= count as usize {
         terminate!();
     }
-    let rank = at / taken;
-    let number = at % taken;
-    let own = rank as u32;
-    let mut sum = left_out[rank * width + first + number];
-    let rect = Rect::load(rects, rank);
-    if rect.is_filled() {
-        for row in rect.y0 / TILE..rect.y1.div_ceil(TILE) {
-            for column in rect.x0 / TILE..rect.x1.div_ceil(TILE) {
-                let tile = (row * columns + column) as usize;
-                let end = offsets[tile + 1];
-                if end <= capacity {
-                    // the place of the primitive in the ascending list, if it is there
-                    let mut low = offsets[tile];
-                    let mut high = end;
-                    while low < high {
-                        let middle = (low + high) / 2u32;
-                        if ids[middle as usize] < own {
-                            low = middle + 1u32;
-                        } else {
-                            high = middle;
-                        }
-                    }
-                    let place = min(low, capacity - 1u32) as usize;
-                    if low < end && ids[place] == own {
-                        sum += slots[place * width + first + number];
-                    }
+    let mut own = zeros(taken);
+    let rank = primitive();
+    if rank < count as usize {
+        let (low, high) = (offsets[first_tile as usize], offsets[end_tile as usize]);
+        let end = starts[rank + 1];
+        let mut pair = starts[rank] + lane();
+        while pair < end {
+            let place = places[pair as usize];
+            if place >= low && place < high {
+                let slot = (place - low) as usize * width + first;
+                #[unroll]
+                for number in 0..taken {
+                    own[number] += slots[slot + number];
                 }
             }
+            pair += LANES;
         }
     }
-    sums[order[rank] as usize * taken + number] = sum;
+    let sum = total(&own, count, taken);
+    if sum.present {
+        let at = order[sum.primitive] as usize * taken + sum.number;
+        if first_tile == 0u32 {
+            sums[at] = sum.value;
+        } else {
+            sums[at] += sum.value;
+        }
+    }
 }
 
-fn zeros(like: &CubeTensor, rows: usize, width: usize) -> CubeTensor {
-    CubeBackend::float_zeros(Shape::from([rows.max(1), width]), &like.device, FloatDType::F32)
+/// Ranges of tiles whose slots fit a buffer: `most` of them.
+///
+/// # Panics
+/// If those of one tile do not.
+fn bands(offsets: &CubeTensor, pairs: usize, tiles: usize, most: usize) -> Vec<Range<usize>> {
+    if pairs <= most {
+        return vec![0..tiles];
+    }
+    let bytes = offsets.client.read_one(offsets.handle.clone()).expect("the device answers");
+    let offsets: Vec<usize> =
+        bytes.chunks_exact(size_of::<u32>()).map(|entry| bytemuck::pod_read_unaligned::<u32>(entry) as usize).collect();
+    let mut bands: Vec<Range<usize>> = Vec::new();
+    for tile in 0..tiles {
+        let length = offsets[tile + 1] - offsets[tile];
+        assert!(
+            length <= most,
+            "{length} primitives touch one tile of this view, and a buffer of the device has room for the gradients of \
+             {most}: render fewer primitives"
+        );
+        match bands.last_mut() {
+            Some(band) if offsets[tile + 1] - offsets[band.start] <= most => band.end = tile + 1,
+            _ => bands.push(tile..tile + 1),
+        }
+    }
+    bands
 }
 
 /// Sums of the shape [M, [`Layout::shape`]] and the rest [M, [`Layout::rest`]] for the gradient `grad` [P, H, W].
 /// Rows are in the order of the parameters.
 pub fn gather(
     fragments: &Fragments,
+    lists: &BlendLists<CubeBackend>,
     grad: &CubeTensor,
     camera: &Camera,
     options: &BlendOptions,
     layout: Layout,
 ) -> [CubeTensor; 2] {
-    let (client, count) = (grad.client.clone(), fragments.order.shape()[0]);
-    let (grid, width) = (TileGrid::new(camera.width, camera.height), layout.width());
-    let largest = grad.client.properties().memory.max_page_size as usize / (size_of::<f32>() * width);
-    let rows = (fragments.lists.capacity as usize).min(largest);
-    let (slots, left_out) = (zeros(grad, rows, width), zeros(grad, count, width));
-    let over_tiles = |count_of_cubes: usize, sums: &CubeTensor, of_left_out: bool| {
+    let (client, count, pairs) = (grad.client.clone(), lists.order.shape()[0], lists.pairs.shape()[0]);
+    let (tiles, width) = (TileGrid::new(camera.width, camera.height).len(), layout.width());
+    let places = empty_u32(grad, [pairs]);
+    places_kernel::launch(&client, units(pairs), cube_dim(), buffer(&lists.pairs), buffer(&places), pairs as u32);
+    let most = largest_buffer(grad) / (size_of::<f32>() * width);
+    let slots = empty_f32(grad, [pairs.min(most), width]);
+    let parts = [(0, layout.shape()), (layout.shape(), layout.rest())];
+    let sums = parts.map(|(_, taken)| empty_f32(grad, [count, taken]));
+    for band in bands(&lists.offsets, pairs, tiles, most) {
+        let [first_tile, end_tile] = [band.start, band.end].map(|tile| tile as u32);
         gather_kernel::launch(
             &client,
-            cubes(count_of_cubes),
+            cubes(band.len()),
             cube_dim(),
             buffer(&fragments.shapes),
             buffer(&fragments.features),
-            buffer(&fragments.lists.offsets),
-            buffer(&fragments.lists.ids),
+            buffer(&lists.offsets),
+            buffer(&lists.primitives),
             buffer(grad),
-            buffer(sums),
+            buffer(&slots),
             CameraUniforms::launch(camera),
             Thresholds::launch(camera, options),
-            rows as u32,
-            count as u32,
+            first_tile,
+            end_tile,
             layout,
-            of_left_out,
         );
-    };
-    over_tiles(grid.len(), &slots, false);
-    over_tiles(1, &left_out, true);
-    [(0, layout.shape()), (layout.shape(), layout.rest())].map(|(first, taken)| {
-        let sums = empty_f32(grad, [count, taken]);
-        collect_kernel::launch(
-            &client,
-            units(count * taken),
-            cube_dim(),
-            buffer(&fragments.rects),
-            buffer(&fragments.lists.offsets),
-            buffer(&fragments.lists.ids),
-            buffer(&fragments.order),
-            buffer(&slots),
-            buffer(&left_out),
-            buffer(&sums),
-            grid.columns as u32,
-            rows as u32,
-            count as u32,
-            first,
-            taken,
-            width,
-        );
-        sums
-    })
+        for ((first, taken), sums) in parts.into_iter().zip(&sums) {
+            collect_kernel::launch(
+                &client,
+                gatherers(count),
+                cube_dim(),
+                buffer(&lists.starts),
+                buffer(&places),
+                buffer(&lists.offsets),
+                buffer(&lists.order),
+                buffer(&slots),
+                buffer(sums),
+                first_tile,
+                end_tile,
+                count as u32,
+                first,
+                taken,
+                width,
+            );
+        }
+    }
+    sums
 }
