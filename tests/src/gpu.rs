@@ -6,7 +6,7 @@ use burn::tensor::{DType, Device};
 use dpges_train::device::DeviceName;
 use libtest_mimic::Trial;
 
-use crate::{extremes, golden, gpu, lpips, parity, training};
+use crate::{extremes, golden, gpu, lpips, parity, timing, training};
 
 /// Every function named, with its name.
 macro_rules! named {
@@ -34,6 +34,7 @@ pub fn trials() -> Vec<Trial> {
         parity::doubles_on_a_gpu_are_refused_by_name,
         lpips::a_gpu_agrees_with_a_cpu,
         gpu::starts_once,
+        timing::everything,
         training::a_gpu_trains_as_well_as_a_cpu,
         training::a_deterministic_run_on_a_gpu_is_the_same_bytes_every_time,
     ];

@@ -9,6 +9,7 @@ mod lpips;
 mod parity;
 mod raster;
 mod reference;
+mod timing;
 mod training;
 
 use std::process::ExitCode;

@@ -14,7 +14,7 @@ use crate::gpu::rect::Rect;
 use crate::gpu::scan;
 use crate::gpu::sort::sorted_pairs;
 use crate::gpu::tile::TILE;
-use crate::gpu::work::{lower_bound, owner};
+use crate::gpu::work::{lower_bound, own_owner};
 use crate::tiles::TileGrid;
 
 /// Lists of primitives, one per tile, each in ascending order.
@@ -76,20 +76,20 @@ fn pairs_kernel(
     #[comptime] elliptic: bool,
 ) {
     let pair = ABSOLUTE_POS;
-    if pair >= min(starts[count as usize], room) as usize {
-        terminate!();
+    let end = min(starts[count as usize], room);
+    let i = own_owner(starts, count, end) as usize;
+    if (pair as u32) < end {
+        let touched = tiles_of(Rect::load(rects, i));
+        let (column, row) = touched.pixel(pair as u32 - starts[i]);
+        let tile = row * columns + column;
+        let mut touches = true;
+        if comptime!(elliptic) {
+            let splat = Splat::load(splats, i * SPLAT);
+            touches = splat.touches(column, row) && splat.depth < ends[tile as usize];
+        }
+        tiles[pair] = select(touches, tile, columns * rows);
+        primitives[pair] = i as u32;
     }
-    let i = owner(starts, 0u32, count, pair as u32);
-    let touched = tiles_of(Rect::load(rects, i as usize));
-    let (column, row) = touched.pixel(pair as u32 - starts[i as usize]);
-    let tile = row * columns + column;
-    let mut touches = true;
-    if comptime!(elliptic) {
-        let splat = Splat::load(splats, i as usize * SPLAT);
-        touches = splat.touches(column, row) && splat.depth < ends[tile as usize];
-    }
-    tiles[pair] = select(touches, tile, columns * rows);
-    primitives[pair] = i;
 }
 
 /// The first place of every tile in the sorted tiles of all pairs.

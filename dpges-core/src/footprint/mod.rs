@@ -8,6 +8,8 @@ pub(crate) mod disc;
 pub(crate) mod disc_cube;
 pub(crate) mod gaussians;
 pub(crate) mod moments;
+#[cfg(feature = "gpu")]
+pub(crate) mod regions_cube;
 pub(crate) mod splat;
 #[cfg(feature = "gpu")]
 pub(crate) mod splat_cube;

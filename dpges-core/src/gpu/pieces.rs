@@ -1,5 +1,5 @@
 //! Gathering from primitives of very different sizes: the pixels of every rectangle in pieces of about the same size,
-//! each for [`LANES`] units. What is gathered in pieces is added up for each primitive afterwards, in the order of the
+//! each for [`WORKERS`] units. What is gathered in pieces is added up for each primitive afterwards, in the order of the
 //! pieces.
 //!
 //! The size of a piece grows with the area of all rectangles, so that the number of pieces has a bound that does not
@@ -9,13 +9,16 @@ use burn::backend::TensorMetadata;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
-use super::launch::{GATHERED, HALVINGS, LANES, UNITS, buffer, cube_dim, cubes, empty_f32, empty_u32, units};
+use super::launch::{HALVINGS, UNITS, buffer, cube_dim, cubes, empty_f32, empty_u32, units};
 use super::rect::Rect;
 use super::scan;
-use super::work::owner;
+use super::work::own_owner;
 
+/// Units that gather from a piece, and pieces of a cube.
+pub const WORKERS: u32 = 8;
+const PIECES: usize = (UNITS / WORKERS) as usize;
 /// Pixels of the smallest piece.
-const SMALLEST: f32 = 1024.0;
+const SMALLEST: f32 = 256.0;
 /// Pieces beyond one for each primitive and one for every two.
 const SPARE: usize = 16_384;
 /// Numbers of a [`Piece`] in a buffer.
@@ -69,12 +72,12 @@ impl Piece {
 
     /// The piece of this unit.
     pub fn own(pieces: &[u32]) -> Piece {
-        Piece::load(pieces, CUBE_POS * GATHERED + (UNIT_POS / LANES) as usize)
+        Piece::load(pieces, CUBE_POS * PIECES + (UNIT_POS / WORKERS) as usize)
     }
 
     /// The first pixel of this unit, counted from the first of the rectangle.
     pub fn first(&self) -> u32 {
-        self.from + UNIT_POS % LANES
+        self.from + UNIT_POS % WORKERS
     }
 
     /// Column and row of a pixel.
@@ -85,10 +88,10 @@ impl Piece {
 
     pub fn stride(&self) -> Stride {
         let width = max(self.x1 - self.x0, 1u32);
-        Stride { columns: LANES % width, rows: LANES / width }
+        Stride { columns: WORKERS % width, rows: WORKERS / width }
     }
 
-    /// Column and row of the pixel [`LANES`] after another.
+    /// Column and row of the pixel [`WORKERS`] after another.
     pub fn next(&self, stride: Stride, column: u32, row: u32) -> (u32, u32) {
         let ahead = column + stride.columns;
         let wraps = ahead >= self.x1;
@@ -98,12 +101,43 @@ impl Piece {
 
 /// Whether the pieces of this cube exist; they come first. It is uniform over the cube.
 #[cube]
-pub fn cube_has_pieces(pieces: &[u32]) -> bool {
+pub fn cube_has_pieces(pieces: &[u32], most: u32) -> bool {
     let mut end = Shared::<[u32]>::new_slice(1usize);
     if UNIT_POS == 0u32 {
-        end[0] = Piece::load(pieces, CUBE_POS * GATHERED).end;
+        end[0] = 0u32;
+    }
+    if UNIT_POS == 0u32 && CUBE_POS * PIECES < most as usize {
+        end[0] = Piece::load(pieces, CUBE_POS * PIECES).end;
     }
     workgroup_uniform_load(&end[0]) > 0u32
+}
+
+/// Writes what the units of every piece of this cube gathered, [pieces, `numbers`]: the sum of the numbers of all its
+/// units or, if not `sum`, the largest. All units of the cube must call this together.
+#[cube]
+pub fn store_gathered(own: &Array<f32>, gathered: &mut [f32], #[comptime] numbers: usize, #[comptime] sum: bool) {
+    let mut partial = Shared::<[f32]>::new_slice(comptime!(UNITS as usize * numbers));
+    let unit = UNIT_POS as usize;
+    #[unroll]
+    for number in 0..numbers {
+        partial[unit * numbers + number] = own[number];
+    }
+    sync_cube();
+    let mut at = unit;
+    while at < PIECES * numbers {
+        let (piece, number) = (at / numbers, at % numbers);
+        let mut value = 0.0f32;
+        for worker in 0..WORKERS {
+            let part = partial[(piece * WORKERS as usize + worker as usize) * numbers + number];
+            if comptime!(sum) {
+                value += part;
+            } else {
+                value = max(value, part);
+            }
+        }
+        gathered[CUBE_POS * PIECES * numbers + at] = value;
+        at += UNITS as usize;
+    }
 }
 
 /// The sum of one number of each unit of the cube, always in the same order.
@@ -174,16 +208,14 @@ fn counts_kernel(
 #[cube(launch)]
 fn pieces_kernel(rects: &[u32], size: &[u32], starts: &[u32], pieces: &mut [u32], count: u32, most: u32) {
     let at = ABSOLUTE_POS;
-    if at >= most as usize {
-        terminate!();
-    }
-    if (at as u32) < starts[count as usize] {
-        let i = owner(starts, 0u32, count, at as u32);
+    let total = starts[count as usize];
+    let i = own_owner(starts, count, total);
+    if (at as u32) < total {
         let rect = Rect::load(rects, i as usize);
         let from = (at as u32 - starts[i as usize]) * size[0];
         let end = min(rect.area(), from + size[0]);
         Piece { primitive: i, x0: rect.x0, x1: rect.x1, y0: rect.y0, from, end }.store(pieces, at);
-    } else {
+    } else if (at as u32) < most {
         Piece { primitive: 0u32, x0: 0u32, x1: 0u32, y0: 0u32, from: 0u32, end: 0u32 }.store(pieces, at);
     }
 }
@@ -194,8 +226,57 @@ pub struct Pieces {
     pub pieces: CubeTensor,
     /// [N + 1] the first piece of each rectangle
     pub starts: CubeTensor,
-    /// Bound of the number of pieces.
+    /// Bound of the number of pieces, a multiple of those of a cube.
     pub most: usize,
+}
+
+/// Adds what the pieces of every rectangle gathered, in their order: `taken` of the numbers, from the `first` on.
+#[cube(launch)]
+fn collect_kernel(
+    gathered: &[f32],
+    starts: &[u32],
+    sums: &mut [f32],
+    count: u32,
+    #[comptime] first: usize,
+    #[comptime] taken: usize,
+    #[comptime] numbers: usize,
+) {
+    let at = ABSOLUTE_POS;
+    if at >= count as usize * taken {
+        terminate!();
+    }
+    let (i, number) = (at / taken, at % taken);
+    let mut sum = 0.0f32;
+    for piece in starts[i]..starts[i + 1] {
+        sum += gathered[piece as usize * numbers + first + number];
+    }
+    sums[at] = sum;
+}
+
+impl Pieces {
+    /// A grid with [`WORKERS`] units for each piece.
+    pub fn gatherers(&self) -> CubeCount {
+        cubes(self.most / PIECES)
+    }
+
+    /// [N, `taken`] sums over the pieces of every rectangle of what they `gathered` [most, n], from number `first` on.
+    pub fn collect(&self, gathered: &CubeTensor, first: usize, taken: usize) -> CubeTensor {
+        let count = self.starts.shape()[0] - 1;
+        let sums = empty_f32(gathered, [count, taken]);
+        collect_kernel::launch(
+            &gathered.client.clone(),
+            units(count * taken),
+            cube_dim(),
+            buffer(gathered),
+            buffer(&self.starts),
+            buffer(&sums),
+            count as u32,
+            first,
+            taken,
+            gathered.shape()[1],
+        );
+        sums
+    }
 }
 
 /// The pixels of `rects` [N, 4] in pieces.
@@ -220,7 +301,7 @@ pub fn pieces(rects: &CubeTensor) -> Pieces {
         budget as f32 * 0.999,
     );
     let starts = scan::starts(&counts);
-    let most = count + budget;
+    let most = (count + budget).next_multiple_of(PIECES);
     let pieces = empty_u32(rects, [most, PIECE]);
     pieces_kernel::launch(
         &client,

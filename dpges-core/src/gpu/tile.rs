@@ -33,7 +33,13 @@ pub struct Pixel {
 /// The pixel of this unit in `tile`.
 #[cube]
 pub fn own_pixel(view: CameraUniforms, tile: u32) -> Pixel {
-    let (region, lane) = (UNIT_POS / LANES, UNIT_POS % LANES);
+    pixel_of(view, tile, UNIT_POS)
+}
+
+/// The pixel of a unit in `tile`.
+#[cube]
+pub fn pixel_of(view: CameraUniforms, tile: u32, unit: u32) -> Pixel {
+    let (region, lane) = (unit / LANES, unit % LANES);
     let column = tile % view.columns * TILE + region % REGION_COLUMNS * REGION_WIDTH + lane % REGION_WIDTH;
     let row = tile / view.columns * TILE + region / REGION_COLUMNS * REGION_HEIGHT + lane / REGION_WIDTH;
     let inside = column < view.width && row < view.height;

@@ -12,14 +12,13 @@ use crate::binning::cube::{Ellipses, TileList, bin};
 use crate::camera::Camera;
 use crate::footprint::gaussians::GaussianTensors;
 use crate::footprint::moments::MOMENTS;
+use crate::footprint::regions_cube::{WORDS, list_regions, mark_regions};
 use crate::footprint::splat_cube::{self, SPLAT, Splat, add_moments};
-use crate::gpu::gather::{largest, total, zeros};
-use crate::gpu::launch::{
-    GATHERED, HALVINGS, LANES, UNITS, buffer, cube_dim, cubes, empty_f32, floats, gatherers, units,
-};
-use crate::gpu::pieces::{Piece, Pieces, cube_has_pieces, pieces};
+use crate::gpu::gather::zeros;
+use crate::gpu::launch::{HALVINGS, LANES, UNITS, buffer, cube_dim, cubes, empty_f32, floats, units};
+use crate::gpu::pieces::{Piece, WORKERS, cube_has_pieces, pieces, store_gathered};
 use crate::gpu::record::Record;
-use crate::gpu::tile::{REGION_COLUMNS, REGION_HEIGHT, REGION_WIDTH, REGIONS, TILE, own_pixel, plane_of};
+use crate::gpu::tile::{REGIONS, own_pixel, plane_of};
 use crate::gpu::vector::{Vec3, row3};
 use crate::gpu::view::CameraUniforms;
 use crate::scene::ScreenFilter;
@@ -30,8 +29,6 @@ const CHANNELS: usize = 4;
 const COLOUR: usize = 3;
 /// A splat and its colour.
 const STAGED: usize = SPLAT + COLOUR;
-/// Numbers that hold a bit for each entry of a batch.
-const WORDS: usize = UNITS as usize / 32;
 /// What is gathered for a Gaussian: moments and the gradient of its colour.
 const SUMS: usize = MOMENTS + COLOUR;
 
@@ -59,41 +56,6 @@ fn ends_kernel(limits: &[f32], ends: &mut [f32], view: CameraUniforms, #[comptim
     }
     if UNIT_POS == 0u32 {
         ends[CUBE_POS] = furthest[0];
-    }
-}
-
-/// For every entry of a batch the regions of the tile that it can add to: bit r of its mask stands for region r.
-/// `ends` are the depths at which the regions end.
-#[cube]
-fn mark_regions(staged: &[f32], entries: u32, ends: &[f32], masks: &mut [u32], view: CameraUniforms) {
-    let mut mask = 0u32;
-    if UNIT_POS < entries {
-        let splat = Splat::load(staged, UNIT_POS as usize * STAGED);
-        let (left, top) = (CUBE_POS as u32 % view.columns * TILE, CUBE_POS as u32 / view.columns * TILE);
-        #[unroll]
-        for region in 0..REGIONS {
-            let across = comptime!(region as u32 % REGION_COLUMNS * REGION_WIDTH);
-            let down = comptime!(region as u32 / REGION_COLUMNS * REGION_HEIGHT);
-            let seen =
-                splat.depth < ends[region] && splat.reaches(left + across, top + down, REGION_WIDTH, REGION_HEIGHT);
-            mask |= select(seen, comptime!(1u32 << region), 0u32);
-        }
-    }
-    masks[UNIT_POS as usize] = mask;
-}
-
-/// For every region the entries of a batch that it must visit: bit b of number `[region, w]` stands for entry 32 w + b.
-#[cube]
-fn list_regions(masks: &[u32], visits: &mut [u32]) {
-    if UNIT_POS < comptime!((REGIONS * WORDS) as u32) {
-        let (region, word) = (UNIT_POS / WORDS as u32, UNIT_POS % WORDS as u32);
-        let mut bits = 0u32;
-        for step in 0..32u32 {
-            // units of one region begin at different banks of the memory
-            let bit = (step + word) % 32u32;
-            bits |= ((masks[(word * 32u32 + bit) as usize] >> region) & 1u32) << bit;
-        }
-        visits[UNIT_POS as usize] = bits;
     }
 }
 
@@ -148,10 +110,8 @@ fn splat_kernel(
     let batches = list.batches();
     for batch in 0..batches {
         let entries = list.stage(ids, batch, splats, colours, &mut staged, (SPLAT, COLOUR));
-        mark_regions(&staged, entries, &ends, &mut masks, view);
-        sync_cube();
+        mark_regions(&staged, entries, &ends, &mut masks, CUBE_POS as u32, view, STAGED);
         list_regions(&masks, &mut visits);
-        sync_cube();
         for word in 0..WORDS {
             let mut bits = visits[region * WORDS + word];
             while bits != 0u32 {
@@ -211,10 +171,7 @@ fn gather_kernel(
     most: u32,
     #[comptime] layers: usize,
 ) {
-    if CUBE_POS * GATHERED >= most as usize {
-        terminate!();
-    }
-    if !cube_has_pieces(pieces) {
+    if !cube_has_pieces(pieces, most) {
         terminate!();
     }
     let mut own = zeros(SUMS);
@@ -251,32 +208,10 @@ fn gather_kernel(
             let (next_column, next_row) = piece.next(stride, column, row);
             column = next_column;
             row = next_row;
-            p += LANES;
+            p += WORKERS;
         }
     }
-    let sum = total(&own, most, SUMS);
-    if sum.present {
-        sums[sum.primitive * SUMS + sum.number] = sum.value;
-    }
-}
-
-/// Adds the sums of the pieces of every Gaussian.
-#[cube(launch)]
-fn collect_kernel(sums: &[f32], starts: &[u32], moments: &mut [f32], grad_colours: &mut [f32], count: u32) {
-    let at = ABSOLUTE_POS;
-    if at >= count as usize * SUMS {
-        terminate!();
-    }
-    let (i, number) = (at / SUMS, at % SUMS);
-    let mut sum = 0.0f32;
-    for piece in starts[i]..starts[i + 1] {
-        sum += sums[piece as usize * SUMS + number];
-    }
-    if number < MOMENTS {
-        moments[i * MOMENTS + number] = sum;
-    } else {
-        grad_colours[i * COLOUR + number - MOMENTS] = sum;
-    }
+    store_gathered(&own, sums, SUMS, true);
 }
 
 /// Largest weight times gate of every Gaussian over the pixels of each piece.
@@ -291,10 +226,7 @@ fn contributions_kernel(
     most: u32,
     #[comptime] layers: usize,
 ) {
-    if CUBE_POS * GATHERED >= most as usize {
-        terminate!();
-    }
-    if !cube_has_pieces(pieces) {
+    if !cube_has_pieces(pieces, most) {
         terminate!();
     }
     let mut own = zeros(1usize);
@@ -321,13 +253,10 @@ fn contributions_kernel(
             let (next_column, next_row) = piece.next(stride, column, row);
             column = next_column;
             row = next_row;
-            p += LANES;
+            p += WORKERS;
         }
     }
-    let most_of_piece = largest(&own, most, 1usize);
-    if most_of_piece.present {
-        largest_of_pieces[most_of_piece.primitive] = most_of_piece.value;
-    }
+    store_gathered(&own, largest_of_pieces, 1usize, false);
 }
 
 /// Largest contribution of every Gaussian to a pixel.
@@ -397,19 +326,19 @@ impl SplatOps for CubeBackend {
         let (gaussians, limits, gates) = (gaussians.contiguous(), floats(limits), floats(gates));
         let (layers, count) = (limits.shape()[0], gaussians.opacities.shape()[0]);
         let (splats, rects) = splat_cube::splats(&gaussians, None, &camera, ScreenFilter::Compensated);
-        let Pieces { pieces, starts, most } = pieces(&rects);
-        let of_pieces = empty_f32(&limits, [most]);
+        let pieces = pieces(&rects);
+        let of_pieces = empty_f32(&limits, [pieces.most]);
         contributions_kernel::launch(
             &limits.client.clone(),
-            gatherers(most),
+            pieces.gatherers(),
             cube_dim(),
             buffer(&splats),
-            buffer(&pieces),
+            buffer(&pieces.pieces),
             buffer(&limits),
             buffer(&gates),
             buffer(&of_pieces),
             CameraUniforms::launch(&camera),
-            most as u32,
+            pieces.most as u32,
             layers,
         );
         let largest = empty_f32(&limits, [count]);
@@ -418,7 +347,7 @@ impl SplatOps for CubeBackend {
             units(count),
             cube_dim(),
             buffer(&of_pieces),
-            buffer(&starts),
+            buffer(&pieces.starts),
             buffer(&gaussians.colours),
             buffer(&largest),
             count as u32,
@@ -437,34 +366,25 @@ impl SplatBackwardOps for CubeBackend {
         let (gaussians, limits, grad) = (gaussians.contiguous(), floats(limits), floats(grad));
         let (client, layers, count) = (limits.client.clone(), limits.shape()[0], gaussians.opacities.shape()[0]);
         let (splats, rects) = splat_cube::splats(&gaussians, None, &camera, ScreenFilter::Compensated);
-        let Pieces { pieces, starts, most } = pieces(&rects);
-        let sums = empty_f32(&limits, [most, SUMS]);
+        let pieces = pieces(&rects);
+        let sums = empty_f32(&limits, [pieces.most, SUMS]);
         gather_kernel::launch(
             &client,
-            gatherers(most),
+            pieces.gatherers(),
             cube_dim(),
             buffer(&splats),
             buffer(&gaussians.colours),
-            buffer(&pieces),
+            buffer(&pieces.pieces),
             buffer(&limits),
             buffer(&grad),
             buffer(&sums),
             CameraUniforms::launch(&camera),
-            most as u32,
+            pieces.most as u32,
             layers,
         );
-        let moments = empty_f32(&limits, [count, MOMENTS]);
-        let out = GaussianTensors::empty(&limits, count);
-        collect_kernel::launch(
-            &client,
-            units(count * SUMS),
-            cube_dim(),
-            buffer(&sums),
-            buffer(&starts),
-            buffer(&moments),
-            buffer(&out.colours),
-            count as u32,
-        );
+        let moments = pieces.collect(&sums, 0, MOMENTS);
+        let mut out = GaussianTensors::empty(&limits, count);
+        out.colours = pieces.collect(&sums, MOMENTS, COLOUR);
         splat_cube::backward(&gaussians, &moments, &camera, ScreenFilter::Compensated, &out);
         out
     }

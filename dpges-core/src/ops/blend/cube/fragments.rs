@@ -212,6 +212,14 @@ pub struct Fragment {
     pub by_plane: f32,
 }
 
+/// An ellipse at the point (`x`, `y`) px.
+#[cube]
+pub fn on_ellipse(splat: Splat, x: f32, y: f32) -> Fragment {
+    let dy = y - splat.mean_y;
+    let weight = splat.weight(splat.u(x - splat.mean_x, dy), splat.r * dy);
+    Fragment { weight: select(splat.strength > 0.0f32, weight, 0.0f32), depth: splat.depth, by_plane: 1.0f32 }
+}
+
 /// Primitive `i` at the point (`x`, `y`) px.
 #[cube]
 pub fn fragment(
@@ -227,12 +235,9 @@ pub fn fragment(
     let mut depth = 1.0f32;
     let mut by_plane = 1.0f32;
     if comptime!(form == Form::Ellipsoids) {
-        let splat = Splat::load(shapes, i * SPLAT);
-        if splat.strength > 0.0f32 {
-            let dy = y - splat.mean_y;
-            weight = splat.weight(splat.u(x - splat.mean_x, dy), splat.r * dy);
-            depth = splat.depth;
-        }
+        let found = on_ellipse(Splat::load(shapes, i * SPLAT), x, y);
+        weight = found.weight;
+        depth = found.depth;
     } else {
         let plane = Plane::load(shapes, i * PLANE);
         let low_pass = LowPass::load(features, i * FEATURES + LOW_PASS);
