@@ -1,16 +1,16 @@
 //! `cargo bench -p dpges-benches --bench frame -- [DEVICE …]`: a large view, as users train them, on
-//! each of the named devices (`ndarray`, `flex`, `wgpu`; all that there are by default). The program is
-//! self-contained, to be carried to a machine with a GPU.
+//! each of the named devices (`ndarray`, `flex`, `wgpu`; all that there are by default). `dpges bench step` says more
+//! of the step.
 //!
 //! `--surfels`, `--gaussians`, `--width`, `--height` and `--repeats` change what is measured.
 
 use std::time::Instant;
 
 use burn::tensor::{DType, Device};
-use dpges_benches::training::{Training, Variant};
 use dpges_benches::{devices, machine};
 use dpges_core::render::{RenderOptions, Values, render_values};
 use dpges_core::testing::scenes::{TestScene, realistic};
+use dpges_train::step_cost::{Rounds, StepStage, Steps, measure as measure_step};
 
 struct Size {
     surfels: usize,
@@ -67,9 +67,11 @@ fn measure(name: &str, device: &Device, scene: &TestScene, repeats: usize) {
         _ = render_values(&surfels, &gaussians, &scene.camera, &options, Values::KnownFinite).expect("valid");
         device.sync().expect("the device runs");
     });
-    let mut training = Training::new(scene, device);
-    let step = median_ms(repeats, || _ = training.step(Variant::OWN));
-    println!("{name} ({device:?}): forward {forward:.2} ms, forward + backward + Adam {step:.2} ms");
+    let (scene, camera) = scene.clone().into_scene();
+    let mut steps = Steps::new(&scene, &[camera], StepStage::Joint, device).expect("valid");
+    let cost = measure_step(&mut steps, Rounds { warm_up: 2, counted: repeats }).expect("valid");
+    let launches = cost.gpu.map_or(String::new(), |gpu| format!(", {} launches", gpu.launches));
+    println!("{name} ({device:?}): forward {forward:.2} ms, training step {:.2} ms{launches}", cost.time.median_ms);
 }
 
 fn main() {

@@ -13,7 +13,8 @@ fn main() -> std::result::Result<(), Box<dyn std::error::Error>> {
     let eye = scene.info.extent * DVec3::new(0.6, -0.7, 0.4);
     let camera_from_world = CameraFromWorld::look_at(eye, DVec3::ZERO, DVec3::Z);
     let (width, height, near) = (320, 240, scene.info.near);
-    let camera = Camera { camera_from_world, fx: 300.0, fy: 300.0, cx: 160.0, cy: 120.0, width, height, near };
+    let camera =
+        Camera { camera_from_world, fx: 300.0, fy: 300.0, cx: 160.0, cy: 120.0, width, height, near, lens: None };
     let view = render(&surfels, &gaussians, &camera, &RenderOptions::from(&scene.info))?;
 
     let rows = view.composite.image.permute([1, 2, 0]).clamp(0.0, 1.0) * 255.0;

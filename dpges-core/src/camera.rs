@@ -1,10 +1,17 @@
-//! Pinhole cameras with OpenCV axes (x right, y down, z forward) and a free principal point. Pixel (column i, row j) is
-//! sampled at (i + 0.5, j + 0.5).
+//! Cameras with OpenCV axes (x right, y down, z forward) and a free principal point: pinholes, or with a [`Lens`]. Pixel
+//! (column i, row j) is sampled at (i + 0.5, j + 0.5).
+//!
+//! Depth is camera-space z, or the distance from the camera's centre for a lens that sees more than half the space
+//! ([`Lens::is_wide`]). A point is the centre plus its depth times the ray of its pixel.
+
+mod lens;
 
 use glam::{DMat3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
+
+pub use lens::{Distortion, Lens, Projection, Seen};
 
 /// Rigid motion from world to camera axes: `x_camera = rotation · x_world + translation`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -40,7 +47,7 @@ impl CameraFromWorld {
     }
 }
 
-/// Pinhole camera. Focal lengths and principal point in px, `near` in world units.
+/// A camera. Focal lengths and principal point in px, `near` in world units.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Camera {
     pub camera_from_world: CameraFromWorld,
@@ -50,16 +57,23 @@ pub struct Camera {
     pub cy: f64,
     pub width: usize,
     pub height: usize,
-    /// Near plane: fragments, and Gaussians by their centres, exist only beyond this camera-space z.
+    /// Fragments, and Gaussians by their centres, exist only beyond this depth.
     pub near: f64,
+    /// What makes it other than a pinhole camera.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lens: Option<Lens>,
 }
+
+/// A lens shows Gaussians whose centres appear up to this many times as far from the principal point as the farthest corner
+/// of the picture: farther out their footprints are no longer near ellipses (3DGS).
+const COVERAGE: f64 = 1.3;
 
 impl Camera {
     /// Checks that the camera can be rendered from, also in f32.
     ///
     /// # Errors
-    /// [`Error::Camera`] for an empty image, a focal length or near plane that is not positive, or any value that is not
-    /// finite, each as an f32.
+    /// [`Error::Camera`] for an empty image, a focal length or near plane that is not positive, any value that is not
+    /// finite, each as an f32, or a lens that shows nothing.
     pub fn validate(&self) -> Result<()> {
         let positive = |field, value: f64| {
             if (value as f32).is_finite() && value as f32 > 0.0 {
@@ -80,7 +94,34 @@ impl Camera {
         finite("cy", (self.cy as f32).is_finite(), self.cy.to_string())?;
         let pose = &self.camera_from_world;
         finite("rotation", pose.rotation.as_mat3().is_finite(), format!("{:?}", pose.rotation))?;
-        finite("translation", pose.translation.as_vec3().is_finite(), format!("{:?}", pose.translation))
+        finite("translation", pose.translation.as_vec3().is_finite(), format!("{:?}", pose.translation))?;
+        match &self.lens {
+            Some(lens) if !lens.is_sound() => {
+                let expected = "finite coefficients that keep it one to one around the principal point";
+                Err(Error::Camera { field: "lens", expected, found: format!("{:?}", lens.distortion()) })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Checks that it is a pinhole camera, for what draws nothing else.
+    ///
+    /// # Errors
+    /// [`Error::Camera`] if it has a lens.
+    pub fn require_pinhole(&self) -> Result<()> {
+        match &self.lens {
+            None => Ok(()),
+            Some(lens) => Err(Error::Camera {
+                field: "lens",
+                expected: "none: only pinhole cameras are possible here; undistort the photographs (`data.undistort`)",
+                found: format!("{:?}", lens.distortion().projection),
+            }),
+        }
+    }
+
+    /// The pinhole camera with the same intrinsics.
+    pub fn without_lens(&self) -> Self {
+        Self { lens: None, ..*self }
     }
 
     /// Camera centre in world units.
@@ -95,30 +136,44 @@ impl Camera {
         Self { fx: self.fx * sx, fy: self.fy * sy, cx: self.cx * sx, cy: self.cy * sy, width, height, ..*self }
     }
 
-    /// Camera-space z of a world point, world units.
+    /// Depth of a world point, world units.
     pub fn depth(&self, world: DVec3) -> f64 {
-        self.in_camera(world).z
+        let p = self.in_camera(world);
+        self.lens.map_or(p.z, |lens| lens.depth(p.to_array()))
+    }
+
+    /// Largest distance from the principal point, focal lengths, at which Gaussians are shown through a lens.
+    pub fn coverage(&self) -> f64 {
+        let across = self.cx.abs().max((self.width as f64 - self.cx).abs()) / self.fx;
+        let along = self.cy.abs().max((self.height as f64 - self.cy).abs()) / self.fy;
+        COVERAGE * across.hypot(along)
     }
 
     fn in_camera(&self, world: DVec3) -> DVec3 {
         self.camera_from_world.rotation * world + self.camera_from_world.translation
     }
 
-    /// Position in px and camera-space depth of a world point; `None` at or behind the near plane.
+    /// Position in px and depth of a world point; `None` at or behind the near plane, and where a lens does not see.
     pub fn project(&self, world: DVec3) -> Option<(f64, f64, f64)> {
         let p = self.in_camera(world);
+        if let Some(lens) = &self.lens {
+            let depth = lens.depth(p.to_array());
+            let [x, y] = lens.position(p.to_array()).filter(|_| depth > self.near)?;
+            return Some((self.fx * x + self.cx, self.fy * y + self.cy, depth));
+        }
         (p.z > self.near).then(|| (self.fx * p.x / p.z + self.cx, self.fy * p.y / p.z + self.cy, p.z))
     }
 
-    /// Row-major index of the pixel that shows a world point, and the camera-space depth of the point, world units; `None`
-    /// if it is not in the picture.
+    /// Row-major index of the pixel that shows a world point, and the depth of the point, world units; `None` if it is not
+    /// in the picture.
     pub fn pixel(&self, world: DVec3) -> Option<(usize, f64)> {
         let (x, y, depth) = self.project(world)?;
         let inside = x >= 0.0 && y >= 0.0 && x < self.width as f64 && y < self.height as f64;
         inside.then(|| (y as usize * self.width + x as usize, depth))
     }
 
-    /// Maps a pixel position (x, y, 1), px, to a vector in world axes along its ray, of camera-space z 1.
+    /// Maps a pixel position (x, y, 1), px, of the camera without its lens to a vector in world axes along its ray, of
+    /// camera-space z 1.
     pub fn world_from_pixel(&self) -> DMat3 {
         let camera_from_pixel = DMat3::from_cols(
             DVec3::new(1.0 / self.fx, 0.0, 0.0),
@@ -128,9 +183,21 @@ impl Camera {
         self.camera_from_world.rotation.transpose() * camera_from_pixel
     }
 
-    /// World point seen at pixel position (`x_px`, `y_px`) at camera-space z `depth`.
+    /// The ray through pixel position (`x_px`, `y_px`) in camera axes, of depth 1; `None` where a lens shows nothing.
+    pub fn ray(&self, x_px: f64, y_px: f64) -> Option<DVec3> {
+        let (x, y) = ((x_px - self.cx) / self.fx, (y_px - self.cy) / self.fy);
+        match &self.lens {
+            None => Some(DVec3::new(x, y, 1.0)),
+            Some(lens) => lens.ray([x, y]).map(DVec3::from),
+        }
+    }
+
+    /// World point seen at pixel position (`x_px`, `y_px`) at `depth`. Where a lens shows nothing, it is the nearest that it
+    /// shows.
     pub fn unproject(&self, x_px: f64, y_px: f64, depth: f64) -> DVec3 {
-        let p = DVec3::new((x_px - self.cx) / self.fx, (y_px - self.cy) / self.fy, 1.0) * depth;
+        let (x, y) = ((x_px - self.cx) / self.fx, (y_px - self.cy) / self.fy);
+        let ray = self.lens.map_or(DVec3::new(x, y, 1.0), |lens| lens.nearest_ray([x, y]).into());
+        let p = ray * depth;
         self.camera_from_world.rotation.transpose() * (p - self.camera_from_world.translation)
     }
 }
@@ -141,7 +208,17 @@ mod tests {
 
     fn camera() -> Camera {
         let pose = CameraFromWorld::look_at(DVec3::new(1.0, -3.0, 2.0), DVec3::ZERO, DVec3::Z);
-        Camera { camera_from_world: pose, fx: 60.0, fy: 70.0, cx: 20.0, cy: 11.0, width: 48, height: 32, near: 0.01 }
+        Camera {
+            camera_from_world: pose,
+            fx: 60.0,
+            fy: 70.0,
+            cx: 20.0,
+            cy: 11.0,
+            width: 48,
+            height: 32,
+            near: 0.01,
+            lens: None,
+        }
     }
 
     #[test]

@@ -33,6 +33,8 @@ pub mod atomic;
 pub mod binning;
 pub mod camera;
 #[cfg(feature = "burn")]
+pub mod counters;
+#[cfg(feature = "burn")]
 pub mod device;
 pub mod docs;
 pub mod error;
@@ -62,6 +64,8 @@ mod tape;
 pub mod tensor_file;
 #[cfg(any(test, feature = "testing"))]
 pub mod testing;
+#[cfg(feature = "burn")]
+pub mod tile_work;
 #[cfg(feature = "burn")]
 mod tiles;
 

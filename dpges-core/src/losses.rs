@@ -1,12 +1,17 @@
 //! The losses of DP-GES. Each is a function of tensors that returns a tensor `[1]`.
 
+pub mod depth;
 pub mod geometry;
+mod target;
+#[cfg(test)]
+mod tests;
 
 use burn::tensor::Tensor;
 
 use crate::error::Result;
 use crate::ops::ssim::ssim;
 use crate::render::Render;
+pub use target::{Mask, Target, mean_of_counted};
 
 /// Beyond this x, the tangent continues the exp(x) of the scale loss, so that one huge surfel neither overflows nor
 /// loses its gradient.
@@ -37,13 +42,16 @@ pub fn l1(image: Tensor<3>, target: Tensor<3>) -> Tensor<1> {
     (image - target).abs().mean()
 }
 
-/// L_rgb: `(1 − share) · L1 + share · (1 − SSIM)`, on the unclamped image.
+/// L_rgb: `(1 − share) · L1 + share · (1 − SSIM)`, on the unclamped image. Where pixels do not count, image and target
+/// are taken to be equal, and both means are those over the pixels that count.
 ///
 /// # Errors
 /// [`crate::Error::Shape`] if the images differ in shape.
-pub fn rgb(image: Tensor<3>, target: Tensor<3>, dssim_share: f64) -> Result<Tensor<1>> {
-    let similarity = ssim(&image, &target)?;
-    Ok(l1(image, target) * (1.0 - dssim_share) + (similarity * -1.0 + 1.0) * dssim_share)
+pub fn rgb(image: Tensor<3>, target: impl Into<Target>, dssim_share: f64) -> Result<Tensor<1>> {
+    target.into().compared(image, |image, target| {
+        let similarity = ssim(&image, &target)?;
+        Ok(l1(image, target) * (1.0 - dssim_share) + (similarity * -1.0 + 1.0) * dssim_share)
+    })
 }
 
 /// L_scale: the mean of exp(x), where x is the mean of a surfel's two scales divided by the mean scale of all surfels,
@@ -65,13 +73,17 @@ pub fn scale(log_scales: Tensor<2>) -> Tensor<1> {
 /// L_t: (1 − T_K)² averaged over all pixels. Pixels covered by fewer than two layers contribute neither value nor
 /// gradient.
 pub fn transmittance(render: &Render) -> Tensor<1> {
+    transmittance_within(render, None)
+}
+
+fn transmittance_within(render: &Render, mask: Option<&Mask>) -> Tensor<1> {
     let [count, height, width] = render.layers.alpha.dims();
     if count < 2 {
         return Tensor::zeros([1], (&render.layers.alpha.device(), render.layers.alpha.dtype()));
     }
     let last = render.composite.transmittance.clone().slice([count..count + 1, 0..height, 0..width]);
     let uncovered = render.layers.ids.clone().slice([1..2, 0..height, 0..width]).lower_elem(0);
-    (last * -1.0 + 1.0).powi_scalar(2).mask_fill(uncovered, 0.0).mean()
+    mean_of_counted((last * -1.0 + 1.0).powi_scalar(2).mask_fill(uncovered, 0.0), mask)
 }
 
 /// Mean over all pixels of the share of what is behind everything, background or environment, that surfels and Gaussians
@@ -95,15 +107,21 @@ pub struct Losses {
 }
 
 /// All terms for one rendered view. Terms of weight 0 are not part of the total, so no gradient flows through them.
-/// `log_scales` [N, 2] of the surfels, `target` [3, H, W].
+/// `log_scales` [N, 2] of the surfels, `target` [3, H, W]. Means over pixels are those over the pixels that count.
 ///
 /// # Errors
 /// [`crate::Error::Shape`] if the target does not fit the image.
-pub fn losses(render: &Render, log_scales: Tensor<2>, target: Tensor<3>, weights: &LossWeights) -> Result<Losses> {
+pub fn losses(
+    render: &Render,
+    log_scales: Tensor<2>,
+    target: impl Into<Target>,
+    weights: &LossWeights,
+) -> Result<Losses> {
+    let target = target.into();
     let rgb = rgb(render.composite.image.clone(), target.clone(), weights.dssim)?;
-    let surfel = l1(render.composite.surfel_image.clone(), target);
+    let surfel = target.compared(render.composite.surfel_image.clone(), |image, target| Ok(l1(image, target)))?;
     let scale = scale(log_scales);
-    let transmittance = transmittance(render);
+    let transmittance = transmittance_within(render, target.mask.as_ref());
     let mut total = rgb.clone();
     for (term, weight) in [(&surfel, weights.surfel), (&scale, weights.scale), (&transmittance, weights.transmittance)]
     {

@@ -1,7 +1,7 @@
 //! Three-vectors, matrices and rotations over either element type, and the derivative of a rotation
 //! with respect to its raw quaternion.
 
-use crate::camera::Camera;
+use crate::camera::{Camera, Lens};
 use crate::real::Real;
 
 pub type V3<T> = [T; 3];
@@ -117,6 +117,10 @@ pub struct CameraOf<T> {
     pub near: T,
     pub width: usize,
     pub height: usize,
+    /// In f64, whatever T: nothing of it is done for every pixel.
+    pub lens: Option<Lens>,
+    /// [`Camera::coverage`]
+    pub coverage: f64,
 }
 
 impl<T: Real> CameraOf<T> {
@@ -133,6 +137,28 @@ impl<T: Real> CameraOf<T> {
             near: T::of(camera.near),
             width: camera.width,
             height: camera.height,
+            lens: camera.lens,
+            coverage: camera.coverage(),
+        }
+    }
+
+    /// Depth of a point in camera axes.
+    #[inline(always)]
+    pub fn depth(&self, point: V3<T>) -> T {
+        match &self.lens {
+            None => point[2],
+            Some(lens) => T::of(lens.depth(point.map(T::as_f64))),
+        }
+    }
+
+    /// Gradient of the depth of a world point with respect to it, in world axes.
+    pub fn depth_slope(&self, world: V3<T>) -> V3<T> {
+        match &self.lens {
+            Some(lens) if lens.is_wide() => {
+                let point = self.transform(world);
+                apply_transposed(&self.rotation, scale(point, T::one() / self.depth(point)))
+            }
+            _ => self.rotation[2],
         }
     }
 

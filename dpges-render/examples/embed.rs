@@ -26,7 +26,8 @@ impl eframe::App for Turntable {
         let eye = 2.5 * DVec3::new(self.angle.cos(), self.angle.sin(), 0.5);
         let camera_from_world = CameraFromWorld::look_at(eye, DVec3::ZERO, DVec3::Z);
         let (f, c) = (SIZE as f64, 0.5 * SIZE as f64);
-        let camera = Camera { camera_from_world, fx: f, fy: f, cx: c, cy: c, width: SIZE, height: SIZE, near: 0.01 };
+        let camera =
+            Camera { camera_from_world, fx: f, fy: f, cx: c, cy: c, width: SIZE, height: SIZE, near: 0.01, lens: None };
         let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
         self.renderer.render(&mut encoder, &self.view, &camera, &self.options).expect("there is a scene");
         self.gpu.queue.submit([encoder.finish()]);

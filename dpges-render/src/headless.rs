@@ -153,6 +153,7 @@ impl Headless {
         format: wgpu::TextureFormat,
     ) -> Result<Vec<u8>> {
         camera.validate()?;
+        camera.require_pinhole()?;
         let (width, height) = (camera.width as u32, camera.height as u32);
         let side_px = self.device.limits().max_texture_dimension_2d;
         if width.max(height) > side_px {

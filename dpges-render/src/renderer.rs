@@ -155,7 +155,7 @@ impl Renderer {
     /// encoder, then call [`finish_frame`](Self::finish_frame).
     ///
     /// # Errors
-    /// [`RenderError::Input`] for a camera or an option out of range, [`RenderError::PictureTooLarge`],
+    /// [`RenderError::Input`] for a camera or an option out of range and for a camera with a lens, [`RenderError::PictureTooLarge`],
     /// [`RenderError::NoScene`], [`RenderError::Display`].
     pub fn render(
         &mut self,
@@ -165,6 +165,7 @@ impl Renderer {
         options: &RenderOptions,
     ) -> Result<()> {
         camera.validate()?;
+        camera.require_pinhole()?;
         options.validate()?;
         let rendering = self.scene.as_ref().ok_or(RenderError::NoScene)?.textures.info.rendering;
         let side_px = self.device.limits().max_texture_dimension_2d;

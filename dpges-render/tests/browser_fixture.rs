@@ -87,6 +87,7 @@ fn camera(scene: &SceneData, width: usize, height: usize) -> Camera {
         width,
         height,
         near: scene.info.near,
+        lens: None,
     }
 }
 

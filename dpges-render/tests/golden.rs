@@ -62,6 +62,7 @@ impl Golden {
             width: number("width") as usize,
             height: number("height") as usize,
             near: number("near"),
+            lens: None,
         };
         let lobes = file.tensor("gaussians.colour.lobes").unwrap().shape()[1];
         let model = ColourModel::SphericalBeta { lobes };

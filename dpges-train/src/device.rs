@@ -92,6 +92,18 @@ impl DeviceName {
         }
     }
 
+    /// Whether the device is a driver that emulates a GPU on the CPU, where times say nothing about GPUs.
+    pub fn is_software(self) -> bool {
+        match self {
+            #[cfg(feature = "gpu")]
+            Self::Gpu(choice) => {
+                choice.pick(adapter::adapters()).is_ok_and(|adapter| adapter.kind == choice::Kind::Software)
+            }
+            #[cfg(any(feature = "ndarray", feature = "flex"))]
+            _ => false,
+        }
+    }
+
     /// What the name stands for on this machine, as text for people.
     ///
     /// # Errors

@@ -3,11 +3,20 @@
 #[doc = include_str!("../docs/commands.md")]
 pub mod commands {}
 
+#[doc = include_str!("../docs/captures.md")]
+pub mod captures {}
+
 #[doc = include_str!("../docs/compression.md")]
 pub mod compression {}
 
 #[doc = include_str!("../docs/stages.md")]
 pub mod stages {}
+
+#[doc = include_str!("../docs/depth.md")]
+pub mod depth {}
+
+#[doc = include_str!("../docs/exposure.md")]
+pub mod exposure {}
 
 #[doc = include_str!("../docs/paper.md")]
 pub mod paper {}
@@ -35,3 +44,6 @@ pub mod trade {}
 
 #[doc = include_str!("../docs/popping.md")]
 pub mod popping {}
+
+#[doc = include_str!("../docs/step.md")]
+pub mod step {}

@@ -12,6 +12,7 @@
 //! | burn-wgpu | feature `gpu`: the graphics adapters of the machine |
 //! | glam | poses in f64 |
 //! | image, serde-ply | photographs; the points of nerfstudio datasets |
+//! | kamadak-exif | which camera and lens took a photograph |
 //! | kiddo | nearest neighbours: point spacing, margins, splits |
 //! | nalgebra | eigenvectors: the normals of points |
 //! | rand, rand_chacha | random numbers that a checkpoint can hold |
@@ -25,24 +26,31 @@
 //! | clap, ctrlc, indicatif, tracing, tracing-indicatif, tracing-subscriber | the command line |
 //! | mimalloc | the binary's allocator |
 
+pub mod check;
 pub mod compress;
 pub mod config;
 pub mod dataset;
 pub mod device;
 pub mod docs;
 pub mod eval;
+pub mod exposure;
 pub mod init;
 pub mod memory;
 pub mod metrics;
+mod names;
 pub mod neighbours;
 pub mod optimizer;
 pub mod pictures;
 pub mod popping;
+mod recent;
 pub mod refine;
 pub mod rendered;
 pub mod run;
 pub mod scene_state;
+pub mod sfm;
+pub mod sharpness;
 pub mod sight;
 pub mod simplify;
 pub mod splat_fit;
 mod stage;
+pub mod step_cost;

@@ -1,4 +1,4 @@
-//! The memory of this process.
+//! The memory of this process, and of the machine.
 
 /// Forgets the peak, so that it is measured anew; false where that cannot be done.
 pub fn reset_peak_memory() -> bool {
@@ -11,9 +11,21 @@ pub fn peak_memory_bytes() -> Option<u64> {
     peak_of(&std::fs::read_to_string("/proc/self/status").ok()?)
 }
 
+/// The memory of the machine, bytes, or what a container allows this process of it; `None` on systems other than Linux.
+pub fn machine_memory_bytes() -> Option<u64> {
+    let whole = kilobytes(&std::fs::read_to_string("/proc/meminfo").ok()?, "MemTotal:")?;
+    let allowed = std::fs::read_to_string("/sys/fs/cgroup/memory.max").ok();
+    Some(allowed.and_then(|text| text.trim().parse().ok()).map_or(whole, |allowed: u64| allowed.min(whole)))
+}
+
 /// The peak in the text of `/proc/self/status`.
 fn peak_of(status: &str) -> Option<u64> {
-    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    kilobytes(status, "VmHWM:")
+}
+
+/// The bytes in the line of `text` that begins with `key`.
+fn kilobytes(text: &str, key: &str) -> Option<u64> {
+    let line = text.lines().find_map(|line| line.strip_prefix(key))?;
     Some(line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()? * 1024)
 }
 
@@ -31,6 +43,7 @@ mod tests {
     #[cfg(target_os = "linux")]
     #[test]
     fn this_process_has_a_peak() {
-        assert!(peak_memory_bytes().is_some_and(|bytes| bytes > 1 << 20));
+        let peak = peak_memory_bytes().unwrap();
+        assert!(peak > 1 << 20 && machine_memory_bytes().is_some_and(|bytes| bytes > peak), "{peak}");
     }
 }

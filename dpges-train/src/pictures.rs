@@ -10,29 +10,38 @@ use dpges_render::{Rgb8Image, false_colour};
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 
-use crate::dataset::View;
+use crate::dataset::{Picture, View};
 use crate::metrics::flip_map;
 use crate::rendered::{Rendered, to_picture};
 
-/// Photograph · render · surfels only, if there are any · error, from left to right.
-pub fn comparison(view: &View, render: &Rendered) -> Rgb8Image {
-    let photograph = photograph(view);
+/// Photograph · render · surfels only, if there are any · error, from left to right. There is no error where pixels do not
+/// count.
+///
+/// # Errors
+/// [`dpges_core::Error::Io`] if the photograph cannot be read again.
+pub fn comparison(view: &View, render: &Rendered) -> Result<Rgb8Image> {
+    let picture = view.picture()?;
+    let photograph = photograph(&picture);
     let image = to_picture(render.image());
     let surfels = render.peeled().map(|render| to_picture(&render.composite.surfel_image));
-    let error = false_colour::error(&image, &photograph);
+    let error = false_colour::error(&where_it_counts(&picture, &image), &photograph);
     let parts: Vec<Rgb8Image> = [Some(photograph), Some(image), surfels, Some(error)].into_iter().flatten().collect();
-    Rgb8Image::beside(&parts)
+    Ok(Rgb8Image::beside(&parts))
 }
 
 /// Photograph · render · FLIP, dark blue where there is none and yellow where it is 1, from left to right.
-pub fn with_flip(view: &View, render: &Rendered) -> Rgb8Image {
-    let photograph = photograph(view);
+///
+/// # Errors
+/// [`dpges_core::Error::Io`] if the photograph cannot be read again.
+pub fn with_flip(view: &View, render: &Rendered) -> Result<Rgb8Image> {
+    let picture = view.picture()?;
+    let photograph = photograph(&picture);
     let image = to_picture(render.image());
     let (width, height) = (photograph.width, photograph.height);
-    let [reference, test] = [&photograph, &image].map(planes);
+    let [reference, test] = [&photograph, &where_it_counts(&picture, &image)].map(planes);
     let errors = flip_map(&reference, &test, width, height);
     let flip = Rgb8Image::from_pixels(width, height, errors.iter().map(|&error| false_colour::ramp(error as f32)));
-    Rgb8Image::beside(&[photograph, image, flip])
+    Ok(Rgb8Image::beside(&[photograph, image, flip]))
 }
 
 /// [3, height, width], from 0 to 1.
@@ -42,19 +51,34 @@ fn planes(image: &Rgb8Image) -> Vec<f32> {
 }
 
 /// Two rows: photograph · each of `renders`, which have its size; and below each its error.
-pub fn sheet(view: &View, renders: &[Rgb8Image]) -> Rgb8Image {
-    let photograph = photograph(view);
+///
+/// # Errors
+/// [`dpges_core::Error::Io`] if the photograph cannot be read again.
+pub fn sheet(view: &View, renders: &[Rgb8Image]) -> Result<Rgb8Image> {
+    let picture = view.picture()?;
+    let photograph = photograph(&picture);
     let (width, height) = (photograph.width, photograph.height);
-    let errors = renders.iter().map(|render| false_colour::error(render, &photograph));
+    let error = |render: &Rgb8Image| false_colour::error(&where_it_counts(&picture, render), &photograph);
+    let errors = renders.iter().map(error);
     let nothing = Rgb8Image { width, height, bytes: vec![255; 3 * width * height] };
     let below: Vec<Rgb8Image> = std::iter::once(nothing).chain(errors).collect();
     let above: Vec<Rgb8Image> = std::iter::once(photograph).chain(renders.iter().cloned()).collect();
-    Rgb8Image::below(&[Rgb8Image::beside(&above), Rgb8Image::beside(&below)])
+    Ok(Rgb8Image::below(&[Rgb8Image::beside(&above), Rgb8Image::beside(&below)]))
 }
 
-fn photograph(view: &View) -> Rgb8Image {
-    let picture = &view.picture;
-    Rgb8Image::from_planes(&picture.planes, picture.width, picture.height)
+/// `image` with the `photograph` where pixels do not count.
+fn where_it_counts(photograph: &Picture, image: &Rgb8Image) -> Rgb8Image {
+    let mut shown = image.clone();
+    let pixels = shown.bytes.chunks_exact_mut(3).zip(photograph.bytes.chunks_exact(3)).enumerate();
+    for (_, (shown, photograph)) in pixels.filter(|(pixel, _)| !photograph.counts(*pixel)) {
+        shown.copy_from_slice(photograph);
+    }
+    shown
+}
+
+/// A photograph as a picture to show.
+pub fn photograph(picture: &Picture) -> Rgb8Image {
+    Rgb8Image { width: picture.width, height: picture.height, bytes: picture.bytes.clone() }
 }
 
 /// Writes a PNG. It replaces an existing file only once it is complete.
@@ -113,9 +137,9 @@ mod tests {
     #[test]
     fn a_sheet_has_errors_below_renders() {
         let view = views(&["a"]).remove(0);
-        let exact = photograph(&view);
+        let exact = photograph(&view.picture().unwrap());
         let wrong = Rgb8Image { bytes: exact.bytes.iter().map(|byte| byte ^ 0x80).collect(), ..exact.clone() };
-        let sheet = sheet(&view, &[exact.clone(), wrong.clone()]);
+        let sheet = sheet(&view, &[exact.clone(), wrong.clone()]).unwrap();
         // three columns and two rows of 2 x 2 px, 2 px apart
         assert_eq!((sheet.width, sheet.height), (10, 6));
         let part = |column: usize, row: usize| -> Vec<u8> {
@@ -125,6 +149,18 @@ mod tests {
         assert_eq!([part(0, 0), part(1, 0), part(2, 0)], [exact.bytes.clone(), exact.bytes, wrong.bytes]);
         let of_ramp = |value: f32| false_colour::ramp(value).repeat(4);
         assert_eq!([part(0, 1), part(1, 1), part(2, 1)], [vec![255; 12], of_ramp(0.0), of_ramp(1.0)]);
+    }
+
+    #[test]
+    fn there_is_no_error_where_pixels_do_not_count() {
+        let mut view = views(&["a"]).remove(0);
+        view.repaint(|picture| picture.counted = Some(vec![true, false, true, true])).unwrap();
+        let picture = view.picture().unwrap();
+        let exact = photograph(&picture);
+        let wrong = Rgb8Image { bytes: exact.bytes.iter().map(|byte| byte ^ 0x80).collect(), ..exact.clone() };
+        let shown = where_it_counts(&picture, &wrong);
+        assert_eq!((&shown.bytes[3..6], &shown.bytes[..3]), (&exact.bytes[3..6], &wrong.bytes[..3]));
+        assert_eq!(shown.bytes[6..], wrong.bytes[6..]);
     }
 
     #[test]

@@ -35,7 +35,7 @@ impl Rates {
 
     fn of(&self, group: RateGroup) -> f64 {
         match group {
-            RateGroup::Fixed | RateGroup::Environment => 0.0,
+            RateGroup::Fixed | RateGroup::Environment | RateGroup::Exposure => 0.0,
             RateGroup::Positions => self.positions,
             RateGroup::Quaternions => self.quaternions,
             RateGroup::LogScales => self.log_scales,

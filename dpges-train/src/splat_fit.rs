@@ -26,7 +26,7 @@ use crate::scene_state::{GaussianState, Rates};
 ///
 /// # Errors
 /// [`Error::Option`] if the scene is not one of ellipsoids or there are no views, [`Error::NonFinite`] if a gradient is
-/// not finite, and those of [`render_blended`].
+/// not finite, [`Error::Io`] if a photograph cannot be read again, and those of [`render_blended`].
 pub fn fit(
     scene: &SceneData,
     views: &[View],
@@ -50,6 +50,9 @@ pub fn fit(
             remaining.shuffle(&mut rng);
         }
         let Some(view) = remaining.pop() else { break };
+        if let Some(next) = remaining.last() {
+            next.photograph.read_ahead();
+        }
         let leaves = state.leaves();
         let values = if completed == 0 { Values::Unknown } else { Values::KnownFinite };
         let rendered = render_blended(&leaves.values, None, &view.camera, &options, values)?;
@@ -58,7 +61,7 @@ pub fn fit(
             None => rendered,
         }
         .image;
-        let loss = rgb(image, view.target(&device.clone().autodiff()), config.train.lambda_dssim)?;
+        let loss = rgb(image, view.target(&device.clone().autodiff())?, config.train.lambda_dssim)?;
         let mut gradients = loss.backward();
         let found = state.gradients(&leaves.raw, &mut gradients);
         let mut checks = FiniteChecks::default();

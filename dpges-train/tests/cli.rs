@@ -149,6 +149,24 @@ fn what_is_missing_is_exit_code_1_and_named() {
 }
 
 #[test]
+fn a_dataset_is_checked() {
+    let folder = folder();
+    let at = folder.path();
+    let text = ok(at, &["data", "builtin", "--max-resolution", "48", "--json", "a.json", "--out", "pictures"]);
+    for part in ["24 for training, 6 held out", "48 x 48 px", "points seen", "contact_sheet.png", "cameras.svg"] {
+        assert!(text.contains(part), "{part}: {text}");
+    }
+    let report = json(at.join("a.json"));
+    assert_eq!(report["views"].as_array().unwrap().len(), 30);
+    assert!(report["views"][0]["exposure"].is_f64(), "{report}");
+    let sheet = image::open(at.join("pictures/contact_sheet.png")).unwrap();
+    assert!(sheet.width() > 1000 && sheet.height() > 500);
+    assert!(String::from_utf8(bytes(at.join("pictures/cameras.svg"))).unwrap().contains("from the side"));
+    assert!(fails(at, 1, &["data", "nowhere"]).contains("nowhere"));
+    assert!(fails(at, 2, &["data"]).contains("<DATASET>"));
+}
+
+#[test]
 fn a_run_writes_everything_and_can_be_measured_and_shown() {
     let folder = folder();
     let at = folder.path();
@@ -998,4 +1016,37 @@ fn an_interrupted_run_resumes_to_the_same_scene() {
         let pictures = |run: &str| png_names(&at.join(run).join("pictures"));
         assert_eq!(pictures("whole"), pictures(run));
     }
+}
+
+#[test]
+fn bench_step_measures_with_and_without_files() {
+    let folder = folder();
+    let small = ["--device=cpu", "--size=48x32", "--rounds=2", "--warm-up=0"];
+    let made = [
+        "bench",
+        "step",
+        "realistic",
+        "--surfels=50",
+        "--gaussians=200",
+        "--json=step.json",
+        "--save-scene=a.safetensors",
+    ];
+    let table = ok(folder.path(), &[&made[..], &small].concat());
+    assert!(table.starts_with("joint step, 50 surfels, 200 Gaussians, 1 view of 48x32 px, on burn-ndarray"), "{table}");
+    let found = json(folder.path().join("step.json"));
+    assert!(
+        found["hardware"] == "cpu" && found["gpu"].is_null() && found["not_measured"].as_array().unwrap().len() == 1
+    );
+    assert!(found["time"]["steps"] == 2 && found["time"]["median_ms"].as_f64().unwrap() > 0.0, "{found}");
+    assert!(found["lists"]["gaussians"]["inside_pairs"].as_u64().unwrap() > 0, "{found}");
+    assert_eq!((&found["camera"]["cx"], &found["camera"]["cy"]), (&json!(24.0), &json!(16.0)));
+
+    let again = ["bench", "step", "a.safetensors", "--data=builtin", "--cameras=2", "--stage=blended"];
+    let table = ok(folder.path(), &[&again[..], &small].concat());
+    assert!(table.starts_with("mcmc step, 0 surfels, 200 Gaussians, 2 views of 48x32 px"), "{table}");
+
+    let without = ["bench", "step", "realistic", "--surfels=0", "--gaussians=0", "--device=cpu"];
+    assert!(fails(folder.path(), 2, &without).contains("nothing to train"));
+    let wrong = fails(folder.path(), 2, &["bench", "step", "realistic", "--stage=mixed"]);
+    assert!(wrong.contains("mixed") && wrong.contains("joint (surfels and Gaussians)"), "{wrong}");
 }

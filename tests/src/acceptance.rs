@@ -77,6 +77,7 @@ fn facing_camera(size: usize) -> Camera {
         width: size,
         height: size,
         near: 0.2,
+        lens: None,
     }
 }
 

@@ -6,7 +6,7 @@ use burn::tensor::{DType, Device};
 use dpges_train::device::DeviceName;
 use libtest_mimic::Trial;
 
-use crate::{extremes, golden, gpu, lpips, parity, timing, training};
+use crate::{extremes, golden, gpu, lpips, parity, step_cost, training};
 
 /// Every function named, with its name.
 macro_rules! named {
@@ -23,6 +23,7 @@ pub fn trials() -> Vec<Trial> {
         parity::every_operation_agrees_for_every_number_of_layers_and_footprint,
         parity::every_operation_agrees_on_a_realistic_scene,
         parity::every_operation_agrees_with_nothing_to_show,
+        parity::every_operation_agrees_through_lenses,
         parity::sorted_blending_agrees_on_random_scenes,
         parity::sorted_blending_agrees_in_a_crowd,
         parity::sorted_blending_agrees_with_little_or_nothing_to_show,
@@ -34,9 +35,10 @@ pub fn trials() -> Vec<Trial> {
         parity::doubles_on_a_gpu_are_refused_by_name,
         lpips::a_gpu_agrees_with_a_cpu,
         gpu::starts_once,
-        timing::everything,
         training::a_gpu_trains_as_well_as_a_cpu,
         training::a_deterministic_run_on_a_gpu_is_the_same_bytes_every_time,
+        step_cost::a_step_is_counted_alike_every_time,
+        step_cost::a_blended_step_is_counted,
     ];
     let device = best();
     let required = std::env::var("DPGES_REQUIRE_GPU").is_ok_and(|value| value == "1");

@@ -30,8 +30,8 @@ fn partly_wrong() -> Dataset {
     let options =
         BuiltinOptions { width: size, height: size, train_views: 10, test_views: 4, points: 300, ..Default::default() };
     let mut data = builtin(&options);
-    let planes = &mut data.train[1].picture.planes;
-    planes.iter_mut().step_by(101).for_each(|value| *value = 1.0 - value.round());
+    let spoil = |value: &mut u8| *value = if *value < 128 { 255 } else { 0 };
+    data.train[1].repaint(|picture| picture.bytes.iter_mut().step_by(101).for_each(spoil)).unwrap();
     let mut twin = data.train[2].clone();
     twin.name = "twin.png".to_owned();
     data.train.push(twin);

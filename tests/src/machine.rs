@@ -9,7 +9,7 @@ mod lpips;
 mod parity;
 mod raster;
 mod reference;
-mod timing;
+mod step_cost;
 mod training;
 
 use std::process::ExitCode;

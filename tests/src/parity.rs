@@ -2,12 +2,16 @@
 
 use burn::tensor::{DType, Device};
 use dpges_core::binning::cap_lists;
+use dpges_core::camera::{Camera, CameraFromWorld, Lens};
 use dpges_core::ops::blend::{BlendOptions, Form};
 use dpges_core::ops::peel::PeelOptions;
 use dpges_core::scene::{ColourModel, Footprint, ScreenFilter};
+use dpges_core::testing::lenses::{behind, every_model};
 use dpges_core::testing::limit_buffers;
 use dpges_core::testing::parity::{Bench, Named, Reference, distances};
 use dpges_core::testing::scenes::{self, Recipe, TestScene};
+
+use glam::DVec3;
 
 use crate::devices::ndarray;
 
@@ -96,6 +100,20 @@ pub fn every_operation_agrees_with_nothing_to_show(device: Device) {
     for (surfels, gaussians) in [(0, 0), (5, 0), (0, 5)] {
         let scene = scenes::random(50, &Recipe { surfels, gaussians, ..Recipe::default() });
         check(&format!("{surfels} surfels, {gaussians} Gaussians"), &scene, PeelOptions::default(), &device);
+    }
+}
+
+/// Through a lens of every model. Wide ones stand within the scene and see 150° across their picture, others as before.
+pub fn every_operation_agrees_through_lenses(device: Device) {
+    for (seed, (name, lens)) in (100..).zip(every_model()) {
+        let mut scene = random(seed, ColourModel::SphericalBeta { lobes: 0 });
+        if Lens::new(lens).is_wide() {
+            let pose = CameraFromWorld::look_at(DVec3::new(0.2, -0.3, 0.1), DVec3::new(1.0, 0.4, -0.2), DVec3::Z);
+            scene.camera = Camera { camera_from_world: pose, near: 0.2, ..scene.camera };
+        }
+        scene.camera = behind(scene.camera, lens, 150.0);
+        check(name, &scene, PeelOptions::default(), &device);
+        check_blending(name, &scene, &FORMS[..2], &device);
     }
 }
 

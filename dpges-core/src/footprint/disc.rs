@@ -1,6 +1,6 @@
 //! One surfel seen by one camera: where a ray meets its disc, and which pixels it can reach.
 
-use super::CUTOFF;
+use super::{CUTOFF, lens_reach};
 use crate::math::{CameraOf, M3, V3, add, apply_transposed, column, cross, dot, rotation, rotation_backward, scale};
 use crate::real::Real;
 use crate::scene::Footprint;
@@ -17,11 +17,13 @@ pub const LARGEST_LOG_SCALE: f64 = 80.0;
 /// `u = r·(t_v × c) / (r·n s_u)`, `v = r·(c × t_u) / (r·n s_v)`, `z = n·c / r·n`. The two triple
 /// products vanish at the projected centre, which is the anchor where there is one: a small, far
 /// surfel then loses nothing to cancellation.
+///
+/// Through a lens they are linear functions of the ray instead, by its components z, x and y, and the anchor is 0.
 #[derive(Clone, Copy, Debug)]
 pub struct Plane<T> {
     /// px
     pub anchor: [T; 2],
-    /// Value at the anchor, slope per px in x, slope per px in y.
+    /// Value at the anchor, slope per px in x, slope per px in y; or slopes in z, x and y of the ray.
     pub u: [T; 3],
     pub v: [T; 3],
     pub facing: [T; 3],
@@ -47,6 +49,17 @@ impl<T: Real> Plane<T> {
         let u = (self.u[0] + self.u[1] * dx + self.u[2] * dy) * inverse;
         let v = (self.v[0] + self.v[1] * dx + self.v[2] * dy) * inverse;
         [u, v, self.distance * inverse, facing]
+    }
+
+    /// Where a ray through a lens meets the plane of the disc.
+    #[inline(always)]
+    pub fn hit_by(&self, [x, y, z]: V3<T>) -> Hit<T> {
+        let along = |linear: &[T; 3]| linear[0] * z + linear[1] * x + linear[2] * y;
+        let facing = along(&self.facing);
+        let inverse = T::one() / facing;
+        let (u, v) = (along(&self.u) * inverse, along(&self.v) * inverse);
+        let kernel = (T::of(-0.5) * (u * u + v * v)).exp_nonpositive();
+        Hit { u, v, depth: self.distance * inverse, facing, kernel }
     }
 
     /// Where the ray through the point (`x`, `y`) px meets the plane of the disc.
@@ -88,7 +101,8 @@ pub struct Disc {
 /// Gradients of the linear functions of a surfel, summed over its pixels.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct DiscGrad {
-    /// Of r·(t_v × c): at the anchor, times offset in x, times offset in y (offsets in units of the ray).
+    /// Of r·(t_v × c): at the anchor, times offset in x, times offset in y (offsets in units of the ray). Through a lens
+    /// times z, x and y of the ray.
     pub u: V3<f64>,
     pub v: V3<f64>,
     pub facing: V3<f64>,
@@ -114,14 +128,19 @@ impl Disc {
         let axes: M3<f64> =
             std::array::from_fn(|i| std::array::from_fn(|j| dot(camera.rotation[i], column(&world, j))));
         let [tangent_u, tangent_v, normal] = [0, 1, 2].map(|j| column(&axes, j));
-        let centred = centre[2] > camera.near;
+        let centred = centre[2] > camera.near && camera.lens.is_none();
         let anchor_ray = if centred { [centre[0] / centre[2], centre[1] / centre[2], 1.0] } else { [0.0, 0.0, 1.0] };
-        let anchor = [anchor_ray[0] * camera.fx + camera.cx, anchor_ray[1] * camera.fy + camera.cy];
+        // through a lens, functions of the ray itself
+        let [fx, fy, cx, cy] = match camera.lens {
+            None => [camera.fx, camera.fy, camera.cx, camera.cy],
+            Some(_) => [1.0, 1.0, 0.0, 0.0],
+        };
+        let anchor = [anchor_ray[0] * fx + cx, anchor_ray[1] * fy + cy];
         let scales = surfel.log_scales.map(|s| s.min(LARGEST_LOG_SCALE).exp());
         let (along_u, along_v) = (cross(tangent_v, centre), cross(centre, tangent_u));
         let linear = |k: V3<f64>, vanishes: bool| {
             let at_anchor = if vanishes { 0.0 } else { dot(anchor_ray, k) };
-            [at_anchor, k[0] / camera.fx, k[1] / camera.fy]
+            [at_anchor, k[0] / fx, k[1] / fy]
         };
         let plane = Plane {
             anchor,
@@ -133,18 +152,16 @@ impl Disc {
         Self { plane, anchor_ray, centre, axes, scales, centred }
     }
 
-    /// Adds one pixel, given the gradients with respect to its kernel value and its depth.
+    /// What the linear functions are functions of, at a pixel: 1 and the offset from the anchor in units of the ray.
     #[inline(always)]
-    pub fn accumulate(
-        &self,
-        camera: &CameraOf<f64>,
-        [x, y]: [f64; 2],
-        hit: &Hit<f64>,
-        grad_kernel: f64,
-        grad_depth: f64,
-        sum: &mut DiscGrad,
-    ) {
-        let offset = [1.0, (x - self.plane.anchor[0]) / camera.fx, (y - self.plane.anchor[1]) / camera.fy];
+    pub fn offset(&self, camera: &CameraOf<f64>, [x, y]: [f64; 2]) -> V3<f64> {
+        [1.0, (x - self.plane.anchor[0]) / camera.fx, (y - self.plane.anchor[1]) / camera.fy]
+    }
+
+    /// Adds one pixel at an [`offset`](Self::offset), or at z, x and y of its ray through a lens, given the gradients with
+    /// respect to its kernel value and its depth.
+    #[inline(always)]
+    pub fn accumulate(&self, offset: V3<f64>, hit: &Hit<f64>, grad_kernel: f64, grad_depth: f64, sum: &mut DiscGrad) {
         let grad_u = -grad_kernel * hit.kernel * hit.u;
         let grad_v = -grad_kernel * hit.kernel * hit.v;
         let towards_u = grad_u / (hit.facing * self.scales[0]);
@@ -182,10 +199,19 @@ impl Disc {
         (apply_transposed(&camera.rotation, grad_centre), rotation_backward(quaternion, &grad_rotation), sum.log_scales)
     }
 
-    /// Pixels that the footprint of the surfel can reach, exactly (the bound of 2DGS, cut by the near plane).
+    /// Pixels that the footprint of the surfel can reach, exactly (the bound of 2DGS, cut by the near plane); through a lens
+    /// a bound of them.
     pub fn reach(&self, camera: &CameraOf<f64>, radius: f64) -> PixelRect {
         let c = self.centre;
         let [a, b] = [0, 1].map(|j| scale(column(&self.axes, j), radius * self.scales[j]));
+        if let Some(lens) = &camera.lens {
+            let Some([x0, x1, y0, y1]) = lens_reach::bounds(lens, c, [a, b]) else {
+                return PixelRect::EMPTY;
+            };
+            let (across, down) = (|x: f64| x * camera.fx + camera.cx, |y: f64| y * camera.fy + camera.cy);
+            let bounds = [across(x0), across(x1), down(y0), down(y1)];
+            return PixelRect::covering(bounds, camera.width, camera.height);
+        }
         let along = |i: usize| slope_range([c[i], c[2]], [a[i], a[2]], [b[i], b[2]], camera.near);
         let (Some(x), Some(y)) = (along(0), along(1)) else {
             return PixelRect::EMPTY;
@@ -220,7 +246,7 @@ impl Footprint {
 ///
 /// The extremes are the two lines through the eye tangent to the ellipse, as far as they touch it
 /// in front of the near plane, and the ends of the chord in which the near plane cuts it.
-fn slope_range([cx, cz]: [f64; 2], [ax, az]: [f64; 2], [bx, bz]: [f64; 2], near: f64) -> Option<[f64; 2]> {
+pub fn slope_range([cx, cz]: [f64; 2], [ax, az]: [f64; 2], [bx, bz]: [f64; 2], near: f64) -> Option<[f64; 2]> {
     let reach = az.hypot(bz);
     if cz + reach <= near {
         return None;

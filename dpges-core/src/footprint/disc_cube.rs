@@ -5,6 +5,7 @@
 
 mod bounds;
 mod exact;
+mod lens_bounds;
 
 use burn::backend::TensorMetadata;
 use burn_cubecl::tensor::CubeTensor;
@@ -12,10 +13,11 @@ use cubecl::prelude::*;
 
 pub use self::bounds::reach;
 use self::exact::store_plane;
-pub use self::exact::{disc_of, exact_disc, exact_hit};
+pub use self::exact::{disc_of, exact_disc, exact_hit_by};
 use super::disc as on_cpu;
 use crate::camera::Camera;
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, empty_u32, units};
+use crate::gpu::lens::LensKind;
 use crate::gpu::record::{Record, record};
 use crate::gpu::rect::RECT;
 use crate::gpu::vector::{
@@ -47,10 +49,16 @@ impl Linear {
     fn at(&self, dx: f32, dy: f32) -> f32 {
         self.constant + self.across * dx + self.down * dy
     }
+
+    /// Value for a ray through a lens: its constant is the slope in z.
+    fn of(&self, ray: Vec3) -> f32 {
+        self.constant * ray.z + self.across * ray.x + self.down * ray.y
+    }
 }
 
 record! {
-    /// A disc as linear functions of the pixel position relative to an anchor ([`on_cpu::Plane`]).
+    /// A disc as linear functions of the pixel position relative to an anchor, or of the ray through a lens
+    /// ([`on_cpu::Plane`]).
     pub struct Plane {
         /// px
         pub anchor_x: f32,
@@ -68,6 +76,24 @@ impl Plane {
     pub fn hit(&self, x: f32, y: f32) -> Hit {
         let (dx, dy) = (x - self.anchor_x, y - self.anchor_y);
         meeting(self.u.at(dx, dy), self.v.at(dx, dy), self.facing.at(dx, dy), self.distance)
+    }
+
+    /// Where it is met at a pixel with this [`sight`](crate::gpu::view::sight).
+    pub fn hit_by(&self, view: CameraUniforms, sight: Vec3) -> Hit {
+        if comptime!(view.lens.kind == LensKind::None) {
+            self.hit(sight.x, sight.y)
+        } else {
+            meeting(self.u.of(sight), self.v.of(sight), self.facing.of(sight), self.distance)
+        }
+    }
+
+    /// What the linear functions are multiples of at a pixel: constant, across, down.
+    pub fn shares(&self, view: CameraUniforms, sight: Vec3) -> Vec3 {
+        if comptime!(view.lens.kind == LensKind::None) {
+            vec3(1.0f32, (sight.x - self.anchor_x) / view.fx, (sight.y - self.anchor_y) / view.fy)
+        } else {
+            vec3(sight.z, sight.x, sight.y)
+        }
     }
 }
 
@@ -127,6 +153,19 @@ pub fn add_disc_sums(
     #[comptime] of_kernel: bool,
     #[comptime] of_depth: bool,
 ) -> Vec3 {
+    add_sums(own, pixel, 1.0f32, of_kernel, of_depth)
+}
+
+/// [`add_disc_sums`] at a pixel where the constant of the linear functions counts `constant` times: 1, or z of the ray
+/// through a lens.
+#[cube]
+pub fn add_sums(
+    own: &mut Array<f32>,
+    pixel: DiscPixel,
+    constant: f32,
+    #[comptime] of_kernel: bool,
+    #[comptime] of_depth: bool,
+) -> Vec3 {
     let hit = pixel.hit;
     let mut towards_u = 0.0f32;
     let mut towards_v = 0.0f32;
@@ -137,10 +176,10 @@ pub fn add_disc_sums(
         towards_u = grad_u / (hit.facing * pixel.scale_u);
         towards_v = grad_v / (hit.facing * pixel.scale_v);
         along = grad_u * hit.u + grad_v * hit.v;
-        own[0] += towards_u;
+        own[0] += towards_u * constant;
         own[1] += towards_u * pixel.across;
         own[2] += towards_u * pixel.down;
-        own[3] += towards_v;
+        own[3] += towards_v * constant;
         own[4] += towards_v * pixel.across;
         own[5] += towards_v * pixel.down;
         own[10] -= grad_u * hit.u;
@@ -152,7 +191,7 @@ pub fn add_disc_sums(
         own[9] += towards_distance;
     }
     let towards_facing = -along / hit.facing;
-    own[6] += towards_facing;
+    own[6] += towards_facing * constant;
     own[7] += towards_facing * pixel.across;
     own[8] += towards_facing * pixel.down;
     vec3(towards_u, towards_v, towards_distance)

@@ -3,7 +3,10 @@
 
 use super::CUTOFF;
 use super::moments::MOMENTS;
-use crate::math::{CameraOf, M3, V3, add, apply_transposed, column, cross, dot, rotation, rotation_backward, scale};
+use crate::camera::{Lens, Seen};
+use crate::math::{
+    CameraOf, M3, V3, add, apply, apply_transposed, column, cross, dot, rotation, rotation_backward, scale,
+};
 use crate::real::Real;
 use crate::scene::ScreenFilter;
 use crate::tiles::{PixelRect, TILE};
@@ -35,7 +38,7 @@ pub struct Splat<T> {
     variances: [T; 2],
     /// Opacity times the compensation for the low-pass filter, if it has one.
     pub strength: T,
-    /// Camera-space z of the centre.
+    /// Depth of the centre.
     pub depth: T,
     pub colour: V3<T>,
     /// Value of the quadratic form at the cutoff 1/255.
@@ -56,6 +59,8 @@ struct Projection<T> {
     /// x / z and y / z, clamped for the Jacobian, and whether they were not.
     slopes: [T; 2],
     unclamped: [bool; 2],
+    /// Position through a lens, px, and whether the lens shows it well enough; `None` without a lens.
+    through_lens: Option<([T; 2], bool)>,
     rotation: M3<T>,
     scales: V3<T>,
     /// Rows of J W.
@@ -90,8 +95,19 @@ impl<T: Real> Projection<T> {
         let (sx, free_x) = clamp(x / z, camera.cx, camera.fx, camera.width);
         let (sy, free_y) = clamp(y / z, camera.cy, camera.fy, camera.height);
         let w = &camera.rotation;
-        let plane =
+        let mut plane =
             [scale(add(w[0], scale(w[2], -sx)), camera.fx / z), scale(add(w[1], scale(w[2], -sy)), camera.fy / z)];
+        let mut through_lens = None;
+        if let Some(lens) = &camera.lens {
+            let seen = lens.look(centre.map(T::as_f64));
+            let Seen { position, jacobian } = seen.unwrap_or(Seen { position: [0.0; 2], jacobian: [[0.0; 3]; 2] });
+            let mean = [T::of(position[0]) * camera.fx + camera.cx, T::of(position[1]) * camera.fy + camera.cy];
+            plane = [0, 1].map(|axis| {
+                let row = scale(jacobian[axis].map(T::of), [camera.fx, camera.fy][axis]);
+                apply_transposed(w, row)
+            });
+            through_lens = Some((mean, seen.is_some() && position[0].hypot(position[1]) <= camera.coverage));
+        }
         let rotation = rotation(p.quaternion);
         let scales = p.log_scales.map(T::exp);
         let half = plane.map(|row| std::array::from_fn(|d| dot(row, column(&rotation, d)) * scales[d]));
@@ -109,6 +125,7 @@ impl<T: Real> Projection<T> {
             centre,
             slopes: [sx, sy],
             unclamped: [free_x, free_y],
+            through_lens,
             rotation,
             scales,
             plane,
@@ -138,22 +155,28 @@ impl<T: Real> Projection<T> {
 }
 
 impl<T: Real> Splat<T> {
-    /// `None` behind the near plane, where the weight stays below the cutoff, and where the projection overflows.
+    /// `None` behind the near plane, where a lens does not see, where the weight stays below the cutoff, and where the
+    /// projection overflows.
     #[inline(always)]
     pub fn new(camera: &CameraOf<T>, p: &Parameters<T>, colour: V3<T>, filter: ScreenFilter) -> Option<Self> {
         let projection = Projection::new(camera, p, filter);
         let [x, y, z] = projection.centre;
+        let depth = camera.depth(projection.centre);
+        let (mean, shown) = match projection.through_lens {
+            None => ([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], true),
+            Some(seen) => seen,
+        };
         let strength = p.opacity.max(T::zero()) * projection.compensation();
         let [variance_x, covariance, variance_y] = projection.covariance;
         let (size, d) = (projection.size, projection.determinant);
-        let visible = z > camera.near && strength >= T::of(CUTOFF) && d > T::zero() && size < T::INFINITY;
+        let visible = shown && depth > camera.near && strength >= T::of(CUTOFF) && d > T::zero() && size < T::INFINITY;
         let across = (variance_y / size / d / size).sqrt();
         visible.then(|| Self {
-            mean: [camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy],
+            mean,
             root: [across, -across * (covariance / variance_y), T::one() / variance_y.sqrt()],
             variances: [variance_x, variance_y],
             strength,
-            depth: z,
+            depth,
             colour,
             squared_radius: T::of(2.0) * (strength / T::of(CUTOFF)).ln(),
         })
@@ -224,7 +247,6 @@ pub fn backward<T: Real>(
     filter: ScreenFilter,
 ) -> ParameterGrad<T> {
     let projection = Projection::new(camera, p, filter);
-    let [x, y, z] = projection.centre;
     let [total, mu, mv, muu, muv, mvv] = sum.moments;
     let (half, two) = (T::of(0.5), T::of(2.0));
     let [p0, q0, r0] = splat.root;
@@ -258,10 +280,32 @@ pub fn backward<T: Real>(
     let grad_rotation: M3<T> =
         std::array::from_fn(|i| std::array::from_fn(|d| grad_factor[i][d] * projection.scales[d]));
 
+    let grad_planes: [V3<T>; 2] = [0, 1].map(|axis| std::array::from_fn(|i| dot(grad_half[axis], factor[i])));
+    let grad_centre = match &camera.lens {
+        None => pinhole_backward(camera, &projection, grad_mean, grad_planes),
+        Some(lens) => lens_backward(lens, camera, projection.centre, grad_mean, grad_planes),
+    };
+    ParameterGrad {
+        position: apply_transposed(&camera.rotation, grad_centre),
+        quaternion: rotation_backward(p.quaternion, &grad_rotation),
+        log_scales,
+        opacity: if p.opacity > T::zero() { grad_strength * compensation } else { T::zero() },
+    }
+}
+
+/// Gradient with respect to the centre in camera axes from those with respect to the mean, px, and to the rows of J W.
+#[inline(always)]
+fn pinhole_backward<T: Real>(
+    camera: &CameraOf<T>,
+    projection: &Projection<T>,
+    grad_mean: [T; 2],
+    grad_planes: [V3<T>; 2],
+) -> V3<T> {
+    let [x, y, z] = projection.centre;
     // plane row 0 = fx / z (W₀ − s_x W₂), s_x = x / z unless clamped
     let mut grad_centre = [T::zero(); 3];
     for (axis, focal) in [(0, camera.fx), (1, camera.fy)] {
-        let grad_plane: V3<T> = std::array::from_fn(|i| dot(grad_half[axis], factor[i]));
+        let grad_plane = grad_planes[axis];
         grad_centre[2] = grad_centre[2] - dot(grad_plane, projection.plane[axis]) / z;
         let coordinate = [x, y][axis];
         if projection.unclamped[axis] {
@@ -272,10 +316,20 @@ pub fn backward<T: Real>(
         grad_centre[axis] = grad_centre[axis] + focal / z * grad_mean[axis];
         grad_centre[2] = grad_centre[2] - focal * coordinate / (z * z) * grad_mean[axis];
     }
-    ParameterGrad {
-        position: apply_transposed(&camera.rotation, grad_centre),
-        quaternion: rotation_backward(p.quaternion, &grad_rotation),
-        log_scales,
-        opacity: if p.opacity > T::zero() { grad_strength * compensation } else { T::zero() },
-    }
+    grad_centre
+}
+
+/// [`pinhole_backward`] through a lens.
+fn lens_backward<T: Real>(
+    lens: &Lens,
+    camera: &CameraOf<T>,
+    centre: V3<T>,
+    grad_mean: [T; 2],
+    grad_planes: [V3<T>; 2],
+) -> V3<T> {
+    let focals = [camera.fx, camera.fy];
+    let grad_position = [0, 1].map(|axis| (focals[axis] * grad_mean[axis]).as_f64());
+    let grad_jacobian =
+        [0, 1].map(|axis| scale(apply(&camera.rotation, grad_planes[axis]), focals[axis]).map(T::as_f64));
+    lens.look_backward(centre.map(T::as_f64), grad_position, grad_jacobian).map(T::of)
 }

@@ -11,6 +11,7 @@ use super::moments::MOMENTS;
 use super::splat::{self, MIN_COMPENSATION_SQUARED};
 use crate::camera::Camera;
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, empty_u32, units};
+use crate::gpu::lens::{LensKind, look, look_backward};
 use crate::gpu::record::{Record, record};
 use crate::gpu::rect::{RECT, Rect};
 use crate::gpu::tile::TILE;
@@ -18,7 +19,7 @@ use crate::gpu::vector::{
     Mat3, Quaternion, Vec3, add, apply, cross, dot, rotation, rotation_backward, row3, row4, scale, transpose, vec3,
     write3, write4,
 };
-use crate::gpu::view::{CameraUniforms, pixel_range, to_camera, view_rotation};
+use crate::gpu::view::{CameraUniforms, pixel_range, to_camera, view_depth, view_rotation};
 use crate::scene::ScreenFilter;
 
 const MIN_RATIO: f32 = MIN_COMPENSATION_SQUARED as f32;
@@ -39,7 +40,7 @@ record! {
         pub r: f32,
         /// Opacity times the compensation for the low-pass filter; 0 if the Gaussian is invisible.
         pub strength: f32,
-        /// Camera-space z of the centre, world units.
+        /// Depth of the centre, world units.
         pub depth: f32,
         /// Value of u² + v² at the cutoff.
         pub squared_radius: f32,
@@ -131,20 +132,28 @@ pub fn add_moments(own: &mut Array<f32>, power: f32, u: f32, v: f32) {
     own[5] += power * v * v;
 }
 
+/// The local linear map of a camera at the centre of a Gaussian.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+struct Local {
+    /// Without a lens x / z and y / z, clamped for the Jacobian, and 1 where they were not, else 0; through a lens the
+    /// position, px, and 1 where the lens shows it well enough, else 0.
+    x: f32,
+    y: f32,
+    free_x: f32,
+    free_y: f32,
+    /// Rows of J W.
+    plane0: Vec3,
+    plane1: Vec3,
+}
+
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 struct Projection {
     centre: Vec3,
-    /// x / z and y / z, clamped for the Jacobian, and 1 where they were not, else 0.
-    slope_x: f32,
-    slope_y: f32,
-    free_x: f32,
-    free_y: f32,
+    local: Local,
     rotation: Mat3,
     scales: Vec3,
-    /// Rows of J W.
-    plane0: Vec3,
-    plane1: Vec3,
     /// Rows of J W R S.
     half0: Vec3,
     half1: Vec3,
@@ -162,6 +171,45 @@ struct Projection {
 }
 
 #[cube]
+fn pinhole_local(view: CameraUniforms, centre: Vec3) -> Local {
+    let z = select(centre.z > view.near, centre.z, 1.0f32);
+    let (width, height) = (f32::cast_from(view.width), f32::cast_from(view.height));
+    let (margin_x, margin_y) = (JACOBIAN_MARGIN * width / view.fx, JACOBIAN_MARGIN * height / view.fy);
+    let (raw_x, raw_y) = (centre.x / z, centre.y / z);
+    let slope_x = min(max(raw_x, -view.cx / view.fx - margin_x), (width - view.cx) / view.fx + margin_x);
+    let slope_y = min(max(raw_y, -view.cy / view.fy - margin_y), (height - view.cy) / view.fy + margin_y);
+    let pose = view_rotation(view);
+    Local {
+        x: slope_x,
+        y: slope_y,
+        free_x: select(raw_x == slope_x, 1.0f32, 0.0f32),
+        free_y: select(raw_y == slope_y, 1.0f32, 0.0f32),
+        plane0: scale(add(pose.row0, scale(pose.row2, -slope_x)), view.fx / z),
+        plane1: scale(add(pose.row1, scale(pose.row2, -slope_y)), view.fy / z),
+    }
+}
+
+#[cube]
+fn lens_local(view: CameraUniforms, centre: Vec3) -> Local {
+    let seen = look(view.lens, centre);
+    let back = transpose(view_rotation(view));
+    let shown = select(seen.shown, 1.0f32, 0.0f32);
+    Local {
+        x: view.fx * seen.x + view.cx,
+        y: view.fy * seen.y + view.cy,
+        free_x: shown,
+        free_y: shown,
+        plane0: scale(apply(back, seen.row0), view.fx),
+        plane1: scale(apply(back, seen.row1), view.fy),
+    }
+}
+
+#[cube]
+fn local(view: CameraUniforms, centre: Vec3) -> Local {
+    if comptime!(view.lens.kind == LensKind::None) { pinhole_local(view, centre) } else { lens_local(view, centre) }
+}
+
+#[cube]
 fn project(
     view: CameraUniforms,
     position: Vec3,
@@ -171,20 +219,12 @@ fn project(
 ) -> Projection {
     let low_pass = comptime!(filter.variance() as f32);
     let centre = to_camera(view, position);
-    let z = select(centre.z > view.near, centre.z, 1.0f32);
-    let (width, height) = (f32::cast_from(view.width), f32::cast_from(view.height));
-    let (margin_x, margin_y) = (JACOBIAN_MARGIN * width / view.fx, JACOBIAN_MARGIN * height / view.fy);
-    let (raw_x, raw_y) = (centre.x / z, centre.y / z);
-    let slope_x = min(max(raw_x, -view.cx / view.fx - margin_x), (width - view.cx) / view.fx + margin_x);
-    let slope_y = min(max(raw_y, -view.cy / view.fy - margin_y), (height - view.cy) / view.fy + margin_y);
-    let pose = view_rotation(view);
-    let plane0 = scale(add(pose.row0, scale(pose.row2, -slope_x)), view.fx / z);
-    let plane1 = scale(add(pose.row1, scale(pose.row2, -slope_y)), view.fy / z);
+    let local = local(view, centre);
     let rotation = rotation(quaternion);
     let scales = vec3(f32::exp(log_scales.x), f32::exp(log_scales.y), f32::exp(log_scales.z));
     let axes = transpose(rotation);
-    let turned0 = apply(axes, plane0);
-    let turned1 = apply(axes, plane1);
+    let turned0 = apply(axes, local.plane0);
+    let turned1 = apply(axes, local.plane1);
     let half0 = vec3(turned0.x * scales.x, turned0.y * scales.y, turned0.z * scales.z);
     let half1 = vec3(turned1.x * scales.x, turned1.y * scales.y, turned1.z * scales.z);
     let cov_a = dot(half0, half0) + low_pass;
@@ -199,14 +239,9 @@ fn project(
     let determinant = unfiltered + added;
     Projection {
         centre,
-        slope_x,
-        slope_y,
-        free_x: select(raw_x == slope_x, 1.0f32, 0.0f32),
-        free_y: select(raw_y == slope_y, 1.0f32, 0.0f32),
+        local,
         rotation,
         scales,
-        plane0,
-        plane1,
         half0,
         half1,
         cov_a,
@@ -236,13 +271,33 @@ fn root(cov_b: f32, cov_c: f32, size: f32, determinant: f32) -> Vec3 {
     vec3(across, -across * (cov_b / cov_c), 1.0f32 / f32::sqrt(cov_c))
 }
 
-/// The footprint of a Gaussian and the pixels that it can reach. It reaches none behind the near plane,
-/// where it stays below the cutoff, and where its projection overflows.
+/// Position of the centre, px; `z` is its camera-space z where it is visible.
+#[cube]
+fn mean(view: CameraUniforms, p: Projection, z: f32) -> (f32, f32) {
+    if comptime!(view.lens.kind == LensKind::None) {
+        (view.fx * p.centre.x / z + view.cx, view.fy * p.centre.y / z + view.cy)
+    } else {
+        (p.local.x, p.local.y)
+    }
+}
+
+/// Whether the camera shows the centre.
+#[cube]
+fn is_shown(view: CameraUniforms, p: Projection) -> bool {
+    let mut shown = view_depth(view, p.centre) > view.near;
+    if comptime!(view.lens.kind != LensKind::None) {
+        shown = shown && p.local.free_x > 0.5f32;
+    }
+    shown
+}
+
+/// The footprint of a Gaussian and the pixels that it can reach. It reaches none behind the near plane, where a lens does
+/// not see, where it stays below the cutoff, and where its projection overflows.
 #[cube]
 fn splat_of(view: CameraUniforms, p: Projection, opacity: f32, #[comptime] filter: ScreenFilter) -> (Splat, Rect) {
     let strength = max(opacity, 0.0f32) * compensation(p, filter);
     let d = p.determinant;
-    let visible = p.centre.z > view.near && strength >= CUTOFF_F32 && d > 0.0f32 && p.size < 3e38f32;
+    let visible = is_shown(view, p) && strength >= CUTOFF_F32 && d > 0.0f32 && p.size < 3e38f32;
     let z = select(visible, p.centre.z, 1.0f32);
     let root = root(
         select(visible, p.cov_b, 0.0f32),
@@ -251,8 +306,7 @@ fn splat_of(view: CameraUniforms, p: Projection, opacity: f32, #[comptime] filte
         select(visible, d, 1.0f32),
     );
     let squared = 2.0f32 * f32::ln(max(strength * INVERSE_CUTOFF, 1.0f32));
-    let x = view.fx * p.centre.x / z + view.cx;
-    let y = view.fy * p.centre.y / z + view.cy;
+    let (x, y) = mean(view, p, z);
     let reach = squared * 1.001f32 + 0.01f32;
     let (half_x, half_y) = (f32::sqrt(reach * p.cov_a), f32::sqrt(reach * p.cov_c));
     let slack = 0.01f32;
@@ -265,7 +319,7 @@ fn splat_of(view: CameraUniforms, p: Projection, opacity: f32, #[comptime] filte
         q: root.y,
         r: root.z,
         strength: select(visible, strength, 0.0f32),
-        depth: p.centre.z,
+        depth: view_depth(view, p.centre),
         squared_radius: squared,
     };
     (splat, Rect { x0, x1: select(visible, x1, x0), y0, y1: select(visible, y1, y0) })
@@ -278,6 +332,63 @@ struct SplatGradient {
     quaternion: Quaternion,
     log_scales: Vec3,
     opacity: f32,
+}
+
+/// Gradient with respect to the centre in camera axes from those with respect to the mean, px, and to the rows of J W.
+#[cube]
+fn pinhole_backward(
+    view: CameraUniforms,
+    p: Projection,
+    grad_x: f32,
+    grad_y: f32,
+    grad_plane0: Vec3,
+    grad_plane1: Vec3,
+) -> Vec3 {
+    // plane row 0 = fx / z (W₀ − s_x W₂), s_x = x / z unless clamped
+    let z = p.centre.z;
+    let pose = view_rotation(view);
+    let grad_slope_x = -p.local.free_x * view.fx / z * dot(grad_plane0, pose.row2);
+    let grad_slope_y = -p.local.free_y * view.fy / z * dot(grad_plane1, pose.row2);
+    let centre_x = grad_slope_x / z + view.fx / z * grad_x;
+    let centre_y = grad_slope_y / z + view.fy / z * grad_y;
+    let centre_z = -dot(grad_plane0, p.local.plane0) / z
+        - dot(grad_plane1, p.local.plane1) / z
+        - grad_slope_x * p.local.x / z
+        - grad_slope_y * p.local.y / z
+        - view.fx * p.centre.x / (z * z) * grad_x
+        - view.fy * p.centre.y / (z * z) * grad_y;
+    vec3(centre_x, centre_y, centre_z)
+}
+
+/// [`pinhole_backward`] through a lens.
+#[cube]
+fn lens_backward(
+    view: CameraUniforms,
+    p: Projection,
+    grad_x: f32,
+    grad_y: f32,
+    grad_plane0: Vec3,
+    grad_plane1: Vec3,
+) -> Vec3 {
+    let pose = view_rotation(view);
+    let (row0, row1) = (scale(apply(pose, grad_plane0), view.fx), scale(apply(pose, grad_plane1), view.fy));
+    look_backward(view.lens, p.centre, view.fx * grad_x, view.fy * grad_y, row0, row1)
+}
+
+#[cube]
+fn local_backward(
+    view: CameraUniforms,
+    p: Projection,
+    grad_x: f32,
+    grad_y: f32,
+    grad_plane0: Vec3,
+    grad_plane1: Vec3,
+) -> Vec3 {
+    if comptime!(view.lens.kind == LensKind::None) {
+        pinhole_backward(view, p, grad_x, grad_y, grad_plane0, grad_plane1)
+    } else {
+        lens_backward(view, p, grad_x, grad_y, grad_plane0, grad_plane1)
+    }
 }
 
 /// From the moments to the raw parameters.
@@ -322,9 +433,10 @@ fn splat_backward(
         row1: vec3(r.row1.x * s.x, r.row1.y * s.y, r.row1.z * s.z),
         row2: vec3(r.row2.x * s.x, r.row2.y * s.y, r.row2.z * s.z),
     };
-    let of0 = add(scale(grad_half0, p.plane0.x), scale(grad_half1, p.plane1.x));
-    let of1 = add(scale(grad_half0, p.plane0.y), scale(grad_half1, p.plane1.y));
-    let of2 = add(scale(grad_half0, p.plane0.z), scale(grad_half1, p.plane1.z));
+    let (plane0, plane1) = (p.local.plane0, p.local.plane1);
+    let of0 = add(scale(grad_half0, plane0.x), scale(grad_half1, plane1.x));
+    let of1 = add(scale(grad_half0, plane0.y), scale(grad_half1, plane1.y));
+    let of2 = add(scale(grad_half0, plane0.z), scale(grad_half1, plane1.z));
     let log_scales = vec3(
         of0.x * factor.row0.x + of1.x * factor.row1.x + of2.x * factor.row2.x,
         of0.y * factor.row0.y + of1.y * factor.row1.y + of2.y * factor.row2.y,
@@ -336,23 +448,9 @@ fn splat_backward(
         row2: vec3(of2.x * s.x, of2.y * s.y, of2.z * s.z),
     };
 
-    // plane row 0 = fx / z (W₀ − s_x W₂), s_x = x / z unless clamped
-    let z = p.centre.z;
-    let pose = view_rotation(view);
-    let grad_plane0 = apply(factor, grad_half0);
-    let grad_plane1 = apply(factor, grad_half1);
-    let grad_slope_x = -p.free_x * view.fx / z * dot(grad_plane0, pose.row2);
-    let grad_slope_y = -p.free_y * view.fy / z * dot(grad_plane1, pose.row2);
-    let centre_x = grad_slope_x / z + view.fx / z * grad_x;
-    let centre_y = grad_slope_y / z + view.fy / z * grad_y;
-    let centre_z = -dot(grad_plane0, p.plane0) / z
-        - dot(grad_plane1, p.plane1) / z
-        - grad_slope_x * p.slope_x / z
-        - grad_slope_y * p.slope_y / z
-        - view.fx * p.centre.x / (z * z) * grad_x
-        - view.fy * p.centre.y / (z * z) * grad_y;
+    let grad_centre = local_backward(view, p, grad_x, grad_y, apply(factor, grad_half0), apply(factor, grad_half1));
     SplatGradient {
-        position: apply(transpose(pose), vec3(centre_x, centre_y, centre_z)),
+        position: apply(transpose(view_rotation(view)), grad_centre),
         quaternion: rotation_backward(raw_quaternion, grad_rotation),
         log_scales,
         opacity: select(raw_opacity > 0.0f32, grad_strength * dimming, 0.0f32),

@@ -8,6 +8,7 @@
 pub(crate) mod exact;
 pub(crate) mod gather;
 pub(crate) mod launch;
+pub mod lens;
 pub(crate) mod pieces;
 pub(crate) mod record;
 pub(crate) mod rect;

@@ -2,7 +2,8 @@
 
 use cubecl::prelude::*;
 
-use super::vector::{Mat3, Vec3, add, apply, vec3};
+use super::lens::{LensKind, LensUniforms, ray};
+use super::vector::{Mat3, Vec3, add, apply, dot, scale, transpose, vec3};
 use crate::camera::Camera;
 use crate::tiles::TileGrid;
 
@@ -40,6 +41,7 @@ pub struct CameraUniforms {
     /// Tiles along each axis.
     pub columns: u32,
     pub rows: u32,
+    pub lens: LensUniforms,
 }
 
 impl CameraUniforms {
@@ -76,6 +78,7 @@ impl CameraUniforms {
             camera.height as u32,
             grid.columns as u32,
             grid.rows as u32,
+            LensUniforms::launch(camera),
         )
     }
 }
@@ -93,6 +96,33 @@ pub fn view_rotation(view: CameraUniforms) -> Mat3 {
 #[cube]
 pub fn to_camera(view: CameraUniforms, world: Vec3) -> Vec3 {
     add(apply(view_rotation(view), world), vec3(view.tx, view.ty, view.tz))
+}
+
+/// Depth of a point in camera axes.
+#[cube]
+pub fn view_depth(view: CameraUniforms, point: Vec3) -> f32 {
+    if comptime!(view.lens.kind == LensKind::Arc) { f32::sqrt(dot(point, point)) } else { point.z }
+}
+
+/// Gradient of the depth of a point in camera axes with respect to the point, in world axes.
+#[cube]
+pub fn depth_slope(view: CameraUniforms, point: Vec3) -> Vec3 {
+    if comptime!(view.lens.kind == LensKind::Arc) {
+        apply(transpose(view_rotation(view)), scale(point, 1.0f32 / view_depth(view, point)))
+    } else {
+        view_rotation(view).row2
+    }
+}
+
+/// What a disc is met by at the point (`x`, `y`) px: that point, or its ray through a lens, camera axes, of depth 1 and 0
+/// where the lens shows nothing.
+#[cube]
+pub fn sight(view: CameraUniforms, x: f32, y: f32) -> Vec3 {
+    if comptime!(view.lens.kind == LensKind::None) {
+        vec3(x, y, 1.0f32)
+    } else {
+        ray(view.lens, (x - view.cx) / view.fx, (y - view.cy) / view.fy)
+    }
 }
 
 /// First pixel (inclusive) and end (exclusive) whose centres lie in [low, high] px, of `size` px.

@@ -4,6 +4,7 @@ use burn::tensor::{Tensor, TensorData};
 
 use super::{Values, validate_gaussians};
 use crate::camera::Camera;
+use crate::counters::transfers::upload;
 use crate::error::{Error, Result};
 use crate::ops::blend::{Blend, BlendOptions, Form, blend};
 use crate::ops::colour::colour;
@@ -73,7 +74,7 @@ pub fn render_blended(
     } else {
         let like = &blend.colour;
         let behind = TensorData::new(options.background.to_vec(), [3, 1, 1]).convert_dtype(like.dtype());
-        let behind = Tensor::<3>::from_data(behind, (&like.device(), like.dtype()));
+        let behind = Tensor::<3>::from_data(upload(behind), (&like.device(), like.dtype()));
         blend.colour.clone() + (blend.alpha.clone() * -1.0 + 1.0) * behind
     };
     Ok(BlendedRender { image, blend })

@@ -55,6 +55,8 @@ pub enum RateGroup {
     Detail,
     /// Of the coefficients of an environment; no primitive has such an attribute.
     Environment,
+    /// Of the colour corrections of photographs; no primitive has such an attribute.
+    Exposure,
 }
 
 /// One attribute of a kind of primitive.

@@ -5,6 +5,7 @@ use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 
 use super::schema::{self, Attribute, Columns, GaussianColumns, OpacityActivation, SurfelColumns};
 use super::{ColourModel, GaussianData, SurfelData};
+use crate::counters::transfers::{download, upload, wait};
 use crate::error::{Error, Result};
 
 /// View-dependent colour of N primitives; each column is [N, its width].
@@ -21,12 +22,12 @@ pub fn rows_to_tensor(rows: &[f32], width: usize, device: &Device, dtype: DType)
 }
 
 fn shaped(rows: &[f32], shape: [usize; 2], device: &Device, dtype: DType) -> Tensor<2> {
-    Tensor::from_data(TensorData::new(rows.to_vec(), shape).convert_dtype(dtype), (device, dtype))
+    Tensor::from_data(upload(TensorData::new(rows.to_vec(), shape).convert_dtype(dtype)), (device, dtype))
 }
 
 /// The values of a tensor as `f32`, row-major.
 pub fn tensor_to_rows<const D: usize>(tensor: &Tensor<D>) -> Vec<f32> {
-    let data = tensor.clone().into_data();
+    let data = wait(|| download(tensor.clone().into_data()));
     data.convert::<f32>().try_to_vec().expect("just converted to f32")
 }
 
@@ -106,5 +107,5 @@ pub fn check_shape<const D: usize>(name: &str, tensor: &Tensor<D>, expected: [us
 pub fn row_indices(rows: &[usize], device: &Device) -> Tensor<1, Int> {
     let rows: Vec<i64> = rows.iter().map(|&row| row as i64).collect();
     let count = rows.len();
-    Tensor::from_data(TensorData::new(rows, [count]), device)
+    Tensor::from_data(upload(TensorData::new(rows, [count])), device)
 }

@@ -100,6 +100,7 @@ impl GoldenCase {
             width: number("width")? as usize,
             height: number("height")? as usize,
             near: number("near")?,
+            lens: None,
         };
         let footprint = if text("footprint")? == "opacity" { Footprint::Opacity } else { Footprint::Kernel };
         let peel =

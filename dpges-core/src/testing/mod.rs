@@ -4,6 +4,7 @@ pub mod compare;
 pub mod extremes;
 pub mod golden;
 pub mod gradients;
+pub mod lenses;
 pub mod parity;
 #[cfg(any(feature = "ndarray", feature = "flex"))]
 pub mod precision;

@@ -5,7 +5,8 @@ use glam::{DMat3, DQuat, DVec2, DVec3};
 
 use super::random::Random;
 use crate::camera::{Camera, CameraFromWorld};
-use crate::scene::{ColourData, ColourModel, GaussianData, Gaussians, SurfelData, Surfels};
+use crate::scene::schema::Columns;
+use crate::scene::{ColourData, ColourModel, GaussianData, Gaussians, SceneData, SceneInfo, SurfelData, Surfels};
 
 /// A scene and a camera that looks at it.
 #[derive(Clone, Debug)]
@@ -18,6 +19,13 @@ pub struct TestScene {
 impl TestScene {
     pub fn tensors(&self, device: &Device, dtype: DType) -> (Surfels, Gaussians) {
         (Surfels::from_data(&self.surfels, device, dtype), Gaussians::from_data(&self.gaussians, device, dtype))
+    }
+
+    /// The scene by itself, with the default model and the near plane of its camera, and the camera.
+    pub fn into_scene(self) -> (SceneData, Camera) {
+        let Self { surfels, gaussians, camera } = self;
+        let info = SceneInfo { colour_model: gaussians.model(), near: camera.near, ..SceneInfo::default() };
+        (SceneData { info, surfels, gaussians, environment: None }, camera)
     }
 
     /// Every attribute that learns as a leaf of a tape; `device` has one.
@@ -97,6 +105,7 @@ pub fn random(seed: u64, recipe: &Recipe) -> TestScene {
         width: recipe.width,
         height: recipe.height,
         near: 0.02 * extent,
+        lens: None,
     };
     TestScene { surfels, gaussians, camera }
 }
@@ -140,6 +149,7 @@ pub fn realistic(surfels: usize, gaussians: usize, width: usize, height: usize, 
         width,
         height,
         near: 0.2,
+        lens: None,
     };
     // a place on a surface, its normal, and how large a pixel is there
     let place = |pixel: DVec2| {

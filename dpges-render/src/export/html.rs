@@ -229,7 +229,17 @@ mod tests {
 
     fn camera() -> Camera {
         let pose = CameraFromWorld::look_at([1.0, 2.0, 3.0].into(), [0.0; 3].into(), [0.0, 0.0, 1.0].into());
-        Camera { camera_from_world: pose, fx: 50.0, fy: 60.0, cx: 32.0, cy: 24.0, width: 64, height: 48, near: 0.01 }
+        Camera {
+            camera_from_world: pose,
+            fx: 50.0,
+            fy: 60.0,
+            cx: 32.0,
+            cy: 24.0,
+            width: 64,
+            height: 48,
+            near: 0.01,
+            lens: None,
+        }
     }
 
     #[test]

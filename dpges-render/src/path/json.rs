@@ -74,6 +74,7 @@ impl Entry {
             width: self.width,
             height: self.height,
             near: self.near.unwrap_or(near),
+            lens: None,
         };
         camera.validate().map_err(|error| format!("camera {}: {error}", self.id))?;
         Ok(camera)

@@ -97,7 +97,17 @@ pub(crate) mod tests {
 
     pub fn camera(eye: [f64; 3], fx: f64) -> Camera {
         let pose = CameraFromWorld::look_at(eye.into(), DVec3::ZERO, DVec3::Z);
-        Camera { camera_from_world: pose, fx, fy: fx, cx: 32.0, cy: 24.0, width: 64, height: 48, near: 0.01 }
+        Camera {
+            camera_from_world: pose,
+            fx,
+            fy: fx,
+            cx: 32.0,
+            cy: 24.0,
+            width: 64,
+            height: 48,
+            near: 0.01,
+            lens: None,
+        }
     }
 
     fn keys() -> Vec<Camera> {

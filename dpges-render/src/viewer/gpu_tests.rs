@@ -33,7 +33,7 @@ fn opened() -> Opened {
     let camera = |eye| {
         let camera_from_world = CameraFromWorld::look_at(eye, DVec3::ZERO, DVec3::Y);
         let (width, height) = (80, 60);
-        Camera { camera_from_world, fx: 60.0, fy: 60.0, cx: 40.0, cy: 30.0, width, height, near: 0.01 }
+        Camera { camera_from_world, fx: 60.0, fy: 60.0, cx: 40.0, cy: 30.0, width, height, near: 0.01, lens: None }
     };
     let eyes = [dvec3(0.0, 0.0, DISTANCE), dvec3(3.0, 0.0, 3.0)];
     let cameras = eyes.into_iter().map(|eye| (format!("{eye}"), camera(eye))).collect();

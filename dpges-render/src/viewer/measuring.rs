@@ -109,8 +109,17 @@ mod tests {
     fn pixels_and_places_in_the_window_agree() {
         let pose = CameraFromWorld::look_at(DVec3::X, DVec3::ZERO, DVec3::Z);
         let (width, height) = (320, 180);
-        let camera =
-            Camera { camera_from_world: pose, fx: 100.0, fy: 100.0, cx: 160.0, cy: 90.0, width, height, near: 0.1 };
+        let camera = Camera {
+            camera_from_world: pose,
+            fx: 100.0,
+            fy: 100.0,
+            cx: 160.0,
+            cy: 90.0,
+            width,
+            height,
+            near: 0.1,
+            lens: None,
+        };
         let rect = Rect::from_min_size(egui::pos2(20.0, 10.0), egui::vec2(640.0, 360.0));
         let place = at_pixel(rect, &camera, 80.0, 45.0);
         assert_eq!(place, egui::pos2(180.0, 100.0));

@@ -104,6 +104,7 @@ mod tests {
             width: 64,
             height: 48,
             near: 0.1,
+            lens: None,
         };
         PathEditor { cameras: (0..count).map(camera).collect(), ..PathEditor::default() }
     }

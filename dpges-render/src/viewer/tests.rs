@@ -32,7 +32,7 @@ fn views(count: usize) -> DatasetViews {
         let eye = dvec3((at as f64).cos(), (at as f64).sin(), 0.5) * 4.0;
         let camera_from_world = CameraFromWorld::look_at(eye, DVec3::ZERO, DVec3::Z);
         let (width, height) = (40, 30);
-        Camera { camera_from_world, fx: 40.0, fy: 40.0, cx: 20.0, cy: 15.0, width, height, near: 0.01 }
+        Camera { camera_from_world, fx: 40.0, fy: 40.0, cx: 20.0, cy: 15.0, width, height, near: 0.01, lens: None }
     };
     let cameras = (0..count).map(|at| (format!("photo {at}"), camera(at))).collect();
     let photograph = |_| Some(Rgb8Image { width: 40, height: 30, bytes: vec![90; 3600] });

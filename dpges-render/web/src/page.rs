@@ -39,6 +39,7 @@ impl PageCamera {
             width: self.width,
             height: self.height,
             near,
+            lens: None,
         }
     }
 }

@@ -6,13 +6,13 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use dpges_core::camera::Camera;
 use dpges_core::scene::{SceneData, SceneInfo};
-use dpges_train::config::{Background, Config, DataConfig, key};
+use dpges_train::config::{Background, BuiltinLens, Config, DataConfig, DepthMaps, key};
 use dpges_train::dataset::{self, BuiltinOptions, Dataset, View};
 use dpges_train::run::folder::RunFolder;
 use dpges_train::run::metrics_log::MetricsLog;
 use glam::{DVec3, Vec3};
 
-use super::{Failure, Result};
+use super::{Failure, Result, inspect, sfm};
 
 /// Name of the scene that needs no files.
 pub const BUILTIN: &str = "builtin";
@@ -34,9 +34,13 @@ impl Source {
         if text == Path::new(BUILTIN) { Self::Builtin } else { Self::Folder(text.to_owned()) }
     }
 
-    /// As a command names it: the folder by its absolute path, the built-in scene where there is none.
+    /// As a command names it: the folder by its absolute path, the built-in scene where there is none. For photographs
+    /// without cameras it is the folder of the dataset that [`sfm::prepare`] makes of them.
     pub fn named(dataset: Option<&Path>) -> Self {
-        dataset.map_or(Self::Builtin, Self::new).absolute()
+        match dataset.map_or(Self::Builtin, Self::new).absolute() {
+            Self::Folder(path) => Self::Folder(sfm::dataset_of(&path).unwrap_or(path)),
+            Self::Builtin => Self::Builtin,
+        }
     }
 
     /// With an absolute path where there is a folder.
@@ -50,7 +54,9 @@ impl Source {
     pub fn load(&self, config: &DataConfig) -> Result<Dataset> {
         let dataset = match self {
             Self::Builtin => builtin(config)?,
-            Self::Folder(path) => dataset::load(path, &config.load_options())?,
+            Self::Folder(path) => {
+                dataset::load(path, &config.load_options()).map_err(|error| sfm::explained(error, path))?
+            }
         };
         let Dataset { train, test, points, format, extent, .. } = &dataset;
         let [width, height] = train.first().map_or([0; 2], |view| [view.camera.width, view.camera.height]);
@@ -60,6 +66,10 @@ impl Source {
             test.len(),
             points.positions.len()
         );
+        let masked = dataset.masked();
+        if masked.masked_views > 0 {
+            tracing::info!("{masked}");
+        }
         Ok(dataset)
     }
 }
@@ -68,6 +78,9 @@ impl Source {
     /// The dataset of a run: without the views that are kept for its decisions.
     pub fn load_for_training(&self, config: &Config) -> Result<Dataset> {
         let mut dataset = self.load(&config.data)?;
+        if let Self::Folder(_) = self {
+            inspect::warn(&dataset)?;
+        }
         let every = config.validation_every();
         dataset.keep_for_validation(every);
         if every > 0 {
@@ -99,11 +112,26 @@ fn builtin(config: &DataConfig) -> Result<Dataset> {
     }
     let cap = if config.max_resolution == 0 { BUILTIN_SIZE } else { config.max_resolution };
     let size = cap.min(BUILTIN_SIZE);
-    let options = BuiltinOptions { width: size, height: size, points: BUILTIN_POINTS, ..Default::default() };
+    let fisheye = config.builtin_lens == BuiltinLens::Fisheye;
+    let options = BuiltinOptions {
+        width: size,
+        height: size,
+        points: BUILTIN_POINTS,
+        exposure_stops: config.builtin_exposure_stops,
+        depth: config.load_options().depth,
+        fisheye,
+        ..Default::default()
+    };
     let mut dataset = dataset::builtin(&options);
+    if config.undistort && fisheye {
+        for view in dataset.train.iter_mut().chain(&mut dataset.test) {
+            *view = view.undistorted()?.expect("the middle of a fisheye picture fits a pinhole camera");
+        }
+    }
     if let Background::Colour(colour) = config.background {
         dataset.background = colour;
     }
+    dataset.spare_memory = config.memory.bytes();
     if config.near > 0.0 {
         dataset.near = config.near;
         dataset.train.iter_mut().chain(&mut dataset.test).for_each(|view| view.camera.near = config.near);
@@ -118,6 +146,8 @@ pub struct Scene {
     /// Size of the file.
     pub bytes: u64,
     run: Option<RunFolder>,
+    /// Whether datasets are read for pinhole cameras alone.
+    pinhole: bool,
 }
 
 impl Scene {
@@ -128,7 +158,13 @@ impl Scene {
         let path = Self::check(path)?;
         let data = SceneData::load(&path)?;
         let bytes = std::fs::metadata(&path)?.len();
-        Ok(Self { path, data, bytes, run: is_run.then_some(folder) })
+        Ok(Self { path, data, bytes, run: is_run.then_some(folder), pinhole: false })
+    }
+
+    /// Reads photographs that were taken through a lens for pinhole cameras, whatever the run was trained with: what
+    /// follows draws nothing else.
+    pub fn use_pinholes(&mut self) {
+        self.pinhole = true;
     }
 
     /// The scene file that `path` names, which is there.
@@ -147,6 +183,11 @@ impl Scene {
             return Ok(None);
         };
         Ok(Some(MetricsLog::seconds_of_steps(&run.metrics())?))
+    }
+
+    /// Whether the run that the scene comes from has corrected exposures.
+    pub fn has_exposure(&self) -> bool {
+        self.run.as_ref().is_some_and(|run| run.exposure().is_file())
     }
 
     /// The configuration of the run that the scene comes from, where there is one.
@@ -169,6 +210,9 @@ impl Scene {
             Some(Background::Colour(colour)) => self.data.info.background = colour,
             _ => config.background = Background::Colour(self.data.info.background),
         }
+        config.undistort |= self.pinhole;
+        // only training looks at them
+        config.depth = DepthMaps::None;
         Ok(Some((source, config)))
     }
 }
@@ -201,6 +245,8 @@ pub struct DataArgs {
     pub max_resolution: Option<usize>,
     #[arg(long, value_name = "N", help = key("data.test_every").help())]
     pub test_every: Option<usize>,
+    #[arg(long, help = key("data.invert_masks").help())]
+    pub invert_masks: bool,
 }
 
 impl DataArgs {
@@ -213,6 +259,7 @@ impl DataArgs {
             set("image_scale", self.image_scale.map(|scale| scale.to_string())),
             set("max_resolution", text(self.max_resolution)),
             set("test_every", text(self.test_every)),
+            set("invert_masks", self.invert_masks.then(|| "true".to_owned())),
         ]
         .into_iter()
         .flatten()

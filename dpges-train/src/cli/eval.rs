@@ -50,6 +50,10 @@ pub struct EvalArgs {
     device: DeviceRequest,
     #[command(flatten)]
     lpips: LpipsArgs,
+    /// Also measure PSNR and SSIM after a fit of exposure: of the right half of each view, with a gain and an offset per
+    /// channel that fit its left half best. The default for runs that correct exposures
+    #[arg(long)]
+    fit_exposure: bool,
     /// Write the rendered views as PNGs to this folder
     #[arg(long, value_name = "DIR")]
     save_images: Option<PathBuf>,
@@ -86,7 +90,7 @@ fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> 
     }
     let stems = file_stems(views);
     let renderer = Renderer::new(&scene.data, &device);
-    let measures = Measures::Perceptual(&networks);
+    let measures = Measures::perceptual(&networks).fitted(args.fit_exposure || scene.has_exposure());
     let evaluation = evaluate_each(&renderer, &scene.data, views, &device, measures, |index, render| {
         let Some(folder) = &args.save_images else { return Ok(()) };
         save_png(&to_picture(render.image()), &folder.join(format!("{}.png", stems[index])))

@@ -100,7 +100,8 @@ pub struct ExportArgs {
 }
 
 pub fn run(args: &ExportArgs) -> Result<()> {
-    let scene = Scene::load(&args.scene)?;
+    let mut scene = Scene::load(&args.scene)?;
+    scene.use_pinholes();
     if args.format == ExportFormat::Html {
         return args.html(scene);
     }
@@ -341,7 +342,7 @@ mod tests {
         let mut fusion = Fusion::new(FusionOptions::new(0.06)).unwrap();
         for view in &data.train {
             let (depth, _) = builtin_geometry(&view.camera);
-            let (coverage, colour) = (vec![1.0; depth.len()], &view.picture.planes);
+            let (coverage, colour) = (vec![1.0; depth.len()], &view.picture().unwrap().planes());
             fusion.add(&DepthView { camera: &view.camera, depth: &depth, coverage: &coverage, colour }).unwrap();
         }
         let text = exact_error(&fusion.finish().unwrap(), &data.test);

@@ -10,11 +10,12 @@ use dpges_train::rendered::Renderer;
 
 use super::Result;
 
-/// Of the real-time renderer, with the options of `scene`.
+/// Of the real-time renderer, with the options of `scene`, from `cameras` without their lenses.
 pub fn of_raster(headless: &Headless, scene: &SceneData, cameras: &[Camera], rounds: Rounds) -> Result<FrameTimes> {
     let mut renderer = headless.renderer()?;
     renderer.upload(scene)?;
-    Ok(frame_times(headless, &mut renderer, cameras, &RenderOptions::from(&scene.info), rounds)?)
+    let cameras: Vec<Camera> = cameras.iter().map(Camera::without_lens).collect();
+    Ok(frame_times(headless, &mut renderer, &cameras, &RenderOptions::from(&scene.info), rounds)?)
 }
 
 /// Of the renderer that is trained with.

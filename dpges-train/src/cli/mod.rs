@@ -15,6 +15,8 @@ mod export;
 mod export_html;
 mod frame_times;
 mod info;
+mod inspect;
+mod letters;
 mod lpips;
 #[cfg(test)]
 mod reference;
@@ -22,6 +24,7 @@ mod render;
 mod rendering_preset;
 mod selftest;
 mod series;
+mod sfm;
 mod trade;
 mod train;
 #[cfg(feature = "viewer")]
@@ -55,6 +58,8 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Train(train::TrainArgs),
+    Sfm(sfm::SfmArgs),
+    Data(inspect::InspectArgs),
     Ablate(ablate::AblateArgs),
     Compare(compare::CompareArgs),
     Trade(trade::TradeArgs),
@@ -134,6 +139,8 @@ pub fn run() -> ExitCode {
     keep_lines_whole();
     let result = match cli.command {
         Command::Train(args) => train::run(args, style),
+        Command::Sfm(args) => sfm::run(&args, style),
+        Command::Data(args) => inspect::run(&args, style),
         Command::Ablate(args) => ablate::run(&args, style),
         Command::Compare(args) => compare::run(&args, style),
         Command::Trade(args) => trade::run(&args, style),

@@ -6,10 +6,10 @@ use std::sync::Arc;
 use clap::Args;
 use dpges_core::camera::Camera;
 use dpges_core::scene::SceneInfo;
-use dpges_render::Rgb8Image;
 use dpges_render::viewer::{self, DatasetViews, Opened, Start, ViewerOptions, Views};
 use dpges_train::config::DataConfig;
 use dpges_train::dataset::View;
+use dpges_train::pictures;
 
 use super::Result;
 use super::data::{DataArgs, Scene, Source, in_scene};
@@ -67,15 +67,20 @@ impl WindowArgs {
 
 /// The views of a dataset, held-out ones last, in the coordinates of the scene.
 fn read(source: &Source, config: &DataConfig, info: &SceneInfo) -> Result<DatasetViews> {
-    let dataset = source.load(config)?;
+    // the window draws pinhole cameras alone
+    let dataset = source.load(&DataConfig { undistort: true, ..config.clone() })?;
     let offset = dataset.offset;
     let held_out = dataset.test.into_iter().map(|view| (format!("{} (held out)", view.name), view));
     let views = dataset.train.into_iter().map(|view| (view.name.clone(), view)).chain(held_out);
     let mut cameras: Vec<(String, Camera)> = Vec::new();
     let mut photographs = Vec::new();
-    for (name, View { camera, picture, .. }) in views {
+    for (name, View { camera, photograph, .. }) in views {
         cameras.push((name, in_scene(camera, offset, info)));
-        photographs.push(Rgb8Image::from_planes(&picture.planes, picture.width, picture.height));
+        photographs.push(photograph);
     }
-    Ok(DatasetViews { cameras, photograph: Box::new(move |index| photographs.get(index).cloned()) })
+    let photograph = move |index: usize| {
+        let picture = photographs.get(index)?.picture();
+        picture.inspect_err(|error| tracing::warn!("{error}")).ok().map(|picture| pictures::photograph(&picture))
+    };
+    Ok(DatasetViews { cameras, photograph: Box::new(photograph) })
 }

@@ -41,7 +41,7 @@ pub fn write(folder: &Path, evaluation: &Evaluation, views: &[View], renderer: &
         let view = &views[index];
         let picture = match pictures.entry(index) {
             Entry::Occupied(drawn) => drawn.into_mut(),
-            Entry::Vacant(entry) => entry.insert(with_flip(view, &renderer.render(&view.camera)?)),
+            Entry::Vacant(entry) => entry.insert(with_flip(view, &renderer.render(&view.camera)?)?),
         };
         let path = folder.join(format!("worst_{}.png", metric.key));
         save_png(picture, &path)?;

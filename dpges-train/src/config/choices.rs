@@ -28,6 +28,14 @@ choices! {
         "mip-splatting" => MipSplatting,
     }
 
+    /// Lens of the built-in scene.
+    BuiltinLens {
+        /// A pinhole camera.
+        "none" => None,
+        /// A fisheye lens that sees 170° across the picture (`OPENCV_FISHEYE`).
+        "fisheye" => Fisheye,
+    }
+
     /// Where the Gaussians of the joint stage come from.
     GaussianStage {
         /// A stage of DBS (DP-GES).
@@ -38,12 +46,43 @@ choices! {
         "rest" => Rest,
     }
 
+    /// What the alpha of pictures says.
+    Alpha {
+        /// How much of a photograph covers the background: it is composited on `data.background`.
+        "matte" => Matte,
+        /// Which pixels count: those of at least half alpha, with the colour that they have.
+        "mask" => Mask,
+    }
+
     /// What ends a run.
     Stop {
         /// Its length, `train.steps`.
         "steps" => Steps,
         /// Validation views that no longer improve, or its length. The result is the best scene, not the last.
         "validation" => Validation,
+    }
+
+    /// Depth maps beside the photographs.
+    DepthMaps {
+        /// There are none, or they are not read.
+        "none" => None,
+        /// Depths: camera-space z, or distances from the camera's centre for photographs through a fisheye lens. A step of
+        /// their values is `depth_unit_scale_factor` world units, 0.001 if the dataset does not say.
+        "metric" => Metric,
+        /// Disparities, larger where what they show is nearer, with a scale and a shift that differ from map to map: what
+        /// networks make of single photographs.
+        "relative" => Relative,
+    }
+
+    /// Whether every training view has a colour correction of its own.
+    Exposure {
+        /// Photographs are taken as they are.
+        "off" => Off,
+        /// Each has a gain and an offset per channel, which are learnt.
+        "on" => On,
+        /// On if the points of the dataset are differently bright in different photographs: by a standard deviation of
+        /// more than 0.1 stops of display-referred values.
+        "auto" => Auto,
     }
 
     /// Appearance of a Gaussian that is added at a pixel.
@@ -104,6 +143,42 @@ choices! {
         "sh3" => Degree3,
     }
 
+    /// Which program places the cameras of photographs without cameras.
+    SfmProgram {
+        /// COLMAP, one photograph after another.
+        "colmap" => Colmap,
+        /// GLOMAP, all photographs at once: quicker if there are hundreds. Features and matches are COLMAP's.
+        "glomap" => Glomap,
+    }
+
+    /// Which camera model is fitted to photographs without cameras, by its name in COLMAP.
+    SfmCamera {
+        /// Two focal lengths, a centre, two radial and two tangential coefficients.
+        "OPENCV" => OpenCv,
+        /// The same with six radial coefficients.
+        "FULL_OPENCV" => FullOpenCv,
+        /// One focal length, a centre, two radial coefficients.
+        "RADIAL" => Radial,
+        /// One focal length, a centre, one radial coefficient.
+        "SIMPLE_RADIAL" => SimpleRadial,
+        /// Two focal lengths and a centre: for pictures without distortion.
+        "PINHOLE" => Pinhole,
+        /// One focal length and a centre: likewise.
+        "SIMPLE_PINHOLE" => SimplePinhole,
+        /// Two focal lengths, a centre, four coefficients of a fisheye lens. `data.undistort` keeps or undoes it.
+        "OPENCV_FISHEYE" => OpenCvFisheye,
+    }
+
+    /// Which pairs of photographs without cameras are compared.
+    SfmMatching {
+        /// All pairs of up to 200 photographs; neighbours if there are more, in a video or by numbered names.
+        "auto" => Auto,
+        /// All pairs.
+        "exhaustive" => Exhaustive,
+        /// Each with those that follow it by name, at distances up to 10 and at powers of two.
+        "sequential" => Sequential,
+    }
+
     /// Where surfels and Gaussians start.
     InitMethod {
         /// The first of the following that the dataset allows.
@@ -114,6 +189,21 @@ choices! {
         "silhouette" => Silhouette,
         /// Gaussians at random places in view of the cameras; no surfels.
         "random" => Random,
+    }
+}
+
+impl SfmCamera {
+    /// Its name in COLMAP.
+    pub fn colmap_name(self) -> &'static str {
+        match self {
+            Self::OpenCv => "OPENCV",
+            Self::FullOpenCv => "FULL_OPENCV",
+            Self::Radial => "RADIAL",
+            Self::SimpleRadial => "SIMPLE_RADIAL",
+            Self::Pinhole => "PINHOLE",
+            Self::SimplePinhole => "SIMPLE_PINHOLE",
+            Self::OpenCvFisheye => "OPENCV_FISHEYE",
+        }
     }
 }
 

@@ -117,7 +117,16 @@ mod tests {
         };
         for key in keys() {
             for choice in key.choices {
-                resolves(key, &choice.name.replace('N', "2").replace("r,g,b", "0,0.5,1"));
+                let example = match choice.name {
+                    "N" => "2",
+                    "sbN" => "sb2",
+                    "shN" => "sh2",
+                    "NMB" => "2MB",
+                    "NGB" => "2GB",
+                    "r,g,b" => "0,0.5,1",
+                    name => name,
+                };
+                resolves(key, example);
             }
             for ablation in key.ablations {
                 resolves(key, ablation.value);

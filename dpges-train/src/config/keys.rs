@@ -7,10 +7,11 @@ use dpges_core::scene::{ColourModel, Footprint, MarginLookup, OpacityActivation}
 
 use super::budget::Budget;
 use super::choices::{
-    AddAs, Background, Environment, GaussianStage, InitMethod, JointOpacity, Margin, Method, PixelsOf, Stop,
-    SurfelStart,
+    AddAs, Alpha, Background, BuiltinLens, DepthMaps, Environment, Exposure, GaussianStage, InitMethod, JointOpacity,
+    Margin, Method, PixelsOf, SfmCamera, SfmMatching, SfmProgram, Stop, SurfelStart,
 };
 use super::declare::{Ablation, Key, Section, Value, configuration, optional};
+use super::memory::Memory;
 use super::range::{self, OPACITY, POSITIVE, POSITIVE_SHARE};
 use super::sources::ConfigError;
 
@@ -19,6 +20,10 @@ configuration! {
     [data] DataConfig {
         /// Colour behind the scene. Pictures with alpha are composited on it.
         background: Background = Background::Auto;
+        /// What the alpha of pictures says.
+        alpha: Alpha = Alpha::Matte;
+        /// Masks are black where pixels count, and white where they are ignored, instead of the other way round.
+        invert_masks: bool = false;
         /// Which photographs to read: 1 for the folder `images`, N for `images_N`, downsampled N times as shipped.
         image_scale: u32 = 1, range: 1..;
         /// Longest side of a picture. Larger photographs are downsampled; 0 sets no limit.
@@ -28,8 +33,30 @@ configuration! {
         /// Keep every n-th training view for validation, for `train.stop` and `refine.budget` to decide by. 0 keeps
         /// every 8th if `train.stop = "validation"` or `refine.budget = "auto"`, and none otherwise.
         validation_every: usize = 0, unit: "views";
+        /// Most memory for photographs. Those beyond are read again from their files whenever they are needed, which takes
+        /// time and changes nothing else.
+        memory: Memory = Memory::Auto;
         /// Near plane of every camera. 0 takes the default of the dataset's format.
         near: f64 = 0.0, unit: "world units", range: 0.0..;
+        /// Resample photographs that were taken through a lens for a pinhole camera. Otherwise the scene is trained and
+        /// evaluated through the lens, on the photographs as they are, which discs cannot be (`stages.surfels = 0`).
+        undistort: bool = true;
+        /// Depth maps beside the photographs, 16-bit grey PNGs in which 0 means unknown: the `depth_file_path` of a frame,
+        /// or files in the folder `depths` named as the photographs. `train.lambda_depth_maps` is their weight.
+        depth: DepthMaps = DepthMaps::None;
+        /// Lens of the built-in scene.
+        builtin_lens: BuiltinLens = BuiltinLens::None;
+        /// Largest change of exposure of a view of the built-in scene, up or down: by how much differs from view to view. It
+        /// is for tests of `train.exposure`.
+        builtin_exposure_stops: f64 = 0.0, unit: "stops", range: 0.0..=4.0;
+        /// Which program places the cameras of photographs without cameras.
+        sfm: SfmProgram = SfmProgram::Colmap;
+        /// Which camera model it fits to them.
+        sfm_camera: SfmCamera = SfmCamera::OpenCv;
+        /// Which pairs of them it compares.
+        sfm_matching: SfmMatching = SfmMatching::Auto;
+        /// Largest number of frames of a video that become photographs. Of neighbouring frames the sharpest is taken.
+        video_frames: usize = 150, unit: "frames", range: 3..;
     }
 
     /// Length, losses and output of a run.
@@ -67,6 +94,9 @@ configuration! {
         lambda_sky: f64 = 0.1, range: 0.0.., ablation: "no-sky-loss" = "0" ("Let surfels and Gaussians take part in the sky");
         /// Share of D-SSIM in the image loss; the rest is L1 (3DGS).
         lambda_dssim: f64 = 0.2, range: 0.0..=1.0;
+        /// Whether every training view has a colour correction of its own, for photographs with different exposures or
+        /// white balances. The scene has the mean exposure of all.
+        exposure: Exposure = Exposure::Off;
         /// λ4: weight of the difference between the depths of surfels and of the discs they come from, for surface
         /// reconstruction (DP-GES: 0.1). It acts in the joint stage and needs a stage or a file of discs.
         lambda_depth: f64 = 0.0, range: 0.0..;
@@ -75,6 +105,11 @@ configuration! {
         /// λ6: weight of the difference between the normals of the surfels' depth and the discs' normals, likewise
         /// (DP-GES: 0.05).
         lambda_depth_normal: f64 = 0.0, range: 0.0..;
+        /// Weight of the relative error of rendered depths against the depth maps of `data.depth`: of surfels in the joint
+        /// stage, of all primitives in the stages before it. With 0 maps are read but not used.
+        lambda_depth_maps: f64 = 0.2, range: 0.0..;
+        /// Factor on `train.lambda_depth_maps` at the last step of the run. Its logarithm is interpolated from 1 at the first.
+        depth_maps_decay: f64 = 0.01, range: POSITIVE_SHARE;
         /// Stop the gradient from Gaussians to surfels through the transmittance.
         detach_transmittance: bool = false,
             ablation: "no-transmittance-gradient" = "true" ("Without the gradient from Gaussians to surfels");
@@ -316,6 +351,9 @@ configuration! {
         detail: f64 = 5e-3, range: 0.0..;
         /// Learning rate of the environment.
         environment: f64 = 5e-3, range: 0.0..;
+        /// Learning rate of the colour corrections of `train.exposure` at the first step of the run. It falls to a tenth at
+        /// the last.
+        exposure: f64 = 5e-3, range: 0.0..;
         /// Factor on all learning rates but those of positions at the last step. Its logarithm is interpolated from 1 at
         /// the first.
         decay: f64 = 1.0, range: POSITIVE;

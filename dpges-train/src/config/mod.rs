@@ -4,7 +4,7 @@
 //! |---|---|
 //! | [`mod@keys`] | the declarations |
 //! | [`declare`] | the macro that they are written in, and what it makes of them |
-//! | [`choices`], [`budget`] | types of values |
+//! | [`choices`], [`budget`], [`memory`] | types of values |
 //! | [`range`] | which numbers make sense |
 //! | [`sources`] | defaults, presets, files and options, one over the other |
 //! | [`document`] | the keys as TOML and Markdown |
@@ -15,6 +15,7 @@ pub mod choices;
 pub mod declare;
 pub mod document;
 pub mod keys;
+pub mod memory;
 pub mod range;
 pub mod schedule;
 pub mod sources;
@@ -22,13 +23,13 @@ pub mod stages;
 
 use dpges_core::ops::adam::AdamStep;
 
-use crate::dataset::LoadOptions;
+use crate::dataset::{DepthKind, LoadOptions};
 
 pub use budget::Budget;
 use budget::{MEGABYTE, primitives_for};
 pub use choices::{
-    AddAs, Background, Environment, GaussianStage, InitMethod, JointOpacity, Margin, Method, PixelsOf, Stop,
-    SurfelStart,
+    AddAs, Alpha, Background, BuiltinLens, DepthMaps, Environment, Exposure, GaussianStage, InitMethod, JointOpacity,
+    Margin, Method, PixelsOf, SfmCamera, SfmMatching, SfmProgram, Stop, SurfelStart,
 };
 pub use declare::{Ablation, Key, Section};
 pub use dpges_core::scene::OpacityActivation;
@@ -36,6 +37,7 @@ pub use keys::{
     Config, DataConfig, DensityConfig, DiscsConfig, InitConfig, ModelConfig, OptimizerConfig, RefineConfig,
     RelocationConfig, SECTIONS, StagesConfig, TrainConfig,
 };
+pub use memory::Memory;
 pub use schedule::{Due, Schedule};
 pub use sources::ConfigError;
 pub use stages::{Blended, Density, Relocation, StageKind, StagePlan};
@@ -44,6 +46,8 @@ pub use stages::{Blended, Density, Relocation, StageKind, StagePlan};
 pub const SMALLEST_BUDGET_BY_PIXELS: usize = 16_384;
 /// Share of surfels for which a budget in megabytes is converted into primitives. Surfels and Gaussians differ by 4 %.
 const SURFEL_SHARE: f64 = 0.1;
+/// Factor on the learning rate of colour corrections at the last step.
+const EXPOSURE_DECAY: f64 = 0.1;
 /// Every how many-th training view is kept for validation by default.
 const DEFAULT_VALIDATION_EVERY: usize = 8;
 
@@ -93,12 +97,26 @@ impl DataConfig {
             image_scale: (self.image_scale > 1).then_some(self.image_scale),
             max_resolution: (self.max_resolution > 0).then_some(self.max_resolution),
             test_every: self.test_every,
+            undistort: self.undistort,
             near: (self.near > 0.0).then_some(self.near),
+            alpha_masks: self.alpha == Alpha::Mask,
+            invert_masks: self.invert_masks,
+            memory: self.memory.bytes(),
+            depth: match self.depth {
+                DepthMaps::None => None,
+                DepthMaps::Metric => Some(DepthKind::Metric),
+                DepthMaps::Relative => Some(DepthKind::Relative),
+            },
         }
     }
 }
 
 impl TrainConfig {
+    /// Weight of the loss of depth maps at `progress` of the whole run. Its logarithm is linear in `progress`.
+    pub fn depth_map_weight(&self, progress: f64) -> f64 {
+        self.lambda_depth_maps * between(1.0, self.depth_maps_decay, progress)
+    }
+
     /// Whether a loss compares surfels with discs.
     pub fn has_geometry_losses(&self) -> bool {
         self.lambda_depth > 0.0 || self.lambda_normal > 0.0 || self.lambda_depth_normal > 0.0
@@ -123,6 +141,11 @@ impl OptimizerConfig {
         extent * between(self.position_start, self.position_end, progress)
     }
 
+    /// Learning rate of colour corrections at `progress` of the whole run. Its logarithm is linear in `progress`.
+    pub fn exposure_rate(&self, progress: f64) -> f64 {
+        self.exposure * between(1.0, EXPOSURE_DECAY, progress)
+    }
+
     /// Factor on every other learning rate at `progress`.
     pub fn decay_at(&self, progress: f64) -> f64 {
         between(1.0, self.decay, progress)
@@ -145,16 +168,26 @@ mod tests {
         assert!((rates.position_rate(0.5, 1.0) - 1.6e-5).abs() < 1e-15);
         assert!((rates.decay_at(0.5) - 0.1).abs() < 1e-12);
         assert_eq!(rates.decay_at(0.0), 1.0);
+        let train = TrainConfig { lambda_depth_maps: 0.5, depth_maps_decay: 0.04, ..Default::default() };
+        assert_eq!(train.depth_map_weight(0.0), 0.5);
+        assert!(
+            (train.depth_map_weight(0.5) - 0.1).abs() < 1e-12 && (train.depth_map_weight(1.0) - 0.02).abs() < 1e-12
+        );
+        assert_eq!(rates.exposure_rate(0.0), rates.exposure);
+        assert!((rates.exposure_rate(1.0) - 0.1 * rates.exposure).abs() < 1e-12);
     }
 
     #[test]
     fn zeros_and_auto_leave_the_choice_to_the_dataset() {
         let options = DataConfig { max_resolution: 0, ..Default::default() }.load_options();
-        assert_eq!(options, LoadOptions::default());
+        let memory = Memory::Auto.bytes();
+        assert_eq!(options, LoadOptions { memory, ..LoadOptions::default() });
         let data =
             DataConfig { background: Background::Colour([1.0; 3]), image_scale: 4, near: 0.5, ..Default::default() };
         let options = data.load_options();
         assert_eq!((options.background, options.image_scale, options.near), (Some([1.0; 3]), Some(4), Some(0.5)));
-        assert_eq!(options.max_resolution, Some(1600));
+        assert_eq!((options.max_resolution, options.depth), (Some(1600), None));
+        let data = DataConfig { depth: DepthMaps::Relative, ..Default::default() };
+        assert_eq!(data.load_options().depth, Some(DepthKind::Relative));
     }
 }

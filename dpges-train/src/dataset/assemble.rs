@@ -1,15 +1,14 @@
-//! Turns the description of a dataset into one to train on: pictures, pinhole cameras, split, extent, origin.
+//! Turns the description of a dataset into one to train on: pictures, cameras, split, extent, origin.
 
 use std::path::{Component, Path, PathBuf};
 
 use dpges_core::camera::Camera;
 use glam::DVec3;
-use rayon::prelude::*;
 
 use super::error::{DatasetError, Result, listing};
-use super::images::{self, Picture};
+use super::images::{self, Alpha};
 use super::source::{Frame, RawPoints, Source, Split};
-use super::{Dataset, Format, LoadOptions, PointCloud, View, undistort};
+use super::{Dataset, DepthMap, Format, LoadOptions, Picture, PointCloud, depth, masks, reading, undistort};
 
 /// Distance of the cameras from the origin, in extents, beyond which the world is moved there. f32 has 24 bits: at
 /// 100 extents positions are rounded to 100 · 2⁻²⁴ = 6·10⁻⁶ extents, a fraction of a pixel.
@@ -30,6 +29,14 @@ pub(super) fn assemble(root: &Path, mut source: Source, options: &LoadOptions) -
             return Err(missing_image(frame));
         }
     }
+    for frame in &mut source.frames {
+        frame.mask = masks::find(root, frame)?;
+    }
+    masks::warn_of_strangers(root, &source.frames);
+
+    if options.depth.is_some() {
+        check_depth(root, &source)?;
+    }
 
     let train_centres: Vec<DVec3> =
         frames_of(&source, Split::Train).map(|frame| frame.camera_from_world.centre()).collect();
@@ -39,16 +46,27 @@ pub(super) fn assemble(root: &Path, mut source: Source, options: &LoadOptions) -
         Some(background) => background,
         None => default_background(&source)?,
     };
-
-    let views = |split| -> Result<Vec<View>> {
-        let frames: Vec<&Frame> = frames_of(&source, split).collect();
-        let views: Vec<_> =
-            frames.into_par_iter().map(|frame| view(frame, offset, near, background, options.max_resolution)).collect();
-        views.into_iter().collect()
+    let reading = Reading {
+        alpha: if options.alpha_masks { Alpha::Mask } else { Alpha::Matte(background) },
+        invert_masks: options.invert_masks,
+        undistort: options.undistort,
+        max_resolution: options.max_resolution,
     };
+
+    warn_of_deep_images(&source.frames)?;
+    // photographs to train on come first: they are needed more often
+    let frames: Vec<&Frame> =
+        [Split::Train, Split::Test].into_iter().flat_map(|split| frames_of(&source, split)).collect();
+    let read = move |frame: &Frame| photograph(frame, offset, near, &reading);
+    let depth = |frame: &Frame, camera: &Camera, picture: &Picture| -> Result<Option<DepthMap>> {
+        let Some(kind) = options.depth.filter(|_| frame.split == Split::Train) else { return Ok(None) };
+        depth::file(root, frame).map(|file| depth::read(&file, kind, frame, camera, picture)).transpose()
+    };
+    let (mut train, spare_memory) = reading::views(&frames, options.memory, read, depth)?;
+    let test = train.split_off(train_centres.len());
     Ok(Dataset {
-        train: views(Split::Train)?,
-        test: views(Split::Test)?,
+        train,
+        test,
         validation: Vec::new(),
         points: recentred_points(&source, offset),
         offset,
@@ -56,6 +74,7 @@ pub(super) fn assemble(root: &Path, mut source: Source, options: &LoadOptions) -
         background,
         format: source.format,
         near,
+        spare_memory,
     })
 }
 
@@ -77,7 +96,7 @@ fn check(source: &Source, near: f64, options: &LoadOptions) -> Result<()> {
         return Err(DatasetError::NoTestViews { path, reason: source.no_test_reason });
     }
     for frame in &source.frames {
-        frame.lens.camera(frame.camera_from_world, near).validate().map_err(|source| DatasetError::Camera {
+        frame.calibration.camera(frame.camera_from_world, near).validate().map_err(|source| DatasetError::Camera {
             path: frame.described_in.clone(),
             view: frame.name.clone(),
             source: Box::new(source),
@@ -138,25 +157,78 @@ fn missing_image(frame: &Frame) -> DatasetError {
     }
 }
 
-fn view(frame: &Frame, offset: DVec3, near: f64, background: [f64; 3], max_resolution: Option<usize>) -> Result<View> {
-    let mut picture = images::decode(&frame.image, background)?;
-    if !frame.lens.fits(picture.width, picture.height) {
+/// # Errors
+/// [`DatasetError::MissingDepth`] for the first training view whose map is not there, [`DatasetError::NoDepth`] if no
+/// training view has one.
+fn check_depth(root: &Path, source: &Source) -> Result<()> {
+    let mut found = false;
+    for frame in frames_of(source, Split::Train) {
+        let Some(file) = depth::file(root, frame) else { continue };
+        if !file.path.is_file() {
+            return Err(DatasetError::MissingDepth {
+                path: file.path,
+                view: frame.name.clone(),
+                described_in: frame.described_in.clone(),
+            });
+        }
+        found = true;
+    }
+    if found { Ok(()) } else { Err(DatasetError::NoDepth { path: root.join(depth::FOLDER) }) }
+}
+
+/// Says so if images have more than 8 bits per value.
+fn warn_of_deep_images(frames: &[Frame]) -> Result<()> {
+    let mut deep = Vec::new();
+    let is_png = |frame: &&Frame| frame.image.extension().is_some_and(|found| found.eq_ignore_ascii_case("png"));
+    for frame in frames.iter().filter(|frame| frame.split != Split::Neither).filter(is_png) {
+        if images::header(&frame.image)?.is_deep {
+            deep.push(frame.image.display());
+        }
+    }
+    if let Some(first) = deep.first() {
+        tracing::info!("{} images of 16 bits per value are rounded to 8, such as {first}", deep.len());
+    }
+    Ok(())
+}
+
+/// How photographs are read.
+#[derive(Clone, Copy)]
+struct Reading {
+    alpha: Alpha,
+    invert_masks: bool,
+    undistort: bool,
+    /// px
+    max_resolution: Option<usize>,
+}
+
+/// The photograph of a frame, undistorted if asked to and made smaller, and the camera that took it or would have.
+fn photograph(frame: &Frame, offset: DVec3, near: f64, reading: &Reading) -> Result<(Camera, Picture)> {
+    let mut picture = images::decode(&frame.image, reading.alpha)?;
+    if let Some(mask) = &frame.mask {
+        let size = [picture.width, picture.height];
+        picture.count_only(masks::read(mask, &frame.image, size, reading.invert_masks)?);
+    }
+    if !frame.calibration.fits(picture.width, picture.height) {
         return Err(DatasetError::ImageSize {
             path: frame.image.clone(),
             found: [picture.width, picture.height],
-            camera: [frame.lens.width, frame.lens.height],
+            camera: [frame.calibration.width, frame.calibration.height],
             described_in: frame.described_in.clone(),
         });
     }
-    let lens = frame.lens.resized(picture.width, picture.height);
-    let pinhole = undistort::pinhole(&lens)
-        .ok_or_else(|| DatasetError::Distortion { path: frame.described_in.clone(), view: frame.name.clone() })?;
-    if pinhole != lens {
-        picture = undistort::resample(&picture, &lens, &pinhole);
+    let taken = frame.calibration.camera(frame.camera_from_world.recentred(offset), near);
+    let mut camera = taken.resized(picture.width, picture.height);
+    if reading.undistort && camera.lens.is_some() {
+        let pinhole = undistort::pinhole(&camera)
+            .ok_or_else(|| DatasetError::Distortion { path: frame.described_in.clone(), view: frame.name.clone() })?;
+        picture = undistort::resample(&picture, &camera, &pinhole);
+        camera = pinhole;
     }
-    let camera = pinhole.camera(frame.camera_from_world.recentred(offset), near);
-    let (camera, picture) = capped(camera, picture, max_resolution);
-    Ok(View { name: frame.name.clone(), camera, picture })
+    let (camera, picture) = capped(camera, picture, reading.max_resolution);
+    if picture.counted.as_ref().is_some_and(|counted| !counted.contains(&true)) {
+        return Err(DatasetError::NothingCounts { path: frame.image.clone(), view: frame.name.clone() });
+    }
+    Ok((camera, picture))
 }
 
 fn capped(camera: Camera, picture: Picture, max_resolution: Option<usize>) -> (Camera, Picture) {
@@ -253,7 +325,7 @@ mod tests {
         let camera = data.train[0].camera;
         assert_eq!((camera.width, camera.height), (12, 8));
         assert_eq!((camera.fx, camera.cx, camera.cy), (10.0, 6.0, 4.0));
-        assert_eq!(data.train[0].picture.rgb(3, 3), [10.0 / 255.0, 20.0 / 255.0, 30.0 / 255.0]);
+        assert_eq!(data.train[0].picture().unwrap().bytes[..3], [10, 20, 30]);
     }
 
     #[test]
@@ -265,10 +337,35 @@ mod tests {
         let small = load(folder.path(), &options).unwrap();
         let camera = small.train[0].camera;
         assert_eq!((camera.width, camera.height, camera.fx, camera.near), (12, 8, 10.0, 0.5));
-        assert_eq!(small.train[0].picture.planes.len(), 3 * 12 * 8);
+        assert_eq!(small.train[0].picture().unwrap().bytes.len(), 3 * 12 * 8);
         assert_eq!((full.train[0].camera.width, full.near), (24, 0.2));
         let enough = LoadOptions { max_resolution: Some(24), ..Default::default() };
-        assert_eq!(load(folder.path(), &enough).unwrap().train[0].picture, full.train[0].picture);
+        let same = load(folder.path(), &enough).unwrap();
+        assert_eq!(same.train[0].picture().unwrap(), full.train[0].picture().unwrap());
+    }
+
+    #[test]
+    fn photographs_that_keep_their_lens_keep_their_masks_and_are_read_again_alike() {
+        let mut scene = fixtures::scene(9);
+        (scene.model, scene.params) = ((2, "SIMPLE_RADIAL"), vec![20.0, 12.0, 8.0, 0.1]);
+        let folder = tempfile::tempdir().unwrap();
+        fixtures::write_colmap(folder.path(), &scene, Encoding::Binary);
+        let mask = folder.path().join("masks/left/003.png");
+        std::fs::create_dir_all(mask.parent().unwrap()).unwrap();
+        image::GrayImage::from_fn(24, 16, |x, _| image::Luma([u8::from(x < 6)])).save(mask).unwrap();
+        let of_view = |undistort: bool, memory: usize| {
+            let options = LoadOptions { undistort, memory, ..Default::default() };
+            let data = load(folder.path(), &options).unwrap();
+            let view = data.train.iter().find(|view| view.name == "left/003.png").unwrap();
+            assert_eq!((view.camera.lens.is_some(), view.photograph.is_kept()), (!undistort, memory > 0));
+            view.picture().unwrap()
+        };
+        let [read_again, kept] = [0, usize::MAX].map(|memory| of_view(false, memory));
+        assert_eq!(read_again, kept);
+        let columns: Vec<bool> = (0..24 * 16).map(|pixel| pixel % 24 < 6).collect();
+        assert_eq!(kept.counted.as_ref(), Some(&columns));
+        // without the lens, what does not count gets into the last column that does
+        assert_ne!(of_view(true, usize::MAX).counted, kept.counted);
     }
 
     #[test]

@@ -32,12 +32,12 @@ pub enum DatasetError {
     Ply { path: PathBuf, source: serde_ply::DeserializeError },
     #[error(
         "{path}: camera model {model} of {camera} is not supported: {reason}; \
-         undistort the photographs to PINHOLE first"
+         convert it to another model or undistort the photographs to PINHOLE first"
     )]
     CameraModel { path: PathBuf, camera: String, model: String, reason: &'static str },
     #[error(
         "{path}: the distortion of view `{view}` cannot be undone with a pinhole camera of half to twice its focal \
-         length; check its coefficients or undistort the photographs first"
+         length; check its coefficients, undistort the photographs first, or use them as they are (`data.undistort` = false)"
     )]
     Distortion { path: PathBuf, view: String },
     #[error("{path}: view `{view}`: {source}; repair the view or remove it")]
@@ -57,6 +57,19 @@ pub enum DatasetError {
     NoPoints { path: PathBuf },
     #[error("image {path} of view `{view}` is missing; {described_in} names it, restore the file or remove the view")]
     MissingImage { path: PathBuf, view: String, described_in: PathBuf },
+    #[error("{path} has no depth maps; set `data.depth` = \"none\" to train without them")]
+    NoDepth { path: PathBuf },
+    #[error(
+        "depth map {path} of view `{view}` is missing; {described_in} names it, restore the file, remove its          `depth_file_path`, or set `data.depth` = \"none\""
+    )]
+    MissingDepth { path: PathBuf, view: String, described_in: PathBuf },
+    #[error("depth map {path} is an image of type {found}, expected {expected}; export it again")]
+    DepthType { path: PathBuf, found: String, expected: &'static str },
+    #[error(
+        "depth map {path} is {}x{} px, its camera in {described_in} {}x{}; their aspects differ, use the map of this          photograph",
+        found[0], found[1], camera[0], camera[1]
+    )]
+    DepthSize { path: PathBuf, found: [usize; 2], camera: [usize; 2], described_in: PathBuf },
     #[error("folder {path} is missing, there are {available}; use an image scale that exists, or cap the resolution")]
     MissingScale { path: PathBuf, available: String },
     #[error("image {path} cannot be decoded: {source}; replace it, as PNG or JPEG, or remove the view")]
@@ -67,6 +80,18 @@ pub enum DatasetError {
         found[0], found[1], camera[0], camera[1]
     )]
     ImageSize { path: PathBuf, found: [usize; 2], camera: [usize; 2], described_in: PathBuf },
+    #[error("mask {path} of view `{view}` is missing; {described_in} names it, restore the file or remove its name")]
+    MissingMask { path: PathBuf, view: String, described_in: PathBuf },
+    #[error(
+        "mask {mask} is {}x{} px, its image {image} {}x{}; make the mask anew for this image, or remove it",
+        found[0], found[1], expected[0], expected[1]
+    )]
+    MaskSize { mask: PathBuf, found: [usize; 2], image: PathBuf, expected: [usize; 2] },
+    #[error(
+        "no pixel of image {path} of view `{view}` counts: masks are white where a picture counts; turn them round \
+         (--invert-masks), or remove the view"
+    )]
+    NothingCounts { path: PathBuf, view: String },
 }
 
 impl DatasetError {

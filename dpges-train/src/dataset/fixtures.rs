@@ -6,24 +6,26 @@ use std::path::Path;
 use dpges_core::camera::CameraFromWorld;
 use glam::{DMat3, DQuat, DVec3};
 
+use super::{Dataset, View};
+
 /// Size and intrinsics of the photographs of [`scene`].
 const WIDTH: u64 = 24;
 const HEIGHT: u64 = 16;
 
-pub(super) struct FixtureImage {
+pub(crate) struct FixtureImage {
     pub id: u32,
     pub name: String,
     pub pose: CameraFromWorld,
     pub rgb: [u8; 3],
 }
 
-pub(super) struct FixturePoint {
+pub(crate) struct FixturePoint {
     pub position: DVec3,
     pub rgb: [u8; 3],
     pub track: Vec<u32>,
 }
 
-pub(super) struct FixtureScene {
+pub(crate) struct FixtureScene {
     /// Numeric id and name of the COLMAP model, and its parameters.
     pub model: (u32, &'static str),
     pub params: Vec<f64>,
@@ -32,19 +34,19 @@ pub(super) struct FixtureScene {
 }
 
 #[derive(Clone, Copy)]
-pub(super) enum Encoding {
+pub(crate) enum Encoding {
     Binary,
     Text,
 }
 
 /// Pose `index` of `count` on a circle around the origin.
-pub(super) fn pose(index: usize, count: usize) -> CameraFromWorld {
+pub(crate) fn pose(index: usize, count: usize) -> CameraFromWorld {
     let angle = index as f64 / count as f64 * std::f64::consts::TAU;
     CameraFromWorld::look_at(DVec3::new(3.0 * angle.cos(), 3.0 * angle.sin(), 1.0 + 0.1 * angle), DVec3::ZERO, DVec3::Z)
 }
 
 /// `count` PINHOLE photographs, each in its own colour, in an order that is not that of their names, and five points.
-pub(super) fn scene(count: usize) -> FixtureScene {
+pub(crate) fn scene(count: usize) -> FixtureScene {
     let images = (0..count)
         .rev()
         .map(|index| FixtureImage {
@@ -64,18 +66,18 @@ pub(super) fn scene(count: usize) -> FixtureScene {
     FixtureScene { model: (1, "PINHOLE"), params: vec![20.0, 20.0, 12.0, 8.0], images, points }
 }
 
-pub(super) fn write_png(path: &Path, width: u32, height: u32, rgb: [u8; 3]) {
+pub(crate) fn write_png(path: &Path, width: u32, height: u32, rgb: [u8; 3]) {
     std::fs::create_dir_all(path.parent().unwrap()).unwrap();
     image::RgbImage::from_pixel(width, height, image::Rgb(rgb)).save(path).unwrap();
 }
 
-pub(super) fn write_rgba(path: &Path, width: u32, height: u32, rgba: [u8; 4]) {
+pub(crate) fn write_rgba(path: &Path, width: u32, height: u32, rgba: [u8; 4]) {
     std::fs::create_dir_all(path.parent().unwrap()).unwrap();
     image::RgbaImage::from_pixel(width, height, image::Rgba(rgba)).save(path).unwrap();
 }
 
 /// Camera-to-world JSON with OpenGL axes.
-pub(super) fn transform_matrix(pose: &CameraFromWorld) -> String {
+pub(crate) fn transform_matrix(pose: &CameraFromWorld) -> String {
     let columns = DMat3::from_cols(pose.rotation.row(0), -pose.rotation.row(1), -pose.rotation.row(2));
     let rows: Vec<String> = (0..3)
         .map(|i| format!("[{}, {}, {}, {}]", columns.col(0)[i], columns.col(1)[i], columns.col(2)[i], pose.centre()[i]))
@@ -83,8 +85,40 @@ pub(super) fn transform_matrix(pose: &CameraFromWorld) -> String {
     format!("[{}, [0, 0, 0, 1]]", rows.join(", "))
 }
 
+/// Training and held-out views as a nerfstudio dataset: `images/`, `masks/` where pictures have them, `transforms.json`.
+pub(crate) fn export(root: &Path, data: &Dataset) {
+    let file = |view: &View| format!("images/{}.png", view.name);
+    let frame = |view: &View| {
+        let (picture, camera) = (view.picture().unwrap(), view.camera);
+        let (width, height) = (picture.width as u32, picture.height as u32);
+        let path = root.join(file(view));
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        image::RgbImage::from_raw(width, height, picture.bytes.clone()).unwrap().save(path).unwrap();
+        if let Some(counted) = &picture.counted {
+            let path = root.join(format!("masks/{}.png", view.name));
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            let white = counted.iter().map(|&counts| if counts { 255 } else { 0 }).collect();
+            image::GrayImage::from_raw(width, height, white).unwrap().save(path).unwrap();
+        }
+        format!(
+            r#"{{"file_path": "{}", "w": {width}, "h": {height}, "fl_x": {}, "fl_y": {}, "cx": {}, "cy": {},
+            "transform_matrix": {}}}"#,
+            file(view),
+            camera.fx,
+            camera.fy,
+            camera.cx,
+            camera.cy,
+            transform_matrix(&camera.camera_from_world)
+        )
+    };
+    let frames: Vec<String> = data.train.iter().chain(&data.test).map(frame).collect();
+    let held_out: Vec<String> = data.test.iter().map(|view| format!("{:?}", file(view))).collect();
+    let json = format!(r#"{{"test_filenames": [{}], "frames": [{}]}}"#, held_out.join(","), frames.join(","));
+    std::fs::write(root.join("transforms.json"), json).unwrap();
+}
+
 /// `images/` and `sparse/0`.
-pub(super) fn write_colmap(root: &Path, scene: &FixtureScene, encoding: Encoding) {
+pub(crate) fn write_colmap(root: &Path, scene: &FixtureScene, encoding: Encoding) {
     for image in &scene.images {
         write_png(&root.join("images").join(&image.name), WIDTH as u32, HEIGHT as u32, image.rgb);
     }
@@ -92,7 +126,7 @@ pub(super) fn write_colmap(root: &Path, scene: &FixtureScene, encoding: Encoding
 }
 
 /// `cameras`, `images` and `points3D` in `folder`.
-pub(super) fn write_model(folder: &Path, scene: &FixtureScene, encoding: Encoding) {
+pub(crate) fn write_model(folder: &Path, scene: &FixtureScene, encoding: Encoding) {
     std::fs::create_dir_all(folder).unwrap();
     match encoding {
         Encoding::Binary => write_binary(folder, scene),

@@ -1,42 +1,39 @@
-//! Photographs as planes of floats: decoding, compositing, downscaling.
+//! Photographs in files: decoding, compositing, making smaller.
 
 use std::path::Path;
 
 use image::imageops::{self, FilterType};
-use image::{ColorType, ImageBuffer, ImageDecoder, ImageError, ImageReader, Luma, Pixel, Rgb};
+use image::{ColorType, DynamicImage, ImageBuffer, ImageDecoder, ImageError, ImageReader, Luma, Pixel, Rgb};
 
+use super::Picture;
 use super::error::{DatasetError, Result};
+use super::masks;
 
-/// An image in display-referred values, as stored in the file; EXIF orientation is not applied, because
-/// poses and intrinsics refer to the stored pixels.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Picture {
-    pub width: usize,
-    pub height: usize,
-    /// Red, green and blue planes in 0..1, [3, height, width], composited on the background.
-    pub planes: Vec<f32>,
-    /// Coverage in 0..1, [height, width]. `None` if the file has no alpha channel.
-    pub alpha: Option<Vec<f32>>,
+/// Alpha, of 255, from which on a pixel counts, where alpha is a mask.
+const COUNTS: u8 = 128;
+
+/// What the alpha of images says.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Alpha {
+    /// How much of the photograph covers this background.
+    Matte([f64; 3]),
+    /// Which pixels count.
+    Mask,
 }
 
 impl Picture {
-    /// Red, green and blue of the pixel in column `x`, row `y`.
-    pub fn rgb(&self, x: usize, y: usize) -> [f32; 3] {
-        std::array::from_fn(|channel| self.planes[(channel * self.height + y) * self.width + x])
-    }
-
-    /// The picture downscaled to `width` × `height` px by a Catmull-Rom filter, widened by the reduction.
-    pub(super) fn downscaled(&self, width: usize, height: usize) -> Self {
-        let mut interleaved = Vec::with_capacity(self.planes.len());
-        for y in 0..self.height {
-            for x in 0..self.width {
-                interleaved.extend(self.rgb(x, y));
-            }
-        }
+    /// The picture made smaller, to `width` × `height` px, by a Catmull-Rom filter that is widened by the reduction, and
+    /// rounded to 8 bits.
+    pub(super) fn downscaled(self, width: usize, height: usize) -> Self {
         let size = [self.width, self.height, width, height].map(|side| side as u32);
-        let planes = planar(&resize::<Rgb<f32>>(interleaved, size));
-        let alpha = self.alpha.as_ref().map(|alpha| resize::<Luma<f32>>(alpha.clone(), size));
-        Self { width, height, planes, alpha }
+        let of_size = |counted| masks::downscaled(counted, [self.width, self.height], [width, height]);
+        Self {
+            width,
+            height,
+            counted: self.counted.as_deref().map(of_size),
+            bytes: resize::<Rgb<u8>>(self.bytes, size),
+            alpha: self.alpha.map(|alpha| resize::<Luma<u8>>(alpha, size)),
+        }
     }
 }
 
@@ -46,6 +43,8 @@ pub(super) struct Header {
     pub width: usize,
     pub height: usize,
     pub has_alpha: bool,
+    /// Whether a value has more than 8 bits.
+    pub is_deep: bool,
 }
 
 /// Size and kind of an image, without decoding its pixels.
@@ -56,31 +55,51 @@ pub(super) fn header(path: &Path) -> Result<Header> {
     let decoder = reader(path)?.into_decoder().map_err(|source| undecodable(path, source))?;
     let (width, height) = decoder.dimensions();
     let colour: ColorType = decoder.color_type();
-    Ok(Header { width: width as usize, height: height as usize, has_alpha: colour.has_alpha() })
+    let is_deep = colour.bits_per_pixel() > 8 * u16::from(colour.channel_count());
+    Ok(Header { width: width as usize, height: height as usize, has_alpha: colour.has_alpha(), is_deep })
 }
 
-/// Decodes a PNG or JPEG of 8 or 16 bits, grey or coloured. If the file has alpha (not premultiplied), colour is
-/// composited in float: `alpha · colour + (1 − alpha) · background`.
+/// Decodes a PNG or JPEG, grey or coloured; 16 bits are rounded to 8. If the file has alpha (not premultiplied), which is
+/// a matte, colour is composited in float, `alpha · colour + (1 − alpha) · background`, then rounded. If alpha is a mask,
+/// colour is as stored, and pixels of less than half alpha do not count.
 ///
 /// # Errors
 /// [`DatasetError::Read`], [`DatasetError::Decode`].
-pub(super) fn decode(path: &Path, background: [f64; 3]) -> Result<Picture> {
-    let decoded = reader(path)?.decode().map_err(|source| undecodable(path, source))?;
+pub(super) fn decode(path: &Path, alpha: Alpha) -> Result<Picture> {
+    let decoded = decoded(path)?;
     let (width, height) = (decoded.width() as usize, decoded.height() as usize);
     if !decoded.color().has_alpha() {
-        return Ok(Picture { width, height, planes: planar(decoded.into_rgb32f().as_raw()), alpha: None });
+        return Ok(Picture { width, height, bytes: decoded.into_rgb8().into_raw(), alpha: None, counted: None });
     }
-    let rgba = decoded.into_rgba32f();
-    let mut planes = vec![0.0; 3 * width * height];
-    let mut alpha = vec![0.0; width * height];
-    for (pixel, rgba) in rgba.pixels().enumerate() {
-        let [colour @ .., a] = rgba.0;
-        for (channel, colour) in colour.into_iter().enumerate() {
-            planes[channel * width * height + pixel] = a * colour + (1.0 - a) * background[channel] as f32;
+    let rgba = decoded.into_rgba8().into_raw();
+    let pixels = rgba.as_chunks::<4>().0;
+    match alpha {
+        Alpha::Mask => {
+            let bytes = pixels.iter().flat_map(|&[red, green, blue, _]| [red, green, blue]).collect();
+            let counted = pixels.iter().map(|&[.., alpha]| alpha >= COUNTS).collect();
+            Ok(Picture { width, height, bytes, alpha: None, counted: Some(counted) })
         }
-        alpha[pixel] = a;
+        Alpha::Matte(background) => {
+            let composited = |&[colour @ .., alpha]: &[u8; 4]| -> [u8; 3] {
+                let alpha = f32::from(alpha) / 255.0;
+                let over = |colour: u8, background: f64| {
+                    (alpha * f32::from(colour) + (1.0 - alpha) * 255.0 * background as f32).round() as u8
+                };
+                std::array::from_fn(|channel| over(colour[channel], background[channel]))
+            };
+            let bytes = pixels.iter().flat_map(composited).collect();
+            let alpha = pixels.iter().map(|&[.., alpha]| alpha).collect();
+            Ok(Picture { width, height, bytes, alpha: Some(alpha), counted: None })
+        }
     }
-    Ok(Picture { width, height, planes, alpha: Some(alpha) })
+}
+
+/// The image in a file.
+///
+/// # Errors
+/// [`DatasetError::Read`], [`DatasetError::Decode`].
+pub(super) fn decoded(path: &Path) -> Result<DynamicImage> {
+    reader(path)?.decode().map_err(|source| undecodable(path, source))
 }
 
 fn reader(path: &Path) -> Result<ImageReader<std::io::BufReader<std::fs::File>>> {
@@ -93,23 +112,16 @@ fn undecodable(path: &Path, source: ImageError) -> DatasetError {
     DatasetError::Decode { path: path.to_owned(), source }
 }
 
-/// [height · width, 3] to [3, height · width].
-fn planar(interleaved: &[f32]) -> Vec<f32> {
-    (0..3).flat_map(|channel| interleaved[channel..].iter().step_by(3).copied()).collect()
-}
-
 /// `size` is from width, from height, to width, to height.
-fn resize<P: Pixel<Subpixel = f32> + 'static>(samples: Vec<f32>, size: [u32; 4]) -> Vec<f32> {
+fn resize<P: Pixel<Subpixel = u8> + 'static>(samples: Vec<u8>, size: [u32; 4]) -> Vec<u8> {
     let [from_width, from_height, to_width, to_height] = size;
     let buffer = ImageBuffer::<P, _>::from_raw(from_width, from_height, samples).expect("samples fill the image");
-    let mut resized = imageops::resize(&buffer, to_width, to_height, FilterType::CatmullRom).into_raw();
-    resized.iter_mut().for_each(|value| *value = value.clamp(0.0, 1.0));
-    resized
+    imageops::resize(&buffer, to_width, to_height, FilterType::CatmullRom).into_raw()
 }
 
 #[cfg(test)]
 mod tests {
-    use image::{DynamicImage, GrayImage, ImageBuffer, Luma, Rgba, RgbaImage};
+    use image::{GrayImage, ImageBuffer, Luma, Rgba, RgbaImage};
 
     use super::*;
 
@@ -121,32 +133,40 @@ mod tests {
     }
 
     #[test]
-    fn grey_and_sixteen_bit_images_become_three_planes() {
+    fn grey_and_sixteen_bit_images_become_three_bytes_per_pixel() {
         let (_folder, path) = saved("grey.png", GrayImage::from_fn(3, 2, |x, y| Luma([(x * 50 + y) as u8])));
-        let picture = decode(&path, [0.0; 3]).unwrap();
+        let picture = decode(&path, Alpha::Matte([0.0; 3])).unwrap();
         assert_eq!((picture.width, picture.height, &picture.alpha), (3, 2, &None));
-        assert!(picture.rgb(2, 1).iter().all(|value| (value - 101.0 / 255.0).abs() < 1e-7));
-        assert_eq!(header(&path).unwrap(), Header { width: 3, height: 2, has_alpha: false });
+        assert_eq!(picture.bytes[15..], [101; 3]);
+        assert_eq!(header(&path).unwrap(), Header { width: 3, height: 2, has_alpha: false, is_deep: false });
 
         let deep = ImageBuffer::from_fn(2, 2, |x, _| Rgb([(x * 257) as u16, 65535u16, 1000]));
         let (_folder, path) = saved("deep.png", DynamicImage::ImageRgb16(deep));
-        let rgb = decode(&path, [0.0; 3]).unwrap().rgb(1, 0);
-        for (found, expected) in rgb.into_iter().zip([257.0, 65535.0, 1000.0]) {
-            assert!((found - expected / 65535.0).abs() < 1e-7);
-        }
+        assert_eq!(decode(&path, Alpha::Matte([0.0; 3])).unwrap().bytes[3..6], [1, 255, 4]);
+        assert!(header(&path).unwrap().is_deep);
     }
 
     #[test]
     fn alpha_is_composited_in_float() {
         let (_folder, path) = saved("a.png", RgbaImage::from_fn(2, 1, |x, _| Rgba([200, 100, 0, 51 * x as u8])));
-        let picture = decode(&path, [1.0, 0.5, 0.0]).unwrap();
-        assert_eq!(picture.rgb(0, 0), [1.0, 0.5, 0.0]);
-        let expected = [0.2 * 200.0 / 255.0 + 0.8, 0.2 * 100.0 / 255.0 + 0.4, 0.0];
-        for (found, expected) in picture.rgb(1, 0).into_iter().zip(expected) {
-            assert!((found - expected).abs() < 1e-6);
-        }
-        assert_eq!(picture.alpha.unwrap(), [0.0, 0.2]);
+        let picture = decode(&path, Alpha::Matte([1.0, 0.5, 0.0])).unwrap();
+        assert_eq!(picture.bytes[..3], [255, 128, 0]);
+        // 0.2 · 200 + 0.8 · 255, 0.2 · 100 + 0.8 · 127.5, 0
+        assert_eq!(picture.bytes[3..6], [244, 122, 0]);
+        assert_eq!(picture.alpha.unwrap(), [0, 51]);
         assert!(header(&path).unwrap().has_alpha);
+    }
+
+    #[test]
+    fn alpha_that_is_a_mask_leaves_colours_alone() {
+        let alphas = [0, 127, 128, 255];
+        let image = RgbaImage::from_fn(4, 1, |x, _| Rgba([200, 100, 0, alphas[x as usize]]));
+        let (_folder, path) = saved("a.png", image);
+        let picture = decode(&path, Alpha::Mask).unwrap();
+        assert_eq!((picture.counted, picture.alpha.is_none()), (Some(vec![false, false, true, true]), true));
+        assert_eq!(picture.bytes, [200, 100, 0].repeat(4));
+        let (_folder, path) = saved("b.png", image::RgbImage::new(2, 2));
+        assert_eq!(decode(&path, Alpha::Mask).unwrap().counted, None);
     }
 
     #[test]
@@ -160,23 +180,36 @@ mod tests {
         turned.extend(tiff);
         turned.extend(&plain[2..]);
         std::fs::write(&jpeg.1, turned).unwrap();
-        let picture = decode(&jpeg.1, [0.0; 3]).unwrap();
+        let picture = decode(&jpeg.1, Alpha::Matte([0.0; 3])).unwrap();
         assert_eq!((picture.width, picture.height), (16, 8));
         assert!(picture.rgb(15, 0)[0] > picture.rgb(0, 0)[0]);
     }
 
     #[test]
     fn downscaling_averages_fine_detail_instead_of_aliasing() {
-        let stripes: Vec<f32> = (0..3 * 64 * 32).map(|i| (i % 2) as f32).collect();
-        let picture = Picture { width: 64, height: 32, planes: stripes, alpha: Some(vec![0.25; 64 * 32]) };
+        let stripes: Vec<u8> = (0..64 * 32).flat_map(|pixel| [(pixel % 2 * 255) as u8; 3]).collect();
+        let picture = Picture { width: 64, height: 32, bytes: stripes, alpha: Some(vec![64; 64 * 32]), counted: None };
         let small = picture.downscaled(16, 8);
-        assert_eq!((small.width, small.height, small.planes.len()), (16, 8, 3 * 16 * 8));
+        assert_eq!((small.width, small.height, small.bytes.len()), (16, 8, 3 * 16 * 8));
         for y in 2..6 {
             for x in 2..14 {
                 assert!((small.rgb(x, y)[0] - 0.5).abs() < 0.02, "{:?}", small.rgb(x, y));
             }
         }
-        assert!(small.alpha.unwrap().iter().all(|a| (a - 0.25).abs() < 1e-5));
+        assert_eq!(small.alpha.unwrap(), [64; 16 * 8]);
+    }
+
+    #[test]
+    fn images_of_many_shades_are_refused_by_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.exr");
+        for begin in
+            [&b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n"[..], b"\x76\x2f\x31\x01\x02\0\0\0", b"II*\0\x10\0\0\0CR"]
+        {
+            std::fs::write(&path, begin).unwrap();
+            let message = decode(&path, Alpha::Mask).unwrap_err().to_string();
+            assert!(message.contains("a.exr") && message.contains("as PNG or JPEG"), "{message}");
+        }
     }
 
     #[test]
@@ -184,7 +217,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("broken.png");
         std::fs::write(&path, b"\x89PNG\r\n\x1a\nnothing else").unwrap();
-        for error in [decode(&path, [0.0; 3]).unwrap_err(), header(&path).unwrap_err()] {
+        for error in [decode(&path, Alpha::Matte([0.0; 3])).unwrap_err(), header(&path).unwrap_err()] {
             assert!(error.to_string().contains("broken.png") && error.to_string().contains("replace it"), "{error}");
         }
     }

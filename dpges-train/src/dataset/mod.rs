@@ -1,20 +1,25 @@
 //! Photographs, cameras and points from disk: COLMAP, Blender and nerfstudio folders, and a small built-in scene.
 //!
 //! A format reader (`colmap`, `blender`, `nerfstudio`) describes the dataset as a list of frames with lenses and
-//! poses; `assemble` then decodes the images in parallel, undistorts and downscales them, and moves
+//! poses; `assemble` then decodes the images in parallel, undistorts them if asked to, downscales them, and moves
 //! geo-referenced worlds to the origin. Cameras have OpenCV axes (x right, y down, z forward).
 
 mod assemble;
 mod blender;
 mod builtin;
+mod calibration;
 mod colmap;
+mod depth;
 mod error;
 #[cfg(test)]
-mod fixtures;
+pub(crate) mod fixtures;
 mod images;
-mod lens;
+mod masks;
 mod nerfstudio;
+mod photograph;
+mod picture;
 mod ply;
+mod reading;
 mod source;
 mod split;
 mod transforms;
@@ -22,25 +27,33 @@ mod undistort;
 
 use std::fmt;
 use std::path::Path;
+use std::sync::Arc;
 
-use burn::tensor::{DType, Device, Tensor, TensorData};
+use burn::tensor::Device;
 use dpges_core::camera::Camera;
+use dpges_core::losses::Target;
 use glam::DVec3;
 
 pub use builtin::{BuiltinOptions, builtin, builtin_geometry};
+pub(crate) use colmap::{ModelContent, model_content};
+pub use depth::{DepthKind, DepthMap};
 pub use error::DatasetError;
-pub use images::Picture;
+pub use masks::Masked;
+pub use photograph::{Photograph, pictures};
+pub use picture::Picture;
 
 use error::Result;
 
-/// A photograph and the pinhole camera that took it. Both have the same resolution.
+/// A photograph and the camera that took it. Both have the same resolution.
 #[derive(Clone, Debug)]
 pub struct View {
     /// The image's path within its dataset, unique.
     pub name: String,
     /// In the shifted world, see [`Dataset::offset`].
     pub camera: Camera,
-    pub picture: Picture,
+    pub photograph: Photograph,
+    /// `None` if there is none, or none was asked for. Only training views have one.
+    pub depth: Option<DepthMap>,
 }
 
 /// Points on the surfaces of the scene.
@@ -75,17 +88,67 @@ pub struct Dataset {
     pub format: Format,
     /// Near plane of every camera, world units.
     pub near: f64,
+    /// What the photographs leave of [`LoadOptions::memory`], bytes: room for other numbers per pixel.
+    pub spare_memory: usize,
 }
 
 impl View {
-    /// The picture on `device`, [3, H, W].
-    pub fn target(&self, device: &Device) -> Tensor<3> {
-        let Picture { width, height, ref planes, .. } = self.picture;
-        Tensor::from_data(TensorData::new(planes.clone(), [3, height, width]), (device, DType::F32))
+    /// The photograph, from memory or from its file.
+    ///
+    /// # Errors
+    /// [`dpges_core::Error::Io`] if the file is not what it was when the dataset was loaded.
+    pub fn picture(&self) -> dpges_core::Result<Arc<Picture>> {
+        self.photograph.picture()
+    }
+
+    /// The photograph on `device`, and which of its pixels count.
+    ///
+    /// # Errors
+    /// Those of [`picture`](Self::picture).
+    pub fn target(&self, device: &Device) -> dpges_core::Result<Target> {
+        Ok(self.picture()?.target(device))
+    }
+
+    /// Changes the photograph, which is in memory from then on.
+    ///
+    /// # Errors
+    /// Those of [`picture`](Self::picture).
+    pub fn repaint(&mut self, change: impl FnOnce(&mut Picture)) -> dpges_core::Result<()> {
+        let mut picture = Arc::unwrap_or_clone(self.picture()?);
+        change(&mut picture);
+        self.photograph = picture.into();
+        Ok(())
+    }
+
+    /// The camera without its lens: the widest pinhole camera all of whose pixels are on the photograph; `None` if no camera
+    /// of half to twice its focal length has that.
+    pub fn undistorted_camera(&self) -> Option<Camera> {
+        undistort::pinhole(&self.camera)
+    }
+
+    /// The view with its [`undistorted_camera`](Self::undistorted_camera), if there is one: the photograph, which is in
+    /// memory from then on, and the depth map are resampled for it.
+    ///
+    /// # Errors
+    /// Those of [`picture`](Self::picture).
+    pub fn undistorted(&self) -> dpges_core::Result<Option<Self>> {
+        if self.camera.lens.is_none() {
+            return Ok(Some(self.clone()));
+        }
+        let Some(camera) = self.undistorted_camera() else { return Ok(None) };
+        let photograph = self.picture()?;
+        let picture = undistort::resample(&photograph, &self.camera, &camera);
+        let depth = self.depth.as_ref().map(|map| map.seen_by(&camera, &self.camera, &picture));
+        Ok(Some(Self { name: self.name.clone(), camera, photograph: picture.into(), depth }))
     }
 }
 
 impl Dataset {
+    /// How much of its views is masked.
+    pub fn masked(&self) -> Masked {
+        Masked::of(self.train.iter().chain(&self.test).chain(&self.validation))
+    }
+
     /// Moves every `every`-th training view to [`validation`](Self::validation); 0 moves none. It takes the middle view
     /// of each group of `every`, because the first view is often the end of a path and shows what no other view does.
     /// At least two training views remain. Points that only removed views saw remain, with no view that sees them.
@@ -153,13 +216,34 @@ pub struct LoadOptions {
     /// Hold out every n-th view by name if the dataset stores no split. 0 holds none out and accepts a dataset without
     /// held-out views.
     pub test_every: usize,
+    /// Whether photographs taken through a lens are resampled for a pinhole camera; otherwise the cameras have the lens.
+    pub undistort: bool,
     /// World units. `None`: 0.2 for COLMAP and nerfstudio, 0.01 for Blender.
     pub near: Option<f64>,
+    /// Whether alpha says which pixels count, those from one half, instead of how much of the background they show.
+    pub alpha_masks: bool,
+    /// Whether masks are black where pixels count, instead of white.
+    pub invert_masks: bool,
+    /// Most memory for photographs, bytes. Those beyond are read again from their files whenever they are needed.
+    pub memory: usize,
+    /// Read the depth maps of training views, which have values of this kind. `None` reads none.
+    pub depth: Option<DepthKind>,
 }
 
 impl Default for LoadOptions {
     fn default() -> Self {
-        Self { background: None, image_scale: None, max_resolution: None, test_every: 8, near: None }
+        Self {
+            background: None,
+            image_scale: None,
+            max_resolution: None,
+            test_every: 8,
+            undistort: true,
+            near: None,
+            alpha_masks: false,
+            invert_masks: false,
+            memory: usize::MAX,
+            depth: None,
+        }
     }
 }
 

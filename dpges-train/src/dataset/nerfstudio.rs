@@ -151,9 +151,9 @@ mod tests {
     fn unusable_cameras_name_file_and_model() {
         let folder = tempfile::tempdir().unwrap();
         let frames: Vec<_> = (0..2).map(|i| frame(folder.path(), i, "")).collect();
-        write(folder.path(), "transforms.json", &GLOBAL.replace("OPENCV", "OPENCV_FISHEYE"), &frames);
+        write(folder.path(), "transforms.json", &GLOBAL.replace("OPENCV", "FISHEYE624"), &frames);
         let found = message(folder.path());
-        assert!(found.contains("transforms.json: camera model OPENCV_FISHEYE of view `images/00.png`"), "{found}");
+        assert!(found.contains("transforms.json: camera model FISHEYE624 of view `images/00.png`"), "{found}");
         write(folder.path(), "transforms.json", &GLOBAL.replace("OPENCV", "ORTHOPHOTO"), &frames);
         let found = message(folder.path());
         assert!(found.contains("ORTHOPHOTO") && found.contains("unknown"), "{found}");

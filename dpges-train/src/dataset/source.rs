@@ -6,7 +6,7 @@ use dpges_core::camera::CameraFromWorld;
 use glam::DVec3;
 
 use super::Format;
-use super::lens::Lens;
+use super::calibration::Calibration;
 
 /// Which set a view belongs to; `Neither` for a view that the dataset's own lists leave out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,11 +21,23 @@ pub(super) enum Split {
 pub(super) struct Frame {
     pub name: String,
     pub image: PathBuf,
-    pub lens: Lens,
+    /// The mask that the dataset names; after [`super::masks::find`] the one that is there.
+    pub mask: Option<PathBuf>,
+    pub calibration: Calibration,
     pub camera_from_world: CameraFromWorld,
     pub split: Split,
     /// File that holds the pose, named in messages.
     pub described_in: PathBuf,
+    /// The depth map that the dataset names; `None` if it lies where depth maps lie by default, or there is none.
+    pub depth: Option<DepthFile>,
+}
+
+/// A depth map on disk.
+#[derive(Clone, Debug)]
+pub(super) struct DepthFile {
+    pub path: PathBuf,
+    /// World units of depth of a step of its values.
+    pub unit: f64,
 }
 
 /// Points in the frame of the file, in f64: geo-referenced coordinates do not fit f32.

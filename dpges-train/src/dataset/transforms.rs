@@ -5,14 +5,15 @@
 
 use std::path::{Path, PathBuf};
 
-use dpges_core::camera::CameraFromWorld;
+use dpges_core::camera::{CameraFromWorld, Distortion, Projection};
 use glam::{DMat3, DQuat, DVec3};
 use serde::Deserialize;
 
+use super::calibration::Calibration;
+use super::depth::DEFAULT_UNIT;
 use super::error::{DatasetError, Result, read};
 use super::images;
-use super::lens::{Distortion, Lens};
-use super::source::{Frame, Split};
+use super::source::{DepthFile, Frame, Split};
 
 /// Largest entry of RᵀR − I with which a pose is made orthonormal; other poses are refused.
 const ROTATION_TOLERANCE: f64 = 1e-3;
@@ -21,6 +22,8 @@ const ROTATION_TOLERANCE: f64 = 1e-3;
 pub(super) struct Transforms {
     #[serde(flatten)]
     intrinsics: Intrinsics,
+    /// World units of depth of a step of the depth maps; 0.001 if absent.
+    depth_unit_scale_factor: Option<f64>,
     /// Point cloud in the frame of the poses.
     pub ply_file_path: Option<String>,
     pub train_filenames: Option<Vec<String>>,
@@ -32,8 +35,10 @@ pub(super) struct Transforms {
 #[derive(Clone, Debug, Deserialize)]
 struct JsonFrame {
     file_path: String,
+    mask_path: Option<String>,
     /// 4×4 or 3×4, row by row.
     transform_matrix: Vec<Vec<f64>>,
+    depth_file_path: Option<String>,
     #[serde(flatten)]
     intrinsics: Intrinsics,
 }
@@ -73,17 +78,25 @@ impl Transforms {
     /// The frames of the file at `path` in the dataset in folder `root`, all in `split`, sorted by name.
     ///
     /// # Errors
-    /// [`DatasetError`] for missing images, fisheye lenses, poses that are no rigid motions.
+    /// [`DatasetError`] for missing images, unknown lenses, poses that are no rigid motions.
     pub fn frames(&self, root: &Path, path: &Path, split: Split) -> Result<Vec<Frame>> {
+        let unit = self.depth_unit_scale_factor.unwrap_or(DEFAULT_UNIT);
+        if !(unit.is_finite() && unit > 0.0) {
+            let what = "`depth_unit_scale_factor`".to_owned();
+            return Err(DatasetError::malformed(path, what, unit, "a positive number"));
+        }
         let mut frames: Vec<Frame> = self
             .frames
             .iter()
             .map(|frame| {
                 let name = name(&frame.file_path).to_owned();
                 let image = image_path(root, path, &name)?;
-                let lens = frame.intrinsics.clone().or(&self.intrinsics).lens(path, &name, &image)?;
+                let calibration = frame.intrinsics.clone().or(&self.intrinsics).calibration(path, &name, &image)?;
                 let camera_from_world = camera_from_world(path, &name, &frame.transform_matrix)?;
-                Ok(Frame { name, image, lens, camera_from_world, split, described_in: path.to_owned() })
+                let mask = frame.mask_path.as_deref().map(|path| root.join(self::name(path)));
+                let depth = frame.depth_file_path.as_ref().map(|file| DepthFile { path: root.join(file), unit });
+                let described_in = path.to_owned();
+                Ok(Frame { name, image, mask, calibration, camera_from_world, split, described_in, depth })
             })
             .collect::<Result<_>>()?;
         frames.sort_by(|a, b| a.name.cmp(&b.name));
@@ -150,8 +163,8 @@ impl Intrinsics {
     }
 
     /// Fills gaps: the size from the image, square pixels, a centred principal point.
-    fn lens(&self, path: &Path, view: &str, image: &Path) -> Result<Lens> {
-        self.check_model(path, view)?;
+    fn calibration(&self, path: &Path, view: &str, image: &Path) -> Result<Calibration> {
+        let projection = self.projection(path, view)?;
         let (width, height) = match (self.w, self.h) {
             (Some(width), Some(height)) => (width.round() as usize, height.round() as usize),
             _ => {
@@ -168,10 +181,10 @@ impl Intrinsics {
         let or_zero = |coefficient: Option<f64>| coefficient.unwrap_or(0.0);
         let distortion = Distortion {
             numerator: [self.k1, self.k2, self.k3, self.k4].map(or_zero),
-            denominator: [0.0; 3],
             tangential: [self.p1, self.p2].map(or_zero),
+            ..Distortion::new(projection)
         };
-        Ok(Lens {
+        Ok(Calibration {
             width,
             height,
             fx,
@@ -182,11 +195,13 @@ impl Intrinsics {
         })
     }
 
-    fn check_model(&self, path: &Path, view: &str) -> Result<()> {
+    fn projection(&self, path: &Path, view: &str) -> Result<Projection> {
         let model = self.camera_model.as_deref().unwrap_or("OPENCV").to_uppercase();
         let reason = match model.as_str() {
-            "SIMPLE_PINHOLE" | "PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" | "OPENCV" | "PERSPECTIVE" => return Ok(()),
-            model if model.contains("FISHEYE") => "fisheye pictures do not fit a pinhole camera",
+            "SIMPLE_PINHOLE" | "PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" | "OPENCV" | "PERSPECTIVE" => {
+                return Ok(Projection::Perspective);
+            }
+            "OPENCV_FISHEYE" => return Ok(Projection::Equidistant),
             "EQUIRECTANGULAR" => "panoramas do not fit a pinhole camera",
             _ => "it is unknown here",
         };

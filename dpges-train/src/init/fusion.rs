@@ -4,22 +4,31 @@
 //! [`FusionRule::min_views`] other views have that depth where they see it, and if no more than half as many look through
 //! it. What is no surface (leaves, sky, floaters) has no such points.
 
+use std::sync::Arc;
+
+use dpges_core::Result;
 use dpges_core::camera::Camera;
 use glam::Vec3;
 use rayon::prelude::*;
 
 use crate::dataset::PointCloud;
+use crate::exposure::Seen;
 
 /// Views that a point is checked in: those whose cameras are nearest to its own.
-const CHECKED_VIEWS: usize = 24;
+pub const CHECKED_VIEWS: usize = 24;
 
-/// What trained Gaussians look like in a view.
-pub struct DepthView<'a> {
-    pub camera: &'a Camera,
-    /// [H × W] camera-space z, world units; not positive where the picture is not opaque and of one depth.
-    pub depth: Vec<f32>,
-    /// [3 × H × W] of the photograph.
-    pub photograph: &'a [f32],
+/// What trained Gaussians look like in views, and their photographs: both are made when they are asked for.
+pub struct DepthViews<'a> {
+    pub cameras: Vec<&'a Camera>,
+    /// [H × W] depth, world units; not positive where the picture is not opaque and of one depth, or does not count.
+    pub depth: &'a dyn Fn(usize) -> Result<Arc<Vec<f32>>>,
+    pub photograph: &'a dyn Fn(usize) -> Result<Seen<'a>>,
+}
+
+/// A camera, and what it sees.
+struct DepthView<'a> {
+    camera: &'a Camera,
+    depth: Arc<Vec<f32>>,
 }
 
 /// When a depth is a surface.
@@ -33,11 +42,18 @@ pub struct FusionRule {
 
 /// Surface points, about one per `stride_px` × `stride_px` square of a view, and at most one in any of them: views take
 /// only what earlier ones do not show. With the views that saw each.
-pub fn surface_points(views: &[DepthView<'_>], stride_px: usize, rule: FusionRule) -> PointCloud {
+///
+/// # Errors
+/// [`dpges_core::Error`] if a view cannot be rendered, or its photograph not be read.
+pub fn surface_points(views: &DepthViews<'_>, stride_px: usize, rule: FusionRule) -> Result<PointCloud> {
     let mut cloud = PointCloud::default();
-    for (index, view) in views.iter().enumerate() {
-        let neighbours = nearest_views(views, index);
-        let covered = covered(view, &cloud.positions, stride_px, rule);
+    let view_at = |index: usize| Ok(DepthView { camera: views.cameras[index], depth: (views.depth)(index)? });
+    for index in 0..views.cameras.len() {
+        let (view, photograph) = (view_at(index)?, (views.photograph)(index)?);
+        let others: Result<Vec<_>> =
+            nearest_views(&views.cameras, index).into_iter().map(|other| Ok((other, view_at(other)?))).collect();
+        let others = others?;
+        let covered = covered(&view, &cloud.positions, stride_px, rule);
         let (columns, rows) = squares(view.camera, stride_px);
         let found: Vec<_> = (0..columns * rows)
             .into_par_iter()
@@ -46,7 +62,8 @@ pub fn surface_points(views: &[DepthView<'_>], stride_px: usize, rule: FusionRul
                 let pixel = |at: usize, size: usize| (at * stride_px + stride_px / 2).min(size - 1);
                 let x = pixel(square % columns, view.camera.width);
                 let y = pixel(square / columns, view.camera.height);
-                surface_point(views, index, &neighbours, [x, y], rule)
+                let (position, seen_by) = surface_point(index, &view, &others, [x, y], rule)?;
+                Some((position, photograph.colour(y * view.camera.width + x), seen_by))
             })
             .collect();
         for (position, colour, seen_by) in found {
@@ -55,7 +72,7 @@ pub fn surface_points(views: &[DepthView<'_>], stride_px: usize, rule: FusionRul
             cloud.seen_by.push(seen_by);
         }
     }
-    cloud
+    Ok(cloud)
 }
 
 /// Columns and rows of squares.
@@ -64,11 +81,11 @@ fn squares(camera: &Camera, stride_px: usize) -> (usize, usize) {
 }
 
 /// The other views, nearest first.
-fn nearest_views(views: &[DepthView<'_>], index: usize) -> Vec<usize> {
-    let own = views[index].camera.centre();
-    let mut others: Vec<usize> = (0..views.len()).filter(|&other| other != index).collect();
+fn nearest_views(cameras: &[&Camera], index: usize) -> Vec<usize> {
+    let own = cameras[index].centre();
+    let mut others: Vec<usize> = (0..cameras.len()).filter(|&other| other != index).collect();
     others.sort_by(|&a, &b| {
-        let distance = |view: usize| views[view].camera.centre().distance_squared(own);
+        let distance = |view: usize| cameras[view].centre().distance_squared(own);
         distance(a).total_cmp(&distance(b)).then(a.cmp(&b))
     });
     others.truncate(CHECKED_VIEWS);
@@ -98,36 +115,30 @@ fn covered(view: &DepthView<'_>, positions: &[[f32; 3]], stride_px: usize, rule:
     covered
 }
 
-type Found = ([f32; 3], [f32; 3], Vec<u32>);
-
-/// The point at pixel (`x`, `y`) of a view if it is on a surface, its colour, and the views that agree.
+/// The point at pixel (`x`, `y`) of the `view` with this `index` if it is on a surface, and the views that agree.
 fn surface_point(
-    views: &[DepthView<'_>],
     index: usize,
-    neighbours: &[usize],
+    view: &DepthView<'_>,
+    others: &[(usize, DepthView<'_>)],
     [x, y]: [usize; 2],
     rule: FusionRule,
-) -> Option<Found> {
-    let view = &views[index];
-    let (width, area) = (view.camera.width, view.camera.width * view.camera.height);
-    let pixel = y * width + x;
+) -> Option<([f32; 3], Vec<u32>)> {
+    let pixel = y * view.camera.width + x;
     let world = view.camera.unproject(x as f64 + 0.5, y as f64 + 0.5, view.known_depth(pixel)?);
     let mut seen_by = vec![index as u32];
     let mut looked_through = 0;
-    for &other in neighbours {
-        let Some((at, z)) = views[other].camera.pixel(world) else { continue };
-        let Some(depth) = views[other].known_depth(at) else { continue };
+    for (other, view) in others {
+        let Some((at, z)) = view.camera.pixel(world) else { continue };
+        let Some(depth) = view.known_depth(at) else { continue };
         if (depth - z).abs() <= rule.tolerance * z {
-            seen_by.push(other as u32);
+            seen_by.push(*other as u32);
         } else if depth > z {
             looked_through += 1;
         }
     }
     let agreeing = seen_by.len() - 1;
     seen_by.sort_unstable();
-    let colour = [0, 1, 2].map(|channel| view.photograph[channel * area + pixel]);
-    (agreeing >= rule.min_views && agreeing >= 2 * looked_through)
-        .then(|| (world.as_vec3().to_array(), colour, seen_by))
+    (agreeing >= rule.min_views && agreeing >= 2 * looked_through).then(|| (world.as_vec3().to_array(), seen_by))
 }
 
 #[cfg(test)]
@@ -136,6 +147,8 @@ mod tests {
     use glam::DVec3;
 
     use super::*;
+    use crate::dataset::Picture;
+    use crate::exposure::Correction;
 
     const SIZE: usize = 40;
     const RULE: FusionRule = FusionRule { tolerance: 0.01, min_views: 3 };
@@ -145,58 +158,75 @@ mod tests {
         let camera = |i: usize| {
             let eye = DVec3::new(0.1 * i as f64, 0.0, -4.0);
             let camera_from_world = CameraFromWorld::look_at(eye, eye + DVec3::Z, -DVec3::Y);
-            Camera { camera_from_world, fx: 40.0, fy: 40.0, cx: 20.0, cy: 20.0, width: SIZE, height: SIZE, near: 0.1 }
+            Camera {
+                camera_from_world,
+                fx: 40.0,
+                fy: 40.0,
+                cx: 20.0,
+                cy: 20.0,
+                width: SIZE,
+                height: SIZE,
+                near: 0.1,
+                lens: None,
+            }
         };
         (0..count).map(camera).collect()
     }
 
-    fn views<'a>(
-        cameras: &'a [Camera],
-        photograph: &'a [f32],
+    /// Points where cameras see `depth` of a view at a pixel, in grey photographs with this `correction`.
+    fn corrected(
+        cameras: &[Camera],
         depth: impl Fn(usize, usize) -> f32,
-    ) -> Vec<DepthView<'a>> {
-        let of = |(i, camera): (usize, &'a Camera)| DepthView {
-            camera,
-            depth: (0..SIZE * SIZE).map(|pixel| depth(i, pixel)).collect(),
-            photograph,
+        correction: Option<&Correction>,
+    ) -> PointCloud {
+        let grey = Arc::new(Picture::from_planes(&vec![0.2; 3 * SIZE * SIZE], SIZE, SIZE));
+        let views = DepthViews {
+            cameras: cameras.iter().collect(),
+            depth: &|view| Ok(Arc::new((0..SIZE * SIZE).map(|pixel| depth(view, pixel)).collect())),
+            photograph: &|view| Ok(Seen { camera: &cameras[view], picture: Arc::clone(&grey), correction }),
         };
-        cameras.iter().enumerate().map(of).collect()
+        surface_points(&views, 8, RULE).unwrap()
+    }
+
+    fn points(cameras: &[Camera], depth: impl Fn(usize, usize) -> f32) -> PointCloud {
+        corrected(cameras, depth, None)
     }
 
     #[test]
     fn a_plane_gets_one_point_per_square() {
-        let (cameras, photograph) = (cameras(6), vec![0.25; 3 * SIZE * SIZE]);
-        let found = surface_points(&views(&cameras, &photograph, |_, _| 4.0), 8, RULE);
+        let found = points(&cameras(6), |_, _| 4.0);
         // 25 squares of the first view, and a few more at the border of each of the others
         assert!((25..60).contains(&found.positions.len()), "{}", found.positions.len());
         assert!(found.positions.iter().all(|position| position[2].abs() < 1e-5));
         assert!(found.seen_by.iter().all(|seen| seen.len() > 3 && seen.is_sorted()));
-        assert_eq!(found.colours[0], [0.25; 3]);
+        assert_eq!(found.colours[0], [0.2; 3]);
+        let twice = Correction { gain: [2.0; 3], offset: [0.0, 0.125, 0.0] };
+        let undone = corrected(&cameras(6), |_, _| 4.0, Some(&twice));
+        assert_eq!(undone.positions, found.positions);
+        assert_eq!(undone.colours[0], [0.2 / 2.0, (0.2 - 0.125) / 2.0, 0.2 / 2.0]);
     }
 
     #[test]
     fn what_few_views_see_or_many_look_through_is_no_surface() {
-        let (cameras, photograph) = (cameras(9), vec![0.5; 3 * SIZE * SIZE]);
-        let points = |depth: &dyn Fn(usize, usize) -> f32| {
-            surface_points(&views(&cameras, &photograph, depth), 8, RULE).positions.len()
-        };
+        let cameras = cameras(9);
+        let count = |depth: &dyn Fn(usize, usize) -> f32| points(&cameras, depth).positions.len();
         // the plane in the first 3, 4 and 5 of 9 views, nothing known in the others
-        let known_in = |count: usize| points(&move |view, _| if view < count { 4.0 } else { 0.0 });
+        let known_in = |views: usize| count(&move |view, _| if view < views { 4.0 } else { 0.0 });
         assert_eq!(known_in(3), 0);
         assert!(known_in(4) > 20);
         // five views see something in front of the plane, four the plane behind it, which is hidden from nobody
-        let found = surface_points(&views(&cameras, &photograph, |view, _| if view < 5 { 3.0 } else { 4.0 }), 8, RULE);
+        let found = points(&cameras, |view, _| if view < 5 { 3.0 } else { 4.0 });
         // in the middle, which all views see, nothing is in front of the plane
         let middle: Vec<_> = found.positions.iter().filter(|position| position[0].abs() < 0.5).collect();
         assert!(!middle.is_empty() && middle.iter().all(|position| position[2].abs() < 1e-5), "{middle:?}");
-        let in_front = surface_points(&views(&cameras, &photograph, |_, _| 3.0), 8, RULE);
+        let in_front = points(&cameras, |_, _| 3.0);
         assert!(in_front.positions.iter().all(|position| (position[2] + 1.0).abs() < 1e-5));
         // each sees another depth
-        assert_eq!(points(&|view, _| 3.0 + 0.2 * view as f32), 0);
+        assert_eq!(count(&|view, _| 3.0 + 0.2 * view as f32), 0);
     }
 
     #[test]
     fn no_views_have_no_points() {
-        assert!(surface_points(&[], 4, RULE).positions.is_empty());
+        assert!(points(&[], |_, _| 4.0).positions.is_empty());
     }
 }

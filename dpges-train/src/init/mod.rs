@@ -22,7 +22,7 @@ use crate::dataset::{Dataset, PointCloud};
 use crate::refine::margins::margins;
 use placement::{OrientedPoints, Placement};
 use region::Region;
-use silhouette::Silhouette;
+use silhouette::Silhouettes;
 
 /// The largest size of an initial scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -57,6 +57,9 @@ pub enum InitError {
     NoSilhouettes,
     #[error("the silhouettes of the training views share no volume: check the cameras and the alpha of the pictures")]
     EmptyHull,
+    /// A photograph cannot be read again.
+    #[error(transparent)]
+    Picture(#[from] dpges_core::Error),
 }
 
 /// The initial scene of a dataset, within the limits of `room`. `init.method` "auto" starts from points if the dataset
@@ -109,20 +112,10 @@ fn from_silhouettes(
     room: Room,
     rng: &mut ChaCha8Rng,
 ) -> Result<InitialScene, InitError> {
-    let silhouettes: Vec<Silhouette> = dataset
-        .train
-        .iter()
-        .filter_map(|view| {
-            let alpha = view.picture.alpha.as_deref().filter(|alpha| alpha.iter().any(|&a| a <= silhouette::INSIDE))?;
-            Some(Silhouette { camera: &view.camera, alpha, planes: &view.picture.planes })
-        })
-        .collect();
-    if silhouettes.is_empty() {
-        return Err(InitError::NoSilhouettes);
-    }
+    let silhouettes = Silhouettes::new(&dataset.train).ok_or(InitError::NoSilhouettes)?;
     let region = in_sight(dataset);
     let mut points =
-        silhouette::hull_points(&silhouettes, region, config.init.hull_resolution, config.init.hull_tolerance);
+        silhouette::hull_points(&silhouettes, region, config.init.hull_resolution, config.init.hull_tolerance)?;
     if points.is_empty() {
         return Err(InitError::EmptyHull);
     }
@@ -176,17 +169,22 @@ mod tests {
             let eye = 4.0 * DVec3::new(turn.cos(), turn.sin(), 0.5 * (3.0 * turn).sin());
             let camera_from_world = CameraFromWorld::look_at(eye, DVec3::ZERO, DVec3::Z);
             let (f, c) = (50.0, SIZE as f64 / 2.0);
-            let camera =
-                Camera { camera_from_world, fx: f, fy: f, cx: c, cy: c, width: SIZE, height: SIZE, near: 0.01 };
-            let radius = |pixel: usize| ((pixel % SIZE) as f64 + 0.5 - c).hypot((pixel / SIZE) as f64 + 0.5 - c);
-            let disc = (0..SIZE * SIZE).map(|pixel| f32::from(u8::from(radius(pixel) < 12.0))).collect();
-            let picture = Picture {
+            let camera = Camera {
+                camera_from_world,
+                fx: f,
+                fy: f,
+                cx: c,
+                cy: c,
                 width: SIZE,
                 height: SIZE,
-                planes: vec![0.25; 3 * SIZE * SIZE],
-                alpha: alpha.then_some(disc),
+                near: 0.01,
+                lens: None,
             };
-            View { name: i.to_string(), camera, picture }
+            let radius = |pixel: usize| ((pixel % SIZE) as f64 + 0.5 - c).hypot((pixel / SIZE) as f64 + 0.5 - c);
+            let disc = (0..SIZE * SIZE).map(|pixel| if radius(pixel) < 12.0 { 255 } else { 0 }).collect();
+            let (bytes, alpha) = (vec![64; 3 * SIZE * SIZE], alpha.then_some(disc));
+            let picture = Picture { width: SIZE, height: SIZE, bytes, alpha, counted: None };
+            View { name: i.to_string(), camera, photograph: picture.into(), depth: None }
         };
         let colours = vec![[0.75; 3]; points.len()];
         Dataset {
@@ -199,6 +197,7 @@ mod tests {
             background: [0.0; 3],
             format: Format::Builtin,
             near: 0.01,
+            spare_memory: usize::MAX,
         }
     }
 
@@ -247,7 +246,9 @@ mod tests {
         assert!(matches!(start(&bare, InitMethod::Silhouette), Err(InitError::NoSilhouettes)));
         assert!(matches!(start(&dataset(0, false, vec![]), InitMethod::Auto), Err(InitError::NoViews)));
         let mut empty = dataset(6, true, vec![]);
-        empty.train.iter_mut().for_each(|view| view.picture.alpha.as_mut().unwrap().fill(0.0));
+        for view in &mut empty.train {
+            view.repaint(|picture| picture.alpha.as_mut().unwrap().fill(0)).unwrap();
+        }
         assert!(matches!(start(&empty, InitMethod::Silhouette), Err(InitError::EmptyHull)));
         assert_eq!(start(&empty, InitMethod::Auto).unwrap().surfels.len(), 0);
     }

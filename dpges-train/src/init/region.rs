@@ -61,6 +61,17 @@ fn forward(camera: &Camera) -> DVec3 {
 
 /// Sine of the smallest angle between the optical axis and a border of the picture.
 fn narrowest_sine(camera: &Camera) -> f64 {
+    if camera.lens.is_some() {
+        let (width, height) = (camera.width as f64, camera.height as f64);
+        let borders = [(0.0, camera.cy), (width, camera.cy), (camera.cx, 0.0), (camera.cx, height)];
+        let sines = borders.map(|(x, y)| {
+            let ray = camera.unproject(x, y, 1.0) - camera.centre();
+            let ahead = ray.dot(forward(camera)) / ray.length();
+            // beyond a right angle the sphere around any point ahead is seen whole
+            if ahead > 0.0 { (1.0 - ahead * ahead).max(1e-6).sqrt() } else { 1.0 }
+        });
+        return sines.into_iter().fold(1.0, f64::min);
+    }
     let across = camera.cx.min(camera.width as f64 - camera.cx) / camera.fx;
     let along = camera.cy.min(camera.height as f64 - camera.cy) / camera.fy;
     let tangent = across.min(along).max(1e-3);
@@ -69,13 +80,34 @@ fn narrowest_sine(camera: &Camera) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use dpges_core::camera::CameraFromWorld;
+    use dpges_core::camera::{CameraFromWorld, Distortion, Lens, Projection};
 
     use super::*;
 
     fn camera(eye: DVec3, target: DVec3) -> Camera {
         let camera_from_world = CameraFromWorld::look_at(eye, target, DVec3::Z);
-        Camera { camera_from_world, fx: 1111.0, fy: 1111.0, cx: 400.0, cy: 400.0, width: 800, height: 800, near: 0.01 }
+        Camera {
+            camera_from_world,
+            fx: 1111.0,
+            fy: 1111.0,
+            cx: 400.0,
+            cy: 400.0,
+            width: 800,
+            height: 800,
+            near: 0.01,
+            lens: None,
+        }
+    }
+
+    #[test]
+    fn a_lens_of_half_the_space_sees_nearly_all_of_a_sphere_around_its_target() {
+        let fisheye = Lens::new(Distortion::new(Projection::Equidistant));
+        let (width, edge) = (800.0, 85f64.to_radians());
+        let pinhole = camera(DVec3::ZERO, DVec3::X);
+        let wide = Camera { fx: 0.5 * width / edge, fy: 0.5 * width / edge, lens: Some(fisheye), ..pinhole };
+        assert!((narrowest_sine(&wide) - edge.sin()).abs() < 1e-9);
+        let straight = Camera { lens: Some(Lens::new(Distortion::new(Projection::Perspective))), ..pinhole };
+        assert!((narrowest_sine(&straight) - narrowest_sine(&pinhole)).abs() < 1e-9);
     }
 
     fn around(middle: DVec3) -> Vec<Camera> {

@@ -1,15 +1,17 @@
 //! Initialisation from the visual hull of pictures with alpha (Laurentini): the surface of what lies inside every
 //! silhouette, coloured by the views that face it best.
 
+use std::sync::Arc;
+
+use dpges_core::Result;
 use dpges_core::camera::Camera;
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 
 use super::placement::OrientedPoints;
 use super::region::Region;
+use crate::dataset::{Picture, View, pictures};
 
-/// A pixel with at most this alpha is outside the silhouette.
-pub const INSIDE: f32 = 0.5;
 /// A pixel with more than this alpha shows no background.
 const OPAQUE: f32 = 0.9;
 /// Number of views that determine a colour.
@@ -17,21 +19,23 @@ const VOTERS: usize = 5;
 /// Largest distance of a visible point behind the nearest surface, voxels.
 const HIDDEN_BEHIND: f64 = 2.5;
 
-/// A picture with alpha, and its camera.
-#[derive(Clone, Copy, Debug)]
-pub struct Silhouette<'a> {
-    /// A camera with the resolution of the picture, H × W.
-    pub camera: &'a Camera,
-    /// [H × W]
-    pub alpha: &'a [f32],
-    /// [3 × H × W]
-    pub planes: &'a [f32],
-}
+/// The views whose photographs have alpha that says what is outside.
+#[derive(Debug)]
+pub struct Silhouettes<'a>(Vec<&'a View>);
 
-impl Silhouette<'_> {
-    fn colour(&self, pixel: usize) -> [f32; 3] {
-        let plane = self.camera.width * self.camera.height;
-        [0, 1, 2].map(|channel| self.planes[channel * plane + pixel])
+impl<'a> Silhouettes<'a> {
+    /// `None` if there are none among `views`.
+    pub fn new(views: &'a [View]) -> Option<Self> {
+        let views: Vec<&View> = views.iter().filter(|view| view.photograph.has_transparency()).collect();
+        (!views.is_empty()).then_some(Self(views))
+    }
+
+    fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    fn pictures(&self) -> impl Iterator<Item = (&'a View, Result<Arc<Picture>>)> {
+        pictures(self.0.iter().copied())
     }
 }
 
@@ -70,11 +74,19 @@ impl Grid {
 /// along each side and is fitted to the occupied part of the region. A voxel is occupied if at least half of the views
 /// show its centre and at most the share `tolerance` of these show it outside their silhouette. Empty if the
 /// silhouettes have no volume in common.
-pub fn hull_points(silhouettes: &[Silhouette], region: Region, resolution: usize, tolerance: f64) -> OrientedPoints {
+///
+/// # Errors
+/// [`dpges_core::Error::Io`] if a photograph cannot be read again.
+pub fn hull_points(
+    silhouettes: &Silhouettes<'_>,
+    region: Region,
+    resolution: usize,
+    tolerance: f64,
+) -> Result<OrientedPoints> {
     let coarse = Grid { region, sides: resolution.div_ceil(2) };
-    let region = occupied_region(&coarse, &carve(&coarse, silhouettes, tolerance)).unwrap_or(region);
+    let region = occupied_region(&coarse, &carve(&coarse, silhouettes, tolerance)?).unwrap_or(region);
     let grid = Grid { region, sides: resolution };
-    let occupied = carve(&grid, silhouettes, tolerance);
+    let occupied = carve(&grid, silhouettes, tolerance)?;
 
     let is_occupied = |voxel: IVec3| grid.index(voxel).is_some_and(|index| occupied[index]);
     let on_surface = |&index: &usize| {
@@ -84,27 +96,36 @@ pub fn hull_points(silhouettes: &[Silhouette], region: Region, resolution: usize
     let surface: Vec<usize> = (0..grid.len()).into_par_iter().filter(on_surface).collect();
     let points: Vec<DVec3> = surface.iter().map(|&index| grid.centre(grid.voxel(index))).collect();
     let normals: Vec<DVec3> = surface.par_iter().map(|&index| outwards(grid.voxel(index), is_occupied)).collect();
-    let colours = colours(silhouettes, &points, &normals, grid.step().max_element());
-    OrientedPoints { positions: points.iter().map(|p| p.as_vec3().to_array()).collect(), colours, normals }
+    let colours = colours(silhouettes, &points, &normals, grid.step().max_element())?;
+    Ok(OrientedPoints { positions: points.iter().map(|p| p.as_vec3().to_array()).collect(), colours, normals })
 }
 
-fn carve(grid: &Grid, silhouettes: &[Silhouette], tolerance: f64) -> Vec<bool> {
+/// How many views show a voxel, and how many of these show it outside of their silhouettes.
+#[derive(Clone, Copy, Default)]
+struct Shown {
+    seen: u32,
+    misses: u32,
+}
+
+fn carve(grid: &Grid, silhouettes: &Silhouettes<'_>, tolerance: f64) -> Result<Vec<bool>> {
     let most_misses = tolerance * silhouettes.len() as f64;
-    let occupied = |index| {
-        let centre = grid.centre(grid.voxel(index));
-        let (mut seen, mut misses) = (0, 0);
-        for silhouette in silhouettes {
-            if let Some((pixel, _)) = silhouette.camera.pixel(centre) {
-                seen += 1;
-                misses += usize::from(silhouette.alpha[pixel] <= INSIDE);
-                if misses as f64 > most_misses {
-                    return false;
-                }
+    let mut shown = vec![Shown::default(); grid.len()];
+    for (view, picture) in silhouettes.pictures() {
+        let picture = picture?;
+        shown.par_iter_mut().enumerate().for_each(|(index, shown)| {
+            if f64::from(shown.misses) > most_misses {
+                return;
             }
-        }
-        seen > 0 && 2 * seen >= silhouettes.len() && misses as f64 <= tolerance * seen as f64
+            if let Some((pixel, _)) = view.camera.pixel(grid.centre(grid.voxel(index))) {
+                shown.seen += 1;
+                shown.misses += u32::from(picture.is_transparent(pixel));
+            }
+        });
+    }
+    let occupied = |Shown { seen, misses }: Shown| {
+        seen > 0 && 2 * seen as usize >= silhouettes.len() && f64::from(misses) <= tolerance * f64::from(seen)
     };
-    (0..grid.len()).into_par_iter().map(occupied).collect()
+    Ok(shown.into_iter().map(occupied).collect())
 }
 
 /// The box around the occupied voxels, enlarged by what a coarse grid may miss.
@@ -167,25 +188,32 @@ impl DepthMap {
     }
 }
 
+/// A point in a view that its surface faces: whether its colour can be trusted, how much it faces the view, its colour.
+type Sighting = (bool, f64, [f32; 3]);
+
+/// Inserts a sighting among the best [`VOTERS`], best first, behind those that are as good.
+fn insert(best: &mut Vec<Sighting>, sighting: Sighting) {
+    let is_better = |a: &Sighting| a.0.cmp(&sighting.0).then(a.1.total_cmp(&sighting.1)).is_ge();
+    best.insert(best.partition_point(is_better), sighting);
+    best.truncate(VOTERS);
+}
+
 /// The median colour of each point over the views that see it unobstructed and face it best; grey if there is none.
-fn colours(silhouettes: &[Silhouette], points: &[DVec3], normals: &[DVec3], step: f64) -> Vec<[f32; 3]> {
-    let depths: Vec<DepthMap> =
-        silhouettes.par_iter().map(|silhouette| DepthMap::new(silhouette.camera, points, step)).collect();
-    let centres: Vec<DVec3> = silhouettes.iter().map(|silhouette| silhouette.camera.centre()).collect();
-    let colour = |(&point, &normal): (&DVec3, &DVec3)| {
-        let mut views: Vec<(bool, f64, [f32; 3])> = silhouettes
-            .iter()
-            .zip(&depths)
-            .zip(&centres)
-            .filter_map(|((silhouette, map), centre)| {
-                let facing = (*centre - point).normalize_or_zero().dot(normal);
-                let (pixel, depth) = silhouette.camera.pixel(point).filter(|_| facing > 0.0)?;
-                let unobstructed = depth <= map.at(pixel, silhouette.camera.width) + HIDDEN_BEHIND * step;
-                let trusted = unobstructed && silhouette.alpha[pixel] > OPAQUE;
-                Some((trusted, facing, silhouette.colour(pixel)))
-            })
-            .collect();
-        views.sort_by(|a, b| b.0.cmp(&a.0).then(b.1.total_cmp(&a.1)));
+fn colours(silhouettes: &Silhouettes<'_>, points: &[DVec3], normals: &[DVec3], step: f64) -> Result<Vec<[f32; 3]>> {
+    let mut best: Vec<Vec<Sighting>> = vec![Vec::new(); points.len()];
+    for (view, picture) in silhouettes.pictures() {
+        let (camera, picture) = (&view.camera, picture?);
+        let (map, centre) = (DepthMap::new(camera, points, step), camera.centre());
+        let surface = points.par_iter().zip(normals);
+        best.par_iter_mut().zip(surface).for_each(|(best, (&point, &normal))| {
+            let facing = (centre - point).normalize_or_zero().dot(normal);
+            let Some((pixel, depth)) = camera.pixel(point).filter(|_| facing > 0.0) else { return };
+            let unobstructed = depth <= map.at(pixel, camera.width) + HIDDEN_BEHIND * step;
+            let is_opaque = picture.counts(pixel) && picture.alpha(pixel) > OPAQUE;
+            insert(best, (unobstructed && is_opaque, facing, picture.colour(pixel)));
+        });
+    }
+    let median = |mut views: Vec<Sighting>| {
         let trusted = views.iter().filter(|view| view.0).count();
         views.truncate(trusted.clamp(1, VOTERS));
         [0, 1, 2].map(|channel| {
@@ -194,7 +222,7 @@ fn colours(silhouettes: &[Silhouette], points: &[DVec3], normals: &[DVec3], step
             values.get(values.len() / 2).copied().unwrap_or(0.5)
         })
     };
-    points.par_iter().zip(normals).map(colour).collect()
+    Ok(best.into_iter().map(median).collect())
 }
 
 #[cfg(test)]
@@ -205,14 +233,8 @@ mod tests {
 
     use super::*;
 
-    struct Photo {
-        camera: Camera,
-        alpha: Vec<f32>,
-        planes: Vec<f32>,
-    }
-
     /// Pictures of a ball of radius 1: red where x > 0, else blue; white behind.
-    fn photos(count: usize) -> Vec<Photo> {
+    fn photos(count: usize) -> Vec<View> {
         let photo = |i: usize| {
             let (turn, height) = (i as f64 / count as f64 * TAU * 7.0, 0.9 - 1.8 * i as f64 / count as f64);
             let eye = 4.0
@@ -231,39 +253,45 @@ mod tests {
                 width: 100,
                 height: 100,
                 near: 0.01,
+                lens: None,
             };
-            let mut photo = Photo { camera, alpha: vec![0.0; 10_000], planes: vec![1.0; 30_000] };
+            let (mut alpha, mut planes) = (vec![0; 10_000], vec![1.0f32; 30_000]);
             for pixel in 0..10_000 {
                 let ray =
                     (camera.unproject((pixel % 100) as f64 + 0.5, (pixel / 100) as f64 + 0.5, 1.0) - eye).normalize();
                 let (b, c) = (eye.dot(ray), eye.length_squared() - 1.0);
                 if b * b >= c {
                     let hit = eye + ray * (-b - (b * b - c).sqrt());
-                    photo.alpha[pixel] = 1.0;
+                    alpha[pixel] = 255;
                     let colour = if hit.x > 0.0 { [1.0, 0.0, 0.0] } else { [0.0, 0.0, 1.0] };
-                    (0..3).for_each(|channel| photo.planes[channel * 10_000 + pixel] = colour[channel]);
+                    (0..3).for_each(|channel| planes[channel * 10_000 + pixel] = colour[channel]);
                 }
             }
-            photo
+            let picture = Picture { alpha: Some(alpha), ..Picture::from_planes(&planes, 100, 100) };
+            View { name: i.to_string(), camera, photograph: picture.into(), depth: None }
         };
         (0..count).map(photo).collect()
     }
 
-    fn silhouettes(photos: &[Photo]) -> Vec<Silhouette<'_>> {
-        photos.iter().map(|p| Silhouette { camera: &p.camera, alpha: &p.alpha, planes: &p.planes }).collect()
+    fn hull(photos: &[View], resolution: usize, tolerance: f64) -> OrientedPoints {
+        hull_points(&Silhouettes::new(photos).unwrap(), region(photos), resolution, tolerance).unwrap()
     }
 
-    fn region(photos: &[Photo]) -> Region {
+    fn make_transparent(photo: &mut View) {
+        photo.repaint(|picture| picture.alpha.as_mut().unwrap().fill(0)).unwrap();
+    }
+
+    fn region(photos: &[View]) -> Region {
         Region::in_sight(&photos.iter().map(|photo| &photo.camera).collect::<Vec<_>>(), 4.4)
     }
 
     #[test]
     fn the_hull_of_a_ball_is_a_ball() {
         let photos = photos(60);
-        let hull = hull_points(&silhouettes(&photos), region(&photos), 48, 0.0);
-        assert!(hull.len() > 1500, "{}", hull.len());
+        let found = hull(&photos, 48, 0.0);
+        assert!(found.len() > 1500, "{}", found.len());
         let (mut well_coloured, mut coloured) = (0, 0);
-        for ((position, normal), colour) in hull.positions.iter().zip(&hull.normals).zip(&hull.colours) {
+        for ((position, normal), colour) in found.positions.iter().zip(&found.normals).zip(&found.colours) {
             let p = DVec3::from_array(position.map(f64::from));
             assert!((0.85..1.1).contains(&p.length()), "{p}");
             assert!(normal.dot(p.normalize()) > 0.8, "{p} {normal}");
@@ -278,15 +306,26 @@ mod tests {
     #[test]
     fn one_wrong_mask_in_sixty_is_tolerated() {
         let mut photos = photos(60);
-        photos[7].alpha.fill(0.0);
-        assert!(hull_points(&silhouettes(&photos), region(&photos), 32, 0.0).is_empty());
-        assert!(hull_points(&silhouettes(&photos), region(&photos), 32, 0.02).len() > 500);
+        make_transparent(&mut photos[7]);
+        assert!(hull(&photos, 32, 0.0).is_empty());
+        assert!(hull(&photos, 32, 0.02).len() > 500);
+    }
+
+    #[test]
+    fn pixels_that_do_not_count_take_nothing_away() {
+        let mut photos = photos(60);
+        make_transparent(&mut photos[7]);
+        let mut counted = vec![true; 10_000];
+        counted[2500..7500].fill(false);
+        photos[7].repaint(|picture| picture.counted = Some(counted)).unwrap();
+        let found = hull(&photos, 32, 0.0);
+        assert!(found.len() > 300, "what photo 7 shows in the middle is not carved away: {}", found.len());
     }
 
     #[test]
     fn disjoint_silhouettes_have_no_hull() {
         let mut photos = photos(4);
-        photos.iter_mut().for_each(|photo| photo.alpha.fill(0.0));
-        assert!(hull_points(&silhouettes(&photos), region(&photos), 16, 0.0).is_empty());
+        photos.iter_mut().for_each(make_transparent);
+        assert!(hull(&photos, 16, 0.0).is_empty());
     }
 }

@@ -4,12 +4,13 @@
 //! connect it with the upper border, and if it lies above the horizon. White walls and close photographs of one surface
 //! have few points as well, but points that other views found project into them, or they lie below the horizon.
 
+use dpges_core::Result;
 use dpges_core::camera::Camera;
 use glam::DVec3;
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 use rayon::prelude::*;
 
-use crate::dataset::{Dataset, View};
+use crate::dataset::{Dataset, Picture, View};
 
 /// Points that project into a cell of a view, on average: a cell without any is no accident.
 const POINTS_PER_CELL: f64 = 64.0;
@@ -19,7 +20,7 @@ const UPRIGHT: f64 = 0.05;
 /// The open sky of the training views.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OpenSky {
-    /// Of all pixels, 0 to 1.
+    /// Of all pixels that count, 0 to 1.
     pub share: f64,
     /// Mean colour, display-referred; `None` without open sky.
     pub colour: Option<[f64; 3]>,
@@ -38,58 +39,89 @@ struct Sums {
 const OF_THE_SKY: f32 = 0.15;
 
 /// The open sky of the training views of `dataset`; none if it has no points.
-pub fn open_sky(dataset: &Dataset) -> OpenSky {
-    let sum = of_views(dataset, |view, open| {
-        let planes = &view.picture.planes;
-        let mut sums = Sums { pixels: open.len(), ..Sums::default() };
-        for pixel in (0..open.len()).filter(|&pixel| open[pixel]) {
+///
+/// # Errors
+/// [`dpges_core::Error::Io`] if a photograph cannot be read again.
+pub fn open_sky(dataset: &Dataset) -> Result<OpenSky> {
+    let of_view = |picture: &Picture, open: OpenCells| {
+        let mut sums = Sums { pixels: picture.area() - picture.ignored_pixels(), ..Sums::default() };
+        for pixel in open.pixels().into_iter().filter(|&pixel| picture.counts(pixel)) {
             sums.open += 1;
-            for (channel, sum) in sums.colour.iter_mut().enumerate() {
-                *sum += f64::from(planes[channel * open.len() + pixel]);
+            for (sum, channel) in sums.colour.iter_mut().zip(picture.colour(pixel)) {
+                *sum += f64::from(channel);
             }
         }
         sums
-    })
-    .into_iter()
-    .fold(Sums::default(), |sum, view| Sums {
+    };
+    let sum = of_views(dataset, of_view)?.into_iter().fold(Sums::default(), |sum, view| Sums {
         pixels: sum.pixels + view.pixels,
         open: sum.open + view.open,
         colour: std::array::from_fn(|c| sum.colour[c] + view.colour[c]),
     });
-    OpenSky {
+    Ok(OpenSky {
         share: sum.open as f64 / sum.pixels.max(1) as f64,
         colour: (sum.open > 0).then(|| sum.colour.map(|channel| channel / sum.open as f64)),
-    }
-}
-
-/// For each training view of `dataset`, which pixels [H × W] show nothing but sky: open sky of the colour that most of it
-/// has in this view. Empty for views without any.
-pub fn sky_pixels(dataset: &Dataset) -> Vec<Vec<bool>> {
-    of_views(dataset, |view, mut open| {
-        let planes = &view.picture.planes;
-        let area = open.len();
-        let median = [0, 1, 2].map(|channel| {
-            let plane = &planes[channel * area..][..area];
-            let mut values: Vec<f32> = (0..area).filter(|&pixel| open[pixel]).map(|pixel| plane[pixel]).collect();
-            let middle = values.len() / 2;
-            if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f32::total_cmp).1 }
-        });
-        for (pixel, open) in open.iter_mut().enumerate() {
-            *open &= (0..3).all(|channel| (planes[channel * area + pixel] - median[channel]).abs() <= OF_THE_SKY);
-        }
-        if open.contains(&true) { open } else { Vec::new() }
     })
 }
 
-/// What `of` says of every training view and of its open pixels.
-fn of_views<T: Send>(dataset: &Dataset, of: impl Fn(&View, Vec<bool>) -> T + Sync) -> Vec<T> {
+/// What a view shows of the sky: pixels of its open sky that have about the colour that most of it has in this view.
+#[derive(Clone, Debug)]
+pub struct ViewSky {
+    open: OpenCells,
+    /// Median of each channel.
+    colour: [f32; 3],
+}
+
+impl ViewSky {
+    /// `None` if nothing in the `picture` is open sky.
+    fn new(picture: &Picture, open: OpenCells) -> Option<Self> {
+        let mut pixels = open.pixels();
+        pixels.retain(|&pixel| picture.counts(pixel));
+        if pixels.is_empty() {
+            return None;
+        }
+        let colour = std::array::from_fn(|channel| {
+            let mut values: Vec<f32> = pixels.iter().map(|&pixel| picture.colour(pixel)[channel]).collect();
+            let middle = values.len() / 2;
+            *values.select_nth_unstable_by(middle, f32::total_cmp).1
+        });
+        let sky = Self { open, colour };
+        pixels.iter().any(|&pixel| sky.has_colour_of(picture, pixel)).then_some(sky)
+    }
+
+    fn has_colour_of(&self, picture: &Picture, pixel: usize) -> bool {
+        picture.colour(pixel).iter().zip(self.colour).all(|(colour, sky)| (colour - sky).abs() <= OF_THE_SKY)
+    }
+
+    /// The pixels of the `picture` of this view that count and show nothing but sky.
+    pub fn pixels(&self, picture: &Picture) -> Vec<usize> {
+        let mut pixels = self.open.pixels();
+        pixels.retain(|&pixel| picture.counts(pixel) && self.has_colour_of(picture, pixel));
+        pixels
+    }
+}
+
+/// For each training view of `dataset`, what it shows of the sky; `None` for views that show none.
+///
+/// # Errors
+/// [`dpges_core::Error::Io`] if a photograph cannot be read again.
+pub fn skies(dataset: &Dataset) -> Result<Vec<Option<ViewSky>>> {
+    of_views(dataset, ViewSky::new)
+}
+
+/// What `of` says of every training view and of its open cells.
+fn of_views<T: Send>(dataset: &Dataset, of: impl Fn(&Picture, OpenCells) -> T + Sync) -> Result<Vec<T>> {
     let up = upwards(dataset.train.iter().map(|view| &view.camera));
-    dataset.train.par_iter().map(|view| of(view, open_pixels(&view.camera, &dataset.points.positions, up))).collect()
+    let of_view = |view: &View| -> Result<T> {
+        let picture = view.picture()?;
+        Ok(of(&picture, open_cells(&view.camera, &dataset.points.positions, up)))
+    };
+    dataset.train.par_iter().map(of_view).collect()
 }
 
 /// The direction that is up in the world: perpendicular to the horizontal axes of the cameras, which photographers hold
 /// level, however much they tilt them.
-fn upwards<'a>(cameras: impl Iterator<Item = &'a Camera>) -> DVec3 {
+pub(crate) fn upwards<'a>(cameras: impl Iterator<Item = &'a Camera>) -> DVec3 {
     let (mut level, mut upright, mut count) = (Matrix3::zeros(), Vector3::zeros(), 0.0);
     for camera in cameras {
         let world_from_camera = camera.camera_from_world.rotation.transpose();
@@ -105,6 +137,7 @@ fn upwards<'a>(cameras: impl Iterator<Item = &'a Camera>) -> DVec3 {
 }
 
 /// A view in cells, row by row from the upper border.
+#[derive(Clone, Debug)]
 struct Cells {
     columns: usize,
     rows: usize,
@@ -161,8 +194,29 @@ impl Cells {
     }
 }
 
-/// [H × W] whether a pixel of `camera` is open sky.
-fn open_pixels(camera: &Camera, points: &[[f32; 3]], up: DVec3) -> Vec<bool> {
+/// The cells of a view that are open sky.
+#[derive(Clone, Debug)]
+struct OpenCells {
+    cells: Cells,
+    open: Vec<bool>,
+}
+
+impl OpenCells {
+    /// The pixels in open cells, row by row.
+    fn pixels(&self) -> Vec<usize> {
+        let Cells { columns, width, height, .. } = self.cells;
+        let columns_of: Vec<usize> = (0..width).map(|x| self.cells.at(x as f64 + 0.5, 0.5)).collect();
+        let mut pixels = Vec::new();
+        for y in 0..height {
+            let first = self.cells.at(0.5, y as f64 + 0.5);
+            let row = &self.open[first..first + columns];
+            pixels.extend((0..width).filter(|&x| row[columns_of[x]]).map(|x| y * width + x));
+        }
+        pixels
+    }
+}
+
+fn open_cells(camera: &Camera, points: &[[f32; 3]], up: DVec3) -> OpenCells {
     let (width, height) = (camera.width, camera.height);
     let inside = |&(x, y, _): &(f64, f64, f64)| x >= 0.0 && y >= 0.0 && x < width as f64 && y < height as f64;
     let seen: Vec<(f64, f64, f64)> = points
@@ -176,10 +230,13 @@ fn open_pixels(camera: &Camera, points: &[[f32; 3]], up: DVec3) -> Vec<bool> {
     let world_from_pixel = camera.world_from_pixel();
     for (cell, open) in open.iter_mut().enumerate() {
         let (x, y) = cells.centre(cell);
-        *open &= (world_from_pixel * DVec3::new(x, y, 1.0)).dot(up) > 0.0;
+        let direction = match camera.lens {
+            None => world_from_pixel * DVec3::new(x, y, 1.0),
+            Some(_) => camera.unproject(x, y, 1.0) - camera.centre(),
+        };
+        *open &= direction.dot(up) > 0.0;
     }
-    let is_open = |pixel: usize| open[cells.at((pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5)];
-    (0..width * height).map(is_open).collect()
+    OpenCells { cells, open }
 }
 
 #[cfg(test)]
@@ -190,6 +247,7 @@ pub mod tests {
     use crate::dataset::{BuiltinOptions, PointCloud, builtin};
 
     const SIZE: usize = 64;
+    pub const BLUE: [u8; 3] = [51, 102, 255];
 
     /// A ring of cameras around the origin that look at it from a height of `height`. Their photographs are plain blue.
     pub fn ring(height: f64, points: Vec<[f32; 3]>) -> Dataset {
@@ -208,7 +266,7 @@ pub mod tests {
             let camera_from_world = CameraFromWorld::look_at(eye, DVec3::ZERO, DVec3::Z);
             let (fx, cx) = (SIZE as f64, SIZE as f64 / 2.0);
             view.camera = Camera { camera_from_world, fx, fy: fx, cx, cy: cx, ..view.camera };
-            view.picture.planes = [0.25, 0.5, 1.0].iter().flat_map(|&c| vec![c; SIZE * SIZE]).collect();
+            view.repaint(|picture| picture.bytes = BLUE.repeat(SIZE * SIZE)).unwrap();
         }
         dataset.points = PointCloud { positions: points, ..PointCloud::default() };
         dataset
@@ -241,41 +299,51 @@ pub mod tests {
     fn open_sky_is_what_lies_above_all_points_and_has_its_colour() {
         // level cameras whose horizon is the middle of the picture: the points reach it, and the half above is empty but
         // for the cells that they share
-        let sky = open_sky(&ring(0.0, tower(0.0)));
+        let sky = open_sky(&ring(0.0, tower(0.0))).unwrap();
         assert!((0.3..=0.5).contains(&sky.share), "{sky:?}");
         let colour = sky.colour.unwrap();
-        assert!(colour.iter().zip([0.25, 0.5, 1.0]).all(|(a, b)| (a - b).abs() < 1e-9), "{colour:?}");
+        assert!(colour.iter().zip([0.2, 0.4, 1.0]).all(|(a, b)| (a - b).abs() < 1e-6), "{colour:?}");
         // points everywhere
-        assert!(open_sky(&ring(0.0, tower(20.0))).share < 0.02);
+        assert!(open_sky(&ring(0.0, tower(20.0))).unwrap().share < 0.02);
     }
 
     #[test]
     fn leaves_in_open_sky_are_not_sky() {
         let mut dataset = ring(0.0, tower(0.0));
-        let open = of_views(&dataset, |_, open| open);
-        let first = open[0].iter().position(|&open| open).unwrap();
-        let leaf = [0.25, 0.2, 0.1];
-        let planes = &mut dataset.train[0].picture.planes;
-        leaf.iter().enumerate().for_each(|(channel, &value)| planes[channel * SIZE * SIZE + first] = value);
-        let sky = sky_pixels(&dataset);
-        assert!(!sky[0][first] && sky[1..] == open[1..]);
-        assert_eq!(sky[0].iter().filter(|&&sky| sky).count() + 1, open[0].iter().filter(|&&open| open).count());
-        assert!(sky_pixels(&ring(5.0, tower(-8.0))).iter().all(Vec::is_empty));
+        let open: Vec<Vec<usize>> = of_views(&dataset, |_, open| open.pixels()).unwrap();
+        let first = open[0][0];
+        let leaf = |picture: &mut Picture| picture.bytes[3 * first..][..3].copy_from_slice(&[64, 51, 26]);
+        dataset.train[0].repaint(leaf).unwrap();
+        let sky: Vec<Vec<usize>> = sky_of(&dataset);
+        assert!(sky[0][..] == open[0][1..] && sky[1..] == open[1..]);
+        dataset.train[1].repaint(|picture| picture.counted = Some(vec![false; SIZE * SIZE])).unwrap();
+        assert!(sky_of(&dataset)[1].is_empty(), "what does not count is no sky");
+        assert!(skies(&ring(5.0, tower(-8.0))).unwrap().iter().all(Option::is_none));
+    }
+
+    /// The pixels of every view that show nothing but sky.
+    fn sky_of(dataset: &Dataset) -> Vec<Vec<usize>> {
+        let skies = skies(dataset).unwrap();
+        let of_view = |(sky, view): (&Option<ViewSky>, &View)| match sky {
+            Some(sky) => sky.pixels(&view.picture().unwrap()),
+            None => Vec::new(),
+        };
+        skies.iter().zip(&dataset.train).map(of_view).collect()
     }
 
     #[test]
     fn what_lies_below_the_horizon_or_is_enclosed_by_points_is_no_sky() {
         // cameras high above look down: the horizon is above the pictures, whose upper parts have no points
-        let sky = open_sky(&ring(5.0, tower(-8.0)));
+        let sky = open_sky(&ring(5.0, tower(-8.0))).unwrap();
         assert_eq!((sky.share, sky.colour), (0.0, None));
         // a hole in the points that does not reach the upper border
         let mut window = tower(20.0);
         window.retain(|point| !(3.0..9.0).contains(&point[2]));
-        assert!(open_sky(&ring(0.0, window)).share < 0.02);
+        assert!(open_sky(&ring(0.0, window)).unwrap().share < 0.02);
     }
 
     #[test]
     fn without_points_nothing_is_known() {
-        assert_eq!(open_sky(&ring(0.0, Vec::new())).share, 0.0);
+        assert_eq!(open_sky(&ring(0.0, Vec::new())).unwrap().share, 0.0);
     }
 }

@@ -13,4 +13,4 @@ pub mod test_pictures;
 pub use self::ssimulacra2::ssimulacra2;
 pub use flip::{flip, flip_map};
 pub use ms_ssim::ms_ssim;
-pub use scores::{METRICS, Metric, Perceptual, Scores, perceptual_metrics};
+pub use scores::{Fitted, METRICS, Metric, Perceptual, Scores, further_metrics};

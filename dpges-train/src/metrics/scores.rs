@@ -21,6 +21,17 @@ pub struct Perceptual {
     pub lpips_vgg: Option<f64>,
 }
 
+/// PSNR and SSIM of the right half of a picture after the exposure that fits its left half best was applied to it. Absent
+/// where they were not measured or the picture has no two halves.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Fitted {
+    /// dB
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub psnr_fitted: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ssim_fitted: Option<f64>,
+}
+
 /// The quality of a picture, or its mean over pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Scores {
@@ -31,6 +42,8 @@ pub struct Scores {
     pub flip: f64,
     #[serde(flatten)]
     pub perceptual: Perceptual,
+    #[serde(flatten)]
+    pub fitted: Fitted,
 }
 
 /// One of the numbers in [`Scores`].
@@ -49,8 +62,9 @@ pub struct Metric {
     of: fn(&Scores) -> Option<f64>,
 }
 
-/// All of them, in the order in which they are shown: three that every evaluation has, then those of [`Perceptual`].
-pub static METRICS: [Metric; 7] = [
+/// All of them, in the order in which they are shown: three that every evaluation has, then those of [`Perceptual`] and of
+/// [`Fitted`].
+pub static METRICS: [Metric; 9] = [
     Metric { key: "psnr", title: "PSNR", unit: " dB", digits: 2, is_error: false, of: |scores| Some(scores.psnr) },
     Metric { key: "ssim", title: "SSIM", unit: "", digits: 4, is_error: false, of: |scores| Some(scores.ssim) },
     Metric { key: "flip", title: "FLIP", unit: "", digits: 4, is_error: true, of: |scores| Some(scores.flip) },
@@ -86,10 +100,26 @@ pub static METRICS: [Metric; 7] = [
         is_error: true,
         of: |scores| scores.perceptual.lpips_vgg,
     },
+    Metric {
+        key: "psnr_fitted",
+        title: "fitted PSNR",
+        unit: " dB",
+        digits: 2,
+        is_error: false,
+        of: |scores| scores.fitted.psnr_fitted,
+    },
+    Metric {
+        key: "ssim_fitted",
+        title: "fitted SSIM",
+        unit: "",
+        digits: 4,
+        is_error: false,
+        of: |scores| scores.fitted.ssim_fitted,
+    },
 ];
 
-/// The metrics of [`Perceptual`].
-pub fn perceptual_metrics() -> &'static [Metric] {
+/// The metrics that only some evaluations have.
+pub fn further_metrics() -> &'static [Metric] {
     &METRICS[3..]
 }
 
@@ -108,10 +138,7 @@ impl Perceptual {
 
     /// The mean over views of what every view has.
     pub fn mean(views: &[Self]) -> Self {
-        let mean = |of: fn(&Self) -> Option<f64>| {
-            let values = views.iter().map(of).collect::<Option<Vec<f64>>>().filter(|values| !values.is_empty())?;
-            Some(values.iter().sum::<f64>() / values.len() as f64)
-        };
+        let mean = |of: fn(&Self) -> Option<f64>| mean_if_known(views.iter().map(of));
         Self {
             ms_ssim: mean(|view| view.ms_ssim),
             ssimulacra2: mean(|view| view.ssimulacra2),
@@ -119,6 +146,20 @@ impl Perceptual {
             lpips_vgg: mean(|view| view.lpips_vgg),
         }
     }
+}
+
+impl Fitted {
+    /// The mean over views of what every view has.
+    pub fn mean(views: &[Self]) -> Self {
+        let mean = |of: fn(&Self) -> Option<f64>| mean_if_known(views.iter().map(of));
+        Self { psnr_fitted: mean(|view| view.psnr_fitted), ssim_fitted: mean(|view| view.ssim_fitted) }
+    }
+}
+
+/// `None` if one of `values` is absent, or there are none.
+fn mean_if_known(values: impl Iterator<Item = Option<f64>>) -> Option<f64> {
+    let values = values.collect::<Option<Vec<f64>>>().filter(|values| !values.is_empty())?;
+    Some(values.iter().sum::<f64>() / values.len() as f64)
 }
 
 impl Metric {
@@ -145,7 +186,8 @@ mod tests {
     use super::*;
 
     fn scores(psnr: f64, flip: f64, ssimulacra2: Option<f64>) -> Scores {
-        Scores { psnr, ssim: 0.5, flip, perceptual: Perceptual { ssimulacra2, ..Perceptual::default() } }
+        let perceptual = Perceptual { ssimulacra2, ..Perceptual::default() };
+        Scores { psnr, ssim: 0.5, flip, perceptual, fitted: Fitted::default() }
     }
 
     #[test]
@@ -165,13 +207,17 @@ mod tests {
         let mean = Perceptual::mean(&[view(Some(0.5), Some(10.0)), view(None, Some(30.0))]);
         assert_eq!(mean, view(None, Some(20.0)));
         assert_eq!(Perceptual::mean(&[]), Perceptual::default());
+        let known = Fitted { psnr_fitted: Some(20.0), ssim_fitted: Some(0.5) };
+        let one = Fitted { psnr_fitted: Some(30.0), ssim_fitted: None };
+        assert_eq!(Fitted::mean(&[known, one]), Fitted { psnr_fitted: Some(25.0), ssim_fitted: None });
     }
 
     #[test]
     fn keys_are_those_of_json_and_what_is_absent_has_none() {
         let all =
             Perceptual { ms_ssim: Some(0.5), ssimulacra2: Some(50.0), lpips_alex: Some(0.25), lpips_vgg: Some(0.125) };
-        let whole = Scores { psnr: 20.0, ssim: 0.75, flip: 0.1, perceptual: all };
+        let fitted = Fitted { psnr_fitted: Some(21.0), ssim_fitted: Some(0.8) };
+        let whole = Scores { psnr: 20.0, ssim: 0.75, flip: 0.1, perceptual: all, fitted };
         let json = serde_json::to_value(whole).unwrap();
         assert_eq!(json.as_object().unwrap().len(), METRICS.len());
         for metric in &METRICS {
@@ -179,7 +225,7 @@ mod tests {
         }
         assert_eq!(serde_json::from_value::<Scores>(json).unwrap(), whole);
         let basic = scores(20.0, 0.25, None);
-        assert!(perceptual_metrics().iter().all(|metric| metric.of(&basic).is_none()));
+        assert!(further_metrics().iter().all(|metric| metric.of(&basic).is_none()));
         let few = serde_json::to_string(&basic).unwrap();
         assert_eq!(few, r#"{"psnr":20.0,"ssim":0.5,"flip":0.25}"#);
         assert_eq!(serde_json::from_str::<Scores>(&few).unwrap(), scores(20.0, 0.25, None));

@@ -19,7 +19,7 @@ pub struct Frame {
     pub camera: Camera,
     /// [3 × height × width] display-referred.
     pub planes: Vec<f32>,
-    /// [height × width] camera-space z of the surface, world units; 0 or infinite where there is none.
+    /// [height × width] depth of the surface, world units; 0 or infinite where there is none.
     pub depth: Vec<f32>,
 }
 

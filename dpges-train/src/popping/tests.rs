@@ -24,6 +24,7 @@ fn camera(eye: DVec3, target: DVec3) -> Camera {
         width: WIDTH,
         height: HEIGHT,
         near: 0.1,
+        lens: None,
     }
 }
 

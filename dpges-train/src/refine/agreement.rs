@@ -1,6 +1,7 @@
 //! Where a pixel is in the world, judged by whether the photographs of other views have its colour there.
 
 use crate::dataset::View;
+use crate::exposure::Seen;
 
 /// Other views that are asked: those whose cameras are nearest.
 const ASKED_VIEWS: usize = 8;
@@ -22,25 +23,19 @@ pub fn nearest_views(views: &[View]) -> Vec<Vec<usize>> {
     (0..views.len()).map(of).collect()
 }
 
-/// The depth of pixel `pixel` of `view`, near the `assumed` one (camera-space z, world units), at which most of `others`
-/// have the pixel's colour; `None` if fewer than `least` agree at any depth.
-pub fn agreed_depth<'a>(
-    view: &View,
-    others: impl Iterator<Item = &'a View> + Clone,
-    pixel: usize,
-    assumed: f64,
-    least: usize,
-) -> Option<f64> {
+/// The depth of pixel `pixel` of `view`, near the `assumed` one (world units), at which most of `others`
+/// have the pixel's colour at a pixel that counts; `None` if fewer than `least` agree at any depth.
+pub fn agreed_depth(view: &Seen<'_>, others: &[Seen<'_>], pixel: usize, assumed: f64, least: usize) -> Option<f64> {
     let width = view.camera.width;
     let (x, y) = ((pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5);
-    let colour = colour(view, pixel);
+    let colour = view.colour(pixel);
     let agreeing = |depth: f64| {
         let world = view.camera.unproject(x, y, depth);
-        let agrees = |other: &&View| {
+        let agrees = |other: &&Seen<'_>| {
             let Some((pixel, _)) = other.camera.pixel(world) else { return false };
-            is_same(self::colour(other, pixel), colour)
+            other.picture.counts(pixel) && is_same(other.colour(pixel), colour)
         };
-        others.clone().filter(agrees).count()
+        others.iter().filter(agrees).count()
     };
     let mut best = (0, assumed);
     for factor in TRIED_DEPTHS {
@@ -52,11 +47,6 @@ pub fn agreed_depth<'a>(
     (best.0 >= least).then_some(best.1)
 }
 
-fn colour(view: &View, pixel: usize) -> [f32; 3] {
-    let area = view.camera.width * view.camera.height;
-    [0, 1, 2].map(|channel| view.picture.planes[channel * area + pixel])
-}
-
 fn is_same(a: [f32; 3], b: [f32; 3]) -> bool {
     a.iter().zip(b).all(|(a, b)| (a - b).abs() <= SAME_COLOUR)
 }
@@ -65,18 +55,25 @@ fn is_same(a: [f32; 3], b: [f32; 3]) -> bool {
 mod tests {
     use super::*;
     use crate::dataset::{BuiltinOptions, builtin, builtin_geometry};
+    use crate::exposure::{Correction, Corrections};
 
     /// Pixels of the built-in scene whose assumed depth is wrong by a factor that is tried.
     fn found(factor: f64, least: usize) -> (usize, usize, usize) {
+        found_with(&Corrections::default(), factor, least)
+    }
+
+    fn found_with(corrections: &Corrections, factor: f64, least: usize) -> (usize, usize, usize) {
         let options = BuiltinOptions { width: 64, height: 64, train_views: 24, ..Default::default() };
         let views = builtin(&options).train;
         let others = nearest_views(&views);
         let (depth, _) = builtin_geometry(&views[0].camera);
+        let seen = |view: usize| Seen::by(&views[view], corrections.of(view)).unwrap();
+        let asked: Vec<Seen> = others[0].iter().map(|&other| seen(other)).collect();
+        let own = seen(0);
         let (mut right, mut wrong, mut none) = (0, 0, 0);
         for pixel in (0..64 * 64).step_by(7) {
             let truth = f64::from(depth[pixel]);
-            let asked = others[0].iter().map(|&other| &views[other]);
-            match agreed_depth(&views[0], asked, pixel, truth * factor, least) {
+            match agreed_depth(&own, &asked, pixel, truth * factor, least) {
                 Some(depth) if (depth / truth - 1.0).abs() < 0.07 => right += 1,
                 Some(_) => wrong += 1,
                 None => none += 1,
@@ -91,6 +88,19 @@ mod tests {
         assert!(right > 5 * wrong, "{right} right, {wrong} wrong");
         let (corrected, left_wrong, _) = found(1.0 / 0.75, 2);
         assert!(corrected > left_wrong, "{corrected} corrected, {left_wrong} not");
+    }
+
+    #[test]
+    fn colours_are_compared_with_exposures_undone() {
+        // as if the first photograph were twice as bright as the scene: nothing has half of its colours
+        let gain = |view: usize| if view == 0 { 2.0 } else { 1.0 };
+        let wrong = (0..24).map(|view| Correction { gain: [gain(view); 3], offset: [0.0; 3] });
+        let (right, ..) = found(1.0, 2);
+        let (with_wrong, ..) = found_with(&Corrections(wrong.collect()), 1.0, 2);
+        assert!(2 * with_wrong < right, "{with_wrong} of {right}");
+        let equal = vec![Correction { gain: [1.25; 3], offset: [0.1; 3] }; 24];
+        let (with_equal, ..) = found_with(&Corrections(equal), 1.0, 2);
+        assert!(10 * with_equal > 9 * right, "{with_equal} of {right}");
     }
 
     #[test]

@@ -109,7 +109,7 @@ impl Renderer {
         self.render_with(camera, &self.options)
     }
 
-    /// The view from `camera` and its median depth [height × width]: camera-space z of the first surfel, or of the first
+    /// The view from `camera` and its median depth [height × width]: that of the first surfel, or of the first
     /// blended Gaussian, behind which no more than half of the light passes, world units; 0 where there is none.
     ///
     /// # Errors

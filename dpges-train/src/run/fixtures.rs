@@ -4,6 +4,8 @@ use std::sync::Arc;
 
 use burn::tensor::Device;
 
+use super::Trainer;
+use super::checkpoint::Checkpoint;
 use crate::config::Config;
 use crate::dataset::{BuiltinOptions, Dataset, builtin};
 use crate::device::DeviceName;
@@ -18,9 +20,26 @@ pub fn dataset_of(train_views: usize) -> Arc<Dataset> {
     Arc::new(builtin(&options))
 }
 
+/// Taken through a fisheye lens.
+pub fn fisheye_dataset() -> Arc<Dataset> {
+    let (width, height, train_views, test_views, points) = (32, 32, 6, 2, 400);
+    let fisheye = true;
+    let options = BuiltinOptions { width, height, train_views, test_views, points, fisheye, ..Default::default() };
+    Arc::new(builtin(&options))
+}
+
 pub fn config(set: &[&str]) -> Config {
     let set: Vec<String> = set.iter().map(|&text| text.to_owned()).collect();
     Config::resolve(None, None, &set).unwrap()
+}
+
+/// The state of a run at its end.
+pub fn finished(set: &[&str], data: Dataset) -> Checkpoint {
+    let mut trainer = Trainer::new(config(set), Arc::new(data), device()).unwrap();
+    while !trainer.is_finished() {
+        trainer.step().unwrap();
+    }
+    trainer.checkpoint()
 }
 
 pub fn device() -> Device {

@@ -8,6 +8,7 @@
 //! checkpoint.safetensors    what `--resume` continues from
 //! stage_NAME.safetensors    the scene at the end of a stage before the last (`2dgs`, `dbs`, `mcmc`)
 //! stage_NAME.json           its evaluation, like eval.json
+//! exposure.json             gain and offset of every training view at the last checkpoint, if exposures are corrected
 //! best.safetensors          the best scene so far by the validation views, if they end the run
 //! eval.json                 the evaluation of the finished run, see `eval::EvalReport`
 //! target.json               what the run is to reach, and what is expected of it, if there is a target
@@ -25,7 +26,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::config::{Config, StageKind};
 
-const FILES: [&str; 15] = [
+const FILES: [&str; 16] = [
     "config.toml",
     "run.json",
     "metrics.jsonl",
@@ -34,6 +35,7 @@ const FILES: [&str; 15] = [
     "eval.json",
     "validation.json",
     "target.json",
+    "exposure.json",
     "best.safetensors",
     "stage_2dgs.safetensors",
     "stage_2dgs.json",
@@ -126,6 +128,10 @@ impl RunFolder {
 
     pub fn target(&self) -> PathBuf {
         self.path.join("target.json")
+    }
+
+    pub fn exposure(&self) -> PathBuf {
+        self.path.join("exposure.json")
     }
 
     pub fn best(&self) -> PathBuf {

@@ -17,6 +17,7 @@ use dpges_core::{Error, Result};
 use serde_json::{Value, json};
 
 use crate::eval::Evaluation;
+use crate::metrics::Fitted;
 use crate::stage::StepReport;
 
 /// A log that is open for appending. Every line is handed to the system at once.
@@ -103,7 +104,7 @@ impl MetricsLog {
     /// # Errors
     /// [`Error::Io`].
     pub fn evaluation(&mut self, step: usize, evaluation: &Evaluation, seconds: f64) -> Result<()> {
-        self.append(&json!({
+        self.append_evaluation(evaluation, json!({
             "kind": "evaluation", "step": step, "psnr": evaluation.psnr, "ssim": evaluation.ssim, "flip": evaluation.flip,
             "views": evaluation.views.len(), "surfels": evaluation.surfels, "gaussians": evaluation.gaussians,
             "seconds_per_view": evaluation.seconds_per_view, "seconds": seconds,
@@ -115,11 +116,22 @@ impl MetricsLog {
     /// # Errors
     /// [`Error::Io`].
     pub fn validation(&mut self, step: usize, evaluation: &Evaluation, seconds: f64) -> Result<()> {
-        self.append(&json!({
+        self.append_evaluation(evaluation, json!({
             "kind": "validation", "step": step, "psnr": evaluation.psnr, "ssim": evaluation.ssim, "flip": evaluation.flip,
             "views": evaluation.views.len(), "surfels": evaluation.surfels, "gaussians": evaluation.gaussians,
             "seconds": seconds,
         }))
+    }
+
+    /// Appends `line` with what only some runs measure.
+    fn append_evaluation(&mut self, evaluation: &Evaluation, mut line: Value) -> Result<()> {
+        let Fitted { psnr_fitted, ssim_fitted } = evaluation.fitted;
+        for (key, value) in [("psnr_fitted", psnr_fitted), ("ssim_fitted", ssim_fitted)] {
+            if let Some(value) = value {
+                line[key] = json!(value);
+            }
+        }
+        self.append(&line)
     }
 
     fn append(&mut self, line: &Value) -> Result<()> {

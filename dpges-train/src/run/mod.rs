@@ -32,9 +32,13 @@ mod error;
 #[cfg(test)]
 pub mod fixtures;
 pub mod folder;
+#[cfg(test)]
+mod masked_tests;
 pub mod metrics_log;
 mod observer;
 mod record;
+#[cfg(test)]
+mod streamed_tests;
 #[cfg(test)]
 mod tests;
 mod trainer;

@@ -57,6 +57,9 @@ impl Record {
 
     pub fn save(&mut self, scene: &SceneData, checkpoint: &Checkpoint) -> Result<(), CheckpointError> {
         scene.save(&self.folder.scene())?;
+        if let Some(corrections) = checkpoint.corrections() {
+            write_json(&self.folder.exposure(), &corrections)?;
+        }
         checkpoint.save(&self.folder.checkpoint())?;
         self.saved = Some(checkpoint.completed_steps());
         Ok(())

@@ -1,13 +1,15 @@
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use dpges_core::scene::{Rendering, SceneData};
 
 use super::checkpoint::CheckpointError;
-use super::fixtures::{config, dataset, dataset_of, device};
+use super::fixtures::{config, dataset, dataset_of, device, fisheye_dataset};
 use super::folder::RunFolderError;
 use super::*;
 use crate::config::StagePlan;
-use crate::eval::EvalReport;
+use crate::eval::{EvalReport, evaluate};
+use crate::exposure::Correction;
 
 /// Two stages, evaluations and a checkpoint on the way.
 const SHORT: [&str; 6] = [
@@ -106,6 +108,32 @@ fn a_run_in_memory_trains_evaluates_and_leaves_a_scene_to_save() {
 }
 
 #[test]
+fn scenes_are_learnt_through_a_fisheye_lens() {
+    let data = fisheye_dataset();
+    let psnr = |run: &Run| evaluate(&run.trainer().scene(), &data.train, &device()).unwrap().psnr;
+    for (method, steps, gain) in [("dpges", "150", 1.5), ("3dgs", "60", 0.0), ("mcmc", "60", 0.0)] {
+        let set = [format!("train.method={method}"), format!("train.steps={steps}"), "refine.budget=1500".to_owned()];
+        let config = config(&set.each_ref().map(String::as_str));
+        let mut run = Run::new(config, Arc::clone(&data), device()).unwrap();
+        let before = psnr(&run);
+        let outcome = run.train(&mut |_: &StepReport| ()).unwrap();
+        let after = psnr(&run);
+        assert!(after > before + gain, "{method}: {before:.2} dB before, {after:.2} dB after");
+        assert!(outcome.evaluation.is_some_and(|evaluation| evaluation.psnr > 5.0), "{method}");
+    }
+}
+
+#[test]
+fn discs_and_lenses_do_not_go_together() {
+    for set in [&["train.method=2dgs"], &["stages.surfels=0.4"]] {
+        let message = error(Run::new(config(set), fisheye_dataset(), device())).to_string();
+        for part in ["discs", "lens", "train_000", "data.undistort"] {
+            assert!(message.contains(part), "{message}");
+        }
+    }
+}
+
+#[test]
 fn an_observer_is_told_of_everything() {
     let folder = tempfile::tempdir().unwrap();
     let mut notes = Notes::default();
@@ -156,6 +184,29 @@ fn a_run_in_a_folder_is_resumed_to_identical_bytes() {
         assert!(std::fs::read(whole.join(file)).unwrap() == std::fs::read(parts.join(file)).unwrap(), "{file}");
     }
     assert!(SceneData::load(&parts.join("scene.safetensors")).unwrap() == outcome.scene);
+}
+
+#[test]
+fn corrections_of_exposure_are_in_the_folder_and_scores_say_what_they_are_worth() {
+    let at = tempfile::tempdir().unwrap();
+    let folder = RunFolder::new(at.path().join("run"));
+    in_folder(&[&SHORT[..], &["train.exposure=on"]].concat(), folder.path()).train(&mut ()).unwrap();
+    let text = std::fs::read_to_string(folder.exposure()).unwrap();
+    let found: BTreeMap<String, Correction> = serde_json::from_str(&text).unwrap();
+    assert_eq!(found.keys().collect::<Vec<_>>(), ["train_000", "train_001", "train_002"]);
+    for channel in 0..3 {
+        let gain: f64 = found.values().map(|correction| correction.gain[channel].ln()).sum();
+        let offset: f64 = found.values().map(|correction| correction.offset[channel]).sum();
+        assert!(gain.abs() < 1e-5 && offset.abs() < 1e-5, "{found:?}");
+    }
+    let report: EvalReport = serde_json::from_str(&std::fs::read_to_string(folder.evaluation()).unwrap()).unwrap();
+    assert!(report.evaluation.fitted.psnr_fitted.is_some() && report.evaluation.views[0].fitted.ssim_fitted.is_some());
+
+    let again = run(&SHORT).overwrite(folder.clone(), Origin::new("builtin", "cpu"));
+    again.unwrap().train(&mut ()).unwrap();
+    assert!(!folder.exposure().exists());
+    let text = std::fs::read_to_string(folder.evaluation()).unwrap();
+    assert!(!text.contains("fitted"), "{text}");
 }
 
 #[test]

@@ -12,7 +12,9 @@ use super::checkpoint::{Checkpoint, RunState};
 use super::validation::Validation;
 use crate::config::{Config, StagePlan};
 use crate::dataset::Dataset;
-use crate::stage::{self, Context, PendingStep, Stage, StageCheckpoint, StepReport, TrainError, Trained, begin_step};
+use crate::stage::{
+    self, Context, ExposureState, PendingStep, Stage, StageCheckpoint, StepReport, TrainError, Trained, begin_step,
+};
 
 /// A scene that learns a dataset, and where in the plan of its stages it stands.
 pub struct Trainer {
@@ -36,8 +38,12 @@ impl Trainer {
     pub fn new(config: Config, dataset: Arc<Dataset>, device: Device) -> Result<Self, TrainError> {
         let plan = config.plan();
         let rng = ChaCha8Rng::seed_from_u64(config.train.seed);
-        let mut context = Context { dataset, config, device, rng, remaining_views: Vec::new(), completed_steps: 0 };
+        let (remaining_views, exposure) = (Vec::new(), ExposureState::default());
+        let mut context =
+            Context { dataset, config, device, rng, remaining_views, completed_steps: 0, exposure, depth: None };
         context.check_plan(&plan)?;
+        context.exposure = context.start_of_exposure()?;
+        context.depth = context.start_of_depth();
         let mut trained = Trained { environment: context.start_of_environment()?, ..Trained::default() };
         let stage = stage::begin(plan[0], &mut trained, &mut context)?;
         Ok(Self { context, plan, at: 0, stage, trained, validation: Validation::default(), pending: None })
@@ -48,7 +54,7 @@ impl Trainer {
     /// # Errors
     /// [`TrainError::Resume`] if the dataset is another one or the checkpoint contradicts itself.
     pub fn resume(checkpoint: Checkpoint, dataset: Arc<Dataset>, device: Device) -> Result<Self, TrainError> {
-        let Checkpoint { state, attributes, columns, max_pixels } = checkpoint;
+        let Checkpoint { state, mut attributes, columns, max_pixels } = checkpoint;
         let RunState { config, info, completed_steps, stage: at, validation, growth, rng, remaining_views, view_names } =
             state;
         if view_names != names_of_views(&dataset) {
@@ -60,7 +66,11 @@ impl Trainer {
         let Some(&current) = plan.get(at) else {
             return Err(TrainError::Resume { reason: format!("stage {at} of {} does not exist", plan.len()) });
         };
-        let context = Context { dataset, config, device, rng, remaining_views, completed_steps };
+        let exposure = ExposureState::from_rows(&mut attributes, dataset.train.len(), &device)
+            .map_err(|reason| TrainError::Resume { reason })?;
+        let mut context =
+            Context { dataset, config, device, rng, remaining_views, completed_steps, exposure, depth: None };
+        context.depth = context.start_of_depth();
         let of_stage = StageCheckpoint { info, growth, attributes, columns, max_pixels };
         let (stage, trained) = stage::resume(current, of_stage, &context)?;
         Ok(Self { context, plan, at, stage, trained, validation, pending: None })
@@ -73,7 +83,8 @@ impl Trainer {
         if let Some(discs) = &self.trained.discs {
             stage.add_discs(discs);
         }
-        let StageCheckpoint { info, growth, attributes, columns, max_pixels } = stage;
+        let StageCheckpoint { info, growth, mut attributes, columns, max_pixels } = stage;
+        attributes.extend(context.exposure.rows().map(|(name, rows)| (name.to_owned(), rows)));
         let state = RunState {
             config: context.config.clone(),
             info,
@@ -127,6 +138,11 @@ impl Trainer {
     /// The stage before the last; `None` if there is only one.
     pub fn last_but_one(&self) -> Option<StagePlan> {
         Some(self.plan[self.plan.len().checked_sub(2)?])
+    }
+
+    /// Whether the run corrects the exposures of its training views.
+    pub fn corrects_exposure(&self) -> bool {
+        self.context.exposure.is_on()
     }
 
     /// The scene as it stands.
@@ -221,8 +237,11 @@ mod tests {
     use super::super::fixtures::{config, dataset, dataset_of, device};
     use super::*;
     use crate::config::StageKind;
-    use crate::dataset::{BuiltinOptions, builtin, builtin_geometry};
+    use crate::dataset::{BuiltinOptions, DepthKind, View, builtin, builtin_geometry};
+    use crate::eval::{Evaluation, Measures, evaluate_each};
+    use crate::exposure::Correction;
     use crate::refine::growth::Growth;
+    use crate::rendered::Renderer;
     use crate::scene_state::GaussianState;
 
     fn trainer(set: &[&str]) -> Trainer {
@@ -401,8 +420,10 @@ mod tests {
     #[test]
     fn a_run_goes_on_from_any_step_of_any_stage_to_the_same_end() {
         let folder = tempfile::tempdir().unwrap();
-        let runs: [(&[&str], &[usize]); 5] = [
+        let with_exposure = [&STAGES[..], &["train.exposure=on"]].concat();
+        let runs: [(&[&str], &[usize]); 6] = [
             (&STAGES, &[7, 18, 19, 30, 36, 50]),
+            (&with_exposure, &[7, 18, 50]),
             (&["train.steps=40", "train.method=mcmc", "refine.budget=300", "model.environment=sh2"], &[1, 25]),
             (&["train.steps=40", "train.method=dbs", "refine.budget=300"], &[25]),
             (&["train.steps=40", "train.method=mip-splatting", "refine.budget=300"], &[11, 25]),
@@ -590,6 +611,149 @@ mod tests {
         assert!(scene.gaussians.log_scales.iter().all(|&scale| f64::from(scale).exp() > 0.447 * 0.01));
         assert!(scene.gaussians.opacities.iter().all(|&opacity| opacity < 1e-6), "what has no size has no weight");
         assert_eq!(scene.info.screen_filter, ScreenFilter::Compensated);
+    }
+
+    #[test]
+    fn exposures_are_learnt_around_their_mean_in_every_stage() {
+        let mut trainer = trainer(&[&STAGES[..], &["train.exposure=on"]].concat());
+        let mut before = vec![0.0; 18];
+        for stage in ["2dgs", "dbs", "joint"] {
+            while !trainer.stage_is_over() {
+                trainer.step().unwrap();
+            }
+            assert_eq!(trainer.stage().kind.to_string(), stage);
+            let checkpoint = trainer.checkpoint();
+            let after = checkpoint.attributes["exposure"].raw.clone();
+            assert!(after.iter().zip(&before).all(|(a, b)| a != b), "{stage}: {after:?}");
+            for column in 0..6 {
+                let sum: f32 = after.iter().skip(column).step_by(6).sum();
+                assert!(sum.abs() < 1e-5, "{stage}: column {column} sums to {sum}");
+            }
+            let named = checkpoint.corrections().unwrap();
+            assert_eq!(named.keys().collect::<Vec<_>>(), ["train_000", "train_001", "train_002"]);
+            assert!((named["train_001"].gain[0].ln() - f64::from(after[6])).abs() < 1e-6);
+            before = after;
+            if !trainer.is_in_last_stage() {
+                trainer.next_stage().unwrap();
+            }
+        }
+        let without = self::trainer(&["train.steps=9"]);
+        assert!(!without.corrects_exposure() && without.checkpoint().corrections().is_none());
+    }
+
+    #[test]
+    fn exposures_are_found_and_compensated() {
+        let options =
+            BuiltinOptions { width: 32, height: 32, train_views: 8, test_views: 4, points: 400, ..Default::default() };
+        let plain = builtin(&options);
+        let changed = Arc::new(builtin(&BuiltinOptions { exposure_stops: 1.0, ..options }));
+        let trained = |exposure: &str| {
+            let set = ["train.steps=400", "refine.budget=1500", "optimizer.exposure=0.02", exposure];
+            let mut trainer = Trainer::new(config(&set), changed.clone(), device()).unwrap();
+            while !trainer.is_finished() {
+                trainer.step().unwrap();
+            }
+            let scene = trainer.scene();
+            let renderer = Renderer::new(&scene, &device());
+            let measures = Measures::BASIC.fitted(true);
+            let evaluation: dpges_core::Result<Evaluation> =
+                evaluate_each(&renderer, &scene, &changed.test, &device(), measures, |_, _| Ok(()));
+            (evaluation.unwrap().fitted.psnr_fitted.unwrap(), trainer.checkpoint().corrections())
+        };
+        let (with, found) = trained("train.exposure=auto");
+        let (without, none) = trained("train.exposure=off");
+        assert!(with > without && none.is_none(), "{with} with, {without} dB without");
+
+        // by how much each photograph is brighter than the scene, and than the others
+        let brightness =
+            |view: &View| f64::from(view.picture().unwrap().planes().iter().sum::<f32>() / (3.0 * 32.0 * 32.0));
+        let found = found.expect("exposures differ by more than auto takes");
+        let pairs = changed.train.iter().zip(&plain.train);
+        let (truth, learnt): (Vec<f64>, Vec<f64>) = pairs
+            .map(|(changed, plain)| {
+                let (scene, Correction { gain, offset }) = (brightness(plain), found[&changed.name]);
+                let shown = (0..3).map(|channel| gain[channel] * scene + offset[channel]).sum::<f64>() / 3.0;
+                ((brightness(changed) / scene).ln(), (shown / scene).ln())
+            })
+            .unzip();
+        let centred = |values: &[f64]| {
+            let mean = values.iter().sum::<f64>() / values.len() as f64;
+            values.iter().map(|value| value - mean).collect::<Vec<f64>>()
+        };
+        let (truth, learnt) = (centred(&truth), centred(&learnt));
+        let wrong: f64 = truth.iter().zip(&learnt).map(|(a, b)| (a - b).powi(2)).sum();
+        let all: f64 = truth.iter().map(|a| a.powi(2)).sum();
+        assert!(wrong < 0.25 * all, "{truth:?} {learnt:?}");
+    }
+
+    /// Of the surfels of `trainer` in a training view of the built-in scene.
+    fn mean_depth_error(trainer: &Trainer, view: &View) -> f64 {
+        let scene = trainer.scene();
+        let (_, depth) = Renderer::new(&scene, &device()).render_with_depth(&view.camera).unwrap();
+        let (truth, _) = builtin_geometry(&view.camera);
+        let shown: Vec<f64> = depth
+            .iter()
+            .zip(&truth)
+            .filter(|(z, _)| **z > 0.0)
+            .map(|(z, truth)| f64::from((z / truth - 1.0).abs()))
+            .collect();
+        assert!(shown.len() > 200, "{} pixels", shown.len());
+        shown.iter().sum::<f64>() / shown.len() as f64
+    }
+
+    #[test]
+    fn depth_maps_bring_surfels_to_their_depth() {
+        let size = BuiltinOptions { width: 32, height: 32, train_views: 6, points: 500, ..Default::default() };
+        let error = |kind: Option<DepthKind>| {
+            let mut data = builtin(&BuiltinOptions { depth: kind, ..size.clone() });
+            // along the first axis by up to 0.15
+            let positions = data.points.positions.iter_mut().enumerate();
+            positions.for_each(|(at, position)| position[0] += 0.3 * ((at * 37 % 101) as f32 / 101.0 - 0.5));
+            let set = [
+                "train.steps=150",
+                "refine.budget=1200",
+                "train.lambda_depth_maps=2",
+                "train.depth_maps_decay=1",
+                // surfels stay, however wrong they are
+                "refine.judge_surfels_at=[]",
+                "refine.surfel_prune_from=15000",
+                "refine.clear_sight=false",
+                "optimizer.position_start=1e-3",
+                "optimizer.position_end=1e-3",
+            ];
+            let mut trainer = Trainer::new(config(&set), Arc::new(data), device()).unwrap();
+            while !trainer.is_finished() {
+                trainer.step().unwrap();
+            }
+            let views = &trainer.dataset().train;
+            views.iter().map(|view| mean_depth_error(&trainer, view)).sum::<f64>() / views.len() as f64
+        };
+        let (without, metric) = (error(None), error(Some(DepthKind::Metric)));
+        assert!(metric < 0.8 * without, "{metric} with maps, {without} without");
+    }
+
+    #[test]
+    fn stages_learn_from_depth_maps_and_resume() {
+        let folder = tempfile::tempdir().unwrap();
+        for kind in [DepthKind::Metric, DepthKind::Relative] {
+            let options = BuiltinOptions {
+                width: 24,
+                height: 24,
+                train_views: 3,
+                test_views: 1,
+                points: 200,
+                ..Default::default()
+            };
+            let data = Arc::new(builtin(&BuiltinOptions { depth: Some(kind), ..options }));
+            let whole = finished(Trainer::new(config(&STAGES), data.clone(), device()).unwrap());
+            assert!(whole.attributes != finished(trainer(&STAGES)).attributes, "maps change something");
+            let mut first = Trainer::new(config(&STAGES), data.clone(), device()).unwrap();
+            while first.completed_steps() < 25 {
+                first.step().unwrap();
+            }
+            let checkpoint = saved_and_loaded(&first.checkpoint(), folder.path());
+            assert!(finished(Trainer::resume(checkpoint, data, device()).unwrap()) == whole, "{kind:?}");
+        }
     }
 
     #[test]

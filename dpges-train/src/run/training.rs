@@ -41,7 +41,7 @@ impl Run {
             let (evaluates, stage_is_over) = (is_due(step, train.evaluate_every), self.trainer.stage_is_over());
             if evaluates && !stage_is_over {
                 self.work(Trainer::settle, observer)?;
-                self.evaluate(&self.trainer.scene(), Measures::Basic, observer)?;
+                self.evaluate(&self.trainer.scene(), Measures::BASIC, observer)?;
             }
             if train.stop == Stop::Validation && (evaluates || stage_is_over) && self.trainer.is_in_last_stage() {
                 self.work(Trainer::settle, observer)?;
@@ -64,7 +64,7 @@ impl Run {
         let scene = if train.stop == Stop::Validation { self.best_scene()? } else { self.trainer.scene() };
         let scene = self.unless_it_was_better_before(scene)?;
         self.report_validation(&scene, observer)?;
-        let evaluation = self.evaluate(&scene, Measures::Perceptual(&[]), observer)?;
+        let evaluation = self.evaluate(&scene, Measures::perceptual(&[]), observer)?;
         if let (Some(evaluation), Some(record)) = (&evaluation, &self.record) {
             let (folder, floaters) = (&record.folder, self.floaters(&scene)?);
             record.report("test", &folder.scene(), evaluation, floaters, &folder.evaluation())?;
@@ -106,7 +106,7 @@ impl Run {
             scene.save(&record.folder.stage_scene(stage.kind))?;
         }
         observer.stage_ended(stage, &scene);
-        if let (Some(evaluation), Some(record)) = (self.evaluate(&scene, Measures::Basic, observer)?, &self.record) {
+        if let (Some(evaluation), Some(record)) = (self.evaluate(&scene, Measures::BASIC, observer)?, &self.record) {
             let folder = &record.folder;
             record.report(
                 "test",
@@ -118,7 +118,7 @@ impl Run {
         }
         if self.trainer.last_but_one().is_some_and(|before| before.kind == stage.kind) {
             if !self.trainer.dataset().validation.is_empty() {
-                let psnr = self.evaluate_validation(&scene)?.psnr;
+                let psnr = self.evaluate_validation(&scene)?.deciding_psnr();
                 self.trainer.validation_mut().begin_last_stage(psnr);
             }
             self.before_last_stage = self.record.is_none().then_some(scene);
@@ -134,7 +134,7 @@ impl Run {
         else {
             return Ok(scene);
         };
-        let psnr = self.evaluate_validation(&scene)?.psnr;
+        let psnr = self.evaluate_validation(&scene)?.deciding_psnr();
         if psnr >= before {
             return Ok(scene);
         }
@@ -156,7 +156,8 @@ impl Run {
         let (step, scene) = (self.trainer.completed_steps(), self.trainer.scene());
         self.check_device(observer)?;
         let evaluation = self.evaluate_validation(&scene)?;
-        let verdict = self.trainer.validation_mut().observe(step, evaluation.psnr, patience);
+        let psnr = evaluation.deciding_psnr();
+        let verdict = self.trainer.validation_mut().observe(step, psnr, patience);
         let is_best = verdict == Verdict::Best;
         let seconds = self.seconds();
         if let Some(record) = &mut self.record {
@@ -167,7 +168,7 @@ impl Run {
         } else if is_best {
             self.best = Some(scene);
         }
-        observer.validated(step, evaluation.psnr, verdict);
+        observer.validated(step, psnr, verdict);
         Ok(())
     }
 
@@ -185,7 +186,8 @@ impl Run {
 
     fn evaluate_validation(&self, scene: &SceneData) -> Result<Evaluation, RunError> {
         let (views, device) = (&self.trainer.dataset().validation, self.trainer.device());
-        evaluate_each(&self.renderer(scene), scene, views, device, Measures::Basic, |_, _| Ok(()))
+        let measures = Measures::BASIC.fitted(self.trainer.corrects_exposure());
+        evaluate_each(&self.renderer(scene), scene, views, device, measures, |_, _| Ok(()))
     }
 
     /// The best scene by the validation views; in a folder it becomes the scene of the run.
@@ -220,10 +222,11 @@ impl Run {
         }
         let (views, step, device) = (&dataset.test, self.trainer.completed_steps(), self.trainer.device());
         let stems = file_stems(views);
+        let measures = measures.fitted(self.trainer.corrects_exposure());
         let shown = evenly_spaced(self.trainer.config().train.picture_views, views.len());
         let evaluation = evaluate_each(&self.renderer(scene), scene, views, device, measures, |index, render| {
             let Some(record) = self.record.as_ref().filter(|_| shown.contains(&index)) else { return Ok(()) };
-            save_png(&comparison(&views[index], render), &record.folder.picture(step, &stems[index]))
+            save_png(&comparison(&views[index], render)?, &record.folder.picture(step, &stems[index]))
         })?;
         observer.evaluated(step, &evaluation);
         let seconds = self.seconds();

@@ -10,6 +10,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::config::{Budget, Config, StagePlan};
 use crate::dataset::Dataset;
+use crate::stage::{DepthMaps, ExposureState};
 
 /// What all stages of a run share.
 pub struct Context {
@@ -21,6 +22,10 @@ pub struct Context {
     pub remaining_views: Vec<u32>,
     /// Of the whole run.
     pub completed_steps: usize,
+    /// Of the training views, through all stages.
+    pub exposure: ExposureState,
+    /// `None` if no depth maps are learnt from.
+    pub depth: Option<DepthMaps>,
 }
 
 impl Context {
@@ -37,10 +42,21 @@ impl Context {
     /// Index of the next view of this pass. A pass goes over all views in random order (3DGS).
     pub fn next_view(&mut self) -> usize {
         if self.remaining_views.is_empty() {
-            self.remaining_views = (0..self.dataset.train.len() as u32).collect();
-            self.remaining_views.shuffle(&mut self.rng);
+            self.remaining_views = pass(self.dataset.train.len(), &mut self.rng);
         }
         self.remaining_views.pop().expect("a dataset has training views") as usize
+    }
+
+    /// Begins to read the photograph in the background that the step after this one needs, if it is not in memory. At the
+    /// end of a pass that is a guess: other random numbers may be drawn before the next one begins.
+    pub fn read_ahead(&self) {
+        let next = match self.remaining_views.last() {
+            Some(&next) => Some(next),
+            None => pass(self.dataset.train.len(), &mut self.rng.clone()).last().copied(),
+        };
+        if let Some(next) = next {
+            self.dataset.train[next as usize].photograph.read_ahead();
+        }
     }
 
     /// Begins a new pass. A stage does so at its start, since its schedule counts passes from there.
@@ -83,6 +99,13 @@ impl Context {
     }
 }
 
+/// Indices of all of `views` views in random order.
+fn pass(views: usize, rng: &mut ChaCha8Rng) -> Vec<u32> {
+    let mut order: Vec<u32> = (0..views as u32).collect();
+    order.shuffle(rng);
+    order
+}
+
 /// Most points of a dataset that are looked up in its views to find how much these share.
 const SAMPLED_POINTS: usize = 2000;
 /// Largest number of pictures without anything in common that a budget is made for.
@@ -109,7 +132,7 @@ fn different_pictures(dataset: &Dataset) -> f64 {
 
 /// Mean number of pixels of a training view.
 pub fn mean_pixels(dataset: &Dataset) -> usize {
-    let pixels: usize = dataset.train.iter().map(|view| view.picture.width * view.picture.height).sum();
+    let pixels: usize = dataset.train.iter().map(|view| view.camera.width * view.camera.height).sum();
     pixels / dataset.train.len().max(1)
 }
 

@@ -85,7 +85,7 @@ impl Context {
     /// where there is none.
     ///
     /// # Errors
-    /// [`TrainError::Given`] if such a file is of no use.
+    /// [`TrainError::Given`] if such a file is of no use, [`TrainError::Core`] if a photograph cannot be read again.
     pub fn start_of_environment(&self) -> Result<Option<EnvironmentData>, TrainError> {
         let wanted = self.config.model.environment;
         if wanted == Environment::None {
@@ -103,7 +103,7 @@ impl Context {
                 return Ok(Some(found));
             }
         }
-        Ok(self.environment_of_sky(wanted))
+        self.environment_of_sky(wanted)
     }
 
     /// Adds `colour` to an environment before the background of this dataset, and takes the latter away.
@@ -114,9 +114,9 @@ impl Context {
         }
     }
 
-    fn environment_of_sky(&self, wanted: Environment) -> Option<EnvironmentData> {
+    fn environment_of_sky(&self, wanted: Environment) -> Result<Option<EnvironmentData>, TrainError> {
         let dataset = &self.dataset;
-        let sky = open_sky(dataset);
+        let sky = open_sky(dataset)?;
         let percent = 100.0 * sky.share;
         let degree = match wanted.degree() {
             Some(degree) => degree,
@@ -127,7 +127,7 @@ impl Context {
                      takes {} % (model.environment)",
                     100.0 * SKY
                 );
-                return None;
+                return Ok(None);
             }
         };
         tracing::info!(
@@ -136,15 +136,13 @@ impl Context {
         );
         let mut start = EnvironmentData::neutral(degree);
         self.add(&mut start, sky.colour.unwrap_or(dataset.background));
-        Some(start)
+        Ok(Some(start))
     }
 }
 
 /// Whether the photographs show the background of the dataset, not a world.
 fn has_background(dataset: &Dataset) -> bool {
-    let is_transparent = |alpha: &Vec<f32>| alpha.iter().any(|&alpha| alpha < 0.5);
-    dataset.format == Format::Blender
-        || dataset.train.iter().any(|view| view.picture.alpha.as_ref().is_some_and(is_transparent))
+    dataset.format == Format::Blender || dataset.train.iter().any(|view| view.photograph.has_transparency())
 }
 
 #[cfg(test)]
@@ -155,8 +153,9 @@ mod tests {
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
 
+    use super::super::ExposureState;
     use super::*;
-    use crate::init::sky::tests::{ring, tower};
+    use crate::init::sky::tests::{BLUE, ring, tower};
     use crate::run::fixtures::{config, device};
 
     fn start(dataset: Dataset, set: &[&str]) -> Option<EnvironmentData> {
@@ -167,6 +166,8 @@ mod tests {
             rng: ChaCha8Rng::seed_from_u64(0),
             remaining_views: Vec::new(),
             completed_steps: 0,
+            exposure: ExposureState::default(),
+            depth: None,
         };
         context.start_of_environment().unwrap()
     }
@@ -183,7 +184,7 @@ mod tests {
     fn open_sky_decides_and_gives_its_colour() {
         let sky = start(outdoors(), &[]).unwrap();
         assert_eq!(EnvironmentData::degree_of(sky.len()), Some(DEGREE));
-        for (k, colour) in sky.coefficients.iter().zip([0.25, 0.5, 1.0]) {
+        for (k, colour) in sky.coefficients.iter().zip(BLUE.map(|value| f64::from(value) / 255.0)) {
             assert!((f64::from(*k) * SH_C0 - colour).abs() < 1e-6, "{k}");
         }
         assert!(sky.coefficients[3..].iter().all(|&k| k == 0.0));
@@ -196,10 +197,9 @@ mod tests {
         assert_eq!(start(outdoors(), &["data.background=black"]), None);
         assert_eq!(start(Dataset { format: Format::Blender, ..outdoors() }, &[]), None);
         let mut masked = outdoors();
-        let pixels = masked.train[2].picture.planes.len() / 3;
-        masked.train[2].picture.alpha = Some(vec![1.0; pixels]);
+        masked.train[2].repaint(|picture| picture.alpha = Some(vec![255; picture.area()])).unwrap();
         assert!(start(masked.clone(), &[]).is_some());
-        masked.train[2].picture.alpha = Some(vec![0.0; pixels]);
+        masked.train[2].repaint(|picture| picture.alpha = Some(vec![0; picture.area()])).unwrap();
         assert_eq!(start(masked, &[]), None);
     }
 

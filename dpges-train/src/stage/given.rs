@@ -37,6 +37,15 @@ impl Context {
         let has_discs = plan.iter().any(|stage| stage.kind == StageKind::Blended(Blended::Discs))
             || surfels.is_some_and(|scene| scene.info.rendering == Rendering::Discs);
         let joint = plan.iter().any(|stage| stage.kind == StageKind::Joint);
+        let renders_discs = plan.iter().any(|stage| stage.kind == StageKind::Blended(Blended::Discs))
+            || (joint && has_discs && self.config.train.has_geometry_losses());
+        if let Some(view) = self.dataset.train.iter().find(|view| view.camera.lens.is_some() && renders_discs) {
+            return Err(TrainError::Plan(format!(
+                "discs cannot be seen through a lens, and view `{}` has one: set data.undistort = true, or train without \
+                 discs (stages.surfels = 0)",
+                view.name
+            )));
+        }
         if joint && !has_discs {
             let needs = |what: &str| {
                 TrainError::Plan(format!("{what} needs discs: set stages.surfels above 0, or stages.surfels_from"))

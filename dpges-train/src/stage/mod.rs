@@ -6,8 +6,10 @@
 mod blended;
 mod checkpoint;
 mod context;
+mod depth;
 mod environment;
 mod error;
+mod exposure;
 mod given;
 mod joint;
 mod parameters;
@@ -24,8 +26,10 @@ use crate::config::{Config, StageKind, StagePlan};
 use blended::BlendedStage;
 pub use checkpoint::StageCheckpoint;
 pub use context::{Context, budget};
+pub use depth::DepthMaps;
 pub use environment::EnvironmentState;
 pub use error::TrainError;
+pub use exposure::{EXPOSURE, ExposureState};
 use joint::JointStage;
 pub use parameters::{Leaves, Parameters, StepRates};
 pub use pending::PendingStep;
@@ -109,6 +113,17 @@ pub fn begin(plan: StagePlan, trained: &mut Trained, context: &mut Context) -> R
     Ok(match plan.kind {
         StageKind::Blended(blended) => Box::new(BlendedStage::begin(plan, blended, trained, context)?),
         StageKind::Joint => Box::new(JointStage::begin(plan, std::mem::take(trained), context)?),
+    })
+}
+
+/// A stage of `plan` that begins with `scene` as it is; one of blended Gaussians leaves its surfels out.
+///
+/// # Errors
+/// [`TrainError::Core`] if a photograph cannot be read again.
+pub fn of_scene(plan: StagePlan, scene: &SceneData, context: &Context) -> Result<Box<dyn Stage>, TrainError> {
+    Ok(match plan.kind {
+        StageKind::Blended(blended) => Box::new(BlendedStage::of_scene(plan, blended, scene, context)),
+        StageKind::Joint => Box::new(JointStage::of_scene(plan, scene, context)?),
     })
 }
 

@@ -5,7 +5,8 @@ use std::pin::Pin;
 use std::task::{Context, Poll, Waker};
 
 use burn::tensor::{ExecutionError, Tensor, TensorData, read_sync};
-use dpges_core::losses::Losses;
+use dpges_core::counters::transfers::{download, wait};
+use dpges_core::losses::{Losses, Target, mean_of_counted};
 use dpges_core::ops::finite::{FiniteChecks, check_finite};
 use dpges_core::scene::schema::Attribute;
 
@@ -62,11 +63,12 @@ impl PendingStep {
         view_name: String,
         losses: Losses,
         image: Tensor<3>,
-        target: Tensor<3>,
+        target: Target,
         gate: &Gate,
     ) -> Self {
-        let difference = image.inner().clamp(0.0, 1.0) - target.inner();
-        let squared_error = difference.clone().mul(difference).mean();
+        let target = target.inner();
+        let difference = image.inner().clamp(0.0, 1.0) - target.image;
+        let squared_error = mean_of_counted(difference.clone().mul(difference), target.mask.as_ref());
         let Losses { total, rgb, surfel, scale, transmittance } = losses;
         let mut numbers: Vec<Tensor<1>> = [total, rgb, surfel, scale, transmittance].map(Tensor::inner).into();
         numbers.extend([squared_error, gate.bad.clone()]);
@@ -88,12 +90,12 @@ impl PendingStep {
     /// the device failed.
     pub fn settle(self) -> Result<StepReport, TrainError> {
         let numbers = match self.numbers {
-            Waiting::For(future) => read_sync(future),
+            Waiting::For(future) => wait(|| read_sync(future)),
             Waiting::No(numbers) => numbers,
         };
         let (step, view) = (self.report.step, self.view_name);
         let numbers = numbers.map_err(|error| TrainError::Device { step, reason: error.to_string() })?;
-        let numbers: Vec<f64> = numbers.iter::<f64>().collect();
+        let numbers: Vec<f64> = download(numbers).iter::<f64>().collect();
         let &[loss, rgb, surfel, scale, transmittance, squared_error, bad] = numbers.as_slice() else {
             unreachable!("seven numbers were asked for");
         };

@@ -1,11 +1,14 @@
 //! One step of any stage: render, compare, go back, optimise.
 
 use burn::tensor::Tensor;
+use dpges_core::losses::Target;
 use dpges_core::render::Values;
 
+use super::depth::DepthTarget;
+use super::exposure::photographed;
 use super::pending::{Gate, PendingStep};
 use super::{Context, Stage, StepReport, TrainError};
-use crate::dataset::View;
+use crate::dataset::{Picture, View};
 
 /// What a step learns from.
 pub struct StepInput<'a> {
@@ -14,16 +17,33 @@ pub struct StepInput<'a> {
     /// Index of the training view.
     pub index: usize,
     pub view: &'a View,
-    /// [3, H, W] the photograph, on the device of the tape.
-    pub target: Tensor<3>,
+    /// Its photograph.
+    pub picture: &'a Picture,
+    /// The photograph, on the device of the tape.
+    pub target: Target,
     /// What is known of the parameters.
     pub values: Values,
+    /// What a depth map says of the view; `None` if it has none.
+    pub depth: Option<DepthTarget>,
+    /// [1, 6] the colour correction of the view, on the tape; `None` in runs without any.
+    pub exposure: Option<Tensor<2>>,
+}
+
+impl StepInput<'_> {
+    /// A rendered `image` [3, H, W] with the exposure of the photograph.
+    pub fn photographed(&self, image: Tensor<3>) -> Tensor<3> {
+        match &self.exposure {
+            Some(correction) => photographed(image, correction),
+            None => image,
+        }
+    }
 }
 
 /// Hands everything of one step to the device, and does not wait for it.
 ///
 /// # Errors
-/// [`TrainError::Step`] if the parameters or the view are not what the operations expect.
+/// [`TrainError::Step`] if the parameters or the view are not what the operations expect, [`TrainError::Core`] if its
+/// photograph cannot be read again.
 pub fn begin_step(
     stage: &mut dyn Stage,
     context: &mut Context,
@@ -36,10 +56,17 @@ pub fn begin_step(
     let parameters = stage.parameters();
     (report.surfels, report.gaussians) = (parameters.surfels.len(), parameters.gaussians.len());
     let leaves = parameters.leaves();
-    let target = view.target(&context.tape());
+    let picture = view.picture()?;
+    context.read_ahead();
+    let target = picture.target(&context.tape());
     // After the first step they stay finite, since a step with a gradient that is not finite is held back
     let values = if completed == 0 { Values::Unknown } else { Values::KnownFinite };
-    let input = StepInput { completed, index: report.view, view, target: target.clone(), values };
+    let depth = context.depth_target(report.view, &context.tape());
+    let corrections = context.exposure.leaf();
+    let exposure = corrections.as_ref().map(|leaf| leaf.clone().slice([report.view..report.view + 1, 0..6]));
+    let index = report.view;
+    let input =
+        StepInput { completed, index, view, picture: &picture, target: target.clone(), values, depth, exposure };
     let at = |source| TrainError::Step { step: report.step, view: view.name.clone(), source };
     let forward = stage.forward(&leaves, &input, context).map_err(at)?;
 
@@ -48,13 +75,16 @@ pub fn begin_step(
     if let Some(gradient) = forward.probe.and_then(|probe| probe.grad_remove(&mut gradients)) {
         stage.observe_probe(gradient);
     }
-    let gate = Gate::new(&forward.losses.total, found.iter());
+    let of_exposure = context.exposure.gradient(corrections.as_ref(), &mut gradients);
+    let gate = Gate::new(&forward.losses.total, found.iter().chain(&of_exposure));
     let pending = PendingStep::new(report, view.name.clone(), forward.losses, forward.image, target, &gate);
     // The tape shares the parameters: without it the optimiser can work in place
-    drop(leaves);
+    drop((leaves, corrections));
 
     let rates = stage.rates(completed, &context.config);
     stage.parameters().step(found, &gate.open, &rates, context.config.optimizer.adam(completed))?;
+    let step = context.exposure_step();
+    context.exposure.step(of_exposure, &gate.open, step)?;
     stage.after_step(completed, context)?;
     Ok(pending)
 }

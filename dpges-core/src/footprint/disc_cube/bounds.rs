@@ -3,13 +3,15 @@
 use cubecl::prelude::*;
 
 use super::Disc;
+use super::lens_bounds::lens_reach;
+use crate::gpu::lens::LensKind;
 use crate::gpu::rect::Rect;
 use crate::gpu::vector::scale;
 use crate::gpu::view::{CameraUniforms, pixel_range};
 
 /// Widens a range by more than the rounding errors of f32, px.
 #[cube]
-fn widened(low: f32, high: f32) -> (f32, f32) {
+pub fn widened(low: f32, high: f32) -> (f32, f32) {
     let slack = 0.05f32 + 1e-4f32 * (high - low);
     (low - slack, high + slack)
 }
@@ -17,7 +19,7 @@ fn widened(low: f32, high: f32) -> (f32, f32) {
 /// Range of x / z over a disc in front of the near plane, from the x and z components of its centre and
 /// axes. The ends are the two lines through the eye that are tangent to its ellipse.
 #[cube]
-fn tangents(cx: f32, cz: f32, ax: f32, az: f32, bx: f32, bz: f32) -> (f32, f32) {
+pub fn tangents(cx: f32, cz: f32, ax: f32, az: f32, bx: f32, bz: f32) -> (f32, f32) {
     let quadratic = cz * cz - (az * az + bz * bz);
     let half_linear = cx * cz - (ax * az + bx * bz);
     let (m_ca, m_cb, m_ab) = (cx * az - cz * ax, cx * bz - cz * bx, ax * bz - az * bx);
@@ -54,10 +56,19 @@ fn clipped_square(cx: f32, cz: f32, ax: f32, az: f32, bx: f32, bz: f32, near: f3
     (min(min(l0, l1), min(l2, l3)), max(max(h0, h1), max(h2, h3)))
 }
 
-/// Pixels that the footprint can reach within `radius`, in σ; none if the radius is negative. The square
-/// around a disc bounds it if the disc crosses the near plane.
+/// Pixels that the footprint can reach within `radius`, in σ; none if the radius is negative.
 #[cube]
 pub fn reach(view: CameraUniforms, disc: Disc, radius: f32) -> Rect {
+    if comptime!(view.lens.kind == LensKind::None) {
+        pinhole_reach(view, disc, radius)
+    } else {
+        lens_reach(view, disc, radius)
+    }
+}
+
+/// [`reach`] without a lens. The square around a disc bounds it if the disc crosses the near plane.
+#[cube]
+fn pinhole_reach(view: CameraUniforms, disc: Disc, radius: f32) -> Rect {
     let c = disc.centre;
     let a = scale(disc.tangent_u, radius * disc.scale_u);
     let b = scale(disc.tangent_v, radius * disc.scale_v);

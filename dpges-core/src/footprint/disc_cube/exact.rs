@@ -7,6 +7,7 @@ use crate::gpu::exact::{
     Pair, Pairs3, add_pairs, cross_pairs, divide_pairs, dot_pairs, exactly, multiply_pairs, negated, rounded,
     two_product, two_sum,
 };
+use crate::gpu::lens::LensKind;
 use crate::gpu::record::Record;
 use crate::gpu::vector::{Quaternion, Vec3, near_unit, scale, vec3};
 use crate::gpu::view::{CameraUniforms, Rests};
@@ -95,7 +96,10 @@ pub fn exact_disc(view: CameraUniforms, rests: Rests, position: Vec3, quaternion
 pub fn disc_of(view: CameraUniforms, exact: ExactDisc, log_scale_u: f32, log_scale_v: f32) -> Disc {
     let centre = rounded(exact.centre);
     let inverse = 1.0f32 / exact.stretch;
-    let is_centred = centre.z > view.near;
+    let mut is_centred = centre.z > view.near;
+    if comptime!(view.lens.kind != LensKind::None) {
+        is_centred = false;
+    }
     let depth = select(is_centred, centre.z, 1.0f32);
     Disc {
         centre,
@@ -149,10 +153,44 @@ impl ExactLinear {
         Linear { constant: self.constant.low, across: self.across.low, down: self.down.low }
     }
 
+    /// [`Linear::of`]
+    fn of(&self, ray: Vec3, zero: u32) -> f32 {
+        let along = multiply_pairs(self.constant, exactly(ray.z), zero);
+        let across = multiply_pairs(self.across, exactly(ray.x), zero);
+        let down = multiply_pairs(self.down, exactly(ray.y), zero);
+        let sum = add_pairs(along, add_pairs(across, down, zero), zero);
+        sum.high + sum.low
+    }
+
     fn at(&self, dx: Pair, dy: Pair, zero: u32) -> f32 {
         let (across, down) = (multiply_pairs(self.across, dx, zero), multiply_pairs(self.down, dy, zero));
         let sum = add_pairs(self.constant, add_pairs(across, down, zero), zero);
         sum.high + sum.low
+    }
+}
+
+/// Focal lengths and principal point of what the linear functions of a disc are functions of.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+struct Frame {
+    fx: Pair,
+    fy: Pair,
+    cx: Pair,
+    cy: Pair,
+}
+
+/// The camera's, px; those of the ray itself through a lens.
+#[cube]
+fn frame(view: CameraUniforms, rests: Rests) -> Frame {
+    if comptime!(view.lens.kind == LensKind::None) {
+        Frame {
+            fx: pair(view.fx, rests.fx),
+            fy: pair(view.fy, rests.fy),
+            cx: pair(view.cx, rests.cx),
+            cy: pair(view.cy, rests.cy),
+        }
+    } else {
+        Frame { fx: exactly(1.0f32), fy: exactly(1.0f32), cx: exactly(0.0f32), cy: exactly(0.0f32) }
     }
 }
 
@@ -177,10 +215,8 @@ pub fn store_plane(
 ) {
     let zero = view.zero;
     let one = exactly(1.0f32);
-    let per_px = ExactScales {
-        x: divide_pairs(one, pair(view.fx, rests.fx), zero),
-        y: divide_pairs(one, pair(view.fy, rests.fy), zero),
-    };
+    let frame = frame(view, rests);
+    let per_px = ExactScales { x: divide_pairs(one, frame.fx, zero), y: divide_pairs(one, frame.fy, zero) };
     let is_centred = disc.centred > 0.5f32;
     let depth_high = select(is_centred, exact.centre.z.high, 1.0f32);
     let depth_low = select(is_centred, exact.centre.z.low, 0.0f32);
@@ -188,16 +224,10 @@ pub fn store_plane(
     let slope_x = divide_pairs(exact.centre.x, depth, zero);
     let slope_y = divide_pairs(exact.centre.y, depth, zero);
     let own = disc.centred;
-    let anchor_x = add_pairs(
-        multiply_pairs(pair(slope_x.high * own, slope_x.low * own), pair(view.fx, rests.fx), zero),
-        pair(view.cx, rests.cx),
-        zero,
-    );
-    let anchor_y = add_pairs(
-        multiply_pairs(pair(slope_y.high * own, slope_y.low * own), pair(view.fy, rests.fy), zero),
-        pair(view.cy, rests.cy),
-        zero,
-    );
+    let anchor_x =
+        add_pairs(multiply_pairs(pair(slope_x.high * own, slope_x.low * own), frame.fx, zero), frame.cx, zero);
+    let anchor_y =
+        add_pairs(multiply_pairs(pair(slope_y.high * own, slope_y.low * own), frame.fy, zero), frame.cy, zero);
     // every function is linear in one axis, so it is divided once by the length of the axes
     let along_u = cross_pairs(exact.tangent_v, exact.centre, zero);
     let along_v = cross_pairs(exact.centre, exact.tangent_u, zero);
@@ -236,9 +266,23 @@ pub fn store_plane(
     Plane::store(low, lows, start);
 }
 
+/// [`Plane::hit_by`] in pairs, for the gradients. `low` holds the rounding errors of `plane`.
+#[cube]
+pub fn exact_hit_by(view: CameraUniforms, plane: Plane, low: Plane, sight: Vec3) -> Hit {
+    let zero = view.zero;
+    if comptime!(view.lens.kind == LensKind::None) {
+        exact_hit(plane, low, sight.x, sight.y, zero)
+    } else {
+        let facing = ExactLinear::load(plane.facing, low.facing).of(sight, zero);
+        let u = ExactLinear::load(plane.u, low.u).of(sight, zero);
+        let v = ExactLinear::load(plane.v, low.v).of(sight, zero);
+        meeting(u, v, facing, plane.distance)
+    }
+}
+
 /// [`Plane::hit`] in pairs, for the gradients. `low` holds the rounding errors of `plane`.
 #[cube]
-pub fn exact_hit(plane: Plane, low: Plane, x: f32, y: f32, zero: u32) -> Hit {
+fn exact_hit(plane: Plane, low: Plane, x: f32, y: f32, zero: u32) -> Hit {
     let dx = away(x, plane.anchor_x, low.anchor_x, zero);
     let dy = away(y, plane.anchor_y, low.anchor_y, zero);
     let facing = ExactLinear::load(plane.facing, low.facing).at(dx, dy, zero);

@@ -4,13 +4,14 @@ use glam::{DMat3, DQuat, DVec3};
 use super::{
     GeometryWeights, Supervision, expected_depth, geometry, in_camera_axes, normal_consistency, normals_from_depth,
 };
-use crate::camera::{Camera, CameraFromWorld};
+use crate::camera::{Camera, CameraFromWorld, Lens};
 use crate::ops::peel::PeelOptions;
 use crate::render::{RenderOptions, render};
 use crate::scene::{ColourModel, Footprint, Surfels};
 use crate::testing::device;
 use crate::testing::golden::values;
-use crate::testing::gradients::{check, leaf};
+use crate::testing::gradients::{check, check_elements, leaf};
+use crate::testing::lenses::every_model;
 use crate::testing::random::Random;
 use crate::testing::scenes::{self, Recipe, TestScene};
 
@@ -21,7 +22,17 @@ fn constant<const D: usize>(values: &[f64], shape: [usize; D]) -> Tensor<D> {
 /// In the world's axes; the principal point is far from the centre of the image.
 fn axis_camera() -> Camera {
     let pose = CameraFromWorld { rotation: DMat3::IDENTITY, translation: DVec3::ZERO };
-    Camera { camera_from_world: pose, fx: 40.0, fy: 55.0, cx: 3.2, cy: 9.1, width: 13, height: 11, near: 0.1 }
+    Camera {
+        camera_from_world: pose,
+        fx: 40.0,
+        fy: 55.0,
+        cx: 3.2,
+        cy: 9.1,
+        width: 13,
+        height: 11,
+        near: 0.1,
+        lens: None,
+    }
 }
 
 fn pixel_count(camera: &Camera) -> usize {
@@ -61,6 +72,32 @@ fn planes_have_their_normal_towards_the_camera() {
         let depth = |at| -2.0 / towards.dot(point(&camera, at, 1.0));
         let depths: Vec<f64> = (0..pixel_count(&camera)).map(depth).collect();
         assert_normals(&camera, &depths, 1e-12, |_| towards);
+    }
+}
+
+#[test]
+fn planes_have_their_normal_towards_the_camera_through_lenses_too() {
+    for (name, lens) in every_model() {
+        let camera = Camera { lens: Some(Lens::new(lens)), ..axis_camera() };
+        let towards = DVec3::new(0.3, -0.2, -1.0).normalize();
+        let depth = |at| -2.0 / towards.dot(point(&camera, at, 1.0));
+        let mut depths: Vec<f64> = (0..pixel_count(&camera)).map(depth).collect();
+        assert_normals(&camera, &depths, 1e-11, |_| towards);
+        // with neighbours at the camera's centre, and with none
+        depths[4 * camera.width + 5] = 0.0;
+        depths[7 * camera.width + 4] = 0.0;
+        depths[7 * camera.width + 6] = 0.0;
+        let weights = Random::new(11).numbers(3 * depths.len(), -1.0, 1.0);
+        let shape = [3, camera.height, camera.width];
+        let loss = |depth: &Tensor<3>| {
+            (normals_from_depth(depth.clone(), &camera) * leaf(&weights, shape, &device()).detach()).sum()
+        };
+        let at = leaf(&depths, [1, camera.height, camera.width], &device());
+        let found = values(&at.grad(&loss(&at).backward()).unwrap());
+        let elements: Vec<usize> = (0..depths.len()).filter(|&pixel| depths[pixel] > 0.0).collect();
+        check_elements(name, &depths, &found, &elements, 1e-6, |moved| {
+            values(&loss(&leaf(moved, [1, camera.height, camera.width], &device())))[0]
+        });
     }
 }
 
@@ -145,7 +182,7 @@ fn normal_consistency_is_its_formula_and_alpha_is_detached() {
     let normal = leaf(&[0.0, 0.6, 0.0, 0.2, -0.5, 0.0], [3, 1, 2], &device());
     let depth_normal = leaf(&[0.0, 1.0, 0.0, 0.0, -1.0, 0.0], [3, 1, 2], &device());
     let alpha = leaf(&[0.5, 0.8], [1, 1, 2], &device());
-    let loss = normal_consistency(normal.clone(), depth_normal.clone(), alpha.clone());
+    let loss = normal_consistency(normal.clone(), depth_normal.clone(), alpha.clone(), None);
     approx::assert_relative_eq!(values(&loss)[0], (0.75 + 0.52) / 2.0, max_relative = 1e-14);
     let gradients = loss.backward();
     let assert_close = |found: &Tensor<3>, expected: [f64; 6]| {

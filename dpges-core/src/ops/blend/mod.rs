@@ -12,7 +12,7 @@
 //! | 8 | `Σ_{j<i} w_i w_j (m_i − m_j)²` | depth distortion (2DGS), m of z see [`far`] |
 //!
 //! P is 4, or 9 with [`BlendOptions::maps`]. Median depth is the z_i of the first fragment behind which
-//! T ≤ ½, or 0 if there is none (2DGS). All pixels share one order of primitives: by camera-space z of the
+//! T ≤ ½, or 0 if there is none (2DGS). All pixels share one order of primitives: by depth of the
 //! centre, then by index. A primitive whose centre is at or behind the near plane does not exist. A pixel
 //! ends before the first fragment that would take T below [`BlendOptions::min_transmittance`]. α is capped
 //! at [`BlendOptions::max_alpha`], and a fragment with α below 1/255 does not exist.
@@ -232,6 +232,9 @@ pub fn blend(
     options: &BlendOptions,
 ) -> Result<Blend> {
     camera.validate()?;
+    if options.form == Form::Discs {
+        camera.require_pinhole()?;
+    }
     options.validate()?;
     let probe = match probe {
         Some(probe) => {

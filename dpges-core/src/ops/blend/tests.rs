@@ -222,7 +222,17 @@ fn dense(primitives: &[Primitive], camera: &Camera, options: &BlendOptions) -> V
 
 fn axis_camera() -> Camera {
     let pose = CameraFromWorld { rotation: DMat3::IDENTITY, translation: DVec3::ZERO };
-    Camera { camera_from_world: pose, fx: 40.0, fy: 44.0, cx: 18.0, cy: 14.0, width: 40, height: 30, near: 0.2 }
+    Camera {
+        camera_from_world: pose,
+        fx: 40.0,
+        fy: 44.0,
+        cx: 18.0,
+        cy: 14.0,
+        width: 40,
+        height: 30,
+        near: 0.2,
+        lens: None,
+    }
 }
 
 /// Pixel of [`axis_camera`] with its centre half a pixel right of and below the axis.

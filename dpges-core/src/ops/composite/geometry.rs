@@ -4,6 +4,7 @@
 use burn::tensor::Tensor;
 
 use crate::camera::Camera;
+use crate::counters::transfers::upload;
 use crate::ops::peel::Layers;
 use crate::scene::Surfels;
 
@@ -34,7 +35,7 @@ fn normals_towards(surfels: &Surfels, camera: &Camera) -> Tensor<2> {
         1,
     );
     let centre = Tensor::<1>::from_data(
-        burn::tensor::TensorData::from(camera.centre().to_array()).convert_dtype(dtype),
+        upload(burn::tensor::TensorData::from(camera.centre().to_array()).convert_dtype(dtype)),
         (&device, dtype),
     );
     let offset = surfels.positions.clone().detach() - centre.unsqueeze::<2>();
@@ -44,13 +45,24 @@ fn normals_towards(surfels: &Surfels, camera: &Camera) -> Tensor<2> {
     column * flip
 }
 
+/// `A_i T_{i−1}` [K, H, W] of `layers`; `transmittance` [K + 1, H, W] is the composite's.
+pub fn layer_weights(layers: &Layers, transmittance: &Tensor<3>) -> Tensor<3> {
+    let [count, height, width] = layers.alpha.dims();
+    layers.alpha.clone() * transmittance.clone().slice([0..count, 0..height, 0..width])
+}
+
+/// `Σ A_i T_{i−1} D_i` [1, H, W], world units, of `layers` with their [`layer_weights`].
+pub fn layer_depth(layers: &Layers, weights: &Tensor<3>) -> Tensor<3> {
+    let missing = layers.ids.clone().lower_elem(0);
+    (layers.depth.clone().mask_fill(missing, 0.0) * weights.clone()).sum_dim(0)
+}
+
 /// Blends depth and normal of `layers`; `transmittance` [K + 1, H, W] is the composite's.
 pub fn geometry(surfels: &Surfels, layers: &Layers, transmittance: &Tensor<3>, camera: &Camera) -> Geometry {
     let [count, height, width] = layers.alpha.dims();
-    let before = transmittance.clone().slice([0..count, 0..height, 0..width]);
-    let weight = layers.alpha.clone() * before;
+    let weight = layer_weights(layers, transmittance);
     let missing = layers.ids.clone().lower_elem(0);
-    let depth = (layers.depth.clone().mask_fill(missing.clone(), 0.0) * weight.clone()).sum_dim(0);
+    let depth = layer_depth(layers, &weight);
     if surfels.is_empty() {
         let normal = Tensor::cat(vec![depth.clone(), depth.clone(), depth.clone()], 0);
         return Geometry { depth, normal };

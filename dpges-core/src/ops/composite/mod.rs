@@ -29,7 +29,7 @@ use crate::error::Result;
 use crate::ops::peel::Layers;
 use crate::scene::tensors::check_shape;
 
-pub use geometry::{Geometry, geometry};
+pub use geometry::{Geometry, geometry, layer_depth, layer_weights};
 
 /// Options without gradients.
 #[derive(Clone, Copy, Debug, PartialEq)]

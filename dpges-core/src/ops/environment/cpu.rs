@@ -5,8 +5,9 @@ use burn::backend::tensor::FloatTensor;
 use rayon::prelude::*;
 
 use super::{EnvironmentBackwardOps, EnvironmentOps, PixelRays};
+use crate::footprint::rays::{self, Rays};
 use crate::host::{self, Host, for_each_cpu_backend, with_real};
-use crate::math::{M3, V3, apply, dot, scale};
+use crate::math::{CameraOf, M3, V3, apply, apply_transposed, dot, scale};
 use crate::ops::colour::cpu::model::harmonics;
 use crate::real::Real;
 use crate::scene::{EnvironmentData, SH_C0};
@@ -16,17 +17,55 @@ use crate::tiles::bands::{BAND_COUNT, Bands};
 /// Y0 … Y15.
 const MAX_COEFFICIENTS: usize = EnvironmentData::coefficient_count(EnvironmentData::MAX_DEGREE);
 
+/// Vectors along the rays of pixels, in world axes.
+enum Directions<T> {
+    /// By rows; of (x, y, 1), px.
+    Linear(M3<T>),
+    /// In camera axes, with the rotation of the camera.
+    Bent { rays: Rays, camera_from_world: M3<T>, width: usize },
+}
+
+impl<T: Real> Directions<T> {
+    fn new(rays: &PixelRays) -> Self {
+        match rays.bent.as_ref().and_then(|camera| Some((rays::rays(camera)?, CameraOf::<T>::new(camera)))) {
+            None => Self::Linear(rays.world_from_pixel.map(|row| row.map(T::of))),
+            Some((rays, camera)) => Self::Bent { rays, camera_from_world: camera.rotation, width: camera.width },
+        }
+    }
+
+    /// Of [`LANES`] pixels of row `y`, from column `x` on; 0 where there is no ray.
+    #[inline(always)]
+    fn of(&self, x: usize, y: usize) -> [V3<T>; LANES] {
+        let half = T::of(0.5);
+        let (left, row) = (T::of(x as f64) + half, T::of(y as f64) + half);
+        match self {
+            Self::Linear(world_from_pixel) => {
+                std::array::from_fn(|lane| apply(world_from_pixel, [left + T::of(lane as f64), row, T::one()]))
+            }
+            Self::Bent { rays, camera_from_world, width } => std::array::from_fn(|lane| {
+                let at = y * width + (x + lane).min(width - 1);
+                apply_transposed(camera_from_world, rays[at].map(T::of))
+            }),
+        }
+    }
+}
+
 /// Values of all harmonics along the rays through [`LANES`] pixels of row `y`, from column `x` on.
 #[inline(always)]
-fn basis<T: Real>(world_from_pixel: &M3<T>, x: usize, y: usize) -> [[T; LANES]; MAX_COEFFICIENTS] {
-    let half = T::of(0.5);
-    let (left, row) = (T::of(x as f64) + half, T::of(y as f64) + half);
+fn basis<T: Real>(directions: &Directions<T>, x: usize, y: usize) -> [[T; LANES]; MAX_COEFFICIENTS] {
+    let rays = directions.of(x, y);
     let mut values = [[T::of(SH_C0); LANES]; MAX_COEFFICIENTS];
-    for lane in 0..LANES {
-        let ray: V3<T> = apply(world_from_pixel, [left + T::of(lane as f64), row, T::one()]);
+    for (lane, &ray) in rays.iter().enumerate() {
         let higher = harmonics(scale(ray, T::one() / dot(ray, ray).sqrt()));
         for (values, y) in values[1..].iter_mut().zip(higher) {
             values[lane] = y;
+        }
+    }
+    if matches!(directions, Directions::Bent { .. }) {
+        for (lane, ray) in rays.iter().enumerate() {
+            if *ray == [T::zero(); 3] {
+                values.iter_mut().for_each(|values| values[lane] = T::zero());
+            }
         }
     }
     values
@@ -34,14 +73,14 @@ fn basis<T: Real>(world_from_pixel: &M3<T>, x: usize, y: usize) -> [[T; LANES]; 
 
 fn forward<T: Real>(coefficients: &[T], rays: &PixelRays) -> Vec<T> {
     let PixelRays { width, height, .. } = *rays;
-    let world_from_pixel = rays.world_from_pixel.map(|row| row.map(T::of));
+    let directions = Directions::<T>::new(rays);
     let bands = Bands::new(height);
     let mut image = vec![T::zero(); 3 * width * height];
     bands.split(&mut image, width).into_par_iter().enumerate().for_each(|(band, mut planes)| {
         vectorised(|| {
             for (local, y) in bands.rows(band).enumerate() {
                 for x in (0..width).step_by(LANES) {
-                    let values = basis(&world_from_pixel, x, y);
+                    let values = basis(&directions, x, y);
                     let (at, count) = (local * width + x, LANES.min(width - x));
                     for (c, plane) in planes.iter_mut().enumerate() {
                         let mut sum = [T::zero(); LANES];
@@ -60,7 +99,7 @@ fn forward<T: Real>(coefficients: &[T], rays: &PixelRays) -> Vec<T> {
 /// Gradient with respect to the first `count` coefficients.
 fn backward<T: Real>(grad: &[T], rays: &PixelRays, count: usize) -> Vec<T> {
     let PixelRays { width, height, .. } = *rays;
-    let world_from_pixel = rays.world_from_pixel.map(|row| row.map(T::of));
+    let directions = Directions::<T>::new(rays);
     let (bands, plane) = (Bands::new(height), width * height);
     let none = [T::zero(); LANES];
     let partial: Vec<[[[T; LANES]; 3]; MAX_COEFFICIENTS]> = (0..BAND_COUNT)
@@ -79,7 +118,7 @@ fn backward<T: Real>(grad: &[T], rays: &PixelRays, count: usize) -> Vec<T> {
                         if incoming == [none; 3] {
                             continue;
                         }
-                        for (sum, values) in sums[..count].iter_mut().zip(basis(&world_from_pixel, x, y)) {
+                        for (sum, values) in sums[..count].iter_mut().zip(basis(&directions, x, y)) {
                             for (sum, incoming) in sum.iter_mut().zip(&incoming) {
                                 *sum = std::array::from_fn(|lane| sum[lane] + incoming[lane] * values[lane]);
                             }

@@ -7,10 +7,11 @@ use cubecl::prelude::*;
 
 use super::{EnvironmentBackwardOps, EnvironmentOps, PixelRays};
 use crate::gpu::launch::{HALVINGS, UNITS, buffer, cube_dim, cubes, empty_f32, floats, units};
+use crate::gpu::lens::{LensKind, LensUniforms, ray};
 use crate::gpu::vector::{Vec3, dot, row3, scale, vec3};
 use crate::ops::colour::cube::harmonic;
 
-/// [`PixelRays`] with rows x, y and z of the matrix.
+/// [`PixelRays`] with rows x, y and z of the matrix; through a lens the matrix is the rotation to world axes.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 struct Rays {
@@ -25,19 +26,41 @@ struct Rays {
     zz: f32,
     width: u32,
     pixels: u32,
+    fx: f32,
+    fy: f32,
+    cx: f32,
+    cy: f32,
+    lens: LensUniforms,
 }
 
-/// Unit vector in world axes along the ray through the centre of a pixel.
+/// Unit vector in world axes along the ray through the centre of a pixel; 0 where a lens shows nothing.
 #[cube]
 fn direction(rays: Rays, pixel: u32) -> Vec3 {
     let x = f32::cast_from(pixel % rays.width) + 0.5f32;
     let y = f32::cast_from(pixel / rays.width) + 0.5f32;
-    let ray = vec3(
-        rays.xx * x + rays.xy * y + rays.xz,
-        rays.yx * x + rays.yy * y + rays.yz,
-        rays.zx * x + rays.zy * y + rays.zz,
-    );
-    scale(ray, 1.0f32 / f32::sqrt(dot(ray, ray)))
+    if comptime!(rays.lens.kind == LensKind::None) {
+        let ray = vec3(
+            rays.xx * x + rays.xy * y + rays.xz,
+            rays.yx * x + rays.yy * y + rays.yz,
+            rays.zx * x + rays.zy * y + rays.zz,
+        );
+        scale(ray, 1.0f32 / f32::sqrt(dot(ray, ray)))
+    } else {
+        let own = ray(rays.lens, (x - rays.cx) / rays.fx, (y - rays.cy) / rays.fy);
+        let ray = vec3(
+            rays.xx * own.x + rays.xy * own.y + rays.xz * own.z,
+            rays.yx * own.x + rays.yy * own.y + rays.yz * own.z,
+            rays.zx * own.x + rays.zy * own.y + rays.zz * own.z,
+        );
+        scale(ray, 1.0f32 / f32::sqrt(max(dot(ray, ray), 1e-30f32)))
+    }
+}
+
+/// Value of a harmonic; 0 without a direction.
+#[cube]
+fn value(rays: Rays, d: Vec3, #[comptime] k: usize) -> f32 {
+    let value = harmonic(d, k);
+    if comptime!(rays.lens.kind == LensKind::None) { value } else { select(dot(d, d) > 0.5f32, value, 0.0f32) }
 }
 
 #[cube(launch)]
@@ -52,7 +75,7 @@ fn environment_kernel(coefficients: &[f32], image: &mut [f32], rays: Rays, #[com
     let mut blue = 0.0f32;
     #[unroll]
     for k in 0..count {
-        let value = harmonic(d, k);
+        let value = value(rays, d, k);
         let row = row3(coefficients, k);
         red += value * row.x;
         green += value * row.y;
@@ -78,17 +101,17 @@ fn environment_backward_kernel(grad: &[f32], coefficients: &mut [f32], rays: Ray
     let mut pixel = UNIT_POS;
     while pixel < rays.pixels {
         let d = direction(rays, pixel);
-        let mut value = 0.0f32;
+        let mut share = 0.0f32;
         #[unroll]
         for k in 0..count {
             if own == k {
-                value = harmonic(d, k);
+                share = value(rays, d, k);
             }
         }
         let at = pixel as usize;
-        red += value * grad[at];
-        green += value * grad[plane + at];
-        blue += value * grad[2 * plane + at];
+        red += share * grad[at];
+        green += share * grad[plane + at];
+        blue += share * grad[2 * plane + at];
         pixel += UNITS;
     }
     let mut sums = Shared::<[f32]>::new_slice(comptime!(3 * UNITS as usize));
@@ -114,8 +137,17 @@ fn environment_backward_kernel(grad: &[f32], coefficients: &mut [f32], rays: Ray
 }
 
 fn launch(rays: &PixelRays) -> RaysLaunch {
-    let [[xx, xy, xz], [yx, yy, yz], [zx, zy, zz]] = rays.world_from_pixel.map(|row| row.map(|v| v as f32));
-    RaysLaunch::new(xx, xy, xz, yx, yy, yz, zx, zy, zz, rays.width as u32, (rays.width * rays.height) as u32)
+    let rows = match &rays.bent {
+        None => rays.world_from_pixel,
+        // by rows, so that the columns of the rotation are those of its transpose
+        Some(camera) => camera.camera_from_world.rotation.to_cols_array_2d(),
+    };
+    let [[xx, xy, xz], [yx, yy, yz], [zx, zy, zz]] = rows.map(|row| row.map(|v| v as f32));
+    let [fx, fy, cx, cy] =
+        rays.bent.map_or([1.0, 1.0, 0.0, 0.0], |camera| [camera.fx, camera.fy, camera.cx, camera.cy]).map(|v| v as f32);
+    let lens = rays.bent.as_ref().map_or_else(LensUniforms::none, LensUniforms::launch);
+    let pixels = (rays.width * rays.height) as u32;
+    RaysLaunch::new(xx, xy, xz, yx, yy, yz, zx, zy, zz, rays.width as u32, pixels, fx, fy, cx, cy, lens)
 }
 
 impl EnvironmentOps for CubeBackend {

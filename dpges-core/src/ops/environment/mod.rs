@@ -2,7 +2,7 @@
 //!
 //! Coefficients [(degree + 1)², 3] of spherical harmonics and a camera → `E(v) = Σ c_k Y_k(v)` [3, H, W], not clamped.
 //! v is the unit vector in world axes along the ray through the centre of a pixel; the harmonics are those of the
-//! colour model (3DGS).
+//! colour model (3DGS). Pixels where a lens shows nothing are 0.
 //!
 //! Gradient: to the coefficients.
 
@@ -25,8 +25,10 @@ use crate::scene::schema::ENVIRONMENT;
 /// The rays of a camera's pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PixelRays {
-    /// By rows; maps (x, y, 1), px, to a vector along the ray in world axes.
+    /// By rows; maps (x, y, 1), px, to a vector along the ray in world axes, without a lens.
     pub world_from_pixel: [[f64; 3]; 3],
+    /// The camera, if it has a lens.
+    pub bent: Option<Camera>,
     /// px
     pub width: usize,
     /// px
@@ -37,6 +39,7 @@ impl From<&Camera> for PixelRays {
     fn from(camera: &Camera) -> Self {
         Self {
             world_from_pixel: camera.world_from_pixel().transpose().to_cols_array_2d(),
+            bent: camera.lens.map(|_| *camera),
             width: camera.width,
             height: camera.height,
         }

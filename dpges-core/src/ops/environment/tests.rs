@@ -2,7 +2,7 @@ use burn::tensor::{DType, Tensor};
 use glam::DVec3;
 
 use super::environment;
-use crate::camera::{Camera, CameraFromWorld};
+use crate::camera::{Camera, CameraFromWorld, Distortion, Lens, Projection};
 use crate::ops::colour::colour;
 use crate::render::blended::{BlendedOptions, render_blended};
 use crate::render::{RenderOptions, Values, render};
@@ -10,6 +10,7 @@ use crate::scene::{Colour, ColourModel, Rendering, SceneInfo};
 use crate::testing::device;
 use crate::testing::golden::values;
 use crate::testing::gradients::{check, leaf};
+use crate::testing::lenses::{behind, every_model};
 use crate::testing::random::Random;
 use crate::testing::scenes::{self, Recipe};
 
@@ -17,7 +18,7 @@ const COUNTS: [usize; 4] = [1, 4, 9, 16];
 
 fn camera() -> Camera {
     let camera_from_world = CameraFromWorld::look_at(DVec3::new(1.0, -3.0, 2.0), DVec3::ZERO, DVec3::Z);
-    Camera { camera_from_world, fx: 9.0, fy: 11.0, cx: 5.5, cy: 3.0, width: 13, height: 9, near: 0.01 }
+    Camera { camera_from_world, fx: 9.0, fy: 11.0, cx: 5.5, cy: 3.0, width: 13, height: 9, near: 0.01, lens: None }
 }
 
 fn image(coefficients: &[f64], camera: &Camera) -> Vec<f64> {
@@ -27,11 +28,12 @@ fn image(coefficients: &[f64], camera: &Camera) -> Vec<f64> {
 
 #[test]
 fn a_pixel_shows_what_the_colour_model_gives_a_primitive_on_its_ray() {
-    let camera = camera();
-    for degree in 0..=3 {
+    let mut cameras = vec![camera()];
+    cameras.extend(every_model().map(|(_, lens)| behind(camera(), lens, 170.0)));
+    for (camera, degree) in cameras.iter().flat_map(|camera| (0..=3).map(move |degree| (camera, degree))) {
         let count = (degree + 1) * (degree + 1);
         let coefficients = Random::new(1).numbers(3 * count, -1.0, 1.0);
-        let found = image(&coefficients, &camera);
+        let found = image(&coefficients, camera);
         let pixels: Vec<(usize, usize)> =
             (0..camera.height).flat_map(|y| (0..camera.width).map(move |x| (x, y))).collect();
         let far: Vec<f64> = pixels
@@ -67,9 +69,23 @@ fn only_the_direction_of_a_camera_counts() {
 }
 
 #[test]
+fn pixels_without_a_ray_show_nothing() {
+    let fold = Distortion { numerator: [-0.5, 0.0, 0.0, 0.0], ..Distortion::new(Projection::Perspective) };
+    let camera = Camera { lens: Some(Lens::new(fold)), ..camera() };
+    let found = image(&[1.0, 1.0, 1.0], &camera);
+    for at in 0..camera.width * camera.height {
+        let (x, y) = ((at % camera.width) as f64 + 0.5, (at / camera.width) as f64 + 0.5);
+        assert_eq!(found[at] != 0.0, camera.ray(x, y).is_some(), "({x}, {y})");
+    }
+    assert!(found.contains(&0.0) && found.iter().any(|&value| value > 0.0));
+}
+
+#[test]
 fn gradients_are_central_differences() {
-    let camera = camera();
-    for count in COUNTS {
+    let [.., (_, fisheye), _, _] = every_model();
+    for (camera, count) in
+        [camera(), behind(camera(), fisheye, 170.0)].into_iter().flat_map(|camera| COUNTS.map(|count| (camera, count)))
+    {
         let coefficients = Random::new(3).numbers(3 * count, -1.0, 1.0);
         let at = leaf(&coefficients, [count, 3], &device());
         let out = environment(&at, &camera).unwrap();

@@ -14,6 +14,7 @@ use burn::backend::tensor::{FloatTensor, IntTensor};
 use burn::backend::{Backend, Dispatch, backend_extension};
 use burn::tensor::{Int, Tensor};
 
+use crate::counters::transfers::{download, wait};
 use crate::error::{Error, Result};
 
 #[backend_extension(
@@ -60,7 +61,7 @@ pub fn check_finite(checks: &FiniteChecks) -> Result<()> {
     if checks.names.is_empty() {
         return Ok(());
     }
-    let positions = checks.positions().into_data();
+    let positions = wait(|| download(checks.positions().into_data()));
     for ((name, row_len), position) in checks.names.iter().zip(&checks.row_lens).zip(positions.iter::<i64>()) {
         if let Ok(position) = usize::try_from(position) {
             return Err(Error::NonFinite { tensor: name.clone(), row: position / row_len });

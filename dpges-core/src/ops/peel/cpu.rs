@@ -10,9 +10,10 @@ use super::{PeelBackwardOps, PeelGradient, PeelOps, PeelOptions, PeelOutput, Sur
 use crate::binning::cpu::bin;
 use crate::camera::Camera;
 use crate::footprint::CUTOFF;
-use crate::footprint::disc::{Disc, DiscGrad, MIN_FACING, Parameters, Plane};
+use crate::footprint::disc::{Disc, DiscGrad, Hit, MIN_FACING, Parameters, Plane};
+use crate::footprint::rays::rays;
 use crate::host::{self, Host, for_each_cpu_backend, with_real};
-use crate::math::{CameraOf, row};
+use crate::math::{CameraOf, V3, row};
 use crate::real::Real;
 use crate::scene::Footprint;
 use crate::simd::LANES;
@@ -64,6 +65,7 @@ struct TileLayers<'a, T> {
 /// ids, alpha and depth as [K, H, W].
 fn forward<T: Real>(surfels: &SurfelRows<T>, camera: &Camera, options: &PeelOptions) -> (Vec<i32>, Vec<T>, Vec<T>) {
     let grid = TileGrid::new(camera.width, camera.height);
+    let rays = rays(camera);
     let camera = CameraOf::<f64>::new(camera);
     let discs = surfels.discs(&camera);
     let radius = options.footprint.radius(options.modulation);
@@ -80,16 +82,61 @@ fn forward<T: Real>(surfels: &SurfelRows<T>, camera: &Camera, options: &PeelOpti
     ids.par_chunks_mut(block).zip(alpha.par_chunks_mut(block)).zip(depth.par_chunks_mut(block)).enumerate().for_each(
         |(tile, ((ids, alpha), depth))| {
             let slots = TileLayers { ids, alpha, depth };
+            let (candidates, origin) = (lists.of(tile), grid.origin(tile));
+            let Some(rays) = &rays else {
+                vectorised(
+                    #[inline(always)]
+                    || {
+                        peel_tile(
+                            candidates,
+                            &planes,
+                            &rects,
+                            origin,
+                            near,
+                            options,
+                            slots,
+                            #[inline(always)]
+                            |plane, x, y, _| plane.hit(x, y),
+                        );
+                    },
+                );
+                return;
+            };
+            let rays = rays_of_tile::<T>(rays, grid, origin);
             vectorised(
                 #[inline(always)]
-                || peel_tile(lists.of(tile), &planes, &rects, grid.origin(tile), near, options, slots),
+                || {
+                    peel_tile(
+                        candidates,
+                        &planes,
+                        &rects,
+                        origin,
+                        near,
+                        options,
+                        slots,
+                        #[inline(always)]
+                        |plane, _, _, at| plane.hit_by(rays[at]),
+                    );
+                },
             );
         },
     );
     (to_planes(&ids, layers, grid), to_planes(&alpha, layers, grid), to_planes(&depth, layers, grid))
 }
 
+/// Rays of the pixels of a tile; 0 outside the image.
+fn rays_of_tile<T: Real>(rays: &[V3<f64>], grid: TileGrid, (left, top): (usize, usize)) -> Vec<V3<T>> {
+    let ray = |at: usize| {
+        let (x, y) = (left + at % TILE, top + at / TILE);
+        let inside = x < grid.width && y < grid.height;
+        if inside { rays[y * grid.width + x].map(T::of) } else { [T::zero(); 3] }
+    };
+    (0..TILE_PIXELS).map(ray).collect()
+}
+
+/// `meet` finds the hit at a point (x, y) px, which is a pixel at this place in the tile.
 #[inline(always)]
+#[expect(clippy::too_many_arguments, reason = "what a tile is made of")]
 fn peel_tile<T: Real>(
     candidates: &[u32],
     planes: &[Plane<T>],
@@ -98,6 +145,7 @@ fn peel_tile<T: Real>(
     near: T,
     options: &PeelOptions,
     slots: TileLayers<T>,
+    meet: impl Fn(&Plane<T>, T, T, usize) -> Hit<T>,
 ) {
     let modulation = T::of(options.modulation);
     let (cutoff, min_facing) = (T::of(CUTOFF), T::of(MIN_FACING));
@@ -117,7 +165,7 @@ fn peel_tile<T: Real>(
                 let mut nearer = false;
                 let furthest: &[T; LANES] = slots.depth[last + start..][..LANES].try_into().expect("one group");
                 for lane in 0..LANES {
-                    let hit = plane.hit(left + offsets[lane], y);
+                    let hit = meet(plane, left + offsets[lane], y, start + lane);
                     let opacity = if modulation * hit.kernel < T::one() { modulation * hit.kernel } else { T::one() };
                     let inside = if by_kernel { hit.kernel } else { opacity } >= cutoff;
                     let exists = (hit.facing.abs() > min_facing) & (hit.depth > near) & inside;
@@ -190,6 +238,7 @@ fn backward<T: Real>(
     options: &PeelOptions,
 ) -> (Vec<T>, Vec<T>, Vec<T>) {
     let (width, height) = (camera.width, camera.height);
+    let rays = rays(camera);
     let camera = CameraOf::<f64>::new(camera);
     let discs = surfels.discs(&camera);
     let bands = Bands::new(height);
@@ -206,7 +255,13 @@ fn backward<T: Real>(
                     }
                     let disc = &discs[id as usize];
                     let pixel = [x as f64 + 0.5, y as f64 + 0.5];
-                    let hit = disc.plane.hit(pixel[0], pixel[1]);
+                    let (hit, offset) = match &rays {
+                        None => (disc.plane.hit(pixel[0], pixel[1]), disc.offset(&camera, pixel)),
+                        Some(rays) => {
+                            let ray = rays[y * width + x];
+                            (disc.plane.hit_by(ray), [ray[2], ray[0], ray[1]])
+                        }
+                    };
                     let (grad_kernel, grad_depth) = match of {
                         PeelGradient::Depth => (0.0, grad),
                         PeelGradient::Alpha if options.modulation * hit.kernel < 1.0 => {
@@ -214,7 +269,7 @@ fn backward<T: Real>(
                         }
                         PeelGradient::Alpha => continue,
                     };
-                    disc.accumulate(&camera, pixel, &hit, grad_kernel, grad_depth, &mut sums[id as usize]);
+                    disc.accumulate(offset, &hit, grad_kernel, grad_depth, &mut sums[id as usize]);
                 }
             }
             sums

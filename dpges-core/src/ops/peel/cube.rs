@@ -13,7 +13,7 @@ use crate::binning::capacity::ListKind;
 use crate::binning::cube::{TileList, bin};
 use crate::camera::Camera;
 use crate::footprint::disc_cube::{
-    self, DISC_SUMS, DiscPixel, DiscTensors, MIN_FACING, PLANE, Plane, Planes, add_disc_sums, bounded_scale, exact_hit,
+    self, DISC_SUMS, DiscPixel, DiscTensors, MIN_FACING, PLANE, Plane, Planes, add_sums, bounded_scale, exact_hit_by,
 };
 use crate::footprint::splat_cube::CUTOFF_F32;
 use crate::gpu::gather::{lane, primitive, total, zeros};
@@ -23,7 +23,7 @@ use crate::gpu::launch::{
 use crate::gpu::record::Record;
 use crate::gpu::rect::Rect;
 use crate::gpu::tile::{own_pixel, plane_of};
-use crate::gpu::view::CameraUniforms;
+use crate::gpu::view::{CameraUniforms, sight};
 use crate::scene::Footprint;
 use crate::tiles::TileGrid;
 
@@ -50,6 +50,7 @@ fn peel_kernel(
     }
     let list = TileList::own(offsets, capacity, count);
     let pixel = own_pixel(view, CUBE_POS as u32);
+    let sight = sight(view, pixel.x, pixel.y);
     let mut staged = Shared::<[f32]>::new_slice(comptime!(UNITS as usize * PLANE));
     // slots in ascending order of (depth, id); an empty one is at infinity
     let mut slot_depth = Array::<f32>::new(layers);
@@ -66,7 +67,7 @@ fn peel_kernel(
     for batch in 0..batches {
         let entries = list.stage(ids, batch, planes, planes, &mut staged, (PLANE, 0));
         for j in 0..entries {
-            let found = Plane::load(&staged, j as usize * PLANE).hit(pixel.x, pixel.y);
+            let found = Plane::load(&staged, j as usize * PLANE).hit_by(view, sight);
             let opacity = min(modulation * found.kernel, 1.0f32);
             let mut measure = opacity;
             if comptime!(by_kernel) {
@@ -145,17 +146,18 @@ fn gather_kernel(
                 }
             }
             if incoming != 0.0f32 {
-                let (x, y) = (f32::cast_from(column) + 0.5f32, f32::cast_from(row) + 0.5f32);
+                let sight = sight(view, f32::cast_from(column) + 0.5f32, f32::cast_from(row) + 0.5f32);
                 let plane = Plane::load(planes, surfel * PLANE);
-                let hit = exact_hit(plane, Plane::load(lows, surfel * PLANE), x, y, view.zero);
-                let (across, down) = ((x - plane.anchor_x) / view.fx, (y - plane.anchor_y) / view.fy);
+                let hit = exact_hit_by(view, plane, Plane::load(lows, surfel * PLANE), sight);
+                let shares = plane.shares(view, sight);
+                let (across, down) = (shares.y, shares.z);
                 if comptime!(of_depth) {
                     let pixel = DiscPixel { hit, across, down, scale_u, scale_v, power: 0.0f32, grad_depth: incoming };
-                    add_disc_sums(&mut own, pixel, false, true);
+                    add_sums(&mut own, pixel, shares.x, false, true);
                 } else if modulation * hit.kernel < 1.0f32 {
                     let power = modulation * incoming * hit.kernel;
                     let pixel = DiscPixel { hit, across, down, scale_u, scale_v, power, grad_depth: 0.0f32 };
-                    add_disc_sums(&mut own, pixel, true, false);
+                    add_sums(&mut own, pixel, shares.x, true, false);
                 }
             }
             p += LANES;

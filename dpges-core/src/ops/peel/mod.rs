@@ -78,7 +78,7 @@ pub struct Layers {
     pub ids: Tensor<3, Int>,
     /// [K, H, W] opacity, 0 where there is no layer
     pub alpha: Tensor<3>,
-    /// [K, H, W] camera-space z of the hit, world units, +∞ where there is no layer
+    /// [K, H, W] depth of the hit, world units, +∞ where there is no layer
     pub depth: Tensor<3>,
 }
 

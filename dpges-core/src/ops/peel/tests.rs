@@ -1,3 +1,5 @@
+mod lens;
+
 use burn::tensor::Tensor;
 use glam::{DMat3, DVec3};
 
@@ -33,7 +35,11 @@ impl Dense {
 
     /// Depth and opacity at a point of the image, if there is a fragment.
     fn fragment(&self, camera: &CameraOf<f64>, options: &PeelOptions, x: f64, y: f64) -> Option<(f64, f64)> {
-        let ray = [(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1.0];
+        let at = [(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy];
+        let ray = match &camera.lens {
+            None => [at[0], at[1], 1.0],
+            Some(lens) => lens.ray(at)?,
+        };
         let facing = dot(ray, self.axes[2]);
         let depth = dot(self.axes[2], self.centre) / facing;
         let hit = sub(scale(ray, depth), self.centre);
@@ -140,7 +146,7 @@ fn options(layer_count: usize, modulation: f64, footprint: Footprint) -> PeelOpt
 fn axis_camera(width: usize, height: usize) -> Camera {
     let pose = CameraFromWorld { rotation: DMat3::IDENTITY, translation: DVec3::ZERO };
     let (cx, cy) = (0.45 * width as f64, 0.55 * height as f64);
-    Camera { camera_from_world: pose, fx: 30.0, fy: 34.0, cx, cy, width, height, near: 0.2 }
+    Camera { camera_from_world: pose, fx: 30.0, fy: 34.0, cx, cy, width, height, near: 0.2, lens: None }
 }
 
 /// Discs of every kind: ordinary, tiny, huge, edge-on, across the near plane, behind it.

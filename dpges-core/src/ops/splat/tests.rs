@@ -1,5 +1,7 @@
+mod lens;
+
 use burn::tensor::Tensor;
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DVec2, DVec3};
 
 use super::{SplatOptions, contributions, splat};
 use crate::camera::{Camera, CameraFromWorld};
@@ -80,8 +82,14 @@ impl Flat {
         let pose = &camera.camera_from_world;
         let c = pose.rotation * DVec3::from(self.row::<3>(0, i)) + pose.translation;
         let pixels = camera.width * camera.height;
-        if c.z <= camera.near {
-            return (vec![0.0; pixels], c.z);
+        let depth = camera.lens.map_or(c.z, |lens| lens.depth(c.to_array()));
+        let seen = camera.lens.and_then(|lens| lens.look(c.to_array()));
+        let shown = match (&camera.lens, &seen) {
+            (None, _) => true,
+            (Some(_), seen) => seen.is_some_and(|seen| DVec2::from(seen.position).length() <= camera.coverage()),
+        };
+        if depth <= camera.near || !shown {
+            return (vec![0.0; pixels], depth);
         }
         let slope = |slope: f64, principal: f64, focal: f64, size: f64| {
             slope.clamp(-principal / focal - 0.15 * size / focal, (size - principal) / focal + 0.15 * size / focal)
@@ -91,8 +99,12 @@ impl Flat {
         let rows = rotation(self.row::<4>(1, i));
         let turn = DMat3::from_cols_array_2d(&rows).transpose();
         let factor = pose.rotation * turn * DMat3::from_diagonal(DVec3::from(self.row::<3>(2, i)).exp());
-        let jacobian =
+        let mut jacobian =
             [DVec3::new(camera.fx, 0.0, -camera.fx * sx) / c.z, DVec3::new(0.0, camera.fy, -camera.fy * sy) / c.z];
+        if let Some(seen) = &seen {
+            let [x, y] = seen.jacobian.map(DVec3::from);
+            jacobian = [x * camera.fx, y * camera.fy];
+        }
         let half = jacobian.map(|row| factor.transpose() * row);
         let unfiltered = half[0].cross(half[1]).length_squared();
         let trace = half[0].length_squared() + half[1].length_squared();
@@ -101,14 +113,15 @@ impl Flat {
         let (a, b, d) =
             (half[0].length_squared() + low_pass, half[0].dot(half[1]), half[1].length_squared() + low_pass);
         let strength = self.0[3][i].max(0.0) * (unfiltered / determinant).max(MIN_COMPENSATION_SQUARED).sqrt();
-        let mean = [camera.fx * c.x / c.z + camera.cx, camera.fy * c.y / c.z + camera.cy];
+        let [x, y] = seen.map_or([c.x / c.z, c.y / c.z], |seen| seen.position);
+        let mean = [camera.fx * x + camera.cx, camera.fy * y + camera.cy];
         let weight = |at: usize| {
             let dx = (at % camera.width) as f64 + 0.5 - mean[0];
             let dy = (at / camera.width) as f64 + 0.5 - mean[1];
             let weight = strength * (-0.5 * (d * dx * dx - 2.0 * b * dx * dy + a * dy * dy) / determinant).exp();
             if weight >= CUTOFF { weight } else { 0.0 }
         };
-        ((0..pixels).map(weight).collect(), c.z)
+        ((0..pixels).map(weight).collect(), depth)
     }
 
     /// Sums [K, 4, H, W], and the largest weight · gate · max|colour| of every Gaussian.
@@ -134,7 +147,17 @@ impl Flat {
 
 fn axis_camera() -> Camera {
     let pose = CameraFromWorld { rotation: DMat3::IDENTITY, translation: DVec3::ZERO };
-    Camera { camera_from_world: pose, fx: 40.0, fy: 44.0, cx: 18.0, cy: 14.0, width: 40, height: 30, near: 0.2 }
+    Camera {
+        camera_from_world: pose,
+        fx: 40.0,
+        fy: 44.0,
+        cx: 18.0,
+        cy: 14.0,
+        width: 40,
+        height: 30,
+        near: 0.2,
+        lens: None,
+    }
 }
 
 /// Ascending limits [K, H, W] around `depth`, with steps between neighbouring pixels.

@@ -75,7 +75,7 @@ impl Quality {
             RateGroup::Opacities => self.opacities,
             RateGroup::Fixed => self.margins,
             RateGroup::Base => self.base,
-            RateGroup::Detail | RateGroup::Environment => self.detail,
+            RateGroup::Detail | RateGroup::Environment | RateGroup::Exposure => self.detail,
         }
     }
 

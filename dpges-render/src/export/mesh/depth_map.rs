@@ -60,8 +60,17 @@ mod tests {
     #[test]
     fn the_nearest_of_two_planes_is_seen_exactly() {
         let pose = CameraFromWorld::look_at(DVec3::new(0.0, 0.0, -2.0), DVec3::ZERO, -DVec3::Y);
-        let camera =
-            Camera { camera_from_world: pose, fx: 20.0, fy: 20.0, cx: 8.0, cy: 8.0, width: 16, height: 16, near: 0.1 };
+        let camera = Camera {
+            camera_from_world: pose,
+            fx: 20.0,
+            fy: 20.0,
+            cx: 8.0,
+            cy: 8.0,
+            width: 16,
+            height: 16,
+            near: 0.1,
+            lens: None,
+        };
         // a slope z = x over everything, and behind it a wall at z = 3
         let corner = |x: f32, y: f32, z: f32| [x, y, z];
         let mesh = TriangleMesh {

@@ -240,6 +240,7 @@ mod tests {
                     width: 80,
                     height: 80,
                     near: 0.01,
+                    lens: None,
                 }
             })
             .collect()

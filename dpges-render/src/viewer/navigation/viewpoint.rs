@@ -79,7 +79,7 @@ impl Lens {
         let focal = height as f64 / self.height_at_one();
         let (cx, cy) = (0.5 * width as f64, 0.5 * height as f64);
         let camera_from_world = pose.camera_from_world();
-        Camera { camera_from_world, fx: focal, fy: focal, cx, cy, width, height, near: self.near }
+        Camera { camera_from_world, fx: focal, fy: focal, cx, cy, width, height, near: self.near, lens: None }
     }
 }
 

@@ -1,6 +1,7 @@
 //! `dpges bench`: how fast things are on this machine.
 
 mod render;
+mod step;
 
 use clap::{Args, Subcommand};
 
@@ -16,10 +17,12 @@ pub struct BenchArgs {
 #[derive(Debug, Subcommand)]
 enum What {
     Render(render::BenchRenderArgs),
+    Step(step::BenchStepArgs),
 }
 
 pub fn run(args: &BenchArgs) -> Result<()> {
     match &args.what {
         What::Render(args) => render::run(args),
+        What::Step(args) => step::run(args),
     }
 }

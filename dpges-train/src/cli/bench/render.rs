@@ -72,6 +72,7 @@ struct Row {
 
 pub fn run(args: &BenchRenderArgs) -> Result<()> {
     let mut scene = Scene::load(&args.scene)?;
+    scene.use_pinholes();
     let (_, views) = args.views.load(&mut scene)?;
     let cameras: Vec<Camera> =
         every_nth(&views, args.cameras as usize).map(|view| args.size.apply(&view.camera)).collect();

@@ -25,7 +25,7 @@ pub fn measure(out: &Path, rows: &[Row], common: &Common, networks: &[Lpips]) ->
         tracing::info!("{}: measuring LPIPS of {} views", folder.path().display(), views.len());
         let scene = SceneData::load(&folder.scene())?;
         let renderer = Renderer::new(&scene, &common.device);
-        let measures = Measures::Perceptual(networks);
+        let measures = Measures::perceptual(networks);
         let found = evaluate_each(&renderer, &scene, views, &common.device, measures, |_, _| Ok::<_, Failure>(()))?;
         let mut report = read_report(&folder.evaluation())?;
         for (view, found) in report.evaluation.views.iter_mut().zip(&found.views) {

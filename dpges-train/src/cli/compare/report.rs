@@ -5,7 +5,7 @@ use std::io::Write as _;
 use std::path::Path;
 
 use dpges_core::atomic::write_atomically;
-use dpges_train::metrics::{Metric, Scores, perceptual_metrics};
+use dpges_train::metrics::{Metric, Scores, further_metrics};
 use dpges_train::popping::Popping;
 use dpges_train::run::folder::write_json;
 use dpges_train::sight::Floaters;
@@ -146,8 +146,8 @@ impl Comparison {
         let mut lines = vec![vec!["method".to_owned(), "PSNR, dB".to_owned()]];
         lines[0].extend(has_others.then(|| format!("to {first}")));
         lines[0].extend(["SSIM", "FLIP"].map(str::to_owned));
-        let perceptual = self.perceptual();
-        lines[0].extend(perceptual.iter().map(|metric| metric.title.to_owned()));
+        let further = self.further_metrics();
+        lines[0].extend(further.iter().map(|metric| metric.title.to_owned()));
         let pops = self.methods.iter().all(|entry| entry.flip_1.is_some());
         if pops {
             lines[0].extend(["FLIP_1", "FLIP_7"].map(str::to_owned));
@@ -167,7 +167,7 @@ impl Comparison {
             }));
             line.extend([entry.ssim, entry.flip].map(|spread| format!("{spread:.4}")));
             let of = |metric: &Metric| row.spread_if_known(|run| metric.of(&run.test));
-            line.extend(perceptual.iter().filter_map(|metric| Some(format!("{:.*}", metric.digits, of(metric)?))));
+            line.extend(further.iter().filter_map(|metric| Some(format!("{:.*}", metric.digits, of(metric)?))));
             if pops {
                 line.extend([entry.flip_1, entry.flip_7].into_iter().flatten().map(|spread| format!("{spread:.4}")));
             }
@@ -185,11 +185,11 @@ impl Comparison {
         markdown(&lines) + "\n" + &self.conditions()
     }
 
-    /// The perceptual metrics that every run has.
-    fn perceptual(&self) -> Vec<&'static Metric> {
+    /// Of the metrics that only some runs have those that every run here has.
+    fn further_metrics(&self) -> Vec<&'static Metric> {
         let is_known =
             |metric: &&Metric| self.rows.iter().flat_map(|row| &row.runs).all(|run| metric.of(&run.test).is_some());
-        perceptual_metrics().iter().filter(is_known).collect()
+        further_metrics().iter().filter(is_known).collect()
     }
 
     /// What the table is of, in sentences.

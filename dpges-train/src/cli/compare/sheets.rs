@@ -70,7 +70,7 @@ pub fn write(out: &Path, rows: &[Row], common: &Common) -> Result<Pictures> {
     let write = |(index, (&view, renders)): (usize, (&usize, &Vec<Rgb8Image>))| -> Result<Sheet> {
         let file = format!("{FOLDER}/{}.png", stems[view]);
         let view = &views[view];
-        save_png(&sheet(view, renders), &out.join(&file))?;
+        save_png(&sheet(view, renders)?, &out.join(&file))?;
         Ok(Sheet {
             file,
             view: view.name.clone(),

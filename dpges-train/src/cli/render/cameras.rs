@@ -140,8 +140,17 @@ mod tests {
     #[test]
     fn another_size_keeps_the_vertical_field_of_view_and_what_is_in_the_middle() {
         let pose = CameraFromWorld { rotation: DMat3::IDENTITY, translation: DVec3::ZERO };
-        let camera =
-            Camera { camera_from_world: pose, fx: 50.0, fy: 60.0, cx: 22.0, cy: 9.0, width: 40, height: 20, near: 0.1 };
+        let camera = Camera {
+            camera_from_world: pose,
+            fx: 50.0,
+            fy: 60.0,
+            cx: 22.0,
+            cy: 9.0,
+            width: 40,
+            height: 20,
+            near: 0.1,
+            lens: None,
+        };
         let wide = Size { width: 160, height: 40 }.apply(&camera);
         assert_eq!((wide.fx, wide.fy, wide.width, wide.height), (100.0, 120.0, 160, 40));
         assert_eq!((wide.cx, wide.cy), (84.0, 18.0));

@@ -22,7 +22,7 @@ use dpges_train::device::{DeviceName, DeviceRequest};
 use super::data::Source;
 use super::train::display::watch_for_interrupts;
 use super::train::options::ConfigArgs;
-use super::{Failure, Result, device_choice};
+use super::{Failure, Result, device_choice, sfm};
 use crate::logging::LogStyle;
 use entry::Entry;
 use row::Row;
@@ -30,7 +30,7 @@ use row::Row;
 /// Options that all series have.
 #[derive(Debug, Args)]
 pub struct SeriesArgs {
-    /// Folder of a COLMAP, Blender or nerfstudio dataset, or `builtin`
+    /// Folder of a COLMAP, Blender or nerfstudio dataset, or `builtin`; or photographs or a video, see `dpges sfm`
     dataset: Option<PathBuf>,
     /// Folder for the runs and the comparison
     #[arg(long, value_name = "DIR", required_unless_present = "list")]
@@ -104,6 +104,7 @@ impl SeriesArgs {
     /// The device and the data, read as `config` says. There are held-out views among them.
     pub fn load(&self, source: Source, config: &Config, style: LogStyle) -> Result<Common> {
         let name = device_choice::select(self.device)?;
+        sfm::prepare(self.dataset.as_deref(), &config.data, style)?;
         let device = name.open()?;
         let dataset = Arc::new(source.load_for_training(config)?);
         if dataset.test.is_empty() {

@@ -105,13 +105,13 @@ pub fn read_report(path: &Path) -> Result<EvalReport> {
 
 #[cfg(test)]
 pub mod tests {
-    use dpges_train::metrics::Perceptual;
+    use dpges_train::metrics::{Fitted, Perceptual};
 
     use super::*;
 
-    /// Without perceptual measures.
+    /// Without further measures.
     pub fn scores(psnr: f64, ssim: f64, flip: f64) -> Scores {
-        Scores { psnr, ssim, flip, perceptual: Perceptual::default() }
+        Scores { psnr, ssim, flip, perceptual: Perceptual::default(), fitted: Fitted::default() }
     }
 
     /// A row with seeds 0, 1, …, and a PSNR for each.

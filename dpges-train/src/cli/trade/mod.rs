@@ -19,11 +19,11 @@ use std::time::Duration;
 
 use clap::{Args, value_parser};
 use dpges_core::camera::Camera;
-use dpges_render::{Headless, Rgb8Image};
+use dpges_render::Headless;
 use dpges_train::config::Config;
 use dpges_train::dataset::Dataset;
 use dpges_train::device::{DeviceName, DeviceRequest};
-use dpges_train::pictures::save_png;
+use dpges_train::pictures::{self, save_png};
 use glam::DVec3;
 
 use super::data::{Scene, Source, ViewArgs, every_nth};
@@ -95,6 +95,7 @@ pub struct TradeArgs {
 pub fn run(args: &TradeArgs, style: LogStyle) -> Result<()> {
     let limit = Limit::new(args.time_limit);
     let mut scene = Scene::load(&args.scene)?;
+    scene.use_pinholes();
     let device = device_choice::select(args.device)?;
     watched(device, || args.measure(&mut scene, device, &limit, style))
 }
@@ -123,9 +124,9 @@ impl TradeArgs {
         tracing::info!("drawn on {}", subject.device);
         make_folder(&self.out.join(PICTURES))?;
         let store = Store::open(&self.out, subject)?;
-        let first = &bench.views[0].picture;
         let photograph = format!("{PICTURES}/photograph.png");
-        save_png(&Rgb8Image::from_planes(&first.planes, first.width, first.height), &self.out.join(&photograph))?;
+        let first = bench.views[0].picture()?;
+        save_png(&pictures::photograph(&first), &self.out.join(&photograph))?;
 
         let interrupted = watch_for_interrupts()?;
         let mut sweep = Sweep::new(bench, &self.out, store);

@@ -6,8 +6,8 @@ use plotters::prelude::{
     BLACK, BitMapBackend, ChartBuilder, Circle, Color, DrawingArea, DrawingAreaErrorKind, DrawingBackend,
     IntoDrawingArea, IntoFont, PathElement, RGBColor, SVGBackend, Text, WHITE,
 };
-use plotters::style::{FontStyle, register_font};
 
+use super::super::letters::{self, FAMILY};
 use super::super::series::statistics::Spread;
 use super::pareto::frontier;
 use super::point::{Kind, Point};
@@ -28,8 +28,6 @@ const FRONTIER: RGBColor = RGBColor(200, 80, 20);
 const RENDERING: RGBColor = RGBColor(70, 130, 190);
 const TRAINING: RGBColor = RGBColor(60, 150, 80);
 const LEADER: RGBColor = RGBColor(190, 190, 190);
-
-const FAMILY: &str = "sans-serif";
 
 /// What stands on the horizontal axis.
 pub struct Axis {
@@ -108,8 +106,7 @@ impl Plot {
     }
 
     fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>) -> Result<(), String> {
-        register_font(FAMILY, FontStyle::Normal, epaint_default_fonts::UBUNTU_LIGHT)
-            .map_err(|_| "the font cannot be read".to_owned())?;
+        letters::register()?;
         self.draw_on(area).map_err(|error| error.to_string())?;
         area.present().map_err(|error| error.to_string())
     }

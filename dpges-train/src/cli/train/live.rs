@@ -7,10 +7,10 @@ use std::sync::mpsc::{Sender, channel};
 use std::thread;
 
 use dpges_core::scene::SceneData;
-use dpges_render::Rgb8Image;
 use dpges_render::viewer::{self, DatasetViews, LiveProgress, LiveScene, Start, ViewerOptions};
 use dpges_train::dataset::Dataset;
 use dpges_train::eval::Evaluation;
+use dpges_train::pictures;
 use dpges_train::run::{Observer, StepReport};
 
 use super::super::Result;
@@ -65,13 +65,20 @@ fn train(session: Session, live: &LiveScene, begun: &Sender<Begun>) -> Result<St
     result
 }
 
-/// The views that the run is trained on.
+/// The views that the run is trained on, as pinhole cameras take them: the window draws nothing else.
 fn views(dataset: &Arc<Dataset>) -> DatasetViews {
-    let cameras = dataset.train.iter().map(|view| (view.name.clone(), view.camera)).collect();
+    let cameras = dataset
+        .train
+        .iter()
+        .map(|view| {
+            let camera = view.undistorted_camera().unwrap_or_else(|| view.camera.without_lens());
+            (view.name.clone(), camera)
+        })
+        .collect();
     let dataset = Arc::clone(dataset);
     let photograph = move |index: usize| {
-        let picture = &dataset.train.get(index)?.picture;
-        Some(Rgb8Image::from_planes(&picture.planes, picture.width, picture.height))
+        let picture = dataset.train.get(index)?.undistorted().transpose()?.and_then(|view| view.picture());
+        picture.inspect_err(|error| tracing::warn!("{error}")).ok().map(|picture| pictures::photograph(&picture))
     };
     DatasetViews { cameras, photograph: Box::new(photograph) }
 }

@@ -18,7 +18,7 @@ use dpges_train::run::{Run, RunError, SavedRun};
 use toml::Table;
 
 use super::data::Source;
-use super::{Failure, Result, device_choice, print};
+use super::{Failure, Result, device_choice, print, sfm};
 use crate::logging::LogStyle;
 use display::watch_for_interrupts;
 use options::ConfigArgs;
@@ -35,7 +35,8 @@ use targets::Target;
 #[derive(Debug, Args)]
 #[command(after_help = "Ctrl-C finishes the step, saves a checkpoint and says how to go on; a second one aborts.")]
 pub struct TrainArgs {
-    /// Folder of a COLMAP, Blender or nerfstudio dataset, or `builtin`
+    /// Folder of a COLMAP, Blender or nerfstudio dataset, or `builtin`; or a folder of photographs, or a video: they go
+    /// through `dpges sfm` first
     dataset: Option<PathBuf>,
     /// Folder of the run [default: runs/NAME OF THE DATASET]
     #[arg(long, value_name = "DIR")]
@@ -93,7 +94,11 @@ impl TrainArgs {
 
     fn folder(&self) -> RunFolder {
         let named = || match self.source() {
-            Source::Folder(path) => Path::new("runs").join(path.file_name().unwrap_or_else(|| "dataset".as_ref())),
+            Source::Folder(path) => {
+                let photographs = self.dataset.as_deref().and_then(sfm::name_of);
+                let name = photographs.or_else(|| Some(path.file_name()?.to_owned()));
+                Path::new("runs").join(name.unwrap_or_else(|| "dataset".into()))
+            }
             Source::Builtin => PathBuf::from("runs/builtin"),
         };
         RunFolder::new(self.out.clone().unwrap_or_else(named))
@@ -112,6 +117,7 @@ impl TrainArgs {
             })?;
         }
         let device = device_choice::select(self.device.unwrap_or_default())?;
+        sfm::prepare(self.dataset.as_deref(), &config.data, style)?;
         let opened = device.open()?;
         let dataset = Arc::new(source.load_for_training(&config)?);
         let pursue = |target: &Target| target.pursue(&mut config, &dataset, &opened);

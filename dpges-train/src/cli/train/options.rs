@@ -7,6 +7,7 @@ use dpges_train::config::{Config, key};
 use dpges_train::dataset::{self, Format};
 
 use super::super::data::{DataArgs, Source};
+use super::super::sfm::options::SfmOptions;
 use super::super::{Failure, Result};
 
 /// Defaults for the built-in scene: about two minutes of training. Its pictures are exact, so that new Gaussians need no
@@ -55,6 +56,8 @@ pub struct ConfigArgs {
     budget: Option<String>,
     #[command(flatten)]
     data: DataArgs,
+    #[command(flatten)]
+    sfm: SfmOptions,
 }
 
 impl ConfigArgs {
@@ -95,6 +98,7 @@ impl ConfigArgs {
     fn resolved(&self, of_dataset: &[&str], file: Option<&Path>, more: &[String]) -> Result<Config> {
         let mut set = self.set.clone();
         set.extend(self.data.assignments());
+        set.extend(self.sfm.assignments());
         set.extend(self.steps.map(|steps| format!("train.steps={steps}")));
         set.extend(self.seed.map(|seed| format!("train.seed={seed}")));
         set.extend(self.deterministic.then(|| "train.deterministic=true".to_owned()));

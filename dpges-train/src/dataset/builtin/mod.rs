@@ -4,7 +4,7 @@ mod room;
 
 use std::f64::consts::TAU;
 
-use dpges_core::camera::{Camera, CameraFromWorld};
+use dpges_core::camera::{Camera, CameraFromWorld, Distortion, Lens, Projection};
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -12,8 +12,7 @@ use rayon::prelude::*;
 
 use self::room::{Hit, trace};
 use super::assemble::mean_and_extent;
-use super::images::Picture;
-use super::{Dataset, Format, PointCloud, View};
+use super::{Dataset, DepthKind, DepthMap, Format, Picture, PointCloud, View};
 
 const FIELD_OF_VIEW: f64 = 0.9;
 const TARGET: DVec3 = DVec3::new(0.0, 0.0, 0.3);
@@ -21,6 +20,10 @@ const TARGET: DVec3 = DVec3::new(0.0, 0.0, 0.3);
 const GOLDEN_ANGLE: f64 = 2.399_963_229_728_653;
 /// Largest distance of a point from its surface, world units.
 const POINT_NOISE: f64 = 0.003;
+/// Angle that the fisheye lens sees across the picture, radians: 170°.
+const FISHEYE_ANGLE: f64 = 170.0 / 360.0 * TAU;
+/// k₁..k₄ of the fisheye lens (`OPENCV_FISHEYE`).
+const FISHEYE: [f64; 4] = [0.03, -0.008, 0.001, 0.0];
 /// A view sees a surface point if the traced depth agrees with the depth of the point to this relative error.
 const VISIBILITY_TOLERANCE: f64 = 1e-6;
 
@@ -34,13 +37,31 @@ pub struct BuiltinOptions {
     pub points: usize,
     /// Colour is the mean over a grid of this many rays by as many per pixel; at least 1.
     pub supersampling: usize,
-    /// Seed of the points. Views do not depend on it.
+    /// Largest change of exposure of a view, up or down, stops of linear light.
+    pub exposure_stops: f64,
+    /// Depth maps of the training views: exact, but for their steps. Relative ones are scaled and shifted from view to
+    /// view.
+    pub depth: Option<DepthKind>,
+    /// Seed of the points and of the exposures. Cameras do not depend on it.
     pub seed: u64,
+    /// Whether the photographs are taken through a fisheye lens that sees 170° across the picture.
+    pub fisheye: bool,
 }
 
 impl Default for BuiltinOptions {
     fn default() -> Self {
-        Self { width: 96, height: 96, train_views: 24, test_views: 6, points: 2000, supersampling: 3, seed: 1 }
+        Self {
+            width: 96,
+            height: 96,
+            train_views: 24,
+            test_views: 6,
+            points: 2000,
+            supersampling: 3,
+            exposure_stops: 0.0,
+            depth: None,
+            seed: 1,
+            fisheye: false,
+        }
     }
 }
 
@@ -48,21 +69,27 @@ impl Default for BuiltinOptions {
 /// plane is at 0.01, a world unit is a metre, and pictures have no alpha.
 pub fn builtin(options: &BuiltinOptions) -> Dataset {
     let near = Format::Builtin.default_near();
-    let views = |name: &str, count: usize, phase: f64| -> Vec<View> {
+    let mut exposures = ChaCha8Rng::seed_from_u64(options.seed);
+    exposures.set_stream(1);
+    let mut views = |name: &str, count: usize, phase: f64, depth: Option<DepthKind>| -> Vec<View> {
+        let changes: Vec<f64> =
+            (0..count).map(|_| options.exposure_stops * exposures.random_range(-1.0..=1.0)).collect();
         (0..count)
             .into_par_iter()
             .map(|index| {
                 let camera = dome_camera(options, index, count, phase, near);
-                View { name: format!("{name}_{index:03}"), camera, picture: photograph(&camera, options.supersampling) }
+                let photograph = photograph(&camera, options.supersampling, changes[index]).into();
+                let of_kind = |kind| DepthMap::from_depths(kind, &builtin_geometry(&camera).0);
+                View { name: format!("{name}_{index:03}"), camera, photograph, depth: depth.map(of_kind) }
             })
             .collect()
     };
-    let train = views("train", options.train_views, 0.0);
+    let train = views("train", options.train_views, 0.0, options.depth);
     let centres: Vec<DVec3> = train.iter().map(|view| view.camera.centre()).collect();
     let (_, extent) = mean_and_extent(&centres);
     Dataset {
         points: surface_points(&train, options),
-        test: views("test", options.test_views, 0.5),
+        test: views("test", options.test_views, 0.5, None),
         validation: Vec::new(),
         train,
         offset: DVec3::ZERO,
@@ -70,10 +97,11 @@ pub fn builtin(options: &BuiltinOptions) -> Dataset {
         background: [0.0; 3],
         format: Format::Builtin,
         near,
+        spare_memory: usize::MAX,
     }
 }
 
-/// Depth [height, width] (camera-space z, world units) and world normal [3, height, width] (unit, towards the camera)
+/// Depth [height, width] (world units) and world normal [3, height, width] (unit, towards the camera)
 /// at the pixel centres of `camera`, which must stand inside the room |x|, |y| < 3, 0 < z < 3, outside its furniture.
 pub fn builtin_geometry(camera: &Camera) -> (Vec<f32>, Vec<f32>) {
     let pixels = camera.width * camera.height;
@@ -98,18 +126,23 @@ fn dome_camera(options: &BuiltinOptions, index: usize, count: usize, phase: f64,
     let direction = DVec3::new(elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin());
     let camera_from_world = CameraFromWorld::look_at(TARGET + 2.3 * direction, TARGET, DVec3::Z);
     let (width, height) = (options.width, options.height);
-    let focal = 0.5 * width as f64 / (0.5 * FIELD_OF_VIEW).tan();
+    let lens = options
+        .fisheye
+        .then(|| Lens::new(Distortion { numerator: FISHEYE, ..Distortion::new(Projection::Equidistant) }));
+    let half = lens.map_or((0.5 * FIELD_OF_VIEW).tan(), |lens| lens.radial(0.5 * FISHEYE_ANGLE));
+    let focal = 0.5 * width as f64 / half;
     let (cx, cy) = (0.5 * width as f64, 0.5 * height as f64);
-    Camera { camera_from_world, fx: focal, fy: focal, cx, cy, width, height, near }
+    Camera { camera_from_world, fx: focal, fy: focal, cx, cy, width, height, near, lens }
 }
 
-/// The surface at position (x, y), px. The ray's direction has camera-space z = 1, so its distances are depths.
+/// The surface at position (x, y), px. The ray's direction has depth 1, so its distances are depths.
 fn hit(camera: &Camera, x: f64, y: f64) -> Hit {
     let eye = camera.centre();
     trace(eye, camera.unproject(x, y, 1.0) - eye)
 }
 
-fn photograph(camera: &Camera, supersampling: usize) -> Picture {
+/// What `camera` sees, with an exposure changed by `stops`.
+fn photograph(camera: &Camera, supersampling: usize, stops: f64) -> Picture {
     let (width, height) = (camera.width, camera.height);
     let pixels = width * height;
     let eye = camera.centre();
@@ -123,10 +156,21 @@ fn photograph(camera: &Camera, supersampling: usize) -> Picture {
             sum += hit(camera, x, y).colour(eye);
         }
         for channel in 0..3 {
-            planes[channel * pixels + pixel] = (sum[channel] * step * step) as f32;
+            planes[channel * pixels + pixel] = exposed(sum[channel] * step * step, stops) as f32;
         }
     }
-    Picture { width, height, planes, alpha: None }
+    Picture::from_planes(&planes, width, height)
+}
+
+/// A display-referred value of a photograph with an exposure changed by `stops` of linear light, which clips at 1.
+fn exposed(value: f64, stops: f64) -> f64 {
+    if stops == 0.0 {
+        return value;
+    }
+    // the transfer function of sRGB and its inverse
+    let linear = if value <= 0.040_45 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) };
+    let light = (linear * stops.exp2()).min(1.0);
+    if light <= 0.003_130_8 { 12.92 * light } else { 1.055 * light.powf(1.0 / 2.4) - 0.055 }
 }
 
 /// The ends of rays through random positions of random training views, as structure from motion might find them.
@@ -167,23 +211,30 @@ mod tests {
         assert!(data.extent > 1.5 && data.extent < 3.0, "{}", data.extent);
         for view in data.train.iter().chain(&data.test) {
             view.camera.validate().unwrap();
-            assert_eq!((view.camera.width, view.picture.height, view.picture.planes.len()), (96, 96, 3 * 96 * 96));
-            assert!(view.picture.planes.iter().all(|value| (0.0..=1.0).contains(value)));
+            let picture = view.picture().unwrap();
+            assert_eq!((view.camera.width, picture.height, picture.bytes.len()), (96, 96, 3 * 96 * 96));
+            assert!(view.photograph.is_kept());
         }
         let again = builtin(&BuiltinOptions::default());
         assert_eq!(data.points, again.points);
-        assert!(data.train.iter().zip(&again.train).all(|(a, b)| a.picture == b.picture && a.camera == b.camera));
+        assert!(
+            data.train
+                .iter()
+                .zip(&again.train)
+                .all(|(a, b)| { a.picture().unwrap() == b.picture().unwrap() && a.camera == b.camera })
+        );
     }
 
     #[test]
     fn points_have_the_colour_of_the_pixels_that_see_them() {
         let data = builtin(&BuiltinOptions::default());
+        let pictures: Vec<_> = data.train.iter().map(|view| view.picture().unwrap()).collect();
         let (mut sum, mut shuffled, mut observations) = (0.0, 0.0, 0);
         for (index, views) in data.points.seen_by.iter().enumerate() {
             assert!(!views.is_empty(), "point {index} was sampled in a view");
             let position = DVec3::from_array(data.points.positions[index].map(f64::from));
             for &view in views {
-                let View { camera, picture, .. } = &data.train[view as usize];
+                let (camera, picture) = (&data.train[view as usize].camera, &pictures[view as usize]);
                 let (x, y, _) = camera.project(position).unwrap();
                 let rgb = picture.rgb((x as usize).min(95), (y as usize).min(95));
                 let other = data.points.colours[(index + 977) % 2000];
@@ -218,6 +269,56 @@ mod tests {
             }
         }
         assert!(on_floor > 1000, "{on_floor}");
+    }
+
+    #[test]
+    fn exposures_change_brightness_alone_and_by_no_more_than_asked() {
+        assert_eq!(exposed(0.3, 0.0), 0.3);
+        // half of the linear light of 0.5 is 0.107, that of 0.3608
+        assert!((exposed(0.5, -1.0) - 0.3608).abs() < 1e-3, "{}", exposed(0.5, -1.0));
+        assert!((exposed(exposed(0.5, -1.0), 1.0) - 0.5).abs() < 1e-6);
+        assert_eq!(exposed(0.95, 2.0), 1.0);
+        let options = BuiltinOptions { width: 24, height: 24, ..Default::default() };
+        let plain = builtin(&options);
+        let changed = builtin(&BuiltinOptions { exposure_stops: 0.5, ..options });
+        assert_eq!(plain.points, changed.points);
+        let pairs = || plain.train.iter().chain(&plain.test).zip(changed.train.iter().chain(&changed.test));
+        let brightness = |view: &View| f64::from(view.picture().unwrap().planes().iter().sum::<f32>());
+        let ratios: Vec<f64> = pairs().map(|(a, b)| brightness(b) / brightness(a)).collect();
+        let (low, high) =
+            ratios.iter().fold((f64::MAX, 0.0f64), |(low, high), &ratio| (low.min(ratio), high.max(ratio)));
+        // half a stop is a factor of about 1.17 in display-referred values
+        assert!(low > 0.8 && low < 0.95 && high > 1.05 && high < 1.25, "{low} to {high}");
+        assert!(pairs().all(|(a, b)| a.camera == b.camera && a.name == b.name));
+    }
+
+    #[test]
+    fn a_fisheye_sees_170_degrees_across_its_picture() {
+        let size = 64;
+        let options = BuiltinOptions { width: size, height: size, fisheye: true, points: 300, ..Default::default() };
+        let data = builtin(&options);
+        let camera = data.train[3].camera;
+        camera.validate().unwrap();
+        let [left, right] = [0.0, size as f64].map(|x| camera.ray(x, 0.5 * size as f64).unwrap());
+        assert!((left.angle_between(right).to_degrees() - 170.0).abs() < 1e-6);
+        // as with the other lens, points have the colour of the pixels that see them
+        let pictures: Vec<_> = data.train.iter().map(|view| view.picture().unwrap()).collect();
+        let (mut apart, mut shuffled, mut seen) = (0.0, 0.0, 0.0);
+        for (index, views) in data.points.seen_by.iter().enumerate() {
+            let position = DVec3::from_array(data.points.positions[index].map(f64::from));
+            for &view in views {
+                let (camera, picture) = (&data.train[view as usize].camera, &pictures[view as usize]);
+                let (x, y, _) = camera.project(position).unwrap();
+                let rgb = picture.rgb((x as usize).min(size - 1), (y as usize).min(size - 1));
+                let difference = |colour: [f32; 3]| (0..3).map(|c| (rgb[c] - colour[c]).abs() / 3.0).sum::<f32>();
+                apart += difference(data.points.colours[index]);
+                shuffled += difference(data.points.colours[(index + 143) % 300]);
+                seen += 1.0;
+            }
+        }
+        assert!(seen > 1000.0 && apart / seen < 0.1 && shuffled > 2.0 * apart, "{apart} {shuffled} of {seen}");
+        let straight = data.train[3].undistorted().unwrap().unwrap();
+        assert!(straight.camera.lens.is_none() && straight.picture().unwrap() != pictures[3]);
     }
 
     #[test]

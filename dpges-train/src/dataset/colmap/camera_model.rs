@@ -1,10 +1,14 @@
-//! COLMAP's camera models (`src/colmap/sensor/models.h`): pinhole models, models that are undistorted, and models that
-//! are refused.
+//! COLMAP's camera models (`src/colmap/sensor/models.h`).
 
 use std::path::Path;
 
+use dpges_core::camera::{Distortion, Projection};
+
+use super::super::calibration::Calibration;
 use super::super::error::{DatasetError, Result};
-use super::super::lens::{Distortion, Lens};
+
+/// It bends rays after what is tangential, which no other model does.
+const UNSUPPORTED: &str = "RAD_TAN_THIN_PRISM_FISHEYE";
 
 /// Models by numeric id: name and number of parameters.
 const MODELS: [(&str, usize); 12] = [
@@ -40,45 +44,52 @@ pub(super) struct CameraRecord {
 
 impl CameraRecord {
     /// # Errors
-    /// [`DatasetError::CameraModel`] for fisheye and unknown models, [`DatasetError::Malformed`] for a wrong number of
-    /// parameters.
-    pub fn lens(&self, path: &Path) -> Result<Lens> {
-        let refuse = |reason| DatasetError::CameraModel {
-            path: path.to_owned(),
-            camera: format!("camera {}", self.id),
-            model: self.model.clone(),
-            reason,
-        };
-        let distortion = |k: [f64; 6], tangential: [f64; 2]| Distortion {
+    /// [`DatasetError::CameraModel`] for unknown models, [`DatasetError::Malformed`] for a wrong number of parameters.
+    pub fn calibration(&self, path: &Path) -> Result<Calibration> {
+        let perspective = Distortion::new(Projection::Perspective);
+        let bent = |k: [f64; 6], tangential: [f64; 2]| Distortion {
             numerator: [k[0], k[1], k[2], 0.0],
             denominator: [k[3], k[4], k[5]],
             tangential,
+            ..perspective
         };
-        let straight = Distortion::default();
+        let fisheye = |numerator: [f64; 4]| Distortion { numerator, ..Distortion::new(Projection::Equidistant) };
         let (focal, centre, distortion) = match (self.model.as_str(), self.params.as_slice()) {
-            ("SIMPLE_PINHOLE", &[f, cx, cy]) => ([f, f], [cx, cy], straight),
-            ("PINHOLE", &[fx, fy, cx, cy]) => ([fx, fy], [cx, cy], straight),
-            ("SIMPLE_RADIAL", &[f, cx, cy, k]) => {
-                ([f, f], [cx, cy], distortion([k, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0; 2]))
-            }
-            ("RADIAL", &[f, cx, cy, k1, k2]) => ([f, f], [cx, cy], distortion([k1, k2, 0.0, 0.0, 0.0, 0.0], [0.0; 2])),
+            ("SIMPLE_PINHOLE", &[f, cx, cy]) => ([f, f], [cx, cy], perspective),
+            ("PINHOLE", &[fx, fy, cx, cy]) => ([fx, fy], [cx, cy], perspective),
+            ("SIMPLE_RADIAL", &[f, cx, cy, k]) => ([f, f], [cx, cy], bent([k, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0; 2])),
+            ("RADIAL", &[f, cx, cy, k1, k2]) => ([f, f], [cx, cy], bent([k1, k2, 0.0, 0.0, 0.0, 0.0], [0.0; 2])),
             ("OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2]) => {
-                ([fx, fy], [cx, cy], distortion([k1, k2, 0.0, 0.0, 0.0, 0.0], [p1, p2]))
+                ([fx, fy], [cx, cy], bent([k1, k2, 0.0, 0.0, 0.0, 0.0], [p1, p2]))
             }
             ("FULL_OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6]) => {
-                ([fx, fy], [cx, cy], distortion([k1, k2, k3, k4, k5, k6], [p1, p2]))
+                ([fx, fy], [cx, cy], bent([k1, k2, k3, k4, k5, k6], [p1, p2]))
             }
-            (model, _) if model == "FOV" || model.ends_with("FISHEYE") => {
-                return Err(refuse("fisheye pictures do not fit a pinhole camera"));
+            ("OPENCV_FISHEYE", &[fx, fy, cx, cy, k1, k2, k3, k4]) => ([fx, fy], [cx, cy], fisheye([k1, k2, k3, k4])),
+            ("SIMPLE_RADIAL_FISHEYE", &[f, cx, cy, k]) => ([f, f], [cx, cy], fisheye([k, 0.0, 0.0, 0.0])),
+            ("RADIAL_FISHEYE", &[f, cx, cy, k1, k2]) => ([f, f], [cx, cy], fisheye([k1, k2, 0.0, 0.0])),
+            ("THIN_PRISM_FISHEYE", &[fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, s1, s2]) => {
+                let radial = fisheye([k1, k2, k3, k4]);
+                ([fx, fy], [cx, cy], Distortion { tangential: [p1, p2], thin_prism: [s1, s2], ..radial })
             }
-            (model, params) if MODELS.iter().any(|(name, _)| *name == model) => {
+            // without an angle it is a pinhole
+            ("FOV", &[fx, fy, cx, cy, 0.0]) => ([fx, fy], [cx, cy], perspective),
+            ("FOV", &[fx, fy, cx, cy, omega]) => ([fx, fy], [cx, cy], Distortion::new(Projection::FieldOfView(omega))),
+            (model, params) if model != UNSUPPORTED && MODELS.iter().any(|(name, _)| *name == model) => {
                 let what = format!("the number of parameters of camera {} ({model})", self.id);
                 return Err(DatasetError::malformed(path, what, params.len(), "as many as the model has"));
             }
-            _ => return Err(refuse("it is unknown here")),
+            _ => {
+                return Err(DatasetError::CameraModel {
+                    path: path.to_owned(),
+                    camera: format!("camera {}", self.id),
+                    model: self.model.clone(),
+                    reason: "it is unknown here",
+                });
+            }
         };
         let [fx, fy] = focal;
         let [cx, cy] = centre;
-        Ok(Lens { width: self.width as usize, height: self.height as usize, fx, fy, cx, cy, distortion })
+        Ok(Calibration { width: self.width as usize, height: self.height as usize, fx, fy, cx, cy, distortion })
     }
 }

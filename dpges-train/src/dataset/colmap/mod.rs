@@ -42,7 +42,7 @@ struct PointRecord {
 /// The views and points of the COLMAP dataset in folder `root`.
 ///
 /// # Errors
-/// [`DatasetError`] for files that are missing, truncated or malformed, for fisheye lenses, for a model without points.
+/// [`DatasetError`] for files that are missing, truncated or malformed, for unknown lenses, for a model without points.
 pub(super) fn read(root: &Path, options: &LoadOptions) -> Result<Source> {
     let sparse = root.join("sparse");
     let (model, mut images) = largest_model(&sparse)?;
@@ -57,6 +57,31 @@ pub(super) fn read(root: &Path, options: &LoadOptions) -> Result<Source> {
         described_in,
         no_test_reason: "test.txt names no registered image",
     })
+}
+
+/// What a model holds.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct ModelContent {
+    /// Names of the registered images, sorted.
+    pub images: Vec<String>,
+    pub points: usize,
+}
+
+/// What the model in folder `model` holds.
+///
+/// # Errors
+/// [`DatasetError`] for files that are missing, truncated or malformed.
+pub(crate) fn model_content(model: &Path) -> Result<ModelContent> {
+    let mut images: Vec<String> = images(model)?.into_iter().map(|image| image.name).collect();
+    images.sort();
+    let path = file(model, "points3D")?;
+    let points = if is_binary(&path) { binary::points(&path)? } else { text::points(&path)? }.len();
+    Ok(ModelContent { images, points })
+}
+
+fn images(model: &Path) -> Result<Vec<ImageRecord>> {
+    let path = file(model, "images")?;
+    if is_binary(&path) { binary::images(&path) } else { text::images(&path) }
 }
 
 /// `stem`.bin in the model's folder, or else `stem`.txt.
@@ -86,8 +111,7 @@ fn largest_model(sparse: &Path) -> Result<(PathBuf, Vec<ImageRecord>)> {
     folders.sort();
     let mut largest: Option<(PathBuf, Vec<ImageRecord>)> = None;
     for folder in folders {
-        let path = file(&folder, "images")?;
-        let images = if is_binary(&path) { binary::images(&path)? } else { text::images(&path)? };
+        let images = images(&folder)?;
         if largest.as_ref().is_none_or(|(_, most)| images.len() > most.len()) {
             largest = Some((folder, images));
         }
@@ -123,10 +147,12 @@ fn frames(
             Ok(Frame {
                 name: image.name.clone(),
                 image: root.join("images").join(&image.name),
-                lens: camera.lens(&cameras_path)?,
+                mask: None,
+                calibration: camera.calibration(&cameras_path)?,
                 camera_from_world: CameraFromWorld::from_quaternion(image.wxyz, image.translation.into()),
                 split,
                 described_in: described_in.to_owned(),
+                depth: None,
             })
         })
         .collect()

@@ -2,6 +2,7 @@ use std::path::Path;
 
 use super::super::fixtures::{self, Encoding, FixtureScene};
 use super::super::{Dataset, LoadOptions, load};
+use dpges_core::camera::{Distortion, Projection};
 
 fn written(scene: &FixtureScene, encoding: Encoding) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
@@ -24,7 +25,7 @@ fn binary_and_text_say_the_same() {
     let text = loaded(written(&scene, Encoding::Text).path());
     assert_eq!(binary.points, text.points);
     for (a, b) in binary.train.iter().zip(&text.train).chain(binary.test.iter().zip(&text.test)) {
-        assert_eq!((&a.name, a.camera, &a.picture), (&b.name, b.camera, &b.picture));
+        assert_eq!((&a.name, a.camera, a.picture().unwrap()), (&b.name, b.camera, b.picture().unwrap()));
     }
     assert_eq!((binary.train.len(), text.test.len()), (8, 2));
 }
@@ -36,7 +37,7 @@ fn views_are_sorted_split_and_matched_to_tracks() {
     let names: Vec<&str> = data.test.iter().map(|view| view.name.as_str()).collect();
     assert_eq!(names, ["left/000.png", "left/008.png"]);
     assert_eq!(data.train[0].name, "left/001.png");
-    assert_eq!(data.train[0].picture.rgb(5, 5), [1.0 / 255.0, 100.0 / 255.0, 200.0 / 255.0]);
+    assert_eq!(data.train[0].picture().unwrap().bytes[..3], [1, 100, 200]);
     // Image 107 is left/001, the first that trains; image 100 is held out.
     assert_eq!(data.points.seen_by, [vec![0], vec![0], vec![0, 1], vec![0, 2], vec![0, 3]]);
     assert_eq!(data.points.colours[1], [50.0 / 255.0, 1.0, 0.0]);
@@ -77,22 +78,84 @@ fn distorted_models_are_undistorted() {
 }
 
 #[test]
-fn fisheye_and_unknown_models_are_refused_by_name() {
+fn photographs_are_kept_as_they_are_if_asked_for() {
     let mut scene = fixtures::scene(3);
-    let models = [
-        (5, "OPENCV_FISHEYE", 8),
-        (7, "FOV", 5),
-        (8, "SIMPLE_RADIAL_FISHEYE", 4),
-        (9, "RADIAL_FISHEYE", 5),
-        (10, "THIN_PRISM_FISHEYE", 12),
+    let perspective = Distortion::new(Projection::Perspective);
+    let fisheye = Distortion::new(Projection::Equidistant);
+    let models: [((u32, &str), &[f64], Distortion); 9] = [
+        ((2, "SIMPLE_RADIAL"), &[20.0, 12.0, 8.0, 0.1], Distortion { numerator: [0.1, 0.0, 0.0, 0.0], ..perspective }),
+        ((3, "RADIAL"), &[20.0, 12.0, 8.0, 0.1, 0.01], Distortion { numerator: [0.1, 0.01, 0.0, 0.0], ..perspective }),
+        (
+            (4, "OPENCV"),
+            &[20.0, 20.0, 12.0, 8.0, 0.1, 0.01, 0.001, 0.002],
+            Distortion { numerator: [0.1, 0.01, 0.0, 0.0], tangential: [0.001, 0.002], ..perspective },
+        ),
+        (
+            (6, "FULL_OPENCV"),
+            &[20.0, 20.0, 12.0, 8.0, 0.1, 0.01, 0.001, 0.002, 0.003, 0.04, 0.05, 0.006],
+            Distortion {
+                numerator: [0.1, 0.01, 0.003, 0.0],
+                denominator: [0.04, 0.05, 0.006],
+                tangential: [0.001, 0.002],
+                ..perspective
+            },
+        ),
+        (
+            (5, "OPENCV_FISHEYE"),
+            &[20.0, 20.0, 12.0, 8.0, 0.1, 0.01, 0.001, 0.002],
+            Distortion { numerator: [0.1, 0.01, 0.001, 0.002], ..fisheye },
+        ),
+        ((7, "FOV"), &[20.0, 20.0, 12.0, 8.0, 0.9], Distortion::new(Projection::FieldOfView(0.9))),
+        (
+            (8, "SIMPLE_RADIAL_FISHEYE"),
+            &[20.0, 12.0, 8.0, 0.1],
+            Distortion { numerator: [0.1, 0.0, 0.0, 0.0], ..fisheye },
+        ),
+        (
+            (9, "RADIAL_FISHEYE"),
+            &[20.0, 12.0, 8.0, 0.1, 0.01],
+            Distortion { numerator: [0.1, 0.01, 0.0, 0.0], ..fisheye },
+        ),
+        (
+            (10, "THIN_PRISM_FISHEYE"),
+            &[20.0, 20.0, 12.0, 8.0, 0.1, 0.01, 0.001, 0.002, 0.003, 0.004, 0.005, 0.006],
+            Distortion {
+                numerator: [0.1, 0.01, 0.003, 0.004],
+                tangential: [0.001, 0.002],
+                thin_prism: [0.005, 0.006],
+                ..fisheye
+            },
+        ),
     ];
-    for (id, name, params) in models {
-        (scene.model, scene.params) = ((id, name), vec![20.0; params]);
-        for (encoding, file) in [(Encoding::Binary, "cameras.bin"), (Encoding::Text, "cameras.txt")] {
-            let message = message(written(&scene, encoding).path());
-            for part in [file, &format!("camera model {name} of camera 5"), "fisheye", "undistort"] {
-                assert!(message.contains(part), "{message}");
-            }
+    for (model, params, distortion) in models {
+        (scene.model, scene.params) = (model, params.to_vec());
+        for encoding in [Encoding::Binary, Encoding::Text] {
+            let folder = written(&scene, encoding);
+            let options = LoadOptions { undistort: false, max_resolution: Some(12), ..LoadOptions::default() };
+            let data = load(folder.path(), &options).unwrap();
+            let camera = data.train[0].camera;
+            assert_eq!(camera.lens.map(|lens| *lens.distortion()), Some(distortion), "{model:?}");
+            assert_eq!((camera.fx, camera.cx, camera.cy, camera.width), (10.0, 6.0, 4.0, 12), "{model:?}");
+            let straight = loaded(folder.path()).train[0].camera;
+            assert!(straight.lens.is_none() && straight.fx != 20.0 && straight.width == 24, "{model:?} {straight:?}");
+        }
+    }
+    (scene.model, scene.params) = ((7, "FOV"), vec![20.0, 20.0, 12.0, 8.0, 0.0]);
+    assert!(loaded(written(&scene, Encoding::Text).path()).train[0].camera.lens.is_none());
+    scene.params[4] = -0.5;
+    let found = message(written(&scene, Encoding::Text).path());
+    assert!(found.contains("images.txt") && found.contains("`lens` is"), "{found}");
+}
+
+#[test]
+fn unknown_models_are_refused_by_name() {
+    let mut scene = fixtures::scene(3);
+    let name = "RAD_TAN_THIN_PRISM_FISHEYE";
+    (scene.model, scene.params) = ((11, name), vec![20.0; 16]);
+    for (encoding, file) in [(Encoding::Binary, "cameras.bin"), (Encoding::Text, "cameras.txt")] {
+        let message = message(written(&scene, encoding).path());
+        for part in [file, &format!("camera model {name} of camera 5"), "undistort"] {
+            assert!(message.contains(part), "{message}");
         }
     }
     scene.model = (77, "EYE_OF_NEWT");

@@ -3,6 +3,7 @@
 use burn::tensor::Tensor;
 use dpges_core::camera::Camera;
 use dpges_core::losses::geometry::{expected_depth, normal_consistency, normals_from_depth};
+use dpges_core::losses::{Mask, mean_of_counted};
 use dpges_core::ops::blend::Maps;
 use dpges_core::render::blended::BlendedRender;
 use dpges_core::scene::Gaussians;
@@ -47,8 +48,15 @@ impl Weights {
         self.normal > 0.0 || self.distortion > 0.0
     }
 
-    /// `rgb` [1] plus the weighted terms.
-    pub fn add(&self, rgb: Tensor<1>, gaussians: &Gaussians, rendered: &BlendedRender, camera: &Camera) -> Tensor<1> {
+    /// `rgb` [1] plus the weighted terms. Those of pixels are means over the pixels that count.
+    pub fn add(
+        &self,
+        rgb: Tensor<1>,
+        gaussians: &Gaussians,
+        rendered: &BlendedRender,
+        camera: &Camera,
+        mask: Option<&Mask>,
+    ) -> Tensor<1> {
         let mut total = rgb;
         if self.opacity > 0.0 {
             total = total + gaussians.opacities.clone().mean() * self.opacity;
@@ -60,10 +68,10 @@ impl Weights {
         if self.normal > 0.0 {
             let alpha = rendered.blend.alpha.clone();
             let depth_normal = normals_from_depth(expected_depth(depth, alpha.clone()), camera);
-            total = total + normal_consistency(normal, depth_normal, alpha) * self.normal;
+            total = total + normal_consistency(normal, depth_normal, alpha, mask) * self.normal;
         }
         if self.distortion > 0.0 {
-            total = total + distortion.mean() * self.distortion;
+            total = total + mean_of_counted(distortion, mask) * self.distortion;
         }
         total
     }

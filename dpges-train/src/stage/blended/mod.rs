@@ -8,6 +8,7 @@ mod screen_gradients;
 mod start;
 
 use burn::tensor::{DType, Device, Tensor};
+use dpges_core::losses::geometry::expected_depth;
 use dpges_core::losses::{Losses, rgb};
 use dpges_core::ops::environment::environment;
 use dpges_core::ops::jitter::NoiseGate;
@@ -95,6 +96,15 @@ impl BlendedStage {
             screen_gradients,
             sampling_limit: None,
         }
+    }
+
+    /// A stage that begins with the Gaussians and the environment of `scene` as they are, without a sampling limit.
+    pub fn of_scene(plan: StagePlan, blended: Blended, scene: &SceneData, context: &Context) -> Self {
+        let device = &context.device;
+        let gaussians = GaussianState::new(&scene.gaussians, OpacityActivation::Sigmoid, device);
+        let environment = EnvironmentState::new(scene.environment.as_ref(), device);
+        let screen_gradients = ScreenGradients::new(scene.gaussians.len(), device);
+        Self::new(plan, blended, gaussians, environment, screen_gradients, context)
     }
 
     /// The Gaussians as they are drawn, wherever they come from: with their sampling limit, and without base colours below
@@ -213,14 +223,19 @@ impl Stage for BlendedStage {
         let gaussians = &self.drawn_on_tape(&leaves.gaussians, input.completed, &context.config, &tape);
         let weights = self.weights(input.completed, &context.config);
         let mut options = BlendedOptions::new(&self.info)?;
-        options.blend.maps = weights.need_maps();
+        options.blend.maps = weights.need_maps() || input.depth.is_some();
         let rendered = render_blended(gaussians, probe.as_ref(), camera, &options, input.values)?;
-        let rendered = match &leaves.environment {
+        let mut rendered = match &leaves.environment {
             Some(coefficients) => rendered.in_front_of(environment(coefficients, camera)?),
             None => rendered,
         };
+        rendered.image = input.photographed(rendered.image);
         let rgb = rgb(rendered.image.clone(), input.target.clone(), context.config.train.lambda_dssim)?;
-        let total = weights.add(rgb.clone(), gaussians, &rendered, camera);
+        let mut total = weights.add(rgb.clone(), gaussians, &rendered, camera, input.target.mask.as_ref());
+        if let (Some(target), Some(maps)) = (&input.depth, &rendered.blend.maps) {
+            let alpha = rendered.blend.alpha.clone();
+            total = total + target.loss(expected_depth(maps.depth.clone(), alpha.clone()), alpha)?;
+        }
         let none = Tensor::zeros([1], (&tape, DType::F32));
         let losses = Losses { rgb, surfel: none.clone(), scale: none.clone(), transmittance: none, total };
         Ok(ForwardPass { losses, image: rendered.image, probe })

@@ -1,7 +1,7 @@
 //! How much the pictures want each Gaussian to move on the screen: what densification decides by.
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
-use dpges_core::camera::Camera;
+use dpges_core::camera::{Camera, Lens};
 use dpges_core::scene::Gaussians;
 use dpges_core::scene::tensors::{rows_to_tensor, tensor_to_rows};
 
@@ -75,9 +75,12 @@ fn in_picture(gaussians: &Gaussians, axes: usize, camera: &Camera) -> Tensor<1> 
     let in_camera = positions.clone().matmul(rotation.transpose());
     let column = |i: usize| in_camera.clone().slice([0..count, i..i + 1]).reshape([count]) + pose.translation[i];
     let (x, y, z) = (column(0), column(1), column(2));
+    let largest = gaussians.log_scales.clone().slice([0..count, 0..axes]).max_dim(1).reshape([count]).exp();
+    if let Some(lens) = &camera.lens {
+        return in_picture_of_lens(lens, [x, y, z], largest * SIGMAS, camera);
+    }
     let ahead = z.clone().greater_elem(camera.near);
     let z = z.clamp_min(camera.near);
-    let largest = gaussians.log_scales.clone().slice([0..count, 0..axes]).max_dim(1).reshape([count]).exp();
     let reach = |along: Tensor<1>, focal: f64, centre: f64, size: usize| {
         let half = size as f64 / 2.0;
         let from_middle = (along * focal / z.clone() + (centre - half)).abs();
@@ -88,10 +91,40 @@ fn in_picture(gaussians: &Gaussians, axes: usize, camera: &Camera) -> Tensor<1> 
     ahead.bool_and(beside).bool_and(above).float()
 }
 
+/// The same through a lens: `radius` is that of the spheres, `[M]`. Positions are bent along their radius alone.
+fn in_picture_of_lens(lens: &Lens, [x, y, z]: [Tensor<1>; 3], radius: Tensor<1>, camera: &Camera) -> Tensor<1> {
+    let square = |t: &Tensor<1>| t.clone() * t.clone();
+    let across = (square(&x) + square(&y)).sqrt().clamp_min(1e-12);
+    let depth = if lens.is_wide() { (square(&across) + square(&z)).sqrt() } else { z.clone() };
+    let mut ahead = depth.clone().greater_elem(camera.near);
+    let depth = depth.clamp_min(camera.near);
+    let undistorted = match lens.arc() {
+        Some([kappa, omega]) => (across.clone() * kappa).atan2(z) / omega,
+        None => across.clone() / depth.clone(),
+    };
+    ahead = ahead.bool_and(undistorted.clone().lower_equal_elem(lens.limit()));
+    let squared = square(&undistorted.clamp_max(lens.limit()));
+    let sum = |coefficients: &[f64]| {
+        let zero = squared.zeros_like();
+        coefficients.iter().rev().fold(zero, |sum, c| (sum + *c) * squared.clone()) + 1.0
+    };
+    let distortion = lens.distortion();
+    let position = squared.clone().sqrt() * sum(&distortion.numerator) / sum(&distortion.denominator) / across;
+    let reach = |along: Tensor<1>, focal: f64, centre: f64, size: usize| {
+        let half = size as f64 / 2.0;
+        let from_middle = (along * position.clone() * focal + (centre - half)).abs();
+        from_middle.lower(radius.clone() * focal / depth.clone() + half)
+    };
+    let beside = reach(x, camera.fx, camera.cx, camera.width);
+    let above = reach(y, camera.fy, camera.cy, camera.height);
+    ahead.bool_and(beside).bool_and(above).float()
+}
+
 #[cfg(test)]
 mod tests {
-    use dpges_core::camera::CameraFromWorld;
+    use dpges_core::camera::{CameraFromWorld, Distortion, Projection};
     use dpges_core::scene::{ColourModel, GaussianData};
+    use dpges_core::testing::random::Random;
     use glam::DVec3;
 
     use super::*;
@@ -99,8 +132,17 @@ mod tests {
     #[test]
     fn views_count_for_what_is_in_their_picture_hidden_or_not() {
         let camera_from_world = CameraFromWorld::look_at(DVec3::ZERO, DVec3::Z, -DVec3::Y);
-        let camera =
-            Camera { camera_from_world, fx: 50.0, fy: 50.0, cx: 10.0, cy: 10.0, width: 40, height: 20, near: 0.5 };
+        let camera = Camera {
+            camera_from_world,
+            fx: 50.0,
+            fy: 50.0,
+            cx: 10.0,
+            cy: 10.0,
+            width: 40,
+            height: 20,
+            near: 0.5,
+            lens: None,
+        };
         // seen, behind, too near, beyond the left border (10 px left of the axis), reaching over it, below the picture
         let positions =
             [[0.0, 0.0, 2.0], [0.0, 0.0, -2.0], [0.0, 0.0, 0.4], [-0.5, 0.0, 2.0], [-0.5, 0.0, 2.0], [0.0, 0.5, 2.0]];
@@ -116,6 +158,35 @@ mod tests {
         assert_eq!(sums.sums().views, [2, 0, 0, 0, 2, 0]);
         sums.see(&gaussians, 3, &camera);
         assert_eq!(sums.sums().views, [3, 0, 0, 1, 3, 1]);
+    }
+
+    #[test]
+    fn through_a_lens_views_count_for_what_appears_in_their_picture() {
+        let numerator = [0.05, -0.02, 0.0, 0.0];
+        for projection in [Projection::Perspective, Projection::Equidistant, Projection::FieldOfView(1.2)] {
+            let lens = Lens::new(Distortion { numerator, ..Distortion::new(projection) });
+            let camera_from_world = CameraFromWorld::look_at(DVec3::ZERO, DVec3::new(0.2, 0.1, 1.0), -DVec3::Y);
+            let (fx, fy) = if lens.is_wide() { (14.0, 15.0) } else { (30.0, 31.0) };
+            let (cx, cy, width, height, near) = (18.0, 11.0, 40, 20, 0.05);
+            let camera = Camera { camera_from_world, fx, fy, cx, cy, width, height, near, lens: Some(lens) };
+            let mut random = Random::new(3);
+            let count = 400;
+            let positions: Vec<f32> = (0..3 * count).map(|_| random.normal() as f32).collect();
+            let mut data = GaussianData::neutral(ColourModel::SphericalBeta { lobes: 0 }, count);
+            data.log_scales = vec![-20.0; 3 * count];
+            data.positions = positions.clone();
+            let device = Device::flex();
+            let mut sums = ScreenGradients::new(count, &device);
+            sums.see(&Gaussians::from_data(&data, &device, DType::F32), 3, &camera);
+            let expected: Vec<u32> = positions
+                .as_chunks::<3>()
+                .0
+                .iter()
+                .map(|&position| u32::from(camera.pixel(DVec3::from(position.map(f64::from))).is_some()))
+                .collect();
+            assert_eq!(sums.sums().views, expected, "{projection:?}");
+            assert!((6..count as u32 - 20).contains(&expected.iter().sum()), "{projection:?}");
+        }
     }
 
     #[test]

@@ -1,6 +1,9 @@
 //! The decisions of an automatic budget, by validation views: how long the scene grows, how many layers it peels, and which
 //! lobes it does without.
 
+use std::sync::Arc;
+
+use dpges_core::losses::Target;
 use dpges_core::metrics::{psnr, quantised};
 use dpges_core::ops::peel::MAX_LAYERS;
 use dpges_core::render::{Values, render_values};
@@ -9,7 +12,8 @@ use dpges_core::scene::{ColourData, ColourModel};
 
 use super::super::{Context, TrainError};
 use super::JointStage;
-use super::evidence::judging_views;
+use super::evidence::{judging_target, judging_views};
+use crate::dataset::{Picture, View, pictures};
 use crate::eval::LARGEST_PSNR;
 use crate::refine::add::geometric_batch_size;
 use crate::refine::growth::{Growth, Mean, Next};
@@ -99,12 +103,15 @@ impl JointStage {
 
     /// PSNR of the judging views, dB, as evaluations measure it.
     fn psnr_of_views(&self, context: &Context) -> Result<Vec<f64>, TrainError> {
-        let of_view = |view| {
+        let of_view = |(view, picture): (&View, dpges_core::Result<Arc<Picture>>)| -> Result<f64, TrainError> {
+            let picture = picture?;
             let rendered = self.render_view(context, view)?;
-            let (image, target) = (quantised(rendered.composite.image), quantised(view.target(&context.device)));
-            Ok(psnr(image, target).clamp(0.0, LARGEST_PSNR))
+            let image = rendered.composite.image;
+            let Target { image: target, mask } = judging_target(&picture, &image, context);
+            let target = Target { image: quantised(target), mask };
+            Ok(psnr(quantised(image), target).clamp(0.0, LARGEST_PSNR))
         };
-        judging_views(context).map(of_view).collect()
+        pictures(judging_views(context)).map(of_view).collect()
     }
 
     /// Chooses the smallest number of layers that leaves hardly any pixel of the validation views open.

@@ -1,7 +1,10 @@
 //! Surfels have to earn their place: they enter where trained Gaussians agree about a surface, and leave where pictures are
 //! better without them.
 
+use std::sync::Arc;
+
 use burn::tensor::{DType, Tensor};
+use dpges_core::losses::Target;
 use dpges_core::losses::geometry::expected_depth;
 use dpges_core::ops::blend::Maps;
 use dpges_core::ops::environment::environment;
@@ -13,9 +16,11 @@ use dpges_core::scene::{GaussianData, Gaussians, Rendering, SceneInfo, ScreenFil
 use super::super::{Context, TrainError};
 use super::JointStage;
 use super::refine::squared_error;
-use crate::dataset::View;
-use crate::init::fusion::{DepthView, FusionRule, surface_points};
+use crate::dataset::{Masked, Picture, View, pictures};
+use crate::exposure::{Correction, Seen};
+use crate::init::fusion::{CHECKED_VIEWS, DepthViews, FusionRule, surface_points};
 use crate::init::surfels_at;
+use crate::recent::Recent;
 use crate::refine::RowEdit;
 use crate::refine::worth::{Worths, members};
 
@@ -41,7 +46,7 @@ impl Context {
     /// Surfels on the surfaces that blended `gaussians` show to several training views. Margins are zero.
     ///
     /// # Errors
-    /// [`TrainError::Core`] if the Gaussians cannot be rendered.
+    /// [`TrainError::Core`] if the Gaussians cannot be rendered, or a photograph not be read again.
     pub fn surfels_of_depth(
         &mut self,
         gaussians: &GaussianData,
@@ -53,25 +58,34 @@ impl Context {
         let gaussians = Gaussians::from_data(gaussians, &self.device, DType::F32);
         let mut options = BlendedOptions::new(&info)?;
         options.blend.maps = true;
-        let mut views = Vec::with_capacity(dataset.train.len());
-        for view in &dataset.train {
-            let rendered = render_blended(&gaussians, None, &view.camera, &options, Values::KnownFinite)?;
-            let alpha = rendered.blend.alpha;
-            let Some(Maps { depth, median_depth, .. }) = rendered.blend.maps else {
-                unreachable!("maps were asked for")
-            };
-            let mean = tensor_to_rows(&expected_depth(depth, alpha.clone()));
-            let depth = certain(&tensor_to_rows(&alpha), &mean, tensor_to_rows(&median_depth));
-            views.push(DepthView { camera: &view.camera, depth, photograph: &view.picture.planes });
-        }
-        let mut points = surface_points(&views, STRIDES_PX[0], RULE);
+        // those that are checked beside one stay, whatever the room
+        let maps = Recent::new(dataset.spare_memory, CHECKED_VIEWS + 1);
+        let depth = |index: usize| -> dpges_core::Result<Arc<Vec<f32>>> {
+            let view = &dataset.train[index];
+            maps.get(index, size_of::<f32>() * view.camera.width * view.camera.height, || {
+                let rendered = render_blended(&gaussians, None, &view.camera, &options, Values::KnownFinite)?;
+                let alpha = rendered.blend.alpha;
+                let Some(Maps { depth, median_depth, .. }) = rendered.blend.maps else {
+                    unreachable!("maps were asked for")
+                };
+                let mean = tensor_to_rows(&expected_depth(depth, alpha.clone()));
+                let mut depth = certain(&tensor_to_rows(&alpha), &mean, tensor_to_rows(&median_depth));
+                view.picture()?.clear_ignored(&mut depth);
+                Ok(depth)
+            })
+        };
+        let corrections = self.exposure.corrections();
+        let photograph = |index: usize| Seen::by(&dataset.train[index], corrections.of(index));
+        let cameras = dataset.train.iter().map(|view| &view.camera).collect();
+        let views = DepthViews { cameras, depth: &depth, photograph: &photograph };
+        let mut points = surface_points(&views, STRIDES_PX[0], RULE)?;
         let mut stride_px = STRIDES_PX[0];
         for stride in &STRIDES_PX[1..] {
             if points.positions.len() <= most {
                 break;
             }
             stride_px = *stride;
-            points = surface_points(&views, stride_px, RULE);
+            points = surface_points(&views, stride_px, RULE)?;
         }
         let found = points.positions.len();
         let points = crate::init::sfm::usable_points(&points, most, &mut self.rng);
@@ -116,13 +130,14 @@ impl JointStage {
         self.surfels.keep(&rows);
         self.measure_surfel_limit(context);
         self.statistics.keep_surfels(&rows);
-        let pixels = judging_views(context).map(|view| 3 * view.camera.width * view.camera.height).sum::<usize>();
+        let judging = Masked::of(judging_views(context));
+        let pixels = 3 * (judging.pixels - judging.ignored_pixels);
         let mean = |squares: f64| squares / pixels.max(1) as f64;
         Ok(Some(format!(
             "{removed} of {} surfels removed that cost a squared error of {:.2e} per value of {} views; the others save {:.2e}",
             surfels.len(),
             mean(-lost),
-            judging_views(context).count(),
+            judging.views,
             mean(saved)
         )))
     }
@@ -133,6 +148,17 @@ pub fn judging_views(context: &Context) -> impl Iterator<Item = &View> {
     let (validation, train) = (&context.dataset.validation, &context.dataset.train);
     let views = if validation.is_empty() { train } else { validation };
     views.iter().step_by(views.len().div_ceil(JUDGING_VIEWS).max(1))
+}
+
+/// The photograph of a judging view on the device. In a run that corrects exposures, without what the exposure that fits
+/// best explains of its difference from the rendered `image` [3, H, W]: validation views have no correction of their own.
+pub fn judging_target(picture: &Picture, image: &Tensor<3>, context: &Context) -> Target {
+    let Target { image: photograph, mask } = picture.target(&context.device);
+    if !context.exposure.is_on() {
+        return Target { image: photograph, mask };
+    }
+    let correction = Correction::fitted(image, &photograph, picture.counted.as_deref());
+    Target { image: correction.undone(photograph), mask }
 }
 
 fn judged(
@@ -159,15 +185,15 @@ fn judged(
         (on_device(&surfels.select(&others)), left_out)
     });
     let groups: Vec<_> = groups.collect();
-    for view in judging_views(context) {
-        let target = view.target(device);
-        let error = |render: &Render, target: Tensor<3>| squared_error(render, target);
+    for (view, picture) in pictures(judging_views(context)) {
+        let picture = picture?;
         let with = render(&all, view)?;
+        let target = judging_target(&picture, &with.composite.image, context);
         let area = view.camera.width * view.camera.height;
         let nearest: Vec<i32> = with.layers.ids.clone().into_data().iter::<i32>().take(area).collect();
-        let with = error(&with, target.clone());
+        let with = squared_error(&with, &target);
         for (others, left_out) in &groups {
-            let without = error(&render(others, view)?, target.clone());
+            let without = squared_error(&render(others, view)?, &target);
             worths.add(&nearest, &with, &without, left_out);
         }
     }

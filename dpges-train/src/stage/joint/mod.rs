@@ -9,6 +9,8 @@ mod start;
 mod statistics;
 mod supervision;
 
+use burn::tensor::Tensor;
+use dpges_core::losses::depth::surfel_depth;
 use dpges_core::losses::geometry::{GeometryWeights, geometry};
 use dpges_core::losses::{LossWeights, hidden, losses};
 use dpges_core::ops::environment::environment;
@@ -54,29 +56,42 @@ pub struct JointStage {
 
 impl JointStage {
     /// A stage that begins with `start`.
+    ///
+    /// # Errors
+    /// [`TrainError::Core`] if a photograph cannot be read again.
     fn new(
         plan: StagePlan,
         start: &InitialScene,
         environment: EnvironmentState,
         supervisions: Option<Supervisions>,
         context: &Context,
-    ) -> Self {
+    ) -> Result<Self, TrainError> {
         let (config, device) = (&context.config, &context.device);
         let surfels = SurfelState::new(&start.surfels, OpacityActivation::Linear, device);
         let gaussians = GaussianState::new(&start.gaussians, config.model.opacity, device);
-        Self {
+        Ok(Self {
             plan,
             info: context.scene_info(Rendering::Peeled),
             schedule: config.schedule(context.dataset.train.len()),
             limits: SamplingLimits::new(&surfels, &gaussians, context),
             surfels,
             gaussians,
-            sky: SkyMasks::new(&environment, context),
+            sky: SkyMasks::new(&environment, context)?,
             environment,
             statistics: Statistics::new(start.surfels.len(), start.gaussians.len(), device),
             supervisions,
             growth: None,
-        }
+        })
+    }
+
+    /// A stage that begins with `scene` as it is, without geometry losses.
+    ///
+    /// # Errors
+    /// [`TrainError::Core`] if a photograph cannot be read again.
+    pub fn of_scene(plan: StagePlan, scene: &SceneData, context: &Context) -> Result<Self, TrainError> {
+        let start = InitialScene { surfels: scene.surfels.clone(), gaussians: scene.gaussians.clone() };
+        let environment = EnvironmentState::new(scene.environment.as_ref(), &context.device);
+        Self::new(plan, &start, environment, None, context)
     }
 
     fn render_options(&self, config: &Config) -> RenderOptions {
@@ -123,26 +138,38 @@ impl Stage for JointStage {
         let camera = &input.view.camera;
         let options = self.render_options(&context.config);
         let rendered = render_values(surfels, gaussians, camera, &options, input.values)?;
-        let rendered = match &leaves.environment {
+        let mut rendered = match &leaves.environment {
             Some(coefficients) => rendered.in_front_of(environment(coefficients, camera)?),
             None => rendered,
         };
+        rendered.composite.image = input.photographed(rendered.composite.image);
+        rendered.composite.surfel_image = input.photographed(rendered.composite.surfel_image);
         self.statistics.observe(&rendered, gaussians, camera, &self.schedule, input.completed)?;
         let weights = loss_weights(&context.config);
         let mut losses = losses(&rendered, surfels.log_scales.clone(), input.target.clone(), &weights)?;
+        let mask = input.target.mask.as_ref();
+        let of_counted = |mean: Tensor<1>| mask.map_or(mean.clone(), |mask| mask.of_counted(mean));
         let train = &context.config.train;
         if leaves.environment.is_some() && !self.gaussians.is_empty() {
             let opacity = gaussians.opacities.clone().abs().mean() * train.lambda_opacity;
             let scale = gaussians.log_scales.clone().exp().mean() * (train.lambda_gaussian_scale / self.info.extent);
             losses.total = losses.total + opacity + scale;
         }
-        if let Some(mask) = self.sky.as_ref().and_then(|sky| sky.of(input.index, input.view, &context.tape())) {
-            losses.total = losses.total + hidden(&rendered, mask) * train.lambda_sky;
+        if let Some(sky) = self.sky.as_ref().and_then(|sky| sky.of(input.index, input.picture, &context.tape())) {
+            losses.total = losses.total + of_counted(hidden(&rendered, sky)) * train.lambda_sky;
+        }
+        if let Some(target) = &input.depth {
+            let [depth, coverage] = surfel_depth(&rendered);
+            losses.total = losses.total + target.loss(depth, coverage)?;
         }
         if let Some(supervisions) = &self.supervisions {
-            let supervision = supervisions.of(input.index, &context.tape());
+            let supervision = supervisions.of(input.index, input.view, &context.tape())?;
+            let supervision = match mask {
+                Some(mask) => supervision.within(mask),
+                None => supervision,
+            };
             let weights = geometry_weights(&context.config);
-            losses.total = losses.total + geometry(&rendered, surfels, camera, &supervision, &weights)?;
+            losses.total = losses.total + of_counted(geometry(&rendered, surfels, camera, &supervision, &weights)?);
         }
         Ok(ForwardPass { losses, image: rendered.composite.image, probe: None })
     }

@@ -4,6 +4,7 @@ use std::collections::HashSet;
 
 use burn::tensor::{DType, Tensor};
 use dpges_core::camera::Camera;
+use dpges_core::losses::Target;
 use dpges_core::ops::environment::environment;
 use dpges_core::ops::splat::{SplatOptions, splat};
 use dpges_core::render::{Render, Values, render_values};
@@ -15,7 +16,8 @@ use super::super::context::mean_pixels;
 use super::super::{Context, TrainError};
 use super::JointStage;
 use crate::config::{AddAs, Budget, Due, PixelsOf};
-use crate::dataset::View;
+use crate::dataset::{View, pictures};
+use crate::exposure::Seen;
 use crate::refine::add::{batch_size, draw_in_proportion, gaussians_of_pixels, new_gaussians};
 use crate::refine::agreement::{agreed_depth, nearest_views};
 use crate::refine::margins::margins;
@@ -155,48 +157,54 @@ impl JointStage {
     }
 
     /// Adds a batch of `count` Gaussians after as many as were `removed` have left. Their pixels are drawn with a
-    /// probability in proportion to the squared error, none where a view shows nothing but sky. They take the depth of the nearest layer (GES, DP-GES), or the
-    /// mean depth of existing Gaussians where there is no layer and `refine.add_everywhere` asks for it.
+    /// probability in proportion to the squared error, none where a view shows nothing but sky or pixels do not count. They
+    /// take the depth of the nearest layer (GES, DP-GES), or the mean depth of existing Gaussians where there is no layer
+    /// and `refine.add_everywhere` asks for it.
     ///
     /// # Errors
-    /// [`TrainError::Core`] if a view cannot be rendered.
+    /// [`TrainError::Core`] if a view cannot be rendered, or a photograph not be read again.
     pub fn add_gaussians(&mut self, context: &mut Context, count: usize, removed: usize) -> Result<String, TrainError> {
         let everywhere = context.config.refine.add_everywhere;
         let views = context.dataset.train.len();
         let dataset = context.dataset.clone();
         let least = context.config.refine.add_agreement;
         let neighbours = if least > 0 { nearest_views(&context.dataset.train) } else { Vec::new() };
+        let corrections = context.exposure.corrections();
         let mut spots = Spots::default();
-        for (index, view) in dataset.train.iter().enumerate() {
-            let share = count / views + usize::from(index < count % views);
-            if share > 0 {
-                let options = self.render_options(&context.config).splat;
-                let rendered = self.render_view(context, view)?;
-                let mut error = squared_error(&rendered, view.target(&context.device));
-                if let Some(sky) = &self.sky {
-                    sky.clear(index, &mut error);
-                }
-                let drawn = if least > 0 { UNCONFIRMED * share } else { share };
-                let pixels = draw_in_proportion(&error, drawn, &mut context.rng);
-                let mut depths = tensor_to_rows(&rendered.layers.depth);
-                if everywhere && pixels.iter().any(|&pixel| !depths[pixel].is_finite()) {
-                    let behind = gaussian_depth(&self.drawn_values().1, &rendered.limits, &view.camera, &options)?;
-                    depths.iter_mut().zip(behind).filter(|(depth, _)| !depth.is_finite()).for_each(|(d, z)| *d = z);
-                }
-                let agreed = |pixel: usize| {
-                    let assumed = f64::from(depths[pixel]);
-                    if least == 0 {
-                        return Some(assumed);
-                    }
-                    let others = neighbours[index].iter().map(|&other| &dataset.train[other]);
-                    agreed_depth(view, others, pixel, assumed, least)
-                };
-                let mut taken = HashSet::new();
-                let known = pixels.iter().filter(|&&pixel| depths[pixel].is_finite());
-                let known = known.filter(|&&pixel| least == 0 || taken.insert(pixel));
-                let found = known.filter_map(|&pixel| Some((pixel, agreed(pixel)?)));
-                spots.add(view, found.take(share));
+        let share = |index: usize| count / views + usize::from(index < count % views);
+        // the others have no share
+        for (index, (view, picture)) in pictures(dataset.train.iter().take(count)).enumerate() {
+            let own = Seen { camera: &view.camera, picture: picture?, correction: corrections.of(index) };
+            let share = share(index);
+            let options = self.render_options(&context.config).splat;
+            let rendered = self.render_view(context, view)?;
+            let mut error = squared_error(&rendered, &own.target(&context.device));
+            if let Some(sky) = &self.sky {
+                sky.clear(index, &own.picture, &mut error);
             }
+            let drawn = if least > 0 { UNCONFIRMED * share } else { share };
+            let pixels = draw_in_proportion(&error, drawn, &mut context.rng);
+            let mut depths = tensor_to_rows(&rendered.layers.depth);
+            if everywhere && pixels.iter().any(|&pixel| !depths[pixel].is_finite()) {
+                let behind = gaussian_depth(&self.drawn_values().1, &rendered.limits, &view.camera, &options)?;
+                depths.iter_mut().zip(behind).filter(|(depth, _)| !depth.is_finite()).for_each(|(d, z)| *d = z);
+            }
+            let others: Vec<Seen> = match neighbours.get(index) {
+                Some(others) => {
+                    let seen = |&other: &usize| Seen::by(&dataset.train[other], corrections.of(other));
+                    others.iter().map(seen).collect::<Result<_, _>>()?
+                }
+                None => Vec::new(),
+            };
+            let agreed = |pixel: usize| {
+                let assumed = f64::from(depths[pixel]);
+                if least == 0 { Some(assumed) } else { agreed_depth(&own, &others, pixel, assumed, least) }
+            };
+            let mut taken = HashSet::new();
+            let known = pixels.iter().filter(|&&pixel| depths[pixel].is_finite());
+            let known = known.filter(|&&pixel| least == 0 || taken.insert(pixel));
+            let found = known.filter_map(|&pixel| Some((pixel, agreed(pixel)?)));
+            spots.add(&own, found.take(share));
         }
         let (model, rng) = (self.info.colour_model, &mut context.rng);
         let added = match context.config.refine.add_as {
@@ -236,10 +244,14 @@ fn min_pixels(per_megapixel: usize, pixels: usize) -> usize {
     (per_megapixel as f64 * pixels as f64 / 1e6) as usize
 }
 
-/// [H × W] squared error summed over channels.
-pub fn squared_error(rendered: &Render, target: Tensor<3>) -> Vec<f32> {
-    let difference = rendered.composite.image.clone() - target;
-    tensor_to_rows(&(difference.clone() * difference).sum_dim(0))
+/// [H × W] squared error summed over channels; 0 where pixels do not count.
+pub fn squared_error(rendered: &Render, target: &Target) -> Vec<f32> {
+    let difference = rendered.composite.image.clone() - target.image.clone();
+    let error = (difference.clone() * difference).sum_dim(0);
+    tensor_to_rows(&match &target.mask {
+        Some(mask) => mask.filled(error, 0.0),
+        None => error,
+    })
 }
 
 /// [H × W] mean depth at each pixel of the Gaussians in front of the last of `limits` [K, H, W], weighted by their α, in
@@ -266,20 +278,19 @@ struct Spots {
     positions: Vec<[f32; 3]>,
     /// World units per px.
     pixel_sizes: Vec<f32>,
-    /// Of the photograph.
+    /// Of the photograph, without what its exposure has changed.
     colours: Vec<[f32; 3]>,
 }
 
 impl Spots {
-    /// Adds pixels of `view` at their depths, world units.
-    fn add(&mut self, view: &View, pixels: impl Iterator<Item = (usize, f64)>) {
-        let (camera, planes) = (&view.camera, &view.picture.planes);
-        let area = camera.width * camera.height;
+    /// Adds pixels of a view at their depths, world units.
+    fn add(&mut self, seen: &Seen<'_>, pixels: impl Iterator<Item = (usize, f64)>) {
+        let camera = seen.camera;
         for (pixel, depth) in pixels {
             let (x, y) = ((pixel % camera.width) as f64 + 0.5, (pixel / camera.width) as f64 + 0.5);
             self.positions.push(camera.unproject(x, y, depth).as_vec3().to_array());
             self.pixel_sizes.push((depth / camera.fx.max(camera.fy)) as f32);
-            self.colours.push([0, 1, 2].map(|channel| planes[channel * area + pixel]));
+            self.colours.push(seen.colour(pixel));
         }
     }
 }
@@ -296,7 +307,8 @@ mod tests {
     fn the_depth_of_gaussians_is_their_mean_where_they_are() {
         let camera_from_world = CameraFromWorld::look_at(DVec3::new(0.0, 0.0, -1.0), DVec3::ZERO, -DVec3::Y);
         let (width, height) = (16, 8);
-        let camera = Camera { camera_from_world, fx: 16.0, fy: 16.0, cx: 8.0, cy: 4.0, width, height, near: 0.01 };
+        let camera =
+            Camera { camera_from_world, fx: 16.0, fy: 16.0, cx: 8.0, cy: 4.0, width, height, near: 0.01, lens: None };
         // in the middle at depths 1 and 3, as wide on the screen and as opaque; on the right behind the limit
         let scales = [0.1f32, 0.1, 1e-4, 0.3, 0.3, 1e-4, 0.1, 0.1, 1e-4];
         let gaussians = GaussianData {

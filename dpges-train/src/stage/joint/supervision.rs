@@ -1,6 +1,8 @@
 //! Targets of the geometry losses: depths and normals of the discs that the surfels come from (DP-GES, geometry).
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
+use dpges_core::camera::Camera;
+use dpges_core::counters::transfers::upload;
 use dpges_core::losses::geometry::{Supervision, expected_depth};
 use dpges_core::ops::blend::Maps;
 use dpges_core::render::Values;
@@ -9,51 +11,86 @@ use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{GaussianData, Gaussians, Rendering};
 
 use super::super::{Context, TrainError};
+use crate::dataset::View;
 
-/// Depth and normal of every training view, in host memory.
+/// Numbers per pixel: a depth and a normal.
+const NUMBERS: usize = 4;
+
+/// Depth and normal of every training view: in host memory as far as there is room, and rendered when they are needed
+/// otherwise.
 pub struct Supervisions {
-    discs: GaussianData,
-    /// Depth [H × W], world units, and unit normal [3 × H × W].
-    views: Vec<[Vec<f32>; 2]>,
-    /// Height and width of every view, px.
-    sizes: Vec<[usize; 2]>,
+    data: GaussianData,
+    discs: Discs,
+    /// `None` for views that are rendered again.
+    views: Vec<Option<DepthAndNormal>>,
 }
 
+/// The discs on a device.
+struct Discs {
+    gaussians: Gaussians,
+    options: BlendedOptions,
+}
+
+/// Depth [H × W], world units, and unit normal [3 × H × W].
+type DepthAndNormal = [Vec<f32>; 2];
+
 impl Supervisions {
-    /// Renders `discs` in every training view.
+    /// Of `discs`, which are rendered in the training views that there is room for.
     ///
     /// # Errors
     /// [`TrainError::Core`] if they cannot be rendered.
     pub fn new(discs: &GaussianData, context: &Context) -> Result<Self, TrainError> {
         let (dataset, info) = (&context.dataset, context.scene_info(Rendering::Discs));
-        let gaussians = Gaussians::from_data(discs, &context.device, DType::F32);
         let mut options = BlendedOptions::new(&info)?;
         options.blend.maps = true;
+        let on_device = Discs { gaussians: Gaussians::from_data(discs, &context.device, DType::F32), options };
+        let mut room = dataset.spare_memory;
         let mut views = Vec::with_capacity(dataset.train.len());
-        let mut sizes = Vec::with_capacity(dataset.train.len());
         for view in &dataset.train {
-            let rendered = render_blended(&gaussians, None, &view.camera, &options, Values::KnownFinite)?;
-            let Some(Maps { depth, normal, .. }) = rendered.blend.maps else { unreachable!("maps were asked for") };
-            let depth = expected_depth(depth, rendered.blend.alpha);
-            let length = (normal.clone() * normal.clone()).sum_dim(0).sqrt().clamp_min(1e-6);
-            views.push([tensor_to_rows(&depth), tensor_to_rows(&(normal / length))]);
-            sizes.push([view.camera.height, view.camera.width]);
+            let bytes = NUMBERS * size_of::<f32>() * view.camera.width * view.camera.height;
+            let left = room.checked_sub(bytes);
+            views.push(left.map(|_| on_device.seen_by(&view.camera)).transpose()?);
+            room = left.unwrap_or(room);
         }
-        Ok(Self { discs: discs.clone(), views, sizes })
+        let again = views.iter().filter(|view| view.is_none()).count();
+        if again > 0 {
+            tracing::info!(
+                "depths and normals of {again} of {} views are rendered when they are needed, since they do not fit into \
+                 memory (data.memory)",
+                views.len()
+            );
+        }
+        Ok(Self { data: discs.clone(), discs: on_device, views })
     }
 
     /// The discs that were rendered.
     pub fn discs(&self) -> &GaussianData {
-        &self.discs
+        &self.data
     }
 
-    /// The target of the training view with index `view`, on `device`.
-    pub fn of(&self, view: usize, device: &Device) -> Supervision {
-        let [height, width] = self.sizes[view];
-        let [depth, normal] = &self.views[view];
-        let tensor = |values: &Vec<f32>, planes: usize| -> Tensor<3> {
-            Tensor::from_data(TensorData::new(values.clone(), [planes, height, width]), (device, DType::F32))
+    /// The target of the training `view` with this `index`, on `device`.
+    ///
+    /// # Errors
+    /// [`dpges_core::Error`] if it cannot be rendered.
+    pub fn of(&self, index: usize, view: &View, device: &Device) -> dpges_core::Result<Supervision> {
+        let Camera { width, height, .. } = view.camera;
+        let [depth, normal] = match &self.views[index] {
+            Some(maps) => maps.clone(),
+            None => self.discs.seen_by(&view.camera)?,
         };
-        Supervision { depth: tensor(depth, 1), normal: tensor(normal, 3) }
+        let tensor = |values: Vec<f32>, planes: usize| -> Tensor<3> {
+            Tensor::from_data(upload(TensorData::new(values, [planes, height, width])), (device, DType::F32))
+        };
+        Ok(Supervision { depth: tensor(depth, 1), normal: tensor(normal, 3) })
+    }
+}
+
+impl Discs {
+    fn seen_by(&self, camera: &Camera) -> dpges_core::Result<DepthAndNormal> {
+        let rendered = render_blended(&self.gaussians, None, camera, &self.options, Values::KnownFinite)?;
+        let Some(Maps { depth, normal, .. }) = rendered.blend.maps else { unreachable!("maps were asked for") };
+        let depth = expected_depth(depth, rendered.blend.alpha);
+        let length = (normal.clone() * normal.clone()).sum_dim(0).sqrt().clamp_min(1e-6);
+        Ok([tensor_to_rows(&depth), tensor_to_rows(&(normal / length))])
     }
 }

@@ -89,7 +89,7 @@ pub trait Projected<T: Real>: Copy + Send + Sync {
 
     fn colour(&self) -> V3<T>;
 
-    /// Camera-space z of the centre.
+    /// Depth of the centre.
     fn centre_depth(&self) -> T;
 
     /// Point that offsets are counted from, px.
@@ -201,7 +201,7 @@ impl<T: Real> Projected<T> for Ellipse<T> {
         };
         let mut grad = splat::backward(&view.camera, parameters, &self.0, &sum, view.filter);
         if let [.., of_depth] = *sums.maps {
-            grad.position = add(grad.position, scale(view.camera.rotation[2], of_depth));
+            grad.position = add(grad.position, scale(view.camera.depth_slope(parameters.position), of_depth));
         }
         grad
     }

@@ -18,7 +18,7 @@ use crate::gpu::launch::{buffer, cube_dim, empty_f32, empty_u32, units};
 use crate::gpu::record::{Record, record};
 use crate::gpu::rect::Rect;
 use crate::gpu::vector::{Mat3, Vec3, apply, dot, rotation, row3, row4, scale, transpose, vec3};
-use crate::gpu::view::{CameraUniforms, Rests, pixel_range, to_camera, view_rotation};
+use crate::gpu::view::{CameraUniforms, Rests, pixel_range, to_camera, view_depth, view_rotation};
 use crate::ops::blend::{BlendLists, BlendOptions, Form};
 use crate::tiles::TileGrid;
 
@@ -130,7 +130,7 @@ fn features_kernel(
     let normal = own_normal(axes, log_scales, form);
     let facing = scale(normal, facing_sign(normal, centre));
     let o = rank * FEATURES;
-    let payload = Payload { colour: row3(colours, i), depth: centre.z, normal: facing };
+    let payload = Payload { colour: row3(colours, i), depth: view_depth(view, centre), normal: facing };
     Payload::store(payload, features, o);
     if comptime!(form == Form::Discs) {
         let visible = centre.z > view.near;

@@ -8,7 +8,7 @@ use crate::camera::Camera;
 use crate::gpu::launch::{buffer, cube_dim, empty_u32, units};
 use crate::gpu::sort::sorted_pairs;
 use crate::gpu::vector::row3;
-use crate::gpu::view::{CameraUniforms, to_camera};
+use crate::gpu::view::{CameraUniforms, to_camera, view_depth};
 
 /// Bits of the depth of every primitive. As integers they ascend with positive depth, and negative depths
 /// come last.
@@ -19,7 +19,7 @@ fn keys_kernel(positions: &[f32], keys: &mut [u32], order: &mut [u32], view: Cam
         terminate!();
     }
     let centre = to_camera(view, row3(positions, i));
-    keys[i] = u32::reinterpret(centre.z);
+    keys[i] = u32::reinterpret(view_depth(view, centre));
     order[i] = i as u32;
 }
 

@@ -16,7 +16,7 @@ use crate::gpu::record::Record;
 use crate::gpu::vector::{
     Mat3, Vec3, add3, apply, dot, rotation, rotation_backward, row3, row4, scale, transpose, vec3, write3,
 };
-use crate::gpu::view::{CameraUniforms, to_camera, view_rotation};
+use crate::gpu::view::{CameraUniforms, depth_slope, to_camera, view_rotation};
 use crate::ops::blend::{BlendInput, Form};
 use crate::scene::ScreenFilter;
 
@@ -110,7 +110,7 @@ fn rest_kernel(
         n_z = select(first || second, 0.0f32, towards.z);
     }
     if comptime!(form == Form::Ellipsoids) {
-        let moved = scale(pose.row2, rest[beside]);
+        let moved = scale(depth_slope(view, centre), rest[beside]);
         add3(grad_positions, i, moved);
     } else {
         let (scale_u, scale_v) = (bounded_scale(log_scales.x), bounded_scale(log_scales.y));

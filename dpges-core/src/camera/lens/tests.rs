@@ -1,0 +1,185 @@
+use std::f64::consts::FRAC_PI_2;
+
+use approx::assert_relative_eq;
+
+use super::*;
+use crate::testing::lenses::every_model;
+use crate::testing::random::Random;
+
+/// Points that a lens sees, at every angle up to its limit, on and off its axis.
+fn points(lens: &Lens, count: usize) -> Vec<[f64; 3]> {
+    let mut random = Random::new(17);
+    let mut points = vec![[0.0, 0.0, 0.7], [1e-9, 0.0, 1.3], [1e-4, -2e-4, 0.9]];
+    while points.len() < count {
+        let point: [f64; 3] = std::array::from_fn(|_| random.normal());
+        let [a, b] = lens.undistorted(point).unwrap_or([f64::INFINITY; 2]);
+        if a.hypot(b) < 0.98 * lens.limit().min(3.0) {
+            points.push(point);
+        }
+    }
+    points
+}
+
+#[test]
+fn rays_lead_back_to_the_points_that_they_show() {
+    for (name, distortion) in every_model() {
+        let lens = Lens::new(distortion);
+        assert!(lens.is_sound() && lens.limit() > 0.8, "{name}: {}", lens.limit());
+        for point in points(&lens, 300) {
+            let ray = lens.ray(lens.position(point).unwrap()).unwrap_or_else(|| panic!("{name}: no ray to {point:?}"));
+            for axis in 0..3 {
+                assert_relative_eq!(lens.depth(point) * ray[axis], point[axis], epsilon = 1e-8, max_relative = 1e-8);
+            }
+        }
+    }
+}
+
+#[test]
+fn jacobians_are_central_differences() {
+    const STEP: f64 = 1e-6;
+    for (name, distortion) in every_model() {
+        let lens = Lens::new(distortion);
+        for point in points(&lens, 200) {
+            let seen = lens.look(point).unwrap();
+            assert_eq!(seen.position, lens.position(point).unwrap());
+            for k in 0..3 {
+                let at = |step: f64| {
+                    let mut moved = point;
+                    moved[k] += step;
+                    lens.position(moved).unwrap()
+                };
+                let (above, below) = (at(STEP), at(-STEP));
+                for i in 0..2 {
+                    let slope = (above[i] - below[i]) / (2.0 * STEP);
+                    let found = seen.jacobian[i][k];
+                    assert!(
+                        (found - slope).abs() < 1e-5 * (1.0 + slope.abs()),
+                        "{name} at {point:?}: {found}, {slope}"
+                    );
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn the_way_back_is_a_central_difference_of_position_and_jacobian() {
+    const STEP: f64 = 1e-6;
+    let mut random = Random::new(5);
+    for (name, distortion) in every_model() {
+        let lens = Lens::new(distortion);
+        for point in points(&lens, 200) {
+            let grad_position: [f64; 2] = std::array::from_fn(|_| random.normal());
+            let grad_jacobian: [[f64; 3]; 2] = std::array::from_fn(|_| std::array::from_fn(|_| random.normal()));
+            let loss = |point: [f64; 3]| {
+                let seen = lens.look(point).unwrap();
+                (0..2)
+                    .map(|i| {
+                        let of_jacobian: f64 = (0..3).map(|k| seen.jacobian[i][k] * grad_jacobian[i][k]).sum();
+                        seen.position[i] * grad_position[i] + of_jacobian
+                    })
+                    .sum::<f64>()
+            };
+            let found = lens.look_backward(point, grad_position, grad_jacobian);
+            for k in 0..3 {
+                let at = |step: f64| {
+                    let mut moved = point;
+                    moved[k] += step;
+                    loss(moved)
+                };
+                let slope = (at(STEP) - at(-STEP)) / (2.0 * STEP);
+                let size = slope.abs().max(found.iter().fold(1.0, |most: f64, v| most.max(v.abs())));
+                assert!((found[k] - slope).abs() < 1e-5 * size, "{name} at {point:?}: {}, {slope}", found[k]);
+            }
+        }
+    }
+}
+
+#[test]
+fn models_are_those_of_colmap() {
+    let point = [0.9, -0.5, 0.8];
+    let [x, y, z] = point;
+    let (a, b) = (x / z, y / z);
+    let models = every_model();
+    let position = |model: usize| Lens::new(models[model].1).position(point).unwrap();
+
+    let r2 = a * a + b * b;
+    let radial = 1.0 - 0.2 * r2 + 0.05 * r2 * r2;
+    let [found_x, found_y] = position(2);
+    assert_relative_eq!(found_x, a * radial + 2.0 * 0.003 * a * b - 0.004 * (r2 + 2.0 * a * a), epsilon = 1e-12);
+    assert_relative_eq!(found_y, b * radial + 0.003 * (r2 + 2.0 * b * b) - 2.0 * 0.004 * a * b, epsilon = 1e-12);
+
+    let radius = x.hypot(y);
+    let theta = radius.atan2(z);
+    let t2 = theta * theta;
+    let bent = theta * (1.0 + 0.04 * t2 - 0.012 * t2 * t2 + 0.003 * t2.powi(3) - 0.0002 * t2.powi(4));
+    let [found_x, found_y] = position(4);
+    assert_relative_eq!(found_x, bent * x / radius, epsilon = 1e-12);
+    assert_relative_eq!(found_y, bent * y / radius, epsilon = 1e-12);
+
+    let (u, v) = (theta * x / radius, theta * y / radius);
+    let bulge = 0.02 * t2 - 0.01 * t2 * t2 + 0.001 * t2.powi(3);
+    let [found_x, found_y] = position(7);
+    let across = u + u * bulge + 2.0 * 0.002 * u * v - 0.001 * (t2 + 2.0 * u * u) + 0.003 * t2;
+    let down = v + v * bulge - 2.0 * 0.001 * u * v + 0.002 * (t2 + 2.0 * v * v) - 0.002 * t2;
+    assert_relative_eq!(found_x, across, epsilon = 1e-12);
+    assert_relative_eq!(found_y, down, epsilon = 1e-12);
+
+    let (omega, r) = (1.3f64, r2.sqrt());
+    let factor = (2.0 * r * (0.5 * omega).tan()).atan() / (r * omega);
+    let [found_x, found_y] = position(8);
+    assert_relative_eq!(found_x, a * factor, epsilon = 1e-12);
+    assert_relative_eq!(found_y, b * factor, epsilon = 1e-12);
+}
+
+#[test]
+fn a_fisheye_sees_behind_the_camera_and_a_perspective_lens_does_not() {
+    let fisheye = Lens::new(Distortion::new(Projection::Equidistant));
+    let [x, y] = fisheye.position([0.3, 0.0, -0.2]).unwrap();
+    assert_relative_eq!(x, FRAC_PI_2 + (0.2f64 / 0.3).atan(), epsilon = 1e-12);
+    assert_eq!(y, 0.0);
+    assert_relative_eq!(fisheye.depth([0.3, 0.0, -0.4]), 0.5, epsilon = 1e-15);
+    assert!(fisheye.position([0.01, 0.0, -1.0]).is_none());
+    let perspective = Lens::new(every_model()[0].1);
+    assert!(perspective.position([0.01, 0.0, -1.0]).is_none());
+    assert_eq!(perspective.depth([0.3, 0.0, 0.4]), 0.4);
+}
+
+#[test]
+fn a_lens_ends_where_it_would_fold() {
+    // r (1 − 0.12 r²) turns back at r² = 1 / 0.36
+    let lens = Lens::new(every_model()[0].1);
+    let fold = (1.0f64 / 0.36).sqrt();
+    assert_relative_eq!(lens.limit(), fold, epsilon = 1e-6);
+    assert!(lens.position([0.99 * fold, 0.0, 1.0]).is_some() && lens.position([1.01 * fold, 0.0, 1.0]).is_none());
+    let end = lens.radial(lens.limit());
+    assert!(lens.ray([0.999 * end, 0.0]).is_some() && lens.ray([0.0, 1.001 * end]).is_none());
+    // beyond, the nearest ray is that at the end
+    let nearest = lens.nearest_ray([0.0, 1.5 * end]);
+    assert_relative_eq!(nearest[1], lens.limit(), epsilon = 1e-12);
+    assert_eq!((nearest[0], nearest[2]), (0.0, 1.0));
+}
+
+#[test]
+fn lenses_that_show_nothing_are_unsound() {
+    let perspective = Distortion::new(Projection::Perspective);
+    for distortion in [
+        Distortion { numerator: [f64::NAN, 0.0, 0.0, 0.0], ..perspective },
+        Distortion { tangential: [0.0, f64::INFINITY], ..perspective },
+        Distortion { denominator: [1e60, 0.0, 0.0], ..perspective },
+        Distortion::new(Projection::FieldOfView(0.0)),
+        Distortion::new(Projection::FieldOfView(4.0)),
+        Distortion::new(Projection::FieldOfView(f64::NAN)),
+    ] {
+        assert!(!Lens::new(distortion).is_sound(), "{distortion:?}");
+    }
+}
+
+#[test]
+fn a_lens_is_stored_as_its_coefficients() {
+    for (name, distortion) in every_model() {
+        let lens = Lens::new(distortion);
+        let text = serde_json::to_string(&lens).unwrap();
+        assert_eq!(serde_json::from_str::<Lens>(&text).unwrap(), lens, "{name}: {text}");
+    }
+}

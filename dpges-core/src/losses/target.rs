@@ -1,0 +1,119 @@
+//! What renders are compared with: photographs, and which of their pixels count.
+
+use burn::tensor::{DType, Device, Tensor, TensorData};
+
+use crate::counters::transfers::upload;
+use crate::error::{Error, Result};
+
+/// Which pixels of a view count, on a device.
+#[derive(Clone, Debug)]
+pub struct Mask {
+    /// [1, H, W] 1 where a pixel does not count, else 0.
+    ignored: Tensor<3>,
+    /// Number of all pixels over the number of those that count.
+    pixels_per_counted: f64,
+}
+
+impl Mask {
+    /// `counted` [H × W], row by row: whether a pixel of a view of `width` × `height` px counts.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] if these are not as many pixels, [`Error::Option`] if none of them counts.
+    pub fn new(counted: &[bool], width: usize, height: usize, device: &Device) -> Result<Self> {
+        if counted.len() != width * height {
+            let (expected, found) = (format!("[{height} × {width}]"), vec![counted.len()]);
+            return Err(Error::Shape { tensor: "mask".to_owned(), expected, found });
+        }
+        let count = counted.iter().filter(|&&counts| counts).count();
+        if count == 0 {
+            let expected = "a pixel that counts".to_owned();
+            return Err(Error::Option { option: "mask", expected, found: "none".to_owned() });
+        }
+        let ignored: Vec<f32> = counted.iter().map(|&counts| if counts { 0.0 } else { 1.0 }).collect();
+        let data = TensorData::new(ignored, [1, height, width]);
+        Ok(Self {
+            ignored: Tensor::from_data(upload(data), (device, DType::F32)),
+            pixels_per_counted: counted.len() as f64 / count as f64,
+        })
+    }
+
+    /// The same without a tape.
+    #[must_use]
+    pub fn inner(self) -> Self {
+        Self { ignored: self.ignored.inner(), ..self }
+    }
+
+    /// `image` [C, H, W] with `value`, without gradient, where pixels do not count.
+    pub fn filled(&self, image: Tensor<3>, value: f64) -> Tensor<3> {
+        let ignored = self.ignored.clone().repeat_dim(0, image.dims()[0]).greater_elem(0.5);
+        image.mask_fill(ignored, value)
+    }
+
+    /// `image` [C, H, W] with the values of `other`, which has its shape, where pixels do not count.
+    pub fn replaced(&self, image: Tensor<3>, other: Tensor<3>) -> Tensor<3> {
+        let ignored = self.ignored.clone().repeat_dim(0, image.dims()[0]).greater_elem(0.5);
+        image.mask_where(ignored, other)
+    }
+
+    /// The mean `[1]` over the pixels that count, from `mean` over all pixels of what is 0 where they do not.
+    pub fn of_counted(&self, mean: Tensor<1>) -> Tensor<1> {
+        mean * self.pixels_per_counted
+    }
+
+    /// Number of all pixels over the number of those that count.
+    pub fn pixels_per_counted(&self) -> f64 {
+        self.pixels_per_counted
+    }
+}
+
+/// Mean `[1]` of `values` [C, H, W] over the pixels that count.
+pub fn mean_of_counted(values: Tensor<3>, mask: Option<&Mask>) -> Tensor<1> {
+    match mask {
+        None => values.mean(),
+        Some(mask) => mask.of_counted(mask.filled(values, 0.0).mean()),
+    }
+}
+
+/// A photograph, and which of its pixels count.
+#[derive(Clone, Debug)]
+pub struct Target {
+    /// [3, H, W]
+    pub image: Tensor<3>,
+    /// `None` if all pixels count.
+    pub mask: Option<Mask>,
+}
+
+impl From<Tensor<3>> for Target {
+    /// All pixels count.
+    fn from(image: Tensor<3>) -> Self {
+        Self { image, mask: None }
+    }
+}
+
+impl Target {
+    /// The same without a tape.
+    #[must_use]
+    pub fn inner(self) -> Self {
+        Self { image: self.image.inner(), mask: self.mask.map(Mask::inner) }
+    }
+
+    /// `of` a `render` [3, H, W] and the photograph, a mean over all pixels, as mean `[1]` over those that count.
+    ///
+    /// Where pixels do not count, `of` sees the render in both, without gradient: there they are equal, no window across
+    /// the border of the mask sees an edge that only one of them has, and what the photograph shows there is of no effect.
+    ///
+    /// # Errors
+    /// Those of `of`.
+    pub(super) fn compared(
+        &self,
+        render: Tensor<3>,
+        of: impl FnOnce(Tensor<3>, Tensor<3>) -> Result<Tensor<1>>,
+    ) -> Result<Tensor<1>> {
+        let Some(mask) = self.mask.as_ref().filter(|_| render.dims() == self.image.dims()) else {
+            return of(render, self.image.clone());
+        };
+        let fixed = render.clone().detach();
+        let image = mask.replaced(render, fixed.clone());
+        Ok(mask.of_counted(of(image, mask.replaced(self.image.clone(), fixed))?))
+    }
+}

@@ -1,0 +1,127 @@
+use burn::tensor::{DType, Tensor};
+
+use super::geometry::{Supervision, normal_consistency};
+use super::{LossWeights, Mask, Target, losses, rgb};
+use crate::metrics::{mean_ssim, psnr};
+use crate::render::{RenderOptions, render};
+use crate::testing::device;
+use crate::testing::golden::values;
+use crate::testing::gradients::leaf;
+use crate::testing::random::Random;
+use crate::testing::scenes::{self, Recipe};
+
+const WIDTH: usize = 23;
+const HEIGHT: usize = 19;
+const AREA: usize = WIDTH * HEIGHT;
+
+/// A rectangle in the middle and a column at the border do not count.
+fn counted() -> Vec<bool> {
+    let is_ignored = |x: usize, y: usize| ((6..15).contains(&x) && (4..12).contains(&y)) || x + 1 == WIDTH;
+    (0..AREA).map(|at| !is_ignored(at % WIDTH, at / WIDTH)).collect()
+}
+
+fn mask(counted: &[bool]) -> Mask {
+    Mask::new(counted, WIDTH, HEIGHT, &device()).unwrap()
+}
+
+fn image(values: &[f64]) -> Tensor<3> {
+    leaf(values, [3, HEIGHT, WIDTH], &device())
+}
+
+/// `values` [3 × H × W] with `others` where pixels do not count.
+fn overpainted(values: &[f64], others: &[f64]) -> Vec<f64> {
+    let counted = counted();
+    (0..3 * AREA).map(|at| if counted[at % AREA] { values[at] } else { others[at] }).collect()
+}
+
+#[test]
+fn what_a_photograph_shows_where_pixels_do_not_count_is_of_no_effect() {
+    let mut random = Random::new(3);
+    let [shown, photograph, garbage] = [0; 3].map(|_| random.numbers(3 * AREA, 0.0, 1.0));
+    let of = |photograph: &[f64]| {
+        let shown = image(&shown);
+        let target = Target { image: image(photograph).detach(), mask: Some(mask(&counted())) };
+        let loss = rgb(shown.clone(), target, 0.2).unwrap();
+        (values(&loss), values(&shown.grad(&loss.backward()).unwrap()))
+    };
+    let (loss, gradient) = of(&photograph);
+    assert_eq!((loss.clone(), gradient.clone()), of(&overpainted(&photograph, &garbage)));
+    for (at, gradient) in gradient.iter().enumerate() {
+        assert_eq!(*gradient != 0.0, counted()[at % AREA], "pixel {}", at % AREA);
+    }
+    let other: Vec<f64> = photograph.iter().map(|value| 1.0 - value).collect();
+    assert_ne!(loss, of(&other).0);
+}
+
+#[test]
+fn means_are_those_over_the_pixels_that_count() {
+    let (shown, photograph) = (vec![0.5; 3 * AREA], vec![0.25; 3 * AREA]);
+    let target = |counted: &[bool]| Target { image: image(&photograph).detach(), mask: Some(mask(counted)) };
+    let loss = rgb(image(&shown), target(&counted()), 0.0).unwrap();
+    approx::assert_relative_eq!(values(&loss)[0], 0.25, max_relative = 1e-12);
+    let decibels = psnr(image(&overpainted(&shown, &vec![0.9; 3 * AREA])), target(&counted()));
+    approx::assert_relative_eq!(decibels, -20.0 * 0.25f64.log10(), max_relative = 1e-12);
+
+    let mut random = Random::new(4);
+    let [shown, photograph] = [0; 2].map(|_| random.numbers(3 * AREA, 0.0, 1.0));
+    let all = Target { image: image(&photograph).detach(), mask: Some(mask(&[true; AREA])) };
+    let plain = rgb(image(&shown), image(&photograph).detach(), 0.2).unwrap();
+    assert_eq!(values(&rgb(image(&shown), all.clone(), 0.2).unwrap()), values(&plain));
+    let similarity = mean_ssim(image(&shown), image(&photograph)).unwrap();
+    approx::assert_relative_eq!(mean_ssim(image(&shown), all).unwrap(), similarity, epsilon = 1e-12);
+}
+
+#[test]
+fn scores_depend_on_pixels_that_count_alone() {
+    let mut random = Random::new(5);
+    let [shown, photograph, garbage, others] = [0; 4].map(|_| random.numbers(3 * AREA, 0.0, 1.0));
+    let scores = |shown: &[f64], photograph: &[f64]| {
+        let target = Target { image: image(photograph).detach(), mask: Some(mask(&counted())) };
+        (psnr(image(shown).detach(), target.clone()), mean_ssim(image(shown).detach(), target).unwrap())
+    };
+    let found = scores(&shown, &photograph);
+    assert_eq!(found, scores(&overpainted(&shown, &others), &overpainted(&photograph, &garbage)));
+    assert!(found.1 < 0.5, "two pictures of noise are not alike: {}", found.1);
+    approx::assert_relative_eq!(scores(&shown, &overpainted(&shown, &garbage)).1, 1.0, epsilon = 1e-12);
+}
+
+#[test]
+fn all_terms_of_a_view_leave_out_what_does_not_count() {
+    let recipe = Recipe { surfels: 12, gaussians: 20, width: WIDTH, height: HEIGHT, ..Recipe::default() };
+    let scene = scenes::random(11, &recipe);
+    let mut random = Random::new(6);
+    let [photograph, garbage] = [0; 2].map(|_| random.numbers(3 * AREA, 0.0, 1.0));
+    let weights = LossWeights { surfel: 0.5, transmittance: 0.5, ..LossWeights::default() };
+    let total = |photograph: &[f64]| {
+        let (surfels, gaussians) = scene.tensors(&device(), DType::F64);
+        let (surfels, gaussians) = (surfels.require_grad(), gaussians.require_grad());
+        let rendered = render(&surfels, &gaussians, &scene.camera, &RenderOptions::default()).unwrap();
+        let target = Target { image: image(photograph).detach(), mask: Some(mask(&counted())) };
+        let total = losses(&rendered, surfels.log_scales.clone(), target, &weights).unwrap().total;
+        let gradients = total.backward();
+        (values(&total), surfels.positions.grad(&gradients).map(|gradient| values(&gradient)))
+    };
+    let found = total(&photograph);
+    assert!(found.1.as_ref().is_some_and(|gradient| gradient.iter().any(|&g| g != 0.0)), "a surfel is seen");
+    assert_eq!(found, total(&overpainted(&photograph, &garbage)));
+}
+
+#[test]
+fn geometry_is_unknown_where_pixels_do_not_count() {
+    let ones = |planes: usize| Tensor::<3>::ones([planes, HEIGHT, WIDTH], (&device(), DType::F64));
+    let mask = mask(&counted());
+    let Supervision { depth, normal } = Supervision { depth: ones(1), normal: ones(3) }.within(&mask);
+    let expected: Vec<f64> = counted().iter().map(|&counts| f64::from(u8::from(counts))).collect();
+    assert_eq!((values(&depth), values(&normal)), (expected.clone(), expected.repeat(3)));
+    // 1 − N · Ñ is −2 where it counts
+    let consistency = normal_consistency(ones(3), ones(3), ones(1), Some(&mask));
+    approx::assert_relative_eq!(values(&consistency)[0], -2.0, max_relative = 1e-12);
+}
+
+#[test]
+fn masks_of_no_use_are_refused() {
+    let none = Mask::new(&[false; AREA], WIDTH, HEIGHT, &device()).unwrap_err().to_string();
+    assert!(none.contains("mask") && none.contains("none"), "{none}");
+    let few = Mask::new(&[true; 3], WIDTH, HEIGHT, &device()).unwrap_err().to_string();
+    assert!(few.contains("mask") && few.contains("19"), "{few}");
+}

@@ -1,0 +1,208 @@
+//! Each fault is named and nothing else is; a dataset without faults has no findings.
+
+use dpges_core::camera::{Camera, CameraFromWorld};
+use glam::DVec3;
+
+use super::map::Map;
+use super::*;
+use crate::dataset::{BuiltinOptions, Picture, View, builtin};
+
+/// Width and height of the photographs, px.
+const SIZE: [usize; 2] = [96; 2];
+
+fn clean() -> Dataset {
+    builtin(&BuiltinOptions::default())
+}
+
+fn full(dataset: &Dataset) -> Report {
+    Report::of(dataset, Effort::Full).unwrap()
+}
+
+/// Changes the planes [3, H, W] of a photograph.
+fn repaint(view: &mut View, change: impl FnOnce(&mut [f32])) {
+    view.repaint(|picture| {
+        let mut planes = picture.planes();
+        change(&mut planes);
+        *picture = Picture::from_planes(&planes, picture.width, picture.height);
+    })
+    .unwrap();
+}
+
+/// Kinds and views of all findings.
+fn found(dataset: &Dataset) -> Vec<(Kind, Vec<String>)> {
+    full(dataset).findings.into_iter().map(|finding| (finding.kind, finding.views)).collect()
+}
+
+/// The mean of each pixel and its neighbours in both directions, or along rows alone.
+fn blur(planes: &mut [f32], [width, height]: [usize; 2], along_rows_only: bool) {
+    for channel in planes.chunks_exact_mut(width * height) {
+        let original = channel.to_vec();
+        let reach = if along_rows_only { 0 } else { 1 };
+        for y in 0..height {
+            for x in 0..width {
+                let rows = y.saturating_sub(reach)..=(y + reach).min(height - 1);
+                let columns = x.saturating_sub(1)..=(x + 1).min(width - 1);
+                let (mut sum, mut count) = (0.0, 0.0);
+                for row in rows {
+                    for column in columns.clone() {
+                        sum += original[row * width + column];
+                        count += 1.0;
+                    }
+                }
+                channel[y * width + x] = sum / count;
+            }
+        }
+    }
+}
+
+#[test]
+fn a_clean_dataset_has_no_findings() {
+    let dataset = clean();
+    let report = full(&dataset);
+    assert_eq!(report.findings, []);
+    assert_eq!((report.views.len(), report.points), (30, 2000));
+    assert!(report.views_per_point.unwrap() > 2.0);
+    let train = &report.views[0];
+    assert_eq!((train.name.as_str(), train.role), ("train_000", Role::Train));
+    assert!(train.points_seen.unwrap() > 100 && train.coverage.unwrap() > 0.5, "{train:?}");
+    let test = report.views.last().unwrap();
+    assert_eq!((test.role, test.points_seen, test.coverage, test.exposure), (Role::Test, None, None, None));
+    assert!(test.unexplained.unwrap() < 0.5 && test.sharpness.is_some(), "{test:?}");
+    assert_eq!(Report::of(&dataset, Effort::Quick).unwrap().findings, []);
+}
+
+#[test]
+fn a_blurred_photograph_is_named() {
+    for along_rows_only in [false, true] {
+        let mut dataset = clean();
+        for _ in 0..3 {
+            repaint(&mut dataset.train[5], |planes| blur(planes, SIZE, along_rows_only));
+        }
+        let report = full(&dataset);
+        assert_eq!(found(&dataset), [(Kind::Blurred, vec!["train_005".to_owned()])], "{report:?}");
+        assert!(report.findings[0].to_string().starts_with("a photograph is blurred: train_005 ("));
+        assert!(report.is_flagged("train_005") && !report.is_flagged("train_004"));
+    }
+}
+
+#[test]
+fn a_darker_photograph_is_named() {
+    let mut dataset = clean();
+    repaint(&mut dataset.train[4], |planes| planes.iter_mut().for_each(|value| *value *= 0.5));
+    assert_eq!(found(&dataset), [(Kind::Exposure, vec!["train_004".to_owned()])]);
+    let message = full(&dataset).findings[0].to_string();
+    assert!(message.contains("train_004 (-") && message.contains(" stops)"), "{message}");
+}
+
+#[test]
+fn brightness_that_varies_throughout_is_said_once() {
+    let mut dataset = clean();
+    for view in dataset.train.iter_mut().step_by(2) {
+        repaint(view, |planes| planes.iter_mut().for_each(|value| *value *= 0.6));
+    }
+    assert_eq!(found(&dataset), [(Kind::ExposureSpread, Vec::new())]);
+}
+
+#[test]
+fn a_photograph_that_is_there_twice_is_named() {
+    let mut dataset = clean();
+    let copy = View { name: "train_003 copy".to_owned(), ..dataset.train[3].clone() };
+    dataset.train.push(copy);
+    dataset.points.seen_by.iter_mut().filter(|seen_by| seen_by.contains(&3)).for_each(|seen_by| seen_by.push(24));
+    assert_eq!(found(&dataset), [(Kind::Duplicate, vec!["train_003 copy".to_owned()])]);
+    assert!(full(&dataset).findings[0].message.ends_with("train_003 copy (like train_003)"));
+    let other = View { camera: dataset.train[3].camera, name: "other".to_owned(), ..dataset.train[9].clone() };
+    dataset.train[24] = other;
+    let duplicates = full(&dataset).findings.into_iter().filter(|finding| finding.kind == Kind::Duplicate);
+    assert_eq!(duplicates.count(), 0, "another picture from the same place is none");
+}
+
+#[test]
+fn a_camera_far_from_the_rest_is_named() {
+    let mut dataset = clean();
+    let camera = &mut dataset.train[7].camera;
+    camera.camera_from_world = CameraFromWorld::look_at(DVec3::new(40.0, 0.0, 2.0), DVec3::ZERO, DVec3::Z);
+    let report = full(&dataset);
+    assert_eq!(report.findings[0].kind, Kind::FarPose);
+    assert_eq!(report.findings[0].views, ["train_007"]);
+    assert_eq!(report.findings.iter().filter(|finding| finding.kind == Kind::FarPose).count(), 1);
+}
+
+#[test]
+fn views_without_points_and_with_few_are_named() {
+    let mut dataset = clean();
+    let mut left = 5;
+    for seen_by in &mut dataset.points.seen_by {
+        seen_by.retain(|&view| match view {
+            2 => false,
+            6 if left == 0 => false,
+            6 => {
+                left -= 1;
+                true
+            }
+            _ => true,
+        });
+    }
+    let expected = [(Kind::NoPoints, vec!["train_002".to_owned()]), (Kind::FewPoints, vec!["train_006".to_owned()])];
+    assert_eq!(found(&dataset), expected);
+
+    dataset = clean();
+    dataset.points.seen_by.iter_mut().for_each(Vec::clear);
+    let camera = &mut dataset.test[1].camera;
+    let away = CameraFromWorld::look_at(camera.centre(), 2.0 * camera.centre(), DVec3::Z);
+    *camera = Camera { camera_from_world: away, ..*camera };
+    dataset.points.positions.retain(|point| DVec3::from_array(point.map(f64::from)).length() < 1.0);
+    dataset.points.colours.truncate(dataset.points.positions.len());
+    dataset.points.seen_by.truncate(dataset.points.positions.len());
+    let named = found(&dataset).into_iter().find(|(kind, _)| *kind == Kind::NoPoints);
+    assert_eq!(named, Some((Kind::NoPoints, vec!["test_001".to_owned()])), "it looks away from all points");
+}
+
+#[test]
+fn few_views_and_pictures_without_points_are_said() {
+    let mut dataset = builtin(&BuiltinOptions { train_views: 4, ..BuiltinOptions::default() });
+    assert_eq!(found(&dataset), [(Kind::FewViews, Vec::new())]);
+    dataset.points.positions.truncate(10);
+    dataset.points.colours.truncate(10);
+    dataset.points.seen_by.truncate(10);
+    let kinds: Vec<Kind> = found(&dataset).into_iter().map(|(kind, _)| kind).collect();
+    assert!(kinds.contains(&Kind::Unexplained) && kinds.contains(&Kind::FewViews), "{kinds:?}");
+}
+
+#[test]
+fn a_dataset_without_points_is_judged_by_its_pictures_and_poses() {
+    let mut dataset = clean();
+    dataset.points = Default::default();
+    repaint(&mut dataset.train[5], |planes| (0..3).for_each(|_| blur(planes, SIZE, false)));
+    let report = full(&dataset);
+    assert_eq!((report.points, report.views_per_point, report.range(|view| view.coverage)), (0, None, None));
+    assert_eq!(found(&dataset), [(Kind::Blurred, vec!["train_005".to_owned()])]);
+}
+
+#[test]
+fn a_map_is_upright_and_marks_what_was_found() {
+    let mut dataset = clean();
+    repaint(&mut dataset.train[5], |planes| (0..3).for_each(|_| blur(planes, SIZE, false)));
+    let map = Map::of(&dataset, &full(&dataset));
+    assert_eq!((map.cameras.len(), map.points.len()), (30, 2000));
+    // the cameras of the dome look down into the room
+    assert!(map.cameras.iter().all(|camera| camera.forward[2] < -0.1), "{:?}", map.cameras);
+    let flagged: Vec<&str> =
+        map.cameras.iter().filter(|camera| camera.is_flagged).map(|camera| camera.name.as_str()).collect();
+    assert_eq!(flagged, ["train_005"]);
+    let distance = |a: [f64; 3], b: [f64; 3]| DVec3::from_array(a).distance(DVec3::from_array(b));
+    let [a, b] = [0, 1].map(|index| dataset.train[index].camera.centre());
+    let on_map = distance(map.cameras[0].position, map.cameras[1].position);
+    assert!((on_map - a.distance(b)).abs() < 1e-9);
+}
+
+#[test]
+fn json_has_what_there_is() {
+    let dataset = clean();
+    let json = serde_json::to_value(full(&dataset)).unwrap();
+    let view = &json["views"][0];
+    assert_eq!((&view["name"], &view["role"]), (&"train_000".into(), &"train".into()));
+    assert_eq!((&view["width"], view["centre"].as_array().map(Vec::len)), (&96.into(), Some(3)));
+    assert!(view["sharpness"].is_f64() && view.get("thumbnail").is_none(), "{view}");
+    assert_eq!((&json["points"], &json["findings"]), (&2000.into(), &serde_json::json!([])));
+}

@@ -1,0 +1,139 @@
+//! `dpges sfm`: cameras for photographs that have none.
+
+mod display;
+pub mod options;
+
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use dpges_train::config::{Config, DataConfig};
+use dpges_train::dataset::{self, DatasetError};
+use dpges_train::sfm::{self, Input, Options, Outcome, Programs, Request, SfmError};
+
+use super::data::BUILTIN;
+use super::{Failure, Result, print, table};
+use crate::logging::LogStyle;
+use crate::progress::Seconds;
+use display::Display;
+use options::SfmOptions;
+
+/// Make a dataset of photographs or of a video: find their cameras, by COLMAP
+///
+/// `dpges train` does the same if it is given photographs or a video. COLMAP must be installed, and ffmpeg for a video. The
+/// dataset has the layout of COLMAP. If this is interrupted or a program fails, the same command goes on. RAYON_NUM_THREADS
+/// limits the threads of the programs.
+#[derive(Debug, Args)]
+pub struct SfmArgs {
+    /// Folder of JPEGs and PNGs, or of a folder `images` or `input` with them; or a video
+    photographs: PathBuf,
+    /// Folder of the dataset [default: NAME_colmap, beside the photographs or the video]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Replace the dataset in the folder if it was made of other photographs or with other options
+    #[arg(long)]
+    overwrite: bool,
+    #[command(flatten)]
+    options: SfmOptions,
+}
+
+pub fn run(args: &SfmArgs, style: LogStyle) -> Result<()> {
+    let config = Config::resolve_data(None, &args.options.assignments()).map_err(Failure::from_config)?;
+    let path = absolute(&args.photographs);
+    let input = Input::find(&path).ok_or_else(|| not_photographs(&path))?;
+    let out = match &args.out {
+        Some(out) => absolute(out),
+        None => sfm::dataset_beside(&input)?,
+    };
+    let outcome = reconstruct(&input, &out, &config, args.overwrite, style)?;
+    if style == LogStyle::Quiet { Ok(()) } else { print(&summary(&outcome)) }
+}
+
+/// What a command was asked to train on: if that is photographs or a video, the dataset is made of it, unless it has been.
+pub fn prepare(dataset: Option<&Path>, config: &DataConfig, style: LogStyle) -> Result<()> {
+    let Some(input) = dataset.and_then(input_of) else { return Ok(()) };
+    let outcome = reconstruct(&input, &sfm::dataset_beside(&input)?, config, false, style)?;
+    let Outcome { dataset, photographs, points, .. } = &outcome;
+    let placed = outcome.placed();
+    tracing::info!("{}: {placed} of {photographs} photographs have a place, {points} points", dataset.display());
+    Ok(())
+}
+
+/// The dataset that [`prepare`] makes of photographs or a video; `None` for anything else.
+pub fn dataset_of(path: &Path) -> Option<PathBuf> {
+    sfm::dataset_beside(&input_of(path)?).ok()
+}
+
+/// What photographs or a video are called.
+pub fn name_of(path: &Path) -> Option<OsString> {
+    input_of(path)?.name().map(Into::into)
+}
+
+/// An error of reading the dataset at `path`, with advice if there are no cameras yet.
+pub fn explained(error: DatasetError, path: &Path) -> Failure {
+    if Input::find(path).is_some() {
+        return Failure::with_help(error, format!("`dpges sfm {}` finds the cameras of photographs", path.display()));
+    }
+    if sfm::is_begun(path) && dataset::format(path).is_none() {
+        return Failure::with_help(error, "its cameras have not been found yet: repeat the command that began it");
+    }
+    error.into()
+}
+
+fn input_of(path: &Path) -> Option<Input> {
+    (path != Path::new(BUILTIN)).then(|| Input::find(&absolute(path))).flatten()
+}
+
+fn absolute(path: &Path) -> PathBuf {
+    std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
+}
+
+fn reconstruct(
+    input: &Input,
+    dataset: &Path,
+    config: &DataConfig,
+    overwrite: bool,
+    style: LogStyle,
+) -> Result<Outcome> {
+    let (options, programs) = (Options::from(config), Programs::of_environment());
+    let request = Request { input, dataset, options: &options, overwrite, programs: &programs };
+    let outcome = sfm::reconstruct(&request, &mut Display::new(style)).map_err(|error| match error {
+        SfmError::File(_) => {
+            let help = format!("`dpges sfm {} --out DIR` puts the dataset elsewhere", input.path().display());
+            Failure::with_help(error, help)
+        }
+        other => other.into(),
+    })?;
+    for warning in outcome.warnings() {
+        tracing::warn!("{warning}");
+    }
+    Ok(outcome)
+}
+
+fn not_photographs(path: &Path) -> Failure {
+    let is_dataset = dataset::format(path).is_some();
+    let path = path.display();
+    if is_dataset {
+        return Failure::with_help(
+            format!("{path} is a dataset already"),
+            format!("train on it: `dpges train {path}`"),
+        );
+    }
+    let help =
+        "name a folder with JPEGs or PNGs in it or in its folder `images` or `input`, or a video such as walk.mp4";
+    Failure::with_help(format!("{path} holds no photographs and is no video"), help)
+}
+
+fn summary(outcome: &Outcome) -> String {
+    let placed = format!("{} of {} have a place", outcome.placed(), outcome.photographs);
+    let total: f64 = outcome.seconds.iter().map(|(_, seconds)| seconds).sum();
+    let parts = outcome.seconds.iter().map(|(step, seconds)| format!("{step} {}", Seconds(*seconds)));
+    let rows = [
+        ("dataset", outcome.dataset.display().to_string()),
+        ("photographs", placed),
+        ("points", outcome.points.to_string()),
+        ("time", format!("{}: {}", Seconds(total), parts.collect::<Vec<_>>().join(", "))),
+        ("next", format!("dpges train {}", outcome.dataset.display())),
+    ];
+    table(&rows)
+}

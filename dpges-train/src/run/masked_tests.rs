@@ -1,0 +1,103 @@
+//! Runs on photographs that are masked.
+
+use std::sync::Arc;
+
+use super::fixtures::{config, device, finished};
+use super::*;
+use crate::dataset::{BuiltinOptions, Picture, View, builtin};
+use crate::eval::evaluate;
+
+/// A third of every training photograph is painted over, another third in each, and masked if that is asked for.
+pub fn overpainted(data: &Dataset, value: u8, masked: bool) -> Dataset {
+    let mut data = data.clone();
+    for (index, view) in data.train.iter_mut().enumerate() {
+        paint(view, index % 3, value, masked);
+    }
+    data
+}
+
+fn paint(view: &mut View, third: usize, value: u8, masked: bool) {
+    let change = |picture: &mut Picture| {
+        let (width, area) = (picture.width, picture.area());
+        let is_painted = |pixel: usize| pixel % width * 3 / width == third;
+        for pixel in (0..area).filter(|&pixel| is_painted(pixel)) {
+            picture.bytes[3 * pixel..][..3].fill(value);
+        }
+        if masked {
+            picture.counted = Some((0..area).map(|pixel| !is_painted(pixel)).collect());
+        }
+    };
+    view.repaint(change).unwrap();
+}
+
+fn dataset(size: usize, train_views: usize) -> Dataset {
+    let options =
+        BuiltinOptions { width: size, height: size, train_views, test_views: 4, points: 400, ..Default::default() };
+    builtin(&options)
+}
+
+#[test]
+fn what_is_painted_over_and_masked_changes_no_bit_of_a_run() {
+    let runs: [&[&str]; 4] = [
+        &[
+            "train.steps=60",
+            "model.environment=sh1",
+            "refine.budget=700",
+            "refine.add_agreement=1",
+            "refine.add_everywhere=true",
+            "refine.judge_surfels_at=[15000]",
+            "stages.surfels=0.3",
+            "stages.gaussians=0.3",
+            "stages.surfel_opacity=0.12",
+            "train.lambda_depth=0.1",
+            "train.lambda_normal=0.05",
+            "train.lambda_depth_normal=0.05",
+            "discs.normal_from=0",
+            "discs.lambda_distortion=0.1",
+            "discs.distortion_from=0",
+        ],
+        &["train.steps=60", "stages.gaussians=0.5", "refine.budget=700", "refine.add_agreement=1"],
+        &[
+            "train.steps=60",
+            "train.exposure=on",
+            "stages.gaussians=0.5",
+            "refine.budget=700",
+            "refine.add_agreement=1",
+            "refine.judge_surfels_at=[15000]",
+        ],
+        &["train.steps=30", "train.method=3dgs", "refine.budget=300", "model.colour=sh1"],
+    ];
+    let clean = dataset(24, 5);
+    for set in runs {
+        let [black, white] = [0, 255].map(|value| finished(set, overpainted(&clean, value, true)));
+        assert!(black == white, "{set:?}");
+    }
+    for exposure in ["train.exposure=off", "train.exposure=on"] {
+        let set = ["train.steps=30", "refine.budget=auto", "data.validation_every=2", exposure];
+        let [black, white] = [0, 255].map(|value| {
+            let mut data = overpainted(&clean, value, true);
+            data.keep_for_validation(2);
+            finished(&set, data)
+        });
+        assert!(black == white, "{set:?}");
+    }
+}
+
+#[test]
+fn masks_make_up_for_what_is_painted_over() {
+    let clean = dataset(32, 16);
+    let set = ["train.steps=400", "refine.budget=1500", "refine.surfel_min_pixels=1", "refine.add_agreement=0"];
+    let psnr = |data: Dataset| {
+        let mut trainer = Trainer::new(config(&set), Arc::new(data), device()).unwrap();
+        while !trainer.is_finished() {
+            trainer.step().unwrap();
+        }
+        evaluate(&trainer.scene(), &clean.test, trainer.device()).unwrap().psnr
+    };
+    let whole = psnr(clean.clone());
+    let masked = psnr(overpainted(&clean, 255, true));
+    let unmasked = psnr(overpainted(&clean, 255, false));
+    println!("held out: {whole:.2} dB clean, {masked:.2} dB masked, {unmasked:.2} dB painted over");
+    assert!(masked > whole - 2.0, "{whole:.2} dB clean, {masked:.2} dB masked");
+    assert!(masked > unmasked + 2.0, "{masked:.2} dB masked, {unmasked:.2} dB painted over");
+}

@@ -1,0 +1,82 @@
+//! Runs on photographs that do not fit into memory.
+
+use std::sync::Arc;
+
+use super::fixtures::{config, device, finished};
+use super::masked_tests::overpainted;
+use super::*;
+use crate::dataset::fixtures::export;
+use crate::dataset::{BuiltinOptions, LoadOptions, View, builtin, load};
+use crate::eval::evaluate;
+
+#[test]
+fn where_photographs_are_kept_changes_no_bit_of_a_run() {
+    let options =
+        BuiltinOptions { width: 24, height: 24, train_views: 6, test_views: 2, points: 300, ..Default::default() };
+    let data = builtin(&options);
+    let folder = tempfile::tempdir().unwrap();
+    export(folder.path(), &data);
+    // the first and the last have masks
+    let masked = overpainted(&data, 200, true);
+    let some = |views: &[View]| vec![views[0].clone(), views[5].clone()];
+    export(&folder.path().join("masked"), &Dataset { train: some(&masked.train), ..masked.clone() });
+    std::fs::rename(folder.path().join("masked/masks"), folder.path().join("masks")).unwrap();
+
+    let read = |memory: usize| {
+        let options = LoadOptions { memory, near: Some(data.near), max_resolution: Some(20), ..Default::default() };
+        let mut read = load(folder.path(), &options).unwrap();
+        read.points = data.points.clone();
+        read
+    };
+    let whole = read(usize::MAX);
+    let names = |data: &Dataset| data.train.iter().map(|view| view.name.clone()).collect::<Vec<_>>();
+    assert_eq!((whole.train.len(), whole.test.len(), whole.masked().masked_views), (6, 2, 2));
+    let kept = |data: &Dataset| data.train.iter().chain(&data.test).filter(|view| view.photograph.is_kept()).count();
+    assert_eq!((kept(&whole), kept(&read(0))), (8, 0));
+    assert!((1..6).contains(&kept(&read(5000))));
+
+    let runs: [&[&str]; 3] = [
+        &[
+            "train.steps=60",
+            "model.environment=sh1",
+            "refine.budget=700",
+            "stages.surfels=0.3",
+            "stages.gaussians=0.3",
+            "stages.surfel_opacity=0.12",
+            "train.lambda_depth=0.1",
+            "train.lambda_normal=0.05",
+        ],
+        &["train.steps=60", "stages.gaussians=0.5", "refine.budget=700", "train.exposure=on"],
+        &["train.steps=40", "train.method=mcmc", "refine.budget=300"],
+    ];
+    for set in runs {
+        let expected = finished(set, whole.clone());
+        for memory in [0, 5000] {
+            let data = read(memory);
+            assert_eq!(names(&data), names(&whole));
+            assert!(finished(set, data) == expected, "{set:?} with {memory} bytes");
+        }
+    }
+
+    let scene = Trainer::new(config(&["train.steps=4"]), Arc::new(whole.clone()), device()).unwrap().scene();
+    let score = |data: &Dataset| {
+        let found = evaluate(&scene, &data.test, &device()).unwrap();
+        found.views.iter().map(|view| view.scores()).collect::<Vec<_>>()
+    };
+    assert_eq!(score(&read(0)), score(&whole));
+}
+
+#[test]
+fn a_photograph_that_is_gone_ends_a_run_with_its_name() {
+    let data = builtin(&BuiltinOptions { width: 12, height: 12, train_views: 3, points: 50, ..Default::default() });
+    let folder = tempfile::tempdir().unwrap();
+    export(folder.path(), &data);
+    let mut read = load(folder.path(), &LoadOptions { memory: 0, near: Some(0.01), ..Default::default() }).unwrap();
+    read.points = data.points.clone();
+    let mut trainer = Trainer::new(config(&["train.steps=9"]), Arc::new(read), device()).unwrap();
+    for view in &data.train {
+        std::fs::remove_file(folder.path().join(format!("images/{}.png", view.name))).unwrap();
+    }
+    let failed = (0..9).find_map(|_| trainer.step().err()).unwrap().to_string();
+    assert!(failed.contains("cannot read again the photograph") && failed.contains("train_00"), "{failed}");
+}

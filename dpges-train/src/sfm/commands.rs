@@ -1,0 +1,218 @@
+//! What the programs are started with. COLMAP has renamed options and taken up GLOMAP, so it is asked first what it knows.
+
+use std::ffi::{OsStr, OsString};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use super::Options;
+use super::error::SfmError;
+use super::programs::Programs;
+use super::workspace::Workspace;
+use crate::config::{SfmMatching, SfmProgram};
+
+/// The matcher goes through blocks of photographs against blocks. Progress is known by the block, so there are about a
+/// hundred pairs of them, not more: each block is read anew.
+const BLOCKS: usize = 10;
+const SMALLEST_BLOCK: usize = 8;
+const LARGEST_BLOCK: usize = 50;
+
+/// COLMAP as it is installed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Colmap {
+    pub path: PathBuf,
+    /// Whether it is built for NVIDIA's GPUs.
+    pub has_cuda: bool,
+    /// Where the options on devices and threads are: `SiftExtraction` before version 4, `FeatureExtraction` since.
+    pub extraction: &'static str,
+    /// Likewise.
+    pub matching: &'static str,
+    /// What places the cameras: a program and its command.
+    pub mapper: (PathBuf, &'static str),
+}
+
+impl Colmap {
+    /// # Errors
+    /// [`SfmError::MissingProgram`] for COLMAP, and for GLOMAP if it is asked for and neither is there nor within COLMAP;
+    /// [`SfmError::Start`].
+    pub fn find(programs: &Programs, program: SfmProgram) -> Result<Self, SfmError> {
+        let path = programs.colmap()?;
+        let about = said(&path, &["-h".as_ref()])?;
+        let since = |command: &str, new: &'static str, old: &'static str| -> Result<&'static str, SfmError> {
+            Ok(if said(&path, &[command.as_ref(), "-h".as_ref()])?.contains(&format!("--{new}.use_gpu")) {
+                new
+            } else {
+                old
+            })
+        };
+        let extraction = since("feature_extractor", "FeatureExtraction", "SiftExtraction")?;
+        let matching = since("exhaustive_matcher", "FeatureMatching", "SiftMatching")?;
+        let mapper = match (program, programs.glomap()) {
+            (SfmProgram::Colmap, _) => (path.clone(), "mapper"),
+            (SfmProgram::Glomap, Some(glomap)) => (glomap, "mapper"),
+            (SfmProgram::Glomap, None) if about.contains("global_mapper") => (path.clone(), "global_mapper"),
+            (SfmProgram::Glomap, None) => {
+                return Err(SfmError::MissingProgram {
+                    program: "GLOMAP",
+                    purpose: "which `data.sfm` asks for, nor is it part of the COLMAP that is installed",
+                    remedy: "install it (https://github.com/colmap/glomap) or COLMAP 4, or use data.sfm=colmap",
+                });
+            }
+        };
+        let has_cuda = about.contains("with CUDA") && !about.contains("without CUDA");
+        Ok(Self { path, has_cuda, extraction, matching, mapper })
+    }
+
+    pub fn features(
+        &self,
+        workspace: &Workspace,
+        options: &Options,
+        one_camera: bool,
+        gpu: bool,
+    ) -> (PathBuf, Vec<OsString>) {
+        let mut line = Line::new("feature_extractor", workspace);
+        line.path("--image_path", &workspace.images());
+        line.set("--ImageReader.camera_model", options.camera.colmap_name());
+        if one_camera {
+            line.set("--ImageReader.single_camera", "1");
+        }
+        line.device(self.extraction, options, gpu);
+        (self.path.clone(), line.words)
+    }
+
+    pub fn matches(
+        &self,
+        workspace: &Workspace,
+        options: &Options,
+        matching: SfmMatching,
+        photographs: usize,
+        gpu: bool,
+    ) -> (PathBuf, Vec<OsString>) {
+        let mut line = if matching == SfmMatching::Sequential {
+            Line::new("sequential_matcher", workspace)
+        } else {
+            let mut line = Line::new("exhaustive_matcher", workspace);
+            let block = photographs.div_ceil(BLOCKS).clamp(SMALLEST_BLOCK, LARGEST_BLOCK);
+            line.set("--ExhaustiveMatching.block_size", &block.to_string());
+            line
+        };
+        line.device(self.matching, options, gpu);
+        (self.path.clone(), line.words)
+    }
+
+    pub fn mapping(&self, workspace: &Workspace, options: &Options) -> (PathBuf, Vec<OsString>) {
+        let (program, command) = &self.mapper;
+        let mut line = Line::new(command, workspace);
+        line.path("--image_path", &workspace.images());
+        line.path("--output_path", &workspace.models());
+        if let (Some(threads), SfmProgram::Colmap) = (options.threads, options.program) {
+            line.set("--Mapper.num_threads", &threads.to_string());
+        }
+        (program.clone(), line.words)
+    }
+}
+
+/// The words of a command line.
+struct Line {
+    words: Vec<OsString>,
+}
+
+impl Line {
+    fn new(command: &str, workspace: &Workspace) -> Self {
+        let mut line = Self { words: vec![command.into()] };
+        line.path("--database_path", &workspace.database());
+        line
+    }
+
+    fn set(&mut self, option: &str, value: &str) {
+        self.words.extend([option, value].map(OsString::from));
+    }
+
+    fn path(&mut self, option: &str, path: &Path) {
+        self.words.extend([OsStr::new(option), path.as_os_str()].map(OsString::from));
+    }
+
+    fn device(&mut self, section: &str, options: &Options, gpu: bool) {
+        self.set(&format!("--{section}.use_gpu"), if gpu { "1" } else { "0" });
+        if let Some(threads) = options.threads {
+            self.set(&format!("--{section}.num_threads"), &threads.to_string());
+        }
+    }
+}
+
+/// What a program says of itself, on both outputs.
+pub(super) fn said(program: &Path, arguments: &[&OsStr]) -> Result<String, SfmError> {
+    let output = Command::new(program)
+        .args(arguments)
+        .stdin(Stdio::null())
+        .output()
+        .map_err(|source| SfmError::Start { program: program.to_owned(), source })?;
+    Ok(String::from_utf8_lossy(&[output.stdout, output.stderr].concat()).into_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::{DataConfig, SfmCamera};
+
+    fn colmap(extraction: &'static str, matching: &'static str) -> Colmap {
+        let path = PathBuf::from("/bin/colmap");
+        Colmap { mapper: (path.clone(), "mapper"), path, has_cuda: true, extraction, matching }
+    }
+
+    fn text((program, words): (PathBuf, Vec<OsString>)) -> String {
+        let words = words.iter().map(|word| word.to_string_lossy().into_owned());
+        std::iter::once(program.display().to_string()).chain(words).collect::<Vec<_>>().join(" ")
+    }
+
+    #[test]
+    fn commands_name_the_folders_and_the_device() {
+        let folder = tempfile::tempdir().unwrap();
+        let workspace = Workspace::open(&folder.path().join("set")).unwrap();
+        let at = folder.path().join("set").display().to_string();
+        let options = Options { threads: Some(3), ..Options::from(&DataConfig::default()) };
+        let old = colmap("SiftExtraction", "SiftMatching");
+        assert_eq!(
+            text(old.features(&workspace, &options, true, false)),
+            format!(
+                "/bin/colmap feature_extractor --database_path {at}/sfm/database.db --image_path {at}/images \
+                 --ImageReader.camera_model OPENCV --ImageReader.single_camera 1 --SiftExtraction.use_gpu 0 \
+                 --SiftExtraction.num_threads 3"
+            )
+        );
+        assert_eq!(
+            text(old.matches(&workspace, &options, SfmMatching::Exhaustive, 150, false)),
+            format!(
+                "/bin/colmap exhaustive_matcher --database_path {at}/sfm/database.db --ExhaustiveMatching.block_size 15 \
+                 --SiftMatching.use_gpu 0 --SiftMatching.num_threads 3"
+            )
+        );
+        assert_eq!(
+            text(old.mapping(&workspace, &options)),
+            format!(
+                "/bin/colmap mapper --database_path {at}/sfm/database.db --image_path {at}/images --output_path \
+                 {at}/sfm/models --Mapper.num_threads 3"
+            )
+        );
+    }
+
+    #[test]
+    fn newer_names_other_models_and_neighbours_are_asked_for_where_needed() {
+        let folder = tempfile::tempdir().unwrap();
+        let workspace = Workspace::open(&folder.path().join("set")).unwrap();
+        let options = Options {
+            program: SfmProgram::Glomap,
+            camera: SfmCamera::SimpleRadial,
+            threads: None,
+            ..Options::from(&DataConfig::default())
+        };
+        let mut new = colmap("FeatureExtraction", "FeatureMatching");
+        new.mapper.1 = "global_mapper";
+        let features = text(new.features(&workspace, &options, false, true));
+        assert!(features.ends_with("camera_model SIMPLE_RADIAL --FeatureExtraction.use_gpu 1"), "{features}");
+        let matches = text(new.matches(&workspace, &options, SfmMatching::Sequential, 400, true));
+        assert!(matches.starts_with("/bin/colmap sequential_matcher --database_path "), "{matches}");
+        assert!(matches.ends_with("/database.db --FeatureMatching.use_gpu 1"), "{matches}");
+        let mapping = text(new.mapping(&workspace, &options));
+        assert!(mapping.contains(" global_mapper ") && !mapping.contains("num_threads"), "{mapping}");
+    }
+}

@@ -1,0 +1,253 @@
+//! Cameras for photographs that have none: structure from motion by programs of the user's machine.
+//!
+//! | step | program | result, in the folder of the dataset |
+//! |---|---|---|
+//! | [`Step::Pictures`] | ffmpeg, for a video | `images/` |
+//! | [`Step::Features`] | COLMAP | `sfm/database.db` |
+//! | [`Step::Matches`] | COLMAP | `sfm/database.db` |
+//! | [`Step::Mapping`] | COLMAP or GLOMAP | `sfm/models/0`, `1`, … |
+//! | [`Step::Model`] | | `sparse/0`, the model with the most photographs |
+//!
+//! The result is a COLMAP dataset as [`crate::dataset`] reads it, which undistorts the photographs if asked to.
+//! `sfm/steps.json` says which steps are done, with what they depend on: [`reconstruct`] goes on where it was interrupted, and
+//! repeats a step if that has changed. What a program says is in `sfm/STEP.log`.
+
+mod commands;
+mod error;
+mod frames;
+mod input;
+mod model;
+mod process;
+mod programs;
+mod progress;
+mod step;
+#[cfg(test)]
+mod tests;
+mod workspace;
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use serde_json::{Value, json};
+
+pub use error::SfmError;
+pub use input::{Input, is_begun};
+pub use model::Outcome;
+pub use programs::Programs;
+pub use step::{Observer, Step};
+
+use crate::config::{DataConfig, SfmCamera, SfmMatching, SfmProgram};
+use commands::Colmap;
+use process::Job;
+use workspace::Workspace;
+
+/// Up to how many photographs all pairs are compared, unless it is asked for.
+const MOST_FOR_ALL_PAIRS: usize = 200;
+
+/// Fewest photographs that a dataset can be made of.
+pub const FEWEST: usize = 3;
+
+/// How cameras are found.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Options {
+    /// Which program places the cameras.
+    pub program: SfmProgram,
+    /// Which camera model it fits.
+    pub camera: SfmCamera,
+    /// Which pairs of photographs are compared.
+    pub matching: SfmMatching,
+    /// Largest number of frames of a video that become photographs.
+    pub video_frames: usize,
+    /// Threads of each program. `None`: as many as it likes.
+    pub threads: Option<usize>,
+}
+
+impl From<&DataConfig> for Options {
+    /// With the threads of this process's pool.
+    fn from(config: &DataConfig) -> Self {
+        Self {
+            program: config.sfm,
+            camera: config.sfm_camera,
+            matching: config.sfm_matching,
+            video_frames: config.video_frames,
+            threads: Some(rayon::current_num_threads()),
+        }
+    }
+}
+
+/// What is to be reconstructed, and where to.
+#[derive(Clone, Debug)]
+pub struct Request<'a> {
+    pub input: &'a Input,
+    /// Folder of the dataset. It is made if it does not exist.
+    pub dataset: &'a Path,
+    pub options: &'a Options,
+    /// Replace a finished dataset where photographs or options have changed.
+    pub overwrite: bool,
+    pub programs: &'a Programs,
+}
+
+/// The folder that the dataset of `input` goes to unless another is named: beside it, `NAME_colmap`.
+///
+/// # Errors
+/// [`SfmError::NoName`] for the root of a file system.
+pub fn dataset_beside(input: &Input) -> Result<PathBuf, SfmError> {
+    let path = input.path();
+    let name = input.name().ok_or_else(|| SfmError::NoName { path: path.to_owned() })?;
+    Ok(path.with_file_name(format!("{name}_colmap")))
+}
+
+/// Makes a dataset of photographs, or goes on with it, or says what is in it if it is finished.
+///
+/// # Errors
+/// [`SfmError`]: a missing program, a program that fails, a finished dataset that another request has made, photographs
+/// that show too little in common.
+pub fn reconstruct(request: &Request, observer: &mut dyn Observer) -> Result<Outcome, SfmError> {
+    request.input.check()?;
+    let mut reconstruction = Reconstruction { request, observer, colmap: None };
+    let is_new = !is_begun(request.dataset);
+    if is_new {
+        reconstruction.check_programs(Step::ALL[0])?;
+    }
+    let mut workspace = Workspace::open(request.dataset)?;
+    let Some(first) = reconstruction.first_to_do(&workspace)? else {
+        return model::outcome(&workspace);
+    };
+    if workspace.is_finished() && !request.overwrite {
+        return Err(SfmError::Changed { dataset: request.dataset.to_owned(), what: first.depends_on() });
+    }
+    let first = workspace.with_what_it_needs(first);
+    if !is_new {
+        reconstruction.check_programs(first)?;
+    }
+    for step in Step::ALL.into_iter().filter(|&step| step >= first) {
+        let key = reconstruction.key(step, &workspace)?;
+        let start = Instant::now();
+        workspace.begin(step, key)?;
+        reconstruction.observer.begin(step);
+        reconstruction.run(step, &workspace)?;
+        let seconds = start.elapsed().as_secs_f64();
+        workspace.end(step, seconds)?;
+        reconstruction.observer.end(step, seconds);
+    }
+    model::outcome(&workspace)
+}
+
+struct Reconstruction<'a> {
+    request: &'a Request<'a>,
+    observer: &'a mut dyn Observer,
+    /// Once it has been asked what it can do.
+    colmap: Option<Colmap>,
+}
+
+impl Reconstruction<'_> {
+    /// The first step whose result is not there, or depends on what has changed since.
+    fn first_to_do(&self, workspace: &Workspace) -> Result<Option<Step>, SfmError> {
+        for step in Step::ALL {
+            if !workspace.is_done(step, &self.key(step, workspace)?) {
+                return Ok(Some(step));
+            }
+        }
+        Ok(None)
+    }
+
+    /// What the result of a step depends on, besides the steps before it.
+    fn key(&self, step: Step, workspace: &Workspace) -> Result<Value, SfmError> {
+        let options = self.request.options;
+        Ok(match step {
+            Step::Pictures => {
+                let frames = matches!(self.request.input, Input::Video { .. }).then_some(options.video_frames);
+                json!({ "files": self.request.input.fingerprint()?, "video_frames": frames })
+            }
+            Step::Features => {
+                let one_camera = input::have_one_camera(&workspace.pictures()?)?;
+                json!({ "camera": options.camera, "one_camera": one_camera })
+            }
+            Step::Matches => json!({ "matching": self.matching(&workspace.picture_names()?) }),
+            Step::Mapping => json!({ "program": options.program }),
+            Step::Model => Value::Null,
+        })
+    }
+
+    /// [`SfmMatching::Auto`] decided.
+    fn matching(&self, names: &[String]) -> SfmMatching {
+        match self.request.options.matching {
+            SfmMatching::Auto if names.len() > MOST_FOR_ALL_PAIRS && input::are_numbered(names) => {
+                SfmMatching::Sequential
+            }
+            SfmMatching::Auto => SfmMatching::Exhaustive,
+            asked => asked,
+        }
+    }
+
+    /// Whether the programs of `step` and of those after it are there: better now than after an hour.
+    fn check_programs(&mut self, step: Step) -> Result<(), SfmError> {
+        if step == Step::Pictures && matches!(self.request.input, Input::Video { .. }) {
+            self.request.programs.ffmpeg()?;
+        }
+        if step <= Step::Mapping {
+            self.colmap = Some(Colmap::find(self.request.programs, self.request.options.program)?);
+        }
+        Ok(())
+    }
+
+    fn run(&mut self, step: Step, workspace: &Workspace) -> Result<(), SfmError> {
+        match step {
+            Step::Pictures => self.pictures(workspace),
+            Step::Features | Step::Matches | Step::Mapping => self.colmap(step, workspace),
+            Step::Model => model::take_largest(workspace),
+        }
+    }
+
+    fn pictures(&mut self, workspace: &Workspace) -> Result<(), SfmError> {
+        match self.request.input {
+            Input::Photographs { folder, names, unread, .. } => {
+                if !unread.is_empty() {
+                    self.observer.warn(&input::unread_warning(unread));
+                }
+                workspace.link_pictures(folder, names)
+            }
+            Input::Video { path } => {
+                let ffmpeg = self.request.programs.ffmpeg()?;
+                frames::extract(&ffmpeg, path, self.request.options.video_frames, workspace, self.observer)
+            }
+        }
+    }
+
+    /// One of the steps that are COLMAP's, on a GPU if it has been built for it. If that fails, then on the CPU.
+    fn colmap(&mut self, step: Step, workspace: &Workspace) -> Result<(), SfmError> {
+        let names = workspace.picture_names()?;
+        let one_camera = input::have_one_camera(&workspace.pictures()?)?;
+        let matching = self.matching(&names);
+        let options = self.request.options;
+        let colmap = self.colmap.as_ref().expect("it is looked for before the first of its steps");
+        let mut attempt = |gpu: bool| {
+            let (program, arguments) = match step {
+                Step::Features => colmap.features(workspace, options, one_camera, gpu),
+                Step::Matches => colmap.matches(workspace, options, matching, names.len(), gpu),
+                _ => colmap.mapping(workspace, options),
+            };
+            let job = Job { step, program: &program, arguments: &arguments, log: &workspace.log(step) };
+            process::run(&job, &mut |line| {
+                if let Some((done, total)) = progress::of_colmap(line, names.len()) {
+                    self.observer.progress(step, done, total);
+                }
+            })
+        };
+        let uses_gpu = colmap.has_cuda && step != Step::Mapping;
+        match attempt(uses_gpu) {
+            Err(SfmError::Failed { .. }) if uses_gpu => {
+                let log = workspace.log(step);
+                attempt(false).inspect(|()| {
+                    let message =
+                        format!("{step}: COLMAP failed on the GPU, {} says why; the CPU did it", log.display());
+                    self.observer.warn(&message);
+                })
+            }
+            Err(SfmError::Failed { log, .. }) if step == Step::Mapping && model::says_nothing_fits(&log) => {
+                Err(SfmError::NoModel { photographs: names.len(), log })
+            }
+            result => result,
+        }
+    }
+}

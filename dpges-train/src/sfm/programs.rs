@@ -1,0 +1,97 @@
+//! Where programs are.
+
+use std::path::{Path, PathBuf};
+
+use super::error::SfmError;
+
+/// Ends of the file names of programs.
+const ENDINGS: &[&str] = if cfg!(windows) { &[".exe", ".bat"] } else { &[""] };
+
+/// The folders in which programs are looked for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Programs {
+    folders: Vec<PathBuf>,
+}
+
+impl Programs {
+    /// In the folders of the environment variable `PATH`.
+    pub fn of_environment() -> Self {
+        let path = std::env::var_os("PATH").unwrap_or_default();
+        Self { folders: std::env::split_paths(&path).collect() }
+    }
+
+    /// In `folders`, in this order.
+    pub fn within(folders: Vec<PathBuf>) -> Self {
+        Self { folders }
+    }
+
+    /// # Errors
+    /// [`SfmError::MissingProgram`].
+    pub(super) fn colmap(&self) -> Result<PathBuf, SfmError> {
+        self.find("colmap").ok_or(SfmError::MissingProgram {
+            program: "COLMAP",
+            purpose: "which finds the cameras of photographs",
+            remedy: "install it (Debian, Ubuntu: `apt-get install colmap`; macOS: `brew install colmap`; others: \
+                     https://colmap.github.io/install.html) so that `colmap` is in the search path",
+        })
+    }
+
+    /// GLOMAP, where it is a program of its own.
+    pub(super) fn glomap(&self) -> Option<PathBuf> {
+        self.find("glomap")
+    }
+
+    /// # Errors
+    /// [`SfmError::MissingProgram`].
+    pub(super) fn ffmpeg(&self) -> Result<PathBuf, SfmError> {
+        self.find("ffmpeg").ok_or(SfmError::MissingProgram {
+            program: "ffmpeg",
+            purpose: "which takes photographs from a video",
+            remedy: "install it (Debian, Ubuntu: `apt-get install ffmpeg`; macOS: `brew install ffmpeg`; others: \
+                     https://ffmpeg.org/download.html) so that `ffmpeg` is in the search path",
+        })
+    }
+
+    fn find(&self, name: &str) -> Option<PathBuf> {
+        let paths =
+            self.folders.iter().flat_map(|folder| ENDINGS.iter().map(move |end| folder.join(format!("{name}{end}"))));
+        paths.into_iter().find(|path| is_program(path))
+    }
+}
+
+#[cfg(unix)]
+fn is_program(path: &Path) -> bool {
+    use std::os::unix::fs::PermissionsExt;
+    path.metadata().is_ok_and(|metadata| metadata.is_file() && metadata.permissions().mode() & 0o111 != 0)
+}
+
+#[cfg(not(unix))]
+fn is_program(path: &Path) -> bool {
+    path.is_file()
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use std::os::unix::fs::PermissionsExt;
+
+    use super::*;
+
+    #[test]
+    fn the_first_folder_with_a_program_of_the_name_wins() {
+        let folders = [(); 3].map(|()| tempfile::tempdir().unwrap());
+        let paths: Vec<PathBuf> = folders.iter().map(|folder| folder.path().to_owned()).collect();
+        let programs = Programs::within(paths.clone());
+        for error in [programs.colmap().unwrap_err(), programs.ffmpeg().unwrap_err()] {
+            let message = error.to_string();
+            assert!(message.contains("is not installed") && message.contains("apt-get install"), "{message}");
+        }
+        assert_eq!(programs.glomap(), None);
+        for path in &paths {
+            std::fs::write(path.join("colmap"), "").unwrap();
+        }
+        for path in &paths[1..] {
+            std::fs::set_permissions(path.join("colmap"), PermissionsExt::from_mode(0o755)).unwrap();
+        }
+        assert_eq!(programs.colmap().unwrap(), paths[1].join("colmap"), "the first is no program");
+    }
+}

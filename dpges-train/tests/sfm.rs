@@ -1,0 +1,161 @@
+//! Photographs without cameras, with a COLMAP that only pretends: it copies a model that is already there.
+#![cfg(unix)]
+
+use std::fmt::Write as _;
+use std::path::Path;
+use std::process::Output;
+
+use assert_cmd::Command;
+use dpges_core::camera::CameraFromWorld;
+use glam::{DQuat, DVec3};
+use tempfile::TempDir;
+
+const PHOTOGRAPHS: usize = 8;
+
+const COLMAP: &str = r#"#!/bin/sh
+if [ "$1" = -h ]; then echo "COLMAP 3.8 (without CUDA)"; exit; fi
+if [ "$2" = -h ]; then echo "  --SiftExtraction.use_gpu arg (=1)"; exit; fi
+echo "$1" >> STAGE/calls
+command=$1
+while [ $# -gt 1 ]; do
+  case $1 in --database_path) database=$2;; --output_path) models=$2;; esac
+  shift
+done
+case $command in
+  feature_extractor) touch "$database";;
+  mapper) [ -e STAGE/broken ] && { echo "out of memory"; exit 1; }; cp -r STAGE/model "$models/0";;
+esac
+"#;
+
+/// A folder with photographs in `room`, what COLMAP will find in `model`, and COLMAP in `bin`.
+fn stage() -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    for name in ["room", "model", "bin"] {
+        std::fs::create_dir(at.join(name)).unwrap();
+    }
+    let mut images = String::new();
+    for index in 0..PHOTOGRAPHS {
+        let picture = image::RgbImage::from_fn(48, 32, |x, y| image::Rgb([x as u8 * 5, y as u8 * 7, index as u8 * 20]));
+        picture.save(at.join(format!("room/{index}.png"))).unwrap();
+        // the last has no place
+        if index + 1 < PHOTOGRAPHS {
+            let angle = index as f64 / PHOTOGRAPHS as f64 * std::f64::consts::TAU;
+            let eye = DVec3::new(3.0 * angle.cos(), 3.0 * angle.sin(), 1.0);
+            let pose = CameraFromWorld::look_at(eye, DVec3::ZERO, DVec3::Z);
+            let (q, t) = (DQuat::from_mat3(&pose.rotation), pose.translation);
+            let id = index + 1;
+            writeln!(images, "{id} {} {} {} {} {} {} {} 1 {index}.png\n", q.w, q.x, q.y, q.z, t.x, t.y, t.z).unwrap();
+        }
+    }
+    let mut points = String::new();
+    for index in 0..200u32 {
+        let (turn, height) = (f64::from(index) * 2.4, f64::from(index) / 100.0 - 1.0);
+        let radius = 0.8 * (1.0 - height * height).sqrt();
+        let (x, y, z) = (radius * turn.cos(), radius * turn.sin(), 0.8 * height);
+        writeln!(points, "{index} {x} {y} {z} 200 100 50 0.5 1 0 2 0 3 0").unwrap();
+    }
+    std::fs::write(at.join("model/cameras.txt"), "1 OPENCV 48 32 40 40 24 16 0.01 0 0 0\n").unwrap();
+    std::fs::write(at.join("model/images.txt"), images).unwrap();
+    std::fs::write(at.join("model/points3D.txt"), points).unwrap();
+    // written by another process: what this one has open for writing while it starts others could not be run
+    std::fs::write(at.join("script"), COLMAP.replace("STAGE", at.to_str().unwrap())).unwrap();
+    Command::new("install").args(["-m", "755"]).args([at.join("script"), at.join("bin/colmap")]).assert().success();
+    folder
+}
+
+/// With COLMAP in the search path, or with nothing in it.
+fn dpges(at: &Path, with_colmap: bool, args: &[&str]) -> Output {
+    let path = std::env::var("PATH").unwrap_or_default();
+    let path = if with_colmap { format!("{}:{path}", at.join("bin").display()) } else { String::new() };
+    Command::cargo_bin("dpges").unwrap().current_dir(at).env("PATH", path).args(args).output().unwrap()
+}
+
+fn ok(at: &Path, args: &[&str]) -> (String, String) {
+    let output = dpges(at, true, args);
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(0), "{args:?}: {error}");
+    (String::from_utf8(output.stdout).unwrap(), error)
+}
+
+fn fails(at: &Path, with_colmap: bool, args: &[&str]) -> String {
+    let output = dpges(at, with_colmap, args);
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{args:?}: {error}");
+    error
+}
+
+fn calls(at: &Path) -> Vec<String> {
+    let text = std::fs::read_to_string(at.join("calls")).unwrap_or_default();
+    text.lines().map(str::to_owned).collect()
+}
+
+const ALL: [&str; 3] = ["feature_extractor", "exhaustive_matcher", "mapper"];
+
+#[test]
+fn photographs_are_trained_on_as_if_they_were_a_dataset() {
+    let folder = stage();
+    let at = folder.path();
+    let train = ["train", "room", "--device=cpu", "--steps=6", "--budget=900", "--set=train.checkpoint_every=3"];
+    let (summary, log) = ok(at, &train);
+    assert!(summary.contains("6 steps"), "{summary}");
+    for part in ["features: looking for features", "mapping: done in", "7 of 8 photographs have a place, 200 points"] {
+        assert!(log.contains(part), "{part}: {log}");
+    }
+    assert!(log.contains("without a place, and so not used: 7.png"), "{log}");
+    assert_eq!(calls(at), ALL);
+    let origin = std::fs::read_to_string(at.join("runs/room/run.json")).unwrap();
+    assert!(origin.contains("room_colmap"), "the run knows the dataset, not the photographs: {origin}");
+    assert!(at.join("room_colmap/sparse/0/cameras.txt").is_file());
+
+    let (_, log) = ok(at, &[&train[..], &["--overwrite"]].concat());
+    assert!(!log.contains("features:"), "{log}");
+    ok(at, &["train", "room", "--resume"]);
+    ok(at, &["eval", "runs/room", "--quiet"]);
+    let (report, _) = ok(at, &["data", "room"]);
+    assert!(report.contains("6 for training, 1 held out") && report.contains("! there are only 6"), "{report}");
+    assert_eq!(calls(at), ALL, "it is done once");
+    assert_eq!(std::fs::read_dir(at.join("room")).unwrap().count(), PHOTOGRAPHS, "the photographs are left alone");
+}
+
+#[test]
+fn a_dataset_is_made_where_it_is_asked_for_and_after_a_failure_it_goes_on() {
+    let folder = stage();
+    let at = folder.path();
+    std::fs::write(at.join("broken"), "").unwrap();
+    let make = ["sfm", "room", "--out", "sets/room"];
+    let message = fails(at, true, &make);
+    for part in ["mapping", "out of memory", "sets/room/sfm/mapping.log"] {
+        assert!(message.contains(part), "{part}: {message}");
+    }
+    let message = fails(at, true, &["train", "sets/room", "--device=cpu"]);
+    assert!(message.contains("repeat the command that began it"), "{message}");
+    std::fs::remove_file(at.join("broken")).unwrap();
+    let (summary, _) = ok(at, &make);
+    for part in ["7 of 8 have a place", "200", "next         dpges train"] {
+        assert!(summary.contains(part), "{part}: {summary}");
+    }
+    assert_eq!(calls(at), [&ALL[..], &["mapper"]].concat());
+    let message = fails(at, true, &[&make[..], &["--sfm-camera", "RADIAL"]].concat());
+    assert!(message.contains("data.sfm_camera") && message.contains("--overwrite"), "{message}");
+    ok(at, &[&make[..], &["--sfm-camera", "RADIAL", "--overwrite"]].concat());
+    assert_eq!(calls(at).len(), 7);
+}
+
+#[test]
+fn what_is_missing_is_named() {
+    let folder = stage();
+    let at = folder.path();
+    for command in [["sfm", "room"].as_slice(), &["train", "room", "--device=cpu"]] {
+        let message = fails(at, false, command);
+        assert!(message.contains("COLMAP is not installed") && message.contains("apt-get install colmap"), "{message}");
+    }
+    let message = fails(at, true, &["sfm", "bin"]);
+    assert!(message.contains("holds no photographs") && message.contains("images"), "{message}");
+    std::fs::write(at.join("walk.mp4"), "").unwrap();
+    let message = fails(at, false, &["sfm", "walk.mp4"]);
+    assert!(message.contains("ffmpeg is not installed") && message.contains("apt-get install ffmpeg"), "{message}");
+    let output = dpges(at, true, &["sfm", "room", "--sfm", "meshroom"]);
+    let message = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.code() == Some(2) && message.contains("glomap"), "{message}");
+}

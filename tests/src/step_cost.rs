@@ -1,0 +1,54 @@
+//! What a training step asks of a GPU.
+
+use burn::tensor::Device;
+use dpges_core::testing::scenes::realistic;
+use dpges_train::step_cost::{GpuCost, Rounds, StepStage, Steps, measure};
+
+/// Of a small scene, measured anew.
+fn cost(stage: StepStage, device: &Device) -> GpuCost {
+    let (scene, camera) = realistic(200, 1000, 64, 48, 1).into_scene();
+    let mut steps = Steps::new(&scene, &[camera], stage, device).unwrap();
+    let cost = measure(&mut steps, Rounds { warm_up: 2, counted: 3 }).unwrap();
+    println!("{} step: median {:.1} ms", cost.stage, cost.time.median_ms);
+    cost.gpu.expect("the device is a GPU")
+}
+
+/// What holds of any step.
+fn check(cost: &GpuCost) {
+    let GpuCost { launches, launches_by_kernel, transfers, memory, kernel_times } = cost;
+    assert_eq!(launches_by_kernel.values().sum::<usize>(), *launches);
+    let own = |(name, _): &(&String, &usize)| name.starts_with("dpges_core::");
+    let (own, others): (Vec<_>, Vec<_>) = launches_by_kernel.iter().partition(own);
+    assert!(!own.is_empty() && !others.is_empty(), "of dpges {own:?}, of Burn {others:?}");
+    let photograph = 3 * 64 * 48 * 4;
+    assert!(transfers.uploads > 0 && transfers.uploaded_bytes >= photograph, "{transfers:?}");
+    assert!(transfers.downloads > 0 && transfers.downloaded_bytes < photograph, "{transfers:?}");
+    assert!(memory.alive_bytes > 0 && memory.peak_bytes > memory.alive_bytes, "{memory:?}");
+    assert!(memory.reserved_bytes >= memory.alive_bytes, "{memory:?}");
+    let Some(times) = kernel_times else { return println!("the adapter has no timestamps") };
+    assert!(times.iter().map(|kernel| kernel.launches).sum::<usize>() <= *launches, "{times:?}");
+    assert!(times.iter().all(|kernel| launches_by_kernel.contains_key(&kernel.kernel)), "{times:?}");
+    assert!(times.iter().map(|kernel| kernel.milliseconds).sum::<f64>() > 0.0, "{times:?}");
+}
+
+/// Whether a kernel of the module is among the launches.
+fn is_launched(cost: &GpuCost, module: &str) -> bool {
+    cost.launches_by_kernel.keys().any(|kernel| kernel.starts_with(module))
+}
+
+pub fn a_step_is_counted_alike_every_time(device: Device) {
+    let (first, second) = (cost(StepStage::Joint, &device), cost(StepStage::Joint, &device));
+    check(&first);
+    for operation in ["dpges_core::splat::", "dpges_core::peel::"] {
+        assert!(is_launched(&first, operation), "nothing of {operation} among {:?}", first.launches_by_kernel);
+    }
+    assert_eq!(first.launches_by_kernel, second.launches_by_kernel);
+    assert_eq!(first.transfers, second.transfers);
+}
+
+pub fn a_blended_step_is_counted(device: Device) {
+    let found = cost(StepStage::Blended, &device);
+    check(&found);
+    assert!(is_launched(&found, "dpges_core::blend::"), "{:?}", found.launches_by_kernel);
+    assert!(!is_launched(&found, "dpges_core::peel::"), "{:?}", found.launches_by_kernel);
+}
