@@ -8,8 +8,10 @@ use std::collections::HashMap;
 use std::sync::{LazyLock, Mutex};
 
 use burn::backend::TensorMetadata;
+use burn::tensor::TensorData;
 use burn_cubecl::tensor::CubeTensor;
 
+use crate::counters::transfers::{download, wait};
 use crate::gpu::launch::largest_buffer;
 
 /// Whose lists: those of surfels and of Gaussians have different lengths.
@@ -27,6 +29,8 @@ static CEILING: std::sync::atomic::AtomicUsize = std::sync::atomic::AtomicUsize:
 /// Initial entries for each primitive and for each tile.
 const PER_PRIMITIVE: usize = 4;
 const PER_TILE: usize = 64;
+/// Most entries on any device: kernels count them, and the units that write them, in 32 bits.
+const MOST: usize = 1 << 31;
 
 /// Caps the room of the first attempt in this process, to test lists that do not fit.
 #[cfg(any(test, feature = "testing"))]
@@ -45,19 +49,24 @@ fn key(beside: &CubeTensor, kind: ListKind) -> (String, ListKind) {
     (format!("{:?}", beside.device), kind)
 }
 
+/// Most entries of a list on the device of `beside`.
+fn most(beside: &CubeTensor) -> usize {
+    (largest_buffer(beside) / size_of::<u32>()).min(MOST)
+}
+
 /// Entries to begin with.
 fn guess(beside: &CubeTensor, kind: ListKind, primitives: usize, tiles: usize) -> usize {
     let mut sufficed = SUFFICED.lock().expect("no holder panics");
     let entries = sufficed.entry(key(beside, kind)).or_default();
     *entries = (*entries).max(PER_PRIMITIVE * primitives + PER_TILE * tiles);
-    (*entries).min(ceiling()).min(largest_buffer(beside) / size_of::<u32>()).max(1)
+    (*entries).min(ceiling()).min(most(beside)).max(1)
 }
 
 /// Calls `write` with room for some entries and, if there are more, again with room for all, and returns what the last
 /// call made, and the number of entries: the last of `starts` [primitives + 1].
 ///
 /// # Panics
-/// If a list of all entries exceeds the largest buffer of the device.
+/// If a list of all entries exceeds the largest buffer of the device, or 2³¹.
 pub(crate) fn with_room<T>(
     starts: &CubeTensor,
     kind: ListKind,
@@ -70,16 +79,20 @@ pub(crate) fn with_room<T>(
     let room = guess(starts, kind, primitives, tiles);
     let written = write(room);
     starts.client.flush().expect("the device accepts work");
-    let bytes = cubecl::future::block_on(length).expect("the device answers").remove(0);
-    let entries = bytemuck::pod_read_unaligned::<u32>(&bytes[..size_of::<u32>()]) as usize;
+    let bytes = wait(|| cubecl::future::block_on(length)).expect("the device answers").remove(0);
+    let entries = bytemuck::pod_read_unaligned::<u32>(&bytes[..size_of::<u32>()]);
+    download(TensorData::new(vec![entries], [1]));
+    // sums that exceed 32 bits are the largest number
+    let or_more = if entries == u32::MAX { " or more" } else { "" };
+    let entries = entries as usize;
     if entries <= room {
         return (written, entries);
     }
-    let (needed, largest) = (entries * size_of::<u32>(), largest_buffer(starts));
+    let [needed, largest] = [entries, most(starts)].map(|entries| entries * size_of::<u32>());
     assert!(
         needed <= largest,
-        "the {primitives} primitives of this view touch {entries} tiles, a list of {needed} bytes, and the device takes \
-         buffers of at most {largest}: render smaller images or fewer primitives"
+        "the {primitives} primitives of this view touch {entries}{or_more} tiles, a list of {needed} bytes, and the \
+         device takes buffers of at most {largest}: render smaller images or fewer primitives"
     );
     tracing::debug!("{entries} entries of tile lists exceeded the {room} expected, and are written again");
     SUFFICED.lock().expect("no holder panics").insert(key(starts, kind), entries + entries / 4);

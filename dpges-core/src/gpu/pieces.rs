@@ -1,6 +1,5 @@
 //! Gathering from primitives of very different sizes: the pixels of every rectangle in pieces of about the same size,
-//! each for [`WORKERS`] units. What is gathered in pieces is added up for each primitive afterwards, in the order of the
-//! pieces.
+//! each for [`WORKERS`] units. What is gathered in pieces is added up for each primitive afterwards, in a fixed order.
 //!
 //! The size of a piece grows with the area of all rectangles, so that the number of pieces has a bound that does not
 //! depend on them, and the host need not wait for it.
@@ -9,12 +8,13 @@ use burn::backend::TensorMetadata;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
+use super::gather::zeros;
 use super::launch::{HALVINGS, UNITS, buffer, cube_dim, cubes, empty_f32, empty_u32, units};
 use super::rect::Rect;
 use super::scan;
 use super::work::own_owner;
 
-/// Units that gather from a piece, and pieces of a cube.
+/// Units that gather from a piece or add up the pieces of a rectangle, and how many pieces or rectangles a cube has.
 pub const WORKERS: u32 = 8;
 const PIECES: usize = (UNITS / WORKERS) as usize;
 /// Pixels of the smallest piece.
@@ -46,6 +46,18 @@ pub struct Stride {
     rows: u32,
 }
 
+/// Number of the piece, or of the rectangle, that this unit works for.
+#[cube]
+pub fn own_number() -> usize {
+    CUBE_POS * PIECES + (UNIT_POS / WORKERS) as usize
+}
+
+/// Position of this unit among the [`WORKERS`].
+#[cube]
+pub fn worker() -> u32 {
+    UNIT_POS % WORKERS
+}
+
 #[cube]
 impl Piece {
     fn load(pieces: &[u32], at: usize) -> Piece {
@@ -72,12 +84,12 @@ impl Piece {
 
     /// The piece of this unit.
     pub fn own(pieces: &[u32]) -> Piece {
-        Piece::load(pieces, CUBE_POS * PIECES + (UNIT_POS / WORKERS) as usize)
+        Piece::load(pieces, own_number())
     }
 
     /// The first pixel of this unit, counted from the first of the rectangle.
     pub fn first(&self) -> u32 {
-        self.from + UNIT_POS % WORKERS
+        self.from + worker()
     }
 
     /// Column and row of a pixel.
@@ -112,10 +124,22 @@ pub fn cube_has_pieces(pieces: &[u32], most: u32) -> bool {
     workgroup_uniform_load(&end[0]) > 0u32
 }
 
-/// Writes what the units of every piece of this cube gathered, [pieces, `numbers`]: the sum of the numbers of all its
-/// units or, if not `sum`, the largest. All units of the cube must call this together.
+/// Whether any of `count` rectangles is one of this cube. It is uniform over the cube.
 #[cube]
-pub fn store_gathered(own: &Array<f32>, gathered: &mut [f32], #[comptime] numbers: usize, #[comptime] sum: bool) {
+pub fn cube_has_rectangles(count: u32) -> bool {
+    CUBE_POS * PIECES < count as usize
+}
+
+/// Writes what the units of every piece or rectangle of this cube gathered, [`count`, `numbers`]: the sum of the numbers of
+/// all its units or, if not `sum`, the largest. All units of the cube must call this together.
+#[cube]
+pub fn store_gathered(
+    own: &Array<f32>,
+    gathered: &mut [f32],
+    count: u32,
+    #[comptime] numbers: usize,
+    #[comptime] sum: bool,
+) {
     let mut partial = Shared::<[f32]>::new_slice(comptime!(UNITS as usize * numbers));
     let unit = UNIT_POS as usize;
     #[unroll]
@@ -135,7 +159,9 @@ pub fn store_gathered(own: &Array<f32>, gathered: &mut [f32], #[comptime] number
                 value = max(value, part);
             }
         }
-        gathered[CUBE_POS * PIECES * numbers + at] = value;
+        if CUBE_POS * PIECES + piece < count as usize {
+            gathered[CUBE_POS * PIECES * numbers + at] = value;
+        }
         at += UNITS as usize;
     }
 }
@@ -230,7 +256,7 @@ pub struct Pieces {
     pub most: usize,
 }
 
-/// Adds what the pieces of every rectangle gathered, in their order: `taken` of the numbers, from the `first` on.
+/// Adds what the pieces of every rectangle gathered: `taken` of the numbers, from the `first` on.
 #[cube(launch)]
 fn collect_kernel(
     gathered: &[f32],
@@ -241,16 +267,29 @@ fn collect_kernel(
     #[comptime] taken: usize,
     #[comptime] numbers: usize,
 ) {
-    let at = ABSOLUTE_POS;
-    if at >= count as usize * taken {
+    if !cube_has_rectangles(count) {
         terminate!();
     }
-    let (i, number) = (at / taken, at % taken);
-    let mut sum = 0.0f32;
-    for piece in starts[i]..starts[i + 1] {
-        sum += gathered[piece as usize * numbers + first + number];
+    let mut own = zeros(taken);
+    let i = own_number();
+    if i < count as usize {
+        let end = starts[i + 1];
+        let mut piece = starts[i] + worker();
+        while piece < end {
+            let at = piece as usize * numbers + first;
+            #[unroll]
+            for number in 0..taken {
+                own[number] += gathered[at + number];
+            }
+            piece += WORKERS;
+        }
     }
-    sums[at] = sum;
+    store_gathered(&own, sums, count, taken, true);
+}
+
+/// A grid with [`WORKERS`] units for each of `count` rectangles.
+pub fn collectors(count: usize) -> CubeCount {
+    cubes(count.div_ceil(PIECES))
 }
 
 impl Pieces {
@@ -265,7 +304,7 @@ impl Pieces {
         let sums = empty_f32(gathered, [count, taken]);
         collect_kernel::launch(
             &gathered.client.clone(),
-            units(count * taken),
+            collectors(count),
             cube_dim(),
             buffer(gathered),
             buffer(&self.starts),

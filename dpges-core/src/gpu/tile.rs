@@ -11,8 +11,9 @@ pub const TILE: u32 = tiles::TILE as u32;
 const _: () = assert!(TILE * TILE == UNITS, "one unit per pixel of a tile");
 
 /// A tile consists of regions, each with the pixels of [`LANES`] consecutive units. Sizes in px.
-pub const REGION_WIDTH: u32 = 8;
-pub const REGION_HEIGHT: u32 = LANES / REGION_WIDTH;
+pub const REGION_WIDTH: u32 = tiles::REGION_WIDTH as u32;
+pub const REGION_HEIGHT: u32 = tiles::REGION_HEIGHT as u32;
+const _: () = assert!(REGION_WIDTH * REGION_HEIGHT == LANES, "one unit per pixel of a region");
 /// Regions in a row of a tile, and in a tile.
 pub const REGION_COLUMNS: u32 = TILE / REGION_WIDTH;
 pub const REGIONS: usize = (UNITS / LANES) as usize;

@@ -4,15 +4,14 @@ pub mod compare;
 pub mod extremes;
 pub mod golden;
 pub mod gradients;
+#[cfg(feature = "gpu")]
+pub mod kernels;
 pub mod lenses;
 pub mod parity;
 #[cfg(any(feature = "ndarray", feature = "flex"))]
 pub mod precision;
 pub mod random;
 pub mod scenes;
-
-#[cfg(feature = "gpu")]
-pub use crate::gpu::launch::limit_buffers;
 
 /// A CPU device that is switched on, with a tape.
 #[cfg(any(feature = "ndarray", feature = "flex"))]

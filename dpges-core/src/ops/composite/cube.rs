@@ -339,7 +339,7 @@ fn colours_backward_kernel(
             p += WORKERS;
         }
     }
-    store_gathered(&own, gathered, 3usize, true);
+    store_gathered(&own, gathered, most, 3usize, true);
 }
 
 fn contiguous(input: CompositeInput<CubeBackend>) -> CompositeInput<CubeBackend> {

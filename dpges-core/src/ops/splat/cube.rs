@@ -15,8 +15,10 @@ use crate::footprint::moments::MOMENTS;
 use crate::footprint::regions_cube::{WORDS, list_regions, mark_regions};
 use crate::footprint::splat_cube::{self, SPLAT, Splat, add_moments};
 use crate::gpu::gather::zeros;
-use crate::gpu::launch::{HALVINGS, LANES, UNITS, buffer, cube_dim, cubes, empty_f32, floats, units};
-use crate::gpu::pieces::{Piece, WORKERS, cube_has_pieces, pieces, store_gathered};
+use crate::gpu::launch::{HALVINGS, LANES, UNITS, buffer, cube_dim, cubes, empty_f32, floats};
+use crate::gpu::pieces::{
+    Piece, WORKERS, collectors, cube_has_pieces, cube_has_rectangles, own_number, pieces, store_gathered, worker,
+};
 use crate::gpu::record::Record;
 use crate::gpu::tile::{REGIONS, own_pixel, plane_of};
 use crate::gpu::vector::{Vec3, row3};
@@ -211,7 +213,7 @@ fn gather_kernel(
             p += WORKERS;
         }
     }
-    store_gathered(&own, sums, SUMS, true);
+    store_gathered(&own, sums, most, SUMS, true);
 }
 
 /// Largest weight times gate of every Gaussian over the pixels of each piece.
@@ -256,23 +258,29 @@ fn contributions_kernel(
             p += WORKERS;
         }
     }
-    store_gathered(&own, largest_of_pieces, 1usize, false);
+    store_gathered(&own, largest_of_pieces, most, 1usize, false);
 }
 
 /// Largest contribution of every Gaussian to a pixel.
 #[cube(launch)]
 fn brightest_kernel(largest_of_pieces: &[f32], starts: &[u32], colours: &[f32], contributions: &mut [f32], count: u32) {
-    let i = ABSOLUTE_POS;
-    if i >= count as usize {
+    if !cube_has_rectangles(count) {
         terminate!();
     }
-    let mut most = 0.0f32;
-    for piece in starts[i]..starts[i + 1] {
-        most = max(most, largest_of_pieces[piece as usize]);
+    let mut own = zeros(1usize);
+    let i = own_number();
+    if i < count as usize {
+        let end = starts[i + 1];
+        let mut piece = starts[i] + worker();
+        while piece < end {
+            own[0] = max(own[0], largest_of_pieces[piece as usize]);
+            piece += WORKERS;
+        }
+        let colour = row3(colours, i);
+        let brightest = max(f32::abs(colour.x), max(f32::abs(colour.y), f32::abs(colour.z)));
+        own[0] = own[0] * brightest;
     }
-    let colour = row3(colours, i);
-    let brightest = max(f32::abs(colour.x), max(f32::abs(colour.y), f32::abs(colour.z)));
-    contributions[i] = most * brightest;
+    store_gathered(&own, contributions, count, 1usize, false);
 }
 
 impl SplatOps for CubeBackend {
@@ -344,7 +352,7 @@ impl SplatOps for CubeBackend {
         let largest = empty_f32(&limits, [count]);
         brightest_kernel::launch(
             &limits.client.clone(),
-            units(count),
+            collectors(count),
             cube_dim(),
             buffer(&of_pieces),
             buffer(&pieces.starts),

@@ -28,8 +28,7 @@ use crate::scene::tensors::check_shape;
 /// How the sums are computed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SplatOptions {
-    /// Whether every run must give the same bits. All backends add in a fixed order now, so that this is true of
-    /// either setting.
+    /// Whether every run must give the same bits. It does either way: every backend adds in a fixed order.
     pub deterministic: bool,
 }
 

@@ -6,6 +6,7 @@
 use std::ops::Range;
 
 use burn::backend::TensorMetadata;
+use burn::tensor::TensorData;
 use burn_cubecl::CubeBackend;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
@@ -14,6 +15,7 @@ use super::fragments::{FEATURES, Fragments, LOW_PASS, LowPass, Payload, TANGENTS
 use super::{FIRST_MOMENT, REFERENCE, SECOND_MOMENT, STATE, THROUGH, TOTAL, Thresholds, add_fragment};
 use crate::binning::cube::TileList;
 use crate::camera::Camera;
+use crate::counters::transfers::{download, wait};
 use crate::footprint::disc_cube::{DISC_SUMS, DiscPixel, Hit, PLANE, Plane, add_disc_sums};
 use crate::footprint::moments::MOMENTS;
 use crate::footprint::regions_cube::{WORDS, list_regions, mark_regions};
@@ -489,9 +491,10 @@ fn bands(offsets: &CubeTensor, pairs: usize, tiles: usize, most: usize) -> Vec<R
     if pairs <= most {
         return vec![0..tiles];
     }
-    let bytes = offsets.client.read_one(offsets.handle.clone()).expect("the device answers");
-    let offsets: Vec<usize> =
-        bytes.chunks_exact(size_of::<u32>()).map(|entry| bytemuck::pod_read_unaligned::<u32>(entry) as usize).collect();
+    let bytes = wait(|| offsets.client.read_one(offsets.handle.clone())).expect("the device answers");
+    let offsets: Vec<u32> = bytes.chunks_exact(size_of::<u32>()).map(bytemuck::pod_read_unaligned).collect();
+    let offsets = download(TensorData::new(offsets, [tiles + 1]));
+    let offsets: Vec<usize> = offsets.iter::<u32>().map(|offset| offset as usize).collect();
     let mut bands: Vec<Range<usize>> = Vec::new();
     for tile in 0..tiles {
         let length = offsets[tile + 1] - offsets[tile];
