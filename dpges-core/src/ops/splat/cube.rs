@@ -118,7 +118,7 @@ fn splat_kernel(
             let mut bits = visits[region * WORDS + word];
             while bits != 0u32 {
                 let o = (word * 32usize + bits.trailing_zeros() as usize) * STAGED;
-                bits = bits & (bits - 1u32);
+                bits &= bits - 1u32;
                 let splat = Splat::load(&staged, o);
                 let dy = pixel.y - splat.mean_y;
                 let weight = splat.weight(splat.u(pixel.x - splat.mean_x, dy), splat.r * dy);
@@ -278,7 +278,7 @@ fn brightest_kernel(largest_of_pieces: &[f32], starts: &[u32], colours: &[f32], 
         }
         let colour = row3(colours, i);
         let brightest = max(f32::abs(colour.x), max(f32::abs(colour.y), f32::abs(colour.z)));
-        own[0] = own[0] * brightest;
+        own[0] *= brightest;
     }
     store_gathered(&own, contributions, count, 1usize, false);
 }

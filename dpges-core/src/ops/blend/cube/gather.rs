@@ -255,7 +255,7 @@ fn gather_kernel(
                 let mut bits = visits[(UNIT_POS / LANES) as usize * WORDS + word];
                 while bits != 0u32 && open {
                     let entry = word as u32 * 32u32 + bits.trailing_zeros();
-                    bits = bits & (bits - 1u32);
+                    bits &= bits - 1u32;
                     let found = on_ellipse(Splat::load(&partial, entry as usize * SPLAT), x, y);
                     if found.weight > 0.0f32 {
                         let position = batch * UNITS + entry;
