@@ -23,7 +23,7 @@
 //! | miniz_oxide | deflate in compressed scenes, both ways, in Rust without unsafe code, in browsers too. What it packs is mostly noise, for which Huffman codes come within 2 % of the entropy of the bytes: a better search for repetitions gains little |
 //! | thiserror | errors |
 //! | burn-cubecl, cubecl | feature `gpu`: kernels for any GPU that wgpu reaches |
-//! | tracing | feature `gpu`: a warning when a buffer had to grow |
+//! | tracing | feature `gpu`: a note when a buffer had to grow |
 //! | burn-optim, image | the examples: an optimiser of Burn, a PNG |
 #![cfg_attr(feature = "ndarray", expect(deprecated, reason = "burn-ndarray is deprecated upstream and supported here"))]
 #![recursion_limit = "256"]

@@ -1,5 +1,5 @@
-//! How much work the tile lists of a view are: their lengths, and how many of the pairs of a pixel and a primitive that
-//! they make lie in a footprint. Counted on the CPU, in f32, from the same footprints as the lists of GPUs.
+//! How much work the tile lists of a view are: their lengths, how many pairs of a pixel and a primitive the kernels of a
+//! GPU evaluate because of them, and how many of these lie in a footprint. Counted on the CPU, in f32, from the same footprints as the lists of GPUs.
 
 use std::ops::Add;
 
@@ -15,7 +15,7 @@ use crate::footprint::splat::{self, Splat};
 use crate::math::{CameraOf, row};
 use crate::ops::peel::PeelOptions;
 use crate::scene::{Footprint, GaussianData, ScreenFilter, SurfelData};
-use crate::tiles::{PixelRect, TILE, TILE_PIXELS, TileGrid};
+use crate::tiles::{PixelRect, REGION_HEIGHT, REGION_WIDTH, TILE, TileGrid};
 
 /// The tile lists of one kind of primitives in one view.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -26,10 +26,11 @@ pub struct TileWork {
     pub entries: usize,
     /// Entries of the longest list.
     pub longest: usize,
-    /// Pairs of a pixel and a primitive if every pixel of a tile is asked about every entry of its list: 256 an entry. A
-    /// kernel that stops early asks about fewer.
+    /// Pairs of a pixel and a primitive that a kernel of a GPU asks about on its way forward. Of a surfel these are the
+    /// 256 pixels of the tile for each entry; of a Gaussian the 32 pixels of each region of 8 × 4 px of the tile that its
+    /// ellipse touches, and in which some pixel sees as far as its depth. A kernel that stops early asks about fewer.
     pub evaluated_pairs: u64,
-    /// Pairs of a pixel of the image and a primitive of which it lies in the footprint.
+    /// Those of a pixel of the image that lies in the footprint of the primitive.
     pub inside_pairs: u64,
 }
 
@@ -84,12 +85,12 @@ pub fn surfel_work(surfels: &SurfelData, camera: &Camera, options: &PeelOptions)
         };
         hit.facing.abs() > MIN_FACING as f32 && hit.depth > near && measure >= CUTOFF as f32
     };
-    count(grid, &bin(&rects, grid, |_, _, _| true), &rects, is_inside)
+    count(grid, &bin(&rects, grid, |_, _, _| true), &rects, [TILE; 2], |_, _| true, is_inside)
 }
 
 /// The lists that `gaussians`, drawn with `filter`, are splatted or blended from: a Gaussian is in those of all tiles that
 /// its ellipse touches, unless it lies at or behind `ends`, [H, W], the depth behind which a pixel sees nothing, at every
-/// pixel of the tile, world units.
+/// pixel of the tile, world units. The pixels of a region of the tile are asked about it together, by the same rule.
 ///
 /// # Panics
 /// If `ends` is not as large as the picture of `camera`.
@@ -115,12 +116,14 @@ pub fn gaussian_work(
     };
     let (splats, rects): (Vec<Option<Splat<f32>>>, Vec<PixelRect>) =
         (0..gaussians.len()).into_par_iter().map(seen).unzip();
-    let ends = ends.map(|ends| furthest(ends, grid));
+    let of_tiles = Ends::new(ends, grid, [TILE; 2]);
+    let of_regions = Ends::new(ends, grid, REGION);
     let is_listed = |i: usize, column: usize, row: usize| {
-        splats[i].as_ref().is_some_and(|splat| {
-            let end = ends.as_ref().map_or(f32::INFINITY, |ends| ends[row * grid.columns + column]);
-            splat.touches(column, row) && splat.depth < end
-        })
+        let first = [column * TILE, row * TILE];
+        splats[i].as_ref().is_some_and(|splat| splat.touches(column, row) && splat.depth < of_tiles.at(first))
+    };
+    let is_asked = |i: usize, first: [usize; 2]| {
+        splats[i].as_ref().is_some_and(|splat| splat.reaches(first, REGION) && splat.depth < of_regions.at(first))
     };
     let is_inside = |i: usize, x: f32, y: f32| {
         splats[i].as_ref().is_some_and(|splat| {
@@ -128,43 +131,78 @@ pub fn gaussian_work(
             splat.weight(u, v) > 0.0
         })
     };
-    count(grid, &bin(&rects, grid, is_listed), &rects, is_inside)
+    count(grid, &bin(&rects, grid, is_listed), &rects, REGION, is_asked, is_inside)
 }
 
-/// `[tiles]` the largest of the values [H, W] in each tile.
-fn furthest(values: &[f32], grid: TileGrid) -> Vec<f32> {
-    assert_eq!(values.len(), grid.width * grid.height, "a depth for every pixel");
-    let mut furthest = vec![f32::NEG_INFINITY; grid.len()];
-    for (pixel, &value) in values.iter().enumerate() {
-        let (column, row) = (pixel % grid.width / TILE, pixel / grid.width / TILE);
-        let tile = &mut furthest[row * grid.columns + column];
-        *tile = tile.max(value);
+/// Columns and rows of a region, px.
+const REGION: [usize; 2] = [REGION_WIDTH, REGION_HEIGHT];
+
+/// The depths at and behind which no pixel of a part of the image sees anything, for all parts of one size.
+struct Ends {
+    /// Columns and rows of a part, px.
+    size: [usize; 2],
+    /// Parts in a row.
+    columns: usize,
+    /// −∞ beside the image.
+    depths: Vec<f32>,
+}
+
+impl Ends {
+    /// From those of the pixels, [H, W]; pixels that all see to infinity without them.
+    fn new(of_pixels: Option<&[f32]>, grid: TileGrid, size: [usize; 2]) -> Self {
+        let [width, height] = size;
+        let [columns, rows] = [grid.columns * TILE / width, grid.rows * TILE / height];
+        if let Some(of_pixels) = of_pixels {
+            assert_eq!(of_pixels.len(), grid.width * grid.height, "a depth for every pixel");
+        }
+        let mut depths = vec![f32::NEG_INFINITY; columns * rows];
+        for pixel in 0..grid.width * grid.height {
+            let (x, y) = (pixel % grid.width, pixel / grid.width);
+            let part = &mut depths[y / height * columns + x / width];
+            *part = part.max(of_pixels.map_or(f32::INFINITY, |of_pixels| of_pixels[pixel]));
+        }
+        Self { size, columns, depths }
     }
-    furthest
+
+    /// Of the part from the pixel at a column and row on.
+    fn at(&self, first: [usize; 2]) -> f32 {
+        self.depths[first[1] / self.size[1] * self.columns + first[0] / self.size[0]]
+    }
 }
 
-/// `is_inside(primitive, x, y)` tells whether the point (x, y) px lies in its footprint, and is false outside its rectangle.
+/// `is_asked(primitive, first)` tells whether the pixels of the part of a tile from `first` on, of the `size` of all parts,
+/// are asked about a primitive of its list. `is_inside(primitive, x, y)` tells whether the point (x, y) px lies in its
+/// footprint, and is false outside its rectangle.
 fn count(
     grid: TileGrid,
     lists: &TileLists,
     rects: &[PixelRect],
+    size: [usize; 2],
+    is_asked: impl Fn(usize, [usize; 2]) -> bool + Sync,
     is_inside: impl Fn(usize, f32, f32) -> bool + Sync,
 ) -> TileWork {
+    let [width, height] = size;
+    let pixels_inside = |id: usize, [x, y]: [usize; 2]| {
+        let PixelRect { x0, x1, y0, y1 } = rects[id];
+        let columns = x.max(x0 as usize)..(x + width).min(x1 as usize);
+        let rows = y.max(y0 as usize)..(y + height).min(y1 as usize);
+        let is_inside = |x: usize, y: usize| is_inside(id, x as f32 + 0.5, y as f32 + 0.5);
+        rows.map(|y| columns.clone().filter(|&x| is_inside(x, y)).count() as u64).sum::<u64>()
+    };
     let of_tile = |tile: usize| {
-        let (list, origin) = (lists.of(tile), grid.origin(tile));
-        let pixels_inside = |&id: &u32| {
-            let [x0, x1, y0, y1] = rects[id as usize].within_tile(origin);
-            let pixels = (y0..y1).flat_map(|y| (x0..x1).map(move |x| (x, y)));
-            let centre = |(x, y): (usize, usize)| ((origin.0 + x) as f32 + 0.5, (origin.1 + y) as f32 + 0.5);
-            pixels.map(centre).filter(|&(x, y)| is_inside(id as usize, x, y)).count() as u64
-        };
-        TileWork {
-            tiles: 1,
-            entries: list.len(),
-            longest: list.len(),
-            evaluated_pairs: (list.len() * TILE_PIXELS) as u64,
-            inside_pairs: list.iter().map(pixels_inside).sum(),
+        let (list, (left, top)) = (lists.of(tile), grid.origin(tile));
+        let mut work = TileWork { tiles: 1, entries: list.len(), longest: list.len(), ..TileWork::default() };
+        for id in list.iter().map(|&id| id as usize) {
+            for y in (top..top + TILE).step_by(height) {
+                for first in (left..left + TILE).step_by(width).map(|x| [x, y]) {
+                    if is_asked(id, first) {
+                        work.evaluated_pairs += (width * height) as u64;
+                        work.inside_pairs += pixels_inside(id, first);
+                    }
+                }
+            }
         }
+        work
     };
     (0..grid.len()).into_par_iter().map(of_tile).reduce(TileWork::default, TileWork::add)
 }

@@ -6,7 +6,7 @@ use burn::tensor::{DType, Device};
 use dpges_train::device::DeviceName;
 use libtest_mimic::Trial;
 
-use crate::{extremes, golden, gpu, lpips, parity, step_cost, training};
+use crate::{extremes, golden, gpu, kernels, lpips, parity, step_cost, training};
 
 /// Every function named, with its name.
 macro_rules! named {
@@ -19,21 +19,29 @@ pub fn trials() -> Vec<Trial> {
     let tests = named![
         gpu::golden_cases,
         extremes::every_hazard_alone_is_finite,
+        kernels::prefix_sums_of_any_length,
+        kernels::prefix_sums_stay_at_the_largest_number,
+        kernels::pairs_of_any_number_are_sorted_and_keep_their_order,
+        kernels::pieces_cover_every_pixel_once,
         parity::every_operation_agrees_on_random_scenes,
         parity::every_operation_agrees_for_every_number_of_layers_and_footprint,
         parity::every_operation_agrees_on_a_realistic_scene,
         parity::every_operation_agrees_with_nothing_to_show,
+        parity::every_operation_agrees_on_one_primitive_and_on_a_line_of_pixels,
         parity::every_operation_agrees_through_lenses,
         parity::sorted_blending_agrees_on_random_scenes,
         parity::sorted_blending_agrees_in_a_crowd,
         parity::sorted_blending_agrees_with_little_or_nothing_to_show,
         parity::lists_that_overflow_change_nothing,
-        parity::ordered_sums_are_the_same_bits_every_time,
+        parity::primitives_larger_than_the_picture_agree,
+        parity::gradients_beyond_the_largest_buffer_are_gathered_in_parts,
+        parity::what_no_buffer_holds_is_refused_by_name,
+        parity::every_operation_gives_the_same_bits_every_time,
         parity::doubles_on_a_gpu_are_refused_by_name,
         lpips::a_gpu_agrees_with_a_cpu,
         gpu::starts_once,
         training::a_gpu_trains_as_well_as_a_cpu,
-        training::a_deterministic_run_on_a_gpu_is_the_same_bytes_every_time,
+        training::a_run_on_a_gpu_is_the_same_bytes_every_time,
         step_cost::a_step_is_counted_alike_every_time,
         step_cost::a_blended_step_is_counted,
     ];

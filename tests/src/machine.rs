@@ -5,6 +5,7 @@ mod devices;
 mod extremes;
 mod golden;
 mod gpu;
+mod kernels;
 mod lpips;
 mod parity;
 mod raster;
@@ -18,7 +19,7 @@ use libtest_mimic::{Arguments, Trial};
 
 fn main() -> ExitCode {
     let mut arguments = Arguments::from_args();
-    // Each uses all of the device, and one switches the whole process to sums in a fixed order.
+    // Each uses all of the device, and some limit the lists and buffers of the whole process.
     arguments.test_threads = arguments.test_threads.or(Some(1));
     let mut trials = gpu::trials();
     trials.extend(raster::trials());

@@ -6,6 +6,7 @@ use dpges_core::camera::{Camera, CameraFromWorld, Lens};
 use dpges_core::ops::blend::{BlendOptions, Form};
 use dpges_core::ops::peel::PeelOptions;
 use dpges_core::scene::{ColourModel, Footprint, ScreenFilter};
+use dpges_core::testing::kernels::limit_buffers;
 use dpges_core::testing::lenses::{behind, every_model};
 use dpges_core::testing::parity::{Bench, Named, Reference, distances};
 use dpges_core::testing::scenes::{self, Recipe, TestScene};
@@ -102,6 +103,14 @@ pub fn every_operation_agrees_with_nothing_to_show(device: Device) {
     }
 }
 
+pub fn every_operation_agrees_on_one_primitive_and_on_a_line_of_pixels(device: Device) {
+    for (surfels, gaussians, width, height) in [(1, 1, 37, 22), (12, 20, 1, 1), (12, 20, 33, 1), (12, 20, 1, 17)] {
+        let scene = scenes::random(51, &Recipe { surfels, gaussians, width, height, ..Recipe::default() });
+        let what = format!("{surfels} surfels, {gaussians} Gaussians, {width} × {height} px");
+        check(&what, &scene, PeelOptions::default(), &device);
+    }
+}
+
 /// Through a lens of every model. Wide ones stand within the scene and see 150° across their picture, others as before.
 pub fn every_operation_agrees_through_lenses(device: Device) {
     for (seed, (name, lens)) in (100..).zip(every_model()) {
@@ -166,10 +175,56 @@ pub fn lists_that_overflow_change_nothing(device: Device) {
     cap_lists(usize::MAX);
 }
 
-pub fn ordered_sums_are_the_same_bits_every_time(device: Device) {
-    let scene = scenes::realistic(300, 4_000, 96, 64, 2);
+/// Scenes with some Gaussians that fill the picture.
+fn with_large_ones(mut scene: TestScene, large: usize) -> TestScene {
+    for i in 0..large {
+        scene.gaussians.log_scales[3 * i..3 * i + 3].copy_from_slice(&[1.2, 1.5, 0.9]);
+        scene.gaussians.opacities[i] = 0.2;
+    }
+    scene
+}
+
+pub fn primitives_larger_than_the_picture_agree(device: Device) {
+    let mut scene = with_large_ones(scenes::realistic(300, 2_000, 200, 150, 3), 6);
+    scene.surfels.log_scales[..6].copy_from_slice(&[0.3, 0.1, 0.2, 0.4, 0.0, 0.3]);
+    check("larger than the picture", &scene, PeelOptions::default(), &device);
+    check_blending("larger than the picture", &scene, &FORMS, &device);
+}
+
+pub fn gradients_beyond_the_largest_buffer_are_gathered_in_parts(device: Device) {
+    let recipe = Recipe { surfels: 0, gaussians: 2_500, width: 40, height: 30, ..Recipe::default() };
+    let scene = with_large_ones(scenes::random(96, &recipe), 1_500);
+    let run = || {
+        let options = BlendOptions { maps: true, ..BlendOptions::default() };
+        on(&scene, PeelOptions::default(), &device).blended(options)
+    };
+    let whole = run();
+    // the sums of a tile fit, those of all six do not
+    limit_buffers(180_000);
+    let in_parts = run();
+    limit_buffers(usize::MAX);
+    assert_near("in parts", &in_parts, &whole);
+}
+
+pub fn what_no_buffer_holds_is_refused_by_name(device: Device) {
+    let recipe = Recipe { surfels: 0, gaussians: 100, width: 200, height: 150, ..Recipe::default() };
+    let scene = with_large_ones(scenes::random(97, &recipe), 100);
+    limit_buffers(40_000);
+    let refused = std::panic::catch_unwind(|| on(&scene, PeelOptions::default(), &device).blended(Default::default()));
+    limit_buffers(usize::MAX);
+    let message = refused.expect_err("too many entries").downcast::<String>().expect("a message");
+    assert!(message.contains("the 100 primitives of this view touch"), "{message}");
+    assert!(message.contains("buffers of at most 40000"), "{message}");
+}
+
+pub fn every_operation_gives_the_same_bits_every_time(device: Device) {
+    let scene = with_large_ones(scenes::realistic(300, 4_000, 96, 64, 2), 2);
     let reference = on(&scene, PeelOptions::default(), &ndarray()).reference();
-    let run = || on(&scene, PeelOptions::default(), &device).deterministic().against(&reference);
+    let run = || {
+        let blended = BlendOptions { maps: true, ..BlendOptions::default() };
+        let peeled = on(&scene, PeelOptions::default(), &device).against(&reference);
+        [peeled, on(&scene, PeelOptions::default(), &device).blended(blended)]
+    };
     let first = run();
     for _ in 0..3 {
         assert!(run() == first, "two runs differ");

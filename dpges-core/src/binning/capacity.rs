@@ -1,18 +1,18 @@
-//! Capacity of the tile lists of a device: a bound that grows.
+//! Room for the (primitive, tile) pairs of a view.
 //!
-//! Only the device knows the length of all lists, and waiting for it would stall the queue. Buffers are
-//! therefore allocated from a bound, and the length is read back in the background. The result is correct
-//! even if a list does not fit: the kernel then visits all primitives. The bound rises before the next launch.
+//! Only the device knows how many pairs there are. The kernel that writes them is launched with the room that earlier
+//! launches suggest, and only then the host waits for their number, so that the device has work meanwhile. Pairs that
+//! did not fit are written again.
 
 use std::collections::HashMap;
-use std::future::Future;
-use std::pin::Pin;
 use std::sync::{LazyLock, Mutex};
-use std::task::{Context, Poll, Waker};
 
+use burn::backend::TensorMetadata;
+use burn::tensor::TensorData;
 use burn_cubecl::tensor::CubeTensor;
 
-type Length = Pin<Box<dyn Future<Output = Option<usize>> + Send>>;
+use crate::counters::transfers::{download, wait};
+use crate::gpu::launch::largest_buffer;
 
 /// Whose lists: those of surfels and of Gaussians have different lengths.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -21,22 +21,18 @@ pub(crate) enum ListKind {
     Gaussians,
 }
 
-#[derive(Default)]
-struct Bound {
-    entries: usize,
-    /// The length of an earlier launch, and its capacity.
-    pending: Option<(Length, usize)>,
-}
-
-static BOUNDS: LazyLock<Mutex<HashMap<(String, ListKind), Bound>>> = LazyLock::new(Mutex::default);
+/// Entries that sufficed so far.
+static SUFFICED: LazyLock<Mutex<HashMap<(String, ListKind), usize>>> = LazyLock::new(Mutex::default);
 #[cfg(any(test, feature = "testing"))]
 static CEILING: std::sync::atomic::AtomicUsize = std::sync::atomic::AtomicUsize::new(usize::MAX);
 
 /// Initial entries for each primitive and for each tile.
 const PER_PRIMITIVE: usize = 4;
 const PER_TILE: usize = 64;
+/// Most entries on any device: kernels count them, and the units that write them, in 32 bits.
+const MOST: usize = 1 << 31;
 
-/// Caps the capacity in this process, to test lists that overflow.
+/// Caps the room of the first attempt in this process, to test lists that do not fit.
 #[cfg(any(test, feature = "testing"))]
 pub fn cap_lists(entries: usize) {
     CEILING.store(entries, std::sync::atomic::Ordering::Relaxed);
@@ -53,58 +49,53 @@ fn key(beside: &CubeTensor, kind: ListKind) -> (String, ListKind) {
     (format!("{:?}", beside.device), kind)
 }
 
-/// Entries to allocate.
-pub(crate) fn entries(beside: &CubeTensor, kind: ListKind, primitives: usize, tiles: usize) -> usize {
-    let mut bounds = BOUNDS.lock().expect("no holder panics");
-    let bound = bounds.entry(key(beside, kind)).or_default();
-    bound.collect();
-    bound.entries = bound.entries.max(PER_PRIMITIVE * primitives + PER_TILE * tiles);
-    let largest = beside.client.properties().memory.max_page_size as usize / size_of::<u32>();
-    bound.entries.min(ceiling()).min(largest).max(1)
+/// Most entries of a list on the device of `beside`.
+fn most(beside: &CubeTensor) -> usize {
+    (largest_buffer(beside) / size_of::<u32>()).min(MOST)
 }
 
-/// Learns, as soon as it can be read, the `length` [1] of lists that had `capacity`.
-pub(crate) fn observe(length: &CubeTensor, kind: ListKind, capacity: usize) {
-    let mut bounds = BOUNDS.lock().expect("no holder panics");
-    let bound = bounds.entry(key(length, kind)).or_default();
-    if bound.pending.is_some() {
-        return;
-    }
-    let (client, handle) = (length.client.clone(), length.handle.clone());
-    let mut length: Length = Box::pin(async move {
-        let bytes = client.read_async(vec![handle]).await.ok()?.pop()?;
-        Some(bytemuck::pod_read_unaligned::<u32>(bytes.get(..4)?) as usize)
-    });
-    // a future starts when it is first polled
-    match poll(&mut length) {
-        Poll::Ready(length) => bound.learn(length, capacity),
-        Poll::Pending => bound.pending = Some((length, capacity)),
-    }
+/// Entries to begin with.
+fn guess(beside: &CubeTensor, kind: ListKind, primitives: usize, tiles: usize) -> usize {
+    let mut sufficed = SUFFICED.lock().expect("no holder panics");
+    let entries = sufficed.entry(key(beside, kind)).or_default();
+    *entries = (*entries).max(PER_PRIMITIVE * primitives + PER_TILE * tiles);
+    (*entries).min(ceiling()).min(most(beside)).max(1)
 }
 
-fn poll(length: &mut Length) -> Poll<Option<usize>> {
-    length.as_mut().poll(&mut Context::from_waker(Waker::noop()))
-}
-
-impl Bound {
-    /// Raises the bound if the length of an earlier launch has arrived.
-    fn collect(&mut self) {
-        let Some((length, capacity)) = &mut self.pending else { return };
-        if let Poll::Ready(length) = poll(length) {
-            let capacity = *capacity;
-            self.learn(length, capacity);
-            self.pending = None;
-        }
+/// Calls `write` with room for some entries and, if there are more, again with room for all, and returns what the last
+/// call made, and the number of entries: the last of `starts` [primitives + 1].
+///
+/// # Panics
+/// If a list of all entries exceeds the largest buffer of the device, or 2³¹.
+pub(crate) fn with_room<T>(
+    starts: &CubeTensor,
+    kind: ListKind,
+    tiles: usize,
+    mut write: impl FnMut(usize) -> T,
+) -> (T, usize) {
+    let primitives = starts.shape()[0] - 1;
+    let end = starts.handle.clone().offset_start((primitives * size_of::<u32>()) as u64);
+    let length = starts.client.read_async(vec![end]);
+    let room = guess(starts, kind, primitives, tiles);
+    let written = write(room);
+    starts.client.flush().expect("the device accepts work");
+    let bytes = wait(|| cubecl::future::block_on(length)).expect("the device answers").remove(0);
+    let entries = bytemuck::pod_read_unaligned::<u32>(&bytes[..size_of::<u32>()]);
+    download(TensorData::new(vec![entries], [1]));
+    // sums that exceed 32 bits are the largest number
+    let or_more = if entries == u32::MAX { " or more" } else { "" };
+    let entries = entries as usize;
+    if entries <= room {
+        return (written, entries);
     }
-
-    fn learn(&mut self, length: Option<usize>, capacity: usize) {
-        let Some(length) = length else { return };
-        if length > capacity {
-            tracing::warn!(
-                "{length} entries of tile lists exceeded a capacity of {capacity}: \
-                 this image took longer to render, and the capacity grows for the next"
-            );
-        }
-        self.entries = self.entries.max(length + length / 4);
-    }
+    let [needed, largest] = [entries, most(starts)].map(|entries| entries * size_of::<u32>());
+    assert!(
+        needed <= largest,
+        "the {primitives} primitives of this view touch {entries}{or_more} tiles, a list of {needed} bytes, and the \
+         device takes buffers of at most {largest}: render smaller images or fewer primitives"
+    );
+    tracing::debug!("{entries} entries of tile lists exceeded the {room} expected, and are written again");
+    SUFFICED.lock().expect("no holder panics").insert(key(starts, kind), entries + entries / 4);
+    drop(written);
+    (write(entries), entries)
 }

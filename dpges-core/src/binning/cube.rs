@@ -1,4 +1,5 @@
-//! GPU binning: count with integer atomics, prefix sum and fill.
+//! GPU binning: pairs of a primitive and a tile in the order of the primitives, then a stable sort by tile. Every list
+//! is therefore in ascending order, and no unit visits more than one tile.
 
 use burn::backend::TensorMetadata;
 use burn_cubecl::tensor::CubeTensor;
@@ -7,13 +8,16 @@ use cubecl::prelude::*;
 use super::capacity::{self, ListKind};
 use crate::camera::Camera;
 use crate::footprint::splat_cube::{SPLAT, Splat};
-use crate::gpu::launch::{UNITS, buffer, cube_dim, cubes, empty_f32, empty_u32, units, zeros_u32};
+use crate::gpu::launch::{UNITS, buffer, cube_dim, empty_f32, empty_u32, first_of, units};
 use crate::gpu::record::Record;
 use crate::gpu::rect::Rect;
+use crate::gpu::scan;
+use crate::gpu::sort::sorted_pairs;
 use crate::gpu::tile::TILE;
+use crate::gpu::work::{lower_bound, own_owner};
 use crate::tiles::TileGrid;
 
-/// Lists of primitives, one per tile. A list that ends beyond the capacity is incomplete ([`TileList`]).
+/// Lists of primitives, one per tile, each in ascending order.
 pub struct CubeLists {
     /// [tiles + 1]
     pub offsets: CubeTensor,
@@ -30,106 +34,72 @@ pub struct Ellipses<'a> {
     pub ends: &'a CubeTensor,
 }
 
-/// Writes each primitive to the list of every tile that it touches, at the `cursor` of the tile, and advances
-/// the cursor. With cursors at 0 and a capacity of 0 the cursors end as counts.
+/// The pairs of each primitive and the tiles of its rectangle, by primitive and then by tile.
+pub struct Pairs {
+    /// [primitives + 1] the first pair of each primitive
+    pub starts: CubeTensor,
+    /// [pairs] tile of every pair, or the number of tiles where the primitive does not touch it
+    tiles: CubeTensor,
+    /// [pairs]
+    pub primitives: CubeTensor,
+}
+
+/// Columns and rows of the tiles of a rectangle.
+#[cube]
+fn tiles_of(rect: Rect) -> Rect {
+    let filled = rect.is_filled();
+    let (x0, y0) = (rect.x0 / TILE, rect.y0 / TILE);
+    Rect { x0, x1: select(filled, rect.x1.div_ceil(TILE), x0), y0, y1: select(filled, rect.y1.div_ceil(TILE), y0) }
+}
+
 #[cube(launch)]
-fn visit_kernel(
-    rects: &[u32],
-    splats: &[f32],
-    ends: &[f32],
-    cursor: &[Atomic<u32>],
-    ids: &mut [u32],
-    columns: u32,
-    count: u32,
-    capacity: u32,
-    #[comptime] elliptic: bool,
-) {
+fn sizes_kernel(rects: &[u32], sizes: &mut [u32], count: u32) {
     let i = ABSOLUTE_POS;
     if i >= count as usize {
         terminate!();
     }
-    let rect = Rect::load(rects, i);
-    if rect.is_filled() {
-        for row in rect.y0 / TILE..rect.y1.div_ceil(TILE) {
-            for column in rect.x0 / TILE..rect.x1.div_ceil(TILE) {
-                let tile = (row * columns + column) as usize;
-                let mut touched = true;
-                if comptime!(elliptic) {
-                    let splat = Splat::load(splats, i * SPLAT);
-                    touched = splat.touches(column, row) && splat.depth < ends[tile];
-                }
-                if touched {
-                    let slot = cursor[tile].fetch_add(1u32);
-                    if slot < capacity {
-                        ids[slot as usize] = i as u32;
-                    }
-                }
-            }
+    sizes[i] = tiles_of(Rect::load(rects, i)).area();
+}
+
+#[cube(launch)]
+fn pairs_kernel(
+    rects: &[u32],
+    splats: &[f32],
+    ends: &[f32],
+    starts: &[u32],
+    tiles: &mut [u32],
+    primitives: &mut [u32],
+    columns: u32,
+    rows: u32,
+    count: u32,
+    room: u32,
+    #[comptime] elliptic: bool,
+) {
+    let pair = ABSOLUTE_POS;
+    let end = min(starts[count as usize], room);
+    let i = own_owner(starts, count, end) as usize;
+    if (pair as u32) < end {
+        let touched = tiles_of(Rect::load(rects, i));
+        let (column, row) = touched.pixel(pair as u32 - starts[i]);
+        let tile = row * columns + column;
+        let mut touches = true;
+        if comptime!(elliptic) {
+            let splat = Splat::load(splats, i * SPLAT);
+            touches = splat.touches(column, row) && splat.depth < ends[tile as usize];
         }
+        tiles[pair] = select(touches, tile, columns * rows);
+        primitives[pair] = i as u32;
     }
 }
 
-/// Exclusive prefix sum of `counts` by one cube; `total` is the sum.
+/// The first place of every tile in the sorted tiles of all pairs.
 #[cube(launch)]
-fn scan_kernel(counts: &[u32], offsets: &mut [u32], cursor: &mut [u32], total: &mut [u32], count: u32) {
-    let mut sums = Shared::<[u32]>::new_slice(comptime!(UNITS as usize));
-    let unit = UNIT_POS as usize;
-    let mut carry = 0u32;
-    let rounds = count.div_ceil(UNITS);
-    for round in 0..rounds {
-        let at = round * UNITS + UNIT_POS;
-        let mut own = 0u32;
-        if at < count {
-            own = counts[at as usize];
-        }
-        sums[unit] = own;
-        let mut step = 1usize;
-        while step < UNITS as usize {
-            sync_cube();
-            let mut sum = sums[unit];
-            if unit >= step {
-                sum += sums[unit - step];
-            }
-            sync_cube();
-            sums[unit] = sum;
-            step *= 2;
-        }
-        sync_cube();
-        if at < count {
-            let before = carry + sums[unit] - own;
-            offsets[at as usize] = before;
-            cursor[at as usize] = before;
-        }
-        carry += sums[UNITS as usize - 1];
-        sync_cube();
-    }
-    if UNIT_POS == 0u32 {
-        offsets[count as usize] = carry;
-        total[0] = carry;
-    }
-}
-
-/// Puts every list in ascending order: the place of an entry is the number of smaller entries.
-#[cube(launch)]
-fn rank_kernel(offsets: &[u32], ids: &[u32], ranked: &mut [u32], tiles: u32, capacity: u32) {
-    if CUBE_POS >= tiles as usize {
+fn offsets_kernel(sorted: &[u32], offsets: &mut [u32], tiles: u32, count: u32) {
+    let tile = ABSOLUTE_POS;
+    if tile > tiles as usize {
         terminate!();
     }
-    let (low, high) = (offsets[CUBE_POS], offsets[CUBE_POS + 1]);
-    if high <= capacity {
-        let mut at = low + UNIT_POS;
-        while at < high {
-            let id = ids[at as usize];
-            let mut place = low;
-            for other in low..high {
-                if ids[other as usize] < id {
-                    place += 1u32;
-                }
-            }
-            ranked[place as usize] = id;
-            at += UNITS;
-        }
-    }
+    offsets[tile] = lower_bound(sorted, 0u32, count, tile as u32);
 }
 
 /// The list of a tile.
@@ -139,37 +109,35 @@ pub struct TileList {
     /// Place of the first entry.
     pub start: u32,
     pub length: u32,
-    /// Whether the list fitted its buffer. If not, it stands for all primitives.
-    listed: bool,
 }
 
 #[cube]
 impl TileList {
-    /// The list of the tile of this cube, from `count` primitives. It is uniform over the cube.
+    /// The list of the tile of this cube, at most `count` primitives within `capacity`. It is uniform over the cube.
     pub fn own(offsets: &[u32], capacity: u32, count: u32) -> TileList {
         let mut range = Shared::<[u32]>::new_slice(2usize);
         if UNIT_POS == 0u32 {
-            range[0] = offsets[CUBE_POS];
-            range[1] = offsets[CUBE_POS + 1];
+            range[0] = min(offsets[CUBE_POS], capacity);
+            range[1] = min(offsets[CUBE_POS + 1], capacity);
         }
         let low = workgroup_uniform_load(&range[0]);
         let high = workgroup_uniform_load(&range[1]);
-        let listed = high <= capacity;
-        TileList { start: select(listed, low, 0u32), length: select(listed, high - low, count), listed }
+        TileList { start: low, length: min(high - low, count) }
     }
 
     /// Primitive at place `at` of the list.
     pub fn entry(&self, ids: &[u32], at: u32) -> u32 {
-        let mut id = at;
-        if self.listed {
-            id = ids[(self.start + at) as usize];
-        }
-        id
+        ids[(self.start + at) as usize]
     }
 
     /// Batches of [`UNITS`] entries.
     pub fn batches(&self) -> u32 {
         self.length.div_ceil(UNITS)
+    }
+
+    /// Number of entries of a batch.
+    pub fn batch_length(&self, batch: u32) -> u32 {
+        min(UNITS, self.length - batch * UNITS)
     }
 
     /// Copies a batch into workgroup memory and returns its number of entries. The record of an entry is the
@@ -201,68 +169,66 @@ impl TileList {
             }
         }
         sync_cube();
-        min(UNITS, self.length - batch * UNITS)
+        self.batch_length(batch)
+    }
+}
+
+/// Pairs of `rects` [N, 4] and the tiles of the image of `camera` and, of Gaussians, their `ellipses`.
+pub fn pairs(rects: &CubeTensor, ellipses: Option<Ellipses>, camera: &Camera, kind: ListKind) -> Pairs {
+    let (grid, count) = (TileGrid::new(camera.width, camera.height), rects.shape()[0]);
+    let client = rects.client.clone();
+    let sizes = empty_u32(rects, [count]);
+    sizes_kernel::launch(&client, units(count), cube_dim(), buffer(rects), buffer(&sizes), count as u32);
+    let starts = scan::starts(&sizes);
+    let unused = empty_f32(rects, [1]);
+    let elliptic = ellipses.is_some();
+    let (splats, ends) = ellipses.map_or((&unused, &unused), |e| (e.splats, e.ends));
+    let ((tiles, primitives), entries) = capacity::with_room(&starts, kind, grid.len(), |room| {
+        let (tiles, primitives) = (empty_u32(rects, [room]), empty_u32(rects, [room]));
+        pairs_kernel::launch(
+            &client,
+            units(room),
+            cube_dim(),
+            buffer(rects),
+            buffer(splats),
+            buffer(ends),
+            buffer(&starts),
+            buffer(&tiles),
+            buffer(&primitives),
+            grid.columns as u32,
+            grid.rows as u32,
+            count as u32,
+            u32::try_from(room).expect("a buffer of 32-bit numbers"),
+            elliptic,
+        );
+        (tiles, primitives)
+    });
+    Pairs { starts, tiles: first_of(&tiles, entries), primitives: first_of(&primitives, entries) }
+}
+
+impl Pairs {
+    /// `values` [pairs] by tile, and [tiles + 1] the first of each tile. Those of one tile keep their order.
+    pub fn by_tile(&self, values: &CubeTensor, grid: TileGrid) -> (CubeTensor, CubeTensor) {
+        let bits = usize::BITS - grid.len().leading_zeros();
+        let (sorted, values) = sorted_pairs(self.tiles.clone(), values.clone(), bits);
+        let offsets = empty_u32(&values, [grid.len() + 1]);
+        offsets_kernel::launch(
+            &values.client.clone(),
+            units(grid.len() + 1),
+            cube_dim(),
+            buffer(&sorted),
+            buffer(&offsets),
+            grid.len() as u32,
+            values.shape()[0] as u32,
+        );
+        (values, offsets)
     }
 }
 
 /// Lists of all tiles of the image of `camera`, for `rects` [N, 4] and, of Gaussians, their `ellipses`.
 pub fn bin(rects: &CubeTensor, ellipses: Option<Ellipses>, camera: &Camera, kind: ListKind) -> CubeLists {
-    let (grid, count) = (TileGrid::new(camera.width, camera.height), rects.shape()[0]);
-    let (client, tiles) = (rects.client.clone(), grid.len());
-    let unused = empty_f32(rects, [1]);
-    let elliptic = ellipses.is_some();
-    let (splats, ends) = ellipses.map_or((&unused, &unused), |e| (e.splats, e.ends));
-    let counts = zeros_u32(rects, [tiles]);
-    let visit = |cursor: &CubeTensor, ids: &CubeTensor, capacity: u32| {
-        visit_kernel::launch(
-            &client,
-            units(count),
-            cube_dim(),
-            buffer(rects),
-            buffer(splats),
-            buffer(ends),
-            buffer(cursor),
-            buffer(ids),
-            grid.columns as u32,
-            count as u32,
-            capacity,
-            elliptic,
-        );
-    };
-    visit(&counts, &empty_u32(rects, [1]), 0);
-    let (offsets, cursor, total) = (empty_u32(rects, [tiles + 1]), empty_u32(rects, [tiles]), empty_u32(rects, [1]));
-    scan_kernel::launch(
-        &client,
-        cubes(1),
-        cube_dim(),
-        buffer(&counts),
-        buffer(&offsets),
-        buffer(&cursor),
-        buffer(&total),
-        tiles as u32,
-    );
-    let capacity = capacity::entries(rects, kind, count, tiles);
-    let ids = empty_u32(rects, [capacity]);
-    let capacity = u32::try_from(capacity).unwrap_or(u32::MAX);
-    visit(&cursor, &ids, capacity);
-    capacity::observe(&total, kind, capacity as usize);
+    let pairs = pairs(rects, ellipses, camera, kind);
+    let (ids, offsets) = pairs.by_tile(&pairs.primitives, TileGrid::new(camera.width, camera.height));
+    let capacity = ids.shape()[0] as u32;
     CubeLists { offsets, ids, capacity }
-}
-
-impl CubeLists {
-    /// The same lists, each in ascending order.
-    pub fn ranked(self, tiles: usize) -> Self {
-        let ranked = empty_u32(&self.ids, [self.capacity as usize]);
-        rank_kernel::launch(
-            &self.ids.client.clone(),
-            cubes(tiles),
-            cube_dim(),
-            buffer(&self.offsets),
-            buffer(&self.ids),
-            buffer(&ranked),
-            tiles as u32,
-            self.capacity,
-        );
-        Self { ids: ranked, ..self }
-    }
 }

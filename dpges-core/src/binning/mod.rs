@@ -1,7 +1,6 @@
 //! Binning: for every tile of an image, the list of the primitives that can touch it.
 //!
-//! CPU lists ascend by index. GPU lists are unordered unless they are ranked, and a list that does not fit its
-//! buffer stands for all primitives.
+//! Lists ascend by index.
 
 #[cfg(feature = "gpu")]
 pub(crate) mod boxes;

@@ -1,9 +1,9 @@
 //! Data between host and device, counted at every place of a training step that hands a tensor over or reads one back:
 //! photographs, masks, rows of scenes, the numbers of a step.
 //!
-//! [`upload`] and [`download`] return what they are given. Not counted: the numbers that a launch takes beside its
-//! buffers, such as the camera, and the lengths of tile lists, 4 bytes each, which are read without waiting. On a CPU the
-//! same places count, though nothing has far to go.
+//! [`upload`] and [`download`] return what they are given. A GPU also hands back the lengths of its tile lists, 4 bytes
+//! each. Not counted are the numbers that a launch takes beside its buffers, such as the camera. On a CPU the same places
+//! count, though nothing has far to go.
 
 use std::cell::Cell;
 

@@ -12,6 +12,8 @@ pub(crate) mod gaussians;
 pub(crate) mod lens_reach;
 pub(crate) mod moments;
 pub(crate) mod rays;
+#[cfg(feature = "gpu")]
+pub(crate) mod regions_cube;
 pub(crate) mod splat;
 #[cfg(feature = "gpu")]
 pub(crate) mod splat_cube;

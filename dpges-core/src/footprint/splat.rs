@@ -190,17 +190,23 @@ impl<T: Real> Splat<T> {
         PixelRect::covering([x - half_x, x + half_x, y - half_y, y + half_y], width, height)
     }
 
-    /// Whether any pixel centre of a tile can lie inside the ellipse.
+    /// Whether any pixel centre of the tile at a column and row of tiles can lie inside the ellipse.
     #[inline(always)]
-    pub fn touches(&self, tile_x: usize, tile_y: usize) -> bool {
+    pub fn touches(&self, column: usize, row: usize) -> bool {
+        self.reaches([column * TILE, row * TILE], [TILE; 2])
+    }
+
+    /// Whether any pixel centre of a rectangle can lie inside the ellipse: `first` column and row, `size`, px.
+    #[inline(always)]
+    pub fn reaches(&self, first: [usize; 2], size: [usize; 2]) -> bool {
         let [p, q, r] = self.root;
-        let nearest = |tile: usize, mean: T| {
-            let low = T::of((tile * TILE) as f64 + 0.5) - mean;
-            let high = low + T::of(TILE as f64 - 1.0);
+        let nearest = |axis: usize| {
+            let low = T::of(first[axis] as f64 + 0.5) - self.mean[axis];
+            let high = low + T::of(size[axis] as f64 - 1.0);
             (low, high, T::zero().max(low).min(high))
         };
-        let (x0, x1, dx) = nearest(tile_x, self.mean[0]);
-        let (y0, y1, dy) = nearest(tile_y, self.mean[1]);
+        let (x0, x1, dx) = nearest(0);
+        let (y0, y1, dy) = nearest(1);
         // the convex form is smallest at the mean or on one of the two edges that face it
         let form = |dx: T, dy: T| {
             let [u, v] = self.in_deviations(dx, dy);

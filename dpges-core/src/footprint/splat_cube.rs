@@ -54,19 +54,33 @@ impl Splat {
         self.p * dx + self.q * dy
     }
 
+    /// Value of u² + v² beyond which the weight is below the cutoff, whatever the rounding.
+    fn beyond(&self) -> f32 {
+        self.squared_radius * 1.001f32 + 0.01f32
+    }
+
     /// Weight at an offset (u, v) in standard deviations, 0 below the cutoff.
     pub fn weight(&self, u: f32, v: f32) -> f32 {
-        let weight = self.strength * f32::exp(max(-0.5f32 * (u * u + v * v), -100.0f32));
-        select(weight >= CUTOFF_F32, weight, 0.0f32)
+        let squared = u * u + v * v;
+        let mut weight = 0.0f32;
+        if squared <= self.beyond() {
+            let value = self.strength * f32::exp(-0.5f32 * squared);
+            weight = select(value >= CUTOFF_F32, value, 0.0f32);
+        }
+        weight
     }
 
     /// Whether the ellipse can reach a pixel centre of the tile at a column and row of tiles.
     pub fn touches(&self, column: u32, row: u32) -> bool {
+        self.reaches(column * TILE, row * TILE, TILE, TILE)
+    }
+
+    /// Whether the ellipse can reach a pixel centre of the rectangle at a column and row of pixels.
+    pub fn reaches(&self, column: u32, row: u32, width: u32, height: u32) -> bool {
         let (p, q, r) = (self.p, self.q, self.r);
-        let x0 = f32::cast_from(column * TILE) + 0.5f32 - self.mean_x;
-        let y0 = f32::cast_from(row * TILE) + 0.5f32 - self.mean_y;
-        let last = f32::cast_from(TILE - 1u32);
-        let (x1, y1) = (x0 + last, y0 + last);
+        let x0 = f32::cast_from(column) + 0.5f32 - self.mean_x;
+        let y0 = f32::cast_from(row) + 0.5f32 - self.mean_y;
+        let (x1, y1) = (x0 + f32::cast_from(width - 1u32), y0 + f32::cast_from(height - 1u32));
         let dx = clamp(0.0f32, x0, x1);
         let dy = clamp(0.0f32, y0, y1);
         // the convex form is smallest at the mean or on one of the two edges that face it
@@ -76,7 +90,7 @@ impl Splat {
         let (horizontal_u, horizontal_v) = (p * below + q * dy, r * dy);
         let on_vertical = vertical_u * vertical_u + vertical_v * vertical_v;
         let on_horizontal = horizontal_u * horizontal_u + horizontal_v * horizontal_v;
-        let outside = min(on_vertical, on_horizontal) > self.squared_radius * 1.001f32 + 0.01f32;
+        let outside = min(on_vertical, on_horizontal) > self.beyond();
         !outside
     }
 }

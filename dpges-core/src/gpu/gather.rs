@@ -3,7 +3,7 @@
 //!
 //! Every kernel that gathers has the same steps. It terminates surplus cubes and starts from [`zeros`]. Each
 //! unit visits every [`LANES`]-th pixel in the rectangle of its [`primitive`], beginning with its [`lane`].
-//! [`total`] or [`largest`] then combines the units of a primitive.
+//! [`total`] then adds up the units of a primitive.
 
 use cubecl::prelude::*;
 
@@ -42,8 +42,9 @@ pub struct Gathered {
     pub value: f32,
 }
 
+/// Adds the numbers of all units of a primitive, in the order of the lanes.
 #[cube]
-fn fold(own: &Array<f32>, count: u32, #[comptime] numbers: usize, #[comptime] sum: bool) -> Gathered {
+pub fn total(own: &Array<f32>, count: u32, #[comptime] numbers: usize) -> Gathered {
     let mut partial = Shared::<[f32]>::new_slice(comptime!(UNITS as usize * numbers));
     let unit = UNIT_POS as usize;
     #[unroll]
@@ -57,25 +58,8 @@ fn fold(own: &Array<f32>, count: u32, #[comptime] numbers: usize, #[comptime] su
     let mut value = 0.0f32;
     if present {
         for lane in 0..LANES {
-            let part = partial[(slot * LANES as usize + lane as usize) * numbers + number];
-            if comptime!(sum) {
-                value += part;
-            } else {
-                value = max(value, part);
-            }
+            value += partial[(slot * LANES as usize + lane as usize) * numbers + number];
         }
     }
     Gathered { present, primitive, number, value }
-}
-
-/// Adds the numbers of all units of a primitive, in the order of the lanes.
-#[cube]
-pub fn total(own: &Array<f32>, count: u32, #[comptime] numbers: usize) -> Gathered {
-    fold(own, count, numbers, true)
-}
-
-/// Takes the largest of the numbers of all units of a primitive. None may be negative.
-#[cube]
-pub fn largest(own: &Array<f32>, count: u32, #[comptime] numbers: usize) -> Gathered {
-    fold(own, count, numbers, false)
 }

@@ -39,10 +39,37 @@ pub fn gatherers(count: usize) -> CubeCount {
     cubes(count.div_ceil(GATHERED))
 }
 
+/// Bytes of the largest buffer that the device of `like` takes.
+pub fn largest_buffer(like: &CubeTensor) -> usize {
+    let largest = usize::try_from(like.client.properties().memory.max_page_size).unwrap_or(usize::MAX);
+    #[cfg(any(test, feature = "testing"))]
+    let largest = largest.min(LARGEST_BUFFER.load(std::sync::atomic::Ordering::Relaxed));
+    largest
+}
+
+#[cfg(any(test, feature = "testing"))]
+static LARGEST_BUFFER: std::sync::atomic::AtomicUsize = std::sync::atomic::AtomicUsize::new(usize::MAX);
+
+/// Makes every device of this process take buffers of at most so many bytes, to test what does not fit.
+#[cfg(any(test, feature = "testing"))]
+pub fn limit_buffers(bytes: usize) {
+    LARGEST_BUFFER.store(bytes, std::sync::atomic::Ordering::Relaxed);
+}
+
 /// An uninitialised contiguous tensor on the device of `like`.
+///
+/// # Panics
+/// If it exceeds the largest buffer of the device.
 pub fn empty(like: &CubeTensor, shape: impl Into<Shape>, dtype: DType) -> CubeTensor {
     let shape = shape.into();
-    let handle = like.client.empty(shape.num_elements().max(1) * dtype.size());
+    let (bytes, largest) = (shape.num_elements().max(1) * dtype.size(), largest_buffer(like));
+    assert!(
+        bytes <= largest,
+        "a tensor of shape {:?} takes {bytes} bytes, and the device takes buffers of at most {largest}: render smaller \
+         images or fewer primitives",
+        shape.as_slice()
+    );
+    let handle = like.client.empty(bytes);
     CubeTensor::new_contiguous(like.client.clone(), like.device.clone(), shape, handle, dtype)
 }
 
@@ -52,6 +79,12 @@ pub fn empty_f32(like: &CubeTensor, shape: impl Into<Shape>) -> CubeTensor {
 
 pub fn empty_u32(like: &CubeTensor, shape: impl Into<Shape>) -> CubeTensor {
     empty(like, shape, DType::U32)
+}
+
+/// The first `count` numbers of `tensor` `[n]`, in the same buffer.
+pub fn first_of(tensor: &CubeTensor, count: usize) -> CubeTensor {
+    let (client, device) = (tensor.client.clone(), tensor.device.clone());
+    CubeTensor::new_contiguous(client, device, Shape::from([count]), tensor.handle.clone(), tensor.dtype)
 }
 
 /// Zeros on the device of `like`.

@@ -1,5 +1,5 @@
 //! The kernel kit: launching, uniforms, vectors, exact arithmetic, records,
-//! gathering. It knows no operation.
+//! gathering, prefix sums, sorting. It knows no operation.
 //!
 //! Every kernel stays within the limits that WebGPU guarantees: at most 7 buffers (an eighth holds the
 //! scalars), 16 KiB of workgroup memory, 256 units, no float atomics, no subgroups. No kernel relies on
@@ -9,8 +9,12 @@ pub(crate) mod exact;
 pub(crate) mod gather;
 pub(crate) mod launch;
 pub mod lens;
+pub(crate) mod pieces;
 pub(crate) mod record;
 pub(crate) mod rect;
+pub(crate) mod scan;
+pub(crate) mod sort;
 pub(crate) mod tile;
 pub(crate) mod vector;
 pub(crate) mod view;
+pub(crate) mod work;

@@ -39,7 +39,7 @@ impl Rect {
 
     /// Number of pixels.
     pub fn area(&self) -> u32 {
-        (self.x1 - self.x0) * (self.y1 - self.y0)
+        select(self.is_filled(), (self.x1 - self.x0) * (self.y1 - self.y0), 0u32)
     }
 
     /// Column and row of the pixel `at`, counted line by line.

@@ -4,6 +4,8 @@ pub mod compare;
 pub mod extremes;
 pub mod golden;
 pub mod gradients;
+#[cfg(feature = "gpu")]
+pub mod kernels;
 pub mod lenses;
 pub mod parity;
 #[cfg(any(feature = "ndarray", feature = "flex"))]

@@ -68,7 +68,6 @@ impl Reference {
 pub struct Bench<'a> {
     scene: &'a TestScene,
     options: PeelOptions,
-    splat_options: SplatOptions,
     device: Device,
     surfels: Surfels,
     gaussians: Gaussians,
@@ -80,13 +79,7 @@ impl<'a> Bench<'a> {
     pub fn new(scene: &'a TestScene, options: PeelOptions, device: &Device) -> Self {
         let device = device.clone().autodiff();
         let (surfels, gaussians) = scene.leaves(&device, DType::F32);
-        Self { scene, options, splat_options: SplatOptions::default(), device, surfels, gaussians, found: Vec::new() }
-    }
-
-    /// With sums in a fixed order.
-    #[must_use]
-    pub fn deterministic(self) -> Self {
-        Self { splat_options: SplatOptions { deterministic: true }, ..self }
+        Self { scene, options, device, surfels, gaussians, found: Vec::new() }
     }
 
     fn tensor<const D: usize>(&self, values: &[f64], shape: [usize; D]) -> Tensor<D> {
@@ -170,7 +163,7 @@ impl<'a> Bench<'a> {
     fn splat(&mut self, limits: Tensor<3>, colours: Tensor<2>) -> Tensor<4> {
         let (gaussians, camera) = (self.gaussians.clone(), &self.scene.camera);
         let colours = colours.require_grad();
-        let sums = splat(&gaussians, &colours, &limits, camera, &self.splat_options).expect("valid input");
+        let sums = splat(&gaussians, &colours, &limits, camera, &SplatOptions::default()).expect("valid input");
         self.note("splat.sums", &sums);
         let gradients = (sums.clone() * self.upstream(&sums, 3)).sum().backward();
         self.gradient("splat.grad.positions", &gaussians.positions, &gradients);
@@ -288,8 +281,8 @@ impl<'a> Bench<'a> {
         let limits = interval_limits(&layers, &self.surfels.margins, MarginLookup::Shifted).expect("one shape");
         let [surfel_colours, gaussian_colours] = self.colours();
         let camera = &self.scene.camera;
-        let sums =
-            splat(&self.gaussians, &gaussian_colours, &limits, camera, &self.splat_options).expect("valid input");
+        let options = SplatOptions::default();
+        let sums = splat(&self.gaussians, &gaussian_colours, &limits, camera, &options).expect("valid input");
         Reference {
             agreed: vec![1.0; self.shape().iter().product()],
             ids: layers.ids.clone().into_data().iter::<i64>().collect(),

@@ -10,6 +10,9 @@ use crate::simd::LANES;
 pub const TILE: usize = 16;
 /// Pixels of a tile.
 pub const TILE_PIXELS: usize = TILE * TILE;
+/// Size of the regions of a tile, px: GPU kernels ask the pixels of a region together about a Gaussian, or none of them.
+pub const REGION_WIDTH: usize = 8;
+pub const REGION_HEIGHT: usize = 4;
 
 /// The tiles of an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -72,7 +72,8 @@ configuration! {
         patience: usize = 5, unit: "evaluations", range: 1..;
         /// Seed of all random numbers.
         seed: u64 = 0, range: ..=i64::MAX as u64;
-        /// Fix the order of sums on GPUs, so that two runs give the same file. CPUs always do.
+        /// Fix the order of sums, so that two runs give the same file. Every device always does; the key remains for
+        /// configurations that have it.
         deterministic: bool = false;
         /// λ1: weight of the L1 loss of the surfels rendered alone (DP-GES).
         lambda_surfel: f64 = 0.01, range: 0.0..,

@@ -91,8 +91,7 @@ impl Renderer {
         }
     }
 
-    /// The same scene, rendered to the same bits in every run if `deterministic`
-    /// ([`SplatOptions::deterministic`](dpges_core::ops::splat::SplatOptions)).
+    /// The same scene with this [`SplatOptions::deterministic`](dpges_core::ops::splat::SplatOptions).
     #[must_use]
     pub fn deterministic(mut self, deterministic: bool) -> Self {
         if let Options::Peeled(options) = &mut self.options {

@@ -7,13 +7,14 @@ use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::{Autodiff, AutodiffBackend, Backend};
 
-use super::{BlendBackwardOps, BlendInput, BlendOps, BlendOptions, BlendOutput};
+use super::{BlendBackwardOps, BlendInput, BlendLists, BlendOps, BlendOptions, BlendOutput};
 use crate::camera::Camera;
 use crate::tape::pass_back;
 
 #[derive(Clone, Debug)]
 struct BlendState<B: Backend> {
     input: BlendInput<B>,
+    lists: BlendLists<B>,
     camera: Camera,
     options: BlendOptions,
 }
@@ -25,8 +26,8 @@ impl<B: BlendBackwardOps> Backward<B, 6> for BlendBackward {
     type State = BlendState<B>;
 
     fn backward(self, ops: Ops<Self::State, 6>, grads: &mut Gradients, _: &mut Checkpointer) {
-        pass_back::<B, _, 6>(ops, grads, |BlendState { input, camera, options }, grad| {
-            let BlendInput { gaussians, probe } = B::blend_backward(input, grad, camera, options);
+        pass_back::<B, _, 6>(ops, grads, |BlendState { input, lists, camera, options }, grad| {
+            let BlendInput { gaussians, probe } = B::blend_backward(input, lists, grad, camera, options);
             let [positions, quaternions, log_scales, opacities, colours] = gaussians.into_array();
             [positions, quaternions, log_scales, opacities, colours, probe].map(Some)
         });
@@ -42,9 +43,14 @@ impl<B: BlendOps + BlendBackwardOps, S: CheckpointStrategy> BlendOps for Autodif
         let parents = [positions, quaternions, log_scales, opacities, colours, probe];
         let parents = parents.map(|tensor| tensor.into_parts().1);
         let planes = match BlendBackward.prepare::<S>(parents).compute_bound().stateful() {
-            OpsKind::Tracked(prep) => prep.finish(BlendState { input: values, camera, options }, out.planes),
+            OpsKind::Tracked(prep) => {
+                let lists = out.lists.clone();
+                prep.finish(BlendState { input: values, lists, camera, options }, out.planes)
+            }
             OpsKind::UnTracked(prep) => prep.finish(out.planes),
         };
-        BlendOutput { planes, median_depth: <Self as AutodiffBackend>::from_inner(out.median_depth) }
+        let BlendLists { order, starts, pairs, primitives, offsets } = out.lists;
+        let lists = BlendLists { order, starts, pairs, primitives, offsets };
+        BlendOutput { planes, median_depth: <Self as AutodiffBackend>::from_inner(out.median_depth), lists }
     }
 }

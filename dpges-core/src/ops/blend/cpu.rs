@@ -19,8 +19,8 @@ use self::gather::backward;
 use self::projected::{CameraPair, Ellipse, Projected};
 use self::walk::{Fragments, Sorted, Thresholds, group, walk_tile};
 use super::{
-    ALL_PLANES, ALPHA_PLANE, BlendBackwardOps, BlendInput, BlendOps, BlendOptions, BlendOutput, COLOUR_PLANES,
-    DEPTH_PLANE, DISTORTION_PLANE, Form, NORMAL_PLANE,
+    ALL_PLANES, ALPHA_PLANE, BlendBackwardOps, BlendInput, BlendLists, BlendOps, BlendOptions, BlendOutput,
+    COLOUR_PLANES, DEPTH_PLANE, DISTORTION_PLANE, Form, NORMAL_PLANE,
 };
 use crate::camera::Camera;
 use crate::footprint::gaussians::{GaussianRows, GaussianTensors};
@@ -127,6 +127,7 @@ fn blend_on<B: Host>(input: &BlendInput<B>, camera: &Camera, options: &BlendOpti
         BlendOutput {
             planes: host::float_tensor::<B, T, 3>(planes, [options.planes(), height, width], &device),
             median_depth: host::float_tensor::<B, T, 3>(median_depth, [medians, height, width], &device),
+            lists: BlendLists::from_array(std::array::from_fn(|_| host::int_tensor::<B, 1>(Vec::new(), [0], &device))),
         }
     })
 }
@@ -162,6 +163,7 @@ macro_rules! implement {
         impl BlendBackwardOps for $backend {
             fn blend_backward(
                 input: BlendInput<Self>,
+                _: BlendLists<Self>,
                 grad: FloatTensor<Self>,
                 camera: Camera,
                 options: BlendOptions,

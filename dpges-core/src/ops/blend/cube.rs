@@ -1,6 +1,5 @@
-//! GPU kernels. Primitives are sorted by depth, so that ascending lists run front to back. So does the
-//! sequence of all primitives, which replaces a list that does not fit its buffer. Forward, one unit handles
-//! one pixel; backward, one cube handles one tile and then one unit one primitive.
+//! GPU kernels. Primitives are sorted by depth, so that ascending lists run front to back. Forward, one unit handles
+//! one pixel; backward, one cube handles one tile and then several units one primitive.
 
 mod fragments;
 mod gather;
@@ -12,14 +11,17 @@ use burn::backend::tensor::FloatTensor;
 use burn_cubecl::CubeBackend;
 use cubecl::prelude::*;
 
-use self::fragments::{FEATURES, Fragments, Payload, fragment};
+use self::fragments::{FEATURES, Fragment, Fragments, Payload, fragment, on_ellipse};
 use self::gather::{Layout, gather};
-use super::{BlendBackwardOps, BlendInput, BlendOps, BlendOptions, BlendOutput, Form, far};
+use super::{BlendBackwardOps, BlendInput, BlendLists, BlendOps, BlendOptions, BlendOutput, Form, far};
 use crate::binning::cube::TileList;
 use crate::camera::Camera;
-use crate::gpu::launch::{buffer, cube_dim, cubes, empty_f32, floats};
+use crate::footprint::regions_cube::{WORDS, list_regions, mark_regions};
+use crate::footprint::splat_cube::{SPLAT, Splat};
+use crate::gpu::gather::zeros;
+use crate::gpu::launch::{LANES, UNITS, buffer, cube_dim, cubes, empty_f32, floats};
 use crate::gpu::record::Record;
-use crate::gpu::tile::{own_pixel, plane_of};
+use crate::gpu::tile::{REGIONS, own_pixel, plane_of};
 use crate::gpu::view::CameraUniforms;
 use crate::tiles::TileGrid;
 
@@ -38,6 +40,60 @@ impl Thresholds {
         let slope = far * near / (far - near);
         ThresholdsLaunch::new(options.max_alpha as f32, options.min_transmittance as f32, slope as f32)
     }
+}
+
+/// What a pixel sums, by place in an array: transmittance behind the last fragment, then the planes but for alpha.
+const THROUGH: usize = 0;
+const COLOUR: usize = 1;
+const DEPTH: usize = 4;
+const NORMAL: usize = 5;
+const DISTORTION: usize = 8;
+const MEDIAN: usize = 9;
+/// Of distortion: 1 / z of the first fragment; sums of αT, αT m, αT m² with m relative to that.
+const REFERENCE: usize = 10;
+const TOTAL: usize = 11;
+const FIRST_MOMENT: usize = 12;
+const SECOND_MOMENT: usize = 13;
+const STATE: usize = 14;
+
+/// Blends a fragment of primitive `i` behind those before it. Returns whether the pixel goes on; if not, it ended before
+/// this fragment.
+#[cube]
+fn add_fragment(
+    state: &mut Array<f32>,
+    found: Fragment,
+    features: &[f32],
+    i: usize,
+    thresholds: Thresholds,
+    #[comptime] maps: bool,
+) -> bool {
+    let alpha = min(found.weight, thresholds.max_alpha);
+    let behind = state[THROUGH] * (1.0f32 - alpha);
+    let goes_on = behind >= thresholds.min_transmittance;
+    if goes_on {
+        let payload = Payload::load(features, i * FEATURES);
+        let covered = alpha * state[THROUGH];
+        state[COLOUR] += covered * payload.colour.x;
+        state[COLOUR + 1] += covered * payload.colour.y;
+        state[COLOUR + 2] += covered * payload.colour.z;
+        if comptime!(maps) {
+            state[DEPTH] += covered * found.depth;
+            state[NORMAL] += covered * payload.normal.x;
+            state[NORMAL + 1] += covered * payload.normal.y;
+            state[NORMAL + 2] += covered * payload.normal.z;
+            state[MEDIAN] = select(behind <= 0.5f32 && state[MEDIAN] == 0.0f32, found.depth, state[MEDIAN]);
+            let inverse = 1.0f32 / found.depth;
+            state[REFERENCE] = select(state[REFERENCE] == 0.0f32, inverse, state[REFERENCE]);
+            let mapped = thresholds.slope * (state[REFERENCE] - inverse);
+            let spread = mapped * mapped * state[TOTAL] + state[SECOND_MOMENT] - 2.0f32 * mapped * state[FIRST_MOMENT];
+            state[DISTORTION] += covered * spread;
+            state[TOTAL] += covered;
+            state[FIRST_MOMENT] += covered * mapped;
+            state[SECOND_MOMENT] += covered * mapped * mapped;
+        }
+        state[THROUGH] = behind;
+    }
+    goes_on
 }
 
 #[cube(launch)]
@@ -60,70 +116,61 @@ fn blend_kernel(
     }
     let list = TileList::own(offsets, capacity, count);
     let own = own_pixel(view, CUBE_POS as u32);
-    if own.inside {
-        let mut through = 1.0f32;
-        let mut red = 0.0f32;
-        let mut green = 0.0f32;
-        let mut blue = 0.0f32;
-        let mut depth = 0.0f32;
-        let mut normal_x = 0.0f32;
-        let mut normal_y = 0.0f32;
-        let mut normal_z = 0.0f32;
-        let mut median = 0.0f32;
-        // of distortion: 1 / z of the first fragment, sums of αT, αT m, αT m² with m relative to that
-        let mut reference = 0.0f32;
-        let mut total = 0.0f32;
-        let mut first_moment = 0.0f32;
-        let mut second_moment = 0.0f32;
-        let mut distortion = 0.0f32;
+    let mut state = zeros(STATE);
+    state[THROUGH] = 1.0f32;
+    if comptime!(form == Form::Ellipsoids) {
+        let mut staged = Shared::<[f32]>::new_slice(comptime!(UNITS as usize * SPLAT));
+        let mut masks = Shared::<[u32]>::new_slice(comptime!(UNITS as usize));
+        let mut visits = Shared::<[u32]>::new_slice(comptime!(REGIONS * WORDS));
+        let mut ends = Shared::<[f32]>::new_slice(REGIONS);
+        if UNIT_POS < comptime!(REGIONS as u32) {
+            ends[UNIT_POS as usize] = view.infinity;
+        }
+        let mut open = own.inside;
+        let batches = list.batches();
+        for batch in 0..batches {
+            let entries = list.stage(ids, batch, shapes, shapes, &mut staged, (SPLAT, 0));
+            mark_regions(&staged, entries, &ends, &mut masks, CUBE_POS as u32, view, SPLAT);
+            list_regions(&masks, &mut visits);
+            for word in 0..WORDS {
+                let mut bits = visits[(UNIT_POS / LANES) as usize * WORDS + word];
+                while bits != 0u32 && open {
+                    let entry = word as u32 * 32u32 + bits.trailing_zeros();
+                    bits &= bits - 1u32;
+                    let found = on_ellipse(Splat::load(&staged, entry as usize * SPLAT), own.x, own.y);
+                    if found.weight > 0.0f32 {
+                        let i = list.entry(ids, batch * UNITS + entry) as usize;
+                        open = add_fragment(&mut state, found, features, i, thresholds, maps);
+                    }
+                }
+            }
+        }
+    } else {
         let mut position = 0u32;
-        let mut end = list.length;
+        let mut end = select(own.inside, list.length, 0u32);
         while position < end {
             let i = list.entry(ids, position) as usize;
             let found = fragment(shapes, features, i, own.x, own.y, view.near, form);
             if found.weight > 0.0f32 {
-                let alpha = min(found.weight, thresholds.max_alpha);
-                let behind = through * (1.0f32 - alpha);
-                if behind >= thresholds.min_transmittance {
-                    let payload = Payload::load(features, i * FEATURES);
-                    let covered = alpha * through;
-                    red += covered * payload.colour.x;
-                    green += covered * payload.colour.y;
-                    blue += covered * payload.colour.z;
-                    if comptime!(maps) {
-                        depth += covered * found.depth;
-                        normal_x += covered * payload.normal.x;
-                        normal_y += covered * payload.normal.y;
-                        normal_z += covered * payload.normal.z;
-                        median = select(behind <= 0.5f32 && median == 0.0f32, found.depth, median);
-                        let inverse = 1.0f32 / found.depth;
-                        reference = select(reference == 0.0f32, inverse, reference);
-                        let mapped = thresholds.slope * (reference - inverse);
-                        let spread = mapped * mapped * total + second_moment - 2.0f32 * mapped * first_moment;
-                        distortion += covered * spread;
-                        total += covered;
-                        first_moment += covered * mapped;
-                        second_moment += covered * mapped * mapped;
-                    }
-                    through = behind;
-                } else {
-                    end = position;
-                }
+                let goes_on = add_fragment(&mut state, found, features, i, thresholds, maps);
+                end = select(goes_on, end, 0u32);
             }
             position += 1u32;
         }
+    }
+    if own.inside {
         let (plane, pixel) = (plane_of(view), own.at);
-        planes[pixel] = red;
-        planes[pixel + plane] = green;
-        planes[pixel + 2 * plane] = blue;
-        planes[pixel + 3 * plane] = 1.0f32 - through;
+        #[unroll]
+        for channel in 0..3usize {
+            planes[pixel + channel * plane] = state[COLOUR + channel];
+        }
+        planes[pixel + 3 * plane] = 1.0f32 - state[THROUGH];
         if comptime!(maps) {
-            planes[pixel + 4 * plane] = depth;
-            planes[pixel + 5 * plane] = normal_x;
-            planes[pixel + 6 * plane] = normal_y;
-            planes[pixel + 7 * plane] = normal_z;
-            planes[pixel + 8 * plane] = distortion;
-            median_depth[pixel] = median;
+            #[unroll]
+            for channel in 4..9usize {
+                planes[pixel + channel * plane] = state[channel];
+            }
+            median_depth[pixel] = state[MEDIAN];
         }
     }
 }
@@ -133,7 +180,7 @@ impl BlendOps for CubeBackend {
         let gaussians = input.gaussians.contiguous();
         let (like, count) = (&gaussians.positions, gaussians.positions.shape()[0]);
         let (height, width) = (camera.height, camera.width);
-        let fragments = Fragments::new(&gaussians, &camera, &options);
+        let (fragments, lists) = Fragments::new(&gaussians, &camera, &options);
         let planes = empty_f32(like, [options.planes(), height, width]);
         let median_depth = empty_f32(like, [usize::from(options.maps), height, width]);
         blend_kernel::launch(
@@ -142,32 +189,33 @@ impl BlendOps for CubeBackend {
             cube_dim(),
             buffer(&fragments.shapes),
             buffer(&fragments.features),
-            buffer(&fragments.lists.offsets),
-            buffer(&fragments.lists.ids),
+            buffer(&lists.offsets),
+            buffer(&lists.primitives),
             buffer(&planes),
             buffer(&median_depth),
             CameraUniforms::launch(&camera),
             Thresholds::launch(&camera, &options),
-            fragments.lists.capacity,
+            lists.primitives.shape()[0] as u32,
             count as u32,
             options.form,
             options.maps,
         );
-        BlendOutput { planes, median_depth }
+        BlendOutput { planes, median_depth, lists }
     }
 }
 
 impl BlendBackwardOps for CubeBackend {
     fn blend_backward(
         input: BlendInput<Self>,
+        lists: BlendLists<Self>,
         grad: FloatTensor<Self>,
         camera: Camera,
         options: BlendOptions,
     ) -> BlendInput<Self> {
         let (gaussians, grad) = (input.gaussians.contiguous(), floats(grad));
         let layout = Layout { form: options.form, maps: options.maps, probe: input.probe.shape()[0] > 0 };
-        let fragments = Fragments::new(&gaussians, &camera, &options);
-        let [sums, rest] = gather(&fragments, &grad, &camera, &options, layout);
+        let (fragments, _) = Fragments::in_order(&gaussians, &lists.order, &camera, &options);
+        let [sums, rest] = gather(&fragments, &lists, &grad, &camera, &options, layout);
         parameters::backward(&gaussians, &sums, &rest, &camera, options.filter, layout)
     }
 }

@@ -42,7 +42,7 @@ mod cube;
 #[cfg(test)]
 mod tests;
 
-use burn::backend::tensor::FloatTensor;
+use burn::backend::tensor::{FloatTensor, IntTensor};
 use burn::backend::{Backend, Dispatch, ExtensionType, backend_extension};
 use burn::tensor::Tensor;
 
@@ -138,12 +138,37 @@ pub struct BlendInput<B: Backend> {
     pub probe: FloatTensor<B>,
 }
 
+/// Primitives in the order of their depths and by tile, which backward needs again. CPU backends make them anew, and
+/// these are empty.
+#[derive(ExtensionType, Debug, Clone)]
+pub struct BlendLists<B: Backend> {
+    /// [M] index of each primitive, nearest first; what follows counts them in this order
+    pub order: IntTensor<B>,
+    /// [M + 1] first pair of each primitive and a tile that it may touch
+    pub starts: IntTensor<B>,
+    /// [pairs] the pairs by tile, each tile's in the order of the primitives, and last those that do not touch
+    pub pairs: IntTensor<B>,
+    /// [pairs] primitives of those
+    pub primitives: IntTensor<B>,
+    /// [tiles + 1] first of those of each tile
+    pub offsets: IntTensor<B>,
+}
+
+impl<B: Backend> BlendLists<B> {
+    /// In the order of the fields.
+    pub fn from_array([order, starts, pairs, primitives, offsets]: [IntTensor<B>; 5]) -> Self {
+        Self { order, starts, pairs, primitives, offsets }
+    }
+}
+
 #[derive(ExtensionType, Debug, Clone)]
 pub struct BlendOutput<B: Backend> {
     /// [P, H, W]
     pub planes: FloatTensor<B>,
     /// [1, H, W] world units, 0 where T stays above ½; no gradient. May be empty without maps.
     pub median_depth: FloatTensor<B>,
+    #[extension_type]
+    pub lists: BlendLists<B>,
 }
 
 #[backend_extension(
@@ -158,9 +183,11 @@ pub trait BlendOps: Backend {
 
 #[backend_extension(Cube: cfg(feature = "gpu"), NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
 pub trait BlendBackwardOps: Backend {
-    /// Gradients with respect to the input, from that with respect to the planes, [P, H, W].
+    /// Gradients with respect to the input, from that with respect to the planes, [P, H, W], and the lists of the
+    /// output.
     fn blend_backward(
         #[extension_type] input: BlendInput<Self>,
+        #[extension_type] lists: BlendLists<Self>,
         grad: FloatTensor<Self>,
         camera: Camera,
         options: BlendOptions,

@@ -12,9 +12,9 @@ use super::{
     OutputKind,
 };
 use crate::binning::boxes::visible_boxes;
-use crate::gpu::gather::{lane, primitive, total, zeros};
-use crate::gpu::launch::{GATHERED, LANES, buffer, cube_dim, empty_f32, floats, gatherers, integers, units};
-use crate::gpu::rect::Rect;
+use crate::gpu::gather::zeros;
+use crate::gpu::launch::{buffer, cube_dim, empty_f32, floats, integers, units};
+use crate::gpu::pieces::{Piece, WORKERS, cube_has_pieces, pieces, store_gathered};
 use crate::gpu::vector::{Vec3, add, dot, row3, scale, vec3};
 
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
@@ -291,30 +291,32 @@ fn sums_backward_kernel(
     }
 }
 
-/// Gathers the gradients with respect to the surfels' colours.
+/// Gathers the gradients with respect to the surfels' colours over the pixels of each piece of their boxes.
 #[cube(launch)]
 fn colours_backward_kernel(
     alpha: &[f32],
     ids: &[i32],
-    boxes: &[u32],
+    pieces: &[u32],
     grad_pixel: &[f32],
-    grad_colours: &mut [f32],
+    gathered: &mut [f32],
     blend: Blend,
-    count: u32,
+    most: u32,
     #[comptime] layers: usize,
 ) {
-    if CUBE_POS * GATHERED >= count as usize {
+    if !cube_has_pieces(pieces, most) {
         terminate!();
     }
     let mut own = zeros(3usize);
-    let surfel = primitive();
-    if surfel < count as usize {
-        let rect = Rect::load(boxes, surfel);
+    let piece = Piece::own(pieces);
+    let mut p = piece.first();
+    if p < piece.end {
+        let surfel = piece.primitive as i32;
         let plane = blend.pixels as usize;
-        let area = rect.area();
-        let mut p = lane();
-        while p < area {
-            let (column, row) = rect.pixel(p);
+        let stride = piece.stride();
+        let (first_column, first_row) = piece.pixel(p);
+        let mut column = first_column;
+        let mut row = first_row;
+        while p < piece.end {
             let pixel = (row * blend.width + column) as usize;
             let mut through = 1.0f32;
             let mut share = 0.0f32;
@@ -322,7 +324,7 @@ fn colours_backward_kernel(
             for k in 0..layers {
                 let at = k * plane + pixel;
                 let opacity = alpha[at];
-                share += select(ids[at] == surfel as i32, opacity * through, 0.0f32);
+                share += select(ids[at] == surfel, opacity * through, 0.0f32);
                 through *= 1.0f32 - opacity;
             }
             if share != 0.0f32 {
@@ -331,13 +333,13 @@ fn colours_backward_kernel(
                 own[1] += share * incoming.y;
                 own[2] += share * incoming.z;
             }
-            p += LANES;
+            let (next_column, next_row) = piece.next(stride, column, row);
+            column = next_column;
+            row = next_row;
+            p += WORKERS;
         }
     }
-    let sum = total(&own, count, 3usize);
-    if sum.present {
-        grad_colours[sum.primitive * 3 + sum.number] = sum.value;
-    }
+    store_gathered(&own, gathered, most, 3usize, true);
 }
 
 fn contiguous(input: CompositeInput<CubeBackend>) -> CompositeInput<CubeBackend> {
@@ -452,21 +454,22 @@ impl CompositeBackwardOps for CubeBackend {
         }
         let mut colours = unused(&grad);
         if kind.reaches_colours() {
-            colours = empty_f32(&grad, [count, 3]);
-            let boxes = visible_boxes(&input.ids, count);
+            let pieces = pieces(&visible_boxes(&input.ids, count));
+            let gathered = empty_f32(&grad, [pieces.most, 3]);
             colours_backward_kernel::launch(
                 &client,
-                gatherers(count),
+                pieces.gatherers(),
                 cube_dim(),
                 buffer(&input.alpha),
                 buffer(&input.ids),
-                buffer(&boxes),
+                buffer(&pieces.pieces),
                 buffer(&grad_pixel),
-                buffer(&colours),
+                buffer(&gathered),
                 blend(shape, &options),
-                count as u32,
+                pieces.most as u32,
                 layers,
             );
+            colours = pieces.collect(&gathered, 0, 3);
         }
         CompositeGradients { alpha, colours, sums }
     }

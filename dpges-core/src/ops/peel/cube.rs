@@ -1,5 +1,5 @@
-//! GPU kernels. Forward, one cube handles one tile. Backward gathers over the pixels in which each surfel is
-//! a layer.
+//! GPU kernels. Forward, one cube handles one tile. Backward gathers over pieces of the rectangle around the pixels in
+//! which each surfel is a layer.
 
 use burn::backend::TensorMetadata;
 use burn::backend::tensor::{FloatTensor, IntTensor};
@@ -16,12 +16,10 @@ use crate::footprint::disc_cube::{
     self, DISC_SUMS, DiscPixel, DiscTensors, MIN_FACING, PLANE, Plane, Planes, add_sums, bounded_scale, exact_hit_by,
 };
 use crate::footprint::splat_cube::CUTOFF_F32;
-use crate::gpu::gather::{lane, primitive, total, zeros};
-use crate::gpu::launch::{
-    GATHERED, LANES, UNITS, buffer, cube_dim, cubes, empty, empty_f32, floats, gatherers, integers,
-};
+use crate::gpu::gather::zeros;
+use crate::gpu::launch::{UNITS, buffer, cube_dim, cubes, empty, empty_f32, floats, integers};
+use crate::gpu::pieces::{Piece, WORKERS, cube_has_pieces, pieces, store_gathered};
 use crate::gpu::record::Record;
-use crate::gpu::rect::Rect;
 use crate::gpu::tile::{own_pixel, plane_of};
 use crate::gpu::view::{CameraUniforms, sight};
 use crate::scene::Footprint;
@@ -107,36 +105,38 @@ fn peel_kernel(
     }
 }
 
-/// Sums of gradients over the pixels in which each surfel is a layer.
+/// Sums of gradients over the pixels of each piece in which its surfel is a layer.
 #[cube(launch)]
 fn gather_kernel(
     planes: &[f32],
     lows: &[f32],
-    boxes: &[u32],
+    pieces: &[u32],
     ids: &[i32],
     grad: &[f32],
     sums: &mut [f32],
     view: CameraUniforms,
     modulation: f32,
     log_scales: &[f32],
-    count: u32,
+    most: u32,
     #[comptime] layers: usize,
     #[comptime] of_depth: bool,
 ) {
-    if CUBE_POS * GATHERED >= count as usize {
+    if !cube_has_pieces(pieces, most) {
         terminate!();
     }
     let mut own = zeros(DISC_SUMS);
-    let surfel = primitive();
-    if surfel < count as usize {
-        let rect = Rect::load(boxes, surfel);
+    let piece = Piece::own(pieces);
+    let mut p = piece.first();
+    if p < piece.end {
+        let surfel = piece.primitive as usize;
         let scale_u = bounded_scale(log_scales[2 * surfel]);
         let scale_v = bounded_scale(log_scales[2 * surfel + 1]);
         let plane_size = plane_of(view);
-        let area = rect.area();
-        let mut p = lane();
-        while p < area {
-            let (column, row) = rect.pixel(p);
+        let stride = piece.stride();
+        let (first_column, first_row) = piece.pixel(p);
+        let mut column = first_column;
+        let mut row = first_row;
+        while p < piece.end {
             let pixel = (row * view.width + column) as usize;
             let mut incoming = 0.0f32;
             #[unroll]
@@ -160,13 +160,13 @@ fn gather_kernel(
                     add_sums(&mut own, pixel, shares.x, true, false);
                 }
             }
-            p += LANES;
+            let (next_column, next_row) = piece.next(stride, column, row);
+            column = next_column;
+            row = next_row;
+            p += WORKERS;
         }
     }
-    let sum = total(&own, count, DISC_SUMS);
-    if sum.present {
-        sums[sum.primitive * DISC_SUMS + sum.number] = sum.value;
-    }
+    store_gathered(&own, sums, most, DISC_SUMS, true);
 }
 
 fn discs(surfels: &SurfelShapes<CubeBackend>) -> DiscTensors<'_> {
@@ -230,25 +230,26 @@ impl PeelBackwardOps for CubeBackend {
         let like = surfels.positions.clone();
         let (client, count) = (like.client.clone(), like.shape()[0]);
         let Planes { planes, lows, .. } = setup(&surfels, &camera, &options);
-        let boxes = visible_boxes(&ids, count);
-        let sums = empty_f32(&like, [count, DISC_SUMS]);
+        let pieces = pieces(&visible_boxes(&ids, count));
+        let gathered = empty_f32(&like, [pieces.most, DISC_SUMS]);
         gather_kernel::launch(
             &client,
-            gatherers(count),
+            pieces.gatherers(),
             cube_dim(),
             buffer(&planes),
             buffer(&lows),
-            buffer(&boxes),
+            buffer(&pieces.pieces),
             buffer(&ids),
             buffer(&grad),
-            buffer(&sums),
+            buffer(&gathered),
             CameraUniforms::launch(&camera),
             options.modulation as f32,
             buffer(&surfels.log_scales),
-            count as u32,
+            pieces.most as u32,
             options.layer_count,
             of == PeelGradient::Depth,
         );
+        let sums = pieces.collect(&gathered, 0, DISC_SUMS);
         let out = SurfelShapes {
             positions: empty_f32(&like, [count, 3]),
             quaternions: empty_f32(&like, [count, 4]),

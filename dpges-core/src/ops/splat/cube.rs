@@ -1,4 +1,4 @@
-//! GPU kernels. Forward, one cube handles one tile. Backward and contributions gather over the pixels
+//! GPU kernels. Forward, one cube handles one tile. Backward and contributions gather over pieces of the pixels
 //! of each Gaussian.
 
 use burn::backend::TensorMetadata;
@@ -12,12 +12,15 @@ use crate::binning::cube::{Ellipses, TileList, bin};
 use crate::camera::Camera;
 use crate::footprint::gaussians::GaussianTensors;
 use crate::footprint::moments::MOMENTS;
+use crate::footprint::regions_cube::{WORDS, list_regions, mark_regions};
 use crate::footprint::splat_cube::{self, SPLAT, Splat, add_moments};
-use crate::gpu::gather::{lane, largest, primitive, total, zeros};
-use crate::gpu::launch::{GATHERED, HALVINGS, LANES, UNITS, buffer, cube_dim, cubes, empty_f32, floats, gatherers};
+use crate::gpu::gather::zeros;
+use crate::gpu::launch::{HALVINGS, LANES, UNITS, buffer, cube_dim, cubes, empty_f32, floats};
+use crate::gpu::pieces::{
+    Piece, WORKERS, collectors, cube_has_pieces, cube_has_rectangles, own_number, pieces, store_gathered, worker,
+};
 use crate::gpu::record::Record;
-use crate::gpu::rect::Rect;
-use crate::gpu::tile::{own_pixel, plane_of};
+use crate::gpu::tile::{REGIONS, own_pixel, plane_of};
 use crate::gpu::vector::{Vec3, row3};
 use crate::gpu::view::CameraUniforms;
 use crate::scene::ScreenFilter;
@@ -58,6 +61,8 @@ fn ends_kernel(limits: &[f32], ends: &mut [f32], view: CameraUniforms, #[comptim
     }
 }
 
+/// One cube handles a tile. It finds out which regions of the tile an entry of the list can add to, and the units of a
+/// region visit those entries only.
 #[cube(launch)]
 fn splat_kernel(
     splats: &[f32],
@@ -77,8 +82,14 @@ fn splat_kernel(
     let list = TileList::own(offsets, capacity, count);
     let pixel = own_pixel(view, CUBE_POS as u32);
     let plane = plane_of(view);
+    let unit = UNIT_POS as usize;
+    let region = unit / LANES as usize;
 
     let mut staged = Shared::<[f32]>::new_slice(comptime!(UNITS as usize * STAGED));
+    let mut masks = Shared::<[u32]>::new_slice(comptime!(UNITS as usize));
+    let mut visits = Shared::<[u32]>::new_slice(comptime!(REGIONS * WORDS));
+    let mut last = Shared::<[f32]>::new_slice(comptime!(UNITS as usize));
+    let mut ends = Shared::<[f32]>::new_slice(REGIONS);
     let mut upper = Array::<f32>::new(layers);
     let mut own = zeros(comptime!(layers * CHANNELS));
     #[unroll]
@@ -88,17 +99,30 @@ fn splat_kernel(
             upper[k] = limits[k * plane + pixel.at];
         }
     }
+    last[unit] = upper[layers - 1];
+    sync_cube();
+    if unit < REGIONS {
+        let mut furthest = -view.infinity;
+        for lane in 0..LANES {
+            furthest = max(furthest, last[unit * LANES as usize + lane as usize]);
+        }
+        ends[unit] = furthest;
+    }
 
     let batches = list.batches();
     for batch in 0..batches {
         let entries = list.stage(ids, batch, splats, colours, &mut staged, (SPLAT, COLOUR));
-        for j in 0..entries {
-            let o = j as usize * STAGED;
-            let splat = Splat::load(&staged, o);
-            if splat.depth > view.near && splat.depth < upper[layers - 1] {
+        mark_regions(&staged, entries, &ends, &mut masks, CUBE_POS as u32, view, STAGED);
+        list_regions(&masks, &mut visits);
+        for word in 0..WORDS {
+            let mut bits = visits[region * WORDS + word];
+            while bits != 0u32 {
+                let o = (word * 32usize + bits.trailing_zeros() as usize) * STAGED;
+                bits &= bits - 1u32;
+                let splat = Splat::load(&staged, o);
                 let dy = pixel.y - splat.mean_y;
                 let weight = splat.weight(splat.u(pixel.x - splat.mean_x, dy), splat.r * dy);
-                if weight > 0.0f32 {
+                if weight > 0.0f32 && splat.depth < upper[layers - 1] {
                     let colour = Vec3::load(&staged, o + SPLAT);
                     #[unroll]
                     for k in 0..layers {
@@ -125,118 +149,138 @@ fn splat_kernel(
     }
 }
 
-/// Sums the moments and the gradient of the colour of every Gaussian over its pixels.
+/// The interval of a pixel that a depth falls into, or the number of layers behind the last.
+#[cube]
+fn interval(limits: &[f32], pixel: usize, plane: usize, depth: f32, #[comptime] layers: usize) -> u32 {
+    let mut passed = 0u32;
+    #[unroll]
+    for k in 0..layers {
+        passed += select(depth >= limits[k * plane + pixel], 1u32, 0u32);
+    }
+    passed
+}
+
+/// Sums the moments and the gradient of the colour of every Gaussian over the pixels of each piece.
 #[cube(launch)]
 fn gather_kernel(
     splats: &[f32],
-    rects: &[u32],
     colours: &[f32],
+    pieces: &[u32],
     limits: &[f32],
     grad: &[f32],
-    moments: &mut [f32],
-    grad_colours: &mut [f32],
+    sums: &mut [f32],
     view: CameraUniforms,
-    count: u32,
+    most: u32,
     #[comptime] layers: usize,
 ) {
-    if CUBE_POS * GATHERED >= count as usize {
+    if !cube_has_pieces(pieces, most) {
         terminate!();
     }
     let mut own = zeros(SUMS);
-    let i = primitive();
-    if i < count as usize {
-        let rect = Rect::load(rects, i);
+    let piece = Piece::own(pieces);
+    let mut p = piece.first();
+    if p < piece.end {
+        let i = piece.primitive as usize;
         let colour = row3(colours, i);
         let splat = Splat::load(splats, i * SPLAT);
         let plane = plane_of(view);
-        let area = rect.area();
-        let mut p = lane();
-        while p < area {
-            let (column, row) = rect.pixel(p);
+        let stride = piece.stride();
+        let (first_column, first_row) = piece.pixel(p);
+        let mut column = first_column;
+        let mut row = first_row;
+        while p < piece.end {
             let pixel = (row * view.width + column) as usize;
             let dx = f32::cast_from(column) + 0.5f32 - splat.mean_x;
             let dy = f32::cast_from(row) + 0.5f32 - splat.mean_y;
             let (u, v) = (splat.u(dx, dy), splat.r * dy);
             let weight = splat.weight(u, v);
-            if weight > 0.0f32 && splat.depth < limits[(layers - 1) * plane + pixel] {
-                let mut lower = -view.infinity;
-                #[unroll]
-                for k in 0..layers {
-                    let upper = limits[k * plane + pixel];
-                    if splat.depth >= lower && splat.depth < upper {
-                        let at = k * CHANNELS * plane + pixel;
-                        let (red, green) = (grad[at], grad[at + plane]);
-                        let (blue, alpha) = (grad[at + 2 * plane], grad[at + 3 * plane]);
-                        let power = weight * (alpha + colour.x * red + colour.y * green + colour.z * blue);
-                        add_moments(&mut own, power, u, v);
-                        own[MOMENTS] += weight * red;
-                        own[MOMENTS + 1] += weight * green;
-                        own[MOMENTS + 2] += weight * blue;
-                    }
-                    lower = upper;
+            if weight > 0.0f32 {
+                let k = interval(limits, pixel, plane, splat.depth, layers);
+                if k < layers as u32 {
+                    let at = k as usize * CHANNELS * plane + pixel;
+                    let (red, green) = (grad[at], grad[at + plane]);
+                    let (blue, alpha) = (grad[at + 2 * plane], grad[at + 3 * plane]);
+                    let power = weight * (alpha + colour.x * red + colour.y * green + colour.z * blue);
+                    add_moments(&mut own, power, u, v);
+                    own[MOMENTS] += weight * red;
+                    own[MOMENTS + 1] += weight * green;
+                    own[MOMENTS + 2] += weight * blue;
                 }
             }
-            p += LANES;
+            let (next_column, next_row) = piece.next(stride, column, row);
+            column = next_column;
+            row = next_row;
+            p += WORKERS;
         }
     }
-    let sum = total(&own, count, SUMS);
-    if sum.present {
-        if sum.number < MOMENTS {
-            moments[sum.primitive * MOMENTS + sum.number] = sum.value;
-        } else {
-            grad_colours[sum.primitive * COLOUR + sum.number - MOMENTS] = sum.value;
-        }
-    }
+    store_gathered(&own, sums, most, SUMS, true);
 }
 
-/// Largest contribution of every Gaussian to a pixel.
+/// Largest weight times gate of every Gaussian over the pixels of each piece.
 #[cube(launch)]
 fn contributions_kernel(
     splats: &[f32],
-    rects: &[u32],
-    colours: &[f32],
+    pieces: &[u32],
     limits: &[f32],
     gates: &[f32],
-    contributions: &mut [f32],
+    largest_of_pieces: &mut [f32],
     view: CameraUniforms,
-    count: u32,
+    most: u32,
     #[comptime] layers: usize,
 ) {
-    if CUBE_POS * GATHERED >= count as usize {
+    if !cube_has_pieces(pieces, most) {
         terminate!();
     }
     let mut own = zeros(1usize);
-    let i = primitive();
-    if i < count as usize {
-        let rect = Rect::load(rects, i);
-        let splat = Splat::load(splats, i * SPLAT);
+    let piece = Piece::own(pieces);
+    let mut p = piece.first();
+    if p < piece.end {
+        let splat = Splat::load(splats, piece.primitive as usize * SPLAT);
         let plane = plane_of(view);
-        let area = rect.area();
-        let mut p = lane();
-        while p < area {
-            let (column, row) = rect.pixel(p);
+        let stride = piece.stride();
+        let (first_column, first_row) = piece.pixel(p);
+        let mut column = first_column;
+        let mut row = first_row;
+        while p < piece.end {
             let pixel = (row * view.width + column) as usize;
             let dx = f32::cast_from(column) + 0.5f32 - splat.mean_x;
             let dy = f32::cast_from(row) + 0.5f32 - splat.mean_y;
             let weight = splat.weight(splat.u(dx, dy), splat.r * dy);
-            let mut lower = -view.infinity;
-            #[unroll]
-            for k in 0..layers {
-                let upper = limits[k * plane + pixel];
-                if splat.depth >= lower && splat.depth < upper {
-                    own[0] = max(own[0], weight * gates[k * plane + pixel]);
+            if weight > 0.0f32 {
+                let k = interval(limits, pixel, plane, splat.depth, layers);
+                if k < layers as u32 {
+                    own[0] = max(own[0], weight * gates[k as usize * plane + pixel]);
                 }
-                lower = upper;
             }
-            p += LANES;
+            let (next_column, next_row) = piece.next(stride, column, row);
+            column = next_column;
+            row = next_row;
+            p += WORKERS;
         }
     }
-    let most = largest(&own, count, 1usize);
-    if most.present {
-        let colour = row3(colours, most.primitive);
-        let brightest = max(f32::abs(colour.x), max(f32::abs(colour.y), f32::abs(colour.z)));
-        contributions[most.primitive] = most.value * brightest;
+    store_gathered(&own, largest_of_pieces, most, 1usize, false);
+}
+
+/// Largest contribution of every Gaussian to a pixel.
+#[cube(launch)]
+fn brightest_kernel(largest_of_pieces: &[f32], starts: &[u32], colours: &[f32], contributions: &mut [f32], count: u32) {
+    if !cube_has_rectangles(count) {
+        terminate!();
     }
+    let mut own = zeros(1usize);
+    let i = own_number();
+    if i < count as usize {
+        let end = starts[i + 1];
+        let mut piece = starts[i] + worker();
+        while piece < end {
+            own[0] = max(own[0], largest_of_pieces[piece as usize]);
+            piece += WORKERS;
+        }
+        let colour = row3(colours, i);
+        let brightest = max(f32::abs(colour.x), max(f32::abs(colour.y), f32::abs(colour.z)));
+        own[0] *= brightest;
+    }
+    store_gathered(&own, contributions, count, 1usize, false);
 }
 
 impl SplatOps for CubeBackend {
@@ -244,7 +288,7 @@ impl SplatOps for CubeBackend {
         gaussians: GaussianTensors<Self>,
         limits: FloatTensor<Self>,
         camera: Camera,
-        options: SplatOptions,
+        _: SplatOptions,
     ) -> FloatTensor<Self> {
         let (gaussians, limits) = (gaussians.contiguous(), floats(limits));
         let (client, layers, count) = (limits.client.clone(), limits.shape()[0], gaussians.opacities.shape()[0]);
@@ -261,10 +305,7 @@ impl SplatOps for CubeBackend {
             layers,
         );
         let ellipses = Ellipses { splats: &splats, ends: &ends };
-        let mut lists = bin(&rects, Some(ellipses), &camera, ListKind::Gaussians);
-        if options.deterministic {
-            lists = lists.ranked(tiles);
-        }
+        let lists = bin(&rects, Some(ellipses), &camera, ListKind::Gaussians);
         let sums = empty_f32(&limits, [layers, CHANNELS, camera.height, camera.width]);
         splat_kernel::launch(
             &client,
@@ -293,20 +334,31 @@ impl SplatOps for CubeBackend {
         let (gaussians, limits, gates) = (gaussians.contiguous(), floats(limits), floats(gates));
         let (layers, count) = (limits.shape()[0], gaussians.opacities.shape()[0]);
         let (splats, rects) = splat_cube::splats(&gaussians, None, &camera, ScreenFilter::Compensated);
-        let largest = empty_f32(&limits, [count]);
+        let pieces = pieces(&rects);
+        let of_pieces = empty_f32(&limits, [pieces.most]);
         contributions_kernel::launch(
             &limits.client.clone(),
-            gatherers(count),
+            pieces.gatherers(),
             cube_dim(),
             buffer(&splats),
-            buffer(&rects),
-            buffer(&gaussians.colours),
+            buffer(&pieces.pieces),
             buffer(&limits),
             buffer(&gates),
-            buffer(&largest),
+            buffer(&of_pieces),
             CameraUniforms::launch(&camera),
-            count as u32,
+            pieces.most as u32,
             layers,
+        );
+        let largest = empty_f32(&limits, [count]);
+        brightest_kernel::launch(
+            &limits.client.clone(),
+            collectors(count),
+            cube_dim(),
+            buffer(&of_pieces),
+            buffer(&pieces.starts),
+            buffer(&gaussians.colours),
+            buffer(&largest),
+            count as u32,
         );
         largest
     }
@@ -322,23 +374,25 @@ impl SplatBackwardOps for CubeBackend {
         let (gaussians, limits, grad) = (gaussians.contiguous(), floats(limits), floats(grad));
         let (client, layers, count) = (limits.client.clone(), limits.shape()[0], gaussians.opacities.shape()[0]);
         let (splats, rects) = splat_cube::splats(&gaussians, None, &camera, ScreenFilter::Compensated);
-        let moments = empty_f32(&limits, [count, MOMENTS]);
-        let out = GaussianTensors::empty(&limits, count);
+        let pieces = pieces(&rects);
+        let sums = empty_f32(&limits, [pieces.most, SUMS]);
         gather_kernel::launch(
             &client,
-            gatherers(count),
+            pieces.gatherers(),
             cube_dim(),
             buffer(&splats),
-            buffer(&rects),
             buffer(&gaussians.colours),
+            buffer(&pieces.pieces),
             buffer(&limits),
             buffer(&grad),
-            buffer(&moments),
-            buffer(&out.colours),
+            buffer(&sums),
             CameraUniforms::launch(&camera),
-            count as u32,
+            pieces.most as u32,
             layers,
         );
+        let moments = pieces.collect(&sums, 0, MOMENTS);
+        let mut out = GaussianTensors::empty(&limits, count);
+        out.colours = pieces.collect(&sums, MOMENTS, COLOUR);
         splat_cube::backward(&gaussians, &moments, &camera, ScreenFilter::Compensated, &out);
         out
     }

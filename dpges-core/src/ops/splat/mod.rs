@@ -28,8 +28,7 @@ use crate::scene::tensors::check_shape;
 /// How the sums are computed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SplatOptions {
-    /// Whether GPUs add in a fixed order, so that every run gives the same bits. They then rank the list of
-    /// every tile, which takes time quadratic in its length. CPU backends always add in a fixed order.
+    /// Whether every run must give the same bits. It does either way: every backend adds in a fixed order.
     pub deterministic: bool,
 }
 

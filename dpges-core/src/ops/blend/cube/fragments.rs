@@ -5,21 +5,21 @@ use burn_cubecl::CubeBackend;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
-use super::order::{depth_order, sorted};
+use super::order::depth_order;
 use crate::binning::capacity::ListKind;
-use crate::binning::cube::{CubeLists, Ellipses, bin};
+use crate::binning::cube::{Ellipses, Pairs, pairs};
 use crate::camera::Camera;
 use crate::footprint::disc_cube::{
     self, DiscTensors, MIN_FACING, PLANE, Plane, bounded_scale, disc_of, exact_disc, reach,
 };
 use crate::footprint::gaussians::GaussianTensors;
 use crate::footprint::splat_cube::{self, CUTOFF_F32, INVERSE_CUTOFF, SPLAT, Splat};
-use crate::gpu::launch::{buffer, cube_dim, empty_f32, units};
+use crate::gpu::launch::{buffer, cube_dim, empty_f32, empty_u32, units};
 use crate::gpu::record::{Record, record};
 use crate::gpu::rect::Rect;
 use crate::gpu::vector::{Mat3, Vec3, apply, dot, rotation, row3, row4, scale, transpose, vec3};
 use crate::gpu::view::{CameraUniforms, Rests, pixel_range, to_camera, view_depth, view_rotation};
-use crate::ops::blend::{BlendOptions, Form};
+use crate::ops::blend::{BlendLists, BlendOptions, Form};
 use crate::tiles::TileGrid;
 
 /// The low-pass filter is centred in the bounding box of the disc at this squared radius, σ² (2DGS).
@@ -212,6 +212,14 @@ pub struct Fragment {
     pub by_plane: f32,
 }
 
+/// An ellipse at the point (`x`, `y`) px.
+#[cube]
+pub fn on_ellipse(splat: Splat, x: f32, y: f32) -> Fragment {
+    let dy = y - splat.mean_y;
+    let weight = splat.weight(splat.u(x - splat.mean_x, dy), splat.r * dy);
+    Fragment { weight: select(splat.strength > 0.0f32, weight, 0.0f32), depth: splat.depth, by_plane: 1.0f32 }
+}
+
 /// Primitive `i` at the point (`x`, `y`) px.
 #[cube]
 pub fn fragment(
@@ -227,12 +235,9 @@ pub fn fragment(
     let mut depth = 1.0f32;
     let mut by_plane = 1.0f32;
     if comptime!(form == Form::Ellipsoids) {
-        let splat = Splat::load(shapes, i * SPLAT);
-        if splat.strength > 0.0f32 {
-            let dy = y - splat.mean_y;
-            weight = splat.weight(splat.u(x - splat.mean_x, dy), splat.r * dy);
-            depth = splat.depth;
-        }
+        let found = on_ellipse(Splat::load(shapes, i * SPLAT), x, y);
+        weight = found.weight;
+        depth = found.depth;
     } else {
         let plane = Plane::load(shapes, i * PLANE);
         let low_pass = LowPass::load(features, i * FEATURES + LOW_PASS);
@@ -253,24 +258,59 @@ pub fn fragment(
 
 /// What does not depend on the pixel; rows are primitives, nearest first.
 pub struct Fragments {
-    /// [M] index of each in the parameters
-    pub order: CubeTensor,
     /// [M, [`SPLAT`]] of ellipsoids, [M, [`PLANE`]] of discs
     pub shapes: CubeTensor,
     /// [M, [`FEATURES`]]
     pub features: CubeTensor,
-    /// [M, 4] pixel rectangles
-    pub rects: CubeTensor,
-    /// In ascending order, thus front to back.
-    pub lists: CubeLists,
+}
+
+/// Writes the numbers from 0 on.
+#[cube(launch)]
+fn numbers_kernel(numbers: &mut [u32], count: u32) {
+    if ABSOLUTE_POS >= count as usize {
+        terminate!();
+    }
+    numbers[ABSOLUTE_POS] = ABSOLUTE_POS as u32;
+}
+
+/// The primitive of every pair.
+#[cube(launch)]
+fn primitives_kernel(primitives: &[u32], pairs: &[u32], out: &mut [u32], count: u32) {
+    if ABSOLUTE_POS >= count as usize {
+        terminate!();
+    }
+    out[ABSOLUTE_POS] = primitives[pairs[ABSOLUTE_POS] as usize];
 }
 
 impl Fragments {
-    pub fn new(gaussians: &GaussianTensors<CubeBackend>, camera: &Camera, options: &BlendOptions) -> Self {
+    pub fn new(
+        gaussians: &GaussianTensors<CubeBackend>,
+        camera: &Camera,
+        options: &BlendOptions,
+    ) -> (Self, BlendLists<CubeBackend>) {
+        let (like, grid) = (&gaussians.positions, TileGrid::new(camera.width, camera.height));
+        let order = depth_order(like, camera);
+        let (fragments, rects) = Self::in_order(gaussians, &order, camera, options);
+        let found = match options.form {
+            Form::Ellipsoids => {
+                let ellipses = Ellipses { splats: &fragments.shapes, ends: &unlimited(like, grid.len()) };
+                pairs(&rects, Some(ellipses), camera, ListKind::Gaussians)
+            }
+            Form::Discs => pairs(&rects, None, camera, ListKind::Surfels),
+        };
+        (fragments, lists(order, &found, grid))
+    }
+
+    /// Fragments in a known `order`, and [M, 4] the pixel rectangles of the primitives.
+    pub fn in_order(
+        gaussians: &GaussianTensors<CubeBackend>,
+        order: &CubeTensor,
+        camera: &Camera,
+        options: &BlendOptions,
+    ) -> (Self, CubeTensor) {
         let BlendOptions { form, filter, .. } = *options;
         let (like, count) = (&gaussians.positions, gaussians.positions.shape()[0]);
-        let (client, tiles) = (like.client.clone(), TileGrid::new(camera.width, camera.height).len());
-        let order = depth_order(like, camera);
+        let client = like.client.clone();
         let features = empty_f32(like, [count, FEATURES]);
         features_kernel::launch(
             &client,
@@ -281,21 +321,16 @@ impl Fragments {
             buffer(&gaussians.log_scales),
             buffer(&gaussians.opacities),
             buffer(&gaussians.colours),
-            buffer(&order),
+            buffer(order),
             buffer(&features),
             CameraUniforms::launch(camera),
             count as u32,
             form,
         );
-        let (shapes, rects, lists) = match form {
-            Form::Ellipsoids => {
-                let (splats, rects) = splat_cube::splats(gaussians, Some(&order), camera, filter);
-                let ellipses = Ellipses { splats: &splats, ends: &unlimited(like, tiles) };
-                let lists = bin(&rects, Some(ellipses), camera, ListKind::Gaussians);
-                (splats, rects, lists)
-            }
+        let (shapes, rects) = match form {
+            Form::Ellipsoids => splat_cube::splats(gaussians, Some(order), camera, filter),
             Form::Discs => {
-                let planes = disc_cube::planes(&discs(gaussians), Some(&order), None, camera);
+                let planes = disc_cube::planes(&discs(gaussians), Some(order), None, camera);
                 reach_kernel::launch(
                     &client,
                     units(count),
@@ -304,18 +339,36 @@ impl Fragments {
                     buffer(&gaussians.quaternions),
                     buffer(&gaussians.log_scales),
                     buffer(&features),
-                    buffer(&order),
+                    buffer(order),
                     buffer(&planes.rects),
                     CameraUniforms::launch(camera),
                     Rests::launch(camera),
                     count as u32,
                 );
-                let lists = bin(&planes.rects, None, camera, ListKind::Surfels);
-                (planes.planes, planes.rects, lists)
+                (planes.planes, planes.rects)
             }
         };
-        Self { order, shapes, features, rects, lists: sorted(lists, tiles) }
+        (Self { shapes, features }, rects)
     }
+}
+
+/// The lists of all tiles, in the order of the primitives and thus front to back.
+fn lists(order: CubeTensor, found: &Pairs, grid: TileGrid) -> BlendLists<CubeBackend> {
+    let (client, count) = (order.client.clone(), found.primitives.shape()[0]);
+    let numbers = empty_u32(&order, [count]);
+    numbers_kernel::launch(&client, units(count), cube_dim(), buffer(&numbers), count as u32);
+    let (pairs, offsets) = found.by_tile(&numbers, grid);
+    let primitives = empty_u32(&order, [count]);
+    primitives_kernel::launch(
+        &client,
+        units(count),
+        cube_dim(),
+        buffer(&found.primitives),
+        buffer(&pairs),
+        buffer(&primitives),
+        count as u32,
+    );
+    BlendLists { order, starts: found.starts.clone(), pairs, primitives, offsets }
 }
 
 pub fn discs(gaussians: &GaussianTensors<CubeBackend>) -> DiscTensors<'_> {

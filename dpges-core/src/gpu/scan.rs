@@ -1,0 +1,148 @@
+//! Prefix sums of unsigned numbers. Sums that exceed 32 bits stay at the largest number, so that no sum wraps
+//! around to a small one.
+
+use burn::backend::TensorMetadata;
+use burn_cubecl::tensor::CubeTensor;
+use cubecl::prelude::*;
+
+use super::launch::{UNITS, buffer, cube_dim, cubes, empty_u32};
+
+/// Numbers that a unit adds one after the other.
+const PER_UNIT: usize = 8;
+/// Numbers of a cube.
+const BLOCK: usize = PER_UNIT * UNITS as usize;
+/// Units that one unit scans for, and the number of such groups.
+const GROUP: usize = 16;
+const _: () = assert!(GROUP * GROUP == UNITS as usize);
+/// Numbers of workgroup memory that [`scan_units`] needs.
+pub const SCAN: usize = UNITS as usize + GROUP;
+
+/// a + b, at most the largest number.
+#[cube]
+fn plus(a: u32, b: u32) -> u32 {
+    let sum = a + b;
+    select(sum < a, u32::MAX, sum)
+}
+
+/// The sum of the numbers of all units before this one, and that of all units.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub struct Scanned {
+    pub before: u32,
+    pub total: u32,
+}
+
+/// Scans one number of each unit of the cube. All units must call this together; `memory` holds [`SCAN`] numbers,
+/// and is free again afterwards.
+#[cube]
+pub fn scan_units(own: u32, memory: &mut [u32]) -> Scanned {
+    let unit = UNIT_POS as usize;
+    memory[unit] = own;
+    sync_cube();
+    if unit < GROUP {
+        let mut sum = 0u32;
+        for member in 0..GROUP {
+            let at = unit * GROUP + member;
+            let value = memory[at];
+            memory[at] = sum;
+            sum = plus(sum, value);
+        }
+        memory[UNITS as usize + unit] = sum;
+    }
+    sync_cube();
+    let mut before = memory[unit];
+    let mut total = 0u32;
+    for group in 0..GROUP {
+        let sum = memory[UNITS as usize + group];
+        before = plus(before, select(group < unit / GROUP, sum, 0u32));
+        total = plus(total, sum);
+    }
+    sync_cube();
+    Scanned { before, total }
+}
+
+/// The sum of every block.
+#[cube(launch)]
+fn sums_kernel(values: &[u32], sums: &mut [u32], count: u32) {
+    if CUBE_POS * BLOCK >= count as usize {
+        terminate!();
+    }
+    let mut memory = Shared::<[u32]>::new_slice(SCAN);
+    let first = CUBE_POS * BLOCK + UNIT_POS as usize * PER_UNIT;
+    let mut own = 0u32;
+    #[unroll]
+    for number in 0..PER_UNIT {
+        if first + number < count as usize {
+            own = plus(own, values[first + number]);
+        }
+    }
+    let sum = scan_units(own, &mut memory);
+    if UNIT_POS == 0u32 {
+        sums[CUBE_POS] = sum.total;
+    }
+}
+
+/// `starts` [count + 1]: for every value the sum of those before it, and last the sum of all. `before` has the sum
+/// before every block, unless there is only one block.
+#[cube(launch)]
+fn starts_kernel(values: &[u32], before: &[u32], starts: &mut [u32], count: u32, #[comptime] blocks: bool) {
+    // a cube without values writes the sum of none
+    if CUBE_POS * BLOCK >= max(count, 1u32) as usize {
+        terminate!();
+    }
+    let mut memory = Shared::<[u32]>::new_slice(SCAN);
+    let first = CUBE_POS * BLOCK + UNIT_POS as usize * PER_UNIT;
+    let mut own = 0u32;
+    #[unroll]
+    for number in 0..PER_UNIT {
+        if first + number < count as usize {
+            own = plus(own, values[first + number]);
+        }
+    }
+    let scanned = scan_units(own, &mut memory);
+    let mut sum = scanned.before;
+    if comptime!(blocks) {
+        sum = plus(sum, before[CUBE_POS]);
+    }
+    #[unroll]
+    for number in 0..PER_UNIT {
+        let at = first + number;
+        if at <= count as usize {
+            starts[at] = sum;
+        }
+        if at < count as usize {
+            sum = plus(sum, values[at]);
+            // the end of the last unit of the last block has no place within the block
+            if comptime!(number + 1 == PER_UNIT) {
+                if at + 1 == count as usize {
+                    starts[at + 1] = sum;
+                }
+            }
+        }
+    }
+}
+
+/// [n + 1] sums of the numbers before each of `values` `[n]`, and of all of them.
+pub fn starts(values: &CubeTensor) -> CubeTensor {
+    let (client, count) = (values.client.clone(), values.shape()[0]);
+    let blocks = count.div_ceil(BLOCK);
+    let before = if blocks > 1 {
+        let sums = empty_u32(values, [blocks]);
+        sums_kernel::launch(&client, cubes(blocks), cube_dim(), buffer(values), buffer(&sums), count as u32);
+        starts(&sums)
+    } else {
+        empty_u32(values, [1])
+    };
+    let out = empty_u32(values, [count + 1]);
+    starts_kernel::launch(
+        &client,
+        cubes(blocks),
+        cube_dim(),
+        buffer(values),
+        buffer(&before),
+        buffer(&out),
+        count as u32,
+        blocks > 1,
+    );
+    out
+}
