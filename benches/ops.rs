@@ -11,7 +11,7 @@ use dpges_core::ops::blend::{Blend, BlendOptions, Form, blend};
 use dpges_core::ops::composite::{Composite, CompositeOptions, composite};
 use dpges_core::ops::limits::interval_limits;
 use dpges_core::ops::peel::{Layers, PeelOptions, peel};
-use dpges_core::ops::splat::{SplatOptions, splat};
+use dpges_core::ops::splat::splat;
 use dpges_core::ops::ssim::ssim;
 use dpges_core::render::{Render, RenderOptions, render};
 use dpges_core::scene::schema::Columns;
@@ -56,7 +56,7 @@ impl Fixture {
 
     fn splat(&self) -> Tensor<4> {
         let (colours, limits) = (&self.render.gaussian_colours, &self.render.limits);
-        splat(&self.gaussians, colours, limits, &self.scene.camera, &SplatOptions::default()).unwrap()
+        splat(&self.gaussians, colours, limits, &self.scene.camera).unwrap()
     }
 
     fn gaussian_leaves(&self) -> Gaussians {
@@ -66,7 +66,7 @@ impl Fixture {
     fn splat_leaves(&self) -> Tensor<4> {
         let limits = self.render.limits.clone().autodiff();
         let colours = leaf(&self.render.gaussian_colours);
-        splat(&self.gaussian_leaves(), &colours, &limits, &self.scene.camera, &SplatOptions::default()).unwrap()
+        splat(&self.gaussian_leaves(), &colours, &limits, &self.scene.camera).unwrap()
     }
 
     fn blend(&self, options: &BlendOptions) -> Blend {

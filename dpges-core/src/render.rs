@@ -12,14 +12,13 @@ use crate::ops::composite::{Composite, CompositeOptions, composite};
 use crate::ops::finite::{FiniteChecks, check_finite};
 use crate::ops::limits::interval_limits;
 use crate::ops::peel::{Layers, PeelOptions, peel};
-use crate::ops::splat::{SplatOptions, splat};
+use crate::ops::splat::splat;
 use crate::scene::schema::Columns;
 use crate::scene::{Gaussians, MarginLookup, SceneInfo, Surfels};
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RenderOptions {
     pub peel: PeelOptions,
-    pub splat: SplatOptions,
     /// Where the depth intervals of the transmittance end.
     pub margin_lookup: MarginLookup,
     /// C_b, display-referred.
@@ -32,7 +31,6 @@ impl Default for RenderOptions {
     fn default() -> Self {
         Self {
             peel: PeelOptions::default(),
-            splat: SplatOptions::default(),
             margin_lookup: MarginLookup::default(),
             background: [0.0; 3],
             detach_transmittance: false,
@@ -44,7 +42,6 @@ impl From<&SceneInfo> for RenderOptions {
     fn from(info: &SceneInfo) -> Self {
         Self {
             peel: PeelOptions::from(info),
-            splat: SplatOptions::default(),
             margin_lookup: info.margin_lookup,
             background: info.background,
             detach_transmittance: false,
@@ -173,7 +170,7 @@ pub fn render_values(
     let gaussian_colours = colour(&gaussians.colour, &gaussians.positions, centre)?;
     let layers = peel(&surfels.positions, &surfels.quaternions, &surfels.log_scales, camera, &options.peel)?;
     let limits = interval_limits(&layers, &surfels.margins, options.margin_lookup)?;
-    let sums = splat(gaussians, &gaussian_colours, &limits, camera, &options.splat)?;
+    let sums = splat(gaussians, &gaussian_colours, &limits, camera)?;
     let blending =
         CompositeOptions { background: options.background, detach_transmittance: options.detach_transmittance };
     let composite = composite(&layers, &surfel_colours, &sums, &blending)?;

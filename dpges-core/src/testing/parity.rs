@@ -22,7 +22,7 @@ use crate::ops::environment::environment;
 use crate::ops::jitter::{JitterOptions, NoiseGate, jitter};
 use crate::ops::limits::interval_limits;
 use crate::ops::peel::{Layers, PeelOptions, peel};
-use crate::ops::splat::{SplatOptions, contributions, splat};
+use crate::ops::splat::{contributions, splat};
 use crate::ops::ssim::ssim;
 use crate::scene::schema::Columns;
 use crate::scene::{Gaussians, MarginLookup, Surfels};
@@ -163,7 +163,7 @@ impl<'a> Bench<'a> {
     fn splat(&mut self, limits: Tensor<3>, colours: Tensor<2>) -> Tensor<4> {
         let (gaussians, camera) = (self.gaussians.clone(), &self.scene.camera);
         let colours = colours.require_grad();
-        let sums = splat(&gaussians, &colours, &limits, camera, &SplatOptions::default()).expect("valid input");
+        let sums = splat(&gaussians, &colours, &limits, camera).expect("valid input");
         self.note("splat.sums", &sums);
         let gradients = (sums.clone() * self.upstream(&sums, 3)).sum().backward();
         self.gradient("splat.grad.positions", &gaussians.positions, &gradients);
@@ -281,8 +281,7 @@ impl<'a> Bench<'a> {
         let limits = interval_limits(&layers, &self.surfels.margins, MarginLookup::Shifted).expect("one shape");
         let [surfel_colours, gaussian_colours] = self.colours();
         let camera = &self.scene.camera;
-        let options = SplatOptions::default();
-        let sums = splat(&self.gaussians, &gaussian_colours, &limits, camera, &options).expect("valid input");
+        let sums = splat(&self.gaussians, &gaussian_colours, &limits, camera).expect("valid input");
         Reference {
             agreed: vec![1.0; self.shape().iter().product()],
             ids: layers.ids.clone().into_data().iter::<i64>().collect(),

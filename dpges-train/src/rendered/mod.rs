@@ -91,15 +91,6 @@ impl Renderer {
         }
     }
 
-    /// The same scene with this [`SplatOptions::deterministic`](dpges_core::ops::splat::SplatOptions).
-    #[must_use]
-    pub fn deterministic(mut self, deterministic: bool) -> Self {
-        if let Options::Peeled(options) = &mut self.options {
-            options.splat.deterministic = deterministic;
-        }
-        self
-    }
-
     /// Renders the view from `camera`, in the coordinates of the scene.
     ///
     /// # Errors

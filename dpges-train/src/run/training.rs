@@ -205,8 +205,7 @@ impl Run {
     }
 
     fn renderer(&self, scene: &SceneData) -> Renderer {
-        let deterministic = self.trainer.config().train.deterministic;
-        Renderer::new(scene, self.trainer.device()).deterministic(deterministic)
+        Renderer::new(scene, self.trainer.device())
     }
 
     /// Evaluates the held-out views and writes pictures of a few; `None` if there are none.

@@ -8,7 +8,7 @@ use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{AutodiffBackend, Backend};
 
-use super::{SplatBackwardOps, SplatOps, SplatOptions};
+use super::{SplatBackwardOps, SplatOps};
 use crate::camera::Camera;
 use crate::footprint::gaussians::GaussianTensors;
 use crate::tape::pass_back;
@@ -34,15 +34,10 @@ impl<B: SplatBackwardOps> Backward<B, 5> for SplatBackward {
 }
 
 impl<B: SplatOps + SplatBackwardOps, S: CheckpointStrategy> SplatOps for Autodiff<B, S> {
-    fn splat(
-        gaussians: GaussianTensors<Self>,
-        limits: FloatTensor<Self>,
-        camera: Camera,
-        options: SplatOptions,
-    ) -> FloatTensor<Self> {
+    fn splat(gaussians: GaussianTensors<Self>, limits: FloatTensor<Self>, camera: Camera) -> FloatTensor<Self> {
         let values = gaussians.values();
         let limits = limits.into_parts().0;
-        let out = B::splat(values.clone(), limits.clone(), camera, options);
+        let out = B::splat(values.clone(), limits.clone(), camera);
         let parents = gaussians.into_array().map(|tensor| tensor.into_parts().1);
         match SplatBackward.prepare::<S>(parents).compute_bound().stateful() {
             OpsKind::Tracked(prep) => prep.finish(SplatState { gaussians: values, limits, camera }, out),

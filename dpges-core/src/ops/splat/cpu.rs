@@ -5,7 +5,7 @@ use burn::backend::TensorMetadata;
 use burn::backend::tensor::FloatTensor;
 use rayon::prelude::*;
 
-use super::{SplatBackwardOps, SplatOps, SplatOptions};
+use super::{SplatBackwardOps, SplatOps};
 use crate::binning::cpu::bin;
 use crate::camera::Camera;
 use crate::footprint::gaussians::{GaussianRows, GaussianTensors};
@@ -391,12 +391,7 @@ fn contributions_on<B: Host>(
 macro_rules! implement {
     ($backend:ty) => {
         impl SplatOps for $backend {
-            fn splat(
-                gaussians: GaussianTensors<Self>,
-                limits: FloatTensor<Self>,
-                camera: Camera,
-                _: SplatOptions,
-            ) -> FloatTensor<Self> {
+            fn splat(gaussians: GaussianTensors<Self>, limits: FloatTensor<Self>, camera: Camera) -> FloatTensor<Self> {
                 splat_on::<Self>(&gaussians, &limits, &camera)
             }
 

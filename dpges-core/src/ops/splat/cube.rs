@@ -6,7 +6,7 @@ use burn::backend::tensor::FloatTensor;
 use burn_cubecl::CubeBackend;
 use cubecl::prelude::*;
 
-use super::{SplatBackwardOps, SplatOps, SplatOptions};
+use super::{SplatBackwardOps, SplatOps};
 use crate::binning::capacity::ListKind;
 use crate::binning::cube::{Ellipses, TileList, bin};
 use crate::camera::Camera;
@@ -284,12 +284,7 @@ fn brightest_kernel(largest_of_pieces: &[f32], starts: &[u32], colours: &[f32], 
 }
 
 impl SplatOps for CubeBackend {
-    fn splat(
-        gaussians: GaussianTensors<Self>,
-        limits: FloatTensor<Self>,
-        camera: Camera,
-        _: SplatOptions,
-    ) -> FloatTensor<Self> {
+    fn splat(gaussians: GaussianTensors<Self>, limits: FloatTensor<Self>, camera: Camera) -> FloatTensor<Self> {
         let (gaussians, limits) = (gaussians.contiguous(), floats(limits));
         let (client, layers, count) = (limits.client.clone(), limits.shape()[0], gaussians.opacities.shape()[0]);
         let tiles = TileGrid::new(camera.width, camera.height).len();

@@ -25,13 +25,6 @@ use crate::footprint::gaussians::GaussianTensors;
 use crate::scene::Gaussians;
 use crate::scene::tensors::check_shape;
 
-/// How the sums are computed.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct SplatOptions {
-    /// Whether every run must give the same bits. It does either way: every backend adds in a fixed order.
-    pub deterministic: bool,
-}
-
 #[backend_extension(
     Cube: cfg(feature = "gpu"),
     NdArray: cfg(feature = "ndarray"),
@@ -43,7 +36,6 @@ pub trait SplatOps: Backend {
         #[extension_type] gaussians: GaussianTensors<Self>,
         limits: FloatTensor<Self>,
         camera: Camera,
-        options: SplatOptions,
     ) -> FloatTensor<Self>;
 
     /// Largest contribution of each Gaussian to any pixel, `[M]`; no gradient.
@@ -70,18 +62,12 @@ pub trait SplatBackwardOps: Backend {
 ///
 /// # Errors
 /// [`crate::Error::Shape`] or [`crate::Error::Camera`] if the input is invalid.
-pub fn splat(
-    gaussians: &Gaussians,
-    colours: &Tensor<2>,
-    limits: &Tensor<3>,
-    camera: &Camera,
-    options: &SplatOptions,
-) -> Result<Tensor<4>> {
+pub fn splat(gaussians: &Gaussians, colours: &Tensor<2>, limits: &Tensor<3>, camera: &Camera) -> Result<Tensor<4>> {
     camera.validate()?;
     let layers = limits.dims()[0];
     check_shape("limits", limits, [layers, camera.height, camera.width])?;
     let gaussians = GaussianTensors::new(gaussians, colours)?;
-    Ok(Tensor::from_dispatch(Dispatch::splat(gaussians, limits.clone().into_dispatch(), *camera, *options)))
+    Ok(Tensor::from_dispatch(Dispatch::splat(gaussians, limits.clone().into_dispatch(), *camera)))
 }
 
 /// Largest value over all pixels of α · gate · max|colour| for each Gaussian, `[M]`, where `gates`

@@ -3,7 +3,7 @@ mod lens;
 use burn::tensor::Tensor;
 use glam::{DMat3, DVec2, DVec3};
 
-use super::{SplatOptions, contributions, splat};
+use super::{contributions, splat};
 use crate::camera::{Camera, CameraFromWorld};
 use crate::footprint::CUTOFF;
 use crate::footprint::splat::{MIN_COMPENSATION_SQUARED, Parameters, Splat};
@@ -16,7 +16,6 @@ use crate::testing::random::Random;
 use crate::testing::scenes::{self, Recipe};
 use crate::tiles::PixelRect;
 
-const OPTIONS: SplatOptions = SplatOptions { deterministic: false };
 /// Widths of positions, quaternions, log-scales, opacities and colours.
 const WIDTHS: [usize; 5] = [3, 4, 3, 1, 3];
 const NAMES: [&str; 5] = ["positions", "quaternions", "log_scales", "opacities", "colours"];
@@ -73,7 +72,7 @@ impl Flat {
 
     fn splat(&self, limits: &Tensor<3>, camera: &Camera) -> Tensor<4> {
         let Leaves { gaussians, colours } = self.leaves();
-        splat(&gaussians, &colours, limits, camera, &OPTIONS).unwrap()
+        splat(&gaussians, &colours, limits, camera).unwrap()
     }
 
     /// Weight of a Gaussian at every pixel, and its depth, by the formulas of the specification.
@@ -283,7 +282,7 @@ fn no_gaussians_sum_to_nothing() {
     let camera = axis_camera();
     let limits = image(&random_limits(3, 2.0, &camera, 4), 3, &camera);
     let Leaves { gaussians, colours } = Flat::default().leaves();
-    let sums = splat(&gaussians, &colours, &limits, &camera, &OPTIONS).unwrap();
+    let sums = splat(&gaussians, &colours, &limits, &camera).unwrap();
     assert!(values(&sums).iter().all(|s| *s == 0.0));
     assert_eq!(sums.dims(), [3, 4, camera.height, camera.width]);
     assert_eq!(contributions(&gaussians, &colours, &limits, &limits, &camera).unwrap().dims(), [0]);
@@ -305,7 +304,7 @@ fn gradients_of_the_sums_are_central_differences() {
         let weights = leaf(&Random::new(9).numbers(shape.iter().product(), -1.0, 1.0), shape, &device()).detach();
         let loss = |sums: Tensor<4>| (sums * weights.clone()).sum();
         let leaves = gaussians.leaves();
-        let sums = splat(&leaves.gaussians, &leaves.colours, &limits, &camera, &OPTIONS).unwrap();
+        let sums = splat(&leaves.gaussians, &leaves.colours, &limits, &camera).unwrap();
         let gradients = loss(sums).backward();
         let g = &leaves.gaussians;
         let found = [&g.positions, &g.quaternions, &g.log_scales].map(|t| values(&t.grad(&gradients).unwrap()));

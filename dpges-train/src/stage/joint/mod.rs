@@ -14,7 +14,6 @@ use dpges_core::losses::depth::surfel_depth;
 use dpges_core::losses::geometry::{GeometryWeights, geometry};
 use dpges_core::losses::{LossWeights, hidden, losses};
 use dpges_core::ops::environment::environment;
-use dpges_core::ops::splat::SplatOptions;
 use dpges_core::render::{RenderOptions, render_values};
 use dpges_core::scene::{Rendering, SceneData, SceneInfo};
 
@@ -95,11 +94,7 @@ impl JointStage {
     }
 
     fn render_options(&self, config: &Config) -> RenderOptions {
-        RenderOptions {
-            splat: SplatOptions { deterministic: config.train.deterministic },
-            detach_transmittance: config.train.detach_transmittance,
-            ..RenderOptions::from(&self.info)
-        }
+        RenderOptions { detach_transmittance: config.train.detach_transmittance, ..RenderOptions::from(&self.info) }
     }
 }
 

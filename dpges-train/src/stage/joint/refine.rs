@@ -6,7 +6,7 @@ use burn::tensor::{DType, Tensor};
 use dpges_core::camera::Camera;
 use dpges_core::losses::Target;
 use dpges_core::ops::environment::environment;
-use dpges_core::ops::splat::{SplatOptions, splat};
+use dpges_core::ops::splat::splat;
 use dpges_core::render::{Render, Values, render_values};
 use dpges_core::scene::Gaussians;
 use dpges_core::scene::tensors::{rows_to_tensor, tensor_to_rows};
@@ -176,7 +176,6 @@ impl JointStage {
         for (index, (view, picture)) in pictures(dataset.train.iter().take(count)).enumerate() {
             let own = Seen { camera: &view.camera, picture: picture?, correction: corrections.of(index) };
             let share = share(index);
-            let options = self.render_options(&context.config).splat;
             let rendered = self.render_view(context, view)?;
             let mut error = squared_error(&rendered, &own.target(&context.device));
             if let Some(sky) = &self.sky {
@@ -186,7 +185,7 @@ impl JointStage {
             let pixels = draw_in_proportion(&error, drawn, &mut context.rng);
             let mut depths = tensor_to_rows(&rendered.layers.depth);
             if everywhere && pixels.iter().any(|&pixel| !depths[pixel].is_finite()) {
-                let behind = gaussian_depth(&self.drawn_values().1, &rendered.limits, &view.camera, &options)?;
+                let behind = gaussian_depth(&self.drawn_values().1, &rendered.limits, &view.camera)?;
                 depths.iter_mut().zip(behind).filter(|(depth, _)| !depth.is_finite()).for_each(|(d, z)| *d = z);
             }
             let others: Vec<Seen> = match neighbours.get(index) {
@@ -256,17 +255,12 @@ pub fn squared_error(rendered: &Render, target: &Target) -> Vec<f32> {
 
 /// [H × W] mean depth at each pixel of the Gaussians in front of the last of `limits` [K, H, W], weighted by their α, in
 /// world units. It is not finite where there are none.
-fn gaussian_depth(
-    gaussians: &Gaussians,
-    limits: &Tensor<3>,
-    camera: &Camera,
-    options: &SplatOptions,
-) -> Result<Vec<f32>, TrainError> {
+fn gaussian_depth(gaussians: &Gaussians, limits: &Tensor<3>, camera: &Camera) -> Result<Vec<f32>, TrainError> {
     let positions = tensor_to_rows(&gaussians.positions);
     let depth = |position: &[f32; 3]| camera.depth(DVec3::from_array(position.map(f64::from))) as f32;
     let depths: Vec<f32> = positions.as_chunks::<3>().0.iter().flat_map(|position| [depth(position); 3]).collect();
     let depths = rows_to_tensor(&depths, 3, &gaussians.positions.device(), DType::F32);
-    let sums = tensor_to_rows(&splat(gaussians, &depths, limits, camera, options)?.sum_dim(0));
+    let sums = tensor_to_rows(&splat(gaussians, &depths, limits, camera)?.sum_dim(0));
     let area = camera.width * camera.height;
     Ok((0..area).map(|pixel| sums[pixel] / sums[3 * area + pixel]).collect())
 }
@@ -321,7 +315,7 @@ mod tests {
         let device = "cpu".parse::<DeviceName>().unwrap().open().unwrap();
         let gaussians = Gaussians::from_data(&gaussians, &device, DType::F32);
         let limits = Tensor::full([1, height, width], 4.5, (&device, DType::F32));
-        let depth = gaussian_depth(&gaussians, &limits, &camera, &SplatOptions::default()).unwrap();
+        let depth = gaussian_depth(&gaussians, &limits, &camera).unwrap();
         assert!((depth[4 * width + 8] - 2.0).abs() < 1e-3, "{}", depth[4 * width + 8]);
         assert!(!depth[0].is_finite() && !depth[4 * width + 13].is_finite());
     }
