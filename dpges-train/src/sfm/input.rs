@@ -16,11 +16,11 @@ use crate::dataset;
 use crate::names::list;
 
 /// Pictures that are read.
-const PHOTOGRAPHS: [&str; 3] = ["jpg", "jpeg", "png"];
+pub(super) const PHOTOGRAPHS: [&str; 3] = ["jpg", "jpeg", "png"];
 /// Pictures that are not, and that a camera or a phone may have left.
-const OTHER_PICTURES: [&str; 12] =
-    ["heic", "heif", "avif", "webp", "tif", "tiff", "bmp", "dng", "cr2", "cr3", "nef", "arw"];
-const VIDEOS: [&str; 10] = ["mp4", "mov", "mkv", "avi", "webm", "m4v", "mts", "m2ts", "3gp", "mpg"];
+const OTHER_PICTURES: [&str; 15] =
+    ["heic", "heif", "avif", "webp", "jxl", "tif", "tiff", "bmp", "dng", "cr2", "cr3", "nef", "arw", "exr", "hdr"];
+pub(super) const VIDEOS: [&str; 10] = ["mp4", "mov", "mkv", "avi", "webm", "m4v", "mts", "m2ts", "3gp", "mpg"];
 /// Folders within the one that is named in which photographs are looked for if it holds none itself.
 const SUBFOLDERS: [&str; 2] = ["images", "input"];
 
@@ -110,7 +110,7 @@ pub fn is_begun(path: &Path) -> bool {
     path.join("sfm/steps.json").is_file()
 }
 
-fn has_extension(path: &Path, extensions: &[&str]) -> bool {
+pub(super) fn has_extension(path: &Path, extensions: &[&str]) -> bool {
     let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
     extension.is_some_and(|extension| extensions.contains(&extension.as_str()))
 }

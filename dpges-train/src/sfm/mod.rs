@@ -23,6 +23,7 @@ mod progress;
 mod step;
 #[cfg(test)]
 mod tests;
+mod unusable;
 mod workspace;
 
 use std::path::{Path, PathBuf};
@@ -35,6 +36,7 @@ pub use input::{Input, is_begun};
 pub use model::Outcome;
 pub use programs::Programs;
 pub use step::{Observer, Step};
+pub use unusable::{Unusable, unusable};
 
 use crate::config::{DataConfig, SfmCamera, SfmMatching, SfmProgram};
 use commands::Colmap;

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use dpges_train::config::{Config, DataConfig};
 use dpges_train::dataset::{self, DatasetError};
-use dpges_train::sfm::{self, Input, Options, Outcome, Programs, Request, SfmError};
+use dpges_train::sfm::{self, Input, Options, Outcome, Programs, Request, SfmError, Unusable};
 
 use super::data::BUILTIN;
 use super::{Failure, Result, print, table};
@@ -77,7 +77,15 @@ pub fn explained(error: DatasetError, path: &Path) -> Failure {
     if sfm::is_begun(path) && dataset::format(path).is_none() {
         return Failure::with_help(error, "its cameras have not been found yet: repeat the command that began it");
     }
-    error.into()
+    match error {
+        DatasetError::UnknownFormat { .. } => nothing_at(path),
+        other => other.into(),
+    }
+}
+
+fn nothing_at(path: &Path) -> Failure {
+    let Unusable { message, advice } = sfm::unusable(path);
+    Failure::with_help(message, advice)
 }
 
 fn input_of(path: &Path) -> Option<Input> {
@@ -111,17 +119,11 @@ fn reconstruct(
 }
 
 fn not_photographs(path: &Path) -> Failure {
-    let is_dataset = dataset::format(path).is_some();
-    let path = path.display();
-    if is_dataset {
-        return Failure::with_help(
-            format!("{path} is a dataset already"),
-            format!("train on it: `dpges train {path}`"),
-        );
+    if dataset::format(path).is_none() {
+        return nothing_at(path);
     }
-    let help =
-        "name a folder with JPEGs or PNGs in it or in its folder `images` or `input`, or a video such as walk.mp4";
-    Failure::with_help(format!("{path} holds no photographs and is no video"), help)
+    let path = path.display();
+    Failure::with_help(format!("{path} is a dataset already"), format!("train on it: `dpges train {path}`"))
 }
 
 fn summary(outcome: &Outcome) -> String {
