@@ -67,11 +67,17 @@ pub(super) fn find(root: &Path, frame: &Frame) -> Result<Option<PathBuf>> {
             }),
         };
     }
-    let mut with_both = within.clone().into_os_string();
+    Ok(folders.iter().find_map(|folder| called_like(&within, &root.join(folder))))
+}
+
+/// The mask in `folder` that is called like the image `name`, a path: `NAME.EXTENSION.png` (COLMAP) or `NAME.png`.
+pub(crate) fn called_like(name: &Path, folder: &Path) -> Option<PathBuf> {
+    let mut with_both = name.to_owned().into_os_string();
     with_both.push(".png");
-    let names = [PathBuf::from(with_both), within.with_extension("png")];
-    let mut candidates = folders.iter().flat_map(|folder| names.iter().map(move |name| root.join(folder).join(name)));
-    Ok(candidates.find(|path| path.is_file()))
+    [PathBuf::from(with_both), name.with_extension("png")]
+        .into_iter()
+        .map(|name| folder.join(name))
+        .find(|path| path.is_file())
 }
 
 /// Folders in which the mask of an image may be, in this order, and its path in them, but for the extension.
@@ -96,12 +102,16 @@ fn components<'a>(root: &Path, path: &'a Path) -> impl Iterator<Item = Component
 pub(super) fn warn_of_strangers(root: &Path, frames: &[Frame]) {
     let folder = root.join("masks");
     if folder.is_dir() && frames.iter().all(|frame| frame.mask.is_none()) {
-        tracing::warn!(
-            "{} has no mask that is called like a photograph: that of images/NAME.jpg is masks/NAME.jpg.png or \
-             masks/NAME.png",
-            folder.display()
-        );
+        tracing::warn!("{}", strangers(&folder));
     }
+}
+
+/// Of a `folder` of masks, none of which belongs to a photograph.
+pub(crate) fn strangers(folder: &Path) -> String {
+    format!(
+        "{} has no mask that is called like a photograph: that of NAME.jpg is NAME.jpg.png or NAME.png",
+        folder.display()
+    )
 }
 
 /// Which pixels of a picture count by the mask in file `path`, [height × width]: those that are not black, or, if it is
@@ -109,7 +119,7 @@ pub(super) fn warn_of_strangers(root: &Path, frames: &[Frame]) {
 ///
 /// # Errors
 /// [`DatasetError::MaskSize`] if the sizes differ, [`DatasetError::Read`], [`DatasetError::Decode`].
-pub(super) fn read(path: &Path, image: &Path, [width, height]: [usize; 2], inverted: bool) -> Result<Vec<bool>> {
+pub(crate) fn read(path: &Path, image: &Path, [width, height]: [usize; 2], inverted: bool) -> Result<Vec<bool>> {
     let mask = images::decoded(path)?.into_luma16();
     let found = [mask.width() as usize, mask.height() as usize];
     if found != [width, height] {
