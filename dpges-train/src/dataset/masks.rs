@@ -15,7 +15,7 @@ const FILTER_REACH: f32 = 2.0;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Masked {
     pub views: usize,
-    /// Those that have a mask.
+    /// Those that have a mask, or a lens that shows nothing at some of their pixels.
     pub masked_views: usize,
     /// Of all views.
     pub pixels: usize,
@@ -42,7 +42,10 @@ impl fmt::Display for Masked {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let percent = 100.0 * self.ignored_pixels as f64 / self.pixels.max(1) as f64;
         let (masked, views) = (self.masked_views, self.views);
-        write!(f, "{masked} of {views} views have masks; {percent:.1} % of all pixels do not count")
+        write!(
+            f,
+            "{masked} of {views} views have masks, or a lens that does not fill them; {percent:.1} % of all pixels do not count"
+        )
     }
 }
 
@@ -205,7 +208,10 @@ mod tests {
         assert_eq!(counted(&data, "left/003.png"), None);
         let masked = data.masked();
         assert_eq!((masked.views, masked.masked_views, masked.ignored_pixels), (9, 2, 12 * 16));
-        assert_eq!(masked.to_string(), "2 of 9 views have masks; 5.6 % of all pixels do not count");
+        assert_eq!(
+            masked.to_string(),
+            "2 of 9 views have masks, or a lens that does not fill them; 5.6 % of all pixels do not count"
+        );
         let inverted = load(folder.path(), &LoadOptions { invert_masks: true, ..Default::default() }).unwrap();
         assert_eq!(counted(&inverted, "left/001.png"), Some(columns(24, 16, |x| x < 5)));
         assert_eq!(counted(&inverted, "left/003.png"), None);
