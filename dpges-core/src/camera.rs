@@ -306,6 +306,16 @@ mod tests {
     }
 
     #[test]
+    fn what_draws_pinholes_alone_names_the_lens() {
+        camera().require_pinhole().unwrap();
+        let lens = Some(Lens::new(Distortion::new(Projection::Equidistant)));
+        let message = Camera { lens, ..camera() }.require_pinhole().unwrap_err().to_string();
+        for part in ["`lens` is Equidistant", "only pinhole cameras", "data.undistort"] {
+            assert!(message.contains(part), "{part}: {message}");
+        }
+    }
+
+    #[test]
     fn bad_cameras_are_named() {
         let bad = Camera { fx: -1.0, ..camera() };
         assert!(bad.validate().unwrap_err().to_string().contains("`fx` is -1"));
