@@ -154,7 +154,7 @@ fn what_is_masked_needs_no_points() {
     assert!(coverage < 5.0 / 12.0 + 1e-9 && unexplained > 7.0 / 12.0 - 1e-9, "{coverage} {unexplained}");
     mask(&mut dataset.train[0], 40, noise);
     let masked = shows_little(&dataset);
-    assert!(masked.0 > 2.0 * coverage && masked.1 < 0.3, "{masked:?}");
+    assert!(masked.0 > 2.0 * coverage && masked.1 < 0.45, "{masked:?}");
 }
 
 #[test]
