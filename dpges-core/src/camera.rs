@@ -192,6 +192,21 @@ impl Camera {
         }
     }
 
+    /// Whether each pixel has a [`ray`](Self::ray), [height × width]; `None` if all have. The pixels of the border tell: what
+    /// a lens shows has no holes and no bays.
+    pub fn shown_pixels(&self) -> Option<Vec<bool>> {
+        let lens = self.lens.as_ref()?;
+        let (width, height) = (self.width, self.height);
+        let is_shown = |column: usize, row: usize| {
+            lens.shows([(column as f64 + 0.5 - self.cx) / self.fx, (row as f64 + 0.5 - self.cy) / self.fy])
+        };
+        let rows_are_shown = (0..width).all(|column| is_shown(column, 0) && is_shown(column, height - 1));
+        if rows_are_shown && (0..height).all(|row| is_shown(0, row) && is_shown(width - 1, row)) {
+            return None;
+        }
+        Some((0..width * height).map(|pixel| is_shown(pixel % width, pixel / width)).collect())
+    }
+
     /// World point seen at pixel position (`x_px`, `y_px`) at `depth`. Where a lens shows nothing, it is the nearest that it
     /// shows.
     pub fn unproject(&self, x_px: f64, y_px: f64, depth: f64) -> DVec3 {
@@ -260,6 +275,44 @@ mod tests {
             assert_eq!(at(x, y), None);
         }
         assert_eq!(camera.pixel(camera.unproject(3.5, 2.5, -1.0)), None);
+    }
+
+    #[test]
+    fn pixels_without_a_ray_are_told_from_those_with_one() {
+        use crate::testing::lenses::every_model;
+
+        assert_eq!(camera().shown_pixels(), None);
+        let mut partly = 0;
+        for (name, distortion) in every_model() {
+            let lens = Lens::new(distortion);
+            let reach = lens.radial(lens.limit());
+            // the circle of the lens touches the sides of the first, lies within the second and around the third
+            for size in [1.0, 0.6, 5.0] {
+                let camera = camera();
+                let focal = size * 0.5 * camera.height as f64 / reach;
+                let camera = Camera { fx: focal, fy: focal, cx: 24.0, cy: 16.0, lens: Some(lens), ..camera };
+                let has_ray: Vec<bool> = (0..camera.width * camera.height)
+                    .map(|pixel| {
+                        let (x, y) = ((pixel % camera.width) as f64 + 0.5, (pixel / camera.width) as f64 + 0.5);
+                        camera.ray(x, y).is_some()
+                    })
+                    .collect();
+                let shown = camera.shown_pixels().unwrap_or_else(|| vec![true; has_ray.len()]);
+                assert!(shown == has_ray, "{name}, {size}");
+                partly += usize::from(shown.contains(&true) && shown.contains(&false));
+            }
+        }
+        assert!(partly >= 4, "{partly} pictures are shown in part");
+    }
+
+    #[test]
+    fn what_draws_pinholes_alone_names_the_lens() {
+        camera().require_pinhole().unwrap();
+        let lens = Some(Lens::new(Distortion::new(Projection::Equidistant)));
+        let message = Camera { lens, ..camera() }.require_pinhole().unwrap_err().to_string();
+        for part in ["`lens` is Equidistant", "only pinhole cameras", "data.undistort"] {
+            assert!(message.contains(part), "{part}: {message}");
+        }
     }
 
     #[test]

@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use dpges_core::camera::{Camera, CameraFromWorld};
+use dpges_core::camera::{Camera, CameraFromWorld, Distortion, Lens, Projection};
 use dpges_core::scene::schema::{Attribute, Columns};
 use dpges_core::scene::{ColourModel, EnvironmentData, Footprint, GaussianData, SceneData, SceneInfo, SurfelData};
 use dpges_render::{Display, Headless, MAX_LAYERS, Precision, RenderOptions, Renderer};
@@ -175,6 +175,20 @@ fn displays_differ(headless: &Headless) -> Result<(), Failed> {
     Ok(())
 }
 
+fn a_lens_is_refused_by_name(headless: &Headless) -> Result<(), Failed> {
+    let Golden { scene, camera, .. } = Golden::load(&files()[0]);
+    let camera = Camera { lens: Some(Lens::new(Distortion::new(Projection::Equidistant))), ..camera };
+    let mut renderer = headless.renderer()?;
+    renderer.upload(&scene)?;
+    let drawn = headless.draw(&mut renderer, &camera, &RenderOptions::from(&scene.info));
+    let message = drawn.err().ok_or("it was drawn")?.to_string();
+    if message.contains("`lens` is Equidistant") && message.contains("only pinhole cameras") {
+        Ok(())
+    } else {
+        Err(message.into())
+    }
+}
+
 fn main() -> ExitCode {
     let mut arguments = Arguments::from_args();
     arguments.test_threads = arguments.test_threads.or(Some(1));
@@ -196,5 +210,6 @@ fn main() -> ExitCode {
         .collect();
     trials.push(trial("order_does_not_matter".to_owned(), Box::new(order_does_not_matter)));
     trials.push(trial("displays_differ".to_owned(), Box::new(displays_differ)));
+    trials.push(trial("a_lens_is_refused_by_name".to_owned(), Box::new(a_lens_is_refused_by_name)));
     libtest_mimic::run(&arguments, trials).exit_code()
 }

@@ -12,6 +12,8 @@ pub struct Luma {
     pub height: usize,
     /// [height, width], 0 to 1.
     pub values: Vec<f32>,
+    /// Whether a pixel counts, [height, width]. `None` if all do.
+    pub counted: Option<Vec<bool>>,
 }
 
 impl Luma {
@@ -20,14 +22,20 @@ impl Luma {
 
     /// Of a picture, from its values as they are stored.
     pub fn of(picture: &Picture) -> Self {
-        Self::of_planes(&picture.planes(), picture.width, picture.height)
+        let counted = picture.counted.clone();
+        Self { counted, ..Self::of_planes(&picture.planes(), picture.width, picture.height) }
+    }
+
+    /// Whether a pixel counts.
+    fn counts(&self, pixel: usize) -> bool {
+        self.counted.as_ref().is_none_or(|counted| counted[pixel])
     }
 
     /// Of the red, green and blue planes of a picture, [3, height, width].
     pub fn of_planes(planes: &[f32], width: usize, height: usize) -> Self {
         let count = width * height;
         let value = |pixel: usize| (0..3).map(|channel| Self::WEIGHTS[channel] * planes[channel * count + pixel]).sum();
-        Self { width, height, values: (0..count).map(value).collect() }
+        Self { width, height, values: (0..count).map(value).collect(), counted: None }
     }
 
     /// Halved until its longer side is at most `longest` px: the noise of single pixels of a large photograph says nothing.
@@ -38,53 +46,63 @@ impl Luma {
         self
     }
 
-    /// The mean of each block of 2 × 2 px; at a side of odd length the last column or row is left out.
+    /// The mean of each block of 2 × 2 px, which counts if all of them do; at a side of odd length the last column or row is
+    /// left out.
     pub fn halved(&self) -> Self {
         let (width, height) = ((self.width / 2).max(1), (self.height / 2).max(1));
-        let at = |x: usize, y: usize| self.values[y.min(self.height - 1) * self.width + x.min(self.width - 1)];
-        let mean = |x: usize, y: usize| {
-            let (x, y) = (2 * x, 2 * y);
-            (at(x, y) + at(x + 1, y) + at(x, y + 1) + at(x + 1, y + 1)) / 4.0
+        let place = |x: usize, y: usize| y.min(self.height - 1) * self.width + x.min(self.width - 1);
+        let block = |pixel: usize| {
+            let (x, y) = (2 * (pixel % width), 2 * (pixel / width));
+            [place(x, y), place(x + 1, y), place(x, y + 1), place(x + 1, y + 1)]
         };
-        let values = (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| mean(x, y)).collect();
-        Self { width, height, values }
+        let mean = |pixel: usize| block(pixel).iter().map(|&place| self.values[place]).sum::<f32>() / 4.0;
+        let counted = self
+            .counted
+            .as_ref()
+            .map(|counted| (0..width * height).map(|pixel| block(pixel).iter().all(|&place| counted[place])).collect());
+        Self { width, height, values: (0..width * height).map(mean).collect(), counted }
     }
 
-    /// Variance of the Laplacian (of four neighbours) over all pixels but those of the border; 0 without such.
+    /// Variance of the Laplacian (of four neighbours) over all pixels but those of the border and those that have to do with
+    /// a pixel that does not count; 0 without such.
     pub fn laplacian_variance(&self) -> f64 {
         let (width, height) = (self.width, self.height);
-        if width < 3 || height < 3 {
-            return 0.0;
-        }
-        let (mut sum, mut squares) = (0.0, 0.0);
-        for y in 1..height - 1 {
-            for x in 1..width - 1 {
+        let (mut sum, mut squares, mut count) = (0.0, 0.0, 0usize);
+        for y in 1..height.saturating_sub(1) {
+            for x in 1..width.saturating_sub(1) {
                 let at = y * width + x;
-                let around =
-                    self.values[at - 1] + self.values[at + 1] + self.values[at - width] + self.values[at + width];
-                let laplacian = f64::from(around - 4.0 * self.values[at]);
+                let around = [at - 1, at + 1, at - width, at + width];
+                if !self.counts(at) || !around.iter().all(|&pixel| self.counts(pixel)) {
+                    continue;
+                }
+                let neighbours: f32 = around.iter().map(|&pixel| self.values[pixel]).sum();
+                let laplacian = f64::from(neighbours - 4.0 * self.values[at]);
                 sum += laplacian;
                 squares += laplacian * laplacian;
+                count += 1;
             }
         }
-        let count = ((width - 2) * (height - 2)) as f64;
+        let count = count.max(1) as f64;
         (squares / count - (sum / count).powi(2)).max(0.0)
     }
 
-    /// Mean squares of the second differences along rows and along columns: how much detail of the size of a pixel there is
-    /// in each direction. 0 where there are fewer than 3 px.
+    /// Mean squares of the second differences along rows and along columns, of pixels that count: how much detail of the size
+    /// of a pixel there is in each direction. 0 where there are fewer than 3 px.
     pub fn detail(&self) -> [f64; 2] {
         let (width, height) = (self.width, self.height);
         let mean = |columns: usize, rows: usize, step: usize| {
-            let mut sum = 0.0;
+            let (mut sum, mut count) = (0.0, 0usize);
             for y in 0..rows {
                 for x in 0..columns {
-                    let at = y * width + x;
-                    let difference = self.values[at] + self.values[at + 2 * step] - 2.0 * self.values[at + step];
-                    sum += f64::from(difference * difference);
+                    let [a, b, c] = [0, 1, 2].map(|i| y * width + x + i * step);
+                    if self.counts(a) && self.counts(b) && self.counts(c) {
+                        let difference = self.values[a] + self.values[c] - 2.0 * self.values[b];
+                        sum += f64::from(difference * difference);
+                        count += 1;
+                    }
                 }
             }
-            sum / (columns * rows).max(1) as f64
+            sum / count.max(1) as f64
         };
         [mean(width.saturating_sub(2), height, 1), mean(width, height.saturating_sub(2), width)]
     }
@@ -96,7 +114,7 @@ mod tests {
 
     fn luma(width: usize, height: usize, value: impl Fn(usize, usize) -> f32) -> Luma {
         let values = (0..width * height).map(|i| value(i % width, i / width)).collect();
-        Luma { width, height, values }
+        Luma { width, height, values, counted: None }
     }
 
     #[test]
@@ -117,6 +135,21 @@ mod tests {
         let rows = luma(4, 6, |_, y| (y % 2) as f32);
         assert_eq!(rows.detail(), [0.0, 4.0]);
         assert_eq!(luma(2, 1, |x, _| x as f32).detail(), [0.0; 2]);
+    }
+
+    #[test]
+    fn what_does_not_count_has_no_part() {
+        let stripes = |x: usize, y: usize| if x < 4 { (x % 2) as f32 } else { y as f32 * 0.01 };
+        let mut masked = luma(12, 8, stripes);
+        masked.counted = Some((0..12 * 8).map(|pixel| pixel % 12 >= 4).collect());
+        let [along_rows, along_columns] = masked.detail();
+        assert!(along_rows == 0.0 && along_columns < 1e-12, "{along_rows} {along_columns}");
+        assert!(masked.laplacian_variance() < 1e-12);
+        assert!(luma(12, 8, stripes).laplacian_variance() > 0.1);
+        let half = masked.halved();
+        assert_eq!(half.counted, Some((0..6 * 4).map(|pixel| pixel % 6 >= 2).collect()));
+        masked.counted = Some(vec![false; 12 * 8]);
+        assert_eq!((masked.detail(), masked.laplacian_variance()), ([0.0; 2], 0.0));
     }
 
     #[test]

@@ -149,6 +149,19 @@ fn what_is_missing_is_exit_code_1_and_named() {
 }
 
 #[test]
+fn a_series_begins_with_no_run_if_one_cannot_be_trained() {
+    let folder = folder();
+    let at = folder.path();
+    let lens = ["--set=data.builtin_lens=fisheye", "--set=data.undistort=false"];
+    let compare = ["compare", "--out=study", "--device=cpu", "--steps=5", "--max-resolution=32"];
+    let message = fails(at, 1, &[&compare[..], &["--methods=dpges,2dgs"], &lens].concat());
+    for part in ["2dgs: discs cannot be seen through a lens", "data.undistort", "leave it out"] {
+        assert!(message.contains(part), "{part}: {message}");
+    }
+    assert!(!at.join("study/dpges").exists(), "nothing is trained for nothing");
+}
+
+#[test]
 fn a_dataset_is_checked() {
     let folder = folder();
     let at = folder.path();

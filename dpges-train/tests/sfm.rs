@@ -150,12 +150,35 @@ fn what_is_missing_is_named() {
         let message = fails(at, false, command);
         assert!(message.contains("COLMAP is not installed") && message.contains("apt-get install colmap"), "{message}");
     }
-    let message = fails(at, true, &["sfm", "bin"]);
-    assert!(message.contains("holds no photographs") && message.contains("images"), "{message}");
     std::fs::write(at.join("walk.mp4"), "").unwrap();
     let message = fails(at, false, &["sfm", "walk.mp4"]);
     assert!(message.contains("ffmpeg is not installed") && message.contains("apt-get install ffmpeg"), "{message}");
     let output = dpges(at, true, &["sfm", "room", "--sfm", "meshroom"]);
     let message = String::from_utf8(output.stderr).unwrap();
     assert!(output.status.code() == Some(2) && message.contains("glomap"), "{message}");
+}
+
+#[test]
+fn a_folder_of_something_else_says_what_was_looked_for() {
+    let folder = stage();
+    let at = folder.path();
+    std::fs::create_dir(at.join("papers")).unwrap();
+    std::fs::write(at.join("papers/thesis.txt"), "").unwrap();
+    let commands: [&[&str]; 4] = [
+        &["train", "papers", "--device=cpu"],
+        &["data", "papers"],
+        &["sfm", "papers"],
+        &["compare", "papers", "--device=cpu", "--out=study"],
+    ];
+    for command in commands {
+        let message = fails(at, true, command);
+        for part in
+            ["papers is no dataset", "sparse/", "transforms.json", "JPEG or PNG", "found thesis.txt", "by COLMAP"]
+        {
+            assert!(message.contains(part), "{command:?}, {part}: {message}");
+        }
+    }
+    let message = fails(at, true, &["train", ".", "--device=cpu"]);
+    assert!(message.contains("name what is in it") && message.contains("room"), "{message}");
+    assert_eq!(calls(at), [""; 0]);
 }

@@ -366,6 +366,15 @@ impl Lens {
         Some(self.direction(a, b))
     }
 
+    /// Whether there is a [`ray`](Self::ray) at a position.
+    pub fn shows(&self, position: [f64; 2]) -> bool {
+        if self.distortion.is_radial() {
+            position[0].hypot(position[1]) <= self.radial(self.limit)
+        } else {
+            self.undistort(position).is_some()
+        }
+    }
+
     /// [`ray`](Self::ray), or that at the limit in the same direction where the lens shows nothing.
     pub fn nearest_ray(&self, position: [f64; 2]) -> [f64; 3] {
         let [a, b] = self.undistort(position).unwrap_or_else(|| {

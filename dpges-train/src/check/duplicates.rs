@@ -12,10 +12,12 @@ const ANGLE: f64 = 0.01;
 const DIFFERENCE: f64 = 0.02;
 /// Side of a thumbnail, px.
 const SIDE: usize = 16;
+/// Pixels that two thumbnails must have to be compared.
+const FEWEST_PIXELS: usize = SIDE * SIDE / 4;
 
-/// The luma of a picture in 16 × 16 px.
+/// The luma of a picture in 16 × 16 px; `None` at those that stand for a pixel that does not count.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Thumbnail(Vec<f32>);
+pub(super) struct Thumbnail(Vec<Option<f32>>);
 
 impl Thumbnail {
     /// Each pixel is the mean of those that it stands for.
@@ -27,14 +29,24 @@ impl Thumbnail {
         let mean = |row: usize, column: usize| {
             let (rows, columns) = (range(row, luma.height), range(column, luma.width));
             let count = (rows.len() * columns.len()).max(1) as f32;
-            rows.map(|y| luma.values[y * luma.width..][columns.clone()].iter().sum::<f32>()).sum::<f32>() / count
+            let mut sum = 0.0;
+            for y in rows {
+                let pixels = y * luma.width + columns.start..y * luma.width + columns.end;
+                if luma.counted.as_ref().is_some_and(|counted| counted[pixels.clone()].contains(&false)) {
+                    return None;
+                }
+                sum += luma.values[pixels].iter().sum::<f32>();
+            }
+            Some(sum / count)
         };
         Self((0..SIDE * SIDE).map(|pixel| mean(pixel / SIDE, pixel % SIDE)).collect())
     }
 
-    fn difference(&self, other: &Self) -> f64 {
-        let squares = self.0.iter().zip(&other.0).map(|(a, b)| f64::from((a - b) * (a - b)));
-        (squares.sum::<f64>() / self.0.len() as f64).sqrt()
+    /// Root mean square; `None` if they have too little in common.
+    fn difference(&self, other: &Self) -> Option<f64> {
+        let pairs = self.0.iter().zip(&other.0).filter_map(|(a, b)| Some(f64::from((*a)? - (*b)?)));
+        let squares: Vec<f64> = pairs.map(|difference| difference * difference).collect();
+        (squares.len() >= FEWEST_PIXELS).then(|| (squares.iter().sum::<f64>() / squares.len() as f64).sqrt())
     }
 }
 
@@ -46,7 +58,7 @@ pub(super) fn duplicates(views: &[ViewFacts]) -> Option<Finding> {
         let near = a.camera.centre().distance(b.camera.centre()) <= reach;
         let [forward, forward_of_other] = [pose, other].map(|pose| pose.rotation.row(2));
         let shows_the_same = || match (&a.thumbnail, &b.thumbnail) {
-            (Some(a), Some(b)) => a.difference(b) < DIFFERENCE,
+            (Some(a), Some(b)) => a.difference(b).is_some_and(|difference| difference < DIFFERENCE),
             _ => false,
         };
         near && forward.angle_between(forward_of_other) < ANGLE && shows_the_same()
@@ -76,11 +88,22 @@ mod tests {
 
     #[test]
     fn thumbnails_are_means_of_pictures_of_any_size() {
-        let large = Luma { width: 32, height: 48, values: (0..32 * 48).map(|i| (i % 2) as f32).collect() };
-        assert_eq!(Thumbnail::of(&large), Thumbnail(vec![0.5; SIDE * SIDE]));
-        let small = Luma { width: 3, height: 1, values: vec![0.25; 3] };
+        let values = (0..32 * 48).map(|i| (i % 2) as f32).collect();
+        let mut large = Luma { width: 32, height: 48, values, counted: None };
+        assert_eq!(Thumbnail::of(&large), Thumbnail(vec![Some(0.5); SIDE * SIDE]));
+        let small = Luma { width: 3, height: 1, values: vec![0.25; 3], counted: None };
         let thumbnail = Thumbnail::of(&small);
-        assert_eq!(thumbnail, Thumbnail(vec![0.25; SIDE * SIDE]));
-        assert!((thumbnail.difference(&Thumbnail::of(&large)) - 0.25).abs() < 1e-7);
+        assert_eq!(thumbnail, Thumbnail(vec![Some(0.25); SIDE * SIDE]));
+        let difference = |large: &Luma| thumbnail.difference(&Thumbnail::of(large));
+        assert!((difference(&large).unwrap() - 0.25).abs() < 1e-7);
+
+        // a pixel stands for 2 × 3: those of the first five columns have to do with what does not count
+        large.counted = Some((0..32 * 48).map(|i| i % 32 >= 9).collect());
+        (0..32 * 48).filter(|i| i % 32 < 9).for_each(|i| large.values[i] = 7.0);
+        let masked = Thumbnail::of(&large);
+        assert!((0..SIDE * SIDE).all(|pixel| masked.0[pixel] == (pixel % SIDE >= 5).then_some(0.5)), "{masked:?}");
+        assert!((difference(&large).unwrap() - 0.25).abs() < 1e-7);
+        large.counted = Some((0..32 * 48).map(|i| i % 32 >= 26).collect());
+        assert_eq!(difference(&large), None, "they have 3 of 16 columns in common");
     }
 }

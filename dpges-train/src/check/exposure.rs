@@ -21,12 +21,16 @@ const MOST_POINTS: usize = 2000;
 const CLIPPED: f32 = 0.98;
 const DARK: f64 = 0.005;
 
-/// How much brighter the picture shows the points that it saw than they are on average, stops. `None` if they are few.
+/// How much brighter the picture shows the points that it saw, where it counts, than they are on average, stops. `None` if they
+/// are few.
 pub(super) fn of_view(camera: &Camera, picture: &Picture, points: &PointCloud, seen: &[u32]) -> Option<f64> {
     let step = seen.len().div_ceil(MOST_POINTS).max(1);
     let stops = seen.iter().step_by(step).filter_map(|&point| {
         let (position, colour) = (points.positions[point as usize], points.colours[point as usize]);
         let (pixel, _) = camera.pixel(DVec3::from_array(position.map(f64::from)))?;
+        if !picture.counts(pixel) {
+            return None;
+        }
         let shown = picture.rgb(pixel % camera.width, pixel / camera.width);
         if shown.iter().chain(&colour).any(|&value| value > CLIPPED) {
             return None;
@@ -60,7 +64,7 @@ pub(super) fn different(views: &[ViewFacts]) -> Option<Finding> {
         &different,
         ["a photograph is brighter or darker than the rest", "photographs are brighter or darker than the rest"],
         |view| format!(" ({:+.1} stops)", stops(view)),
-        "correct their exposure, or leave them out: views that disagree make haze",
+        "have it corrected while training (train.exposure=on), or leave them out: views that disagree make haze",
     )
 }
 
@@ -74,7 +78,7 @@ pub(super) fn spread(views: &[ViewFacts]) -> Option<Finding> {
             "the photographs differ in brightness by {:.1} stops, between {low:+.1} and {high:+.1}",
             high - low
         ),
-        advice: "photograph with one exposure and one white balance; views that disagree make haze",
+        advice: "have it corrected while training (train.exposure=on), or photograph with one exposure and one white balance",
     })
 }
 

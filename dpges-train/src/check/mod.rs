@@ -8,7 +8,8 @@
 //! | [`poses`] | cameras that are far from all others |
 //! | [`points`] | cameras that see no points or few, pictures that no point explains |
 //!
-//! Each judges views by the rest of the set, so that it needs no knowledge of cameras or scenes.
+//! Each judges views by the rest of the set, so that it needs no knowledge of cameras or scenes. Pixels that do not count have no
+//! part in any of it.
 
 pub mod duplicates;
 pub mod exposure;

@@ -7,7 +7,7 @@ use glam::DVec3;
 use super::finding::{Finding, Kind};
 use super::statistics::median;
 use super::view::{Role, ViewFacts};
-use crate::dataset::Dataset;
+use crate::dataset::{Dataset, Picture};
 
 /// Squares along the longer side of a picture.
 const SQUARES: usize = 12;
@@ -21,24 +21,41 @@ const UNEXPLAINED: f64 = 0.5;
 pub(super) struct Cells {
     columns: usize,
     rows: usize,
+    /// Whether a square counts: whether at least half its pixels do.
+    counted: Vec<bool>,
 }
 
 impl Cells {
-    pub fn of(camera: &Camera) -> Self {
+    /// Without a `picture` all squares count.
+    pub fn of(camera: &Camera, picture: Option<&Picture>) -> Self {
         let longer = camera.width.max(camera.height);
         let along = |length: usize| ((SQUARES * length) as f64 / longer as f64).round().max(1.0) as usize;
-        Self { columns: along(camera.width), rows: along(camera.height) }
+        let (columns, rows) = (along(camera.width), along(camera.height));
+        let mut cells = Self { columns, rows, counted: vec![true; columns * rows] };
+        if let Some(counted) = picture.and_then(|picture| picture.counted.as_ref()) {
+            let mut surplus = vec![0i64; columns * rows];
+            for (pixel, &counts) in counted.iter().enumerate() {
+                surplus[cells.square(camera, pixel)] += if counts { 1 } else { -1 };
+            }
+            cells.counted = surplus.into_iter().map(|surplus| surplus >= 0).collect();
+        }
+        cells
     }
 
-    /// Share of the squares in which there is one of `positions`, in world units.
+    fn square(&self, camera: &Camera, pixel: usize) -> usize {
+        let (x, y) = (pixel % camera.width, pixel / camera.width);
+        y * self.rows / camera.height * self.columns + x * self.columns / camera.width
+    }
+
+    /// Share of the squares that count in which there is one of `positions`, in world units.
     pub fn share_with(&self, camera: &Camera, positions: impl Iterator<Item = DVec3>) -> f64 {
-        let mut has_point = vec![false; self.columns * self.rows];
+        let mut has_point = vec![false; self.counted.len()];
         for (pixel, _) in positions.filter_map(|position| camera.pixel(position)) {
-            let (x, y) = (pixel % camera.width, pixel / camera.width);
-            let (column, row) = (x * self.columns / camera.width, y * self.rows / camera.height);
-            has_point[row * self.columns + column] = true;
+            has_point[self.square(camera, pixel)] = true;
         }
-        has_point.iter().filter(|&&has| has).count() as f64 / has_point.len() as f64
+        let with_point = has_point.iter().zip(&self.counted).filter(|&(&has, &counts)| has && counts).count();
+        let all = self.counted.iter().filter(|&&counts| counts).count();
+        with_point as f64 / all.max(1) as f64
     }
 }
 

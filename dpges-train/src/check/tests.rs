@@ -28,6 +28,24 @@ fn repaint(view: &mut View, change: impl FnOnce(&mut [f32])) {
     .unwrap();
 }
 
+/// Masks the pixels from column `from` on, and paints them with what does not count.
+fn mask(view: &mut View, from: usize, paint: impl Fn(usize) -> u8) {
+    view.repaint(|picture| {
+        let (width, area) = (picture.width, picture.area());
+        let counts = |pixel: usize| pixel % width < from;
+        picture.counted = Some((0..area).map(counts).collect());
+        for pixel in (0..area).filter(|&pixel| !counts(pixel)) {
+            picture.bytes[3 * pixel..][..3].fill(paint(pixel));
+        }
+    })
+    .unwrap();
+}
+
+/// No two neighbours are alike.
+fn noise(pixel: usize) -> u8 {
+    ((pixel * 2_654_435_761) >> 7) as u8
+}
+
 /// Kinds and views of all findings.
 fn found(dataset: &Dataset) -> Vec<(Kind, Vec<String>)> {
     full(dataset).findings.into_iter().map(|finding| (finding.kind, finding.views)).collect()
@@ -86,6 +104,60 @@ fn a_blurred_photograph_is_named() {
 }
 
 #[test]
+fn what_is_masked_has_no_part_in_sharpness() {
+    let mut dataset = clean();
+    // a third of it is white, which takes away detail, or noise, which adds some
+    mask(&mut dataset.train[3], 64, |_| 255);
+    repaint(&mut dataset.train[5], |planes| (0..3).for_each(|_| blur(planes, SIZE, false)));
+    mask(&mut dataset.train[5], 64, noise);
+    let report = full(&dataset);
+    assert_eq!(found(&dataset), [(Kind::Blurred, vec!["train_005".to_owned()])], "{report:?}");
+    assert_eq!((report.views[3].ignored, report.views[4].ignored), (Some(1.0 / 3.0), None));
+    mask(&mut dataset.train[3], 64, noise);
+    assert_eq!(full(&dataset).views[3].sharpness, report.views[3].sharpness);
+}
+
+#[test]
+fn what_is_masked_has_no_part_in_brightness() {
+    let mut dataset = clean();
+    for view in dataset.train.iter_mut().step_by(2) {
+        mask(view, 40, |_| 20);
+    }
+    let report = full(&dataset);
+    let is_of_exposure = |finding: &Finding| matches!(finding.kind, Kind::Exposure | Kind::ExposureSpread);
+    assert!(!report.findings.iter().any(is_of_exposure), "{:?}", report.findings);
+    let exposures: Vec<f64> = report.views.iter().filter_map(|view| view.exposure).collect();
+    assert!(exposures.len() > 16 && exposures.iter().all(|stops| stops.abs() < 0.5), "{exposures:?}");
+}
+
+#[test]
+fn what_is_masked_needs_no_points() {
+    let mut dataset = clean();
+    let shows_little = |dataset: &Dataset| {
+        let views = full(dataset).views;
+        let [coverage, unexplained] =
+            [|view: &ViewFacts| view.coverage, |view: &ViewFacts| view.unexplained].map(|of| of(&views[0]).unwrap());
+        (coverage, unexplained)
+    };
+    // points are where view 0 has its left 40 of 96 columns, or outside of it
+    let camera = dataset.train[0].camera;
+    let points = std::mem::take(&mut dataset.points);
+    for (index, position) in points.positions.iter().enumerate() {
+        let pixel = camera.pixel(DVec3::from_array(position.map(f64::from)));
+        if pixel.is_none_or(|(pixel, _)| pixel % 96 < 40) {
+            dataset.points.positions.push(*position);
+            dataset.points.colours.push(points.colours[index]);
+            dataset.points.seen_by.push(points.seen_by[index].clone());
+        }
+    }
+    let (coverage, unexplained) = shows_little(&dataset);
+    assert!(coverage < 5.0 / 12.0 + 1e-9 && unexplained > 7.0 / 12.0 - 1e-9, "{coverage} {unexplained}");
+    mask(&mut dataset.train[0], 40, noise);
+    let masked = shows_little(&dataset);
+    assert!(masked.0 > 2.0 * coverage && masked.1 < 0.45, "{masked:?}");
+}
+
+#[test]
 fn a_darker_photograph_is_named() {
     let mut dataset = clean();
     repaint(&mut dataset.train[4], |planes| planes.iter_mut().for_each(|value| *value *= 0.5));
@@ -111,6 +183,8 @@ fn a_photograph_that_is_there_twice_is_named() {
     dataset.points.seen_by.iter_mut().filter(|seen_by| seen_by.contains(&3)).for_each(|seen_by| seen_by.push(24));
     assert_eq!(found(&dataset), [(Kind::Duplicate, vec!["train_003 copy".to_owned()])]);
     assert!(full(&dataset).findings[0].message.ends_with("train_003 copy (like train_003)"));
+    mask(&mut dataset.train[24], 60, |_| 255);
+    assert_eq!(found(&dataset), [(Kind::Duplicate, vec!["train_003 copy".to_owned()])], "masked or not");
     let other = View { camera: dataset.train[3].camera, name: "other".to_owned(), ..dataset.train[9].clone() };
     dataset.train[24] = other;
     let duplicates = full(&dataset).findings.into_iter().filter(|finding| finding.kind == Kind::Duplicate);

@@ -10,7 +10,7 @@ use super::exposure;
 use super::points::{Cells, seen_by_view};
 use super::statistics::median;
 use super::{Effort, MOST_POINTS, QUICK_PIXELS};
-use crate::dataset::{Dataset, View};
+use crate::dataset::{Dataset, Picture, View};
 use crate::sharpness::Luma;
 
 /// What a view is for.
@@ -32,9 +32,12 @@ pub struct ViewFacts {
     /// Its pose, size and focal lengths; in JSON the camera centre, width, height and focal lengths.
     #[serde(flatten, serialize_with = "in_short")]
     pub camera: Camera,
+    /// Share of the picture that does not count, because of a mask or of where its lens shows nothing.
+    pub ignored: Option<f64>,
     /// Number of points of the dataset that it saw; of training views only.
     pub points_seen: Option<usize>,
-    /// Share of the picture that shows such points, in squares of a twelfth of the longer side.
+    /// Share of the picture that shows such points, in squares of a twelfth of the longer side. Squares of which less than half
+    /// counts are left out, if pixels are looked at.
     pub coverage: Option<f64>,
     /// Share of the picture in which there is no point, seen or hidden, likewise.
     pub unexplained: Option<f64>,
@@ -93,8 +96,9 @@ pub(super) fn facts(dataset: &Dataset, effort: Effort) -> dpges_core::Result<Vec
         .collect();
     let measured = views.par_iter().enumerate().map(|(index, &(role, view))| -> dpges_core::Result<_> {
         let seen: Option<&[u32]> = seen.get(index).map(Vec::as_slice);
-        let facts = of_points(dataset, role, view, seen, &some);
-        let pixels = if looks { Some(of_pixels(dataset, view, seen.unwrap_or_default())?) } else { None };
+        let picture = if looks { Some(view.picture()?) } else { None };
+        let facts = of_points(dataset, role, view, picture.as_deref(), seen, &some);
+        let pixels = picture.map(|picture| of_pixels(dataset, view, &picture, seen.unwrap_or_default()));
         Ok((facts, pixels))
     });
     let measured: Vec<_> = measured.collect::<dpges_core::Result<_>>()?;
@@ -103,13 +107,24 @@ pub(super) fn facts(dataset: &Dataset, effort: Effort) -> dpges_core::Result<Vec
     Ok(facts)
 }
 
-fn of_points(dataset: &Dataset, role: Role, view: &View, seen: Option<&[u32]>, some: &[DVec3]) -> ViewFacts {
+/// `picture` is that of the view, if it is looked at.
+fn of_points(
+    dataset: &Dataset,
+    role: Role,
+    view: &View,
+    picture: Option<&Picture>,
+    seen: Option<&[u32]>,
+    some: &[DVec3],
+) -> ViewFacts {
     let position = |&point: &u32| DVec3::from_array(dataset.points.positions[point as usize].map(f64::from));
-    let cells = Cells::of(&view.camera);
+    let cells = Cells::of(&view.camera, picture);
+    let ignored = view.photograph.ignored_pixels();
+    let area = view.camera.width * view.camera.height;
     ViewFacts {
         name: view.name.clone(),
         role,
         camera: view.camera,
+        ignored: ignored.map(|pixels| pixels as f64 / area as f64),
         points_seen: seen.map(<[u32]>::len),
         coverage: seen.map(|seen| cells.share_with(&view.camera, seen.iter().map(position))),
         unexplained: (!some.is_empty()).then(|| 1.0 - cells.share_with(&view.camera, some.iter().copied())),
@@ -120,12 +135,11 @@ fn of_points(dataset: &Dataset, role: Role, view: &View, seen: Option<&[u32]>, s
     }
 }
 
-fn of_pixels(dataset: &Dataset, view: &View, seen: &[u32]) -> dpges_core::Result<Pixels> {
-    let picture = view.picture()?;
-    let luma = Luma::of(&picture);
+fn of_pixels(dataset: &Dataset, view: &View, picture: &Picture, seen: &[u32]) -> Pixels {
+    let luma = Luma::of(picture);
     let detail = [luma.detail(), luma.halved().detail()];
-    let exposure = exposure::of_view(&view.camera, &picture, &dataset.points, seen);
-    Ok(Pixels { detail, exposure, thumbnail: Thumbnail::of(&luma) })
+    let exposure = exposure::of_view(&view.camera, picture, &dataset.points, seen);
+    Pixels { detail, exposure, thumbnail: Thumbnail::of(&luma) }
 }
 
 /// Compares each view with the median of all.

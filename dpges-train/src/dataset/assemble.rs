@@ -224,7 +224,10 @@ fn photograph(frame: &Frame, offset: DVec3, near: f64, reading: &Reading) -> Res
         picture = undistort::resample(&picture, &camera, &pinhole);
         camera = pinhole;
     }
-    let (camera, picture) = capped(camera, picture, reading.max_resolution);
+    let (camera, mut picture) = capped(camera, picture, reading.max_resolution);
+    if let Some(shown) = camera.shown_pixels() {
+        picture.count_only(shown);
+    }
     if picture.counted.as_ref().is_some_and(|counted| !counted.contains(&true)) {
         return Err(DatasetError::NothingCounts { path: frame.image.clone(), view: frame.name.clone() });
     }
@@ -366,6 +369,53 @@ mod tests {
         assert_eq!(kept.counted.as_ref(), Some(&columns));
         // without the lens, what does not count gets into the last column that does
         assert_ne!(of_view(true, usize::MAX).counted, kept.counted);
+    }
+
+    #[test]
+    fn only_pixels_with_a_ray_count_through_a_lens_and_without_it_all_have_one() {
+        let mut scene = fixtures::scene(9);
+        // it shows a circle of 6.9 px, within pictures of 24 × 16 px
+        (scene.model, scene.params) = ((8, "SIMPLE_RADIAL_FISHEYE"), vec![8.0, 12.0, 8.0, -0.2]);
+        let folder = tempfile::tempdir().unwrap();
+        fixtures::write_colmap(folder.path(), &scene, Encoding::Binary);
+        let mask = folder.path().join("masks/left/003.png");
+        std::fs::create_dir_all(mask.parent().unwrap()).unwrap();
+        image::GrayImage::from_fn(24, 16, |x, _| image::Luma([u8::from(x < 12)])).save(mask).unwrap();
+        let read = |options: LoadOptions| load(folder.path(), &options).unwrap();
+        let lens = LoadOptions { undistort: false, ..Default::default() };
+        for (max_resolution, memory) in [(None, usize::MAX), (None, 0), (Some(12), usize::MAX)] {
+            let data = read(LoadOptions { max_resolution, memory, ..lens.clone() });
+            let masked = data.masked();
+            assert_eq!((masked.views, masked.masked_views), (9, 9));
+            for view in data.train.iter().chain(&data.test).filter(|view| view.name != "left/003.png") {
+                let (picture, camera) = (view.picture().unwrap(), &view.camera);
+                let counted = picture.counted.as_ref().unwrap();
+                for (pixel, &counts) in counted.iter().enumerate() {
+                    let (column, row) = (pixel % camera.width, pixel / camera.width);
+                    let ray = camera.ray(column as f64 + 0.5, row as f64 + 0.5);
+                    assert_eq!(counts, ray.is_some(), "{}: {column}, {row}", view.name);
+                }
+                let share = counted.iter().filter(|&&counts| counts).count() as f64 / counted.len() as f64;
+                // π 6.9² of 24 × 16
+                assert!((share - 0.39).abs() < 0.07, "{share}");
+                assert_eq!(view.photograph.ignored_pixels(), Some(picture.ignored_pixels()));
+            }
+        }
+        let (bent, straight) = (read(lens), read(LoadOptions::default()));
+        let of_view = |data: &Dataset, name: &str| {
+            let view = data.train.iter().find(|view| view.name == name).unwrap();
+            (view.camera, view.picture().unwrap())
+        };
+        let [(_, masked), (taken, whole)] = ["left/003.png", "left/004.png"].map(|name| of_view(&bent, name));
+        for pixel in 0..24 * 16 {
+            assert_eq!(masked.counts(pixel), whole.counts(pixel) && pixel % 24 < 12, "pixel {pixel}");
+        }
+        let (pinhole, picture) = of_view(&straight, "left/004.png");
+        assert_eq!((pinhole.lens, &picture.counted), (None, &None));
+        for pixel in 0..24 * 16 {
+            let seen = pinhole.unproject((pixel % 24) as f64 + 0.5, (pixel / 24) as f64 + 0.5, 1.0);
+            assert!(taken.pixel(seen).is_some(), "pixel {pixel} is not on the photograph");
+        }
     }
 
     #[test]

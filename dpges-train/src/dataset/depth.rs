@@ -277,7 +277,8 @@ mod tests {
         assert!(found.contains("transforms.json: `depth_unit_scale_factor` is 0"), "{found}");
         nerfstudio(folder.path(), "", r#""depth_file_path": "lidar/gone.png","#);
         let found = message(folder.path());
-        for part in ["gone.png", "of view `images/1.png` is missing", "transforms.json"] {
+        for part in ["gone.png", "of view `images/1.png` is missing", "transforms.json", "remove its `depth_file_path`"]
+        {
             assert!(found.contains(part), "{found}");
         }
         // without maps it does not matter
@@ -358,7 +359,7 @@ mod tests {
     fn maps_of_another_size_or_type_are_refused() {
         let folder = colmap(24, 20);
         let found = message(folder.path());
-        for part in ["depths/left/001.png", "24x20", "24x16", "images.txt"] {
+        for part in ["depths/left/001.png", "24x20", "24x16", "images.txt", "use the map of this photograph"] {
             assert!(found.contains(part), "{found}");
         }
         let folder = colmap(24, 16);

@@ -60,13 +60,15 @@ pub enum DatasetError {
     #[error("{path} has no depth maps; set `data.depth` = \"none\" to train without them")]
     NoDepth { path: PathBuf },
     #[error(
-        "depth map {path} of view `{view}` is missing; {described_in} names it, restore the file, remove its          `depth_file_path`, or set `data.depth` = \"none\""
+        "depth map {path} of view `{view}` is missing; {described_in} names it, restore the file, remove its \
+         `depth_file_path`, or set `data.depth` = \"none\""
     )]
     MissingDepth { path: PathBuf, view: String, described_in: PathBuf },
     #[error("depth map {path} is an image of type {found}, expected {expected}; export it again")]
     DepthType { path: PathBuf, found: String, expected: &'static str },
     #[error(
-        "depth map {path} is {}x{} px, its camera in {described_in} {}x{}; their aspects differ, use the map of this          photograph",
+        "depth map {path} is {}x{} px, its camera in {described_in} {}x{}; their aspects differ, use the map of this \
+         photograph",
         found[0], found[1], camera[0], camera[1]
     )]
     DepthSize { path: PathBuf, found: [usize; 2], camera: [usize; 2], described_in: PathBuf },

@@ -39,7 +39,7 @@ impl Picture {
 
 /// The header of an image file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Header {
+pub(crate) struct Header {
     pub width: usize,
     pub height: usize,
     pub has_alpha: bool,
@@ -51,7 +51,7 @@ pub(super) struct Header {
 ///
 /// # Errors
 /// [`DatasetError::Read`], [`DatasetError::Decode`].
-pub(super) fn header(path: &Path) -> Result<Header> {
+pub(crate) fn header(path: &Path) -> Result<Header> {
     let decoder = reader(path)?.into_decoder().map_err(|source| undecodable(path, source))?;
     let (width, height) = decoder.dimensions();
     let colour: ColorType = decoder.color_type();

@@ -15,7 +15,7 @@ const FILTER_REACH: f32 = 2.0;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Masked {
     pub views: usize,
-    /// Those that have a mask.
+    /// Those that have a mask, or a lens that shows nothing at some of their pixels.
     pub masked_views: usize,
     /// Of all views.
     pub pixels: usize,
@@ -42,7 +42,10 @@ impl fmt::Display for Masked {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let percent = 100.0 * self.ignored_pixels as f64 / self.pixels.max(1) as f64;
         let (masked, views) = (self.masked_views, self.views);
-        write!(f, "{masked} of {views} views have masks; {percent:.1} % of all pixels do not count")
+        write!(
+            f,
+            "{masked} of {views} views have masks, or a lens that does not fill them; {percent:.1} % of all pixels do not count"
+        )
     }
 }
 
@@ -67,11 +70,17 @@ pub(super) fn find(root: &Path, frame: &Frame) -> Result<Option<PathBuf>> {
             }),
         };
     }
-    let mut with_both = within.clone().into_os_string();
+    Ok(folders.iter().find_map(|folder| called_like(&within, &root.join(folder))))
+}
+
+/// The mask in `folder` that is called like the image `name`, a path: `NAME.EXTENSION.png` (COLMAP) or `NAME.png`.
+pub(crate) fn called_like(name: &Path, folder: &Path) -> Option<PathBuf> {
+    let mut with_both = name.to_owned().into_os_string();
     with_both.push(".png");
-    let names = [PathBuf::from(with_both), within.with_extension("png")];
-    let mut candidates = folders.iter().flat_map(|folder| names.iter().map(move |name| root.join(folder).join(name)));
-    Ok(candidates.find(|path| path.is_file()))
+    [PathBuf::from(with_both), name.with_extension("png")]
+        .into_iter()
+        .map(|name| folder.join(name))
+        .find(|path| path.is_file())
 }
 
 /// Folders in which the mask of an image may be, in this order, and its path in them, but for the extension.
@@ -96,12 +105,16 @@ fn components<'a>(root: &Path, path: &'a Path) -> impl Iterator<Item = Component
 pub(super) fn warn_of_strangers(root: &Path, frames: &[Frame]) {
     let folder = root.join("masks");
     if folder.is_dir() && frames.iter().all(|frame| frame.mask.is_none()) {
-        tracing::warn!(
-            "{} has no mask that is called like a photograph: that of images/NAME.jpg is masks/NAME.jpg.png or \
-             masks/NAME.png",
-            folder.display()
-        );
+        tracing::warn!("{}", strangers(&folder));
     }
+}
+
+/// Of a `folder` of masks, none of which belongs to a photograph.
+pub(crate) fn strangers(folder: &Path) -> String {
+    format!(
+        "{} has no mask that is called like a photograph: that of NAME.jpg is NAME.jpg.png or NAME.png",
+        folder.display()
+    )
 }
 
 /// Which pixels of a picture count by the mask in file `path`, [height × width]: those that are not black, or, if it is
@@ -109,7 +122,7 @@ pub(super) fn warn_of_strangers(root: &Path, frames: &[Frame]) {
 ///
 /// # Errors
 /// [`DatasetError::MaskSize`] if the sizes differ, [`DatasetError::Read`], [`DatasetError::Decode`].
-pub(super) fn read(path: &Path, image: &Path, [width, height]: [usize; 2], inverted: bool) -> Result<Vec<bool>> {
+pub(crate) fn read(path: &Path, image: &Path, [width, height]: [usize; 2], inverted: bool) -> Result<Vec<bool>> {
     let mask = images::decoded(path)?.into_luma16();
     let found = [mask.width() as usize, mask.height() as usize];
     if found != [width, height] {
@@ -195,7 +208,10 @@ mod tests {
         assert_eq!(counted(&data, "left/003.png"), None);
         let masked = data.masked();
         assert_eq!((masked.views, masked.masked_views, masked.ignored_pixels), (9, 2, 12 * 16));
-        assert_eq!(masked.to_string(), "2 of 9 views have masks; 5.6 % of all pixels do not count");
+        assert_eq!(
+            masked.to_string(),
+            "2 of 9 views have masks, or a lens that does not fill them; 5.6 % of all pixels do not count"
+        );
         let inverted = load(folder.path(), &LoadOptions { invert_masks: true, ..Default::default() }).unwrap();
         assert_eq!(counted(&inverted, "left/001.png"), Some(columns(24, 16, |x| x < 5)));
         assert_eq!(counted(&inverted, "left/003.png"), None);

@@ -38,7 +38,9 @@ pub use builtin::{BuiltinOptions, builtin, builtin_geometry};
 pub(crate) use colmap::{ModelContent, model_content};
 pub use depth::{DepthKind, DepthMap};
 pub use error::DatasetError;
+pub(crate) use images::header as image_header;
 pub use masks::Masked;
+pub(crate) use masks::{called_like as mask_called_like, read as read_mask, strangers as strange_masks};
 pub use photograph::{Photograph, pictures};
 pub use picture::Picture;
 

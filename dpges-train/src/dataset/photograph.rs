@@ -28,7 +28,7 @@ pub struct Photograph {
 pub(super) struct About {
     /// What it takes in memory.
     pub bytes: usize,
-    /// Number of pixels that do not count; `None` without a mask.
+    /// Number of pixels that do not count; `None` without a mask, which a lens that does not fill the picture makes too.
     pub ignored_pixels: Option<usize>,
     /// Whether a pixel shows the background rather than what is before it.
     pub has_transparency: bool,
@@ -131,7 +131,7 @@ impl Photograph {
         self.about.bytes
     }
 
-    /// Number of pixels that do not count; `None` without a mask.
+    /// Number of pixels that do not count; `None` without a mask, which a lens that does not fill the picture makes too.
     pub fn ignored_pixels(&self) -> Option<usize> {
         self.about.ignored_pixels
     }

@@ -37,16 +37,28 @@ impl Trainer {
     /// configuration names cannot take the place of a stage, [`TrainError::Plan`] if the plan lacks something else.
     pub fn new(config: Config, dataset: Arc<Dataset>, device: Device) -> Result<Self, TrainError> {
         let plan = config.plan();
-        let rng = ChaCha8Rng::seed_from_u64(config.train.seed);
-        let (remaining_views, exposure) = (Vec::new(), ExposureState::default());
-        let mut context =
-            Context { dataset, config, device, rng, remaining_views, completed_steps: 0, exposure, depth: None };
+        let mut context = Self::context(config, dataset, device);
         context.check_plan(&plan)?;
         context.exposure = context.start_of_exposure()?;
         context.depth = context.start_of_depth();
         let mut trained = Trained { environment: context.start_of_environment()?, ..Trained::default() };
         let stage = stage::begin(plan[0], &mut trained, &mut context)?;
         Ok(Self { context, plan, at: 0, stage, trained, validation: Validation::default(), pending: None })
+    }
+
+    /// Whether there is all that the plan of a run needs, which [`new`](Self::new) asks first. It takes no time: a series of runs
+    /// asks before it begins with any.
+    ///
+    /// # Errors
+    /// [`TrainError::Given`], [`TrainError::Plan`].
+    pub fn check(config: &Config, dataset: &Arc<Dataset>, device: &Device) -> Result<(), TrainError> {
+        Self::context(config.clone(), Arc::clone(dataset), device.clone()).check_plan(&config.plan())
+    }
+
+    fn context(config: Config, dataset: Arc<Dataset>, device: Device) -> Context {
+        let rng = ChaCha8Rng::seed_from_u64(config.train.seed);
+        let (remaining_views, exposure) = (Vec::new(), ExposureState::default());
+        Context { dataset, config, device, rng, remaining_views, completed_steps: 0, exposure, depth: None }
     }
 
     /// Goes on where `checkpoint` was made.

@@ -62,11 +62,13 @@ impl Colmap {
         Ok(Self { path, has_cuda, extraction, matching, mapper })
     }
 
+    /// `masks` is the folder of masks, if there are any.
     pub fn features(
         &self,
         workspace: &Workspace,
         options: &Options,
         one_camera: bool,
+        masks: Option<&Path>,
         gpu: bool,
     ) -> (PathBuf, Vec<OsString>) {
         let mut line = Line::new("feature_extractor", workspace);
@@ -74,6 +76,9 @@ impl Colmap {
         line.set("--ImageReader.camera_model", options.camera.colmap_name());
         if one_camera {
             line.set("--ImageReader.single_camera", "1");
+        }
+        if let Some(masks) = masks {
+            line.path("--ImageReader.mask_path", masks);
         }
         line.device(self.extraction, options, gpu);
         (self.path.clone(), line.words)
@@ -172,7 +177,7 @@ mod tests {
         let options = Options { threads: Some(3), ..Options::from(&DataConfig::default()) };
         let old = colmap("SiftExtraction", "SiftMatching");
         assert_eq!(
-            text(old.features(&workspace, &options, true, false)),
+            text(old.features(&workspace, &options, true, None, false)),
             format!(
                 "/bin/colmap feature_extractor --database_path {at}/sfm/database.db --image_path {at}/images \
                  --ImageReader.camera_model OPENCV --ImageReader.single_camera 1 --SiftExtraction.use_gpu 0 \
@@ -207,8 +212,10 @@ mod tests {
         };
         let mut new = colmap("FeatureExtraction", "FeatureMatching");
         new.mapper.1 = "global_mapper";
-        let features = text(new.features(&workspace, &options, false, true));
-        assert!(features.ends_with("camera_model SIMPLE_RADIAL --FeatureExtraction.use_gpu 1"), "{features}");
+        let features = text(new.features(&workspace, &options, false, Some(&workspace.work("masks")), true));
+        let at = folder.path().join("set").display().to_string();
+        let end = format!("SIMPLE_RADIAL --ImageReader.mask_path {at}/sfm/masks --FeatureExtraction.use_gpu 1");
+        assert!(features.ends_with(&end), "{features}");
         let matches = text(new.matches(&workspace, &options, SfmMatching::Sequential, 400, true));
         assert!(matches.starts_with("/bin/colmap sequential_matcher --database_path "), "{matches}");
         assert!(matches.ends_with("/database.db --FeatureMatching.use_gpu 1"), "{matches}");

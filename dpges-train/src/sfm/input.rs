@@ -12,15 +12,16 @@ use serde_json::{Value, json};
 
 use super::FEWEST;
 use super::error::{SfmError, io};
+use super::masks;
 use crate::dataset;
 use crate::names::list;
 
 /// Pictures that are read.
-const PHOTOGRAPHS: [&str; 3] = ["jpg", "jpeg", "png"];
+pub(super) const PHOTOGRAPHS: [&str; 3] = ["jpg", "jpeg", "png"];
 /// Pictures that are not, and that a camera or a phone may have left.
-const OTHER_PICTURES: [&str; 12] =
-    ["heic", "heif", "avif", "webp", "tif", "tiff", "bmp", "dng", "cr2", "cr3", "nef", "arw"];
-const VIDEOS: [&str; 10] = ["mp4", "mov", "mkv", "avi", "webm", "m4v", "mts", "m2ts", "3gp", "mpg"];
+const OTHER_PICTURES: [&str; 15] =
+    ["heic", "heif", "avif", "webp", "jxl", "tif", "tiff", "bmp", "dng", "cr2", "cr3", "nef", "arw", "exr", "hdr"];
+pub(super) const VIDEOS: [&str; 10] = ["mp4", "mov", "mkv", "avi", "webm", "m4v", "mts", "m2ts", "3gp", "mpg"];
 /// Folders within the one that is named in which photographs are looked for if it holds none itself.
 const SUBFOLDERS: [&str; 2] = ["images", "input"];
 
@@ -36,6 +37,8 @@ pub enum Input {
         names: Vec<String>,
         /// Names of pictures in formats that are not read, sorted.
         unread: Vec<String>,
+        /// Of photographs that have a mask in the folder `masks` of `path`, the name and the mask.
+        masks: Vec<(String, PathBuf)>,
     },
     Video {
         path: PathBuf,
@@ -55,7 +58,10 @@ impl Input {
         folders.into_iter().find_map(|folder| {
             let (names, unread) = (files(&folder, &PHOTOGRAPHS), files(&folder, &OTHER_PICTURES));
             let holds_pictures = !(names.is_empty() && unread.is_empty());
-            holds_pictures.then(|| Self::Photographs { path: path.to_owned(), folder, names, unread })
+            holds_pictures.then(|| {
+                let masks = masks::find(path, &names);
+                Self::Photographs { path: path.to_owned(), folder, names, unread, masks }
+            })
         })
     }
 
@@ -75,6 +81,14 @@ impl Input {
         name.map(|name| name.to_string_lossy().into_owned())
     }
 
+    /// Of photographs that have a mask, the name and the mask.
+    pub(super) fn masks(&self) -> &[(String, PathBuf)] {
+        match self {
+            Self::Photographs { masks, .. } => masks,
+            Self::Video { .. } => &[],
+        }
+    }
+
     /// # Errors
     /// [`SfmError::TooFew`], [`SfmError::OtherFormats`].
     pub(super) fn check(&self) -> Result<(), SfmError> {
@@ -90,19 +104,32 @@ impl Input {
     }
 
     /// Names and sizes of the files, which tell whether others have taken their places.
+    ///
+    /// # Errors
+    /// [`SfmError::File`].
     pub(super) fn fingerprint(&self) -> Result<Value, SfmError> {
-        let of = |path: &Path, name: &str| -> Result<Value, SfmError> {
-            let bytes = path.metadata().map_err(io("cannot read", path))?.len();
-            Ok(json!([name, bytes]))
-        };
-        let files: Vec<Value> = match self {
-            Self::Photographs { folder, names, .. } => {
-                names.iter().map(|name| of(&folder.join(name), name)).collect::<Result<_, _>>()?
-            }
-            Self::Video { path } => vec![of(path, &path.file_name().unwrap_or_default().to_string_lossy())?],
-        };
-        Ok(Value::from(files))
+        match self {
+            Self::Photographs { folder, names, .. } => fingerprint(names.iter().map(|name| folder.join(name))),
+            Self::Video { path } => fingerprint([path.clone()]),
+        }
     }
+
+    /// The same of the masks; `None` without any.
+    ///
+    /// # Errors
+    /// [`SfmError::File`].
+    pub(super) fn fingerprint_of_masks(&self) -> Result<Option<Value>, SfmError> {
+        let masks = self.masks();
+        (!masks.is_empty()).then(|| fingerprint(masks.iter().map(|(_, mask)| mask.clone()))).transpose()
+    }
+}
+
+fn fingerprint(files: impl IntoIterator<Item = PathBuf>) -> Result<Value, SfmError> {
+    let of = |path: PathBuf| -> Result<Value, SfmError> {
+        let bytes = path.metadata().map_err(io("cannot read", &path))?.len();
+        Ok(json!([path.file_name().unwrap_or_default().to_string_lossy(), bytes]))
+    };
+    files.into_iter().map(of).collect::<Result<Vec<Value>, _>>().map(Value::from)
 }
 
 /// Whether the folder is a dataset that [`reconstruct`](super::reconstruct) has begun.
@@ -110,7 +137,7 @@ pub fn is_begun(path: &Path) -> bool {
     path.join("sfm/steps.json").is_file()
 }
 
-fn has_extension(path: &Path, extensions: &[&str]) -> bool {
+pub(super) fn has_extension(path: &Path, extensions: &[&str]) -> bool {
     let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
     extension.is_some_and(|extension| extensions.contains(&extension.as_str()))
 }
@@ -192,7 +219,7 @@ mod tests {
         let found = Input::find(at).unwrap();
         let (path, folder) = (at.to_owned(), at.join("images"));
         let (read, unread) = (names(&["a.png", "b.JPG"]), names(&["c.heic"]));
-        assert_eq!(found, Input::Photographs { path, folder, names: read, unread });
+        assert_eq!(found, Input::Photographs { path, folder, names: read, unread, masks: Vec::new() });
         assert_eq!(found.name().unwrap(), at.file_name().unwrap().to_str().unwrap());
         assert!(matches!(found.check(), Err(SfmError::TooFew { found: 2, .. })));
         std::fs::write(at.join("z.jpeg"), "").unwrap();
@@ -202,11 +229,34 @@ mod tests {
     }
 
     #[test]
+    fn masks_lie_in_a_folder_of_the_one_that_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = folder.path();
+        for name in ["images/a.jpg", "images/b.jpg", "images/c.jpg"] {
+            write_png(&at.join(name).with_extension("png"), 2, 2, [0; 3]);
+            std::fs::rename(at.join(name).with_extension("png"), at.join(name)).unwrap();
+        }
+        write_png(&at.join("masks/a.jpg.png"), 2, 2, [0; 3]);
+        write_png(&at.join("masks/b.png"), 2, 2, [0; 3]);
+        write_png(&at.join("masks/stranger.png"), 2, 2, [0; 3]);
+        let found = Input::find(at).unwrap();
+        let expected = [("a.jpg", "a.jpg.png"), ("b.jpg", "b.png")];
+        let expected = expected.map(|(name, mask)| (name.to_owned(), at.join("masks").join(mask)));
+        assert_eq!(found.masks(), expected);
+        assert_eq!(found.fingerprint_of_masks().unwrap().unwrap()[1][0], "b.png");
+    }
+
+    #[test]
     fn other_formats_are_named() {
         let folder = tempfile::tempdir().unwrap();
-        std::fs::write(folder.path().join("IMG_1.HEIC"), "").unwrap();
+        for name in ["IMG_1.HEIC", "lamp.exr", "room.hdr"] {
+            std::fs::write(folder.path().join(name), "").unwrap();
+        }
         let message = Input::find(folder.path()).unwrap().check().unwrap_err().to_string();
-        assert!(message.contains("IMG_1.HEIC") && message.contains("convert them to JPEG"), "{message}");
+        assert!(
+            message.contains("IMG_1.HEIC, lamp.exr, room.hdr") && message.contains("convert them to JPEG"),
+            "{message}"
+        );
     }
 
     #[test]

@@ -2,7 +2,7 @@
 //!
 //! | step | program | result, in the folder of the dataset |
 //! |---|---|---|
-//! | [`Step::Pictures`] | ffmpeg, for a video | `images/` |
+//! | [`Step::Pictures`] | ffmpeg, for a video | `images/`, `masks/` |
 //! | [`Step::Features`] | COLMAP | `sfm/database.db` |
 //! | [`Step::Matches`] | COLMAP | `sfm/database.db` |
 //! | [`Step::Mapping`] | COLMAP or GLOMAP | `sfm/models/0`, `1`, … |
@@ -16,6 +16,7 @@ mod commands;
 mod error;
 mod frames;
 mod input;
+mod masks;
 mod model;
 mod process;
 mod programs;
@@ -23,6 +24,7 @@ mod progress;
 mod step;
 #[cfg(test)]
 mod tests;
+mod unusable;
 mod workspace;
 
 use std::path::{Path, PathBuf};
@@ -35,8 +37,10 @@ pub use input::{Input, is_begun};
 pub use model::Outcome;
 pub use programs::Programs;
 pub use step::{Observer, Step};
+pub use unusable::{Unusable, unusable};
 
 use crate::config::{DataConfig, SfmCamera, SfmMatching, SfmProgram};
+use crate::dataset::strange_masks;
 use commands::Colmap;
 use process::Job;
 use workspace::Workspace;
@@ -58,6 +62,8 @@ pub struct Options {
     pub matching: SfmMatching,
     /// Largest number of frames of a video that become photographs.
     pub video_frames: usize,
+    /// Whether masks are black where photographs count, instead of white.
+    pub invert_masks: bool,
     /// Threads of each program. `None`: as many as it likes.
     pub threads: Option<usize>,
 }
@@ -70,6 +76,7 @@ impl From<&DataConfig> for Options {
             camera: config.sfm_camera,
             matching: config.sfm_matching,
             video_frames: config.video_frames,
+            invert_masks: config.invert_masks,
             threads: Some(rayon::current_num_threads()),
         }
     }
@@ -157,11 +164,19 @@ impl Reconstruction<'_> {
         Ok(match step {
             Step::Pictures => {
                 let frames = matches!(self.request.input, Input::Video { .. }).then_some(options.video_frames);
-                json!({ "files": self.request.input.fingerprint()?, "video_frames": frames })
+                let mut key = json!({ "files": self.request.input.fingerprint()?, "video_frames": frames });
+                if let Some(masks) = self.request.input.fingerprint_of_masks()? {
+                    key["masks"] = masks;
+                }
+                key
             }
             Step::Features => {
                 let one_camera = input::have_one_camera(&workspace.pictures()?)?;
-                json!({ "camera": options.camera, "one_camera": one_camera })
+                let mut key = json!({ "camera": options.camera, "one_camera": one_camera });
+                if options.invert_masks && !self.request.input.masks().is_empty() {
+                    key["invert_masks"] = true.into();
+                }
+                key
             }
             Step::Matches => json!({ "matching": self.matching(&workspace.picture_names()?) }),
             Step::Mapping => json!({ "program": options.program }),
@@ -201,9 +216,16 @@ impl Reconstruction<'_> {
 
     fn pictures(&mut self, workspace: &Workspace) -> Result<(), SfmError> {
         match self.request.input {
-            Input::Photographs { folder, names, unread, .. } => {
+            Input::Photographs { path, folder, names, unread, masks } => {
                 if !unread.is_empty() {
                     self.observer.warn(&input::unread_warning(unread));
+                }
+                let folder_of_masks = path.join(masks::FOLDER);
+                if masks.is_empty() && folder_of_masks.is_dir() {
+                    self.observer.warn(&strange_masks(&folder_of_masks));
+                }
+                if !masks.is_empty() {
+                    workspace.link_masks(masks)?;
                 }
                 workspace.link_pictures(folder, names)
             }
@@ -214,16 +236,29 @@ impl Reconstruction<'_> {
         }
     }
 
+    /// The folder of the masks as COLMAP reads them; `None` without any.
+    fn masks(&self, workspace: &Workspace) -> Result<Option<PathBuf>, SfmError> {
+        let masks = self.request.input.masks();
+        if masks.is_empty() {
+            return Ok(None);
+        }
+        let (part, place) = (workspace.empty_folder("masks.part")?, workspace.work(masks::FOLDER));
+        masks::write(masks, &workspace.images(), self.request.options.invert_masks, &part)?;
+        workspace::replace(&part, &place)?;
+        Ok(Some(place))
+    }
+
     /// One of the steps that are COLMAP's, on a GPU if it has been built for it. If that fails, then on the CPU.
     fn colmap(&mut self, step: Step, workspace: &Workspace) -> Result<(), SfmError> {
         let names = workspace.picture_names()?;
         let one_camera = input::have_one_camera(&workspace.pictures()?)?;
         let matching = self.matching(&names);
         let options = self.request.options;
+        let masks = if step == Step::Features { self.masks(workspace)? } else { None };
         let colmap = self.colmap.as_ref().expect("it is looked for before the first of its steps");
         let mut attempt = |gpu: bool| {
             let (program, arguments) = match step {
-                Step::Features => colmap.features(workspace, options, one_camera, gpu),
+                Step::Features => colmap.features(workspace, options, one_camera, masks.as_deref(), gpu),
                 Step::Matches => colmap.matches(workspace, options, matching, names.len(), gpu),
                 _ => colmap.mapping(workspace, options),
             };

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::FEWEST;
 use super::error::{SfmError, io};
+use super::masks;
 use super::step::Step;
 use super::workspace::{Workspace, file_names, replace};
 use crate::dataset::{ModelContent, model_content};
@@ -19,6 +20,8 @@ pub struct Outcome {
     pub dataset: PathBuf,
     /// How many there are.
     pub photographs: usize,
+    /// How many of them have a mask.
+    pub masked: usize,
     /// Names of those without a camera, sorted.
     pub unplaced: Vec<String>,
     pub points: usize,
@@ -107,6 +110,7 @@ pub(super) fn outcome(workspace: &Workspace) -> Result<Outcome, SfmError> {
     Ok(Outcome {
         dataset: workspace.root().to_owned(),
         photographs: names.len(),
+        masked: names.iter().filter(|name| workspace.masks().join(masks::file_name(name)).is_file()).count(),
         unplaced: names.into_iter().filter(|name| !is_placed(name)).collect(),
         points: content.points,
         models: models(&workspace.models())?.iter().map(|(_, content)| content.images.len()).collect(),

@@ -37,8 +37,8 @@ impl Step {
     /// What its result depends on, besides the steps before it.
     pub(super) fn depends_on(self) -> &'static str {
         match self {
-            Self::Pictures => "the photographs",
-            Self::Features => "the camera model (`data.sfm_camera`)",
+            Self::Pictures => "the photographs or their masks",
+            Self::Features => "the camera model (`data.sfm_camera`) or what masks mean (`data.invert_masks`)",
             Self::Matches => "the pairs that are compared (`data.sfm_matching`)",
             Self::Mapping => "the program (`data.sfm`)",
             Self::Model => "the models",

@@ -286,13 +286,16 @@ fn a_finished_dataset_changes_only_when_asked_to() {
     stage.reconstruct().unwrap();
     stage.options.camera = SfmCamera::SimpleRadial;
     let message = stage.reconstruct().unwrap_err().to_string();
-    assert!(message.contains("before the camera model (`data.sfm_camera`) changed"), "{message}");
+    assert!(message.contains("before the camera model (`data.sfm_camera`) or"), "{message}");
     stage.options.camera = SfmCamera::OpenCv;
     stage.reconstruct().unwrap();
 
     write_png(&stage.path("room/005.png"), 24, 16, [1, 2, 3]);
     let message = stage.reconstruct().unwrap_err().to_string();
-    assert!(message.contains("before the photographs changed") && message.contains("--overwrite"), "{message}");
+    assert!(
+        message.contains("before the photographs or their masks changed") && message.contains("--overwrite"),
+        "{message}"
+    );
     stage.model("0", &[0, 1, 2, 3, 4, 5]);
     let (result, heard) = stage.try_to(&stage.path("room"), true);
     assert_eq!((result.unwrap().placed(), heard.steps.as_slice()), (6, Step::ALL.as_slice()));
@@ -338,4 +341,101 @@ fn many_numbered_photographs_are_compared_with_their_neighbours() {
     assert_eq!(decide(SfmMatching::Auto, named(201)), SfmMatching::Exhaustive);
     assert_eq!(decide(SfmMatching::Exhaustive, numbered(300)), SfmMatching::Exhaustive);
     assert_eq!(decide(SfmMatching::Sequential, named(3)), SfmMatching::Sequential);
+}
+
+/// White from column `from` on.
+fn write_mask(path: &Path, [width, height]: [u32; 2], from: u32) {
+    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+    image::GrayImage::from_fn(width, height, |x, _| image::Luma([if x < from { 0 } else { 1 }])).save(path).unwrap();
+}
+
+#[test]
+fn masks_go_into_the_dataset_and_to_colmap() {
+    let mut stage = Stage::new(5);
+    stage.install("colmap", COLMAP);
+    stage.model("0", &[0, 1, 2, 3, 4]);
+    write_mask(&stage.path("room/masks/001.png.png"), [24, 16], 3);
+    write_mask(&stage.path("room/masks/002.png"), [24, 16], 5);
+    let outcome = stage.reconstruct().unwrap();
+    let dataset = stage.path("room_colmap");
+    assert_eq!((outcome.masked, outcome.placed()), (2, 5));
+    for folder in ["masks", "sfm/masks"] {
+        let names = workspace::file_names(&dataset.join(folder)).unwrap();
+        assert_eq!(names, ["001.png.png", "002.png.png"], "{folder}");
+    }
+    let line_of_features = |stage: &Stage| {
+        let calls = std::fs::read_to_string(stage.path("calls")).unwrap();
+        calls.lines().rfind(|line| line.starts_with("feature_extractor")).unwrap().to_owned()
+    };
+    let option = format!("--ImageReader.mask_path {}", dataset.join("sfm/masks").display());
+    assert!(line_of_features(&stage).contains(&option), "{}", line_of_features(&stage));
+    let is_black = |column: u32| {
+        let mask = image::open(dataset.join("sfm/masks/002.png.png")).unwrap().into_luma8();
+        mask.get_pixel(column, 7).0 == [0]
+    };
+    assert_eq!([4, 5].map(is_black), [true, false]);
+    let loaded = load(&dataset, &LoadOptions::default()).unwrap();
+    assert_eq!((loaded.masked().masked_views, loaded.masked().ignored_pixels), (2, 8 * 16));
+
+    stage.options.invert_masks = true;
+    let message = stage.reconstruct().unwrap_err().to_string();
+    assert!(message.contains("(`data.invert_masks`) changed"), "{message}");
+    stage.try_to(&stage.path("room"), true).0.unwrap();
+    assert_eq!([4, 5].map(is_black), [false, true]);
+
+    std::fs::remove_dir_all(stage.path("room/masks")).unwrap();
+    let message = stage.reconstruct().unwrap_err().to_string();
+    assert!(message.contains("the photographs or their masks changed"), "{message}");
+    assert_eq!(stage.try_to(&stage.path("room"), true).0.unwrap().masked, 0);
+    assert!(
+        !dataset.join("masks").exists() && !line_of_features(&stage).contains("mask_path"),
+        "{}",
+        line_of_features(&stage)
+    );
+}
+
+#[test]
+fn masks_that_were_put_into_a_dataset_stay() {
+    let mut stage = Stage::new(5);
+    stage.install("colmap", COLMAP);
+    stage.model("0", &[0, 1, 2, 3, 4]);
+    stage.reconstruct().unwrap();
+    let own = stage.path("room_colmap/masks/001.png");
+    write_mask(&own, [24, 16], 3);
+    stage.options.invert_masks = true;
+    stage.reconstruct().unwrap();
+    assert_eq!(stage.calls().len(), 3, "they are no business of COLMAP's");
+    write_png(&stage.path("room/005.png"), 24, 16, [1, 2, 3]);
+    stage.try_to(&stage.path("room"), true).0.unwrap();
+    assert!(own.is_file());
+}
+
+#[test]
+fn masks_that_do_not_fit_are_refused_before_colmap_starts() {
+    let stage = Stage::new(4);
+    stage.install("colmap", COLMAP);
+    let refused = |parts: &[&str]| {
+        let message = stage.reconstruct().unwrap_err().to_string();
+        for part in parts {
+            assert!(message.contains(part), "{part}: {message}");
+        }
+    };
+    let mask = stage.path("room/masks/002.png");
+    write_mask(&mask, [12, 8], 3);
+    refused(&["masks/002.png is 12x8 px", "002.png 24x16", "make the mask anew"]);
+    write_mask(&mask, [24, 16], 24);
+    refused(&["no pixel of image", "`002.png`", "--invert-masks"]);
+    std::fs::write(&mask, "no picture").unwrap();
+    refused(&["masks/002.png", "replace it"]);
+    assert_eq!(stage.calls(), [""; 0]);
+
+    std::fs::rename(&mask, mask.with_file_name("2.png")).unwrap();
+    stage.model("0", &[0, 1, 2, 3]);
+    let (result, heard) = stage.try_to(&stage.path("room"), false);
+    assert_eq!(result.unwrap().masked, 0);
+    assert!(
+        heard.warnings[0].contains("room/masks has no mask that is called like a photograph"),
+        "{:?}",
+        heard.warnings
+    );
 }

@@ -2,9 +2,11 @@
 //!
 //! ```text
 //! images/            the photographs, as links where the file system allows, or the frames of the video
+//! masks/             their masks, likewise, if there are any
 //! sparse/0/          the model; it is there once all is done
 //! sfm/steps.json     which steps are done, how long they took, and what they depend on
 //! sfm/STEP.log       what the program of a step said
+//! sfm/masks/         the masks as COLMAP reads them
 //! sfm/database.db    features and matches
 //! sfm/models/N/      every model that came out
 //! sfm/lock           held by the process that is at work
@@ -19,6 +21,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::error::{SfmError, io};
+use super::masks;
 use super::step::Step;
 use crate::names::list;
 use crate::run::folder::write_json;
@@ -73,6 +76,10 @@ impl Workspace {
         self.root.join("images")
     }
 
+    pub fn masks(&self) -> PathBuf {
+        self.root.join(masks::FOLDER)
+    }
+
     /// The model in use is in `0` of it.
     pub fn sparse(&self) -> PathBuf {
         self.root.join("sparse")
@@ -119,7 +126,12 @@ impl Workspace {
 
     /// Notes that `step` is not done, nor those after it, and removes what they left, unless this step goes on.
     pub fn begin(&mut self, step: Step, key: Value) -> Result<(), SfmError> {
-        let goes_on = self.record.steps.get(&step).is_some_and(|entry| entry.key == key);
+        let before = self.record.steps.get(&step);
+        let goes_on = before.is_some_and(|entry| entry.key == key);
+        // others than those that came with photographs are the user's
+        if step == Step::Pictures && !goes_on && before.is_some_and(|entry| entry.key.get("masks").is_some()) {
+            remove(&self.masks())?;
+        }
         self.record.steps.retain(|&other, _| other < step);
         self.record.steps.insert(step, Entry { key, seconds: None });
         self.save()?;
@@ -182,9 +194,18 @@ impl Workspace {
 
     /// Makes `images` of the files `names` in `folder`.
     pub fn link_pictures(&self, folder: &Path, names: &[String]) -> Result<(), SfmError> {
-        let part = self.empty_folder("images.part")?;
-        for name in names {
-            let path = folder.join(name);
+        self.link(&self.images(), names.iter().map(|name| (folder.join(name), name.clone())))
+    }
+
+    /// Makes `masks` of the masks of photographs of these names.
+    pub fn link_masks(&self, masks: &[(String, PathBuf)]) -> Result<(), SfmError> {
+        self.link(&self.masks(), masks.iter().map(|(name, mask)| (mask.clone(), masks::file_name(name))))
+    }
+
+    /// Makes folder `to` of files, each with its name there.
+    fn link(&self, to: &Path, files: impl Iterator<Item = (PathBuf, String)>) -> Result<(), SfmError> {
+        let part = self.empty_folder("links.part")?;
+        for (path, name) in files {
             // a link to a symbolic link would break if that is relative
             let original = path.canonicalize().map_err(io("cannot read", &path))?;
             let copy = part.join(name);
@@ -192,7 +213,7 @@ impl Workspace {
                 std::fs::copy(&original, &copy).map_err(io("cannot write", &copy))?;
             }
         }
-        replace(&part, &self.images())
+        replace(&part, to)
     }
 }
 

@@ -32,7 +32,7 @@ pub struct InspectArgs {
     /// Write all numbers to a JSON file
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
-    /// Write a contact sheet, with what was found marked, and a map of cameras and points to a folder
+    /// Write a contact sheet, with what was found and what is masked marked, and a map of cameras and points to a folder
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     #[command(flatten)]
@@ -90,6 +90,10 @@ fn summary(source: &Source, dataset: &Dataset, report: &Report) -> String {
         ("extent", format!("{:.3} world units", dataset.extent)),
         ("points", points(report)),
     ];
+    let masked = dataset.masked();
+    if masked.masked_views > 0 {
+        rows.push(("masks", masked.to_string()));
+    }
     let percent = |of: &dyn Fn(&ViewFacts) -> Option<f64>| report.range(|view| of(view).map(|share| 100.0 * share));
     let mut add = |name, range: Option<String>| rows.extend(range.map(|text| (name, text)));
     let range = report.range(|view| view.points_seen.map(|count| count as f64));
@@ -182,6 +186,10 @@ mod tests {
         let fisheye = builtin(&BuiltinOptions { fisheye: true, ..options });
         let text = summary(&Source::Builtin, &fisheye, &Report::of(&fisheye, Effort::Quick).unwrap());
         assert!(text.contains("cameras      fisheye, 170° wide, focal length "), "{text}");
+        let mut masked = dataset.clone();
+        masked.train[0].repaint(|picture| picture.counted = Some((0..48 * 32).map(|i| i < 48).collect())).unwrap();
+        let text = summary(&Source::Builtin, &masked, &Report::of(&masked, Effort::Full).unwrap());
+        assert!(text.contains("masks        1 of 6 views have masks, or"), "{text}");
         let clean = builtin(&BuiltinOptions::default());
         let text = summary(&Source::Builtin, &clean, &Report::of(&clean, Effort::Full).unwrap());
         assert!(text.ends_with("Nothing is wrong with it.\n"), "{text}");

@@ -1,4 +1,4 @@
-//! All photographs small, in one picture; what something was found about has a red frame.
+//! All photographs small, in one picture; what something was found about has a red frame, and stripes what does not count.
 
 use dpges_render::Rgb8Image;
 use dpges_train::check::Report;
@@ -21,6 +21,10 @@ const FRAME: usize = 4;
 /// Size of letters, px; letters of a name that fit.
 const LETTERS: i32 = 12;
 const LONGEST_NAME: usize = 24;
+
+/// Width of the stripes over what does not count, px, and their grey.
+const STRIPE: usize = 3;
+const STRIPE_GREY: f32 = 0.5;
 
 const PAPER: RGBColor = RGBColor(255, 255, 255);
 const INK: RGBColor = RGBColor(40, 40, 40);
@@ -99,7 +103,7 @@ fn short(name: &str) -> String {
     format!("…{end}")
 }
 
-/// A photograph of at most 150 px; each pixel is the mean of those that it stands for.
+/// A photograph of at most 150 px, with stripes over what does not count; each pixel is the mean of those that it stands for.
 fn small(view: &View) -> dpges_core::Result<Rgb8Image> {
     let picture = view.picture()?;
     let (width, height) = (picture.width, picture.height);
@@ -107,17 +111,27 @@ fn small(view: &View) -> dpges_core::Result<Rgb8Image> {
     let along = |length: usize| if longer <= SIDE { length } else { (length * SIDE / longer).max(1) };
     let (columns, rows) = (along(width), along(height));
     let (area, planes) = (width * height, picture.planes());
-    let mean = |channel: usize, column: usize, row: usize| {
+    let ignored: Option<Vec<f32>> =
+        picture.counted.as_ref().map(|counted| counted.iter().map(|&counts| if counts { 0.0 } else { 1.0 }).collect());
+    let mean = |plane: &[f32], column: usize, row: usize| {
         let (x, y) = (column * width / columns, row * height / rows);
         let (right, bottom) = ((column + 1) * width / columns, (row + 1) * height / rows);
-        let plane = &planes[channel * area..][..area];
         let sum: f32 = (y..bottom).map(|y| plane[y * width + x..y * width + right].iter().sum::<f32>()).sum();
         sum / ((right - x) * (bottom - y)) as f32
     };
-    let mean = &mean;
-    let planes: Vec<f32> = (0..3)
-        .flat_map(|channel| (0..rows * columns).map(move |pixel| mean(channel, pixel % columns, pixel / columns)))
-        .collect();
+    let value = |channel: usize, pixel: usize| {
+        let (column, row) = (pixel % columns, pixel / columns);
+        let shown = mean(&planes[channel * area..][..area], column, row);
+        match &ignored {
+            Some(ignored) if ((column + row) / STRIPE).is_multiple_of(2) => {
+                shown + mean(ignored, column, row) * (STRIPE_GREY - shown)
+            }
+            _ => shown,
+        }
+    };
+    let value = &value;
+    let planes: Vec<f32> =
+        (0..3).flat_map(|channel| (0..rows * columns).map(move |pixel| value(channel, pixel))).collect();
     Ok(Rgb8Image::from_planes(&planes, columns, rows))
 }
 
@@ -153,6 +167,24 @@ mod tests {
         let letters =
             (0..100).flat_map(|x| (0..14).map(move |y| (x, y))).filter(|&(x, y)| dark(14 + x, 10 + 108 + 2 + y));
         assert!(letters.count() > 20, "the first has a name below it");
+    }
+
+    #[test]
+    fn what_does_not_count_is_striped() {
+        let options = BuiltinOptions { width: 60, height: 30, train_views: 1, test_views: 0, ..Default::default() };
+        let mut dataset = builtin(&BuiltinOptions { points: 0, ..options });
+        let view = &mut dataset.train[0];
+        view.repaint(|picture| {
+            picture.bytes.fill(255);
+            picture.counted = Some((0..60 * 30).map(|pixel| pixel % 60 < 30).collect());
+        })
+        .unwrap();
+        let sheet = small(view).unwrap();
+        let grey = |x: usize, y: usize| sheet.bytes[3 * (y * 60 + x)];
+        assert!((0..30).all(|x| grey(x, 10) == 255));
+        let stripes: Vec<bool> = (30..42).map(|x| grey(x, 0) < 130).collect();
+        assert_eq!(stripes, [[true; 3], [false; 3]].concat().repeat(2));
+        assert_ne!(grey(32, 0), grey(32, 1), "they are diagonal");
     }
 
     #[test]

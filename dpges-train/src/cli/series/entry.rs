@@ -6,7 +6,7 @@ use std::sync::Arc;
 use dpges_core::scene::SceneData;
 use dpges_train::config::Config;
 use dpges_train::run::folder::{Origin, RunFolder};
-use dpges_train::run::{Observer, Run, SavedRun};
+use dpges_train::run::{Observer, Run, SavedRun, Trainer};
 
 use super::super::data::Source;
 use super::super::train::session::Session;
@@ -54,6 +54,20 @@ impl Entry {
     /// Whether it was finished before the series was begun.
     pub fn is_finished(&self) -> bool {
         self.state == State::Finished
+    }
+
+    /// Whether it could begin.
+    ///
+    /// # Errors
+    /// If the dataset or a file has not what its stages need.
+    pub fn check(&self, common: &Common) -> Result<()> {
+        if self.state != State::New {
+            return Ok(());
+        }
+        Trainer::check(&self.config, &common.dataset, &common.device).map_err(|error| {
+            let help = "leave it out, or change the options that all have in common";
+            Failure::with_help(format!("{}: {error}", self.name), help)
+        })
     }
 
     /// Trains the steps that are left.

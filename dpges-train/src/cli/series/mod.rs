@@ -125,8 +125,9 @@ impl Series {
         &self.runs[0].config
     }
 
-    /// Trains what is left.
+    /// Trains what is left, if all of it can be.
     pub fn train(&self, common: &Common) -> Result<()> {
+        self.runs.iter().try_for_each(|run| run.check(common))?;
         self.runs.iter().try_for_each(|run| run.train(common))
     }
 

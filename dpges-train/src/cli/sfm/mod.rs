@@ -7,9 +7,9 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use dpges_train::config::{Config, DataConfig};
+use dpges_train::config::{Config, DataConfig, key};
 use dpges_train::dataset::{self, DatasetError};
-use dpges_train::sfm::{self, Input, Options, Outcome, Programs, Request, SfmError};
+use dpges_train::sfm::{self, Input, Options, Outcome, Programs, Request, SfmError, Unusable};
 
 use super::data::BUILTIN;
 use super::{Failure, Result, print, table};
@@ -33,12 +33,22 @@ pub struct SfmArgs {
     /// Replace the dataset in the folder if it was made of other photographs or with other options
     #[arg(long)]
     overwrite: bool,
+    #[arg(long, help = key("data.invert_masks").help())]
+    invert_masks: bool,
     #[command(flatten)]
     options: SfmOptions,
 }
 
+impl SfmArgs {
+    /// As `key=value`.
+    fn assignments(&self) -> Vec<String> {
+        let inverted = self.invert_masks.then(|| "data.invert_masks=true".to_owned());
+        self.options.assignments().into_iter().chain(inverted).collect()
+    }
+}
+
 pub fn run(args: &SfmArgs, style: LogStyle) -> Result<()> {
-    let config = Config::resolve_data(None, &args.options.assignments()).map_err(Failure::from_config)?;
+    let config = Config::resolve_data(None, &args.assignments()).map_err(Failure::from_config)?;
     let path = absolute(&args.photographs);
     let input = Input::find(&path).ok_or_else(|| not_photographs(&path))?;
     let out = match &args.out {
@@ -46,7 +56,7 @@ pub fn run(args: &SfmArgs, style: LogStyle) -> Result<()> {
         None => sfm::dataset_beside(&input)?,
     };
     let outcome = reconstruct(&input, &out, &config, args.overwrite, style)?;
-    if style == LogStyle::Quiet { Ok(()) } else { print(&summary(&outcome)) }
+    if style == LogStyle::Quiet { Ok(()) } else { print(&summary(&outcome, args.invert_masks)) }
 }
 
 /// What a command was asked to train on: if that is photographs or a video, the dataset is made of it, unless it has been.
@@ -77,7 +87,15 @@ pub fn explained(error: DatasetError, path: &Path) -> Failure {
     if sfm::is_begun(path) && dataset::format(path).is_none() {
         return Failure::with_help(error, "its cameras have not been found yet: repeat the command that began it");
     }
-    error.into()
+    match error {
+        DatasetError::UnknownFormat { .. } => nothing_at(path),
+        other => other.into(),
+    }
+}
+
+fn nothing_at(path: &Path) -> Failure {
+    let Unusable { message, advice } = sfm::unusable(path);
+    Failure::with_help(message, advice)
 }
 
 fn input_of(path: &Path) -> Option<Input> {
@@ -111,29 +129,27 @@ fn reconstruct(
 }
 
 fn not_photographs(path: &Path) -> Failure {
-    let is_dataset = dataset::format(path).is_some();
-    let path = path.display();
-    if is_dataset {
-        return Failure::with_help(
-            format!("{path} is a dataset already"),
-            format!("train on it: `dpges train {path}`"),
-        );
+    if dataset::format(path).is_none() {
+        return nothing_at(path);
     }
-    let help =
-        "name a folder with JPEGs or PNGs in it or in its folder `images` or `input`, or a video such as walk.mp4";
-    Failure::with_help(format!("{path} holds no photographs and is no video"), help)
+    let path = path.display();
+    Failure::with_help(format!("{path} is a dataset already"), format!("train on it: `dpges train {path}`"))
 }
 
-fn summary(outcome: &Outcome) -> String {
+fn summary(outcome: &Outcome, invert_masks: bool) -> String {
     let placed = format!("{} of {} have a place", outcome.placed(), outcome.photographs);
     let total: f64 = outcome.seconds.iter().map(|(_, seconds)| seconds).sum();
     let parts = outcome.seconds.iter().map(|(step, seconds)| format!("{step} {}", Seconds(*seconds)));
-    let rows = [
-        ("dataset", outcome.dataset.display().to_string()),
-        ("photographs", placed),
+    let (dataset, masked) = (outcome.dataset.display(), outcome.masked);
+    let option = if invert_masks && masked > 0 { " --invert-masks" } else { "" };
+    let mut rows = vec![("dataset", dataset.to_string()), ("photographs", placed)];
+    if masked > 0 {
+        rows.push(("masks", format!("{masked} of {}", outcome.photographs)));
+    }
+    rows.extend([
         ("points", outcome.points.to_string()),
         ("time", format!("{}: {}", Seconds(total), parts.collect::<Vec<_>>().join(", "))),
-        ("next", format!("dpges train {}", outcome.dataset.display())),
-    ];
+        ("next", format!("dpges train {dataset}{option}")),
+    ]);
     table(&rows)
 }

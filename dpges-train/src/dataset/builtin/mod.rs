@@ -299,6 +299,7 @@ mod tests {
         let data = builtin(&options);
         let camera = data.train[3].camera;
         camera.validate().unwrap();
+        assert_eq!(camera.shown_pixels(), None);
         let [left, right] = [0.0, size as f64].map(|x| camera.ray(x, 0.5 * size as f64).unwrap());
         assert!((left.angle_between(right).to_degrees() - 170.0).abs() < 1e-6);
         // as with the other lens, points have the colour of the pixels that see them

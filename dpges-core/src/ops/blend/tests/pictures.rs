@@ -205,3 +205,19 @@ fn options_outside_their_range_are_refused() {
     assert_eq!(refused(endless), "option `min_transmittance` is 0, expected a number between 0 and 1");
     assert!(BlendOptions { max_alpha: f64::NAN, ..BlendOptions::default() }.validate().is_err());
 }
+
+#[test]
+fn discs_through_a_lens_are_refused_by_name_and_gaussians_are_not() {
+    let lens = Some(Lens::new(Distortion::new(Projection::Equidistant)));
+    let camera = Camera { lens, ..axis_camera() };
+    let leaves = capped().leaves();
+    let blended = |form: Form| {
+        let options = BlendOptions { form, ..BlendOptions::default() };
+        blend(&leaves.gaussians, &leaves.colours, None, &camera, &options).map(|_| ())
+    };
+    let message = blended(Form::Discs).unwrap_err().to_string();
+    for part in ["`lens` is Equidistant", "only pinhole cameras", "data.undistort"] {
+        assert!(message.contains(part), "{part}: {message}");
+    }
+    blended(Form::Ellipsoids).unwrap();
+}
