@@ -45,7 +45,7 @@ fn gradients_of_the_sums_are_central_differences() {
         let weights = leaf(&Random::new(9).numbers(shape.iter().product(), -1.0, 1.0), shape, &device()).detach();
         let loss = |sums: Tensor<4>| (sums * weights.clone()).sum();
         let leaves = gaussians.leaves();
-        let sums = splat(&leaves.gaussians, &leaves.colours, &limits, &camera, &OPTIONS).unwrap();
+        let sums = splat(&leaves.gaussians, &leaves.colours, &limits, &camera).unwrap();
         let gradients = loss(sums).backward();
         let g = &leaves.gaussians;
         let found = [&g.positions, &g.quaternions, &g.log_scales, &g.opacities, &leaves.colours]
