@@ -135,7 +135,7 @@ impl Training {
         let (positions, quaternions) = (&surfels.positions, &surfels.quaternions);
         let layers = peel(positions, quaternions, &surfels.log_scales, camera, &options.peel).expect("valid");
         let limits = interval_limits(&layers, &surfels.margins, options.margin_lookup).expect("valid");
-        let sums = splat(gaussians, &gaussian_colours, &limits, camera, &options.splat).expect("valid");
+        let sums = splat(gaussians, &gaussian_colours, &limits, camera).expect("valid");
         let blending = CompositeOptions { background: options.background, detach_transmittance: false };
         let composite = plain::composite(&layers, surfel_colours.clone(), sums, &blending);
         Render { composite, layers, limits, surfel_colours, gaussian_colours }
