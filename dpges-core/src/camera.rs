@@ -41,6 +41,13 @@ impl CameraFromWorld {
         -(self.rotation.transpose() * self.translation)
     }
 
+    /// The same camera turned about its centre by the rotation vector `turn`, rad, then shifted by `shift`, world units, both
+    /// along world axes.
+    pub fn moved(&self, turn: DVec3, shift: DVec3) -> Self {
+        let rotation = self.rotation * DMat3::from_quat(DQuat::from_scaled_axis(-turn));
+        Self { rotation, translation: -(rotation * (self.centre() + shift)) }
+    }
+
     /// The same camera in the world shifted by `-offset`.
     pub fn recentred(&self, offset: DVec3) -> Self {
         Self { rotation: self.rotation, translation: self.translation + self.rotation * offset }
@@ -261,6 +268,19 @@ mod tests {
         let far = Camera { camera_from_world: pose.recentred(-offset), ..camera };
         let near = Camera { camera_from_world: far.camera_from_world.recentred(offset), ..far };
         assert!((near.project(world).unwrap().0 - x).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_moved_camera_is_turned_about_its_centre_and_shifted() {
+        let pose = camera().camera_from_world;
+        let (turn, shift) = (DVec3::new(0.0, 0.0, 0.5), DVec3::new(0.1, -0.2, 0.3));
+        let moved = pose.moved(turn, shift);
+        assert!((moved.centre() - pose.centre() - shift).length() < 1e-12);
+        let axis = |pose: &CameraFromWorld| pose.rotation.transpose() * DVec3::Z;
+        let expected = DQuat::from_rotation_z(0.5) * axis(&pose);
+        assert!((axis(&moved) - expected).length() < 1e-12);
+        let back = moved.moved(-turn, -shift);
+        assert!((back.translation - pose.translation).length() < 1e-12);
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! One view of a scene, from parameters to pixels.
 
 pub mod blended;
+pub mod pose;
 
 use burn::tensor::{DType, Tensor};
 
@@ -15,6 +16,7 @@ use crate::ops::peel::{Layers, PeelOptions, peel};
 use crate::ops::splat::splat;
 use crate::scene::schema::Columns;
 use crate::scene::{Gaussians, MarginLookup, SceneInfo, Surfels};
+use pose::PoseProbe;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RenderOptions {
@@ -162,12 +164,29 @@ pub fn render_values(
     options: &RenderOptions,
     values: Values,
 ) -> Result<Render> {
+    render_probed(surfels, gaussians, camera, None, options, values)
+}
+
+/// [`render_values`] from the camera of a `probe`, which gradients then reach.
+///
+/// # Errors
+/// Those of [`render`].
+pub fn render_probed(
+    surfels: &Surfels,
+    gaussians: &Gaussians,
+    camera: &Camera,
+    probe: Option<&PoseProbe>,
+    options: &RenderOptions,
+    values: Values,
+) -> Result<Render> {
     camera.validate()?;
     options.peel.validate()?;
     validate(surfels, gaussians, values)?;
     let centre = camera.centre().to_array();
-    let surfel_colours = colour(&surfels.colour, &surfels.positions, centre)?;
-    let gaussian_colours = colour(&gaussians.colour, &gaussians.positions, centre)?;
+    let surfel_colours = colour(&surfels.colour, &pose::seen(&surfels.positions, probe), centre)?;
+    let gaussian_colours = colour(&gaussians.colour, &pose::seen(&gaussians.positions, probe), centre)?;
+    let moved = probe.map(|probe| (probe.surfels(surfels), probe.gaussians(gaussians)));
+    let (surfels, gaussians) = moved.as_ref().map_or((surfels, gaussians), |(surfels, gaussians)| (surfels, gaussians));
     let layers = peel(&surfels.positions, &surfels.quaternions, &surfels.log_scales, camera, &options.peel)?;
     let limits = interval_limits(&layers, &surfels.margins, options.margin_lookup)?;
     let sums = splat(gaussians, &gaussian_colours, &limits, camera)?;

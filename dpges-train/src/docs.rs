@@ -18,6 +18,9 @@ pub mod depth {}
 #[doc = include_str!("../docs/exposure.md")]
 pub mod exposure {}
 
+#[doc = include_str!("../docs/poses.md")]
+pub mod poses {}
+
 #[doc = include_str!("../docs/paper.md")]
 pub mod paper {}
 

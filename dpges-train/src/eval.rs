@@ -8,6 +8,7 @@ use std::ops::Range;
 use std::time::Instant;
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
+use dpges_core::camera::Camera;
 use dpges_core::losses::{Mask, Target};
 use dpges_core::metrics::{OF_IGNORED_PIXELS, mean_ssim, psnr, quantised};
 use dpges_core::scene::SceneData;
@@ -21,6 +22,7 @@ use crate::exposure::Correction;
 use crate::metrics::lpips::{Lpips, Network};
 use crate::metrics::{Fitted, Perceptual, Scores, flip, flip_map};
 use crate::popping::Popping;
+use crate::pose_fit::fitted_pose;
 use crate::rendered::{Rendered, Renderer};
 use crate::sight::Floaters;
 
@@ -141,11 +143,13 @@ pub struct Measures<'a> {
     pub perceptual: Option<&'a [Lpips]>,
     /// Whether PSNR and SSIM are also measured after a fit of exposure, see [`Fitted`].
     pub fitted: bool,
+    /// Whether they are also measured after a fit of the camera, which renders every view many times.
+    pub posed: bool,
 }
 
 impl<'a> Measures<'a> {
     /// Nothing: what a run needs to go on.
-    pub const BASIC: Self = Self { perceptual: None, fitted: false };
+    pub const BASIC: Self = Self { perceptual: None, fitted: false, posed: false };
 
     /// MS-SSIM, SSIMULACRA2, and LPIPS by `networks`.
     pub fn perceptual(networks: &'a [Lpips]) -> Self {
@@ -156,6 +160,12 @@ impl<'a> Measures<'a> {
     #[must_use]
     pub fn fitted(self, fitted: bool) -> Self {
         Self { fitted, ..self }
+    }
+
+    /// The same, and a fit of cameras if it is wanted.
+    #[must_use]
+    pub fn posed(self, posed: bool) -> Self {
+        Self { posed, ..self }
     }
 }
 
@@ -211,7 +221,12 @@ pub fn evaluate_each<E: From<Error>>(
         // a GPU may have only begun
         device.sync().map_err(|error| Error::Device { reason: error.to_string() })?;
         let seconds = start.elapsed().as_secs_f64();
-        scores.push(score(&view.name, &picture, render.image().clone(), seconds, device, measures)?);
+        let mut score = score(&view.name, &picture, render.image().clone(), seconds, device, measures)?;
+        if measures.posed {
+            [score.fitted.psnr_posed, score.fitted.ssim_posed] =
+                posed(renderer, view, &picture, scene.info.extent, device, measures.fitted)?;
+        }
+        scores.push(score);
         visit(index, &render)?;
     }
     let mean = |of: fn(&ViewScore) -> f64| scores.iter().map(of).sum::<f64>() / scores.len() as f64;
@@ -295,6 +310,45 @@ fn mean_where(values: &[f64], counted: &[bool]) -> f64 {
 /// How well the right half of `image` shows that of `picture`, both [3, H, W], with the exposure that fits their left halves.
 /// Only pixels that count are in either, of `counted` [H × W] or all of them.
 fn fitted(picture: &Tensor<3>, counted: Option<&[bool]>, image: &Tensor<3>) -> Result<Fitted> {
+    let [psnr_fitted, ssim_fitted] = of_right_half(picture, counted, image, true)?;
+    Ok(Fitted { psnr_fitted, ssim_fitted, ..Fitted::default() })
+}
+
+/// PSNR and SSIM of the right half of `view` from the camera that fits the left half of its `picture`, and with the
+/// `exposure` that does, if that is wanted; `None` if either half has no pixel that counts.
+fn posed(
+    renderer: &Renderer,
+    view: &View,
+    picture: &Picture,
+    extent: f64,
+    device: &Device,
+    exposure: bool,
+) -> Result<[Option<f64>; 2]> {
+    let (width, counted) = (picture.width, picture.counted.as_deref());
+    let is_left = |pixel: usize| pixel % width < width / 2 && counted.is_none_or(|counted| counted[pixel]);
+    let left: Vec<bool> = (0..picture.area()).map(is_left).collect();
+    if !left.contains(&true) {
+        return Ok([None; 2]);
+    }
+    let target = |device: &Device| -> Result<Target> {
+        let mask = Some(Mask::new(&left, width, picture.height, device)?);
+        Ok(Target { mask, ..picture.target(device) })
+    };
+    let correction = fitted_pose(renderer, &view.camera, target, extent, device)?;
+    let pose = correction.applied(&view.camera.camera_from_world);
+    let rendered = renderer.render(&Camera { camera_from_world: pose, ..view.camera })?;
+    let photograph = quantised(picture.target(device).image);
+    of_right_half(&photograph, counted, rendered.image(), exposure)
+}
+
+/// PSNR and SSIM of the right half of `image`, as [`fitted`] has them, with or without the `exposure` that fits the left half;
+/// `None` if either half has no pixel that counts.
+fn of_right_half(
+    picture: &Tensor<3>,
+    counted: Option<&[bool]>,
+    image: &Tensor<3>,
+    exposure: bool,
+) -> Result<[Option<f64>; 2]> {
     let [_, height, width] = picture.dims();
     let (left, right) = (0..width / 2, width / 2..width);
     let part = |of: &Tensor<3>, columns: &Range<usize>| of.clone().slice([0..3, 0..height, columns.clone()]);
@@ -304,14 +358,18 @@ fn fitted(picture: &Tensor<3>, counted: Option<&[bool]>, image: &Tensor<3>) -> R
     };
     let (fitted_to, judged_by) = (counted_in(&left), counted_in(&right));
     if !fitted_to.contains(&true) || !judged_by.contains(&true) {
-        return Ok(Fitted::default());
+        return Ok([None; 2]);
     }
-    let correction = Correction::fitted(&part(image, &left), &part(picture, &left), Some(&fitted_to));
-    let image = quantised(correction.applied(part(image, &right)));
+    let shown = part(image, &right);
+    let image = quantised(if exposure {
+        Correction::fitted(&part(image, &left), &part(picture, &left), Some(&fitted_to)).applied(shown)
+    } else {
+        shown
+    });
     let mask = counted.map(|_| Mask::new(&judged_by, right.len(), height, &image.device())).transpose()?;
     let target = Target { image: part(picture, &right), mask };
     let psnr = psnr(image.clone(), target.clone()).min(LARGEST_PSNR);
-    Ok(Fitted { psnr_fitted: Some(psnr), ssim_fitted: Some(mean_ssim(image, target)?) })
+    Ok([Some(psnr), Some(mean_ssim(image, target)?)])
 }
 
 #[cfg(test)]
@@ -493,6 +551,31 @@ mod tests {
         let json = serde_json::to_value(&with).unwrap();
         assert_eq!(json["psnr_fitted"].as_f64(), Some(mean));
         assert_eq!(serde_json::from_value::<Evaluation>(json).unwrap(), with);
+    }
+
+    #[test]
+    fn cameras_are_fitted_to_the_left_half_and_judged_by_the_right() {
+        let options = BuiltinOptions { width: 16, height: 16, train_views: 2, test_views: 2, ..Default::default() };
+        let mut views = builtin(&options).test;
+        // nothing on the right counts
+        views[1].repaint(|picture| picture.counted = Some((0..16 * 16).map(|pixel| pixel % 16 < 8).collect())).unwrap();
+        let device = "cpu".parse::<DeviceName>().unwrap().open().unwrap();
+        let mut scene = nothing([0.5; 3]);
+        let model = scene.info.colour_model;
+        scene.gaussians = GaussianData::neutral(model, 1);
+        let renderer = Renderer::new(&scene, &device);
+        let measured = |views: &[View], measures| -> Evaluation {
+            let found: Result<Evaluation> = evaluate_each(&renderer, &scene, views, &device, measures, |_, _| Ok(()));
+            found.unwrap()
+        };
+        let found = measured(&views, Measures::BASIC.posed(true));
+        let of = |view: usize| found.views[view].fitted;
+        assert!(of(0).psnr_posed.is_some() && of(0).ssim_posed.is_some() && of(0).psnr_fitted.is_none());
+        assert_eq!((of(1), found.fitted), (Fitted::default(), Fitted::default()));
+        let json = serde_json::to_value(&found).unwrap();
+        assert_eq!(json["views"][0]["psnr_posed"].as_f64(), of(0).psnr_posed);
+        let both = measured(&views[..1], Measures::BASIC.fitted(true).posed(true)).fitted;
+        assert!(both.psnr_posed.is_some() && both.psnr_posed != of(0).psnr_posed, "{both:?}");
     }
 
     #[test]

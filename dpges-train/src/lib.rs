@@ -42,6 +42,8 @@ pub mod neighbours;
 pub mod optimizer;
 pub mod pictures;
 pub mod popping;
+pub mod pose;
+pub mod pose_fit;
 mod recent;
 pub mod refine;
 pub mod rendered;

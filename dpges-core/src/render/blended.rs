@@ -2,6 +2,7 @@
 
 use burn::tensor::{Tensor, TensorData};
 
+use super::pose::{self, PoseProbe};
 use super::{Values, validate_gaussians};
 use crate::camera::Camera;
 use crate::counters::transfers::upload;
@@ -65,10 +66,35 @@ pub fn render_blended(
     options: &BlendedOptions,
     values: Values,
 ) -> Result<BlendedRender> {
+    render_blended_probed(gaussians, Probes { gaussians: probe, pose: None }, camera, options, values)
+}
+
+/// Tensors that change nothing, and whose gradients are wanted.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Probes<'a> {
+    /// [M, 4], see [`blend()`].
+    pub gaussians: Option<&'a Tensor<2>>,
+    /// Of the camera.
+    pub pose: Option<&'a PoseProbe>,
+}
+
+/// [`render_blended`] with `probes` of both kinds.
+///
+/// # Errors
+/// Those of [`render_blended`].
+pub fn render_blended_probed(
+    gaussians: &Gaussians,
+    probes: Probes<'_>,
+    camera: &Camera,
+    options: &BlendedOptions,
+    values: Values,
+) -> Result<BlendedRender> {
     camera.validate()?;
     validate_gaussians(gaussians, values)?;
-    let colours = colour(&gaussians.colour, &gaussians.positions, camera.centre().to_array())?.clamp_min(0.0);
-    let blend = blend(gaussians, &colours, probe, camera, &options.blend)?;
+    let seen = pose::seen(&gaussians.positions, probes.pose);
+    let colours = colour(&gaussians.colour, &seen, camera.centre().to_array())?.clamp_min(0.0);
+    let moved = probes.pose.map(|probe| probe.gaussians(gaussians));
+    let blend = blend(moved.as_ref().unwrap_or(gaussians), &colours, probes.gaussians, camera, &options.blend)?;
     let image = if options.background == [0.0; 3] {
         blend.colour.clone()
     } else {

@@ -8,6 +8,7 @@ use dpges_core::camera::Camera;
 use dpges_core::scene::{SceneData, SceneInfo};
 use dpges_train::config::{Background, BuiltinLens, Config, DataConfig, DepthMaps, key};
 use dpges_train::dataset::{self, BuiltinOptions, Dataset, View};
+use dpges_train::pose::{RefinedPoses, refine};
 use dpges_train::run::folder::RunFolder;
 use dpges_train::run::metrics_log::MetricsLog;
 use glam::{DVec3, Vec3};
@@ -118,6 +119,8 @@ fn builtin(config: &DataConfig) -> Result<Dataset> {
         height: size,
         points: BUILTIN_POINTS,
         exposure_stops: config.builtin_exposure_stops,
+        pose_degrees: config.builtin_pose_degrees,
+        pose_extents: config.builtin_pose_extents,
         depth: config.load_options().depth,
         fisheye,
         ..Default::default()
@@ -188,6 +191,13 @@ impl Scene {
     /// Whether the run that the scene comes from has corrected exposures.
     pub fn has_exposure(&self) -> bool {
         self.run.as_ref().is_some_and(|run| run.exposure().is_file())
+    }
+
+    /// Where the training cameras of the dataset are by the run that the scene comes from: nowhere else than it says if the run
+    /// has not refined their poses, or if the dataset is another one, `data`.
+    pub fn refined_poses(&self, data: Option<&Path>) -> Result<RefinedPoses> {
+        let run = self.run.as_ref().filter(|_| data.is_none());
+        Ok(run.map(RunFolder::read_poses).transpose()?.flatten().unwrap_or_default())
     }
 
     /// The configuration of the run that the scene comes from, where there is one.
@@ -312,6 +322,7 @@ impl ViewArgs {
             return Err(Failure::Usage(message));
         };
         let mut dataset = source.load(&config)?;
+        refine(&mut dataset.train, &scene.refined_poses(self.data.as_deref())?);
         let offset = dataset.offset;
         for view in dataset.train.iter_mut().chain(&mut dataset.test) {
             view.camera = in_scene(view.camera, offset, &scene.data.info);

@@ -54,6 +54,10 @@ pub struct EvalArgs {
     /// channel that fit its left half best. The default for runs that correct exposures
     #[arg(long)]
     fit_exposure: bool,
+    /// Also measure PSNR and SSIM after a fit of the camera: of the right half of each view, from where the camera has to be
+    /// for the left half to fit best. Renders each view 80 times more
+    #[arg(long)]
+    fit_poses: bool,
     /// Write the rendered views as PNGs to this folder
     #[arg(long, value_name = "DIR")]
     save_images: Option<PathBuf>,
@@ -90,7 +94,8 @@ fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> 
     }
     let stems = file_stems(views);
     let renderer = Renderer::new(&scene.data, &device);
-    let measures = Measures::perceptual(&networks).fitted(args.fit_exposure || scene.has_exposure());
+    let measures =
+        Measures::perceptual(&networks).fitted(args.fit_exposure || scene.has_exposure()).posed(args.fit_poses);
     let evaluation = evaluate_each(&renderer, &scene.data, views, &device, measures, |index, render| {
         let Some(folder) = &args.save_images else { return Ok(()) };
         save_png(&to_picture(render.image()), &folder.join(format!("{}.png", stems[index])))

@@ -10,6 +10,7 @@ use dpges_render::viewer::{self, DatasetViews, Opened, Start, ViewerOptions, Vie
 use dpges_train::config::DataConfig;
 use dpges_train::dataset::View;
 use dpges_train::pictures;
+use dpges_train::pose::{RefinedPoses, refine};
 
 use super::Result;
 use super::data::{DataArgs, Scene, Source, in_scene};
@@ -54,8 +55,8 @@ impl WindowArgs {
         let views = match scene.dataset(named, &self.options)? {
             None => Views::None,
             Some((source, config)) => {
-                let info = scene.data.info.clone();
-                Views::Later(Box::new(move || read(&source, &config, &info).map_err(|failure| failure.text())))
+                let (info, poses) = (scene.data.info.clone(), scene.refined_poses(named)?);
+                Views::Later(Box::new(move || read(&source, &config, &info, &poses).map_err(|failure| failure.text())))
             }
         };
         if let Some(preset) = self.preset {
@@ -65,10 +66,11 @@ impl WindowArgs {
     }
 }
 
-/// The views of a dataset, held-out ones last, in the coordinates of the scene.
-fn read(source: &Source, config: &DataConfig, info: &SceneInfo) -> Result<DatasetViews> {
+/// The views of a dataset, held-out ones last, in the coordinates of the scene, training views with refined `poses`.
+fn read(source: &Source, config: &DataConfig, info: &SceneInfo, poses: &RefinedPoses) -> Result<DatasetViews> {
     // the window draws pinhole cameras alone
-    let dataset = source.load(&DataConfig { undistort: true, ..config.clone() })?;
+    let mut dataset = source.load(&DataConfig { undistort: true, ..config.clone() })?;
+    refine(&mut dataset.train, poses);
     let offset = dataset.offset;
     let held_out = dataset.test.into_iter().map(|view| (format!("{} (held out)", view.name), view));
     let views = dataset.train.into_iter().map(|view| (view.name.clone(), view)).chain(held_out);

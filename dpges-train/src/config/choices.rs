@@ -85,6 +85,14 @@ choices! {
         "auto" => Auto,
     }
 
+    /// Whether the poses of training views are refined.
+    Poses {
+        /// Cameras stand and look as the dataset says.
+        "off" => Off,
+        /// Each has a small rotation and translation, which are learnt.
+        "on" => On,
+    }
+
     /// Appearance of a Gaussian that is added at a pixel.
     AddAs {
         /// The colour of the photograph, no larger than a pixel: useful at once.

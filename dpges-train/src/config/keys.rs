@@ -8,7 +8,7 @@ use dpges_core::scene::{ColourModel, Footprint, MarginLookup, OpacityActivation}
 use super::budget::Budget;
 use super::choices::{
     AddAs, Alpha, Background, BuiltinLens, DepthMaps, Environment, Exposure, GaussianStage, InitMethod, JointOpacity,
-    Margin, Method, PixelsOf, SfmCamera, SfmMatching, SfmProgram, Stop, SurfelStart,
+    Margin, Method, PixelsOf, Poses, SfmCamera, SfmMatching, SfmProgram, Stop, SurfelStart,
 };
 use super::declare::{Ablation, Key, Section, Value, configuration, optional};
 use super::memory::Memory;
@@ -49,6 +49,11 @@ configuration! {
         /// Largest change of exposure of a view of the built-in scene, up or down: by how much differs from view to view. It
         /// is for tests of `train.exposure`.
         builtin_exposure_stops: f64 = 0.0, unit: "stops", range: 0.0..=4.0;
+        /// By how much training cameras of the built-in scene are turned away from where they took their photographs, by
+        /// root mean square, each about an axis of its own. It is for tests of `train.poses`.
+        builtin_pose_degrees: f64 = 0.0, unit: "degrees", range: 0.0..=10.0;
+        /// By how much they are shifted, likewise.
+        builtin_pose_extents: f64 = 0.0, unit: "extents", range: 0.0..=0.1;
         /// Which program places the cameras of photographs without cameras.
         sfm: SfmProgram = SfmProgram::Colmap;
         /// Which camera model it fits to them.
@@ -98,6 +103,9 @@ configuration! {
         /// Whether every training view has a colour correction of its own, for photographs with different exposures or
         /// white balances. The scene has the mean exposure of all.
         exposure: Exposure = Exposure::Off;
+        /// Whether every training view has a small rotation and translation of its own, for cameras that were not placed
+        /// quite right. Their means over the views are 0.
+        poses: Poses = Poses::Off;
         /// λ4: weight of the difference between the depths of surfels and of the discs they come from, for surface
         /// reconstruction (DP-GES: 0.1). It acts in the joint stage and needs a stage or a file of discs.
         lambda_depth: f64 = 0.0, range: 0.0..;
@@ -355,6 +363,11 @@ configuration! {
         /// Learning rate of the colour corrections of `train.exposure` at the first step of the run. It falls to a tenth at
         /// the last.
         exposure: f64 = 5e-3, range: 0.0..;
+        /// Learning rate of the rotations of `train.poses`. It rises from 0 over the first tenth of the run, and falls to a
+        /// hundredth over all of it.
+        pose_rotation: f64 = 5e-4, unit: "radians", range: 0.0..;
+        /// Learning rate of the translations of `train.poses`, likewise.
+        pose_translation: f64 = 5e-4, unit: "extents", range: 0.0..;
         /// Factor on all learning rates but those of positions at the last step. Its logarithm is interpolated from 1 at
         /// the first.
         decay: f64 = 1.0, range: POSITIVE;

@@ -29,7 +29,7 @@ pub use budget::Budget;
 use budget::{MEGABYTE, primitives_for};
 pub use choices::{
     AddAs, Alpha, Background, BuiltinLens, DepthMaps, Environment, Exposure, GaussianStage, InitMethod, JointOpacity,
-    Margin, Method, PixelsOf, SfmCamera, SfmMatching, SfmProgram, Stop, SurfelStart,
+    Margin, Method, PixelsOf, Poses, SfmCamera, SfmMatching, SfmProgram, Stop, SurfelStart,
 };
 pub use declare::{Ablation, Key, Section};
 pub use dpges_core::scene::OpacityActivation;
@@ -48,6 +48,10 @@ pub const SMALLEST_BUDGET_BY_PIXELS: usize = 16_384;
 const SURFEL_SHARE: f64 = 0.1;
 /// Factor on the learning rate of colour corrections at the last step.
 const EXPOSURE_DECAY: f64 = 0.1;
+/// Factor on the learning rates of poses at the last step.
+const POSE_DECAY: f64 = 0.01;
+/// Share of the run over which these rates rise from 0: a scene has to show something before it says where a camera stands.
+const POSE_RISE: f64 = 0.1;
 /// Every how many-th training view is kept for validation by default.
 const DEFAULT_VALIDATION_EVERY: usize = 8;
 
@@ -85,6 +89,15 @@ impl Config {
             every => every,
         }
     }
+}
+
+/// Learning rates of the poses of one step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PoseRates {
+    /// rad
+    pub rotation: f64,
+    /// World units.
+    pub translation: f64,
 }
 
 impl DataConfig {
@@ -146,6 +159,13 @@ impl OptimizerConfig {
         self.exposure * between(1.0, EXPOSURE_DECAY, progress)
     }
 
+    /// Learning rates of poses at `progress` of the whole run, for a scene of `extent` (world units). They rise from 0, and
+    /// fall as [`position_rate`](Self::position_rate) does.
+    pub fn pose_rates(&self, progress: f64, extent: f64) -> PoseRates {
+        let factor = (progress / POSE_RISE).min(1.0) * between(1.0, POSE_DECAY, progress);
+        PoseRates { rotation: self.pose_rotation * factor, translation: self.pose_translation * extent * factor }
+    }
+
     /// Factor on every other learning rate at `progress`.
     pub fn decay_at(&self, progress: f64) -> f64 {
         between(1.0, self.decay, progress)
@@ -175,6 +195,12 @@ mod tests {
         );
         assert_eq!(rates.exposure_rate(0.0), rates.exposure);
         assert!((rates.exposure_rate(1.0) - 0.1 * rates.exposure).abs() < 1e-12);
+        assert_eq!(rates.pose_rates(0.0, 2.0), PoseRates { rotation: 0.0, translation: 0.0 });
+        let PoseRates { rotation, translation } = rates.pose_rates(0.05, 2.0);
+        let half_risen = 0.5 * 0.01f64.powf(0.05);
+        assert!((rotation - half_risen * rates.pose_rotation).abs() < 1e-12);
+        assert!((translation - half_risen * 2.0 * rates.pose_translation).abs() < 1e-12);
+        assert!((rates.pose_rates(1.0, 2.0).rotation - 0.01 * rates.pose_rotation).abs() < 1e-12);
     }
 
     #[test]

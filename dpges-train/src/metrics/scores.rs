@@ -21,15 +21,22 @@ pub struct Perceptual {
     pub lpips_vgg: Option<f64>,
 }
 
-/// PSNR and SSIM of the right half of a picture after the exposure that fits its left half best was applied to it. Absent
-/// where they were not measured or the picture has no two halves.
+/// PSNR and SSIM of the right half of a picture after something was fitted to its left half. Absent where they were not
+/// measured or the picture has no two halves.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Fitted {
-    /// dB
+    /// After the exposure that fits best was applied, dB.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub psnr_fitted: Option<f64>,
+    /// Likewise.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ssim_fitted: Option<f64>,
+    /// From the camera that fits best, and after the exposure if that is fitted as well, dB.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub psnr_posed: Option<f64>,
+    /// Likewise.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ssim_posed: Option<f64>,
 }
 
 /// The quality of a picture, or its mean over pictures.
@@ -64,7 +71,7 @@ pub struct Metric {
 
 /// All of them, in the order in which they are shown: three that every evaluation has, then those of [`Perceptual`] and of
 /// [`Fitted`].
-pub static METRICS: [Metric; 9] = [
+pub static METRICS: [Metric; 11] = [
     Metric { key: "psnr", title: "PSNR", unit: " dB", digits: 2, is_error: false, of: |scores| Some(scores.psnr) },
     Metric { key: "ssim", title: "SSIM", unit: "", digits: 4, is_error: false, of: |scores| Some(scores.ssim) },
     Metric { key: "flip", title: "FLIP", unit: "", digits: 4, is_error: true, of: |scores| Some(scores.flip) },
@@ -116,6 +123,22 @@ pub static METRICS: [Metric; 9] = [
         is_error: false,
         of: |scores| scores.fitted.ssim_fitted,
     },
+    Metric {
+        key: "psnr_posed",
+        title: "posed PSNR",
+        unit: " dB",
+        digits: 2,
+        is_error: false,
+        of: |scores| scores.fitted.psnr_posed,
+    },
+    Metric {
+        key: "ssim_posed",
+        title: "posed SSIM",
+        unit: "",
+        digits: 4,
+        is_error: false,
+        of: |scores| scores.fitted.ssim_posed,
+    },
 ];
 
 /// The metrics that only some evaluations have.
@@ -152,7 +175,12 @@ impl Fitted {
     /// The mean over views of what every view has.
     pub fn mean(views: &[Self]) -> Self {
         let mean = |of: fn(&Self) -> Option<f64>| mean_if_known(views.iter().map(of));
-        Self { psnr_fitted: mean(|view| view.psnr_fitted), ssim_fitted: mean(|view| view.ssim_fitted) }
+        Self {
+            psnr_fitted: mean(|view| view.psnr_fitted),
+            ssim_fitted: mean(|view| view.ssim_fitted),
+            psnr_posed: mean(|view| view.psnr_posed),
+            ssim_posed: mean(|view| view.ssim_posed),
+        }
     }
 }
 
@@ -207,16 +235,19 @@ mod tests {
         let mean = Perceptual::mean(&[view(Some(0.5), Some(10.0)), view(None, Some(30.0))]);
         assert_eq!(mean, view(None, Some(20.0)));
         assert_eq!(Perceptual::mean(&[]), Perceptual::default());
-        let known = Fitted { psnr_fitted: Some(20.0), ssim_fitted: Some(0.5) };
-        let one = Fitted { psnr_fitted: Some(30.0), ssim_fitted: None };
-        assert_eq!(Fitted::mean(&[known, one]), Fitted { psnr_fitted: Some(25.0), ssim_fitted: None });
+        let known =
+            Fitted { psnr_fitted: Some(20.0), ssim_fitted: Some(0.5), psnr_posed: Some(1.0), ..Fitted::default() };
+        let one = Fitted { psnr_fitted: Some(30.0), psnr_posed: Some(2.0), ..Fitted::default() };
+        let mean = Fitted { psnr_fitted: Some(25.0), psnr_posed: Some(1.5), ..Fitted::default() };
+        assert_eq!(Fitted::mean(&[known, one]), mean);
     }
 
     #[test]
     fn keys_are_those_of_json_and_what_is_absent_has_none() {
         let all =
             Perceptual { ms_ssim: Some(0.5), ssimulacra2: Some(50.0), lpips_alex: Some(0.25), lpips_vgg: Some(0.125) };
-        let fitted = Fitted { psnr_fitted: Some(21.0), ssim_fitted: Some(0.8) };
+        let fitted =
+            Fitted { psnr_fitted: Some(21.0), ssim_fitted: Some(0.8), psnr_posed: Some(22.0), ssim_posed: Some(0.85) };
         let whole = Scores { psnr: 20.0, ssim: 0.75, flip: 0.1, perceptual: all, fitted };
         let json = serde_json::to_value(whole).unwrap();
         assert_eq!(json.as_object().unwrap().len(), METRICS.len());

@@ -9,8 +9,10 @@ use dpges_core::camera::Camera;
 use dpges_core::ops::composite::{Geometry, geometry};
 use dpges_core::ops::environment::environment;
 use dpges_core::ops::peel::PeelOptions;
-use dpges_core::render::blended::{BlendedOptions, BlendedRender, render_blended};
-use dpges_core::render::{Render, RenderOptions, Values, render};
+use dpges_core::render::blended::{BlendedOptions, BlendedRender, Probes, render_blended, render_blended_probed};
+use dpges_core::render::pose::PoseProbe;
+use dpges_core::render::{Render, RenderOptions, Values, render, render_probed};
+use dpges_core::scene::schema::Columns;
 use dpges_core::scene::tensors::{rows_to_tensor, tensor_to_rows};
 use dpges_core::scene::{Gaussians, Rendering, SceneData, Surfels};
 use dpges_render::Rgb8Image;
@@ -97,6 +99,39 @@ impl Renderer {
     /// As [`render`] and [`render_blended`].
     pub fn render(&self, camera: &Camera) -> Result<Rendered> {
         self.render_with(camera, &self.options)
+    }
+
+    /// Whether there are no primitives.
+    pub fn is_empty(&self) -> bool {
+        self.surfels.is_empty() && self.gaussians.is_empty()
+    }
+
+    /// The image [3, H, W] from the `camera` of a `probe`, on the tape of the probe; the scene is not.
+    ///
+    /// # Errors
+    /// Those of [`render`](Self::render).
+    pub fn render_probed(&self, camera: &Camera, probe: &PoseProbe) -> Result<Tensor<3>> {
+        let gaussians = self.gaussians.map_ref(|_, tensor| tensor.clone().autodiff());
+        let rendered = match &self.options {
+            Options::Peeled(options) => {
+                let surfels = self.surfels.map_ref(|_, tensor| tensor.clone().autodiff());
+                let values = Values::KnownFinite;
+                Rendered::Peeled(Box::new(render_probed(&surfels, &gaussians, camera, Some(probe), options, values)?))
+            }
+            Options::Blended(options) => {
+                let probes = Probes { gaussians: None, pose: Some(probe) };
+                let rendered = render_blended_probed(&gaussians, probes, camera, options, Values::KnownFinite)?;
+                Rendered::Blended(Box::new(rendered))
+            }
+        };
+        let rendered = match &self.environment {
+            Some(coefficients) => {
+                let coefficients = probe.environment(&coefficients.clone().autodiff());
+                rendered.in_front_of(environment(&coefficients, camera)?)
+            }
+            None => rendered,
+        };
+        Ok(rendered.image().clone())
     }
 
     /// The view from `camera` and its median depth [height × width]: that of the first surfel, or of the first

@@ -9,6 +9,7 @@
 //! stage_NAME.safetensors    the scene at the end of a stage before the last (`2dgs`, `dbs`, `mcmc`)
 //! stage_NAME.json           its evaluation, like eval.json
 //! exposure.json             gain and offset of every training view at the last checkpoint, if exposures are corrected
+//! poses.json                where every training camera is at the last checkpoint, if their poses are refined
 //! best.safetensors          the best scene so far by the validation views, if they end the run
 //! eval.json                 the evaluation of the finished run, see `eval::EvalReport`
 //! target.json               what the run is to reach, and what is expected of it, if there is a target
@@ -17,7 +18,7 @@
 //! ```
 
 use std::fmt;
-use std::io::Write;
+use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 use dpges_core::Error;
@@ -25,8 +26,9 @@ use dpges_core::atomic::write_atomically;
 use serde::{Deserialize, Serialize};
 
 use crate::config::{Config, StageKind};
+use crate::pose::RefinedPoses;
 
-const FILES: [&str; 16] = [
+const FILES: [&str; 17] = [
     "config.toml",
     "run.json",
     "metrics.jsonl",
@@ -36,6 +38,7 @@ const FILES: [&str; 16] = [
     "validation.json",
     "target.json",
     "exposure.json",
+    "poses.json",
     "best.safetensors",
     "stage_2dgs.safetensors",
     "stage_2dgs.json",
@@ -58,6 +61,11 @@ pub enum RunFolderError {
     /// `run.json` is missing or broken.
     #[error("{path} does not say what it was trained on: {reason}")]
     Origin { path: PathBuf, reason: String },
+    /// `poses.json` is broken.
+    #[error(
+        "{path} does not say where the training cameras are: {reason}; without it they are where the dataset has them"
+    )]
+    Poses { path: PathBuf, reason: String },
     /// A file cannot be written or removed.
     #[error(transparent)]
     File(#[from] Error),
@@ -132,6 +140,10 @@ impl RunFolder {
 
     pub fn exposure(&self) -> PathBuf {
         self.path.join("exposure.json")
+    }
+
+    pub fn poses(&self) -> PathBuf {
+        self.path.join("poses.json")
     }
 
     pub fn best(&self) -> PathBuf {
@@ -219,6 +231,20 @@ impl RunFolder {
         let text = std::fs::read_to_string(&path).map_err(|error| wrong(error.to_string()))?;
         serde_json::from_str(&text).map_err(|error| wrong(error.to_string()))
     }
+
+    /// Reads `poses.json`; `None` if there is none.
+    ///
+    /// # Errors
+    /// [`RunFolderError::Poses`] if it is not what was written.
+    pub fn read_poses(&self) -> Result<Option<RefinedPoses>, RunFolderError> {
+        let path = self.poses();
+        let wrong = |reason: String| RunFolderError::Poses { path: path.clone(), reason };
+        match std::fs::read_to_string(&path) {
+            Ok(text) => serde_json::from_str(&text).map(Some).map_err(|error| wrong(error.to_string())),
+            Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
+            Err(error) => Err(wrong(error.to_string())),
+        }
+    }
 }
 
 /// Writes `value` as indented JSON, the whole file or nothing.
@@ -234,7 +260,7 @@ pub fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Error> {
 
 fn remove(path: &Path) -> Result<(), Error> {
     match std::fs::remove_file(path) {
-        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+        Err(error) if error.kind() != ErrorKind::NotFound => {
             Err(Error::Io { action: "cannot remove", path: path.to_owned(), source: error })
         }
         _ => Ok(()),

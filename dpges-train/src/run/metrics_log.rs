@@ -125,7 +125,7 @@ impl MetricsLog {
 
     /// Appends `line` with what only some runs measure.
     fn append_evaluation(&mut self, evaluation: &Evaluation, mut line: Value) -> Result<()> {
-        let Fitted { psnr_fitted, ssim_fitted } = evaluation.fitted;
+        let Fitted { psnr_fitted, ssim_fitted, .. } = evaluation.fitted;
         for (key, value) in [("psnr_fitted", psnr_fitted), ("ssim_fitted", ssim_fitted)] {
             if let Some(value) = value {
                 line[key] = json!(value);

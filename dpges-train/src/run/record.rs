@@ -12,6 +12,7 @@ use super::metrics_log::MetricsLog;
 use crate::config::Config;
 use crate::eval::{EvalReport, Evaluation};
 use crate::memory::peak_memory_bytes;
+use crate::pose::RefinedPoses;
 use crate::sight::Floaters;
 
 /// Steps between lines of `metrics.jsonl`.
@@ -55,10 +56,19 @@ impl Record {
         Ok(())
     }
 
-    pub fn save(&mut self, scene: &SceneData, checkpoint: &Checkpoint) -> Result<(), CheckpointError> {
+    /// Writes `scene`, `checkpoint` and the refined `poses` of the training views, if there are any.
+    pub fn save(
+        &mut self,
+        scene: &SceneData,
+        checkpoint: &Checkpoint,
+        poses: Option<&RefinedPoses>,
+    ) -> Result<(), CheckpointError> {
         scene.save(&self.folder.scene())?;
         if let Some(corrections) = checkpoint.corrections() {
             write_json(&self.folder.exposure(), &corrections)?;
+        }
+        if let Some(poses) = poses {
+            write_json(&self.folder.poses(), poses)?;
         }
         checkpoint.save(&self.folder.checkpoint())?;
         self.saved = Some(checkpoint.completed_steps());

@@ -202,11 +202,38 @@ fn corrections_of_exposure_are_in_the_folder_and_scores_say_what_they_are_worth(
     let report: EvalReport = serde_json::from_str(&std::fs::read_to_string(folder.evaluation()).unwrap()).unwrap();
     assert!(report.evaluation.fitted.psnr_fitted.is_some() && report.evaluation.views[0].fitted.ssim_fitted.is_some());
 
-    let again = run(&SHORT).overwrite(folder.clone(), Origin::new("builtin", "cpu"));
-    again.unwrap().train(&mut ()).unwrap();
+    run_again_without(&folder);
     assert!(!folder.exposure().exists());
     let text = std::fs::read_to_string(folder.evaluation()).unwrap();
     assert!(!text.contains("fitted"), "{text}");
+}
+
+#[test]
+fn refined_poses_are_in_the_folder() {
+    let at = tempfile::tempdir().unwrap();
+    let folder = RunFolder::new(at.path().join("run"));
+    assert_eq!(folder.read_poses().unwrap(), None);
+    let mut run = in_folder(&[&SHORT[..], &["train.poses=on"]].concat(), folder.path());
+    run.train(&mut ()).unwrap();
+    let found = folder.read_poses().unwrap().unwrap();
+    assert_eq!(found.keys().collect::<Vec<_>>(), ["train_000", "train_001", "train_002"]);
+    let mut views = dataset().train.clone();
+    crate::pose::refine(&mut views, &found);
+    for ((view, now), recorded) in views.iter().zip(&run.trainer().dataset().train).zip(&dataset().train) {
+        let [found, now, recorded] = [view, now, recorded].map(|view| view.camera.camera_from_world);
+        assert!((found.centre() - now.centre()).length() < 1e-12 && now != recorded);
+    }
+    std::fs::write(folder.poses(), "{").unwrap();
+    let broken = folder.read_poses().unwrap_err().to_string();
+    assert!(broken.contains("poses.json"), "{broken}");
+    run_again_without(&folder);
+    assert!(!folder.poses().exists());
+}
+
+/// Overwrites the run in `folder` with a plain one.
+fn run_again_without(folder: &RunFolder) {
+    let again = run(&SHORT).overwrite(folder.clone(), Origin::new("builtin", "cpu"));
+    again.unwrap().train(&mut ()).unwrap();
 }
 
 #[test]

@@ -12,8 +12,10 @@ use super::checkpoint::{Checkpoint, RunState};
 use super::validation::Validation;
 use crate::config::{Config, StagePlan};
 use crate::dataset::Dataset;
+use crate::pose::{PoseChanges, RefinedPoses};
 use crate::stage::{
-    self, Context, ExposureState, PendingStep, Stage, StageCheckpoint, StepReport, TrainError, Trained, begin_step,
+    self, Context, ExposureState, PendingStep, PoseState, Settled, Stage, StageCheckpoint, StepReport, TrainError,
+    Trained, begin_step,
 };
 
 /// A scene that learns a dataset, and where in the plan of its stages it stands.
@@ -40,6 +42,7 @@ impl Trainer {
         let mut context = Self::context(config, dataset, device);
         context.check_plan(&plan)?;
         context.exposure = context.start_of_exposure()?;
+        context.poses = context.start_of_poses();
         context.depth = context.start_of_depth();
         let mut trained = Trained { environment: context.start_of_environment()?, ..Trained::default() };
         let stage = stage::begin(plan[0], &mut trained, &mut context)?;
@@ -57,8 +60,17 @@ impl Trainer {
 
     fn context(config: Config, dataset: Arc<Dataset>, device: Device) -> Context {
         let rng = ChaCha8Rng::seed_from_u64(config.train.seed);
-        let (remaining_views, exposure) = (Vec::new(), ExposureState::default());
-        Context { dataset, config, device, rng, remaining_views, completed_steps: 0, exposure, depth: None }
+        Context {
+            dataset,
+            config,
+            device,
+            rng,
+            remaining_views: Vec::new(),
+            completed_steps: 0,
+            exposure: ExposureState::default(),
+            poses: PoseState::default(),
+            depth: None,
+        }
     }
 
     /// Goes on where `checkpoint` was made.
@@ -66,7 +78,7 @@ impl Trainer {
     /// # Errors
     /// [`TrainError::Resume`] if the dataset is another one or the checkpoint contradicts itself.
     pub fn resume(checkpoint: Checkpoint, dataset: Arc<Dataset>, device: Device) -> Result<Self, TrainError> {
-        let Checkpoint { state, mut attributes, columns, max_pixels } = checkpoint;
+        let Checkpoint { state, mut attributes, mut columns, max_pixels } = checkpoint;
         let RunState { config, info, completed_steps, stage: at, validation, growth, rng, remaining_views, view_names } =
             state;
         if view_names != names_of_views(&dataset) {
@@ -80,9 +92,12 @@ impl Trainer {
         };
         let exposure = ExposureState::from_rows(&mut attributes, dataset.train.len(), &device)
             .map_err(|reason| TrainError::Resume { reason })?;
+        let poses = PoseState::from_rows(&mut attributes, &mut columns, &dataset)
+            .map_err(|reason| TrainError::Resume { reason })?;
         let mut context =
-            Context { dataset, config, device, rng, remaining_views, completed_steps, exposure, depth: None };
+            Context { dataset, config, device, rng, remaining_views, completed_steps, exposure, poses, depth: None };
         context.depth = context.start_of_depth();
+        context.place_cameras();
         let of_stage = StageCheckpoint { info, growth, attributes, columns, max_pixels };
         let (stage, trained) = stage::resume(current, of_stage, &context)?;
         Ok(Self { context, plan, at, stage, trained, validation, pending: None })
@@ -95,8 +110,10 @@ impl Trainer {
         if let Some(discs) = &self.trained.discs {
             stage.add_discs(discs);
         }
-        let StageCheckpoint { info, growth, mut attributes, columns, max_pixels } = stage;
-        attributes.extend(context.exposure.rows().map(|(name, rows)| (name.to_owned(), rows)));
+        let StageCheckpoint { info, growth, mut attributes, mut columns, max_pixels } = stage;
+        let of_views = context.exposure.rows().into_iter().chain(context.poses.rows());
+        attributes.extend(of_views.map(|(name, rows)| (name.to_owned(), rows)));
+        columns.extend(context.poses.columns().into_iter().map(|(name, values)| (name.to_owned(), values)));
         let state = RunState {
             config: context.config.clone(),
             info,
@@ -115,6 +132,7 @@ impl Trainer {
         &self.context.config
     }
 
+    /// With the cameras of the training views where they are by now, if their poses are refined.
     pub fn dataset(&self) -> &Arc<Dataset> {
         &self.context.dataset
     }
@@ -155,6 +173,16 @@ impl Trainer {
     /// Whether the run corrects the exposures of its training views.
     pub fn corrects_exposure(&self) -> bool {
         self.context.exposure.is_on()
+    }
+
+    /// The poses of the training views by name; `None` if they are as they were recorded.
+    pub fn refined_poses(&self) -> Option<RefinedPoses> {
+        self.context.refined_poses()
+    }
+
+    /// How far the cameras of the training views have been moved; `None` if they are where they were recorded.
+    pub fn pose_changes(&self) -> Option<PoseChanges> {
+        self.context.pose_changes()
     }
 
     /// The scene as it stands.
@@ -199,6 +227,7 @@ impl Trainer {
     /// nothing. [`TrainError::Device`] if the device failed. Those of [`new`](Self::new) where a stage begins.
     pub fn step(&mut self) -> Result<Option<StepReport>, TrainError> {
         let mut known = None;
+        self.context.refine_poses();
         if self.stage_is_over() {
             known = self.settle()?;
             self.next_stage()?;
@@ -218,7 +247,7 @@ impl Trainer {
             return self.settle();
         }
         if let Some(before) = before {
-            known = Some(before.settle()?);
+            known = Some(self.settled(before)?);
         }
         Ok(known)
     }
@@ -229,7 +258,15 @@ impl Trainer {
     /// [`TrainError::Step`] or [`TrainError::Loss`] if its loss or a gradient was not finite, [`TrainError::Device`] if
     /// the device failed.
     pub fn settle(&mut self) -> Result<Option<StepReport>, TrainError> {
-        self.pending.take().map(PendingStep::settle).transpose()
+        self.pending.take().map(|pending| self.settled(pending)).transpose()
+    }
+
+    fn settled(&mut self, pending: PendingStep) -> Result<StepReport, TrainError> {
+        let Settled { report, pose_gradient } = pending.settle()?;
+        if let Some(gradient) = pose_gradient {
+            self.context.poses.keep(report.step, report.view, gradient);
+        }
+        Ok(report)
     }
 }
 
@@ -433,9 +470,11 @@ mod tests {
     fn a_run_goes_on_from_any_step_of_any_stage_to_the_same_end() {
         let folder = tempfile::tempdir().unwrap();
         let with_exposure = [&STAGES[..], &["train.exposure=on"]].concat();
-        let runs: [(&[&str], &[usize]); 6] = [
+        let with_poses = [&STAGES[..], &["train.poses=on"]].concat();
+        let runs: [(&[&str], &[usize]); 7] = [
             (&STAGES, &[7, 18, 19, 30, 36, 50]),
             (&with_exposure, &[7, 18, 50]),
+            (&with_poses, &[1, 7, 18, 19, 50]),
             (&["train.steps=40", "train.method=mcmc", "refine.budget=300", "model.environment=sh2"], &[1, 25]),
             (&["train.steps=40", "train.method=dbs", "refine.budget=300"], &[25]),
             (&["train.steps=40", "train.method=mip-splatting", "refine.budget=300"], &[11, 25]),
@@ -696,6 +735,89 @@ mod tests {
         let wrong: f64 = truth.iter().zip(&learnt).map(|(a, b)| (a - b).powi(2)).sum();
         let all: f64 = truth.iter().map(|a| a.powi(2)).sum();
         assert!(wrong < 0.25 * all, "{truth:?} {learnt:?}");
+    }
+
+    #[test]
+    fn poses_are_learnt_around_their_mean_in_every_stage() {
+        let mut trainer = trainer(&[&STAGES[..], &["train.poses=on"]].concat());
+        let recorded = dataset();
+        let mut before = vec![0.0; 18];
+        for stage in ["2dgs", "dbs", "joint"] {
+            while !trainer.stage_is_over() {
+                trainer.step().unwrap();
+            }
+            assert_eq!(trainer.stage().kind.to_string(), stage);
+            let after = trainer.checkpoint().attributes["poses"].raw.clone();
+            assert!(after.iter().zip(&before).all(|(a, b)| a != b), "{stage}: {after:?}");
+            for column in 0..6 {
+                let sum: f32 = after.iter().skip(column).step_by(6).sum();
+                assert!(sum.abs() < 1e-6, "{stage}: column {column} sums to {sum}");
+            }
+            let poses = trainer.refined_poses().unwrap();
+            assert_eq!(poses.keys().collect::<Vec<_>>(), ["train_000", "train_001", "train_002"]);
+            assert!((poses["train_001"].correction.rotation[2] - f64::from(after[8])).abs() < 1e-9);
+            for (now, recorded) in trainer.dataset().train.iter().zip(&recorded.train) {
+                let expected = poses[&now.name].correction.applied(&recorded.camera.camera_from_world);
+                assert!(now.camera.camera_from_world == expected && expected != recorded.camera.camera_from_world);
+            }
+            let changes = trainer.pose_changes().unwrap();
+            assert!(changes.mean_degrees > 0.0 && changes.largest_shift < 0.1, "{changes}");
+            before = after;
+            if !trainer.is_in_last_stage() {
+                trainer.next_stage().unwrap();
+            }
+        }
+        let without = self::trainer(&["train.steps=9"]);
+        assert!(without.refined_poses().is_none() && !without.checkpoint().attributes.contains_key("poses"));
+    }
+
+    #[test]
+    fn cameras_that_do_not_move_change_no_bit() {
+        let scene = |set: &[&str]| {
+            let common = ["train.steps=40", "stages.gaussians=0.5", "refine.budget=500", "model.environment=sh1"];
+            let mut trainer = trainer(&[&common[..], set].concat());
+            while !trainer.is_finished() {
+                trainer.step().unwrap();
+            }
+            trainer.scene()
+        };
+        let still = ["train.poses=on", "optimizer.pose_rotation=0", "optimizer.pose_translation=0"];
+        let without = scene(&[]);
+        assert!(scene(&still) == without, "the probe of a pose changes nothing");
+        assert!(scene(&["train.poses=off"]) == without);
+        assert!(scene(&["train.poses=on"]) != without);
+    }
+
+    /// Mean distance in the pictures, px, between where cameras of `found` and the training cameras of `truth` see the
+    /// points that these saw.
+    fn misplacement(found: &Dataset, truth: &Dataset) -> f64 {
+        let (mut sum, mut count) = (0.0, 0.0);
+        for (position, seen_by) in truth.points.positions.iter().zip(&truth.points.seen_by) {
+            let world = DVec3::from_array(position.map(f64::from));
+            for &view in seen_by {
+                let [found, truth] = [found, truth].map(|data| data.train[view as usize].camera.project(world));
+                let (Some((x, y, _)), Some((true_x, true_y, _))) = (found, truth) else { continue };
+                (sum, count) = (sum + (x - true_x).hypot(y - true_y), count + 1.0);
+            }
+        }
+        sum / count
+    }
+
+    #[test]
+    fn misplaced_cameras_are_put_back() {
+        let options =
+            BuiltinOptions { width: 48, height: 48, train_views: 12, test_views: 1, points: 800, ..Default::default() };
+        let truth = builtin(&options);
+        // both what is wrong and what corrects it have no mean: nothing that all cameras have in common stands between
+        let wrong = Arc::new(builtin(&BuiltinOptions { pose_degrees: 0.2, pose_extents: 0.005, ..options }));
+        let rates = ["optimizer.pose_rotation=1e-3", "optimizer.pose_translation=1e-3"];
+        let set = ["train.steps=720", "refine.budget=2000", "train.poses=on"];
+        let mut trainer = Trainer::new(config(&[&set[..], &rates].concat()), wrong.clone(), device()).unwrap();
+        while !trainer.is_finished() {
+            trainer.step().unwrap();
+        }
+        let (before, after) = (misplacement(&wrong, &truth), misplacement(trainer.dataset(), &truth));
+        assert!(after < 0.5 * before, "{after} px, {before} px before; {}", trainer.pose_changes().unwrap());
     }
 
     /// Of the surfels of `trainer` in a training view of the built-in scene.

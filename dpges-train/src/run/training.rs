@@ -244,7 +244,10 @@ impl Run {
         // what was read from a device that has failed must not replace the files of an earlier step
         self.check_device(observer)?;
         if let Some(record) = &mut self.record {
-            record.save(&scene, &checkpoint)?;
+            record.save(&scene, &checkpoint, self.trainer.refined_poses().as_ref())?;
+            if let Some(changes) = self.trainer.pose_changes() {
+                tracing::info!("after {} steps training cameras are {changes}", checkpoint.completed_steps());
+            }
             observer.saved(checkpoint.completed_steps());
         }
         Ok(())

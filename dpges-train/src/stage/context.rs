@@ -10,10 +10,11 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::config::{Budget, Config, StagePlan};
 use crate::dataset::Dataset;
-use crate::stage::{DepthMaps, ExposureState};
+use crate::stage::{DepthMaps, ExposureState, PoseState};
 
 /// What all stages of a run share.
 pub struct Context {
+    /// With the cameras of the training views where they are by now, if their poses are refined.
     pub dataset: Arc<Dataset>,
     pub config: Config,
     pub device: Device,
@@ -24,6 +25,8 @@ pub struct Context {
     pub completed_steps: usize,
     /// Of the training views, through all stages.
     pub exposure: ExposureState,
+    /// Likewise.
+    pub poses: PoseState,
     /// `None` if no depth maps are learnt from.
     pub depth: Option<DepthMaps>,
 }

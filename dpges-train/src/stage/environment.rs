@@ -153,7 +153,7 @@ mod tests {
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
 
-    use super::super::ExposureState;
+    use super::super::{ExposureState, PoseState};
     use super::*;
     use crate::init::sky::tests::{BLUE, ring, tower};
     use crate::run::fixtures::{config, device};
@@ -167,6 +167,7 @@ mod tests {
             remaining_views: Vec::new(),
             completed_steps: 0,
             exposure: ExposureState::default(),
+            poses: PoseState::default(),
             depth: None,
         };
         context.start_of_environment().unwrap()

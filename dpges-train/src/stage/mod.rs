@@ -14,6 +14,7 @@ mod given;
 mod joint;
 mod parameters;
 mod pending;
+mod poses;
 mod report;
 mod sampling_limit;
 mod step;
@@ -32,7 +33,8 @@ pub use error::TrainError;
 pub use exposure::{EXPOSURE, ExposureState};
 use joint::JointStage;
 pub use parameters::{Leaves, Parameters, StepRates};
-pub use pending::PendingStep;
+pub use pending::{PendingStep, Settled};
+pub use poses::PoseState;
 pub use report::StepReport;
 pub use step::{StepInput, begin_step};
 

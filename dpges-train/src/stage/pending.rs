@@ -8,7 +8,6 @@ use burn::tensor::{ExecutionError, Tensor, TensorData, read_sync};
 use dpges_core::counters::transfers::{download, wait};
 use dpges_core::losses::{Losses, Target, mean_of_counted};
 use dpges_core::ops::finite::{FiniteChecks, check_finite};
-use dpges_core::scene::schema::Attribute;
 
 use super::{StepReport, TrainError};
 
@@ -28,6 +27,13 @@ enum Waiting {
     No(Numbers),
 }
 
+/// What is known of a step that the device has done.
+pub struct Settled {
+    pub report: StepReport,
+    /// With respect to the pose of its view; `None` if that is not refined.
+    pub pose_gradient: Option<[f32; 6]>,
+}
+
 /// Whether a step may be taken: whether its loss and all its gradients are finite.
 pub struct Gate {
     checks: FiniteChecks,
@@ -38,17 +44,12 @@ pub struct Gate {
 }
 
 impl Gate {
-    /// Of a step with these `gradients`.
-    pub fn new<'a>(
-        loss: &Tensor<1>,
-        gradients: impl Iterator<Item = &'a (&'static Attribute, Option<Tensor<2>>)>,
-    ) -> Self {
+    /// Of a step with these `gradients` of what has these names.
+    pub fn new<'a>(loss: &Tensor<1>, gradients: impl Iterator<Item = (&'a str, &'a Tensor<2>)>) -> Self {
         let mut checks = FiniteChecks::default();
         checks.add("loss", &loss.clone().inner());
-        for (attribute, gradient) in gradients {
-            if let Some(gradient) = gradient {
-                checks.add(format!("gradient of {}", attribute.raw_name), gradient);
-            }
+        for (name, gradient) in gradients {
+            checks.add(format!("gradient of {name}"), gradient);
         }
         let bad = checks.positions().greater_equal_elem(0).float().sum();
         let open = bad.clone().clamp_max(1.0) * -1.0 + 1.0;
@@ -57,13 +58,15 @@ impl Gate {
 }
 
 impl PendingStep {
-    /// Asks for the numbers without waiting for them: the `losses`, and the error of `image` [3, H, W].
+    /// Asks for the numbers without waiting for them: the `losses`, the error of `image` [3, H, W], and the `pose_gradient`
+    /// [1, 6], if there is one.
     pub fn new(
         report: StepReport,
         view_name: String,
         losses: Losses,
         image: Tensor<3>,
         target: Target,
+        pose_gradient: Option<Tensor<2>>,
         gate: &Gate,
     ) -> Self {
         let target = target.inner();
@@ -72,6 +75,7 @@ impl PendingStep {
         let Losses { total, rgb, surfel, scale, transmittance } = losses;
         let mut numbers: Vec<Tensor<1>> = [total, rgb, surfel, scale, transmittance].map(Tensor::inner).into();
         numbers.extend([squared_error, gate.bad.clone()]);
+        numbers.extend(pose_gradient.map(|gradient| gradient.reshape([6])));
         let checks = gate.checks.clone();
         let mut future: Pin<Box<dyn Future<Output = Numbers> + Send>> =
             Box::pin(Tensor::cat(numbers, 0).into_data_async());
@@ -88,7 +92,7 @@ impl PendingStep {
     /// # Errors
     /// [`TrainError::Loss`] or [`TrainError::Step`] if the loss or a gradient was not finite, [`TrainError::Device`] if
     /// the device failed.
-    pub fn settle(self) -> Result<StepReport, TrainError> {
+    pub fn settle(self) -> Result<Settled, TrainError> {
         let numbers = match self.numbers {
             Waiting::For(future) => wait(|| read_sync(future)),
             Waiting::No(numbers) => numbers,
@@ -96,8 +100,8 @@ impl PendingStep {
         let (step, view) = (self.report.step, self.view_name);
         let numbers = numbers.map_err(|error| TrainError::Device { step, reason: error.to_string() })?;
         let numbers: Vec<f64> = download(numbers).iter::<f64>().collect();
-        let &[loss, rgb, surfel, scale, transmittance, squared_error, bad] = numbers.as_slice() else {
-            unreachable!("seven numbers were asked for");
+        let &[loss, rgb, surfel, scale, transmittance, squared_error, bad, ref pose @ ..] = numbers.as_slice() else {
+            unreachable!("at least seven numbers were asked for");
         };
         if !loss.is_finite() {
             return Err(TrainError::Loss { step, view, loss });
@@ -106,6 +110,8 @@ impl PendingStep {
             check_finite(&self.checks).map_err(|source| TrainError::Step { step, view, source })?;
         }
         let psnr = -10.0 * squared_error.log10();
-        Ok(StepReport { loss, rgb, surfel, scale, transmittance, psnr, ..self.report })
+        let report = StepReport { loss, rgb, surfel, scale, transmittance, psnr, ..self.report };
+        let pose_gradient = <&[f64; 6]>::try_from(pose).ok().map(|gradient| gradient.map(|value| value as f32));
+        Ok(Settled { report, pose_gradient })
     }
 }

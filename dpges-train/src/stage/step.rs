@@ -2,11 +2,14 @@
 
 use burn::tensor::Tensor;
 use dpges_core::losses::Target;
+use dpges_core::ops::environment::environment;
 use dpges_core::render::Values;
+use dpges_core::render::pose::PoseProbe;
 
 use super::depth::DepthTarget;
 use super::exposure::photographed;
 use super::pending::{Gate, PendingStep};
+use super::poses::POSES;
 use super::{Context, Stage, StepReport, TrainError};
 use crate::dataset::{Picture, View};
 
@@ -27,6 +30,8 @@ pub struct StepInput<'a> {
     pub depth: Option<DepthTarget>,
     /// [1, 6] the colour correction of the view, on the tape; `None` in runs without any.
     pub exposure: Option<Tensor<2>>,
+    /// What the gradient of the pose of the view arrives at; `None` if poses are not refined.
+    pub pose: Option<&'a PoseProbe>,
 }
 
 impl StepInput<'_> {
@@ -35,6 +40,17 @@ impl StepInput<'_> {
         match &self.exposure {
             Some(correction) => photographed(image, correction),
             None => image,
+        }
+    }
+
+    /// The environment [3, H, W] with `coefficients` [(degree + 1)², 3] behind the view.
+    ///
+    /// # Errors
+    /// Those of [`environment`].
+    pub fn environment(&self, coefficients: &Tensor<2>) -> dpges_core::Result<Tensor<3>> {
+        match self.pose {
+            Some(probe) => environment(&probe.environment(coefficients), &self.view.camera),
+            None => environment(coefficients, &self.view.camera),
         }
     }
 }
@@ -65,8 +81,9 @@ pub fn begin_step(
     let corrections = context.exposure.leaf();
     let exposure = corrections.as_ref().map(|leaf| leaf.clone().slice([report.view..report.view + 1, 0..6]));
     let index = report.view;
-    let input =
-        StepInput { completed, index, view, picture: &picture, target: target.clone(), values, depth, exposure };
+    let probe = context.pose_probe(index);
+    let (picture, pose) = (&*picture, probe.as_ref());
+    let input = StepInput { completed, index, view, picture, target: target.clone(), values, depth, exposure, pose };
     let at = |source| TrainError::Step { step: report.step, view: view.name.clone(), source };
     let forward = stage.forward(&leaves, &input, context).map_err(at)?;
 
@@ -76,10 +93,13 @@ pub fn begin_step(
         stage.observe_probe(gradient);
     }
     let of_exposure = context.exposure.gradient(corrections.as_ref(), &mut gradients);
-    let gate = Gate::new(&forward.losses.total, found.iter().chain(&of_exposure));
-    let pending = PendingStep::new(report, view.name.clone(), forward.losses, forward.image, target, &gate);
+    let of_pose = probe.as_ref().and_then(|probe| probe.gradient(&mut gradients));
+    let attributes = found.iter().chain(&of_exposure);
+    let attributes = attributes.filter_map(|(attribute, gradient)| Some((attribute.raw_name, gradient.as_ref()?)));
+    let gate = Gate::new(&forward.losses.total, attributes.chain(of_pose.as_ref().map(|gradient| (POSES, gradient))));
+    let pending = PendingStep::new(report, view.name.clone(), forward.losses, forward.image, target, of_pose, &gate);
     // The tape shares the parameters: without it the optimiser can work in place
-    drop((leaves, corrections));
+    drop((leaves, corrections, probe));
 
     let rates = stage.rates(completed, &context.config);
     stage.parameters().step(found, &gate.open, &rates, context.config.optimizer.adam(completed))?;

@@ -17,7 +17,7 @@ use crate::config::{Config, Method, StageKind};
 use crate::dataset::{Dataset, Format, Picture, PointCloud, View};
 use crate::rendered::Renderer;
 use crate::run::{StepReport, TrainError};
-use crate::stage::{self, Context, ExposureState, PendingStep, Stage, begin_step};
+use crate::stage::{self, Context, ExposureState, PendingStep, PoseState, Stage, begin_step};
 
 /// Where in the stage the steps are, as a share: surfels are still judged, blended Gaussians still densified.
 const PROGRESS: f64 = 0.4;
@@ -90,6 +90,7 @@ impl Steps {
             remaining_views: Vec::new(),
             completed_steps: plan.begin + (PROGRESS * plan.steps as f64) as usize,
             exposure: ExposureState::default(),
+            poses: PoseState::default(),
             depth: None,
         };
         let stage = stage::of_scene(plan, scene, &context)?;

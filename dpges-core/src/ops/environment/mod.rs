@@ -12,6 +12,7 @@ mod cpu;
 mod cube;
 #[cfg(test)]
 mod tests;
+pub mod turn;
 
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, Dispatch, backend_extension};

@@ -13,6 +13,7 @@ use rayon::prelude::*;
 use self::room::{Hit, trace};
 use super::assemble::mean_and_extent;
 use super::{Dataset, DepthKind, DepthMap, Format, Picture, PointCloud, View};
+use crate::pose::PoseCorrection;
 
 const FIELD_OF_VIEW: f64 = 0.9;
 const TARGET: DVec3 = DVec3::new(0.0, 0.0, 0.3);
@@ -39,10 +40,15 @@ pub struct BuiltinOptions {
     pub supersampling: usize,
     /// Largest change of exposure of a view, up or down, stops of linear light.
     pub exposure_stops: f64,
+    /// By how much training cameras are turned away from where they took their photographs, by root mean square, degrees.
+    /// The mean of their rotation vectors is 0.
+    pub pose_degrees: f64,
+    /// By how much they are shifted, likewise, extents.
+    pub pose_extents: f64,
     /// Depth maps of the training views: exact, but for their steps. Relative ones are scaled and shifted from view to
     /// view.
     pub depth: Option<DepthKind>,
-    /// Seed of the points and of the exposures. Cameras do not depend on it.
+    /// Seed of the points, of the exposures and of what is wrong with poses. Cameras do not depend on it otherwise.
     pub seed: u64,
     /// Whether the photographs are taken through a fisheye lens that sees 170° across the picture.
     pub fisheye: bool,
@@ -58,6 +64,8 @@ impl Default for BuiltinOptions {
             points: 2000,
             supersampling: 3,
             exposure_stops: 0.0,
+            pose_degrees: 0.0,
+            pose_extents: 0.0,
             depth: None,
             seed: 1,
             fisheye: false,
@@ -84,11 +92,13 @@ pub fn builtin(options: &BuiltinOptions) -> Dataset {
             })
             .collect()
     };
-    let train = views("train", options.train_views, 0.0, options.depth);
+    let mut train = views("train", options.train_views, 0.0, options.depth);
     let centres: Vec<DVec3> = train.iter().map(|view| view.camera.centre()).collect();
     let (_, extent) = mean_and_extent(&centres);
+    let points = surface_points(&train, options);
+    misplace(&mut train, options, extent);
     Dataset {
-        points: surface_points(&train, options),
+        points,
         test: views("test", options.test_views, 0.5, None),
         validation: Vec::new(),
         train,
@@ -98,6 +108,27 @@ pub fn builtin(options: &BuiltinOptions) -> Dataset {
         format: Format::Builtin,
         near,
         spare_memory: usize::MAX,
+    }
+}
+
+/// Puts the cameras of `views` where they did not take their photographs, as `options` ask for in a scene of `extent`.
+fn misplace(views: &mut [View], options: &BuiltinOptions, extent: f64) {
+    let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
+    rng.set_stream(2);
+    let mut vectors = |size: f64| -> Vec<DVec3> {
+        let count = views.len() as f64;
+        let mut random = || DVec3::from_array(std::array::from_fn(|_| rng.random_range(-1.0..=1.0)));
+        let vectors: Vec<DVec3> = views.iter().map(|_| random()).collect();
+        let mean = vectors.iter().sum::<DVec3>() / count;
+        let square = vectors.iter().map(|vector| (*vector - mean).length_squared()).sum::<f64>() / count;
+        // one view has nothing but its mean
+        let factor = if square > 0.0 { size / square.sqrt() } else { 0.0 };
+        vectors.into_iter().map(|vector| factor * (vector - mean)).collect()
+    };
+    let (turns, shifts) = (vectors(options.pose_degrees.to_radians()), vectors(options.pose_extents * extent));
+    for ((view, turn), shift) in views.iter_mut().zip(turns).zip(shifts) {
+        let wrong = PoseCorrection { rotation: turn.to_array(), translation: shift.to_array() };
+        view.camera.camera_from_world = wrong.applied(&view.camera.camera_from_world);
     }
 }
 
@@ -201,6 +232,8 @@ fn sees(camera: &Camera, position: DVec3) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use glam::DQuat;
+
     use super::*;
 
     #[test]
@@ -290,6 +323,31 @@ mod tests {
         // half a stop is a factor of about 1.17 in display-referred values
         assert!(low > 0.8 && low < 0.95 && high > 1.05 && high < 1.25, "{low} to {high}");
         assert!(pairs().all(|(a, b)| a.camera == b.camera && a.name == b.name));
+    }
+
+    #[test]
+    fn misplaced_cameras_are_as_wrong_as_asked_around_where_they_took_their_photographs() {
+        let options =
+            BuiltinOptions { width: 8, height: 8, train_views: 7, test_views: 2, points: 50, ..Default::default() };
+        let right = builtin(&options);
+        let wrong = builtin(&BuiltinOptions { pose_degrees: 0.2, pose_extents: 0.005, ..options });
+        assert_eq!((&right.points, right.extent), (&wrong.points, wrong.extent));
+        assert!(right.test.iter().zip(&wrong.test).all(|(a, b)| a.camera == b.camera));
+        let (extent, mut turns, mut shifts) = (wrong.extent, Vec::new(), Vec::new());
+        for (right, wrong) in right.train.iter().zip(&wrong.train) {
+            assert_eq!(right.picture().unwrap(), wrong.picture().unwrap());
+            let (a, b) = (&right.camera.camera_from_world, &wrong.camera.camera_from_world);
+            turns.push(DQuat::from_mat3(&(b.rotation.transpose() * a.rotation)).to_scaled_axis());
+            shifts.push(b.centre() - a.centre());
+        }
+        let mean = |vectors: &[DVec3]| (vectors.iter().sum::<DVec3>() / vectors.len() as f64).length();
+        let size = |vectors: &[DVec3]| {
+            (vectors.iter().map(|vector| vector.length_squared()).sum::<f64>() / vectors.len() as f64).sqrt()
+        };
+        assert!(mean(&turns) < 1e-9, "{}", mean(&turns));
+        assert!((size(&turns).to_degrees() - 0.2).abs() < 1e-6, "{}", size(&turns).to_degrees());
+        assert!(mean(&shifts) < 1e-9, "{}", mean(&shifts));
+        assert!((size(&shifts) / extent - 0.005).abs() < 1e-9, "{}", size(&shifts));
     }
 
     #[test]

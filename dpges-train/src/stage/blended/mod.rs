@@ -10,9 +10,8 @@ mod start;
 use burn::tensor::{DType, Device, Tensor};
 use dpges_core::losses::geometry::expected_depth;
 use dpges_core::losses::{Losses, rgb};
-use dpges_core::ops::environment::environment;
 use dpges_core::ops::jitter::NoiseGate;
-use dpges_core::render::blended::{BlendedOptions, render_blended};
+use dpges_core::render::blended::{BlendedOptions, Probes, render_blended_probed};
 use dpges_core::scene::tensors::rows_to_tensor;
 use dpges_core::scene::{ColourModel, GaussianData, Gaussians, SH_C0, SceneData, SceneInfo, SurfelData};
 
@@ -224,9 +223,10 @@ impl Stage for BlendedStage {
         let weights = self.weights(input.completed, &context.config);
         let mut options = BlendedOptions::new(&self.info)?;
         options.blend.maps = weights.need_maps() || input.depth.is_some();
-        let rendered = render_blended(gaussians, probe.as_ref(), camera, &options, input.values)?;
+        let probes = Probes { gaussians: probe.as_ref(), pose: input.pose };
+        let rendered = render_blended_probed(gaussians, probes, camera, &options, input.values)?;
         let mut rendered = match &leaves.environment {
-            Some(coefficients) => rendered.in_front_of(environment(coefficients, camera)?),
+            Some(coefficients) => rendered.in_front_of(input.environment(coefficients)?),
             None => rendered,
         };
         rendered.image = input.photographed(rendered.image);

@@ -13,8 +13,7 @@ use burn::tensor::Tensor;
 use dpges_core::losses::depth::surfel_depth;
 use dpges_core::losses::geometry::{GeometryWeights, geometry};
 use dpges_core::losses::{LossWeights, hidden, losses};
-use dpges_core::ops::environment::environment;
-use dpges_core::render::{RenderOptions, render_values};
+use dpges_core::render::{RenderOptions, render_probed};
 use dpges_core::scene::{Rendering, SceneData, SceneInfo};
 
 use super::{
@@ -132,9 +131,9 @@ impl Stage for JointStage {
         let (surfels, gaussians) = (&self.drawn_surfels(&leaves.surfels), &self.drawn_gaussians(&leaves.gaussians));
         let camera = &input.view.camera;
         let options = self.render_options(&context.config);
-        let rendered = render_values(surfels, gaussians, camera, &options, input.values)?;
+        let rendered = render_probed(surfels, gaussians, camera, input.pose, &options, input.values)?;
         let mut rendered = match &leaves.environment {
-            Some(coefficients) => rendered.in_front_of(environment(coefficients, camera)?),
+            Some(coefficients) => rendered.in_front_of(input.environment(coefficients)?),
             None => rendered,
         };
         rendered.composite.image = input.photographed(rendered.composite.image);
@@ -164,6 +163,8 @@ impl Stage for JointStage {
                 None => supervision,
             };
             let weights = geometry_weights(&context.config);
+            let seen = input.pose.map(|probe| probe.surfels(surfels));
+            let surfels = seen.as_ref().unwrap_or(surfels);
             losses.total = losses.total + of_counted(geometry(&rendered, surfels, camera, &supervision, &weights)?);
         }
         Ok(ForwardPass { losses, image: rendered.composite.image, probe: None })

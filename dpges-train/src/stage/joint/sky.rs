@@ -17,7 +17,7 @@ impl SkyMasks {
     /// [`TrainError::Core`] if a photograph cannot be read again.
     pub fn new(environment: &EnvironmentState, context: &Context) -> Result<Option<Self>, TrainError> {
         let is_held_free = environment.value().is_some() && context.config.train.lambda_sky > 0.0;
-        Ok(if is_held_free { Some(Self(skies(&context.dataset)?)) } else { None })
+        Ok(if is_held_free { Some(Self(skies(&context.recorded())?)) } else { None })
     }
 
     /// Sets `values` [H × W] to 0 where the training view with index `index`, of this `picture`, shows nothing but sky.

@@ -44,7 +44,8 @@ impl Supervisions {
         let mut options = BlendedOptions::new(&info)?;
         options.blend.maps = true;
         let on_device = Discs { gaussians: Gaussians::from_data(discs, &context.device, DType::F32), options };
-        let mut room = dataset.spare_memory;
+        // those that are kept are of cameras that stay where they are
+        let mut room = if context.poses.is_on() { 0 } else { dataset.spare_memory };
         let mut views = Vec::with_capacity(dataset.train.len());
         for view in &dataset.train {
             let bytes = NUMBERS * size_of::<f32>() * view.camera.width * view.camera.height;
@@ -53,7 +54,7 @@ impl Supervisions {
             room = left.unwrap_or(room);
         }
         let again = views.iter().filter(|view| view.is_none()).count();
-        if again > 0 {
+        if again > 0 && !context.poses.is_on() {
             tracing::info!(
                 "depths and normals of {again} of {} views are rendered when they are needed, since they do not fit into \
                  memory (data.memory)",
