@@ -4,6 +4,7 @@
 //! the camera's centre through a fisheye lens.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use dpges_core::camera::Camera;
 use image::DynamicImage;
@@ -27,12 +28,13 @@ pub enum DepthKind {
     Relative,
 }
 
-/// The depth map of a view, pixel by pixel. It is kept as it is stored, since maps of all views are in memory.
+/// The depth map of a view, pixel by pixel. It is kept as it is stored, and shared by the copies of a dataset, since maps
+/// of all views are in memory.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DepthMap {
     pub kind: DepthKind,
     /// [height × width] of the picture of the view, row by row; 0 where nothing is known or the pixel does not count.
-    pub steps: Vec<u16>,
+    pub steps: Arc<[u16]>,
     /// Of one step: world units of depth; or, if relative, 1/65535.
     pub step: f64,
 }
@@ -71,7 +73,7 @@ impl DepthMap {
     pub(super) fn seen_by(&self, camera: &Camera, taken: &Camera, picture: &Picture) -> Self {
         let mut steps = sampled(&self.steps, [taken.width, taken.height], self.kind, camera, taken);
         picture.clear_ignored(&mut steps);
-        Self { steps, ..*self }
+        Self { steps: steps.into(), ..*self }
     }
 }
 
@@ -126,7 +128,7 @@ pub(super) fn read(
     let taken = frame.calibration.camera(frame.camera_from_world, camera.near);
     let mut steps = sampled(map.as_raw(), [width, height], kind, camera, &taken);
     picture.clear_ignored(&mut steps);
-    Ok(DepthMap { kind, steps, step })
+    Ok(DepthMap { kind, steps: steps.into(), step })
 }
 
 /// [height × width] the steps that the pixels of the picture of `camera` have in the map, `steps` [rows × columns], of the
@@ -320,7 +322,7 @@ mod tests {
             });
             assert!(bent.camera.lens.is_some_and(|lens| lens.is_wide() == is_wide) && straight.camera.lens.is_none());
             let expected: Vec<u16> = (0..24 * 16).map(|pixel| step(pixel % 24, pixel / 24)).collect();
-            assert_eq!(bent.depth.unwrap().steps, expected);
+            assert_eq!(bent.depth.unwrap().steps[..], expected);
             // where the lens shows what the pinhole camera has at (20.5, 12.5)
             let (u, v, _) = bent.camera.project(straight.camera.unproject(20.5, 12.5, 1.0)).unwrap();
             let ray = straight.camera.ray(20.5, 12.5).unwrap();

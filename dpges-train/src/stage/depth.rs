@@ -10,6 +10,8 @@ use crate::dataset::{Dataset, DepthKind, DepthMap, View};
 
 /// Fewest points of the dataset that give a relative map its scale and shift. Otherwise the render does.
 const FEWEST_POINTS: usize = 16;
+/// Variance up to which relative values, which reach 1, are all the same: no line through them means anything.
+const FLAT: f64 = 1e-8;
 
 /// Of the relative map of each training view the scale and the shift that the points of the dataset give it, if they do:
 /// disparity, in 1 / world units, = scale · value + shift.
@@ -50,6 +52,14 @@ impl DepthMaps {
         if count == 0 {
             return None;
         }
+        let empty = empty(dataset);
+        if let Some(first) = empty.first() {
+            tracing::warn!(
+                "{} of {count} depth maps know nothing, that of view `{first}` first: they are 0 wherever the photograph \
+                 counts (data.depth)",
+                empty.len()
+            );
+        }
         let fits: Vec<Option<[f64; 2]>> = pairs(dataset).iter().map(|pairs| rising_line(pairs)).collect();
         let views = dataset.train.len();
         if relative > 0 {
@@ -76,6 +86,12 @@ impl DepthMaps {
     }
 }
 
+/// Names of the training views whose maps know nothing.
+fn empty(dataset: &Dataset) -> Vec<&str> {
+    let is_empty = |view: &&View| view.depth.as_ref().is_some_and(|map| map.steps.iter().all(|&steps| steps == 0));
+    dataset.train.iter().filter(is_empty).map(|view| view.name.as_str()).collect()
+}
+
 /// Of each training view the values of its relative map at points of `dataset` that it saw, and their disparities.
 fn pairs(dataset: &Dataset) -> Vec<Vec<[f64; 2]>> {
     let mut pairs = vec![Vec::new(); dataset.train.len()];
@@ -91,7 +107,8 @@ fn pairs(dataset: &Dataset) -> Vec<Vec<[f64; 2]>> {
     pairs
 }
 
-/// Slope and intercept of the line through `pairs` by least squares, if there are enough of them and it rises.
+/// Slope and intercept of the line through `pairs` by least squares, if there are enough of them, with different values of
+/// the map, and it rises.
 fn rising_line(pairs: &[[f64; 2]]) -> Option<[f64; 2]> {
     if pairs.len() < FEWEST_POINTS {
         return None;
@@ -99,8 +116,10 @@ fn rising_line(pairs: &[[f64; 2]]) -> Option<[f64; 2]> {
     let mean = |of: usize| pairs.iter().map(|pair| pair[of]).sum::<f64>() / pairs.len() as f64;
     let (mean_x, mean_y) = (mean(0), mean(1));
     let sum = |of: fn(f64, f64) -> f64| pairs.iter().map(|[x, y]| of(x - mean_x, y - mean_y)).sum::<f64>();
-    let slope = sum(|x, y| x * y) / sum(|x, _| x * x);
-    (slope.is_finite() && slope > 0.0).then(|| [slope, mean_y - slope * mean_x])
+    let variance = sum(|x, _| x * x);
+    let slope = sum(|x, y| x * y) / variance;
+    let rises = variance > FLAT * pairs.len() as f64 && slope > 0.0;
+    rises.then(|| [slope, mean_y - slope * mean_x])
 }
 
 impl Context {
@@ -197,5 +216,25 @@ mod tests {
         let [slope, shift] = line(0.25, 16).unwrap();
         assert!((slope - 0.25).abs() < 1e-12 && (shift - 0.5).abs() < 1e-12);
         assert_eq!((line(0.25, 15), line(-0.25, 16), rising_line(&[[1.0, 2.0]; 20])), (None, None, None));
+        // one value, whose mean is rounded
+        let flat: Vec<[f64; 2]> = (0..50).map(|i| [12_345.0 / 65_535.0, 0.1 + 0.01 * f64::from(i)]).collect();
+        assert_eq!(rising_line(&flat), None);
+    }
+
+    #[test]
+    fn maps_of_one_value_and_maps_that_know_nothing_give_no_disparities() {
+        let mut dataset = dataset(DepthKind::Relative);
+        for (view, steps) in dataset.train.iter_mut().zip([0, 12_345]) {
+            let map = view.depth.as_mut().unwrap();
+            map.steps = vec![steps; map.steps.len()].into();
+        }
+        assert_eq!(empty(&dataset), [dataset.train[0].name.as_str()]);
+        let maps = DepthMaps::new(&dataset).unwrap();
+        assert_eq!(maps.0.iter().map(Option::is_some).collect::<Vec<_>>(), [false, false, true]);
+        let known = |view: usize| {
+            let map = dataset.train[view].depth.as_ref().unwrap();
+            maps.disparities(map, view).iter().any(|&disparity| disparity > 0.0)
+        };
+        assert_eq!([0, 1, 2].map(known), [false, true, true]);
     }
 }
