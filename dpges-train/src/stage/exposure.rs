@@ -104,8 +104,14 @@ impl Context {
     /// [`TrainError::Core`] if a photograph cannot be read again.
     pub fn start_of_exposure(&self) -> Result<ExposureState, TrainError> {
         let spread = brightness_spread(&self.dataset)?;
-        let said = spread.map(|stops| format!("the brightness of the same points differs by {stops:.2} stops"));
-        let said = said.unwrap_or_else(|| "which photographs are brighter is not known without points in them".into());
+        let said = match spread {
+            Some(stops) => {
+                format!(
+                    "the brightness of the same points differs by {stops:.2} stops between photographs, by standard deviation"
+                )
+            }
+            None => "which photographs are brighter is not known without points that they show".to_owned(),
+        };
         let is_large = spread.is_some_and(|stops| stops > LARGE_SPREAD);
         let is_on = match self.config.train.exposure {
             Exposure::On => true,
@@ -113,13 +119,9 @@ impl Context {
             Exposure::Auto => is_large,
         };
         match (is_on, is_large) {
-            (true, _) => tracing::info!("{said} between photographs: their exposures are corrected (train.exposure)"),
-            (false, true) => tracing::info!(
-                "{said} between photographs, by standard deviation: train.exposure = \"on\" corrects their exposures"
-            ),
-            (false, false) => {
-                tracing::debug!("{said} between photographs: they are taken as they are (train.exposure)")
-            }
+            (true, _) => tracing::info!("{said}: exposures are corrected (train.exposure)"),
+            (false, true) => tracing::info!("{said}: train.exposure = \"on\" corrects exposures"),
+            (false, false) => tracing::debug!("{said}: photographs are taken as they are (train.exposure)"),
         }
         Ok(if is_on { ExposureState::new(self.dataset.train.len(), &self.device) } else { ExposureState::default() })
     }
