@@ -39,7 +39,9 @@ impl Context {
         let joint = plan.iter().any(|stage| stage.kind == StageKind::Joint);
         let renders_discs = plan.iter().any(|stage| stage.kind == StageKind::Blended(Blended::Discs))
             || (joint && has_discs && self.config.train.has_geometry_losses());
-        if let Some(view) = self.dataset.train.iter().find(|view| view.camera.lens.is_some() && renders_discs) {
+        // a stage is also judged by views that it does not learn from
+        let mut views = self.dataset.train.iter().chain(&self.dataset.validation).chain(&self.dataset.test);
+        if let Some(view) = views.find(|view| view.camera.lens.is_some() && renders_discs) {
             return Err(TrainError::Plan(format!(
                 "discs cannot be seen through a lens, and view `{}` has one: set data.undistort = true, or train without \
                  discs (stages.surfels = 0)",
