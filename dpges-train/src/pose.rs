@@ -30,6 +30,12 @@ impl PoseCorrection {
         Self { rotation: [x, y, z], translation }
     }
 
+    /// Whether it turns by half a turn at most and shifts by a finite distance, also in f32.
+    pub fn is_sound(&self) -> bool {
+        let [turn, shift] = [self.rotation, self.translation].map(|vector| DVec3::from(vector).length());
+        turn <= std::f64::consts::PI && (shift as f32).is_finite()
+    }
+
     /// The pose with its correction. None leaves it as it is, to the bit.
     pub fn applied(&self, recorded: &CameraFromWorld) -> CameraFromWorld {
         if *self == Self::default() {
@@ -243,6 +249,17 @@ mod tests {
         let of_files = CameraFromWorld { rotation, translation };
         assert!((of_files.centre() - after[1].centre() - offset).length() < 1e-9);
         assert!(rotation.abs_diff_eq(after[1].rotation, 1e-9));
+    }
+
+    #[test]
+    fn corrections_without_bounds_are_not_sound() {
+        let sound = of_numbers(&[0.4, -0.7, 0.3, 10.0, -2.0, 0.3]);
+        assert!(sound.is_sound() && PoseCorrection::default().is_sound());
+        for (at, number) in [(1, 4.0), (0, f64::NAN), (2, f64::INFINITY), (3, f64::NAN), (4, 1e200), (5, 1e39)] {
+            let mut numbers = [0.0; 6];
+            numbers[at] = number;
+            assert!(!of_numbers(&numbers).is_sound(), "{numbers:?}");
+        }
     }
 
     #[test]

@@ -235,12 +235,20 @@ impl RunFolder {
     /// Reads `poses.json`; `None` if there is none.
     ///
     /// # Errors
-    /// [`RunFolderError::Poses`] if it is not what was written.
+    /// [`RunFolderError::Poses`] if it is not what was written, or moves a camera without bounds.
     pub fn read_poses(&self) -> Result<Option<RefinedPoses>, RunFolderError> {
         let path = self.poses();
         let wrong = |reason: String| RunFolderError::Poses { path: path.clone(), reason };
         match std::fs::read_to_string(&path) {
-            Ok(text) => serde_json::from_str(&text).map(Some).map_err(|error| wrong(error.to_string())),
+            Ok(text) => {
+                let poses: RefinedPoses = serde_json::from_str(&text).map_err(|error| wrong(error.to_string()))?;
+                match poses.iter().find(|(_, pose)| !pose.correction.is_sound()) {
+                    Some((view, pose)) => {
+                        Err(wrong(format!("the correction of view `{view}` is {:?}", pose.correction)))
+                    }
+                    None => Ok(Some(poses)),
+                }
+            }
             Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
             Err(error) => Err(wrong(error.to_string())),
         }

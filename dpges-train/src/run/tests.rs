@@ -131,6 +131,11 @@ fn discs_and_lenses_do_not_go_together() {
             assert!(message.contains(part), "{message}");
         }
     }
+    // nor where a lens took but a view that judges
+    let mut mixed = (*dataset()).clone();
+    mixed.test[0] = fisheye_dataset().test[0].clone();
+    let message = error(Run::new(config(&["train.method=2dgs"]), Arc::new(mixed), device())).to_string();
+    assert!(message.contains("discs") && message.contains("`test_000`"), "{message}");
 }
 
 #[test]
@@ -226,6 +231,11 @@ fn refined_poses_are_in_the_folder() {
     std::fs::write(folder.poses(), "{").unwrap();
     let broken = folder.read_poses().unwrap_err().to_string();
     assert!(broken.contains("poses.json"), "{broken}");
+    let mut lost = found.clone();
+    lost.get_mut("train_001").unwrap().correction.rotation[2] = 1e300;
+    std::fs::write(folder.poses(), serde_json::to_string(&lost).unwrap()).unwrap();
+    let lost = folder.read_poses().unwrap_err().to_string();
+    assert!(lost.contains("poses.json") && lost.contains("`train_001`") && lost.contains("1e300"), "{lost}");
     run_again_without(&folder);
     assert!(!folder.poses().exists());
 }

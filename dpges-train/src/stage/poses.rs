@@ -88,7 +88,7 @@ impl PoseState {
             .iter()
             .map(|&[step, view, gradient @ ..]| Waiting { step: step as usize, view: view as usize, gradient })
             .collect();
-        if !rest.is_empty() || waiting.iter().any(|waiting| waiting.view >= count) {
+        if !rest.is_empty() || waiting.iter().any(|waiting| waiting.view >= count || waiting.step == 0) {
             return Err(format!("column `{GRADIENTS}` does not fit {count} views"));
         }
         let Self(fresh) = Self::new(dataset);
@@ -310,10 +310,13 @@ mod tests {
         fewer.train.pop();
         let refused = PoseState::from_rows(&mut rows, &mut columns, &fewer).unwrap_err();
         assert!(refused.contains("3 × 6, expected 2 × 6"), "{refused}");
-        let (mut rows, mut columns) = saved(&state);
-        columns.insert(GRADIENTS.to_owned(), vec![0.0; 7]);
-        let refused = PoseState::from_rows(&mut rows, &mut columns, &data).unwrap_err();
-        assert!(refused.contains(GRADIENTS), "{refused}");
+        // too few numbers, and the step before the first
+        for gradients in [vec![0.0; 7], vec![0.0; 8]] {
+            let (mut rows, mut columns) = saved(&state);
+            columns.insert(GRADIENTS.to_owned(), gradients);
+            let refused = PoseState::from_rows(&mut rows, &mut columns, &data).unwrap_err();
+            assert!(refused.contains(GRADIENTS), "{refused}");
+        }
         assert!(!PoseState::from_rows(&mut HashMap::new(), &mut BTreeMap::new(), &data).unwrap().is_on());
         assert!(PoseState::default().corrections().is_empty());
     }
