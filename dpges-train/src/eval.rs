@@ -315,7 +315,7 @@ fn fitted(picture: &Tensor<3>, counted: Option<&[bool]>, image: &Tensor<3>) -> R
 }
 
 /// PSNR and SSIM of the right half of `view` from the camera that fits the left half of its `picture`, and with the
-/// `exposure` that does, if that is wanted; `None` if either half has no pixel that counts.
+/// `exposure` that does, in every step of the fit too, if that is wanted; `None` if either half has no pixel that counts.
 fn posed(
     renderer: &Renderer,
     view: &View,
@@ -334,10 +334,16 @@ fn posed(
         let mask = Some(Mask::new(&left, width, picture.height, device)?);
         Ok(Target { mask, ..picture.target(device) })
     };
-    let correction = fitted_pose(renderer, &view.camera, target, extent, device)?;
+    let photograph = quantised(picture.target(device).image);
+    let exposed = |image: Tensor<3>| {
+        if !exposure {
+            return image;
+        }
+        Correction::fitted(&image.clone().inner(), &photograph, Some(&left)).applied(image)
+    };
+    let correction = fitted_pose(renderer, &view.camera, target, exposed, extent, device)?;
     let pose = correction.applied(&view.camera.camera_from_world);
     let rendered = renderer.render(&Camera { camera_from_world: pose, ..view.camera })?;
-    let photograph = quantised(picture.target(device).image);
     of_right_half(&photograph, counted, rendered.image(), exposure)
 }
 
