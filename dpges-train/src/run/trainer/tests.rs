@@ -607,6 +607,53 @@ fn stages_learn_from_depth_maps_and_resume() {
 }
 
 #[test]
+fn a_run_that_corrects_everything_at_once_goes_on_to_the_same_end() {
+    let size = 24;
+    let options = BuiltinOptions {
+        width: size,
+        height: size,
+        train_views: 9,
+        test_views: 1,
+        points: 400,
+        depth: Some(DepthKind::Relative),
+        exposure_stops: 0.5,
+        pose_degrees: 0.2,
+        fisheye: true,
+        ..Default::default()
+    };
+    let mut data = builtin(&options);
+    let counted: Vec<bool> = (0..size * size).map(|pixel| pixel % size > 5).collect();
+    data.train[2].repaint(|picture| picture.counted = Some(counted)).unwrap();
+    data.keep_for_validation(3);
+    let data = Arc::new(data);
+    let set = [
+        "train.steps=80",
+        "train.poses=on",
+        "train.exposure=on",
+        "stages.gaussians=0.3",
+        "refine.budget=auto",
+        "refine.add_agreement=1",
+        "model.environment=sh1",
+        "model.sampling_limit=0.3",
+    ];
+    let begun = || Trainer::new(config(&set), data.clone(), device()).unwrap();
+    let whole = finished(begun());
+    for corrections in ["poses", "exposure"] {
+        assert!(whole.attributes[corrections].raw.iter().all(|number| *number != 0.0), "{corrections}");
+    }
+    let folder = tempfile::tempdir().unwrap();
+    for stop in [9, 24, 25, 60] {
+        let mut first = begun();
+        while first.completed_steps() < stop {
+            first.step().unwrap();
+        }
+        let checkpoint = saved_and_loaded(&first.checkpoint(), folder.path());
+        let second = Trainer::resume(checkpoint, data.clone(), device()).unwrap();
+        assert!(finished(second) == whole, "stopped after {stop}");
+    }
+}
+
+#[test]
 fn plans_that_lack_something_are_refused_before_the_first_step() {
     let error = |set: &[&str]| match Trainer::new(config(set), dataset(), device()) {
         Err(error) => error.to_string(),
