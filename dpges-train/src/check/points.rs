@@ -47,15 +47,15 @@ impl Cells {
         y * self.rows / camera.height * self.columns + x * self.columns / camera.width
     }
 
-    /// Share of the squares that count in which there is one of `positions`, in world units.
-    pub fn share_with(&self, camera: &Camera, positions: impl Iterator<Item = DVec3>) -> f64 {
+    /// Share of the squares that count in which there is one of `positions`, in world units; `None` if no square counts.
+    pub fn share_with(&self, camera: &Camera, positions: impl Iterator<Item = DVec3>) -> Option<f64> {
         let mut has_point = vec![false; self.counted.len()];
         for (pixel, _) in positions.filter_map(|position| camera.pixel(position)) {
             has_point[self.square(camera, pixel)] = true;
         }
         let with_point = has_point.iter().zip(&self.counted).filter(|&(&has, &counts)| has && counts).count();
         let all = self.counted.iter().filter(|&&counts| counts).count();
-        with_point as f64 / all.max(1) as f64
+        (all > 0).then(|| with_point as f64 / all as f64)
     }
 }
 

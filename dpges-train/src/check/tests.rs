@@ -158,6 +158,15 @@ fn what_is_masked_needs_no_points() {
 }
 
 #[test]
+fn of_a_view_with_few_pixels_that_count_nothing_is_said_about_points() {
+    let mut dataset = clean();
+    mask(&mut dataset.train[0], 1, noise);
+    let report = full(&dataset);
+    assert_eq!((report.views[0].coverage, report.views[0].unexplained), (None, None));
+    assert!(report.views[1].coverage.is_some() && report.views[1].unexplained.is_some());
+}
+
+#[test]
 fn a_darker_photograph_is_named() {
     let mut dataset = clean();
     repaint(&mut dataset.train[4], |planes| planes.iter_mut().for_each(|value| *value *= 0.5));

@@ -126,8 +126,12 @@ fn of_points(
         camera: view.camera,
         ignored: ignored.map(|pixels| pixels as f64 / area as f64),
         points_seen: seen.map(<[u32]>::len),
-        coverage: seen.map(|seen| cells.share_with(&view.camera, seen.iter().map(position))),
-        unexplained: (!some.is_empty()).then(|| 1.0 - cells.share_with(&view.camera, some.iter().copied())),
+        coverage: seen.and_then(|seen| cells.share_with(&view.camera, seen.iter().map(position))),
+        unexplained: if some.is_empty() {
+            None
+        } else {
+            cells.share_with(&view.camera, some.iter().copied()).map(|share| 1.0 - share)
+        },
         sharpness: None,
         detail: None,
         exposure: None,

@@ -226,6 +226,10 @@ fn photograph(frame: &Frame, offset: DVec3, near: f64, reading: &Reading) -> Res
     }
     let (camera, mut picture) = capped(camera, picture, reading.max_resolution);
     if let Some(shown) = camera.shown_pixels() {
+        if !shown.contains(&true) {
+            let (path, view) = (frame.described_in.clone(), frame.name.clone());
+            return Err(DatasetError::LensShowsNothing { path, view });
+        }
         picture.count_only(shown);
     }
     if picture.counted.as_ref().is_some_and(|counted| !counted.contains(&true)) {
@@ -345,6 +349,20 @@ mod tests {
         let enough = LoadOptions { max_resolution: Some(24), ..Default::default() };
         let same = load(folder.path(), &enough).unwrap();
         assert_eq!(same.train[0].picture().unwrap(), full.train[0].picture().unwrap());
+    }
+
+    #[test]
+    fn a_lens_that_folds_before_the_first_pixel_is_refused_by_name() {
+        let mut scene = fixtures::scene(9);
+        // the principal point is a corner between four pixels
+        (scene.model, scene.params) = ((2, "SIMPLE_RADIAL"), vec![20.0, 12.0, 8.0, -1e6]);
+        let folder = tempfile::tempdir().unwrap();
+        fixtures::write_colmap(folder.path(), &scene, Encoding::Text);
+        let options = LoadOptions { undistort: false, ..Default::default() };
+        let message = load(folder.path(), &options).unwrap_err().to_string();
+        for part in ["images.txt", "`left/001.png`", "lens", "shows nothing"] {
+            assert!(message.contains(part), "{part}: {message}");
+        }
     }
 
     #[test]

@@ -94,6 +94,11 @@ pub enum DatasetError {
          (--invert-masks), or remove the view"
     )]
     NothingCounts { path: PathBuf, view: String },
+    #[error(
+        "{path}: the lens of view `{view}` shows nothing at any pixel of its photograph; check its coefficients and its \
+         principal point, or undistort the photographs first"
+    )]
+    LensShowsNothing { path: PathBuf, view: String },
 }
 
 impl DatasetError {
