@@ -183,8 +183,8 @@ pub fn render_probed(
     options.peel.validate()?;
     validate(surfels, gaussians, values)?;
     let centre = camera.centre().to_array();
-    let surfel_colours = colour(&surfels.colour, &pose::seen(&surfels.positions, probe), centre)?;
-    let gaussian_colours = colour(&gaussians.colour, &pose::seen(&gaussians.positions, probe), centre)?;
+    let surfel_colours = colour(&surfels.colour, &surfels.positions, centre)?;
+    let gaussian_colours = colour(&gaussians.colour, &gaussians.positions, centre)?;
     let moved = probe.map(|probe| (probe.surfels(surfels), probe.gaussians(gaussians)));
     let (surfels, gaussians) = moved.as_ref().map_or((surfels, gaussians), |(surfels, gaussians)| (surfels, gaussians));
     let layers = peel(&surfels.positions, &surfels.quaternions, &surfels.log_scales, camera, &options.peel)?;

@@ -2,7 +2,7 @@
 
 use burn::tensor::{Tensor, TensorData};
 
-use super::pose::{self, PoseProbe};
+use super::pose::PoseProbe;
 use super::{Values, validate_gaussians};
 use crate::camera::Camera;
 use crate::counters::transfers::upload;
@@ -91,8 +91,7 @@ pub fn render_blended_probed(
 ) -> Result<BlendedRender> {
     camera.validate()?;
     validate_gaussians(gaussians, values)?;
-    let seen = pose::seen(&gaussians.positions, probes.pose);
-    let colours = colour(&gaussians.colour, &seen, camera.centre().to_array())?.clamp_min(0.0);
+    let colours = colour(&gaussians.colour, &gaussians.positions, camera.centre().to_array())?.clamp_min(0.0);
     let moved = probes.pose.map(|probe| probe.gaussians(gaussians));
     let blend = blend(moved.as_ref().unwrap_or(gaussians), &colours, probes.gaussians, camera, &options.blend)?;
     let image = if options.background == [0.0; 3] {

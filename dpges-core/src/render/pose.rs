@@ -9,10 +9,12 @@
 //! environment   E(exp(w) v)
 //! ```
 //!
-//! Colours depend on the direction from the camera to a primitive in the axes of the world. The turn leaves that as it is,
-//! so that they are those at `p − t`.
+//! Colours depend on the direction from the camera to a primitive in the axes of the world. The turn leaves that as it is.
+//! That the shift changes it is left out, as directions pass no gradient to positions either
+//! ([`colour`](mod@crate::ops::colour)).
 //!
-//! The motion is 0. What is rendered is the same to the bit as without it, and its derivatives are exact.
+//! The motion is 0. What is rendered is the same to the bit as without it, and apart from what a shift does to colours its
+//! derivatives are exact.
 
 use burn::tensor::{DType, Device, Gradients, Tensor, TensorData};
 
@@ -99,14 +101,6 @@ impl PoseProbe {
         ];
         let turned = turned.map(|columns| Tensor::cat(columns.into(), 1));
         (positions, less(quaternions, self.turn(), turned))
-    }
-}
-
-/// Where primitives at `positions` [N, 3] are from the camera of a `probe`, as far as their colours depend on it.
-pub fn seen(positions: &Tensor<2>, probe: Option<&PoseProbe>) -> Tensor<2> {
-    match probe {
-        Some(probe) if positions.dims()[0] > 0 => positions.clone() - probe.shift(),
-        _ => positions.clone(),
     }
 }
 
