@@ -33,8 +33,8 @@ pub fn mark_regions(
         for region in 0..REGIONS {
             let across = comptime!(region as u32 % REGION_COLUMNS * REGION_WIDTH);
             let down = comptime!(region as u32 / REGION_COLUMNS * REGION_HEIGHT);
-            let seen =
-                splat.depth < ends[region] && splat.reaches(left + across, top + down, REGION_WIDTH, REGION_HEIGHT);
+            let end = ends[comptime!(region)];
+            let seen = splat.depth < end && splat.reaches(left + across, top + down, REGION_WIDTH, REGION_HEIGHT);
             mask |= select(seen, comptime!(1u32 << region), 0u32);
         }
     }

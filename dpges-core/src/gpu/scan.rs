@@ -113,10 +113,9 @@ fn starts_kernel(values: &[u32], before: &[u32], starts: &mut [u32], count: u32,
         if at < count as usize {
             sum = plus(sum, values[at]);
             // the end of the last unit of the last block has no place within the block
-            if comptime!(number + 1 == PER_UNIT) {
-                if at + 1 == count as usize {
-                    starts[at + 1] = sum;
-                }
+            let last_of_unit = comptime!(number + 1 == PER_UNIT);
+            if last_of_unit && at + 1 == count as usize {
+                starts[at + 1] = sum;
             }
         }
     }

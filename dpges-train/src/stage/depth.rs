@@ -119,7 +119,7 @@ fn rising_line(pairs: &[[f64; 2]]) -> Option<[f64; 2]> {
     let variance = sum(|x, _| x * x);
     let slope = sum(|x, y| x * y) / variance;
     let rises = variance > FLAT * pairs.len() as f64 && slope > 0.0;
-    rises.then(|| [slope, mean_y - slope * mean_x])
+    rises.then_some([slope, mean_y - slope * mean_x])
 }
 
 impl Context {

@@ -73,9 +73,9 @@ fn pixels_without_a_ray_show_nothing() {
     let fold = Distortion { numerator: [-0.5, 0.0, 0.0, 0.0], ..Distortion::new(Projection::Perspective) };
     let camera = Camera { lens: Some(Lens::new(fold)), ..camera() };
     let found = image(&[1.0, 1.0, 1.0], &camera);
-    for at in 0..camera.width * camera.height {
+    for (at, value) in found.iter().enumerate().take(camera.width * camera.height) {
         let (x, y) = ((at % camera.width) as f64 + 0.5, (at / camera.width) as f64 + 0.5);
-        assert_eq!(found[at] != 0.0, camera.ray(x, y).is_some(), "({x}, {y})");
+        assert_eq!(*value != 0.0, camera.ray(x, y).is_some(), "({x}, {y})");
     }
     assert!(found.contains(&0.0) && found.iter().any(|&value| value > 0.0));
 }

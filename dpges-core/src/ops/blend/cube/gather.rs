@@ -489,7 +489,7 @@ fn collect_kernel(
 /// If those of one tile do not.
 fn bands(offsets: &CubeTensor, pairs: usize, tiles: usize, most: usize) -> Vec<Range<usize>> {
     if pairs <= most {
-        return vec![0..tiles];
+        return std::iter::once(0..tiles).collect();
     }
     let bytes = wait(|| offsets.client.read_one(offsets.handle.clone())).expect("the device answers");
     let offsets: Vec<u32> = bytes.chunks_exact(size_of::<u32>()).map(bytemuck::pod_read_unaligned).collect();

@@ -81,8 +81,8 @@ fn a_small_gaussian_looks_like_the_points_of_its_ellipsoid() {
             assert!((splat.mean[0] - x).abs() < 1e-6 && (splat.mean[1] - y).abs() < 1e-6, "{name}: {:?}", splat.mean);
             // the covariance of the ends of its axes, seen one by one
             let mut covariance = [0.0; 3];
-            for axis in 0..3 {
-                let end = q * (DVec3::AXES[axis] * scales[axis]);
+            for (axis, scale) in DVec3::AXES.into_iter().zip(scales) {
+                let end = q * (axis * scale);
                 let ((ax, ay, _), (bx, by, _)) =
                     (large.project(position + end).unwrap(), large.project(position - end).unwrap());
                 let (dx, dy) = (0.5 * (ax - bx), 0.5 * (ay - by));
