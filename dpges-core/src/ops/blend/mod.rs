@@ -142,13 +142,13 @@ pub struct BlendInput<B: Backend> {
 /// these are empty.
 #[derive(ExtensionType, Debug, Clone)]
 pub struct BlendLists<B: Backend> {
-    /// [M] index of each primitive, nearest first; what follows counts them in this order
+    /// `[M]` index of each primitive, nearest first; what follows counts them in this order
     pub order: IntTensor<B>,
     /// [M + 1] first pair of each primitive and a tile that it may touch
     pub starts: IntTensor<B>,
-    /// [pairs] the pairs by tile, each tile's in the order of the primitives, and last those that do not touch
+    /// `[pairs]` the pairs by tile, each tile's in the order of the primitives, and last those that do not touch
     pub pairs: IntTensor<B>,
-    /// [pairs] primitives of those
+    /// `[pairs]` primitives of those
     pub primitives: IntTensor<B>,
     /// [tiles + 1] first of those of each tile
     pub offsets: IntTensor<B>,
