@@ -102,15 +102,20 @@ fn measure(arguments: &Arguments, folder: &Path) {
     let photographs: usize = data.train.iter().chain(&data.test).map(|view| view.photograph.size_bytes()).sum();
     let kept = data.train.iter().chain(&data.test).filter(|view| view.photograph.is_kept()).count();
     let (_, device) = cpus().into_iter().next().expect("a CPU backend");
-    let mut trainer = Trainer::new(config, Arc::new(data), device).expect("a run");
+    let data = Arc::new(data);
+    let start = Instant::now();
+    let mut trainer = Trainer::new(config, Arc::clone(&data), device).expect("a run");
+    let beginning = start.elapsed().as_secs_f64();
+    let read = data.train.iter().chain(&data.test).filter(|view| view.photograph.was_read()).count();
     let start = Instant::now();
     let mut loss = f64::NAN;
     while !trainer.is_finished() {
         loss = trainer.step().expect("a step").map_or(loss, |report| report.loss);
     }
     println!(
-        "data.memory={memory}: {kept} photographs in memory, of all {:.0} MB; loaded in {loading:.1} s, peak {after_loading:.0} \
-         MiB; {} steps in {:.1} s, peak {:.0} MiB (loss {loss:.6})",
+        "data.memory={memory}: {kept} photographs have room in memory, of all {:.0} MB; loaded in {loading:.1} s, peak \
+         {after_loading:.0} MiB; begun in {beginning:.1} s, {read} photographs read; {} steps in {:.1} s, peak {:.0} MiB \
+         (loss {loss:.6})",
         photographs as f64 / MEGA,
         arguments.steps,
         start.elapsed().as_secs_f64(),

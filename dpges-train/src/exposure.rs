@@ -14,7 +14,7 @@ use dpges_core::losses::Target;
 use dpges_core::scene::tensors::tensor_to_rows;
 use serde::{Deserialize, Serialize};
 
-use crate::dataset::{Dataset, Picture, View, pictures};
+use crate::dataset::{Dataset, Picture, View, pictures, sampled};
 
 /// Pictures that differ by a larger gain, or by less than one over it, show different things.
 const MOST_GAIN: f64 = 4.0;
@@ -138,8 +138,8 @@ impl<'a> Seen<'a> {
 }
 
 /// How differently bright the training photographs of `dataset` show the same points: the standard deviation over views of
-/// the logarithm to base 2 of how much brighter the points are in a photograph than by their own colours. `None` if fewer
-/// than two photographs show enough points with a colour.
+/// the logarithm to base 2 of how much brighter the points are in a photograph than by their own colours. Of many views a
+/// sample is looked at. `None` if fewer than two photographs show enough points with a colour.
 ///
 /// # Errors
 /// [`dpges_core::Error::Io`] if a photograph cannot be read again.
@@ -150,7 +150,8 @@ pub fn brightness_spread(dataset: &Dataset) -> Result<Option<f64>> {
         points.seen_by[point].iter().for_each(|&view| seen[view as usize].push(point));
     }
     let asked = dataset.train.iter().zip(&seen).filter(|(_, points)| points.len() >= FEWEST_POINTS);
-    let (views, seen): (Vec<&View>, Vec<&Vec<usize>>) = asked.unzip();
+    let asked: Vec<(&View, &Vec<usize>)> = asked.collect();
+    let (views, seen): (Vec<&View>, Vec<&Vec<usize>>) = sampled(asked.len()).map(|index| asked[index]).unzip();
     let mut sums = Vec::with_capacity(views.len());
     for ((View { camera, .. }, picture), seen) in pictures(views).zip(seen) {
         let picture = picture?;

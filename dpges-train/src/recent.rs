@@ -44,6 +44,11 @@ impl<T> Recent<T> {
         Ok(made)
     }
 
+    /// Whether the value of `key` is here, or being made.
+    pub fn has(&self, key: usize) -> bool {
+        locked(&self.entries).iter().any(|entry| entry.key == key)
+    }
+
     fn slot(&self, key: usize, bytes: usize) -> Slot<T> {
         let mut entries = locked(&self.entries);
         let known = entries.iter().position(|entry| entry.key == key).and_then(|at| entries.remove(at));
@@ -87,6 +92,15 @@ mod tests {
         let recent = Recent::new(30, 1);
         assert_eq!(made(&recent, &[1, 2, 3, 1, 2, 3]), [1, 2, 3]);
         assert_eq!(made(&recent, &[1, 4, 1, 3, 2]), [4, 2]);
+    }
+
+    #[test]
+    fn what_is_here_is_known_without_being_asked_for() {
+        let recent = Recent::new(20, 1);
+        made(&recent, &[1, 2]);
+        assert_eq!([1, 2, 3].map(|key| recent.has(key)), [true, true, false]);
+        made(&recent, &[3]);
+        assert_eq!([1, 2, 3].map(|key| recent.has(key)), [false, true, true]);
     }
 
     #[test]

@@ -1,14 +1,14 @@
 //! Turns the description of a dataset into one to train on: pictures, cameras, split, extent, origin.
 
 use std::path::{Component, Path, PathBuf};
+use std::sync::Arc;
 
-use dpges_core::camera::Camera;
 use glam::DVec3;
 
+use super::developing::Developing;
 use super::error::{DatasetError, Result, listing};
-use super::images::{self, Alpha};
 use super::source::{Frame, RawPoints, Source, Split};
-use super::{Dataset, DepthMap, Format, LoadOptions, Picture, PointCloud, depth, masks, reading, undistort};
+use super::{Dataset, Format, LoadOptions, PointCloud, depth, images, masks, reading};
 
 /// Distance of the cameras from the origin, in extents, beyond which the world is moved there. f32 has 24 bits: at
 /// 100 extents positions are rounded to 100 · 2⁻²⁴ = 6·10⁻⁶ extents, a fraction of a pixel.
@@ -46,23 +46,12 @@ pub(super) fn assemble(root: &Path, mut source: Source, options: &LoadOptions) -
         Some(background) => background,
         None => default_background(&source)?,
     };
-    let reading = Reading {
-        alpha: if options.alpha_masks { Alpha::Mask } else { Alpha::Matte(background) },
-        invert_masks: options.invert_masks,
-        undistort: options.undistort,
-        max_resolution: options.max_resolution,
-    };
-
     warn_of_deep_images(&source.frames)?;
     // photographs to train on come first: they are needed more often
     let frames: Vec<&Frame> =
         [Split::Train, Split::Test].into_iter().flat_map(|split| frames_of(&source, split)).collect();
-    let read = move |frame: &Frame| photograph(frame, offset, near, &reading);
-    let depth = |frame: &Frame, camera: &Camera, picture: &Picture| -> Result<Option<DepthMap>> {
-        let Some(kind) = options.depth.filter(|_| frame.split == Split::Train) else { return Ok(None) };
-        depth::file(root, frame).map(|file| depth::read(&file, kind, frame, camera, picture)).transpose()
-    };
-    let (mut train, spare_memory) = reading::views(&frames, options.memory, read, depth)?;
+    let developing = Arc::new(Developing::new(root.to_owned(), options, background, near, offset));
+    let (mut train, spare_memory) = reading::views(&frames, options.memory, &developing)?;
     let test = train.split_off(train_centres.len());
     Ok(Dataset {
         train,
@@ -189,65 +178,6 @@ fn warn_of_deep_images(frames: &[Frame]) -> Result<()> {
         tracing::info!("{} images of 16 bits per value are rounded to 8, such as {first}", deep.len());
     }
     Ok(())
-}
-
-/// How photographs are read.
-#[derive(Clone, Copy)]
-struct Reading {
-    alpha: Alpha,
-    invert_masks: bool,
-    undistort: bool,
-    /// px
-    max_resolution: Option<usize>,
-}
-
-/// The photograph of a frame, undistorted if asked to and made smaller, and the camera that took it or would have.
-fn photograph(frame: &Frame, offset: DVec3, near: f64, reading: &Reading) -> Result<(Camera, Picture)> {
-    let mut picture = images::decode(&frame.image, reading.alpha)?;
-    if let Some(mask) = &frame.mask {
-        let size = [picture.width, picture.height];
-        picture.count_only(masks::read(mask, &frame.image, size, reading.invert_masks)?);
-    }
-    if !frame.calibration.fits(picture.width, picture.height) {
-        return Err(DatasetError::ImageSize {
-            path: frame.image.clone(),
-            found: [picture.width, picture.height],
-            camera: [frame.calibration.width, frame.calibration.height],
-            described_in: frame.described_in.clone(),
-        });
-    }
-    let taken = frame.calibration.camera(frame.camera_from_world.recentred(offset), near);
-    let mut camera = taken.resized(picture.width, picture.height);
-    if reading.undistort && camera.lens.is_some() {
-        let pinhole = undistort::pinhole(&camera)
-            .ok_or_else(|| DatasetError::Distortion { path: frame.described_in.clone(), view: frame.name.clone() })?;
-        picture = undistort::resample(&picture, &camera, &pinhole);
-        camera = pinhole;
-    }
-    let (camera, mut picture) = capped(camera, picture, reading.max_resolution);
-    if let Some(shown) = camera.shown_pixels() {
-        if !shown.contains(&true) {
-            let (path, view) = (frame.described_in.clone(), frame.name.clone());
-            return Err(DatasetError::LensShowsNothing { path, view });
-        }
-        picture.count_only(shown);
-    }
-    if picture.counted.as_ref().is_some_and(|counted| !counted.contains(&true)) {
-        return Err(DatasetError::NothingCounts { path: frame.image.clone(), view: frame.name.clone() });
-    }
-    Ok((camera, picture))
-}
-
-fn capped(camera: Camera, picture: Picture, max_resolution: Option<usize>) -> (Camera, Picture) {
-    let longer = picture.width.max(picture.height);
-    match max_resolution {
-        Some(cap) if cap < longer => {
-            let side = |side: usize| ((side as f64 * cap as f64 / longer as f64).round() as usize).max(1);
-            let (width, height) = (side(picture.width), side(picture.height));
-            (camera.resized(width, height), picture.downscaled(width, height))
-        }
-        _ => (camera, picture),
-    }
 }
 
 fn recentred_points(source: &Source, offset: DVec3) -> PointCloud {

@@ -1,16 +1,18 @@
 //! Photographs in files: decoding, compositing, making smaller.
 
+use std::fs::File;
+use std::io::{self, BufRead, Cursor, Read, Seek};
 use std::path::Path;
 
-use image::imageops::{self, FilterType};
-use image::{ColorType, DynamicImage, ImageBuffer, ImageDecoder, ImageError, ImageReader, Luma, Pixel, Rgb};
+use image::{ColorType, DynamicImage, ImageDecoder, ImageError, ImageReader, ImageResult};
 
-use super::Picture;
 use super::error::{DatasetError, Result};
-use super::masks;
+use super::{Picture, masks, resize};
 
 /// Alpha, of 255, from which on a pixel counts, where alpha is a mask.
 const COUNTS: u8 = 128;
+/// Bytes of a file that are read for its header at first. The crate `image` reads the whole of a JPEG.
+const BEGINNING: u64 = 1 << 18;
 
 /// What the alpha of images says.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -25,14 +27,13 @@ impl Picture {
     /// The picture made smaller, to `width` × `height` px, by a Catmull-Rom filter that is widened by the reduction, and
     /// rounded to 8 bits.
     pub(super) fn downscaled(self, width: usize, height: usize) -> Self {
-        let size = [self.width, self.height, width, height].map(|side| side as u32);
-        let of_size = |counted| masks::downscaled(counted, [self.width, self.height], [width, height]);
+        let (from, to) = ([self.width, self.height], [width, height]);
         Self {
             width,
             height,
-            counted: self.counted.as_deref().map(of_size),
-            bytes: resize::<Rgb<u8>>(self.bytes, size),
-            alpha: self.alpha.map(|alpha| resize::<Luma<u8>>(alpha, size)),
+            counted: self.counted.map(|counted| masks::downscaled(&counted, from, to)),
+            bytes: resize::downscaled::<3>(&self.bytes, from, to),
+            alpha: self.alpha.map(|alpha| resize::downscaled::<1>(&alpha, from, to)),
         }
     }
 }
@@ -52,7 +53,21 @@ pub(crate) struct Header {
 /// # Errors
 /// [`DatasetError::Read`], [`DatasetError::Decode`].
 pub(crate) fn header(path: &Path) -> Result<Header> {
-    let decoder = reader(path)?.into_decoder().map_err(|source| undecodable(path, source))?;
+    let at_fault = |source| DatasetError::Read { path: path.to_owned(), source };
+    if let Ok(found) = header_in(beginning(path).map_err(at_fault)?) {
+        return Ok(found);
+    }
+    header_in(reader(path)?).map_err(|source| undecodable(path, source))
+}
+
+fn beginning(path: &Path) -> io::Result<ImageReader<Cursor<Vec<u8>>>> {
+    let mut bytes = Vec::new();
+    File::open(path)?.take(BEGINNING).read_to_end(&mut bytes)?;
+    ImageReader::new(Cursor::new(bytes)).with_guessed_format()
+}
+
+fn header_in<R: BufRead + Seek>(reader: ImageReader<R>) -> ImageResult<Header> {
+    let decoder = reader.into_decoder()?;
     let (width, height) = decoder.dimensions();
     let colour: ColorType = decoder.color_type();
     let is_deep = colour.bits_per_pixel() > 8 * u16::from(colour.channel_count());
@@ -102,7 +117,7 @@ pub(super) fn decoded(path: &Path) -> Result<DynamicImage> {
     reader(path)?.decode().map_err(|source| undecodable(path, source))
 }
 
-fn reader(path: &Path) -> Result<ImageReader<std::io::BufReader<std::fs::File>>> {
+fn reader(path: &Path) -> Result<ImageReader<io::BufReader<File>>> {
     ImageReader::open(path)
         .and_then(ImageReader::with_guessed_format)
         .map_err(|source| DatasetError::Read { path: path.to_owned(), source })
@@ -112,16 +127,9 @@ fn undecodable(path: &Path, source: ImageError) -> DatasetError {
     DatasetError::Decode { path: path.to_owned(), source }
 }
 
-/// `size` is from width, from height, to width, to height.
-fn resize<P: Pixel<Subpixel = u8> + 'static>(samples: Vec<u8>, size: [u32; 4]) -> Vec<u8> {
-    let [from_width, from_height, to_width, to_height] = size;
-    let buffer = ImageBuffer::<P, _>::from_raw(from_width, from_height, samples).expect("samples fill the image");
-    imageops::resize(&buffer, to_width, to_height, FilterType::CatmullRom).into_raw()
-}
-
 #[cfg(test)]
 mod tests {
-    use image::{GrayImage, ImageBuffer, Luma, Rgba, RgbaImage};
+    use image::{GrayImage, ImageBuffer, Luma, Rgb, Rgba, RgbaImage};
 
     use super::*;
 
@@ -183,6 +191,21 @@ mod tests {
         let picture = decode(&jpeg.1, Alpha::Matte([0.0; 3])).unwrap();
         assert_eq!((picture.width, picture.height), (16, 8));
         assert!(picture.rgb(15, 0)[0] > picture.rgb(0, 0)[0]);
+    }
+
+    #[test]
+    fn a_header_behind_much_else_is_found() {
+        let (_folder, path) = saved("photo.jpg", image::RgbImage::new(40, 24));
+        let plain = std::fs::read(&path).unwrap();
+        let mut padded = plain[..2].to_vec();
+        for _ in 0..6 {
+            padded.extend([0xff, 0xfe, 0xff, 0xff]);
+            padded.extend([7; 0xffff - 2]);
+        }
+        padded.extend(&plain[2..]);
+        assert!(padded.len() as u64 > BEGINNING);
+        std::fs::write(&path, padded).unwrap();
+        assert_eq!(header(&path).unwrap(), Header { width: 40, height: 24, has_alpha: false, is_deep: false });
     }
 
     #[test]

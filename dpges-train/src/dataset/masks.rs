@@ -6,10 +6,8 @@ use std::path::{Component, Path, PathBuf};
 use super::View;
 use super::error::{DatasetError, Result};
 use super::images;
+use super::resize::reaches;
 use super::source::Frame;
-
-/// Reach of the filter that makes pictures smaller, px of the smaller picture.
-const FILTER_REACH: f32 = 2.0;
 
 /// How much of a set of views is masked.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -146,18 +144,6 @@ pub(super) fn downscaled(counted: &[bool], from: [usize; 2], to: [usize; 2]) -> 
         small.extend(columns.iter().map(|&[left, right]| row[left..right].iter().all(|&counts| counts)));
     }
     small
-}
-
-/// For each of `to` pixels in a row, the range of `from` pixels that [`image::imageops::resize`] makes it of.
-fn reaches(from: usize, to: usize) -> Vec<[usize; 2]> {
-    let ratio = from as f32 / to as f32;
-    let reach = FILTER_REACH * ratio.max(1.0);
-    let of = |at: usize| {
-        let centre = (at as f32 + 0.5) * ratio;
-        let left = ((centre - reach).floor().max(0.0) as usize).min(from - 1);
-        [left, ((centre + reach).ceil() as usize).clamp(left + 1, from)]
-    };
-    (0..to).map(of).collect()
 }
 
 #[cfg(test)]

@@ -1,15 +1,18 @@
 //! Photographs, cameras and points from disk: COLMAP, Blender and nerfstudio folders, and a small built-in scene.
 //!
 //! A format reader (`colmap`, `blender`, `nerfstudio`) describes the dataset as a list of frames with lenses and
-//! poses; `assemble` then decodes the images in parallel, undistorts them if asked to, downscales them, and moves
-//! geo-referenced worlds to the origin. Cameras have OpenCV axes (x right, y down, z forward).
+//! poses; `assemble` moves geo-referenced worlds to the origin, and `reading` reads the images in parallel, or only their
+//! headers, and then the others when they are needed: `developing` undistorts them if asked to, and makes them smaller.
+//! Cameras have OpenCV axes (x right, y down, z forward).
 
+mod ahead;
 mod assemble;
 mod blender;
 mod builtin;
 mod calibration;
 mod colmap;
 mod depth;
+mod developing;
 mod error;
 #[cfg(test)]
 pub(crate) mod fixtures;
@@ -20,9 +23,11 @@ mod photograph;
 mod picture;
 mod ply;
 mod reading;
+mod resize;
 mod source;
 mod split;
 mod transforms;
+mod turns;
 mod undistort;
 
 use std::fmt;
@@ -41,10 +46,20 @@ pub use error::DatasetError;
 pub(crate) use images::header as image_header;
 pub use masks::Masked;
 pub(crate) use masks::{called_like as mask_called_like, read as read_mask, strangers as strange_masks};
+pub(crate) use photograph::{MOST_AHEAD, read_ahead};
 pub use photograph::{Photograph, pictures};
 pub use picture::Picture;
 
 use error::Result;
+
+/// Photographs that are looked at before the first step, at most, to decide what does not need all of them.
+pub const SAMPLED_VIEWS: usize = 64;
+
+/// The indices of up to [`SAMPLED_VIEWS`] of `count` views, evenly spread, ascending.
+pub fn sampled(count: usize) -> impl Iterator<Item = usize> {
+    let most = count.min(SAMPLED_VIEWS);
+    (0..most).map(move |index| index * count / most)
+}
 
 /// A photograph and the camera that took it. Both have the same resolution.
 #[derive(Clone, Debug)]
@@ -261,7 +276,8 @@ pub fn format(path: &Path) -> Option<Format> {
     }
 }
 
-/// Reads the dataset in folder `path`, see [`format()`].
+/// Reads the dataset in folder `path`, see [`format()`]. Of more than [`SAMPLED_VIEWS`] photographs without alpha, masks and
+/// depth maps only the headers are read; their pixels follow when they are needed.
 ///
 /// # Errors
 /// [`DatasetError`] names the file at fault and the remedy.
@@ -303,6 +319,20 @@ mod tests {
         few.points.seen_by.clear();
         few.keep_for_validation(2);
         assert_eq!((few.train.len(), few.validation.len()), (2, 0));
+    }
+
+    #[test]
+    fn a_sample_is_all_of_few_views_and_evenly_spread_over_many() {
+        for few in [0, 1, SAMPLED_VIEWS] {
+            assert_eq!(sampled(few).collect::<Vec<_>>(), (0..few).collect::<Vec<_>>());
+        }
+        for many in [SAMPLED_VIEWS + 1, 1000] {
+            let found: Vec<usize> = sampled(many).collect();
+            assert_eq!((found.len(), found[0]), (SAMPLED_VIEWS, 0));
+            let steps = found.windows(2).map(|pair| pair[1] - pair[0]);
+            assert!(steps.clone().min() >= Some(1) && steps.max().unwrap() <= many.div_ceil(SAMPLED_VIEWS));
+            assert!(found[SAMPLED_VIEWS - 1] < many);
+        }
     }
 
     #[test]

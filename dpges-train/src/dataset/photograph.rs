@@ -1,20 +1,24 @@
-//! Photographs of views: in memory, or in their files and read again when they are needed.
+//! Photographs of views: in memory, or in their files and read when they are needed.
 //!
 //! Which it is changes nothing but time and memory: a file is read, undistorted and made smaller in the same way each time.
 
+use std::collections::VecDeque;
 use std::fmt;
 use std::io;
 use std::path::PathBuf;
-use std::sync::Arc;
-use std::sync::mpsc::{SyncSender, sync_channel};
-use std::thread;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Weak};
 
+use super::ahead::Ahead;
 use super::error::Result;
+use super::turns::Turns;
 use super::{Picture, View};
 use crate::recent::Recent;
 
 /// Pictures from files that are kept in any case: the one in use and the next.
 const LEAST_RECENT: usize = 2;
+/// Photographs that are read ahead, at most.
+pub(crate) const MOST_AHEAD: usize = 16;
 
 /// The photograph of a view.
 #[derive(Clone, Debug)]
@@ -50,48 +54,79 @@ enum Place {
     File(Arc<InFile>),
 }
 
-/// A photograph that is read again.
+/// A photograph in its file, and in memory at times.
 struct InFile {
-    /// Unique on its shelf.
-    key: usize,
     bytes: usize,
-    /// Of the image.
-    path: PathBuf,
-    read: Box<dyn Fn() -> Result<Picture> + Send + Sync>,
+    file: ImageFile,
+    was_read: AtomicBool,
     shelf: Arc<Shelf>,
+}
+
+/// Where the picture of a photograph comes from, and how long it stays.
+pub(super) struct ImageFile {
+    /// Unique on its shelf.
+    pub key: usize,
+    pub path: PathBuf,
+    /// Reads the picture.
+    pub read: Box<dyn Fn() -> Result<Picture> + Send + Sync>,
+    /// Whether it stays in memory once it was read.
+    pub stays: bool,
+    /// Whether it was read before and not kept.
+    pub was_read: bool,
 }
 
 impl fmt::Debug for InFile {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("InFile").field("path", &self.path).field("bytes", &self.bytes).finish_non_exhaustive()
+        f.debug_struct("InFile").field("path", &self.file.path).field("bytes", &self.bytes).finish_non_exhaustive()
     }
 }
 
 impl InFile {
     fn picture(&self) -> Result<Arc<Picture>> {
-        self.shelf.recent.get(self.key, self.bytes, || (self.read)())
+        let read = || -> Result<Picture> {
+            let _turn = self.shelf.turns.take();
+            let picture = (self.file.read)()?;
+            self.was_read.store(true, Ordering::Relaxed);
+            Ok(picture)
+        };
+        self.pictures().get(self.file.key, self.bytes, read)
+    }
+
+    /// Where its picture is, once it was read.
+    fn pictures(&self) -> &Recent<Picture> {
+        if self.file.stays { &self.shelf.kept } else { &self.shelf.recent }
     }
 }
 
-/// The pictures that were read from files lately, and a thread that reads ahead.
+/// The pictures that were read from files, and threads that read ahead.
 pub(super) struct Shelf {
+    /// They fit into memory.
+    kept: Recent<Picture>,
+    /// Of the others, those that were read lately.
     recent: Recent<Picture>,
-    /// `None` if there can be no further thread.
-    ahead: Option<SyncSender<Arc<InFile>>>,
+    most_recent_bytes: usize,
+    /// Files are read.
+    turns: Turns,
+    ahead: Ahead<Weak<InFile>>,
 }
 
 impl Shelf {
-    /// Keeps up to `most_bytes` of pictures.
-    pub fn new(most_bytes: usize) -> Arc<Self> {
-        let (ahead, asked_for) = sync_channel::<Arc<InFile>>(1);
-        let read = move || {
-            for photograph in asked_for {
+    /// Keeps all pictures that stay and up to `most_recent_bytes` of the others. Up to so many `readers` read at the same time.
+    pub fn new(most_recent_bytes: usize, readers: usize) -> Arc<Self> {
+        let read = |photograph: Weak<InFile>| {
+            if let Some(photograph) = photograph.upgrade() {
                 // whoever needs it tries again, and is told what is wrong
                 let _ = photograph.picture();
             }
         };
-        let thread = thread::Builder::new().name("photographs".to_owned()).spawn(read);
-        Arc::new(Self { recent: Recent::new(most_bytes, LEAST_RECENT), ahead: thread.is_ok().then_some(ahead) })
+        Arc::new(Self {
+            kept: Recent::new(usize::MAX, 0),
+            recent: Recent::new(most_recent_bytes, LEAST_RECENT),
+            most_recent_bytes,
+            turns: Turns::new(readers.max(2)),
+            // so that whoever needs a picture now need not wait for all of them
+            ahead: Ahead::new((readers.max(2) - 1).min(MOST_AHEAD), read),
+        })
     }
 }
 
@@ -109,21 +144,26 @@ impl Photograph {
         Self { place: Place::Memory(picture), about }
     }
 
-    /// The picture that `read` reads from the image at `path`. `key` is unique on the `shelf`.
-    pub(super) fn in_file(
-        key: usize,
-        path: PathBuf,
-        about: About,
-        read: impl Fn() -> Result<Picture> + Send + Sync + 'static,
-        shelf: Arc<Shelf>,
-    ) -> Self {
-        let in_file = InFile { key, bytes: about.bytes, path, read: Box::new(read), shelf };
-        Self { place: Place::File(Arc::new(in_file)), about }
+    /// A picture that is read when it is needed, with others on the `shelf`.
+    pub(super) fn in_file(file: ImageFile, about: About, shelf: Arc<Shelf>) -> Self {
+        let was_read = AtomicBool::new(file.was_read);
+        Self { place: Place::File(Arc::new(InFile { bytes: about.bytes, file, was_read, shelf })), about }
     }
 
-    /// Whether it stays in memory.
+    /// Whether it stays in memory once it was read.
     pub fn is_kept(&self) -> bool {
-        matches!(self.place, Place::Memory(_))
+        match &self.place {
+            Place::Memory(_) => true,
+            Place::File(in_file) => in_file.file.stays,
+        }
+    }
+
+    /// Whether its pixels were ever read.
+    pub fn was_read(&self) -> bool {
+        match &self.place {
+            Place::Memory(_) => true,
+            Place::File(in_file) => in_file.was_read.load(Ordering::Relaxed),
+        }
     }
 
     /// What it takes in memory, bytes.
@@ -144,54 +184,66 @@ impl Photograph {
     /// The picture. It is read from its file if it is not in memory.
     ///
     /// # Errors
-    /// [`dpges_core::Error::Io`] if the file is not what it was when the dataset was loaded.
+    /// [`dpges_core::Error::Io`] if the file cannot be read, or is not what it was when the dataset was loaded.
     pub fn picture(&self) -> dpges_core::Result<Arc<Picture>> {
         match &self.place {
             Place::Memory(picture) => Ok(Arc::clone(picture)),
             Place::File(in_file) => in_file.picture().map_err(|error| dpges_core::Error::Io {
-                action: "cannot read again the photograph",
-                path: in_file.path.clone(),
+                action: if self.was_read() { "cannot read again the photograph" } else { "cannot read the photograph" },
+                path: in_file.file.path.clone(),
                 source: io::Error::other(error),
             }),
         }
     }
+}
 
-    /// Begins to read the picture in the background, if it is not in memory and nothing else is being read.
-    pub fn read_ahead(&self) {
-        if let Place::File(in_file) = &self.place
-            && let Some(ahead) = &in_file.shelf.ahead
-        {
-            // busy: whoever needs the picture reads it then
-            let _ = ahead.try_send(Arc::clone(in_file));
+/// Begins to read in the background those of `photographs` that are not in memory, the first first, as far as there is room
+/// for them. What was asked for before and has not begun is forgotten.
+pub(crate) fn read_ahead<'a>(photographs: impl IntoIterator<Item = &'a Photograph>) {
+    let (mut wanted, mut shelf, mut passing_bytes) = (VecDeque::new(), None, 0usize);
+    for photograph in photographs {
+        let Place::File(in_file) = &photograph.place else { continue };
+        if !in_file.file.stays {
+            // beside them is the one in use
+            let is_first = passing_bytes == 0;
+            passing_bytes = passing_bytes.saturating_add(in_file.bytes);
+            if !is_first && passing_bytes.saturating_add(in_file.bytes) > in_file.shelf.most_recent_bytes {
+                break;
+            }
         }
+        shelf = Some(&in_file.shelf);
+        if !in_file.pictures().has(in_file.file.key) {
+            wanted.push_back(Arc::downgrade(in_file));
+        }
+    }
+    if let Some(shelf) = shelf {
+        shelf.ahead.ask(wanted);
     }
 }
 
-/// `views` and their pictures, one after another. The next is read in the background if it is not in memory.
+/// `views` and their pictures, one after another. The next are read in the background if they are not in memory.
 pub fn pictures<'a>(
     views: impl IntoIterator<Item = &'a View>,
 ) -> impl Iterator<Item = (&'a View, dpges_core::Result<Arc<Picture>>)> {
-    let mut views = views.into_iter().peekable();
-    std::iter::from_fn(move || {
-        let view = views.next()?;
-        let picture = view.picture();
-        if let Some(next) = views.peek() {
-            next.photograph.read_ahead();
-        }
-        Some((view, picture))
+    let views: Vec<&View> = views.into_iter().collect();
+    (0..views.len()).map(move |at| {
+        let picture = views[at].picture();
+        read_ahead(views[at + 1..].iter().take(MOST_AHEAD).map(|view| &view.photograph));
+        (views[at], picture)
     })
 }
 
 #[cfg(test)]
 mod tests {
-    use std::sync::atomic::{AtomicUsize, Ordering};
+    use std::sync::atomic::AtomicUsize;
+    use std::thread;
 
     use super::*;
     use crate::dataset::DatasetError;
 
-    /// `count` photographs, each of its own grey, and how often any was read.
-    fn in_files(count: usize, most_bytes: usize) -> (Vec<Photograph>, Arc<AtomicUsize>) {
-        let (shelf, reads) = (Shelf::new(most_bytes), Arc::new(AtomicUsize::new(0)));
+    /// `count` photographs of 3 bytes, each of its own grey, and how often any was read.
+    fn in_files(count: usize, most_bytes: usize, stays: bool) -> (Vec<Photograph>, Arc<AtomicUsize>) {
+        let (shelf, reads) = (Shelf::new(most_bytes, 3), Arc::new(AtomicUsize::new(0)));
         let photograph = |key: usize| {
             let grey = Picture { width: 1, height: 1, bytes: vec![key as u8; 3], alpha: None, counted: None };
             let (about, reads) = (About::of(&grey), Arc::clone(&reads));
@@ -199,14 +251,22 @@ mod tests {
                 reads.fetch_add(1, Ordering::SeqCst);
                 Ok(grey.clone())
             };
-            Photograph::in_file(key, PathBuf::from("a.png"), about, read, Arc::clone(&shelf))
+            let path = PathBuf::from("a.png");
+            let file = ImageFile { key, path, read: Box::new(read), stays, was_read: false };
+            Photograph::in_file(file, about, Arc::clone(&shelf))
         };
         ((0..count).map(photograph).collect(), reads)
     }
 
+    fn wait_for(reads: &AtomicUsize, count: usize) {
+        while reads.load(Ordering::SeqCst) < count {
+            thread::yield_now();
+        }
+    }
+
     #[test]
     fn a_photograph_is_read_again_unless_it_was_in_use_lately() {
-        let (photographs, reads) = in_files(3, 0);
+        let (photographs, reads) = in_files(3, 0, false);
         for key in [0, 1, 0, 1, 2, 0] {
             assert_eq!(photographs[key].picture().unwrap().bytes, [key as u8; 3]);
         }
@@ -215,26 +275,59 @@ mod tests {
     }
 
     #[test]
-    fn what_is_read_ahead_is_read_once() {
-        let (photographs, reads) = in_files(2, 6);
-        photographs[1].read_ahead();
-        while reads.load(Ordering::SeqCst) == 0 {
-            thread::yield_now();
+    fn what_stays_is_read_once_when_it_is_needed() {
+        let (photographs, reads) = in_files(3, 0, true);
+        assert!(photographs.iter().all(|photograph| photograph.is_kept() && !photograph.was_read()));
+        for key in [0, 1, 0, 1, 1, 0] {
+            assert_eq!(photographs[key].picture().unwrap().bytes, [key as u8; 3]);
         }
-        // waits for the other thread where that has not finished
-        assert_eq!(photographs[1].picture().unwrap().bytes, [1; 3]);
-        assert_eq!(reads.load(Ordering::SeqCst), 1);
+        assert_eq!(reads.load(Ordering::SeqCst), 2);
+        assert_eq!([0, 1, 2].map(|key| photographs[key].was_read()), [true, true, false]);
+    }
+
+    #[test]
+    fn what_is_read_ahead_is_read_once() {
+        for stays in [false, true] {
+            let (photographs, reads) = in_files(5, 15, stays);
+            read_ahead(&photographs[1..4]);
+            wait_for(&reads, 3);
+            for key in 1..4 {
+                // waits for the other thread where that has not finished
+                assert_eq!(photographs[key].picture().unwrap().bytes, [key as u8; 3]);
+            }
+            read_ahead(&photographs[..4]);
+            wait_for(&reads, 4);
+            assert_eq!(photographs[0].picture().unwrap().bytes, [0; 3]);
+            assert_eq!(reads.load(Ordering::SeqCst), 4);
+        }
+    }
+
+    #[test]
+    fn no_more_is_read_ahead_than_there_is_room_for() {
+        // two beside the one in use; without any room one
+        for (most_bytes, expected) in [(9, 2), (0, 1)] {
+            let (photographs, reads) = in_files(6, most_bytes, false);
+            photographs[0].picture().unwrap();
+            read_ahead(&photographs[1..]);
+            wait_for(&reads, 1 + expected);
+            (1..=expected).for_each(|key| drop(photographs[key].picture().unwrap()));
+            assert_eq!(reads.load(Ordering::SeqCst), 1 + expected);
+            assert!(photographs[expected + 1..].iter().all(|photograph| !photograph.was_read()));
+        }
     }
 
     #[test]
     fn a_file_that_is_gone_is_named() {
         let about = About { bytes: 3, ignored_pixels: None, has_transparency: false };
-        let gone = || {
+        for (was_read, action) in [(true, "cannot read again"), (false, "cannot read")] {
+            let read = || -> Result<Picture> {
+                let path = PathBuf::from("images/a.png");
+                Err(DatasetError::Read { path, source: io::Error::from(io::ErrorKind::NotFound) })
+            };
             let path = PathBuf::from("images/a.png");
-            Err(DatasetError::Read { path, source: io::Error::from(io::ErrorKind::NotFound) })
-        };
-        let photograph = Photograph::in_file(0, PathBuf::from("images/a.png"), about, gone, Shelf::new(0));
-        let message = photograph.picture().unwrap_err().to_string();
-        assert!(message.contains("cannot read again the photograph images/a.png: cannot read"), "{message}");
+            let file = ImageFile { key: 0, path, read: Box::new(read), stays: !was_read, was_read };
+            let message = Photograph::in_file(file, about, Shelf::new(0, 1)).picture().unwrap_err().to_string();
+            assert!(message.contains(&format!("{action} the photograph images/a.png: cannot read")), "{message}");
+        }
     }
 }

@@ -6,83 +6,88 @@ use std::thread;
 
 use dpges_core::camera::Camera;
 
+use super::developing::Developing;
 use super::error::Result;
-use super::photograph::{About, Photograph, Shelf};
+use super::photograph::{About, ImageFile, Photograph, Shelf};
 use super::source::Frame;
-use super::{DepthMap, Picture, View};
+use super::{DepthMap, Picture, SAMPLED_VIEWS, View};
 
-/// Memory that reading a photograph takes for a while, bytes per pixel: the decoded image, and what is between it and a
-/// smaller one.
-const WORKING_BYTES_PER_PIXEL: usize = 24;
+/// Memory that reading a photograph takes for a while, bytes per pixel: the decoded image, and what is made of it.
+const WORKING_BYTES_PER_PIXEL: usize = 16;
 /// Share of a budget that not all photographs fit into for those that were read again lately.
 const FOR_RECENT: f64 = 0.25;
 
-/// A photograph that was read for the first time.
-struct Read {
-    /// `None` if there was no room left for it.
-    picture: Option<Arc<Picture>>,
+/// What is known of a frame once the dataset is loaded.
+struct Found {
+    camera: Camera,
     about: About,
+    /// `None` if it was not read yet, or if there was no room left for it.
+    picture: Option<Arc<Picture>>,
+    was_read: bool,
     depth: Option<DepthMap>,
 }
 
-/// The views of `frames`, in their order. `read` reads a photograph and its camera, again and again if need be. The first
-/// photographs are kept, `memory` bytes of them at most. `depth` reads the depth map that belongs to a photograph and its camera,
-/// once. Returns the bytes that are left over, too.
+/// The views of `frames`, in their order. The photographs of up to [`SAMPLED_VIEWS`] frames are read now, those of more when
+/// they are needed, unless only their pixels say what has to be known of them. The first photographs stay in memory, `memory`
+/// bytes of them at most; others are read again and again if need be. Returns the bytes that are left over, too.
 ///
 /// # Errors
-/// Those of `read` and `depth`: the error of the first frame that has one, whatever the number of threads.
-pub(super) fn views<F, D>(frames: &[&Frame], memory: usize, read: F, depth: D) -> Result<(Vec<View>, usize)>
-where
-    F: Fn(&Frame) -> Result<(Camera, Picture)> + Clone + Send + Sync + 'static,
-    D: Fn(&Frame, &Camera, &Picture) -> Result<Option<DepthMap>> + Sync,
-{
+/// Those of reading: the error of the first frame that has one, whatever the number of threads.
+pub(super) fn views(frames: &[&Frame], memory: usize, developing: &Arc<Developing>) -> Result<(Vec<View>, usize)> {
     let kept_bytes = AtomicUsize::new(0);
     let fits = |bytes: usize| {
         let with = |kept: usize| kept.checked_add(bytes).filter(|&kept| kept <= memory);
         kept_bytes.fetch_update(Ordering::SeqCst, Ordering::SeqCst, with).is_ok()
     };
-    let first = |index: usize| -> Result<(Camera, Read)> {
-        let (camera, picture) = read(frames[index])?;
-        let (about, depth) = (About::of(&picture), depth(frames[index], &camera, &picture)?);
-        Ok((camera, Read { picture: fits(about.bytes).then(|| Arc::new(picture)), about, depth }))
+    let first = |index: usize| -> Result<Found> {
+        let frame = frames[index];
+        if frames.len() > SAMPLED_VIEWS
+            && let Some((camera, about)) = developing.survey(frame)?
+        {
+            return Ok(Found { camera, about, picture: None, was_read: false, depth: None });
+        }
+        let (camera, picture) = developing.photograph(frame)?;
+        let (about, depth) = (About::of(&picture), developing.depth(frame, &camera, &picture)?);
+        let picture = fits(about.bytes).then(|| Arc::new(picture));
+        Ok(Found { camera, about, picture, was_read: true, depth })
     };
-    let found: Result<Vec<_>> = in_parallel(frames.len(), threads(frames, memory), first).into_iter().collect();
-    let mut found = found?;
-    let all: usize = found.iter().map(|(_, read)| read.about.bytes).sum();
+    let readers = threads(frames, memory);
+    let found: Result<Vec<Found>> = in_parallel(frames.len(), readers, first).into_iter().collect();
+    let found = found?;
+    let all: usize = found.iter().map(|found| found.about.bytes).sum();
     let all_fit = all <= memory;
     let most_kept = if all_fit { memory } else { (memory as f64 * (1.0 - FOR_RECENT)) as usize };
-    let mut sum = 0;
-    for (_, read) in &mut found {
-        sum += read.about.bytes;
-        if sum > most_kept {
-            read.picture = None;
+    let mut shelf = None;
+    let (mut sum, mut kept, mut kept_sum) = (0, 0, 0);
+    let mut views = Vec::with_capacity(frames.len());
+    for (key, (frame, found)) in frames.iter().zip(found).enumerate() {
+        let Found { camera, about, picture, was_read, depth } = found;
+        sum += about.bytes;
+        let stays = sum <= most_kept;
+        if stays {
+            (kept, kept_sum) = (kept + 1, sum);
         }
+        let photograph = match picture {
+            Some(picture) if stays => Photograph::kept(picture, about),
+            _ => {
+                let (developing, own) = (Arc::clone(developing), (*frame).clone());
+                let read = Box::new(move || developing.photograph(&own).map(|(_, picture)| picture));
+                let file = ImageFile { key, path: frame.image.clone(), read, stays, was_read };
+                let shelf = shelf.get_or_insert_with(|| Shelf::new(memory - most_kept, readers));
+                Photograph::in_file(file, about, Arc::clone(shelf))
+            }
+        };
+        views.push(View { name: frame.name.clone(), camera, photograph, depth });
     }
-    let shelf = (!all_fit).then(|| Shelf::new(memory - most_kept));
     if !all_fit {
-        let kept: Vec<usize> =
-            found.iter().filter(|(_, read)| read.picture.is_some()).map(|(_, read)| read.about.bytes).collect();
         tracing::info!(
-            "{} of {} photographs stay in memory, {:.1} MB of {:.1} MB; the others are read again from their files when \
+            "{kept} of {} photographs stay in memory, {:.1} MB of {:.1} MB; the others are read again from their files when \
              they are needed (data.memory)",
-            kept.len(),
             frames.len(),
-            kept.iter().sum::<usize>() as f64 / 1e6,
+            kept_sum as f64 / 1e6,
             all as f64 / 1e6
         );
     }
-    let view = |(key, (frame, (camera, found))): (usize, (&&Frame, (Camera, Read)))| {
-        let photograph = match (found.picture, &shelf) {
-            (None, Some(shelf)) => {
-                let (again, own) = (read.clone(), (*frame).clone());
-                let path = frame.image.clone();
-                Photograph::in_file(key, path, found.about, move || Ok(again(&own)?.1), Arc::clone(shelf))
-            }
-            (picture, _) => Photograph::kept(picture.expect("all that fits is kept"), found.about),
-        };
-        View { name: frame.name.clone(), camera, photograph, depth: found.depth }
-    };
-    let views = frames.iter().zip(found).enumerate().map(view).collect();
     Ok((views, if all_fit { memory - all } else { 0 }))
 }
 
@@ -144,6 +149,10 @@ mod tests {
         load(folder.path(), &LoadOptions { memory, test_every: 4, ..Default::default() }).unwrap()
     }
 
+    fn was_read(data: &Dataset) -> usize {
+        data.train.iter().chain(&data.test).filter(|view| view.photograph.was_read()).count()
+    }
+
     fn kept(data: &Dataset) -> Vec<&str> {
         let views = data.train.iter().chain(&data.test).filter(|view| view.photograph.is_kept());
         views.map(|view| view.name.as_str()).collect()
@@ -179,5 +188,57 @@ mod tests {
         let view = data.train.iter().find(|view| view.name == "left/003.png").unwrap();
         let message = view.picture().unwrap_err().to_string();
         assert!(message.contains("left/003.png") && message.contains("cannot read"), "{message}");
+    }
+
+    #[test]
+    fn of_many_photographs_only_those_are_read_whose_header_does_not_say_all() {
+        let folder = tempfile::tempdir().unwrap();
+        fixtures::write_colmap(folder.path(), &fixtures::scene(SAMPLED_VIEWS + 6), Encoding::Binary);
+        fixtures::write_rgba(&folder.path().join("images/left/011.png"), 24, 16, [200, 100, 0, 51]);
+        let mask = folder.path().join("masks/left/017.png");
+        std::fs::create_dir_all(mask.parent().unwrap()).unwrap();
+        image::GrayImage::from_fn(24, 16, |x, _| image::Luma([u8::from(x > 2)])).save(mask).unwrap();
+        let bytes = (SAMPLED_VIEWS + 6) * 1152 + 2 * 384;
+        for (memory, stay, spare) in [(bytes + 5, SAMPLED_VIEWS + 6, 5), (bytes - 1, 52, 0), (0, 0, 0)] {
+            let data = read(&folder, memory);
+            assert_eq!((was_read(&data), kept(&data).len(), data.spare_memory), (2, stay, spare));
+            let mut seen = 2;
+            for view in data.train.iter().chain(&data.test) {
+                let index = view.name[5..8].parse::<usize>().unwrap();
+                seen += usize::from(!view.photograph.was_read());
+                let picture = view.picture().unwrap();
+                assert_eq!((picture.counted.is_some(), picture.alpha.is_some()), (index == 17, index == 11));
+                assert_eq!((picture.bytes[0] == index as u8, view.photograph.was_read()), (index != 11, true));
+                assert_eq!(view.photograph.size_bytes(), picture.size_bytes());
+                assert_eq!(was_read(&data), seen);
+            }
+            assert_eq!(data.masked().masked_views, 1);
+        }
+    }
+
+    #[test]
+    fn a_broken_photograph_of_many_is_named_when_it_is_needed() {
+        let folder = tempfile::tempdir().unwrap();
+        fixtures::write_colmap(folder.path(), &fixtures::scene(SAMPLED_VIEWS + 6), Encoding::Binary);
+        let path = folder.path().join("images/left/013.png");
+        let whole = std::fs::read(&path).unwrap();
+        // the header, and the begin of the pixels
+        std::fs::write(&path, &whole[..46]).unwrap();
+        let data = read(&folder, 0);
+        let failed: Vec<String> = data
+            .train
+            .iter()
+            .chain(&data.test)
+            .filter_map(|view| view.picture().err())
+            .map(|e| e.to_string())
+            .collect();
+        assert_eq!(failed.len(), 1, "{failed:?}");
+        for part in ["cannot read the photograph", "left/013.png", "cannot be decoded"] {
+            assert!(failed[0].contains(part), "{failed:?}");
+        }
+        // another size is noticed at once
+        fixtures::write_png(&path, 24, 20, [0; 3]);
+        let message = load(folder.path(), &LoadOptions::default()).unwrap_err().to_string();
+        assert!(message.contains("left/013.png") && message.contains("24x20"), "{message}");
     }
 }

@@ -4,13 +4,15 @@
 //! connect it with the upper border, and if it lies above the horizon. White walls and close photographs of one surface
 //! have few points as well, but points that other views found project into them, or they lie below the horizon.
 
+use std::sync::OnceLock;
+
 use dpges_core::Result;
 use dpges_core::camera::Camera;
 use glam::DVec3;
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 use rayon::prelude::*;
 
-use crate::dataset::{Dataset, Picture, View};
+use crate::dataset::{Dataset, Picture, sampled};
 
 /// Points that project into a cell of a view, on average: a cell without any is no accident.
 const POINTS_PER_CELL: f64 = 64.0;
@@ -38,12 +40,15 @@ struct Sums {
 /// differ by more.
 const OF_THE_SKY: f32 = 0.15;
 
-/// The open sky of the training views of `dataset`; none if it has no points.
+/// The open sky of the training views of `dataset`, of a sample of many; none if it has no points.
 ///
 /// # Errors
 /// [`dpges_core::Error::Io`] if a photograph cannot be read again.
 pub fn open_sky(dataset: &Dataset) -> Result<OpenSky> {
-    let of_view = |picture: &Picture, open: OpenCells| {
+    let up = upwards(dataset.train.iter().map(|view| &view.camera));
+    let of_view = |index: usize| -> Result<Sums> {
+        let view = &dataset.train[index];
+        let (picture, open) = (view.picture()?, open_cells(&view.camera, &dataset.points.positions, up));
         let mut sums = Sums { pixels: picture.area() - picture.ignored_pixels(), ..Sums::default() };
         for pixel in open.pixels().into_iter().filter(|&pixel| picture.counts(pixel)) {
             sums.open += 1;
@@ -51,9 +56,11 @@ pub fn open_sky(dataset: &Dataset) -> Result<OpenSky> {
                 *sum += f64::from(channel);
             }
         }
-        sums
+        Ok(sums)
     };
-    let sum = of_views(dataset, of_view)?.into_iter().fold(Sums::default(), |sum, view| Sums {
+    let sample: Vec<usize> = sampled(dataset.train.len()).collect();
+    let sums: Vec<Sums> = sample.into_par_iter().map(of_view).collect::<Result<_>>()?;
+    let sum = sums.into_iter().fold(Sums::default(), |sum, view| Sums {
         pixels: sum.pixels + view.pixels,
         open: sum.open + view.open,
         colour: std::array::from_fn(|c| sum.colour[c] + view.colour[c]),
@@ -101,22 +108,33 @@ impl ViewSky {
     }
 }
 
-/// For each training view of `dataset`, what it shows of the sky; `None` for views that show none.
-///
-/// # Errors
-/// [`dpges_core::Error::Io`] if a photograph cannot be read again.
-pub fn skies(dataset: &Dataset) -> Result<Vec<Option<ViewSky>>> {
-    of_views(dataset, ViewSky::new)
+/// What each training view shows of the sky, which is found when it is first asked for.
+#[derive(Debug)]
+pub struct Skies {
+    cameras: Vec<Camera>,
+    points: Vec<[f32; 3]>,
+    up: DVec3,
+    /// `None` for views that show none.
+    found: Vec<OnceLock<Option<ViewSky>>>,
 }
 
-/// What `of` says of every training view and of its open cells.
-fn of_views<T: Send>(dataset: &Dataset, of: impl Fn(&Picture, OpenCells) -> T + Sync) -> Result<Vec<T>> {
-    let up = upwards(dataset.train.iter().map(|view| &view.camera));
-    let of_view = |view: &View| -> Result<T> {
-        let picture = view.picture()?;
-        Ok(of(&picture, open_cells(&view.camera, &dataset.points.positions, up)))
-    };
-    dataset.train.par_iter().map(of_view).collect()
+impl Skies {
+    /// Of the training views of `dataset`.
+    pub fn new(dataset: &Dataset) -> Self {
+        let cameras: Vec<Camera> = dataset.train.iter().map(|view| view.camera).collect();
+        Self {
+            up: upwards(cameras.iter()),
+            points: dataset.points.positions.clone(),
+            found: cameras.iter().map(|_| OnceLock::new()).collect(),
+            cameras,
+        }
+    }
+
+    /// Of the training view with index `index`, whose picture is `picture`; `None` if it shows none.
+    pub fn of(&self, index: usize, picture: &Picture) -> Option<&ViewSky> {
+        let find = || ViewSky::new(picture, open_cells(&self.cameras[index], &self.points, self.up));
+        self.found[index].get_or_init(find).as_ref()
+    }
 }
 
 /// The direction that is up in the world: perpendicular to the horizontal axes of the cameras, which photographers hold
@@ -244,7 +262,7 @@ pub mod tests {
     use dpges_core::camera::CameraFromWorld;
 
     use super::*;
-    use crate::dataset::{BuiltinOptions, PointCloud, builtin};
+    use crate::dataset::{BuiltinOptions, PointCloud, View, builtin};
 
     const SIZE: usize = 64;
     pub const BLUE: [u8; 3] = [51, 102, 255];
@@ -310,7 +328,9 @@ pub mod tests {
     #[test]
     fn leaves_in_open_sky_are_not_sky() {
         let mut dataset = ring(0.0, tower(0.0));
-        let open: Vec<Vec<usize>> = of_views(&dataset, |_, open| open.pixels()).unwrap();
+        let up = upwards(dataset.train.iter().map(|view| &view.camera));
+        let open_of = |view: &View| open_cells(&view.camera, &dataset.points.positions, up).pixels();
+        let open: Vec<Vec<usize>> = dataset.train.iter().map(open_of).collect();
         let first = open[0][0];
         let leaf = |picture: &mut Picture| picture.bytes[3 * first..][..3].copy_from_slice(&[64, 51, 26]);
         dataset.train[0].repaint(leaf).unwrap();
@@ -318,17 +338,17 @@ pub mod tests {
         assert!(sky[0][..] == open[0][1..] && sky[1..] == open[1..]);
         dataset.train[1].repaint(|picture| picture.counted = Some(vec![false; SIZE * SIZE])).unwrap();
         assert!(sky_of(&dataset)[1].is_empty(), "what does not count is no sky");
-        assert!(skies(&ring(5.0, tower(-8.0))).unwrap().iter().all(Option::is_none));
+        assert!(sky_of(&ring(5.0, tower(-8.0))).iter().all(Vec::is_empty));
     }
 
     /// The pixels of every view that show nothing but sky.
     fn sky_of(dataset: &Dataset) -> Vec<Vec<usize>> {
-        let skies = skies(dataset).unwrap();
-        let of_view = |(sky, view): (&Option<ViewSky>, &View)| match sky {
-            Some(sky) => sky.pixels(&view.picture().unwrap()),
-            None => Vec::new(),
+        let skies = Skies::new(dataset);
+        let of_view = |(index, view): (usize, &View)| {
+            let picture = view.picture().unwrap();
+            skies.of(index, &picture).map(|sky| sky.pixels(&picture)).unwrap_or_default()
         };
-        skies.iter().zip(&dataset.train).map(of_view).collect()
+        dataset.train.iter().enumerate().map(of_view).collect()
     }
 
     #[test]

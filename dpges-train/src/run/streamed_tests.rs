@@ -6,7 +6,7 @@ use super::fixtures::{config, device, finished};
 use super::masked_tests::overpainted;
 use super::*;
 use crate::dataset::fixtures::export;
-use crate::dataset::{BuiltinOptions, LoadOptions, View, builtin, load};
+use crate::dataset::{BuiltinOptions, LoadOptions, SAMPLED_VIEWS, View, builtin, load};
 use crate::eval::evaluate;
 
 #[test]
@@ -64,6 +64,50 @@ fn where_photographs_are_kept_changes_no_bit_of_a_run() {
         found.views.iter().map(|view| view.scores()).collect::<Vec<_>>()
     };
     assert_eq!(score(&read(0)), score(&whole));
+}
+
+/// The photographs of more views than are sampled, in files that are read when they are needed, in this much memory.
+fn many(folder: &tempfile::TempDir, train_views: usize, memory: usize) -> Dataset {
+    let options =
+        BuiltinOptions { width: 12, height: 12, train_views, test_views: 2, points: 300, ..Default::default() };
+    let data = builtin(&options);
+    export(folder.path(), &data);
+    let mut read = load(folder.path(), &LoadOptions { memory, near: Some(data.near), ..Default::default() }).unwrap();
+    read.points = data.points;
+    read
+}
+
+fn read_so_far(data: &Dataset) -> usize {
+    data.train.iter().chain(&data.test).filter(|view| view.photograph.was_read()).count()
+}
+
+#[test]
+fn a_run_begins_when_a_sample_of_many_photographs_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = Arc::new(many(&folder, 3 * SAMPLED_VIEWS, usize::MAX));
+    assert_eq!(read_so_far(&data), 0);
+    let mut trainer = Trainer::new(config(&["train.steps=2000"]), Arc::clone(&data), device()).unwrap();
+    // one sample for the exposures, of views with enough points, and one for the sky
+    let at_first = read_so_far(&data);
+    assert!((1..=2 * SAMPLED_VIEWS).contains(&at_first), "{at_first}");
+    for _ in 0..40 {
+        trainer.step().unwrap();
+    }
+    assert!(read_so_far(&data) > at_first);
+    assert!(data.test.iter().all(|view| !view.photograph.was_read()));
+}
+
+#[test]
+fn when_photographs_are_read_changes_no_bit_of_a_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = ["train.steps=100", "refine.budget=600", "model.environment=sh1", "train.exposure=auto"];
+    let mut all = many(&folder, 80, usize::MAX);
+    all.train.iter_mut().chain(&mut all.test).for_each(|view| view.repaint(|_| ()).unwrap());
+    assert_eq!(read_so_far(&all), 82);
+    let expected = finished(&set, all);
+    for memory in [usize::MAX, 10_000, 0] {
+        assert!(finished(&set, many(&folder, 80, memory)) == expected, "with {memory} bytes");
+    }
 }
 
 #[test]

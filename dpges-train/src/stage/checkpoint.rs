@@ -146,7 +146,7 @@ impl JointStage {
             limits: surfel_limit.zip(gaussian_limit).map(|(surfels, gaussians)| SamplingLimits { surfels, gaussians }),
             surfels,
             gaussians,
-            sky: SkyMasks::new(&environment, context)?,
+            sky: SkyMasks::new(&environment, context),
             environment,
             statistics: Statistics::from_rows(&max_pixels, &contributions, device),
             supervisions: discs.map(|discs| Supervisions::new(&discs, context)).transpose()?,

@@ -9,7 +9,7 @@ use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
 use crate::config::{Budget, Config, StagePlan};
-use crate::dataset::Dataset;
+use crate::dataset::{Dataset, MOST_AHEAD, read_ahead};
 use crate::stage::{DepthMaps, ExposureState, PoseState};
 
 /// What all stages of a run share.
@@ -50,16 +50,15 @@ impl Context {
         self.remaining_views.pop().expect("a dataset has training views") as usize
     }
 
-    /// Begins to read the photograph in the background that the step after this one needs, if it is not in memory. At the
-    /// end of a pass that is a guess: other random numbers may be drawn before the next one begins.
+    /// Begins to read the photographs in the background that the next steps need, if they are not in memory. Beyond the end
+    /// of a pass that is a guess: other random numbers may be drawn before the next one begins.
     pub fn read_ahead(&self) {
-        let next = match self.remaining_views.last() {
-            Some(&next) => Some(next),
-            None => pass(self.dataset.train.len(), &mut self.rng.clone()).last().copied(),
-        };
-        if let Some(next) = next {
-            self.dataset.train[next as usize].photograph.read_ahead();
+        let mut next: Vec<u32> = self.remaining_views.iter().rev().take(MOST_AHEAD).copied().collect();
+        if next.len() < MOST_AHEAD {
+            let following = pass(self.dataset.train.len(), &mut self.rng.clone());
+            next.extend(following.iter().rev().take(MOST_AHEAD - next.len()));
         }
+        read_ahead(next.iter().map(|&view| &self.dataset.train[view as usize].photograph));
     }
 
     /// Begins a new pass. A stage does so at its start, since its schedule counts passes from there.

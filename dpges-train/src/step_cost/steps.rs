@@ -93,7 +93,7 @@ impl Steps {
             poses: PoseState::default(),
             depth: None,
         };
-        let stage = stage::of_scene(plan, scene, &context)?;
+        let stage = stage::of_scene(plan, scene, &context);
         Ok(Self { scene: scene.clone(), context, stage, next: 0, pending: None })
     }
 

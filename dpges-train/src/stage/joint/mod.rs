@@ -54,39 +54,33 @@ pub struct JointStage {
 
 impl JointStage {
     /// A stage that begins with `start`.
-    ///
-    /// # Errors
-    /// [`TrainError::Core`] if a photograph cannot be read again.
     fn new(
         plan: StagePlan,
         start: &InitialScene,
         environment: EnvironmentState,
         supervisions: Option<Supervisions>,
         context: &Context,
-    ) -> Result<Self, TrainError> {
+    ) -> Self {
         let (config, device) = (&context.config, &context.device);
         let surfels = SurfelState::new(&start.surfels, OpacityActivation::Linear, device);
         let gaussians = GaussianState::new(&start.gaussians, config.model.opacity, device);
-        Ok(Self {
+        Self {
             plan,
             info: context.scene_info(Rendering::Peeled),
             schedule: config.schedule(context.dataset.train.len()),
             limits: SamplingLimits::new(&surfels, &gaussians, context),
             surfels,
             gaussians,
-            sky: SkyMasks::new(&environment, context)?,
+            sky: SkyMasks::new(&environment, context),
             environment,
             statistics: Statistics::new(start.surfels.len(), start.gaussians.len(), device),
             supervisions,
             growth: None,
-        })
+        }
     }
 
     /// A stage that begins with `scene` as it is, without geometry losses.
-    ///
-    /// # Errors
-    /// [`TrainError::Core`] if a photograph cannot be read again.
-    pub fn of_scene(plan: StagePlan, scene: &SceneData, context: &Context) -> Result<Self, TrainError> {
+    pub fn of_scene(plan: StagePlan, scene: &SceneData, context: &Context) -> Self {
         let start = InitialScene { surfels: scene.surfels.clone(), gaussians: scene.gaussians.clone() };
         let environment = EnvironmentState::new(scene.environment.as_ref(), &context.device);
         Self::new(plan, &start, environment, None, context)

@@ -3,26 +3,23 @@
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use dpges_core::counters::transfers::upload;
 
-use super::super::{Context, EnvironmentState, TrainError};
+use super::super::{Context, EnvironmentState};
 use crate::dataset::Picture;
-use crate::init::sky::{ViewSky, skies};
+use crate::init::sky::Skies;
 
 /// What the training views show of the sky.
-pub struct SkyMasks(Vec<Option<ViewSky>>);
+pub struct SkyMasks(Skies);
 
 impl SkyMasks {
     /// `None` in runs without an environment, and where nothing holds it free.
-    ///
-    /// # Errors
-    /// [`TrainError::Core`] if a photograph cannot be read again.
-    pub fn new(environment: &EnvironmentState, context: &Context) -> Result<Option<Self>, TrainError> {
+    pub fn new(environment: &EnvironmentState, context: &Context) -> Option<Self> {
         let is_held_free = environment.value().is_some() && context.config.train.lambda_sky > 0.0;
-        Ok(if is_held_free { Some(Self(skies(&context.recorded())?)) } else { None })
+        is_held_free.then(|| Self(Skies::new(&context.recorded())))
     }
 
     /// Sets `values` [H × W] to 0 where the training view with index `index`, of this `picture`, shows nothing but sky.
     pub fn clear(&self, index: usize, picture: &Picture, values: &mut [f32]) {
-        if let Some(sky) = &self.0[index] {
+        if let Some(sky) = self.0.of(index, picture) {
             sky.pixels(picture).into_iter().for_each(|pixel| values[pixel] = 0.0);
         }
     }
@@ -30,7 +27,7 @@ impl SkyMasks {
     /// [1, H, W] 1 where the training view with index `index`, of this `picture`, shows nothing but sky; `None` if it does
     /// so nowhere.
     pub fn of(&self, index: usize, picture: &Picture, device: &Device) -> Option<Tensor<3>> {
-        let sky = self.0[index].as_ref()?;
+        let sky = self.0.of(index, picture)?;
         let mut values = vec![0.0f32; picture.area()];
         sky.pixels(picture).into_iter().for_each(|pixel| values[pixel] = 1.0);
         Some(Tensor::from_data(

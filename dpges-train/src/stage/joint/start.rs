@@ -29,7 +29,7 @@ impl JointStage {
         };
         let start = context.start_of_joint(given.as_ref(), discs, trained.gaussians)?;
         let environment = EnvironmentState::new(trained.environment.as_ref(), &context.device);
-        Self::new(plan, &start, environment, supervisions, context)
+        Ok(Self::new(plan, &start, environment, supervisions, context))
     }
 }
 
