@@ -38,10 +38,13 @@ pub fn trials() -> Vec<Trial> {
         parity::what_no_buffer_holds_is_refused_by_name,
         parity::every_operation_gives_the_same_bits_every_time,
         parity::doubles_on_a_gpu_are_refused_by_name,
+        parity::photographs_are_unpacked_to_the_same_bits,
         lpips::a_gpu_agrees_with_a_cpu,
         gpu::starts_once,
         training::a_gpu_trains_as_well_as_a_cpu,
         training::a_run_on_a_gpu_is_the_same_bytes_every_time,
+        training::photographs_reach_a_gpu_to_the_bit,
+        training::where_photographs_are_changes_no_bit_of_a_run,
         step_cost::a_step_is_counted_alike_every_time,
         step_cost::a_blended_step_is_counted,
     ];

@@ -5,6 +5,7 @@ use dpges_core::binning::cap_lists;
 use dpges_core::camera::{Camera, CameraFromWorld, Lens};
 use dpges_core::ops::blend::{BlendOptions, Form};
 use dpges_core::ops::peel::PeelOptions;
+use dpges_core::ops::unpack::{pack, unpack};
 use dpges_core::scene::{ColourModel, Footprint, ScreenFilter};
 use dpges_core::testing::kernels::limit_buffers;
 use dpges_core::testing::lenses::{behind, every_model};
@@ -239,4 +240,17 @@ pub fn doubles_on_a_gpu_are_refused_by_name(device: Device) {
     let (surfels, gaussians) = scene.tensors(&device, DType::F64);
     let error = dpges_core::render::render(&surfels, &gaussians, &scene.camera, &Default::default()).unwrap_err();
     assert!(error.to_string().contains("F32, what GPUs compute in"), "{error}");
+}
+
+/// All values, in every place of a word, in images whose last word is full or not.
+pub fn photographs_are_unpacked_to_the_same_bits(device: Device) {
+    for shape in [[1, 1, 1], [3, 16, 17], [1, 13, 20], [2, 128, 3], [3, 480, 641]] {
+        let values: Vec<u8> = (0..shape.iter().product()).map(|at: usize| (at * 37 % 256) as u8).collect();
+        let [expected, found] = [ndarray(), device.clone()].map(|device| {
+            let image = unpack(&pack(&values, &device), shape).unwrap();
+            assert_eq!(image.dims(), shape);
+            image.into_data().iter::<f32>().map(f32::to_bits).collect::<Vec<_>>()
+        });
+        assert!(found == expected, "{shape:?}");
+    }
 }

@@ -20,8 +20,9 @@ fn check(cost: &GpuCost) {
     let own = |(name, _): &(&String, &usize)| name.starts_with("dpges_core::");
     let (own, others): (Vec<_>, Vec<_>) = launches_by_kernel.iter().partition(own);
     assert!(!own.is_empty() && !others.is_empty(), "of dpges {own:?}, of Burn {others:?}");
-    let photograph = 3 * 64 * 48 * 4;
-    assert!(transfers.uploads > 0 && transfers.uploaded_bytes >= photograph, "{transfers:?}");
+    // it is on the device since the first step
+    let photograph = 3 * 64 * 48;
+    assert!(transfers.uploaded_bytes < photograph, "{transfers:?}");
     assert!(transfers.downloads > 0 && transfers.downloaded_bytes < photograph, "{transfers:?}");
     assert!(memory.alive_bytes > 0 && memory.peak_bytes > memory.alive_bytes, "{memory:?}");
     assert!(memory.reserved_bytes >= memory.alive_bytes, "{memory:?}");

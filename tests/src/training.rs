@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use burn::tensor::Device;
+use dpges_core::counters::transfers::transfers;
 use dpges_train::config::Config;
 use dpges_train::dataset::{BuiltinOptions, Dataset, builtin};
 use dpges_train::eval::evaluate;
@@ -64,4 +65,51 @@ pub fn a_run_on_a_gpu_is_the_same_bytes_every_time(device: Device) {
     let run = || trained(&data, config(50, &[]), &device).checkpoint();
     let (first, second) = (run(), run());
     assert!(first == second, "two runs with the same seed differ");
+}
+
+/// Of one photograph that is on a tape and one that is not, what a GPU has is what files have.
+pub fn photographs_reach_a_gpu_to_the_bit(device: Device) {
+    let data = dataset();
+    for device in [device.clone(), device.autodiff()] {
+        for view in &data.train {
+            let (picture, found) = (view.picture().unwrap(), view.target(&device).unwrap().image);
+            assert_eq!(found.is_autodiff(), device.is_autodiff());
+            let found: Vec<u32> = found.into_data().iter::<f32>().map(f32::to_bits).collect();
+            let expected: Vec<u32> = picture.planes().into_iter().map(f32::to_bits).collect();
+            assert!(found == expected, "{}", view.name);
+        }
+    }
+}
+
+/// With room on the device for all photographs, for two of eight, and for none. Every other one has a mask.
+pub fn where_photographs_are_changes_no_bit_of_a_run(device: Device) {
+    let mut data = Arc::unwrap_or_clone(dataset());
+    for view in data.train.iter_mut().step_by(2) {
+        view.repaint(|picture| picture.counted = Some((0..64 * 64).map(|pixel| pixel % 64 > 9).collect())).unwrap();
+    }
+    let data = Arc::new(data);
+    let photograph = 3 * 64 * 64;
+    let run = |memory: &str| {
+        // so long that no Gaussians are added in the steps that are taken
+        let config = config(400, &[&format!("data.device_memory={memory}")]);
+        let mut trainer = Trainer::new(config, Arc::clone(&data), device.clone()).unwrap();
+        // of the steps of the first pass over the views, and of those after it
+        let mut uploaded = [Vec::new(), Vec::new()];
+        for step in 0..40 {
+            let before = transfers();
+            trainer.step().unwrap();
+            uploaded[usize::from(step >= data.train.len())].push(transfers().since(before).uploaded_bytes);
+        }
+        trainer.settle().unwrap();
+        (trainer.scene(), uploaded)
+    };
+    let (expected, uploaded) = run("1GB");
+    assert!(uploaded[0].iter().all(|&bytes| bytes >= photograph), "{uploaded:?}");
+    assert!(uploaded[1].iter().filter(|&&bytes| bytes < photograph).count() > 20, "{uploaded:?}");
+    for (memory, some_stay) in [("0.045MB", true), ("0MB", false)] {
+        let (scene, uploaded) = run(memory);
+        assert!(scene == expected, "another scene with {memory}");
+        assert!(uploaded[1].iter().any(|&bytes| bytes >= photograph), "{memory}: {uploaded:?}");
+        assert_eq!(uploaded[1].iter().any(|&bytes| bytes < photograph), some_stay, "{memory}: {uploaded:?}");
+    }
 }

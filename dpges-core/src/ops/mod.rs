@@ -1,6 +1,6 @@
 //! The custom operations, in the order in which a training step uses them: [`finite`], [`colour`],
 //! [`peel`], [`limits`], [`splat`], [`composite`], [`environment`](mod@environment), [`ssim`], [`adam`]. [`coverage`] and
-//! [`jitter`] serve refinement.
+//! [`jitter`] serve refinement, and [`unpack`](mod@unpack) brings photographs to a GPU.
 //! [`blend`] replaces peel, splat and composite where Gaussians or discs are trained alone.
 //!
 //! Every folder has the same files:
@@ -37,3 +37,4 @@ pub mod limits;
 pub mod peel;
 pub mod splat;
 pub mod ssim;
+pub mod unpack;

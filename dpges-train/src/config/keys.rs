@@ -36,6 +36,9 @@ configuration! {
         /// Most memory for photographs. Those beyond are read again from their files whenever they are needed, which takes
         /// time and changes nothing else.
         memory: Memory = Memory::Auto;
+        /// Most memory of a GPU for the photographs and masks of training views, which stay there once they were uploaded. Those
+        /// beyond are uploaded by every step that needs them, which takes time and changes nothing else.
+        device_memory: Memory = Memory::Gigabytes(2.0);
         /// Near plane of every camera. 0 takes the default of the dataset's format.
         near: f64 = 0.0, unit: "world units", range: 0.0..;
         /// Resample photographs that were taken through a lens for a pinhole camera. Otherwise the scene is trained and

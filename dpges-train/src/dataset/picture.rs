@@ -2,7 +2,10 @@
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use dpges_core::counters::transfers::upload;
+use dpges_core::device::is_gpu;
 use dpges_core::losses::{Mask, Target};
+
+use super::PackedPicture;
 
 /// A pixel with at most this alpha shows the background rather than what is before it.
 const TRANSPARENT: u8 = 127;
@@ -37,17 +40,27 @@ impl Picture {
         planes
     }
 
-    /// The picture on `device`, and which of its pixels count.
+    /// The picture on `device`, and which of its pixels count. It goes to a GPU with 8 bits per value.
     ///
     /// # Panics
     /// If no pixel counts.
     pub fn target(&self, device: &Device) -> Target {
+        if is_gpu(device) {
+            return PackedPicture::new(self, device).target();
+        }
         let shape = [3, self.height, self.width];
         let image = Tensor::from_data(upload(TensorData::new(self.planes(), shape)), (device, DType::F32));
-        let mask = self.counted.as_ref().map(|counted| {
+        Target { image, mask: self.mask(device) }
+    }
+
+    /// Which of the pixels count, on `device`; `None` if all do.
+    ///
+    /// # Panics
+    /// If no pixel counts.
+    pub(super) fn mask(&self, device: &Device) -> Option<Mask> {
+        self.counted.as_ref().map(|counted| {
             Mask::new(counted, self.width, self.height, device).expect("a mask of this size in which a pixel counts")
-        });
-        Target { image, mask }
+        })
     }
 
     /// Number of pixels.

@@ -17,8 +17,8 @@ use crate::config::{Config, StagePlan};
 use crate::dataset::Dataset;
 use crate::pose::{PoseChanges, RefinedPoses};
 use crate::stage::{
-    self, Context, ExposureState, PendingStep, PoseState, Settled, Stage, StageCheckpoint, StepReport, TrainError,
-    Trained, begin_step,
+    self, Context, DevicePhotographs, ExposureState, PendingStep, PoseState, Settled, Stage, StageCheckpoint,
+    StepReport, TrainError, Trained, begin_step,
 };
 
 /// A scene that learns a dataset, and where in the plan of its stages it stands.
@@ -63,6 +63,7 @@ impl Trainer {
 
     fn context(config: Config, dataset: Arc<Dataset>, device: Device) -> Context {
         let rng = ChaCha8Rng::seed_from_u64(config.train.seed);
+        let photographs = DevicePhotographs::new(&config, &device);
         Context {
             dataset,
             config,
@@ -73,6 +74,7 @@ impl Trainer {
             exposure: ExposureState::default(),
             poses: PoseState::default(),
             depth: None,
+            photographs,
         }
     }
 
@@ -97,8 +99,8 @@ impl Trainer {
             .map_err(|reason| TrainError::Resume { reason })?;
         let poses = PoseState::from_rows(&mut attributes, &mut columns, &dataset)
             .map_err(|reason| TrainError::Resume { reason })?;
-        let mut context =
-            Context { dataset, config, device, rng, remaining_views, completed_steps, exposure, poses, depth: None };
+        let context = Self::context(config, dataset, device);
+        let mut context = Context { rng, remaining_views, completed_steps, exposure, poses, ..context };
         context.depth = context.start_of_depth();
         context.place_cameras();
         let of_stage = StageCheckpoint { info, growth, attributes, columns, max_pixels };

@@ -10,7 +10,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::config::{Budget, Config, StagePlan};
 use crate::dataset::{Dataset, MOST_AHEAD, read_ahead};
-use crate::stage::{DepthMaps, ExposureState, PoseState};
+use crate::stage::{DepthMaps, DevicePhotographs, ExposureState, PoseState, Stage};
 
 /// What all stages of a run share.
 pub struct Context {
@@ -29,6 +29,8 @@ pub struct Context {
     pub poses: PoseState,
     /// `None` if no depth maps are learnt from.
     pub depth: Option<DepthMaps>,
+    /// Those that stay on a GPU.
+    pub photographs: DevicePhotographs,
 }
 
 impl Context {
@@ -50,15 +52,17 @@ impl Context {
         self.remaining_views.pop().expect("a dataset has training views") as usize
     }
 
-    /// Begins to read the photographs in the background that the next steps need, if they are not in memory. Beyond the end
-    /// of a pass that is a guess: other random numbers may be drawn before the next one begins.
-    pub fn read_ahead(&self) {
+    /// Begins to read the photographs in the background that the next steps of `stage` need, if they are neither in memory nor
+    /// on a GPU. Beyond the end of a pass that is a guess: other random numbers may be drawn before the next one begins.
+    pub fn read_ahead(&self, stage: &dyn Stage) {
         let mut next: Vec<u32> = self.remaining_views.iter().rev().take(MOST_AHEAD).copied().collect();
         if next.len() < MOST_AHEAD {
             let following = pass(self.dataset.train.len(), &mut self.rng.clone());
             next.extend(following.iter().rev().take(MOST_AHEAD - next.len()));
         }
-        read_ahead(next.iter().map(|&view| &self.dataset.train[view as usize].photograph));
+        let next = next.iter().map(|&view| view as usize);
+        let needed = next.filter(|&view| stage.looks_at_pictures() || !self.has_on_device(view));
+        read_ahead(needed.map(|view| &self.dataset.train[view].photograph));
     }
 
     /// Begins a new pass. A stage does so at its start, since its schedule counts passes from there.

@@ -153,22 +153,25 @@ mod tests {
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
 
-    use super::super::{ExposureState, PoseState};
+    use super::super::{DevicePhotographs, ExposureState, PoseState};
     use super::*;
     use crate::init::sky::tests::{BLUE, ring, tower};
     use crate::run::fixtures::{config, device};
 
     fn start(dataset: Dataset, set: &[&str]) -> Option<EnvironmentData> {
+        let (config, device) = (config(set), device());
+        let photographs = DevicePhotographs::new(&config, &device);
         let context = Context {
             dataset: Arc::new(dataset),
-            config: config(set),
-            device: device(),
+            config,
+            device,
             rng: ChaCha8Rng::seed_from_u64(0),
             remaining_views: Vec::new(),
             completed_steps: 0,
             exposure: ExposureState::default(),
             poses: PoseState::default(),
             depth: None,
+            photographs,
         };
         context.start_of_environment().unwrap()
     }

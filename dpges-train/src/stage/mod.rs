@@ -14,6 +14,7 @@ mod given;
 mod joint;
 mod parameters;
 mod pending;
+mod photographs;
 mod poses;
 mod report;
 mod sampling_limit;
@@ -34,6 +35,7 @@ pub use exposure::{EXPOSURE, ExposureState};
 use joint::JointStage;
 pub use parameters::{Leaves, Parameters, StepRates};
 pub use pending::{PendingStep, Settled};
+pub use photographs::DevicePhotographs;
 pub use poses::PoseState;
 pub use report::StepReport;
 pub use step::{StepInput, begin_step};
@@ -64,6 +66,11 @@ pub trait Stage: Send {
     /// [`dpges_core::Error`] if the leaves or the view are not what the operations expect.
     fn forward(&mut self, leaves: &Leaves, input: &StepInput<'_>, context: &Context)
     -> dpges_core::Result<ForwardPass>;
+
+    /// Whether [`forward`](Self::forward) looks at the pictures of its views in host memory.
+    fn looks_at_pictures(&self) -> bool {
+        false
+    }
 
     /// Takes note of the gradient of the [probe](ForwardPass::probe) of a step.
     fn observe_probe(&mut self, _gradient: Tensor<2>) {}

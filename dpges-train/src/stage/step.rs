@@ -11,7 +11,7 @@ use super::exposure::photographed;
 use super::pending::{Gate, PendingStep};
 use super::poses::POSES;
 use super::{Context, Stage, StepReport, TrainError};
-use crate::dataset::{Picture, View};
+use crate::dataset::View;
 
 /// What a step learns from.
 pub struct StepInput<'a> {
@@ -20,9 +20,7 @@ pub struct StepInput<'a> {
     /// Index of the training view.
     pub index: usize,
     pub view: &'a View,
-    /// Its photograph.
-    pub picture: &'a Picture,
-    /// The photograph, on the device of the tape.
+    /// Its photograph, on the device of the tape.
     pub target: Target,
     /// What is known of the parameters.
     pub values: Values,
@@ -72,9 +70,8 @@ pub fn begin_step(
     let parameters = stage.parameters();
     (report.surfels, report.gaussians) = (parameters.surfels.len(), parameters.gaussians.len());
     let leaves = parameters.leaves();
-    let picture = view.picture()?;
-    context.read_ahead();
-    let target = picture.target(&context.tape());
+    let target = context.target(report.view)?;
+    context.read_ahead(stage);
     // After the first step they stay finite, since a step with a gradient that is not finite is held back
     let values = if completed == 0 { Values::Unknown } else { Values::KnownFinite };
     let depth = context.depth_target(report.view, &context.tape());
@@ -82,8 +79,8 @@ pub fn begin_step(
     let exposure = corrections.as_ref().map(|leaf| leaf.clone().slice([report.view..report.view + 1, 0..6]));
     let index = report.view;
     let probe = context.pose_probe(index);
-    let (picture, pose) = (&*picture, probe.as_ref());
-    let input = StepInput { completed, index, view, picture, target: target.clone(), values, depth, exposure, pose };
+    let pose = probe.as_ref();
+    let input = StepInput { completed, index, view, target: target.clone(), values, depth, exposure, pose };
     let at = |source| TrainError::Step { step: report.step, view: view.name.clone(), source };
     let forward = stage.forward(&leaves, &input, context).map_err(at)?;
 

@@ -17,7 +17,7 @@ use crate::config::{Config, Method, StageKind};
 use crate::dataset::{Dataset, Format, Picture, PointCloud, View};
 use crate::rendered::Renderer;
 use crate::run::{StepReport, TrainError};
-use crate::stage::{self, Context, ExposureState, PendingStep, PoseState, Stage, begin_step};
+use crate::stage::{self, Context, DevicePhotographs, ExposureState, PendingStep, PoseState, Stage, begin_step};
 
 /// Where in the stage the steps are, as a share: surfels are still judged, blended Gaussians still densified.
 const PROGRESS: f64 = 0.4;
@@ -82,6 +82,7 @@ impl Steps {
         let config = config(scene, stage);
         let plan = *config.plan().last().expect("a run has stages");
         let dataset = Arc::new(dataset(scene, cameras, device)?);
+        let photographs = DevicePhotographs::new(&config, device);
         let context = Context {
             dataset,
             config,
@@ -92,6 +93,7 @@ impl Steps {
             exposure: ExposureState::default(),
             poses: PoseState::default(),
             depth: None,
+            photographs,
         };
         let stage = stage::of_scene(plan, scene, &context);
         Ok(Self { scene: scene.clone(), context, stage, next: 0, pending: None })

@@ -48,7 +48,7 @@ fn a_blended_step_trains_gaussians_alone() {
 }
 
 #[test]
-fn every_step_uploads_its_photograph() {
+fn every_step_on_a_cpu_uploads_its_photograph() {
     let (scene, camera) = scene();
     let mut steps = Steps::new(&scene, &[camera], StepStage::Joint, &cpu()).unwrap();
     let mut of_a_step = || {

@@ -143,7 +143,14 @@ impl Stage for JointStage {
             let scale = gaussians.log_scales.clone().exp().mean() * (train.lambda_gaussian_scale / self.info.extent);
             losses.total = losses.total + opacity + scale;
         }
-        if let Some(sky) = self.sky.as_ref().and_then(|sky| sky.of(input.index, input.picture, &context.tape())) {
+        let sky = match &self.sky {
+            Some(sky) => {
+                let picture = input.view.picture()?;
+                sky.of(input.index, &picture, &context.tape())
+            }
+            None => None,
+        };
+        if let Some(sky) = sky {
             losses.total = losses.total + of_counted(hidden(&rendered, sky)) * train.lambda_sky;
         }
         if let Some(target) = &input.depth {
@@ -162,6 +169,10 @@ impl Stage for JointStage {
             losses.total = losses.total + of_counted(geometry(&rendered, surfels, camera, &supervision, &weights)?);
         }
         Ok(ForwardPass { losses, image: rendered.composite.image, probe: None })
+    }
+
+    fn looks_at_pictures(&self) -> bool {
+        self.sky.is_some()
     }
 
     fn rates(&self, completed: usize, config: &Config) -> StepRates {
