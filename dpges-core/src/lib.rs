@@ -30,6 +30,8 @@
 
 pub mod atomic;
 #[cfg(feature = "burn")]
+mod batch;
+#[cfg(feature = "burn")]
 pub mod binning;
 pub mod camera;
 #[cfg(feature = "burn")]

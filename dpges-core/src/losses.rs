@@ -9,13 +9,11 @@ mod tests;
 use burn::tensor::Tensor;
 
 use crate::error::Result;
-use crate::ops::ssim::ssim;
+use crate::ops::photometric::{self, Photometric, PhotometricWeights};
+use crate::ops::scale_loss::scale_loss;
+use crate::ops::surfel_loss::{SurfelLoss, SurfelLossWeights, surfel_loss};
 use crate::render::Render;
 pub use target::{Mask, Target, mean_of_counted};
-
-/// Beyond this x, the tangent continues the exp(x) of the scale loss, so that one huge surfel neither overflows nor
-/// loses its gradient.
-pub const SCALE_LOSS_LINEAR_FROM: f64 = 20.0;
 
 /// Weights of the terms of the total loss.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,53 +35,48 @@ impl Default for LossWeights {
     }
 }
 
-/// Mean absolute difference of two images of the same shape.
-pub fn l1(image: Tensor<3>, target: Tensor<3>) -> Tensor<1> {
-    (image - target).abs().mean()
-}
-
 /// L_rgb: `(1 − share) · L1 + share · (1 − SSIM)`, on the unclamped image. Where pixels do not count, image and target
 /// are taken to be equal, and both means are those over the pixels that count.
 ///
 /// # Errors
 /// [`crate::Error::Shape`] if the images differ in shape.
 pub fn rgb(image: Tensor<3>, target: impl Into<Target>, dssim_share: f64) -> Result<Tensor<1>> {
-    target.into().compared(image, |image, target| {
-        let similarity = ssim(&image, &target)?;
-        Ok(l1(image, target) * (1.0 - dssim_share) + (similarity * -1.0 + 1.0) * dssim_share)
-    })
+    Ok(rgb_and_error(&image, &target.into(), dssim_share)?.value)
+}
+
+/// [`rgb`], and the mean squared error of the clamped image over the pixels that count.
+///
+/// # Errors
+/// Those of [`rgb`].
+pub fn rgb_and_error(image: &Tensor<3>, target: &Target, dssim_share: f64) -> Result<Photometric> {
+    let weights = PhotometricWeights::l1_and_dssim(dssim_share);
+    let weights = PhotometricWeights { pixels_per_counted: target.pixels_per_counted(), ..weights };
+    photometric::photometric(image, &target.image, target.ignored(), &weights)
 }
 
 /// L_scale: the mean of exp(x), where x is the mean of a surfel's two scales divided by the mean scale of all surfels,
-/// which carries no gradient. 0 without surfels. `log_scales` [N, 2].
+/// which carries no gradient; see [`scale_loss`](mod@crate::ops::scale_loss). 0 without surfels. `log_scales` [N, 2].
 pub fn scale(log_scales: Tensor<2>) -> Tensor<1> {
-    let device = log_scales.device();
-    if log_scales.dims()[0] == 0 {
-        return Tensor::zeros([1], (&device, log_scales.dtype()));
-    }
-    // relative to the largest: scales of surfels that no view sees shrink until their exponentials, and the mean, are 0
-    let fixed = log_scales.clone().detach();
-    let largest = fixed.clone().max();
-    let log_mean = (fixed - largest.clone().unsqueeze::<2>()).exp().mean().log() + largest;
-    let x = (log_scales - log_mean.unsqueeze::<2>()).exp().mean_dim(1);
-    let clamped = x.clone().clamp_max(SCALE_LOSS_LINEAR_FROM);
-    (clamped.clone().exp() * (x - clamped + 1.0)).mean()
+    scale_loss(&log_scales, 1.0).weighted
 }
 
 /// L_t: (1 − T_K)² averaged over all pixels. Pixels covered by fewer than two layers contribute neither value nor
 /// gradient.
 pub fn transmittance(render: &Render) -> Tensor<1> {
-    transmittance_within(render, None)
+    let image = render.composite.surfel_image.clone();
+    let weights = LossWeights { surfel: 0.0, transmittance: 1.0, ..LossWeights::default() };
+    of_surfels(render, &image.into(), &weights).expect("an image is as large as itself").weighted
 }
 
-fn transmittance_within(render: &Render, mask: Option<&Mask>) -> Tensor<1> {
-    let [count, height, width] = render.layers.alpha.dims();
-    if count < 2 {
-        return Tensor::zeros([1], (&render.layers.alpha.device(), render.layers.alpha.dtype()));
-    }
-    let last = render.composite.transmittance.clone().slice([count..count + 1, 0..height, 0..width]);
-    let uncovered = render.layers.ids.clone().slice([1..2, 0..height, 0..width]).lower_elem(0);
-    mean_of_counted((last * -1.0 + 1.0).powi_scalar(2).mask_fill(uncovered, 0.0), mask)
+/// L_s and L_t.
+fn of_surfels(render: &Render, target: &Target, weights: &LossWeights) -> Result<SurfelLoss> {
+    let weights = SurfelLossWeights {
+        image: weights.surfel,
+        transmittance: weights.transmittance,
+        pixels_per_counted: target.pixels_per_counted(),
+    };
+    let (composite, ids) = (&render.composite, &render.layers.ids);
+    surfel_loss(&composite.surfel_image, &composite.transmittance, ids, &target.image, target.ignored(), &weights)
 }
 
 /// Mean over all pixels of the share of what is behind everything, background or environment, that surfels and Gaussians
@@ -95,7 +88,7 @@ pub fn hidden(render: &Render, mask: Tensor<3>) -> Tensor<1> {
     ((shown * -1.0 + 1.0) * mask).mean()
 }
 
-/// The unweighted terms of the loss of one view, `[1]` each, and their weighted sum.
+/// The unweighted terms of the loss of one view, `[1]` each, and their weighted sum. Gradients come from `rgb` and `total`.
 #[derive(Clone, Debug)]
 pub struct Losses {
     pub rgb: Tensor<1>,
@@ -104,6 +97,8 @@ pub struct Losses {
     pub transmittance: Tensor<1>,
     /// Weighted sum.
     pub total: Tensor<1>,
+    /// Mean squared error of the clamped image over the pixels that count; no term.
+    pub squared_error: Tensor<1>,
 }
 
 /// All terms for one rendered view. Terms of weight 0 are not part of the total, so no gradient flows through them.
@@ -118,16 +113,16 @@ pub fn losses(
     weights: &LossWeights,
 ) -> Result<Losses> {
     let target = target.into();
-    let rgb = rgb(render.composite.image.clone(), target.clone(), weights.dssim)?;
-    let surfel = target.compared(render.composite.surfel_image.clone(), |image, target| Ok(l1(image, target)))?;
-    let scale = scale(log_scales);
-    let transmittance = transmittance_within(render, target.mask.as_ref());
+    let Photometric { value: rgb, squared_error } = rgb_and_error(&render.composite.image, &target, weights.dssim)?;
+    let surfels = of_surfels(render, &target, weights)?;
+    let scale = scale_loss(&log_scales, weights.scale);
     let mut total = rgb.clone();
-    for (term, weight) in [(&surfel, weights.surfel), (&scale, weights.scale), (&transmittance, weights.transmittance)]
-    {
-        if weight != 0.0 {
-            total = total + term.clone() * weight;
-        }
+    if weights.surfel != 0.0 || weights.transmittance != 0.0 {
+        total = total + surfels.weighted;
     }
-    Ok(Losses { rgb, surfel, scale, transmittance, total })
+    if weights.scale != 0.0 {
+        total = total + scale.weighted;
+    }
+    let SurfelLoss { image: surfel, transmittance, .. } = surfels;
+    Ok(Losses { rgb, surfel, scale: scale.value, transmittance, total, squared_error })
 }

@@ -4,7 +4,7 @@ use burn::tensor::Tensor;
 
 use crate::error::Result;
 use crate::losses::{Target, mean_of_counted};
-use crate::ops::ssim::ssim;
+use crate::ops::photometric::ssim;
 
 /// Value of pixels that do not count, in both pictures: the middle one of 8 bits. It is the same for every render, so
 /// that scores of several renders stay comparable.

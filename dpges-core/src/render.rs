@@ -93,7 +93,7 @@ pub fn validate(surfels: &Surfels, gaussians: &Gaussians, values: Values) -> Res
     let mut door = Door::new(("surfels.positions", &surfels.positions));
     door.enter(surfels, values)?;
     door.enter(gaussians, values)?;
-    check_finite(&door.checks)
+    check_finite(door.checks)
 }
 
 /// [`validate`] for a scene without surfels.
@@ -104,7 +104,7 @@ pub fn validate_gaussians(gaussians: &Gaussians, values: Values) -> Result<()> {
     gaussians.check_shapes()?;
     let mut door = Door::new(("gaussians.positions", &gaussians.positions));
     door.enter(gaussians, values)?;
-    check_finite(&door.checks)
+    check_finite(door.checks)
 }
 
 /// What every tensor has to pass.

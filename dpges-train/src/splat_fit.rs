@@ -68,7 +68,7 @@ pub fn fit(
                 checks.add(format!("gradient of {}", attribute.raw_name), gradient);
             }
         }
-        check_finite(&checks)?;
+        check_finite(checks)?;
         // the tape shares the parameters: without it the optimiser can work in place
         drop(leaves);
         let rates = rates(&config, completed as f64 / steps as f64, scene.info.extent);

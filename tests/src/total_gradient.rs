@@ -5,6 +5,7 @@ use burn::tensor::{DType, Device, Gradients, Tensor, TensorData};
 use dpges_core::camera::Camera;
 use dpges_core::losses::{self, LossWeights, losses};
 use dpges_core::ops::peel::PeelOptions;
+use dpges_core::ops::scale_loss::LINEAR_FROM;
 use dpges_core::render::{RenderOptions, render};
 use dpges_core::scene::schema::{Attribute, Columns, GaussianColumns, RateGroup, SurfelColumns};
 use dpges_core::scene::{ColourModel, Footprint, Gaussians, Surfels};
@@ -152,7 +153,7 @@ fn the_gradient_of_the_scale_loss_is_central_differences_about_a_fixed_mean() {
     let mean = log_scales.iter().map(|s| s.exp()).sum::<f64>() / log_scales.len() as f64;
     let of_surfel = |s: &[f64]| {
         let x = (s[0].exp() + s[1].exp()) / 2.0 / mean;
-        if x < losses::SCALE_LOSS_LINEAR_FROM { x.exp() } else { 20f64.exp() * (x - 19.0) }
+        if x < LINEAR_FROM { x.exp() } else { 20f64.exp() * (x - 19.0) }
     };
     let plainly = |s: &[f64]| s.chunks(2).map(of_surfel).sum::<f64>() / (s.len() / 2) as f64;
     assert!((3.5f64.exp() + 3f64.exp()) / 2.0 / mean > 20.0);

@@ -1,11 +1,14 @@
 //! The smallest rectangle around the pixels in which a surfel is a layer, found with integer atomics. GPU
-//! kernels gather gradients over these rectangles.
+//! kernels gather gradients over these rectangles, in pieces.
+
+use std::sync::{Mutex, PoisonError};
 
 use burn::backend::TensorMetadata;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
 use crate::gpu::launch::{buffer, cube_dim, empty_u32, units, zeros_u32};
+use crate::gpu::pieces::{Pieces, pieces};
 use crate::gpu::rect::{RECT, Rect};
 
 /// Records how far the rectangle of a surfel reaches, at the pixels where a run of the surfel begins or ends.
@@ -66,7 +69,7 @@ fn boxes_kernel(extremes: &[u32], boxes: &mut [u32], width: u32, height: u32, co
 }
 
 /// [count, [`RECT`]] rectangles around the pixels of `ids` [K, H, W] that belong to each surfel.
-pub fn visible_boxes(ids: &CubeTensor, count: usize) -> CubeTensor {
+fn visible_boxes(ids: &CubeTensor, count: usize) -> CubeTensor {
     let [layers, height, width] = ids.shape().dims();
     let extremes = zeros_u32(ids, [count.max(1), RECT]);
     let pixels = layers * height * width;
@@ -92,4 +95,35 @@ pub fn visible_boxes(ids: &CubeTensor, count: usize) -> CubeTensor {
         count as u32,
     );
     boxes
+}
+
+/// Pieces of the boxes of `count` surfels in some layers.
+struct Found {
+    ids: CubeTensor,
+    count: usize,
+    pieces: Pieces,
+}
+
+impl Found {
+    /// Whether these are the layers in the buffer of `ids`, which stays as it is as long as this holds it, too.
+    fn is_of(&self, ids: &CubeTensor, count: usize) -> bool {
+        let (own, other) = (&self.ids.handle, &ids.handle);
+        own.memory.clone().binding().id() == other.memory.clone().binding().id()
+            && (own.offset_start, self.ids.shape(), self.count) == (other.offset_start, ids.shape(), count)
+    }
+}
+
+/// What an operation has found for the next one that gathers over the same layers.
+static FOUND: Mutex<Option<Found>> = Mutex::new(None);
+
+/// Pieces of the boxes around the pixels of `ids` [K, H, W] that belong to each of `count` surfels. Compositing and peeling go
+/// back over the same layers: what the first finds the second takes.
+pub fn visible_pieces(ids: &CubeTensor, count: usize) -> Pieces {
+    let mut last = FOUND.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(found) = last.take_if(|found| found.is_of(ids, count)) {
+        return found.pieces;
+    }
+    let pieces = pieces(&visible_boxes(ids, count));
+    *last = Some(Found { ids: ids.clone(), count, pieces: pieces.clone() });
+    pieces
 }

@@ -9,8 +9,9 @@ use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
 use super::gather::zeros;
-use super::launch::{HALVINGS, UNITS, buffer, cube_dim, cubes, empty_f32, empty_u32, units};
+use super::launch::{UNITS, buffer, cube_dim, cubes, empty_f32, empty_u32, units};
 use super::rect::Rect;
+use super::reduce::{self, sum_parts, sum_units};
 use super::scan;
 use super::work::own_owner;
 
@@ -166,39 +167,22 @@ pub fn store_gathered(
     }
 }
 
-/// The sum of one number of each unit of the cube, always in the same order.
-#[cube]
-fn sum_of_units(own: f32) -> f32 {
-    let mut sums = Shared::<[f32]>::new_slice(comptime!(UNITS as usize));
-    let unit = UNIT_POS as usize;
-    sums[unit] = own;
-    #[unroll]
-    for halving in 0..HALVINGS {
-        let step = comptime!((UNITS >> (halving + 1)) as usize);
-        sync_cube();
-        if unit < step {
-            sums[unit] += sums[unit + step];
-        }
-    }
-    sync_cube();
-    sums[0]
-}
-
 /// Area of the rectangles, px, in as many parts as there are cubes.
 #[cube(launch)]
 fn areas_kernel(rects: &[u32], areas: &mut [f32], count: u32, parts: u32) {
     if CUBE_POS >= parts as usize {
         terminate!();
     }
-    let mut own = 0.0f32;
+    let mut own = zeros(1usize);
     let mut at = CUBE_POS as u32 * UNITS + UNIT_POS;
     while at < count {
-        own += f32::cast_from(Rect::load(rects, at as usize).area());
+        own[0] += f32::cast_from(Rect::load(rects, at as usize).area());
         at += parts * UNITS;
     }
-    let area = sum_of_units(own);
+    let mut memory = Shared::<[f32]>::new_slice(comptime!(UNITS as usize));
+    sum_units(&own, &mut memory, 1usize);
     if UNIT_POS == 0u32 {
-        areas[CUBE_POS] = area;
+        areas[CUBE_POS] = memory[0];
     }
 }
 
@@ -216,11 +200,9 @@ fn counts_kernel(
     if CUBE_POS * UNITS as usize >= count as usize {
         terminate!();
     }
-    let mut part = 0.0f32;
-    if UNIT_POS < parts {
-        part = areas[UNIT_POS as usize];
-    }
-    let own_size = u32::cast_from(f32::ceil(max(sum_of_units(part) / budget, SMALLEST)));
+    let mut memory = Shared::<[f32]>::new_slice(comptime!(UNITS as usize));
+    sum_parts(areas, parts, &mut memory, 1usize);
+    let own_size = u32::cast_from(f32::ceil(max(memory[0] / budget, SMALLEST)));
     let i = ABSOLUTE_POS;
     if i == 0usize {
         size[0] = own_size;
@@ -247,6 +229,7 @@ fn pieces_kernel(rects: &[u32], size: &[u32], starts: &[u32], pieces: &mut [u32]
 }
 
 /// Pieces of rectangles.
+#[derive(Clone)]
 pub struct Pieces {
     /// [most, 6] in the order of the rectangles, empty ones last
     pub pieces: CubeTensor,
@@ -321,7 +304,7 @@ impl Pieces {
 /// The pixels of `rects` [N, 4] in pieces.
 pub fn pieces(rects: &CubeTensor) -> Pieces {
     let (client, count) = (rects.client.clone(), rects.shape()[0]);
-    let parts = count.div_ceil(UNITS as usize).clamp(1, UNITS as usize);
+    let parts = reduce::parts(count);
     let budget = count / 2 + SPARE;
     let areas = empty_f32(rects, [parts]);
     areas_kernel::launch(&client, cubes(parts), cube_dim(), buffer(rects), buffer(&areas), count as u32, parts as u32);

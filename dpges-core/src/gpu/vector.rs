@@ -61,6 +61,12 @@ pub fn write3(out: &mut [f32], i: usize, v: Vec3) {
     Vec3::store(v, out, i * Vec3::LEN);
 }
 
+/// −1, 0 or 1.
+#[cube]
+pub fn sign(value: f32) -> f32 {
+    select(value > 0.0f32, 1.0f32, select(value < 0.0f32, -1.0f32, 0.0f32))
+}
+
 #[cube]
 pub fn dot(a: Vec3, b: Vec3) -> f32 {
     a.x * b.x + a.y * b.y + a.z * b.z

@@ -49,12 +49,6 @@ impl Mask {
         image.mask_fill(ignored, value)
     }
 
-    /// `image` [C, H, W] with the values of `other`, which has its shape, where pixels do not count.
-    pub fn replaced(&self, image: Tensor<3>, other: Tensor<3>) -> Tensor<3> {
-        let ignored = self.ignored.clone().repeat_dim(0, image.dims()[0]).greater_elem(0.5);
-        image.mask_where(ignored, other)
-    }
-
     /// The mean `[1]` over the pixels that count, from `mean` over all pixels of what is 0 where they do not.
     pub fn of_counted(&self, mean: Tensor<1>) -> Tensor<1> {
         mean * self.pixels_per_counted
@@ -97,23 +91,13 @@ impl Target {
         Self { image: self.image.inner(), mask: self.mask.map(Mask::inner) }
     }
 
-    /// `of` a `render` [3, H, W] and the photograph, a mean over all pixels, as mean `[1]` over those that count.
-    ///
-    /// Where pixels do not count, `of` sees the render in both, without gradient: there they are equal, no window across
-    /// the border of the mask sees an edge that only one of them has, and what the photograph shows there is of no effect.
-    ///
-    /// # Errors
-    /// Those of `of`.
-    pub(super) fn compared(
-        &self,
-        render: Tensor<3>,
-        of: impl FnOnce(Tensor<3>, Tensor<3>) -> Result<Tensor<1>>,
-    ) -> Result<Tensor<1>> {
-        let Some(mask) = self.mask.as_ref().filter(|_| render.dims() == self.image.dims()) else {
-            return of(render, self.image.clone());
-        };
-        let fixed = render.clone().detach();
-        let image = mask.replaced(render, fixed.clone());
-        Ok(mask.of_counted(of(image, mask.replaced(self.image.clone(), fixed))?))
+    /// [1, H, W] 1 where a pixel does not count, else 0; `None` if all count.
+    pub(super) fn ignored(&self) -> Option<&Tensor<3>> {
+        self.mask.as_ref().map(|mask| &mask.ignored)
+    }
+
+    /// Number of all pixels over the number of those that count.
+    pub(super) fn pixels_per_counted(&self) -> f64 {
+        self.mask.as_ref().map_or(1.0, Mask::pixels_per_counted)
     }
 }

@@ -3,7 +3,7 @@ use burn::tensor::{DType, Tensor};
 use super::geometry::{Supervision, normal_consistency};
 use super::{LossWeights, Mask, Target, losses, rgb};
 use crate::metrics::{mean_ssim, psnr};
-use crate::render::{RenderOptions, render};
+use crate::render::{Render, RenderOptions, render};
 use crate::testing::device;
 use crate::testing::golden::values;
 use crate::testing::gradients::leaf;
@@ -104,6 +104,38 @@ fn all_terms_of_a_view_leave_out_what_does_not_count() {
     let found = total(&photograph);
     assert!(found.1.as_ref().is_some_and(|gradient| gradient.iter().any(|&g| g != 0.0)), "a surfel is seen");
     assert_eq!(found, total(&overpainted(&photograph, &garbage)));
+}
+
+#[test]
+fn a_view_goes_back_from_any_of_its_terms() {
+    let recipe = Recipe { surfels: 12, gaussians: 20, width: WIDTH, height: HEIGHT, ..Recipe::default() };
+    let scene = scenes::random(11, &recipe);
+    let photograph = Random::new(6).numbers(3 * AREA, 0.0, 1.0);
+    let gradient = |of: &dyn Fn(&Render, Tensor<2>) -> Tensor<1>| {
+        let (surfels, gaussians) = scene.tensors(&device(), DType::F64);
+        let (surfels, gaussians) = (surfels.require_grad(), gaussians.require_grad());
+        let rendered = render(&surfels, &gaussians, &scene.camera, &RenderOptions::default()).unwrap();
+        values(&surfels.positions.grad(&of(&rendered, surfels.log_scales.clone()).backward()).unwrap())
+    };
+    let total = |surfel: f64, transmittance: f64| {
+        gradient(&|rendered, log_scales| {
+            let weights = LossWeights { surfel, transmittance, ..LossWeights::default() };
+            losses(rendered, log_scales, image(&photograph).detach(), &weights).unwrap().total
+        })
+    };
+    let [none, surfel, transmittance, both] = [total(0.0, 0.0), total(0.5, 0.0), total(0.0, 0.5), total(0.5, 0.5)];
+    let alone = gradient(&|rendered, _| super::transmittance(rendered));
+    assert!(alone.iter().any(|&g| g != 0.0), "two surfels are seen one behind the other");
+    for at in 0..none.len() {
+        let sum = surfel[at] + transmittance[at] - none[at];
+        approx::assert_relative_eq!(both[at], sum, epsilon = 1e-12, max_relative = 1e-9);
+        approx::assert_relative_eq!(
+            transmittance[at],
+            none[at] + 0.5 * alone[at],
+            epsilon = 1e-12,
+            max_relative = 1e-9
+        );
+    }
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! The custom operations, in the order in which a training step uses them: [`finite`], [`colour`],
-//! [`peel`], [`limits`], [`splat`], [`composite`], [`environment`](mod@environment), [`ssim`], [`adam`]. [`coverage`] and
-//! [`jitter`] serve refinement, and [`unpack`](mod@unpack) brings photographs to a GPU.
+//! [`peel`], [`limits`], [`splat`], [`composite`], [`environment`](mod@environment), [`photometric`], [`surfel_loss`],
+//! [`scale_loss`], [`join`], [`adam`]. [`coverage`] and [`jitter`] serve refinement, and [`unpack`](mod@unpack) brings
+//! photographs to a GPU.
 //! [`blend`] replaces peel, splat and composite where Gaussians or discs are trained alone.
 //!
 //! Every folder has the same files:
@@ -33,8 +34,11 @@ pub mod coverage;
 pub mod environment;
 pub mod finite;
 pub mod jitter;
+pub mod join;
 pub mod limits;
 pub mod peel;
+pub mod photometric;
+pub mod scale_loss;
 pub mod splat;
-pub mod ssim;
+pub mod surfel_loss;
 pub mod unpack;

@@ -14,7 +14,7 @@ use crate::losses::{self, LossWeights};
 use crate::ops::composite::geometry;
 use crate::ops::environment::environment;
 use crate::ops::peel::PeelOptions;
-use crate::ops::ssim::ssim;
+use crate::ops::photometric::ssim;
 use crate::render::{Render, RenderOptions, render};
 use crate::scene::schema::{Attribute, Columns, ENVIRONMENT, Width};
 use crate::scene::{ColourModel, Footprint, Gaussians, Surfels};
@@ -286,12 +286,12 @@ impl Found<'_> {
         let image = || rendered.composite.image.clone();
         self.compare("loss.rgb", &values(&losses::rgb(image(), inputs.target.clone(), 0.2).expect("shapes agree")));
         self.compare("loss.ssim", &values(&ssim(&image(), &inputs.target).expect("shapes agree")));
-        self.compare(
-            "loss.surfel",
-            &values(&losses::l1(rendered.composite.surfel_image.clone(), inputs.target.clone())),
-        );
-        self.compare("loss.transmittance", &values(&losses::transmittance(rendered)));
-        self.compare("loss.scale", &values(&losses::scale(inputs.surfels.log_scales.clone())));
+        let log_scales = inputs.surfels.log_scales.clone();
+        let terms = losses::losses(rendered, log_scales, inputs.target.clone(), &LossWeights::default());
+        let terms = terms.expect("shapes agree");
+        self.compare("loss.surfel", &values(&terms.surfel));
+        self.compare("loss.transmittance", &values(&terms.transmittance));
+        self.compare("loss.scale", &values(&terms.scale));
         self.compare("loss.total", &values(&case.total(inputs)));
     }
 

@@ -19,11 +19,15 @@ use crate::ops::colour::colour;
 use crate::ops::composite::{CompositeOptions, composite};
 use crate::ops::coverage::coverage;
 use crate::ops::environment::environment;
+use crate::ops::finite::FiniteChecks;
 use crate::ops::jitter::{JitterOptions, NoiseGate, jitter};
+use crate::ops::join::join;
 use crate::ops::limits::interval_limits;
 use crate::ops::peel::{Layers, PeelOptions, peel};
+use crate::ops::photometric::{PhotometricWeights, photometric, ssim};
+use crate::ops::scale_loss::scale_loss;
 use crate::ops::splat::{contributions, splat};
-use crate::ops::ssim::ssim;
+use crate::ops::surfel_loss::{SurfelLossWeights, surfel_loss};
 use crate::scene::schema::Columns;
 use crate::scene::{Gaussians, MarginLookup, Surfels};
 
@@ -177,27 +181,99 @@ impl<'a> Bench<'a> {
         sums
     }
 
+    /// Goes back from each output by itself, and from all of them together.
     fn composite(&mut self, layers: &Layers, colours: &Tensor<2>, sums: &Tensor<4>) {
+        const NAMES: [&str; 5] = ["image", "surfel_image", "transmittance", "gaussian_colour", "gaussian_weight"];
         for detach_transmittance in [false, true] {
             let options = CompositeOptions { background: [0.3, 0.6, 0.1], detach_transmittance };
-            let layers = Layers { alpha: layers.alpha.clone().require_grad(), ..layers.clone() };
-            let (colours, sums) = (colours.clone().require_grad(), sums.clone().require_grad());
-            let out = composite(&layers, &colours, &sums, &options).expect("valid input");
-            let outputs = [
-                ("image", out.image),
-                ("surfel_image", out.surfel_image),
-                ("transmittance", out.transmittance),
-                ("gaussian_colour", out.gaussian_colour),
-                ("gaussian_weight", out.gaussian_weight),
-            ];
-            for (name, output) in outputs {
+            let every: Vec<usize> = (0..NAMES.len()).collect();
+            for chosen in every.chunks(1).chain([every.as_slice()]) {
+                let layers = Layers { alpha: layers.alpha.clone().require_grad(), ..layers.clone() };
+                let (colours, sums) = (colours.clone().require_grad(), sums.clone().require_grad());
+                let out = composite(&layers, &colours, &sums, &options).expect("valid input");
+                let outputs =
+                    [out.image, out.surfel_image, out.transmittance, out.gaussian_colour, out.gaussian_weight];
+                let name = if let [one] = chosen { NAMES[*one] } else { "all" };
                 let of = format!("composite{}.{name}", if detach_transmittance { ".detached" } else { "" });
-                self.note(&of, &output);
-                let gradients = (output.clone() * self.upstream(&output, 5)).sum().backward();
+                if let [one] = chosen {
+                    self.note(&of, &outputs[*one]);
+                }
+                let losses = chosen.iter().map(|&output| {
+                    let output = &outputs[output];
+                    (output.clone() * self.upstream(output, 5)).sum()
+                });
+                let gradients = losses.reduce(|sum, loss| sum + loss).expect("an output").backward();
                 self.gradient(&format!("{of}.grad.alpha"), &layers.alpha, &gradients);
                 self.gradient(&format!("{of}.grad.colours"), &colours, &gradients);
                 self.gradient(&format!("{of}.grad.sums"), &sums, &gradients);
             }
+        }
+    }
+
+    /// Without a mask, and with one that leaves out every seventh pixel.
+    fn losses(&mut self, layers: &Layers) {
+        let [layer_count, height, width] = self.shape();
+        let area = height * width;
+        let random = |planes: usize, seed| Random::new(seed).numbers(planes * area, 0.0, 1.0);
+        let target = self.tensor(&random(3, 21), [3, height, width]);
+        // one pixel alone counts
+        let ignored: Vec<f64> = (0..area).map(|pixel| f64::from(u8::from(pixel % 7 == 3 && area > 1))).collect();
+        let pixels_per_counted = area as f64 / (area as f64 - ignored.iter().sum::<f64>());
+        let ignored = self.tensor(&ignored, [1, height, width]);
+        for (name, mask, pixels_per_counted) in [("", None, 1.0), (".masked", Some(&ignored), pixels_per_counted)] {
+            let bright = self.tensor(&Random::new(22).numbers(3 * area, -0.2, 1.2), [3, height, width]);
+            let image = bright.clone().require_grad();
+            let weights = PhotometricWeights { pixels_per_counted, ..PhotometricWeights::l1_and_dssim(0.2) };
+            let found = photometric(&image, &target, mask, &weights).expect("one shape");
+            self.note(&format!("photometric{name}"), &found.value);
+            self.note(&format!("photometric{name}.squared_error"), &found.squared_error);
+            let gradients = (found.value * 0.7).backward();
+            self.gradient(&format!("photometric{name}.grad"), &image, &gradients);
+
+            let transmittance = self.tensor(&random(layer_count + 1, 23), [layer_count + 1, height, width]);
+            let transmittance = transmittance.require_grad();
+            let image = bright.require_grad();
+            let weights = SurfelLossWeights { image: 0.3, transmittance: 0.8, pixels_per_counted };
+            let found = surfel_loss(&image, &transmittance, &layers.ids, &target, mask, &weights).expect("one shape");
+            self.note(&format!("surfel_loss{name}"), &found.weighted);
+            self.note(&format!("surfel_loss{name}.image"), &found.image);
+            self.note(&format!("surfel_loss{name}.transmittance"), &found.transmittance);
+            let gradients = (found.weighted * 0.7).backward();
+            self.gradient(&format!("surfel_loss{name}.grad.image"), &image, &gradients);
+            self.gradient(&format!("surfel_loss{name}.grad.transmittance"), &transmittance, &gradients);
+        }
+
+        let log_scales = self.surfels.log_scales.clone();
+        let found = scale_loss(&log_scales, 0.3);
+        self.note("scale_loss", &found.weighted);
+        self.note("scale_loss.value", &found.value);
+        if !self.surfels.is_empty() {
+            let gradients = (found.weighted * 0.7).backward();
+            self.gradient("scale_loss.grad", &log_scales, &gradients);
+        }
+    }
+
+    /// Tensors that are joined, and that are checked: their numbers depend on nothing but their places.
+    fn batches(&mut self) {
+        let numbers = |at: usize| Random::new(30).numbers(1 + at % 3, 0.0, 1.0);
+        let tensor = |bench: &Self, numbers: &[f64]| bench.tensor(numbers, [numbers.len()]).inner();
+        let parts: Vec<Tensor<1>> = (0..14).map(|at| tensor(self, &numbers(at))).collect();
+        self.note("join", &join(&parts));
+        for bad in [None, Some(0), Some(9)] {
+            let mut checks = FiniteChecks::default();
+            for at in 0..parts.len() {
+                let mut numbers = numbers(at);
+                if bad == Some(at) {
+                    *numbers.last_mut().expect("a number") = f64::INFINITY;
+                }
+                checks.add("part", &tensor(self, &numbers));
+            }
+            let found = checks.launch();
+            let positions = found.positions().into_data().iter::<f64>().collect();
+            self.found.push((format!("finite.{bad:?}"), positions));
+            let gate = found.gate();
+            self.note(&format!("finite.{bad:?}.open"), &gate.open);
+            self.note(&format!("finite.{bad:?}.bad"), &gate.bad);
         }
     }
 
@@ -313,6 +389,8 @@ impl<'a> Bench<'a> {
         let sums = self.tensor(&reference.sums, [layer_count, 4, height, width]);
         self.composite(&layers, &colours, &sums);
         self.image_operations();
+        self.losses(&layers);
+        self.batches();
         self.jitter();
         self.found
     }

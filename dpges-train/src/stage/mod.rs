@@ -97,8 +97,6 @@ pub trait Stage: Send {
 pub struct ForwardPass {
     /// [1] each; terms that the stage does not have are 0.
     pub losses: Losses,
-    /// [3, H, W]
-    pub image: Tensor<3>,
     /// Leaf beside the parameters whose gradient the stage wants to know.
     pub probe: Option<Tensor<2>>,
 }

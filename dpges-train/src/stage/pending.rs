@@ -6,8 +6,9 @@ use std::task::{Context, Poll, Waker};
 
 use burn::tensor::{ExecutionError, Tensor, TensorData, read_sync};
 use dpges_core::counters::transfers::{download, wait};
-use dpges_core::losses::{Losses, Target, mean_of_counted};
-use dpges_core::ops::finite::{FiniteChecks, check_finite};
+use dpges_core::losses::Losses;
+use dpges_core::ops::finite::{FiniteChecks, FiniteResults, Gate};
+use dpges_core::ops::join::join;
 
 use super::{StepReport, TrainError};
 
@@ -18,7 +19,7 @@ pub struct PendingStep {
     /// Complete but for the numbers.
     report: StepReport,
     view_name: String,
-    checks: FiniteChecks,
+    checks: FiniteResults,
     numbers: Waiting,
 }
 
@@ -35,15 +36,12 @@ pub struct Settled {
 }
 
 /// Whether a step may be taken: whether its loss and all its gradients are finite.
-pub struct Gate {
-    checks: FiniteChecks,
-    /// [1] number of tensors that are not finite.
-    bad: Tensor<1>,
-    /// [1] 1 if all are finite, else 0.
-    pub open: Tensor<1>,
+pub struct StepGate {
+    checks: FiniteResults,
+    gate: Gate,
 }
 
-impl Gate {
+impl StepGate {
     /// Of a step with these `gradients` of what has these names.
     pub fn new<'a>(loss: &Tensor<1>, gradients: impl Iterator<Item = (&'a str, &'a Tensor<2>)>) -> Self {
         let mut checks = FiniteChecks::default();
@@ -51,34 +49,33 @@ impl Gate {
         for (name, gradient) in gradients {
             checks.add(format!("gradient of {name}"), gradient);
         }
-        let bad = checks.positions().greater_equal_elem(0).float().sum();
-        let open = bad.clone().clamp_max(1.0) * -1.0 + 1.0;
-        Self { checks, bad, open }
+        let checks = checks.launch();
+        let gate = checks.gate();
+        Self { checks, gate }
+    }
+
+    /// [1] 1 if all are finite, else 0.
+    pub fn open(&self) -> &Tensor<1> {
+        &self.gate.open
     }
 }
 
 impl PendingStep {
-    /// Asks for the numbers without waiting for them: the `losses`, the error of `image` [3, H, W], and the `pose_gradient`
-    /// [1, 6], if there is one.
+    /// Asks for the numbers without waiting for them: the `losses`, and the `pose_gradient` [1, 6], if there is one.
     pub fn new(
         report: StepReport,
         view_name: String,
         losses: Losses,
-        image: Tensor<3>,
-        target: Target,
         pose_gradient: Option<Tensor<2>>,
-        gate: &Gate,
+        gate: &StepGate,
     ) -> Self {
-        let target = target.inner();
-        let difference = image.inner().clamp(0.0, 1.0) - target.image;
-        let squared_error = mean_of_counted(difference.clone().mul(difference), target.mask.as_ref());
-        let Losses { total, rgb, surfel, scale, transmittance } = losses;
-        let mut numbers: Vec<Tensor<1>> = [total, rgb, surfel, scale, transmittance].map(Tensor::inner).into();
-        numbers.extend([squared_error, gate.bad.clone()]);
+        let Losses { total, rgb, surfel, scale, transmittance, squared_error } = losses;
+        let numbers = [total, rgb, surfel, scale, transmittance, squared_error].map(Tensor::inner);
+        let mut numbers: Vec<Tensor<1>> = numbers.into();
+        numbers.push(gate.gate.bad.clone());
         numbers.extend(pose_gradient.map(|gradient| gradient.reshape([6])));
         let checks = gate.checks.clone();
-        let mut future: Pin<Box<dyn Future<Output = Numbers> + Send>> =
-            Box::pin(Tensor::cat(numbers, 0).into_data_async());
+        let mut future: Pin<Box<dyn Future<Output = Numbers> + Send>> = Box::pin(join(&numbers).into_data_async());
         // a future begins when it is first polled: poll it now, so that the device begins
         let numbers = match future.as_mut().poll(&mut Context::from_waker(Waker::noop())) {
             Poll::Ready(numbers) => Waiting::No(numbers),
@@ -107,7 +104,7 @@ impl PendingStep {
             return Err(TrainError::Loss { step, view, loss });
         }
         if bad != 0.0 {
-            check_finite(&self.checks).map_err(|source| TrainError::Step { step, view, source })?;
+            self.checks.check().map_err(|source| TrainError::Step { step, view, source })?;
         }
         let psnr = -10.0 * squared_error.log10();
         let report = StepReport { loss, rgb, surfel, scale, transmittance, psnr, ..self.report };

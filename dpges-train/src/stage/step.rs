@@ -8,7 +8,7 @@ use dpges_core::render::pose::PoseProbe;
 
 use super::depth::DepthTarget;
 use super::exposure::photographed;
-use super::pending::{Gate, PendingStep};
+use super::pending::{PendingStep, StepGate};
 use super::poses::POSES;
 use super::{Context, Stage, StepReport, TrainError};
 use crate::dataset::View;
@@ -80,7 +80,7 @@ pub fn begin_step(
     let index = report.view;
     let probe = context.pose_probe(index);
     let pose = probe.as_ref();
-    let input = StepInput { completed, index, view, target: target.clone(), values, depth, exposure, pose };
+    let input = StepInput { completed, index, view, target, values, depth, exposure, pose };
     let at = |source| TrainError::Step { step: report.step, view: view.name.clone(), source };
     let forward = stage.forward(&leaves, &input, context).map_err(at)?;
 
@@ -93,15 +93,16 @@ pub fn begin_step(
     let of_pose = probe.as_ref().and_then(|probe| probe.gradient(&mut gradients));
     let attributes = found.iter().chain(&of_exposure);
     let attributes = attributes.filter_map(|(attribute, gradient)| Some((attribute.raw_name, gradient.as_ref()?)));
-    let gate = Gate::new(&forward.losses.total, attributes.chain(of_pose.as_ref().map(|gradient| (POSES, gradient))));
-    let pending = PendingStep::new(report, view.name.clone(), forward.losses, forward.image, target, of_pose, &gate);
+    let gate =
+        StepGate::new(&forward.losses.total, attributes.chain(of_pose.as_ref().map(|gradient| (POSES, gradient))));
+    let pending = PendingStep::new(report, view.name.clone(), forward.losses, of_pose, &gate);
     // The tape shares the parameters: without it the optimiser can work in place
     drop((leaves, corrections, probe));
 
     let rates = stage.rates(completed, &context.config);
-    stage.parameters().step(found, &gate.open, &rates, context.config.optimizer.adam(completed))?;
+    stage.parameters().step(found, gate.open(), &rates, context.config.optimizer.adam(completed))?;
     let step = context.exposure_step();
-    context.exposure.step(of_exposure, &gate.open, step)?;
+    context.exposure.step(of_exposure, gate.open(), step)?;
     stage.after_step(completed, context)?;
     Ok(pending)
 }

@@ -1,23 +1,52 @@
-//! `composite` on the tape: each output has its own node over one forward pass.
+//! `composite` on the tape. The outputs of a call have nodes that keep the gradients that arrive for them; these have one
+//! parent, which goes back from all of them at once.
 
-use burn::backend::Autodiff;
-use burn::backend::Backend;
+use std::sync::{Arc, Mutex, PoisonError};
+
 use burn::backend::autodiff::checkpoint::base::Checkpointer;
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
 use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::tensor::FloatTensor;
+use burn::backend::{Autodiff, Backend, TensorMetadata};
 
-use super::{CompositeBackwardOps, CompositeInput, CompositeOps, CompositeOptions, CompositeOutput, OutputKind};
-use crate::tape::pass_back;
+use super::{
+    CompositeBackwardOps, CompositeInput, CompositeOps, CompositeOptions, CompositeOutput, OutputGradients, OutputKind,
+};
+
+/// The gradients that have arrived for the outputs of a call.
+type Arrived<B> = Arc<Mutex<OutputGradients<B>>>;
+
+#[derive(Clone, Debug)]
+struct OutputState<B: Backend> {
+    kind: OutputKind,
+    arrived: Arrived<B>,
+}
+
+/// Keeps the gradient of an output for the node of the call.
+#[derive(Debug)]
+struct OutputBackward;
+
+impl<B: Backend> Backward<B, 1> for OutputBackward {
+    type State = OutputState<B>;
+
+    fn backward(self, ops: Ops<Self::State, 1>, grads: &mut Gradients, _: &mut Checkpointer) {
+        let OutputState { kind, arrived } = ops.state;
+        let grad = grads.consume::<B>(&ops.node);
+        arrived.lock().unwrap_or_else(PoisonError::into_inner).keep(kind, grad);
+    }
+}
 
 #[derive(Clone, Debug)]
 struct CompositeState<B: Backend> {
     input: CompositeInput<B>,
-    kind: OutputKind,
+    image: FloatTensor<B>,
+    gaussian_weight: FloatTensor<B>,
     options: CompositeOptions,
+    arrived: Arrived<B>,
 }
 
+/// Goes back from all outputs of a call.
 #[derive(Debug)]
 struct CompositeBackward;
 
@@ -25,37 +54,58 @@ impl<B: CompositeBackwardOps> Backward<B, 3> for CompositeBackward {
     type State = CompositeState<B>;
 
     fn backward(self, ops: Ops<Self::State, 3>, grads: &mut Gradients, _: &mut Checkpointer) {
-        pass_back::<B, _, 3>(ops, grads, |CompositeState { input, kind, options }, grad| {
-            let out = B::composite_backward(input, grad, kind, options);
-            let (colours, sums) = (kind.reaches_colours(), kind.reaches_sums());
-            [Some(out.alpha), colours.then_some(out.colours), sums.then_some(out.sums)]
-        });
+        let CompositeState { input, image, gaussian_weight, options, arrived } = ops.state;
+        let of_outputs = std::mem::take(&mut *arrived.lock().unwrap_or_else(PoisonError::into_inner));
+        let reached = of_outputs.reached();
+        let (colours, sums) = (input.colours.clone(), input.sums.clone());
+        let out = B::composite_backward(input, image, gaussian_weight, of_outputs, options);
+        // the tape expects a gradient for all that is on it
+        let zeros = |like: FloatTensor<B>| B::float_zeros(like.shape(), &like.device(), like.dtype().into());
+        let [of_alpha, of_colours, of_sums] = ops.parents;
+        if let Some(parent) = of_alpha {
+            grads.register::<B>(parent.id, out.alpha);
+        }
+        if let Some(parent) = of_colours {
+            grads.register::<B>(parent.id, if reached.colours() { out.colours } else { zeros(colours) });
+        }
+        if let Some(parent) = of_sums {
+            grads.register::<B>(parent.id, if reached.sums() { out.sums } else { zeros(sums) });
+        }
     }
 }
 
 impl<B: CompositeOps + CompositeBackwardOps, S: CheckpointStrategy> CompositeOps for Autodiff<B, S> {
     fn composite(input: CompositeInput<Self>, options: CompositeOptions) -> CompositeOutput<Self> {
-        let inner = |tensor: &FloatTensor<Self>| tensor.clone().into_parts().0;
-        let values = CompositeInput {
-            alpha: inner(&input.alpha),
-            colours: inner(&input.colours),
-            sums: inner(&input.sums),
-            ids: input.ids.clone(),
+        let (alpha, alpha_node) = input.alpha.into_parts();
+        let (colours, colours_node) = input.colours.into_parts();
+        let (sums, sums_node) = input.sums.into_parts();
+        let input = CompositeInput { alpha, colours, sums, ids: input.ids };
+        let out = B::composite(input.clone(), options);
+        let arrived: Arrived<B> = Arc::default();
+        let nodes = [alpha_node, colours_node, sums_node];
+        // its value is of no use, its place on the tape is
+        let call = match CompositeBackward.prepare::<S>(nodes).compute_bound().stateful() {
+            OpsKind::Tracked(prep) => {
+                let (image, gaussian_weight) = (out.image.clone(), out.gaussian_weight.clone());
+                let arrived = arrived.clone();
+                let state = CompositeState { input, image, gaussian_weight, options, arrived };
+                prep.finish(state, out.gaussian_weight.clone())
+            }
+            OpsKind::UnTracked(prep) => prep.finish(out.gaussian_weight.clone()),
         };
-        let out = B::composite(values.clone(), options);
-        let node = |value: FloatTensor<B>, kind: OutputKind| {
-            let parents = [&input.alpha, &input.colours, &input.sums].map(|tensor| tensor.clone().into_parts().1);
-            match CompositeBackward.prepare::<S>(parents).compute_bound().stateful() {
-                OpsKind::Tracked(prep) => prep.finish(CompositeState { input: values.clone(), kind, options }, value),
+        let output = |value: FloatTensor<B>, kind: OutputKind| {
+            let node = call.clone().into_parts().1;
+            match OutputBackward.prepare::<S>([node]).compute_bound().stateful() {
+                OpsKind::Tracked(prep) => prep.finish(OutputState { kind, arrived: arrived.clone() }, value),
                 OpsKind::UnTracked(prep) => prep.finish(value),
             }
         };
         CompositeOutput {
-            image: node(out.image, OutputKind::Image),
-            surfel_image: node(out.surfel_image, OutputKind::SurfelImage),
-            transmittance: node(out.transmittance, OutputKind::Transmittance),
-            gaussian_colour: node(out.gaussian_colour, OutputKind::GaussianColour),
-            gaussian_weight: node(out.gaussian_weight, OutputKind::GaussianWeight),
+            image: output(out.image, OutputKind::Image),
+            surfel_image: output(out.surfel_image, OutputKind::SurfelImage),
+            transmittance: output(out.transmittance, OutputKind::Transmittance),
+            gaussian_colour: output(out.gaussian_colour, OutputKind::GaussianColour),
+            gaussian_weight: output(out.gaussian_weight, OutputKind::GaussianWeight),
         }
     }
 }

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::{
     CompositeBackwardOps, CompositeGradients, CompositeInput, CompositeOps, CompositeOptions, CompositeOutput,
-    OutputKind,
+    OutputGradients, Reached,
 };
 use crate::host::{self, Host, for_each_cpu_backend, with_real};
 use crate::math::{V3, add, dot, row, scale};
@@ -134,36 +134,65 @@ struct Incoming<T> {
     transmittance: [T; MAX_LAYERS + 1],
 }
 
+/// Gradients with respect to the outputs, those that have arrived.
+struct Grads<'a, T> {
+    image: Option<&'a [T]>,
+    surfel_image: Option<&'a [T]>,
+    transmittance: Option<&'a [T]>,
+    gaussian_colour: Option<&'a [T]>,
+    gaussian_weight: Option<&'a [T]>,
+}
+
+impl<T: Real> Grads<'_, T> {
+    /// Calls `kernel` with the tensors as slices.
+    fn with<B: Host, R>(grads: &OutputGradients<B>, kernel: impl FnOnce(&Grads<T>) -> R) -> R {
+        let [image, surfel_image, transmittance, gaussian_colour, gaussian_weight] =
+            [&grads.image, &grads.surfel_image, &grads.transmittance, &grads.gaussian_colour, &grads.gaussian_weight]
+                .map(|grad| grad.as_ref().map(host::floats::<B, T>));
+        kernel(&Grads {
+            image: image.as_deref(),
+            surfel_image: surfel_image.as_deref(),
+            transmittance: transmittance.as_deref(),
+            gaussian_colour: gaussian_colour.as_deref(),
+            gaussian_weight: gaussian_weight.as_deref(),
+        })
+    }
+}
+
 #[inline(always)]
-fn incoming<T: Real>(inputs: &Inputs<T>, pixel: &Pixel<T>, grad: &[T], kind: OutputKind, at: usize) -> Incoming<T> {
+fn incoming<T: Real>(inputs: &Inputs<T>, pixel: &Pixel<T>, grads: &Grads<T>, at: usize) -> Incoming<T> {
     let plane = inputs.height * inputs.width;
-    let rgb = || -> V3<T> { std::array::from_fn(|c| grad[c * plane + at]) };
+    let rgb = |grad: &[T]| -> V3<T> { std::array::from_fn(|c| grad[c * plane + at]) };
     let zero = [T::zero(); 3];
     let mut out =
         Incoming { surfel: zero, gaussian: zero, weight: T::zero(), transmittance: [T::zero(); MAX_LAYERS + 1] };
-    match kind {
-        OutputKind::Image => {
-            let blended = scale(rgb(), T::one() / (T::one() + pixel.gaussian_weight));
-            (out.surfel, out.gaussian, out.weight) = (blended, blended, -dot(blended, pixel.image()));
-        }
-        OutputKind::SurfelImage => out.surfel = rgb(),
-        OutputKind::GaussianColour => out.gaussian = rgb(),
-        OutputKind::GaussianWeight => out.weight = grad[at],
-        OutputKind::Transmittance => {
-            for k in 0..=inputs.layers {
-                out.transmittance[k] = grad[k * plane + at];
-            }
+    if let Some(grad) = grads.image {
+        let blended = scale(rgb(grad), T::one() / (T::one() + pixel.gaussian_weight));
+        (out.surfel, out.gaussian, out.weight) = (blended, blended, -dot(blended, pixel.image()));
+    }
+    if let Some(grad) = grads.surfel_image {
+        out.surfel = add(out.surfel, rgb(grad));
+    }
+    if let Some(grad) = grads.gaussian_colour {
+        out.gaussian = add(out.gaussian, rgb(grad));
+    }
+    if let Some(grad) = grads.gaussian_weight {
+        out.weight = out.weight + grad[at];
+    }
+    if let Some(grad) = grads.transmittance {
+        for k in 0..=inputs.layers {
+            out.transmittance[k] = grad[k * plane + at];
         }
     }
     out
 }
 
 /// Gradients with respect to alpha, colours and sums.
-fn backward<T: Real>(inputs: &Inputs<T>, grad: &[T], kind: OutputKind) -> [Vec<T>; 3] {
+fn backward<T: Real>(inputs: &Inputs<T>, grads: &Grads<T>, reached: Reached) -> [Vec<T>; 3] {
     let (layers, plane, bands) = (inputs.layers, inputs.height * inputs.width, Bands::new(inputs.height));
     let mut grad_alpha = vec![T::zero(); layers * plane];
-    let mut grad_sums = vec![T::zero(); if kind.reaches_sums() { 4 * layers * plane } else { 0 }];
-    let colour_len = if kind.reaches_colours() { inputs.colours.len() } else { 0 };
+    let mut grad_sums = vec![T::zero(); if reached.sums() { 4 * layers * plane } else { 0 }];
+    let colour_len = if reached.colours() { inputs.colours.len() } else { 0 };
     let alpha_parts = bands.split(&mut grad_alpha, inputs.width);
     let sum_parts = bands.split(&mut grad_sums, inputs.width);
     let partial: Vec<Vec<T>> = alpha_parts
@@ -173,8 +202,8 @@ fn backward<T: Real>(inputs: &Inputs<T>, grad: &[T], kind: OutputKind) -> [Vec<T
         .map(|(band, (mut alpha, mut sums))| {
             let mut colours = vec![T::zero(); colour_len];
             for (local, at) in bands.pixels(band, inputs.width).enumerate() {
-                let pixel = inputs.pixel(at, kind.reaches_colours(), kind.reaches_sums());
-                let incoming = incoming(inputs, &pixel, grad, kind, at);
+                let pixel = inputs.pixel(at, reached.colours(), reached.sums());
+                let incoming = incoming(inputs, &pixel, grads, at);
                 // total derivative with respect to T_k, everything behind included
                 let mut behind = incoming.transmittance[layers] + dot(incoming.surfel, inputs.background);
                 for k in (0..layers).rev() {
@@ -184,14 +213,14 @@ fn backward<T: Real>(inputs: &Inputs<T>, grad: &[T], kind: OutputKind) -> [Vec<T
                     let gated = dot(incoming.gaussian, pixel.payload[k]) + incoming.weight * pixel.weight[k];
                     let gate = if inputs.detach_transmittance { T::zero() } else { gated };
                     behind = incoming.transmittance[k] + gate + opacity * own + (T::one() - opacity) * behind;
-                    if kind.reaches_sums() {
+                    if reached.sums() {
                         for c in 0..3 {
                             sums[4 * k + c][local] = through * incoming.gaussian[c];
                         }
                         sums[4 * k + 3][local] = through * incoming.weight;
                     }
                     let id = inputs.ids[k * plane + at];
-                    if kind.reaches_colours() && id >= 0 {
+                    if reached.colours() && id >= 0 {
                         for c in 0..3 {
                             let sum = &mut colours[3 * id as usize + c];
                             *sum = *sum + opacity * through * incoming.surfel[c];
@@ -233,14 +262,13 @@ fn image_tensor<B: Backend, T: Real>(
 
 fn composite_backward_on<B: Host>(
     input: &CompositeInput<B>,
-    grad: &FloatTensor<B>,
-    kind: OutputKind,
+    grads: &OutputGradients<B>,
     options: &CompositeOptions,
 ) -> CompositeGradients<B> {
-    let device = input.alpha.device();
+    let (device, reached) = (input.alpha.device(), grads.reached());
     with_real!(input.alpha.dtype(), T => Inputs::<T>::with(input, options, |inputs| {
-        let [alpha, colours, sums] = backward(inputs, &host::floats::<B, T>(grad), kind);
-        let (count, sum_layers) = (colours.len() / 3, if kind.reaches_sums() { inputs.layers } else { 0 });
+        let [alpha, colours, sums] = Grads::<T>::with(grads, |grads| backward(inputs, grads, reached));
+        let (count, sum_layers) = (colours.len() / 3, if reached.sums() { inputs.layers } else { 0 });
         CompositeGradients {
             alpha: image_tensor::<B, T>(alpha, inputs.layers, inputs, &device),
             colours: host::float_tensor::<B, T, 2>(colours, [count, 3], &device),
@@ -260,11 +288,12 @@ macro_rules! implement {
         impl CompositeBackwardOps for $backend {
             fn composite_backward(
                 input: CompositeInput<Self>,
-                grad: FloatTensor<Self>,
-                kind: OutputKind,
+                _: FloatTensor<Self>,
+                _: FloatTensor<Self>,
+                grads: OutputGradients<Self>,
                 options: CompositeOptions,
             ) -> CompositeGradients<Self> {
-                composite_backward_on::<Self>(&input, &grad, kind, &options)
+                composite_backward_on::<Self>(&input, &grads, &options)
             }
         }
     };

@@ -9,12 +9,12 @@ use cubecl::prelude::*;
 
 use super::{
     CompositeBackwardOps, CompositeGradients, CompositeInput, CompositeOps, CompositeOptions, CompositeOutput,
-    OutputKind,
+    OutputGradients, Reached,
 };
-use crate::binning::boxes::visible_boxes;
+use crate::binning::boxes::visible_pieces;
 use crate::gpu::gather::zeros;
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, floats, integers, units};
-use crate::gpu::pieces::{Piece, WORKERS, cube_has_pieces, pieces, store_gathered};
+use crate::gpu::pieces::{Piece, WORKERS, cube_has_pieces, store_gathered};
 use crate::gpu::vector::{Vec3, add, dot, row3, scale, vec3};
 
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
@@ -120,32 +120,78 @@ fn gaussians_kernel(
     write_rgb(image, pixel, plane, scale(add(rgb(surfel_image, pixel, plane), own), 1.0f32 / (1.0f32 + weight)));
 }
 
-/// Gradients with respect to opacities and to the surfels' colour [3, H, W] of a pixel, from the
-/// gradient of one output.
+/// Planes of the gradients with respect to the parts of a pixel: the surfels' colour, the Gaussians' and their weight.
+const OF_GAUSSIANS: usize = 3;
+const OF_WEIGHT: usize = 6;
+const PARTS: usize = 7;
+
+/// Gradients with respect to the parts of a pixel [[`PARTS`], H, W], from those of the outputs that have arrived.
+#[cube(launch)]
+fn parts_backward_kernel(
+    grad_image: &[f32],
+    grad_surfel_image: &[f32],
+    grad_colour: &[f32],
+    grad_weight: &[f32],
+    image: &[f32],
+    gaussian_weight: &[f32],
+    grad_parts: &mut [f32],
+    pixels: u32,
+    #[comptime] reached: Reached,
+) {
+    let pixel = ABSOLUTE_POS;
+    let plane = pixels as usize;
+    if pixel >= plane {
+        terminate!();
+    }
+    let mut inverse = 0.0f32;
+    let mut weight = 0.0f32;
+    if comptime!(reached.image) {
+        inverse = 1.0f32 / (1.0f32 + gaussian_weight[pixel]);
+    }
+    #[unroll]
+    for channel in 0..3usize {
+        let at = channel * plane + pixel;
+        let mut surfel = 0.0f32;
+        let mut gaussian = 0.0f32;
+        if comptime!(reached.image) {
+            let shared = grad_image[at] * inverse;
+            surfel += shared;
+            gaussian += shared;
+            weight -= shared * image[at];
+        }
+        if comptime!(reached.surfel_image) {
+            surfel += grad_surfel_image[at];
+        }
+        if comptime!(reached.gaussian_colour) {
+            gaussian += grad_colour[at];
+        }
+        grad_parts[at] = surfel;
+        grad_parts[OF_GAUSSIANS * plane + at] = gaussian;
+    }
+    if comptime!(reached.gaussian_weight) {
+        weight += grad_weight[pixel];
+    }
+    grad_parts[OF_WEIGHT * plane + pixel] = weight;
+}
+
+/// Gradients with respect to opacities, from those of the parts of a pixel and of the transmittances.
 #[cube(launch)]
 fn alpha_backward_kernel(
     alpha: &[f32],
     colours: &[f32],
     ids: &[i32],
     sums: &[f32],
-    grad: &[f32],
+    grad_parts: &[f32],
+    grad_transmittance: &[f32],
     grad_alpha: &mut [f32],
-    grad_pixel: &mut [f32],
     blend: Blend,
     #[comptime] layers: usize,
-    #[comptime] kind: OutputKind,
+    #[comptime] reached: Reached,
 ) {
     let pixel = ABSOLUTE_POS;
     let plane = blend.pixels as usize;
     if pixel >= plane {
         terminate!();
-    }
-    let incoming = incoming(alpha, colours, ids, sums, grad, pixel, blend, layers, kind);
-    let surfel = scale(incoming.colour, incoming.of_surfels);
-    let gaussian = scale(incoming.colour, incoming.of_gaussians);
-    let weight = incoming.weight;
-    if comptime!(kind.reaches_colours()) {
-        write_rgb(grad_pixel, pixel, plane, surfel);
     }
     let mut through = Array::<f32>::new(layers);
     let mut left = 1.0f32;
@@ -154,10 +200,13 @@ fn alpha_backward_kernel(
         through[k] = left;
         left *= 1.0f32 - alpha[k * plane + pixel];
     }
+    let surfel = rgb(grad_parts, pixel, plane);
+    let gaussian = rgb(grad_parts, OF_GAUSSIANS * plane + pixel, plane);
+    let weight = grad_parts[OF_WEIGHT * plane + pixel];
     // total derivative with respect to T_k, everything behind included
     let mut behind = dot(surfel, vec3(blend.red, blend.green, blend.blue));
-    if comptime!(kind == OutputKind::Transmittance) {
-        behind += grad[layers * plane + pixel];
+    if comptime!(reached.transmittance) {
+        behind += grad_transmittance[layers * plane + pixel];
     }
     #[unroll]
     for step in 0..layers {
@@ -167,118 +216,34 @@ fn alpha_backward_kernel(
         let own = dot(surfel, layer_colour(colours, ids[at]));
         grad_alpha[at] = through[k] * (own - behind);
         let mut gated = 0.0f32;
-        if comptime!(kind.reaches_sums()) {
+        if comptime!(reached.sums()) {
             let sum = 4 * k * plane + pixel;
             let payload = vec3(sums[sum], sums[sum + plane], sums[sum + 2 * plane]);
             gated = blend.gate * (dot(gaussian, payload) + weight * sums[sum + 3 * plane]);
         }
-        if comptime!(kind == OutputKind::Transmittance) {
-            gated += grad[at];
+        if comptime!(reached.transmittance) {
+            gated += grad_transmittance[at];
         }
         behind = gated + opacity * own + (1.0f32 - opacity) * behind;
     }
 }
 
-/// Gradients with respect to the parts of an output: a colour, scaled for surfels and for Gaussians, and the
-/// weight of the Gaussians.
-#[derive(CubeType, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
-struct Incoming {
-    colour: Vec3,
-    of_surfels: f32,
-    of_gaussians: f32,
-    weight: f32,
-}
-
-#[cube]
-fn incoming(
-    alpha: &[f32],
-    colours: &[f32],
-    ids: &[i32],
-    sums: &[f32],
-    grad: &[f32],
-    pixel: usize,
-    blend: Blend,
-    #[comptime] layers: usize,
-    #[comptime] kind: OutputKind,
-) -> Incoming {
-    let plane = blend.pixels as usize;
-    let mut red = 0.0f32;
-    let mut green = 0.0f32;
-    let mut blue = 0.0f32;
-    let mut weight = 0.0f32;
-    if comptime!(kind == OutputKind::Image) {
-        let (image, inverse) = blended(alpha, colours, ids, sums, pixel, blend, layers);
-        let shared = scale(rgb(grad, pixel, plane), inverse);
-        red = shared.x;
-        green = shared.y;
-        blue = shared.z;
-        weight = -dot(shared, image);
-    } else if comptime!(kind == OutputKind::GaussianWeight) {
-        weight = grad[pixel];
-    } else if comptime!(kind != OutputKind::Transmittance) {
-        red = grad[pixel];
-        green = grad[plane + pixel];
-        blue = grad[2 * plane + pixel];
-    }
-    let of_surfels = comptime!(if kind.reaches_colours() { 1.0f32 } else { 0.0f32 });
-    let of_gaussians = comptime!(if kind == OutputKind::SurfelImage { 0.0f32 } else { 1.0f32 });
-    Incoming { colour: vec3(red, green, blue), of_surfels, of_gaussians, weight }
-}
-
-/// The image and 1 / (1 + W_G) at a pixel.
-#[cube]
-fn blended(
-    alpha: &[f32],
-    colours: &[f32],
-    ids: &[i32],
-    sums: &[f32],
-    pixel: usize,
-    blend: Blend,
-    #[comptime] layers: usize,
-) -> (Vec3, f32) {
-    let plane = blend.pixels as usize;
-    let mut through = 1.0f32;
-    let mut red = 0.0f32;
-    let mut green = 0.0f32;
-    let mut blue = 0.0f32;
-    let mut weight = 1.0f32;
-    #[unroll]
-    for k in 0..layers {
-        let (at, sum) = (k * plane + pixel, 4 * k * plane + pixel);
-        let (opacity, colour) = (alpha[at], layer_colour(colours, ids[at]));
-        red += through * (opacity * colour.x + sums[sum]);
-        green += through * (opacity * colour.y + sums[sum + plane]);
-        blue += through * (opacity * colour.z + sums[sum + 2 * plane]);
-        weight += through * sums[sum + 3 * plane];
-        through *= 1.0f32 - opacity;
-    }
-    let inverse = 1.0f32 / weight;
-    let sum = vec3(red + through * blend.red, green + through * blend.green, blue + through * blend.blue);
-    (scale(sum, inverse), inverse)
-}
-
-/// Gradients with respect to the sums, from the gradient of an output that they reach.
+/// Gradients with respect to the sums, from those of the parts of a pixel.
 #[cube(launch)]
 fn sums_backward_kernel(
     alpha: &[f32],
-    colours: &[f32],
-    ids: &[i32],
-    sums: &[f32],
-    grad: &[f32],
+    grad_parts: &[f32],
     grad_sums: &mut [f32],
     blend: Blend,
     #[comptime] layers: usize,
-    #[comptime] kind: OutputKind,
 ) {
     let pixel = ABSOLUTE_POS;
     let plane = blend.pixels as usize;
     if pixel >= plane {
         terminate!();
     }
-    let incoming = incoming(alpha, colours, ids, sums, grad, pixel, blend, layers, kind);
-    let gaussian = scale(incoming.colour, incoming.of_gaussians);
-    let weight = incoming.weight;
+    let gaussian = rgb(grad_parts, OF_GAUSSIANS * plane + pixel, plane);
+    let weight = grad_parts[OF_WEIGHT * plane + pixel];
     let mut through = 1.0f32;
     #[unroll]
     for k in 0..layers {
@@ -297,7 +262,7 @@ fn colours_backward_kernel(
     alpha: &[f32],
     ids: &[i32],
     pieces: &[u32],
-    grad_pixel: &[f32],
+    grad_parts: &[f32],
     gathered: &mut [f32],
     blend: Blend,
     most: u32,
@@ -328,7 +293,7 @@ fn colours_backward_kernel(
                 through *= 1.0f32 - opacity;
             }
             if share != 0.0f32 {
-                let incoming = rgb(grad_pixel, pixel, plane);
+                let incoming = rgb(grad_parts, pixel, plane);
                 own[0] += share * incoming.x;
                 own[1] += share * incoming.y;
                 own[2] += share * incoming.z;
@@ -409,16 +374,33 @@ impl CompositeOps for CubeBackend {
 impl CompositeBackwardOps for CubeBackend {
     fn composite_backward(
         input: CompositeInput<Self>,
-        grad: FloatTensor<Self>,
-        kind: OutputKind,
+        image: FloatTensor<Self>,
+        gaussian_weight: FloatTensor<Self>,
+        grads: OutputGradients<Self>,
         options: CompositeOptions,
     ) -> CompositeGradients<Self> {
-        let (input, grad) = (contiguous(input), floats(grad));
+        let (input, image, gaussian_weight) = (contiguous(input), floats(image), floats(gaussian_weight));
         let shape: [usize; 3] = input.alpha.shape().dims();
         let [layers, height, width] = shape;
-        let (client, count) = (grad.client.clone(), input.colours.shape()[0]);
-        let alpha = empty_f32(&grad, shape);
-        let grad_pixel = if kind.reaches_colours() { empty_f32(&grad, [3, height, width]) } else { unused(&grad) };
+        let (like, client, count) = (&input.alpha, image.client.clone(), input.colours.shape()[0]);
+        let reached = grads.reached();
+        let arrived = |grad: Option<CubeTensor>| grad.map_or_else(|| unused(like), floats);
+        let parts = empty_f32(like, [PARTS, height, width]);
+        parts_backward_kernel::launch(
+            &client,
+            units(height * width),
+            cube_dim(),
+            buffer(&arrived(grads.image)),
+            buffer(&arrived(grads.surfel_image)),
+            buffer(&arrived(grads.gaussian_colour)),
+            buffer(&arrived(grads.gaussian_weight)),
+            buffer(&image),
+            buffer(&gaussian_weight),
+            buffer(&parts),
+            (height * width) as u32,
+            reached,
+        );
+        let alpha = empty_f32(like, shape);
         alpha_backward_kernel::launch(
             &client,
             units(height * width),
@@ -427,35 +409,30 @@ impl CompositeBackwardOps for CubeBackend {
             buffer(&input.colours),
             buffer(&input.ids),
             buffer(&input.sums),
-            buffer(&grad),
+            buffer(&parts),
+            buffer(&arrived(grads.transmittance)),
             buffer(&alpha),
-            buffer(&grad_pixel),
             blend(shape, &options),
             layers,
-            kind,
+            reached,
         );
-        let mut sums = empty_f32(&grad, [0, 4, height, width]);
-        if kind.reaches_sums() {
-            sums = empty_f32(&grad, [layers, 4, height, width]);
+        let sums = empty_f32(like, [if reached.sums() { layers } else { 0 }, 4, height, width]);
+        if reached.sums() {
             sums_backward_kernel::launch(
                 &client,
                 units(height * width),
                 cube_dim(),
                 buffer(&input.alpha),
-                buffer(&input.colours),
-                buffer(&input.ids),
-                buffer(&input.sums),
-                buffer(&grad),
+                buffer(&parts),
                 buffer(&sums),
                 blend(shape, &options),
                 layers,
-                kind,
             );
         }
-        let mut colours = unused(&grad);
-        if kind.reaches_colours() {
-            let pieces = pieces(&visible_boxes(&input.ids, count));
-            let gathered = empty_f32(&grad, [pieces.most, 3]);
+        let mut colours = unused(like);
+        if reached.colours() {
+            let pieces = visible_pieces(&input.ids, count);
+            let gathered = empty_f32(like, [pieces.most, 3]);
             colours_backward_kernel::launch(
                 &client,
                 pieces.gatherers(),
@@ -463,7 +440,7 @@ impl CompositeBackwardOps for CubeBackend {
                 buffer(&input.alpha),
                 buffer(&input.ids),
                 buffer(&pieces.pieces),
-                buffer(&grad_pixel),
+                buffer(&parts),
                 buffer(&gathered),
                 blend(shape, &options),
                 pieces.most as u32,

@@ -8,7 +8,7 @@
 //!
 //! Gradients: from every output to opacities, colours and sums, without a division by 1 − A or T, which are
 //! exactly 0 behind an opaque layer. `detach_transmittance` cuts the path from the Gaussians' image to the
-//! opacities.
+//! opacities. All outputs of a call go back together: a loss of several of them is one `backward`, not one for each.
 //!
 //! Compositing is an operation because burn-ndarray takes over ten times as long for the same tensor
 //! operations (burn-flex does not): see `benches/README.md`.
@@ -61,17 +61,49 @@ pub struct CompositeOutput<B: Backend> {
     pub gaussian_weight: FloatTensor<B>,
 }
 
-/// Gradients. Those that the output does not reach are empty.
-#[derive(ExtensionType, Debug, Clone)]
+/// Gradients with respect to the input. Those that no output with a gradient reaches are empty.
+#[derive(Debug, Clone)]
 pub struct CompositeGradients<B: Backend> {
     pub alpha: FloatTensor<B>,
     pub colours: FloatTensor<B>,
     pub sums: FloatTensor<B>,
 }
 
-/// The output that an incoming gradient belongs to.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum OutputKind {
+/// Gradients with respect to the outputs; `None` where none arrived.
+#[derive(Debug, Clone, Default)]
+pub struct OutputGradients<B: Backend> {
+    pub image: Option<FloatTensor<B>>,
+    pub surfel_image: Option<FloatTensor<B>>,
+    pub transmittance: Option<FloatTensor<B>>,
+    pub gaussian_colour: Option<FloatTensor<B>>,
+    pub gaussian_weight: Option<FloatTensor<B>>,
+}
+
+impl<B: Backend> OutputGradients<B> {
+    fn keep(&mut self, kind: OutputKind, grad: FloatTensor<B>) {
+        let place = match kind {
+            OutputKind::Image => &mut self.image,
+            OutputKind::SurfelImage => &mut self.surfel_image,
+            OutputKind::Transmittance => &mut self.transmittance,
+            OutputKind::GaussianColour => &mut self.gaussian_colour,
+            OutputKind::GaussianWeight => &mut self.gaussian_weight,
+        };
+        *place = Some(grad);
+    }
+
+    fn reached(&self) -> Reached {
+        Reached {
+            image: self.image.is_some(),
+            surfel_image: self.surfel_image.is_some(),
+            transmittance: self.transmittance.is_some(),
+            gaussian_colour: self.gaussian_colour.is_some(),
+            gaussian_weight: self.gaussian_weight.is_some(),
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum OutputKind {
     Image,
     SurfelImage,
     Transmittance,
@@ -79,13 +111,25 @@ pub enum OutputKind {
     GaussianWeight,
 }
 
-impl OutputKind {
-    fn reaches_colours(self) -> bool {
-        matches!(self, Self::Image | Self::SurfelImage)
+/// The outputs for which gradients have arrived.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+struct Reached {
+    image: bool,
+    surfel_image: bool,
+    transmittance: bool,
+    gaussian_colour: bool,
+    gaussian_weight: bool,
+}
+
+impl Reached {
+    /// Whether gradients go on to the colours of surfels.
+    fn colours(self) -> bool {
+        self.image || self.surfel_image
     }
 
-    fn reaches_sums(self) -> bool {
-        matches!(self, Self::Image | Self::GaussianColour | Self::GaussianWeight)
+    /// Whether gradients go on to the sums of Gaussians.
+    fn sums(self) -> bool {
+        self.image || self.gaussian_colour || self.gaussian_weight
     }
 }
 
@@ -99,12 +143,13 @@ pub trait CompositeOps: Backend {
     fn composite(#[extension_type] input: CompositeInput<Self>, options: CompositeOptions) -> CompositeOutput<Self>;
 }
 
-#[backend_extension(Cube: cfg(feature = "gpu"), NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
 pub trait CompositeBackwardOps: Backend {
+    /// `image` and `gaussian_weight` are those of the forward pass.
     fn composite_backward(
-        #[extension_type] input: CompositeInput<Self>,
-        grad: FloatTensor<Self>,
-        kind: OutputKind,
+        input: CompositeInput<Self>,
+        image: FloatTensor<Self>,
+        gaussian_weight: FloatTensor<Self>,
+        grads: OutputGradients<Self>,
         options: CompositeOptions,
     ) -> CompositeGradients<Self>;
 }

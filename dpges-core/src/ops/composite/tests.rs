@@ -163,6 +163,37 @@ fn gradients_of_every_output_are_central_differences() {
 }
 
 #[test]
+fn a_loss_of_all_outputs_goes_back_from_all_of_them() {
+    for detach in [false, true] {
+        let flat = Flat::random(3, 20);
+        let leaves = flat.leaves();
+        let rendered = flat.composite(&leaves, detach);
+        let images = KINDS.map(|kind| output(&rendered, kind));
+        let mut random = Random::new(4);
+        let weights = images.map(|image| random.numbers(image.dims().iter().product(), -1.0, 1.0));
+        let losses = images
+            .iter()
+            .zip(&weights)
+            .map(|(image, weights)| ((*image).clone() * leaf(weights, image.dims(), &device()).detach()).sum());
+        let gradients = losses.reduce(|sum, loss| sum + loss).unwrap().backward();
+        let found = [
+            values(&leaves.0.grad(&gradients).unwrap()),
+            values(&leaves.1.grad(&gradients).unwrap()),
+            values(&leaves.2.grad(&gradients).unwrap()),
+        ];
+        for (i, found) in found.into_iter().enumerate() {
+            let name = format!("all outputs (detach {detach}) with respect to {}", NAMES[i]);
+            check(&name, &flat.values[i], &found, 1e-4, |moved| {
+                let mut moved_view = flat.clone();
+                moved_view.values[i] = moved.to_vec();
+                let out = moved_view.composite_plainly(detach.then_some(&flat));
+                out.iter().zip(&weights).map(|(output, weights)| weighted(output, weights)).sum()
+            });
+        }
+    }
+}
+
+#[test]
 fn gaussians_behind_an_opaque_first_layer_change_neither_image_nor_gradient() {
     let mut flat = Flat::random(3, 1);
     for at in 0..PLANE {

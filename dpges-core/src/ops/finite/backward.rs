@@ -1,13 +1,20 @@
-//! `first_non_finite` on the tape: no gradient.
+//! `finite` on the tape: no gradients.
 
-use burn::backend::Autodiff;
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
-use burn::backend::tensor::{FloatTensor, IntTensor};
+use burn::backend::tensor::IntTensor;
+use burn::backend::{Autodiff, AutodiffBackend};
 
-use super::FiniteOps;
+use super::{FiniteOps, GateOutput};
+use crate::batch::Batch;
 
 impl<B: FiniteOps, S: CheckpointStrategy> FiniteOps for Autodiff<B, S> {
-    fn first_non_finite(tensor: FloatTensor<Self>) -> IntTensor<Self> {
-        B::first_non_finite(tensor.into_parts().0)
+    fn first_non_finite(batch: Batch<Self>, count: usize, positions: IntTensor<Self>, first: usize) -> IntTensor<Self> {
+        B::first_non_finite(batch.inner(), count, positions, first)
+    }
+
+    fn gate(positions: IntTensor<Self>) -> GateOutput<Self> {
+        let GateOutput { open, bad } = B::gate(positions);
+        let [open, bad] = [open, bad].map(<Self as AutodiffBackend>::from_inner);
+        GateOutput { open, bad }
     }
 }

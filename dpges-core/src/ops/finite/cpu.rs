@@ -1,10 +1,11 @@
-//! CPU kernel.
+//! CPU kernels.
 
 use burn::backend::TensorMetadata;
-use burn::backend::tensor::{FloatTensor, IntTensor};
+use burn::backend::tensor::IntTensor;
 use rayon::prelude::*;
 
-use super::FiniteOps;
+use super::{FiniteOps, GateOutput};
+use crate::batch::Batch;
 use crate::host::{self, Host, for_each_cpu_backend, with_real};
 use crate::real::Real;
 
@@ -19,16 +20,36 @@ fn first_non_finite<T: Real>(values: &[T]) -> i32 {
     chunk.and_then(within).map_or(-1, |at| i32::try_from(at).unwrap_or(i32::MAX))
 }
 
-fn first_non_finite_on<B: Host>(tensor: &FloatTensor<B>) -> IntTensor<B> {
-    let position = with_real!(tensor.dtype(), T => first_non_finite(&host::floats::<B, T>(tensor)));
-    host::int_tensor::<B, 1>(vec![position], [1], &tensor.device())
+fn first_non_finite_on<B: Host>(batch: Batch<B>, count: usize, positions: &IntTensor<B>, first: usize) -> IntTensor<B> {
+    let mut found = host::ints::<B>(positions).into_owned();
+    for (tensor, found) in batch.into_tensors().iter().take(count).zip(&mut found[first..]) {
+        *found = with_real!(tensor.dtype(), T => first_non_finite(&host::floats::<B, T>(tensor)));
+    }
+    let shape = [found.len()];
+    host::int_tensor::<B, 1>(found, shape, &positions.device())
+}
+
+fn gate_on<B: Host>(positions: &IntTensor<B>) -> GateOutput<B> {
+    let bad = host::ints::<B>(positions).iter().filter(|&&position| position >= 0).count() as f32;
+    let open = if bad == 0.0 { 1.0 } else { 0.0 };
+    let [open, bad] = [open, bad].map(|number| host::float_tensor::<B, f32, 1>(vec![number], [1], &positions.device()));
+    GateOutput { open, bad }
 }
 
 macro_rules! implement {
     ($backend:ty) => {
         impl FiniteOps for $backend {
-            fn first_non_finite(tensor: FloatTensor<Self>) -> IntTensor<Self> {
-                first_non_finite_on::<Self>(&tensor)
+            fn first_non_finite(
+                batch: Batch<Self>,
+                count: usize,
+                positions: IntTensor<Self>,
+                first: usize,
+            ) -> IntTensor<Self> {
+                first_non_finite_on::<Self>(batch, count, &positions, first)
+            }
+
+            fn gate(positions: IntTensor<Self>) -> GateOutput<Self> {
+                gate_on::<Self>(&positions)
             }
         }
     };

@@ -1,42 +1,108 @@
-//! GPU kernel: one unit per number. It tests bits, because WGSL implementations may ignore NaN.
+//! GPU kernels: one unit per place in all tensors of a batch. It tests bits, because WGSL implementations may ignore NaN.
 
 use burn::backend::TensorMetadata;
-use burn::backend::tensor::{FloatTensor, IntTensor};
-use burn::tensor::DType;
+use burn::backend::tensor::IntTensor;
 use burn_cubecl::CubeBackend;
 use cubecl::prelude::*;
 
-use super::FiniteOps;
-use crate::gpu::launch::{buffer, cube_dim, empty, floats, units, zeros_u32};
+use super::{FiniteOps, GateOutput};
+use crate::batch::{BATCH, Batch};
+use crate::gpu::launch::{buffer, cube_dim, cubes, empty_f32, floats, units};
 
-/// Raises `furthest` to the distance of a bad number from the end. It stays 0 if there is none.
-#[cube(launch)]
-fn finite_kernel(values: &[f32], furthest: &[Atomic<u32>], count: u32) {
+/// Numbers in each tensor of a batch.
+#[derive(CubeType, CubeLaunch, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+struct Counts {
+    first: u32,
+    second: u32,
+    third: u32,
+    fourth: u32,
+    fifth: u32,
+    sixth: u32,
+}
+
+/// Lowers the position of a tensor to a place with a bad number. Without one it is the largest number, which as a signed
+/// one is −1.
+#[cube]
+fn look(values: &[f32], count: u32, positions: &[Atomic<u32>], tensor: u32) {
     let i = ABSOLUTE_POS;
-    if i >= count as usize {
-        terminate!();
-    }
-    if (u32::reinterpret(values[i]) & 0x7f80_0000u32) == 0x7f80_0000u32 {
-        furthest[0].fetch_max(count - i as u32);
+    if i < count as usize {
+        let bad = (u32::reinterpret(values[i]) & 0x7f80_0000u32) == 0x7f80_0000u32;
+        if bad {
+            positions[tensor as usize].fetch_min(i as u32);
+        }
     }
 }
 
+/// The tensors have the positions from `from` on.
 #[cube(launch)]
-fn position_kernel(furthest: &[u32], position: &mut [i32], count: u32) {
+fn finite_kernel(
+    first: &[f32],
+    second: &[f32],
+    third: &[f32],
+    fourth: &[f32],
+    fifth: &[f32],
+    sixth: &[f32],
+    positions: &[Atomic<u32>],
+    counts: Counts,
+    from: u32,
+) {
+    look(first, counts.first, positions, from);
+    look(second, counts.second, positions, from + 1u32);
+    look(third, counts.third, positions, from + 2u32);
+    look(fourth, counts.fourth, positions, from + 3u32);
+    look(fifth, counts.fifth, positions, from + 4u32);
+    look(sixth, counts.sixth, positions, from + 5u32);
+}
+
+#[cube(launch)]
+fn gate_kernel(positions: &[i32], open: &mut [f32], bad: &mut [f32], count: u32) {
     if ABSOLUTE_POS == 0usize {
-        let distance = furthest[0];
-        position[0] = select(distance > 0u32, i32::cast_from(count - distance), -1i32);
+        let mut found = 0.0f32;
+        for tensor in 0..count {
+            found += select(positions[tensor as usize] >= 0i32, 1.0f32, 0.0f32);
+        }
+        open[0] = select(found == 0.0f32, 1.0f32, 0.0f32);
+        bad[0] = found;
     }
 }
 
 impl FiniteOps for CubeBackend {
-    fn first_non_finite(tensor: FloatTensor<Self>) -> IntTensor<Self> {
-        let tensor = floats(tensor);
-        let (client, count) = (tensor.client.clone(), tensor.shape().num_elements());
-        let furthest = zeros_u32(&tensor, [1]);
-        finite_kernel::launch(&client, units(count), cube_dim(), buffer(&tensor), buffer(&furthest), count as u32);
-        let position = empty(&tensor, [1], DType::I32);
-        position_kernel::launch(&client, units(1), cube_dim(), buffer(&furthest), buffer(&position), count as u32);
-        position
+    fn first_non_finite(batch: Batch<Self>, count: usize, positions: IntTensor<Self>, first: usize) -> IntTensor<Self> {
+        let tensors = batch.into_tensors().map(floats);
+        let positions = if positions.can_mut() { positions } else { positions.copy() };
+        let numbers: [usize; BATCH] =
+            std::array::from_fn(|at| if at < count { tensors[at].shape().num_elements() } else { 0 });
+        let [a, b, c, d, e, f] = numbers.map(|count| count as u32);
+        let client = positions.client.clone();
+        finite_kernel::launch(
+            &client,
+            units(numbers.into_iter().max().unwrap_or(0)),
+            cube_dim(),
+            buffer(&tensors[0]),
+            buffer(&tensors[1]),
+            buffer(&tensors[2]),
+            buffer(&tensors[3]),
+            buffer(&tensors[4]),
+            buffer(&tensors[5]),
+            buffer(&positions),
+            CountsLaunch::new(a, b, c, d, e, f),
+            first as u32,
+        );
+        positions
+    }
+
+    fn gate(positions: IntTensor<Self>) -> GateOutput<Self> {
+        let [open, bad] = [(); 2].map(|()| empty_f32(&positions, [1]));
+        gate_kernel::launch(
+            &positions.client.clone(),
+            cubes(1),
+            cube_dim(),
+            buffer(&positions),
+            buffer(&open),
+            buffer(&bad),
+            positions.shape().num_elements() as u32,
+        );
+        GateOutput { open, bad }
     }
 }

@@ -1,7 +1,7 @@
-//! `first_non_finite`: the position of the first value of a tensor that is not a finite number.
+//! `finite`: the positions of the first values of tensors that are not finite numbers.
 //!
-//! Any float tensor → `[1]` integer: position in row-major order of the first NaN or infinity, −1 if
-//! there is none. Training checks every step with it.
+//! Any float tensors → an integer each: position in row-major order of the first NaN or infinity, −1 if there is none; and
+//! a gate that is open if there is none in any. Training checks every step with it. No gradients.
 
 mod backward;
 mod cpu;
@@ -11,11 +11,19 @@ mod cube;
 mod tests;
 
 use burn::backend::tensor::{FloatTensor, IntTensor};
-use burn::backend::{Backend, Dispatch, backend_extension};
-use burn::tensor::{Int, Tensor};
+use burn::backend::{Backend, Dispatch, ExtensionType, backend_extension};
+use burn::tensor::{DType, Device, Int, Tensor};
 
+use crate::batch::{BATCH, Batch};
 use crate::counters::transfers::{download, wait};
 use crate::error::{Error, Result};
+
+/// `[1]` each, f32
+#[derive(ExtensionType, Debug, Clone)]
+pub struct GateOutput<B: Backend> {
+    pub open: FloatTensor<B>,
+    pub bad: FloatTensor<B>,
+}
 
 #[backend_extension(
     Cube: cfg(feature = "gpu"),
@@ -24,48 +32,98 @@ use crate::error::{Error, Result};
     Autodiff
 )]
 pub trait FiniteOps: Backend {
-    fn first_non_finite(tensor: FloatTensor<Self>) -> IntTensor<Self>;
+    /// `positions` `[n]`, which are −1 so far, with those of the first `count` tensors of `batch` from place `first` on.
+    fn first_non_finite(
+        #[extension_type] batch: Batch<Self>,
+        count: usize,
+        positions: IntTensor<Self>,
+        first: usize,
+    ) -> IntTensor<Self>;
+
+    fn gate(positions: IntTensor<Self>) -> GateOutput<Self>;
 }
 
-/// Checks of several tensors. All are launched before the first result is read.
-#[derive(Clone, Default)]
+/// Tensors to check.
+#[derive(Default)]
 pub struct FiniteChecks {
     names: Vec<String>,
-    positions: Vec<Tensor<1, Int>>,
+    tensors: Vec<FloatTensor<Dispatch>>,
     row_lens: Vec<usize>,
+    /// Of the first tensor.
+    device: Option<Device>,
 }
 
 impl FiniteChecks {
-    /// Launches the check of `tensor`.
     pub fn add<const D: usize>(&mut self, name: impl Into<String>, tensor: &Tensor<D>) {
-        let position = Dispatch::first_non_finite(tensor.clone().into_dispatch());
         self.names.push(name.into());
-        self.positions.push(Tensor::from_dispatch(position));
         self.row_lens.push(tensor.dims()[1..].iter().product::<usize>().max(1));
+        self.device.get_or_insert_with(|| tensor.device());
+        self.tensors.push(tensor.clone().into_dispatch());
     }
 
-    /// `[tensors]` position of the first bad value in each tensor, −1 if there is none.
+    /// Launches the checks, of several tensors at once.
     ///
     /// # Panics
     /// If nothing was added.
-    pub fn positions(&self) -> Tensor<1, Int> {
-        Tensor::cat(self.positions.clone(), 0)
+    pub fn launch(self) -> FiniteResults {
+        let device = self.device.expect("a tensor to check");
+        let none = Tensor::<1, Int>::full([self.tensors.len()], -1, (&device, DType::I32));
+        let mut positions = none.into_dispatch();
+        for (batch, tensors) in self.tensors.chunks(BATCH).enumerate() {
+            positions = Dispatch::first_non_finite(Batch::of(tensors), tensors.len(), positions, batch * BATCH);
+        }
+        FiniteResults { names: self.names, row_lens: self.row_lens, positions: Tensor::from_dispatch(positions) }
     }
 }
 
-/// Reads the results of `checks`.
+/// What [`FiniteChecks`] found. It stays on the device until it is asked for.
+#[derive(Clone)]
+pub struct FiniteResults {
+    names: Vec<String>,
+    row_lens: Vec<usize>,
+    /// `[tensors]`
+    positions: Tensor<1, Int>,
+}
+
+/// Whether all tensors are finite, on their device; `[1]` each, f32.
+#[derive(Clone, Debug)]
+pub struct Gate {
+    /// 1 if all are, else 0.
+    pub open: Tensor<1>,
+    /// Number of those that are not.
+    pub bad: Tensor<1>,
+}
+
+impl FiniteResults {
+    /// `[tensors]` position of the first bad value in each tensor, −1 if there is none.
+    pub fn positions(&self) -> Tensor<1, Int> {
+        self.positions.clone()
+    }
+
+    pub fn gate(&self) -> Gate {
+        let GateOutput { open, bad } = Dispatch::gate(self.positions().into_dispatch());
+        Gate { open: Tensor::from_dispatch(open), bad: Tensor::from_dispatch(bad) }
+    }
+
+    /// Reads the results.
+    ///
+    /// # Errors
+    /// [`Error::NonFinite`] with the name of the first tensor that holds a bad value, and its row (first dimension).
+    pub fn check(&self) -> Result<()> {
+        let positions = wait(|| download(self.positions().into_data()));
+        for ((name, row_len), position) in self.names.iter().zip(&self.row_lens).zip(positions.iter::<i64>()) {
+            if let Ok(position) = usize::try_from(position) {
+                return Err(Error::NonFinite { tensor: name.clone(), row: position / row_len });
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Launches `checks` and reads the results.
 ///
 /// # Errors
-/// [`Error::NonFinite`] with the name of the first tensor that holds a bad value, and its row (first dimension).
-pub fn check_finite(checks: &FiniteChecks) -> Result<()> {
-    if checks.names.is_empty() {
-        return Ok(());
-    }
-    let positions = wait(|| download(checks.positions().into_data()));
-    for ((name, row_len), position) in checks.names.iter().zip(&checks.row_lens).zip(positions.iter::<i64>()) {
-        if let Ok(position) = usize::try_from(position) {
-            return Err(Error::NonFinite { tensor: name.clone(), row: position / row_len });
-        }
-    }
-    Ok(())
+/// Those of [`FiniteResults::check`].
+pub fn check_finite(checks: FiniteChecks) -> Result<()> {
+    if checks.names.is_empty() { Ok(()) } else { checks.launch().check() }
 }

@@ -8,7 +8,7 @@ use burn_cubecl::CubeBackend;
 use cubecl::prelude::*;
 
 use super::{PeelBackwardOps, PeelGradient, PeelOps, PeelOptions, PeelOutput, SurfelShapes};
-use crate::binning::boxes::visible_boxes;
+use crate::binning::boxes::visible_pieces;
 use crate::binning::capacity::ListKind;
 use crate::binning::cube::{TileList, bin};
 use crate::camera::Camera;
@@ -18,7 +18,7 @@ use crate::footprint::disc_cube::{
 use crate::footprint::splat_cube::CUTOFF_F32;
 use crate::gpu::gather::zeros;
 use crate::gpu::launch::{UNITS, buffer, cube_dim, cubes, empty, empty_f32, floats, integers};
-use crate::gpu::pieces::{Piece, WORKERS, cube_has_pieces, pieces, store_gathered};
+use crate::gpu::pieces::{Piece, WORKERS, cube_has_pieces, store_gathered};
 use crate::gpu::record::Record;
 use crate::gpu::tile::{own_pixel, plane_of};
 use crate::gpu::view::{CameraUniforms, sight};
@@ -230,7 +230,7 @@ impl PeelBackwardOps for CubeBackend {
         let like = surfels.positions.clone();
         let (client, count) = (like.client.clone(), like.shape()[0]);
         let Planes { planes, lows, .. } = setup(&surfels, &camera, &options);
-        let pieces = pieces(&visible_boxes(&ids, count));
+        let pieces = visible_pieces(&ids, count);
         let gathered = empty_f32(&like, [pieces.most, DISC_SUMS]);
         gather_kernel::launch(
             &client,

@@ -15,11 +15,12 @@ use crate::footprint::moments::MOMENTS;
 use crate::footprint::regions_cube::{WORDS, list_regions, mark_regions};
 use crate::footprint::splat_cube::{self, SPLAT, Splat, add_moments};
 use crate::gpu::gather::zeros;
-use crate::gpu::launch::{HALVINGS, LANES, UNITS, buffer, cube_dim, cubes, empty_f32, floats};
+use crate::gpu::launch::{LANES, UNITS, buffer, cube_dim, cubes, empty_f32, floats};
 use crate::gpu::pieces::{
     Piece, WORKERS, collectors, cube_has_pieces, cube_has_rectangles, own_number, pieces, store_gathered, worker,
 };
 use crate::gpu::record::Record;
+use crate::gpu::reduce::max_units;
 use crate::gpu::tile::{REGIONS, own_pixel, plane_of};
 use crate::gpu::vector::{Vec3, row3};
 use crate::gpu::view::CameraUniforms;
@@ -41,23 +42,14 @@ fn ends_kernel(limits: &[f32], ends: &mut [f32], view: CameraUniforms, #[comptim
         terminate!();
     }
     let pixel = own_pixel(view, CUBE_POS as u32);
-    let unit = UNIT_POS as usize;
-    let mut furthest = Shared::<[f32]>::new_slice(comptime!(UNITS as usize));
     let mut own = -view.infinity;
     if pixel.inside {
         own = limits[(layers - 1) * plane_of(view) + pixel.at];
     }
-    furthest[unit] = own;
-    #[unroll]
-    for halving in 0..HALVINGS {
-        let step = comptime!((UNITS >> (halving + 1)) as usize);
-        sync_cube();
-        if unit < step {
-            furthest[unit] = max(furthest[unit], furthest[unit + step]);
-        }
-    }
+    let mut memory = Shared::<[f32]>::new_slice(comptime!(UNITS as usize));
+    max_units(own, &mut memory);
     if UNIT_POS == 0u32 {
-        ends[CUBE_POS] = furthest[0];
+        ends[CUBE_POS] = memory[0];
     }
 }
 

@@ -9,8 +9,9 @@ mod start;
 
 use burn::tensor::{DType, Device, Tensor};
 use dpges_core::losses::geometry::expected_depth;
-use dpges_core::losses::{Losses, rgb};
+use dpges_core::losses::{Losses, rgb_and_error};
 use dpges_core::ops::jitter::NoiseGate;
+use dpges_core::ops::photometric::Photometric;
 use dpges_core::render::blended::{BlendedOptions, Probes, render_blended_probed};
 use dpges_core::scene::tensors::rows_to_tensor;
 use dpges_core::scene::{ColourModel, GaussianData, Gaussians, SH_C0, SceneData, SceneInfo, SurfelData};
@@ -230,15 +231,17 @@ impl Stage for BlendedStage {
             None => rendered,
         };
         rendered.image = input.photographed(rendered.image);
-        let rgb = rgb(rendered.image.clone(), input.target.clone(), context.config.train.lambda_dssim)?;
+        let share = context.config.train.lambda_dssim;
+        let Photometric { value: rgb, squared_error } = rgb_and_error(&rendered.image, &input.target, share)?;
         let mut total = weights.add(rgb.clone(), gaussians, &rendered, camera, input.target.mask.as_ref());
         if let (Some(target), Some(maps)) = (&input.depth, &rendered.blend.maps) {
             let alpha = rendered.blend.alpha.clone();
             total = total + target.loss(expected_depth(maps.depth.clone(), alpha.clone()), alpha)?;
         }
         let none = Tensor::zeros([1], (&tape, DType::F32));
-        let losses = Losses { rgb, surfel: none.clone(), scale: none.clone(), transmittance: none, total };
-        Ok(ForwardPass { losses, image: rendered.image, probe })
+        let [surfel, scale] = [none.clone(), none.clone()];
+        let losses = Losses { rgb, surfel, scale, transmittance: none, total, squared_error };
+        Ok(ForwardPass { losses, probe })
     }
 
     fn observe_probe(&mut self, gradient: Tensor<2>) {

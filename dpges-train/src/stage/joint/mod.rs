@@ -168,7 +168,7 @@ impl Stage for JointStage {
             let surfels = seen.as_ref().unwrap_or(surfels);
             losses.total = losses.total + of_counted(geometry(&rendered, surfels, camera, &supervision, &weights)?);
         }
-        Ok(ForwardPass { losses, image: rendered.composite.image, probe: None })
+        Ok(ForwardPass { losses, probe: None })
     }
 
     fn looks_at_pictures(&self) -> bool {

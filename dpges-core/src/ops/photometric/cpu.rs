@@ -1,10 +1,12 @@
 //! CPU kernels: separable windows, one task per image row.
 
+use std::borrow::Cow;
+
 use burn::backend::TensorMetadata;
 use burn::backend::tensor::FloatTensor;
 use rayon::prelude::*;
 
-use super::{SsimBackwardOps, SsimOps, SsimOutput};
+use super::{PhotometricBackwardOps, PhotometricInput, PhotometricOps, PhotometricOutput, PhotometricWeights};
 use crate::host::{self, Host, for_each_cpu_backend, with_real};
 use crate::real::Real;
 use crate::simd::vectorised;
@@ -79,10 +81,57 @@ impl<T: Real> Rows<T> {
     }
 }
 
-/// Value, and partial derivatives as [3, C, H, W].
-fn forward<T: Real>(image: &[T], target: &[T], lines: usize, width: usize, height: usize) -> (T, Vec<T>) {
+/// The two images, row by row.
+struct Pair<'a, T: Real> {
+    lines: usize,
+    width: usize,
+    height: usize,
+    image: &'a [T],
+    /// The image itself where pixels do not count.
+    target: Cow<'a, [T]>,
+    /// [H, W]
+    ignored: Option<&'a [T]>,
+}
+
+impl<'a, T: Real> Pair<'a, T> {
+    fn new(image: &'a [T], target: &'a [T], ignored: Option<&'a [T]>, [channels, height, width]: [usize; 3]) -> Self {
+        let target = match ignored {
+            None => Cow::Borrowed(target),
+            Some(ignored) => Cow::Owned(
+                (image.par_chunks(ignored.len().max(1)).zip(target.par_chunks(ignored.len().max(1))))
+                    .flat_map_iter(|(image, target)| {
+                        let pixels = image.iter().zip(target).zip(ignored);
+                        pixels.map(|((&image, &target), &ignored)| if is_ignored(ignored) { image } else { target })
+                    })
+                    .collect(),
+            ),
+        };
+        Self { lines: channels * height, width, height, image, target, ignored }
+    }
+
+    /// A row of the image and of the target.
+    #[inline(always)]
+    fn rows(&self, line: usize) -> (&[T], &[T]) {
+        let range = line * self.width..(line + 1) * self.width;
+        (&self.image[range.clone()], &self.target[range])
+    }
+
+    #[inline(always)]
+    fn counts(&self, line: usize, x: usize) -> bool {
+        self.ignored.is_none_or(|ignored| !is_ignored(ignored[line % self.height * self.width + x]))
+    }
+}
+
+#[inline(always)]
+fn is_ignored<T: Real>(ignored: T) -> bool {
+    ignored > T::of(0.5)
+}
+
+/// Sums of absolute differences, of SSIM and of squared errors, and partial derivatives as [3, C, H, W].
+fn forward<T: Real>(pair: &Pair<T>) -> ([T; 3], Vec<T>) {
+    let &Pair { lines, width, height, .. } = pair;
     let rows = Rows::horizontal::<5>(lines, width, height, |line, padded| {
-        let (a, b) = (&image[line * width..][..width], &target[line * width..][..width]);
+        let (a, b) = pair.rows(line);
         for x in 0..width {
             let products = [a[x], b[x], a[x] * a[x], b[x] * b[x], a[x] * b[x]];
             for (padded, value) in padded.iter_mut().zip(products) {
@@ -96,7 +145,7 @@ fn forward<T: Real>(image: &[T], target: &[T], lines: usize, width: usize, heigh
     let (squares, products) = rest.split_at_mut(lines * width);
     let scale = T::one() / T::of((lines * width) as f64);
     let width_or_one = width.max(1);
-    let sums: Vec<T> = means
+    let sums: Vec<[T; 3]> = means
         .par_chunks_mut(width_or_one)
         .zip(squares.par_chunks_mut(width_or_one))
         .zip(products.par_chunks_mut(width_or_one))
@@ -109,21 +158,36 @@ fn forward<T: Real>(image: &[T], target: &[T], lines: usize, width: usize, heigh
                     #[inline(always)]
                     || {
                         rows.vertical(line, &taps, windowed);
-                        let mut sum = T::zero();
+                        let mut similarities = T::zero();
                         for x in 0..rows.width {
                             let at = |quantity: usize| windowed[quantity * width + x];
                             let (value, partial) = similarity(at(0), at(1), at(2), at(3), at(4));
-                            sum = sum + value;
+                            similarities = similarities + value;
                             (means[x], squares[x], products[x]) =
                                 (partial[0] * scale, partial[1] * scale, partial[2] * scale);
                         }
-                        sum
+                        let [differences, errors] = differences(pair, line);
+                        [differences, similarities, errors]
                     },
                 )
             },
         )
         .collect();
-    (sums.into_iter().sum::<T>() * scale, partials)
+    let total = |which: usize| sums.iter().map(|sums| sums[which]).sum::<T>();
+    ([total(0), total(1), total(2)], partials)
+}
+
+/// Sums of absolute differences and of squared errors of a row.
+#[inline(always)]
+fn differences<T: Real>(pair: &Pair<T>, line: usize) -> [T; 2] {
+    let (image, target) = pair.rows(line);
+    let (mut absolute, mut squared) = (T::zero(), T::zero());
+    for (x, (&a, &b)) in image.iter().zip(target).enumerate() {
+        absolute = absolute + (a - b).abs();
+        let error = a.max(T::zero()).min(T::one()) - b;
+        squared = squared + if pair.counts(line, x) { error * error } else { T::zero() };
+    }
+    [absolute, squared]
 }
 
 /// SSIM of one window and its derivatives with respect to E\[a\], E\[a²\] and E\[ab\].
@@ -143,16 +207,11 @@ fn similarity<T: Real>(mean_a: T, mean_b: T, square_a: T, square_b: T, product: 
     (value, [by_mean - two * mean_a * by_variance - mean_b * by_covariance, by_variance, by_covariance])
 }
 
-fn backward<T: Real>(
-    image: &[T],
-    target: &[T],
-    partials: &[T],
-    grad: T,
-    lines: usize,
-    width: usize,
-    height: usize,
-) -> Vec<T> {
+fn backward<T: Real>(pair: &Pair<T>, partials: &[T], grad: T, weights: &PhotometricWeights) -> Vec<T> {
+    let &Pair { lines, width, height, .. } = pair;
     let plane = lines * width;
+    let of_similarity = grad * T::of(weights.ssim * weights.pixels_per_counted);
+    let of_difference = grad * T::of(weights.l1 * weights.pixels_per_counted / plane as f64);
     let rows = Rows::horizontal::<3>(lines, width, height, |line, padded| {
         for (quantity, padded) in padded.iter_mut().enumerate() {
             padded[RADIUS..RADIUS + width].copy_from_slice(&partials[quantity * plane + line * width..][..width]);
@@ -167,10 +226,12 @@ fn backward<T: Real>(
                 #[inline(always)]
                 || {
                     rows.vertical(line, &taps, windowed);
-                    let (a, b) = (&image[line * width..][..width], &target[line * width..][..width]);
+                    let (a, b) = pair.rows(line);
                     for x in 0..width {
                         let from_square = T::of(2.0) * a[x] * windowed[width + x];
-                        out[x] = grad * (windowed[x] + from_square + b[x] * windowed[2 * width + x]);
+                        let by_similarity = windowed[x] + from_square + b[x] * windowed[2 * width + x];
+                        let gradient = of_similarity * by_similarity + of_difference * sign(a[x] - b[x]);
+                        out[x] = if pair.counts(line, x) { gradient } else { T::zero() };
                     }
                 },
             );
@@ -179,48 +240,75 @@ fn backward<T: Real>(
     out
 }
 
-fn ssim_on<B: Host>(image: &FloatTensor<B>, target: &FloatTensor<B>) -> SsimOutput<B> {
-    let [channels, height, width] = image.shape().dims();
-    with_real!(image.dtype(), T => {
-        let (a, b) = (host::floats::<B, T>(image), host::floats::<B, T>(target));
-        let (value, partials) = forward(&a, &b, channels * height, width, height);
-        SsimOutput {
-            value: host::float_tensor::<B, T, 1>(vec![value], [1], &image.device()),
-            partials: host::float_tensor::<B, T, 4>(partials, [3, channels, height, width], &image.device()),
+/// −1, 0 or 1.
+#[inline(always)]
+fn sign<T: Real>(value: T) -> T {
+    if value == T::zero() { value } else { value.signum() }
+}
+
+/// Calls `kernel` with the tensors as slices.
+fn with_pair<B: Host, T: Real, R>(input: &PhotometricInput<B>, masked: bool, kernel: impl FnOnce(&Pair<T>) -> R) -> R {
+    let (image, target) = (host::floats::<B, T>(&input.image), host::floats::<B, T>(&input.target));
+    let ignored = masked.then(|| host::floats::<B, T>(&input.ignored));
+    kernel(&Pair::new(&image, &target, ignored.as_deref(), input.image.shape().dims()))
+}
+
+fn photometric_on<B: Host>(
+    input: &PhotometricInput<B>,
+    weights: &PhotometricWeights,
+    masked: bool,
+) -> PhotometricOutput<B> {
+    let [channels, height, width] = input.image.shape().dims();
+    let device = input.image.device();
+    with_real!(input.image.dtype(), T => {
+        let ([differences, similarities, errors], partials) = with_pair::<B, T, _>(input, masked, forward);
+        let mean = T::of(weights.pixels_per_counted / (channels * height * width) as f64);
+        let offset = T::of(weights.offset * weights.pixels_per_counted);
+        let value = offset + (T::of(weights.l1) * differences + T::of(weights.ssim) * similarities) * mean;
+        PhotometricOutput {
+            value: host::float_tensor::<B, T, 1>(vec![value], [1], &device),
+            squared_error: host::float_tensor::<B, T, 1>(vec![errors * mean], [1], &device),
+            partials: host::float_tensor::<B, T, 4>(partials, [3, channels, height, width], &device),
         }
     })
 }
 
-fn ssim_backward_on<B: Host>(
-    image: &FloatTensor<B>,
-    target: &FloatTensor<B>,
+fn photometric_backward_on<B: Host>(
+    input: &PhotometricInput<B>,
     partials: &FloatTensor<B>,
     grad: &FloatTensor<B>,
+    weights: &PhotometricWeights,
+    masked: bool,
 ) -> FloatTensor<B> {
-    let [channels, height, width] = image.shape().dims();
-    with_real!(image.dtype(), T => {
-        let (a, b, partials) = (host::floats::<B, T>(image), host::floats::<B, T>(target), host::floats::<B, T>(partials));
-        let out = backward(&a, &b, &partials, host::floats::<B, T>(grad)[0], channels * height, width, height);
-        host::float_tensor::<B, T, 3>(out, [channels, height, width], &image.device())
+    let shape: [usize; 3] = input.image.shape().dims();
+    with_real!(input.image.dtype(), T => {
+        let (partials, grad) = (host::floats::<B, T>(partials), host::floats::<B, T>(grad)[0]);
+        let out = with_pair::<B, T, _>(input, masked, |pair| backward(pair, &partials, grad, weights));
+        host::float_tensor::<B, T, 3>(out, shape, &input.image.device())
     })
 }
 
 macro_rules! implement {
     ($backend:ty) => {
-        impl SsimOps for $backend {
-            fn ssim(image: FloatTensor<Self>, target: FloatTensor<Self>) -> SsimOutput<Self> {
-                ssim_on::<Self>(&image, &target)
+        impl PhotometricOps for $backend {
+            fn photometric(
+                input: PhotometricInput<Self>,
+                weights: PhotometricWeights,
+                masked: bool,
+            ) -> PhotometricOutput<Self> {
+                photometric_on::<Self>(&input, &weights, masked)
             }
         }
 
-        impl SsimBackwardOps for $backend {
-            fn ssim_backward(
-                image: FloatTensor<Self>,
-                target: FloatTensor<Self>,
+        impl PhotometricBackwardOps for $backend {
+            fn photometric_backward(
+                input: PhotometricInput<Self>,
                 partials: FloatTensor<Self>,
                 grad: FloatTensor<Self>,
+                weights: PhotometricWeights,
+                masked: bool,
             ) -> FloatTensor<Self> {
-                ssim_backward_on::<Self>(&image, &target, &partials, &grad)
+                photometric_backward_on::<Self>(&input, &partials, &grad, &weights, masked)
             }
         }
     };

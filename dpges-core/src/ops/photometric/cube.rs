@@ -1,16 +1,18 @@
 //! GPU kernels: one cube per tile, separable windows in workgroup memory.
 
 use burn::backend::TensorMetadata;
-use burn::backend::ops::FloatTensorOps;
 use burn::backend::tensor::FloatTensor;
-use burn::tensor::Shape;
 use burn_cubecl::CubeBackend;
 use cubecl::prelude::*;
 
 use super::cpu::{self, RADIUS, taps};
-use super::{SsimBackwardOps, SsimOps, SsimOutput};
+use super::{PhotometricBackwardOps, PhotometricInput, PhotometricOps, PhotometricOutput, PhotometricWeights};
+use crate::gpu::gather::zeros;
 use crate::gpu::launch::{UNITS, buffer, cube_dim, cubes, empty_f32, floats};
+use crate::gpu::mask::counts;
+use crate::gpu::reduce::{sum_parts, sum_units};
 use crate::gpu::tile::TILE;
+use crate::gpu::vector::sign;
 use crate::tiles;
 
 /// Reach of the window on either side, px.
@@ -25,8 +27,11 @@ const PADDED_PIXELS: usize = (PADDED * PADDED) as usize;
 const ROWS: usize = (PADDED * TILE) as usize;
 /// Windowed means: of a, b, a², b² and a·b.
 const MEANS: usize = 5;
-/// Partial derivatives of SSIM: [`SsimOutput::partials`].
+/// Partial derivatives of SSIM: [`PhotometricOutput::partials`].
 const PARTIALS: usize = 3;
+/// What a cube adds up: absolute differences, SSIM, squared errors.
+const SUMS: usize = 3;
+const _: () = assert!(SUMS * UNITS as usize <= ROWS * MEANS, "the sums take the place of the rows");
 const C1: f32 = cpu::C1 as f32;
 const C2: f32 = cpu::C2 as f32;
 
@@ -78,8 +83,27 @@ fn padded_pixel(window: Window, index: u32) -> (usize, bool) {
     (at as usize, inside)
 }
 
+/// Shares of the sums over all pixels and channels in the value and in the squared error, or those of a pixel in a gradient.
+#[derive(CubeType, CubeLaunch, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+struct Shares {
+    offset: f32,
+    difference: f32,
+    similarity: f32,
+    error: f32,
+}
+
 #[cube(launch)]
-fn ssim_kernel(image: &[f32], target: &[f32], values: &mut [f32], partials: &mut [f32], window: Window, total: u32) {
+fn compare_kernel(
+    image: &[f32],
+    target: &[f32],
+    ignored: &[f32],
+    sums: &mut [f32],
+    partials: &mut [f32],
+    window: Window,
+    total: u32,
+    #[comptime] masked: bool,
+) {
     if CUBE_POS >= window.cubes as usize {
         terminate!();
     }
@@ -91,8 +115,10 @@ fn ssim_kernel(image: &[f32], target: &[f32], values: &mut [f32], partials: &mut
     let mut index = UNIT_POS;
     while index < PADDED * PADDED {
         let (at, inside) = padded_pixel(window, index);
-        a[index as usize] = select(inside, image[channel + at], 0.0f32);
-        b[index as usize] = select(inside, target[channel + at], 0.0f32);
+        let shown = image[channel + at];
+        let wanted = select(counts(ignored, at, masked), target[channel + at], shown);
+        a[index as usize] = select(inside, shown, 0.0f32);
+        b[index as usize] = select(inside, wanted, 0.0f32);
         index += UNITS;
     }
     sync_cube();
@@ -126,6 +152,7 @@ fn ssim_kernel(image: &[f32], target: &[f32], values: &mut [f32], partials: &mut
     let tile = CUBE_POS as u32 % window.tiles;
     let (x, y) = (UNIT_POS % TILE, UNIT_POS / TILE);
     let (column, row) = (tile % window.columns * TILE + x, tile / window.columns * TILE + y);
+    let mut own = zeros(SUMS);
     if column < window.width && row < window.height {
         let mut mean_a = 0.0f32;
         let mut mean_b = 0.0f32;
@@ -152,24 +179,54 @@ fn ssim_kernel(image: &[f32], target: &[f32], values: &mut [f32], partials: &mut
         let by_variance = -value / variances;
         let by_covariance = 2.0f32 * luminance * inverse;
         let by_mean = 2.0f32 * mean_b * structure * inverse - 2.0f32 * mean_a * value / means;
-        let at = channel + (row * window.width + column) as usize;
+        let pixel = (row * window.width + column) as usize;
+        let at = channel + pixel;
         let share = 1.0f32 / f32::cast_from(total);
-        values[at] = value;
+        let middle = ((y + REACH) * PADDED + x + REACH) as usize;
+        let (shown, wanted) = (a[middle], b[middle]);
+        let error = min(max(shown, 0.0f32), 1.0f32) - wanted;
+        own[0] = f32::abs(shown - wanted);
+        own[1] = value;
+        own[2] = select(counts(ignored, pixel, masked), error * error, 0.0f32);
         partials[at] = (by_mean - 2.0f32 * mean_a * by_variance - mean_b * by_covariance) * share;
         partials[total as usize + at] = by_variance * share;
         partials[2 * total as usize + at] = by_covariance * share;
     }
+    sum_units(&own, &mut rows, SUMS);
+    if UNIT_POS == 0u32 {
+        #[unroll]
+        for sum in 0..SUMS {
+            sums[CUBE_POS * SUMS + sum] = rows[sum];
+        }
+    }
+}
+
+/// The value and the squared error from the sums of `cubes` cubes.
+#[cube(launch)]
+fn value_kernel(sums: &[f32], value: &mut [f32], squared_error: &mut [f32], shares: Shares, cubes: u32) {
+    if CUBE_POS > 0usize {
+        terminate!();
+    }
+    let mut total = Shared::<[f32]>::new_slice(comptime!(SUMS * UNITS as usize));
+    sum_parts(sums, cubes, &mut total, SUMS);
+    if UNIT_POS == 0u32 {
+        value[0] = shares.offset + (shares.difference * total[0] + shares.similarity * total[1]);
+        squared_error[0] = shares.error * total[2];
+    }
 }
 
 #[cube(launch)]
-fn ssim_backward_kernel(
+fn backward_kernel(
     image: &[f32],
     target: &[f32],
+    ignored: &[f32],
     partials: &[f32],
     grad: &[f32],
     grad_image: &mut [f32],
     window: Window,
+    shares: Shares,
     total: u32,
+    #[comptime] masked: bool,
 ) {
     if CUBE_POS >= window.cubes as usize {
         terminate!();
@@ -225,8 +282,12 @@ fn ssim_backward_kernel(
             second += w * rows[o + 1];
             third += w * rows[o + 2];
         }
-        let at = channel + (row * window.width + column) as usize;
-        grad_image[at] = grad[0] * (first + 2.0f32 * image[at] * second + target[at] * third);
+        let pixel = (row * window.width + column) as usize;
+        let at = channel + pixel;
+        let (shown, wanted) = (image[at], target[at]);
+        let by_similarity = first + 2.0f32 * shown * second + wanted * third;
+        let gradient = shares.similarity * by_similarity + shares.difference * sign(shown - wanted);
+        grad_image[at] = select(counts(ignored, pixel, masked), grad[0] * gradient, 0.0f32);
     }
 }
 
@@ -253,51 +314,89 @@ fn window(shape: [usize; 3]) -> (WindowLaunch, usize) {
     (launch, count)
 }
 
-impl SsimOps for CubeBackend {
-    fn ssim(image: FloatTensor<Self>, target: FloatTensor<Self>) -> SsimOutput<Self> {
-        let (image, target) = (floats(image), floats(target));
+fn contiguous(input: PhotometricInput<CubeBackend>) -> PhotometricInput<CubeBackend> {
+    PhotometricInput { image: floats(input.image), target: floats(input.target), ignored: floats(input.ignored) }
+}
+
+impl PhotometricOps for CubeBackend {
+    fn photometric(
+        input: PhotometricInput<Self>,
+        weights: PhotometricWeights,
+        masked: bool,
+    ) -> PhotometricOutput<Self> {
+        let PhotometricInput { image, target, ignored } = contiguous(input);
         let shape: [usize; 3] = image.shape().dims();
         let [channels, height, width] = shape;
-        let (values, partials) = (empty_f32(&image, shape), empty_f32(&image, [3, channels, height, width]));
+        let (client, total) = (image.client.clone(), channels * height * width);
         let (uniforms, count) = window(shape);
-        ssim_kernel::launch(
-            &image.client.clone(),
+        let (sums, partials) = (empty_f32(&image, [count, SUMS]), empty_f32(&image, [3, channels, height, width]));
+        compare_kernel::launch(
+            &client,
             cubes(count),
             cube_dim(),
             buffer(&image),
             buffer(&target),
-            buffer(&values),
+            buffer(&ignored),
+            buffer(&sums),
             buffer(&partials),
             uniforms,
-            (channels * height * width) as u32,
+            total as u32,
+            masked,
         );
-        let value = Self::float_reshape(Self::float_mean(values), Shape::new([1]));
-        SsimOutput { value, partials }
+        let [value, squared_error] = [(); 2].map(|()| empty_f32(&image, [1]));
+        let mean = weights.pixels_per_counted / total as f64;
+        value_kernel::launch(
+            &client,
+            cubes(1),
+            cube_dim(),
+            buffer(&sums),
+            buffer(&value),
+            buffer(&squared_error),
+            SharesLaunch::new(
+                (weights.offset * weights.pixels_per_counted) as f32,
+                (weights.l1 * mean) as f32,
+                (weights.ssim * mean) as f32,
+                mean as f32,
+            ),
+            count as u32,
+        );
+        PhotometricOutput { value, squared_error, partials }
     }
 }
 
-impl SsimBackwardOps for CubeBackend {
-    fn ssim_backward(
-        image: FloatTensor<Self>,
-        target: FloatTensor<Self>,
+impl PhotometricBackwardOps for CubeBackend {
+    fn photometric_backward(
+        input: PhotometricInput<Self>,
         partials: FloatTensor<Self>,
         grad: FloatTensor<Self>,
+        weights: PhotometricWeights,
+        masked: bool,
     ) -> FloatTensor<Self> {
-        let (image, target, partials, grad) = (floats(image), floats(target), floats(partials), floats(grad));
+        let PhotometricInput { image, target, ignored } = contiguous(input);
+        let (partials, grad) = (floats(partials), floats(grad));
         let shape: [usize; 3] = image.shape().dims();
         let out = empty_f32(&image, shape);
         let (uniforms, count) = window(shape);
-        ssim_backward_kernel::launch(
+        let total = shape.iter().product::<usize>();
+        backward_kernel::launch(
             &image.client.clone(),
             cubes(count),
             cube_dim(),
             buffer(&image),
             buffer(&target),
+            buffer(&ignored),
             buffer(&partials),
             buffer(&grad),
             buffer(&out),
             uniforms,
-            shape.iter().product::<usize>() as u32,
+            SharesLaunch::new(
+                0.0,
+                (weights.l1 * weights.pixels_per_counted / total as f64) as f32,
+                (weights.ssim * weights.pixels_per_counted) as f32,
+                0.0,
+            ),
+            total as u32,
+            masked,
         );
         out
     }

@@ -1,0 +1,14 @@
+//! `join` on the tape: no gradient.
+
+use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
+use burn::backend::tensor::FloatTensor;
+use burn::backend::{Autodiff, AutodiffBackend};
+
+use super::JoinOps;
+use crate::batch::Batch;
+
+impl<B: JoinOps, S: CheckpointStrategy> JoinOps for Autodiff<B, S> {
+    fn join(batch: Batch<Self>, count: usize) -> FloatTensor<Self> {
+        <Self as AutodiffBackend>::from_inner(B::join(batch.inner(), count))
+    }
+}

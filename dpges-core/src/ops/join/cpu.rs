@@ -1,0 +1,30 @@
+//! CPU kernel.
+
+use burn::backend::TensorMetadata;
+use burn::backend::tensor::FloatTensor;
+
+use super::JoinOps;
+use crate::batch::Batch;
+use crate::host::{self, Host, for_each_cpu_backend, with_real};
+
+fn join_on<B: Host>(batch: Batch<B>, count: usize) -> FloatTensor<B> {
+    let tensors = batch.into_tensors();
+    let device = tensors[0].device();
+    with_real!(tensors[0].dtype(), T => {
+        let numbers: Vec<T> =
+            tensors.iter().take(count).flat_map(|tensor| host::floats::<B, T>(tensor).into_owned()).collect();
+        let shape = [numbers.len()];
+        host::float_tensor::<B, T, 1>(numbers, shape, &device)
+    })
+}
+
+macro_rules! implement {
+    ($backend:ty) => {
+        impl JoinOps for $backend {
+            fn join(batch: Batch<Self>, count: usize) -> FloatTensor<Self> {
+                join_on::<Self>(batch, count)
+            }
+        }
+    };
+}
+for_each_cpu_backend!(implement);

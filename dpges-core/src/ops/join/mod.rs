@@ -1,0 +1,44 @@
+//! `join`: short tensors one after the other in one tensor, so that the numbers of a step are read at once. No gradient.
+
+mod backward;
+mod cpu;
+#[cfg(feature = "gpu")]
+mod cube;
+#[cfg(test)]
+mod tests;
+
+use burn::backend::tensor::FloatTensor;
+use burn::backend::{Backend, Dispatch, backend_extension};
+use burn::tensor::Tensor;
+
+use crate::batch::{BATCH, Batch};
+
+#[backend_extension(
+    Cube: cfg(feature = "gpu"),
+    NdArray: cfg(feature = "ndarray"),
+    Flex: cfg(feature = "flex"),
+    Autodiff
+)]
+pub trait JoinOps: Backend {
+    /// `[total]` numbers of the first `count` tensors of `batch`.
+    fn join(#[extension_type] batch: Batch<Self>, count: usize) -> FloatTensor<Self>;
+}
+
+/// The numbers of all `parts`, `[n]` each, without gradient.
+///
+/// # Panics
+/// If there are no parts.
+pub fn join(parts: &[Tensor<1>]) -> Tensor<1> {
+    assert!(!parts.is_empty(), "nothing to join");
+    if let [part] = parts {
+        return part.clone();
+    }
+    let of_batch = |parts: &[Tensor<1>]| -> Tensor<1> {
+        if let [part] = parts {
+            return part.clone();
+        }
+        let parts: Vec<_> = parts.iter().map(|part| part.clone().into_dispatch()).collect();
+        Tensor::from_dispatch(Dispatch::join(Batch::of(&parts), parts.len()))
+    };
+    join(&parts.chunks(BATCH).map(of_batch).collect::<Vec<_>>())
+}
