@@ -29,6 +29,7 @@
 pub mod check;
 pub mod compress;
 pub mod config;
+pub mod corrections;
 pub mod dataset;
 pub mod device;
 pub mod docs;
@@ -44,6 +45,8 @@ pub mod pictures;
 pub mod popping;
 pub mod pose;
 pub mod pose_fit;
+pub mod pose_gauge;
+pub mod pose_step;
 mod recent;
 pub mod refine;
 pub mod rendered;

@@ -4,11 +4,9 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use dpges_core::camera::CameraFromWorld;
-use dpges_core::ops::adam::AdamStep;
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
-use crate::config::PoseRates;
 use crate::dataset::View;
 
 /// Angle below which the series of the Jacobian are used, rad: its terms would cancel.
@@ -28,6 +26,12 @@ impl PoseCorrection {
     pub fn of_row(row: &[f32; 6]) -> Self {
         let [x, y, z, translation @ ..] = row.map(f64::from);
         Self { rotation: [x, y, z], translation }
+    }
+
+    /// The numbers that are trained.
+    pub fn row(&self) -> [f32; 6] {
+        let ([a, b, c], [x, y, z]) = (self.rotation, self.translation);
+        [a, b, c, x, y, z].map(|number| number as f32)
     }
 
     /// Whether it turns by half a turn at most and shifts by a finite distance, also in f32.
@@ -61,34 +65,6 @@ impl PoseCorrection {
         let jacobian = DMat3::IDENTITY + first * cross + second * cross * cross;
         let rotation = jacobian.transpose() * DVec3::new(gx, gy, gz);
         [rotation.x, rotation.y, rotation.z, tx, ty, tz]
-    }
-}
-
-/// One step of Adam, as [`adam`](dpges_core::ops::adam) has it, on the six numbers of a correction with their two `moments`.
-pub fn adam_step(
-    row: &mut [f32; 6],
-    [first, second]: [&mut [f32; 6]; 2],
-    gradient: [f64; 6],
-    rates: PoseRates,
-    step: AdamStep,
-) {
-    let AdamStep { beta_1, beta_2, epsilon, time, .. } = step;
-    let left = |beta: f64| 1.0 - beta.powf(time as f64);
-    for (at, gradient) in gradient.into_iter().enumerate() {
-        first[at] = (beta_1 * f64::from(first[at]) + (1.0 - beta_1) * gradient) as f32;
-        second[at] = (beta_2 * f64::from(second[at]) + (1.0 - beta_2) * gradient * gradient) as f32;
-        let deviation = (f64::from(second[at]) / left(beta_2)).sqrt();
-        let rate = if at < 3 { rates.rotation } else { rates.translation };
-        let change = rate * f64::from(first[at]) / left(beta_1) / (deviation + epsilon);
-        row[at] = (f64::from(row[at]) - change) as f32;
-    }
-}
-
-/// Takes the means over all `rows` away: what all cameras have in common moves the scene as well.
-pub fn centre(rows: &mut [[f32; 6]]) {
-    for column in 0..6 {
-        let mean = rows.iter().map(|row| f64::from(row[column])).sum::<f64>() / rows.len().max(1) as f64;
-        rows.iter_mut().for_each(|row| row[column] = (f64::from(row[column]) - mean) as f32);
     }
 }
 
@@ -213,14 +189,6 @@ mod tests {
                 assert!((found - expected).abs() < 1e-6 * (1.0 + expected.abs()), "{found}, expected {expected}");
             }
         }
-    }
-
-    #[test]
-    fn means_are_taken_away() {
-        let mut rows = [[1.0, 2.0, 3.0, 4.0, 5.0, 6.0], [3.0, 0.0, 3.0, 0.0, 5.0, -6.0]];
-        centre(&mut rows);
-        assert_eq!(rows, [[-1.0, 1.0, 0.0, 2.0, 0.0, 6.0], [1.0, -1.0, 0.0, -2.0, 0.0, -6.0]]);
-        centre(&mut []);
     }
 
     #[test]

@@ -4,12 +4,12 @@ use burn::tensor::{DType, Device, Tensor};
 use dpges_core::Result;
 use dpges_core::camera::Camera;
 use dpges_core::losses::{Target, rgb};
-use dpges_core::ops::adam::AdamStep;
 use dpges_core::render::pose::PoseProbe;
 use dpges_core::scene::tensors::tensor_to_rows;
 
-use crate::config::{OptimizerConfig, PoseRates};
-use crate::pose::{PoseCorrection, adam_step};
+use crate::config::OptimizerConfig;
+use crate::pose::PoseCorrection;
+use crate::pose_step::PoseStep;
 use crate::rendered::Renderer;
 
 /// Steps of a fit.
@@ -60,9 +60,10 @@ pub fn fitted_pose(
             break;
         }
         let rate = RATE * DECAY.powf(step as f64 / STEPS as f64);
-        let adam: AdamStep = OptimizerConfig::default().adam(step);
+        let adam = OptimizerConfig::default().adam(step);
+        let step = PoseStep { rotation: rate, translation: rate, extent, adam, doubt: 0.0, pull: 0.0 };
         let [first, second] = &mut moments;
-        adam_step(&mut row, [first, second], gradient, PoseRates { rotation: rate, translation: rate * extent }, adam);
+        step.take(&mut row, [first, second], gradient);
     }
     Ok(best.1)
 }

@@ -92,14 +92,16 @@ impl Lens {
 
     /// Whether its numbers are finite, also in f32, and it shows anything.
     pub fn is_sound(&self) -> bool {
-        let Distortion { projection, numerator, denominator, tangential, thin_prism } = &self.distortion;
+        let Distortion { projection, numerator, denominator, tangential, thin_prism, thin_prism_quartic, .. } =
+            &self.distortion;
         let finite = |values: &[f64]| values.iter().all(|&v| (v as f32).is_finite());
         let projects = match *projection {
             Projection::FieldOfView(omega) => omega > 1e-3 && omega < std::f64::consts::PI,
             Projection::Perspective | Projection::Equidistant => true,
         };
-        let coefficients = finite(numerator) && finite(denominator) && finite(tangential) && finite(thin_prism);
-        projects && coefficients && self.limit > 0.0
+        let radial = finite(numerator) && finite(denominator);
+        let aside = finite(tangential) && finite(thin_prism) && finite(thin_prism_quartic);
+        projects && radial && aside && self.limit > 0.0
     }
 
     /// Largest undistorted radius that it sees.

@@ -57,13 +57,17 @@ pub fn bounds(lens: &Lens, centre: V3<f64>, half_axes: [V3<f64>; 2]) -> Option<[
     }
     let undistorted = cone.angle.map(|angle| lens.radius(angle).min(lens.limit()));
     let radial = sector(undistorted.map(|radius| lens.radial(radius)), cone.azimuth);
-    let [a, b] = sector(undistorted, cone.azimuth);
-    let ([p1, p2], [s1, s2]) = (lens.distortion().tangential, lens.distortion().thin_prism);
+    let distortion = lens.distortion();
+    let [a, b] = if distortion.in_sequence { radial } else { sector(undistorted, cone.azimuth) };
+    let ([p1, p2], [s1, s2], [t1, t2]) = (distortion.tangential, distortion.thin_prism, distortion.thin_prism_quartic);
     let (aa, bb, ab) = (squared(a), squared(b), scaled(times(a, b), 2.0));
-    // p₂ (r² + 2a²) + s₁ r² and its twin
-    let aside = |along: Range, across: Range, p: f64, s: f64| plus(scaled(along, 3.0 * p + s), scaled(across, p + s));
-    let x = plus(radial[0], plus(scaled(ab, p1), aside(aa, bb, p2, s1)));
-    let y = plus(radial[1], plus(scaled(ab, p2), aside(bb, aa, p1, s2)));
+    let quartic = squared(plus(aa, bb));
+    // p₂ (r² + 2a²) + s₁ r² + t₁ r⁴ and its twin
+    let aside = |along: Range, across: Range, p: f64, s: f64, t: f64| {
+        plus(plus(scaled(along, 3.0 * p + s), scaled(across, p + s)), scaled(quartic, t))
+    };
+    let x = plus(radial[0], plus(scaled(ab, p1), aside(aa, bb, p2, s1, t1)));
+    let y = plus(radial[1], plus(scaled(ab, p2), aside(bb, aa, p1, s2, t2)));
     Some([x[0], x[1], y[0], y[1]])
 }
 

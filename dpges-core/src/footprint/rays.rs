@@ -60,8 +60,10 @@ mod tests {
     fn tables_hold_the_rays_of_their_own_camera() {
         assert!(rays(&camera(None, 12)).is_none());
         let fisheye = Lens::new(Distortion::new(Projection::Equidistant));
-        let bent =
-            Lens::new(Distortion { numerator: [-0.1, 0.0, 0.0, 0.0], ..Distortion::new(Projection::Perspective) });
+        let bent = Lens::new(Distortion {
+            numerator: [-0.1, 0.0, 0.0, 0.0, 0.0, 0.0],
+            ..Distortion::new(Projection::Perspective)
+        });
         // more cameras than are kept, twice
         for (lens, width) in [(fisheye, 12), (bent, 12), (fisheye, 13), (bent, 11), (fisheye, 12), (bent, 12)] {
             let camera = camera(Some(lens), width);

@@ -1,9 +1,15 @@
 //! A lens on the device; the CPU's twin is [`crate::camera::Lens`].
 
+mod matrix;
+mod range;
+
 use cubecl::prelude::*;
+
+pub use range::{Range, aside_x, aside_y, plus, times};
 
 use super::vector::{Vec3, add, dot, scale, sin_cos, vec3};
 use crate::camera::Camera;
+use matrix::{Mat2, product, sum, transposed};
 
 /// Steps of Newton's method that find the undistorted radius of a position, and then the position itself.
 const RADIAL_STEPS: u32 = 20;
@@ -31,6 +37,8 @@ pub struct LensUniforms {
     n2: f32,
     n3: f32,
     n4: f32,
+    n5: f32,
+    n6: f32,
     d1: f32,
     d2: f32,
     d3: f32,
@@ -38,6 +46,8 @@ pub struct LensUniforms {
     p2: f32,
     s1: f32,
     s2: f32,
+    t1: f32,
+    t2: f32,
     kappa: f32,
     omega: f32,
     /// Largest undistorted radius that it sees, and where it appears without what is tangential.
@@ -50,34 +60,44 @@ pub struct LensUniforms {
     /// Whether positions stay on their radius.
     #[cube(comptime)]
     pub is_radial: bool,
+    /// Whether positions leave their radius after it has changed.
+    #[cube(comptime)]
+    pub in_sequence: bool,
 }
+
+/// Numbers of [`LensUniforms`].
+const NUMBERS: usize = 20;
 
 impl LensUniforms {
     pub fn launch(camera: &Camera) -> LensUniformsLaunch {
         let Some(lens) = &camera.lens else { return Self::none() };
         let distortion = lens.distortion();
-        let ([n1, n2, n3, n4], [d1, d2, d3]) = (distortion.numerator, distortion.denominator);
-        let ([p1, p2], [s1, s2]) = (distortion.tangential, distortion.thin_prism);
+        let ([n1, n2, n3, n4, n5, n6], [d1, d2, d3]) = (distortion.numerator, distortion.denominator);
+        let ([p1, p2], [s1, s2], [t1, t2]) =
+            (distortion.tangential, distortion.thin_prism, distortion.thin_prism_quartic);
         let [kappa, omega] = lens.arc().unwrap_or([1.0; 2]);
-        let limits = [lens.limit(), lens.radial(lens.limit()), camera.coverage()];
-        let numbers = [n1, n2, n3, n4, d1, d2, d3, p1, p2, s1, s2, kappa, omega, limits[0], limits[1], limits[2]];
+        let (limit, radial_limit, coverage) = (lens.limit(), lens.radial(lens.limit()), camera.coverage());
+        let numbers =
+            [n1, n2, n3, n4, n5, n6, d1, d2, d3, p1, p2, s1, s2, t1, t2, kappa, omega, limit, radial_limit, coverage];
         let kind = if lens.is_wide() { LensKind::Arc } else { LensKind::Perspective };
-        Self::from_numbers(numbers, kind, [p1, p2, s1, s2] == [0.0; 4])
+        Self::from_numbers(numbers, kind, [p1, p2, s1, s2, t1, t2] == [0.0; 6], distortion.in_sequence)
     }
 
     /// Of a pinhole.
     pub fn none() -> LensUniformsLaunch {
-        Self::from_numbers([0.0; 16], LensKind::None, true)
+        Self::from_numbers([0.0; NUMBERS], LensKind::None, true, false)
     }
 
-    fn from_numbers(numbers: [f64; 16], kind: LensKind, is_radial: bool) -> LensUniformsLaunch {
-        let [n1, n2, n3, n4, d1, d2, d3, p1, p2, s1, s2, kappa, omega, limit, radial_limit, coverage] =
+    fn from_numbers(numbers: [f64; NUMBERS], kind: LensKind, is_radial: bool, in_sequence: bool) -> LensUniformsLaunch {
+        let [n1, n2, n3, n4, n5, n6, d1, d2, d3, p1, p2, s1, s2, t1, t2, kappa, omega, limit, radial_limit, coverage] =
             numbers.map(|v| v as f32);
         LensUniformsLaunch::new(
             n1,
             n2,
             n3,
             n4,
+            n5,
+            n6,
             d1,
             d2,
             d3,
@@ -85,6 +105,8 @@ impl LensUniforms {
             p2,
             s1,
             s2,
+            t1,
+            t2,
             kappa,
             omega,
             limit,
@@ -92,6 +114,7 @@ impl LensUniforms {
             coverage,
             kind,
             is_radial,
+            in_sequence,
         )
     }
 }
@@ -115,9 +138,11 @@ pub fn angle(away: f32, along: f32) -> f32 {
 /// Factor of the radius at r² = `m`, and its first two derivatives with respect to m.
 #[cube]
 fn factor(lens: LensUniforms, m: f32) -> Vec3 {
-    let n = 1.0f32 + m * (lens.n1 + m * (lens.n2 + m * (lens.n3 + m * lens.n4)));
-    let n_slope = lens.n1 + m * (2.0f32 * lens.n2 + m * (3.0f32 * lens.n3 + m * 4.0f32 * lens.n4));
-    let n_bend = 2.0f32 * lens.n2 + m * (6.0f32 * lens.n3 + m * 12.0f32 * lens.n4);
+    let n = 1.0f32 + m * (lens.n1 + m * (lens.n2 + m * (lens.n3 + m * (lens.n4 + m * (lens.n5 + m * lens.n6)))));
+    let high_slope = 4.0f32 * lens.n4 + m * (5.0f32 * lens.n5 + m * 6.0f32 * lens.n6);
+    let n_slope = lens.n1 + m * (2.0f32 * lens.n2 + m * (3.0f32 * lens.n3 + m * high_slope));
+    let high_bend = 12.0f32 * lens.n4 + m * (20.0f32 * lens.n5 + m * 30.0f32 * lens.n6);
+    let n_bend = 2.0f32 * lens.n2 + m * (6.0f32 * lens.n3 + m * high_bend);
     let d = 1.0f32 + m * (lens.d1 + m * (lens.d2 + m * lens.d3));
     let d_slope = lens.d1 + m * (2.0f32 * lens.d2 + m * 3.0f32 * lens.d3);
     let d_bend = 2.0f32 * lens.d2 + m * 6.0f32 * lens.d3;
@@ -144,96 +169,89 @@ pub fn radius_at(lens: LensUniforms, angle_from_axis: f32) -> f32 {
     }
 }
 
-/// What is tangential of a position: 2 p₁ a b + p₂ (r² + 2a²) + s₁ r² and its twin.
+/// What is tangential of a position, and what the prisms add: 2 p₁ u v + p₂ (r² + 2u²) + s₁ r² + t₁ r⁴ and its twin.
 #[cube]
-fn aside(lens: LensUniforms, a: f32, b: f32) -> (f32, f32) {
-    let m = a * a + b * b;
+fn aside(lens: LensUniforms, u: f32, v: f32) -> (f32, f32) {
+    let m = u * u + v * v;
     (
-        2.0f32 * lens.p1 * a * b + lens.p2 * (m + 2.0f32 * a * a) + lens.s1 * m,
-        lens.p1 * (m + 2.0f32 * b * b) + 2.0f32 * lens.p2 * a * b + lens.s2 * m,
+        2.0f32 * lens.p1 * u * v + lens.p2 * (m + 2.0f32 * u * u) + (lens.s1 + lens.t1 * m) * m,
+        lens.p1 * (m + 2.0f32 * v * v) + 2.0f32 * lens.p2 * u * v + (lens.s2 + lens.t2 * m) * m,
     )
 }
 
-/// An interval.
-#[derive(CubeType, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
-pub struct Range {
-    pub low: f32,
-    pub high: f32,
-}
-
-/// Products of numbers of two ranges.
+/// What is moved aside of an undistorted position whose radius has this factor.
 #[cube]
-pub fn times(a: Range, b: Range) -> Range {
-    let (p, q) = (a.low * b.low, a.low * b.high);
-    let (r, s) = (a.high * b.low, a.high * b.high);
-    Range { low: min(min(p, q), min(r, s)), high: max(max(p, q), max(r, s)) }
-}
-
-#[cube]
-fn scaled(a: Range, by: f32) -> Range {
-    let (low, high) = (a.low * by, a.high * by);
-    Range { low: min(low, high), high: max(low, high) }
-}
-
-#[cube]
-pub fn plus(a: Range, b: Range) -> Range {
-    Range { low: a.low + b.low, high: a.high + b.high }
-}
-
-#[cube]
-fn squared(a: Range) -> Range {
-    let (low, high) = (a.low * a.low, a.high * a.high);
-    let holds_zero = a.low <= 0.0f32 && a.high >= 0.0f32;
-    Range { low: select(holds_zero, 0.0f32, min(low, high)), high: max(low, high) }
-}
-
-/// Range of [`aside`] in x over ranges of undistorted positions.
-#[cube]
-pub fn aside_x(lens: LensUniforms, a: Range, b: Range) -> Range {
-    let mixed = scaled(times(a, b), 2.0f32 * lens.p1);
-    let along = scaled(squared(a), 3.0f32 * lens.p2 + lens.s1);
-    plus(mixed, plus(along, scaled(squared(b), lens.p2 + lens.s1)))
-}
-
-/// Range of [`aside`] in y.
-#[cube]
-pub fn aside_y(lens: LensUniforms, a: Range, b: Range) -> Range {
-    let mixed = scaled(times(a, b), 2.0f32 * lens.p2);
-    let along = scaled(squared(b), 3.0f32 * lens.p1 + lens.s2);
-    plus(mixed, plus(along, scaled(squared(a), lens.p1 + lens.s2)))
+fn moved_aside(lens: LensUniforms, a: f32, b: f32, factor: f32) -> (f32, f32) {
+    if comptime!(lens.in_sequence) { (a * factor, b * factor) } else { (a, b) }
 }
 
 /// Position of an undistorted position.
 #[cube]
 fn distort(lens: LensUniforms, a: f32, b: f32) -> (f32, f32) {
     let factor = factor(lens, a * a + b * b);
-    let (x, y) = aside(lens, a, b);
+    let (u, v) = moved_aside(lens, a, b, factor.x);
+    let (x, y) = aside(lens, u, v);
     (a * factor.x + x, b * factor.x + y)
 }
 
-/// A 2 × 2 matrix.
-#[derive(CubeType, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
-struct Mat2 {
-    xx: f32,
-    xy: f32,
-    yx: f32,
-    yy: f32,
+/// Jacobian of [`aside`].
+#[cube]
+fn aside_jacobian(lens: LensUniforms, u: f32, v: f32) -> Mat2 {
+    let m = 2.0f32 * (u * u + v * v);
+    let (prism_x, prism_y) = (2.0f32 * (lens.s1 + m * lens.t1), 2.0f32 * (lens.s2 + m * lens.t2));
+    Mat2 {
+        xx: 2.0f32 * lens.p1 * v + (6.0f32 * lens.p2 + prism_x) * u,
+        xy: 2.0f32 * lens.p1 * u + (2.0f32 * lens.p2 + prism_x) * v,
+        yx: (2.0f32 * lens.p1 + prism_y) * u + 2.0f32 * lens.p2 * v,
+        yy: (6.0f32 * lens.p1 + prism_y) * v + 2.0f32 * lens.p2 * u,
+    }
+}
+
+/// Gradient with respect to (u, v) from that with respect to [`aside_jacobian`].
+#[cube]
+fn aside_jacobian_backward(lens: LensUniforms, u: f32, v: f32, grad: Mat2) -> (f32, f32) {
+    let m = u * u + v * v;
+    let along = grad.xx * lens.t1 + grad.yx * lens.t2;
+    let across = grad.xy * lens.t1 + grad.yy * lens.t2;
+    let form = 8.0f32 * (along * u + across * v);
+    let of_u = grad.xx * (6.0f32 * lens.p2 + 2.0f32 * lens.s1)
+        + grad.xy * 2.0f32 * lens.p1
+        + grad.yx * (2.0f32 * lens.p1 + 2.0f32 * lens.s2)
+        + grad.yy * 2.0f32 * lens.p2;
+    let of_v = grad.xx * 2.0f32 * lens.p1
+        + grad.xy * (2.0f32 * lens.p2 + 2.0f32 * lens.s1)
+        + grad.yx * 2.0f32 * lens.p2
+        + grad.yy * (6.0f32 * lens.p1 + 2.0f32 * lens.s2);
+    (of_u + 4.0f32 * m * along + form * u, of_v + 4.0f32 * m * across + form * v)
+}
+
+/// Jacobian of what the radius alone does, which is symmetric.
+#[cube]
+fn radial_jacobian(a: f32, b: f32, value: f32, slope: f32) -> Mat2 {
+    let across = 2.0f32 * a * b * slope;
+    Mat2 { xx: value + 2.0f32 * a * a * slope, xy: across, yx: across, yy: value + 2.0f32 * b * b * slope }
 }
 
 /// Jacobian of [`distort`].
 #[cube]
 fn distort_jacobian(lens: LensUniforms, a: f32, b: f32) -> Mat2 {
     let factor = factor(lens, a * a + b * b);
-    let (value, slope) = (factor.x, factor.y);
-    let across = 2.0f32 * a * b * slope;
-    Mat2 {
-        xx: value + 2.0f32 * a * a * slope + 2.0f32 * lens.p1 * b + (6.0f32 * lens.p2 + 2.0f32 * lens.s1) * a,
-        xy: across + 2.0f32 * lens.p1 * a + (2.0f32 * lens.p2 + 2.0f32 * lens.s1) * b,
-        yx: across + (2.0f32 * lens.p1 + 2.0f32 * lens.s2) * a + 2.0f32 * lens.p2 * b,
-        yy: value + 2.0f32 * b * b * slope + (6.0f32 * lens.p1 + 2.0f32 * lens.s2) * b + 2.0f32 * lens.p2 * a,
-    }
+    let radial = radial_jacobian(a, b, factor.x, factor.y);
+    let (u, v) = moved_aside(lens, a, b, factor.x);
+    let aside = aside_jacobian(lens, u, v);
+    if comptime!(lens.in_sequence) { sum(radial, product(aside, radial)) } else { sum(radial, aside) }
+}
+
+/// Gradient with respect to (a, b) from that with respect to the Jacobian of what the radius alone does.
+#[cube]
+fn radial_jacobian_backward(a: f32, b: f32, slope: f32, bend: f32, grad: Mat2) -> (f32, f32) {
+    let mixed = grad.xy + grad.yx;
+    let form = 2.0f32 * (grad.xx * a * a + mixed * a * b + grad.yy * b * b);
+    let common = 2.0f32 * (slope * (grad.xx + grad.yy) + bend * form);
+    (
+        a * common + slope * (4.0f32 * grad.xx * a + 2.0f32 * mixed * b),
+        b * common + slope * (4.0f32 * grad.yy * b + 2.0f32 * mixed * a),
+    )
 }
 
 /// Gradient with respect to (a, b) from that with respect to the Jacobian.
@@ -241,21 +259,19 @@ fn distort_jacobian(lens: LensUniforms, a: f32, b: f32) -> Mat2 {
 fn distort_jacobian_backward(lens: LensUniforms, a: f32, b: f32, grad: Mat2) -> (f32, f32) {
     let factor = factor(lens, a * a + b * b);
     let (slope, bend) = (factor.y, factor.z);
-    let mixed = grad.xy + grad.yx;
-    let form = 2.0f32 * (grad.xx * a * a + mixed * a * b + grad.yy * b * b);
-    let common = 2.0f32 * (slope * (grad.xx + grad.yy) + bend * form);
-    let of_a = grad.xx * (6.0f32 * lens.p2 + 2.0f32 * lens.s1)
-        + grad.xy * 2.0f32 * lens.p1
-        + grad.yx * (2.0f32 * lens.p1 + 2.0f32 * lens.s2)
-        + grad.yy * 2.0f32 * lens.p2;
-    let of_b = grad.xx * 2.0f32 * lens.p1
-        + grad.xy * (2.0f32 * lens.p2 + 2.0f32 * lens.s1)
-        + grad.yx * 2.0f32 * lens.p2
-        + grad.yy * (6.0f32 * lens.p1 + 2.0f32 * lens.s2);
-    (
-        a * common + slope * (4.0f32 * grad.xx * a + 2.0f32 * mixed * b) + of_a,
-        b * common + slope * (4.0f32 * grad.yy * b + 2.0f32 * mixed * a) + of_b,
-    )
+    let (u, v) = moved_aside(lens, a, b, factor.x);
+    if comptime!(lens.in_sequence) {
+        // J = (1 + S(u, v)) R(a, b)
+        let radial = radial_jacobian(a, b, factor.x, slope);
+        let grad_radial = sum(grad, product(transposed(aside_jacobian(lens, u, v)), grad));
+        let (of_a, of_b) = radial_jacobian_backward(a, b, slope, bend, grad_radial);
+        let (of_u, of_v) = aside_jacobian_backward(lens, u, v, product(grad, radial));
+        (of_a + radial.xx * of_u + radial.yx * of_v, of_b + radial.xy * of_u + radial.yy * of_v)
+    } else {
+        let (of_a, of_b) = radial_jacobian_backward(a, b, slope, bend, grad);
+        let (of_u, of_v) = aside_jacobian_backward(lens, u, v, grad);
+        (of_a + of_u, of_b + of_v)
+    }
 }
 
 /// The factor s of (a, b) = s (x, y), and its derivatives with respect to w = x² + y² and z.

@@ -107,7 +107,7 @@ configuration! {
         /// white balances. The scene has the mean exposure of all.
         exposure: Exposure = Exposure::Off;
         /// Whether every training view has a small rotation and translation of its own, for cameras that were not placed
-        /// quite right. Their means over the views are 0.
+        /// quite right. What all have in common is left out: a rotation, a translation, and a scale.
         poses: Poses = Poses::Off;
         /// λ4: weight of the difference between the depths of surfels and of the discs they come from, for surface
         /// reconstruction (DP-GES: 0.1). It acts in the joint stage and needs a stage or a file of discs.
@@ -366,11 +366,20 @@ configuration! {
         /// Learning rate of the colour corrections of `train.exposure` at the first step of the run. It falls to a tenth at
         /// the last.
         exposure: f64 = 5e-3, range: 0.0..;
-        /// Learning rate of the rotations of `train.poses`. It rises from 0 over the first tenth of the run, and falls to a
-        /// hundredth over all of it.
-        pose_rotation: f64 = 5e-4, unit: "radians", range: 0.0..;
+        /// Learning rate of the rotations of `train.poses`. It rises from 0 over a tenth of the run, and falls to 0 at its end.
+        pose_rotation: f64 = 1e-3, unit: "radians", range: 0.0..;
         /// Learning rate of the translations of `train.poses`, likewise.
-        pose_translation: f64 = 5e-4, unit: "extents", range: 0.0..;
+        pose_translation: f64 = 1e-3, unit: "extents", range: 0.0..;
+        /// Share of the run after which poses are learnt: before, the scene is too coarse to say where cameras are.
+        pose_from: f64 = 0.2, range: 0.0..1.0;
+        /// Decay of the means of the gradients of a pose and of their squares, each time that its view is seen.
+        pose_beta: f64 = 0.95, range: 0.0..1.0;
+        /// How much stronger than noise the mean gradient of a pose has to be to count. With 0 every step is as long as
+        /// Adam's, however much gradients contradict each other.
+        pose_doubt: f64 = 1.5, range: 0.0..;
+        /// How strongly poses are drawn to where they were recorded: a correction of 1 / `optimizer.pose_pull` is held only by
+        /// gradients that all agree.
+        pose_pull: f64 = 30.0, unit: "per radian and extent", range: 0.0..;
         /// Factor on all learning rates but those of positions at the last step. Its logarithm is interpolated from 1 at
         /// the first.
         decay: f64 = 1.0, range: POSITIVE;

@@ -21,9 +21,12 @@ pub mod schedule;
 pub mod sources;
 pub mod stages;
 
+use std::f64::consts::PI;
+
 use dpges_core::ops::adam::AdamStep;
 
 use crate::dataset::{DepthKind, LoadOptions};
+use crate::pose_step::PoseStep;
 
 pub use budget::Budget;
 use budget::{MEGABYTE, primitives_for};
@@ -48,9 +51,7 @@ pub const SMALLEST_BUDGET_BY_PIXELS: usize = 16_384;
 const SURFEL_SHARE: f64 = 0.1;
 /// Factor on the learning rate of colour corrections at the last step.
 const EXPOSURE_DECAY: f64 = 0.1;
-/// Factor on the learning rates of poses at the last step.
-const POSE_DECAY: f64 = 0.01;
-/// Share of the run over which these rates rise from 0: a scene has to show something before it says where a camera stands.
+/// Share of the run over which the learning rates of poses rise from 0.
 const POSE_RISE: f64 = 0.1;
 /// Every how many-th training view is kept for validation by default.
 const DEFAULT_VALIDATION_EVERY: usize = 8;
@@ -89,15 +90,6 @@ impl Config {
             every => every,
         }
     }
-}
-
-/// Learning rates of the poses of one step.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PoseRates {
-    /// rad
-    pub rotation: f64,
-    /// World units.
-    pub translation: f64,
 }
 
 impl DataConfig {
@@ -159,11 +151,25 @@ impl OptimizerConfig {
         self.exposure * between(1.0, EXPOSURE_DECAY, progress)
     }
 
-    /// Learning rates of poses at `progress` of the whole run, for a scene of `extent` (world units). They rise from 0, and
-    /// fall as [`position_rate`](Self::position_rate) does.
-    pub fn pose_rates(&self, progress: f64, extent: f64) -> PoseRates {
-        let factor = (progress / POSE_RISE).min(1.0) * between(1.0, POSE_DECAY, progress);
-        PoseRates { rotation: self.pose_rotation * factor, translation: self.pose_translation * extent * factor }
+    /// Whether poses are learnt at `progress` of the whole run: before, the scene is too coarse to say where cameras are.
+    pub fn poses_are_learnt(&self, progress: f64) -> bool {
+        progress >= self.pose_from
+    }
+
+    /// The step of a pose after `completed` of `steps` of the whole run, for a scene of `extent` (world units). Rates rise from
+    /// 0 where they begin, and fall to 0 as half a wave of a cosine.
+    pub fn pose_step(&self, completed: usize, steps: usize, extent: f64) -> PoseStep {
+        let since = (completed as f64 / steps.max(1) as f64 - self.pose_from).max(0.0);
+        let fall = 0.5 + 0.5 * (PI * (since / (1.0 - self.pose_from)).min(1.0)).cos();
+        let factor = (since / POSE_RISE).min(1.0) * fall;
+        PoseStep {
+            rotation: self.pose_rotation * factor,
+            translation: self.pose_translation * factor,
+            extent,
+            adam: AdamStep { beta_1: self.pose_beta, beta_2: self.pose_beta, ..self.adam(completed) },
+            doubt: self.pose_doubt,
+            pull: self.pose_pull,
+        }
     }
 
     /// Factor on every other learning rate at `progress`.
@@ -195,12 +201,24 @@ mod tests {
         );
         assert_eq!(rates.exposure_rate(0.0), rates.exposure);
         assert!((rates.exposure_rate(1.0) - 0.1 * rates.exposure).abs() < 1e-12);
-        assert_eq!(rates.pose_rates(0.0, 2.0), PoseRates { rotation: 0.0, translation: 0.0 });
-        let PoseRates { rotation, translation } = rates.pose_rates(0.05, 2.0);
-        let half_risen = 0.5 * 0.01f64.powf(0.05);
-        assert!((rotation - half_risen * rates.pose_rotation).abs() < 1e-12);
-        assert!((translation - half_risen * 2.0 * rates.pose_translation).abs() < 1e-12);
-        assert!((rates.pose_rates(1.0, 2.0).rotation - 0.01 * rates.pose_rotation).abs() < 1e-12);
+    }
+
+    #[test]
+    fn poses_are_learnt_late_with_rates_that_rise_and_fall() {
+        let rates = OptimizerConfig { pose_from: 0.2, pose_translation: 0.5, ..Default::default() };
+        assert!(!rates.poses_are_learnt(0.199) && rates.poses_are_learnt(0.2));
+        let factor = |completed: usize| {
+            let step = rates.pose_step(completed, 1000, 2.0);
+            assert!((step.translation / 0.5 - step.rotation / rates.pose_rotation).abs() < 1e-12);
+            step.rotation / rates.pose_rotation
+        };
+        assert_eq!([0, 100, 200].map(factor), [0.0; 3]);
+        // half of the way up, in the middle of what is left, at the end
+        assert!((factor(250) - 0.25 * (1.0 + (PI / 16.0).cos())).abs() < 1e-12);
+        assert!((factor(600) - 0.5).abs() < 1e-12 && factor(1000).abs() < 1e-12);
+        let step = rates.pose_step(600, 1000, 2.0);
+        let given = (step.extent, step.doubt, step.pull, step.adam.beta_1, step.adam.beta_2);
+        assert_eq!(given, (2.0, rates.pose_doubt, rates.pose_pull, rates.pose_beta, rates.pose_beta));
     }
 
     #[test]

@@ -11,6 +11,7 @@ use image::DynamicImage;
 
 use super::error::{DatasetError, Result};
 use super::images::decoded;
+use super::masks::called_like;
 use super::source::{DepthFile, Frame};
 use super::{Picture, undistort};
 
@@ -78,14 +79,17 @@ impl DepthMap {
 }
 
 /// The file of the depth map of a frame of the dataset in folder `root`: the one that it names, which may be missing, or
-/// the one named as its photograph, if it is there.
+/// the one named as its photograph, `NAME.EXTENSION.png` or `NAME.png`, if it is there.
 pub(super) fn file(root: &Path, frame: &Frame) -> Option<DepthFile> {
     if frame.depth.is_some() {
         return frame.depth.clone();
     }
-    let name = frame.name.strip_prefix("images/").unwrap_or(&frame.name);
-    let path = root.join(FOLDER).join(name).with_extension("png");
-    path.is_file().then_some(DepthFile { path, unit: DEFAULT_UNIT })
+    let name = Path::new(frame.name.strip_prefix("images/").unwrap_or(&frame.name));
+    // a name without an extension may end in what looks like one
+    let without_extension = name.file_name() == frame.image.file_stem();
+    let file_name = frame.image.file_name().filter(|_| without_extension);
+    let name = file_name.map_or_else(|| name.to_owned(), |file_name| name.with_file_name(file_name));
+    called_like(&name, &root.join(FOLDER)).map(|path| DepthFile { path, unit: DEFAULT_UNIT })
 }
 
 /// Reads the depth map of `frame` for its finished `picture` and the `camera` of that. Each pixel takes the value of the map
@@ -292,6 +296,28 @@ mod tests {
         write_map(&folder.path().join("depths/2.png"), 24, 16);
         let data = load(folder.path(), &of_kind(DepthKind::Metric)).unwrap();
         assert_eq!(data.train.iter().map(|view| view.depth.is_some()).collect::<Vec<_>>(), [false, true]);
+    }
+
+    #[test]
+    fn dots_in_the_names_of_photographs_lead_to_their_own_maps() {
+        for (extension, map) in [("", "v1.2.png"), ("", "v1.2.png.png"), (".png", "v1.2.png"), (".png", "v1.2.png.png")]
+        {
+            let folder = tempfile::tempdir().unwrap();
+            let frame = |index: usize| {
+                fixtures::write_png(&folder.path().join(format!("images/v1.{index}.png")), 24, 16, [index as u8, 0, 0]);
+                let matrix = transform_matrix(&fixtures::pose(index, 3));
+                format!(r#"{{"file_path": "images/v1.{index}{extension}", "transform_matrix": {matrix}}}"#)
+            };
+            let frames: Vec<String> = (0..3).map(frame).collect();
+            let text = format!(r#"{{"fl_x": 20.0, "frames": [{}]}}"#, frames.join(","));
+            std::fs::write(folder.path().join("transforms.json"), text).unwrap();
+            write_map(&folder.path().join(FOLDER).join(map), 24, 16);
+            // of a photograph that is not there
+            write_map(&folder.path().join("depths/v1.png"), 24, 16);
+            let data = load(folder.path(), &of_kind(DepthKind::Metric)).unwrap();
+            let known: Vec<bool> = data.train.iter().map(|view| view.depth.is_some()).collect();
+            assert_eq!(known, [false, true], "{extension:?}, {map}");
+        }
     }
 
     #[test]

@@ -180,7 +180,7 @@ impl Intrinsics {
             .ok_or_else(|| DatasetError::NoFocalLength { path: path.to_owned(), view: view.to_owned() })?;
         let or_zero = |coefficient: Option<f64>| coefficient.unwrap_or(0.0);
         let distortion = Distortion {
-            numerator: [self.k1, self.k2, self.k3, self.k4].map(or_zero),
+            numerator: [self.k1, self.k2, self.k3, self.k4, None, None].map(or_zero),
             tangential: [self.p1, self.p2].map(or_zero),
             ..Distortion::new(projection)
         };

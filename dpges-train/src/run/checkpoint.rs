@@ -13,10 +13,8 @@ use serde::{Deserialize, Serialize};
 
 use super::validation::Validation;
 use crate::config::Config;
-use crate::exposure::Correction;
 use crate::optimizer::ParameterRows;
 use crate::refine::growth::Growth;
-use crate::stage::EXPOSURE;
 
 const FORMAT: &str = "dpges-checkpoint";
 const VERSION: &str = "3";
@@ -81,12 +79,6 @@ impl Checkpoint {
     pub fn stage_is_over(&self) -> bool {
         let stage = self.config().plan().get(self.state.stage).copied();
         self.state.validation.stopped() || stage.is_none_or(|stage| self.completed_steps() >= stage.end())
-    }
-
-    /// The colour corrections of the training views by their names; `None` if photographs are taken as they are.
-    pub fn corrections(&self) -> Option<BTreeMap<String, Correction>> {
-        let rows = self.attributes.get(EXPOSURE.raw_name)?.raw.as_chunks().0;
-        Some(self.state.view_names.iter().cloned().zip(rows.iter().map(Correction::of_row)).collect())
     }
 
     /// Writes the whole file or nothing.

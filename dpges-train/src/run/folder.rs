@@ -8,9 +8,11 @@
 //! checkpoint.safetensors    what `--resume` continues from
 //! stage_NAME.safetensors    the scene at the end of a stage before the last (`2dgs`, `dbs`, `mcmc`)
 //! stage_NAME.json           its evaluation, like eval.json
-//! exposure.json             gain and offset of every training view at the last checkpoint, if exposures are corrected
-//! poses.json                where every training camera is at the last checkpoint, if their poses are refined
+//! exposure.json             gain and offset of every training view in that scene, if exposures are corrected
+//! poses.json                where every training camera is in that scene, if their poses are refined
 //! best.safetensors          the best scene so far by the validation views, if they end the run
+//! SCENE_exposure.json       the same of the scene in file SCENE.safetensors, `best` or of a stage
+//! SCENE_poses.json          likewise
 //! eval.json                 the evaluation of the finished run, see `eval::EvalReport`
 //! target.json               what the run is to reach, and what is expected of it, if there is a target
 //! validation.json           the same of the views that were kept for decisions, if there are any
@@ -28,7 +30,7 @@ use serde::{Deserialize, Serialize};
 use crate::config::{Config, StageKind};
 use crate::pose::RefinedPoses;
 
-const FILES: [&str; 17] = [
+const FILES: [&str; 25] = [
     "config.toml",
     "run.json",
     "metrics.jsonl",
@@ -40,12 +42,20 @@ const FILES: [&str; 17] = [
     "exposure.json",
     "poses.json",
     "best.safetensors",
+    "best_exposure.json",
+    "best_poses.json",
     "stage_2dgs.safetensors",
     "stage_2dgs.json",
+    "stage_2dgs_exposure.json",
+    "stage_2dgs_poses.json",
     "stage_dbs.safetensors",
     "stage_dbs.json",
+    "stage_dbs_exposure.json",
+    "stage_dbs_poses.json",
     "stage_mcmc.safetensors",
     "stage_mcmc.json",
+    "stage_mcmc_exposure.json",
+    "stage_mcmc_poses.json",
 ];
 const PICTURES: &str = "pictures";
 
@@ -144,6 +154,16 @@ impl RunFolder {
 
     pub fn poses(&self) -> PathBuf {
         self.path.join("poses.json")
+    }
+
+    /// `exposure.json` and `poses.json` of the scene in the file `scene` of this folder: `best_exposure.json` and
+    /// `best_poses.json` of `best.safetensors`.
+    pub fn corrections_of(&self, scene: &Path) -> [PathBuf; 2] {
+        if scene == self.scene() {
+            return [self.exposure(), self.poses()];
+        }
+        let stem = scene.file_stem().unwrap_or_default().to_string_lossy();
+        ["exposure", "poses"].map(|of| self.path.join(format!("{stem}_{of}.json")))
     }
 
     pub fn best(&self) -> PathBuf {
@@ -278,6 +298,26 @@ fn remove(path: &Path) -> Result<(), Error> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::{Blended, Relocation};
+
+    #[test]
+    fn every_scene_has_corrections_of_its_own_that_a_new_run_removes() {
+        let folder = tempfile::tempdir().unwrap();
+        let run = RunFolder::new(folder.path());
+        assert_eq!(run.corrections_of(&run.scene()), [run.exposure(), run.poses()]);
+        let (mcmc, beta) = (Blended::Relocated(Relocation::Mcmc), Blended::Relocated(Relocation::Beta));
+        let stages = [Blended::Discs, mcmc, beta].map(|blended| run.stage_scene(StageKind::Blended(blended)));
+        for scene in stages.into_iter().chain([run.best()]) {
+            for file in run.corrections_of(&scene) {
+                std::fs::write(&file, "old").unwrap();
+                assert!(run.check_unused().is_err(), "{}", file.display());
+                run.start(&Origin::new("builtin", "cpu"), &Config::default()).unwrap();
+                assert!(!file.exists(), "{}", file.display());
+                remove(&run.config()).unwrap();
+                remove(&run.origin()).unwrap();
+            }
+        }
+    }
 
     #[test]
     fn starting_removes_an_earlier_run_and_nothing_else() {

@@ -1,7 +1,9 @@
 //! What a run writes to its folder.
 
+use std::io::Write;
 use std::path::Path;
 
+use dpges_core::atomic::write_atomically;
 use dpges_core::scene::SceneData;
 use dpges_core::{Error, Result};
 
@@ -10,9 +12,9 @@ use super::checkpoint::{Checkpoint, CheckpointError};
 use super::folder::{Origin, RunFolder, RunFolderError, write_json};
 use super::metrics_log::MetricsLog;
 use crate::config::Config;
+use crate::corrections::ViewCorrections;
 use crate::eval::{EvalReport, Evaluation};
 use crate::memory::peak_memory_bytes;
-use crate::pose::RefinedPoses;
 use crate::sight::Floaters;
 
 /// Steps between lines of `metrics.jsonl`.
@@ -56,23 +58,45 @@ impl Record {
         Ok(())
     }
 
-    /// Writes `scene`, `checkpoint` and the refined `poses` of the training views, if there are any.
+    /// Writes `scene` with its `corrections`, and `checkpoint`.
     pub fn save(
         &mut self,
         scene: &SceneData,
+        corrections: &ViewCorrections,
         checkpoint: &Checkpoint,
-        poses: Option<&RefinedPoses>,
     ) -> Result<(), CheckpointError> {
-        scene.save(&self.folder.scene())?;
-        if let Some(corrections) = checkpoint.corrections() {
-            write_json(&self.folder.exposure(), &corrections)?;
-        }
-        if let Some(poses) = poses {
-            write_json(&self.folder.poses(), poses)?;
-        }
+        self.save_scene(scene, corrections, &self.folder.scene())?;
         checkpoint.save(&self.folder.checkpoint())?;
         self.saved = Some(checkpoint.completed_steps());
         Ok(())
+    }
+
+    /// Writes `scene` to the file `place`, and beside it the `corrections` of training views that belong to it.
+    pub fn save_scene(&self, scene: &SceneData, corrections: &ViewCorrections, place: &Path) -> Result<()> {
+        scene.save(place)?;
+        let [exposure, poses] = self.folder.corrections_of(place);
+        if let Some(found) = &corrections.exposure {
+            write_json(&exposure, found)?;
+        }
+        if let Some(found) = &corrections.poses {
+            write_json(&poses, found)?;
+        }
+        Ok(())
+    }
+
+    /// Makes the scene in the file `earlier`, with its corrections, that of the run.
+    pub fn take(&self, earlier: &Path) -> Result<SceneData> {
+        let scene = SceneData::load(earlier)?;
+        let place = self.folder.scene();
+        scene.save(&place)?;
+        for (from, to) in self.folder.corrections_of(earlier).iter().zip(self.folder.corrections_of(&place)) {
+            if from.is_file() {
+                let bytes = std::fs::read(from);
+                let bytes = bytes.map_err(|source| Error::Io { action: "cannot read", path: from.clone(), source })?;
+                write_atomically(&to, |file| file.write_all(&bytes))?;
+            }
+        }
+        Ok(scene)
     }
 
     /// Writes to `path` how well the scene in the file `scene` shows the views of `split`, as [`EvalReport`] names it.

@@ -1,5 +1,5 @@
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use dpges_core::scene::{Rendering, SceneData};
 
@@ -218,7 +218,7 @@ fn refined_poses_are_in_the_folder() {
     let at = tempfile::tempdir().unwrap();
     let folder = RunFolder::new(at.path().join("run"));
     assert_eq!(folder.read_poses().unwrap(), None);
-    let mut run = in_folder(&[&SHORT[..], &["train.poses=on"]].concat(), folder.path());
+    let mut run = in_folder(&[&SHORT[..], &["train.poses=on", "optimizer.pose_doubt=0"]].concat(), folder.path());
     run.train(&mut ()).unwrap();
     let found = folder.read_poses().unwrap().unwrap();
     assert_eq!(found.keys().collect::<Vec<_>>(), ["train_000", "train_001", "train_002"]);
@@ -270,6 +270,52 @@ fn validation_views_are_kept_and_end_a_run_with_the_best_scene() {
     let text = std::fs::read_to_string(folder.join("validation.json")).unwrap();
     let report: EvalReport = serde_json::from_str(&text).unwrap();
     assert_eq!((report.split.as_str(), report.evaluation.psnr), ("validation", best_psnr));
+}
+
+/// What is written of the training views beside the scene.
+const CORRECTED: [&str; 4] = ["train.poses=on", "optimizer.pose_from=0", "optimizer.pose_doubt=0", "train.exposure=on"];
+
+#[test]
+fn corrections_are_those_of_the_best_scene() {
+    let set = ["train.steps=400", "train.stop=validation", "train.evaluate_every=4", "train.patience=1"];
+    let set = [&set[..], &CORRECTED].concat();
+    let at = tempfile::tempdir().unwrap();
+    let folder = |name: &str| RunFolder::new(at.path().join(name));
+    let begun = |name: &str| {
+        let run = Run::new(config(&set), dataset_of(9), device()).unwrap();
+        run.write_to(folder(name), Origin::new("builtin", "cpu")).unwrap()
+    };
+    let mut notes = Notes::default();
+    let mut whole = begun("whole");
+    whole.train(&mut notes).unwrap();
+    let &(_, Verdict::Enough { best_step, .. }) = notes.validated.last().unwrap() else { panic!("no verdict") };
+    error(begun("best").train(&mut Notes { stop: Some(best_step), ..Notes::default() }));
+    let files = |name: &str| {
+        let folder = folder(name);
+        [folder.scene(), folder.exposure(), folder.poses()].map(|path| std::fs::read(path).unwrap())
+    };
+    assert!(files("whole") == files("best"), "after {best_step} steps");
+    let last = whole.trainer().view_corrections();
+    let written = |path: PathBuf| std::fs::read_to_string(path).unwrap();
+    let exposure: BTreeMap<String, Correction> = serde_json::from_str(&written(folder("whole").exposure())).unwrap();
+    assert!(last.exposure != Some(exposure) && last.poses != folder("whole").read_poses().unwrap());
+}
+
+#[test]
+fn corrections_are_those_of_the_stage_that_is_kept() {
+    let set = ["train.steps=60", "stages.gaussians=0.7", "data.validation_every=3", "refine.budget=500"];
+    let set = [&set[..], &["optimizer.decay=1e4"], &CORRECTED].concat();
+    let at = tempfile::tempdir().unwrap();
+    let folder = RunFolder::new(at.path());
+    let mut run = Run::new(config(&set), dataset_of(9), device()).unwrap();
+    run = run.write_to(folder.clone(), Origin::new("builtin", "cpu")).unwrap();
+    let scene = run.train(&mut ()).unwrap().scene;
+    assert_eq!(scene.info.rendering, Rendering::Ellipsoids);
+    let stage = run.trainer().last_but_one().unwrap().kind;
+    let [exposure, poses] = folder.corrections_of(&folder.stage_scene(stage));
+    let read = |path: &Path| std::fs::read(path).unwrap();
+    assert!(read(&folder.exposure()) == read(&exposure) && read(&folder.poses()) == read(&poses));
+    assert!(folder.read_poses().unwrap() != run.trainer().refined_poses());
 }
 
 #[test]

@@ -14,6 +14,7 @@ use rand_chacha::ChaCha8Rng;
 use super::checkpoint::{Checkpoint, RunState};
 use super::validation::Validation;
 use crate::config::{Config, StagePlan};
+use crate::corrections::ViewCorrections;
 use crate::dataset::Dataset;
 use crate::pose::{PoseChanges, RefinedPoses};
 use crate::stage::{
@@ -183,6 +184,15 @@ impl Trainer {
     /// The poses of the training views by name; `None` if they are as they were recorded.
     pub fn refined_poses(&self) -> Option<RefinedPoses> {
         self.context.refined_poses()
+    }
+
+    /// What has been learnt about the training views, as it stands.
+    pub fn view_corrections(&self) -> ViewCorrections {
+        let exposure = self.corrects_exposure().then(|| {
+            let corrections = self.context.exposure.corrections().0;
+            names_of_views(&self.context.dataset).into_iter().zip(corrections).collect()
+        });
+        ViewCorrections { exposure, poses: self.refined_poses() }
     }
 
     /// How far the cameras of the training views have been moved; `None` if they are where they were recorded.

@@ -103,7 +103,7 @@ impl Run {
         let (stage, scene) = (self.trainer.stage(), self.trainer.scene());
         self.check_device(observer)?;
         if let Some(record) = &self.record {
-            scene.save(&record.folder.stage_scene(stage.kind))?;
+            record.save_scene(&scene, &self.trainer.view_corrections(), &record.folder.stage_scene(stage.kind))?;
         }
         observer.stage_ended(stage, &scene);
         if let (Some(evaluation), Some(record)) = (self.evaluate(&scene, Measures::BASIC, observer)?, &self.record) {
@@ -146,9 +146,7 @@ impl Run {
         let Some(record) = &self.record else {
             return Ok(self.before_last_stage.take().expect("kept when the stage ended"));
         };
-        let earlier = SceneData::load(&record.folder.stage_scene(stage.kind))?;
-        earlier.save(&record.folder.scene())?;
-        Ok(earlier)
+        Ok(record.take(&record.folder.stage_scene(stage.kind))?)
     }
 
     /// Lets the validation views judge the scene as it stands.
@@ -163,7 +161,7 @@ impl Run {
         if let Some(record) = &mut self.record {
             record.metrics.validation(step, &evaluation, seconds)?;
             if is_best {
-                scene.save(&record.folder.best())?;
+                record.save_scene(&scene, &self.trainer.view_corrections(), &record.folder.best())?;
             }
         } else if is_best {
             self.best = Some(scene);
@@ -195,9 +193,7 @@ impl Run {
         let Some(record) = &self.record else {
             return Ok(self.best.clone().unwrap_or_else(|| self.trainer.scene()));
         };
-        let best = SceneData::load(&record.folder.best())?;
-        best.save(&record.folder.scene())?;
-        Ok(best)
+        Ok(record.take(&record.folder.best())?)
     }
 
     fn floaters(&self, scene: &SceneData) -> Result<Option<Floaters>, RunError> {
@@ -244,7 +240,7 @@ impl Run {
         // what was read from a device that has failed must not replace the files of an earlier step
         self.check_device(observer)?;
         if let Some(record) = &mut self.record {
-            record.save(&scene, &checkpoint, self.trainer.refined_poses().as_ref())?;
+            record.save(&scene, &self.trainer.view_corrections(), &checkpoint)?;
             if let Some(changes) = self.trainer.pose_changes() {
                 tracing::info!("after {} steps training cameras are {changes}", checkpoint.completed_steps());
             }

@@ -8,6 +8,7 @@ use rayon::prelude::*;
 
 use super::error::{SfmError, io};
 use crate::dataset::{DatasetError, image_header, mask_called_like, read_mask};
+use crate::names::list;
 
 /// Folder of masks, beside photographs and in a dataset.
 pub(super) const FOLDER: &str = "masks";
@@ -21,6 +22,15 @@ pub(super) fn find(path: &Path, names: &[String]) -> Vec<(String, PathBuf)> {
 /// What COLMAP and a dataset call the mask of a photograph.
 pub(super) fn file_name(photograph: &str) -> String {
     format!("{photograph}.png")
+}
+
+pub(super) fn kept_warning(folder: &Path, photographs: &[String]) -> String {
+    format!(
+        "{} has masks that were made by hand, which stay as they are, also where the photographs have others: {}; remove \
+         those that are not wanted",
+        folder.display(),
+        list(photographs)
+    )
 }
 
 /// Writes `masks` of photographs in folder `images` to `folder` as COLMAP reads them: 8-bit grey, black where nothing counts.

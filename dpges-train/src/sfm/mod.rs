@@ -225,7 +225,10 @@ impl Reconstruction<'_> {
                     self.observer.warn(&strange_masks(&folder_of_masks));
                 }
                 if !masks.is_empty() {
-                    workspace.link_masks(masks)?;
+                    let kept = workspace.copy_masks(masks)?;
+                    if !kept.is_empty() {
+                        self.observer.warn(&masks::kept_warning(&workspace.masks(), &kept));
+                    }
                 }
                 workspace.link_pictures(folder, names)
             }

@@ -411,6 +411,32 @@ fn masks_that_were_put_into_a_dataset_stay() {
 }
 
 #[test]
+fn masks_that_were_put_beside_made_ones_stay() {
+    let stage = Stage::new(5);
+    stage.install("colmap", COLMAP);
+    stage.model("0", &[0, 1, 2, 3, 4]);
+    for name in ["001.png.png", "002.png"] {
+        write_mask(&stage.path(&format!("room/masks/{name}")), [24, 16], 3);
+    }
+    stage.reconstruct().unwrap();
+    let of_dataset = |name: &str| stage.path(&format!("room_colmap/masks/{name}"));
+    let (changed, added) = (of_dataset("001.png.png"), of_dataset("003.png"));
+    write_mask(&changed, [24, 16], 5);
+    write_mask(&added, [24, 16], 7);
+    write_mask(&stage.path("room/masks/002.png"), [24, 16], 9);
+    write_png(&stage.path("room/005.png"), 24, 16, [1, 2, 3]);
+    let (result, heard) = stage.try_to(&stage.path("room"), true);
+    result.unwrap();
+    let black = |path: &Path| {
+        let mask = image::open(path).unwrap().into_luma8();
+        (0..24).filter(|&x| mask.get_pixel(x, 0).0 == [0]).count()
+    };
+    assert_eq!([&changed, &added, &of_dataset("002.png.png")].map(|path| black(path)), [5, 7, 9]);
+    let warned = heard.warnings.iter().find(|warning| warning.contains("made by hand")).unwrap();
+    assert!(warned.contains("room_colmap/masks") && warned.contains(": 001.png;"), "{warned}");
+}
+
+#[test]
 fn masks_that_do_not_fit_are_refused_before_colmap_starts() {
     let stage = Stage::new(4);
     stage.install("colmap", COLMAP);

@@ -2,11 +2,12 @@
 //!
 //! ```text
 //! images/            the photographs, as links where the file system allows, or the frames of the video
-//! masks/             their masks, likewise, if there are any
+//! masks/             their masks, if there are any, and those that were put there by hand
 //! sparse/0/          the model; it is there once all is done
 //! sfm/steps.json     which steps are done, how long they took, and what they depend on
 //! sfm/STEP.log       what the program of a step said
 //! sfm/masks/         the masks as COLMAP reads them
+//! sfm/masks_made/    the masks as they were put into `masks`: others there were made by hand
 //! sfm/database.db    features and matches
 //! sfm/models/N/      every model that came out
 //! sfm/lock           held by the process that is at work
@@ -23,8 +24,12 @@ use serde_json::Value;
 use super::error::{SfmError, io};
 use super::masks;
 use super::step::Step;
+use crate::dataset::mask_called_like;
 use crate::names::list;
 use crate::run::folder::write_json;
+
+/// Folder of the masks that were put into `masks`, below that of intermediate results.
+const MADE: &str = "masks_made";
 
 pub(super) struct Workspace {
     root: PathBuf,
@@ -128,9 +133,8 @@ impl Workspace {
     pub fn begin(&mut self, step: Step, key: Value) -> Result<(), SfmError> {
         let before = self.record.steps.get(&step);
         let goes_on = before.is_some_and(|entry| entry.key == key);
-        // others than those that came with photographs are the user's
-        if step == Step::Pictures && !goes_on && before.is_some_and(|entry| entry.key.get("masks").is_some()) {
-            remove(&self.masks())?;
+        if step == Step::Pictures && !goes_on {
+            self.remove_made_masks()?;
         }
         self.record.steps.retain(|&other, _| other < step);
         self.record.steps.insert(step, Entry { key, seconds: None });
@@ -194,27 +198,58 @@ impl Workspace {
 
     /// Makes `images` of the files `names` in `folder`.
     pub fn link_pictures(&self, folder: &Path, names: &[String]) -> Result<(), SfmError> {
-        self.link(&self.images(), names.iter().map(|name| (folder.join(name), name.clone())))
-    }
-
-    /// Makes `masks` of the masks of photographs of these names.
-    pub fn link_masks(&self, masks: &[(String, PathBuf)]) -> Result<(), SfmError> {
-        self.link(&self.masks(), masks.iter().map(|(name, mask)| (mask.clone(), masks::file_name(name))))
-    }
-
-    /// Makes folder `to` of files, each with its name there.
-    fn link(&self, to: &Path, files: impl Iterator<Item = (PathBuf, String)>) -> Result<(), SfmError> {
         let part = self.empty_folder("links.part")?;
-        for (path, name) in files {
+        for name in names {
+            let path = folder.join(name);
             // a link to a symbolic link would break if that is relative
             let original = path.canonicalize().map_err(io("cannot read", &path))?;
-            let copy = part.join(name);
-            if std::fs::hard_link(&original, &copy).is_err() {
-                std::fs::copy(&original, &copy).map_err(io("cannot write", &copy))?;
+            let link = part.join(name);
+            if std::fs::hard_link(&original, &link).is_err() {
+                copy(&original, &link)?;
             }
         }
-        replace(&part, to)
+        replace(&part, &self.images())
     }
+
+    /// Puts `masks` of photographs, by their names, into the dataset, in place of those that were put there before. Returns
+    /// the names of the photographs that have one there which was made by hand, and keep it.
+    pub fn copy_masks(&self, masks: &[(String, PathBuf)]) -> Result<Vec<String>, SfmError> {
+        self.remove_made_masks()?;
+        let (folder, made) = (self.masks(), self.empty_folder(MADE)?);
+        std::fs::create_dir_all(&folder).map_err(io("cannot make folder", &folder))?;
+        let mut kept = Vec::new();
+        for (photograph, mask) in masks {
+            if mask_called_like(Path::new(photograph), &folder).is_some() {
+                kept.push(photograph.clone());
+                continue;
+            }
+            let name = masks::file_name(photograph);
+            // in this order: a mask without the other would count as made by hand
+            copy(mask, &made.join(&name))?;
+            copy(mask, &folder.join(&name))?;
+        }
+        Ok(kept)
+    }
+
+    /// Removes the masks that [`copy_masks`](Self::copy_masks) has made, unless they were changed since.
+    fn remove_made_masks(&self) -> Result<(), SfmError> {
+        let (folder, made) = (self.masks(), self.work(MADE));
+        for name in file_names(&made)? {
+            let (made, found) = (std::fs::read(made.join(&name)), std::fs::read(folder.join(&name)));
+            if made.ok().zip(found.ok()).is_some_and(|(made, found)| made == found) {
+                remove(&folder.join(&name))?;
+            }
+        }
+        remove(&made)?;
+        // only if nothing is left in it
+        _ = std::fs::remove_dir(&folder);
+        Ok(())
+    }
+}
+
+fn copy(from: &Path, to: &Path) -> Result<(), SfmError> {
+    std::fs::copy(from, to).map_err(io("cannot write", to))?;
+    Ok(())
 }
 
 /// Puts folder `new` in the place of `old`, which need not exist.
@@ -302,6 +337,45 @@ mod tests {
         workspace.begin(Step::Features, key("b")).unwrap();
         let left = [workspace.database(), workspace.models(), workspace.sparse()].map(|path| path.exists());
         assert_eq!((left, workspace.seconds()), ([false; 3], Vec::new()));
+    }
+
+    #[test]
+    fn masks_made_by_hand_are_neither_removed_nor_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let workspace = Workspace::open(&folder.path().join("set")).unwrap();
+        let photographs = ["a.b.jpg", "b.jpg", "c.jpg", "d.jpg"];
+        let given = |text: &str| -> Vec<(String, PathBuf)> {
+            let mask = |name: &str| {
+                let path = folder.path().join(format!("{name}.given"));
+                std::fs::write(&path, text).unwrap();
+                (name.to_owned(), path)
+            };
+            photographs[..3].iter().copied().map(mask).collect()
+        };
+        let there = || -> Vec<(String, String)> {
+            let names = file_names(&workspace.masks()).unwrap().into_iter();
+            names.map(|name| (name.clone(), std::fs::read_to_string(workspace.masks().join(name)).unwrap())).collect()
+        };
+        let expected = |masks: &[(&str, &str)]| -> Vec<(String, String)> {
+            masks.iter().map(|(name, text)| ((*name).to_owned(), (*text).to_owned())).collect()
+        };
+        let nothing = Vec::<String>::new();
+        assert_eq!(workspace.copy_masks(&given("old")).unwrap(), nothing);
+        assert_eq!(there(), expected(&[("a.b.jpg.png", "old"), ("b.jpg.png", "old"), ("c.jpg.png", "old")]));
+        // one is changed by hand, one is replaced by one that is called otherwise, one is added
+        std::fs::write(workspace.masks().join("a.b.jpg.png"), "own").unwrap();
+        std::fs::remove_file(workspace.masks().join("c.jpg.png")).unwrap();
+        std::fs::write(workspace.masks().join("c.png"), "own").unwrap();
+        std::fs::write(workspace.masks().join("d.png"), "own").unwrap();
+        assert_eq!(workspace.copy_masks(&given("new")).unwrap(), ["a.b.jpg", "c.jpg"]);
+        let own = [("a.b.jpg.png", "own"), ("c.png", "own"), ("d.png", "own")];
+        assert_eq!(there(), expected(&[own[0], ("b.jpg.png", "new"), own[1], own[2]]));
+        workspace.remove_made_masks().unwrap();
+        assert_eq!(there(), expected(&own));
+        own.iter().for_each(|(name, _)| std::fs::remove_file(workspace.masks().join(name)).unwrap());
+        workspace.copy_masks(&given("new")).unwrap();
+        workspace.remove_made_masks().unwrap();
+        assert!(!workspace.masks().exists());
     }
 
     #[test]

@@ -12,7 +12,7 @@ use crate::exposure::{Correction, Corrections, brightness_spread};
 use crate::optimizer::{Parameter, ParameterRows};
 
 /// [views, 6]: of each training view three logarithms of gains, three offsets.
-pub static EXPOSURE: Attribute = Attribute {
+static EXPOSURE: Attribute = Attribute {
     name: "exposure",
     raw_name: "exposure",
     width: Width::Fixed(6),

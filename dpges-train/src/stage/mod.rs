@@ -31,7 +31,7 @@ pub use context::{Context, budget};
 pub use depth::DepthMaps;
 pub use environment::EnvironmentState;
 pub use error::TrainError;
-pub use exposure::{EXPOSURE, ExposureState};
+pub use exposure::ExposureState;
 use joint::JointStage;
 pub use parameters::{Leaves, Parameters, StepRates};
 pub use pending::{PendingStep, Settled};

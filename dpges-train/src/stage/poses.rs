@@ -8,22 +8,23 @@ use std::sync::Arc;
 
 use burn::tensor::DType;
 use dpges_core::camera::CameraFromWorld;
-use dpges_core::ops::adam::AdamStep;
 use dpges_core::render::pose::PoseProbe;
 
 use super::Context;
-use crate::config::{PoseRates, Poses};
+use crate::config::Poses;
 use crate::dataset::Dataset;
 use crate::optimizer::ParameterRows;
-use crate::pose::{PoseChanges, PoseCorrection, RefinedPose, RefinedPoses, adam_step, centre};
+use crate::pose::{PoseChanges, PoseCorrection, RefinedPose, RefinedPoses};
+use crate::pose_gauge::Gauge;
+use crate::pose_step::PoseStep;
 
 /// Name of the corrections, and of their steps and gradients, in a checkpoint.
 pub const POSES: &str = "poses";
 const STEPS: &str = "pose_steps";
 const GRADIENTS: &str = "pose_gradients";
 
-/// The corrections of a run; empty in runs without any. Their means over the views are 0, so that the scene cannot drift
-/// through them.
+/// The corrections of a run; empty in runs without any. No similarity of the whole world is part of them: the scene cannot
+/// drift with all cameras together.
 #[derive(Clone, Debug, Default)]
 pub struct PoseState(Option<Refinement>);
 
@@ -31,6 +32,7 @@ pub struct PoseState(Option<Refinement>);
 struct Refinement {
     /// Poses of the dataset, as they were recorded.
     recorded: Vec<CameraFromWorld>,
+    gauge: Gauge,
     /// [views] a rotation vector, rad, and a translation, world units, along world axes.
     corrections: Vec<[f32; 6]>,
     /// [views] Adam's.
@@ -55,8 +57,10 @@ impl PoseState {
     /// Corrections of the training views of `dataset` that change nothing yet.
     pub fn new(dataset: &Dataset) -> Self {
         let views = dataset.train.len();
+        let recorded: Vec<CameraFromWorld> = dataset.train.iter().map(|view| view.camera.camera_from_world).collect();
         Self(Some(Refinement {
-            recorded: dataset.train.iter().map(|view| view.camera.camera_from_world).collect(),
+            gauge: Gauge::new(&recorded, dataset.extent),
+            recorded,
             corrections: vec![[0.0; 6]; views],
             moments: [vec![[0.0; 6]; views], vec![[0.0; 6]; views]],
             steps: vec![0; views],
@@ -140,32 +144,36 @@ impl PoseState {
         }
     }
 
-    /// Lets the gradients take effect whose steps were taken before the last of `completed`, and takes the means over the
-    /// views away. Returns whether there were any. `step_of` says at which rates the step after so many was taken.
-    fn advance(&mut self, completed: usize, step_of: impl Fn(usize) -> (PoseRates, AdamStep)) -> bool {
+    /// Lets the gradients take effect whose steps were taken before the last of `completed`, and takes away what all views
+    /// have in common. Returns whether there were any. `step_of` says how the step after so many was taken.
+    fn advance(&mut self, completed: usize, step_of: impl Fn(usize) -> PoseStep) -> bool {
         let Some(refinement) = &mut self.0 else { return false };
         let (due, later): (Vec<Waiting>, Vec<Waiting>) =
             std::mem::take(&mut refinement.waiting).into_iter().partition(|waiting| waiting.step < completed);
         refinement.waiting = later;
         for waiting in &due {
-            let (rates, adam) = step_of(waiting.step - 1);
-            refinement.step(waiting, rates, adam);
-            centre(&mut refinement.corrections);
+            refinement.step(waiting, step_of(waiting.step - 1));
+            refinement.hold_gauge();
         }
         !due.is_empty()
     }
 }
 
 impl Refinement {
-    /// One step of Adam on the view of a gradient alone.
-    fn step(&mut self, Waiting { view, gradient, .. }: &Waiting, rates: PoseRates, adam: AdamStep) {
+    /// One step of the view of a gradient alone.
+    fn step(&mut self, Waiting { view, gradient, .. }: &Waiting, mut step: PoseStep) {
         let correction = PoseCorrection::of_row(&self.corrections[*view]);
         let gradient = correction.gradient(gradient.map(f64::from));
         self.steps[*view] += 1;
-        let adam = AdamStep { time: u64::from(self.steps[*view]), ..adam };
+        step.adam.time = u64::from(self.steps[*view]);
         let [first, second] = &mut self.moments;
-        let moments = [&mut first[*view], &mut second[*view]];
-        adam_step(&mut self.corrections[*view], moments, gradient, rates, adam);
+        step.take(&mut self.corrections[*view], [&mut first[*view], &mut second[*view]], gradient);
+    }
+
+    fn hold_gauge(&mut self) {
+        let mut corrections: Vec<PoseCorrection> = self.corrections.iter().map(PoseCorrection::of_row).collect();
+        self.gauge.hold(&mut corrections);
+        self.corrections = corrections.iter().map(PoseCorrection::row).collect();
     }
 }
 
@@ -178,21 +186,18 @@ impl Context {
         }
     }
 
-    /// What the gradient of the pose of the training view with index `view` arrives at; `None` if poses are as they were
-    /// recorded.
+    /// What the gradient of the pose of the training view with index `view` arrives at; `None` if poses are not learnt, or
+    /// not yet.
     pub fn pose_probe(&self, view: usize) -> Option<PoseProbe> {
-        let probe = || PoseProbe::new(&self.dataset.train[view].camera, &self.tape(), DType::F32);
-        self.poses.is_on().then(probe)
+        let progress = self.completed_steps as f64 / self.config.total_steps().max(1) as f64;
+        let learnt = self.poses.is_on() && self.config.optimizer.poses_are_learnt(progress);
+        learnt.then(|| PoseProbe::new(&self.dataset.train[view].camera, &self.tape(), DType::F32))
     }
 
     /// Moves cameras as the gradients say that are due. Before every step.
     pub fn refine_poses(&mut self) {
         let (optimizer, steps, extent) = (&self.config.optimizer, self.config.total_steps(), self.dataset.extent);
-        let step_of = |completed: usize| {
-            let progress = completed as f64 / steps.max(1) as f64;
-            (optimizer.pose_rates(progress, extent), optimizer.adam(completed))
-        };
-        if self.poses.advance(self.completed_steps, step_of) {
+        if self.poses.advance(self.completed_steps, |completed| optimizer.pose_step(completed, steps, extent)) {
             self.place_cameras();
         }
     }
@@ -232,11 +237,15 @@ impl Context {
 
 #[cfg(test)]
 mod tests {
+    use dpges_core::ops::adam::AdamStep;
+
     use super::*;
+    use crate::pose_gauge::Similarity;
     use crate::run::fixtures::dataset;
 
     const ADAM: AdamStep = AdamStep { learning_rate: 0.0, beta_1: 0.9, beta_2: 0.999, epsilon: 1e-15, time: 1 };
-    const RATES: PoseRates = PoseRates { rotation: 0.01, translation: 0.1 };
+    const STEP: PoseStep =
+        PoseStep { rotation: 0.01, translation: 0.1, extent: 1.0, adam: ADAM, doubt: 0.0, pull: 0.0 };
     const GRADIENT: [f32; 6] = [1.0, -1.0, 2.0, -0.5, 0.25, -3.0];
 
     fn raw(state: &PoseState) -> Vec<f32> {
@@ -244,7 +253,7 @@ mod tests {
     }
 
     fn advance(state: &mut PoseState, completed: usize) -> bool {
-        state.advance(completed, |_| (RATES, ADAM))
+        state.advance(completed, |_| STEP)
     }
 
     #[test]
@@ -254,28 +263,28 @@ mod tests {
         assert!(!advance(&mut state, 1) && raw(&state).iter().all(|&number| number == 0.0));
         assert!(advance(&mut state, 2));
         assert!(!advance(&mut state, 3), "only once");
-        // a first step is the learning rate, then the mean over three views is taken away
+        // a first step is the learning rate, then what all views have in common is taken away
+        let data = dataset();
+        let recorded: Vec<CameraFromWorld> = data.train.iter().map(|view| view.camera.camera_from_world).collect();
+        let mut expected = [PoseCorrection::default(); 3];
+        expected[1].rotation = [-0.01, 0.01, -0.01];
+        expected[1].translation = [0.1, -0.1, 0.1];
+        Gauge::new(&recorded, data.extent).hold(&mut expected);
+        let expected = expected.map(|correction| correction.row());
         let raw = raw(&state);
-        for (row, share) in [(0, 1.0 / 3.0), (1, -2.0 / 3.0), (2, 1.0 / 3.0)] {
-            for (at, gradient) in GRADIENT.into_iter().enumerate() {
-                let rate = if at < 3 { 0.01 } else { 0.1 };
-                let expected = share * rate * gradient.signum();
-                assert!((raw[6 * row + at] - expected).abs() < 1e-6, "{raw:?}");
-            }
-        }
+        assert!(raw.iter().zip(expected.as_flattened()).all(|(a, b)| (a - b).abs() < 1e-6), "{raw:?} {expected:?}");
     }
 
     #[test]
-    fn only_the_view_of_a_step_is_stepped_and_means_stay_zero() {
-        let mut state = PoseState::new(&dataset());
+    fn only_the_view_of_a_step_is_stepped_and_the_gauge_is_held() {
+        let data = dataset();
+        let mut state = PoseState::new(&data);
         for (step, view) in [(1, 0), (2, 1), (3, 0), (4, 2), (5, 0)] {
             state.keep(step, view, GRADIENT.map(|number| number / (step as f32)));
             advance(&mut state, step);
-            let raw = raw(&state);
-            for column in 0..6 {
-                let sum: f32 = raw.iter().skip(column).step_by(6).sum();
-                assert!(sum.abs() < 1e-6, "column {column} sums to {sum}");
-            }
+            let Refinement { gauge, .. } = state.0.as_ref().unwrap();
+            let Similarity { turn, shift, growth } = gauge.common(&state.corrections());
+            assert!(turn.length() < 1e-7 && shift.length() < 1e-6 && growth.abs() < 1e-6, "{turn} {shift} {growth}");
         }
         advance(&mut state, 6);
         let Refinement { steps, moments, .. } = state.0.as_ref().unwrap();

@@ -130,6 +130,35 @@ fn models_are_those_of_colmap() {
     let [found_x, found_y] = position(8);
     assert_relative_eq!(found_x, a * factor, epsilon = 1e-12);
     assert_relative_eq!(found_y, b * factor, epsilon = 1e-12);
+
+    // of a program of its own
+    let lens = Lens::new(models[9].1);
+    for (point, expected) in [
+        (point, [0.806_972_939_476_258_81, -0.448_063_681_023_826_1]),
+        ([-0.4, 0.7, -0.1], [-0.854_489_485_448_965_52, 1.493_022_017_712_310_4]),
+        ([0.2, 0.1, 1.0], [0.196_988_848_068_316_04, 0.098_483_586_355_042_049]),
+    ] {
+        let found = lens.position(point).unwrap();
+        assert_relative_eq!(found[0], expected[0], epsilon = 1e-14);
+        assert_relative_eq!(found[1], expected[1], epsilon = 1e-14);
+    }
+}
+
+#[test]
+fn sequence_matters_only_to_what_moves_positions_aside() {
+    let (_, bent) = every_model()[9];
+    let aside = Lens::new(Distortion { in_sequence: false, ..bent });
+    let point = [0.9, -0.5, 0.8];
+    let difference = |other: &Lens| {
+        let ([a, b], [c, d]) = (Lens::new(bent).position(point).unwrap(), other.position(point).unwrap());
+        (a - c).hypot(b - d)
+    };
+    assert!(difference(&aside) > 1e-6);
+    let none = [0.0; 2];
+    let radial = Distortion { tangential: none, thin_prism: none, thin_prism_quartic: none, ..bent };
+    let straight = Distortion { in_sequence: false, ..radial };
+    assert_eq!(Lens::new(radial).position(point), Lens::new(straight).position(point));
+    assert!(Distortion { in_sequence: true, ..Distortion::new(Projection::Perspective) }.is_pinhole());
 }
 
 #[test]
@@ -164,9 +193,10 @@ fn a_lens_ends_where_it_would_fold() {
 fn lenses_that_show_nothing_are_unsound() {
     let perspective = Distortion::new(Projection::Perspective);
     for distortion in [
-        Distortion { numerator: [f64::NAN, 0.0, 0.0, 0.0], ..perspective },
+        Distortion { numerator: [f64::NAN, 0.0, 0.0, 0.0, 0.0, 0.0], ..perspective },
         Distortion { tangential: [0.0, f64::INFINITY], ..perspective },
         Distortion { denominator: [1e60, 0.0, 0.0], ..perspective },
+        Distortion { thin_prism_quartic: [f64::NAN, 0.0], ..perspective },
         Distortion::new(Projection::FieldOfView(0.0)),
         Distortion::new(Projection::FieldOfView(4.0)),
         Distortion::new(Projection::FieldOfView(f64::NAN)),

@@ -4,7 +4,7 @@ use cubecl::prelude::*;
 
 use super::Disc;
 use super::bounds::{tangents, widened};
-use crate::gpu::lens::{Range, angle, aside_x, aside_y, plus, radial, radius_at, times};
+use crate::gpu::lens::{LensUniforms, Range, angle, aside_x, aside_y, plus, radial, radius_at, times};
 use crate::gpu::rect::Rect;
 use crate::gpu::vector::{dot, scale, sin_cos, vec3};
 use crate::gpu::view::{CameraUniforms, pixel_range};
@@ -93,6 +93,16 @@ fn cosines(azimuth: Range, quarter: f32) -> Range {
     }
 }
 
+/// Ranges of the positions that are moved aside, whose radii and cosines are in these ranges.
+#[cube]
+fn moved_aside(lens: LensUniforms, undistorted: Range, distorted: Range, across: Range, down: Range) -> (Range, Range) {
+    if comptime!(lens.in_sequence) {
+        (times(distorted, across), times(distorted, down))
+    } else {
+        (times(undistorted, across), times(undistorted, down))
+    }
+}
+
 /// Pixels that the disc can reach within `radius`, in σ; none if the radius is negative.
 #[cube]
 pub fn lens_reach(view: CameraUniforms, disc: Disc, radius: f32) -> Rect {
@@ -103,9 +113,9 @@ pub fn lens_reach(view: CameraUniforms, disc: Disc, radius: f32) -> Rect {
     let undistorted = Range { low: min(nearest, lens.limit) * (1.0f32 - SLACK), high: min(farthest, lens.limit) };
     let distorted = Range { low: radial(lens, undistorted.low), high: radial(lens, undistorted.high) };
     let (across, down) = (cosines(cone.azimuth, 0.0f32), cosines(cone.azimuth, 0.5f32 * PI));
-    let (a, b) = (times(undistorted, across), times(undistorted, down));
-    let x = plus(times(distorted, across), aside_x(lens, a, b));
-    let y = plus(times(distorted, down), aside_y(lens, a, b));
+    let (bent_x, bent_y) = (times(distorted, across), times(distorted, down));
+    let (u, v) = moved_aside(lens, undistorted, distorted, across, down);
+    let (x, y) = (plus(bent_x, aside_x(lens, u, v)), plus(bent_y, aside_y(lens, u, v)));
     let (x0, x1) = widened(x.low * view.fx + view.cx, x.high * view.fx + view.cx);
     let (y0, y1) = widened(y.low * view.fy + view.cy, y.high * view.fy + view.cy);
     let (first_x, end_x) = pixel_range(select(cone.ahead, x0, -1e9f32), select(cone.ahead, x1, 1e9f32), view.width);

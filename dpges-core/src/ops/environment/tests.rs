@@ -70,7 +70,7 @@ fn only_the_direction_of_a_camera_counts() {
 
 #[test]
 fn pixels_without_a_ray_show_nothing() {
-    let fold = Distortion { numerator: [-0.5, 0.0, 0.0, 0.0], ..Distortion::new(Projection::Perspective) };
+    let fold = Distortion { numerator: [-0.5, 0.0, 0.0, 0.0, 0.0, 0.0], ..Distortion::new(Projection::Perspective) };
     let camera = Camera { lens: Some(Lens::new(fold)), ..camera() };
     let found = image(&[1.0, 1.0, 1.0], &camera);
     for (at, value) in found.iter().enumerate().take(camera.width * camera.height) {

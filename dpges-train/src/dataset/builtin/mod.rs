@@ -23,8 +23,8 @@ const GOLDEN_ANGLE: f64 = 2.399_963_229_728_653;
 const POINT_NOISE: f64 = 0.003;
 /// Angle that the fisheye lens sees across the picture, radians: 170°.
 const FISHEYE_ANGLE: f64 = 170.0 / 360.0 * TAU;
-/// k₁..k₄ of the fisheye lens (`OPENCV_FISHEYE`).
-const FISHEYE: [f64; 4] = [0.03, -0.008, 0.001, 0.0];
+/// Coefficients of the radius of the fisheye lens (`OPENCV_FISHEYE`).
+const FISHEYE: [f64; 6] = [0.03, -0.008, 0.001, 0.0, 0.0, 0.0];
 /// A view sees a surface point if the traced depth agrees with the depth of the point to this relative error.
 const VISIBILITY_TOLERANCE: f64 = 1e-6;
 

@@ -7,9 +7,6 @@ use dpges_core::camera::{Distortion, Projection};
 use super::super::calibration::Calibration;
 use super::super::error::{DatasetError, Result};
 
-/// It bends rays after what is tangential, which no other model does.
-const UNSUPPORTED: &str = "RAD_TAN_THIN_PRISM_FISHEYE";
-
 /// Models by numeric id: name and number of parameters.
 const MODELS: [(&str, usize); 12] = [
     ("SIMPLE_PINHOLE", 3),
@@ -48,12 +45,15 @@ impl CameraRecord {
     pub fn calibration(&self, path: &Path) -> Result<Calibration> {
         let perspective = Distortion::new(Projection::Perspective);
         let bent = |k: [f64; 6], tangential: [f64; 2]| Distortion {
-            numerator: [k[0], k[1], k[2], 0.0],
+            numerator: [k[0], k[1], k[2], 0.0, 0.0, 0.0],
             denominator: [k[3], k[4], k[5]],
             tangential,
             ..perspective
         };
-        let fisheye = |numerator: [f64; 4]| Distortion { numerator, ..Distortion::new(Projection::Equidistant) };
+        let fisheye = |[k1, k2, k3, k4]: [f64; 4]| Distortion {
+            numerator: [k1, k2, k3, k4, 0.0, 0.0],
+            ..Distortion::new(Projection::Equidistant)
+        };
         let (focal, centre, distortion) = match (self.model.as_str(), self.params.as_slice()) {
             ("SIMPLE_PINHOLE", &[f, cx, cy]) => ([f, f], [cx, cy], perspective),
             ("PINHOLE", &[fx, fy, cx, cy]) => ([fx, fy], [cx, cy], perspective),
@@ -72,10 +72,22 @@ impl CameraRecord {
                 let radial = fisheye([k1, k2, k3, k4]);
                 ([fx, fy], [cx, cy], Distortion { tangential: [p1, p2], thin_prism: [s1, s2], ..radial })
             }
+            // its p₀ and p₁ are the other way round
+            ("RAD_TAN_THIN_PRISM_FISHEYE", &[fx, fy, cx, cy, k0, k1, k2, k3, k4, k5, p0, p1, s0, s1, s2, s3]) => {
+                let bent = Distortion {
+                    numerator: [k0, k1, k2, k3, k4, k5],
+                    tangential: [p1, p0],
+                    thin_prism: [s0, s2],
+                    thin_prism_quartic: [s1, s3],
+                    in_sequence: true,
+                    ..Distortion::new(Projection::Equidistant)
+                };
+                ([fx, fy], [cx, cy], bent)
+            }
             // without an angle it is a pinhole
             ("FOV", &[fx, fy, cx, cy, 0.0]) => ([fx, fy], [cx, cy], perspective),
             ("FOV", &[fx, fy, cx, cy, omega]) => ([fx, fy], [cx, cy], Distortion::new(Projection::FieldOfView(omega))),
-            (model, params) if model != UNSUPPORTED && MODELS.iter().any(|(name, _)| *name == model) => {
+            (model, params) if MODELS.iter().any(|(name, _)| *name == model) => {
                 let what = format!("the number of parameters of camera {} ({model})", self.id);
                 return Err(DatasetError::malformed(path, what, params.len(), "as many as the model has"));
             }

@@ -162,7 +162,7 @@ mod tests {
 
     #[test]
     fn through_a_lens_views_count_for_what_appears_in_their_picture() {
-        let numerator = [0.05, -0.02, 0.0, 0.0];
+        let numerator = [0.05, -0.02, 0.0, 0.0, 0.0, 0.0];
         for projection in [Projection::Perspective, Projection::Equidistant, Projection::FieldOfView(1.2)] {
             let lens = Lens::new(Distortion { numerator, ..Distortion::new(projection) });
             let camera_from_world = CameraFromWorld::look_at(DVec3::ZERO, DVec3::new(0.2, 0.1, 1.0), -DVec3::Y);
