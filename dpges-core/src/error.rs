@@ -16,6 +16,10 @@ pub enum Error {
     Camera { field: &'static str, expected: &'static str, found: String },
     #[error("option `{option}` is {found}, expected {expected}")]
     Option { option: &'static str, expected: String, found: String },
+    #[error(
+        "{what} takes {needed} bytes, and a buffer has at most {largest}: render smaller images or fewer primitives"
+    )]
+    Capacity { what: String, needed: u64, largest: u64 },
     #[error("the device failed: {reason}")]
     Device { reason: String },
     #[error("scene file {path}: {reason}")]

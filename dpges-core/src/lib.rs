@@ -35,6 +35,8 @@ mod batch;
 pub mod binning;
 pub mod camera;
 #[cfg(feature = "burn")]
+pub mod capacity;
+#[cfg(feature = "burn")]
 pub mod counters;
 #[cfg(feature = "burn")]
 pub mod device;
@@ -72,6 +74,8 @@ pub mod tile_work;
 mod tiles;
 
 pub use camera::{Camera, CameraFromWorld};
+#[cfg(feature = "burn")]
+pub use capacity::within_capacity;
 pub use error::{Error, Result};
 #[cfg(feature = "burn")]
 pub use metrics::{mean_ssim, psnr};

@@ -148,7 +148,8 @@ impl Door {
 /// Renders `surfels` and `gaussians` from `camera` (DP-GES).
 ///
 /// # Errors
-/// A typed error naming what does not fit: see [`validate`], [`Camera::validate`], [`PeelOptions::validate`].
+/// A typed error naming what does not fit: see [`validate`], [`Camera::validate`], [`PeelOptions::validate`]. Also
+/// [`Error::Capacity`].
 pub fn render(surfels: &Surfels, gaussians: &Gaussians, camera: &Camera, options: &RenderOptions) -> Result<Render> {
     render_values(surfels, gaussians, camera, options, Values::Unknown)
 }

@@ -1,8 +1,13 @@
 //! Scenes at the extremes: everything is finite.
 
-use burn::tensor::Device;
+use burn::tensor::{DType, Device};
+use dpges_core::ops::peel::PeelOptions;
+use dpges_core::render::{RenderOptions, render};
+use dpges_core::scene::Footprint;
 use dpges_core::testing::extremes::{Extreme, Hazard, extreme_of};
+use dpges_core::testing::golden::values;
 use dpges_core::testing::precision::{Deviation, Way, deviations};
+use dpges_core::testing::scenes::{Recipe, random};
 
 /// Every tensor of `extreme` in every way is finite; returns how far each is from f64.
 pub fn finite(what: &str, extreme: &Extreme, device: &Device) -> Vec<Deviation> {
@@ -18,10 +23,28 @@ pub fn finite(what: &str, extreme: &Extreme, device: &Device) -> Vec<Deviation> 
     all
 }
 
-pub fn every_hazard_alone_is_finite(device: Device) {
+pub fn every_hazard_alone_is_finite(device: &Device) {
     for hazard in Hazard::ALL {
         for seed in 0..4 {
-            finite(&format!("seed {seed}"), &extreme_of(hazard, seed), &device);
+            finite(&format!("seed {seed}"), &extreme_of(hazard, seed), device);
         }
+    }
+}
+
+/// Surfels so steep that every fragment is opaque: no pixel is in between.
+pub fn transmittances_of_exactly_0_and_1_are_finite(device: &Device) {
+    for layer_count in [1, 3] {
+        let peel = PeelOptions { layer_count, modulation: 1e30, footprint: Footprint::Kernel };
+        let scene = random(23, &Recipe { surfels: 20, gaussians: 30, width: 33, height: 18, ..Recipe::default() });
+        let (surfels, gaussians) = scene.tensors(device, DType::F32);
+        let options = RenderOptions { peel, ..RenderOptions::default() };
+        let rendered = render(&surfels, &gaussians, &scene.camera, &options).unwrap();
+        let through = values(&rendered.composite.transmittance);
+        let behind = &through[layer_count * 33 * 18..];
+        let [closed, open] = [0.0, 1.0].map(|exactly| behind.iter().filter(|&&t| t == exactly).count());
+        assert!(closed > 10 && open > 10, "{closed} pixels are closed and {open} open");
+        assert_eq!(closed + open, behind.len(), "transmittances between 0 and 1");
+        let extreme = Extreme { seed: 23, hazards: vec![Hazard::Steep], scene, peel, extent: 1.0 };
+        finite(&format!("{layer_count} layers"), &extreme, device);
     }
 }

@@ -1,9 +1,11 @@
 //! Files from strangers: whatever the bytes, a reader returns what it read or an error with a message. It never panics.
 //!
 //! Files of `corpus/` and some written here are changed at random and read again. `DPGES_FUZZ_CASES` sets the number of
-//! cases per kind of file (500 unless set), `DPGES_FUZZ_SEED` the seed (0): the same numbers make the same cases.
+//! cases per kind of file (500 unless set), or `DPGES_FUZZ_SECONDS` the time for each kind; `DPGES_FUZZ_SEED` the seed (0):
+//! the same numbers make the same cases.
 
 mod mutation;
+mod operations;
 
 use std::cell::Cell;
 use std::fs;
@@ -20,40 +22,45 @@ use dpges_train::run::folder::{Origin, RunFolder};
 use dpges_train::run::{Run, SavedRun, StepReport};
 use proptest::test_runner::{Config as Settings, RngAlgorithm, TestError, TestRng, TestRunner};
 
+use crate::budget::{self, Budget};
 use crate::devices::ndarray;
 use mutation::{Mutation, mutated, mutations};
 
-const CASES: u32 = 500;
+const CASES: u64 = 500;
 
-fn from_environment(name: &str, default: u32) -> u32 {
-    let Ok(text) = std::env::var(name) else { return default };
-    text.parse().unwrap_or_else(|_| panic!("{name} is {text}, expected a whole number"))
+/// What `DPGES_FUZZ_SEED` says.
+fn seed() -> u64 {
+    budget::number("DPGES_FUZZ_SEED").unwrap_or(0)
+}
+
+/// Makes one case, the same for the same seed and number.
+fn runner(number: u64) -> TestRunner {
+    let mut bytes = [0; 32];
+    bytes[..8].copy_from_slice(&seed().to_le_bytes());
+    bytes[8..16].copy_from_slice(&number.to_le_bytes());
+    let settings = Settings { cases: 1, failure_persistence: None, ..Settings::default() };
+    TestRunner::new_with_rng(settings, TestRng::from_seed(RngAlgorithm::ChaCha, &bytes))
 }
 
 /// Calls `read` with changed contents of `files`; it says whether they could be read.
 fn fuzz(what: &str, files: &[Vec<u8>], read: impl Fn(usize, &[u8]) -> bool) {
-    let mut seed = [0; 32];
-    seed[..4].copy_from_slice(&from_environment("DPGES_FUZZ_SEED", 0).to_le_bytes());
-    let settings = Settings {
-        cases: from_environment("DPGES_FUZZ_CASES", CASES),
-        failure_persistence: None,
-        ..Settings::default()
-    };
-    let mut runner = TestRunner::new_with_rng(settings, TestRng::from_seed(RngAlgorithm::ChaCha, &seed));
-    let (cases, readable, slowest) = (Cell::new(0u32), Cell::new(0u32), Cell::new(Duration::ZERO));
-    let result = runner.run(&(0..files.len(), mutations()), |(file, changes)| {
+    let (cases, readable, slowest) = (Cell::new(0u64), Cell::new(0u64), Cell::new(Duration::ZERO));
+    let one = |(file, changes): (usize, Vec<Mutation>)| {
         let bytes = mutated(&files[file], &changes);
         let start = Instant::now();
         let is_readable = read(file, &bytes);
         slowest.set(slowest.get().max(start.elapsed()));
         cases.set(cases.get() + 1);
-        readable.set(readable.get() + u32::from(is_readable));
+        readable.set(readable.get() + u64::from(is_readable));
         Ok(())
-    });
-    println!("{what}: {} cases, {} readable, slowest {:?}", cases.get(), readable.get(), slowest.get());
-    if let Err(TestError::Fail(reason, (file, changes))) = result {
-        panic!("{what}: file {file} after {changes:?}: {reason}");
+    };
+    for number in Budget::start(CASES).seeds() {
+        let result = runner(number).run(&(0..files.len(), mutations()), one);
+        if let Err(TestError::Fail(reason, (file, changes))) = result {
+            panic!("{what}: file {file} after {changes:?}: {reason}");
+        }
     }
+    println!("{what}: {} cases, {} readable, slowest {:?}", cases.get(), readable.get(), slowest.get());
     assert!(readable.get() > 0, "{what}: no case can be read, so that nothing behind the first check is reached");
 }
 
@@ -250,6 +257,14 @@ fn files_cut_anywhere_are_refused_by_name() {
         let error = SavedRun::open(run.clone()).err().unwrap_or_else(|| panic!("{end} bytes are read")).to_string();
         assert!(error.contains("checkpoint.safetensors"), "{end} bytes: {error}");
     }
+}
+
+#[test]
+fn time_goes_before_cases_and_there_is_a_first_case() {
+    assert_eq!(Budget::new(None, 3).seeds().collect::<Vec<_>>(), [0, 1, 2]);
+    assert_eq!(Budget::new(None, 0).seeds().count(), 1);
+    assert_eq!(Budget::new(Some(0), 3).seeds().count(), 1);
+    assert!(Budget::new(Some(1000), 3).goes_on(3));
 }
 
 #[test]

@@ -1,12 +1,13 @@
 //! The tests on a GPU: the best adapter that wgpu finds, which is a software driver where there is no other.
 //!
-//! Without an adapter they are ignored. With `DPGES_REQUIRE_GPU=1` they fail.
+//! Without an adapter they are ignored. With `DPGES_REQUIRE_GPU=1` they fail. Those that take minutes are ignored unless
+//! `--ignored` or `--include-ignored` asks for them.
 
 use burn::tensor::{DType, Device};
 use dpges_train::device::DeviceName;
 use libtest_mimic::Trial;
 
-use crate::{extremes, golden, gpu, kernels, lpips, parity, step_cost, training};
+use crate::{golden, gpu, kernels, lpips, on_a_gpu, parity, step_cost, training};
 
 /// Every function named, with its name.
 macro_rules! named {
@@ -18,7 +19,14 @@ macro_rules! named {
 pub fn trials() -> Vec<Trial> {
     let tests = named![
         gpu::golden_cases,
-        extremes::every_hazard_alone_is_finite,
+        on_a_gpu::every_hazard_alone_is_finite,
+        on_a_gpu::many_hazards_are_finite,
+        on_a_gpu::transmittances_of_exactly_0_and_1_are_finite,
+        on_a_gpu::poisoned_numbers_are_named_with_their_row,
+        on_a_gpu::poisoned_numbers_that_nobody_looked_at_do_no_harm,
+        on_a_gpu::each_of_a_million_has_its_pixel,
+        on_a_gpu::a_million_at_one_point_add_up,
+        on_a_gpu::pictures_of_8192_px_are_close,
         kernels::prefix_sums_of_any_length,
         kernels::prefix_sums_stay_at_the_largest_number,
         kernels::pairs_of_any_number_are_sorted_and_keep_their_order,
@@ -48,21 +56,23 @@ pub fn trials() -> Vec<Trial> {
         step_cost::a_step_is_counted_alike_every_time,
         step_cost::a_blended_step_is_counted,
     ];
+    let long = named![on_a_gpu::the_largest_picture];
     let device = best();
     let required = std::env::var("DPGES_REQUIRE_GPU").is_ok_and(|value| value == "1");
     if let Err(reason) = &device {
         eprintln!("tests on a GPU cannot run: {reason}");
     }
-    let trial = |(name, test): (&str, fn(Device))| {
+    let trial = |(name, test): (&str, fn(Device)), is_long: bool| {
         let device = device.clone();
-        let is_ignored = device.is_err() && !required;
+        let is_ignored = is_long || (device.is_err() && !required);
         let run = move || {
             test(device.map_err(|reason| format!("DPGES_REQUIRE_GPU=1, and {reason}"))?);
             Ok(())
         };
         Trial::test(name, run).with_kind("GPU").with_ignored_flag(is_ignored)
     };
-    tests.into_iter().map(trial).collect()
+    let tests = tests.into_iter().map(|test| trial(test, false));
+    tests.chain(long.into_iter().map(|test| trial(test, true))).collect()
 }
 
 fn best() -> Result<Device, String> {

@@ -1,13 +1,17 @@
 //! Tests that need more than a CPU: a graphics adapter, or Python. `cargo test` counts those that cannot run here as
 //! ignored, and names them.
 
+mod budget;
 mod devices;
 mod extremes;
 mod golden;
 mod gpu;
 mod kernels;
+mod large;
 mod lpips;
+mod on_a_gpu;
 mod parity;
+mod poisoned;
 mod raster;
 mod reference;
 mod step_cost;

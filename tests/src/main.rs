@@ -2,12 +2,16 @@
 //! are in `machine.rs`.
 
 mod acceptance;
+mod budget;
 mod devices;
 mod extremes;
 mod fuzz;
 mod golden;
 mod invariance;
+mod large;
 mod long_training;
+mod on_cpus;
+mod poisoned;
 mod precision;
 mod robustness;
 mod total_gradient;

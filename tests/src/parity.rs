@@ -1,17 +1,20 @@
 //! CPU and GPU: every operation on the same input, forward and backward, and whole renders.
 
-use burn::tensor::{DType, Device};
+use burn::tensor::{DType, Device, Tensor};
 use dpges_core::binning::cap_lists;
 use dpges_core::camera::{Camera, CameraFromWorld, Lens};
 use dpges_core::ops::blend::{BlendOptions, Form};
 use dpges_core::ops::peel::PeelOptions;
 use dpges_core::ops::unpack::{pack, unpack};
+use dpges_core::render::blended::{BlendedOptions, render_blended};
+use dpges_core::render::{RenderOptions, Values, render};
 use dpges_core::scene::{ColourModel, Footprint, ScreenFilter};
+use dpges_core::testing::golden::values;
 use dpges_core::testing::kernels::limit_buffers;
 use dpges_core::testing::lenses::{behind, every_model};
 use dpges_core::testing::parity::{Bench, Named, Reference, distances};
 use dpges_core::testing::scenes::{self, Recipe, TestScene};
-
+use dpges_core::{Error, within_capacity};
 use glam::DVec3;
 
 use crate::devices::ndarray;
@@ -207,15 +210,38 @@ pub fn gradients_beyond_the_largest_buffer_are_gathered_in_parts(device: Device)
     assert_near("in parts", &in_parts, &whole);
 }
 
+/// Forward by the functions themselves, backward by `within_capacity`; the device goes on to work as before.
 pub fn what_no_buffer_holds_is_refused_by_name(device: Device) {
     let recipe = Recipe { surfels: 0, gaussians: 100, width: 200, height: 150, ..Recipe::default() };
     let scene = with_large_ones(scenes::random(97, &recipe), 100);
+    let (surfels, gaussians) = scene.leaves(&device.clone().autodiff(), DType::F32);
+    let options = BlendedOptions { blend: BlendOptions::default(), background: [0.0; 3] };
+    let peeled = || render(&surfels, &gaussians, &scene.camera, &RenderOptions::default()).map(|r| r.composite.image);
+    let blended = || render_blended(&gaussians, None, &scene.camera, &options, Values::Unknown).map(|r| r.image);
+    let [before_peeled, before_blended] = [peeled().unwrap(), blended().unwrap()];
+    for (what, forward) in [("peeled", &peeled as &dyn Fn() -> dpges_core::Result<Tensor<3>>), ("blended", &blended)] {
+        // too large are the layers and, with room for them, the sums; the lists and, with room for them, the planes
+        for most in [20_000, 370_000] {
+            limit_buffers(most);
+            let refused = forward();
+            limit_buffers(usize::MAX);
+            let error = refused.expect_err("too large");
+            assert!(matches!(error, Error::Capacity { largest, .. } if largest == most as u64), "{what}: {error}");
+        }
+    }
     limit_buffers(40_000);
-    let refused = std::panic::catch_unwind(|| on(&scene, PeelOptions::default(), &device).blended(Default::default()));
+    let refused = blended();
+    limit_buffers(1_000);
+    let loss = before_blended.clone().sum();
+    let backward = within_capacity(|| drop(loss.backward()));
     limit_buffers(usize::MAX);
-    let message = refused.expect_err("too many entries").downcast::<String>().expect("a message");
+    let message = refused.expect_err("too many entries").to_string();
     assert!(message.contains("the 100 primitives of this view touch"), "{message}");
-    assert!(message.contains("buffers of at most 40000"), "{message}");
+    assert!(message.contains("at most 40000"), "{message}");
+    assert!(matches!(backward, Err(Error::Capacity { largest: 1_000, .. })), "{backward:?}");
+    for (before, after) in [(before_peeled, peeled()), (before_blended, blended())] {
+        assert_eq!(values(&before), values(&after.unwrap()));
+    }
 }
 
 pub fn every_operation_gives_the_same_bits_every_time(device: Device) {
@@ -238,7 +264,7 @@ pub fn doubles_on_a_gpu_are_refused_by_name(device: Device) {
     }
     let scene = random(80, ColourModel::SphericalBeta { lobes: 1 });
     let (surfels, gaussians) = scene.tensors(&device, DType::F64);
-    let error = dpges_core::render::render(&surfels, &gaussians, &scene.camera, &Default::default()).unwrap_err();
+    let error = render(&surfels, &gaussians, &scene.camera, &Default::default()).unwrap_err();
     assert!(error.to_string().contains("F32, what GPUs compute in"), "{error}");
 }
 

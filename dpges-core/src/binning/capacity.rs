@@ -11,6 +11,7 @@ use burn::backend::TensorMetadata;
 use burn::tensor::TensorData;
 use burn_cubecl::tensor::CubeTensor;
 
+use crate::capacity::{exceed, too_many_entries};
 use crate::counters::transfers::{download, wait};
 use crate::gpu::launch::largest_buffer;
 
@@ -65,8 +66,8 @@ fn guess(beside: &CubeTensor, kind: ListKind, primitives: usize, tiles: usize) -
 /// Calls `write` with room for some entries and, if there are more, again with room for all, and returns what the last
 /// call made, and the number of entries: the last of `starts` [primitives + 1].
 ///
-/// # Panics
-/// If a list of all entries exceeds the largest buffer of the device, or 2³¹.
+/// [Exceeds](exceed) the capacity if a list of all entries is larger than the largest buffer of the device, or has more
+/// than 2³¹.
 pub(crate) fn with_room<T>(
     starts: &CubeTensor,
     kind: ListKind,
@@ -82,18 +83,15 @@ pub(crate) fn with_room<T>(
     let bytes = wait(|| cubecl::future::block_on(length)).expect("the device answers").remove(0);
     let entries = bytemuck::pod_read_unaligned::<u32>(&bytes[..size_of::<u32>()]);
     download(TensorData::new(vec![entries], [1]));
-    // sums that exceed 32 bits are the largest number
-    let or_more = if entries == u32::MAX { " or more" } else { "" };
     let entries = entries as usize;
     if entries <= room {
         return (written, entries);
     }
-    let [needed, largest] = [entries, most(starts)].map(|entries| entries * size_of::<u32>());
-    assert!(
-        needed <= largest,
-        "the {primitives} primitives of this view touch {entries}{or_more} tiles, a list of {needed} bytes, and the \
-         device takes buffers of at most {largest}: render smaller images or fewer primitives"
-    );
+    let most = most(starts);
+    if entries > most {
+        // sums that exceed 32 bits are the largest number
+        exceed(too_many_entries(primitives, entries as u64, (most * size_of::<u32>()) as u64));
+    }
     tracing::debug!("{entries} entries of tile lists exceeded the {room} expected, and are written again");
     SUFFICED.lock().expect("no holder panics").insert(key(starts, kind), entries + entries / 4);
     drop(written);

@@ -4,10 +4,13 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use rayon::prelude::*;
 
+use crate::capacity::{exceed, too_many_entries};
 use crate::tiles::{PixelRect, TileGrid};
 
 /// Primitives of one task.
 const CHUNK: usize = 4096;
+/// Most entries of all lists together: they are counted in 32 bits.
+const MOST: u64 = u32::MAX as u64;
 
 /// Lists of primitives, one per tile.
 #[derive(Clone, Debug)]
@@ -41,8 +44,25 @@ fn for_each_tile(
     }
 }
 
-/// Lists for all tiles of `grid`. `touches(primitive, tile column, tile row)` may exclude tiles
-/// inside the rectangle that the primitive cannot reach.
+/// Exclusive prefix sum over (tile, chunk) of `counts` [chunks, tiles], which become the places where each chunk begins to
+/// write in each tile. Returns [tiles + 1] the first place of each tile.
+fn offsets(counts: &mut [Vec<u32>], tiles: usize) -> Vec<u32> {
+    let mut offsets = Vec::with_capacity(tiles + 1);
+    let mut total = 0u32;
+    for tile in 0..tiles {
+        offsets.push(total);
+        for chunk in counts.iter_mut() {
+            let count = chunk[tile];
+            chunk[tile] = total;
+            total += count;
+        }
+    }
+    offsets.push(total);
+    offsets
+}
+
+/// Lists for all tiles of `grid`. `touches(primitive, tile column, tile row)` may exclude tiles inside the rectangle that
+/// the primitive cannot reach. [Exceeds](exceed) the capacity if the lists have 2³² entries or more.
 pub fn bin(rects: &[PixelRect], grid: TileGrid, touches: impl Fn(usize, usize, usize) -> bool + Sync) -> TileLists {
     let tiles = grid.len();
     let mut counts: Vec<Vec<u32>> = rects
@@ -56,19 +76,12 @@ pub fn bin(rects: &[PixelRect], grid: TileGrid, touches: impl Fn(usize, usize, u
             counts
         })
         .collect();
-    // exclusive prefix sum over (tile, chunk): each chunk then knows where to write in each tile
-    let mut offsets = Vec::with_capacity(tiles + 1);
-    let mut total = 0u32;
-    for tile in 0..tiles {
-        offsets.push(total);
-        for chunk in &mut counts {
-            let count = chunk[tile];
-            chunk[tile] = total;
-            total += count;
-        }
+    let entries: u64 = counts.par_iter().map(|counts| counts.iter().map(|&count| u64::from(count)).sum::<u64>()).sum();
+    if entries > MOST {
+        exceed(too_many_entries(rects.len(), entries, MOST * size_of::<u32>() as u64));
     }
-    offsets.push(total);
-    let ids: Vec<AtomicU32> = (0..total).map(|_| AtomicU32::new(0)).collect();
+    let offsets = offsets(&mut counts, tiles);
+    let ids: Vec<AtomicU32> = (0..entries).map(|_| AtomicU32::new(0)).collect();
     rects.par_chunks(CHUNK).zip(counts).enumerate().for_each(|(chunk, (rects, mut cursor))| {
         for (i, rect) in rects.iter().enumerate() {
             let id = chunk * CHUNK + i;
@@ -89,6 +102,17 @@ pub fn bin(rects: &[PixelRect], grid: TileGrid, touches: impl Fn(usize, usize, u
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::capacity::within_capacity;
+    use crate::error::Error;
+
+    #[test]
+    fn more_entries_than_32_bits_count_are_refused() {
+        let grid = TileGrid::new(8192, 8192);
+        let all = PixelRect { x0: 0, x1: 8192, y0: 0, y1: 8192 };
+        // 2¹⁴ times 2¹⁸ tiles
+        let error = within_capacity(|| bin(&vec![all; 1 << 14], grid, |_, _, _| true)).unwrap_err();
+        assert!(matches!(error, Error::Capacity { needed: 0x4_0000_0000, .. }), "{error}");
+    }
 
     #[test]
     fn every_primitive_is_listed_once_in_each_tile_it_touches_and_in_order() {

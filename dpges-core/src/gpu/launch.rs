@@ -7,6 +7,9 @@ use burn_cubecl::kernel::into_contiguous;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::{BufferArg, CubeCount, CubeDim};
 
+use crate::capacity::exceed;
+use crate::error::Error;
+
 /// Units of a cube, in every kernel.
 pub const UNITS: u32 = 256;
 /// Halvings of [`UNITS`] down to 1.
@@ -56,19 +59,15 @@ pub fn limit_buffers(bytes: usize) {
     LARGEST_BUFFER.store(bytes, std::sync::atomic::Ordering::Relaxed);
 }
 
-/// An uninitialised contiguous tensor on the device of `like`.
-///
-/// # Panics
-/// If it exceeds the largest buffer of the device.
+/// An uninitialised contiguous tensor on the device of `like`. [Exceeds](exceed) the capacity if it is larger than the
+/// largest buffer of the device.
 pub fn empty(like: &CubeTensor, shape: impl Into<Shape>, dtype: DType) -> CubeTensor {
     let shape = shape.into();
     let (bytes, largest) = (shape.num_elements().max(1) * dtype.size(), largest_buffer(like));
-    assert!(
-        bytes <= largest,
-        "a tensor of shape {:?} takes {bytes} bytes, and the device takes buffers of at most {largest}: render smaller \
-         images or fewer primitives",
-        shape.as_slice()
-    );
+    if bytes > largest {
+        let what = format!("a tensor of shape {:?}", shape.as_slice());
+        exceed(Error::Capacity { what, needed: bytes as u64, largest: largest as u64 });
+    }
     let handle = like.client.empty(bytes);
     CubeTensor::new_contiguous(like.client.clone(), like.device.clone(), shape, handle, dtype)
 }

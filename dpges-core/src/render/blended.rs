@@ -59,6 +59,7 @@ impl BlendedRender {
 ///
 /// # Errors
 /// A typed error naming what does not fit: see [`validate_gaussians`], [`Camera::validate`], [`BlendOptions::validate`].
+/// Also [`Error::Capacity`].
 pub fn render_blended(
     gaussians: &Gaussians,
     probe: Option<&Tensor<2>>,

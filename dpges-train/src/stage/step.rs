@@ -5,6 +5,7 @@ use dpges_core::losses::Target;
 use dpges_core::ops::environment::environment;
 use dpges_core::render::Values;
 use dpges_core::render::pose::PoseProbe;
+use dpges_core::within_capacity;
 
 use super::depth::DepthTarget;
 use super::exposure::photographed;
@@ -82,9 +83,9 @@ pub fn begin_step(
     let pose = probe.as_ref();
     let input = StepInput { completed, index, view, target, values, depth, exposure, pose };
     let at = |source| TrainError::Step { step: report.step, view: view.name.clone(), source };
-    let forward = stage.forward(&leaves, &input, context).map_err(at)?;
+    let forward = within_capacity(|| stage.forward(&leaves, &input, context)).flatten().map_err(at)?;
 
-    let mut gradients = forward.losses.total.backward();
+    let mut gradients = within_capacity(|| forward.losses.total.backward()).map_err(at)?;
     let found = stage.parameters().gradients(&leaves, &mut gradients);
     if let Some(gradient) = forward.probe.and_then(|probe| probe.grad_remove(&mut gradients)) {
         stage.observe_probe(gradient);

@@ -47,6 +47,7 @@ use burn::backend::{Backend, Dispatch, ExtensionType, backend_extension};
 use burn::tensor::Tensor;
 
 use crate::camera::Camera;
+use crate::capacity::within_capacity;
 use crate::error::{Error, Result};
 use crate::footprint::gaussians::GaussianTensors;
 use crate::scene::tensors::check_shape;
@@ -223,7 +224,8 @@ pub struct Maps {
 /// half the image.
 ///
 /// # Errors
-/// [`Error::Shape`], [`Error::Camera`] or [`Error::Option`] if the input is invalid.
+/// [`Error::Shape`], [`Error::Camera`] or [`Error::Option`] if the input is invalid, [`Error::Capacity`] if the tile lists or
+/// the planes do not fit a buffer.
 pub fn blend(
     gaussians: &Gaussians,
     colours: &Tensor<2>,
@@ -244,7 +246,7 @@ pub fn blend(
         None => Tensor::zeros([0, 4], (&colours.device(), colours.dtype())),
     };
     let input = BlendInput { gaussians: GaussianTensors::new(gaussians, colours)?, probe: probe.into_dispatch() };
-    let out = Dispatch::blend(input, *camera, *options);
+    let out = within_capacity(|| Dispatch::blend(input, *camera, *options))?;
     let planes = Tensor::<3>::from_dispatch(out.planes);
     let part =
         |first: usize, count: usize| planes.clone().slice([first..first + count, 0..camera.height, 0..camera.width]);

@@ -20,6 +20,7 @@ use burn::backend::{Backend, Dispatch, ExtensionType, backend_extension};
 use burn::tensor::{Int, Tensor};
 
 use crate::camera::Camera;
+use crate::capacity::within_capacity;
 use crate::error::{Error, Result};
 use crate::scene::tensors::check_shape;
 use crate::scene::{Footprint, SceneInfo};
@@ -132,7 +133,8 @@ pub trait PeelBackwardOps: Backend {
 /// Peels surfels with `positions` [N, 3], `quaternions` [N, 4] and `log_scales` [N, 2].
 ///
 /// # Errors
-/// [`Error::Shape`], [`Error::Camera`] or [`Error::Option`] if the input is invalid.
+/// [`Error::Shape`], [`Error::Camera`] or [`Error::Option`] if the input is invalid, [`Error::Capacity`] if the tile lists or
+/// the layers do not fit a buffer.
 pub fn peel(
     positions: &Tensor<2>,
     quaternions: &Tensor<2>,
@@ -151,7 +153,7 @@ pub fn peel(
         quaternions: quaternions.clone().into_dispatch(),
         log_scales: log_scales.clone().into_dispatch(),
     };
-    let out = Dispatch::peel(surfels, *camera, *options);
+    let out = within_capacity(|| Dispatch::peel(surfels, *camera, *options))?;
     Ok(Layers {
         ids: Tensor::from_dispatch(out.ids),
         alpha: Tensor::from_dispatch(out.alpha),

@@ -20,6 +20,7 @@ use burn::backend::{Backend, Dispatch, backend_extension};
 use burn::tensor::Tensor;
 
 use crate::camera::Camera;
+use crate::capacity::within_capacity;
 use crate::error::Result;
 use crate::footprint::gaussians::GaussianTensors;
 use crate::scene::Gaussians;
@@ -61,20 +62,22 @@ pub trait SplatBackwardOps: Backend {
 /// `limits` [K, H, W] ([`interval_limits`](super::limits::interval_limits)).
 ///
 /// # Errors
-/// [`crate::Error::Shape`] or [`crate::Error::Camera`] if the input is invalid.
+/// [`crate::Error::Shape`] or [`crate::Error::Camera`] if the input is invalid, [`crate::Error::Capacity`] if the tile lists
+/// or the sums do not fit a buffer.
 pub fn splat(gaussians: &Gaussians, colours: &Tensor<2>, limits: &Tensor<3>, camera: &Camera) -> Result<Tensor<4>> {
     camera.validate()?;
     let layers = limits.dims()[0];
     check_shape("limits", limits, [layers, camera.height, camera.width])?;
     let gaussians = GaussianTensors::new(gaussians, colours)?;
-    Ok(Tensor::from_dispatch(Dispatch::splat(gaussians, limits.clone().into_dispatch(), *camera)))
+    let limits = limits.clone().into_dispatch();
+    Ok(Tensor::from_dispatch(within_capacity(|| Dispatch::splat(gaussians, limits, *camera))?))
 }
 
 /// Largest value over all pixels of α · gate · max|colour| for each Gaussian, `[M]`, where `gates`
 /// [K, H, W] is the weight of interval k in the pixel, T_k / (1 + W_G) (GES, pruning). No gradient.
 ///
 /// # Errors
-/// [`crate::Error::Shape`] or [`crate::Error::Camera`] if the input is invalid.
+/// Those of [`splat`](fn@splat).
 pub fn contributions(
     gaussians: &Gaussians,
     colours: &Tensor<2>,
@@ -87,10 +90,7 @@ pub fn contributions(
     check_shape("limits", limits, [layers, camera.height, camera.width])?;
     check_shape("gates", gates, [layers, camera.height, camera.width])?;
     let input = GaussianTensors::new(gaussians, colours)?;
-    Ok(Tensor::from_dispatch(Dispatch::splat_contributions(
-        input,
-        limits.clone().into_dispatch(),
-        gates.clone().into_dispatch(),
-        *camera,
-    )))
+    let [limits, gates] = [limits, gates].map(|tensor| tensor.clone().into_dispatch());
+    let found = within_capacity(|| Dispatch::splat_contributions(input, limits, gates, *camera))?;
+    Ok(Tensor::from_dispatch(found))
 }

@@ -15,7 +15,9 @@ use super::fragments::{FEATURES, Fragments, LOW_PASS, LowPass, Payload, TANGENTS
 use super::{FIRST_MOMENT, REFERENCE, SECOND_MOMENT, STATE, THROUGH, TOTAL, Thresholds, add_fragment};
 use crate::binning::cube::TileList;
 use crate::camera::Camera;
+use crate::capacity::exceed;
 use crate::counters::transfers::{download, wait};
+use crate::error::Error;
 use crate::footprint::disc_cube::{DISC_SUMS, DiscPixel, Hit, PLANE, Plane, add_disc_sums};
 use crate::footprint::moments::MOMENTS;
 use crate::footprint::regions_cube::{WORDS, list_regions, mark_regions};
@@ -483,11 +485,9 @@ fn collect_kernel(
     }
 }
 
-/// Ranges of tiles whose slots fit a buffer: `most` of them.
-///
-/// # Panics
-/// If those of one tile do not.
-fn bands(offsets: &CubeTensor, pairs: usize, tiles: usize, most: usize) -> Vec<Range<usize>> {
+/// Ranges of tiles whose slots of `width` numbers fit a buffer: `most` of them. [Exceeds](exceed) the capacity if those of
+/// one tile do not.
+fn bands(offsets: &CubeTensor, pairs: usize, tiles: usize, most: usize, width: usize) -> Vec<Range<usize>> {
     if pairs <= most {
         return std::iter::once(0..tiles).collect();
     }
@@ -498,11 +498,11 @@ fn bands(offsets: &CubeTensor, pairs: usize, tiles: usize, most: usize) -> Vec<R
     let mut bands: Vec<Range<usize>> = Vec::new();
     for tile in 0..tiles {
         let length = offsets[tile + 1] - offsets[tile];
-        assert!(
-            length <= most,
-            "{length} primitives touch one tile of this view, and a buffer of the device has room for the gradients of \
-             {most}: render fewer primitives"
-        );
+        if length > most {
+            let what = format!("the gradients of the {length} primitives that touch one tile of this view");
+            let [needed, largest] = [length, most].map(|slots| (slots * width * size_of::<f32>()) as u64);
+            exceed(Error::Capacity { what, needed, largest });
+        }
         match bands.last_mut() {
             Some(band) if offsets[tile + 1] - offsets[band.start] <= most => band.end = tile + 1,
             _ => bands.push(tile..tile + 1),
@@ -529,7 +529,7 @@ pub fn gather(
     let slots = empty_f32(grad, [pairs.min(most), width]);
     let parts = [(0, layout.shape()), (layout.shape(), layout.rest())];
     let sums = parts.map(|(_, taken)| empty_f32(grad, [count, taken]));
-    for band in bands(&lists.offsets, pairs, tiles, most) {
+    for band in bands(&lists.offsets, pairs, tiles, most, width) {
         let [first_tile, end_tile] = [band.start, band.end].map(|tile| tile as u32);
         gather_kernel::launch(
             &client,

@@ -1,0 +1,48 @@
+//! Tests that run on any device, on a GPU.
+
+use burn::tensor::{DType, Device};
+use dpges_core::testing::extremes::extreme;
+
+use crate::budget::Budget;
+use crate::{extremes, large, poisoned};
+
+const SCENES: u64 = 24;
+
+pub fn every_hazard_alone_is_finite(device: Device) {
+    extremes::every_hazard_alone_is_finite(&device);
+}
+
+/// Of how many scenes [`budget`](crate::budget) says.
+pub fn many_hazards_are_finite(device: Device) {
+    for seed in Budget::start(SCENES).seeds() {
+        extremes::finite(&format!("seed {seed}"), &extreme(seed), &device);
+    }
+}
+
+pub fn transmittances_of_exactly_0_and_1_are_finite(device: Device) {
+    extremes::transmittances_of_exactly_0_and_1_are_finite(&device);
+}
+
+pub fn poisoned_numbers_are_named_with_their_row(device: Device) {
+    poisoned::poisoned_numbers_are_named_with_their_row(&device, DType::F32);
+}
+
+pub fn poisoned_numbers_that_nobody_looked_at_do_no_harm(device: Device) {
+    poisoned::poisoned_numbers_that_nobody_looked_at_do_no_harm(&device, DType::F32);
+}
+
+pub fn each_of_a_million_has_its_pixel(device: Device) {
+    large::each_of_a_million_has_its_pixel(&device, DType::F32);
+}
+
+pub fn a_million_at_one_point_add_up(device: Device) {
+    large::a_million_at_one_point_add_up(&device, DType::F32);
+}
+
+pub fn pictures_of_8192_px_are_close(device: Device) {
+    large::pictures_of_8192_px_are_close(&device);
+}
+
+pub fn the_largest_picture(device: Device) {
+    large::the_largest_picture(&device);
+}

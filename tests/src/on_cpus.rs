@@ -1,0 +1,62 @@
+//! Tests that run on any device, on the CPU backends.
+
+use burn::tensor::DType;
+
+use crate::devices::{flex, ndarray};
+use crate::{extremes, large, poisoned};
+
+const DTYPES: [DType; 2] = [DType::F32, DType::F64];
+
+#[test]
+fn every_hazard_alone_is_finite() {
+    extremes::every_hazard_alone_is_finite(&ndarray());
+    extremes::every_hazard_alone_is_finite(&flex());
+}
+
+#[test]
+fn transmittances_of_exactly_0_and_1_are_finite() {
+    extremes::transmittances_of_exactly_0_and_1_are_finite(&ndarray());
+    extremes::transmittances_of_exactly_0_and_1_are_finite(&flex());
+}
+
+#[test]
+fn poisoned_numbers_are_named_with_their_row() {
+    for dtype in DTYPES {
+        poisoned::poisoned_numbers_are_named_with_their_row(&ndarray(), dtype);
+        poisoned::poisoned_numbers_are_named_with_their_row(&flex(), dtype);
+    }
+}
+
+#[test]
+fn poisoned_numbers_that_nobody_looked_at_do_no_harm() {
+    for dtype in DTYPES {
+        poisoned::poisoned_numbers_that_nobody_looked_at_do_no_harm(&ndarray(), dtype);
+    }
+    poisoned::poisoned_numbers_that_nobody_looked_at_do_no_harm(&flex(), DType::F32);
+}
+
+#[test]
+fn each_of_a_million_has_its_pixel() {
+    large::each_of_a_million_has_its_pixel(&ndarray(), DType::F32);
+}
+
+#[test]
+fn each_of_a_million_has_its_pixel_in_doubles() {
+    large::each_of_a_million_has_its_pixel(&ndarray(), DType::F64);
+}
+
+#[test]
+fn a_million_at_one_point_add_up() {
+    DTYPES.into_iter().for_each(|dtype| large::a_million_at_one_point_add_up(&ndarray(), dtype));
+}
+
+#[test]
+fn pictures_of_8192_px_are_close() {
+    large::pictures_of_8192_px_are_close(&ndarray());
+}
+
+#[test]
+#[ignore = "takes minutes and more memory than small machines have"]
+fn the_largest_picture() {
+    large::the_largest_picture(&ndarray());
+}
