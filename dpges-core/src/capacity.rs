@@ -10,7 +10,7 @@ thread_local! {
 }
 
 /// Returns what `work` returns, which launches operations or a backward pass. The functions of [`ops`](crate::ops) and
-/// [`render`](crate::render) return the same error by themselves; a backward pass, which Burn runs, cannot:
+/// [`render`](mod@crate::render) return the same error by themselves; a backward pass, which Burn runs, cannot:
 /// `within_capacity(|| loss.backward())`.
 ///
 /// Nothing is printed and the device goes on to work. Where panics end the program (`panic = "abort"`), so does this.

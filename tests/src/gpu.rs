@@ -25,7 +25,7 @@ pub fn trials() -> Vec<Trial> {
         on_a_gpu::poisoned_numbers_are_named_with_their_row,
         on_a_gpu::poisoned_numbers_that_nobody_looked_at_do_no_harm,
         on_a_gpu::each_of_a_million_has_its_pixel,
-        on_a_gpu::a_million_at_one_point_add_up,
+        on_a_gpu::fifty_thousand_at_one_point_add_up,
         on_a_gpu::pictures_of_8192_px_are_close,
         kernels::prefix_sums_of_any_length,
         kernels::prefix_sums_stay_at_the_largest_number,

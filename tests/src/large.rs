@@ -15,7 +15,7 @@ use dpges_core::testing::scenes::{TestScene, realistic};
 use dpges_core::{Error, Result, psnr};
 use glam::{DMat3, DVec3};
 
-const MILLION: usize = 1_000_000;
+pub const MILLION: usize = 1_000_000;
 /// Edge of a picture with a pixel for each of them, px.
 const EDGE: usize = 1_000;
 /// Depths of all surfels and all Gaussians, world units, and the margin of the surfels, which does not reach the Gaussians.
@@ -79,7 +79,7 @@ fn assert_gradients_are_finite(what: &str, (surfels, gaussians): (&Surfels, &Gau
             checks.add(attribute.name, &gradient);
         }
     }
-    check_finite(&checks).unwrap_or_else(|error| panic!("{what}, gradients: {error}"));
+    check_finite(checks).unwrap_or_else(|error| panic!("{what}, gradients: {error}"));
 }
 
 /// The first of `numbers` that is not above 0.
@@ -124,8 +124,9 @@ pub fn each_of_a_million_has_its_pixel(device: &Device, dtype: DType) {
     }
 }
 
-/// A million equal primitives at one point: the first are the layers, all add up, and each has the gradient that one has.
-pub fn a_million_at_one_point_add_up(device: &Device, dtype: DType) {
+/// Equal primitives at one point: the first are the layers, all `many` of them add up, and each has the gradient that one
+/// has.
+pub fn equal_primitives_add_up(many: usize, device: &Device, dtype: DType) {
     let camera = camera(17, 9);
     let run = |count: usize| {
         let scene = facing(count, camera, [3.0, 1.0], |_| [[8.7, 4.4]; 2]);
@@ -137,7 +138,7 @@ pub fn a_million_at_one_point_add_up(device: &Device, dtype: DType) {
         (layers.ids.into_data().iter::<i64>().collect::<Vec<_>>(), weights, gradient(&gaussians.opacities, &gradients))
     };
     let (_, of_one, gradient_of_one) = run(1);
-    let (ids, of_all, gradients) = run(MILLION);
+    let (ids, of_all, gradients) = run(many);
     let pixels = camera.width * camera.height;
     for (pixel, id) in ids.iter().enumerate() {
         let nearest = (pixel / pixels) as i64;
@@ -147,7 +148,7 @@ pub fn a_million_at_one_point_add_up(device: &Device, dtype: DType) {
     // in 32 bits a sum grows by steps that are rounded to its own size
     let tolerance = if dtype == DType::F64 { 1e-9 } else { 5e-2 };
     for (one, all) in of_one.iter().zip(&of_all) {
-        assert!((all - MILLION as f64 * one).abs() <= tolerance * all.abs(), "{all} of a million, {one} of one");
+        assert!((all - many as f64 * one).abs() <= tolerance * all.abs(), "{all} of {many}, {one} of one");
     }
     assert!(of_one.iter().any(|weight| *weight > 0.1), "{of_one:?}");
     let apart = gradients.iter().position(|g| (g / gradient_of_one[0] - 1.0).abs() > 1e-4);
@@ -246,7 +247,7 @@ pub fn the_largest_picture(device: &Device) {
     };
     let mut checks = FiniteChecks::default();
     checks.add("image", &image);
-    check_finite(&checks).unwrap();
+    check_finite(checks).unwrap();
     let gradients = image.sum().backward();
     assert_gradients_are_finite("8192² px", (&surfels, &gaussians), &gradients);
     let of_base = gradient(&gaussians.colour.base, &gradients);

@@ -47,7 +47,7 @@ fn each_of_a_million_has_its_pixel_in_doubles() {
 
 #[test]
 fn a_million_at_one_point_add_up() {
-    DTYPES.into_iter().for_each(|dtype| large::a_million_at_one_point_add_up(&ndarray(), dtype));
+    DTYPES.into_iter().for_each(|dtype| large::equal_primitives_add_up(large::MILLION, &ndarray(), dtype));
 }
 
 #[test]

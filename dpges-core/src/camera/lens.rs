@@ -22,6 +22,8 @@ const WIDEST_PERSPECTIVE: f64 = FRAC_PI_2 - 0.01;
 /// Radii and azimuths at which a lens is tested for folds.
 const FOLD_RADII: usize = 256;
 const FOLD_AZIMUTHS: usize = 8;
+/// Farthest start of the way back from a position, of the limit: there the picture folds, and a step may lead anywhere.
+const START: f64 = 0.9;
 /// Below this ratio (ρ / z)² the angle is a series.
 const SERIES_BELOW: f64 = 0.05;
 const SERIES_TERMS: usize = 16;
@@ -292,7 +294,8 @@ impl Lens {
             let share = radius? / target;
             return Some([share * x, share * y]);
         }
-        let share = if target > 0.0 { radius.unwrap_or(self.limit) / target } else { 0.0 };
+        let start = radius.unwrap_or(self.limit).min(START * self.limit);
+        let share = if target > 0.0 { start / target } else { 0.0 };
         let (mut a, mut b) = (share * x, share * y);
         for _ in 0..32 {
             let found = self.distortion.apply(a, b);

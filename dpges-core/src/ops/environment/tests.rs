@@ -29,7 +29,7 @@ fn image(coefficients: &[f64], camera: &Camera) -> Vec<f64> {
 #[test]
 fn a_pixel_shows_what_the_colour_model_gives_a_primitive_on_its_ray() {
     let mut cameras = vec![camera()];
-    cameras.extend(every_model().map(|(_, lens)| behind(camera(), lens, 170.0)));
+    cameras.extend(every_model().map(|(_, lens)| behind(camera(), lens, 150.0)));
     for (camera, degree) in cameras.iter().flat_map(|camera| (0..=3).map(move |degree| (camera, degree))) {
         let count = (degree + 1) * (degree + 1);
         let coefficients = Random::new(1).numbers(3 * count, -1.0, 1.0);
