@@ -61,7 +61,7 @@ pub fn fitted_pose(
         }
         let rate = RATE * DECAY.powf(step as f64 / STEPS as f64);
         let adam = OptimizerConfig::default().adam(step);
-        let step = PoseStep { rotation: rate, translation: rate, extent, adam, doubt: 0.0, pull: 0.0 };
+        let step = PoseStep { rotation: rate, translation: rate, extent, adam };
         let [first, second] = &mut moments;
         step.take(&mut row, [first, second], gradient);
     }

@@ -372,14 +372,6 @@ configuration! {
         pose_translation: f64 = 1e-3, unit: "extents", range: 0.0..;
         /// Share of the run after which poses are learnt: before, the scene is too coarse to say where cameras are.
         pose_from: f64 = 0.2, range: 0.0..1.0;
-        /// Decay of the means of the gradients of a pose and of their squares, each time that its view is seen.
-        pose_beta: f64 = 0.95, range: 0.0..1.0;
-        /// How much stronger than noise the mean gradient of a pose has to be to count. With 0 every step is as long as
-        /// Adam's, however much gradients contradict each other.
-        pose_doubt: f64 = 1.5, range: 0.0..;
-        /// How strongly poses are drawn to where they were recorded: a correction of 1 / `optimizer.pose_pull` is held only by
-        /// gradients that all agree.
-        pose_pull: f64 = 30.0, unit: "per radian and extent", range: 0.0..;
         /// Factor on all learning rates but those of positions at the last step. Its logarithm is interpolated from 1 at
         /// the first.
         decay: f64 = 1.0, range: POSITIVE;

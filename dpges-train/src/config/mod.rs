@@ -53,6 +53,8 @@ const SURFEL_SHARE: f64 = 0.1;
 const EXPOSURE_DECAY: f64 = 0.1;
 /// Share of the run over which the learning rates of poses rise from 0.
 const POSE_RISE: f64 = 0.1;
+/// Decay of both of Adam's means for poses, each time that a view is seen, which is some dozens of times.
+const POSE_BETA: f64 = 0.9;
 /// Every how many-th training view is kept for validation by default.
 const DEFAULT_VALIDATION_EVERY: usize = 8;
 
@@ -166,9 +168,7 @@ impl OptimizerConfig {
             rotation: self.pose_rotation * factor,
             translation: self.pose_translation * factor,
             extent,
-            adam: AdamStep { beta_1: self.pose_beta, beta_2: self.pose_beta, ..self.adam(completed) },
-            doubt: self.pose_doubt,
-            pull: self.pose_pull,
+            adam: AdamStep { beta_1: POSE_BETA, beta_2: POSE_BETA, ..self.adam(completed) },
         }
     }
 
@@ -217,8 +217,7 @@ mod tests {
         assert!((factor(250) - 0.25 * (1.0 + (PI / 16.0).cos())).abs() < 1e-12);
         assert!((factor(600) - 0.5).abs() < 1e-12 && factor(1000).abs() < 1e-12);
         let step = rates.pose_step(600, 1000, 2.0);
-        let given = (step.extent, step.doubt, step.pull, step.adam.beta_1, step.adam.beta_2);
-        assert_eq!(given, (2.0, rates.pose_doubt, rates.pose_pull, rates.pose_beta, rates.pose_beta));
+        assert_eq!((step.extent, step.adam.beta_1, step.adam.beta_2), (2.0, POSE_BETA, POSE_BETA));
     }
 
     #[test]

@@ -291,9 +291,9 @@ mod tests {
             let (photographs, reads) = in_files(5, 15, stays);
             read_ahead(&photographs[1..4]);
             wait_for(&reads, 3);
-            for key in 1..4 {
+            for (key, photograph) in photographs.iter().enumerate().take(4).skip(1) {
                 // waits for the other thread where that has not finished
-                assert_eq!(photographs[key].picture().unwrap().bytes, [key as u8; 3]);
+                assert_eq!(photograph.picture().unwrap().bytes, [key as u8; 3]);
             }
             read_ahead(&photographs[..4]);
             wait_for(&reads, 4);

@@ -218,7 +218,7 @@ fn refined_poses_are_in_the_folder() {
     let at = tempfile::tempdir().unwrap();
     let folder = RunFolder::new(at.path().join("run"));
     assert_eq!(folder.read_poses().unwrap(), None);
-    let mut run = in_folder(&[&SHORT[..], &["train.poses=on", "optimizer.pose_doubt=0"]].concat(), folder.path());
+    let mut run = in_folder(&[&SHORT[..], &["train.poses=on"]].concat(), folder.path());
     run.train(&mut ()).unwrap();
     let found = folder.read_poses().unwrap().unwrap();
     assert_eq!(found.keys().collect::<Vec<_>>(), ["train_000", "train_001", "train_002"]);
@@ -273,7 +273,7 @@ fn validation_views_are_kept_and_end_a_run_with_the_best_scene() {
 }
 
 /// What is written of the training views beside the scene.
-const CORRECTED: [&str; 4] = ["train.poses=on", "optimizer.pose_from=0", "optimizer.pose_doubt=0", "train.exposure=on"];
+const CORRECTED: [&str; 3] = ["train.poses=on", "optimizer.pose_from=0", "train.exposure=on"];
 
 #[test]
 fn corrections_are_those_of_the_best_scene() {

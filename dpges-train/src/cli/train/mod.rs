@@ -29,7 +29,7 @@ use targets::Target;
 ///
 /// Without DATASET a small built-in scene is trained, in about two minutes on two cores; unless --preset or --config
 /// is given, its defaults are 2000 steps and an evaluation and a checkpoint every 500. Likewise, a dataset in the Blender
-/// layout is trained in stages by default.
+/// layout begins with a stage of Gaussians by default.
 ///
 /// Options win over --set, --set over --config, --config over --preset, --preset over the defaults.
 #[derive(Debug, Args)]

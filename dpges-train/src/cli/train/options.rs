@@ -20,8 +20,15 @@ const BUILTIN_DEFAULTS: [&str; 5] = [
     "refine.add_agreement=0",
 ];
 
-/// Defaults for datasets in the Blender layout: silhouettes bound an object, but only discs find its surface.
-const BLENDER_DEFAULTS: [&str; 3] = ["stages.surfels=0.2", "stages.gaussians=0.3", "refine.surfel_min_pixels=4"];
+/// Defaults for datasets in the Blender layout: silhouettes bound an object, but its surface is where trained Gaussians show
+/// it to several views.
+const BLENDER_DEFAULTS: [&str; 5] = [
+    "stages.gaussians=0.3",
+    "stages.gaussians_by=mcmc",
+    "stages.gaussian_budget=0.7",
+    "stages.depth_surfels=0.3",
+    "refine.surfel_min_pixels=4",
+];
 
 /// Options that select and change the configuration. Those that set a key take their help from its declaration.
 #[derive(Debug, Args)]
@@ -144,11 +151,11 @@ mod tests {
     }
 
     #[test]
-    fn short_presets_keep_the_stages_of_objects() {
+    fn short_presets_keep_the_stage_of_objects() {
         for preset in ["quick", "cpu"] {
             let config = Config::resolve_for(&BLENDER_DEFAULTS, Some(preset), None, &[]).unwrap();
             let own = Config::resolve(Some(preset), None, &[]).unwrap();
-            assert_eq!((config.stages.surfels, config.stages.gaussians, own.stages.surfels), (0.2, 0.3, 0.0));
+            assert_eq!((config.stages.gaussians, own.stages.gaussians), (0.3, 0.0));
             assert_eq!((config.train, config.data), (own.train, own.data));
         }
     }

@@ -464,7 +464,7 @@ fn exposures_are_found_and_compensated() {
 
 #[test]
 fn poses_are_learnt_in_every_stage_but_for_what_all_have_in_common() {
-    let poses = ["train.poses=on", "optimizer.pose_from=0", "optimizer.pose_doubt=0"];
+    let poses = ["train.poses=on", "optimizer.pose_from=0"];
     let mut trainer = trainer(&[&STAGES[..], &poses].concat());
     let recorded = dataset();
     let cameras: Vec<CameraFromWorld> = recorded.train.iter().map(|view| view.camera.camera_from_world).collect();
@@ -514,7 +514,7 @@ fn cameras_that_do_not_move_change_no_bit() {
     assert!(scene(&still) == without, "the probe of a pose changes nothing");
     assert!(scene(&["train.poses=off"]) == without);
     assert!(scene(&["train.poses=on", "optimizer.pose_from=0.99"]) == without, "poses have not begun");
-    assert!(scene(&["train.poses=on", "optimizer.pose_doubt=0"]) != without);
+    assert!(scene(&["train.poses=on"]) != without);
 }
 
 /// Mean distance in the pictures, px, between where cameras of `found` and the training cameras of `truth` see the
@@ -635,7 +635,6 @@ fn a_run_that_corrects_everything_at_once_goes_on_to_the_same_end() {
     let set = [
         "train.steps=80",
         "train.poses=on",
-        "optimizer.pose_doubt=0",
         "train.exposure=on",
         "stages.gaussians=0.3",
         "refine.budget=auto",
