@@ -129,7 +129,7 @@ fn random_gaussians(dataset: &Dataset, config: &Config, room: Room, rng: &mut Ch
     let region = if half_side > 0.0 { Region::cube(-dataset.offset, half_side) } else { in_sight(dataset) };
     let points = random::points(region, count, rng);
     let gaussians = placement::gaussians(&points, &Placement::new(config, dataset.extent), rng);
-    InitialScene { surfels: SurfelData::default(), gaussians }
+    InitialScene { surfels: SurfelData::neutral(gaussians.colour.model, 0), gaussians }
 }
 
 /// A surfel at every point. Margins are zero.
@@ -230,6 +230,7 @@ mod tests {
         let room = Room::new(1e6, 5000.0);
         let scene = initialise(&moved, &config, room, &mut ChaCha8Rng::seed_from_u64(4)).unwrap();
         assert_eq!((scene.surfels.len(), scene.gaussians.len()), (0, 5000));
+        assert_eq!(scene.surfels.colour.model, scene.gaussians.colour.model);
         for (axis, offset) in moved.offset.to_array().into_iter().enumerate() {
             let along = scene.gaussians.positions.iter().skip(axis).step_by(3);
             let (low, high) = along.fold((f64::MAX, f64::MIN), |(low, high), &x| {
