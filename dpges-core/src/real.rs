@@ -13,6 +13,9 @@ pub trait Real: num_traits::Float + Element + bytemuck::Pod + Send + Sync + std:
 
     /// e^self for self ≤ 0, within 2 units in the last place; 0 far below the cutoff. Loops over it vectorise.
     fn exp_nonpositive(self) -> Self;
+
+    /// ln(1 + self) for self from 0 to 1, within 3 units in the last place. Loops over it vectorise.
+    fn ln_1p_share(self) -> Self;
 }
 
 impl Real for f64 {
@@ -32,6 +35,11 @@ impl Real for f64 {
     #[inline(always)]
     fn exp_nonpositive(self) -> Self {
         self.exp()
+    }
+
+    #[inline(always)]
+    fn ln_1p_share(self) -> Self {
+        self.ln_1p()
     }
 }
 
@@ -70,6 +78,18 @@ impl Real for f32 {
         let exponent = shifted.to_bits().wrapping_sub(ROUND.to_bits()).wrapping_add(127) << 23;
         p * f32::from_bits(exponent)
     }
+
+    #[inline(always)]
+    fn ln_1p_share(self) -> Self {
+        // ln(1 + x) = 2 artanh(x / (2 + x)), whose argument is at most 1/3
+        let z = self / (2.0 + self);
+        let squared = z * z;
+        let mut p = 2.0 / 13.0 + squared * (2.0 / 15.0);
+        for coefficient in [2.0 / 11.0, 2.0 / 9.0, 2.0 / 7.0, 2.0 / 5.0, 2.0 / 3.0, 2.0] {
+            p = p * squared + coefficient;
+        }
+        p * z
+    }
 }
 
 #[cfg(test)]
@@ -87,5 +107,18 @@ mod tests {
         assert!(f32::NEG_INFINITY.exp_nonpositive() < 1e-37);
         assert!((-1e30f32).exp_nonpositive() < 1e-37);
         assert_eq!(0f32.exp_nonpositive(), 1.0);
+    }
+
+    #[test]
+    fn f32_logarithm_is_accurate_from_one_to_two() {
+        for step in 1..=200_000 {
+            let x = step as f32 / 200_000.0;
+            for x in [x, x * 1e-6] {
+                let exact = f64::from(x).ln_1p();
+                let relative = (f64::from(x.ln_1p_share()) - exact).abs() / exact;
+                assert!(relative < 3.6e-7, "ln(1 + {x}) off by {relative:e}");
+            }
+        }
+        assert_eq!(0f32.ln_1p_share(), 0.0);
     }
 }

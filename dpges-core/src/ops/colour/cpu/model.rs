@@ -21,16 +21,16 @@ pub fn base<T: Real>(coefficients: V3<T>) -> V3<T> {
 #[inline(always)]
 fn softplus<T: Real>(raw: T) -> (T, T) {
     let x = T::of(SHARPNESS) * raw;
-    let decay = (-x.abs()).exp();
-    let value = (x.max(T::zero()) + decay.ln_1p()) / T::of(SHARPNESS);
+    let decay = (-x.abs()).exp_nonpositive();
+    let value = (x.max(T::zero()) + decay.ln_1p_share()) / T::of(SHARPNESS);
     let sigmoid = if x >= T::zero() { T::one() / (T::one() + decay) } else { decay / (T::one() + decay) };
     (value, sigmoid)
 }
 
-/// One lobe evaluated in one direction.
+/// One lobe evaluated in a direction on its lit side.
 struct Lobe<T> {
     rgb: [(T, T); 3],
-    /// max(0, d·μ)^exponent; exactly 0 on the unlit side.
+    /// (d·μ)^exponent, above 0.
     lit: T,
     exponent: T,
     saturated: bool,
@@ -41,44 +41,50 @@ struct Lobe<T> {
 }
 
 impl<T: Real> Lobe<T> {
+    /// `None` on the unlit side and where the power underflows: nothing of the lobe is seen there.
     #[inline(always)]
-    fn new(raw: &[T], d: V3<T>) -> Self {
+    fn new(raw: &[T], d: V3<T>) -> Option<Self> {
         let (sin_theta, cos_theta) = raw[3].sin_cos();
         let (sin_phi, cos_phi) = raw[4].sin_cos();
         let across = d[0] * cos_phi + d[1] * sin_phi;
         let cosine = sin_theta * across + cos_theta * d[2];
-        let exponent = T::of(4.0) * raw[5].min(T::of(LARGEST_BETA)).exp();
-        Self {
+        let (exponent, lit) = if cosine > T::zero() {
+            let exponent = T::of(4.0) * raw[5].min(T::of(LARGEST_BETA)).exp();
+            (exponent, cosine.powf(exponent))
+        } else {
+            (T::zero(), T::zero())
+        };
+        if lit <= T::zero() {
+            return None;
+        }
+        Some(Self {
             rgb: [softplus(raw[0]), softplus(raw[1]), softplus(raw[2])],
-            lit: if cosine > T::zero() { cosine.powf(exponent) } else { T::zero() },
+            lit,
             exponent,
             saturated: raw[5] > T::of(LARGEST_BETA),
             cosine,
             cosine_theta: cos_theta * across - sin_theta * d[2],
             cosine_phi: sin_theta * (d[1] * cos_phi - d[0] * sin_phi),
-        }
+        })
     }
 }
 
 /// Σ over the lobes in `raw` (6 numbers each) seen in direction `d`.
 #[inline(always)]
 pub fn lobes<T: Real>(raw: &[T], d: V3<T>) -> V3<T> {
-    raw.chunks_exact(6).fold([T::zero(); 3], |sum, raw| {
-        let lobe = Lobe::new(raw, d);
-        std::array::from_fn(|c| sum[c] + lobe.rgb[c].0 * lobe.lit)
-    })
+    raw.chunks_exact(6)
+        .filter_map(|raw| Lobe::new(raw, d))
+        .fold([T::zero(); 3], |sum, lobe| std::array::from_fn(|c| sum[c] + lobe.rgb[c].0 * lobe.lit))
 }
 
 /// Gradient of [`lobes`] with respect to `raw`, written to `out`.
 #[inline(always)]
 pub fn lobes_backward<T: Real>(raw: &[T], d: V3<T>, grad: V3<T>, out: &mut [T]) {
     for (raw, out) in raw.chunks_exact(6).zip(out.chunks_exact_mut(6)) {
-        let lobe = Lobe::new(raw, d);
-        // lit is 0 on the unlit side and where the power underflows: nothing reaches the lobe
-        if lobe.lit <= T::zero() {
+        let Some(lobe) = Lobe::new(raw, d) else {
             out.fill(T::zero());
             continue;
-        }
+        };
         let brightness = (0..3).map(|c| grad[c] * lobe.rgb[c].0).sum::<T>();
         let grad_cosine = brightness * lobe.exponent * lobe.lit / lobe.cosine;
         for c in 0..3 {
