@@ -145,7 +145,7 @@ configuration! {
         layers: usize = 3, range: 1..=MAX_LAYERS,
             ablation: "layers-2" = "2" ("Peel two layers"), ablation: "layers-4" = "4" ("Peel four layers");
         /// w: steepness of a surfel's rim. Its opacity is min(1, w G), where G is its Gaussian kernel (DP-GES: 30,
-        /// GES: 255).
+        /// GES: 255). A single layer needs hard rims: nothing shows behind soft ones, so surfels grow over the picture.
         modulation: f64 = 30.0, range: POSITIVE, ablation: "modulation-60" = "60" ("Make rims of surfels twice as steep");
         /// How the opacity of a Gaussian in the joint stage follows from the trained number.
         opacity: OpacityActivation = OpacityActivation::Linear,
@@ -438,7 +438,8 @@ configuration! {
         /// Largest number of surfels and Gaussians together, or largest size of the scene file.
         budget: Budget = Budget::Pixels;
         /// Gain of PSNR by twice the primitives below which an automatic budget adds none: by how much more validation views
-        /// improve in the interval after a batch than in intervals without one. Part of what a batch gains shows later.
+        /// improve in the interval after a batch, or the two after it, than in intervals without one. Part of what a batch
+        /// gains shows later.
         least_gain: f64 = 0.05, unit: "dB", range: 0.0..;
         /// Steps at which an automatic budget drops lobes that change no colour visibly.
         drop_lobes_at: Vec<usize> = vec![16_000, 22_000], unit: "steps";

@@ -45,6 +45,8 @@ pub use schedule::{Due, Schedule};
 pub use sources::ConfigError;
 pub use stages::{Blended, Density, Relocation, StageKind, StagePlan};
 
+/// Modulation at which rims of surfels are as hard as those of GES.
+pub const HARD_RIM: f64 = 255.0;
 /// Smallest budget by the size of the views, in primitives: even a small picture shows a whole scene.
 pub const SMALLEST_BUDGET_BY_PIXELS: usize = 16_384;
 /// Share of surfels for which a budget in megabytes is converted into primitives. Surfels and Gaussians differ by 4 %.

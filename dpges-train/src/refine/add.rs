@@ -23,14 +23,14 @@ pub fn batch_size(budget: usize, primitives: usize, batches_left: usize) -> usiz
     budget.saturating_sub(primitives).checked_div(batches_left).unwrap_or(0)
 }
 
-/// The size of a batch by which the number of primitives grows by the same factor as by the others, if every other one of
-/// `batches_left` batches, this one included, takes place and they fill the budget. 0 if it is full.
+/// The size of a batch by which the number of primitives grows by the same factor as by the others, if `batches_left`, this
+/// one included, fill the budget. 0 if it is full.
 pub fn geometric_batch_size(budget: usize, primitives: usize, batches_left: usize) -> usize {
     if primitives >= budget || batches_left == 0 {
         return 0;
     }
     let from = primitives.max(1) as f64;
-    let factor = (budget as f64 / from).powf(1.0 / batches_left.div_ceil(2) as f64);
+    let factor = (budget as f64 / from).powf(1.0 / batches_left as f64);
     ((from * (factor - 1.0)).round() as usize).clamp(1, budget - primitives)
 }
 
@@ -140,12 +140,12 @@ mod tests {
     #[test]
     fn geometric_batches_grow_with_the_scene_and_fill_the_budget() {
         let mut sizes = vec![100];
-        for batches_left in [10, 8, 6, 4, 2] {
+        for batches_left in [5, 4, 3, 2, 1] {
             let primitives = *sizes.last().unwrap();
             sizes.push(primitives + geometric_batch_size(3200, primitives, batches_left));
         }
         assert_eq!(sizes, [100, 200, 400, 800, 1600, 3200]);
-        assert_eq!(geometric_batch_size(3200, 100, 9), 100);
+        assert_eq!(geometric_batch_size(3200, 100, 5), 100);
         assert_eq!(geometric_batch_size(3200, 100, 1), 3100);
         assert_eq!([(10, 10, 3), (10, 11, 3), (10, 1, 0)].map(|(b, p, left)| geometric_batch_size(b, p, left)), [0; 3]);
         assert_eq!((geometric_batch_size(1001, 1000, 10), geometric_batch_size(64, 0, 10)), (1, 1));

@@ -24,13 +24,13 @@ pub fn open_share(transmittance: &[f32], pixels: usize) -> Vec<f64> {
     planes.map(open).collect()
 }
 
-/// The fewest layers K ≥ 1 after which at most the share `most` of the pixels is open that all layers together close:
+/// The fewest layers K ≥ `fewest` after which at most the share `most` of the pixels is open that all layers together close:
 /// `open_share[K − 1]`, from [`open_share`] or its mean over views. No layer closes a pixel where rims meet the sky;
 /// more layers would only cost time.
-pub fn choose(open_share: &[f64], most: f64) -> usize {
+pub fn choose(open_share: &[f64], most: f64, fewest: usize) -> usize {
     let never = open_share.last().copied().unwrap_or(0.0);
     let enough = open_share.iter().position(|&share| share - never <= most);
-    enough.map_or(open_share.len(), |index| index + 1).max(1)
+    enough.map_or(open_share.len(), |index| index + 1).max(fewest)
 }
 
 #[cfg(test)]
@@ -60,13 +60,15 @@ mod tests {
     fn the_fewest_layers_that_are_enough() {
         let share = [0.6, 0.1, 0.02, 0.001];
         for (most, layers) in [(1.0, 1), (0.6, 1), (0.5, 2), (MOST_OPEN, 3), (0.0189, 4), (0.0, 4)] {
-            assert_eq!(choose(&share, most), layers, "{most}");
+            assert_eq!(choose(&share, most, 1), layers, "{most}");
         }
         // seen of a ray-traced room, where 3 % of the pixels never close
         let room = [0.433, 0.181, 0.083, 0.048, 0.038, 0.033, 0.032, 0.031];
-        assert_eq!(choose(&room, MOST_OPEN), 4);
-        assert_eq!(choose(&[0.5; 8], MOST_OPEN), 1);
-        assert_eq!(choose(&[], MOST_OPEN), 1);
-        assert_eq!(choose(&[f64::NAN, 0.0], MOST_OPEN), 2);
+        assert_eq!(choose(&room, MOST_OPEN, 1), 4);
+        for fewest in [1, 2] {
+            assert_eq!(choose(&[0.5; 8], MOST_OPEN, fewest), fewest);
+        }
+        assert_eq!(choose(&[], MOST_OPEN, 1), 1);
+        assert_eq!(choose(&[f64::NAN, 0.0], MOST_OPEN, 1), 2);
     }
 }

@@ -6,7 +6,7 @@ use std::sync::atomic::AtomicBool;
 
 use burn::tensor::Device;
 use dpges_core::scene::ColourModel;
-use dpges_train::config::{Config, Method};
+use dpges_train::config::{Config, HARD_RIM, Method};
 use dpges_train::dataset::Dataset;
 use dpges_train::device::DeviceName;
 use dpges_train::memory::{peak_memory_bytes, reset_peak_memory};
@@ -122,12 +122,13 @@ impl Observer for Until<'_> {
 /// The configuration itself, then every value of every knob that changes it.
 fn variations(config: &Config, dataset: &Dataset) -> Vec<Variation> {
     let mut all = vec![Variation { label: "trained-again", knob: None, settings: Vec::new() }];
-    let mut add = |label, knob, key: &str, value: String| {
-        all.push(Variation { label, knob: Some(knob), settings: vec![format!("{key}={value}")] });
+    let mut add = |label, knob, settings: &[(&str, String)]| {
+        let settings = settings.iter().map(|(key, value)| format!("{key}={value}")).collect();
+        all.push(Variation { label, knob: Some(knob), settings });
     };
     let primitives = budget(config, dataset);
     for (label, parts) in [("budget-half", 2), ("budget-quarter", 4)] {
-        add(label, "budget", "refine.budget", (primitives / parts).max(1).to_string());
+        add(label, "budget", &[("refine.budget", (primitives / parts).max(1).to_string())]);
     }
     let model = config.model.colour;
     for (label, detail) in [("detail-1", 1), ("detail-0", 0)] {
@@ -136,30 +137,33 @@ fn variations(config: &Config, dataset: &Dataset) -> Vec<Variation> {
             ColourModel::SphericalHarmonics { .. } => ColourModel::SphericalHarmonics { degree: detail },
         };
         if detail < detail_of(model) {
-            add(label, "detail", "model.colour", less.to_string());
+            add(label, "detail", &[("model.colour", less.to_string())]);
         }
     }
     let other = match model {
         ColourModel::SphericalBeta { .. } => ("colour-sh3", "sh3"),
         ColourModel::SphericalHarmonics { .. } => ("colour-sb2", "sb2"),
     };
-    add(other.0, "colour", "model.colour", other.1.to_owned());
+    add(other.0, "colour", &[("model.colour", other.1.to_owned())]);
     if config.train.method == Method::Dpges {
         for (label, layers) in [("layers-1", 1), ("layers-2", 2), ("layers-4", 4)] {
+            // rims fade into what a second layer shows: without one they have to be hard
+            let modulation = config.model.modulation.max(if layers == 1 { HARD_RIM } else { 0.0 });
             if layers != config.model.layers {
-                add(label, "layers", "model.layers", layers.to_string());
+                let settings = [("model.layers", layers.to_string()), ("model.modulation", modulation.to_string())];
+                add(label, "layers", &settings);
             }
         }
-        add("method-mcmc", "method", "train.method", "mcmc".to_owned());
+        add("method-mcmc", "method", &[("train.method", "mcmc".to_owned())]);
     }
     let longest = dataset.train.iter().map(|view| view.camera.width.max(view.camera.height)).max().unwrap_or(0);
     if longest > 1 {
-        add("resolution-half", "resolution", "data.max_resolution", (longest / 2).to_string());
+        add("resolution-half", "resolution", &[("data.max_resolution", (longest / 2).to_string())]);
     }
     for (label, parts) in [("steps-half", 2), ("steps-quarter", 4)] {
-        add(label, "steps", "train.steps", (config.train.steps / parts).max(1).to_string());
+        add(label, "steps", &[("train.steps", (config.train.steps / parts).max(1).to_string())]);
     }
-    add("steps-double", "steps", "train.steps", (2 * config.train.steps).to_string());
+    add("steps-double", "steps", &[("train.steps", (2 * config.train.steps).to_string())]);
     all
 }
 
@@ -226,5 +230,7 @@ mod tests {
             assert_eq!(settings(label), Some(expected));
         }
         assert_eq!(settings("layers-2"), None);
+        let hard = all.iter().find(|v| v.label == "layers-1").map(|v| v.settings[1].as_str());
+        assert_eq!(hard, Some("model.modulation=255"));
     }
 }

@@ -14,9 +14,19 @@ use serde::{Deserialize, Serialize};
 use worth::{Batch, Excess, Interval, percent_of_error};
 pub use worth::{Mean, Verdict, Worth};
 
-/// Batches whose worth is within its error of what is wanted are judged together; as many as these are judged by the
-/// value alone.
-const UNDECIDED: usize = 2;
+/// Most batches that are judged together while their worth is within its error of what is wanted: earlier ones say little
+/// of a scene that has grown since.
+const POOLED: usize = 4;
+/// As many batches are judged by the value alone where one view leaves no error.
+const WITHOUT_ERROR: usize = 2;
+
+/// Intervals of a batch that is not clear: two until it has settled, and the control after it.
+const OF_A_BATCH: usize = 3;
+
+/// Batches that fit into `intervals` if none of them is clear. The budget is to be reached then, too.
+pub fn batches_within(intervals: usize) -> usize {
+    intervals.div_ceil(OF_A_BATCH)
+}
 
 /// What the next interval of growth begins with.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -55,6 +65,9 @@ struct Running {
     /// Before the new ones.
     primitives: usize,
     added: usize,
+    /// Whether a batch has been seen after one interval already, and settles for another.
+    #[serde(default)]
+    settles: bool,
 }
 
 /// What an interval has shown.
@@ -74,9 +87,11 @@ impl Growth {
 
     /// Begins an interval after `completed` steps of the stage: `psnr` is that of each view, dB, just before `added` new
     /// primitives join `primitives` others. Without new ones it is a control, whatever was wanted. Does nothing once growth
-    /// has ended.
+    /// has ended, nor while a batch settles.
     pub fn begin(&mut self, completed: usize, psnr: Vec<f64>, primitives: usize, added: usize) {
-        self.running = (self.next != Next::Nothing).then_some(Running { begin: completed, psnr, primitives, added });
+        if self.next != Next::Nothing && self.running.is_none() {
+            self.running = Some(Running { begin: completed, psnr, primitives, added, settles: false });
+        }
     }
 
     /// Whether an interval has begun and not ended.
@@ -93,8 +108,11 @@ impl Growth {
     /// batch is worth it from `least_gain` dB per doubling of the primitives on.
     ///
     /// Right after a batch only the control before it is known. As improvement slows down, that one rather promises too
-    /// much; a batch that exceeds it clearly is followed by the next. Otherwise a control follows, and the two on both sides
-    /// of the batch decide, by the rate between them that the trend has in the middle of the batch.
+    /// much; a batch that exceeds it clearly is followed by the next. Otherwise it settles: new primitives disturb a scene
+    /// before they improve it, so the interval of the batch goes on for a second one. If the two do not exceed the control
+    /// clearly either, another control follows, and those on both sides of the batch decide, by the rate between them that
+    /// the trend has in the middle of the batch. While the worth of the last batches together is within its error of what is
+    /// wanted, the scene goes on growing: a primitive too many costs less than detail that is missing.
     ///
     /// `None` if no interval was running, or if it showed nothing because a PSNR is not finite.
     pub fn end(&mut self, completed: usize, psnr: &[f64], least_gain: f64) -> Option<Finding> {
@@ -104,8 +122,7 @@ impl Growth {
             return None;
         };
         if running.added > 0 {
-            let doublings = (running.added as f64 / running.primitives.max(1) as f64).ln_1p() / 2f64.ln();
-            return self.end_batch(Batch { interval, added: running.added, doublings }, least_gain);
+            return self.end_batch(running, interval, least_gain);
         }
         let before = self.control.replace(interval.clone());
         let Some((before, batch)) = before.zip(self.batch.take()) else {
@@ -113,20 +130,19 @@ impl Growth {
             return Some(Finding::Control { rise: interval.rise(), steps: interval.steps() });
         };
         let rises_without = batch.interval.rises_without(&before, Some(&interval));
+        if self.undecided.len() == POOLED {
+            self.undecided.remove(0);
+        }
         self.undecided.push(Excess::new(&batch, &rises_without));
         let (gain, batches) = (Excess::gain(&self.undecided), self.undecided.len());
-        let verdict = if gain.is_clearly_above(least_gain) {
+        let by_value = gain.error.is_none() && batches >= WITHOUT_ERROR;
+        let verdict = if gain.is_clearly_above(least_gain) || (by_value && gain.value >= least_gain) {
             self.undecided.clear();
             Verdict::GoesOn
-        } else if gain.is_clearly_below(least_gain) {
+        } else if gain.is_clearly_below(least_gain) || by_value {
             Verdict::Stops
-        } else if batches < UNDECIDED {
-            Verdict::Undecided
-        } else if gain.value >= least_gain {
-            self.undecided.remove(0);
-            Verdict::GoesOn
         } else {
-            Verdict::Stops
+            Verdict::Undecided
         };
         self.next = Next::Batch;
         if verdict == Verdict::Stops {
@@ -135,7 +151,9 @@ impl Growth {
         Some(Finding::Batch(worth(&batch, &rises_without, gain, batches, least_gain, verdict)))
     }
 
-    fn end_batch(&mut self, batch: Batch, least_gain: f64) -> Option<Finding> {
+    fn end_batch(&mut self, running: Running, interval: Interval, least_gain: f64) -> Option<Finding> {
+        let doublings = (running.added as f64 / running.primitives.max(1) as f64).ln_1p() / 2f64.ln();
+        let batch = Batch { interval, added: running.added, doublings };
         let rises_without = batch.interval.rises_without(self.control.as_ref()?, None);
         let gain = Excess::gain(&[Excess::new(&batch, &rises_without)]);
         let verdict = if gain.is_clearly_above(least_gain) {
@@ -144,10 +162,14 @@ impl Growth {
             Verdict::GoesOn
         } else {
             self.next = Next::Control;
-            Verdict::AwaitsControl
+            if running.settles { Verdict::AwaitsControl } else { Verdict::Settles }
         };
         let found = worth(&batch, &rises_without, gain, 1, least_gain, verdict);
-        self.batch = Some(batch);
+        if verdict == Verdict::Settles {
+            self.running = Some(Running { settles: true, ..running });
+        } else {
+            self.batch = Some(batch);
+        }
         Some(Finding::Batch(found))
     }
 }

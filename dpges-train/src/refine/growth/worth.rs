@@ -71,6 +71,8 @@ pub struct Worth {
 pub enum Verdict {
     /// It was worth it: the next one follows.
     GoesOn,
+    /// It cannot be seen yet, and new primitives disturb at first: the interval goes on.
+    Settles,
     /// It cannot be seen yet: an interval without a batch follows.
     AwaitsControl,
     /// The difference is within its error: another batch follows.
@@ -185,6 +187,7 @@ impl fmt::Display for Worth {
         write!(f, ", at least {least_gain} wanted: ")?;
         f.write_str(match verdict {
             Verdict::GoesOn => "the scene goes on growing",
+            Verdict::Settles => "not clear yet, so the batch is given time to settle",
             Verdict::AwaitsControl => "not clear yet, so an interval without a batch follows",
             Verdict::Undecided => "undecided, so another batch follows",
             Verdict::Stops => "growth stops",

@@ -13,10 +13,11 @@ use dpges_core::scene::{ColourData, ColourModel};
 use super::super::{Context, TrainError};
 use super::JointStage;
 use super::evidence::{judging_target, judging_views};
+use crate::config::HARD_RIM;
 use crate::dataset::{Picture, View, pictures};
 use crate::eval::LARGEST_PSNR;
 use crate::refine::add::geometric_batch_size;
-use crate::refine::growth::{Growth, Mean, Next};
+use crate::refine::growth::{Growth, Mean, Next, batches_within};
 use crate::refine::layer_count::{MOST_OPEN, choose, open_share};
 use crate::refine::lobes::{drop_lobes, spare_lobes};
 
@@ -57,16 +58,16 @@ impl JointStage {
         Ok(())
     }
 
-    /// Begins the next interval of growth after Gaussians were `removed`: with one of the `batches_left` or, as a control,
-    /// without one. Once growth has ended, and if `batches_left` is `None`, it adds as many as were removed. `measured` is the
-    /// PSNR of the judging views, dB, if it is known. Returns a sentence for each thing it did.
+    /// Begins the next interval of growth, the first of `intervals_left`, after Gaussians were `removed`: with a batch or, as
+    /// a control, without one. Once growth has ended, and if none is left, it adds as many as were removed. `measured` is
+    /// the PSNR of the judging views, dB, if it is known. Returns a sentence for each thing it did.
     ///
     /// # Errors
     /// [`TrainError::Core`] if a view cannot be rendered.
     pub fn grow(
         &mut self,
         context: &mut Context,
-        batches_left: Option<usize>,
+        intervals_left: Option<usize>,
         removed: usize,
         measured: Option<Vec<f64>>,
     ) -> Result<Vec<String>, TrainError> {
@@ -75,9 +76,9 @@ impl JointStage {
         let growth = self.growth.get_or_insert_default();
         let next = growth.next();
         let is_full = next == Next::Batch && primitives >= budget;
-        let count = match batches_left {
-            Some(batches_left) if next == Next::Batch && !is_full => {
-                geometric_batch_size(budget, primitives, batches_left)
+        let count = match intervals_left {
+            Some(intervals_left) if next == Next::Batch && !is_full => {
+                geometric_batch_size(budget, primitives, batches_within(intervals_left))
             }
             Some(_) if next == Next::Control => 0,
             _ => {
@@ -114,7 +115,7 @@ impl JointStage {
         pictures(judging_views(context)).map(of_view).collect()
     }
 
-    /// Chooses the smallest number of layers that leaves hardly any pixel of the validation views open.
+    /// Chooses the smallest number of layers that leaves hardly any pixel of the validation views open; soft rims need two.
     pub fn choose_layer_count(&mut self, context: &Context) -> Result<String, TrainError> {
         let psnr_before = self.psnr_of_views(context)?;
         let mut options = self.render_options(&context.config);
@@ -128,7 +129,8 @@ impl JointStage {
             let open = open_share(&tensor_to_rows(&rendered.composite.transmittance), pixels);
             shares.iter_mut().zip(open).for_each(|(sum, share)| *sum += share / views.len() as f64);
         }
-        let (before, after) = (self.info.layer_count, choose(&shares, MOST_OPEN));
+        let fewest = if self.info.modulation < HARD_RIM { 2 } else { 1 };
+        let (before, after) = (self.info.layer_count, choose(&shares, MOST_OPEN, fewest));
         self.info.layer_count = after;
         let change = Mean::of_changes(&psnr_before, &self.psnr_of_views(context)?);
         let percents: Vec<String> = shares.iter().map(|share| format!("{:.2}", 100.0 * share)).collect();

@@ -5,7 +5,7 @@ use dpges_core::scene::{GaussianData, Rendering, SceneData, ScreenFilter};
 use super::super::given::{GAUSSIANS_FROM, SURFELS_FROM};
 use super::super::{Context, EnvironmentState, TrainError, Trained};
 use super::{JointStage, Supervisions};
-use crate::config::{GaussianStage, JointOpacity, OpacityActivation, StagePlan, SurfelStart};
+use crate::config::{GaussianStage, HARD_RIM, JointOpacity, OpacityActivation, StagePlan, SurfelStart};
 use crate::init::promote::promote;
 use crate::init::{InitialScene, Room, initialise};
 use crate::refine::margins::margins;
@@ -27,6 +27,13 @@ impl JointStage {
             Some(discs) if context.config.train.has_geometry_losses() => Some(Supervisions::new(discs, context)?),
             _ => None,
         };
+        let model = &context.config.model;
+        if model.layers == 1 && model.modulation < HARD_RIM {
+            tracing::warn!(
+                "with model.layers=1 the rims of surfels fade into nothing, so that surfels may grow over the picture and \
+                 spoil it: set model.modulation={HARD_RIM}, whose rims are hard, or model.layers=2"
+            );
+        }
         let start = context.start_of_joint(given.as_ref(), discs, trained.gaussians)?;
         let environment = EnvironmentState::new(trained.environment.as_ref(), &context.device);
         Ok(Self::new(plan, &start, environment, supervisions, context))
