@@ -57,6 +57,8 @@ pub mod metrics;
 #[cfg(feature = "burn")]
 pub mod ops;
 #[cfg(feature = "burn")]
+pub mod reading;
+#[cfg(feature = "burn")]
 mod real;
 #[cfg(feature = "burn")]
 pub mod render;
