@@ -49,6 +49,8 @@ mod gpu;
 #[cfg(feature = "burn")]
 mod host;
 #[cfg(feature = "burn")]
+pub mod lists;
+#[cfg(feature = "burn")]
 pub mod losses;
 #[cfg(feature = "burn")]
 mod math;
