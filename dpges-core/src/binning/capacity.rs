@@ -38,7 +38,7 @@ const PER_PRIMITIVE: usize = 4;
 const PER_TILE: usize = 64;
 /// Entries beside a quarter of those to expect that there is more room for: a quarter of a short list is little.
 const SPARE: usize = 1024;
-/// The share of entries by which those to expect become fewer with every shorter list: half after about 350. Views of a
+/// With every shorter list, entries to expect become fewer by one in so many: half are left after about 350 lists. Views of a
 /// scene take turns, and a list without room costs more than the sort of a longer one.
 const SHRINK: usize = 512;
 /// Most entries on any device: kernels count them, and the units that write them, in 32 bits.
