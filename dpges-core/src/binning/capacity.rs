@@ -135,7 +135,11 @@ pub(crate) fn with_room<T>(
     let room = room(expected(&lists), primitives, tiles, late).min(ceiling()).min(most).max(1);
     let written = write(room);
     if late {
-        postpone(move || observe(lists, downloaded(length), room));
+        postpone(move || {
+            let entries = downloaded(length);
+            // what no buffer holds is refused when it is tried again
+            entries <= most && observe(lists, entries, room)
+        });
         return (written, room);
     }
     starts.client.flush().expect("the device accepts work");
