@@ -49,6 +49,8 @@ mod gpu;
 #[cfg(feature = "burn")]
 mod host;
 #[cfg(feature = "burn")]
+pub mod lists;
+#[cfg(feature = "burn")]
 pub mod losses;
 #[cfg(feature = "burn")]
 mod math;
@@ -56,6 +58,8 @@ mod math;
 pub mod metrics;
 #[cfg(feature = "burn")]
 pub mod ops;
+#[cfg(feature = "burn")]
+pub mod reading;
 #[cfg(feature = "burn")]
 mod real;
 #[cfg(feature = "burn")]

@@ -17,9 +17,12 @@ fn expected_sums(values: &[u32]) -> Vec<u32> {
     std::iter::once(0).chain(sums).collect()
 }
 
-/// Around the 8 numbers of a unit, the 2048 of a cube, and where the sums of cubes need cubes of their own, twice.
+/// Around the 8 numbers of a unit, the 2048 of a block, and the 257 blocks where some unit adds up two of those before its
+/// own; then as many as cubes add up by themselves, and one more.
 pub fn prefix_sums_of_any_length(device: Device) {
-    for count in [0, 1, 7, 8, 9, 2_047, 2_048, 2_049, 70_001, (1 << 22) + 3] {
+    let blocks = [1, 2, 256, 257, 258].map(|blocks| 2048 * blocks);
+    let around = blocks.into_iter().flat_map(|count| [count - 1, count, count + 1]);
+    for count in [0, 1, 7, 8, 9, 70_001].into_iter().chain(around).chain([1 << 24, (1 << 24) + 1]) {
         let values = numbers(count, 1000.0, 1);
         assert!(prefix_sums(&values, &device) == expected_sums(&values), "{count} numbers");
     }
@@ -28,8 +31,10 @@ pub fn prefix_sums_of_any_length(device: Device) {
 pub fn prefix_sums_stay_at_the_largest_number(device: Device) {
     let within_a_cube = vec![u32::MAX - 2, 1, 1, 1, 7, 0];
     assert_eq!(prefix_sums(&within_a_cube, &device), expected_sums(&within_a_cube));
-    let across_cubes = vec![1 << 20; 10_000];
-    assert!(prefix_sums(&across_cubes, &device) == expected_sums(&across_cubes));
+    for count in [10_000, 2048 * 300] {
+        let across_cubes = vec![1 << 20; count];
+        assert!(prefix_sums(&across_cubes, &device) == expected_sums(&across_cubes), "{count} numbers");
+    }
 }
 
 /// Around the 1024 pairs of a cube, with digits of four and of eight bits, many pairs of one key and few.

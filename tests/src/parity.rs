@@ -3,6 +3,7 @@
 use burn::tensor::{DType, Device, Tensor};
 use dpges_core::binning::cap_lists;
 use dpges_core::camera::{Camera, CameraFromWorld, Lens};
+use dpges_core::lists::late;
 use dpges_core::ops::blend::{BlendOptions, Form};
 use dpges_core::ops::peel::PeelOptions;
 use dpges_core::ops::unpack::{pack, unpack};
@@ -177,6 +178,36 @@ pub fn lists_that_overflow_change_nothing(device: Device) {
     check("lists of 100 entries", &scene, PeelOptions::default(), &device);
     check_blending("lists of 100 entries", &scene, &FORMS, &device);
     cap_lists(usize::MAX);
+}
+
+/// Every operation on a scene, forward and backward.
+fn everything(scene: &TestScene, device: &Device) -> Vec<Named> {
+    let options = PeelOptions::default();
+    let reference = on(scene, options, device).reference();
+    let mut found = on(scene, options, device).against(&reference);
+    for (form, filter) in FORMS {
+        let options = BlendOptions { form, filter, maps: true, ..BlendOptions::default() };
+        found.extend(on(scene, PeelOptions::default(), device).blended(options));
+    }
+    found
+}
+
+pub fn lists_whose_lengths_nothing_waits_for_change_no_bit(device: Device) {
+    let scene = random(71, ColourModel::SphericalBeta { lobes: 2 });
+    let expected = everything(&scene, &device);
+    // with room at once, without it the second time
+    for (entries, calls) in [(usize::MAX, 1), (100, 2)] {
+        let mut called = 0;
+        cap_lists(entries);
+        let found = late(|| {
+            called += 1;
+            everything(&scene, &device)
+        });
+        cap_lists(usize::MAX);
+        let other = found.iter().zip(&expected).find(|(found, expected)| found != expected);
+        assert!(other.is_none() && found.len() == expected.len(), "{entries} entries: {:?}", other.map(|(f, _)| &f.0));
+        assert_eq!(called, calls, "{entries} entries");
+    }
 }
 
 /// Scenes with some Gaussians that fill the picture.

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use burn::tensor::Device;
+use dpges_core::binning::cap_lists;
 use dpges_core::counters::transfers::transfers;
 use dpges_train::config::Config;
 use dpges_train::dataset::{BuiltinOptions, Dataset, builtin};
@@ -65,6 +66,21 @@ pub fn a_run_on_a_gpu_is_the_same_bytes_every_time(device: Device) {
     let run = || trained(&data, config(50, &[]), &device).checkpoint();
     let (first, second) = (run(), run());
     assert!(first == second, "two runs with the same seed differ");
+}
+
+/// Where no list has room, forward and backward of every step are done twice: nothing learns from those that lack entries,
+/// no view counts twice, and no random number is drawn twice.
+pub fn lists_without_room_change_no_bit_of_a_run(device: Device) {
+    let data = dataset();
+    let runs: [(usize, &[&str]); 2] = [(50, &["train.exposure=on", "train.poses=on"]), (16, &["train.method=2dgs"])];
+    for (steps, more) in runs {
+        let run = || trained(&data, config(steps, more), &device).checkpoint();
+        let expected = run();
+        cap_lists(100);
+        let found = run();
+        cap_lists(usize::MAX);
+        assert!(found == expected, "{more:?}: another run where lists had no room");
+    }
 }
 
 /// Of one photograph that is on a tape and one that is not, what a GPU has is what files have.

@@ -21,7 +21,7 @@ use crate::tiles::TileGrid;
 pub struct CubeLists {
     /// [tiles + 1]
     pub offsets: CubeTensor,
-    /// [capacity]
+    /// `[capacity]`; beyond the last list of any value
     pub ids: CubeTensor,
     pub capacity: u32,
 }
@@ -34,13 +34,14 @@ pub struct Ellipses<'a> {
     pub ends: &'a CubeTensor,
 }
 
-/// The pairs of each primitive and the tiles of its rectangle, by primitive and then by tile.
+/// The pairs of each primitive and the tiles of its rectangle, by primitive and then by tile. Within
+/// [`late`](crate::lists::late) there are more places than pairs.
 pub struct Pairs {
     /// [primitives + 1] the first pair of each primitive
     pub starts: CubeTensor,
-    /// [pairs] tile of every pair, or the number of tiles where the primitive does not touch it
+    /// `[pairs]` tile of every pair, or the number of tiles where the primitive does not touch it, or there is no pair
     tiles: CubeTensor,
-    /// [pairs]
+    /// `[pairs]` of any value where there is no pair
     pub primitives: CubeTensor,
 }
 
@@ -89,6 +90,9 @@ fn pairs_kernel(
         }
         tiles[pair] = select(touches, tile, columns * rows);
         primitives[pair] = i as u32;
+    } else if (pair as u32) < room {
+        // sorted behind every list
+        tiles[pair] = columns * rows;
     }
 }
 
@@ -183,7 +187,7 @@ pub fn pairs(rects: &CubeTensor, ellipses: Option<Ellipses>, camera: &Camera, ki
     let unused = empty_f32(rects, [1]);
     let elliptic = ellipses.is_some();
     let (splats, ends) = ellipses.map_or((&unused, &unused), |e| (e.splats, e.ends));
-    let ((tiles, primitives), entries) = capacity::with_room(&starts, kind, grid.len(), |room| {
+    let ((tiles, primitives), places) = capacity::with_room(&starts, kind, grid.len(), |room| {
         let (tiles, primitives) = (empty_u32(rects, [room]), empty_u32(rects, [room]));
         pairs_kernel::launch(
             &client,
@@ -203,12 +207,14 @@ pub fn pairs(rects: &CubeTensor, ellipses: Option<Ellipses>, camera: &Camera, ki
         );
         (tiles, primitives)
     });
-    Pairs { starts, tiles: first_of(&tiles, entries), primitives: first_of(&primitives, entries) }
+    Pairs { starts, tiles: first_of(&tiles, places), primitives: first_of(&primitives, places) }
 }
 
 impl Pairs {
-    /// `values` [pairs] by tile, and [tiles + 1] the first of each tile. Those of one tile keep their order.
+    /// `values` `[pairs]` by tile, those of no tile last, and [tiles + 1] the first of each tile. Those of one tile keep
+    /// their order.
     pub fn by_tile(&self, values: &CubeTensor, grid: TileGrid) -> (CubeTensor, CubeTensor) {
+        // the number of tiles is a key, too
         let bits = usize::BITS - grid.len().leading_zeros();
         let (sorted, values) = sorted_pairs(self.tiles.clone(), values.clone(), bits);
         let offsets = empty_u32(&values, [grid.len() + 1]);

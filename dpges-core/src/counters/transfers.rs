@@ -19,7 +19,8 @@ pub struct Transfers {
     /// Tensors that came from the device.
     pub downloads: u64,
     pub downloaded_bytes: u64,
-    /// Reads that the host waited for: everything that was handed to the device before had to be done.
+    /// Reads that the host waited for: everything that was handed to the device before had to be done. The lengths of tile
+    /// lists are none within [`late`](crate::lists::late), which hands over more work before it waits for them.
     pub waits: u64,
 }
 

@@ -1,5 +1,9 @@
-//! Prefix sums of unsigned numbers. Sums that exceed 32 bits stay at the largest number, so that no sum wraps
-//! around to a small one.
+//! Prefix sums of unsigned numbers, in one launch up to a block and in two beyond: the sums of all blocks, then the sums
+//! within each, for which every cube adds up the blocks before its own by itself. That is quadratic work in the number of
+//! blocks; so many that it would show are scanned by launches of their own.
+//!
+//! Sums that exceed 32 bits stay at the largest number, so that no sum wraps around to a small one, and whichever are
+//! added first, the result is the same.
 
 use burn::backend::TensorMetadata;
 use burn_cubecl::tensor::CubeTensor;
@@ -11,6 +15,8 @@ use super::launch::{UNITS, buffer, cube_dim, cubes, empty_u32};
 const PER_UNIT: usize = 8;
 /// Numbers of a cube.
 const BLOCK: usize = PER_UNIT * UNITS as usize;
+/// Most blocks whose sums every cube adds up by itself: those of 2²⁴ numbers, 32 for each unit.
+const MOST_BLOCKS: usize = 8192;
 /// Units that one unit scans for, and the number of such groups.
 const GROUP: usize = 16;
 const _: () = assert!(GROUP * GROUP == UNITS as usize);
@@ -82,15 +88,39 @@ fn sums_kernel(values: &[u32], sums: &mut [u32], count: u32) {
     }
 }
 
-/// `starts` [count + 1]: for every value the sum of those before it, and last the sum of all. `before` has the sum
-/// before every block, unless there is only one block.
+/// What is known of the blocks before one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+enum Before {
+    /// There is one block.
+    Nothing,
+    /// The sum of each of them.
+    Sums,
+    /// The sum of all of them.
+    Total,
+}
+
+/// `starts` [count + 1]: for every value the sum of those before it, and last the sum of all. `blocks` has, by the number of
+/// the block, what `known` says.
 #[cube(launch)]
-fn starts_kernel(values: &[u32], before: &[u32], starts: &mut [u32], count: u32, #[comptime] blocks: bool) {
+fn starts_kernel(values: &[u32], blocks: &[u32], starts: &mut [u32], count: u32, #[comptime] known: Before) {
     // a cube without values writes the sum of none
     if CUBE_POS * BLOCK >= max(count, 1u32) as usize {
         terminate!();
     }
     let mut memory = Shared::<[u32]>::new_slice(SCAN);
+    let mut before = 0u32;
+    if comptime!(known == Before::Sums) {
+        let mut own = 0u32;
+        let mut block = UNIT_POS as usize;
+        while block < CUBE_POS {
+            own = plus(own, blocks[block]);
+            block += UNITS as usize;
+        }
+        before = scan_units(own, &mut memory).total;
+    }
+    if comptime!(known == Before::Total) {
+        before = blocks[CUBE_POS];
+    }
     let first = CUBE_POS * BLOCK + UNIT_POS as usize * PER_UNIT;
     let mut own = 0u32;
     #[unroll]
@@ -99,11 +129,7 @@ fn starts_kernel(values: &[u32], before: &[u32], starts: &mut [u32], count: u32,
             own = plus(own, values[first + number]);
         }
     }
-    let scanned = scan_units(own, &mut memory);
-    let mut sum = scanned.before;
-    if comptime!(blocks) {
-        sum = plus(sum, before[CUBE_POS]);
-    }
+    let mut sum = plus(before, scan_units(own, &mut memory).before);
     #[unroll]
     for number in 0..PER_UNIT {
         let at = first + number;
@@ -125,12 +151,12 @@ fn starts_kernel(values: &[u32], before: &[u32], starts: &mut [u32], count: u32,
 pub fn starts(values: &CubeTensor) -> CubeTensor {
     let (client, count) = (values.client.clone(), values.shape()[0]);
     let blocks = count.div_ceil(BLOCK);
-    let before = if blocks > 1 {
+    let (of_blocks, known) = if blocks <= 1 {
+        (empty_u32(values, [1]), Before::Nothing)
+    } else {
         let sums = empty_u32(values, [blocks]);
         sums_kernel::launch(&client, cubes(blocks), cube_dim(), buffer(values), buffer(&sums), count as u32);
-        starts(&sums)
-    } else {
-        empty_u32(values, [1])
+        if blocks <= MOST_BLOCKS { (sums, Before::Sums) } else { (starts(&sums), Before::Total) }
     };
     let out = empty_u32(values, [count + 1]);
     starts_kernel::launch(
@@ -138,10 +164,10 @@ pub fn starts(values: &CubeTensor) -> CubeTensor {
         cubes(blocks),
         cube_dim(),
         buffer(values),
-        buffer(&before),
+        buffer(&of_blocks),
         buffer(&out),
         count as u32,
-        blocks > 1,
+        known,
     );
     out
 }

@@ -21,6 +21,7 @@ mod sampling_limit;
 mod step;
 
 use burn::tensor::Tensor;
+use dpges_core::camera::Camera;
 use dpges_core::losses::Losses;
 use dpges_core::scene::{EnvironmentData, GaussianData, SceneData};
 
@@ -32,7 +33,7 @@ pub use depth::DepthMaps;
 pub use environment::EnvironmentState;
 pub use error::TrainError;
 pub use exposure::ExposureState;
-use joint::JointStage;
+use joint::{JointStage, Statistics};
 pub use parameters::{Leaves, Parameters, StepRates};
 pub use pending::{PendingStep, Settled};
 pub use photographs::DevicePhotographs;
@@ -59,21 +60,19 @@ pub trait Stage: Send {
     /// [`TrainError::Core`] if a view that decides on it cannot be rendered.
     fn refine(&mut self, completed: usize, context: &mut Context) -> Result<Vec<String>, TrainError>;
 
-    /// Renders a view from `leaves` and compares it with its photograph; takes note of what refinement wants to know
-    /// of the view.
+    /// Renders a view from `leaves` and compares it with its photograph.
     ///
     /// # Errors
     /// [`dpges_core::Error`] if the leaves or the view are not what the operations expect.
-    fn forward(&mut self, leaves: &Leaves, input: &StepInput<'_>, context: &Context)
-    -> dpges_core::Result<ForwardPass>;
+    fn forward(&self, leaves: &Leaves, input: &StepInput<'_>, context: &Context) -> dpges_core::Result<ForwardPass>;
 
     /// Whether [`forward`](Self::forward) looks at the pictures of its views in host memory.
     fn looks_at_pictures(&self) -> bool {
         false
     }
 
-    /// Takes note of the gradient of the [probe](ForwardPass::probe) of a step.
-    fn observe_probe(&mut self, _gradient: Tensor<2>) {}
+    /// Takes note of what refinement wants to know of the view that `camera` sees.
+    fn observe(&mut self, _observed: Observed, _camera: &Camera) {}
 
     /// Learning rates of the step after `completed` ones.
     fn rates(&self, completed: usize, config: &Config) -> StepRates;
@@ -99,6 +98,16 @@ pub struct ForwardPass {
     pub losses: Losses,
     /// Leaf beside the parameters whose gradient the stage wants to know.
     pub probe: Option<Tensor<2>>,
+    /// Those of the stage with this view; `None` if it has none.
+    pub statistics: Option<Statistics>,
+}
+
+/// What a view shows beside the gradients of the parameters.
+pub struct Observed {
+    /// Those of the [forward pass](ForwardPass::statistics).
+    pub statistics: Option<Statistics>,
+    /// The gradient of its [probe](ForwardPass::probe).
+    pub of_probe: Option<Tensor<2>>,
 }
 
 /// What the stages so far have trained for those to come.

@@ -1,18 +1,13 @@
 //! A step that has been handed to the device and whose numbers are not known yet.
 
-use std::future::Future;
-use std::pin::Pin;
-use std::task::{Context, Poll, Waker};
-
-use burn::tensor::{ExecutionError, Tensor, TensorData, read_sync};
+use burn::tensor::{Tensor, TensorData};
 use dpges_core::counters::transfers::{download, wait};
 use dpges_core::losses::Losses;
 use dpges_core::ops::finite::{FiniteChecks, FiniteResults, Gate};
 use dpges_core::ops::join::join;
+use dpges_core::reading::{Reading, begin_reading};
 
 use super::{StepReport, TrainError};
-
-type Numbers = Result<TensorData, ExecutionError>;
 
 /// A step on the device.
 pub struct PendingStep {
@@ -20,12 +15,7 @@ pub struct PendingStep {
     report: StepReport,
     view_name: String,
     checks: FiniteResults,
-    numbers: Waiting,
-}
-
-enum Waiting {
-    For(Pin<Box<dyn Future<Output = Numbers> + Send>>),
-    No(Numbers),
+    numbers: Reading<Result<TensorData, String>>,
 }
 
 /// What is known of a step that the device has done.
@@ -61,7 +51,7 @@ impl StepGate {
 }
 
 impl PendingStep {
-    /// Asks for the numbers without waiting for them: the `losses`, and the `pose_gradient` [1, 6], if there is one.
+    /// Begins to read the numbers without waiting for them: the `losses`, and the `pose_gradient` [1, 6], if there is one.
     pub fn new(
         report: StepReport,
         view_name: String,
@@ -74,14 +64,7 @@ impl PendingStep {
         let mut numbers: Vec<Tensor<1>> = numbers.into();
         numbers.push(gate.gate.bad.clone());
         numbers.extend(pose_gradient.map(|gradient| gradient.reshape([6])));
-        let checks = gate.checks.clone();
-        let mut future: Pin<Box<dyn Future<Output = Numbers> + Send>> = Box::pin(join(&numbers).into_data_async());
-        // a future begins when it is first polled: poll it now, so that the device begins
-        let numbers = match future.as_mut().poll(&mut Context::from_waker(Waker::noop())) {
-            Poll::Ready(numbers) => Waiting::No(numbers),
-            Poll::Pending => Waiting::For(future),
-        };
-        Self { report, view_name, checks, numbers }
+        Self { report, view_name, checks: gate.checks.clone(), numbers: begin_reading(join(&numbers)) }
     }
 
     /// Waits for the numbers.
@@ -90,12 +73,10 @@ impl PendingStep {
     /// [`TrainError::Loss`] or [`TrainError::Step`] if the loss or a gradient was not finite, [`TrainError::Device`] if
     /// the device failed.
     pub fn settle(self) -> Result<Settled, TrainError> {
-        let numbers = match self.numbers {
-            Waiting::For(future) => wait(|| read_sync(future)),
-            Waiting::No(numbers) => numbers,
-        };
+        let has_arrived = self.numbers.has_arrived();
+        let numbers = if has_arrived { self.numbers.arrived() } else { wait(|| self.numbers.arrived()) };
         let (step, view) = (self.report.step, self.view_name);
-        let numbers = numbers.map_err(|error| TrainError::Device { step, reason: error.to_string() })?;
+        let numbers = numbers.map_err(|reason| TrainError::Device { step, reason })?;
         let numbers: Vec<f64> = download(numbers).iter::<f64>().collect();
         let &[loss, rgb, surfel, scale, transmittance, squared_error, bad, ref pose @ ..] = numbers.as_slice() else {
             unreachable!("at least seven numbers were asked for");

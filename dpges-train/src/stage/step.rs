@@ -1,20 +1,23 @@
 //! One step of any stage: render, compare, go back, optimise.
 
 use burn::tensor::Tensor;
-use dpges_core::losses::Target;
+use dpges_core::lists;
+use dpges_core::losses::{Losses, Target};
 use dpges_core::ops::environment::environment;
 use dpges_core::render::Values;
 use dpges_core::render::pose::PoseProbe;
 use dpges_core::within_capacity;
 
 use super::depth::DepthTarget;
-use super::exposure::photographed;
+use super::exposure::{ExposureGradient, photographed};
+use super::parameters::ParameterGradients;
 use super::pending::{PendingStep, StepGate};
 use super::poses::POSES;
-use super::{Context, Stage, StepReport, TrainError};
+use super::{Context, Observed, Stage, StepReport, TrainError};
 use crate::dataset::View;
 
 /// What a step learns from.
+#[derive(Clone)]
 pub struct StepInput<'a> {
     /// Steps of the stage that are done.
     pub completed: usize,
@@ -54,7 +57,43 @@ impl StepInput<'_> {
     }
 }
 
-/// Hands everything of one step to the device, and does not wait for it.
+/// What a view says about the parameters, all of it on the device. Nothing has learnt from it yet.
+struct Pass {
+    losses: Losses,
+    of_parameters: ParameterGradients,
+    of_exposure: ExposureGradient,
+    /// [1, 6]; `None` if poses are not refined.
+    of_pose: Option<Tensor<2>>,
+    observed: Observed,
+    gate: StepGate,
+}
+
+impl Pass {
+    /// Goes forward and back. `given` lacks what begins on the tape of this pass: exposure and pose.
+    fn new(stage: &mut dyn Stage, context: &Context, given: &StepInput<'_>) -> dpges_core::Result<Self> {
+        let leaves = stage.parameters().leaves();
+        let corrections = context.exposure.leaf();
+        let exposure = corrections.as_ref().map(|leaf| leaf.clone().slice([given.index..given.index + 1, 0..6]));
+        let probe = context.pose_probe(given.index);
+        let input = StepInput { exposure, pose: probe.as_ref(), ..given.clone() };
+        let forward = within_capacity(|| stage.forward(&leaves, &input, context)).flatten()?;
+
+        let mut gradients = within_capacity(|| forward.losses.total.backward())?;
+        let of_parameters = stage.parameters().gradients(&leaves, &mut gradients);
+        let of_exposure = context.exposure.gradient(corrections.as_ref(), &mut gradients);
+        let of_pose = probe.as_ref().and_then(|probe| probe.gradient(&mut gradients));
+        let of_probe = forward.probe.and_then(|probe| probe.grad_remove(&mut gradients));
+        let attributes = of_parameters.iter().chain(&of_exposure);
+        let attributes = attributes.filter_map(|(attribute, gradient)| Some((attribute.raw_name, gradient.as_ref()?)));
+        let gate =
+            StepGate::new(&forward.losses.total, attributes.chain(of_pose.as_ref().map(|gradient| (POSES, gradient))));
+        let observed = Observed { statistics: forward.statistics, of_probe };
+        Ok(Self { losses: forward.losses, of_parameters, of_exposure, of_pose, observed, gate })
+    }
+}
+
+/// Hands everything of one step to the device, and does not wait for it. The only thing that it waits for is how long the tile
+/// lists are: after forward and backward are handed over, before anything learns from them.
 ///
 /// # Errors
 /// [`TrainError::Step`] if the parameters or the view are not what the operations expect, [`TrainError::Core`] if its
@@ -70,38 +109,21 @@ pub fn begin_step(
 
     let parameters = stage.parameters();
     (report.surfels, report.gaussians) = (parameters.surfels.len(), parameters.gaussians.len());
-    let leaves = parameters.leaves();
     let target = context.target(report.view)?;
     context.read_ahead(stage);
     // After the first step they stay finite, since a step with a gradient that is not finite is held back
     let values = if completed == 0 { Values::Unknown } else { Values::KnownFinite };
     let depth = context.depth_target(report.view, &context.tape());
-    let corrections = context.exposure.leaf();
-    let exposure = corrections.as_ref().map(|leaf| leaf.clone().slice([report.view..report.view + 1, 0..6]));
-    let index = report.view;
-    let probe = context.pose_probe(index);
-    let pose = probe.as_ref();
-    let input = StepInput { completed, index, view, target, values, depth, exposure, pose };
+    let given = StepInput { completed, index: report.view, view, target, values, depth, exposure: None, pose: None };
     let at = |source| TrainError::Step { step: report.step, view: view.name.clone(), source };
-    let forward = within_capacity(|| stage.forward(&leaves, &input, context)).flatten().map_err(at)?;
+    // twice if a list had no room: a pass changes nothing
+    let pass = lists::late(|| Pass::new(stage, context, &given)).map_err(at)?;
+    let Pass { losses, of_parameters, of_exposure, of_pose, observed, gate } = pass;
 
-    let mut gradients = within_capacity(|| forward.losses.total.backward()).map_err(at)?;
-    let found = stage.parameters().gradients(&leaves, &mut gradients);
-    if let Some(gradient) = forward.probe.and_then(|probe| probe.grad_remove(&mut gradients)) {
-        stage.observe_probe(gradient);
-    }
-    let of_exposure = context.exposure.gradient(corrections.as_ref(), &mut gradients);
-    let of_pose = probe.as_ref().and_then(|probe| probe.gradient(&mut gradients));
-    let attributes = found.iter().chain(&of_exposure);
-    let attributes = attributes.filter_map(|(attribute, gradient)| Some((attribute.raw_name, gradient.as_ref()?)));
-    let gate =
-        StepGate::new(&forward.losses.total, attributes.chain(of_pose.as_ref().map(|gradient| (POSES, gradient))));
-    let pending = PendingStep::new(report, view.name.clone(), forward.losses, of_pose, &gate);
-    // The tape shares the parameters: without it the optimiser can work in place
-    drop((leaves, corrections, probe));
-
+    let pending = PendingStep::new(report, view.name.clone(), losses, of_pose, &gate);
+    stage.observe(observed, &view.camera);
     let rates = stage.rates(completed, &context.config);
-    stage.parameters().step(found, gate.open(), &rates, context.config.optimizer.adam(completed))?;
+    stage.parameters().step(of_parameters, gate.open(), &rates, context.config.optimizer.adam(completed))?;
     let step = context.exposure_step();
     context.exposure.step(of_exposure, gate.open(), step)?;
     stage.after_step(completed, context)?;

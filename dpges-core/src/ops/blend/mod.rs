@@ -147,9 +147,10 @@ pub struct BlendLists<B: Backend> {
     pub order: IntTensor<B>,
     /// [M + 1] first pair of each primitive and a tile that it may touch
     pub starts: IntTensor<B>,
-    /// `[pairs]` the pairs by tile, each tile's in the order of the primitives, and last those that do not touch
+    /// `[pairs]` the pairs by tile, each tile's in the order of the primitives, and last those that do not touch, and
+    /// places without a pair
     pub pairs: IntTensor<B>,
-    /// `[pairs]` primitives of those
+    /// `[pairs]` primitives of those; of any value where there is no pair
     pub primitives: IntTensor<B>,
     /// [tiles + 1] first of those of each tile
     pub offsets: IntTensor<B>,

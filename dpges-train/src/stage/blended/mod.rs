@@ -8,6 +8,7 @@ mod screen_gradients;
 mod start;
 
 use burn::tensor::{DType, Device, Tensor};
+use dpges_core::camera::Camera;
 use dpges_core::losses::geometry::expected_depth;
 use dpges_core::losses::{Losses, rgb_and_error};
 use dpges_core::ops::jitter::NoiseGate;
@@ -18,7 +19,7 @@ use dpges_core::scene::{ColourModel, GaussianData, Gaussians, SH_C0, SceneData, 
 
 use super::sampling_limit::SamplingLimit;
 use super::{
-    Context, EnvironmentState, ForwardPass, Leaves, Parameters, Stage, StageCheckpoint, StepInput, StepRates,
+    Context, EnvironmentState, ForwardPass, Leaves, Observed, Parameters, Stage, StageCheckpoint, StepInput, StepRates,
     TrainError, Trained,
 };
 use crate::config::{Blended, Config, Density, OpacityActivation, Relocation, StagePlan};
@@ -207,19 +208,10 @@ impl Stage for BlendedStage {
         self.refine_due(self.schedule.due(completed), completed, context)
     }
 
-    fn forward(
-        &mut self,
-        leaves: &Leaves,
-        input: &StepInput<'_>,
-        context: &Context,
-    ) -> dpges_core::Result<ForwardPass> {
+    fn forward(&self, leaves: &Leaves, input: &StepInput<'_>, context: &Context) -> dpges_core::Result<ForwardPass> {
         let camera = &input.view.camera;
         let tape = context.tape();
         let probe = self.probe(input.completed, &tape);
-        if probe.is_some() {
-            let axes = if self.blended == Blended::Discs { 2 } else { 3 };
-            self.screen_gradients.see(&self.gaussians.values(), axes, camera);
-        }
         let gaussians = &self.drawn_on_tape(&leaves.gaussians, input.completed, &context.config, &tape);
         let weights = self.weights(input.completed, &context.config);
         let mut options = BlendedOptions::new(&self.info)?;
@@ -241,11 +233,15 @@ impl Stage for BlendedStage {
         let none = Tensor::zeros([1], (&tape, DType::F32));
         let [surfel, scale] = [none.clone(), none.clone()];
         let losses = Losses { rgb, surfel, scale, transmittance: none, total, squared_error };
-        Ok(ForwardPass { losses, probe })
+        Ok(ForwardPass { losses, probe, statistics: None })
     }
 
-    fn observe_probe(&mut self, gradient: Tensor<2>) {
-        self.screen_gradients.add(gradient);
+    fn observe(&mut self, observed: Observed, camera: &Camera) {
+        if let Some(gradient) = observed.of_probe {
+            let axes = if self.blended == Blended::Discs { 2 } else { 3 };
+            self.screen_gradients.see(&self.gaussians.values(), axes, camera);
+            self.screen_gradients.add(gradient);
+        }
     }
 
     fn rates(&self, completed: usize, config: &Config) -> StepRates {

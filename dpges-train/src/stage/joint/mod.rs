@@ -10,6 +10,7 @@ mod statistics;
 mod supervision;
 
 use burn::tensor::Tensor;
+use dpges_core::camera::Camera;
 use dpges_core::losses::depth::surfel_depth;
 use dpges_core::losses::geometry::{GeometryWeights, geometry};
 use dpges_core::losses::{LossWeights, hidden, losses};
@@ -17,7 +18,7 @@ use dpges_core::render::{RenderOptions, render_probed};
 use dpges_core::scene::{Rendering, SceneData, SceneInfo};
 
 use super::{
-    Context, EnvironmentState, ForwardPass, Leaves, Parameters, Stage, StageCheckpoint, StepInput, StepRates,
+    Context, EnvironmentState, ForwardPass, Leaves, Observed, Parameters, Stage, StageCheckpoint, StepInput, StepRates,
     TrainError,
 };
 use crate::config::{Config, Due, OpacityActivation, Schedule, StagePlan};
@@ -116,12 +117,7 @@ impl Stage for JointStage {
         self.refine_due(self.schedule.due(completed), context)
     }
 
-    fn forward(
-        &mut self,
-        leaves: &Leaves,
-        input: &StepInput<'_>,
-        context: &Context,
-    ) -> dpges_core::Result<ForwardPass> {
+    fn forward(&self, leaves: &Leaves, input: &StepInput<'_>, context: &Context) -> dpges_core::Result<ForwardPass> {
         let (surfels, gaussians) = (&self.drawn_surfels(&leaves.surfels), &self.drawn_gaussians(&leaves.gaussians));
         let camera = &input.view.camera;
         let options = self.render_options(&context.config);
@@ -132,7 +128,8 @@ impl Stage for JointStage {
         };
         rendered.composite.image = input.photographed(rendered.composite.image);
         rendered.composite.surfel_image = input.photographed(rendered.composite.surfel_image);
-        self.statistics.observe(&rendered, gaussians, camera, &self.schedule, input.completed)?;
+        let mut statistics = self.statistics.clone();
+        statistics.observe(&rendered, gaussians, camera, &self.schedule, input.completed)?;
         let weights = loss_weights(&context.config);
         let mut losses = losses(&rendered, surfels.log_scales.clone(), input.target.clone(), &weights)?;
         let mask = input.target.mask.as_ref();
@@ -168,7 +165,11 @@ impl Stage for JointStage {
             let surfels = seen.as_ref().unwrap_or(surfels);
             losses.total = losses.total + of_counted(geometry(&rendered, surfels, camera, &supervision, &weights)?);
         }
-        Ok(ForwardPass { losses, probe: None })
+        Ok(ForwardPass { losses, probe: None, statistics: Some(statistics) })
+    }
+
+    fn observe(&mut self, observed: Observed, _: &Camera) {
+        self.statistics = observed.statistics.expect("this stage has statistics");
     }
 
     fn looks_at_pictures(&self) -> bool {

@@ -296,7 +296,7 @@ impl Fragments {
                 let ellipses = Ellipses { splats: &fragments.shapes, ends: &unlimited(like, grid.len()) };
                 pairs(&rects, Some(ellipses), camera, ListKind::Gaussians)
             }
-            Form::Discs => pairs(&rects, None, camera, ListKind::Surfels),
+            Form::Discs => pairs(&rects, None, camera, ListKind::Discs),
         };
         (fragments, lists(order, &found, grid))
     }

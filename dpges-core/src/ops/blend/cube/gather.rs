@@ -449,6 +449,7 @@ fn collect_kernel(
     first_tile: u32,
     end_tile: u32,
     count: u32,
+    pairs: u32,
     #[comptime] first: usize,
     #[comptime] taken: usize,
     #[comptime] width: usize,
@@ -460,7 +461,8 @@ fn collect_kernel(
     let rank = primitive();
     if rank < count as usize {
         let (low, high) = (offsets[first_tile as usize], offsets[end_tile as usize]);
-        let end = starts[rank + 1];
+        // a list that had no room has fewer pairs than its primitives have
+        let end = min(starts[rank + 1], pairs);
         let mut pair = starts[rank] + lane();
         while pair < end {
             let place = places[pair as usize];
@@ -561,6 +563,7 @@ pub fn gather(
                 first_tile,
                 end_tile,
                 count as u32,
+                pairs as u32,
                 first,
                 taken,
                 width,
