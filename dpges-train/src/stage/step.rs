@@ -101,9 +101,8 @@ pub fn begin_step(
     drop((leaves, corrections, probe));
 
     let rates = stage.rates(completed, &context.config);
-    stage.parameters().step(found, gate.open(), &rates, context.config.optimizer.adam(completed))?;
-    let step = context.exposure_step();
-    context.exposure.step(of_exposure, gate.open(), step)?;
+    stage.parameters().step(found, gate.open(), &rates, &context.config.optimizer.adam(completed))?;
+    context.step_exposure(of_exposure, gate.open())?;
     stage.after_step(completed, context)?;
     Ok(pending)
 }
