@@ -14,7 +14,7 @@ use clap::Parser;
 use dpges_benches::{cpus, machine};
 use dpges_train::config::Config;
 use dpges_train::dataset::load;
-use dpges_train::memory::{peak_memory_bytes, reset_peak_memory};
+use dpges_train::memory::PeakMemory;
 use dpges_train::run::Trainer;
 use image::{Rgb, RgbImage};
 
@@ -97,8 +97,8 @@ fn measure(arguments: &Arguments, folder: &Path) {
         "init.random_gaussians=10000".to_owned(),
     ];
     let config = Config::resolve(None, None, &set).expect("a configuration");
-    reset_peak_memory();
-    let mebibytes = || peak_memory_bytes().map_or(f64::NAN, |bytes| bytes as f64 / f64::from(1 << 20));
+    let peak = PeakMemory::start();
+    let mebibytes = || peak.bytes().map_or(f64::NAN, |bytes| bytes as f64 / f64::from(1 << 20));
     let start = Instant::now();
     let data = load(folder, &config.data.load_options()).expect("the generated capture");
     let (loading, after_loading) = (start.elapsed().as_secs_f64(), mebibytes());

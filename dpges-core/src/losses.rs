@@ -13,7 +13,7 @@ use crate::ops::photometric::{self, Photometric, PhotometricWeights};
 use crate::ops::scale_loss::scale_loss;
 use crate::ops::surfel_loss::{SurfelLoss, SurfelLossWeights, surfel_loss};
 use crate::render::Render;
-pub use target::{Mask, Target, mean_of_counted};
+pub use target::{Mask, PackedMask, Target, mean_of_counted};
 
 /// Weights of the terms of the total loss.
 #[derive(Clone, Copy, Debug, PartialEq)]

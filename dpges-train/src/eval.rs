@@ -95,7 +95,8 @@ pub struct EvalReport {
     /// [`MetricsLog::seconds_of_steps`]: crate::run::metrics_log::MetricsLog::seconds_of_steps
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub training_seconds: Option<f64>,
-    /// The most memory that the process which wrote the report has had in use; absent where it is not known.
+    /// The most memory of the process that wrote the report, bytes: [since the run began](crate::memory::PeakMemory) if one did,
+    /// else so far. Absent where it is not known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub peak_memory_bytes: Option<u64>,
     /// What the run was to reach; absent without a target.

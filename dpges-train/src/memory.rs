@@ -1,11 +1,26 @@
 //! The memory of this process, and of the machine.
 
-/// Forgets the peak, so that it is measured anew; false where that cannot be done.
-pub fn reset_peak_memory() -> bool {
-    std::fs::write("/proc/self/clear_refs", "5").is_ok()
+/// A part of the work of this process whose peak of memory is its own, not that of what was done before.
+#[derive(Clone, Copy, Debug)]
+pub struct PeakMemory {
+    /// Whether the operating system has forgotten the peak of what was done before.
+    is_own: bool,
 }
 
-/// The most memory that this process has had in use so far, or since [`reset_peak_memory`], bytes, as the operating
+impl PeakMemory {
+    /// Begins to measure. A process has one peak: parts that began before lose theirs.
+    pub fn start() -> Self {
+        Self { is_own: std::fs::write("/proc/self/clear_refs", "5").is_ok() }
+    }
+
+    /// The most memory that this process has had in use since then, bytes, what it already had included; `None` on systems
+    /// other than Linux, and where an earlier peak cannot be told from this one.
+    pub fn bytes(self) -> Option<u64> {
+        if self.is_own { peak_memory_bytes() } else { None }
+    }
+}
+
+/// The most memory that this process has had in use so far, or since a [`PeakMemory`] began, bytes, as the operating
 /// system counts it; `None` on systems other than Linux.
 pub fn peak_memory_bytes() -> Option<u64> {
     peak_of(&std::fs::read_to_string("/proc/self/status").ok()?)
@@ -38,6 +53,11 @@ mod tests {
         assert_eq!(peak_of("VmPeak:\t  900 kB\nVmHWM:\t   123 kB\nVmRSS:\t  99 kB\n"), Some(123 * 1024));
         assert_eq!(peak_of("VmPeak:\t  900 kB\n"), None);
         assert_eq!(peak_of("VmHWM:\t much\n"), None);
+    }
+
+    #[test]
+    fn a_peak_that_is_not_its_own_is_not_told() {
+        assert_eq!(PeakMemory { is_own: false }.bytes(), None);
     }
 
     #[cfg(target_os = "linux")]

@@ -4,14 +4,13 @@
 use std::collections::{BTreeMap, HashMap};
 
 use burn::tensor::{Bool, Device, Gradients, Tensor, TensorData};
-use dpges_core::ops::adam::AdamStep;
 use dpges_core::scene::schema::{
     Activation, Attribute, Columns, GaussianColumns, OpacityActivation, RateGroup, SurfelColumns,
 };
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{ColourData, ColourModel};
 
-use crate::optimizer::{Parameter, ParameterRows, Rows};
+use crate::optimizer::{OptimizerStep, Parameter, ParameterRows, Rows};
 use crate::refine::relocate::Relocated;
 use crate::refine::{GaussianEdit, RowEdit};
 
@@ -161,22 +160,12 @@ impl<C: Columns<Value = Parameter, With<Parameter> = C>> State<C> {
         columns.map(|((attribute, parameter), leaf)| (attribute, parameter.gradient(leaf, gradients))).collect()
     }
 
-    /// Nothing changes where `gate` `[1]` is not 1.
-    ///
-    /// # Errors
-    /// [`dpges_core::Error::Shape`] if the gradients belong to other rows.
-    pub fn step(
-        &mut self,
-        gradients: GradientList,
-        gate: &Tensor<1>,
-        rates: &Rates,
-        adam: AdamStep,
-    ) -> dpges_core::Result<()> {
+    /// Adds the attributes that learn to a step.
+    pub fn add_to<'a>(&'a mut self, step: &mut OptimizerStep<'a>, gradients: GradientList, rates: &Rates) {
         let learning = C::ATTRIBUTES.iter().zip(self.columns.list_mut()).filter(|(attribute, _)| attribute.learns());
         for ((attribute, parameter), (_, gradient)) in learning.zip(gradients) {
-            parameter.step(gradient, gate, AdamStep { learning_rate: rates.of(attribute.rate), ..adam })?;
+            step.add(parameter, gradient, rates.of(attribute.rate));
         }
-        Ok(())
     }
 
     /// Rows that stay.

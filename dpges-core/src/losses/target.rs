@@ -1,9 +1,9 @@
 //! What renders are compared with: photographs, and which of their pixels count.
 
-use burn::tensor::{DType, Device, Tensor, TensorData};
+use burn::tensor::{Device, Int, Tensor};
 
-use crate::counters::transfers::upload;
 use crate::error::{Error, Result};
+use crate::ops::unpack::{pack, unpack};
 
 /// Which pixels of a view count, on a device.
 #[derive(Clone, Debug)]
@@ -20,21 +20,7 @@ impl Mask {
     /// # Errors
     /// [`Error::Shape`] if these are not as many pixels, [`Error::Option`] if none of them counts.
     pub fn new(counted: &[bool], width: usize, height: usize, device: &Device) -> Result<Self> {
-        if counted.len() != width * height {
-            let (expected, found) = (format!("[{height} × {width}]"), vec![counted.len()]);
-            return Err(Error::Shape { tensor: "mask".to_owned(), expected, found });
-        }
-        let count = counted.iter().filter(|&&counts| counts).count();
-        if count == 0 {
-            let expected = "a pixel that counts".to_owned();
-            return Err(Error::Option { option: "mask", expected, found: "none".to_owned() });
-        }
-        let ignored: Vec<f32> = counted.iter().map(|&counts| if counts { 0.0 } else { 1.0 }).collect();
-        let data = TensorData::new(ignored, [1, height, width]);
-        Ok(Self {
-            ignored: Tensor::from_data(upload(data), (device, DType::F32)),
-            pixels_per_counted: counted.len() as f64 / count as f64,
-        })
+        Ok(PackedMask::new(counted, width, height, device)?.mask())
     }
 
     /// The same without a tape.
@@ -57,6 +43,54 @@ impl Mask {
     /// Number of all pixels over the number of those that count.
     pub fn pixels_per_counted(&self) -> f64 {
         self.pixels_per_counted
+    }
+}
+
+/// A [`Mask`] that stays on a device, 8 bits per pixel.
+#[derive(Clone, Debug)]
+pub struct PackedMask {
+    /// [⌈H W / 4⌉] 255 where a pixel does not count, else 0, off the tape.
+    words: Tensor<1, Int>,
+    /// 1, H, W
+    shape: [usize; 3],
+    pixels_per_counted: f64,
+    /// Whether its [`mask`](Self::mask) is on a tape.
+    on_tape: bool,
+}
+
+impl PackedMask {
+    /// `counted` [H × W], row by row: whether a pixel of a view of `width` × `height` px counts.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] if these are not as many pixels, [`Error::Option`] if none of them counts.
+    pub fn new(counted: &[bool], width: usize, height: usize, device: &Device) -> Result<Self> {
+        if counted.len() != width * height {
+            let (expected, found) = (format!("[{height} × {width}]"), vec![counted.len()]);
+            return Err(Error::Shape { tensor: "mask".to_owned(), expected, found });
+        }
+        let count = counted.iter().filter(|&&counts| counts).count();
+        if count == 0 {
+            let expected = "a pixel that counts".to_owned();
+            return Err(Error::Option { option: "mask", expected, found: "none".to_owned() });
+        }
+        let ignored: Vec<u8> = counted.iter().map(|&counts| if counts { 0 } else { u8::MAX }).collect();
+        Ok(Self {
+            words: pack(&ignored, &device.clone().inner()),
+            shape: [1, height, width],
+            pixels_per_counted: counted.len() as f64 / count as f64,
+            on_tape: device.is_autodiff(),
+        })
+    }
+
+    /// What the mask of a view of so many pixels takes on the device, bytes.
+    pub fn size_bytes(pixels: usize) -> usize {
+        pixels.next_multiple_of(size_of::<i32>())
+    }
+
+    pub fn mask(&self) -> Mask {
+        let ignored = unpack(&self.words, self.shape).expect("words are those of this shape");
+        let ignored = if self.on_tape { ignored.autodiff() } else { ignored };
+        Mask { ignored, pixels_per_counted: self.pixels_per_counted }
     }
 }
 

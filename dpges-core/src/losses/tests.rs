@@ -1,7 +1,7 @@
 use burn::tensor::{DType, Tensor};
 
 use super::geometry::{Supervision, normal_consistency};
-use super::{LossWeights, Mask, Target, losses, rgb};
+use super::{LossWeights, Mask, PackedMask, Target, losses, rgb};
 use crate::metrics::{mean_ssim, psnr};
 use crate::render::{Render, RenderOptions, render};
 use crate::testing::device;
@@ -51,6 +51,31 @@ fn what_a_photograph_shows_where_pixels_do_not_count_is_of_no_effect() {
     }
     let other: Vec<f64> = photograph.iter().map(|value| 1.0 - value).collect();
     assert_ne!(loss, of(&other).0);
+}
+
+/// Of any number of pixels in the last word, on a tape and off it.
+#[test]
+fn a_packed_mask_is_the_mask_to_the_bit() {
+    for device in [device(), device().inner()] {
+        for area in [1, 2, 3, 4, 437] {
+            let counted: Vec<bool> = (0..area).map(|pixel| pixel % 3 < 2).collect();
+            let mask = PackedMask::new(&counted, area, 1, &device).unwrap().mask();
+            assert_eq!(
+                mask.pixels_per_counted(),
+                area as f64 / counted.iter().filter(|&&counts| counts).count() as f64
+            );
+            let image = Tensor::zeros([3, 1, area], (&device, DType::F32));
+            let target = Target { image, mask: Some(mask) };
+            let ignored = target.ignored().unwrap();
+            assert_eq!(
+                (ignored.dims(), ignored.dtype(), ignored.is_autodiff()),
+                ([1, 1, area], DType::F32, device.is_autodiff())
+            );
+            let expected: Vec<f64> = counted.iter().map(|&counts| if counts { 0.0 } else { 1.0 }).collect();
+            assert_eq!(values(ignored), expected);
+            assert_eq!(PackedMask::size_bytes(area), area.div_ceil(4) * 4);
+        }
+    }
 }
 
 #[test]

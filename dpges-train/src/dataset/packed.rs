@@ -1,7 +1,7 @@
 //! A photograph on a device, 8 bits per value.
 
 use burn::tensor::{Device, Int, Tensor};
-use dpges_core::losses::{Mask, Target};
+use dpges_core::losses::{PackedMask, Target};
 use dpges_core::ops::unpack::{pack, unpack};
 
 use super::Picture;
@@ -13,7 +13,7 @@ pub struct PackedPicture {
     words: Tensor<1, Int>,
     /// 3, height, width.
     shape: [usize; 3],
-    mask: Option<Mask>,
+    mask: Option<PackedMask>,
     /// Whether its [`target`](Self::target) is on a tape.
     on_tape: bool,
 }
@@ -34,15 +34,15 @@ impl PackedPicture {
 
     /// What it takes on the device, bytes.
     pub fn size_bytes(picture: &Picture) -> usize {
-        let mask = if picture.counted.is_some() { size_of::<f32>() * picture.area() } else { 0 };
+        let mask = if picture.counted.is_some() { PackedMask::size_bytes(picture.area()) } else { 0 };
         picture.bytes.len().next_multiple_of(size_of::<i32>()) + mask
     }
 
-    /// The picture to compare a render with: the values of [`Picture::planes`], to the bit.
+    /// The picture to compare a render with, to the bit what [`Picture::target`] has.
     pub fn target(&self) -> Target {
         let image = unpack(&self.words, self.shape).expect("words are those of this shape");
         let image = if self.on_tape { image.autodiff() } else { image };
-        Target { image, mask: self.mask.clone() }
+        Target { image, mask: self.mask.as_ref().map(PackedMask::mask) }
     }
 }
 
@@ -64,10 +64,18 @@ mod tests {
                 assert_eq!((found.image.dims(), found.image.is_autodiff()), ([3, 5, 7], device.is_autodiff()));
                 let [found_rows, expected_rows] = [&found, &expected].map(|target| tensor_to_rows(&target.image));
                 assert_eq!(found_rows, expected_rows);
-                let shares = [found, expected].map(|target| target.mask.map(|mask| mask.pixels_per_counted()));
-                assert_eq!(shares[0], shares[1]);
+                let mask = found.mask.map(|mask| {
+                    let counted = mask.filled(found.image.ones_like(), 0.0);
+                    (tensor_to_rows(&counted.slice([0..1, 0..5, 0..7])), mask.pixels_per_counted())
+                });
+                let expected = picture.counted.as_ref().map(|counted| {
+                    let ones: Vec<f32> = counted.iter().map(|&counts| if counts { 1.0 } else { 0.0 }).collect();
+                    let count = ones.iter().sum::<f32>();
+                    (ones, 35.0 / f64::from(count))
+                });
+                assert_eq!(mask, expected);
             }
-            let mask = if picture.counted.is_some() { 4 * 35 } else { 0 };
+            let mask = if picture.counted.is_some() { 36 } else { 0 };
             assert_eq!(PackedPicture::size_bytes(&picture), 108 + mask);
         }
     }

@@ -3,7 +3,7 @@
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use dpges_core::counters::transfers::upload;
 use dpges_core::device::is_gpu;
-use dpges_core::losses::{Mask, Target};
+use dpges_core::losses::{PackedMask, Target};
 
 use super::PackedPicture;
 
@@ -50,16 +50,17 @@ impl Picture {
         }
         let shape = [3, self.height, self.width];
         let image = Tensor::from_data(upload(TensorData::new(self.planes(), shape)), (device, DType::F32));
-        Target { image, mask: self.mask(device) }
+        Target { image, mask: self.mask(device).map(|mask| mask.mask()) }
     }
 
     /// Which of the pixels count, on `device`; `None` if all do.
     ///
     /// # Panics
     /// If no pixel counts.
-    pub(super) fn mask(&self, device: &Device) -> Option<Mask> {
+    pub(super) fn mask(&self, device: &Device) -> Option<PackedMask> {
         self.counted.as_ref().map(|counted| {
-            Mask::new(counted, self.width, self.height, device).expect("a mask of this size in which a pixel counts")
+            let mask = PackedMask::new(counted, self.width, self.height, device);
+            mask.expect("a mask of this size in which a pixel counts")
         })
     }
 

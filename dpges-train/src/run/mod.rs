@@ -36,6 +36,8 @@ pub mod folder;
 mod masked_tests;
 pub mod metrics_log;
 mod observer;
+#[cfg(test)]
+mod peak_tests;
 mod record;
 #[cfg(test)]
 mod streamed_tests;
@@ -54,6 +56,7 @@ use dpges_core::scene::SceneData;
 use crate::config::Config;
 use crate::dataset::Dataset;
 use crate::eval::Evaluation;
+use crate::memory::PeakMemory;
 pub use crate::stage::{StepReport, TrainError, budget};
 use checkpoint::Checkpoint;
 pub use error::RunError;
@@ -66,6 +69,8 @@ pub use validation::{Validation, Verdict};
 /// A run from its first step, or the one it was stopped after, to its last.
 pub struct Run {
     trainer: Trainer,
+    /// Began with the run, or where it goes on.
+    peak: PeakMemory,
     /// `None` if the run is kept in memory.
     record: Option<Record>,
     /// The best scene by the validation views, unless it is in the folder.
@@ -132,8 +137,9 @@ impl Run {
     /// # Errors
     /// [`RunError::Train`] if the dataset, or a file that the configuration names, is not what the run begins with.
     pub fn new(config: Config, data: impl Into<Arc<Dataset>>, device: Device) -> Result<Self, RunError> {
+        let peak = PeakMemory::start();
         let data = with_validation(data.into(), &config);
-        Ok(Self::of(Trainer::new(config, data, device)?))
+        Ok(Self::of(Trainer::new(config, data, device)?, peak))
     }
 
     /// Goes on where `saved` was last saved, with the dataset that it was started with.
@@ -142,16 +148,18 @@ impl Run {
     /// [`RunError::Train`] if the dataset is another one or the checkpoint contradicts itself, [`RunError::Core`] if the
     /// metrics cannot be read.
     pub fn resume(saved: SavedRun, data: impl Into<Arc<Dataset>>, device: Device) -> Result<Self, RunError> {
+        let peak = PeakMemory::start();
         let SavedRun { folder, origin, checkpoint } = saved;
         let data = with_validation(data.into(), checkpoint.config());
-        let (record, seconds_before) = Record::resume(folder, origin, &checkpoint)?;
+        let (record, seconds_before) = Record::resume(folder, origin, &checkpoint, peak)?;
         let trainer = Trainer::resume(checkpoint, data, device)?;
-        Ok(Self { record: Some(record), seconds_before, ..Self::of(trainer) })
+        Ok(Self { record: Some(record), seconds_before, ..Self::of(trainer, peak) })
     }
 
-    fn of(trainer: Trainer) -> Self {
+    fn of(trainer: Trainer, peak: PeakMemory) -> Self {
         Self {
             trainer,
+            peak,
             record: None,
             best: None,
             before_last_stage: None,
@@ -174,7 +182,7 @@ impl Run {
     /// # Errors
     /// [`RunError::Folder`] if the folder cannot be written.
     pub fn overwrite(self, folder: RunFolder, origin: Origin) -> Result<Self, RunError> {
-        let record = Record::start(folder, origin, self.trainer.config())?;
+        let record = Record::start(folder, origin, self.trainer.config(), self.peak)?;
         if let Some(best) = &self.best {
             best.save(&record.folder.best())?;
         }

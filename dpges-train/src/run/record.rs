@@ -14,7 +14,7 @@ use super::metrics_log::MetricsLog;
 use crate::config::Config;
 use crate::corrections::ViewCorrections;
 use crate::eval::{EvalReport, Evaluation};
-use crate::memory::peak_memory_bytes;
+use crate::memory::PeakMemory;
 use crate::sight::Floaters;
 
 /// Steps between lines of `metrics.jsonl`.
@@ -25,29 +25,32 @@ pub struct Record {
     pub folder: RunFolder,
     origin: Origin,
     pub metrics: MetricsLog,
+    /// Of the run, in this process.
+    peak: PeakMemory,
     /// Completed steps of the checkpoint in the folder.
     pub saved: Option<usize>,
 }
 
 impl Record {
-    /// The record of a run before its first step, in place of another run in the folder.
+    /// The record of a run before its first step, in place of another run in the folder; `peak` began with the run.
     ///
     /// # Errors
     /// [`RunFolderError::File`].
-    pub fn start(folder: RunFolder, origin: Origin, config: &Config) -> Result<Self, RunFolderError> {
+    pub fn start(folder: RunFolder, origin: Origin, config: &Config, peak: PeakMemory) -> Result<Self, RunFolderError> {
         folder.start(&origin, config)?;
         let metrics = MetricsLog::create(&folder.metrics())?;
-        Ok(Self { folder, origin, metrics, saved: None })
+        Ok(Self { folder, origin, metrics, peak, saved: None })
     }
 
-    /// The record of a run that goes on where `checkpoint` was made, and the seconds that it had taken by then.
+    /// The record of a run that goes on where `checkpoint` was made, and the seconds that it had taken by then; `peak` began
+    /// where it goes on.
     ///
     /// # Errors
     /// [`Error::Io`].
-    pub fn resume(folder: RunFolder, origin: Origin, checkpoint: &Checkpoint) -> Result<(Self, f64)> {
+    pub fn resume(folder: RunFolder, origin: Origin, checkpoint: &Checkpoint, peak: PeakMemory) -> Result<(Self, f64)> {
         let completed = checkpoint.completed_steps();
         let (metrics, seconds) = MetricsLog::resume(&folder.metrics(), completed, checkpoint.stage_is_over())?;
-        Ok((Self { folder, origin, metrics, saved: Some(completed) }, seconds))
+        Ok((Self { folder, origin, metrics, peak, saved: Some(completed) }, seconds))
     }
 
     /// Logs every tenth step, those with events, and the `last`; `seconds` is the time of the whole run so far.
@@ -118,7 +121,7 @@ impl Record {
             bytes: file.len(),
             floaters,
             training_seconds: Some(MetricsLog::seconds_of_steps(&self.folder.metrics())?),
-            peak_memory_bytes: peak_memory_bytes(),
+            peak_memory_bytes: self.peak.bytes(),
             target: None,
             popping: None,
             frame_ms: None,

@@ -29,7 +29,7 @@ use dpges_core::counters::{DeviceMemory, KernelTime, Launches};
 use dpges_core::device::is_gpu;
 use serde::Serialize;
 
-use crate::memory::{peak_memory_bytes, reset_peak_memory};
+use crate::memory::PeakMemory;
 use crate::run::TrainError;
 pub use lists::{List, Lists};
 pub use steps::{StepStage, Steps};
@@ -90,9 +90,9 @@ pub struct GpuCost {
 /// Those of [`Steps::step`].
 pub fn measure(steps: &mut Steps, rounds: Rounds) -> Result<StepCost, TrainError> {
     (0..rounds.warm_up).try_for_each(|_| steps.step())?;
-    reset_peak_memory();
+    let peak = PeakMemory::start();
     let time = times(steps, rounds.counted.max(1))?;
-    let process_peak_bytes = peak_memory_bytes();
+    let process_peak_bytes = peak.bytes();
     let gpu = if is_gpu(steps.device()) { gpu_cost(steps)? } else { None };
     let (surfels, gaussians) = steps.primitives();
     let [width, height] = steps.size();

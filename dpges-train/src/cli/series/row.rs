@@ -32,6 +32,8 @@ pub struct Measured {
     pub bytes: u64,
     /// Wall-clock time up to the last step, including evaluations, before and after every resumption.
     pub seconds: f64,
+    /// The most memory of the process while it trained, bytes; `None` where that is not known.
+    pub peak_memory_bytes: Option<u64>,
     /// The held-out views one by one.
     pub views: Vec<ViewScore>,
 }
@@ -61,6 +63,7 @@ impl Measured {
             popping: report.popping,
             bytes: report.bytes,
             seconds: MetricsLog::seconds_of_steps(&folder.metrics())?,
+            peak_memory_bytes: report.peak_memory_bytes,
             views: report.evaluation.views,
         })
     }
@@ -127,6 +130,7 @@ pub mod tests {
             popping: None,
             bytes: 6_700_000,
             seconds: 89.04,
+            peak_memory_bytes: None,
             views: Vec::new(),
         };
         Row { label, runs: psnr.iter().enumerate().map(measured).collect() }

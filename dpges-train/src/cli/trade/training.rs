@@ -9,7 +9,6 @@ use dpges_core::scene::ColourModel;
 use dpges_train::config::{Config, HARD_RIM, Method};
 use dpges_train::dataset::Dataset;
 use dpges_train::device::DeviceName;
-use dpges_train::memory::{peak_memory_bytes, reset_peak_memory};
 use dpges_train::run::{Observer, budget};
 use dpges_train::simplify::detail_of;
 
@@ -84,7 +83,6 @@ impl Training<'_> {
                 common = self.common(Arc::new(self.source.load_for_training(&entry.config)?));
                 data = entry.config.data.clone();
             }
-            let measures = !entry.is_finished() && reset_peak_memory();
             match entry.train_watched(&common, &mut Until(limit)) {
                 Err(_) if limit.has_stopped() => {
                     tracing::info!("{}: the time is over, the same command goes on with it", entry.label);
@@ -93,12 +91,11 @@ impl Training<'_> {
                 }
                 other => other?,
             }
-            let peak = if measures { peak_memory_bytes() } else { None };
             let measured = entry.measured()?;
             let mut point = sweep.point(&entry.scene()?, &[], entry.label, Some(seed))?;
             point.kind = Kind::Training;
             point.knobs = knob.iter().map(|&knob| knob.to_owned()).collect();
-            (point.training_seconds, point.training_peak_bytes) = (Some(measured.seconds), peak);
+            (point.training_seconds, point.training_peak_bytes) = (Some(measured.seconds), measured.peak_memory_bytes);
             sweep.store.add(point)?;
         }
         Ok(())

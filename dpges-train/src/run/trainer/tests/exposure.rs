@@ -1,0 +1,85 @@
+//! Colour corrections of photographs.
+
+use std::sync::Arc;
+
+use super::{STAGES, trainer};
+use crate::corrections::ViewCorrections;
+use crate::dataset::{BuiltinOptions, View, builtin};
+use crate::eval::{Evaluation, Measures, evaluate_each};
+use crate::exposure::Correction;
+use crate::rendered::Renderer;
+use crate::run::Trainer;
+use crate::run::fixtures::{config, device};
+
+#[test]
+fn exposures_are_learnt_around_their_mean_in_every_stage() {
+    let mut trainer = trainer(&[&STAGES[..], &["train.exposure=on"]].concat());
+    let mut before = vec![0.0; 18];
+    for stage in ["2dgs", "dbs", "joint"] {
+        while !trainer.stage_is_over() {
+            trainer.step().unwrap();
+        }
+        assert_eq!(trainer.stage().kind.to_string(), stage);
+        let checkpoint = trainer.checkpoint();
+        let after = checkpoint.attributes["exposure"].raw.clone();
+        assert!(after.iter().zip(&before).all(|(a, b)| a != b), "{stage}: {after:?}");
+        for column in 0..6 {
+            let sum: f32 = after.iter().skip(column).step_by(6).sum();
+            assert!(sum.abs() < 1e-5, "{stage}: column {column} sums to {sum}");
+        }
+        let named = trainer.view_corrections().exposure.unwrap();
+        assert_eq!(named.keys().collect::<Vec<_>>(), ["train_000", "train_001", "train_002"]);
+        assert!((named["train_001"].gain[0].ln() - f64::from(after[6])).abs() < 1e-6);
+        before = after;
+        if !trainer.is_in_last_stage() {
+            trainer.next_stage().unwrap();
+        }
+    }
+    let without = super::trainer(&["train.steps=9"]);
+    assert!(!without.corrects_exposure() && without.view_corrections() == ViewCorrections::default());
+}
+
+#[test]
+fn exposures_are_found_and_compensated() {
+    let options =
+        BuiltinOptions { width: 32, height: 32, train_views: 8, test_views: 4, points: 400, ..Default::default() };
+    let plain = builtin(&options);
+    let changed = Arc::new(builtin(&BuiltinOptions { exposure_stops: 1.0, ..options }));
+    let trained = |exposure: &str| {
+        let set = ["train.steps=400", "refine.budget=1500", "optimizer.exposure=0.02", exposure];
+        let mut trainer = Trainer::new(config(&set), changed.clone(), device()).unwrap();
+        while !trainer.is_finished() {
+            trainer.step().unwrap();
+        }
+        let scene = trainer.scene();
+        let renderer = Renderer::new(&scene, &device());
+        let measures = Measures::BASIC.fitted(true);
+        let evaluation: dpges_core::Result<Evaluation> =
+            evaluate_each(&renderer, &scene, &changed.test, &device(), measures, |_, _| Ok(()));
+        (evaluation.unwrap().fitted.psnr_fitted.unwrap(), trainer.view_corrections().exposure)
+    };
+    let (with, found) = trained("train.exposure=auto");
+    let (without, none) = trained("train.exposure=off");
+    assert!(with > without && none.is_none(), "{with} with, {without} dB without");
+
+    // by how much each photograph is brighter than the scene, and than the others
+    let brightness =
+        |view: &View| f64::from(view.picture().unwrap().planes().iter().sum::<f32>() / (3.0 * 32.0 * 32.0));
+    let found = found.expect("exposures differ by more than auto takes");
+    let pairs = changed.train.iter().zip(&plain.train);
+    let (truth, learnt): (Vec<f64>, Vec<f64>) = pairs
+        .map(|(changed, plain)| {
+            let (scene, Correction { gain, offset }) = (brightness(plain), found[&changed.name]);
+            let shown = (0..3).map(|channel| gain[channel] * scene + offset[channel]).sum::<f64>() / 3.0;
+            ((brightness(changed) / scene).ln(), (shown / scene).ln())
+        })
+        .unzip();
+    let centred = |values: &[f64]| {
+        let mean = values.iter().sum::<f64>() / values.len() as f64;
+        values.iter().map(|value| value - mean).collect::<Vec<f64>>()
+    };
+    let (truth, learnt) = (centred(&truth), centred(&learnt));
+    let wrong: f64 = truth.iter().zip(&learnt).map(|(a, b)| (a - b).powi(2)).sum();
+    let all: f64 = truth.iter().map(|a| a.powi(2)).sum();
+    assert!(wrong < 0.25 * all, "{truth:?} {learnt:?}");
+}

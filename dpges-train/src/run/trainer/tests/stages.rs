@@ -1,0 +1,96 @@
+//! Stages and methods: what they train and hand on, and what they need.
+
+use dpges_core::scene::{EnvironmentData, Rendering};
+
+use super::{STAGES, gaussians, trainer};
+use crate::config::StageKind;
+use crate::run::Trainer;
+use crate::run::fixtures::{config, dataset, device};
+
+#[test]
+fn stages_hand_on_what_they_trained() {
+    let mut trainer = trainer(&STAGES);
+    let mut seen = Vec::new();
+    let mut events = Vec::new();
+    while !trainer.is_finished() {
+        let report = trainer.step().unwrap().unwrap();
+        assert!(report.loss.is_finite() && report.psnr > 0.0, "{report:?}");
+        events.extend(report.events);
+        if trainer.stage_is_over() {
+            seen.push((report.stage, trainer.completed_steps(), trainer.scene()));
+        }
+    }
+    let order: Vec<(String, usize)> = seen.iter().map(|(stage, step, _)| (stage.to_string(), *step)).collect();
+    assert_eq!(order, [("2dgs".to_owned(), 18), ("dbs".to_owned(), 36), ("joint".to_owned(), 60)]);
+    let [(_, _, discs), (_, _, gaussians), (_, _, joint)] = &seen[..] else { unreachable!() };
+    assert_eq!((discs.info.rendering, gaussians.info.rendering), (Rendering::Discs, Rendering::Ellipsoids));
+    assert_eq!(joint.info.rendering, Rendering::Peeled);
+    let opaque = discs.gaussians.opacities.iter().filter(|&&opacity| opacity > 0.12).count();
+    assert!(opaque > 10 && joint.surfels.len() <= opaque, "{opaque}, {}", joint.surfels.len());
+    assert!(discs.gaussians.len() <= 210 && gaussians.gaussians.len() <= 420);
+    assert!(events.iter().any(|event| event.contains("discs added by densification")), "{events:?}");
+}
+
+#[test]
+fn an_environment_learns_in_every_stage_and_goes_from_one_to_the_next() {
+    let mut trainer = trainer(&STAGES);
+    let mut before = trainer.scene().environment.unwrap();
+    assert_eq!(before, EnvironmentData::neutral(1));
+    for stage in ["2dgs", "dbs", "joint"] {
+        assert_eq!(trainer.scene().environment.as_ref(), Some(&before), "{stage}");
+        while !trainer.stage_is_over() {
+            trainer.step().unwrap();
+        }
+        assert_eq!(trainer.stage().kind.to_string(), stage);
+        let after = trainer.scene().environment.unwrap();
+        let pairs = after.coefficients.iter().zip(&before.coefficients);
+        assert!(pairs.clone().count() == 12 && pairs.clone().all(|(a, b)| a != b), "{stage}: {after:?}");
+        before = after;
+        if !trainer.is_in_last_stage() {
+            trainer.next_stage().unwrap();
+        }
+    }
+    assert_eq!(super::trainer(&["train.steps=9"]).scene().environment, None);
+}
+
+#[test]
+fn only_linear_opacities_become_odds() {
+    let first_joint = |opacity: &str| {
+        let set = ["train.steps=40", "stages.gaussians=0.5", "refine.budget=300", opacity];
+        let mut trainer = trainer(&set);
+        while trainer.stage().kind != StageKind::Joint {
+            trainer.step().unwrap();
+        }
+        gaussians(&mut trainer).opacities().into_iter().fold(0.0, f32::max)
+    };
+    let (linear, logistic) = (first_joint("model.opacity=linear"), first_joint("model.opacity=sigmoid"));
+    assert!(linear > 0.9 && logistic < 0.9, "{linear}, {logistic}");
+}
+
+#[test]
+fn methods_alone_learn() {
+    for method in ["2dgs", "mcmc", "dbs", "3dgs", "absgs", "mip-splatting"] {
+        let method = format!("train.method={method}");
+        let mut trainer = trainer(&["train.steps=60", &method, "refine.budget=500"]);
+        let mut loss = Vec::new();
+        while !trainer.is_finished() {
+            loss.push(trainer.step().unwrap().unwrap().rgb);
+        }
+        let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;
+        let (early, late) = (mean(&loss[..6]), mean(&loss[54..]));
+        assert!(late < 0.8 * early, "{method}: {early} at first, {late} at last");
+    }
+}
+
+#[test]
+fn plans_that_lack_something_are_refused_before_the_first_step() {
+    let error = |set: &[&str]| match Trainer::new(config(set), dataset(), device()) {
+        Err(error) => error.to_string(),
+        Ok(_) => panic!("not refused"),
+    };
+    assert!(error(&["train.lambda_normal=0.05"]).contains("stages.surfels above 0"));
+    assert!(error(&["stages.gaussians_by=rest"]).contains("needs discs"));
+    assert!(error(&["refine.budget=auto"]).contains("validation views"));
+    let absent = error(&["stages.surfels_from=absent.safetensors"]);
+    assert!(absent.contains("stages.surfels_from") && absent.contains("absent.safetensors"), "{absent}");
+}

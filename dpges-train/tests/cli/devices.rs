@@ -1,0 +1,72 @@
+//! Which device is used, and whether it computes what it should.
+
+use serde_json::Value;
+
+use super::{dpges, folder, json, ok};
+
+#[test]
+fn the_first_line_says_which_device_and_why() {
+    let folder = folder();
+    let at = folder.path();
+    let first_line = |args: &[&str]| -> String {
+        let output = dpges(at, args);
+        let message = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(0), "{args:?}: {message}");
+        message.lines().next().unwrap().to_owned()
+    };
+    let short = ["train", "--out=run", "--steps=2", "--max-resolution=24", "--set=init.max_points=100"];
+    let trained = first_line(&short);
+    let chosen = ok(at, &["devices", "--auto"]);
+    let device = chosen.split(',').next().unwrap();
+    assert!(trained.contains(&format!("device: {device}, since ")), "{trained}, but {chosen}");
+    if device == "cpu" {
+        assert!(["no GPU", "no hardware GPU"].iter().any(|part| chosen.contains(part)), "{chosen}");
+    } else {
+        assert!(device.starts_with("wgpu:") && chosen.contains("passed a check"), "{chosen}");
+    }
+    assert_eq!(json(at.join("run/run.json"))["device"], device, "a name, not `auto`");
+
+    let again = first_line(&["train", "--out=run", "--resume"]);
+    assert!(again.contains(&format!("device: {device} (")) && again.contains("as before"), "{again}");
+    assert!(first_line(&["train", "--out=run", "--resume", "--device=auto"]).contains(", since "));
+    assert!(first_line(&["eval", "run"]).contains(&format!("device: {device}, since ")));
+    let named = first_line(&["render", "run", "--out=pictures", "--device=cpu-flex"]);
+    assert!(named.contains("device: cpu-flex (burn-flex on the CPU), as --device says"), "{named}");
+    let study = ["ablate", "--out=study", "--only=full", "--steps=2", "--max-resolution=24", "--device=auto"];
+    assert!(first_line(&study).contains(&format!("device: {device}, since ")));
+    let selection: Value = serde_json::from_str(&ok(at, &["devices", "--auto", "--json"])).unwrap();
+    assert_eq!(selection["device"], device);
+}
+
+#[test]
+fn devices_are_listed_with_what_device_takes() {
+    let folder = folder();
+    let at = folder.path();
+    let table = ok(at, &["devices"]);
+    assert!(table.contains("cpu-flex") && table.contains("burn-ndarray") && table.contains("wgpu"), "{table}");
+    let list: Value = serde_json::from_str(&ok(at, &["devices", "--json"])).unwrap();
+    assert_eq!(list["cpus"][0]["device"], "cpu");
+    let adapters = list["adapters"].as_array().unwrap();
+    assert_eq!(adapters.is_empty(), list["advice"].is_string(), "{list}");
+    for (number, adapter) in adapters.iter().enumerate() {
+        assert_eq!(adapter["device"], format!("wgpu:{number}"));
+        assert_eq!(adapter["suitable"], Value::from(adapter["shortcoming"].is_null()));
+        for key in ["name", "kind", "api", "driver", "storage_binding_bytes", "f32_atomic_add"] {
+            assert!(!adapter[key].is_null(), "{key}: {adapter}");
+        }
+    }
+    let has_gpu = adapters.iter().any(|adapter| adapter["suitable"] == true);
+    assert!(has_gpu || std::env::var_os("DPGES_REQUIRE_GPU").is_none(), "{list}");
+}
+
+#[test]
+fn the_cpus_pass_the_selftest() {
+    let folder = folder();
+    let at = folder.path();
+    let table = ok(at, &["selftest", "--device", "cpu"]);
+    let parts = ["peel", "splat", "composite", "SSIM", "backward", "burn-ndarray", "all as they should be"];
+    assert!(parts.iter().all(|part| table.contains(part)) && !table.contains("WRONG"), "{table}");
+    let report: Value = serde_json::from_str(&ok(at, &["selftest", "--device", "cpu-flex", "--json"])).unwrap();
+    assert_eq!((&report["passed"], &report["device"]), (&Value::from(true), &Value::from("cpu-flex")));
+    assert!(report["tensors"].as_u64().unwrap() > 150, "{report}");
+}

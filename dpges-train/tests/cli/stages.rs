@@ -1,0 +1,122 @@
+//! What stages leave, and what decides about their lengths and budgets.
+
+use serde_json::Value;
+
+use super::{bytes, fails, folder, is_equal, json, metrics, ok, png_names, train};
+#[cfg(unix)]
+use super::{start_training, wait_until};
+
+#[test]
+fn what_a_method_trains_alone_can_be_a_beginning() {
+    let folder = folder();
+    let at = folder.path();
+    let short = ["--steps=20", "--set=train.evaluate_every=0"];
+    train(at, "discs", &[&short[..], &["--method=2dgs"]].concat());
+    train(at, "gaussians", &[&short[..], &["--method=mcmc"]].concat());
+    let rendering = |run: &str| -> Value {
+        let info: Value = serde_json::from_str(&ok(at, &["info", run, "--json"])).unwrap();
+        info["rendering"].clone()
+    };
+    assert_eq!((rendering("discs"), rendering("gaussians")), ("discs".into(), "ellipsoids".into()));
+    assert!(fails(at, 2, &["render", "discs", "--out", "pictures", "--layers"]).contains("a scene of discs"));
+    ok(at, &["render", "discs", "--out", "pictures"]);
+    assert_eq!(png_names(&at.join("pictures")).len(), 6);
+
+    let files = ["--init-surfels=discs/scene.safetensors", "--init-gaussians=gaussians/scene.safetensors"];
+    let more = [&short[..], &files, &["--set=stages.surfel_opacity=0.1"]].concat();
+    train(at, "both", &more);
+    assert_eq!(rendering("both"), "peeled");
+    let result = json(at.join("both/eval.json"));
+    assert!(result["surfels"].as_u64().unwrap() > 0 && result["psnr"].as_f64().unwrap() > 10.0, "{result}");
+    ok(at, &["train", "--out", "both", "--resume"]);
+
+    let swapped = ["train", "--out=no", "--max-resolution=32", "--init-gaussians=discs/scene.safetensors"];
+    let message = fails(at, 1, &swapped);
+    assert!(message.contains("stages.gaussians_from") && message.contains("a scene of discs"), "{message}");
+    let other = [&["train", "--out=no", "--max-resolution=32", "--set=model.colour=sh1"], &files[..]].concat();
+    assert!(fails(at, 1, &other).contains("its colours are sb2"));
+    assert!(!at.join("no").exists());
+}
+
+#[test]
+fn stages_leave_their_scenes_and_a_killed_run_goes_on_in_the_middle_of_one() {
+    let folder = folder();
+    let at = folder.path();
+    let stages = ["--set=stages.surfels=0.3", "--set=stages.gaussians=0.3", "--set=stages.surfel_opacity=0.1"];
+    train(at, "whole", &stages);
+    for stage in ["2dgs", "dbs"] {
+        let report = json(at.join(format!("whole/stage_{stage}.json")));
+        assert!(report["psnr"].as_f64().unwrap() > 5.0, "{report}");
+        ok(at, &["eval", &format!("whole/stage_{stage}.safetensors"), "--data", "builtin", "--max-resolution=32"]);
+    }
+    let named: Vec<Value> = metrics(&at.join("whole")).iter().filter_map(|line| line.get("stage").cloned()).collect();
+    for stage in ["2dgs", "dbs", "joint"] {
+        assert!(named.contains(&stage.into()), "{named:?}");
+    }
+
+    #[cfg(unix)]
+    {
+        let mut child = start_training(at, "killed", &stages);
+        wait_until(|| at.join("killed/stage_2dgs.safetensors").is_file());
+        child.kill().unwrap();
+        child.wait().unwrap();
+        if at.join("killed/checkpoint.safetensors").is_file() {
+            ok(at, &["train", "--out", "killed", "--resume"]);
+        } else {
+            train(at, "killed", &[&stages[..], &["--overwrite"]].concat());
+        }
+        assert!(is_equal(at.join("whole/scene.safetensors"), at.join("killed/scene.safetensors")));
+        assert_eq!(metrics(&at.join("whole")), metrics(&at.join("killed")));
+    }
+}
+
+#[test]
+fn validation_views_end_a_run_with_the_best_scene() {
+    let folder = folder();
+    let at = folder.path();
+    let more = ["--stop=validation", "--set=train.evaluate_every=5", "--set=train.patience=1", "--steps=400"];
+    train(at, "run", &more);
+    let lines = metrics(&at.join("run"));
+    let judged: Vec<(u64, f64)> = lines
+        .iter()
+        .filter(|line| line["kind"] == "validation")
+        .map(|line| (line["step"].as_u64().unwrap(), line["psnr"].as_f64().unwrap()))
+        .collect();
+    let (last, best) = (judged[judged.len() - 1], judged[judged.len() - 2]);
+    assert!(last.0 < 400 && last.1 <= best.1, "{judged:?}");
+    assert!(judged[..judged.len() - 1].windows(2).all(|pair| pair[1].1 > pair[0].1), "{judged:?}");
+    assert!(is_equal(at.join("run/scene.safetensors"), at.join("run/best.safetensors")));
+    assert!(lines.iter().filter(|line| line["kind"] == "validation").all(|line| line["views"] == 3));
+    let scene = bytes(at.join("run/scene.safetensors"));
+    ok(at, &["train", "--out", "run", "--resume"]);
+    assert!(bytes(at.join("run/scene.safetensors")) == scene);
+}
+
+#[test]
+fn an_automatic_budget_says_what_it_decides_and_why() {
+    let folder = folder();
+    let at = folder.path();
+    train(at, "auto", &["--budget=auto", "--steps=100"]);
+    let events: Vec<String> = metrics(&at.join("auto"))
+        .iter()
+        .filter_map(|line| line.get("events")?.as_array().cloned())
+        .flatten()
+        .map(|event| event.as_str().unwrap().to_owned())
+        .collect();
+    let told = [
+        "layers instead of 3",
+        "% of the covered pixels",
+        "lobes",
+        "without new Gaussians: ",
+        "for twice the primitives, at least 0.05 wanted: ",
+    ];
+    for part in told {
+        assert!(events.iter().any(|event| event.contains(part)), "{part}: {events:?}");
+    }
+    let control = events.iter().position(|event| event.contains("without new Gaussians")).unwrap();
+    let batch = events.iter().position(|event| event.starts_with("batch of ")).unwrap();
+    assert!(control < batch, "{events:?}");
+    train(at, "size", &["--budget=0.1MB"]);
+    assert!(bytes(at.join("size/scene.safetensors")).len() < 105_000);
+    assert!(fails(at, 2, &["train", "--budget=12GB"]).contains("12.5MB"));
+}
