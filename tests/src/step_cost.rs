@@ -1,6 +1,7 @@
 //! What a training step asks of a GPU.
 
 use burn::tensor::Device;
+use dpges_core::counters::transfers::Transfers;
 use dpges_core::testing::scenes::realistic;
 use dpges_train::step_cost::{GpuCost, Rounds, StepStage, Steps, measure};
 
@@ -50,7 +51,9 @@ pub fn a_step_is_counted_alike_every_time(device: Device) {
     // five attributes of surfels and six of Gaussians, two to a launch
     assert_eq!(launches_of(&first, "dpges_core::adam::"), 6);
     assert_eq!(first.launches_by_kernel, second.launches_by_kernel);
-    assert_eq!(first.transfers, second.transfers);
+    // whether the losses are there when they are asked for is a matter of time
+    let without_waits = |cost: &GpuCost| Transfers { waits: 0, ..cost.transfers };
+    assert_eq!(without_waits(&first), without_waits(&second));
 }
 
 pub fn a_blended_step_is_counted(device: Device) {

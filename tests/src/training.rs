@@ -49,18 +49,29 @@ fn trained(data: &Arc<Dataset>, config: Config, device: &Device) -> Trainer {
 pub fn a_gpu_trains_as_well_as_a_cpu(device: Device) {
     let data = dataset();
     let psnr = |trainer: &Trainer, device: &Device| evaluate(&trainer.scene(), &data.test, device).unwrap().psnr;
-    // at the paper's rates: at the faster ones of the default rounding alone moves the end of a run by about 0.1 dB, also
-    // from one CPU backend to the other
-    let slow = ["quaternions=1e-3", "log_scales=5e-3", "opacities=2.5e-4", "base=2.5e-3", "detail=2.5e-3"];
-    let slow = slow.map(|rate| format!("optimizer.{rate}"));
-    let settings = slow.each_ref().map(String::as_str);
+    // at the paper's rates and without refinement, which makes of differences by rounding another set of primitives: that
+    // moves the end of a run by up to 0.3 dB, also from one version of a CPU kernel to the next
+    let settings = [
+        "optimizer.quaternions=1e-3",
+        "optimizer.log_scales=5e-3",
+        "optimizer.opacities=2.5e-4",
+        "optimizer.base=2.5e-3",
+        "optimizer.detail=2.5e-3",
+        "refine.add_until=0",
+        "refine.replace_until=0",
+        "refine.gaussian_prune_until=0",
+        "refine.surfel_prune_until=0",
+        "refine.judge_surfels_at=[]",
+        "refine.split=false",
+        "refine.clear_sight=false",
+    ];
     let config = || config(200, &settings);
     let untrained = psnr(&Trainer::new(config(), Arc::clone(&data), ndarray()).unwrap(), &ndarray());
     let cpu = psnr(&trained(&data, config(), &ndarray()), &ndarray());
     let gpu = psnr(&trained(&data, config(), &device), &device);
     println!("held out: {untrained:.3} dB at first, {cpu:.3} dB on the CPU, {gpu:.3} dB on the GPU");
     assert!(cpu > untrained + 1.0, "{untrained:.2} dB before, {cpu:.2} dB after: the run taught nothing");
-    assert!((cpu - gpu).abs() <= 0.1, "{cpu:.3} dB on the CPU, {gpu:.3} dB on the GPU");
+    assert!((cpu - gpu).abs() <= 0.03, "{cpu:.3} dB on the CPU, {gpu:.3} dB on the GPU");
 }
 
 pub fn a_run_on_a_gpu_is_the_same_bytes_every_time(device: Device) {

@@ -17,11 +17,14 @@ pub fn base<T: Real>(coefficients: V3<T>) -> V3<T> {
     coefficients.map(|k| T::of(0.5) + T::of(SH_C0) * k)
 }
 
+/// Logarithm below which an exponential counts as 0, as it does in f32 on GPUs: no gradient reaches a lobe that is absent.
+const VANISHED: f64 = 87.0;
+
 /// Stable softplus and its derivative.
 #[inline(always)]
 fn softplus<T: Real>(raw: T) -> (T, T) {
     let x = T::of(SHARPNESS) * raw;
-    let decay = (-x.abs()).exp_nonpositive();
+    let decay = if x.abs() < T::of(VANISHED) { (-x.abs()).exp_nonpositive() } else { T::zero() };
     let value = (x.max(T::zero()) + decay.ln_1p_share()) / T::of(SHARPNESS);
     let sigmoid = if x >= T::zero() { T::one() / (T::one() + decay) } else { decay / (T::one() + decay) };
     (value, sigmoid)
