@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use burn::tensor::{DType, Device, Tensor};
 use criterion::{BatchSize, BenchmarkId, Criterion, SamplingMode, criterion_group, criterion_main};
-use dpges_benches::training::{Parameter, Training, Variant, adam_settings, step_all};
+use dpges_benches::training::{Parameter, Training, Variant, adam_settings};
 use dpges_benches::{cpus, devices, machine, plain};
 use dpges_core::ops::blend::{Blend, BlendOptions, Form, blend};
 use dpges_core::ops::composite::{Composite, CompositeOptions, composite};
@@ -196,8 +196,7 @@ fn operations(c: &mut Criterion) {
             group.bench_function(operation, |b| {
                 b.iter(|| {
                     time += 1;
-                    let all = parameters.iter_mut().map(|(parameter, grad)| (parameter, grad.clone())).collect();
-                    step_all(all, &adam_settings(time), own);
+                    parameters.iter_mut().for_each(|(p, grad)| p.step(grad.clone(), adam_settings(time), own));
                     view.sync();
                 });
             });

@@ -1,7 +1,6 @@
 //! Compositing and Adam as plain tensor operations, what Burn's autodiff and optimiser would do.
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
-use dpges_core::ops::adam::AdamStep;
 use dpges_core::ops::composite::{Composite, CompositeOptions};
 use dpges_core::ops::peel::Layers;
 
@@ -32,16 +31,15 @@ pub fn composite(layers: &Layers, colours: Tensor<2>, sums: Tensor<4>, options: 
     Composite { image, surfel_image, transmittance, gaussian_colour, gaussian_weight }
 }
 
-/// One step of `dpges_core::ops::adam` on a parameter and its two moments.
-pub fn adam_step(
-    parameter: Tensor<2>,
-    [moment_1, moment_2]: [Tensor<2>; 2],
-    grad: Tensor<2>,
-    learning_rate: f64,
-    step: &AdamStep,
-) -> (Tensor<2>, [Tensor<2>; 2]) {
+/// One step of `dpges_core::ops::adam`.
+pub fn adam_step<const D: usize>(
+    parameter: Tensor<D>,
+    [moment_1, moment_2]: [Tensor<D>; 2],
+    grad: Tensor<D>,
+    step: &dpges_core::ops::adam::AdamStep,
+) -> (Tensor<D>, [Tensor<D>; 2]) {
     let time = step.time as i32;
-    let rate = learning_rate / (1.0 - step.beta_1.powi(time));
+    let rate = step.learning_rate / (1.0 - step.beta_1.powi(time));
     let correction = 1.0 / (1.0 - step.beta_2.powi(time)).sqrt();
     let moment_1 = moment_1 * step.beta_1 + grad.clone() * (1.0 - step.beta_1);
     let moment_2 = moment_2 * step.beta_2 + grad.clone() * grad * (1.0 - step.beta_2);

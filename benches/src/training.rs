@@ -2,7 +2,7 @@
 
 use burn::tensor::{DType, Device, Tensor};
 use dpges_core::losses::{LossWeights, losses};
-use dpges_core::ops::adam::{AdamParameter, AdamState, AdamStep, adam_step};
+use dpges_core::ops::adam::{AdamStep, adam_step};
 use dpges_core::ops::colour::colour;
 use dpges_core::ops::composite::CompositeOptions;
 use dpges_core::ops::limits::interval_limits;
@@ -41,59 +41,34 @@ impl Variant {
 /// A parameter and its moments, off the tape.
 #[derive(Clone, Debug)]
 pub struct Parameter {
-    /// [rows, width]
-    value: Tensor<2>,
-    /// What dpges steps with.
-    own: Tensor<3>,
-    /// What plain tensor operations step with.
-    plain: [Tensor<2>; 2],
+    /// [rows, width] value, first and second moment; `None` only while they are stepped.
+    state: Option<(Tensor<2>, [Tensor<2>; 2])>,
 }
 
 impl Parameter {
     pub fn new(value: &Tensor<2>) -> Self {
-        let [rows, width] = value.dims();
-        let options = (&value.device(), value.dtype());
-        let plain = [(); 2].map(|()| Tensor::zeros([rows, width], options));
-        Self { value: value.clone(), own: Tensor::zeros([2, rows, width], options), plain }
+        let zero = value.zeros_like();
+        Self { state: Some((value.clone(), [zero.clone() + 0.0, zero + 0.0])) }
     }
 
     fn leaf(&self) -> Tensor<2> {
-        self.value.clone().autodiff().require_grad()
+        self.state.as_ref().expect("nothing is being stepped").0.clone().autodiff().require_grad()
+    }
+
+    pub fn step(&mut self, grad: Tensor<2>, step: AdamStep, own: bool) {
+        let (value, moments) = self.state.take().expect("nothing is being stepped");
+        self.state = Some(if own {
+            let gate = Tensor::ones([1], (&grad.device(), grad.dtype()));
+            adam_step(value, moments, &grad, &gate, &step).expect("a gradient has the shape of its parameter")
+        } else {
+            plain::adam_step(value, moments, grad, &step)
+        });
     }
 }
 
-/// Learning rate of every parameter; small enough that a benchmark does not change the scene much.
-const LEARNING_RATE: f64 = 1e-6;
-
-/// One step of all parameters along their gradients, by the operation of dpges or by plain tensor operations. What is stepped
-/// is moved out, so that either works in place; the gradient holds the places.
-pub fn step_all(parameters: Vec<(&mut Parameter, Tensor<2>)>, step: &AdamStep, own: bool) {
-    if !own {
-        for (parameter, gradient) in parameters {
-            let value = std::mem::replace(&mut parameter.value, gradient.clone());
-            let moments = parameter.plain.each_mut().map(|moment| std::mem::replace(moment, gradient.clone()));
-            (parameter.value, parameter.plain) = plain::adam_step(value, moments, gradient, LEARNING_RATE, step);
-        }
-        return;
-    }
-    let Some((_, gradient)) = parameters.first() else { return };
-    let gate = Tensor::ones([1], (&gradient.device(), gradient.dtype()));
-    let (mut stepped, mut inputs) = (Vec::new(), Vec::new());
-    for (parameter, gradient) in parameters {
-        let value = std::mem::replace(&mut parameter.value, gradient.clone());
-        let moments = std::mem::replace(&mut parameter.own, gradient.clone().unsqueeze());
-        let state = AdamState { value, moments };
-        inputs.push(AdamParameter { name: "parameter", state, gradient, learning_rate: LEARNING_RATE });
-        stepped.push(parameter);
-    }
-    let states = adam_step(inputs, &gate, step).expect("a gradient has the shape of its parameter");
-    for (parameter, AdamState { value, moments }) in stepped.into_iter().zip(states) {
-        (parameter.value, parameter.own) = (value, moments);
-    }
-}
-
+/// One step's settings; small enough that a benchmark does not change the scene much.
 pub fn adam_settings(time: u64) -> AdamStep {
-    AdamStep { beta_1: 0.9, beta_2: 0.999, epsilon: 1e-15, time }
+    AdamStep { learning_rate: 1e-6, beta_1: 0.9, beta_2: 0.999, epsilon: 1e-15, time }
 }
 
 /// A scene in training against one target view.
@@ -183,8 +158,7 @@ impl Training {
         let attributes = SurfelColumns::<()>::ATTRIBUTES.iter().chain(GaussianColumns::<()>::ATTRIBUTES);
         let parameters = attributes.zip(self.surfels.list_mut().into_iter().chain(self.gaussians.list_mut()));
         let learning = parameters.filter(|(attribute, _)| attribute.learns());
-        let learning = learning.zip(grads).map(|((_, parameter), grad)| (parameter, grad)).collect();
-        step_all(learning, &step, variant.own_adam);
+        learning.zip(grads).for_each(|((_, parameter), grad)| parameter.step(grad, step, variant.own_adam));
         self.device.sync().expect("the device runs");
         value
     }

@@ -1,7 +1,7 @@
 //! Adam over the attributes of a scene, and the edits of rows that keep its moments. All of it stays on the device.
 
 use burn::tensor::{Bool, DType, Device, Gradients, Int, Tensor, TensorData};
-use dpges_core::ops::adam::{AdamParameter, AdamState, AdamStep, adam_step};
+use dpges_core::ops::adam::{AdamStep, adam_step};
 use dpges_core::scene::schema::Attribute;
 use dpges_core::scene::tensors::{row_indices, tensor_to_rows};
 
@@ -11,8 +11,8 @@ pub struct Parameter {
     attribute: &'static Attribute,
     /// [rows, width]
     raw: Tensor<2>,
-    /// [2, rows, width] first and second.
-    moments: Option<Tensor<3>>,
+    /// Each [rows, width].
+    moments: Option<[Tensor<2>; 2]>,
 }
 
 /// A [`Parameter`] in host memory.
@@ -28,24 +28,19 @@ impl Parameter {
     /// Raw numbers [`count`, `width`] that have not been stepped yet.
     pub fn fresh(attribute: &'static Attribute, raw: &[f32], [count, width]: [usize; 2], device: &Device) -> Self {
         let raw = tensor(raw, [count, width], device);
-        let moments = attribute.learns().then(|| zeros([2, count, width], device));
+        let moments = attribute.learns().then(|| [(); 2].map(|()| zeros([count, width], device)));
         Self { attribute, raw, moments }
     }
 
     pub fn from_rows(attribute: &'static Attribute, rows: &ParameterRows, device: &Device) -> Self {
         let shape = [rows.count, rows.width];
-        let moments = rows.moments.as_ref();
-        let moments = moments.map(|moments| tensor(&moments.concat(), [2, rows.count, rows.width], device));
+        let moments = rows.moments.as_ref().map(|moments| moments.each_ref().map(|rows| tensor(rows, shape, device)));
         Self { attribute, raw: tensor(&rows.raw, shape, device), moments }
     }
 
     pub fn rows(&self) -> ParameterRows {
         let [count, width] = self.raw.dims();
-        let moments = self.moments.as_ref().map(|moments| {
-            let mut first = tensor_to_rows(moments);
-            let second = first.split_off(count * width);
-            [first, second]
-        });
+        let moments = self.moments.as_ref().map(|moments| moments.each_ref().map(tensor_to_rows));
         ParameterRows { count, width, raw: tensor_to_rows(&self.raw), moments }
     }
 
@@ -63,6 +58,20 @@ impl Parameter {
     /// The gradient that a backward pass left for a [`leaf`](Self::leaf); `None` if nothing reached it.
     pub fn gradient(&self, leaf: &Tensor<2>, gradients: &mut Gradients) -> Option<Tensor<2>> {
         if self.attribute.learns() { leaf.grad_remove(gradients) } else { None }
+    }
+
+    /// Nothing changes where `gate` `[1]` is not 1, or if the attribute does not learn.
+    ///
+    /// # Errors
+    /// [`dpges_core::Error::Shape`] if the gradient belongs to another set of rows.
+    pub fn step(&mut self, gradient: Option<Tensor<2>>, gate: &Tensor<1>, step: AdamStep) -> dpges_core::Result<()> {
+        let Some(moments) = self.moments.take() else { return Ok(()) };
+        let gradient = gradient.unwrap_or_else(|| self.raw.zeros_like());
+        // Moved out, so that the step can work in place.
+        let raw = std::mem::replace(&mut self.raw, zeros([0, 0], &gate.device()));
+        let (raw, moments) = adam_step(raw, moments, &gradient, gate, &step)?;
+        (self.raw, self.moments) = (raw, Some(moments));
+        Ok(())
     }
 
     /// Replaces all raw numbers; the moments stay.
@@ -92,10 +101,12 @@ impl Parameter {
     /// If `added` has another length.
     pub fn edit(&mut self, kept: &Rows, added: &[f32], added_count: usize) {
         let [_, width] = self.raw.dims();
-        let device = self.raw.device();
-        self.raw = joined(kept.of(&self.raw, 0), || tensor(added, [added_count, width], &device), added_count, 0);
+        let (device, shape) = (self.raw.device(), [added_count, width]);
+        self.raw = joined(kept.of(&self.raw), || tensor(added, shape, &device), added_count);
         if let Some(moments) = &mut self.moments {
-            *moments = joined(kept.of(moments, 1), || zeros([2, added_count, width], &device), added_count, 1);
+            for moment in moments {
+                *moment = joined(kept.of(moment), || zeros(shape, &device), added_count);
+            }
         }
     }
 
@@ -104,53 +115,17 @@ impl Parameter {
     pub fn copy_rows(&mut self, copied: &Rows, fresh: &Tensor<2, Bool>) {
         let [count, width] = self.raw.dims();
         let added = copied.len() - count;
-        self.raw = copied.of(&self.raw, 0);
+        self.raw = copied.of(&self.raw);
         if let Some(moments) = &mut self.moments {
-            let device = moments.device();
-            let extended = joined(moments.clone(), || zeros([2, added, width], &device), added, 1);
-            *moments = if extended.shape().num_elements() == 0 {
-                extended
-            } else {
-                let fresh = fresh.clone().reshape([1, copied.len(), 1]).expand([2, -1, width as i64]);
-                extended.mask_fill(fresh, 0.0)
-            };
+            for moment in moments {
+                let extended = joined(moment.clone(), || zeros([added, width], &moment.device()), added);
+                *moment = if width == 0 {
+                    extended
+                } else {
+                    extended.mask_fill(fresh.clone().expand([-1, width as i64]), 0.0)
+                };
+            }
         }
-    }
-}
-
-/// A step of several parameters, which costs a GPU one launch for every two.
-#[derive(Default)]
-pub struct OptimizerStep<'a> {
-    parameters: Vec<&'a mut Parameter>,
-    /// What they hold until the step is taken.
-    inputs: Vec<AdamParameter<'static>>,
-}
-
-impl<'a> OptimizerStep<'a> {
-    /// Adds a parameter, if it learns and has any numbers. Without `gradient`, [rows, width], its moments fade.
-    pub fn add(&mut self, parameter: &'a mut Parameter, gradient: Option<Tensor<2>>, learning_rate: f64) {
-        if parameter.raw.shape().num_elements() == 0 {
-            return;
-        }
-        let Some(moments) = parameter.moments.take() else { return };
-        let name = parameter.attribute.raw_name;
-        let gradient = gradient.unwrap_or_else(|| parameter.raw.zeros_like());
-        // Moved out, so that the step can work in place; the gradient holds the place.
-        let value = std::mem::replace(&mut parameter.raw, gradient.clone());
-        self.inputs.push(AdamParameter { name, state: AdamState { value, moments }, gradient, learning_rate });
-        self.parameters.push(parameter);
-    }
-
-    /// Takes the step. Nothing changes where `gate` `[1]` is not 1.
-    ///
-    /// # Errors
-    /// [`dpges_core::Error::Shape`] if a gradient belongs to another set of rows.
-    pub fn take(self, gate: &Tensor<1>, step: &AdamStep) -> dpges_core::Result<()> {
-        let stepped = adam_step(self.inputs, gate, step)?;
-        for (parameter, AdamState { value, moments }) in self.parameters.into_iter().zip(stepped) {
-            (parameter.raw, parameter.moments) = (value, Some(moments));
-        }
-        Ok(())
     }
 }
 
@@ -176,34 +151,37 @@ impl Rows {
         self.count == 0
     }
 
-    /// `values` of these rows alone, which are its dimension `rows`.
-    fn of<const D: usize>(&self, values: &Tensor<D>, rows: usize) -> Tensor<D> {
-        let mut shape = values.dims();
-        shape[rows] = self.count;
+    /// [count, width] these rows of `values`.
+    fn of(&self, values: &Tensor<2>) -> Tensor<2> {
+        let [_, width] = values.dims();
         match &self.indices {
             None => values.clone(),
-            Some(_) if shape.contains(&0) => zeros(shape, &values.device()),
-            Some(indices) => values.clone().select(rows, indices.clone()),
+            Some(_) if self.count == 0 || width == 0 => zeros([self.count, width], &values.device()),
+            Some(indices) => values.clone().select(0, indices.clone()),
         }
     }
 }
 
-/// `kept`, followed along the dimension `rows` by `added`, which has `count` of them.
-fn joined<const D: usize>(kept: Tensor<D>, added: impl FnOnce() -> Tensor<D>, count: usize, rows: usize) -> Tensor<D> {
-    match (kept.dims()[rows], count) {
+/// `kept`, followed by `added`, which has `count` rows.
+fn joined(kept: Tensor<2>, added: impl FnOnce() -> Tensor<2>, count: usize) -> Tensor<2> {
+    match (kept.dims()[0], count) {
         (_, 0) => kept,
         (0, _) => added(),
-        _ => Tensor::cat(vec![kept, added()], rows),
+        _ => Tensor::cat(vec![kept, added()], 0),
     }
 }
 
-fn tensor<const D: usize>(values: &[f32], shape: [usize; D], device: &Device) -> Tensor<D> {
+fn tensor(values: &[f32], shape: [usize; 2], device: &Device) -> Tensor<2> {
     Tensor::from_data(TensorData::new(values.to_vec(), shape), (device, DType::F32))
 }
 
 /// Not by a kernel, which some devices refuse to launch over nothing.
-fn zeros<const D: usize>(shape: [usize; D], device: &Device) -> Tensor<D> {
-    if shape.contains(&0) { tensor(&[], shape, device) } else { Tensor::zeros(shape, (device, DType::F32)) }
+fn zeros([count, width]: [usize; 2], device: &Device) -> Tensor<2> {
+    if count * width == 0 {
+        tensor(&[], [count, width], device)
+    } else {
+        Tensor::zeros([count, width], (device, DType::F32))
+    }
 }
 
 #[cfg(test)]
@@ -212,7 +190,7 @@ mod tests {
     use dpges_core::scene::schema::{Columns, SurfelColumns};
     use dpges_core::scene::tensors::rows_to_tensor;
 
-    const STEP: AdamStep = AdamStep { beta_1: 0.9, beta_2: 0.999, epsilon: 1e-15, time: 1 };
+    const STEP: AdamStep = AdamStep { learning_rate: 0.1, beta_1: 0.9, beta_2: 0.999, epsilon: 1e-15, time: 1 };
     /// Two numbers wide.
     const LOG_SCALES: &Attribute = &SurfelColumns::<()>::ATTRIBUTES[2];
     /// Does not learn.
@@ -226,16 +204,6 @@ mod tests {
         Tensor::<1, Bool>::from_data(TensorData::new(rows.to_vec(), [rows.len()]), device).reshape([rows.len(), 1])
     }
 
-    /// One step of `parameter` alone.
-    fn step(parameter: &mut Parameter, gradient: Option<&[f32]>) {
-        let [_, width] = parameter.raw().dims();
-        let device = parameter.raw().device();
-        let gradient = gradient.map(|rows| rows_to_tensor(rows, width, &device, DType::F32));
-        let mut step = OptimizerStep::default();
-        step.add(parameter, gradient, 0.1);
-        step.take(&open(&device), &STEP).unwrap();
-    }
-
     fn moments(parameter: &Parameter) -> [Vec<f32>; 2] {
         parameter.rows().moments.unwrap()
     }
@@ -244,7 +212,8 @@ mod tests {
     fn edits_keep_the_moments_of_kept_rows_and_zero_those_of_new_ones() {
         let device = Device::flex();
         let mut parameter = Parameter::fresh(LOG_SCALES, &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0], [3, 2], &device);
-        step(&mut parameter, Some(&[1.0, -1.0, 0.0, 2.0, -3.0, 4.0]));
+        let gradient = rows_to_tensor(&[1.0, -1.0, 0.0, 2.0, -3.0, 4.0], 2, &device, DType::F32);
+        parameter.step(Some(gradient), &open(&device), STEP).unwrap();
         let before = parameter.rows();
         parameter.edit(&Rows::new(&[0, 2], 3, &device), &[7.0, 8.0], 1);
         let after = parameter.rows();
@@ -260,55 +229,21 @@ mod tests {
     fn the_first_step_is_the_learning_rate_towards_less_loss_and_none_is_taken_without_gradient() {
         let device = Device::flex();
         let mut parameter = Parameter::fresh(LOG_SCALES, &[1.0, 1.0], [1, 2], &device);
-        step(&mut parameter, Some(&[5.0, -0.001]));
+        let gradient = rows_to_tensor(&[5.0, -0.001], 2, &device, DType::F32);
+        parameter.step(Some(gradient), &open(&device), STEP).unwrap();
         let stepped = parameter.rows().raw;
         assert!((stepped[0] - 0.9).abs() < 1e-5 && (stepped[1] - 1.1).abs() < 1e-5, "{stepped:?}");
         let mut untouched = Parameter::fresh(LOG_SCALES, &[1.0, 2.0], [1, 2], &device);
-        step(&mut untouched, None);
+        untouched.step(None, &open(&device), STEP).unwrap();
         assert_eq!(untouched.rows().raw, [1.0, 2.0]);
-    }
-
-    #[test]
-    fn parameters_that_are_stepped_together_keep_their_gradients_and_rates() {
-        let device = Device::flex();
-        let starts: [&[f32]; 4] = [&[1.0, 2.0], &[], &[3.0, 4.0, 5.0, 6.0], &[7.0, 8.0]];
-        let fresh = || starts.map(|raw| Parameter::fresh(LOG_SCALES, raw, [raw.len() / 2, 2], &device));
-        let (mut together, mut alone) = (fresh(), fresh());
-        let gradients = starts.map(|raw| raw.iter().map(|value| 4.5 - value).collect::<Vec<_>>());
-        let mut all = OptimizerStep::default();
-        for (at, (parameter, gradient)) in together.iter_mut().zip(&gradients).enumerate() {
-            let gradient = rows_to_tensor(gradient, 2, &device, DType::F32);
-            // the last has none
-            all.add(parameter, (at < 3).then_some(gradient), [0.1, 0.1, 0.01, 0.1][at]);
-        }
-        all.take(&open(&device), &STEP).unwrap();
-        for at in [0, 1, 3] {
-            step(&mut alone[at], (at < 3).then_some(&gradients[at][..]));
-            assert_eq!(together[at].rows(), alone[at].rows());
-        }
-        let [.., slow, _] = together;
-        let moved: Vec<f32> = slow.rows().raw.iter().zip(starts[2]).map(|(after, before)| after - before).collect();
-        assert!(
-            moved.iter().zip(&gradients[2]).all(|(moved, g)| (moved + 0.01 * g.signum()).abs() < 1e-6),
-            "{moved:?}"
-        );
-    }
-
-    #[test]
-    fn a_gradient_of_other_rows_is_refused_by_the_name_of_its_attribute() {
-        let device = Device::flex();
-        let mut parameter = Parameter::fresh(LOG_SCALES, &[1.0, 2.0], [1, 2], &device);
-        let mut step = OptimizerStep::default();
-        step.add(&mut parameter, Some(rows_to_tensor(&[1.0; 4], 2, &device, DType::F32)), 0.1);
-        let error = step.take(&open(&device), &STEP).unwrap_err().to_string();
-        assert!(error.contains("gradient of surfels.log_scales"), "{error}");
     }
 
     #[test]
     fn what_does_not_learn_has_no_moments_and_is_edited_all_the_same() {
         let device = Device::flex();
         let mut margins = Parameter::fresh(MARGINS, &[0.1, 0.2, 0.3], [3, 1], &device);
-        step(&mut margins, Some(&[1.0; 3]));
+        let gradient = rows_to_tensor(&[1.0; 3], 1, &device, DType::F32);
+        margins.step(Some(gradient), &open(&device), STEP).unwrap();
         margins.edit(&Rows::new(&[2, 0], 3, &device), &[0.4], 1);
         let rows = margins.rows();
         assert_eq!((rows.raw, rows.moments), (vec![0.3, 0.1, 0.4], None));
@@ -339,7 +274,7 @@ mod tests {
         let mut parameter = Parameter::fresh(LOG_SCALES, &[1.0, 2.0], [1, 2], &device);
         parameter.edit(&Rows::new(&[], 1, &device), &[], 0);
         assert_eq!(parameter.raw().dims(), [0, 2]);
-        step(&mut parameter, None);
+        parameter.step(None, &open(&device), STEP).unwrap();
         parameter.edit(&Rows::new(&[], 0, &device), &[3.0, 4.0], 1);
         assert_eq!(parameter.rows().raw, [3.0, 4.0]);
     }

@@ -34,7 +34,7 @@ impl PoseStep {
 mod tests {
     use super::*;
 
-    const ADAM: AdamStep = AdamStep { beta_1: 0.9, beta_2: 0.9, epsilon: 1e-15, time: 1 };
+    const ADAM: AdamStep = AdamStep { learning_rate: 0.0, beta_1: 0.9, beta_2: 0.9, epsilon: 1e-15, time: 1 };
     const STEP: PoseStep = PoseStep { rotation: 0.01, translation: 0.1, extent: 2.0, adam: ADAM };
 
     /// The numbers after as many steps as there are `gradients`.

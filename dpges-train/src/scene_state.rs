@@ -4,13 +4,14 @@
 use std::collections::{BTreeMap, HashMap};
 
 use burn::tensor::{Bool, Device, Gradients, Tensor, TensorData};
+use dpges_core::ops::adam::AdamStep;
 use dpges_core::scene::schema::{
     Activation, Attribute, Columns, GaussianColumns, OpacityActivation, RateGroup, SurfelColumns,
 };
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{ColourData, ColourModel};
 
-use crate::optimizer::{OptimizerStep, Parameter, ParameterRows, Rows};
+use crate::optimizer::{Parameter, ParameterRows, Rows};
 use crate::refine::relocate::Relocated;
 use crate::refine::{GaussianEdit, RowEdit};
 
@@ -160,12 +161,22 @@ impl<C: Columns<Value = Parameter, With<Parameter> = C>> State<C> {
         columns.map(|((attribute, parameter), leaf)| (attribute, parameter.gradient(leaf, gradients))).collect()
     }
 
-    /// Adds the attributes that learn to a step.
-    pub fn add_to<'a>(&'a mut self, step: &mut OptimizerStep<'a>, gradients: GradientList, rates: &Rates) {
+    /// Nothing changes where `gate` `[1]` is not 1.
+    ///
+    /// # Errors
+    /// [`dpges_core::Error::Shape`] if the gradients belong to other rows.
+    pub fn step(
+        &mut self,
+        gradients: GradientList,
+        gate: &Tensor<1>,
+        rates: &Rates,
+        adam: AdamStep,
+    ) -> dpges_core::Result<()> {
         let learning = C::ATTRIBUTES.iter().zip(self.columns.list_mut()).filter(|(attribute, _)| attribute.learns());
         for ((attribute, parameter), (_, gradient)) in learning.zip(gradients) {
-            step.add(parameter, gradient, rates.of(attribute.rate));
+            parameter.step(gradient, gate, AdamStep { learning_rate: rates.of(attribute.rate), ..adam })?;
         }
+        Ok(())
     }
 
     /// Rows that stay.

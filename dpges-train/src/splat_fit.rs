@@ -19,7 +19,6 @@ use rand_chacha::rand_core::SeedableRng;
 
 use crate::config::{Config, OpacityActivation};
 use crate::dataset::{MOST_AHEAD, View, read_ahead};
-use crate::optimizer::OptimizerStep;
 use crate::scene_state::{GaussianState, Rates};
 
 /// Trains the ellipsoids of `scene`, in front of its environment, for `steps` steps on `views`, whose cameras are in the coordinates of the scene.
@@ -73,9 +72,7 @@ pub fn fit(
         // the tape shares the parameters: without it the optimiser can work in place
         drop(leaves);
         let rates = rates(&config, completed as f64 / steps as f64, scene.info.extent);
-        let mut step = OptimizerStep::default();
-        state.add_to(&mut step, found, &rates);
-        step.take(&Tensor::ones([1], device), &config.optimizer.adam(completed))?;
+        state.step(found, &Tensor::ones([1], device), &rates, config.optimizer.adam(completed))?;
         report(completed + 1);
     }
     Ok(SceneData { gaussians: state.to_data(), ..scene.clone() })

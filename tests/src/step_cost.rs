@@ -35,21 +35,19 @@ fn check(cost: &GpuCost) {
     assert!(times.iter().map(|kernel| kernel.milliseconds).sum::<f64>() > 0.0, "{times:?}");
 }
 
-/// Launches of the kernels of a module.
-fn launches_of(cost: &GpuCost, module: &str) -> usize {
-    cost.launches_by_kernel.iter().filter(|(kernel, _)| kernel.starts_with(module)).map(|(_, count)| count).sum()
+/// Whether a kernel of the module is among the launches.
+fn is_launched(cost: &GpuCost, module: &str) -> bool {
+    cost.launches_by_kernel.keys().any(|kernel| kernel.starts_with(module))
 }
 
 pub fn a_step_is_counted_alike_every_time(device: Device) {
     let (first, second) = (cost(StepStage::Joint, &device), cost(StepStage::Joint, &device));
     check(&first);
     for operation in ["dpges_core::splat::", "dpges_core::peel::"] {
-        assert!(launches_of(&first, operation) > 0, "nothing of {operation} among {:?}", first.launches_by_kernel);
+        assert!(is_launched(&first, operation), "nothing of {operation} among {:?}", first.launches_by_kernel);
     }
     // the losses, and the lengths of two lists
     assert_eq!(first.transfers.downloads, 3, "{:?}", first.transfers);
-    // five attributes of surfels and six of Gaussians, two to a launch
-    assert_eq!(launches_of(&first, "dpges_core::adam::"), 6);
     assert_eq!(first.launches_by_kernel, second.launches_by_kernel);
     // whether the losses are there when they are asked for is a matter of time
     let without_waits = |cost: &GpuCost| Transfers { waits: 0, ..cost.transfers };
@@ -59,7 +57,6 @@ pub fn a_step_is_counted_alike_every_time(device: Device) {
 pub fn a_blended_step_is_counted(device: Device) {
     let found = cost(StepStage::Blended, &device);
     check(&found);
-    assert!(launches_of(&found, "dpges_core::blend::") > 0, "{:?}", found.launches_by_kernel);
-    assert_eq!(launches_of(&found, "dpges_core::peel::"), 0, "{:?}", found.launches_by_kernel);
-    assert_eq!(launches_of(&found, "dpges_core::adam::"), 3);
+    assert!(is_launched(&found, "dpges_core::blend::"), "{:?}", found.launches_by_kernel);
+    assert!(!is_launched(&found, "dpges_core::peel::"), "{:?}", found.launches_by_kernel);
 }

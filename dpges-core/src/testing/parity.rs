@@ -13,7 +13,7 @@ use super::compare::relative_l2;
 use super::golden::values;
 use super::random::Random;
 use super::scenes::TestScene;
-use crate::ops::adam::{AdamParameter, AdamState, AdamStep, adam_step};
+use crate::ops::adam::{AdamStep, adam_step};
 use crate::ops::blend::{BlendOptions, blend};
 use crate::ops::colour::colour;
 use crate::ops::composite::{CompositeOptions, composite};
@@ -296,28 +296,16 @@ impl<'a> Bench<'a> {
             self.gradient(&format!("environment.{count}.grad"), &coefficients, &gradients);
         }
 
-        self.adam();
-    }
-
-    /// Of three parameters: two that are stepped together, one alone.
-    fn adam(&mut self) {
-        let step = AdamStep { beta_1: 0.9, beta_2: 0.999, epsilon: 1e-15, time: 3 };
+        let step = AdamStep { learning_rate: 0.01, beta_1: 0.9, beta_2: 0.999, epsilon: 1e-15, time: 3 };
+        let inner = |seed| self.tensor(&random(seed), [3, height, width]).inner();
+        let (parameter, moments, gradient) = (inner(8), [inner(9), inner(10)], inner(11));
         for (name, gate) in [("open", 1.0), ("closed", 0.0)] {
             let gate = self.tensor(&[gate], [1]).inner();
-            let parameters = [("wide", [300, 45], 0.01), ("narrow", [1000, 3], 0.1), ("alone", [7, 1], 0.03)];
-            let parameters = parameters.map(|(name, shape @ [rows, width], learning_rate)| {
-                let random = |seed, count| Random::new(seed).numbers(count, 0.0, 1.0);
-                let value = self.tensor(&random(8, rows * width), shape).inner();
-                let moments = self.tensor(&random(9, 2 * rows * width), [2, rows, width]).inner();
-                let gradient = self.tensor(&random(11, rows * width), shape).inner();
-                AdamParameter { name, state: AdamState { value, moments }, gradient, learning_rate }
-            });
-            let names = parameters.each_ref().map(|parameter| parameter.name);
-            let stepped = adam_step(parameters.into(), &gate, &step).expect("shapes fit");
-            for (parameter, AdamState { value, moments }) in names.iter().zip(stepped) {
-                self.note(&format!("adam.{name}.{parameter}"), &value);
-                self.note(&format!("adam.{name}.{parameter}.moments"), &moments);
-            }
+            let stepped = adam_step(parameter.clone(), moments.clone(), &gradient, &gate, &step);
+            let (parameter, [moment_1, moment_2]) = stepped.expect("one shape");
+            self.note(&format!("adam.{name}.parameter"), &parameter);
+            self.note(&format!("adam.{name}.moment_1"), &moment_1);
+            self.note(&format!("adam.{name}.moment_2"), &moment_2);
         }
     }
 

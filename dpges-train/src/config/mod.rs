@@ -133,9 +133,15 @@ impl TrainConfig {
 }
 
 impl OptimizerConfig {
-    /// Adam's constants for the step after `completed` steps.
+    /// Adam's constants for the step after `completed` steps, without a learning rate.
     pub fn adam(&self, completed: usize) -> AdamStep {
-        AdamStep { beta_1: self.beta1, beta_2: self.beta2, epsilon: self.epsilon, time: completed as u64 + 1 }
+        AdamStep {
+            learning_rate: 0.0,
+            beta_1: self.beta1,
+            beta_2: self.beta2,
+            epsilon: self.epsilon,
+            time: completed as u64 + 1,
+        }
     }
 
     /// Learning rate of Gaussian positions in world units at `progress` (0 at the first step, 1 at the last) for a scene

@@ -3,6 +3,7 @@
 use std::collections::HashMap;
 
 use burn::tensor::{Device, Gradients, Tensor};
+use dpges_core::ops::adam::AdamStep;
 use dpges_core::scene::schema::{Attribute, ENVIRONMENT};
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{EnvironmentData, SH_C0, SceneData};
@@ -12,7 +13,7 @@ use super::{Context, TrainError};
 use crate::config::{Background, Environment};
 use crate::dataset::{Dataset, Format};
 use crate::init::sky::open_sky;
-use crate::optimizer::{OptimizerStep, Parameter, ParameterRows};
+use crate::optimizer::{Parameter, ParameterRows};
 
 /// Share of open sky above which a scene gets an environment by itself.
 const SKY: f64 = 0.05;
@@ -68,11 +69,13 @@ impl EnvironmentState {
         self.0.as_ref().zip(leaf).map(|(parameter, leaf)| (&ENVIRONMENT, parameter.gradient(leaf, gradients)))
     }
 
-    /// Adds the coefficients, if there are any, to a step.
-    pub fn add_to<'a>(&'a mut self, step: &mut OptimizerStep<'a>, gradient: EnvironmentGradient, learning_rate: f64) {
-        if let Some(parameter) = &mut self.0 {
-            step.add(parameter, gradient.and_then(|(_, gradient)| gradient), learning_rate);
-        }
+    /// Nothing changes where `gate` `[1]` is not 1.
+    ///
+    /// # Errors
+    /// [`dpges_core::Error::Shape`] if the gradient has another shape.
+    pub fn step(&mut self, gradient: EnvironmentGradient, gate: &Tensor<1>, step: AdamStep) -> dpges_core::Result<()> {
+        let gradient = gradient.and_then(|(_, gradient)| gradient);
+        self.0.as_mut().map_or(Ok(()), |parameter| parameter.step(gradient, gate, step))
     }
 }
 

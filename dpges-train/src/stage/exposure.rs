@@ -9,7 +9,7 @@ use dpges_core::scene::schema::{Activation, Attribute, RateGroup, Width};
 use super::{Context, TrainError};
 use crate::config::Exposure;
 use crate::exposure::{Correction, Corrections, brightness_spread};
-use crate::optimizer::{OptimizerStep, Parameter, ParameterRows};
+use crate::optimizer::{Parameter, ParameterRows};
 
 /// [views, 6]: of each training view three logarithms of gains, three offsets.
 static EXPOSURE: Attribute = Attribute {
@@ -76,21 +76,13 @@ impl ExposureState {
         self.0.as_ref().zip(leaf).map(|(parameter, leaf)| (&EXPOSURE, parameter.gradient(leaf, gradients)))
     }
 
-    /// Takes a step of `learning_rate` and takes the means over the views away. Nothing changes where `gate` `[1]` is not 1.
+    /// Takes a step and takes the means over the views away. Nothing changes where `gate` `[1]` is not 1.
     ///
     /// # Errors
     /// [`dpges_core::Error::Shape`] if the gradient has another shape.
-    pub fn step(
-        &mut self,
-        gradient: ExposureGradient,
-        gate: &Tensor<1>,
-        learning_rate: f64,
-        adam: &AdamStep,
-    ) -> dpges_core::Result<()> {
+    pub fn step(&mut self, gradient: ExposureGradient, gate: &Tensor<1>, step: AdamStep) -> dpges_core::Result<()> {
         let Some(parameter) = &mut self.0 else { return Ok(()) };
-        let mut step = OptimizerStep::default();
-        step.add(parameter, gradient.and_then(|(_, gradient)| gradient), learning_rate);
-        step.take(gate, adam)?;
+        parameter.step(gradient.and_then(|(_, gradient)| gradient), gate, step)?;
         let raw = parameter.raw();
         let mean = raw.clone().mean_dim(0) * gate.clone().reshape([1, 1]);
         parameter.set_tensor(raw - mean);
@@ -134,14 +126,11 @@ impl Context {
         Ok(if is_on { ExposureState::new(self.dataset.train.len(), &self.device) } else { ExposureState::default() })
     }
 
-    /// Takes the step of the corrections in the current step of the run. Nothing changes where `gate` `[1]` is not 1.
-    ///
-    /// # Errors
-    /// [`dpges_core::Error::Shape`] if the gradient has another shape.
-    pub fn step_exposure(&mut self, gradient: ExposureGradient, gate: &Tensor<1>) -> dpges_core::Result<()> {
+    /// The step of the corrections in the current step of the run.
+    pub fn exposure_step(&self) -> AdamStep {
         let progress = self.completed_steps as f64 / self.config.total_steps().max(1) as f64;
-        let optimizer = &self.config.optimizer;
-        self.exposure.step(gradient, gate, optimizer.exposure_rate(progress), &optimizer.adam(self.completed_steps))
+        let learning_rate = self.config.optimizer.exposure_rate(progress);
+        AdamStep { learning_rate, ..self.config.optimizer.adam(self.completed_steps) }
     }
 }
 
@@ -154,7 +143,7 @@ mod tests {
 
     use super::*;
 
-    const STEP: AdamStep = AdamStep { beta_1: 0.9, beta_2: 0.999, epsilon: 1e-15, time: 1 };
+    const STEP: AdamStep = AdamStep { learning_rate: 0.1, beta_1: 0.9, beta_2: 0.999, epsilon: 1e-15, time: 1 };
 
     fn gate(value: f32, device: &Device) -> Tensor<1> {
         Tensor::from_data(TensorData::new(vec![value], [1]), (device, DType::F32))
@@ -164,7 +153,7 @@ mod tests {
         let mut gradient = vec![0.0; 18];
         gradient[6 * view..][..6].copy_from_slice(&[1.0, -1.0, 2.0, -0.5, 0.25, -3.0]);
         let gradient = rows_to_tensor(&gradient, 6, device, DType::F32);
-        state.step(Some((&EXPOSURE, Some(gradient))), &gate(open, device), 0.1, &STEP).unwrap();
+        state.step(Some((&EXPOSURE, Some(gradient))), &gate(open, device), STEP).unwrap();
     }
 
     fn raw(state: &ExposureState) -> Vec<f32> {

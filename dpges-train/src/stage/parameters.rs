@@ -6,7 +6,6 @@ use dpges_core::scene::schema::Attribute;
 use dpges_core::scene::{Gaussians, Surfels};
 
 use super::environment::{EnvironmentGradient, EnvironmentState};
-use crate::optimizer::OptimizerStep;
 use crate::scene_state::{self, GaussianState, GradientList, Rates, SurfelState};
 
 /// What a stage trains.
@@ -67,13 +66,12 @@ impl Parameters<'_> {
         gradients: ParameterGradients,
         gate: &Tensor<1>,
         rates: &StepRates,
-        adam: &AdamStep,
+        adam: AdamStep,
     ) -> dpges_core::Result<()> {
-        let mut step = OptimizerStep::default();
-        self.surfels.add_to(&mut step, gradients.surfels, &rates.surfels);
-        self.gaussians.add_to(&mut step, gradients.gaussians, &rates.gaussians);
-        self.environment.add_to(&mut step, gradients.environment, rates.environment);
-        step.take(gate, adam)
+        self.surfels.step(gradients.surfels, gate, &rates.surfels, adam)?;
+        self.gaussians.step(gradients.gaussians, gate, &rates.gaussians, adam)?;
+        let step = AdamStep { learning_rate: rates.environment, ..adam };
+        self.environment.step(gradients.environment, gate, step)
     }
 }
 

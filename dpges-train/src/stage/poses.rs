@@ -243,7 +243,7 @@ mod tests {
     use crate::pose_gauge::Similarity;
     use crate::run::fixtures::dataset;
 
-    const ADAM: AdamStep = AdamStep { beta_1: 0.9, beta_2: 0.999, epsilon: 1e-15, time: 1 };
+    const ADAM: AdamStep = AdamStep { learning_rate: 0.0, beta_1: 0.9, beta_2: 0.999, epsilon: 1e-15, time: 1 };
     const STEP: PoseStep = PoseStep { rotation: 0.01, translation: 0.1, extent: 1.0, adam: ADAM };
     const GRADIENT: [f32; 6] = [1.0, -1.0, 2.0, -0.5, 0.25, -3.0];
 

@@ -123,8 +123,9 @@ pub fn begin_step(
     let pending = PendingStep::new(report, view.name.clone(), losses, of_pose, &gate);
     stage.observe(observed, &view.camera);
     let rates = stage.rates(completed, &context.config);
-    stage.parameters().step(of_parameters, gate.open(), &rates, &context.config.optimizer.adam(completed))?;
-    context.step_exposure(of_exposure, gate.open())?;
+    stage.parameters().step(of_parameters, gate.open(), &rates, context.config.optimizer.adam(completed))?;
+    let step = context.exposure_step();
+    context.exposure.step(of_exposure, gate.open(), step)?;
     stage.after_step(completed, context)?;
     Ok(pending)
 }

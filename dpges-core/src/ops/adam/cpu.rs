@@ -5,28 +5,29 @@ use burn::backend::tensor::FloatTensor;
 use burn::tensor::TensorData;
 use rayon::prelude::*;
 
-use super::{AdamOps, AdamPair, AdamStep, AdamTensors};
+use super::{AdamOps, AdamOutput, AdamStep};
 use crate::host::{self, Host, for_each_cpu_backend, with_real};
 use crate::real::Real;
 use crate::simd::vectorised;
 
 const CHUNK: usize = 1 << 14;
 
-fn step_in_place<T: Real>(value: &mut [T], moments: &mut [T], gradient: &[T], learning_rate: f64, step: &AdamStep) {
-    let [rate, correction] = step.corrected(learning_rate).map(T::of);
+fn step_in_place<T: Real>(parameter: &mut [T], moment_1: &mut [T], moment_2: &mut [T], grad: &[T], step: &AdamStep) {
+    let time = i32::try_from(step.time).unwrap_or(i32::MAX);
+    let rate = T::of(step.learning_rate / (1.0 - step.beta_1.powi(time)));
+    let correction = T::of(1.0 / (1.0 - step.beta_2.powi(time)).sqrt());
     let (beta_1, beta_2, epsilon) = (T::of(step.beta_1), T::of(step.beta_2), T::of(step.epsilon));
     let (new_1, new_2) = (T::of(1.0 - step.beta_1), T::of(1.0 - step.beta_2));
-    let (moment_1, moment_2) = moments.split_at_mut(value.len());
-    value
+    parameter
         .par_chunks_mut(CHUNK)
         .zip(moment_1.par_chunks_mut(CHUNK))
         .zip(moment_2.par_chunks_mut(CHUNK))
-        .zip(gradient.par_chunks(CHUNK))
-        .for_each(|(((value, moment_1), moment_2), gradient)| {
+        .zip(grad.par_chunks(CHUNK))
+        .for_each(|(((parameter, moment_1), moment_2), grad)| {
             vectorised(
                 #[inline(always)]
                 || {
-                    for (((p, m), v), &g) in value.iter_mut().zip(moment_1).zip(moment_2).zip(gradient) {
+                    for (((p, m), v), &g) in parameter.iter_mut().zip(moment_1).zip(moment_2).zip(grad) {
                         *m = beta_1 * *m + new_1 * g;
                         *v = beta_2 * *v + new_2 * g * g;
                         *p = *p - rate * *m / (v.sqrt() * correction + epsilon);
@@ -36,38 +37,24 @@ fn step_in_place<T: Real>(value: &mut [T], moments: &mut [T], gradient: &[T], le
         });
 }
 
-/// One parameter after a step that the gate lets through.
-fn stepped<B: Host, T: Real>(
-    AdamTensors { value, moments, gradient }: AdamTensors<B>,
-    learning_rate: f64,
-    step: &AdamStep,
-) -> AdamTensors<B> {
-    let device = value.device();
-    let shapes = [value.shape(), moments.shape()];
-    let [mut value, mut moments] = [value, moments].map(host::take_floats::<B, T>);
-    step_in_place(&mut value, &mut moments, &host::floats::<B, T>(&gradient), learning_rate, step);
-    let [value_shape, moments_shape] = shapes;
-    let value = B::float_from_data(TensorData::new(value, value_shape), &device);
-    let moments = B::float_from_data(TensorData::new(moments, moments_shape), &device);
-    AdamTensors { value, moments, gradient }
-}
-
 fn adam_on<B: Host>(
-    AdamPair { first, second }: AdamPair<B>,
+    parameter: FloatTensor<B>,
+    moment_1: FloatTensor<B>,
+    moment_2: FloatTensor<B>,
+    grad: &FloatTensor<B>,
     gate: &FloatTensor<B>,
-    (first_rate, second_rate): (f64, Option<f64>),
     step: &AdamStep,
-) -> AdamPair<B> {
-    with_real!(first.value.dtype(), T => {
+) -> AdamOutput<B> {
+    let (shape, device) = (parameter.shape(), parameter.device());
+    with_real!(parameter.dtype(), T => {
         if host::floats::<B, T>(gate)[0] != T::of(1.0) {
-            return AdamPair { first, second };
+            return AdamOutput { parameter, moment_1, moment_2 };
         }
-        let first = stepped::<B, T>(first, first_rate, step);
-        let second = match second_rate {
-            Some(rate) => stepped::<B, T>(second, rate, step),
-            None => second,
-        };
-        AdamPair { first, second }
+        let [mut parameter, mut moment_1, mut moment_2] = [parameter, moment_1, moment_2].map(host::take_floats::<B, T>);
+        step_in_place(&mut parameter, &mut moment_1, &mut moment_2, &host::floats::<B, T>(grad), step);
+        let [parameter, moment_1, moment_2] =
+            [parameter, moment_1, moment_2].map(|values| B::float_from_data(TensorData::new(values, shape.clone()), &device));
+        AdamOutput { parameter, moment_1, moment_2 }
     })
 }
 
@@ -75,12 +62,14 @@ macro_rules! implement {
     ($backend:ty) => {
         impl AdamOps for $backend {
             fn adam_step(
-                pair: AdamPair<Self>,
+                parameter: FloatTensor<Self>,
+                moment_1: FloatTensor<Self>,
+                moment_2: FloatTensor<Self>,
+                grad: FloatTensor<Self>,
                 gate: FloatTensor<Self>,
-                learning_rates: (f64, Option<f64>),
                 step: AdamStep,
-            ) -> AdamPair<Self> {
-                adam_on::<Self>(pair, &gate, learning_rates, &step)
+            ) -> AdamOutput<Self> {
+                adam_on::<Self>(parameter, moment_1, moment_2, &grad, &gate, &step)
             }
         }
     };
