@@ -31,7 +31,8 @@ impl JointStage {
         if model.layers == 1 && model.modulation < HARD_RIM {
             tracing::warn!(
                 "with model.layers=1 the rims of surfels fade into nothing, so that surfels may grow over the picture and \
-                 spoil it: set model.modulation={HARD_RIM}, whose rims are hard, or model.layers=2"
+                 spoil it: set model.layers=2, or model.modulation={HARD_RIM}, whose rims are hard, with \
+                 train.freeze_surfels=true, without which such surfels shrink away"
             );
         }
         let start = context.start_of_joint(given.as_ref(), discs, trained.gaussians)?;
