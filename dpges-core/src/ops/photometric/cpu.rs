@@ -130,10 +130,10 @@ fn is_ignored<T: Real>(ignored: T) -> bool {
 /// Sums of absolute differences, of SSIM and of squared errors, and partial derivatives as [3, C, H, W].
 fn forward<T: Real>(pair: &Pair<T>) -> ([T; 3], Vec<T>) {
     let &Pair { lines, width, height, .. } = pair;
-    let rows = Rows::horizontal::<5>(lines, width, height, |line, padded| {
+    let rows = Rows::horizontal::<4>(lines, width, height, |line, padded| {
         let (a, b) = pair.rows(line);
         for x in 0..width {
-            let products = [a[x], b[x], a[x] * a[x], b[x] * b[x], a[x] * b[x]];
+            let products = [a[x], b[x], a[x] * a[x] + b[x] * b[x], a[x] * b[x]];
             for (padded, value) in padded.iter_mut().zip(products) {
                 padded[RADIUS + x] = value;
             }
@@ -152,7 +152,7 @@ fn forward<T: Real>(pair: &Pair<T>) -> ([T; 3], Vec<T>) {
         .with_min_len(MIN_ROWS)
         .enumerate()
         .map_init(
-            || vec![T::zero(); 5 * width],
+            || vec![T::zero(); 4 * width],
             |windowed, (line, ((means, squares), products))| {
                 vectorised(
                     #[inline(always)]
@@ -161,7 +161,7 @@ fn forward<T: Real>(pair: &Pair<T>) -> ([T; 3], Vec<T>) {
                         let mut similarities = T::zero();
                         for x in 0..rows.width {
                             let at = |quantity: usize| windowed[quantity * width + x];
-                            let (value, partial) = similarity(at(0), at(1), at(2), at(3), at(4));
+                            let (value, partial) = similarity(at(0), at(1), at(2), at(3));
                             similarities = similarities + value;
                             (means[x], squares[x], products[x]) =
                                 (partial[0] * scale, partial[1] * scale, partial[2] * scale);
@@ -190,15 +190,15 @@ fn differences<T: Real>(pair: &Pair<T>, line: usize) -> [T; 2] {
     [absolute, squared]
 }
 
-/// SSIM of one window and its derivatives with respect to E\[a\], E\[a²\] and E\[ab\].
+/// SSIM of one window with these means of a, b, a² + b² and ab, and its derivatives with respect to E\[a\], E\[a²\] and E\[ab\].
 #[inline(always)]
-fn similarity<T: Real>(mean_a: T, mean_b: T, square_a: T, square_b: T, product: T) -> (T, [T; 3]) {
+fn similarity<T: Real>(mean_a: T, mean_b: T, squares: T, product: T) -> (T, [T; 3]) {
     let two = T::of(2.0);
     let covariance = product - mean_a * mean_b;
     let luminance = two * mean_a * mean_b + T::of(C1);
     let structure = two * covariance + T::of(C2);
     let means = mean_a * mean_a + mean_b * mean_b + T::of(C1);
-    let variances = (square_a - mean_a * mean_a) + (square_b - mean_b * mean_b) + T::of(C2);
+    let variances = squares - mean_a * mean_a - mean_b * mean_b + T::of(C2);
     let inverse = T::one() / (means * variances);
     let value = luminance * structure * inverse;
     let by_variance = -value / variances;

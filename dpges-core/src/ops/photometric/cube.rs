@@ -25,13 +25,19 @@ const PADDED: u32 = TILE + 2 * REACH;
 const PADDED_PIXELS: usize = (PADDED * PADDED) as usize;
 /// Pixels of a tile padded in y only.
 const ROWS: usize = (PADDED * TILE) as usize;
-/// Windowed means: of a, b, a², b² and a·b.
-const MEANS: usize = 5;
+/// Windowed means: of a, b, a² + b² and a·b.
+const MEANS: usize = 4;
 /// Partial derivatives of SSIM: [`PhotometricOutput::partials`].
 const PARTIALS: usize = 3;
 /// What a cube adds up: absolute differences, SSIM, squared errors.
 const SUMS: usize = 3;
+/// Neighbours along a row that a unit finds the windows of together.
+const ACROSS: u32 = 2;
+/// Neighbours along a column that a unit finds the windows of one quantity of together.
+const DOWN: u32 = 4;
 const _: () = assert!(SUMS * UNITS as usize <= ROWS * MEANS, "the sums take the place of the rows");
+const _: () = assert!(PADDED * TILE / ACROSS <= UNITS, "each unit has one place of a row");
+const _: () = assert!(TILE * TILE / DOWN * MEANS as u32 <= UNITS, "each unit has one place of a column of a quantity");
 const C1: f32 = cpu::C1 as f32;
 const C2: f32 = cpu::C2 as f32;
 
@@ -83,6 +89,71 @@ fn padded_pixel(window: Window, index: u32) -> (usize, bool) {
     (at as usize, inside)
 }
 
+/// Adds `value`, `at` pixels from the first that the windows of `neighbours` reach, to the sums of those that reach it.
+#[cube]
+fn add_to_windows(
+    sums: &mut Array<f32>,
+    value: f32,
+    window: Window,
+    #[comptime] at: u32,
+    #[comptime] quantity: u32,
+    #[comptime] neighbours: u32,
+) {
+    #[unroll]
+    for neighbour in 0..neighbours {
+        if comptime!(neighbour <= at && at - neighbour < TAPS) {
+            sums[comptime!((quantity * neighbours + neighbour) as usize)] +=
+                tap(window, comptime!(at - neighbour)) * value;
+        }
+    }
+}
+
+/// Where this unit finds windows along rows: the first pixel that they reach, in a padded tile, and its place in the rows.
+#[cube]
+fn place_across() -> (u32, u32, bool) {
+    let places = comptime!(TILE / ACROSS);
+    let (line, column) = (UNIT_POS / places, UNIT_POS % places * ACROSS);
+    (line * PADDED + column, line * TILE + column, line < PADDED)
+}
+
+/// Writes the sums that a unit found along rows to `rows`, [quantities, [`PADDED`], [`TILE`]].
+#[cube]
+fn store_across(sums: &Array<f32>, rows: &mut [f32], place: u32, #[comptime] quantities: usize) {
+    #[unroll]
+    for number in 0..quantities {
+        #[unroll]
+        for neighbour in 0..ACROSS {
+            rows[number * ROWS + (place + neighbour) as usize] = sums[number * ACROSS as usize + neighbour as usize];
+        }
+    }
+}
+
+/// Replaces `rows`, [quantities, [`PADDED`], [`TILE`]], by their windows along y, [quantities, [`UNITS`]]. All units of the
+/// cube must call this together.
+#[cube]
+fn window_columns(rows: &mut [f32], window: Window, #[comptime] quantities: usize) {
+    let places = comptime!(TILE * TILE / DOWN);
+    let quantity = (UNIT_POS / places) as usize;
+    let (column, row) = (UNIT_POS % TILE, UNIT_POS % places / TILE * DOWN);
+    let mut sums = zeros(comptime!(DOWN as usize));
+    sync_cube();
+    if quantity < quantities {
+        #[unroll]
+        for t in 0..TAPS + DOWN - 1 {
+            let value = rows[quantity * ROWS + ((row + t) * TILE + column) as usize];
+            add_to_windows(&mut sums, value, window, t, 0u32, DOWN);
+        }
+    }
+    sync_cube();
+    if quantity < quantities {
+        #[unroll]
+        for neighbour in 0..DOWN {
+            rows[quantity * UNITS as usize + ((row + neighbour) * TILE + column) as usize] = sums[neighbour as usize];
+        }
+    }
+    sync_cube();
+}
+
 /// Shares of the sums over all pixels and channels in the value and in the squared error, or those of a pixel in a gradient.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
@@ -122,58 +193,33 @@ fn compare_kernel(
         index += UNITS;
     }
     sync_cube();
-    let mut line = UNIT_POS;
-    while line < PADDED * TILE {
-        let start = (line / TILE * PADDED + line % TILE) as usize;
-        let mut mean_a = 0.0f32;
-        let mut mean_b = 0.0f32;
-        let mut square_a = 0.0f32;
-        let mut square_b = 0.0f32;
-        let mut product = 0.0f32;
+    let (start, place, has_place) = place_across();
+    if has_place {
+        let mut means = zeros(comptime!(MEANS * ACROSS as usize));
         #[unroll]
-        for t in 0..TAPS {
-            let w = tap(window, t);
-            let (va, vb) = (a[start + t as usize], b[start + t as usize]);
-            mean_a += w * va;
-            mean_b += w * vb;
-            square_a += w * va * va;
-            square_b += w * vb * vb;
-            product += w * va * vb;
+        for t in 0..TAPS + ACROSS - 1 {
+            let (va, vb) = (a[(start + t) as usize], b[(start + t) as usize]);
+            add_to_windows(&mut means, va, window, t, 0u32, ACROSS);
+            add_to_windows(&mut means, vb, window, t, 1u32, ACROSS);
+            add_to_windows(&mut means, va * va + vb * vb, window, t, 2u32, ACROSS);
+            add_to_windows(&mut means, va * vb, window, t, 3u32, ACROSS);
         }
-        let o = line as usize * MEANS;
-        rows[o] = mean_a;
-        rows[o + 1] = mean_b;
-        rows[o + 2] = square_a;
-        rows[o + 3] = square_b;
-        rows[o + 4] = product;
-        line += UNITS;
+        store_across(&means, &mut rows, place, MEANS);
     }
-    sync_cube();
+    window_columns(&mut rows, window, MEANS);
     let tile = CUBE_POS as u32 % window.tiles;
     let (x, y) = (UNIT_POS % TILE, UNIT_POS / TILE);
     let (column, row) = (tile % window.columns * TILE + x, tile / window.columns * TILE + y);
     let mut own = zeros(SUMS);
     if column < window.width && row < window.height {
-        let mut mean_a = 0.0f32;
-        let mut mean_b = 0.0f32;
-        let mut square_a = 0.0f32;
-        let mut square_b = 0.0f32;
-        let mut product = 0.0f32;
-        #[unroll]
-        for t in 0..TAPS {
-            let w = tap(window, t);
-            let o = ((y + t) * TILE + x) as usize * MEANS;
-            mean_a += w * rows[o];
-            mean_b += w * rows[o + 1];
-            square_a += w * rows[o + 2];
-            square_b += w * rows[o + 3];
-            product += w * rows[o + 4];
-        }
+        let unit = UNIT_POS as usize;
+        let (mean_a, mean_b) = (rows[unit], rows[UNITS as usize + unit]);
+        let (squares, product) = (rows[2 * UNITS as usize + unit], rows[3 * UNITS as usize + unit]);
         let covariance = product - mean_a * mean_b;
         let luminance = 2.0f32 * mean_a * mean_b + C1;
         let structure = 2.0f32 * covariance + C2;
         let means = mean_a * mean_a + mean_b * mean_b + C1;
-        let variances = (square_a - mean_a * mean_a) + (square_b - mean_b * mean_b) + C2;
+        let variances = squares - mean_a * mean_a - mean_b * mean_b + C2;
         let inverse = 1.0f32 / (means * variances);
         let value = luminance * structure * inverse;
         let by_variance = -value / variances;
@@ -240,52 +286,36 @@ fn backward_kernel(
         let (at, inside) = padded_pixel(window, index);
         #[unroll]
         for quantity in 0..PARTIALS {
-            padded[index as usize * PARTIALS + quantity] =
+            padded[quantity * PADDED_PIXELS + index as usize] =
                 select(inside, partials[quantity * total as usize + channel + at], 0.0f32);
         }
         index += UNITS;
     }
     sync_cube();
-    let mut line = UNIT_POS;
-    while line < PADDED * TILE {
-        let start = (line / TILE * PADDED + line % TILE) as usize;
-        let mut first = 0.0f32;
-        let mut second = 0.0f32;
-        let mut third = 0.0f32;
+    let (start, place, has_place) = place_across();
+    if has_place {
+        let mut sums = zeros(comptime!(PARTIALS * ACROSS as usize));
         #[unroll]
-        for t in 0..TAPS {
-            let w = tap(window, t);
-            let o = (start + t as usize) * PARTIALS;
-            first += w * padded[o];
-            second += w * padded[o + 1];
-            third += w * padded[o + 2];
+        for t in 0..TAPS + ACROSS - 1 {
+            let o = (start + t) as usize;
+            add_to_windows(&mut sums, padded[o], window, t, 0u32, ACROSS);
+            add_to_windows(&mut sums, padded[PADDED_PIXELS + o], window, t, 1u32, ACROSS);
+            add_to_windows(&mut sums, padded[2 * PADDED_PIXELS + o], window, t, 2u32, ACROSS);
         }
-        let o = line as usize * PARTIALS;
-        rows[o] = first;
-        rows[o + 1] = second;
-        rows[o + 2] = third;
-        line += UNITS;
+        store_across(&sums, &mut rows, place, PARTIALS);
     }
-    sync_cube();
+    window_columns(&mut rows, window, PARTIALS);
     let tile = CUBE_POS as u32 % window.tiles;
     let (x, y) = (UNIT_POS % TILE, UNIT_POS / TILE);
     let (column, row) = (tile % window.columns * TILE + x, tile / window.columns * TILE + y);
     if column < window.width && row < window.height {
-        let mut first = 0.0f32;
-        let mut second = 0.0f32;
-        let mut third = 0.0f32;
-        #[unroll]
-        for t in 0..TAPS {
-            let w = tap(window, t);
-            let o = ((y + t) * TILE + x) as usize * PARTIALS;
-            first += w * rows[o];
-            second += w * rows[o + 1];
-            third += w * rows[o + 2];
-        }
         let pixel = (row * window.width + column) as usize;
         let at = channel + pixel;
         let (shown, wanted) = (image[at], target[at]);
-        let by_similarity = first + 2.0f32 * shown * second + wanted * third;
+        let unit = UNIT_POS as usize;
+        let (by_mean, by_square) = (rows[unit], rows[UNITS as usize + unit]);
+        let by_product = rows[2 * UNITS as usize + unit];
+        let by_similarity = by_mean + 2.0f32 * shown * by_square + wanted * by_product;
         let gradient = shares.similarity * by_similarity + shares.difference * sign(shown - wanted);
         grad_image[at] = select(counts(ignored, pixel, masked), grad[0] * gradient, 0.0f32);
     }
