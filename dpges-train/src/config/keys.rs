@@ -352,15 +352,15 @@ configuration! {
         /// Learning rate of surfel positions relative to that of Gaussian positions.
         surfel_position_factor: f64 = 1.0, range: 0.0..;
         /// Learning rate of quaternions.
-        quaternions: f64 = 2e-3, range: 0.0..;
+        quaternions: f64 = 4e-3, range: 0.0..;
         /// Learning rate of the logarithms of scales.
-        log_scales: f64 = 7.5e-3, range: 0.0..;
+        log_scales: f64 = 0.015, range: 0.0..;
         /// Learning rate of opacities in the joint stage.
-        opacities: f64 = 1e-2, range: 0.0..;
+        opacities: f64 = 0.02, range: 0.0..;
         /// Learning rate of base colours.
-        base: f64 = 5e-3, range: 0.0..;
+        base: f64 = 0.01, range: 0.0..;
         /// Learning rate of lobes, or of spherical harmonics above degree 0.
-        detail: f64 = 5e-3, range: 0.0..;
+        detail: f64 = 0.01, range: 0.0..;
         /// Learning rate of the environment.
         environment: f64 = 5e-3, range: 0.0..;
         /// Learning rate of the colour corrections of `train.exposure` at the first step of the run. It falls to a tenth at
@@ -372,9 +372,11 @@ configuration! {
         pose_translation: f64 = 1e-3, unit: "extents", range: 0.0..;
         /// Share of the run after which poses are learnt: before, the scene is too coarse to say where cameras are.
         pose_from: f64 = 0.2, range: 0.0..1.0;
-        /// Factor on all learning rates but those of positions at the last step. Its logarithm is interpolated from 1 at
-        /// the first.
-        decay: f64 = 1.0, range: POSITIVE;
+        /// Factor on all learning rates but those of positions at the last step of the last stage (DP-GES, 3DGS: 1).
+        /// Its logarithm is interpolated from 1 at `optimizer.decay_from`.
+        decay: f64 = 0.3, range: POSITIVE;
+        /// Share of the last stage after which these rates begin to decay.
+        decay_from: f64 = 0.7, range: 0.0..1.0;
         /// Decay of the mean of gradients.
         beta1: f64 = 0.9, range: 0.0..1.0;
         /// Decay of the mean of squared gradients.

@@ -174,9 +174,9 @@ impl OptimizerConfig {
         }
     }
 
-    /// Factor on every other learning rate at `progress`.
+    /// Factor on every other learning rate at `progress` of the last stage.
     pub fn decay_at(&self, progress: f64) -> f64 {
-        between(1.0, self.decay, progress)
+        between(1.0, self.decay, (progress - self.decay_from) / (1.0 - self.decay_from))
     }
 }
 
@@ -190,12 +190,12 @@ mod tests {
 
     #[test]
     fn rates_start_and_end_where_they_should() {
-        let rates = OptimizerConfig { decay: 0.01, ..Default::default() };
+        let rates = OptimizerConfig { decay: 0.01, decay_from: 0.2, ..Default::default() };
         assert_eq!(rates.position_rate(0.0, 2.0), 3.2e-4);
         assert!((rates.position_rate(1.0, 2.0) - 3.2e-6).abs() < 1e-18);
         assert!((rates.position_rate(0.5, 1.0) - 1.6e-5).abs() < 1e-15);
-        assert!((rates.decay_at(0.5) - 0.1).abs() < 1e-12);
-        assert_eq!(rates.decay_at(0.0), 1.0);
+        assert!((rates.decay_at(0.6) - 0.1).abs() < 1e-12 && (rates.decay_at(1.0) - 0.01).abs() < 1e-12);
+        assert!([0.0, 0.1, 0.2].iter().all(|&progress| rates.decay_at(progress) == 1.0));
         let train = TrainConfig { lambda_depth_maps: 0.5, depth_maps_decay: 0.04, ..Default::default() };
         assert_eq!(train.depth_map_weight(0.0), 0.5);
         assert!(

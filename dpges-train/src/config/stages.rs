@@ -135,6 +135,7 @@ impl Method {
                 "optimizer.log_scales=5e-3",
                 "optimizer.base=2.5e-3",
                 "optimizer.detail=1.25e-4",
+                "optimizer.decay=1",
             ],
             Self::Dpges | Self::Discs | Self::Mcmc | Self::Dbs => &[],
         }

@@ -179,10 +179,14 @@ impl BlendedStage {
     /// World units.
     fn position_rate(&self, completed: usize, config: &Config) -> f64 {
         let progress = completed as f64 / self.plan.steps as f64;
-        let alone = config.plan().len() == 1;
-        let progress = if alone { progress } else { config.stages.position_share * progress };
+        let progress = if is_alone(config) { progress } else { config.stages.position_share * progress };
         config.optimizer.position_rate(progress, self.info.extent)
     }
+}
+
+/// Whether a stage of blended primitives is the whole run.
+fn is_alone(config: &Config) -> bool {
+    config.plan().len() == 1
 }
 
 impl Stage for BlendedStage {
@@ -246,15 +250,16 @@ impl Stage for BlendedStage {
 
     fn rates(&self, completed: usize, config: &Config) -> StepRates {
         let optimizer = &config.optimizer;
+        let decay = if is_alone(config) { optimizer.decay_at(completed as f64 / self.plan.steps as f64) } else { 1.0 };
         let rates = Rates {
             positions: self.position_rate(completed, config),
-            quaternions: optimizer.quaternions,
-            log_scales: optimizer.log_scales,
-            opacities: config.stages.opacities,
-            base: optimizer.base,
-            detail: optimizer.detail,
+            quaternions: optimizer.quaternions * decay,
+            log_scales: optimizer.log_scales * decay,
+            opacities: config.stages.opacities * decay,
+            base: optimizer.base * decay,
+            detail: optimizer.detail * decay,
         };
-        StepRates { surfels: rates, gaussians: rates, environment: optimizer.environment }
+        StepRates { surfels: rates, gaussians: rates, environment: optimizer.environment * decay }
     }
 
     fn after_step(&mut self, completed: usize, context: &mut Context) -> Result<(), TrainError> {

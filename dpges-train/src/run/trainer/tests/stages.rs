@@ -94,3 +94,22 @@ fn plans_that_lack_something_are_refused_before_the_first_step() {
     let absent = error(&["stages.surfels_from=absent.safetensors"]);
     assert!(absent.contains("stages.surfels_from") && absent.contains("absent.safetensors"), "{absent}");
 }
+
+#[test]
+fn rates_decay_in_the_last_stage_only() {
+    let colours = |set: &[&str], steps: usize| {
+        let mut trainer = trainer(&[set, &["train.steps=20", "optimizer.decay_from=0"]].concat());
+        while trainer.completed_steps() < steps {
+            trainer.step().unwrap();
+        }
+        trainer.scene().gaussians.colour
+    };
+    let (constant, decaying) = ("optimizer.decay=1", "optimizer.decay=1e-3");
+    for set in [["train.method=mcmc", "stages.gaussians=0"], ["train.method=dpges", "stages.gaussians=0"]] {
+        let of = |decay| colours(&[&set[..], &[decay]].concat(), 10);
+        assert_ne!(of(constant), of(decaying), "{set:?}");
+    }
+    let of = |decay, steps| colours(&["stages.gaussians=0.5", decay], steps);
+    assert_eq!(of(constant, 10), of(decaying, 10));
+    assert_ne!(of(constant, 20), of(decaying, 20));
+}
