@@ -76,6 +76,7 @@ impl Golden {
                 modulation: number("modulation"),
                 layer_count: number("layer_count") as usize,
                 footprint: if metadata["footprint"] == "opacity" { Footprint::Opacity } else { Footprint::Kernel },
+                backstop: metadata.get("backstop").is_some_and(|backstop| backstop == "true"),
                 background: numbers(&file, "background").try_into().unwrap(),
                 ..SceneInfo::default()
             },

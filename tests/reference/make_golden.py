@@ -13,7 +13,7 @@ Each case becomes FOLDER/NAME.safetensors. Its tensors, float64 but for the inte
   grad_image.*             d sum(upstream * image) / d input
   grad_detached.*          the same without the gradient through the transmittance
   grad_total.*             d total loss / d input
-Its metadata: width, height, near, layer_count, modulation, footprint.
+Its metadata: width, height, near, layer_count, modulation, footprint, and backstop where there is one.
 """
 
 import argparse
@@ -87,6 +87,7 @@ def cases(seed):
         ("large_world", (40, 60), {"extent": 1000.0}, (4000.0, 32, 32, 40.0), {}),
         ("subpixel", (200, 200), {"surfel_scale": (-6.0, -4.0), "gaussian_scale": (-7.0, -5.0)}, square, {}),
         ("environment", (30, 40), {}, (2.0, 40, 28, 25.0), {"modulation": 1.5, "environment": True}),
+        ("backstop", (300, 80), {"surfel_scale": (-2.6, -1.6)}, (3.0, 32, 32, 36.0), {"layer_count": 2, "backstop": True}),
     ]
     for index, (name, counts, scene, camera, options) in enumerate(recipes):
         rng = np.random.default_rng([seed, index])
@@ -185,6 +186,8 @@ def main():
             "modulation": str(options.get("modulation", model.SURFEL_MODULATION)),
             "footprint": options.get("footprint", "kernel"),
         }
+        if options.get("backstop"):
+            metadata["backstop"] = "true"
         save_file(tensors, arguments.folder / f"{name}.safetensors", metadata=metadata)
         print(name, f"image mean {tensors['out.image'].mean():.6f}")
 

@@ -159,10 +159,11 @@ def surfel_fragments(surfels, camera, modulation, footprint):
     return np.where(exists, alpha, 0.0), depth
 
 
-def peel(surfels, camera, layer_count=3, modulation=SURFEL_MODULATION, footprint="kernel"):
+def peel(surfels, camera, layer_count=3, modulation=SURFEL_MODULATION, footprint="kernel", backstop=False):
     """The `layer_count` nearest fragments of each pixel, ordered by (depth, surfel index).
 
-    Peeling stops behind an opaque fragment (alpha = 1): later layers are empty.
+    Peeling stops behind an opaque fragment (alpha = 1): later layers are empty. With a backstop, the nearest opaque
+    fragment is the last layer of a pixel where `layer_count` or more rims lie before it.
     """
     alpha, depth = surfel_fragments(surfels, camera, modulation, footprint)
     pixels, count = alpha.shape
@@ -170,8 +171,15 @@ def peel(surfels, camera, layer_count=3, modulation=SURFEL_MODULATION, footprint
         missing = np.zeros((pixels, layer_count - count))
         alpha, depth = np.concatenate([alpha, missing], 1), np.concatenate([depth, missing], 1)
     key = np.where(stop_gradient(alpha) > 0.0, stop_gradient(depth), np.inf)
-    order = np.argsort(key, axis=-1, kind="stable")[:, :layer_count]
+    order = np.argsort(key, axis=-1, kind="stable")
     of_pixel = np.arange(pixels)[:, None]
+    if backstop:
+        is_core = stop_gradient(alpha)[of_pixel, order] >= 1.0
+        place = np.argmax(is_core, -1)
+        pushed_out = np.any(is_core, -1) & (place >= layer_count)
+        core = order[np.arange(pixels), place]
+        order[pushed_out, layer_count - 1] = core[pushed_out]
+    order = order[:, :layer_count]
     layer_alpha, layer_depth = alpha[of_pixel, order], depth[of_pixel, order]
     opaque = stop_gradient(layer_alpha) >= 1.0
     behind_opaque = np.cumsum(opaque, -1) - opaque > 0
@@ -343,10 +351,11 @@ def render(
     layer_count=3,
     modulation=SURFEL_MODULATION,
     footprint="kernel",
+    backstop=False,
     detach_transmittance=False,
     environment=None,
 ):
-    layers = peel(surfels, camera, layer_count, modulation, footprint)
+    layers = peel(surfels, camera, layer_count, modulation, footprint, backstop)
     if environment is not None:
         background = background + environment_image(environment, camera)
     return composite(layers, splat(gaussians, camera, layers), background, detach_transmittance)

@@ -22,7 +22,7 @@ fn rendered(scene: &TestScene, peel: PeelOptions) -> Render {
 }
 
 fn options(layer_count: usize, modulation: f64, footprint: Footprint) -> PeelOptions {
-    PeelOptions { layer_count, modulation, footprint }
+    PeelOptions { layer_count, modulation, footprint, backstop: false }
 }
 
 /// At w = 255 every fragment is opaque: the nearest surfel, and the Gaussians in front of it, are all there is (GES).

@@ -71,6 +71,7 @@ fn scene(model: ColourModel, environment: bool) -> SceneData {
         modulation: 30.0,
         layer_count: 3,
         footprint: Footprint::Kernel,
+        backstop: true,
         margin_lookup: MarginLookup::Shifted,
         rendering: Rendering::Peeled,
         screen_filter: ScreenFilter::Compensated,

@@ -60,7 +60,7 @@ fn facing(count: usize, camera: Camera, sigmas_px: [f64; 2], place: impl Fn(usiz
 }
 
 fn peeled(layer_count: usize) -> RenderOptions {
-    let peel = PeelOptions { layer_count, modulation: HALF, footprint: Footprint::Kernel };
+    let peel = PeelOptions { layer_count, modulation: HALF, footprint: Footprint::Kernel, backstop: false };
     RenderOptions { peel, ..RenderOptions::default() }
 }
 

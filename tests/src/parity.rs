@@ -91,8 +91,10 @@ pub fn every_operation_agrees_for_every_number_of_layers_and_footprint(device: D
     let scene = random(41, ColourModel::SphericalBeta { lobes: 1 });
     for layer_count in [1, 2, 4, 8] {
         for (footprint, modulation) in [(Footprint::Kernel, 30.0), (Footprint::Opacity, 255.0)] {
-            let options = PeelOptions { layer_count, modulation, footprint };
-            check(&format!("{options:?}"), &scene, options, &device);
+            for backstop in [false, true] {
+                let options = PeelOptions { layer_count, modulation, footprint, backstop };
+                check(&format!("{options:?}"), &scene, options, &device);
+            }
         }
     }
 }

@@ -95,7 +95,7 @@ fn impossible_cameras_and_options_are_named() {
     for (name, layer_count, modulation) in
         [("layer_count", 0, 30.0), ("layer_count", 9, 30.0), ("modulation", 3, 0.0), ("modulation", 3, f64::NAN)]
     {
-        let peel = PeelOptions { layer_count, modulation, footprint: Footprint::Kernel };
+        let peel = PeelOptions { layer_count, modulation, footprint: Footprint::Kernel, backstop: false };
         let error = error(scene.camera, RenderOptions { peel, ..RenderOptions::default() });
         assert!(matches!(&error, Error::Option { option, .. } if *option == name), "{name}: {error}");
     }

@@ -101,7 +101,7 @@ fn peel(layer_count: usize) -> PeelOptions {
     // rims wide enough for many layers to be translucent
     let (modulation, footprint) =
         if layer_count.is_multiple_of(2) { (0.9, Footprint::Opacity) } else { (30.0, Footprint::Kernel) };
-    PeelOptions { layer_count, modulation, footprint }
+    PeelOptions { layer_count, modulation, footprint, backstop: layer_count > 2 }
 }
 
 #[test]

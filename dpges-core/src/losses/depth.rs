@@ -146,7 +146,7 @@ mod tests {
         let mut disparities = Random::new(8).numbers(camera.width * camera.height, 0.2, 1.0);
         disparities.iter_mut().step_by(5).for_each(|disparity| *disparity = 0.0);
         let disparity = leaf(&disparities, shape, &device()).detach();
-        let peel = PeelOptions { layer_count: 3, modulation: 1.5, footprint: Footprint::Opacity };
+        let peel = PeelOptions { layer_count: 3, modulation: 1.5, footprint: Footprint::Opacity, backstop: false };
         let options = RenderOptions { peel, ..RenderOptions::default() };
         let rendered = |[positions, quaternions, log_scales]: [Tensor<2>; 3]| {
             let (others, gaussians) = scene.tensors(&device(), DType::F64);

@@ -322,6 +322,7 @@ mod tests {
                 modulation: 30.0,
                 layer_count: 3,
                 footprint: Footprint::Kernel,
+                backstop: true,
                 margin_lookup: MarginLookup::Literal,
                 rendering: crate::scene::Rendering::Peeled,
                 screen_filter: crate::scene::ScreenFilter::Plain,

@@ -100,6 +100,9 @@ pub struct SceneInfo {
     /// K: peeled layers.
     pub layer_count: usize,
     pub footprint: Footprint,
+    /// Whether the nearest opaque fragment of a pixel is always a layer. Files without it have no backstop.
+    #[serde(default)]
+    pub backstop: bool,
     /// Files without it are [`MarginLookup::Shifted`].
     #[serde(default)]
     pub margin_lookup: MarginLookup,
@@ -136,6 +139,7 @@ impl Default for SceneInfo {
             modulation: 30.0,
             layer_count: 3,
             footprint: Footprint::default(),
+            backstop: false,
             margin_lookup: MarginLookup::default(),
             rendering: Rendering::default(),
             screen_filter: ScreenFilter::default(),

@@ -103,8 +103,12 @@ impl GoldenCase {
             lens: None,
         };
         let footprint = if text("footprint")? == "opacity" { Footprint::Opacity } else { Footprint::Kernel };
-        let peel =
-            PeelOptions { layer_count: number("layer_count")? as usize, modulation: number("modulation")?, footprint };
+        let peel = PeelOptions {
+            layer_count: number("layer_count")? as usize,
+            modulation: number("modulation")?,
+            footprint,
+            backstop: metadata.get("backstop").is_some_and(|backstop| backstop == "true"),
+        };
         let background = get("background")?.try_into().map_err(|_| format!("{origin}: background"))?;
         Ok(Self { arrays, camera, options: RenderOptions { peel, background, ..RenderOptions::default() } })
     }

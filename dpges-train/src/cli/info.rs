@@ -65,6 +65,7 @@ fn describe(scene: &Scene) -> Vec<(&'static str, Value)> {
         ("layers", json!(info.layer_count)),
         ("modulation", json!(info.modulation)),
         ("footprint", json!(footprint)),
+        ("backstop", json!(info.backstop)),
         ("margin_lookup", json!(margin_lookup)),
         ("background", json!(info.background)),
         ("environment", json!(scene.data.environment.as_ref().map(|e| EnvironmentData::degree_of(e.len())))),

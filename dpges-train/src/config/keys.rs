@@ -153,6 +153,9 @@ configuration! {
         /// Where a surfel is cut off.
         footprint: Footprint = Footprint::Kernel,
             ablation: "opacity-footprint" = "opacity" ("Cut surfels off by opacity instead of kernel value");
+        /// Make the nearest opaque surfel of a pixel its last layer, however many rims lie before it (DP-GES: false).
+        backstop: bool = true,
+            ablation: "no-backstop" = "false" ("Peel the nearest surfels only, opaque or not");
         /// Which scales the depth margin of a surfel is computed from.
         margin: Margin = Margin::Median, ablation: "raw-margin" = "raw" ("Compute margins from a surfel's own scales");
         /// Which depths a Gaussian's depth is compared with to find its transmittance. The scene file keeps it.

@@ -14,6 +14,7 @@ fn nothing(background: [f64; 3]) -> SceneData {
         modulation: 30.0,
         layer_count: 2,
         footprint: Footprint::Kernel,
+        backstop: false,
         margin_lookup: MarginLookup::Shifted,
         rendering: Rendering::Peeled,
         screen_filter: ScreenFilter::Compensated,

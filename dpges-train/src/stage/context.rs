@@ -78,6 +78,7 @@ impl Context {
             modulation: model.modulation,
             layer_count: model.layers,
             footprint: model.footprint,
+            backstop: model.backstop,
             margin_lookup: model.margin_lookup,
             rendering,
             screen_filter: ScreenFilter::Compensated,

@@ -183,6 +183,7 @@ fn config(scene: &SceneData, stage: StepStage) -> Config {
     config.model.modulation = info.modulation;
     config.model.layers = info.layer_count;
     config.model.footprint = info.footprint;
+    config.model.backstop = info.backstop;
     config.model.margin_lookup = info.margin_lookup;
     config
 }

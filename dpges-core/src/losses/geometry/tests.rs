@@ -266,7 +266,7 @@ fn the_gradient_of_the_geometry_terms_is_central_differences() {
         depth: depth_image(camera, &depths),
         normal: constant(&(0..3).flat_map(component).collect::<Vec<f64>>(), [3, camera.height, camera.width]),
     };
-    let peel = PeelOptions { layer_count: 3, modulation: 1.5, footprint: Footprint::Opacity };
+    let peel = PeelOptions { layer_count: 3, modulation: 1.5, footprint: Footprint::Opacity, backstop: false };
     let options = RenderOptions { peel, ..RenderOptions::default() };
     let loss = |[positions, quaternions, log_scales]: [Tensor<2>; 3]| {
         let (others, gaussians) = scene.tensors(&device(), DType::F64);

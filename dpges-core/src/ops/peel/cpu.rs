@@ -62,6 +62,42 @@ struct TileLayers<'a, T> {
     depth: &'a mut [T],
 }
 
+/// The nearest opaque fragment of every pixel of a tile.
+struct TileCores<T> {
+    ids: [i32; TILE_PIXELS],
+    depth: [T; TILE_PIXELS],
+}
+
+impl<T: Real> TileCores<T> {
+    fn none() -> Self {
+        Self { ids: [-1; TILE_PIXELS], depth: [T::INFINITY; TILE_PIXELS] }
+    }
+
+    /// Takes the opaque ones of a group of fragments that are nearer. Candidates ascend by index, so a strict comparison
+    /// breaks ties in depth by index.
+    #[inline(always)]
+    fn take_nearer(&mut self, id: i32, alpha: [T; LANES], depth: [T; LANES], start: usize) {
+        let ids: &mut [i32; LANES] = (&mut self.ids[start..][..LANES]).try_into().expect("one group");
+        let nearest: &mut [T; LANES] = (&mut self.depth[start..][..LANES]).try_into().expect("one group");
+        for lane in 0..LANES {
+            let nearer = (alpha[lane] >= T::one()) & (depth[lane] < nearest[lane]);
+            nearest[lane] = if nearer { depth[lane] } else { nearest[lane] };
+            ids[lane] = if nearer { id } else { ids[lane] };
+        }
+    }
+
+    /// Makes the core the last layer of the pixels whose other layers are all rims before it.
+    fn stop(&self, layers: usize, slots: &mut TileLayers<T>) {
+        for pixel in (0..TILE_PIXELS).filter(|&pixel| self.ids[pixel] >= 0) {
+            let has_core = (0..layers).any(|layer| slots.alpha[layer * TILE_PIXELS + pixel] >= T::one());
+            if !has_core {
+                let at = (layers - 1) * TILE_PIXELS + pixel;
+                (slots.ids[at], slots.alpha[at], slots.depth[at]) = (self.ids[pixel], T::one(), self.depth[pixel]);
+            }
+        }
+    }
+}
+
 /// ids, alpha and depth as [K, H, W].
 fn forward<T: Real>(surfels: &SurfelRows<T>, camera: &Camera, options: &PeelOptions) -> (Vec<i32>, Vec<T>, Vec<T>) {
     let grid = TileGrid::new(camera.width, camera.height);
@@ -144,9 +180,10 @@ fn peel_tile<T: Real>(
     origin: (usize, usize),
     near: T,
     options: &PeelOptions,
-    slots: TileLayers<T>,
+    mut slots: TileLayers<T>,
     meet: impl Fn(&Plane<T>, T, T, usize) -> Hit<T>,
 ) {
+    let mut cores = options.backstop.then(TileCores::none);
     let modulation = T::of(options.modulation);
     let (cutoff, min_facing) = (T::of(CUTOFF), T::of(MIN_FACING));
     let by_kernel = options.footprint == Footprint::Kernel;
@@ -173,11 +210,17 @@ fn peel_tile<T: Real>(
                     depth[lane] = if exists { hit.depth } else { T::INFINITY };
                     nearer |= depth[lane] < furthest[lane];
                 }
+                if let Some(cores) = &mut cores {
+                    cores.take_nearer(id as i32, alpha, depth, start);
+                }
                 if nearer {
                     insert(id as i32, alpha, depth, start, options.layer_count, slots.ids, slots.alpha, slots.depth);
                 }
             }
         }
+    }
+    if let Some(cores) = cores {
+        cores.stop(options.layer_count, &mut slots);
     }
     end_behind_opaque(options.layer_count, slots);
 }

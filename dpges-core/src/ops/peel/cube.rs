@@ -42,6 +42,7 @@ fn peel_kernel(
     count: u32,
     #[comptime] layers: usize,
     #[comptime] by_kernel: bool,
+    #[comptime] backstop: bool,
 ) {
     if CUBE_POS >= (view.columns * view.rows) as usize {
         terminate!();
@@ -60,6 +61,9 @@ fn peel_kernel(
         slot_alpha[k] = 0.0f32;
         slot_id[k] = NONE;
     }
+    // the nearest opaque fragment, which more than K rims would push out of the slots
+    let mut core_depth = view.infinity;
+    let mut core_id = NONE;
 
     let batches = list.batches();
     for batch in 0..batches {
@@ -72,6 +76,14 @@ fn peel_kernel(
                 measure = found.kernel;
             }
             let exists = f32::abs(found.facing) > MIN_FACING && found.depth > view.near && measure >= CUTOFF_F32;
+            if comptime!(backstop) {
+                if exists && opacity >= 1.0f32 && found.depth <= core_depth {
+                    let id = list.entry(ids, batch * UNITS + j);
+                    let before = found.depth < core_depth || id < core_id;
+                    core_depth = select(before, found.depth, core_depth);
+                    core_id = select(before, id, core_id);
+                }
+            }
             if exists && found.depth <= slot_depth[layers - 1] {
                 let mut depth = found.depth;
                 let mut alpha = opacity;
@@ -93,6 +105,18 @@ fn peel_kernel(
 
     if pixel.inside {
         let plane = plane_of(view);
+        if comptime!(backstop) {
+            let mut has_core = false;
+            #[unroll]
+            for k in 0..layers {
+                has_core = has_core || slot_alpha[k] >= 1.0f32;
+            }
+            if core_id != NONE && !has_core {
+                slot_depth[layers - 1] = core_depth;
+                slot_alpha[layers - 1] = 1.0f32;
+                slot_id[layers - 1] = core_id;
+            }
+        }
         let mut opaque = false;
         #[unroll]
         for k in 0..layers {
@@ -211,6 +235,7 @@ impl PeelOps for CubeBackend {
             count as u32,
             options.layer_count,
             options.footprint == Footprint::Kernel,
+            options.backstop,
         );
         PeelOutput { ids, alpha, depth }
     }

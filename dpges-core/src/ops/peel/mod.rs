@@ -1,8 +1,9 @@
 //! `peel`: the K nearest surfel fragments of every pixel, nearest first.
 //!
 //! Surfels → ids, opacity and depth, each [K, H, W] (plane k is layer k). Layers are ordered by
-//! (depth, index); peeling stops behind an opaque fragment (alpha = 1). A missing layer has id −1,
-//! alpha 0 and depth +∞. Opacity is `min(1, w G)` with `G = exp(−(u² + v²) / 2)` at the hit of the
+//! (depth, index); peeling stops behind an opaque fragment (alpha = 1). With a backstop, the last layer
+//! is the nearest opaque fragment if K or more rims lie before it. A missing layer has id −1, alpha 0 and
+//! depth +∞. Opacity is `min(1, w G)` with `G = exp(−(u² + v²) / 2)` at the hit of the
 //! ray through the pixel's centre with the surfel's plane (DP-GES, "surfel opacity").
 //!
 //! Gradients: from alpha and from depth to positions, quaternions and log-scales. An opaque
@@ -36,18 +37,26 @@ pub struct PeelOptions {
     /// w: opacity is min(1, w G).
     pub modulation: f64,
     pub footprint: Footprint,
+    /// Whether the nearest opaque fragment is always a layer: of the rims before it, the K − 1 nearest are the others.
+    /// Otherwise the layers are the K nearest fragments, opaque or not (DP-GES), and what is behind K rims shows through.
+    pub backstop: bool,
 }
 
 impl Default for PeelOptions {
-    /// Those of DP-GES: 3 layers, w = 30, footprint to G = 1/255.
+    /// Those of DP-GES: 3 layers, w = 30, footprint to G = 1/255, no backstop.
     fn default() -> Self {
-        Self { layer_count: 3, modulation: 30.0, footprint: Footprint::Kernel }
+        Self { layer_count: 3, modulation: 30.0, footprint: Footprint::Kernel, backstop: false }
     }
 }
 
 impl From<&SceneInfo> for PeelOptions {
     fn from(info: &SceneInfo) -> Self {
-        Self { layer_count: info.layer_count, modulation: info.modulation, footprint: info.footprint }
+        Self {
+            layer_count: info.layer_count,
+            modulation: info.modulation,
+            footprint: info.footprint,
+            backstop: info.backstop,
+        }
     }
 }
 

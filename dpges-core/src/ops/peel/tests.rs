@@ -112,6 +112,10 @@ impl Flat {
             };
             let mut fragments: Vec<Fragment> = surfels.iter().enumerate().filter_map(fragment).collect();
             fragments.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+            let core = fragments.iter().position(|fragment| fragment.2 >= 1.0);
+            if let Some(core) = core.filter(|&core| options.backstop && core >= options.layer_count) {
+                fragments.drain(options.layer_count - 1..core);
+            }
             for (k, fragment) in fragments.into_iter().take(options.layer_count).enumerate() {
                 out[k * plane + at] = Some(fragment);
                 if fragment.2 >= 1.0 {
@@ -140,7 +144,7 @@ fn assert_same(layers: &Layers, expected: &[Option<Fragment>]) {
 }
 
 fn options(layer_count: usize, modulation: f64, footprint: Footprint) -> PeelOptions {
-    PeelOptions { layer_count, modulation, footprint }
+    PeelOptions { layer_count, modulation, footprint, backstop: false }
 }
 
 fn axis_camera(width: usize, height: usize) -> Camera {
@@ -237,21 +241,26 @@ fn reach_is_tight_to_a_hundred_thousandth_of_a_pixel() {
 
 #[test]
 fn peeling_equals_sorting_all_fragments() {
-    let mut deepest = 0;
+    let (mut deepest, mut pushed_out) = (0, 0);
     for layers in 1..=8 {
         for (seed, footprint) in [(1, Footprint::Kernel), (2, Footprint::Opacity)] {
             for modulation in [30.0, 0.8] {
                 let recipe = Recipe { surfels: 40, gaussians: 0, ..Recipe::default() };
                 let (surfels, camera) = Flat::random(seed + 10 * layers as u64, &recipe);
-                let options = options(layers, modulation, footprint);
-                let expected = surfels.peel_densely(&camera, &options);
+                let literal = options(layers, modulation, footprint);
+                let expected = surfels.peel_densely(&camera, &literal);
                 let last = &expected[(layers - 1) * camera.width * camera.height..];
                 deepest = if last.iter().any(Option::is_some) { layers } else { deepest };
-                assert_same(&surfels.peel(&camera, &options), &expected);
+                assert_same(&surfels.peel(&camera, &literal), &expected);
+                let stopped = PeelOptions { backstop: true, ..literal };
+                let expected_stopped = surfels.peel_densely(&camera, &stopped);
+                pushed_out += expected.iter().zip(&expected_stopped).filter(|(literal, stopped)| literal != stopped).count();
+                assert_same(&surfels.peel(&camera, &stopped), &expected_stopped);
             }
         }
     }
     assert_eq!(deepest, 8);
+    assert!(pushed_out > 100, "{pushed_out}");
 }
 
 #[test]
@@ -295,6 +304,24 @@ fn ties_in_depth_are_broken_by_index_and_nothing_lies_behind_an_opaque_fragment(
     assert_eq!(ids(&[opaque(2.0), rim(2.0)], 2), [0, -1]);
     assert_eq!(ids(&[rim(2.0), opaque(2.0)], 2), [0, 1]);
     assert_eq!(ids(&[rim(4.0), rim(3.0), rim(2.0), rim(1.0)], 3), [3, 2, 1]);
+}
+
+#[test]
+fn the_nearest_opaque_fragment_is_the_last_layer_with_a_backstop() {
+    let camera = axis_camera(1, 1);
+    let (rim, opaque) = (|depth| facing_disc(depth, 3.0), |depth| facing_disc(depth, 0.1));
+    let ids = |surfels: &[Parameters], layers: usize| -> Vec<i64> {
+        let options = PeelOptions { backstop: true, ..options(layers, 30.0, Footprint::Kernel) };
+        Flat::of(surfels).peel(&camera, &options).ids.into_data().iter::<i64>().collect()
+    };
+    let three_rims = [rim(3.0), opaque(5.0), rim(1.0), opaque(4.0), rim(2.0), opaque(4.0)];
+    assert_eq!(ids(&three_rims, 1), [3]);
+    assert_eq!(ids(&three_rims, 2), [2, 3]);
+    assert_eq!(ids(&three_rims, 3), [2, 4, 3]);
+    assert_eq!(ids(&three_rims, 4), [2, 4, 0, 3]);
+    assert_eq!(ids(&three_rims, 5), [2, 4, 0, 3, -1]);
+    // without an opaque fragment nothing changes
+    assert_eq!(ids(&[rim(4.0), rim(3.0), rim(2.0), rim(1.0)], 2), [3, 2]);
 }
 
 #[test]
