@@ -227,6 +227,11 @@ impl GaussianState {
         self.columns.opacities.set(&raw_opacities(opacities, self.opacity));
     }
 
+    /// `[M]` as they are rendered; their moments stay.
+    pub fn set_opacities(&mut self, opacities: &[f32]) {
+        self.columns.opacities.set(&raw_opacities(opacities, self.opacity));
+    }
+
     /// `[M]` as they are rendered; their moments start again.
     pub fn reset_opacities(&mut self, opacities: &[f32]) {
         self.columns.opacities.restart(&raw_opacities(opacities, self.opacity));

@@ -28,8 +28,11 @@ fn dataset() -> Arc<Dataset> {
 
 fn config(steps: usize, more: &[&str]) -> Config {
     let steps = format!("train.steps={steps}");
-    let set: Vec<String> =
-        [steps.as_str(), "refine.budget=3000"].iter().chain(more).map(|&key| key.to_owned()).collect();
+    let set: Vec<String> = [steps.as_str(), "refine.budget=3000", "stages.gaussians=0"]
+        .iter()
+        .chain(more)
+        .map(|&key| key.to_owned())
+        .collect();
     Config::resolve(None, None, &set).unwrap()
 }
 
@@ -61,9 +64,7 @@ pub fn a_gpu_trains_as_well_as_a_cpu(device: Device) {
         "refine.replace_until=0",
         "refine.gaussian_prune_until=0",
         "refine.surfel_prune_until=0",
-        "refine.judge_surfels_at=[]",
         "refine.split=false",
-        "refine.clear_sight=false",
     ];
     let config = || config(200, &settings);
     let untrained = psnr(&Trainer::new(config(), Arc::clone(&data), ndarray()).unwrap(), &ndarray());

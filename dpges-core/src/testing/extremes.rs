@@ -129,7 +129,8 @@ fn with_hazards(seed: u64, hazards: Vec<Hazard>, random: &mut Random) -> Extreme
     let mut scene = self::random(seed, &recipe);
     let modulation = [10.0, 30.0, 255.0][random.below(3)];
     let footprint = if random.below(2) == 0 { Footprint::Kernel } else { Footprint::Opacity };
-    let mut peel = PeelOptions { layer_count: 1 + random.below(4), modulation, footprint, backstop: random.below(2) == 0 };
+    let mut peel =
+        PeelOptions { layer_count: 1 + random.below(4), modulation, footprint, backstop: random.below(2) == 0 };
     for &hazard in &hazards {
         apply(hazard, &mut scene, &mut peel, recipe.extent, random);
     }

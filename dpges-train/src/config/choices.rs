@@ -93,11 +93,11 @@ choices! {
         "on" => On,
     }
 
-    /// Appearance of a Gaussian that is added at a pixel.
-    AddAs {
-        /// The colour of the photograph, no larger than a pixel: useful at once.
-        "picture" => Picture,
-        /// Black, and as wide as the distance to its neighbours (GES, DP-GES).
+    /// What new Gaussians of the joint stage are.
+    NewGaussians {
+        /// Copies of those that answer for the most error, which share their opacity: no picture changes.
+        "copies" => Copies,
+        /// Black ones over surfels, at pixels drawn in proportion to their squared error (GES, DP-GES).
         "black" => Black,
     }
 

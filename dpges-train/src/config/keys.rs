@@ -7,8 +7,8 @@ use dpges_core::scene::{ColourModel, Footprint, MarginLookup, OpacityActivation}
 
 use super::budget::Budget;
 use super::choices::{
-    AddAs, Alpha, Background, BuiltinLens, DepthMaps, Environment, Exposure, GaussianStage, InitMethod, JointOpacity,
-    Margin, Method, PixelsOf, Poses, SfmCamera, SfmMatching, SfmProgram, Stop, SurfelStart,
+    Alpha, Background, BuiltinLens, DepthMaps, Environment, Exposure, GaussianStage, InitMethod, JointOpacity, Margin,
+    Method, NewGaussians, PixelsOf, Poses, SfmCamera, SfmMatching, SfmProgram, Stop, SurfelStart,
 };
 use super::declare::{Ablation, Key, Section, Value, configuration, optional};
 use super::memory::Memory;
@@ -88,9 +88,10 @@ configuration! {
             ablation: "no-surfel-loss" = "0" ("Without the loss of the surfels rendered alone");
         /// λ2: weight of the scale loss (DP-GES: 5e-5 for unbounded and 1e-5 for bounded scenes).
         lambda_scale: f64 = 1e-5, range: 0.0.., ablation: "no-scale-loss" = "0" ("Without the scale loss");
-        /// λ3: weight of the transmittance loss (DP-GES).
-        lambda_transmittance: f64 = 0.08, range: 0.0..,
-            ablation: "no-transmittance-loss" = "0" ("Without the transmittance loss");
+        /// λ3: weight of the transmittance loss (DP-GES: 0.08), which a backstop does without.
+        lambda_transmittance: f64 = 0.0, range: 0.0..,
+            ablation: "no-transmittance-loss" = "0" ("Without the transmittance loss"),
+            ablation: "transmittance-loss" = "0.08" ("With the transmittance loss");
         /// Weight of the mean opacity of Gaussians in the joint stage of scenes with an environment (3DGS-MCMC: 0.01,
         /// DP-GES: 0). It makes those fade that few pictures need, of which there are many outdoors.
         lambda_opacity: f64 = 3e-3, range: 0.0..,
@@ -205,11 +206,11 @@ configuration! {
             ablation: "no-surfel-stage" = "0" ("Without the stage of discs, if the run has one");
         /// Share of `train.steps` for Gaussians (DP-GES: 20/65). 0 starts them as `[init]` says. It has no effect with
         /// `stages.gaussians_by = "rest"`.
-        gaussians: f64 = 0.0, range: 0.0..=1.0,
+        gaussians: f64 = 0.4, range: 0.0..=1.0,
             ablation: "no-gaussian-stage" = "0" ("Without the stage of Gaussians, if the run has one");
         /// Where the Gaussians of the joint stage come from.
-        gaussians_by: GaussianStage = GaussianStage::Dbs,
-            ablation: "mcmc-gaussians" = "mcmc" ("Train Gaussians by 3DGS-MCMC, if the run has a stage of them");
+        gaussians_by: GaussianStage = GaussianStage::Mcmc,
+            ablation: "dbs-gaussians" = "dbs" ("Train Gaussians by DBS, if the run has a stage of them");
         /// Scene file whose discs or surfels replace the stage of discs. Empty for none.
         surfels_from: String = String::new();
         /// Scene file whose Gaussians replace the stage of Gaussians. Empty for none.
@@ -222,11 +223,11 @@ configuration! {
         /// Where surfels start if no discs were trained.
         surfels_by: SurfelStart = SurfelStart::Depth;
         /// Share of `refine.budget` of surfels that start on surfaces seen in depths.
-        depth_surfels: f64 = 0.2, range: POSITIVE_SHARE;
+        depth_surfels: f64 = 0.25, range: POSITIVE_SHARE;
         /// Share of `refine.budget` that discs may use. 0 sets no limit (2DGS).
         surfel_budget: f64 = 0.3, range: 0.0..;
         /// Share of `refine.budget` that Gaussians may use before the joint stage (DP-GES: 0.5 to 0.6).
-        gaussian_budget: f64 = 0.6, range: POSITIVE_SHARE;
+        gaussian_budget: f64 = 0.9, range: POSITIVE_SHARE;
         /// Opacity in the joint stage of Gaussians that were blended before, if `model.opacity` is linear; otherwise it is
         /// kept.
         joint_opacity: JointOpacity = JointOpacity::Odds;
@@ -407,13 +408,10 @@ configuration! {
         surfel_pixels_of: PixelsOf = PixelsOf::Megapixel;
         /// Scale above which a surfel is removed.
         surfel_max_scale: f64 = 0.06, unit: "extents", range: POSITIVE;
-        /// Steps at which surfels leave without which pictures are better: validation views, or training views if there are
-        /// none (DP-GES: never).
-        judge_surfels_at: Vec<usize> = vec![0, 4000, 9000, 14_000], unit: "steps";
         /// Interval of pruning Gaussians. It is extended to whole passes over the training views.
         gaussian_prune_every: usize = 500, unit: "steps", range: 1..;
-        /// Step at which pruning of Gaussians ends, exclusive.
-        gaussian_prune_until: usize = 2000, unit: "steps";
+        /// Step at which pruning of Gaussians ends, exclusive (DP-GES: 2000). With 0 none is pruned.
+        gaussian_prune_until: usize = 0, unit: "steps";
         /// Remove a Gaussian that contributes less than this colour to every pixel.
         gaussian_min_contribution: f64 = 0.02, range: 0.0..;
         /// Interval of adding Gaussians.
@@ -426,20 +424,9 @@ configuration! {
         /// batch before, new Gaussians take the place of those too faint to be drawn.
         replace_until: usize = 20_000, unit: "steps",
             ablation: "no-replacement" = "0" ("Replace no Gaussians after the last batch");
-        /// Add Gaussians also where no surfel is (DP-GES: false). They take the depth of the nearest surfel, or the mean
-        /// depth of existing Gaussians where there is none.
-        add_everywhere: bool = true,
-            ablation: "add-over-surfels" = "false" ("Add Gaussians over surfels only");
-        /// Least number of other views whose photographs have the colour of a new Gaussian at its place. Depths around that of
-        /// the nearest surfel are tried, and what too few views agree about is not added. 0 asks no view (DP-GES).
-        add_agreement: usize = 2, unit: "views",
-            ablation: "unconfirmed-gaussians" = "0" ("Add Gaussians that no other photograph confirms");
-        /// Remove surfels and Gaussians that hide points of the dataset from views that saw them, or float close to a
-        /// camera, with every batch of new Gaussians and every replacement, if the dataset says which view saw what (DP-GES:
-        /// false).
-        clear_sight: bool = true, ablation: "floaters" = "false" ("Keep what hides points from views that saw them");
-        /// Appearance of new Gaussians.
-        add_as: AddAs = AddAs::Picture, ablation: "black-gaussians" = "black" ("Add Gaussians that are black and wide");
+        /// What new Gaussians are.
+        new_gaussians: NewGaussians = NewGaussians::Copies,
+            ablation: "black-gaussians" = "black" ("Add black Gaussians where errors are large");
         /// Largest number of surfels and Gaussians together, or largest size of the scene file.
         budget: Budget = Budget::Pixels;
         /// Gain of PSNR by twice the primitives below which an automatic budget adds none: by how much more validation views

@@ -31,8 +31,8 @@ use crate::pose_step::PoseStep;
 pub use budget::Budget;
 use budget::{MEGABYTE, primitives_for};
 pub use choices::{
-    AddAs, Alpha, Background, BuiltinLens, DepthMaps, Environment, Exposure, GaussianStage, InitMethod, JointOpacity,
-    Margin, Method, PixelsOf, Poses, SfmCamera, SfmMatching, SfmProgram, Stop, SurfelStart,
+    Alpha, Background, BuiltinLens, DepthMaps, Environment, Exposure, GaussianStage, InitMethod, JointOpacity, Margin,
+    Method, NewGaussians, PixelsOf, Poses, SfmCamera, SfmMatching, SfmProgram, Stop, SurfelStart,
 };
 pub use declare::{Ablation, Key, Section};
 pub use dpges_core::scene::OpacityActivation;

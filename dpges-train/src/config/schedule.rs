@@ -1,6 +1,6 @@
 //! The steps of the joint stage at which the set of primitives changes.
 
-use super::{Budget, Config, ConfigError};
+use super::{Budget, Config, ConfigError, NewGaussians};
 
 /// Length of the joint stage for which the steps in `[refine]` are given (DP-GES).
 pub const REFERENCE_STEPS: usize = 25_000;
@@ -11,8 +11,6 @@ pub const REFERENCE_STEPS: usize = 25_000;
 pub struct Schedule {
     pub margins: Vec<usize>,
     pub surfel_prune: Vec<usize>,
-    /// When surfels that do harm are removed.
-    pub judge_surfels: Vec<usize>,
     pub gaussian_prune: Vec<usize>,
     pub add: Vec<usize>,
     /// The interval of batches before the first one, in which training alone is measured. Empty unless the budget is
@@ -20,6 +18,8 @@ pub struct Schedule {
     pub control: Vec<usize>,
     /// Replacements of Gaussians that are not drawn, after the last batch of new ones.
     pub replace: Vec<usize>,
+    /// Whether new Gaussians are copies.
+    pub copies: bool,
     pub split: Vec<usize>,
     /// Empty unless the budget is automatic.
     pub drop_lobes: Vec<usize>,
@@ -30,7 +30,6 @@ pub struct Schedule {
 pub struct Due {
     pub margins: bool,
     pub surfel_prune: bool,
-    pub judge_surfels: bool,
     pub gaussian_prune: bool,
     /// Batches of Gaussians still to add, including one now; `None` if none is due now.
     pub batches_left: Option<usize>,
@@ -45,12 +44,7 @@ pub struct Due {
 impl Due {
     /// Whether rows may appear or disappear.
     pub fn changes_rows(&self) -> bool {
-        self.surfel_prune
-            || self.judge_surfels
-            || self.gaussian_prune
-            || self.batches_left.is_some()
-            || self.replace
-            || self.split
+        self.surfel_prune || self.gaussian_prune || self.batches_left.is_some() || self.replace || self.split
     }
 }
 
@@ -118,11 +112,11 @@ impl Config {
         Schedule {
             margins: run(refine.margins_at.clone(), 0),
             surfel_prune: whole_passes(run(surfel_prune, 1), self.scaled(refine.surfel_prune_until) + 1),
-            judge_surfels: run(only_if(!self.train.freeze_surfels, refine.judge_surfels_at.clone()), 0),
             gaussian_prune: whole_passes(run(gaussian_prune, 1), self.scaled(refine.gaussian_prune_until)),
             add,
             control: run(control.into_iter().collect(), 1),
             replace: run(every(refine.add_every, refine.add_until, refine.replace_until), 1),
+            copies: refine.new_gaussians == NewGaussians::Copies,
             split: run(split, 1),
             drop_lobes: run(only_if(automatic, refine.drop_lobes_at.clone()), 1),
         }
@@ -130,12 +124,18 @@ impl Config {
 }
 
 impl Schedule {
+    /// The number of completed steps, more than `completed_steps`, at which Gaussians are copied next; `None` if none are.
+    pub fn next_copies(&self, completed_steps: usize) -> Option<usize> {
+        let after = |steps: &[usize]| steps.get(steps.partition_point(|&step| step <= completed_steps)).copied();
+        let next = [after(&self.add), after(&self.replace)].into_iter().flatten().min();
+        next.filter(|_| self.copies)
+    }
+
     pub fn due(&self, completed_steps: usize) -> Due {
         let is_in = |steps: &[usize]| steps.binary_search(&completed_steps);
         Due {
             margins: is_in(&self.margins).is_ok(),
             surfel_prune: is_in(&self.surfel_prune).is_ok(),
-            judge_surfels: is_in(&self.judge_surfels).is_ok(),
             gaussian_prune: is_in(&self.gaussian_prune).is_ok(),
             batches_left: is_in(&self.add).ok().map(|batch| self.add.len() - batch),
             control: is_in(&self.control).is_ok(),
@@ -161,14 +161,18 @@ mod tests {
         let schedule = config(REFERENCE_STEPS).schedule(100);
         assert_eq!(schedule.margins, [0, 4000]);
         assert_eq!(schedule.surfel_prune, (1..=15).map(|n| n * 1000).collect::<Vec<_>>());
-        assert_eq!(schedule.gaussian_prune, [500, 1000, 1500]);
+        assert!(schedule.gaussian_prune.is_empty());
         assert_eq!(schedule.add, (3..13).map(|n| n * 1000).collect::<Vec<_>>());
         assert_eq!(schedule.replace, (13..20).map(|n| n * 1000).collect::<Vec<_>>());
         assert_eq!(schedule.split, (1..=8).map(|n| n * 2000).collect::<Vec<_>>());
         let due = schedule.due(12_000);
         assert_eq!(due, Due { surfel_prune: true, batches_left: Some(1), split: true, ..Due::default() });
         assert_eq!(schedule.due(3000).batches_left, Some(10));
-        assert!(schedule.due(0).margins && schedule.due(0).judge_surfels);
+        assert!(schedule.due(0).margins);
+        assert_eq!(
+            [0, 3000, 12_999, 19_000].map(|completed| schedule.next_copies(completed)),
+            [Some(3000), Some(4000), Some(13_000), None]
+        );
         assert_eq!(schedule.due(3001), Due::default());
     }
 
@@ -178,7 +182,6 @@ mod tests {
         assert_eq!(schedule.margins, [0, 800]);
         assert_eq!(schedule.surfel_prune[..3], [200, 400, 600]);
         assert_eq!(schedule.surfel_prune.last(), Some(&3000));
-        assert_eq!(schedule.gaussian_prune, [100, 200, 300]);
         assert_eq!((schedule.add[0], schedule.add.len()), (600, 10));
     }
 
@@ -202,7 +205,7 @@ mod tests {
         let all = config(REFERENCE_STEPS).schedule(100);
         let mut frozen = config(REFERENCE_STEPS);
         frozen.train.freeze_surfels = true;
-        assert_eq!(frozen.schedule(100), Schedule { surfel_prune: vec![], judge_surfels: vec![], ..all.clone() });
+        assert_eq!(frozen.schedule(100), Schedule { surfel_prune: vec![], ..all.clone() });
         let mut automatic = config(REFERENCE_STEPS);
         automatic.refine.budget = Budget::Auto;
         let measured = Schedule { control: vec![2000], drop_lobes: vec![16_000, 22_000], ..all.clone() };
@@ -220,15 +223,17 @@ mod tests {
 
     #[test]
     fn every_window_of_pruning_sees_every_view() {
+        let mut config = config(5000);
+        config.refine.gaussian_prune_until = 2000;
         for views in [1, 7, 130, 311] {
-            let schedule = config(5000).schedule(views);
+            let schedule = config.schedule(views);
             for steps in [&schedule.surfel_prune, &schedule.gaussian_prune] {
                 assert!(!steps.is_empty());
                 assert!(steps.iter().all(|step| step % views == 0), "{views}: {steps:?}");
                 assert!(steps.windows(2).all(|pair| pair[0] < pair[1]));
             }
         }
-        assert!(config(5000).schedule(401).gaussian_prune.is_empty());
+        assert!(config.schedule(401).gaussian_prune.is_empty());
     }
 
     #[test]

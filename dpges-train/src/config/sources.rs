@@ -9,14 +9,13 @@ use toml::{Table, Value};
 use super::{Config, DataConfig, Key, SECTIONS, keys};
 
 /// Configurations that come with the program: name and TOML, which begins with a comment on what it is for.
-pub const PRESETS: [(&str, &str); 12] = [
+pub const PRESETS: [(&str, &str); 11] = [
     ("default", include_str!("../../../configs/default.toml")),
     ("quick", include_str!("../../../configs/quick.toml")),
     ("cpu", include_str!("../../../configs/cpu.toml")),
     ("fast", include_str!("../../../configs/fast.toml")),
     ("balanced", include_str!("../../../configs/balanced.toml")),
     ("quality", include_str!("../../../configs/quality.toml")),
-    ("staged", include_str!("../../../configs/staged.toml")),
     ("mipnerf360", include_str!("../../../configs/mipnerf360.toml")),
     ("tanks-and-temples", include_str!("../../../configs/tanks-and-temples.toml")),
     ("deep-blending", include_str!("../../../configs/deep-blending.toml")),

@@ -4,6 +4,7 @@
 //! and an arm of [`initialise`]. Most methods find [`OrientedPoints`] on the surfaces of the scene, and [`placement`]
 //! turns these into primitives. [`promote`] turns trained discs into surfels.
 
+pub mod flatten;
 pub mod fusion;
 pub mod placement;
 pub mod promote;

@@ -15,8 +15,6 @@ const SCALE: f32 = 0.5;
 const OPACITY: f32 = 0.5;
 /// Raw colour of an inconspicuous lobe, of amplitude 0.017 (DP-GES).
 const FAINT_LOBE: f32 = -0.3;
-/// Largest scale of a Gaussian that is added for a pixel, px.
-const MOST_PIXELS: f32 = 1.0;
 
 /// The size of a batch such that `batches_left` equal batches, this one included, fill the budget.
 pub fn batch_size(budget: usize, primitives: usize, batches_left: usize) -> usize {
@@ -54,25 +52,6 @@ pub fn draw_in_proportion(weights: &[f32], count: usize, rng: &mut ChaCha8Rng) -
         cumulative.partition_point(|&sum| sum <= at)
     };
     (0..count).map(draw).collect()
-}
-
-/// One Gaussian at each of `positions` (world units), where pictures are `pixel_sizes` wide (world units per px) and
-/// `colours` (display-referred): isotropic, as in [`new_gaussians`] but no larger than a pixel, opacity 0.5, the
-/// colour of the picture.
-pub fn gaussians_of_pixels(
-    positions: &[[f32; 3]],
-    pixel_sizes: &[f32],
-    colours: &[[f32; 3]],
-    model: ColourModel,
-    rng: &mut ChaCha8Rng,
-) -> GaussianData {
-    let mut new = new_gaussians(positions, f32::INFINITY, model, rng);
-    for (log_scales, &size) in new.log_scales.chunks_exact_mut(3).zip(pixel_sizes) {
-        log_scales.iter_mut().for_each(|scale| *scale = scale.min((MOST_PIXELS * size).ln()));
-    }
-    let base = |&c: &f32| ((f64::from(c) - 0.5) / SH_C0) as f32;
-    new.colour.base = colours.as_flattened().iter().map(base).collect();
-    new
 }
 
 /// One Gaussian at each of `positions` (world units): isotropic, its scale half the root mean
@@ -183,19 +162,6 @@ mod tests {
         let lengths = new.quaternions.as_chunks::<4>().0.iter().map(|q| q.iter().map(|x| x * x).sum::<f32>());
         assert!(lengths.into_iter().all(|length| (length - 1.0).abs() < 1e-5));
         assert_ne!(new.quaternions[..4], new.quaternions[4..8]);
-    }
-
-    #[test]
-    fn gaussians_of_pixels_look_like_them() {
-        let model = ColourModel::SphericalBeta { lobes: 1 };
-        let positions = [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 2.0]];
-        let colours = [[0.25, 0.5, 1.0]; 4];
-        let new = gaussians_of_pixels(&positions, &[0.1, 9.0, 0.2, 0.3], &colours, model, &mut rng());
-        assert!((new.log_scales[0].exp() - 0.1).abs() < 1e-6 && (new.log_scales[6].exp() - 0.2).abs() < 1e-6);
-        let own = new_gaussians(&positions, f32::INFINITY, model, &mut rng());
-        assert_eq!(new.log_scales[3..6], own.log_scales[3..6], "wider than the distance to the others it is not");
-        let shown = |c: usize| f64::from(new.colour.base[c]) * SH_C0 + 0.5;
-        assert!((shown(0) - 0.25).abs() < 1e-6 && shown(1) == 0.5 && (shown(2) - 1.0).abs() < 1e-6);
     }
 
     #[test]

@@ -4,9 +4,8 @@
 //! |---|---|
 //! | [`prune`] | which primitives stay |
 //! | [`split`] | which Gaussians of the joint stage are split |
-//! | [`worth`] | which surfels earn their place |
 //! | [`add`] | where new Gaussians are placed |
-//! | [`agreement`] | at which depth new Gaussians are placed |
+//! | [`copies`] | which Gaussians are copied, and which leave for it |
 //! | [`margins`] | the depth margins of surfels |
 //! | [`densify`] | which discs and Gaussians are cloned, split and pruned |
 //! | [`sampling`] | how fine Gaussians may be |
@@ -17,8 +16,8 @@
 //! at zero.
 
 pub mod add;
-pub mod agreement;
-mod children;
+pub mod children;
+pub mod copies;
 pub mod densify;
 pub mod growth;
 pub mod layer_count;
@@ -28,7 +27,6 @@ pub mod prune;
 pub mod relocate;
 pub mod sampling;
 pub mod split;
-pub mod worth;
 
 use std::f64::consts::TAU;
 

@@ -28,8 +28,12 @@ pub fn fisheye_dataset() -> Arc<Dataset> {
     Arc::new(builtin(&options))
 }
 
+/// Keys that make of the defaults a run of the joint stage alone, or, with a share, after a stage of DBS.
+const ALONE: [&str; 3] = ["stages.gaussians=0", "stages.gaussians_by=dbs", "stages.gaussian_budget=0.6"];
+
+/// The defaults, without a stage of Gaussians, with `set` on top.
 pub fn config(set: &[&str]) -> Config {
-    let set: Vec<String> = set.iter().map(|&text| text.to_owned()).collect();
+    let set: Vec<String> = ALONE.iter().chain(set).map(|&text| text.to_owned()).collect();
     Config::resolve(None, None, &set).unwrap()
 }
 

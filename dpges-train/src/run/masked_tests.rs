@@ -43,9 +43,6 @@ fn what_is_painted_over_and_masked_changes_no_bit_of_a_run() {
             "train.steps=60",
             "model.environment=sh1",
             "refine.budget=700",
-            "refine.add_agreement=1",
-            "refine.add_everywhere=true",
-            "refine.judge_surfels_at=[15000]",
             "stages.surfels=0.3",
             "stages.gaussians=0.3",
             "stages.surfel_opacity=0.12",
@@ -56,15 +53,8 @@ fn what_is_painted_over_and_masked_changes_no_bit_of_a_run() {
             "discs.lambda_distortion=0.1",
             "discs.distortion_from=0",
         ],
-        &["train.steps=60", "stages.gaussians=0.5", "refine.budget=700", "refine.add_agreement=1"],
-        &[
-            "train.steps=60",
-            "train.exposure=on",
-            "stages.gaussians=0.5",
-            "refine.budget=700",
-            "refine.add_agreement=1",
-            "refine.judge_surfels_at=[15000]",
-        ],
+        &["train.steps=60", "stages.gaussians=0.5", "refine.budget=700", "refine.new_gaussians=black"],
+        &["train.steps=60", "train.exposure=on", "stages.gaussians=0.5", "refine.budget=700"],
         &["train.steps=30", "train.method=3dgs", "refine.budget=300", "model.colour=sh1"],
     ];
     let clean = dataset(24, 5);
@@ -86,7 +76,7 @@ fn what_is_painted_over_and_masked_changes_no_bit_of_a_run() {
 #[test]
 fn masks_make_up_for_what_is_painted_over() {
     let clean = dataset(32, 16);
-    let set = ["train.steps=400", "refine.budget=1500", "refine.surfel_min_pixels=1", "refine.add_agreement=0"];
+    let set = ["train.steps=400", "refine.budget=1500", "refine.surfel_min_pixels=1"];
     let psnr = |data: Dataset| {
         let mut trainer = Trainer::new(config(&set), Arc::new(data), device()).unwrap();
         while !trainer.is_finished() {

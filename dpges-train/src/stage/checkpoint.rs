@@ -1,7 +1,6 @@
 //! A stage to and from its part of a checkpoint.
 
 use std::collections::{BTreeMap, HashMap};
-use std::iter;
 
 use dpges_core::scene::schema::{Attribute, Columns};
 use dpges_core::scene::{ColourModel, GaussianData, SceneInfo};
@@ -16,6 +15,7 @@ use crate::refine::growth::Growth;
 use crate::scene_state::{GaussianState, NamedRows, SurfelState};
 
 const MAX_CONTRIBUTIONS: &str = "max_contributions";
+const ERRORS: &str = "errors";
 /// Columns of the filters of surfels and of Gaussians.
 const SURFEL_LIMIT: &str = "surfel_sampling_limit";
 const GAUSSIAN_LIMIT: &str = "sampling_limit";
@@ -52,7 +52,9 @@ impl StageCheckpoint {
             .limits
             .iter()
             .flat_map(|limits| [(SURFEL_LIMIT, limits.surfels.column()), (GAUSSIAN_LIMIT, limits.gaussians.column())]);
-        let columns = iter::once((MAX_CONTRIBUTIONS, stage.statistics.max_contributions())).chain(limits);
+        let statistics =
+            [(MAX_CONTRIBUTIONS, stage.statistics.max_contributions()), (ERRORS, stage.statistics.errors())];
+        let columns = statistics.into_iter().chain(limits);
         let mut checkpoint = Self {
             info: stage.info.clone(),
             growth: stage.growth.clone(),
@@ -127,15 +129,16 @@ impl JointStage {
     ) -> Result<Self, TrainError> {
         let StageCheckpoint { info, growth, mut attributes, mut columns, max_pixels } = checkpoint;
         let (model, device) = (info.colour_model, &context.device);
-        let contributions = column(&mut columns, MAX_CONTRIBUTIONS)?;
+        let (contributions, errors) = (column(&mut columns, MAX_CONTRIBUTIONS)?, column(&mut columns, ERRORS)?);
         let wrong = |reason| TrainError::Resume { reason };
         let surfels =
             SurfelState::from_rows(&mut attributes, model, OpacityActivation::Linear, device).map_err(wrong)?;
         let gaussians =
             GaussianState::from_rows(&mut attributes, model, context.config.model.opacity, device).map_err(wrong)?;
         let environment = EnvironmentState::from_rows(&mut attributes, device).map_err(wrong)?;
-        if (max_pixels.len(), contributions.len()) != (surfels.len(), gaussians.len()) {
-            return Err(wrong("`max_pixels` or `max_contributions` does not fit the primitives".into()));
+        let observed = [max_pixels.len(), contributions.len(), errors.len()];
+        if observed != [surfels.len(), gaussians.len(), gaussians.len()] {
+            return Err(wrong("`max_pixels`, `max_contributions` or `errors` does not fit the primitives".into()));
         }
         let smoothing_px = context.config.model.sampling_limit;
         let surfel_limit = limit(&mut columns, SURFEL_LIMIT, surfels.len(), smoothing_px, context)?;
@@ -148,7 +151,7 @@ impl JointStage {
             gaussians,
             sky: SkyMasks::new(&environment, context),
             environment,
-            statistics: Statistics::from_rows(&max_pixels, &contributions, device),
+            statistics: Statistics::from_rows(&max_pixels, [&contributions, &errors], device),
             supervisions: discs.map(|discs| Supervisions::new(&discs, context)).transpose()?,
             growth,
             info,

@@ -93,7 +93,12 @@ impl Case {
         let share = [0.0, 0.0, 0.3][random.below(3)];
         let layer_count = if random.unit() < share { random.below(12) } else { 1 + random.below(8) };
         let footprint = [Footprint::Kernel, Footprint::Opacity][random.below(2)];
-        let peel = PeelOptions { layer_count, modulation: perhaps(30.0, share, random), footprint, backstop: random.below(2) == 0 };
+        let peel = PeelOptions {
+            layer_count,
+            modulation: perhaps(30.0, share, random),
+            footprint,
+            backstop: random.below(2) == 0,
+        };
         let blend = BlendOptions {
             form: [Form::Ellipsoids, Form::Discs][random.below(2)],
             filter: [ScreenFilter::Compensated, ScreenFilter::Plain][random.below(2)],

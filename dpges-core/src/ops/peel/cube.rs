@@ -63,7 +63,7 @@ fn peel_kernel(
     }
     // the nearest opaque fragment, which more than K rims would push out of the slots
     let mut core_depth = view.infinity;
-    let mut core_id = NONE;
+    let mut core_id = NONE.runtime();
 
     let batches = list.batches();
     for batch in 0..batches {

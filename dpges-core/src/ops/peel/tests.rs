@@ -254,7 +254,8 @@ fn peeling_equals_sorting_all_fragments() {
                 assert_same(&surfels.peel(&camera, &literal), &expected);
                 let stopped = PeelOptions { backstop: true, ..literal };
                 let expected_stopped = surfels.peel_densely(&camera, &stopped);
-                pushed_out += expected.iter().zip(&expected_stopped).filter(|(literal, stopped)| literal != stopped).count();
+                pushed_out +=
+                    expected.iter().zip(&expected_stopped).filter(|(literal, stopped)| literal != stopped).count();
                 assert_same(&surfels.peel(&camera, &stopped), &expected_stopped);
             }
         }

@@ -145,7 +145,8 @@ mod tests {
     #[test]
     fn every_variant_differs_from_the_method_and_keeps_data_seed_and_steps() {
         let staged = |variant: Variant| {
-            let stages = ["stages.surfels=0.2", "stages.gaussians=0.3"].map(str::to_owned);
+            let stages =
+                ["stages.surfels=0.2", "stages.gaussians=0.3", "train.lambda_transmittance=0.05"].map(str::to_owned);
             Config::resolve(None, None, &[&stages[..], &variant.settings()].concat()).unwrap()
         };
         let full = staged(variant("full"));

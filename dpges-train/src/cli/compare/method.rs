@@ -9,15 +9,10 @@ use dpges_train::config::key;
 use super::super::series::preset::method_of;
 
 /// Presets that are methods of their own, and what they are.
-const PRESETS: [(&str, &str); 2] = [
-    (
-        "ges",
-        "The predecessor (GES), as far as there are keys for it: discs, then frozen opaque surfels with Gaussians.",
-    ),
-    (STAGED, "The method as configured, with a stage of Gaussians first."),
-];
-/// Left out unless it is asked for: it differs from the method by one stage only.
-const STAGED: &str = "staged";
+const PRESETS: [(&str, &str); 1] = [(
+    "ges",
+    "The predecessor (GES), as far as there are keys for it: discs, then frozen opaque surfels with Gaussians.",
+)];
 
 /// Everything that `train.method` can be, then [`PRESETS`].
 static ALL: LazyLock<Vec<Method>> = LazyLock::new(|| {
@@ -48,10 +43,10 @@ impl ValueEnum for Method {
 }
 
 impl Method {
-    /// `asked` without repetitions; if it is empty, all but `staged`.
+    /// `asked` without repetitions; if it is empty, all.
     pub fn chosen(asked: &[Self]) -> Vec<Self> {
         if asked.is_empty() {
-            return ALL.iter().filter(|method| method.name != STAGED).cloned().collect();
+            return ALL.clone();
         }
         let mut chosen: Vec<Self> = Vec::new();
         for method in asked {
@@ -126,7 +121,6 @@ mod tests {
         }
         let ges = config(&method("ges"));
         assert_eq!((ges.stages.gaussians_by, ges.model.layers), (GaussianStage::Rest, 1));
-        assert!(config(&method("staged")).stages.gaussians > 0.0);
     }
 
     #[test]
@@ -134,6 +128,6 @@ mod tests {
         let [ges, dpges] = ["ges", "dpges"].map(method);
         assert_eq!(Method::chosen(&[ges.clone(), dpges.clone(), ges.clone()]), [ges, dpges]);
         let all = Method::chosen(&[]);
-        assert!(all[0].name == "dpges" && all.len() == ALL.len() - 1 && !all.contains(&method("staged")));
+        assert!(all[0].name == "dpges" && all.len() == ALL.len());
     }
 }

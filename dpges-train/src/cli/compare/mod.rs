@@ -28,8 +28,7 @@ use report::Comparison;
 /// Without DATASET the built-in scene is used, with the defaults of `dpges train`.
 #[derive(Debug, Args)]
 pub struct CompareArgs {
-    /// Methods to compare, separated by commas, in this order; others are compared with the first [default: all but
-    /// `staged`]
+    /// Methods to compare, separated by commas, in this order; others are compared with the first [default: all]
     #[arg(long, value_name = "METHOD", value_enum, value_delimiter = ',')]
     methods: Vec<Method>,
     /// Print all methods as a table in Markdown, and train nothing

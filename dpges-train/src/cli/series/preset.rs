@@ -4,14 +4,13 @@ use dpges_train::config::sources::preset_text;
 use toml::{Table, Value};
 
 /// Keys and sections of a preset that are no part of the method: length of the run, budget, learning rates, output.
-const OF_THE_RUN: [&str; 8] = [
+const OF_THE_RUN: [&str; 7] = [
     "train.steps",
     "train.evaluate_every",
     "train.checkpoint_every",
     "stages.position_share",
     "stages.surfel_scale",
     "stages.surfel_budget",
-    "refine.add_as",
     "optimizer",
 ];
 
@@ -38,7 +37,7 @@ mod tests {
     #[test]
     fn ges_is_its_preset_but_for_the_length_and_the_rates() {
         let mut preset = Config::resolve(Some("ges"), None, &[]).unwrap();
-        let Config { train, optimizer, stages, refine, .. } = Config::default();
+        let Config { train, optimizer, stages, .. } = Config::default();
         preset.train.steps = train.steps;
         preset.train.evaluate_every = train.evaluate_every;
         preset.train.checkpoint_every = train.checkpoint_every;
@@ -46,7 +45,6 @@ mod tests {
         preset.stages.position_share = stages.position_share;
         preset.stages.surfel_scale = stages.surfel_scale;
         preset.stages.surfel_budget = stages.surfel_budget;
-        preset.refine.add_as = refine.add_as;
         assert_eq!(Config::resolve(None, None, &method_of("ges")).unwrap(), preset);
     }
 }

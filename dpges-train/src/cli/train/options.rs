@@ -4,31 +4,14 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use dpges_train::config::{Config, key};
-use dpges_train::dataset::{self, Format};
 
 use super::super::data::{DataArgs, Source};
 use super::super::sfm::options::SfmOptions;
 use super::super::{Failure, Result};
 
-/// Defaults for the built-in scene: about two minutes of training. Its pictures are exact, so that new Gaussians need no
-/// confirmation.
-const BUILTIN_DEFAULTS: [&str; 5] = [
-    "train.steps=2000",
-    "train.evaluate_every=500",
-    "train.checkpoint_every=500",
-    "refine.surfel_min_pixels=1",
-    "refine.add_agreement=0",
-];
-
-/// Defaults for datasets in the Blender layout: silhouettes bound an object, but its surface is where trained Gaussians show
-/// it to several views.
-const BLENDER_DEFAULTS: [&str; 5] = [
-    "stages.gaussians=0.3",
-    "stages.gaussians_by=mcmc",
-    "stages.gaussian_budget=0.7",
-    "stages.depth_surfels=0.3",
-    "refine.surfel_min_pixels=4",
-];
+/// Defaults for the built-in scene: about two minutes of training.
+const BUILTIN_DEFAULTS: [&str; 4] =
+    ["train.steps=2000", "train.evaluate_every=500", "train.checkpoint_every=500", "refine.surfel_min_pixels=1"];
 
 /// Options that select and change the configuration. Those that set a key take their help from its declaration.
 #[derive(Debug, Args)]
@@ -124,7 +107,6 @@ impl ConfigArgs {
 pub fn of_dataset(source: &Source) -> &'static [&'static str] {
     match source {
         Source::Builtin => &BUILTIN_DEFAULTS,
-        Source::Folder(path) if dataset::format(path) == Some(Format::Blender) => &BLENDER_DEFAULTS,
         Source::Folder(_) => &[],
     }
 }
@@ -144,19 +126,7 @@ mod tests {
     fn presets_of_papers_do_not_depend_on_the_dataset() {
         for preset in ["mipnerf360", "tanks-and-temples", "deep-blending", "nerf-synthetic", "ges", "default"] {
             let alone = Config::resolve(Some(preset), None, &[]).unwrap();
-            for of_dataset in [&BUILTIN_DEFAULTS[..], &BLENDER_DEFAULTS] {
-                assert_eq!(Config::resolve_for(of_dataset, Some(preset), None, &[]).unwrap(), alone, "{preset}");
-            }
-        }
-    }
-
-    #[test]
-    fn short_presets_keep_the_stage_of_objects() {
-        for preset in ["quick", "cpu"] {
-            let config = Config::resolve_for(&BLENDER_DEFAULTS, Some(preset), None, &[]).unwrap();
-            let own = Config::resolve(Some(preset), None, &[]).unwrap();
-            assert_eq!((config.stages.gaussians, own.stages.gaussians), (0.3, 0.0));
-            assert_eq!((config.train, config.data), (own.train, own.data));
+            assert_eq!(Config::resolve_for(&BUILTIN_DEFAULTS, Some(preset), None, &[]).unwrap(), alone, "{preset}");
         }
     }
 

@@ -12,7 +12,7 @@ use dpges_core::scene::{ColourData, ColourModel};
 
 use super::super::{Context, TrainError};
 use super::JointStage;
-use super::evidence::{judging_target, judging_views};
+use super::judging::{judging_target, judging_views};
 use crate::config::HARD_RIM;
 use crate::dataset::{Picture, View, pictures};
 use crate::eval::LARGEST_PSNR;

@@ -1,7 +1,8 @@
 //! The joint optimisation of surfels and Gaussians (DP-GES).
 
 mod automatic_budget;
-mod evidence;
+mod depth_surfels;
+mod judging;
 mod limits;
 mod refine;
 mod sky;
@@ -129,7 +130,7 @@ impl Stage for JointStage {
         rendered.composite.image = input.photographed(rendered.composite.image);
         rendered.composite.surfel_image = input.photographed(rendered.composite.surfel_image);
         let mut statistics = self.statistics.clone();
-        statistics.observe(&rendered, gaussians, camera, &self.schedule, input.completed)?;
+        statistics.observe(&rendered, gaussians, camera, &input.target, &self.schedule, input.completed)?;
         let weights = loss_weights(&context.config);
         let mut losses = losses(&rendered, surfels.log_scales.clone(), input.target.clone(), &weights)?;
         let mask = input.target.mask.as_ref();

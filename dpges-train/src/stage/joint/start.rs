@@ -5,7 +5,7 @@ use dpges_core::scene::{GaussianData, Rendering, SceneData, ScreenFilter};
 use super::super::given::{GAUSSIANS_FROM, SURFELS_FROM};
 use super::super::{Context, EnvironmentState, TrainError, Trained};
 use super::{JointStage, Supervisions};
-use crate::config::{GaussianStage, HARD_RIM, JointOpacity, OpacityActivation, StagePlan, SurfelStart};
+use crate::config::{GaussianStage, HARD_RIM, JointOpacity, NewGaussians, OpacityActivation, StagePlan, SurfelStart};
 use crate::init::promote::promote;
 use crate::init::{InitialScene, Room, initialise};
 use crate::refine::margins::margins;
@@ -80,7 +80,7 @@ impl Context {
                 None => (None, None),
             },
         };
-        let by_depth = surfels.is_none() && stages.surfels_by == SurfelStart::Depth && self.has_views_to_agree();
+        let by_depth = surfels.is_none() && stages.surfels_by == SurfelStart::Depth;
         if let (true, Some(trained), Some(filter)) = (by_depth, &gaussians, blended_with) {
             surfels = Some(self.surfels_of_depth(trained, filter)?);
         }
@@ -101,7 +101,7 @@ impl Context {
             return Err(TrainError::Plan("the joint stage has neither surfels nor Gaussians to begin with".into()));
         }
         let (count, budget) = (surfels.len() + gaussians.len(), self.budget());
-        if count > budget {
+        if count > budget && self.config.refine.new_gaussians == NewGaussians::Black {
             tracing::warn!("the stage begins with {count} primitives, more than its budget of {budget}: none is added");
         }
         surfels.margins = margins(&surfels.positions, &surfels.log_scales, self.config.model.margin);

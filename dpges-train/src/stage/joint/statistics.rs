@@ -2,6 +2,7 @@
 
 use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 use dpges_core::camera::Camera;
+use dpges_core::losses::Target;
 use dpges_core::ops::coverage::coverage;
 use dpges_core::ops::splat::contributions;
 use dpges_core::render::Render;
@@ -12,29 +13,34 @@ use dpges_core::scene::tensors::tensor_to_rows;
 use crate::config::Schedule;
 use crate::refine::RowEdit;
 
-/// Running maxima over views.
+/// Most views whose errors are observed before new Gaussians are made.
+const MOST_ERRORS: usize = 60;
+
+/// Running maxima and sums over views.
 #[derive(Clone, Debug)]
 pub struct Statistics {
     /// [N] largest number of pixels of one view at which a surfel was the nearest.
     max_pixels: Tensor<1, Int>,
     /// [M] largest contribution of a Gaussian to a pixel, in units of colour.
     max_contributions: Tensor<1>,
+    /// [M] sum over views of the largest product of a Gaussian's share of a pixel and the absolute error there, summed over
+    /// channels: the error that the Gaussian answers for.
+    errors: Tensor<1>,
 }
 
 impl Statistics {
     pub fn new(surfels: usize, gaussians: usize, device: &Device) -> Self {
-        Self::from_rows(&vec![0; surfels], &vec![0.0; gaussians], device)
+        Self::from_rows(&vec![0; surfels], [&vec![0.0; gaussians]; 2], device)
     }
 
-    /// From what [`max_pixels`](Self::max_pixels) and [`max_contributions`](Self::max_contributions) returned.
-    pub fn from_rows(max_pixels: &[u32], max_contributions: &[f32], device: &Device) -> Self {
+    /// From what [`max_pixels`](Self::max_pixels), and [`max_contributions`](Self::max_contributions) and
+    /// [`errors`](Self::errors), returned.
+    pub fn from_rows(max_pixels: &[u32], of_gaussians: [&Vec<f32>; 2], device: &Device) -> Self {
         let pixels: Vec<i32> = max_pixels.iter().map(|&count| i32::try_from(count).unwrap_or(i32::MAX)).collect();
         let pixels = TensorData::new(pixels, [max_pixels.len()]);
-        let contributions = TensorData::new(max_contributions.to_vec(), [max_contributions.len()]);
-        Self {
-            max_pixels: Tensor::from_data(pixels, (device, DType::I32)),
-            max_contributions: Tensor::from_data(contributions, (device, DType::F32)),
-        }
+        let [max_contributions, errors] = of_gaussians
+            .map(|rows| Tensor::from_data(TensorData::new(rows.clone(), [rows.len()]), (device, DType::F32)));
+        Self { max_pixels: Tensor::from_data(pixels, (device, DType::I32)), max_contributions, errors }
     }
 
     pub fn max_pixels(&self) -> Vec<u32> {
@@ -45,26 +51,36 @@ impl Statistics {
         tensor_to_rows(&self.max_contributions)
     }
 
+    pub fn errors(&self) -> Vec<f32> {
+        tensor_to_rows(&self.errors)
+    }
+
     /// Forgets what was observed of surfels; from now on there are `count`.
     pub fn reset_surfels(&mut self, count: usize) {
         let device = self.max_pixels.device();
         self.max_pixels = Self::new(count, 0, &device).max_pixels;
     }
 
-    /// Keeps what was observed of the surfels that stay.
-    pub fn keep_surfels(&mut self, rows: &RowEdit) {
-        let pixels = self.max_pixels();
-        let kept: Vec<u32> = rows.keep.iter().map(|&row| pixels[row]).collect();
-        self.max_pixels = Self::from_rows(&kept, &[], &self.max_pixels.device()).max_pixels;
+    /// Keeps what was observed of the Gaussians that stay; nothing was of the `added` ones.
+    pub fn edit_gaussians(&mut self, rows: &RowEdit, added: usize) {
+        let edited = |values: Vec<f32>| {
+            let kept = rows.keep.iter().map(|&row| values[row]);
+            kept.chain(std::iter::repeat_n(0.0, added)).collect::<Vec<f32>>()
+        };
+        let (contributions, errors) = (edited(self.max_contributions()), edited(self.errors()));
+        let edited = Self::from_rows(&[], [&contributions, &errors], &self.errors.device());
+        (self.max_contributions, self.errors) = (edited.max_contributions, edited.errors);
     }
 
     /// Forgets what was observed of Gaussians; from now on there are `count`.
     pub fn reset_gaussians(&mut self, count: usize) {
         let device = self.max_contributions.device();
-        self.max_contributions = Self::new(0, count, &device).max_contributions;
+        let fresh = Self::new(0, count, &device);
+        (self.max_contributions, self.errors) = (fresh.max_contributions, fresh.errors);
     }
 
-    /// Adds one view rendered from `gaussians` on a tape, as far as a pruning of `schedule` after `completed_steps` needs it.
+    /// Adds one view rendered from `gaussians` on a tape and its photograph, as far as `schedule` needs it after
+    /// `completed_steps`.
     ///
     /// # Errors
     /// [`dpges_core::Error`] if the render belongs to other Gaussians.
@@ -73,6 +89,7 @@ impl Statistics {
         render: &Render,
         gaussians: &Gaussians,
         camera: &Camera,
+        target: &Target,
         schedule: &Schedule,
         completed_steps: usize,
     ) -> dpges_core::Result<()> {
@@ -81,14 +98,35 @@ impl Statistics {
         if surfels > 0 && later(&schedule.surfel_prune) {
             self.max_pixels = self.max_pixels.clone().max_pair(coverage(&render.layers, surfels));
         }
-        if self.max_contributions.dims()[0] > 0 && later(&schedule.gaussian_prune) {
-            let gaussians = gaussians.map_ref(|_, values| values.clone().inner());
+        let [count] = self.errors.dims();
+        let prunes = later(&schedule.gaussian_prune);
+        let copies = schedule.next_copies(completed_steps).is_some_and(|next| next - completed_steps <= MOST_ERRORS);
+        if count == 0 || !(prunes || copies) {
+            return Ok(());
+        }
+        let gaussians = gaussians.map_ref(|_, values| values.clone().inner());
+        let (limits, gates) = (render.limits.clone().inner(), gates(render));
+        if prunes {
             let colours = render.gaussian_colours.clone().inner();
-            let limits = render.limits.clone().inner();
-            let found = contributions(&gaussians, &colours, &limits, &gates(render), camera)?;
+            let found = contributions(&gaussians, &colours, &limits, &gates, camera)?;
             self.max_contributions = self.max_contributions.clone().max_pair(found);
         }
+        if copies {
+            let white = Tensor::ones([count, 3], (&self.errors.device(), DType::F32));
+            let found = contributions(&gaussians, &white, &limits, &(gates * error(render, target)), camera)?;
+            self.errors = self.errors.clone() + found;
+        }
         Ok(())
+    }
+}
+
+/// [1, H, W] absolute error summed over channels; 0 where pixels do not count.
+fn error(render: &Render, target: &Target) -> Tensor<3> {
+    let image = render.composite.image.clone().inner();
+    let error = (image - target.image.clone().inner()).abs().sum_dim(0);
+    match &target.mask {
+        Some(mask) => mask.clone().inner().filled(error, 0.0),
+        None => error,
     }
 }
 

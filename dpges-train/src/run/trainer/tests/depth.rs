@@ -37,9 +37,7 @@ fn depth_maps_bring_surfels_to_their_depth() {
             "train.lambda_depth_maps=2",
             "train.depth_maps_decay=1",
             // surfels stay, however wrong they are
-            "refine.judge_surfels_at=[]",
             "refine.surfel_prune_from=15000",
-            "refine.clear_sight=false",
             "optimizer.position_start=1e-3",
             "optimizer.position_end=1e-3",
         ];

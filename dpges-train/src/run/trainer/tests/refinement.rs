@@ -4,14 +4,13 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use dpges_core::scene::ScreenFilter;
-use dpges_core::scene::tensors::tensor_to_rows;
 use glam::DVec3;
 
 use super::{gaussians, trainer};
 use crate::config::StageKind;
 use crate::dataset::{BuiltinOptions, builtin, builtin_geometry};
 use crate::run::Trainer;
-use crate::run::fixtures::{config, dataset, dataset_of, device};
+use crate::run::fixtures::{config, dataset_of, device};
 
 #[test]
 fn frozen_surfels_learn_nothing_but_colours() {
@@ -48,7 +47,7 @@ fn gaussians_that_draw_nothing_are_in_no_scene_and_make_room_for_others() {
         assert_eq!(trainer.scene().gaussians.len(), left);
 
         let report = trainer.step().unwrap().unwrap();
-        let said = format!("{} Gaussians that draw nothing removed", count - left);
+        let said = format!("{} Gaussians removed that draw nothing", count - left);
         assert_eq!(report.events.iter().any(|event| event.contains(&said)), replaced, "{:?}", report.events);
         let alive = gaussians(&mut trainer).opacities().iter().filter(|&&o| o > 0.0).count();
         assert_eq!(alive > left, replaced, "{alive}, {left} before");
@@ -56,42 +55,8 @@ fn gaussians_that_draw_nothing_are_in_no_scene_and_make_room_for_others() {
 }
 
 #[test]
-fn what_hides_points_from_views_that_saw_them_is_removed_if_that_is_wanted() {
-    for (set, is_wanted) in [("refine.clear_sight=true", true), ("refine.clear_sight=false", false)] {
-        // batches after 12, 16, …, 48 steps
-        let mut trainer = trainer(&["train.steps=100", "refine.budget=300", "refine.split=false", set]);
-        while trainer.completed_steps() < 48 {
-            trainer.step().unwrap();
-        }
-        // the first Gaussian hides what two cameras have before them
-        let data = dataset();
-        let centres: Vec<DVec3> = data.train.iter().map(|view| view.camera.centre()).collect();
-        let near = |a: &DVec3, b: &DVec3| a.distance(centres[0]).total_cmp(&b.distance(centres[0]));
-        let other = *centres[1..].iter().min_by(|a, b| near(a, b)).unwrap();
-        let ahead = data.train[0].camera.camera_from_world.rotation.transpose() * DVec3::Z;
-        let distance = centres[0].distance(other);
-        let middle = 0.5 * (centres[0] + other) + distance * ahead;
-        let gaussians = gaussians(&mut trainer);
-        let mut positions = tensor_to_rows(&gaussians.columns.positions.raw());
-        positions[..3].copy_from_slice(&middle.as_vec3().to_array());
-        gaussians.columns.positions.set(&positions);
-        let mut log_scales = tensor_to_rows(&gaussians.columns.log_scales.raw());
-        log_scales[..3].fill((0.5 * distance).ln() as f32);
-        gaussians.columns.log_scales.set(&log_scales);
-        let mut opacities = gaussians.opacities();
-        opacities[0] = 0.9;
-        gaussians.reset_opacities(&opacities);
-
-        let events = trainer.step().unwrap().unwrap().events;
-        let removed = events.iter().find_map(|event| event.split_once(" Gaussians removed that hide points"));
-        let count = removed.map(|(before, _)| before.rsplit(' ').next().unwrap().parse::<usize>().unwrap());
-        assert_eq!(count.is_some_and(|count| count > 0), is_wanted, "{events:?}");
-    }
-}
-
-#[test]
-fn gaussians_are_added_where_no_surfel_is_if_that_is_wanted() {
-    for (set, grows) in [("refine.add_everywhere=true", true), ("refine.add_everywhere=false", false)] {
+fn black_gaussians_are_added_over_surfels_only() {
+    for (set, grows) in [("refine.new_gaussians=copies", true), ("refine.new_gaussians=black", false)] {
         let few = ["train.steps=40", "init.method=random", "init.random_gaussians=100", "refine.budget=300"];
         let mut trainer = trainer(&[&few[..], &["refine.split=false", set]].concat());
         assert!(trainer.scene().surfels.is_empty());
@@ -100,17 +65,33 @@ fn gaussians_are_added_where_no_surfel_is_if_that_is_wanted() {
         }
         assert_eq!(gaussians(&mut trainer).len() > 100, grows, "{set}");
     }
+    let set = ["train.steps=40", "refine.budget=900", "refine.split=false", "refine.new_gaussians=black"];
+    let mut trainer = trainer(&set);
+    let before = gaussians(&mut trainer).len();
+    while !trainer.is_finished() {
+        trainer.step().unwrap();
+    }
+    assert!(gaussians(&mut trainer).len() > before, "{before}");
 }
 
 #[test]
-fn surfels_enter_where_views_agree_and_leave_where_they_do_harm() {
-    let set = [
-        "train.steps=300",
-        "stages.gaussians=0.7",
-        "refine.budget=1500",
-        "refine.judge_surfels_at=[0, 1000]",
-        "refine.surfel_prune_from=15000",
-    ];
+fn copies_fill_the_budget() {
+    let set = ["train.steps=100", "refine.budget=700", "refine.split=false", "refine.surfel_prune_from=15000"];
+    let mut trainer = trainer(&set);
+    let mut batches = 0;
+    while !trainer.is_finished() {
+        let events = trainer.step().unwrap().unwrap().events;
+        batches += usize::from(events.iter().any(|event| event.contains("added of")));
+    }
+    assert_eq!(batches, 10 + 7);
+    let scene = trainer.scene();
+    let primitives = scene.surfels.len() + scene.gaussians.len();
+    assert!((679..=700).contains(&primitives), "{primitives}");
+}
+
+#[test]
+fn surfels_enter_where_views_agree() {
+    let set = ["train.steps=300", "stages.gaussians=0.7", "refine.budget=1500", "refine.surfel_prune_from=15000"];
     let options = BuiltinOptions { width: 40, height: 40, train_views: 12, points: 400, ..Default::default() };
     let dataset = Arc::new(builtin(&options));
     let mut trainer = Trainer::new(config(&set), dataset.clone(), device()).unwrap();
@@ -132,24 +113,27 @@ fn surfels_enter_where_views_agree_and_leave_where_they_do_harm() {
     };
     let good = surfels.positions.as_chunks::<3>().0.iter().filter(|position| on_surface(position)).count();
     assert!(good * 5 >= surfels.len() * 4, "{good} of {}", surfels.len());
+}
 
-    // three of them close before cameras, in a colour of no photograph, leave where they are judged
-    while trainer.completed_steps() < 214 {
-        trainer.step().unwrap();
+#[test]
+fn surfels_start_somewhere_where_depths_agree_nowhere() {
+    let set = ["train.steps=20", "stages.gaussians=0.5", "refine.budget=400"];
+    let first_joint_scene = |points: bool| {
+        let mut data =
+            builtin(&BuiltinOptions { width: 24, height: 24, train_views: 2, points: 200, ..Default::default() });
+        if !points {
+            data.points = Default::default();
+        }
+        let mut trainer = Trainer::new(config(&set), Arc::new(data), device()).unwrap();
+        while trainer.stage().kind != StageKind::Joint {
+            trainer.step().unwrap();
+        }
+        trainer.scene()
+    };
+    for points in [true, false] {
+        let surfels = first_joint_scene(points).surfels.len();
+        assert!((5..=100).contains(&surfels), "{surfels} surfels, points {points}");
     }
-    let mut wrong = trainer.scene().surfels;
-    for row in 0..3 {
-        let position = dataset.train[4 * row].camera.unproject(20.0, 20.0, 1.0).as_vec3();
-        wrong.positions[3 * row..][..3].copy_from_slice(&position.to_array());
-        wrong.colour.base[3 * row..][..3].fill(20.0);
-    }
-    let surfels = trainer.stage.parameters().surfels;
-    surfels.columns.positions.set(&wrong.positions);
-    surfels.columns.colour.base.set(&wrong.colour.base);
-    let events = trainer.step().unwrap().unwrap().events;
-    assert!(events.iter().any(|event| event.contains("surfels removed")), "{events:?}");
-    let after = trainer.scene().surfels;
-    assert!(!after.is_empty() && after.colour.base.iter().all(|&base| base < 15.0), "{:?}", after.colour.base);
 }
 
 #[test]
@@ -157,6 +141,7 @@ fn all_views_are_seen_between_two_changes_that_judge_by_views() {
     // 7 views, stages of 40, 40 and 120 steps: no stage begins where a pass over the views would
     let views = 7;
     let set = ["train.steps=200", "stages.surfels=0.2", "stages.gaussians=0.2", "refine.surfel_min_pixels=0"];
+    let set = [&set[..], &["refine.gaussian_prune_until=2000"]].concat();
     let mut trainer = Trainer::new(config(&set), dataset_of(views), device()).unwrap();
     let mut stage = trainer.stage();
     // views since the last of these events, and their number at each of them

@@ -113,7 +113,6 @@ fn a_run_that_corrects_everything_at_once_goes_on_to_the_same_end() {
         "train.exposure=on",
         "stages.gaussians=0.3",
         "refine.budget=auto",
-        "refine.add_agreement=1",
         "model.environment=sh1",
         "model.sampling_limit=0.3",
     ];

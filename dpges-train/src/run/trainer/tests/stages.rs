@@ -1,9 +1,13 @@
 //! Stages and methods: what they train and hand on, and what they need.
 
+use std::sync::Arc;
+
 use dpges_core::scene::{EnvironmentData, Rendering};
 
 use super::{STAGES, gaussians, trainer};
-use crate::config::StageKind;
+use crate::config::{Config, StageKind};
+use crate::dataset::{BuiltinOptions, builtin};
+use crate::eval::evaluate;
 use crate::run::Trainer;
 use crate::run::fixtures::{config, dataset, device};
 
@@ -112,4 +116,25 @@ fn rates_decay_in_the_last_stage_only() {
     let of = |decay, steps| colours(&["stages.gaussians=0.5", decay], steps);
     assert!(of(constant, 10) == of(decaying, 10), "the stage of Gaussians has learnt at other rates");
     assert!(of(constant, 20) != of(decaying, 20), "the joint stage has not");
+}
+
+#[test]
+fn the_joint_stage_ends_above_the_gaussians_that_it_begins_with() {
+    let size =
+        BuiltinOptions { width: 48, height: 48, train_views: 16, test_views: 6, points: 400, ..Default::default() };
+    let data = Arc::new(builtin(&size));
+    let set = ["train.steps=900", "refine.budget=1500", "refine.surfel_min_pixels=1"].map(str::to_owned);
+    let mut trainer = Trainer::new(Config::resolve(None, None, &set).unwrap(), data.clone(), device()).unwrap();
+    let psnr = |trainer: &Trainer| evaluate(&trainer.scene(), &data.test, trainer.device()).unwrap().psnr;
+    while !trainer.stage_is_over() {
+        trainer.step().unwrap();
+    }
+    let gaussians = psnr(&trainer);
+    while !trainer.is_finished() {
+        trainer.step().unwrap();
+    }
+    let joint = psnr(&trainer);
+    println!("held out: {gaussians:.2} dB of Gaussians, {joint:.2} dB after the joint stage");
+    assert_eq!(trainer.stage().kind, StageKind::Joint);
+    assert!(joint >= gaussians, "{joint:.2} dB, {gaussians:.2} dB before");
 }

@@ -1,0 +1,147 @@
+//! Where surfels start: on the surfaces that trained Gaussians show to several views.
+
+use std::sync::Arc;
+
+use burn::tensor::DType;
+use dpges_core::losses::geometry::expected_depth;
+use dpges_core::ops::blend::Maps;
+use dpges_core::render::Values;
+use dpges_core::render::blended::{BlendedOptions, render_blended};
+use dpges_core::scene::tensors::tensor_to_rows;
+use dpges_core::scene::{GaussianData, Gaussians, Rendering, SceneInfo, ScreenFilter, SurfelData};
+
+use super::super::{Context, TrainError};
+use crate::dataset::PointCloud;
+use crate::exposure::Seen;
+use crate::init::flatten::flatten;
+use crate::init::fusion::{CHECKED_VIEWS, DepthViews, FusionRule, surface_points};
+use crate::init::sfm::usable_points;
+use crate::init::surfels_at;
+use crate::recent::Recent;
+
+/// Least alpha of a pixel that may show a surface.
+const OPAQUE: f32 = 0.9;
+/// Largest difference between the mean and the median depth of a pixel that shows one surface, relative to the median.
+const OF_ONE_DEPTH: f32 = 0.03;
+/// When depths agree: the first rule that finds enough surfels is taken.
+const RULES: [FusionRule; 3] = [
+    FusionRule { tolerance: 0.015, min_views: 3 },
+    FusionRule { tolerance: 0.03, min_views: 2 },
+    FusionRule { tolerance: 0.06, min_views: 1 },
+];
+/// Distances between surface points that are tried, px: the first that fits the share of surfels is taken.
+const STRIDES_PX: [usize; 7] = [3, 4, 6, 8, 12, 16, 24];
+/// Enough surfels, as a share of the most. With fewer, next to nothing hides what lies behind, and steps are slow.
+const ENOUGH: f64 = 0.05;
+
+impl Context {
+    /// Surfels on the surfaces that blended `gaussians` show to several training views, or else at the points of the dataset,
+    /// or else in the planes of the most opaque Gaussians. Margins are zero.
+    ///
+    /// # Errors
+    /// [`TrainError::Core`] if the Gaussians cannot be rendered, or a photograph not be read again.
+    pub fn surfels_of_depth(
+        &mut self,
+        gaussians: &GaussianData,
+        filter: ScreenFilter,
+    ) -> Result<SurfelData, TrainError> {
+        let most = self.most_primitives(self.config.stages.depth_surfels);
+        let enough = (ENOUGH * most as f64).ceil() as usize;
+        let dataset = self.dataset.clone();
+        for rule in RULES {
+            let (points, stride_px) = self.surface_points(gaussians, filter, rule, most)?;
+            let found = points.positions.len();
+            tracing::info!(
+                "{found} points on surfaces that at least {} views agree about to {} %, about {stride_px} px from one another",
+                rule.min_views + 1,
+                100.0 * rule.tolerance
+            );
+            if found >= enough {
+                let points = usable_points(&points, most, &mut self.rng);
+                return Ok(surfels_at(points, &dataset, &self.config, &mut self.rng));
+            }
+        }
+        let points = usable_points(&dataset.points, most, &mut self.rng);
+        if points.positions.len() >= enough {
+            tracing::warn!(
+                "depths of views agree hardly anywhere: surfels start at {} points of the dataset",
+                points.positions.len()
+            );
+            return Ok(surfels_at(points, &dataset, &self.config, &mut self.rng));
+        }
+        let surfels = flatten(gaussians, most, self.config.stages.surfel_scale);
+        tracing::warn!(
+            "depths of views agree hardly anywhere, and there are hardly any points: surfels start as the {} most opaque \
+             Gaussians",
+            surfels.len()
+        );
+        Ok(surfels)
+    }
+
+    /// Points by a rule, about as far from one another as makes `most` of them, and that distance in px.
+    fn surface_points(
+        &self,
+        gaussians: &GaussianData,
+        filter: ScreenFilter,
+        rule: FusionRule,
+        most: usize,
+    ) -> Result<(PointCloud, usize), TrainError> {
+        let dataset = &self.dataset;
+        let info = SceneInfo { screen_filter: filter, ..self.scene_info(Rendering::Ellipsoids) };
+        let gaussians = Gaussians::from_data(gaussians, &self.device, DType::F32);
+        let mut options = BlendedOptions::new(&info)?;
+        options.blend.maps = true;
+        // those that are checked beside one stay, whatever the room
+        let maps = Recent::new(dataset.spare_memory, CHECKED_VIEWS + 1);
+        let depth = |index: usize| -> dpges_core::Result<Arc<Vec<f32>>> {
+            let view = &dataset.train[index];
+            maps.get(index, size_of::<f32>() * view.camera.width * view.camera.height, || {
+                let rendered = render_blended(&gaussians, None, &view.camera, &options, Values::KnownFinite)?;
+                let alpha = rendered.blend.alpha;
+                let Some(Maps { depth, median_depth, .. }) = rendered.blend.maps else {
+                    unreachable!("maps were asked for")
+                };
+                let mean = tensor_to_rows(&expected_depth(depth, alpha.clone()));
+                let mut depth = certain(&tensor_to_rows(&alpha), &mean, tensor_to_rows(&median_depth));
+                view.picture()?.clear_ignored(&mut depth);
+                Ok(depth)
+            })
+        };
+        let corrections = self.exposure.corrections();
+        let photograph = |index: usize| Seen::by(&dataset.train[index], corrections.of(index));
+        let cameras = dataset.train.iter().map(|view| &view.camera).collect();
+        let views = DepthViews { cameras, depth: &depth, photograph: &photograph };
+        let mut stride_px = STRIDES_PX[0];
+        let mut points = surface_points(&views, stride_px, rule)?;
+        for stride in &STRIDES_PX[1..] {
+            if points.positions.len() <= most {
+                break;
+            }
+            stride_px = *stride;
+            points = surface_points(&views, stride_px, rule)?;
+        }
+        Ok((points, stride_px))
+    }
+}
+
+/// [H × W] `median` depths where a pixel is opaque and of one depth, else 0.
+fn certain(alpha: &[f32], mean: &[f32], mut median: Vec<f32>) -> Vec<f32> {
+    for (pixel, median) in median.iter_mut().enumerate() {
+        let of_one_depth = (mean[pixel] - *median).abs() <= OF_ONE_DEPTH * *median;
+        if !(alpha[pixel] >= OPAQUE && of_one_depth) {
+            *median = 0.0;
+        }
+    }
+    median
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn depths_are_certain_where_a_pixel_is_opaque_and_of_one_depth() {
+        let (alpha, mean) = ([1.0, 0.5, 0.95, 0.95, 1.0], [2.0, 2.0, 2.05, 2.1, f32::NAN]);
+        assert_eq!(certain(&alpha, &mean, vec![2.0, 2.0, 2.0, 2.0, 2.0]), [2.0, 0.0, 2.0, 0.0, 0.0]);
+    }
+}
