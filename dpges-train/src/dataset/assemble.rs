@@ -5,10 +5,11 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
-use super::developing::Developing;
 use super::error::{DatasetError, Result, listing};
-use super::source::{Frame, RawPoints, Source, Split};
-use super::{Dataset, Format, LoadOptions, PointCloud, depth, images, masks, reading};
+use super::formats::source::{Frame, RawPoints, Source, Split};
+use super::image::decoder::Developing;
+use super::image::{codec, depth, masks, reading};
+use super::{Dataset, Format, LoadOptions, PointCloud};
 
 /// Distance of the cameras from the origin, in extents, beyond which the world is moved there. f32 has 24 bits: at
 /// 100 extents positions are rounded to 100 · 2⁻²⁴ = 6·10⁻⁶ extents, a fraction of a pixel.
@@ -106,7 +107,7 @@ fn default_background(source: &Source) -> Result<[f64; 3]> {
         return Ok([0.0; 3]);
     }
     for frame in &source.frames {
-        if images::header(&frame.image)?.has_alpha {
+        if codec::header(&frame.image)?.has_alpha {
             return Ok([1.0; 3]);
         }
     }
@@ -170,7 +171,7 @@ fn warn_of_deep_images(frames: &[Frame]) -> Result<()> {
     let mut deep = Vec::new();
     let is_png = |frame: &&Frame| frame.image.extension().is_some_and(|found| found.eq_ignore_ascii_case("png"));
     for frame in frames.iter().filter(|frame| frame.split != Split::Neither).filter(is_png) {
-        if images::header(&frame.image)?.is_deep {
+        if codec::header(&frame.image)?.is_deep {
             deep.push(frame.image.display());
         }
     }

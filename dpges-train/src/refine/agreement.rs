@@ -1,7 +1,7 @@
 //! Where a pixel is in the world, judged by whether the photographs of other views have its colour there.
 
 use crate::dataset::View;
-use crate::exposure::Seen;
+use crate::views::exposure::Seen;
 
 /// Other views that are asked: those whose cameras are nearest.
 const ASKED_VIEWS: usize = 8;
@@ -55,7 +55,7 @@ fn is_same(a: [f32; 3], b: [f32; 3]) -> bool {
 mod tests {
     use super::*;
     use crate::dataset::{BuiltinOptions, builtin, builtin_geometry};
-    use crate::exposure::{Correction, Corrections};
+    use crate::views::exposure::{Correction, Corrections};
 
     /// Pixels of the built-in scene whose assumed depth is wrong by a factor that is tried.
     fn found(factor: f64, least: usize) -> (usize, usize, usize) {

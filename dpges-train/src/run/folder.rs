@@ -28,7 +28,7 @@ use dpges_core::atomic::write_atomically;
 use serde::{Deserialize, Serialize};
 
 use crate::config::{Config, StageKind};
-use crate::pose::RefinedPoses;
+use crate::views::pose::RefinedPoses;
 
 const FILES: [&str; 25] = [
     "config.toml",

@@ -14,13 +14,14 @@ use rand_chacha::ChaCha8Rng;
 use super::checkpoint::{Checkpoint, RunState};
 use super::validation::Validation;
 use crate::config::{Config, StagePlan};
-use crate::corrections::ViewCorrections;
 use crate::dataset::Dataset;
-use crate::pose::{PoseChanges, RefinedPoses};
 use crate::stage::{
-    self, Context, DevicePhotographs, ExposureState, PendingStep, PoseState, Settled, Stage, StageCheckpoint,
-    StepReport, TrainError, Trained, begin_step,
+    self, Context, DevicePhotographs, PendingStep, Settled, Stage, StageCheckpoint, StepReport, TrainError, Trained,
+    begin_step,
 };
+use crate::views::corrections::ViewCorrections;
+use crate::views::exposure::ExposureState;
+use crate::views::pose::{PoseChanges, PoseState, RefinedPoses};
 
 /// A scene that learns a dataset, and where in the plan of its stages it stands.
 pub struct Trainer {

@@ -10,7 +10,10 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::config::{Budget, Config, StagePlan};
 use crate::dataset::{Dataset, MOST_AHEAD, read_ahead};
-use crate::stage::{DepthMaps, DevicePhotographs, ExposureState, PoseState, Stage};
+use crate::stage::{DevicePhotographs, Stage};
+use crate::views::depth::DepthMaps;
+use crate::views::exposure::ExposureState;
+use crate::views::pose::PoseState;
 
 /// What all stages of a run share.
 pub struct Context {

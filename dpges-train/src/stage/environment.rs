@@ -153,10 +153,12 @@ mod tests {
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
 
-    use super::super::{DevicePhotographs, ExposureState, PoseState};
+    use super::super::DevicePhotographs;
     use super::*;
     use crate::init::sky::tests::{BLUE, ring, tower};
     use crate::run::fixtures::{config, device};
+    use crate::views::exposure::ExposureState;
+    use crate::views::pose::PoseState;
 
     fn start(dataset: Dataset, set: &[&str]) -> Option<EnvironmentData> {
         let (config, device) = (config(set), device());

@@ -8,13 +8,13 @@ use dpges_core::render::Values;
 use dpges_core::render::pose::PoseProbe;
 use dpges_core::within_capacity;
 
-use super::depth::DepthTarget;
-use super::exposure::{ExposureGradient, photographed};
 use super::parameters::ParameterGradients;
 use super::pending::{PendingStep, StepGate};
-use super::poses::POSES;
 use super::{Context, Observed, Stage, StepReport, TrainError};
 use crate::dataset::View;
+use crate::views::depth::DepthTarget;
+use crate::views::exposure::state::{ExposureGradient, photographed};
+use crate::views::pose::state::POSES;
 
 /// What a step learns from.
 #[derive(Clone)]

@@ -16,13 +16,13 @@ use dpges_core::scene::{GaussianData, Gaussians, Rendering, SceneInfo, ScreenFil
 use super::super::{Context, TrainError};
 use super::JointStage;
 use super::refine::squared_error;
+use crate::dataset::image::cache::Recent;
 use crate::dataset::{Masked, Picture, View, pictures};
-use crate::exposure::{Correction, Seen};
 use crate::init::fusion::{CHECKED_VIEWS, DepthViews, FusionRule, surface_points};
 use crate::init::surfels_at;
-use crate::recent::Recent;
 use crate::refine::RowEdit;
 use crate::refine::worth::{Worths, members};
+use crate::views::exposure::{Correction, Seen};
 
 /// Least alpha of a pixel that may show a surface.
 const OPAQUE: f32 = 0.9;

@@ -17,14 +17,14 @@ use super::super::{Context, TrainError};
 use super::JointStage;
 use crate::config::{AddAs, Budget, Due, PixelsOf};
 use crate::dataset::{View, pictures};
-use crate::exposure::Seen;
 use crate::refine::add::{batch_size, draw_in_proportion, gaussians_of_pixels, new_gaussians};
 use crate::refine::agreement::{agreed_depth, nearest_views};
+use crate::refine::floaters::{Floaters, Sights};
 use crate::refine::margins::margins;
 use crate::refine::prune::{drawn, gaussians_to_keep, surfels_to_keep};
 use crate::refine::split::split;
 use crate::refine::{GaussianEdit, RowEdit};
-use crate::sight::{Floaters, Sights};
+use crate::views::exposure::Seen;
 
 /// Pixels that are drawn for each that other views shall confirm.
 const UNCONFIRMED: usize = 3;
