@@ -4,8 +4,8 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use dpges_core::atomic::write_atomically;
 use dpges_core::camera::Camera;
+use dpges_core::scene::atomic::write_atomically;
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{Rendering, SceneData};
 use dpges_render::export::mesh::{DepthView, Fusion, FusionOptions, TriangleMesh, depth_map};

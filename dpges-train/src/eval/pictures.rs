@@ -5,7 +5,7 @@ use std::io::Write;
 use std::path::Path;
 
 use dpges_core::Result;
-use dpges_core::atomic::write_atomically;
+use dpges_core::scene::atomic::write_atomically;
 use dpges_render::{Rgb8Image, false_colour};
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder};

@@ -3,8 +3,8 @@
 use std::io::Write;
 use std::path::Path;
 
-use dpges_core::atomic::write_atomically;
 use dpges_core::scene::SceneData;
+use dpges_core::scene::atomic::write_atomically;
 use dpges_core::{Error, Result};
 
 use super::StepReport;

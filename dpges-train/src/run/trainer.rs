@@ -6,7 +6,7 @@ mod tests;
 use std::sync::Arc;
 
 use burn::tensor::Device;
-use dpges_core::device::is_gpu;
+use dpges_core::backend::device::is_gpu;
 use dpges_core::scene::SceneData;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;

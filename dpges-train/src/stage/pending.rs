@@ -1,11 +1,11 @@
 //! A step that has been handed to the device and whose numbers are not known yet.
 
 use burn::tensor::{Tensor, TensorData};
+use dpges_core::backend::readback::{Reading, begin_reading};
 use dpges_core::counters::transfers::{download, wait};
 use dpges_core::losses::Losses;
 use dpges_core::ops::finite::{FiniteChecks, FiniteResults, Gate};
 use dpges_core::ops::join::join;
-use dpges_core::reading::{Reading, begin_reading};
 
 use super::{StepReport, TrainError};
 

@@ -1,11 +1,11 @@
 //! One step of any stage: render, compare, go back, optimise.
 
 use burn::tensor::Tensor;
-use dpges_core::lists;
 use dpges_core::losses::{Losses, Target};
 use dpges_core::ops::environment::environment;
 use dpges_core::render::Values;
 use dpges_core::render::pose::PoseProbe;
+use dpges_core::tiles::lists;
 use dpges_core::within_capacity;
 
 use super::parameters::ParameterGradients;

@@ -5,7 +5,7 @@ use burn::backend::tensor::IntTensor;
 use burn::backend::{Autodiff, AutodiffBackend};
 
 use super::{FiniteOps, GateOutput};
-use crate::batch::Batch;
+use crate::backend::tensor_list::Batch;
 
 impl<B: FiniteOps, S: CheckpointStrategy> FiniteOps for Autodiff<B, S> {
     fn first_non_finite(batch: Batch<Self>, count: usize, positions: IntTensor<Self>, first: usize) -> IntTensor<Self> {

@@ -5,9 +5,9 @@ use burn::backend::tensor::IntTensor;
 use rayon::prelude::*;
 
 use super::{FiniteOps, GateOutput};
-use crate::batch::Batch;
-use crate::host::{self, Host, for_each_cpu_backend, with_real};
-use crate::real::Real;
+use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::backend::real::Real;
+use crate::backend::tensor_list::Batch;
 
 const CHUNK: usize = 1 << 14;
 

@@ -6,7 +6,7 @@ use burn_cubecl::CubeBackend;
 use cubecl::prelude::*;
 
 use super::{FiniteOps, GateOutput};
-use crate::batch::{BATCH, Batch};
+use crate::backend::tensor_list::{BATCH, Batch};
 use crate::gpu::launch::{buffer, cube_dim, cubes, empty_f32, floats, units};
 
 /// Numbers in each tensor of a batch.

@@ -14,7 +14,7 @@ use burn::backend::tensor::{FloatTensor, IntTensor};
 use burn::backend::{Backend, Dispatch, ExtensionType, backend_extension};
 use burn::tensor::{DType, Device, Int, Tensor};
 
-use crate::batch::{BATCH, Batch};
+use crate::backend::tensor_list::{BATCH, Batch};
 use crate::counters::transfers::{download, wait};
 use crate::error::{Error, Result};
 

@@ -5,7 +5,7 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, AutodiffBackend};
 
 use super::JoinOps;
-use crate::batch::Batch;
+use crate::backend::tensor_list::Batch;
 
 impl<B: JoinOps, S: CheckpointStrategy> JoinOps for Autodiff<B, S> {
     fn join(batch: Batch<Self>, count: usize) -> FloatTensor<Self> {

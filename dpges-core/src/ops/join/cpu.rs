@@ -4,8 +4,8 @@ use burn::backend::TensorMetadata;
 use burn::backend::tensor::FloatTensor;
 
 use super::JoinOps;
-use crate::batch::Batch;
-use crate::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::backend::tensor_list::Batch;
 
 fn join_on<B: Host>(batch: Batch<B>, count: usize) -> FloatTensor<B> {
     let tensors = batch.into_tensors();

@@ -6,7 +6,7 @@ use burn_cubecl::CubeBackend;
 use cubecl::prelude::*;
 
 use super::JoinOps;
-use crate::batch::{BATCH, Batch};
+use crate::backend::tensor_list::{BATCH, Batch};
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, floats, units};
 
 /// Numbers before the end of each tensor.

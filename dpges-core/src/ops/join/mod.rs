@@ -11,7 +11,7 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, Dispatch, backend_extension};
 use burn::tensor::Tensor;
 
-use crate::batch::{BATCH, Batch};
+use crate::backend::tensor_list::{BATCH, Batch};
 
 #[backend_extension(
     Cube: cfg(feature = "gpu"),

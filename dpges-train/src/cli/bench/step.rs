@@ -268,7 +268,7 @@ mod tests {
 
     use dpges_core::camera::CameraFromWorld;
     use dpges_core::counters::Launches;
-    use dpges_core::tile_work::TileWork;
+    use dpges_core::tiles::work::TileWork;
     use dpges_train::run::step_cost::Lists;
     use glam::DVec3;
     use serde_json::Value;

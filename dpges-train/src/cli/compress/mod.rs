@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 
 use burn::tensor::Device;
 use clap::Args;
-use dpges_core::atomic::write_atomically;
 use dpges_core::scene::SceneData;
+use dpges_core::scene::atomic::write_atomically;
 use dpges_train::config::budget::MEGABYTE;
 use dpges_train::dataset::View;
 use dpges_train::device::DeviceRequest;

@@ -8,7 +8,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use dpges_core::atomic::write_atomically;
+use dpges_core::scene::atomic::write_atomically;
 use dpges_train::config::Config;
 use dpges_train::dataset::Dataset;
 use dpges_train::dataset::check::map::Map;

@@ -1,8 +1,8 @@
 //! A photograph in memory, 8 bits per value.
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
+use dpges_core::backend::device::is_gpu;
 use dpges_core::counters::transfers::upload;
-use dpges_core::device::is_gpu;
 use dpges_core::losses::{PackedMask, Target};
 
 use crate::dataset::PackedPicture;

@@ -5,7 +5,7 @@ use dpges_core::camera::Camera;
 use dpges_core::ops::peel::PeelOptions;
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{SceneData, ScreenFilter};
-use dpges_core::tile_work::{TileWork, gaussian_work, surfel_work};
+use dpges_core::tiles::work::{TileWork, gaussian_work, surfel_work};
 use serde::Serialize;
 
 use crate::config::{Blended, StageKind};

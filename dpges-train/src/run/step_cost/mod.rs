@@ -24,9 +24,9 @@ mod tests;
 
 use std::time::Instant;
 
+use dpges_core::backend::device::is_gpu;
 use dpges_core::counters::transfers::Transfers;
 use dpges_core::counters::{DeviceMemory, KernelTime, Launches};
-use dpges_core::device::is_gpu;
 use serde::Serialize;
 
 use crate::device::memory::PeakMemory;

@@ -4,8 +4,8 @@ use std::str::FromStr;
 use std::sync::Arc;
 
 use burn::tensor::Device;
+use dpges_core::backend::device::is_gpu;
 use dpges_core::camera::Camera;
-use dpges_core::device::is_gpu;
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{Rendering, SceneData};
 use glam::DVec3;

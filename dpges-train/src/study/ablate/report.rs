@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::io::Write as _;
 use std::path::Path;
 
-use dpges_core::atomic::write_atomically;
+use dpges_core::scene::atomic::write_atomically;
 
 use super::super::series::chart::psnr_chart;
 use super::super::series::row::{Measured, Row};

@@ -5,7 +5,7 @@ use std::io::Write as _;
 use std::path::Path;
 use std::time::SystemTime;
 
-use dpges_core::atomic::write_atomically;
+use dpges_core::scene::atomic::write_atomically;
 use dpges_train::eval::pictures::save_png;
 
 use super::plot::{AXES, Plot};

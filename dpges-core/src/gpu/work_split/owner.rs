@@ -3,7 +3,7 @@
 
 use cubecl::prelude::*;
 
-use super::launch::UNITS;
+use crate::gpu::launch::UNITS;
 
 /// The primitive in [low, high) that a piece belongs to: the last that starts at or before it. The piece must belong
 /// to one of them.

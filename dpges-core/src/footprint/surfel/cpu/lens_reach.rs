@@ -6,7 +6,7 @@
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
-use super::disc::slope_range;
+use super::slope_range;
 use crate::camera::Lens;
 use crate::math::{V3, dot};
 

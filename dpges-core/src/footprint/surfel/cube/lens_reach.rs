@@ -1,4 +1,4 @@
-//! The pixels that a disc can reach through a lens; the CPU's twin is [`crate::footprint::lens_reach`].
+//! The pixels that a disc can reach through a lens; the CPU's twin is [`crate::footprint::surfel::cpu::lens_reach`].
 
 use cubecl::prelude::*;
 

@@ -6,15 +6,17 @@ use std::ops::Add;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::binning::cpu::{TileLists, bin};
 use crate::camera::Camera;
 use crate::footprint::CUTOFF;
-use crate::footprint::disc::{self, Disc, MIN_FACING, Plane};
+use crate::footprint::gaussian::cpu as splat;
+use crate::footprint::gaussian::cpu::Splat;
 use crate::footprint::rays::rays;
-use crate::footprint::splat::{self, Splat};
+use crate::footprint::surfel::cpu as disc;
+use crate::footprint::surfel::cpu::{Disc, MIN_FACING, Plane};
 use crate::math::{CameraOf, row};
 use crate::ops::peel::PeelOptions;
 use crate::scene::{Footprint, GaussianData, ScreenFilter, SurfelData};
+use crate::tiles::binning::cpu::{TileLists, bin};
 use crate::tiles::{PixelRect, REGION_HEIGHT, REGION_WIDTH, TILE, TileGrid};
 
 /// The tile lists of one kind of primitives in one view.

@@ -3,7 +3,7 @@
 
 use cubecl::prelude::*;
 
-use super::splat_cube::Splat;
+use super::Splat;
 use crate::gpu::launch::UNITS;
 use crate::gpu::record::Record;
 use crate::gpu::tile::{REGION_COLUMNS, REGION_HEIGHT, REGION_WIDTH, REGIONS, TILE};

@@ -7,11 +7,11 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, Backend, Dispatch, ExtensionType};
 use burn::tensor::Tensor;
 
-use super::splat::{Parameters, Splat};
+use super::cpu::{Parameters, Splat};
+use crate::backend::host::{self, Host};
+use crate::backend::real::Real;
 use crate::error::Result;
-use crate::host::{self, Host};
 use crate::math::{CameraOf, V3, row};
-use crate::real::Real;
 use crate::scene::tensors::{check_shape, flat};
 use crate::scene::{Gaussians, ScreenFilter};
 

@@ -1,11 +1,11 @@
-//! One surfel seen by one camera, on the device; the CPU's twin is [`super::disc`].
+//! One surfel seen by one camera, on the device; the CPU's twin is [`super::cpu`].
 //!
 //! The CPU computes in f64, this room with pairs of f32 ([`crate::gpu::exact`]). The facing of an edge-on
 //! disc is almost 0; its hits are divided by the facing, and its gradients by the square of the facing.
 
 mod bounds;
 mod exact;
-mod lens_bounds;
+mod lens_reach;
 
 use burn::backend::TensorMetadata;
 use burn_cubecl::tensor::CubeTensor;
@@ -14,7 +14,7 @@ use cubecl::prelude::*;
 pub use self::bounds::reach;
 use self::exact::store_plane;
 pub use self::exact::{disc_of, exact_disc, exact_hit_by};
-use super::disc as on_cpu;
+use super::cpu as on_cpu;
 use crate::camera::Camera;
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, empty_u32, units};
 use crate::gpu::lens::LensKind;

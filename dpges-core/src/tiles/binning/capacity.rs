@@ -2,7 +2,7 @@
 //!
 //! Only the device knows how many pairs there are. The kernel that writes them is launched with the room that earlier
 //! lists suggest. Then the host waits for their number, and what did not fit is written again; or, within
-//! [`late`](crate::lists::late), it goes on with all of the room and looks at the number when everything is launched.
+//! [`late`](crate::tiles::lists::late), it goes on with all of the room and looks at the number when everything is launched.
 
 use std::collections::HashMap;
 use std::sync::{LazyLock, Mutex};
@@ -11,11 +11,11 @@ use burn::backend::TensorMetadata;
 use burn::tensor::TensorData;
 use burn_cubecl::tensor::CubeTensor;
 
-use crate::capacity::{exceed, too_many_entries};
+use crate::backend::readback::Reading;
 use crate::counters::transfers::{download, wait};
 use crate::gpu::launch::largest_buffer;
-use crate::lists::{is_late, postpone};
-use crate::reading::Reading;
+use crate::tiles::capacity::{exceed, too_many_entries};
+use crate::tiles::lists::{is_late, postpone};
 
 /// Whose lists: those of surfels, of discs and of Gaussians have different lengths.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -117,7 +117,7 @@ fn downloaded(length: Length) -> usize {
 /// Calls `write` with room for some entries and, if there are more, again with room for all, and returns what the last
 /// call made, and the number of entries: the last of `starts` [primitives + 1].
 ///
-/// Within [`late`](crate::lists::late) it calls `write` once and returns the room in place of the number; `write` has to
+/// Within [`late`](crate::tiles::lists::late) it calls `write` once and returns the room in place of the number; `write` has to
 /// fill what is left of it with entries of no tile.
 ///
 /// [Exceeds](exceed) the capacity if a list of all entries is larger than the largest buffer of the device, or has more

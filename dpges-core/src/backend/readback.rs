@@ -121,7 +121,7 @@ mod tests {
     #[cfg(any(feature = "ndarray", feature = "flex"))]
     #[test]
     fn numbers_of_a_cpu_are_there() {
-        let numbers = Tensor::<1>::from_data([1.5f32, -2.0], &crate::device::cpu());
+        let numbers = Tensor::<1>::from_data([1.5f32, -2.0], &crate::backend::device::cpu());
         let reading = begin_reading(numbers);
         assert!(reading.has_arrived());
         assert_eq!(reading.arrived().unwrap().iter::<f32>().collect::<Vec<_>>(), [1.5, -2.0]);

@@ -1,13 +1,13 @@
 //! One Gaussian seen by one camera: its elliptical footprint, the pixels it can reach, and the gradients of
 //! its parameters.
 
-use super::CUTOFF;
-use super::moments::MOMENTS;
+use crate::backend::real::Real;
 use crate::camera::{Lens, Seen};
+use crate::footprint::CUTOFF;
+use crate::footprint::moments::MOMENTS;
 use crate::math::{
     CameraOf, M3, V3, add, apply, apply_transposed, column, cross, dot, rotation, rotation_backward, scale,
 };
-use crate::real::Real;
 use crate::scene::ScreenFilter;
 use crate::tiles::{PixelRect, TILE};
 

@@ -7,14 +7,14 @@ use cubecl::prelude::*;
 
 use super::capacity::{self, ListKind};
 use crate::camera::Camera;
-use crate::footprint::splat_cube::{SPLAT, Splat};
+use crate::footprint::gaussian::cube::{SPLAT, Splat};
 use crate::gpu::launch::{UNITS, buffer, cube_dim, empty_f32, empty_u32, first_of, units};
 use crate::gpu::record::Record;
 use crate::gpu::rect::Rect;
 use crate::gpu::scan;
 use crate::gpu::sort::sorted_pairs;
 use crate::gpu::tile::TILE;
-use crate::gpu::work::{lower_bound, own_owner};
+use crate::gpu::work_split::owner::{lower_bound, own_owner};
 use crate::tiles::TileGrid;
 
 /// Lists of primitives, one per tile, each in ascending order.
@@ -35,7 +35,7 @@ pub struct Ellipses<'a> {
 }
 
 /// The pairs of each primitive and the tiles of its rectangle, by primitive and then by tile. Within
-/// [`late`](crate::lists::late) there are more places than pairs.
+/// [`late`](crate::tiles::lists::late) there are more places than pairs.
 pub struct Pairs {
     /// [primitives + 1] the first pair of each primitive
     pub starts: CubeTensor,

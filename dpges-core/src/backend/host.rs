@@ -6,7 +6,7 @@ use burn::backend::tensor::{FloatTensor, IntTensor};
 use burn::backend::{Backend, TensorMetadata};
 use burn::tensor::{TensorData, read_sync};
 
-use crate::real::Real;
+use crate::backend::real::Real;
 
 /// A backend whose tensors live in host memory.
 pub trait Host: Backend {

@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use rayon::prelude::*;
 
-use crate::capacity::{exceed, too_many_entries};
+use crate::tiles::capacity::{exceed, too_many_entries};
 use crate::tiles::{PixelRect, TileGrid};
 
 /// Primitives of one task.
@@ -102,8 +102,8 @@ pub fn bin(rects: &[PixelRect], grid: TileGrid, touches: impl Fn(usize, usize, u
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::capacity::within_capacity;
     use crate::error::Error;
+    use crate::tiles::capacity::within_capacity;
 
     #[test]
     fn more_entries_than_32_bits_count_are_refused() {

@@ -1,8 +1,10 @@
 //! One surfel seen by one camera: where a ray meets its disc, and which pixels it can reach.
 
-use super::{CUTOFF, lens_reach};
+mod lens_reach;
+
+use crate::backend::real::Real;
+use crate::footprint::CUTOFF;
 use crate::math::{CameraOf, M3, V3, add, apply_transposed, column, cross, dot, rotation, rotation_backward, scale};
-use crate::real::Real;
 use crate::scene::Footprint;
 use crate::tiles::PixelRect;
 

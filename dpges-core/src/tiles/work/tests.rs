@@ -57,7 +57,7 @@ fn entries_are_the_tiles_that_ellipses_touch() {
 }
 
 fn rendered(surfels: &SurfelData, gaussians: &GaussianData, camera: &Camera) -> Render {
-    let device = crate::device::cpu();
+    let device = crate::backend::device::cpu();
     let surfels = Surfels::from_data(surfels, &device, DType::F32);
     let gaussians = Gaussians::from_data(gaussians, &device, DType::F32);
     render(&surfels, &gaussians, camera, &RenderOptions::default()).unwrap()

@@ -3,7 +3,7 @@
 use cubecl::prelude::*;
 
 use super::Disc;
-use super::lens_bounds::lens_reach;
+use super::lens_reach::lens_reach;
 use crate::gpu::lens::LensKind;
 use crate::gpu::rect::Rect;
 use crate::gpu::vector::scale;

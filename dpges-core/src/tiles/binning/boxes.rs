@@ -8,8 +8,8 @@ use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
 use crate::gpu::launch::{buffer, cube_dim, empty_u32, units, zeros_u32};
-use crate::gpu::pieces::{Pieces, pieces};
 use crate::gpu::rect::{RECT, Rect};
+use crate::gpu::work_split::{Pieces, pieces};
 
 /// Records how far the rectangle of a surfel reaches, at the pixels where a run of the surfel begins or ends.
 /// Left and top are distances from the far side of the image, so that 0 means that nothing was recorded.

@@ -1,15 +1,18 @@
-//! One Gaussian seen by one camera, on the device; the CPU's twin is [`super::splat`].
+//! One Gaussian seen by one camera, on the device; the CPU's twin is [`super::cpu`].
+
+pub(crate) mod regions;
 
 use burn::backend::TensorMetadata;
 use burn_cubecl::CubeBackend;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
-use super::CUTOFF;
-use super::gaussians::GaussianTensors;
-use super::moments::MOMENTS;
-use super::splat::{self, MIN_COMPENSATION_SQUARED};
+use super::cpu as splat;
+use super::cpu::MIN_COMPENSATION_SQUARED;
+use super::tensors::GaussianTensors;
 use crate::camera::Camera;
+use crate::footprint::CUTOFF;
+use crate::footprint::moments::MOMENTS;
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, empty_u32, units};
 use crate::gpu::lens::{LensKind, look, look_backward};
 use crate::gpu::record::{Record, record};

@@ -4,16 +4,18 @@
 //! The size of a piece grows with the area of all rectangles, so that the number of pieces has a bound that does not
 //! depend on them, and the host need not wait for it.
 
+pub(crate) mod owner;
+
 use burn::backend::TensorMetadata;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
+use self::owner::own_owner;
 use super::gather::zeros;
 use super::launch::{UNITS, buffer, cube_dim, cubes, empty_f32, empty_u32, units};
 use super::rect::Rect;
 use super::reduce::{self, sum_parts, sum_units};
 use super::scan;
-use super::work::own_owner;
 
 /// Units that gather from a piece or add up the pieces of a rectangle, and how many pieces or rectangles a cube has.
 pub const WORKERS: u32 = 8;
