@@ -14,7 +14,7 @@ use dpges_core::testing::lenses::{behind, every_model};
 use dpges_core::testing::parity::{Bench, Named, Reference, distances};
 use dpges_core::testing::scenes::{self, Recipe, TestScene};
 use dpges_core::tiles::binning::cap_lists;
-use dpges_core::tiles::lists::late;
+use dpges_core::tiles::lists::defer_readback;
 use dpges_core::{Error, within_capacity};
 use glam::DVec3;
 
@@ -199,7 +199,7 @@ pub fn lists_whose_lengths_nothing_waits_for_change_no_bit(device: Device) {
     for (entries, calls) in [(usize::MAX, 1), (100, 2)] {
         let mut called = 0;
         cap_lists(entries);
-        let found = late(|| {
+        let found = defer_readback(|| {
             called += 1;
             everything(&scene, &device)
         });

@@ -8,14 +8,14 @@ use burn::tensor::{Tensor, TensorData, read_sync};
 
 /// What is on its way from a device. Dropped before it has arrived, it is waited for: CubeCL uses the memory that it comes
 /// through again, whether anything has come or not.
-pub struct Reading<T>(Option<State<T>>);
+pub struct Readback<T>(Option<State<T>>);
 
 enum State<T> {
     Begun(Pin<Box<dyn Future<Output = T> + Send>>),
     Arrived(T),
 }
 
-impl<T> Reading<T> {
+impl<T> Readback<T> {
     /// Begins `read`.
     pub fn begin(read: impl Future<Output = T> + Send + 'static) -> Self {
         let mut read: Pin<Box<dyn Future<Output = T> + Send>> = Box::pin(read);
@@ -40,7 +40,7 @@ impl<T> Reading<T> {
     }
 }
 
-impl<T> Drop for Reading<T> {
+impl<T> Drop for Readback<T> {
     fn drop(&mut self) {
         if let Some(State::Begun(read)) = self.0.take() {
             read_sync(read);
@@ -50,12 +50,12 @@ impl<T> Drop for Reading<T> {
 
 /// Begins to read `numbers` `[n]`. They do not wait for what is handed to the device afterwards, as those of Burn's
 /// `into_data_async` do: on a GPU it begins to read when its data is first looked at. The error is the device's message.
-pub fn begin_reading(numbers: Tensor<1>) -> Reading<Result<TensorData, String>> {
+pub fn begin_readback(numbers: Tensor<1>) -> Readback<Result<TensorData, String>> {
     #[cfg(feature = "gpu")]
-    if let Some(reading) = on_a_gpu::begin_reading(&numbers) {
-        return reading;
+    if let Some(readback) = on_a_gpu::begin_readback(&numbers) {
+        return readback;
     }
-    Reading::begin(async { numbers.into_data_async().await.map_err(|error| error.to_string()) })
+    Readback::begin(async { numbers.into_data_async().await.map_err(|error| error.to_string()) })
 }
 
 #[cfg(feature = "gpu")]
@@ -63,17 +63,17 @@ mod on_a_gpu {
     use burn::backend::{BackendTensor, DispatchTensorKind, TensorMetadata};
     use burn::tensor::{Tensor, TensorData};
 
-    use super::Reading;
+    use super::Readback;
     use crate::gpu::launch::floats;
 
     /// `None` if `numbers` are on no GPU, or on a tape.
-    pub fn begin_reading(numbers: &Tensor<1>) -> Option<Reading<Result<TensorData, String>>> {
+    pub fn begin_readback(numbers: &Tensor<1>) -> Option<Readback<Result<TensorData, String>>> {
         let DispatchTensorKind::Cube(BackendTensor::Float(numbers)) = numbers.clone().into_dispatch().kind else {
             return None;
         };
         let numbers = floats(numbers);
         let count = numbers.shape().num_elements();
-        Some(Reading::begin(async move {
+        Some(Readback::begin(async move {
             let bytes = numbers.client.read_async(vec![numbers.handle.clone()]).await;
             let bytes = bytes.map_err(|error| error.to_string())?.remove(0);
             let found = bytes.chunks_exact(size_of::<f32>()).map(bytemuck::pod_read_unaligned::<f32>);
@@ -89,9 +89,9 @@ mod tests {
     use super::*;
 
     /// Arrives when it is asked for the third time, and tells `asked` the number each time.
-    fn slow(asked: Sender<u32>) -> Reading<u32> {
+    fn slow(asked: Sender<u32>) -> Readback<u32> {
         let mut times = 0;
-        Reading::begin(std::future::poll_fn(move |context| {
+        Readback::begin(std::future::poll_fn(move |context| {
             times += 1;
             asked.send(times).unwrap();
             context.waker().wake_by_ref();
@@ -101,7 +101,7 @@ mod tests {
 
     #[test]
     fn a_read_begins_at_once_and_arrives_later() {
-        let there = Reading::begin(async { 3 });
+        let there = Readback::begin(async { 3 });
         assert!(there.has_arrived());
         assert_eq!(there.arrived(), 3);
         let (sender, asked) = channel();
@@ -122,8 +122,8 @@ mod tests {
     #[test]
     fn numbers_of_a_cpu_are_there() {
         let numbers = Tensor::<1>::from_data([1.5f32, -2.0], &crate::backend::device::cpu());
-        let reading = begin_reading(numbers);
-        assert!(reading.has_arrived());
-        assert_eq!(reading.arrived().unwrap().iter::<f32>().collect::<Vec<_>>(), [1.5, -2.0]);
+        let readback = begin_readback(numbers);
+        assert!(readback.has_arrived());
+        assert_eq!(readback.arrived().unwrap().iter::<f32>().collect::<Vec<_>>(), [1.5, -2.0]);
     }
 }

@@ -4,12 +4,12 @@ use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, Backend, Dispatch, ExtensionType};
 
-/// Tensors of a batch: with a buffer for what a kernel writes, as many as every GPU can bind.
-pub const BATCH: usize = 6;
+/// Tensors of a list: with a buffer for what a kernel writes, as many as every GPU can bind.
+pub const LIST_LENGTH: usize = 6;
 
-/// Tensors of any shapes. Those beyond the number that comes with a batch repeat others.
+/// Tensors of any shapes. Those beyond the number that comes with a list repeat others.
 #[derive(ExtensionType, Debug, Clone)]
-pub struct Batch<B: Backend> {
+pub struct TensorList<B: Backend> {
     first: FloatTensor<B>,
     second: FloatTensor<B>,
     third: FloatTensor<B>,
@@ -18,29 +18,29 @@ pub struct Batch<B: Backend> {
     sixth: FloatTensor<B>,
 }
 
-impl<B: Backend> Batch<B> {
-    fn new([first, second, third, fourth, fifth, sixth]: [FloatTensor<B>; BATCH]) -> Self {
+impl<B: Backend> TensorList<B> {
+    fn new([first, second, third, fourth, fifth, sixth]: [FloatTensor<B>; LIST_LENGTH]) -> Self {
         Self { first, second, third, fourth, fifth, sixth }
     }
 
-    /// All of them, those beyond the number that comes with the batch last.
-    pub fn into_tensors(self) -> [FloatTensor<B>; BATCH] {
+    /// All of them, those beyond the number that comes with the list last.
+    pub fn into_tensors(self) -> [FloatTensor<B>; LIST_LENGTH] {
         [self.first, self.second, self.third, self.fourth, self.fifth, self.sixth]
     }
 }
 
-impl Batch<Dispatch> {
+impl TensorList<Dispatch> {
     /// # Panics
-    /// Unless there are 1 to [`BATCH`] tensors.
+    /// Unless there are 1 to [`LIST_LENGTH`] tensors.
     pub fn of(tensors: &[FloatTensor<Dispatch>]) -> Self {
-        assert!((1..=BATCH).contains(&tensors.len()), "{} tensors in a batch", tensors.len());
+        assert!((1..=LIST_LENGTH).contains(&tensors.len()), "{} tensors in a list", tensors.len());
         Self::new(std::array::from_fn(|at| tensors[at.min(tensors.len() - 1)].clone()))
     }
 }
 
-impl<B: Backend, S: CheckpointStrategy> Batch<Autodiff<B, S>> {
+impl<B: Backend, S: CheckpointStrategy> TensorList<Autodiff<B, S>> {
     /// The same off the tape.
-    pub fn inner(self) -> Batch<B> {
-        Batch::new(self.into_tensors().map(|tensor| tensor.into_parts().0))
+    pub fn inner(self) -> TensorList<B> {
+        TensorList::new(self.into_tensors().map(|tensor| tensor.into_parts().0))
     }
 }

@@ -1,8 +1,8 @@
 //! Tile lists whose lengths nothing waits for.
 //!
 //! Only a GPU knows how many (primitive, tile) pairs a view has. Elsewhere the host waits for their number, so that buffers are
-//! as long as the lists; the GPU has nothing to do until the host goes on. Within [`late`] buffers have the room that
-//! earlier lists suggest, and the lengths are looked at last.
+//! as long as the lists; the GPU has nothing to do until the host goes on. Within [`defer_readback`] buffers have the
+//! room that earlier lists suggest, and the lengths are looked at last.
 
 use std::cell::RefCell;
 
@@ -43,7 +43,7 @@ impl Drop for Scope {
 ///
 /// # Panics
 /// If the device does not answer.
-pub fn late<T>(mut work: impl FnMut() -> T) -> T {
+pub fn defer_readback<T>(mut work: impl FnMut() -> T) -> T {
     let scope = Scope::open();
     let result = work();
     // all are asked, since each says how much room the next list of its kind needs
@@ -57,18 +57,20 @@ pub fn late<T>(mut work: impl FnMut() -> T) -> T {
 
 /// Whether lengths are to be [postponed](postpone) on this thread.
 #[cfg(any(test, feature = "gpu"))]
-pub(crate) fn is_late() -> bool {
+pub(crate) fn is_deferred() -> bool {
     PENDING.with_borrow(Option::is_some)
 }
 
-/// Has [`late`] call `pending` when everything is launched. It waits for the length of a list, and returns whether the
-/// list had room.
+/// Has [`defer_readback`] call `pending` when everything is launched. It waits for the length of a list, and returns
+/// whether the list had room.
 ///
 /// # Panics
-/// Outside of [`late`].
+/// Outside of [`defer_readback`].
 #[cfg(any(test, feature = "gpu"))]
 pub(crate) fn postpone(pending: impl FnOnce() -> bool + 'static) {
-    PENDING.with_borrow_mut(|all| all.as_mut().expect("lengths are postponed within `late`").push(Box::new(pending)));
+    PENDING.with_borrow_mut(|all| {
+        all.as_mut().expect("lengths are postponed within `defer_readback`").push(Box::new(pending))
+    });
 }
 
 #[cfg(test)]
@@ -79,17 +81,17 @@ mod tests {
 
     use super::*;
 
-    /// Work with a list for each of `rooms`, which says how often lengths were waited for and whether it was late.
+    /// Work with a list for each of `rooms`, which says how often lengths were waited for and whether it was deferred.
     fn work(rooms: &[bool], asked: &Rc<Cell<usize>>) -> bool {
-        let late = is_late();
-        for &had_room in rooms.iter().filter(|_| late) {
+        let deferred = is_deferred();
+        for &had_room in rooms.iter().filter(|_| deferred) {
             let asked = asked.clone();
             postpone(move || {
                 asked.set(asked.get() + 1);
                 had_room
             });
         }
-        late
+        deferred
     }
 
     #[test]
@@ -97,10 +99,10 @@ mod tests {
         let cases: [(&[bool], usize); 4] = [(&[], 1), (&[true, true], 1), (&[false, true], 2), (&[true, false], 2)];
         for (rooms, calls) in cases {
             let (asked, mut found) = (Rc::default(), Vec::new());
-            late(|| found.push(work(rooms, &asked)));
+            defer_readback(|| found.push(work(rooms, &asked)));
             assert_eq!(found, [true, false][..calls], "{rooms:?}");
             assert_eq!(asked.get(), rooms.len(), "{rooms:?}");
-            assert!(!is_late());
+            assert!(!is_deferred());
         }
     }
 
@@ -108,7 +110,7 @@ mod tests {
     fn what_the_first_call_made_is_gone_before_the_second() {
         let alive = Rc::new(());
         let counts = Rc::new(RefCell::new(Vec::new()));
-        let kept = late(|| {
+        let kept = defer_readback(|| {
             counts.borrow_mut().push(Rc::strong_count(&alive));
             work(&[false], &Rc::default());
             alive.clone()
@@ -120,16 +122,16 @@ mod tests {
     fn each_settles_its_own() {
         let [outer, inner] = [Rc::default(), Rc::default()];
         let mut calls = [0, 0];
-        late(|| {
+        defer_readback(|| {
             calls[0] += 1;
             work(&[true], &outer);
-            late(|| {
+            defer_readback(|| {
                 calls[1] += 1;
                 work(&[calls[1] == 2], &inner);
             });
-            assert_eq!((outer.get(), is_late()), (0, true));
+            assert_eq!((outer.get(), is_deferred()), (0, true));
         });
-        // the second call of the inner work is late in the outer one
+        // the second call of the inner work is deferred in the outer one
         assert_eq!((calls, outer.get(), inner.get()), ([1, 2], 1, 2));
     }
 
@@ -137,12 +139,12 @@ mod tests {
     fn a_panic_ends_it() {
         let asked = Rc::default();
         let panicked = catch_unwind(AssertUnwindSafe(|| {
-            late(|| {
+            defer_readback(|| {
                 work(&[true], &asked);
                 panic!("{}", "some work");
             });
         }));
-        assert!(panicked.is_err() && !is_late());
+        assert!(panicked.is_err() && !is_deferred());
         assert_eq!(asked.get(), 0);
     }
 }

@@ -7,7 +7,7 @@ use glam::DVec3;
 
 use super::error::{DatasetError, Result, listing};
 use super::formats::source::{Frame, RawPoints, Source, Split};
-use super::image::decoder::Developing;
+use super::image::decoder::ImageDecoder;
 use super::image::{codec, depth, masks, reading};
 use super::{Dataset, Format, LoadOptions, PointCloud};
 
@@ -51,8 +51,8 @@ pub(super) fn assemble(root: &Path, mut source: Source, options: &LoadOptions) -
     // photographs to train on come first: they are needed more often
     let frames: Vec<&Frame> =
         [Split::Train, Split::Test].into_iter().flat_map(|split| frames_of(&source, split)).collect();
-    let developing = Arc::new(Developing::new(root.to_owned(), options, background, near, offset));
-    let (mut train, spare_memory) = reading::views(&frames, options.memory, &developing)?;
+    let decoder = Arc::new(ImageDecoder::new(root.to_owned(), options, background, near, offset));
+    let (mut train, spare_memory) = reading::views(&frames, options.memory, &decoder)?;
     let test = train.split_off(train_centres.len());
     Ok(Dataset {
         train,

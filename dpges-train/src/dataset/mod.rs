@@ -30,7 +30,7 @@ pub use self::image::depth::{DepthKind, DepthMap};
 pub use self::image::masks::Masked;
 pub(crate) use self::image::masks::{called_like as mask_called_like, read as read_mask, strangers as strange_masks};
 pub use self::image::packed::PackedPicture;
-pub(crate) use self::image::photograph::{MOST_AHEAD, read_ahead};
+pub(crate) use self::image::photograph::{MOST_PREFETCHED, prefetch};
 pub use self::image::photograph::{Photograph, pictures};
 pub use self::image::picture::Picture;
 pub use builtin::{BuiltinOptions, builtin, builtin_geometry};

@@ -92,7 +92,7 @@ pub struct EvalReport {
     pub evaluation: Evaluation,
     /// Size of the scene file.
     pub bytes: u64,
-    /// Primitives that float, see [`sight`](crate::refine::floaters); absent if the dataset does not say which view saw what.
+    /// Primitives that float, see [`floaters`](crate::refine::floaters); absent if the dataset does not say which view saw what.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub floaters: Option<Floaters>,
     /// Wall-clock time of the run up to its last step, see [`MetricsLog::seconds_of_steps`]; absent if the scene is not that

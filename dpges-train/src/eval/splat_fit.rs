@@ -18,7 +18,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 
 use crate::config::{Config, OpacityActivation};
-use crate::dataset::{MOST_AHEAD, View, read_ahead};
+use crate::dataset::{MOST_PREFETCHED, View, prefetch};
 use crate::optimizer::scene_state::{GaussianState, Rates};
 
 /// Trains the ellipsoids of `scene`, in front of its environment, for `steps` steps on `views`, whose cameras are in the coordinates of the scene.
@@ -50,7 +50,7 @@ pub fn fit(
             remaining.shuffle(&mut rng);
         }
         let Some(view) = remaining.pop() else { break };
-        read_ahead(remaining.iter().rev().take(MOST_AHEAD).map(|view| &view.photograph));
+        prefetch(remaining.iter().rev().take(MOST_PREFETCHED).map(|view| &view.photograph));
         let leaves = state.leaves();
         let values = if completed == 0 { Values::Unknown } else { Values::KnownFinite };
         let rendered = render_blended(&leaves.values, None, &view.camera, &options, values)?;

@@ -1,4 +1,4 @@
-//! Sight lines. A camera that saw a point saw it through empty space: what is opaque there floats.
+//! Primitives that float in empty space. A camera that saw a point saw it through empty space: what is opaque there floats.
 //!
 //! Datasets of structure from motion say which points each photograph shows. A primitive *blocks* a view if it hides a
 //! pixel that shows a point and is well before the point, and *supports* it if it is about where the point is. Nor is there
@@ -30,14 +30,14 @@ const TOO_NEAR: f64 = 0.01;
 
 /// How many views every primitive blocks and supports.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Sights {
-    pub surfels: Vec<Sight>,
-    pub gaussians: Vec<Sight>,
+pub struct Visibility {
+    pub surfels: Vec<Votes>,
+    pub gaussians: Vec<Votes>,
 }
 
 /// What the views say of one primitive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Sight {
+pub struct Votes {
     /// Number of views that it blocks.
     pub blocked: u32,
     /// Number of views that it supports.
@@ -53,14 +53,14 @@ pub struct Floaters {
     pub gaussians: usize,
 }
 
-impl Sight {
+impl Votes {
     /// Whether it is in the way of several views and of more than it is of use to, or close to a camera and of use to none.
     pub fn floats(self) -> bool {
         (self.blocked >= BLOCKED_VIEWS && self.blocked > self.supported) || (self.is_close && self.supported == 0)
     }
 }
 
-impl Sights {
+impl Visibility {
     /// Of `surfels` and `gaussians` in the training views; `None` if the dataset does not say which view saw what.
     ///
     /// # Errors
@@ -72,7 +72,7 @@ impl Sights {
         dataset: &Dataset,
     ) -> Result<Option<Self>> {
         let counts = [surfels.positions.dims()[0], gaussians.positions.dims()[0]];
-        let [mut of_surfels, mut of_gaussians] = counts.map(|count| vec![Sight::default(); count]);
+        let [mut of_surfels, mut of_gaussians] = counts.map(|count| vec![Votes::default(); count]);
         let device = surfels.positions.device();
         let white = Tensor::ones([counts[1], 3], (&device, DType::F32));
         let mut empty = Vec::new();
@@ -87,20 +87,21 @@ impl Sights {
             observe_surfels(&mut of_surfels, &layers, &depths);
             if counts[1] > 0 {
                 let [blocks, supports] = alphas(gaussians, &white, &depths, camera, &device)?;
-                for ((sight, blocks), supports) in of_gaussians.iter_mut().zip(blocks).zip(supports) {
-                    sight.blocked += u32::from(blocks >= HIDES);
-                    sight.supported += u32::from(supports >= HIDES);
+                for ((votes, blocks), supports) in of_gaussians.iter_mut().zip(blocks).zip(supports) {
+                    votes.blocked += u32::from(blocks >= HIDES);
+                    votes.supported += u32::from(supports >= HIDES);
                 }
             }
         }
-        for (sights, positions) in [(&mut of_surfels, &surfels.positions), (&mut of_gaussians, &gaussians.positions)] {
-            observe_closeness(sights, &tensor_to_rows(positions), &empty);
+        for (all_votes, positions) in [(&mut of_surfels, &surfels.positions), (&mut of_gaussians, &gaussians.positions)]
+        {
+            observe_closeness(all_votes, &tensor_to_rows(positions), &empty);
         }
         Ok((!empty.is_empty()).then_some(Self { surfels: of_surfels, gaussians: of_gaussians }))
     }
 
     pub fn floaters(&self) -> Floaters {
-        let count = |sights: &[Sight]| sights.iter().filter(|sight| sight.floats()).count();
+        let count = |all_votes: &[Votes]| all_votes.iter().filter(|votes| votes.floats()).count();
         Floaters { surfels: count(&self.surfels), gaussians: count(&self.gaussians) }
     }
 }
@@ -132,11 +133,11 @@ fn empty_space(points: &PointCloud, view: u32, camera: &Camera) -> (DVec3, f64) 
 }
 
 /// Adds which of the primitives at `positions` [N × 3] are in one of the `empty` spaces.
-fn observe_closeness(sights: &mut [Sight], positions: &[f32], empty: &[(DVec3, f64)]) {
+fn observe_closeness(all_votes: &mut [Votes], positions: &[f32], empty: &[(DVec3, f64)]) {
     let positions = positions.as_chunks::<3>().0;
-    sights.par_iter_mut().zip(positions).for_each(|(sight, position)| {
+    all_votes.par_iter_mut().zip(positions).for_each(|(votes, position)| {
         let position = Vec3::from_array(*position).as_dvec3();
-        sight.is_close = empty.iter().any(|(centre, radius)| position.distance_squared(*centre) < radius * radius);
+        votes.is_close = empty.iter().any(|(centre, radius)| position.distance_squared(*centre) < radius * radius);
     });
 }
 
@@ -164,11 +165,11 @@ fn alphas(
 }
 
 /// Adds a view with `layers` whose pixels show points at `depths`.
-fn observe_surfels(sights: &mut [Sight], layers: &Layers, depths: &[f32]) {
+fn observe_surfels(all_votes: &mut [Votes], layers: &Layers, depths: &[f32]) {
     let area = depths.len();
     let ids: Vec<i32> = layers.ids.clone().into_data().iter::<i32>().take(area).collect();
     let (found, alpha) = (tensor_to_rows(&layers.depth), tensor_to_rows(&layers.alpha));
-    let mut seen = vec![[false; 2]; sights.len()];
+    let mut seen = vec![[false; 2]; all_votes.len()];
     for (pixel, &depth) in depths.iter().enumerate().filter(|(_, depth)| **depth > 0.0) {
         let Ok(surfel) = usize::try_from(ids[pixel]) else { continue };
         if alpha[pixel] >= HIDES {
@@ -177,9 +178,9 @@ fn observe_surfels(sights: &mut [Sight], layers: &Layers, depths: &[f32]) {
             seen[surfel][1] |= (near..far).contains(&found[pixel]);
         }
     }
-    for (sight, [blocks, supports]) in sights.iter_mut().zip(seen) {
-        sight.blocked += u32::from(blocks);
-        sight.supported += u32::from(supports);
+    for (votes, [blocks, supports]) in all_votes.iter_mut().zip(seen) {
+        votes.blocked += u32::from(blocks);
+        votes.supported += u32::from(supports);
     }
 }
 
@@ -208,7 +209,7 @@ mod tests {
     /// At depths from the point towards the cameras, of a size of about a pixel.
     const TOWARDS_CAMERAS: [f32; 4] = [0.0, -0.3, -1.9, 1.0];
 
-    fn sights(dataset: &Dataset) -> Option<Sights> {
+    fn all_votes(dataset: &Dataset) -> Option<Visibility> {
         let device = "cpu".parse::<DeviceName>().unwrap().open().unwrap();
         let positions: Vec<f32> = TOWARDS_CAMERAS.iter().flat_map(|&z| [0.0, 0.0, z]).collect();
         let count = TOWARDS_CAMERAS.len();
@@ -230,46 +231,46 @@ mod tests {
         };
         let surfels = Surfels::from_data(&surfels, &device, DType::F32);
         let gaussians = Gaussians::from_data(&gaussians, &device, DType::F32);
-        Sights::measure(&surfels, &gaussians, &PeelOptions::default(), dataset).unwrap()
+        Visibility::measure(&surfels, &gaussians, &PeelOptions::default(), dataset).unwrap()
     }
 
     #[test]
     fn what_is_well_before_a_point_blocks_and_what_is_near_it_supports() {
-        let found = sights(&dataset(true)).unwrap();
-        let sight = |blocked, supported| Sight { blocked, supported, is_close: false };
-        assert_eq!(found.gaussians, [sight(0, 3), sight(0, 3), sight(3, 0), sight(0, 0)]);
+        let found = all_votes(&dataset(true)).unwrap();
+        let votes = |blocked, supported| Votes { blocked, supported, is_close: false };
+        assert_eq!(found.gaussians, [votes(0, 3), votes(0, 3), votes(3, 0), votes(0, 0)]);
         // only the nearest surfel of a pixel is seen; those behind it are not asked
-        assert_eq!(found.surfels[2], sight(3, 0));
+        assert_eq!(found.surfels[2], votes(3, 0));
         assert_eq!(found.floaters(), Floaters { surfels: 1, gaussians: 1 });
     }
 
     #[test]
     fn one_view_convicts_nothing_and_no_view_has_no_say() {
-        let found = sights(&dataset(false)).unwrap();
-        assert_eq!(found.gaussians[2], Sight { blocked: 1, supported: 0, is_close: false });
+        let found = all_votes(&dataset(false)).unwrap();
+        assert_eq!(found.gaussians[2], Votes { blocked: 1, supported: 0, is_close: false });
         assert_eq!(found.floaters(), Floaters { surfels: 0, gaussians: 0 });
         let mut unknown = dataset(true);
         unknown.points.seen_by = vec![Vec::new()];
-        assert!(sights(&unknown).is_none());
+        assert!(all_votes(&unknown).is_none());
     }
 
     #[test]
     fn what_supports_as_many_views_as_it_blocks_stays() {
-        let floats = |blocked, supported| Sight { blocked, supported, is_close: false }.floats();
+        let floats = |blocked, supported| Votes { blocked, supported, is_close: false }.floats();
         assert!(floats(2, 1) && floats(5, 4) && !floats(2, 2) && !floats(1, 0) && !floats(0, 0));
     }
 
     #[test]
     fn what_is_close_to_a_camera_floats_unless_a_view_supports_it() {
-        let close = |supported| Sight { blocked: 0, supported, is_close: true };
+        let close = |supported| Votes { blocked: 0, supported, is_close: true };
         assert!(close(0).floats() && !close(1).floats());
         let data = dataset(true);
         let empty: Vec<_> =
             data.train.iter().zip(0..).map(|(view, i)| empty_space(&data.points, i, &view.camera)).collect();
         assert!((empty[1].1 - 2.0).abs() < 1e-9 && empty[0].1 > 2.0, "{empty:?}");
-        let mut sights = vec![Sight::default(); 3];
+        let mut all_votes = vec![Votes::default(); 3];
         // the middle camera is 4 before the point; behind it is as empty as before it
-        observe_closeness(&mut sights, &[0.0, 0.0, -1.9, 0.0, 0.0, -2.2, 0.0, 0.0, -5.5], &empty[1..2]);
-        assert_eq!(sights.iter().map(|sight| sight.is_close).collect::<Vec<_>>(), [false, true, true]);
+        observe_closeness(&mut all_votes, &[0.0, 0.0, -1.9, 0.0, 0.0, -2.2, 0.0, 0.0, -5.5], &empty[1..2]);
+        assert_eq!(all_votes.iter().map(|votes| votes.is_close).collect::<Vec<_>>(), [false, true, true]);
     }
 }

@@ -40,7 +40,7 @@ impl Trainer {
     /// A run before its first step.
     ///
     /// # Errors
-    /// [`TrainError::Init`] if the dataset has nothing to begin with, [`TrainError::Given`] if a file that the
+    /// [`TrainError::Init`] if the dataset has nothing to begin with, [`TrainError::Pretrained`] if a file that the
     /// configuration names cannot take the place of a stage, [`TrainError::Plan`] if the plan lacks something else.
     pub fn new(config: Config, dataset: Arc<Dataset>, device: Device) -> Result<Self, TrainError> {
         let plan = config.plan();
@@ -58,7 +58,7 @@ impl Trainer {
     /// asks before it begins with any.
     ///
     /// # Errors
-    /// [`TrainError::Given`], [`TrainError::Plan`].
+    /// [`TrainError::Pretrained`], [`TrainError::Plan`].
     pub fn check(config: &Config, dataset: &Arc<Dataset>, device: &Device) -> Result<(), TrainError> {
         Self::context(config.clone(), Arc::clone(dataset), device.clone()).check_plan(&config.plan())
     }

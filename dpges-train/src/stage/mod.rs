@@ -8,11 +8,11 @@ mod checkpoint;
 mod context;
 mod environment;
 mod error;
-mod given;
 mod joint;
 mod parameters;
 mod pending;
 mod photographs;
+mod pretrained;
 mod report;
 mod sampling_limit;
 mod step;
@@ -117,7 +117,7 @@ pub struct Trained {
 /// the dataset. The joint stage takes `trained` with it.
 ///
 /// # Errors
-/// [`TrainError::Init`] if the dataset has nothing to begin with, [`TrainError::Given`] if a file is of no use,
+/// [`TrainError::Init`] if the dataset has nothing to begin with, [`TrainError::Pretrained`] if a file is of no use,
 /// [`TrainError::Plan`] if there is nothing to train.
 pub fn begin(plan: StagePlan, trained: &mut Trained, context: &mut Context) -> Result<Box<dyn Stage>, TrainError> {
     Ok(match plan.kind {

@@ -110,14 +110,14 @@ pub fn begin_step(
     let parameters = stage.parameters();
     (report.surfels, report.gaussians) = (parameters.surfels.len(), parameters.gaussians.len());
     let target = context.target(report.view)?;
-    context.read_ahead(stage);
+    context.prefetch(stage);
     // After the first step they stay finite, since a step with a gradient that is not finite is held back
     let values = if completed == 0 { Values::Unknown } else { Values::KnownFinite };
     let depth = context.depth_target(report.view, &context.tape());
     let given = StepInput { completed, index: report.view, view, target, values, depth, exposure: None, pose: None };
     let at = |source| TrainError::Step { step: report.step, view: view.name.clone(), source };
     // twice if a list had no room: a pass changes nothing
-    let pass = lists::late(|| Pass::new(stage, context, &given)).map_err(at)?;
+    let pass = lists::defer_readback(|| Pass::new(stage, context, &given)).map_err(at)?;
     let Pass { losses, of_parameters, of_exposure, of_pose, observed, gate } = pass;
 
     let pending = PendingStep::new(report, view.name.clone(), losses, of_pose, &gate);

@@ -232,7 +232,7 @@ fn pieces_kernel(rects: &[u32], size: &[u32], starts: &[u32], pieces: &mut [u32]
 
 /// Pieces of rectangles.
 #[derive(Clone)]
-pub struct Pieces {
+pub struct WorkSplit {
     /// [most, 6] in the order of the rectangles, empty ones last
     pub pieces: CubeTensor,
     /// [N + 1] the first piece of each rectangle
@@ -277,7 +277,7 @@ pub fn collectors(count: usize) -> CubeCount {
     cubes(count.div_ceil(PIECES))
 }
 
-impl Pieces {
+impl WorkSplit {
     /// A grid with [`WORKERS`] units for each piece.
     pub fn gatherers(&self) -> CubeCount {
         cubes(self.most / PIECES)
@@ -304,7 +304,7 @@ impl Pieces {
 }
 
 /// The pixels of `rects` [N, 4] in pieces.
-pub fn pieces(rects: &CubeTensor) -> Pieces {
+pub fn split_work(rects: &CubeTensor) -> WorkSplit {
     let (client, count) = (rects.client.clone(), rects.shape()[0]);
     let parts = reduce::parts(count);
     let budget = count / 2 + SPARE;
@@ -338,5 +338,5 @@ pub fn pieces(rects: &CubeTensor) -> Pieces {
         count as u32,
         most as u32,
     );
-    Pieces { pieces, starts, most }
+    WorkSplit { pieces, starts, most }
 }

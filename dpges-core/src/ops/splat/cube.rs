@@ -21,7 +21,7 @@ use crate::gpu::tile::{REGIONS, own_pixel, plane_of};
 use crate::gpu::vector::{Vec3, row3};
 use crate::gpu::view::CameraUniforms;
 use crate::gpu::work_split::{
-    Piece, WORKERS, collectors, cube_has_pieces, cube_has_rectangles, own_number, pieces, store_gathered, worker,
+    Piece, WORKERS, collectors, cube_has_pieces, cube_has_rectangles, own_number, split_work, store_gathered, worker,
 };
 use crate::scene::ScreenFilter;
 use crate::tiles::TileGrid;
@@ -322,7 +322,7 @@ impl SplatOps for CubeBackend {
         let (gaussians, limits, gates) = (gaussians.contiguous(), floats(limits), floats(gates));
         let (layers, count) = (limits.shape()[0], gaussians.opacities.shape()[0]);
         let (splats, rects) = splat_cube::splats(&gaussians, None, &camera, ScreenFilter::Compensated);
-        let pieces = pieces(&rects);
+        let pieces = split_work(&rects);
         let of_pieces = empty_f32(&limits, [pieces.most]);
         contributions_kernel::launch(
             &limits.client.clone(),
@@ -362,7 +362,7 @@ impl SplatBackwardOps for CubeBackend {
         let (gaussians, limits, grad) = (gaussians.contiguous(), floats(limits), floats(grad));
         let (client, layers, count) = (limits.client.clone(), limits.shape()[0], gaussians.opacities.shape()[0]);
         let (splats, rects) = splat_cube::splats(&gaussians, None, &camera, ScreenFilter::Compensated);
-        let pieces = pieces(&rects);
+        let pieces = split_work(&rects);
         let sums = empty_f32(&limits, [pieces.most, SUMS]);
         gather_kernel::launch(
             &client,

@@ -9,7 +9,7 @@ use cubecl::prelude::*;
 
 use crate::gpu::launch::{buffer, cube_dim, empty_u32, units, zeros_u32};
 use crate::gpu::rect::{RECT, Rect};
-use crate::gpu::work_split::{Pieces, pieces};
+use crate::gpu::work_split::{WorkSplit, split_work};
 
 /// Records how far the rectangle of a surfel reaches, at the pixels where a run of the surfel begins or ends.
 /// Left and top are distances from the far side of the image, so that 0 means that nothing was recorded.
@@ -101,7 +101,7 @@ fn visible_boxes(ids: &CubeTensor, count: usize) -> CubeTensor {
 struct Found {
     ids: CubeTensor,
     count: usize,
-    pieces: Pieces,
+    pieces: WorkSplit,
 }
 
 impl Found {
@@ -118,12 +118,12 @@ static FOUND: Mutex<Option<Found>> = Mutex::new(None);
 
 /// Pieces of the boxes around the pixels of `ids` [K, H, W] that belong to each of `count` surfels. Compositing and peeling go
 /// back over the same layers: what the first finds the second takes.
-pub fn visible_pieces(ids: &CubeTensor, count: usize) -> Pieces {
+pub fn visible_pieces(ids: &CubeTensor, count: usize) -> WorkSplit {
     let mut last = FOUND.lock().unwrap_or_else(PoisonError::into_inner);
     if let Some(found) = last.take_if(|found| found.is_of(ids, count)) {
         return found.pieces;
     }
-    let pieces = pieces(&visible_boxes(ids, count));
+    let pieces = split_work(&visible_boxes(ids, count));
     *last = Some(Found { ids: ids.clone(), count, pieces: pieces.clone() });
     pieces
 }

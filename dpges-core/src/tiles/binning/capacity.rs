@@ -2,7 +2,8 @@
 //!
 //! Only the device knows how many pairs there are. The kernel that writes them is launched with the room that earlier
 //! lists suggest. Then the host waits for their number, and what did not fit is written again; or, within
-//! [`late`](crate::tiles::lists::late), it goes on with all of the room and looks at the number when everything is launched.
+//! [`defer_readback`](crate::tiles::lists::defer_readback), it goes on with all of the room and looks at the
+//! number when everything is launched.
 
 use std::collections::HashMap;
 use std::sync::{LazyLock, Mutex};
@@ -11,11 +12,11 @@ use burn::backend::TensorMetadata;
 use burn::tensor::TensorData;
 use burn_cubecl::tensor::CubeTensor;
 
-use crate::backend::readback::Reading;
+use crate::backend::readback::Readback;
 use crate::counters::transfers::{download, wait};
 use crate::gpu::launch::largest_buffer;
 use crate::tiles::capacity::{exceed, too_many_entries};
-use crate::tiles::lists::{is_late, postpone};
+use crate::tiles::lists::{is_deferred, postpone};
 
 /// Whose lists: those of surfels, of discs and of Gaussians have different lengths.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -64,10 +65,10 @@ fn most(beside: &CubeTensor) -> usize {
 
 /// Entries that there is room for at first, if so many are `expected` of so many primitives and tiles. Where nothing waits
 /// for the length, all of the room is sorted, and no more is taken than is likely to be needed.
-fn room(expected: Option<usize>, primitives: usize, tiles: usize, late: bool) -> usize {
+fn room(expected: Option<usize>, primitives: usize, tiles: usize, deferred: bool) -> usize {
     let initial = PER_PRIMITIVE * primitives + PER_TILE * tiles;
     match expected.map(|entries| entries + entries / 4 + SPARE) {
-        Some(room) if late => room,
+        Some(room) if deferred => room,
         Some(room) => room.max(initial),
         None => initial,
     }
@@ -95,13 +96,13 @@ fn observe(lists: Lists, entries: usize, room: usize) -> bool {
 }
 
 /// The number of entries on its way, or the message of the device.
-type Length = Reading<Result<u32, String>>;
+type Length = Readback<Result<u32, String>>;
 
 /// Begins to read the number of entries, the last of `starts` [primitives + 1].
-fn begin_reading(starts: &CubeTensor) -> Length {
+fn begin_readback(starts: &CubeTensor) -> Length {
     let before_last = (starts.shape()[0] - 1) * size_of::<u32>();
     let (client, end) = (starts.client.clone(), starts.handle.clone().offset_start(before_last as u64));
-    Reading::begin(async move {
+    Readback::begin(async move {
         let bytes = client.read_async(vec![end]).await.map_err(|error| error.to_string())?.remove(0);
         Ok(bytemuck::pod_read_unaligned(&bytes[..size_of::<u32>()]))
     })
@@ -117,8 +118,8 @@ fn downloaded(length: Length) -> usize {
 /// Calls `write` with room for some entries and, if there are more, again with room for all, and returns what the last
 /// call made, and the number of entries: the last of `starts` [primitives + 1].
 ///
-/// Within [`late`](crate::tiles::lists::late) it calls `write` once and returns the room in place of the number; `write` has to
-/// fill what is left of it with entries of no tile.
+/// Within [`defer_readback`](crate::tiles::lists::defer_readback) it calls `write` once and returns the room in
+/// place of the number; `write` has to fill what is left of it with entries of no tile.
 ///
 /// [Exceeds](exceed) the capacity if a list of all entries is larger than the largest buffer of the device, or has more
 /// than 2³¹.
@@ -130,11 +131,11 @@ pub(crate) fn with_room<T>(
 ) -> (T, usize) {
     let primitives = starts.shape()[0] - 1;
     let lists: Lists = (format!("{:?}", starts.device), kind);
-    let length = begin_reading(starts);
-    let (most, late) = (most(starts), is_late());
-    let room = room(expected(&lists), primitives, tiles, late).min(ceiling()).min(most).max(1);
+    let length = begin_readback(starts);
+    let (most, deferred) = (most(starts), is_deferred());
+    let room = room(expected(&lists), primitives, tiles, deferred).min(ceiling()).min(most).max(1);
     let written = write(room);
-    if late {
+    if deferred {
         postpone(move || {
             let entries = downloaded(length);
             // what no buffer holds is refused when it is tried again

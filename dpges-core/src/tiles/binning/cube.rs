@@ -35,7 +35,7 @@ pub struct Ellipses<'a> {
 }
 
 /// The pairs of each primitive and the tiles of its rectangle, by primitive and then by tile. Within
-/// [`late`](crate::tiles::lists::late) there are more places than pairs.
+/// [`defer_readback`](crate::tiles::lists::defer_readback) there are more places than pairs.
 pub struct Pairs {
     /// [primitives + 1] the first pair of each primitive
     pub starts: CubeTensor,

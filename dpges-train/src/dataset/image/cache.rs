@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// The values that were asked for last, up to a number of bytes. Others are made again when they are asked for.
 #[derive(Debug)]
-pub struct Recent<T> {
+pub struct Cache<T> {
     most_bytes: usize,
     /// Values that are kept however large they are.
     least: usize,
@@ -23,7 +23,7 @@ struct Entry<T> {
 /// Locked while the value is made; `None` before.
 type Slot<T> = Arc<Mutex<Option<Arc<T>>>>;
 
-impl<T> Recent<T> {
+impl<T> Cache<T> {
     pub fn new(most_bytes: usize, least: usize) -> Self {
         Self { most_bytes, least, entries: Mutex::default() }
     }
@@ -75,10 +75,10 @@ mod tests {
     use super::*;
 
     /// Which of `keys`, each of 10 bytes, are made when they are asked for in this order.
-    fn made(recent: &Recent<usize>, keys: &[usize]) -> Vec<usize> {
+    fn made(cache: &Cache<usize>, keys: &[usize]) -> Vec<usize> {
         let mut made = Vec::new();
         for &key in keys {
-            let found = recent.get(key, 10, || {
+            let found = cache.get(key, 10, || {
                 made.push(key);
                 Ok::<_, ()>(100 + key)
             });
@@ -89,38 +89,38 @@ mod tests {
 
     #[test]
     fn what_was_asked_for_longest_ago_leaves_first() {
-        let recent = Recent::new(30, 1);
-        assert_eq!(made(&recent, &[1, 2, 3, 1, 2, 3]), [1, 2, 3]);
-        assert_eq!(made(&recent, &[1, 4, 1, 3, 2]), [4, 2]);
+        let cache = Cache::new(30, 1);
+        assert_eq!(made(&cache, &[1, 2, 3, 1, 2, 3]), [1, 2, 3]);
+        assert_eq!(made(&cache, &[1, 4, 1, 3, 2]), [4, 2]);
     }
 
     #[test]
     fn what_is_here_is_known_without_being_asked_for() {
-        let recent = Recent::new(20, 1);
-        made(&recent, &[1, 2]);
-        assert_eq!([1, 2, 3].map(|key| recent.has(key)), [true, true, false]);
-        made(&recent, &[3]);
-        assert_eq!([1, 2, 3].map(|key| recent.has(key)), [false, true, true]);
+        let cache = Cache::new(20, 1);
+        made(&cache, &[1, 2]);
+        assert_eq!([1, 2, 3].map(|key| cache.has(key)), [true, true, false]);
+        made(&cache, &[3]);
+        assert_eq!([1, 2, 3].map(|key| cache.has(key)), [false, true, true]);
     }
 
     #[test]
     fn the_least_stay_however_large_they_are() {
-        let recent = Recent::new(0, 2);
-        assert_eq!(made(&recent, &[1, 2, 1, 2, 3, 2, 1]), [1, 2, 3, 1]);
+        let cache = Cache::new(0, 2);
+        assert_eq!(made(&cache, &[1, 2, 1, 2, 3, 2, 1]), [1, 2, 3, 1]);
     }
 
     #[test]
     fn what_failed_is_tried_again() {
-        let recent = Recent::<usize>::new(30, 1);
-        assert_eq!(recent.get(7, 10, || Err("absent")), Err("absent"));
-        assert_eq!(made(&recent, &[7, 7]), [7]);
+        let cache = Cache::<usize>::new(30, 1);
+        assert_eq!(cache.get(7, 10, || Err("absent")), Err("absent"));
+        assert_eq!(made(&cache, &[7, 7]), [7]);
     }
 
     #[test]
     fn threads_that_ask_for_the_same_make_it_once() {
-        let (recent, count) = (Recent::new(1000, 1), AtomicUsize::new(0));
+        let (cache, count) = (Cache::new(1000, 1), AtomicUsize::new(0));
         let ask = |key: usize| {
-            recent.get(key, 10, || {
+            cache.get(key, 10, || {
                 count.fetch_add(1, Ordering::SeqCst);
                 Ok::<_, ()>(key)
             })

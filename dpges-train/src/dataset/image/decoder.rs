@@ -8,7 +8,7 @@ use dpges_core::camera::{Camera, CameraFromWorld};
 use glam::{DMat3, DVec3};
 
 use super::codec::{self, Alpha};
-use super::photograph::About;
+use super::photograph::ImageInfo;
 use super::{depth, masks, undistort};
 use crate::dataset::error::{DatasetError, Result};
 use crate::dataset::formats::source::{DepthFile, Frame, Split};
@@ -16,7 +16,7 @@ use crate::dataset::{DepthKind, DepthMap, LoadOptions, Picture};
 
 /// How frames are read.
 #[derive(Debug)]
-pub(in crate::dataset) struct Developing {
+pub(in crate::dataset) struct ImageDecoder {
     /// Of the dataset.
     root: PathBuf,
     alpha: Alpha,
@@ -43,7 +43,7 @@ struct Cameras {
     of_picture: Camera,
 }
 
-impl Developing {
+impl ImageDecoder {
     /// Of the dataset in folder `root`, whose pictures with alpha have `background` behind them.
     pub fn new(root: PathBuf, options: &LoadOptions, background: [f64; 3], near: f64, offset: DVec3) -> Self {
         Self {
@@ -65,7 +65,7 @@ impl Developing {
     ///
     /// # Errors
     /// [`DatasetError`] names the file at fault.
-    pub fn survey(&self, frame: &Frame) -> Result<Option<(Camera, About)>> {
+    pub fn survey(&self, frame: &Frame) -> Result<Option<(Camera, ImageInfo)>> {
         if frame.mask.is_some() || self.depth_file(frame).is_some() {
             return Ok(None);
         }
@@ -82,7 +82,7 @@ impl Developing {
             return Err(shows_nothing(frame));
         }
         let bytes = if ignored_pixels.is_some() { 4 * area } else { 3 * area };
-        Ok(Some((camera, About { bytes, ignored_pixels, has_transparency: false })))
+        Ok(Some((camera, ImageInfo { bytes, ignored_pixels, has_transparency: false })))
     }
 
     /// The photograph of a frame and its camera.
@@ -200,8 +200,8 @@ mod tests {
     use crate::dataset::fixtures::{self, Encoding};
     use crate::dataset::formats::colmap;
 
-    fn developing(root: &Path, options: &LoadOptions) -> Developing {
-        Developing::new(root.to_owned(), options, [0.0; 3], 0.2, DVec3::new(0.25, 0.0, -1.0))
+    fn decoder(root: &Path, options: &LoadOptions) -> ImageDecoder {
+        ImageDecoder::new(root.to_owned(), options, [0.0; 3], 0.2, DVec3::new(0.25, 0.0, -1.0))
     }
 
     #[test]
@@ -218,11 +218,11 @@ mod tests {
             for (undistort, max_resolution) in [(true, None), (false, None), (true, Some(12)), (false, Some(13))] {
                 let options = LoadOptions { undistort, max_resolution, test_every: 0, ..Default::default() };
                 let source = colmap::read(folder.path(), &options).unwrap();
-                let developing = developing(folder.path(), &options);
+                let decoder = decoder(folder.path(), &options);
                 for frame in &source.frames {
-                    let (camera, about) = developing.survey(frame).unwrap().unwrap();
-                    let (expected, picture) = developing.photograph(frame).unwrap();
-                    assert_eq!((camera, about), (expected, About::of(&picture)), "{model:?} {options:?}");
+                    let (camera, info) = decoder.survey(frame).unwrap().unwrap();
+                    let (expected, picture) = decoder.photograph(frame).unwrap();
+                    assert_eq!((camera, info), (expected, ImageInfo::of(&picture)), "{model:?} {options:?}");
                     assert_ne!(camera.camera_from_world.translation, DVec3::ZERO);
                 }
             }
@@ -237,8 +237,8 @@ mod tests {
         let options = LoadOptions { test_every: 0, ..Default::default() };
         let mut source = colmap::read(folder.path(), &options).unwrap();
         source.frames[2].mask = Some(folder.path().join("masks/left/002.png"));
-        let developing = developing(folder.path(), &options);
-        let known: Vec<bool> = source.frames.iter().map(|frame| developing.survey(frame).unwrap().is_some()).collect();
+        let decoder = decoder(folder.path(), &options);
+        let known: Vec<bool> = source.frames.iter().map(|frame| decoder.survey(frame).unwrap().is_some()).collect();
         assert_eq!(known, [true, false, false]);
     }
 

@@ -9,27 +9,27 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Weak};
 
-use super::prefetch::Ahead;
-use super::semaphore::Turns;
+use super::prefetch::Prefetcher;
+use super::semaphore::Semaphore;
 use crate::dataset::error::Result;
-use crate::dataset::image::cache::Recent;
+use crate::dataset::image::cache::Cache;
 use crate::dataset::{Picture, View};
 
 /// Pictures from files that are kept in any case: the one in use and the next.
-const LEAST_RECENT: usize = 2;
+const LEAST_CACHED: usize = 2;
 /// Photographs that are read ahead, at most.
-pub(crate) const MOST_AHEAD: usize = 16;
+pub(crate) const MOST_PREFETCHED: usize = 16;
 
 /// The photograph of a view.
 #[derive(Clone, Debug)]
 pub struct Photograph {
     place: Place,
-    about: About,
+    info: ImageInfo,
 }
 
 /// What is known of a photograph without its pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in crate::dataset) struct About {
+pub(in crate::dataset) struct ImageInfo {
     /// What it takes in memory.
     pub bytes: usize,
     /// Number of pixels that do not count; `None` without a mask, which a lens that does not fill the picture makes too.
@@ -38,7 +38,7 @@ pub(in crate::dataset) struct About {
     pub has_transparency: bool,
 }
 
-impl About {
+impl ImageInfo {
     pub fn of(picture: &Picture) -> Self {
         Self {
             bytes: picture.size_bytes(),
@@ -59,12 +59,12 @@ struct InFile {
     bytes: usize,
     file: ImageFile,
     was_read: AtomicBool,
-    shelf: Arc<Shelf>,
+    cache: Arc<ImageCache>,
 }
 
 /// Where the picture of a photograph comes from, and how long it stays.
 pub(in crate::dataset) struct ImageFile {
-    /// Unique on its shelf.
+    /// Unique in its cache.
     pub key: usize,
     pub path: PathBuf,
     /// Reads the picture.
@@ -84,7 +84,7 @@ impl fmt::Debug for InFile {
 impl InFile {
     fn picture(&self) -> Result<Arc<Picture>> {
         let read = || -> Result<Picture> {
-            let _turn = self.shelf.turns.take();
+            let _permit = self.cache.semaphore.acquire();
             let picture = (self.file.read)()?;
             self.was_read.store(true, Ordering::Relaxed);
             Ok(picture)
@@ -93,26 +93,26 @@ impl InFile {
     }
 
     /// Where its picture is, once it was read.
-    fn pictures(&self) -> &Recent<Picture> {
-        if self.file.stays { &self.shelf.kept } else { &self.shelf.recent }
+    fn pictures(&self) -> &Cache<Picture> {
+        if self.file.stays { &self.cache.kept } else { &self.cache.cached }
     }
 }
 
 /// The pictures that were read from files, and threads that read ahead.
-pub(in crate::dataset) struct Shelf {
+pub(in crate::dataset) struct ImageCache {
     /// They fit into memory.
-    kept: Recent<Picture>,
+    kept: Cache<Picture>,
     /// Of the others, those that were read lately.
-    recent: Recent<Picture>,
-    most_recent_bytes: usize,
+    cached: Cache<Picture>,
+    most_cached_bytes: usize,
     /// Files are read.
-    turns: Turns,
-    ahead: Ahead<Weak<InFile>>,
+    semaphore: Semaphore,
+    prefetcher: Prefetcher<Weak<InFile>>,
 }
 
-impl Shelf {
-    /// Keeps all pictures that stay and up to `most_recent_bytes` of the others. Up to so many `readers` read at the same time.
-    pub fn new(most_recent_bytes: usize, readers: usize) -> Arc<Self> {
+impl ImageCache {
+    /// Keeps all pictures that stay and up to `most_cached_bytes` of the others. Up to so many `readers` read at the same time.
+    pub fn new(most_cached_bytes: usize, readers: usize) -> Arc<Self> {
         let read = |photograph: Weak<InFile>| {
             if let Some(photograph) = photograph.upgrade() {
                 // whoever needs it tries again, and is told what is wrong
@@ -120,12 +120,12 @@ impl Shelf {
             }
         };
         Arc::new(Self {
-            kept: Recent::new(usize::MAX, 0),
-            recent: Recent::new(most_recent_bytes, LEAST_RECENT),
-            most_recent_bytes,
-            turns: Turns::new(readers.max(2)),
+            kept: Cache::new(usize::MAX, 0),
+            cached: Cache::new(most_cached_bytes, LEAST_CACHED),
+            most_cached_bytes,
+            semaphore: Semaphore::new(readers.max(2)),
             // so that whoever needs a picture now need not wait for all of them
-            ahead: Ahead::new((readers.max(2) - 1).min(MOST_AHEAD), read),
+            prefetcher: Prefetcher::new((readers.max(2) - 1).min(MOST_PREFETCHED), read),
         })
     }
 }
@@ -133,21 +133,21 @@ impl Shelf {
 impl From<Picture> for Photograph {
     /// In memory.
     fn from(picture: Picture) -> Self {
-        let about = About::of(&picture);
-        Self { place: Place::Memory(Arc::new(picture)), about }
+        let info = ImageInfo::of(&picture);
+        Self { place: Place::Memory(Arc::new(picture)), info }
     }
 }
 
 impl Photograph {
     /// The `picture`, which stays in memory.
-    pub(in crate::dataset) fn kept(picture: Arc<Picture>, about: About) -> Self {
-        Self { place: Place::Memory(picture), about }
+    pub(in crate::dataset) fn kept(picture: Arc<Picture>, info: ImageInfo) -> Self {
+        Self { place: Place::Memory(picture), info }
     }
 
-    /// A picture that is read when it is needed, with others on the `shelf`.
-    pub(in crate::dataset) fn in_file(file: ImageFile, about: About, shelf: Arc<Shelf>) -> Self {
+    /// A picture that is read when it is needed, with others in the `cache`.
+    pub(in crate::dataset) fn in_file(file: ImageFile, info: ImageInfo, cache: Arc<ImageCache>) -> Self {
         let was_read = AtomicBool::new(file.was_read);
-        Self { place: Place::File(Arc::new(InFile { bytes: about.bytes, file, was_read, shelf })), about }
+        Self { place: Place::File(Arc::new(InFile { bytes: info.bytes, file, was_read, cache })), info }
     }
 
     /// Whether it stays in memory once it was read.
@@ -168,17 +168,17 @@ impl Photograph {
 
     /// What it takes in memory, bytes.
     pub fn size_bytes(&self) -> usize {
-        self.about.bytes
+        self.info.bytes
     }
 
     /// Number of pixels that do not count; `None` without a mask, which a lens that does not fill the picture makes too.
     pub fn ignored_pixels(&self) -> Option<usize> {
-        self.about.ignored_pixels
+        self.info.ignored_pixels
     }
 
     /// Whether a pixel that counts shows the background rather than what is before it.
     pub fn has_transparency(&self) -> bool {
-        self.about.has_transparency
+        self.info.has_transparency
     }
 
     /// The picture. It is read from its file if it is not in memory.
@@ -199,25 +199,25 @@ impl Photograph {
 
 /// Begins to read in the background those of `photographs` that are not in memory, the first first, as far as there is room
 /// for them. What was asked for before and has not begun is forgotten.
-pub(crate) fn read_ahead<'a>(photographs: impl IntoIterator<Item = &'a Photograph>) {
-    let (mut wanted, mut shelf, mut passing_bytes) = (VecDeque::new(), None, 0usize);
+pub(crate) fn prefetch<'a>(photographs: impl IntoIterator<Item = &'a Photograph>) {
+    let (mut wanted, mut cache, mut passing_bytes) = (VecDeque::new(), None, 0usize);
     for photograph in photographs {
         let Place::File(in_file) = &photograph.place else { continue };
         if !in_file.file.stays {
             // beside them is the one in use
             let is_first = passing_bytes == 0;
             passing_bytes = passing_bytes.saturating_add(in_file.bytes);
-            if !is_first && passing_bytes.saturating_add(in_file.bytes) > in_file.shelf.most_recent_bytes {
+            if !is_first && passing_bytes.saturating_add(in_file.bytes) > in_file.cache.most_cached_bytes {
                 break;
             }
         }
-        shelf = Some(&in_file.shelf);
+        cache = Some(&in_file.cache);
         if !in_file.pictures().has(in_file.file.key) {
             wanted.push_back(Arc::downgrade(in_file));
         }
     }
-    if let Some(shelf) = shelf {
-        shelf.ahead.ask(wanted);
+    if let Some(cache) = cache {
+        cache.prefetcher.ask(wanted);
     }
 }
 
@@ -228,7 +228,7 @@ pub fn pictures<'a>(
     let views: Vec<&View> = views.into_iter().collect();
     (0..views.len()).map(move |at| {
         let picture = views[at].picture();
-        read_ahead(views[at + 1..].iter().take(MOST_AHEAD).map(|view| &view.photograph));
+        prefetch(views[at + 1..].iter().take(MOST_PREFETCHED).map(|view| &view.photograph));
         (views[at], picture)
     })
 }
@@ -243,17 +243,17 @@ mod tests {
 
     /// `count` photographs of 3 bytes, each of its own grey, and how often any was read.
     fn in_files(count: usize, most_bytes: usize, stays: bool) -> (Vec<Photograph>, Arc<AtomicUsize>) {
-        let (shelf, reads) = (Shelf::new(most_bytes, 3), Arc::new(AtomicUsize::new(0)));
+        let (cache, reads) = (ImageCache::new(most_bytes, 3), Arc::new(AtomicUsize::new(0)));
         let photograph = |key: usize| {
             let grey = Picture { width: 1, height: 1, bytes: vec![key as u8; 3], alpha: None, counted: None };
-            let (about, reads) = (About::of(&grey), Arc::clone(&reads));
+            let (info, reads) = (ImageInfo::of(&grey), Arc::clone(&reads));
             let read = move || {
                 reads.fetch_add(1, Ordering::SeqCst);
                 Ok(grey.clone())
             };
             let path = PathBuf::from("a.png");
             let file = ImageFile { key, path, read: Box::new(read), stays, was_read: false };
-            Photograph::in_file(file, about, Arc::clone(&shelf))
+            Photograph::in_file(file, info, Arc::clone(&cache))
         };
         ((0..count).map(photograph).collect(), reads)
     }
@@ -286,16 +286,16 @@ mod tests {
     }
 
     #[test]
-    fn what_is_read_ahead_is_read_once() {
+    fn what_is_prefetched_is_read_once() {
         for stays in [false, true] {
             let (photographs, reads) = in_files(5, 15, stays);
-            read_ahead(&photographs[1..4]);
+            prefetch(&photographs[1..4]);
             wait_for(&reads, 3);
             for (key, photograph) in photographs.iter().enumerate().take(4).skip(1) {
                 // waits for the other thread where that has not finished
                 assert_eq!(photograph.picture().unwrap().bytes, [key as u8; 3]);
             }
-            read_ahead(&photographs[..4]);
+            prefetch(&photographs[..4]);
             wait_for(&reads, 4);
             assert_eq!(photographs[0].picture().unwrap().bytes, [0; 3]);
             assert_eq!(reads.load(Ordering::SeqCst), 4);
@@ -303,12 +303,12 @@ mod tests {
     }
 
     #[test]
-    fn no_more_is_read_ahead_than_there_is_room_for() {
+    fn no_more_is_prefetched_than_there_is_room_for() {
         // two beside the one in use; without any room one
         for (most_bytes, expected) in [(9, 2), (0, 1)] {
             let (photographs, reads) = in_files(6, most_bytes, false);
             photographs[0].picture().unwrap();
-            read_ahead(&photographs[1..]);
+            prefetch(&photographs[1..]);
             wait_for(&reads, 1 + expected);
             (1..=expected).for_each(|key| drop(photographs[key].picture().unwrap()));
             assert_eq!(reads.load(Ordering::SeqCst), 1 + expected);
@@ -318,7 +318,7 @@ mod tests {
 
     #[test]
     fn a_file_that_is_gone_is_named() {
-        let about = About { bytes: 3, ignored_pixels: None, has_transparency: false };
+        let info = ImageInfo { bytes: 3, ignored_pixels: None, has_transparency: false };
         for (was_read, action) in [(true, "cannot read again"), (false, "cannot read")] {
             let read = || -> Result<Picture> {
                 let path = PathBuf::from("images/a.png");
@@ -326,7 +326,7 @@ mod tests {
             };
             let path = PathBuf::from("images/a.png");
             let file = ImageFile { key: 0, path, read: Box::new(read), stays: !was_read, was_read };
-            let message = Photograph::in_file(file, about, Shelf::new(0, 1)).picture().unwrap_err().to_string();
+            let message = Photograph::in_file(file, info, ImageCache::new(0, 1)).picture().unwrap_err().to_string();
             assert!(message.contains(&format!("{action} the photograph images/a.png: cannot read")), "{message}");
         }
     }

@@ -6,7 +6,7 @@ use std::thread;
 
 /// Threads that do what was asked for last.
 #[derive(Debug)]
-pub(super) struct Ahead<T>(Arc<Work<T>>);
+pub(super) struct Prefetcher<T>(Arc<Work<T>>);
 
 #[derive(Debug)]
 struct Work<T> {
@@ -20,7 +20,7 @@ struct Queue<T> {
     is_open: bool,
 }
 
-impl<T: Send + 'static> Ahead<T> {
+impl<T: Send + 'static> Prefetcher<T> {
     /// Up to so many `threads`, each of which does one thing at a time. Where there can be no thread, nothing is done.
     pub fn new(threads: usize, work: impl Fn(T) + Send + Sync + 'static) -> Self {
         let queue = Mutex::new(Queue { items: VecDeque::new(), is_open: true });
@@ -61,7 +61,7 @@ impl<T> Work<T> {
     }
 }
 
-impl<T> Drop for Ahead<T> {
+impl<T> Drop for Prefetcher<T> {
     fn drop(&mut self) {
         let mut queue = self.0.lock();
         queue.is_open = false;
@@ -83,14 +83,14 @@ mod tests {
         let (done, results) = channel();
         let (let_go, gate) = channel::<()>();
         let gate = Mutex::new(gate);
-        let ahead = Ahead::new(1, move |item: usize| {
+        let prefetcher = Prefetcher::new(1, move |item: usize| {
             done.send(item).unwrap();
             gate.lock().unwrap().recv().unwrap();
         });
-        ahead.ask([1, 2, 3].into());
+        prefetcher.ask([1, 2, 3].into());
         assert_eq!(results.recv(), Ok(1));
         // 1 has begun, 2 and 3 are forgotten
-        ahead.ask([4, 5].into());
+        prefetcher.ask([4, 5].into());
         (0..3).for_each(|_| let_go.send(()).unwrap());
         assert_eq!((results.recv(), results.recv()), (Ok(4), Ok(5)));
     }
@@ -98,12 +98,12 @@ mod tests {
     #[test]
     fn threads_end_with_what_they_work_for() {
         let (done, results) = channel();
-        let ahead = Ahead::new(3, move |item: usize| done.send(item).unwrap());
-        ahead.ask((0..20).collect());
+        let prefetcher = Prefetcher::new(3, move |item: usize| done.send(item).unwrap());
+        prefetcher.ask((0..20).collect());
         let mut found: Vec<usize> = results.iter().take(20).collect();
         found.sort_unstable();
         assert_eq!(found, (0..20).collect::<Vec<_>>());
-        drop(ahead);
+        drop(prefetcher);
         // all threads have dropped their end of the channel
         assert!(results.recv().is_err());
     }

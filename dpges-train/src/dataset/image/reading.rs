@@ -6,8 +6,8 @@ use std::thread;
 
 use dpges_core::camera::Camera;
 
-use super::decoder::Developing;
-use super::photograph::{About, ImageFile, Photograph, Shelf};
+use super::decoder::ImageDecoder;
+use super::photograph::{ImageCache, ImageFile, ImageInfo, Photograph};
 use crate::dataset::error::Result;
 use crate::dataset::formats::source::Frame;
 use crate::dataset::{DepthMap, Picture, SAMPLED_VIEWS, View};
@@ -20,7 +20,7 @@ const FOR_RECENT: f64 = 0.25;
 /// What is known of a frame once the dataset is loaded.
 struct Found {
     camera: Camera,
-    about: About,
+    info: ImageInfo,
     /// `None` if it was not read yet, or if there was no room left for it.
     picture: Option<Arc<Picture>>,
     was_read: bool,
@@ -36,7 +36,7 @@ struct Found {
 pub(in crate::dataset) fn views(
     frames: &[&Frame],
     memory: usize,
-    developing: &Arc<Developing>,
+    decoder: &Arc<ImageDecoder>,
 ) -> Result<(Vec<View>, usize)> {
     let kept_bytes = AtomicUsize::new(0);
     let fits = |bytes: usize| {
@@ -46,39 +46,39 @@ pub(in crate::dataset) fn views(
     let first = |index: usize| -> Result<Found> {
         let frame = frames[index];
         if frames.len() > SAMPLED_VIEWS
-            && let Some((camera, about)) = developing.survey(frame)?
+            && let Some((camera, info)) = decoder.survey(frame)?
         {
-            return Ok(Found { camera, about, picture: None, was_read: false, depth: None });
+            return Ok(Found { camera, info, picture: None, was_read: false, depth: None });
         }
-        let (camera, picture) = developing.photograph(frame)?;
-        let (about, depth) = (About::of(&picture), developing.depth(frame, &camera, &picture)?);
-        let picture = fits(about.bytes).then(|| Arc::new(picture));
-        Ok(Found { camera, about, picture, was_read: true, depth })
+        let (camera, picture) = decoder.photograph(frame)?;
+        let (info, depth) = (ImageInfo::of(&picture), decoder.depth(frame, &camera, &picture)?);
+        let picture = fits(info.bytes).then(|| Arc::new(picture));
+        Ok(Found { camera, info, picture, was_read: true, depth })
     };
     let readers = threads(frames, memory);
     let found: Result<Vec<Found>> = in_parallel(frames.len(), readers, first).into_iter().collect();
     let found = found?;
-    let all: usize = found.iter().map(|found| found.about.bytes).sum();
+    let all: usize = found.iter().map(|found| found.info.bytes).sum();
     let all_fit = all <= memory;
     let most_kept = if all_fit { memory } else { (memory as f64 * (1.0 - FOR_RECENT)) as usize };
-    let mut shelf = None;
+    let mut cache = None;
     let (mut sum, mut kept, mut kept_sum) = (0, 0, 0);
     let mut views = Vec::with_capacity(frames.len());
     for (key, (frame, found)) in frames.iter().zip(found).enumerate() {
-        let Found { camera, about, picture, was_read, depth } = found;
-        sum += about.bytes;
+        let Found { camera, info, picture, was_read, depth } = found;
+        sum += info.bytes;
         let stays = sum <= most_kept;
         if stays {
             (kept, kept_sum) = (kept + 1, sum);
         }
         let photograph = match picture {
-            Some(picture) if stays => Photograph::kept(picture, about),
+            Some(picture) if stays => Photograph::kept(picture, info),
             _ => {
-                let (developing, own) = (Arc::clone(developing), (*frame).clone());
-                let read = Box::new(move || developing.photograph(&own).map(|(_, picture)| picture));
+                let (decoder, own) = (Arc::clone(decoder), (*frame).clone());
+                let read = Box::new(move || decoder.photograph(&own).map(|(_, picture)| picture));
                 let file = ImageFile { key, path: frame.image.clone(), read, stays, was_read };
-                let shelf = shelf.get_or_insert_with(|| Shelf::new(memory - most_kept, readers));
-                Photograph::in_file(file, about, Arc::clone(shelf))
+                let cache = cache.get_or_insert_with(|| ImageCache::new(memory - most_kept, readers));
+                Photograph::in_file(file, info, Arc::clone(cache))
             }
         };
         views.push(View { name: frame.name.clone(), camera, photograph, depth });

@@ -1,28 +1,28 @@
-//! Turns to do something that only so many may do at the same time.
+//! A counting semaphore: only so many do something at the same time.
 
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
-/// Up to so many take their turns at the same time; others wait.
+/// Up to so many hold a permit at the same time; others wait.
 #[derive(Debug)]
-pub(super) struct Turns {
+pub(super) struct Semaphore {
     free: Mutex<usize>,
     has_changed: Condvar,
 }
 
 /// Ends when it is dropped.
-pub(super) struct Turn<'a>(&'a Turns);
+pub(super) struct Permit<'a>(&'a Semaphore);
 
-impl Turns {
+impl Semaphore {
     /// `most` at the same time, at least one.
     pub fn new(most: usize) -> Self {
         Self { free: Mutex::new(most.max(1)), has_changed: Condvar::new() }
     }
 
-    /// Waits for a turn.
-    pub fn take(&self) -> Turn<'_> {
+    /// Waits for a permit.
+    pub fn acquire(&self) -> Permit<'_> {
         let waited = self.has_changed.wait_while(self.free(), |free| *free == 0);
         *waited.unwrap_or_else(PoisonError::into_inner) -= 1;
-        Turn(self)
+        Permit(self)
     }
 
     fn free(&self) -> MutexGuard<'_, usize> {
@@ -30,7 +30,7 @@ impl Turns {
     }
 }
 
-impl Drop for Turn<'_> {
+impl Drop for Permit<'_> {
     fn drop(&mut self) {
         *self.0.free() += 1;
         self.0.has_changed.notify_one();
@@ -45,12 +45,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_so_many_have_their_turn_at_the_same_time() {
+    fn only_so_many_hold_a_permit_at_the_same_time() {
         for most in [0, 1, 3] {
-            let (turns, now, done) = (Turns::new(most), AtomicUsize::new(0), AtomicUsize::new(0));
+            let (semaphore, now, done) = (Semaphore::new(most), AtomicUsize::new(0), AtomicUsize::new(0));
             let work = || {
                 for _ in 0..50 {
-                    let _turn = turns.take();
+                    let _permit = semaphore.acquire();
                     assert!(now.fetch_add(1, Ordering::SeqCst) < most.max(1));
                     thread::yield_now();
                     now.fetch_sub(1, Ordering::SeqCst);

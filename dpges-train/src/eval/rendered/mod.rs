@@ -18,7 +18,7 @@ use dpges_core::scene::{Gaussians, Rendering, SceneData, Surfels};
 use dpges_render::Rgb8Image;
 
 use crate::dataset::Dataset;
-use crate::refine::floaters::{Floaters, Sights};
+use crate::refine::floaters::{Floaters, Visibility};
 pub use layers::{LayerPictures, layer_pictures};
 
 /// The picture of an image [3, H, W] with display-referred values.
@@ -165,8 +165,8 @@ impl Renderer {
         })
     }
 
-    /// How many primitives float, see [`sight`](crate::refine::floaters); `None` if `dataset`, in the coordinates of the scene, does
-    /// not say which view saw what.
+    /// How many primitives float, see [`floaters`](crate::refine::floaters); `None` if `dataset`, in the coordinates of
+    /// the scene, does not say which view saw what.
     ///
     /// # Errors
     /// As [`render`].
@@ -175,8 +175,8 @@ impl Renderer {
             Options::Peeled(options) => options.peel,
             Options::Blended(_) => PeelOptions::default(),
         };
-        let sights = Sights::measure(&self.surfels, &self.gaussians, &peel, dataset)?;
-        Ok(sights.map(|sights| sights.floaters()))
+        let visibility = Visibility::measure(&self.surfels, &self.gaussians, &peel, dataset)?;
+        Ok(visibility.map(|visibility| visibility.floaters()))
     }
 
     /// Blended depth and normals of the surfels in a `view` from `camera`.

@@ -16,7 +16,7 @@ use dpges_core::scene::{GaussianData, Gaussians, Rendering, SceneInfo, ScreenFil
 use super::super::{Context, TrainError};
 use super::JointStage;
 use super::refine::squared_error;
-use crate::dataset::image::cache::Recent;
+use crate::dataset::image::cache::Cache;
 use crate::dataset::{Masked, Picture, View, pictures};
 use crate::init::fusion::{CHECKED_VIEWS, DepthViews, FusionRule, surface_points};
 use crate::init::surfels_at;
@@ -59,7 +59,7 @@ impl Context {
         let mut options = BlendedOptions::new(&info)?;
         options.blend.maps = true;
         // those that are checked beside one stay, whatever the room
-        let maps = Recent::new(dataset.spare_memory, CHECKED_VIEWS + 1);
+        let maps = Cache::new(dataset.spare_memory, CHECKED_VIEWS + 1);
         let depth = |index: usize| -> dpges_core::Result<Arc<Vec<f32>>> {
             let view = &dataset.train[index];
             maps.get(index, size_of::<f32>() * view.camera.width * view.camera.height, || {

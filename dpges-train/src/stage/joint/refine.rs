@@ -19,7 +19,7 @@ use crate::config::{AddAs, Budget, Due, PixelsOf};
 use crate::dataset::{View, pictures};
 use crate::refine::add::{batch_size, draw_in_proportion, gaussians_of_pixels, new_gaussians};
 use crate::refine::agreement::{agreed_depth, nearest_views};
-use crate::refine::floaters::{Floaters, Sights};
+use crate::refine::floaters::{Floaters, Visibility};
 use crate::refine::margins::margins;
 use crate::refine::prune::{drawn, gaussians_to_keep, surfels_to_keep};
 use crate::refine::split::split;
@@ -66,7 +66,7 @@ impl JointStage {
             events.push(self.split_gaussians(context));
         }
         if context.config.refine.clear_sight && (due.batches_left.is_some() || due.replace) {
-            events.extend(self.clear_sight(context)?);
+            events.extend(self.remove_floaters(context)?);
         }
         if due.control {
             self.begin_control(context)?;
@@ -115,19 +115,21 @@ impl JointStage {
     }
 
     /// Removes what hides points from views that saw them; `None` if the dataset does not say which view saw what.
-    fn clear_sight(&mut self, context: &Context) -> Result<Option<String>, TrainError> {
+    fn remove_floaters(&mut self, context: &Context) -> Result<Option<String>, TrainError> {
         let (surfels, gaussians) = self.drawn_values();
         let options = self.render_options(&context.config).peel;
-        let Some(sights) = Sights::measure(&surfels, &gaussians, &options, &context.dataset)? else { return Ok(None) };
-        let Floaters { surfels, gaussians } = sights.floaters();
+        let Some(visibility) = Visibility::measure(&surfels, &gaussians, &options, &context.dataset)? else {
+            return Ok(None);
+        };
+        let Floaters { surfels, gaussians } = visibility.floaters();
         if surfels > 0 && !context.config.train.freeze_surfels {
-            let rows = RowEdit::retain(self.surfels.len(), |&row| !sights.surfels[row].floats());
+            let rows = RowEdit::retain(self.surfels.len(), |&row| !visibility.surfels[row].floats());
             self.surfels.keep(&rows);
             self.measure_surfel_limit(context);
             self.statistics.keep_surfels(&rows);
         }
         if gaussians > 0 {
-            let rows = RowEdit::retain(self.gaussians.len(), |&row| !sights.gaussians[row].floats());
+            let rows = RowEdit::retain(self.gaussians.len(), |&row| !visibility.gaussians[row].floats());
             self.edit_gaussians(&GaussianEdit { rows, ..GaussianEdit::default() }, context);
         }
         Ok(Some(format!(

@@ -16,10 +16,10 @@ impl Context {
     /// Checks before the first step that there is all that `plan`, its losses and its decisions need.
     ///
     /// # Errors
-    /// [`TrainError::Plan`] names what is missing, [`TrainError::Given`] a file that cannot be used.
+    /// [`TrainError::Plan`] names what is missing, [`TrainError::Pretrained`] a file that cannot be used.
     pub fn check_plan(&self, plan: &[StagePlan]) -> Result<(), TrainError> {
-        let surfels = self.given(SURFELS_FROM)?;
-        self.given(GAUSSIANS_FROM)?;
+        let surfels = self.pretrained(SURFELS_FROM)?;
+        self.pretrained(GAUSSIANS_FROM)?;
         if self.dataset.validation.is_empty() {
             let needs = |what: &str| {
                 TrainError::Plan(format!(
@@ -65,14 +65,14 @@ impl Context {
     /// The scene in the file that `key` names, if it names one.
     ///
     /// # Errors
-    /// [`TrainError::Given`] if the file cannot be read, or its scene does not fit this run.
-    pub fn given(&self, key: &'static str) -> Result<Option<SceneData>, TrainError> {
+    /// [`TrainError::Pretrained`] if the file cannot be read, or its scene does not fit this run.
+    pub fn pretrained(&self, key: &'static str) -> Result<Option<SceneData>, TrainError> {
         let stages = &self.config.stages;
         let path = if key == SURFELS_FROM { &stages.surfels_from } else { &stages.gaussians_from };
         if path.is_empty() {
             return Ok(None);
         }
-        let wrong = |reason: String| TrainError::Given { key, path: PathBuf::from(path), reason };
+        let wrong = |reason: String| TrainError::Pretrained { key, path: PathBuf::from(path), reason };
         let scene = SceneData::load(Path::new(path)).map_err(|error| wrong(error.to_string()))?;
         let (found, expected) = (scene.info.colour_model, self.config.model.colour);
         if found != expected {

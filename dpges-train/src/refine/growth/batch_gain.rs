@@ -48,7 +48,7 @@ pub struct Mean {
 
 /// What a batch was worth, and what follows from that.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Worth {
+pub struct BatchGain {
     /// Number of new primitives.
     pub added: usize,
     /// Length of the interval.
@@ -175,7 +175,7 @@ impl fmt::Display for Mean {
     }
 }
 
-impl fmt::Display for Worth {
+impl fmt::Display for BatchGain {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { added, steps, rise, rise_without, gain, batches, least_gain, verdict } = self;
         let [with, without] = [*rise, *rise_without].map(percent_of_error);
