@@ -6,7 +6,7 @@ use std::path::Path;
 
 use image::{ColorType, DynamicImage, ImageDecoder, ImageError, ImageReader, ImageResult};
 
-use super::{masks, resize};
+use super::resize;
 use crate::dataset::Picture;
 use crate::dataset::error::{DatasetError, Result};
 
@@ -32,7 +32,7 @@ impl Picture {
         Self {
             width,
             height,
-            counted: self.counted.map(|counted| masks::downscaled(&counted, from, to)),
+            counted: self.counted.map(|counted| resize::downscaled_mask(&counted, from, to)),
             bytes: resize::downscaled::<3>(&self.bytes, from, to),
             alpha: self.alpha.map(|alpha| resize::downscaled::<1>(&alpha, from, to)),
         }

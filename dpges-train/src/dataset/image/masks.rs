@@ -4,7 +4,6 @@ use std::fmt;
 use std::path::{Component, Path, PathBuf};
 
 use super::codec;
-use super::resize::reaches;
 use crate::dataset::View;
 use crate::dataset::error::{DatasetError, Result};
 use crate::dataset::formats::source::Frame;
@@ -128,22 +127,6 @@ pub(crate) fn read(path: &Path, image: &Path, [width, height]: [usize; 2], inver
         return Err(DatasetError::MaskSize { mask, found, image, expected: [width, height] });
     }
     Ok(mask.pixels().map(|pixel| (pixel.0[0] > 0) != inverted).collect())
-}
-
-/// `counted` [height × width] of a picture of size `from` made smaller, to size `to` (widths and heights, px). A pixel
-/// counts if all pixels within reach of its filter do: what does not count has no part in the colour of what does.
-pub(in crate::dataset) fn downscaled(counted: &[bool], from: [usize; 2], to: [usize; 2]) -> Vec<bool> {
-    let [columns, rows] = [0, 1].map(|axis| reaches(from[axis], to[axis]));
-    let mut tall = Vec::with_capacity(from[0] * to[1]);
-    for [top, bottom] in rows {
-        let counts = |column: usize| (top..bottom).all(|row| counted[row * from[0] + column]);
-        tall.extend((0..from[0]).map(counts));
-    }
-    let mut small = Vec::with_capacity(to[0] * to[1]);
-    for row in tall.chunks_exact(from[0]) {
-        small.extend(columns.iter().map(|&[left, right]| row[left..right].iter().all(|&counts| counts)));
-    }
-    small
 }
 
 #[cfg(test)]

@@ -69,6 +69,22 @@ pub(super) fn reaches(from: usize, to: usize) -> Vec<[usize; 2]> {
     (0..to).map(of).collect()
 }
 
+/// `counted` [height × width] of a picture of size `from` made smaller, to size `to` (widths and heights, px). A pixel
+/// counts if all pixels within reach of its filter do: what does not count has no part in the colour of what does.
+pub(super) fn downscaled_mask(counted: &[bool], from: [usize; 2], to: [usize; 2]) -> Vec<bool> {
+    let [columns, rows] = [0, 1].map(|axis| reaches(from[axis], to[axis]));
+    let mut tall = Vec::with_capacity(from[0] * to[1]);
+    for [top, bottom] in rows {
+        let counts = |column: usize| (top..bottom).all(|row| counted[row * from[0] + column]);
+        tall.extend((0..from[0]).map(counts));
+    }
+    let mut small = Vec::with_capacity(to[0] * to[1]);
+    for row in tall.chunks_exact(from[0]) {
+        small.extend(columns.iter().map(|&[left, right]| row[left..right].iter().all(|&counts| counts)));
+    }
+    small
+}
+
 /// Six times the cubic, then a sixth of it: the order in which the crate `image` rounds.
 fn catmull_rom(x: f32) -> f32 {
     let x = x.abs();

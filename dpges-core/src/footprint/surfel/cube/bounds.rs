@@ -2,30 +2,12 @@
 
 use cubecl::prelude::*;
 
-use super::Disc;
 use super::lens_reach::lens_reach;
+use super::{Disc, tangents, widened};
 use crate::gpu::lens::LensKind;
 use crate::gpu::rect::Rect;
 use crate::gpu::vector::scale;
 use crate::gpu::view::{CameraUniforms, pixel_range};
-
-/// Widens a range by more than the rounding errors of f32, px.
-#[cube]
-pub fn widened(low: f32, high: f32) -> (f32, f32) {
-    let slack = 0.05f32 + 1e-4f32 * (high - low);
-    (low - slack, high + slack)
-}
-
-/// Range of x / z over a disc in front of the near plane, from the x and z components of its centre and
-/// axes. The ends are the two lines through the eye that are tangent to its ellipse.
-#[cube]
-pub fn tangents(cx: f32, cz: f32, ax: f32, az: f32, bx: f32, bz: f32) -> (f32, f32) {
-    let quadratic = cz * cz - (az * az + bz * bz);
-    let half_linear = cx * cz - (ax * az + bx * bz);
-    let (m_ca, m_cb, m_ab) = (cx * az - cz * ax, cx * bz - cz * bx, ax * bz - az * bx);
-    let root = f32::sqrt(max(m_ca * m_ca + m_cb * m_cb - m_ab * m_ab, 0.0f32));
-    ((half_linear - root) / quadratic, (half_linear + root) / quadratic)
-}
 
 /// Range of x / z over one side of a square, clipped by the near plane: the first corner and the point where
 /// the side crosses the near plane, if there are such.

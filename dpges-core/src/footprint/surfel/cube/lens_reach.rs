@@ -2,8 +2,7 @@
 
 use cubecl::prelude::*;
 
-use super::Disc;
-use super::bounds::{tangents, widened};
+use super::{Disc, tangents, widened};
 use crate::gpu::lens::{LensUniforms, Range, angle, aside_x, aside_y, plus, radial, radius_at, times};
 use crate::gpu::rect::Rect;
 use crate::gpu::vector::{dot, scale, sin_cos, vec3};
