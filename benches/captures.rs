@@ -14,7 +14,7 @@ use clap::Parser;
 use dpges_benches::{cpus, machine};
 use dpges_train::config::Config;
 use dpges_train::dataset::load;
-use dpges_train::memory::PeakMemory;
+use dpges_train::device::memory::PeakMemory;
 use dpges_train::run::Trainer;
 use image::{Rgb, RgbImage};
 

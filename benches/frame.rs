@@ -10,7 +10,7 @@ use burn::tensor::{DType, Device};
 use dpges_benches::{devices, machine};
 use dpges_core::render::{RenderOptions, Values, render_values};
 use dpges_core::testing::scenes::{TestScene, realistic};
-use dpges_train::step_cost::{Rounds, StepStage, Steps, measure as measure_step};
+use dpges_train::run::step_cost::{Rounds, StepStage, Steps, measure as measure_step};
 
 struct Size {
     surfels: usize,

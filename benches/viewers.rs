@@ -181,7 +181,7 @@ fn lit_pixels(headless: &Headless, texture: &wgpu::Texture) -> usize {
 /// Kernels of the training renderer on the same adapter.
 fn compute(scene: &SceneData, cameras: &[Camera], rounds: Rounds) -> Option<FrameTimes> {
     let device: Device = Device::enumerate(DeviceType::Wgpu).into_iter().next()?;
-    let renderer = dpges_train::rendered::Renderer::new(scene, &device);
+    let renderer = dpges_train::eval::rendered::Renderer::new(scene, &device);
     let mut times = Vec::new();
     for round in 0..rounds.warm_up + rounds.counted {
         for camera in cameras {

@@ -12,7 +12,7 @@ struct Pair {
 }
 
 fn main() -> Result<()> {
-    let device = device::cpu().autodiff();
+    let device = backend::device::cpu().autodiff();
     let camera_from_world = CameraFromWorld::look_at([0.0, 0.0, -4.0].into(), [0.0; 3].into(), [0.0, -1.0, 0.0].into());
     let camera =
         Camera { camera_from_world, fx: 60., fy: 60., cx: 24., cy: 24., width: 48, height: 48, near: 0.01, lens: None };

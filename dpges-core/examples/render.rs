@@ -6,7 +6,7 @@ use glam::DVec3;
 fn main() -> std::result::Result<(), Box<dyn std::error::Error>> {
     let mut arguments = std::env::args().skip(1);
     let scene = arguments.next().map_or_else(|| Ok(tiny()), |path| SceneData::load(path.as_ref()))?;
-    let device = device::cpu();
+    let device = backend::device::cpu();
     let surfels = Surfels::from_data(&scene.surfels, &device, DType::F32);
     let gaussians = Gaussians::from_data(&scene.gaussians, &device, DType::F32);
 

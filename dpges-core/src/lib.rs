@@ -28,28 +28,17 @@
 #![cfg_attr(feature = "ndarray", expect(deprecated, reason = "burn-ndarray is deprecated upstream and supported here"))]
 #![recursion_limit = "256"]
 
-pub mod atomic;
 #[cfg(feature = "burn")]
-mod batch;
-#[cfg(feature = "burn")]
-pub mod binning;
+pub mod backend;
 pub mod camera;
 #[cfg(feature = "burn")]
-pub mod capacity;
-#[cfg(feature = "burn")]
 pub mod counters;
-#[cfg(feature = "burn")]
-pub mod device;
 pub mod docs;
 pub mod error;
 #[cfg(feature = "burn")]
 pub mod footprint;
 #[cfg(feature = "gpu")]
 mod gpu;
-#[cfg(feature = "burn")]
-mod host;
-#[cfg(feature = "burn")]
-pub mod lists;
 #[cfg(feature = "burn")]
 pub mod losses;
 #[cfg(feature = "burn")]
@@ -59,27 +48,14 @@ pub mod metrics;
 #[cfg(feature = "burn")]
 pub mod ops;
 #[cfg(feature = "burn")]
-pub mod reading;
-#[cfg(feature = "burn")]
-mod real;
-#[cfg(feature = "burn")]
 pub mod render;
 pub mod scene;
-#[cfg(feature = "burn")]
-mod simd;
-#[cfg(feature = "burn")]
-mod tape;
-pub mod tensor_file;
 #[cfg(any(test, feature = "testing"))]
 pub mod testing;
 #[cfg(feature = "burn")]
-pub mod tile_work;
-#[cfg(feature = "burn")]
-mod tiles;
+pub mod tiles;
 
 pub use camera::{Camera, CameraFromWorld};
-#[cfg(feature = "burn")]
-pub use capacity::within_capacity;
 pub use error::{Error, Result};
 #[cfg(feature = "burn")]
 pub use metrics::{mean_ssim, psnr};
@@ -90,3 +66,5 @@ pub use render::{Render, RenderOptions, render};
 #[cfg(feature = "burn")]
 pub use scene::{Colour, Gaussians, Surfels};
 pub use scene::{ColourData, ColourModel, EnvironmentData, GaussianData, SceneData, SceneInfo, SurfelData};
+#[cfg(feature = "burn")]
+pub use tiles::capacity::within_capacity;

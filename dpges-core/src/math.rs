@@ -1,8 +1,8 @@
 //! Three-vectors, matrices and rotations over either element type, and the derivative of a rotation
 //! with respect to its raw quaternion.
 
+use crate::backend::real::Real;
 use crate::camera::{Camera, Lens};
-use crate::real::Real;
 
 pub type V3<T> = [T; 3];
 /// Row-major.

@@ -5,8 +5,8 @@ pub mod pose;
 
 use burn::tensor::{DType, Tensor};
 
+use crate::backend::device::is_gpu;
 use crate::camera::Camera;
-use crate::device::is_gpu;
 use crate::error::{Error, Result};
 use crate::ops::colour::colour;
 use crate::ops::composite::{Composite, CompositeOptions, composite};

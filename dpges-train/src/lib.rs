@@ -26,36 +26,15 @@
 //! | clap, ctrlc, indicatif, tracing, tracing-indicatif, tracing-subscriber | the command line |
 //! | mimalloc | the binary's allocator |
 
-pub mod check;
-pub mod compress;
 pub mod config;
-pub mod corrections;
 pub mod dataset;
 pub mod device;
 pub mod docs;
 pub mod eval;
-pub mod exposure;
 pub mod init;
-pub mod memory;
 pub mod metrics;
-mod names;
-pub mod neighbours;
 pub mod optimizer;
-pub mod pictures;
-pub mod popping;
-pub mod pose;
-pub mod pose_fit;
-pub mod pose_gauge;
-pub mod pose_step;
-mod recent;
 pub mod refine;
-pub mod rendered;
 pub mod run;
-pub mod scene_state;
-pub mod sfm;
-pub mod sharpness;
-pub mod sight;
-pub mod simplify;
-pub mod splat_fit;
 mod stage;
-pub mod step_cost;
+pub mod views;

@@ -1,9 +1,7 @@
 //! CPU and GPU: every operation on the same input, forward and backward, and whole renders.
 
 use burn::tensor::{DType, Device, Tensor};
-use dpges_core::binning::cap_lists;
 use dpges_core::camera::{Camera, CameraFromWorld, Lens};
-use dpges_core::lists::late;
 use dpges_core::ops::blend::{BlendOptions, Form};
 use dpges_core::ops::peel::PeelOptions;
 use dpges_core::ops::unpack::{pack, unpack};
@@ -15,6 +13,8 @@ use dpges_core::testing::kernels::limit_buffers;
 use dpges_core::testing::lenses::{behind, every_model};
 use dpges_core::testing::parity::{Bench, Named, Reference, distances};
 use dpges_core::testing::scenes::{self, Recipe, TestScene};
+use dpges_core::tiles::binning::cap_lists;
+use dpges_core::tiles::lists::defer_readback;
 use dpges_core::{Error, within_capacity};
 use glam::DVec3;
 
@@ -201,7 +201,7 @@ pub fn lists_whose_lengths_nothing_waits_for_change_no_bit(device: Device) {
     for (entries, calls) in [(usize::MAX, 1), (100, 2)] {
         let mut called = 0;
         cap_lists(entries);
-        let found = late(|| {
+        let found = defer_readback(|| {
             called += 1;
             everything(&scene, &device)
         });

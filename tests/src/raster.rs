@@ -10,8 +10,8 @@ use dpges_core::scene::{EnvironmentData, Footprint, MarginLookup, Rendering, Sce
 use dpges_render::{CameraPath, Headless, Precision, RenderOptions};
 use dpges_train::config::Config;
 use dpges_train::dataset::{BuiltinOptions, Dataset, builtin};
-use dpges_train::popping::Frame;
-use dpges_train::rendered::Renderer;
+use dpges_train::eval::popping::Frame;
+use dpges_train::eval::rendered::Renderer;
 use dpges_train::run::Trainer;
 use libtest_mimic::{Failed, Trial};
 

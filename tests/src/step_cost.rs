@@ -3,7 +3,7 @@
 use burn::tensor::Device;
 use dpges_core::counters::transfers::Transfers;
 use dpges_core::testing::scenes::realistic;
-use dpges_train::step_cost::{GpuCost, Rounds, StepStage, Steps, measure};
+use dpges_train::run::step_cost::{GpuCost, Rounds, StepStage, Steps, measure};
 
 /// Of a small scene, measured anew.
 fn cost(stage: StepStage, device: &Device) -> GpuCost {

@@ -3,10 +3,10 @@
 use std::sync::Arc;
 
 use burn::tensor::Device;
-use dpges_core::binning::cap_lists;
 use dpges_core::counters::transfers::transfers;
 use dpges_core::losses::Target;
 use dpges_core::scene::tensors::tensor_to_rows;
+use dpges_core::tiles::binning::cap_lists;
 use dpges_train::config::Config;
 use dpges_train::dataset::{BuiltinOptions, Dataset, builtin};
 use dpges_train::eval::evaluate;

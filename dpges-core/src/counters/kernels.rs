@@ -165,6 +165,6 @@ mod tests {
     #[cfg(any(feature = "ndarray", feature = "flex"))]
     #[test]
     fn a_cpu_has_no_memory_of_its_own() {
-        assert_eq!(watch_memory(&crate::device::cpu(), || 3), (3, None));
+        assert_eq!(watch_memory(&crate::backend::device::cpu(), || 3), (3, None));
     }
 }

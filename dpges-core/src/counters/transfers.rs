@@ -20,7 +20,8 @@ pub struct Transfers {
     pub downloads: u64,
     pub downloaded_bytes: u64,
     /// Reads that the host waited for: everything that was handed to the device before had to be done. The lengths of tile
-    /// lists are none within [`late`](crate::lists::late), which hands over more work before it waits for them.
+    /// lists are none within [`defer_readback`](crate::tiles::lists::defer_readback), which hands over more work
+    /// before it waits for them.
     pub waits: u64,
 }
 

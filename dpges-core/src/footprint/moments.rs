@@ -1,7 +1,7 @@
 //! Moments of a value over the pixels of a primitive, a group of lanes at a time.
 
-use crate::real::Real;
-use crate::simd::LANES;
+use crate::backend::real::Real;
+use crate::backend::simd::LANES;
 
 /// Number of moments up to the first order.
 pub const FIRST_MOMENTS: usize = 3;

@@ -7,8 +7,8 @@ use burn_cubecl::kernel::into_contiguous;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::{BufferArg, CubeCount, CubeDim};
 
-use crate::capacity::exceed;
 use crate::error::Error;
+use crate::tiles::capacity::exceed;
 
 /// Units of a cube, in every kernel.
 pub const UNITS: u32 = 256;

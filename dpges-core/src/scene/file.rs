@@ -22,9 +22,9 @@ use super::data::check_numbers;
 use super::lobes::{LOBE_LEN, pack, unpack};
 use super::schema::{Attribute, Columns, ENVIRONMENT, Width};
 use super::{ColourModel, EnvironmentData, GaussianData, SceneData, SceneInfo, SurfelData};
-use crate::atomic::write_atomically;
 use crate::error::{Error, Result};
-use crate::tensor_file;
+use crate::scene::atomic::write_atomically;
+use crate::scene::container;
 
 const FORMAT: &str = "dpges-scene";
 const VERSION: &str = "2";
@@ -96,7 +96,7 @@ impl SceneData {
             ("info".to_owned(), serde_json::to_string(&self.info).map_err(|error| wrong(error.to_string()))?),
         ]);
         let tensors = self.stored().into_iter().map(|tensor| (tensor.name, tensor));
-        let bytes = tensor_file::serialize(tensors, metadata).map_err(|error| wrong(error.to_string()))?;
+        let bytes = container::serialize(tensors, metadata).map_err(|error| wrong(error.to_string()))?;
         write_atomically(path, |file| file.write_all(&bytes))
     }
 

@@ -1,8 +1,10 @@
 //! A scene: surfels, Gaussians, and what is needed to render them. [`schema`] declares their attributes; [`data`] holds
 //! them in host memory, [`tensors`] on a device, [`mod@file`] on disk, [`compressed`] in fewer bytes.
 
+pub mod atomic;
 mod colour_model;
 pub mod compressed;
+pub mod container;
 pub mod data;
 mod environment;
 pub mod file;

@@ -5,7 +5,7 @@ use burn::tensor::{DType, Device, Shape};
 use burn_cubecl::tensor::CubeTensor;
 
 pub use crate::gpu::launch::limit_buffers;
-use crate::gpu::{pieces, scan, sort};
+use crate::gpu::{scan, sort, work_split};
 
 /// A piece of a rectangle: consecutive pixels, counted line by line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -57,7 +57,7 @@ pub fn sorted(keys: &[u32], bits: u32, device: &Device) -> (Vec<u32>, Vec<u32>) 
 /// # Panics
 /// If `device` is no GPU.
 pub fn pieces_of(rects: &[[u32; 4]], device: &Device) -> (Vec<Piece>, Vec<usize>) {
-    let found = pieces::pieces(&upload(rects.as_flattened(), [rects.len(), 4], device));
+    let found = work_split::split_work(&upload(rects.as_flattened(), [rects.len(), 4], device));
     let starts = download(&found.starts).into_iter().map(|start| start as usize).collect();
     let piece = |row: &[u32]| Piece { owner: row[0] as usize, pixels: [row[4], row[5]].map(|pixel| pixel as usize) };
     (download(&found.pieces).chunks_exact(found.pieces.shape()[1]).map(piece).collect(), starts)

@@ -16,5 +16,5 @@ pub mod scenes;
 /// A CPU device that is switched on, with a tape.
 #[cfg(any(feature = "ndarray", feature = "flex"))]
 pub fn device() -> burn::tensor::Device {
-    crate::device::cpu().autodiff()
+    crate::backend::device::cpu().autodiff()
 }

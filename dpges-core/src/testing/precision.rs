@@ -69,7 +69,7 @@ type Found = Vec<Named>;
 /// Those of rendering, which a scene with finite parameters and a valid camera does not have.
 pub fn deviations(extreme: &Extreme, way: Way, device: &Device) -> Result<Vec<Deviation>> {
     let found = compute(extreme, way, device, DType::F32)?;
-    let exact = compute(extreme, way, &crate::device::cpu(), DType::F64)?;
+    let exact = compute(extreme, way, &crate::backend::device::cpu(), DType::F64)?;
     let compare = |((tensor, found), (_, exact)): (Named, Named)| {
         let non_finite = found.iter().chain(&exact).filter(|value| !value.is_finite()).count();
         let error = match (non_finite, tensor) {
@@ -179,7 +179,7 @@ mod tests {
     fn ordinary_scenes_are_close_and_a_value_that_is_off_is_found() {
         let extreme = extreme_of(Hazard::OneDepth, 3);
         for way in Way::ALL {
-            let found = deviations(&extreme, way, &crate::device::cpu()).unwrap();
+            let found = deviations(&extreme, way, &crate::backend::device::cpu()).unwrap();
             assert!(found.len() >= 6, "{found:?}");
             assert!(found.iter().all(|deviation| deviation.error < 1e-2), "{found:?}");
             assert!(found.iter().any(|deviation| deviation.error > 0.0), "f32 and f64 differ somewhere");

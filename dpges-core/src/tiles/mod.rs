@@ -1,10 +1,14 @@
 //! Parts of an image: square tiles, groups of lanes within a tile, rectangles of pixels, and horizontal bands.
 
 pub(crate) mod bands;
+pub mod binning;
+pub(crate) mod capacity;
 pub(crate) mod layout;
+pub mod lists;
+pub mod work;
 
-use crate::real::Real;
-use crate::simd::LANES;
+use crate::backend::real::Real;
+use crate::backend::simd::LANES;
 
 /// Edge of a square tile, px.
 pub const TILE: usize = 16;

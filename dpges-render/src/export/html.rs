@@ -7,9 +7,9 @@ use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-use dpges_core::atomic::write_atomically;
 use dpges_core::camera::Camera;
 use dpges_core::scene::SceneData;
+use dpges_core::scene::atomic::write_atomically;
 
 use crate::path::CameraPath;
 

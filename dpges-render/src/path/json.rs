@@ -5,8 +5,8 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use dpges_core::atomic::write_atomically;
 use dpges_core::camera::{Camera, CameraFromWorld};
+use dpges_core::scene::atomic::write_atomically;
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 

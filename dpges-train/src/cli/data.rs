@@ -8,9 +8,9 @@ use dpges_core::camera::Camera;
 use dpges_core::scene::{SceneData, SceneInfo};
 use dpges_train::config::{Background, BuiltinLens, Config, DataConfig, DepthMaps, key};
 use dpges_train::dataset::{self, BuiltinOptions, Dataset, View};
-use dpges_train::pose::{RefinedPoses, refine};
 use dpges_train::run::folder::RunFolder;
 use dpges_train::run::metrics_log::MetricsLog;
+use dpges_train::views::pose::{RefinedPoses, refine};
 use glam::{DVec3, Vec3};
 
 use super::{Failure, Result, inspect, sfm};

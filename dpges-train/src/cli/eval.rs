@@ -10,15 +10,15 @@ use dpges_core::scene::SceneData;
 use dpges_render::Headless;
 use dpges_render::frame_times::{FrameTimes, Rounds};
 use dpges_train::dataset::View;
+use dpges_train::device::memory::peak_memory_bytes;
 use dpges_train::device::{DeviceName, DeviceRequest};
+use dpges_train::eval::pictures::{file_stems, save_png};
+use dpges_train::eval::popping::{Popping, arc};
+use dpges_train::eval::rendered::{Renderer, to_picture};
 use dpges_train::eval::{EvalReport, Evaluation, FrameMs, Measures, evaluate_each};
-use dpges_train::memory::peak_memory_bytes;
 use dpges_train::metrics::{METRICS, Metric, Scores};
-use dpges_train::pictures::{file_stems, save_png};
-use dpges_train::popping::{Popping, arc};
-use dpges_train::rendered::{Renderer, to_picture};
+use dpges_train::refine::floaters::Floaters;
 use dpges_train::run::folder::write_json;
-use dpges_train::sight::Floaters;
 
 use super::data::{Scene, ViewArgs, every_nth};
 use super::device_failure::watched;
@@ -27,7 +27,7 @@ use super::lpips::LpipsArgs;
 use super::render::Size;
 use super::worst::{self, WorstView};
 use super::{Result, device_choice, print, table};
-use crate::progress::Seconds;
+use crate::cli::progress::Seconds;
 
 /// At most so many views are timed.
 const TIMED_VIEWS: usize = 16;

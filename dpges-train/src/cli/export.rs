@@ -4,8 +4,8 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use dpges_core::atomic::write_atomically;
 use dpges_core::camera::Camera;
+use dpges_core::scene::atomic::write_atomically;
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{Rendering, SceneData};
 use dpges_render::export::mesh::{DepthView, Fusion, FusionOptions, TriangleMesh, depth_map};
@@ -14,8 +14,8 @@ use dpges_render::export::{ExportError, SplatCloud, UpAxis, flatten, to_glb, to_
 use dpges_train::dataset::{Dataset, Format, View, builtin_geometry};
 use dpges_train::device::{DeviceName, DeviceRequest};
 use dpges_train::eval::evaluate;
-use dpges_train::rendered::Renderer;
-use dpges_train::splat_fit::fit;
+use dpges_train::eval::rendered::Renderer;
+use dpges_train::eval::splat_fit::fit;
 
 use super::data::{Scene, Source, Split, ViewArgs};
 use super::device_failure::watched;

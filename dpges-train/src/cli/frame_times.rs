@@ -6,7 +6,7 @@ use dpges_core::camera::Camera;
 use dpges_core::scene::SceneData;
 use dpges_render::frame_times::{FrameTimes, Rounds, frame_times};
 use dpges_render::{Headless, RenderOptions};
-use dpges_train::rendered::Renderer;
+use dpges_train::eval::rendered::Renderer;
 
 use super::Result;
 

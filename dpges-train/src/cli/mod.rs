@@ -1,32 +1,29 @@
 //! The command line: one module per subcommand.
 
-mod ablate;
 mod bench;
-mod compare;
 mod compress;
 mod config;
-mod data;
-mod device_choice;
-mod device_failure;
+pub mod data;
+pub mod device_choice;
+pub mod device_failure;
 mod devices;
-mod duration;
-mod eval;
+pub mod duration;
+pub mod eval;
 mod export;
 mod export_html;
-mod frame_times;
+pub mod frame_times;
 mod info;
 mod inspect;
-mod letters;
-mod lpips;
+pub mod logging;
+pub mod lpips;
+pub mod progress;
 #[cfg(test)]
 mod reference;
-mod render;
+pub mod render;
 mod rendering_preset;
 mod selftest;
-mod series;
-mod sfm;
-mod trade;
-mod train;
+pub mod sfm;
+pub mod train;
 #[cfg(feature = "viewer")]
 mod view;
 mod worst;
@@ -39,7 +36,8 @@ use clap::{CommandFactory, Parser, Subcommand};
 use dpges_train::config::ConfigError;
 use miette::{Diagnostic, MietteHandlerOpts, Report};
 
-use crate::logging::{self, LogStyle};
+use crate::study::{ablate, compare, trade};
+use logging::LogStyle;
 
 /// Train, measure and look at depth-peeled Gaussian-enhanced surfels.
 #[derive(Debug, Parser)]

@@ -9,8 +9,8 @@ use dpges_core::scene::SceneInfo;
 use dpges_render::viewer::{self, DatasetViews, Opened, Start, ViewerOptions, Views};
 use dpges_train::config::DataConfig;
 use dpges_train::dataset::View;
-use dpges_train::pictures;
-use dpges_train::pose::{RefinedPoses, refine};
+use dpges_train::eval::pictures;
+use dpges_train::views::pose::{RefinedPoses, refine};
 
 use super::Result;
 use super::data::{DataArgs, Scene, Source, in_scene};

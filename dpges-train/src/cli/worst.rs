@@ -8,9 +8,9 @@ use std::path::{Path, PathBuf};
 use dpges_render::Rgb8Image;
 use dpges_train::dataset::View;
 use dpges_train::eval::Evaluation;
+use dpges_train::eval::pictures::{save_png, with_flip};
+use dpges_train::eval::rendered::Renderer;
 use dpges_train::metrics::{METRICS, Metric, Scores};
-use dpges_train::pictures::{save_png, with_flip};
-use dpges_train::rendered::Renderer;
 
 use super::Result;
 

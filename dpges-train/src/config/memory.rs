@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::budget::MEGABYTE;
 use super::declare::value;
-use crate::memory::machine_memory_bytes;
+use crate::device::memory::machine_memory_bytes;
 
 /// Bytes.
 const GIGABYTE: f64 = 1000.0 * MEGABYTE;

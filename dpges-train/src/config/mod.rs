@@ -26,7 +26,7 @@ use std::f64::consts::PI;
 use dpges_core::ops::adam::AdamStep;
 
 use crate::dataset::{DepthKind, LoadOptions};
-use crate::pose_step::PoseStep;
+use crate::views::pose::step::PoseStep;
 
 pub use budget::Budget;
 use budget::{MEGABYTE, primitives_for};

@@ -5,10 +5,11 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
-use super::developing::Developing;
 use super::error::{DatasetError, Result, listing};
-use super::source::{Frame, RawPoints, Source, Split};
-use super::{Dataset, Format, LoadOptions, PointCloud, depth, images, masks, reading};
+use super::formats::source::{Frame, RawPoints, Source, Split};
+use super::image::decoder::ImageDecoder;
+use super::image::{codec, depth, masks, reading};
+use super::{Dataset, Format, LoadOptions, PointCloud};
 
 /// Distance of the cameras from the origin, in extents, beyond which the world is moved there. f32 has 24 bits: at
 /// 100 extents positions are rounded to 100 · 2⁻²⁴ = 6·10⁻⁶ extents, a fraction of a pixel.
@@ -50,8 +51,8 @@ pub(super) fn assemble(root: &Path, mut source: Source, options: &LoadOptions) -
     // photographs to train on come first: they are needed more often
     let frames: Vec<&Frame> =
         [Split::Train, Split::Test].into_iter().flat_map(|split| frames_of(&source, split)).collect();
-    let developing = Arc::new(Developing::new(root.to_owned(), options, background, near, offset));
-    let (mut train, spare_memory) = reading::views(&frames, options.memory, &developing)?;
+    let decoder = Arc::new(ImageDecoder::new(root.to_owned(), options, background, near, offset));
+    let (mut train, spare_memory) = reading::views(&frames, options.memory, &decoder)?;
     let test = train.split_off(train_centres.len());
     Ok(Dataset {
         train,
@@ -106,7 +107,7 @@ fn default_background(source: &Source) -> Result<[f64; 3]> {
         return Ok([0.0; 3]);
     }
     for frame in &source.frames {
-        if images::header(&frame.image)?.has_alpha {
+        if codec::header(&frame.image)?.has_alpha {
             return Ok([1.0; 3]);
         }
     }
@@ -170,7 +171,7 @@ fn warn_of_deep_images(frames: &[Frame]) -> Result<()> {
     let mut deep = Vec::new();
     let is_png = |frame: &&Frame| frame.image.extension().is_some_and(|found| found.eq_ignore_ascii_case("png"));
     for frame in frames.iter().filter(|frame| frame.split != Split::Neither).filter(is_png) {
-        if images::header(&frame.image)?.is_deep {
+        if codec::header(&frame.image)?.is_deep {
             deep.push(frame.image.display());
         }
     }

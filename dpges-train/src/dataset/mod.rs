@@ -2,34 +2,19 @@
 //!
 //! A format reader (`colmap`, `blender`, `nerfstudio`) describes the dataset as a list of frames with lenses and
 //! poses; `assemble` moves geo-referenced worlds to the origin, and `reading` reads the images in parallel, or only their
-//! headers, and then the others when they are needed: `developing` undistorts them if asked to, and makes them smaller.
+//! headers, and then the others when they are needed: `decoder` undistorts them if asked to, and makes them smaller.
 //! Cameras have OpenCV axes (x right, y down, z forward).
 
-mod ahead;
 mod assemble;
-mod blender;
 mod builtin;
-mod calibration;
-mod colmap;
-mod depth;
-mod developing;
+pub mod capture;
+pub mod check;
 mod error;
 #[cfg(test)]
 pub(crate) mod fixtures;
-mod images;
-mod masks;
-mod nerfstudio;
-mod packed;
-mod photograph;
-mod picture;
-mod ply;
-mod reading;
-mod resize;
-mod source;
-mod split;
-mod transforms;
-mod turns;
-mod undistort;
+mod formats;
+pub(crate) mod image;
+pub(crate) mod names;
 
 use std::fmt;
 use std::path::Path;
@@ -40,18 +25,19 @@ use dpges_core::camera::Camera;
 use dpges_core::losses::Target;
 use glam::DVec3;
 
+pub(crate) use self::image::codec::header as image_header;
+pub use self::image::depth::{DepthKind, DepthMap};
+pub use self::image::masks::Masked;
+pub(crate) use self::image::masks::{called_like as mask_called_like, read as read_mask, strangers as strange_masks};
+pub use self::image::packed::PackedPicture;
+pub(crate) use self::image::photograph::{MOST_PREFETCHED, prefetch};
+pub use self::image::photograph::{Photograph, pictures};
+pub use self::image::picture::Picture;
 pub use builtin::{BuiltinOptions, builtin, builtin_geometry};
-pub(crate) use colmap::{ModelContent, model_content};
-pub use depth::{DepthKind, DepthMap};
 pub use error::DatasetError;
-pub(crate) use images::header as image_header;
-pub use masks::Masked;
-pub(crate) use masks::{called_like as mask_called_like, read as read_mask, strangers as strange_masks};
-pub use packed::PackedPicture;
-pub(crate) use photograph::{MOST_AHEAD, read_ahead};
-pub use photograph::{Photograph, pictures};
-pub use picture::Picture;
+pub(crate) use formats::colmap::{ModelContent, model_content};
 
+use self::image::undistort;
 use error::Result;
 
 /// Photographs that are looked at before the first step, at most, to decide what does not need all of them.
@@ -285,9 +271,9 @@ pub fn format(path: &Path) -> Option<Format> {
 /// [`DatasetError`] names the file at fault and the remedy.
 pub fn load(path: &Path, options: &LoadOptions) -> Result<Dataset> {
     let source = match format(path) {
-        Some(Format::Colmap) => colmap::read(path, options)?,
-        Some(Format::Blender) => blender::read(path)?,
-        Some(Format::Nerfstudio) => nerfstudio::read(path, options)?,
+        Some(Format::Colmap) => formats::colmap::read(path, options)?,
+        Some(Format::Blender) => formats::blender::read(path)?,
+        Some(Format::Nerfstudio) => formats::nerfstudio::read(path, options)?,
         Some(Format::Builtin) | None => {
             return Err(DatasetError::UnknownFormat { path: path.to_owned(), found: error::listing(path) });
         }

@@ -11,10 +11,10 @@ use dpges_core::metrics::{mean_ssim, psnr, quantised};
 
 use super::LARGEST_PSNR;
 use crate::dataset::{Picture, View};
-use crate::exposure::Correction;
+use crate::eval::rendered::Renderer;
 use crate::metrics::Fitted;
-use crate::pose_fit::fitted_pose;
-use crate::rendered::Renderer;
+use crate::views::exposure::Correction;
+use crate::views::pose::fit::fitted_pose;
 
 /// How well the right half of `image` shows that of `picture`, both [3, H, W], with the exposure that fits their left halves.
 /// Only pixels that count are in either, of `counted` [H × W] or all of them.

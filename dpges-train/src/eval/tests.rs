@@ -5,8 +5,8 @@ use dpges_core::scene::{
 use super::*;
 use crate::dataset::{BuiltinOptions, builtin};
 use crate::device::DeviceName;
-use crate::exposure::Correction;
 use crate::metrics::lpips::Weights;
+use crate::views::exposure::Correction;
 
 fn nothing(background: [f64; 3]) -> SceneData {
     let info = SceneInfo {

@@ -12,7 +12,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use crate::dataset::PointCloud;
-use crate::exposure::Seen;
+use crate::views::exposure::Seen;
 
 /// Views that a point is checked in: those whose cameras are nearest to its own.
 pub const CHECKED_VIEWS: usize = 24;
@@ -148,7 +148,7 @@ mod tests {
 
     use super::*;
     use crate::dataset::Picture;
-    use crate::exposure::Correction;
+    use crate::views::exposure::Correction;
 
     const SIZE: usize = 40;
     const RULE: FusionRule = FusionRule { tolerance: 0.01, min_views: 3 };

@@ -27,14 +27,14 @@ use silhouette::Silhouettes;
 
 /// The largest size of an initial scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Room {
+pub struct PrimitiveQuota {
     /// Points, each of which becomes a surfel and a Gaussian.
     points: usize,
     /// Gaussians of a scene without surfels.
     gaussians: usize,
 }
 
-impl Room {
+impl PrimitiveQuota {
     /// Rounds down, to at least 1.
     pub fn new(points: f64, gaussians: f64) -> Self {
         Self { points: (points as usize).max(1), gaussians: (gaussians as usize).max(1) }
@@ -63,7 +63,7 @@ pub enum InitError {
     Picture(#[from] dpges_core::Error),
 }
 
-/// The initial scene of a dataset, within the limits of `room`. `init.method` "auto" starts from points if the dataset
+/// The initial scene of a dataset, within the limits of `quota`. `init.method` "auto" starts from points if the dataset
 /// has some, else from silhouettes, else from random Gaussians.
 ///
 /// # Errors
@@ -71,21 +71,21 @@ pub enum InitError {
 pub fn initialise(
     dataset: &Dataset,
     config: &Config,
-    room: Room,
+    quota: PrimitiveQuota,
     rng: &mut ChaCha8Rng,
 ) -> Result<InitialScene, InitError> {
     if dataset.train.is_empty() {
         return Err(InitError::NoViews);
     }
     match config.init.method {
-        InitMethod::Sfm => from_points(dataset, config, room, rng),
-        InitMethod::Silhouette => from_silhouettes(dataset, config, room, rng),
-        InitMethod::Random => Ok(random_gaussians(dataset, config, room, rng)),
+        InitMethod::Sfm => from_points(dataset, config, quota, rng),
+        InitMethod::Silhouette => from_silhouettes(dataset, config, quota, rng),
+        InitMethod::Random => Ok(random_gaussians(dataset, config, quota, rng)),
         InitMethod::Auto => {
-            match from_points(dataset, config, room, rng).or_else(|_| from_silhouettes(dataset, config, room, rng)) {
+            match from_points(dataset, config, quota, rng).or_else(|_| from_silhouettes(dataset, config, quota, rng)) {
                 Err(reason @ (InitError::NoSilhouettes | InitError::EmptyHull)) => {
                     tracing::warn!("no points, and no hull ({reason}): starting from random Gaussians without surfels");
-                    Ok(random_gaussians(dataset, config, room, rng))
+                    Ok(random_gaussians(dataset, config, quota, rng))
                 }
                 result => result,
             }
@@ -96,10 +96,10 @@ pub fn initialise(
 fn from_points(
     dataset: &Dataset,
     config: &Config,
-    room: Room,
+    quota: PrimitiveQuota,
     rng: &mut ChaCha8Rng,
 ) -> Result<InitialScene, InitError> {
-    let points = sfm::usable_points(&dataset.points, config.init.max_points.min(room.points), rng);
+    let points = sfm::usable_points(&dataset.points, config.init.max_points.min(quota.points), rng);
     if points.positions.is_empty() {
         return Err(InitError::NoPoints);
     }
@@ -110,7 +110,7 @@ fn from_points(
 fn from_silhouettes(
     dataset: &Dataset,
     config: &Config,
-    room: Room,
+    quota: PrimitiveQuota,
     rng: &mut ChaCha8Rng,
 ) -> Result<InitialScene, InitError> {
     let silhouettes = Silhouettes::new(&dataset.train).ok_or(InitError::NoSilhouettes)?;
@@ -120,12 +120,12 @@ fn from_silhouettes(
     if points.is_empty() {
         return Err(InitError::EmptyHull);
     }
-    points.thin_out(config.init.max_points.min(room.points), rng);
+    points.thin_out(config.init.max_points.min(quota.points), rng);
     Ok(place(&points, dataset, config, rng))
 }
 
-fn random_gaussians(dataset: &Dataset, config: &Config, room: Room, rng: &mut ChaCha8Rng) -> InitialScene {
-    let count = config.init.random_gaussians.min(room.gaussians);
+fn random_gaussians(dataset: &Dataset, config: &Config, quota: PrimitiveQuota, rng: &mut ChaCha8Rng) -> InitialScene {
+    let count = config.init.random_gaussians.min(quota.gaussians);
     let half_side = config.init.random_half_side;
     let region = if half_side > 0.0 { Region::cube(-dataset.offset, half_side) } else { in_sight(dataset) };
     let points = random::points(region, count, rng);
@@ -207,7 +207,7 @@ mod tests {
         config.init.method = method;
         config.init.hull_resolution = 24;
         config.init.random_gaussians = 300;
-        initialise(dataset, &config, Room::new(1e6, 1e6), &mut ChaCha8Rng::seed_from_u64(4))
+        initialise(dataset, &config, PrimitiveQuota::new(1e6, 1e6), &mut ChaCha8Rng::seed_from_u64(4))
     }
 
     #[test]
@@ -228,8 +228,8 @@ mod tests {
         moved.offset = DVec3::new(1.0, -2.0, 0.5);
         let mut config = Config::default();
         (config.init.method, config.init.random_half_side) = (InitMethod::Random, 1.3);
-        let room = Room::new(1e6, 5000.0);
-        let scene = initialise(&moved, &config, room, &mut ChaCha8Rng::seed_from_u64(4)).unwrap();
+        let quota = PrimitiveQuota::new(1e6, 5000.0);
+        let scene = initialise(&moved, &config, quota, &mut ChaCha8Rng::seed_from_u64(4)).unwrap();
         assert_eq!((scene.surfels.len(), scene.gaussians.len()), (0, 5000));
         assert_eq!(scene.surfels.colour.model, scene.gaussians.colour.model);
         for (axis, offset) in moved.offset.to_array().into_iter().enumerate() {
@@ -260,8 +260,8 @@ mod tests {
         let cloud = (0..200).map(|i| [(i as f32).sin(), (i as f32 * 1.7).cos(), i as f32 * 0.01]).collect();
         let dataset = dataset(6, false, cloud);
         let config = Config::default();
-        let room = Room::new(30.0, 60.0);
-        let start = |seed| initialise(&dataset, &config, room, &mut ChaCha8Rng::seed_from_u64(seed)).unwrap();
+        let quota = PrimitiveQuota::new(30.0, 60.0);
+        let start = |seed| initialise(&dataset, &config, quota, &mut ChaCha8Rng::seed_from_u64(seed)).unwrap();
         assert_eq!(start(1), start(1));
         assert_ne!(start(1), start(2));
         assert_eq!((start(1).surfels.len(), start(1).gaussians.len()), (30, 30));

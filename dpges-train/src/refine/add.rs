@@ -7,7 +7,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use super::normal;
-use crate::neighbours::spacing;
+use crate::refine::neighbours::spacing;
 
 /// Scale of a new Gaussian relative to the root mean square distance to the 3 nearest of its batch (GES).
 const SCALE: f32 = 0.5;

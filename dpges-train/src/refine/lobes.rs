@@ -8,7 +8,7 @@ use dpges_core::scene::lobes::{ABSENT_LOBE, LOBE_LEN, is_absent};
 use dpges_core::scene::{ColourData, ColourModel, SH_C0};
 use rayon::prelude::*;
 
-use crate::neighbours::as_points;
+use crate::refine::neighbours::as_points;
 
 /// Of the softplus of a lobe's colour (DBS): a raw value of 0 means 0.1.
 const SHARPNESS: f64 = 10.0 * LN_2;

@@ -1,7 +1,7 @@
 //! The depth margin ε of every surfel: Gaussians this far behind it still contribute (GES, DP-GES).
 
 use crate::config::Margin;
-use crate::neighbours::{as_points, nearest};
+use crate::refine::neighbours::{as_points, nearest};
 
 /// Number of neighbouring surfels whose margins are used.
 pub const NEIGHBOURS: usize = 16;

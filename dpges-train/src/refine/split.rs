@@ -6,7 +6,7 @@ use rand_chacha::ChaCha8Rng;
 use super::children::children;
 use super::margins::NEIGHBOURS;
 use super::{GaussianEdit, RowEdit};
-use crate::neighbours::{as_points, nearest_to};
+use crate::refine::neighbours::{as_points, nearest_to};
 
 /// Splits Gaussians whose mean scale exceeds `factor` × the mean of `margins` `[N]` (world units)
 /// over the 16 surfels of `surfel_positions` [N × 3] nearest to them. The parent is

@@ -3,9 +3,8 @@
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 
-use dpges_core::atomic::write_atomically;
-use dpges_core::scene::SceneInfo;
-use dpges_core::tensor_file;
+use dpges_core::scene::atomic::write_atomically;
+use dpges_core::scene::{SceneInfo, container};
 use rand_chacha::ChaCha8Rng;
 use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors};
@@ -111,7 +110,7 @@ impl Checkpoint {
             [("format", FORMAT), ("version", VERSION), ("progress", state.as_str())]
                 .map(|(key, value)| (key.to_owned(), value.to_owned())),
         );
-        let file = tensor_file::serialize(views, metadata).expect("names are unique");
+        let file = container::serialize(views, metadata).expect("names are unique");
         Ok(write_atomically(path, |out| std::io::Write::write_all(out, &file))?)
     }
 

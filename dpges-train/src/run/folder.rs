@@ -24,11 +24,11 @@ use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 use dpges_core::Error;
-use dpges_core::atomic::write_atomically;
+use dpges_core::scene::atomic::write_atomically;
 use serde::{Deserialize, Serialize};
 
 use crate::config::{Config, StageKind};
-use crate::pose::RefinedPoses;
+use crate::views::pose::RefinedPoses;
 
 const FILES: [&str; 25] = [
     "config.toml",

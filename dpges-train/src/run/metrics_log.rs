@@ -12,7 +12,7 @@ use std::fs::{File, OpenOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use dpges_core::atomic::write_atomically;
+use dpges_core::scene::atomic::write_atomically;
 use dpges_core::{Error, Result};
 use serde_json::{Value, json};
 

@@ -39,6 +39,7 @@ mod observer;
 #[cfg(test)]
 mod peak_tests;
 mod record;
+pub mod step_cost;
 #[cfg(test)]
 mod streamed_tests;
 #[cfg(test)]
@@ -55,8 +56,8 @@ use dpges_core::scene::SceneData;
 
 use crate::config::Config;
 use crate::dataset::Dataset;
+use crate::device::memory::PeakMemory;
 use crate::eval::Evaluation;
-use crate::memory::PeakMemory;
 pub use crate::stage::{StepReport, TrainError, budget};
 use checkpoint::Checkpoint;
 pub use error::RunError;

@@ -3,8 +3,8 @@
 use std::io::Write;
 use std::path::Path;
 
-use dpges_core::atomic::write_atomically;
 use dpges_core::scene::SceneData;
+use dpges_core::scene::atomic::write_atomically;
 use dpges_core::{Error, Result};
 
 use super::StepReport;
@@ -12,10 +12,10 @@ use super::checkpoint::{Checkpoint, CheckpointError};
 use super::folder::{Origin, RunFolder, RunFolderError, write_json};
 use super::metrics_log::MetricsLog;
 use crate::config::Config;
-use crate::corrections::ViewCorrections;
+use crate::device::memory::PeakMemory;
 use crate::eval::{EvalReport, Evaluation};
-use crate::memory::PeakMemory;
-use crate::sight::Floaters;
+use crate::refine::floaters::Floaters;
+use crate::views::corrections::ViewCorrections;
 
 /// Steps between lines of `metrics.jsonl`.
 const METRICS_EVERY: usize = 10;

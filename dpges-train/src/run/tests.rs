@@ -9,7 +9,7 @@ use super::folder::RunFolderError;
 use super::*;
 use crate::config::StagePlan;
 use crate::eval::{EvalReport, evaluate};
-use crate::exposure::Correction;
+use crate::views::exposure::Correction;
 
 /// Two stages, evaluations and a checkpoint on the way.
 const SHORT: [&str; 6] = [
@@ -223,7 +223,7 @@ fn refined_poses_are_in_the_folder() {
     let found = folder.read_poses().unwrap().unwrap();
     assert_eq!(found.keys().collect::<Vec<_>>(), ["train_000", "train_001", "train_002"]);
     let mut views = dataset().train.clone();
-    crate::pose::refine(&mut views, &found);
+    crate::views::pose::refine(&mut views, &found);
     for ((view, now), recorded) in views.iter().zip(&run.trainer().dataset().train).zip(&dataset().train) {
         let [found, now, recorded] = [view, now, recorded].map(|view| view.camera.camera_from_world);
         assert!((found.centre() - now.centre()).length() < 1e-12 && now != recorded);

@@ -6,7 +6,7 @@ mod tests;
 use std::sync::Arc;
 
 use burn::tensor::Device;
-use dpges_core::device::is_gpu;
+use dpges_core::backend::device::is_gpu;
 use dpges_core::scene::SceneData;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -14,13 +14,14 @@ use rand_chacha::ChaCha8Rng;
 use super::checkpoint::{Checkpoint, RunState};
 use super::validation::Validation;
 use crate::config::{Config, StagePlan};
-use crate::corrections::ViewCorrections;
 use crate::dataset::Dataset;
-use crate::pose::{PoseChanges, RefinedPoses};
 use crate::stage::{
-    self, Context, DevicePhotographs, ExposureState, PendingStep, PoseState, Settled, Stage, StageCheckpoint,
-    StepReport, TrainError, Trained, begin_step,
+    self, Context, DevicePhotographs, PendingStep, Settled, Stage, StageCheckpoint, StepReport, TrainError, Trained,
+    begin_step,
 };
+use crate::views::corrections::ViewCorrections;
+use crate::views::exposure::ExposureState;
+use crate::views::pose::{PoseChanges, PoseState, RefinedPoses};
 
 /// A scene that learns a dataset, and where in the plan of its stages it stands.
 pub struct Trainer {
@@ -39,7 +40,7 @@ impl Trainer {
     /// A run before its first step.
     ///
     /// # Errors
-    /// [`TrainError::Init`] if the dataset has nothing to begin with, [`TrainError::Given`] if a file that the
+    /// [`TrainError::Init`] if the dataset has nothing to begin with, [`TrainError::Pretrained`] if a file that the
     /// configuration names cannot take the place of a stage, [`TrainError::Plan`] if the plan lacks something else.
     pub fn new(config: Config, dataset: Arc<Dataset>, device: Device) -> Result<Self, TrainError> {
         let plan = config.plan();
@@ -57,7 +58,7 @@ impl Trainer {
     /// asks before it begins with any.
     ///
     /// # Errors
-    /// [`TrainError::Given`], [`TrainError::Plan`].
+    /// [`TrainError::Pretrained`], [`TrainError::Plan`].
     pub fn check(config: &Config, dataset: &Arc<Dataset>, device: &Device) -> Result<(), TrainError> {
         Self::context(config.clone(), Arc::clone(dataset), device.clone()).check_plan(&config.plan())
     }

@@ -11,8 +11,8 @@ use super::sampling_limit::SamplingLimit;
 use super::{Context, EnvironmentState, TrainError};
 use crate::config::{Blended, OpacityActivation, StagePlan};
 use crate::optimizer::ParameterRows;
+use crate::optimizer::scene_state::{GaussianState, NamedRows, SurfelState};
 use crate::refine::growth::Growth;
-use crate::scene_state::{GaussianState, NamedRows, SurfelState};
 
 const MAX_CONTRIBUTIONS: &str = "max_contributions";
 const ERRORS: &str = "errors";

@@ -9,8 +9,11 @@ use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
 use crate::config::{Budget, Config, StagePlan};
-use crate::dataset::{Dataset, MOST_AHEAD, read_ahead};
-use crate::stage::{DepthMaps, DevicePhotographs, ExposureState, PoseState, Stage};
+use crate::dataset::{Dataset, MOST_PREFETCHED, prefetch};
+use crate::stage::{DevicePhotographs, Stage};
+use crate::views::depth::DepthMaps;
+use crate::views::exposure::ExposureState;
+use crate::views::pose::PoseState;
 
 /// What all stages of a run share.
 pub struct Context {
@@ -54,15 +57,15 @@ impl Context {
 
     /// Begins to read the photographs in the background that the next steps of `stage` need, if they are neither in memory nor
     /// on a GPU. Beyond the end of a pass that is a guess: other random numbers may be drawn before the next one begins.
-    pub fn read_ahead(&self, stage: &dyn Stage) {
-        let mut next: Vec<u32> = self.remaining_views.iter().rev().take(MOST_AHEAD).copied().collect();
-        if next.len() < MOST_AHEAD {
+    pub fn prefetch(&self, stage: &dyn Stage) {
+        let mut next: Vec<u32> = self.remaining_views.iter().rev().take(MOST_PREFETCHED).copied().collect();
+        if next.len() < MOST_PREFETCHED {
             let following = pass(self.dataset.train.len(), &mut self.rng.clone());
-            next.extend(following.iter().rev().take(MOST_AHEAD - next.len()));
+            next.extend(following.iter().rev().take(MOST_PREFETCHED - next.len()));
         }
         let next = next.iter().map(|&view| view as usize);
         let needed = next.filter(|&view| stage.looks_at_pictures() || !self.has_on_device(view));
-        read_ahead(needed.map(|view| &self.dataset.train[view].photograph));
+        prefetch(needed.map(|view| &self.dataset.train[view].photograph));
     }
 
     /// Begins a new pass. A stage does so at its start, since its schedule counts passes from there.

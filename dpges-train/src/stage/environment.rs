@@ -8,7 +8,7 @@ use dpges_core::scene::schema::{Attribute, ENVIRONMENT};
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{EnvironmentData, SH_C0, SceneData};
 
-use super::given::{GAUSSIANS_FROM, SURFELS_FROM};
+use super::pretrained::{GAUSSIANS_FROM, SURFELS_FROM};
 use super::{Context, TrainError};
 use crate::config::{Background, Environment};
 use crate::dataset::{Dataset, Format};
@@ -85,7 +85,7 @@ impl Context {
     /// where there is none.
     ///
     /// # Errors
-    /// [`TrainError::Given`] if such a file is of no use, [`TrainError::Core`] if a photograph cannot be read again.
+    /// [`TrainError::Pretrained`] if such a file is of no use, [`TrainError::Core`] if a photograph cannot be read again.
     pub fn start_of_environment(&self) -> Result<Option<EnvironmentData>, TrainError> {
         let wanted = self.config.model.environment;
         if wanted == Environment::None {
@@ -97,7 +97,7 @@ impl Context {
             return Ok(None);
         }
         for key in [GAUSSIANS_FROM, SURFELS_FROM] {
-            let Some(SceneData { info, environment: Some(mut found), .. }) = self.given(key)? else { continue };
+            let Some(SceneData { info, environment: Some(mut found), .. }) = self.pretrained(key)? else { continue };
             if wanted == Environment::Auto || EnvironmentData::degree_of(found.len()) == wanted.degree() {
                 self.add(&mut found, info.background);
                 return Ok(Some(found));
@@ -153,10 +153,12 @@ mod tests {
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
 
-    use super::super::{DevicePhotographs, ExposureState, PoseState};
+    use super::super::DevicePhotographs;
     use super::*;
     use crate::init::sky::tests::{BLUE, ring, tower};
     use crate::run::fixtures::{config, device};
+    use crate::views::exposure::ExposureState;
+    use crate::views::pose::PoseState;
 
     fn start(dataset: Dataset, set: &[&str]) -> Option<EnvironmentData> {
         let (config, device) = (config(set), device());

@@ -12,7 +12,7 @@ pub enum TrainError {
     Init(#[from] InitError),
     /// A file that the configuration names cannot take the place of a stage.
     #[error("`{key}`: {path} cannot be used: {reason}")]
-    Given { key: &'static str, path: PathBuf, reason: String },
+    Pretrained { key: &'static str, path: PathBuf, reason: String },
     /// The stages, or what decides on them, lack something.
     #[error("{0}")]
     Plan(String),

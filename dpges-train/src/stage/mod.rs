@@ -6,16 +6,13 @@
 mod blended;
 mod checkpoint;
 mod context;
-mod depth;
 mod environment;
 mod error;
-mod exposure;
-mod given;
 mod joint;
 mod parameters;
 mod pending;
 mod photographs;
-mod poses;
+mod pretrained;
 mod report;
 mod sampling_limit;
 mod step;
@@ -29,15 +26,12 @@ use crate::config::{Config, StageKind, StagePlan};
 use blended::BlendedStage;
 pub use checkpoint::StageCheckpoint;
 pub use context::{Context, budget};
-pub use depth::DepthMaps;
 pub use environment::EnvironmentState;
 pub use error::TrainError;
-pub use exposure::ExposureState;
 use joint::{JointStage, Statistics};
 pub use parameters::{Leaves, Parameters, StepRates};
 pub use pending::{PendingStep, Settled};
 pub use photographs::DevicePhotographs;
-pub use poses::PoseState;
 pub use report::StepReport;
 pub use step::{StepInput, begin_step};
 
@@ -123,7 +117,7 @@ pub struct Trained {
 /// the dataset. The joint stage takes `trained` with it.
 ///
 /// # Errors
-/// [`TrainError::Init`] if the dataset has nothing to begin with, [`TrainError::Given`] if a file is of no use,
+/// [`TrainError::Init`] if the dataset has nothing to begin with, [`TrainError::Pretrained`] if a file is of no use,
 /// [`TrainError::Plan`] if there is nothing to train.
 pub fn begin(plan: StagePlan, trained: &mut Trained, context: &mut Context) -> Result<Box<dyn Stage>, TrainError> {
     Ok(match plan.kind {

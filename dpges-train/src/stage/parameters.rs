@@ -6,7 +6,7 @@ use dpges_core::scene::schema::Attribute;
 use dpges_core::scene::{Gaussians, Surfels};
 
 use super::environment::{EnvironmentGradient, EnvironmentState};
-use crate::scene_state::{self, GaussianState, GradientList, Rates, SurfelState};
+use crate::optimizer::scene_state::{self, GaussianState, GradientList, Rates, SurfelState};
 
 /// What a stage trains.
 pub struct Parameters<'a> {

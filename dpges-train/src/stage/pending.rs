@@ -1,11 +1,11 @@
 //! A step that has been handed to the device and whose numbers are not known yet.
 
 use burn::tensor::{Tensor, TensorData};
+use dpges_core::backend::readback::{Readback, begin_readback};
 use dpges_core::counters::transfers::{download, wait};
 use dpges_core::losses::Losses;
 use dpges_core::ops::finite::{FiniteChecks, FiniteResults, Gate};
 use dpges_core::ops::join::join;
-use dpges_core::reading::{Reading, begin_reading};
 
 use super::{StepReport, TrainError};
 
@@ -15,7 +15,7 @@ pub struct PendingStep {
     report: StepReport,
     view_name: String,
     checks: FiniteResults,
-    numbers: Reading<Result<TensorData, String>>,
+    numbers: Readback<Result<TensorData, String>>,
 }
 
 /// What is known of a step that the device has done.
@@ -64,7 +64,7 @@ impl PendingStep {
         let mut numbers: Vec<Tensor<1>> = numbers.into();
         numbers.push(gate.gate.bad.clone());
         numbers.extend(pose_gradient.map(|gradient| gradient.reshape([6])));
-        Self { report, view_name, checks: gate.checks.clone(), numbers: begin_reading(join(&numbers)) }
+        Self { report, view_name, checks: gate.checks.clone(), numbers: begin_readback(join(&numbers)) }
     }
 
     /// Waits for the numbers.

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use burn::tensor::Device;
-use dpges_core::device::is_gpu;
+use dpges_core::backend::device::is_gpu;
 use dpges_core::losses::Target;
 
 use super::Context;

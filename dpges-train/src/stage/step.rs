@@ -1,20 +1,20 @@
 //! One step of any stage: render, compare, go back, optimise.
 
 use burn::tensor::Tensor;
-use dpges_core::lists;
 use dpges_core::losses::{Losses, Target};
 use dpges_core::ops::environment::environment;
 use dpges_core::render::Values;
 use dpges_core::render::pose::PoseProbe;
+use dpges_core::tiles::lists;
 use dpges_core::within_capacity;
 
-use super::depth::DepthTarget;
-use super::exposure::{ExposureGradient, photographed};
 use super::parameters::ParameterGradients;
 use super::pending::{PendingStep, StepGate};
-use super::poses::POSES;
 use super::{Context, Observed, Stage, StepReport, TrainError};
 use crate::dataset::View;
+use crate::views::depth::DepthTarget;
+use crate::views::exposure::state::{ExposureGradient, photographed};
+use crate::views::pose::state::POSES;
 
 /// What a step learns from.
 #[derive(Clone)]
@@ -110,14 +110,14 @@ pub fn begin_step(
     let parameters = stage.parameters();
     (report.surfels, report.gaussians) = (parameters.surfels.len(), parameters.gaussians.len());
     let target = context.target(report.view)?;
-    context.read_ahead(stage);
+    context.prefetch(stage);
     // After the first step they stay finite, since a step with a gradient that is not finite is held back
     let values = if completed == 0 { Values::Unknown } else { Values::KnownFinite };
     let depth = context.depth_target(report.view, &context.tape());
     let given = StepInput { completed, index: report.view, view, target, values, depth, exposure: None, pose: None };
     let at = |source| TrainError::Step { step: report.step, view: view.name.clone(), source };
     // twice if a list had no room: a pass changes nothing
-    let pass = lists::late(|| Pass::new(stage, context, &given)).map_err(at)?;
+    let pass = lists::defer_readback(|| Pass::new(stage, context, &given)).map_err(at)?;
     let Pass { losses, of_parameters, of_exposure, of_pose, observed, gate } = pass;
 
     let pending = PendingStep::new(report, view.name.clone(), losses, of_pose, &gate);

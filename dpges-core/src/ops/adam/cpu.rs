@@ -6,9 +6,9 @@ use burn::tensor::TensorData;
 use rayon::prelude::*;
 
 use super::{AdamOps, AdamOutput, AdamStep};
-use crate::host::{self, Host, for_each_cpu_backend, with_real};
-use crate::real::Real;
-use crate::simd::vectorised;
+use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::backend::real::Real;
+use crate::backend::simd::vectorised;
 
 const CHUNK: usize = 1 << 14;
 

@@ -8,8 +8,8 @@ use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::{Autodiff, AutodiffBackend, Backend};
 
 use super::{BlendBackwardOps, BlendInput, BlendLists, BlendOps, BlendOptions, BlendOutput};
+use crate::backend::tape::pass_back;
 use crate::camera::Camera;
-use crate::tape::pass_back;
 
 #[derive(Clone, Debug)]
 struct BlendState<B: Backend> {

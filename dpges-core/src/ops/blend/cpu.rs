@@ -22,12 +22,11 @@ use super::{
     ALL_PLANES, ALPHA_PLANE, BlendBackwardOps, BlendInput, BlendLists, BlendOps, BlendOptions, BlendOutput,
     COLOUR_PLANES, DEPTH_PLANE, DISTORTION_PLANE, Form, NORMAL_PLANE,
 };
+use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::backend::real::Real;
+use crate::backend::simd::{LANES, vectorised};
 use crate::camera::Camera;
-use crate::footprint::gaussians::{GaussianRows, GaussianTensors};
-use crate::host::{self, Host, for_each_cpu_backend, with_real};
-use crate::real::Real;
-use crate::simd::LANES;
-use crate::simd::vectorised;
+use crate::footprint::gaussian::tensors::{GaussianRows, GaussianTensors};
 use crate::tiles::TILE_PIXELS;
 use crate::tiles::layout::to_planes;
 

@@ -14,16 +14,16 @@ use cubecl::prelude::*;
 use self::fragments::{FEATURES, Fragment, Fragments, Payload, fragment, on_ellipse};
 use self::gather::{Layout, gather};
 use super::{BlendBackwardOps, BlendInput, BlendLists, BlendOps, BlendOptions, BlendOutput, Form, far};
-use crate::binning::cube::TileList;
 use crate::camera::Camera;
-use crate::footprint::regions_cube::{WORDS, list_regions, mark_regions};
-use crate::footprint::splat_cube::{SPLAT, Splat};
+use crate::footprint::gaussian::cube::regions::{WORDS, list_regions, mark_regions};
+use crate::footprint::gaussian::cube::{SPLAT, Splat};
 use crate::gpu::gather::zeros;
 use crate::gpu::launch::{LANES, UNITS, buffer, cube_dim, cubes, empty_f32, floats};
 use crate::gpu::record::Record;
 use crate::gpu::tile::{REGIONS, own_pixel, plane_of};
 use crate::gpu::view::CameraUniforms;
 use crate::tiles::TileGrid;
+use crate::tiles::binning::cube::TileList;
 
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]

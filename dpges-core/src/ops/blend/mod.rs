@@ -47,11 +47,11 @@ use burn::backend::{Backend, Dispatch, ExtensionType, backend_extension};
 use burn::tensor::Tensor;
 
 use crate::camera::Camera;
-use crate::capacity::within_capacity;
 use crate::error::{Error, Result};
-use crate::footprint::gaussians::GaussianTensors;
+use crate::footprint::gaussian::tensors::GaussianTensors;
 use crate::scene::tensors::check_shape;
 use crate::scene::{Gaussians, ScreenFilter};
+use crate::tiles::capacity::within_capacity;
 
 /// Red, green, blue, alpha.
 pub const COLOUR_PLANES: usize = 4;

@@ -10,7 +10,7 @@ use glam::{DMat3, DVec3};
 use self::brute_force::{Pixel, Primitive, Shape, centre_of, pixel};
 use super::{ALPHA_PLANE, Blend, BlendOptions, DEPTH_PLANE, DISTORTION_PLANE, Form, NORMAL_PLANE, blend};
 use crate::camera::{Camera, CameraFromWorld, Distortion, Lens, Projection};
-use crate::footprint::splat::Parameters;
+use crate::footprint::gaussian::cpu::Parameters;
 use crate::scene::{Colour, ColourModel, Gaussians, ScreenFilter};
 use crate::testing::compare::relative_l2;
 use crate::testing::device;

@@ -8,8 +8,8 @@ use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::tensor::FloatTensor;
 
 use super::{ColourBackwardOps, ColourOps};
+use crate::backend::tape::pass_back;
 use crate::scene::ColourModel;
-use crate::tape::pass_back;
 
 #[derive(Clone, Debug)]
 struct ColourState<F: Clone> {

@@ -7,9 +7,9 @@ use burn::backend::tensor::FloatTensor;
 use rayon::prelude::*;
 
 use super::{ColourBackwardOps, ColourOps};
-use crate::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::backend::real::Real;
 use crate::math::{add, row};
-use crate::real::Real;
 use crate::scene::{ColourModel, SH_C0};
 
 const MIN_ROWS: usize = 512;

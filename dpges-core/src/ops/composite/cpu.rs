@@ -8,10 +8,10 @@ use super::{
     CompositeBackwardOps, CompositeGradients, CompositeInput, CompositeOps, CompositeOptions, CompositeOutput,
     OutputGradients, Reached,
 };
-use crate::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::backend::real::Real;
 use crate::math::{V3, add, dot, row, scale};
 use crate::ops::peel::MAX_LAYERS;
-use crate::real::Real;
 use crate::tiles::bands::{BAND_COUNT, Bands};
 
 struct Inputs<'a, T: Real> {

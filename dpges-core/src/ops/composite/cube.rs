@@ -11,11 +11,11 @@ use super::{
     CompositeBackwardOps, CompositeGradients, CompositeInput, CompositeOps, CompositeOptions, CompositeOutput,
     OutputGradients, Reached,
 };
-use crate::binning::boxes::visible_pieces;
 use crate::gpu::gather::zeros;
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, floats, integers, units};
-use crate::gpu::pieces::{Piece, WORKERS, cube_has_pieces, store_gathered};
 use crate::gpu::vector::{Vec3, add, dot, row3, scale, vec3};
+use crate::gpu::work_split::{Piece, WORKERS, cube_has_pieces, store_gathered};
+use crate::tiles::binning::boxes::visible_pieces;
 
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]

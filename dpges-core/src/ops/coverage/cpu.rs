@@ -4,7 +4,7 @@ use burn::backend::TensorMetadata;
 use burn::backend::tensor::IntTensor;
 
 use super::CoverageOps;
-use crate::host::{self, Host, for_each_cpu_backend};
+use crate::backend::host::{self, Host, for_each_cpu_backend};
 
 fn coverage_on<B: Host>(ids: &IntTensor<B>, count: usize) -> IntTensor<B> {
     let [_, height, width] = ids.shape().dims();

@@ -9,7 +9,7 @@ use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::tensor::FloatTensor;
 
 use super::{EnvironmentBackwardOps, EnvironmentOps, PixelRays};
-use crate::tape::pass_back;
+use crate::backend::tape::pass_back;
 
 #[derive(Clone, Debug)]
 struct EnvironmentState {

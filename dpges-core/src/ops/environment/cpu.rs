@@ -5,13 +5,13 @@ use burn::backend::tensor::FloatTensor;
 use rayon::prelude::*;
 
 use super::{EnvironmentBackwardOps, EnvironmentOps, PixelRays};
+use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::backend::real::Real;
+use crate::backend::simd::{LANES, vectorised};
 use crate::footprint::rays::{self, Rays};
-use crate::host::{self, Host, for_each_cpu_backend, with_real};
 use crate::math::{CameraOf, M3, V3, apply, apply_transposed, dot, scale};
 use crate::ops::colour::cpu::model::harmonics;
-use crate::real::Real;
 use crate::scene::{EnvironmentData, SH_C0};
-use crate::simd::{LANES, vectorised};
 use crate::tiles::bands::{BAND_COUNT, Bands};
 
 /// Y0 … Y15.

@@ -5,11 +5,16 @@ use burn::backend::tensor::IntTensor;
 use burn::backend::{Autodiff, AutodiffBackend};
 
 use super::{FiniteOps, GateOutput};
-use crate::batch::Batch;
+use crate::backend::tensor_list::TensorList;
 
 impl<B: FiniteOps, S: CheckpointStrategy> FiniteOps for Autodiff<B, S> {
-    fn first_non_finite(batch: Batch<Self>, count: usize, positions: IntTensor<Self>, first: usize) -> IntTensor<Self> {
-        B::first_non_finite(batch.inner(), count, positions, first)
+    fn first_non_finite(
+        list: TensorList<Self>,
+        count: usize,
+        positions: IntTensor<Self>,
+        first: usize,
+    ) -> IntTensor<Self> {
+        B::first_non_finite(list.inner(), count, positions, first)
     }
 
     fn gate(positions: IntTensor<Self>) -> GateOutput<Self> {

@@ -5,9 +5,9 @@ use burn::backend::tensor::IntTensor;
 use rayon::prelude::*;
 
 use super::{FiniteOps, GateOutput};
-use crate::batch::Batch;
-use crate::host::{self, Host, for_each_cpu_backend, with_real};
-use crate::real::Real;
+use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::backend::real::Real;
+use crate::backend::tensor_list::TensorList;
 
 const CHUNK: usize = 1 << 14;
 
@@ -20,9 +20,14 @@ fn first_non_finite<T: Real>(values: &[T]) -> i32 {
     chunk.and_then(within).map_or(-1, |at| i32::try_from(at).unwrap_or(i32::MAX))
 }
 
-fn first_non_finite_on<B: Host>(batch: Batch<B>, count: usize, positions: &IntTensor<B>, first: usize) -> IntTensor<B> {
+fn first_non_finite_on<B: Host>(
+    list: TensorList<B>,
+    count: usize,
+    positions: &IntTensor<B>,
+    first: usize,
+) -> IntTensor<B> {
     let mut found = host::ints::<B>(positions).into_owned();
-    for (tensor, found) in batch.into_tensors().iter().take(count).zip(&mut found[first..]) {
+    for (tensor, found) in list.into_tensors().iter().take(count).zip(&mut found[first..]) {
         *found = with_real!(tensor.dtype(), T => first_non_finite(&host::floats::<B, T>(tensor)));
     }
     let shape = [found.len()];
@@ -40,12 +45,12 @@ macro_rules! implement {
     ($backend:ty) => {
         impl FiniteOps for $backend {
             fn first_non_finite(
-                batch: Batch<Self>,
+                list: TensorList<Self>,
                 count: usize,
                 positions: IntTensor<Self>,
                 first: usize,
             ) -> IntTensor<Self> {
-                first_non_finite_on::<Self>(batch, count, &positions, first)
+                first_non_finite_on::<Self>(list, count, &positions, first)
             }
 
             fn gate(positions: IntTensor<Self>) -> GateOutput<Self> {

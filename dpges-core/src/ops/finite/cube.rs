@@ -1,4 +1,4 @@
-//! GPU kernels: one unit per place in all tensors of a batch. It tests bits, because WGSL implementations may ignore NaN.
+//! GPU kernels: one unit per place in all tensors of a list. It tests bits, because WGSL implementations may ignore NaN.
 
 use burn::backend::TensorMetadata;
 use burn::backend::tensor::IntTensor;
@@ -6,10 +6,10 @@ use burn_cubecl::CubeBackend;
 use cubecl::prelude::*;
 
 use super::{FiniteOps, GateOutput};
-use crate::batch::{BATCH, Batch};
+use crate::backend::tensor_list::{LIST_LENGTH, TensorList};
 use crate::gpu::launch::{buffer, cube_dim, cubes, empty_f32, floats, units};
 
-/// Numbers in each tensor of a batch.
+/// Numbers in each tensor of a list.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 struct Counts {
@@ -68,10 +68,15 @@ fn gate_kernel(positions: &[i32], open: &mut [f32], bad: &mut [f32], count: u32)
 }
 
 impl FiniteOps for CubeBackend {
-    fn first_non_finite(batch: Batch<Self>, count: usize, positions: IntTensor<Self>, first: usize) -> IntTensor<Self> {
-        let tensors = batch.into_tensors().map(floats);
+    fn first_non_finite(
+        list: TensorList<Self>,
+        count: usize,
+        positions: IntTensor<Self>,
+        first: usize,
+    ) -> IntTensor<Self> {
+        let tensors = list.into_tensors().map(floats);
         let positions = if positions.can_mut() { positions } else { positions.copy() };
-        let numbers: [usize; BATCH] =
+        let numbers: [usize; LIST_LENGTH] =
             std::array::from_fn(|at| if at < count { tensors[at].shape().num_elements() } else { 0 });
         let [a, b, c, d, e, f] = numbers.map(|count| count as u32);
         let client = positions.client.clone();

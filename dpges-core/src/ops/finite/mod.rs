@@ -14,7 +14,7 @@ use burn::backend::tensor::{FloatTensor, IntTensor};
 use burn::backend::{Backend, Dispatch, ExtensionType, backend_extension};
 use burn::tensor::{DType, Device, Int, Tensor};
 
-use crate::batch::{BATCH, Batch};
+use crate::backend::tensor_list::{LIST_LENGTH, TensorList};
 use crate::counters::transfers::{download, wait};
 use crate::error::{Error, Result};
 
@@ -32,9 +32,9 @@ pub struct GateOutput<B: Backend> {
     Autodiff
 )]
 pub trait FiniteOps: Backend {
-    /// `positions` `[n]`, which are −1 so far, with those of the first `count` tensors of `batch` from place `first` on.
+    /// `positions` `[n]`, which are −1 so far, with those of the first `count` tensors of `list` from place `first` on.
     fn first_non_finite(
-        #[extension_type] batch: Batch<Self>,
+        #[extension_type] list: TensorList<Self>,
         count: usize,
         positions: IntTensor<Self>,
         first: usize,
@@ -69,8 +69,9 @@ impl FiniteChecks {
         let device = self.device.expect("a tensor to check");
         let none = Tensor::<1, Int>::full([self.tensors.len()], -1, (&device, DType::I32));
         let mut positions = none.into_dispatch();
-        for (batch, tensors) in self.tensors.chunks(BATCH).enumerate() {
-            positions = Dispatch::first_non_finite(Batch::of(tensors), tensors.len(), positions, batch * BATCH);
+        for (list, tensors) in self.tensors.chunks(LIST_LENGTH).enumerate() {
+            positions =
+                Dispatch::first_non_finite(TensorList::of(tensors), tensors.len(), positions, list * LIST_LENGTH);
         }
         FiniteResults { names: self.names, row_lens: self.row_lens, positions: Tensor::from_dispatch(positions) }
     }

@@ -8,8 +8,8 @@ use glam::{DQuat, DVec3};
 use rayon::prelude::*;
 
 use super::{JitterInput, JitterOps, JitterOptions, MIN_DEVIATION, NoiseGate};
-use crate::host::{self, Host, for_each_cpu_backend, with_real};
-use crate::real::Real;
+use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::backend::real::Real;
 
 /// Four pseudorandom words (Jarzynski and Olano 2020, pcg4d).
 pub(super) fn hash(words: [u32; 4]) -> [u32; 4] {

@@ -6,7 +6,7 @@ use rayon::ThreadPoolBuilder;
 
 use super::cpu::{hash, normals};
 use super::{JitterOptions, NoiseGate, jitter};
-use crate::device::cpu;
+use crate::backend::device::cpu;
 use crate::scene::{ColourModel, GaussianData, Gaussians};
 use crate::testing::golden::values;
 

@@ -5,10 +5,10 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, AutodiffBackend};
 
 use super::JoinOps;
-use crate::batch::Batch;
+use crate::backend::tensor_list::TensorList;
 
 impl<B: JoinOps, S: CheckpointStrategy> JoinOps for Autodiff<B, S> {
-    fn join(batch: Batch<Self>, count: usize) -> FloatTensor<Self> {
-        <Self as AutodiffBackend>::from_inner(B::join(batch.inner(), count))
+    fn join(list: TensorList<Self>, count: usize) -> FloatTensor<Self> {
+        <Self as AutodiffBackend>::from_inner(B::join(list.inner(), count))
     }
 }

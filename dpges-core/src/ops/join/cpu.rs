@@ -4,11 +4,11 @@ use burn::backend::TensorMetadata;
 use burn::backend::tensor::FloatTensor;
 
 use super::JoinOps;
-use crate::batch::Batch;
-use crate::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::backend::tensor_list::TensorList;
 
-fn join_on<B: Host>(batch: Batch<B>, count: usize) -> FloatTensor<B> {
-    let tensors = batch.into_tensors();
+fn join_on<B: Host>(list: TensorList<B>, count: usize) -> FloatTensor<B> {
+    let tensors = list.into_tensors();
     let device = tensors[0].device();
     with_real!(tensors[0].dtype(), T => {
         let numbers: Vec<T> =
@@ -21,8 +21,8 @@ fn join_on<B: Host>(batch: Batch<B>, count: usize) -> FloatTensor<B> {
 macro_rules! implement {
     ($backend:ty) => {
         impl JoinOps for $backend {
-            fn join(batch: Batch<Self>, count: usize) -> FloatTensor<Self> {
-                join_on::<Self>(batch, count)
+            fn join(list: TensorList<Self>, count: usize) -> FloatTensor<Self> {
+                join_on::<Self>(list, count)
             }
         }
     };

@@ -6,7 +6,7 @@ use burn_cubecl::CubeBackend;
 use cubecl::prelude::*;
 
 use super::JoinOps;
-use crate::batch::{BATCH, Batch};
+use crate::backend::tensor_list::{LIST_LENGTH, TensorList};
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, floats, units};
 
 /// Numbers before the end of each tensor.
@@ -55,10 +55,10 @@ fn join_kernel(
 }
 
 impl JoinOps for CubeBackend {
-    fn join(batch: Batch<Self>, count: usize) -> FloatTensor<Self> {
-        let tensors = batch.into_tensors().map(floats);
+    fn join(list: TensorList<Self>, count: usize) -> FloatTensor<Self> {
+        let tensors = list.into_tensors().map(floats);
         let mut end = 0;
-        let ends: [usize; BATCH] = std::array::from_fn(|at| {
+        let ends: [usize; LIST_LENGTH] = std::array::from_fn(|at| {
             end += if at < count { tensors[at].shape().num_elements() } else { 0 };
             end
         });

@@ -11,7 +11,7 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, Dispatch, backend_extension};
 use burn::tensor::Tensor;
 
-use crate::batch::{BATCH, Batch};
+use crate::backend::tensor_list::{LIST_LENGTH, TensorList};
 
 #[backend_extension(
     Cube: cfg(feature = "gpu"),
@@ -20,8 +20,8 @@ use crate::batch::{BATCH, Batch};
     Autodiff
 )]
 pub trait JoinOps: Backend {
-    /// `[total]` numbers of the first `count` tensors of `batch`.
-    fn join(#[extension_type] batch: Batch<Self>, count: usize) -> FloatTensor<Self>;
+    /// `[total]` numbers of the first `count` tensors of `list`.
+    fn join(#[extension_type] list: TensorList<Self>, count: usize) -> FloatTensor<Self>;
 }
 
 /// The numbers of all `parts`, `[n]` each, without gradient.
@@ -33,12 +33,12 @@ pub fn join(parts: &[Tensor<1>]) -> Tensor<1> {
     if let [part] = parts {
         return part.clone();
     }
-    let of_batch = |parts: &[Tensor<1>]| -> Tensor<1> {
+    let of_list = |parts: &[Tensor<1>]| -> Tensor<1> {
         if let [part] = parts {
             return part.clone();
         }
         let parts: Vec<_> = parts.iter().map(|part| part.clone().into_dispatch()).collect();
-        Tensor::from_dispatch(Dispatch::join(Batch::of(&parts), parts.len()))
+        Tensor::from_dispatch(Dispatch::join(TensorList::of(&parts), parts.len()))
     };
-    join(&parts.chunks(BATCH).map(of_batch).collect::<Vec<_>>())
+    join(&parts.chunks(LIST_LENGTH).map(of_list).collect::<Vec<_>>())
 }

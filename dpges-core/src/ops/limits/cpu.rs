@@ -5,8 +5,8 @@ use burn::backend::tensor::{FloatTensor, IntTensor};
 use rayon::prelude::*;
 
 use super::LimitOps;
-use crate::host::{self, Host, for_each_cpu_backend, with_real};
-use crate::real::Real;
+use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::backend::real::Real;
 use crate::scene::MarginLookup;
 
 pub(super) fn limits<T: Real>(

@@ -9,8 +9,8 @@ use burn::backend::tensor::{FloatTensor, IntTensor};
 use burn::backend::{Autodiff, Backend};
 
 use super::{PeelBackwardOps, PeelGradient, PeelOps, PeelOptions, PeelOutput, SurfelShapes};
+use crate::backend::tape::pass_back;
 use crate::camera::Camera;
-use crate::tape::pass_back;
 
 #[derive(Clone, Debug)]
 struct PeelState<B: Backend> {

@@ -7,18 +7,17 @@ use burn::backend::tensor::{FloatTensor, IntTensor};
 use rayon::prelude::*;
 
 use super::{PeelBackwardOps, PeelGradient, PeelOps, PeelOptions, PeelOutput, SurfelShapes};
-use crate::binning::cpu::bin;
+use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::backend::real::Real;
+use crate::backend::simd::{LANES, vectorised};
 use crate::camera::Camera;
 use crate::footprint::CUTOFF;
-use crate::footprint::disc::{Disc, DiscGrad, Hit, MIN_FACING, Parameters, Plane};
 use crate::footprint::rays::rays;
-use crate::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::footprint::surfel::cpu::{Disc, DiscGrad, Hit, MIN_FACING, Parameters, Plane};
 use crate::math::{CameraOf, V3, row};
-use crate::real::Real;
 use crate::scene::Footprint;
-use crate::simd::LANES;
-use crate::simd::vectorised;
 use crate::tiles::bands::{BAND_COUNT, Bands};
+use crate::tiles::binning::cpu::bin;
 use crate::tiles::layout::to_planes;
 use crate::tiles::{PixelRect, TILE, TILE_PIXELS, TileGrid};
 

@@ -8,22 +8,23 @@ use burn_cubecl::CubeBackend;
 use cubecl::prelude::*;
 
 use super::{PeelBackwardOps, PeelGradient, PeelOps, PeelOptions, PeelOutput, SurfelShapes};
-use crate::binning::boxes::visible_pieces;
-use crate::binning::capacity::ListKind;
-use crate::binning::cube::{TileList, bin};
 use crate::camera::Camera;
-use crate::footprint::disc_cube::{
-    self, DISC_SUMS, DiscPixel, DiscTensors, MIN_FACING, PLANE, Plane, Planes, add_sums, bounded_scale, exact_hit_by,
+use crate::footprint::gaussian::cube::CUTOFF_F32;
+use crate::footprint::surfel::cube as disc_cube;
+use crate::footprint::surfel::cube::{
+    DISC_SUMS, DiscPixel, DiscTensors, MIN_FACING, PLANE, Plane, Planes, add_sums, bounded_scale, exact_hit_by,
 };
-use crate::footprint::splat_cube::CUTOFF_F32;
 use crate::gpu::gather::zeros;
 use crate::gpu::launch::{UNITS, buffer, cube_dim, cubes, empty, empty_f32, floats, integers};
-use crate::gpu::pieces::{Piece, WORKERS, cube_has_pieces, store_gathered};
 use crate::gpu::record::Record;
 use crate::gpu::tile::{own_pixel, plane_of};
 use crate::gpu::view::{CameraUniforms, sight};
+use crate::gpu::work_split::{Piece, WORKERS, cube_has_pieces, store_gathered};
 use crate::scene::Footprint;
 use crate::tiles::TileGrid;
+use crate::tiles::binning::boxes::visible_pieces;
+use crate::tiles::binning::capacity::ListKind;
+use crate::tiles::binning::cube::{TileList, bin};
 
 /// Index of a layer that is missing: −1 as unsigned.
 const NONE: u32 = u32::MAX;

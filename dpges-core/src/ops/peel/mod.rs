@@ -21,10 +21,10 @@ use burn::backend::{Backend, Dispatch, ExtensionType, backend_extension};
 use burn::tensor::{Int, Tensor};
 
 use crate::camera::Camera;
-use crate::capacity::within_capacity;
 use crate::error::{Error, Result};
 use crate::scene::tensors::check_shape;
 use crate::scene::{Footprint, SceneInfo};
+use crate::tiles::capacity::within_capacity;
 
 /// Largest number of layers.
 pub const MAX_LAYERS: usize = 8;

@@ -6,7 +6,7 @@ use glam::{DMat3, DVec3};
 use super::{Layers, PeelGradient, PeelOptions, peel};
 use crate::camera::{Camera, CameraFromWorld};
 use crate::footprint::CUTOFF;
-use crate::footprint::disc::{Disc, MIN_FACING, Parameters};
+use crate::footprint::surfel::cpu::{Disc, MIN_FACING, Parameters};
 use crate::math::{CameraOf, M3, V3, add, apply, column, dot, rotation, scale, sub};
 use crate::scene::{ColourModel, Footprint};
 use crate::testing::device;

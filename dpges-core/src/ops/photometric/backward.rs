@@ -8,7 +8,7 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, AutodiffBackend, Backend};
 
 use super::{PhotometricBackwardOps, PhotometricInput, PhotometricOps, PhotometricOutput, PhotometricWeights};
-use crate::tape::pass_back;
+use crate::backend::tape::pass_back;
 
 #[derive(Clone, Debug)]
 struct PhotometricState<B: Backend> {

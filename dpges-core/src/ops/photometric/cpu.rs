@@ -7,9 +7,9 @@ use burn::backend::tensor::FloatTensor;
 use rayon::prelude::*;
 
 use super::{PhotometricBackwardOps, PhotometricInput, PhotometricOps, PhotometricOutput, PhotometricWeights};
-use crate::host::{self, Host, for_each_cpu_backend, with_real};
-use crate::real::Real;
-use crate::simd::vectorised;
+use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::backend::real::Real;
+use crate::backend::simd::vectorised;
 
 pub const WINDOW: usize = 11;
 pub const RADIUS: usize = WINDOW / 2;

@@ -8,7 +8,7 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, AutodiffBackend};
 
 use super::{ScaleLossBackwardOps, ScaleLossOps, ScaleLossOutput};
-use crate::tape::pass_back;
+use crate::backend::tape::pass_back;
 
 #[derive(Clone, Debug)]
 struct ScaleLossState<F: Clone> {

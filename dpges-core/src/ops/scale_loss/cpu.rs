@@ -5,8 +5,8 @@ use burn::backend::tensor::FloatTensor;
 use rayon::prelude::*;
 
 use super::{LINEAR_FROM, ScaleLossBackwardOps, ScaleLossOps, ScaleLossOutput};
-use crate::host::{self, Host, for_each_cpu_backend, with_real};
-use crate::real::Real;
+use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::backend::real::Real;
 
 /// Log-scales of a task.
 const CHUNK: usize = 1 << 13;

@@ -9,9 +9,9 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{AutodiffBackend, Backend};
 
 use super::{SplatBackwardOps, SplatOps};
+use crate::backend::tape::pass_back;
 use crate::camera::Camera;
-use crate::footprint::gaussians::GaussianTensors;
-use crate::tape::pass_back;
+use crate::footprint::gaussian::tensors::GaussianTensors;
 
 #[derive(Clone, Debug)]
 struct SplatState<B: Backend> {

@@ -6,17 +6,17 @@ use burn::backend::tensor::FloatTensor;
 use rayon::prelude::*;
 
 use super::{SplatBackwardOps, SplatOps};
-use crate::binning::cpu::bin;
+use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::backend::real::Real;
+use crate::backend::simd::{LANES, vectorised};
 use crate::camera::Camera;
-use crate::footprint::gaussians::{GaussianRows, GaussianTensors};
+use crate::footprint::gaussian::cpu as splat;
+use crate::footprint::gaussian::cpu::{Splat, SplatGrad};
+use crate::footprint::gaussian::tensors::{GaussianRows, GaussianTensors};
 use crate::footprint::moments::{MOMENTS, add_moments};
-use crate::footprint::splat::{self, Splat, SplatGrad};
-use crate::host::{self, Host, for_each_cpu_backend, with_real};
 use crate::math::CameraOf;
-use crate::real::Real;
 use crate::scene::ScreenFilter;
-use crate::simd::LANES;
-use crate::simd::vectorised;
+use crate::tiles::binning::cpu::bin;
 use crate::tiles::layout::{to_planes, to_tiles};
 use crate::tiles::{PixelRect, TILE_PIXELS, TileGrid, for_each_group};
 

@@ -7,25 +7,26 @@ use burn_cubecl::CubeBackend;
 use cubecl::prelude::*;
 
 use super::{SplatBackwardOps, SplatOps};
-use crate::binning::capacity::ListKind;
-use crate::binning::cube::{Ellipses, TileList, bin};
 use crate::camera::Camera;
-use crate::footprint::gaussians::GaussianTensors;
+use crate::footprint::gaussian::cube as splat_cube;
+use crate::footprint::gaussian::cube::regions::{WORDS, list_regions, mark_regions};
+use crate::footprint::gaussian::cube::{SPLAT, Splat, add_moments};
+use crate::footprint::gaussian::tensors::GaussianTensors;
 use crate::footprint::moments::MOMENTS;
-use crate::footprint::regions_cube::{WORDS, list_regions, mark_regions};
-use crate::footprint::splat_cube::{self, SPLAT, Splat, add_moments};
 use crate::gpu::gather::zeros;
 use crate::gpu::launch::{LANES, UNITS, buffer, cube_dim, cubes, empty_f32, floats};
-use crate::gpu::pieces::{
-    Piece, WORKERS, collectors, cube_has_pieces, cube_has_rectangles, own_number, pieces, store_gathered, worker,
-};
 use crate::gpu::record::Record;
 use crate::gpu::reduce::max_units;
 use crate::gpu::tile::{REGIONS, own_pixel, plane_of};
 use crate::gpu::vector::{Vec3, row3};
 use crate::gpu::view::CameraUniforms;
+use crate::gpu::work_split::{
+    Piece, WORKERS, collectors, cube_has_pieces, cube_has_rectangles, own_number, split_work, store_gathered, worker,
+};
 use crate::scene::ScreenFilter;
 use crate::tiles::TileGrid;
+use crate::tiles::binning::capacity::ListKind;
+use crate::tiles::binning::cube::{Ellipses, TileList, bin};
 
 const CHANNELS: usize = 4;
 /// Red, green and blue.
@@ -321,7 +322,7 @@ impl SplatOps for CubeBackend {
         let (gaussians, limits, gates) = (gaussians.contiguous(), floats(limits), floats(gates));
         let (layers, count) = (limits.shape()[0], gaussians.opacities.shape()[0]);
         let (splats, rects) = splat_cube::splats(&gaussians, None, &camera, ScreenFilter::Compensated);
-        let pieces = pieces(&rects);
+        let pieces = split_work(&rects);
         let of_pieces = empty_f32(&limits, [pieces.most]);
         contributions_kernel::launch(
             &limits.client.clone(),
@@ -361,7 +362,7 @@ impl SplatBackwardOps for CubeBackend {
         let (gaussians, limits, grad) = (gaussians.contiguous(), floats(limits), floats(grad));
         let (client, layers, count) = (limits.client.clone(), limits.shape()[0], gaussians.opacities.shape()[0]);
         let (splats, rects) = splat_cube::splats(&gaussians, None, &camera, ScreenFilter::Compensated);
-        let pieces = pieces(&rects);
+        let pieces = split_work(&rects);
         let sums = empty_f32(&limits, [pieces.most, SUMS]);
         gather_kernel::launch(
             &client,

@@ -20,11 +20,11 @@ use burn::backend::{Backend, Dispatch, backend_extension};
 use burn::tensor::Tensor;
 
 use crate::camera::Camera;
-use crate::capacity::within_capacity;
 use crate::error::Result;
-use crate::footprint::gaussians::GaussianTensors;
+use crate::footprint::gaussian::tensors::GaussianTensors;
 use crate::scene::Gaussians;
 use crate::scene::tensors::check_shape;
+use crate::tiles::capacity::within_capacity;
 
 #[backend_extension(
     Cube: cfg(feature = "gpu"),

@@ -6,7 +6,7 @@ use glam::{DMat3, DVec2, DVec3};
 use super::{contributions, splat};
 use crate::camera::{Camera, CameraFromWorld};
 use crate::footprint::CUTOFF;
-use crate::footprint::splat::{MIN_COMPENSATION_SQUARED, Parameters, Splat};
+use crate::footprint::gaussian::cpu::{MIN_COMPENSATION_SQUARED, Parameters, Splat};
 use crate::math::{CameraOf, rotation};
 use crate::scene::{Colour, ColourModel, Gaussians, ScreenFilter};
 use crate::testing::device;

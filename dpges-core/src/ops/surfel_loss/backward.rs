@@ -7,7 +7,7 @@ use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::{Autodiff, AutodiffBackend, Backend};
 
 use super::{SurfelLossBackwardOps, SurfelLossInput, SurfelLossOps, SurfelLossOutput, SurfelLossWeights};
-use crate::tape::pass_back;
+use crate::backend::tape::pass_back;
 
 #[derive(Clone, Debug)]
 struct SurfelLossState<B: Backend> {

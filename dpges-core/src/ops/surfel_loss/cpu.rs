@@ -8,8 +8,8 @@ use super::{
     FEWEST_LAYERS, SurfelLossBackwardOps, SurfelLossGradients, SurfelLossInput, SurfelLossOps, SurfelLossOutput,
     SurfelLossWeights,
 };
-use crate::host::{self, Host, for_each_cpu_backend, with_real};
-use crate::real::Real;
+use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::backend::real::Real;
 
 /// Pixels of a task.
 const CHUNK: usize = 1 << 12;

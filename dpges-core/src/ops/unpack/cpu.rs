@@ -4,7 +4,7 @@ use burn::backend::TensorMetadata;
 use burn::backend::tensor::{FloatTensor, IntTensor};
 
 use super::{IN_A_WORD, UnpackOps};
-use crate::host::{self, Host, for_each_cpu_backend};
+use crate::backend::host::{self, Host, for_each_cpu_backend};
 
 fn unpack_on<B: Host>(words: &IntTensor<B>, shape: [usize; 3]) -> FloatTensor<B> {
     let [channels, height, width] = shape;

@@ -1,7 +1,7 @@
 use burn::tensor::Tensor;
 
 use super::{pack, unpack};
-use crate::device::cpu;
+use crate::backend::device::cpu;
 use crate::error::Error;
 
 fn numbers(image: Tensor<3>) -> Vec<f32> {

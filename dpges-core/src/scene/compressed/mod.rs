@@ -70,9 +70,9 @@ use super::file::{Rows, lobe_names, payload};
 use super::lobes::{pack, unpack};
 use super::schema::{Columns, ENVIRONMENT};
 use super::{ColourModel, GaussianData, SceneData, SceneInfo, SurfelData};
-use crate::atomic::write_atomically;
 use crate::error::{Error, Result};
-use crate::tensor_file;
+use crate::scene::atomic::write_atomically;
+use crate::scene::container;
 
 pub use quality::Quality;
 
@@ -121,7 +121,7 @@ impl SceneData {
         let environment = self.environment.iter();
         stored.extend(environment.map(|e| Rows::numbers(ENVIRONMENT.name, vec![e.len(), 3], &e.coefficients[..])));
         let tensors = stored.into_iter().map(|tensor| (tensor.name, tensor));
-        let bytes = tensor_file::serialize(tensors, metadata).map_err(|error| wrong(error.to_string()))?;
+        let bytes = container::serialize(tensors, metadata).map_err(|error| wrong(error.to_string()))?;
         layout.check(model, bytes.len()).map_err(wrong)?;
         Ok(bytes)
     }

@@ -8,7 +8,7 @@ use dpges_core::scene::{Rendering, SceneData};
 use dpges_render::frame_times::{FrameTimes, Rounds, frame_times};
 use dpges_render::{Display, Headless, RenderOptions};
 use dpges_train::device::DeviceRequest;
-use dpges_train::rendered::Renderer;
+use dpges_train::eval::rendered::Renderer;
 use dpges_train::run::folder::write_json;
 use serde::Serialize;
 

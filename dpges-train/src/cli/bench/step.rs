@@ -14,7 +14,7 @@ use dpges_train::config::Config;
 use dpges_train::device::{DeviceName, DeviceRequest};
 use dpges_train::run::Trainer;
 use dpges_train::run::folder::write_json;
-use dpges_train::step_cost::{GpuCost, List, Rounds, StepCost, StepStage, StepTimes, Steps, measure};
+use dpges_train::run::step_cost::{GpuCost, List, Rounds, StepCost, StepStage, StepTimes, Steps, measure};
 use serde::Serialize;
 
 use super::super::data::{BUILTIN, Scene, Source, ViewArgs, every_nth};
@@ -268,8 +268,8 @@ mod tests {
 
     use dpges_core::camera::CameraFromWorld;
     use dpges_core::counters::Launches;
-    use dpges_core::tile_work::TileWork;
-    use dpges_train::step_cost::Lists;
+    use dpges_core::tiles::work::TileWork;
+    use dpges_train::run::step_cost::Lists;
     use glam::DVec3;
     use serde_json::Value;
 

@@ -8,12 +8,12 @@ use std::path::{Path, PathBuf};
 
 use burn::tensor::Device;
 use clap::Args;
-use dpges_core::atomic::write_atomically;
 use dpges_core::scene::SceneData;
-use dpges_train::compress::{CompressError, Compressed, within_loss, within_size};
+use dpges_core::scene::atomic::write_atomically;
 use dpges_train::config::budget::MEGABYTE;
 use dpges_train::dataset::View;
 use dpges_train::device::DeviceRequest;
+use dpges_train::eval::compress::{CompressError, Compressed, within_loss, within_size};
 use dpges_train::eval::evaluate;
 use dpges_train::run::folder::write_json;
 

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use dpges_core::Error;
 use dpges_core::scene::{Quality, SceneData};
-use dpges_train::compress::Compressed;
+use dpges_train::eval::compress::Compressed;
 use serde::Serialize;
 
 /// Content of the file of `--json`.

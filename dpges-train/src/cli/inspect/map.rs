@@ -1,14 +1,14 @@
 //! Cameras and points from above and from the side, as SVG.
 
-use dpges_train::check::Role;
-use dpges_train::check::map::{Map, MapCamera};
+use dpges_train::dataset::check::Role;
+use dpges_train::dataset::check::map::{Map, MapCamera};
 use plotters::coord::Shift;
 use plotters::prelude::{
     BLACK, ChartBuilder, Circle, Color, DrawingArea, DrawingAreaErrorKind, DrawingBackend, IntoDrawingArea, IntoFont,
     PathElement, RGBColor, SVGBackend, Text, WHITE,
 };
 
-use super::super::letters::{self, FAMILY};
+use crate::study::plot_font::{self, FAMILY};
 
 /// Sizes, px: of a view, of its title, of its margin, of letters, of the legend.
 const SIDE: i32 = 560;
@@ -36,7 +36,7 @@ const VIEWS: [(&str, [usize; 2]); 2] = [("from above", [0, 1]), ("from the side"
 /// # Errors
 /// What cannot be drawn.
 pub fn svg(map: &Map) -> Result<String, String> {
-    letters::register()?;
+    plot_font::register()?;
     let mut text = String::new();
     {
         let area = SVGBackend::with_string(&mut text, (2 * SIDE as u32, (SIDE + LEGEND) as u32)).into_drawing_area();
@@ -111,7 +111,7 @@ fn half_side(map: &Map) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use dpges_train::check::map::MapPoint;
+    use dpges_train::dataset::check::map::MapPoint;
 
     use super::*;
 

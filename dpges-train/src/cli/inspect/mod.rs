@@ -8,17 +8,17 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use dpges_core::atomic::write_atomically;
-use dpges_train::check::map::Map;
-use dpges_train::check::{Effort, Report, Role, ViewFacts};
+use dpges_core::scene::atomic::write_atomically;
 use dpges_train::config::Config;
 use dpges_train::dataset::Dataset;
-use dpges_train::pictures::save_png;
+use dpges_train::dataset::check::map::Map;
+use dpges_train::dataset::check::{Effort, Report, Role, ViewFacts};
+use dpges_train::eval::pictures::save_png;
 use dpges_train::run::folder::write_json;
 
 use super::data::{DataArgs, Source};
 use super::{Failure, Result, print, sfm, table};
-use crate::logging::LogStyle;
+use crate::cli::logging::LogStyle;
 
 /// Check a dataset: what it consists of, and which photographs will harm the result
 ///

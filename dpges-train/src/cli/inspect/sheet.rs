@@ -1,14 +1,14 @@
 //! All photographs small, in one picture; what something was found about has a red frame, and stripes what does not count.
 
 use dpges_render::Rgb8Image;
-use dpges_train::check::Report;
+use dpges_train::dataset::check::Report;
 use dpges_train::dataset::{Dataset, View};
 use plotters::prelude::{BitMapBackend, Color, IntoDrawingArea, IntoFont, RGBColor, Rectangle, Text};
 use rayon::prelude::*;
 
 use super::super::Result;
-use super::super::letters::{self, FAMILY};
 use super::fault;
+use crate::study::plot_font::{self, FAMILY};
 
 /// Photographs on a sheet at most: those that are marked, and an even choice of the others.
 const MOST: usize = 400;
@@ -54,7 +54,7 @@ fn drawn(chosen: &[&View], small: &[Rgb8Image], is_marked: impl Fn(&View) -> boo
     let (cell_width, cell_height) = (SIDE + 2 * FRAME + SPACE, SIDE + 2 * FRAME + NAME + SPACE);
     let (width, height) = (columns * cell_width + SPACE, rows * cell_height + SPACE);
     let mut bytes = vec![255; 3 * width * height];
-    letters::register()?;
+    plot_font::register()?;
     {
         let size = (width as u32, height as u32);
         let area = BitMapBackend::with_buffer(&mut bytes, size).into_drawing_area();
@@ -137,7 +137,7 @@ fn small(view: &View) -> dpges_core::Result<Rgb8Image> {
 
 #[cfg(test)]
 mod tests {
-    use dpges_train::check::{Effort, Finding, Kind};
+    use dpges_train::dataset::check::{Effort, Finding, Kind};
     use dpges_train::dataset::{BuiltinOptions, builtin};
 
     use super::*;

@@ -7,7 +7,7 @@ use std::str::FromStr;
 use dpges_core::camera::Camera;
 use dpges_render::CameraPath;
 use dpges_train::dataset::View;
-use dpges_train::pictures::file_stems;
+use dpges_train::eval::pictures::file_stems;
 
 use super::super::data::{Scene, ViewArgs};
 use super::super::{Failure, Result};

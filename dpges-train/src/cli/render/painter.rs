@@ -4,7 +4,7 @@ use burn::tensor::Device;
 use dpges_core::camera::Camera;
 use dpges_core::scene::SceneData;
 use dpges_render::{Headless, Precision, RenderOptions, Rgb8Image};
-use dpges_train::rendered::{LayerPictures, Renderer, layer_pictures, to_picture};
+use dpges_train::eval::rendered::{LayerPictures, Renderer, layer_pictures, to_picture};
 
 use super::super::Result;
 

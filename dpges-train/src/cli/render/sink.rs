@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
 use dpges_render::Rgb8Image;
-use dpges_train::pictures::save_png;
-use dpges_train::rendered::LayerPictures;
+use dpges_train::eval::pictures::save_png;
+use dpges_train::eval::rendered::LayerPictures;
 use dpges_train::run::folder::write_json;
 use indicatif::ProgressStyle;
 use serde_json::{Value, json};

@@ -2,13 +2,13 @@
 
 use std::time::{Duration, Instant};
 
-use dpges_train::sfm::{Observer, Step};
+use dpges_train::dataset::capture::{Observer, Step};
 use indicatif::ProgressStyle;
 use tracing::Span;
 use tracing_indicatif::span_ext::IndicatifSpanExt;
 
-use crate::logging::LogStyle;
-use crate::progress::Seconds;
+use crate::cli::logging::LogStyle;
+use crate::cli::progress::Seconds;
 
 const TEMPLATE: &str = "{wide_bar} {pos}/{len}\n{msg}";
 const LINE: Duration = Duration::from_secs(5);

@@ -8,13 +8,13 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use dpges_train::config::{Config, DataConfig, key};
+use dpges_train::dataset::capture::{self, Input, Options, Outcome, Programs, Request, SfmError, Unusable};
 use dpges_train::dataset::{self, DatasetError};
-use dpges_train::sfm::{self, Input, Options, Outcome, Programs, Request, SfmError, Unusable};
 
 use super::data::BUILTIN;
 use super::{Failure, Result, print, table};
-use crate::logging::LogStyle;
-use crate::progress::Seconds;
+use crate::cli::logging::LogStyle;
+use crate::cli::progress::Seconds;
 use display::Display;
 use options::SfmOptions;
 
@@ -53,7 +53,7 @@ pub fn run(args: &SfmArgs, style: LogStyle) -> Result<()> {
     let input = Input::find(&path).ok_or_else(|| not_photographs(&path))?;
     let out = match &args.out {
         Some(out) => absolute(out),
-        None => sfm::dataset_beside(&input)?,
+        None => capture::dataset_beside(&input)?,
     };
     let outcome = reconstruct(&input, &out, &config, args.overwrite, style)?;
     if style == LogStyle::Quiet { Ok(()) } else { print(&summary(&outcome, args.invert_masks)) }
@@ -62,7 +62,7 @@ pub fn run(args: &SfmArgs, style: LogStyle) -> Result<()> {
 /// What a command was asked to train on: if that is photographs or a video, the dataset is made of it, unless it has been.
 pub fn prepare(dataset: Option<&Path>, config: &DataConfig, style: LogStyle) -> Result<()> {
     let Some(input) = dataset.and_then(input_of) else { return Ok(()) };
-    let outcome = reconstruct(&input, &sfm::dataset_beside(&input)?, config, false, style)?;
+    let outcome = reconstruct(&input, &capture::dataset_beside(&input)?, config, false, style)?;
     let Outcome { dataset, photographs, points, .. } = &outcome;
     let placed = outcome.placed();
     tracing::info!("{}: {placed} of {photographs} photographs have a place, {points} points", dataset.display());
@@ -71,7 +71,7 @@ pub fn prepare(dataset: Option<&Path>, config: &DataConfig, style: LogStyle) -> 
 
 /// The dataset that [`prepare`] makes of photographs or a video; `None` for anything else.
 pub fn dataset_of(path: &Path) -> Option<PathBuf> {
-    sfm::dataset_beside(&input_of(path)?).ok()
+    capture::dataset_beside(&input_of(path)?).ok()
 }
 
 /// What photographs or a video are called.
@@ -84,7 +84,7 @@ pub fn explained(error: DatasetError, path: &Path) -> Failure {
     if Input::find(path).is_some() {
         return Failure::with_help(error, format!("`dpges sfm {}` finds the cameras of photographs", path.display()));
     }
-    if sfm::is_begun(path) && dataset::format(path).is_none() {
+    if capture::is_begun(path) && dataset::format(path).is_none() {
         return Failure::with_help(error, "its cameras have not been found yet: repeat the command that began it");
     }
     match error {
@@ -94,7 +94,7 @@ pub fn explained(error: DatasetError, path: &Path) -> Failure {
 }
 
 fn nothing_at(path: &Path) -> Failure {
-    let Unusable { message, advice } = sfm::unusable(path);
+    let Unusable { message, advice } = capture::unusable(path);
     Failure::with_help(message, advice)
 }
 
@@ -115,7 +115,7 @@ fn reconstruct(
 ) -> Result<Outcome> {
     let (options, programs) = (Options::from(config), Programs::of_environment());
     let request = Request { input, dataset, options: &options, overwrite, programs: &programs };
-    let outcome = sfm::reconstruct(&request, &mut Display::new(style)).map_err(|error| match error {
+    let outcome = capture::reconstruct(&request, &mut Display::new(style)).map_err(|error| match error {
         SfmError::File(_) => {
             let help = format!("`dpges sfm {} --out DIR` puts the dataset elsewhere", input.path().display());
             Failure::with_help(error, help)

@@ -10,8 +10,8 @@ use dpges_train::run::{Observer, Run, StepReport, Verdict};
 
 use super::super::Result;
 use super::super::device_failure::Watch;
-use crate::logging::LogStyle;
-use crate::progress::ProgressDisplay;
+use crate::cli::logging::LogStyle;
+use crate::cli::progress::ProgressDisplay;
 
 /// Messages and progress of one run, on standard error.
 pub struct Display<'a> {

@@ -9,8 +9,7 @@ use std::thread;
 use dpges_core::scene::SceneData;
 use dpges_render::viewer::{self, DatasetViews, LiveProgress, LiveScene, Start, ViewerOptions};
 use dpges_train::dataset::Dataset;
-use dpges_train::eval::Evaluation;
-use dpges_train::pictures;
+use dpges_train::eval::{Evaluation, pictures};
 use dpges_train::run::{Observer, StepReport};
 
 use super::super::Result;

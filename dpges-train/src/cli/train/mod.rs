@@ -19,7 +19,7 @@ use toml::Table;
 
 use super::data::Source;
 use super::{Failure, Result, device_choice, print, sfm};
-use crate::logging::LogStyle;
+use crate::cli::logging::LogStyle;
 use display::watch_for_interrupts;
 use options::ConfigArgs;
 use session::Session;

@@ -10,8 +10,8 @@ use dpges_train::run::{Observer, Outcome, Run, RunError, TrainError};
 use super::super::device_failure::{DeviceFailure, Watch};
 use super::super::{Failure, Result, table};
 use super::display::Display;
-use crate::logging::LogStyle;
-use crate::progress::Seconds;
+use crate::cli::logging::LogStyle;
+use crate::cli::progress::Seconds;
 
 /// A run that writes to a folder.
 pub struct Session {

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use self::room::{Hit, trace};
 use super::assemble::mean_and_extent;
 use super::{Dataset, DepthKind, DepthMap, Format, Picture, PointCloud, View};
-use crate::pose::PoseCorrection;
+use crate::views::pose::PoseCorrection;
 
 const FIELD_OF_VIEW: f64 = 0.9;
 const TARGET: DVec3 = DVec3::new(0.0, 0.0, 0.3);

@@ -117,7 +117,7 @@ fn network(metadata: Option<&HashMap<String, String>>) -> Result<Network, String
 
 #[cfg(test)]
 mod tests {
-    use dpges_core::tensor_file::serialize;
+    use dpges_core::scene::container::serialize;
     use safetensors::tensor::TensorView;
 
     use super::*;

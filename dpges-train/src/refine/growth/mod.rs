@@ -3,16 +3,16 @@
 //! Training improves a scene between two batches even if it does not grow. Intervals without a batch, the controls, show by
 //! how much. A batch is worth what its interval has gained beyond them.
 
+mod batch_gain;
 #[cfg(test)]
 mod tests;
-mod worth;
 
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use worth::{Batch, Excess, Interval, percent_of_error};
-pub use worth::{Mean, Verdict, Worth};
+use batch_gain::{Batch, Excess, Interval, percent_of_error};
+pub use batch_gain::{BatchGain, Mean, Verdict};
 
 /// Most batches that are judged together while their worth is within its error of what is wanted: earlier ones say little
 /// of a scene that has grown since.
@@ -76,7 +76,7 @@ pub enum Finding {
     /// By how much the PSNR of the views rose in `steps` without new primitives in the mean, dB.
     Control { rise: f64, steps: usize },
     /// What a batch was worth.
-    Batch(Worth),
+    Batch(BatchGain),
 }
 
 impl Growth {
@@ -148,7 +148,7 @@ impl Growth {
         if verdict == Verdict::Stops {
             self.finish();
         }
-        Some(Finding::Batch(worth(&batch, &rises_without, gain, batches, least_gain, verdict)))
+        Some(Finding::Batch(batch_gain(&batch, &rises_without, gain, batches, least_gain, verdict)))
     }
 
     fn end_batch(&mut self, running: Running, interval: Interval, least_gain: f64) -> Option<Finding> {
@@ -164,7 +164,7 @@ impl Growth {
             self.next = Next::Control;
             if running.settles { Verdict::AwaitsControl } else { Verdict::Settles }
         };
-        let found = worth(&batch, &rises_without, gain, 1, least_gain, verdict);
+        let found = batch_gain(&batch, &rises_without, gain, 1, least_gain, verdict);
         if verdict == Verdict::Settles {
             self.running = Some(Running { settles: true, ..running });
         } else {
@@ -183,9 +183,16 @@ impl Running {
     }
 }
 
-fn worth(batch: &Batch, rises_without: &[f64], gain: Mean, batches: usize, least_gain: f64, verdict: Verdict) -> Worth {
+fn batch_gain(
+    batch: &Batch,
+    rises_without: &[f64],
+    gain: Mean,
+    batches: usize,
+    least_gain: f64,
+    verdict: Verdict,
+) -> BatchGain {
     let rise = batch.interval.rise();
-    Worth {
+    BatchGain {
         added: batch.added,
         steps: batch.interval.steps(),
         rise,
@@ -204,7 +211,7 @@ impl fmt::Display for Finding {
                 let percent = percent_of_error(*rise);
                 write!(f, "validation error {percent:+.1} % in {steps} steps without new Gaussians: {rise:+.3} dB")
             }
-            Self::Batch(worth) => worth.fmt(f),
+            Self::Batch(gain) => gain.fmt(f),
         }
     }
 }

@@ -52,8 +52,8 @@ impl Course {
             let level = (self.trend)(slot as f64) + gained - lost;
             let of_view = |view: usize| 20.0 + view as f64 + level + self.noise * normal(&mut rng);
             let psnr: Vec<f64> = (0..self.views).map(of_view).collect();
-            if let Some(Finding::Batch(worth)) = growth.end(slot * INTERVAL, &psnr, LEAST) {
-                verdicts.push(worth.verdict);
+            if let Some(Finding::Batch(gain)) = growth.end(slot * INTERVAL, &psnr, LEAST) {
+                verdicts.push(gain.verdict);
             }
             if slot == end || growth.next() == Next::Nothing {
                 break;

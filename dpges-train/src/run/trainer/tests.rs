@@ -9,10 +9,10 @@ mod stages;
 
 use std::path::Path;
 
+use crate::optimizer::scene_state::GaussianState;
 use crate::run::Trainer;
 use crate::run::checkpoint::Checkpoint;
 use crate::run::fixtures::{config, dataset, device};
-use crate::scene_state::GaussianState;
 
 fn trainer(set: &[&str]) -> Trainer {
     Trainer::new(config(set), dataset(), device()).unwrap()

@@ -23,7 +23,7 @@ use super::{
     TrainError, Trained,
 };
 use crate::config::{Blended, Config, Density, OpacityActivation, Relocation, StagePlan};
-use crate::scene_state::{GaussianState, Rates, SurfelState};
+use crate::optimizer::scene_state::{GaussianState, Rates, SurfelState};
 use losses::Weights;
 use schedule::{BlendedDue, BlendedSchedule};
 pub use screen_gradients::ScreenGradients;

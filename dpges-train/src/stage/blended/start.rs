@@ -4,7 +4,7 @@ use dpges_core::scene::{GaussianData, SurfelData};
 
 use super::super::{Context, TrainError};
 use crate::config::{Blended, StagePlan};
-use crate::init::{Room, initialise};
+use crate::init::{PrimitiveQuota, initialise};
 
 /// Thickness of a Gaussian that is made of a surfel, over the mean of its two scales (GES).
 const THICKNESS: f64 = 0.1;
@@ -19,8 +19,8 @@ impl Context {
         config.init.surfel_scale = config.discs.start_scale;
         config.init.gaussian_scale = config.discs.start_scale;
         let opacity = config.discs.start_opacity as f32;
-        let room = self.most_primitives(plan.budget_share) as f64;
-        let start = initialise(&self.dataset, &config, Room::new(room, room), &mut self.rng)?;
+        let quota = self.most_primitives(plan.budget_share) as f64;
+        let start = initialise(&self.dataset, &config, PrimitiveQuota::new(quota, quota), &mut self.rng)?;
         let mut discs = if start.surfels.is_empty() { start.gaussians } else { flat(start.surfels) };
         discs.opacities.fill(opacity);
         Ok(discs)
@@ -35,8 +35,8 @@ impl Context {
             Blended::Controlled(_) => (density.start_scale, density.start_opacity),
             Blended::Discs | Blended::Relocated(_) => (relocation.start_scale, relocation.start_opacity),
         };
-        let room = self.most_primitives(plan.budget_share) as f64;
-        Ok(initialise(&self.dataset, &config, Room::new(room, room), &mut self.rng)?.gaussians)
+        let quota = self.most_primitives(plan.budget_share) as f64;
+        Ok(initialise(&self.dataset, &config, PrimitiveQuota::new(quota, quota), &mut self.rng)?.gaussians)
     }
 }
 

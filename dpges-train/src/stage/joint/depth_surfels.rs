@@ -12,12 +12,12 @@ use dpges_core::scene::{GaussianData, Gaussians, Rendering, SceneInfo, ScreenFil
 
 use super::super::{Context, TrainError};
 use crate::dataset::PointCloud;
-use crate::exposure::Seen;
+use crate::dataset::image::cache::Cache;
 use crate::init::flatten::flatten;
 use crate::init::fusion::{CHECKED_VIEWS, DepthViews, FusionRule, surface_points};
 use crate::init::sfm::usable_points;
 use crate::init::surfels_at;
-use crate::recent::Recent;
+use crate::views::exposure::Seen;
 
 /// Least alpha of a pixel that may show a surface.
 const OPAQUE: f32 = 0.9;
@@ -92,7 +92,7 @@ impl Context {
         let mut options = BlendedOptions::new(&info)?;
         options.blend.maps = true;
         // those that are checked beside one stay, whatever the room
-        let maps = Recent::new(dataset.spare_memory, CHECKED_VIEWS + 1);
+        let maps = Cache::new(dataset.spare_memory, CHECKED_VIEWS + 1);
         let depth = |index: usize| -> dpges_core::Result<Arc<Vec<f32>>> {
             let view = &dataset.train[index];
             maps.get(index, size_of::<f32>() * view.camera.width * view.camera.height, || {

@@ -5,7 +5,7 @@ use dpges_core::losses::Target;
 
 use super::super::Context;
 use crate::dataset::{Picture, View};
-use crate::exposure::Correction;
+use crate::views::exposure::Correction;
 
 /// Enough to see most primitives several times.
 const JUDGING_VIEWS: usize = 24;

@@ -5,7 +5,7 @@ use dpges_core::scene::{GaussianData, Gaussians, SurfelData, Surfels};
 use super::super::Context;
 use super::super::sampling_limit::SamplingLimit;
 use super::JointStage;
-use crate::scene_state::{GaussianState, SurfelState};
+use crate::optimizer::scene_state::{GaussianState, SurfelState};
 
 /// The filters of both kinds of primitives.
 pub struct SamplingLimits {

@@ -24,9 +24,9 @@ use super::{
 };
 use crate::config::{Config, Due, OpacityActivation, Schedule, StagePlan};
 use crate::init::InitialScene;
+use crate::optimizer::scene_state::{GaussianState, Rates, SurfelState};
 use crate::refine::growth::Growth;
 use crate::refine::prune::drawn;
-use crate::scene_state::{GaussianState, Rates, SurfelState};
 pub use limits::SamplingLimits;
 pub use sky::SkyMasks;
 pub use statistics::Statistics;

@@ -13,13 +13,13 @@ use super::super::{Context, TrainError};
 use super::JointStage;
 use crate::config::{Budget, Due, NewGaussians, PixelsOf};
 use crate::dataset::View;
-use crate::exposure::Seen;
 use crate::refine::add::{batch_size, draw_in_proportion, new_gaussians};
 use crate::refine::copies::{Renewal, renew};
 use crate::refine::margins::margins;
 use crate::refine::prune::{drawn, gaussians_to_keep, surfels_to_keep};
 use crate::refine::split::split;
 use crate::refine::{GaussianEdit, RowEdit};
+use crate::views::exposure::Seen;
 
 /// Largest scale of an added Gaussian, as a fraction of the extent.
 const MAX_ADDED_SCALE: f64 = 0.01;

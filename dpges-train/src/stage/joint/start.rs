@@ -2,12 +2,12 @@
 
 use dpges_core::scene::{GaussianData, Rendering, SceneData, ScreenFilter};
 
-use super::super::given::{GAUSSIANS_FROM, SURFELS_FROM};
+use super::super::pretrained::{GAUSSIANS_FROM, SURFELS_FROM};
 use super::super::{Context, EnvironmentState, TrainError, Trained};
 use super::{JointStage, Supervisions};
 use crate::config::{GaussianStage, HARD_RIM, JointOpacity, NewGaussians, OpacityActivation, StagePlan, SurfelStart};
 use crate::init::promote::promote;
-use crate::init::{InitialScene, Room, initialise};
+use crate::init::{InitialScene, PrimitiveQuota, initialise};
 use crate::refine::margins::margins;
 use crate::refine::prune::small_surfels;
 
@@ -20,7 +20,7 @@ impl JointStage {
     /// # Errors
     /// Those of [`begin`](super::super::begin).
     pub fn begin(plan: StagePlan, trained: Trained, context: &mut Context) -> Result<Self, TrainError> {
-        let given = context.given(SURFELS_FROM)?;
+        let given = context.pretrained(SURFELS_FROM)?;
         let from_file = given.as_ref().filter(|scene| scene.info.rendering == Rendering::Discs);
         let discs = trained.discs.as_ref().or(from_file.map(|scene| &scene.gaussians));
         let supervisions = match discs {
@@ -73,7 +73,7 @@ impl Context {
         let (mut gaussians, blended_with) = match (gaussians, stages.gaussians_by) {
             (Some(gaussians), _) => (Some(gaussians), Some(ScreenFilter::Compensated)),
             (None, GaussianStage::Rest) => (rest, Some(ScreenFilter::Compensated)),
-            (None, _) => match self.given(GAUSSIANS_FROM)? {
+            (None, _) => match self.pretrained(GAUSSIANS_FROM)? {
                 Some(SceneData { info, gaussians, .. }) => {
                     (Some(gaussians), (info.rendering != Rendering::Peeled).then_some(info.screen_filter))
                 }
@@ -86,8 +86,8 @@ impl Context {
         }
         if surfels.is_none() || gaussians.is_none() {
             let budget = self.budget_before_growth() as f64;
-            let room = Room::new(budget * START_SHARE / 2.0, budget * START_SHARE);
-            let start = initialise(&self.dataset, &self.config, room, &mut self.rng)?;
+            let quota = PrimitiveQuota::new(budget * START_SHARE / 2.0, budget * START_SHARE);
+            let start = initialise(&self.dataset, &self.config, quota, &mut self.rng)?;
             surfels.get_or_insert(start.surfels);
             gaussians.get_or_insert(start.gaussians);
         }

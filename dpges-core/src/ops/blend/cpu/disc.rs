@@ -1,14 +1,15 @@
 //! A disc met by rays, with the low-pass filter of 2DGS (its sections 4.2 and 4.3); where a ray meets it and the way
-//! back from there are those of [`footprint`](crate::footprint::disc).
+//! back from there are those of [`footprint`](crate::footprint::surfel::cpu).
 
 use super::projected::{CameraPair, Group, Projected, Sums, WORK_ROWS};
+use crate::backend::real::Real;
+use crate::backend::simd::LANES;
 use crate::footprint::CUTOFF;
-use crate::footprint::disc::{self, Disc, DiscGrad, MIN_FACING, Plane};
+use crate::footprint::gaussian::cpu::{ParameterGrad, Parameters};
 use crate::footprint::moments::{FIRST_MOMENTS, add_first_moments};
-use crate::footprint::splat::{ParameterGrad, Parameters};
+use crate::footprint::surfel::cpu as disc;
+use crate::footprint::surfel::cpu::{Disc, DiscGrad, MIN_FACING, Plane};
 use crate::math::{CameraOf, M3, V3, add, apply_transposed, column, dot, rotation_backward, scale};
-use crate::real::Real;
-use crate::simd::LANES;
 use crate::tiles::{PixelRect, TileGrid};
 
 /// The low-pass filter is centred in the box around the disc at this radius, in σ (2DGS).

@@ -4,10 +4,10 @@
 //! m = far / (far − near) · (1 − near / z) itself f32 would leave nothing but rounding where z ≫ near.
 
 use super::walk::group;
+use crate::backend::real::Real;
+use crate::backend::simd::LANES;
 use crate::math::CameraOf;
 use crate::ops::blend::far;
-use crate::real::Real;
-use crate::simd::LANES;
 use crate::tiles::TILE_PIXELS;
 
 /// d m / d(−1 / z)

@@ -1,8 +1,8 @@
 //! The axis of a primitive that serves as its normal.
 
-use crate::footprint::splat::Parameters;
+use crate::backend::real::Real;
+use crate::footprint::gaussian::cpu::Parameters;
 use crate::math::{CameraOf, M3, V3, apply, apply_transposed, column, dot, rotation, rotation_backward, scale};
-use crate::real::Real;
 
 /// −1 if the axis points away from the camera, else 1, and the axis in camera axes.
 fn oriented<T: Real>(camera: &CameraOf<T>, parameters: &Parameters<T>, axis: usize) -> (T, V3<T>) {

@@ -1,12 +1,13 @@
 //! A primitive of either form as a camera sees it.
 
+use crate::backend::real::Real;
+use crate::backend::simd::LANES;
 use crate::camera::Camera;
+use crate::footprint::gaussian::cpu as splat;
+use crate::footprint::gaussian::cpu::{ParameterGrad, Parameters, Splat, SplatGrad};
 use crate::footprint::moments::{MOMENTS, add_moments};
-use crate::footprint::splat::{self, ParameterGrad, Parameters, Splat, SplatGrad};
 use crate::math::{CameraOf, V3, add, scale};
-use crate::real::Real;
 use crate::scene::ScreenFilter;
-use crate::simd::LANES;
 use crate::tiles::{PixelRect, TileGrid};
 
 /// A camera in the element type of the kernels and in f64, and its filter of ellipsoids.

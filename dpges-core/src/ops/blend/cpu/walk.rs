@@ -4,12 +4,12 @@ use rayon::prelude::*;
 
 use super::normal::normal;
 use super::projected::{CameraPair, Projected};
-use crate::binning::cpu::{TileLists, bin};
-use crate::footprint::gaussians::GaussianRows;
+use crate::backend::real::Real;
+use crate::backend::simd::LANES;
+use crate::footprint::gaussian::tensors::GaussianRows;
 use crate::math::V3;
 use crate::ops::blend::BlendOptions;
-use crate::real::Real;
-use crate::simd::LANES;
+use crate::tiles::binning::cpu::{TileLists, bin};
 use crate::tiles::for_each_group;
 use crate::tiles::{PixelRect, TILE, TILE_PIXELS, TileGrid};
 

@@ -6,14 +6,14 @@ use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
 use super::order::depth_order;
-use crate::binning::capacity::ListKind;
-use crate::binning::cube::{Ellipses, Pairs, pairs};
 use crate::camera::Camera;
-use crate::footprint::disc_cube::{
-    self, DiscTensors, MIN_FACING, PLANE, Plane, bounded_scale, disc_of, exact_disc, reach,
+use crate::footprint::gaussian::cube as splat_cube;
+use crate::footprint::gaussian::cube::{CUTOFF_F32, INVERSE_CUTOFF, SPLAT, Splat};
+use crate::footprint::gaussian::tensors::GaussianTensors;
+use crate::footprint::surfel::cube as disc_cube;
+use crate::footprint::surfel::cube::{
+    DiscTensors, MIN_FACING, PLANE, Plane, bounded_scale, disc_of, exact_disc, reach,
 };
-use crate::footprint::gaussians::GaussianTensors;
-use crate::footprint::splat_cube::{self, CUTOFF_F32, INVERSE_CUTOFF, SPLAT, Splat};
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, empty_u32, units};
 use crate::gpu::record::{Record, record};
 use crate::gpu::rect::Rect;
@@ -21,6 +21,8 @@ use crate::gpu::vector::{Mat3, Vec3, apply, dot, rotation, row3, row4, scale, tr
 use crate::gpu::view::{CameraUniforms, Rests, pixel_range, to_camera, view_depth, view_rotation};
 use crate::ops::blend::{BlendLists, BlendOptions, Form};
 use crate::tiles::TileGrid;
+use crate::tiles::binning::capacity::ListKind;
+use crate::tiles::binning::cube::{Ellipses, Pairs, pairs};
 
 /// The low-pass filter is centred in the bounding box of the disc at this squared radius, σ² (2DGS).
 pub const LOW_PASS_SQUARED_RADIUS: f32 = 9.0;

@@ -13,15 +13,13 @@ use cubecl::prelude::*;
 
 use super::fragments::{FEATURES, Fragments, LOW_PASS, LowPass, Payload, TANGENTS, Tangents, fragment, on_ellipse};
 use super::{FIRST_MOMENT, REFERENCE, SECOND_MOMENT, STATE, THROUGH, TOTAL, Thresholds, add_fragment};
-use crate::binning::cube::TileList;
 use crate::camera::Camera;
-use crate::capacity::exceed;
 use crate::counters::transfers::{download, wait};
 use crate::error::Error;
-use crate::footprint::disc_cube::{DISC_SUMS, DiscPixel, Hit, PLANE, Plane, add_disc_sums};
+use crate::footprint::gaussian::cube::regions::{WORDS, list_regions, mark_regions};
+use crate::footprint::gaussian::cube::{SPLAT, Splat, add_moments};
 use crate::footprint::moments::MOMENTS;
-use crate::footprint::regions_cube::{WORDS, list_regions, mark_regions};
-use crate::footprint::splat_cube::{SPLAT, Splat, add_moments};
+use crate::footprint::surfel::cube::{DISC_SUMS, DiscPixel, Hit, PLANE, Plane, add_disc_sums};
 use crate::gpu::gather::{lane, primitive, total, zeros};
 use crate::gpu::launch::{
     GATHERED, HALVINGS, LANES, UNITS, buffer, cube_dim, cubes, empty_f32, empty_u32, gatherers, largest_buffer, units,
@@ -31,6 +29,8 @@ use crate::gpu::tile::{Pixel, REGIONS, own_pixel, pixel_of, plane_of};
 use crate::gpu::view::CameraUniforms;
 use crate::ops::blend::{BlendLists, BlendOptions, Form};
 use crate::tiles::TileGrid;
+use crate::tiles::binning::cube::TileList;
+use crate::tiles::capacity::exceed;
 
 /// Entries whose sums a cube makes together, and the units that sum over the pixels of each.
 const ENTRIES: u32 = 4;

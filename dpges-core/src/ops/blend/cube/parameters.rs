@@ -8,9 +8,10 @@ use cubecl::prelude::*;
 use super::fragments::{LOW_PASS_SQUARED_RADIUS as K, camera_axes, discs, facing_sign, normal_axis, own_normal};
 use super::gather::{Layout, PROBE};
 use crate::camera::Camera;
-use crate::footprint::disc_cube::{self, bounded_scale};
-use crate::footprint::gaussians::GaussianTensors;
-use crate::footprint::splat_cube;
+use crate::footprint::gaussian::cube as splat_cube;
+use crate::footprint::gaussian::tensors::GaussianTensors;
+use crate::footprint::surfel::cube as disc_cube;
+use crate::footprint::surfel::cube::bounded_scale;
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, units};
 use crate::gpu::record::Record;
 use crate::gpu::vector::{

@@ -2,7 +2,7 @@
 
 use crate::camera::Camera;
 use crate::footprint::CUTOFF;
-use crate::footprint::splat::{Parameters, Splat};
+use crate::footprint::gaussian::cpu::{Parameters, Splat};
 use crate::math::{CameraOf, M3, V3, apply, column, cross, dot, rotation, scale};
 use crate::ops::blend::{ALL_PLANES, BlendOptions, DEPTH_PLANE, DISTORTION_PLANE, Form, NORMAL_PLANE, far};
 

@@ -1,8 +1,8 @@
 //! The two colour models for one primitive, forward and backward.
 
+use crate::backend::real::Real;
 use crate::math::{V3, dot, scale, sub};
 use crate::ops::colour::{LARGEST_BETA, SHARPNESS};
-use crate::real::Real;
 use crate::scene::SH_C0;
 
 /// Unit vector from the camera to a primitive; zero at the camera itself.

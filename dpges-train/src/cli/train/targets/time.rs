@@ -11,7 +11,7 @@ use dpges_train::run::Trainer;
 
 use super::super::super::{Failure, Result};
 use super::plan::Plan;
-use crate::progress::Seconds;
+use crate::cli::progress::Seconds;
 
 /// Steps that say how long a rehearsal may be; the first compiles kernels and is not counted.
 const FIRST_STEPS: usize = 6;

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::{STAGES, finished, saved_and_loaded, trainer};
 use crate::dataset::{BuiltinOptions, DepthKind, View, builtin, builtin_geometry};
-use crate::rendered::Renderer;
+use crate::eval::rendered::Renderer;
 use crate::run::Trainer;
 use crate::run::fixtures::{config, device};
 

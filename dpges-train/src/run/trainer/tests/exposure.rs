@@ -3,13 +3,13 @@
 use std::sync::Arc;
 
 use super::{STAGES, trainer};
-use crate::corrections::ViewCorrections;
 use crate::dataset::{BuiltinOptions, View, builtin};
+use crate::eval::rendered::Renderer;
 use crate::eval::{Evaluation, Measures, evaluate_each};
-use crate::exposure::Correction;
-use crate::rendered::Renderer;
 use crate::run::Trainer;
 use crate::run::fixtures::{config, device};
+use crate::views::corrections::ViewCorrections;
+use crate::views::exposure::Correction;
 
 #[test]
 fn exposures_are_learnt_around_their_mean_in_every_stage() {

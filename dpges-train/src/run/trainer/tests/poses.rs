@@ -7,10 +7,10 @@ use glam::DVec3;
 
 use super::{STAGES, trainer};
 use crate::dataset::{BuiltinOptions, Dataset, builtin};
-use crate::pose::PoseCorrection;
-use crate::pose_gauge::Gauge;
 use crate::run::Trainer;
 use crate::run::fixtures::{config, dataset, device};
+use crate::views::pose::PoseCorrection;
+use crate::views::pose::gauge::Gauge;
 
 #[test]
 fn poses_are_learnt_in_every_stage_but_for_what_all_have_in_common() {

@@ -1,0 +1,10 @@
+//! What is done differently on each of Burn's backends: the CPU's tensors as slices, element types, vector instructions,
+//! entries on the tape, reads from a device.
+
+pub mod device;
+pub(crate) mod host;
+pub mod readback;
+pub(crate) mod real;
+pub(crate) mod simd;
+pub(crate) mod tape;
+pub(crate) mod tensor_list;

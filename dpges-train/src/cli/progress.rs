@@ -1,0 +1,141 @@
+//! How far a run is: a bar, lines of text or JSON, or nothing.
+
+use std::fmt;
+use std::time::{Duration, Instant};
+
+use dpges_train::run::StepReport;
+use indicatif::ProgressStyle;
+use tracing::Span;
+use tracing_indicatif::span_ext::IndicatifSpanExt;
+
+use crate::cli::logging::LogStyle;
+
+const TEMPLATE: &str = "{wide_bar} {pos}/{len}\n{msg}";
+const REDRAW: Duration = Duration::from_millis(100);
+const LINE: Duration = Duration::from_secs(5);
+/// Weight of the previous value when a smoothed value takes the next.
+const MEMORY: f64 = 0.98;
+
+/// Mean over about 50 steps.
+#[derive(Default)]
+struct Smoothed {
+    sum: f64,
+    weight: f64,
+}
+
+impl Smoothed {
+    fn add(&mut self, value: f64) {
+        self.sum = MEMORY * self.sum + (1.0 - MEMORY) * value;
+        self.weight = MEMORY * self.weight + (1.0 - MEMORY);
+    }
+
+    fn get(&self) -> f64 {
+        self.sum / self.weight.max(f64::MIN_POSITIVE)
+    }
+}
+
+/// Progress of one run, on standard error.
+pub struct ProgressDisplay {
+    style: LogStyle,
+    steps: usize,
+    span: Span,
+    shown: Option<Instant>,
+    loss: Smoothed,
+    psnr: Smoothed,
+    seconds_per_step: Smoothed,
+}
+
+impl ProgressDisplay {
+    /// The progress of a run of `steps` steps, of which `completed` are done.
+    pub fn new(style: LogStyle, steps: usize, completed: usize) -> Self {
+        let span = if style == LogStyle::Bar { tracing::info_span!("training") } else { Span::none() };
+        span.pb_set_style(&ProgressStyle::with_template(TEMPLATE).expect("a valid template"));
+        span.pb_set_length(steps as u64);
+        span.pb_set_position(completed as u64);
+        span.pb_start();
+        let (loss, psnr, seconds_per_step) = Default::default();
+        Self { style, steps, span, shown: None, loss, psnr, seconds_per_step }
+    }
+
+    /// Shows a step that took `seconds`.
+    pub fn step(&mut self, report: &StepReport, seconds: f64) {
+        self.loss.add(report.loss);
+        self.psnr.add(report.psnr);
+        self.seconds_per_step.add(seconds);
+        let pause = if self.style == LogStyle::Bar { REDRAW } else { LINE };
+        if self.shown.is_some_and(|shown| shown.elapsed() < pause) {
+            return;
+        }
+        self.shown = Some(Instant::now());
+        let rate = 1.0 / self.seconds_per_step.get().max(1e-9);
+        let left = (self.steps - report.step) as f64 / rate;
+        let (loss, psnr) = (self.loss.get(), self.psnr.get());
+        let StepReport { step, stage, surfels, gaussians, .. } = *report;
+        match self.style {
+            LogStyle::Quiet => {}
+            LogStyle::Json => {
+                let steps_per_second = rate;
+                let steps = self.steps;
+                let stage = stage.to_string();
+                tracing::info!(
+                    step,
+                    steps,
+                    stage,
+                    steps_per_second,
+                    loss,
+                    psnr,
+                    surfels,
+                    gaussians,
+                    seconds_left = left
+                );
+            }
+            LogStyle::Bar | LogStyle::Lines => {
+                let state = format!(
+                    "{stage} · {rate:.1} steps/s · loss {loss:.4} · PSNR {psnr:.2} dB · {surfels} surfels · {gaussians} \
+                     Gaussians · {} left",
+                    Seconds(left)
+                );
+                if self.style == LogStyle::Lines {
+                    tracing::info!("step {step}/{}: {state}", self.steps);
+                }
+                self.span.pb_set_position(step as u64);
+                self.span.pb_set_message(&state);
+            }
+        }
+    }
+}
+
+/// A duration, shown in one or two units.
+pub struct Seconds(pub f64);
+
+impl fmt::Display for Seconds {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let whole = self.0.round() as u64;
+        match whole {
+            0..10 => write!(f, "{:.1} s", self.0),
+            10..60 => write!(f, "{whole} s"),
+            60..3600 => write!(f, "{} min {} s", whole / 60, whole % 60),
+            _ => write!(f, "{} h {} min", whole / 3600, whole % 3600 / 60),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn durations_are_written_in_two_units() {
+        let texts = [3.21, 59.4, 61.0, 7322.0].map(|seconds| Seconds(seconds).to_string());
+        assert_eq!(texts, ["3.2 s", "59 s", "1 min 1 s", "2 h 2 min"]);
+    }
+
+    #[test]
+    fn smoothing_starts_at_the_first_value() {
+        let mut value = Smoothed::default();
+        value.add(4.0);
+        assert!((value.get() - 4.0).abs() < 1e-12);
+        value.add(8.0);
+        assert!(value.get() > 5.9 && value.get() < 6.1);
+    }
+}

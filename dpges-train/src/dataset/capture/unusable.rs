@@ -1,0 +1,109 @@
+//! What is neither a dataset nor something that a dataset can be made of: what was looked for, what is there instead, and
+//! what may have been meant.
+
+use std::path::{Path, PathBuf};
+
+use super::input::{Input, PHOTOGRAPHS, VIDEOS, has_extension};
+use super::workspace::file_names;
+use crate::dataset;
+use crate::dataset::names::list;
+
+const LOOKED_FOR: &str = "looked for a dataset (sparse/ of COLMAP, transforms_train.json of Blender, transforms.json of \
+                          nerfstudio), for photographs (JPEG or PNG, in the folder itself, in images/ or in input/), and for a \
+                          video (such as walk.mp4)";
+
+/// Why nothing can be trained on, in words.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Unusable {
+    /// What was looked for, and what was found.
+    pub message: String,
+    /// What to do.
+    pub advice: String,
+}
+
+/// Of `path`, which is no dataset and no [`Input`].
+pub fn unusable(path: &Path) -> Unusable {
+    let shown = path.display();
+    if path.is_file() {
+        let message = format!("{shown} is a file, but no video ({}); {LOOKED_FOR}", VIDEOS.join(", "));
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let advice = if has_extension(path, &PHOTOGRAPHS) {
+            format!("name the folder of the photographs: {}", folder.display())
+        } else {
+            "name a folder or a video".to_owned()
+        };
+        return Unusable { message, advice };
+    }
+    let found = match file_names(path) {
+        _ if !path.is_dir() => "no such folder".to_owned(),
+        Err(error) => error.to_string(),
+        Ok(names) if names.is_empty() => "an empty folder".to_owned(),
+        Ok(names) => list(&names),
+    };
+    let message = format!("{shown} is no dataset, and there is nothing to make one of: {LOOKED_FOR}, found {found}");
+    Unusable { message, advice: advice(path) }
+}
+
+fn advice(path: &Path) -> String {
+    let names = file_names(path).unwrap_or_default();
+    if names.iter().any(|name| matches!(name.as_str(), "cameras.bin" | "cameras.txt")) {
+        return "this is a model of COLMAP: name the folder above that holds it as sparse/0, and the photographs as images/"
+            .to_owned();
+    }
+    let within: Vec<PathBuf> = names.iter().map(|name| path.join(name)).collect();
+    let meant: Vec<String> = within
+        .iter()
+        .filter(|within| dataset::format(within).is_some() || Input::find(within).is_some())
+        .map(|within| within.display().to_string())
+        .collect();
+    if !meant.is_empty() {
+        return format!("name what is in it: {}", list(&meant));
+    }
+    "name the folder of a dataset, or that of photographs or a video: `dpges train`, `dpges data` and `dpges sfm` find their \
+     cameras, by COLMAP"
+        .to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::fixtures::write_png;
+
+    #[test]
+    fn what_was_looked_for_and_what_is_there_is_said() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = folder.path();
+        let is_said = |path: &Path, found: &str, advice: &str| {
+            let unusable = unusable(path);
+            for part in [path.to_str().unwrap(), "sparse/", "transforms.json", "JPEG or PNG", "video", found] {
+                assert!(unusable.message.contains(part), "{part}: {unusable:?}");
+            }
+            assert!(unusable.advice.contains(advice), "{advice}: {unusable:?}");
+        };
+        is_said(at, "found an empty folder", "that of photographs or a video: `dpges train`");
+        is_said(&at.join("absent"), "found no such folder", "name the folder of a dataset");
+        std::fs::write(at.join("notes.md"), "").unwrap();
+        is_said(at, "found notes.md", "by COLMAP");
+        is_said(&at.join("notes.md"), "is a file, but no video (mp4, mov,", "name a folder or a video");
+    }
+
+    #[test]
+    fn what_may_have_been_meant_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = folder.path();
+        let path = |name: &str| at.join(name).display().to_string();
+        for name in ["walk.mp4", "read.me", "cameras.bin"] {
+            std::fs::write(at.join(name), "").unwrap();
+        }
+        assert!(unusable(at).advice.contains("this is a model of COLMAP"), "{:?}", unusable(at));
+        std::fs::remove_file(at.join("cameras.bin")).unwrap();
+        assert_eq!(unusable(at).advice, format!("name what is in it: {}", path("walk.mp4")));
+        write_png(&at.join("room/images/a.png"), 4, 4, [1, 2, 3]);
+        std::fs::create_dir_all(at.join("set/sparse")).unwrap();
+        std::fs::create_dir(at.join("other")).unwrap();
+        let meant = [path("room"), path("set"), path("walk.mp4")].join(", ");
+        assert_eq!(unusable(at).advice, format!("name what is in it: {meant}"));
+        let photograph = unusable(&at.join("room/images/a.png"));
+        assert_eq!(photograph.advice, format!("name the folder of the photographs: {}", path("room/images")));
+    }
+}

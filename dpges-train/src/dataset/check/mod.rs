@@ -1,0 +1,93 @@
+//! Whether a dataset will do: what it consists of, and which of its views will harm the result.
+//!
+//! | module | finds |
+//! |---|---|
+//! | [`mod@sharpness`] | blurred photographs |
+//! | [`exposure`] | photographs that are brighter or darker than the rest |
+//! | [`duplicates`] | photographs that were taken twice |
+//! | [`poses`] | cameras that are far from all others |
+//! | [`points`] | cameras that see no points or few, pictures that no point explains |
+//!
+//! Each judges views by the rest of the set, so that it needs no knowledge of cameras or scenes. Pixels that do not count have no
+//! part in any of it.
+
+pub mod duplicates;
+pub mod exposure;
+mod finding;
+pub mod luma;
+pub mod map;
+pub mod points;
+pub mod poses;
+pub mod sharpness;
+mod statistics;
+#[cfg(test)]
+mod tests;
+mod view;
+
+use serde::Serialize;
+
+pub use finding::{Finding, Kind};
+pub use statistics::Range;
+pub use view::{Role, ViewFacts};
+
+use crate::dataset::Dataset;
+
+/// Points that are projected into views at most.
+const MOST_POINTS: usize = 100_000;
+/// Pixels of all views together up to which a quick check looks at them.
+const QUICK_PIXELS: usize = 600_000_000;
+
+/// How thoroughly a dataset is checked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Effort {
+    /// In seconds: of very large datasets poses and points only.
+    Quick,
+    /// All, however long it takes.
+    Full,
+}
+
+/// What a dataset is, and what is wrong with it.
+#[derive(Clone, Debug, Serialize)]
+pub struct Report {
+    /// Training, then held-out, then validation views, each by name.
+    pub views: Vec<ViewFacts>,
+    pub points: usize,
+    /// Mean number of views that saw a point; `None` if the dataset does not say.
+    pub views_per_point: Option<f64>,
+    /// From most to least important.
+    pub findings: Vec<Finding>,
+}
+
+impl Report {
+    /// Of `dataset`.
+    ///
+    /// # Errors
+    /// [`dpges_core::Error::Io`] if a photograph cannot be read again.
+    pub fn of(dataset: &Dataset, effort: Effort) -> dpges_core::Result<Self> {
+        let views = view::facts(dataset, effort)?;
+        let seen: usize = dataset.points.seen_by.iter().map(Vec::len).sum();
+        let points = dataset.points.positions.len();
+        let mut findings = Vec::new();
+        findings.extend(poses::far(&views));
+        findings.extend(points::unseen(&views));
+        findings.extend(sharpness::blurred(&views));
+        findings.extend(exposure::different(&views));
+        findings.extend(exposure::spread(&views));
+        findings.extend(points::few(&views));
+        findings.extend(duplicates::duplicates(&views));
+        findings.extend(points::unexplained(&views));
+        findings.extend(finding::few_views(&views));
+        let views_per_point = (seen > 0).then(|| seen as f64 / points as f64);
+        Ok(Self { views, points, views_per_point, findings })
+    }
+
+    /// Whether a finding names the view.
+    pub fn is_flagged(&self, view: &str) -> bool {
+        self.findings.iter().any(|finding| finding.views.iter().any(|name| name == view))
+    }
+
+    /// Median, 5th and 95th percentile of a number over the views that have it.
+    pub fn range(&self, of: impl Fn(&ViewFacts) -> Option<f64>) -> Option<Range> {
+        Range::of(self.views.iter().filter_map(of))
+    }
+}

@@ -1,0 +1,148 @@
+//! The binary files of a model: little-endian, counts first (COLMAP `src/colmap/scene/reconstruction_io_binary.cc`).
+
+use std::path::Path;
+
+use super::camera_model::{self, CameraRecord};
+use super::{ImageRecord, PointRecord};
+use crate::dataset::error::{DatasetError, Result, read};
+
+const CAMERA_BYTES: usize = 24;
+const IMAGE_BYTES: usize = 4 + 7 * 8 + 4 + 1 + 8;
+const KEYPOINT_BYTES: usize = 24;
+const POINT_BYTES: usize = 8 + 3 * 8 + 3 + 8 + 8;
+const OBSERVATION_BYTES: usize = 8;
+
+/// # Errors
+/// [`DatasetError::Read`], [`DatasetError::Truncated`], [`DatasetError::CameraModel`] for an id without a known layout.
+pub(super) fn cameras(path: &Path) -> Result<Vec<CameraRecord>> {
+    let data = read(path)?;
+    let mut bytes = Bytes { path, rest: &data };
+    let count = bytes.count(CAMERA_BYTES, || "the list of cameras".to_owned())?;
+    (0..count)
+        .map(|index| {
+            let mut fields = bytes.record(CAMERA_BYTES, || format!("camera {index} of {count}"))?;
+            let (id, model_id) = (fields.u32(), fields.u32() as i32);
+            let (width, height) = (fields.u64(), fields.u64());
+            let (model, params) = camera_model::by_id(model_id).ok_or_else(|| DatasetError::CameraModel {
+                path: path.to_owned(),
+                camera: format!("camera {id}"),
+                model: format!("number {model_id}"),
+                reason: "it is unknown here",
+            })?;
+            let mut fields = bytes.record(8 * params, || format!("the parameters of camera {id}"))?;
+            let params = (0..params).map(|_| fields.f64()).collect();
+            Ok(CameraRecord { id, model: model.to_owned(), width, height, params })
+        })
+        .collect()
+}
+
+/// # Errors
+/// [`DatasetError::Read`], [`DatasetError::Truncated`].
+pub(super) fn images(path: &Path) -> Result<Vec<ImageRecord>> {
+    let data = read(path)?;
+    let mut bytes = Bytes { path, rest: &data };
+    let count = bytes.count(IMAGE_BYTES, || "the list of images".to_owned())?;
+    (0..count)
+        .map(|index| {
+            let what = || format!("image {index} of {count}");
+            let mut fields = bytes.record(4 + 7 * 8 + 4, what)?;
+            let id = fields.u32();
+            let wxyz = std::array::from_fn(|_| fields.f64());
+            let translation = std::array::from_fn(|_| fields.f64());
+            let camera_id = fields.u32();
+            let name = bytes.name(what)?;
+            let keypoints = || format!("the keypoints of image `{name}`");
+            let skipped = bytes.count(KEYPOINT_BYTES, keypoints)? * KEYPOINT_BYTES;
+            bytes.record(skipped, keypoints)?;
+            Ok(ImageRecord { id, camera_id, name, wxyz, translation })
+        })
+        .collect()
+}
+
+/// # Errors
+/// [`DatasetError::Read`], [`DatasetError::Truncated`].
+pub(super) fn points(path: &Path) -> Result<Vec<PointRecord>> {
+    let data = read(path)?;
+    let mut bytes = Bytes { path, rest: &data };
+    let count = bytes.count(POINT_BYTES, || "the list of points".to_owned())?;
+    (0..count)
+        .map(|index| {
+            let mut fields = bytes.record(POINT_BYTES - 8, || format!("point {index} of {count}"))?;
+            let _id = fields.u64();
+            let position = std::array::from_fn(|_| fields.f64());
+            let rgb = fields.array();
+            let track = || format!("the track of point {index} of {count}");
+            let observations = bytes.count(OBSERVATION_BYTES, track)?;
+            let mut fields = bytes.record(observations * OBSERVATION_BYTES, track)?;
+            let track = (0..observations)
+                .map(|_| {
+                    let (image, _keypoint) = (fields.u32(), fields.u32());
+                    image
+                })
+                .collect();
+            Ok(PointRecord { position, rgb, track })
+        })
+        .collect()
+}
+
+/// The unread bytes of a file.
+struct Bytes<'a> {
+    path: &'a Path,
+    rest: &'a [u8],
+}
+
+impl<'a> Bytes<'a> {
+    /// The next `length` bytes.
+    fn record(&mut self, length: usize, what: impl Fn() -> String) -> Result<Fields<'a>> {
+        let Some((record, rest)) = self.rest.split_at_checked(length) else {
+            return Err(self.truncated(what(), length as u64));
+        };
+        self.rest = rest;
+        Ok(Fields(record))
+    }
+
+    /// A 64-bit count of entries of at least `entry_bytes` each. The file must be long enough to hold them, so that a
+    /// corrupt count is found before memory is allocated for it.
+    fn count(&mut self, entry_bytes: usize, what: impl Fn() -> String) -> Result<usize> {
+        let count = self.record(8, &what)?.u64();
+        let needed = count.saturating_mul(entry_bytes as u64);
+        if needed > self.rest.len() as u64 { Err(self.truncated(what(), needed)) } else { Ok(count as usize) }
+    }
+
+    /// A name that ends with a zero byte.
+    fn name(&mut self, what: impl Fn() -> String) -> Result<String> {
+        let Some(length) = self.rest.iter().position(|&byte| byte == 0) else {
+            return Err(self.truncated(what(), self.rest.len() as u64 + 1));
+        };
+        let name = String::from_utf8_lossy(&self.rest[..length]).into_owned();
+        self.rest = &self.rest[length + 1..];
+        Ok(name)
+    }
+
+    fn truncated(&self, what: String, needed: u64) -> DatasetError {
+        DatasetError::Truncated { path: self.path.to_owned(), what, needed, left: self.rest.len() }
+    }
+}
+
+/// The fields of a record whose length was checked.
+struct Fields<'a>(&'a [u8]);
+
+impl Fields<'_> {
+    fn array<const N: usize>(&mut self) -> [u8; N] {
+        let (field, rest) = self.0.split_first_chunk().expect("records are as long as their fields");
+        self.0 = rest;
+        *field
+    }
+
+    fn u32(&mut self) -> u32 {
+        u32::from_le_bytes(self.array())
+    }
+
+    fn u64(&mut self) -> u64 {
+        u64::from_le_bytes(self.array())
+    }
+
+    fn f64(&mut self) -> f64 {
+        f64::from_le_bytes(self.array())
+    }
+}

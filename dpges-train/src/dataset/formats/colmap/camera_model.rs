@@ -1,0 +1,107 @@
+//! COLMAP's camera models (`src/colmap/sensor/models.h`).
+
+use std::path::Path;
+
+use dpges_core::camera::{Distortion, Projection};
+
+use super::super::calibration::Calibration;
+use crate::dataset::error::{DatasetError, Result};
+
+/// Models by numeric id: name and number of parameters.
+const MODELS: [(&str, usize); 12] = [
+    ("SIMPLE_PINHOLE", 3),
+    ("PINHOLE", 4),
+    ("SIMPLE_RADIAL", 4),
+    ("RADIAL", 5),
+    ("OPENCV", 8),
+    ("OPENCV_FISHEYE", 8),
+    ("FULL_OPENCV", 12),
+    ("FOV", 5),
+    ("SIMPLE_RADIAL_FISHEYE", 4),
+    ("RADIAL_FISHEYE", 5),
+    ("THIN_PRISM_FISHEYE", 12),
+    ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+];
+
+/// Name and number of parameters of the model with numeric `id`.
+pub(super) fn by_id(id: i32) -> Option<(&'static str, usize)> {
+    usize::try_from(id).ok().and_then(|id| MODELS.get(id)).copied()
+}
+
+/// A camera as stored in the file.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct CameraRecord {
+    pub id: u32,
+    pub model: String,
+    /// px.
+    pub width: u64,
+    pub height: u64,
+    pub params: Vec<f64>,
+}
+
+impl CameraRecord {
+    /// # Errors
+    /// [`DatasetError::CameraModel`] for unknown models, [`DatasetError::Malformed`] for a wrong number of parameters.
+    pub fn calibration(&self, path: &Path) -> Result<Calibration> {
+        let perspective = Distortion::new(Projection::Perspective);
+        let bent = |k: [f64; 6], tangential: [f64; 2]| Distortion {
+            numerator: [k[0], k[1], k[2], 0.0, 0.0, 0.0],
+            denominator: [k[3], k[4], k[5]],
+            tangential,
+            ..perspective
+        };
+        let fisheye = |[k1, k2, k3, k4]: [f64; 4]| Distortion {
+            numerator: [k1, k2, k3, k4, 0.0, 0.0],
+            ..Distortion::new(Projection::Equidistant)
+        };
+        let (focal, centre, distortion) = match (self.model.as_str(), self.params.as_slice()) {
+            ("SIMPLE_PINHOLE", &[f, cx, cy]) => ([f, f], [cx, cy], perspective),
+            ("PINHOLE", &[fx, fy, cx, cy]) => ([fx, fy], [cx, cy], perspective),
+            ("SIMPLE_RADIAL", &[f, cx, cy, k]) => ([f, f], [cx, cy], bent([k, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0; 2])),
+            ("RADIAL", &[f, cx, cy, k1, k2]) => ([f, f], [cx, cy], bent([k1, k2, 0.0, 0.0, 0.0, 0.0], [0.0; 2])),
+            ("OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2]) => {
+                ([fx, fy], [cx, cy], bent([k1, k2, 0.0, 0.0, 0.0, 0.0], [p1, p2]))
+            }
+            ("FULL_OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6]) => {
+                ([fx, fy], [cx, cy], bent([k1, k2, k3, k4, k5, k6], [p1, p2]))
+            }
+            ("OPENCV_FISHEYE", &[fx, fy, cx, cy, k1, k2, k3, k4]) => ([fx, fy], [cx, cy], fisheye([k1, k2, k3, k4])),
+            ("SIMPLE_RADIAL_FISHEYE", &[f, cx, cy, k]) => ([f, f], [cx, cy], fisheye([k, 0.0, 0.0, 0.0])),
+            ("RADIAL_FISHEYE", &[f, cx, cy, k1, k2]) => ([f, f], [cx, cy], fisheye([k1, k2, 0.0, 0.0])),
+            ("THIN_PRISM_FISHEYE", &[fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, s1, s2]) => {
+                let radial = fisheye([k1, k2, k3, k4]);
+                ([fx, fy], [cx, cy], Distortion { tangential: [p1, p2], thin_prism: [s1, s2], ..radial })
+            }
+            // its p₀ and p₁ are the other way round
+            ("RAD_TAN_THIN_PRISM_FISHEYE", &[fx, fy, cx, cy, k0, k1, k2, k3, k4, k5, p0, p1, s0, s1, s2, s3]) => {
+                let bent = Distortion {
+                    numerator: [k0, k1, k2, k3, k4, k5],
+                    tangential: [p1, p0],
+                    thin_prism: [s0, s2],
+                    thin_prism_quartic: [s1, s3],
+                    in_sequence: true,
+                    ..Distortion::new(Projection::Equidistant)
+                };
+                ([fx, fy], [cx, cy], bent)
+            }
+            // without an angle it is a pinhole
+            ("FOV", &[fx, fy, cx, cy, 0.0]) => ([fx, fy], [cx, cy], perspective),
+            ("FOV", &[fx, fy, cx, cy, omega]) => ([fx, fy], [cx, cy], Distortion::new(Projection::FieldOfView(omega))),
+            (model, params) if MODELS.iter().any(|(name, _)| *name == model) => {
+                let what = format!("the number of parameters of camera {} ({model})", self.id);
+                return Err(DatasetError::malformed(path, what, params.len(), "as many as the model has"));
+            }
+            _ => {
+                return Err(DatasetError::CameraModel {
+                    path: path.to_owned(),
+                    camera: format!("camera {}", self.id),
+                    model: self.model.clone(),
+                    reason: "it is unknown here",
+                });
+            }
+        };
+        let [fx, fy] = focal;
+        let [cx, cy] = centre;
+        Ok(Calibration { width: self.width as usize, height: self.height as usize, fx, fy, cx, cy, distortion })
+    }
+}

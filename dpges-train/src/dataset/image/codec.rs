@@ -1,0 +1,248 @@
+//! Photographs in files: decoding, compositing, making smaller.
+
+use std::fs::File;
+use std::io::{self, BufRead, Cursor, Read, Seek};
+use std::path::Path;
+
+use image::{ColorType, DynamicImage, ImageDecoder, ImageError, ImageReader, ImageResult};
+
+use super::resize;
+use crate::dataset::Picture;
+use crate::dataset::error::{DatasetError, Result};
+
+/// Alpha, of 255, from which on a pixel counts, where alpha is a mask.
+const COUNTS: u8 = 128;
+/// Bytes of a file that are read for its header at first. The crate `image` reads the whole of a JPEG.
+const BEGINNING: u64 = 1 << 18;
+
+/// What the alpha of images says.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(in crate::dataset) enum Alpha {
+    /// How much of the photograph covers this background.
+    Matte([f64; 3]),
+    /// Which pixels count.
+    Mask,
+}
+
+impl Picture {
+    /// The picture made smaller, to `width` × `height` px, by a Catmull-Rom filter that is widened by the reduction, and
+    /// rounded to 8 bits.
+    pub(in crate::dataset) fn downscaled(self, width: usize, height: usize) -> Self {
+        let (from, to) = ([self.width, self.height], [width, height]);
+        Self {
+            width,
+            height,
+            counted: self.counted.map(|counted| resize::downscaled_mask(&counted, from, to)),
+            bytes: resize::downscaled::<3>(&self.bytes, from, to),
+            alpha: self.alpha.map(|alpha| resize::downscaled::<1>(&alpha, from, to)),
+        }
+    }
+}
+
+/// The header of an image file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Header {
+    pub width: usize,
+    pub height: usize,
+    pub has_alpha: bool,
+    /// Whether a value has more than 8 bits.
+    pub is_deep: bool,
+}
+
+/// Size and kind of an image, without decoding its pixels.
+///
+/// # Errors
+/// [`DatasetError::Read`], [`DatasetError::Decode`].
+pub(crate) fn header(path: &Path) -> Result<Header> {
+    let at_fault = |source| DatasetError::Read { path: path.to_owned(), source };
+    if let Ok(found) = header_in(beginning(path).map_err(at_fault)?) {
+        return Ok(found);
+    }
+    header_in(reader(path)?).map_err(|source| undecodable(path, source))
+}
+
+fn beginning(path: &Path) -> io::Result<ImageReader<Cursor<Vec<u8>>>> {
+    let mut bytes = Vec::new();
+    File::open(path)?.take(BEGINNING).read_to_end(&mut bytes)?;
+    ImageReader::new(Cursor::new(bytes)).with_guessed_format()
+}
+
+fn header_in<R: BufRead + Seek>(reader: ImageReader<R>) -> ImageResult<Header> {
+    let decoder = reader.into_decoder()?;
+    let (width, height) = decoder.dimensions();
+    let colour: ColorType = decoder.color_type();
+    let is_deep = colour.bits_per_pixel() > 8 * u16::from(colour.channel_count());
+    Ok(Header { width: width as usize, height: height as usize, has_alpha: colour.has_alpha(), is_deep })
+}
+
+/// Decodes a PNG or JPEG, grey or coloured; 16 bits are rounded to 8. If the file has alpha (not premultiplied), which is
+/// a matte, colour is composited in float, `alpha · colour + (1 − alpha) · background`, then rounded. If alpha is a mask,
+/// colour is as stored, and pixels of less than half alpha do not count.
+///
+/// # Errors
+/// [`DatasetError::Read`], [`DatasetError::Decode`].
+pub(in crate::dataset) fn decode(path: &Path, alpha: Alpha) -> Result<Picture> {
+    let decoded = decoded(path)?;
+    let (width, height) = (decoded.width() as usize, decoded.height() as usize);
+    if !decoded.color().has_alpha() {
+        return Ok(Picture { width, height, bytes: decoded.into_rgb8().into_raw(), alpha: None, counted: None });
+    }
+    let rgba = decoded.into_rgba8().into_raw();
+    let pixels = rgba.as_chunks::<4>().0;
+    match alpha {
+        Alpha::Mask => {
+            let bytes = pixels.iter().flat_map(|&[red, green, blue, _]| [red, green, blue]).collect();
+            let counted = pixels.iter().map(|&[.., alpha]| alpha >= COUNTS).collect();
+            Ok(Picture { width, height, bytes, alpha: None, counted: Some(counted) })
+        }
+        Alpha::Matte(background) => {
+            let composited = |&[colour @ .., alpha]: &[u8; 4]| -> [u8; 3] {
+                let alpha = f32::from(alpha) / 255.0;
+                let over = |colour: u8, background: f64| {
+                    (alpha * f32::from(colour) + (1.0 - alpha) * 255.0 * background as f32).round() as u8
+                };
+                std::array::from_fn(|channel| over(colour[channel], background[channel]))
+            };
+            let bytes = pixels.iter().flat_map(composited).collect();
+            let alpha = pixels.iter().map(|&[.., alpha]| alpha).collect();
+            Ok(Picture { width, height, bytes, alpha: Some(alpha), counted: None })
+        }
+    }
+}
+
+/// The image in a file.
+///
+/// # Errors
+/// [`DatasetError::Read`], [`DatasetError::Decode`].
+pub(in crate::dataset) fn decoded(path: &Path) -> Result<DynamicImage> {
+    reader(path)?.decode().map_err(|source| undecodable(path, source))
+}
+
+fn reader(path: &Path) -> Result<ImageReader<io::BufReader<File>>> {
+    ImageReader::open(path)
+        .and_then(ImageReader::with_guessed_format)
+        .map_err(|source| DatasetError::Read { path: path.to_owned(), source })
+}
+
+fn undecodable(path: &Path, source: ImageError) -> DatasetError {
+    DatasetError::Decode { path: path.to_owned(), source }
+}
+
+#[cfg(test)]
+mod tests {
+    use image::{GrayImage, ImageBuffer, Luma, Rgb, Rgba, RgbaImage};
+
+    use super::*;
+
+    fn saved(name: &str, image: impl Into<DynamicImage>) -> (tempfile::TempDir, std::path::PathBuf) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(name);
+        image.into().save(&path).unwrap();
+        (folder, path)
+    }
+
+    #[test]
+    fn grey_and_sixteen_bit_images_become_three_bytes_per_pixel() {
+        let (_folder, path) = saved("grey.png", GrayImage::from_fn(3, 2, |x, y| Luma([(x * 50 + y) as u8])));
+        let picture = decode(&path, Alpha::Matte([0.0; 3])).unwrap();
+        assert_eq!((picture.width, picture.height, &picture.alpha), (3, 2, &None));
+        assert_eq!(picture.bytes[15..], [101; 3]);
+        assert_eq!(header(&path).unwrap(), Header { width: 3, height: 2, has_alpha: false, is_deep: false });
+
+        let deep = ImageBuffer::from_fn(2, 2, |x, _| Rgb([(x * 257) as u16, 65535u16, 1000]));
+        let (_folder, path) = saved("deep.png", DynamicImage::ImageRgb16(deep));
+        assert_eq!(decode(&path, Alpha::Matte([0.0; 3])).unwrap().bytes[3..6], [1, 255, 4]);
+        assert!(header(&path).unwrap().is_deep);
+    }
+
+    #[test]
+    fn alpha_is_composited_in_float() {
+        let (_folder, path) = saved("a.png", RgbaImage::from_fn(2, 1, |x, _| Rgba([200, 100, 0, 51 * x as u8])));
+        let picture = decode(&path, Alpha::Matte([1.0, 0.5, 0.0])).unwrap();
+        assert_eq!(picture.bytes[..3], [255, 128, 0]);
+        // 0.2 · 200 + 0.8 · 255, 0.2 · 100 + 0.8 · 127.5, 0
+        assert_eq!(picture.bytes[3..6], [244, 122, 0]);
+        assert_eq!(picture.alpha.unwrap(), [0, 51]);
+        assert!(header(&path).unwrap().has_alpha);
+    }
+
+    #[test]
+    fn alpha_that_is_a_mask_leaves_colours_alone() {
+        let alphas = [0, 127, 128, 255];
+        let image = RgbaImage::from_fn(4, 1, |x, _| Rgba([200, 100, 0, alphas[x as usize]]));
+        let (_folder, path) = saved("a.png", image);
+        let picture = decode(&path, Alpha::Mask).unwrap();
+        assert_eq!((picture.counted, picture.alpha.is_none()), (Some(vec![false, false, true, true]), true));
+        assert_eq!(picture.bytes, [200, 100, 0].repeat(4));
+        let (_folder, path) = saved("b.png", image::RgbImage::new(2, 2));
+        assert_eq!(decode(&path, Alpha::Mask).unwrap().counted, None);
+    }
+
+    #[test]
+    fn exif_orientation_is_ignored() {
+        let jpeg = saved("photo.jpg", image::RgbImage::from_fn(16, 8, |x, _| Rgb([(x * 15) as u8; 3])));
+        let plain = std::fs::read(&jpeg.1).unwrap();
+        let tiff = b"Exif\0\0II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0";
+        let mut turned = plain[..2].to_vec();
+        turned.extend([0xff, 0xe1]);
+        turned.extend((tiff.len() as u16 + 2).to_be_bytes());
+        turned.extend(tiff);
+        turned.extend(&plain[2..]);
+        std::fs::write(&jpeg.1, turned).unwrap();
+        let picture = decode(&jpeg.1, Alpha::Matte([0.0; 3])).unwrap();
+        assert_eq!((picture.width, picture.height), (16, 8));
+        assert!(picture.rgb(15, 0)[0] > picture.rgb(0, 0)[0]);
+    }
+
+    #[test]
+    fn a_header_behind_much_else_is_found() {
+        let (_folder, path) = saved("photo.jpg", image::RgbImage::new(40, 24));
+        let plain = std::fs::read(&path).unwrap();
+        let mut padded = plain[..2].to_vec();
+        for _ in 0..6 {
+            padded.extend([0xff, 0xfe, 0xff, 0xff]);
+            padded.extend([7; 0xffff - 2]);
+        }
+        padded.extend(&plain[2..]);
+        assert!(padded.len() as u64 > BEGINNING);
+        std::fs::write(&path, padded).unwrap();
+        assert_eq!(header(&path).unwrap(), Header { width: 40, height: 24, has_alpha: false, is_deep: false });
+    }
+
+    #[test]
+    fn downscaling_averages_fine_detail_instead_of_aliasing() {
+        let stripes: Vec<u8> = (0..64 * 32).flat_map(|pixel| [(pixel % 2 * 255) as u8; 3]).collect();
+        let picture = Picture { width: 64, height: 32, bytes: stripes, alpha: Some(vec![64; 64 * 32]), counted: None };
+        let small = picture.downscaled(16, 8);
+        assert_eq!((small.width, small.height, small.bytes.len()), (16, 8, 3 * 16 * 8));
+        for y in 2..6 {
+            for x in 2..14 {
+                assert!((small.rgb(x, y)[0] - 0.5).abs() < 0.02, "{:?}", small.rgb(x, y));
+            }
+        }
+        assert_eq!(small.alpha.unwrap(), [64; 16 * 8]);
+    }
+
+    #[test]
+    fn images_of_many_shades_are_refused_by_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.exr");
+        for begin in
+            [&b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n"[..], b"\x76\x2f\x31\x01\x02\0\0\0", b"II*\0\x10\0\0\0CR"]
+        {
+            std::fs::write(&path, begin).unwrap();
+            let message = decode(&path, Alpha::Mask).unwrap_err().to_string();
+            assert!(message.contains("a.exr") && message.contains("as PNG or JPEG"), "{message}");
+        }
+    }
+
+    #[test]
+    fn unreadable_images_are_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("broken.png");
+        std::fs::write(&path, b"\x89PNG\r\n\x1a\nnothing else").unwrap();
+        for error in [decode(&path, Alpha::Matte([0.0; 3])).unwrap_err(), header(&path).unwrap_err()] {
+            assert!(error.to_string().contains("broken.png") && error.to_string().contains("replace it"), "{error}");
+        }
+    }
+}

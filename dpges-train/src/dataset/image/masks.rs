@@ -1,0 +1,275 @@
+//! Which pixels of photographs count: mask files, and what becomes of them where a photograph is made smaller.
+
+use std::fmt;
+use std::path::{Component, Path, PathBuf};
+
+use super::codec;
+use crate::dataset::View;
+use crate::dataset::error::{DatasetError, Result};
+use crate::dataset::formats::source::Frame;
+
+/// How much of a set of views is masked.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Masked {
+    pub views: usize,
+    /// Those that have a mask, or a lens that shows nothing at some of their pixels.
+    pub masked_views: usize,
+    /// Of all views.
+    pub pixels: usize,
+    /// Those that do not count.
+    pub ignored_pixels: usize,
+}
+
+impl Masked {
+    /// Of these views.
+    pub fn of<'a>(views: impl IntoIterator<Item = &'a View>) -> Self {
+        views.into_iter().fold(Self::default(), |sum, view| {
+            let ignored = view.photograph.ignored_pixels();
+            Self {
+                views: sum.views + 1,
+                masked_views: sum.masked_views + usize::from(ignored.is_some()),
+                pixels: sum.pixels + view.camera.width * view.camera.height,
+                ignored_pixels: sum.ignored_pixels + ignored.unwrap_or(0),
+            }
+        })
+    }
+}
+
+impl fmt::Display for Masked {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let percent = 100.0 * self.ignored_pixels as f64 / self.pixels.max(1) as f64;
+        let (masked, views) = (self.masked_views, self.views);
+        write!(
+            f,
+            "{masked} of {views} views have masks, or a lens that does not fill them; {percent:.1} % of all pixels do not count"
+        )
+    }
+}
+
+/// The file with the mask of a frame of the dataset in folder `root`: the one that the frame names, or else one in the
+/// folder `masks` beside the folder of images, with the same path in it, called `NAME.EXTENSION.png` (COLMAP) or
+/// `NAME.png`. Images in `images_N` may have theirs in `masks_N`.
+///
+/// # Errors
+/// [`DatasetError::MissingMask`] if the file that the frame names is missing.
+pub(in crate::dataset) fn find(root: &Path, frame: &Frame) -> Result<Option<PathBuf>> {
+    let (folders, within) = places(root, &frame.image);
+    if let Some(named) = &frame.mask {
+        let own: PathBuf = components(root, named).skip(1).collect();
+        let scaled = folders.iter().filter(|folder| folder.as_str() != "masks");
+        let scaled = scaled.map(|folder| root.join(folder).join(&own));
+        return match scaled.chain([named.clone()]).find(|path| path.is_file()) {
+            Some(path) => Ok(Some(path)),
+            None => Err(DatasetError::MissingMask {
+                path: named.clone(),
+                view: frame.name.clone(),
+                described_in: frame.described_in.clone(),
+            }),
+        };
+    }
+    Ok(folders.iter().find_map(|folder| called_like(&within, &root.join(folder))))
+}
+
+/// The mask in `folder` that is called like the image `name`, a path: `NAME.EXTENSION.png` (COLMAP) or `NAME.png`.
+pub(crate) fn called_like(name: &Path, folder: &Path) -> Option<PathBuf> {
+    let mut with_both = name.to_owned().into_os_string();
+    with_both.push(".png");
+    [PathBuf::from(with_both), name.with_extension("png")]
+        .into_iter()
+        .map(|name| folder.join(name))
+        .find(|path| path.is_file())
+}
+
+/// Folders in which the mask of an image may be, in this order, and its path in them, but for the extension.
+fn places(root: &Path, image: &Path) -> (Vec<String>, PathBuf) {
+    let mut parts = components(root, image);
+    let first = parts.clone().next().and_then(|part| part.as_os_str().to_str()).unwrap_or_default();
+    let masks = || "masks".to_owned();
+    let folders = match (first, first.strip_prefix("images_")) {
+        ("images", _) => vec![masks()],
+        (_, Some(scale)) => vec![format!("masks_{scale}"), masks()],
+        _ => return (vec![masks()], parts.collect()),
+    };
+    parts.next();
+    (folders, parts.collect())
+}
+
+fn components<'a>(root: &Path, path: &'a Path) -> impl Iterator<Item = Component<'a>> + Clone {
+    path.strip_prefix(root).unwrap_or(path).components().filter(|part| *part != Component::CurDir)
+}
+
+/// Says so if there are masks, but none that belongs to a photograph.
+pub(in crate::dataset) fn warn_of_strangers(root: &Path, frames: &[Frame]) {
+    let folder = root.join("masks");
+    if folder.is_dir() && frames.iter().all(|frame| frame.mask.is_none()) {
+        tracing::warn!("{}", strangers(&folder));
+    }
+}
+
+/// Of a `folder` of masks, none of which belongs to a photograph.
+pub(crate) fn strangers(folder: &Path) -> String {
+    format!(
+        "{} has no mask that is called like a photograph: that of NAME.jpg is NAME.jpg.png or NAME.png",
+        folder.display()
+    )
+}
+
+/// Which pixels of a picture count by the mask in file `path`, [height × width]: those that are not black, or, if it is
+/// `inverted`, those that are. `image` is the file of the picture, `width` × `height` px.
+///
+/// # Errors
+/// [`DatasetError::MaskSize`] if the sizes differ, [`DatasetError::Read`], [`DatasetError::Decode`].
+pub(crate) fn read(path: &Path, image: &Path, [width, height]: [usize; 2], inverted: bool) -> Result<Vec<bool>> {
+    let mask = codec::decoded(path)?.into_luma16();
+    let found = [mask.width() as usize, mask.height() as usize];
+    if found != [width, height] {
+        let (mask, image) = (path.to_owned(), image.to_owned());
+        return Err(DatasetError::MaskSize { mask, found, image, expected: [width, height] });
+    }
+    Ok(mask.pixels().map(|pixel| (pixel.0[0] > 0) != inverted).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use image::{GrayImage, Luma, Rgb, RgbImage, Rgba, RgbaImage};
+
+    use super::*;
+    use crate::dataset::fixtures::{self, Encoding, FixtureScene};
+    use crate::dataset::{Dataset, LoadOptions, Picture, load};
+
+    const SIZE: [u32; 2] = [24, 16];
+
+    /// White from column `from` on.
+    fn write_mask(path: &Path, [width, height]: [u32; 2], from: u32) {
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        GrayImage::from_fn(width, height, |x, _| Luma([if x < from { 0 } else { 1 }])).save(path).unwrap();
+    }
+
+    fn written() -> (tempfile::TempDir, FixtureScene) {
+        let (folder, scene) = (tempfile::tempdir().unwrap(), fixtures::scene(9));
+        fixtures::write_colmap(folder.path(), &scene, Encoding::Binary);
+        (folder, scene)
+    }
+
+    fn counted(data: &Dataset, name: &str) -> Option<Vec<bool>> {
+        picture(data, name).counted.clone()
+    }
+
+    fn picture(data: &Dataset, name: &str) -> Arc<Picture> {
+        data.train.iter().find(|view| view.name == name).unwrap().picture().unwrap()
+    }
+
+    /// [width × height] whether a column counts.
+    fn columns(width: usize, height: usize, counts: impl Fn(usize) -> bool) -> Vec<bool> {
+        (0..width * height).map(|pixel| counts(pixel % width)).collect()
+    }
+
+    #[test]
+    fn masks_are_found_by_both_names_and_may_be_turned_round() {
+        let (folder, _) = written();
+        write_mask(&folder.path().join("masks/left/001.png.png"), SIZE, 5);
+        write_mask(&folder.path().join("masks/left/002.png"), SIZE, 7);
+        let data = load(folder.path(), &LoadOptions::default()).unwrap();
+        assert_eq!(counted(&data, "left/001.png"), Some(columns(24, 16, |x| x >= 5)));
+        assert_eq!(counted(&data, "left/002.png"), Some(columns(24, 16, |x| x >= 7)));
+        assert_eq!(counted(&data, "left/003.png"), None);
+        let masked = data.masked();
+        assert_eq!((masked.views, masked.masked_views, masked.ignored_pixels), (9, 2, 12 * 16));
+        assert_eq!(
+            masked.to_string(),
+            "2 of 9 views have masks, or a lens that does not fill them; 5.6 % of all pixels do not count"
+        );
+        let inverted = load(folder.path(), &LoadOptions { invert_masks: true, ..Default::default() }).unwrap();
+        assert_eq!(counted(&inverted, "left/001.png"), Some(columns(24, 16, |x| x < 5)));
+        assert_eq!(counted(&inverted, "left/003.png"), None);
+    }
+
+    #[test]
+    fn smaller_photographs_have_smaller_masks_that_let_nothing_ignored_in() {
+        let (folder, scene) = written();
+        let image = |name: &str, garbage: u8| {
+            let colour = |x: u32, y: u32| if x < 9 { [garbage; 3] } else { [(9 * x) as u8, (13 * y) as u8, 7] };
+            let image = RgbImage::from_fn(24, 16, |x, y| Rgb(colour(x, y)));
+            image.save(folder.path().join("images").join(name)).unwrap();
+        };
+        let name = scene.images[0].name.as_str();
+        write_mask(&folder.path().join("masks").join(name), SIZE, 9);
+        let options = LoadOptions { max_resolution: Some(12), test_every: 0, ..Default::default() };
+        let read = |garbage: u8| {
+            image(name, garbage);
+            picture(&load(folder.path(), &options).unwrap(), name)
+        };
+        let (black, white) = (read(0), read(255));
+        // the filter of column x reaches from 2 x − 3 to 2 x + 4 in the photograph
+        assert_eq!(black.counted, Some(columns(12, 8, |x| x >= 6)));
+        for pixel in 0..12 * 8 {
+            assert!(!black.counts(pixel) || black.colour(pixel) == white.colour(pixel), "pixel {pixel}");
+        }
+        assert!(black.bytes != white.bytes);
+    }
+
+    #[test]
+    fn masks_in_folders_of_a_scale_fit_its_images() {
+        let (folder, scene) = written();
+        for image in &scene.images {
+            fixtures::write_png(&folder.path().join("images_2").join(&image.name), 12, 8, [9; 3]);
+        }
+        write_mask(&folder.path().join("masks/left/001.png"), SIZE, 5);
+        let options = LoadOptions { image_scale: Some(2), ..Default::default() };
+        let message = load(folder.path(), &options).unwrap_err().to_string();
+        for part in ["masks/left/001.png is 24x16 px", "images_2/left/001.png 12x8"] {
+            assert!(message.contains(part), "{message}");
+        }
+        write_mask(&folder.path().join("masks_2/left/001.png"), [12, 8], 2);
+        let data = load(folder.path(), &options).unwrap();
+        assert_eq!(counted(&data, "left/001.png"), Some(columns(12, 8, |x| x >= 2)));
+    }
+
+    #[test]
+    fn a_mask_that_leaves_nothing_is_refused_with_a_hint() {
+        let (folder, _) = written();
+        write_mask(&folder.path().join("masks/left/004.png"), SIZE, 24);
+        let message = load(folder.path(), &LoadOptions::default()).unwrap_err().to_string();
+        assert!(message.contains("left/004.png") && message.contains("--invert-masks"), "{message}");
+        load(folder.path(), &LoadOptions { invert_masks: true, ..Default::default() }).unwrap();
+    }
+
+    #[test]
+    fn alpha_and_mask_both_take_pixels_away() {
+        let (folder, scene) = written();
+        let name = scene.images[0].name.as_str();
+        let alpha = |x: u32| if x < 20 { 255 } else { 100 };
+        let image = RgbaImage::from_fn(24, 16, |x, _| Rgba([8, 80, 160, alpha(x)]));
+        image.save(folder.path().join("images").join(name)).unwrap();
+        write_mask(&folder.path().join("masks").join(name), SIZE, 3);
+        let options = LoadOptions { alpha_masks: true, test_every: 0, ..Default::default() };
+        let data = load(folder.path(), &options).unwrap();
+        assert_eq!(counted(&data, name), Some(columns(24, 16, |x| (3..20).contains(&x))));
+        assert_eq!(picture(&data, name).bytes[3 * 23..3 * 24], [8, 80, 160]);
+    }
+
+    #[test]
+    fn frames_of_nerfstudio_name_their_masks() {
+        let folder = tempfile::tempdir().unwrap();
+        let frame = |index: usize, mask: &str| {
+            fixtures::write_png(&folder.path().join(format!("images/{index}.png")), 24, 16, [50; 3]);
+            let matrix = fixtures::transform_matrix(&fixtures::pose(index, 3));
+            format!(r#"{{"file_path": "images/{index}.png", {mask} "transform_matrix": {matrix}}}"#)
+        };
+        let named = frame(1, r#""mask_path": "./other/first.png","#);
+        let frames = [frame(0, ""), named, frame(2, "")].join(",");
+        let path = folder.path().join("transforms.json");
+        std::fs::write(&path, format!(r#"{{"fl_x": 20.0, "frames": [{frames}]}}"#)).unwrap();
+        let options = LoadOptions { test_every: 0, ..Default::default() };
+        let message = load(folder.path(), &options).unwrap_err().to_string();
+        assert!(message.contains("other/first.png") && message.contains("transforms.json"), "{message}");
+        write_mask(&folder.path().join("other/first.png"), SIZE, 4);
+        write_mask(&folder.path().join("masks/2.png"), SIZE, 6);
+        let data = load(folder.path(), &options).unwrap();
+        assert_eq!(counted(&data, "images/0.png"), None);
+        assert_eq!(counted(&data, "images/1.png"), Some(columns(24, 16, |x| x >= 4)));
+        assert_eq!(counted(&data, "images/2.png"), Some(columns(24, 16, |x| x >= 6)));
+    }
+}

@@ -1,0 +1,15 @@
+//! Photographs, masks and depth maps: decoded, undistorted, made smaller, kept in memory or read again.
+
+pub(crate) mod cache;
+pub(super) mod codec;
+pub(super) mod decoder;
+pub(super) mod depth;
+pub(super) mod masks;
+pub(super) mod packed;
+pub(super) mod photograph;
+pub(super) mod picture;
+mod prefetch;
+pub(super) mod reading;
+mod resize;
+mod semaphore;
+pub(super) mod undistort;

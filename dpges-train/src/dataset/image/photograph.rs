@@ -1,0 +1,333 @@
+//! Photographs of views: in memory, or in their files and read when they are needed.
+//!
+//! Which it is changes nothing but time and memory: a file is read, undistorted and made smaller in the same way each time.
+
+use std::collections::VecDeque;
+use std::fmt;
+use std::io;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Weak};
+
+use super::prefetch::Prefetcher;
+use super::semaphore::Semaphore;
+use crate::dataset::error::Result;
+use crate::dataset::image::cache::Cache;
+use crate::dataset::{Picture, View};
+
+/// Pictures from files that are kept in any case: the one in use and the next.
+const LEAST_CACHED: usize = 2;
+/// Photographs that are read ahead, at most.
+pub(crate) const MOST_PREFETCHED: usize = 16;
+
+/// The photograph of a view.
+#[derive(Clone, Debug)]
+pub struct Photograph {
+    place: Place,
+    info: ImageInfo,
+}
+
+/// What is known of a photograph without its pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::dataset) struct ImageInfo {
+    /// What it takes in memory.
+    pub bytes: usize,
+    /// Number of pixels that do not count; `None` without a mask, which a lens that does not fill the picture makes too.
+    pub ignored_pixels: Option<usize>,
+    /// Whether a pixel shows the background rather than what is before it.
+    pub has_transparency: bool,
+}
+
+impl ImageInfo {
+    pub fn of(picture: &Picture) -> Self {
+        Self {
+            bytes: picture.size_bytes(),
+            ignored_pixels: picture.counted.is_some().then(|| picture.ignored_pixels()),
+            has_transparency: picture.alpha.is_some() && (0..picture.area()).any(|pixel| picture.is_transparent(pixel)),
+        }
+    }
+}
+
+#[derive(Clone, Debug)]
+enum Place {
+    Memory(Arc<Picture>),
+    File(Arc<InFile>),
+}
+
+/// A photograph in its file, and in memory at times.
+struct InFile {
+    bytes: usize,
+    file: ImageFile,
+    was_read: AtomicBool,
+    cache: Arc<ImageCache>,
+}
+
+/// Where the picture of a photograph comes from, and how long it stays.
+pub(in crate::dataset) struct ImageFile {
+    /// Unique in its cache.
+    pub key: usize,
+    pub path: PathBuf,
+    /// Reads the picture.
+    pub read: Box<dyn Fn() -> Result<Picture> + Send + Sync>,
+    /// Whether it stays in memory once it was read.
+    pub stays: bool,
+    /// Whether it was read before and not kept.
+    pub was_read: bool,
+}
+
+impl fmt::Debug for InFile {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("InFile").field("path", &self.file.path).field("bytes", &self.bytes).finish_non_exhaustive()
+    }
+}
+
+impl InFile {
+    fn picture(&self) -> Result<Arc<Picture>> {
+        let read = || -> Result<Picture> {
+            let _permit = self.cache.semaphore.acquire();
+            let picture = (self.file.read)()?;
+            self.was_read.store(true, Ordering::Relaxed);
+            Ok(picture)
+        };
+        self.pictures().get(self.file.key, self.bytes, read)
+    }
+
+    /// Where its picture is, once it was read.
+    fn pictures(&self) -> &Cache<Picture> {
+        if self.file.stays { &self.cache.kept } else { &self.cache.cached }
+    }
+}
+
+/// The pictures that were read from files, and threads that read ahead.
+pub(in crate::dataset) struct ImageCache {
+    /// They fit into memory.
+    kept: Cache<Picture>,
+    /// Of the others, those that were read lately.
+    cached: Cache<Picture>,
+    most_cached_bytes: usize,
+    /// Files are read.
+    semaphore: Semaphore,
+    prefetcher: Prefetcher<Weak<InFile>>,
+}
+
+impl ImageCache {
+    /// Keeps all pictures that stay and up to `most_cached_bytes` of the others. Up to so many `readers` read at the same time.
+    pub fn new(most_cached_bytes: usize, readers: usize) -> Arc<Self> {
+        let read = |photograph: Weak<InFile>| {
+            if let Some(photograph) = photograph.upgrade() {
+                // whoever needs it tries again, and is told what is wrong
+                let _ = photograph.picture();
+            }
+        };
+        Arc::new(Self {
+            kept: Cache::new(usize::MAX, 0),
+            cached: Cache::new(most_cached_bytes, LEAST_CACHED),
+            most_cached_bytes,
+            semaphore: Semaphore::new(readers.max(2)),
+            // so that whoever needs a picture now need not wait for all of them
+            prefetcher: Prefetcher::new((readers.max(2) - 1).min(MOST_PREFETCHED), read),
+        })
+    }
+}
+
+impl From<Picture> for Photograph {
+    /// In memory.
+    fn from(picture: Picture) -> Self {
+        let info = ImageInfo::of(&picture);
+        Self { place: Place::Memory(Arc::new(picture)), info }
+    }
+}
+
+impl Photograph {
+    /// The `picture`, which stays in memory.
+    pub(in crate::dataset) fn kept(picture: Arc<Picture>, info: ImageInfo) -> Self {
+        Self { place: Place::Memory(picture), info }
+    }
+
+    /// A picture that is read when it is needed, with others in the `cache`.
+    pub(in crate::dataset) fn in_file(file: ImageFile, info: ImageInfo, cache: Arc<ImageCache>) -> Self {
+        let was_read = AtomicBool::new(file.was_read);
+        Self { place: Place::File(Arc::new(InFile { bytes: info.bytes, file, was_read, cache })), info }
+    }
+
+    /// Whether it stays in memory once it was read.
+    pub fn is_kept(&self) -> bool {
+        match &self.place {
+            Place::Memory(_) => true,
+            Place::File(in_file) => in_file.file.stays,
+        }
+    }
+
+    /// Whether its pixels were ever read.
+    pub fn was_read(&self) -> bool {
+        match &self.place {
+            Place::Memory(_) => true,
+            Place::File(in_file) => in_file.was_read.load(Ordering::Relaxed),
+        }
+    }
+
+    /// What it takes in memory, bytes.
+    pub fn size_bytes(&self) -> usize {
+        self.info.bytes
+    }
+
+    /// Number of pixels that do not count; `None` without a mask, which a lens that does not fill the picture makes too.
+    pub fn ignored_pixels(&self) -> Option<usize> {
+        self.info.ignored_pixels
+    }
+
+    /// Whether a pixel that counts shows the background rather than what is before it.
+    pub fn has_transparency(&self) -> bool {
+        self.info.has_transparency
+    }
+
+    /// The picture. It is read from its file if it is not in memory.
+    ///
+    /// # Errors
+    /// [`dpges_core::Error::Io`] if the file cannot be read, or is not what it was when the dataset was loaded.
+    pub fn picture(&self) -> dpges_core::Result<Arc<Picture>> {
+        match &self.place {
+            Place::Memory(picture) => Ok(Arc::clone(picture)),
+            Place::File(in_file) => in_file.picture().map_err(|error| dpges_core::Error::Io {
+                action: if self.was_read() { "cannot read again the photograph" } else { "cannot read the photograph" },
+                path: in_file.file.path.clone(),
+                source: io::Error::other(error),
+            }),
+        }
+    }
+}
+
+/// Begins to read in the background those of `photographs` that are not in memory, the first first, as far as there is room
+/// for them. What was asked for before and has not begun is forgotten.
+pub(crate) fn prefetch<'a>(photographs: impl IntoIterator<Item = &'a Photograph>) {
+    let (mut wanted, mut cache, mut passing_bytes) = (VecDeque::new(), None, 0usize);
+    for photograph in photographs {
+        let Place::File(in_file) = &photograph.place else { continue };
+        if !in_file.file.stays {
+            // beside them is the one in use
+            let is_first = passing_bytes == 0;
+            passing_bytes = passing_bytes.saturating_add(in_file.bytes);
+            if !is_first && passing_bytes.saturating_add(in_file.bytes) > in_file.cache.most_cached_bytes {
+                break;
+            }
+        }
+        cache = Some(&in_file.cache);
+        if !in_file.pictures().has(in_file.file.key) {
+            wanted.push_back(Arc::downgrade(in_file));
+        }
+    }
+    if let Some(cache) = cache {
+        cache.prefetcher.ask(wanted);
+    }
+}
+
+/// `views` and their pictures, one after another. The next are read in the background if they are not in memory.
+pub fn pictures<'a>(
+    views: impl IntoIterator<Item = &'a View>,
+) -> impl Iterator<Item = (&'a View, dpges_core::Result<Arc<Picture>>)> {
+    let views: Vec<&View> = views.into_iter().collect();
+    (0..views.len()).map(move |at| {
+        let picture = views[at].picture();
+        prefetch(views[at + 1..].iter().take(MOST_PREFETCHED).map(|view| &view.photograph));
+        (views[at], picture)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::AtomicUsize;
+    use std::thread;
+
+    use super::*;
+    use crate::dataset::DatasetError;
+
+    /// `count` photographs of 3 bytes, each of its own grey, and how often any was read.
+    fn in_files(count: usize, most_bytes: usize, stays: bool) -> (Vec<Photograph>, Arc<AtomicUsize>) {
+        let (cache, reads) = (ImageCache::new(most_bytes, 3), Arc::new(AtomicUsize::new(0)));
+        let photograph = |key: usize| {
+            let grey = Picture { width: 1, height: 1, bytes: vec![key as u8; 3], alpha: None, counted: None };
+            let (info, reads) = (ImageInfo::of(&grey), Arc::clone(&reads));
+            let read = move || {
+                reads.fetch_add(1, Ordering::SeqCst);
+                Ok(grey.clone())
+            };
+            let path = PathBuf::from("a.png");
+            let file = ImageFile { key, path, read: Box::new(read), stays, was_read: false };
+            Photograph::in_file(file, info, Arc::clone(&cache))
+        };
+        ((0..count).map(photograph).collect(), reads)
+    }
+
+    fn wait_for(reads: &AtomicUsize, count: usize) {
+        while reads.load(Ordering::SeqCst) < count {
+            thread::yield_now();
+        }
+    }
+
+    #[test]
+    fn a_photograph_is_read_again_unless_it_was_in_use_lately() {
+        let (photographs, reads) = in_files(3, 0, false);
+        for key in [0, 1, 0, 1, 2, 0] {
+            assert_eq!(photographs[key].picture().unwrap().bytes, [key as u8; 3]);
+        }
+        assert_eq!(reads.load(Ordering::SeqCst), 4);
+        assert!(!photographs[0].is_kept() && Photograph::from((*photographs[0].picture().unwrap()).clone()).is_kept());
+    }
+
+    #[test]
+    fn what_stays_is_read_once_when_it_is_needed() {
+        let (photographs, reads) = in_files(3, 0, true);
+        assert!(photographs.iter().all(|photograph| photograph.is_kept() && !photograph.was_read()));
+        for key in [0, 1, 0, 1, 1, 0] {
+            assert_eq!(photographs[key].picture().unwrap().bytes, [key as u8; 3]);
+        }
+        assert_eq!(reads.load(Ordering::SeqCst), 2);
+        assert_eq!([0, 1, 2].map(|key| photographs[key].was_read()), [true, true, false]);
+    }
+
+    #[test]
+    fn what_is_prefetched_is_read_once() {
+        for stays in [false, true] {
+            let (photographs, reads) = in_files(5, 15, stays);
+            prefetch(&photographs[1..4]);
+            wait_for(&reads, 3);
+            for (key, photograph) in photographs.iter().enumerate().take(4).skip(1) {
+                // waits for the other thread where that has not finished
+                assert_eq!(photograph.picture().unwrap().bytes, [key as u8; 3]);
+            }
+            prefetch(&photographs[..4]);
+            wait_for(&reads, 4);
+            assert_eq!(photographs[0].picture().unwrap().bytes, [0; 3]);
+            assert_eq!(reads.load(Ordering::SeqCst), 4);
+        }
+    }
+
+    #[test]
+    fn no_more_is_prefetched_than_there_is_room_for() {
+        // two beside the one in use; without any room one
+        for (most_bytes, expected) in [(9, 2), (0, 1)] {
+            let (photographs, reads) = in_files(6, most_bytes, false);
+            photographs[0].picture().unwrap();
+            prefetch(&photographs[1..]);
+            wait_for(&reads, 1 + expected);
+            (1..=expected).for_each(|key| drop(photographs[key].picture().unwrap()));
+            assert_eq!(reads.load(Ordering::SeqCst), 1 + expected);
+            assert!(photographs[expected + 1..].iter().all(|photograph| !photograph.was_read()));
+        }
+    }
+
+    #[test]
+    fn a_file_that_is_gone_is_named() {
+        let info = ImageInfo { bytes: 3, ignored_pixels: None, has_transparency: false };
+        for (was_read, action) in [(true, "cannot read again"), (false, "cannot read")] {
+            let read = || -> Result<Picture> {
+                let path = PathBuf::from("images/a.png");
+                Err(DatasetError::Read { path, source: io::Error::from(io::ErrorKind::NotFound) })
+            };
+            let path = PathBuf::from("images/a.png");
+            let file = ImageFile { key: 0, path, read: Box::new(read), stays: !was_read, was_read };
+            let message = Photograph::in_file(file, info, ImageCache::new(0, 1)).picture().unwrap_err().to_string();
+            assert!(message.contains(&format!("{action} the photograph images/a.png: cannot read")), "{message}");
+        }
+    }
+}

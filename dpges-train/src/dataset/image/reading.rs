@@ -1,0 +1,248 @@
+//! Reads the photographs of a dataset, in parallel and within a budget of memory.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::thread;
+
+use dpges_core::camera::Camera;
+
+use super::decoder::ImageDecoder;
+use super::photograph::{ImageCache, ImageFile, ImageInfo, Photograph};
+use crate::dataset::error::Result;
+use crate::dataset::formats::source::Frame;
+use crate::dataset::{DepthMap, Picture, SAMPLED_VIEWS, View};
+
+/// Memory that reading a photograph takes for a while, bytes per pixel: the decoded image, and what is made of it.
+const WORKING_BYTES_PER_PIXEL: usize = 16;
+/// Share of a budget that not all photographs fit into for those that were read again lately.
+const FOR_RECENT: f64 = 0.25;
+
+/// What is known of a frame once the dataset is loaded.
+struct Found {
+    camera: Camera,
+    info: ImageInfo,
+    /// `None` if it was not read yet, or if there was no room left for it.
+    picture: Option<Arc<Picture>>,
+    was_read: bool,
+    depth: Option<DepthMap>,
+}
+
+/// The views of `frames`, in their order. The photographs of up to [`SAMPLED_VIEWS`] frames are read now, those of more when
+/// they are needed, unless only their pixels say what has to be known of them. The first photographs stay in memory, `memory`
+/// bytes of them at most; others are read again and again if need be. Returns the bytes that are left over, too.
+///
+/// # Errors
+/// Those of reading: the error of the first frame that has one, whatever the number of threads.
+pub(in crate::dataset) fn views(
+    frames: &[&Frame],
+    memory: usize,
+    decoder: &Arc<ImageDecoder>,
+) -> Result<(Vec<View>, usize)> {
+    let kept_bytes = AtomicUsize::new(0);
+    let fits = |bytes: usize| {
+        let with = |kept: usize| kept.checked_add(bytes).filter(|&kept| kept <= memory);
+        kept_bytes.fetch_update(Ordering::SeqCst, Ordering::SeqCst, with).is_ok()
+    };
+    let first = |index: usize| -> Result<Found> {
+        let frame = frames[index];
+        if frames.len() > SAMPLED_VIEWS
+            && let Some((camera, info)) = decoder.survey(frame)?
+        {
+            return Ok(Found { camera, info, picture: None, was_read: false, depth: None });
+        }
+        let (camera, picture) = decoder.photograph(frame)?;
+        let (info, depth) = (ImageInfo::of(&picture), decoder.depth(frame, &camera, &picture)?);
+        let picture = fits(info.bytes).then(|| Arc::new(picture));
+        Ok(Found { camera, info, picture, was_read: true, depth })
+    };
+    let readers = threads(frames, memory);
+    let found: Result<Vec<Found>> = in_parallel(frames.len(), readers, first).into_iter().collect();
+    let found = found?;
+    let all: usize = found.iter().map(|found| found.info.bytes).sum();
+    let all_fit = all <= memory;
+    let most_kept = if all_fit { memory } else { (memory as f64 * (1.0 - FOR_RECENT)) as usize };
+    let mut cache = None;
+    let (mut sum, mut kept, mut kept_sum) = (0, 0, 0);
+    let mut views = Vec::with_capacity(frames.len());
+    for (key, (frame, found)) in frames.iter().zip(found).enumerate() {
+        let Found { camera, info, picture, was_read, depth } = found;
+        sum += info.bytes;
+        let stays = sum <= most_kept;
+        if stays {
+            (kept, kept_sum) = (kept + 1, sum);
+        }
+        let photograph = match picture {
+            Some(picture) if stays => Photograph::kept(picture, info),
+            _ => {
+                let (decoder, own) = (Arc::clone(decoder), (*frame).clone());
+                let read = Box::new(move || decoder.photograph(&own).map(|(_, picture)| picture));
+                let file = ImageFile { key, path: frame.image.clone(), read, stays, was_read };
+                let cache = cache.get_or_insert_with(|| ImageCache::new(memory - most_kept, readers));
+                Photograph::in_file(file, info, Arc::clone(cache))
+            }
+        };
+        views.push(View { name: frame.name.clone(), camera, photograph, depth });
+    }
+    if !all_fit {
+        tracing::info!(
+            "{kept} of {} photographs stay in memory, {:.1} MB of {:.1} MB; the others are read again from their files when \
+             they are needed (data.memory)",
+            frames.len(),
+            kept_sum as f64 / 1e6,
+            all as f64 / 1e6
+        );
+    }
+    Ok((views, if all_fit { memory - all } else { 0 }))
+}
+
+/// Number of photographs that are read at the same time, so that what they take meanwhile fits into `memory`, bytes.
+fn threads(frames: &[&Frame], memory: usize) -> usize {
+    let largest =
+        frames.iter().map(|frame| frame.calibration.width.saturating_mul(frame.calibration.height)).max().unwrap_or(0);
+    let each = largest.saturating_mul(WORKING_BYTES_PER_PIXEL).max(1);
+    (memory / each).clamp(1, rayon::current_num_threads())
+}
+
+/// `of` 0..`count`, by so many threads.
+fn in_parallel<T: Send>(count: usize, threads: usize, of: impl Fn(usize) -> T + Sync) -> Vec<T> {
+    let next = AtomicUsize::new(0);
+    let work = || {
+        let mut done = Vec::new();
+        loop {
+            let index = next.fetch_add(1, Ordering::Relaxed);
+            if index >= count {
+                return done;
+            }
+            done.push((index, of(index)));
+        }
+    };
+    let mut all: Vec<(usize, T)> = thread::scope(|scope| {
+        let workers: Vec<_> = (0..threads.min(count)).map(|_| scope.spawn(work)).collect();
+        let finished = workers.into_iter().map(|worker| worker.join());
+        finished.flat_map(|done| done.unwrap_or_else(|panic| std::panic::resume_unwind(panic))).collect()
+    });
+    all.sort_by_key(|(index, _)| *index);
+    all.into_iter().map(|(_, value)| value).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::fixtures::{self, Encoding};
+    use crate::dataset::{Dataset, LoadOptions, load};
+
+    #[test]
+    fn work_in_parallel_comes_back_in_order() {
+        for threads in [1, 2, 7] {
+            assert_eq!(in_parallel(20, threads, |index| index * index), (0..20).map(|i| i * i).collect::<Vec<_>>());
+        }
+        assert!(in_parallel(0, 3, |index| index).is_empty());
+    }
+
+    /// Nine photographs of 24 × 16 px, one of them with a mask: 1152 bytes each, and 384 more.
+    fn written() -> tempfile::TempDir {
+        let folder = tempfile::tempdir().unwrap();
+        fixtures::write_colmap(folder.path(), &fixtures::scene(9), Encoding::Binary);
+        let mask = folder.path().join("masks/left/001.png");
+        std::fs::create_dir_all(mask.parent().unwrap()).unwrap();
+        image::GrayImage::from_fn(24, 16, |x, _| image::Luma([u8::from(x > 2)])).save(mask).unwrap();
+        folder
+    }
+
+    fn read(folder: &tempfile::TempDir, memory: usize) -> Dataset {
+        load(folder.path(), &LoadOptions { memory, test_every: 4, ..Default::default() }).unwrap()
+    }
+
+    fn was_read(data: &Dataset) -> usize {
+        data.train.iter().chain(&data.test).filter(|view| view.photograph.was_read()).count()
+    }
+
+    fn kept(data: &Dataset) -> Vec<&str> {
+        let views = data.train.iter().chain(&data.test).filter(|view| view.photograph.is_kept());
+        views.map(|view| view.name.as_str()).collect()
+    }
+
+    #[test]
+    fn what_does_not_fit_is_read_again_and_is_the_same() {
+        let folder = written();
+        let whole = read(&folder, 9 * 1152 + 384);
+        assert_eq!((kept(&whole).len(), whole.spare_memory), (9, 0));
+        // three quarters of it, the one with the mask and two others
+        let some = read(&folder, 6000);
+        assert_eq!((kept(&some), some.spare_memory), (vec!["left/001.png", "left/002.png", "left/003.png"], 0));
+        let none = read(&folder, 0);
+        assert_eq!(kept(&none), [""; 0]);
+        for data in [&some, &none] {
+            let pairs = data.train.iter().zip(&whole.train).chain(data.test.iter().zip(&whole.test));
+            for (found, expected) in pairs {
+                assert_eq!((&found.name, found.camera), (&expected.name, expected.camera));
+                assert_eq!(found.picture().unwrap(), expected.picture().unwrap());
+                assert_eq!(found.photograph.ignored_pixels(), expected.photograph.ignored_pixels());
+            }
+            assert_eq!(data.masked(), whole.masked());
+        }
+        assert_eq!(read(&folder, 20_000).spare_memory, 20_000 - 9 * 1152 - 384);
+    }
+
+    #[test]
+    fn files_that_change_are_noticed_when_they_are_read_again() {
+        let folder = written();
+        let data = read(&folder, 0);
+        std::fs::remove_file(folder.path().join("images/left/003.png")).unwrap();
+        let view = data.train.iter().find(|view| view.name == "left/003.png").unwrap();
+        let message = view.picture().unwrap_err().to_string();
+        assert!(message.contains("left/003.png") && message.contains("cannot read"), "{message}");
+    }
+
+    #[test]
+    fn of_many_photographs_only_those_are_read_whose_header_does_not_say_all() {
+        let folder = tempfile::tempdir().unwrap();
+        fixtures::write_colmap(folder.path(), &fixtures::scene(SAMPLED_VIEWS + 6), Encoding::Binary);
+        fixtures::write_rgba(&folder.path().join("images/left/011.png"), 24, 16, [200, 100, 0, 51]);
+        let mask = folder.path().join("masks/left/017.png");
+        std::fs::create_dir_all(mask.parent().unwrap()).unwrap();
+        image::GrayImage::from_fn(24, 16, |x, _| image::Luma([u8::from(x > 2)])).save(mask).unwrap();
+        let bytes = (SAMPLED_VIEWS + 6) * 1152 + 2 * 384;
+        for (memory, stay, spare) in [(bytes + 5, SAMPLED_VIEWS + 6, 5), (bytes - 1, 52, 0), (0, 0, 0)] {
+            let data = read(&folder, memory);
+            assert_eq!((was_read(&data), kept(&data).len(), data.spare_memory), (2, stay, spare));
+            let mut seen = 2;
+            for view in data.train.iter().chain(&data.test) {
+                let index = view.name[5..8].parse::<usize>().unwrap();
+                seen += usize::from(!view.photograph.was_read());
+                let picture = view.picture().unwrap();
+                assert_eq!((picture.counted.is_some(), picture.alpha.is_some()), (index == 17, index == 11));
+                assert_eq!((picture.bytes[0] == index as u8, view.photograph.was_read()), (index != 11, true));
+                assert_eq!(view.photograph.size_bytes(), picture.size_bytes());
+                assert_eq!(was_read(&data), seen);
+            }
+            assert_eq!(data.masked().masked_views, 1);
+        }
+    }
+
+    #[test]
+    fn a_broken_photograph_of_many_is_named_when_it_is_needed() {
+        let folder = tempfile::tempdir().unwrap();
+        fixtures::write_colmap(folder.path(), &fixtures::scene(SAMPLED_VIEWS + 6), Encoding::Binary);
+        let path = folder.path().join("images/left/013.png");
+        let whole = std::fs::read(&path).unwrap();
+        // the header, and the begin of the pixels
+        std::fs::write(&path, &whole[..46]).unwrap();
+        let data = read(&folder, 0);
+        let failed: Vec<String> = data
+            .train
+            .iter()
+            .chain(&data.test)
+            .filter_map(|view| view.picture().err())
+            .map(|e| e.to_string())
+            .collect();
+        assert_eq!(failed.len(), 1, "{failed:?}");
+        for part in ["cannot read the photograph", "left/013.png", "cannot be decoded"] {
+            assert!(failed[0].contains(part), "{failed:?}");
+        }
+        // another size is noticed at once
+        fixtures::write_png(&path, 24, 20, [0; 3]);
+        let message = load(folder.path(), &LoadOptions::default()).unwrap_err().to_string();
+        assert!(message.contains("left/013.png") && message.contains("24x20"), "{message}");
+    }
+}

@@ -1,0 +1,316 @@
+//! Measures how well a scene shows views that it was not trained on.
+//!
+//! All metrics compare renders and photographs after both are quantised to 8 bits. PSNR is taken over all pixels and
+//! channels of a view, then averaged over views (the protocol of 3DGS). `docs/metrics.md` defines the others, and what
+//! masks do to all of them.
+
+pub mod compress;
+mod fits;
+pub mod pictures;
+pub mod popping;
+pub mod rendered;
+pub mod simplify;
+pub mod splat_fit;
+#[cfg(test)]
+mod tests;
+
+use std::time::Instant;
+
+use burn::tensor::{DType, Device, Tensor, TensorData};
+use dpges_core::losses::Target;
+use dpges_core::metrics::{OF_IGNORED_PIXELS, mean_ssim, psnr, quantised};
+use dpges_core::scene::SceneData;
+use dpges_core::scene::tensors::tensor_to_rows;
+use dpges_core::{Error, Result};
+use dpges_render::Rgb8Image;
+use serde::{Deserialize, Serialize};
+
+use crate::dataset::{Picture, View, pictures};
+use crate::eval::popping::Popping;
+use crate::eval::rendered::{Rendered, Renderer};
+use crate::metrics::lpips::{Lpips, Network};
+use crate::metrics::{Fitted, Perceptual, Scores, flip, flip_map};
+use crate::refine::floaters::Floaters;
+use fits::{fitted, posed};
+
+/// PSNR of a picture that is equal to its photograph, dB. The true value, infinity, has no place in JSON or in a mean.
+pub const LARGEST_PSNR: f64 = 100.0;
+
+/// The scores of one view.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ViewScore {
+    pub name: String,
+    /// dB, at most [`LARGEST_PSNR`].
+    pub psnr: f64,
+    pub ssim: f64,
+    /// An error, from 0 to 1.
+    pub flip: f64,
+    #[serde(flatten)]
+    pub perceptual: Perceptual,
+    #[serde(flatten)]
+    pub fitted: Fitted,
+    /// Time to render it.
+    pub seconds: f64,
+    /// px
+    pub width: usize,
+    /// px
+    pub height: usize,
+}
+
+/// The scores of all views, and their means.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Evaluation {
+    pub views: Vec<ViewScore>,
+    /// dB, mean over the views.
+    pub psnr: f64,
+    /// Mean over the views.
+    pub ssim: f64,
+    /// Mean over the views, an error from 0 to 1.
+    pub flip: f64,
+    /// Means over the views, of what all of them have.
+    #[serde(flatten)]
+    pub perceptual: Perceptual,
+    /// Likewise.
+    #[serde(flatten)]
+    pub fitted: Fitted,
+    pub surfels: usize,
+    pub gaussians: usize,
+    /// Time to render a view, mean over the views.
+    pub seconds_per_view: f64,
+}
+
+/// An evaluation and what was evaluated: the content of `eval.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EvalReport {
+    /// Path of the scene file.
+    pub scene: String,
+    /// Folder of the dataset, or `builtin`.
+    pub dataset: String,
+    /// `test`, `train` or `validation`.
+    pub split: String,
+    #[serde(flatten)]
+    pub evaluation: Evaluation,
+    /// Size of the scene file.
+    pub bytes: u64,
+    /// Primitives that float, see [`floaters`](crate::refine::floaters); absent if the dataset does not say which view saw what.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub floaters: Option<Floaters>,
+    /// Wall-clock time of the run up to its last step, see [`MetricsLog::seconds_of_steps`]; absent if the scene is not that
+    /// of a run.
+    ///
+    /// [`MetricsLog::seconds_of_steps`]: crate::run::metrics_log::MetricsLog::seconds_of_steps
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub training_seconds: Option<f64>,
+    /// The most memory of the process that wrote the report, bytes: [since the run began](crate::device::memory::PeakMemory) if one did,
+    /// else so far. Absent where it is not known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub peak_memory_bytes: Option<u64>,
+    /// What the run was to reach; absent without a target.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub target: Option<TargetReport>,
+    /// How much the scene pops along [an arc](fn@crate::eval::popping::arc); absent unless it was measured.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub popping: Option<Popping>,
+    /// Absent unless they were measured.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frame_ms: Option<FrameMs>,
+}
+
+/// Times of the frames of a renderer, and what they were measured on.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FrameMs {
+    /// Median, ms.
+    pub p50: f64,
+    /// The time that 99 % of the frames do not exceed, ms.
+    pub p99: f64,
+    /// Name and interface of the adapter.
+    pub device: String,
+    /// px
+    pub width: usize,
+    /// px
+    pub height: usize,
+    /// `raster`, the real-time one.
+    pub renderer: String,
+}
+
+/// What a run was to reach, what was expected of it before, and what it has come to.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TargetReport {
+    /// As it was asked for, such as `10MB`.
+    pub asked: String,
+    /// `bytes` of the scene file, `seconds` of training up to the last step, or `frames_per_second`.
+    pub unit: String,
+    pub expected: f64,
+    pub got: f64,
+}
+
+/// What is measured besides PSNR, SSIM and FLIP.
+#[derive(Clone, Copy, Debug)]
+pub struct Measures<'a> {
+    /// MS-SSIM, SSIMULACRA2, and LPIPS by these networks, which are on the device that renders; `None`: none of them.
+    pub perceptual: Option<&'a [Lpips]>,
+    /// Whether PSNR and SSIM are also measured after a fit of exposure, see [`Fitted`].
+    pub fitted: bool,
+    /// Whether they are also measured after a fit of the camera, which renders every view many times.
+    pub posed: bool,
+}
+
+impl<'a> Measures<'a> {
+    /// Nothing: what a run needs to go on.
+    pub const BASIC: Self = Self { perceptual: None, fitted: false, posed: false };
+
+    /// MS-SSIM, SSIMULACRA2, and LPIPS by `networks`.
+    pub fn perceptual(networks: &'a [Lpips]) -> Self {
+        Self { perceptual: Some(networks), ..Self::BASIC }
+    }
+
+    /// The same, and a fit of exposure if it is wanted.
+    #[must_use]
+    pub fn fitted(self, fitted: bool) -> Self {
+        Self { fitted, ..self }
+    }
+
+    /// The same, and a fit of cameras if it is wanted.
+    #[must_use]
+    pub fn posed(self, posed: bool) -> Self {
+        Self { posed, ..self }
+    }
+}
+
+impl ViewScore {
+    pub fn scores(&self) -> Scores {
+        let Self { psnr, ssim, flip, perceptual, fitted, .. } = *self;
+        Scores { psnr, ssim, flip, perceptual, fitted }
+    }
+}
+
+impl Evaluation {
+    /// The means over the views.
+    pub fn scores(&self) -> Scores {
+        let Self { psnr, ssim, flip, perceptual, fitted, .. } = *self;
+        Scores { psnr, ssim, flip, perceptual, fitted }
+    }
+
+    /// The PSNR that a run decides by, dB: after a fit of exposure if that was measured.
+    pub fn deciding_psnr(&self) -> f64 {
+        self.fitted.psnr_fitted.unwrap_or(self.psnr)
+    }
+}
+
+/// Renders every view and compares it with its photograph, by PSNR, SSIM and FLIP.
+///
+/// # Errors
+/// Those of [`Renderer::render`]; [`Error::Option`] if there are no views.
+pub fn evaluate(scene: &SceneData, views: &[View], device: &Device) -> Result<Evaluation> {
+    evaluate_each(&Renderer::new(scene, device), scene, views, device, Measures::BASIC, |_, _| Ok(()))
+}
+
+/// Like [`evaluate`], with a scene that is on its device already, by all `measures`. Calls `visit` with the index and the
+/// render of every view.
+///
+/// # Errors
+/// Those of [`evaluate`] and of `visit`.
+pub fn evaluate_each<E: From<Error>>(
+    renderer: &Renderer,
+    scene: &SceneData,
+    views: &[View],
+    device: &Device,
+    measures: Measures<'_>,
+    mut visit: impl FnMut(usize, &Rendered) -> Result<(), E>,
+) -> Result<Evaluation, E> {
+    if views.is_empty() {
+        return Err(Error::Option { option: "views", expected: "at least one".to_owned(), found: "none".into() }.into());
+    }
+    let mut scores = Vec::with_capacity(views.len());
+    for (index, (view, picture)) in pictures(views).enumerate() {
+        let picture = picture?;
+        let start = Instant::now();
+        let render = renderer.render(&view.camera)?;
+        // a GPU may have only begun
+        device.sync().map_err(|error| Error::Device { reason: error.to_string() })?;
+        let seconds = start.elapsed().as_secs_f64();
+        let mut score = score(&view.name, &picture, render.image().clone(), seconds, device, measures)?;
+        if measures.posed {
+            [score.fitted.psnr_posed, score.fitted.ssim_posed] =
+                posed(renderer, view, &picture, scene.info.extent, device, measures.fitted)?;
+        }
+        scores.push(score);
+        visit(index, &render)?;
+    }
+    let mean = |of: fn(&ViewScore) -> f64| scores.iter().map(of).sum::<f64>() / scores.len() as f64;
+    Ok(Evaluation {
+        psnr: mean(|view| view.psnr),
+        ssim: mean(|view| view.ssim),
+        flip: mean(|view| view.flip),
+        perceptual: Perceptual::mean(&scores.iter().map(|view| view.perceptual).collect::<Vec<_>>()),
+        fitted: Fitted::mean(&scores.iter().map(|view| view.fitted).collect::<Vec<_>>()),
+        seconds_per_view: mean(|view| view.seconds),
+        surfels: scene.surfels.len(),
+        gaussians: scene.gaussians.len(),
+        views: scores,
+    })
+}
+
+/// The scores of a finished `picture` of `view`, which took `seconds` to render.
+///
+/// # Errors
+/// [`Error::Shape`] if the picture has another size than the photograph, [`Error::Io`] if that cannot be read again.
+pub fn score_picture(view: &View, picture: &Rgb8Image, seconds: f64, device: &Device) -> Result<ViewScore> {
+    let (width, height) = (view.camera.width, view.camera.height);
+    if (picture.width, picture.height) != (width, height) {
+        let found = vec![picture.height, picture.width, 3];
+        return Err(Error::Shape { tensor: "picture".to_owned(), expected: format!("[{height}, {width}, 3]"), found });
+    }
+    let channel = |channel: usize| picture.bytes.iter().skip(channel).step_by(3).map(|&byte| f32::from(byte) / 255.0);
+    let planes: Vec<f32> = (0..3).flat_map(channel).collect();
+    let image = Tensor::from_data(TensorData::new(planes, [3, height, width]), (device, DType::F32));
+    let photograph = view.picture()?;
+    score(&view.name, &photograph, image, seconds, device, Measures::BASIC)
+}
+
+fn score(
+    name: &str,
+    photograph: &Picture,
+    image: Tensor<3>,
+    seconds: f64,
+    device: &Device,
+    measures: Measures<'_>,
+) -> Result<ViewScore> {
+    let Picture { width, height, counted, .. } = photograph;
+    let (width, height) = (*width, *height);
+    let Target { image: picture, mask } = photograph.target(device);
+    let picture = quantised(picture);
+    let fitted = if measures.fitted { fitted(&picture, counted.as_deref(), &image)? } else { Fitted::default() };
+    let [image, picture] = [quantised(image), picture].map(|picture| match &mask {
+        Some(mask) => mask.filled(picture, OF_IGNORED_PIXELS),
+        None => picture,
+    });
+    let (reference, test) = (tensor_to_rows(&picture), tensor_to_rows(&image));
+    let perceptual = match measures.perceptual {
+        None => Perceptual::default(),
+        Some(networks) => {
+            let mut perceptual = Perceptual::without_networks(&reference, &test, width, height);
+            for lpips in networks {
+                let distance = lpips.distance(&picture, &image)?;
+                match lpips.network {
+                    Network::Alex => perceptual.lpips_alex = distance,
+                    Network::Vgg => perceptual.lpips_vgg = distance,
+                }
+            }
+            perceptual
+        }
+    };
+    let flip = match counted {
+        Some(counted) => mean_where(&flip_map(&reference, &test, width, height), counted),
+        None => flip(&reference, &test, width, height),
+    };
+    let target = Target { image: picture, mask };
+    let (psnr, ssim) = (psnr(image.clone(), target.clone()).min(LARGEST_PSNR), mean_ssim(image, target)?);
+    Ok(ViewScore { name: name.to_owned(), psnr, ssim, flip, perceptual, fitted, seconds, width, height })
+}
+
+/// Mean of the `values` of pixels that count; at least one does.
+fn mean_where(values: &[f64], counted: &[bool]) -> f64 {
+    let of_counted = || values.iter().zip(counted).filter(|(_, counts)| **counts).map(|(value, _)| value);
+    of_counted().sum::<f64>() / of_counted().count() as f64
+}

@@ -1,0 +1,111 @@
+//! Popping: how much the picture of a moving camera changes where the motion does not explain it.
+//!
+//! A frame is compared with an earlier one as it would look from the later camera, by FLIP, where both show the same
+//! surface (Radl, Steiner, Parger, Weinrauch, Kerbl, Steinberger: *StopThePop: Sorted Gaussian Splatting for View-Consistent
+//! Real-time Rendering*. SIGGRAPH 2024). They estimate the motion of pixels with a network; here it follows from depth and
+//! cameras. `docs/popping.md` says what else differs.
+
+mod arc;
+mod frame;
+#[cfg(test)]
+mod tests;
+
+use std::collections::VecDeque;
+
+use dpges_core::Result;
+use dpges_core::camera::Camera;
+use serde::{Deserialize, Serialize};
+
+use crate::eval::rendered::Renderer;
+use crate::metrics::flip_map;
+pub use arc::{FRAMES, arc};
+pub use frame::{Frame, Warped};
+
+/// Frames between those that are compared.
+const STEPS: [usize; 2] = [1, 7];
+
+/// How much a scene pops along a path.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Popping {
+    /// FLIP of frames and those before them, from 0 to 1, mean over the frames.
+    pub flip_1: f64,
+    /// The same of frames and those 7 before them.
+    pub flip_7: f64,
+    /// Frames of the path.
+    pub frames: usize,
+    /// Share of the pixels that were compared, from 0 to 1: for `flip_1` and for `flip_7`, means over the frames.
+    pub pixels_compared: [f64; 2],
+}
+
+impl Popping {
+    /// Of what `renderer` shows along `path`, in the coordinates of its scene; `None` if no surface is seen twice, or with
+    /// fewer than 8 cameras.
+    ///
+    /// # Errors
+    /// Those of [`Renderer::render`].
+    pub fn measure(renderer: &Renderer, path: &[Camera]) -> Result<Option<Self>> {
+        Self::of(path.iter().map(|camera| Frame::render(renderer, camera)))
+    }
+
+    /// Of `frames`, which have one size; `None` if no surface is seen twice, or with fewer than 8 of them.
+    ///
+    /// # Errors
+    /// The first of `frames`.
+    ///
+    /// # Panics
+    /// If frames differ in size.
+    pub fn of<E>(frames: impl IntoIterator<Item = Result<Frame, E>>) -> Result<Option<Self>, E> {
+        let mut sums = STEPS.map(|_| Sum::default());
+        let mut earlier: VecDeque<Frame> = VecDeque::new();
+        let mut count = 0;
+        for frame in frames {
+            let frame = frame?;
+            for (sum, step) in sums.iter_mut().zip(STEPS) {
+                if let Some(at) = earlier.len().checked_sub(step) {
+                    sum.add(&frame, &earlier[at]);
+                }
+            }
+            earlier.push_back(frame);
+            if earlier.len() > STEPS[1] {
+                earlier.pop_front();
+            }
+            count += 1;
+        }
+        let [Some(flip_1), Some(flip_7)] = sums.each_ref().map(Sum::mean) else { return Ok(None) };
+        Ok(Some(Self { flip_1, flip_7, frames: count, pixels_compared: sums.map(|sum| sum.share()) }))
+    }
+}
+
+/// Of pairs of frames.
+#[derive(Default)]
+struct Sum {
+    flip: f64,
+    /// Of pixels that were compared.
+    shares: f64,
+    /// With pixels to compare.
+    compared: usize,
+    pairs: usize,
+}
+
+impl Sum {
+    fn add(&mut self, frame: &Frame, earlier: &Frame) {
+        let warped = frame.warped(earlier);
+        let count = warped.is_seen.iter().filter(|&&is_seen| is_seen).count();
+        self.pairs += 1;
+        self.shares += count as f64 / warped.is_seen.len().max(1) as f64;
+        if count > 0 {
+            let map = flip_map(&frame.planes, &warped.planes, frame.camera.width, frame.camera.height);
+            let seen = map.iter().zip(&warped.is_seen).filter(|(_, is_seen)| **is_seen);
+            self.flip += seen.map(|(flip, _)| flip).sum::<f64>() / count as f64;
+            self.compared += 1;
+        }
+    }
+
+    fn mean(&self) -> Option<f64> {
+        (self.compared > 0).then(|| self.flip / self.compared as f64)
+    }
+
+    fn share(&self) -> f64 {
+        self.shares / self.pairs.max(1) as f64
+    }
+}

@@ -1,0 +1,186 @@
+//! A scene on a device of Burn, from which views are rendered, and pictures of what was rendered.
+
+mod layers;
+mod median_depth;
+
+use burn::tensor::{DType, Device, Tensor};
+use dpges_core::Result;
+use dpges_core::camera::Camera;
+use dpges_core::ops::composite::{Geometry, geometry};
+use dpges_core::ops::environment::environment;
+use dpges_core::ops::peel::PeelOptions;
+use dpges_core::render::blended::{BlendedOptions, BlendedRender, Probes, render_blended, render_blended_probed};
+use dpges_core::render::pose::PoseProbe;
+use dpges_core::render::{Render, RenderOptions, Values, render, render_probed};
+use dpges_core::scene::schema::Columns;
+use dpges_core::scene::tensors::{rows_to_tensor, tensor_to_rows};
+use dpges_core::scene::{Gaussians, Rendering, SceneData, Surfels};
+use dpges_render::Rgb8Image;
+
+use crate::dataset::Dataset;
+use crate::refine::floaters::{Floaters, Visibility};
+pub use layers::{LayerPictures, layer_pictures};
+
+/// The picture of an image [3, H, W] with display-referred values.
+pub fn to_picture(image: &Tensor<3>) -> Rgb8Image {
+    let [_, height, width] = image.dims();
+    Rgb8Image::from_planes(&tensor_to_rows(image), width, height)
+}
+
+/// A scene as f32 tensors, with the options that it was trained with.
+#[derive(Clone, Debug)]
+pub struct Renderer {
+    surfels: Surfels,
+    gaussians: Gaussians,
+    /// [(degree + 1)², 3]
+    environment: Option<Tensor<2>>,
+    options: Options,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Options {
+    Peeled(RenderOptions),
+    Blended(BlendedOptions),
+}
+
+/// A rendered view of a scene of either kind.
+#[derive(Clone, Debug)]
+pub enum Rendered {
+    Peeled(Box<Render>),
+    Blended(Box<BlendedRender>),
+}
+
+impl Rendered {
+    /// The image, [3, H, W], display-referred and not clamped.
+    pub fn image(&self) -> &Tensor<3> {
+        match self {
+            Self::Peeled(render) => &render.composite.image,
+            Self::Blended(render) => &render.image,
+        }
+    }
+
+    /// The same view with an environment [3, H, W] behind everything.
+    fn in_front_of(self, environment: Tensor<3>) -> Self {
+        match self {
+            Self::Peeled(render) => Self::Peeled(Box::new(render.in_front_of(environment))),
+            Self::Blended(render) => Self::Blended(Box::new(render.in_front_of(environment))),
+        }
+    }
+
+    /// The layers of a view of surfels and Gaussians; `None` for blended Gaussians.
+    pub fn peeled(&self) -> Option<&Render> {
+        match self {
+            Self::Peeled(render) => Some(render),
+            Self::Blended(_) => None,
+        }
+    }
+}
+
+impl Renderer {
+    /// Uploads `scene` to `device`.
+    pub fn new(scene: &SceneData, device: &Device) -> Self {
+        let options = match scene.info.rendering {
+            Rendering::Peeled => Options::Peeled(RenderOptions::from(&scene.info)),
+            Rendering::Ellipsoids | Rendering::Discs => {
+                Options::Blended(BlendedOptions::new(&scene.info).expect("a scene of blended Gaussians"))
+            }
+        };
+        Self {
+            surfels: Surfels::from_data(&scene.surfels, device, DType::F32),
+            gaussians: Gaussians::from_data(&scene.gaussians, device, DType::F32),
+            environment: scene.environment.as_ref().map(|e| rows_to_tensor(&e.coefficients, 3, device, DType::F32)),
+            options,
+        }
+    }
+
+    /// Renders the view from `camera`, in the coordinates of the scene.
+    ///
+    /// # Errors
+    /// As [`render`] and [`render_blended`].
+    pub fn render(&self, camera: &Camera) -> Result<Rendered> {
+        self.render_with(camera, &self.options)
+    }
+
+    /// Whether there are no primitives.
+    pub fn is_empty(&self) -> bool {
+        self.surfels.is_empty() && self.gaussians.is_empty()
+    }
+
+    /// The image [3, H, W] from the `camera` of a `probe`, on the tape of the probe; the scene is not.
+    ///
+    /// # Errors
+    /// Those of [`render`](Self::render).
+    pub fn render_probed(&self, camera: &Camera, probe: &PoseProbe) -> Result<Tensor<3>> {
+        let gaussians = self.gaussians.map_ref(|_, tensor| tensor.clone().autodiff());
+        let rendered = match &self.options {
+            Options::Peeled(options) => {
+                let surfels = self.surfels.map_ref(|_, tensor| tensor.clone().autodiff());
+                let values = Values::KnownFinite;
+                Rendered::Peeled(Box::new(render_probed(&surfels, &gaussians, camera, Some(probe), options, values)?))
+            }
+            Options::Blended(options) => {
+                let probes = Probes { gaussians: None, pose: Some(probe) };
+                let rendered = render_blended_probed(&gaussians, probes, camera, options, Values::KnownFinite)?;
+                Rendered::Blended(Box::new(rendered))
+            }
+        };
+        let rendered = match &self.environment {
+            Some(coefficients) => {
+                let coefficients = probe.environment(&coefficients.clone().autodiff());
+                rendered.in_front_of(environment(&coefficients, camera)?)
+            }
+            None => rendered,
+        };
+        Ok(rendered.image().clone())
+    }
+
+    /// The view from `camera` and its median depth [height × width]: that of the first surfel, or of the first
+    /// blended Gaussian, behind which no more than half of the light passes, world units; 0 where there is none.
+    ///
+    /// # Errors
+    /// Those of [`render`](Self::render).
+    pub fn render_with_depth(&self, camera: &Camera) -> Result<(Rendered, Vec<f32>)> {
+        let mut options = self.options;
+        if let Options::Blended(options) = &mut options {
+            options.blend.maps = true;
+        }
+        let rendered = self.render_with(camera, &options)?;
+        let depth = median_depth::median_depth(&rendered, camera);
+        Ok((rendered, depth))
+    }
+
+    fn render_with(&self, camera: &Camera, options: &Options) -> Result<Rendered> {
+        let rendered = match options {
+            Options::Peeled(options) => {
+                Rendered::Peeled(Box::new(render(&self.surfels, &self.gaussians, camera, options)?))
+            }
+            Options::Blended(options) => {
+                let rendered = render_blended(&self.gaussians, None, camera, options, Values::Unknown)?;
+                Rendered::Blended(Box::new(rendered))
+            }
+        };
+        Ok(match &self.environment {
+            Some(coefficients) => rendered.in_front_of(environment(coefficients, camera)?),
+            None => rendered,
+        })
+    }
+
+    /// How many primitives float, see [`floaters`](crate::refine::floaters); `None` if `dataset`, in the coordinates of
+    /// the scene, does not say which view saw what.
+    ///
+    /// # Errors
+    /// As [`render`].
+    pub fn floaters(&self, dataset: &Dataset) -> Result<Option<Floaters>> {
+        let peel = match &self.options {
+            Options::Peeled(options) => options.peel,
+            Options::Blended(_) => PeelOptions::default(),
+        };
+        let visibility = Visibility::measure(&self.surfels, &self.gaussians, &peel, dataset)?;
+        Ok(visibility.map(|visibility| visibility.floaters()))
+    }
+
+    /// Blended depth and normals of the surfels in a `view` from `camera`.
+    pub fn geometry(&self, camera: &Camera, view: &Render) -> Geometry {
+        geometry(&self.surfels, &view.layers, &view.composite.transmittance, camera)
+    }
+}

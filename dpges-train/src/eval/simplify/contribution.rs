@@ -1,0 +1,172 @@
+//! What every primitive contributes to pictures: the sum of the weights with which it is blended into their pixels.
+
+use burn::tensor::{DType, Device, Tensor};
+use dpges_core::Result;
+use dpges_core::camera::Camera;
+use dpges_core::render::blended::{BlendedOptions, render_blended};
+use dpges_core::render::{RenderOptions, Values, render};
+use dpges_core::scene::schema::Columns;
+use dpges_core::scene::tensors::tensor_to_rows;
+use dpges_core::scene::{ColourData, ColourModel, Gaussians, Rendering, SH_C0, SceneData, Surfels};
+
+/// Sums over the pixels of all views, in pixels.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Contributions {
+    /// `[N]`
+    pub surfels: Vec<f64>,
+    /// `[M]`
+    pub gaussians: Vec<f64>,
+}
+
+impl Contributions {
+    /// Renders `scene` on `device` from each of `cameras`, in its coordinates. A pixel is linear in the colours of the
+    /// primitives, so that the gradient of the sum of all pixels with respect to a colour is the sum of the primitive's
+    /// weights. Colours are replaced by grey: one that is clamped has no gradient.
+    ///
+    /// # Errors
+    /// Those of [`render`] and [`render_blended`].
+    pub fn measure(scene: &SceneData, cameras: &[Camera], device: &Device) -> Result<Self> {
+        let mut sums = Self { surfels: vec![0.0; scene.surfels.len()], gaussians: vec![0.0; scene.gaussians.len()] };
+        let tape = device.clone().autodiff();
+        let mut surfels = scene.surfels.clone();
+        *surfels.colour_mut() = grey(surfels.len());
+        let mut gaussians = scene.gaussians.clone();
+        *gaussians.colour_mut() = grey(gaussians.len());
+        for camera in cameras {
+            let mut surfels = Surfels::from_data(&surfels, &tape, DType::F32);
+            let mut gaussians = Gaussians::from_data(&gaussians, &tape, DType::F32);
+            surfels.colour.base = surfels.colour.base.require_grad();
+            gaussians.colour.base = gaussians.colour.base.require_grad();
+            let image = match scene.info.rendering {
+                Rendering::Peeled => {
+                    render(&surfels, &gaussians, camera, &RenderOptions::from(&scene.info))?.composite.image
+                }
+                Rendering::Ellipsoids | Rendering::Discs => {
+                    let options = BlendedOptions::new(&scene.info)?;
+                    render_blended(&gaussians, None, camera, &options, Values::Unknown)?.image
+                }
+            };
+            let gradients = image.sum().backward();
+            let add = |sums: &mut [f64], base: &Tensor<2>| {
+                let Some(gradient) = base.grad(&gradients) else { return };
+                let rows = tensor_to_rows(&gradient);
+                let weight = |row: &[f32; 3]| row.iter().map(|&x| f64::from(x)).sum::<f64>() / (3.0 * SH_C0);
+                sums.iter_mut().zip(rows.as_chunks::<3>().0).for_each(|(sum, row)| *sum += weight(row));
+            };
+            add(&mut sums.surfels, &surfels.colour.base);
+            add(&mut sums.gaussians, &gaussians.colour.base);
+        }
+        Ok(sums)
+    }
+
+    /// The `share` (0 to 1) of all primitives that contribute most, surfels and Gaussians together: the rows of both, in
+    /// their order. Of equal contributions surfels go first, then earlier rows.
+    pub fn heaviest(&self, share: f64) -> [Vec<usize>; 2] {
+        let surfels = self.surfels.len();
+        let all: Vec<f64> = self.surfels.iter().chain(&self.gaussians).copied().collect();
+        let mut order: Vec<usize> = (0..all.len()).collect();
+        order.sort_by(|&a, &b| all[b].total_cmp(&all[a]));
+        order.truncate((share.clamp(0.0, 1.0) * all.len() as f64).ceil() as usize);
+        order.sort_unstable();
+        let (of_surfels, of_gaussians) = order.split_at(order.partition_point(|&row| row < surfels));
+        [of_surfels.to_vec(), of_gaussians.iter().map(|row| row - surfels).collect()]
+    }
+
+    /// `scene`, which was measured, with its [`heaviest`](Self::heaviest) primitives alone.
+    pub fn keep_heaviest(&self, scene: &SceneData, share: f64) -> SceneData {
+        let [surfels, gaussians] = self.heaviest(share);
+        SceneData {
+            surfels: scene.surfels.select(&surfels),
+            gaussians: scene.gaussians.select(&gaussians),
+            ..scene.clone()
+        }
+    }
+}
+
+/// Colours of ½ from everywhere.
+fn grey(count: usize) -> ColourData {
+    ColourData { model: ColourModel::SphericalBeta { lobes: 0 }, base: vec![0.0; 3 * count], detail: Vec::new() }
+}
+
+#[cfg(test)]
+mod tests {
+    use dpges_core::scene::SceneInfo;
+    use dpges_core::testing::scenes::{Recipe, random};
+
+    use super::*;
+    use crate::eval::rendered::Renderer;
+    use crate::run::fixtures::device;
+
+    fn scene(rendering: Rendering) -> (SceneData, Camera) {
+        let recipe = Recipe { surfels: 6, gaussians: 9, ..Recipe::default() };
+        let made = random(7, &recipe);
+        let info = SceneInfo { colour_model: recipe.model, rendering, ..SceneInfo::default() };
+        let surfels = if rendering == Rendering::Peeled { made.surfels.clone() } else { made.surfels.select(&[]) };
+        (SceneData { info, surfels, gaussians: made.gaussians, environment: None }, made.camera)
+    }
+
+    fn sum(scene: &SceneData, camera: &Camera) -> f64 {
+        let render = Renderer::new(scene, &device()).render(camera).unwrap();
+        tensor_to_rows(render.image()).iter().map(|&x| f64::from(x)).sum()
+    }
+
+    #[test]
+    fn a_contribution_is_what_brighter_colour_adds_to_the_picture() {
+        for rendering in [Rendering::Peeled, Rendering::Ellipsoids] {
+            let (mut scene, camera) = scene(rendering);
+            scene.info.colour_model = ColourModel::SphericalBeta { lobes: 0 };
+            scene.surfels.colour = grey(scene.surfels.len());
+            scene.gaussians.colour = grey(scene.gaussians.len());
+            let found = Contributions::measure(&scene, &[camera, camera], &device()).unwrap();
+            let before = sum(&scene, &camera);
+            let weight = |changed: &SceneData| (sum(changed, &camera) - before) / (3.0 * SH_C0);
+            let mut largest = 0.0f64;
+            for (row, &expected) in found.surfels.iter().enumerate() {
+                let mut changed = scene.clone();
+                changed.surfels.colour.base[3 * row..][..3].fill(1.0);
+                let twice = 2.0 * weight(&changed);
+                assert!((twice - expected).abs() < 2e-3 * twice.max(1.0), "surfel {row}: {twice}, {expected}");
+                largest = largest.max(expected);
+            }
+            for (row, &expected) in found.gaussians.iter().enumerate() {
+                let mut changed = scene.clone();
+                changed.gaussians.colour.base[3 * row..][..3].fill(1.0);
+                let twice = 2.0 * weight(&changed);
+                assert!((twice - expected).abs() < 2e-3 * twice.max(1.0), "Gaussian {row}: {twice}, {expected}");
+                largest = largest.max(expected);
+            }
+            assert!(largest > 1.0, "something is seen: {found:?}");
+        }
+    }
+
+    #[test]
+    fn colours_do_not_change_what_is_contributed() {
+        let (coloured, camera) = scene(Rendering::Peeled);
+        let mut black = coloured.clone();
+        black.surfels.colour.base.fill(-9.0);
+        black.gaussians.colour.base.fill(-9.0);
+        let measure = |scene: &SceneData| Contributions::measure(scene, &[camera], &device()).unwrap();
+        assert_eq!(measure(&coloured), measure(&black));
+    }
+
+    #[test]
+    fn the_heaviest_are_kept_in_their_order() {
+        let all = Contributions { surfels: vec![0.5, 9.0, 0.0], gaussians: vec![3.0, 0.5, 7.0] };
+        assert_eq!(all.heaviest(0.5), [vec![1], vec![0, 2]]);
+        assert_eq!(all.heaviest(0.6), [vec![0, 1], vec![0, 2]], "of equal ones the surfel");
+        assert_eq!(all.heaviest(1.0), [vec![0, 1, 2], vec![0, 1, 2]]);
+        let nothing = [Vec::<usize>::new(), Vec::new()];
+        assert_eq!(all.heaviest(0.0), nothing);
+        assert_eq!(Contributions { surfels: vec![], gaussians: vec![] }.heaviest(0.5), nothing);
+
+        let (scene, camera) = scene(Rendering::Peeled);
+        let measured = Contributions::measure(&scene, &[camera], &device()).unwrap();
+        let half = measured.keep_heaviest(&scene, 0.5);
+        assert_eq!(half.surfels.len() + half.gaussians.len(), 8);
+        let [surfels, gaussians] = measured.heaviest(0.5);
+        assert_eq!(
+            (half.surfels, half.gaussians),
+            (scene.surfels.select(&surfels), scene.gaussians.select(&gaussians))
+        );
+    }
+}

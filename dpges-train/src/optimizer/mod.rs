@@ -1,0 +1,283 @@
+//! Adam over the attributes of a scene, and the edits of rows that keep its moments. All of it stays on the device.
+
+pub mod scene_state;
+
+use burn::tensor::{Bool, DType, Device, Gradients, Int, Tensor, TensorData};
+use dpges_core::ops::adam::{AdamStep, adam_step};
+use dpges_core::scene::schema::Attribute;
+use dpges_core::scene::tensors::{row_indices, tensor_to_rows};
+
+/// One attribute of all primitives of a kind: its raw numbers and, if it learns, its two Adam moments.
+#[derive(Clone, Debug)]
+pub struct Parameter {
+    attribute: &'static Attribute,
+    /// [rows, width]
+    raw: Tensor<2>,
+    /// Each [rows, width].
+    moments: Option<[Tensor<2>; 2]>,
+}
+
+/// A [`Parameter`] in host memory.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ParameterRows {
+    pub count: usize,
+    pub width: usize,
+    pub raw: Vec<f32>,
+    pub moments: Option<[Vec<f32>; 2]>,
+}
+
+impl Parameter {
+    /// Raw numbers [`count`, `width`] that have not been stepped yet.
+    pub fn fresh(attribute: &'static Attribute, raw: &[f32], [count, width]: [usize; 2], device: &Device) -> Self {
+        let raw = tensor(raw, [count, width], device);
+        let moments = attribute.learns().then(|| [(); 2].map(|()| zeros([count, width], device)));
+        Self { attribute, raw, moments }
+    }
+
+    pub fn from_rows(attribute: &'static Attribute, rows: &ParameterRows, device: &Device) -> Self {
+        let shape = [rows.count, rows.width];
+        let moments = rows.moments.as_ref().map(|moments| moments.each_ref().map(|rows| tensor(rows, shape, device)));
+        Self { attribute, raw: tensor(&rows.raw, shape, device), moments }
+    }
+
+    pub fn rows(&self) -> ParameterRows {
+        let [count, width] = self.raw.dims();
+        let moments = self.moments.as_ref().map(|moments| moments.each_ref().map(tensor_to_rows));
+        ParameterRows { count, width, raw: tensor_to_rows(&self.raw), moments }
+    }
+
+    /// [rows, width] the raw numbers, not on a tape.
+    pub fn raw(&self) -> Tensor<2> {
+        self.raw.clone()
+    }
+
+    /// [rows, width] the raw numbers on a new tape; a leaf of it if the attribute learns.
+    pub fn leaf(&self) -> Tensor<2> {
+        let raw = self.raw.clone().autodiff();
+        if self.attribute.learns() { raw.require_grad() } else { raw }
+    }
+
+    /// The gradient that a backward pass left for a [`leaf`](Self::leaf); `None` if nothing reached it.
+    pub fn gradient(&self, leaf: &Tensor<2>, gradients: &mut Gradients) -> Option<Tensor<2>> {
+        if self.attribute.learns() { leaf.grad_remove(gradients) } else { None }
+    }
+
+    /// Nothing changes where `gate` `[1]` is not 1, or if the attribute does not learn.
+    ///
+    /// # Errors
+    /// [`dpges_core::Error::Shape`] if the gradient belongs to another set of rows.
+    pub fn step(&mut self, gradient: Option<Tensor<2>>, gate: &Tensor<1>, step: AdamStep) -> dpges_core::Result<()> {
+        let Some(moments) = self.moments.take() else { return Ok(()) };
+        let gradient = gradient.unwrap_or_else(|| self.raw.zeros_like());
+        // Moved out, so that the step can work in place.
+        let raw = std::mem::replace(&mut self.raw, zeros([0, 0], &gate.device()));
+        let (raw, moments) = adam_step(raw, moments, &gradient, gate, &step)?;
+        (self.raw, self.moments) = (raw, Some(moments));
+        Ok(())
+    }
+
+    /// Replaces all raw numbers; the moments stay.
+    ///
+    /// # Panics
+    /// If `raw` has another length.
+    pub fn set(&mut self, raw: &[f32]) {
+        self.raw = tensor(raw, self.raw.dims(), &self.raw.device());
+    }
+
+    /// Replaces all raw numbers by those of a tensor [rows, width] on the same device; the moments stay.
+    pub fn set_tensor(&mut self, raw: Tensor<2>) {
+        self.raw = raw;
+    }
+
+    /// Replaces all raw numbers; the moments start again.
+    ///
+    /// # Panics
+    /// If `raw` has another length.
+    pub fn restart(&mut self, raw: &[f32]) {
+        *self = Self::fresh(self.attribute, raw, self.raw.dims(), &self.raw.device());
+    }
+
+    /// Keeps the `kept` rows and appends `added_count` rows with the raw numbers `added`, whose moments are zero (3DGS).
+    ///
+    /// # Panics
+    /// If `added` has another length.
+    pub fn edit(&mut self, kept: &Rows, added: &[f32], added_count: usize) {
+        let [_, width] = self.raw.dims();
+        let (device, shape) = (self.raw.device(), [added_count, width]);
+        self.raw = joined(kept.of(&self.raw), || tensor(added, shape, &device), added_count);
+        if let Some(moments) = &mut self.moments {
+            for moment in moments {
+                *moment = joined(kept.of(moment), || zeros(shape, &device), added_count);
+            }
+        }
+    }
+
+    /// Row i becomes a copy of row i of `copied`. Moments stay with their place; they are zero in places that are new,
+    /// and where `fresh` [rows of the new set, 1] is true (3DGS-MCMC).
+    pub fn copy_rows(&mut self, copied: &Rows, fresh: &Tensor<2, Bool>) {
+        let [count, width] = self.raw.dims();
+        let added = copied.len() - count;
+        self.raw = copied.of(&self.raw);
+        if let Some(moments) = &mut self.moments {
+            for moment in moments {
+                let extended = joined(moment.clone(), || zeros([added, width], &moment.device()), added);
+                *moment = if width == 0 {
+                    extended
+                } else {
+                    extended.mask_fill(fresh.clone().expand([-1, width as i64]), 0.0)
+                };
+            }
+        }
+    }
+}
+
+/// Rows of a set, in a new order or fewer of them, on the device of the set.
+pub struct Rows {
+    /// `None` where all rows stay in place.
+    indices: Option<Tensor<1, Int>>,
+    count: usize,
+}
+
+impl Rows {
+    /// `rows` of a set that has `of` of them.
+    pub fn new(rows: &[usize], of: usize, device: &Device) -> Self {
+        let all = rows.len() == of && rows.iter().enumerate().all(|(at, &row)| at == row);
+        Self { indices: (!all).then(|| row_indices(rows, device)), count: rows.len() }
+    }
+
+    pub fn len(&self) -> usize {
+        self.count
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.count == 0
+    }
+
+    /// [count, width] these rows of `values`.
+    fn of(&self, values: &Tensor<2>) -> Tensor<2> {
+        let [_, width] = values.dims();
+        match &self.indices {
+            None => values.clone(),
+            Some(_) if self.count == 0 || width == 0 => zeros([self.count, width], &values.device()),
+            Some(indices) => values.clone().select(0, indices.clone()),
+        }
+    }
+}
+
+/// `kept`, followed by `added`, which has `count` rows.
+fn joined(kept: Tensor<2>, added: impl FnOnce() -> Tensor<2>, count: usize) -> Tensor<2> {
+    match (kept.dims()[0], count) {
+        (_, 0) => kept,
+        (0, _) => added(),
+        _ => Tensor::cat(vec![kept, added()], 0),
+    }
+}
+
+fn tensor(values: &[f32], shape: [usize; 2], device: &Device) -> Tensor<2> {
+    Tensor::from_data(TensorData::new(values.to_vec(), shape), (device, DType::F32))
+}
+
+/// Not by a kernel, which some devices refuse to launch over nothing.
+fn zeros([count, width]: [usize; 2], device: &Device) -> Tensor<2> {
+    if count * width == 0 {
+        tensor(&[], [count, width], device)
+    } else {
+        Tensor::zeros([count, width], (device, DType::F32))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dpges_core::scene::schema::{Columns, SurfelColumns};
+    use dpges_core::scene::tensors::rows_to_tensor;
+
+    const STEP: AdamStep = AdamStep { learning_rate: 0.1, beta_1: 0.9, beta_2: 0.999, epsilon: 1e-15, time: 1 };
+    /// Two numbers wide.
+    const LOG_SCALES: &Attribute = &SurfelColumns::<()>::ATTRIBUTES[2];
+    /// Does not learn.
+    const MARGINS: &Attribute = &SurfelColumns::<()>::ATTRIBUTES[3];
+
+    fn open(device: &Device) -> Tensor<1> {
+        Tensor::ones([1], (device, DType::F32))
+    }
+
+    fn fresh_rows(rows: &[bool], device: &Device) -> Tensor<2, Bool> {
+        Tensor::<1, Bool>::from_data(TensorData::new(rows.to_vec(), [rows.len()]), device).reshape([rows.len(), 1])
+    }
+
+    fn moments(parameter: &Parameter) -> [Vec<f32>; 2] {
+        parameter.rows().moments.unwrap()
+    }
+
+    #[test]
+    fn edits_keep_the_moments_of_kept_rows_and_zero_those_of_new_ones() {
+        let device = Device::flex();
+        let mut parameter = Parameter::fresh(LOG_SCALES, &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0], [3, 2], &device);
+        let gradient = rows_to_tensor(&[1.0, -1.0, 0.0, 2.0, -3.0, 4.0], 2, &device, DType::F32);
+        parameter.step(Some(gradient), &open(&device), STEP).unwrap();
+        let before = parameter.rows();
+        parameter.edit(&Rows::new(&[0, 2], 3, &device), &[7.0, 8.0], 1);
+        let after = parameter.rows();
+        assert_eq!(after.raw[..2], before.raw[..2]);
+        assert_eq!(after.raw[2..], [before.raw[4], before.raw[5], 7.0, 8.0]);
+        for (after, before) in after.moments.unwrap().iter().zip(&before.moments.unwrap()) {
+            assert_eq!(after[..4], [before[0], before[1], before[4], before[5]]);
+            assert_eq!(after[4..], [0.0, 0.0]);
+        }
+    }
+
+    #[test]
+    fn the_first_step_is_the_learning_rate_towards_less_loss_and_none_is_taken_without_gradient() {
+        let device = Device::flex();
+        let mut parameter = Parameter::fresh(LOG_SCALES, &[1.0, 1.0], [1, 2], &device);
+        let gradient = rows_to_tensor(&[5.0, -0.001], 2, &device, DType::F32);
+        parameter.step(Some(gradient), &open(&device), STEP).unwrap();
+        let stepped = parameter.rows().raw;
+        assert!((stepped[0] - 0.9).abs() < 1e-5 && (stepped[1] - 1.1).abs() < 1e-5, "{stepped:?}");
+        let mut untouched = Parameter::fresh(LOG_SCALES, &[1.0, 2.0], [1, 2], &device);
+        untouched.step(None, &open(&device), STEP).unwrap();
+        assert_eq!(untouched.rows().raw, [1.0, 2.0]);
+    }
+
+    #[test]
+    fn what_does_not_learn_has_no_moments_and_is_edited_all_the_same() {
+        let device = Device::flex();
+        let mut margins = Parameter::fresh(MARGINS, &[0.1, 0.2, 0.3], [3, 1], &device);
+        let gradient = rows_to_tensor(&[1.0; 3], 1, &device, DType::F32);
+        margins.step(Some(gradient), &open(&device), STEP).unwrap();
+        margins.edit(&Rows::new(&[2, 0], 3, &device), &[0.4], 1);
+        let rows = margins.rows();
+        assert_eq!((rows.raw, rows.moments), (vec![0.3, 0.1, 0.4], None));
+    }
+
+    #[test]
+    fn copied_rows_leave_their_moments_in_place() {
+        let device = Device::flex();
+        let moments_before = [vec![0.1, 0.1, 0.2, 0.2, 0.3, 0.3], vec![0.4, 0.4, 0.5, 0.5, 0.6, 0.6]];
+        let raw = vec![1.0, 1.5, 2.0, 2.5, 3.0, 3.5];
+        let rows = ParameterRows { count: 3, width: 2, raw, moments: Some(moments_before) };
+        let mut parameter = Parameter::from_rows(LOG_SCALES, &rows, &device);
+        let copied = Rows::new(&[0, 2, 2, 0], 3, &device);
+        parameter.copy_rows(&copied, &fresh_rows(&[false, false, true, true], &device));
+        assert_eq!(parameter.rows().raw, [1.0, 1.5, 3.0, 3.5, 3.0, 3.5, 1.0, 1.5]);
+        let [first, second] = moments(&parameter);
+        assert_eq!(first, [0.1, 0.1, 0.2, 0.2, 0.0, 0.0, 0.0, 0.0]);
+        assert_eq!(second, [0.4, 0.4, 0.5, 0.5, 0.0, 0.0, 0.0, 0.0]);
+        parameter.set(&[5.0; 8]);
+        assert_eq!((parameter.rows().raw, moments(&parameter)[0][2]), (vec![5.0; 8], 0.2));
+        parameter.restart(&[6.0; 8]);
+        assert_eq!((parameter.rows().raw, moments(&parameter)), (vec![6.0; 8], [vec![0.0; 8], vec![0.0; 8]]));
+    }
+
+    #[test]
+    fn all_rows_may_go_and_come_back() {
+        let device = Device::flex();
+        let mut parameter = Parameter::fresh(LOG_SCALES, &[1.0, 2.0], [1, 2], &device);
+        parameter.edit(&Rows::new(&[], 1, &device), &[], 0);
+        assert_eq!(parameter.raw().dims(), [0, 2]);
+        parameter.step(None, &open(&device), STEP).unwrap();
+        parameter.edit(&Rows::new(&[], 0, &device), &[3.0, 4.0], 1);
+        assert_eq!(parameter.rows().raw, [3.0, 4.0]);
+    }
+}

@@ -1,0 +1,97 @@
+//! Scene files that take the place of stages, and whether a plan has what it needs.
+
+use std::path::{Path, PathBuf};
+
+use dpges_core::scene::{Rendering, SceneData};
+
+use super::{Context, TrainError};
+use crate::config::{Blended, Budget, GaussianStage, StageKind, StagePlan, Stop};
+
+/// Key of the file to take discs or surfels from.
+pub const SURFELS_FROM: &str = "stages.surfels_from";
+/// Key of the file to take Gaussians from.
+pub const GAUSSIANS_FROM: &str = "stages.gaussians_from";
+
+impl Context {
+    /// Checks before the first step that there is all that `plan`, its losses and its decisions need.
+    ///
+    /// # Errors
+    /// [`TrainError::Plan`] names what is missing, [`TrainError::Pretrained`] a file that cannot be used.
+    pub fn check_plan(&self, plan: &[StagePlan]) -> Result<(), TrainError> {
+        let surfels = self.pretrained(SURFELS_FROM)?;
+        self.pretrained(GAUSSIANS_FROM)?;
+        if self.dataset.validation.is_empty() {
+            let needs = |what: &str| {
+                TrainError::Plan(format!(
+                    "{what} needs validation views, and the dataset has none: data.validation_every keeps some of the \
+                     training views, of which there must be more than two"
+                ))
+            };
+            if self.config.refine.budget == Budget::Auto {
+                return Err(needs("refine.budget = \"auto\""));
+            }
+            if self.config.train.stop == Stop::Validation {
+                return Err(needs("train.stop = \"validation\""));
+            }
+        }
+        let has_discs = plan.iter().any(|stage| stage.kind == StageKind::Blended(Blended::Discs))
+            || surfels.is_some_and(|scene| scene.info.rendering == Rendering::Discs);
+        let joint = plan.iter().any(|stage| stage.kind == StageKind::Joint);
+        let renders_discs = plan.iter().any(|stage| stage.kind == StageKind::Blended(Blended::Discs))
+            || (joint && has_discs && self.config.train.has_geometry_losses());
+        // a stage is also judged by views that it does not learn from
+        let mut views = self.dataset.train.iter().chain(&self.dataset.validation).chain(&self.dataset.test);
+        if let Some(view) = views.find(|view| view.camera.lens.is_some() && renders_discs) {
+            return Err(TrainError::Plan(format!(
+                "discs cannot be seen through a lens, and view `{}` has one: set data.undistort = true, or train without \
+                 discs (stages.surfels = 0)",
+                view.name
+            )));
+        }
+        if joint && !has_discs {
+            let needs = |what: &str| {
+                TrainError::Plan(format!("{what} needs discs: set stages.surfels above 0, or stages.surfels_from"))
+            };
+            if self.config.train.has_geometry_losses() {
+                return Err(needs("train.lambda_depth, .lambda_normal or .lambda_depth_normal"));
+            }
+            if self.config.stages.gaussians_by == GaussianStage::Rest {
+                return Err(needs("stages.gaussians_by = \"rest\""));
+            }
+        }
+        Ok(())
+    }
+
+    /// The scene in the file that `key` names, if it names one.
+    ///
+    /// # Errors
+    /// [`TrainError::Pretrained`] if the file cannot be read, or its scene does not fit this run.
+    pub fn pretrained(&self, key: &'static str) -> Result<Option<SceneData>, TrainError> {
+        let stages = &self.config.stages;
+        let path = if key == SURFELS_FROM { &stages.surfels_from } else { &stages.gaussians_from };
+        if path.is_empty() {
+            return Ok(None);
+        }
+        let wrong = |reason: String| TrainError::Pretrained { key, path: PathBuf::from(path), reason };
+        let scene = SceneData::load(Path::new(path)).map_err(|error| wrong(error.to_string()))?;
+        let (found, expected) = (scene.info.colour_model, self.config.model.colour);
+        if found != expected {
+            return Err(wrong(format!("its colours are {found}, those of this run are {expected} (model.colour)")));
+        }
+        let rendering = scene.info.rendering;
+        let (fits, what) = if key == SURFELS_FROM {
+            (rendering != Rendering::Ellipsoids, "surfels or discs")
+        } else {
+            (rendering != Rendering::Discs, "Gaussians")
+        };
+        if !fits {
+            return Err(wrong(format!("it is a scene of {rendering}, not of {what}")));
+        }
+        let offset = self.dataset.offset.to_array();
+        if scene.info.offset != offset {
+            let found = scene.info.offset;
+            return Err(wrong(format!("its origin is {found:?} in the dataset, that of this run {offset:?}")));
+        }
+        Ok(Some(scene))
+    }
+}

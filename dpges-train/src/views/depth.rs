@@ -1,0 +1,240 @@
+//! What depth maps beside the photographs say about the depth of a training view.
+
+use burn::tensor::{DType, Device, Tensor, TensorData};
+use dpges_core::counters::transfers::upload;
+use dpges_core::losses::depth::{depth_map, fitted_disparity};
+use glam::Vec3;
+
+use crate::dataset::{Dataset, DepthKind, DepthMap, View};
+use crate::stage::Context;
+
+/// Fewest points of the dataset that give a relative map its scale and shift. Otherwise the render does.
+const FEWEST_POINTS: usize = 16;
+/// Variance up to which relative values, which reach 1, are all the same: no line through them means anything.
+const FLAT: f64 = 1e-8;
+
+/// Of the relative map of each training view the scale and the shift that the points of the dataset give it, if they do:
+/// disparity, in 1 / world units, = scale · value + shift.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DepthMaps(Vec<Option<[f64; 2]>>);
+
+/// The depth map of one view in one step.
+#[derive(Clone, Debug)]
+pub struct DepthTarget {
+    /// [1, H, W] disparities, in 1 / world units or relative; 0 where unknown.
+    values: Tensor<3>,
+    /// Whether only the render can give them a scale and a shift.
+    is_relative: bool,
+    weight: f64,
+}
+
+impl DepthTarget {
+    /// The weighted loss of the rendered expected `depth`, world units, and its `coverage`, both [1, H, W]; 0 where there
+    /// is nothing.
+    ///
+    /// # Errors
+    /// [`dpges_core::Error::Shape`] if the render has another size.
+    pub fn loss(&self, depth: Tensor<3>, coverage: Tensor<3>) -> dpges_core::Result<Tensor<1>> {
+        let disparity = if self.is_relative {
+            fitted_disparity(self.values.clone(), depth.clone(), coverage.clone())?
+        } else {
+            self.values.clone()
+        };
+        Ok(depth_map(depth, coverage, disparity)? * self.weight)
+    }
+}
+
+impl DepthMaps {
+    /// `None` if no training view has a map.
+    pub fn new(dataset: &Dataset) -> Option<Self> {
+        let maps = dataset.train.iter().filter_map(|view| view.depth.as_ref());
+        let (count, relative) = (maps.clone().count(), maps.filter(|map| map.kind == DepthKind::Relative).count());
+        if count == 0 {
+            return None;
+        }
+        let empty = empty(dataset);
+        if let Some(first) = empty.first() {
+            tracing::warn!(
+                "{} of {count} depth maps know nothing, that of view `{first}` first: they are 0 wherever the photograph \
+                 counts (data.depth)",
+                empty.len()
+            );
+        }
+        let fits: Vec<Option<[f64; 2]>> = pairs(dataset).iter().map(|pairs| rising_line(pairs)).collect();
+        let views = dataset.train.len();
+        if relative > 0 {
+            let by_points = fits.iter().flatten().count();
+            tracing::info!(
+                "{count} of {views} training views have depth maps; points of the dataset give {by_points} of them their \
+                 scale and shift, the render the others"
+            );
+        } else {
+            tracing::info!("{count} of {views} training views have depth maps");
+        }
+        Some(Self(fits))
+    }
+
+    /// [H × W] disparities that `map`, that of the training view with index `view`, has once its scale and shift are known,
+    /// or relative ones if only the render can give them these.
+    fn disparities(&self, map: &DepthMap, view: usize) -> Vec<f32> {
+        let disparity = |value: f64| match (map.kind, self.0[view]) {
+            (DepthKind::Metric, _) => value.recip(),
+            (DepthKind::Relative, Some([scale, shift])) => (scale * value + shift).max(0.0),
+            (DepthKind::Relative, None) => value,
+        };
+        (0..map.steps.len()).map(|pixel| map.value(pixel).map_or(0.0, |value| disparity(value) as f32)).collect()
+    }
+}
+
+/// Names of the training views whose maps know nothing.
+fn empty(dataset: &Dataset) -> Vec<&str> {
+    let is_empty = |view: &&View| view.depth.as_ref().is_some_and(|map| map.steps.iter().all(|&steps| steps == 0));
+    dataset.train.iter().filter(is_empty).map(|view| view.name.as_str()).collect()
+}
+
+/// Of each training view the values of its relative map at points of `dataset` that it saw, and their disparities.
+fn pairs(dataset: &Dataset) -> Vec<Vec<[f64; 2]>> {
+    let mut pairs = vec![Vec::new(); dataset.train.len()];
+    for (position, seen_by) in dataset.points.positions.iter().zip(&dataset.points.seen_by) {
+        let world = Vec3::from_array(*position).as_dvec3();
+        for &view in seen_by {
+            let View { camera, depth, .. } = &dataset.train[view as usize];
+            let Some(map) = depth.as_ref().filter(|map| map.kind == DepthKind::Relative) else { continue };
+            let Some((pixel, z)) = camera.pixel(world) else { continue };
+            pairs[view as usize].extend(map.value(pixel).map(|value| [value, z.recip()]));
+        }
+    }
+    pairs
+}
+
+/// Slope and intercept of the line through `pairs` by least squares, if there are enough of them, with different values of
+/// the map, and it rises.
+fn rising_line(pairs: &[[f64; 2]]) -> Option<[f64; 2]> {
+    if pairs.len() < FEWEST_POINTS {
+        return None;
+    }
+    let mean = |of: usize| pairs.iter().map(|pair| pair[of]).sum::<f64>() / pairs.len() as f64;
+    let (mean_x, mean_y) = (mean(0), mean(1));
+    let sum = |of: fn(f64, f64) -> f64| pairs.iter().map(|[x, y]| of(x - mean_x, y - mean_y)).sum::<f64>();
+    let variance = sum(|x, _| x * x);
+    let slope = sum(|x, y| x * y) / variance;
+    let rises = variance > FLAT * pairs.len() as f64 && slope > 0.0;
+    rises.then_some([slope, mean_y - slope * mean_x])
+}
+
+impl Context {
+    /// The depth maps that a run learns from; `None` without any.
+    pub fn start_of_depth(&self) -> Option<DepthMaps> {
+        if self.config.train.lambda_depth_maps > 0.0 { DepthMaps::new(&self.dataset) } else { None }
+    }
+
+    /// What the map of the training view with index `view` says in the current step, on `device`.
+    pub fn depth_target(&self, view: usize, device: &Device) -> Option<DepthTarget> {
+        let (maps, map) = (self.depth.as_ref()?, self.dataset.train[view].depth.as_ref()?);
+        let camera = &self.dataset.train[view].camera;
+        let values = TensorData::new(maps.disparities(map, view), [1, camera.height, camera.width]);
+        let progress = self.completed_steps as f64 / self.config.total_steps().max(1) as f64;
+        Some(DepthTarget {
+            values: Tensor::from_data(upload(values), (device, DType::F32)),
+            is_relative: map.kind == DepthKind::Relative && maps.0[view].is_none(),
+            weight: self.config.train.depth_map_weight(progress),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use dpges_core::scene::tensors::tensor_to_rows;
+
+    use super::*;
+    use crate::dataset::{BuiltinOptions, builtin, builtin_geometry};
+
+    fn dataset(kind: DepthKind) -> Dataset {
+        let options =
+            BuiltinOptions { width: 48, height: 48, train_views: 3, test_views: 0, points: 600, ..Default::default() };
+        builtin(&BuiltinOptions { depth: Some(kind), ..options })
+    }
+
+    /// Median of the relative errors of the disparities of view `view` as depths.
+    fn median_error(dataset: &Dataset, disparities: &[f32], view: usize) -> f64 {
+        let (depth, _) = builtin_geometry(&dataset.train[view].camera);
+        let error = |(z, d): (&f32, &f32)| f64::from((z * d - 1.0).abs());
+        let mut errors: Vec<f64> = depth.iter().zip(disparities).map(error).collect();
+        errors.sort_by(f64::total_cmp);
+        errors[errors.len() / 2]
+    }
+
+    #[test]
+    fn points_give_relative_maps_their_scale_and_shift() {
+        let dataset = dataset(DepthKind::Relative);
+        let maps = DepthMaps::new(&dataset).unwrap();
+        for (view, map) in dataset.train.iter().map(|view| view.depth.as_ref().unwrap()).enumerate() {
+            assert!(maps.0[view].is_some());
+            let error = median_error(&dataset, &maps.disparities(map, view), view);
+            assert!(error < 0.05, "view {view}: {error}");
+        }
+    }
+
+    #[test]
+    fn metric_maps_need_no_points() {
+        let mut dataset = dataset(DepthKind::Metric);
+        dataset.points.positions.clear();
+        let maps = DepthMaps::new(&dataset).unwrap();
+        let map = dataset.train[1].depth.as_ref().unwrap();
+        assert!(median_error(&dataset, &maps.disparities(map, 1), 1) < 1e-3);
+        dataset.train.iter_mut().for_each(|view| view.depth = None);
+        assert_eq!(DepthMaps::new(&dataset), None);
+    }
+
+    #[test]
+    fn without_points_the_render_gives_them() {
+        let mut dataset = dataset(DepthKind::Relative);
+        dataset.points.positions.clear();
+        let maps = DepthMaps::new(&dataset).unwrap();
+        assert_eq!(maps.0, [None; 3]);
+        let map = dataset.train[0].depth.as_ref().unwrap();
+        let device = Device::flex();
+        let tensor =
+            |values: Vec<f32>| Tensor::<3>::from_data(TensorData::new(values, [1, 48, 48]), (&device, DType::F32));
+        let target = DepthTarget { values: tensor(maps.disparities(map, 0)), is_relative: true, weight: 2.0 };
+        let (depth, _) = builtin_geometry(&dataset.train[0].camera);
+        let loss =
+            |depth: Vec<f32>| tensor_to_rows(&target.loss(tensor(depth), tensor(vec![1.0; 48 * 48])).unwrap())[0];
+        let right = loss(depth.clone());
+        // of any size, but not of another shape
+        let twice = loss(depth.iter().map(|z| 2.0 * z).collect());
+        let bent = loss(depth.iter().enumerate().map(|(at, z)| z * (1.0 + 0.5 * (at % 48) as f32 / 48.0)).collect());
+        assert!(right < 1e-3 && twice < 1e-3 && bent > 0.02, "{right} {twice} {bent}");
+    }
+
+    #[test]
+    fn lines_that_fall_or_have_few_points_are_none() {
+        let line = |slope: f64, count: usize| {
+            let pairs: Vec<[f64; 2]> = (0..count).map(|i| [i as f64, slope * i as f64 + 0.5]).collect();
+            rising_line(&pairs)
+        };
+        let [slope, shift] = line(0.25, 16).unwrap();
+        assert!((slope - 0.25).abs() < 1e-12 && (shift - 0.5).abs() < 1e-12);
+        assert_eq!((line(0.25, 15), line(-0.25, 16), rising_line(&[[1.0, 2.0]; 20])), (None, None, None));
+        // one value, whose mean is rounded
+        let flat: Vec<[f64; 2]> = (0..50).map(|i| [12_345.0 / 65_535.0, 0.1 + 0.01 * f64::from(i)]).collect();
+        assert_eq!(rising_line(&flat), None);
+    }
+
+    #[test]
+    fn maps_of_one_value_and_maps_that_know_nothing_give_no_disparities() {
+        let mut dataset = dataset(DepthKind::Relative);
+        for (view, steps) in dataset.train.iter_mut().zip([0, 12_345]) {
+            let map = view.depth.as_mut().unwrap();
+            map.steps = vec![steps; map.steps.len()].into();
+        }
+        assert_eq!(empty(&dataset), [dataset.train[0].name.as_str()]);
+        let maps = DepthMaps::new(&dataset).unwrap();
+        assert_eq!(maps.0.iter().map(Option::is_some).collect::<Vec<_>>(), [false, false, true]);
+        let known = |view: usize| {
+            let map = dataset.train[view].depth.as_ref().unwrap();
+            maps.disparities(map, view).iter().any(|&disparity| disparity > 0.0)
+        };
+        assert_eq!([0, 1, 2].map(known), [false, true, true]);
+    }
+}

@@ -1,0 +1,242 @@
+//! Colour corrections of the training views in training: whether a run has them, their steps.
+
+use std::collections::HashMap;
+
+use burn::tensor::{Device, Gradients, Tensor};
+use dpges_core::ops::adam::AdamStep;
+use dpges_core::scene::schema::{Activation, Attribute, RateGroup, Width};
+
+use crate::config::Exposure;
+use crate::optimizer::{Parameter, ParameterRows};
+use crate::stage::{Context, TrainError};
+use crate::views::exposure::{Correction, Corrections, brightness_spread};
+
+/// [views, 6]: of each training view three logarithms of gains, three offsets.
+static EXPOSURE: Attribute = Attribute {
+    name: "exposure",
+    raw_name: "exposure",
+    width: Width::Fixed(6),
+    activation: Activation::Identity,
+    rate: RateGroup::Exposure,
+    neutral: &[0.0],
+};
+/// Spread of brightness above which a run with `train.exposure = "auto"` corrects exposures, stops.
+const LARGE_SPREAD: f64 = 0.1;
+
+/// The corrections of a run; empty in runs without any. Their means over the views are 0, so that the scene cannot change
+/// its own exposure through them.
+#[derive(Clone, Debug, Default)]
+pub struct ExposureState(Option<Parameter>);
+
+/// Gradient of the corrections; `None` in runs without any.
+pub type ExposureGradient = Option<(&'static Attribute, Option<Tensor<2>>)>;
+
+impl ExposureState {
+    /// Corrections of `views` views that change nothing yet.
+    pub fn new(views: usize, device: &Device) -> Self {
+        Self(Some(Parameter::fresh(&EXPOSURE, &vec![0.0; 6 * views], [views, 6], device)))
+    }
+
+    /// Takes the corrections of `views` views out of `rows`, if there are any.
+    ///
+    /// # Errors
+    /// A message if they are those of other views, or have no moments.
+    pub fn from_rows(rows: &mut HashMap<String, ParameterRows>, views: usize, device: &Device) -> Result<Self, String> {
+        let name = EXPOSURE.raw_name;
+        let Some(found) = rows.remove(name) else { return Ok(Self::default()) };
+        if (found.count, found.width) != (views, 6) || found.moments.is_none() {
+            let (count, width) = (found.count, found.width);
+            return Err(format!("`{name}` is {count} × {width}, expected {views} × 6 with moments"));
+        }
+        Ok(Self(Some(Parameter::from_rows(&EXPOSURE, &found, device))))
+    }
+
+    pub fn rows(&self) -> Option<(&'static str, ParameterRows)> {
+        self.0.as_ref().map(|parameter| (EXPOSURE.raw_name, parameter.rows()))
+    }
+
+    /// Whether photographs are corrected.
+    pub fn is_on(&self) -> bool {
+        self.0.is_some()
+    }
+
+    /// On the host.
+    pub fn corrections(&self) -> Corrections {
+        let rows = self.0.as_ref().map(|parameter| parameter.rows().raw).unwrap_or_default();
+        Corrections(rows.as_chunks().0.iter().map(Correction::of_row).collect())
+    }
+
+    /// [views, 6] on a new tape, for one step.
+    pub fn leaf(&self) -> Option<Tensor<2>> {
+        self.0.as_ref().map(Parameter::leaf)
+    }
+
+    /// The gradient that a backward pass left for the [`leaf`](Self::leaf).
+    pub fn gradient(&self, leaf: Option<&Tensor<2>>, gradients: &mut Gradients) -> ExposureGradient {
+        self.0.as_ref().zip(leaf).map(|(parameter, leaf)| (&EXPOSURE, parameter.gradient(leaf, gradients)))
+    }
+
+    /// Takes a step and takes the means over the views away. Nothing changes where `gate` `[1]` is not 1.
+    ///
+    /// # Errors
+    /// [`dpges_core::Error::Shape`] if the gradient has another shape.
+    pub fn step(&mut self, gradient: ExposureGradient, gate: &Tensor<1>, step: AdamStep) -> dpges_core::Result<()> {
+        let Some(parameter) = &mut self.0 else { return Ok(()) };
+        parameter.step(gradient.and_then(|(_, gradient)| gradient), gate, step)?;
+        let raw = parameter.raw();
+        let mean = raw.clone().mean_dim(0) * gate.clone().reshape([1, 1]);
+        parameter.set_tensor(raw - mean);
+        Ok(())
+    }
+}
+
+/// `image` [3, H, W] of the scene as a photograph with `correction` [1, 6], a row of the [leaf](ExposureState::leaf), shows
+/// it. Gradients reach both.
+pub fn photographed(image: Tensor<3>, correction: &Tensor<2>) -> Tensor<3> {
+    let part = |from: usize| correction.clone().slice([0..1, from..from + 3]).reshape([3, 1, 1]);
+    image * part(0).exp() + part(3)
+}
+
+impl Context {
+    /// The corrections that a run begins with.
+    ///
+    /// # Errors
+    /// [`TrainError::Core`] if a photograph cannot be read again.
+    pub fn start_of_exposure(&self) -> Result<ExposureState, TrainError> {
+        let spread = brightness_spread(&self.dataset)?;
+        let said = match spread {
+            Some(stops) => {
+                format!(
+                    "the brightness of the same points differs by {stops:.2} stops between photographs, by standard deviation"
+                )
+            }
+            None => "which photographs are brighter is not known without points that they show".to_owned(),
+        };
+        let is_large = spread.is_some_and(|stops| stops > LARGE_SPREAD);
+        let is_on = match self.config.train.exposure {
+            Exposure::On => true,
+            Exposure::Off => false,
+            Exposure::Auto => is_large,
+        };
+        match (is_on, is_large) {
+            (true, _) => tracing::info!("{said}: exposures are corrected (train.exposure)"),
+            (false, true) => tracing::info!("{said}: train.exposure = \"on\" corrects exposures"),
+            (false, false) => tracing::debug!("{said}: photographs are taken as they are (train.exposure)"),
+        }
+        Ok(if is_on { ExposureState::new(self.dataset.train.len(), &self.device) } else { ExposureState::default() })
+    }
+
+    /// The step of the corrections in the current step of the run.
+    pub fn exposure_step(&self) -> AdamStep {
+        let progress = self.completed_steps as f64 / self.config.total_steps().max(1) as f64;
+        let learning_rate = self.config.optimizer.exposure_rate(progress);
+        AdamStep { learning_rate, ..self.config.optimizer.adam(self.completed_steps) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use burn::tensor::{DType, TensorData};
+    use dpges_core::scene::tensors::{rows_to_tensor, tensor_to_rows};
+    use dpges_core::testing::golden::values;
+    use dpges_core::testing::gradients::{check, leaf};
+
+    use super::*;
+
+    const STEP: AdamStep = AdamStep { learning_rate: 0.1, beta_1: 0.9, beta_2: 0.999, epsilon: 1e-15, time: 1 };
+
+    fn gate(value: f32, device: &Device) -> Tensor<1> {
+        Tensor::from_data(TensorData::new(vec![value], [1]), (device, DType::F32))
+    }
+
+    fn stepped(state: &mut ExposureState, view: usize, open: f32, device: &Device) {
+        let mut gradient = vec![0.0; 18];
+        gradient[6 * view..][..6].copy_from_slice(&[1.0, -1.0, 2.0, -0.5, 0.25, -3.0]);
+        let gradient = rows_to_tensor(&gradient, 6, device, DType::F32);
+        state.step(Some((&EXPOSURE, Some(gradient))), &gate(open, device), STEP).unwrap();
+    }
+
+    fn raw(state: &ExposureState) -> Vec<f32> {
+        state.rows().unwrap().1.raw
+    }
+
+    #[test]
+    fn means_over_the_views_stay_zero_and_a_closed_gate_changes_nothing() {
+        let device = Device::flex();
+        let mut state = ExposureState::new(3, &device);
+        for view in [0, 1, 0, 2, 0] {
+            stepped(&mut state, view, 1.0, &device);
+            let raw = raw(&state);
+            for column in 0..6 {
+                let sum: f32 = raw.iter().skip(column).step_by(6).sum();
+                assert!(sum.abs() < 1e-6, "column {column} sums to {sum}");
+            }
+        }
+        let before = raw(&state);
+        assert!(before.iter().all(|value| *value != 0.0), "{before:?}");
+        stepped(&mut state, 1, 0.0, &device);
+        assert_eq!(raw(&state), before);
+    }
+
+    #[test]
+    fn a_first_step_moves_the_view_away_from_the_others() {
+        let device = Device::flex();
+        let mut state = ExposureState::new(3, &device);
+        stepped(&mut state, 1, 1.0, &device);
+        let raw = raw(&state);
+        // −0.1 for the view, then the mean of −0.1/3 taken away
+        for (row, expected) in [(0, 0.1 / 3.0), (1, -0.2 / 3.0), (2, 0.1 / 3.0)] {
+            assert!((raw[6 * row] - expected).abs() < 1e-6 && (raw[6 * row + 1] + expected).abs() < 1e-6, "{raw:?}");
+        }
+        let Corrections(corrections) = state.corrections();
+        assert_eq!(corrections.len(), 3);
+        assert!((corrections[1].gain[0] - (-0.2f64 / 3.0).exp()).abs() < 1e-6);
+        assert!((corrections[1].offset[0] - f64::from(raw[9])).abs() < 1e-9);
+    }
+
+    #[test]
+    fn rows_come_back_and_those_of_other_views_do_not() {
+        let device = Device::flex();
+        let mut state = ExposureState::new(3, &device);
+        stepped(&mut state, 2, 1.0, &device);
+        let (name, rows) = state.rows().unwrap();
+        let saved = || HashMap::from([(name.to_owned(), rows.clone())]);
+        let back = ExposureState::from_rows(&mut saved(), 3, &device).unwrap();
+        assert_eq!(back.rows(), state.rows());
+        let refused = ExposureState::from_rows(&mut saved(), 4, &device).unwrap_err();
+        assert!(refused.contains("3 × 6, expected 4 × 6"), "{refused}");
+        assert!(!ExposureState::from_rows(&mut HashMap::new(), 3, &device).unwrap().is_on());
+        assert_eq!(ExposureState::default().corrections(), Corrections::default());
+    }
+
+    #[test]
+    fn a_corrected_image_is_what_the_correction_says() {
+        let device = Device::flex();
+        let row = [0.25, -0.5, 0.0, 0.125, 0.0, -0.25];
+        let image: Vec<f32> = (0..3 * 2 * 2).map(|i| i as f32 / 12.0).collect();
+        let image = Tensor::from_data(TensorData::new(image, [3, 2, 2]), (&device, DType::F32));
+        let found = tensor_to_rows(&photographed(image.clone(), &rows_to_tensor(&row, 6, &device, DType::F32)));
+        let expected = tensor_to_rows(&Correction::of_row(&row).applied(image));
+        assert!(found.iter().zip(&expected).all(|(a, b)| (a - b).abs() < 1e-6), "{found:?} {expected:?}");
+    }
+
+    #[test]
+    fn the_gradient_of_the_correction_is_central_differences() {
+        let device = dpges_core::testing::device();
+        let image: Vec<f64> = (0..12).map(|i| f64::from(i * 5 % 12) / 12.0).collect();
+        let weights: Vec<f64> = (0..12).map(|i| f64::from(i * 7 % 11) - 4.5).collect();
+        let weights = leaf(&weights, [3, 2, 2], &device).detach();
+        let row = [0.3, -0.4, 0.1, 0.05, -0.1, 0.2];
+        let loss = |image: &Tensor<3>, row: &Tensor<2>| {
+            (photographed(image.clone(), row).powi_scalar(2) * weights.clone()).sum()
+        };
+        let image_of = |numbers: &[f64]| leaf(numbers, [3, 2, 2], &device);
+        let row_of = |numbers: &[f64]| leaf(numbers, [1, 6], &device);
+        let (image_leaf, row_leaf) = (image_of(&image), row_of(&row));
+        let gradients = loss(&image_leaf, &row_leaf).backward();
+        let by_image = values(&image_leaf.grad(&gradients).unwrap());
+        let by_row = values(&row_leaf.grad(&gradients).unwrap());
+        check("image", &image, &by_image, 1e-5, |moved| values(&loss(&image_of(moved), &row_leaf))[0]);
+        check("exposure", &row, &by_row, 1e-5, |moved| values(&loss(&image_leaf, &row_of(moved)))[0]);
+    }
+}
