@@ -150,9 +150,10 @@ impl Schedule {
 mod tests {
     use super::*;
 
+    /// A run of the joint stage alone.
     fn config(steps: usize) -> Config {
         let mut config = Config::default();
-        config.train.steps = steps;
+        (config.train.steps, config.stages.gaussians) = (steps, 0.0);
         config
     }
 

@@ -230,7 +230,7 @@ mod tests {
     use super::*;
     use crate::config::schedule::REFERENCE_STEPS;
     use crate::config::stages::STAGE_STEPS;
-    use crate::config::{Background, InitMethod, Margin};
+    use crate::config::{Background, InitMethod, Margin, ModelConfig};
     use dpges_core::scene::MarginLookup;
 
     fn set(assignments: &[&str]) -> Result<Config, ConfigError> {
@@ -288,7 +288,7 @@ mod tests {
             let lengths: Vec<usize> = stages.iter().map(|stage| stage.steps).collect();
             assert_eq!(lengths, [STAGE_STEPS, STAGE_STEPS, REFERENCE_STEPS], "{name}");
             let expected = Config::default();
-            assert_eq!(model, expected.model, "{name}");
+            assert_eq!(model, ModelConfig { backstop: false, ..expected.model }, "{name}");
             assert_eq!((train.lambda_surfel, train.lambda_transmittance), (0.01, 0.08), "{name}");
             assert_eq!((&refine.margins_at, refine.split), (&expected.refine.margins_at, true), "{name}");
         }

@@ -4,11 +4,13 @@ mod automatic_budget;
 mod depth_surfels;
 mod judging;
 mod limits;
+mod opacity_fit;
 mod refine;
 mod sky;
 mod start;
 mod statistics;
 mod supervision;
+mod surfel_fit;
 
 use burn::tensor::Tensor;
 use dpges_core::camera::Camera;
