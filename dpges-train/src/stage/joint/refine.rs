@@ -238,9 +238,10 @@ impl JointStage {
     }
 }
 
-/// The threshold that is the same share of a view of `pixels` px as `per_megapixel` of 10⁶ px.
+/// The threshold that is the same share of a view of `pixels` px as `per_megapixel` of 10⁶ px, rounded up: in small views,
+/// too, a threshold removes something.
 fn min_pixels(per_megapixel: usize, pixels: usize) -> usize {
-    (per_megapixel as f64 * pixels as f64 / 1e6) as usize
+    (per_megapixel as f64 * pixels as f64 / 1e6).ceil() as usize
 }
 
 /// [H × W] squared error summed over channels; 0 where pixels do not count.
@@ -296,6 +297,13 @@ mod tests {
 
     use super::*;
     use crate::device::DeviceName;
+
+    #[test]
+    fn thresholds_per_megapixel_remain_thresholds_in_small_views() {
+        let found = [1_000_000, 500_000, 62_500, 62_501, 250 * 250 / 4, 1].map(|pixels| min_pixels(16, pixels));
+        assert_eq!(found, [16, 8, 1, 2, 1, 1]);
+        assert_eq!((min_pixels(0, 250), min_pixels(1, 400 * 400)), (0, 1));
+    }
 
     #[test]
     fn the_depth_of_gaussians_is_their_mean_where_they_are() {
