@@ -19,7 +19,7 @@ use crate::dataset::Dataset;
 use crate::pose::{PoseChanges, RefinedPoses};
 use crate::stage::{
     self, Context, DevicePhotographs, ExposureState, PendingStep, PoseState, Settled, Stage, StageCheckpoint,
-    StepReport, TrainError, Trained, begin_step,
+    StepReport, TrainError, Trained, begin_step, budget,
 };
 
 /// A scene that learns a dataset, and where in the plan of its stages it stands.
@@ -65,6 +65,7 @@ impl Trainer {
     fn context(config: Config, dataset: Arc<Dataset>, device: Device) -> Context {
         let rng = ChaCha8Rng::seed_from_u64(config.train.seed);
         let photographs = DevicePhotographs::new(&config, &device);
+        let budget = budget(&config, &dataset);
         Context {
             dataset,
             config,
@@ -76,6 +77,7 @@ impl Trainer {
             poses: PoseState::default(),
             depth: None,
             photographs,
+            budget,
         }
     }
 

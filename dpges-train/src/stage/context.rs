@@ -31,6 +31,9 @@ pub struct Context {
     pub depth: Option<DepthMaps>,
     /// Those that stay on a GPU.
     pub photographs: DevicePhotographs,
+    /// The largest number of surfels and Gaussians together: that of the [cameras as they were recorded](budget), wherever
+    /// they have moved since.
+    pub budget: usize,
 }
 
 impl Context {
@@ -88,15 +91,10 @@ impl Context {
         }
     }
 
-    /// The largest number of surfels and Gaussians together.
-    pub fn budget(&self) -> usize {
-        budget(&self.config, &self.dataset)
-    }
-
     /// What shares of the budget before the joint stage are of. With an automatic budget that is `pixels`, half of the
     /// largest number: growth beyond it has to be worth it.
     pub fn budget_before_growth(&self) -> usize {
-        if self.config.refine.budget == Budget::Auto { self.budget() / 2 } else { self.budget() }
+        if self.config.refine.budget == Budget::Auto { self.budget / 2 } else { self.budget }
     }
 
     /// The largest number of primitives of a stage that may fill `share` of the budget.

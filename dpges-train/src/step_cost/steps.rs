@@ -83,6 +83,7 @@ impl Steps {
         let plan = *config.plan().last().expect("a run has stages");
         let dataset = Arc::new(dataset(scene, cameras, device)?);
         let photographs = DevicePhotographs::new(&config, device);
+        let budget = stage::budget(&config, &dataset);
         let context = Context {
             dataset,
             config,
@@ -94,6 +95,7 @@ impl Steps {
             poses: PoseState::default(),
             depth: None,
             photographs,
+            budget,
         };
         let stage = stage::of_scene(plan, scene, &context);
         Ok(Self { scene: scene.clone(), context, stage, next: 0, pending: None })

@@ -79,7 +79,7 @@ impl JointStage {
                 events.extend(self.grow(context, due.batches_left, removed, measured)?);
             } else {
                 let primitives = self.surfels.len() + self.gaussians.len();
-                let count = batch_size(context.budget(), primitives, due.batches_left.unwrap_or(1));
+                let count = batch_size(context.budget, primitives, due.batches_left.unwrap_or(1));
                 events.push(self.add_gaussians(context, count, removed)?);
             }
         }
@@ -139,7 +139,7 @@ impl JointStage {
     fn split_gaussians(&mut self, context: &mut Context) -> String {
         self.remove_undrawn(context);
         let surfels = self.surfels.to_data();
-        let room = context.budget().saturating_sub(self.surfels.len() + self.gaussians.len());
+        let room = context.budget.saturating_sub(self.surfels.len() + self.gaussians.len());
         let before = self.gaussians.len();
         let factor = context.config.refine.split_factor;
         let gaussians = self.gaussians.to_data();
