@@ -53,6 +53,7 @@ pub fn trials() -> Vec<Trial> {
         training::a_gpu_trains_as_well_as_a_cpu,
         training::a_run_on_a_gpu_is_the_same_bytes_every_time,
         training::lists_without_room_change_no_bit_of_a_run,
+        training::a_step_that_is_not_finite_is_undone,
         training::photographs_reach_a_gpu_to_the_bit,
         training::where_photographs_are_changes_no_bit_of_a_run,
         step_cost::a_step_is_counted_alike_every_time,

@@ -107,15 +107,13 @@ impl Steps {
     /// [`TrainError::Step`] or [`TrainError::Loss`] if the loss or a gradient was not finite, [`TrainError::Device`] if
     /// the device failed.
     pub fn step(&mut self) -> Result<(), TrainError> {
-        let before = self.pending.take();
         let view = self.next % self.context.dataset.train.len();
         self.next += 1;
         let report = StepReport::begin(self.context.completed_steps + 1, self.kind(), view, Vec::new());
-        self.pending = Some(begin_step(&mut *self.stage, &mut self.context, report)?);
-        if !is_gpu(&self.context.device) {
-            return self.settle();
-        }
-        before.map_or(Ok(()), |before| before.settle().map(drop))
+        let begun = begin_step(&mut *self.stage, &mut self.context, report)?;
+        self.settle()?;
+        self.pending = Some(begun.learn(&mut *self.stage, &mut self.context)?);
+        if is_gpu(&self.context.device) { Ok(()) } else { self.settle() }
     }
 
     /// Waits for the step that the device works on.
