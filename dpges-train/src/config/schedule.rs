@@ -58,8 +58,8 @@ impl Due {
 const MOST_SCALED_STEPS: f64 = 1e15;
 
 impl Config {
-    /// Makes the run `factor` times as long. `[discs]`, `[relocation]` and `[refine]` scale with it;
-    /// `train.evaluate_every` and `train.checkpoint_every` remain numbers of steps of the longer or shorter run.
+    /// Makes the run `factor` times as long. The steps in `[discs]`, `[relocation]`, `[density]` and `[refine]`
+    /// scale with it; `train.evaluate_every` and `train.checkpoint_every` remain numbers of steps of the longer or shorter run.
     ///
     /// # Errors
     /// [`ConfigError::Range`] if the result is not from 1 to 1e15 steps, which includes every factor that is not
