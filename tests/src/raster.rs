@@ -16,6 +16,7 @@ use dpges_train::run::Trainer;
 use libtest_mimic::{Failed, Trial};
 
 use crate::devices::flex;
+use crate::timing;
 
 type Test = fn(&Headless) -> Result<(), Failed>;
 
@@ -39,10 +40,13 @@ pub fn trials() -> Vec<Trial> {
     if let Ok(headless) = &headless {
         eprintln!("tests of the real-time renderer run on {}", headless.adapter_name());
     }
-    let trial = |(name, test): (&str, Test)| {
+    let trial = |(name, test): (&'static str, Test)| {
         let headless = headless.as_ref().map(Headless::clone).map_err(ToString::to_string);
         let is_ignored = headless.is_err() && !required;
-        let run = move || test(&headless?);
+        let run = move || {
+            let headless = headless?;
+            timing::timed(name, || test(&headless))
+        };
         Trial::test(name, run).with_kind("GPU").with_ignored_flag(is_ignored)
     };
     tests.into_iter().map(trial).collect()

@@ -120,7 +120,7 @@ fn a_step_that_is_not_finite_ends_the_run_with_the_state_before_it() {
     let broken = [&["train", "--out", "run", "--set=train.lambda_surfel=1e39"], &TINY[..]].concat();
     let message = fails(at, 1, &broken);
     assert!(message.contains("step 1, view `train_") && message.contains("the loss is inf"), "{message}");
-    assert!(message.contains("checkpoint.safetensors holds the state after step 1"), "{message}");
+    assert!(message.contains("checkpoint.safetensors holds the state after step 0"), "{message}");
     let info: Value = serde_json::from_str(&ok(at, &["info", "run", "--json"])).unwrap();
     assert!(info["gaussians"].as_u64().unwrap() > 0);
 }

@@ -108,7 +108,7 @@ impl Context {
         if surfels.is_empty() && gaussians.is_empty() {
             return Err(TrainError::Plan("the joint stage has neither surfels nor Gaussians to begin with".into()));
         }
-        let (count, budget) = (surfels.len() + gaussians.len(), self.budget());
+        let (count, budget) = (surfels.len() + gaussians.len(), self.budget);
         if count > budget && self.config.refine.new_gaussians == NewGaussians::Black {
             tracing::warn!("the stage begins with {count} primitives, more than its budget of {budget}: none is added");
         }
