@@ -1,6 +1,7 @@
 //! What the benchmarks measure: a training step in its parts and as a whole, and the same step with
-//! compositing and Adam as plain tensor operations.
+//! compositing and Adam as plain tensor operations; the joint stage alone.
 
+pub mod joint;
 pub mod plain;
 pub mod training;
 
