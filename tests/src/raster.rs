@@ -120,11 +120,18 @@ fn every_number_of_layers_and_lookup_looks_the_same(headless: &Headless) -> Resu
         for (footprint, margin_lookup) in
             [(Footprint::Kernel, MarginLookup::Literal), (Footprint::Opacity, MarginLookup::Shifted)]
         {
-            let mut scene = joint().clone();
-            // rims that let much through need more than one layer
-            (scene.info.layer_count, scene.info.modulation) = (layer_count, 2.0);
-            (scene.info.footprint, scene.info.margin_lookup) = (footprint, margin_lookup);
-            compare(headless, &format!("K = {layer_count}, {footprint:?}, {margin_lookup:?}"), &scene)?;
+            for backstop in [false, true] {
+                let mut scene = joint().clone();
+                // rims that let much through need more than one layer
+                (scene.info.layer_count, scene.info.modulation, scene.info.backstop) = (layer_count, 2.0, backstop);
+                (scene.info.footprint, scene.info.margin_lookup) = (footprint, margin_lookup);
+                let backstopped = if backstop { ", backstop" } else { "" };
+                compare(
+                    headless,
+                    &format!("K = {layer_count}, {footprint:?}, {margin_lookup:?}{backstopped}"),
+                    &scene,
+                )?;
+            }
         }
     }
     Ok(())
