@@ -4,7 +4,6 @@ mod automatic_budget;
 mod depth_surfels;
 mod judging;
 mod limits;
-mod opacity_fit;
 mod refine;
 mod sky;
 mod start;

@@ -96,13 +96,7 @@ impl Context {
         let (mut surfels, mut gaussians) = (surfels.unwrap_or_default(), gaussians.unwrap_or_default());
         // a logistic opacity has no room above 1, and would hardly learn next to it
         let linear = self.config.model.opacity == OpacityActivation::Linear;
-        let shares = match blended_with {
-            Some(filter) if linear && stages.joint_opacity == JointOpacity::Shares => {
-                Some(self.blended_shares(&gaussians, filter)?)
-            }
-            _ => None,
-        };
-        if blended_with.is_some() && linear && stages.joint_opacity != JointOpacity::Kept {
+        if blended_with.is_some() && linear && stages.joint_opacity == JointOpacity::Odds {
             gaussians.opacities.iter_mut().for_each(|opacity| *opacity = odds(*opacity));
         }
         if surfels.is_empty() && gaussians.is_empty() {
@@ -113,9 +107,6 @@ impl Context {
             tracing::warn!("the stage begins with {count} primitives, more than its budget of {budget}: none is added");
         }
         surfels.margins = margins(&surfels.positions, &surfels.log_scales, self.config.model.margin);
-        if let Some(shares) = shares {
-            self.fit_opacities(&surfels, &mut gaussians, &shares)?;
-        }
         Ok(InitialScene { surfels, gaussians })
     }
 }
