@@ -8,6 +8,8 @@ use crate::targets::{PerPrimitive, Targets};
 pub(crate) struct Groups {
     pub colours: wgpu::BindGroup,
     pub project: wgpu::BindGroup,
+    /// While the cores are drawn.
+    pub core: wgpu::BindGroup,
     /// That of layer k has layer k − 1 as the previous one.
     pub peel: Vec<wgpu::BindGroup>,
     pub resolve: wgpu::BindGroup,
@@ -28,7 +30,9 @@ impl Groups {
         let coloured = if scene.is_peeled() { surfels } else { gaussians };
         // the first layer has no previous one, and its pipeline reads none: any other texture of the format will do
         let previous = |k: usize| &layers[(k + layers.len() - 1) % layers.len()].nearest;
-        let peel = |k| group(&passes.peel.layout, &[&surfels.places, &surfels.forms, previous(k)]);
+        let peel_after =
+            |previous, cores| group(&passes.peel.layout, &[&surfels.places, &surfels.forms, previous, cores]);
+        let peel = |k| peel_after(previous(k), &targets.cores);
         let mut resolve = vec![&surfels.places, &per_primitive.colours];
         resolve.extend(layers.iter().map(|layer| &layer.nearest));
         resolve.extend(layers.iter().map(|layer| &layer.opacity));
@@ -38,6 +42,7 @@ impl Groups {
         Self {
             colours: group(&passes.colours.layout, &[&coloured.places, &coloured.colours]),
             project: group(&passes.project.layout, &[&gaussians.places, &gaussians.forms, &gaussians.colours]),
+            core: peel_after(&layers[0].nearest, &layers[0].nearest),
             peel: (0..layers.len()).map(peel).collect(),
             resolve: group(&passes.resolve.layout, &resolve),
             splat: group(

@@ -75,6 +75,9 @@ pub struct RenderOptions {
     /// w: opacity of a surfel is min(1, w G).
     pub modulation: f64,
     pub footprint: Footprint,
+    /// Whether the nearest opaque fragment of a pixel is always a layer; of the rims before it, the K − 1 nearest are the
+    /// others.
+    pub backstop: bool,
     /// C_b, display-referred.
     pub background: [f64; 3],
     pub display: Display,
@@ -89,6 +92,7 @@ impl From<&SceneInfo> for RenderOptions {
             layer_count: info.layer_count.min(MAX_LAYERS),
             modulation: info.modulation,
             footprint: info.footprint,
+            backstop: info.backstop,
             background: info.background,
             display: Display::Image,
             smallest_px: 0.0,
@@ -126,8 +130,8 @@ mod tests {
 
     #[test]
     fn options_of_a_scene_are_valid_and_wrong_ones_are_named() {
-        let good = RenderOptions::from(&SceneInfo { layer_count: 8, ..SceneInfo::default() });
-        assert_eq!(good.layer_count, MAX_LAYERS);
+        let good = RenderOptions::from(&SceneInfo { layer_count: 8, backstop: true, ..SceneInfo::default() });
+        assert_eq!((good.layer_count, good.backstop), (MAX_LAYERS, true));
         good.validate().unwrap();
         let name = |options: RenderOptions| options.validate().unwrap_err().to_string();
         assert!(name(RenderOptions { layer_count: 0, ..good }).contains("`layer_count` is 0"));

@@ -272,6 +272,12 @@ impl Renderer {
                 draw(pass, &passes.project.pipeline, [frame, &groups.project], 3, 1);
             });
         }
+        if options.backstop && surfels > 0 {
+            let (attachments, depth) = (&[(&targets.cores, nothing)], Some((&targets.depth, true)));
+            self.pass(encoder, "peel", attachments, depth, |pass| {
+                draw(pass, &passes.peel.core, [frame, &groups.core], 4, surfels);
+            });
+        }
         for (k, layer) in targets.layers.iter().enumerate() {
             // layers that are not asked for say that nothing is there
             let asked = k < options.layer_count;
@@ -279,11 +285,12 @@ impl Renderer {
             let depth = Some((&targets.depth, true));
             self.pass(encoder, "peel", attachments, depth, |pass| {
                 if asked && surfels > 0 {
-                    if k > 0 {
-                        draw(pass, &passes.peel.close, [frame, &groups.peel[k]], 3, 1);
+                    let groups = [frame, &groups.peel[k]];
+                    let (before, pipeline) = passes.peel.of(k, options);
+                    if let Some(before) = before {
+                        draw(pass, before, groups, 3, 1);
                     }
-                    let pipeline = if k == 0 { &passes.peel.first } else { &passes.peel.next };
-                    draw(pass, pipeline, [frame, &groups.peel[k]], 4, surfels);
+                    draw(pass, pipeline, groups, 4, surfels);
                 }
             });
         }

@@ -19,6 +19,8 @@ pub(crate) struct Targets {
     pub width: u32,
     pub height: u32,
     pub layers: Vec<Layer>,
+    /// The nearest opaque fragment of every pixel, as a layer.
+    pub cores: wgpu::TextureView,
     pub depth: wgpu::TextureView,
     pub surfels: wgpu::TextureView,
     pub intervals: wgpu::TextureView,
@@ -70,6 +72,7 @@ impl Targets {
             width,
             height,
             layers: (0..MAX_LAYERS).map(layer).collect(),
+            cores: full(LAYER_FORMAT),
             depth: view(&texture(device, size, DEPTH_FORMAT, Usage::empty())),
             surfels: full(COLOUR_FORMAT),
             intervals: full(INTERVAL_FORMAT),

@@ -136,9 +136,10 @@ fn export_a_page_and_pictures_of_its_scene() {
     let mut references = Vec::new();
     let mut refer = |name: &str, file: &str, scene: &SceneData, camera: &Camera, options: RenderOptions| {
         write_ppm(&folder.join(format!("{name}.ppm")), &picture(scene, camera, &options));
-        let RenderOptions { display, layer_count, modulation, background, .. } = options;
+        let RenderOptions { display, layer_count, modulation, backstop, background, .. } = options;
         let options = json!({
-            "display": display, "layer_count": layer_count, "modulation": modulation, "background": background,
+            "display": display, "layer_count": layer_count, "modulation": modulation, "backstop": backstop,
+            "background": background,
         });
         references.push(json!({ "name": name, "scene": file, "camera": page_camera(camera), "options": options }));
     };
@@ -150,6 +151,7 @@ fn export_a_page_and_pictures_of_its_scene() {
         ("image", trained),
         ("one_hard_layer", hard),
         ("four_layers", RenderOptions { layer_count: 4, ..trained }),
+        ("backstop", RenderOptions { layer_count: 2, modulation: 3.0, backstop: true, ..trained }),
         ("surfels", shown(Display::Surfels)),
         ("gaussians", shown(Display::Gaussians)),
         ("transmittance", shown(Display::Transmittance)),

@@ -159,6 +159,52 @@ fn order_does_not_matter(headless: &Headless) -> Result<(), Failed> {
     Ok(())
 }
 
+/// A rim over a core in the same plane, as far away: it is before the core only if its index is smaller.
+fn a_rim_at_the_depth_of_the_core_is_before_it_by_index(headless: &Headless) -> Result<(), Failed> {
+    let info = SceneInfo { layer_count: 2, modulation: 30.0, backstop: true, ..SceneInfo::default() };
+    let mut surfels = SurfelData::neutral(info.colour_model, 3);
+    let gaussians = GaussianData::neutral(info.colour_model, 0);
+    let (sigma, through): (f64, f64) = (0.3, 1.0 - 30.0 * (-4.5f64).exp());
+    surfels.positions =
+        [[3.0 * sigma, 0.0, 0.0], [0.0; 3], [0.0; 3]].as_flattened().iter().map(|&x| x as f32).collect();
+    surfels.log_scales.fill(sigma.ln() as f32);
+    surfels.colour.base = vec![1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+    let camera = Camera {
+        camera_from_world: CameraFromWorld::look_at(DVec3::Z * 4.0, DVec3::ZERO, DVec3::Y),
+        fx: 10.0,
+        fy: 10.0,
+        cx: 4.5,
+        cy: 4.5,
+        width: 9,
+        height: 9,
+        near: 0.01,
+        lens: None,
+    };
+    let [rim, green, blue] = [0, 1, 2];
+    let expected = [
+        ([rim, green, blue], [1.0 - through, through, 0.0]),
+        ([rim, blue, green], [1.0 - through, 0.0, through]),
+        ([green, rim, blue], [0.0, 1.0, 0.0]),
+    ];
+    // a colour is 0.5 + Y0 base
+    let y0 = 0.282_094_791_773_878_14;
+    for (order, shares) in expected {
+        let scene = SceneData {
+            info: info.clone(),
+            surfels: surfels.select(&order),
+            gaussians: gaussians.clone(),
+            environment: None,
+        };
+        let planes = headless.planes(&scene, &camera, &RenderOptions::from(&scene.info), Precision::Half)?;
+        let found = [0, 1, 2].map(|channel| (f64::from(planes[channel * 81 + 40]) - 0.5) / y0);
+        println!("{order:?}: {found:.3?}, expected {shares:.3?}");
+        if found.iter().zip(shares).any(|(found, expected)| (found - expected).abs() > 0.005) {
+            return Err(format!("surfels in the order {order:?} give {found:?}, expected {shares:?}").into());
+        }
+    }
+    Ok(())
+}
+
 fn displays_differ(headless: &Headless) -> Result<(), Failed> {
     let path = files().into_iter().find(|file| file.file_stem().is_some_and(|stem| stem == "basic")).unwrap();
     let Golden { scene, camera, .. } = Golden::load(&path);
@@ -210,6 +256,10 @@ fn main() -> ExitCode {
         })
         .collect();
     trials.push(trial("order_does_not_matter".to_owned(), Box::new(order_does_not_matter)));
+    trials.push(trial(
+        "a_rim_at_the_depth_of_the_core_is_before_it_by_index".to_owned(),
+        Box::new(a_rim_at_the_depth_of_the_core_is_before_it_by_index),
+    ));
     trials.push(trial("displays_differ".to_owned(), Box::new(displays_differ)));
     trials.push(trial("a_lens_is_refused_by_name".to_owned(), Box::new(a_lens_is_refused_by_name)));
     libtest_mimic::run(&arguments, trials).exit_code()

@@ -7,7 +7,7 @@ use burn::tensor::{DType, Device};
 use dpges_train::device::DeviceName;
 use libtest_mimic::Trial;
 
-use crate::{golden, gpu, kernels, lpips, on_a_gpu, parity, step_cost, training};
+use crate::{golden, gpu, kernels, lpips, on_a_gpu, parity, step_cost, timing, training};
 
 /// Every function named, with its name.
 macro_rules! named {
@@ -53,6 +53,7 @@ pub fn trials() -> Vec<Trial> {
         training::a_gpu_trains_as_well_as_a_cpu,
         training::a_run_on_a_gpu_is_the_same_bytes_every_time,
         training::lists_without_room_change_no_bit_of_a_run,
+        training::a_step_that_is_not_finite_is_undone,
         training::photographs_reach_a_gpu_to_the_bit,
         training::where_photographs_are_changes_no_bit_of_a_run,
         step_cost::a_step_is_counted_alike_every_time,
@@ -64,11 +65,12 @@ pub fn trials() -> Vec<Trial> {
     if let Err(reason) = &device {
         eprintln!("tests on a GPU cannot run: {reason}");
     }
-    let trial = |(name, test): (&str, fn(Device)), is_long: bool| {
+    let trial = |(name, test): (&'static str, fn(Device)), is_long: bool| {
         let device = device.clone();
         let is_ignored = is_long || (device.is_err() && !required);
         let run = move || {
-            test(device.map_err(|reason| format!("DPGES_REQUIRE_GPU=1, and {reason}"))?);
+            let device = device.map_err(|reason| format!("DPGES_REQUIRE_GPU=1, and {reason}"))?;
+            timing::timed(name, || test(device));
             Ok(())
         };
         Trial::test(name, run).with_kind("GPU").with_ignored_flag(is_ignored)

@@ -15,6 +15,7 @@ mod poisoned;
 mod raster;
 mod reference;
 mod step_cost;
+mod timing;
 mod training;
 
 use std::process::ExitCode;
@@ -32,5 +33,7 @@ fn main() -> ExitCode {
         parity::a_device_that_is_off_is_found_out();
         Ok(())
     }));
-    libtest_mimic::run(&arguments, trials).exit_code()
+    let conclusion = libtest_mimic::run(&arguments, trials);
+    eprint!("slowest:\n{}", timing::slowest());
+    conclusion.exit_code()
 }

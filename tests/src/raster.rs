@@ -16,6 +16,7 @@ use dpges_train::run::Trainer;
 use libtest_mimic::{Failed, Trial};
 
 use crate::devices::flex;
+use crate::timing;
 
 type Test = fn(&Headless) -> Result<(), Failed>;
 
@@ -39,10 +40,13 @@ pub fn trials() -> Vec<Trial> {
     if let Ok(headless) = &headless {
         eprintln!("tests of the real-time renderer run on {}", headless.adapter_name());
     }
-    let trial = |(name, test): (&str, Test)| {
+    let trial = |(name, test): (&'static str, Test)| {
         let headless = headless.as_ref().map(Headless::clone).map_err(ToString::to_string);
         let is_ignored = headless.is_err() && !required;
-        let run = move || test(&headless?);
+        let run = move || {
+            let headless = headless?;
+            timing::timed(name, || test(&headless))
+        };
         Trial::test(name, run).with_kind("GPU").with_ignored_flag(is_ignored)
     };
     tests.into_iter().map(trial).collect()
@@ -116,11 +120,18 @@ fn every_number_of_layers_and_lookup_looks_the_same(headless: &Headless) -> Resu
         for (footprint, margin_lookup) in
             [(Footprint::Kernel, MarginLookup::Literal), (Footprint::Opacity, MarginLookup::Shifted)]
         {
-            let mut scene = joint().clone();
-            // rims that let much through need more than one layer
-            (scene.info.layer_count, scene.info.modulation) = (layer_count, 2.0);
-            (scene.info.footprint, scene.info.margin_lookup) = (footprint, margin_lookup);
-            compare(headless, &format!("K = {layer_count}, {footprint:?}, {margin_lookup:?}"), &scene)?;
+            for backstop in [false, true] {
+                let mut scene = joint().clone();
+                // rims that let much through need more than one layer
+                (scene.info.layer_count, scene.info.modulation, scene.info.backstop) = (layer_count, 2.0, backstop);
+                (scene.info.footprint, scene.info.margin_lookup) = (footprint, margin_lookup);
+                let backstopped = if backstop { ", backstop" } else { "" };
+                compare(
+                    headless,
+                    &format!("K = {layer_count}, {footprint:?}, {margin_lookup:?}{backstopped}"),
+                    &scene,
+                )?;
+            }
         }
     }
     Ok(())

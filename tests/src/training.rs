@@ -10,7 +10,7 @@ use dpges_core::tiles::binning::cap_lists;
 use dpges_train::config::Config;
 use dpges_train::dataset::{BuiltinOptions, Dataset, builtin};
 use dpges_train::eval::evaluate;
-use dpges_train::run::Trainer;
+use dpges_train::run::{TrainError, Trainer};
 
 use crate::devices::ndarray;
 
@@ -80,6 +80,22 @@ pub fn a_run_on_a_gpu_is_the_same_bytes_every_time(device: Device) {
     let run = || trained(&data, config(50, &[]), &device).checkpoint();
     let (first, second) = (run(), run());
     assert!(first == second, "two runs with the same seed differ");
+}
+
+/// A GPU has begun another step by the time that the host knows of it.
+pub fn a_step_that_is_not_finite_is_undone(device: Device) {
+    let data = dataset();
+    // the first step makes colours so large that their squares overflow in the next
+    let broken = config(50, &["train.exposure=on", "optimizer.base=1e30"]);
+    let begin = || Trainer::new(broken.clone(), Arc::clone(&data), device.clone()).unwrap();
+    let mut expected = begin();
+    expected.step().unwrap();
+    expected.settle().unwrap();
+    let mut undone = begin();
+    let error = (0..3).find_map(|_| undone.step().err()).expect("the loss of the second step is not finite");
+    assert!(matches!(error, TrainError::Loss { step: 2, .. } | TrainError::Step { step: 2, .. }), "{error}");
+    assert_eq!(undone.completed_steps(), 1);
+    assert!(undone.checkpoint() == expected.checkpoint(), "a step left something behind");
 }
 
 /// Where no list has room, forward and backward of every step are done twice: nothing learns from those that lack entries,

@@ -11,16 +11,16 @@ use crate::backend::real::Real;
 use crate::backend::simd::LANES;
 
 /// Edge of a square tile, px.
-pub const TILE: usize = 16;
+pub(crate) const TILE: usize = 16;
 /// Pixels of a tile.
-pub const TILE_PIXELS: usize = TILE * TILE;
+pub(crate) const TILE_PIXELS: usize = TILE * TILE;
 /// Size of the regions of a tile, px: GPU kernels ask the pixels of a region together about a Gaussian, or none of them.
-pub const REGION_WIDTH: usize = 8;
-pub const REGION_HEIGHT: usize = 4;
+pub(crate) const REGION_WIDTH: usize = 8;
+pub(crate) const REGION_HEIGHT: usize = 4;
 
 /// The tiles of an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct TileGrid {
+pub(crate) struct TileGrid {
     /// Image size, px.
     pub width: usize,
     pub height: usize,
@@ -46,7 +46,7 @@ impl TileGrid {
 
 /// Half-open rectangle of pixels whose centres a primitive can reach.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct PixelRect {
+pub(crate) struct PixelRect {
     pub x0: u32,
     pub x1: u32,
     pub y0: u32,
@@ -93,7 +93,7 @@ impl PixelRect {
 /// Calls `visit(start, dx, dy)` for every group of lanes of a tile that lies in `rect`: position of
 /// the group within the tile and offsets of its pixels from `anchor`, px.
 #[inline(always)]
-pub fn for_each_group<T: Real>(
+pub(crate) fn for_each_group<T: Real>(
     anchor: [T; 2],
     rect: &PixelRect,
     origin: (usize, usize),

@@ -5,7 +5,8 @@
 //! |---|---|---|
 //! | [`colours`] | packed surfels | colour of every surfel from this camera |
 //! | [`project`] | packed Gaussians | ellipse and colour of every Gaussian |
-//! | [`peel`], K times | surfels, previous layer | nearest fragment behind it, by the depth test |
+//! | [`peel`], with a backstop | surfels | core: nearest opaque fragment, by the depth test |
+//! | [`peel`], K times | surfels, previous layer, core | nearest fragment behind the one and before the other |
 //! | [`resolve`] | layers | C_s; interval ends and transmittances; the depth that hides |
 //! | [`splat`] | ellipses, intervals | sums of weighted colours and weights, additively |
 //! | [`sorted`] | ellipses or discs, an order | blended colours: scenes that are not peeled |

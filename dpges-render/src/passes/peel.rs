@@ -1,7 +1,9 @@
-//! The layers: the nearest fragments of surfels, one pass each.
+//! The layers: the nearest fragments of surfels, one pass each. With a backstop, a pass before them finds the cores, which
+//! are the nearest opaque fragments.
 
 use super::pipeline::{ADDITIVE, Depth, Stage};
 use super::{Kit, LAYER_FORMAT, OPACITY_FORMAT, Texture};
+use crate::options::RenderOptions;
 
 pub(crate) const SHADER: &str =
     concat!(include_str!("frame.wgsl"), include_str!("layer.wgsl"), include_str!("peel.wgsl"));
@@ -9,12 +11,16 @@ pub(crate) const SHADER: &str =
 #[derive(Debug)]
 pub(crate) struct PeelPass {
     pub layout: wgpu::BindGroupLayout,
-    /// Nearest fragments.
-    pub first: wgpu::RenderPipeline,
-    /// Nearest fragments behind those of the previous layer.
-    pub next: wgpu::RenderPipeline,
+    /// Nearest opaque fragments.
+    pub core: wgpu::RenderPipeline,
+    /// Nearest fragments, of all or of those before the core: in the first layer, and behind the previous one.
+    first: [wgpu::RenderPipeline; 2],
+    next: [wgpu::RenderPipeline; 2],
     /// Closes pixels that have no next layer.
-    pub close: wgpu::RenderPipeline,
+    close: wgpu::RenderPipeline,
+    /// Starts a layer with the cores, and closes pixels that have no such layer; in the last, closes those with a core.
+    start_first: [wgpu::RenderPipeline; 2],
+    start_next: [wgpu::RenderPipeline; 2],
     /// Counts fragments into sums.
     pub count: wgpu::RenderPipeline,
 }
@@ -22,7 +28,7 @@ pub(crate) struct PeelPass {
 impl PeelPass {
     pub fn new(kit: &Kit, sums: wgpu::TextureFormat) -> Self {
         let shader = kit.shader("peel", SHADER);
-        let layout = kit.textures("peel", &[Texture::Float, Texture::Uint, Texture::Uint]);
+        let layout = kit.textures("peel", &[Texture::Float, Texture::Uint, Texture::Uint, Texture::Uint]);
         let stage = |vertex: &'static str, fragment: &'static str, writes: bool, quads: bool| Stage {
             label: "peel",
             vertex,
@@ -36,12 +42,34 @@ impl PeelPass {
         let targets = &[(sums, Some(ADDITIVE))];
         let counting =
             Stage { label: "count surfels", targets, depth: Depth::None, ..stage("vertex", "count", true, true) };
+        let core =
+            Stage { label: "cores", targets: &[(LAYER_FORMAT, None)], ..stage("core_vertex", "core", true, true) };
+        let quads = |fragment| pipeline(&stage("vertex", fragment, true, true));
+        let start =
+            |fragment| ["open_vertex", "close_vertex"].map(|vertex| pipeline(&stage(vertex, fragment, true, false)));
         Self {
-            first: pipeline(&stage("vertex", "first", true, true)),
-            next: pipeline(&stage("vertex", "next", true, true)),
+            core: pipeline(&core),
+            first: ["first", "first_before_core"].map(quads),
+            next: ["next", "next_before_core"].map(quads),
             close: pipeline(&stage("close_vertex", "close", false, false)),
+            start_first: start("start_first"),
+            start_next: start("start_next"),
             count: pipeline(&counting),
             layout,
         }
+    }
+
+    /// What is drawn over the whole picture before the surfels of layer `k`, and the pipeline of these. In the last layer,
+    /// surfels come only where there is no core.
+    pub fn of(&self, k: usize, options: &RenderOptions) -> (Option<&wgpu::RenderPipeline>, &wgpu::RenderPipeline) {
+        let is_last = k + 1 == options.layer_count;
+        let before = match (options.backstop, k) {
+            (false, 0) => None,
+            (false, _) => Some(&self.close),
+            (true, 0) => Some(&self.start_first[usize::from(is_last)]),
+            (true, _) => Some(&self.start_next[usize::from(is_last)]),
+        };
+        let pipelines = if k == 0 { &self.first } else { &self.next };
+        (before, &pipelines[usize::from(options.backstop && !is_last)])
     }
 }

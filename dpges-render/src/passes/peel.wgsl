@@ -2,10 +2,14 @@
 //
 // A layer is (near / z as bits, index of the surfel), and its opacity. The nearest is the largest in the first, then
 // the smallest in the second.
+//
+// With a backstop, the cores come first: the nearest opaque fragments, as layers. Each peel starts with them, so that
+// the depth test ends what is behind; rims before them take their place.
 
 @group(1) @binding(0) var places: texture_2d<f32>;
 @group(1) @binding(1) var forms: texture_2d<u32>;
 @group(1) @binding(2) var previous: texture_2d<u32>;
+@group(1) @binding(3) var cores: texture_2d<u32>;
 
 const LARGEST_LOG_SCALE: f32 = 80.0;
 
@@ -34,13 +38,24 @@ struct Layer {
 
 @vertex
 fn vertex(@builtin(vertex_index) at: u32, @builtin(instance_index) index: u32) -> Corner {
+    return corner_of_disc(at, index, frame.surfel.y);
+}
+
+// Of the part of a disc that is opaque.
+@vertex
+fn core_vertex(@builtin(vertex_index) at: u32, @builtin(instance_index) index: u32) -> Corner {
+    return corner_of_disc(at, index, min(2.0 * log(max(frame.surfel.x, 1.0)), frame.surfel.y));
+}
+
+// Of the disc up to a squared radius in σ.
+fn corner_of_disc(at: u32, index: u32, squared_reach: f32) -> Corner {
     let place = textureLoad(places, texel(index), 0).xyz;
     let form = textureLoad(forms, texel(index), 0);
     let camera = in_camera(place);
     let axes = rotation(form.xy);
     let scales = exp(min(bitcast<vec2f>(form.zw), vec2f(LARGEST_LOG_SCALE)));
-    let reach = sqrt(frame.surfel.y);
-    let radius = reach * max(scales.x, scales.y);
+    let reach = sqrt(squared_reach);
+    let radius = sqrt(frame.surfel.y) * max(scales.x, scales.y);
     let near = frame.centre_near.w;
     let radius_px = max(frame.lens.x, frame.lens.y) * radius / max(camera.z, near);
     let u = turned(axes[0]);
@@ -74,8 +89,12 @@ fn squared_radius(corner: Corner) -> f32 {
     return dot(hit, hit) / (facing * facing);
 }
 
+fn opacity_at(squared: f32) -> f32 {
+    return min(1.0, frame.surfel.x * exp(-0.5 * squared));
+}
+
 fn layer_of(corner: Corner, squared: f32) -> Layer {
-    let opacity = min(1.0, frame.surfel.x * exp(-0.5 * squared));
+    let opacity = opacity_at(squared);
     let mark = select(0u, OPAQUE, opacity >= 1.0);
     return Layer(vec2u(bitcast<u32>(corner.position.z), corner.index | mark), opacity);
 }
@@ -83,6 +102,32 @@ fn layer_of(corner: Corner, squared: f32) -> Layer {
 // Also for an edge-on disc, which no ray meets.
 fn outside(squared: f32) -> bool {
     return !(squared <= frame.surfel.y);
+}
+
+fn is_behind_previous(corner: Corner) -> bool {
+    let before = textureLoad(previous, vec2u(corner.position.xy), 0).xy;
+    let depth = corner.position.z;
+    let depth_before = bitcast<f32>(before.x);
+    let behind = depth < depth_before || (depth == depth_before && corner.index > (before.y & ~OPAQUE));
+    return behind && before.y < OPAQUE;
+}
+
+// The core itself may come out nearer than it is: the corners of its quads differ.
+fn is_before_core(corner: Corner) -> bool {
+    let core = textureLoad(cores, vec2u(corner.position.xy), 0).xy;
+    let depth = corner.position.z;
+    let core_depth = bitcast<f32>(core.x);
+    let index = core.y & ~OPAQUE;
+    return (depth > core_depth && corner.index != index) || (depth == core_depth && corner.index < index);
+}
+
+@fragment
+fn core(corner: Corner) -> @location(0) vec2u {
+    let squared = squared_radius(corner);
+    if outside(squared) || opacity_at(squared) < 1.0 {
+        discard;
+    }
+    return layer_of(corner, squared).nearest;
 }
 
 @fragment
@@ -96,12 +141,26 @@ fn first(corner: Corner) -> Layer {
 
 @fragment
 fn next(corner: Corner) -> Layer {
-    let before = textureLoad(previous, vec2u(corner.position.xy), 0).xy;
-    let depth = corner.position.z;
-    let depth_before = bitcast<f32>(before.x);
-    let behind = depth < depth_before || (depth == depth_before && corner.index > (before.y & ~OPAQUE));
     let squared = squared_radius(corner);
-    if outside(squared) || !behind || before.y >= OPAQUE {
+    if outside(squared) || !is_behind_previous(corner) {
+        discard;
+    }
+    return layer_of(corner, squared);
+}
+
+@fragment
+fn first_before_core(corner: Corner) -> Layer {
+    let squared = squared_radius(corner);
+    if outside(squared) || !is_before_core(corner) {
+        discard;
+    }
+    return layer_of(corner, squared);
+}
+
+@fragment
+fn next_before_core(corner: Corner) -> Layer {
+    let squared = squared_radius(corner);
+    if outside(squared) || !is_before_core(corner) || !is_behind_previous(corner) {
         discard;
     }
     return layer_of(corner, squared);
@@ -120,6 +179,46 @@ fn close(@builtin(position) position: vec4f) -> Layer {
         discard;
     }
     return Layer(vec2u(0u), 0.0);
+}
+
+struct Start {
+    @location(0) nearest: vec2u,
+    @location(1) opacity: f32,
+    @builtin(frag_depth) depth: f32,
+}
+
+// Before a layer, with a backstop: the core is the layer unless a rim before it comes. Fragments at its depth pass the
+// depth test, because their indices decide.
+@vertex
+fn open_vertex(@builtin(vertex_index) at: u32) -> @builtin(position) vec4f {
+    return everywhere(at, 0.0);
+}
+
+// With `close_vertex` no rim comes: this is the last layer.
+fn start_with(core: vec2u, depth: f32) -> Start {
+    return Start(core, 1.0, max(depth, bitcast<f32>(core.x - 1u)));
+}
+
+@fragment
+fn start_first(@builtin(position) position: vec4f) -> Start {
+    let core = textureLoad(cores, vec2u(position.xy), 0).xy;
+    if core.y == NOTHING {
+        discard;
+    }
+    return start_with(core, position.z);
+}
+
+@fragment
+fn start_next(@builtin(position) position: vec4f) -> Start {
+    let at = vec2u(position.xy);
+    if textureLoad(previous, at, 0).y >= OPAQUE {
+        return Start(vec2u(0u, NOTHING), 0.0, 1.0);
+    }
+    let core = textureLoad(cores, at, 0).xy;
+    if core.y == NOTHING {
+        discard;
+    }
+    return start_with(core, position.z);
 }
 
 // Counts fragments of surfels.

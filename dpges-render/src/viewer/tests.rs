@@ -116,10 +116,11 @@ fn the_options_are_those_of_the_scene_until_the_panel_changes_them() {
     press(&mut harness, Key::Num5);
     assert_eq!(harness.state().options.display, Display::Depth);
     harness.state_mut().options.layer_count = 4;
-    harness.run_steps(2);
+    click(&mut harness, "backstop");
+    assert!(harness.state().options.backstop);
     click(&mut harness, "As trained");
     let options = harness.state().options;
-    assert_eq!((options.layer_count, options.display), (2, Display::Depth));
+    assert_eq!((options.layer_count, options.backstop, options.display), (2, false, Display::Depth));
 }
 
 #[test]

@@ -190,6 +190,7 @@ function view() {
     display: settings.display.value,
     layer_count: Number(settings.layers.value),
     modulation,
+    backstop: settings.backstop.checked,
     background,
   };
   return [camera.entry(px(canvas.clientWidth), px(canvas.clientHeight)), options];
@@ -254,6 +255,7 @@ function fillSettings() {
   settings.layers.value = parameter("k") ?? scene.layer_count;
   modulation = Number(parameter("w")) > 0 ? Number(parameter("w")) : scene.modulation;
   settings.hardness.value = Math.log10(modulation);
+  settings.backstop.checked = parameter("backstop") ? parameter("backstop") !== "0" : scene.backstop;
   settings.background.value = /^[0-9a-f]{6}$/i.test(background) ? `#${background}` : `#${scene.background.map(hex).join("")}`;
   settings.scale.value = parameter("scale") ?? "1";
   settings.up.value = parameter("up") ?? "";

@@ -51,14 +51,15 @@ pub struct PageOptions {
     display: Display,
     layer_count: usize,
     modulation: f64,
+    backstop: bool,
     /// Red, green, blue from 0 to 1.
     background: [f64; 3],
 }
 
 impl PageOptions {
     pub fn options(&self, scene: &SceneInfo) -> RenderOptions {
-        let Self { display, layer_count, modulation, background } = *self;
-        RenderOptions { display, layer_count, modulation, background, ..RenderOptions::from(scene) }
+        let Self { display, layer_count, modulation, backstop, background } = *self;
+        RenderOptions { display, layer_count, modulation, backstop, background, ..RenderOptions::from(scene) }
     }
 }
 

@@ -205,6 +205,14 @@ impl Scene {
         self.run.as_ref().map(RunFolder::config)
     }
 
+    /// Every how many-th training view of the dataset the run that the scene comes from kept for its decisions: 0 if it kept
+    /// none, or if the dataset is another one, `data`.
+    fn validation_every(&self, data: Option<&Path>) -> usize {
+        let file = self.run_config().filter(|_| data.is_none());
+        let config = file.and_then(|file| Config::resolve(None, Some(&file), &[]).ok());
+        config.map_or(0, |config| config.validation_every())
+    }
+
     /// The dataset to show the scene with, and how it is read: `data`, or that of the scene's run; `None` if there is
     /// neither. The options of a run are those it was trained with, unless given; the background is the scene's, unless
     /// given, and then the scene's too.
@@ -233,6 +241,19 @@ pub enum Split {
     Test,
     /// Views trained on
     Train,
+    /// Views that the run kept from training for its decisions
+    Validation,
+}
+
+impl Split {
+    /// Its views of `dataset`.
+    pub fn of(self, dataset: &Dataset) -> &[View] {
+        match self {
+            Self::Test => &dataset.test,
+            Self::Train => &dataset.train,
+            Self::Validation => &dataset.validation,
+        }
+    }
 }
 
 impl fmt::Display for Split {
@@ -240,6 +261,7 @@ impl fmt::Display for Split {
         f.write_str(match self {
             Self::Test => "test",
             Self::Train => "train",
+            Self::Validation => "validation",
         })
     }
 }
@@ -283,48 +305,68 @@ pub struct ViewArgs {
     /// Folder of the dataset, or `builtin`; a run knows its own
     #[arg(long, value_name = "DATASET")]
     data: Option<PathBuf>,
-    /// Which views
-    #[arg(long, value_enum, default_value_t = Split::Test)]
-    pub split: Split,
+    /// Which views [default: test]
+    #[arg(long, value_enum)]
+    split: Option<Split>,
     #[command(flatten)]
     options: DataArgs,
 }
 
 impl ViewArgs {
+    /// Those that are asked for, or the held-out ones.
+    pub fn split(&self) -> Split {
+        self.split.unwrap_or(Split::Test)
+    }
+
     /// The views of the split, as [`dataset`](Self::dataset) has them, and what they were read from.
     pub fn load(&self, scene: &mut Scene) -> Result<(Source, Vec<View>)> {
         let (source, dataset) = self.load_dataset(scene)?;
-        let views = match self.split {
-            Split::Test => dataset.test,
-            Split::Train => dataset.train,
-        };
-        Ok((source, views))
+        Ok((source, self.chosen(&dataset).to_vec()))
+    }
+
+    /// Like [`load_dataset`](Self::load_dataset), for a decision: with the split that is asked for, or else that of the views
+    /// which the run of the scene kept for decisions, or else of the training views. Held-out views would no longer be held
+    /// out.
+    pub fn load_to_decide(&self, scene: &mut Scene) -> Result<(Source, Dataset, Split)> {
+        if let Some(split) = self.split {
+            let (source, dataset) = self.load_dataset(scene)?;
+            return Ok((source, dataset, split));
+        }
+        let (source, dataset) = self.read(scene, true)?;
+        let split = if dataset.validation.is_empty() { Split::Train } else { Split::Validation };
+        Ok((source, dataset, split))
     }
 
     /// Like [`dataset`](Self::dataset), but refuses one without views in the split.
     pub fn load_dataset(&self, scene: &mut Scene) -> Result<(Source, Dataset)> {
         let (source, dataset) = self.dataset(scene)?;
         if self.chosen(&dataset).is_empty() {
-            let other = match self.split {
-                Split::Test => Split::Train,
+            let other = match self.split() {
+                Split::Test | Split::Validation => Split::Train,
                 Split::Train => Split::Test,
             };
             let help = format!("`--split {other}` has views");
-            return Err(Failure::with_help(format!("{source} has no views in split `{}`", self.split), help));
+            return Err(Failure::with_help(format!("{source} has no views in split `{}`", self.split()), help));
         }
         Ok((source, dataset))
     }
 
     /// The dataset, with cameras and points in the scene's coordinates, and what it was read from: see [`Scene::dataset`].
     pub fn dataset(&self, scene: &mut Scene) -> Result<(Source, Dataset)> {
+        self.read(scene, self.split() == Split::Validation)
+    }
+
+    /// The same; validation views are among the training views unless `apart`.
+    fn read(&self, scene: &mut Scene, apart: bool) -> Result<(Source, Dataset)> {
         let Some((source, config)) = scene.dataset(self.data.as_deref(), &self.options)? else {
             let message = format!("{} is not in a run folder: name its dataset with --data", scene.path.display());
             return Err(Failure::Usage(message));
         };
         let mut dataset = source.load(&config)?;
         refine(&mut dataset.train, &scene.refined_poses(self.data.as_deref())?);
+        dataset.keep_for_validation(if apart { scene.validation_every(self.data.as_deref()) } else { 0 });
         let offset = dataset.offset;
-        for view in dataset.train.iter_mut().chain(&mut dataset.test) {
+        for view in dataset.train.iter_mut().chain(&mut dataset.test).chain(&mut dataset.validation) {
             view.camera = in_scene(view.camera, offset, &scene.data.info);
         }
         let shift = (DVec3::from_array(scene.data.info.offset) - offset).as_vec3();
@@ -336,10 +378,7 @@ impl ViewArgs {
 
     /// Those of the views of `dataset` that are asked for.
     pub fn chosen<'a>(&self, dataset: &'a Dataset) -> &'a [View] {
-        match self.split {
-            Split::Test => &dataset.test,
-            Split::Train => &dataset.train,
-        }
+        self.split().of(dataset)
     }
 
     /// The options that replace keys of `[data]`, as `key=value`.
@@ -362,4 +401,51 @@ pub fn in_scene(camera: Camera, offset: DVec3, info: &SceneInfo) -> Camera {
 /// At most `most` of `views`, evenly chosen; at least one, if there are any.
 pub fn every_nth(views: &[View], most: usize) -> impl Iterator<Item = &View> {
     views.iter().step_by(views.len().div_ceil(most.max(1)).max(1))
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+    use dpges_core::scene::{ColourModel, GaussianData, SurfelData};
+    use dpges_train::run::folder::Origin;
+
+    use super::*;
+
+    #[derive(Debug, Parser)]
+    struct Command {
+        #[command(flatten)]
+        views: ViewArgs,
+    }
+
+    #[test]
+    fn held_out_views_decide_only_where_they_are_asked_to() {
+        let (folder, model) = (tempfile::tempdir().unwrap(), ColourModel::SphericalBeta { lobes: 0 });
+        let scene = SceneData {
+            info: SceneInfo { colour_model: model, ..SceneInfo::default() },
+            surfels: SurfelData::neutral(model, 0),
+            gaussians: GaussianData::neutral(model, 1),
+            environment: None,
+        };
+        let decide = |set: &[&str], arguments: &[&str]| {
+            let set: Vec<String> = ["data.max_resolution=4"].iter().chain(set).map(|&text| text.to_owned()).collect();
+            let config = Config::resolve(None, None, &set).unwrap();
+            let run = RunFolder::new(folder.path());
+            run.start(&Origin::new(BUILTIN, "cpu"), &config).unwrap();
+            scene.save(&run.scene()).unwrap();
+            let views = Command::try_parse_from([&["command"], arguments].concat()).unwrap().views;
+            let (_, dataset, split) = views.load_to_decide(&mut Scene::load(folder.path()).unwrap()).unwrap();
+            let names: Vec<String> = split.of(&dataset).iter().map(|view| view.name.clone()).collect();
+            (split, names)
+        };
+        let (split, trained) = decide(&[], &[]);
+        assert!(split == Split::Train && trained.iter().all(|name| name.starts_with("train_")), "{split} {trained:?}");
+        let (split, kept) = decide(&["data.validation_every=4"], &[]);
+        assert!(split == Split::Validation && kept.len() == trained.len() / 4, "{split} {kept:?}");
+        assert!(kept.iter().all(|name| trained.contains(name)));
+        assert_eq!(decide(&["data.validation_every=4"], &["--split=validation"]).1, kept);
+        // of another dataset nothing was kept
+        assert_eq!(decide(&["data.validation_every=4"], &["--data=builtin"]).0, Split::Train);
+        let (split, held_out) = decide(&[], &["--split=test"]);
+        assert!(split == Split::Test && held_out.iter().all(|name| name.starts_with("test_")), "{split} {held_out:?}");
+    }
 }

@@ -127,7 +127,7 @@ fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> 
     let report = EvalReport {
         scene: scene.path.display().to_string(),
         dataset: source.to_string(),
-        split: args.views.split.to_string(),
+        split: args.views.split().to_string(),
         evaluation,
         bytes: scene.bytes,
         floaters: renderer.floaters(&dataset)?,

@@ -183,7 +183,7 @@ impl ExportArgs {
         }
         let loss = match &data {
             Ok((source, dataset)) if self.views.chosen(dataset).is_empty() => {
-                format!("not measured: {source} has no views in split `{}`", self.views.split)
+                format!("not measured: {source} has no views in split `{}`", self.views.split())
             }
             Ok((_, dataset)) => self.loss(scene, &cloud, self.views.chosen(dataset), &device)?,
             Err(failure) => format!("not measured: {}", reason(failure)),
@@ -203,9 +203,10 @@ impl ExportArgs {
     ) -> Result<String> {
         let before = evaluate(scene, views, device)?.psnr;
         let after = evaluate(&in_front_of(cloud, scene), views, device)?.psnr;
-        let of = match self.views.split {
+        let of = match self.views.split() {
             Split::Test => "held-out",
             Split::Train => "training",
+            Split::Validation => "validation",
         };
         let change = after - before;
         Ok(format!("{before:.2} dB → {after:.2} dB ({change:+.2} dB, mean of {} {of} views)", views.len()))

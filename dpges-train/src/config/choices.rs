@@ -111,6 +111,8 @@ choices! {
 
     /// Opacity in the joint stage of a Gaussian that was blended before.
     JointOpacity {
+        /// Fitted, such that it has the same share of the pictures as when it was blended.
+        "shares" => Shares,
         /// α / (1 − α), the weight that gives it the same share of a pixel before a surfel.
         "odds" => Odds,
         /// α, as it was (GES, DP-GES).

@@ -230,7 +230,7 @@ configuration! {
         gaussian_budget: f64 = 0.9, range: POSITIVE_SHARE;
         /// Opacity in the joint stage of Gaussians that were blended before, if `model.opacity` is linear; otherwise it is
         /// kept.
-        joint_opacity: JointOpacity = JointOpacity::Odds;
+        joint_opacity: JointOpacity = JointOpacity::Shares;
         /// Learning rate of the logits of opacities in these stages (3DGS).
         opacities: f64 = 0.05, range: 0.0..;
         /// Share of the decay from `optimizer.position_start` to `optimizer.position_end` that each of these stages goes

@@ -52,8 +52,8 @@ impl Due {
 const MOST_SCALED_STEPS: f64 = 1e15;
 
 impl Config {
-    /// Makes the run `factor` times as long. `[discs]`, `[relocation]` and `[refine]` scale with it;
-    /// `train.evaluate_every` and `train.checkpoint_every` remain numbers of steps of the longer or shorter run.
+    /// Makes the run `factor` times as long. The steps in `[discs]`, `[relocation]`, `[density]` and `[refine]`
+    /// scale with it; `train.evaluate_every` and `train.checkpoint_every` remain numbers of steps of the longer or shorter run.
     ///
     /// # Errors
     /// [`ConfigError::Range`] if the result is not from 1 to 1e15 steps, which includes every factor that is not
@@ -96,7 +96,10 @@ impl Config {
             steps.dedup();
             steps
         };
-        let every = |every: usize, from: usize, until: usize| (from..until).step_by(every.max(1)).collect::<Vec<_>>();
+        // what is due later lies beyond the run, however far that is
+        let every = |every: usize, from: usize, until: usize| {
+            (from..until.min(REFERENCE_STEPS)).step_by(every.max(1)).collect::<Vec<_>>()
+        };
         let only_if = |wanted: bool, steps: Vec<usize>| if wanted { steps } else { Vec::new() };
 
         let surfel_prune =
@@ -111,7 +114,7 @@ impl Config {
         let control = refine.add_from.checked_sub(refine.add_every).filter(|_| automatic && !add.is_empty());
         Schedule {
             margins: run(refine.margins_at.clone(), 0),
-            surfel_prune: whole_passes(run(surfel_prune, 1), self.scaled(refine.surfel_prune_until) + 1),
+            surfel_prune: whole_passes(run(surfel_prune, 1), self.scaled(refine.surfel_prune_until).saturating_add(1)),
             gaussian_prune: whole_passes(run(gaussian_prune, 1), self.scaled(refine.gaussian_prune_until)),
             add,
             control: run(control.into_iter().collect(), 1),
@@ -150,9 +153,10 @@ impl Schedule {
 mod tests {
     use super::*;
 
+    /// A run of the joint stage alone.
     fn config(steps: usize) -> Config {
         let mut config = Config::default();
-        config.train.steps = steps;
+        (config.train.steps, config.stages.gaussians) = (steps, 0.0);
         config
     }
 
@@ -219,6 +223,25 @@ mod tests {
         let mut unsplit = config(REFERENCE_STEPS);
         unsplit.refine.split = false;
         assert_eq!(unsplit.schedule(100), Schedule { split: vec![], ..all });
+    }
+
+    #[test]
+    fn changes_without_an_end_go_on_to_the_last_step() {
+        let ending_at = |until: usize| {
+            let mut config = config(REFERENCE_STEPS);
+            let refine = &mut config.refine;
+            (refine.surfel_prune_until, refine.gaussian_prune_until, refine.split_until) = (until, until, until);
+            (refine.add_until, refine.margins_at) = (until, vec![0, until]);
+            let growing = config.schedule(100);
+            (config.refine.add_until, config.refine.replace_until) = (4000, until);
+            [growing, config.schedule(100)]
+        };
+        let [growing, replacing] = ending_at(REFERENCE_STEPS);
+        assert_eq!((growing.add.last(), growing.split.last()), (Some(&24_000), Some(&24_000)));
+        assert_eq!((growing.surfel_prune.last(), replacing.replace.last()), (Some(&24_000), Some(&24_000)));
+        for until in [1_000_000_000_000, i64::MAX as usize, usize::MAX] {
+            assert_eq!(ending_at(until), [growing.clone(), replacing.clone()], "{until}");
+        }
     }
 
     #[test]

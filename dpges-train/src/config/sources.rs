@@ -269,33 +269,169 @@ mod tests {
         assert!(fast.data.max_resolution < quality.data.max_resolution);
     }
 
+    /// What a preset says itself, whatever the defaults are.
+    fn assert_pins(name: &str, section: &str, expected: &str) {
+        let pinned: Table = preset_text(name).unwrap().parse().unwrap();
+        for (key, value) in expected.parse::<Table>().unwrap() {
+            let found = pinned.get(section).and_then(|section| section.get(&key));
+            assert_eq!(found, Some(&value), "{name}: {section}.{key}");
+        }
+    }
+
+    /// The numbers of DP-GES, and of 2DGS, DBS and GES where it takes theirs.
+    const RECIPE: [(&str, &str); 7] = [
+        (
+            "train",
+            r#"
+            method = "dpges"
+            steps = 65000
+            lambda_dssim = 0.2
+            lambda_surfel = 0.01
+            lambda_transmittance = 0.08
+            lambda_opacity = 0.0
+            lambda_gaussian_scale = 0.0
+            lambda_sky = 0.0
+            detach_transmittance = false
+            freeze_surfels = false
+            "#,
+        ),
+        (
+            "model",
+            r#"
+            colour = "sb2"
+            layers = 3
+            modulation = 30.0
+            backstop = false
+            opacity = "linear"
+            footprint = "kernel"
+            margin = "median"
+            margin_lookup = "shifted"
+            environment = "none"
+            sampling_limit = 0.0
+            "#,
+        ),
+        (
+            "stages",
+            r#"
+            surfels = 0.30769231
+            gaussians = 0.30769231
+            gaussians_by = "dbs"
+            surfel_opacity = 0.8
+            surfel_scale = 1.0
+            surfel_budget = 0
+            gaussian_budget = 0.6
+            joint_opacity = "kept"
+            opacities = 0.05
+            position_share = 0.66666667
+            "#,
+        ),
+        (
+            "discs",
+            r"
+            densify_every = 100
+            densify_from = 500
+            densify_until = 15000
+            gradient_threshold = 2e-4
+            by_quantile = false
+            dense_fraction = 0.01
+            min_opacity = 0.05
+            max_scale = 0.1
+            max_scale_from = 3000
+            reset_every = 3000
+            reset_opacity = 0.01
+            lambda_normal = 0.05
+            normal_from = 7000
+            lambda_distortion = 0.0
+            start_opacity = 0.1
+            start_scale = 1.0
+            ",
+        ),
+        (
+            "relocation",
+            r"
+            every = 100
+            from = 500
+            until = 25000
+            growth = 1.05
+            min_opacity = 0.005
+            lambda_opacity = 0.01
+            lambda_scale = 0.01
+            noise = 5e5
+            start_opacity = 0.5
+            start_scale = 1.0
+            ",
+        ),
+        (
+            "optimizer",
+            r"
+            position_start = 1.6e-4
+            position_end = 1.6e-6
+            quaternions = 1e-3
+            log_scales = 5e-3
+            opacities = 2.5e-4
+            base = 2.5e-3
+            detail = 2.5e-3
+            decay = 1.0
+            beta1 = 0.9
+            beta2 = 0.999
+            epsilon = 1e-15
+            ",
+        ),
+        (
+            "refine",
+            r#"
+            margins_at = [0, 4000]
+            margins_with_pruning = false
+            surfel_prune_every = 1000
+            surfel_prune_from = 1000
+            surfel_prune_until = 15000
+            surfel_pixels_of = "picture"
+            surfel_max_scale = 0.06
+            gaussian_prune_every = 500
+            gaussian_prune_until = 2000
+            gaussian_min_contribution = 0.02
+            add_every = 1000
+            add_from = 3000
+            add_until = 13000
+            new_gaussians = "black"
+            split = true
+            split_every = 2000
+            split_until = 16000
+            split_factor = 2.0
+            "#,
+        ),
+    ];
+
     #[test]
     fn presets_of_benchmarks_are_the_recipe_of_the_paper() {
-        let (black, white) = (Background::Colour([0.0; 3]), Background::Colour([1.0; 3]));
-        for (name, image_scale, background, lambda_scale) in [
-            ("mipnerf360", 4, black, 5e-5),
-            ("tanks-and-temples", 1, black, 5e-5),
-            ("deep-blending", 1, black, 5e-5),
-            ("nerf-synthetic", 1, white, 1e-5),
+        for (name, image_scale, background, lambda_scale, min_pixels) in [
+            ("mipnerf360", 4, "black", "5e-5", 16),
+            ("tanks-and-temples", 1, "black", "5e-5", 16),
+            ("deep-blending", 1, "black", "5e-5", 16),
+            ("nerf-synthetic", 1, "white", "1e-5", 4),
         ] {
-            let Config { data, train, model, refine, .. } = preset(name);
-            assert_eq!(
-                (data.image_scale, data.background, train.lambda_scale),
-                (image_scale, background, lambda_scale)
-            );
-            assert_eq!((data.max_resolution, data.test_every), (0, 8), "{name}");
+            for (section, expected) in RECIPE {
+                assert_pins(name, section, expected);
+            }
+            let data = format!("image_scale = {image_scale}\nmax_resolution = 0\nbackground = \"{background}\"");
+            assert_pins(name, "data", &data);
+            assert_pins(name, "train", &format!("lambda_scale = {lambda_scale}"));
+            assert_pins(name, "refine", &format!("surfel_min_pixels = {min_pixels}"));
+            assert_eq!(preset(name).data.test_every, 8, "{name}");
             let stages = preset(name).plan();
             let lengths: Vec<usize> = stages.iter().map(|stage| stage.steps).collect();
             assert_eq!(lengths, [STAGE_STEPS, STAGE_STEPS, REFERENCE_STEPS], "{name}");
-            let expected = Config::default();
-            assert_eq!(model, expected.model, "{name}");
-            assert_eq!((train.lambda_surfel, train.lambda_transmittance), (0.01, 0.08), "{name}");
-            assert_eq!((&refine.margins_at, refine.split), (&expected.refine.margins_at, true), "{name}");
         }
     }
 
     #[test]
     fn ges_is_the_predecessor() {
+        let model = "opacity = \"linear\"\nfootprint = \"kernel\"\nmargin_lookup = \"shifted\"\nenvironment = \"none\"";
+        assert_pins("ges", "model", &format!("{model}\nsampling_limit = 0.0"));
+        assert_pins("ges", "train", "lambda_dssim = 0.2\nlambda_sky = 0.0\nlambda_opacity = 0.0");
+        assert_pins("ges", "discs", "by_quantile = true\nmin_opacity = 0.05\ngradient_threshold = 2e-4");
+        let refine = "surfel_max_scale = 0.06\nsurfel_min_pixels = 16\ngaussian_min_contribution = 0.02\nsplit = false";
+        assert_pins("ges", "refine", refine);
         let ges = preset("ges");
         assert_eq!((ges.model.modulation, ges.model.layers, ges.model.margin), (255.0, 1, Margin::Raw));
         assert_eq!(ges.model.colour.to_string(), "sh3");

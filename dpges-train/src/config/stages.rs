@@ -214,7 +214,7 @@ mod tests {
 
     #[test]
     fn stages_share_the_steps_of_the_run() {
-        let both = ["train.steps=1000", "stages.surfels=0.2", "stages.gaussians=0.3"];
+        let both = ["train.steps=1000", "stages.surfels=0.2", "stages.gaussians=0.3", "stages.gaussians_by=dbs"];
         assert_eq!(plan(&both), [stage("2dgs", 0, 200), stage("dbs", 200, 300), stage("joint", 500, 500)]);
         let with = |more: &'static str| plan(&[&both[..], &[more]].concat());
         assert_eq!(with("stages.surfels=0"), [stage("dbs", 0, 300), stage("joint", 300, 700)]);

@@ -16,8 +16,8 @@ use super::validation::Validation;
 use crate::config::{Config, StagePlan};
 use crate::dataset::Dataset;
 use crate::stage::{
-    self, Context, DevicePhotographs, PendingStep, Settled, Stage, StageCheckpoint, StepReport, TrainError, Trained,
-    begin_step,
+    self, BeforeStep, Context, DevicePhotographs, PendingStep, Settled, Stage, StageCheckpoint, StepReport, TrainError,
+    Trained, begin_step, budget,
 };
 use crate::views::corrections::ViewCorrections;
 use crate::views::exposure::ExposureState;
@@ -32,8 +32,10 @@ pub struct Trainer {
     stage: Box<dyn Stage>,
     trained: Trained,
     validation: Validation,
-    /// A GPU works on this step while the host prepares the next.
-    pending: Option<PendingStep>,
+    /// A GPU works on this step while the host prepares the next. With where the run stood before it.
+    pending: Option<(PendingStep, BeforeStep)>,
+    /// Completed steps after which the scene was refined last. If the step that followed was undone, that is not done again.
+    refined_after: Option<usize>,
 }
 
 impl Trainer {
@@ -51,7 +53,8 @@ impl Trainer {
         context.depth = context.start_of_depth();
         let mut trained = Trained { environment: context.start_of_environment()?, ..Trained::default() };
         let stage = stage::begin(plan[0], &mut trained, &mut context)?;
-        Ok(Self { context, plan, at: 0, stage, trained, validation: Validation::default(), pending: None })
+        let validation = Validation::default();
+        Ok(Self { context, plan, at: 0, stage, trained, validation, pending: None, refined_after: None })
     }
 
     /// Whether there is all that the plan of a run needs, which [`new`](Self::new) asks first. It takes no time: a series of runs
@@ -66,6 +69,7 @@ impl Trainer {
     fn context(config: Config, dataset: Arc<Dataset>, device: Device) -> Context {
         let rng = ChaCha8Rng::seed_from_u64(config.train.seed);
         let photographs = DevicePhotographs::new(&config, &device);
+        let budget = budget(&config, &dataset);
         Context {
             dataset,
             config,
@@ -77,6 +81,7 @@ impl Trainer {
             poses: PoseState::default(),
             depth: None,
             photographs,
+            budget,
         }
     }
 
@@ -86,8 +91,8 @@ impl Trainer {
     /// [`TrainError::Resume`] if the dataset is another one or the checkpoint contradicts itself.
     pub fn resume(checkpoint: Checkpoint, dataset: Arc<Dataset>, device: Device) -> Result<Self, TrainError> {
         let Checkpoint { state, mut attributes, mut columns, max_pixels } = checkpoint;
-        let RunState { config, info, completed_steps, stage: at, validation, growth, rng, remaining_views, view_names } =
-            state;
+        let RunState { config, info, completed_steps, refined, stage: at, validation, growth, .. } = state;
+        let RunState { rng, remaining_views, view_names, .. } = state;
         if view_names != names_of_views(&dataset) {
             let (before, now) = (view_names.len(), dataset.train.len());
             let reason = format!("it was made with {before} training views, and these {now} are not the same ones");
@@ -107,7 +112,8 @@ impl Trainer {
         context.place_cameras();
         let of_stage = StageCheckpoint { info, growth, attributes, columns, max_pixels };
         let (stage, trained) = stage::resume(current, of_stage, &context)?;
-        Ok(Self { context, plan, at, stage, trained, validation, pending: None })
+        let refined_after = refined.then_some(completed_steps);
+        Ok(Self { context, plan, at, stage, trained, validation, pending: None, refined_after })
     }
 
     /// All that [`resume`](Self::resume) needs to go on to the same result. Settle before.
@@ -125,6 +131,7 @@ impl Trainer {
             config: context.config.clone(),
             info,
             completed_steps: context.completed_steps,
+            refined: self.refined_after == Some(context.completed_steps),
             stage: self.at,
             validation: self.validation,
             growth,
@@ -239,8 +246,9 @@ impl Trainer {
     /// step before, unless [`settle`](Self::settle) has returned it already.
     ///
     /// # Errors
-    /// [`TrainError::Step`] or [`TrainError::Loss`] if the loss or a gradient was not finite; that step then changed
-    /// nothing. [`TrainError::Device`] if the device failed. Those of [`new`](Self::new) where a stage begins.
+    /// [`TrainError::Step`] or [`TrainError::Loss`] if the loss or a gradient was not finite: all that this step and a later
+    /// one have changed is taken back, but not the refinement before it. [`TrainError::Device`] if the device failed. Those
+    /// of [`new`](Self::new) where a stage begins.
     pub fn step(&mut self) -> Result<Option<StepReport>, TrainError> {
         let mut known = None;
         self.context.refine_poses();
@@ -250,39 +258,47 @@ impl Trainer {
         }
         let completed = self.context.completed_in(self.stage());
         let mut events = Vec::new();
-        if self.stage.is_due(completed) {
+        let refined_after = Some(self.context.completed_steps);
+        if self.stage.is_due(completed) && self.refined_after != refined_after {
             known = self.settle()?.or(known);
             events = self.stage.refine(completed, &mut self.context)?;
+            self.refined_after = refined_after;
         }
-        let before = self.pending.take();
+        let mut before = self.context.before_step();
         let view = self.context.next_view();
         let report = StepReport::begin(self.context.completed_steps + 1, self.stage().kind, view, events);
-        self.pending = Some(begin_step(&mut *self.stage, &mut self.context, report)?);
+        let begun = begin_step(&mut *self.stage, &mut self.context, report);
+        known = self.settle()?.or(known);
+        before.poses = self.context.poses.clone();
+        let begun = match begun {
+            Ok(begun) => begun,
+            Err(error) => {
+                self.context.go_back(before);
+                return Err(error);
+            }
+        };
+        self.pending = Some((begun.learn(&mut *self.stage, &mut self.context)?, before));
         self.context.completed_steps += 1;
-        if !is_gpu(&self.context.device) {
-            return self.settle();
-        }
-        if let Some(before) = before {
-            known = Some(self.settled(before)?);
-        }
-        Ok(known)
+        if is_gpu(&self.context.device) { Ok(known) } else { self.settle() }
     }
 
     /// Waits for the step that the device is working on. Returns its report, if there is one.
     ///
     /// # Errors
-    /// [`TrainError::Step`] or [`TrainError::Loss`] if its loss or a gradient was not finite, [`TrainError::Device`] if
-    /// the device failed.
+    /// [`TrainError::Step`] or [`TrainError::Loss`] if its loss or a gradient was not finite, and the step is taken back;
+    /// [`TrainError::Device`] if the device failed.
     pub fn settle(&mut self) -> Result<Option<StepReport>, TrainError> {
-        self.pending.take().map(|pending| self.settled(pending)).transpose()
-    }
-
-    fn settled(&mut self, pending: PendingStep) -> Result<StepReport, TrainError> {
-        let Settled { report, pose_gradient } = pending.settle()?;
+        let Some((pending, before)) = self.pending.take() else { return Ok(None) };
+        let settled = pending.settle();
+        if let Err(TrainError::Step { .. } | TrainError::Loss { .. }) = settled {
+            self.stage.undo();
+            self.context.go_back(before);
+        }
+        let Settled { report, pose_gradient } = settled?;
         if let Some(gradient) = pose_gradient {
             self.context.poses.keep(report.step, report.view, gradient);
         }
-        Ok(report)
+        Ok(Some(report))
     }
 }
 

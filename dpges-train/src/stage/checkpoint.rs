@@ -152,6 +152,7 @@ impl JointStage {
             sky: SkyMasks::new(&environment, context),
             environment,
             statistics: Statistics::from_rows(&max_pixels, [&contributions, &errors], device),
+            statistics_before: None,
             supervisions: discs.map(|discs| Supervisions::new(&discs, context)).transpose()?,
             growth,
             info,

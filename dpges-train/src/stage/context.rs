@@ -34,9 +34,36 @@ pub struct Context {
     pub depth: Option<DepthMaps>,
     /// Those that stay on a GPU.
     pub photographs: DevicePhotographs,
+    /// The largest number of surfels and Gaussians together: that of the [cameras as they were recorded](budget), wherever
+    /// they have moved since.
+    pub budget: usize,
+}
+
+/// Where a run stood before the view of a step was drawn.
+#[derive(Clone, Debug)]
+pub struct BeforeStep {
+    rng: ChaCha8Rng,
+    remaining_views: Vec<u32>,
+    completed_steps: usize,
+    /// Once the gradient of the step before is known.
+    pub poses: PoseState,
 }
 
 impl Context {
+    /// Where the run stands.
+    pub fn before_step(&self) -> BeforeStep {
+        let (rng, remaining_views) = (self.rng.clone(), self.remaining_views.clone());
+        BeforeStep { rng, remaining_views, completed_steps: self.completed_steps, poses: self.poses.clone() }
+    }
+
+    /// Goes back to where the run stood: what came since is not part of it.
+    pub fn go_back(&mut self, before: BeforeStep) {
+        let BeforeStep { rng, remaining_views, completed_steps, poses } = before;
+        (self.rng, self.remaining_views, self.completed_steps) = (rng, remaining_views, completed_steps);
+        self.poses = poses;
+        self.place_cameras();
+    }
+
     /// The steps of the current stage, that of `plan`, that are done.
     pub fn completed_in(&self, plan: StagePlan) -> usize {
         self.completed_steps - plan.begin
@@ -92,15 +119,10 @@ impl Context {
         }
     }
 
-    /// The largest number of surfels and Gaussians together.
-    pub fn budget(&self) -> usize {
-        budget(&self.config, &self.dataset)
-    }
-
     /// What shares of the budget before the joint stage are of. With an automatic budget that is `pixels`, half of the
     /// largest number: growth beyond it has to be worth it.
     pub fn budget_before_growth(&self) -> usize {
-        if self.config.refine.budget == Budget::Auto { self.budget() / 2 } else { self.budget() }
+        if self.config.refine.budget == Budget::Auto { self.budget / 2 } else { self.budget }
     }
 
     /// The largest number of primitives of a stage that may fill `share` of the budget.

@@ -153,7 +153,7 @@ mod tests {
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
 
-    use super::super::DevicePhotographs;
+    use super::super::{DevicePhotographs, budget};
     use super::*;
     use crate::init::sky::tests::{BLUE, ring, tower};
     use crate::run::fixtures::{config, device};
@@ -164,6 +164,7 @@ mod tests {
         let (config, device) = (config(set), device());
         let photographs = DevicePhotographs::new(&config, &device);
         let context = Context {
+            budget: budget(&config, &dataset),
             dataset: Arc::new(dataset),
             config,
             device,

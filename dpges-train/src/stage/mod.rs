@@ -25,7 +25,7 @@ use dpges_core::scene::{EnvironmentData, GaussianData, SceneData};
 use crate::config::{Config, StageKind, StagePlan};
 use blended::BlendedStage;
 pub use checkpoint::StageCheckpoint;
-pub use context::{Context, budget};
+pub use context::{BeforeStep, Context, budget};
 pub use environment::EnvironmentState;
 pub use error::TrainError;
 use joint::{JointStage, Statistics};
@@ -78,6 +78,10 @@ pub trait Stage: Send {
     fn after_step(&mut self, _completed: usize, _context: &mut Context) -> Result<(), TrainError> {
         Ok(())
     }
+
+    /// Takes back what [`observe`](Self::observe) and [`after_step`](Self::after_step) have changed in the last step, before
+    /// which nothing was refined since: it was not finite, and parameters have not learnt from it.
+    fn undo(&mut self);
 
     /// All that [`resume`] needs to go on with this stage, on the host.
     fn checkpoint(&self) -> StageCheckpoint;

@@ -70,8 +70,8 @@ impl PendingStep {
     /// Waits for the numbers.
     ///
     /// # Errors
-    /// [`TrainError::Loss`] or [`TrainError::Step`] if the loss or a gradient was not finite, [`TrainError::Device`] if
-    /// the device failed.
+    /// [`TrainError::Loss`] or [`TrainError::Step`] if the loss or a gradient was not finite: its gate has held the parameters
+    /// back, and [`Stage::undo`](super::Stage::undo) takes the rest back. [`TrainError::Device`] if the device failed.
     pub fn settle(self) -> Result<Settled, TrainError> {
         let has_arrived = self.numbers.has_arrived();
         let numbers = if has_arrived { self.numbers.arrived() } else { wait(|| self.numbers.arrived()) };

@@ -1,6 +1,7 @@
 //! One step of any stage: render, compare, go back, optimise.
 
 use burn::tensor::Tensor;
+use dpges_core::camera::Camera;
 use dpges_core::losses::{Losses, Target};
 use dpges_core::ops::environment::environment;
 use dpges_core::render::Values;
@@ -92,8 +93,18 @@ impl Pass {
     }
 }
 
-/// Hands everything of one step to the device, and does not wait for it. The only thing that it waits for is how long the tile
-/// lists are: after forward and backward are handed over, before anything learns from them.
+/// A step whose forward and backward pass are handed to the device. Nothing has learnt from them yet.
+pub struct BegunStep {
+    report: StepReport,
+    view_name: String,
+    camera: Camera,
+    /// Steps of the stage that are done.
+    completed: usize,
+    pass: Pass,
+}
+
+/// Hands the first half of a step to the device, and waits for nothing but the lengths of its tile lists. A GPU knows these
+/// after the numbers of the step before.
 ///
 /// # Errors
 /// [`TrainError::Step`] if the parameters or the view are not what the operations expect, [`TrainError::Core`] if its
@@ -102,7 +113,7 @@ pub fn begin_step(
     stage: &mut dyn Stage,
     context: &mut Context,
     mut report: StepReport,
-) -> Result<PendingStep, TrainError> {
+) -> Result<BegunStep, TrainError> {
     let completed = context.completed_in(stage.plan());
     let dataset = context.dataset.clone();
     let view = &dataset.train[report.view];
@@ -118,14 +129,25 @@ pub fn begin_step(
     let at = |source| TrainError::Step { step: report.step, view: view.name.clone(), source };
     // twice if a list had no room: a pass changes nothing
     let pass = lists::defer_readback(|| Pass::new(stage, context, &given)).map_err(at)?;
-    let Pass { losses, of_parameters, of_exposure, of_pose, observed, gate } = pass;
+    Ok(BegunStep { report, view_name: view.name.clone(), camera: view.camera, completed, pass })
+}
 
-    let pending = PendingStep::new(report, view.name.clone(), losses, of_pose, &gate);
-    stage.observe(observed, &view.camera);
-    let rates = stage.rates(completed, &context.config);
-    stage.parameters().step(of_parameters, gate.open(), &rates, context.config.optimizer.adam(completed))?;
-    let step = context.exposure_step();
-    context.exposure.step(of_exposure, gate.open(), step)?;
-    stage.after_step(completed, context)?;
-    Ok(pending)
+impl BegunStep {
+    /// Hands the other half to the device, in which parameters learn, and waits for nothing. The step before has to be known
+    /// to be finite: what this one changes could not be told from what that one changed.
+    ///
+    /// # Errors
+    /// [`TrainError::Core`] if an operation refuses the gradients or the parameters.
+    pub fn learn(self, stage: &mut dyn Stage, context: &mut Context) -> Result<PendingStep, TrainError> {
+        let Self { report, view_name, camera, completed, pass } = self;
+        let Pass { losses, of_parameters, of_exposure, of_pose, observed, gate } = pass;
+        let pending = PendingStep::new(report, view_name, losses, of_pose, &gate);
+        stage.observe(observed, &camera);
+        let rates = stage.rates(completed, &context.config);
+        stage.parameters().step(of_parameters, gate.open(), &rates, context.config.optimizer.adam(completed))?;
+        let step = context.exposure_step();
+        context.exposure.step(of_exposure, gate.open(), step)?;
+        stage.after_step(completed, context)?;
+        Ok(pending)
+    }
 }

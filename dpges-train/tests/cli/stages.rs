@@ -44,13 +44,13 @@ fn stages_leave_their_scenes_and_a_killed_run_goes_on_in_the_middle_of_one() {
     let at = folder.path();
     let stages = ["--set=stages.surfels=0.3", "--set=stages.gaussians=0.3", "--set=stages.surfel_opacity=0.1"];
     train(at, "whole", &stages);
-    for stage in ["2dgs", "dbs"] {
+    for stage in ["2dgs", "mcmc"] {
         let report = json(at.join(format!("whole/stage_{stage}.json")));
         assert!(report["psnr"].as_f64().unwrap() > 5.0, "{report}");
         ok(at, &["eval", &format!("whole/stage_{stage}.safetensors"), "--data", "builtin", "--max-resolution=32"]);
     }
     let named: Vec<Value> = metrics(&at.join("whole")).iter().filter_map(|line| line.get("stage").cloned()).collect();
-    for stage in ["2dgs", "dbs", "joint"] {
+    for stage in ["2dgs", "mcmc", "joint"] {
         assert!(named.contains(&stage.into()), "{named:?}");
     }
 

@@ -86,7 +86,7 @@ fn steps_are_scaled_once() {
 }
 
 #[test]
-fn blender_scenes_begin_with_a_stage_of_gaussians_unless_told_otherwise() {
+fn runs_begin_with_a_stage_of_gaussians_unless_told_otherwise() {
     let folder = folder();
     let at = folder.path();
     std::fs::create_dir(at.join("toy")).unwrap();
@@ -105,11 +105,11 @@ fn blender_scenes_begin_with_a_stage_of_gaussians_unless_told_otherwise() {
     }
     let config = |out: &str| -> toml::Table { String::from_utf8(bytes(at.join(out))).unwrap().parse().unwrap() };
     ok(at, &["train", "toy", "--device=cpu", "--out=stages", "--steps=10"]);
-    assert_eq!(config("stages/config.toml")["stages"]["gaussians"].as_float(), Some(0.3));
+    assert_eq!(config("stages/config.toml")["stages"]["gaussians"].as_float(), Some(0.4));
     assert!(at.join("stages/stage_mcmc.safetensors").is_file());
     ok(at, &["train", "toy", "--out=stages", "--steps=10", "--resume"]);
     ok(at, &["train", "toy", "--device=cpu", "--out=preset", "--steps=10", "--preset=quick"]);
-    assert_eq!(config("preset/config.toml")["stages"]["gaussians"].as_float(), Some(0.3));
+    assert_eq!(config("preset/config.toml")["stages"]["gaussians"].as_float(), Some(0.4));
     ok(at, &["train", "toy", "--device=cpu", "--out=alone", "--steps=4", "--set=stages.gaussians=0"]);
     assert_eq!(config("alone/config.toml")["stages"]["gaussians"].as_float(), Some(0.0));
 }

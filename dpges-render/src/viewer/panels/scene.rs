@@ -61,6 +61,8 @@ pub fn show(viewer: &mut Viewer, ui: &mut Ui) {
                 ui.selectable_value(&mut options.footprint, footprint, name(footprint));
             }
         });
+        ui.checkbox(&mut options.backstop, "backstop")
+            .on_hover_text("The nearest opaque surfel is always the last layer, however many rims lie before it.");
     });
     ui.add(Slider::new(&mut options.smallest_px, 0.0..=4.0).text("smallest, px"))
         .on_hover_text("Primitives that are smaller on the screen are not drawn.");

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use clap::builder::BoolishValueParser;
 use dpges_core::camera::Camera;
 use dpges_core::scene::{Rendering, SceneData};
 use dpges_render::frame_times::{FrameTimes, Rounds, frame_times};
@@ -31,6 +32,9 @@ pub struct BenchRenderArgs {
     /// Numbers of layers, one row each; scenes of blended Gaussians have one row
     #[arg(long, value_name = "K,…", value_delimiter = ',', default_value = "1,2,3,4")]
     layers: Vec<usize>,
+    /// With a backstop, without, or both (`on,off`), one row each. Default: as the scene was trained
+    #[arg(long, value_name = "on|off,…", value_delimiter = ',', value_parser = BoolishValueParser::new())]
+    backstop: Vec<bool>,
     /// Counted rounds over the cameras
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     rounds: u32,
@@ -66,6 +70,7 @@ struct Row {
     /// Adapter, or device.
     on: String,
     layers: Option<usize>,
+    backstop: Option<bool>,
     #[serde(flatten)]
     times: FrameTimes,
 }
@@ -90,8 +95,9 @@ pub fn run(args: &BenchRenderArgs) -> Result<()> {
         watched(device, || {
             let renderer = Renderer::new(&scene.data, &device.open()?);
             let times = of_training(&renderer, &cameras, args.counts())?;
-            let layers = is_peeled(&scene.data).then_some(scene.data.info.layer_count);
-            report.rows.push(Row { renderer: "training", on: device.to_string(), layers, times });
+            let (info, peeled) = (&scene.data.info, is_peeled(&scene.data));
+            let (layers, backstop) = (peeled.then_some(info.layer_count), peeled.then_some(info.backstop));
+            report.rows.push(Row { renderer: "training", on: device.to_string(), layers, backstop, times });
             Ok(())
         })?;
     }
@@ -112,16 +118,19 @@ impl BenchRenderArgs {
         renderer.upload(scene)?;
         let rounds = self.counts();
         let own = RenderOptions { display: Display::Image, ..RenderOptions::from(&scene.info) };
-        let mut row = |layers: Option<usize>| {
-            let options = RenderOptions { layer_count: layers.unwrap_or(own.layer_count), ..own };
+        let mut row = |layers: Option<usize>, backstop: Option<bool>| {
+            let (layer_count, stops) = (layers.unwrap_or(own.layer_count), backstop.unwrap_or(own.backstop));
+            let options = RenderOptions { layer_count, backstop: stops, ..own };
             let times = frame_times(&headless, &mut renderer, cameras, &options, rounds)?;
-            Ok(Row { renderer: "raster", on: headless.adapter_name(), layers, times })
+            Ok(Row { renderer: "raster", on: headless.adapter_name(), layers, backstop, times })
         };
-        if is_peeled(scene) {
-            self.layers.iter().map(|&layers| row(Some(layers))).collect()
-        } else {
-            Ok(vec![row(None)?])
+        if !is_peeled(scene) {
+            return Ok(vec![row(None, None)?]);
         }
+        let trained = [own.backstop];
+        let backstops = if self.backstop.is_empty() { &trained[..] } else { &self.backstop };
+        let settings = self.layers.iter().flat_map(|&layers| backstops.iter().map(move |&backstop| (layers, backstop)));
+        settings.map(|(layers, backstop)| row(Some(layers), Some(backstop))).collect()
     }
 
     fn counts(&self) -> Rounds {
@@ -133,16 +142,17 @@ impl Report {
     fn table(&self) -> String {
         let Self { surfels, gaussians, width, height, cameras, .. } = self;
         let mut text = format!("{surfels} surfels, {gaussians} Gaussians, {width}x{height} px, {cameras} cameras\n");
-        text += "renderer  K  frames/s    p50 ms    p99 ms  passes by the GPU's clock\n";
+        text += "renderer  K  backstop  frames/s    p50 ms    p99 ms  passes by the GPU's clock\n";
         for row in &self.rows {
             let layers = row.layers.map_or("-".to_owned(), |layers| layers.to_string());
+            let backstop = row.backstop.map_or("-", |backstop| if backstop { "on" } else { "off" });
             let share = |pass: &dpges_render::frame_times::PassShare| {
                 format!("{} {:.2} ms ({:.0} %)", pass.name, pass.p50_ms, 100.0 * pass.share)
             };
             let passes = row.times.passes.iter().map(share).collect::<Vec<_>>().join(", ");
             let FrameTimes { frames_per_second, p50_ms, p99_ms, .. } = row.times;
-            let line =
-                format!("{:8}  {layers}  {frames_per_second:8.1}  {p50_ms:8.2}  {p99_ms:8.2}  {passes}", row.renderer);
+            let times = format!("{frames_per_second:8.1}  {p50_ms:8.2}  {p99_ms:8.2}");
+            let line = format!("{:8}  {layers}  {backstop:8}  {times}  {passes}", row.renderer);
             text += line.trim_end();
             text += "\n";
         }

@@ -19,16 +19,21 @@ use dpges_train::run::folder::write_json;
 
 use self::report::{Psnr, Report};
 use self::target::{Level, Target};
-use super::data::{Scene, Source, ViewArgs};
+use super::data::{Scene, Source, Split, ViewArgs, every_nth};
 use super::device_failure::watched;
 use super::export::reason;
 use super::{Failure, Result, device_choice, print, table};
 
+/// Most views that decide on a loss.
+const DECIDING_VIEWS: usize = 32;
+
 /// Write a scene in fewer bytes, which all commands and the viewers read like any other
 ///
-/// If the dataset is at hand, the PSNR of its held-out views is printed before and after. The file may have any name;
-/// dialogs to open a scene list *.safetensors.
+/// If the dataset is at hand, the PSNR of its held-out views is printed before and after. A largest loss is that of views
+/// which the run of the scene kept for its decisions, or of training views, and then theirs is printed. The file may have
+/// any name; dialogs to open a scene list *.safetensors.
 #[derive(Debug, Args)]
+#[command(mut_arg("split", |split| split.help("Which views [default: test; with a largest loss validation, or train]")))]
 pub struct CompressArgs {
     /// Scene file or folder of a run
     scene: PathBuf,
@@ -39,7 +44,7 @@ pub struct CompressArgs {
     #[arg(long, value_enum, value_name = "LEVEL", conflicts_with = "target")]
     quality: Option<Level>,
     /// Instead of a quality: the largest size of the file, as in 10MB, for which the best quality is found; or the largest
-    /// loss of PSNR, as in 0.1dB, for which the smallest file is found (this renders the views a few dozen times)
+    /// loss of PSNR, as in 0.1dB, for which the smallest file is found (this renders up to 32 views a few dozen times)
     #[arg(long, value_name = "SIZE|LOSS")]
     target: Option<Target>,
     #[command(flatten)]
@@ -59,11 +64,11 @@ pub fn run(args: &CompressArgs) -> Result<()> {
         let message = format!("--out is the scene itself, {}: name another file", scene.path.display());
         return Err(Failure::Usage(message));
     }
-    match args.views.load(&mut scene) {
-        Ok((source, views)) => {
+    match args.measured(&mut scene) {
+        Ok((source, split, views)) => {
             let device = device_choice::select(args.device)?;
             watched(device, || {
-                let measuring = Measuring { source: &source, views: &views, device: device.open()? };
+                let measuring = Measuring { source: &source, split, views: &views, device: device.open()? };
                 args.compress(&scene, Ok(&measuring))
             })
         }
@@ -75,6 +80,7 @@ pub fn run(args: &CompressArgs) -> Result<()> {
 /// What pictures are compared with.
 struct Measuring<'a> {
     source: &'a Source,
+    split: Split,
     views: &'a [View],
     device: Device,
 }
@@ -98,6 +104,16 @@ impl Measuring<'_> {
 }
 
 impl CompressArgs {
+    /// The views that are measured, of which split they are, and what they were read from.
+    fn measured(&self, scene: &mut Scene) -> Result<(Source, Split, Vec<View>)> {
+        if !matches!(self.target, Some(Target::Loss(_))) {
+            let (source, views) = self.views.load(scene)?;
+            return Ok((source, self.views.split(), views));
+        }
+        let (source, dataset, split) = self.views.load_to_decide(scene)?;
+        Ok((source, split, every_nth(split.of(&dataset), DECIDING_VIEWS).cloned().collect()))
+    }
+
     /// Compresses the scene; `measuring` may be impossible.
     fn compress(&self, scene: &Scene, measuring: Result<&Measuring>) -> Result<()> {
         let (data, out) = (&scene.data, &self.out);
@@ -122,7 +138,7 @@ impl CompressArgs {
         let psnr = match measuring.zip(before) {
             Some((measuring, psnr_before)) => Some(Psnr {
                 dataset: measuring.source.to_string(),
-                split: self.views.split.to_string(),
+                split: measuring.split.to_string(),
                 views: measuring.views.len(),
                 psnr_before,
                 psnr_after: after.map_or_else(|| compressed.scene().and_then(|scene| measuring.psnr(&scene)), Ok)?,

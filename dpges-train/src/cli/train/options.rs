@@ -18,7 +18,7 @@ const BUILTIN_DEFAULTS: [&str; 4] =
 pub struct ConfigArgs {
     #[arg(long, value_name = "N", help = key("train.steps").help())]
     steps: Option<usize>,
-    /// Make the run F times as long; the steps in `[discs]`, `[relocation]` and `[refine]` scale with it
+    /// Make the run F times as long; the steps in `[discs]`, `[relocation]`, `[density]` and `[refine]` scale with it
     #[arg(long, value_name = "F", value_parser = factor, allow_negative_numbers = true, conflicts_with = "steps")]
     steps_scale: Option<f64>,
     #[arg(long, value_name = "S", help = key("train.seed").help())]

@@ -17,6 +17,7 @@ use std::collections::BTreeMap;
 use std::fs::{File, TryLockError};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -30,6 +31,8 @@ use crate::run::folder::write_json;
 
 /// Folder of the masks that were put into `masks`, below that of intermediate results.
 const MADE: &str = "masks_made";
+const LOCK_TRIES: usize = 5;
+const LOCK_PAUSE: Duration = Duration::from_millis(50);
 
 pub(super) struct Workspace {
     root: PathBuf,
@@ -51,6 +54,18 @@ struct Entry {
     seconds: Option<f64>,
 }
 
+/// Takes the lock unless another process holds it. On a file system without locks it is up to the user.
+fn is_held_by_another(lock: &File) -> bool {
+    // a program that another thread is just starting holds the files of this one for a moment
+    (0..LOCK_TRIES).all(|_| {
+        let is_held = matches!(lock.try_lock(), Err(TryLockError::WouldBlock));
+        if is_held {
+            std::thread::sleep(LOCK_PAUSE);
+        }
+        is_held
+    })
+}
+
 impl Workspace {
     /// Makes the folder, or takes one that was made before.
     ///
@@ -65,8 +80,7 @@ impl Workspace {
         std::fs::create_dir_all(&work).map_err(io("cannot make folder", &work))?;
         let path = work.join("lock");
         let lock = File::create(&path).map_err(io("cannot write", &path))?;
-        // On a file system without locks it is up to the user.
-        if let Err(TryLockError::WouldBlock) = lock.try_lock() {
+        if is_held_by_another(&lock) {
             return Err(SfmError::Busy { dataset: root.to_owned() });
         }
         let record = read_record(&work.join("steps.json"))?;

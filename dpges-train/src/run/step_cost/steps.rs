@@ -85,6 +85,7 @@ impl Steps {
         let plan = *config.plan().last().expect("a run has stages");
         let dataset = Arc::new(dataset(scene, cameras, device)?);
         let photographs = DevicePhotographs::new(&config, device);
+        let budget = stage::budget(&config, &dataset);
         let context = Context {
             dataset,
             config,
@@ -96,6 +97,7 @@ impl Steps {
             poses: PoseState::default(),
             depth: None,
             photographs,
+            budget,
         };
         let stage = stage::of_scene(plan, scene, &context);
         Ok(Self { scene: scene.clone(), context, stage, next: 0, pending: None })
@@ -107,15 +109,13 @@ impl Steps {
     /// [`TrainError::Step`] or [`TrainError::Loss`] if the loss or a gradient was not finite, [`TrainError::Device`] if
     /// the device failed.
     pub fn step(&mut self) -> Result<(), TrainError> {
-        let before = self.pending.take();
         let view = self.next % self.context.dataset.train.len();
         self.next += 1;
         let report = StepReport::begin(self.context.completed_steps + 1, self.kind(), view, Vec::new());
-        self.pending = Some(begin_step(&mut *self.stage, &mut self.context, report)?);
-        if !is_gpu(&self.context.device) {
-            return self.settle();
-        }
-        before.map_or(Ok(()), |before| before.settle().map(drop))
+        let begun = begin_step(&mut *self.stage, &mut self.context, report)?;
+        self.settle()?;
+        self.pending = Some(begun.learn(&mut *self.stage, &mut self.context)?);
+        if is_gpu(&self.context.device) { Ok(()) } else { self.settle() }
     }
 
     /// Waits for the step that the device works on.

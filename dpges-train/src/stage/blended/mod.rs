@@ -42,6 +42,10 @@ pub struct BlendedStage {
     pub gaussians: GaussianState,
     pub environment: EnvironmentState,
     pub screen_gradients: ScreenGradients,
+    /// Those before the last step, if it had any.
+    gradients_before: Option<ScreenGradients>,
+    /// [M, 3] positions before the jitter of the last step, if it had any.
+    positions_before: Option<Tensor<2>>,
     /// `None` without a filter in the world.
     pub sampling_limit: Option<SamplingLimit>,
 }
@@ -95,6 +99,8 @@ impl BlendedStage {
             gaussians,
             environment,
             screen_gradients,
+            gradients_before: None,
+            positions_before: None,
             sampling_limit: None,
         }
     }
@@ -241,7 +247,9 @@ impl Stage for BlendedStage {
     }
 
     fn observe(&mut self, observed: Observed, camera: &Camera) {
+        self.gradients_before = None;
         if let Some(gradient) = observed.of_probe {
+            self.gradients_before = Some(self.screen_gradients.clone());
             let axes = if self.blended == Blended::Discs { 2 } else { 3 };
             self.screen_gradients.see(&self.gaussians.values(), axes, camera);
             self.screen_gradients.add(gradient);
@@ -264,9 +272,19 @@ impl Stage for BlendedStage {
 
     fn after_step(&mut self, completed: usize, context: &mut Context) -> Result<(), TrainError> {
         if self.blended == Blended::Relocated(Relocation::Mcmc) {
+            self.positions_before = Some(self.gaussians.columns.positions.raw());
             self.jitter(NoiseGate::Mcmc, completed, context)?;
         }
         Ok(())
+    }
+
+    fn undo(&mut self) {
+        if let Some(gradients) = self.gradients_before.take() {
+            self.screen_gradients = gradients;
+        }
+        if let Some(positions) = self.positions_before.take() {
+            self.gaussians.columns.positions.set_tensor(positions);
+        }
     }
 
     fn checkpoint(&self) -> StageCheckpoint {

@@ -1,5 +1,8 @@
 //! At which steps of a stage of blended primitives their set changes.
 
+use std::iter::StepBy;
+use std::ops::Range;
+
 use crate::config::stages::SHORTEST_RESET;
 use crate::config::{Blended, Config, Density, StagePlan};
 
@@ -38,13 +41,14 @@ impl BlendedSchedule {
     /// The schedule of a stage over `views` training views. Densification of discs waits until all views were seen, as
     /// pruning does.
     pub fn new(config: &Config, plan: StagePlan, blended: Blended, views: usize) -> Self {
-        let scaled = |steps: Vec<usize>| -> Vec<usize> {
-            let mut steps: Vec<usize> = steps.into_iter().map(|step| plan.scaled(step)).collect();
-            steps.retain(|&step| step > 0 && step < plan.steps);
+        let every = |every: usize, from: usize, until: usize| (from..until).step_by(every.max(1));
+        // none is looked at that lies beyond the stage, however far that is
+        let scaled = |steps: StepBy<Range<usize>>| -> Vec<usize> {
+            let within = steps.map(|step| plan.scaled(step)).take_while(|&step| step < plan.steps);
+            let mut steps: Vec<usize> = within.filter(|&step| step > 0).collect();
             steps.dedup();
             steps
         };
-        let every = |every: usize, from: usize, until: usize| (from..until).step_by(every.max(1)).collect::<Vec<_>>();
         let resets = |interval: usize, until: usize| {
             let enough = plan.scaled(interval) >= SHORTEST_RESET;
             if enough { scaled(every(interval, interval, until)) } else { Vec::new() }
@@ -54,7 +58,8 @@ impl BlendedSchedule {
                 let discs = &config.discs;
                 let views = views.max(1);
                 let until = plan.scaled(discs.densify_until).min(plan.steps);
-                let steps = every(discs.densify_every, discs.densify_from + discs.densify_every, discs.densify_until);
+                let from = discs.densify_from.saturating_add(discs.densify_every);
+                let steps = every(discs.densify_every, from, discs.densify_until);
                 let mut densify: Vec<usize> =
                     scaled(steps).into_iter().map(|step| step.div_ceil(views) * views).collect();
                 densify.retain(|&step| step < until);
@@ -64,22 +69,22 @@ impl BlendedSchedule {
             Blended::Controlled(density) => {
                 let control = &config.density;
                 let interval = plan.scaled(control.every).max(control.every.min(views)).max(1);
-                let from = plan.scaled(control.from) + interval;
+                let from = plan.scaled(control.from).saturating_add(interval);
                 let until = plan.scaled(control.until).min(plan.steps);
                 let cap = plan.scaled(CAP_EVERY) >= SHORTEST_CAP && density == Density::Absolute;
                 let measures = density == Density::Smoothed;
                 Self {
-                    densify: every(interval, from, until),
+                    densify: every(interval, from, until).collect(),
                     reset: resets(control.reset_every, control.until),
                     cap: if cap { scaled(every(CAP_EVERY, CAP_EVERY, control.until)) } else { Vec::new() },
-                    measure: if measures { every(interval, interval, plan.steps) } else { Vec::new() },
+                    measure: if measures { every(interval, interval, plan.steps).collect() } else { Vec::new() },
                     ..Self::default()
                 }
             }
             Blended::Relocated(_) => {
                 let relocation = &config.relocation;
-                let steps = every(relocation.every, relocation.from + relocation.every, relocation.until);
-                let mut relocate = scaled(steps);
+                let from = relocation.from.saturating_add(relocation.every);
+                let mut relocate = scaled(every(relocation.every, from, relocation.until));
                 let mut last = 0;
                 relocate.retain(|&step| {
                     let stays = step - last >= SHORTEST_RELOCATION;
@@ -129,6 +134,27 @@ mod tests {
         let dbs = schedule(Method::Dbs, 30_000, 100);
         assert_eq!((dbs.relocate[0], dbs.relocate.last(), dbs.relocate.len()), (600, Some(&24_900), 244));
         assert!(dbs.densify.is_empty() && discs.relocate.is_empty());
+    }
+
+    #[test]
+    fn changes_without_an_end_go_on_to_the_last_step() {
+        let ending_at = |method: Method, from: usize, until: usize| {
+            let mut config = Config::default();
+            (config.train.method, config.train.steps) = (method, 30_000);
+            (config.discs.densify_from, config.density.from, config.relocation.from) = (from, from, from);
+            (config.discs.densify_until, config.density.until, config.relocation.until) = (until, until, until);
+            BlendedSchedule::new(&config, config.plan()[0], method.alone().unwrap(), 100)
+        };
+        for method in [Method::Discs, Method::Gaussians3d, Method::Absolute, Method::Mcmc] {
+            let whole = ending_at(method, 500, 30_000);
+            let last = whole.densify.last().or(whole.relocate.last());
+            assert_eq!(last, Some(&29_900), "{method:?}");
+            for until in [1_000_000_000_000, i64::MAX as usize, usize::MAX] {
+                assert_eq!(ending_at(method, 500, until), whole, "{method:?}, {until}");
+            }
+            let never = ending_at(method, usize::MAX, usize::MAX);
+            assert!(never.densify.is_empty() && never.relocate.is_empty(), "{method:?}");
+        }
     }
 
     #[test]

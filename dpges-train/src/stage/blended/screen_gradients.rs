@@ -8,6 +8,7 @@ use dpges_core::scene::tensors::{rows_to_tensor, tensor_to_rows};
 use crate::refine::densify::GradientSums;
 
 /// Gradients of the loss with respect to the projected centres, summed over views, on the device. NDC units.
+#[derive(Clone, Debug)]
 pub struct ScreenGradients {
     /// [M] sum of their norms.
     signed: Tensor<1>,

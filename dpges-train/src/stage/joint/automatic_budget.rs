@@ -71,7 +71,7 @@ impl JointStage {
         removed: usize,
         measured: Option<Vec<f64>>,
     ) -> Result<Vec<String>, TrainError> {
-        let (primitives, budget) = (self.surfels.len() + self.gaussians.len(), context.budget());
+        let (primitives, budget) = (self.surfels.len() + self.gaussians.len(), context.budget);
         let mut events = Vec::new();
         let growth = self.growth.get_or_insert_default();
         let next = growth.next();

@@ -4,11 +4,13 @@ mod automatic_budget;
 mod depth_surfels;
 mod judging;
 mod limits;
+mod opacity_fit;
 mod refine;
 mod sky;
 mod start;
 mod statistics;
 mod supervision;
+mod surfel_fit;
 
 use burn::tensor::Tensor;
 use dpges_core::camera::Camera;
@@ -48,6 +50,8 @@ pub struct JointStage {
     /// `None` if nothing holds the sky free.
     pub sky: Option<SkyMasks>,
     pub statistics: Statistics,
+    /// Those before the last step.
+    pub statistics_before: Option<Statistics>,
     /// Targets of the geometry losses; `None` without them.
     pub supervisions: Option<Supervisions>,
     /// Growth decisions of an automatic budget; `None` before the first, and with a fixed budget.
@@ -76,6 +80,7 @@ impl JointStage {
             sky: SkyMasks::new(&environment, context),
             environment,
             statistics: Statistics::new(start.surfels.len(), start.gaussians.len(), device),
+            statistics_before: None,
             supervisions,
             growth: None,
         }
@@ -170,7 +175,12 @@ impl Stage for JointStage {
     }
 
     fn observe(&mut self, observed: Observed, _: &Camera) {
-        self.statistics = observed.statistics.expect("this stage has statistics");
+        let statistics = observed.statistics.expect("this stage has statistics");
+        self.statistics_before = Some(std::mem::replace(&mut self.statistics, statistics));
+    }
+
+    fn undo(&mut self) {
+        self.statistics = self.statistics_before.take().expect("a step has been taken");
     }
 
     fn looks_at_pictures(&self) -> bool {

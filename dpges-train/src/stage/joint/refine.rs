@@ -65,7 +65,7 @@ impl JointStage {
                 let measured = measured.filter(|_| events.len() == told);
                 events.extend(self.grow(context, due.batches_left, removed, measured)?);
             } else {
-                let (budget, primitives) = (context.budget(), self.surfels.len() + self.gaussians.len());
+                let (budget, primitives) = (context.budget, self.surfels.len() + self.gaussians.len());
                 let replaced = match context.config.refine.new_gaussians {
                     NewGaussians::Copies => removed.min(budget.saturating_sub(primitives)),
                     NewGaussians::Black => 0,
@@ -109,7 +109,7 @@ impl JointStage {
     fn split_gaussians(&mut self, context: &mut Context) -> String {
         self.remove_undrawn(context);
         let surfels = self.surfels.to_data();
-        let room = context.budget().saturating_sub(self.surfels.len() + self.gaussians.len());
+        let room = context.budget.saturating_sub(self.surfels.len() + self.gaussians.len());
         let before = self.gaussians.len();
         let factor = context.config.refine.split_factor;
         let gaussians = self.gaussians.to_data();
@@ -150,7 +150,7 @@ impl JointStage {
 
     /// Copies Gaussians until there are `wanted`, or as many as the budget allows.
     fn copy_gaussians(&mut self, context: &mut Context, wanted: usize) {
-        let target = wanted.min(context.budget().saturating_sub(self.surfels.len()));
+        let target = wanted.min(context.budget.saturating_sub(self.surfels.len()));
         let gaussians = self.gaussians.to_data();
         let Renewal { rows, opacities, copies } =
             renew(&gaussians, &self.statistics.errors(), target, true, &mut context.rng);
@@ -212,9 +212,10 @@ impl JointStage {
     }
 }
 
-/// The threshold that is the same share of a view of `pixels` px as `per_megapixel` of 10⁶ px.
+/// The threshold that is the same share of a view of `pixels` px as `per_megapixel` of 10⁶ px, rounded up: in small views,
+/// too, a threshold removes something.
 fn min_pixels(per_megapixel: usize, pixels: usize) -> usize {
-    (per_megapixel as f64 * pixels as f64 / 1e6) as usize
+    (per_megapixel as f64 * pixels as f64 / 1e6).ceil() as usize
 }
 
 /// [H × W] squared error summed over channels; 0 where pixels do not count.
@@ -250,5 +251,12 @@ mod tests {
         }
         assert!(totals.iter().all(|total| (2800..3200).contains(total)), "{totals:?}");
         assert_eq!(shares(7, 7, &mut rng), [1; 7]);
+    }
+
+    #[test]
+    fn thresholds_per_megapixel_remain_thresholds_in_small_views() {
+        let found = [1_000_000, 500_000, 62_500, 62_501, 250 * 250 / 4, 1].map(|pixels| min_pixels(16, pixels));
+        assert_eq!(found, [16, 8, 1, 2, 1, 1]);
+        assert_eq!((min_pixels(0, 250), min_pixels(1, 400 * 400)), (0, 1));
     }
 }

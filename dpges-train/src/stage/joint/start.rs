@@ -82,7 +82,9 @@ impl Context {
         };
         let by_depth = surfels.is_none() && stages.surfels_by == SurfelStart::Depth;
         if let (true, Some(trained), Some(filter)) = (by_depth, &gaussians, blended_with) {
-            surfels = Some(self.surfels_of_depth(trained, filter)?);
+            let mut found = self.surfels_of_depth(trained, filter)?;
+            self.fit_surfels(&mut found, trained, filter)?;
+            surfels = Some(found);
         }
         if surfels.is_none() || gaussians.is_none() {
             let budget = self.budget_before_growth() as f64;
@@ -94,17 +96,26 @@ impl Context {
         let (mut surfels, mut gaussians) = (surfels.unwrap_or_default(), gaussians.unwrap_or_default());
         // a logistic opacity has no room above 1, and would hardly learn next to it
         let linear = self.config.model.opacity == OpacityActivation::Linear;
-        if blended_with.is_some() && linear && stages.joint_opacity == JointOpacity::Odds {
+        let shares = match blended_with {
+            Some(filter) if linear && stages.joint_opacity == JointOpacity::Shares => {
+                Some(self.blended_shares(&gaussians, filter)?)
+            }
+            _ => None,
+        };
+        if blended_with.is_some() && linear && stages.joint_opacity != JointOpacity::Kept {
             gaussians.opacities.iter_mut().for_each(|opacity| *opacity = odds(*opacity));
         }
         if surfels.is_empty() && gaussians.is_empty() {
             return Err(TrainError::Plan("the joint stage has neither surfels nor Gaussians to begin with".into()));
         }
-        let (count, budget) = (surfels.len() + gaussians.len(), self.budget());
+        let (count, budget) = (surfels.len() + gaussians.len(), self.budget);
         if count > budget && self.config.refine.new_gaussians == NewGaussians::Black {
             tracing::warn!("the stage begins with {count} primitives, more than its budget of {budget}: none is added");
         }
         surfels.margins = margins(&surfels.positions, &surfels.log_scales, self.config.model.margin);
+        if let Some(shares) = shares {
+            self.fit_opacities(&surfels, &mut gaussians, &shares)?;
+        }
         Ok(InitialScene { surfels, gaussians })
     }
 }

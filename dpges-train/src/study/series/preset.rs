@@ -3,11 +3,13 @@
 use dpges_train::config::sources::preset_text;
 use toml::{Table, Value};
 
-/// Keys and sections of a preset that are no part of the method: length of the run, budget, learning rates, output.
-const OF_THE_RUN: [&str; 7] = [
+/// Keys and sections of a preset that are no part of the method: length of the run, budget, learning rates, environment, output.
+const OF_THE_RUN: [&str; 9] = [
     "train.steps",
     "train.evaluate_every",
     "train.checkpoint_every",
+    "model.environment",
+    "stages.opacities",
     "stages.position_share",
     "stages.surfel_scale",
     "stages.surfel_budget",
@@ -37,10 +39,11 @@ mod tests {
     #[test]
     fn ges_is_its_preset_but_for_the_length_and_the_rates() {
         let mut preset = Config::resolve(Some("ges"), None, &[]).unwrap();
-        let Config { train, optimizer, stages, .. } = Config::default();
+        let Config { train, model, optimizer, stages, .. } = Config::default();
         preset.train.steps = train.steps;
         preset.train.evaluate_every = train.evaluate_every;
         preset.train.checkpoint_every = train.checkpoint_every;
+        preset.model.environment = model.environment;
         preset.optimizer = optimizer;
         preset.stages.position_share = stages.position_share;
         preset.stages.surfel_scale = stages.surfel_scale;

@@ -26,7 +26,7 @@ use dpges_train::device::{DeviceName, DeviceRequest};
 use dpges_train::eval::pictures::{self, save_png};
 use glam::DVec3;
 
-use crate::cli::data::{Scene, Source, ViewArgs, every_nth};
+use crate::cli::data::{Scene, Source, Split, ViewArgs, every_nth};
 use crate::cli::device_failure::watched;
 use crate::cli::eval::make_folder;
 use crate::cli::logging::LogStyle;
@@ -48,8 +48,10 @@ const JUDGING_VIEWS: usize = 32;
 /// Draws the scene at different settings of rendering (layers, footprint, steepness of rims, lobes, primitives,
 /// resolution, 16-bit sums; each alone, then some together), and with --train trains it at different settings. Each point
 /// has PSNR, SSIM and FLIP of the views, frame times and the size of the scene file. Results are trade.csv, trade.json,
-/// plots with the frontier, and report.html. The same command again measures only what is missing.
+/// plots with the frontier, and report.html. The same command again measures only what is missing. Held-out views decide
+/// nothing unless they are asked for.
 #[derive(Debug, Args)]
+#[command(mut_arg("split", |split| split.help("Which views [default: validation if the run kept some, else train]")))]
 pub struct TradeArgs {
     /// Scene file or folder of a run
     scene: PathBuf,
@@ -103,7 +105,13 @@ pub fn run(args: &TradeArgs, style: LogStyle) -> Result<()> {
 impl TradeArgs {
     fn measure(&self, scene: &mut Scene, name: DeviceName, limit: &Limit, style: LogStyle) -> Result<()> {
         let config_of_run = scene.run_config();
-        let (source, dataset) = self.views.load_dataset(scene)?;
+        let (source, dataset, split) = self.views.load_to_decide(scene)?;
+        if split == Split::Train && self.train {
+            tracing::warn!(
+                "runs are compared on views that they are trained on, where more primitives and steps always look better: \
+                 train the scene with data.validation_every=8, or measure held-out views with --split test"
+            );
+        }
         let source = Source::named(Some(Path::new(&source.to_string())));
         let resolve = |more: &[String]| -> Result<Config> {
             let set = [&self.views.assignments()[..], &self.set, more].concat();
@@ -112,7 +120,7 @@ impl TradeArgs {
         let config = self.train.then(|| resolve(&[])).transpose()?;
         let opened = name.open()?;
         let bench = Bench {
-            views: every_nth(self.views.chosen(&dataset), self.count as usize).collect(),
+            views: every_nth(split.of(&dataset), self.count as usize).collect(),
             offset: DVec3::from_array(scene.data.info.offset),
             size: self.size,
             rounds: self.rounds as usize,
@@ -120,7 +128,7 @@ impl TradeArgs {
             device: &opened,
             headless: self.headless()?,
         };
-        let subject = self.subject(scene, &source, &bench)?;
+        let subject = self.subject(scene, &source, split, &bench)?;
         tracing::info!("drawn on {}", subject.device);
         make_folder(&self.out.join(PICTURES))?;
         let store = Store::open(&self.out, subject)?;
@@ -172,14 +180,14 @@ impl TradeArgs {
         }
     }
 
-    fn subject(&self, scene: &Scene, source: &Source, bench: &Bench) -> Result<store::Subject> {
+    fn subject(&self, scene: &Scene, source: &Source, split: Split, bench: &Bench) -> Result<store::Subject> {
         let path = std::path::absolute(&scene.path)?;
         let first = &bench.views[0].camera;
         Ok(store::Subject {
             scene: path.display().to_string(),
             scene_checksum: checksum(&std::fs::read(&path)?),
             dataset: source.to_string(),
-            split: self.views.split.to_string(),
+            split: split.to_string(),
             views: bench.views.iter().map(|view| view.name.clone()).collect(),
             view_size: [first.width, first.height],
             frame_size: [self.size.width, self.size.height],

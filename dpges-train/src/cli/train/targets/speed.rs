@@ -115,6 +115,7 @@ fn builtin_scene(config: &Config, points: usize, size: Size, device: &Device) ->
     let mut begin = Config { model: config.model.clone(), ..Config::default() };
     begin.train.method = config.train.method;
     begin.init.max_points = points;
+    begin.stages.gaussians = 0.0;
     // room for all of them: a run begins with a part of its budget
     begin.refine.budget = Budget::Primitives(4 * points);
     let scene = Trainer::new(begin, Arc::new(dataset), device.clone())?.scene();

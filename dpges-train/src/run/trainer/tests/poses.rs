@@ -6,6 +6,7 @@ use dpges_core::camera::CameraFromWorld;
 use glam::DVec3;
 
 use super::{STAGES, trainer};
+use crate::config::SMALLEST_BUDGET_BY_PIXELS;
 use crate::dataset::{BuiltinOptions, Dataset, builtin};
 use crate::run::Trainer;
 use crate::run::fixtures::{config, dataset, device};
@@ -96,4 +97,22 @@ fn misplaced_cameras_are_put_back() {
     }
     let (before, after) = (misplacement(&wrong, &truth), misplacement(trainer.dataset(), &truth));
     assert!(after < 0.5 * before, "{after} px, {before} px before; {}", trainer.pose_changes().unwrap());
+}
+
+#[test]
+fn a_budget_by_pixels_is_that_of_the_cameras_as_they_were_recorded() {
+    // large enough for a budget above the smallest, with cameras that all see the same
+    let options =
+        BuiltinOptions { width: 240, height: 240, train_views: 3, test_views: 0, points: 200, ..Default::default() };
+    let dataset = Arc::new(builtin(&options));
+    let begun = Trainer::new(config(&["train.poses=on"]), dataset.clone(), device()).unwrap();
+    let expected = begun.context.budget;
+    assert!(expected > SMALLEST_BUDGET_BY_PIXELS, "{expected}");
+    // of a run whose first camera looks away from the others by now
+    let mut checkpoint = begun.checkpoint();
+    checkpoint.attributes.get_mut("poses").unwrap().raw[1] = 3.0;
+    let resumed = Trainer::resume(checkpoint, dataset.clone(), device()).unwrap();
+    assert_ne!(resumed.dataset().train[0].camera, dataset.train[0].camera);
+    assert_eq!(resumed.context.budget, expected);
+    assert_eq!(resumed.context.most_primitives(0.5), expected / 2);
 }

@@ -86,7 +86,8 @@ fn copies_fill_the_budget() {
     assert_eq!(batches, 10 + 7);
     let scene = trainer.scene();
     let primitives = scene.surfels.len() + scene.gaussians.len();
-    assert!((679..=700).contains(&primitives), "{primitives}");
+    // a few fade after the last replacement
+    assert!((665..=700).contains(&primitives), "{primitives}");
 }
 
 #[test]

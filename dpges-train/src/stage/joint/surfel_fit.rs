@@ -1,0 +1,145 @@
+//! Sizes of surfels before the joint stage: none may cover what trained Gaussians show behind it.
+//!
+//! A surfel that starts at a point is as large as its neighbours are far away. At silhouettes, at holes and where points are
+//! lone that is too large: it hides the background, which nothing before it can mend.
+
+use burn::tensor::DType;
+use dpges_core::ops::blend::Maps;
+use dpges_core::ops::peel::{PeelOptions, peel};
+use dpges_core::render::Values;
+use dpges_core::render::blended::{BlendedOptions, render_blended};
+use dpges_core::scene::tensors::tensor_to_rows;
+use dpges_core::scene::{GaussianData, Gaussians, Rendering, SceneInfo, ScreenFilter, SurfelData, Surfels};
+
+use super::super::{Context, TrainError};
+
+/// Training views in which surfels are looked at.
+const VIEWS: usize = 24;
+const ROUNDS: usize = 5;
+/// A surfel covers a pixel if its fragment is the nearest and at least as opaque.
+const COVERS: f32 = 0.5;
+/// Alpha of the Gaussians below which a pixel shows nothing.
+const SHOWS: f32 = 0.5;
+/// How far behind a surfel, relative to its depth, a pixel shows something else.
+const BEHIND: f32 = 0.04;
+/// Share of the pixels of a surfel that may be covered wrongly.
+const FEW: f32 = 0.05;
+/// Share from which on a surfel is removed, after all rounds.
+const MOST: f32 = 0.5;
+/// Smallest factor on the scales of a round.
+const LEAST_FACTOR: f32 = 0.6;
+
+/// Pixels of all views that a surfel covers.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Cover {
+    pixels: u32,
+    /// Of these, those at which Gaussians show nothing, or something behind it.
+    wrong: u32,
+}
+
+impl Cover {
+    fn wrong_share(self) -> f32 {
+        self.wrong as f32 / self.pixels.max(1) as f32
+    }
+
+    /// On both scales: the area that is covered rightly stays.
+    fn factor(self) -> f32 {
+        let share = self.wrong_share();
+        if share > FEW { (1.0 - share).sqrt().max(LEAST_FACTOR) } else { 1.0 }
+    }
+}
+
+impl Context {
+    /// Shrinks `surfels` that cover what `gaussians`, blended with `filter`, show behind them, and removes those that do so
+    /// still for the most part.
+    ///
+    /// # Errors
+    /// [`TrainError::Core`] if they cannot be rendered.
+    pub fn fit_surfels(
+        &self,
+        surfels: &mut SurfelData,
+        gaussians: &GaussianData,
+        filter: ScreenFilter,
+    ) -> Result<(), TrainError> {
+        let seen = self.seen_depths(gaussians, filter)?;
+        let before = surfels.len();
+        let mut shrunk = vec![false; before];
+        for _ in 0..ROUNDS {
+            let covers = self.covers(surfels, &seen)?;
+            for (row, factor) in covers.iter().map(|cover| cover.factor()).enumerate() {
+                surfels.log_scales[2 * row..][..2].iter_mut().for_each(|log_scale| *log_scale += factor.ln());
+                shrunk[row] |= factor < 1.0;
+            }
+        }
+        let covers = self.covers(surfels, &seen)?;
+        let keep: Vec<usize> = (0..before).filter(|&row| covers[row].wrong_share() <= MOST).collect();
+        *surfels = surfels.select(&keep);
+        let shrunk = shrunk.iter().filter(|shrunk| **shrunk).count();
+        tracing::info!(
+            "{shrunk} of {before} surfels made smaller, {} removed that cover what views show behind them",
+            before - keep.len()
+        );
+        Ok(())
+    }
+
+    /// For every view, [H × W] the depth that blended `gaussians` show, world units: +∞ where they show nothing.
+    fn seen_depths(
+        &self,
+        gaussians: &GaussianData,
+        filter: ScreenFilter,
+    ) -> Result<Vec<(usize, Vec<f32>)>, TrainError> {
+        let info = SceneInfo { screen_filter: filter, ..self.scene_info(Rendering::Ellipsoids) };
+        let mut options = BlendedOptions::new(&info)?;
+        options.blend.maps = true;
+        let gaussians = Gaussians::from_data(gaussians, &self.device, DType::F32);
+        let views = &self.dataset.train;
+        let of_view = |index: usize| -> Result<(usize, Vec<f32>), TrainError> {
+            let rendered = render_blended(&gaussians, None, &views[index].camera, &options, Values::KnownFinite)?;
+            let Some(Maps { median_depth, .. }) = rendered.blend.maps else { unreachable!("maps were asked for") };
+            let alpha = tensor_to_rows(&rendered.blend.alpha);
+            let shown = |(depth, alpha): (f32, f32)| if alpha < SHOWS { f32::INFINITY } else { depth };
+            Ok((index, tensor_to_rows(&median_depth).into_iter().zip(alpha).map(shown).collect()))
+        };
+        (0..views.len()).step_by(views.len().div_ceil(VIEWS).max(1)).map(of_view).collect()
+    }
+
+    fn covers(&self, surfels: &SurfelData, seen: &[(usize, Vec<f32>)]) -> Result<Vec<Cover>, TrainError> {
+        let options = PeelOptions { layer_count: 1, backstop: false, ..(&self.scene_info(Rendering::Peeled)).into() };
+        let mut covers = vec![Cover::default(); surfels.len()];
+        let surfels = Surfels::from_data(surfels, &self.device, DType::F32);
+        for (index, seen) in seen {
+            let camera = &self.dataset.train[*index].camera;
+            let layers = peel(&surfels.positions, &surfels.quaternions, &surfels.log_scales, camera, &options)?;
+            let ids: Vec<i32> = layers.ids.into_data().iter::<i32>().collect();
+            add_view(&mut covers, &ids, &tensor_to_rows(&layers.alpha), &tensor_to_rows(&layers.depth), seen);
+        }
+        Ok(covers)
+    }
+}
+
+/// Adds the pixels of a view, [H × W] each: the nearest surfel (−1: none), its alpha and depth, and the depth that is `seen`.
+fn add_view(covers: &mut [Cover], ids: &[i32], alpha: &[f32], depth: &[f32], seen: &[f32]) {
+    for (pixel, &id) in ids.iter().enumerate() {
+        let Ok(id) = usize::try_from(id) else { continue };
+        if alpha[pixel] >= COVERS {
+            covers[id].pixels += 1;
+            covers[id].wrong += u32::from(seen[pixel] > depth[pixel] * (1.0 + BEHIND));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pixels_are_wrong_where_something_else_is_seen_behind() {
+        let mut covers = vec![Cover::default(); 3];
+        let seen = [2.0, 2.05, 2.2, f32::INFINITY, 1.0, f32::INFINITY];
+        add_view(&mut covers, &[0, 0, 0, 0, 1, -1], &[1.0, 1.0, 1.0, 0.4, 0.6, 0.0], &[2.0; 6], &seen);
+        assert_eq!(covers[..2], [Cover { pixels: 3, wrong: 1 }, Cover { pixels: 1, wrong: 0 }]);
+        assert_eq!((covers[1].factor(), covers[2].factor()), (1.0, 1.0));
+        assert!((covers[0].factor() - (2f32 / 3.0).sqrt()).abs() < 1e-6);
+        assert_eq!(Cover { pixels: 9, wrong: 9 }.factor(), LEAST_FACTOR);
+    }
+}
