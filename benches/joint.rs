@@ -12,7 +12,7 @@
 //! | `--surfels FILE` | scene of trained surfels or discs | the depths that the Gaussians agree about |
 //! | `--budget N` | primitives | 0.15 per pixel of a picture; what the given Gaussians are a share of |
 //! | `--first-steps N` | length of the stage of Gaussians, if it is trained | 1200 |
-//! | `--steps N` | length of the joint stage | 800 |
+//! | `--steps N` | length of the joint stage | 400 |
 //! | `--seeds N` | joint stages per row, with seeds 0, 1, … | 3 |
 //! | `--device NAME` | as of `dpges train` | `cpu` |
 //! | `--set KEY=VALUE` | of the configuration, for the joint stage; may be repeated | |
@@ -70,7 +70,7 @@ impl Arguments {
             surfels: None,
             budget: None,
             first_steps: 1200,
-            steps: 800,
+            steps: 400,
             seeds: 3,
             device: "cpu".parse()?,
             set: Vec::new(),
@@ -169,11 +169,12 @@ struct Compared {
 
 /// What one joint stage has come to.
 struct Outcome {
-    /// PSNR of held-out views before the first step, dB.
-    at_start: f64,
+    /// Held-out views before the first step.
+    at_start: Compared,
     held_out: Compared,
     training: Compared,
-    surfels: usize,
+    /// Before the first step and after the last.
+    surfels: [usize; 2],
     gaussians: usize,
     /// Refinement included.
     steps_per_second: f64,
@@ -329,7 +330,8 @@ impl Bench {
         };
         let config = self.config(seed, surfels.as_deref())?;
         let mut trainer = Trainer::new(config, Arc::clone(&self.dataset), self.device.clone())?;
-        let at_start = self.held_out.compared(&trainer.scene(), &self.dataset.test, &self.device)?.after.psnr();
+        let first = trainer.scene();
+        let at_start = self.held_out.compared(&first, &self.dataset.test, &self.device)?;
         let begin = Instant::now();
         while !trainer.is_finished() {
             trainer.step()?;
@@ -341,7 +343,7 @@ impl Bench {
             at_start,
             held_out: self.held_out.compared(&scene, &self.dataset.test, &self.device)?,
             training: self.training.compared(&scene, &self.dataset.train, &self.device)?,
-            surfels: scene.surfels.len(),
+            surfels: [first.surfels.len(), scene.surfels.len()],
             gaussians: scene.gaussians.len(),
             steps_per_second,
         })
@@ -355,20 +357,31 @@ fn row_before(bench: &Bench) -> Vec<String> {
     let filled = format!("{:.0}", 100.0 * count as f64 / bench.budget as f64);
     let none = || "–".to_owned();
     let name = "Gaussians, blended".to_owned();
-    vec![name, none(), psnr(&bench.held_out), psnr(&bench.training), "0".into(), count.to_string(), filled, none()]
+    vec![
+        name,
+        none(),
+        psnr(&bench.held_out),
+        psnr(&bench.training),
+        none(),
+        "0".into(),
+        count.to_string(),
+        filled,
+        none(),
+    ]
 }
 
 /// Means over seeds.
 fn row(name: &str, outcomes: &[Outcome], budget: usize) -> Vec<String> {
     let figures = |of: &dyn Fn(&Outcome) -> f64| -> Vec<f64> { outcomes.iter().map(of).collect() };
     let round = |of: &dyn Fn(&Outcome) -> f64| format!("{:.0}", mean(&figures(of)).unwrap_or_default());
-    let drawn = |outcome: &Outcome| (outcome.surfels + outcome.gaussians) as f64;
+    let drawn = |outcome: &Outcome| (outcome.surfels[1] + outcome.gaussians) as f64;
     vec![
         name.to_owned(),
-        spread(&figures(&|outcome| outcome.at_start)),
+        spread(&figures(&|outcome| outcome.at_start.after.psnr())),
         spread(&figures(&|outcome| outcome.held_out.after.psnr())),
         spread(&figures(&|outcome| outcome.training.after.psnr())),
-        round(&|outcome| outcome.surfels as f64),
+        round(&|outcome| outcome.surfels[0] as f64),
+        round(&|outcome| outcome.surfels[1] as f64),
         round(&|outcome| outcome.gaussians as f64),
         round(&|outcome| 100.0 * drawn(outcome) / budget as f64),
         round(&|outcome| outcome.steps_per_second),
@@ -390,15 +403,27 @@ fn row_of_kinds(name: &str, compared: &[&Compared]) -> Vec<String> {
 }
 
 fn report(bench: &Bench, rows: &[(String, Vec<Outcome>)]) {
-    let columns =
-        ["surfels", "at step 0, dB", "held out, dB", "training, dB", "surfels", "Gaussians", "% of budget", "steps/s"];
+    let columns = [
+        "geometry",
+        "at step 0, dB",
+        "held out, dB",
+        "training, dB",
+        "surfels at first",
+        "in the end",
+        "Gaussians",
+        "% of budget",
+        "steps/s",
+    ];
     let before = std::iter::once(row_before(bench));
     let all: Vec<Vec<String>> =
         before.chain(rows.iter().map(|(name, outcomes)| row(name, outcomes, bench.budget))).collect();
     println!("{}", markdown(&columns, &all));
     let kinds = PixelKind::ALL.map(PixelKind::name);
-    let splits: [(&str, fn(&Outcome) -> &Compared); 2] =
-        [("held out", |outcome| &outcome.held_out), ("training", |outcome| &outcome.training)];
+    let splits: [(&str, fn(&Outcome) -> &Compared); 3] = [
+        ("held out, at step 0", |outcome| &outcome.at_start),
+        ("held out", |outcome| &outcome.held_out),
+        ("training", |outcome| &outcome.training),
+    ];
     for (split, of) in splits {
         let columns: Vec<&str> = std::iter::once(split).chain(kinds).collect();
         let row = |(name, outcomes): &(String, Vec<Outcome>)| {
