@@ -72,6 +72,7 @@ enum Command {
     Export(export::ExportArgs),
     Compress(compress::CompressArgs),
     Info(info::InfoArgs),
+    Lpips(lpips::install::NetworksArgs),
     Devices(devices::DevicesArgs),
     Selftest(selftest::SelftestArgs),
 }
@@ -153,6 +154,7 @@ pub fn run() -> ExitCode {
         Command::Export(args) => export::run(&args),
         Command::Compress(args) => compress::run(&args),
         Command::Info(args) => info::run(&args),
+        Command::Lpips(args) => lpips::install::run(&args),
         Command::Devices(args) => devices::run(&args),
         Command::Selftest(args) => selftest::run(&args),
     };

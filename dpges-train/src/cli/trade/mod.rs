@@ -29,6 +29,7 @@ use glam::DVec3;
 use super::data::{Scene, Source, ViewArgs, every_nth};
 use super::device_failure::watched;
 use super::eval::make_folder;
+use super::lpips::LpipsArgs;
 use super::render::Size;
 use super::train::display::watch_for_interrupts;
 use super::{Failure, Result, device_choice, duration, print};
@@ -47,8 +48,8 @@ const JUDGING_VIEWS: usize = 32;
 ///
 /// Draws the scene at different settings of rendering (layers, footprint, steepness of rims, lobes, primitives,
 /// resolution, 16-bit sums; each alone, then some together), and with --train trains it at different settings. Each point
-/// has PSNR, SSIM and FLIP of the views, frame times and the size of the scene file. Results are trade.csv, trade.json,
-/// plots with the frontier, and report.html. The same command again measures only what is missing.
+/// has PSNR, SSIM, FLIP and, with a network, LPIPS of the views, frame times and the size of the scene file. Results are
+/// trade.csv, trade.json, plots with the frontier, and report.html. The same command again measures only what is missing.
 #[derive(Debug, Args)]
 pub struct TradeArgs {
     /// Scene file or folder of a run
@@ -62,6 +63,8 @@ pub struct TradeArgs {
     /// wgpu (the best GPU), or another one that `dpges devices` lists
     #[arg(long, value_name = "NAME", default_value_t)]
     device: DeviceRequest,
+    #[command(flatten)]
+    lpips: LpipsArgs,
     /// What draws pictures and frames [default: raster, or training where there is no graphics adapter]
     #[arg(long, value_enum)]
     renderer: Option<Engine>,
@@ -111,6 +114,7 @@ impl TradeArgs {
         };
         let config = self.train.then(|| resolve(&[])).transpose()?;
         let opened = name.open()?;
+        let networks = self.lpips.load(&opened)?;
         let bench = Bench {
             views: every_nth(self.views.chosen(&dataset), self.count as usize).collect(),
             offset: DVec3::from_array(scene.data.info.offset),
@@ -118,6 +122,7 @@ impl TradeArgs {
             rounds: self.rounds as usize,
             name,
             device: &opened,
+            networks: &networks,
             headless: self.headless()?,
         };
         let subject = self.subject(scene, &source, &bench)?;
