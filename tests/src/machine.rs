@@ -1,4 +1,4 @@
-//! Tests that need more than a CPU: a graphics adapter, or Python. `cargo test` counts those that cannot run here as
+//! Tests that need more than a CPU: a graphics adapter, Python, or the weights of a network. `cargo test` counts those that cannot run here as
 //! ignored, and names them.
 
 mod budget;
@@ -15,6 +15,8 @@ mod poisoned;
 mod raster;
 mod reference;
 mod step_cost;
+#[path = "../../dpges-train/src/metrics/test_pictures.rs"]
+mod test_pictures;
 mod timing;
 mod training;
 
@@ -29,6 +31,7 @@ fn main() -> ExitCode {
     let mut trials = gpu::trials();
     trials.extend(raster::trials());
     trials.extend(reference::trials());
+    trials.extend(lpips::trials());
     trials.push(Trial::test("parity::a_device_that_is_off_is_found_out", || {
         parity::a_device_that_is_off_is_found_out();
         Ok(())

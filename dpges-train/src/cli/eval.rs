@@ -37,7 +37,7 @@ const ROUNDS: Rounds = Rounds { warm_up: 1, counted: 10 };
 ///
 /// Prints the result as JSON on standard output and as a table on standard error. With --json FILE, the JSON goes to
 /// the file and the table to standard output. A metric that does not fit the size of the pictures is left out, and so is
-/// LPIPS without --lpips.
+/// LPIPS without a network.
 #[derive(Debug, Args)]
 pub struct EvalArgs {
     /// Scene file or folder of a run
@@ -120,9 +120,8 @@ fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> 
         }
         None => None,
     };
-    if args.lpips.is_empty() {
-        let how = "not measured: dpges-train/tools/lpips_weights.py makes the file that --lpips takes";
-        notes.push(("LPIPS", how.to_owned()));
+    if args.lpips.is_empty() && networks.is_empty() {
+        notes.push(("LPIPS", "not measured: `dpges lpips install` gets the network for it".to_owned()));
     }
     let report = EvalReport {
         scene: scene.path.display().to_string(),

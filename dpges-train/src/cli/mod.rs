@@ -70,6 +70,7 @@ enum Command {
     Export(export::ExportArgs),
     Compress(compress::CompressArgs),
     Info(info::InfoArgs),
+    Lpips(lpips::install::NetworksArgs),
     Devices(devices::DevicesArgs),
     Selftest(selftest::SelftestArgs),
 }
@@ -151,6 +152,7 @@ pub fn run() -> ExitCode {
         Command::Export(args) => export::run(&args),
         Command::Compress(args) => compress::run(&args),
         Command::Info(args) => info::run(&args),
+        Command::Lpips(args) => lpips::install::run(&args),
         Command::Devices(args) => devices::run(&args),
         Command::Selftest(args) => selftest::run(&args),
     };

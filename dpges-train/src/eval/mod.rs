@@ -147,8 +147,10 @@ pub struct TargetReport {
 /// What is measured besides PSNR, SSIM and FLIP.
 #[derive(Clone, Copy, Debug)]
 pub struct Measures<'a> {
-    /// MS-SSIM, SSIMULACRA2, and LPIPS by these networks, which are on the device that renders; `None`: none of them.
-    pub perceptual: Option<&'a [Lpips]>,
+    /// Whether MS-SSIM and SSIMULACRA2 are measured.
+    pub perceptual: bool,
+    /// LPIPS is measured by these networks, which are on the device that renders.
+    pub networks: &'a [Lpips],
     /// Whether PSNR and SSIM are also measured after a fit of exposure, see [`Fitted`].
     pub fitted: bool,
     /// Whether they are also measured after a fit of the camera, which renders every view many times.
@@ -157,11 +159,16 @@ pub struct Measures<'a> {
 
 impl<'a> Measures<'a> {
     /// Nothing: what a run needs to go on.
-    pub const BASIC: Self = Self { perceptual: None, fitted: false, posed: false };
+    pub const BASIC: Self = Self { perceptual: false, networks: &[], fitted: false, posed: false };
 
     /// MS-SSIM, SSIMULACRA2, and LPIPS by `networks`.
     pub fn perceptual(networks: &'a [Lpips]) -> Self {
-        Self { perceptual: Some(networks), ..Self::BASIC }
+        Self { perceptual: true, ..Self::lpips(networks) }
+    }
+
+    /// LPIPS by `networks`.
+    pub fn lpips(networks: &'a [Lpips]) -> Self {
+        Self { networks, ..Self::BASIC }
     }
 
     /// The same, and a fit of exposure if it is wanted.
@@ -251,11 +258,17 @@ pub fn evaluate_each<E: From<Error>>(
     })
 }
 
-/// The scores of a finished `picture` of `view`, which took `seconds` to render.
+/// The scores of a finished `picture` of `view`, which took `seconds` to render, by `measures` but those that render.
 ///
 /// # Errors
 /// [`Error::Shape`] if the picture has another size than the photograph, [`Error::Io`] if that cannot be read again.
-pub fn score_picture(view: &View, picture: &Rgb8Image, seconds: f64, device: &Device) -> Result<ViewScore> {
+pub fn score_picture(
+    view: &View,
+    picture: &Rgb8Image,
+    seconds: f64,
+    device: &Device,
+    measures: Measures<'_>,
+) -> Result<ViewScore> {
     let (width, height) = (view.camera.width, view.camera.height);
     if (picture.width, picture.height) != (width, height) {
         let found = vec![picture.height, picture.width, 3];
@@ -265,7 +278,7 @@ pub fn score_picture(view: &View, picture: &Rgb8Image, seconds: f64, device: &De
     let planes: Vec<f32> = (0..3).flat_map(channel).collect();
     let image = Tensor::from_data(TensorData::new(planes, [3, height, width]), (device, DType::F32));
     let photograph = view.picture()?;
-    score(&view.name, &photograph, image, seconds, device, Measures::BASIC)
+    score(&view.name, &photograph, image, seconds, device, measures)
 }
 
 fn score(
@@ -286,20 +299,18 @@ fn score(
         None => picture,
     });
     let (reference, test) = (tensor_to_rows(&picture), tensor_to_rows(&image));
-    let perceptual = match measures.perceptual {
-        None => Perceptual::default(),
-        Some(networks) => {
-            let mut perceptual = Perceptual::without_networks(&reference, &test, width, height);
-            for lpips in networks {
-                let distance = lpips.distance(&picture, &image)?;
-                match lpips.network {
-                    Network::Alex => perceptual.lpips_alex = distance,
-                    Network::Vgg => perceptual.lpips_vgg = distance,
-                }
-            }
-            perceptual
-        }
+    let mut perceptual = if measures.perceptual {
+        Perceptual::without_networks(&reference, &test, width, height)
+    } else {
+        Perceptual::default()
     };
+    for lpips in measures.networks {
+        let distance = lpips.distance(&picture, &image)?;
+        match lpips.network {
+            Network::Alex => perceptual.lpips_alex = distance,
+            Network::Vgg => perceptual.lpips_vgg = distance,
+        }
+    }
     let flip = match counted {
         Some(counted) => mean_where(&flip_map(&reference, &test, width, height), counted),
         None => flip(&reference, &test, width, height),

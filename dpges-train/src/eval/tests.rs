@@ -43,14 +43,16 @@ fn scores_are_those_of_eight_bit_pictures() {
     assert!(evaluate(&nothing([0.0; 3]), &[], &device).unwrap_err().to_string().contains("views"));
 
     let picture = |value: u8| Rgb8Image { width: 12, height: 12, bytes: vec![value; 3 * 12 * 12] };
-    let scored = |index: usize, value: u8| score_picture(&views[index], &picture(value), 0.0, &device).unwrap();
+    let scored =
+        |index: usize, value: u8| score_picture(&views[index], &picture(value), 0.0, &device, Measures::BASIC).unwrap();
     assert_eq!(scored(0, 128).psnr, LARGEST_PSNR);
     for (found, expected) in [(scored(1, 128), &evaluation.views[1]), (scored(0, 128), &evaluation.views[0])] {
         assert!((found.psnr - expected.psnr).abs() < 1e-4 && (found.ssim - expected.ssim).abs() < 1e-6);
         assert!((found.flip - expected.flip).abs() < 1e-6);
     }
     let narrow = Rgb8Image { width: 11, height: 12, bytes: vec![0; 3 * 11 * 12] };
-    assert!(score_picture(&views[0], &narrow, 0.0, &device).unwrap_err().to_string().contains("picture"));
+    let refused = score_picture(&views[0], &narrow, 0.0, &device, Measures::BASIC).unwrap_err();
+    assert!(refused.to_string().contains("picture"));
 }
 
 #[test]

@@ -31,8 +31,14 @@ const TINY: [&str; 9] = [
     "--seed=3",
 ];
 
+/// With a data folder of its own, in which no network for LPIPS is installed.
 fn dpges(folder: &Path, args: &[&str]) -> Output {
-    Command::cargo_bin("dpges").unwrap().current_dir(folder).args(args).output().unwrap()
+    let mut command = Command::cargo_bin("dpges").unwrap();
+    command.current_dir(folder).env("XDG_DATA_HOME", data_folder(folder)).args(args).output().unwrap()
+}
+
+fn data_folder(folder: &Path) -> PathBuf {
+    folder.join("data-home")
 }
 
 fn ok(folder: &Path, args: &[&str]) -> String {
@@ -106,6 +112,7 @@ fn wait_until(condition: impl Fn() -> bool) {
 fn start(folder: &Path, args: &[&str]) -> std::process::Child {
     std::process::Command::new(env!("CARGO_BIN_EXE_dpges"))
         .current_dir(folder)
+        .env("XDG_DATA_HOME", data_folder(folder))
         .args(args)
         .stdout(std::process::Stdio::null())
         .stderr(std::process::Stdio::piped())

@@ -7,11 +7,11 @@ use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 use serde_json::json;
 
-use super::{dpges, fails, folder, json, ok, png_names, train};
+use super::{bytes, data_folder, dpges, fails, folder, is_equal, json, ok, png_names, train};
 
 /// A file for `--lpips` with arbitrary weights.
-pub fn write_network(path: &Path) {
-    let tensors: Vec<(String, Vec<usize>, Vec<u8>)> = Network::Alex
+pub fn write_network(path: &Path, network: Network) {
+    let tensors: Vec<(String, Vec<usize>, Vec<u8>)> = network
         .tensors()
         .into_iter()
         .map(|tensor| {
@@ -23,7 +23,8 @@ pub fn write_network(path: &Path) {
     let views = tensors
         .iter()
         .map(|(name, shape, bytes)| (name.as_str(), TensorView::new(Dtype::F32, shape.clone(), bytes).unwrap()));
-    let metadata = [("network", "alex"), ("version", "0.1")].map(|(key, value)| (key.to_owned(), value.to_owned()));
+    let metadata =
+        [("network", network.name()), ("version", "0.1")].map(|(key, value)| (key.to_owned(), value.to_owned()));
     safetensors::serialize_to_file(views, Some(metadata.into()), path).unwrap();
 }
 
@@ -60,11 +61,11 @@ fn lpips_is_measured_with_a_network_and_worst_views_are_shown() {
     let folder = folder();
     let at = folder.path();
     train(at, "run", &["--steps=20", "--set=train.evaluate_every=0"]);
-    write_network(&at.join("alex.safetensors"));
+    write_network(&at.join("alex.safetensors"), Network::Alex);
     let eval = ["eval", "run", "--device=cpu"];
     let without = dpges(at, &eval);
     let said = String::from_utf8(without.stderr).unwrap();
-    assert!(said.contains("LPIPS") && said.contains("lpips_weights.py") && said.contains("SSIMULACRA2"), "{said}");
+    assert!(said.contains("LPIPS") && said.contains("dpges lpips install") && said.contains("SSIMULACRA2"), "{said}");
 
     let more = ["--lpips=alex.safetensors", "--worst=worst", "--json=result.json"];
     let table = ok(at, &[&eval[..], &more].concat());
@@ -89,6 +90,58 @@ fn lpips_is_measured_with_a_network_and_worst_views_are_shown() {
     assert!(broken.contains("vgg.safetensors") && broken.contains("docs/metrics.md"), "{broken}");
     let scene = fails(at, 1, &[&eval[..], &["--lpips=run/scene.safetensors"]].concat());
     assert!(scene.contains("run/scene.safetensors") && scene.contains("`network`"), "{scene}");
+}
+
+#[test]
+fn networks_are_installed_and_found_without_being_named() {
+    fn install<'a>(from: &'a str, more: &[&'a str]) -> Vec<&'a str> {
+        [&["lpips", "install", from], more].concat()
+    }
+
+    let folder = folder();
+    let at = folder.path();
+    let installed = |name: &str| data_folder(at).join("dpges/lpips").join(name);
+    train(at, "run", &["--steps=5", "--set=train.evaluate_every=0"]);
+    write_network(&at.join("made.safetensors"), Network::Alex);
+    let said = ok(at, &["lpips", "install", "--from=made.safetensors"]);
+    assert!(said.contains("alex") && said.contains("alex.safetensors"), "{said}");
+    assert!(is_equal(at.join("made.safetensors"), installed("alex.safetensors")));
+    let eval = |more: &[&str]| ok(at, &[&["eval", "run", "--device=cpu", "--json=result.json"], more].concat());
+    let fails_to_eval = |more: &str| fails(at, 1, &["eval", "run", "--device=cpu", more]);
+    assert!(eval(&[]).contains("not measured"), "AlexNet alone is measured when it is asked for");
+    assert!(eval(&["--lpips=alex"]).contains("LPIPS (Alex)"));
+    let absent = fails_to_eval("--lpips=vgg");
+    assert!(absent.contains("vgg.safetensors") && absent.contains("`dpges lpips install vgg`"), "{absent}");
+
+    std::fs::create_dir(at.join("made")).unwrap();
+    write_network(&at.join("made/vgg.safetensors"), Network::Vgg);
+    let other = fails(at, 1, &install("--from=made", &["alex"]));
+    assert!(other.contains("made does not hold network `alex`"), "{other}");
+    ok(at, &install("--from=made", &["vgg"]));
+    let found = eval(&[]);
+    assert!(
+        found.contains("LPIPS (VGG)") && !found.contains("LPIPS (Alex)") && !found.contains("not measured"),
+        "{found}"
+    );
+    assert!(json(at.join("result.json"))["lpips_vgg"].as_f64().unwrap() > 0.0);
+    let none = eval(&["--lpips=none"]);
+    assert!(!none.contains("LPIPS"), "{none}");
+    let named = eval(&["--lpips=made.safetensors"]);
+    assert!(named.contains("LPIPS (Alex)") && !named.contains("LPIPS (VGG)"), "{named}");
+    assert!(fails(at, 2, &["eval", "run", "--device=cpu", "--lpips=none", "--lpips=alex"]).contains("`none`"));
+
+    // what cannot be installed leaves what is there
+    let before = bytes(installed("vgg.safetensors"));
+    let python = fails(at, 1, &install("--from=nowhere", &["--python=no-such-python"]));
+    assert!(python.contains("no-such-python") && python.contains("--from"), "{python}");
+    std::fs::write(at.join("broken.safetensors"), "no tensors").unwrap();
+    assert!(fails(at, 1, &install("--from=broken.safetensors", &[])).contains("broken.safetensors"));
+    assert!(bytes(installed("vgg.safetensors")) == before);
+    let names = std::fs::read_dir(data_folder(at).join("dpges/lpips")).unwrap();
+    assert_eq!(names.count(), 2);
+    std::fs::write(installed("vgg.safetensors"), "no tensors").unwrap();
+    let broken = fails_to_eval("--fit-exposure");
+    assert!(broken.contains("dpges/lpips/vgg.safetensors") && broken.contains("`dpges lpips install`"), "{broken}");
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! Studies over several runs.
 
+use dpges_train::metrics::lpips::Network;
 use serde_json::{Value, json};
 
 use super::measures::write_network;
@@ -147,7 +148,7 @@ fn methods_are_trained_once_and_compared() {
     let written = bytes(at.join("study/comparison.json"));
     assert_eq!(ok(at, &args), table);
     assert!(bytes(run("dpges/seed_4/metrics.jsonl")) == log && bytes(at.join("study/comparison.json")) == written);
-    write_network(&at.join("alex.safetensors"));
+    write_network(&at.join("alex.safetensors"), Network::Alex);
     let table = ok(at, &[&args[..], &["--lpips=alex.safetensors"]].concat());
     assert!(table.contains("LPIPS (Alex)") && table.contains("SSIMULACRA2"), "{table}");
     assert!(bytes(run("dpges/seed_4/metrics.jsonl")) == log);

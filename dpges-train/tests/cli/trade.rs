@@ -1,7 +1,9 @@
 //! Less quality for more speed and smaller files.
 
+use dpges_train::metrics::lpips::Network;
 use serde_json::{Value, json};
 
+use super::measures::write_network;
 use super::{TINY, bytes, fails, folder, is_equal, json, ok, png_names, train};
 
 #[test]
@@ -66,9 +68,11 @@ fn the_trade_of_speed_and_quality_is_measured_once() {
     let folder = folder();
     let at = folder.path();
     train(at, "run", &["--quiet"]);
+    write_network(&at.join("alex.safetensors"), Network::Alex);
     let args = [
         "trade",
         "run",
+        "--lpips=alex.safetensors",
         "--out=trade",
         "--device=cpu",
         "--renderer=training",
@@ -78,7 +82,7 @@ fn the_trade_of_speed_and_quality_is_measured_once() {
         "--only=detail,primitives,budget",
     ];
     let table = ok(at, &args);
-    for part in ["as trained", "trade.csv", "trade_frame_time.svg", "trade_bytes.png", "report.html"] {
+    for part in ["as trained", "LPIPS (Alex)", "trade.csv", "trade_frame_time.svg", "trade_bytes.png", "report.html"] {
         assert!(table.contains(part), "{part}: {table}");
     }
     let trade = || json(at.join("trade/trade.json"));
@@ -94,7 +98,7 @@ fn the_trade_of_speed_and_quality_is_measured_once() {
     assert_eq!((count(&half), count(&bare)), (count(&whole).div_ceil(2), count(&whole)));
     assert!(bare["bytes"].as_u64() < whole["bytes"].as_u64() && half["bytes"].as_u64() < whole["bytes"].as_u64());
     assert_eq!(whole["frames"], 2);
-    for key in ["psnr", "ssim", "flip", "frame_ms", "frame_p99_ms"] {
+    for key in ["psnr", "ssim", "flip", "lpips_alex", "frame_ms", "frame_p99_ms"] {
         assert!(whole[key].as_f64().unwrap() > 0.0, "{key}: {whole}");
     }
     assert!(whole["device"].as_str().unwrap().contains("by the renderer that is trained with"), "{whole}");

@@ -4,8 +4,9 @@
 //! At five levels of the network the features of each pixel are scaled to length 1; the squared differences of the channels
 //! are weighted by a linear layer, averaged over the pixels, and summed over the levels.
 //!
-//! The weights do not come with the program: [`Weights::load`] reads them from a file.
+//! The weights do not come with the program: [`Weights::load`] reads them from a file, and [`installed`] says where it may be.
 
+pub mod installed;
 mod network;
 #[cfg(test)]
 mod tests;
@@ -77,6 +78,9 @@ impl Lpips {
 
     /// LPIPS of two pictures [3, H, W] in f32 on the device of the network, display-referred (sRGB) from 0 to 1: 0 if they
     /// are equal. `None` for pictures that are too small, see [`Network::fits`].
+    ///
+    /// Pictures `0.5 * picture + 0.5` give the figure of the script that came with 3DGS, which hands the network pictures from 0
+    /// to 1.
     ///
     /// # Errors
     /// [`dpges_core::Error::Shape`] if they differ in shape or have other than three channels.

@@ -12,7 +12,9 @@ use dpges_train::dataset::View;
 use dpges_train::device::DeviceName;
 use dpges_train::eval::compress::Compressed;
 use dpges_train::eval::rendered::{Renderer, to_picture};
-use dpges_train::eval::{ViewScore, score_picture};
+use dpges_train::eval::{Measures, ViewScore, score_picture};
+use dpges_train::metrics::Perceptual;
+use dpges_train::metrics::lpips::Lpips;
 use glam::DVec3;
 use image::imageops::{FilterType, resize};
 use image::{ImageBuffer, Rgb};
@@ -46,6 +48,8 @@ pub struct Bench<'a> {
     /// Where pictures are compared, and drawn without an adapter.
     pub name: DeviceName,
     pub device: &'a Device,
+    /// On that device: LPIPS is measured by these.
+    pub networks: &'a [Lpips],
     /// `None`: the renderer that is trained with.
     pub headless: Option<Headless>,
 }
@@ -56,6 +60,8 @@ pub struct Seen {
     pub psnr: f64,
     pub ssim: f64,
     pub flip: f64,
+    /// LPIPS, mean over the views that all have it.
+    pub perceptual: Perceptual,
     pub times: FrameTimes,
     pub bytes: u64,
     pub gpu_bytes: Option<u64>,
@@ -109,13 +115,15 @@ impl Bench<'_> {
             .zip(&self.views)
             .map(|(picture, view)| enlarged(picture, view.camera.width, view.camera.height))
             .collect();
-        let score = |(view, picture): (&&View, &Rgb8Image)| score_picture(view, picture, 0.0, self.device);
+        let measures = Measures::lpips(self.networks);
+        let score = |(view, picture): (&&View, &Rgb8Image)| score_picture(view, picture, 0.0, self.device, measures);
         let scores = self.views.iter().zip(&shown).map(score).collect::<Result<Vec<ViewScore>, _>>()?;
         let mean = |of: fn(&ViewScore) -> f64| scores.iter().map(of).sum::<f64>() / scores.len() as f64;
         Ok(Seen {
             psnr: mean(|view| view.psnr),
             ssim: mean(|view| view.ssim),
             flip: mean(|view| view.flip),
+            perceptual: Perceptual::mean(&scores.iter().map(|view| view.perceptual).collect::<Vec<_>>()),
             times,
             bytes,
             gpu_bytes,
@@ -209,6 +217,7 @@ mod tests {
             rounds: 2,
             name,
             device: &device,
+            networks: &[],
             headless: None,
         };
         let [whole, half] = [&[][..], &[Change::Resolution(50)]].map(|changes| bench.see(&scene, changes).unwrap());

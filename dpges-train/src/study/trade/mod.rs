@@ -30,6 +30,7 @@ use crate::cli::data::{Scene, Source, Split, ViewArgs, every_nth};
 use crate::cli::device_failure::watched;
 use crate::cli::eval::make_folder;
 use crate::cli::logging::LogStyle;
+use crate::cli::lpips::LpipsArgs;
 use crate::cli::render::Size;
 use crate::cli::train::display::watch_for_interrupts;
 use crate::cli::{Failure, Result, device_choice, duration, print};
@@ -47,7 +48,7 @@ const JUDGING_VIEWS: usize = 32;
 ///
 /// Draws the scene at different settings of rendering (layers, footprint, steepness of rims, lobes, primitives,
 /// resolution, 16-bit sums; each alone, then some together), and with --train trains it at different settings. Each point
-/// has PSNR, SSIM and FLIP of the views, frame times and the size of the scene file. Results are trade.csv, trade.json,
+/// has PSNR, SSIM, FLIP and, with a network, LPIPS of the views, frame times and the size of the scene file. Results are trade.csv, trade.json,
 /// plots with the frontier, and report.html. The same command again measures only what is missing. Held-out views decide
 /// nothing unless they are asked for.
 #[derive(Debug, Args)]
@@ -64,6 +65,8 @@ pub struct TradeArgs {
     /// wgpu (the best GPU), or another one that `dpges devices` lists
     #[arg(long, value_name = "NAME", default_value_t)]
     device: DeviceRequest,
+    #[command(flatten)]
+    lpips: LpipsArgs,
     /// What draws pictures and frames [default: raster, or training where there is no graphics adapter]
     #[arg(long, value_enum)]
     renderer: Option<Engine>,
@@ -119,6 +122,7 @@ impl TradeArgs {
         };
         let config = self.train.then(|| resolve(&[])).transpose()?;
         let opened = name.open()?;
+        let networks = self.lpips.load(&opened)?;
         let bench = Bench {
             views: every_nth(split.of(&dataset), self.count as usize).collect(),
             offset: DVec3::from_array(scene.data.info.offset),
@@ -126,6 +130,7 @@ impl TradeArgs {
             rounds: self.rounds as usize,
             name,
             device: &opened,
+            networks: &networks,
             headless: self.headless()?,
         };
         let subject = self.subject(scene, &source, split, &bench)?;

@@ -9,7 +9,7 @@ use dpges_core::scene::atomic::write_atomically;
 use dpges_train::eval::pictures::save_png;
 
 use super::plot::{AXES, Plot};
-use super::point::{Point, csv};
+use super::point::{Point, csv, further};
 use super::report::{About, page};
 use super::store::Trade;
 use crate::cli::{Failure, Result};
@@ -49,15 +49,18 @@ pub fn table(trade: &Trade) -> String {
         trade.points.iter().filter(|point| on_one(&point.label) || point.knobs.is_empty()).collect();
     points.sort_by(|a, b| a.frame_ms.total_cmp(&b.frame_ms));
     let mut text = format!("{} points on {}; those that no other beats:\n\n", trade.points.len(), trade.subject.device);
-    text += "| point | PSNR, dB | SSIM | FLIP | frame, ms | MB | primitives |\n|---|---|---|---|---|---|---|\n";
+    let further = further(&trade.points);
+    let titles: String = further.iter().map(|metric| format!(" {} |", metric.title)).collect();
+    let rules = "---|".repeat(further.len());
+    _ = writeln!(text, "| point | PSNR, dB | SSIM | FLIP |{titles} frame, ms | MB | primitives |");
+    _ = writeln!(text, "|---|---|---|---|{rules}---|---|---|");
     for point in points {
         let seed = point.seed.map(|seed| format!(", seed {seed}")).unwrap_or_default();
         let Point { label, psnr, ssim, flip, frame_ms, bytes, .. } = point;
         let (megabytes, primitives) = (*bytes as f64 / 1e6, point.primitives());
-        _ = writeln!(
-            text,
-            "| {label}{seed} | {psnr:.2} | {ssim:.4} | {flip:.4} | {frame_ms:.2} | {megabytes:.2} | {primitives} |"
-        );
+        let more: String = further.iter().map(|metric| format!(" {} |", point.text(metric))).collect();
+        _ = write!(text, "| {label}{seed} | {psnr:.2} | {ssim:.4} | {flip:.4} |{more}");
+        _ = writeln!(text, " {frame_ms:.2} | {megabytes:.2} | {primitives} |");
     }
     if !trade.not_run.is_empty() {
         _ = writeln!(text, "\nnot measured, the same command goes on: {}", trade.not_run.join("; "));
@@ -86,5 +89,15 @@ mod tests {
         assert_eq!(rows.len(), 3, "{text}");
         assert!(rows[1].starts_with("| layers=1 | 29.00 | 0.7500 | 0.1250 | 3.00 |"), "{text}");
         assert!(text.contains("3 points on") && text.contains("goes on: steps-half, seed 1"), "{text}");
+        assert!(!text.contains("LPIPS"), "{text}");
+
+        let mut with = trade;
+        with.points[1].perceptual.lpips_vgg = Some(0.25);
+        let text = table(&with);
+        assert!(
+            text.contains("| FLIP | LPIPS (VGG) | frame, ms |") && text.contains("| 0.1250 | 0.2500 | 3.00 |"),
+            "{text}"
+        );
+        assert!(text.contains("| 0.1250 |  | 5.00 |"), "of a point that was measured without it: {text}");
     }
 }

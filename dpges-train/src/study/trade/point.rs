@@ -1,5 +1,6 @@
 //! What was measured at one setting: an entry of `trade.json`, a line of `trade.csv`.
 
+use dpges_train::metrics::{Fitted, Metric, Perceptual, Scores, further_metrics};
 use serde::{Deserialize, Serialize};
 
 /// A scene drawn in one way.
@@ -17,6 +18,9 @@ pub struct Point {
     pub ssim: f64,
     /// An error, from 0 to 1.
     pub flip: f64,
+    /// LPIPS, where a network was there when it was measured.
+    #[serde(flatten)]
+    pub perceptual: Perceptual,
     /// Median time of a frame.
     pub frame_ms: f64,
     /// Time that 99 % of the frames do not exceed.
@@ -48,12 +52,22 @@ pub enum Kind {
     Training,
 }
 
-const COLUMNS: &str = "label,kind,knobs,seed,psnr,ssim,flip,frame_ms,frame_p99_ms,frames,device,bytes,surfels,\
-                       gaussians,primitives,gpu_bytes,training_seconds,training_peak_bytes,picture";
+const COLUMNS: &str = "label,kind,knobs,seed,psnr,ssim,flip,lpips_alex,lpips_vgg,frame_ms,frame_p99_ms,frames,\
+                       device,bytes,surfels,gaussians,primitives,gpu_bytes,training_seconds,training_peak_bytes,picture";
 
 impl Point {
     pub fn primitives(&self) -> usize {
         self.surfels + self.gaussians
+    }
+
+    fn scores(&self) -> Scores {
+        let Self { psnr, ssim, flip, perceptual, .. } = *self;
+        Scores { psnr, ssim, flip, perceptual, fitted: Fitted::default() }
+    }
+
+    /// The value of `metric` as people read it, empty if it is absent.
+    pub fn text(&self, metric: &Metric) -> String {
+        metric.of(&self.scores()).map(|value| metric.text(Some(value))).unwrap_or_default()
     }
 
     fn line(&self) -> String {
@@ -72,6 +86,8 @@ impl Point {
             format!("{:.4}", self.psnr),
             format!("{:.6}", self.ssim),
             format!("{:.6}", self.flip),
+            known(self.perceptual.lpips_alex.map(|value| format!("{value:.6}"))),
+            known(self.perceptual.lpips_vgg.map(|value| format!("{value:.6}"))),
             format!("{:.4}", self.frame_ms),
             format!("{:.4}", self.frame_p99_ms),
             self.frames.to_string(),
@@ -87,6 +103,12 @@ impl Point {
         ];
         fields.join(",") + "\n"
     }
+}
+
+/// What some of `points` have besides PSNR, SSIM and FLIP.
+pub fn further(points: &[Point]) -> Vec<&'static Metric> {
+    let is_known = |metric: &&Metric| points.iter().any(|point| metric.of(&point.scores()).is_some());
+    further_metrics().iter().filter(is_known).collect()
 }
 
 /// A line per point under a line of names; empty where nothing is known (RFC 4180).
@@ -113,6 +135,7 @@ pub mod tests {
             psnr,
             ssim: 0.75,
             flip: 0.125,
+            perceptual: Perceptual::default(),
             frame_ms,
             frame_p99_ms: 2.0 * frame_ms,
             frames: 30,
@@ -131,10 +154,12 @@ pub mod tests {
     fn the_csv_has_a_line_per_point_and_quotes_what_needs_it() {
         let mut trained = point("budget=half", 20.0, 3.0, 500);
         (trained.kind, trained.seed, trained.training_seconds) = (Kind::Training, Some(4), Some(61.24));
-        let text = csv(&[point("layers=1 + detail=0", 21.5, 2.5, 1000), trained]);
+        let mut measured = point("layers=1 + detail=0", 21.5, 2.5, 1000);
+        measured.perceptual.lpips_vgg = Some(0.25);
+        let text = csv(&[measured, trained]);
         let lines: Vec<&str> = text.lines().collect();
         assert_eq!(lines.len(), 3);
-        let expected = "layers=1 + detail=0,rendering,layers detail,,21.5000,0.750000,0.125000,2.5000,5.0000,30,\
+        let expected = "layers=1 + detail=0,rendering,layers detail,,21.5000,0.750000,0.125000,,0.250000,2.5000,5.0000,30,\
                         \"llvmpipe (LLVM 19, 256 bits)\",1000,10,32,42,,,,pictures/a.png";
         assert_eq!(lines[1], expected);
         assert!(lines[2].contains(",training,budget,4,20.0000,") && lines[2].contains(",42,,61.2,,"), "{}", lines[2]);
@@ -145,7 +170,10 @@ pub mod tests {
 
     #[test]
     fn what_is_written_is_read_back() {
-        let point = point("as trained", 30.25, 1.5, 7);
+        let mut point = point("as trained", 30.25, 1.5, 7);
+        let without = serde_json::to_string(&point).unwrap();
+        assert!(!without.contains("lpips") && serde_json::from_str::<Point>(&without).unwrap() == point, "{without}");
+        point.perceptual.lpips_vgg = Some(0.5);
         let text = serde_json::to_string(&point).unwrap();
         assert!(text.contains("\"kind\":\"rendering\"") && text.contains("\"gpu_bytes\":null"), "{text}");
         assert_eq!(serde_json::from_str::<Point>(&text).unwrap(), point);

@@ -5,10 +5,11 @@ use std::path::Path;
 
 use base64::Engine as _;
 use base64::prelude::BASE64_STANDARD;
+use dpges_train::metrics::Metric;
 use image::codecs::jpeg::JpegEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 
-use super::point::{Kind, Point};
+use super::point::{Kind, Point, further};
 use super::store::Trade;
 use crate::cli::{Failure, Result};
 
@@ -69,25 +70,16 @@ pub fn page(folder: &Path, trade: &Trade, plots: &[String], photograph: &str, ab
         figure(&mut page, folder, &point.picture, &caption)?;
     }
     page += "<h2>Points</h2>\n<p>Points on a frontier are bold.</p>\n<table>\n<tr>";
-    for name in [
-        "point",
-        "seed",
-        "PSNR, dB",
-        "SSIM",
-        "FLIP",
-        "frame, ms",
-        "99 %, ms",
-        "file",
-        "primitives",
-        "GPU, MB",
-        "training, s",
-        "training, MB",
-    ] {
+    let further = further(&trade.points);
+    let titles = further.iter().map(|metric| metric.title);
+    let of_quality = ["point", "seed", "PSNR, dB", "SSIM", "FLIP"].into_iter().chain(titles);
+    let of_cost = ["frame, ms", "99 %, ms", "file", "primitives", "GPU, MB", "training, s", "training, MB"];
+    for name in of_quality.chain(of_cost) {
         _ = write!(page, "<th>{name}</th>");
     }
     page += "</tr>\n";
     for point in &trade.points {
-        row(&mut page, trade, point);
+        row(&mut page, trade, point, &further);
     }
     page += "</table>\n";
     if !trade.not_run.is_empty() {
@@ -97,15 +89,17 @@ pub fn page(folder: &Path, trade: &Trade, plots: &[String], photograph: &str, ab
     Ok(page + "</body>\n</html>\n")
 }
 
-fn row(page: &mut String, trade: &Trade, point: &Point) {
+fn row(page: &mut String, trade: &Trade, point: &Point, further: &[&Metric]) {
     let is_best = frontier_labels(trade).any(|label| *label == point.label);
     let known = |value: Option<String>| value.unwrap_or_default();
-    let fields = [
+    let of_quality = [
         escaped(&point.label),
         known(point.seed.map(|seed| seed.to_string())),
         format!("{:.2}", point.psnr),
         format!("{:.4}", point.ssim),
         format!("{:.4}", point.flip),
+    ];
+    let of_cost = [
         format!("{:.2}", point.frame_ms),
         format!("{:.2}", point.frame_p99_ms),
         megabytes(point),
@@ -115,7 +109,7 @@ fn row(page: &mut String, trade: &Trade, point: &Point) {
         known(point.training_peak_bytes.map(|bytes| format!("{:.0}", bytes as f64 / 1e6))),
     ];
     *page += if is_best { "<tr class=\"best\">" } else { "<tr>" };
-    for field in fields {
+    for field in of_quality.into_iter().chain(further.iter().map(|metric| point.text(metric))).chain(of_cost) {
         _ = write!(page, "<td>{field}</td>");
     }
     *page += "</tr>\n";

@@ -91,7 +91,7 @@ impl<'a> Sweep<'a> {
 
     /// The measurement of `scene` with `changes`, as a point of rendering.
     pub fn point(&self, scene: &SceneData, changes: &[Change], label: &str, seed: Option<u64>) -> Result<Point> {
-        let Seen { psnr, ssim, flip, times, bytes, gpu_bytes, picture } = self.bench.see(scene, changes)?;
+        let Seen { psnr, ssim, flip, perceptual, times, bytes, gpu_bytes, picture } = self.bench.see(scene, changes)?;
         tracing::info!("{label}: {psnr:.2} dB, {:.2} ms, {:.2} MB", times.p50_ms, bytes as f64 / 1e6);
         let file = format!("{PICTURES}/{}.png", file_stem(label, seed));
         save_png(&picture, &self.out.join(&file))?;
@@ -103,6 +103,7 @@ impl<'a> Sweep<'a> {
             psnr,
             ssim,
             flip,
+            perceptual,
             frame_ms: times.p50_ms,
             frame_p99_ms: times.p99_ms,
             frames: times.frames,
