@@ -26,7 +26,7 @@ fn a_run_writes_everything_and_can_be_measured_and_shown() {
     assert_eq!(steps("evaluation"), [24, 25, 50, 60]);
     assert!([10, 20, 30, 40, 50, 60].iter().all(|step| steps("step").contains(step)));
     assert!(lines.iter().any(|line| line.contains_key("events")), "refinement is logged");
-    assert_eq!(png_names(&run.join("pictures")).len(), 3 * 2);
+    assert_eq!(png_names(&run.join("pictures")).len(), 4 * 2);
 
     let written = json(run.join("eval.json"));
     let size = bytes(run.join("scene.safetensors")).len() as u64;
