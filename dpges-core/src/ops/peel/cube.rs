@@ -78,7 +78,8 @@ fn peel_kernel(
             }
             let exists = f32::abs(found.facing) > MIN_FACING && found.depth > view.near && measure >= CUTOFF_F32;
             if comptime!(backstop) {
-                if exists && opacity >= 1.0f32 && found.depth <= core_depth {
+                let is_core = exists && opacity >= 1.0f32 && found.depth <= core_depth;
+                if is_core {
                     let id = list.entry(ids, batch * UNITS + j);
                     let before = found.depth < core_depth || id < core_id;
                     core_depth = select(before, found.depth, core_depth);
