@@ -402,6 +402,9 @@ fn row_of_kinds(name: &str, compared: &[&Compared]) -> Vec<String> {
     std::iter::once(name.to_owned()).chain(PixelKind::ALL.map(cell)).collect()
 }
 
+/// What of an outcome a table shows.
+type Split = fn(&Outcome) -> &Compared;
+
 fn report(bench: &Bench, rows: &[(String, Vec<Outcome>)]) {
     let columns = [
         "geometry",
@@ -419,7 +422,7 @@ fn report(bench: &Bench, rows: &[(String, Vec<Outcome>)]) {
         before.chain(rows.iter().map(|(name, outcomes)| row(name, outcomes, bench.budget))).collect();
     println!("{}", markdown(&columns, &all));
     let kinds = PixelKind::ALL.map(PixelKind::name);
-    let splits: [(&str, fn(&Outcome) -> &Compared); 3] = [
+    let splits: [(&str, Split); 3] = [
         ("held out, at step 0", |outcome| &outcome.at_start),
         ("held out", |outcome| &outcome.held_out),
         ("training", |outcome| &outcome.training),
