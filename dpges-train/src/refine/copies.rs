@@ -33,7 +33,7 @@ pub struct Renewal {
 /// As many copies as it takes to have `target` Gaussians, after those that draw nothing have left. If more than `target` draw,
 /// those that answer for the least error leave too.
 ///
-/// Sources are drawn in proportion to `errors` [M], what each answers for, or to o / (1 + o) if that is not known. A source
+/// Sources are drawn in proportion to `errors` `[M]`, what each answers for, or to o / (1 + o) if that is not known. A source
 /// and its copies share its opacity, and copies are shifted by 0.5 R diag(s) N(0, I) (`shift` true).
 pub fn renew(gaussians: &GaussianData, errors: &[f32], target: usize, shift: bool, rng: &mut ChaCha8Rng) -> Renewal {
     let rows = most_useful(drawn(&gaussians.opacities), errors, target);
