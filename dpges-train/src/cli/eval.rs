@@ -17,7 +17,7 @@ use dpges_train::eval::popping::{Popping, arc};
 use dpges_train::eval::rendered::{Renderer, to_picture};
 use dpges_train::eval::{EvalReport, Evaluation, FrameMs, Measures, evaluate_each};
 use dpges_train::metrics::{METRICS, Metric, Scores};
-use dpges_train::refine::floaters::Floaters;
+use dpges_train::eval::floaters::Floaters;
 use dpges_train::run::folder::write_json;
 
 use super::data::{Scene, ViewArgs, every_nth};

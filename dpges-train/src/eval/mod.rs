@@ -6,6 +6,7 @@
 
 pub mod compress;
 mod fits;
+pub mod floaters;
 pub mod pictures;
 pub mod popping;
 pub mod rendered;
@@ -30,7 +31,7 @@ use crate::eval::popping::Popping;
 use crate::eval::rendered::{Rendered, Renderer};
 use crate::metrics::lpips::{Lpips, Network};
 use crate::metrics::{Fitted, Perceptual, Scores, flip, flip_map};
-use crate::refine::floaters::Floaters;
+use crate::eval::floaters::Floaters;
 use fits::{fitted, posed};
 
 /// PSNR of a picture that is equal to its photograph, dB. The true value, infinity, has no place in JSON or in a mean.
@@ -92,7 +93,7 @@ pub struct EvalReport {
     pub evaluation: Evaluation,
     /// Size of the scene file.
     pub bytes: u64,
-    /// Primitives that float, see [`floaters`](crate::refine::floaters); absent if the dataset does not say which view saw what.
+    /// Primitives that float, see [`floaters`](crate::eval::floaters); absent if the dataset does not say which view saw what.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub floaters: Option<Floaters>,
     /// Wall-clock time of the run up to its last step, see [`MetricsLog::seconds_of_steps`]; absent if the scene is not that

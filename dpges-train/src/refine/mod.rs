@@ -19,7 +19,6 @@ pub mod add;
 pub mod children;
 pub mod copies;
 pub mod densify;
-pub mod floaters;
 pub mod growth;
 pub mod layer_count;
 pub mod lobes;

@@ -14,7 +14,7 @@ use super::metrics_log::MetricsLog;
 use crate::config::Config;
 use crate::device::memory::PeakMemory;
 use crate::eval::{EvalReport, Evaluation};
-use crate::refine::floaters::Floaters;
+use crate::eval::floaters::Floaters;
 use crate::views::corrections::ViewCorrections;
 
 /// Steps between lines of `metrics.jsonl`.

@@ -10,7 +10,7 @@ use crate::config::Stop;
 use crate::eval::pictures::{comparison, file_stems, save_png};
 use crate::eval::rendered::Renderer;
 use crate::eval::{Evaluation, Measures, evaluate_each};
-use crate::refine::floaters::Floaters;
+use crate::eval::floaters::Floaters;
 
 /// What the trainer is asked to do; the report of the step whose numbers it then knows.
 type Work = fn(&mut Trainer) -> Result<Option<StepReport>, TrainError>;

@@ -18,7 +18,7 @@ use dpges_core::scene::{Gaussians, Rendering, SceneData, Surfels};
 use dpges_render::Rgb8Image;
 
 use crate::dataset::Dataset;
-use crate::refine::floaters::{Floaters, Visibility};
+use crate::eval::floaters::{Floaters, Visibility};
 pub use layers::{LayerPictures, layer_pictures};
 
 /// The picture of an image [3, H, W] with display-referred values.
@@ -165,7 +165,7 @@ impl Renderer {
         })
     }
 
-    /// How many primitives float, see [`floaters`](crate::refine::floaters); `None` if `dataset`, in the coordinates of
+    /// How many primitives float, see [`floaters`](crate::eval::floaters); `None` if `dataset`, in the coordinates of
     /// the scene, does not say which view saw what.
     ///
     /// # Errors

@@ -2,15 +2,10 @@
 
 use std::sync::Arc;
 
-use burn::tensor::DType;
-use dpges_core::losses::geometry::expected_depth;
-use dpges_core::ops::blend::Maps;
-use dpges_core::render::Values;
-use dpges_core::render::blended::{BlendedOptions, render_blended};
-use dpges_core::scene::tensors::tensor_to_rows;
-use dpges_core::scene::{GaussianData, Gaussians, Rendering, SceneInfo, ScreenFilter, SurfelData};
+use dpges_core::scene::{GaussianData, ScreenFilter, SurfelData};
 
 use super::super::{Context, TrainError};
+use super::blended_depth::{BlendedDepth, ShownDepth};
 use crate::dataset::PointCloud;
 use crate::dataset::image::cache::Cache;
 use crate::init::flatten::flatten;
@@ -35,8 +30,8 @@ const STRIDES_PX: [usize; 7] = [3, 4, 6, 8, 12, 16, 24];
 const ENOUGH: f64 = 0.05;
 
 impl Context {
-    /// Surfels on the surfaces that blended `gaussians` show to several training views, or else at the points of the dataset,
-    /// or else in the planes of the most opaque Gaussians. Margins are zero.
+    /// Surfels on the surfaces that blended `gaussians` show to several training views, none of which covers what views show
+    /// behind it; or else at the points of the dataset, or in the planes of the most opaque Gaussians. Margins are zero.
     ///
     /// # Errors
     /// [`TrainError::Core`] if the Gaussians cannot be rendered, or a photograph not be read again.
@@ -48,8 +43,9 @@ impl Context {
         let most = self.most_primitives(self.config.stages.depth_surfels);
         let enough = (ENOUGH * most as f64).ceil() as usize;
         let dataset = self.dataset.clone();
+        let depths = BlendedDepth::new(gaussians, filter, self)?;
         for rule in RULES {
-            let (points, stride_px) = self.surface_points(gaussians, filter, rule, most)?;
+            let (points, stride_px) = self.surface_points(&depths, rule, most)?;
             let found = points.positions.len();
             tracing::info!(
                 "{found} points on surfaces that at least {} views agree about to {} %, about {stride_px} px from one another",
@@ -58,7 +54,8 @@ impl Context {
             );
             if found >= enough {
                 let points = usable_points(&points, most, &mut self.rng);
-                return Ok(surfels_at(points, &dataset, &self.config, &mut self.rng));
+                let surfels = surfels_at(points, &dataset, &self.config, &mut self.rng);
+                return self.without_wrong_cover(surfels, &depths);
             }
         }
         let points = usable_points(&dataset.points, most, &mut self.rng);
@@ -81,28 +78,17 @@ impl Context {
     /// Points by a rule, about as far from one another as makes `most` of them, and that distance in px.
     fn surface_points(
         &self,
-        gaussians: &GaussianData,
-        filter: ScreenFilter,
+        depths: &BlendedDepth,
         rule: FusionRule,
         most: usize,
     ) -> Result<(PointCloud, usize), TrainError> {
         let dataset = &self.dataset;
-        let info = SceneInfo { screen_filter: filter, ..self.scene_info(Rendering::Ellipsoids) };
-        let gaussians = Gaussians::from_data(gaussians, &self.device, DType::F32);
-        let mut options = BlendedOptions::new(&info)?;
-        options.blend.maps = true;
         // those that are checked beside one stay, whatever the room
         let maps = Cache::new(dataset.spare_memory, CHECKED_VIEWS + 1);
         let depth = |index: usize| -> dpges_core::Result<Arc<Vec<f32>>> {
             let view = &dataset.train[index];
             maps.get(index, size_of::<f32>() * view.camera.width * view.camera.height, || {
-                let rendered = render_blended(&gaussians, None, &view.camera, &options, Values::KnownFinite)?;
-                let alpha = rendered.blend.alpha;
-                let Some(Maps { depth, median_depth, .. }) = rendered.blend.maps else {
-                    unreachable!("maps were asked for")
-                };
-                let mean = tensor_to_rows(&expected_depth(depth, alpha.clone()));
-                let mut depth = certain(&tensor_to_rows(&alpha), &mean, tensor_to_rows(&median_depth));
+                let mut depth = certain(depths.seen_by(&view.camera)?);
                 view.picture()?.clear_ignored(&mut depth);
                 Ok(depth)
             })
@@ -124,8 +110,8 @@ impl Context {
     }
 }
 
-/// [H × W] `median` depths where a pixel is opaque and of one depth, else 0.
-fn certain(alpha: &[f32], mean: &[f32], mut median: Vec<f32>) -> Vec<f32> {
+/// [H × W] median depths where a pixel is opaque and of one depth, else 0; world units.
+fn certain(ShownDepth { alpha, mean, mut median }: ShownDepth) -> Vec<f32> {
     for (pixel, median) in median.iter_mut().enumerate() {
         let of_one_depth = (mean[pixel] - *median).abs() <= OF_ONE_DEPTH * *median;
         if !(alpha[pixel] >= OPAQUE && of_one_depth) {
@@ -141,7 +127,7 @@ mod tests {
 
     #[test]
     fn depths_are_certain_where_a_pixel_is_opaque_and_of_one_depth() {
-        let (alpha, mean) = ([1.0, 0.5, 0.95, 0.95, 1.0], [2.0, 2.0, 2.05, 2.1, f32::NAN]);
-        assert_eq!(certain(&alpha, &mean, vec![2.0, 2.0, 2.0, 2.0, 2.0]), [2.0, 0.0, 2.0, 0.0, 0.0]);
+        let (alpha, mean) = (vec![1.0, 0.5, 0.95, 0.95, 1.0], vec![2.0, 2.0, 2.05, 2.1, f32::NAN]);
+        assert_eq!(certain(ShownDepth { alpha, mean, median: vec![2.0; 5] }), [2.0, 0.0, 2.0, 0.0, 0.0]);
     }
 }

@@ -1,6 +1,7 @@
 //! The joint optimisation of surfels and Gaussians (DP-GES).
 
 mod automatic_budget;
+mod blended_depth;
 mod depth_surfels;
 mod judging;
 mod limits;

@@ -82,9 +82,7 @@ impl Context {
         };
         let by_depth = surfels.is_none() && stages.surfels_by == SurfelStart::Depth;
         if let (true, Some(trained), Some(filter)) = (by_depth, &gaussians, blended_with) {
-            let mut found = self.surfels_of_depth(trained, filter)?;
-            self.fit_surfels(&mut found, trained, filter)?;
-            surfels = Some(found);
+            surfels = Some(self.surfels_of_depth(trained, filter)?);
         }
         if surfels.is_none() || gaussians.is_none() {
             let budget = self.budget_before_growth() as f64;

@@ -1,4 +1,4 @@
-//! What pruning wants to know about the views since the last pruning. It stays on the device.
+//! Statistics of the views since the last refinement, by which primitives are pruned and copied. They stay on the device.
 
 use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 use dpges_core::camera::Camera;

@@ -4,14 +4,12 @@
 //! lone that is too large: it hides the background, which nothing before it can mend.
 
 use burn::tensor::DType;
-use dpges_core::ops::blend::Maps;
 use dpges_core::ops::peel::{PeelOptions, peel};
-use dpges_core::render::Values;
-use dpges_core::render::blended::{BlendedOptions, render_blended};
 use dpges_core::scene::tensors::tensor_to_rows;
-use dpges_core::scene::{GaussianData, Gaussians, Rendering, SceneInfo, ScreenFilter, SurfelData, Surfels};
+use dpges_core::scene::{Rendering, SurfelData, Surfels};
 
 use super::super::{Context, TrainError};
+use super::blended_depth::BlendedDepth;
 
 /// Training views in which surfels are looked at.
 const VIEWS: usize = 24;
@@ -33,7 +31,7 @@ const LEAST_FACTOR: f32 = 0.6;
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Cover {
     pixels: u32,
-    /// Of these, those at which Gaussians show nothing, or something behind it.
+    /// Those among them at which Gaussians show nothing, or something behind the surfel.
     wrong: u32,
 }
 
@@ -50,55 +48,46 @@ impl Cover {
 }
 
 impl Context {
-    /// Shrinks `surfels` that cover what `gaussians`, blended with `filter`, show behind them, and removes those that do so
-    /// still for the most part.
+    /// `surfels` without those that cover what `depths` show behind them for the most part, even after they were shrunk. Pixels
+    /// that do not count say nothing of them.
     ///
     /// # Errors
-    /// [`TrainError::Core`] if they cannot be rendered.
-    pub fn fit_surfels(
+    /// [`TrainError::Core`] if they cannot be rendered, or a photograph not be read again.
+    pub fn without_wrong_cover(
         &self,
-        surfels: &mut SurfelData,
-        gaussians: &GaussianData,
-        filter: ScreenFilter,
-    ) -> Result<(), TrainError> {
-        let seen = self.seen_depths(gaussians, filter)?;
+        mut surfels: SurfelData,
+        depths: &BlendedDepth,
+    ) -> Result<SurfelData, TrainError> {
+        let seen = self.seen_depths(depths)?;
         let before = surfels.len();
         let mut shrunk = vec![false; before];
         for _ in 0..ROUNDS {
-            let covers = self.covers(surfels, &seen)?;
+            let covers = self.covers(&surfels, &seen)?;
             for (row, factor) in covers.iter().map(|cover| cover.factor()).enumerate() {
                 surfels.log_scales[2 * row..][..2].iter_mut().for_each(|log_scale| *log_scale += factor.ln());
                 shrunk[row] |= factor < 1.0;
             }
         }
-        let covers = self.covers(surfels, &seen)?;
+        let covers = self.covers(&surfels, &seen)?;
         let keep: Vec<usize> = (0..before).filter(|&row| covers[row].wrong_share() <= MOST).collect();
-        *surfels = surfels.select(&keep);
         let shrunk = shrunk.iter().filter(|shrunk| **shrunk).count();
         tracing::info!(
             "{shrunk} of {before} surfels made smaller, {} removed that cover what views show behind them",
             before - keep.len()
         );
-        Ok(())
+        Ok(surfels.select(&keep))
     }
 
-    /// For every view, [H × W] the depth that blended `gaussians` show, world units: +∞ where they show nothing.
-    fn seen_depths(
-        &self,
-        gaussians: &GaussianData,
-        filter: ScreenFilter,
-    ) -> Result<Vec<(usize, Vec<f32>)>, TrainError> {
-        let info = SceneInfo { screen_filter: filter, ..self.scene_info(Rendering::Ellipsoids) };
-        let mut options = BlendedOptions::new(&info)?;
-        options.blend.maps = true;
-        let gaussians = Gaussians::from_data(gaussians, &self.device, DType::F32);
+    /// For some views, by their index, [H × W] the depth that is seen, world units: +∞ where nothing is, 0 where pixels do not
+    /// count.
+    fn seen_depths(&self, depths: &BlendedDepth) -> Result<Vec<(usize, Vec<f32>)>, TrainError> {
         let views = &self.dataset.train;
         let of_view = |index: usize| -> Result<(usize, Vec<f32>), TrainError> {
-            let rendered = render_blended(&gaussians, None, &views[index].camera, &options, Values::KnownFinite)?;
-            let Some(Maps { median_depth, .. }) = rendered.blend.maps else { unreachable!("maps were asked for") };
-            let alpha = tensor_to_rows(&rendered.blend.alpha);
-            let shown = |(depth, alpha): (f32, f32)| if alpha < SHOWS { f32::INFINITY } else { depth };
-            Ok((index, tensor_to_rows(&median_depth).into_iter().zip(alpha).map(shown).collect()))
+            let shown = depths.seen_by(&views[index].camera)?;
+            let seen = |(depth, alpha): (f32, f32)| if alpha < SHOWS { f32::INFINITY } else { depth };
+            let mut seen: Vec<f32> = shown.median.into_iter().zip(shown.alpha).map(seen).collect();
+            views[index].picture()?.clear_ignored(&mut seen);
+            Ok((index, seen))
         };
         (0..views.len()).step_by(views.len().div_ceil(VIEWS).max(1)).map(of_view).collect()
     }
@@ -117,11 +106,12 @@ impl Context {
     }
 }
 
-/// Adds the pixels of a view, [H × W] each: the nearest surfel (−1: none), its alpha and depth, and the depth that is `seen`.
+/// Adds the pixels of a view, [H × W] each: the nearest surfel (−1: none), its alpha and depth, and the depth that is `seen`
+/// (0: the pixel does not count).
 fn add_view(covers: &mut [Cover], ids: &[i32], alpha: &[f32], depth: &[f32], seen: &[f32]) {
     for (pixel, &id) in ids.iter().enumerate() {
         let Ok(id) = usize::try_from(id) else { continue };
-        if alpha[pixel] >= COVERS {
+        if alpha[pixel] >= COVERS && seen[pixel] > 0.0 {
             covers[id].pixels += 1;
             covers[id].wrong += u32::from(seen[pixel] > depth[pixel] * (1.0 + BEHIND));
         }
@@ -135,8 +125,8 @@ mod tests {
     #[test]
     fn pixels_are_wrong_where_something_else_is_seen_behind() {
         let mut covers = vec![Cover::default(); 3];
-        let seen = [2.0, 2.05, 2.2, f32::INFINITY, 1.0, f32::INFINITY];
-        add_view(&mut covers, &[0, 0, 0, 0, 1, -1], &[1.0, 1.0, 1.0, 0.4, 0.6, 0.0], &[2.0; 6], &seen);
+        let seen = [2.0, 2.05, 2.2, f32::INFINITY, 1.0, f32::INFINITY, 0.0];
+        add_view(&mut covers, &[0, 0, 0, 0, 1, -1, 0], &[1.0, 1.0, 1.0, 0.4, 0.6, 0.0, 1.0], &[2.0; 7], &seen);
         assert_eq!(covers[..2], [Cover { pixels: 3, wrong: 1 }, Cover { pixels: 1, wrong: 0 }]);
         assert_eq!((covers[1].factor(), covers[2].factor()), (1.0, 1.0));
         assert!((covers[0].factor() - (2f32 / 3.0).sqrt()).abs() < 1e-6);
