@@ -14,6 +14,9 @@ Each case becomes FOLDER/NAME.safetensors. Its tensors, float64 but for the inte
   grad_detached.*          the same without the gradient through the transmittance
   grad_total.*             d total loss / d input
 Its metadata: width, height, near, layer_count, modulation, footprint, and backstop where there is one.
+
+Cases of Gaussians that are blended in the order of each pixel's own ray become FOLDER/stopthepop/NAME.safetensors. They have
+no surfels, target and losses, out.{image, alpha, depth}, and grad_image.*. What their metadata say of layers is unused.
 """
 
 import argparse
@@ -24,6 +27,9 @@ from autograd import grad
 from safetensors.numpy import save_file
 
 import model
+import stopthepop
+
+BACKGROUND = np.array([0.1, 0.2, 0.3])
 
 
 def random_colour(rng, count, lobes):
@@ -120,7 +126,7 @@ def tensors_of(seed, surfels, gaussians, camera, options):
     rng = np.random.default_rng([seed, 1000])
     shape = (camera.height, camera.width, 3)
     target, upstream = rng.uniform(0, 1, shape), rng.normal(0, 1, shape)
-    background = np.array([0.1, 0.2, 0.3])
+    background = BACKGROUND
     inputs = named("surfels", surfels) | named("gaussians", gaussians)
     options = dict(options)
     environment = options.pop("environment", None)
@@ -167,29 +173,81 @@ def tensors_of(seed, surfels, gaussians, camera, options):
     return {name: np.ascontiguousarray(value) for name, value in tensors.items()}
 
 
+def stopthepop_cases(seed):
+    """Name, Gaussians and camera of every case: the first random ones whose image does not depend on rounding, which decides
+    the order of what is equally far."""
+    recipes = [
+        # of few in each pixel
+        ("few", 40, {"gaussian_scale": (-3.0, -1.0)}, (-0.1, 1.6), (3.0, 34, 20, 36.0)),
+        # needles and disks across a wide view, which overflow all queues
+        ("overflowing", 400, {"gaussian_scale": (-4.5, 0.5)}, (0.01, 0.06), (1.2, 10, 7, 5.0)),
+        # some of them behind the camera or around it
+        ("inside", 120, {"gaussian_scale": (-2.5, -0.8)}, (-0.1, 1.6), (0.3, 28, 18, 20.0)),
+    ]
+    for index, (name, count, scene, opacities, camera) in enumerate(recipes):
+        for attempt in range(1000):
+            rng = np.random.default_rng([seed, 100 + index, attempt])
+            _, gaussians = random_scene(rng, 0, count, lobes=1, **scene)
+            gaussians = gaussians._replace(opacities=rng.uniform(*opacities, count))
+            seen_by = look_at(rng, *camera)
+            if stopthepop.is_robust(gaussians, seen_by, BACKGROUND):
+                yield name, gaussians, seen_by
+                break
+        else:
+            raise RuntimeError(f"{name}: every order depends on rounding")
+
+
+def stopthepop_tensors_of(seed, gaussians, camera):
+    upstream = np.random.default_rng([seed, 1001]).normal(0, 1, (camera.height, camera.width, 3))
+    inputs = named("gaussians", gaussians)
+
+    def rendered(arrays):
+        colour = model.Colour(arrays["gaussians.colour.base"], arrays["gaussians.colour.lobes"])
+        fields = (colour if field == "colour" else arrays[f"gaussians.{field}"] for field in model.Gaussians._fields)
+        return stopthepop.render(model.Gaussians(*fields), camera, BACKGROUND)
+
+    tensors = inputs | {
+        "camera.rotation": camera.rotation,
+        "camera.translation": camera.translation,
+        "camera.intrinsics": np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
+        "background": BACKGROUND,
+        "upstream": upstream,
+    }
+    tensors |= named("out", rendered(inputs))
+    gradient = grad(lambda arrays: model.np.sum(upstream * rendered(arrays).image))(inputs)
+    tensors |= {f"grad_image.{name}": value for name, value in gradient.items()}
+    return {name: np.ascontiguousarray(value) for name, value in tensors.items()}
+
+
+def write(folder, name, tensors, camera, options):
+    for key, value in tensors.items():
+        # absent layers lie at infinity
+        assert key == "out.layers.depth" or np.all(np.isfinite(value)), f"{name}: {key} is not finite"
+    metadata = {
+        "width": str(camera.width),
+        "height": str(camera.height),
+        "near": str(camera.near),
+        "layer_count": str(options.get("layer_count", 3)),
+        "modulation": str(options.get("modulation", model.SURFEL_MODULATION)),
+        "footprint": options.get("footprint", "kernel"),
+    }
+    if options.get("backstop"):
+        metadata["backstop"] = "true"
+    save_file(tensors, folder / f"{name}.safetensors", metadata=metadata)
+    print(name, f"image mean {tensors['out.image'].mean():.6f}")
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
-    arguments.folder.mkdir(parents=True, exist_ok=True)
+    own = arguments.folder / "stopthepop"
+    own.mkdir(parents=True, exist_ok=True)
     for name, surfels, gaussians, camera, options in cases(arguments.seed):
-        tensors = tensors_of(arguments.seed, surfels, gaussians, camera, options)
-        for key, value in tensors.items():
-            # absent layers lie at infinity
-            assert key == "out.layers.depth" or np.all(np.isfinite(value)), f"{name}: {key} is not finite"
-        metadata = {
-            "width": str(camera.width),
-            "height": str(camera.height),
-            "near": str(camera.near),
-            "layer_count": str(options.get("layer_count", 3)),
-            "modulation": str(options.get("modulation", model.SURFEL_MODULATION)),
-            "footprint": options.get("footprint", "kernel"),
-        }
-        if options.get("backstop"):
-            metadata["backstop"] = "true"
-        save_file(tensors, arguments.folder / f"{name}.safetensors", metadata=metadata)
-        print(name, f"image mean {tensors['out.image'].mean():.6f}")
+        write(arguments.folder, name, tensors_of(arguments.seed, surfels, gaussians, camera, options), camera, options)
+    for name, gaussians, camera in stopthepop_cases(arguments.seed):
+        write(own, name, stopthepop_tensors_of(arguments.seed, gaussians, camera), camera, {})
 
 
 if __name__ == "__main__":

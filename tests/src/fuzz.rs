@@ -13,7 +13,8 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use dpges_core::scene::{
-    ColourModel, EnvironmentData, Footprint, MarginLookup, Quality, Rendering, SceneData, SceneInfo, ScreenFilter,
+    BlendOrder, ColourModel, EnvironmentData, Footprint, MarginLookup, Quality, Rendering, SceneData, SceneInfo,
+    ScreenFilter,
 };
 use dpges_core::testing::scenes::{Recipe, random};
 use dpges_train::config::Config;
@@ -75,6 +76,7 @@ fn scene(model: ColourModel, environment: bool) -> SceneData {
         margin_lookup: MarginLookup::Shifted,
         rendering: Rendering::Peeled,
         screen_filter: ScreenFilter::Compensated,
+        blend_order: BlendOrder::Centres,
         background: [0.0, 0.5, 1.0],
         offset: [0.0; 3],
         extent: 1.0,

@@ -29,28 +29,40 @@ fn own_cases() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("golden")
 }
 
+/// Cases that are blended in the order of each pixel's own ray.
+fn by_rays() -> PathBuf {
+    own_cases().join("stopthepop")
+}
+
+/// How cases are compared, and the fewest tensors of one.
+const PEELED: (Compare, usize) = (GoldenCase::compare, 41);
+const BY_RAYS: (Compare, usize) = (GoldenCase::compare_by_rays, 9);
+
 fn load(path: &Path) -> GoldenCase {
     GoldenCase::load(path).unwrap()
 }
 
+/// Compares a case on a device in an element type.
+type Compare = fn(&GoldenCase, &Device, DType) -> Vec<Deviation>;
+
 /// How far each tensor may be from its golden values.
-fn tolerances(path: &Path, device: &Device, dtype: DType) -> HashMap<String, f64> {
+fn tolerances(path: &Path, device: &Device, dtype: DType, compare: Compare) -> HashMap<String, f64> {
     let of = |d: Deviation| (d.tensor, if d.is_id { 0.0 } else { TOLERANCE_F64 });
     if dtype == DType::F64 {
-        return load(path).compare(device, DType::F64).into_iter().map(of).collect();
+        return compare(&load(path), device, DType::F64).into_iter().map(of).collect();
     }
-    let rounded = load(path).rounded_to_f32().compare(&flex(), DType::F64);
+    let rounded = compare(&load(path).rounded_to_f32(), &flex(), DType::F64);
     rounded.into_iter().map(|d| (d.tensor, d.distance + if d.is_id { 0.0 } else { TOLERANCE_F32 })).collect()
 }
 
-fn check_folder(folder: &Path, device: &Device, dtype: DType) {
+fn check_folder(folder: &Path, device: &Device, dtype: DType, (compare, least): (Compare, usize)) {
     let mut failures = Vec::new();
     for path in cases_in(folder) {
-        let deviations = load(&path).compare(device, dtype);
-        assert!(deviations.len() > 40, "{}: only {} tensors compared", path.display(), deviations.len());
+        let deviations = compare(&load(&path), device, dtype);
+        assert!(deviations.len() >= least, "{}: only {} tensors compared", path.display(), deviations.len());
         let worst = deviations.iter().map(|d| d.distance).fold(0.0, f64::max);
         println!("{} {dtype:?}: {} tensors, worst {worst:.2e}", path.display(), deviations.len());
-        let tolerances = tolerances(&path, device, dtype);
+        let tolerances = tolerances(&path, device, dtype, compare);
         let too_far = deviations.into_iter().filter(|d| d.distance > tolerances[&d.tensor] || d.distance.is_nan());
         failures.extend(too_far.map(|d| format!("{}: {} is off by {:.3e}", path.display(), d.tensor, d.distance)));
     }
@@ -58,9 +70,10 @@ fn check_folder(folder: &Path, device: &Device, dtype: DType) {
 }
 
 pub fn check_all(device: &Device, dtype: DType) {
-    check_folder(&own_cases(), device, dtype);
+    check_folder(&own_cases(), device, dtype, PEELED);
+    check_folder(&by_rays(), device, dtype, BY_RAYS);
     if let Some(folder) = std::env::var_os("DPGES_GOLDEN_DIR") {
-        check_folder(Path::new(&folder), device, dtype);
+        check_folder(Path::new(&folder), device, dtype, PEELED);
     }
 }
 
@@ -86,9 +99,11 @@ fn flex_f32() {
 
 #[test]
 fn rounding_the_inputs_does_not_excuse_much() {
-    for path in cases_in(&own_cases()) {
-        for (tensor, tolerance) in tolerances(&path, &flex(), DType::F32) {
-            assert!(tolerance < 1e-3, "{}: {tensor} may be off by {tolerance:.1e}", path.display());
+    for (folder, (compare, _)) in [(own_cases(), PEELED), (by_rays(), BY_RAYS)] {
+        for path in cases_in(&folder) {
+            for (tensor, tolerance) in tolerances(&path, &flex(), DType::F32, compare) {
+                assert!(tolerance < 1e-3, "{}: {tensor} may be off by {tolerance:.1e}", path.display());
+            }
         }
     }
 }
@@ -115,4 +130,17 @@ fn a_wrong_expectation_is_reported_and_only_that() {
     assert!(differing > 100.0, "{differing} pixels");
     let depth = load(&path).perturbed("out.layers.depth", 1.001).compare(&flex(), DType::F64);
     assert!(depth.iter().any(|d| d.tensor == "out.layers.depth" && d.distance > TOLERANCE_F64));
+}
+
+#[test]
+fn a_wrong_expectation_of_rays_is_reported_and_only_that() {
+    let path = by_rays().join("few.safetensors");
+    let names: Vec<String> = load(&path).expected().map(str::to_owned).collect();
+    for name in &names {
+        let deviations = load(&path).perturbed(name, 1.001).compare_by_rays(&flex(), DType::F64);
+        let far: Vec<&str> =
+            deviations.iter().filter(|d| d.distance > TOLERANCE_F64).map(|d| d.tensor.as_str()).collect();
+        assert_eq!(far, [name.as_str()]);
+    }
+    assert_eq!(names.len(), BY_RAYS.1);
 }

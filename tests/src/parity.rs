@@ -7,7 +7,7 @@ use dpges_core::ops::peel::PeelOptions;
 use dpges_core::ops::unpack::{pack, unpack};
 use dpges_core::render::blended::{BlendedOptions, render_blended};
 use dpges_core::render::{RenderOptions, Values, render};
-use dpges_core::scene::{ColourModel, Footprint, ScreenFilter};
+use dpges_core::scene::{BlendOrder, ColourModel, Footprint, ScreenFilter};
 use dpges_core::testing::golden::values;
 use dpges_core::testing::kernels::limit_buffers;
 use dpges_core::testing::lenses::{behind, every_model};
@@ -65,6 +65,31 @@ fn check_blending(what: &str, scene: &TestScene, forms: &[(Form, ScreenFilter)],
         }
     }
 }
+
+/// Sorted blending in the order of each pixel's own ray. Rounding may decide what is nearer, and rarely does: such pixels
+/// are counted, and left out of the rest.
+fn check_by_rays(what: &str, scene: &TestScene, device: &Device) {
+    for maps in [false, true] {
+        let (filter, order) = (ScreenFilter::Plain, BlendOrder::Rays);
+        let options = BlendOptions { filter, order, maps, ..BlendOptions::default() };
+        let bench = |device: &Device| on(scene, PeelOptions::default(), device);
+        let [found, expected] = [device, &ndarray()].map(|device| bench(device).blended_colour(options));
+        let pixels = found.len() / 3;
+        let agrees = |pixel: &usize| {
+            (0..3).map(|channel| channel * pixels + pixel).all(|at| (found[at] - expected[at]).abs() < SWAPPED)
+        };
+        let agreed: Vec<f64> = (0..pixels).map(|pixel| f64::from(u8::from(agrees(&pixel)))).collect();
+        let apart = 1.0 - agreed.iter().sum::<f64>() / pixels.max(1) as f64;
+        assert!(apart <= MAY_SWAP, "{what}: colours differ in {apart:.1e} of the pixels");
+        let run = |device: &Device| bench(device).blended_where(options, &agreed);
+        let what = format!("{what}, by rays, maps {maps}, other orders in {apart:.1e} of the pixels");
+        assert_near(&what, &run(device), &run(&ndarray()));
+    }
+}
+
+/// Difference of colours that only another order makes, and share of the pixels that may have one.
+const SWAPPED: f64 = 1e-4;
+const MAY_SWAP: f64 = 2e-3;
 
 const FORMS: [(Form, ScreenFilter); 3] = [
     (Form::Ellipsoids, ScreenFilter::Compensated),
@@ -129,6 +154,7 @@ pub fn every_operation_agrees_through_lenses(device: Device) {
         scene.camera = behind(scene.camera, lens, 150.0);
         check(name, &scene, PeelOptions::default(), &device);
         check_blending(name, &scene, &FORMS[..2], &device);
+        check_by_rays(name, &scene, &device);
     }
 }
 
@@ -136,19 +162,23 @@ pub fn sorted_blending_agrees_on_random_scenes(device: Device) {
     for seed in 90..93 {
         let scene = random(seed, ColourModel::SphericalBeta { lobes: 0 });
         check_blending(&format!("seed {seed}"), &scene, &FORMS, &device);
+        check_by_rays(&format!("seed {seed}"), &scene, &device);
     }
 }
 
 pub fn sorted_blending_agrees_in_a_crowd(device: Device) {
     // several blocks to sort, lists longer than a cube has units, pixels that end early
     let recipe = Recipe { surfels: 0, gaussians: 2_500, width: 40, height: 30, ..Recipe::default() };
-    check_blending("a crowd", &scenes::random(94, &recipe), &FORMS[..1], &device);
+    let scene = scenes::random(94, &recipe);
+    check_blending("a crowd", &scene, &FORMS[..1], &device);
+    check_by_rays("a crowd", &scene, &device);
 }
 
 pub fn sorted_blending_agrees_with_little_or_nothing_to_show(device: Device) {
     for gaussians in [0, 1, 5] {
         let scene = scenes::random(95, &Recipe { surfels: 0, gaussians, ..Recipe::default() });
         check_blending(&format!("{gaussians} primitives"), &scene, &FORMS, &device);
+        check_by_rays(&format!("{gaussians} primitives"), &scene, &device);
     }
 }
 
@@ -179,6 +209,7 @@ pub fn lists_that_overflow_change_nothing(device: Device) {
     cap_lists(100);
     check("lists of 100 entries", &scene, PeelOptions::default(), &device);
     check_blending("lists of 100 entries", &scene, &FORMS, &device);
+    check_by_rays("lists of 100 entries", &scene, &device);
     cap_lists(usize::MAX);
 }
 
@@ -191,6 +222,8 @@ fn everything(scene: &TestScene, device: &Device) -> Vec<Named> {
         let options = BlendOptions { form, filter, maps: true, ..BlendOptions::default() };
         found.extend(on(scene, PeelOptions::default(), device).blended(options));
     }
+    let options = BlendOptions { order: BlendOrder::Rays, maps: true, ..BlendOptions::default() };
+    found.extend(on(scene, PeelOptions::default(), device).blended(options));
     found
 }
 
@@ -226,21 +259,24 @@ pub fn primitives_larger_than_the_picture_agree(device: Device) {
     scene.surfels.log_scales[..6].copy_from_slice(&[0.3, 0.1, 0.2, 0.4, 0.0, 0.3]);
     check("larger than the picture", &scene, PeelOptions::default(), &device);
     check_blending("larger than the picture", &scene, &FORMS, &device);
+    check_by_rays("larger than the picture", &scene, &device);
 }
 
 pub fn gradients_beyond_the_largest_buffer_are_gathered_in_parts(device: Device) {
     let recipe = Recipe { surfels: 0, gaussians: 2_500, width: 40, height: 30, ..Recipe::default() };
     let scene = with_large_ones(scenes::random(96, &recipe), 1_500);
-    let run = || {
-        let options = BlendOptions { maps: true, ..BlendOptions::default() };
-        on(&scene, PeelOptions::default(), &device).blended(options)
-    };
-    let whole = run();
-    // the sums of a tile fit, those of all six do not
-    limit_buffers(180_000);
-    let in_parts = run();
-    limit_buffers(usize::MAX);
-    assert_near("in parts", &in_parts, &whole);
+    // the sums of a tile fit, and what its pixels say, those of all six do not
+    for (order, most) in [(BlendOrder::Centres, 180_000), (BlendOrder::Rays, 6_000_000)] {
+        let run = || {
+            let options = BlendOptions { order, maps: true, ..BlendOptions::default() };
+            on(&scene, PeelOptions::default(), &device).blended(options)
+        };
+        let whole = run();
+        limit_buffers(most);
+        let in_parts = run();
+        limit_buffers(usize::MAX);
+        assert_near(&format!("in parts, by {order}"), &in_parts, &whole);
+    }
 }
 
 /// Forward by the functions themselves, backward by `within_capacity`; the device goes on to work as before.
@@ -281,9 +317,12 @@ pub fn every_operation_gives_the_same_bits_every_time(device: Device) {
     let scene = with_large_ones(scenes::realistic(300, 4_000, 96, 64, 2), 2);
     let reference = on(&scene, PeelOptions::default(), &ndarray()).reference();
     let run = || {
-        let blended = BlendOptions { maps: true, ..BlendOptions::default() };
         let peeled = on(&scene, PeelOptions::default(), &device).against(&reference);
-        [peeled, on(&scene, PeelOptions::default(), &device).blended(blended)]
+        let [by_centres, by_rays] = [BlendOrder::Centres, BlendOrder::Rays].map(|order| {
+            let options = BlendOptions { order, maps: true, ..BlendOptions::default() };
+            on(&scene, PeelOptions::default(), &device).blended(options)
+        });
+        [peeled, by_centres, by_rays]
     };
     let first = run();
     for _ in 0..3 {

@@ -92,6 +92,13 @@ pub fn view_rotation(view: CameraUniforms) -> Mat3 {
     }
 }
 
+/// Axes of a primitive, the columns of `world`, in camera axes, by rows.
+#[cube]
+pub fn camera_axes(view: CameraUniforms, world: Mat3) -> Mat3 {
+    let (pose, axes) = (view_rotation(view), transpose(world));
+    Mat3 { row0: apply(pose, axes.row0), row1: apply(pose, axes.row1), row2: apply(pose, axes.row2) }
+}
+
 /// World point in camera axes.
 #[cube]
 pub fn to_camera(view: CameraUniforms, world: Vec3) -> Vec3 {

@@ -30,8 +30,13 @@ impl BlendedOptions {
                 return Err(Error::Option { option: "rendering", expected, found: info.rendering.to_string() });
             }
         };
-        let blend =
-            BlendOptions { form, filter: info.screen_filter, max_alpha: info.max_alpha(), ..BlendOptions::default() };
+        let blend = BlendOptions {
+            form,
+            filter: info.screen_filter,
+            order: info.blend_order,
+            max_alpha: info.max_alpha(),
+            ..BlendOptions::default()
+        };
         Ok(Self { blend, background: info.background })
     }
 }

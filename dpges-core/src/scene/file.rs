@@ -326,6 +326,7 @@ mod tests {
                 margin_lookup: MarginLookup::Literal,
                 rendering: crate::scene::Rendering::Peeled,
                 screen_filter: crate::scene::ScreenFilter::Plain,
+                blend_order: crate::scene::BlendOrder::Rays,
                 background: [0.0, 0.5, 1.0],
                 offset: [5.25e5, -2.0, 0.125],
                 extent: 4.5,

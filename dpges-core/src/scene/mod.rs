@@ -70,6 +70,27 @@ impl ScreenFilter {
     }
 }
 
+/// The order in which the fragments of a pixel are blended.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum BlendOrder {
+    /// One order for all pixels: by the depth of the centre, then by index (3DGS).
+    #[default]
+    Centres,
+    /// An order for each pixel: by the depth at which its ray meets the most of a Gaussian, as far as queues of limited
+    /// length sort it (StopThePop).
+    Rays,
+}
+
+impl fmt::Display for BlendOrder {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Centres => "centres",
+            Self::Rays => "rays",
+        })
+    }
+}
+
 /// How a scene becomes a picture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -114,6 +135,9 @@ pub struct SceneInfo {
     /// Of blended Gaussians. Files without it are [`ScreenFilter::Compensated`], and so is everything that is peeled.
     #[serde(default)]
     pub screen_filter: ScreenFilter,
+    /// Of blended Gaussians. Files without it are [`BlendOrder::Centres`].
+    #[serde(default)]
+    pub blend_order: BlendOrder,
     /// Display-referred colour behind everything; an [environment](EnvironmentData) adds to it.
     pub background: [f64; 3],
     /// World units: subtract from the dataset's coordinates to get the scene's.
@@ -145,6 +169,7 @@ impl Default for SceneInfo {
             margin_lookup: MarginLookup::default(),
             rendering: Rendering::default(),
             screen_filter: ScreenFilter::default(),
+            blend_order: BlendOrder::default(),
             background: [0.0; 3],
             offset: [0.0; 3],
             extent: 1.0,

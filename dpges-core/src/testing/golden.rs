@@ -1,6 +1,8 @@
 //! Golden cases: inputs, outputs, losses and gradients of the float64 specification of the model, as
 //! safetensors files, and their comparison with this crate.
 
+mod stopthepop;
+
 use std::collections::HashMap;
 use std::path::Path;
 

@@ -320,8 +320,23 @@ impl<'a> Bench<'a> {
     }
 
     /// Runs sorted blending of the Gaussians in random colours, and goes back from each of its outputs.
-    pub fn blended(mut self, options: BlendOptions) -> Vec<Named> {
+    pub fn blended(self, options: BlendOptions) -> Vec<Named> {
+        let [_, height, width] = self.shape();
+        self.blended_where(options, &vec![1.0; height * width])
+    }
+
+    /// [3, H, W] colour of sorted blending of the Gaussians in random colours.
+    pub fn blended_colour(&self, options: BlendOptions) -> Vec<f64> {
+        let count = self.gaussians.len();
+        let colours = self.tensor(&Random::new(12).numbers(3 * count, 0.0, 1.0), [count, 3]);
+        values(&blend(&self.gaussians, &colours, None, &self.scene.camera, &options).expect("valid input").colour)
+    }
+
+    /// [`blended`](Self::blended) where `agreed` [H, W] is 1; the rest of each output is 0.
+    pub fn blended_where(mut self, options: BlendOptions, agreed: &[f64]) -> Vec<Named> {
         let (gaussians, count) = (self.gaussians.clone(), self.gaussians.len());
+        let [_, height, width] = self.shape();
+        let agreed = self.tensor(agreed, [1, height, width]);
         let outputs: &[&str] =
             if options.maps { &["colour", "alpha", "depth", "normal", "distortion"] } else { &["colour", "alpha"] };
         for &name in outputs {
@@ -332,13 +347,14 @@ impl<'a> Bench<'a> {
             let output = match (name, out.maps) {
                 ("colour", _) => out.colour,
                 ("depth", Some(maps)) => {
-                    self.note("blend.median_depth", &maps.median_depth);
+                    self.note("blend.median_depth", &(maps.median_depth * agreed.clone()));
                     maps.depth
                 }
                 ("normal", Some(maps)) => maps.normal,
                 ("distortion", Some(maps)) => maps.distortion,
                 _ => out.alpha,
             };
+            let output = output * agreed.clone();
             self.note(&format!("blend.{name}"), &output);
             let gradients = (output.clone() * self.upstream(&output, 13)).sum().backward();
             self.gradient(&format!("blend.{name}.grad.positions"), &gaussians.positions, &gradients);

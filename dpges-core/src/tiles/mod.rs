@@ -103,14 +103,29 @@ pub(crate) fn for_each_group<T: Real>(
     for line in y0..y1 {
         let dy = T::of((origin.1 + line) as f64 + 0.5) - anchor[1];
         for group in x0 / LANES..x1.div_ceil(LANES) {
-            let left = T::of((origin.0 + group * LANES) as f64 + 0.5) - anchor[0];
-            let mut dx = [T::zero(); LANES];
-            for (lane, dx) in dx.iter_mut().enumerate() {
-                *dx = left + T::of(lane as f64);
-            }
+            let dx = lane_offsets(anchor, origin.0 + group * LANES);
             visit(line * TILE + group * LANES, dx, dy);
         }
     }
+}
+
+/// Offsets in x from `anchor`, px, of a group of pixels that begins at a column of the image.
+#[inline(always)]
+fn lane_offsets<T: Real>(anchor: [T; 2], column: usize) -> [T; LANES] {
+    let left = T::of(column as f64 + 0.5) - anchor[0];
+    let mut dx = [T::zero(); LANES];
+    for (lane, dx) in dx.iter_mut().enumerate() {
+        *dx = left + T::of(lane as f64);
+    }
+    dx
+}
+
+/// Offsets from `anchor`, px, of the pixels of the group of lanes at position `start` of a tile, as [`for_each_group`] has
+/// them.
+#[inline(always)]
+pub(crate) fn group_offsets<T: Real>(anchor: [T; 2], origin: (usize, usize), start: usize) -> ([T; LANES], T) {
+    let dy = T::of((origin.1 + start / TILE) as f64 + 0.5) - anchor[1];
+    (lane_offsets(anchor, origin.0 + start % TILE), dy)
 }
 
 #[cfg(test)]

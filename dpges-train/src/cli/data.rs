@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use dpges_core::camera::Camera;
-use dpges_core::scene::{SceneData, SceneInfo};
+use dpges_core::scene::{BlendOrder, SceneData, SceneInfo};
 use dpges_train::config::{Background, BuiltinLens, Config, DataConfig, DepthMaps, key};
 use dpges_train::dataset::{self, BuiltinOptions, Dataset, View};
 use dpges_train::run::folder::RunFolder;
@@ -168,6 +168,21 @@ impl Scene {
     /// follows draws nothing else.
     pub fn use_pinholes(&mut self) {
         self.pinhole = true;
+    }
+
+    /// Whether its Gaussians are sorted for each pixel, which only the renderer that is trained with does.
+    pub fn is_sorted_by_rays(&self) -> bool {
+        self.data.info.blend_order == BlendOrder::Rays
+    }
+
+    /// Warns if its Gaussians are sorted for each pixel, where `what` sorts them by their centres.
+    pub fn warn_of_order(&self, what: &str) {
+        if self.is_sorted_by_rays() {
+            tracing::warn!(
+                "{what} the Gaussians by their centres (3DGS), and not for each pixel along its ray as they were trained (StopThePop): \
+                 pictures differ a little, and pop"
+            );
+        }
     }
 
     /// The scene file that `path` names, which is there.

@@ -102,6 +102,9 @@ pub struct ExportArgs {
 pub fn run(args: &ExportArgs) -> Result<()> {
     let mut scene = Scene::load(&args.scene)?;
     scene.use_pinholes();
+    if !matches!(args.format, ExportFormat::MeshPly | ExportFormat::MeshGlb) {
+        scene.warn_of_order("what shows this file sorts");
+    }
     if args.format == ExportFormat::Html {
         return args.html(scene);
     }

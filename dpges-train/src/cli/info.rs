@@ -62,6 +62,7 @@ fn describe(scene: &Scene) -> Vec<(&'static str, Value)> {
         ("lobes", json!(lobes(scene))),
         ("rendering", json!(info.rendering.to_string())),
         ("screen_filter", json!(screen_filter)),
+        ("blend_order", json!(info.blend_order.to_string())),
         ("layers", json!(info.layer_count)),
         ("modulation", json!(info.modulation)),
         ("footprint", json!(footprint)),

@@ -23,6 +23,9 @@ choices! {
         "3dgs" => Gaussians3d,
         /// The same, splitting by the sums of absolute gradients (AbsGS).
         "absgs" => Absolute,
+        /// 3DGS whose Gaussians are sorted for each pixel along its ray, so that none pops in front of another when the
+        /// camera turns (StopThePop).
+        "stopthepop" => StopThePop,
         /// 3DGS with Gaussians no finer than what the training views resolve, and a filter that keeps their weight on the
         /// screen (Mip-Splatting).
         "mip-splatting" => MipSplatting,

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use dpges_core::scene::{Rendering, ScreenFilter};
+use dpges_core::scene::{BlendOrder, Rendering, ScreenFilter};
 
 use super::schedule::REFERENCE_STEPS;
 use super::{Config, GaussianStage, Method};
@@ -31,6 +31,8 @@ pub enum Density {
     Signed,
     /// Splits by the sums of absolute gradients (AbsGS).
     Absolute,
+    /// As [`Self::Signed`], of Gaussians that are blended in the order of each pixel's own ray (StopThePop).
+    SignedByRays,
     /// By both, as many by absolute sums as by the others; with the filters of Mip-Splatting.
     Smoothed,
 }
@@ -58,9 +60,13 @@ impl Blended {
     /// The low-pass filter of its paper; what is handed on to the joint stage must look the same there.
     pub fn screen_filter(self) -> ScreenFilter {
         match self {
-            Self::Controlled(Density::Signed | Density::Absolute) => ScreenFilter::Plain,
+            Self::Controlled(Density::Signed | Density::SignedByRays | Density::Absolute) => ScreenFilter::Plain,
             _ => ScreenFilter::Compensated,
         }
+    }
+
+    pub fn blend_order(self) -> BlendOrder {
+        if self == Self::Controlled(Density::SignedByRays) { BlendOrder::Rays } else { BlendOrder::Centres }
     }
 }
 
@@ -79,6 +85,7 @@ impl fmt::Display for StageKind {
             Self::Blended(Blended::Relocated(Relocation::Beta)) => "dbs",
             Self::Blended(Blended::Controlled(Density::Signed)) => "3dgs",
             Self::Blended(Blended::Controlled(Density::Absolute)) => "absgs",
+            Self::Blended(Blended::Controlled(Density::SignedByRays)) => "stopthepop",
             Self::Blended(Blended::Controlled(Density::Smoothed)) => "mip-splatting",
             Self::Joint => "joint",
         })
@@ -120,6 +127,7 @@ impl Method {
             Self::Dbs => Blended::Relocated(Relocation::Beta),
             Self::Gaussians3d => Blended::Controlled(Density::Signed),
             Self::Absolute => Blended::Controlled(Density::Absolute),
+            Self::StopThePop => Blended::Controlled(Density::SignedByRays),
             Self::MipSplatting => Blended::Controlled(Density::Smoothed),
         })
     }
@@ -127,7 +135,7 @@ impl Method {
     /// `key=value` of its paper that differ from the defaults, which are those of DP-GES.
     pub fn settings(self) -> &'static [&'static str] {
         match self {
-            Self::Gaussians3d | Self::Absolute | Self::MipSplatting => &[
+            Self::Gaussians3d | Self::Absolute | Self::StopThePop | Self::MipSplatting => &[
                 "model.colour=sh3",
                 "init.max_scale_extent=1e6",
                 "init.max_scale_median=1e6",

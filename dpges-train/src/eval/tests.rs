@@ -1,5 +1,5 @@
 use dpges_core::scene::{
-    ColourModel, Footprint, GaussianData, MarginLookup, Rendering, SceneInfo, ScreenFilter, SurfelData,
+    BlendOrder, ColourModel, Footprint, GaussianData, MarginLookup, Rendering, SceneInfo, ScreenFilter, SurfelData,
 };
 
 use super::*;
@@ -18,6 +18,7 @@ fn nothing(background: [f64; 3]) -> SceneData {
         margin_lookup: MarginLookup::Shifted,
         rendering: Rendering::Peeled,
         screen_filter: ScreenFilter::Compensated,
+        blend_order: BlendOrder::Centres,
         background,
         offset: [0.0; 3],
         extent: 1.0,

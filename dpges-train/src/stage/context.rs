@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use burn::tensor::Device;
-use dpges_core::scene::{Rendering, SceneInfo, ScreenFilter};
+use dpges_core::scene::{BlendOrder, Rendering, SceneInfo, ScreenFilter};
 use glam::Vec3;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -112,6 +112,7 @@ impl Context {
             margin_lookup: model.margin_lookup,
             rendering,
             screen_filter: ScreenFilter::Compensated,
+            blend_order: BlendOrder::Centres,
             background: dataset.background,
             offset: dataset.offset.to_array(),
             extent: dataset.extent,

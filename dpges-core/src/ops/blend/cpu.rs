@@ -1,12 +1,13 @@
 //! CPU kernels: one task per tile goes front to back. Backward then goes back to front, where a division by
-//! 1 − α recovers T. Sums belong to a tile and are added in the order of the tiles, so that the result does
-//! not depend on the number of threads.
+//! 1 − α recovers T; in the order of rays pixel by pixel, and then over the pixels of each primitive. Sums belong to
+//! a tile and are added in the order of the tiles, so that the result does not depend on the number of threads.
 
 mod disc;
 mod distortion;
 mod gather;
 mod normal;
 mod projected;
+mod rays;
 mod walk;
 
 use burn::backend::TensorMetadata;
@@ -17,6 +18,7 @@ use self::disc::DiscFootprint;
 use self::distortion::Spread;
 use self::gather::backward;
 use self::projected::{CameraPair, Ellipse, Projected};
+use self::rays::walk_rays;
 use self::walk::{Fragments, Sorted, Thresholds, group, walk_tile};
 use super::{
     ALL_PLANES, ALPHA_PLANE, BlendBackwardOps, BlendInput, BlendLists, BlendOps, BlendOptions, BlendOutput,
@@ -27,6 +29,8 @@ use crate::backend::real::Real;
 use crate::backend::simd::{LANES, vectorised};
 use crate::camera::Camera;
 use crate::footprint::gaussian::tensors::{GaussianRows, GaussianTensors};
+use crate::math::CameraOf;
+use crate::scene::BlendOrder;
 use crate::tiles::TILE_PIXELS;
 use crate::tiles::layout::to_planes;
 
@@ -44,6 +48,49 @@ fn add_weighted<T: Real>(block: &mut [T], first: usize, start: usize, covered: &
     }
 }
 
+/// What the maps of a tile need besides what they sum.
+struct TileSums<'a, T, F> {
+    sorted: &'a Sorted<T, F>,
+    spread: Spread<T>,
+    /// [planes, `TILE_PIXELS`]
+    block: &'a mut [T],
+}
+
+impl<T: Real, F: Projected<T>> TileSums<'_, T, F> {
+    /// Adds the fragments of a primitive in a group of lanes.
+    #[inline(always)]
+    fn add<const MAPS: bool>(&mut self, id: usize, start: usize, fragments: &Fragments<T>) {
+        let Fragments { covered, through, depth, .. } = fragments;
+        let block = &mut *self.block;
+        add_weighted(block, 0, start, covered, self.sorted.footprints[id].colour());
+        if MAPS {
+            let half = T::of(0.5);
+            add_weighted(block, NORMAL_PLANE, start, covered, self.sorted.normals[id]);
+            let sum = group(block, DEPTH_PLANE * TILE_PIXELS + start);
+            for lane in 0..LANES {
+                sum[lane] = sum[lane] + covered[lane] * depth[lane];
+            }
+            let growth = self.spread.add(start, covered, through, depth);
+            let sum = group(block, DISTORTION_PLANE * TILE_PIXELS + start);
+            for lane in 0..LANES {
+                sum[lane] = sum[lane] + growth[lane];
+            }
+            let median = group(block, MEDIAN * TILE_PIXELS + start);
+            for lane in 0..LANES {
+                let first = (covered[lane] > T::zero()) & (through[lane] <= half) & (median[lane] == T::zero());
+                median[lane] = if first { depth[lane] } else { median[lane] };
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn set_alpha(self, through: &[T; TILE_PIXELS]) {
+        for (alpha, &through) in self.block[ALPHA_PLANE * TILE_PIXELS..].iter_mut().zip(through) {
+            *alpha = T::one() - through;
+        }
+    }
+}
+
 /// Adds one tile to `block` [planes, `TILE_PIXELS`], zero so far.
 #[inline(always)]
 fn blend_tile<T: Real, F: Projected<T>, const MAPS: bool>(
@@ -53,37 +100,32 @@ fn blend_tile<T: Real, F: Projected<T>, const MAPS: bool>(
     slope: T,
     block: &mut [T],
 ) {
-    let half = T::of(0.5);
-    let mut spread = Spread::new(slope);
+    let mut sums = TileSums { sorted, spread: Spread::new(slope), block };
     let progress = walk_tile(
         sorted,
         tile,
         thresholds,
         #[inline(always)]
-        |id, start, Fragments { covered, through, depth, .. }| {
-            add_weighted(block, 0, start, covered, sorted.footprints[id].colour());
-            if MAPS {
-                add_weighted(block, NORMAL_PLANE, start, covered, sorted.normals[id]);
-                let sum = group(block, DEPTH_PLANE * TILE_PIXELS + start);
-                for lane in 0..LANES {
-                    sum[lane] = sum[lane] + covered[lane] * depth[lane];
-                }
-                let growth = spread.add(start, covered, through, depth);
-                let sum = group(block, DISTORTION_PLANE * TILE_PIXELS + start);
-                for lane in 0..LANES {
-                    sum[lane] = sum[lane] + growth[lane];
-                }
-                let median = group(block, MEDIAN * TILE_PIXELS + start);
-                for lane in 0..LANES {
-                    let first = (covered[lane] > T::zero()) & (through[lane] <= half) & (median[lane] == T::zero());
-                    median[lane] = if first { depth[lane] } else { median[lane] };
-                }
-            }
-        },
+        |id, start, fragments| sums.add::<MAPS>(id, start, fragments),
     );
-    for (alpha, through) in block[ALPHA_PLANE * TILE_PIXELS..].iter_mut().zip(progress.through) {
-        *alpha = T::one() - through;
-    }
+    sums.set_alpha(&progress.through);
+}
+
+/// [`blend_tile`] in the order of each pixel's own ray.
+fn blend_tile_by_rays<T: Real, F: Projected<T>, const MAPS: bool>(
+    sorted: &Sorted<T, F>,
+    camera: &CameraOf<T>,
+    tile: usize,
+    thresholds: &Thresholds<T>,
+    slope: T,
+    block: &mut [T],
+) {
+    let list = sorted.lists.of(tile);
+    let mut sums = TileSums { sorted, spread: Spread::new(slope), block };
+    let through = walk_rays(sorted, camera, tile, thresholds, |position, pixel, fragments| {
+        sums.add::<MAPS>(list[position] as usize, pixel / LANES * LANES, fragments);
+    });
+    sums.set_alpha(&through);
 }
 
 /// Planes and median depth, the latter empty without maps.
@@ -100,11 +142,14 @@ fn forward<T: Real, F: Projected<T>>(
     blocks.par_chunks_mut(count * TILE_PIXELS).enumerate().for_each(|(tile, block)| {
         vectorised(
             #[inline(always)]
-            || {
-                if options.maps {
-                    blend_tile::<T, F, true>(&sorted, tile, &thresholds, slope, block);
-                } else {
-                    blend_tile::<T, F, false>(&sorted, tile, &thresholds, slope, block);
+            || match (options.order, options.maps) {
+                (BlendOrder::Centres, true) => blend_tile::<T, F, true>(&sorted, tile, &thresholds, slope, block),
+                (BlendOrder::Centres, false) => blend_tile::<T, F, false>(&sorted, tile, &thresholds, slope, block),
+                (BlendOrder::Rays, true) => {
+                    blend_tile_by_rays::<T, F, true>(&sorted, &view.camera, tile, &thresholds, slope, block);
+                }
+                (BlendOrder::Rays, false) => {
+                    blend_tile_by_rays::<T, F, false>(&sorted, &view.camera, tile, &thresholds, slope, block);
                 }
             },
         );

@@ -1,10 +1,13 @@
 //! GPU kernels. Primitives are sorted by depth, so that ascending lists run front to back. Forward, one unit handles
-//! one pixel; backward, one cube handles one tile and then several units one primitive.
+//! one pixel; backward, one cube handles one tile and then several units one primitive. In the order of rays lists are
+//! sorted for each tile, and `rays` resorts them for each pixel.
 
+mod back;
 mod fragments;
 mod gather;
 mod order;
 mod parameters;
+mod rays;
 
 use burn::backend::TensorMetadata;
 use burn::backend::tensor::FloatTensor;
@@ -22,6 +25,7 @@ use crate::gpu::launch::{LANES, UNITS, buffer, cube_dim, cubes, empty_f32, float
 use crate::gpu::record::Record;
 use crate::gpu::tile::{REGIONS, own_pixel, plane_of};
 use crate::gpu::view::CameraUniforms;
+use crate::scene::BlendOrder;
 use crate::tiles::TileGrid;
 use crate::tiles::binning::cube::TileList;
 
@@ -158,6 +162,20 @@ fn blend_kernel(
             position += 1u32;
         }
     }
+    write_pixel(&state, planes, median_depth, view, CUBE_POS as u32, maps);
+}
+
+/// Writes the sums of the pixel of this unit in `tile`.
+#[cube]
+fn write_pixel(
+    state: &Array<f32>,
+    planes: &mut [f32],
+    median_depth: &mut [f32],
+    view: CameraUniforms,
+    tile: u32,
+    #[comptime] maps: bool,
+) {
+    let own = own_pixel(view, tile);
     if own.inside {
         let (plane, pixel) = (plane_of(view), own.at);
         #[unroll]
@@ -183,23 +201,26 @@ impl BlendOps for CubeBackend {
         let (fragments, lists) = Fragments::new(&gaussians, &camera, &options);
         let planes = empty_f32(like, [options.planes(), height, width]);
         let median_depth = empty_f32(like, [usize::from(options.maps), height, width]);
-        blend_kernel::launch(
-            &like.client.clone(),
-            cubes(TileGrid::new(width, height).len()),
-            cube_dim(),
-            buffer(&fragments.shapes),
-            buffer(&fragments.features),
-            buffer(&lists.offsets),
-            buffer(&lists.primitives),
-            buffer(&planes),
-            buffer(&median_depth),
-            CameraUniforms::launch(&camera),
-            Thresholds::launch(&camera, &options),
-            lists.primitives.shape()[0] as u32,
-            count as u32,
-            options.form,
-            options.maps,
-        );
+        match options.order {
+            BlendOrder::Centres => blend_kernel::launch(
+                &like.client.clone(),
+                cubes(TileGrid::new(width, height).len()),
+                cube_dim(),
+                buffer(&fragments.shapes),
+                buffer(&fragments.features),
+                buffer(&lists.offsets),
+                buffer(&lists.primitives),
+                buffer(&planes),
+                buffer(&median_depth),
+                CameraUniforms::launch(&camera),
+                Thresholds::launch(&camera, &options),
+                lists.primitives.shape()[0] as u32,
+                count as u32,
+                options.form,
+                options.maps,
+            ),
+            BlendOrder::Rays => rays::blend(&fragments, &lists, [&planes, &median_depth], &camera, &options),
+        }
         BlendOutput { planes, median_depth, lists }
     }
 }

@@ -12,10 +12,28 @@
 //! | 8 | `Σ_{j<i} w_i w_j (m_i − m_j)²` | depth distortion (2DGS), m of z see [`far`] |
 //!
 //! P is 4, or 9 with [`BlendOptions::maps`]. Median depth is the z_i of the first fragment behind which
-//! T ≤ ½, or 0 if there is none (2DGS). All pixels share one order of primitives: by depth of the
-//! centre, then by index. A primitive whose centre is at or behind the near plane does not exist. A pixel
+//! T ≤ ½, or 0 if there is none (2DGS). A primitive whose centre is at or behind the near plane does not exist. A pixel
 //! ends before the first fragment that would take T below [`BlendOptions::min_transmittance`]. α is capped
 //! at [`BlendOptions::max_alpha`], and a fragment with α below 1/255 does not exist.
+//!
+//! [`BlendOrder::Centres`]: all pixels share one order of primitives, by depth of the centre, then by index.
+//!
+//! [`BlendOrder::Rays`], of ellipsoids (StopThePop): a pixel has an order of its own, by the depth along its ray
+//! `t* = dᵀ Σ⁻¹ (μ − o) / max(1e-5, dᵀ Σ⁻¹ d)`, with d the unit vector of the ray and scales of at least 1e-3 in Σ. A
+//! fragment with t* below 0 does not exist. The order is made in steps:
+//!
+//! 1. The list of a tile is sorted by t* on the ray through the point of the tile at which α is largest, then as by centres.
+//! 2. Each of its blocks of 4 × 4 px takes the primitives of the list that reach it, with t* on the ray through its middle.
+//! 3. Each of their quads of 2 × 2 px takes what leaves the block, with t* on the ray through its middle.
+//! 4. Each of their pixels takes the fragments that it has of what leaves the quad, with t* on its own ray. They are blended
+//!    as they leave the pixel.
+//!
+//! Blocks, quads and pixels hold queues of at most [`QUEUES`], sorted by t*. When one is full and something comes, or when
+//! nothing more comes, the smallest t* leaves; equal ones leave in the order in which they came.
+//!
+//! A pixel with no more than four fragments thus has them in the order of t*. The order does not depend on the backend, but
+//! for rounding: a CPU walks through the queues of a tile together; on a GPU one unit runs the queue of a block, and every
+//! pixel runs its own and that of its quad. Backward runs all of them again, so that nothing of the order is kept.
 //!
 //! [`Form::Ellipsoids`]: α = max(0, opacity) · compensation · exp(−½ dᵀ Q d), the footprint of
 //! [`splat`](super::splat): EWA, a low-pass filter of 0.1 px², compensation; or, with [`ScreenFilter::Plain`],
@@ -50,7 +68,7 @@ use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::footprint::gaussian::tensors::GaussianTensors;
 use crate::scene::tensors::check_shape;
-use crate::scene::{Gaussians, ScreenFilter};
+use crate::scene::{BlendOrder, Gaussians, ScreenFilter};
 use crate::tiles::capacity::within_capacity;
 
 /// Red, green, blue, alpha.
@@ -65,6 +83,9 @@ pub const DISTORTION_PLANE: usize = 8;
 
 /// Largest [`BlendOptions::max_alpha`]: backward divides by 1 − α.
 pub const HIGHEST_MAX_ALPHA: f64 = 0.9999;
+
+/// Most entries of the queues of a block of 4 × 4 px, of a quad of 2 × 2 px and of a pixel (StopThePop).
+pub const QUEUES: [usize; 3] = [64, 8, 4];
 
 /// Depth that distortion maps to 1, world units, unless the near plane is close to it (2DGS).
 pub const FAR: f64 = 100.0;
@@ -90,6 +111,8 @@ pub struct BlendOptions {
     pub form: Form,
     /// Of ellipsoids.
     pub filter: ScreenFilter,
+    /// [`BlendOrder::Rays`] of ellipsoids alone.
+    pub order: BlendOrder,
     /// Largest α of a fragment; above 0, at most [`HIGHEST_MAX_ALPHA`].
     pub max_alpha: f64,
     /// Smallest T at which a pixel ends; between 0 and 1.
@@ -104,6 +127,7 @@ impl Default for BlendOptions {
         Self {
             form: Form::Ellipsoids,
             filter: ScreenFilter::default(),
+            order: BlendOrder::default(),
             max_alpha: 0.999,
             min_transmittance: 1e-4,
             maps: false,
@@ -113,8 +137,12 @@ impl Default for BlendOptions {
 
 impl BlendOptions {
     /// # Errors
-    /// [`Error::Option`] for a number outside its range.
+    /// [`Error::Option`] for a number outside its range, and for discs in the order of rays.
     pub fn validate(&self) -> Result<()> {
+        if self.form == Form::Discs && self.order == BlendOrder::Rays {
+            let expected = format!("{} for discs", BlendOrder::Centres);
+            return Err(Error::Option { option: "order", expected, found: self.order.to_string() });
+        }
         let check = |option, value: f64, fits: bool, expected: String| {
             if fits { Ok(()) } else { Err(Error::Option { option, expected, found: value.to_string() }) }
         };
@@ -147,8 +175,8 @@ pub struct BlendLists<B: Backend> {
     pub order: IntTensor<B>,
     /// [M + 1] first pair of each primitive and a tile that it may touch
     pub starts: IntTensor<B>,
-    /// `[pairs]` the pairs by tile, each tile's in the order of the primitives, and last those that do not touch, and
-    /// places without a pair
+    /// `[pairs]` the pairs by tile, each tile's in the order of the primitives or, by rays, first by t*, and last those that
+    /// do not touch, and places without a pair
     pub pairs: IntTensor<B>,
     /// `[pairs]` primitives of those; of any value where there is no pair
     pub primitives: IntTensor<B>,

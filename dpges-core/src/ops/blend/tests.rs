@@ -3,6 +3,7 @@ mod gradients;
 mod pictures;
 mod precision;
 mod probe;
+mod rays;
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use glam::{DMat3, DVec3};
@@ -11,7 +12,7 @@ use self::brute_force::{Pixel, Primitive, Shape, centre_of, pixel};
 use super::{ALPHA_PLANE, Blend, BlendOptions, DEPTH_PLANE, DISTORTION_PLANE, Form, NORMAL_PLANE, blend};
 use crate::camera::{Camera, CameraFromWorld, Distortion, Lens, Projection};
 use crate::footprint::gaussian::cpu::Parameters;
-use crate::scene::{Colour, ColourModel, Gaussians, ScreenFilter};
+use crate::scene::{BlendOrder, Colour, ColourModel, Gaussians, ScreenFilter};
 use crate::testing::compare::relative_l2;
 use crate::testing::device;
 use crate::testing::golden::values;
@@ -72,6 +73,15 @@ fn with_maps(form: Form) -> BlendOptions {
 
 fn plainly_filtered() -> BlendOptions {
     BlendOptions { filter: ScreenFilter::Plain, ..with_maps(Form::Ellipsoids) }
+}
+
+fn by_rays() -> BlendOptions {
+    BlendOptions { order: BlendOrder::Rays, ..plainly_filtered() }
+}
+
+/// Both forms, and both orders of ellipsoids.
+fn every_way() -> [BlendOptions; 3] {
+    [with_maps(Form::Ellipsoids), with_maps(Form::Discs), by_rays()]
 }
 
 /// Positions, quaternions, log-scales, opacities and colours, row-major.

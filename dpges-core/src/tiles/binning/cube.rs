@@ -214,21 +214,31 @@ impl Pairs {
     /// `values` `[pairs]` by tile, those of no tile last, and [tiles + 1] the first of each tile. Those of one tile keep
     /// their order.
     pub fn by_tile(&self, values: &CubeTensor, grid: TileGrid) -> (CubeTensor, CubeTensor) {
-        // the number of tiles is a key, too
-        let bits = usize::BITS - grid.len().leading_zeros();
-        let (sorted, values) = sorted_pairs(self.tiles.clone(), values.clone(), bits);
-        let offsets = empty_u32(&values, [grid.len() + 1]);
-        offsets_kernel::launch(
-            &values.client.clone(),
-            units(grid.len() + 1),
-            cube_dim(),
-            buffer(&sorted),
-            buffer(&offsets),
-            grid.len() as u32,
-            values.shape()[0] as u32,
-        );
-        (values, offsets)
+        by_tile(self.tiles.clone(), values.clone(), grid)
     }
+
+    /// `[pairs]` tile of every pair, or the number of tiles where the primitive does not touch it, or there is no pair
+    pub fn tiles(&self) -> &CubeTensor {
+        &self.tiles
+    }
+}
+
+/// `values` `[pairs]` by the `tiles` of their pairs, see [`Pairs::by_tile`].
+pub fn by_tile(tiles: CubeTensor, values: CubeTensor, grid: TileGrid) -> (CubeTensor, CubeTensor) {
+    // the number of tiles is a key, too
+    let bits = usize::BITS - grid.len().leading_zeros();
+    let (sorted, values) = sorted_pairs(tiles, values, bits);
+    let offsets = empty_u32(&values, [grid.len() + 1]);
+    offsets_kernel::launch(
+        &values.client.clone(),
+        units(grid.len() + 1),
+        cube_dim(),
+        buffer(&sorted),
+        buffer(&offsets),
+        grid.len() as u32,
+        values.shape()[0] as u32,
+    );
+    (values, offsets)
 }
 
 /// Lists of all tiles of the image of `camera`, for `rects` [N, 4] and, of Gaussians, their `ellipses`.

@@ -1,6 +1,6 @@
 //! What is drawn, and how.
 
-use dpges_core::scene::{Footprint, Rendering};
+use dpges_core::scene::{BlendOrder, Footprint, Rendering};
 use egui::{ComboBox, Slider, Ui};
 
 use super::super::app::Viewer;
@@ -31,6 +31,9 @@ pub fn title(viewer: &mut Viewer, ui: &mut Ui) {
         ui.add(egui::Label::new(egui::RichText::new(&scene.name).strong()).truncate());
         let [surfels, gaussians] = scene.counts;
         ui.weak(format!("{surfels} surfels, {gaussians} Gaussians, {}", scene.info.rendering));
+        if scene.info.blend_order == BlendOrder::Rays {
+            ui.weak("drawn in the order of their centres, and not along rays as they were trained");
+        }
     }
 }
 

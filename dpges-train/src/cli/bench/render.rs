@@ -17,7 +17,7 @@ use super::super::data::{Scene, ViewArgs, every_nth};
 use super::super::device_failure::watched;
 use super::super::frame_times::of_training;
 use super::super::render::Size;
-use super::super::{Result, device_choice, print};
+use super::super::{Failure, Result, device_choice, print};
 
 /// Measure frames per second of a scene over the cameras of a dataset
 #[derive(Debug, Args)]
@@ -44,7 +44,8 @@ pub struct BenchRenderArgs {
     /// At most this many cameras, evenly chosen
     #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     cameras: u32,
-    /// Also measure the renderer that is trained with, on this device (cpu, wgpu, …)
+    /// Also measure the renderer that is trained with, on this device (cpu, wgpu, …); that alone of a scene whose Gaussians
+    /// are sorted for each pixel (StopThePop)
     #[arg(long, value_name = "NAME")]
     training: Option<DeviceRequest>,
     /// Write the figures as JSON
@@ -78,6 +79,12 @@ struct Row {
 pub fn run(args: &BenchRenderArgs) -> Result<()> {
     let mut scene = Scene::load(&args.scene)?;
     scene.use_pinholes();
+    if scene.is_sorted_by_rays() && args.training.is_none() {
+        let reason =
+            "the real-time renderer does not sort Gaussians for each pixel, as this scene needs it (StopThePop)";
+        let help = "`--training DEVICE` measures the renderer that is trained with, which does";
+        return Err(Failure::with_help(reason.to_owned(), help));
+    }
     let (_, views) = args.views.load(&mut scene)?;
     let cameras: Vec<Camera> =
         every_nth(&views, args.cameras as usize).map(|view| args.size.apply(&view.camera)).collect();
@@ -88,7 +95,7 @@ pub fn run(args: &BenchRenderArgs) -> Result<()> {
         width: args.size.width,
         height: args.size.height,
         cameras: cameras.len(),
-        rows: args.raster(&scene.data, &cameras)?,
+        rows: if scene.is_sorted_by_rays() { Vec::new() } else { args.raster(&scene.data, &cameras)? },
     };
     if let Some(request) = args.training {
         let device = device_choice::select(request)?;

@@ -87,6 +87,7 @@ pub fn run(args: &RenderArgs) -> Result<()> {
     match args.renderer {
         Engine::Raster => {
             scene.use_pinholes();
+            scene.warn_of_order("the real-time renderer sorts");
             let shots = args.shots(&mut scene)?;
             let half_sums = args.preset.is_some_and(RenderingPreset::half_sums);
             args.write(&shots, &mut RasterPainter::new(&scene.data, half_sums)?)

@@ -1,7 +1,9 @@
 use std::convert::Infallible;
 
 use dpges_core::camera::CameraFromWorld;
-use dpges_core::scene::{ColourModel, GaussianData, Rendering, SceneData, SceneInfo, ScreenFilter, SurfelData};
+use dpges_core::scene::{
+    BlendOrder, ColourModel, GaussianData, Rendering, SceneData, SceneInfo, ScreenFilter, SurfelData,
+};
 use dpges_core::testing::scenes::realistic;
 use dpges_render::CameraPath;
 use glam::DVec3;
@@ -112,6 +114,7 @@ fn two_gaussians() -> SceneData {
         colour_model: model,
         rendering: Rendering::Ellipsoids,
         screen_filter: ScreenFilter::Compensated,
+        blend_order: BlendOrder::Centres,
         ..SceneInfo::default()
     };
     SceneData { info, surfels: SurfelData::neutral(model, 0), gaussians, environment: None }

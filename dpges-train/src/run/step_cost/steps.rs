@@ -7,7 +7,7 @@ use burn::tensor::Device;
 use dpges_core::backend::device::is_gpu;
 use dpges_core::camera::Camera;
 use dpges_core::scene::tensors::tensor_to_rows;
-use dpges_core::scene::{Rendering, SceneData};
+use dpges_core::scene::{BlendOrder, Rendering, SceneData};
 use glam::DVec3;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -178,6 +178,7 @@ fn config(scene: &SceneData, stage: StepStage) -> Config {
     config.train.method = match (stage, info.rendering) {
         (StepStage::Joint, _) => Method::Dpges,
         (StepStage::Blended, Rendering::Discs) => Method::Discs,
+        (StepStage::Blended, _) if info.blend_order == BlendOrder::Rays => Method::StopThePop,
         (StepStage::Blended, Rendering::Peeled | Rendering::Ellipsoids) => Method::Mcmc,
     };
     (config.stages.surfels, config.stages.gaussians) = (0.0, 0.0);

@@ -89,7 +89,11 @@ impl BlendedStage {
         Self {
             plan,
             blended,
-            info: SceneInfo { screen_filter: blended.screen_filter(), ..context.scene_info(blended.rendering()) },
+            info: SceneInfo {
+                screen_filter: blended.screen_filter(),
+                blend_order: blended.blend_order(),
+                ..context.scene_info(blended.rendering())
+            },
             schedule: BlendedSchedule::new(config, plan, blended, context.dataset.train.len()),
             surfels: SurfelState::new(
                 &SurfelData::neutral(config.model.colour, 0),

@@ -66,7 +66,7 @@ impl BlendedStage {
             };
         };
         let (by_absolute, dense_fraction) = match kind {
-            Density::Signed => (ByAbsolute::Nothing, density.dense_fraction),
+            Density::Signed | Density::SignedByRays => (ByAbsolute::Nothing, density.dense_fraction),
             Density::Absolute => (ByAbsolute::Splits(density.absolute_threshold), density.absolute_dense_fraction),
             Density::Smoothed => (ByAbsolute::Quantile, density.dense_fraction),
         };

@@ -127,6 +127,7 @@ mod tests {
         let plain = schedule(Method::Gaussians3d, 30_000, 300);
         assert_eq!((&plain.densify, &plain.reset), (&discs.densify, &discs.reset));
         assert!(plain.cap.is_empty() && plain.measure.is_empty());
+        assert_eq!(schedule(Method::StopThePop, 30_000, 300), plain);
         let absolute = schedule(Method::Absolute, 30_000, 300);
         assert_eq!((absolute.cap[0], absolute.cap.last(), absolute.cap.len()), (500, Some(&14_500), 29));
         let smoothed = schedule(Method::MipSplatting, 30_000, 300);

@@ -101,6 +101,7 @@ pub fn run(args: &TradeArgs, style: LogStyle) -> Result<()> {
     let limit = Limit::new(args.time_limit);
     let mut scene = Scene::load(&args.scene)?;
     scene.use_pinholes();
+    scene.warn_of_order("the real-time renderer sorts");
     let device = device_choice::select(args.device)?;
     watched(device, || args.measure(&mut scene, device, &limit, style))
 }

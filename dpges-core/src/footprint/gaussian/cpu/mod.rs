@@ -1,6 +1,8 @@
 //! One Gaussian seen by one camera: its elliptical footprint, the pixels it can reach, and the gradients of
 //! its parameters.
 
+pub mod along_ray;
+
 use crate::backend::real::Real;
 use crate::camera::{Lens, Seen};
 use crate::footprint::CUTOFF;
@@ -199,6 +201,16 @@ impl<T: Real> Splat<T> {
     /// Whether any pixel centre of a rectangle can lie inside the ellipse: `first` column and row, `size`, px.
     #[inline(always)]
     pub fn reaches(&self, first: [usize; 2], size: [usize; 2]) -> bool {
+        let (_, smallest) = self.nearest(first, size);
+        let outside = smallest > self.squared_radius * T::of(1.0 + 1e-4) + T::of(1e-4);
+        // NaN counts as touching
+        !outside
+    }
+
+    /// Where between the pixel centres of a rectangle (`first` column and row, `size`, px) the weight is largest: the offset
+    /// from the mean, px, and u² + v² there.
+    #[inline(always)]
+    pub fn nearest(&self, first: [usize; 2], size: [usize; 2]) -> ([T; 2], T) {
         let [p, q, r] = self.root;
         let nearest = |axis: usize| {
             let low = T::of(first[axis] as f64 + 0.5) - self.mean[axis];
@@ -212,12 +224,11 @@ impl<T: Real> Splat<T> {
             let [u, v] = self.in_deviations(dx, dy);
             u * u + v * v
         };
-        let on_vertical = form(dx, (-p * q * dx / (q * q + r * r)).max(y0).min(y1));
-        let on_horizontal = form((-q * dy / p).max(x0).min(x1), dy);
-        let smallest = on_vertical.min(on_horizontal);
-        let outside = smallest > self.squared_radius * T::of(1.0 + 1e-4) + T::of(1e-4);
-        // NaN counts as touching
-        !outside
+        let beside = (-p * q * dx / (q * q + r * r)).max(y0).min(y1);
+        let below = (-q * dy / p).max(x0).min(x1);
+        let (on_vertical, on_horizontal) = (form(dx, beside), form(below, dy));
+        let offset = if on_horizontal < on_vertical { [below, dy] } else { [dx, beside] };
+        (offset, on_vertical.min(on_horizontal))
     }
 
     /// An offset from the mean, px, in units of the standard deviations: (u, v).

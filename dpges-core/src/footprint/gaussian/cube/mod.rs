@@ -1,5 +1,6 @@
 //! One Gaussian seen by one camera, on the device; the CPU's twin is [`super::cpu`].
 
+pub(crate) mod along_ray;
 pub(crate) mod regions;
 
 use burn::backend::TensorMetadata;
@@ -80,6 +81,12 @@ impl Splat {
 
     /// Whether the ellipse can reach a pixel centre of the rectangle at a column and row of pixels.
     pub fn reaches(&self, column: u32, row: u32, width: u32, height: u32) -> bool {
+        let outside = self.nearest(column, row, width, height).squared > self.beyond();
+        !outside
+    }
+
+    /// Where between the pixel centres of the rectangle at a column and row of pixels the weight is largest.
+    pub fn nearest(&self, column: u32, row: u32, width: u32, height: u32) -> Nearest {
         let (p, q, r) = (self.p, self.q, self.r);
         let x0 = f32::cast_from(column) + 0.5f32 - self.mean_x;
         let y0 = f32::cast_from(row) + 0.5f32 - self.mean_y;
@@ -93,9 +100,24 @@ impl Splat {
         let (horizontal_u, horizontal_v) = (p * below + q * dy, r * dy);
         let on_vertical = vertical_u * vertical_u + vertical_v * vertical_v;
         let on_horizontal = horizontal_u * horizontal_u + horizontal_v * horizontal_v;
-        let outside = min(on_vertical, on_horizontal) > self.beyond();
-        !outside
+        let horizontal = on_horizontal < on_vertical;
+        Nearest {
+            dx: select(horizontal, below, dx),
+            dy: select(horizontal, dy, beside),
+            squared: min(on_vertical, on_horizontal),
+        }
     }
+}
+
+/// A point of a rectangle.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub struct Nearest {
+    /// Offset from the mean, px.
+    pub dx: f32,
+    pub dy: f32,
+    /// u² + v² there.
+    pub squared: f32,
 }
 
 record! {

@@ -5,17 +5,19 @@ use rayon::prelude::*;
 use super::distortion::{self, Spread};
 use super::normal::normal_backward;
 use super::projected::{CameraPair, Group, Layout, Projected, Sums, WORK_ROWS};
+use super::rays::walk_rays;
 use super::walk::{Fragments, Progress, Sorted, Thresholds, group, is_nothing, walk_tile};
 use crate::backend::real::Real;
 use crate::backend::simd::{LANES, vectorised};
 use crate::camera::Camera;
 use crate::footprint::gaussian::cpu::ParameterGrad;
 use crate::footprint::gaussian::tensors::GaussianRows;
-use crate::math::V3;
+use crate::math::{CameraOf, V3};
 use crate::ops::blend::{ALPHA_PLANE, BlendOptions, COLOUR_PLANES, DEPTH_PLANE, DISTORTION_PLANE, NORMAL_PLANE};
+use crate::scene::BlendOrder;
 use crate::tiles::TILE_PIXELS;
-use crate::tiles::for_each_group;
 use crate::tiles::layout::to_tiles;
+use crate::tiles::{for_each_group, group_offsets};
 
 /// Tiles whose sums are held at a time.
 const BATCH: usize = 64;
@@ -40,7 +42,7 @@ impl<T: Real> Scratch<T> {
 
 /// One primitive of a tile's list.
 struct Entry<'a, T, F> {
-    /// A whole number.
+    /// A whole number, in the list of the tile or, in the order of rays, 0.
     position: T,
     footprint: &'a F,
     colour: V3<T>,
@@ -121,16 +123,16 @@ impl<T: Real> WayBack<'_, T> {
         }
     }
 
-    /// Removes one primitive from a group of pixels and adds its gradients to the sums.
+    /// Removes one primitive from a group of pixels, of which `pixel` then has α, z, αT and the gradients. Returns whether
+    /// it was blended in any.
     #[inline(always)]
     fn pass<F: Projected<T>, const MAPS: bool>(
         &mut self,
         entry: &Entry<T, F>,
         start: usize,
         (dx, dy): (&[T; LANES], T),
-        (pixel, work): (&mut [[T; LANES]], &mut [[T; LANES]; WORK_ROWS]),
-        sums: &mut Sums<[T; LANES]>,
-    ) {
+        pixel: &mut [[T; LANES]],
+    ) -> bool {
         let [weight, depth, own, covered, power, grad_depth] = pixel else {
             unreachable!("six rows of lanes");
         };
@@ -141,11 +143,10 @@ impl<T: Real> WayBack<'_, T> {
             weight[lane] = weight[lane] * blended;
         }
         if is_nothing(weight) {
-            return;
+            return false;
         }
         own.fill(T::zero());
-        let of_colour = three(self.grad, 0, start);
-        add_payload(own, of_colour, entry.colour);
+        add_payload(own, three(self.grad, 0, start), entry.colour);
         if MAPS {
             self.add_maps(start, entry.normal, [&*weight, &*depth], own, grad_depth);
         }
@@ -160,16 +161,30 @@ impl<T: Real> WayBack<'_, T> {
             behind[lane] = alpha * own[lane] + (T::one() - alpha) * behind[lane];
             through[lane] = before;
         }
-        add_covered(sums.colour, of_colour, covered);
         if MAPS {
-            add_covered(sums.maps, three(self.grad, NORMAL_PLANE, start), covered);
             for lane in 0..LANES {
                 grad_depth[lane] = covered[lane] * grad_depth[lane];
             }
         }
-        let group = Group { dx, dy, covered, power, depth, grad_depth };
-        entry.footprint.gather::<MAPS>(&group, work, sums);
+        true
     }
+}
+
+/// Adds the gradients of a primitive in a group of pixels to its sums.
+#[inline(always)]
+fn add_group<T: Real, F: Projected<T>, const MAPS: bool>(
+    footprint: &F,
+    grad: &[T],
+    start: usize,
+    group: &Group<T>,
+    work: &mut [[T; LANES]; WORK_ROWS],
+    sums: &mut Sums<[T; LANES]>,
+) {
+    add_covered(sums.colour, three(grad, 0, start), group.covered);
+    if MAPS {
+        add_covered(sums.maps, three(grad, NORMAL_PLANE, start), group.covered);
+    }
+    footprint.gather::<MAPS>(group, work, sums);
 }
 
 /// Sums over the pixels of a tile for the primitives of its list, up to where the last pixel ends, each as
@@ -204,6 +219,7 @@ fn gather_tile<T: Real, F: Projected<T>, const MAPS: bool>(
     let mut way = WayBack { progress, behind, grad, max_alpha, spread, alpha, slope };
     let mut scratch = Scratch::new(layout);
     let Scratch { pixel, work, sums: rows } = &mut scratch;
+    let pixel = pixel.as_mut_slice();
     let work: &mut [[T; LANES]; WORK_ROWS] = work.as_mut_slice().try_into().expect("as many rows");
     for (position, sums) in sums.chunks_exact_mut(width).enumerate().rev() {
         let id = list[position] as usize;
@@ -217,8 +233,98 @@ fn gather_tile<T: Real, F: Projected<T>, const MAPS: bool>(
             &sorted.rects[id],
             origin,
             #[inline(always)]
-            |start, dx, dy| way.pass::<F, MAPS>(&entry, start, (&dx, dy), (&mut pixel[..], &mut *work), &mut parts),
+            |start, dx, dy| {
+                if way.pass::<F, MAPS>(&entry, start, (&dx, dy), &mut pixel[..]) {
+                    let [_, depth, _, covered, power, grad_depth] = &*pixel else { unreachable!("six rows of lanes") };
+                    let group = Group { dx: &dx, dy, covered, power, depth, grad_depth };
+                    add_group::<T, F, MAPS>(footprint, grad, start, &group, work, &mut parts);
+                }
+            },
         );
+        for (sum, row) in sums.iter_mut().zip(rows.iter()) {
+            *sum = total(row);
+        }
+    }
+    sums
+}
+
+/// What the pixels of a tile say about an entry of its list: αT, gradient of the exponent, gradient of z.
+type Said<T> = [[T; TILE_PIXELS]; 3];
+
+/// [`gather_tile`] in the order of each pixel's own ray: first back through every pixel by itself, then over the pixels of
+/// every primitive.
+fn gather_tile_by_rays<T: Real, F: Projected<T>, const MAPS: bool>(
+    sorted: &Sorted<T, F>,
+    camera: &CameraOf<T>,
+    tile: usize,
+    grad: &[T],
+    layout: &Layout,
+    thresholds: &Thresholds<T>,
+    slope: T,
+) -> Vec<T> {
+    let mut spread = Spread::new(slope);
+    let mut orders: Vec<Vec<usize>> = vec![Vec::new(); TILE_PIXELS];
+    let through = walk_rays(sorted, camera, tile, thresholds, |position, pixel, fragments| {
+        if MAPS {
+            let Fragments { covered, through, depth, .. } = fragments;
+            spread.add(pixel / LANES * LANES, covered, through, depth);
+        }
+        orders[pixel].push(position);
+    });
+    let entries = orders.iter().flatten().max().map_or(0, |last| last + 1);
+    let (list, origin, width) = (sorted.lists.of(tile), sorted.grid.origin(tile), layout.width());
+    let entry = |position: usize| {
+        let id = list[position] as usize;
+        let footprint = &sorted.footprints[id];
+        let normal = if MAPS { sorted.normals[id] } else { [T::zero(); 3] };
+        Entry { position: T::zero(), footprint, colour: footprint.colour(), normal }
+    };
+    let of_alpha = &grad[ALPHA_PLANE * TILE_PIXELS..][..TILE_PIXELS];
+    let mut way = WayBack {
+        progress: Progress::ended(through),
+        behind: std::array::from_fn(|pixel| -of_alpha[pixel]),
+        grad,
+        max_alpha: thresholds.max_alpha,
+        spread,
+        alpha: std::array::from_fn(|pixel| T::one() - through[pixel]),
+        slope,
+    };
+    let mut scratch = Scratch::new(layout);
+    let Scratch { pixel: rows_of_pixel, work, sums: rows } = &mut scratch;
+    let rows_of_pixel = rows_of_pixel.as_mut_slice();
+    let mut said: Vec<Said<T>> = vec![[[T::zero(); TILE_PIXELS]; 3]; entries];
+    for (pixel, order) in orders.iter().enumerate() {
+        let (start, lane) = (pixel / LANES * LANES, pixel % LANES);
+        // the only pixel of its group that has not ended
+        way.progress.end[pixel] = T::one();
+        for &position in order.iter().rev() {
+            let entry = entry(position);
+            let (dx, dy) = group_offsets(entry.footprint.anchor(), origin, start);
+            if way.pass::<F, MAPS>(&entry, start, (&dx, dy), rows_of_pixel) {
+                let [_, _, _, covered, power, grad_depth] = &*rows_of_pixel else {
+                    unreachable!("six rows of lanes");
+                };
+                for (said, row) in said[position].iter_mut().zip([covered, power, grad_depth]) {
+                    said[pixel] = row[lane];
+                }
+            }
+        }
+        way.progress.end[pixel] = T::zero();
+    }
+    let work: &mut [[T; LANES]; WORK_ROWS] = work.as_mut_slice().try_into().expect("as many rows");
+    let mut sums = vec![T::zero(); entries * width];
+    for (position, (sums, said)) in sums.chunks_exact_mut(width).zip(&said).enumerate() {
+        let Entry { footprint, .. } = entry(position);
+        rows.fill([T::zero(); LANES]);
+        let mut parts = layout.split(rows);
+        let depth = [footprint.centre_depth(); LANES];
+        for_each_group(footprint.anchor(), &sorted.rects[list[position] as usize], origin, |start, dx, dy| {
+            let [covered, power, grad_depth] = said.each_ref().map(|said| lanes(said, start));
+            if !is_nothing(covered) {
+                let group = Group { dx: &dx, dy, covered, power, depth: &depth, grad_depth };
+                add_group::<T, F, MAPS>(footprint, grad, start, &group, work, &mut parts);
+            }
+        });
         for (sum, row) in sums.iter_mut().zip(rows.iter()) {
             *sum = total(row);
         }
@@ -239,9 +345,10 @@ fn gather<T: Real, F: Projected<T>>(
     sorted: &Sorted<T, F>,
     grad: &[T],
     layout: &Layout,
-    slope: T,
+    camera: &CameraOf<T>,
     options: &BlendOptions,
 ) -> Vec<T> {
+    let slope = distortion::slope(camera);
     let (thresholds, width) = (Thresholds::new(options), layout.width());
     let grad = to_tiles(grad, options.planes(), sorted.grid, T::zero());
     let block = options.planes() * TILE_PIXELS;
@@ -253,12 +360,23 @@ fn gather<T: Real, F: Projected<T>>(
         vectorised(
             #[inline(always)]
             || {
-                if reached(of_maps) {
-                    gather_tile::<T, F, true>(sorted, tile, grad, layout, &thresholds, slope)
-                } else if reached(of_colour) {
-                    gather_tile::<T, F, false>(sorted, tile, grad, layout, &thresholds, slope)
-                } else {
-                    Vec::new()
+                let maps = reached(of_maps);
+                if !maps && !reached(of_colour) {
+                    return Vec::new();
+                }
+                match (options.order, maps) {
+                    (BlendOrder::Centres, true) => {
+                        gather_tile::<T, F, true>(sorted, tile, grad, layout, &thresholds, slope)
+                    }
+                    (BlendOrder::Centres, false) => {
+                        gather_tile::<T, F, false>(sorted, tile, grad, layout, &thresholds, slope)
+                    }
+                    (BlendOrder::Rays, true) => {
+                        gather_tile_by_rays::<T, F, true>(sorted, camera, tile, grad, layout, &thresholds, slope)
+                    }
+                    (BlendOrder::Rays, false) => {
+                        gather_tile_by_rays::<T, F, false>(sorted, camera, tile, grad, layout, &thresholds, slope)
+                    }
                 }
             },
         )
@@ -304,7 +422,7 @@ pub fn backward<T: Real, F: Projected<T>>(
     let view = CameraPair::<T>::new(camera, options.filter);
     let sorted = Sorted::<T, F>::new(gaussians, &view, options);
     let layout = Layout { footprint: F::SUMS, probe: probed, maps: options.maps };
-    let mut sums = gather(&sorted, grad, &layout, distortion::slope(&view.camera), options);
+    let mut sums = gather(&sorted, grad, &layout, &view.camera, options);
     let [half_width, half_height] = [camera.width, camera.height].map(|size| T::of(0.5 * size as f64));
     let units = [half_width, half_height, half_width, half_height];
     let to_parameters = |(at, sums): (usize, &mut [T])| {

@@ -4,6 +4,7 @@ use crate::backend::real::Real;
 use crate::backend::simd::LANES;
 use crate::camera::Camera;
 use crate::footprint::gaussian::cpu as splat;
+use crate::footprint::gaussian::cpu::along_ray::AlongRay;
 use crate::footprint::gaussian::cpu::{ParameterGrad, Parameters, Splat, SplatGrad};
 use crate::footprint::moments::{MOMENTS, add_moments};
 use crate::math::{CameraOf, V3, add, scale};
@@ -96,6 +97,11 @@ pub trait Projected<T: Real>: Copy + Send + Sync {
     /// Point that offsets are counted from, px.
     fn anchor(&self) -> [T; 2];
 
+    /// How rays meet it; `None` of a form that is not ordered by them.
+    fn along_ray(&self, _: &CameraOf<T>, _: &Parameters<T>) -> Option<AlongRay<T>> {
+        None
+    }
+
     /// Pixels at which α can reach the cutoff.
     fn reach(&self, grid: TileGrid) -> PixelRect;
 
@@ -147,6 +153,10 @@ impl<T: Real> Projected<T> for Ellipse<T> {
     #[inline(always)]
     fn anchor(&self) -> [T; 2] {
         self.0.mean
+    }
+
+    fn along_ray(&self, camera: &CameraOf<T>, parameters: &Parameters<T>) -> Option<AlongRay<T>> {
+        Some(AlongRay::new(camera, parameters, self.0))
     }
 
     fn reach(&self, grid: TileGrid) -> PixelRect {

@@ -1,4 +1,4 @@
-//! Primitives sorted by depth, and the walk through a tile from front to back.
+//! Primitives sorted by depth, and the walk through a tile from front to back in that order.
 
 use rayon::prelude::*;
 
@@ -6,9 +6,11 @@ use super::normal::normal;
 use super::projected::{CameraPair, Projected};
 use crate::backend::real::Real;
 use crate::backend::simd::LANES;
+use crate::footprint::gaussian::cpu::along_ray::AlongRay;
 use crate::footprint::gaussian::tensors::GaussianRows;
 use crate::math::V3;
 use crate::ops::blend::BlendOptions;
+use crate::scene::BlendOrder;
 use crate::tiles::binning::cpu::{TileLists, bin};
 use crate::tiles::for_each_group;
 use crate::tiles::{PixelRect, TILE, TILE_PIXELS, TileGrid};
@@ -23,6 +25,8 @@ pub struct Sorted<T, F> {
     pub footprints: Vec<F>,
     /// Facing the camera, camera axes; empty without maps.
     pub normals: Vec<V3<T>>,
+    /// Empty in the order of centres.
+    pub along: Vec<AlongRay<T>>,
     pub rects: Vec<PixelRect>,
     pub grid: TileGrid,
     /// Positions in this order; ascending, thus front to back.
@@ -45,9 +49,18 @@ impl<T: Real, F: Projected<T>> Sorted<T, F> {
             normal(&view.camera, &parameters, F::normal_axis(&parameters))
         };
         let normals = if options.maps { rows.par_iter().map(normal_of).collect() } else { Vec::new() };
+        let along = match options.order {
+            BlendOrder::Centres => Vec::new(),
+            BlendOrder::Rays => {
+                let along = |(row, footprint): (&usize, &F)| {
+                    footprint.along_ray(&view.camera, &gaussians.parameters(*row)).expect("only ellipsoids")
+                };
+                rows.par_iter().zip(&footprints).map(along).collect()
+            }
+        };
         let rects: Vec<PixelRect> = footprints.par_iter().map(|footprint| footprint.reach(grid)).collect();
         let lists = bin(&rects, grid, |i, tx, ty| footprints[i].touches(tx, ty));
-        Self { rows, footprints, normals, rects, grid, lists }
+        Self { rows, footprints, normals, along, rects, grid, lists }
     }
 }
 
@@ -87,6 +100,12 @@ impl<T: Real> Progress<T> {
         progress
     }
 
+    /// All pixels have ended, with T `through`.
+    pub fn ended(through: [T; TILE_PIXELS]) -> Self {
+        let zero = [T::zero(); TILE_PIXELS];
+        Self { through, open: zero, end: zero }
+    }
+
     /// Entry before which all pixels have ended.
     #[inline(always)]
     pub fn last_end(&self) -> usize {
@@ -109,6 +128,22 @@ pub struct Fragments<T> {
     pub covered: [T; LANES],
     /// T behind it.
     pub through: [T; LANES],
+}
+
+impl<T: Real> Fragments<T> {
+    pub fn nothing() -> Self {
+        let (zero, one) = ([T::zero(); LANES], [T::one(); LANES]);
+        Self { weight: zero, depth: one, covered: zero, through: one }
+    }
+
+    /// Sets the only fragment.
+    pub fn set(&mut self, lane: usize, covered: T, through: T, depth: T) {
+        (self.covered[lane], self.through[lane], self.depth[lane]) = (covered, through, depth);
+    }
+
+    pub fn clear(&mut self, lane: usize) {
+        self.set(lane, T::zero(), T::one(), T::one());
+    }
 }
 
 /// Goes through a tile front to back. Calls `visit(position, start, fragments)` for every group of lanes in which a

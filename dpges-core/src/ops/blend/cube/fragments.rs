@@ -5,10 +5,10 @@ use burn_cubecl::CubeBackend;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
-use super::order::depth_order;
+use super::order::{depth_order, tile_keys};
 use crate::camera::Camera;
 use crate::footprint::gaussian::cube as splat_cube;
-use crate::footprint::gaussian::cube::{CUTOFF_F32, INVERSE_CUTOFF, SPLAT, Splat};
+use crate::footprint::gaussian::cube::{CUTOFF_F32, INVERSE_CUTOFF, SPLAT, Splat, along_ray};
 use crate::footprint::gaussian::tensors::GaussianTensors;
 use crate::footprint::surfel::cube as disc_cube;
 use crate::footprint::surfel::cube::{
@@ -17,12 +17,14 @@ use crate::footprint::surfel::cube::{
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, empty_u32, units};
 use crate::gpu::record::{Record, record};
 use crate::gpu::rect::Rect;
-use crate::gpu::vector::{Mat3, Vec3, apply, dot, rotation, row3, row4, scale, transpose, vec3};
-use crate::gpu::view::{CameraUniforms, Rests, pixel_range, to_camera, view_depth, view_rotation};
+use crate::gpu::sort::sorted_pairs;
+use crate::gpu::vector::{Mat3, Vec3, dot, rotation, row3, row4, scale, vec3};
+use crate::gpu::view::{CameraUniforms, Rests, camera_axes, pixel_range, to_camera, view_depth};
 use crate::ops::blend::{BlendLists, BlendOptions, Form};
+use crate::scene::BlendOrder;
 use crate::tiles::TileGrid;
 use crate::tiles::binning::capacity::ListKind;
-use crate::tiles::binning::cube::{Ellipses, Pairs, pairs};
+use crate::tiles::binning::cube::{Ellipses, Pairs, by_tile, pairs};
 
 /// The low-pass filter is centred in the bounding box of the disc at this squared radius, σ² (2DGS).
 pub const LOW_PASS_SQUARED_RADIUS: f32 = 9.0;
@@ -93,13 +95,6 @@ fn row_of(m: Mat3, row: u32) -> Vec3 {
         select(first, m.row0.y, select(second, m.row1.y, m.row2.y)),
         select(first, m.row0.z, select(second, m.row1.z, m.row2.z)),
     )
-}
-
-/// Axes of a primitive in camera space, by rows.
-#[cube]
-pub fn camera_axes(view: CameraUniforms, world: Mat3) -> Mat3 {
-    let (pose, axes) = (view_rotation(view), transpose(world));
-    Mat3 { row0: apply(pose, axes.row0), row1: apply(pose, axes.row1), row2: apply(pose, axes.row2) }
 }
 
 /// The row of `axes`, in camera space, that is the normal.
@@ -264,6 +259,8 @@ pub struct Fragments {
     pub shapes: CubeTensor,
     /// [M, [`FEATURES`]]
     pub features: CubeTensor,
+    /// What [`along_ray::table`] gives; `None` in the order of centres.
+    by_rays: Option<CubeTensor>,
 }
 
 /// Writes the numbers from 0 on.
@@ -275,13 +272,13 @@ fn numbers_kernel(numbers: &mut [u32], count: u32) {
     numbers[ABSOLUTE_POS] = ABSOLUTE_POS as u32;
 }
 
-/// The primitive of every pair.
+/// The value of every pair.
 #[cube(launch)]
-fn primitives_kernel(primitives: &[u32], pairs: &[u32], out: &mut [u32], count: u32) {
+fn picked_kernel(values: &[u32], pairs: &[u32], out: &mut [u32], count: u32) {
     if ABSOLUTE_POS >= count as usize {
         terminate!();
     }
-    out[ABSOLUTE_POS] = primitives[pairs[ABSOLUTE_POS] as usize];
+    out[ABSOLUTE_POS] = values[pairs[ABSOLUTE_POS] as usize];
 }
 
 impl Fragments {
@@ -300,7 +297,16 @@ impl Fragments {
             }
             Form::Discs => pairs(&rects, None, camera, ListKind::Discs),
         };
-        (fragments, lists(order, &found, grid))
+        let keys = fragments.by_rays.as_ref().map(|table| tile_keys(table, &found, camera));
+        (fragments, lists(order, &found, keys, grid))
+    }
+
+    /// How rays meet every primitive.
+    ///
+    /// # Panics
+    /// In the order of centres.
+    pub fn by_rays(&self) -> &CubeTensor {
+        self.by_rays.as_ref().expect("in the order of rays")
     }
 
     /// Fragments in a known `order`, and [M, 4] the pixel rectangles of the primitives.
@@ -350,27 +356,45 @@ impl Fragments {
                 (planes.planes, planes.rects)
             }
         };
-        (Self { shapes, features }, rects)
+        let by_rays = match options.order {
+            BlendOrder::Centres => None,
+            BlendOrder::Rays => Some(along_ray::table(gaussians, order, &shapes, camera)),
+        };
+        (Self { shapes, features, by_rays }, rects)
     }
 }
 
-/// The lists of all tiles, in the order of the primitives and thus front to back.
-fn lists(order: CubeTensor, found: &Pairs, grid: TileGrid) -> BlendLists<CubeBackend> {
+/// The lists of all tiles, in the order of the primitives and thus front to back, or by the `keys` of the pairs and then in
+/// that order.
+fn lists(order: CubeTensor, found: &Pairs, keys: Option<CubeTensor>, grid: TileGrid) -> BlendLists<CubeBackend> {
     let (client, count) = (order.client.clone(), found.primitives.shape()[0]);
     let numbers = empty_u32(&order, [count]);
     numbers_kernel::launch(&client, units(count), cube_dim(), buffer(&numbers), count as u32);
-    let (pairs, offsets) = found.by_tile(&numbers, grid);
-    let primitives = empty_u32(&order, [count]);
-    primitives_kernel::launch(
-        &client,
+    let (pairs, offsets) = match keys {
+        None => found.by_tile(&numbers, grid),
+        Some(keys) => {
+            let (_, numbers) = sorted_pairs(keys, numbers, u32::BITS);
+            by_tile(picked(found.tiles(), &numbers), numbers, grid)
+        }
+    };
+    let primitives = picked(&found.primitives, &pairs);
+    BlendLists { order, starts: found.starts.clone(), pairs, primitives, offsets }
+}
+
+/// The values of every pair, in the order of `pairs`.
+fn picked(values: &CubeTensor, pairs: &CubeTensor) -> CubeTensor {
+    let count = pairs.shape()[0];
+    let out = empty_u32(pairs, [count]);
+    picked_kernel::launch(
+        &pairs.client.clone(),
         units(count),
         cube_dim(),
-        buffer(&found.primitives),
-        buffer(&pairs),
-        buffer(&primitives),
+        buffer(values),
+        buffer(pairs),
+        buffer(&out),
         count as u32,
     );
-    BlendLists { order, starts: found.starts.clone(), pairs, primitives, offsets }
+    out
 }
 
 pub fn discs(gaussians: &GaussianTensors<CubeBackend>) -> DiscTensors<'_> {

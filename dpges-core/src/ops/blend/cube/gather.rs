@@ -1,7 +1,9 @@
 //! Sums over the pixels of every primitive. One cube per tile goes front to back like the forward pass, then
 //! back to front, where a division by 1 − α recovers T. Every entry of the list of a tile has a slot for the
 //! sums over the pixels of the tile, and slots are added in the order of the tiles. Where the slots of all tiles
-//! exceed the largest buffer, some tiles are handled after the others.
+//! exceed the largest buffer, some tiles are handled after the others. In the order of rays, whose pixels go back by
+//! themselves, the slots are sums of what each says about each entry, and the tiles are handled as many at a time as there is
+//! room for that.
 
 use std::ops::Range;
 
@@ -11,7 +13,9 @@ use burn_cubecl::CubeBackend;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
+use super::back::{Spread, go_back, pixel_grad};
 use super::fragments::{FEATURES, Fragments, LOW_PASS, LowPass, Payload, TANGENTS, Tangents, fragment, on_ellipse};
+use super::rays::{Said, replay, said_at, said_numbers};
 use super::{FIRST_MOMENT, REFERENCE, SECOND_MOMENT, STATE, THROUGH, TOTAL, Thresholds, add_fragment};
 use crate::camera::Camera;
 use crate::counters::transfers::{download, wait};
@@ -28,6 +32,7 @@ use crate::gpu::record::Record;
 use crate::gpu::tile::{Pixel, REGIONS, own_pixel, pixel_of, plane_of};
 use crate::gpu::view::CameraUniforms;
 use crate::ops::blend::{BlendLists, BlendOptions, Form};
+use crate::scene::BlendOrder;
 use crate::tiles::TileGrid;
 use crate::tiles::binning::cube::TileList;
 use crate::tiles::capacity::exceed;
@@ -193,6 +198,87 @@ fn add_pixel(
     }
 }
 
+/// Sums over the pixels of a tile for the last [`ENTRIES`] before place `top` of its list, which begins at `start` and has
+/// its sums from `slot` on, or for as many as there are. `partial` has what each pixel says about them, [[`ENTRIES`],
+/// [`NUMBERS`], [`UNITS`]]. All units of the cube must call this together.
+#[cube]
+fn fold_entries(
+    partial: &mut [f32],
+    folded: &mut [f32],
+    own: &mut Array<f32>,
+    sums: &mut [f32],
+    shapes: &[f32],
+    features: &[f32],
+    ids: &[u32],
+    grad: &[f32],
+    start: u32,
+    top: u32,
+    slot: u32,
+    tile: u32,
+    view: CameraUniforms,
+    #[comptime] layout: Layout,
+) {
+    let width = comptime!(layout.width());
+    let groups = comptime!(layout.width().div_ceil(GROUP));
+    let unit = UNIT_POS as usize;
+    let entries = min(top, ENTRIES);
+    // some units sum over the pixels of each entry
+    let (entry, member) = (UNIT_POS / SHARE, UNIT_POS % SHARE);
+    #[unroll]
+    for s in 0..width {
+        own[s] = 0.0f32;
+    }
+    if entry < entries {
+        let i = ids[(start + top - 1u32 - entry) as usize] as usize;
+        for step in 0..ENTRIES {
+            let other = step * SHARE + member;
+            let at = entry as usize * NUMBERS * UNITS as usize + other as usize;
+            let signed = partial[at + UNITS as usize];
+            if signed != 0.0f32 {
+                let covered = f32::abs(signed);
+                let seen = Seen {
+                    power: partial[at],
+                    covered,
+                    grad_depth: partial[at + 2 * UNITS as usize],
+                    by_plane: select(signed > 0.0f32, 1.0f32, 0.0f32),
+                };
+                add_pixel(own, shapes, features, i, grad, pixel_of(view, tile, other), seen, view, layout);
+            }
+        }
+    }
+    sync_cube();
+
+    #[unroll]
+    for group in 0..groups {
+        #[unroll]
+        for s in 0..GROUP {
+            if comptime!(group * GROUP + s < width) {
+                partial[s * UNITS as usize + unit] = own[group * GROUP + s];
+            }
+        }
+        sync_cube();
+        // several units fold each sum, then one unit
+        if unit < UNITS as usize / FOLD * GROUP {
+            let mut part = 0.0f32;
+            for k in 0..FOLD {
+                part += partial[unit * FOLD + k];
+            }
+            folded[unit] = part;
+        }
+        sync_cube();
+        let number = unit / ENTRIES as usize;
+        let of_entry = UNIT_POS % ENTRIES;
+        if number < GROUP && comptime!(group * GROUP) + number < width && of_entry < entries {
+            let mut sum = 0.0f32;
+            for k in 0..PARTS {
+                sum += folded[number * (UNITS as usize / FOLD) + of_entry as usize * PARTS + k];
+            }
+            let target = (slot + top - 1u32 - of_entry) as usize * width;
+            sums[target + comptime!(group * GROUP) + number] = sum;
+        }
+    }
+}
+
 #[cube(launch)]
 fn gather_kernel(
     shapes: &[f32],
@@ -213,9 +299,7 @@ fn gather_kernel(
     }
     let form = comptime!(layout.form);
     let width = comptime!(layout.width());
-    let groups = comptime!(layout.width().div_ceil(GROUP));
     let unit = UNIT_POS as usize;
-    let plane = plane_of(view);
 
     // the list of the tile, and the place of the first slot
     let mut range = Shared::<[u32]>::new_slice(3usize);
@@ -282,8 +366,12 @@ fn gather_kernel(
         }
     }
     let mut through = state[THROUGH];
-    let (reference, total) = (state[REFERENCE], state[TOTAL]);
-    let (first_moment, second_moment) = (state[FIRST_MOMENT], state[SECOND_MOMENT]);
+    let spread = Spread {
+        reference: state[REFERENCE],
+        total: state[TOTAL],
+        first_moment: state[FIRST_MOMENT],
+        second_moment: state[SECOND_MOMENT],
+    };
 
     ends[unit] = end;
     #[unroll]
@@ -296,25 +384,9 @@ fn gather_kernel(
     }
     let furthest = workgroup_uniform_load(&ends[0]);
 
-    let red = grad[pixel];
-    let green = grad[pixel + plane];
-    let blue = grad[pixel + 2 * plane];
-    let mut of_depth = 0.0f32;
-    let mut of_x = 0.0f32;
-    let mut of_y = 0.0f32;
-    let mut of_z = 0.0f32;
-    let mut of_distortion = 0.0f32;
-    if comptime!(layout.maps) {
-        of_depth = grad[pixel + 4 * plane];
-        of_x = grad[pixel + 5 * plane];
-        of_y = grad[pixel + 6 * plane];
-        of_z = grad[pixel + 7 * plane];
-        of_distortion = grad[pixel + 8 * plane];
-    }
-
     // back to front; derivative with respect to T behind the fragment that is next
-    let of_alpha = grad[pixel + 3 * plane];
-    let mut behind = -of_alpha;
+    let of = pixel_grad(grad, pixel, view, layout.maps);
+    let mut behind = -of.alpha;
     let rounds = furthest.div_ceil(ENTRIES);
     for round in 0..rounds {
         let top = furthest - round * ENTRIES;
@@ -332,27 +404,13 @@ fn gather_kernel(
                 let found = fragment(shapes, features, i, x, y, view.near, form);
                 if found.weight > 0.0f32 {
                     let payload = Payload::load(features, i * FEATURES);
-                    let alpha = min(found.weight, thresholds.max_alpha);
-                    let before = through / (1.0f32 - alpha);
-                    covered = alpha * before;
+                    let back = go_back(found, payload, through, behind, of, spread, thresholds, layout.maps);
+                    power = back.power;
+                    covered = back.covered;
+                    grad_depth = back.grad_depth;
                     by_plane = found.by_plane;
-                    let colour = payload.colour;
-                    let mut value = colour.x * red + colour.y * green + colour.z * blue;
-                    if comptime!(layout.maps) {
-                        let inverse = 1.0f32 / found.depth;
-                        let mapped = thresholds.slope * (reference - inverse);
-                        let spread = mapped * mapped * total + second_moment - 2.0f32 * mapped * first_moment;
-                        let of_mapped = of_distortion * 2.0f32 * (mapped * total - first_moment);
-                        value += of_depth * found.depth + of_distortion * spread;
-                        value += payload.normal.x * of_x;
-                        value += payload.normal.y * of_y;
-                        value += payload.normal.z * of_z;
-                        grad_depth = covered * (of_depth + of_mapped * thresholds.slope * inverse * inverse);
-                    }
-                    // a capped α has no gradient
-                    power = select(found.weight < thresholds.max_alpha, covered * (value - behind), 0.0f32);
-                    behind = alpha * value + (1.0f32 - alpha) * behind;
-                    through = before;
+                    through = back.through;
+                    behind = back.behind;
                 }
             }
             let at = entry as usize * NUMBERS * UNITS as usize + unit;
@@ -363,63 +421,101 @@ fn gather_kernel(
         }
         sync_cube();
 
-        // some units sum over the pixels of each entry
-        let (entry, member) = (UNIT_POS / SHARE, UNIT_POS % SHARE);
-        #[unroll]
-        for s in 0..width {
-            own[s] = 0.0f32;
-        }
-        if entry < entries {
-            let i = ids[(start + top - 1u32 - entry) as usize] as usize;
-            for step in 0..ENTRIES {
-                let other = step * SHARE + member;
-                let at = entry as usize * NUMBERS * UNITS as usize + other as usize;
-                let signed = partial[at + UNITS as usize];
-                if signed != 0.0f32 {
-                    let covered = f32::abs(signed);
-                    let seen = Seen {
-                        power: partial[at],
-                        covered,
-                        grad_depth: partial[at + 2 * UNITS as usize],
-                        by_plane: select(signed > 0.0f32, 1.0f32, 0.0f32),
-                    };
-                    add_pixel(&mut own, shapes, features, i, grad, pixel_of(view, tile, other), seen, view, layout);
-                }
+        fold_entries(
+            &mut partial,
+            &mut folded,
+            &mut own,
+            sums,
+            shapes,
+            features,
+            ids,
+            grad,
+            start,
+            top,
+            slot,
+            tile,
+            view,
+            layout,
+        );
+    }
+    // entries behind the ends of all pixels
+    let mut at = furthest as usize * width + unit;
+    while at < length as usize * width {
+        sums[slot as usize * width + at] = 0.0f32;
+        at += UNITS as usize;
+    }
+}
+
+/// [`gather_kernel`] in the order of each pixel's own ray, of ellipsoids: what pixels say about the entries of a band of
+/// tiles is known.
+#[cube(launch)]
+fn gather_said_kernel(
+    shapes: &[f32],
+    offsets: &[u32],
+    ids: &[u32],
+    grad: &[f32],
+    said: &[f32],
+    said_ends: &[u32],
+    sums: &mut [f32],
+    view: CameraUniforms,
+    first_tile: u32,
+    end_tile: u32,
+    #[comptime] layout: Layout,
+) {
+    let tile = first_tile + CUBE_POS as u32;
+    if tile >= end_tile {
+        terminate!();
+    }
+    let width = comptime!(layout.width());
+    let numbers = comptime!(said_numbers(layout.maps));
+    let unit = UNIT_POS as usize;
+    let mut range = Shared::<[u32]>::new_slice(4usize);
+    if UNIT_POS == 0u32 {
+        range[0] = offsets[tile as usize];
+        range[1] = offsets[(tile + 1u32) as usize];
+        range[2] = offsets[first_tile as usize];
+        range[3] = said_ends[tile as usize];
+    }
+    let start = workgroup_uniform_load(&range[0]);
+    let length = workgroup_uniform_load(&range[1]) - start;
+    let slot = start - workgroup_uniform_load(&range[2]);
+    let furthest = workgroup_uniform_load(&range[3]);
+    let mut partial = Shared::<[f32]>::new_slice(comptime!(UNITS as usize * GROUP));
+    let mut folded = Shared::<[f32]>::new_slice(comptime!(UNITS as usize / FOLD * GROUP));
+    let mut own = Array::<f32>::new(width);
+    let rounds = furthest.div_ceil(ENTRIES);
+    for round in 0..rounds {
+        let top = furthest - round * ENTRIES;
+        for entry in 0..min(top, ENTRIES) {
+            let from = said_at(slot + top - 1u32 - entry, numbers);
+            let at = entry as usize * NUMBERS * UNITS as usize + unit;
+            #[unroll]
+            for number in 0..numbers {
+                partial[at + number * UNITS as usize] = said[from + number * UNITS as usize];
+            }
+            if comptime!(!layout.maps) {
+                partial[at + 2 * UNITS as usize] = 0.0f32;
             }
         }
         sync_cube();
-
-        #[unroll]
-        for group in 0..groups {
-            #[unroll]
-            for s in 0..GROUP {
-                if comptime!(group * GROUP + s < width) {
-                    partial[s * UNITS as usize + unit] = own[group * GROUP + s];
-                }
-            }
-            sync_cube();
-            // several units fold each sum, then one unit
-            if unit < UNITS as usize / FOLD * GROUP {
-                let mut part = 0.0f32;
-                for k in 0..FOLD {
-                    part += partial[unit * FOLD + k];
-                }
-                folded[unit] = part;
-            }
-            sync_cube();
-            let number = unit / ENTRIES as usize;
-            let of_entry = UNIT_POS % ENTRIES;
-            if number < GROUP && comptime!(group * GROUP) + number < width && of_entry < entries {
-                let mut sum = 0.0f32;
-                for k in 0..PARTS {
-                    sum += folded[number * (UNITS as usize / FOLD) + of_entry as usize * PARTS + k];
-                }
-                let target = (slot + top - 1u32 - of_entry) as usize * width;
-                sums[target + comptime!(group * GROUP) + number] = sum;
-            }
-        }
+        // ellipsoids have no features that sums need
+        fold_entries(
+            &mut partial,
+            &mut folded,
+            &mut own,
+            sums,
+            shapes,
+            shapes,
+            ids,
+            grad,
+            start,
+            top,
+            slot,
+            tile,
+            view,
+            layout,
+        );
     }
-    // entries behind the ends of all pixels
     let mut at = furthest as usize * width + unit;
     while at < length as usize * width {
         sums[slot as usize * width + at] = 0.0f32;
@@ -527,28 +623,54 @@ pub fn gather(
     let (tiles, width) = (TileGrid::new(camera.width, camera.height).len(), layout.width());
     let places = empty_u32(grad, [pairs]);
     places_kernel::launch(&client, units(pairs), cube_dim(), buffer(&lists.pairs), buffer(&places), pairs as u32);
-    let most = largest_buffer(grad) / (size_of::<f32>() * width);
-    let slots = empty_f32(grad, [pairs.min(most), width]);
+    let (most, per_entry) = match options.order {
+        BlendOrder::Centres => (largest_buffer(grad) / (size_of::<f32>() * width), width),
+        BlendOrder::Rays => (Said::most_entries(grad, layout.maps), Said::width(layout.maps)),
+    };
+    let room = pairs.min(most);
+    let slots = empty_f32(grad, [room, width]);
+    let said = (options.order == BlendOrder::Rays).then(|| Said::new(grad, room, tiles, layout.maps));
     let parts = [(0, layout.shape()), (layout.shape(), layout.rest())];
     let sums = parts.map(|(_, taken)| empty_f32(grad, [count, taken]));
-    for band in bands(&lists.offsets, pairs, tiles, most, width) {
+    for band in bands(&lists.offsets, pairs, tiles, most, per_entry) {
         let [first_tile, end_tile] = [band.start, band.end].map(|tile| tile as u32);
-        gather_kernel::launch(
-            &client,
-            cubes(band.len()),
-            cube_dim(),
-            buffer(&fragments.shapes),
-            buffer(&fragments.features),
-            buffer(&lists.offsets),
-            buffer(&lists.primitives),
-            buffer(grad),
-            buffer(&slots),
-            CameraUniforms::launch(camera),
-            Thresholds::launch(camera, options),
-            first_tile,
-            end_tile,
-            layout,
-        );
+        match &said {
+            None => gather_kernel::launch(
+                &client,
+                cubes(band.len()),
+                cube_dim(),
+                buffer(&fragments.shapes),
+                buffer(&fragments.features),
+                buffer(&lists.offsets),
+                buffer(&lists.primitives),
+                buffer(grad),
+                buffer(&slots),
+                CameraUniforms::launch(camera),
+                Thresholds::launch(camera, options),
+                first_tile,
+                end_tile,
+                layout,
+            ),
+            Some(said) => {
+                replay(fragments, lists, grad, said, [first_tile, end_tile], camera, options);
+                gather_said_kernel::launch(
+                    &client,
+                    cubes(band.len()),
+                    cube_dim(),
+                    buffer(&fragments.shapes),
+                    buffer(&lists.offsets),
+                    buffer(&lists.primitives),
+                    buffer(grad),
+                    buffer(&said.numbers),
+                    buffer(&said.ends),
+                    buffer(&slots),
+                    CameraUniforms::launch(camera),
+                    first_tile,
+                    end_tile,
+                    layout,
+                );
+            }
+        }
         for ((first, taken), sums) in parts.into_iter().zip(&sums) {
             collect_kernel::launch(
                 &client,

@@ -5,7 +5,7 @@ use burn_cubecl::CubeBackend;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
-use super::fragments::{LOW_PASS_SQUARED_RADIUS as K, camera_axes, discs, facing_sign, normal_axis, own_normal};
+use super::fragments::{LOW_PASS_SQUARED_RADIUS as K, discs, facing_sign, normal_axis, own_normal};
 use super::gather::{Layout, PROBE};
 use crate::camera::Camera;
 use crate::footprint::gaussian::cube as splat_cube;
@@ -17,7 +17,7 @@ use crate::gpu::record::Record;
 use crate::gpu::vector::{
     Mat3, Vec3, add3, apply, dot, rotation, rotation_backward, row3, row4, scale, transpose, vec3, write3,
 };
-use crate::gpu::view::{CameraUniforms, depth_slope, to_camera, view_rotation};
+use crate::gpu::view::{CameraUniforms, camera_axes, depth_slope, to_camera, view_rotation};
 use crate::ops::blend::{BlendInput, Form};
 use crate::scene::ScreenFilter;
 

@@ -5,6 +5,7 @@ use crate::footprint::CUTOFF;
 use crate::footprint::gaussian::cpu::{Parameters, Splat};
 use crate::math::{CameraOf, M3, V3, apply, column, cross, dot, rotation, scale};
 use crate::ops::blend::{ALL_PLANES, BlendOptions, DEPTH_PLANE, DISTORTION_PLANE, Form, NORMAL_PLANE, far};
+use crate::scene::BlendOrder;
 
 /// What of a primitive decides α and z at a pixel.
 #[derive(Clone, Copy)]
@@ -26,6 +27,9 @@ pub struct Primitive {
     pub row: usize,
     pub shape: Shape,
     centre_depth: f64,
+    /// In camera axes, as its inverse covariance is.
+    centre: V3<f64>,
+    inverse_covariance: M3<f64>,
     colour: V3<f64>,
     normal: V3<f64>,
 }
@@ -125,7 +129,27 @@ impl Primitive {
         };
         let normal = apply(&of.rotation, column(&rotation(p.quaternion), axis));
         let normal = if dot(normal, centre) > 0.0 { scale(normal, -1.0) } else { normal };
-        (centre[2] > camera.near).then_some(Self { row, shape, centre_depth: centre[2], colour, normal })
+        let axes: M3<f64> = std::array::from_fn(|d| apply(&of.rotation, column(&rotation(p.quaternion), d)));
+        let precision = p.log_scales.map(|scale| scale.exp().max(1e-3).powi(-2));
+        let inverse_covariance = std::array::from_fn(|i| {
+            std::array::from_fn(|j| (0..3).map(|d| axes[d][i] * precision[d] * axes[d][j]).sum())
+        });
+        (centre[2] > camera.near).then_some(Self {
+            row,
+            shape,
+            centre_depth: centre[2],
+            centre,
+            inverse_covariance,
+            colour,
+            normal,
+        })
+    }
+
+    /// t* of StopThePop.
+    fn depth_along_ray(&self, camera: &Camera, at: [f64; 2]) -> f64 {
+        let ray = camera.ray(at[0], at[1]).expect("it is shown").normalize().to_array();
+        let towards = apply(&self.inverse_covariance, ray);
+        dot(towards, self.centre) / dot(towards, ray).max(1e-5)
     }
 }
 
@@ -134,13 +158,22 @@ pub fn sort(primitives: &mut [Primitive]) {
     primitives.sort_by(|a, b| a.centre_depth.total_cmp(&b.centre_depth).then(a.row.cmp(&b.row)));
 }
 
-/// Blends sorted `primitives` at a point of the image.
+/// Those that are met in front of the camera, exactly in the order along the ray.
+fn by_ray(primitives: &[Primitive], camera: &Camera, at: [f64; 2]) -> Vec<Primitive> {
+    let met = primitives.iter().map(|primitive| (primitive.depth_along_ray(camera, at), *primitive));
+    let mut met: Vec<(f64, Primitive)> = met.filter(|(depth, _)| *depth >= 0.0).collect();
+    met.sort_by(|(a, _), (b, _)| a.total_cmp(b));
+    met.into_iter().map(|(_, primitive)| primitive).collect()
+}
+
+/// Blends sorted `primitives` at a point of the image; in the order of rays as if queues had no end.
 pub fn pixel(primitives: &[Primitive], camera: &Camera, options: &BlendOptions, at: [f64; 2]) -> Pixel {
     let mapped = |z: f64| far(camera.near) / (far(camera.near) - camera.near) * (1.0 - camera.near / z);
     let mut out = Pixel::default();
     let mut blended: Vec<[f64; 2]> = Vec::new();
     let mut through = 1.0;
-    for Primitive { shape, colour, normal, .. } in primitives {
+    let resorted = (options.order == BlendOrder::Rays).then(|| by_ray(primitives, camera, at));
+    for Primitive { shape, colour, normal, .. } in resorted.as_deref().unwrap_or(primitives) {
         let Some((alpha, z)) = shape.fragment(at) else { continue };
         let alpha = alpha.min(options.max_alpha);
         let behind = through * (1.0 - alpha);

@@ -1,13 +1,13 @@
 use super::*;
 
 /// Checks the gradients of each of some outputs, of the parameters one after the other.
-fn check_gradients(flat: &Flat, camera: &Camera, options: &BlendOptions, outputs: &[Output], step: f64) {
+pub fn check_gradients(flat: &Flat, camera: &Camera, options: &BlendOptions, outputs: &[Output], step: f64) {
     let leaves = flat.leaves();
     for output in outputs {
         let found = leaves.gradients(&[*output], camera, options);
         assert!(found[0].iter().any(|g| *g != 0.0));
         for (of, parameters) in flat.0.iter().enumerate() {
-            let name = format!("{output:?} of {:?} with respect to {}", options.form, NAMES[of]);
+            let name = format!("{output:?} of {:?} by {} with respect to {}", options.form, options.order, NAMES[of]);
             check(&name, parameters, &found[of], step, |moved| {
                 let mut flat = flat.clone();
                 flat.0[of] = moved.to_vec();
@@ -39,7 +39,9 @@ fn gradients_of_every_output_of_discs_are_central_differences() {
 #[test]
 fn gradients_are_central_differences_in_more_tiles_than_are_summed_at_a_time() {
     let camera = axis_camera().resized(140, 120);
-    check_gradients(&capped(), &camera, &with_maps(Form::Ellipsoids), &[Output::Colour], 1e-7);
+    for options in [with_maps(Form::Ellipsoids), by_rays()] {
+        check_gradients(&capped(), &camera, &options, &[Output::Colour], 1e-7);
+    }
 }
 
 #[test]
@@ -47,9 +49,9 @@ fn maps_do_not_change_the_gradient_of_colour() {
     let recipe = Recipe { surfels: 0, gaussians: 100, width: 61, height: 40, ..Recipe::default() };
     let (flat, camera) = Flat::random(16, &recipe);
     let leaves = flat.leaves();
-    for form in FORMS {
+    for way in every_way() {
         let [without, with] = [false, true].map(|maps| {
-            let options = BlendOptions { form, maps, ..BlendOptions::default() };
+            let options = BlendOptions { maps, ..way };
             leaves.gradients(&[Output::Colour, Output::Alpha], &camera, &options)
         });
         assert_eq!(without, with);

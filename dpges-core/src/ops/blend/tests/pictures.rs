@@ -67,8 +67,8 @@ fn nothing_blends_to_nothing() {
     let mut unseen = Flat::default();
     unseen.push([0.0, 0.0, -2.0], [-1.0; 3], 1.0, [1.0; 3]);
     unseen.push([0.0, 0.0, 2.0], [-1.0; 3], 0.0, [1.0; 3]);
-    for (flat, form) in [Flat::default(), unseen].iter().flat_map(|flat| FORMS.map(|form| (flat, form))) {
-        let (leaves, options) = (flat.leaves(), with_maps(form));
+    for (flat, options) in [Flat::default(), unseen].iter().flat_map(|flat| every_way().map(|way| (flat, way))) {
+        let leaves = flat.leaves();
         let blended = leaves.blend(&camera, &options);
         assert_eq!(blended.colour.dims(), [3, 30, 40]);
         assert_eq!(blended.maps.as_ref().unwrap().median_depth.dims(), [1, 30, 40]);
@@ -165,7 +165,7 @@ fn the_order_of_the_parameters_does_not_matter() {
     let recipe = Recipe { surfels: 0, gaussians: 300, width: 61, height: 40, ..Recipe::default() };
     let (flat, camera) = Flat::random(12, &recipe);
     let (leaves, backwards) = (flat.leaves(), flat.reversed().leaves());
-    for options in FORMS.map(with_maps) {
+    for options in every_way() {
         assert_eq!(images(&leaves.blend(&camera, &options)), images(&backwards.blend(&camera, &options)));
         let found = backwards.gradients(&OUTPUTS, &camera, &options);
         let expected = leaves.gradients(&OUTPUTS, &camera, &options);
@@ -183,7 +183,7 @@ fn the_number_of_threads_does_not_matter() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
             let leaves = flat.leaves_on(&device(), DType::F32);
-            FORMS.map(with_maps).map(|options| {
+            every_way().map(|options| {
                 (images(&leaves.blend(&camera, &options)), leaves.gradients(&OUTPUTS, &camera, &options))
             })
         })
@@ -203,6 +203,8 @@ fn options_outside_their_range_are_refused() {
     assert_eq!(refused(opaque), "option `max_alpha` is 1, expected a number above 0 and at most 0.9999");
     let endless = BlendOptions { min_transmittance: 0.0, ..BlendOptions::default() };
     assert_eq!(refused(endless), "option `min_transmittance` is 0, expected a number between 0 and 1");
+    let discs = BlendOptions { form: Form::Discs, ..by_rays() };
+    assert_eq!(refused(discs), "option `order` is rays, expected centres for discs");
     assert!(BlendOptions { max_alpha: f64::NAN, ..BlendOptions::default() }.validate().is_err());
 }
 

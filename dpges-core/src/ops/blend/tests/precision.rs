@@ -43,7 +43,7 @@ fn both_cpu_backends_agree_to_the_bit() {
     let recipe = Recipe { surfels: 0, gaussians: 300, width: 61, height: 40, ..Recipe::default() };
     let (flat, camera) = Flat::random(15, &recipe);
     for (dtype, options) in
-        [DType::F32, DType::F64].into_iter().flat_map(|dtype| FORMS.map(|form| (dtype, with_maps(form))))
+        [DType::F32, DType::F64].into_iter().flat_map(|dtype| every_way().map(|options| (dtype, options)))
     {
         let [ndarray, flex] =
             [Device::ndarray(), Device::flex()].map(|device| flat.leaves_on(&device.autodiff(), dtype));

@@ -40,7 +40,7 @@ fn brute_force_probe(flat: &Flat, camera: &Camera, options: &BlendOptions) -> Ve
 #[test]
 fn the_probe_collects_what_every_pixel_wants_of_the_projected_centre() {
     let camera = axis_camera();
-    for options in FORMS.map(with_maps) {
+    for options in every_way() {
         let flat = scene_of(options.form);
         let expected = brute_force_probe(&flat, &camera, &options);
         let found = flat.leaves().gradients(&OUTPUTS, &camera, &options);
@@ -55,7 +55,7 @@ fn the_probe_collects_what_every_pixel_wants_of_the_projected_centre() {
 #[test]
 fn no_value_depends_on_the_probe() {
     let (leaves, camera) = (capped().leaves(), axis_camera());
-    for options in FORMS.map(with_maps) {
+    for options in every_way() {
         let with = |probe: Option<Tensor<2>>| {
             images(&blend(&leaves.gaussians, &leaves.colours, probe.as_ref(), &camera, &options).unwrap())
         };

@@ -1,0 +1,82 @@
+use super::gradients::check_gradients;
+use super::*;
+
+/// Two long ellipsoids that cross on the axis, one a little nearer at its centre, and a sheet behind them.
+fn crossed() -> Flat {
+    let mut flat = Flat::default();
+    let turned = |half: f64| [half.cos(), 0.0, half.sin(), 0.0];
+    flat.push_turned(turned(0.3), [0.0, 0.0, 2.0], [-0.6, -2.5, -3.5], 0.9, [0.9, 0.1, 0.2]);
+    flat.push_turned(turned(-0.3), [0.0, 0.0, 2.02], [-0.6, -2.5, -3.5], 0.9, [0.1, 0.8, 0.3]);
+    flat.push_turned(turned(0.0), [0.1, 0.1, 2.4], [-0.2, -0.4, -4.0], 0.7, [0.2, 0.3, 0.9]);
+    flat
+}
+
+#[test]
+fn few_fragments_are_blended_in_the_order_along_their_ray() {
+    let camera = axis_camera();
+    let (random, random_camera) =
+        Flat::random(31, &Recipe { surfels: 0, gaussians: 9, width: 29, height: 21, ..Recipe::default() });
+    for (flat, camera) in [(capped(), camera), (crossed(), camera), (random, random_camera)] {
+        let found = images(&flat.leaves().blend(&camera, &by_rays()));
+        let expected = images_of_pixels(&dense(&flat.primitives(&camera, &by_rays()), &camera, &by_rays()));
+        for (found, expected) in found.iter().zip(&expected) {
+            assert!(relative_l2(found, expected) < 1e-12);
+        }
+    }
+}
+
+#[test]
+fn what_crosses_is_in_front_on_its_side() {
+    let camera = axis_camera();
+    let colours =
+        |order: BlendOrder| images(&crossed().leaves().blend(&camera, &BlendOptions { order, ..by_rays() }))[0].clone();
+    let pixels = camera.width * camera.height;
+    let redder = |colours: &[f64], column: usize| {
+        let at = 14 * camera.width + column;
+        colours[at] > colours[pixels + at]
+    };
+    let (by_centres, by_rays) = (colours(BlendOrder::Centres), colours(BlendOrder::Rays));
+    assert!(redder(&by_centres, 10) && redder(&by_centres, 26));
+    assert!(redder(&by_rays, 10) != redder(&by_rays, 26));
+}
+
+#[test]
+fn gradients_in_the_order_of_rays_are_central_differences() {
+    let recipe = Recipe { surfels: 0, gaussians: 9, width: 29, height: 21, ..Recipe::default() };
+    let (random, random_camera) = Flat::random(31, &recipe);
+    check_gradients(&random, &random_camera, &by_rays(), &OUTPUTS, 1e-6);
+    check_gradients(&capped(), &axis_camera(), &by_rays(), &OUTPUTS, 1e-6);
+    check_gradients(&crossed(), &axis_camera(), &by_rays(), &OUTPUTS, 1e-6);
+}
+
+#[test]
+fn gradients_of_full_queues_are_central_differences() {
+    // more fragments in a pixel than it holds, and more in a block
+    let recipe = Recipe { surfels: 0, gaussians: 90, width: 6, height: 5, ..Recipe::default() };
+    let (mut flat, camera) = Flat::random(32, &recipe);
+    let rows = flat.len();
+    flat.0[2] = (0..rows).flat_map(|i| [-0.9 + 0.01 * (i % 7) as f64, -1.8, -2.5 + 0.1 * (i % 5) as f64]).collect();
+    flat.0[3] = (0..rows).map(|i| 0.05 + 0.001 * i as f64).collect();
+    let fewest = flat.primitives(&camera, &by_rays()).len();
+    assert!(fewest > crate::ops::blend::QUEUES[0], "{fewest}");
+    check_gradients(&flat, &camera, &by_rays(), &[Output::Colour, Output::Depth], 1e-7);
+}
+
+#[test]
+fn what_is_met_behind_the_camera_does_not_exist() {
+    let camera = axis_camera();
+    let alpha = |depth: f64| {
+        let mut flat = Flat::default();
+        // a long ellipsoid beside the camera that points behind it
+        flat.push_turned([0.9, 0.0, 0.44, 0.0], [1.5, 0.0, depth], [-2.0, -1.5, 0.8], 0.9, [1.0; 3]);
+        images(&flat.leaves().blend(&camera, &by_rays()))[1].clone()
+    };
+    let shown = |alpha: &[f64]| alpha.iter().filter(|alpha| **alpha > 0.0).count();
+    let (near, far) = (alpha(0.3), alpha(3.0));
+    assert!(shown(&far) > 0);
+    let by_centres = BlendOptions { order: BlendOrder::Centres, ..by_rays() };
+    let mut flat = Flat::default();
+    flat.push_turned([0.9, 0.0, 0.44, 0.0], [1.5, 0.0, 0.3], [-2.0, -1.5, 0.8], 0.9, [1.0; 3]);
+    let everywhere = images(&flat.leaves().blend(&camera, &by_centres))[1].clone();
+    assert!(shown(&near) < shown(&everywhere), "{} of {}", shown(&near), shown(&everywhere));
+}

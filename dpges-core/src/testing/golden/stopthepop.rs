@@ -1,0 +1,41 @@
+//! Cases of Gaussians that are blended in the order of each pixel's own ray (StopThePop).
+
+use burn::tensor::{DType, Device};
+
+use super::{Deviation, Found, GoldenCase, golden_name, values};
+use crate::ops::blend::BlendOptions;
+use crate::render::Values;
+use crate::render::blended::{BlendedOptions, BlendedRender, render_blended};
+use crate::scene::schema::Columns;
+use crate::scene::{BlendOrder, Gaussians, ScreenFilter};
+
+impl GoldenCase {
+    /// Renders a case without surfels in the order of rays, and compares every output and gradient that the file holds.
+    pub fn compare_by_rays(&self, device: &Device, dtype: DType) -> Vec<Deviation> {
+        let device = device.clone().autodiff();
+        let mut found = Found { case: self, deviations: Vec::new() };
+        let gaussians = self.columns::<Gaussians>(&device, dtype).require_grad();
+        let BlendedRender { image, blend } = self.render_by_rays(&gaussians);
+        found.image("out.image", &image);
+        found.compare("out.alpha", &values(&blend.alpha));
+        found.compare("out.depth", &values(&blend.maps.expect("asked for").depth));
+        let gradients = (image * self.image("upstream", &device, dtype)).sum().backward();
+        for (attribute, tensor) in gaussians.iter().filter(|(attribute, _)| attribute.learns()) {
+            let gradient = values(&tensor.grad(&gradients).expect("it was rendered"));
+            found.compare(&format!("grad_image.{}", golden_name(attribute)), &gradient);
+        }
+        found.deviations
+    }
+
+    fn render_by_rays(&self, gaussians: &Gaussians) -> BlendedRender {
+        let blend = BlendOptions {
+            filter: ScreenFilter::Plain,
+            order: BlendOrder::Rays,
+            max_alpha: 0.99,
+            maps: true,
+            ..BlendOptions::default()
+        };
+        let options = BlendedOptions { blend, background: self.options.background };
+        render_blended(gaussians, None, &self.camera, &options, Values::Unknown).expect("golden inputs are valid")
+    }
+}
