@@ -179,8 +179,9 @@ def stopthepop_cases(seed):
     recipes = [
         # of few in each pixel
         ("few", 40, {"gaussian_scale": (-3.0, -1.0)}, (-0.1, 1.6), (3.0, 34, 20, 36.0)),
-        # needles and disks across a wide view, which overflow all queues
-        ("overflowing", 400, {"gaussian_scale": (-4.5, 0.5)}, (0.01, 0.06), (1.2, 10, 7, 5.0)),
+        # needles and disks across a wide view, which overflow all queues; no block reaches beyond the image, where kernels list
+        # nothing
+        ("overflowing", 400, {"gaussian_scale": (-4.5, 0.5)}, (0.01, 0.06), (1.2, 12, 8, 6.0)),
         # some of them behind the camera or around it
         ("inside", 120, {"gaussian_scale": (-2.5, -0.8)}, (-0.1, 1.6), (0.3, 28, 18, 20.0)),
     ]

@@ -62,14 +62,15 @@ class Queue:
 
 
 class Sight:
-    """What decides the order, all of it plain numbers."""
+    """What decides the order of the Gaussians `rows`, all of it plain numbers."""
 
-    def __init__(self, gaussians, camera, means, conics, strengths, rounding):
-        self.camera, self.means, self.conics, self.strengths, self.rounding = camera, means, conics, strengths, rounding
-        rotation = stop_gradient(model.rotation_matrices(gaussians.quaternions))
-        scales = numpy.maximum(numpy.exp(stop_gradient(gaussians.log_scales)), MIN_SCALE)
+    def __init__(self, gaussians, rows, camera, means, conics, strengths, rounding):
+        self.camera, self.rounding = camera, rounding
+        self.means, self.conics, self.strengths = (stop_gradient(values)[rows] for values in (means, conics, strengths))
+        rotation = stop_gradient(model.rotation_matrices(gaussians.quaternions))[rows]
+        scales = numpy.maximum(numpy.exp(stop_gradient(gaussians.log_scales)[rows]), MIN_SCALE)
         self.inverse = numpy.einsum("mac,mc,mbc->mab", rotation, scales**-2, rotation)
-        self.offset = stop_gradient(gaussians.positions) - model.camera_centre(camera)
+        self.offset = stop_gradient(gaussians.positions)[rows] - model.camera_centre(camera)
 
     def ray(self, x, y):
         camera = self.camera
@@ -114,7 +115,6 @@ def blending_order(sight, weights):
                 point, largest = sight.largest(i, left, top, TILE)
                 if largest >= model.CUTOFF:
                     keyed.append((sight.depth(i, sight.ray(*point)), i))
-            # ties stay in the order of the depths of the centres
             listed = [i for _, i in sorted(keyed, key=lambda entry: entry[0])]
             for row in range(top, top + TILE, BLOCK):
                 for column in range(left, left + TILE, BLOCK):
@@ -161,14 +161,10 @@ def fragments(gaussians, camera):
 
 def render(gaussians, camera, background, rounding=Rounding()):
     weights, strengths, means, conics, depths = fragments(gaussians, camera)
-    sight = Sight(gaussians, camera, *map(stop_gradient, (means, conics, strengths)), rounding)
-    # nearest first, so that ties are
+    # ties are in the order of the depths of the centres
     nearest = numpy.argsort(stop_gradient(depths), kind="stable")
-    ranked = Sight.__new__(Sight)
-    ranked.__dict__.update(sight.__dict__)
-    for name in ("means", "conics", "strengths", "inverse", "offset"):
-        setattr(ranked, name, getattr(sight, name)[nearest])
-    found = blending_order(ranked, stop_gradient(weights)[:, nearest])
+    sight = Sight(gaussians, nearest, camera, means, conics, strengths, rounding)
+    found = blending_order(sight, stop_gradient(weights)[:, nearest])
     pixels, count = weights.shape
     length = max(map(len, found.values()))
     order = numpy.full((pixels, length), count)
