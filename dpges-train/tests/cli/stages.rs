@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-use super::{bytes, fails, folder, is_equal, json, metrics, ok, png_names, train};
+use super::{bytes, dpges, fails, folder, is_equal, json, metrics, ok, png_names, train};
 #[cfg(unix)]
 use super::{start_training, wait_until};
 
@@ -36,6 +36,25 @@ fn what_a_method_trains_alone_can_be_a_beginning() {
     let other = [&["train", "--out=no", "--max-resolution=32", "--set=model.colour=sh1"], &files[..]].concat();
     assert!(fails(at, 1, &other).contains("its colours are sb2"));
     assert!(!at.join("no").exists());
+}
+
+#[test]
+fn what_sorts_by_centres_says_so_of_a_scene_that_is_sorted_along_rays() {
+    let folder = folder();
+    let at = folder.path();
+    let short = ["--steps=20", "--set=train.evaluate_every=0"];
+    train(at, "rays", &[&short[..], &["--method=stopthepop"]].concat());
+    let info: Value = serde_json::from_str(&ok(at, &["info", "rays", "--json"])).unwrap();
+    assert_eq!((&info["blend_order"], &info["screen_filter"]), (&"rays".into(), &"plain".into()));
+    let refused = fails(at, 1, &["bench", "render", "rays"]);
+    assert!(refused.contains("StopThePop") && refused.contains("--training DEVICE"), "{refused}");
+    let measured = ["bench", "render", "rays", "--training=cpu", "--size=32x32", "--rounds=1", "--cameras=1"];
+    let table = ok(at, &measured);
+    assert!(table.contains("training") && !table.contains("raster"), "{table}");
+    let said = |arguments: &[&str]| String::from_utf8(dpges(at, arguments).stderr).unwrap();
+    let export = ["export", "rays", "--format=ply", "--out=splats.ply", "--device=cpu"];
+    assert!(said(&export).contains("sorts the Gaussians by their centres"), "{}", said(&export));
+    assert!(!said(&["render", "rays", "--out=pictures", "--device=cpu"]).contains("by their centres"));
 }
 
 #[test]
