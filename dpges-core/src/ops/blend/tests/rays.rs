@@ -80,3 +80,30 @@ fn what_is_met_behind_the_camera_does_not_exist() {
     let everywhere = images(&flat.leaves().blend(&camera, &by_centres))[1].clone();
     assert!(shown(&near) < shown(&everywhere), "{} of {}", shown(&near), shown(&everywhere));
 }
+
+/// Differences between successive pictures of a camera that turns on the spot: the largest over the median.
+fn spike_of_a_turn(flat: &Flat, order: BlendOrder) -> f64 {
+    const STEP: f64 = 1e-3;
+    let (options, leaves, camera) = (BlendOptions { order, maps: false, ..by_rays() }, flat.leaves(), axis_camera());
+    let picture = |step: i32| {
+        let turn = DVec3::new(0.0, STEP * f64::from(step), 0.0);
+        let camera_from_world = camera.camera_from_world.moved(turn, DVec3::ZERO);
+        values(&leaves.blend(&Camera { camera_from_world, ..camera }, &options).colour)
+    };
+    let pictures: Vec<Vec<f64>> = (-20..20).map(picture).collect();
+    let difference = |pair: &[Vec<f64>]| pair[0].iter().zip(&pair[1]).map(|(a, b)| (a - b).abs()).sum::<f64>();
+    let mut differences: Vec<f64> = pictures.windows(2).map(difference).collect();
+    differences.sort_by(f64::total_cmp);
+    differences[differences.len() - 1] / differences[differences.len() / 2]
+}
+
+#[test]
+fn nothing_pops_when_the_camera_turns() {
+    let mut flat = Flat::default();
+    // side by side: a turn by 0.01 rad has the other one nearer, by the depths of their centres
+    flat.push([-0.3, 0.0, 1.997], [-1.2; 3], 0.9, [0.9, 0.1, 0.2]);
+    flat.push([0.3, 0.0, 2.003], [-1.2; 3], 0.9, [0.1, 0.8, 0.3]);
+    let (by_centres, by_rays) = (spike_of_a_turn(&flat, BlendOrder::Centres), spike_of_a_turn(&flat, BlendOrder::Rays));
+    assert!(by_centres > 5.0, "{by_centres}");
+    assert!(by_rays < 2.0, "{by_rays}");
+}
