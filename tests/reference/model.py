@@ -205,8 +205,8 @@ def peel(surfels, camera, layer_count=3, modulation=SURFEL_MODULATION, footprint
     )
 
 
-def project(gaussians, camera):
-    """EWA projection.
+def project(gaussians, camera, low_pass=LOW_PASS):
+    """EWA projection, with a low-pass filter of so many px^2.
 
     Returns means [M, 2] px, conics [M, 3] (a, b, c of a dx^2 + 2 b dx dy + c dy^2), depths [M],
     compensations [M] and valid [M]. The low-pass filter widens a Gaussian; the compensation, the square root
@@ -232,7 +232,7 @@ def project(gaussians, camera):
     factor = rotation_matrices(gaussians.quaternions) * np.exp(gaussians.log_scales)[:, None, :]
     half = np.einsum("mab,mbc->mac", np.einsum("mab,bc->mac", jacobian, camera.rotation), factor)
     covariance = np.einsum("mad,mbd->mab", half, half)
-    a, b, c = covariance[:, 0, 0] + LOW_PASS, covariance[:, 0, 1], covariance[:, 1, 1] + LOW_PASS
+    a, b, c = covariance[:, 0, 0] + low_pass, covariance[:, 0, 1], covariance[:, 1, 1] + low_pass
     determinant = a * c - b * b
     # det(half half^T) as a sum of squared 2x2 minors: never negative, no cancellation
     p, q = half[:, 0, :], half[:, 1, :]

@@ -66,10 +66,11 @@ fn check_blending(what: &str, scene: &TestScene, forms: &[(Form, ScreenFilter)],
     }
 }
 
-const FORMS: [(Form, ScreenFilter); 3] = [
+const FORMS: [(Form, ScreenFilter); 4] = [
     (Form::Ellipsoids, ScreenFilter::Compensated),
     (Form::Ellipsoids, ScreenFilter::Plain),
     (Form::Discs, ScreenFilter::Compensated),
+    (Form::Students, ScreenFilter::Off),
 ];
 
 fn random(seed: u64, model: ColourModel) -> TestScene {

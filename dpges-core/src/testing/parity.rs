@@ -14,7 +14,7 @@ use super::golden::values;
 use super::random::Random;
 use super::scenes::TestScene;
 use crate::ops::adam::{AdamStep, adam_step};
-use crate::ops::blend::{BlendOptions, blend};
+use crate::ops::blend::{BlendOptions, Form, blend};
 use crate::ops::colour::colour;
 use crate::ops::composite::{CompositeOptions, composite};
 use crate::ops::coverage::coverage;
@@ -321,7 +321,14 @@ impl<'a> Bench<'a> {
 
     /// Runs sorted blending of the Gaussians in random colours, and goes back from each of its outputs.
     pub fn blended(mut self, options: BlendOptions) -> Vec<Named> {
-        let (gaussians, count) = (self.gaussians.clone(), self.gaussians.len());
+        let (mut gaussians, count) = (self.gaussians.clone(), self.gaussians.len());
+        if options.form == Form::Students {
+            let powers = Random::new(15).numbers(count, 0.0, 3.5);
+            let degrees: Vec<f64> = powers.into_iter().map(|power| 10f64.powf(power)).collect();
+            let opacities = Random::new(16).numbers(count, -0.98, 0.98);
+            gaussians.degrees_of_freedom = Some(self.tensor(&degrees, [count, 1]).require_grad());
+            gaussians.opacities = self.tensor(&opacities, [count, 1]).require_grad();
+        }
         let outputs: &[&str] =
             if options.maps { &["colour", "alpha", "depth", "normal", "distortion"] } else { &["colour", "alpha"] };
         for &name in outputs {
@@ -345,6 +352,9 @@ impl<'a> Bench<'a> {
             self.gradient(&format!("blend.{name}.grad.quaternions"), &gaussians.quaternions, &gradients);
             self.gradient(&format!("blend.{name}.grad.log_scales"), &gaussians.log_scales, &gradients);
             self.gradient(&format!("blend.{name}.grad.opacities"), &gaussians.opacities, &gradients);
+            if let Some(degrees) = &gaussians.degrees_of_freedom {
+                self.gradient(&format!("blend.{name}.grad.degrees_of_freedom"), degrees, &gradients);
+            }
             self.gradient(&format!("blend.{name}.grad.colours"), &colours, &gradients);
             self.gradient(&format!("blend.{name}.grad.probe"), &probe, &gradients);
         }

@@ -17,7 +17,7 @@ use super::super::data::{Scene, ViewArgs, every_nth};
 use super::super::device_failure::watched;
 use super::super::frame_times::of_training;
 use super::super::render::Size;
-use super::super::{Result, device_choice, print};
+use super::super::{Failure, Result, device_choice, print};
 
 /// Measure frames per second of a scene over the cameras of a dataset
 #[derive(Debug, Args)]
@@ -44,7 +44,7 @@ pub struct BenchRenderArgs {
     /// At most this many cameras, evenly chosen
     #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     cameras: u32,
-    /// Also measure the renderer that is trained with, on this device (cpu, wgpu, …)
+    /// Also measure the renderer that is trained with, on this device (cpu, wgpu, …). It alone draws Student's t kernels
     #[arg(long, value_name = "NAME")]
     training: Option<DeviceRequest>,
     /// Write the figures as JSON
@@ -81,6 +81,12 @@ pub fn run(args: &BenchRenderArgs) -> Result<()> {
     let (_, views) = args.views.load(&mut scene)?;
     let cameras: Vec<Camera> =
         every_nth(&views, args.cameras as usize).map(|view| args.size.apply(&view.camera)).collect();
+    let is_drawn = scene.data.info.rendering != Rendering::Students;
+    if !is_drawn && args.training.is_none() {
+        let message =
+            "the real-time renderer has no Student's t kernels (SSS): measure the other one, `--training cpu`";
+        return Err(Failure::Usage(message.to_owned()));
+    }
     let mut report = Report {
         scene: scene.path.display().to_string(),
         surfels: scene.data.surfels.len(),
@@ -88,7 +94,7 @@ pub fn run(args: &BenchRenderArgs) -> Result<()> {
         width: args.size.width,
         height: args.size.height,
         cameras: cameras.len(),
-        rows: args.raster(&scene.data, &cameras)?,
+        rows: if is_drawn { args.raster(&scene.data, &cameras)? } else { Vec::new() },
     };
     if let Some(request) = args.training {
         let device = device_choice::select(request)?;

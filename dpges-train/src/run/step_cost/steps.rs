@@ -178,6 +178,7 @@ fn config(scene: &SceneData, stage: StepStage) -> Config {
     config.train.method = match (stage, info.rendering) {
         (StepStage::Joint, _) => Method::Dpges,
         (StepStage::Blended, Rendering::Discs) => Method::Discs,
+        (StepStage::Blended, Rendering::Students) => Method::Sss,
         (StepStage::Blended, Rendering::Peeled | Rendering::Ellipsoids) => Method::Mcmc,
     };
     (config.stages.surfels, config.stages.gaussians) = (0.0, 0.0);

@@ -1,6 +1,8 @@
 //! One Gaussian seen by one camera: its elliptical footprint, the pixels it can reach, and the gradients of
 //! its parameters.
 
+pub mod student;
+
 use crate::backend::real::Real;
 use crate::camera::{Lens, Seen};
 use crate::footprint::CUTOFF;
@@ -23,6 +25,8 @@ pub struct Parameters<T> {
     pub quaternion: [T; 4],
     pub log_scales: V3<T>,
     pub opacity: T,
+    /// ν of a Student's t kernel; infinite of a Gaussian one.
+    pub degrees_of_freedom: T,
 }
 
 /// Footprint: `strength · exp(−½ (u² + v²))`, where u and v are the offset (dx, dy) px from the mean in units of the
@@ -144,7 +148,7 @@ impl<T: Real> Projection<T> {
     fn compensation(&self) -> T {
         match self.filter {
             ScreenFilter::Compensated => self.ratio.max(T::of(MIN_COMPENSATION_SQUARED)).sqrt(),
-            ScreenFilter::Plain => T::one(),
+            ScreenFilter::Plain | ScreenFilter::Off => T::one(),
         }
     }
 
@@ -242,6 +246,8 @@ pub struct ParameterGrad<T> {
     pub quaternion: [T; 4],
     pub log_scales: V3<T>,
     pub opacity: T,
+    /// 0 of a Gaussian kernel.
+    pub degrees_of_freedom: T,
 }
 
 /// Gradients with respect to the raw parameters, from the sums over the pixels (3DGS; compensation: GES).
@@ -296,6 +302,7 @@ pub fn backward<T: Real>(
         quaternion: rotation_backward(p.quaternion, &grad_rotation),
         log_scales,
         opacity: if p.opacity > T::zero() { grad_strength * compensation } else { T::zero() },
+        degrees_of_freedom: T::zero(),
     }
 }
 

@@ -1,6 +1,7 @@
 //! One Gaussian seen by one camera, on the device; the CPU's twin is [`super::cpu`].
 
 pub(crate) mod regions;
+pub(crate) mod student;
 
 use burn::backend::TensorMetadata;
 use burn_cubecl::CubeBackend;

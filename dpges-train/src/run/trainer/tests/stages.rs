@@ -73,7 +73,7 @@ fn only_linear_opacities_become_odds() {
 
 #[test]
 fn methods_alone_learn() {
-    for method in ["2dgs", "mcmc", "dbs", "3dgs", "absgs", "mip-splatting"] {
+    for method in ["2dgs", "mcmc", "dbs", "3dgs", "absgs", "mip-splatting", "sss"] {
         let method = format!("train.method={method}");
         let mut trainer = trainer(&["train.steps=60", &method, "refine.budget=500"]);
         let mut loss = Vec::new();
