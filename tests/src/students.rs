@@ -101,39 +101,32 @@ impl Case {
 pub fn check(device: &Device, dtype: DType) {
     let tolerance = if dtype == DType::F64 { 1e-9 } else { 2e-4 };
     let distances = Case::load().compare(device, dtype);
-    println!("students {dtype:?}: {distances:.1e?}");
-    let far: Vec<_> = distances.iter().filter(|(_, distance)| !(*distance <= tolerance)).collect();
+    let (name, worst) = distances.iter().max_by(|a, b| a.1.total_cmp(&b.1)).expect("tensors were compared");
+    println!("students {dtype:?}: {} tensors, worst {name} {worst:.2e}", distances.len());
+    let far: Vec<_> = distances.iter().filter(|(_, distance)| distance.is_nan() || *distance > tolerance).collect();
     assert!(distances.len() == 8 && far.is_empty(), "{far:?}");
 }
 
-#[cfg(test)]
-mod tests {
-    use dpges_train::refine::sharing::share_out_students;
-
-    use super::*;
-    use crate::devices::{flex, ndarray};
-
-    #[test]
-    fn cpus_agree_with_the_specification() {
-        for device in [ndarray(), flex()] {
-            for dtype in [DType::F64, DType::F32] {
-                check(&device, dtype);
-            }
+#[test]
+fn cpus_agree_with_the_specification() {
+    for device in [crate::devices::ndarray(), crate::devices::flex()] {
+        for dtype in [DType::F64, DType::F32] {
+            check(&device, dtype);
         }
     }
+}
 
-    /// Computed by mpmath from the published double sum.
-    #[test]
-    fn coefficients_of_relocation_are_those_of_the_published_sum() {
-        let rows = Case::load().numbers("relocation");
-        assert_eq!(rows.len(), 5 * 100);
-        for row in rows.as_chunks::<5>().0 {
-            let [opacity, copies, degrees, shared, factor] = *row;
-            let (found, found_factor) = share_out_students(opacity, copies as usize, degrees);
-            // opacities are clamped afterwards
-            let expected = shared.abs().max(0.005).copysign(shared);
-            assert!((found - expected).abs() < 1e-12, "{row:?}: {found}");
-            assert!((found_factor / factor - 1.0).abs() < 1e-9, "{row:?}: {found_factor}");
-        }
+/// Computed by mpmath from the published double sum.
+#[test]
+fn coefficients_of_relocation_are_those_of_the_published_sum() {
+    let rows = Case::load().numbers("relocation");
+    assert_eq!(rows.len(), 5 * 100);
+    for row in rows.as_chunks::<5>().0 {
+        let [opacity, copies, degrees, shared, factor] = *row;
+        let (found, found_factor) = dpges_train::refine::sharing::share_out_students(opacity, copies as usize, degrees);
+        // opacities are clamped afterwards
+        let expected = shared.abs().max(0.005).copysign(shared);
+        assert!((found - expected).abs() < 1e-12, "{row:?}: {found}");
+        assert!((found_factor / factor - 1.0).abs() < 1e-9, "{row:?}: {found_factor}");
     }
 }

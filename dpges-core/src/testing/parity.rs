@@ -325,7 +325,8 @@ impl<'a> Bench<'a> {
         if options.form == Form::Students {
             let powers = Random::new(15).numbers(count, 0.0, 3.5);
             let degrees: Vec<f64> = powers.into_iter().map(|power| 10f64.powf(power)).collect();
-            let opacities = Random::new(16).numbers(count, -0.98, 0.98);
+            // behind many below 0 T is so large that one fragment at the cutoff, where devices may differ, shows
+            let opacities = Random::new(16).numbers(count, -0.3, 0.98);
             gaussians.degrees_of_freedom = Some(self.tensor(&degrees, [count, 1]).require_grad());
             gaussians.opacities = self.tensor(&opacities, [count, 1]).require_grad();
         }

@@ -194,7 +194,7 @@ pub fn pixel(primitives: &[Primitive], camera: &Camera, options: &BlendOptions, 
             out.planes[DISTORTION_PLANE] += weight * other * (mapped(z) - m).powi(2);
         }
         blended.push([weight, mapped(z)]);
-        if through > 0.5 && behind <= 0.5 {
+        if out.median_depth == 0.0 && behind <= 0.5 {
             out.median_depth = z;
         }
         through = behind;
