@@ -120,7 +120,7 @@ impl BlendedStage {
             if found.len() != 3 * stage.gaussians.len() {
                 return Err(TrainError::Resume { reason: format!("column `{MOMENTA}` does not fit the Gaussians") });
             }
-            *momenta = Momenta::from_column(&found, &context.device);
+            *momenta = Momenta::from_column(&vec![0.0; found.len()], &context.device);
         }
         Ok(stage)
     }
