@@ -19,6 +19,10 @@ pub enum RenderError {
     NoScene,
     #[error("{display} cannot be shown of a scene of blended {rendering}: it has no peeled surfels")]
     Display { display: Display, rendering: Rendering },
+    #[error(
+        "the real-time renderer draws Gaussian kernels, and this scene has Student's t ones (SSS): render it with the renderer of training"
+    )]
+    Kernel,
     #[error("no graphics adapter was found ({0}): install a driver for Vulkan, Metal, DX12 or GL")]
     NoAdapter(String),
     #[error("the graphics adapter `{adapter}` cannot be used: {reason}")]

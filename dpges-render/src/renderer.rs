@@ -124,14 +124,19 @@ impl Renderer {
     /// Takes `scene` in place of what was there.
     ///
     /// # Errors
-    /// [`RenderError::TooMany`] if it does not fit into textures of this device, [`RenderError::Input`] if its environment
-    /// is of no degree; what was there stays.
+    /// [`RenderError::TooMany`] if it does not fit into textures of this device, [`RenderError::Kernel`] if its kernels are
+    /// Student's t, [`RenderError::Input`] if its environment is of no degree; what was there stays.
     pub fn upload(&mut self, scene: &SceneData) -> Result<()> {
+        if scene.info.rendering == Rendering::Students {
+            return Err(RenderError::Kernel);
+        }
         let textures = SceneTextures::new(&self.device, &self.queue, scene)?;
         let per_primitive = PerPrimitive::new(&self.device, &textures);
         let positions = match scene.info.rendering {
             Rendering::Peeled => Vec::new(),
-            Rendering::Ellipsoids | Rendering::Discs => scene.gaussians.positions.as_chunks::<3>().0.to_vec(),
+            Rendering::Ellipsoids | Rendering::Discs | Rendering::Students => {
+                scene.gaussians.positions.as_chunks::<3>().0.to_vec()
+            }
         };
         self.scene = Some(Uploaded { textures, per_primitive, positions });
         self.groups = None;
@@ -383,7 +388,7 @@ impl Renderer {
         let pipeline = match (rendering, display) {
             (Rendering::Peeled, Display::Image) => &present.image,
             (Rendering::Peeled, _) => &present.peeled,
-            (Rendering::Ellipsoids | Rendering::Discs, _) => &present.blended,
+            (Rendering::Ellipsoids | Rendering::Discs | Rendering::Students, _) => &present.blended,
         };
         self.pass(encoder, "present", &[(target, wgpu::LoadOp::Load)], None, |pass| {
             pass.set_viewport(0.0, 0.0, camera.width as f32, camera.height as f32, 0.0, 1.0);

@@ -7,7 +7,7 @@ use burn::tensor::{DType, Device};
 use dpges_train::device::DeviceName;
 use libtest_mimic::Trial;
 
-use crate::{golden, gpu, kernels, lpips, on_a_gpu, parity, step_cost, timing, training};
+use crate::{golden, gpu, kernels, lpips, on_a_gpu, parity, step_cost, students, timing, training};
 
 /// Every function named, with its name.
 macro_rules! named {
@@ -89,6 +89,7 @@ fn best() -> Result<Device, String> {
 
 pub fn golden_cases(device: Device) {
     golden::check_all(&device, DType::F32);
+    students::check(&device, DType::F32);
 }
 
 /// Opening a device again gives the same one.

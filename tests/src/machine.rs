@@ -15,6 +15,7 @@ mod poisoned;
 mod raster;
 mod reference;
 mod step_cost;
+mod students;
 #[path = "../../dpges-train/src/metrics/test_pictures.rs"]
 mod test_pictures;
 mod timing;

@@ -14,4 +14,5 @@ mod on_cpus;
 mod poisoned;
 mod precision;
 mod robustness;
+mod students;
 mod total_gradient;

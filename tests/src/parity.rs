@@ -91,10 +91,11 @@ fn check_by_rays(what: &str, scene: &TestScene, device: &Device) {
 const SWAPPED: f64 = 1e-4;
 const MAY_SWAP: f64 = 2e-3;
 
-const FORMS: [(Form, ScreenFilter); 3] = [
+const FORMS: [(Form, ScreenFilter); 4] = [
     (Form::Ellipsoids, ScreenFilter::Compensated),
     (Form::Ellipsoids, ScreenFilter::Plain),
     (Form::Discs, ScreenFilter::Compensated),
+    (Form::Students, ScreenFilter::Off),
 ];
 
 fn random(seed: u64, model: ColourModel) -> TestScene {

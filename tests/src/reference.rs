@@ -1,4 +1,4 @@
-//! The golden files are what `reference/make_golden.py` writes.
+//! The golden files are what `reference/make_golden.py` and `reference/make_students.py` write.
 //!
 //! The test needs Python with the packages of `reference/requirements.txt`. `DPGES_PYTHON` names the interpreter;
 //! without it `python3` is tried. Where packages are missing the test is ignored, and fails with
@@ -22,14 +22,17 @@ pub fn trials() -> Vec<Trial> {
         eprintln!("the golden files cannot be compared with their generator: {reason}");
     }
     let is_ignored = python.is_err() && !required;
-    let run = move || {
-        the_golden_files_are_what_the_generator_writes(&python?);
-        Ok(())
+    let trial = |name: &str, generator: &'static str, committed: &'static str| {
+        let python = python.clone();
+        let run = move || {
+            the_files_are_what_the_generator_writes(&python?, generator, committed);
+            Ok(())
+        };
+        Trial::test(format!("reference::{name}"), run).with_kind("Python").with_ignored_flag(is_ignored)
     };
     vec![
-        Trial::test("reference::the_golden_files_are_what_the_generator_writes", run)
-            .with_kind("Python")
-            .with_ignored_flag(is_ignored),
+        trial("the_golden_files_are_what_the_generator_writes", "make_golden.py", "golden"),
+        trial("the_students_are_what_the_generator_writes", "make_students.py", "golden_students"),
     ]
 }
 
@@ -40,7 +43,7 @@ fn folder() -> PathBuf {
 /// An interpreter with the packages that the generator imports.
 fn python() -> Result<String, String> {
     let python = std::env::var("DPGES_PYTHON").unwrap_or_else(|_| "python3".to_owned());
-    let output = Command::new(&python).args(["-c", "import autograd, numpy, safetensors"]).output();
+    let output = Command::new(&python).args(["-c", "import autograd, mpmath, numpy, safetensors"]).output();
     let advice = format!("{}, or DPGES_PYTHON names another interpreter", folder().join("README.md").display());
     match output {
         Ok(output) if output.status.success() => Ok(python),
@@ -73,9 +76,9 @@ fn read(path: &Path) -> Content {
     (file.iter().map(tensor).collect(), metadata.into_iter().collect())
 }
 
-fn the_golden_files_are_what_the_generator_writes(python: &str) {
+fn the_files_are_what_the_generator_writes(python: &str, generator: &str, committed: &str) {
     let made = tempfile::tempdir().unwrap();
-    let output = Command::new(python).arg(folder().join("make_golden.py")).arg(made.path()).output().unwrap();
+    let output = Command::new(python).arg(folder().join(generator)).arg(made.path()).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let names = |folder: &Path| -> Vec<PathBuf> {
         let within = |part: &str| -> Vec<PathBuf> {
@@ -87,7 +90,7 @@ fn the_golden_files_are_what_the_generator_writes(python: &str) {
         names.sort();
         names
     };
-    let committed = Path::new(env!("CARGO_MANIFEST_DIR")).join("golden");
+    let committed = Path::new(env!("CARGO_MANIFEST_DIR")).join(committed);
     assert_eq!(names(made.path()), names(&committed));
     for name in names(&committed) {
         let ((expected, metadata), (found, found_metadata)) =

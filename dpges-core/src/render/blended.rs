@@ -1,4 +1,4 @@
-//! One view of a scene of blended Gaussians: what DP-GES is initialised with, and compared with (3DGS, 2DGS).
+//! One view of a scene of blended Gaussians: what DP-GES is initialised with, and compared with (3DGS, 2DGS, SSS).
 
 use burn::tensor::{Tensor, TensorData};
 
@@ -25,8 +25,9 @@ impl BlendedOptions {
         let form = match info.rendering {
             Rendering::Ellipsoids => Form::Ellipsoids,
             Rendering::Discs => Form::Discs,
+            Rendering::Students => Form::Students,
             Rendering::Peeled => {
-                let expected = "ellipsoids or discs".to_owned();
+                let expected = "ellipsoids, discs or students".to_owned();
                 return Err(Error::Option { option: "rendering", expected, found: info.rendering.to_string() });
             }
         };

@@ -2,6 +2,7 @@
 //! [`SceneData`] (`surfels.positions` [N, 3] … `gaussians.colour.detail` [M, D]) and three strings
 //! of metadata: `format` = "dpges-scene", `version` = "2", `info` = [`SceneInfo`] as JSON.
 //!
+//! Gaussians with Student's t kernels have one tensor more, `gaussians.degrees_of_freedom` `[M]`.
 //! A scene with an environment has one tensor more, `environment` [(degree + 1)², 3]; see [`EnvironmentData`].
 //!
 //! Of spherical Beta colours a file has only the lobes that are there (see [`lobes`](super::lobes)). In place of
@@ -21,7 +22,7 @@ use super::compressed;
 use super::data::check_numbers;
 use super::lobes::{LOBE_LEN, pack, unpack};
 use super::schema::{Attribute, Columns, ENVIRONMENT, Width};
-use super::{ColourModel, EnvironmentData, GaussianData, SceneData, SceneInfo, SurfelData};
+use super::{ColourModel, EnvironmentData, GaussianData, Rendering, SceneData, SceneInfo, SurfelData};
 use crate::error::{Error, Result};
 use crate::scene::atomic::write_atomically;
 use crate::scene::container;
@@ -139,6 +140,11 @@ impl SceneData {
     fn check(&self) -> Result<()> {
         self.surfels.check()?;
         self.gaussians.check()?;
+        if self.gaussians.degrees_of_freedom.is_some() != (self.info.rendering == Rendering::Students) {
+            let expected = "those of Student's t kernels in scenes of `students`, and in no others".to_owned();
+            let found = format!("info `rendering` = {}", self.info.rendering);
+            return Err(Error::Option { option: GaussianData::OPTIONAL[0].name, expected, found });
+        }
         self.environment.as_ref().map_or(Ok(()), EnvironmentData::check)
     }
 
@@ -224,12 +230,15 @@ pub(super) fn unreadable(error: safetensors::SafeTensorError) -> String {
 /// The attributes of a kind of primitive. Lobes of spherical Beta colours are `packed`, or all there.
 fn read_columns<C: Columns>(file: &SafeTensors, model: ColourModel, packed: bool) -> Result<C::With<Vec<f32>>, String> {
     let count = row_count(file, C::ATTRIBUTES[0].name)?;
-    C::try_generate(model, |attribute| match (attribute.width, model) {
+    let values = |attribute: &'static Attribute| match (attribute.width, model) {
         (Width::Detail, ColourModel::SphericalBeta { lobes }) if packed => {
             read_lobes(file, lobe_names(attribute), count, lobes)
         }
         _ => read(file, attribute.name, &attribute.stored_shape(count, model)),
-    })
+    };
+    let stored = C::OPTIONAL.iter().take_while(|attribute| file.tensor(attribute.name).is_ok());
+    let list = C::ATTRIBUTES.iter().chain(stored).map(values).collect::<Result<_, String>>()?;
+    Ok(C::from_list(model, list))
 }
 
 /// The environment, if the file has one.
@@ -324,7 +333,7 @@ mod tests {
                 footprint: Footprint::Kernel,
                 backstop: true,
                 margin_lookup: MarginLookup::Literal,
-                rendering: crate::scene::Rendering::Peeled,
+                rendering: Rendering::Peeled,
                 screen_filter: crate::scene::ScreenFilter::Plain,
                 blend_order: crate::scene::BlendOrder::Rays,
                 background: [0.0, 0.5, 1.0],
@@ -406,6 +415,28 @@ mod tests {
                 assert_eq!(SceneData::load(&path).unwrap(), scene, "{model} {surfels} {gaussians}");
             }
         }
+    }
+
+    #[test]
+    fn students_have_degrees_of_freedom_and_nothing_else_has() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("scene.safetensors");
+        let mut students = scene("sh1".parse().unwrap(), 0, 5);
+        let refused = |scene: &SceneData| scene.save(&path).unwrap_err().to_string();
+        students.info.rendering = Rendering::Students;
+        assert!(refused(&students).contains("`gaussians.degrees_of_freedom`"));
+        students.gaussians.degrees_of_freedom = Some(vec![1.0, 2.5, 100.0, 1e4, 7.0]);
+        students.save(&path).unwrap();
+        assert_eq!(SceneData::load(&path).unwrap(), students);
+        let picked = students.gaussians.select(&[3, 0]);
+        assert_eq!(picked.degrees_of_freedom, Some(vec![1e4, 1.0]));
+        assert!(
+            students.to_compressed(&crate::scene::Quality::LOW, &path).unwrap_err().to_string().contains("Student")
+        );
+        let without = load_bytes(&save_bytes(&students, |_| (), "gaussians.degrees_of_freedom"));
+        assert!(without.contains("`gaussians.degrees_of_freedom`"), "{without}");
+        students.info.rendering = Rendering::Ellipsoids;
+        assert!(refused(&students).contains("`gaussians.degrees_of_freedom`"));
     }
 
     #[test]

@@ -58,6 +58,8 @@ pub enum ScreenFilter {
     Compensated,
     /// 0.3 px² (3DGS): Gaussians finer than a pixel become brighter from farther away.
     Plain,
+    /// None (SSS): Gaussians finer than a pixel vanish between the centres of pixels.
+    Off,
 }
 
 impl ScreenFilter {
@@ -66,6 +68,7 @@ impl ScreenFilter {
         match self {
             Self::Compensated => 0.1,
             Self::Plain => 0.3,
+            Self::Off => 0.0,
         }
     }
 }
@@ -102,6 +105,9 @@ pub enum Rendering {
     Ellipsoids,
     /// Gaussians are flat: the discs of their first two axes are blended in the order of their depths (2DGS).
     Discs,
+    /// Ellipsoids with kernels of Student's t distribution, whose opacities may be below 0, are blended in the order of
+    /// their depths (SSS).
+    Students,
 }
 
 impl fmt::Display for Rendering {
@@ -110,6 +116,7 @@ impl fmt::Display for Rendering {
             Self::Peeled => "peeled",
             Self::Ellipsoids => "ellipsoids",
             Self::Discs => "discs",
+            Self::Students => "students",
         })
     }
 }
@@ -149,10 +156,11 @@ pub struct SceneInfo {
 }
 
 impl SceneInfo {
-    /// The largest α of a fragment of blended Gaussians: that of the method which trains them (3DGS, 2DGS: 0.99, DBS:
+    /// The largest α of a fragment of blended Gaussians: that of the method which trains them (3DGS, 2DGS, SSS: 0.99, DBS:
     /// 0.999).
     pub fn max_alpha(&self) -> f64 {
-        let as_published = self.rendering == Rendering::Discs || self.screen_filter == ScreenFilter::Plain;
+        let as_published = matches!(self.rendering, Rendering::Discs | Rendering::Students)
+            || self.screen_filter == ScreenFilter::Plain;
         if as_published { 0.99 } else { 0.999 }
     }
 }

@@ -6,6 +6,7 @@
 //! [`Columns`]; only an operation that gives an attribute its meaning names it.
 
 use std::fmt;
+use std::ops::RangeInclusive;
 
 use serde::{Deserialize, Serialize};
 
@@ -40,7 +41,12 @@ pub enum Activation {
     Identity,
     /// An [`OpacityActivation`], which the run chooses.
     Opacity,
+    /// Clamped to [`DEGREES_OF_FREEDOM`] (SSS).
+    DegreesOfFreedom,
 }
+
+/// Range of the degrees of freedom of Student's t kernels (SSS).
+pub const DEGREES_OF_FREEDOM: RangeInclusive<f32> = 1.0..=1e4;
 
 /// Attributes that share a learning rate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,6 +57,7 @@ pub enum RateGroup {
     Quaternions,
     LogScales,
     Opacities,
+    DegreesOfFreedom,
     Base,
     Detail,
     /// Of the coefficients of an environment; no primitive has such an attribute.
@@ -113,13 +120,15 @@ pub struct Colour<T> {
 }
 
 /// One value of type [`Value`](Self::Value) per attribute of a kind of primitive, in the order of
-/// [`ATTRIBUTES`](Self::ATTRIBUTES).
+/// [`ATTRIBUTES`](Self::ATTRIBUTES), and after them of those of [`OPTIONAL`](Self::OPTIONAL) that there are.
 pub trait Columns: Sized {
     type Value;
     /// The same attributes with other values.
     type With<U>: Columns<Value = U>;
 
     const ATTRIBUTES: &'static [Attribute];
+    /// What only some scenes have. One has the first of them before it has the next.
+    const OPTIONAL: &'static [Attribute];
 
     fn colour(&self) -> &Colour<Self::Value>;
     fn colour_mut(&mut self) -> &mut Colour<Self::Value>;
@@ -128,23 +137,28 @@ pub trait Columns: Sized {
     fn into_list(self) -> Vec<Self::Value>;
 
     /// # Panics
-    /// If `list` does not have one value per attribute.
+    /// If `list` does not have one value per attribute of [`ATTRIBUTES`](Self::ATTRIBUTES), or more than all attributes.
     fn from_list<U>(model: ColourModel, list: Vec<U>) -> Self::With<U>;
 
     fn model(&self) -> ColourModel {
         self.colour().model
     }
 
+    /// Every attribute that can be: as many as a list has are there.
+    fn all_attributes() -> impl Iterator<Item = &'static Attribute> {
+        Self::ATTRIBUTES.iter().chain(Self::OPTIONAL)
+    }
+
     fn iter<'a>(&'a self) -> impl Iterator<Item = (&'static Attribute, &'a Self::Value)>
     where
         Self::Value: 'a,
     {
-        Self::ATTRIBUTES.iter().zip(self.list())
+        Self::all_attributes().zip(self.list())
     }
 
     fn map<U>(self, mut with: impl FnMut(&'static Attribute, Self::Value) -> U) -> Self::With<U> {
         let model = self.model();
-        Self::generate(model, Self::ATTRIBUTES.iter().zip(self.into_list()).map(|(a, value)| with(a, value)))
+        Self::generate(model, Self::all_attributes().zip(self.into_list()).map(|(a, value)| with(a, value)))
     }
 
     fn map_ref<U>(&self, mut with: impl FnMut(&'static Attribute, &Self::Value) -> U) -> Self::With<U> {
@@ -155,6 +169,8 @@ pub trait Columns: Sized {
         Self::from_list(model, values.collect())
     }
 
+    /// Without optional attributes.
+    ///
     /// # Errors
     /// The first error of `make`.
     fn try_generate<U, E>(
@@ -165,16 +181,38 @@ pub trait Columns: Sized {
     }
 }
 
-/// Declares the columns of a kind of primitive. Every kind ends with the two attributes of [`Colour`].
+/// An attribute that is declared as a field of columns.
+macro_rules! attribute {
+    ($kind:literal, $field:ident, $width:expr, $activation:ident, $rate:ident, $neutral:expr) => {
+        Attribute {
+            name: concat!($kind, ".", stringify!($field)),
+            raw_name: match Activation::$activation {
+                Activation::Identity => concat!($kind, ".", stringify!($field)),
+                Activation::Opacity | Activation::DegreesOfFreedom => concat!($kind, ".raw_", stringify!($field)),
+            },
+            width: $width,
+            activation: Activation::$activation,
+            rate: RateGroup::$rate,
+            neutral: &$neutral,
+        }
+    };
+}
+
+/// Declares the columns of a kind of primitive. Every kind has the two attributes of [`Colour`] after its own, and then
+/// those that only some scenes have.
 macro_rules! columns {
     ($(#[$doc:meta])* $columns:ident, $kind:literal, {
         $($(#[$field_doc:meta])* $field:ident: $width:expr, $activation:ident, $rate:ident, neutral $neutral:expr;)*
+    }, optional {
+        $($(#[$extra_doc:meta])*
+        $extra:ident: $extra_width:expr, $extra_activation:ident, $extra_rate:ident, neutral $extra_neutral:expr;)*
     }) => {
         $(#[$doc])*
         #[derive(Clone, Debug, Default, PartialEq)]
         pub struct $columns<T> {
             $($(#[$field_doc])* pub $field: T,)*
             pub colour: Colour<T>,
+            $($(#[$extra_doc])* pub $extra: Option<T>,)*
         }
 
         impl<T> Columns for $columns<T> {
@@ -182,17 +220,7 @@ macro_rules! columns {
             type With<U> = $columns<U>;
 
             const ATTRIBUTES: &'static [Attribute] = &[
-                $(Attribute {
-                    name: concat!($kind, ".", stringify!($field)),
-                    raw_name: match Activation::$activation {
-                        Activation::Identity => concat!($kind, ".", stringify!($field)),
-                        Activation::Opacity => concat!($kind, ".raw_", stringify!($field)),
-                    },
-                    width: $width,
-                    activation: Activation::$activation,
-                    rate: RateGroup::$rate,
-                    neutral: &$neutral,
-                },)*
+                $(attribute!($kind, $field, $width, $activation, $rate, $neutral),)*
                 Attribute {
                     name: concat!($kind, ".colour.base"),
                     raw_name: concat!($kind, ".colour.base"),
@@ -211,6 +239,9 @@ macro_rules! columns {
                 },
             ];
 
+            const OPTIONAL: &'static [Attribute] =
+                &[$(attribute!($kind, $extra, $extra_width, $extra_activation, $extra_rate, $extra_neutral),)*];
+
             fn colour(&self) -> &Colour<T> {
                 &self.colour
             }
@@ -220,22 +251,33 @@ macro_rules! columns {
             }
 
             fn list(&self) -> Vec<&T> {
-                vec![$(&self.$field,)* &self.colour.base, &self.colour.detail]
+                let extra: Vec<Option<&T>> = vec![$(self.$extra.as_ref(),)*];
+                let all = [$(&self.$field,)* &self.colour.base, &self.colour.detail];
+                all.into_iter().chain(extra.into_iter().flatten()).collect()
             }
 
             fn list_mut(&mut self) -> Vec<&mut T> {
-                vec![$(&mut self.$field,)* &mut self.colour.base, &mut self.colour.detail]
+                let extra: Vec<Option<&mut T>> = vec![$(self.$extra.as_mut(),)*];
+                let all = [$(&mut self.$field,)* &mut self.colour.base, &mut self.colour.detail];
+                all.into_iter().chain(extra.into_iter().flatten()).collect()
             }
 
             fn into_list(self) -> Vec<T> {
-                vec![$(self.$field,)* self.colour.base, self.colour.detail]
+                let extra: Vec<Option<T>> = vec![$(self.$extra,)*];
+                let all = [$(self.$field,)* self.colour.base, self.colour.detail];
+                all.into_iter().chain(extra.into_iter().flatten()).collect()
             }
 
             fn from_list<U>(model: ColourModel, list: Vec<U>) -> $columns<U> {
-                assert_eq!(list.len(), Self::ATTRIBUTES.len(), "one value per attribute");
+                let (least, extra) = (Self::ATTRIBUTES.len(), Self::OPTIONAL.len());
+                assert!((least..=least + extra).contains(&list.len()), "one value per attribute");
                 let mut values = list.into_iter();
                 let mut next = || values.next().expect("counted above");
-                $columns { $($field: next(),)* colour: Colour { model, base: next(), detail: next() } }
+                $columns {
+                    $($field: next(),)*
+                    colour: Colour { model, base: next(), detail: next() },
+                    $($extra: values.next(),)*
+                }
             }
         }
     };
@@ -252,7 +294,7 @@ columns! {
         log_scales: Width::Fixed(2), Identity, LogScales, neutral [0.0];
         /// [N, 1] depth margin ε, world units; carries no gradient.
         margins: Width::Scalar, Identity, Fixed, neutral [0.0];
-    }
+    }, optional {}
 }
 
 columns! {
@@ -264,8 +306,13 @@ columns! {
         quaternions: Width::Fixed(4), Identity, Quaternions, neutral [1.0, 0.0, 0.0, 0.0];
         /// [M, 3] natural logarithm of the scales, world units.
         log_scales: Width::Fixed(3), Identity, LogScales, neutral [0.0];
-        /// [M, 1] linear opacity, used as max(0, opacity); may exceed 1.
+        /// [M, 1] linear opacity, used as max(0, opacity); may exceed 1. Where there are degrees of freedom it is from −1
+        /// to 1, and those below 0 take colour away.
         opacities: Width::Scalar, Opacity, Opacities, neutral [1.0];
+    }, optional {
+        /// [M, 1] ν of Student's t kernels, in [`DEGREES_OF_FREEDOM`]; where there are none, kernels are Gaussian, which is
+        /// the limit of large ν (SSS).
+        degrees_of_freedom: Width::Scalar, DegreesOfFreedom, DegreesOfFreedom, neutral [100.0];
     }
 }
 
@@ -278,10 +325,13 @@ pub enum OpacityActivation {
     Linear,
     /// 1 / (1 + e^−x) (3DGS).
     Sigmoid,
+    /// tanh x, from −1 to 1 (SSS). Not for peeled scenes, which draw nothing below 0, so no configuration has it.
+    #[serde(skip)]
+    Tanh,
 }
 
 impl OpacityActivation {
-    /// Opacities this near to 0 or 1 are what a logit can still hold and leave.
+    /// Opacities this near to 0, 1 or −1 are what a raw number can still hold and leave.
     const LIMIT: f64 = 1.2e-7;
 
     /// The opacity that is rendered.
@@ -289,6 +339,7 @@ impl OpacityActivation {
         match self {
             Self::Linear => raw,
             Self::Sigmoid => (1.0 / (1.0 + f64::from(-raw).exp())) as f32,
+            Self::Tanh => f64::from(raw).tanh() as f32,
         }
     }
 
@@ -300,6 +351,7 @@ impl OpacityActivation {
                 let opacity = f64::from(value).clamp(Self::LIMIT, 1.0 - Self::LIMIT);
                 (opacity / (1.0 - opacity)).ln() as f32
             }
+            Self::Tanh => f64::from(value).clamp(Self::LIMIT - 1.0, 1.0 - Self::LIMIT).atanh() as f32,
         }
     }
 }
@@ -309,6 +361,7 @@ impl fmt::Display for OpacityActivation {
         f.write_str(match self {
             Self::Linear => "linear",
             Self::Sigmoid => "sigmoid",
+            Self::Tanh => "tanh",
         })
     }
 }
@@ -329,11 +382,24 @@ mod tests {
         let mut gaussians = GaussianColumns::<()>::from_list(ColourModel::default(), vec![0; 6]);
         gaussians.list_mut().into_iter().enumerate().for_each(|(at, value)| *value = at);
         assert_eq!((gaussians.positions, gaussians.opacities, gaussians.colour.detail), (0, 3, 5));
+        assert_eq!((gaussians.degrees_of_freedom, gaussians.iter().count()), (None, 6));
+    }
+
+    #[test]
+    fn an_optional_attribute_is_the_last_where_there_is_one() {
+        let names: Vec<&str> = GaussianColumns::<()>::all_attributes().map(|attribute| attribute.name).collect();
+        let mut students = GaussianColumns::<()>::from_list(ColourModel::default(), names.clone());
+        assert_eq!(students.degrees_of_freedom, Some("gaussians.degrees_of_freedom"));
+        assert!(students.iter().all(|(attribute, value)| attribute.name == *value));
+        assert_eq!((students.list_mut().len(), students.clone().into_list()), (7, names));
+        let upper = students.map(|attribute, _| attribute.rate);
+        assert_eq!(upper.degrees_of_freedom, Some(RateGroup::DegreesOfFreedom));
+        assert_eq!(SurfelColumns::<()>::OPTIONAL, []);
     }
 
     #[test]
     fn only_what_has_an_activation_has_another_raw_name() {
-        let mut all = SurfelColumns::<()>::ATTRIBUTES.iter().chain(GaussianColumns::<()>::ATTRIBUTES);
+        let mut all = SurfelColumns::<()>::all_attributes().chain(GaussianColumns::<()>::all_attributes());
         assert!(all.all(|a| (a.name == a.raw_name) == (a.activation == Activation::Identity)));
         assert_eq!(GaussianColumns::<()>::ATTRIBUTES[3].raw_name, "gaussians.raw_opacities");
     }
@@ -345,6 +411,11 @@ mod tests {
             let sigmoid = OpacityActivation::Sigmoid;
             assert!((sigmoid.value(sigmoid.raw(opacity)) - opacity).abs() < 2e-7, "{opacity}");
             assert!(sigmoid.raw(opacity).is_finite());
+            for signed in [opacity, -opacity] {
+                let tanh = OpacityActivation::Tanh;
+                assert!((tanh.value(tanh.raw(signed)) - signed).abs() < 2e-7, "{signed}");
+                assert!(tanh.raw(signed).is_finite());
+            }
         }
     }
 }

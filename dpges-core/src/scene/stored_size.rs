@@ -17,7 +17,9 @@ impl SceneData {
         let wrong = |reason| Error::SceneFile { path: name.into(), reason };
         let file = SafeTensors::deserialize(bytes).map_err(unreadable).map_err(wrong)?;
         let size = |name: &str| file.tensor(name).map_or(0, |tensor| tensor.data().len());
-        let attributes = SurfelData::ATTRIBUTES.iter().chain(GaussianData::ATTRIBUTES).chain([&ENVIRONMENT]);
+        let extra = GaussianData::OPTIONAL.iter().filter(|attribute| file.tensor(attribute.name).is_ok());
+        let attributes =
+            SurfelData::ATTRIBUTES.iter().chain(GaussianData::ATTRIBUTES).chain(extra).chain([&ENVIRONMENT]);
         let sizes = attributes.map(|attribute| {
             let lobes = if attribute.width == Width::Detail { lobe_names(attribute).map(size).iter().sum() } else { 0 };
             (attribute.name, size(attribute.name) + lobes)

@@ -49,6 +49,7 @@ impl OpacityActivation {
         match self {
             Self::Linear => raw,
             Self::Sigmoid => sigmoid(raw),
+            Self::Tanh => raw.tanh(),
         }
     }
 }

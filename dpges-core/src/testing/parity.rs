@@ -14,7 +14,7 @@ use super::golden::values;
 use super::random::Random;
 use super::scenes::TestScene;
 use crate::ops::adam::{AdamStep, adam_step};
-use crate::ops::blend::{BlendOptions, blend};
+use crate::ops::blend::{BlendOptions, Form, blend};
 use crate::ops::colour::colour;
 use crate::ops::composite::{CompositeOptions, composite};
 use crate::ops::coverage::coverage;
@@ -334,7 +334,15 @@ impl<'a> Bench<'a> {
 
     /// [`blended`](Self::blended) where `agreed` [H, W] is 1; the rest of each output is 0.
     pub fn blended_where(mut self, options: BlendOptions, agreed: &[f64]) -> Vec<Named> {
-        let (gaussians, count) = (self.gaussians.clone(), self.gaussians.len());
+        let (mut gaussians, count) = (self.gaussians.clone(), self.gaussians.len());
+        if options.form == Form::Students {
+            let powers = Random::new(15).numbers(count, 0.0, 3.5);
+            let degrees: Vec<f64> = powers.into_iter().map(|power| 10f64.powf(power)).collect();
+            // behind many below 0 T is so large that one fragment at the cutoff, where devices may differ, shows
+            let opacities = Random::new(16).numbers(count, -0.3, 0.98);
+            gaussians.degrees_of_freedom = Some(self.tensor(&degrees, [count, 1]).require_grad());
+            gaussians.opacities = self.tensor(&opacities, [count, 1]).require_grad();
+        }
         let [_, height, width] = self.shape();
         let agreed = self.tensor(agreed, [1, height, width]);
         let outputs: &[&str] =
@@ -361,6 +369,9 @@ impl<'a> Bench<'a> {
             self.gradient(&format!("blend.{name}.grad.quaternions"), &gaussians.quaternions, &gradients);
             self.gradient(&format!("blend.{name}.grad.log_scales"), &gaussians.log_scales, &gradients);
             self.gradient(&format!("blend.{name}.grad.opacities"), &gaussians.opacities, &gradients);
+            if let Some(degrees) = &gaussians.degrees_of_freedom {
+                self.gradient(&format!("blend.{name}.grad.degrees_of_freedom"), degrees, &gradients);
+            }
             self.gradient(&format!("blend.{name}.grad.colours"), &colours, &gradients);
             self.gradient(&format!("blend.{name}.grad.probe"), &probe, &gradients);
         }

@@ -6,10 +6,12 @@ use std::ops::Add;
 use rayon::prelude::*;
 use serde::Serialize;
 
+use crate::backend::simd::LANES;
 use crate::camera::Camera;
 use crate::footprint::CUTOFF;
 use crate::footprint::gaussian::cpu as splat;
 use crate::footprint::gaussian::cpu::Splat;
+use crate::footprint::gaussian::cpu::student::Student;
 use crate::footprint::rays::rays;
 use crate::footprint::surfel::cpu as disc;
 use crate::footprint::surfel::cpu::{Disc, MIN_FACING, Plane};
@@ -111,13 +113,20 @@ pub fn gaussian_work(
             quaternion: row(&gaussians.quaternions, i),
             log_scales: row(&gaussians.log_scales, i),
             opacity: gaussians.opacities[i],
+            degrees_of_freedom: gaussians.degrees_of_freedom.as_ref().map_or(f32::INFINITY, |degrees| degrees[i]),
         };
+        if gaussians.degrees_of_freedom.is_some() {
+            let student = Student::new(&view, &parameters, [0.0; 3]);
+            let rect = student.as_ref().map_or(PixelRect::EMPTY, |student| student.reach(width, height));
+            return ((student.as_ref().map(|student| student.ellipse), student), rect);
+        }
         let splat = Splat::new(&view, &parameters, [0.0; 3], filter);
         let rect = splat.as_ref().map_or(PixelRect::EMPTY, |splat| splat.reach(width, height));
-        (splat, rect)
+        ((splat, None), rect)
     };
-    let (splats, rects): (Vec<Option<Splat<f32>>>, Vec<PixelRect>) =
-        (0..gaussians.len()).into_par_iter().map(seen).unzip();
+    type Seen = (Option<Splat<f32>>, Option<Student<f32>>);
+    let (seen, rects): (Vec<Seen>, Vec<PixelRect>) = (0..gaussians.len()).into_par_iter().map(seen).unzip();
+    let (splats, students): (Vec<_>, Vec<_>) = seen.into_iter().unzip();
     let of_tiles = Ends::new(ends, grid, [TILE; 2]);
     let of_regions = Ends::new(ends, grid, REGION);
     let is_listed = |i: usize, column: usize, row: usize| {
@@ -129,7 +138,13 @@ pub fn gaussian_work(
     };
     let is_inside = |i: usize, x: f32, y: f32| {
         splats[i].as_ref().is_some_and(|splat| {
-            let [u, v] = splat.in_deviations(x - splat.mean[0], y - splat.mean[1]);
+            let (dx, dy) = (x - splat.mean[0], y - splat.mean[1]);
+            if let Some(student) = &students[i] {
+                let mut weights = [0.0; LANES];
+                student.weights(&[dx; LANES], dy, &mut weights);
+                return weights[0] != 0.0;
+            }
+            let [u, v] = splat.in_deviations(dx, dy);
             splat.weight(u, v) > 0.0
         })
     };

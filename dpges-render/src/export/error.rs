@@ -6,6 +6,8 @@ pub enum ExportError {
     Degree { found: usize },
     #[error("the scene draws nothing: it has no surfels, and all of its {gaussians} Gaussians are transparent")]
     Empty { gaussians: usize },
+    #[error("kernels of Student's t distribution (SSS) cannot be exported: splats of other programs are Gaussians")]
+    Kernel,
     #[error("the scene has no surfels, and a mesh is made of them: export the splats instead")]
     NoSurfels,
     #[error(

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use dpges_core::Error;
 use dpges_core::camera::Camera;
-use dpges_core::scene::SceneData;
+use dpges_core::scene::{Rendering, SceneData};
 use dpges_render::Headless;
 use dpges_render::frame_times::{FrameTimes, Rounds};
 use dpges_train::dataset::View;
@@ -22,7 +22,7 @@ use dpges_train::run::folder::write_json;
 
 use super::data::{Scene, ViewArgs, every_nth};
 use super::device_failure::watched;
-use super::frame_times::of_raster;
+use super::frame_times::{of_raster, of_training};
 use super::lpips::LpipsArgs;
 use super::render::Size;
 use super::worst::{self, WorstView};
@@ -69,7 +69,8 @@ pub struct EvalArgs {
     /// not explain it. Renders 60 frames
     #[arg(long)]
     popping: bool,
-    /// Also measure the frame times of the real-time renderer, over up to 16 of the views at the size of the first
+    /// Also measure the frame times of the real-time renderer, over up to 16 of the views at the size of the first. Of Student's
+    /// t kernels, which it does not draw, those of the renderer that is trained with
     #[arg(long)]
     frame_times: bool,
     /// Write the result to this file; `-` is standard output
@@ -84,6 +85,7 @@ pub fn run(args: &EvalArgs) -> Result<()> {
 }
 
 fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> {
+    let device_name = device.to_string();
     let device = device.open()?;
     let networks = args.lpips.load(&device)?;
     let (source, dataset) = args.views.load_dataset(&mut scene)?;
@@ -112,8 +114,13 @@ fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> 
     if args.popping && popping.is_none() {
         notes.push(("popping", "not measured: no surface is seen from two frames".to_owned()));
     }
-    let frame_ms = match args.frame_times.then(Headless::new) {
-        Some(Ok(headless)) => {
+    let is_drawn = scene.data.info.rendering != Rendering::Students;
+    if args.frame_times && !is_drawn {
+        notes.push(("frames", "by the renderer of training: the real-time one has no Student's t kernels".to_owned()));
+    }
+    let frame_ms = match args.frame_times.then(|| is_drawn.then(Headless::new)).map(Option::transpose) {
+        Some(Ok(None)) => Some(training_frame_ms(&renderer, views, &device_name)?),
+        Some(Ok(Some(headless))) => {
             scene.warn_of_order("the real-time renderer, whose frames are timed, sorts");
             Some(frame_ms(&headless, &scene.data, views)?)
         }
@@ -163,11 +170,23 @@ pub fn make_folder(path: &Path) -> Result<(), Error> {
     })
 }
 
-/// Times of the real-time renderer from some of `views`, at the size of the first.
-fn frame_ms(headless: &Headless, scene: &SceneData, views: &[View]) -> Result<FrameMs> {
+/// Some of `views`, at the size of the first.
+fn timed(views: &[View]) -> (Size, Vec<Camera>) {
     let Camera { width, height, .. } = views[0].camera;
     let size = Size { width, height };
-    let cameras: Vec<Camera> = every_nth(views, TIMED_VIEWS).map(|view| size.apply(&view.camera)).collect();
+    (size, every_nth(views, TIMED_VIEWS).map(|view| size.apply(&view.camera)).collect())
+}
+
+/// Times of the renderer that is trained with, on the device that is called so.
+fn training_frame_ms(renderer: &Renderer, views: &[View], device: &str) -> Result<FrameMs> {
+    let (Size { width, height }, cameras) = timed(views);
+    let FrameTimes { p50_ms, p99_ms, .. } = of_training(renderer, &cameras, ROUNDS)?;
+    Ok(FrameMs { p50: p50_ms, p99: p99_ms, device: device.to_owned(), width, height, renderer: "training".to_owned() })
+}
+
+/// Times of the real-time renderer from some of `views`, at the size of the first.
+fn frame_ms(headless: &Headless, scene: &SceneData, views: &[View]) -> Result<FrameMs> {
+    let (Size { width, height }, cameras) = timed(views);
     let FrameTimes { p50_ms, p99_ms, .. } = of_raster(headless, scene, &cameras, ROUNDS)?;
     let (device, renderer) = (headless.adapter_name(), "raster".to_owned());
     Ok(FrameMs { p50: p50_ms, p99: p99_ms, device, width, height, renderer })

@@ -52,6 +52,7 @@ fn describe(scene: &Scene) -> Vec<(&'static str, Value)> {
     let screen_filter = match info.screen_filter {
         ScreenFilter::Compensated => "compensated",
         ScreenFilter::Plain => "plain",
+        ScreenFilter::Off => "off",
     };
     vec![
         ("scene", json!(scene.path.display().to_string())),

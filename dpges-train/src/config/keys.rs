@@ -319,8 +319,8 @@ configuration! {
         smoothing: f64 = 0.447_213_6, unit: "px", range: 0.0..;
     }
 
-    /// Training of Gaussians that are relocated (3DGS-MCMC, DBS). Numbers of steps are those of a stage of 20,000 steps,
-    /// or of a run of 30,000 with `train.method = "mcmc"` or `"dbs"`, and scale with its length.
+    /// Training of Gaussians that are relocated (3DGS-MCMC, DBS, SSS). Numbers of steps are those of a stage of 20,000 steps,
+    /// or of a run of 30,000 with `train.method = "mcmc"`, `"dbs"` or `"sss"`, and scale with its length.
     [relocation] RelocationConfig {
         /// Interval of relocation and growth.
         every: usize = 100, unit: "steps", range: 1..;
@@ -337,12 +337,13 @@ configuration! {
         /// Weight of the mean scale in the loss (3DGS-MCMC).
         lambda_scale: f64 = 0.01, unit: "per world unit", range: 0.0..;
         /// Noise on positions relative to their learning rate (3DGS-MCMC). DBS takes a tenth, and only when it
-        /// relocates.
+        /// relocates. SSS has a number of the same size and another unit, the C of its burn-in: half the variance of the
+        /// noise on momenta, per rate.
         noise: f64 = 5e5, range: 0.0..;
         /// Opacity at the start.
         start_opacity: f64 = 0.5, range: OPACITY;
-        /// Scale at the start relative to the root mean square distance to the 3 nearest points (DBS: 1, 3DGS-MCMC:
-        /// 0.1).
+        /// Scale at the start relative to the root mean square distance to the 3 nearest points (DBS: 1, 3DGS-MCMC,
+        /// SSS: 0.1).
         start_scale: f64 = 1.0, range: POSITIVE;
     }
 

@@ -10,8 +10,8 @@ use dpges_core::ops::environment::environment;
 use dpges_core::ops::finite::{FiniteChecks, check_finite};
 use dpges_core::render::Values;
 use dpges_core::render::blended::{BlendedOptions, render_blended};
-use dpges_core::scene::SceneData;
 use dpges_core::scene::tensors::rows_to_tensor;
+use dpges_core::scene::{Rendering, SceneData};
 use dpges_core::{Error, Result};
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -36,6 +36,10 @@ pub fn fit(
 ) -> Result<SceneData> {
     if views.is_empty() {
         return Err(Error::Option { option: "views", expected: "at least one".to_owned(), found: "none".to_owned() });
+    }
+    if scene.info.rendering == Rendering::Students {
+        let expected = "ellipsoids or discs".to_owned();
+        return Err(Error::Option { option: "rendering", expected, found: scene.info.rendering.to_string() });
     }
     let config = Config::default();
     let options = BlendedOptions::new(&scene.info)?;
@@ -85,6 +89,7 @@ fn rates(config: &Config, progress: f64, extent: f64) -> Rates {
         quaternions: decay * optimizer.quaternions,
         log_scales: decay * optimizer.log_scales,
         opacities: decay * config.stages.opacities,
+        degrees_of_freedom: 0.0,
         base: decay * optimizer.base,
         detail: decay * optimizer.detail,
     }
@@ -92,7 +97,7 @@ fn rates(config: &Config, progress: f64, extent: f64) -> Rates {
 
 #[cfg(test)]
 mod tests {
-    use dpges_core::scene::{ColourModel, GaussianData, Rendering, SceneInfo, SurfelData};
+    use dpges_core::scene::{ColourModel, GaussianData, SceneInfo, SurfelData};
 
     use super::*;
     use crate::dataset::{BuiltinOptions, builtin};

@@ -51,6 +51,11 @@ impl Parameter {
         self.raw.clone()
     }
 
+    /// The two Adam moments, each [rows, width]; `None` if the attribute does not learn.
+    pub fn moments(&self) -> Option<&[Tensor<2>; 2]> {
+        self.moments.as_ref()
+    }
+
     /// [rows, width] the raw numbers on a new tape; a leaf of it if the attribute learns.
     pub fn leaf(&self) -> Tensor<2> {
         let raw = self.raw.clone().autodiff();

@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, HashMap};
 use burn::tensor::{Bool, Device, Gradients, Tensor, TensorData};
 use dpges_core::ops::adam::AdamStep;
 use dpges_core::scene::schema::{
-    Activation, Attribute, Columns, GaussianColumns, OpacityActivation, RateGroup, SurfelColumns,
+    Activation, Attribute, Columns, DEGREES_OF_FREEDOM, GaussianColumns, OpacityActivation, RateGroup, SurfelColumns,
 };
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{ColourData, ColourModel};
@@ -23,6 +23,7 @@ pub struct Rates {
     pub quaternions: f64,
     pub log_scales: f64,
     pub opacities: f64,
+    pub degrees_of_freedom: f64,
     pub base: f64,
     pub detail: f64,
 }
@@ -40,6 +41,7 @@ impl Rates {
             RateGroup::Quaternions => self.quaternions,
             RateGroup::LogScales => self.log_scales,
             RateGroup::Opacities => self.opacities,
+            RateGroup::DegreesOfFreedom => self.degrees_of_freedom,
             RateGroup::Base => self.base,
             RateGroup::Detail => self.detail,
         }
@@ -79,7 +81,7 @@ impl<C: Columns<Value = Parameter, With<Parameter> = C>> State<C> {
         let parameter = |(attribute, values): (&'static Attribute, &Vec<f32>)| {
             Parameter::fresh(attribute, &raw(attribute, values, opacity), attribute.shape(count, model), device)
         };
-        Self { columns: C::generate(model, C::ATTRIBUTES.iter().zip(columns).map(parameter)), opacity }
+        Self { columns: C::generate(model, C::all_attributes().zip(columns).map(parameter)), opacity }
     }
 
     /// Takes the parameters of this kind out of `rows`.
@@ -93,7 +95,8 @@ impl<C: Columns<Value = Parameter, With<Parameter> = C>> State<C> {
         device: &Device,
     ) -> Result<Self, String> {
         let count = rows.get(C::ATTRIBUTES[0].raw_name).map_or(0, |rows| rows.count);
-        let columns = C::try_generate(model, |attribute| {
+        let stored = C::OPTIONAL.iter().take_while(|attribute| rows.contains_key(attribute.raw_name)).count();
+        let parameter = |attribute: &'static Attribute| {
             let name = attribute.raw_name;
             let found = rows.remove(name).ok_or_else(|| format!("attribute `{name}` is missing"))?;
             let [expected, width] = attribute.shape(count, model);
@@ -104,8 +107,10 @@ impl<C: Columns<Value = Parameter, With<Parameter> = C>> State<C> {
                 return Err(format!("the moments of `{name}` are missing, or it has some and does not learn"));
             }
             Ok(Parameter::from_rows(attribute, &found, device))
-        })?;
-        Ok(Self { columns, opacity })
+        };
+        let list =
+            C::all_attributes().take(C::ATTRIBUTES.len() + stored).map(parameter).collect::<Result<_, String>>()?;
+        Ok(Self { columns: C::from_list(model, list), opacity })
     }
 
     pub fn rows(&self) -> NamedRows {
@@ -131,6 +136,7 @@ impl<C: Columns<Value = Parameter, With<Parameter> = C>> State<C> {
             match attribute.activation {
                 Activation::Identity => raw,
                 Activation::Opacity => raw.into_iter().map(|raw| self.opacity.value(raw)).collect(),
+                Activation::DegreesOfFreedom => raw.into_iter().map(clamped_degrees).collect(),
             }
         })
     }
@@ -139,6 +145,7 @@ impl<C: Columns<Value = Parameter, With<Parameter> = C>> State<C> {
         match attribute.activation {
             Activation::Identity => raw,
             Activation::Opacity => self.opacity.activate(raw),
+            Activation::DegreesOfFreedom => raw.clamp(*DEGREES_OF_FREEDOM.start(), *DEGREES_OF_FREEDOM.end()),
         }
     }
 
@@ -150,7 +157,7 @@ impl<C: Columns<Value = Parameter, With<Parameter> = C>> State<C> {
     /// The attributes on a new tape, for one step.
     pub fn leaves(&self) -> Leaves<C::With<Tensor<2>>> {
         let leaves: Vec<Tensor<2>> = self.columns.list().into_iter().map(Parameter::leaf).collect();
-        let values = C::ATTRIBUTES.iter().zip(&leaves).map(|(a, leaf)| self.activated(a, leaf.clone()));
+        let values = C::all_attributes().zip(&leaves).map(|(a, leaf)| self.activated(a, leaf.clone()));
         let model = self.columns.model();
         Leaves { values: C::generate(model, values), raw: C::from_list(model, leaves) }
     }
@@ -172,7 +179,7 @@ impl<C: Columns<Value = Parameter, With<Parameter> = C>> State<C> {
         rates: &Rates,
         adam: AdamStep,
     ) -> dpges_core::Result<()> {
-        let learning = C::ATTRIBUTES.iter().zip(self.columns.list_mut()).filter(|(attribute, _)| attribute.learns());
+        let learning = C::all_attributes().zip(self.columns.list_mut()).filter(|(attribute, _)| attribute.learns());
         for ((attribute, parameter), (_, gradient)) in learning.zip(gradients) {
             parameter.step(gradient, gate, AdamStep { learning_rate: rates.of(attribute.rate), ..adam })?;
         }
@@ -238,10 +245,14 @@ impl GaussianState {
     }
 }
 
+fn clamped_degrees(raw: f32) -> f32 {
+    raw.clamp(*DEGREES_OF_FREEDOM.start(), *DEGREES_OF_FREEDOM.end())
+}
+
 /// The numbers that are trained for `values`.
 fn raw(attribute: &Attribute, values: &[f32], opacity: OpacityActivation) -> Vec<f32> {
     match attribute.activation {
-        Activation::Identity => values.to_vec(),
+        Activation::Identity | Activation::DegreesOfFreedom => values.to_vec(),
         Activation::Opacity => raw_opacities(values, opacity),
     }
 }

@@ -9,7 +9,8 @@
 //! | [`margins`] | the depth margins of surfels |
 //! | [`densify`] | which discs and Gaussians are cloned, split and pruned |
 //! | [`sampling`] | how fine Gaussians may be |
-//! | [`relocate`] | which Gaussians of MCMC and DBS are relocated |
+//! | [`relocate`] | which Gaussians of MCMC, DBS and SSS are relocated |
+//! | [`sharing`] | opacity and scales of several that take the place of one |
 //! | [`lobes`], [`growth`], [`layer_count`] | with an automatic budget: lobes to drop, the end of growth, the number of layers |
 //!
 //! Each returns a plan. A stage applies it to the parameters and to the moments of the optimiser, where new rows start
@@ -27,6 +28,7 @@ pub mod neighbours;
 pub mod prune;
 pub mod relocate;
 pub mod sampling;
+pub mod sharing;
 pub mod split;
 
 use std::f64::consts::TAU;

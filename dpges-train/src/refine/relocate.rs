@@ -1,25 +1,22 @@
-//! Moves faded Gaussians to opaque ones and adds new ones there (3DGS-MCMC, DBS). A source and its copies share the opacity
-//! of the source, so that the picture does not change.
+//! Moves faded Gaussians to opaque ones and adds new ones there (3DGS-MCMC, DBS, SSS). A source and its copies share the
+//! opacity of the source, so that the picture does not change.
 
 use dpges_core::scene::GaussianData;
 use rand_chacha::ChaCha8Rng;
 
 use super::add::draw_in_proportion;
+use super::sharing::{share_out, share_out_students};
 use crate::config::Relocation;
 
-/// Largest number of Gaussians that count as sharing one opacity (3DGS-MCMC).
-const MAX_COPIES: usize = 51;
-/// Smallest opacity after sharing (3DGS-MCMC).
-const MIN_OPACITY: f64 = 0.005;
-/// Largest opacity after sharing: 1 − ε of `f32` (3DGS-MCMC).
-const MAX_OPACITY: f64 = 1.0 - f32::EPSILON as f64;
+/// Largest share of Student's t kernels that is relocated at a time, the weakest (SSS).
+const MAX_RELOCATED: f64 = 0.05;
 
 /// The set after relocation and addition: the N old rows in place, then the added ones.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Relocated {
     /// [N'] the old row of which a row has position, rotation and colour.
     pub rows: Vec<usize>,
-    /// [N'] from 0 to 1.
+    /// [N'] from 0 to 1, or from −1 to 1 of Student's t kernels.
     pub opacities: Vec<f32>,
     /// [N' × 3] natural logarithm of the scales, world units.
     pub log_scales: Vec<f32>,
@@ -33,11 +30,17 @@ pub struct Relocated {
 impl Relocated {
     /// Gives `sources` (rows, repetitions possible) the opacity and scales of one of as many copies
     /// as they were drawn, and one more.
-    fn share(&mut self, sources: &[usize], kind: Relocation) {
+    fn share(&mut self, sources: &[usize], kind: Relocation, gaussians: &GaussianData) {
         let mut draws = vec![0; self.rows.len()];
         sources.iter().for_each(|&source| draws[source] += 1);
         for (row, &drawn) in draws.iter().enumerate().filter(|(_, drawn)| **drawn > 0) {
-            let (opacity, scale_factor) = share_out(f64::from(self.opacities[row]), drawn + 1, kind);
+            let (opacity, copies) = (f64::from(self.opacities[row]), drawn + 1);
+            let (opacity, scale_factor) = match (kind, &gaussians.degrees_of_freedom) {
+                (Relocation::Student, Some(degrees)) => {
+                    share_out_students(opacity, copies, f64::from(degrees[self.rows[row]]))
+                }
+                _ => share_out(opacity, copies, kind),
+            };
             self.opacities[row] = opacity as f32;
             self.log_scales[row * 3..][..3].iter_mut().for_each(|log_scale| *log_scale += scale_factor.ln() as f32);
             self.fresh_moments[row] = true;
@@ -58,35 +61,6 @@ impl Relocated {
     }
 }
 
-/// Opacity and scale factor of each of `copies` Gaussians (1 to 51, more count as 51) that together
-/// replace one of `opacity` o, more than 0 and at most 1 (3DGS-MCMC):
-///
-/// o' = 1 − (1 − o)^(1/n), s'/s = o / Σ_{i=1..n} Σ_{j=0..i−1} binom(i − 1, j) (−1)^j o'^(j+1) / √(j + 1).
-///
-/// Afterwards o' is clamped to [0.005, 1 − 1.19e-7]. With [`Relocation::Beta`] the factor is 1.
-pub fn share_out(opacity: f64, copies: usize, kind: Relocation) -> (f64, f64) {
-    let copies = copies.clamp(1, MAX_COPIES) as f64;
-    let opacity = opacity.min(MAX_OPACITY);
-    let shared = -((-opacity).ln_1p() / copies).exp_m1();
-    let scale_factor = match kind {
-        Relocation::Mcmc => opacity / mass(shared, copies),
-        Relocation::Beta => 1.0,
-    };
-    (shared.clamp(MIN_OPACITY, MAX_OPACITY), scale_factor)
-}
-
-/// The double sum of [`share_out`]. Over i the binomials add up to binom(n, j + 1), which leaves
-/// Σ_{k=1..n} binom(n, k) (−1)^(k−1) o'^k / √k.
-fn mass(shared: f64, copies: f64) -> f64 {
-    let mut binomial_term = -1.0;
-    let mut sum = 0.0;
-    for k in (1..=copies as usize).map(|k| k as f64) {
-        binomial_term *= -shared * (copies - k + 1.0) / k;
-        sum += binomial_term / k.sqrt();
-    }
-    sum
-}
-
 /// The number of Gaussians after growing from `count`: `factor` times as many (3DGS-MCMC: 1.05), rounded down, at most
 /// `cap` and at least `count`.
 pub fn grown(count: usize, factor: f64, cap: usize) -> usize {
@@ -97,7 +71,11 @@ pub fn grown(count: usize, factor: f64, cap: usize) -> usize {
 /// are `target`. Sources are drawn with replacement in proportion to their opacity, for the addition
 /// to that after relocation (3DGS-MCMC).
 ///
-/// Opacities are effective, from 0 to 1. Without living Gaussians none is relocated. `None` if nothing changes.
+/// Of Student's t kernels the absolute values of opacities count, those of exactly `min_opacity` live, and at most 5 % of
+/// all, the weakest, are moved at a time (SSS).
+///
+/// Opacities are effective, from 0 to 1, or from −1 to 1. Without living Gaussians none is relocated. `None` if nothing
+/// changes.
 pub fn relocate_and_add(
     gaussians: &GaussianData,
     target: usize,
@@ -115,18 +93,30 @@ pub fn relocate_and_add(
         added: 0,
     };
 
-    let is_living = |opacity: f32| f64::from(opacity) > min_opacity;
-    let dead: Vec<usize> = (0..count).filter(|&row| !is_living(gaussians.opacities[row])).collect();
-    let living = |&opacity: &f32| if is_living(opacity) { opacity } else { 0.0 };
+    let is_student = kind == Relocation::Student;
+    let is_living = |opacity: f32| {
+        let magnitude = f64::from(opacity.abs());
+        if is_student { magnitude >= min_opacity } else { f64::from(opacity) > min_opacity }
+    };
+    let mut dead: Vec<usize> = (0..count).filter(|&row| !is_living(gaussians.opacities[row])).collect();
+    if is_student {
+        let most = (MAX_RELOCATED * count as f64) as usize;
+        // what is no number comes last
+        let strength = |&row: &usize| gaussians.opacities[row].abs();
+        dead.sort_by(|a, b| strength(a).total_cmp(&strength(b)));
+        dead.truncate(most);
+    }
+    let living = |&opacity: &f32| if is_living(opacity) { opacity.abs() } else { 0.0 };
     let weights: Vec<f32> = gaussians.opacities.iter().map(living).collect();
     let sources = draw_in_proportion(&weights, dead.len(), rng);
     result.relocated = sources.len();
-    result.share(&sources, kind);
+    result.share(&sources, kind, gaussians);
     dead.iter().zip(&sources).for_each(|(&row, &source)| result.overwrite(row, source));
 
-    let sources = draw_in_proportion(&result.opacities, target.saturating_sub(count), rng);
+    let weights: Vec<f32> = result.opacities.iter().map(|opacity| opacity.abs()).collect();
+    let sources = draw_in_proportion(&weights, target.saturating_sub(count), rng);
     result.added = sources.len();
-    result.share(&sources, kind);
+    result.share(&sources, kind, gaussians);
     sources.iter().for_each(|&source| result.append(source));
 
     (result.relocated + result.added > 0).then_some(result)
@@ -138,6 +128,7 @@ mod tests {
     use rand::SeedableRng;
 
     use super::*;
+    use crate::refine::sharing::mass;
 
     const MODEL: ColourModel = ColourModel::SphericalBeta { lobes: 1 };
 
@@ -155,6 +146,7 @@ mod tests {
             log_scales: [1f32, 2.0, 4.0].map(f32::ln).repeat(n),
             opacities: opacities.to_vec(),
             colour: ColourData { model: MODEL, base: numbered(3), detail: numbered(6) },
+            degrees_of_freedom: None,
         }
     }
 
@@ -193,7 +185,7 @@ mod tests {
                     binomial(i - 1, j) * (-1f64).powi(j as i32) * shared.powi(j as i32 + 1) / ((j + 1) as f64).sqrt()
                 };
                 let double: f64 = (1..=copies).flat_map(|i| (0..i).map(move |j| (i, j))).map(|(i, j)| term(i, j)).sum();
-                assert_close(mass(shared, copies as f64) / double, 1.0, 1e-8);
+                assert_close(mass(shared, copies as f64, |k| 1.0 / k.sqrt()) / double, 1.0, 1e-8);
             }
         }
     }
@@ -289,6 +281,35 @@ mod tests {
         assert_close(new.log_scales[6].exp().into(), factor * factor_again, 1e-5);
         let other = usize::from(shared_again(0));
         assert_close(new.opacities[other].into(), once, 1e-6);
+    }
+
+    #[test]
+    fn the_weakest_students_become_copies_of_either_sign() {
+        let mut opacities = vec![0.3; 100];
+        for (row, opacity) in [(3, 0.001), (4, -0.002), (5, 0.004), (6, -0.0049), (7, 0.003), (8, 0.0035), (9, -0.005)]
+        {
+            opacities[row] = opacity;
+        }
+        opacities[0] = -0.9;
+        let mut old = gaussians(&opacities);
+        old.degrees_of_freedom = Some((0..100).map(|row| 1.0 + row as f32).collect());
+        let new = relocate_and_add(&old, 105, 0.005, Relocation::Student, &mut rng()).unwrap();
+        assert_eq!((new.relocated, new.added, new.rows.len()), (5, 5, 105));
+        // six are below the limit, of which the strongest has to wait
+        let moved: Vec<usize> = (0..100).filter(|&row| new.rows[row] != row).collect();
+        assert_eq!(moved, [3, 4, 5, 7, 8]);
+        let mut of_sources: Vec<usize> =
+            moved.iter().map(|&row| new.rows[row]).chain(new.rows[100..].to_vec()).collect();
+        assert!(of_sources.iter().all(|&row| new.fresh_moments[row] && opacities[row].abs() >= 0.005));
+        of_sources.sort_unstable();
+        for (row, &source) in new.rows.iter().enumerate() {
+            assert_eq!(new.opacities[row] < 0.0, opacities[source] < 0.0, "{row} of {source}");
+        }
+        let alone = of_sources.iter().filter(|&&row| of_sources.iter().filter(|&&other| other == row).count() == 1);
+        let &source = alone.max_by(|a, b| opacities[**a].abs().total_cmp(&opacities[**b].abs())).unwrap();
+        let (opacity, factor) = share_out_students(f64::from(opacities[source]), 2, 1.0 + source as f64);
+        assert_close(new.opacities[source].into(), opacity, 1e-6);
+        assert_close(new.log_scales[3 * source].exp().into(), factor, 1e-5);
     }
 
     #[test]

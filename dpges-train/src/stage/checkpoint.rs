@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, HashMap};
 use dpges_core::scene::schema::{Attribute, Columns};
 use dpges_core::scene::{ColourModel, GaussianData, SceneInfo};
 
-use super::blended::{BlendedStage, ScreenGradients};
+use super::blended::{BlendedStage, Momenta, ScreenGradients};
 use super::joint::{JointStage, SamplingLimits, SkyMasks, Statistics, Supervisions};
 use super::sampling_limit::SamplingLimit;
 use super::{Context, EnvironmentState, TrainError};
@@ -16,6 +16,8 @@ use crate::refine::growth::Growth;
 
 const MAX_CONTRIBUTIONS: &str = "max_contributions";
 const ERRORS: &str = "errors";
+/// Column of the momenta of positions, [M × 3].
+const MOMENTA: &str = "momenta";
 /// Columns of the filters of surfels and of Gaussians.
 const SURFEL_LIMIT: &str = "surfel_sampling_limit";
 const GAUSSIAN_LIMIT: &str = "sampling_limit";
@@ -37,7 +39,8 @@ impl StageCheckpoint {
     pub fn of_blended(stage: &BlendedStage) -> Self {
         let gradients = ScreenGradients::NAMES.into_iter().zip(stage.screen_gradients.columns());
         let limit = stage.sampling_limit.iter().map(|limit| (GAUSSIAN_LIMIT, limit.column()));
-        let columns = gradients.chain(limit);
+        let momenta = stage.momenta.iter().map(|momenta| (MOMENTA, momenta.column()));
+        let columns = gradients.chain(limit).chain(momenta);
         Self {
             info: stage.info.clone(),
             growth: None,
@@ -99,7 +102,7 @@ impl BlendedStage {
         for name in ScreenGradients::NAMES {
             found.push(column(&mut columns, name)?);
         }
-        let gaussians = GaussianState::from_rows(&mut attributes, model, OpacityActivation::Sigmoid, &context.device)
+        let gaussians = GaussianState::from_rows(&mut attributes, model, blended.opacity(), &context.device)
             .map_err(|reason| TrainError::Resume { reason })?;
         let environment = EnvironmentState::from_rows(&mut attributes, &context.device)
             .map_err(|reason| TrainError::Resume { reason })?;
@@ -112,6 +115,13 @@ impl BlendedStage {
         let sampling_limit = limit(&mut columns, GAUSSIAN_LIMIT, gaussians.len(), smoothing_px, context)?;
         let mut stage = Self::new(plan, blended, gaussians, environment, gradients, context);
         stage.sampling_limit = sampling_limit;
+        if let Some(momenta) = &mut stage.momenta {
+            let found = column(&mut columns, MOMENTA)?;
+            if found.len() != 3 * stage.gaussians.len() {
+                return Err(TrainError::Resume { reason: format!("column `{MOMENTA}` does not fit the Gaussians") });
+            }
+            *momenta = Momenta::from_column(&vec![0.0; found.len()], &context.device);
+        }
         Ok(stage)
     }
 }

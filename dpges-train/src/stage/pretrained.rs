@@ -80,9 +80,9 @@ impl Context {
         }
         let rendering = scene.info.rendering;
         let (fits, what) = if key == SURFELS_FROM {
-            (rendering != Rendering::Ellipsoids, "surfels or discs")
+            (matches!(rendering, Rendering::Peeled | Rendering::Discs), "surfels or discs")
         } else {
-            (rendering != Rendering::Discs, "Gaussians")
+            (matches!(rendering, Rendering::Peeled | Rendering::Ellipsoids), "Gaussians")
         };
         if !fits {
             return Err(wrong(format!("it is a scene of {rendering}, not of {what}")));

@@ -111,6 +111,8 @@ pub struct GaussianRows<'a, T: Real> {
     log_scales: Cow<'a, [T]>,
     opacities: Cow<'a, [T]>,
     colours: Cow<'a, [T]>,
+    /// Empty for Gaussian kernels.
+    degrees_of_freedom: Cow<'a, [T]>,
 }
 
 impl<'a, T: Real> GaussianRows<'a, T> {
@@ -121,7 +123,13 @@ impl<'a, T: Real> GaussianRows<'a, T> {
             log_scales: host::floats::<B, T>(&tensors.log_scales),
             opacities: host::floats::<B, T>(&tensors.opacities),
             colours: host::floats::<B, T>(&tensors.colours),
+            degrees_of_freedom: Cow::Borrowed(&[]),
         }
+    }
+
+    /// The same with Student's t kernels, unless `degrees_of_freedom` are `[0]`.
+    pub fn with_kernels<B: Host>(self, degrees_of_freedom: &'a FloatTensor<B>) -> Self {
+        Self { degrees_of_freedom: host::floats::<B, T>(degrees_of_freedom), ..self }
     }
 
     pub fn len(&self) -> usize {
@@ -134,6 +142,7 @@ impl<'a, T: Real> GaussianRows<'a, T> {
             quaternion: row(&self.quaternions, i),
             log_scales: row(&self.log_scales, i),
             opacity: self.opacities[i],
+            degrees_of_freedom: self.degrees_of_freedom.get(i).copied().unwrap_or(T::INFINITY),
         }
     }
 

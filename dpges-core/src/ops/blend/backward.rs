@@ -22,25 +22,30 @@ struct BlendState<B: Backend> {
 #[derive(Debug)]
 struct BlendBackward;
 
-impl<B: BlendBackwardOps> Backward<B, 6> for BlendBackward {
+impl<B: BlendBackwardOps> Backward<B, 7> for BlendBackward {
     type State = BlendState<B>;
 
-    fn backward(self, ops: Ops<Self::State, 6>, grads: &mut Gradients, _: &mut Checkpointer) {
-        pass_back::<B, _, 6>(ops, grads, |BlendState { input, lists, camera, options }, grad| {
-            let BlendInput { gaussians, probe } = B::blend_backward(input, lists, grad, camera, options);
+    fn backward(self, ops: Ops<Self::State, 7>, grads: &mut Gradients, _: &mut Checkpointer) {
+        pass_back::<B, _, 7>(ops, grads, |BlendState { input, lists, camera, options }, grad| {
+            let BlendInput { gaussians, degrees_of_freedom, probe } =
+                B::blend_backward(input, lists, grad, camera, options);
             let [positions, quaternions, log_scales, opacities, colours] = gaussians.into_array();
-            [positions, quaternions, log_scales, opacities, colours, probe].map(Some)
+            [positions, quaternions, log_scales, opacities, colours, degrees_of_freedom, probe].map(Some)
         });
     }
 }
 
 impl<B: BlendOps + BlendBackwardOps, S: CheckpointStrategy> BlendOps for Autodiff<B, S> {
     fn blend(input: BlendInput<Self>, camera: Camera, options: BlendOptions) -> BlendOutput<Self> {
-        let BlendInput { gaussians, probe } = input;
-        let values = BlendInput { gaussians: gaussians.values(), probe: probe.clone().into_parts().0 };
+        let BlendInput { gaussians, degrees_of_freedom, probe } = input;
+        let values = BlendInput {
+            gaussians: gaussians.values(),
+            degrees_of_freedom: degrees_of_freedom.clone().into_parts().0,
+            probe: probe.clone().into_parts().0,
+        };
         let out = B::blend(values.clone(), camera, options);
         let [positions, quaternions, log_scales, opacities, colours] = gaussians.into_array();
-        let parents = [positions, quaternions, log_scales, opacities, colours, probe];
+        let parents = [positions, quaternions, log_scales, opacities, colours, degrees_of_freedom, probe];
         let parents = parents.map(|tensor| tensor.into_parts().1);
         let planes = match BlendBackward.prepare::<S>(parents).compute_bound().stateful() {
             OpsKind::Tracked(prep) => {

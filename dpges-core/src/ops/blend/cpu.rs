@@ -8,6 +8,7 @@ mod gather;
 mod normal;
 mod projected;
 mod rays;
+mod student;
 mod walk;
 
 use burn::backend::TensorMetadata;
@@ -28,6 +29,7 @@ use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
 use crate::backend::real::Real;
 use crate::backend::simd::{LANES, vectorised};
 use crate::camera::Camera;
+use crate::footprint::gaussian::cpu::student::Student;
 use crate::footprint::gaussian::tensors::{GaussianRows, GaussianTensors};
 use crate::math::CameraOf;
 use crate::scene::BlendOrder;
@@ -162,10 +164,11 @@ fn forward<T: Real, F: Projected<T>>(
 fn blend_on<B: Host>(input: &BlendInput<B>, camera: &Camera, options: &BlendOptions) -> BlendOutput<B> {
     let (height, width, device) = (camera.height, camera.width, input.gaussians.positions.device());
     with_real!(input.gaussians.positions.dtype(), T => {
-        let rows = GaussianRows::<T>::new(&input.gaussians);
+        let rows = GaussianRows::<T>::new(&input.gaussians).with_kernels::<B>(&input.degrees_of_freedom);
         let [planes, median_depth] = match options.form {
             Form::Ellipsoids => forward::<T, Ellipse<T>>(&rows, camera, options),
             Form::Discs => forward::<T, DiscFootprint<T>>(&rows, camera, options),
+            Form::Students => forward::<T, Student<T>>(&rows, camera, options),
         };
         let medians = usize::from(options.maps);
         BlendOutput {
@@ -184,13 +187,16 @@ fn blend_backward_on<B: Host>(
 ) -> BlendInput<B> {
     let (probed, device) = (host::rows(&input.probe), grad.device());
     with_real!(grad.dtype(), T => {
-        let (rows, grad) = (GaussianRows::<T>::new(&input.gaussians), host::floats::<B, T>(grad));
-        let [positions, quaternions, log_scales, opacities, colours, probe] = match options.form {
+        let rows = GaussianRows::<T>::new(&input.gaussians).with_kernels::<B>(&input.degrees_of_freedom);
+        let grad = host::floats::<B, T>(grad);
+        let [positions, quaternions, log_scales, opacities, colours, degrees, probe] = match options.form {
             Form::Ellipsoids => backward::<T, Ellipse<T>>(&rows, &grad, probed > 0, camera, options),
             Form::Discs => backward::<T, DiscFootprint<T>>(&rows, &grad, probed > 0, camera, options),
+            Form::Students => backward::<T, Student<T>>(&rows, &grad, probed > 0, camera, options),
         };
         BlendInput {
             gaussians: GaussianTensors::from_rows([positions, quaternions, log_scales, opacities, colours], &device),
+            degrees_of_freedom: host::float_tensor::<B, T, 1>(degrees, [host::rows(&input.degrees_of_freedom)], &device),
             probe: host::float_tensor::<B, T, 2>(probe, [probed, 4], &device),
         }
     })

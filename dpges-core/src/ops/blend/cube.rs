@@ -14,7 +14,7 @@ use burn::backend::tensor::FloatTensor;
 use burn_cubecl::CubeBackend;
 use cubecl::prelude::*;
 
-use self::fragments::{FEATURES, Fragment, Fragments, Payload, fragment, on_ellipse};
+use self::fragments::{FEATURES, Fragment, Fragments, Payload, fragment, on_projected};
 use self::gather::{Layout, gather};
 use super::{BlendBackwardOps, BlendInput, BlendLists, BlendOps, BlendOptions, BlendOutput, Form, far};
 use crate::camera::Camera;
@@ -71,7 +71,7 @@ fn add_fragment(
     thresholds: Thresholds,
     #[comptime] maps: bool,
 ) -> bool {
-    let alpha = min(found.weight, thresholds.max_alpha);
+    let alpha = max(min(found.weight, thresholds.max_alpha), -thresholds.max_alpha);
     let behind = state[THROUGH] * (1.0f32 - alpha);
     let goes_on = behind >= thresholds.min_transmittance;
     if goes_on {
@@ -122,7 +122,7 @@ fn blend_kernel(
     let own = own_pixel(view, CUBE_POS as u32);
     let mut state = zeros(STATE);
     state[THROUGH] = 1.0f32;
-    if comptime!(form == Form::Ellipsoids) {
+    if comptime!(form != Form::Discs) {
         let mut staged = Shared::<[f32]>::new_slice(comptime!(UNITS as usize * SPLAT));
         let mut masks = Shared::<[u32]>::new_slice(comptime!(UNITS as usize));
         let mut visits = Shared::<[u32]>::new_slice(comptime!(REGIONS * WORDS));
@@ -141,9 +141,11 @@ fn blend_kernel(
                 while bits != 0u32 && open {
                     let entry = word as u32 * 32u32 + bits.trailing_zeros();
                     bits &= bits - 1u32;
-                    let found = on_ellipse(Splat::load(&staged, entry as usize * SPLAT), own.x, own.y);
-                    if found.weight > 0.0f32 {
-                        let i = list.entry(ids, batch * UNITS + entry) as usize;
+                    let position = batch * UNITS + entry;
+                    let splat = Splat::load(&staged, entry as usize * SPLAT);
+                    let found = on_projected(splat, features, list, ids, position, own.x, own.y, form);
+                    if found.weight != 0.0f32 {
+                        let i = list.entry(ids, position) as usize;
                         open = add_fragment(&mut state, found, features, i, thresholds, maps);
                     }
                 }
@@ -198,7 +200,8 @@ impl BlendOps for CubeBackend {
         let gaussians = input.gaussians.contiguous();
         let (like, count) = (&gaussians.positions, gaussians.positions.shape()[0]);
         let (height, width) = (camera.height, camera.width);
-        let (fragments, lists) = Fragments::new(&gaussians, &camera, &options);
+        let degrees_of_freedom = floats(input.degrees_of_freedom);
+        let (fragments, lists) = Fragments::new(&gaussians, &degrees_of_freedom, &camera, &options);
         let planes = empty_f32(like, [options.planes(), height, width]);
         let median_depth = empty_f32(like, [usize::from(options.maps), height, width]);
         match options.order {
@@ -235,7 +238,8 @@ impl BlendBackwardOps for CubeBackend {
     ) -> BlendInput<Self> {
         let (gaussians, grad) = (input.gaussians.contiguous(), floats(grad));
         let layout = Layout { form: options.form, maps: options.maps, probe: input.probe.shape()[0] > 0 };
-        let (fragments, _) = Fragments::in_order(&gaussians, &lists.order, &camera, &options);
+        let degrees_of_freedom = floats(input.degrees_of_freedom);
+        let (fragments, _) = Fragments::in_order(&gaussians, &degrees_of_freedom, &lists.order, &camera, &options);
         let [sums, rest] = gather(&fragments, &lists, &grad, &camera, &options, layout);
         parameters::backward(&gaussians, &sums, &rest, &camera, options.filter, layout)
     }

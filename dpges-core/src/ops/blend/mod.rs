@@ -1,4 +1,4 @@
-//! `blend`: primitives blended front to back in the order of their depths (3DGS, 2DGS).
+//! `blend`: primitives blended front to back in the order of their depths (3DGS, 2DGS, SSS).
 //!
 //! Primitives, coloured c_i, → planes [P, H, W] and median depth. With `T_i = Π_{j<i} (1 − α_j)` and
 //! `w_i = α_i T_i`, the planes are
@@ -14,7 +14,7 @@
 //! P is 4, or 9 with [`BlendOptions::maps`]. Median depth is the z_i of the first fragment behind which
 //! T ≤ ½, or 0 if there is none (2DGS). A primitive whose centre is at or behind the near plane does not exist. A pixel
 //! ends before the first fragment that would take T below [`BlendOptions::min_transmittance`]. α is capped
-//! at [`BlendOptions::max_alpha`], and a fragment with α below 1/255 does not exist.
+//! at ± [`BlendOptions::max_alpha`], and a fragment with |α| below 1/255 does not exist.
 //!
 //! [`BlendOrder::Centres`]: all pixels share one order of primitives, by depth of the centre, then by index.
 //!
@@ -46,8 +46,13 @@
 //! the camera at 3 σ has none. z is that of the hit with either term. A hit at or nearer than the near plane
 //! does not exist. n is the third axis. The third scale is unused.
 //!
-//! Gradients: from the planes to positions, quaternions, log-scales, opacities and colours, all in one
-//! pass. Median depth, a capped α, the order, the end of a pixel and the choice of a normal carry none.
+//! [`Form::Students`]: α = opacity · (1 + r²/ν)^(−(ν + 2)/2) with r² = dᵀ Q d and ν the degrees of freedom, the
+//! projection of ellipsoids without any low-pass filter. Opacity is from −1 to 1: a fragment below 0 takes its colour
+//! away, and T grows behind it, also above 1. A fragment exists within a square around the projected centre, whose half
+//! side is a number of standard deviations that depends on ν, rounded up to whole px (SSS). z and n as of ellipsoids.
+//!
+//! Gradients: from the planes to positions, quaternions, log-scales, opacities, degrees of freedom and colours, all in
+//! one pass. That of ν is exact; the published kernel leaves out a term of it. Median depth, a capped α, the order, the end of a pixel and the choice of a normal carry none.
 //!
 //! The *probe* is a [M, 4] tensor that no value depends on. Its gradient is Σ g_x, Σ g_y, Σ |g_x|, Σ |g_y|
 //! over the pixels, where (g_x, g_y) is a pixel's gradient with respect to the projected centre in units
@@ -67,7 +72,7 @@ use burn::tensor::Tensor;
 use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::footprint::gaussian::tensors::GaussianTensors;
-use crate::scene::tensors::check_shape;
+use crate::scene::tensors::{check_shape, flat};
 use crate::scene::{BlendOrder, Gaussians, ScreenFilter};
 use crate::tiles::capacity::within_capacity;
 
@@ -103,17 +108,19 @@ pub enum Form {
     Ellipsoids,
     /// Two scales, met by rays (2DGS).
     Discs,
+    /// Three scales, a kernel of Student's t distribution, an opacity of either sign (SSS).
+    Students,
 }
 
 /// Form of the primitives and thresholds of blending.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BlendOptions {
     pub form: Form,
-    /// Of ellipsoids.
+    /// Of ellipsoids; students have none.
     pub filter: ScreenFilter,
     /// [`BlendOrder::Rays`] of ellipsoids alone.
     pub order: BlendOrder,
-    /// Largest α of a fragment; above 0, at most [`HIGHEST_MAX_ALPHA`].
+    /// Largest |α| of a fragment; above 0, at most [`HIGHEST_MAX_ALPHA`].
     pub max_alpha: f64,
     /// Smallest T at which a pixel ends; between 0 and 1.
     pub min_transmittance: f64,
@@ -163,6 +170,8 @@ impl BlendOptions {
 pub struct BlendInput<B: Backend> {
     #[extension_type]
     pub gaussians: GaussianTensors<B>,
+    /// `[M]` of students, `[0]` of other forms
+    pub degrees_of_freedom: FloatTensor<B>,
     /// [M, 4], or [0, 4] without a probe
     pub probe: FloatTensor<B>,
 }
@@ -253,8 +262,8 @@ pub struct Maps {
 /// half the image.
 ///
 /// # Errors
-/// [`Error::Shape`], [`Error::Camera`] or [`Error::Option`] if the input is invalid, [`Error::Capacity`] if the tile lists or
-/// the planes do not fit a buffer.
+/// [`Error::Shape`], [`Error::Camera`] or [`Error::Option`] if the input is invalid, which students without degrees of
+/// freedom are, and others with them; [`Error::Capacity`] if the tile lists or the planes do not fit a buffer.
 pub fn blend(
     gaussians: &Gaussians,
     colours: &Tensor<2>,
@@ -274,7 +283,20 @@ pub fn blend(
         }
         None => Tensor::zeros([0, 4], (&colours.device(), colours.dtype())),
     };
-    let input = BlendInput { gaussians: GaussianTensors::new(gaussians, colours)?, probe: probe.into_dispatch() };
+    let degrees_of_freedom = match (&gaussians.degrees_of_freedom, options.form) {
+        (Some(column), Form::Students) => flat(column),
+        (None, Form::Ellipsoids | Form::Discs) => Tensor::zeros([0], (&colours.device(), colours.dtype())),
+        (column, form) => {
+            let expected = "students if they have degrees of freedom, and another form if not".to_owned();
+            let found = format!("{form:?} {} them", if column.is_some() { "with" } else { "without" });
+            return Err(Error::Option { option: "form", expected, found });
+        }
+    };
+    let input = BlendInput {
+        gaussians: GaussianTensors::new(gaussians, colours)?,
+        degrees_of_freedom: degrees_of_freedom.into_dispatch(),
+        probe: probe.into_dispatch(),
+    };
     let out = within_capacity(|| Dispatch::blend(input, *camera, *options))?;
     let planes = Tensor::<3>::from_dispatch(out.planes);
     let part =

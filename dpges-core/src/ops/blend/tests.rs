@@ -4,6 +4,7 @@ mod pictures;
 mod precision;
 mod probe;
 mod rays;
+mod students;
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use glam::{DMat3, DVec3};
@@ -79,14 +80,14 @@ fn by_rays() -> BlendOptions {
     BlendOptions { order: BlendOrder::Rays, ..plainly_filtered() }
 }
 
-/// Both forms, and both orders of ellipsoids.
+/// Both forms of Gaussians, and both orders of ellipsoids.
 fn every_way() -> [BlendOptions; 3] {
     [with_maps(Form::Ellipsoids), with_maps(Form::Discs), by_rays()]
 }
 
-/// Positions, quaternions, log-scales, opacities and colours, row-major.
+/// Positions, quaternions, log-scales, opacities and colours, row-major; then degrees of freedom, of students.
 #[derive(Clone, Default)]
-struct Flat([Vec<f64>; 5]);
+struct Flat([Vec<f64>; 5], Vec<f64>);
 
 struct Leaves {
     gaussians: Gaussians,
@@ -157,7 +158,7 @@ impl Flat {
         let g = scene.gaussians;
         let colours = Random::new(seed).numbers(3 * g.len(), -0.3, 1.3);
         let parameters = [wide(&g.positions), wide(&g.quaternions), wide(&g.log_scales), wide(&g.opacities), colours];
-        (Self(parameters), scene.camera)
+        (Self(parameters, Vec::new()), scene.camera)
     }
 
     fn push(&mut self, position: [f64; 3], log_scales: [f64; 3], opacity: f64, colour: [f64; 3]) {
@@ -186,7 +187,7 @@ impl Flat {
 
     /// The same primitives, the first of them last.
     fn reversed(&self) -> Self {
-        Self(std::array::from_fn(|of| reversed(&self.0[of], WIDTHS[of])))
+        Self(std::array::from_fn(|of| reversed(&self.0[of], WIDTHS[of])), reversed(&self.1, 1))
     }
 
     fn leaves_on(&self, device: &Device, dtype: DType) -> Leaves {
@@ -201,6 +202,7 @@ impl Flat {
                 log_scales: rows(2),
                 opacities: leaf(&self.0[3], [count, 1], device, dtype),
                 colour,
+                degrees_of_freedom: (!self.1.is_empty()).then(|| leaf(&self.1, [count, 1], device, dtype)),
             },
             colours: rows(4),
             probe: leaf(&vec![0.0; 4 * count], [count, 4], device, dtype),
@@ -215,7 +217,13 @@ impl Flat {
     fn primitives(&self, camera: &Camera, options: &BlendOptions) -> Vec<Primitive> {
         let primitive = |i: usize| {
             let (position, quaternion, log_scales) = (self.row(0, i), self.row(1, i), self.row(2, i));
-            let parameters = Parameters { position, quaternion, log_scales, opacity: self.0[3][i] };
+            let parameters = Parameters {
+                position,
+                quaternion,
+                log_scales,
+                opacity: self.0[3][i],
+                degrees_of_freedom: self.1.get(i).copied().unwrap_or(f64::INFINITY),
+            };
             Primitive::new(camera, options, i, &parameters, self.row(4, i))
         };
         let mut primitives: Vec<Primitive> = (0..self.len()).filter_map(primitive).collect();
@@ -276,6 +284,7 @@ fn scene_of(form: Form) -> Flat {
     match form {
         Form::Ellipsoids => capped(),
         Form::Discs => slanted(),
+        Form::Students => students::mixed(),
     }
 }
 

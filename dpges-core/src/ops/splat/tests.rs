@@ -65,6 +65,7 @@ impl Flat {
                 log_scales: rows(2),
                 opacities: leaf(&self.0[3], [self.len(), 1], &device),
                 colour,
+                degrees_of_freedom: None,
             },
             colours: rows(4),
         }
@@ -233,7 +234,13 @@ fn reach_is_the_box_of_the_ellipse_of_the_cutoff() {
     for i in 0..flat.len() {
         let opacity = flat.0[3][i];
         let log_scales = flat.row(2, i);
-        let parameters = Parameters { position: flat.row(0, i), quaternion: flat.row(1, i), log_scales, opacity };
+        let parameters = Parameters {
+            position: flat.row(0, i),
+            quaternion: flat.row(1, i),
+            log_scales,
+            opacity,
+            degrees_of_freedom: f64::INFINITY,
+        };
         let Some(splat) = Splat::new(&of, &parameters, flat.row(4, i), ScreenFilter::Compensated) else { continue };
         let [p, q, r] = splat.root;
         let squared = 2.0 * (splat.strength / CUTOFF).ln();

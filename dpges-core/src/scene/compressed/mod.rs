@@ -69,7 +69,7 @@ use self::layout::{Kept, Layout, lobe_groups};
 use super::file::{Rows, lobe_names, payload};
 use super::lobes::{pack, unpack};
 use super::schema::{Columns, ENVIRONMENT};
-use super::{ColourModel, GaussianData, SceneData, SceneInfo, SurfelData};
+use super::{ColourModel, GaussianData, Rendering, SceneData, SceneInfo, SurfelData};
 use crate::error::{Error, Result};
 use crate::scene::atomic::write_atomically;
 use crate::scene::container;
@@ -98,12 +98,17 @@ impl SceneData {
     ///
     /// # Errors
     /// [`Error::Option`] naming the attribute with too few or too many bits, [`Error::Shape`] or [`Error::NonFinite`]
-    /// naming the tensor, [`Error::SceneFile`] naming the field of the info that is out of range, or if the scene repeats
-    /// itself so much that no reader would trust the file.
+    /// naming the tensor, [`Error::SceneFile`] naming the field of the info that is out of range, if kernels are Student's t,
+    /// or if the scene repeats itself so much that no reader would trust the file.
     pub fn to_compressed(&self, quality: &Quality, path: &Path) -> Result<Vec<u8>> {
         let wrong = |reason| Error::SceneFile { path: path.to_owned(), reason };
         quality.check()?;
         self.check_to_save(path)?;
+        if self.info.rendering == Rendering::Students {
+            return Err(wrong(
+                "a scene of Student's t kernels (SSS) cannot be compressed; save it as it is".to_owned(),
+            ));
+        }
         let model = self.info.colour_model;
         let layout = Layout::new(self.surfels.len(), self.gaussians.len(), *quality);
         let json = |text: serde_json::Result<String>| text.map_err(|error| wrong(error.to_string()));

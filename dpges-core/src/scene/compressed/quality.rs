@@ -72,7 +72,7 @@ impl Quality {
             RateGroup::Positions => self.positions,
             RateGroup::Quaternions => self.quaternions,
             RateGroup::LogScales => self.log_scales,
-            RateGroup::Opacities => self.opacities,
+            RateGroup::Opacities | RateGroup::DegreesOfFreedom => self.opacities,
             RateGroup::Fixed => self.margins,
             RateGroup::Base => self.base,
             RateGroup::Detail | RateGroup::Environment | RateGroup::Exposure => self.detail,

@@ -45,7 +45,7 @@ pub struct BenchRenderArgs {
     #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     cameras: u32,
     /// Also measure the renderer that is trained with, on this device (cpu, wgpu, …); that alone of a scene whose Gaussians
-    /// are sorted for each pixel (StopThePop)
+    /// are sorted for each pixel (StopThePop), or are Student's t kernels (SSS)
     #[arg(long, value_name = "NAME")]
     training: Option<DeviceRequest>,
     /// Write the figures as JSON
@@ -88,6 +88,12 @@ pub fn run(args: &BenchRenderArgs) -> Result<()> {
     let (_, views) = args.views.load(&mut scene)?;
     let cameras: Vec<Camera> =
         every_nth(&views, args.cameras as usize).map(|view| args.size.apply(&view.camera)).collect();
+    let is_drawn = scene.data.info.rendering != Rendering::Students;
+    if !is_drawn && args.training.is_none() {
+        let message =
+            "the real-time renderer has no Student's t kernels (SSS): measure the other one, `--training cpu`";
+        return Err(Failure::Usage(message.to_owned()));
+    }
     let mut report = Report {
         scene: scene.path.display().to_string(),
         surfels: scene.data.surfels.len(),
@@ -95,7 +101,7 @@ pub fn run(args: &BenchRenderArgs) -> Result<()> {
         width: args.size.width,
         height: args.size.height,
         cameras: cameras.len(),
-        rows: if scene.is_sorted_by_rays() { Vec::new() } else { args.raster(&scene.data, &cameras)? },
+        rows: if scene.is_sorted_by_rays() || !is_drawn { Vec::new() } else { args.raster(&scene.data, &cameras)? },
     };
     if let Some(request) = args.training {
         let device = device_choice::select(request)?;

@@ -81,7 +81,7 @@ impl Renderer {
     pub fn new(scene: &SceneData, device: &Device) -> Self {
         let options = match scene.info.rendering {
             Rendering::Peeled => Options::Peeled(RenderOptions::from(&scene.info)),
-            Rendering::Ellipsoids | Rendering::Discs => {
+            Rendering::Ellipsoids | Rendering::Discs | Rendering::Students => {
                 Options::Blended(BlendedOptions::new(&scene.info).expect("a scene of blended Gaussians"))
             }
         };

@@ -41,7 +41,7 @@ impl Contributions {
                 Rendering::Peeled => {
                     render(&surfels, &gaussians, camera, &RenderOptions::from(&scene.info))?.composite.image
                 }
-                Rendering::Ellipsoids | Rendering::Discs => {
+                Rendering::Ellipsoids | Rendering::Discs | Rendering::Students => {
                     let options = BlendedOptions::new(&scene.info)?;
                     render_blended(&gaussians, None, camera, &options, Values::Unknown)?.image
                 }

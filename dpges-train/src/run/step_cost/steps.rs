@@ -179,6 +179,7 @@ fn config(scene: &SceneData, stage: StepStage) -> Config {
         (StepStage::Joint, _) => Method::Dpges,
         (StepStage::Blended, Rendering::Discs) => Method::Discs,
         (StepStage::Blended, _) if info.blend_order == BlendOrder::Rays => Method::StopThePop,
+        (StepStage::Blended, Rendering::Students) => Method::Sss,
         (StepStage::Blended, Rendering::Peeled | Rendering::Ellipsoids) => Method::Mcmc,
     };
     (config.stages.surfels, config.stages.gaussians) = (0.0, 0.0);

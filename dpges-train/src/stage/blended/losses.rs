@@ -13,8 +13,9 @@ use crate::config::{DiscsConfig, Relocation, RelocationConfig, StagePlan};
 /// Weights of the terms beside L_rgb.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Weights {
-    /// Of the mean opacity.
+    /// Of the mean opacity, of its absolute value where opacities may be below 0.
     opacity: f64,
+    signed: bool,
     /// Of the mean scale, world units.
     scale: f64,
     /// Of normals against those of the depth.
@@ -40,7 +41,8 @@ impl Weights {
         if kind == Relocation::Beta && !relocates {
             return Self::default();
         }
-        Self { opacity: config.lambda_opacity, scale: config.lambda_scale, ..Self::default() }
+        let signed = kind == Relocation::Student;
+        Self { opacity: config.lambda_opacity, signed, scale: config.lambda_scale, ..Self::default() }
     }
 
     /// Whether the terms need normals or distortions of every pixel.
@@ -59,7 +61,9 @@ impl Weights {
     ) -> Tensor<1> {
         let mut total = rgb;
         if self.opacity > 0.0 {
-            total = total + gaussians.opacities.clone().mean() * self.opacity;
+            let opacities = gaussians.opacities.clone();
+            let opacities = if self.signed { opacities.abs() } else { opacities };
+            total = total + opacities.mean() * self.opacity;
         }
         if self.scale > 0.0 {
             total = total + gaussians.log_scales.clone().exp().mean() * self.scale;

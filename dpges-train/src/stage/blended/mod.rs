@@ -1,7 +1,8 @@
 //! Training of blended Gaussians: discs (2DGS), or ellipsoids that are cloned and split (3DGS) or relocated (3DGS-MCMC,
-//! DBS).
+//! DBS, SSS).
 
 mod losses;
+mod momenta;
 mod refine;
 mod schedule;
 mod screen_gradients;
@@ -16,6 +17,7 @@ use dpges_core::ops::photometric::Photometric;
 use dpges_core::render::blended::{BlendedOptions, Probes, render_blended_probed};
 use dpges_core::scene::tensors::rows_to_tensor;
 use dpges_core::scene::{ColourModel, GaussianData, Gaussians, SH_C0, SceneData, SceneInfo, SurfelData};
+use rand::RngExt;
 
 use super::sampling_limit::SamplingLimit;
 use super::{
@@ -25,13 +27,19 @@ use super::{
 use crate::config::{Blended, Config, Density, OpacityActivation, Relocation, StagePlan};
 use crate::optimizer::scene_state::{GaussianState, Rates, SurfelState};
 use losses::Weights;
+pub use momenta::Momenta;
+use momenta::{BURN_IN, MomentumStep};
 use schedule::{BlendedDue, BlendedSchedule};
 pub use screen_gradients::ScreenGradients;
 
 /// Base colour that is black without detail: 0.5 + C₀ k = 0.
 const BLACK: f64 = -0.5 / SH_C0;
 
-/// A stage of blended Gaussians. Their opacities are trained as logits.
+/// Learning rate of degrees of freedom, and the steps of a run of 30,000 after which it halves (SSS).
+const DEGREES_RATE: f64 = 10.0;
+const DEGREES_HALVED_EVERY: usize = 5000;
+
+/// A stage of blended Gaussians. Their opacities are trained through [`Blended::opacity`].
 pub struct BlendedStage {
     pub plan: StagePlan,
     blended: Blended,
@@ -48,6 +56,10 @@ pub struct BlendedStage {
     positions_before: Option<Tensor<2>>,
     /// `None` without a filter in the world.
     pub sampling_limit: Option<SamplingLimit>,
+    /// Of positions; `None` where Adam moves them.
+    pub momenta: Option<Momenta>,
+    /// Those before the last step.
+    momenta_before: Option<Momenta>,
 }
 
 impl BlendedStage {
@@ -66,7 +78,7 @@ impl BlendedStage {
             Blended::Controlled(_) | Blended::Relocated(_) => context.start_of_gaussians(plan, blended)?,
         };
         let device = &context.device;
-        let gaussians = GaussianState::new(&start, OpacityActivation::Sigmoid, device);
+        let gaussians = GaussianState::new(&start, blended.opacity(), device);
         let screen_gradients = ScreenGradients::new(start.len(), device);
         let environment = EnvironmentState::new(trained.environment.as_ref(), device);
         let smooths = blended == Blended::Controlled(Density::Smoothed);
@@ -86,6 +98,8 @@ impl BlendedStage {
         context: &Context,
     ) -> Self {
         let config = &context.config;
+        let has_momenta = blended == Blended::Relocated(Relocation::Student);
+        let momenta = has_momenta.then(|| Momenta::at_rest(gaussians.len(), &context.device));
         Self {
             plan,
             blended,
@@ -106,13 +120,15 @@ impl BlendedStage {
             gradients_before: None,
             positions_before: None,
             sampling_limit: None,
+            momenta,
+            momenta_before: None,
         }
     }
 
     /// A stage that begins with the Gaussians and the environment of `scene` as they are, without a sampling limit.
     pub fn of_scene(plan: StagePlan, blended: Blended, scene: &SceneData, context: &Context) -> Self {
         let device = &context.device;
-        let gaussians = GaussianState::new(&scene.gaussians, OpacityActivation::Sigmoid, device);
+        let gaussians = GaussianState::new(&scene.gaussians, blended.opacity(), device);
         let environment = EnvironmentState::new(scene.environment.as_ref(), device);
         let screen_gradients = ScreenGradients::new(scene.gaussians.len(), device);
         Self::new(plan, blended, gaussians, environment, screen_gradients, context)
@@ -158,7 +174,9 @@ impl BlendedStage {
     /// The degree up to which harmonics learn.
     fn degree(&self, completed: usize, config: &Config) -> usize {
         let interval = match self.blended {
-            Blended::Controlled(_) => self.plan.scaled(config.density.degree_every),
+            Blended::Controlled(_) | Blended::Relocated(Relocation::Student) => {
+                self.plan.scaled(config.density.degree_every)
+            }
             Blended::Discs | Blended::Relocated(_) => 0,
         };
         completed.checked_div(interval).unwrap_or(usize::MAX)
@@ -191,6 +209,26 @@ impl BlendedStage {
         let progress = completed as f64 / self.plan.steps as f64;
         let progress = if is_alone(config) { progress } else { config.stages.position_share * progress };
         config.optimizer.position_rate(progress, self.info.extent)
+    }
+}
+
+impl BlendedStage {
+    /// Takes the step of the momenta after `completed` ones, and moves the positions by it.
+    fn move_by_momenta(&mut self, completed: usize, context: &mut Context) -> Result<(), TrainError> {
+        let rate = self.position_rate(completed, &context.config).sqrt();
+        let burn_in_steps = self.plan.scaled(BURN_IN);
+        let step = MomentumStep {
+            rate,
+            burn_in: (completed < burn_in_steps).then_some(context.config.relocation.noise),
+            restarts: completed == burn_in_steps,
+            seed: context.rng.random(),
+        };
+        let (gaussians, adam) = (self.gaussians.values(), context.config.optimizer.adam(completed));
+        let Some(momenta) = &mut self.momenta else { return Ok(()) };
+        self.momenta_before = Some(momenta.clone());
+        let positions = momenta.step(&self.gaussians.columns.positions, &gaussians, &adam, &step)?;
+        self.gaussians.columns.positions.set_tensor(positions);
+        Ok(())
     }
 }
 
@@ -263,11 +301,14 @@ impl Stage for BlendedStage {
     fn rates(&self, completed: usize, config: &Config) -> StepRates {
         let optimizer = &config.optimizer;
         let decay = if is_alone(config) { optimizer.decay_at(completed as f64 / self.plan.steps as f64) } else { 1.0 };
+        let halvings = completed / self.plan.scaled(DEGREES_HALVED_EVERY).max(1);
         let rates = Rates {
-            positions: self.position_rate(completed, config),
+            // momenta move them
+            positions: if self.momenta.is_some() { 0.0 } else { self.position_rate(completed, config) },
             quaternions: optimizer.quaternions * decay,
             log_scales: optimizer.log_scales * decay,
             opacities: config.stages.opacities * decay,
+            degrees_of_freedom: DEGREES_RATE * 0.5f64.powi(halvings as i32),
             base: optimizer.base * decay,
             detail: optimizer.detail * decay,
         };
@@ -279,6 +320,10 @@ impl Stage for BlendedStage {
             self.positions_before = Some(self.gaussians.columns.positions.raw());
             self.jitter(NoiseGate::Mcmc, completed, context)?;
         }
+        if self.momenta.is_some() && !self.gaussians.is_empty() {
+            self.positions_before = Some(self.gaussians.columns.positions.raw());
+            self.move_by_momenta(completed, context)?;
+        }
         Ok(())
     }
 
@@ -288,6 +333,9 @@ impl Stage for BlendedStage {
         }
         if let Some(positions) = self.positions_before.take() {
             self.gaussians.columns.positions.set_tensor(positions);
+        }
+        if let Some(momenta) = self.momenta_before.take() {
+            self.momenta = Some(momenta);
         }
     }
 

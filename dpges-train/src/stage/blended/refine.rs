@@ -110,6 +110,9 @@ impl BlendedStage {
         let min_opacity = relocation.min_opacity;
         let Some(relocated) = relocate_and_add(&gaussians, target, min_opacity, kind, &mut context.rng) else { return };
         self.gaussians.relocate(&relocated);
+        if let Some(momenta) = &mut self.momenta {
+            momenta.relocate(&relocated);
+        }
         self.restart_observations(context);
         tracing::debug!("{} Gaussians relocated, {} added", relocated.relocated, relocated.added);
     }

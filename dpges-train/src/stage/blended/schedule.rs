@@ -135,6 +135,7 @@ mod tests {
         let dbs = schedule(Method::Dbs, 30_000, 100);
         assert_eq!((dbs.relocate[0], dbs.relocate.last(), dbs.relocate.len()), (600, Some(&24_900), 244));
         assert!(dbs.densify.is_empty() && discs.relocate.is_empty());
+        assert_eq!(schedule(Method::Sss, 30_000, 100), dbs);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! What a stage of blended Gaussians begins with: the points of the dataset.
 
-use dpges_core::scene::{GaussianData, SurfelData};
+use dpges_core::scene::{GaussianData, Rendering, SurfelData};
 
 use super::super::{Context, TrainError};
 use crate::config::{Blended, StagePlan};
@@ -8,6 +8,8 @@ use crate::init::{PrimitiveQuota, initialise};
 
 /// Thickness of a Gaussian that is made of a surfel, over the mean of its two scales (GES).
 const THICKNESS: f64 = 0.1;
+/// Degrees of freedom of Student's t kernels at the start (SSS).
+const START_DEGREES: f32 = 100.0;
 
 impl Context {
     /// Discs at the surfels that the configuration asks for, or at the Gaussians if there are no surfels.
@@ -36,7 +38,12 @@ impl Context {
             Blended::Discs | Blended::Relocated(_) => (relocation.start_scale, relocation.start_opacity),
         };
         let quota = self.most_primitives(plan.budget_share) as f64;
-        Ok(initialise(&self.dataset, &config, PrimitiveQuota::new(quota, quota), &mut self.rng)?.gaussians)
+        let start = initialise(&self.dataset, &config, PrimitiveQuota::new(quota, quota), &mut self.rng)?;
+        let mut gaussians = start.gaussians;
+        if blended.rendering() == Rendering::Students {
+            gaussians.degrees_of_freedom = Some(vec![START_DEGREES; gaussians.len()]);
+        }
+        Ok(gaussians)
     }
 }
 

@@ -197,6 +197,7 @@ impl Stage for JointStage {
             quaternions: optimizer.quaternions * decay,
             log_scales: optimizer.log_scales * decay,
             opacities: optimizer.opacities * decay,
+            degrees_of_freedom: 0.0,
             base: optimizer.base * decay,
             detail: optimizer.detail * decay,
         };

@@ -64,7 +64,9 @@ impl Change {
         all.extend([75, 50, 25].map(Self::Primitives));
         all.extend([75, 50, 25].map(Self::Resolution));
         all.extend(sums_floats.then_some(Self::HalfSums));
-        all.extend((0..Quality::LEVELS.len()).map(Self::Compression));
+        if info.rendering != Rendering::Students {
+            all.extend((0..Quality::LEVELS.len()).map(Self::Compression));
+        }
         all
     }
 

@@ -2,6 +2,7 @@
 //! its parameters.
 
 pub mod along_ray;
+pub mod student;
 
 use crate::backend::real::Real;
 use crate::camera::{Lens, Seen};
@@ -25,6 +26,8 @@ pub struct Parameters<T> {
     pub quaternion: [T; 4],
     pub log_scales: V3<T>,
     pub opacity: T,
+    /// ν of a Student's t kernel; infinite of a Gaussian one.
+    pub degrees_of_freedom: T,
 }
 
 /// Footprint: `strength · exp(−½ (u² + v²))`, where u and v are the offset (dx, dy) px from the mean in units of the
@@ -146,7 +149,7 @@ impl<T: Real> Projection<T> {
     fn compensation(&self) -> T {
         match self.filter {
             ScreenFilter::Compensated => self.ratio.max(T::of(MIN_COMPENSATION_SQUARED)).sqrt(),
-            ScreenFilter::Plain => T::one(),
+            ScreenFilter::Plain | ScreenFilter::Off => T::one(),
         }
     }
 
@@ -253,6 +256,8 @@ pub struct ParameterGrad<T> {
     pub quaternion: [T; 4],
     pub log_scales: V3<T>,
     pub opacity: T,
+    /// 0 of a Gaussian kernel.
+    pub degrees_of_freedom: T,
 }
 
 /// Gradients with respect to the raw parameters, from the sums over the pixels (3DGS; compensation: GES).
@@ -307,6 +312,7 @@ pub fn backward<T: Real>(
         quaternion: rotation_backward(p.quaternion, &grad_rotation),
         log_scales,
         opacity: if p.opacity > T::zero() { grad_strength * compensation } else { T::zero() },
+        degrees_of_freedom: T::zero(),
     }
 }
 

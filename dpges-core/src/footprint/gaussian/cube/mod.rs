@@ -2,6 +2,7 @@
 
 pub(crate) mod along_ray;
 pub(crate) mod regions;
+pub(crate) mod student;
 
 use burn::backend::TensorMetadata;
 use burn_cubecl::CubeBackend;

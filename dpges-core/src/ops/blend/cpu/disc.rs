@@ -330,6 +330,7 @@ impl<T: Real> Projected<T> for DiscFootprint<T> {
             quaternion: turn.map(T::of),
             log_scales: [T::of(log_scales[0]), T::of(log_scales[1]), T::zero()],
             opacity: sums.footprint[0] / self.strength,
+            degrees_of_freedom: T::zero(),
         }
     }
 }

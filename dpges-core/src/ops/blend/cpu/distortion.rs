@@ -44,7 +44,7 @@ impl<T: Real> Spread<T> {
         let two = T::of(2.0);
         let mut growth = [T::zero(); LANES];
         for lane in 0..LANES {
-            let blended = covered[lane] > T::zero();
+            let blended = covered[lane] != T::zero();
             let inverse = T::one() / depth[lane];
             let fresh = blended & (reference[lane] == T::zero());
             reference[lane] = if fresh { inverse } else { reference[lane] };

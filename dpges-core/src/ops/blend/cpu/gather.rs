@@ -114,7 +114,7 @@ impl<T: Real> WayBack<'_, T> {
         let (reference, total) = (lanes(&self.spread.reference, start), lanes(&self.alpha, start));
         add_payload(own, three(self.grad, NORMAL_PLANE, start), normal);
         for lane in 0..LANES {
-            let inverse = if weight[lane] > T::zero() { T::one() / depth[lane] } else { T::zero() };
+            let inverse = if weight[lane] != T::zero() { T::one() / depth[lane] } else { T::zero() };
             let m = self.slope * (reference[lane] - inverse);
             let apart = m * m * total[lane] + second[lane] - two * m * first[lane];
             own[lane] = own[lane] + of_depth[lane] * depth[lane] + of_distortion[lane] * apart;
@@ -153,9 +153,9 @@ impl<T: Real> WayBack<'_, T> {
         let through = group(&mut self.progress.through, start);
         let behind = group(&mut self.behind, start);
         for lane in 0..LANES {
-            let alpha = weight[lane].min(self.max_alpha);
+            let alpha = weight[lane].min(self.max_alpha).max(-self.max_alpha);
             let before = through[lane] / (T::one() - alpha);
-            let free = if weight[lane] < self.max_alpha { T::one() } else { T::zero() };
+            let free = if weight[lane].abs() < self.max_alpha { T::one() } else { T::zero() };
             covered[lane] = alpha * before;
             power[lane] = free * covered[lane] * (own[lane] - behind[lane]);
             behind[lane] = alpha * own[lane] + (T::one() - alpha) * behind[lane];
@@ -410,15 +410,15 @@ struct PrimitiveGrad<T> {
     probe: [T; 4],
 }
 
-/// Gradients with respect to positions, quaternions, log-scales, opacities, colours and the probe, the last
-/// empty unless it is `probed`; `grad` is [P, H, W].
+/// Gradients with respect to positions, quaternions, log-scales, opacities, colours, degrees of freedom and the probe,
+/// the last empty unless it is `probed`, that before it unless kernels have some; `grad` is [P, H, W].
 pub fn backward<T: Real, F: Projected<T>>(
     gaussians: &GaussianRows<T>,
     grad: &[T],
     probed: bool,
     camera: &Camera,
     options: &BlendOptions,
-) -> [Vec<T>; 6] {
+) -> [Vec<T>; 7] {
     let view = CameraPair::<T>::new(camera, options.filter);
     let sorted = Sorted::<T, F>::new(gaussians, &view, options);
     let layout = Layout { footprint: F::SUMS, probe: probed, maps: options.maps };
@@ -439,15 +439,19 @@ pub fn backward<T: Real, F: Projected<T>>(
         PrimitiveGrad { parameters: grad, colour, probe }
     };
     let grads: Vec<PrimitiveGrad<T>> = sums.par_chunks_mut(layout.width()).enumerate().map(to_parameters).collect();
-    let probe_width = if probed { 4 } else { 0 };
-    let mut out = [3, 4, 3, 1, 3, probe_width].map(|width| vec![T::zero(); gaussians.len() * width]);
-    let [positions, quaternions, log_scales, opacities, colours, probes] = &mut out;
+    let (degrees_width, probe_width) = (usize::from(F::HAS_DEGREES), if probed { 4 } else { 0 });
+    let widths = [3, 4, 3, 1, 3, degrees_width, probe_width];
+    let mut out = widths.map(|width| vec![T::zero(); gaussians.len() * width]);
+    let [positions, quaternions, log_scales, opacities, colours, degrees, probes] = &mut out;
     for (&row, PrimitiveGrad { parameters, colour, probe }) in sorted.rows.iter().zip(&grads) {
         positions[3 * row..3 * row + 3].copy_from_slice(&parameters.position);
         quaternions[4 * row..4 * row + 4].copy_from_slice(&parameters.quaternion);
         log_scales[3 * row..3 * row + 3].copy_from_slice(&parameters.log_scales);
         opacities[row] = parameters.opacity;
         colours[3 * row..3 * row + 3].copy_from_slice(colour);
+        if F::HAS_DEGREES {
+            degrees[row] = parameters.degrees_of_freedom;
+        }
         if probed {
             probes[4 * row..4 * row + 4].copy_from_slice(probe);
         }

@@ -82,6 +82,8 @@ pub const WORK_ROWS: usize = 5;
 pub trait Projected<T: Real>: Copy + Send + Sync {
     /// Sums over pixels that its gradient is made of, besides those of [`Layout`].
     const SUMS: usize;
+    /// Whether its kernel has degrees of freedom.
+    const HAS_DEGREES: bool = false;
 
     /// `None` where no pixel can see it.
     fn new(view: &CameraPair<T>, parameters: &Parameters<T>, colour: V3<T>) -> Option<Self>;
@@ -124,6 +126,38 @@ pub trait Projected<T: Real>: Copy + Send + Sync {
     fn backward(&self, view: &CameraPair<T>, parameters: &Parameters<T>, sums: &Sums<T>) -> ParameterGrad<T>;
 }
 
+/// The axis with the smallest scale.
+pub fn thinnest_axis<T: Real>(parameters: &Parameters<T>) -> usize {
+    let size = |axis: usize| parameters.log_scales[axis].as_f64();
+    (0..3).min_by(|&a, &b| size(a).total_cmp(&size(b))).unwrap_or(0)
+}
+
+/// Adds a group to the sums of a probe: the gradient of the mean, where `power` is −2 times that of r² with (u, v) the
+/// offset in standard deviations by the `root`.
+#[inline(always)]
+pub fn add_to_probe<T: Real>(probe: &mut [[T; LANES]], [p, q, r]: [T; 3], power: &[T; LANES], u: &[T; LANES], v: T) {
+    if let [x, y, size_x, size_y] = probe {
+        for lane in 0..LANES {
+            let grad_x = power[lane] * p * u[lane];
+            let grad_y = power[lane] * (q * u[lane] + r * v);
+            x[lane] = x[lane] + grad_x;
+            y[lane] = y[lane] + grad_y;
+            size_x[lane] = size_x[lane] + grad_x.abs();
+            size_y[lane] = size_y[lane] + grad_y.abs();
+        }
+    }
+}
+
+/// Adds a group to the sum of the gradients of z, if there are maps.
+#[inline(always)]
+pub fn add_depths<T: Real>(maps: &mut [[T; LANES]], grad_depth: &[T; LANES]) {
+    if let [.., of_depth] = maps {
+        for lane in 0..LANES {
+            of_depth[lane] = of_depth[lane] + grad_depth[lane];
+        }
+    }
+}
+
 /// An ellipsoid's ellipse, anchored at its mean.
 #[derive(Clone, Copy, Debug)]
 pub struct Ellipse<T>(Splat<T>);
@@ -135,10 +169,8 @@ impl<T: Real> Projected<T> for Ellipse<T> {
         Splat::new(&view.camera, parameters, colour, view.filter).map(Self)
     }
 
-    /// The thinnest.
     fn normal_axis(parameters: &Parameters<T>) -> usize {
-        let size = |axis: usize| parameters.log_scales[axis].as_f64();
-        (0..3).min_by(|&a, &b| size(a).total_cmp(&size(b))).unwrap_or(0)
+        thinnest_axis(parameters)
     }
 
     #[inline(always)]
@@ -187,21 +219,9 @@ impl<T: Real> Projected<T> for Ellipse<T> {
         }
         let v = r * dy;
         add_moments(sums.footprint, power, &u, v);
-        if let [x, y, size_x, size_y] = &mut *sums.probe {
-            for lane in 0..LANES {
-                let grad_x = power[lane] * p * u[lane];
-                let grad_y = power[lane] * (q * u[lane] + r * v);
-                x[lane] = x[lane] + grad_x;
-                y[lane] = y[lane] + grad_y;
-                size_x[lane] = size_x[lane] + grad_x.abs();
-                size_y[lane] = size_y[lane] + grad_y.abs();
-            }
-        }
-        if MAPS && let [.., of_depth] = &mut *sums.maps {
-            let grad_depth = group.grad_depth;
-            for lane in 0..LANES {
-                of_depth[lane] = of_depth[lane] + grad_depth[lane];
-            }
+        add_to_probe(sums.probe, self.0.root, power, &u, v);
+        if MAPS {
+            add_depths(sums.maps, group.grad_depth);
         }
     }
 

@@ -185,7 +185,7 @@ pub fn walk_tile<T: Real, F: Projected<T>>(
                 let through = group(&mut progress.through, start);
                 let end = group(&mut progress.end, start);
                 for lane in 0..LANES {
-                    let alpha = weight[lane].min(thresholds.max_alpha);
+                    let alpha = weight[lane].min(thresholds.max_alpha).max(-thresholds.max_alpha);
                     covered[lane] = alpha * through[lane];
                     behind[lane] = through[lane] * (T::one() - alpha);
                 }
@@ -205,8 +205,8 @@ pub fn walk_tile<T: Real, F: Projected<T>>(
     progress
 }
 
-/// Whether weights, none of which is negative, are all 0.
+/// Whether weights are all 0.
 #[inline(always)]
 pub fn is_nothing<T: Real>(values: &[T; LANES]) -> bool {
-    values.iter().copied().sum::<T>() == T::zero()
+    values.iter().map(|value| value.abs()).sum::<T>() == T::zero()
 }

@@ -79,7 +79,7 @@ pub fn go_back(
     thresholds: Thresholds,
     #[comptime] maps: bool,
 ) -> Back {
-    let alpha = min(found.weight, thresholds.max_alpha);
+    let alpha = max(min(found.weight, thresholds.max_alpha), -thresholds.max_alpha);
     let before = through / (1.0f32 - alpha);
     let covered = alpha * before;
     let mut grad_depth = 0.0f32;
@@ -99,7 +99,7 @@ pub fn go_back(
         through: before,
         behind: alpha * value + (1.0f32 - alpha) * behind,
         // a capped α has no gradient
-        power: select(found.weight < thresholds.max_alpha, covered * (value - behind), 0.0f32),
+        power: select(f32::abs(found.weight) < thresholds.max_alpha, covered * (value - behind), 0.0f32),
         covered,
         grad_depth,
     }

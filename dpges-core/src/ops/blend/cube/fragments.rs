@@ -8,6 +8,8 @@ use cubecl::prelude::*;
 use super::order::{depth_order, tile_keys};
 use crate::camera::Camera;
 use crate::footprint::gaussian::cube as splat_cube;
+use crate::footprint::gaussian::cube::student as student_cube;
+use crate::footprint::gaussian::cube::student::{Tail, student_weight};
 use crate::footprint::gaussian::cube::{CUTOFF_F32, INVERSE_CUTOFF, SPLAT, Splat, along_ray};
 use crate::footprint::gaussian::tensors::GaussianTensors;
 use crate::footprint::surfel::cube as disc_cube;
@@ -21,21 +23,22 @@ use crate::gpu::sort::sorted_pairs;
 use crate::gpu::vector::{Mat3, Vec3, dot, rotation, row3, row4, scale, vec3};
 use crate::gpu::view::{CameraUniforms, Rests, camera_axes, pixel_range, to_camera, view_depth};
 use crate::ops::blend::{BlendLists, BlendOptions, Form};
-use crate::scene::BlendOrder;
+use crate::scene::{BlendOrder, ScreenFilter};
 use crate::tiles::TileGrid;
 use crate::tiles::binning::capacity::ListKind;
-use crate::tiles::binning::cube::{Ellipses, Pairs, by_tile, pairs};
+use crate::tiles::binning::cube::{Ellipses, Pairs, TileList, by_tile, pairs};
 
 /// The low-pass filter is centred in the bounding box of the disc at this squared radius, σ² (2DGS).
 pub const LOW_PASS_SQUARED_RADIUS: f32 = 9.0;
 /// Offset of a low-pass filter that reaches no pixel, px. Its square is finite.
 const NOWHERE: f32 = 1e15;
 /// Number of values in a row of features: a [`Payload`], a [`LowPass`] and [`Tangents`]. Ellipsoids have only the
-/// first.
+/// first, students a [`Tail`] after it.
 pub const FEATURES: usize = TANGENTS + Tangents::LEN;
-/// Places of the other two in the row.
+/// Places of the others in the row.
 pub const LOW_PASS: usize = Payload::LEN;
 pub const TANGENTS: usize = LOW_PASS + LowPass::LEN;
+pub const TAIL: usize = Payload::LEN;
 
 record! {
     /// The values of a primitive that are blended.
@@ -73,7 +76,7 @@ record! {
 #[cube]
 pub fn normal_axis(log_scales: Vec3, #[comptime] form: Form) -> u32 {
     let mut axis = 2u32;
-    if comptime!(form == Form::Ellipsoids) {
+    if comptime!(form != Form::Discs) {
         let first = log_scales.x <= log_scales.y && log_scales.x <= log_scales.z;
         let later = 2u32 - u32::cast_from(log_scales.y <= log_scales.z);
         axis = select(first, 0u32, later);
@@ -217,6 +220,33 @@ pub fn on_ellipse(splat: Splat, x: f32, y: f32) -> Fragment {
     Fragment { weight: select(splat.strength > 0.0f32, weight, 0.0f32), depth: splat.depth, by_plane: 1.0f32 }
 }
 
+/// A Student's t kernel at the point (`x`, `y`) px.
+#[cube]
+pub fn on_student(splat: Splat, tail: Tail, x: f32, y: f32) -> Fragment {
+    let weight = student_weight(splat, tail, x - splat.mean_x, y - splat.mean_y);
+    Fragment { weight: select(splat.strength != 0.0f32, weight, 0.0f32), depth: splat.depth, by_plane: 1.0f32 }
+}
+
+/// The primitive at a `position` of a list, an ellipsoid or a student with the footprint `splat`, at the point (`x`, `y`) px.
+#[cube]
+pub fn on_projected(
+    splat: Splat,
+    features: &[f32],
+    list: TileList,
+    ids: &[u32],
+    position: u32,
+    x: f32,
+    y: f32,
+    #[comptime] form: Form,
+) -> Fragment {
+    if comptime!(form == Form::Students) {
+        let i = list.entry(ids, position) as usize;
+        on_student(splat, Tail::load(features, i * FEATURES + TAIL), x, y)
+    } else {
+        on_ellipse(splat, x, y)
+    }
+}
+
 /// Primitive `i` at the point (`x`, `y`) px.
 #[cube]
 pub fn fragment(
@@ -233,6 +263,10 @@ pub fn fragment(
     let mut by_plane = 1.0f32;
     if comptime!(form == Form::Ellipsoids) {
         let found = on_ellipse(Splat::load(shapes, i * SPLAT), x, y);
+        weight = found.weight;
+        depth = found.depth;
+    } else if comptime!(form == Form::Students) {
+        let found = on_student(Splat::load(shapes, i * SPLAT), Tail::load(features, i * FEATURES + TAIL), x, y);
         weight = found.weight;
         depth = found.depth;
     } else {
@@ -255,7 +289,7 @@ pub fn fragment(
 
 /// What does not depend on the pixel; rows are primitives, nearest first.
 pub struct Fragments {
-    /// [M, [`SPLAT`]] of ellipsoids, [M, [`PLANE`]] of discs
+    /// [M, [`SPLAT`]] of ellipsoids and students, [M, [`PLANE`]] of discs
     pub shapes: CubeTensor,
     /// [M, [`FEATURES`]]
     pub features: CubeTensor,
@@ -284,14 +318,15 @@ fn picked_kernel(values: &[u32], pairs: &[u32], out: &mut [u32], count: u32) {
 impl Fragments {
     pub fn new(
         gaussians: &GaussianTensors<CubeBackend>,
+        degrees_of_freedom: &CubeTensor,
         camera: &Camera,
         options: &BlendOptions,
     ) -> (Self, BlendLists<CubeBackend>) {
         let (like, grid) = (&gaussians.positions, TileGrid::new(camera.width, camera.height));
         let order = depth_order(like, camera);
-        let (fragments, rects) = Self::in_order(gaussians, &order, camera, options);
+        let (fragments, rects) = Self::in_order(gaussians, degrees_of_freedom, &order, camera, options);
         let found = match options.form {
-            Form::Ellipsoids => {
+            Form::Ellipsoids | Form::Students => {
                 let ellipses = Ellipses { splats: &fragments.shapes, ends: &unlimited(like, grid.len()) };
                 pairs(&rects, Some(ellipses), camera, ListKind::Gaussians)
             }
@@ -312,6 +347,7 @@ impl Fragments {
     /// Fragments in a known `order`, and [M, 4] the pixel rectangles of the primitives.
     pub fn in_order(
         gaussians: &GaussianTensors<CubeBackend>,
+        degrees_of_freedom: &CubeTensor,
         order: &CubeTensor,
         camera: &Camera,
         options: &BlendOptions,
@@ -337,6 +373,12 @@ impl Fragments {
         );
         let (shapes, rects) = match form {
             Form::Ellipsoids => splat_cube::splats(gaussians, Some(order), camera, filter),
+            Form::Students => {
+                let magnitudes = magnitudes(gaussians);
+                let (ellipses, _) = splat_cube::splats(&magnitudes, Some(order), camera, ScreenFilter::Off);
+                let of_kernels = [&gaussians.opacities, degrees_of_freedom, order];
+                student_cube::students(of_kernels, &ellipses, (&features, TAIL), camera)
+            }
             Form::Discs => {
                 let planes = disc_cube::planes(&discs(gaussians), Some(order), None, camera);
                 reach_kernel::launch(
@@ -395,6 +437,13 @@ fn picked(values: &CubeTensor, pairs: &CubeTensor) -> CubeTensor {
         count as u32,
     );
     out
+}
+
+/// The same Gaussians with the absolute values of their opacities.
+pub fn magnitudes(gaussians: &GaussianTensors<CubeBackend>) -> GaussianTensors<CubeBackend> {
+    use burn::backend::ops::FloatTensorOps;
+    let opacities = CubeBackend::float_abs(gaussians.opacities.clone());
+    GaussianTensors { opacities, ..gaussians.clone() }
 }
 
 pub fn discs(gaussians: &GaussianTensors<CubeBackend>) -> DiscTensors<'_> {

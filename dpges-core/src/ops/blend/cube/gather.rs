@@ -14,13 +14,16 @@ use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
 use super::back::{Spread, go_back, pixel_grad};
-use super::fragments::{FEATURES, Fragments, LOW_PASS, LowPass, Payload, TANGENTS, Tangents, fragment, on_ellipse};
+use super::fragments::{
+    FEATURES, Fragments, LOW_PASS, LowPass, Payload, TAIL, TANGENTS, Tangents, fragment, on_projected,
+};
 use super::rays::{Said, replay, said_at, said_numbers};
 use super::{FIRST_MOMENT, REFERENCE, SECOND_MOMENT, STATE, THROUGH, TOTAL, Thresholds, add_fragment};
 use crate::camera::Camera;
 use crate::counters::transfers::{download, wait};
 use crate::error::Error;
 use crate::footprint::gaussian::cube::regions::{WORDS, list_regions, mark_regions};
+use crate::footprint::gaussian::cube::student::{Tail, student_slopes};
 use crate::footprint::gaussian::cube::{SPLAT, Splat, add_moments};
 use crate::footprint::moments::MOMENTS;
 use crate::footprint::surfel::cube::{DISC_SUMS, DiscPixel, Hit, PLANE, Plane, add_disc_sums};
@@ -63,13 +66,13 @@ pub struct Layout {
 impl Layout {
     pub fn shape(self) -> usize {
         match self.form {
-            Form::Ellipsoids => MOMENTS,
+            Form::Ellipsoids | Form::Students => MOMENTS,
             Form::Discs => DISC_SUMS,
         }
     }
 
     /// Place among the rest of the gradients that the shape lacks: the depth of ellipsoids; the two coordinates
-    /// of the low-pass filter and the exponent of discs.
+    /// of the low-pass filter and the exponent of discs; depth, degrees of freedom and exponent of students.
     pub fn beside(self) -> usize {
         3
     }
@@ -78,7 +81,7 @@ impl Layout {
         self.beside()
             + match self.form {
                 Form::Ellipsoids => 1,
-                Form::Discs => 3,
+                Form::Discs | Form::Students => 3,
             }
     }
 
@@ -138,14 +141,23 @@ fn add_pixel(
     }
     let mut towards_x = 0.0f32;
     let mut towards_y = 0.0f32;
-    if comptime!(layout.form == Form::Ellipsoids) {
+    if comptime!(layout.form != Form::Discs) {
         let splat = Splat::load(shapes, i * SPLAT);
         let (dx, dy) = (x - splat.mean_x, y - splat.mean_y);
         let (u, v) = (splat.u(dx, dy), splat.r * dy);
-        add_moments(own, power, u, v);
+        // −2 times the gradient of r²
+        let mut pull = power;
+        if comptime!(layout.form == Form::Students) {
+            let tail = Tail::load(features, i * FEATURES + TAIL);
+            let (by_squared, by_degrees) = student_slopes(tail.degrees, u * u + v * v);
+            pull = power * by_squared;
+            own[beside + 1] += power * by_degrees;
+            own[beside + 2] += power;
+        }
+        add_moments(own, pull, u, v);
         own[beside] += grad_depth;
-        towards_x = power * splat.p * u;
-        towards_y = power * (splat.q * u + splat.r * v);
+        towards_x = pull * splat.p * u;
+        towards_y = pull * (splat.q * u + splat.r * v);
     } else {
         let disc = Plane::load(shapes, i * PLANE);
         let low_pass = LowPass::load(features, i * FEATURES + LOW_PASS);
@@ -235,13 +247,13 @@ fn fold_entries(
             let at = entry as usize * NUMBERS * UNITS as usize + other as usize;
             let signed = partial[at + UNITS as usize];
             if signed != 0.0f32 {
-                let covered = f32::abs(signed);
-                let seen = Seen {
-                    power: partial[at],
-                    covered,
-                    grad_depth: partial[at + 2 * UNITS as usize],
-                    by_plane: select(signed > 0.0f32, 1.0f32, 0.0f32),
-                };
+                let mut covered = f32::abs(signed);
+                let mut by_plane = select(signed > 0.0f32, 1.0f32, 0.0f32);
+                if comptime!(layout.form == Form::Students) {
+                    covered = signed;
+                    by_plane = 1.0f32;
+                }
+                let seen = Seen { power: partial[at], covered, grad_depth: partial[at + 2 * UNITS as usize], by_plane };
                 add_pixel(own, shapes, features, i, grad, pixel_of(view, tile, other), seen, view, layout);
             }
         }
@@ -324,7 +336,7 @@ fn gather_kernel(
     let mut state = zeros(STATE);
     state[THROUGH] = 1.0f32;
     let mut end = select(place.inside, length, 0u32);
-    if comptime!(form == Form::Ellipsoids) {
+    if comptime!(form != Form::Discs) {
         let list = TileList { start, length };
         let mut visits = Shared::<[u32]>::new_slice(comptime!(REGIONS * WORDS));
         let mut depths = Shared::<[f32]>::new_slice(REGIONS);
@@ -342,9 +354,10 @@ fn gather_kernel(
                 while bits != 0u32 && open {
                     let entry = word as u32 * 32u32 + bits.trailing_zeros();
                     bits &= bits - 1u32;
-                    let found = on_ellipse(Splat::load(&partial, entry as usize * SPLAT), x, y);
-                    if found.weight > 0.0f32 {
-                        let position = batch * UNITS + entry;
+                    let position = batch * UNITS + entry;
+                    let splat = Splat::load(&partial, entry as usize * SPLAT);
+                    let found = on_projected(splat, features, list, ids, position, x, y, form);
+                    if found.weight != 0.0f32 {
                         let i = list.entry(ids, position) as usize;
                         open = add_fragment(&mut state, found, features, i, thresholds, layout.maps);
                         end = select(open, end, position);
@@ -402,7 +415,7 @@ fn gather_kernel(
             if entry < entries && position < end {
                 let i = ids[(start + position) as usize] as usize;
                 let found = fragment(shapes, features, i, x, y, view.near, form);
-                if found.weight > 0.0f32 {
+                if found.weight != 0.0f32 {
                     let payload = Payload::load(features, i * FEATURES);
                     let back = go_back(found, payload, through, behind, of, spread, thresholds, layout.maps);
                     power = back.power;
@@ -415,7 +428,7 @@ fn gather_kernel(
             }
             let at = entry as usize * NUMBERS * UNITS as usize + unit;
             partial[at] = power;
-            // below 0 where the low-pass filter of a disc decides
+            // of discs below 0 where the low-pass filter decides; of students where α is below 0
             partial[at + UNITS as usize] = select(by_plane > 0.5f32, covered, -covered);
             partial[at + 2 * UNITS as usize] = grad_depth;
         }

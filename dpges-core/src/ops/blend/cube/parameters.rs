@@ -5,7 +5,7 @@ use burn_cubecl::CubeBackend;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
-use super::fragments::{LOW_PASS_SQUARED_RADIUS as K, discs, facing_sign, normal_axis, own_normal};
+use super::fragments::{LOW_PASS_SQUARED_RADIUS as K, discs, facing_sign, magnitudes, normal_axis, own_normal};
 use super::gather::{Layout, PROBE};
 use crate::camera::Camera;
 use crate::footprint::gaussian::cube as splat_cube;
@@ -21,7 +21,7 @@ use crate::gpu::view::{CameraUniforms, camera_axes, depth_slope, to_camera, view
 use crate::ops::blend::{BlendInput, Form};
 use crate::scene::ScreenFilter;
 
-/// Colours, probe and, of discs, opacities.
+/// Colours, probe, opacities of discs and of students, and degrees of freedom of these.
 #[cube(launch)]
 fn payload_kernel(
     rest: &[f32],
@@ -29,6 +29,7 @@ fn payload_kernel(
     grad_colours: &mut [f32],
     grad_probe: &mut [f32],
     grad_opacities: &mut [f32],
+    grad_degrees: &mut [f32],
     count: u32,
     #[comptime] layout: Layout,
 ) {
@@ -37,6 +38,7 @@ fn payload_kernel(
         terminate!();
     }
     let width = comptime!(layout.rest());
+    let degrees = comptime!(layout.beside() + 1);
     let probe = comptime!(layout.probe());
     let exponent = comptime!(layout.beside() + 2);
     let o = i * width;
@@ -50,6 +52,12 @@ fn payload_kernel(
     if comptime!(layout.form == Form::Discs) {
         let (opacity, power) = (opacities[i], rest[o + exponent]);
         grad_opacities[i] = select(opacity > 0.0f32, power / max(opacity, 1e-30f32), 0.0f32);
+    }
+    if comptime!(layout.form == Form::Students) {
+        let (opacity, power) = (opacities[i], rest[o + exponent]);
+        let drawn = power != 0.0f32;
+        grad_opacities[i] = select(drawn, power / select(drawn, opacity, 1.0f32), 0.0f32);
+        grad_degrees[i] = rest[o + degrees];
     }
 }
 
@@ -110,7 +118,7 @@ fn rest_kernel(
         n_y = select(first || second, 0.0f32, towards.y);
         n_z = select(first || second, 0.0f32, towards.z);
     }
-    if comptime!(form == Form::Ellipsoids) {
+    if comptime!(form != Form::Discs) {
         let moved = scale(depth_slope(view, centre), rest[beside]);
         add3(grad_positions, i, moved);
     } else {
@@ -176,8 +184,10 @@ pub fn backward(
     let (client, count) = (sums.client.clone(), sums.shape()[0]);
     let out = GaussianTensors::empty(sums, count);
     let probe = empty_f32(sums, [if layout.probe { count } else { 0 }, PROBE]);
+    let degrees = empty_f32(sums, [if layout.form == Form::Students { count } else { 0 }]);
     match layout.form {
         Form::Ellipsoids => splat_cube::backward(gaussians, sums, camera, filter, &out),
+        Form::Students => splat_cube::backward(&magnitudes(gaussians), sums, camera, ScreenFilter::Off, &out),
         Form::Discs => disc_cube::backward(&discs(gaussians), sums, camera, &discs(&out)),
     }
     payload_kernel::launch(
@@ -189,10 +199,11 @@ pub fn backward(
         buffer(&out.colours),
         buffer(&probe),
         buffer(&out.opacities),
+        buffer(&degrees),
         count as u32,
         layout,
     );
-    // of ellipsoids without maps there is nothing to add
+    // of ellipsoids and students without maps there is nothing to add
     if layout.maps || layout.form == Form::Discs {
         rest_kernel::launch(
             &client,
@@ -210,5 +221,5 @@ pub fn backward(
             layout,
         );
     }
-    BlendInput { gaussians: out, probe }
+    BlendInput { gaussians: out, degrees_of_freedom: degrees, probe }
 }

@@ -5,12 +5,19 @@ use crate::footprint::CUTOFF;
 use crate::footprint::gaussian::cpu::{Parameters, Splat};
 use crate::math::{CameraOf, M3, V3, apply, column, cross, dot, rotation, scale};
 use crate::ops::blend::{ALL_PLANES, BlendOptions, DEPTH_PLANE, DISTORTION_PLANE, Form, NORMAL_PLANE, far};
-use crate::scene::BlendOrder;
+use crate::scene::{BlendOrder, ScreenFilter};
 
 /// What of a primitive decides α and z at a pixel.
 #[derive(Clone, Copy)]
 pub enum Shape {
     Ellipse(Splat<f64>),
+    Student {
+        /// With the absolute value of the opacity.
+        splat: Splat<f64>,
+        opacity: f64,
+        degrees: f64,
+        bound: f64,
+    },
     Disc {
         /// T_u, T_v, T_w of 2DGS: from (u, v, 1) to (x z, y z, z), px.
         rows: M3<f64>,
@@ -70,14 +77,37 @@ impl Shape {
                 },
                 splat.depth,
             ),
+            Self::Student { splat, opacity, degrees, bound } => {
+                let [dx, dy] = [at[0] - splat.mean[0], at[1] - splat.mean[1]];
+                let [u, v] = splat.in_deviations(dx, dy);
+                let kernel = (1.0 + (u * u + v * v) / degrees).powf(-0.5 * (degrees + 2.0));
+                let inside = dx.abs() <= *bound && dy.abs() <= *bound;
+                (if inside { opacity * kernel } else { 0.0 }, splat.depth)
+            }
             Self::Disc { rows, low_pass, opacity, near } => {
                 let [u, v, z] = meet(rows, at).filter(|hit| hit[2] > *near)?;
                 let squared = low_pass.map_or(f64::INFINITY, |centre| on_screen(centre, at)).min(u * u + v * v);
                 (opacity * (-0.5 * squared).exp(), z)
             }
         };
-        (alpha >= CUTOFF).then_some((alpha, z))
+        (alpha.abs() >= CUTOFF).then_some((alpha, z))
     }
+}
+
+/// Half side of the square in which a student is drawn, px, from the root p, q, r of its inverse covariance.
+fn bound([p, q, r]: V3<f64>, degrees: f64) -> f64 {
+    let (x, y, xy) = ((1.0 + (q / r).powi(2)) / (p * p), 1.0 / (r * r), -q / (p * r * r));
+    let mid = 0.5 * (x + y);
+    let deviation = (mid + (mid * mid - (x * y - xy * xy)).max(0.1).sqrt()).sqrt();
+    let quantiles = [63.657, 9.925, 5.841, 4.604, 4.032, 3.707, 3.499, 3.355, 3.25, 3.169, 3.106, 3.055, 3.012];
+    let whole = degrees.floor() as usize;
+    let reach = if whole < 13 {
+        let (own, next) = (quantiles[whole - 1], quantiles[whole]);
+        next + (own - next) * degrees.fract()
+    } else {
+        3.0
+    };
+    (reach * deviation).ceil()
 }
 
 /// ρ of the low-pass filter.
@@ -119,13 +149,19 @@ impl Primitive {
                 let (rows, low_pass) = disc(&of, p);
                 Shape::Disc { rows, low_pass, opacity: p.opacity, near: camera.near }
             }
+            Form::Students => {
+                let magnitude = Parameters { opacity: p.opacity.abs(), ..*p };
+                let splat = Splat::new(&of, &magnitude, colour, ScreenFilter::Off)?;
+                let bound = bound(splat.root, p.degrees_of_freedom);
+                Shape::Student { splat, opacity: p.opacity, degrees: p.degrees_of_freedom, bound }
+            }
         };
         let [s, t, r] = p.log_scales;
         let axis = match form {
             Form::Discs => 2,
-            Form::Ellipsoids if s <= t && s <= r => 0,
-            Form::Ellipsoids if t <= r => 1,
-            Form::Ellipsoids => 2,
+            Form::Ellipsoids | Form::Students if s <= t && s <= r => 0,
+            Form::Ellipsoids | Form::Students if t <= r => 1,
+            Form::Ellipsoids | Form::Students => 2,
         };
         let normal = apply(&of.rotation, column(&rotation(p.quaternion), axis));
         let normal = if dot(normal, centre) > 0.0 { scale(normal, -1.0) } else { normal };
@@ -175,7 +211,7 @@ pub fn pixel(primitives: &[Primitive], camera: &Camera, options: &BlendOptions, 
     let resorted = (options.order == BlendOrder::Rays).then(|| by_ray(primitives, camera, at));
     for Primitive { shape, colour, normal, .. } in resorted.as_deref().unwrap_or(primitives) {
         let Some((alpha, z)) = shape.fragment(at) else { continue };
-        let alpha = alpha.min(options.max_alpha);
+        let alpha = alpha.clamp(-options.max_alpha, options.max_alpha);
         let behind = through * (1.0 - alpha);
         if behind < options.min_transmittance {
             break;
@@ -190,7 +226,7 @@ pub fn pixel(primitives: &[Primitive], camera: &Camera, options: &BlendOptions, 
             out.planes[DISTORTION_PLANE] += weight * other * (mapped(z) - m).powi(2);
         }
         blended.push([weight, mapped(z)]);
-        if through > 0.5 && behind <= 0.5 {
+        if out.median_depth == 0.0 && behind <= 0.5 {
             out.median_depth = z;
         }
         through = behind;

@@ -17,7 +17,7 @@ fn brute_force_probe(flat: &Flat, camera: &Camera, options: &BlendOptions) -> Ve
             }
             let mut moved = |by: f64| {
                 match &mut primitives[k].shape {
-                    Shape::Ellipse(splat) => splat.mean[axis] += by,
+                    Shape::Ellipse(splat) | Shape::Student { splat, .. } => splat.mean[axis] += by,
                     Shape::Disc { rows, .. } => rows[axis][2] += by,
                 }
                 let planes = pixel(&primitives, camera, options, at).planes;
@@ -26,7 +26,7 @@ fn brute_force_probe(flat: &Flat, camera: &Camera, options: &BlendOptions) -> Ve
             };
             let slope = (moved(STEP) - moved(-STEP)) / (2.0 * STEP);
             let per_centre = match shape {
-                Shape::Ellipse(_) => 1.0,
+                Shape::Ellipse(_) | Shape::Student { .. } => 1.0,
                 Shape::Disc { rows, .. } => rows[2][2],
             };
             let gradient = slope * per_centre * 0.5 * [camera.width, camera.height][axis] as f64;
@@ -40,7 +40,7 @@ fn brute_force_probe(flat: &Flat, camera: &Camera, options: &BlendOptions) -> Ve
 #[test]
 fn the_probe_collects_what_every_pixel_wants_of_the_projected_centre() {
     let camera = axis_camera();
-    for options in every_way() {
+    for options in every_way().into_iter().chain([with_maps(Form::Students)]) {
         let flat = scene_of(options.form);
         let expected = brute_force_probe(&flat, &camera, &options);
         let found = flat.leaves().gradients(&OUTPUTS, &camera, &options);

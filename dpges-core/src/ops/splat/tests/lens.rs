@@ -75,6 +75,7 @@ fn a_small_gaussian_looks_like_the_points_of_its_ellipsoid() {
                 quaternion: [q.w, q.x, q.y, q.z],
                 log_scales: scales.map(f64::ln),
                 opacity: 1.0,
+                degrees_of_freedom: f64::INFINITY,
             };
             let splat = Splat::new(&CameraOf::<f64>::new(&large), &parameters, [1.0; 3], ScreenFilter::Compensated);
             let splat = splat.unwrap_or_else(|| panic!("{name}: not seen at ({x}, {y})"));

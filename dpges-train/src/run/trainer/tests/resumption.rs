@@ -23,6 +23,11 @@ fn a_run_goes_on_from_any_step_of_any_stage_to_the_same_end() {
         (&["train.steps=40", "train.method=dbs", "refine.budget=300"], &[25]),
         (&["train.steps=40", "train.method=stopthepop", "refine.budget=300"], &[11, 25]),
         (&["train.steps=40", "train.method=mip-splatting", "refine.budget=300"], &[11, 25]),
+        // burn-in ends after 9 steps, and only the faint keep their momenta from step to step
+        (
+            &["train.steps=40", "train.method=sss", "refine.budget=300", "relocation.start_opacity=0.01"],
+            &[5, 9, 20, 25],
+        ),
         (&["train.steps=40", "train.method=2dgs", "refine.budget=300", "model.colour=sh1"], &[25]),
     ];
     for (set, stops) in runs {
@@ -47,8 +52,14 @@ fn a_step_that_is_not_finite_is_undone_with_all_that_it_has_changed() {
     let mcmc = ["train.steps=40", "train.method=mcmc", "refine.budget=300", "model.environment=sh1"];
     let density = ["train.steps=40", "train.method=3dgs", "refine.budget=300", "density.gradient_threshold=1e-7"];
     // in the middle of passes over the 3 views, at their ends, and where the scene is refined before the step
-    let runs: [(&[&str], &[usize]); 4] =
-        [(&joint, &[0, 1, 10, 12, 13]), (&with_poses, &[11, 12]), (&mcmc, &[1, 3, 25]), (&density, &[1, 9])];
+    let students = ["train.steps=40", "train.method=sss", "refine.budget=300"];
+    let runs: [(&[&str], &[usize]); 5] = [
+        (&joint, &[0, 1, 10, 12, 13]),
+        (&with_poses, &[11, 12]),
+        (&mcmc, &[1, 3, 25]),
+        (&density, &[1, 9]),
+        (&students, &[1, 9, 11, 25]),
+    ];
     for (set, stops) in runs {
         let whole = finished(trainer(set));
         for &stop in stops {
