@@ -19,6 +19,11 @@ pub enum RenderError {
     NoScene,
     #[error("{display} cannot be shown of a scene of blended {rendering}: it has no peeled surfels")]
     Display { display: Display, rendering: Rendering },
+    #[error(
+        "scenes of weighted sums (sort-free Gaussians) are not drawn in real time: `dpges render` and `dpges eval` draw them \
+         with the renderer that they were trained with, and so does `dpges bench render --training DEVICE`"
+    )]
+    NotDrawn,
     #[error("no graphics adapter was found ({0}): install a driver for Vulkan, Metal, DX12 or GL")]
     NoAdapter(String),
     #[error("the graphics adapter `{adapter}` cannot be used: {reason}")]

@@ -44,6 +44,14 @@ struct Uploaded {
 /// What a pass draws into, before its pipeline is set.
 type Attachment<'a> = (&'a wgpu::TextureView, wgpu::LoadOp<wgpu::Color>);
 
+/// Whether scenes of this kind are drawn at all.
+///
+/// # Errors
+/// [`RenderError::NotDrawn`] for weighted sums.
+pub fn check_drawn(info: &SceneInfo) -> Result<()> {
+    if info.rendering == Rendering::Summed { Err(RenderError::NotDrawn) } else { Ok(()) }
+}
+
 impl Renderer {
     /// A renderer into views of `format`. A device without [`wgpu::Features::FLOAT32_BLENDABLE`] can do
     /// [`Precision::Half`] only.
@@ -124,15 +132,14 @@ impl Renderer {
     /// Takes `scene` in place of what was there.
     ///
     /// # Errors
-    /// [`RenderError::TooMany`] if it does not fit into textures of this device, [`RenderError::Input`] if its environment
-    /// is of no degree; what was there stays.
+    /// [`RenderError::NotDrawn`] for weighted sums, [`RenderError::TooMany`] if it does not fit into textures of this device,
+    /// [`RenderError::Input`] if its environment is of no degree; what was there stays.
     pub fn upload(&mut self, scene: &SceneData) -> Result<()> {
+        check_drawn(&scene.info)?;
+        let is_sorted = scene.info.rendering != Rendering::Peeled;
+        let positions = if is_sorted { scene.gaussians.positions.as_chunks::<3>().0.to_vec() } else { Vec::new() };
         let textures = SceneTextures::new(&self.device, &self.queue, scene)?;
         let per_primitive = PerPrimitive::new(&self.device, &textures);
-        let positions = match scene.info.rendering {
-            Rendering::Peeled => Vec::new(),
-            Rendering::Ellipsoids | Rendering::Discs => scene.gaussians.positions.as_chunks::<3>().0.to_vec(),
-        };
         self.scene = Some(Uploaded { textures, per_primitive, positions });
         self.groups = None;
         self.last = None;
@@ -383,7 +390,8 @@ impl Renderer {
         let pipeline = match (rendering, display) {
             (Rendering::Peeled, Display::Image) => &present.image,
             (Rendering::Peeled, _) => &present.peeled,
-            (Rendering::Ellipsoids | Rendering::Discs, _) => &present.blended,
+            // summed ones are not uploaded
+            (Rendering::Ellipsoids | Rendering::Discs | Rendering::Summed, _) => &present.blended,
         };
         self.pass(encoder, "present", &[(target, wgpu::LoadOp::Load)], None, |pass| {
             pass.set_viewport(0.0, 0.0, camera.width as f32, camera.height as f32, 0.0, 1.0);

@@ -77,8 +77,13 @@ fn the_golden_files_are_what_the_generator_writes(python: &str) {
     let made = tempfile::tempdir().unwrap();
     let output = Command::new(python).arg(folder().join("make_golden.py")).arg(made.path()).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let names = |folder: &Path| -> Vec<_> {
-        let mut names: Vec<_> = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+    let names = |folder: &Path| -> Vec<PathBuf> {
+        let within = |part: &str| -> Vec<PathBuf> {
+            let entries = std::fs::read_dir(folder.join(part)).unwrap().map(|entry| entry.unwrap());
+            let files = entries.filter(|entry| entry.file_type().unwrap().is_file());
+            files.map(|entry| Path::new(part).join(entry.file_name())).collect()
+        };
+        let mut names = [within(""), within("summed")].concat();
         names.sort();
         names
     };

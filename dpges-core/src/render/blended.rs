@@ -25,7 +25,7 @@ impl BlendedOptions {
         let form = match info.rendering {
             Rendering::Ellipsoids => Form::Ellipsoids,
             Rendering::Discs => Form::Discs,
-            Rendering::Peeled => {
+            Rendering::Peeled | Rendering::Summed => {
                 let expected = "ellipsoids or discs".to_owned();
                 return Err(Error::Option { option: "rendering", expected, found: info.rendering.to_string() });
             }

@@ -13,6 +13,7 @@ pub mod schema;
 mod stored_size;
 #[cfg(feature = "burn")]
 pub mod tensors;
+mod weighted_sum;
 
 use std::fmt;
 
@@ -25,6 +26,7 @@ pub use environment::EnvironmentData;
 pub use schema::OpacityActivation;
 #[cfg(feature = "burn")]
 pub use tensors::{Colour, Gaussians, Surfels};
+pub use weighted_sum::{DepthWeight, WeightedSum};
 
 /// Where a surfel ends.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -81,6 +83,9 @@ pub enum Rendering {
     Ellipsoids,
     /// Gaussians are flat: the discs of their first two axes are blended in the order of their depths (2DGS).
     Discs,
+    /// Gaussians are summed in any order, weighted by their depths, and divided by the sum of the weights; there are no
+    /// surfels (see [`WeightedSum`]).
+    Summed,
 }
 
 impl fmt::Display for Rendering {
@@ -89,6 +94,7 @@ impl fmt::Display for Rendering {
             Self::Peeled => "peeled",
             Self::Ellipsoids => "ellipsoids",
             Self::Discs => "discs",
+            Self::Summed => "summed",
         })
     }
 }
@@ -114,6 +120,9 @@ pub struct SceneInfo {
     /// Of blended Gaussians. Files without it are [`ScreenFilter::Compensated`], and so is everything that is peeled.
     #[serde(default)]
     pub screen_filter: ScreenFilter,
+    /// Of [`Rendering::Summed`]; no other scene has it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub weighted_sum: Option<WeightedSum>,
     /// Display-referred colour behind everything; an [environment](EnvironmentData) adds to it.
     pub background: [f64; 3],
     /// World units: subtract from the dataset's coordinates to get the scene's.
@@ -145,6 +154,7 @@ impl Default for SceneInfo {
             margin_lookup: MarginLookup::default(),
             rendering: Rendering::default(),
             screen_filter: ScreenFilter::default(),
+            weighted_sum: None,
             background: [0.0; 3],
             offset: [0.0; 3],
             extent: 1.0,

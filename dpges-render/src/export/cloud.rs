@@ -65,6 +65,7 @@ impl SplatCloud {
                 log_scales: self.log_scales.as_flattened().to_vec(),
                 opacities: self.opacities.clone(),
                 colour,
+                ..GaussianData::default()
             },
             environment: None,
         }

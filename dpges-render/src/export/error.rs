@@ -6,6 +6,11 @@ pub enum ExportError {
     Degree { found: usize },
     #[error("the scene draws nothing: it has no surfels, and all of its {gaussians} Gaussians are transparent")]
     Empty { gaussians: usize },
+    #[error(
+        "weights of Gaussians that are summed in any order (sort-free Gaussians) have no counterpart in files of splats: nothing \
+         of the scene can be exported"
+    )]
+    Summed,
     #[error("the scene has no surfels, and a mesh is made of them: export the splats instead")]
     NoSurfels,
     #[error(

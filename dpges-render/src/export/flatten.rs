@@ -40,10 +40,13 @@ const THICKNESS: f64 = 1e-3;
 /// those too transparent to be drawn.
 ///
 /// # Errors
-/// [`ExportError::Degree`] if `degree` is above 3, [`ExportError::Empty`] if nothing of the scene can be drawn.
+/// [`ExportError::Degree`] if `degree` is above 3, [`ExportError::Summed`] for weighted sums, [`ExportError::Empty`] if nothing of the scene can be drawn.
 pub fn flatten(scene: &SceneData, degree: usize) -> Result<SplatCloud, ExportError> {
     if degree > MAX_DEGREE {
         return Err(ExportError::Degree { found: degree });
+    }
+    if scene.info.rendering == Rendering::Summed {
+        return Err(ExportError::Summed);
     }
     let count = scene.surfels.len() + scene.gaussians.len();
     let mut cloud = SplatCloud {
@@ -105,7 +108,8 @@ fn gaussian(gaussians: &GaussianData, row: usize, rendering: Rendering) -> Splat
             log_scales = log_scales.map(|scale| scale + widen as f32);
             opacity as f32
         }
-        Rendering::Ellipsoids => stored,
+        // summed ones are refused
+        Rendering::Ellipsoids | Rendering::Summed => stored,
         Rendering::Discs => {
             log_scales[2] = log_scales[0].min(log_scales[1]) + THICKNESS.ln() as f32;
             stored
@@ -210,5 +214,6 @@ mod tests {
         empty.gaussians.opacities.fill(0.0);
         assert!(flatten(&empty, 1).unwrap_err().to_string().contains("3 Gaussians"));
         assert!(flatten(&empty, 4).unwrap_err().to_string().contains("degree 4"));
+        assert!(flatten(&scene(Rendering::Summed), 1).unwrap_err().to_string().contains("summed in any order"));
     }
 }

@@ -7,17 +7,17 @@ use clap::Args;
 use dpges_core::Error;
 use dpges_core::camera::Camera;
 use dpges_core::scene::SceneData;
-use dpges_render::Headless;
 use dpges_render::frame_times::{FrameTimes, Rounds};
+use dpges_render::{Headless, check_drawn};
 use dpges_train::dataset::View;
 use dpges_train::device::memory::peak_memory_bytes;
 use dpges_train::device::{DeviceName, DeviceRequest};
+use dpges_train::eval::floaters::Floaters;
 use dpges_train::eval::pictures::{file_stems, save_png};
 use dpges_train::eval::popping::{Popping, arc};
 use dpges_train::eval::rendered::{Renderer, to_picture};
 use dpges_train::eval::{EvalReport, Evaluation, FrameMs, Measures, evaluate_each};
 use dpges_train::metrics::{METRICS, Metric, Scores};
-use dpges_train::eval::floaters::Floaters;
 use dpges_train::run::folder::write_json;
 
 use super::data::{Scene, ViewArgs, every_nth};
@@ -112,7 +112,7 @@ fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> 
     if args.popping && popping.is_none() {
         notes.push(("popping", "not measured: no surface is seen from two frames".to_owned()));
     }
-    let frame_ms = match args.frame_times.then(Headless::new) {
+    let frame_ms = match args.frame_times.then(|| check_drawn(&scene.data.info).and_then(|()| Headless::new())) {
         Some(Ok(headless)) => Some(frame_ms(&headless, &scene.data, views)?),
         Some(Err(error)) => {
             notes.push(("frames", format!("not measured: {error}")));

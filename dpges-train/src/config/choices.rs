@@ -26,6 +26,9 @@ choices! {
         /// 3DGS with Gaussians no finer than what the training views resolve, and a filter that keeps their weight on the
         /// screen (Mip-Splatting).
         "mip-splatting" => MipSplatting,
+        /// Gaussians alone, summed in any order with weights by their depths, under the densification of 3DGS, which removes
+        /// none of them (Sort-free Gaussian Splatting via Weighted Sum Rendering).
+        "sortfree" => SortFree,
     }
 
     /// Lens of the built-in scene.

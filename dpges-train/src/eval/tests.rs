@@ -18,6 +18,7 @@ fn nothing(background: [f64; 3]) -> SceneData {
         margin_lookup: MarginLookup::Shifted,
         rendering: Rendering::Peeled,
         screen_filter: ScreenFilter::Compensated,
+        weighted_sum: None,
         background,
         offset: [0.0; 3],
         extent: 1.0,

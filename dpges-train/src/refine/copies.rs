@@ -117,6 +117,7 @@ mod tests {
                 base: vec![0.5; n * 3],
                 detail: vec![],
             },
+            ..GaussianData::default()
         }
     }
 

@@ -182,6 +182,7 @@ mod tests {
             log_scales: scales.iter().flat_map(|s| [*s, s / 2.0, s / 4.0].map(f32::ln)).collect(),
             opacities: (0..n).map(|i| 0.5 + 0.125 * (i % 4) as f32).collect(),
             colour: ColourData { model: MODEL, base: numbered(3), detail: numbered(6) },
+            ..GaussianData::default()
         }
     }
 
@@ -210,7 +211,7 @@ mod tests {
         let edit = run(&old, &[0.0, 3e-4, 1e-4], RULE, 9);
         assert_eq!(edit.rows.keep, [0, 2]);
         let parents = old.select(&[1, 1]);
-        let GaussianData { positions, quaternions, log_scales, opacities, colour } = edit.added;
+        let GaussianData { positions, quaternions, log_scales, opacities, colour, .. } = edit.added;
         assert_eq!((quaternions, opacities, colour), (parents.quaternions, parents.opacities, parents.colour));
         for (child, parent) in log_scales.iter().zip(&parents.log_scales) {
             assert!((parent.exp() / child.exp() - 1.6).abs() < 1e-5);

@@ -8,7 +8,7 @@ use dpges_core::scene::{ColourModel, GaussianData, SceneInfo};
 use super::blended::{BlendedStage, ScreenGradients};
 use super::joint::{JointStage, SamplingLimits, SkyMasks, Statistics, Supervisions};
 use super::sampling_limit::SamplingLimit;
-use super::{Context, EnvironmentState, TrainError};
+use super::{Context, EnvironmentState, TrainError, WeightedSumState};
 use crate::config::{Blended, OpacityActivation, StagePlan};
 use crate::optimizer::ParameterRows;
 use crate::optimizer::scene_state::{GaussianState, NamedRows, SurfelState};
@@ -38,10 +38,13 @@ impl StageCheckpoint {
         let gradients = ScreenGradients::NAMES.into_iter().zip(stage.screen_gradients.columns());
         let limit = stage.sampling_limit.iter().map(|limit| (GAUSSIAN_LIMIT, limit.column()));
         let columns = gradients.chain(limit);
+        let mut attributes = named([stage.gaussians.rows()], &stage.environment);
+        let common = stage.weighted_sum.iter().flat_map(WeightedSumState::rows);
+        attributes.extend(common.map(|(name, rows)| (name.to_owned(), rows)));
         Self {
-            info: stage.info.clone(),
+            info: stage.scene_info(),
             growth: None,
-            attributes: named([stage.gaussians.rows()], &stage.environment),
+            attributes,
             columns: columns.map(|(name, values)| (name.to_owned(), values)).collect(),
             max_pixels: Vec::new(),
         }
@@ -103,6 +106,11 @@ impl BlendedStage {
             .map_err(|reason| TrainError::Resume { reason })?;
         let environment = EnvironmentState::from_rows(&mut attributes, &context.device)
             .map_err(|reason| TrainError::Resume { reason })?;
+        let summed = info.weighted_sum.as_ref();
+        let weighted_sum = summed
+            .map(|sum| WeightedSumState::from_rows(&mut attributes, sum.weight, &context.device))
+            .transpose()
+            .map_err(|reason| TrainError::Resume { reason })?;
         if found.iter().any(|column| column.len() != gaussians.len()) {
             let reason = "columns `screen_gradients` do not fit the Gaussians".into();
             return Err(TrainError::Resume { reason });
@@ -112,6 +120,8 @@ impl BlendedStage {
         let sampling_limit = limit(&mut columns, GAUSSIAN_LIMIT, gaussians.len(), smoothing_px, context)?;
         let mut stage = Self::new(plan, blended, gaussians, environment, gradients, context);
         stage.sampling_limit = sampling_limit;
+        stage.info.weighted_sum = info.weighted_sum;
+        stage.weighted_sum = weighted_sum;
         Ok(stage)
     }
 }

@@ -112,6 +112,7 @@ impl Context {
             margin_lookup: model.margin_lookup,
             rendering,
             screen_filter: ScreenFilter::Compensated,
+            weighted_sum: None,
             background: dataset.background,
             offset: dataset.offset.to_array(),
             extent: dataset.extent,

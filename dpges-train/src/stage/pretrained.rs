@@ -79,11 +79,12 @@ impl Context {
             return Err(wrong(format!("its colours are {found}, those of this run are {expected} (model.colour)")));
         }
         let rendering = scene.info.rendering;
-        let (fits, what) = if key == SURFELS_FROM {
-            (rendering != Rendering::Ellipsoids, "surfels or discs")
+        let (unfit, what) = if key == SURFELS_FROM {
+            (Rendering::Ellipsoids, "surfels or discs")
         } else {
-            (rendering != Rendering::Discs, "Gaussians")
+            (Rendering::Discs, "Gaussians that were blended or peeled")
         };
+        let fits = ![unfit, Rendering::Summed].contains(&rendering);
         if !fits {
             return Err(wrong(format!("it is a scene of {rendering}, not of {what}")));
         }

@@ -190,6 +190,8 @@ impl Flat {
                 quaternions: rows(1),
                 log_scales: rows(2),
                 opacities: leaf(&self.0[3], [count, 1], device, dtype),
+                opacity_base: leaf(&[], [count, 0], device, dtype),
+                opacity_detail: leaf(&[], [count, 0], device, dtype),
                 colour,
             },
             colours: rows(4),

@@ -7,7 +7,7 @@ use clap::builder::BoolishValueParser;
 use dpges_core::camera::Camera;
 use dpges_core::scene::{Rendering, SceneData};
 use dpges_render::frame_times::{FrameTimes, Rounds, frame_times};
-use dpges_render::{Display, Headless, RenderOptions};
+use dpges_render::{Display, Headless, RenderOptions, check_drawn};
 use dpges_train::device::DeviceRequest;
 use dpges_train::eval::rendered::Renderer;
 use dpges_train::run::folder::write_json;
@@ -29,7 +29,8 @@ pub struct BenchRenderArgs {
     /// Size of the pictures; the vertical field of view stays
     #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "1920x1080")]
     size: Size,
-    /// Numbers of layers, one row each; scenes of blended Gaussians have one row
+    /// Numbers of layers, one row each; scenes of blended Gaussians have one row, and those of weighted sums none but that of
+    /// --training
     #[arg(long, value_name = "K,…", value_delimiter = ',', default_value = "1,2,3,4")]
     layers: Vec<usize>,
     /// With a backstop, without, or both (`on,off`), one row each. Default: as the scene was trained
@@ -88,7 +89,12 @@ pub fn run(args: &BenchRenderArgs) -> Result<()> {
         width: args.size.width,
         height: args.size.height,
         cameras: cameras.len(),
-        rows: args.raster(&scene.data, &cameras)?,
+        // without its rows there are those of the other renderer, if it is asked for
+        rows: match (check_drawn(&scene.data.info), args.training) {
+            (Err(_), Some(_)) => Vec::new(),
+            (Err(refusal), None) => return Err(refusal.into()),
+            (Ok(()), _) => args.raster(&scene.data, &cameras)?,
+        },
     };
     if let Some(request) = args.training {
         let device = device_choice::select(request)?;

@@ -31,8 +31,8 @@ const DARKER: f32 = 0.9;
 pub enum StepStage {
     /// Surfels and Gaussians together (DP-GES).
     Joint,
-    /// The Gaussians alone, blended in the order of their depths: as in 2DGS if the scene is one of discs, else as in
-    /// 3DGS-MCMC.
+    /// The Gaussians alone, blended in the order of their depths: as in 2DGS if the scene is one of discs, summed if it is one
+    /// of weighted sums, else as in 3DGS-MCMC.
     Blended,
 }
 
@@ -178,10 +178,11 @@ fn config(scene: &SceneData, stage: StepStage) -> Config {
     config.train.method = match (stage, info.rendering) {
         (StepStage::Joint, _) => Method::Dpges,
         (StepStage::Blended, Rendering::Discs) => Method::Discs,
+        (StepStage::Blended, Rendering::Summed) => Method::SortFree,
         (StepStage::Blended, Rendering::Peeled | Rendering::Ellipsoids) => Method::Mcmc,
     };
     (config.stages.surfels, config.stages.gaussians) = (0.0, 0.0);
-    config.model.colour = info.colour_model;
+    config.model.colour = info.colour_model.without_opacity();
     config.model.modulation = info.modulation;
     config.model.layers = info.layer_count;
     config.model.footprint = info.footprint;

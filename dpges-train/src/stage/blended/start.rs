@@ -1,6 +1,7 @@
 //! What a stage of blended Gaussians begins with: the points of the dataset.
 
-use dpges_core::scene::{GaussianData, SurfelData};
+use dpges_core::scene::schema::Columns;
+use dpges_core::scene::{GaussianData, SH_C0, SurfelData};
 
 use super::super::{Context, TrainError};
 use crate::config::{Blended, StagePlan};
@@ -36,7 +37,14 @@ impl Context {
             Blended::Discs | Blended::Relocated(_) => (relocation.start_scale, relocation.start_opacity),
         };
         let quota = self.most_primitives(plan.budget_share) as f64;
-        Ok(initialise(&self.dataset, &config, PrimitiveQuota::new(quota, quota), &mut self.rng)?.gaussians)
+        let mut start = initialise(&self.dataset, &config, PrimitiveQuota::new(quota, quota), &mut self.rng)?.gaussians;
+        let model = blended.colour_model(start.model());
+        if model.opacity_len() > 0 {
+            start.colour.model = model;
+            start.opacity_base = vec![(config.weighted_sum.start_opacity / SH_C0) as f32; start.len()];
+            start.opacity_detail = vec![0.0; (model.opacity_len() - 1) * start.len()];
+        }
+        Ok(start)
     }
 }
 

@@ -15,7 +15,7 @@ fn a_run_goes_on_from_any_step_of_any_stage_to_the_same_end() {
     let folder = tempfile::tempdir().unwrap();
     let with_exposure = [&STAGES[..], &["train.exposure=on"]].concat();
     let with_poses = [&STAGES[..], &["train.poses=on"]].concat();
-    let runs: [(&[&str], &[usize]); 7] = [
+    let runs: [(&[&str], &[usize]); 8] = [
         (&STAGES, &[7, 18, 19, 30, 36, 50]),
         (&with_exposure, &[7, 18, 50]),
         (&with_poses, &[1, 7, 18, 19, 50]),
@@ -23,6 +23,7 @@ fn a_run_goes_on_from_any_step_of_any_stage_to_the_same_end() {
         (&["train.steps=40", "train.method=dbs", "refine.budget=300"], &[25]),
         (&["train.steps=40", "train.method=mip-splatting", "refine.budget=300"], &[11, 25]),
         (&["train.steps=40", "train.method=2dgs", "refine.budget=300", "model.colour=sh1"], &[25]),
+        (&["train.steps=40", "train.method=sortfree", "weighted_sum.weight=exp", "refine.budget=300"], &[11, 25]),
     ];
     for (set, stops) in runs {
         let whole = finished(trainer(set));
@@ -46,8 +47,14 @@ fn a_step_that_is_not_finite_is_undone_with_all_that_it_has_changed() {
     let mcmc = ["train.steps=40", "train.method=mcmc", "refine.budget=300", "model.environment=sh1"];
     let density = ["train.steps=40", "train.method=3dgs", "refine.budget=300", "density.gradient_threshold=1e-7"];
     // in the middle of passes over the 3 views, at their ends, and where the scene is refined before the step
-    let runs: [(&[&str], &[usize]); 4] =
-        [(&joint, &[0, 1, 10, 12, 13]), (&with_poses, &[11, 12]), (&mcmc, &[1, 3, 25]), (&density, &[1, 9])];
+    let summed = ["train.steps=40", "train.method=sortfree", "refine.budget=300", "density.gradient_threshold=1e-7"];
+    let runs: [(&[&str], &[usize]); 5] = [
+        (&joint, &[0, 1, 10, 12, 13]),
+        (&with_poses, &[11, 12]),
+        (&mcmc, &[1, 3, 25]),
+        (&density, &[1, 9]),
+        (&summed, &[1, 9]),
+    ];
     for (set, stops) in runs {
         let whole = finished(trainer(set));
         for &stop in stops {
