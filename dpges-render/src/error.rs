@@ -20,9 +20,10 @@ pub enum RenderError {
     #[error("{display} cannot be shown of a scene of blended {rendering}: it has no peeled surfels")]
     Display { display: Display, rendering: Rendering },
     #[error(
-        "the real-time renderer draws Gaussian kernels, and this scene has Student's t ones (SSS): render it with the renderer of training"
+        "scenes of {0} are not drawn in real time: `dpges render` and `dpges eval` draw them with the renderer that they were \
+         trained with, and so does `dpges bench render --training DEVICE`"
     )]
-    Kernel,
+    NotDrawn(&'static str),
     #[error("no graphics adapter was found ({0}): install a driver for Vulkan, Metal, DX12 or GL")]
     NoAdapter(String),
     #[error("the graphics adapter `{adapter}` cannot be used: {reason}")]

@@ -44,6 +44,18 @@ struct Uploaded {
 /// What a pass draws into, before its pipeline is set.
 type Attachment<'a> = (&'a wgpu::TextureView, wgpu::LoadOp<wgpu::Color>);
 
+/// Whether scenes of this kind are drawn at all.
+///
+/// # Errors
+/// [`RenderError::NotDrawn`] for Student's t kernels and for weighted sums.
+pub fn check_drawn(info: &SceneInfo) -> Result<()> {
+    match info.rendering {
+        Rendering::Students => Err(RenderError::NotDrawn("Student's t kernels (SSS)")),
+        Rendering::Summed => Err(RenderError::NotDrawn("weighted sums (sort-free Gaussians)")),
+        Rendering::Peeled | Rendering::Ellipsoids | Rendering::Discs => Ok(()),
+    }
+}
+
 impl Renderer {
     /// A renderer into views of `format`. A device without [`wgpu::Features::FLOAT32_BLENDABLE`] can do
     /// [`Precision::Half`] only.
@@ -124,20 +136,14 @@ impl Renderer {
     /// Takes `scene` in place of what was there.
     ///
     /// # Errors
-    /// [`RenderError::TooMany`] if it does not fit into textures of this device, [`RenderError::Kernel`] if its kernels are
-    /// Student's t, [`RenderError::Input`] if its environment is of no degree; what was there stays.
+    /// [`RenderError::NotDrawn`] for Student's t kernels and for weighted sums, [`RenderError::TooMany`] if it does not fit into
+    /// textures of this device, [`RenderError::Input`] if its environment is of no degree; what was there stays.
     pub fn upload(&mut self, scene: &SceneData) -> Result<()> {
-        if scene.info.rendering == Rendering::Students {
-            return Err(RenderError::Kernel);
-        }
+        check_drawn(&scene.info)?;
+        let is_sorted = scene.info.rendering != Rendering::Peeled;
+        let positions = if is_sorted { scene.gaussians.positions.as_chunks::<3>().0.to_vec() } else { Vec::new() };
         let textures = SceneTextures::new(&self.device, &self.queue, scene)?;
         let per_primitive = PerPrimitive::new(&self.device, &textures);
-        let positions = match scene.info.rendering {
-            Rendering::Peeled => Vec::new(),
-            Rendering::Ellipsoids | Rendering::Discs | Rendering::Students => {
-                scene.gaussians.positions.as_chunks::<3>().0.to_vec()
-            }
-        };
         self.scene = Some(Uploaded { textures, per_primitive, positions });
         self.groups = None;
         self.last = None;
@@ -388,7 +394,8 @@ impl Renderer {
         let pipeline = match (rendering, display) {
             (Rendering::Peeled, Display::Image) => &present.image,
             (Rendering::Peeled, _) => &present.peeled,
-            (Rendering::Ellipsoids | Rendering::Discs | Rendering::Students, _) => &present.blended,
+            // the others are not uploaded
+            (Rendering::Ellipsoids | Rendering::Discs | Rendering::Students | Rendering::Summed, _) => &present.blended,
         };
         self.pass(encoder, "present", &[(target, wgpu::LoadOp::Load)], None, |pass| {
             pass.set_viewport(0.0, 0.0, camera.width as f32, camera.height as f32, 0.0, 1.0);

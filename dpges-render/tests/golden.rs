@@ -67,6 +67,9 @@ impl Golden {
         let lobes = file.tensor("gaussians.colour.lobes").unwrap().shape()[1];
         let model = ColourModel::SphericalBeta { lobes };
         let read = |attribute: &'static Attribute| {
+            if attribute.is_left_out(model) {
+                return Vec::new();
+            }
             let name = attribute.name.replace(".detail", ".lobes");
             numbers(&file, &name).into_iter().map(|value| value as f32).collect::<Vec<f32>>()
         };

@@ -17,6 +17,14 @@ Its metadata: width, height, near, layer_count, modulation, footprint, and backs
 
 Cases of Gaussians that are blended in the order of each pixel's own ray become FOLDER/stopthepop/NAME.safetensors. They have
 no surfels, target and losses, out.{image, alpha, depth}, and grad_image.*. What their metadata say of layers is unused.
+
+Cases of weighted sums become FOLDER/summed/NAME.safetensors:
+  gaussians.*              inputs, of which opacity_base, opacity_detail and colour.* are harmonics
+  common                   [3] sigma, beta and the weight of the background
+  camera.*, background [3], upstream [H,W,3]
+  out.image, out.alpha     [H,W,3], [H,W]
+  grad_image.*             d sum(upstream * image) / d input
+Its metadata: width, height, near, weight.
 """
 
 import argparse
@@ -238,6 +246,72 @@ def write(folder, name, tensors, camera, options):
     print(name, f"image mean {tensors['out.image'].mean():.6f}")
 
 
+def summed_cases(seed):
+    """Name, Gaussians, camera, weight and what is common, of every case of a weighted sum."""
+    recipes = [
+        ("lc", "lc", (3.6, 1.0, 0.02), 40, (4.0, 40, 28, 45.0), (-4.0, -1.5)),
+        ("exp", "exp", (0.2, 1.3, 0.3), 40, (4.0, 40, 28, 45.0), (-4.0, -1.5)),
+        ("dir", "dir", (10.0, 1.0, 0.05), 40, (4.0, 40, 28, 45.0), (-4.0, -1.5)),
+        ("inside", "lc", (2.0, 1.0, 0.02), 60, (0.3, 32, 24, 24.0), (-4.0, -1.5)),
+        ("subpixel", "lc", (6.0, 1.0, 0.02), 80, (4.0, 32, 32, 40.0), (-7.0, -4.0)),
+    ]
+    for index, (name, weight, common, count, camera, scales) in enumerate(recipes):
+        rng = np.random.default_rng([seed, 100 + index])
+        _, plain = random_scene(rng, 0, count, gaussian_scale=scales)
+        gaussians = model.SummedGaussians(
+            plain.positions,
+            plain.quaternions,
+            plain.log_scales,
+            plain.opacities,
+            rng.normal(4.0, 3.0, (count, 1)),
+            rng.normal(0.0, 0.4, (count, 15)),
+            plain.colour.base,
+            rng.normal(0.0, 0.3, (count, 15, 3)),
+        )
+        yield name, gaussians, look_at(rng, *camera), weight, np.array(common)
+
+
+def summed_tensors_of(seed, gaussians, camera, weight, common):
+    upstream = np.random.default_rng([seed, 2000]).normal(0, 1, (camera.height, camera.width, 3))
+    background = np.array([0.1, 0.2, 0.3])
+    names = {field: f"gaussians.{field.replace('colour_', 'colour.')}" for field in gaussians._fields}
+    inputs = {names[field]: value for field, value in gaussians._asdict().items()} | {"common": common}
+
+    def rendered(arrays):
+        of = model.SummedGaussians(*(arrays[names[field]] for field in gaussians._fields))
+        return model.render_summed(of, camera, background, weight, *(arrays["common"][i] for i in range(3)))
+
+    image, alpha = rendered(inputs)
+    gradients = grad(lambda arrays: model.np.sum(upstream * rendered(arrays)[0]))(inputs)
+    tensors = inputs | {
+        "camera.rotation": camera.rotation,
+        "camera.translation": camera.translation,
+        "camera.intrinsics": np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
+        "background": background,
+        "upstream": upstream,
+        "out.image": image,
+        "out.alpha": alpha,
+    }
+    tensors |= {f"grad_image.{name}": value for name, value in gradients.items()}
+    return {name: np.ascontiguousarray(value) for name, value in tensors.items()}
+
+
+def write_summed(folder, seed):
+    folder.mkdir(exist_ok=True)
+    for name, gaussians, camera, weight, common in summed_cases(seed):
+        tensors = summed_tensors_of(seed, gaussians, camera, weight, common)
+        for key, value in tensors.items():
+            assert np.all(np.isfinite(value)), f"{name}: {key} is not finite"
+        metadata = {
+            "width": str(camera.width),
+            "height": str(camera.height),
+            "near": str(camera.near),
+            "weight": weight,
+        }
+        save_file(tensors, folder / f"{name}.safetensors", metadata=metadata)
+        print(f"summed/{name} image mean {tensors['out.image'].mean():.6f}")
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
@@ -249,6 +323,7 @@ def main():
         write(arguments.folder, name, tensors_of(arguments.seed, surfels, gaussians, camera, options), camera, options)
     for name, gaussians, camera in stopthepop_cases(arguments.seed):
         write(own, name, stopthepop_tensors_of(arguments.seed, gaussians, camera), camera, {})
+    write_summed(arguments.folder / "summed", arguments.seed)
 
 
 if __name__ == "__main__":

@@ -30,6 +30,7 @@ from autograd.tracer import getval as stop_gradient
 CUTOFF = 1.0 / 255.0  # a fragment of a smaller value does not exist
 SURFEL_MODULATION = 30.0  # w
 LOW_PASS = 0.1  # px^2, added to the projected covariance of a Gaussian
+PLAIN_LOW_PASS = 0.3  # px^2, of weighted sums (3DGS)
 MIN_COMPENSATION_SQUARED = 2.5e-5
 SCALE_LOSS_LINEAR_FROM = 20.0
 SH_C0 = 0.28209479177387814
@@ -68,6 +69,19 @@ class Gaussians(NamedTuple):
     log_scales: np.ndarray  # [M, 3]
     opacities: np.ndarray  # [M] linear, used as max(0, opacity)
     colour: Colour
+
+
+class SummedGaussians(NamedTuple):
+    """Gaussians of a weighted sum: colours and a factor of the opacity by spherical harmonics of degree 3."""
+
+    positions: np.ndarray  # [M, 3]
+    quaternions: np.ndarray  # [M, 4]
+    log_scales: np.ndarray  # [M, 3]
+    opacities: np.ndarray  # [M] linear, used as max(0, opacity)
+    opacity_base: np.ndarray  # [M, 1] zeroth-order coefficient of the factor
+    opacity_detail: np.ndarray  # [M, 15] its higher coefficients
+    colour_base: np.ndarray  # [M, 3] as `Colour.base`
+    colour_detail: np.ndarray  # [M, 15, 3] higher coefficients of the colour
 
 
 class Layers(NamedTuple):
@@ -359,6 +373,38 @@ def render(
     if environment is not None:
         background = background + environment_image(environment, camera)
     return composite(layers, splat(gaussians, camera, layers), background, detach_transmittance)
+
+
+def render_summed(gaussians, camera, background, weight, sigma, beta, background_weight):
+    """[H, W, 3] image and [H, W] alpha of Gaussians that are summed in any order (weighted sums):
+
+        C = (w_b C_b + sum_i a_i w(d_i) c_i) / (w_b + sum_i a_i w(d_i)),
+
+    a_i = max(0, o_i) max(0, v_i(direction)) G_i. `weight` w(d) is "dir": 1, "exp": exp(-sigma d^beta), or "lc":
+    max(0, 1 - d / sigma). The low-pass filter is 0.3 px^2 without compensation, colours below 0 count as 0 (3DGS), and a
+    product a_i w(d_i) below 1/255 does not exist.
+    """
+    means, conics, depths, _, valid = project(gaussians, camera, low_pass=PLAIN_LOW_PASS)
+    x, y = pixel_grid(camera)
+    dx, dy = x[:, None] - means[:, 0], y[:, None] - means[:, 1]
+    power = -0.5 * (conics[:, 0] * dx * dx + 2 * conics[:, 1] * dx * dy + conics[:, 2] * dy * dy)
+    offset = stop_gradient(gaussians.positions) - camera_centre(camera)
+    values = harmonics(offset / np.maximum(np.sqrt(np.sum(offset**2, -1, keepdims=True)), 1e-12))
+    factor = SH_C0 * gaussians.opacity_base[:, 0] + np.sum(values[:, 1:] * gaussians.opacity_detail, -1)
+    colour = 0.5 + SH_C0 * gaussians.colour_base + np.einsum("mk,mkc->mc", values[:, 1:], gaussians.colour_detail)
+    seen = np.where(valid, depths, 1.0)
+    of_depth = {
+        "dir": lambda: np.ones(seen.shape),
+        "exp": lambda: np.exp(-sigma * seen**beta),
+        "lc": lambda: np.maximum(0.0, 1.0 - seen / sigma),
+    }[weight]()
+    strength = np.maximum(gaussians.opacities, 0.0) * np.maximum(factor, 0.0) * of_depth
+    alpha = strength * np.exp(power)
+    alpha = np.where(valid & (alpha >= CUTOFF), alpha, 0.0)
+    total = np.sum(alpha, -1) + background_weight
+    image = (alpha @ np.maximum(colour, 0.0) + background_weight * background) / total[:, None]
+    shape = (camera.height, camera.width)
+    return image.reshape((*shape, 3)), (np.sum(alpha, -1) / total).reshape(shape)
 
 
 # --- losses -------------------------------------------------------------------

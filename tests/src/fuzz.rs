@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 
 use dpges_core::scene::{
     BlendOrder, ColourModel, EnvironmentData, Footprint, MarginLookup, Quality, Rendering, SceneData, SceneInfo,
-    ScreenFilter,
+    ScreenFilter, WeightedSum,
 };
 use dpges_core::testing::scenes::{Recipe, random};
 use dpges_train::config::Config;
@@ -67,6 +67,7 @@ fn fuzz(what: &str, files: &[Vec<u8>], read: impl Fn(usize, &[u8]) -> bool) {
 
 fn scene(model: ColourModel, environment: bool) -> SceneData {
     let scene = random(3, &Recipe { surfels: 3, gaussians: 4, model, ..Recipe::default() });
+    let sums = model.opacity_len() > 0;
     let info = SceneInfo {
         colour_model: model,
         modulation: 30.0,
@@ -74,9 +75,10 @@ fn scene(model: ColourModel, environment: bool) -> SceneData {
         footprint: Footprint::Kernel,
         backstop: true,
         margin_lookup: MarginLookup::Shifted,
-        rendering: Rendering::Peeled,
+        rendering: if sums { Rendering::Summed } else { Rendering::Peeled },
         screen_filter: ScreenFilter::Compensated,
         blend_order: BlendOrder::Centres,
+        weighted_sum: sums.then(WeightedSum::default),
         background: [0.0, 0.5, 1.0],
         offset: [0.0; 3],
         extent: 1.0,
@@ -94,6 +96,7 @@ fn scene_files() {
         (ColourModel::SphericalBeta { lobes: 2 }, true),
         (ColourModel::SphericalBeta { lobes: 0 }, false),
         (ColourModel::SphericalHarmonics { degree: 1 }, false),
+        (ColourModel::HarmonicsAndOpacity { degree: 1 }, false),
     ];
     let plain = models.map(|(model, environment)| {
         scene(model, environment).save(&path).unwrap();

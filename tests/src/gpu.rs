@@ -37,6 +37,7 @@ pub fn trials() -> Vec<Trial> {
         parity::every_operation_agrees_with_nothing_to_show,
         parity::every_operation_agrees_on_one_primitive_and_on_a_line_of_pixels,
         parity::every_operation_agrees_through_lenses,
+        parity::weighted_sums_agree_on_random_scenes,
         parity::sorted_blending_agrees_on_random_scenes,
         parity::sorted_blending_agrees_in_a_crowd,
         parity::sorted_blending_agrees_with_little_or_nothing_to_show,

@@ -7,7 +7,7 @@ use dpges_core::ops::peel::PeelOptions;
 use dpges_core::ops::unpack::{pack, unpack};
 use dpges_core::render::blended::{BlendedOptions, render_blended};
 use dpges_core::render::{RenderOptions, Values, render};
-use dpges_core::scene::{BlendOrder, ColourModel, Footprint, ScreenFilter};
+use dpges_core::scene::{BlendOrder, ColourModel, DepthWeight, Footprint, ScreenFilter};
 use dpges_core::testing::golden::values;
 use dpges_core::testing::kernels::limit_buffers;
 use dpges_core::testing::lenses::{behind, every_model};
@@ -156,6 +156,18 @@ pub fn every_operation_agrees_through_lenses(device: Device) {
         check(name, &scene, PeelOptions::default(), &device);
         check_blending(name, &scene, &FORMS[..2], &device);
         check_by_rays(name, &scene, &device);
+    }
+}
+
+pub fn weighted_sums_agree_on_random_scenes(device: Device) {
+    let model = ColourModel::HarmonicsAndOpacity { degree: 3 };
+    for (seed, weight) in (95..).zip([DepthWeight::Direct, DepthWeight::Exponential, DepthWeight::Linear]) {
+        for (gaussians, width, height) in [(400, 75, 50), (1, 37, 22), (0, 9, 5)] {
+            let recipe = Recipe { surfels: 0, gaussians, width, height, model, ..Recipe::default() };
+            let scene = scenes::random(seed, &recipe);
+            let run = |device: &Device| on(&scene, PeelOptions::default(), device).summed(weight);
+            assert_near(&format!("{weight:?}, {gaussians} Gaussians"), &run(&device), &run(&ndarray()));
+        }
     }
 }
 

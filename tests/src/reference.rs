@@ -81,12 +81,13 @@ fn the_files_are_what_the_generator_writes(python: &str, generator: &str, commit
     let output = Command::new(python).arg(folder().join(generator)).arg(made.path()).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let names = |folder: &Path| -> Vec<PathBuf> {
-        let within = |part: &str| -> Vec<PathBuf> {
-            let entries = std::fs::read_dir(folder.join(part)).unwrap().map(|entry| entry.unwrap());
-            let files = entries.filter(|entry| entry.path().is_file());
-            files.map(|entry| Path::new(part).join(entry.file_name())).collect()
-        };
-        let mut names = [within(""), within("stopthepop")].concat();
+        let (mut names, mut folders) = (Vec::new(), vec![PathBuf::new()]);
+        while let Some(part) = folders.pop() {
+            for entry in std::fs::read_dir(folder.join(&part)).unwrap().map(Result::unwrap) {
+                let of = if entry.path().is_dir() { &mut folders } else { &mut names };
+                of.push(part.join(entry.file_name()));
+            }
+        }
         names.sort();
         names
     };

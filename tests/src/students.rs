@@ -75,6 +75,8 @@ impl Case {
             quaternions,
             log_scales,
             opacities,
+            opacity_base: detail.clone(),
+            opacity_detail: detail.clone(),
             colour: Colour { model: ColourModel::SphericalBeta { lobes: 0 }, base: colours.clone(), detail },
             degrees_of_freedom: Some(degrees),
         };

@@ -2,7 +2,8 @@
 //! [`peel`], [`limits`], [`splat`], [`composite`], [`environment`](mod@environment), [`photometric`], [`surfel_loss`],
 //! [`scale_loss`], [`join`], [`adam`]. [`coverage`] and [`jitter`] serve refinement, and [`unpack`](mod@unpack) brings
 //! photographs and masks to a GPU.
-//! [`blend`] replaces peel, splat and composite where Gaussians or discs are trained alone.
+//! [`blend`] replaces peel, splat and composite where Gaussians or discs are trained alone, [`harmonics`](mod@harmonics)
+//! and `splat` where they are summed.
 //!
 //! Every folder has the same files:
 //!
@@ -33,6 +34,7 @@ pub mod composite;
 pub mod coverage;
 pub mod environment;
 pub mod finite;
+pub mod harmonics;
 pub mod jitter;
 pub mod join;
 pub mod limits;

@@ -26,7 +26,7 @@ impl BlendedOptions {
             Rendering::Ellipsoids => Form::Ellipsoids,
             Rendering::Discs => Form::Discs,
             Rendering::Students => Form::Students,
-            Rendering::Peeled => {
+            Rendering::Peeled | Rendering::Summed => {
                 let expected = "ellipsoids, discs or students".to_owned();
                 return Err(Error::Option { option: "rendering", expected, found: info.rendering.to_string() });
             }

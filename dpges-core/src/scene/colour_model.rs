@@ -8,6 +8,9 @@ use serde::{Deserialize, Serialize};
 /// Value of the zeroth spherical harmonic.
 pub const SH_C0: f64 = 0.282_094_791_773_878_14;
 
+/// What the name of a model ends with if opacities depend on the direction.
+const AND_OPACITY: &str = "+opacity";
+
 /// How colour depends on the viewing direction (DP-GES: spherical Beta with 2 lobes; 3DGS: harmonics of degree 3).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
@@ -16,6 +19,9 @@ pub enum ColourModel {
     SphericalBeta { lobes: usize },
     /// Base colour plus spherical harmonics up to `degree` (0..=3), coefficient-major, 3 numbers per coefficient.
     SphericalHarmonics { degree: usize },
+    /// The same colours, and opacities that depend on the direction as well: each has a factor of spherical harmonics up to
+    /// `degree` (weighted sums).
+    HarmonicsAndOpacity { degree: usize },
 }
 
 impl ColourModel {
@@ -23,7 +29,35 @@ impl ColourModel {
     pub const fn detail_len(self) -> usize {
         match self {
             Self::SphericalBeta { lobes } => 6 * lobes,
-            Self::SphericalHarmonics { degree } => 3 * ((degree + 1) * (degree + 1) - 1),
+            Self::SphericalHarmonics { degree } | Self::HarmonicsAndOpacity { degree } => {
+                3 * ((degree + 1) * (degree + 1) - 1)
+            }
+        }
+    }
+
+    /// Coefficients per primitive of the factor of its opacity; 0 where opacities are the same from everywhere.
+    pub const fn opacity_len(self) -> usize {
+        match self {
+            Self::HarmonicsAndOpacity { degree } => (degree + 1) * (degree + 1),
+            Self::SphericalBeta { .. } | Self::SphericalHarmonics { .. } => 0,
+        }
+    }
+
+    /// The same with opacities that depend on the direction; lobes stay what they are.
+    #[must_use]
+    pub const fn with_opacity(self) -> Self {
+        match self {
+            Self::SphericalHarmonics { degree } => Self::HarmonicsAndOpacity { degree },
+            other => other,
+        }
+    }
+
+    /// The same with opacities that do not depend on the direction.
+    #[must_use]
+    pub const fn without_opacity(self) -> Self {
+        match self {
+            Self::HarmonicsAndOpacity { degree } => Self::SphericalHarmonics { degree },
+            other => other,
         }
     }
 }
@@ -33,6 +67,7 @@ impl fmt::Display for ColourModel {
         match self {
             Self::SphericalBeta { lobes } => write!(f, "sb{lobes}"),
             Self::SphericalHarmonics { degree } => write!(f, "sh{degree}"),
+            Self::HarmonicsAndOpacity { degree } => write!(f, "sh{degree}{AND_OPACITY}"),
         }
     }
 }
@@ -43,6 +78,10 @@ impl FromStr for ColourModel {
     fn from_str(text: &str) -> Result<Self, String> {
         let wrong = || format!("colour model `{text}` is unknown: use sb0, sb1, sb2, … (lobes) or sh0 to sh3 (degree)");
         let number = |digits: &str| digits.parse::<usize>().map_err(|_| wrong());
+        if let Some(colours) = text.strip_suffix(AND_OPACITY) {
+            let plain = colours.parse::<Self>().map_err(|_| wrong())?;
+            return if plain.with_opacity() == plain { Err(wrong()) } else { Ok(plain.with_opacity()) };
+        }
         match text.get(..2) {
             Some("sb") => Ok(Self::SphericalBeta { lobes: number(&text[2..])? }),
             Some("sh") => match number(&text[2..])? {
@@ -72,5 +111,30 @@ impl From<ColourModel> for String {
 impl Default for ColourModel {
     fn default() -> Self {
         Self::SphericalBeta { lobes: 0 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn models_read_what_they_write() {
+        for text in ["sb0", "sb2", "sh0", "sh3", "sh0+opacity", "sh3+opacity"] {
+            assert_eq!(text.parse::<ColourModel>().unwrap().to_string(), text);
+        }
+        for text in ["", "sh4", "sb", "sb2+opacity", "sh3+", "+opacity", "sh3+opacity+opacity"] {
+            assert!(text.parse::<ColourModel>().is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn opacities_may_depend_on_the_direction_as_colours_do() {
+        let plain: ColourModel = "sh2".parse().unwrap();
+        let both = plain.with_opacity();
+        assert_eq!((both.opacity_len(), both.detail_len()), (9, plain.detail_len()));
+        assert_eq!((plain.opacity_len(), both.without_opacity(), both.with_opacity()), (0, plain, both));
+        let lobes = ColourModel::default();
+        assert_eq!((lobes.with_opacity(), lobes.without_opacity(), lobes.opacity_len()), (lobes, lobes, 0));
     }
 }

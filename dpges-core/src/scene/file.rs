@@ -9,6 +9,9 @@
 //! `surfels.colour.detail` [N, 6 × lobes] stand `surfels.colour.lobe_counts` `[N]`, one byte for every surfel, and
 //! `surfels.colour.lobes` [sum of the counts, 6], those of the first surfel first; likewise for the Gaussians. Files of
 //! version "1", in which `detail` has every lobe, are read as well, and so are [compressed](mod@super::compressed) files.
+//!
+//! Only scenes of [weighted sums](super::WeightedSum) have the tensors `gaussians.opacity_base` [M, 1] and
+//! `gaussians.opacity_detail` [M, 15], and `weighted_sum` in their info.
 
 use std::borrow::Cow;
 use std::collections::HashMap;
@@ -22,7 +25,7 @@ use super::compressed;
 use super::data::check_numbers;
 use super::lobes::{LOBE_LEN, pack, unpack};
 use super::schema::{Attribute, Columns, ENVIRONMENT, Width};
-use super::{ColourModel, EnvironmentData, GaussianData, Rendering, SceneData, SceneInfo, SurfelData};
+use super::{ColourModel, EnvironmentData, GaussianData, Rendering, SceneData, SceneInfo, SurfelData, WeightedSum};
 use crate::error::{Error, Result};
 use crate::scene::atomic::write_atomically;
 use crate::scene::container;
@@ -166,7 +169,7 @@ fn stored_columns<'a, C: Columns<Value = Vec<f32>>>(
     model: ColourModel,
     stored: &mut Vec<Rows<'a>>,
 ) {
-    for (attribute, values) in columns.iter() {
+    for (attribute, values) in columns.iter().filter(|(attribute, _)| !attribute.is_left_out(model)) {
         match (attribute.width, model) {
             (Width::Detail, ColourModel::SphericalBeta { lobes }) => {
                 let (counts, numbers) = pack(values, count, lobes);
@@ -231,6 +234,7 @@ pub(super) fn unreadable(error: safetensors::SafeTensorError) -> String {
 fn read_columns<C: Columns>(file: &SafeTensors, model: ColourModel, packed: bool) -> Result<C::With<Vec<f32>>, String> {
     let count = row_count(file, C::ATTRIBUTES[0].name)?;
     let values = |attribute: &'static Attribute| match (attribute.width, model) {
+        _ if attribute.is_left_out(model) => Ok(Vec::new()),
         (Width::Detail, ColourModel::SphericalBeta { lobes }) if packed => {
             read_lobes(file, lobe_names(attribute), count, lobes)
         }
@@ -302,6 +306,16 @@ fn check_info(info: &SceneInfo) -> Result<(), String> {
     if let ColourModel::SphericalBeta { lobes } = info.colour_model {
         check("colour_model", lobes <= MAX_LOBES, info.colour_model.to_string(), "at most 64 lobes")?;
     }
+    let (sums, opacity) = (info.rendering == Rendering::Summed, info.colour_model.opacity_len() > 0);
+    check(
+        "colour_model",
+        sums == opacity,
+        info.colour_model.to_string(),
+        "+opacity where sums are weighted, only there",
+    )?;
+    let sum = info.weighted_sum.as_ref();
+    let fits = sum.is_some() == sums && sum.is_none_or(WeightedSum::is_finite);
+    check("weighted_sum", fits, format!("{sum:?}"), "finite numbers where sums are weighted, nothing elsewhere")?;
     check("modulation", positive(info.modulation), info.modulation.to_string(), "a positive number")?;
     check("layer_count", info.layer_count > 0, info.layer_count.to_string(), "at least 1")?;
     check("background", finite(&info.background), format!("{:?}", info.background), "finite numbers")?;
@@ -333,9 +347,10 @@ mod tests {
                 footprint: Footprint::Kernel,
                 backstop: true,
                 margin_lookup: MarginLookup::Literal,
-                rendering: Rendering::Peeled,
+                rendering: if model.opacity_len() > 0 { Rendering::Summed } else { Rendering::Peeled },
                 screen_filter: crate::scene::ScreenFilter::Plain,
                 blend_order: crate::scene::BlendOrder::Rays,
+                weighted_sum: (model.opacity_len() > 0).then(|| WeightedSum { sigma: 7.5, ..WeightedSum::default() }),
                 background: [0.0, 0.5, 1.0],
                 offset: [5.25e5, -2.0, 0.125],
                 extent: 4.5,
@@ -407,7 +422,7 @@ mod tests {
     #[test]
     fn what_was_saved_is_loaded_for_every_colour_model_and_for_empty_sets() {
         let folder = tempfile::tempdir().unwrap();
-        for model in ["sb0", "sb2", "sh0", "sh3"] {
+        for model in ["sb0", "sb2", "sh0", "sh3", "sh0+opacity", "sh3+opacity"] {
             for (surfels, gaussians) in [(3, 5), (0, 5), (3, 0), (0, 0)] {
                 let scene = scene(model.parse().unwrap(), surfels, gaussians);
                 let path = folder.path().join("scene.safetensors");
@@ -555,6 +570,30 @@ mod tests {
         assert!(load_bytes(&save_bytes(&good, |_| {}, "surfels.margins")).contains("`surfels.margins` is missing"));
         let missing = SceneData::load(Path::new("/nowhere/scene.safetensors")).unwrap_err();
         assert!(matches!(&missing, Error::Io { .. }) && missing.to_string().contains("/nowhere"));
+    }
+
+    #[test]
+    fn weighted_sums_have_opacities_that_depend_on_the_direction_and_others_have_none() {
+        let weighted = scene("sh1+opacity".parse().unwrap(), 0, 5);
+        let bytes = save_bytes(&weighted, |_| {}, "");
+        let file = SafeTensors::deserialize(&bytes).unwrap();
+        assert_eq!(file.tensor("gaussians.opacity_base").unwrap().shape(), [5, 1]);
+        assert_eq!(file.tensor("gaussians.opacity_detail").unwrap().shape(), [5, 3]);
+        let plain = save_bytes(&scene("sh1".parse().unwrap(), 0, 5), |_| {}, "");
+        assert!(SafeTensors::deserialize(&plain).unwrap().names().iter().all(|name| !name.contains("opacity_")));
+        assert!(
+            load_bytes(&save_bytes(&weighted, |_| {}, "gaussians.opacity_base")).contains("opacity_base` is missing")
+        );
+
+        let spoilt = |spoil: fn(&mut SceneInfo)| {
+            let mut scene = weighted.clone();
+            spoil(&mut scene.info);
+            load_bytes(&save_bytes(&scene, |_| {}, ""))
+        };
+        assert!(spoilt(|info| info.weighted_sum = None).contains("info `weighted_sum` is None"));
+        assert!(spoilt(|info| info.rendering = Rendering::Ellipsoids).contains("info `colour_model` is sh1+opacity"));
+        let infinite = spoilt(|info| info.weighted_sum.as_mut().unwrap().beta = f32::INFINITY);
+        assert!(infinite.contains("info"), "{infinite}");
     }
 
     #[test]

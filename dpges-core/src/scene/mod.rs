@@ -13,6 +13,7 @@ pub mod schema;
 mod stored_size;
 #[cfg(feature = "burn")]
 pub mod tensors;
+mod weighted_sum;
 
 use std::fmt;
 
@@ -25,6 +26,7 @@ pub use environment::EnvironmentData;
 pub use schema::OpacityActivation;
 #[cfg(feature = "burn")]
 pub use tensors::{Colour, Gaussians, Surfels};
+pub use weighted_sum::{DepthWeight, WeightedSum};
 
 /// Where a surfel ends.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -108,6 +110,9 @@ pub enum Rendering {
     /// Ellipsoids with kernels of Student's t distribution, whose opacities may be below 0, are blended in the order of
     /// their depths (SSS).
     Students,
+    /// Gaussians are summed in any order, weighted by their depths, and divided by the sum of the weights; there are no
+    /// surfels (see [`WeightedSum`]).
+    Summed,
 }
 
 impl fmt::Display for Rendering {
@@ -117,6 +122,7 @@ impl fmt::Display for Rendering {
             Self::Ellipsoids => "ellipsoids",
             Self::Discs => "discs",
             Self::Students => "students",
+            Self::Summed => "summed",
         })
     }
 }
@@ -145,6 +151,9 @@ pub struct SceneInfo {
     /// Of blended Gaussians. Files without it are [`BlendOrder::Centres`].
     #[serde(default)]
     pub blend_order: BlendOrder,
+    /// Of [`Rendering::Summed`]; no other scene has it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub weighted_sum: Option<WeightedSum>,
     /// Display-referred colour behind everything; an [environment](EnvironmentData) adds to it.
     pub background: [f64; 3],
     /// World units: subtract from the dataset's coordinates to get the scene's.
@@ -178,6 +187,7 @@ impl Default for SceneInfo {
             rendering: Rendering::default(),
             screen_filter: ScreenFilter::default(),
             blend_order: BlendOrder::default(),
+            weighted_sum: None,
             background: [0.0; 3],
             offset: [0.0; 3],
             extent: 1.0,

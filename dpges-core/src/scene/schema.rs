@@ -10,7 +10,7 @@ use std::ops::RangeInclusive;
 
 use serde::{Deserialize, Serialize};
 
-use super::colour_model::ColourModel;
+use super::colour_model::{ColourModel, SH_C0};
 
 /// Numbers per primitive of an attribute.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,6 +21,10 @@ pub enum Width {
     Fixed(usize),
     /// What the colour model asks for: [`ColourModel::detail_len`].
     Detail,
+    /// One if opacities depend on the direction ([`ColourModel::opacity_len`]), else none.
+    OpacityBase,
+    /// The rest of the coefficients of these opacities.
+    OpacityDetail,
 }
 
 impl Width {
@@ -30,6 +34,14 @@ impl Width {
             Self::Scalar => 1,
             Self::Fixed(width) => width,
             Self::Detail => model.detail_len(),
+            Self::OpacityBase => {
+                if model.opacity_len() > 0 {
+                    1
+                } else {
+                    0
+                }
+            }
+            Self::OpacityDetail => model.opacity_len().saturating_sub(1),
         }
     }
 }
@@ -58,8 +70,12 @@ pub enum RateGroup {
     LogScales,
     Opacities,
     DegreesOfFreedom,
+    OpacityBase,
+    OpacityDetail,
     Base,
     Detail,
+    /// Of what a weighted sum has in common; no primitive has such an attribute.
+    WeightedSum,
     /// Of the coefficients of an environment; no primitive has such an attribute.
     Environment,
     /// Of the colour corrections of photographs; no primitive has such an attribute.
@@ -96,6 +112,11 @@ impl Attribute {
 
     pub fn learns(&self) -> bool {
         self.rate != RateGroup::Fixed
+    }
+
+    /// Whether files have no such attribute of primitives under `model`, as none of their opacities depends on the direction.
+    pub fn is_left_out(&self, model: ColourModel) -> bool {
+        matches!(self.width, Width::OpacityBase | Width::OpacityDetail) && model.opacity_len() == 0
     }
 }
 
@@ -309,6 +330,10 @@ columns! {
         /// [M, 1] linear opacity, used as max(0, opacity); may exceed 1. Where there are degrees of freedom it is from −1
         /// to 1, and those below 0 take colour away.
         opacities: Width::Scalar, Opacity, Opacities, neutral [1.0];
+        /// [M, 1] zeroth-order coefficient k0 of a factor of the opacity; contributes `C0 · k0`. [M, 0] without such factors.
+        opacity_base: Width::OpacityBase, Identity, OpacityBase, neutral [(1.0 / SH_C0) as f32];
+        /// [M, [`ColourModel::opacity_len`] − 1] its higher spherical-harmonic coefficients, or [M, 0].
+        opacity_detail: Width::OpacityDetail, Identity, OpacityDetail, neutral [0.0];
     }, optional {
         /// [M, 1] ν of Student's t kernels, in [`DEGREES_OF_FREEDOM`]; where there are none, kernels are Gaussian, which is
         /// the limit of large ν (SSS).
@@ -379,10 +404,11 @@ mod tests {
         assert_eq!((columns.margins, columns.colour.detail), ("surfels.margins", "surfels.colour.detail"));
         assert_eq!(columns.list().into_iter().copied().collect::<Vec<_>>(), surfels);
         assert_eq!(columns.into_list(), surfels);
-        let mut gaussians = GaussianColumns::<()>::from_list(ColourModel::default(), vec![0; 6]);
+        let mut gaussians = GaussianColumns::<()>::from_list(ColourModel::default(), vec![0; 8]);
         gaussians.list_mut().into_iter().enumerate().for_each(|(at, value)| *value = at);
-        assert_eq!((gaussians.positions, gaussians.opacities, gaussians.colour.detail), (0, 3, 5));
-        assert_eq!((gaussians.degrees_of_freedom, gaussians.iter().count()), (None, 6));
+        assert_eq!((gaussians.positions, gaussians.opacities, gaussians.opacity_detail), (0, 3, 5));
+        assert_eq!((gaussians.colour.base, gaussians.colour.detail), (6, 7));
+        assert_eq!((gaussians.degrees_of_freedom, gaussians.iter().count()), (None, 8));
     }
 
     #[test]
@@ -391,10 +417,25 @@ mod tests {
         let mut students = GaussianColumns::<()>::from_list(ColourModel::default(), names.clone());
         assert_eq!(students.degrees_of_freedom, Some("gaussians.degrees_of_freedom"));
         assert!(students.iter().all(|(attribute, value)| attribute.name == *value));
-        assert_eq!((students.list_mut().len(), students.clone().into_list()), (7, names));
+        assert_eq!((students.list_mut().len(), students.clone().into_list()), (9, names));
         let upper = students.map(|attribute, _| attribute.rate);
         assert_eq!(upper.degrees_of_freedom, Some(RateGroup::DegreesOfFreedom));
         assert_eq!(SurfelColumns::<()>::OPTIONAL, []);
+    }
+
+    #[test]
+    fn only_models_that_ask_for_them_have_factors_of_opacities() {
+        let widths = |model: &str| {
+            let model = model.parse().unwrap();
+            let gaussians =
+                GaussianColumns::<()>::ATTRIBUTES.iter().map(|a| (a.width.under(model), a.is_left_out(model)));
+            gaussians.collect::<Vec<_>>()
+        };
+        assert_eq!(widths("sh1+opacity")[3..], [(1, false), (1, false), (3, false), (3, false), (9, false)]);
+        assert_eq!(widths("sh1")[3..], [(1, false), (0, true), (0, true), (3, false), (9, false)]);
+        assert_eq!(widths("sb0")[3..], [(1, false), (0, true), (0, true), (3, false), (0, false)]);
+        let sum: f32 = crate::scene::GaussianData::neutral("sh1+opacity".parse().unwrap(), 1).opacity_base.iter().sum();
+        assert!((f64::from(sum) * SH_C0 - 1.0).abs() < 1e-6, "a factor of 1");
     }
 
     #[test]

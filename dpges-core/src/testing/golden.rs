@@ -2,6 +2,7 @@
 //! safetensors files, and their comparison with this crate.
 
 mod stopthepop;
+pub mod summed;
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -26,9 +27,121 @@ struct Array {
     values: Vec<f64>,
 }
 
+/// The arrays of a file by their names.
+struct Arrays(HashMap<String, Array>);
+
+impl Arrays {
+    fn array(&self, name: &str) -> &Array {
+        self.0.get(name).unwrap_or_else(|| panic!("golden case has no tensor `{name}`"))
+    }
+
+    fn rows(&self, name: &str, device: &Device, dtype: DType) -> Tensor<2> {
+        let array = self.array(name);
+        let count = array.shape[0];
+        let width = array.shape[1..].iter().product();
+        Tensor::from_data(TensorData::new(array.values.clone(), [count, width]).convert_dtype(dtype), (device, dtype))
+    }
+
+    /// [H, W, C] in the file to [C, H, W].
+    fn image(&self, name: &str, device: &Device, dtype: DType) -> Tensor<3> {
+        let array = self.array(name);
+        let shape: [usize; 3] = array.shape.clone().try_into().expect("an image has three axes");
+        let data = TensorData::new(array.values.clone(), shape).convert_dtype(dtype);
+        Tensor::<3>::from_data(data, (device, dtype)).permute([2, 0, 1])
+    }
+
+    /// Rounds what begins with one of `inputs` to f32.
+    fn round(&mut self, inputs: &[&str]) {
+        for (name, array) in &mut self.0 {
+            if inputs.iter().any(|input| name.starts_with(input)) {
+                array.values.iter_mut().for_each(|value| *value = f64::from(*value as f32));
+            }
+        }
+    }
+
+    fn multiply(&mut self, name: &str, factor: f64) {
+        let array = self.0.get_mut(name).unwrap_or_else(|| panic!("golden case has no tensor `{name}`"));
+        array.values.iter_mut().for_each(|value| *value *= factor);
+    }
+
+    /// Names of the expected values.
+    fn expected(&self) -> impl Iterator<Item = &str> {
+        let is_expected = |name: &&str| ["out.", "loss.", "grad_"].iter().any(|output| name.starts_with(output));
+        self.0.keys().map(String::as_str).filter(is_expected)
+    }
+}
+
+/// What a golden file holds.
+struct File<'a> {
+    /// What messages call it.
+    origin: &'a str,
+    arrays: Arrays,
+    metadata: HashMap<String, String>,
+}
+
+impl<'a> File<'a> {
+    fn parse(origin: &'a str, bytes: &[u8]) -> Result<Self, String> {
+        let (_, header) = SafeTensors::read_metadata(bytes).map_err(|e| format!("{origin}: {e}"))?;
+        let file = SafeTensors::deserialize(bytes).map_err(|e| format!("{origin}: {e}"))?;
+        let mut arrays = HashMap::new();
+        for (name, view) in file.iter() {
+            let numbers: Vec<f64> = match view.dtype() {
+                Dtype::F64 => {
+                    view.data().chunks_exact(8).map(|b| f64::from_le_bytes(b.try_into().expect("8 bytes"))).collect()
+                }
+                Dtype::I32 => view
+                    .data()
+                    .chunks_exact(4)
+                    .map(|b| f64::from(i32::from_le_bytes(b.try_into().expect("4 bytes"))))
+                    .collect(),
+                other => return Err(format!("{origin}: {name} has element type {other:?}")),
+            };
+            arrays.insert(name.to_owned(), Array { shape: view.shape().to_vec(), values: numbers });
+        }
+        let metadata = header.metadata().clone().ok_or_else(|| format!("{origin}: no metadata"))?;
+        Ok(Self { origin, arrays: Arrays(arrays), metadata })
+    }
+
+    fn text(&self, key: &str) -> Result<&str, String> {
+        let text = self.metadata.get(key).map(String::as_str);
+        text.ok_or_else(|| format!("{}: no metadata `{key}`", self.origin))
+    }
+
+    fn number(&self, key: &str) -> Result<f64, String> {
+        self.text(key)?.parse::<f64>().map_err(|e| format!("{}: {key}: {e}", self.origin))
+    }
+
+    fn values(&self, name: &str) -> Result<&[f64], String> {
+        let array = self.arrays.0.get(name).map(|array| array.values.as_slice());
+        array.ok_or_else(|| format!("{}: no tensor `{name}`", self.origin))
+    }
+
+    fn background(&self) -> Result<[f64; 3], String> {
+        self.values("background")?.try_into().map_err(|_| format!("{}: background", self.origin))
+    }
+
+    fn camera(&self) -> Result<Camera, String> {
+        let intrinsics = self.values("camera.intrinsics")?;
+        Ok(Camera {
+            camera_from_world: CameraFromWorld {
+                rotation: DMat3::from_cols_slice(self.values("camera.rotation")?).transpose(),
+                translation: DVec3::from_slice(self.values("camera.translation")?),
+            },
+            fx: intrinsics[0],
+            fy: intrinsics[1],
+            cx: intrinsics[2],
+            cy: intrinsics[3],
+            width: self.number("width")? as usize,
+            height: self.number("height")? as usize,
+            near: self.number("near")?,
+            lens: None,
+        })
+    }
+}
+
 /// One case.
 pub struct GoldenCase {
-    arrays: HashMap<String, Array>,
+    arrays: Arrays,
     camera: Camera,
     options: RenderOptions,
 }
@@ -65,68 +178,24 @@ impl GoldenCase {
     /// # Errors
     /// A message naming `origin` and what is missing or malformed.
     pub fn from_bytes(origin: &str, bytes: &[u8]) -> Result<Self, String> {
-        let (_, header) = SafeTensors::read_metadata(bytes).map_err(|e| format!("{origin}: {e}"))?;
-        let file = SafeTensors::deserialize(bytes).map_err(|e| format!("{origin}: {e}"))?;
-        let mut arrays = HashMap::new();
-        for (name, view) in file.iter() {
-            let numbers: Vec<f64> = match view.dtype() {
-                Dtype::F64 => {
-                    view.data().chunks_exact(8).map(|b| f64::from_le_bytes(b.try_into().expect("8 bytes"))).collect()
-                }
-                Dtype::I32 => view
-                    .data()
-                    .chunks_exact(4)
-                    .map(|b| f64::from(i32::from_le_bytes(b.try_into().expect("4 bytes"))))
-                    .collect(),
-                other => return Err(format!("{origin}: {name} has element type {other:?}")),
-            };
-            arrays.insert(name.to_owned(), Array { shape: view.shape().to_vec(), values: numbers });
-        }
-        let metadata = header.metadata().as_ref().ok_or_else(|| format!("{origin}: no metadata"))?;
-        let text = |key: &str| metadata.get(key).ok_or_else(|| format!("{origin}: no metadata `{key}`"));
-        let number = |key: &str| text(key)?.parse::<f64>().map_err(|e| format!("{origin}: {key}: {e}"));
-        let get = |name: &str| {
-            arrays.get(name).map(|a: &Array| a.values.as_slice()).ok_or_else(|| format!("{origin}: no tensor `{name}`"))
-        };
-        let rotation = get("camera.rotation")?;
-        let intrinsics = get("camera.intrinsics")?;
-        let camera = Camera {
-            camera_from_world: CameraFromWorld {
-                rotation: DMat3::from_cols_slice(rotation).transpose(),
-                translation: DVec3::from_slice(get("camera.translation")?),
-            },
-            fx: intrinsics[0],
-            fy: intrinsics[1],
-            cx: intrinsics[2],
-            cy: intrinsics[3],
-            width: number("width")? as usize,
-            height: number("height")? as usize,
-            near: number("near")?,
-            lens: None,
-        };
-        let footprint = if text("footprint")? == "opacity" { Footprint::Opacity } else { Footprint::Kernel };
+        let file = File::parse(origin, bytes)?;
+        let footprint = if file.text("footprint")? == "opacity" { Footprint::Opacity } else { Footprint::Kernel };
         let peel = PeelOptions {
-            layer_count: number("layer_count")? as usize,
-            modulation: number("modulation")?,
+            layer_count: file.number("layer_count")? as usize,
+            modulation: file.number("modulation")?,
             footprint,
-            backstop: metadata.get("backstop").is_some_and(|backstop| backstop == "true"),
+            backstop: file.metadata.get("backstop").is_some_and(|backstop| backstop == "true"),
         };
-        let background = get("background")?.try_into().map_err(|_| format!("{origin}: background"))?;
-        Ok(Self { arrays, camera, options: RenderOptions { peel, background, ..RenderOptions::default() } })
+        let (camera, background) = (file.camera()?, file.background()?);
+        let options = RenderOptions { peel, background, ..RenderOptions::default() };
+        Ok(Self { arrays: file.arrays, camera, options })
     }
 
     /// The same case with every input rounded to f32: what f32 can be expected to reproduce is no
     /// nearer than this, since a nearly edge-on surfel magnifies the rounding of its parameters.
     #[must_use]
     pub fn rounded_to_f32(mut self) -> Self {
-        for (name, array) in &mut self.arrays {
-            if ["surfels.", "gaussians.", "environment", "upstream", "target"]
-                .iter()
-                .any(|input| name.starts_with(input))
-            {
-                array.values.iter_mut().for_each(|value| *value = f64::from(*value as f32));
-            }
-        }
+        self.arrays.round(&["surfels.", "gaussians.", "environment", "upstream", "target"]);
         self
     }
 
@@ -136,46 +205,32 @@ impl GoldenCase {
     /// If there is no such tensor.
     #[must_use]
     pub fn perturbed(mut self, name: &str, factor: f64) -> Self {
-        let array = self.arrays.get_mut(name).unwrap_or_else(|| panic!("golden case has no tensor `{name}`"));
-        array.values.iter_mut().for_each(|value| *value *= factor);
+        self.arrays.multiply(name, factor);
         self
     }
 
     /// Names of the expected values.
     pub fn expected(&self) -> impl Iterator<Item = &str> {
-        let is_expected = |name: &&str| ["out.", "loss.", "grad_"].iter().any(|output| name.starts_with(output));
-        self.arrays.keys().map(String::as_str).filter(is_expected)
-    }
-
-    fn array(&self, name: &str) -> &Array {
-        self.arrays.get(name).unwrap_or_else(|| panic!("golden case has no tensor `{name}`"))
-    }
-
-    fn rows(&self, name: &str, device: &Device, dtype: DType) -> Tensor<2> {
-        let array = self.array(name);
-        let count = array.shape[0];
-        let width = array.shape[1..].iter().product();
-        Tensor::from_data(TensorData::new(array.values.clone(), [count, width]).convert_dtype(dtype), (device, dtype))
-    }
-
-    /// [H, W, C] in the file to [C, H, W].
-    fn image(&self, name: &str, device: &Device, dtype: DType) -> Tensor<3> {
-        let array = self.array(name);
-        let shape: [usize; 3] = array.shape.clone().try_into().expect("an image has three axes");
-        let data = TensorData::new(array.values.clone(), shape).convert_dtype(dtype);
-        Tensor::<3>::from_data(data, (device, dtype)).permute([2, 0, 1])
+        self.arrays.expected()
     }
 
     /// The attributes of a kind of primitive.
     fn columns<C: Columns>(&self, device: &Device, dtype: DType) -> C::With<Tensor<2>> {
         let detail = C::ATTRIBUTES.iter().find(|attribute| attribute.width == Width::Detail).expect("colours have it");
-        let model = ColourModel::SphericalBeta { lobes: self.array(&golden_name(detail)).shape[1] };
-        C::generate(model, C::ATTRIBUTES.iter().map(|attribute| self.rows(&golden_name(attribute), device, dtype)))
+        let model = ColourModel::SphericalBeta { lobes: self.arrays.array(&golden_name(detail)).shape[1] };
+        let rows = |attribute: &'static Attribute| {
+            if attribute.is_left_out(model) {
+                let count = self.arrays.array(&golden_name(&C::ATTRIBUTES[0])).shape[0];
+                return attribute.tensor(&[], count, model, device, dtype);
+            }
+            self.arrays.rows(&golden_name(attribute), device, dtype)
+        };
+        C::generate(model, C::ATTRIBUTES.iter().map(rows))
     }
 
     fn environment(&self, device: &Device, dtype: DType) -> Option<Tensor<2>> {
         let name = ENVIRONMENT.name;
-        self.arrays.contains_key(name).then(|| self.rows(name, device, dtype).require_grad())
+        self.arrays.0.contains_key(name).then(|| self.arrays.rows(name, device, dtype).require_grad())
     }
 
     fn inputs(&self, device: &Device, dtype: DType) -> Inputs {
@@ -183,8 +238,8 @@ impl GoldenCase {
             surfels: self.columns::<Surfels>(device, dtype).require_grad(),
             gaussians: self.columns::<Gaussians>(device, dtype).require_grad(),
             environment: self.environment(device, dtype),
-            upstream: self.image("upstream", device, dtype),
-            target: self.image("target", device, dtype),
+            upstream: self.arrays.image("upstream", device, dtype),
+            target: self.arrays.image("target", device, dtype),
         }
     }
 
@@ -243,12 +298,17 @@ struct Found<'a> {
     deviations: Vec<Deviation>,
 }
 
+impl Arrays {
+    /// How far `found` is from what the file says, if it says something.
+    fn deviation(&self, name: &str, found: &[f64]) -> Option<Deviation> {
+        let expected = self.0.get(name)?;
+        Some(Deviation { tensor: name.to_owned(), distance: relative_l2(found, &expected.values), is_id: false })
+    }
+}
+
 impl Found<'_> {
     fn compare(&mut self, name: &str, found: &[f64]) {
-        if let Some(expected) = self.case.arrays.get(name) {
-            let distance = relative_l2(found, &expected.values);
-            self.deviations.push(Deviation { tensor: name.to_owned(), distance, is_id: false });
-        }
+        self.deviations.extend(self.case.arrays.deviation(name, found));
     }
 
     /// [C, H, W] against [H, W, C] (or [H, W]) in the file.
@@ -274,8 +334,8 @@ impl Found<'_> {
     /// Counts pixels whose ids differ although no two of the expected depths there tie within f32 rounding.
     fn ids(&mut self, ids: &Tensor<3, Int>) {
         let found: Vec<i64> = ids.clone().permute([1, 2, 0]).into_data().iter::<i64>().collect();
-        let expected = &self.case.array("out.layers.ids").values;
-        let depths = &self.case.array("out.layers.depth").values;
+        let expected = &self.case.arrays.array("out.layers.ids").values;
+        let depths = &self.case.arrays.array("out.layers.depth").values;
         let layers = self.case.options.peel.layer_count;
         let differing = (0..found.len() / layers).filter(|pixel| {
             let range = pixel * layers..(pixel + 1) * layers;

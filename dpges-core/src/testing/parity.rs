@@ -20,6 +20,7 @@ use crate::ops::composite::{CompositeOptions, composite};
 use crate::ops::coverage::coverage;
 use crate::ops::environment::environment;
 use crate::ops::finite::FiniteChecks;
+use crate::ops::harmonics::harmonics;
 use crate::ops::jitter::{JitterOptions, NoiseGate, jitter};
 use crate::ops::join::join;
 use crate::ops::limits::interval_limits;
@@ -28,8 +29,11 @@ use crate::ops::photometric::{PhotometricWeights, photometric, ssim};
 use crate::ops::scale_loss::scale_loss;
 use crate::ops::splat::{contributions, splat};
 use crate::ops::surfel_loss::{SurfelLossWeights, surfel_loss};
+use crate::render::Values;
+use crate::render::blended::Probes;
+use crate::render::summed::{SummedOptions, WeightedSumTensors, render_summed};
 use crate::scene::schema::Columns;
-use crate::scene::{Gaussians, MarginLookup, Surfels};
+use crate::scene::{DepthWeight, Gaussians, MarginLookup, Surfels};
 
 /// A tensor by name, as `peel.alpha` or `splat.grad.positions`.
 pub type Named = (String, Vec<f64>);
@@ -374,6 +378,47 @@ impl<'a> Bench<'a> {
             }
             self.gradient(&format!("blend.{name}.grad.colours"), &colours, &gradients);
             self.gradient(&format!("blend.{name}.grad.probe"), &probe, &gradients);
+        }
+        self.found
+    }
+
+    /// Renders the Gaussians as a weighted sum, with probes, and goes back from each of its outputs. Their opacities depend on
+    /// the direction.
+    pub fn summed(mut self, weight: DepthWeight) -> Vec<Named> {
+        let gaussians = self.gaussians.clone();
+        let centre = self.scene.camera.centre().to_array();
+        let of = &gaussians;
+        let factors = harmonics(&of.opacity_base, &of.opacity_detail, &of.positions, centre).expect("valid input");
+        self.note("harmonics", &factors);
+        let gradients = (factors.clone() * self.upstream(&factors, 15)).sum().backward();
+        self.gradient("harmonics.grad.base", &gaussians.opacity_base, &gradients);
+        self.gradient("harmonics.grad.detail", &gaussians.opacity_detail, &gradients);
+
+        let options = SummedOptions { weight, background: [0.3, 0.6, 0.1], depth: true };
+        for name in ["image", "alpha", "depth"] {
+            // some lie behind σ, or weigh clearly less than others
+            let sigma = if weight == DepthWeight::Exponential { 0.2 } else { 3.5 };
+            let number = |value: f64| self.tensor(&[value], [1, 1]).require_grad();
+            let common = WeightedSumTensors { sigma: number(sigma), beta: number(1.3), background: number(0.05) };
+            let probe = self.tensor(&vec![0.0; 2 * gaussians.len()], [gaussians.len(), 2]).require_grad();
+            let probes = Probes { gaussians: Some(&probe), pose: None };
+            let camera = &self.scene.camera;
+            let view = render_summed(&gaussians, &common, probes, camera, &options, Values::Unknown);
+            let view = view.expect("valid input");
+            let output = match name {
+                "image" => view.image,
+                "alpha" => view.alpha,
+                _ => view.depth.expect("asked for"),
+            };
+            self.note(&format!("summed.{name}"), &output);
+            let gradients = (output.clone() * self.upstream(&output, 16)).sum().backward();
+            for (attribute, leaf) in gaussians.iter() {
+                self.gradient(&format!("summed.{name}.grad.{}", attribute.name), leaf, &gradients);
+            }
+            let WeightedSumTensors { sigma, beta, background } = &common;
+            for (of, leaf) in [("sigma", sigma), ("beta", beta), ("background", background), ("probe", &probe)] {
+                self.gradient(&format!("summed.{name}.grad.{of}"), leaf, &gradients);
+            }
         }
         self.found
     }

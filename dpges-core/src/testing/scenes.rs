@@ -66,9 +66,18 @@ fn push_colour(colour: &mut ColourData, random: &mut Random) {
             push::<3>(&mut colour.detail, std::array::from_fn(|_| random.between(-0.3, 0.5)));
             push(&mut colour.detail, [random.between(0.0, 3.1), random.between(-3.1, 3.1), random.between(-1.0, 1.0)]);
         }),
-        ColourModel::SphericalHarmonics { .. } => {
+        ColourModel::SphericalHarmonics { .. } | ColourModel::HarmonicsAndOpacity { .. } => {
             (0..model.detail_len()).for_each(|_| push(&mut colour.detail, [random.between(-0.4, 0.4)]));
         }
+    }
+}
+
+/// Harmonics of an opacity, which are mostly positive; nothing under models without.
+fn push_opacity_factor(gaussians: &mut GaussianData, random: &mut Random) {
+    let count = gaussians.model().opacity_len();
+    if count > 0 {
+        push(&mut gaussians.opacity_base, [random.between(0.5, 5.0)]);
+        (1..count).for_each(|_| push(&mut gaussians.opacity_detail, [random.between(-0.6, 0.6)]));
     }
 }
 
@@ -89,6 +98,7 @@ pub fn random(seed: u64, recipe: &Recipe) -> TestScene {
         push::<4>(&mut gaussians.quaternions, std::array::from_fn(|_| random.normal()));
         push::<3>(&mut gaussians.log_scales, std::array::from_fn(|_| (extent * random.between(0.02, 0.25)).ln()));
         push(&mut gaussians.opacities, [random.between(0.05, 1.5)]);
+        push_opacity_factor(&mut gaussians, &mut random);
         push_colour(&mut gaussians.colour, &mut random);
     }
     let towards = DVec3::new(random.normal(), random.normal(), random.normal()).normalize_or(DVec3::X);

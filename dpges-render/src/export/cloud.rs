@@ -65,7 +65,7 @@ impl SplatCloud {
                 log_scales: self.log_scales.as_flattened().to_vec(),
                 opacities: self.opacities.clone(),
                 colour,
-                degrees_of_freedom: None,
+                ..GaussianData::default()
             },
             environment: None,
         }

@@ -8,6 +8,11 @@ pub enum ExportError {
     Empty { gaussians: usize },
     #[error("kernels of Student's t distribution (SSS) cannot be exported: splats of other programs are Gaussians")]
     Kernel,
+    #[error(
+        "weights of Gaussians that are summed in any order (sort-free Gaussians) have no counterpart in files of splats: nothing \
+         of the scene can be exported"
+    )]
+    Summed,
     #[error("the scene has no surfels, and a mesh is made of them: export the splats instead")]
     NoSurfels,
     #[error(

@@ -40,13 +40,16 @@ const THICKNESS: f64 = 1e-3;
 /// those too transparent to be drawn.
 ///
 /// # Errors
-/// [`ExportError::Degree`] if `degree` is above 3, [`ExportError::Kernel`] for Student's t kernels, [`ExportError::Empty`] if nothing of the scene can be drawn.
+/// [`ExportError::Degree`] if `degree` is above 3, [`ExportError::Kernel`] for Student's t kernels, [`ExportError::Summed`] for
+/// weighted sums, [`ExportError::Empty`] if nothing of the scene can be drawn.
 pub fn flatten(scene: &SceneData, degree: usize) -> Result<SplatCloud, ExportError> {
     if degree > MAX_DEGREE {
         return Err(ExportError::Degree { found: degree });
     }
-    if scene.info.rendering == Rendering::Students {
-        return Err(ExportError::Kernel);
+    match scene.info.rendering {
+        Rendering::Students => return Err(ExportError::Kernel),
+        Rendering::Summed => return Err(ExportError::Summed),
+        Rendering::Peeled | Rendering::Ellipsoids | Rendering::Discs => {}
     }
     let count = scene.surfels.len() + scene.gaussians.len();
     let mut cloud = SplatCloud {
@@ -108,7 +111,8 @@ fn gaussian(gaussians: &GaussianData, row: usize, rendering: Rendering) -> Splat
             log_scales = log_scales.map(|scale| scale + widen as f32);
             opacity as f32
         }
-        Rendering::Ellipsoids | Rendering::Students => stored,
+        // the others are refused
+        Rendering::Ellipsoids | Rendering::Students | Rendering::Summed => stored,
         Rendering::Discs => {
             log_scales[2] = log_scales[0].min(log_scales[1]) + THICKNESS.ln() as f32;
             stored
@@ -214,5 +218,6 @@ mod tests {
         empty.gaussians.opacities.fill(0.0);
         assert!(flatten(&empty, 1).unwrap_err().to_string().contains("3 Gaussians"));
         assert!(flatten(&empty, 4).unwrap_err().to_string().contains("degree 4"));
+        assert!(flatten(&scene(Rendering::Summed), 1).unwrap_err().to_string().contains("summed in any order"));
     }
 }

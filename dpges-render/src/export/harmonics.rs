@@ -61,7 +61,7 @@ pub(super) fn coefficients(colour: &ColourData, row: usize) -> Coefficients {
     let width = colour.model.detail_len();
     let detail = &colour.detail[row * width..(row + 1) * width];
     match colour.model {
-        ColourModel::SphericalHarmonics { .. } => {
+        ColourModel::SphericalHarmonics { .. } | ColourModel::HarmonicsAndOpacity { .. } => {
             for (k, raw) in fit[1..].iter_mut().zip(detail.as_chunks::<3>().0) {
                 *k = raw.map(f64::from);
             }

@@ -50,7 +50,9 @@ impl Frame {
         let model = scene.info.colour_model;
         let (kind, parts) = match model {
             ColourModel::SphericalBeta { lobes } => (0, lobes),
-            ColourModel::SphericalHarmonics { .. } => (1, model.detail_len() / 3),
+            ColourModel::SphericalHarmonics { .. } | ColourModel::HarmonicsAndOpacity { .. } => {
+                (1, model.detail_len() / 3)
+            }
         };
         let switched = |bit: u32, on: bool| if on { bit } else { 0 };
         let all = switched(1, scene.info.margin_lookup == MarginLookup::Literal)

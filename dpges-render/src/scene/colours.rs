@@ -20,7 +20,9 @@ pub fn texels(model: ColourModel) -> usize {
     let words = BASE_WORDS
         + match model {
             ColourModel::SphericalBeta { lobes } => LOBE_WORDS * lobes,
-            ColourModel::SphericalHarmonics { .. } => COEFFICIENT_WORDS * model.detail_len() / 3,
+            ColourModel::SphericalHarmonics { .. } | ColourModel::HarmonicsAndOpacity { .. } => {
+                COEFFICIENT_WORDS * model.detail_len() / 3
+            }
         };
     words.div_ceil(4)
 }
@@ -42,7 +44,7 @@ pub fn pack(colours: &ColourData) -> Vec<[u32; 4]> {
                 let (lobes, _) = detail.as_chunks::<6>();
                 rest.chunks_exact_mut(LOBE_WORDS).zip(lobes).for_each(|(words, raw)| words.copy_from_slice(&lobe(raw)));
             }
-            ColourModel::SphericalHarmonics { .. } => {
+            ColourModel::SphericalHarmonics { .. } | ColourModel::HarmonicsAndOpacity { .. } => {
                 let (coefficients, _) = detail.as_chunks::<3>();
                 for (words, c) in rest.chunks_exact_mut(COEFFICIENT_WORDS).zip(coefficients) {
                     let [r, g, b] = c.map(f64::from);

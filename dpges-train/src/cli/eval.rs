@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use dpges_core::Error;
 use dpges_core::camera::Camera;
-use dpges_core::scene::{Rendering, SceneData};
-use dpges_render::Headless;
+use dpges_core::scene::SceneData;
 use dpges_render::frame_times::{FrameTimes, Rounds};
+use dpges_render::{Headless, check_drawn};
 use dpges_train::dataset::View;
 use dpges_train::device::memory::peak_memory_bytes;
 use dpges_train::device::{DeviceName, DeviceRequest};
@@ -69,8 +69,8 @@ pub struct EvalArgs {
     /// not explain it. Renders 60 frames
     #[arg(long)]
     popping: bool,
-    /// Also measure the frame times of the real-time renderer, over up to 16 of the views at the size of the first. Of Student's
-    /// t kernels, which it does not draw, those of the renderer that is trained with
+    /// Also measure the frame times of the real-time renderer, over up to 16 of the views at the size of the first. Of scenes
+    /// of --method sss and sortfree, which it does not draw, those of the renderer that is trained with
     #[arg(long)]
     frame_times: bool,
     /// Write the result to this file; `-` is standard output
@@ -114,11 +114,11 @@ fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> 
     if args.popping && popping.is_none() {
         notes.push(("popping", "not measured: no surface is seen from two frames".to_owned()));
     }
-    let is_drawn = scene.data.info.rendering != Rendering::Students;
-    if args.frame_times && !is_drawn {
-        notes.push(("frames", "by the renderer of training: the real-time one has no Student's t kernels".to_owned()));
+    let is_drawn = check_drawn(&scene.data.info);
+    if let (true, Err(refusal)) = (args.frame_times, &is_drawn) {
+        notes.push(("frames", format!("by the renderer of training: {refusal}")));
     }
-    let frame_ms = match args.frame_times.then(|| is_drawn.then(Headless::new)).map(Option::transpose) {
+    let frame_ms = match args.frame_times.then(|| is_drawn.is_ok().then(Headless::new)).map(Option::transpose) {
         Some(Ok(None)) => Some(training_frame_ms(&renderer, views, &device_name)?),
         Some(Ok(Some(headless))) => {
             scene.warn_of_order("the real-time renderer, whose frames are timed, sorts");

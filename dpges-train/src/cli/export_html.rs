@@ -5,7 +5,7 @@ use std::path::Path;
 use dpges_core::camera::Camera;
 use dpges_core::scene::SceneData;
 use dpges_render::export::html::{Page, find_page, write_html};
-use dpges_render::{Headless, RenderOptions};
+use dpges_render::{Headless, RenderOptions, check_drawn};
 use image::codecs::jpeg::JpegEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 
@@ -24,6 +24,7 @@ pub fn write(
     page: Option<&Path>,
     out: &Path,
 ) -> Result<Vec<(&'static str, String)>> {
+    check_drawn(&scene.info)?;
     let built = find_page(page)?;
     let poster = cameras.first().and_then(|camera| match poster(scene, camera) {
         Ok(poster) => Some(poster),

@@ -110,8 +110,9 @@ pub fn bytes_per_primitive(model: ColourModel) -> [usize; 2] {
     let [surfel, gaussian] = [3 + 4 + 2 + base + 1, 3 + 4 + 3 + base + 1];
     let lobe_count = match model {
         ColourModel::SphericalBeta { .. } => 1,
-        ColourModel::SphericalHarmonics { .. } => 0,
+        ColourModel::SphericalHarmonics { .. } | ColourModel::HarmonicsAndOpacity { .. } => 0,
     };
+    let gaussian = gaussian + model.opacity_len();
     [surfel, gaussian].map(|numbers| size_of::<f32>() * (numbers + model.detail_len()) + lobe_count)
 }
 
@@ -190,6 +191,7 @@ mod tests {
         assert_eq!(bytes_per_primitive(ColourModel::SphericalBeta { lobes: 0 }), [53, 57]);
         assert_eq!(bytes_per_primitive(ColourModel::SphericalBeta { lobes: 2 }), [101, 105]);
         assert_eq!(bytes_per_primitive(ColourModel::SphericalHarmonics { degree: 3 }), [232, 236]);
+        assert_eq!(bytes_per_primitive(ColourModel::HarmonicsAndOpacity { degree: 3 }), [232, 300]);
         let two = ColourModel::SphericalBeta { lobes: 2 };
         assert_eq!(primitives_for(12.5 * MEGABYTE, two, 0.0), 119_047);
         assert_eq!(primitives_for(12.5 * MEGABYTE, two, 1.0), 123_762);

@@ -33,6 +33,9 @@ choices! {
         /// intervals, with positions by stochastic gradient Hamiltonian Monte Carlo, spherical harmonics and the rates of
         /// its paper (SSS).
         "sss" => Sss,
+        /// Gaussians alone, summed in any order with weights by their depths, under the densification of 3DGS, which removes
+        /// none of them (Sort-free Gaussian Splatting via Weighted Sum Rendering).
+        "sortfree" => SortFree,
     }
 
     /// Lens of the built-in scene.

@@ -1,7 +1,7 @@
 //! How keys are declared. One declaration gives the field of a section with its documentation, its default, its range
 //! check, its ablations, and its entry in [`SECTIONS`](super::SECTIONS), which help texts and documents are made from.
 
-use dpges_core::scene::{ColourModel, Footprint, MarginLookup, OpacityActivation};
+use dpges_core::scene::{ColourModel, DepthWeight, Footprint, MarginLookup, OpacityActivation};
 
 /// A section of the configuration, such as `[train]`.
 #[derive(Debug)]
@@ -148,6 +148,13 @@ value!(
     MarginLookup, "a string", toml::Value::is_str,
     "shifted" => "Layer depths plus margins.",
     "literal" => "Layer depths alone, as the paper's formula reads."
+);
+
+value!(
+    DepthWeight, "a string", toml::Value::is_str,
+    "dir" => "1 at every depth (DIR-WSR).",
+    "exp" => "exp(−σ d^β), with σ and β learnt (EXP-WSR).",
+    "lc" => "max(0, 1 − d / σ), with σ learnt (LC-WSR)."
 );
 
 /// Enums whose variants are the strings that a key allows.

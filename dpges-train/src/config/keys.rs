@@ -3,7 +3,7 @@
 //! Documents that repeat them are made from this file; `dpges-train/tests/documents.rs` says how.
 
 use dpges_core::ops::peel::MAX_LAYERS;
-use dpges_core::scene::{ColourModel, Footprint, MarginLookup, OpacityActivation};
+use dpges_core::scene::{ColourModel, DepthWeight, Footprint, MarginLookup, OpacityActivation};
 
 use super::budget::Budget;
 use super::choices::{
@@ -317,6 +317,30 @@ configuration! {
         /// Standard deviation of the filter that limits how fine Gaussians are, with `train.method = "mip-splatting"`: in
         /// pixels of the training view that resolves them best (Mip-Splatting: √0.2).
         smoothing: f64 = 0.447_213_6, unit: "px", range: 0.0..;
+    }
+
+    /// Training of Gaussians that are summed in any order (`train.method = "sortfree"`), under the densification of
+    /// `[density]`. Opacities are those of other methods times a factor of spherical harmonics, not bounded above, and learn at
+    /// `stages.opacities`.
+    [weighted_sum] WeightedSumConfig {
+        /// How a Gaussian is weighed by its depth d.
+        weight: DepthWeight = DepthWeight::Linear,
+            ablation: "weights-dir" = "dir" ("Weigh all depths alike, with `train.method = \"sortfree\"`"),
+            ablation: "weights-exp" = "exp" ("Weigh depths exponentially, with `train.method = \"sortfree\"`");
+        /// σ of `lc` weights at the start, or twice the extent of the scene if that is more. Weights `exp` are 1 / e there.
+        sigma: f64 = 10.0, unit: "world units", range: POSITIVE;
+        /// Weight of the background at the start.
+        background: f64 = 0.02, range: POSITIVE;
+        /// Factor of opacities that depends on the direction, at the start.
+        start_opacity: f64 = 0.1, range: POSITIVE;
+        /// Learning rate of the zeroth coefficient of these factors. The higher ones learn at a twentieth.
+        opacities: f64 = 0.05, range: 0.0..;
+        /// Learning rate of σ at the first step.
+        sigma_rate_start: f64 = 0.1, unit: "extents", range: POSITIVE;
+        /// Learning rate of σ at the last step. Its logarithm is interpolated in between.
+        sigma_rate_end: f64 = 1e-3, unit: "extents", range: POSITIVE;
+        /// Learning rate of the weight of the background.
+        background_rate: f64 = 0.01, range: 0.0..;
     }
 
     /// Training of Gaussians that are relocated (3DGS-MCMC, DBS, SSS). Numbers of steps are those of a stage of 20,000 steps,

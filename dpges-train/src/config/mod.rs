@@ -24,6 +24,7 @@ pub mod stages;
 use std::f64::consts::PI;
 
 use dpges_core::ops::adam::AdamStep;
+use dpges_core::scene::ColourModel;
 
 use crate::dataset::{DepthKind, LoadOptions};
 use crate::views::pose::step::PoseStep;
@@ -38,7 +39,7 @@ pub use declare::{Ablation, Key, Section};
 pub use dpges_core::scene::OpacityActivation;
 pub use keys::{
     Config, DataConfig, DensityConfig, DiscsConfig, InitConfig, ModelConfig, OptimizerConfig, RefineConfig,
-    RelocationConfig, SECTIONS, StagesConfig, TrainConfig,
+    RelocationConfig, SECTIONS, StagesConfig, TrainConfig, WeightedSumConfig,
 };
 pub use memory::Memory;
 pub use schedule::{Due, Schedule};
@@ -82,8 +83,13 @@ impl Config {
             Budget::Pixels => by_pixels,
             Budget::Auto => 2 * by_pixels,
             Budget::Primitives(count) => count,
-            Budget::Megabytes(size) => primitives_for(MEGABYTE * size, self.model.colour, SURFEL_SHARE).max(1),
+            Budget::Megabytes(size) => primitives_for(MEGABYTE * size, self.scene_model(), SURFEL_SHARE).max(1),
         }
+    }
+
+    /// The colour model of the scenes of a run, which may have more than `model.colour` asks for.
+    pub fn scene_model(&self) -> ColourModel {
+        self.train.method.alone().map_or(self.model.colour, |blended| blended.colour_model(self.model.colour))
     }
 
     /// Every how many-th training view is kept for validation; 0: none.
@@ -177,6 +183,13 @@ impl OptimizerConfig {
     /// Factor on every other learning rate at `progress` of the last stage.
     pub fn decay_at(&self, progress: f64) -> f64 {
         between(1.0, self.decay, (progress - self.decay_from) / (1.0 - self.decay_from))
+    }
+}
+
+impl WeightedSumConfig {
+    /// Learning rate of σ of linear weights, world units, as [`OptimizerConfig::position_rate`].
+    pub fn sigma_rate(&self, progress: f64, extent: f64) -> f64 {
+        extent * between(self.sigma_rate_start, self.sigma_rate_end, progress)
     }
 }
 

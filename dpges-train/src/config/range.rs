@@ -3,7 +3,7 @@
 use std::fmt::Display;
 use std::ops::{Bound, RangeBounds};
 
-use super::{Config, ConfigError};
+use super::{Config, ConfigError, Method};
 
 /// Above 0.
 pub const POSITIVE: (Bound<f64>, Bound<f64>) = (Bound::Excluded(0.0), Bound::Unbounded);
@@ -23,6 +23,23 @@ impl Config {
         }
         let (key, found) = ("stages.surfels + stages.gaussians", format!("{surfels} + {gaussians}"));
         Err(ConfigError::Range { key, found, expected: "a sum below 1".to_owned() })
+    }
+}
+
+impl Config {
+    /// Whether scenes of the method can have the colours that are asked for.
+    ///
+    /// # Errors
+    /// [`ConfigError::Range`] naming `model.colour`.
+    pub(super) fn check_colours(&self) -> Result<(), ConfigError> {
+        let (colours, needs_harmonics) = (self.model.colour, self.train.method == Method::SortFree);
+        let expected = match (colours.opacity_len() > 0, needs_harmonics && self.scene_model() == colours) {
+            (true, _) => "sbN or shN: what opacities depend on follows from `train.method`",
+            (false, true) => "sh0 to sh3 with `train.method = \"sortfree\"`: its opacities are harmonics too",
+            (false, false) => return Ok(()),
+        };
+        let (key, found) = ("model.colour", colours.to_string());
+        Err(ConfigError::Range { key, found, expected: expected.to_owned() })
     }
 }
 

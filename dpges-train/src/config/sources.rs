@@ -63,10 +63,12 @@ impl Config {
         set: &[String],
     ) -> Result<Self, ConfigError> {
         let config = Self::resolve_over(of_dataset, preset, file, set)?;
-        match config.train.method.settings() {
-            [] => Ok(config),
-            of_method => Self::resolve_over(&[of_dataset, of_method].concat(), preset, file, set),
-        }
+        let config = match config.train.method.settings() {
+            [] => config,
+            of_method => Self::resolve_over(&[of_dataset, of_method].concat(), preset, file, set)?,
+        };
+        config.check_colours()?;
+        Ok(config)
     }
 
     fn resolve_over(

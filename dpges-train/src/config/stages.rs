@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use dpges_core::scene::{BlendOrder, OpacityActivation, Rendering, ScreenFilter};
+use dpges_core::scene::{BlendOrder, ColourModel, OpacityActivation, Rendering, ScreenFilter};
 
 use super::schedule::REFERENCE_STEPS;
 use super::{Config, GaussianStage, Method};
@@ -37,6 +37,8 @@ pub enum Density {
     SignedByRays,
     /// By both, as many by absolute sums as by the others; with the filters of Mip-Splatting.
     Smoothed,
+    /// As [`Signed`](Self::Signed), of Gaussians that are summed in any order; none is removed, and no opacity is reset.
+    Summed,
 }
 
 /// How a set of blended primitives changes while it is trained.
@@ -59,14 +61,22 @@ impl Blended {
         match self {
             Self::Discs => Rendering::Discs,
             Self::Relocated(Relocation::Student) => Rendering::Students,
+            Self::Controlled(Density::Summed) => Rendering::Summed,
             Self::Controlled(_) | Self::Relocated(_) => Rendering::Ellipsoids,
         }
+    }
+
+    /// That of its scenes, for colours of `model`: opacities of what is summed depend on the direction as its colours do.
+    pub fn colour_model(self, model: ColourModel) -> ColourModel {
+        if self.rendering() == Rendering::Summed { model.with_opacity() } else { model }
     }
 
     /// The low-pass filter of its paper; what is handed on to the joint stage must look the same there.
     pub fn screen_filter(self) -> ScreenFilter {
         match self {
-            Self::Controlled(Density::Signed | Density::SignedByRays | Density::Absolute) => ScreenFilter::Plain,
+            Self::Controlled(Density::Signed | Density::SignedByRays | Density::Absolute | Density::Summed) => {
+                ScreenFilter::Plain
+            }
             Self::Relocated(Relocation::Student) => ScreenFilter::Off,
             _ => ScreenFilter::Compensated,
         }
@@ -100,6 +110,7 @@ impl fmt::Display for StageKind {
             Self::Blended(Blended::Controlled(Density::Absolute)) => "absgs",
             Self::Blended(Blended::Controlled(Density::SignedByRays)) => "stopthepop",
             Self::Blended(Blended::Controlled(Density::Smoothed)) => "mip-splatting",
+            Self::Blended(Blended::Controlled(Density::Summed)) => "sortfree",
             Self::Joint => "joint",
         })
     }
@@ -143,6 +154,7 @@ impl Method {
             Self::StopThePop => Blended::Controlled(Density::SignedByRays),
             Self::MipSplatting => Blended::Controlled(Density::Smoothed),
             Self::Sss => Blended::Relocated(Relocation::Student),
+            Self::SortFree => Blended::Controlled(Density::Summed),
         })
     }
 
@@ -168,6 +180,17 @@ impl Method {
                 "stages.opacities=5e-3",
                 "optimizer.position_start=1.64584e-4",
                 "optimizer.position_end=1.64609e-6",
+                "optimizer.quaternions=1e-3",
+                "optimizer.log_scales=5e-3",
+                "optimizer.base=2.5e-3",
+                "optimizer.detail=1.25e-4",
+                "optimizer.decay=1",
+            ],
+            Self::SortFree => &[
+                "model.colour=sh3",
+                "init.max_scale_extent=1e6",
+                "init.max_scale_median=1e6",
+                "stages.opacities=0.01",
                 "optimizer.quaternions=1e-3",
                 "optimizer.log_scales=5e-3",
                 "optimizer.base=2.5e-3",
@@ -261,5 +284,20 @@ mod tests {
         assert_eq!(with("stages.gaussians_from=a"), [stage("2dgs", 0, 200), stage("joint", 200, 500)]);
         assert_eq!(with("train.method=2dgs"), [stage("2dgs", 0, 1000)]);
         assert_eq!(plan(&["train.steps=1", "stages.surfels=0", "stages.gaussians=0"]), [stage("joint", 0, 1)]);
+    }
+
+    #[test]
+    fn weighted_sums_have_harmonics_and_their_opacities_follow() {
+        let resolved = |set: &[&str]| {
+            let set: Vec<String> = set.iter().map(|&text| text.to_owned()).collect();
+            Config::resolve(None, None, &set)
+        };
+        let config = resolved(&["train.method=sortfree", "model.colour=sh2"]).unwrap();
+        assert_eq!((config.scene_model().to_string(), config.stages.opacities), ("sh2+opacity".to_owned(), 0.01));
+        assert_eq!(resolved(&["train.method=3dgs"]).unwrap().scene_model().to_string(), "sh3");
+        for set in [&["train.method=sortfree", "model.colour=sb2"][..], &["model.colour=sh3+opacity"]] {
+            let error = resolved(set).unwrap_err().to_string();
+            assert!(error.contains("`model.colour`") && error.contains("train.method"), "{error}");
+        }
     }
 }

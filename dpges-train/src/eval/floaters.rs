@@ -221,7 +221,7 @@ mod tests {
             log_scales: vec![0.4f32.ln(); 3 * count],
             opacities: vec![0.8; count],
             colour: colour.clone(),
-            degrees_of_freedom: None,
+            ..GaussianData::default()
         };
         let surfels = SurfelData {
             positions,

@@ -90,6 +90,8 @@ fn rates(config: &Config, progress: f64, extent: f64) -> Rates {
         log_scales: decay * optimizer.log_scales,
         opacities: decay * config.stages.opacities,
         degrees_of_freedom: 0.0,
+        opacity_base: 0.0,
+        opacity_detail: 0.0,
         base: decay * optimizer.base,
         detail: decay * optimizer.detail,
     }

@@ -19,6 +19,7 @@ fn nothing(background: [f64; 3]) -> SceneData {
         rendering: Rendering::Peeled,
         screen_filter: ScreenFilter::Compensated,
         blend_order: BlendOrder::Centres,
+        weighted_sum: None,
         background,
         offset: [0.0; 3],
         extent: 1.0,

@@ -49,7 +49,7 @@ mod tests {
                 base: (0..9).map(|i| i as f32).collect(),
                 detail: vec![],
             },
-            degrees_of_freedom: None,
+            ..GaussianData::default()
         };
         let surfels = flatten(&gaussians, 2, 1f64.exp());
         assert_eq!((&surfels.positions[3..], &surfels.colour.base[3..]), (&[6.0, 7.0, 8.0][..], &[6.0, 7.0, 8.0][..]));

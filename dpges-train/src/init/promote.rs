@@ -48,7 +48,7 @@ mod tests {
             log_scales: [0.0, 3f32.ln(), f32::NAN].repeat(n),
             opacities: opacities.to_vec(),
             colour: ColourData { model: MODEL, base: numbered(3), detail: numbered(9) },
-            degrees_of_freedom: None,
+            ..GaussianData::default()
         }
     }
 

@@ -72,6 +72,10 @@ impl Parameter {
     /// # Errors
     /// [`dpges_core::Error::Shape`] if the gradient belongs to another set of rows.
     pub fn step(&mut self, gradient: Option<Tensor<2>>, gate: &Tensor<1>, step: AdamStep) -> dpges_core::Result<()> {
+        let [_, width] = self.raw.dims();
+        if width == 0 {
+            return Ok(());
+        }
         let Some(moments) = self.moments.take() else { return Ok(()) };
         let gradient = gradient.unwrap_or_else(|| self.raw.zeros_like());
         // Moved out, so that the step can work in place.

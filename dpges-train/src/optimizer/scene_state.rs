@@ -24,6 +24,10 @@ pub struct Rates {
     pub log_scales: f64,
     pub opacities: f64,
     pub degrees_of_freedom: f64,
+    /// Of the factors of opacities that depend on the direction; 0 where there are none.
+    pub opacity_base: f64,
+    /// Likewise.
+    pub opacity_detail: f64,
     pub base: f64,
     pub detail: f64,
 }
@@ -36,12 +40,14 @@ impl Rates {
 
     fn of(&self, group: RateGroup) -> f64 {
         match group {
-            RateGroup::Fixed | RateGroup::Environment | RateGroup::Exposure => 0.0,
+            RateGroup::Fixed | RateGroup::WeightedSum | RateGroup::Environment | RateGroup::Exposure => 0.0,
             RateGroup::Positions => self.positions,
             RateGroup::Quaternions => self.quaternions,
             RateGroup::LogScales => self.log_scales,
             RateGroup::Opacities => self.opacities,
             RateGroup::DegreesOfFreedom => self.degrees_of_freedom,
+            RateGroup::OpacityBase => self.opacity_base,
+            RateGroup::OpacityDetail => self.opacity_detail,
             RateGroup::Base => self.base,
             RateGroup::Detail => self.detail,
         }
@@ -98,6 +104,9 @@ impl<C: Columns<Value = Parameter, With<Parameter> = C>> State<C> {
         let stored = C::OPTIONAL.iter().take_while(|attribute| rows.contains_key(attribute.raw_name)).count();
         let parameter = |attribute: &'static Attribute| {
             let name = attribute.raw_name;
+            if attribute.is_left_out(model) {
+                return Ok(Parameter::fresh(attribute, &[], attribute.shape(count, model), device));
+            }
             let found = rows.remove(name).ok_or_else(|| format!("attribute `{name}` is missing"))?;
             let [expected, width] = attribute.shape(count, model);
             if (found.count, found.width) != (expected, width) {
@@ -114,7 +123,9 @@ impl<C: Columns<Value = Parameter, With<Parameter> = C>> State<C> {
     }
 
     pub fn rows(&self) -> NamedRows {
-        self.columns.iter().map(|(attribute, parameter)| (attribute.raw_name, parameter.rows())).collect()
+        let model = self.columns.model();
+        let kept = self.columns.iter().filter(|(attribute, _)| !attribute.is_left_out(model));
+        kept.map(|(attribute, parameter)| (attribute.raw_name, parameter.rows())).collect()
     }
 
     pub fn len(&self) -> usize {

@@ -74,7 +74,9 @@ pub fn new_gaussians(positions: &[[f32; 3]], max_scale: f32, model: ColourModel,
 /// random directions (θ from 0 to π, φ from 0 to 2π, β = 0), or harmonics of 0.
 pub fn faint_detail(model: ColourModel, count: usize, rng: &mut ChaCha8Rng) -> Vec<f32> {
     match model {
-        ColourModel::SphericalHarmonics { .. } => vec![0.0; count * model.detail_len()],
+        ColourModel::SphericalHarmonics { .. } | ColourModel::HarmonicsAndOpacity { .. } => {
+            vec![0.0; count * model.detail_len()]
+        }
         ColourModel::SphericalBeta { lobes } => (0..count * lobes)
             .flat_map(|_| {
                 let (theta, phi) = (PI * rng.random::<f32>(), TAU * rng.random::<f32>());

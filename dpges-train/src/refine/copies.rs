@@ -117,7 +117,7 @@ mod tests {
                 base: vec![0.5; n * 3],
                 detail: vec![],
             },
-            degrees_of_freedom: None,
+            ..GaussianData::default()
         }
     }
 

@@ -182,7 +182,7 @@ mod tests {
             log_scales: scales.iter().flat_map(|s| [*s, s / 2.0, s / 4.0].map(f32::ln)).collect(),
             opacities: (0..n).map(|i| 0.5 + 0.125 * (i % 4) as f32).collect(),
             colour: ColourData { model: MODEL, base: numbered(3), detail: numbered(6) },
-            degrees_of_freedom: None,
+            ..GaussianData::default()
         }
     }
 

@@ -146,7 +146,7 @@ mod tests {
             log_scales: [1f32, 2.0, 4.0].map(f32::ln).repeat(n),
             opacities: opacities.to_vec(),
             colour: ColourData { model: MODEL, base: numbered(3), detail: numbered(6) },
-            degrees_of_freedom: None,
+            ..GaussianData::default()
         }
     }
 

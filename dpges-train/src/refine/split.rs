@@ -71,7 +71,7 @@ mod tests {
             log_scales: scales.iter().flat_map(|s| [(4.0 * s).ln(), s.ln(), s.ln()]).collect(),
             opacities: (0..n).map(|i| i as f32).collect(),
             colour: ColourData { model: MODEL, base: vec![0.25; n * 3], detail: vec![0.75; n * 6] },
-            degrees_of_freedom: None,
+            ..GaussianData::default()
         }
     }
 

@@ -8,7 +8,7 @@ use dpges_core::scene::{ColourModel, GaussianData, SceneInfo};
 use super::blended::{BlendedStage, Momenta, ScreenGradients};
 use super::joint::{JointStage, SamplingLimits, SkyMasks, Statistics, Supervisions};
 use super::sampling_limit::SamplingLimit;
-use super::{Context, EnvironmentState, TrainError};
+use super::{Context, EnvironmentState, TrainError, WeightedSumState};
 use crate::config::{Blended, OpacityActivation, StagePlan};
 use crate::optimizer::ParameterRows;
 use crate::optimizer::scene_state::{GaussianState, NamedRows, SurfelState};
@@ -41,10 +41,13 @@ impl StageCheckpoint {
         let limit = stage.sampling_limit.iter().map(|limit| (GAUSSIAN_LIMIT, limit.column()));
         let momenta = stage.momenta.iter().map(|momenta| (MOMENTA, momenta.column()));
         let columns = gradients.chain(limit).chain(momenta);
+        let mut attributes = named([stage.gaussians.rows()], &stage.environment);
+        let common = stage.weighted_sum.iter().flat_map(WeightedSumState::rows);
+        attributes.extend(common.map(|(name, rows)| (name.to_owned(), rows)));
         Self {
-            info: stage.info.clone(),
+            info: stage.scene_info(),
             growth: None,
-            attributes: named([stage.gaussians.rows()], &stage.environment),
+            attributes,
             columns: columns.map(|(name, values)| (name.to_owned(), values)).collect(),
             max_pixels: Vec::new(),
         }
@@ -106,6 +109,11 @@ impl BlendedStage {
             .map_err(|reason| TrainError::Resume { reason })?;
         let environment = EnvironmentState::from_rows(&mut attributes, &context.device)
             .map_err(|reason| TrainError::Resume { reason })?;
+        let summed = info.weighted_sum.as_ref();
+        let weighted_sum = summed
+            .map(|sum| WeightedSumState::from_rows(&mut attributes, sum.weight, &context.device))
+            .transpose()
+            .map_err(|reason| TrainError::Resume { reason })?;
         if found.iter().any(|column| column.len() != gaussians.len()) {
             let reason = "columns `screen_gradients` do not fit the Gaussians".into();
             return Err(TrainError::Resume { reason });
@@ -120,8 +128,10 @@ impl BlendedStage {
             if found.len() != 3 * stage.gaussians.len() {
                 return Err(TrainError::Resume { reason: format!("column `{MOMENTA}` does not fit the Gaussians") });
             }
-            *momenta = Momenta::from_column(&vec![0.0; found.len()], &context.device);
+            *momenta = Momenta::from_column(&found, &context.device);
         }
+        stage.info.weighted_sum = info.weighted_sum;
+        stage.weighted_sum = weighted_sum;
         Ok(stage)
     }
 }

@@ -113,6 +113,7 @@ impl Context {
             rendering,
             screen_filter: ScreenFilter::Compensated,
             blend_order: BlendOrder::Centres,
+            weighted_sum: None,
             background: dataset.background,
             offset: dataset.offset.to_array(),
             extent: dataset.extent,

@@ -16,6 +16,7 @@ mod pretrained;
 mod report;
 mod sampling_limit;
 mod step;
+mod weighted_sum;
 
 use burn::tensor::Tensor;
 use dpges_core::camera::Camera;
@@ -34,6 +35,7 @@ pub use pending::{PendingStep, Settled};
 pub use photographs::DevicePhotographs;
 pub use report::StepReport;
 pub use step::{StepInput, begin_step};
+pub use weighted_sum::WeightedSumState;
 
 /// The training of one kind of scene. `completed` is the number of steps of this stage that are done.
 pub trait Stage: Send {

@@ -82,7 +82,7 @@ impl Context {
         let (fits, what) = if key == SURFELS_FROM {
             (matches!(rendering, Rendering::Peeled | Rendering::Discs), "surfels or discs")
         } else {
-            (matches!(rendering, Rendering::Peeled | Rendering::Ellipsoids), "Gaussians")
+            (matches!(rendering, Rendering::Peeled | Rendering::Ellipsoids), "Gaussians that were blended or peeled")
         };
         if !fits {
             return Err(wrong(format!("it is a scene of {rendering}, not of {what}")));

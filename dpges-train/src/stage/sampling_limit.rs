@@ -115,7 +115,7 @@ mod tests {
             log_scales: [0.1f32, 0.2, 0.4, 0.05, 0.1, 0.02].map(f32::ln).to_vec(),
             opacities: vec![0.5, 0.8],
             colour: ColourData { base: vec![0.0; 6], ..ColourData::default() },
-            degrees_of_freedom: None,
+            ..GaussianData::default()
         }
     }
 

@@ -150,8 +150,8 @@ impl<'a, T: Real> GaussianRows<'a, T> {
         row(&self.colours, i)
     }
 
-    /// Footprint of Gaussian `i`, with the filter of peeled scenes; `None` if no pixel can see it.
-    pub fn splat(&self, camera: &CameraOf<T>, i: usize) -> Option<Splat<T>> {
-        Splat::new(camera, &self.parameters(i), self.colour(i), ScreenFilter::Compensated)
+    /// Footprint of Gaussian `i`; `None` if no pixel can see it.
+    pub fn splat(&self, camera: &CameraOf<T>, i: usize, filter: ScreenFilter) -> Option<Splat<T>> {
+        Splat::new(camera, &self.parameters(i), self.colour(i), filter)
     }
 }

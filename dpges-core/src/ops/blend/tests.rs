@@ -201,6 +201,8 @@ impl Flat {
                 quaternions: rows(1),
                 log_scales: rows(2),
                 opacities: leaf(&self.0[3], [count, 1], device, dtype),
+                opacity_base: leaf(&[], [count, 0], device, dtype),
+                opacity_detail: leaf(&[], [count, 0], device, dtype),
                 colour,
                 degrees_of_freedom: (!self.1.is_empty()).then(|| leaf(&self.1, [count, 1], device, dtype)),
             },

@@ -22,7 +22,9 @@ fn forward<T: Real>(base: &[T], detail: &[T], positions: &[T], centre: [f64; 3],
         let raw = &detail[i * width..(i + 1) * width];
         let varying = match kind {
             ColourModel::SphericalBeta { .. } => model::lobes(raw, d),
-            ColourModel::SphericalHarmonics { .. } => model::higher_harmonics(raw, d),
+            ColourModel::SphericalHarmonics { .. } | ColourModel::HarmonicsAndOpacity { .. } => {
+                model::higher_harmonics(raw, d)
+            }
         };
         out.copy_from_slice(&add(model::base(row(base, i)), varying));
     });
@@ -51,7 +53,9 @@ fn backward<T: Real>(
                 ColourModel::SphericalBeta { .. } => {
                     model::lobes_backward(&detail[i * width..(i + 1) * width], d, incoming, out)
                 }
-                ColourModel::SphericalHarmonics { .. } => model::higher_harmonics_backward(d, incoming, out),
+                ColourModel::SphericalHarmonics { .. } | ColourModel::HarmonicsAndOpacity { .. } => {
+                    model::higher_harmonics_backward(d, incoming, out)
+                }
             }
         });
     }

@@ -16,16 +16,16 @@ const C0: f32 = SH_C0 as f32;
 
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-struct Eye {
+pub struct Eye {
     x: f32,
     y: f32,
     z: f32,
-    count: u32,
+    pub count: u32,
 }
 
 /// Unit vector from the camera to a primitive; zero at the camera itself.
 #[cube]
-fn direction(position: Vec3, eye: Eye) -> Vec3 {
+pub fn direction(position: Vec3, eye: Eye) -> Vec3 {
     let offset = vec3(position.x - eye.x, position.y - eye.y, position.z - eye.z);
     scale(offset, 1.0f32 / max(f32::sqrt(dot(offset, offset)), 1e-12f32))
 }
@@ -198,7 +198,8 @@ fn colour_backward_kernel(
     }
 }
 
-fn eye(centre: [f64; 3], count: usize) -> EyeLaunch {
+/// A camera at `centre`, world units, and the number of primitives that it sees.
+pub fn eye(centre: [f64; 3], count: usize) -> EyeLaunch {
     let [x, y, z] = centre.map(|v| v as f32);
     EyeLaunch::new(x, y, z, count as u32)
 }
@@ -207,7 +208,7 @@ fn eye(centre: [f64; 3], count: usize) -> EyeLaunch {
 fn parts(model: ColourModel) -> (usize, usize) {
     match model {
         ColourModel::SphericalBeta { lobes } => (lobes, 0),
-        ColourModel::SphericalHarmonics { .. } => (0, model.detail_len() / 3),
+        ColourModel::SphericalHarmonics { .. } | ColourModel::HarmonicsAndOpacity { .. } => (0, model.detail_len() / 3),
     }
 }
 

@@ -6,41 +6,60 @@ use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
 use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::tensor::FloatTensor;
-use burn::backend::{AutodiffBackend, Backend};
+use burn::backend::{AutodiffBackend, Backend, TensorMetadata};
 
-use super::{SplatBackwardOps, SplatOps};
+use super::{SplatBackwardOps, SplatGradients, SplatOps};
 use crate::backend::tape::pass_back;
 use crate::camera::Camera;
 use crate::footprint::gaussian::tensors::GaussianTensors;
+use crate::scene::ScreenFilter;
 
 #[derive(Clone, Debug)]
 struct SplatState<B: Backend> {
     gaussians: GaussianTensors<B>,
     limits: FloatTensor<B>,
     camera: Camera,
+    filter: ScreenFilter,
+    probed: bool,
 }
 
 #[derive(Debug)]
 struct SplatBackward;
 
-impl<B: SplatBackwardOps> Backward<B, 5> for SplatBackward {
+impl<B: SplatBackwardOps> Backward<B, 6> for SplatBackward {
     type State = SplatState<B>;
 
-    fn backward(self, ops: Ops<Self::State, 5>, grads: &mut Gradients, _: &mut Checkpointer) {
-        pass_back::<B, _, 5>(ops, grads, |state, grad| {
-            B::splat_backward(state.gaussians, state.limits, grad, state.camera).into_array().map(Some)
+    fn backward(self, ops: Ops<Self::State, 6>, grads: &mut Gradients, _: &mut Checkpointer) {
+        pass_back::<B, _, 6>(ops, grads, |state, grad| {
+            let SplatState { gaussians, limits, camera, filter, probed } = state;
+            let SplatGradients { gaussians, probe } =
+                B::splat_backward(gaussians, limits, grad, camera, filter, probed);
+            let [positions, quaternions, log_scales, opacities, colours] = gaussians.into_array().map(Some);
+            [positions, quaternions, log_scales, opacities, colours, probed.then_some(probe)]
         });
     }
 }
 
 impl<B: SplatOps + SplatBackwardOps, S: CheckpointStrategy> SplatOps for Autodiff<B, S> {
-    fn splat(gaussians: GaussianTensors<Self>, limits: FloatTensor<Self>, camera: Camera) -> FloatTensor<Self> {
+    fn splat(
+        gaussians: GaussianTensors<Self>,
+        probe: FloatTensor<Self>,
+        limits: FloatTensor<Self>,
+        camera: Camera,
+        filter: ScreenFilter,
+    ) -> FloatTensor<Self> {
         let values = gaussians.values();
         let limits = limits.into_parts().0;
-        let out = B::splat(values.clone(), limits.clone(), camera);
-        let parents = gaussians.into_array().map(|tensor| tensor.into_parts().1);
+        let probed = probe.shape()[0] > 0;
+        let (probe_value, probe) = probe.into_parts();
+        let out = B::splat(values.clone(), probe_value, limits.clone(), camera, filter);
+        let [positions, quaternions, log_scales, opacities, colours] =
+            gaussians.into_array().map(|tensor| tensor.into_parts().1);
+        let parents = [positions, quaternions, log_scales, opacities, colours, probe];
         match SplatBackward.prepare::<S>(parents).compute_bound().stateful() {
-            OpsKind::Tracked(prep) => prep.finish(SplatState { gaussians: values, limits, camera }, out),
+            OpsKind::Tracked(prep) => {
+                prep.finish(SplatState { gaussians: values, limits, camera, filter, probed }, out)
+            }
             OpsKind::UnTracked(prep) => prep.finish(out),
         }
     }

@@ -5,7 +5,7 @@ use burn::backend::TensorMetadata;
 use burn::backend::tensor::FloatTensor;
 use rayon::prelude::*;
 
-use super::{SplatBackwardOps, SplatOps};
+use super::{SplatBackwardOps, SplatGradients, SplatOps};
 use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
 use crate::backend::real::Real;
 use crate::backend::simd::{LANES, vectorised};
@@ -87,11 +87,17 @@ fn lanes<T: Real>(values: &[T], start: usize) -> [T; LANES] {
 }
 
 /// Sums as [K, 4, H, W].
-fn forward<T: Real>(gaussians: &GaussianRows<T>, limits: &[T], layers: usize, camera: &Camera) -> Vec<T> {
+fn forward<T: Real>(
+    gaussians: &GaussianRows<T>,
+    limits: &[T],
+    layers: usize,
+    camera: &Camera,
+    filter: ScreenFilter,
+) -> Vec<T> {
     let grid = TileGrid::new(camera.width, camera.height);
     let camera = CameraOf::<T>::new(camera);
     let splats: Vec<Option<Splat<T>>> =
-        (0..gaussians.len()).into_par_iter().map(|i| gaussians.splat(&camera, i)).collect();
+        (0..gaussians.len()).into_par_iter().map(|i| gaussians.splat(&camera, i, filter)).collect();
     let reach =
         |splat: &Option<Splat<T>>| splat.as_ref().map_or(PixelRect::EMPTY, |s| s.reach(grid.width, grid.height));
     let rects: Vec<PixelRect> = splats.par_iter().map(reach).collect();
@@ -274,43 +280,55 @@ fn add_group<T: Real>(splat: &Splat<T>, dx: &[T; LANES], dy: T, scratch: &mut Sc
     add_moments(moments, power, u, v);
 }
 
-/// Gradients with respect to positions, quaternions, log-scales, opacities and colours.
+/// Gradients with respect to positions, quaternions, log-scales, opacities, colours and the probe, the last empty unless it
+/// is `probed`.
 fn backward<T: Real>(
     gaussians: &GaussianRows<T>,
     limits: &[T],
     grad: &[T],
     layers: usize,
     camera: &Camera,
-) -> [Vec<T>; 5] {
+    filter: ScreenFilter,
+    probed: bool,
+) -> [Vec<T>; 6] {
     let grid = TileGrid::new(camera.width, camera.height);
+    let half_image = [camera.width, camera.height].map(|size| T::of(0.5 * size as f64));
     let camera = CameraOf::<T>::new(camera);
     let limits = LimitBlocks::new(limits, layers, grid);
     let grad = to_tiles(grad, layers * CHANNELS, grid, T::zero());
-    let mut out = [3, 4, 3, 1, 3].map(|width| vec![T::zero(); gaussians.len() * width]);
-    let [positions, quaternions, log_scales, opacities, colours] = &mut out;
+    let probe_width = if probed { 2 } else { 0 };
+    let mut out = [3, 4, 3, 1, 3, probe_width].map(|width| vec![T::zero(); gaussians.len() * width]);
+    let [positions, quaternions, log_scales, opacities, colours, probes] = &mut out;
+    // an empty probe has as many empty chunks
+    let mut probes: Vec<&mut [T]> = probes.chunks_mut(2 * CHUNK).collect();
+    probes.resize_with(gaussians.len().div_ceil(CHUNK), || &mut []);
     positions
         .par_chunks_mut(3 * CHUNK)
         .zip(quaternions.par_chunks_mut(4 * CHUNK))
         .zip(log_scales.par_chunks_mut(3 * CHUNK))
         .zip(opacities.par_chunks_mut(CHUNK))
         .zip(colours.par_chunks_mut(3 * CHUNK))
+        .zip(probes)
         .enumerate()
-        .for_each(|(chunk, ((((positions, quaternions), log_scales), opacities), colours))| {
+        .for_each(|(chunk, (((((positions, quaternions), log_scales), opacities), colours), probes))| {
             vectorised(
                 #[inline(always)]
                 || {
                     let mut scratch = Scratch::new();
                     for j in 0..opacities.len() {
                         let i = chunk * CHUNK + j;
-                        let Some(splat) = gaussians.splat(&camera, i) else { continue };
+                        let Some(splat) = gaussians.splat(&camera, i, filter) else { continue };
                         let sum = gather(&splat, grid, &limits, &grad, &mut scratch);
-                        let grads =
-                            splat::backward(&camera, &gaussians.parameters(i), &splat, &sum, ScreenFilter::Compensated);
+                        let grads = splat::backward(&camera, &gaussians.parameters(i), &splat, &sum, filter);
                         positions[3 * j..3 * j + 3].copy_from_slice(&grads.position);
                         quaternions[4 * j..4 * j + 4].copy_from_slice(&grads.quaternion);
                         log_scales[3 * j..3 * j + 3].copy_from_slice(&grads.log_scales);
                         opacities[j] = grads.opacity;
                         colours[3 * j..3 * j + 3].copy_from_slice(&sum.colour);
+                        if probed {
+                            let [x, y] = splat.mean_gradient(&sum);
+                            probes[2 * j..2 * j + 2].copy_from_slice(&[x * half_image[0], y * half_image[1]]);
+                        }
                     }
                 },
             );
@@ -349,13 +367,19 @@ fn contributions<T: Real>(
         let brightest = splat.colour.iter().fold(T::zero(), |m, c| m.max(c.abs()));
         largest.into_iter().fold(T::zero(), T::max) * brightest
     };
-    (0..gaussians.len()).into_par_iter().map(|i| gaussians.splat(&camera, i).map_or(T::zero(), largest)).collect()
+    let splat = |i| gaussians.splat(&camera, i, ScreenFilter::Compensated);
+    (0..gaussians.len()).into_par_iter().map(|i| splat(i).map_or(T::zero(), largest)).collect()
 }
 
-fn splat_on<B: Host>(gaussians: &GaussianTensors<B>, limits: &FloatTensor<B>, camera: &Camera) -> FloatTensor<B> {
+fn splat_on<B: Host>(
+    gaussians: &GaussianTensors<B>,
+    limits: &FloatTensor<B>,
+    camera: &Camera,
+    filter: ScreenFilter,
+) -> FloatTensor<B> {
     let layers = host::rows(limits);
     with_real!(limits.dtype(), T => {
-        let sums = forward(&GaussianRows::<T>::new(gaussians), &host::floats::<B, T>(limits), layers, camera);
+        let sums = forward(&GaussianRows::<T>::new(gaussians), &host::floats::<B, T>(limits), layers, camera, filter);
         host::float_tensor::<B, T, 4>(sums, [layers, CHANNELS, camera.height, camera.width], &limits.device())
     })
 }
@@ -365,12 +389,21 @@ fn splat_backward_on<B: Host>(
     limits: &FloatTensor<B>,
     grad: &FloatTensor<B>,
     camera: &Camera,
-) -> GaussianTensors<B> {
+    filter: ScreenFilter,
+    probed: bool,
+) -> SplatGradients<B> {
     let device = limits.device();
     with_real!(limits.dtype(), T => {
         let rows = GaussianRows::<T>::new(gaussians);
         let (limit, grad) = (host::floats::<B, T>(limits), host::floats::<B, T>(grad));
-        GaussianTensors::from_rows(backward(&rows, &limit, &grad, host::rows(limits), camera), &device)
+        let layers = host::rows(limits);
+        let [positions, quaternions, log_scales, opacities, colours, probe] =
+            backward(&rows, &limit, &grad, layers, camera, filter, probed);
+        let count = probe.len() / 2;
+        SplatGradients {
+            gaussians: GaussianTensors::from_rows([positions, quaternions, log_scales, opacities, colours], &device),
+            probe: host::float_tensor::<B, T, 2>(probe, [count, 2], &device),
+        }
     })
 }
 
@@ -391,8 +424,14 @@ fn contributions_on<B: Host>(
 macro_rules! implement {
     ($backend:ty) => {
         impl SplatOps for $backend {
-            fn splat(gaussians: GaussianTensors<Self>, limits: FloatTensor<Self>, camera: Camera) -> FloatTensor<Self> {
-                splat_on::<Self>(&gaussians, &limits, &camera)
+            fn splat(
+                gaussians: GaussianTensors<Self>,
+                _: FloatTensor<Self>,
+                limits: FloatTensor<Self>,
+                camera: Camera,
+                filter: ScreenFilter,
+            ) -> FloatTensor<Self> {
+                splat_on::<Self>(&gaussians, &limits, &camera, filter)
             }
 
             fn splat_contributions(
@@ -411,8 +450,10 @@ macro_rules! implement {
                 limits: FloatTensor<Self>,
                 grad: FloatTensor<Self>,
                 camera: Camera,
-            ) -> GaussianTensors<Self> {
-                splat_backward_on::<Self>(&gaussians, &limits, &grad, &camera)
+                filter: ScreenFilter,
+                probed: bool,
+            ) -> SplatGradients<Self> {
+                splat_backward_on::<Self>(&gaussians, &limits, &grad, &camera, filter, probed)
             }
         }
     };

@@ -6,15 +6,15 @@ use burn::backend::tensor::FloatTensor;
 use burn_cubecl::CubeBackend;
 use cubecl::prelude::*;
 
-use super::{SplatBackwardOps, SplatOps};
+use super::{SplatBackwardOps, SplatGradients, SplatOps};
 use crate::camera::Camera;
 use crate::footprint::gaussian::cube as splat_cube;
 use crate::footprint::gaussian::cube::regions::{WORDS, list_regions, mark_regions};
-use crate::footprint::gaussian::cube::{SPLAT, Splat, add_moments};
+use crate::footprint::gaussian::cube::{Moments, SPLAT, Splat, add_moments};
 use crate::footprint::gaussian::tensors::GaussianTensors;
 use crate::footprint::moments::MOMENTS;
 use crate::gpu::gather::zeros;
-use crate::gpu::launch::{LANES, UNITS, buffer, cube_dim, cubes, empty_f32, floats};
+use crate::gpu::launch::{LANES, UNITS, buffer, cube_dim, cubes, empty_f32, floats, units};
 use crate::gpu::record::Record;
 use crate::gpu::reduce::max_units;
 use crate::gpu::tile::{REGIONS, own_pixel, plane_of};
@@ -209,6 +209,26 @@ fn gather_kernel(
     store_gathered(&own, sums, most, SUMS, true);
 }
 
+/// Gradient of every Gaussian with respect to its projected centre, in units of half the image.
+#[cube(launch)]
+fn probe_kernel(splats: &[f32], moments: &[f32], probe: &mut [f32], view: CameraUniforms, count: u32) {
+    let i = ABSOLUTE_POS;
+    if i >= count as usize {
+        terminate!();
+    }
+    let splat = Splat::load(splats, i * SPLAT);
+    let sums = Moments::load(moments, i * MOMENTS);
+    // an invisible one has no p, q and r
+    let mut x = 0.0f32;
+    let mut y = 0.0f32;
+    if splat.strength > 0.0f32 {
+        x = splat.p * sums.u * 0.5f32 * f32::cast_from(view.width);
+        y = (splat.q * sums.u + splat.r * sums.v) * 0.5f32 * f32::cast_from(view.height);
+    }
+    probe[2 * i] = x;
+    probe[2 * i + 1] = y;
+}
+
 /// Largest weight times gate of every Gaussian over the pixels of each piece.
 #[cube(launch)]
 fn contributions_kernel(
@@ -277,11 +297,17 @@ fn brightest_kernel(largest_of_pieces: &[f32], starts: &[u32], colours: &[f32], 
 }
 
 impl SplatOps for CubeBackend {
-    fn splat(gaussians: GaussianTensors<Self>, limits: FloatTensor<Self>, camera: Camera) -> FloatTensor<Self> {
+    fn splat(
+        gaussians: GaussianTensors<Self>,
+        _: FloatTensor<Self>,
+        limits: FloatTensor<Self>,
+        camera: Camera,
+        filter: ScreenFilter,
+    ) -> FloatTensor<Self> {
         let (gaussians, limits) = (gaussians.contiguous(), floats(limits));
         let (client, layers, count) = (limits.client.clone(), limits.shape()[0], gaussians.opacities.shape()[0]);
         let tiles = TileGrid::new(camera.width, camera.height).len();
-        let (splats, rects) = splat_cube::splats(&gaussians, None, &camera, ScreenFilter::Compensated);
+        let (splats, rects) = splat_cube::splats(&gaussians, None, &camera, filter);
         let ends = empty_f32(&limits, [tiles]);
         ends_kernel::launch(
             &client,
@@ -358,10 +384,12 @@ impl SplatBackwardOps for CubeBackend {
         limits: FloatTensor<Self>,
         grad: FloatTensor<Self>,
         camera: Camera,
-    ) -> GaussianTensors<Self> {
+        filter: ScreenFilter,
+        probed: bool,
+    ) -> SplatGradients<Self> {
         let (gaussians, limits, grad) = (gaussians.contiguous(), floats(limits), floats(grad));
         let (client, layers, count) = (limits.client.clone(), limits.shape()[0], gaussians.opacities.shape()[0]);
-        let (splats, rects) = splat_cube::splats(&gaussians, None, &camera, ScreenFilter::Compensated);
+        let (splats, rects) = splat_cube::splats(&gaussians, None, &camera, filter);
         let pieces = split_work(&rects);
         let sums = empty_f32(&limits, [pieces.most, SUMS]);
         gather_kernel::launch(
@@ -381,7 +409,20 @@ impl SplatBackwardOps for CubeBackend {
         let moments = pieces.collect(&sums, 0, MOMENTS);
         let mut out = GaussianTensors::empty(&limits, count);
         out.colours = pieces.collect(&sums, MOMENTS, COLOUR);
-        splat_cube::backward(&gaussians, &moments, &camera, ScreenFilter::Compensated, &out);
-        out
+        splat_cube::backward(&gaussians, &moments, &camera, filter, &out);
+        let probe = empty_f32(&limits, [if probed { count } else { 0 }, 2]);
+        if probed && count > 0 {
+            probe_kernel::launch(
+                &client,
+                units(count),
+                cube_dim(),
+                buffer(&splats),
+                buffer(&moments),
+                buffer(&probe),
+                CameraUniforms::launch(&camera),
+                count as u32,
+            );
+        }
+        SplatGradients { gaussians: out, probe }
     }
 }

@@ -3,10 +3,14 @@
 //! Gaussians and interval limits → [K, 4, H, W]: for interval k the sums of (colour · α, α) over the
 //! Gaussians whose centre depth d satisfies `limit(k−1) ≤ d < limit(k)`. A Gaussian at or behind the last
 //! limit is occluded. α = max(0, opacity) · compensation · exp(−½ dᵀ Q d), or 0 if that is below 1/255, by
-//! EWA projection with a low-pass filter of 0.1 px² (GES).
+//! EWA projection with a low-pass filter of 0.1 px² (GES); or, with [`ScreenFilter::Plain`], of 0.3 px² without
+//! compensation (3DGS).
 //!
 //! Gradients: from the sums to positions, quaternions, log-scales, opacities and colours. Depth
 //! comparisons and limits carry none.
+//!
+//! The *probe* is a [M, 2] tensor that no value depends on. Its gradient is that with respect to the projected centre in
+//! units of half the image. 3DGS bases densification on it.
 
 mod backward;
 mod cpu;
@@ -16,14 +20,14 @@ mod cube;
 mod tests;
 
 use burn::backend::tensor::FloatTensor;
-use burn::backend::{Backend, Dispatch, backend_extension};
-use burn::tensor::Tensor;
+use burn::backend::{Backend, Dispatch, ExtensionType, backend_extension};
+use burn::tensor::{Tensor, TensorData};
 
 use crate::camera::Camera;
 use crate::error::Result;
 use crate::footprint::gaussian::tensors::GaussianTensors;
-use crate::scene::Gaussians;
 use crate::scene::tensors::check_shape;
+use crate::scene::{Gaussians, ScreenFilter};
 use crate::tiles::capacity::within_capacity;
 
 #[backend_extension(
@@ -35,8 +39,10 @@ use crate::tiles::capacity::within_capacity;
 pub trait SplatOps: Backend {
     fn splat(
         #[extension_type] gaussians: GaussianTensors<Self>,
+        probe: FloatTensor<Self>,
         limits: FloatTensor<Self>,
         camera: Camera,
+        filter: ScreenFilter,
     ) -> FloatTensor<Self>;
 
     /// Largest contribution of each Gaussian to any pixel, `[M]`; no gradient.
@@ -50,12 +56,24 @@ pub trait SplatOps: Backend {
 
 #[backend_extension(Cube: cfg(feature = "gpu"), NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
 pub trait SplatBackwardOps: Backend {
+    /// Gradients with respect to the Gaussians, and to the probe [M, 2], empty [0, 2] unless it is `probed`.
     fn splat_backward(
         #[extension_type] gaussians: GaussianTensors<Self>,
         limits: FloatTensor<Self>,
         grad: FloatTensor<Self>,
         camera: Camera,
-    ) -> GaussianTensors<Self>;
+        filter: ScreenFilter,
+        probed: bool,
+    ) -> SplatGradients<Self>;
+}
+
+/// Gradients with respect to what is splatted.
+#[derive(ExtensionType, Debug, Clone)]
+pub struct SplatGradients<B: Backend> {
+    #[extension_type]
+    pub gaussians: GaussianTensors<B>,
+    /// [M, 2] or [0, 2]
+    pub probe: FloatTensor<B>,
 }
 
 /// Sums [K, 4, H, W] of `gaussians` in `colours` [M, 3], as seen from the camera, for ascending interval
@@ -65,12 +83,37 @@ pub trait SplatBackwardOps: Backend {
 /// [`crate::Error::Shape`] or [`crate::Error::Camera`] if the input is invalid, [`crate::Error::Capacity`] if the tile lists
 /// or the sums do not fit a buffer.
 pub fn splat(gaussians: &Gaussians, colours: &Tensor<2>, limits: &Tensor<3>, camera: &Camera) -> Result<Tensor<4>> {
+    splat_probed(gaussians, colours, limits, None, camera, ScreenFilter::Compensated)
+}
+
+/// [`splat`](fn@splat) with another `filter`, and a `probe` [M, 2] of which only the gradient means anything.
+///
+/// # Errors
+/// Those of [`splat`](fn@splat).
+pub fn splat_probed(
+    gaussians: &Gaussians,
+    colours: &Tensor<2>,
+    limits: &Tensor<3>,
+    probe: Option<&Tensor<2>>,
+    camera: &Camera,
+    filter: ScreenFilter,
+) -> Result<Tensor<4>> {
     camera.validate()?;
     let layers = limits.dims()[0];
     check_shape("limits", limits, [layers, camera.height, camera.width])?;
+    let probe = match probe {
+        Some(probe) => {
+            check_shape("probe", probe, [gaussians.len(), 2])?;
+            probe.clone()
+        }
+        None => {
+            let nothing = TensorData::new(Vec::<f32>::new(), [0, 2]).convert_dtype(colours.dtype());
+            Tensor::from_data(nothing, (&colours.device(), colours.dtype()))
+        }
+    };
     let gaussians = GaussianTensors::new(gaussians, colours)?;
-    let limits = limits.clone().into_dispatch();
-    Ok(Tensor::from_dispatch(within_capacity(|| Dispatch::splat(gaussians, limits, *camera))?))
+    let (probe, limits) = (probe.into_dispatch(), limits.clone().into_dispatch());
+    Ok(Tensor::from_dispatch(within_capacity(|| Dispatch::splat(gaussians, probe, limits, *camera, filter))?))
 }
 
 /// Largest value over all pixels of α · gate · max|colour| for each Gaussian, `[M]`, where `gates`

@@ -3,7 +3,7 @@ mod lens;
 use burn::tensor::Tensor;
 use glam::{DMat3, DVec2, DVec3};
 
-use super::{contributions, splat};
+use super::{contributions, splat, splat_probed};
 use crate::camera::{Camera, CameraFromWorld};
 use crate::footprint::CUTOFF;
 use crate::footprint::gaussian::cpu::{MIN_COMPENSATION_SQUARED, Parameters, Splat};
@@ -64,6 +64,8 @@ impl Flat {
                 quaternions: rows(1),
                 log_scales: rows(2),
                 opacities: leaf(&self.0[3], [self.len(), 1], &device),
+                opacity_base: leaf(&[], [self.len(), 0], &device),
+                opacity_detail: leaf(&[], [self.len(), 0], &device),
                 colour,
                 degrees_of_freedom: None,
             },
@@ -326,4 +328,45 @@ fn gradients_of_the_sums_are_central_differences() {
             });
         }
     }
+}
+
+/// A camera whose principal point moves, so that the projected centre of a Gaussian in the middle does.
+#[test]
+fn the_probe_collects_what_the_sums_want_of_the_projected_centre() {
+    const STEP: f64 = 1e-6;
+    let (camera, shapes) = (axis_camera(), [[-1.2, -2.0, -1.5], [-0.5, -4.0, -3.0], [-4.5, -4.6, -4.4]]);
+    let limits = image(&vec![f64::INFINITY; camera.width * camera.height], 1, &camera);
+    let shape = [1, 4, camera.height, camera.width];
+    let weights = leaf(&Random::new(9).numbers(shape.iter().product(), -1.0, 1.0), shape, &device()).detach();
+    for (filter, log_scales) in [ScreenFilter::Compensated, ScreenFilter::Plain]
+        .into_iter()
+        .flat_map(|filter| shapes.map(|shape| (filter, shape)))
+    {
+        let mut gaussian = Flat::default();
+        gaussian.push([0.03, -0.05, 2.0], [0.7, 0.2, -0.4, 0.3], log_scales, 0.8);
+        let loss = |probe: Option<&Tensor<2>>, camera: &Camera| {
+            let Leaves { gaussians, colours } = gaussian.leaves();
+            (splat_probed(&gaussians, &colours, &limits, probe, camera, filter).unwrap() * weights.clone()).sum()
+        };
+        let probe = leaf(&[0.0; 2], [1, 2], &device());
+        let of_probed = loss(Some(&probe), &camera);
+        assert_eq!(values(&of_probed), values(&loss(None, &camera)));
+        let found = values(&probe.grad(&of_probed.backward()).unwrap());
+        let at = |x: f64, y: f64| values(&loss(None, &Camera { cx: camera.cx + x, cy: camera.cy + y, ..camera }))[0];
+        let slopes = [at(STEP, 0.0) - at(-STEP, 0.0), at(0.0, STEP) - at(0.0, -STEP)].map(|rise| rise / (2.0 * STEP));
+        let expected = [slopes[0] * 0.5 * camera.width as f64, slopes[1] * 0.5 * camera.height as f64];
+        assert!(expected.iter().all(|slope| slope.abs() > 1e-3), "{expected:?}");
+        for (found, expected) in found.iter().zip(expected) {
+            approx::assert_relative_eq!(*found, expected, epsilon = 1e-6, max_relative = 1e-6);
+        }
+    }
+}
+
+#[test]
+fn a_probe_of_another_shape_is_refused() {
+    let camera = axis_camera();
+    let limits = image(&random_limits(1, 2.0, &camera, 4), 1, &camera);
+    let Leaves { gaussians, colours } = every_kind(7).leaves();
+    let error = splat_probed(&gaussians, &colours, &limits, Some(&colours), &camera, ScreenFilter::Plain).unwrap_err();
+    assert_eq!(error.to_string(), "tensor `probe` has shape [7, 3], expected [7, 2]");
 }

@@ -6,8 +6,9 @@ use crate::losses::depth::surfel_depth;
 use crate::ops::blend::{BlendOptions, Form};
 use crate::ops::environment::environment;
 use crate::render::blended::{BlendedOptions, Probes, render_blended_probed};
+use crate::render::summed::{SummedOptions, WeightedSumTensors, render_summed};
 use crate::render::{RenderOptions, Values, render_probed};
-use crate::scene::ColourModel;
+use crate::scene::{ColourModel, WeightedSum};
 use crate::testing::device;
 use crate::testing::golden::values;
 use crate::testing::gradients::{check, leaf};
@@ -19,6 +20,7 @@ use crate::testing::scenes::{Recipe, TestScene, random};
 enum Kind {
     Peeled,
     Blended(Form),
+    Summed,
 }
 
 const KINDS: [Kind; 3] = [Kind::Peeled, Kind::Blended(Form::Ellipsoids), Kind::Blended(Form::Discs)];
@@ -44,6 +46,14 @@ fn seen(scene: &TestScene, kind: Kind, camera: &Camera, probe: Option<&PoseProbe
             let probes = Probes { gaussians: None, pose: probe };
             let rendered = render_blended_probed(&gaussians, probes, camera, &options, Values::Unknown).unwrap();
             vec![rendered.image, rendered.blend.maps.unwrap().depth]
+        }
+        Kind::Summed => {
+            let sum = WeightedSum { sigma: 6.0, ..WeightedSum::default() };
+            let common = WeightedSumTensors::new(&sum, &device(), DType::F64);
+            let options = SummedOptions { weight: sum.weight, background: [0.2; 3], depth: true };
+            let probes = Probes { gaussians: None, pose: probe };
+            let rendered = render_summed(&gaussians, &common, probes, camera, &options, Values::Unknown).unwrap();
+            vec![rendered.image, rendered.depth.unwrap()]
         }
     }
 }
@@ -89,6 +99,7 @@ fn the_gradient_of_a_pose_is_central_differences_of_a_moved_camera() {
     for kind in KINDS {
         check_poses(kind, ColourModel::SphericalBeta { lobes: 0 }, true);
     }
+    check_poses(Kind::Summed, ColourModel::HarmonicsAndOpacity { degree: 0 }, true);
 }
 
 #[test]
@@ -98,6 +109,7 @@ fn colours_that_depend_on_directions_leave_the_gradient_of_a_turn_exact() {
             check_poses(kind, model, false);
         }
     }
+    check_poses(Kind::Summed, ColourModel::HarmonicsAndOpacity { degree: 2 }, false);
 }
 
 #[test]

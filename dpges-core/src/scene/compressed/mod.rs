@@ -141,7 +141,7 @@ fn store<C: Columns<Value = Vec<f32>>>(
     stored: &mut Vec<Rows<'_>>,
 ) {
     let block_len = layout.block_len();
-    for (attribute, values) in columns.iter() {
+    for (attribute, values) in columns.iter().filter(|(attribute, _)| !attribute.is_left_out(model)) {
         let bits = layout.bits.bits(attribute.rate);
         match Kept::of(attribute, model) {
             Kept::Numbers(groups) => {
@@ -188,6 +188,9 @@ fn read_columns<C: Columns>(
 ) -> Result<C::With<Vec<f32>>, String> {
     let block_len = layout.block_len();
     C::try_generate(model, |attribute| {
+        if attribute.is_left_out(model) {
+            return Ok(Vec::new());
+        }
         let bits = layout.bits.bits(attribute.rate);
         let named = |name: &str, reason: String| format!("tensor `{name}` {reason}");
         let name = attribute.name;

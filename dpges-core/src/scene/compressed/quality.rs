@@ -72,10 +72,12 @@ impl Quality {
             RateGroup::Positions => self.positions,
             RateGroup::Quaternions => self.quaternions,
             RateGroup::LogScales => self.log_scales,
-            RateGroup::Opacities | RateGroup::DegreesOfFreedom => self.opacities,
+            RateGroup::Opacities | RateGroup::DegreesOfFreedom | RateGroup::OpacityBase | RateGroup::OpacityDetail => {
+                self.opacities
+            }
             RateGroup::Fixed => self.margins,
             RateGroup::Base => self.base,
-            RateGroup::Detail | RateGroup::Environment | RateGroup::Exposure => self.detail,
+            RateGroup::Detail | RateGroup::WeightedSum | RateGroup::Environment | RateGroup::Exposure => self.detail,
         }
     }
 

@@ -2,9 +2,9 @@ use std::path::Path;
 
 use super::quantise::largest;
 use super::*;
-use crate::scene::EnvironmentData;
 use crate::scene::lobes::{ABSENT_LOBE, is_absent};
 use crate::scene::schema::{Attribute, RateGroup};
+use crate::scene::{EnvironmentData, Rendering, WeightedSum};
 
 /// Numbers from −1 to 1.
 struct Noise(u64);
@@ -24,12 +24,20 @@ impl Noise {
     }
 }
 
+fn info_of(model: ColourModel) -> SceneInfo {
+    let info = SceneInfo { colour_model: model, offset: [5.25e5, -2.0, 0.125], near: 0.2, ..SceneInfo::default() };
+    if model.opacity_len() == 0 {
+        return info;
+    }
+    SceneInfo { rendering: Rendering::Summed, weighted_sum: Some(WeightedSum::default()), ..info }
+}
+
 fn scene_of(model: ColourModel, counts: [usize; 2], mut number: impl FnMut(&Attribute, usize) -> f32) -> SceneData {
     let mut rows = |attribute: &Attribute, count: usize| -> Vec<f32> {
         (0..count * attribute.width.under(model)).map(|at| number(attribute, at)).collect()
     };
     SceneData {
-        info: SceneInfo { colour_model: model, offset: [5.25e5, -2.0, 0.125], near: 0.2, ..SceneInfo::default() },
+        info: info_of(model),
         surfels: SurfelData::generate(model, SurfelData::ATTRIBUTES.iter().map(|a| rows(a, counts[0]))),
         gaussians: GaussianData::generate(model, GaussianData::ATTRIBUTES.iter().map(|a| rows(a, counts[1]))),
         environment: None,
@@ -123,7 +131,7 @@ fn every_attribute_comes_back_within_half_a_step() {
     qualities.push(Quality::from_list([Quality::MIN_BITS; 7]));
     qualities.push(Quality::from_list([Quality::MAX_BITS; 7]));
     qualities.push(Quality::from_list([17, 3, 5, 9, 8, 16, 7]));
-    for model in ["sb0", "sb1", "sb2", "sh0", "sh1", "sh3"] {
+    for model in ["sb0", "sb1", "sb2", "sh0", "sh1", "sh3", "sh3+opacity"] {
         for counts in [[0, 0], [1, 0], [0, 1], [1, 1], [40, 70]] {
             for quality in &qualities {
                 check_round_trip(&noisy(model, counts), quality);
@@ -337,7 +345,8 @@ fn tensors_that_are_missing_or_of_another_type_are_named() {
     let (_, header) = SafeTensors::read_metadata(&bytes).unwrap();
     let file = SafeTensors::deserialize(&bytes).unwrap();
     let names: Vec<String> = file.names().into_iter().map(|name| name.to_string()).collect();
-    assert_eq!(names.len(), SurfelData::ATTRIBUTES.len() + GaussianData::ATTRIBUTES.len() + 2);
+    let kept = GaussianData::ATTRIBUTES.iter().filter(|attribute| !attribute.is_left_out("sb2".parse().unwrap()));
+    assert_eq!(names.len(), SurfelData::ATTRIBUTES.len() + kept.count() + 2);
     for name in names {
         let others = file.tensors().into_iter().filter(|(other, _)| *other != name);
         let missing = safetensors::serialize(others, header.metadata().clone()).unwrap();

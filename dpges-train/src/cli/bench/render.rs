@@ -7,7 +7,7 @@ use clap::builder::BoolishValueParser;
 use dpges_core::camera::Camera;
 use dpges_core::scene::{Rendering, SceneData};
 use dpges_render::frame_times::{FrameTimes, Rounds, frame_times};
-use dpges_render::{Display, Headless, RenderOptions};
+use dpges_render::{Display, Headless, RenderOptions, check_drawn};
 use dpges_train::device::DeviceRequest;
 use dpges_train::eval::rendered::Renderer;
 use dpges_train::run::folder::write_json;
@@ -44,8 +44,8 @@ pub struct BenchRenderArgs {
     /// At most this many cameras, evenly chosen
     #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     cameras: u32,
-    /// Also measure the renderer that is trained with, on this device (cpu, wgpu, …); that alone of a scene whose Gaussians
-    /// are sorted for each pixel (StopThePop), or are Student's t kernels (SSS)
+    /// Also measure the renderer that is trained with, on this device (cpu, wgpu, …); that alone of scenes of --method
+    /// stopthepop, sss and sortfree
     #[arg(long, value_name = "NAME")]
     training: Option<DeviceRequest>,
     /// Write the figures as JSON
@@ -79,7 +79,8 @@ struct Row {
 pub fn run(args: &BenchRenderArgs) -> Result<()> {
     let mut scene = Scene::load(&args.scene)?;
     scene.use_pinholes();
-    if scene.is_sorted_by_rays() && args.training.is_none() {
+    let is_drawn = check_drawn(&scene.data.info).map(|()| !scene.is_sorted_by_rays());
+    if let (Ok(false), None) = (&is_drawn, args.training) {
         let reason =
             "the real-time renderer does not sort Gaussians for each pixel, as this scene needs it (StopThePop)";
         let help = "`--training DEVICE` measures the renderer that is trained with, which does";
@@ -88,12 +89,6 @@ pub fn run(args: &BenchRenderArgs) -> Result<()> {
     let (_, views) = args.views.load(&mut scene)?;
     let cameras: Vec<Camera> =
         every_nth(&views, args.cameras as usize).map(|view| args.size.apply(&view.camera)).collect();
-    let is_drawn = scene.data.info.rendering != Rendering::Students;
-    if !is_drawn && args.training.is_none() {
-        let message =
-            "the real-time renderer has no Student's t kernels (SSS): measure the other one, `--training cpu`";
-        return Err(Failure::Usage(message.to_owned()));
-    }
     let mut report = Report {
         scene: scene.path.display().to_string(),
         surfels: scene.data.surfels.len(),
@@ -101,7 +96,12 @@ pub fn run(args: &BenchRenderArgs) -> Result<()> {
         width: args.size.width,
         height: args.size.height,
         cameras: cameras.len(),
-        rows: if scene.is_sorted_by_rays() || !is_drawn { Vec::new() } else { args.raster(&scene.data, &cameras)? },
+        // without its rows there are those of the other renderer, if it is asked for
+        rows: match (is_drawn, args.training) {
+            (Ok(true), _) => args.raster(&scene.data, &cameras)?,
+            (Err(refusal), None) => return Err(refusal.into()),
+            _ => Vec::new(),
+        },
     };
     if let Some(request) = args.training {
         let device = device_choice::select(request)?;

@@ -6,7 +6,7 @@ use dpges_core::scene::tensors::tensor_to_rows;
 use super::Rendered;
 
 /// [height × width] see [`Renderer::render_with_depth`](super::Renderer::render_with_depth); 0 everywhere for blended
-/// Gaussians without maps.
+/// and summed Gaussians without maps.
 pub(super) fn median_depth(view: &Rendered, camera: &Camera) -> Vec<f32> {
     let area = camera.width * camera.height;
     match view {
@@ -18,7 +18,16 @@ pub(super) fn median_depth(view: &Rendered, camera: &Camera) -> Vec<f32> {
         Rendered::Blended(view) => {
             view.blend.maps.as_ref().map_or_else(|| vec![0.0; area], |maps| tensor_to_rows(&maps.median_depth))
         }
+        Rendered::Summed(view) => view.depth.as_ref().map_or_else(
+            || vec![0.0; area],
+            |depth| mean_where_half(&tensor_to_rows(depth), &tensor_to_rows(&view.alpha)),
+        ),
     }
+}
+
+/// The mean depths of `weighted` depths where `alpha` is at least ½, 0 elsewhere.
+fn mean_where_half(weighted: &[f32], alpha: &[f32]) -> Vec<f32> {
+    weighted.iter().zip(alpha).map(|(depth, &alpha)| if alpha >= 0.5 { depth / alpha } else { 0.0 }).collect()
 }
 
 /// Of layers of `area` pixels: their depth, and the transmittance behind each.
@@ -33,6 +42,11 @@ fn first_half_opaque(depth: &[f32], behind: &[f32], area: usize) -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn summed_gaussians_are_at_their_mean_depth_where_they_outweigh_the_background() {
+        assert_eq!(mean_where_half(&[2.0, 1.5, 0.4, 0.0], &[1.0, 0.5, 0.4, 0.0]), [2.0, 3.0, 0.0, 0.0]);
+    }
 
     #[test]
     fn the_layer_that_hides_half_of_what_is_behind_it_counts() {

@@ -11,6 +11,7 @@ use dpges_core::ops::environment::environment;
 use dpges_core::ops::peel::PeelOptions;
 use dpges_core::render::blended::{BlendedOptions, BlendedRender, Probes, render_blended, render_blended_probed};
 use dpges_core::render::pose::PoseProbe;
+use dpges_core::render::summed::{SummedOptions, SummedRender, WeightedSumTensors, render_summed};
 use dpges_core::render::{Render, RenderOptions, Values, render, render_probed};
 use dpges_core::scene::schema::Columns;
 use dpges_core::scene::tensors::{rows_to_tensor, tensor_to_rows};
@@ -37,17 +38,19 @@ pub struct Renderer {
     options: Options,
 }
 
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 enum Options {
     Peeled(RenderOptions),
     Blended(BlendedOptions),
+    Summed(SummedOptions, Box<WeightedSumTensors>),
 }
 
-/// A rendered view of a scene of either kind.
+/// A rendered view of a scene of any kind.
 #[derive(Clone, Debug)]
 pub enum Rendered {
     Peeled(Box<Render>),
     Blended(Box<BlendedRender>),
+    Summed(Box<SummedRender>),
 }
 
 impl Rendered {
@@ -56,6 +59,7 @@ impl Rendered {
         match self {
             Self::Peeled(render) => &render.composite.image,
             Self::Blended(render) => &render.image,
+            Self::Summed(render) => &render.image,
         }
     }
 
@@ -64,14 +68,15 @@ impl Rendered {
         match self {
             Self::Peeled(render) => Self::Peeled(Box::new(render.in_front_of(environment))),
             Self::Blended(render) => Self::Blended(Box::new(render.in_front_of(environment))),
+            Self::Summed(render) => Self::Summed(Box::new(render.in_front_of(environment))),
         }
     }
 
-    /// The layers of a view of surfels and Gaussians; `None` for blended Gaussians.
+    /// The layers of a view of surfels and Gaussians; `None` for blended and summed Gaussians.
     pub fn peeled(&self) -> Option<&Render> {
         match self {
             Self::Peeled(render) => Some(render),
-            Self::Blended(_) => None,
+            Self::Blended(_) | Self::Summed(_) => None,
         }
     }
 }
@@ -83,6 +88,11 @@ impl Renderer {
             Rendering::Peeled => Options::Peeled(RenderOptions::from(&scene.info)),
             Rendering::Ellipsoids | Rendering::Discs | Rendering::Students => {
                 Options::Blended(BlendedOptions::new(&scene.info).expect("a scene of blended Gaussians"))
+            }
+            Rendering::Summed => {
+                let options = SummedOptions::new(&scene.info).expect("a scene of weighted sums");
+                let sum = scene.info.weighted_sum.as_ref().expect("just used");
+                Options::Summed(options, Box::new(WeightedSumTensors::new(sum, device, DType::F32)))
             }
         };
         Self {
@@ -96,7 +106,7 @@ impl Renderer {
     /// Renders the view from `camera`, in the coordinates of the scene.
     ///
     /// # Errors
-    /// As [`render`] and [`render_blended`].
+    /// As [`render`], [`render_blended`] and [`render_summed`].
     pub fn render(&self, camera: &Camera) -> Result<Rendered> {
         self.render_with(camera, &self.options)
     }
@@ -123,6 +133,14 @@ impl Renderer {
                 let rendered = render_blended_probed(&gaussians, probes, camera, options, Values::KnownFinite)?;
                 Rendered::Blended(Box::new(rendered))
             }
+            Options::Summed(options, common) => {
+                let WeightedSumTensors { sigma, beta, background } = *common.clone();
+                let [sigma, beta, background] = [sigma, beta, background].map(Tensor::autodiff);
+                let common = WeightedSumTensors { sigma, beta, background };
+                let probes = Probes { gaussians: None, pose: Some(probe) };
+                let rendered = render_summed(&gaussians, &common, probes, camera, options, Values::KnownFinite)?;
+                Rendered::Summed(Box::new(rendered))
+            }
         };
         let rendered = match &self.environment {
             Some(coefficients) => {
@@ -135,14 +153,17 @@ impl Renderer {
     }
 
     /// The view from `camera` and its median depth [height × width]: that of the first surfel, or of the first
-    /// blended Gaussian, behind which no more than half of the light passes, world units; 0 where there is none.
+    /// blended Gaussian, behind which no more than half of the light passes, world units; 0 where there is none. Of summed
+    /// Gaussians, which have no order, it is their mean depth where they have at least half of the weight.
     ///
     /// # Errors
     /// Those of [`render`](Self::render).
     pub fn render_with_depth(&self, camera: &Camera) -> Result<(Rendered, Vec<f32>)> {
-        let mut options = self.options;
-        if let Options::Blended(options) = &mut options {
-            options.blend.maps = true;
+        let mut options = self.options.clone();
+        match &mut options {
+            Options::Peeled(_) => {}
+            Options::Blended(options) => options.blend.maps = true,
+            Options::Summed(options, _) => options.depth = true,
         }
         let rendered = self.render_with(camera, &options)?;
         let depth = median_depth::median_depth(&rendered, camera);
@@ -157,6 +178,11 @@ impl Renderer {
             Options::Blended(options) => {
                 let rendered = render_blended(&self.gaussians, None, camera, options, Values::Unknown)?;
                 Rendered::Blended(Box::new(rendered))
+            }
+            Options::Summed(options, common) => {
+                let (probes, values) = (Probes::default(), Values::Unknown);
+                let rendered = render_summed(&self.gaussians, common, probes, camera, options, values)?;
+                Rendered::Summed(Box::new(rendered))
             }
         };
         Ok(match &self.environment {
@@ -173,7 +199,7 @@ impl Renderer {
     pub fn floaters(&self, dataset: &Dataset) -> Result<Option<Floaters>> {
         let peel = match &self.options {
             Options::Peeled(options) => options.peel,
-            Options::Blended(_) => PeelOptions::default(),
+            Options::Blended(_) | Options::Summed(..) => PeelOptions::default(),
         };
         let visibility = Visibility::measure(&self.surfels, &self.gaussians, &peel, dataset)?;
         Ok(visibility.map(|visibility| visibility.floaters()))

@@ -3,7 +3,8 @@
 use burn::tensor::{DType, Device, Tensor};
 use dpges_core::Result;
 use dpges_core::camera::Camera;
-use dpges_core::render::blended::{BlendedOptions, render_blended};
+use dpges_core::render::blended::{BlendedOptions, Probes, render_blended};
+use dpges_core::render::summed::{SummedOptions, WeightedSumTensors, render_summed};
 use dpges_core::render::{RenderOptions, Values, render};
 use dpges_core::scene::schema::Columns;
 use dpges_core::scene::tensors::tensor_to_rows;
@@ -24,14 +25,14 @@ impl Contributions {
     /// weights. Colours are replaced by grey: one that is clamped has no gradient.
     ///
     /// # Errors
-    /// Those of [`render`] and [`render_blended`].
+    /// Those of [`render`], [`render_blended`] and [`render_summed`].
     pub fn measure(scene: &SceneData, cameras: &[Camera], device: &Device) -> Result<Self> {
         let mut sums = Self { surfels: vec![0.0; scene.surfels.len()], gaussians: vec![0.0; scene.gaussians.len()] };
         let tape = device.clone().autodiff();
         let mut surfels = scene.surfels.clone();
-        *surfels.colour_mut() = grey(surfels.len());
+        *surfels.colour_mut() = grey(surfels.model(), surfels.len());
         let mut gaussians = scene.gaussians.clone();
-        *gaussians.colour_mut() = grey(gaussians.len());
+        *gaussians.colour_mut() = grey(gaussians.model(), gaussians.len());
         for camera in cameras {
             let mut surfels = Surfels::from_data(&surfels, &tape, DType::F32);
             let mut gaussians = Gaussians::from_data(&gaussians, &tape, DType::F32);
@@ -44,6 +45,11 @@ impl Contributions {
                 Rendering::Ellipsoids | Rendering::Discs | Rendering::Students => {
                     let options = BlendedOptions::new(&scene.info)?;
                     render_blended(&gaussians, None, camera, &options, Values::Unknown)?.image
+                }
+                Rendering::Summed => {
+                    let (options, sum) = (SummedOptions::new(&scene.info)?, scene.info.weighted_sum.as_ref());
+                    let common = WeightedSumTensors::new(sum.expect("just used"), &tape, DType::F32);
+                    render_summed(&gaussians, &common, Probes::default(), camera, &options, Values::Unknown)?.image
                 }
             };
             let gradients = image.sum().backward();
@@ -83,14 +89,15 @@ impl Contributions {
     }
 }
 
-/// Colours of ½ from everywhere.
-fn grey(count: usize) -> ColourData {
-    ColourData { model: ColourModel::SphericalBeta { lobes: 0 }, base: vec![0.0; 3 * count], detail: Vec::new() }
+/// Colours of ½ from everywhere, of primitives with colours of `model`. Opacities depend on the direction as before.
+fn grey(model: ColourModel, count: usize) -> ColourData {
+    let model = if model.opacity_len() > 0 { model } else { ColourModel::SphericalBeta { lobes: 0 } };
+    ColourData { model, base: vec![0.0; 3 * count], detail: vec![0.0; model.detail_len() * count] }
 }
 
 #[cfg(test)]
 mod tests {
-    use dpges_core::scene::SceneInfo;
+    use dpges_core::scene::{SceneInfo, WeightedSum};
     use dpges_core::testing::scenes::{Recipe, random};
 
     use super::*;
@@ -98,9 +105,11 @@ mod tests {
     use crate::run::fixtures::device;
 
     fn scene(rendering: Rendering) -> (SceneData, Camera) {
-        let recipe = Recipe { surfels: 6, gaussians: 9, ..Recipe::default() };
-        let made = random(7, &recipe);
-        let info = SceneInfo { colour_model: recipe.model, rendering, ..SceneInfo::default() };
+        let sum = (rendering == Rendering::Summed).then(WeightedSum::default);
+        let harmonics = ColourModel::HarmonicsAndOpacity { degree: 1 };
+        let model = if sum.is_some() { harmonics } else { Recipe::default().model };
+        let made = random(7, &Recipe { surfels: 6, gaussians: 9, model, ..Recipe::default() });
+        let info = SceneInfo { colour_model: model, rendering, weighted_sum: sum, ..SceneInfo::default() };
         let surfels = if rendering == Rendering::Peeled { made.surfels.clone() } else { made.surfels.select(&[]) };
         (SceneData { info, surfels, gaussians: made.gaussians, environment: None }, made.camera)
     }
@@ -112,11 +121,11 @@ mod tests {
 
     #[test]
     fn a_contribution_is_what_brighter_colour_adds_to_the_picture() {
-        for rendering in [Rendering::Peeled, Rendering::Ellipsoids] {
+        for rendering in [Rendering::Peeled, Rendering::Ellipsoids, Rendering::Summed] {
             let (mut scene, camera) = scene(rendering);
-            scene.info.colour_model = ColourModel::SphericalBeta { lobes: 0 };
-            scene.surfels.colour = grey(scene.surfels.len());
-            scene.gaussians.colour = grey(scene.gaussians.len());
+            scene.surfels.colour = grey(scene.info.colour_model, scene.surfels.len());
+            scene.gaussians.colour = grey(scene.info.colour_model, scene.gaussians.len());
+            scene.info.colour_model = scene.gaussians.model();
             let found = Contributions::measure(&scene, &[camera, camera], &device()).unwrap();
             let before = sum(&scene, &camera);
             let weight = |changed: &SceneData| (sum(changed, &camera) - before) / (3.0 * SH_C0);

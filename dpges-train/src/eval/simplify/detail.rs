@@ -1,6 +1,5 @@
 //! Colours that depend less on the direction they are seen from.
 
-use dpges_core::scene::data::select_rows;
 use dpges_core::scene::{ColourData, ColourModel, SceneData};
 
 use crate::refine::lobes::keep_lobes;
@@ -12,7 +11,7 @@ const FAR: f64 = 1e3;
 pub fn detail_of(model: ColourModel) -> usize {
     match model {
         ColourModel::SphericalBeta { lobes } => lobes,
-        ColourModel::SphericalHarmonics { degree } => degree,
+        ColourModel::SphericalHarmonics { degree } | ColourModel::HarmonicsAndOpacity { degree } => degree,
     }
 }
 
@@ -28,22 +27,30 @@ pub fn with_detail(scene: &SceneData, most: usize, camera_centres: &[[f64; 3]]) 
     let centres = if camera_centres.is_empty() { &around[..] } else { camera_centres };
     let reduced = |positions: &[f32], colour: &ColourData| match model {
         ColourModel::SphericalBeta { lobes } => keep_lobes(positions, colour, lobes, centres, most),
-        ColourModel::SphericalHarmonics { .. } => lower_degree(colour, model, most),
+        ColourModel::SphericalHarmonics { .. } | ColourModel::HarmonicsAndOpacity { .. } => {
+            lower_degree(colour, model, most)
+        }
     };
     let mut scene = scene.clone();
     scene.surfels.colour = reduced(&scene.surfels.positions, &scene.surfels.colour);
     scene.gaussians.colour = reduced(&scene.gaussians.positions, &scene.gaussians.colour);
     scene.info.colour_model = scene.gaussians.colour.model;
+    let [all, kept] = [model, scene.info.colour_model].map(|model| model.opacity_len().saturating_sub(1));
+    scene.gaussians.opacity_detail = lower(&scene.gaussians.opacity_detail, all, kept);
     scene
 }
 
 /// Harmonics are orthogonal: those that remain are the best of their degree over all directions.
 fn lower_degree(colour: &ColourData, model: ColourModel, degree: usize) -> ColourData {
-    let lower = ColourModel::SphericalHarmonics { degree };
-    let (width, kept) = (model.detail_len(), lower.detail_len());
-    let rows: Vec<usize> = (0..colour.base.len() / 3).collect();
-    let detail = rows.iter().flat_map(|row| select_rows(&colour.detail[row * width..], kept, &[0])).collect();
-    ColourData { model: lower, base: colour.base.clone(), detail }
+    let of_degree = ColourModel::SphericalHarmonics { degree };
+    let of_degree = if model.opacity_len() > 0 { of_degree.with_opacity() } else { of_degree };
+    let detail = lower(&colour.detail, model.detail_len(), of_degree.detail_len());
+    ColourData { model: of_degree, base: colour.base.clone(), detail }
+}
+
+/// The first `kept` of every `width` numbers.
+fn lower(values: &[f32], width: usize, kept: usize) -> Vec<f32> {
+    values.chunks_exact(width.max(1)).flat_map(|row| &row[..kept]).copied().collect()
 }
 
 /// Cameras before the faces and the corners of a cube around everything.

@@ -31,8 +31,8 @@ const DARKER: f32 = 0.9;
 pub enum StepStage {
     /// Surfels and Gaussians together (DP-GES).
     Joint,
-    /// The Gaussians alone, blended in the order of their depths: as in 2DGS if the scene is one of discs, else as in
-    /// 3DGS-MCMC.
+    /// The Gaussians alone, blended in the order of their depths: as in 2DGS if the scene is one of discs, summed if it is one
+    /// of weighted sums, else as in 3DGS-MCMC.
     Blended,
 }
 
@@ -180,10 +180,11 @@ fn config(scene: &SceneData, stage: StepStage) -> Config {
         (StepStage::Blended, Rendering::Discs) => Method::Discs,
         (StepStage::Blended, _) if info.blend_order == BlendOrder::Rays => Method::StopThePop,
         (StepStage::Blended, Rendering::Students) => Method::Sss,
+        (StepStage::Blended, Rendering::Summed) => Method::SortFree,
         (StepStage::Blended, Rendering::Peeled | Rendering::Ellipsoids) => Method::Mcmc,
     };
     (config.stages.surfels, config.stages.gaussians) = (0.0, 0.0);
-    config.model.colour = info.colour_model;
+    config.model.colour = info.colour_model.without_opacity();
     config.model.modulation = info.modulation;
     config.model.layers = info.layer_count;
     config.model.footprint = info.footprint;

@@ -1,5 +1,5 @@
 //! Training of blended Gaussians: discs (2DGS), or ellipsoids that are cloned and split (3DGS) or relocated (3DGS-MCMC,
-//! DBS, SSS).
+//! DBS, SSS). Ellipsoids may also be summed in any order, not blended (weighted sums).
 
 mod losses;
 mod momenta;
@@ -14,15 +14,18 @@ use dpges_core::losses::geometry::expected_depth;
 use dpges_core::losses::{Losses, rgb_and_error};
 use dpges_core::ops::jitter::NoiseGate;
 use dpges_core::ops::photometric::Photometric;
-use dpges_core::render::blended::{BlendedOptions, Probes, render_blended_probed};
+use dpges_core::render::blended::{BlendedOptions, BlendedRender, Probes, render_blended_probed};
+use dpges_core::render::summed::{SummedOptions, SummedRender, render_summed};
 use dpges_core::scene::tensors::rows_to_tensor;
-use dpges_core::scene::{ColourModel, GaussianData, Gaussians, SH_C0, SceneData, SceneInfo, SurfelData};
+use dpges_core::scene::{
+    ColourModel, GaussianData, Gaussians, Rendering, SH_C0, SceneData, SceneInfo, SurfelData, WeightedSum,
+};
 use rand::RngExt;
 
 use super::sampling_limit::SamplingLimit;
 use super::{
     Context, EnvironmentState, ForwardPass, Leaves, Observed, Parameters, Stage, StageCheckpoint, StepInput, StepRates,
-    TrainError, Trained,
+    TrainError, Trained, WeightedSumState,
 };
 use crate::config::{Blended, Config, Density, OpacityActivation, Relocation, StagePlan};
 use crate::optimizer::scene_state::{GaussianState, Rates, SurfelState};
@@ -34,6 +37,8 @@ pub use screen_gradients::ScreenGradients;
 
 /// Base colour that is black without detail: 0.5 + C₀ k = 0.
 const BLACK: f64 = -0.5 / SH_C0;
+/// Learning rate of the higher coefficients of factors of opacities over that of the zeroth, as of colours (3DGS).
+const HIGHER_OPACITIES: f64 = 1.0 / 20.0;
 
 /// Learning rate of degrees of freedom, and the steps of a run of 30,000 after which it halves (SSS).
 const DEGREES_RATE: f64 = 10.0;
@@ -60,6 +65,8 @@ pub struct BlendedStage {
     pub momenta: Option<Momenta>,
     /// Those before the last step.
     momenta_before: Option<Momenta>,
+    /// `None` unless Gaussians are summed.
+    pub weighted_sum: Option<WeightedSumState>,
 }
 
 impl BlendedStage {
@@ -85,10 +92,21 @@ impl BlendedStage {
         let smoothing_px = context.config.density.smoothing;
         let positions = gaussians.columns.positions.raw();
         let sampling_limit = smooths.then(|| SamplingLimit::new(&positions, smoothing_px, context));
-        Ok(Self { sampling_limit, ..Self::new(plan, blended, gaussians, environment, screen_gradients, context) })
+        let config = &context.config.weighted_sum;
+        let sum = (blended.rendering() == Rendering::Summed).then(|| config.start(context.dataset.extent));
+        let stage = Self::new(plan, blended, gaussians, environment, screen_gradients, context);
+        Ok(Self { sampling_limit, ..stage.summing(sum, context) })
     }
 
-    /// A stage that goes on with `gaussians`, their `screen_gradients` and an `environment`, without a sampling limit.
+    /// The same, with Gaussians that are summed as `sum` says; `None` if they are not.
+    fn summing(mut self, sum: Option<WeightedSum>, context: &Context) -> Self {
+        self.weighted_sum = sum.as_ref().map(|sum| WeightedSumState::new(sum, &context.device));
+        self.info.weighted_sum = sum;
+        self
+    }
+
+    /// A stage that goes on with `gaussians`, their `screen_gradients` and an `environment`, without a sampling limit or a
+    /// weighted sum.
     pub fn new(
         plan: StagePlan,
         blended: Blended,
@@ -106,6 +124,7 @@ impl BlendedStage {
             info: SceneInfo {
                 screen_filter: blended.screen_filter(),
                 blend_order: blended.blend_order(),
+                colour_model: blended.colour_model(config.model.colour),
                 ..context.scene_info(blended.rendering())
             },
             schedule: BlendedSchedule::new(config, plan, blended, context.dataset.train.len()),
@@ -122,6 +141,7 @@ impl BlendedStage {
             sampling_limit: None,
             momenta,
             momenta_before: None,
+            weighted_sum: None,
         }
     }
 
@@ -131,7 +151,14 @@ impl BlendedStage {
         let gaussians = GaussianState::new(&scene.gaussians, blended.opacity(), device);
         let environment = EnvironmentState::new(scene.environment.as_ref(), device);
         let screen_gradients = ScreenGradients::new(scene.gaussians.len(), device);
-        Self::new(plan, blended, gaussians, environment, screen_gradients, context)
+        let stage = Self::new(plan, blended, gaussians, environment, screen_gradients, context);
+        stage.summing(scene.info.weighted_sum.clone(), context)
+    }
+
+    /// What its scenes say besides their tensors, as it stands.
+    pub fn scene_info(&self) -> SceneInfo {
+        let weighted_sum = self.weighted_sum.as_ref().map(WeightedSumState::to_data);
+        SceneInfo { weighted_sum, ..self.info.clone() }
     }
 
     /// The Gaussians as they are drawn, wherever they come from: with their sampling limit, and without base colours below
@@ -157,14 +184,14 @@ impl BlendedStage {
             ColourModel::SphericalBeta { .. } => {
                 gaussians.colour.base = gaussians.colour.base.clamp_min(BLACK);
             }
-            ColourModel::SphericalHarmonics { degree } => {
+            ColourModel::SphericalHarmonics { degree } | ColourModel::HarmonicsAndOpacity { degree } => {
                 let learning = self.degree(completed, config);
-                let (of, all) = (ColourModel::SphericalHarmonics { degree: learning }.detail_len(), degree);
-                if learning < all {
-                    let mask = (0..self.info.colour_model.detail_len()).map(|at| f32::from(u8::from(at < of)));
-                    let mask: Vec<f32> = mask.collect();
-                    gaussians.colour.detail =
-                        gaussians.colour.detail * rows_to_tensor(&mask, mask.len(), tape, DType::F32);
+                if learning < degree {
+                    let of = ColourModel::HarmonicsAndOpacity { degree: learning };
+                    gaussians.colour.detail = first(gaussians.colour.detail, of.detail_len(), tape);
+                    if self.weighted_sum.is_some() {
+                        gaussians.opacity_detail = first(gaussians.opacity_detail, of.opacity_len() - 1, tape);
+                    }
                 }
             }
         }
@@ -212,6 +239,13 @@ impl BlendedStage {
     }
 }
 
+/// The first `count` columns of `values`, and zeros in place of the others.
+fn first(values: Tensor<2>, count: usize, tape: &Device) -> Tensor<2> {
+    let [_, width] = values.dims();
+    let mask: Vec<f32> = (0..width).map(|at| f32::from(u8::from(at < count))).collect();
+    values * rows_to_tensor(&mask, width, tape, DType::F32)
+}
+
 impl BlendedStage {
     /// Takes the step of the momenta after `completed` ones, and moves the positions by it.
     fn move_by_momenta(&mut self, completed: usize, context: &mut Context) -> Result<(), TrainError> {
@@ -243,13 +277,18 @@ impl Stage for BlendedStage {
     }
 
     fn parameters(&mut self) -> Parameters<'_> {
-        Parameters { surfels: &mut self.surfels, gaussians: &mut self.gaussians, environment: &mut self.environment }
+        Parameters {
+            surfels: &mut self.surfels,
+            gaussians: &mut self.gaussians,
+            environment: &mut self.environment,
+            weighted_sum: self.weighted_sum.as_mut(),
+        }
     }
 
     fn scene(&self) -> SceneData {
         let surfels = SurfelData::neutral(self.info.colour_model, 0);
         let (gaussians, environment) = (self.drawn(), self.environment.to_data());
-        SceneData { info: self.info.clone(), surfels, gaussians, environment }
+        SceneData { info: self.scene_info(), surfels, gaussians, environment }
     }
 
     fn is_due(&self, completed: usize) -> bool {
@@ -266,22 +305,34 @@ impl Stage for BlendedStage {
         let probe = self.probe(input.completed, &tape);
         let gaussians = &self.drawn_on_tape(&leaves.gaussians, input.completed, &context.config, &tape);
         let weights = self.weights(input.completed, &context.config);
-        let mut options = BlendedOptions::new(&self.info)?;
-        options.blend.maps = weights.need_maps() || input.depth.is_some();
-        let probes = Probes { gaussians: probe.as_ref(), pose: input.pose };
-        let rendered = render_blended_probed(gaussians, probes, camera, &options, input.values)?;
-        let mut rendered = match &leaves.environment {
-            Some(coefficients) => rendered.in_front_of(input.environment(coefficients)?),
-            None => rendered,
-        };
-        rendered.image = input.photographed(rendered.image);
+        let environment =
+            leaves.environment.as_ref().map(|coefficients| input.environment(coefficients)).transpose()?;
         let share = context.config.train.lambda_dssim;
-        let Photometric { value: rgb, squared_error } = rgb_and_error(&rendered.image, &input.target, share)?;
-        let mut total = weights.add(rgb.clone(), gaussians, &rendered, camera, input.target.mask.as_ref());
-        if let (Some(target), Some(maps)) = (&input.depth, &rendered.blend.maps) {
-            let alpha = rendered.blend.alpha.clone();
-            total = total + target.loss(expected_depth(maps.depth.clone(), alpha.clone()), alpha)?;
+        let compare = |image: Tensor<3>| rgb_and_error(&input.photographed(image), &input.target, share);
+        let (compared, mut total, depth, alpha) = if let Some(common) = &leaves.weighted_sum {
+            let options = SummedOptions { depth: input.depth.is_some(), ..SummedOptions::new(&self.info)? };
+            let probe = probe.as_ref().map(|probe| probe.clone().slice([0..gaussians.len(), 0..2]));
+            let probes = Probes { gaussians: probe.as_ref(), pose: input.pose };
+            let rendered = render_summed(gaussians, common, probes, camera, &options, input.values)?;
+            let rendered = environment.into_iter().fold(rendered, SummedRender::in_front_of);
+            let compared = compare(rendered.image)?;
+            let total = compared.value.clone();
+            (compared, total, rendered.depth, rendered.alpha)
+        } else {
+            let mut options = BlendedOptions::new(&self.info)?;
+            options.blend.maps = weights.need_maps() || input.depth.is_some();
+            let probes = Probes { gaussians: probe.as_ref(), pose: input.pose };
+            let rendered = render_blended_probed(gaussians, probes, camera, &options, input.values)?;
+            let rendered = environment.into_iter().fold(rendered, BlendedRender::in_front_of);
+            let compared = compare(rendered.image.clone())?;
+            let mask = input.target.mask.as_ref();
+            let total = weights.add(compared.value.clone(), gaussians, &rendered, camera, mask);
+            (compared, total, rendered.blend.maps.map(|maps| maps.depth), rendered.blend.alpha)
+        };
+        if let (Some(target), Some(depth)) = (&input.depth, depth) {
+            total = total + target.loss(expected_depth(depth, alpha.clone()), alpha)?;
         }
+        let Photometric { value: rgb, squared_error } = compared;
         let none = Tensor::zeros([1], (&tape, DType::F32));
         let [surfel, scale] = [none.clone(), none.clone()];
         let losses = Losses { rgb, surfel, scale, transmittance: none, total, squared_error };
@@ -309,10 +360,13 @@ impl Stage for BlendedStage {
             log_scales: optimizer.log_scales * decay,
             opacities: config.stages.opacities * decay,
             degrees_of_freedom: DEGREES_RATE * 0.5f64.powi(halvings as i32),
+            opacity_base: config.weighted_sum.opacities * decay,
+            opacity_detail: HIGHER_OPACITIES * config.weighted_sum.opacities * decay,
             base: optimizer.base * decay,
             detail: optimizer.detail * decay,
         };
-        StepRates { surfels: rates, gaussians: rates, environment: optimizer.environment * decay }
+        let weighted_sum = config.weighted_sum.rates(completed as f64 / self.plan.steps as f64, self.info.extent);
+        StepRates { surfels: rates, gaussians: rates, environment: optimizer.environment * decay, weighted_sum }
     }
 
     fn after_step(&mut self, completed: usize, context: &mut Context) -> Result<(), TrainError> {

@@ -66,16 +66,18 @@ impl BlendedStage {
             };
         };
         let (by_absolute, dense_fraction) = match kind {
-            Density::Signed | Density::SignedByRays => (ByAbsolute::Nothing, density.dense_fraction),
+            Density::Signed | Density::SignedByRays | Density::Summed => (ByAbsolute::Nothing, density.dense_fraction),
             Density::Absolute => (ByAbsolute::Splits(density.absolute_threshold), density.absolute_dense_fraction),
             Density::Smoothed => (ByAbsolute::Quantile, density.dense_fraction),
         };
+        // what is summed is never removed
+        let removes = kind != Density::Summed;
         DensifyRule {
             gradient_threshold: density.gradient_threshold,
             by_absolute,
             dense_fraction,
-            min_opacity: density.min_opacity,
-            max_scale_fraction: from(density.max_scale_from, density.max_scale),
+            min_opacity: if removes { density.min_opacity } else { 0.0 },
+            max_scale_fraction: from(density.max_scale_from, density.max_scale).filter(|_| removes),
             flat: false,
         }
     }

@@ -73,9 +73,10 @@ impl BlendedSchedule {
                 let until = plan.scaled(control.until).min(plan.steps);
                 let cap = plan.scaled(CAP_EVERY) >= SHORTEST_CAP && density == Density::Absolute;
                 let measures = density == Density::Smoothed;
+                let resets_opacities = density != Density::Summed;
                 Self {
                     densify: every(interval, from, until).collect(),
-                    reset: resets(control.reset_every, control.until),
+                    reset: if resets_opacities { resets(control.reset_every, control.until) } else { Vec::new() },
                     cap: if cap { scaled(every(CAP_EVERY, CAP_EVERY, control.until)) } else { Vec::new() },
                     measure: if measures { every(interval, interval, plan.steps).collect() } else { Vec::new() },
                     ..Self::default()
@@ -132,6 +133,8 @@ mod tests {
         assert_eq!((absolute.cap[0], absolute.cap.last(), absolute.cap.len()), (500, Some(&14_500), 29));
         let smoothed = schedule(Method::MipSplatting, 30_000, 300);
         assert_eq!((smoothed.measure[0], smoothed.measure.last()), (100, Some(&29_900)));
+        let summed = schedule(Method::SortFree, 30_000, 300);
+        assert_eq!(summed, BlendedSchedule { densify: plain.densify, ..BlendedSchedule::default() });
         let dbs = schedule(Method::Dbs, 30_000, 100);
         assert_eq!((dbs.relocate[0], dbs.relocate.last(), dbs.relocate.len()), (600, Some(&24_900), 244));
         assert!(dbs.densify.is_empty() && discs.relocate.is_empty());
@@ -147,7 +150,7 @@ mod tests {
             (config.discs.densify_until, config.density.until, config.relocation.until) = (until, until, until);
             BlendedSchedule::new(&config, config.plan()[0], method.alone().unwrap(), 100)
         };
-        for method in [Method::Discs, Method::Gaussians3d, Method::Absolute, Method::Mcmc] {
+        for method in [Method::Discs, Method::Gaussians3d, Method::Absolute, Method::SortFree, Method::Mcmc] {
             let whole = ending_at(method, 500, 30_000);
             let last = whole.densify.last().or(whole.relocate.last());
             assert_eq!(last, Some(&29_900), "{method:?}");

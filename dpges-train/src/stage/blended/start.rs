@@ -1,6 +1,7 @@
 //! What a stage of blended Gaussians begins with: the points of the dataset.
 
-use dpges_core::scene::{GaussianData, Rendering, SurfelData};
+use dpges_core::scene::schema::Columns;
+use dpges_core::scene::{GaussianData, Rendering, SH_C0, SurfelData};
 
 use super::super::{Context, TrainError};
 use crate::config::{Blended, StagePlan};
@@ -38,12 +39,17 @@ impl Context {
             Blended::Discs | Blended::Relocated(_) => (relocation.start_scale, relocation.start_opacity),
         };
         let quota = self.most_primitives(plan.budget_share) as f64;
-        let start = initialise(&self.dataset, &config, PrimitiveQuota::new(quota, quota), &mut self.rng)?;
-        let mut gaussians = start.gaussians;
+        let mut start = initialise(&self.dataset, &config, PrimitiveQuota::new(quota, quota), &mut self.rng)?.gaussians;
         if blended.rendering() == Rendering::Students {
-            gaussians.degrees_of_freedom = Some(vec![START_DEGREES; gaussians.len()]);
+            start.degrees_of_freedom = Some(vec![START_DEGREES; start.len()]);
         }
-        Ok(gaussians)
+        let model = blended.colour_model(start.model());
+        if model.opacity_len() > 0 {
+            start.colour.model = model;
+            start.opacity_base = vec![(config.weighted_sum.start_opacity / SH_C0) as f32; start.len()];
+            start.opacity_detail = vec![0.0; (model.opacity_len() - 1) * start.len()];
+        }
+        Ok(start)
     }
 }
 

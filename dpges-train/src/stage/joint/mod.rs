@@ -104,7 +104,12 @@ impl Stage for JointStage {
     }
 
     fn parameters(&mut self) -> Parameters<'_> {
-        Parameters { surfels: &mut self.surfels, gaussians: &mut self.gaussians, environment: &mut self.environment }
+        Parameters {
+            surfels: &mut self.surfels,
+            gaussians: &mut self.gaussians,
+            environment: &mut self.environment,
+            weighted_sum: None,
+        }
     }
 
     /// Leaves out Gaussians that draw nothing.
@@ -198,12 +203,14 @@ impl Stage for JointStage {
             log_scales: optimizer.log_scales * decay,
             opacities: optimizer.opacities * decay,
             degrees_of_freedom: 0.0,
+            opacity_base: 0.0,
+            opacity_detail: 0.0,
             base: optimizer.base * decay,
             detail: optimizer.detail * decay,
         };
         let surfels = Rates { positions: position * optimizer.surfel_position_factor, ..gaussians };
         let surfels = if config.train.freeze_surfels { surfels.of_colours() } else { surfels };
-        StepRates { surfels, gaussians, environment: optimizer.environment * decay }
+        StepRates { surfels, gaussians, environment: optimizer.environment * decay, weighted_sum: [0.0; 3] }
     }
 
     fn checkpoint(&self) -> StageCheckpoint {

@@ -19,7 +19,8 @@ use std::time::Duration;
 
 use clap::{Args, value_parser};
 use dpges_core::camera::Camera;
-use dpges_render::Headless;
+use dpges_core::scene::SceneInfo;
+use dpges_render::{Headless, check_drawn};
 use dpges_train::config::Config;
 use dpges_train::dataset::Dataset;
 use dpges_train::device::{DeviceName, DeviceRequest};
@@ -132,7 +133,7 @@ impl TradeArgs {
             name,
             device: &opened,
             networks: &networks,
-            headless: self.headless()?,
+            headless: self.headless(&scene.data.info)?,
         };
         let subject = self.subject(scene, &source, split, &bench)?;
         tracing::info!("drawn on {}", subject.device);
@@ -172,11 +173,11 @@ impl TradeArgs {
     }
 
     /// `None` for the renderer that is trained with.
-    fn headless(&self) -> Result<Option<Headless>> {
+    fn headless(&self, info: &SceneInfo) -> Result<Option<Headless>> {
         match self.renderer {
             Some(Engine::Training) => Ok(None),
             Some(Engine::Raster) => Ok(Some(Headless::new()?)),
-            None => Ok(Headless::new().map_or_else(
+            None => Ok(check_drawn(info).and_then(|()| Headless::new()).map_or_else(
                 |error| {
                     tracing::warn!("frame times are those of the renderer that is trained with: {error}");
                     None

@@ -131,7 +131,9 @@ fn variations(config: &Config, dataset: &Dataset) -> Vec<Variation> {
     for (label, detail) in [("detail-1", 1), ("detail-0", 0)] {
         let less = match model {
             ColourModel::SphericalBeta { .. } => ColourModel::SphericalBeta { lobes: detail },
-            ColourModel::SphericalHarmonics { .. } => ColourModel::SphericalHarmonics { degree: detail },
+            ColourModel::SphericalHarmonics { .. } | ColourModel::HarmonicsAndOpacity { .. } => {
+                ColourModel::SphericalHarmonics { degree: detail }
+            }
         };
         if detail < detail_of(model) {
             add(label, "detail", &[("model.colour", less.to_string())]);
@@ -139,9 +141,12 @@ fn variations(config: &Config, dataset: &Dataset) -> Vec<Variation> {
     }
     let other = match model {
         ColourModel::SphericalBeta { .. } => ("colour-sh3", "sh3"),
-        ColourModel::SphericalHarmonics { .. } => ("colour-sb2", "sb2"),
+        ColourModel::SphericalHarmonics { .. } | ColourModel::HarmonicsAndOpacity { .. } => ("colour-sb2", "sb2"),
     };
-    add(other.0, "colour", &[("model.colour", other.1.to_owned())]);
+    // its opacities depend on the direction as its colours do, by harmonics
+    if config.train.method != Method::SortFree {
+        add(other.0, "colour", &[("model.colour", other.1.to_owned())]);
+    }
     if config.train.method == Method::Dpges {
         for (label, layers) in [("layers-1", 1), ("layers-2", 2), ("layers-4", 4)] {
             // rims fade into what a second layer shows: without one they have to be hard

@@ -234,6 +234,13 @@ impl<T: Real> Splat<T> {
         (offset, on_vertical.min(on_horizontal))
     }
 
+    /// Gradient with respect to the mean, per px.
+    pub fn mean_gradient(&self, sum: &SplatGrad<T>) -> [T; 2] {
+        let [_, mu, mv, ..] = sum.moments;
+        let [p, q, r] = self.root;
+        [p * mu, q * mu + r * mv]
+    }
+
     /// An offset from the mean, px, in units of the standard deviations: (u, v).
     #[inline(always)]
     pub fn in_deviations(&self, dx: T, dy: T) -> [T; 2] {
@@ -269,10 +276,10 @@ pub fn backward<T: Real>(
     filter: ScreenFilter,
 ) -> ParameterGrad<T> {
     let projection = Projection::new(camera, p, filter);
-    let [total, mu, mv, muu, muv, mvv] = sum.moments;
+    let [total, _, _, muu, muv, mvv] = sum.moments;
     let (half, two) = (T::of(0.5), T::of(2.0));
     let [p0, q0, r0] = splat.root;
-    let grad_mean = [p0 * mu, q0 * mu + r0 * mv];
+    let grad_mean = splat.mean_gradient(sum);
     // with Q = Rᵀ R and M = Σ g w wᵀ, w = R d: ∂Σ = ½ Rᵀ M R, and ∂H = 2 ∂Σ H = Rᵀ (M (R H)) for Σ = H Hᵀ + εI
     let [h0, h1] = projection.half;
     let (w0, w1) = (add(scale(h0, p0), scale(h1, q0)), scale(h1, r0));

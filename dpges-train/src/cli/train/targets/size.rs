@@ -14,7 +14,7 @@ pub const FEWEST: usize = 100;
 
 /// Sets `refine.budget` to what fits into `bytes`, if all primitives are of the larger kind and have all lobes.
 pub fn plan(config: &mut Config, bytes: f64) -> Result<Plan> {
-    let model = config.model.colour;
+    let model = config.scene_model();
     let largest = largest(model);
     let count = ((bytes - REST) / largest).max(0.0) as usize;
     if count < FEWEST {

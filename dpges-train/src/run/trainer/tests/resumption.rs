@@ -29,6 +29,7 @@ fn a_run_goes_on_from_any_step_of_any_stage_to_the_same_end() {
             &[5, 9, 20, 25],
         ),
         (&["train.steps=40", "train.method=2dgs", "refine.budget=300", "model.colour=sh1"], &[25]),
+        (&["train.steps=40", "train.method=sortfree", "weighted_sum.weight=exp", "refine.budget=300"], &[11, 25]),
     ];
     for (set, stops) in runs {
         let whole = finished(trainer(set));
@@ -53,12 +54,14 @@ fn a_step_that_is_not_finite_is_undone_with_all_that_it_has_changed() {
     let density = ["train.steps=40", "train.method=3dgs", "refine.budget=300", "density.gradient_threshold=1e-7"];
     // in the middle of passes over the 3 views, at their ends, and where the scene is refined before the step
     let students = ["train.steps=40", "train.method=sss", "refine.budget=300"];
-    let runs: [(&[&str], &[usize]); 5] = [
+    let summed = ["train.steps=40", "train.method=sortfree", "refine.budget=300", "density.gradient_threshold=1e-7"];
+    let runs: [(&[&str], &[usize]); 6] = [
         (&joint, &[0, 1, 10, 12, 13]),
         (&with_poses, &[11, 12]),
         (&mcmc, &[1, 3, 25]),
         (&density, &[1, 9]),
         (&students, &[1, 9, 11, 25]),
+        (&summed, &[1, 9]),
     ];
     for (set, stops) in runs {
         let whole = finished(trainer(set));

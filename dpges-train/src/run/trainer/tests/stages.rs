@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use dpges_core::scene::{EnvironmentData, Rendering};
+use dpges_core::scene::{EnvironmentData, Rendering, SceneData};
 
 use super::{STAGES, gaussians, trainer};
 use crate::config::{Config, StageKind};
@@ -76,7 +76,7 @@ fn methods_alone_learn() {
     // the rates of its paper are too low for so few steps
     let faster =
         ["stages.opacities=0.05", "optimizer.base=0.02", "optimizer.log_scales=0.03", "relocation.start_scale=1"];
-    for method in ["2dgs", "mcmc", "dbs", "3dgs", "absgs", "stopthepop", "mip-splatting", "sss"] {
+    for method in ["2dgs", "mcmc", "dbs", "3dgs", "absgs", "stopthepop", "mip-splatting", "sss", "sortfree"] {
         let set: &[&str] = if method == "sss" { &faster } else { &[] };
         let method = format!("train.method={method}");
         let mut trainer = trainer(&[&["train.steps=60", &method, "refine.budget=500"], set].concat());
@@ -87,6 +87,41 @@ fn methods_alone_learn() {
         let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;
         let (early, late) = (mean(&loss[..6]), mean(&loss[54..]));
         assert!(late < 0.8 * early, "{method}: {early} at first, {late} at last");
+    }
+}
+
+#[test]
+fn what_is_summed_is_never_removed_and_learns_what_its_gaussians_have_in_common() {
+    for weight in ["dir", "exp", "lc"] {
+        let weight = format!("weighted_sum.weight={weight}");
+        let mut trainer = trainer(&[
+            "train.steps=60",
+            "train.method=sortfree",
+            &weight,
+            "refine.budget=600",
+            "density.gradient_threshold=1e-7",
+            "density.degree_every=10",
+        ]);
+        let start = trainer.scene();
+        let mut count = start.gaussians.len();
+        while !trainer.is_finished() {
+            let report = trainer.step().unwrap().unwrap();
+            assert!(report.gaussians >= count, "{weight}: {count} Gaussians became {}", report.gaussians);
+            count = report.gaussians;
+        }
+        assert_eq!(count, 600, "{weight}");
+        let scene = trainer.scene();
+        assert_eq!(scene.info.rendering, Rendering::Summed);
+        assert_eq!(scene.info.colour_model.to_string(), "sh3+opacity");
+        assert!(scene.gaussians.opacity_detail.iter().any(|&k| k != 0.0), "{weight}");
+        let [before, after] = [&start, &scene].map(|scene| scene.info.weighted_sum.clone().unwrap());
+        let changed = [before.sigma != after.sigma, before.beta != after.beta, before.background != after.background];
+        let learns = [!weight.ends_with("dir"), weight.ends_with("exp"), true];
+        assert_eq!(changed, learns, "{weight}: {before:?}, {after:?}");
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("scene.safetensors");
+        scene.save(&path).unwrap();
+        assert_eq!(SceneData::load(&path).unwrap(), scene);
     }
 }
 

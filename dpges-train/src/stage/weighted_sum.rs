@@ -1,0 +1,179 @@
+//! What the Gaussians of a weighted sum have in common, in training: σ, β, and the weight of the background.
+
+use std::collections::HashMap;
+
+use burn::tensor::{Device, Gradients, Tensor};
+use dpges_core::ops::adam::AdamStep;
+use dpges_core::render::summed::WeightedSumTensors;
+use dpges_core::scene::schema::{Activation, Attribute, RateGroup, Width};
+use dpges_core::scene::tensors::tensor_to_rows;
+use dpges_core::scene::{DepthWeight, WeightedSum};
+
+use crate::config::WeightedSumConfig;
+use crate::optimizer::scene_state::GradientList;
+use crate::optimizer::{Parameter, ParameterRows};
+
+const fn number(name: &'static str) -> Attribute {
+    Attribute {
+        name,
+        raw_name: name,
+        width: Width::Fixed(1),
+        activation: Activation::Identity,
+        rate: RateGroup::WeightedSum,
+        neutral: &[0.0],
+    }
+}
+
+/// Each is [1, 1].
+const ATTRIBUTES: [&Attribute; 3] =
+    [&number("weighted_sum.sigma"), &number("weighted_sum.beta"), &number("weighted_sum.background")];
+
+/// σ of linear weights at the start is at least so many extents: cameras see across the scene.
+const LEAST_SIGMA: f64 = 2.0;
+/// Learning rate of β relative to that of σ, both as shares of their starts.
+const BETA_SHARE: f64 = 0.02;
+
+/// σ, β and w_b of a stage, with their moments.
+#[derive(Clone, Debug)]
+pub struct WeightedSumState {
+    weight: DepthWeight,
+    parameters: [Parameter; 3],
+}
+
+impl WeightedSumState {
+    pub fn new(sum: &WeightedSum, device: &Device) -> Self {
+        let values = [sum.sigma, sum.beta, sum.background];
+        let fresh = |i: usize| Parameter::fresh(ATTRIBUTES[i], &values[i..=i], [1, 1], device);
+        Self { weight: sum.weight, parameters: [0, 1, 2].map(fresh) }
+    }
+
+    /// Takes them out of `rows`.
+    ///
+    /// # Errors
+    /// A message naming what is missing, or not one number with moments.
+    pub fn from_rows(
+        rows: &mut HashMap<String, ParameterRows>,
+        weight: DepthWeight,
+        device: &Device,
+    ) -> Result<Self, String> {
+        let mut take = |attribute: &'static Attribute| {
+            let name = attribute.raw_name;
+            let found = rows.remove(name).ok_or_else(|| format!("attribute `{name}` is missing"))?;
+            if (found.count, found.width) != (1, 1) || found.moments.is_none() {
+                return Err(format!("`{name}` is {} × {}, expected 1 × 1 with moments", found.count, found.width));
+            }
+            Ok(Parameter::from_rows(attribute, &found, device))
+        };
+        let [sigma, beta, background] = ATTRIBUTES;
+        Ok(Self { weight, parameters: [take(sigma)?, take(beta)?, take(background)?] })
+    }
+
+    pub fn rows(&self) -> impl Iterator<Item = (&'static str, ParameterRows)> {
+        ATTRIBUTES.iter().zip(&self.parameters).map(|(attribute, parameter)| (attribute.raw_name, parameter.rows()))
+    }
+
+    pub fn to_data(&self) -> WeightedSum {
+        let [sigma, beta, background] = self.parameters.each_ref().map(|parameter| tensor_to_rows(&parameter.raw())[0]);
+        WeightedSum { weight: self.weight, sigma, beta, background }
+    }
+
+    /// On a new tape, for one step.
+    pub fn leaves(&self) -> WeightedSumTensors {
+        let [sigma, beta, background] = self.parameters.each_ref().map(Parameter::leaf);
+        WeightedSumTensors { sigma, beta, background }
+    }
+
+    /// The gradients that a backward pass left for the [`leaves`](Self::leaves).
+    pub fn gradients(&self, leaves: &WeightedSumTensors, gradients: &mut Gradients) -> GradientList {
+        let leaves = [&leaves.sigma, &leaves.beta, &leaves.background];
+        let all = ATTRIBUTES.into_iter().zip(&self.parameters).zip(leaves);
+        all.map(|((attribute, parameter), leaf)| (attribute, parameter.gradient(leaf, gradients))).collect()
+    }
+
+    /// Nothing changes where `gate` `[1]` is not 1. `rates` are those of [`WeightedSumConfig::rates`].
+    ///
+    /// # Errors
+    /// [`dpges_core::Error::Shape`] if a gradient is not one number.
+    pub fn step(
+        &mut self,
+        gradients: GradientList,
+        gate: &Tensor<1>,
+        rates: [f64; 3],
+        adam: AdamStep,
+    ) -> dpges_core::Result<()> {
+        for ((parameter, (_, gradient)), learning_rate) in self.parameters.iter_mut().zip(gradients).zip(rates) {
+            parameter.step(gradient, gate, AdamStep { learning_rate, ..adam })?;
+        }
+        Ok(())
+    }
+}
+
+impl WeightedSumConfig {
+    /// Depth at which linear weights end at the start, and at which exponential ones are 1 / e, world units.
+    fn reach(&self, extent: f64) -> f64 {
+        self.sigma.max(LEAST_SIGMA * extent)
+    }
+
+    /// What a run in a scene of `extent` (world units) begins with.
+    pub fn start(&self, extent: f64) -> WeightedSum {
+        let reach = self.reach(extent);
+        let sigma = if self.weight == DepthWeight::Exponential { 1.0 / reach } else { reach };
+        WeightedSum { weight: self.weight, sigma: sigma as f32, beta: 1.0, background: self.background as f32 }
+    }
+
+    /// Learning rates of σ, β and w_b at `progress` (0 at the first step, 1 at the last) in a scene of `extent` (world
+    /// units). That of exponential weights moves the depth at which they are 1 / e at the start as fast as that of linear
+    /// ones moves σ.
+    pub fn rates(&self, progress: f64, extent: f64) -> [f64; 3] {
+        let (of_linear, reach) = (self.sigma_rate(progress, extent), self.reach(extent));
+        let of_sigma = if self.weight == DepthWeight::Exponential { of_linear / (reach * reach) } else { of_linear };
+        [of_sigma, BETA_SHARE * of_linear / reach, self.background_rate]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use burn::tensor::DType;
+
+    use super::*;
+    use crate::run::fixtures::device;
+
+    #[test]
+    fn rates_are_those_of_the_published_code_and_exponential_weights_move_as_fast() {
+        let linear = WeightedSumConfig::default();
+        assert_eq!(linear.start(3.0), WeightedSum::default());
+        assert_eq!(linear.start(50.0).sigma, 100.0);
+        let close = |found: [f64; 3], expected: [f64; 3]| {
+            assert!(found.iter().zip(expected).all(|(a, b)| (a / b - 1.0).abs() < 1e-9), "{found:?}");
+        };
+        close(linear.rates(0.0, 3.0), [0.3, 0.02 * 0.03, 0.01]);
+        close(linear.rates(0.5, 3.0), [0.03, 0.02 * 0.003, 0.01]);
+        close(linear.rates(1.0, 3.0), [0.003, 0.02 * 0.0003, 0.01]);
+        let exponential = WeightedSumConfig { weight: DepthWeight::Exponential, ..linear };
+        assert_eq!(exponential.start(3.0).sigma, 0.1);
+        close(exponential.rates(0.0, 3.0), [0.3 / 100.0, 0.02 * 0.03, 0.01]);
+    }
+
+    #[test]
+    fn they_come_back_from_rows_with_their_moments() {
+        let device = device();
+        let sum = WeightedSum { weight: DepthWeight::Exponential, sigma: 0.3, beta: 1.25, background: 0.5 };
+        let mut state = WeightedSumState::new(&sum, &device);
+        assert_eq!(state.to_data(), sum);
+        let gradient = |value: f32| Some(Tensor::full([1, 1], value, (&device, DType::F32)));
+        let gradients = ATTRIBUTES.into_iter().zip([gradient(2.0), None, gradient(-1.0)]).collect();
+        let adam = AdamStep { learning_rate: 0.0, beta_1: 0.9, beta_2: 0.999, epsilon: 1e-15, time: 1 };
+        let open = Tensor::ones([1], (&device, DType::F32));
+        state.step(gradients, &open, [0.1, 0.1, 0.01], adam).unwrap();
+        let WeightedSum { sigma, beta, background, .. } = state.to_data();
+        assert!((sigma - 0.2).abs() < 1e-5 && beta == 1.25 && (background - 0.51).abs() < 1e-5);
+
+        let rows = || state.rows().map(|(name, rows)| (name.to_owned(), rows)).collect::<HashMap<_, _>>();
+        let read = WeightedSumState::from_rows(&mut rows(), DepthWeight::Exponential, &device).unwrap();
+        assert_eq!(read.rows().collect::<Vec<_>>(), state.rows().collect::<Vec<_>>());
+        let mut without = rows();
+        without.remove("weighted_sum.beta");
+        let error = WeightedSumState::from_rows(&mut without, DepthWeight::Linear, &device).unwrap_err();
+        assert!(error.contains("`weighted_sum.beta` is missing"), "{error}");
+    }
+}
