@@ -146,8 +146,13 @@ impl BlendOptions {
     /// # Errors
     /// [`Error::Option`] for a number outside its range, and for discs in the order of rays.
     pub fn validate(&self) -> Result<()> {
-        if self.form == Form::Discs && self.order == BlendOrder::Rays {
-            let expected = format!("{} for discs", BlendOrder::Centres);
+        let by_centres_alone = match self.form {
+            Form::Ellipsoids => None,
+            Form::Discs => Some("discs"),
+            Form::Students => Some("Student's t kernels"),
+        };
+        if let (Some(form), BlendOrder::Rays) = (by_centres_alone, self.order) {
+            let expected = format!("{} for {form}", BlendOrder::Centres);
             return Err(Error::Option { option: "order", expected, found: self.order.to_string() });
         }
         let check = |option, value: f64, fits: bool, expected: String| {

@@ -205,6 +205,8 @@ fn options_outside_their_range_are_refused() {
     assert_eq!(refused(endless), "option `min_transmittance` is 0, expected a number between 0 and 1");
     let discs = BlendOptions { form: Form::Discs, ..by_rays() };
     assert_eq!(refused(discs), "option `order` is rays, expected centres for discs");
+    let students = BlendOptions { form: Form::Students, ..by_rays() };
+    assert_eq!(refused(students), "option `order` is rays, expected centres for Student's t kernels");
     assert!(BlendOptions { max_alpha: f64::NAN, ..BlendOptions::default() }.validate().is_err());
 }
 
