@@ -2,12 +2,7 @@
 //!
 //! `groups` says how many neighbouring components share a range; three are red, green and blue.
 
-use super::planes;
-
-/// The largest symbol of `bits`.
-pub const fn largest(bits: u8) -> u32 {
-    (1 << bits) - 1
-}
+use super::planes::{self, largest};
 
 /// Bytes of `values` [rows, width], all finite, of which every `block_len` rows are a block, the last may be shorter: the
 /// lowest and the highest number of every block and group as little-endian f32, then the [`planes`] of the symbols, of

@@ -6,12 +6,15 @@ use miniz_oxide::deflate::core::{
 };
 use miniz_oxide::inflate::{TINFLStatus, decompress_to_vec_zlib_with_limit};
 
-use super::numbers::largest;
-
 /// Of deflate, up to 10.
 const EFFORT: i32 = 9;
 /// Of the window of deflate; that it is not 0 asks for a zlib stream.
 const WINDOW_BITS: i32 = 15;
+
+/// The largest symbol of `bits`.
+pub const fn largest(bits: u8) -> u32 {
+    (1 << bits) - 1
+}
 
 /// The planes of `symbols` [rows, width], row-major; those of component i are below 2 to the power of `bits[i]`, and width
 /// is the length of `bits`.

@@ -1,6 +1,6 @@
 use std::path::Path;
 
-use super::numbers::largest;
+use super::planes::largest;
 use super::*;
 use crate::scene::EnvironmentData;
 use crate::scene::lobes::{ABSENT_LOBE, is_absent};
