@@ -33,18 +33,23 @@ pub fn serialize<V: View>(
 ///
 /// # Errors
 /// What cannot be written.
-pub(super) fn scene_file(
-    scene: &SceneData,
-    mut tensors: Vec<Rows<'_>>,
+pub(super) fn scene_file<'a>(
+    scene: &'a SceneData,
+    mut tensors: Vec<Rows<'a>>,
     [format, version]: [&str; 2],
     more: Option<(&str, String)>,
 ) -> Result<Vec<u8>, String> {
-    let environment = scene.environment.iter();
-    tensors.extend(environment.map(|e| Rows::numbers(ENVIRONMENT.name, vec![e.len(), 3], e.coefficients.clone())));
+    tensors.extend(environment(scene));
     let info = serde_json::to_string(&scene.info).map_err(|error| error.to_string())?;
     let own = [("format", format.to_owned()), ("version", version.to_owned()), ("info", info)];
     let metadata = own.into_iter().chain(more).map(|(key, value)| (key.to_owned(), value)).collect();
     serialize(tensors.into_iter().map(|tensor| (tensor.name, tensor)), metadata).map_err(|error| error.to_string())
+}
+
+/// The tensor of the environment, if there is one.
+pub(super) fn environment(scene: &SceneData) -> Option<Rows<'_>> {
+    let environment = scene.environment.as_ref()?;
+    Some(Rows::numbers(ENVIRONMENT.name, vec![environment.len(), 3], &environment.coefficients[..]))
 }
 
 /// One tensor of the file: its name, the shape it must have, its values row-major.

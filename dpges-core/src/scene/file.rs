@@ -202,7 +202,7 @@ mod tests {
     use std::collections::HashMap;
 
     use super::*;
-    use crate::scene::container::{GAUSSIAN_LOBES, SURFEL_LOBES};
+    use crate::scene::container::{GAUSSIAN_LOBES, SURFEL_LOBES, environment};
     use crate::scene::lobes::ABSENT_LOBE;
     use crate::scene::schema::Attribute;
     use crate::scene::{Footprint, MarginLookup};
@@ -267,6 +267,7 @@ mod tests {
         let mut metadata = metadata(scene, VERSION);
         edit(&mut metadata);
         let mut tensors = scene.stored();
+        tensors.extend(environment(scene));
         tensors.retain(|tensor| tensor.name != drop);
         file_bytes(tensors, metadata)
     }
@@ -285,6 +286,7 @@ mod tests {
     /// The file of `scene` with another tensor in place of that with the name of `other`.
     fn with_tensor(scene: &SceneData, other: Rows) -> Vec<u8> {
         let mut tensors = scene.stored();
+        tensors.extend(environment(scene));
         tensors.retain(|tensor| tensor.name != other.name);
         tensors.push(other);
         file_bytes(tensors, metadata(scene, VERSION))
