@@ -25,7 +25,7 @@ pub enum SplatFormat {
 /// The splats of `scene` with harmonics of `degree`, trained for `steps` on `views`.
 ///
 /// # Errors
-/// Those of [`flatten`] and [`fit`].
+/// Those of [`flatten()`] and [`fit`].
 pub fn splats(
     scene: &SceneData,
     degree: usize,
