@@ -5,6 +5,7 @@
 //! masks do to all of them.
 
 pub mod compress;
+pub mod export;
 mod fits;
 pub mod floaters;
 pub mod pictures;
@@ -14,6 +15,8 @@ pub mod simplify;
 pub mod splat_fit;
 #[cfg(test)]
 mod tests;
+pub mod video;
+pub mod worst;
 
 use std::time::Instant;
 
@@ -137,9 +140,9 @@ pub struct FrameMs {
 /// What a run was to reach, what was expected of it before, and what it has come to.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TargetReport {
-    /// As it was asked for, such as `10MB`.
+    /// As it was asked for, such as `5min`.
     pub asked: String,
-    /// `bytes` of the scene file, `seconds` of training up to the last step, or `frames_per_second`.
+    /// `seconds` of training up to the last step, or `frames_per_second`.
     pub unit: String,
     pub expected: f64,
     pub got: f64,
