@@ -29,8 +29,8 @@ use dpges_core::{Error, Result};
 use dpges_render::Rgb8Image;
 use serde::{Deserialize, Serialize};
 
+use self::floaters::Floaters;
 use crate::dataset::{Picture, View, pictures};
-use crate::eval::floaters::Floaters;
 use crate::eval::popping::Popping;
 use crate::eval::rendered::{Rendered, Renderer};
 use crate::metrics::lpips::{Lpips, Network};
@@ -96,7 +96,7 @@ pub struct EvalReport {
     pub evaluation: Evaluation,
     /// Size of the scene file.
     pub bytes: u64,
-    /// Primitives that float, see [`floaters`](crate::eval::floaters); absent if the dataset does not say which view saw what.
+    /// Primitives that float, see [`floaters`]; absent if the dataset does not say which view saw what.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub floaters: Option<Floaters>,
     /// Wall-clock time of the run up to its last step, see [`MetricsLog::seconds_of_steps`]; absent if the scene is not that
