@@ -1,7 +1,5 @@
 //! How long frames take: what `bench`, `eval`, `trade` and targets in fps share.
 
-use std::time::Instant;
-
 use dpges_core::camera::Camera;
 use dpges_core::scene::SceneData;
 use dpges_render::frame_times::{FrameTimes, Rounds, frame_times};
@@ -20,16 +18,5 @@ pub fn of_raster(headless: &Headless, scene: &SceneData, cameras: &[Camera], rou
 
 /// Of the renderer that is trained with.
 pub fn of_training(renderer: &Renderer, cameras: &[Camera], rounds: Rounds) -> Result<FrameTimes> {
-    let mut times = Vec::new();
-    for round in 0..rounds.warm_up + rounds.counted {
-        for camera in cameras {
-            let start = Instant::now();
-            // reading one number waits for the picture
-            drop(renderer.render(camera)?.image().clone().slice([0..1, 0..1, 0..1]).into_data());
-            if round >= rounds.warm_up {
-                times.push(1e3 * start.elapsed().as_secs_f64());
-            }
-        }
-    }
-    Ok(FrameTimes::new(times, Vec::new()))
+    Ok(renderer.frame_times(cameras, rounds)?)
 }

@@ -23,6 +23,7 @@ pub mod render;
 mod rendering_preset;
 mod selftest;
 pub mod sfm;
+mod study;
 pub mod train;
 #[cfg(feature = "viewer")]
 mod view;
@@ -36,8 +37,8 @@ use clap::{CommandFactory, Parser, Subcommand};
 use dpges_train::config::ConfigError;
 use miette::{Diagnostic, MietteHandlerOpts, Report};
 
-use crate::study::{ablate, compare, trade};
 use logging::LogStyle;
+use study::{ablate, compare, trade};
 
 /// Train, measure and look at depth-peeled Gaussian-enhanced surfels.
 #[derive(Debug, Parser)]

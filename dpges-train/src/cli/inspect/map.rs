@@ -8,7 +8,7 @@ use plotters::prelude::{
     PathElement, RGBColor, SVGBackend, Text, WHITE,
 };
 
-use crate::study::plot_font::{self, FAMILY};
+use dpges_train::study::plot_font::{self, FAMILY};
 
 /// Sizes, px: of a view, of its title, of its margin, of letters, of the legend.
 const SIDE: i32 = 560;

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::super::Result;
 use super::fault;
-use crate::study::plot_font::{self, FAMILY};
+use dpges_train::study::plot_font::{self, FAMILY};
 
 /// Photographs on a sheet at most: those that are marked, and an even choice of the others.
 const MOST: usize = 400;

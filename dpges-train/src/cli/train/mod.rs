@@ -11,11 +11,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use clap::Args;
-use dpges_train::config::Config;
+use dpges_train::config::differences;
 use dpges_train::device::{DeviceName, DeviceRequest};
 use dpges_train::run::folder::{Origin, RunFolder, RunFolderError};
 use dpges_train::run::{Run, RunError, SavedRun};
-use toml::Table;
 
 use super::data::Source;
 use super::{Failure, Result, device_choice, print, sfm};
@@ -170,38 +169,4 @@ pub fn say_resumed(saved: &SavedRun, device: DeviceName) {
         tracing::warn!("resuming on {device} what was started on {before}: the result will differ a little");
     }
     tracing::info!("resuming after step {}", saved.completed_steps());
-}
-
-/// Says for each key whose value in `found` is not that in `expected`, the configuration of a run, what the two are.
-pub fn differences(expected: &Config, found: &Config) -> Vec<String> {
-    let table = |config: &Config| config.to_toml().parse::<Table>().unwrap_or_default();
-    let (expected, found) = (table(expected), table(found));
-    let mut differences = Vec::new();
-    for (section, keys) in &expected {
-        for (key, value) in keys.as_table().into_iter().flatten() {
-            let asked = found.get(section).and_then(|keys| keys.get(key));
-            if let Some(asked) = asked.filter(|asked| *asked != value) {
-                differences.push(format!("`{section}.{key}` is {value}, not {asked}"));
-            }
-        }
-    }
-    differences
-}
-
-#[cfg(test)]
-mod tests {
-    use dpges_train::config::Budget;
-
-    use super::*;
-
-    #[test]
-    fn differences_name_the_keys() {
-        let mut other = Config::default();
-        other.train.steps = 7;
-        assert_eq!(differences(&Config::default(), &other), ["`train.steps` is 5000, not 7"]);
-        assert!(differences(&other, &other).is_empty());
-        let before = other.clone();
-        other.refine.budget = Budget::Primitives(9000);
-        assert_eq!(differences(&before, &other), ["`refine.budget` is \"pixels\", not 9000"]);
-    }
 }
