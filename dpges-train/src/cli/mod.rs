@@ -9,7 +9,6 @@ pub mod device_failure;
 mod devices;
 pub mod eval;
 mod export;
-pub mod frame_times;
 mod info;
 mod inspect;
 pub mod logging;
@@ -21,6 +20,7 @@ pub mod render;
 mod rendering_preset;
 mod selftest;
 pub mod sfm;
+mod study;
 pub mod train;
 #[cfg(feature = "viewer")]
 mod view;
@@ -40,9 +40,8 @@ use dpges_train::run::scene::SceneError;
 use miette::{Diagnostic, MietteHandlerOpts, Report};
 use serde::Serialize;
 
-use crate::study::{ablate, compare, trade};
-pub use dpges_train::run::targets::duration;
 use logging::LogStyle;
+use study::{ablate, compare, trade};
 
 /// Train, measure and look at depth-peeled Gaussian-enhanced surfels.
 #[derive(Debug, Parser)]

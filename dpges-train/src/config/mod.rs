@@ -13,6 +13,7 @@
 pub mod budget;
 pub mod choices;
 pub mod declare;
+mod differences;
 pub mod document;
 pub mod keys;
 pub mod memory;
@@ -35,6 +36,7 @@ pub use choices::{
     Method, NewGaussians, PixelsOf, Poses, SfmCamera, SfmMatching, SfmProgram, Stop, SurfelStart,
 };
 pub use declare::{Ablation, Key, Section};
+pub use differences::differences;
 pub use dpges_core::scene::OpacityActivation;
 pub use keys::{
     Config, DataConfig, DensityConfig, DiscsConfig, InitConfig, ModelConfig, OptimizerConfig, RefineConfig,

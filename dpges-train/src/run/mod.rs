@@ -29,7 +29,6 @@
 
 pub mod checkpoint;
 pub mod description;
-pub mod differences;
 mod error;
 #[cfg(test)]
 pub mod fixtures;

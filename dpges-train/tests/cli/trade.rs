@@ -86,7 +86,7 @@ fn the_trade_of_speed_and_quality_is_measured_once() {
         assert!(table.contains(part), "{part}: {table}");
     }
     let trade = || json(at.join("trade/trade.json"));
-    let points = || trade()["points"].as_array().unwrap().clone();
+    let points = || trade()["rows"].as_array().unwrap().clone();
     let point = |label: &str| points().into_iter().find(|point| point["label"] == label).unwrap();
     let singles = ["as trained", "detail=1", "detail=0", "primitives=75%", "primitives=50%", "primitives=25%"];
     let labels: Vec<Value> = points().iter().map(|point| point["label"].clone()).collect();
@@ -101,9 +101,9 @@ fn the_trade_of_speed_and_quality_is_measured_once() {
     for key in ["psnr", "ssim", "flip", "lpips_alex", "frame_ms", "frame_p99_ms"] {
         assert!(whole[key].as_f64().unwrap() > 0.0, "{key}: {whole}");
     }
-    assert!(whole["device"].as_str().unwrap().contains("by the renderer that is trained with"), "{whole}");
+    assert!(trade()["device"].as_str().unwrap().contains("by the renderer that is trained with"), "{whole}");
     let frontiers = &trade()["frontiers"];
-    assert!(!frontiers["bytes"].as_array().unwrap().is_empty() && frontiers["training_seconds"] == json!([]));
+    assert!(!frontiers["bytes"].as_array().unwrap().is_empty() && frontiers["training_seconds"].is_null());
     let csv = String::from_utf8(bytes(at.join("trade/trade.csv"))).unwrap();
     assert_eq!(csv.lines().count(), 1 + points().len());
     let plot = image::open(at.join("trade/trade_bytes.png")).unwrap();
@@ -117,7 +117,7 @@ fn the_trade_of_speed_and_quality_is_measured_once() {
     assert_eq!(ok(at, &args), table);
     assert_eq!(points(), before);
     let mut without = trade();
-    without["points"].as_array_mut().unwrap().remove(1);
+    without["rows"].as_array_mut().unwrap().remove(1);
     std::fs::write(at.join("trade/trade.json"), without.to_string()).unwrap();
     ok(at, &args);
     assert!(points().iter().any(|point| point["label"] == "detail=1"));
@@ -133,7 +133,7 @@ fn the_trade_of_speed_and_quality_is_measured_once() {
     let left = ok(at, &[&trained[..], &["--time-limit=0.001s"]].concat());
     assert!(left.contains("the same command goes on: ") && left.contains("budget-half, seed 3"), "{left}");
     ok(at, &trained);
-    let of_training: Vec<Value> = points().into_iter().filter(|point| point["kind"] == "training").collect();
+    let of_training: Vec<Value> = points().into_iter().filter(|point| point["seed"].is_u64()).collect();
     let expected = ["trained-again", "budget-half", "budget-quarter", "detail-1", "detail-0"];
     assert_eq!(of_training.iter().map(|point| point["label"].clone()).collect::<Vec<_>>(), expected.map(Value::from));
     assert_eq!(trade()["not_run"], json!([]));

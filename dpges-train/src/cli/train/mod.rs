@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use clap::Args;
+use dpges_train::config::differences;
 use dpges_train::dataset::source::photographs;
 use dpges_train::device::{DeviceName, DeviceRequest};
 use dpges_train::run::folder::{Origin, RunFolder, RunFolderError};
@@ -20,7 +21,6 @@ use super::data::Source;
 use super::{Failure, Result, device_choice, print, sfm, table};
 use crate::cli::logging::LogStyle;
 use display::watch_for_interrupts;
-pub use dpges_train::run::differences::differences;
 use options::ConfigArgs;
 use session::Session;
 

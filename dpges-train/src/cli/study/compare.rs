@@ -1,73 +1,55 @@
 //! `dpges compare`: methods on the same data, with equal steps, budgets and seeds.
 
-mod lpips;
-mod method;
-mod popping;
-mod report;
-mod sheets;
-
 use clap::Args;
+use clap::builder::PossibleValuesParser;
 use dpges_train::config::{Budget, Config};
 use dpges_train::run::budget;
+use dpges_train::study::compare::{METHODS, SHAPE, chosen};
+use dpges_train::study::store::Study;
+use dpges_train::study::variant::Variant;
+use serde_json::{Map, Value};
 
-use super::series::{Member, SeriesArgs};
-use crate::cli::device_failure::watched;
+use super::{StudyArgs, choices};
 use crate::cli::logging::LogStyle;
-use crate::cli::lpips::LpipsArgs;
 use crate::cli::{Failure, Result, print};
-use method::Method;
-use report::Comparison;
 
 /// Train several methods on the same data and compare them
 ///
 /// Each method is a run for each seed, in a folder of its own, with the same data, steps and largest number of primitives:
 /// `refine.budget` as a number, which without --budget is what `pixels` stands for. The same command again skips finished
 /// runs and resumes one that was interrupted. The comparison is printed as a table in Markdown and written to
-/// comparison.csv, comparison.json, comparison.svg and, for up to three held-out views, pictures/VIEW.png.
+/// comparison.csv, comparison.json, plots, report.html and, for up to three held-out views, pictures/VIEW.png.
 ///
 /// Without DATASET the built-in scene is used, with the defaults of `dpges train`.
 #[derive(Debug, Args)]
 pub struct CompareArgs {
     /// Methods to compare, separated by commas, in this order; others are compared with the first [default: all]
-    #[arg(long, value_name = "METHOD", value_enum, value_delimiter = ',')]
-    methods: Vec<Method>,
+    #[arg(long, value_name = "METHOD", value_delimiter = ',', value_parser = PossibleValuesParser::new(choices(&METHODS)))]
+    methods: Vec<String>,
     /// Print all methods as a table in Markdown, and train nothing
     #[arg(long)]
     list: bool,
     #[command(flatten)]
-    lpips: LpipsArgs,
-    /// Measure popping of every run: FLIP between frames of a short path that are 1 and 7 apart, where the motion of the
-    /// camera does not explain it
-    #[arg(long)]
-    popping: bool,
-    #[command(flatten)]
-    series: SeriesArgs,
+    study: StudyArgs,
 }
 
 pub fn run(args: &CompareArgs, style: LogStyle) -> Result<()> {
     if args.list {
-        return print(&Method::list());
+        return print(&Variant::list(&METHODS, ["method", "what is trained", "keys"]));
     }
-    let methods = Method::chosen(&args.methods);
-    let (source, out) = (args.series.source(), args.series.out());
     let config = args.config()?;
-    let common = args.series.load(source, &config, style)?;
-    let budget = budget(&config, &common.dataset);
-    let members = members(&methods, budget);
-    let series = args.series.series(&common.source, &members)?;
-    let networks = args.lpips.load(&common.device)?;
-    series.train(&common)?;
-    watched(common.name, || {
-        lpips::measure(out, &series.rows()?, &common, &networks)?;
-        if args.popping {
-            popping::measure(out, &series.rows()?, &common)?;
-        }
-        let rows = series.rows()?;
-        let pictures = sheets::write(out, &rows, &common)?;
-        let comparison = Comparison::new(&common.source, config.train.steps, budget, &members, rows, pictures);
-        let files = comparison.write(out)?;
-        if style == LogStyle::Quiet { Ok(()) } else { print(&(comparison.table() + "\n" + &files)) }
-    })
+    let training = args.study.load(&config, style)?;
+    let (steps, budget) = (config.train.steps, budget(&config, &training.dataset));
+    let methods = chosen(&args.methods, budget);
+    let subject = Map::from_iter([
+        ("dataset".to_owned(), Value::from(training.source.to_string())),
+        ("steps".to_owned(), Value::from(steps)),
+        ("budget".to_owned(), Value::from(budget)),
+    ]);
+    let mut study = Study::new(&SHAPE, args.study.out(), subject);
+    let conditions = format!("{}: held-out views, {steps} steps, at most {budget} primitives.", training.source);
+    study.content.notes.push(conditions);
+    args.study.conduct(study, &methods, training)
 }
 
 impl CompareArgs {
@@ -76,11 +58,11 @@ impl CompareArgs {
     /// # Errors
     /// If it says what only a comparison can say: which method, or a budget that each method would decide for itself.
     fn config(&self) -> Result<Config> {
-        if self.series.options.names_method() {
+        if self.study.options.names_method() {
             let message = "--method names one method to train: name those to compare with --methods";
             return Err(Failure::Usage(message.to_owned()));
         }
-        let config = self.series.config(&self.series.source(), &["train.method=dpges".to_owned()])?;
+        let config = self.study.config(&["train.method=dpges".to_owned()])?;
         if config.refine.budget == Budget::Auto {
             let message = "`refine.budget` is \"auto\", but methods are compared with one number of primitives for all: \
                            --budget N, NMB or pixels";
@@ -88,16 +70,6 @@ impl CompareArgs {
         }
         Ok(config)
     }
-}
-
-/// The methods with a budget of so many primitives for each.
-fn members(methods: &[Method], budget: usize) -> Vec<Member> {
-    let budget = format!("refine.budget={budget}");
-    let member = |method: &Method| {
-        let settings = [&method.settings()[..], std::slice::from_ref(&budget)].concat();
-        Member { label: method.name, settings }
-    };
-    methods.iter().map(member).collect()
 }
 
 #[cfg(test)]
@@ -130,13 +102,6 @@ mod tests {
         assert!(parsed(&["--budget=12MB"]).unwrap().config().is_ok());
         let unknown = parsed(&["--methods=dpges,3dgz"]).unwrap_err().to_string();
         assert!(unknown.contains("3dgz") && unknown.contains("[possible values: dpges"), "{unknown}");
-    }
-
-    #[test]
-    fn all_methods_have_the_same_budget() {
-        for member in members(&Method::chosen(&[]), 1234) {
-            let config = Config::resolve(None, None, &member.settings).unwrap();
-            assert_eq!(config.refine.budget, Budget::Primitives(1234), "{}", member.label);
-        }
+        assert!(parsed(&["--seeds=0"]).unwrap_err().to_string().contains("--seeds"));
     }
 }

@@ -1,8 +1,8 @@
-//! Where two configurations differ.
+//! In which keys two configurations differ.
 
 use toml::Table;
 
-use crate::config::Config;
+use super::Config;
 
 /// Says for each key whose value in `found` is not that in `expected`, the configuration of a run, what the two are.
 pub fn differences(expected: &Config, found: &Config) -> Vec<String> {

@@ -1,7 +1,8 @@
-//! Presets as settings for a run of any length.
+//! The variants of a study, as settings of a configuration.
 
-use dpges_train::config::sources::preset_text;
 use toml::{Table, Value};
+
+use crate::config::sources::preset_text;
 
 /// Keys and sections of a preset that are no part of the method: length of the run, budget, learning rates, environment, output.
 const OF_THE_RUN: [&str; 9] = [
@@ -16,8 +17,48 @@ const OF_THE_RUN: [&str; 9] = [
     "optimizer",
 ];
 
+/// One way to train.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Variant {
+    /// Unique in its study; also the name of its folder.
+    pub label: &'static str,
+    /// What distinguishes it, in words.
+    pub about: String,
+    /// `key=value` of that.
+    pub settings: Vec<String>,
+    /// The preset that the settings come from.
+    preset: Option<&'static str>,
+}
+
+impl Variant {
+    pub fn new(label: &'static str, about: impl Into<String>, settings: &[&str]) -> Self {
+        let settings = settings.iter().map(|setting| (*setting).to_owned()).collect();
+        Self { label, about: about.into(), settings, preset: None }
+    }
+
+    /// `settings`, and what preset `label` says of the method: a run of any length can have that.
+    pub fn of_preset(label: &'static str, about: &str, settings: &[&str]) -> Self {
+        let mut variant = Self { preset: Some(label), ..Self::new(label, about, settings) };
+        variant.settings.extend(method_of(label));
+        variant
+    }
+
+    /// `all` as a table in Markdown with these titles.
+    pub fn list(all: &[Self], titles: [&str; 3]) -> String {
+        let row = |variant: &Self| {
+            let keys = match variant.preset {
+                Some(preset) => format!("preset `{preset}`"),
+                None => variant.settings.iter().map(|set| format!("`{set}`")).collect::<Vec<_>>().join(", "),
+            };
+            format!("| `{}` | {} | {keys} |\n", variant.label, variant.about)
+        };
+        let rows: String = all.iter().map(row).collect();
+        format!("| {} |\n|---|---|---|\n{rows}", titles.join(" | "))
+    }
+}
+
 /// `key=value` of what a preset says of the method.
-pub fn method_of(preset: &str) -> Vec<String> {
+fn method_of(preset: &str) -> Vec<String> {
     let sections: Table = preset_text(preset).ok().and_then(|text| text.parse().ok()).expect("comes with the program");
     let mut settings = Vec::new();
     for (section, keys) in sections {
@@ -32,7 +73,7 @@ pub fn method_of(preset: &str) -> Vec<String> {
 
 #[cfg(test)]
 mod tests {
-    use dpges_train::config::Config;
+    use crate::config::Config;
 
     use super::*;
 

@@ -1,4 +1,4 @@
-//! PSNR against a cost, as SVG and as PNG: every point, and a line through those that no other beats.
+//! PSNR against a cost, as SVG and as PNG: every label, and a line through those that no other beats.
 
 use dpges_render::Rgb8Image;
 use plotters::coord::Shift;
@@ -7,11 +7,12 @@ use plotters::prelude::{
     IntoDrawingArea, IntoFont, PathElement, RGBColor, SVGBackend, Text, WHITE,
 };
 
-use super::super::series::statistics::Spread;
-use super::pareto::frontier;
-use super::point::{Kind, Point};
-use super::store::groups;
-use crate::study::plot_font::{self, FAMILY};
+use super::measure::Measure;
+use super::plot_font::{self, FAMILY};
+use super::row::{Group, Row, groups};
+use super::spread::Spread;
+use super::store::on_frontier;
+use super::{Result, StudyError};
 
 /// Sizes, px: of the picture, of the column of names at its right, of the margin, of letters, between two names.
 const WIDTH: i32 = 1100;
@@ -23,38 +24,20 @@ const SPACING: i32 = 21;
 /// Half the length of the ends of a bar that shows a spread, px; radius of a point, px.
 const CAP: i32 = 4;
 const RADIUS: i32 = 4;
+/// Most labels whose names are all shown; of more those on the frontier are.
+const NAMED: usize = 20;
 
 const FRONTIER: RGBColor = RGBColor(200, 80, 20);
-const RENDERING: RGBColor = RGBColor(70, 130, 190);
-const TRAINING: RGBColor = RGBColor(60, 150, 80);
+const DRAWN: RGBColor = RGBColor(70, 130, 190);
+const TRAINED: RGBColor = RGBColor(60, 150, 80);
 const LEADER: RGBColor = RGBColor(190, 190, 190);
-
-/// What stands on the horizontal axis.
-pub struct Axis {
-    /// Of its files: `trade_NAME.svg`.
-    pub name: &'static str,
-    pub title: &'static str,
-    /// `None` where a point does not have it.
-    pub cost: fn(&Point) -> Option<f64>,
-}
-
-/// The four plots, of which those are made that have points.
-pub const AXES: [Axis; 4] = [
-    Axis { name: "frame_time", title: "median frame time, ms", cost: |point| Some(point.frame_ms) },
-    Axis { name: "bytes", title: "scene file, MB", cost: |point| Some(point.bytes as f64 / 1e6) },
-    Axis { name: "training_time", title: "training time, s", cost: |point| point.training_seconds },
-    Axis {
-        name: "training_memory",
-        title: "largest memory of the process in training, MB",
-        cost: |point| point.training_peak_bytes.map(|bytes| bytes as f64 / 1e6),
-    },
-];
 
 /// A label's mean over its seeds.
 #[derive(Clone, Debug, PartialEq)]
 struct Mark {
     label: String,
-    kind: Kind,
+    /// Whether runs made it.
+    is_trained: bool,
     cost: Spread,
     psnr: Spread,
 }
@@ -69,26 +52,24 @@ pub struct Plot {
 }
 
 impl Plot {
-    /// `None` if no point has the cost. Points with numbers that are not finite are left out.
-    pub fn new(points: &[Point], axis: &Axis) -> Option<Self> {
-        let mark = |group: &super::store::Group| {
-            let costs: Option<Vec<f64>> = group.points.iter().map(|point| (axis.cost)(point)).collect();
-            let psnr: Vec<f64> = group.points.iter().map(|point| point.psnr).collect();
-            let (cost, psnr) = (Spread::of(&costs?), Spread::of(&psnr));
-            let is_finite = cost.mean.is_finite() && psnr.mean.is_finite();
-            is_finite.then(|| Mark { label: group.label.to_owned(), kind: group.points[0].kind, cost, psnr })
+    /// Against `cost`, of the labels that have it in all rows; `None` if there is none, or no plot of that measure.
+    pub fn new(rows: &[Row], cost: &Measure) -> Option<Self> {
+        let (_, title) = cost.plot?;
+        let mut groups = groups(rows);
+        groups.retain(|group| group.spread(cost.key).is_some() && group.spread("psnr").is_some());
+        let mark = |group: &Group| {
+            let (label, is_trained) = (group.label.to_owned(), group.rows[0].seed.is_some());
+            Some(Mark { label, is_trained, cost: cost.scaled(group.spread(cost.key)?), psnr: group.spread("psnr")? })
         };
-        let marks: Vec<Mark> = groups(points).iter().filter_map(mark).collect();
-        let pairs: Vec<(f64, f64)> = marks.iter().map(|mark| (mark.cost.mean, mark.psnr.mean)).collect();
-        let frontier = frontier(&pairs).expect("they are finite");
-        (!marks.is_empty()).then_some(Self { title: axis.title, marks, frontier })
+        let marks: Vec<Mark> = groups.iter().filter_map(mark).collect();
+        (!marks.is_empty()).then(|| Self { title, marks, frontier: on_frontier(&groups, cost.key) })
     }
 
     /// The plot as SVG.
     ///
     /// # Errors
     /// What cannot be drawn.
-    pub fn svg(&self) -> Result<String, String> {
+    pub fn svg(&self) -> Result<String> {
         let mut text = String::new();
         self.draw(&SVGBackend::with_string(&mut text, (WIDTH as u32, HEIGHT as u32)).into_drawing_area())?;
         Ok(text)
@@ -98,17 +79,16 @@ impl Plot {
     ///
     /// # Errors
     /// What cannot be drawn.
-    pub fn picture(&self) -> Result<Rgb8Image, String> {
+    pub fn picture(&self) -> Result<Rgb8Image> {
         let (width, height) = (WIDTH as usize, HEIGHT as usize);
         let mut bytes = vec![0; 3 * width * height];
         self.draw(&BitMapBackend::with_buffer(&mut bytes, (WIDTH as u32, HEIGHT as u32)).into_drawing_area())?;
         Ok(Rgb8Image { width, height, bytes })
     }
 
-    fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>) -> Result<(), String> {
-        plot_font::register()?;
-        self.draw_on(area).map_err(|error| error.to_string())?;
-        area.present().map_err(|error| error.to_string())
+    fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>) -> Result<()> {
+        plot_font::register().map_err(StudyError::Plot)?;
+        self.draw_on(area).and_then(|()| area.present()).map_err(|error| StudyError::Plot(error.to_string()))
     }
 
     fn draw_on<B: DrawingBackend>(
@@ -136,41 +116,35 @@ impl Plot {
         let line: Vec<(f64, f64)> = self.frontier.iter().map(at).collect();
         chart.draw_series([PathElement::new(line, FRONTIER.stroke_width(2))])?;
         for (index, mark) in self.marks.iter().enumerate() {
-            let on_frontier = self.frontier.contains(&index);
-            let colour = match mark.kind {
-                _ if on_frontier => FRONTIER,
-                Kind::Rendering => RENDERING,
-                Kind::Training => TRAINING,
-            };
+            let colour = self.colour(index);
             let (x, y) = (mark.cost.mean, mark.psnr.mean);
             chart.draw_series([Circle::new((x, y), RADIUS, colour.filled())])?;
             let pixel = |x: f64, y: f64| chart.backend_coord(&(x, y));
-            if let Some(by) = mark.psnr.deviation {
-                let [low, high] = [pixel(x, y - by), pixel(x, y + by)];
-                area.draw(&PathElement::new(vec![low, high], colour))?;
-                for (x, y) in [low, high] {
-                    area.draw(&PathElement::new(vec![(x - CAP, y), (x + CAP, y)], colour))?;
-                }
-            }
-            if let Some(by) = mark.cost.deviation {
-                let [low, high] = [pixel((x - by).max(0.0), y), pixel(x + by, y)];
-                area.draw(&PathElement::new(vec![low, high], colour))?;
-                for (x, y) in [low, high] {
-                    area.draw(&PathElement::new(vec![(x, y - CAP), (x, y + CAP)], colour))?;
+            let bars = [
+                mark.psnr.deviation.map(|by| ([pixel(x, y - by), pixel(x, y + by)], (CAP, 0))),
+                mark.cost.deviation.map(|by| ([pixel((x - by).max(0.0), y), pixel(x + by, y)], (0, CAP))),
+            ];
+            for (ends, (across, along)) in bars.into_iter().flatten() {
+                area.draw(&PathElement::new(ends.to_vec(), colour))?;
+                for (x, y) in ends {
+                    let cap = vec![(x - across, y - along), (x + across, y + along)];
+                    area.draw(&PathElement::new(cap, colour))?;
                 }
             }
         }
-        let places: Vec<(i32, i32)> = self.frontier.iter().map(|index| chart.backend_coord(&at(index))).collect();
+        let named = self.named();
+        let places: Vec<(i32, i32)> = named.iter().map(|index| chart.backend_coord(&at(index))).collect();
         let rows = spaced(&places.iter().map(|place| place.1).collect::<Vec<_>>(), SPACING, HEIGHT);
         let column = WIDTH - NAMES + MARGIN;
-        for ((index, place), row) in self.frontier.iter().zip(&places).zip(rows) {
+        for ((index, place), row) in named.iter().zip(&places).zip(rows) {
             let (from, to) = ((place.0 + RADIUS + 2, place.1), (column - 4, row));
             area.draw(&PathElement::new(vec![from, to], LEADER))?;
             let text = self.marks[*index].label.clone();
             area.draw(&Text::new(text, (column, row - LETTERS / 2), letters.color(&BLACK)))?;
         }
-        let legend =
-            [(FRONTIER, "no other point beats it"), (RENDERING, "other rendering"), (TRAINING, "other training")];
+        let all = [(FRONTIER, "nothing else beats it"), (DRAWN, "drawn otherwise"), (TRAINED, "trained otherwise")];
+        let is_there = |colour: RGBColor| (0..self.marks.len()).any(|index| self.colour(index) == colour);
+        let legend: Vec<_> = all.into_iter().filter(|(colour, _)| is_there(*colour)).collect();
         let top = HEIGHT - SPACING * legend.len() as i32 - 4;
         for (row, (colour, text)) in legend.into_iter().enumerate() {
             let y = top + SPACING * row as i32;
@@ -178,6 +152,19 @@ impl Plot {
             area.draw(&Text::new(text, (column + 16, y - LETTERS / 2), letters.color(&BLACK)))?;
         }
         Ok(())
+    }
+
+    fn colour(&self, index: usize) -> RGBColor {
+        match self.marks[index].is_trained {
+            _ if self.frontier.contains(&index) => FRONTIER,
+            true => TRAINED,
+            false => DRAWN,
+        }
+    }
+
+    /// Indices of the marks whose names are shown.
+    fn named(&self) -> Vec<usize> {
+        if self.marks.len() <= NAMED { (0..self.marks.len()).collect() } else { self.frontier.clone() }
     }
 
     /// From the least to the largest value with its deviation, and a little more.
@@ -212,64 +199,73 @@ fn spaced(wanted: &[i32], spacing: i32, height: i32) -> Vec<i32> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::point::tests::point;
+    use super::super::measure::measure;
+    use super::super::row::tests::drawn;
     use super::*;
 
-    fn points() -> Vec<Point> {
-        let mut points = vec![
-            point("as trained", 30.0, 10.0, 4_000_000),
-            point("layers=1", 29.0, 5.0, 4_000_000),
-            point("detail=0", 28.0, 9.0, 1_000_000),
+    fn rows() -> Vec<Row> {
+        let mut rows = vec![
+            drawn("as trained", 30.0, 10.0, 4_000_000),
+            drawn("layers=1", 29.0, 5.0, 4_000_000),
+            drawn("detail=0", 28.0, 9.0, 1_000_000),
         ];
         for (seed, psnr) in [(0, 26.0), (1, 27.0)] {
-            let mut trained = point("budget=half", psnr, 4.0, 2_000_000);
-            (trained.kind, trained.seed, trained.training_seconds) = (Kind::Training, Some(seed), Some(60.0));
-            points.push(trained);
+            let mut trained = drawn("budget-half", psnr, 4.0, 2_000_000);
+            trained.seed = Some(seed);
+            trained.set("training_seconds", Some(60.0));
+            rows.push(trained);
         }
-        points
+        rows
     }
 
     #[test]
     fn a_plot_has_every_label_once_and_knows_its_frontier() {
-        let plot = Plot::new(&points(), &AXES[0]).unwrap();
+        let plot = Plot::new(&rows(), measure("frame_ms")).unwrap();
         let labels: Vec<&str> = plot.marks.iter().map(|mark| mark.label.as_str()).collect();
-        assert_eq!(labels, ["as trained", "layers=1", "detail=0", "budget=half"]);
+        assert_eq!(labels, ["as trained", "layers=1", "detail=0", "budget-half"]);
         assert_eq!(plot.frontier, [3, 1, 0]);
         assert_eq!((plot.marks[3].psnr.mean, plot.marks[3].psnr.deviation), (26.5, Some(0.5f64.sqrt())));
-        let of_training = Plot::new(&points(), &AXES[2]).unwrap();
-        assert_eq!(of_training.marks.len(), 1);
-        assert_eq!(Plot::new(&points(), &AXES[3]), None);
-        assert_eq!(Plot::new(&[point("a", f64::NAN, 1.0, 1)], &AXES[0]), None);
+        assert_eq!(Plot::new(&rows(), measure("bytes")).unwrap().marks[2].cost.mean, 1.0, "MB");
+        assert_eq!(Plot::new(&rows(), measure("training_seconds")).unwrap().marks.len(), 1);
+        assert_eq!(Plot::new(&rows(), measure("training_peak_bytes")), None);
     }
 
     #[test]
-    fn both_files_show_the_points_and_the_names_of_the_frontier() {
-        let plot = Plot::new(&points(), &AXES[0]).unwrap();
+    fn both_files_show_the_points_and_their_names() {
+        let plot = Plot::new(&rows(), measure("frame_ms")).unwrap();
         let svg = plot.svg().unwrap();
         assert!(svg.starts_with("<svg ") && svg.trim_end().ends_with("</svg>"), "{svg}");
-        for part in ["as trained", "layers=1", "budget=half", "median frame time, ms", "PSNR, dB"] {
+        let named = ["as trained", "layers=1", "detail=0", "budget-half", "drawn otherwise"];
+        for part in named.iter().chain(&["median frame time, ms", "PSNR, dB"]) {
             assert!(svg.contains(part), "{part}: {svg}");
         }
-        assert!(!svg.contains("detail=0"), "it is off the frontier");
-        assert_eq!(svg.matches("<circle").count(), 4 + 3);
+        assert!(!svg.contains("trained otherwise"), "the only run is on the frontier");
+        assert_eq!(svg.matches("<circle").count(), 4 + 2);
         let picture = plot.picture().unwrap();
         assert_eq!((picture.width, picture.height), (1100, 620));
         let count = |colour: RGBColor| {
             let bytes = [colour.0, colour.1, colour.2];
             picture.bytes.as_chunks::<3>().0.iter().filter(|&&pixel| pixel == bytes).count()
         };
-        assert!(count(WHITE) > 400_000 && count(FRONTIER) > 200 && count(RENDERING) > 40);
+        assert!(count(WHITE) > 400_000 && count(FRONTIER) > 200 && count(DRAWN) > 40);
         let in_names = |x: usize| x > 780 && x < 900;
         let dark = (0..1100 * 620).filter(|i| in_names(i % 1100) && picture.bytes[3 * i] < 100).count();
         assert!(dark > 100, "names have letters: {dark}");
     }
 
     #[test]
+    fn of_many_labels_those_on_the_frontier_are_named() {
+        let row = |index: u32| drawn(&format!("row {index}"), f64::from(index.min(3)), f64::from(index + 1), 1);
+        let svg = Plot::new(&(0..30).map(row).collect::<Vec<_>>(), measure("frame_ms")).unwrap().svg().unwrap();
+        assert!(svg.contains("row 3") && !svg.contains("row 4"), "{svg}");
+    }
+
+    #[test]
     fn one_point_and_equal_points_are_drawn() {
         for count in [1, 3] {
-            let equal = vec![point("as trained", 30.0, 10.0, 0); count];
-            Plot::new(&equal, &AXES[0]).unwrap().svg().unwrap();
-            Plot::new(&equal, &AXES[1]).unwrap().picture().unwrap();
+            let equal: Vec<Row> = (0..count).map(|index| drawn(&format!("row {index}"), 30.0, 10.0, 0)).collect();
+            Plot::new(&equal, measure("frame_ms")).unwrap().svg().unwrap();
+            Plot::new(&equal, measure("bytes")).unwrap().picture().unwrap();
         }
     }
 

@@ -22,12 +22,6 @@ impl Spread {
         let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
         Self { mean, deviation: (values.len() > 1).then(|| (squares / (count - 1.0)).sqrt()) }
     }
-
-    /// Of `values[i] − base[i]`: what both have in common by chance cancels.
-    pub fn of_differences(values: &[f64], base: &[f64]) -> Self {
-        debug_assert_eq!(values.len(), base.len());
-        Self::of(&values.iter().zip(base).map(|(value, base)| value - base).collect::<Vec<_>>())
-    }
 }
 
 /// `mean ± deviation`, or the mean alone; both with the precision of the format, the mean with its sign.
@@ -55,14 +49,6 @@ mod tests {
         assert!((spread.deviation.unwrap() - (32.0f64 / 7.0).sqrt()).abs() < 1e-15);
         assert_eq!(Spread::of(&[3.0, 5.0, 4.0]), Spread { mean: 4.0, deviation: Some(1.0) });
         assert_eq!(Spread::of(&[7.5]), Spread { mean: 7.5, deviation: None });
-    }
-
-    #[test]
-    fn differences_are_taken_seed_by_seed() {
-        // 1, 2 and 3: neither the difference of the deviations, 19 and 20, nor their sum
-        let spread = Spread::of_differences(&[11.0, 32.0, 53.0], &[10.0, 30.0, 50.0]);
-        assert_eq!(spread, Spread { mean: 2.0, deviation: Some(1.0) });
-        assert_eq!(Spread::of_differences(&[1.5], &[2.0]), Spread { mean: -0.5, deviation: None });
     }
 
     #[test]
