@@ -3,8 +3,11 @@
 #[doc = include_str!("../docs/architecture.md")]
 pub mod architecture {}
 
-#[doc = include_str!("../docs/method.md")]
+#[doc = include_str!("../docs/method/method.md")]
 pub mod method {}
 
-#[doc = include_str!("../docs/numerics.md")]
+#[doc = include_str!("../docs/method/numerics.md")]
 pub mod numerics {}
+
+#[doc = include_str!("../docs/method/paper.md")]
+pub mod paper {}

@@ -1,4 +1,4 @@
-//! A window that shows a scene: [`run`] opens it and returns when it is closed. Its guide is `docs/viewer.md`.
+//! A window that shows a scene: [`run`] opens it and returns when it is closed. Its guide is `docs/view-and-export.md`.
 
 mod app;
 mod canvas;

@@ -1,15 +1,15 @@
 //! The guides of `docs/`: how to train, and what to expect.
 
-#[doc = include_str!("../../docs/commands.md")]
+#[doc = include_str!("../../docs/reference/commands.md")]
 pub mod commands {}
 
-#[doc = include_str!("../../docs/captures.md")]
+#[doc = include_str!("../../docs/guide/capture.md")]
 pub mod captures {}
 
 #[doc = include_str!("../../docs/compression.md")]
 pub mod compression {}
 
-#[doc = include_str!("../../docs/stages.md")]
+#[doc = include_str!("../../docs/guide/train.md")]
 pub mod stages {}
 
 #[doc = include_str!("../../docs/depth.md")]
@@ -21,28 +21,25 @@ pub mod exposure {}
 #[doc = include_str!("../../docs/poses.md")]
 pub mod poses {}
 
-#[doc = include_str!("../../docs/paper.md")]
-pub mod paper {}
-
-#[doc = include_str!("../../docs/results.md")]
+#[doc = include_str!("../../docs/log/2026-11-24-results.md")]
 pub mod results {}
 
-#[doc = include_str!("../../docs/metrics.md")]
+#[doc = include_str!("../../docs/guide/measure.md")]
 pub mod metrics {}
 
 #[doc = include_str!("../../docs/library.md")]
 pub mod library {}
 
-#[doc = include_str!("../../docs/configuration.md")]
+#[doc = include_str!("../../docs/reference/configuration.md")]
 pub mod configuration {}
 
-#[doc = include_str!("../../docs/ablations.md")]
+#[doc = include_str!("../../docs/reference/variants.md")]
 pub mod ablations {}
 
-#[doc = include_str!("../../docs/comparisons.md")]
+#[doc = include_str!("../../docs/guide/comparisons.md")]
 pub mod comparisons {}
 
-#[doc = include_str!("../../docs/trade.md")]
+#[doc = include_str!("../../docs/guide/trade.md")]
 pub mod trade {}
 
 #[doc = include_str!("../../docs/popping.md")]

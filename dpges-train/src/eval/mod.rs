@@ -1,7 +1,7 @@
 //! Measures how well a scene shows views that it was not trained on.
 //!
 //! All metrics compare renders and photographs after both are quantised to 8 bits. PSNR is taken over all pixels and
-//! channels of a view, then averaged over views (the protocol of 3DGS). `docs/metrics.md` defines the others, and what
+//! channels of a view, then averaged over views (the protocol of 3DGS). `docs/guide/measure.md` defines the others, and what
 //! masks do to all of them.
 
 pub mod compress;
