@@ -12,7 +12,7 @@ const GENERATED: [(&str, &[&str]); 4] = [
     ("../configs/default.toml", &["config"]),
     ("docs/reference/configuration.md", &["config", "--markdown"]),
     ("docs/reference/variants.md", &["ablate", "--list"]),
-    ("docs/guide/comparisons.md", &["compare", "--list"]),
+    ("docs/reference/variants.md", &["compare", "--list"]),
 ];
 
 /// `document` with its generated part replaced: in Markdown what lies between comments that name the command, elsewhere

@@ -1,7 +1,7 @@
 //! A folder that any web server can serve: the browser viewer's page, a scene, a poster picture and cameras.
 //!
 //! The page is not part of the program, because it is built for another target. `dpges-render/web/build.sh` builds it. The
-//! [`guide`] tells how it is used.
+//! [`guide`](crate::guide) tells how it is used.
 
 use std::fs;
 use std::io::{self, Write};
@@ -12,9 +12,6 @@ use dpges_core::scene::SceneData;
 use dpges_core::scene::atomic::write_atomically;
 
 use crate::path::CameraPath;
-
-#[doc = include_str!("../../docs/web.md")]
-pub mod guide {}
 
 /// Names the folder of the built page where no option does.
 pub const PAGE_VARIABLE: &str = "DPGES_WEB_PAGE";

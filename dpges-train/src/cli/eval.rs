@@ -12,12 +12,12 @@ use dpges_render::frame_times::{FrameTimes, Rounds};
 use dpges_train::dataset::View;
 use dpges_train::device::memory::peak_memory_bytes;
 use dpges_train::device::{DeviceName, DeviceRequest};
+use dpges_train::eval::floaters::Floaters;
 use dpges_train::eval::pictures::{file_stems, save_png};
 use dpges_train::eval::popping::{Popping, arc};
 use dpges_train::eval::rendered::{Renderer, to_picture};
 use dpges_train::eval::{EvalReport, Evaluation, FrameMs, Measures, evaluate_each};
 use dpges_train::metrics::{METRICS, Metric, Scores};
-use dpges_train::eval::floaters::Floaters;
 use dpges_train::run::folder::write_json;
 
 use super::data::{Scene, ViewArgs, every_nth};

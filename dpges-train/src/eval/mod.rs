@@ -27,11 +27,11 @@ use dpges_render::Rgb8Image;
 use serde::{Deserialize, Serialize};
 
 use crate::dataset::{Picture, View, pictures};
+use crate::eval::floaters::Floaters;
 use crate::eval::popping::Popping;
 use crate::eval::rendered::{Rendered, Renderer};
 use crate::metrics::lpips::{Lpips, Network};
 use crate::metrics::{Fitted, Perceptual, Scores, flip, flip_map};
-use crate::eval::floaters::Floaters;
 use fits::{fitted, posed};
 
 /// PSNR of a picture that is equal to its photograph, dB. The true value, infinity, has no place in JSON or in a mean.

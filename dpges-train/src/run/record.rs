@@ -13,8 +13,8 @@ use super::folder::{Origin, RunFolder, RunFolderError, write_json};
 use super::metrics_log::MetricsLog;
 use crate::config::Config;
 use crate::device::memory::PeakMemory;
-use crate::eval::{EvalReport, Evaluation};
 use crate::eval::floaters::Floaters;
+use crate::eval::{EvalReport, Evaluation};
 use crate::views::corrections::ViewCorrections;
 
 /// Steps between lines of `metrics.jsonl`.

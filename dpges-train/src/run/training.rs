@@ -7,10 +7,10 @@ use dpges_core::scene::SceneData;
 
 use super::{Observer, Outcome, Run, RunError, StepReport, TrainError, Trainer, Verdict};
 use crate::config::Stop;
+use crate::eval::floaters::Floaters;
 use crate::eval::pictures::{comparison, file_stems, save_png};
 use crate::eval::rendered::Renderer;
 use crate::eval::{Evaluation, Measures, evaluate_each};
-use crate::eval::floaters::Floaters;
 
 /// What the trainer is asked to do; the report of the step whose numbers it then knows.
 type Work = fn(&mut Trainer) -> Result<Option<StepReport>, TrainError>;

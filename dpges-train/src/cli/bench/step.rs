@@ -30,7 +30,7 @@ const MEGABYTE: f64 = 1e6;
 
 /// Measure a training step: time, and on a GPU launches, transfers and memory
 ///
-/// The scene learns its own pictures, a little darker, and is not refined. docs/step.md explains every figure.
+/// The scene learns its own pictures, a little darker, and is not refined. docs/guide/measure.md explains every figure.
 #[derive(Debug, Args)]
 pub struct BenchStepArgs {
     /// Scene file or folder of a run; `builtin` (the built-in scene as its training begins), or `realistic` (a room of as
@@ -358,9 +358,9 @@ mod tests {
         let mut found = BTreeSet::new();
         keys(&serde_json::to_value(report()).unwrap(), &mut found);
         assert!(found.len() > 30, "{found:?}");
-        let document = include_str!("../../../docs/step.md");
+        let document = include_str!("../../../docs/guide/measure.md");
         for key in found {
-            assert!(document.contains(&format!("`{key}`")), "docs/step.md says nothing of `{key}`");
+            assert!(document.contains(&format!("`{key}`")), "docs/guide/measure.md says nothing of `{key}`");
         }
     }
 

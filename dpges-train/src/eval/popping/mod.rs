@@ -3,7 +3,7 @@
 //! A frame is compared with an earlier one as it would look from the later camera, by FLIP, where both show the same
 //! surface (Radl, Steiner, Parger, Weinrauch, Kerbl, Steinberger: *StopThePop: Sorted Gaussian Splatting for View-Consistent
 //! Real-time Rendering*. SIGGRAPH 2024). They estimate the motion of pixels with a network; here it follows from depth and
-//! cameras. `docs/popping.md` says what else differs.
+//! cameras. `docs/guide/measure.md` says what else differs.
 
 mod arc;
 mod frame;

@@ -5,9 +5,9 @@ use std::io::Write as _;
 use std::path::Path;
 
 use dpges_core::scene::atomic::write_atomically;
+use dpges_train::eval::floaters::Floaters;
 use dpges_train::eval::popping::Popping;
 use dpges_train::metrics::{Metric, Scores, further_metrics};
-use dpges_train::eval::floaters::Floaters;
 use dpges_train::run::folder::write_json;
 use serde::Serialize;
 
