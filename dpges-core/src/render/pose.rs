@@ -1,4 +1,4 @@
-//! What a loss wants of the camera: its gradient with respect to a motion of the camera.
+//! The gradient of a loss with respect to a motion of the camera.
 //!
 //! Operations take cameras as constants. A camera that is turned about its centre `c` by a small rotation vector `w` and
 //! shifted by `t` sees what the camera that stays sees of a world that moves the other way:
@@ -33,7 +33,7 @@ pub struct PoseProbe {
 }
 
 impl PoseProbe {
-    /// Of `camera`, on the tape of `device`, for primitives of `dtype`.
+    /// A probe for `camera`, on the tape of `device`, for primitives of `dtype`.
     pub fn new(camera: &Camera, device: &Device, dtype: DType) -> Self {
         let motion = Tensor::zeros([1, 6], (device, dtype)).require_grad();
         let centre = TensorData::new(camera.centre().to_array().to_vec(), [1, 3]).convert_dtype(dtype);

@@ -9,7 +9,7 @@ use serde_json::Value;
 /// in the order of a hash map, which differs from process to process.
 ///
 /// # Errors
-/// Those of [`safetensors::serialize`].
+/// The errors of [`safetensors::serialize`].
 pub fn serialize<V: View>(
     tensors: impl IntoIterator<Item = (impl AsRef<str> + Ord + std::fmt::Display, V)>,
     metadata: HashMap<String, String>,

@@ -18,7 +18,7 @@ pub enum Width {
     Scalar,
     /// As many.
     Fixed(usize),
-    /// What the colour model asks for: [`ColourModel::detail_len`].
+    /// The number that the colour model needs: [`ColourModel::detail_len`].
     Detail,
 }
 
@@ -33,7 +33,7 @@ impl Width {
     }
 }
 
-/// What turns the raw numbers that are trained into the values that are rendered and stored.
+/// The function from the raw numbers that are trained to the values that are rendered and stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Activation {
     /// None: the raw numbers are the values.
@@ -53,18 +53,18 @@ pub enum RateGroup {
     Opacities,
     Base,
     Detail,
-    /// Of the coefficients of an environment; no primitive has such an attribute.
+    /// Coefficients of an environment; no primitive has such an attribute.
     Environment,
-    /// Of the colour corrections of photographs; no primitive has such an attribute.
+    /// Colour corrections of photographs; no primitive has such an attribute.
     Exposure,
 }
 
 /// One attribute of a kind of primitive.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Attribute {
-    /// What errors and scene files call its values, as in `gaussians.opacities`.
+    /// Name of its values in errors and scene files, as in `gaussians.opacities`.
     pub name: &'static str,
-    /// What errors and checkpoints call the raw numbers, as in `gaussians.raw_opacities`.
+    /// Name of the raw numbers in errors and checkpoints, as in `gaussians.raw_opacities`.
     pub raw_name: &'static str,
     pub width: Width,
     pub activation: Activation,

@@ -32,7 +32,7 @@ pub struct TileWork {
     /// 256 pixels of the tile for each entry; of a Gaussian the 32 pixels of each region of 8 × 4 px of the tile that its
     /// ellipse touches, and in which some pixel sees as far as its depth. A kernel that stops early asks about fewer.
     pub evaluated_pairs: u64,
-    /// Those of a pixel of the image that lies in the footprint of the primitive.
+    /// Pairs whose pixel lies in the image and in the footprint of the primitive.
     pub inside_pairs: u64,
 }
 
@@ -166,7 +166,7 @@ impl Ends {
         Self { size, columns, depths }
     }
 
-    /// Of the part from the pixel at a column and row on.
+    /// Value of the part that starts at a pixel's column and row.
     fn at(&self, first: [usize; 2]) -> f32 {
         self.depths[first[1] / self.size[1] * self.columns + first[0] / self.size[0]]
     }

@@ -11,9 +11,9 @@ pub enum UpAxis {
     /// splats in PLY files expect.
     #[default]
     MinusY,
-    /// Of files that are in the axes of glTF already.
+    /// Up in files that are already in the axes of glTF.
     Y,
-    /// Of Blender, nerfstudio, and the built-in scene.
+    /// Up in Blender, nerfstudio, and the built-in scene.
     Z,
 }
 

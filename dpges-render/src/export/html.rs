@@ -23,14 +23,14 @@ const INDEX: &str = "index.html";
 const SCENE: &str = "scene.safetensors";
 const POSTER: &str = "poster.jpg";
 const CAMERAS: &str = "cameras.json";
-/// What `index.html` has in place of the scene, the poster and the title.
+/// Placeholders of `index.html` for the scene, the poster and the title.
 const NO_SCENE: &str = r#"<meta name="dpges-scene" content="">"#;
 const NO_POSTER: &str = r#"<meta name="dpges-poster" content="">"#;
 const NO_TITLE: &str = "<title>dpges</title>";
 /// Where the page has its program.
 const PACKAGE: &str = "pkg";
 
-/// What can be wrong with a page or the folder it is written to.
+/// Errors of a page or of the folder it is written to.
 #[derive(Debug, thiserror::Error)]
 pub enum HtmlError {
     #[error(
@@ -53,10 +53,10 @@ fn listed(folders: &[PathBuf]) -> String {
     folders.iter().map(|folder| folder.display().to_string()).collect::<Vec<_>>().join(", ")
 }
 
-/// What a page shows besides the scene.
+/// The parts of a page besides the scene.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Page<'a> {
-    /// Of the window or tab.
+    /// Title of the window or tab.
     pub title: &'a str,
     /// A picture in the JPEG format, shown until the scene has been loaded.
     pub poster_jpeg: Option<&'a [u8]>,

@@ -35,8 +35,8 @@ pub use harmonics::{MAX_DEGREE, coefficient_count};
 pub use splat_glb::to_glb;
 pub use splat_ply::to_ply;
 
-/// What comments in files call the program.
+/// The name of the program in comments of files.
 const GENERATOR: &str = concat!("dpges ", env!("CARGO_PKG_VERSION"));
-/// What files of splats say about themselves, where the format has a place for it.
+/// The comment in files of splats, where the format has a place for it.
 const APPROXIMATION: &str =
     "Approximation: sorted splats in place of depth-peeled surfels with order-free Gaussians (DP-GES)";

@@ -16,9 +16,9 @@ use crate::Renderer;
 /// Name under which the desktop knows the window, and of the folder of its settings.
 const APPLICATION: &str = "dpges";
 
-/// What the window shows first.
+/// The first content of the window.
 pub enum Start {
-    /// What can be done.
+    /// The page of possible actions.
     Page,
     /// A scene file or the folder of a run, which is read while the window is there already.
     Open(PathBuf),
@@ -39,7 +39,7 @@ pub struct Gpu {
     pub queue: wgpu::Queue,
 }
 
-/// What [`run`] shows, and with what.
+/// The content of [`run`] and its settings.
 pub struct ViewerOptions {
     pub title: String,
     pub start: Start,

@@ -17,7 +17,7 @@ use crate::views::exposure::Seen;
 /// Views that a point is checked in: those whose cameras are nearest to its own.
 pub const CHECKED_VIEWS: usize = 24;
 
-/// What trained Gaussians look like in views, and their photographs: both are made when they are asked for.
+/// Views of trained Gaussians, and their photographs: both are made when they are asked for.
 pub struct DepthViews<'a> {
     pub cameras: Vec<&'a Camera>,
     /// [H × W] depth, world units; not positive where the picture is not opaque and of one depth, or does not count.

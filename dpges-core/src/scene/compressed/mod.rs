@@ -80,14 +80,14 @@ pub(super) const FORMAT: &str = "dpges-scene-compressed";
 pub(super) const VERSION: &str = "1";
 /// Entry of the metadata.
 const LAYOUT: &str = "compressed";
-/// Of a count of lobes.
+/// Bits of a count of lobes.
 const COUNT_BITS: u8 = 8;
 
 impl SceneData {
     /// Writes the compressed scene file; an existing file is replaced only once the new one is complete.
     ///
     /// # Errors
-    /// Those of [`to_compressed`](Self::to_compressed), [`Error::Io`].
+    /// The errors of [`to_compressed`](Self::to_compressed), [`Error::Io`].
     pub fn save_compressed(&self, path: &Path, quality: &Quality) -> Result<()> {
         let bytes = self.to_compressed(quality, path)?;
         write_atomically(path, |file| file.write_all(&bytes))
@@ -160,7 +160,7 @@ fn store<C: Columns<Value = Vec<f32>>>(
 /// The primitives of a compressed file of `file_len` bytes.
 ///
 /// # Errors
-/// What is wrong, naming the tensor where there is one.
+/// A message that names the problem, and the tensor where there is one.
 pub(super) fn read(
     file: &SafeTensors,
     metadata: &HashMap<String, String>,

@@ -16,7 +16,7 @@ pub fn encode(values: &[f32], groups: &Groups, bits: u8, block_len: usize) -> Ve
 /// Undoes [`encode`] for a number of `rows`, up to what [`dequantise`] says.
 ///
 /// # Errors
-/// What is wrong with `bytes`: see [`planes::decode`] and [`dequantise`].
+/// A message about `bytes`: see [`planes::decode`] and [`dequantise`].
 pub fn decode(bytes: &[u8], rows: usize, groups: &Groups, bits: u8, block_len: usize) -> Result<Vec<f32>, String> {
     let bound_bytes = rows.div_ceil(block_len).saturating_mul(groups.len() * 2 * size_of::<f32>());
     let (bounds, rest) = bytes.split_at_checked(bound_bytes).ok_or("ends within the bounds of its blocks")?;

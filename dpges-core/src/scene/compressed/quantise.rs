@@ -70,7 +70,7 @@ pub fn quantise(values: &[f32], groups: &Groups, bits: u8, block_len: usize) -> 
 }
 
 /// Undoes [`quantise`], up to half a step: half of (high − low) / (2^bits − 1) of the block, and the rounding of `f32`.
-/// What comes out lies within the bounds.
+/// The numbers lie within the bounds.
 ///
 /// # Errors
 /// The bounds of a block that are not finite, or the wrong way round.

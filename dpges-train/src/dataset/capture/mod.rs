@@ -82,7 +82,7 @@ impl From<&DataConfig> for Options {
     }
 }
 
-/// What is to be reconstructed, and where to.
+/// The input of a reconstruction, and its destination.
 #[derive(Clone, Debug)]
 pub struct Request<'a> {
     pub input: &'a Input,
@@ -158,7 +158,7 @@ impl Reconstruction<'_> {
         Ok(None)
     }
 
-    /// What the result of a step depends on, besides the steps before it.
+    /// The inputs of a step, besides the steps before it.
     fn key(&self, step: Step, workspace: &Workspace) -> Result<Value, SfmError> {
         let options = self.request.options;
         Ok(match step {

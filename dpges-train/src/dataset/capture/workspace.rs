@@ -48,7 +48,7 @@ struct Record {
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Entry {
-    /// What the result depends on.
+    /// The inputs of the result.
     key: Value,
     /// How long it took, s. `None` while it is not done.
     seconds: Option<f64>,

@@ -5,7 +5,7 @@ use super::poses::spread;
 use super::view::ViewFacts;
 use crate::dataset::check::luma::Luma;
 
-/// Of one pose: distance relative to the spread of the cameras, angle between the directions, rad.
+/// Limits for the same pose: distance relative to the spread of the cameras, angle between the directions, rad.
 const DISTANCE: f64 = 0.005;
 const ANGLE: f64 = 0.01;
 /// Root mean square difference of thumbnails that show the same.

@@ -42,7 +42,7 @@ pub(super) fn of_view(camera: &Camera, picture: &Picture, points: &PointCloud, s
     if stops.len() < FEWEST_POINTS { None } else { super::statistics::median(stops) }
 }
 
-/// Of an sRGB colour, 0 to 1.
+/// Luminance of an sRGB colour, 0 to 1.
 fn luminance(rgb: [f32; 3]) -> f64 {
     let linear = |value: f32| {
         let value = f64::from(value);

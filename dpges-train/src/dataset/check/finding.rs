@@ -1,4 +1,4 @@
-//! What is wrong, in words.
+//! Problems of a dataset, in words.
 
 use std::fmt;
 
@@ -10,7 +10,7 @@ use crate::dataset::names::list;
 /// Fewest training views that are no reason to say so.
 const FEW_VIEWS: usize = 10;
 
-/// What may be wrong with a dataset.
+/// A possible problem of a dataset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {

@@ -20,7 +20,7 @@ impl Luma {
     /// Weights of red, green and blue (Rec. 709).
     const WEIGHTS: [f32; 3] = [0.2126, 0.7152, 0.0722];
 
-    /// Of a picture, from its values as they are stored.
+    /// Luma of a picture, from its values as they are stored.
     pub fn of(picture: &Picture) -> Self {
         let counted = picture.counted.clone();
         Self { counted, ..Self::of_planes(&picture.planes(), picture.width, picture.height) }
@@ -31,7 +31,7 @@ impl Luma {
         self.counted.as_ref().is_none_or(|counted| counted[pixel])
     }
 
-    /// Of the red, green and blue planes of a picture, [3, height, width].
+    /// Luma of the red, green and blue planes of a picture, [3, height, width].
     pub fn of_planes(planes: &[f32], width: usize, height: usize) -> Self {
         let count = width * height;
         let value = |pixel: usize| (0..3).map(|channel| Self::WEIGHTS[channel] * planes[channel * count + pixel]).sum();

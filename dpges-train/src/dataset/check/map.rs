@@ -37,7 +37,7 @@ pub struct MapPoint {
 }
 
 impl Map {
-    /// Of the cameras of `dataset`, of which `report` is, and of an even choice of its points.
+    /// A map of the cameras of `dataset`, to which `report` belongs, and of an even choice of its points.
     pub fn of(dataset: &Dataset, report: &Report) -> Self {
         let up = upwards(report.views.iter().map(|view| &view.camera)).normalize_or(DVec3::Z);
         let right = up.any_orthonormal_vector();

@@ -1,5 +1,5 @@
-//! What the points of structure from motion say of views: without points a pose is not to be trusted, and where there are
-//! none, surfaces must be found by training alone.
+//! Checks of views by the points of structure from motion: without points a pose is not to be trusted, and surfaces
+//! without points must be found by training alone.
 
 use dpges_core::camera::Camera;
 use glam::DVec3;

@@ -1,4 +1,4 @@
-//! What is known of each view. This is the only place that looks at pixels.
+//! Properties of each view. This is the only place that looks at pixels.
 
 use dpges_core::camera::Camera;
 use glam::DVec3;
@@ -13,7 +13,7 @@ use super::{Effort, MOST_POINTS, QUICK_PIXELS};
 use crate::dataset::check::luma::Luma;
 use crate::dataset::{Dataset, Picture, View};
 
-/// What a view is for.
+/// The purpose of a view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Role {
@@ -24,7 +24,7 @@ pub enum Role {
     Validation,
 }
 
-/// What is known of one view. Numbers are `None` where the dataset does not say, or where they were not measured.
+/// Properties of one view. Numbers are `None` where the dataset does not say, or where they were not measured.
 #[derive(Clone, Debug, Serialize)]
 pub struct ViewFacts {
     pub name: String,
@@ -66,7 +66,7 @@ fn in_short<S: Serializer>(camera: &Camera, serializer: S) -> Result<S::Ok, S::E
     Short { centre: camera.centre().to_array(), width, height, focal_lengths: [fx, fy] }.serialize(serializer)
 }
 
-/// What the pixels of a view say.
+/// Properties of the pixels of a view.
 struct Pixels {
     /// Detail of the size of a pixel and of two, along rows and along columns.
     detail: [[f64; 2]; 2],
@@ -75,7 +75,7 @@ struct Pixels {
     thumbnail: Thumbnail,
 }
 
-/// Of training, held-out and validation views.
+/// Properties of training, held-out and validation views.
 ///
 /// # Errors
 /// [`dpges_core::Error::Io`] if a photograph cannot be read again.

@@ -21,7 +21,7 @@ pub(in crate::dataset) const FOLDER: &str = "depths";
 /// World units of a step of metric maps that do not say, those of a map in millimetres in a world in metres (nerfstudio).
 pub(in crate::dataset) const DEFAULT_UNIT: f64 = 1e-3;
 
-/// What the values of a depth map are.
+/// The meaning of the values of a depth map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DepthKind {
     /// Depths.
@@ -37,7 +37,7 @@ pub struct DepthMap {
     pub kind: DepthKind,
     /// [height × width] of the picture of the view, row by row; 0 where nothing is known or the pixel does not count.
     pub steps: Arc<[u16]>,
-    /// Of one step: world units of depth; or, if relative, 1/65535.
+    /// Size of one step: world units of depth; or, if relative, 1/65535.
     pub step: f64,
 }
 

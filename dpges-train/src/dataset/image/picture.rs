@@ -115,7 +115,7 @@ impl Picture {
         }
     }
 
-    /// What it takes in memory, bytes.
+    /// Size in memory, bytes.
     pub fn size_bytes(&self) -> usize {
         self.bytes.len() + self.alpha.as_ref().map_or(0, Vec::len) + self.counted.as_ref().map_or(0, Vec::len)
     }

@@ -1,4 +1,4 @@
-//! What every primitive contributes to pictures: the sum of the weights with which it is blended into their pixels.
+//! Contributions of primitives to pictures: the sum of the weights with which each is blended into their pixels.
 
 use burn::tensor::{DType, Device, Tensor};
 use dpges_core::Result;
@@ -24,7 +24,7 @@ impl Contributions {
     /// weights. Colours are replaced by grey: one that is clamped has no gradient.
     ///
     /// # Errors
-    /// Those of [`render`] and [`render_blended`].
+    /// The errors of [`render`] and [`render_blended`].
     pub fn measure(scene: &SceneData, cameras: &[Camera], device: &Device) -> Result<Self> {
         let mut sums = Self { surfels: vec![0.0; scene.surfels.len()], gaussians: vec![0.0; scene.gaussians.len()] };
         let tape = device.clone().autodiff();

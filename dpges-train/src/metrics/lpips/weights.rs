@@ -9,7 +9,7 @@ use super::network::{Network, TensorShape};
 
 /// Version of the linear layers: those for scaled pictures.
 const VERSION: &str = "0.1";
-/// What to do about a file that cannot be used.
+/// Advice for a file that cannot be used.
 const ADVICE: &str =
     "`dpges lpips install` and dpges-train/tools/lpips_weights.py make such files, see docs/guide/measure.md";
 

@@ -26,7 +26,7 @@ const DSSIM: f64 = 0.2;
 /// a photograph that is brighter than the scene says nothing about where its camera is.
 ///
 /// # Errors
-/// Those of [`Renderer::render`], [`dpges_core::Error::Shape`] if the target has another size.
+/// The errors of [`Renderer::render`], [`dpges_core::Error::Shape`] if the target has another size.
 pub fn fitted_pose(
     renderer: &Renderer,
     camera: &Camera,
