@@ -10,10 +10,10 @@
 //! ```
 //!
 //! Colours depend on the direction from the camera to a primitive in the axes of the world. The turn leaves that as it is.
-//! That the shift changes it is left out, as directions pass no gradient to positions either
+//! The change by the shift is left out, as directions pass no gradient to positions either
 //! ([`colour`](mod@crate::ops::colour)).
 //!
-//! The motion is 0. What is rendered is the same to the bit as without it, and apart from what a shift does to colours its
+//! The motion is 0. The picture is the same to the bit as without it, and apart from the effect of a shift on colours its
 //! derivatives are exact.
 
 use burn::tensor::{DType, Device, Gradients, Tensor, TensorData};

@@ -1,7 +1,7 @@
 //! Every attribute of surfels and Gaussians, declared once: its name, its width, its activation, its learning rate.
 //!
-//! [`SurfelColumns`] and [`GaussianColumns`] have one field per attribute, the same wherever a scene goes. What the
-//! field holds depends on the place: rows of `f32` in host memory and in files, a tensor on a device, a parameter with
+//! [`SurfelColumns`] and [`GaussianColumns`] have one field per attribute, the same wherever a scene goes. The content of
+//! a field depends on the place: rows of `f32` in host memory and in files, a tensor on a device, a parameter with
 //! its moments in an optimiser, a gradient, a learning rate. Code that treats all attributes alike goes over
 //! [`Columns`]; only an operation that gives an attribute its meaning names it.
 

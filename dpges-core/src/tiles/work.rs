@@ -28,8 +28,8 @@ pub struct TileWork {
     pub entries: usize,
     /// Entries of the longest list.
     pub longest: usize,
-    /// Pairs of a pixel and a primitive that a kernel of a GPU asks about on its way forward. Of a surfel these are the
-    /// 256 pixels of the tile for each entry; of a Gaussian the 32 pixels of each region of 8 × 4 px of the tile that its
+    /// Pairs of a pixel and a primitive that a kernel of a GPU asks about on its way forward. For a surfel these are the
+    /// 256 pixels of the tile for each entry; for a Gaussian the 32 pixels of each region of 8 × 4 px of the tile that its
     /// ellipse touches, and in which some pixel sees as far as its depth. A kernel that stops early asks about fewer.
     pub evaluated_pairs: u64,
     /// Pairs whose pixel lies in the image and in the footprint of the primitive.

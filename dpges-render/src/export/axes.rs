@@ -28,7 +28,7 @@ impl UpAxis {
         }
     }
 
-    /// Rotation to the axes of glTF: y up, z where the front looks. What lies ahead of a camera with OpenCV axes, +z, stays
+    /// Rotation to the axes of glTF: y up, z where the front looks. The front of a camera with OpenCV axes, +z, stays
     /// there, and Blender's front, −y, becomes +z, as their own converters have it.
     pub fn to_gltf(self) -> DMat3 {
         match self {

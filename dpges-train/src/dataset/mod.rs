@@ -264,8 +264,8 @@ pub fn format(path: &Path) -> Option<Format> {
     }
 }
 
-/// Reads the dataset in folder `path`, see [`format()`]. Of more than [`SAMPLED_VIEWS`] photographs without alpha, masks and
-/// depth maps only the headers are read; their pixels follow when they are needed.
+/// Reads the dataset in folder `path`, see [`format()`]. For more than [`SAMPLED_VIEWS`] photographs without alpha, masks and
+/// depth maps it reads only the headers; their pixels follow when they are needed.
 ///
 /// # Errors
 /// [`DatasetError`] names the file at fault and the remedy.

@@ -2,7 +2,7 @@
 //!
 //! A point is evidence for a surface if the picture of its view is opaque there and of one depth, if at least
 //! [`FusionRule::min_views`] other views have that depth where they see it, and if no more than half as many look through
-//! it. What is no surface (leaves, sky, floaters) has no such points.
+//! it. Leaves, sky and floaters have no such points.
 
 use std::sync::Arc;
 

@@ -40,8 +40,8 @@
 //! # Errors of a number
 //!
 //! Half a step: (high − low) / (2^b − 1) / 2 of its block, and one rounding of f32. Half a step of the three smallest
-//! components of a unit quaternion is 1/√2 / (2^b − 2); its length and its sign, which mean nothing, are lost. What is equal
-//! throughout a block, the bounds of a block, counts of lobes, and the environment are exact.
+//! components of a unit quaternion is 1/√2 / (2^b − 2); its length and its sign, which mean nothing, are lost. Numbers that are
+//! equal throughout a block, the bounds of a block, counts of lobes, and the environment are exact.
 //!
 //! # Files of strangers
 //!

@@ -10,7 +10,7 @@
 //!
 //! The result is a COLMAP dataset as [`crate::dataset`] reads it, which undistorts the photographs if asked to.
 //! `sfm/steps.json` says which steps are done, with what they depend on: [`reconstruct`] goes on where it was interrupted, and
-//! repeats a step if that has changed. What a program says is in `sfm/STEP.log`.
+//! repeats a step if that has changed. The output of a program is in `sfm/STEP.log`.
 
 mod commands;
 mod error;

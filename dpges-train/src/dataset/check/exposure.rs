@@ -1,4 +1,4 @@
-//! Photographs of different brightness. What counts is that views show the same points in different brightness, not that
+//! Photographs of different brightness. A difference counts if views show the same points in different brightness, not if
 //! one shows a window and another a corner.
 
 use dpges_core::camera::Camera;

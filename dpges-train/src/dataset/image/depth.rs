@@ -94,8 +94,8 @@ pub(in crate::dataset) fn file(root: &Path, frame: &Frame) -> Option<DepthFile> 
 }
 
 /// Reads the depth map of `frame` for its finished `picture` and the `camera` of that. Each pixel takes the value of the map
-/// where it lies, without interpolation: between the depths on both sides of an edge there is nothing. Of pixels that do not
-/// count nothing is known.
+/// where it lies, without interpolation: between the depths on both sides of an edge there is nothing. Pixels that do not
+/// count have unknown depth.
 ///
 /// # Errors
 /// [`DatasetError::Read`], [`DatasetError::Decode`]; [`DatasetError::DepthType`] unless it is a 16-bit grey PNG, or an

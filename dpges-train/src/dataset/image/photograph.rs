@@ -198,7 +198,7 @@ impl Photograph {
 }
 
 /// Begins to read in the background those of `photographs` that are not in memory, the first first, as far as there is room
-/// for them. What was asked for before and has not begun is forgotten.
+/// for them. Earlier requests that have not begun are forgotten.
 pub(crate) fn prefetch<'a>(photographs: impl IntoIterator<Item = &'a Photograph>) {
     let (mut wanted, mut cache, mut passing_bytes) = (VecDeque::new(), None, 0usize);
     for photograph in photographs {

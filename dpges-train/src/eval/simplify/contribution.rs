@@ -60,7 +60,7 @@ impl Contributions {
     }
 
     /// The `share` (0 to 1) of all primitives that contribute most, surfels and Gaussians together: the rows of both, in
-    /// their order. Of equal contributions surfels go first, then earlier rows.
+    /// their order. If contributions are equal, surfels go first, then earlier rows.
     pub fn heaviest(&self, share: f64) -> [Vec<usize>; 2] {
         let surfels = self.surfels.len();
         let all: Vec<f64> = self.surfels.iter().chain(&self.gaussians).copied().collect();

@@ -141,8 +141,8 @@ impl<'a> Seen<'a> {
 }
 
 /// How differently bright the training photographs of `dataset` show the same points: the standard deviation over views of
-/// the logarithm to base 2 of how much brighter the points are in a photograph than by their own colours. Of many views a
-/// sample is looked at. `None` if fewer than two photographs show enough points with a colour.
+/// the logarithm to base 2 of how much brighter the points are in a photograph than by their own colours. A sample
+/// stands for many views. `None` if fewer than two photographs show enough points with a colour.
 ///
 /// # Errors
 /// [`dpges_core::Error::Io`] if a photograph cannot be read again.

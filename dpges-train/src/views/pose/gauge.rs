@@ -5,7 +5,7 @@ use glam::{DMat3, DVec3};
 
 use crate::views::pose::PoseCorrection;
 
-/// A small motion of the whole world about the mean c̄ of the camera centres. Of a camera at c it is the turn ω and the shift
+/// A small motion of the whole world about the mean c̄ of the camera centres. It turns a camera at c by ω and shifts it by
 /// `τ + ω × (c − c̄) + σ (c − c̄)`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Similarity {
