@@ -2,7 +2,7 @@
 
 use safetensors::SafeTensors;
 
-use super::file::{lobe_names, unreadable};
+use super::container::{lobe_names, unreadable};
 use super::schema::{Columns, ENVIRONMENT, Width};
 use super::{GaussianData, SceneData, SurfelData};
 use crate::error::{Error, Result};

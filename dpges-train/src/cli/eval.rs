@@ -1,6 +1,5 @@
 //! `dpges eval`: image quality of a scene against photographs.
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -8,7 +7,8 @@ use dpges_core::Error;
 use dpges_core::camera::Camera;
 use dpges_core::scene::SceneData;
 use dpges_render::Headless;
-use dpges_render::frame_times::{FrameTimes, Rounds};
+use dpges_render::frame_times::{FrameTimes, Rounds, scene_frame_times};
+use dpges_render::path::Size;
 use dpges_train::dataset::View;
 use dpges_train::device::memory::peak_memory_bytes;
 use dpges_train::device::{DeviceName, DeviceRequest};
@@ -16,17 +16,14 @@ use dpges_train::eval::floaters::Floaters;
 use dpges_train::eval::pictures::{file_stems, save_png};
 use dpges_train::eval::popping::{Popping, arc};
 use dpges_train::eval::rendered::{Renderer, to_picture};
+use dpges_train::eval::worst::{self, WorstView};
 use dpges_train::eval::{EvalReport, Evaluation, FrameMs, Measures, evaluate_each};
 use dpges_train::metrics::{METRICS, Metric, Scores};
-use dpges_train::run::folder::write_json;
 
 use super::data::{Scene, ViewArgs, every_nth};
 use super::device_failure::watched;
-use super::frame_times::of_raster;
 use super::lpips::LpipsArgs;
-use super::render::Size;
-use super::worst::{self, WorstView};
-use super::{Result, device_choice, print, table};
+use super::{Result, device_choice, print_report, table};
 use crate::cli::progress::Seconds;
 
 /// At most so many views are timed.
@@ -137,17 +134,7 @@ fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> 
         frame_ms,
     };
     let summary = summary(&report, &worst, notes);
-    match args.json.as_deref().filter(|path| *path != Path::new("-")) {
-        Some(path) => {
-            write_json(path, &report)?;
-            print(&summary)
-        }
-        None => {
-            // The table is for people: if nobody can read it, the result is still on standard output.
-            let _ = std::io::stderr().write_all(summary.as_bytes());
-            print(&format!("{}\n", serde_json::to_string_pretty(&report)?))
-        }
-    }
+    print_report(Some(args.json.as_deref().unwrap_or(Path::new("-"))), &report, &summary)
 }
 
 /// # Errors
@@ -165,7 +152,7 @@ fn frame_ms(headless: &Headless, scene: &SceneData, views: &[View]) -> Result<Fr
     let Camera { width, height, .. } = views[0].camera;
     let size = Size { width, height };
     let cameras: Vec<Camera> = every_nth(views, TIMED_VIEWS).map(|view| size.apply(&view.camera)).collect();
-    let FrameTimes { p50_ms, p99_ms, .. } = of_raster(headless, scene, &cameras, ROUNDS)?;
+    let FrameTimes { p50_ms, p99_ms, .. } = scene_frame_times(headless, scene, &cameras, ROUNDS)?;
     let (device, renderer) = (headless.adapter_name(), "raster".to_owned());
     Ok(FrameMs { p50: p50_ms, p99: p99_ms, device, width, height, renderer })
 }

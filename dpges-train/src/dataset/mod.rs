@@ -15,6 +15,7 @@ pub(crate) mod fixtures;
 mod formats;
 pub(crate) mod image;
 pub(crate) mod names;
+pub mod source;
 
 use std::fmt;
 use std::path::Path;

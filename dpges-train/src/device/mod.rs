@@ -4,7 +4,10 @@
 pub mod adapter;
 pub mod auto;
 pub mod choice;
+pub mod extremes;
+pub mod failure;
 pub mod memory;
+pub mod probe;
 pub mod selftest;
 
 use std::fmt;

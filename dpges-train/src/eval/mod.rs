@@ -5,6 +5,7 @@
 //! masks do to all of them.
 
 pub mod compress;
+pub mod export;
 mod fits;
 pub mod floaters;
 pub mod pictures;
@@ -14,6 +15,8 @@ pub mod simplify;
 pub mod splat_fit;
 #[cfg(test)]
 mod tests;
+pub mod video;
+pub mod worst;
 
 use std::time::Instant;
 
@@ -26,6 +29,7 @@ use dpges_core::{Error, Result};
 use dpges_render::Rgb8Image;
 use serde::{Deserialize, Serialize};
 
+use self::floaters::Floaters;
 use crate::dataset::{Picture, View, pictures};
 use crate::eval::floaters::Floaters;
 use crate::eval::popping::Popping;
@@ -93,7 +97,7 @@ pub struct EvalReport {
     pub evaluation: Evaluation,
     /// Size of the scene file.
     pub bytes: u64,
-    /// Primitives that float, see [`floaters`](crate::eval::floaters); absent if the dataset does not say which view saw what.
+    /// Primitives that float, see [`floaters`]; absent if the dataset does not say which view saw what.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub floaters: Option<Floaters>,
     /// Wall-clock time of the run up to its last step, see [`MetricsLog::seconds_of_steps`]; absent if the scene is not that
@@ -137,9 +141,9 @@ pub struct FrameMs {
 /// The target of a run, the expectation before it, and its result.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TargetReport {
-    /// As it was asked for, such as `10MB`.
+    /// As it was asked for, such as `5min`.
     pub asked: String,
-    /// `bytes` of the scene file, `seconds` of training up to the last step, or `frames_per_second`.
+    /// `seconds` of training up to the last step, or `frames_per_second`.
     pub unit: String,
     pub expected: f64,
     pub got: f64,

@@ -28,6 +28,8 @@
 //! files.
 
 pub mod checkpoint;
+pub mod description;
+pub mod differences;
 mod error;
 #[cfg(test)]
 pub mod fixtures;
@@ -39,9 +41,11 @@ mod observer;
 #[cfg(test)]
 mod peak_tests;
 mod record;
+pub mod scene;
 pub mod step_cost;
 #[cfg(test)]
 mod streamed_tests;
+pub mod targets;
 #[cfg(test)]
 mod tests;
 mod trainer;

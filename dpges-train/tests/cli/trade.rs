@@ -40,10 +40,10 @@ fn a_compressed_scene_is_smaller_and_read_like_any_other() {
     let [small, large] = [&low, &medium].map(|report| number(report, "bytes_after") as usize);
     assert!(small < large);
     let between = (small + large) / 2;
-    compress(&["--out", "between", "--target", &format!("{}MB", between as f64 / 1e6)]);
+    compress(&["--out", "between", "--budget", &format!("{}MB", between as f64 / 1e6)]);
     assert!((small..=between).contains(&bytes(at.join("between")).len()));
-    let message = fails(at, 1, &["compress", "run", "--device=cpu", "--out", "tiny", "--target", "0.001MB"]);
-    assert!(message.contains(&small.to_string()) && message.contains("--target"), "{message}");
+    let message = fails(at, 1, &["compress", "run", "--device=cpu", "--out", "tiny", "--budget", "0.001MB"]);
+    assert!(message.contains(&small.to_string()) && message.contains("--budget"), "{message}");
 
     // held-out views do not decide
     let allowed = loss(&report("again.json")).max(0.05);
@@ -57,8 +57,8 @@ fn a_compressed_scene_is_smaller_and_read_like_any_other() {
     assert!(table.contains("not measured") && is_equal(at.join("alone"), at.join("medium")), "{table}");
     let refused = |args: &[&str]| fails(at, 2, &[&["compress", "alone.safetensors"], args].concat());
     assert!(refused(&["--out", "no", "--target", "0.1dB"]).contains("--data"));
-    assert!(refused(&["--out", "no", "--target", "7"]).contains("such as 10MB"));
-    assert!(refused(&["--out", "no", "--target", "1MB", "--quality", "low"]).contains("cannot be used with"));
+    assert!(refused(&["--out", "no", "--target", "1MB"]).contains("--budget 1MB"));
+    assert!(refused(&["--out", "no", "--budget", "1MB", "--quality", "low"]).contains("cannot be used with"));
     assert!(refused(&["--out", "alone.safetensors"]).contains("--out is the scene itself"));
     assert!(!at.join("no").exists() && !at.join("tiny").exists());
 }
@@ -155,22 +155,22 @@ fn the_trade_of_speed_and_quality_is_measured_once() {
 fn targets_are_kept_and_what_was_reached_is_said() {
     let folder = folder();
     let at = folder.path();
-    let without_budget: Vec<&str> = TINY.into_iter().filter(|option| !option.starts_with("--budget")).collect();
-    let table = ok(at, &[&["train", "--out=run", "--target=60kB"], &without_budget[..]].concat());
-    assert!(table.contains("60kB: 0.06 MB expected"), "{table}");
+    let without_steps: Vec<&str> = TINY.into_iter().filter(|option| !option.starts_with("--steps")).collect();
+    let table = ok(at, &[&["train", "--out=run", "--target=10s"], &without_steps[..]].concat());
+    assert!(table.contains("10s: ") && table.contains(" s expected"), "{table}");
     let target = json(at.join("run/eval.json"))["target"].clone();
-    assert_eq!((&target["asked"], &target["unit"]), (&"60kB".into(), &"bytes".into()));
-    let size = bytes(at.join("run/scene.safetensors")).len() as f64;
-    assert!(target["got"] == size && size <= target["expected"].as_f64().unwrap() && size <= 6e4, "{target}");
-    assert!(ok(at, &["train", "--out=run", "--resume"]).contains("60kB: "));
+    assert_eq!((&target["asked"], &target["unit"]), (&"10s".into(), &"seconds".into()));
+    assert!(target["got"].as_f64().unwrap() > 0.0 && target["expected"].as_f64().unwrap() <= 10.0, "{target}");
+    assert!(ok(at, &["train", "--out=run", "--resume"]).contains("10s: "));
 
-    assert!(fails(at, 2, &["train", "--target=1 GB fps"]).contains("kB, MB or GB"));
-    assert!(fails(at, 2, &["train", "--target=0MB"]).contains("positive"));
-    assert!(fails(at, 2, &["train", "--target=9MB", "--budget=500"]).contains("--budget"));
+    assert!(fails(at, 2, &["train", "--target=60kB"]).contains("--budget 0.06MB"));
+    assert!(fails(at, 2, &["train", "--target=1 GB fps"]).contains("s, min or h"));
+    assert!(fails(at, 2, &["train", "--target=0fps"]).contains("positive"));
+    assert!(fails(at, 2, &["train", "--target=30fps", "--budget=500"]).contains("--budget"));
     assert!(fails(at, 2, &["train", "--target=5min", "--steps=50"]).contains("--steps"));
-    assert!(fails(at, 2, &["train", "--target=9MB", "--resume"]).contains("cannot be used with"));
-    let message = fails(at, 1, &[&["train", "--out=no", "--target=5kB"], &without_budget[..]].concat());
-    assert!(message.contains("fewer than 100 primitives") && !at.join("no").exists(), "{message}");
+    assert!(fails(at, 2, &["train", "--target=9s", "--resume"]).contains("cannot be used with"));
+    let message = fails(at, 1, &[&["train", "--out=no", "--target=0.01s"], &without_steps[..]].concat());
+    assert!(message.contains("too short") && !at.join("no").exists(), "{message}");
 }
 
 #[test]

@@ -54,7 +54,6 @@ mod numbers;
 mod order;
 mod planes;
 mod quality;
-mod quantise;
 mod rotation;
 #[cfg(test)]
 mod tests;
@@ -65,14 +64,13 @@ use std::path::Path;
 
 use safetensors::SafeTensors;
 
-use self::layout::{Kept, Layout, lobe_groups};
-use super::file::{Rows, lobe_names, payload};
+use self::layout::{Kept, LOBE_GROUPS, Layout};
+use super::container::{Rows, lobe_names, payload, scene_file};
 use super::lobes::{pack, unpack};
-use super::schema::{Columns, ENVIRONMENT};
+use super::schema::Columns;
 use super::{ColourModel, GaussianData, SceneData, SceneInfo, SurfelData};
 use crate::error::{Error, Result};
 use crate::scene::atomic::write_atomically;
-use crate::scene::container;
 
 pub use quality::Quality;
 
@@ -106,22 +104,14 @@ impl SceneData {
         self.check_to_save(path)?;
         let model = self.info.colour_model;
         let layout = Layout::new(self.surfels.len(), self.gaussians.len(), *quality);
-        let json = |text: serde_json::Result<String>| text.map_err(|error| wrong(error.to_string()));
-        let metadata = HashMap::from([
-            ("format".to_owned(), FORMAT.to_owned()),
-            ("version".to_owned(), VERSION.to_owned()),
-            ("info".to_owned(), json(serde_json::to_string(&self.info))?),
-            (LAYOUT.to_owned(), json(serde_json::to_string(&layout))?),
-        ]);
         let mut stored = Vec::new();
         let surfels = self.surfels.select(&order::along_morton_curve(&self.surfels.positions));
         store(&surfels, surfels.len(), model, &layout, &mut stored);
         let gaussians = self.gaussians.select(&order::along_morton_curve(&self.gaussians.positions));
         store(&gaussians, gaussians.len(), model, &layout, &mut stored);
-        let environment = self.environment.iter();
-        stored.extend(environment.map(|e| Rows::numbers(ENVIRONMENT.name, vec![e.len(), 3], &e.coefficients[..])));
-        let tensors = stored.into_iter().map(|tensor| (tensor.name, tensor));
-        let bytes = container::serialize(tensors, metadata).map_err(|error| wrong(error.to_string()))?;
+        let of_layout = serde_json::to_string(&layout).map_err(|error| wrong(error.to_string()))?;
+        let more = Some((LAYOUT, of_layout));
+        let bytes = scene_file(self, stored, [FORMAT, VERSION], more).map_err(wrong)?;
         layout.check(model, bytes.len()).map_err(wrong)?;
         Ok(bytes)
     }
@@ -151,7 +141,7 @@ fn store<C: Columns<Value = Vec<f32>>>(
                 let counts: Vec<u32> = counts.into_iter().map(u32::from).collect();
                 let [counted, listed] = lobe_names(attribute);
                 stored.push(Rows::bytes(counted, planes::encode(&counts, &[COUNT_BITS])));
-                stored.push(Rows::bytes(listed, numbers::encode(&present, &lobe_groups(), bits, block_len)));
+                stored.push(Rows::bytes(listed, numbers::encode(&present, &LOBE_GROUPS, bits, block_len)));
             }
         }
     }
@@ -199,7 +189,7 @@ fn read_columns<C: Columns>(
                 // 8 bits each
                 let counts: Vec<u8> = counts.into_iter().map(|count| count as u8).collect();
                 let total = counts.iter().map(|&count| usize::from(count).min(lobes)).sum();
-                let present = numbers::decode(payload(file, listed)?, total, &lobe_groups(), bits, block_len)
+                let present = numbers::decode(payload(file, listed)?, total, &LOBE_GROUPS, bits, block_len)
                     .map_err(|reason| named(listed, reason))?;
                 unpack(&counts, &present, lobes).map_err(|reason| named(counted, reason))
             }

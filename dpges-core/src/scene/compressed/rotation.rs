@@ -2,7 +2,7 @@
 
 use std::f64::consts::FRAC_1_SQRT_2;
 
-use super::quantise::largest;
+use super::planes::largest;
 
 /// Numbers of a quaternion.
 const LEN: usize = 4;

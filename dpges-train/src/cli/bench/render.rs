@@ -7,6 +7,7 @@ use clap::builder::BoolishValueParser;
 use dpges_core::camera::Camera;
 use dpges_core::scene::{Rendering, SceneData};
 use dpges_render::frame_times::{FrameTimes, Rounds, frame_times};
+use dpges_render::path::Size;
 use dpges_render::{Display, Headless, RenderOptions};
 use dpges_train::device::DeviceRequest;
 use dpges_train::eval::rendered::Renderer;
@@ -15,8 +16,6 @@ use serde::Serialize;
 
 use super::super::data::{Scene, ViewArgs, every_nth};
 use super::super::device_failure::watched;
-use super::super::frame_times::of_training;
-use super::super::render::Size;
 use super::super::{Result, device_choice, print};
 
 /// Measure frames per second of a scene over the cameras of a dataset
@@ -94,7 +93,7 @@ pub fn run(args: &BenchRenderArgs) -> Result<()> {
         let device = device_choice::select(request)?;
         watched(device, || {
             let renderer = Renderer::new(&scene.data, &device.open()?);
-            let times = of_training(&renderer, &cameras, args.counts())?;
+            let times = renderer.frame_times(&cameras, args.counts())?;
             let (info, peeled) = (&scene.data.info, is_peeled(&scene.data));
             let (layers, backstop) = (peeled.then_some(info.layer_count), peeled.then_some(info.backstop));
             report.rows.push(Row { renderer: "training", on: device.to_string(), layers, backstop, times });

@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use dpges_train::config::{Config, key};
 
-use super::super::data::{DataArgs, Source};
-use super::super::sfm::options::SfmOptions;
-use super::super::{Failure, Result};
+use super::super::Result;
+use super::super::data::{DataArgs, Source, assigned};
+use super::super::sfm::SfmOptions;
 
 /// Defaults for the built-in scene: about two minutes of training.
 const BUILTIN_DEFAULTS: [&str; 4] =
@@ -75,7 +75,7 @@ impl ConfigArgs {
     pub fn resolve(&self, source: &Source, more: &[String]) -> Result<Config> {
         let mut config = self.resolved(of_dataset(source), self.config.as_deref(), more)?;
         if let Some(factor) = self.steps_scale {
-            config.scale_steps(factor).map_err(Failure::from_config)?;
+            config.scale_steps(factor)?;
         }
         Ok(config)
     }
@@ -89,17 +89,22 @@ impl ConfigArgs {
         let mut set = self.set.clone();
         set.extend(self.data.assignments());
         set.extend(self.sfm.assignments());
-        set.extend(self.steps.map(|steps| format!("train.steps={steps}")));
-        set.extend(self.seed.map(|seed| format!("train.seed={seed}")));
-        set.extend(self.deterministic.then(|| "train.deterministic=true".to_owned()));
-        let path = |path: &PathBuf| std::path::absolute(path).unwrap_or_else(|_| path.clone());
-        set.extend(self.budget.as_ref().map(|budget| format!("refine.budget={budget}")));
-        set.extend(self.method.as_ref().map(|method| format!("train.method={method}")));
-        set.extend(self.stop.as_ref().map(|stop| format!("train.stop={stop}")));
-        set.extend(self.init_surfels.as_ref().map(|file| format!("stages.surfels_from={}", path(file).display())));
-        set.extend(self.init_gaussians.as_ref().map(|file| format!("stages.gaussians_from={}", path(file).display())));
+        let path = |path: &Option<PathBuf>| {
+            let path = path.as_ref()?;
+            Some(std::path::absolute(path).unwrap_or_else(|_| path.clone()).display().to_string())
+        };
+        set.extend(assigned([
+            ("train.steps", self.steps.map(|steps| steps.to_string())),
+            ("train.seed", self.seed.map(|seed| seed.to_string())),
+            ("train.deterministic", self.deterministic.then(|| "true".to_owned())),
+            ("refine.budget", self.budget.clone()),
+            ("train.method", self.method.clone()),
+            ("train.stop", self.stop.clone()),
+            ("stages.surfels_from", path(&self.init_surfels)),
+            ("stages.gaussians_from", path(&self.init_gaussians)),
+        ]));
         set.extend(more.iter().cloned());
-        Config::resolve_for(of_dataset, self.preset.as_deref(), file, &set).map_err(Failure::from_config)
+        Ok(Config::resolve_for(of_dataset, self.preset.as_deref(), file, &set)?)
     }
 }
 

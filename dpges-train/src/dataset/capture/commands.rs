@@ -30,6 +30,9 @@ pub(super) struct Colmap {
     pub mapper: (PathBuf, &'static str),
 }
 
+/// A program and its arguments.
+pub(super) type Call = (PathBuf, Vec<OsString>);
+
 impl Colmap {
     /// # Errors
     /// [`SfmError::MissingProgram`] for COLMAP, and for GLOMAP if it is asked for and neither is there nor within COLMAP;
@@ -38,15 +41,12 @@ impl Colmap {
         let path = programs.colmap()?;
         let about = said(&path, &["-h".as_ref()])?;
         let since = |command: &str, new: &'static str, old: &'static str| -> Result<&'static str, SfmError> {
-            Ok(if said(&path, &[command.as_ref(), "-h".as_ref()])?.contains(&format!("--{new}.use_gpu")) {
-                new
-            } else {
-                old
-            })
+            let knows = said(&path, &[command.as_ref(), "-h".as_ref()])?.contains(&format!("--{new}.use_gpu"));
+            Ok(if knows { new } else { old })
         };
         let extraction = since("feature_extractor", "FeatureExtraction", "SiftExtraction")?;
         let matching = since("exhaustive_matcher", "FeatureMatching", "SiftMatching")?;
-        let mapper = match (program, programs.glomap()) {
+        let mapper = match (program, programs.find("glomap")) {
             (SfmProgram::Colmap, _) => (path.clone(), "mapper"),
             (SfmProgram::Glomap, Some(glomap)) => (glomap, "mapper"),
             (SfmProgram::Glomap, None) if about.contains("global_mapper") => (path.clone(), "global_mapper"),
@@ -54,7 +54,8 @@ impl Colmap {
                 return Err(SfmError::MissingProgram {
                     program: "GLOMAP",
                     purpose: "which `data.sfm` asks for, nor is it part of the COLMAP that is installed",
-                    remedy: "install it (https://github.com/colmap/glomap) or COLMAP 4, or use data.sfm=colmap",
+                    remedy: "install it (https://github.com/colmap/glomap) or COLMAP 4, or use data.sfm=colmap"
+                        .to_owned(),
                 });
             }
         };
@@ -70,18 +71,17 @@ impl Colmap {
         one_camera: bool,
         masks: Option<&Path>,
         gpu: bool,
-    ) -> (PathBuf, Vec<OsString>) {
-        let mut line = Line::new("feature_extractor", workspace);
-        line.path("--image_path", &workspace.images());
-        line.set("--ImageReader.camera_model", options.camera.colmap_name());
+    ) -> Call {
+        let mut words = begun("feature_extractor", workspace);
+        add(&mut words, "--image_path", workspace.images());
+        add(&mut words, "--ImageReader.camera_model", options.camera.colmap_name());
         if one_camera {
-            line.set("--ImageReader.single_camera", "1");
+            add(&mut words, "--ImageReader.single_camera", "1");
         }
         if let Some(masks) = masks {
-            line.path("--ImageReader.mask_path", masks);
+            add(&mut words, "--ImageReader.mask_path", masks);
         }
-        line.device(self.extraction, options, gpu);
-        (self.path.clone(), line.words)
+        self.on_device(words, self.extraction, options, gpu)
     }
 
     pub fn matches(
@@ -91,57 +91,44 @@ impl Colmap {
         matching: SfmMatching,
         photographs: usize,
         gpu: bool,
-    ) -> (PathBuf, Vec<OsString>) {
-        let mut line = if matching == SfmMatching::Sequential {
-            Line::new("sequential_matcher", workspace)
-        } else {
-            let mut line = Line::new("exhaustive_matcher", workspace);
+    ) -> Call {
+        let is_sequential = matching == SfmMatching::Sequential;
+        let mut words = begun(if is_sequential { "sequential_matcher" } else { "exhaustive_matcher" }, workspace);
+        if !is_sequential {
             let block = photographs.div_ceil(BLOCKS).clamp(SMALLEST_BLOCK, LARGEST_BLOCK);
-            line.set("--ExhaustiveMatching.block_size", &block.to_string());
-            line
-        };
-        line.device(self.matching, options, gpu);
-        (self.path.clone(), line.words)
+            add(&mut words, "--ExhaustiveMatching.block_size", block.to_string());
+        }
+        self.on_device(words, self.matching, options, gpu)
     }
 
-    pub fn mapping(&self, workspace: &Workspace, options: &Options) -> (PathBuf, Vec<OsString>) {
+    pub fn mapping(&self, workspace: &Workspace, options: &Options) -> Call {
         let (program, command) = &self.mapper;
-        let mut line = Line::new(command, workspace);
-        line.path("--image_path", &workspace.images());
-        line.path("--output_path", &workspace.models());
+        let mut words = begun(command, workspace);
+        add(&mut words, "--image_path", workspace.images());
+        add(&mut words, "--output_path", workspace.models());
         if let (Some(threads), SfmProgram::Colmap) = (options.threads, options.program) {
-            line.set("--Mapper.num_threads", &threads.to_string());
+            add(&mut words, "--Mapper.num_threads", threads.to_string());
         }
-        (program.clone(), line.words)
-    }
-}
-
-/// The words of a command line.
-struct Line {
-    words: Vec<OsString>,
-}
-
-impl Line {
-    fn new(command: &str, workspace: &Workspace) -> Self {
-        let mut line = Self { words: vec![command.into()] };
-        line.path("--database_path", &workspace.database());
-        line
+        (program.clone(), words)
     }
 
-    fn set(&mut self, option: &str, value: &str) {
-        self.words.extend([option, value].map(OsString::from));
-    }
-
-    fn path(&mut self, option: &str, path: &Path) {
-        self.words.extend([OsStr::new(option), path.as_os_str()].map(OsString::from));
-    }
-
-    fn device(&mut self, section: &str, options: &Options, gpu: bool) {
-        self.set(&format!("--{section}.use_gpu"), if gpu { "1" } else { "0" });
+    fn on_device(&self, mut words: Vec<OsString>, section: &str, options: &Options, gpu: bool) -> Call {
+        add(&mut words, &format!("--{section}.use_gpu"), if gpu { "1" } else { "0" });
         if let Some(threads) = options.threads {
-            self.set(&format!("--{section}.num_threads"), &threads.to_string());
+            add(&mut words, &format!("--{section}.num_threads"), threads.to_string());
         }
+        (self.path.clone(), words)
     }
+}
+
+fn begun(command: &str, workspace: &Workspace) -> Vec<OsString> {
+    let mut words = vec![command.into()];
+    add(&mut words, "--database_path", workspace.database());
+    words
+}
+
+fn add(words: &mut Vec<OsString>, option: &str, value: impl AsRef<OsStr>) {
+    words.extend([option.into(), value.as_ref().into()]);
 }
 
 /// The output of a program, standard output and error.

@@ -9,7 +9,7 @@ use crate::dataset::DatasetError;
 #[derive(Debug, thiserror::Error)]
 pub enum SfmError {
     #[error("{program} is not installed, {purpose}; {remedy}")]
-    MissingProgram { program: &'static str, purpose: &'static str, remedy: &'static str },
+    MissingProgram { program: &'static str, purpose: &'static str, remedy: String },
     #[error("{path} has no name to call a dataset after; name the folder of the dataset")]
     NoName { path: PathBuf },
     #[error(

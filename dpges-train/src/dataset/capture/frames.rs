@@ -105,7 +105,7 @@ fn sharpness(path: &Path) -> Result<f64, SfmError> {
     let picture = decoded.map_err(|source| SfmError::Image { path: path.to_owned(), source })?.into_luma8();
     let (width, height) = (picture.width() as usize, picture.height() as usize);
     let values = picture.into_raw().into_iter().map(|value| f32::from(value) / 255.0).collect();
-    Ok(Luma { width, height, values, counted: None }.at_most(COMPARED_SIZE).laplacian_variance())
+    Ok(Luma { width, height, values }.at_most(COMPARED_SIZE).detail().iter().sum())
 }
 
 #[cfg(test)]

@@ -13,7 +13,8 @@ const LOOKED_FOR: &str = "looked for a dataset (sparse/ of COLMAP, transforms_tr
                           video (such as walk.mp4)";
 
 /// Why nothing can be trained on, in words.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{message}; {advice}")]
 pub struct Unusable {
     /// The expected and the found content.
     pub message: String,

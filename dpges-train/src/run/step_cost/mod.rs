@@ -18,6 +18,7 @@
 //! ```
 
 mod lists;
+pub mod report;
 mod steps;
 #[cfg(test)]
 mod tests;

@@ -3,7 +3,10 @@
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-use dpges_core::scene::ScreenFilter;
+use burn::tensor::DType;
+use dpges_core::ops::peel::{PeelOptions, peel};
+use dpges_core::scene::tensors::tensor_to_rows;
+use dpges_core::scene::{ScreenFilter, Surfels};
 use glam::DVec3;
 
 use super::{gaussians, trainer};
@@ -99,7 +102,8 @@ fn surfels_enter_where_views_agree() {
     while trainer.stage().kind != StageKind::Joint {
         trainer.step().unwrap();
     }
-    let surfels = trainer.scene().surfels;
+    let scene = trainer.scene();
+    let surfels = &scene.surfels;
     assert!((10..=300).contains(&surfels.len()), "{}", surfels.len());
     // their centres are on the surfaces of the room
     let depths: Vec<Vec<f32>> = dataset.train.iter().map(|view| builtin_geometry(&view.camera).0).collect();
@@ -114,6 +118,20 @@ fn surfels_enter_where_views_agree() {
     };
     let good = surfels.positions.as_chunks::<3>().0.iter().filter(|position| on_surface(position)).count();
     assert!(good * 5 >= surfels.len() * 4, "{good} of {}", surfels.len());
+    // and few of their pixels are in front of the surface that is seen there: more than half are before surfels are shrunk
+    let options = PeelOptions { layer_count: 1, backstop: false, ..(&scene.info).into() };
+    let on_device = Surfels::from_data(surfels, &device(), DType::F32);
+    let (mut covered, mut in_front) = (0, 0);
+    for (view, depth) in dataset.train.iter().zip(&depths) {
+        let shape = [&on_device.positions, &on_device.quaternions, &on_device.log_scales];
+        let layers = peel(shape[0], shape[1], shape[2], &view.camera, &options).unwrap();
+        let (alpha, of_surfel) = (tensor_to_rows(&layers.alpha), tensor_to_rows(&layers.depth));
+        for pixel in (0..depth.len()).filter(|&pixel| alpha[pixel] > 0.5) {
+            covered += 1;
+            in_front += usize::from(of_surfel[pixel] < 0.96 * depth[pixel]);
+        }
+    }
+    assert!(covered > 2000 && in_front * 5 < covered, "{in_front} of {covered} pixels");
 }
 
 #[test]
