@@ -31,7 +31,6 @@ use serde::{Deserialize, Serialize};
 
 use self::floaters::Floaters;
 use crate::dataset::{Picture, View, pictures};
-use crate::eval::floaters::Floaters;
 use crate::eval::popping::Popping;
 use crate::eval::rendered::{Rendered, Renderer};
 use crate::metrics::lpips::{Lpips, Network};
