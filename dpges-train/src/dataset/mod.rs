@@ -94,7 +94,7 @@ pub struct Dataset {
     pub format: Format,
     /// Near plane of every camera, world units.
     pub near: f64,
-    /// What the photographs leave of [`LoadOptions::memory`], bytes: room for other numbers per pixel.
+    /// Memory of [`LoadOptions::memory`] that photographs do not use, bytes: room for other numbers per pixel.
     pub spare_memory: usize,
 }
 
@@ -110,7 +110,7 @@ impl View {
     /// The photograph on `device`, and which of its pixels count.
     ///
     /// # Errors
-    /// Those of [`picture`](Self::picture).
+    /// The errors of [`picture`](Self::picture).
     pub fn target(&self, device: &Device) -> dpges_core::Result<Target> {
         Ok(self.picture()?.target(device))
     }
@@ -118,7 +118,7 @@ impl View {
     /// Changes the photograph, which is in memory from then on.
     ///
     /// # Errors
-    /// Those of [`picture`](Self::picture).
+    /// The errors of [`picture`](Self::picture).
     pub fn repaint(&mut self, change: impl FnOnce(&mut Picture)) -> dpges_core::Result<()> {
         let mut picture = Arc::unwrap_or_clone(self.picture()?);
         change(&mut picture);
@@ -136,7 +136,7 @@ impl View {
     /// memory from then on, and the depth map are resampled for it.
     ///
     /// # Errors
-    /// Those of [`picture`](Self::picture).
+    /// The errors of [`picture`](Self::picture).
     pub fn undistorted(&self) -> dpges_core::Result<Option<Self>> {
         if self.camera.lens.is_none() {
             return Ok(Some(self.clone()));
@@ -265,8 +265,8 @@ pub fn format(path: &Path) -> Option<Format> {
     }
 }
 
-/// Reads the dataset in folder `path`, see [`format()`]. Of more than [`SAMPLED_VIEWS`] photographs without alpha, masks and
-/// depth maps only the headers are read; their pixels follow when they are needed.
+/// Reads the dataset in folder `path`, see [`format()`]. For more than [`SAMPLED_VIEWS`] photographs without alpha, masks and
+/// depth maps it reads only the headers; their pixels follow when they are needed.
 ///
 /// # Errors
 /// [`DatasetError`] names the file at fault and the remedy.

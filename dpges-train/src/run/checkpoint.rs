@@ -19,7 +19,7 @@ const FORMAT: &str = "dpges-checkpoint";
 const VERSION: &str = "3";
 /// Prefix of the names of columns in the file.
 const COLUMN: &str = "column/";
-/// What the names of the tensors of an attribute end with.
+/// Suffixes of the names of an attribute's tensors.
 const RAW: &str = "raw";
 const MOMENTS: [&str; 2] = ["moment_1", "moment_2"];
 

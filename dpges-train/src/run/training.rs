@@ -12,7 +12,7 @@ use crate::eval::pictures::{comparison, file_stems, save_png};
 use crate::eval::rendered::Renderer;
 use crate::eval::{Evaluation, Measures, evaluate_each};
 
-/// What the trainer is asked to do; the report of the step whose numbers it then knows.
+/// A request to the trainer; it returns the report of the step whose numbers are then known.
 type Work = fn(&mut Trainer) -> Result<Option<StepReport>, TrainError>;
 
 impl Run {

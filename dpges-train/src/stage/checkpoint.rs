@@ -20,7 +20,7 @@ const ERRORS: &str = "errors";
 const SURFEL_LIMIT: &str = "surfel_sampling_limit";
 const GAUSSIAN_LIMIT: &str = "sampling_limit";
 
-/// What a stage adds to the checkpoint of its run.
+/// The part of a stage in the checkpoint of its run.
 pub struct StageCheckpoint {
     pub info: SceneInfo,
     /// Growth decisions of an automatic budget; `None` before the first, and with a fixed budget.

@@ -40,10 +40,10 @@ pub struct BuiltinOptions {
     pub supersampling: usize,
     /// Largest change of exposure of a view, up or down, stops of linear light.
     pub exposure_stops: f64,
-    /// By how much training cameras are turned away from where they took their photographs, by root mean square, degrees.
-    /// The mean of their rotation vectors is 0.
+    /// Root-mean-square rotation of training cameras from where they took their photographs, degrees. The mean of their
+    /// rotation vectors is 0.
     pub pose_degrees: f64,
-    /// By how much they are shifted, likewise, extents.
+    /// Root-mean-square translation of training cameras, extents.
     pub pose_extents: f64,
     /// Depth maps of the training views: exact, but for their steps. Relative ones are scaled and shifted from view to
     /// view.
@@ -172,7 +172,7 @@ fn hit(camera: &Camera, x: f64, y: f64) -> Hit {
     trace(eye, camera.unproject(x, y, 1.0) - eye)
 }
 
-/// What `camera` sees, with an exposure changed by `stops`.
+/// The photograph of `camera`, with an exposure changed by `stops`.
 fn photograph(camera: &Camera, supersampling: usize, stops: f64) -> Picture {
     let (width, height) = (camera.width, camera.height);
     let pixels = width * height;

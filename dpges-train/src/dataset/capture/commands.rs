@@ -1,4 +1,4 @@
-//! What the programs are started with. COLMAP has renamed options and taken up GLOMAP, so it is asked first what it knows.
+//! Command lines of the programs. COLMAP has renamed options and taken up GLOMAP, so it is asked first what it knows.
 
 use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
@@ -26,7 +26,7 @@ pub(super) struct Colmap {
     pub extraction: &'static str,
     /// Likewise.
     pub matching: &'static str,
-    /// What places the cameras: a program and its command.
+    /// The program that places the cameras, and its command.
     pub mapper: (PathBuf, &'static str),
 }
 
@@ -131,7 +131,7 @@ fn add(words: &mut Vec<OsString>, option: &str, value: impl AsRef<OsStr>) {
     words.extend([option.into(), value.as_ref().into()]);
 }
 
-/// What a program says of itself, on both outputs.
+/// The output of a program, standard output and error.
 pub(super) fn said(program: &Path, arguments: &[&OsStr]) -> Result<String, SfmError> {
     let output = Command::new(program)
         .args(arguments)

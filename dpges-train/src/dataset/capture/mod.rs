@@ -10,7 +10,7 @@
 //!
 //! The result is a COLMAP dataset as [`crate::dataset`] reads it, which undistorts the photographs if asked to.
 //! `sfm/steps.json` says which steps are done, with what they depend on: [`reconstruct`] goes on where it was interrupted, and
-//! repeats a step if that has changed. What a program says is in `sfm/STEP.log`.
+//! repeats a step if that has changed. The output of a program is in `sfm/STEP.log`.
 
 mod commands;
 mod error;
@@ -82,7 +82,7 @@ impl From<&DataConfig> for Options {
     }
 }
 
-/// What is to be reconstructed, and where to.
+/// The input of a reconstruction, and its destination.
 #[derive(Clone, Debug)]
 pub struct Request<'a> {
     pub input: &'a Input,
@@ -158,7 +158,7 @@ impl Reconstruction<'_> {
         Ok(None)
     }
 
-    /// What the result of a step depends on, besides the steps before it.
+    /// The inputs of a step, besides the steps before it.
     fn key(&self, step: Step, workspace: &Workspace) -> Result<Value, SfmError> {
         let options = self.request.options;
         Ok(match step {

@@ -38,7 +38,7 @@ impl Outcome {
         self.photographs - self.unplaced.len()
     }
 
-    /// What is not as it should be, and what to do about it.
+    /// Problems of the model, with advice.
     pub fn warnings(&self) -> Vec<String> {
         let mut warnings = Vec::new();
         let (placed, all) = (self.placed(), self.photographs);
@@ -102,7 +102,7 @@ pub(super) fn take_largest(workspace: &Workspace) -> Result<(), SfmError> {
     replace(&part, &workspace.sparse())
 }
 
-/// What the finished dataset holds.
+/// The content of the finished dataset.
 pub(super) fn outcome(workspace: &Workspace) -> Result<Outcome, SfmError> {
     let content = model_content(&workspace.sparse().join("0"))?;
     let names = workspace.picture_names()?;

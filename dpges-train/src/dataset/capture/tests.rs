@@ -94,7 +94,7 @@ impl Stage {
         assert!(Command::new("install").args(["-m", "755"]).args([&source, &to]).status().unwrap().success());
     }
 
-    /// What mapping will find: `models/NAME` with the photographs of these numbers.
+    /// The model that mapping will find: `models/NAME` with the photographs of these numbers.
     fn model(&self, name: &str, numbers: &[usize]) {
         let scene = scene(numbers.iter().map(|number| format!("{number:03}.png")).collect());
         fixtures::write_model(&self.path("models").join(name), &scene, Encoding::Binary);

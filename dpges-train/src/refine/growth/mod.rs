@@ -28,7 +28,7 @@ pub fn batches_within(intervals: usize) -> usize {
     intervals.div_ceil(OF_A_BATCH)
 }
 
-/// What the next interval of growth begins with.
+/// The start of the next interval of growth.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Next {
     /// No new primitives, to see what training does alone.
@@ -51,7 +51,7 @@ pub struct Growth {
     control: Option<Interval>,
     /// The last batch, if no control has followed yet.
     batch: Option<Batch>,
-    /// What the last batches were worth, if that was within its error.
+    /// Gains of the last batches, if they were within their errors.
     undecided: Vec<Excess>,
 }
 
@@ -60,7 +60,7 @@ pub struct Growth {
 struct Running {
     /// Steps of the stage that were done.
     begin: usize,
-    /// Of each view before the new primitives, dB.
+    /// PSNR of each view before the new primitives, dB.
     psnr: Vec<f64>,
     /// Before the new ones.
     primitives: usize,
@@ -70,17 +70,17 @@ struct Running {
     settles: bool,
 }
 
-/// What an interval has shown.
+/// The result of an interval.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Finding {
-    /// By how much the PSNR of the views rose in `steps` without new primitives in the mean, dB.
+    /// Mean rise of the PSNR of the views in `steps` without new primitives, dB.
     Control { rise: f64, steps: usize },
-    /// What a batch was worth.
+    /// The gain of a batch.
     Batch(BatchGain),
 }
 
 impl Growth {
-    /// What the next interval begins with.
+    /// The start of the next interval.
     pub fn next(&self) -> Next {
         self.next
     }

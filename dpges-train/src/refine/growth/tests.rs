@@ -13,11 +13,11 @@ const LEAST: f64 = 0.05;
 const PRIMITIVES: (usize, usize) = (1000, 4000);
 /// Primitives after one batch of the four that fill the budget.
 const AFTER_ONE: usize = 1414;
-/// Of slots, which are as long as an interval: the first control, the first batch, and the end.
+/// Slots as long as an interval: the first control, the first batch, and the end.
 const SLOTS: (usize, usize, usize) = (2, 3, 13);
 const INTERVAL: usize = 1000;
 
-/// What a scene is like whose growth is decided about.
+/// The properties of a scene whose growth is decided about.
 struct Course {
     /// PSNR by training alone after so many intervals, dB.
     trend: fn(f64) -> f64,
@@ -25,12 +25,12 @@ struct Course {
     of_doubling: f64,
     /// dB that a doubling costs after one interval, a fifth of it after two.
     disturbance: f64,
-    /// Of a single evaluation of one view, dB.
+    /// Noise of a single evaluation of one view, dB.
     noise: f64,
     views: usize,
 }
 
-/// What has become of it.
+/// The result of a course.
 struct Outcome {
     verdicts: Vec<Verdict>,
     primitives: usize,

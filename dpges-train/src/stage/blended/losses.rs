@@ -13,13 +13,13 @@ use crate::config::{DiscsConfig, Relocation, RelocationConfig, StagePlan};
 /// Weights of the terms beside L_rgb.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Weights {
-    /// Of the mean opacity.
+    /// Weight of the mean opacity.
     opacity: f64,
-    /// Of the mean scale, world units.
+    /// Weight of the mean scale, per world unit.
     scale: f64,
-    /// Of normals against those of the depth.
+    /// Weight of normals against those of the depth.
     normal: f64,
-    /// Of the spread of depths along a ray.
+    /// Weight of the spread of depths along a ray.
     distortion: f64,
 }
 

@@ -42,7 +42,7 @@ pub struct BlendedStage {
     pub gaussians: GaussianState,
     pub environment: EnvironmentState,
     pub screen_gradients: ScreenGradients,
-    /// Those before the last step, if it had any.
+    /// Gradients before the last step, if there was one.
     gradients_before: Option<ScreenGradients>,
     /// [M, 3] positions before the jitter of the last step, if it had any.
     positions_before: Option<Tensor<2>>,
@@ -54,7 +54,7 @@ impl BlendedStage {
     /// A stage of discs or of Gaussians, before the environment that is `trained`.
     ///
     /// # Errors
-    /// Those of [`begin`](super::begin).
+    /// The errors of [`begin`](super::begin).
     pub fn begin(
         plan: StagePlan,
         blended: Blended,
@@ -127,7 +127,7 @@ impl BlendedStage {
         gaussians
     }
 
-    /// What a step draws.
+    /// The Gaussians that a step draws.
     fn drawn_on_tape(&self, gaussians: &Gaussians, completed: usize, config: &Config, tape: &Device) -> Gaussians {
         let mut gaussians = match &self.sampling_limit {
             Some(limit) => limit.smoothed(gaussians),

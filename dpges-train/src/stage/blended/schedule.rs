@@ -27,7 +27,7 @@ pub struct BlendedSchedule {
     pub measure: Vec<usize>,
 }
 
-/// What is due after a given number of completed steps.
+/// Changes due after a given number of completed steps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BlendedDue {
     pub densify: bool,

@@ -1,4 +1,4 @@
-//! What a stage of blended Gaussians begins with: the points of the dataset.
+//! The start of a stage of blended Gaussians: the points of the dataset.
 
 use dpges_core::scene::{GaussianData, SurfelData};
 

@@ -50,7 +50,7 @@ pub struct JointStage {
     /// `None` if nothing holds the sky free.
     pub sky: Option<SkyMasks>,
     pub statistics: Statistics,
-    /// Those before the last step.
+    /// Statistics before the last step.
     pub statistics_before: Option<Statistics>,
     /// Targets of the geometry losses; `None` without them.
     pub supervisions: Option<Supervisions>,

@@ -190,7 +190,7 @@ impl JointStage {
         Ok(new_gaussians(&positions, largest, self.info.colour_model, &mut context.rng))
     }
 
-    /// Edits the set of Gaussians. What was observed of those that stay stays.
+    /// Edits the set of Gaussians. Gaussians that stay keep their observations.
     fn edit_gaussians(&mut self, edit: &GaussianEdit, context: &Context) {
         self.gaussians.edit(edit);
         self.measure_gaussian_limit(context);

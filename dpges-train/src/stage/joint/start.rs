@@ -1,4 +1,4 @@
-//! What the joint stage begins with: trained discs and Gaussians, files, or the points of the dataset.
+//! The start of the joint stage: trained discs and Gaussians, files, or the points of the dataset.
 
 use dpges_core::scene::{GaussianData, Rendering, SceneData, ScreenFilter};
 
@@ -18,7 +18,7 @@ impl JointStage {
     /// The stage of `plan`, with the discs and Gaussians that are `trained`.
     ///
     /// # Errors
-    /// Those of [`begin`](super::super::begin).
+    /// The errors of [`begin`](super::super::begin).
     pub fn begin(plan: StagePlan, trained: Trained, context: &mut Context) -> Result<Self, TrainError> {
         let given = context.pretrained(SURFELS_FROM)?;
         let from_file = given.as_ref().filter(|scene| scene.info.rendering == Rendering::Discs);

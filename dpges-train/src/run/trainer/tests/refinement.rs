@@ -1,4 +1,4 @@
-//! What changes the set of primitives while a run trains.
+//! Changes of the set of primitives while a run trains.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
