@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use dpges_core::camera::Camera;
 use dpges_core::scene::{SceneData, SceneInfo};
-use dpges_train::config::{Background, BuiltinLens, Config, DataConfig, DepthMaps, key};
+use dpges_train::config::{Background, Config, DataConfig, DepthMaps, key};
 use dpges_train::dataset::{self, BuiltinOptions, Dataset, View};
 use dpges_train::run::folder::RunFolder;
 use dpges_train::run::metrics_log::MetricsLog;
@@ -26,13 +26,19 @@ const BUILTIN_POINTS: usize = 4000;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Source {
     Builtin,
+    /// The built-in scene with something wrong: what [`BuiltinOptions::altered`] takes.
+    Altered(String),
     Folder(PathBuf),
 }
 
 impl Source {
-    /// `builtin`, or the path of a folder.
+    /// `builtin`, `builtin:CHANGES`, or the path of a folder.
     pub fn new(text: &Path) -> Self {
-        if text == Path::new(BUILTIN) { Self::Builtin } else { Self::Folder(text.to_owned()) }
+        match text.to_str().and_then(|text| text.strip_prefix(BUILTIN)).map(|rest| (rest, rest.strip_prefix(':'))) {
+            Some(("", _)) => Self::Builtin,
+            Some((_, Some(changes))) => Self::Altered(changes.to_owned()),
+            _ => Self::Folder(text.to_owned()),
+        }
     }
 
     /// As a command names it: the folder by its absolute path, the built-in scene where there is none. For photographs
@@ -40,7 +46,7 @@ impl Source {
     pub fn named(dataset: Option<&Path>) -> Self {
         match dataset.map_or(Self::Builtin, Self::new).absolute() {
             Self::Folder(path) => Self::Folder(sfm::dataset_of(&path).unwrap_or(path)),
-            Self::Builtin => Self::Builtin,
+            builtin => builtin,
         }
     }
 
@@ -48,13 +54,14 @@ impl Source {
     fn absolute(self) -> Self {
         match self {
             Self::Folder(path) => Self::Folder(std::path::absolute(&path).unwrap_or(path)),
-            Self::Builtin => Self::Builtin,
+            builtin => builtin,
         }
     }
 
     pub fn load(&self, config: &DataConfig) -> Result<Dataset> {
         let dataset = match self {
-            Self::Builtin => builtin(config)?,
+            Self::Builtin => builtin("", config)?,
+            Self::Altered(changes) => builtin(changes, config)?,
             Self::Folder(path) => {
                 dataset::load(path, &config.load_options()).map_err(|error| sfm::explained(error, path))?
             }
@@ -102,31 +109,28 @@ impl fmt::Display for Source {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Builtin => f.write_str(BUILTIN),
+            Self::Altered(changes) => write!(f, "{BUILTIN}:{changes}"),
             Self::Folder(path) => path.display().fmt(f),
         }
     }
 }
 
-fn builtin(config: &DataConfig) -> Result<Dataset> {
+fn builtin(changes: &str, config: &DataConfig) -> Result<Dataset> {
     if config.image_scale != 1 {
         return Err(Failure::Usage("the built-in scene has pictures of one scale: cap the resolution instead".into()));
     }
     let cap = if config.max_resolution == 0 { BUILTIN_SIZE } else { config.max_resolution };
     let size = cap.min(BUILTIN_SIZE);
-    let fisheye = config.builtin_lens == BuiltinLens::Fisheye;
     let options = BuiltinOptions {
         width: size,
         height: size,
         points: BUILTIN_POINTS,
-        exposure_stops: config.builtin_exposure_stops,
-        pose_degrees: config.builtin_pose_degrees,
-        pose_extents: config.builtin_pose_extents,
         depth: config.load_options().depth,
-        fisheye,
         ..Default::default()
     };
+    let options = options.altered(changes).map_err(Failure::Usage)?;
     let mut dataset = dataset::builtin(&options);
-    if config.undistort && fisheye {
+    if config.undistort && options.fisheye {
         for view in dataset.train.iter_mut().chain(&mut dataset.test) {
             *view = view.undistorted()?.expect("the middle of a fisheye picture fits a pinhole camera");
         }
@@ -209,7 +213,7 @@ impl Scene {
     /// none, or if the dataset is another one, `data`.
     fn validation_every(&self, data: Option<&Path>) -> usize {
         let file = self.run_config().filter(|_| data.is_none());
-        let config = file.and_then(|file| Config::resolve(None, Some(&file), &[]).ok());
+        let config = file.and_then(|file| Config::of_run(&file).ok());
         config.map_or(0, |config| config.validation_every())
     }
 

@@ -237,7 +237,7 @@ impl ExportArgs {
         let axes = if self.format == ExportFormat::MeshPly { "as in the scene" } else { "turned to y" };
         rows.push(("up", format!("{up}, {axes}")));
         rows.push(("note", "surfels alone: what Gaussians draw is missing".into()));
-        if source == Source::Builtin {
+        if let Source::Builtin | Source::Altered(_) = source {
             rows.push(("exact depth", exact_error(&mesh, &dataset.test)));
         }
         Ok(rows)

@@ -10,9 +10,9 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use dpges_core::scene::atomic::write_atomically;
 use dpges_train::config::Config;
-use dpges_train::dataset::Dataset;
 use dpges_train::dataset::check::map::Map;
 use dpges_train::dataset::check::{Effort, Report, Role, ViewFacts};
+use dpges_train::dataset::{Dataset, capture};
 use dpges_train::eval::pictures::save_png;
 use dpges_train::run::folder::write_json;
 
@@ -41,7 +41,8 @@ pub struct InspectArgs {
 
 pub fn run(args: &InspectArgs, style: LogStyle) -> Result<()> {
     let config = Config::resolve_data(None, &args.options.assignments()).map_err(Failure::from_config)?;
-    sfm::prepare(Some(&args.dataset), &config, style)?;
+    let options = capture::Options { invert_masks: config.invert_masks, ..capture::Options::default() };
+    sfm::prepare(Some(&args.dataset), &options, style)?;
     let source = Source::named(Some(&args.dataset));
     let dataset = source.load(&config)?;
     let report = Report::of(&dataset, Effort::Full)?;

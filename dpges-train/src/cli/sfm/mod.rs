@@ -7,7 +7,7 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use dpges_train::config::{Config, DataConfig, key};
+use dpges_train::config::key;
 use dpges_train::dataset::capture::{self, Input, Options, Outcome, Programs, Request, SfmError, Unusable};
 use dpges_train::dataset::{self, DatasetError};
 
@@ -39,30 +39,21 @@ pub struct SfmArgs {
     options: SfmOptions,
 }
 
-impl SfmArgs {
-    /// As `key=value`.
-    fn assignments(&self) -> Vec<String> {
-        let inverted = self.invert_masks.then(|| "data.invert_masks=true".to_owned());
-        self.options.assignments().into_iter().chain(inverted).collect()
-    }
-}
-
 pub fn run(args: &SfmArgs, style: LogStyle) -> Result<()> {
-    let config = Config::resolve_data(None, &args.assignments()).map_err(Failure::from_config)?;
     let path = absolute(&args.photographs);
     let input = Input::find(&path).ok_or_else(|| not_photographs(&path))?;
     let out = match &args.out {
         Some(out) => absolute(out),
         None => capture::dataset_beside(&input)?,
     };
-    let outcome = reconstruct(&input, &out, &config, args.overwrite, style)?;
+    let outcome = reconstruct(&input, &out, &args.options.options(args.invert_masks), args.overwrite, style)?;
     if style == LogStyle::Quiet { Ok(()) } else { print(&summary(&outcome, args.invert_masks)) }
 }
 
 /// What a command was asked to train on: if that is photographs or a video, the dataset is made of it, unless it has been.
-pub fn prepare(dataset: Option<&Path>, config: &DataConfig, style: LogStyle) -> Result<()> {
+pub fn prepare(dataset: Option<&Path>, options: &Options, style: LogStyle) -> Result<()> {
     let Some(input) = dataset.and_then(input_of) else { return Ok(()) };
-    let outcome = reconstruct(&input, &capture::dataset_beside(&input)?, config, false, style)?;
+    let outcome = reconstruct(&input, &capture::dataset_beside(&input)?, options, false, style)?;
     let Outcome { dataset, photographs, points, .. } = &outcome;
     let placed = outcome.placed();
     tracing::info!("{}: {placed} of {photographs} photographs have a place, {points} points", dataset.display());
@@ -106,15 +97,9 @@ fn absolute(path: &Path) -> PathBuf {
     std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
 }
 
-fn reconstruct(
-    input: &Input,
-    dataset: &Path,
-    config: &DataConfig,
-    overwrite: bool,
-    style: LogStyle,
-) -> Result<Outcome> {
-    let (options, programs) = (Options::from(config), Programs::of_environment());
-    let request = Request { input, dataset, options: &options, overwrite, programs: &programs };
+fn reconstruct(input: &Input, dataset: &Path, options: &Options, overwrite: bool, style: LogStyle) -> Result<Outcome> {
+    let programs = Programs::of_environment();
+    let request = Request { input, dataset, options, overwrite, programs: &programs };
     let outcome = capture::reconstruct(&request, &mut Display::new(style)).map_err(|error| match error {
         SfmError::File(_) => {
             let help = format!("`dpges sfm {} --out DIR` puts the dataset elsewhere", input.path().display());

@@ -1,33 +1,40 @@
 //! Options on photographs without cameras.
 
 use clap::Args;
-use dpges_train::config::key;
+use dpges_train::dataset::capture::{FEWEST, Options, SfmCamera, SfmMatching, SfmProgram};
 
-/// Options that replace keys of `[data]` on photographs without cameras.
+/// Options on photographs without cameras.
 #[derive(Debug, Args)]
 pub struct SfmOptions {
-    #[arg(long, value_name = "PROGRAM", help = key("data.sfm").help())]
-    sfm: Option<String>,
-    #[arg(long, value_name = "MODEL", help = key("data.sfm_camera").help())]
-    sfm_camera: Option<String>,
-    #[arg(long, value_name = "PAIRS", help = key("data.sfm_matching").help())]
-    sfm_matching: Option<String>,
-    #[arg(long, value_name = "N", help = key("data.video_frames").help())]
-    video_frames: Option<usize>,
+    /// Which program places the cameras of photographs without cameras
+    #[arg(long, value_name = "PROGRAM", value_enum, default_value_t)]
+    sfm: SfmProgram,
+    /// Which camera model it fits to them
+    #[arg(long, value_name = "MODEL", value_enum, default_value_t)]
+    sfm_camera: SfmCamera,
+    /// Which pairs of them it compares
+    #[arg(long, value_name = "PAIRS", value_enum, default_value_t)]
+    sfm_matching: SfmMatching,
+    /// Largest number of frames of a video that become photographs. Of neighbouring frames the sharpest is taken
+    #[arg(long, value_name = "N", value_parser = frames, default_value_t = Options::default().video_frames)]
+    video_frames: usize,
 }
 
 impl SfmOptions {
-    /// As `key=value`.
-    pub fn assignments(&self) -> Vec<String> {
-        let set = |key: &str, value: Option<String>| value.map(|value| format!("data.{key}={value}"));
-        [
-            set("sfm", self.sfm.clone()),
-            set("sfm_camera", self.sfm_camera.clone()),
-            set("sfm_matching", self.sfm_matching.clone()),
-            set("video_frames", self.video_frames.map(|count| count.to_string())),
-        ]
-        .into_iter()
-        .flatten()
-        .collect()
+    /// For photographs whose masks are black where they count if `invert_masks`.
+    pub fn options(&self, invert_masks: bool) -> Options {
+        Options {
+            program: self.sfm,
+            camera: self.sfm_camera,
+            matching: self.sfm_matching,
+            video_frames: self.video_frames,
+            invert_masks,
+            ..Options::default()
+        }
     }
+}
+
+fn frames(text: &str) -> Result<usize, String> {
+    let fewest = || format!("expected a number of frames, at least {FEWEST}");
+    text.parse().ok().filter(|&frames| frames >= FEWEST).ok_or_else(fewest)
 }

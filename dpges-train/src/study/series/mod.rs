@@ -104,7 +104,7 @@ impl SeriesArgs {
     /// The device and the data, read as `config` says. There are held-out views among them.
     pub fn load(&self, source: Source, config: &Config, style: LogStyle) -> Result<Common> {
         let name = device_choice::select(self.device)?;
-        sfm::prepare(self.dataset.as_deref(), &config.data, style)?;
+        sfm::prepare(self.dataset.as_deref(), &self.options.sfm(config), style)?;
         let device = name.open()?;
         let dataset = Arc::new(source.load_for_training(config)?);
         if dataset.test.is_empty() {

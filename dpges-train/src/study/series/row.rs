@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
+use dpges_train::eval::floaters::Floaters;
 use dpges_train::eval::popping::Popping;
 use dpges_train::eval::{EvalReport, ViewScore};
 use dpges_train::metrics::Scores;
-use dpges_train::eval::floaters::Floaters;
 use dpges_train::run::folder::RunFolder;
 use dpges_train::run::metrics_log::MetricsLog;
 

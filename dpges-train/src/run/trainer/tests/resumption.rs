@@ -78,7 +78,7 @@ fn a_step_that_is_not_finite_is_undone_with_all_that_it_has_changed() {
 fn automatic() -> (Config, Arc<Dataset>) {
     let mut data = (*dataset_of(9)).clone();
     data.keep_for_validation(3);
-    let set = ["train.steps=100", "refine.budget=auto", "refine.least_gain=100", "refine.split=false"];
+    let set = ["train.steps=100", "refine.budget=auto", "refine.split_until=0"];
     (config(&set), Arc::new(data))
 }
 
