@@ -346,7 +346,7 @@ refine = { surfel_pixels = '16px', gaussian_min_contribution = 0.02, split_until
     fn a_dataset_is_found_whatever_else_a_run_was_configured_with() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("config.toml");
-        let file = "[data]\nimage_scale = 4\nsfm = \"glomap\"\nbuiltin_lens = \"none\"\nbuiltin_pose_degrees = 0.0\n";
+        let file = "[data]\nbuiltin_lens = \"none\"\nbuiltin_pose_degrees = 0.0\nsfm = \"glomap\"\nimage_scale = 4\n";
         std::fs::write(&path, format!("{file}[optimizer]\nof_long_ago = 3\n")).unwrap();
         let data = Config::resolve_data(Some(&path), &["data.test_every=5".to_owned()]).unwrap();
         assert_eq!((data.image_scale, data.test_every), (4, 5));
