@@ -14,6 +14,7 @@ mod error;
 pub(crate) mod fixtures;
 mod formats;
 pub(crate) mod image;
+mod load_options;
 pub(crate) mod names;
 pub mod source;
 
@@ -37,6 +38,7 @@ pub use self::image::picture::Picture;
 pub use builtin::{BuiltinOptions, builtin, builtin_geometry};
 pub use error::DatasetError;
 pub(crate) use formats::colmap::{ModelContent, model_content};
+pub use load_options::LoadOptions;
 
 use self::image::undistort;
 use error::Result;
@@ -207,48 +209,6 @@ impl Format {
         match self {
             Self::Colmap | Self::Nerfstudio => 0.2,
             Self::Blender | Self::Builtin => 0.01,
-        }
-    }
-}
-
-#[derive(Clone, Debug, PartialEq)]
-pub struct LoadOptions {
-    /// Red, green, blue in 0..1. `None`: white for Blender images with alpha, else black.
-    pub background: Option<[f64; 3]>,
-    /// Read `images_2`, `images_4`, … as shipped instead of `images`.
-    pub image_scale: Option<u32>,
-    /// Largest length of the longer side of a picture, px. Larger pictures are downscaled.
-    pub max_resolution: Option<usize>,
-    /// Hold out every n-th view by name if the dataset stores no split. 0 holds none out and accepts a dataset without
-    /// held-out views.
-    pub test_every: usize,
-    /// Whether photographs taken through a lens are resampled for a pinhole camera; otherwise the cameras have the lens.
-    pub undistort: bool,
-    /// World units. `None`: 0.2 for COLMAP and nerfstudio, 0.01 for Blender.
-    pub near: Option<f64>,
-    /// Whether alpha says which pixels count, those from one half, instead of how much of the background they show.
-    pub alpha_masks: bool,
-    /// Whether masks are black where pixels count, instead of white.
-    pub invert_masks: bool,
-    /// Most memory for photographs, bytes. Those beyond are read again from their files whenever they are needed.
-    pub memory: usize,
-    /// Read the depth maps of training views, which have values of this kind. `None` reads none.
-    pub depth: Option<DepthKind>,
-}
-
-impl Default for LoadOptions {
-    fn default() -> Self {
-        Self {
-            background: None,
-            image_scale: None,
-            max_resolution: None,
-            test_every: 8,
-            undistort: true,
-            near: None,
-            alpha_masks: false,
-            invert_masks: false,
-            memory: usize::MAX,
-            depth: None,
         }
     }
 }

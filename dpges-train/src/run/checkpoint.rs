@@ -16,7 +16,7 @@ use crate::optimizer::ParameterRows;
 use crate::refine::growth::Growth;
 
 const FORMAT: &str = "dpges-checkpoint";
-const VERSION: &str = "3";
+const VERSION: &str = "4";
 /// Prefix of the names of columns in the file.
 const COLUMN: &str = "column/";
 /// Suffixes of the names of an attribute's tensors.

@@ -73,6 +73,38 @@ impl Default for BuiltinOptions {
     }
 }
 
+impl BuiltinOptions {
+    /// With `changes` to the photographs and cameras, for tests of what corrects them: any of `lens=fisheye`,
+    /// `exposure_stops=0.5` (0 to 4), `pose_degrees=0.2` (0 to 10) and `pose_extents=0.005` (0 to 0.1), with commas in between.
+    ///
+    /// # Errors
+    /// A sentence that names the change that is none.
+    pub fn altered(mut self, changes: &str) -> Result<Self, String> {
+        for change in changes.split(',').filter(|change| !change.is_empty()) {
+            let named = match change.split_once('=') {
+                Some(("lens", "fisheye")) => {
+                    self.fisheye = true;
+                    continue;
+                }
+                Some(("exposure_stops", stops)) => Some((&mut self.exposure_stops, 4.0, stops)),
+                Some(("pose_degrees", degrees)) => Some((&mut self.pose_degrees, 10.0, degrees)),
+                Some(("pose_extents", extents)) => Some((&mut self.pose_extents, 0.1, extents)),
+                _ => None,
+            };
+            let number = |text: &str, most: f64| text.parse().ok().filter(|number| (0.0..=most).contains(number));
+            let Some((option, value)) = named.and_then(|(option, most, text)| Some((option, number(text, most)?)))
+            else {
+                return Err(format!(
+                    "the built-in scene has no change `{change}`: there are lens=fisheye, exposure_stops=0.5 (up to 4), \
+                     pose_degrees=0.2 (up to 10) and pose_extents=0.005 (up to 0.1)"
+                ));
+            };
+            *option = value;
+        }
+        Ok(self)
+    }
+}
+
 /// A furnished room seen from a dome of cameras. The same options give the same dataset on every machine. The near
 /// plane is at 0.01, a world unit is a metre, and pictures have no alpha.
 pub fn builtin(options: &BuiltinOptions) -> Dataset {
@@ -235,6 +267,17 @@ mod tests {
     use glam::DQuat;
 
     use super::*;
+
+    #[test]
+    fn changes_are_named_and_others_refused() {
+        let changed = BuiltinOptions::default().altered("lens=fisheye,pose_degrees=0.2,exposure_stops=4").unwrap();
+        assert_eq!((changed.fisheye, changed.pose_degrees, changed.exposure_stops), (true, 0.2, 4.0));
+        assert_eq!(BuiltinOptions::default().altered(""), Ok(BuiltinOptions::default()));
+        for change in ["lens=wide", "exposure_stops=4.1", "pose_extents=-1", "pose_degrees=nan", "fisheye"] {
+            let error = BuiltinOptions::default().altered(change).unwrap_err();
+            assert!(error.contains(&format!("`{change}`")), "{error}");
+        }
+    }
 
     #[test]
     fn it_is_what_the_options_say_and_always_the_same() {

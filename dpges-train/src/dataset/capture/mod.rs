@@ -18,6 +18,7 @@ mod frames;
 mod input;
 mod masks;
 mod model;
+mod options;
 mod process;
 mod programs;
 mod progress;
@@ -35,13 +36,14 @@ use serde_json::{Value, json};
 pub use error::SfmError;
 pub use input::{Input, is_begun};
 pub use model::Outcome;
+pub use options::{Options, SfmCamera, SfmMatching, SfmProgram};
 pub use programs::Programs;
 pub use step::{Observer, Step};
 pub use unusable::{Unusable, unusable};
 
-use crate::config::{DataConfig, SfmCamera, SfmMatching, SfmProgram};
 use crate::dataset::strange_masks;
 use commands::Colmap;
+use options::name_of;
 use process::Job;
 use workspace::Workspace;
 
@@ -50,37 +52,6 @@ const MOST_FOR_ALL_PAIRS: usize = 200;
 
 /// Fewest photographs that a dataset can be made of.
 pub const FEWEST: usize = 3;
-
-/// How cameras are found.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Options {
-    /// Which program places the cameras.
-    pub program: SfmProgram,
-    /// Which camera model it fits.
-    pub camera: SfmCamera,
-    /// Which pairs of photographs are compared.
-    pub matching: SfmMatching,
-    /// Largest number of frames of a video that become photographs.
-    pub video_frames: usize,
-    /// Whether masks are black where photographs count, instead of white.
-    pub invert_masks: bool,
-    /// Threads of each program. `None`: as many as it likes.
-    pub threads: Option<usize>,
-}
-
-impl From<&DataConfig> for Options {
-    /// With the threads of this process's pool.
-    fn from(config: &DataConfig) -> Self {
-        Self {
-            program: config.sfm,
-            camera: config.sfm_camera,
-            matching: config.sfm_matching,
-            video_frames: config.video_frames,
-            invert_masks: config.invert_masks,
-            threads: Some(rayon::current_num_threads()),
-        }
-    }
-}
 
 /// The input of a reconstruction, and its destination.
 #[derive(Clone, Debug)]
@@ -172,14 +143,14 @@ impl Reconstruction<'_> {
             }
             Step::Features => {
                 let one_camera = input::have_one_camera(&workspace.pictures()?)?;
-                let mut key = json!({ "camera": options.camera, "one_camera": one_camera });
+                let mut key = json!({ "camera": name_of(options.camera), "one_camera": one_camera });
                 if options.invert_masks && !self.request.input.masks().is_empty() {
                     key["invert_masks"] = true.into();
                 }
                 key
             }
-            Step::Matches => json!({ "matching": self.matching(&workspace.picture_names()?) }),
-            Step::Mapping => json!({ "program": options.program }),
+            Step::Matches => json!({ "matching": name_of(self.matching(&workspace.picture_names()?)) }),
+            Step::Mapping => json!({ "program": name_of(options.program) }),
             Step::Model => Value::Null,
         })
     }

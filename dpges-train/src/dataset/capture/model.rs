@@ -45,7 +45,7 @@ impl Outcome {
         if (placed as f64) < ENOUGH * all as f64 {
             warnings.push(format!(
                 "only {placed} of {all} photographs have found a place, the scene will lack the rest: take more with more in \
-                 common from one to the next, or compare all pairs (data.sfm_matching=exhaustive)"
+                 common from one to the next, or compare all pairs (--sfm-matching exhaustive)"
             ));
         }
         if self.models.len() > 1 {

@@ -38,9 +38,9 @@ impl Step {
     pub(super) fn depends_on(self) -> &'static str {
         match self {
             Self::Pictures => "the photographs or their masks",
-            Self::Features => "the camera model (`data.sfm_camera`) or what masks mean (`data.invert_masks`)",
-            Self::Matches => "the pairs that are compared (`data.sfm_matching`)",
-            Self::Mapping => "the program (`data.sfm`)",
+            Self::Features => "the camera model (`--sfm-camera`) or what masks mean (`data.invert_masks`)",
+            Self::Matches => "the pairs that are compared (`--sfm-matching`)",
+            Self::Mapping => "the program (`--sfm`)",
             Self::Model => "the models",
         }
     }

@@ -4,6 +4,8 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
+use super::LEAST_GAIN;
+
 /// Steps of training between two evaluations of the same views.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Interval {
@@ -61,8 +63,6 @@ pub struct BatchGain {
     pub gain: Mean,
     /// Number of batches that `gain` is of.
     pub batches: usize,
-    /// Below this `gain` a batch is not worth it, dB per doubling of the primitives.
-    pub least_gain: f64,
     pub verdict: Verdict,
 }
 
@@ -177,14 +177,14 @@ impl fmt::Display for Mean {
 
 impl fmt::Display for BatchGain {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { added, steps, rise, rise_without, gain, batches, least_gain, verdict } = self;
+        let Self { added, steps, rise, rise_without, gain, batches, verdict } = self;
         let [with, without] = [*rise, *rise_without].map(percent_of_error);
         write!(f, "batch of {added} Gaussians: validation error {with:+.1} % in {steps} steps, ")?;
         write!(f, "{without:+.1} % without one: {:+.3} dB; {gain} for twice the primitives", rise - rise_without)?;
         if *batches > 1 {
             write!(f, " by the last {batches} batches")?;
         }
-        write!(f, ", at least {least_gain} wanted: ")?;
+        write!(f, ", at least {LEAST_GAIN} wanted: ")?;
         f.write_str(match verdict {
             Verdict::GoesOn => "the scene goes on growing",
             Verdict::Settles => "not clear yet, so the batch is given time to settle",
