@@ -16,7 +16,7 @@ use crate::scene::{DepthWeight, Gaussians, SceneInfo, ScreenFilter, WeightedSum}
 /// Largest logarithm of d^β.
 const LARGEST_LOGARITHM: f64 = 80.0;
 
-/// What the Gaussians of a [`WeightedSum`] have in common, each [1, 1].
+/// The numbers that all Gaussians of a [`WeightedSum`] share, each [1, 1].
 #[derive(Clone, Debug)]
 pub struct WeightedSumTensors {
     /// σ, used as at least [`WeightedSum::LEAST_SIGMA`].

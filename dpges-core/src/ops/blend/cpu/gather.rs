@@ -248,7 +248,7 @@ fn gather_tile<T: Real, F: Projected<T>, const MAPS: bool>(
     sums
 }
 
-/// What the pixels of a tile say about an entry of its list: αT, gradient of the exponent, gradient of z.
+/// Values of the pixels of a tile for an entry of its list: αT, gradient of the exponent, gradient of z.
 type Said<T> = [[T; TILE_PIXELS]; 3];
 
 /// [`gather_tile`] in the order of each pixel's own ray: first back through every pixel by itself, then over the pixels of
