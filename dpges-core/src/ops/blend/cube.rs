@@ -5,18 +5,19 @@
 mod back;
 mod fragments;
 mod gather;
+mod hybrid;
 mod order;
 mod parameters;
 mod rays;
 
 use burn::backend::TensorMetadata;
-use burn::backend::tensor::FloatTensor;
+use burn::backend::tensor::{FloatTensor, IntTensor};
 use burn_cubecl::CubeBackend;
 use cubecl::prelude::*;
 
 use self::fragments::{FEATURES, Fragment, Fragments, Payload, fragment, on_projected};
 use self::gather::{Layout, gather};
-use super::{BlendBackwardOps, BlendInput, BlendLists, BlendOps, BlendOptions, BlendOutput, Form, far};
+use super::{BlendBackwardOps, BlendInput, BlendLists, BlendOps, BlendOptions, BlendOutput, Form, OutweighingOps, far};
 use crate::camera::Camera;
 use crate::footprint::gaussian::cube::regions::{WORDS, list_regions, mark_regions};
 use crate::footprint::gaussian::cube::{SPLAT, Splat};
@@ -25,7 +26,7 @@ use crate::gpu::launch::{LANES, UNITS, buffer, cube_dim, cubes, empty_f32, float
 use crate::gpu::record::Record;
 use crate::gpu::tile::{REGIONS, own_pixel, plane_of};
 use crate::gpu::view::CameraUniforms;
-use crate::scene::BlendOrder;
+use crate::scene::{BlendOrder, Transparency};
 use crate::tiles::TileGrid;
 use crate::tiles::binning::cube::TileList;
 
@@ -122,7 +123,7 @@ fn blend_kernel(
     let own = own_pixel(view, CUBE_POS as u32);
     let mut state = zeros(STATE);
     state[THROUGH] = 1.0f32;
-    if comptime!(form != Form::Discs) {
+    if comptime!(form.is_projected()) {
         let mut staged = Shared::<[f32]>::new_slice(comptime!(UNITS as usize * SPLAT));
         let mut masks = Shared::<[u32]>::new_slice(comptime!(UNITS as usize));
         let mut visits = Shared::<[u32]>::new_slice(comptime!(REGIONS * WORDS));
@@ -156,7 +157,7 @@ fn blend_kernel(
         let mut end = select(own.inside, list.length, 0u32);
         while position < end {
             let i = list.entry(ids, position) as usize;
-            let found = fragment(shapes, features, i, own.x, own.y, view.near, form);
+            let found = fragment(shapes, features, i, own.x, own.y, view, form);
             if found.weight > 0.0f32 {
                 let goes_on = add_fragment(&mut state, found, features, i, thresholds, maps);
                 end = select(goes_on, end, 0u32);
@@ -205,7 +206,7 @@ impl BlendOps for CubeBackend {
         let planes = empty_f32(like, [options.planes(), height, width]);
         let median_depth = empty_f32(like, [usize::from(options.maps), height, width]);
         match options.order {
-            BlendOrder::Centres => blend_kernel::launch(
+            BlendOrder::Centres | BlendOrder::Whitened(Transparency::Sorted) => blend_kernel::launch(
                 &like.client.clone(),
                 cubes(TileGrid::new(width, height).len()),
                 cube_dim(),
@@ -223,8 +224,17 @@ impl BlendOps for CubeBackend {
                 options.maps,
             ),
             BlendOrder::Rays => rays::blend(&fragments, &lists, [&planes, &median_depth], &camera, &options),
+            BlendOrder::Whitened(_) => hybrid::blend(&fragments, &lists, [&planes, &median_depth], &camera, &options),
         }
         BlendOutput { planes, median_depth, lists }
+    }
+}
+
+impl OutweighingOps for CubeBackend {
+    fn outweighing(input: BlendInput<Self>, camera: Camera, options: BlendOptions, least: f64) -> IntTensor<Self> {
+        let gaussians = input.gaussians.contiguous();
+        let (fragments, lists) = Fragments::new(&gaussians, &floats(input.degrees_of_freedom), &camera, &options);
+        hybrid::outweighing(&fragments, &lists, &camera, &options, least)
     }
 }
 

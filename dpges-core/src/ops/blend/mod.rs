@@ -67,13 +67,13 @@ mod tests;
 
 use burn::backend::tensor::{FloatTensor, IntTensor};
 use burn::backend::{Backend, Dispatch, ExtensionType, backend_extension};
-use burn::tensor::Tensor;
+use burn::tensor::{Int, Tensor};
 
 use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::footprint::gaussian::tensors::GaussianTensors;
 use crate::scene::tensors::{check_shape, flat};
-use crate::scene::{BlendOrder, Gaussians, ScreenFilter};
+use crate::scene::{BlendOrder, Gaussians, HIGHEST_ALPHA, ScreenFilter};
 use crate::tiles::capacity::within_capacity;
 
 /// Red, green, blue, alpha.
@@ -86,8 +86,12 @@ pub const DEPTH_PLANE: usize = 4;
 pub const NORMAL_PLANE: usize = 5;
 pub const DISTORTION_PLANE: usize = 8;
 
-/// Largest [`BlendOptions::max_alpha`]: backward divides by 1 − α.
-pub const HIGHEST_MAX_ALPHA: f64 = 0.9999;
+/// Largest [`BlendOptions::max_alpha`].
+pub const HIGHEST_MAX_ALPHA: f64 = HIGHEST_ALPHA;
+
+/// K: most fragments of a pixel that have an order, and their least α (HTGS).
+pub const CORE: usize = 16;
+pub const CORE_ALPHA: f64 = 0.05;
 
 /// Most entries of the queues of a block of 4 × 4 px, of a quad of 2 × 2 px and of a pixel (StopThePop).
 pub const QUEUES: [usize; 3] = [64, 8, 4];
@@ -110,15 +114,24 @@ pub enum Form {
     Discs,
     /// Three scales, a kernel of Student's t distribution, an opacity of either sign (SSS).
     Students,
+    /// Three scales, met by rays in the frame in which it is a sphere (HTGS).
+    Whitened,
+}
+
+impl Form {
+    /// Whether its footprint is an ellipse on the screen.
+    pub const fn is_projected(self) -> bool {
+        matches!(self, Self::Ellipsoids | Self::Students)
+    }
 }
 
 /// Form of the primitives and thresholds of blending.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BlendOptions {
     pub form: Form,
-    /// Of ellipsoids; students have none.
+    /// Of ellipsoids; other forms have none.
     pub filter: ScreenFilter,
-    /// [`BlendOrder::Rays`] of ellipsoids alone.
+    /// [`BlendOrder::Rays`] of ellipsoids alone, [`BlendOrder::Whitened`] of [`Form::Whitened`], and only that.
     pub order: BlendOrder,
     /// Largest |α| of a fragment; above 0, at most [`HIGHEST_MAX_ALPHA`].
     pub max_alpha: f64,
@@ -144,10 +157,15 @@ impl Default for BlendOptions {
 
 impl BlendOptions {
     /// # Errors
-    /// [`Error::Option`] for a number outside its range, and for discs in the order of rays.
+    /// [`Error::Option`] for a number outside its range, and for an order that the form does not have.
     pub fn validate(&self) -> Result<()> {
-        if self.form == Form::Discs && self.order == BlendOrder::Rays {
-            let expected = format!("{} for discs", BlendOrder::Centres);
+        let fits = match self.order {
+            BlendOrder::Centres => self.form != Form::Whitened,
+            BlendOrder::Rays => self.form == Form::Ellipsoids,
+            BlendOrder::Whitened(_) => self.form == Form::Whitened,
+        };
+        if !fits {
+            let expected = format!("an order of {:?}", self.form);
             return Err(Error::Option { option: "order", expected, found: self.order.to_string() });
         }
         let check = |option, value: f64, fits: bool, expected: String| {
@@ -233,6 +251,17 @@ pub trait BlendBackwardOps: Backend {
     ) -> BlendInput<Self>;
 }
 
+#[backend_extension(Cube: cfg(feature = "gpu"), NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
+pub trait OutweighingOps: Backend {
+    /// See [`outweighing`]; without a probe.
+    fn outweighing(
+        #[extension_type] input: BlendInput<Self>,
+        camera: Camera,
+        options: BlendOptions,
+        least: f64,
+    ) -> IntTensor<Self>;
+}
+
 /// Blended primitives of one view.
 #[derive(Clone, Debug)]
 pub struct Blend {
@@ -272,7 +301,7 @@ pub fn blend(
     options: &BlendOptions,
 ) -> Result<Blend> {
     camera.validate()?;
-    if options.form == Form::Discs {
+    if matches!(options.form, Form::Discs | Form::Whitened) {
         camera.require_pinhole()?;
     }
     options.validate()?;
@@ -285,7 +314,9 @@ pub fn blend(
     };
     let degrees_of_freedom = match (&gaussians.degrees_of_freedom, options.form) {
         (Some(column), Form::Students) => flat(column),
-        (None, Form::Ellipsoids | Form::Discs) => Tensor::zeros([0], (&colours.device(), colours.dtype())),
+        (None, Form::Ellipsoids | Form::Discs | Form::Whitened) => {
+            Tensor::zeros([0], (&colours.device(), colours.dtype()))
+        }
         (column, form) => {
             let expected = "students if they have degrees of freedom, and another form if not".to_owned();
             let found = format!("{form:?} {} them", if column.is_some() { "with" } else { "without" });
@@ -308,4 +339,35 @@ pub fn blend(
         distortion: part(DISTORTION_PLANE, 1),
     });
     Ok(Blend { colour: part(0, 3), alpha: part(ALPHA_PLANE, 1), maps })
+}
+
+/// `[M]` 1 for every one of `gaussians` whose weight w_i is at least `least` at some pixel of the view, else 0. Of
+/// [`Form::Whitened`] alone.
+///
+/// # Errors
+/// Those of [`blend()`], and [`Error::Option`] for another form.
+pub fn outweighing(
+    gaussians: &Gaussians,
+    camera: &Camera,
+    options: &BlendOptions,
+    least: f64,
+) -> Result<Tensor<1, Int>> {
+    camera.validate()?;
+    camera.require_pinhole()?;
+    options.validate()?;
+    if options.form != Form::Whitened {
+        let (expected, found) = (format!("an order of {:?}", Form::Whitened), options.order.to_string());
+        return Err(Error::Option { option: "order", expected, found });
+    }
+    let like = &gaussians.positions;
+    let (device, dtype) = (like.device(), like.dtype());
+    let colours = Tensor::zeros([gaussians.len(), 3], (&device, dtype));
+    let input = BlendInput {
+        gaussians: GaussianTensors::new(gaussians, &colours)?,
+        degrees_of_freedom: Tensor::<1>::zeros([0], (&device, dtype)).into_dispatch(),
+        probe: Tensor::<2>::zeros([0, 4], (&device, dtype)).into_dispatch(),
+    };
+    let options = BlendOptions { maps: false, ..*options };
+    let marks = within_capacity(|| Dispatch::outweighing(input, *camera, options, least))?;
+    Ok(Tensor::from_dispatch(marks))
 }

@@ -50,7 +50,7 @@ impl<T: Real, F: Projected<T>> Sorted<T, F> {
         };
         let normals = if options.maps { rows.par_iter().map(normal_of).collect() } else { Vec::new() };
         let along = match options.order {
-            BlendOrder::Centres => Vec::new(),
+            BlendOrder::Centres | BlendOrder::Whitened(_) => Vec::new(),
             BlendOrder::Rays => {
                 let along = |(row, footprint): (&usize, &F)| {
                     footprint.along_ray(&view.camera, &gaussians.parameters(*row)).expect("only ellipsoids")

@@ -17,6 +17,7 @@ use super::back::{Spread, go_back, pixel_grad};
 use super::fragments::{
     FEATURES, Fragments, LOW_PASS, LowPass, Payload, TAIL, TANGENTS, Tangents, fragment, on_projected,
 };
+use super::hybrid;
 use super::rays::{Said, replay, said_at, said_numbers};
 use super::{FIRST_MOMENT, REFERENCE, SECOND_MOMENT, STATE, THROUGH, TOTAL, Thresholds, add_fragment};
 use crate::camera::Camera;
@@ -24,6 +25,7 @@ use crate::counters::transfers::{download, wait};
 use crate::error::Error;
 use crate::footprint::gaussian::cube::regions::{WORDS, list_regions, mark_regions};
 use crate::footprint::gaussian::cube::student::{Tail, student_slopes};
+use crate::footprint::gaussian::cube::whitened::{WHITENED, WHITENED_SUMS, Whitened, add_whitened_sums};
 use crate::footprint::gaussian::cube::{SPLAT, Splat, add_moments};
 use crate::footprint::moments::MOMENTS;
 use crate::footprint::surfel::cube::{DISC_SUMS, DiscPixel, Hit, PLANE, Plane, add_disc_sums};
@@ -33,25 +35,26 @@ use crate::gpu::launch::{
 };
 use crate::gpu::record::Record;
 use crate::gpu::tile::{Pixel, REGIONS, own_pixel, pixel_of, plane_of};
+use crate::gpu::vector::scale;
 use crate::gpu::view::CameraUniforms;
 use crate::ops::blend::{BlendLists, BlendOptions, Form};
-use crate::scene::BlendOrder;
+use crate::scene::{BlendOrder, Transparency};
 use crate::tiles::TileGrid;
 use crate::tiles::binning::cube::TileList;
 use crate::tiles::capacity::exceed;
 
 /// Entries whose sums a cube makes together, and the units that sum over the pixels of each.
-const ENTRIES: u32 = 4;
+pub const ENTRIES: u32 = 4;
 const SHARE: u32 = UNITS / ENTRIES;
 /// What an entry has at a pixel: gradient of the exponent, covered share, gradient of the depth.
-const NUMBERS: usize = 3;
+pub const NUMBERS: usize = 3;
 /// Units that one unit folds for, and parts of a sum of an entry after that.
-const FOLD: usize = 16;
+pub const FOLD: usize = 16;
 const PARTS: usize = SHARE as usize / FOLD;
 /// Sums of the probe: Σ x, Σ y, Σ |x|, Σ |y|.
 pub const PROBE: usize = 4;
 /// Sums that a cube folds at a time.
-const GROUP: usize = 12;
+pub const GROUP: usize = 12;
 const _: () = assert!(ENTRIES as usize * NUMBERS <= GROUP, "the memory to fold in holds what a pixel says");
 
 /// The sums of a primitive, in this order: those of the shape ([`MOMENTS`] or [`DISC_SUMS`]), then the rest:
@@ -68,10 +71,11 @@ impl Layout {
         match self.form {
             Form::Ellipsoids | Form::Students => MOMENTS,
             Form::Discs => DISC_SUMS,
+            Form::Whitened => WHITENED_SUMS,
         }
     }
 
-    /// Place among the rest of the gradients that the shape lacks: the depth of ellipsoids; the two coordinates
+    /// Place among the rest of the gradients that the shape lacks: the depth of ellipsoids, whitened or not; the two coordinates
     /// of the low-pass filter and the exponent of discs; depth, degrees of freedom and exponent of students.
     pub fn beside(self) -> usize {
         3
@@ -80,7 +84,7 @@ impl Layout {
     pub fn normal(self) -> usize {
         self.beside()
             + match self.form {
-                Form::Ellipsoids => 1,
+                Form::Ellipsoids | Form::Whitened => 1,
                 Form::Discs | Form::Students => 3,
             }
     }
@@ -141,7 +145,19 @@ fn add_pixel(
     }
     let mut towards_x = 0.0f32;
     let mut towards_y = 0.0f32;
-    if comptime!(layout.form != Form::Discs) {
+    if comptime!(layout.form == Form::Whitened) {
+        let whitened = Whitened::load(shapes, i * WHITENED);
+        let ray_grad = whitened.pixel_backward(view, x, y, power, grad_depth);
+        add_whitened_sums(own, ray_grad, power);
+        own[beside] += ray_grad.depth;
+        if comptime!(layout.probe) {
+            let towards = scale(whitened.towards(ray_grad, view), 0.5f32);
+            own[probe] += towards.x;
+            own[probe + 1] += towards.y;
+            own[probe + 2] += towards.z;
+            own[probe + 3] += f32::abs(towards.x) + f32::abs(towards.y) + f32::abs(towards.z);
+        }
+    } else if comptime!(layout.form.is_projected()) {
         let splat = Splat::load(shapes, i * SPLAT);
         let (dx, dy) = (x - splat.mean_x, y - splat.mean_y);
         let (u, v) = (splat.u(dx, dy), splat.r * dy);
@@ -200,7 +216,7 @@ fn add_pixel(
             towards_y = share * centre_y / view.fy;
         }
     }
-    if comptime!(layout.probe) {
+    if comptime!(layout.probe && layout.form != Form::Whitened) {
         let ndc_x = towards_x * f32::cast_from(view.width) * 0.5f32;
         let ndc_y = towards_y * f32::cast_from(view.height) * 0.5f32;
         own[probe] += ndc_x;
@@ -214,7 +230,7 @@ fn add_pixel(
 /// its sums from `slot` on, or for as many as there are. `partial` has what each pixel says about them, [[`ENTRIES`],
 /// [`NUMBERS`], [`UNITS`]]. All units of the cube must call this together.
 #[cube]
-fn fold_entries(
+pub fn fold_entries(
     partial: &mut [f32],
     folded: &mut [f32],
     own: &mut Array<f32>,
@@ -336,7 +352,7 @@ fn gather_kernel(
     let mut state = zeros(STATE);
     state[THROUGH] = 1.0f32;
     let mut end = select(place.inside, length, 0u32);
-    if comptime!(form != Form::Discs) {
+    if comptime!(form.is_projected()) {
         let list = TileList { start, length };
         let mut visits = Shared::<[u32]>::new_slice(comptime!(REGIONS * WORDS));
         let mut depths = Shared::<[f32]>::new_slice(REGIONS);
@@ -370,7 +386,7 @@ fn gather_kernel(
         let mut position = 0u32;
         while position < end {
             let i = ids[(start + position) as usize] as usize;
-            let found = fragment(shapes, features, i, x, y, view.near, form);
+            let found = fragment(shapes, features, i, x, y, view, form);
             if found.weight > 0.0f32 {
                 let goes_on = add_fragment(&mut state, found, features, i, thresholds, layout.maps);
                 end = select(goes_on, end, position);
@@ -414,7 +430,7 @@ fn gather_kernel(
             let position = top - 1u32 - entry;
             if entry < entries && position < end {
                 let i = ids[(start + position) as usize] as usize;
-                let found = fragment(shapes, features, i, x, y, view.near, form);
+                let found = fragment(shapes, features, i, x, y, view, form);
                 if found.weight != 0.0f32 {
                     let payload = Payload::load(features, i * FEATURES);
                     let back = go_back(found, payload, through, behind, of, spread, thresholds, layout.maps);
@@ -637,7 +653,7 @@ pub fn gather(
     let places = empty_u32(grad, [pairs]);
     places_kernel::launch(&client, units(pairs), cube_dim(), buffer(&lists.pairs), buffer(&places), pairs as u32);
     let (most, per_entry) = match options.order {
-        BlendOrder::Centres => (largest_buffer(grad) / (size_of::<f32>() * width), width),
+        BlendOrder::Centres | BlendOrder::Whitened(_) => (largest_buffer(grad) / (size_of::<f32>() * width), width),
         BlendOrder::Rays => (Said::most_entries(grad, layout.maps), Said::width(layout.maps)),
     };
     let room = pairs.min(most);
@@ -647,8 +663,12 @@ pub fn gather(
     let sums = parts.map(|(_, taken)| empty_f32(grad, [count, taken]));
     for band in bands(&lists.offsets, pairs, tiles, most, per_entry) {
         let [first_tile, end_tile] = [band.start, band.end].map(|tile| tile as u32);
-        match &said {
-            None => gather_kernel::launch(
+        match (&said, options.order) {
+            (None, BlendOrder::Whitened(transparency)) if transparency != Transparency::Sorted => {
+                let range = [first_tile, end_tile];
+                hybrid::gather(fragments, lists, [grad, &slots], range, camera, options, layout);
+            }
+            (None, _) => gather_kernel::launch(
                 &client,
                 cubes(band.len()),
                 cube_dim(),
@@ -664,7 +684,7 @@ pub fn gather(
                 end_tile,
                 layout,
             ),
-            Some(said) => {
+            (Some(said), _) => {
                 replay(fragments, lists, grad, said, [first_tile, end_tile], camera, options);
                 gather_said_kernel::launch(
                     &client,
