@@ -58,6 +58,32 @@ fn what_sorts_by_centres_says_so_of_a_scene_that_is_sorted_along_rays() {
 }
 
 #[test]
+fn what_the_real_time_renderer_does_not_draw_is_measured_by_the_renderer_of_training() {
+    let folder = folder();
+    let at = folder.path();
+    let short = ["--steps=20", "--set=train.evaluate_every=0"];
+    for (method, rendering, named) in [("sss", "students", "Student's t"), ("sortfree", "summed", "weighted sums")] {
+        train(at, method, &[&short[..], &["--method", method]].concat());
+        let info: Value = serde_json::from_str(&ok(at, &["info", method, "--json"])).unwrap();
+        assert_eq!(info["rendering"], rendering);
+        let splats = ["export", method, "--format=ply", "--out=splats.ply", "--device=cpu"];
+        for refused in [&["bench", "render", method][..], &splats] {
+            let message = fails(at, 1, refused);
+            assert!(message.contains(named), "{message}");
+        }
+        let measured = ["bench", "render", method, "--training=cpu", "--size=32x32", "--rounds=1", "--cameras=1"];
+        let table = ok(at, &measured);
+        assert!(table.contains("training") && !table.contains("raster"), "{table}");
+        let table = ok(at, &["eval", method, "--device=cpu", "--popping", "--frame-times", "--json=result.json"]);
+        assert!(table.contains(named), "{table}");
+        let result = json(at.join("result.json"));
+        assert_eq!((&result["frame_ms"]["renderer"], &result["popping"]["frames"]), (&"training".into(), &60.into()));
+        ok(at, &["render", method, "--out", &format!("{method}_pictures"), "--device=cpu"]);
+        assert_eq!(png_names(&at.join(format!("{method}_pictures"))).len(), 6);
+    }
+}
+
+#[test]
 fn stages_leave_their_scenes_and_a_killed_run_goes_on_in_the_middle_of_one() {
     let folder = folder();
     let at = folder.path();

@@ -159,13 +159,16 @@ impl BlendOptions {
     /// # Errors
     /// [`Error::Option`] for a number outside its range, and for an order that the form does not have.
     pub fn validate(&self) -> Result<()> {
-        let fits = match self.order {
-            BlendOrder::Centres => self.form != Form::Whitened,
-            BlendOrder::Rays => self.form == Form::Ellipsoids,
-            BlendOrder::Whitened(_) => self.form == Form::Whitened,
+        let (fits, expected) = match (self.form, self.order) {
+            (Form::Ellipsoids, order) => (order.transparency().is_none(), "centres or rays for ellipsoids"),
+            (Form::Discs, order) => (order == BlendOrder::Centres, "centres for discs"),
+            (Form::Students, order) => (order == BlendOrder::Centres, "centres for Student's t kernels"),
+            (Form::Whitened, order) => {
+                (order.transparency().is_some(), "hybrid, nearest, sorted or tail for whitened Gaussians")
+            }
         };
         if !fits {
-            let expected = format!("an order of {:?}", self.form);
+            let expected = expected.to_owned();
             return Err(Error::Option { option: "order", expected, found: self.order.to_string() });
         }
         let check = |option, value: f64, fits: bool, expected: String| {

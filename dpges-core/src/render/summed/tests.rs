@@ -96,6 +96,7 @@ fn densely(numbers: &Numbers, camera: &Camera, weight: DepthWeight) -> Vec<f64> 
             quaternion: row(1, i, 4).try_into().unwrap(),
             log_scales: row(2, i, 3).try_into().unwrap(),
             opacity: numbers.columns[3][i] * factor[i].max(0.0) * w,
+            degrees_of_freedom: f64::INFINITY,
         };
         let Some(splat) = Splat::new(&of, &parameters, [0.0; 3], ScreenFilter::Plain) else { continue };
         for (at, sums) in sums.iter_mut().enumerate() {

@@ -15,7 +15,7 @@ fn a_run_goes_on_from_any_step_of_any_stage_to_the_same_end() {
     let folder = tempfile::tempdir().unwrap();
     let with_exposure = [&STAGES[..], &["train.exposure=on"]].concat();
     let with_poses = [&STAGES[..], &["train.poses=on"]].concat();
-    let runs: [(&[&str], &[usize]); 8] = [
+    let runs: [(&[&str], &[usize]); 10] = [
         (&STAGES, &[7, 18, 19, 30, 36, 50]),
         (&with_exposure, &[7, 18, 50]),
         (&with_poses, &[1, 7, 18, 19, 50]),
