@@ -1,4 +1,4 @@
-//! `blend`: primitives blended front to back in the order of their depths (3DGS, 2DGS, SSS).
+//! `blend`: primitives blended front to back in the order of their depths (3DGS, 2DGS, SSS, HTGS).
 //!
 //! Primitives, coloured c_i, → planes [P, H, W] and median depth. With `T_i = Π_{j<i} (1 − α_j)` and
 //! `w_i = α_i T_i`, the planes are
@@ -35,6 +35,14 @@
 //! for rounding: a CPU walks through the queues of a tile together; on a GPU one unit runs the queue of a block, and every
 //! pixel runs its own and that of its quad. Backward runs all of them again, so that nothing of the order is kept.
 //!
+//! [`BlendOrder::Whitened`] (HTGS): a pixel keeps the nearest [`CORE`] of its fragments with α of at least [`CORE_ALPHA`], by
+//! their own z, those first whose centre is nearer if equal. They are blended in that order. The first of them that takes T
+//! below [`BlendOptions::min_transmittance`] ends the pixel behind it. The other fragments are its tail: with T behind the core,
+//! the weight of one is `T (1 − Π (1 − α_j)) α_i / Σ α_j` over the tail. With [`Transparency::Nearest`] there is no tail, with
+//! [`Transparency::Tail`] no core. [`Transparency::Sorted`] is the order of centres. Planes are sums with these weights;
+//! distortion is that of any two fragments, whatever their order. Median depth is that of the core, or, where T ≤ ½ only
+//! behind the tail, the mean z of the tail by α. Backward, each pixel finds its core again.
+//!
 //! [`Form::Ellipsoids`]: α = max(0, opacity) · compensation · exp(−½ dᵀ Q d), the footprint of
 //! [`splat`](super::splat): EWA, a low-pass filter of 0.1 px², compensation; or, with [`ScreenFilter::Plain`],
 //! 0.3 px² without compensation (3DGS, DBS). Gaussians trained that way change when they are splatted. z is that
@@ -51,12 +59,23 @@
 //! away, and T grows behind it, also above 1. A fragment exists within a square around the projected centre, whose half
 //! side is a number of standard deviations that depends on ν, rounded up to whole px (SSS). z and n as of ellipsoids.
 //!
+//! [`Form::Whitened`]: α = max(0, opacity) · exp(−½ r²), where r is the least distance of the ray from the centre in
+//! the frame in which the Gaussian is a sphere of standard deviation 1, and z the depth at which it is that near (HTGS). There is
+//! no projection and no low-pass filter. An ellipsoid that reaches the near plane at α = 1/255 does not exist. n as of
+//! ellipsoids. HTGS also leaves out what reaches a far plane, and has α up to 1.
+//!
 //! Gradients: from the planes to positions, quaternions, log-scales, opacities, degrees of freedom and colours, all in
 //! one pass. That of ν is exact; the published kernel leaves out a term of it. Median depth, a capped α, the order, the end of a pixel and the choice of a normal carry none.
 //!
 //! The *probe* is a [M, 4] tensor that no value depends on. Its gradient is Σ g_x, Σ g_y, Σ |g_x|, Σ |g_y|
 //! over the pixels, where (g_x, g_y) is a pixel's gradient with respect to the projected centre in units
-//! of half the image. 3DGS, 2DGS (only from hits with the disc) and AbsGS base densification on it.
+//! of half the image. 3DGS, 2DGS (only from hits with the disc) and AbsGS base densification on it. Of [`Form::Whitened`] it is
+//! Σ g_x, Σ g_y, Σ g_z, Σ (|g_x| + |g_y| + |g_z|), where g is a pixel's gradient with respect to the centre in camera axes
+//! times half its depth (HTGS: the norm of the sum of g, and the last with g in world axes).
+//!
+//! [`Transparency::Nearest`]: crate::scene::Transparency::Nearest
+//! [`Transparency::Tail`]: crate::scene::Transparency::Tail
+//! [`Transparency::Sorted`]: crate::scene::Transparency::Sorted
 
 mod backward;
 mod cpu;
@@ -291,7 +310,7 @@ pub struct Maps {
 
 /// Blends `gaussians` in `colours` [M, 3], as seen from the camera. Only the gradient of `probe` [M, 4] means anything:
 /// Σ g_x, Σ g_y, Σ |g_x|, Σ |g_y| over the pixels, with the gradient with respect to the projected centre in units of
-/// half the image.
+/// half the image; that of [`Form::Whitened`] is described above.
 ///
 /// # Errors
 /// [`Error::Shape`], [`Error::Camera`] or [`Error::Option`] if the input is invalid, which students without degrees of
@@ -345,7 +364,7 @@ pub fn blend(
 }
 
 /// `[M]` 1 for every one of `gaussians` whose weight w_i is at least `least` at some pixel of the view, else 0. Of
-/// [`Form::Whitened`] alone.
+/// [`Form::Whitened`] alone. Nothing is on a tape.
 ///
 /// # Errors
 /// Those of [`blend()`], and [`Error::Option`] for another form.

