@@ -1,4 +1,4 @@
-//! What can be wrong with a scene, a camera or a device.
+//! Errors of scenes, cameras and devices.
 
 use dpges_core::scene::Rendering;
 
@@ -20,8 +20,8 @@ pub enum RenderError {
     #[error("{display} cannot be shown of a scene of blended {rendering}: it has no peeled surfels")]
     Display { display: Display, rendering: Rendering },
     #[error(
-        "scenes of {0} are not drawn in real time: `dpges render` and `dpges eval` draw them with the renderer that they were \
-         trained with, and so does `dpges bench render --training DEVICE`"
+        "the real-time renderer does not draw {0}, and the training renderer does: `dpges render`, `dpges eval`, \
+         `dpges bench render --training DEVICE`"
     )]
     NotDrawn(&'static str),
     #[error("no graphics adapter was found ({0}): install a driver for Vulkan, Metal, DX12 or GL")]

@@ -3,6 +3,7 @@
 use std::time::Instant;
 
 use dpges_core::camera::Camera;
+use dpges_core::scene::SceneData;
 use serde::Serialize;
 
 use crate::error::{RenderError, Result};
@@ -27,7 +28,7 @@ pub struct FrameTimes {
 pub struct PassShare {
     pub name: &'static str,
     pub p50_ms: f64,
-    /// Of the sum over the passes.
+    /// Share of the sum over the passes.
     pub share: f64,
 }
 
@@ -42,7 +43,7 @@ pub struct Rounds {
 /// Draws what `renderer` holds from each of `cameras`, again and again. `renderer` must render into [`PICTURE_FORMAT`].
 ///
 /// # Errors
-/// Those of [`Renderer::render`]; [`RenderError::Device`] if the device stops to answer.
+/// The errors of [`Renderer::render`]; [`RenderError::Device`] if the device stops to answer.
 pub fn frame_times(
     headless: &Headless,
     renderer: &mut Renderer,
@@ -78,6 +79,22 @@ pub fn frame_times(
     let sum: f64 = shares.iter().map(|pass| pass.p50_ms).sum();
     shares.iter_mut().for_each(|pass| pass.share = pass.p50_ms / sum);
     Ok(FrameTimes::new(times, shares))
+}
+
+/// [`frame_times`] of `scene` with its own options, from `cameras` without their lenses.
+///
+/// # Errors
+/// The errors of [`frame_times`] and of [`Renderer::upload`].
+pub fn scene_frame_times(
+    headless: &Headless,
+    scene: &SceneData,
+    cameras: &[Camera],
+    rounds: Rounds,
+) -> Result<FrameTimes> {
+    let mut renderer = headless.renderer()?;
+    renderer.upload(scene)?;
+    let cameras: Vec<Camera> = cameras.iter().map(Camera::without_lens).collect();
+    frame_times(headless, &mut renderer, &cameras, &RenderOptions::from(&scene.info), rounds)
 }
 
 impl FrameTimes {

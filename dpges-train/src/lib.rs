@@ -2,7 +2,7 @@
 //!
 //! A [`run`] takes a [`dataset::Dataset`] through the stages of a [`config::Config`]: discs, Gaussians, then surfels and
 //! Gaussians together. [`init`] makes what it begins with; [`refine`] decides which primitives come and go; [`eval`]
-//! measures the scene.
+//! measures the scene. A [`study`] trains and measures many.
 //!
 //! # Dependencies
 //!
@@ -21,8 +21,8 @@
 //! | ssimulacra2 | the metric of that name |
 //! | strsim | the nearest known key for an unknown one |
 //! | thiserror; miette in the binary | errors |
-//! | plotters, epaint_default_fonts, base64 in the binary | plots, their letters, pictures within a report |
-//! | humantime in the binary | durations, the date of a report |
+//! | plotters, epaint_default_fonts, base64 | plots, their letters, pictures within a report |
+//! | humantime | durations, the date of a report |
 //! | clap, ctrlc, indicatif, tracing, tracing-indicatif, tracing-subscriber | the command line |
 //! | mimalloc | the binary's allocator |
 
@@ -37,4 +37,5 @@ pub mod optimizer;
 pub mod refine;
 pub mod run;
 mod stage;
+pub mod study;
 pub mod views;

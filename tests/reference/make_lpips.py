@@ -2,8 +2,8 @@
 
     python make_lpips.py NETWORK.safetensors [PICTURE PICTURE]
 
-The file is one that `dpges lpips install` or dpges-train/tools/lpips_weights.py has made. The pictures come from formulas that
-dpges-train/src/metrics/test_pictures.rs has too. With two pictures, which need Pillow, it prints theirs instead.
+The file is one that `dpges lpips install` or dpges-train/tools/lpips_weights.py has made. The pictures are those of
+`test_pictures.py`. With two pictures, which need Pillow, it prints theirs instead.
 """
 
 import json
@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from test_pictures import discs, moved, noisy, picture, tinted
 
 SHIFT, SCALE = [-0.030, -0.088, -0.188], [0.458, 0.448, 0.450]
 # Of each convolution: its number in torchvision's `features`, its stride and padding, the window of a max pooling before it,
@@ -72,29 +73,6 @@ def lpips(network, tensors, reference, test):
     return distance
 
 
-def discs(c, y, x):
-    inside = (abs(x % 24 - 12)) ** 2 + (abs(y % 24 - 12)) ** 2 < 60
-    return np.where(inside, 60 + 70 * c, (x + 2 * y + 40 * c) % 256)
-
-
-def moved(c, y, x):
-    return discs(c, y, x + 1)
-
-
-def noisy(c, y, x):
-    noise = (x * 7919 + y * 104_729 + c * 1_299_709 + x * y * 31) % 251
-    return (7 * discs(c, y, x) + noise) // 8
-
-
-def tinted(c, y, x):
-    return discs(c, y, x) * (8 - c) // 8
-
-
-def picture(of, width, height):
-    c, y, x = np.meshgrid(np.arange(3), np.arange(height), np.arange(width), indexing="ij")
-    return of(c, y, x) % 256 / 255.0
-
-
 # Width, height and the two pictures.
 PAIRS = [
     (64, 48, discs, moved),
@@ -119,7 +97,7 @@ def main():
         print(json.dumps({network: lpips(network, tensors, *pair)}))
         return
     values = [
-        lpips(network, tensors, picture(reference, width, height), picture(test, width, height))
+        lpips(network, tensors, picture(reference, width, height) / 255.0, picture(test, width, height) / 255.0)
         for width, height, reference, test in PAIRS
     ]
     print(json.dumps({network: [round(value, 9) for value in values]}, indent=1))

@@ -1,7 +1,8 @@
 //! The tests on a GPU: the best adapter that wgpu finds, which is a software driver where there is no other.
 //!
-//! Without an adapter they are ignored. With `DPGES_REQUIRE_GPU=1` they fail. Those that take minutes are ignored unless
-//! `--ignored` or `--include-ignored` asks for them.
+//! Without an adapter they are ignored. With `DPGES_REQUIRE_GPU=1` they fail. On a software driver those that take long there
+//! are ignored, too, unless `DPGES_REQUIRE_GPU=1`, `--ignored` or `--include-ignored` asks for them. The largest picture is
+//! rendered only if it is asked for.
 
 use burn::tensor::{DType, Device};
 use dpges_train::device::DeviceName;
@@ -24,7 +25,6 @@ pub fn trials() -> Vec<Trial> {
         on_a_gpu::transmittances_of_exactly_0_and_1_are_finite,
         on_a_gpu::poisoned_numbers_are_named_with_their_row,
         on_a_gpu::poisoned_numbers_that_nobody_looked_at_do_no_harm,
-        on_a_gpu::each_of_a_million_has_its_pixel,
         on_a_gpu::fifty_thousand_at_one_point_add_up,
         on_a_gpu::pictures_of_8192_px_are_close,
         kernels::prefix_sums_of_any_length,
@@ -36,7 +36,6 @@ pub fn trials() -> Vec<Trial> {
         parity::every_operation_agrees_on_a_realistic_scene,
         parity::every_operation_agrees_with_nothing_to_show,
         parity::every_operation_agrees_on_one_primitive_and_on_a_line_of_pixels,
-        parity::every_operation_agrees_through_lenses,
         parity::weighted_sums_agree_on_random_scenes,
         parity::sorted_blending_agrees_on_random_scenes,
         parity::sorted_blending_agrees_in_a_crowd,
@@ -51,24 +50,29 @@ pub fn trials() -> Vec<Trial> {
         parity::photographs_are_unpacked_to_the_same_bits,
         lpips::a_gpu_agrees_with_a_cpu,
         gpu::starts_once,
-        training::a_gpu_trains_as_well_as_a_cpu,
         training::a_run_on_a_gpu_is_the_same_bytes_every_time,
-        training::lists_without_room_change_no_bit_of_a_run,
         training::a_step_that_is_not_finite_is_undone,
         training::photographs_reach_a_gpu_to_the_bit,
         training::where_photographs_are_changes_no_bit_of_a_run,
         step_cost::a_step_is_counted_alike_every_time,
         step_cost::a_blended_step_is_counted,
     ];
-    let long = named![on_a_gpu::the_largest_picture];
+    let slow_in_software = named![
+        on_a_gpu::each_of_a_million_has_its_pixel,
+        parity::every_operation_agrees_through_lenses,
+        training::a_gpu_trains_as_well_as_a_cpu,
+        training::lists_without_room_change_no_bit_of_a_run,
+    ];
+    let on_request = named![on_a_gpu::the_largest_picture];
     let device = best();
-    let required = std::env::var("DPGES_REQUIRE_GPU").is_ok_and(|value| value == "1");
+    let required = is_required();
+    let in_software = !required && is_software();
     if let Err(reason) = &device {
         eprintln!("tests on a GPU cannot run: {reason}");
     }
-    let trial = |(name, test): (&'static str, fn(Device)), is_long: bool| {
+    let trial = |(name, test): (&'static str, fn(Device)), is_left_out: bool| {
         let device = device.clone();
-        let is_ignored = is_long || (device.is_err() && !required);
+        let is_ignored = is_left_out || (device.is_err() && !required);
         let run = move || {
             let device = device.map_err(|reason| format!("DPGES_REQUIRE_GPU=1, and {reason}"))?;
             timing::timed(name, || test(device));
@@ -76,8 +80,20 @@ pub fn trials() -> Vec<Trial> {
         };
         Trial::test(name, run).with_kind("GPU").with_ignored_flag(is_ignored)
     };
-    let tests = tests.into_iter().map(|test| trial(test, false));
-    tests.chain(long.into_iter().map(|test| trial(test, true))).collect()
+    let mut trials: Vec<Trial> = tests.into_iter().map(|test| trial(test, false)).collect();
+    trials.extend(slow_in_software.into_iter().map(|test| trial(test, in_software)));
+    trials.extend(on_request.into_iter().map(|test| trial(test, true)));
+    trials
+}
+
+/// Whether tests on a GPU fail where they cannot run, and none is left out for the time that it takes.
+pub fn is_required() -> bool {
+    std::env::var("DPGES_REQUIRE_GPU").is_ok_and(|value| value == "1")
+}
+
+/// Whether the adapter of the tests is a software driver.
+pub fn is_software() -> bool {
+    "wgpu".parse().is_ok_and(DeviceName::is_software)
 }
 
 fn best() -> Result<Device, String> {

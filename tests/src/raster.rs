@@ -1,6 +1,7 @@
 //! The real-time renderer against the one that is trained with: scenes that were trained, cameras that were held out.
 //!
-//! Without a graphics adapter the tests are ignored. With `DPGES_REQUIRE_GPU=1` they fail.
+//! Without a graphics adapter the tests are ignored. With `DPGES_REQUIRE_GPU=1` they fail. On a software driver the longest
+//! one is ignored, too, unless `DPGES_REQUIRE_GPU=1`, `--ignored` or `--include-ignored` asks for it.
 
 use std::sync::{Arc, OnceLock};
 
@@ -16,7 +17,7 @@ use dpges_train::run::Trainer;
 use libtest_mimic::{Failed, Trial};
 
 use crate::devices::flex;
-use crate::timing;
+use crate::{gpu, timing};
 
 type Test = fn(&Headless) -> Result<(), Failed>;
 
@@ -36,13 +37,14 @@ pub fn trials() -> Vec<Trial> {
         ("raster::nothing_pops_along_a_path", nothing_pops_along_a_path),
     ];
     let headless = Headless::new();
-    let required = std::env::var("DPGES_REQUIRE_GPU").is_ok_and(|value| value == "1");
+    let required = gpu::is_required();
+    let slow = (!required && gpu::is_software()).then_some("raster::nothing_pops_along_a_path");
     if let Ok(headless) = &headless {
         eprintln!("tests of the real-time renderer run on {}", headless.adapter_name());
     }
     let trial = |(name, test): (&'static str, Test)| {
         let headless = headless.as_ref().map(Headless::clone).map_err(ToString::to_string);
-        let is_ignored = headless.is_err() && !required;
+        let is_ignored = slow == Some(name) || (headless.is_err() && !required);
         let run = move || {
             let headless = headless?;
             timing::timed(name, || test(&headless))

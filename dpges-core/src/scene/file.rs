@@ -5,85 +5,34 @@
 //! Gaussians with Student's t kernels have one tensor more, `gaussians.degrees_of_freedom` `[M]`.
 //! A scene with an environment has one tensor more, `environment` [(degree + 1)², 3]; see [`EnvironmentData`].
 //!
-//! Of spherical Beta colours a file has only the lobes that are there (see [`lobes`](super::lobes)). In place of
+//! A file stores only the spherical Beta lobes that a primitive has (see [`lobes`](super::lobes)). In place of
 //! `surfels.colour.detail` [N, 6 × lobes] stand `surfels.colour.lobe_counts` `[N]`, one byte for every surfel, and
 //! `surfels.colour.lobes` [sum of the counts, 6], those of the first surfel first; likewise for the Gaussians. Files of
-//! version "1", in which `detail` has every lobe, are read as well, and so are [compressed](mod@super::compressed) files.
+//! version "1", in which `detail` has every lobe, are read as well, and so are [compressed](mod@super::compressed)
+//! files.
 //!
 //! Only scenes of [weighted sums](super::WeightedSum) have the tensors `gaussians.opacity_base` [M, 1] and
 //! `gaussians.opacity_detail` [M, 15], and `weighted_sum` in their info.
 
-use std::borrow::Cow;
-use std::collections::HashMap;
 use std::io::Write;
 use std::path::Path;
 
-use safetensors::tensor::TensorView;
-use safetensors::{Dtype, SafeTensors, View};
+use safetensors::{Dtype, SafeTensors};
 
 use super::compressed;
+use super::container::{Rows, bytes, lobe_names, read, row_count, scene_file, unreadable};
 use super::data::check_numbers;
 use super::lobes::{LOBE_LEN, pack, unpack};
 use super::schema::{Attribute, Columns, ENVIRONMENT, Width};
 use super::{ColourModel, EnvironmentData, GaussianData, Rendering, SceneData, SceneInfo, SurfelData, WeightedSum};
 use crate::error::{Error, Result};
 use crate::scene::atomic::write_atomically;
-use crate::scene::container;
 
 const FORMAT: &str = "dpges-scene";
 const VERSION: &str = "2";
 /// Its files have every lobe of spherical Beta colours.
 const DENSE_VERSION: &str = "1";
 const MAX_LOBES: usize = 64;
-
-/// One tensor of the file: its name, the shape it must have, its values row-major.
-pub(super) struct Rows<'a> {
-    pub(super) name: &'static str,
-    shape: Vec<usize>,
-    values: Values<'a>,
-}
-
-enum Values<'a> {
-    Numbers(Cow<'a, [f32]>),
-    Bytes(Vec<u8>),
-}
-
-impl View for Rows<'_> {
-    fn dtype(&self) -> Dtype {
-        match self.values {
-            Values::Numbers(_) => Dtype::F32,
-            Values::Bytes(_) => Dtype::U8,
-        }
-    }
-
-    fn shape(&self) -> &[usize] {
-        &self.shape
-    }
-
-    fn data(&self) -> Cow<'_, [u8]> {
-        match &self.values {
-            Values::Numbers(values) => values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>().into(),
-            Values::Bytes(bytes) => bytes.into(),
-        }
-    }
-
-    fn data_len(&self) -> usize {
-        match &self.values {
-            Values::Numbers(values) => size_of::<f32>() * values.len(),
-            Values::Bytes(bytes) => bytes.len(),
-        }
-    }
-}
-
-impl<'a> Rows<'a> {
-    pub(super) fn numbers(name: &'static str, shape: Vec<usize>, values: impl Into<Cow<'a, [f32]>>) -> Self {
-        Self { name, shape, values: Values::Numbers(values.into()) }
-    }
-
-    pub(super) fn bytes(name: &'static str, bytes: Vec<u8>) -> Self {
-        Self { name, shape: vec![bytes.len()], values: Values::Bytes(bytes) }
-    }
-}
 
 impl SceneData {
     /// Writes the scene file; an existing file is replaced only once the new one is complete.
@@ -94,13 +43,7 @@ impl SceneData {
     pub fn save(&self, path: &Path) -> Result<()> {
         let wrong = |reason| Error::SceneFile { path: path.to_owned(), reason };
         self.check_to_save(path)?;
-        let metadata = HashMap::from([
-            ("format".to_owned(), FORMAT.to_owned()),
-            ("version".to_owned(), VERSION.to_owned()),
-            ("info".to_owned(), serde_json::to_string(&self.info).map_err(|error| wrong(error.to_string()))?),
-        ]);
-        let tensors = self.stored().into_iter().map(|tensor| (tensor.name, tensor));
-        let bytes = container::serialize(tensors, metadata).map_err(|error| wrong(error.to_string()))?;
+        let bytes = scene_file(self, self.stored(), [FORMAT, VERSION], None).map_err(wrong)?;
         write_atomically(path, |file| file.write_all(&bytes))
     }
 
@@ -125,7 +68,7 @@ impl SceneData {
         parse(bytes).map_err(|reason| Error::SceneFile { path: name.into(), reason })
     }
 
-    /// What is wrong with the scene, for a file at `path`.
+    /// The first problem of the scene, for a file at `path`.
     pub(super) fn check_to_save(&self, path: &Path) -> Result<()> {
         let wrong = |reason| Error::SceneFile { path: path.to_owned(), reason };
         check_info(&self.info).map_err(wrong)?;
@@ -156,8 +99,6 @@ impl SceneData {
         let mut stored = Vec::new();
         stored_columns(&self.surfels, self.surfels.len(), self.info.colour_model, &mut stored);
         stored_columns(&self.gaussians, self.gaussians.len(), self.info.colour_model, &mut stored);
-        let environment = self.environment.iter();
-        stored.extend(environment.map(|e| Rows::numbers(ENVIRONMENT.name, vec![e.len(), 3], &e.coefficients[..])));
         stored
     }
 }
@@ -183,15 +124,6 @@ fn stored_columns<'a, C: Columns<Value = Vec<f32>>>(
             }
         }
     }
-}
-
-/// Names of the tensors that hold lobes: how many each primitive has, and their numbers.
-const SURFEL_LOBES: [&str; 2] = ["surfels.colour.lobe_counts", "surfels.colour.lobes"];
-const GAUSSIAN_LOBES: [&str; 2] = ["gaussians.colour.lobe_counts", "gaussians.colour.lobes"];
-
-/// The tensors that stand in place of `detail`.
-pub(super) fn lobe_names(detail: &Attribute) -> [&'static str; 2] {
-    if detail.name.starts_with("surfels") { SURFEL_LOBES } else { GAUSSIAN_LOBES }
 }
 
 fn parse(bytes: &[u8]) -> Result<SceneData, String> {
@@ -226,10 +158,6 @@ fn parse(bytes: &[u8]) -> Result<SceneData, String> {
     Ok(scene)
 }
 
-pub(super) fn unreadable(error: safetensors::SafeTensorError) -> String {
-    format!("not a safetensors file, or truncated: {error}")
-}
-
 /// The attributes of a kind of primitive. Lobes of spherical Beta colours are `packed`, or all there.
 fn read_columns<C: Columns>(file: &SafeTensors, model: ColourModel, packed: bool) -> Result<C::With<Vec<f32>>, String> {
     let count = row_count(file, C::ATTRIBUTES[0].name)?;
@@ -257,11 +185,6 @@ fn read_environment(file: &SafeTensors) -> Result<Option<EnvironmentData>, Strin
     Ok(Some(EnvironmentData { coefficients: read(file, name, &[count, 3])? }))
 }
 
-fn row_count(file: &SafeTensors, name: &str) -> Result<usize, String> {
-    let tensor = file.tensor(name).map_err(|_| format!("tensor `{name}` is missing"))?;
-    Ok(tensor.shape().first().copied().unwrap_or(0))
-}
-
 /// The detail of `count` primitives with room for `lobes`, from the tensors `names`.
 fn read_lobes(file: &SafeTensors, names: [&str; 2], count: usize, lobes: usize) -> Result<Vec<f32>, String> {
     let counts = bytes(file, names[0], Dtype::U8, &[count])?;
@@ -269,32 +192,6 @@ fn read_lobes(file: &SafeTensors, names: [&str; 2], count: usize, lobes: usize) 
     let numbers = read(file, names[1], &shape)?;
     check_numbers(names[1], &shape, &numbers).map_err(|error| error.to_string())?;
     unpack(counts, &numbers, lobes).map_err(|reason| format!("tensor `{}` {reason}", names[0]))
-}
-
-fn read(file: &SafeTensors, name: &str, shape: &[usize]) -> Result<Vec<f32>, String> {
-    let (numbers, _) = bytes(file, name, Dtype::F32, shape)?.as_chunks::<4>();
-    Ok(numbers.iter().map(|&bytes| f32::from_le_bytes(bytes)).collect())
-}
-
-/// The bytes of a tensor of bytes of any shape.
-pub(super) fn payload<'a>(file: &SafeTensors<'a>, name: &str) -> Result<&'a [u8], String> {
-    Ok(tensor(file, name, Dtype::U8)?.data())
-}
-
-fn tensor<'a>(file: &SafeTensors<'a>, name: &str, dtype: Dtype) -> Result<TensorView<'a>, String> {
-    let tensor = file.tensor(name).map_err(|_| format!("tensor `{name}` is missing"))?;
-    if tensor.dtype() != dtype {
-        return Err(format!("tensor `{name}` has element type {:?}, expected {dtype:?}", tensor.dtype()));
-    }
-    Ok(tensor)
-}
-
-fn bytes<'a>(file: &SafeTensors<'a>, name: &str, dtype: Dtype, shape: &[usize]) -> Result<&'a [u8], String> {
-    let tensor = tensor(file, name, dtype)?;
-    if tensor.shape() != shape {
-        return Err(format!("tensor `{name}` has shape {:?}, expected {shape:?}", tensor.shape()));
-    }
-    Ok(tensor.data())
 }
 
 fn check_info(info: &SceneInfo) -> Result<(), String> {
@@ -326,8 +223,12 @@ fn check_info(info: &SceneInfo) -> Result<(), String> {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::HashMap;
+
     use super::*;
+    use crate::scene::container::{GAUSSIAN_LOBES, SURFEL_LOBES, environment};
     use crate::scene::lobes::ABSENT_LOBE;
+    use crate::scene::schema::Attribute;
     use crate::scene::{Footprint, MarginLookup};
 
     const TWO_LOBES: ColourModel = ColourModel::SphericalBeta { lobes: 2 };
@@ -392,6 +293,7 @@ mod tests {
         let mut metadata = metadata(scene, VERSION);
         edit(&mut metadata);
         let mut tensors = scene.stored();
+        tensors.extend(environment(scene));
         tensors.retain(|tensor| tensor.name != drop);
         file_bytes(tensors, metadata)
     }
@@ -410,6 +312,7 @@ mod tests {
     /// The file of `scene` with another tensor in place of that with the name of `other`.
     fn with_tensor(scene: &SceneData, other: Rows) -> Vec<u8> {
         let mut tensors = scene.stored();
+        tensors.extend(environment(scene));
         tensors.retain(|tensor| tensor.name != other.name);
         tensors.push(other);
         file_bytes(tensors, metadata(scene, VERSION))

@@ -1,8 +1,8 @@
-//! What takes how much room in a scene file.
+//! Sizes of the parts of a scene file.
 
 use safetensors::SafeTensors;
 
-use super::file::{lobe_names, unreadable};
+use super::container::{lobe_names, unreadable};
 use super::schema::{Columns, ENVIRONMENT, Width};
 use super::{GaussianData, SceneData, SurfelData};
 use crate::error::{Error, Result};

@@ -2,11 +2,13 @@
 
 mod json;
 mod shapes;
+mod size;
 
 use dpges_core::camera::{Camera, CameraFromWorld};
 use glam::{DMat3, DQuat, DVec3};
 
 pub use json::PathError;
+pub use size::Size;
 
 /// A smooth way through key cameras: Catmull–Rom splines through their centres, the shortest turns between their
 /// rotations, straight lines between their focal lengths and principal points.

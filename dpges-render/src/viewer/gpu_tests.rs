@@ -16,8 +16,8 @@ use super::canvas::Canvas;
 use super::comparison::Comparison;
 use super::loading::{Opened, open_scene};
 use super::messages::Message;
+use super::start::{DeviceFailure, Start};
 use super::views::{DatasetViews, Views};
-use super::window::{DeviceFailure, Start};
 use crate::{Display, RenderOptions, Rgb8Image};
 
 /// Distance of the first camera from the disc.
@@ -82,7 +82,7 @@ fn the_window_shows_the_scene_and_its_display_modes() {
     assert_eq!(pixel(&mut harness, [300.0, 0.0]), [0; 3], "beside the disc");
     harness.key_press(Key::Num6);
     harness.run_steps(2);
-    assert_eq!(harness.state().options.display, Display::Normal);
+    assert_eq!(harness.state().state.options.display, Display::Normal);
     let [x, y, z] = pixel(&mut harness, [0.0, 0.0]);
     assert!(x.abs_diff(128) < 4 && y.abs_diff(128) < 4 && z > 250, "{x} {y} {z}");
 }
@@ -90,16 +90,16 @@ fn the_window_shows_the_scene_and_its_display_modes() {
 #[test]
 fn photographs_are_wiped_over_the_scene_and_subtracted_from_it() {
     let mut harness = window();
-    harness.state_mut().comparing.kind = Comparison::Wipe;
+    harness.state_mut().state.comparing.kind = Comparison::Wipe;
     harness.run_steps(2);
     assert!(is_grey(pixel(&mut harness, [-30.0, 0.0])));
     assert_eq!(pixel(&mut harness, [30.0, 0.0]), [200, 0, 0]);
-    harness.state_mut().comparing.divider = 0.75;
+    harness.state_mut().state.comparing.divider = 0.75;
     harness.run_steps(2);
     assert!(is_grey(pixel(&mut harness, [30.0, 0.0])));
-    harness.state_mut().comparing.kind = Comparison::Error;
+    harness.state_mut().state.comparing.kind = Comparison::Error;
     harness.run_steps(2);
-    let mean = harness.state().comparing.mean_error().unwrap();
+    let mean = harness.state().state.comparing.mean_error().unwrap();
     assert!(mean > 0.2 && mean < 0.35, "{mean}");
 }
 
@@ -110,14 +110,14 @@ fn two_clicks_measure_a_distance() {
     harness.run_steps(2);
     click(&mut harness, [0.0, 0.0]);
     click(&mut harness, [60.0, 0.0]);
-    let state = harness.state();
+    let state = &harness.state().state;
     let focal = state.window_px[1] as f64 / state.navigator.viewpoint().lens.height_at_one();
     let expected = 60.0 * DISTANCE / focal;
     let distance = state.measuring.distance().unwrap();
     assert!((distance - expected).abs() < 0.01 * expected, "{distance}, expected {expected}");
     assert!(state.measuring.points().iter().all(|point| point.z.abs() < 1e-2), "{:?}", state.measuring.points());
     click(&mut harness, [300.0, 0.0]);
-    assert!(matches!(&harness.state().message, Some(Message::Note(text)) if text.contains("no surface")));
+    assert!(matches!(&harness.state().state.message, Some(Message::Note(text)) if text.contains("no surface")));
 }
 
 #[test]
@@ -125,14 +125,14 @@ fn screenshots_have_the_chosen_size() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("disc.png");
     let mut harness = window();
-    harness.state_mut().screenshot.file = file.display().to_string();
-    harness.state_mut().screenshot.size = Some([90, 50]);
+    harness.state_mut().state.screenshot.file = file.display().to_string();
+    harness.state_mut().state.screenshot.size = Some([90, 50]);
     harness.key_press(Key::P);
     harness.run_steps(2);
     let picture = image::open(&file).unwrap().into_rgb8();
     assert_eq!((picture.width(), picture.height()), (90, 50));
     assert!(is_grey(picture.get_pixel(45, 25).0));
-    harness.state_mut().screenshot.file = PathBuf::from("/no/such/folder/a.png").display().to_string();
+    harness.state_mut().state.screenshot.file = PathBuf::from("/no/such/folder/a.png").display().to_string();
     harness.key_press(Key::P);
     harness.run_steps(2);
     harness.get_by_label_contains("/no/such/folder/a.png");
@@ -159,7 +159,7 @@ fn nothing_is_drawn_twice_and_nothing_without_pixels() {
     let mut harness = window();
     harness.set_size([0.0, 0.0].into());
     harness.run_steps(2);
-    assert!(harness.state().window_px.contains(&0));
+    assert!(harness.state().state.window_px.contains(&0));
     harness.set_size([640.0, 480.0].into());
     harness.run_steps(2);
     assert!(is_grey(pixel(&mut harness, [0.0, 0.0])));

@@ -1,4 +1,4 @@
-//! A window that shows a scene: [`run`] opens it and returns when it is closed. Its guide is `docs/viewer.md`.
+//! A window that shows a scene: [`run`] opens it and returns when it is closed. The [`guide`](crate::guide) describes it.
 
 mod app;
 mod canvas;
@@ -21,7 +21,9 @@ mod picture;
 mod recent;
 mod resolution;
 mod screenshot;
+mod start;
 mod start_page;
+mod state;
 #[cfg(test)]
 mod tests;
 mod views;
@@ -30,5 +32,6 @@ mod window;
 pub use error::ViewerError;
 pub use live::{LiveProgress, LiveScene};
 pub use loading::{Opened, Opener, open_scene};
+pub use start::Start;
 pub use views::{DatasetViews, Photograph, ReadViews, Views};
-pub use window::{Gpu, Start, ViewerOptions, run};
+pub use window::{Gpu, ViewerOptions, run};

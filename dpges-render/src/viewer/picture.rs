@@ -5,14 +5,14 @@ use std::time::Instant;
 use dpges_core::camera::Camera;
 use egui::{Align2, Color32, FontId, Rect, Response, Sense, Ui};
 
-use super::app::Viewer;
 use super::comparison::Comparison;
 use super::frame_times::FrameTime;
 use super::measuring::pixel_at;
 use super::messages::Message;
 use super::navigation::{Viewpoint, gestures};
+use super::state::State;
 
-impl Viewer {
+impl State {
     /// Shows the scene in what is left of `ui`.
     pub(super) fn picture(&mut self, ui: &mut Ui) {
         let rect = ui.available_rect_before_wrap();

@@ -15,8 +15,8 @@ use super::comparison::Comparison;
 use super::live::{LiveProgress, LiveScene};
 use super::loading::{Opened, Opener, open_scene};
 use super::messages::Message;
+use super::start::{DeviceFailure, Start};
 use super::views::{DatasetViews, Views};
-use super::window::{DeviceFailure, Start};
 use crate::{Display, Rgb8Image};
 
 fn scene(count: usize) -> SceneData {
@@ -86,40 +86,40 @@ fn the_start_page_says_what_to_do_and_opens_what_is_typed() {
     harness.get_by_label_contains("dpges train --out");
     let context = harness.ctx.clone();
     harness.state_mut().open(&context, PathBuf::from("/nowhere/bad"));
-    wait(&mut harness, |viewer| viewer.message.is_some());
+    wait(&mut harness, |viewer| viewer.state.message.is_some());
     harness.run_steps(2);
     harness.get_by_label_contains("cannot read /nowhere/bad: it is no scene");
     harness.get_by_label_contains("Drop a scene file");
 
     harness.state_mut().open(&context, PathBuf::from("/runs/good"));
-    wait(&mut harness, |viewer| viewer.scene.is_some());
+    wait(&mut harness, |viewer| viewer.state.scene.is_some());
     harness.run_steps(2);
     harness.get_by_label_contains("7 surfels, 5 Gaussians");
     assert!(harness.query_by_label_contains("cannot read").is_none(), "the old message is gone");
 
     harness.state_mut().open(&context, PathBuf::from("/nowhere/worse"));
-    wait(&mut harness, |viewer| viewer.message.is_some());
+    wait(&mut harness, |viewer| viewer.state.message.is_some());
     harness.run_steps(2);
     harness.get_by_label_contains("/nowhere/worse");
     harness.get_by_label_contains("7 surfels, 5 Gaussians");
     click(&mut harness, "close");
-    assert_eq!(harness.state().message, None);
+    assert_eq!(harness.state().state.message, None);
 }
 
 #[test]
 fn the_options_are_those_of_the_scene_until_the_panel_changes_them() {
     let mut harness = with_scene();
-    let options = harness.state().options;
+    let options = harness.state().state.options;
     assert_eq!((options.layer_count, options.modulation, options.display), (2, 40.0, Display::Image));
     click(&mut harness, "normals");
-    assert_eq!(harness.state().options.display, Display::Normal);
+    assert_eq!(harness.state().state.options.display, Display::Normal);
     press(&mut harness, Key::Num5);
-    assert_eq!(harness.state().options.display, Display::Depth);
-    harness.state_mut().options.layer_count = 4;
+    assert_eq!(harness.state().state.options.display, Display::Depth);
+    harness.state_mut().state.options.layer_count = 4;
     click(&mut harness, "backstop");
-    assert!(harness.state().options.backstop);
+    assert!(harness.state().state.options.backstop);
     click(&mut harness, "As trained");
-    let options = harness.state().options;
+    let options = harness.state().state.options;
     assert_eq!((options.layer_count, options.backstop, options.display), (2, false, Display::Depth));
 }
 
@@ -127,51 +127,51 @@ fn the_options_are_those_of_the_scene_until_the_panel_changes_them() {
 fn scenes_that_are_blended_show_nothing_but_an_image() {
     let mut harness = with_scene();
     press(&mut harness, Key::Num4);
-    assert_eq!(harness.state().options.display, Display::Transmittance);
+    assert_eq!(harness.state().state.options.display, Display::Transmittance);
     let mut blended = scene(0);
     blended.info.rendering = Rendering::Ellipsoids;
     let opened = Opened { scene: blended, views: Views::None };
     let mut harness = window(Start::Scene { name: "stage".to_owned(), opened: Box::new(opened) }, Arc::new(open_scene));
     press(&mut harness, Key::Num4);
-    assert_eq!(harness.state().options.display, Display::Image);
+    assert_eq!(harness.state().state.options.display, Display::Image);
 }
 
 #[test]
 fn cameras_are_stepped_through_in_a_ring_and_left_by_the_hands() {
     let mut harness = with_scene();
-    assert_eq!(harness.state().at_view, Some(0));
+    assert_eq!(harness.state().state.at_view, Some(0));
     press(&mut harness, Key::PageUp);
-    assert_eq!(harness.state().at_view, Some(5));
-    assert!(harness.state().navigator.is_flying());
+    assert_eq!(harness.state().state.at_view, Some(5));
+    assert!(harness.state().state.navigator.is_flying());
     press(&mut harness, Key::PageDown);
     press(&mut harness, Key::PageDown);
-    assert_eq!(harness.state().chosen_view, Some(1));
+    assert_eq!(harness.state().state.chosen_view, Some(1));
     harness.run_steps(200);
-    let eye = harness.state().navigator.viewpoint().pose.eye;
+    let eye = harness.state().state.navigator.viewpoint().pose.eye;
     assert!((eye - views(6).cameras[1].1.centre()).length() < 1e-9, "{eye}");
     harness.get_by_label("photo 3").click();
     harness.run_steps(200);
-    assert_eq!(harness.state().at_view, Some(3));
+    assert_eq!(harness.state().state.at_view, Some(3));
     harness.key_down(Key::W);
     harness.run_steps(3);
     harness.key_up(Key::W);
-    assert_eq!((harness.state().at_view, harness.state().chosen_view), (None, Some(3)));
+    assert_eq!((harness.state().state.at_view, harness.state().state.chosen_view), (None, Some(3)));
 }
 
 #[test]
 fn the_comparison_says_how_to_get_back_to_its_camera() {
     let mut harness = with_scene();
     press(&mut harness, Key::C);
-    assert_eq!(harness.state().comparing.kind, Comparison::SideBySide);
+    assert_eq!(harness.state().state.comparing.kind, Comparison::SideBySide);
     click(&mut harness, "wipe");
-    assert_eq!(harness.state().comparing.kind, Comparison::Wipe);
+    assert_eq!(harness.state().state.comparing.kind, Comparison::Wipe);
     assert!(harness.query_by_label("Back to it").is_none());
     harness.key_down(Key::ArrowLeft);
     harness.run_steps(3);
     harness.key_up(Key::ArrowLeft);
     harness.run_steps(120);
     click(&mut harness, "Back to it");
-    assert_eq!(harness.state().at_view, Some(0));
+    assert_eq!(harness.state().state.at_view, Some(0));
 }
 
 #[test]
@@ -200,15 +200,15 @@ fn keys_open_the_help_and_hide_the_panel() {
 fn views_are_added_to_the_path_and_played() {
     let mut harness = with_scene();
     press(&mut harness, Key::K);
-    harness.state_mut().go_to_view(2, true);
+    harness.state_mut().state.go_to_view(2, true);
     press(&mut harness, Key::K);
-    assert_eq!(harness.state().path.cameras.len(), 2);
-    harness.state_mut().path.seconds = 0.5;
+    assert_eq!(harness.state().state.path.cameras.len(), 2);
+    harness.state_mut().state.path.seconds = 0.5;
     press(&mut harness, Key::Space);
-    assert!(harness.state().path.is_playing());
+    assert!(harness.state().state.path.is_playing());
     harness.run_steps(100);
-    assert!(!harness.state().path.is_playing());
-    let eye = harness.state().navigator.viewpoint().pose.eye;
+    assert!(!harness.state().state.path.is_playing());
+    let eye = harness.state().state.navigator.viewpoint().pose.eye;
     assert!((eye - views(6).cameras[2].1.centre()).length() < 1e-6, "{eye}");
 }
 
@@ -223,11 +223,11 @@ fn a_training_is_shown_paused_and_stopped_from_the_window() {
     harness.run_steps(2);
     harness.get_by_label_contains("9 surfels");
     harness.get_by_label("21.50 dB");
-    let before = *harness.state().navigator.viewpoint();
+    let before = *harness.state().state.navigator.viewpoint();
     live.publish(scene(11));
     harness.run_steps(2);
     harness.get_by_label_contains("11 surfels");
-    assert_eq!(*harness.state().navigator.viewpoint(), before, "the view stays where it is");
+    assert_eq!(*harness.state().state.navigator.viewpoint(), before, "the view stays where it is");
 
     click(&mut harness, "Pause");
     assert!(live.is_paused());
@@ -266,7 +266,7 @@ fn other_scenes_are_not_opened_over_a_training() {
     let mut harness = window(Start::Live(LiveScene::new(), None), Arc::new(open_scene));
     let context = harness.ctx.clone();
     harness.state_mut().open(&context, PathBuf::from("other"));
-    assert!(matches!(&harness.state().message, Some(Message::Note(text)) if text.contains("dpges view")));
+    assert!(matches!(&harness.state().state.message, Some(Message::Note(text)) if text.contains("dpges view")));
 }
 
 #[test]
@@ -287,14 +287,14 @@ fn views_come_after_their_scene_and_the_view_goes_to_the_first_unless_it_was_mov
             harness.key_up(Key::W);
             harness.run_steps(120);
         }
-        let before = harness.state().navigator.viewpoint().pose.eye;
+        let before = harness.state().state.navigator.viewpoint().pose.eye;
         release.send(()).unwrap();
-        wait(&mut harness, |viewer| viewer.views.is_some());
+        wait(&mut harness, |viewer| viewer.state.views.is_some());
         harness.get_by_label("photo 3");
         let first = views(6).cameras[0].1.centre();
         let expected = if moves { before } else { first };
-        assert!((harness.state().navigator.viewpoint().pose.eye - expected).length() < 1e-9);
-        assert_eq!(harness.state().at_view, if moves { None } else { Some(0) });
+        assert!((harness.state().state.navigator.viewpoint().pose.eye - expected).length() < 1e-9);
+        assert_eq!(harness.state().state.at_view, if moves { None } else { Some(0) });
     }
 }
 
@@ -303,7 +303,7 @@ fn views_that_cannot_be_read_leave_the_scene() {
     let read = || Err("the folder photographs is gone".to_owned());
     let opened = Opened { scene: scene(20), views: Views::Later(Box::new(read)) };
     let mut harness = window(Start::Scene { name: "room".to_owned(), opened: Box::new(opened) }, Arc::new(open_scene));
-    wait(&mut harness, |viewer| viewer.message.is_some());
+    wait(&mut harness, |viewer| viewer.state.message.is_some());
     harness.run_steps(2);
     harness.get_by_label_contains("the folder photographs is gone");
     harness.get_by_label_contains("20 surfels");

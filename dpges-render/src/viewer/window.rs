@@ -1,34 +1,18 @@
 //! The window itself: its device, and how it ends.
 
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
-use std::path::PathBuf;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
-use eframe::egui_wgpu::{RenderState, WgpuConfiguration, WgpuSetup, WgpuSetupCreateNew, WgpuSetupExisting};
+use eframe::egui_wgpu::{WgpuConfiguration, WgpuSetup, WgpuSetupCreateNew, WgpuSetupExisting};
 
 use super::app::Viewer;
 use super::error::ViewerError;
-use super::live::LiveScene;
-use super::loading::{Opened, Opener, open_scene};
-use super::views::DatasetViews;
+use super::loading::{Opener, open_scene};
+use super::start::{DeviceFailure, Start};
 use crate::Renderer;
 
 /// Name under which the desktop knows the window, and of the folder of its settings.
 const APPLICATION: &str = "dpges";
-
-/// What the window shows first.
-pub enum Start {
-    /// What can be done.
-    Page,
-    /// A scene file or the folder of a run, which is read while the window is there already.
-    Open(PathBuf),
-    Scene {
-        name: String,
-        opened: Box<Opened>,
-    },
-    /// A scene in training, and the views it is trained on.
-    Live(LiveScene, Option<DatasetViews>),
-}
 
 /// A device of the application that the window draws on.
 #[derive(Clone)]
@@ -39,7 +23,7 @@ pub struct Gpu {
     pub queue: wgpu::Queue,
 }
 
-/// What [`run`] shows, and with what.
+/// The content of [`run`] and its settings.
 pub struct ViewerOptions {
     pub title: String,
     pub start: Start,
@@ -53,36 +37,6 @@ impl Default for ViewerOptions {
     /// The start page; scene files without views can be opened.
     fn default() -> Self {
         Self { title: APPLICATION.to_owned(), start: Start::Page, opener: Arc::new(open_scene), gpu: None }
-    }
-}
-
-/// Why the device failed, once it has.
-#[derive(Clone, Default)]
-pub(super) struct DeviceFailure(Arc<Mutex<Option<String>>>);
-
-impl DeviceFailure {
-    pub fn set(&self, reason: String) {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(reason);
-    }
-
-    pub fn reason(&self) -> Option<String> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
-    }
-
-    /// Learns of the failure of a device that nobody else watches.
-    fn watch(&self, state: &RenderState, wake: impl Fn() + Send + Sync + Clone + 'static) {
-        let (lost, woken) = (self.clone(), wake.clone());
-        state.device.set_device_lost_callback(move |reason, message| {
-            if reason != wgpu::DeviceLostReason::Destroyed {
-                lost.set(format!("it was lost: {message}"));
-                woken();
-            }
-        });
-        let failed = self.clone();
-        state.device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
-            failed.set(error.to_string());
-            wake();
-        }));
     }
 }
 

@@ -4,7 +4,7 @@ use clap::Args;
 use dpges_train::config::Config;
 use dpges_train::config::document::markdown;
 
-use super::{Failure, Result, print};
+use super::{Result, print};
 
 /// Print every key of the configuration with its default, meaning, unit and range
 ///
@@ -23,6 +23,6 @@ pub fn run(args: &ConfigArgs) -> Result<()> {
     if args.markdown {
         return print(&markdown());
     }
-    let config = Config::resolve(args.preset.as_deref(), None, &[]).map_err(Failure::from_config)?;
+    let config = Config::resolve(args.preset.as_deref(), None, &[])?;
     print(&config.to_documented_toml())
 }

@@ -1,37 +1,24 @@
 //! `dpges eval`: image quality of a scene against photographs.
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 use dpges_core::Error;
-use dpges_core::camera::Camera;
-use dpges_core::scene::SceneData;
-use dpges_render::frame_times::{FrameTimes, Rounds};
-use dpges_render::{Headless, check_drawn};
-use dpges_train::dataset::View;
 use dpges_train::device::memory::peak_memory_bytes;
 use dpges_train::device::{DeviceName, DeviceRequest};
 use dpges_train::eval::floaters::Floaters;
 use dpges_train::eval::pictures::{file_stems, save_png};
 use dpges_train::eval::popping::{Popping, arc};
 use dpges_train::eval::rendered::{Renderer, to_picture};
+use dpges_train::eval::worst::{self, WorstView};
 use dpges_train::eval::{EvalReport, Evaluation, FrameMs, Measures, evaluate_each};
 use dpges_train::metrics::{METRICS, Metric, Scores};
-use dpges_train::run::folder::write_json;
 
-use super::data::{Scene, ViewArgs, every_nth};
+use super::data::{Scene, ViewArgs};
 use super::device_failure::watched;
-use super::frame_times::{of_raster, of_training};
 use super::lpips::LpipsArgs;
-use super::render::Size;
-use super::worst::{self, WorstView};
-use super::{Result, device_choice, print, table};
+use super::{Result, device_choice, print_report, table};
 use crate::cli::progress::Seconds;
-
-/// At most so many views are timed.
-const TIMED_VIEWS: usize = 16;
-const ROUNDS: Rounds = Rounds { warm_up: 1, counted: 10 };
 
 /// Measure PSNR, SSIM, FLIP, MS-SSIM, SSIMULACRA2 and LPIPS of a scene against photographs
 ///
@@ -114,22 +101,14 @@ fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> 
     if args.popping && popping.is_none() {
         notes.push(("popping", "not measured: no surface is seen from two frames".to_owned()));
     }
-    let is_drawn = check_drawn(&scene.data.info);
-    if let (true, Err(refusal)) = (args.frame_times, &is_drawn) {
-        notes.push(("frames", format!("by the renderer of training: {refusal}")));
+    let mut frame_ms = None;
+    if args.frame_times {
+        scene.warn_of_order("the real-time renderer, whose frames are timed, sorts");
+        match FrameMs::measure(&scene.data, views, &renderer, &device_name) {
+            Ok(times) => frame_ms = Some(times),
+            Err(error) => notes.push(("frames", format!("not measured: {error}"))),
+        }
     }
-    let frame_ms = match args.frame_times.then(|| is_drawn.is_ok().then(Headless::new)).map(Option::transpose) {
-        Some(Ok(None)) => Some(training_frame_ms(&renderer, views, &device_name)?),
-        Some(Ok(Some(headless))) => {
-            scene.warn_of_order("the real-time renderer, whose frames are timed, sorts");
-            Some(frame_ms(&headless, &scene.data, views)?)
-        }
-        Some(Err(error)) => {
-            notes.push(("frames", format!("not measured: {error}")));
-            None
-        }
-        None => None,
-    };
     if args.lpips.is_empty() && networks.is_empty() {
         notes.push(("LPIPS", "not measured: `dpges lpips install` gets the network for it".to_owned()));
     }
@@ -147,17 +126,7 @@ fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> 
         frame_ms,
     };
     let summary = summary(&report, &worst, notes);
-    match args.json.as_deref().filter(|path| *path != Path::new("-")) {
-        Some(path) => {
-            write_json(path, &report)?;
-            print(&summary)
-        }
-        None => {
-            // The table is for people: if nobody can read it, the result is still on standard output.
-            let _ = std::io::stderr().write_all(summary.as_bytes());
-            print(&format!("{}\n", serde_json::to_string_pretty(&report)?))
-        }
-    }
+    print_report(Some(args.json.as_deref().unwrap_or(Path::new("-"))), &report, &summary)
 }
 
 /// # Errors
@@ -168,28 +137,6 @@ pub fn make_folder(path: &Path) -> Result<(), Error> {
         path: path.to_owned(),
         source,
     })
-}
-
-/// Some of `views`, at the size of the first.
-fn timed(views: &[View]) -> (Size, Vec<Camera>) {
-    let Camera { width, height, .. } = views[0].camera;
-    let size = Size { width, height };
-    (size, every_nth(views, TIMED_VIEWS).map(|view| size.apply(&view.camera)).collect())
-}
-
-/// Times of the renderer that is trained with, on the device that is called so.
-fn training_frame_ms(renderer: &Renderer, views: &[View], device: &str) -> Result<FrameMs> {
-    let (Size { width, height }, cameras) = timed(views);
-    let FrameTimes { p50_ms, p99_ms, .. } = of_training(renderer, &cameras, ROUNDS)?;
-    Ok(FrameMs { p50: p50_ms, p99: p99_ms, device: device.to_owned(), width, height, renderer: "training".to_owned() })
-}
-
-/// Times of the real-time renderer from some of `views`, at the size of the first.
-fn frame_ms(headless: &Headless, scene: &SceneData, views: &[View]) -> Result<FrameMs> {
-    let (Size { width, height }, cameras) = timed(views);
-    let FrameTimes { p50_ms, p99_ms, .. } = of_raster(headless, scene, &cameras, ROUNDS)?;
-    let (device, renderer) = (headless.adapter_name(), "raster".to_owned());
-    Ok(FrameMs { p50: p50_ms, p99: p99_ms, device, width, height, renderer })
 }
 
 /// `notes` say what was not measured.
@@ -222,8 +169,8 @@ fn summary(report: &EvalReport, worst: &[WorstView], notes: Vec<(&'static str, S
     rows.extend(report.training_seconds.map(|seconds| ("training", Seconds(seconds).to_string())));
     rows.push(("rendering", format!("{:.1} ms per view", 1e3 * seconds_per_view)));
     rows.extend(report.frame_ms.as_ref().map(|times| {
-        let FrameMs { p50, p99, device, width, height, .. } = times;
-        ("frames", format!("p50 {p50:.2} ms, p99 {p99:.2} ms at {width}x{height} px in real time on {device}"))
+        let FrameMs { p50, p99, device, width, height, renderer } = times;
+        ("frames", format!("p50 {p50:.2} ms, p99 {p99:.2} ms at {width}x{height} px by `{renderer}` on {device}"))
     }));
     rows.extend(report.peak_memory_bytes.map(|bytes| ("memory", format!("{:.0} MB at most", bytes as f64 / 1e6))));
     table(&rows)

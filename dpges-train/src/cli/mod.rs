@@ -7,11 +7,8 @@ pub mod data;
 pub mod device_choice;
 pub mod device_failure;
 mod devices;
-pub mod duration;
 pub mod eval;
 mod export;
-mod export_html;
-pub mod frame_times;
 mod info;
 mod inspect;
 pub mod logging;
@@ -23,21 +20,28 @@ pub mod render;
 mod rendering_preset;
 mod selftest;
 pub mod sfm;
+mod study;
 pub mod train;
 #[cfg(feature = "viewer")]
 mod view;
-mod worst;
 
 use std::io::Write;
+use std::path::Path;
 use std::process::ExitCode;
 
 use clap::error::ErrorKind;
 use clap::{CommandFactory, Parser, Subcommand};
 use dpges_train::config::ConfigError;
+use dpges_train::dataset::source::SourceError;
+use dpges_train::eval::video::VideoError;
+use dpges_train::metrics::lpips::choice::ChoiceError;
+use dpges_train::run::folder::write_json;
+use dpges_train::run::scene::SceneError;
 use miette::{Diagnostic, MietteHandlerOpts, Report};
+use serde::Serialize;
 
-use crate::study::{ablate, compare, trade};
 use logging::LogStyle;
+use study::{ablate, compare, trade};
 
 /// Train, measure and look at depth-peeled Gaussian-enhanced surfels.
 #[derive(Debug, Parser)]
@@ -70,7 +74,7 @@ enum Command {
     Export(export::ExportArgs),
     Compress(compress::CompressArgs),
     Info(info::InfoArgs),
-    Lpips(lpips::install::NetworksArgs),
+    Lpips(lpips::NetworksArgs),
     Devices(devices::DevicesArgs),
     Selftest(selftest::SelftestArgs),
 }
@@ -88,8 +92,25 @@ pub type Result<T, E = Failure> = std::result::Result<T, E>;
 
 impl<E: std::error::Error + Send + Sync + 'static> From<E> for Failure {
     fn from(error: E) -> Self {
-        Self::Failed(Report::new(Problem { message: error.to_string(), help: None }))
+        let message = error.to_string();
+        if is_usage(&error) { Self::Usage(message) } else { Self::Failed(Report::new(Problem { message, help: None })) }
     }
+}
+
+/// Whether a command was asked for wrongly: a configuration that makes no sense is, a file that cannot be read is not.
+fn is_usage(error: &(dyn std::error::Error + 'static)) -> bool {
+    if let Some(error) = error.downcast_ref::<SceneError>() {
+        return match error {
+            SceneError::NoDataset { .. } => true,
+            SceneError::Config(error) => is_usage(error),
+            SceneError::Source(error) => is_usage(error),
+            _ => false,
+        };
+    }
+    matches!(error.downcast_ref(), Some(SourceError::OneScale | SourceError::Change(_)))
+        || matches!(error.downcast_ref(), Some(ChoiceError::NoneAndOthers | ChoiceError::Twice { .. }))
+        || matches!(error.downcast_ref(), Some(VideoError::Sizes { .. } | VideoError::NoFormat { .. }))
+        || error.downcast_ref::<ConfigError>().is_some_and(|error| !matches!(error, ConfigError::Io { .. }))
 }
 
 impl Failure {
@@ -99,7 +120,6 @@ impl Failure {
     }
 
     /// In one line, with the advice.
-    #[cfg(feature = "viewer")]
     pub fn text(&self) -> String {
         match self {
             Self::Usage(message) => message.clone(),
@@ -110,12 +130,8 @@ impl Failure {
         }
     }
 
-    /// A configuration that makes no sense is wrong usage, a file that cannot be read is not.
     pub fn from_config(error: ConfigError) -> Self {
-        match error {
-            ConfigError::Io { .. } => error.into(),
-            _ => Self::Usage(error.to_string()),
-        }
+        error.into()
     }
 }
 
@@ -152,7 +168,7 @@ pub fn run() -> ExitCode {
         Command::Export(args) => export::run(&args),
         Command::Compress(args) => compress::run(&args),
         Command::Info(args) => info::run(&args),
-        Command::Lpips(args) => lpips::install::run(&args),
+        Command::Lpips(args) => lpips::run(&args),
         Command::Devices(args) => devices::run(&args),
         Command::Selftest(args) => selftest::run(&args),
     };
@@ -179,6 +195,26 @@ pub fn print(text: &str) -> Result<()> {
         Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => Err(error.into()),
         _ => Ok(()),
     }
+}
+
+/// Prints JSON to standard output.
+pub fn print_json(value: &impl Serialize) -> Result<()> {
+    print(&format!("{}\n", serde_json::to_string_pretty(value)?))
+}
+
+/// Prints `text` for people, and writes `report` as JSON to `file`. If that is `-`, the report goes to standard output, and the
+/// text to standard error.
+pub fn print_report(file: Option<&Path>, report: &impl Serialize, text: &str) -> Result<()> {
+    match file {
+        Some(file) if file == Path::new("-") => {
+            // The text is for people: if nobody can read it, the result is still on standard output.
+            let _ = std::io::stderr().write_all(text.as_bytes());
+            return print_json(report);
+        }
+        Some(file) => write_json(file, report)?,
+        None => {}
+    }
+    print(text)
 }
 
 /// Left-aligned names, values behind them.

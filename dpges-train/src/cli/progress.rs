@@ -34,12 +34,46 @@ impl Smoothed {
     }
 }
 
-/// Progress of one run, on standard error.
-pub struct ProgressDisplay {
+/// A bar on a terminal; elsewhere only a clock, which says when the next line is due.
+pub struct Progress {
     style: LogStyle,
-    steps: usize,
     span: Span,
     shown: Option<Instant>,
+}
+
+impl Progress {
+    /// `done` of `total` at first.
+    pub fn new(style: LogStyle, done: usize, total: usize) -> Self {
+        let span = if style == LogStyle::Bar { tracing::info_span!("progress") } else { Span::none() };
+        span.pb_set_style(&ProgressStyle::with_template(TEMPLATE).expect("a valid template"));
+        span.pb_set_length(total as u64);
+        span.pb_set_position(done as u64);
+        span.pb_start();
+        Self { style, span, shown: None }
+    }
+
+    /// Text below the bar.
+    pub fn message(&self, text: &str) {
+        self.span.pb_set_message(text);
+    }
+
+    /// Returns the style if the text, or the next line, is due.
+    pub fn step(&mut self, done: usize, total: usize) -> Option<LogStyle> {
+        self.span.pb_set_length(total as u64);
+        self.span.pb_set_position(done as u64);
+        let pause = if self.style == LogStyle::Bar { REDRAW } else { LINE };
+        if self.style == LogStyle::Quiet || self.shown.is_some_and(|shown| shown.elapsed() < pause) {
+            return None;
+        }
+        self.shown = Some(Instant::now());
+        Some(self.style)
+    }
+}
+
+/// Progress of one run, on standard error.
+pub struct ProgressDisplay {
+    progress: Progress,
+    steps: usize,
     loss: Smoothed,
     psnr: Smoothed,
     seconds_per_step: Smoothed,
@@ -48,13 +82,8 @@ pub struct ProgressDisplay {
 impl ProgressDisplay {
     /// The progress of a run of `steps` steps, of which `completed` are done.
     pub fn new(style: LogStyle, steps: usize, completed: usize) -> Self {
-        let span = if style == LogStyle::Bar { tracing::info_span!("training") } else { Span::none() };
-        span.pb_set_style(&ProgressStyle::with_template(TEMPLATE).expect("a valid template"));
-        span.pb_set_length(steps as u64);
-        span.pb_set_position(completed as u64);
-        span.pb_start();
         let (loss, psnr, seconds_per_step) = Default::default();
-        Self { style, steps, span, shown: None, loss, psnr, seconds_per_step }
+        Self { progress: Progress::new(style, completed, steps), steps, loss, psnr, seconds_per_step }
     }
 
     /// Shows a step that took `seconds`.
@@ -62,46 +91,26 @@ impl ProgressDisplay {
         self.loss.add(report.loss);
         self.psnr.add(report.psnr);
         self.seconds_per_step.add(seconds);
-        let pause = if self.style == LogStyle::Bar { REDRAW } else { LINE };
-        if self.shown.is_some_and(|shown| shown.elapsed() < pause) {
+        let steps = self.steps;
+        let StepReport { step, stage, surfels, gaussians, .. } = *report;
+        let Some(style) = self.progress.step(step, steps) else { return };
+        let steps_per_second = 1.0 / self.seconds_per_step.get().max(1e-9);
+        let seconds_left = (steps - step) as f64 / steps_per_second;
+        let (loss, psnr) = (self.loss.get(), self.psnr.get());
+        if style == LogStyle::Json {
+            let stage = stage.to_string();
+            tracing::info!(step, steps, stage, steps_per_second, loss, psnr, surfels, gaussians, seconds_left);
             return;
         }
-        self.shown = Some(Instant::now());
-        let rate = 1.0 / self.seconds_per_step.get().max(1e-9);
-        let left = (self.steps - report.step) as f64 / rate;
-        let (loss, psnr) = (self.loss.get(), self.psnr.get());
-        let StepReport { step, stage, surfels, gaussians, .. } = *report;
-        match self.style {
-            LogStyle::Quiet => {}
-            LogStyle::Json => {
-                let steps_per_second = rate;
-                let steps = self.steps;
-                let stage = stage.to_string();
-                tracing::info!(
-                    step,
-                    steps,
-                    stage,
-                    steps_per_second,
-                    loss,
-                    psnr,
-                    surfels,
-                    gaussians,
-                    seconds_left = left
-                );
-            }
-            LogStyle::Bar | LogStyle::Lines => {
-                let state = format!(
-                    "{stage} · {rate:.1} steps/s · loss {loss:.4} · PSNR {psnr:.2} dB · {surfels} surfels · {gaussians} \
-                     Gaussians · {} left",
-                    Seconds(left)
-                );
-                if self.style == LogStyle::Lines {
-                    tracing::info!("step {step}/{}: {state}", self.steps);
-                }
-                self.span.pb_set_position(step as u64);
-                self.span.pb_set_message(&state);
-            }
+        let state = format!(
+            "{stage} · {steps_per_second:.1} steps/s · loss {loss:.4} · PSNR {psnr:.2} dB · {surfels} surfels · {gaussians} \
+             Gaussians · {} left",
+            Seconds(seconds_left)
+        );
+        if style == LogStyle::Lines {
+            tracing::info!("step {step}/{steps}: {state}");
         }
+        self.progress.message(&state);
     }
 }
 

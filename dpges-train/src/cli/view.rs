@@ -52,7 +52,7 @@ impl WindowArgs {
     fn open(&self, path: &Path) -> Result<Opened> {
         let mut scene = Scene::load(path)?;
         let named = self.data.as_deref().filter(|_| self.scene.as_deref() == Some(path));
-        let views = match scene.dataset(named, &self.options)? {
+        let views = match scene.dataset(named, &self.options.reading())? {
             None => Views::None,
             Some((source, config)) => {
                 let (info, poses) = (scene.data.info.clone(), scene.refined_poses(named)?);

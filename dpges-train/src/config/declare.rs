@@ -1,7 +1,7 @@
 //! How keys are declared. One declaration gives the field of a section with its documentation, its default, its range
 //! check, its ablations, and its entry in [`SECTIONS`](super::SECTIONS), which help texts and documents are made from.
 
-use dpges_core::scene::{ColourModel, DepthWeight, Footprint, MarginLookup, OpacityActivation};
+use dpges_core::scene::{ColourModel, DepthWeight, Footprint, MarginLookup, OpacityActivation, Transparency};
 
 /// A section of the configuration, such as `[train]`.
 #[derive(Debug)]
@@ -26,8 +26,6 @@ pub struct Key {
     /// The kind of value, such as "a whole number".
     pub(super) kind: &'static str,
     pub(super) takes: fn(&toml::Value) -> bool,
-    /// Its name before it was renamed, without the section.
-    pub(super) former_name: Option<&'static str>,
     pub ablations: &'static [Ablation],
 }
 
@@ -122,6 +120,25 @@ macro_rules! value {
     };
 }
 
+/// A type that is written as a string: `FromStr` and `Display` make it one for serde.
+macro_rules! text {
+    ($Type:ty) => {
+        impl TryFrom<String> for $Type {
+            type Error = String;
+
+            fn try_from(text: String) -> Result<Self, String> {
+                text.parse()
+            }
+        }
+
+        impl From<$Type> for String {
+            fn from(value: $Type) -> Self {
+                value.to_string()
+            }
+        }
+    };
+}
+
 value!(bool, "true or false", toml::Value::is_bool);
 value!(u32, "a whole number", toml::Value::is_integer);
 value!(u64, "a whole number", toml::Value::is_integer);
@@ -155,6 +172,14 @@ value!(
     "dir" => "1 at every depth (DIR-WSR).",
     "exp" => "exp(−σ d^β), with σ and β learnt (EXP-WSR).",
     "lc" => "max(0, 1 − d / σ), with σ learnt (LC-WSR)."
+);
+
+value!(
+    Transparency, "a string", toml::Value::is_str,
+    "hybrid" => "The 16 nearest of those with α of at least 0.05; the others are mixed behind them (HTGS).",
+    "nearest" => "The same 16, and no others.",
+    "sorted" => "All of them, in one order for all pixels, by the depths of their centres.",
+    "tail" => "None: all are mixed."
 );
 
 /// Enums whose variants are the strings that a key allows.
@@ -194,7 +219,7 @@ macro_rules! optional {
 /// /// What the section is about.
 /// [section] Struct {
 ///     /// What the key means.
-///     key: Type = default, unit: "px", range: 1.., formerly: "old_name", ablation: "name" = "value" ("What changes");
+///     key: Type = default, unit: "px", range: 1.., ablation: "name" = "value" ("What changes");
 /// }
 /// ```
 ///
@@ -207,7 +232,6 @@ macro_rules! configuration {
             $key:ident: $Type:ty = $default:expr
             $(, unit: $unit:literal)?
             $(, range: $range:expr)?
-            $(, formerly: $formerly:literal)?
             $(, ablation: $ablation:literal = $value:literal ($effect:literal))*;
         )+}
     )+) => {
@@ -245,7 +269,6 @@ macro_rules! configuration {
                 choices: <$Type as Value>::CHOICES,
                 kind: <$Type as Value>::KIND,
                 takes: <$Type as Value>::TAKES,
-                former_name: optional!($($formerly)?),
                 ablations: &[$(Ablation { name: $ablation, value: $value, effect: $effect }),*],
             }),+],
         }),+];
@@ -258,22 +281,8 @@ macro_rules! configuration {
                 )?)+)+
                 Ok(())
             }
-
-            /// For each key with a range, the defaults with a value just outside it.
-            #[cfg(test)]
-            pub(super) fn out_of_range() -> Vec<(&'static str, Self)> {
-                let mut all = Vec::new();
-                $($($(
-                    for value in range::tests::outside(&$range) {
-                        let mut config = Self::default();
-                        config.$section.$key = value;
-                        all.push((concat!(stringify!($section), ".", stringify!($key)), config));
-                    }
-                )?)+)+
-                all
-            }
         }
     };
 }
 
-pub(super) use {choices, configuration, optional, value};
+pub(super) use {choices, configuration, optional, text, value};

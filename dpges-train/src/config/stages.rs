@@ -2,18 +2,25 @@
 
 use std::fmt;
 
-use dpges_core::scene::{BlendOrder, ColourModel, OpacityActivation, Rendering, ScreenFilter};
+use dpges_core::scene::{BlendOrder, ColourModel, OpacityActivation, Rendering, ScreenFilter, Transparency};
 
-use super::schedule::REFERENCE_STEPS;
-use super::{Config, GaussianStage, Method};
+use super::{Config, ConfigError, GaussianStage, Method};
 
-/// Length of the stage for which the steps in `[discs]` and `[relocation]` are given (DP-GES).
+/// Length of the joint stage for which the steps in `[refine]` are given (DP-GES).
+pub const REFERENCE_STEPS: usize = 25_000;
+/// Length of a stage of discs or Gaussians for which its schedule is given (DP-GES).
 pub const STAGE_STEPS: usize = 20_000;
 /// The same if a method is trained alone (2DGS, 3DGS-MCMC).
 pub const METHOD_STEPS: usize = 30_000;
 /// Smallest interval of opacity resets: steps for opacities to recover in. At 0.05 per step, a logit rises from an opacity
 /// of 0.01 to ½ in about 100.
 pub const SHORTEST_RESET: usize = 500;
+
+/// Standard deviation of the filter of Mip-Splatting, px: √0.2 with the digits of its measurements.
+const MIP_SPLATTING_PX: f64 = 0.447_213_6;
+
+/// Largest number of steps after scaling; f64 does not hold much larger whole numbers exactly.
+const MOST_SCALED_STEPS: f64 = 1e15;
 
 /// What changes when several Gaussians take the place of one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -37,6 +44,9 @@ pub enum Density {
     SignedByRays,
     /// By both, as many by absolute sums as by the others; with the filters of Mip-Splatting.
     Smoothed,
+    /// As [`Smoothed`](Self::Smoothed), of Gaussians that rays meet without a projection; opacities decay, clones are drawn from
+    /// their originals, and what no picture needs is removed (HTGS).
+    Hybrid,
     /// As [`Signed`](Self::Signed), of Gaussians that are summed in any order; none is removed, and no opacity is reset.
     Summed,
 }
@@ -82,8 +92,18 @@ impl Blended {
         }
     }
 
-    pub fn blend_order(self) -> BlendOrder {
-        if self == Self::Controlled(Density::SignedByRays) { BlendOrder::Rays } else { BlendOrder::Centres }
+    /// `transparency` is what `density.transparency` asks for.
+    pub fn blend_order(self, transparency: Transparency) -> BlendOrder {
+        match self {
+            Self::Controlled(Density::SignedByRays) => BlendOrder::Rays,
+            Self::Controlled(Density::Hybrid) => BlendOrder::Whitened(transparency),
+            _ => BlendOrder::Centres,
+        }
+    }
+
+    /// Whether its Gaussians have a filter in the world (Mip-Splatting).
+    pub fn smooths(self) -> bool {
+        matches!(self, Self::Controlled(Density::Smoothed | Density::Hybrid))
     }
 
     /// How opacities follow from the numbers that are trained.
@@ -110,6 +130,7 @@ impl fmt::Display for StageKind {
             Self::Blended(Blended::Controlled(Density::Absolute)) => "absgs",
             Self::Blended(Blended::Controlled(Density::SignedByRays)) => "stopthepop",
             Self::Blended(Blended::Controlled(Density::Smoothed)) => "mip-splatting",
+            Self::Blended(Blended::Controlled(Density::Hybrid)) => "htgs",
             Self::Blended(Blended::Controlled(Density::Summed)) => "sortfree",
             Self::Joint => "joint",
         })
@@ -153,6 +174,7 @@ impl Method {
             Self::Absolute => Blended::Controlled(Density::Absolute),
             Self::StopThePop => Blended::Controlled(Density::SignedByRays),
             Self::MipSplatting => Blended::Controlled(Density::Smoothed),
+            Self::Htgs => Blended::Controlled(Density::Hybrid),
             Self::Sss => Blended::Relocated(Relocation::Student),
             Self::SortFree => Blended::Controlled(Density::Summed),
         })
@@ -161,10 +183,14 @@ impl Method {
     /// `key=value` of its paper that differ from the defaults, which are those of DP-GES.
     pub fn settings(self) -> &'static [&'static str] {
         match self {
-            Self::Gaussians3d | Self::Absolute | Self::StopThePop | Self::MipSplatting => &[
+            Self::Gaussians3d
+            | Self::Absolute
+            | Self::StopThePop
+            | Self::MipSplatting
+            | Self::Htgs
+            | Self::SortFree => &[
                 "model.colour=sh3",
-                "init.max_scale_extent=1e6",
-                "init.max_scale_median=1e6",
+                "init.limit_scales=false",
                 "optimizer.quaternions=1e-3",
                 "optimizer.log_scales=5e-3",
                 "optimizer.base=2.5e-3",
@@ -174,23 +200,9 @@ impl Method {
             // the squares of its rates of positions, which are 1.02 to 1.03 times those of 3DGS
             Self::Sss => &[
                 "model.colour=sh3",
-                "init.max_scale_extent=1e6",
-                "init.max_scale_median=1e6",
-                "relocation.start_scale=0.1",
-                "stages.opacities=5e-3",
+                "init.limit_scales=false",
                 "optimizer.position_start=1.64584e-4",
                 "optimizer.position_end=1.64609e-6",
-                "optimizer.quaternions=1e-3",
-                "optimizer.log_scales=5e-3",
-                "optimizer.base=2.5e-3",
-                "optimizer.detail=1.25e-4",
-                "optimizer.decay=1",
-            ],
-            Self::SortFree => &[
-                "model.colour=sh3",
-                "init.max_scale_extent=1e6",
-                "init.max_scale_median=1e6",
-                "stages.opacities=0.01",
                 "optimizer.quaternions=1e-3",
                 "optimizer.log_scales=5e-3",
                 "optimizer.base=2.5e-3",
@@ -241,6 +253,22 @@ impl Config {
         plan
     }
 
+    /// Makes the run `factor` times as long. The schedules of its stages and the steps in `[refine]` scale with it; `train.evaluate_every` and `train.checkpoint_every` remain numbers of steps of the longer or shorter run.
+    ///
+    /// # Errors
+    /// [`ConfigError::Range`] if the result is not from 1 to 1e15 steps, which includes every factor that is not
+    /// positive and finite.
+    pub fn scale_steps(&mut self, factor: f64) -> Result<(), ConfigError> {
+        let before = self.train.steps;
+        let steps = (before as f64 * factor).round();
+        if !(1.0..=MOST_SCALED_STEPS).contains(&steps) {
+            let found = format!("{before} × {factor} = {steps}");
+            return Err(ConfigError::Range { key: "train.steps", found, expected: "1 to 1e15".to_owned() });
+        }
+        self.train.steps = steps as usize;
+        Ok(())
+    }
+
     /// Steps of all stages.
     pub fn total_steps(&self) -> usize {
         self.plan().last().map_or(0, StagePlan::end)
@@ -249,6 +277,11 @@ impl Config {
     /// Steps of the last stage.
     pub fn last_stage_steps(&self) -> usize {
         self.plan().last().map_or(0, |stage| stage.steps)
+    }
+
+    /// Standard deviation of the filter in the world of a stage of Mip-Splatting, px.
+    pub fn mip_splatting_px(&self) -> f64 {
+        if self.model.sampling_limit > 0.0 { self.model.sampling_limit } else { MIP_SPLATTING_PX }
     }
 
     /// Whether surfels or Gaussians have been trained before the joint stage.
@@ -261,6 +294,7 @@ impl Config {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::TrainConfig;
 
     fn plan(set: &[&str]) -> Vec<(String, usize, usize)> {
         let set: Vec<String> = set.iter().map(|&text| text.to_owned()).collect();
@@ -293,11 +327,26 @@ mod tests {
             Config::resolve(None, None, &set)
         };
         let config = resolved(&["train.method=sortfree", "model.colour=sh2"]).unwrap();
-        assert_eq!((config.scene_model().to_string(), config.stages.opacities), ("sh2+opacity".to_owned(), 0.01));
+        assert_eq!(config.scene_model().to_string(), "sh2+opacity");
         assert_eq!(resolved(&["train.method=3dgs"]).unwrap().scene_model().to_string(), "sh3");
         for set in [&["train.method=sortfree", "model.colour=sb2"][..], &["model.colour=sh3+opacity"]] {
             let error = resolved(set).unwrap_err().to_string();
             assert!(error.contains("`model.colour`") && error.contains("train.method"), "{error}");
         }
+    }
+
+    #[test]
+    fn a_factor_scales_the_steps() {
+        let config = |steps| Config { train: TrainConfig { steps, ..Default::default() }, ..Default::default() };
+        let mut tenth = config(25_000);
+        tenth.scale_steps(0.1).unwrap();
+        assert_eq!(tenth, config(2500));
+        tenth.scale_steps(1.0001).unwrap();
+        assert_eq!(tenth.train.steps, 2500);
+        for factor in [0.0, -1.0, 1e-4, f64::NAN, f64::INFINITY, 1e300] {
+            let error = tenth.scale_steps(factor).unwrap_err().to_string();
+            assert!(error.contains("`train.steps` is 2500 ×") && error.contains("expected 1 to 1e15"), "{error}");
+        }
+        assert_eq!(tenth.train.steps, 2500);
     }
 }

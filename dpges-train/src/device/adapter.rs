@@ -42,7 +42,7 @@ pub struct Adapter {
     /// Place among the adapters of the same API and kind.
     #[serde(skip)]
     place: usize,
-    /// What wgpu has of it, or why it could not be started, once that was tried.
+    /// Its wgpu objects, or the reason why it could not be started, once that was tried.
     #[serde(skip)]
     started: OnceLock<Result<WgpuSetup, String>>,
 }
@@ -130,6 +130,31 @@ impl Adapter {
         Some(format!("it has {has} {what}, at least {least} are needed"))
     }
 
+    /// All that is known of it, for people.
+    pub fn lines(&self) -> Vec<String> {
+        let Self { name, kind, api, driver, driver_info, workgroup_invocations, storage_buffers_per_stage, .. } = self;
+        let mib = |bytes: u64| bytes >> 20;
+        let subgroups = match self.subgroup_sizes {
+            Some([least, most]) => format!("subgroups of {least} to {most}"),
+            None => "no subgroups".to_owned(),
+        };
+        let atomics = if self.f32_atomic_add { "native" } else { "by compare-and-swap" };
+        vec![
+            name.clone(),
+            format!("{kind}, {api}, driver {driver} {driver_info}"),
+            format!(
+                "storage binding {} MiB, buffer {} MiB, {storage_buffers_per_stage} storage buffers per stage",
+                mib(self.storage_binding_bytes),
+                mib(self.buffer_bytes)
+            ),
+            format!(
+                "workgroup memory {} KiB, {workgroup_invocations} invocations, {subgroups}, f32 atomic add {atomics}",
+                self.workgroup_bytes >> 10
+            ),
+            self.shortcoming().map_or_else(|| "suitable".to_owned(), |reason| format!("not suitable: {reason}")),
+        ]
+    }
+
     /// Burn's device on this adapter, without autodiff; started if it is not yet.
     ///
     /// # Errors
@@ -160,7 +185,7 @@ impl Adapter {
 }
 
 impl Adapter {
-    /// What wgpu has of the adapter that [`open`](Self::open) has started: to draw on Burn's device.
+    /// The wgpu objects of the adapter that [`open`](Self::open) has started, for drawing on Burn's device.
     pub fn setup(&self) -> Option<&WgpuSetup> {
         self.started.get()?.as_ref().ok()
     }

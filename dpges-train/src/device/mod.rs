@@ -4,7 +4,10 @@
 pub mod adapter;
 pub mod auto;
 pub mod choice;
+pub mod extremes;
+pub mod failure;
 pub mod memory;
+pub mod probe;
 pub mod selftest;
 
 use std::fmt;
@@ -71,7 +74,7 @@ impl DeviceName {
         }
     }
 
-    /// What wgpu has of a GPU that was [opened](Self::open): to draw on the device that Burn uses.
+    /// The wgpu objects of a GPU that was [opened](Self::open), for drawing on the device that Burn uses.
     #[cfg(feature = "gpu")]
     pub fn wgpu_setup(self) -> Option<&'static burn_wgpu::WgpuSetup> {
         match self {
@@ -105,7 +108,7 @@ impl DeviceName {
         }
     }
 
-    /// What the name stands for on this machine, as text for people.
+    /// The device of this name on this machine, as text for people.
     ///
     /// # Errors
     /// [`DeviceError`] if there is no such adapter or the kernels do not run on it.

@@ -16,8 +16,9 @@ pub struct Case {
 
 /// A plain scene; one with more surfels per pixel than are peeled; one with the camera among the primitives; one of
 /// translucent surfels. The first is the quickest.
-pub const CASES: [Case; 4] = [
+pub const CASES: [Case; 5] = [
     Case { name: "basic", bytes: include_bytes!("../../../tests/golden/basic.safetensors") },
+    Case { name: "backstop", bytes: include_bytes!("../../../tests/golden/backstop.safetensors") },
     Case { name: "crowded", bytes: include_bytes!("../../../tests/golden/crowded.safetensors") },
     Case { name: "inside", bytes: include_bytes!("../../../tests/golden/inside.safetensors") },
     Case {

@@ -1,12 +1,14 @@
 //! Measures how well a scene shows views that it was not trained on.
 //!
 //! All metrics compare renders and photographs after both are quantised to 8 bits. PSNR is taken over all pixels and
-//! channels of a view, then averaged over views (the protocol of 3DGS). `docs/metrics.md` defines the others, and what
+//! channels of a view, then averaged over views (the protocol of 3DGS). `docs/guide/measure.md` defines the others, and what
 //! masks do to all of them.
 
 pub mod compress;
+pub mod export;
 mod fits;
 pub mod floaters;
+mod frame_ms;
 pub mod pictures;
 pub mod popping;
 pub mod rendered;
@@ -14,6 +16,8 @@ pub mod simplify;
 pub mod splat_fit;
 #[cfg(test)]
 mod tests;
+pub mod video;
+pub mod worst;
 
 use std::time::Instant;
 
@@ -33,6 +37,7 @@ use crate::eval::rendered::{Rendered, Renderer};
 use crate::metrics::lpips::{Lpips, Network};
 use crate::metrics::{Fitted, Perceptual, Scores, flip, flip_map};
 use fits::{fitted, posed};
+pub use frame_ms::FrameMs;
 
 /// PSNR of a picture that is equal to its photograph, dB. The true value, infinity, has no place in JSON or in a mean.
 pub const LARGEST_PSNR: f64 = 100.0;
@@ -93,7 +98,7 @@ pub struct EvalReport {
     pub evaluation: Evaluation,
     /// Size of the scene file.
     pub bytes: u64,
-    /// Primitives that float, see [`floaters`](crate::eval::floaters); absent if the dataset does not say which view saw what.
+    /// Primitives that float, see [`floaters`]; absent if the dataset does not say which view saw what.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub floaters: Option<Floaters>,
     /// Wall-clock time of the run up to its last step, see [`MetricsLog::seconds_of_steps`]; absent if the scene is not that
@@ -106,7 +111,7 @@ pub struct EvalReport {
     /// else so far. Absent where it is not known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub peak_memory_bytes: Option<u64>,
-    /// What the run was to reach; absent without a target.
+    /// The target of the run, if it had one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub target: Option<TargetReport>,
     /// How much the scene pops along [an arc](fn@crate::eval::popping::arc); absent unless it was measured.
@@ -117,35 +122,18 @@ pub struct EvalReport {
     pub frame_ms: Option<FrameMs>,
 }
 
-/// Times of the frames of a renderer, and what they were measured on.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct FrameMs {
-    /// Median, ms.
-    pub p50: f64,
-    /// The time that 99 % of the frames do not exceed, ms.
-    pub p99: f64,
-    /// Name and interface of the adapter.
-    pub device: String,
-    /// px
-    pub width: usize,
-    /// px
-    pub height: usize,
-    /// `raster`, the real-time one.
-    pub renderer: String,
-}
-
-/// What a run was to reach, what was expected of it before, and what it has come to.
+/// The target of a run, the expectation before it, and its result.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TargetReport {
-    /// As it was asked for, such as `10MB`.
+    /// As it was asked for, such as `5min`.
     pub asked: String,
-    /// `bytes` of the scene file, `seconds` of training up to the last step, or `frames_per_second`.
+    /// `seconds` of training up to the last step, or `frames_per_second`.
     pub unit: String,
     pub expected: f64,
     pub got: f64,
 }
 
-/// What is measured besides PSNR, SSIM and FLIP.
+/// Optional measurements besides PSNR, SSIM and FLIP.
 #[derive(Clone, Copy, Debug)]
 pub struct Measures<'a> {
     /// Whether MS-SSIM and SSIMULACRA2 are measured.
@@ -208,7 +196,7 @@ impl Evaluation {
 /// Renders every view and compares it with its photograph, by PSNR, SSIM and FLIP.
 ///
 /// # Errors
-/// Those of [`Renderer::render`]; [`Error::Option`] if there are no views.
+/// The errors of [`Renderer::render`]; [`Error::Option`] if there are no views.
 pub fn evaluate(scene: &SceneData, views: &[View], device: &Device) -> Result<Evaluation> {
     evaluate_each(&Renderer::new(scene, device), scene, views, device, Measures::BASIC, |_, _| Ok(()))
 }
@@ -217,7 +205,7 @@ pub fn evaluate(scene: &SceneData, views: &[View], device: &Device) -> Result<Ev
 /// render of every view.
 ///
 /// # Errors
-/// Those of [`evaluate`] and of `visit`.
+/// The errors of [`evaluate`] and of `visit`.
 pub fn evaluate_each<E: From<Error>>(
     renderer: &Renderer,
     scene: &SceneData,

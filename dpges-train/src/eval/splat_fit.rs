@@ -19,6 +19,7 @@ use rand_chacha::rand_core::SeedableRng;
 
 use crate::config::{Config, OpacityActivation};
 use crate::dataset::{MOST_PREFETCHED, View, prefetch};
+use crate::optimizer::LOGIT_RATE;
 use crate::optimizer::scene_state::{GaussianState, Rates};
 
 /// Trains the ellipsoids of `scene`, in front of its environment, for `steps` steps on `views`, whose cameras are in the coordinates of the scene.
@@ -88,7 +89,7 @@ fn rates(config: &Config, progress: f64, extent: f64) -> Rates {
         positions: optimizer.position_rate(progress, extent),
         quaternions: decay * optimizer.quaternions,
         log_scales: decay * optimizer.log_scales,
-        opacities: decay * config.stages.opacities,
+        opacities: decay * LOGIT_RATE,
         degrees_of_freedom: 0.0,
         opacity_base: 0.0,
         opacity_detail: 0.0,

@@ -1,4 +1,4 @@
-//! Pictures of 8-bit values by a formula, which `tests/reference/make_metrics.py` has too.
+//! Pictures of 8-bit values by a formula, which `tests/reference/test_pictures.py` has too.
 
 /// [3 × `height` × `width`] with the values `of(channel, row, column)`, modulo 256, as shares of 255.
 pub fn picture(width: usize, height: usize, of: impl Fn(usize, usize, usize) -> usize) -> Vec<f32> {

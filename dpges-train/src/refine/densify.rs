@@ -4,10 +4,10 @@
 use dpges_core::scene::GaussianData;
 use rand_chacha::ChaCha8Rng;
 
-use super::children::{SHRINKAGE, children};
+use super::children::{SHRINKAGE, children, draw_positions};
 use super::{GaussianEdit, RowEdit};
 
-/// What the sums of absolute gradients decide.
+/// The decision by sums of absolute gradients.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum ByAbsolute {
     /// Nothing (3DGS, 2DGS).
@@ -35,6 +35,8 @@ pub struct DensifyRule {
     pub max_scale_fraction: Option<f64>,
     /// Whether the rows are discs. Then the third scale is ignored, and children lie in the plane of the first two axes.
     pub flat: bool,
+    /// Whether clones lie where a point of their originals is drawn, and not in the same place (GOF, HTGS).
+    pub draws_clones: bool,
 }
 
 /// Gradients of N rows, summed over views since the last densification.
@@ -133,6 +135,9 @@ pub fn densify(
 
     cloned.retain(|&row| stays(row, max_scale));
     let mut added = gaussians.select(&cloned);
+    if rule.draws_clones {
+        draw_positions(&mut added, gaussians, &cloned, rule.flat, rng);
+    }
     let fruitful = parents.into_iter().filter(|&row| stays(row, max_scale * SHRINKAGE));
     added.append(children(gaussians, fruitful, rule.flat, rng));
 
@@ -165,6 +170,7 @@ mod tests {
         min_opacity: 0.05,
         max_scale_fraction: None,
         flat: false,
+        draws_clones: false,
     };
 
     fn rng() -> ChaCha8Rng {

@@ -25,6 +25,7 @@ use std::path::{Path, PathBuf};
 
 use dpges_core::Error;
 use dpges_core::scene::atomic::write_atomically;
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::config::{Config, StageKind};
@@ -81,7 +82,7 @@ pub enum RunFolderError {
     File(#[from] Error),
 }
 
-/// What a run was started with besides its configuration: the content of `run.json`.
+/// The origin of a run besides its configuration: the content of `run.json`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Origin {
     /// Absolute path of the dataset's folder, or `builtin`.
@@ -273,6 +274,15 @@ impl RunFolder {
             Err(error) => Err(wrong(error.to_string())),
         }
     }
+}
+
+/// Reads JSON.
+///
+/// # Errors
+/// [`Error::Io`] naming `path`.
+pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, Error> {
+    let read = || -> std::io::Result<T> { Ok(serde_json::from_slice(&std::fs::read(path)?)?) };
+    read().map_err(|source| Error::Io { action: "cannot read", path: path.to_owned(), source })
 }
 
 /// Writes `value` as indented JSON, the whole file or nothing.

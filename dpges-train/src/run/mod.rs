@@ -28,6 +28,7 @@
 //! files.
 
 pub mod checkpoint;
+pub mod description;
 mod error;
 #[cfg(test)]
 pub mod fixtures;
@@ -39,9 +40,11 @@ mod observer;
 #[cfg(test)]
 mod peak_tests;
 mod record;
+pub mod scene;
 pub mod step_cost;
 #[cfg(test)]
 mod streamed_tests;
+pub mod targets;
 #[cfg(test)]
 mod tests;
 mod trainer;
@@ -83,7 +86,7 @@ pub struct Run {
     started: Instant,
 }
 
-/// What a finished run has made.
+/// The result of a finished run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Outcome {
     /// The scene after the last step; with `train.stop = "validation"` the best by the validation views. The scene of the
@@ -190,7 +193,7 @@ impl Run {
         Ok(Self { record: Some(record), best: None, ..self })
     }
 
-    /// What takes the steps of the run: it knows the scene as it stands, the configuration and the state.
+    /// The object that takes the steps of the run: it knows the scene as it stands, the configuration and the state.
     pub fn trainer(&self) -> &Trainer {
         &self.trainer
     }

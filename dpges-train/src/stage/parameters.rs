@@ -10,7 +10,7 @@ use super::environment::{EnvironmentGradient, EnvironmentState};
 use super::weighted_sum::WeightedSumState;
 use crate::optimizer::scene_state::{self, GaussianState, GradientList, Rates, SurfelState};
 
-/// What a stage trains.
+/// The parameters that a stage trains.
 pub struct Parameters<'a> {
     /// Empty in stages without surfels.
     pub surfels: &'a mut SurfelState,

@@ -9,7 +9,6 @@ use dpges_core::scene::schema::{Activation, Attribute, RateGroup, Width};
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{DepthWeight, WeightedSum};
 
-use crate::config::WeightedSumConfig;
 use crate::optimizer::scene_state::GradientList;
 use crate::optimizer::{Parameter, ParameterRows};
 
@@ -28,10 +27,28 @@ const fn number(name: &'static str) -> Attribute {
 const ATTRIBUTES: [&Attribute; 3] =
     [&number("weighted_sum.sigma"), &number("weighted_sum.beta"), &number("weighted_sum.background")];
 
-/// σ of linear weights at the start is at least so many extents: cameras see across the scene.
+/// σ of linear weights at the start, world units, or so many extents if that is more: cameras see across the scene.
+const SIGMA: f64 = 10.0;
 const LEAST_SIGMA: f64 = 2.0;
+/// w_b at the start, and its learning rate.
+const BACKGROUND: f32 = 0.02;
+const BACKGROUND_RATE: f64 = 0.01;
+/// Learning rates of σ at the first and at the last step, extents. The logarithm is interpolated in between.
+const SIGMA_RATES: [f64; 2] = [0.1, 1e-3];
 /// Learning rate of β relative to that of σ, both as shares of their starts.
 const BETA_SHARE: f64 = 0.02;
+
+/// Depth at which linear weights end at the start, and at which exponential ones are 1 / e, in a scene of `extent` (world
+/// units).
+fn reach(extent: f64) -> f64 {
+    SIGMA.max(LEAST_SIGMA * extent)
+}
+
+/// The weighted sum that a run in a scene of `extent` (world units) begins with.
+pub fn start(weight: DepthWeight, extent: f64) -> WeightedSum {
+    let sigma = if weight == DepthWeight::Exponential { 1.0 / reach(extent) } else { reach(extent) };
+    WeightedSum { weight, sigma: sigma as f32, beta: 1.0, background: BACKGROUND }
+}
 
 /// σ, β and w_b of a stage, with their moments.
 #[derive(Clone, Debug)]
@@ -90,7 +107,17 @@ impl WeightedSumState {
         all.map(|((attribute, parameter), leaf)| (attribute, parameter.gradient(leaf, gradients))).collect()
     }
 
-    /// Nothing changes where `gate` `[1]` is not 1. `rates` are those of [`WeightedSumConfig::rates`].
+    /// Learning rates of σ, β and w_b at `progress` (0 at the first step, 1 at the last) in a scene of `extent` (world
+    /// units). That of exponential weights moves the depth at which they are 1 / e at the start as fast as that of linear
+    /// ones moves σ.
+    pub fn rates(&self, progress: f64, extent: f64) -> [f64; 3] {
+        let [first, last] = SIGMA_RATES;
+        let (of_linear, reach) = (extent * first * (last / first).powf(progress.clamp(0.0, 1.0)), reach(extent));
+        let of_sigma = if self.weight == DepthWeight::Exponential { of_linear / (reach * reach) } else { of_linear };
+        [of_sigma, BETA_SHARE * of_linear / reach, BACKGROUND_RATE]
+    }
+
+    /// Nothing changes where `gate` `[1]` is not 1. `rates` are those of [`rates`](Self::rates).
     ///
     /// # Errors
     /// [`dpges_core::Error::Shape`] if a gradient is not one number.
@@ -108,29 +135,6 @@ impl WeightedSumState {
     }
 }
 
-impl WeightedSumConfig {
-    /// Depth at which linear weights end at the start, and at which exponential ones are 1 / e, world units.
-    fn reach(&self, extent: f64) -> f64 {
-        self.sigma.max(LEAST_SIGMA * extent)
-    }
-
-    /// What a run in a scene of `extent` (world units) begins with.
-    pub fn start(&self, extent: f64) -> WeightedSum {
-        let reach = self.reach(extent);
-        let sigma = if self.weight == DepthWeight::Exponential { 1.0 / reach } else { reach };
-        WeightedSum { weight: self.weight, sigma: sigma as f32, beta: 1.0, background: self.background as f32 }
-    }
-
-    /// Learning rates of σ, β and w_b at `progress` (0 at the first step, 1 at the last) in a scene of `extent` (world
-    /// units). That of exponential weights moves the depth at which they are 1 / e at the start as fast as that of linear
-    /// ones moves σ.
-    pub fn rates(&self, progress: f64, extent: f64) -> [f64; 3] {
-        let (of_linear, reach) = (self.sigma_rate(progress, extent), self.reach(extent));
-        let of_sigma = if self.weight == DepthWeight::Exponential { of_linear / (reach * reach) } else { of_linear };
-        [of_sigma, BETA_SHARE * of_linear / reach, self.background_rate]
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use burn::tensor::DType;
@@ -140,18 +144,19 @@ mod tests {
 
     #[test]
     fn rates_are_those_of_the_published_code_and_exponential_weights_move_as_fast() {
-        let linear = WeightedSumConfig::default();
-        assert_eq!(linear.start(3.0), WeightedSum::default());
-        assert_eq!(linear.start(50.0).sigma, 100.0);
+        let device = device();
+        let started = |weight, extent| WeightedSumState::new(&start(weight, extent), &device);
+        assert_eq!(start(DepthWeight::Linear, 3.0), WeightedSum::default());
+        assert_eq!(start(DepthWeight::Linear, 50.0).sigma, 100.0);
         let close = |found: [f64; 3], expected: [f64; 3]| {
             assert!(found.iter().zip(expected).all(|(a, b)| (a / b - 1.0).abs() < 1e-9), "{found:?}");
         };
+        let linear = started(DepthWeight::Linear, 3.0);
         close(linear.rates(0.0, 3.0), [0.3, 0.02 * 0.03, 0.01]);
         close(linear.rates(0.5, 3.0), [0.03, 0.02 * 0.003, 0.01]);
         close(linear.rates(1.0, 3.0), [0.003, 0.02 * 0.0003, 0.01]);
-        let exponential = WeightedSumConfig { weight: DepthWeight::Exponential, ..linear };
-        assert_eq!(exponential.start(3.0).sigma, 0.1);
-        close(exponential.rates(0.0, 3.0), [0.3 / 100.0, 0.02 * 0.03, 0.01]);
+        assert_eq!(start(DepthWeight::Exponential, 3.0).sigma, 0.1);
+        close(started(DepthWeight::Exponential, 3.0).rates(0.0, 3.0), [0.3 / 100.0, 0.02 * 0.03, 0.01]);
     }
 
     #[test]

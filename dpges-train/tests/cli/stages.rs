@@ -1,4 +1,4 @@
-//! What stages leave, and what decides about their lengths and budgets.
+//! Results of stages, and decisions about their lengths and budgets.
 
 use serde_json::Value;
 
@@ -75,7 +75,7 @@ fn what_the_real_time_renderer_does_not_draw_is_measured_by_the_renderer_of_trai
         let table = ok(at, &measured);
         assert!(table.contains("training") && !table.contains("raster"), "{table}");
         let table = ok(at, &["eval", method, "--device=cpu", "--popping", "--frame-times", "--json=result.json"]);
-        assert!(table.contains(named), "{table}");
+        assert!(table.contains("by `training` on cpu"), "{table}");
         let result = json(at.join("result.json"));
         assert_eq!((&result["frame_ms"]["renderer"], &result["popping"]["frames"]), (&"training".into(), &60.into()));
         ok(at, &["render", method, "--out", &format!("{method}_pictures"), "--device=cpu"]);

@@ -97,7 +97,7 @@ use crate::tiles::capacity::within_capacity;
 
 /// Red, green, blue, alpha.
 pub const COLOUR_PLANES: usize = 4;
-/// Those, expected depth, three of the normal, distortion.
+/// The planes above, expected depth, three of the normal, distortion.
 pub const ALL_PLANES: usize = 9;
 pub const ALPHA_PLANE: usize = 3;
 pub const DEPTH_PLANE: usize = 4;
@@ -148,7 +148,7 @@ impl Form {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BlendOptions {
     pub form: Form,
-    /// Of ellipsoids; other forms have none.
+    /// The filter of ellipsoids; other forms have none.
     pub filter: ScreenFilter,
     /// [`BlendOrder::Rays`] of ellipsoids alone, [`BlendOrder::Whitened`] of [`Form::Whitened`], and only that.
     pub order: BlendOrder,

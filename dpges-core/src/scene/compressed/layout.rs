@@ -1,10 +1,8 @@
-//! What the header of a compressed scene says, and how every attribute is kept.
+//! The header of a compressed scene, and the storage of every attribute.
 
 use serde::{Deserialize, Serialize};
 
 use super::Quality;
-use super::quantise::Groups;
-use crate::scene::lobes::LOBE_LEN;
 use crate::scene::schema::{Attribute, Columns, RateGroup, Width};
 use crate::scene::{ColourModel, GaussianData, SurfelData};
 
@@ -38,7 +36,7 @@ impl Layout {
     /// the file, whatever it claims.
     ///
     /// # Errors
-    /// What is wrong.
+    /// A message that names the problem.
     pub fn check(&self, model: ColourModel, file_len: usize) -> Result<(), String> {
         self.bits.check().map_err(|error| error.to_string())?;
         if self.block_len == 0 {
@@ -65,11 +63,11 @@ impl Layout {
 
 /// How the numbers of an attribute are kept.
 pub enum Kept {
-    /// One by one, some in one range.
-    Numbers(Groups),
+    /// [One by one](super::numbers), in these groups.
+    Numbers(Vec<usize>),
     /// As rotations.
     Rotations,
-    /// As counts of the lobes that are there, of so many, and as the [numbers](lobe_groups) of those lobes.
+    /// As counts of the lobes that are there, of so many, and as the [numbers](LOBE_GROUPS) of those lobes.
     Lobes(usize),
 }
 
@@ -80,18 +78,14 @@ impl Kept {
             (RateGroup::Quaternions, ..) => Self::Rotations,
             (_, Width::Detail, ColourModel::SphericalBeta { lobes }) => Self::Lobes(lobes),
             // red, green and blue of one coefficient after the other
-            (RateGroup::Base | RateGroup::Detail, ..) => {
-                Self::Numbers(Groups::new((0..width).map(|i| i / 3).collect()))
-            }
-            _ => Self::Numbers(Groups::new((0..width).collect())),
+            (RateGroup::Base | RateGroup::Detail, ..) => Self::Numbers(vec![3; width / 3]),
+            _ => Self::Numbers(vec![1; width]),
         }
     }
 }
 
-/// Of a lobe: red, green and blue share a range, the others do not.
-pub fn lobe_groups() -> Groups {
-    Groups::new((0..LOBE_LEN).map(|number| number.saturating_sub(2)).collect())
-}
+/// Groups of a lobe: red, green and blue share a range, the others do not.
+pub const LOBE_GROUPS: [usize; 4] = [3, 1, 1, 1];
 
 #[cfg(test)]
 mod tests {
@@ -132,11 +126,8 @@ mod tests {
             _ => panic!("{} is kept as numbers", attribute.name),
         };
         let [positions, quaternions, log_scales, .., base, detail] = GaussianData::ATTRIBUTES else { panic!() };
-        assert_eq!(groups(positions, "sh1"), Groups::new(vec![0, 1, 2]));
-        assert_eq!(groups(log_scales, "sb2"), Groups::new(vec![0, 1, 2]));
-        assert_eq!(groups(base, "sb2"), Groups::new(vec![0, 0, 0]));
-        assert_eq!(groups(detail, "sh1"), Groups::new(vec![0, 0, 0, 1, 1, 1, 2, 2, 2]));
-        assert_eq!(lobe_groups(), Groups::new(vec![0, 0, 0, 1, 2, 3]));
+        assert_eq!([groups(positions, "sh1"), groups(log_scales, "sb2")], [[1, 1, 1], [1, 1, 1]]);
+        assert_eq!((groups(base, "sb2"), groups(detail, "sh1")), (vec![3], vec![3, 3, 3]));
         assert!(matches!(Kept::of(detail, TWO_LOBES), Kept::Lobes(2)));
         assert!(matches!(Kept::of(quaternions, TWO_LOBES), Kept::Rotations));
     }

@@ -40,8 +40,8 @@
 //! # Errors of a number
 //!
 //! Half a step: (high − low) / (2^b − 1) / 2 of its block, and one rounding of f32. Half a step of the three smallest
-//! components of a unit quaternion is 1/√2 / (2^b − 2); its length and its sign, which mean nothing, are lost. What is equal
-//! throughout a block, the bounds of a block, counts of lobes, and the environment are exact.
+//! components of a unit quaternion is 1/√2 / (2^b − 2); its length and its sign, which mean nothing, are lost. Numbers that are
+//! equal throughout a block, the bounds of a block, counts of lobes, and the environment are exact.
 //!
 //! # Files of strangers
 //!
@@ -54,7 +54,6 @@ mod numbers;
 mod order;
 mod planes;
 mod quality;
-mod quantise;
 mod rotation;
 #[cfg(test)]
 mod tests;
@@ -65,14 +64,13 @@ use std::path::Path;
 
 use safetensors::SafeTensors;
 
-use self::layout::{Kept, Layout, lobe_groups};
-use super::file::{Rows, lobe_names, payload};
+use self::layout::{Kept, LOBE_GROUPS, Layout};
+use super::container::{Rows, lobe_names, payload, scene_file};
 use super::lobes::{pack, unpack};
-use super::schema::{Columns, ENVIRONMENT};
+use super::schema::Columns;
 use super::{ColourModel, GaussianData, Rendering, SceneData, SceneInfo, SurfelData};
 use crate::error::{Error, Result};
 use crate::scene::atomic::write_atomically;
-use crate::scene::container;
 
 pub use quality::Quality;
 
@@ -80,14 +78,14 @@ pub(super) const FORMAT: &str = "dpges-scene-compressed";
 pub(super) const VERSION: &str = "1";
 /// Entry of the metadata.
 const LAYOUT: &str = "compressed";
-/// Of a count of lobes.
+/// Bits of a count of lobes.
 const COUNT_BITS: u8 = 8;
 
 impl SceneData {
     /// Writes the compressed scene file; an existing file is replaced only once the new one is complete.
     ///
     /// # Errors
-    /// Those of [`to_compressed`](Self::to_compressed), [`Error::Io`].
+    /// The errors of [`to_compressed`](Self::to_compressed), [`Error::Io`].
     pub fn save_compressed(&self, path: &Path, quality: &Quality) -> Result<()> {
         let bytes = self.to_compressed(quality, path)?;
         write_atomically(path, |file| file.write_all(&bytes))
@@ -111,22 +109,14 @@ impl SceneData {
         }
         let model = self.info.colour_model;
         let layout = Layout::new(self.surfels.len(), self.gaussians.len(), *quality);
-        let json = |text: serde_json::Result<String>| text.map_err(|error| wrong(error.to_string()));
-        let metadata = HashMap::from([
-            ("format".to_owned(), FORMAT.to_owned()),
-            ("version".to_owned(), VERSION.to_owned()),
-            ("info".to_owned(), json(serde_json::to_string(&self.info))?),
-            (LAYOUT.to_owned(), json(serde_json::to_string(&layout))?),
-        ]);
         let mut stored = Vec::new();
         let surfels = self.surfels.select(&order::along_morton_curve(&self.surfels.positions));
         store(&surfels, surfels.len(), model, &layout, &mut stored);
         let gaussians = self.gaussians.select(&order::along_morton_curve(&self.gaussians.positions));
         store(&gaussians, gaussians.len(), model, &layout, &mut stored);
-        let environment = self.environment.iter();
-        stored.extend(environment.map(|e| Rows::numbers(ENVIRONMENT.name, vec![e.len(), 3], &e.coefficients[..])));
-        let tensors = stored.into_iter().map(|tensor| (tensor.name, tensor));
-        let bytes = container::serialize(tensors, metadata).map_err(|error| wrong(error.to_string()))?;
+        let of_layout = serde_json::to_string(&layout).map_err(|error| wrong(error.to_string()))?;
+        let more = Some((LAYOUT, of_layout));
+        let bytes = scene_file(self, stored, [FORMAT, VERSION], more).map_err(wrong)?;
         layout.check(model, bytes.len()).map_err(wrong)?;
         Ok(bytes)
     }
@@ -156,7 +146,7 @@ fn store<C: Columns<Value = Vec<f32>>>(
                 let counts: Vec<u32> = counts.into_iter().map(u32::from).collect();
                 let [counted, listed] = lobe_names(attribute);
                 stored.push(Rows::bytes(counted, planes::encode(&counts, &[COUNT_BITS])));
-                stored.push(Rows::bytes(listed, numbers::encode(&present, &lobe_groups(), bits, block_len)));
+                stored.push(Rows::bytes(listed, numbers::encode(&present, &LOBE_GROUPS, bits, block_len)));
             }
         }
     }
@@ -165,7 +155,7 @@ fn store<C: Columns<Value = Vec<f32>>>(
 /// The primitives of a compressed file of `file_len` bytes.
 ///
 /// # Errors
-/// What is wrong, naming the tensor where there is one.
+/// A message that names the problem, and the tensor where there is one.
 pub(super) fn read(
     file: &SafeTensors,
     metadata: &HashMap<String, String>,
@@ -207,7 +197,7 @@ fn read_columns<C: Columns>(
                 // 8 bits each
                 let counts: Vec<u8> = counts.into_iter().map(|count| count as u8).collect();
                 let total = counts.iter().map(|&count| usize::from(count).min(lobes)).sum();
-                let present = numbers::decode(payload(file, listed)?, total, &lobe_groups(), bits, block_len)
+                let present = numbers::decode(payload(file, listed)?, total, &LOBE_GROUPS, bits, block_len)
                     .map_err(|reason| named(listed, reason))?;
                 unpack(&counts, &present, lobes).map_err(|reason| named(counted, reason))
             }

@@ -1,58 +1,89 @@
 //! An attribute whose numbers are kept one by one: bounds of its blocks, then planes of symbols.
+//!
+//! `groups` says how many neighbouring components share a range; three are red, green and blue.
 
-use super::planes;
-use super::quantise::{Groups, Quantised, dequantise, largest, quantise};
+use super::planes::{self, largest};
 
-/// Bytes of `values` [rows, width]: the [bounds](Quantised::bounds) as little-endian f32, then the [`planes`] of the
-/// symbols, of channels only those of green and the differences of the two others from it.
-pub fn encode(values: &[f32], groups: &Groups, bits: u8, block_len: usize) -> Vec<u8> {
-    let Quantised { bounds, mut symbols } = quantise(values, groups, bits, block_len);
-    subtract_green(&mut symbols, groups, bits);
-    let mut bytes: Vec<u8> = bounds.iter().flat_map(|bound| bound.to_le_bytes()).collect();
-    bytes.extend(planes::encode(&symbols, &vec![bits; groups.width()]));
+/// Bytes of `values` [rows, width], all finite, of which every `block_len` rows are a block, the last may be shorter: the
+/// lowest and the highest number of every block and group as little-endian f32, then the [`planes`] of the symbols, of
+/// channels only those of green and the differences of the two others from it.
+pub fn encode(values: &[f32], groups: &[usize], bits: u8, block_len: usize) -> Vec<u8> {
+    let width: usize = groups.iter().sum();
+    let steps = f64::from(largest(bits));
+    let (mut bytes, mut symbols) = (Vec::new(), vec![0; values.len()]);
+    // an attribute of width 0 has no values, whatever the length of its chunks
+    let block = (block_len * width).max(1);
+    for (values, symbols) in values.chunks(block).zip(symbols.chunks_mut(block)) {
+        let mut first = 0;
+        for &len in groups {
+            let components = first..first + len;
+            first += len;
+            let numbers = || values.chunks_exact(width).flat_map(|row| &row[components.clone()]).copied();
+            let bounds = [numbers().fold(f32::INFINITY, f32::min), numbers().fold(f32::NEG_INFINITY, f32::max)];
+            bytes.extend_from_slice(bounds.map(f32::to_le_bytes).as_flattened());
+            let [low, high] = bounds.map(f64::from);
+            for (row, symbols) in values.chunks_exact(width).zip(symbols.chunks_exact_mut(width)) {
+                for (symbol, &value) in symbols[components.clone()].iter_mut().zip(&row[components.clone()]) {
+                    // 0 / 0 where all are equal: a cast makes it 0
+                    *symbol = ((f64::from(value) - low) / (high - low) * steps).round() as u32;
+                }
+                subtract_green(&mut symbols[components.clone()], bits);
+            }
+        }
+    }
+    bytes.extend(planes::encode(&symbols, &vec![bits; width]));
     bytes
 }
 
-/// Undoes [`encode`] for a number of `rows`, up to what [`dequantise`] says.
+/// Undoes [`encode`] for a number of `rows`, up to half a step: half of (high − low) / (2^bits − 1) of the block, and the
+/// rounding of `f32`. What comes out lies within the bounds.
 ///
 /// # Errors
-/// What is wrong with `bytes`: see [`planes::decode`] and [`dequantise`].
-pub fn decode(bytes: &[u8], rows: usize, groups: &Groups, bits: u8, block_len: usize) -> Result<Vec<f32>, String> {
+/// A message about `bytes`: bounds of a block that are missing, not finite, or the wrong way round, or see
+/// [`planes::decode`].
+pub fn decode(bytes: &[u8], rows: usize, groups: &[usize], bits: u8, block_len: usize) -> Result<Vec<f32>, String> {
+    let width: usize = groups.iter().sum();
     let bound_bytes = rows.div_ceil(block_len).saturating_mul(groups.len() * 2 * size_of::<f32>());
     let (bounds, rest) = bytes.split_at_checked(bound_bytes).ok_or("ends within the bounds of its blocks")?;
-    let bounds = bounds.as_chunks::<4>().0.iter().map(|&bound| f32::from_le_bytes(bound)).collect();
-    let mut symbols = planes::decode(rest, rows, &vec![bits; groups.width()])?;
-    add_green(&mut symbols, groups, bits);
-    dequantise(&Quantised { bounds, symbols }, groups, bits, block_len)
+    let bounds: Vec<f32> = bounds.as_chunks::<4>().0.iter().map(|&bound| f32::from_le_bytes(bound)).collect();
+    let (ranges, _) = bounds.as_chunks::<2>();
+    if let Some([low, high]) = ranges.iter().find(|[low, high]| !(low.is_finite() && high.is_finite() && low <= high)) {
+        return Err(format!("has a block from {low} to {high}, expected finite bounds in order"));
+    }
+    let steps = f64::from(largest(bits));
+    let mut symbols = planes::decode(rest, rows, &vec![bits; width])?;
+    let mut values = Vec::with_capacity(symbols.len());
+    for (at, row) in symbols.chunks_exact_mut(width.max(1)).enumerate() {
+        let mut first = 0;
+        for (&len, range) in groups.iter().zip(&ranges[at / block_len * groups.len()..]) {
+            let group = &mut row[first..first + len];
+            first += len;
+            add_green(group, bits);
+            let [low, high] = range.map(f64::from);
+            let value = |symbol: u32| (low + (high - low) * (f64::from(symbol) / steps)).clamp(low, high) as f32;
+            values.extend(group.iter().map(|&symbol| value(symbol)));
+        }
+    }
+    Ok(values)
 }
 
-/// Replaces red and blue by their differences from green: from 0, 1, −1, 2, −2 … on, as 0, 1, 2, 3, 4 …
-fn subtract_green(symbols: &mut [u32], groups: &Groups, bits: u8) {
+/// Replaces red and blue of a group of three by their differences from green: from 0, 1, −1, 2, −2 … on, as 0, 1, 2, 3, 4 …
+fn subtract_green(group: &mut [u32], bits: u8) {
     let most = largest(bits);
-    for_channels(symbols, groups, |green, other| {
-        let difference = other.wrapping_sub(green) & most;
-        if difference <= most / 2 { 2 * difference } else { 2 * (most - difference) + 1 }
-    });
+    let [red, green, blue] = group else { return };
+    for other in [red, blue] {
+        let difference = other.wrapping_sub(*green) & most;
+        *other = if difference <= most / 2 { 2 * difference } else { 2 * (most - difference) + 1 };
+    }
 }
 
 /// Undoes [`subtract_green`].
-fn add_green(symbols: &mut [u32], groups: &Groups, bits: u8) {
+fn add_green(group: &mut [u32], bits: u8) {
     let most = largest(bits);
-    for_channels(symbols, groups, |green, folded| {
-        let difference = if folded % 2 == 0 { folded / 2 } else { most - folded / 2 };
-        green.wrapping_add(difference) & most
-    });
-}
-
-/// Replaces red and blue by a function of green and themselves.
-fn for_channels(symbols: &mut [u32], groups: &Groups, replacement: impl Fn(u32, u32) -> u32) {
-    let channels: Vec<usize> = groups.channels().collect();
-    for row in symbols.chunks_exact_mut(groups.width().max(1)) {
-        for &red in &channels {
-            let green = row[red + 1];
-            row[red] = replacement(green, row[red]);
-            row[red + 2] = replacement(green, row[red + 2]);
-        }
+    let [red, green, blue] = group else { return };
+    for folded in [red, blue] {
+        let difference = if *folded % 2 == 0 { *folded / 2 } else { most - *folded / 2 };
+        *folded = green.wrapping_add(difference) & most;
     }
 }
 
@@ -60,56 +91,76 @@ fn for_channels(symbols: &mut [u32], groups: &Groups, replacement: impl Fn(u32, 
 mod tests {
     use super::*;
 
-    fn lobes() -> Groups {
-        Groups::new(vec![0, 0, 0, 1, 2, 3])
+    const LOBES: [usize; 4] = [3, 1, 1, 1];
+
+    /// The values come back within half a step of their block and one rounding of `f32`.
+    fn check(values: &[f32], groups: &[usize], bits: u8, block_len: usize) {
+        let width: usize = groups.iter().sum();
+        let bytes = encode(values, groups, bits, block_len);
+        let found = decode(&bytes, values.len() / width, groups, bits, block_len).unwrap();
+        assert_eq!(found.len(), values.len());
+        let group_of: Vec<usize> = (0..groups.len()).flat_map(|group| vec![group; groups[group]]).collect();
+        for (at, (&value, &found)) in values.iter().zip(&found).enumerate() {
+            let range = 8 * (at / width / block_len * groups.len() + group_of[at % width]);
+            let bound = |at: usize| f64::from(f32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()));
+            let [low, high] = [range, range + 4].map(bound);
+            assert!(low <= f64::from(value) && f64::from(value) <= high);
+            let half_step = 0.5 * (high - low) / f64::from(largest(bits));
+            let rounding = f64::from(value.abs().max(found.abs())) * f64::from(f32::EPSILON);
+            let error = (f64::from(value) - f64::from(found)).abs();
+            assert!(error <= half_step * (1.0 + 1e-9) + rounding, "{value} became {found} at {bits} bits");
+        }
+    }
+
+    #[test]
+    fn errors_are_within_half_a_step() {
+        let values: Vec<f32> =
+            (0..600).map(|i| 3.0 * (i as f32 * 0.37).sin() + 40.0 * (i as f32 * 0.011).cos()).collect();
+        let (most, least) = (f32::MAX, f32::MIN_POSITIVE);
+        for bits in 2..=24 {
+            for block_len in [1, 7, 2048] {
+                check(&values, &[1, 1, 1], bits, block_len);
+                check(&values, &LOBES, bits, block_len);
+                check(&[most, -most, 0.0, least, -least, f32::from_bits(1), 1e20, -1e-20], &[1], bits, block_len);
+            }
+        }
+        assert!(decode(&encode(&[], &LOBES, 8, 64), 0, &LOBES, 8, 64).unwrap().is_empty());
+    }
+
+    #[test]
+    fn equal_values_and_the_ends_of_a_block_are_exact() {
+        let come_back = |values: &[f32], bits: u8| decode(&encode(values, &[1], bits, 4), values.len(), &[1], bits, 4);
+        for values in [vec![0.1f32; 9], vec![-0.0; 9], vec![f32::MAX; 9]] {
+            assert_eq!(come_back(&values, 5).unwrap(), values);
+        }
+        assert_eq!(come_back(&[0.1, 0.7, -0.3, 0.1], 2).unwrap()[1..3], [0.7, -0.3]);
+    }
+
+    #[test]
+    fn bounds_that_cannot_be_are_told() {
+        for bounds in [[f32::NAN, 1.0], [0.0, f32::INFINITY], [2.0, 1.0]] {
+            let mut bytes = encode(&[0.5], &[1], 8, 4);
+            bytes[..8].copy_from_slice(bounds.map(f32::to_le_bytes).as_flattened());
+            assert!(decode(&bytes, 1, &[1], 8, 4).unwrap_err().contains("expected finite bounds in order"));
+        }
+        assert!(decode(&[0; 7], 1, &[1], 8, 4).unwrap_err().contains("ends within the bounds"));
     }
 
     #[test]
     fn differences_from_green_are_undone_and_small_ones_stay_small() {
         for bits in [2, 3, 8] {
             let most = largest(bits);
-            for green in 0..=most {
-                for other in 0..=most {
-                    let before = [other, green, most - other, other, 0, green];
-                    let mut symbols = before;
-                    subtract_green(&mut symbols, &lobes(), bits);
-                    assert!(symbols.iter().all(|&symbol| symbol <= most));
-                    assert_eq!((symbols[1], &symbols[3..]), (green, &before[3..]));
-                    if green.abs_diff(other) <= most / 2 {
-                        assert!(symbols[0] <= 2 * green.abs_diff(other));
-                    }
-                    add_green(&mut symbols, &lobes(), bits);
-                    assert_eq!(symbols, before);
-                }
+            for (green, other) in (0..=most).flat_map(|green| (0..=most).map(move |other| (green, other))) {
+                let before = [other, green, most - other];
+                let mut symbols = before;
+                subtract_green(&mut symbols, bits);
+                assert!(symbols.iter().all(|&symbol| symbol <= most) && symbols[1] == green);
+                assert!(green.abs_diff(other) > most / 2 || symbols[0] <= 2 * green.abs_diff(other));
+                add_green(&mut symbols, bits);
+                assert_eq!(symbols, before);
             }
         }
-    }
-
-    #[test]
-    fn numbers_come_back_within_half_a_step() {
-        let values: Vec<f32> = (0..6 * 500).map(|i| (i as f32 * 0.37).sin()).collect();
-        for bits in [2, 7, 8, 9, 16, 24] {
-            let bytes = encode(&values, &lobes(), bits, 64);
-            let found = decode(&bytes, 500, &lobes(), bits, 64).unwrap();
-            let half_step = 1.0 / largest(bits) as f32;
-            assert!(values.iter().zip(&found).all(|(value, found)| (value - found).abs() <= half_step + 1e-6));
-        }
-        assert!(decode(&encode(&[], &lobes(), 8, 64), 0, &lobes(), 8, 64).unwrap().is_empty());
-    }
-
-    #[test]
-    fn equal_channels_take_the_room_of_one() {
         let grey: Vec<f32> = (0..5000).flat_map(|i| [(i as f32 * 0.37).sin(); 3]).collect();
-        let alone = encode(&grey, &Groups::new(vec![0, 1, 2]), 8, 2048).len();
-        assert!(2 * encode(&grey, &Groups::new(vec![0; 3]), 8, 2048).len() < alone);
-    }
-
-    #[test]
-    fn every_truncation_is_an_error() {
-        let values: Vec<f32> = (0..6 * 40).map(|i| (i as f32 * 0.37).sin()).collect();
-        let bytes = encode(&values, &lobes(), 9, 16);
-        for end in 0..bytes.len() {
-            assert!(decode(&bytes[..end], 40, &lobes(), 9, 16).is_err(), "{end} of {} bytes", bytes.len());
-        }
+        assert!(2 * encode(&grey, &[3], 8, 2048).len() < encode(&grey, &[1, 1, 1], 8, 2048).len());
     }
 }

@@ -1,6 +1,6 @@
 use std::path::Path;
 
-use super::quantise::largest;
+use super::planes::largest;
 use super::*;
 use crate::scene::lobes::{ABSENT_LOBE, is_absent};
 use crate::scene::schema::{Attribute, RateGroup};
@@ -92,9 +92,6 @@ fn check_columns<C: Columns<Value = Vec<f32>>>(expected: &C, found: &C, quality:
     let model = expected.model();
     for ((attribute, expected), found) in expected.iter().zip(found.list()) {
         let (name, bits, width) = (attribute.name, quality.bits(attribute.rate), attribute.width.under(model));
-        let column = |values: &[f32], from: usize, to: usize, width: usize| -> Vec<f32> {
-            values.chunks_exact(width).flat_map(|row| &row[from..to]).copied().collect()
-        };
         match Kept::of(attribute, model) {
             Kept::Rotations => rotation::check_within_half_a_step(expected, found, bits),
             Kept::Lobes(lobes) => {
@@ -102,18 +99,22 @@ fn check_columns<C: Columns<Value = Vec<f32>>>(expected: &C, found: &C, quality:
                 let [(expected_counts, expected), (counts, found)] =
                     [expected, found].map(|values| pack(values, count, lobes));
                 assert_eq!(counts, expected_counts, "{name}");
-                for (from, to) in [(0, 3), (3, 4), (4, 5), (5, 6)] {
-                    check_group(name, &column(&expected, from, to, 6), &column(&found, from, to, 6), bits);
-                }
+                check_groups(name, &LOBE_GROUPS, &expected, &found, bits);
             }
-            Kept::Numbers(_) => {
-                let step = if matches!(attribute.rate, RateGroup::Base | RateGroup::Detail) { 3 } else { 1 };
-                for from in (0..width).step_by(step) {
-                    let [expected, found] = [expected, found].map(|v| column(v, from, from + step, width));
-                    check_group(name, &expected, &found, bits);
-                }
-            }
+            Kept::Numbers(groups) => check_groups(name, &groups, expected, found, bits),
         }
+    }
+}
+
+fn check_groups(name: &str, groups: &[usize], expected: &[f32], found: &[f32], bits: u8) {
+    let mut first = 0;
+    for &len in groups {
+        let [expected, found] = [expected, found].map(|values| -> Vec<f32> {
+            let rows = values.chunks_exact(groups.iter().sum());
+            rows.flat_map(|row| &row[first..first + len]).copied().collect()
+        });
+        check_group(name, &expected, &found, bits);
+        first += len;
     }
 }
 

@@ -18,7 +18,7 @@ use crate::gpu::launch::largest_buffer;
 use crate::tiles::capacity::{exceed, too_many_entries};
 use crate::tiles::lists::{is_deferred, postpone};
 
-/// Whose lists: those of surfels, of discs, of Gaussians and of Gaussians that rays meet have different lengths.
+/// The kind of a list: lists of surfels, discs, Gaussians and Gaussians that rays meet have different lengths.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum ListKind {
     Surfels,
@@ -109,7 +109,7 @@ fn begin_readback(starts: &CubeTensor) -> Length {
     })
 }
 
-/// What was read, counted as a download.
+/// Reads a length, counted as a download.
 fn downloaded(length: Length) -> usize {
     let entries = length.arrived().expect("the device answers");
     download(TensorData::new(vec![entries], [1]));

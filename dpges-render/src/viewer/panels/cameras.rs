@@ -2,14 +2,14 @@
 
 use egui::{ScrollArea, Ui};
 
-use super::super::app::Viewer;
+use super::super::state::State;
 
 /// Height of the list, points.
 const HEIGHT: f32 = 130.0;
 
-pub fn show(viewer: &mut Viewer, ui: &mut Ui) {
-    let count = viewer.views.as_ref().map_or(0, |views| views.cameras.len());
-    if viewer.views_loader.is_some() {
+pub fn show(state: &mut State, ui: &mut Ui) {
+    let count = state.views.as_ref().map_or(0, |views| views.cameras.len());
+    if state.views_loader.is_some() {
         ui.horizontal(|ui| {
             ui.spinner();
             ui.weak("reading the dataset");
@@ -31,15 +31,15 @@ pub fn show(viewer: &mut Viewer, ui: &mut Ui) {
         ui.weak(format!("{count} cameras"));
     });
     if step != 0 {
-        viewer.step_view(step);
+        state.step_view(step);
     }
     let mut chosen = None;
     let row = ui.spacing().interact_size.y;
     let list = ScrollArea::vertical().id_salt("cameras").max_height(HEIGHT).auto_shrink([false, true]);
     list.show_rows(ui, row, count, |ui, rows| {
         for index in rows {
-            let name = viewer.views.as_ref().map_or("", |views| &views.cameras[index].0);
-            let response = ui.selectable_label(viewer.chosen_view == Some(index), name);
+            let name = state.views.as_ref().map_or("", |views| &views.cameras[index].0);
+            let response = ui.selectable_label(state.chosen_view == Some(index), name);
             if response.double_clicked() {
                 chosen = Some((index, true));
             } else if response.clicked() {
@@ -48,6 +48,6 @@ pub fn show(viewer: &mut Viewer, ui: &mut Ui) {
         }
     });
     if let Some((index, at_once)) = chosen {
-        viewer.go_to_view(index, at_once);
+        state.go_to_view(index, at_once);
     }
 }

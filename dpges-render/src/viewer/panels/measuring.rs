@@ -2,11 +2,11 @@
 
 use egui::Ui;
 
-use super::super::app::Viewer;
 use super::super::measuring::text_of;
+use super::super::state::State;
 
-pub fn show(viewer: &mut Viewer, ui: &mut Ui) {
-    let measuring = &mut viewer.measuring;
+pub fn show(state: &mut State, ui: &mut Ui) {
+    let measuring = &mut state.measuring;
     ui.horizontal(|ui| {
         ui.toggle_value(&mut measuring.active, "Pick points");
         if ui.add_enabled(!measuring.points().is_empty(), egui::Button::new("Clear")).clicked() {

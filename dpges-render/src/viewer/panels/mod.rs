@@ -12,9 +12,9 @@ pub mod training;
 
 use egui::{CollapsingHeader, ScrollArea, Ui};
 
-use super::app::Viewer;
+use super::state::State;
 
-type Section = fn(&mut Viewer, &mut Ui);
+type Section = fn(&mut State, &mut Ui);
 
 /// Titles, whether they are open at first, and what they show.
 const SECTIONS: [(&str, bool, Section); 8] = [
@@ -29,12 +29,12 @@ const SECTIONS: [(&str, bool, Section); 8] = [
 ];
 
 /// Shows all sections.
-pub fn show(viewer: &mut Viewer, ui: &mut Ui) {
+pub fn show(state: &mut State, ui: &mut Ui) {
     ScrollArea::vertical().auto_shrink([false, true]).show(ui, |ui| {
         ui.add_space(4.0);
-        scene::title(viewer, ui);
+        scene::title(state, ui);
         for (title, open, section) in SECTIONS {
-            CollapsingHeader::new(title).default_open(open).show(ui, |ui| section(viewer, ui));
+            CollapsingHeader::new(title).default_open(open).show(ui, |ui| section(state, ui));
         }
     });
 }

@@ -2,58 +2,58 @@
 
 use egui::{Button, DragValue, Id, TextEdit, Ui};
 
-use super::super::app::Viewer;
 use super::super::dialogs::Purpose;
 use super::super::navigation::Viewpoint;
+use super::super::state::State;
 
-/// What was asked of a key camera.
+/// A request for a key camera.
 enum Request {
     Show(usize),
     Remove(usize),
     Move(usize, usize),
 }
 
-pub fn show(viewer: &mut Viewer, ui: &mut Ui) {
+pub fn show(state: &mut State, ui: &mut Ui) {
     ui.horizontal(|ui| {
         if ui.button("Add view").on_hover_text("key K").clicked() {
-            viewer.add_to_path();
+            state.add_to_path();
         }
-        let name = if viewer.path.is_playing() { "Stop" } else { "Play" };
-        if ui.add_enabled(viewer.path.can_play(), Button::new(name)).clicked() {
-            viewer.path.play_or_stop();
+        let name = if state.path.is_playing() { "Stop" } else { "Play" };
+        if ui.add_enabled(state.path.can_play(), Button::new(name)).clicked() {
+            state.path.play_or_stop();
         }
-        ui.add(DragValue::new(&mut viewer.path.seconds).range(0.5..=600.0).speed(0.1).suffix(" s"));
+        ui.add(DragValue::new(&mut state.path.seconds).range(0.5..=600.0).speed(0.1).suffix(" s"));
     });
-    match keys(viewer, ui) {
+    match keys(state, ui) {
         Some(Request::Show(at)) => {
-            let focus_distance = viewer.navigator.viewpoint().focus_distance;
-            viewer.leave_for(Viewpoint::of(&viewer.path.cameras[at], focus_distance));
+            let focus_distance = state.navigator.viewpoint().focus_distance;
+            state.leave_for(Viewpoint::of(&state.path.cameras[at], focus_distance));
         }
-        Some(Request::Remove(at)) => viewer.path.remove(at),
-        Some(Request::Move(from, to)) => viewer.path.reorder(from, to),
+        Some(Request::Remove(at)) => state.path.remove(at),
+        Some(Request::Move(from, to)) => state.path.reorder(from, to),
         None => {}
     }
-    ui.add(TextEdit::singleline(&mut viewer.path.file).desired_width(f32::INFINITY));
+    ui.add(TextEdit::singleline(&mut state.path.file).desired_width(f32::INFINITY));
     ui.horizontal(|ui| {
-        if ui.add_enabled(!viewer.path.cameras.is_empty(), Button::new("Save")).clicked() {
-            viewer.save_path();
+        if ui.add_enabled(!state.path.cameras.is_empty(), Button::new("Save")).clicked() {
+            state.save_path();
         }
         if ui.button("Load").clicked() {
-            viewer.load_path();
+            state.load_path();
         }
         if ui.button("Save as…").clicked() {
-            viewer.ask(ui.ctx(), Purpose::SavePath);
+            state.ask(ui.ctx(), Purpose::SavePath);
         }
         if ui.button("Load from…").clicked() {
-            viewer.ask(ui.ctx(), Purpose::LoadPath);
+            state.ask(ui.ctx(), Purpose::LoadPath);
         }
     });
 }
 
 /// The list of key cameras, which are dragged into another order.
-fn keys(viewer: &Viewer, ui: &mut Ui) -> Option<Request> {
+fn keys(state: &State, ui: &mut Ui) -> Option<Request> {
     let mut request = None;
-    let count = viewer.path.cameras.len();
+    let count = state.path.cameras.len();
     if count < 2 {
         ui.weak("A path goes through two views or more.");
     }

@@ -1,17 +1,17 @@
-//! What is drawn, and how.
+//! Options of the picture.
 
 use dpges_core::scene::{BlendOrder, Footprint, Rendering};
 use egui::{ComboBox, Slider, Ui};
 
-use super::super::app::Viewer;
 use super::super::dialogs::Purpose;
+use super::super::state::State;
 use crate::{Display, MAX_LAYERS, RenderOptions};
 
 /// Largest w of the slider.
 const LARGEST_MODULATION: f64 = 200.0;
 
 /// Name and size of the scene, and the way to another.
-pub fn title(viewer: &mut Viewer, ui: &mut Ui) {
+pub fn title(state: &mut State, ui: &mut Ui) {
     let mut asked = None;
     ui.horizontal_wrapped(|ui| {
         if ui.button("Open scene…").clicked() {
@@ -21,26 +21,26 @@ pub fn title(viewer: &mut Viewer, ui: &mut Ui) {
             asked = Some(Purpose::OpenRun);
         }
         if ui.button("Help").clicked() {
-            viewer.help_open = true;
+            state.help_open = true;
         }
     });
     if let Some(purpose) = asked {
-        viewer.ask(ui.ctx(), purpose);
+        state.ask(ui.ctx(), purpose);
     }
-    if let Some(scene) = &viewer.scene {
+    if let Some(scene) = &state.scene {
         ui.add(egui::Label::new(egui::RichText::new(&scene.name).strong()).truncate());
         let [surfels, gaussians] = scene.counts;
         ui.weak(format!("{surfels} surfels, {gaussians} Gaussians, {}", scene.info.rendering));
-        if scene.info.blend_order == BlendOrder::Rays {
+        if scene.info.blend_order != BlendOrder::Centres {
             ui.weak("drawn in the order of their centres, and not along rays as they were trained");
         }
     }
 }
 
-pub fn show(viewer: &mut Viewer, ui: &mut Ui) {
-    let Some(info) = viewer.scene.as_ref().map(|scene| scene.info.clone()) else { return };
+pub fn show(state: &mut State, ui: &mut Ui) {
+    let Some(info) = state.scene.as_ref().map(|scene| scene.info.clone()) else { return };
     let peeled = info.rendering == Rendering::Peeled;
-    let mut display = viewer.options.display;
+    let mut display = state.options.display;
     ui.add_enabled_ui(peeled, |ui| {
         ui.horizontal_wrapped(|ui| {
             for (kind, number) in Display::ALL.into_iter().zip(1..) {
@@ -49,8 +49,8 @@ pub fn show(viewer: &mut Viewer, ui: &mut Ui) {
             }
         });
     });
-    viewer.set_display(display);
-    let options = &mut viewer.options;
+    state.set_display(display);
+    let options = &mut state.options;
     ui.add_enabled_ui(peeled, |ui| {
         ui.add(Slider::new(&mut options.layer_count, 1..=MAX_LAYERS).text("layers K"));
         ui.add(Slider::new(&mut options.modulation, 1.0..=LARGEST_MODULATION).logarithmic(true).text("rims w"))

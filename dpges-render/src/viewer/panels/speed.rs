@@ -3,11 +3,11 @@
 use egui::{Slider, Ui};
 use egui_plot::{HLine, Legend, Line, Plot, PlotPoints};
 
-use super::super::app::Viewer;
 use super::super::resolution::LEAST_SCALE;
+use super::super::state::State;
 
-pub fn show(viewer: &mut Viewer, ui: &mut Ui) {
-    let resolution = &mut viewer.resolution;
+pub fn show(state: &mut State, ui: &mut Ui) {
+    let resolution = &mut state.resolution;
     ui.checkbox(&mut resolution.automatic, "fewer pixels while moving, to hold");
     if resolution.automatic {
         ui.add(Slider::new(&mut resolution.frames_per_second, 5.0..=240.0).logarithmic(true).text("frames/s"));
@@ -17,7 +17,7 @@ pub fn show(viewer: &mut Viewer, ui: &mut Ui) {
     }
     let goal = 1e3 / resolution.frames_per_second;
     let shows_goal = resolution.automatic;
-    let (wall, gpu) = (viewer.frame_times.wall(), viewer.frame_times.gpu());
+    let (wall, gpu) = (state.frame_times.wall(), state.frame_times.gpu());
     let plot = Plot::new("frame times").height(110.0).legend(Legend::default()).include_y(0.0).allow_drag(false);
     plot.allow_zoom(false).allow_scroll(false).show_x(false).y_axis_label("ms").show_axes([false, true]).show(
         ui,
@@ -29,15 +29,15 @@ pub fn show(viewer: &mut Viewer, ui: &mut Ui) {
             }
         },
     );
-    passes(viewer, ui);
-    if let Some(canvas) = &viewer.canvas {
+    passes(state, ui);
+    if let Some(canvas) = &state.canvas {
         ui.weak(canvas.adapter_name());
     }
 }
 
-/// What each pass of the last frame took on the GPU.
-fn passes(viewer: &Viewer, ui: &mut Ui) {
-    let Some(frame) = viewer.frame_times.last() else { return };
+/// Times of the passes of the last frame on the GPU.
+fn passes(state: &State, ui: &mut Ui) {
+    let Some(frame) = state.frame_times.last() else { return };
     let Some(sum) = frame.gpu_ms() else {
         ui.weak("This device has no clock for its passes.");
         return;

@@ -7,7 +7,8 @@ use clap::builder::BoolishValueParser;
 use dpges_core::camera::Camera;
 use dpges_core::scene::{Rendering, SceneData};
 use dpges_render::frame_times::{FrameTimes, Rounds, frame_times};
-use dpges_render::{Display, Headless, RenderOptions, check_drawn};
+use dpges_render::path::Size;
+use dpges_render::{Display, Headless, RenderOptions};
 use dpges_train::device::DeviceRequest;
 use dpges_train::eval::rendered::Renderer;
 use dpges_train::run::folder::write_json;
@@ -15,9 +16,7 @@ use serde::Serialize;
 
 use super::super::data::{Scene, ViewArgs, every_nth};
 use super::super::device_failure::watched;
-use super::super::frame_times::of_training;
-use super::super::render::Size;
-use super::super::{Failure, Result, device_choice, print};
+use super::super::{Result, device_choice, print};
 
 /// Measure frames per second of a scene over the cameras of a dataset
 #[derive(Debug, Args)]
@@ -44,8 +43,8 @@ pub struct BenchRenderArgs {
     /// At most this many cameras, evenly chosen
     #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     cameras: u32,
-    /// Also measure the renderer that is trained with, on this device (cpu, wgpu, …); that alone of scenes of --method
-    /// stopthepop, sss and sortfree
+    /// Also measure the renderer that is trained with, on this device (cpu, wgpu, …); that alone of --method stopthepop, htgs,
+    /// sss and sortfree
     #[arg(long, value_name = "NAME")]
     training: Option<DeviceRequest>,
     /// Write the figures as JSON
@@ -79,13 +78,6 @@ struct Row {
 pub fn run(args: &BenchRenderArgs) -> Result<()> {
     let mut scene = Scene::load(&args.scene)?;
     scene.use_pinholes();
-    let is_drawn = check_drawn(&scene.data.info).map(|()| !scene.is_sorted_by_rays());
-    if let (Ok(false), None) = (&is_drawn, args.training) {
-        let reason =
-            "the real-time renderer does not sort Gaussians for each pixel, as this scene needs it (StopThePop)";
-        let help = "`--training DEVICE` measures the renderer that is trained with, which does";
-        return Err(Failure::with_help(reason.to_owned(), help));
-    }
     let (_, views) = args.views.load(&mut scene)?;
     let cameras: Vec<Camera> =
         every_nth(&views, args.cameras as usize).map(|view| args.size.apply(&view.camera)).collect();
@@ -97,17 +89,17 @@ pub fn run(args: &BenchRenderArgs) -> Result<()> {
         height: args.size.height,
         cameras: cameras.len(),
         // without its rows there are those of the other renderer, if it is asked for
-        rows: match (is_drawn, args.training) {
-            (Ok(true), _) => args.raster(&scene.data, &cameras)?,
-            (Err(refusal), None) => return Err(refusal.into()),
-            _ => Vec::new(),
+        rows: match scene.check_drawn_as_trained() {
+            Ok(()) => args.raster(&scene.data, &cameras)?,
+            Err(refusal) if args.training.is_none() => return Err(refusal.into()),
+            Err(_) => Vec::new(),
         },
     };
     if let Some(request) = args.training {
         let device = device_choice::select(request)?;
         watched(device, || {
             let renderer = Renderer::new(&scene.data, &device.open()?);
-            let times = of_training(&renderer, &cameras, args.counts())?;
+            let times = renderer.frame_times(&cameras, args.counts())?;
             let (info, peeled) = (&scene.data.info, is_peeled(&scene.data));
             let (layers, backstop) = (peeled.then_some(info.layer_count), peeled.then_some(info.backstop));
             report.rows.push(Row { renderer: "training", on: device.to_string(), layers, backstop, times });

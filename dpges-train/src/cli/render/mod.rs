@@ -1,22 +1,23 @@
 //! `dpges render`: pictures of a scene, from the cameras of a dataset or along a path.
 
 mod cameras;
-mod painter;
 mod sink;
 
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
+use dpges_core::camera::Camera;
 use dpges_core::scene::Rendering;
+use dpges_render::{Headless, Precision, RenderOptions, Rgb8Image};
 use dpges_train::device::DeviceRequest;
+use dpges_train::eval::rendered::{LayerPictures, Renderer, layer_pictures, to_picture};
 
 use super::data::{Scene, ViewArgs};
 use super::device_failure::watched;
 use super::rendering_preset::RenderingPreset;
 use super::{Failure, Result, device_choice, print};
-pub use cameras::Size;
 use cameras::{PathChoice, Shot, shots};
-use painter::{Painter, RasterPainter, TrainingPainter};
+pub use dpges_render::path::Size;
 use sink::Sink;
 
 /// Write pictures of a scene: PNGs or a video, of the views of a dataset or along a camera path
@@ -89,18 +90,32 @@ pub fn run(args: &RenderArgs) -> Result<()> {
             scene.use_pinholes();
             scene.warn_of_order("the real-time renderer sorts");
             let shots = args.shots(&mut scene)?;
+            let headless = Headless::new()?;
+            tracing::info!("rendering on {}", headless.adapter_name());
             let half_sums = args.preset.is_some_and(RenderingPreset::half_sums);
-            args.write(&shots, &mut RasterPainter::new(&scene.data, half_sums)?)
+            let mut renderer = headless.renderer_with(half_sums.then_some(Precision::Half))?;
+            renderer.upload(&scene.data)?;
+            let options = RenderOptions::from(&scene.data.info);
+            args.write(&shots, |camera| Ok((headless.draw(&mut renderer, camera, &options)?, None)))
         }
         Engine::Training => {
             let device = device_choice::select(args.device)?;
             watched(device, || {
                 let shots = args.shots(&mut scene)?;
-                args.write(&shots, &mut TrainingPainter::new(&scene.data, &device.open()?, args.layers))
+                let renderer = Renderer::new(&scene.data, &device.open()?);
+                args.write(&shots, |camera| {
+                    let render = renderer.render(camera)?;
+                    let peeled = render.peeled().filter(|_| args.layers);
+                    let layers = peeled.map(|view| layer_pictures(&renderer, camera, view));
+                    Ok((to_picture(render.image()), layers))
+                })
             })
         }
     }
 }
+
+/// A picture, and those of its layers where they were asked for.
+type Painted = (Rgb8Image, Option<LayerPictures>);
 
 impl RenderArgs {
     /// The pictures to take; leaves out of `scene` what the preset does without.
@@ -112,11 +127,11 @@ impl RenderArgs {
         Ok(shots)
     }
 
-    fn write(&self, shots: &[Shot], painter: &mut dyn Painter) -> Result<()> {
+    /// Writes what `paint` makes of each camera.
+    fn write(&self, shots: &[Shot], mut paint: impl FnMut(&Camera) -> Result<Painted>) -> Result<()> {
         let mut sink = Sink::new(self, shots)?;
         for shot in shots {
-            let painted = painter.paint(&shot.camera)?;
-            sink.take(shot, &painted)?;
+            sink.take(shot, &paint(&shot.camera)?)?;
         }
         print(&sink.finish()?)
     }

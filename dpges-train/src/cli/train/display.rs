@@ -5,11 +5,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use dpges_core::scene::SceneData;
 use dpges_train::config::StagePlan;
+use dpges_train::device::failure::Watch;
 use dpges_train::eval::Evaluation;
 use dpges_train::run::{Observer, Run, StepReport, Verdict};
 
 use super::super::Result;
-use super::super::device_failure::Watch;
 use crate::cli::logging::LogStyle;
 use crate::cli::progress::ProgressDisplay;
 

@@ -5,25 +5,24 @@ pub mod display;
 mod live;
 pub mod options;
 pub mod session;
-mod targets;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use clap::Args;
-use dpges_train::config::Config;
+use dpges_train::config::differences;
+use dpges_train::dataset::source::photographs;
 use dpges_train::device::{DeviceName, DeviceRequest};
 use dpges_train::run::folder::{Origin, RunFolder, RunFolderError};
+use dpges_train::run::targets::{Decision, Target, conclude};
 use dpges_train::run::{Run, RunError, SavedRun};
-use toml::Table;
 
 use super::data::Source;
-use super::{Failure, Result, device_choice, print, sfm};
+use super::{Failure, Result, device_choice, print, sfm, table};
 use crate::cli::logging::LogStyle;
 use display::watch_for_interrupts;
 use options::ConfigArgs;
 use session::Session;
-use targets::Target;
 
 /// Train a scene from photographs with known cameras
 ///
@@ -47,9 +46,8 @@ pub struct TrainArgs {
     device: Option<DeviceRequest>,
     #[command(flatten)]
     options: ConfigArgs,
-    /// Reach a size of the scene file (10MB), a length of the training (5min) or a speed of the real-time renderer ("30
-    /// fps") by setting refine.budget or train.steps, after measuring this device; the run says what was expected and what
-    /// was reached
+    /// Reach a length of the training (5min) or a speed of the real-time renderer ("30 fps") by setting train.steps or
+    /// refine.budget, after measuring this device; the run says what was expected and what was reached
     #[arg(long, value_name = "N UNIT", conflicts_with = "resume")]
     target: Option<Target>,
     /// Go on from the checkpoint in the run's folder
@@ -67,7 +65,8 @@ pub struct TrainArgs {
 pub fn run(args: TrainArgs, style: LogStyle) -> Result<()> {
     let folder = args.folder();
     let summary = train(args, style)?;
-    report(&(summary + &targets::conclude(&folder)?), style)
+    let reached = conclude(&folder)?.map(|text| table(&[("target", text)]));
+    report(&(summary + &reached.unwrap_or_default()), style)
 }
 
 fn train(args: TrainArgs, style: LogStyle) -> Result<String> {
@@ -95,21 +94,30 @@ impl TrainArgs {
     fn folder(&self) -> RunFolder {
         let named = || match self.source() {
             Source::Folder(path) => {
-                let photographs = self.dataset.as_deref().and_then(sfm::name_of);
-                let name = photographs.or_else(|| Some(path.file_name()?.to_owned()));
-                Path::new("runs").join(name.unwrap_or_else(|| "dataset".into()))
+                let name = self.dataset.as_deref().and_then(photographs).and_then(|input| input.name());
+                let name = name.or_else(|| Some(path.file_name()?.to_string_lossy().into_owned()));
+                Path::new("runs").join(name.unwrap_or_else(|| "dataset".to_owned()))
             }
-            Source::Builtin => PathBuf::from("runs/builtin"),
+            Source::Builtin | Source::Altered(_) => PathBuf::from("runs/builtin"),
         };
         RunFolder::new(self.out.clone().unwrap_or_else(named))
+    }
+
+    /// Refuses options that set what the target decides.
+    fn check_target(&self) -> Result<()> {
+        let Some(target) = &self.target else { return Ok(()) };
+        let taken = match target.decides() {
+            Decision::Budget if self.options.names_budget() => "--budget",
+            Decision::Steps if self.options.names_length() => "--steps and --steps-scale",
+            _ => return Ok(()),
+        };
+        Err(Failure::Usage(format!("--target {target} decides what {taken} would: leave one of them out")))
     }
 
     fn start(self, style: LogStyle) -> Result<Session> {
         let source = self.source();
         let mut config = self.options.resolve(&source, &[])?;
-        if let Some(target) = &self.target {
-            target.check(&self.options)?;
-        }
+        self.check_target()?;
         let folder = self.folder();
         if !self.overwrite {
             folder.check_unused().map_err(|error| {
@@ -117,7 +125,7 @@ impl TrainArgs {
             })?;
         }
         let device = device_choice::select(self.device.unwrap_or_default())?;
-        sfm::prepare(self.dataset.as_deref(), &config.data, style)?;
+        sfm::prepare(self.dataset.as_deref(), &self.options.sfm(&config), style)?;
         let opened = device.open()?;
         let dataset = Arc::new(source.load_for_training(&config)?);
         let pursue = |target: &Target| target.pursue(&mut config, &dataset, &opened);
@@ -170,38 +178,4 @@ pub fn say_resumed(saved: &SavedRun, device: DeviceName) {
         tracing::warn!("resuming on {device} what was started on {before}: the result will differ a little");
     }
     tracing::info!("resuming after step {}", saved.completed_steps());
-}
-
-/// Says for each key whose value in `found` is not that in `expected`, the configuration of a run, what the two are.
-pub fn differences(expected: &Config, found: &Config) -> Vec<String> {
-    let table = |config: &Config| config.to_toml().parse::<Table>().unwrap_or_default();
-    let (expected, found) = (table(expected), table(found));
-    let mut differences = Vec::new();
-    for (section, keys) in &expected {
-        for (key, value) in keys.as_table().into_iter().flatten() {
-            let asked = found.get(section).and_then(|keys| keys.get(key));
-            if let Some(asked) = asked.filter(|asked| *asked != value) {
-                differences.push(format!("`{section}.{key}` is {value}, not {asked}"));
-            }
-        }
-    }
-    differences
-}
-
-#[cfg(test)]
-mod tests {
-    use dpges_train::config::Budget;
-
-    use super::*;
-
-    #[test]
-    fn differences_name_the_keys() {
-        let mut other = Config::default();
-        other.train.steps = 7;
-        assert_eq!(differences(&Config::default(), &other), ["`train.steps` is 5000, not 7"]);
-        assert!(differences(&other, &other).is_empty());
-        let before = other.clone();
-        other.refine.budget = Budget::Primitives(9000);
-        assert_eq!(differences(&before, &other), ["`refine.budget` is \"pixels\", not 9000"]);
-    }
 }

@@ -4,27 +4,26 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use dpges_train::config::{Config, key};
+use dpges_train::dataset::capture::Options;
 
-use super::super::data::{DataArgs, Source};
-use super::super::sfm::options::SfmOptions;
-use super::super::{Failure, Result};
+use super::super::Result;
+use super::super::data::{DataArgs, Source, assigned};
+use super::super::sfm::SfmOptions;
 
 /// Defaults for the built-in scene: about two minutes of training.
 const BUILTIN_DEFAULTS: [&str; 4] =
-    ["train.steps=2000", "train.evaluate_every=500", "train.checkpoint_every=500", "refine.surfel_min_pixels=1"];
+    ["train.steps=2000", "train.evaluate_every=500", "train.checkpoint_every=500", "refine.surfel_pixels=1px/MP"];
 
 /// Options that select and change the configuration. Those that set a key take their help from its declaration.
 #[derive(Debug, Args)]
 pub struct ConfigArgs {
     #[arg(long, value_name = "N", help = key("train.steps").help())]
     steps: Option<usize>,
-    /// Make the run F times as long; the steps in `[discs]`, `[relocation]`, `[density]` and `[refine]` scale with it
+    /// Make the run F times as long; the schedules of its stages and the steps in `[refine]` scale with it
     #[arg(long, value_name = "F", value_parser = factor, allow_negative_numbers = true, conflicts_with = "steps")]
     steps_scale: Option<f64>,
     #[arg(long, value_name = "S", help = key("train.seed").help())]
     seed: Option<u64>,
-    #[arg(long, help = key("train.deterministic").help())]
-    deterministic: bool,
     /// Configuration that comes with the program, such as cpu; `dpges config --markdown` lists them
     #[arg(long, value_name = "NAME")]
     preset: Option<String>,
@@ -71,11 +70,16 @@ impl ConfigArgs {
         self.steps.is_some() || self.steps_scale.is_some()
     }
 
+    /// How cameras are found where photographs of a run of `config` have none.
+    pub fn sfm(&self, config: &Config) -> Options {
+        self.sfm.options(config.data.invert_masks)
+    }
+
     /// The configuration for a dataset, with `more` (`key=value`) on top.
     pub fn resolve(&self, source: &Source, more: &[String]) -> Result<Config> {
         let mut config = self.resolved(of_dataset(source), self.config.as_deref(), more)?;
         if let Some(factor) = self.steps_scale {
-            config.scale_steps(factor).map_err(Failure::from_config)?;
+            config.scale_steps(factor)?;
         }
         Ok(config)
     }
@@ -88,25 +92,28 @@ impl ConfigArgs {
     fn resolved(&self, of_dataset: &[&str], file: Option<&Path>, more: &[String]) -> Result<Config> {
         let mut set = self.set.clone();
         set.extend(self.data.assignments());
-        set.extend(self.sfm.assignments());
-        set.extend(self.steps.map(|steps| format!("train.steps={steps}")));
-        set.extend(self.seed.map(|seed| format!("train.seed={seed}")));
-        set.extend(self.deterministic.then(|| "train.deterministic=true".to_owned()));
-        let path = |path: &PathBuf| std::path::absolute(path).unwrap_or_else(|_| path.clone());
-        set.extend(self.budget.as_ref().map(|budget| format!("refine.budget={budget}")));
-        set.extend(self.method.as_ref().map(|method| format!("train.method={method}")));
-        set.extend(self.stop.as_ref().map(|stop| format!("train.stop={stop}")));
-        set.extend(self.init_surfels.as_ref().map(|file| format!("stages.surfels_from={}", path(file).display())));
-        set.extend(self.init_gaussians.as_ref().map(|file| format!("stages.gaussians_from={}", path(file).display())));
+        let path = |path: &Option<PathBuf>| {
+            let path = path.as_ref()?;
+            Some(std::path::absolute(path).unwrap_or_else(|_| path.clone()).display().to_string())
+        };
+        set.extend(assigned([
+            ("train.steps", self.steps.map(|steps| steps.to_string())),
+            ("train.seed", self.seed.map(|seed| seed.to_string())),
+            ("refine.budget", self.budget.clone()),
+            ("train.method", self.method.clone()),
+            ("train.stop", self.stop.clone()),
+            ("stages.surfels_from", path(&self.init_surfels)),
+            ("stages.gaussians_from", path(&self.init_gaussians)),
+        ]));
         set.extend(more.iter().cloned());
-        Config::resolve_for(of_dataset, self.preset.as_deref(), file, &set).map_err(Failure::from_config)
+        Ok(Config::resolve_for(of_dataset, self.preset.as_deref(), file, &set)?)
     }
 }
 
 /// Defaults for the kind of dataset, as `key=value`.
 pub fn of_dataset(source: &Source) -> &'static [&'static str] {
     match source {
-        Source::Builtin => &BUILTIN_DEFAULTS,
+        Source::Builtin | Source::Altered(_) => &BUILTIN_DEFAULTS,
         Source::Folder(_) => &[],
     }
 }

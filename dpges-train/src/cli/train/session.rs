@@ -3,11 +3,11 @@
 use std::sync::atomic::AtomicBool;
 
 use dpges_train::device::DeviceName;
+use dpges_train::device::failure::{DeviceFailure, Watch};
 use dpges_train::eval::{EvalReport, Evaluation};
 use dpges_train::run::folder::RunFolder;
 use dpges_train::run::{Observer, Outcome, Run, RunError, TrainError};
 
-use super::super::device_failure::{DeviceFailure, Watch};
 use super::super::{Failure, Result, table};
 use super::display::Display;
 use crate::cli::logging::LogStyle;

@@ -1,4 +1,4 @@
-//! What the programs are started with. COLMAP has renamed options and taken up GLOMAP, so it is asked first what it knows.
+//! Command lines of the programs. COLMAP has renamed options and taken up GLOMAP, so it is asked first what it knows.
 
 use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
@@ -6,9 +6,9 @@ use std::process::{Command, Stdio};
 
 use super::Options;
 use super::error::SfmError;
+use super::options::{SfmMatching, SfmProgram, name_of};
 use super::programs::Programs;
 use super::workspace::Workspace;
-use crate::config::{SfmMatching, SfmProgram};
 
 /// The matcher goes through blocks of photographs against blocks. Progress is known by the block, so there are about a
 /// hundred pairs of them, not more: each block is read anew.
@@ -26,9 +26,12 @@ pub(super) struct Colmap {
     pub extraction: &'static str,
     /// Likewise.
     pub matching: &'static str,
-    /// What places the cameras: a program and its command.
+    /// The program that places the cameras, and its command.
     pub mapper: (PathBuf, &'static str),
 }
+
+/// A program and its arguments.
+pub(super) type Call = (PathBuf, Vec<OsString>);
 
 impl Colmap {
     /// # Errors
@@ -38,23 +41,20 @@ impl Colmap {
         let path = programs.colmap()?;
         let about = said(&path, &["-h".as_ref()])?;
         let since = |command: &str, new: &'static str, old: &'static str| -> Result<&'static str, SfmError> {
-            Ok(if said(&path, &[command.as_ref(), "-h".as_ref()])?.contains(&format!("--{new}.use_gpu")) {
-                new
-            } else {
-                old
-            })
+            let knows = said(&path, &[command.as_ref(), "-h".as_ref()])?.contains(&format!("--{new}.use_gpu"));
+            Ok(if knows { new } else { old })
         };
         let extraction = since("feature_extractor", "FeatureExtraction", "SiftExtraction")?;
         let matching = since("exhaustive_matcher", "FeatureMatching", "SiftMatching")?;
-        let mapper = match (program, programs.glomap()) {
+        let mapper = match (program, programs.find("glomap")) {
             (SfmProgram::Colmap, _) => (path.clone(), "mapper"),
             (SfmProgram::Glomap, Some(glomap)) => (glomap, "mapper"),
             (SfmProgram::Glomap, None) if about.contains("global_mapper") => (path.clone(), "global_mapper"),
             (SfmProgram::Glomap, None) => {
                 return Err(SfmError::MissingProgram {
                     program: "GLOMAP",
-                    purpose: "which `data.sfm` asks for, nor is it part of the COLMAP that is installed",
-                    remedy: "install it (https://github.com/colmap/glomap) or COLMAP 4, or use data.sfm=colmap",
+                    purpose: "which `--sfm glomap` asks for, nor is it part of the COLMAP that is installed",
+                    remedy: "install it (https://github.com/colmap/glomap) or COLMAP 4, or use --sfm colmap".to_owned(),
                 });
             }
         };
@@ -70,18 +70,17 @@ impl Colmap {
         one_camera: bool,
         masks: Option<&Path>,
         gpu: bool,
-    ) -> (PathBuf, Vec<OsString>) {
-        let mut line = Line::new("feature_extractor", workspace);
-        line.path("--image_path", &workspace.images());
-        line.set("--ImageReader.camera_model", options.camera.colmap_name());
+    ) -> Call {
+        let mut words = begun("feature_extractor", workspace);
+        add(&mut words, "--image_path", workspace.images());
+        add(&mut words, "--ImageReader.camera_model", name_of(options.camera));
         if one_camera {
-            line.set("--ImageReader.single_camera", "1");
+            add(&mut words, "--ImageReader.single_camera", "1");
         }
         if let Some(masks) = masks {
-            line.path("--ImageReader.mask_path", masks);
+            add(&mut words, "--ImageReader.mask_path", masks);
         }
-        line.device(self.extraction, options, gpu);
-        (self.path.clone(), line.words)
+        self.on_device(words, self.extraction, options, gpu)
     }
 
     pub fn matches(
@@ -91,60 +90,47 @@ impl Colmap {
         matching: SfmMatching,
         photographs: usize,
         gpu: bool,
-    ) -> (PathBuf, Vec<OsString>) {
-        let mut line = if matching == SfmMatching::Sequential {
-            Line::new("sequential_matcher", workspace)
-        } else {
-            let mut line = Line::new("exhaustive_matcher", workspace);
+    ) -> Call {
+        let is_sequential = matching == SfmMatching::Sequential;
+        let mut words = begun(if is_sequential { "sequential_matcher" } else { "exhaustive_matcher" }, workspace);
+        if !is_sequential {
             let block = photographs.div_ceil(BLOCKS).clamp(SMALLEST_BLOCK, LARGEST_BLOCK);
-            line.set("--ExhaustiveMatching.block_size", &block.to_string());
-            line
-        };
-        line.device(self.matching, options, gpu);
-        (self.path.clone(), line.words)
+            add(&mut words, "--ExhaustiveMatching.block_size", block.to_string());
+        }
+        self.on_device(words, self.matching, options, gpu)
     }
 
-    pub fn mapping(&self, workspace: &Workspace, options: &Options) -> (PathBuf, Vec<OsString>) {
+    pub fn mapping(&self, workspace: &Workspace, options: &Options) -> Call {
         let (program, command) = &self.mapper;
-        let mut line = Line::new(command, workspace);
-        line.path("--image_path", &workspace.images());
-        line.path("--output_path", &workspace.models());
+        let mut words = begun(command, workspace);
+        add(&mut words, "--image_path", workspace.images());
+        add(&mut words, "--output_path", workspace.models());
         if let (Some(threads), SfmProgram::Colmap) = (options.threads, options.program) {
-            line.set("--Mapper.num_threads", &threads.to_string());
+            add(&mut words, "--Mapper.num_threads", threads.to_string());
         }
-        (program.clone(), line.words)
-    }
-}
-
-/// The words of a command line.
-struct Line {
-    words: Vec<OsString>,
-}
-
-impl Line {
-    fn new(command: &str, workspace: &Workspace) -> Self {
-        let mut line = Self { words: vec![command.into()] };
-        line.path("--database_path", &workspace.database());
-        line
+        (program.clone(), words)
     }
 
-    fn set(&mut self, option: &str, value: &str) {
-        self.words.extend([option, value].map(OsString::from));
-    }
-
-    fn path(&mut self, option: &str, path: &Path) {
-        self.words.extend([OsStr::new(option), path.as_os_str()].map(OsString::from));
-    }
-
-    fn device(&mut self, section: &str, options: &Options, gpu: bool) {
-        self.set(&format!("--{section}.use_gpu"), if gpu { "1" } else { "0" });
+    fn on_device(&self, mut words: Vec<OsString>, section: &str, options: &Options, gpu: bool) -> Call {
+        add(&mut words, &format!("--{section}.use_gpu"), if gpu { "1" } else { "0" });
         if let Some(threads) = options.threads {
-            self.set(&format!("--{section}.num_threads"), &threads.to_string());
+            add(&mut words, &format!("--{section}.num_threads"), threads.to_string());
         }
+        (self.path.clone(), words)
     }
 }
 
-/// What a program says of itself, on both outputs.
+fn begun(command: &str, workspace: &Workspace) -> Vec<OsString> {
+    let mut words = vec![command.into()];
+    add(&mut words, "--database_path", workspace.database());
+    words
+}
+
+fn add(words: &mut Vec<OsString>, option: &str, value: impl AsRef<OsStr>) {
+    words.extend([option.into(), value.as_ref().into()]);
+}
+
+/// The output of a program, standard output and error.
 pub(super) fn said(program: &Path, arguments: &[&OsStr]) -> Result<String, SfmError> {
     let output = Command::new(program)
         .args(arguments)
@@ -156,8 +142,8 @@ pub(super) fn said(program: &Path, arguments: &[&OsStr]) -> Result<String, SfmEr
 
 #[cfg(test)]
 mod tests {
+    use super::super::SfmCamera;
     use super::*;
-    use crate::config::{DataConfig, SfmCamera};
 
     fn colmap(extraction: &'static str, matching: &'static str) -> Colmap {
         let path = PathBuf::from("/bin/colmap");
@@ -174,7 +160,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let workspace = Workspace::open(&folder.path().join("set")).unwrap();
         let at = folder.path().join("set").display().to_string();
-        let options = Options { threads: Some(3), ..Options::from(&DataConfig::default()) };
+        let options = Options { threads: Some(3), ..Options::default() };
         let old = colmap("SiftExtraction", "SiftMatching");
         assert_eq!(
             text(old.features(&workspace, &options, true, None, false)),
@@ -208,7 +194,7 @@ mod tests {
             program: SfmProgram::Glomap,
             camera: SfmCamera::SimpleRadial,
             threads: None,
-            ..Options::from(&DataConfig::default())
+            ..Options::default()
         };
         let mut new = colmap("FeatureExtraction", "FeatureMatching");
         new.mapper.1 = "global_mapper";

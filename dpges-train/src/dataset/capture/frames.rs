@@ -89,7 +89,7 @@ fn frames_per_second(about: &str) -> Option<f64> {
     before.rsplit([',', ' ']).next()?.parse().ok().filter(|&rate: &f64| rate > 0.0)
 }
 
-/// Of `found`, in at most `count` groups of neighbours of equal size, the sharpest of each.
+/// The sharpest of each group of neighbours; `found` is divided into at most `count` groups of equal size.
 fn sharpest(found: &[PathBuf], count: usize) -> Result<Vec<PathBuf>, SfmError> {
     if found.len() <= count {
         return Ok(found.to_vec());
@@ -105,7 +105,7 @@ fn sharpness(path: &Path) -> Result<f64, SfmError> {
     let picture = decoded.map_err(|source| SfmError::Image { path: path.to_owned(), source })?.into_luma8();
     let (width, height) = (picture.width() as usize, picture.height() as usize);
     let values = picture.into_raw().into_iter().map(|value| f32::from(value) / 255.0).collect();
-    Ok(Luma { width, height, values, counted: None }.at_most(COMPARED_SIZE).laplacian_variance())
+    Ok(Luma { width, height, values }.at_most(COMPARED_SIZE).detail().iter().sum())
 }
 
 #[cfg(test)]

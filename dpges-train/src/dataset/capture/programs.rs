@@ -28,34 +28,37 @@ impl Programs {
     /// # Errors
     /// [`SfmError::MissingProgram`].
     pub(super) fn colmap(&self) -> Result<PathBuf, SfmError> {
-        self.find("colmap").ok_or(SfmError::MissingProgram {
-            program: "COLMAP",
-            purpose: "which finds the cameras of photographs",
-            remedy: "install it (Debian, Ubuntu: `apt-get install colmap`; macOS: `brew install colmap`; others: \
-                     https://colmap.github.io/install.html) so that `colmap` is in the search path",
-        })
-    }
-
-    /// GLOMAP, where it is a program of its own.
-    pub(super) fn glomap(&self) -> Option<PathBuf> {
-        self.find("glomap")
+        let page = "https://colmap.github.io/install.html";
+        self.required("colmap", "COLMAP", "which finds the cameras of photographs", page)
     }
 
     /// # Errors
     /// [`SfmError::MissingProgram`].
     pub(super) fn ffmpeg(&self) -> Result<PathBuf, SfmError> {
-        self.find("ffmpeg").ok_or(SfmError::MissingProgram {
-            program: "ffmpeg",
-            purpose: "which takes photographs from a video",
-            remedy: "install it (Debian, Ubuntu: `apt-get install ffmpeg`; macOS: `brew install ffmpeg`; others: \
-                     https://ffmpeg.org/download.html) so that `ffmpeg` is in the search path",
-        })
+        let page = "https://ffmpeg.org/download.html";
+        self.required("ffmpeg", "ffmpeg", "which takes photographs from a video", page)
     }
 
-    fn find(&self, name: &str) -> Option<PathBuf> {
-        let paths =
-            self.folders.iter().flat_map(|folder| ENDINGS.iter().map(move |end| folder.join(format!("{name}{end}"))));
-        paths.into_iter().find(|path| is_program(path))
+    fn required(
+        &self,
+        name: &str,
+        program: &'static str,
+        purpose: &'static str,
+        page: &str,
+    ) -> Result<PathBuf, SfmError> {
+        let remedy = || {
+            format!(
+                "install it (Debian, Ubuntu: `apt-get install {name}`; macOS: `brew install {name}`; others: {page}) so that \
+                 `{name}` is in the search path"
+            )
+        };
+        self.find(name).ok_or_else(|| SfmError::MissingProgram { program, purpose, remedy: remedy() })
+    }
+
+    pub(super) fn find(&self, name: &str) -> Option<PathBuf> {
+        let names = ENDINGS.iter().map(|end| format!("{name}{end}"));
+        let mut paths = names.flat_map(|name| self.folders.iter().map(move |folder| folder.join(&name)));
+        paths.find(|path| is_program(path))
     }
 }
 
@@ -85,7 +88,6 @@ mod tests {
             let message = error.to_string();
             assert!(message.contains("is not installed") && message.contains("apt-get install"), "{message}");
         }
-        assert_eq!(programs.glomap(), None);
         for path in &paths {
             std::fs::write(path.join("colmap"), "").unwrap();
         }

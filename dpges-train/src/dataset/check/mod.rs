@@ -1,34 +1,29 @@
 //! Whether a dataset will do: what it consists of, and which of its views will harm the result.
 //!
-//! | module | finds |
+//! | module | content |
 //! |---|---|
-//! | [`mod@sharpness`] | blurred photographs |
-//! | [`exposure`] | photographs that are brighter or darker than the rest |
-//! | [`duplicates`] | photographs that were taken twice |
-//! | [`poses`] | cameras that are far from all others |
-//! | [`points`] | cameras that see no points or few, pictures that no point explains |
+//! | [`facts`] | what is known of each view, from its camera, its points and its pixels |
+//! | [`findings`] | what is wrong: poses, points, sharpness, brightness, duplicates |
+//! | [`summary`], [`sheet`], [`map`] | the same in words and in pictures |
 //!
-//! Each judges views by the rest of the set, so that it needs no knowledge of cameras or scenes. Pixels that do not count have no
-//! part in any of it.
+//! Pixels that do not count have no part in any of it.
 
-pub mod duplicates;
-pub mod exposure;
-mod finding;
+pub mod facts;
+pub mod findings;
 pub mod luma;
 pub mod map;
-pub mod points;
-pub mod poses;
-pub mod sharpness;
+mod points;
+pub mod sheet;
 mod statistics;
+pub mod summary;
 #[cfg(test)]
 mod tests;
-mod view;
 
 use serde::Serialize;
 
-pub use finding::{Finding, Kind};
+pub use facts::{Role, ViewFacts};
+pub use findings::{Finding, Kind};
 pub use statistics::Range;
-pub use view::{Role, ViewFacts};
 
 use crate::dataset::Dataset;
 
@@ -46,7 +41,7 @@ pub enum Effort {
     Full,
 }
 
-/// What a dataset is, and what is wrong with it.
+/// The content of a dataset, and its problems.
 #[derive(Clone, Debug, Serialize)]
 pub struct Report {
     /// Training, then held-out, then validation views, each by name.
@@ -59,24 +54,15 @@ pub struct Report {
 }
 
 impl Report {
-    /// Of `dataset`.
+    /// The report of `dataset`.
     ///
     /// # Errors
     /// [`dpges_core::Error::Io`] if a photograph cannot be read again.
     pub fn of(dataset: &Dataset, effort: Effort) -> dpges_core::Result<Self> {
-        let views = view::facts(dataset, effort)?;
+        let views = facts::facts(dataset, effort)?;
         let seen: usize = dataset.points.seen_by.iter().map(Vec::len).sum();
         let points = dataset.points.positions.len();
-        let mut findings = Vec::new();
-        findings.extend(poses::far(&views));
-        findings.extend(points::unseen(&views));
-        findings.extend(sharpness::blurred(&views));
-        findings.extend(exposure::different(&views));
-        findings.extend(exposure::spread(&views));
-        findings.extend(points::few(&views));
-        findings.extend(duplicates::duplicates(&views));
-        findings.extend(points::unexplained(&views));
-        findings.extend(finding::few_views(&views));
+        let findings = findings::findings(&views);
         let views_per_point = (seen > 0).then(|| seen as f64 / points as f64);
         Ok(Self { views, points, views_per_point, findings })
     }

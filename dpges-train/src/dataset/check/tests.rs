@@ -3,7 +3,6 @@
 use dpges_core::camera::{Camera, CameraFromWorld};
 use glam::DVec3;
 
-use super::map::Map;
 use super::*;
 use crate::dataset::{BuiltinOptions, Picture, View, builtin};
 
@@ -260,23 +259,6 @@ fn a_dataset_without_points_is_judged_by_its_pictures_and_poses() {
     let report = full(&dataset);
     assert_eq!((report.points, report.views_per_point, report.range(|view| view.coverage)), (0, None, None));
     assert_eq!(found(&dataset), [(Kind::Blurred, vec!["train_005".to_owned()])]);
-}
-
-#[test]
-fn a_map_is_upright_and_marks_what_was_found() {
-    let mut dataset = clean();
-    repaint(&mut dataset.train[5], |planes| (0..3).for_each(|_| blur(planes, SIZE, false)));
-    let map = Map::of(&dataset, &full(&dataset));
-    assert_eq!((map.cameras.len(), map.points.len()), (30, 2000));
-    // the cameras of the dome look down into the room
-    assert!(map.cameras.iter().all(|camera| camera.forward[2] < -0.1), "{:?}", map.cameras);
-    let flagged: Vec<&str> =
-        map.cameras.iter().filter(|camera| camera.is_flagged).map(|camera| camera.name.as_str()).collect();
-    assert_eq!(flagged, ["train_005"]);
-    let distance = |a: [f64; 3], b: [f64; 3]| DVec3::from_array(a).distance(DVec3::from_array(b));
-    let [a, b] = [0, 1].map(|index| dataset.train[index].camera.centre());
-    let on_map = distance(map.cameras[0].position, map.cameras[1].position);
-    assert!((on_map - a.distance(b)).abs() < 1e-9);
 }
 
 #[test]

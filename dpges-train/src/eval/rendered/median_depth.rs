@@ -30,7 +30,7 @@ fn mean_where_half(weighted: &[f32], alpha: &[f32]) -> Vec<f32> {
     weighted.iter().zip(alpha).map(|(depth, &alpha)| if alpha >= 0.5 { depth / alpha } else { 0.0 }).collect()
 }
 
-/// Of layers of `area` pixels: their depth, and the transmittance behind each.
+/// Median depth from layers of `area` pixels: their depth, and the transmittance behind each.
 fn first_half_opaque(depth: &[f32], behind: &[f32], area: usize) -> Vec<f32> {
     let of_pixel = |pixel: usize| {
         let mut layers = (pixel..depth.len()).step_by(area);

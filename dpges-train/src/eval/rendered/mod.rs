@@ -3,6 +3,8 @@
 mod layers;
 mod median_depth;
 
+use std::time::Instant;
+
 use burn::tensor::{DType, Device, Tensor};
 use dpges_core::Result;
 use dpges_core::camera::Camera;
@@ -17,6 +19,7 @@ use dpges_core::scene::schema::Columns;
 use dpges_core::scene::tensors::{rows_to_tensor, tensor_to_rows};
 use dpges_core::scene::{Gaussians, Rendering, SceneData, Surfels};
 use dpges_render::Rgb8Image;
+use dpges_render::frame_times::{FrameTimes, Rounds};
 
 use crate::dataset::Dataset;
 use crate::eval::floaters::{Floaters, Visibility};
@@ -119,7 +122,7 @@ impl Renderer {
     /// The image [3, H, W] from the `camera` of a `probe`, on the tape of the probe; the scene is not.
     ///
     /// # Errors
-    /// Those of [`render`](Self::render).
+    /// The errors of [`render`](Self::render).
     pub fn render_probed(&self, camera: &Camera, probe: &PoseProbe) -> Result<Tensor<3>> {
         let gaussians = self.gaussians.map_ref(|_, tensor| tensor.clone().autodiff());
         let rendered = match &self.options {
@@ -157,7 +160,7 @@ impl Renderer {
     /// Gaussians, which have no order, it is their mean depth where they have at least half of the weight.
     ///
     /// # Errors
-    /// Those of [`render`](Self::render).
+    /// The errors of [`render`](Self::render).
     pub fn render_with_depth(&self, camera: &Camera) -> Result<(Rendered, Vec<f32>)> {
         let mut options = self.options.clone();
         match &mut options {
@@ -203,6 +206,25 @@ impl Renderer {
         };
         let visibility = Visibility::measure(&self.surfels, &self.gaussians, &peel, dataset)?;
         Ok(visibility.map(|visibility| visibility.floaters()))
+    }
+
+    /// How long pictures from `cameras` take.
+    ///
+    /// # Errors
+    /// As [`render`].
+    pub fn frame_times(&self, cameras: &[Camera], rounds: Rounds) -> Result<FrameTimes> {
+        let mut times = Vec::new();
+        for round in 0..rounds.warm_up + rounds.counted {
+            for camera in cameras {
+                let start = Instant::now();
+                // reading one number waits for the picture
+                drop(self.render(camera)?.image().clone().slice([0..1, 0..1, 0..1]).into_data());
+                if round >= rounds.warm_up {
+                    times.push(1e3 * start.elapsed().as_secs_f64());
+                }
+            }
+        }
+        Ok(FrameTimes::new(times, Vec::new()))
     }
 
     /// Blended depth and normals of the surfels in a `view` from `camera`.

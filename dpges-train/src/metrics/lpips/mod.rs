@@ -6,6 +6,8 @@
 //!
 //! The weights do not come with the program: [`Weights::load`] reads them from a file, and [`installed`] says where it may be.
 
+pub mod choice;
+pub mod install;
 pub mod installed;
 mod network;
 #[cfg(test)]
@@ -107,7 +109,7 @@ impl Lpips {
         Ok(Some(distance))
     }
 
-    /// What the first convolution takes, [1, 3, H, W].
+    /// The input of the first convolution, [1, 3, H, W].
     fn scaled(&self, picture: Tensor<3>) -> Tensor<4> {
         (picture.unsqueeze::<4>() * 2.0 - 1.0 - self.shift.clone()) / self.scale.clone()
     }

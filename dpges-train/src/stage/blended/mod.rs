@@ -25,9 +25,10 @@ use rand::RngExt;
 use super::sampling_limit::SamplingLimit;
 use super::{
     Context, EnvironmentState, ForwardPass, Leaves, Observed, Parameters, Stage, StageCheckpoint, StepInput, StepRates,
-    TrainError, Trained, WeightedSumState,
+    TrainError, Trained, WeightedSumState, weighted_sum,
 };
 use crate::config::{Blended, Config, Density, OpacityActivation, Relocation, StagePlan};
+use crate::optimizer::LOGIT_RATE;
 use crate::optimizer::scene_state::{GaussianState, Rates, SurfelState};
 use losses::Weights;
 pub use momenta::Momenta;
@@ -37,8 +38,15 @@ pub use screen_gradients::ScreenGradients;
 
 /// Base colour that is black without detail: 0.5 + C₀ k = 0.
 const BLACK: f64 = -0.5 / SH_C0;
-/// Learning rate of the higher coefficients of factors of opacities over that of the zeroth, as of colours (3DGS).
-const HIGHER_OPACITIES: f64 = 1.0 / 20.0;
+/// Interval at which harmonics of another degree begin to learn, steps (3DGS).
+const DEGREE_EVERY: usize = 1000;
+/// Learning rate of opacities before tanh (SSS).
+const TANH_RATE: f64 = 5e-3;
+/// Learning rate of logits of opacities that have a factor by direction (weighted sums).
+const SUMMED_RATE: f64 = 0.01;
+/// Learning rate of the zeroth coefficient of that factor, and that of the higher ones as a share of it, as of colours (3DGS).
+const FACTOR_RATE: f64 = 0.05;
+const HIGHER_FACTORS: f64 = 1.0 / 20.0;
 
 /// Learning rate of degrees of freedom, and the steps of a run of 30,000 after which it halves (SSS).
 const DEGREES_RATE: f64 = 10.0;
@@ -55,7 +63,7 @@ pub struct BlendedStage {
     pub gaussians: GaussianState,
     pub environment: EnvironmentState,
     pub screen_gradients: ScreenGradients,
-    /// Those before the last step, if it had any.
+    /// Gradients before the last step, if there was one.
     gradients_before: Option<ScreenGradients>,
     /// [M, 3] positions before the jitter of the last step, if it had any.
     positions_before: Option<Tensor<2>>,
@@ -73,7 +81,7 @@ impl BlendedStage {
     /// A stage of discs or of Gaussians, before the environment that is `trained`.
     ///
     /// # Errors
-    /// Those of [`begin`](super::begin).
+    /// The errors of [`begin`](super::begin).
     pub fn begin(
         plan: StagePlan,
         blended: Blended,
@@ -88,12 +96,12 @@ impl BlendedStage {
         let gaussians = GaussianState::new(&start, blended.opacity(), device);
         let screen_gradients = ScreenGradients::new(start.len(), device);
         let environment = EnvironmentState::new(trained.environment.as_ref(), device);
-        let smooths = blended == Blended::Controlled(Density::Smoothed);
-        let smoothing_px = context.config.density.smoothing;
+        let smoothing_px = context.config.mip_splatting_px();
         let positions = gaussians.columns.positions.raw();
-        let sampling_limit = smooths.then(|| SamplingLimit::new(&positions, smoothing_px, context));
-        let config = &context.config.weighted_sum;
-        let sum = (blended.rendering() == Rendering::Summed).then(|| config.start(context.dataset.extent));
+        let sampling_limit = blended.smooths().then(|| SamplingLimit::new(&positions, smoothing_px, context));
+        let weight = context.config.weighted_sum.weight;
+        let sum =
+            (blended.rendering() == Rendering::Summed).then(|| weighted_sum::start(weight, context.dataset.extent));
         let stage = Self::new(plan, blended, gaussians, environment, screen_gradients, context);
         Ok(Self { sampling_limit, ..stage.summing(sum, context) })
     }
@@ -123,11 +131,11 @@ impl BlendedStage {
             blended,
             info: SceneInfo {
                 screen_filter: blended.screen_filter(),
-                blend_order: blended.blend_order(),
+                blend_order: blended.blend_order(config.density.transparency),
                 colour_model: blended.colour_model(config.model.colour),
                 ..context.scene_info(blended.rendering())
             },
-            schedule: BlendedSchedule::new(config, plan, blended, context.dataset.train.len()),
+            schedule: BlendedSchedule::new(plan, blended, context.dataset.train.len()),
             surfels: SurfelState::new(
                 &SurfelData::neutral(config.model.colour, 0),
                 OpacityActivation::Linear,
@@ -174,8 +182,8 @@ impl BlendedStage {
         gaussians
     }
 
-    /// What a step draws.
-    fn drawn_on_tape(&self, gaussians: &Gaussians, completed: usize, config: &Config, tape: &Device) -> Gaussians {
+    /// The Gaussians that a step draws.
+    fn drawn_on_tape(&self, gaussians: &Gaussians, completed: usize, tape: &Device) -> Gaussians {
         let mut gaussians = match &self.sampling_limit {
             Some(limit) => limit.smoothed(gaussians),
             None => gaussians.clone(),
@@ -185,7 +193,7 @@ impl BlendedStage {
                 gaussians.colour.base = gaussians.colour.base.clamp_min(BLACK);
             }
             ColourModel::SphericalHarmonics { degree } | ColourModel::HarmonicsAndOpacity { degree } => {
-                let learning = self.degree(completed, config);
+                let learning = self.degree(completed);
                 if learning < degree {
                     let of = ColourModel::HarmonicsAndOpacity { degree: learning };
                     gaussians.colour.detail = first(gaussians.colour.detail, of.detail_len(), tape);
@@ -199,11 +207,9 @@ impl BlendedStage {
     }
 
     /// The degree up to which harmonics learn.
-    fn degree(&self, completed: usize, config: &Config) -> usize {
+    fn degree(&self, completed: usize) -> usize {
         let interval = match self.blended {
-            Blended::Controlled(_) | Blended::Relocated(Relocation::Student) => {
-                self.plan.scaled(config.density.degree_every)
-            }
+            Blended::Controlled(_) | Blended::Relocated(Relocation::Student) => self.plan.scaled(DEGREE_EVERY),
             Blended::Discs | Blended::Relocated(_) => 0,
         };
         completed.checked_div(interval).unwrap_or(usize::MAX)
@@ -227,7 +233,16 @@ impl BlendedStage {
         match self.blended {
             Blended::Discs => Weights::of_discs(&config.discs, self.plan, completed),
             Blended::Controlled(_) => Weights::default(),
-            Blended::Relocated(kind) => Weights::of_relocated(&config.relocation, kind, self.plan, completed),
+            Blended::Relocated(kind) => Weights::of_relocated(kind, self.plan, completed),
+        }
+    }
+
+    /// Learning rate of the numbers that opacities are made of.
+    fn opacity_rate(&self) -> f64 {
+        match self.blended.rendering() {
+            Rendering::Students => TANH_RATE,
+            Rendering::Summed => SUMMED_RATE,
+            Rendering::Peeled | Rendering::Ellipsoids | Rendering::Discs => LOGIT_RATE,
         }
     }
 
@@ -253,7 +268,7 @@ impl BlendedStage {
         let burn_in_steps = self.plan.scaled(BURN_IN);
         let step = MomentumStep {
             rate,
-            burn_in: (completed < burn_in_steps).then_some(context.config.relocation.noise),
+            burns_in: completed < burn_in_steps,
             restarts: completed == burn_in_steps,
             seed: context.rng.random(),
         };
@@ -303,7 +318,7 @@ impl Stage for BlendedStage {
         let camera = &input.view.camera;
         let tape = context.tape();
         let probe = self.probe(input.completed, &tape);
-        let gaussians = &self.drawn_on_tape(&leaves.gaussians, input.completed, &context.config, &tape);
+        let gaussians = &self.drawn_on_tape(&leaves.gaussians, input.completed, &tape);
         let weights = self.weights(input.completed, &context.config);
         let environment =
             leaves.environment.as_ref().map(|coefficients| input.environment(coefficients)).transpose()?;
@@ -345,7 +360,8 @@ impl Stage for BlendedStage {
             self.gradients_before = Some(self.screen_gradients.clone());
             let axes = if self.blended == Blended::Discs { 2 } else { 3 };
             self.screen_gradients.see(&self.gaussians.values(), axes, camera);
-            self.screen_gradients.add(gradient);
+            let signed = if self.blended == Blended::Controlled(Density::Hybrid) { 3 } else { 2 };
+            self.screen_gradients.add(gradient, signed);
         }
     }
 
@@ -358,14 +374,15 @@ impl Stage for BlendedStage {
             positions: if self.momenta.is_some() { 0.0 } else { self.position_rate(completed, config) },
             quaternions: optimizer.quaternions * decay,
             log_scales: optimizer.log_scales * decay,
-            opacities: config.stages.opacities * decay,
+            opacities: self.opacity_rate() * decay,
             degrees_of_freedom: DEGREES_RATE * 0.5f64.powi(halvings as i32),
-            opacity_base: config.weighted_sum.opacities * decay,
-            opacity_detail: HIGHER_OPACITIES * config.weighted_sum.opacities * decay,
+            opacity_base: FACTOR_RATE * decay,
+            opacity_detail: HIGHER_FACTORS * FACTOR_RATE * decay,
             base: optimizer.base * decay,
             detail: optimizer.detail * decay,
         };
-        let weighted_sum = config.weighted_sum.rates(completed as f64 / self.plan.steps as f64, self.info.extent);
+        let progress = completed as f64 / self.plan.steps as f64;
+        let weighted_sum = self.weighted_sum.as_ref().map_or([0.0; 3], |sum| sum.rates(progress, self.info.extent));
         StepRates { surfels: rates, gaussians: rates, environment: optimizer.environment * decay, weighted_sum }
     }
 

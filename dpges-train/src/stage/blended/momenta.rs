@@ -18,6 +18,8 @@ use crate::refine::relocate::Relocated;
 
 /// C after burn-in (SSS: 1e2 to 1.2e2).
 const FRICTION: f64 = 100.0;
+/// C_b, the same in burn-in (SSS).
+const BURN_IN_FRICTION: f64 = 5e5;
 /// Steps of burn-in in a run of 30,000 (SSS).
 pub const BURN_IN: usize = 7000;
 
@@ -30,8 +32,8 @@ pub struct Momenta(Tensor<2>);
 pub struct MomentumStep {
     /// η
     pub rate: f64,
-    /// C_b of a step of burn-in, `None` after it.
-    pub burn_in: Option<f64>,
+    /// Whether it is one of burn-in.
+    pub burns_in: bool,
     /// Whether this is the first step after burn-in.
     pub restarts: bool,
     /// Of the noise.
@@ -66,19 +68,16 @@ impl Momenta {
         adam: &AdamStep,
         step: &MomentumStep,
     ) -> dpges_core::Result<Tensor<2>> {
-        let MomentumStep { rate, burn_in, restarts, seed } = *step;
+        let MomentumStep { rate, burns_in, restarts, seed } = *step;
         let magnitudes = gaussians.opacities.clone().abs();
         let mut momenta = direction(positions, adam) * -rate;
-        if burn_in.is_none() && !restarts {
+        if !burns_in && !restarts {
             // as the noise is gated; beyond e^80 it is 0, and more would overflow
             let gate = ((magnitudes.clone() - 0.005) * 100.0).clamp_max(80.0).exp().add_scalar(1.0).recip();
             momenta = momenta + self.0.clone() * (gate * (1.0 - rate * FRICTION));
         }
-        let log_scales = match burn_in {
-            Some(_) => gaussians.log_scales.clone(),
-            None => gaussians.log_scales.zeros_like(),
-        };
-        let amount = (2.0 * rate * burn_in.unwrap_or(FRICTION)).sqrt();
+        let log_scales = if burns_in { gaussians.log_scales.clone() } else { gaussians.log_scales.zeros_like() };
+        let amount = (2.0 * rate * if burns_in { BURN_IN_FRICTION } else { FRICTION }).sqrt();
         let moved = Gaussians { positions: momenta, log_scales, opacities: magnitudes, ..gaussians.clone() };
         self.0 = jitter(&moved, &JitterOptions { gate: NoiseGate::Mcmc, amount, seed })?;
         Ok(positions.raw() + self.0.clone() * rate)
@@ -138,9 +137,9 @@ mod tests {
     fn opaque_ones_move_by_the_square_of_the_rate() {
         let device = Device::flex();
         let state = state(&[0.9, -0.9], &device);
-        for (burn_in, restarts) in [(Some(5e5), false), (None, true), (None, false)] {
+        for (burns_in, restarts) in [(true, false), (false, true), (false, false)] {
             let mut momenta = Momenta::from_column(&[7.0; 6], &device);
-            let settings = MomentumStep { rate: 0.02, burn_in, restarts, seed: 1 };
+            let settings = MomentumStep { rate: 0.02, burns_in, restarts, seed: 1 };
             let moved = step(&mut momenta, &state, &settings);
             // the first direction of Adam is the sign
             for (found, expected) in moved.iter().zip([-1.0f32, 1.0, -1.0].repeat(2)) {
@@ -154,20 +153,20 @@ mod tests {
         let device = Device::flex();
         let state = state(&[0.005, -0.005], &device);
         let rate = 1e-3;
-        let found = |burn_in: Option<f64>, restarts: bool, before: f32| {
+        let found = |burns_in: bool, restarts: bool, before: f32| {
             let mut momenta = Momenta::from_column(&[before; 6], &device);
-            step(&mut momenta, &state, &MomentumStep { rate, burn_in, restarts, seed: 3 });
+            step(&mut momenta, &state, &MomentumStep { rate, burns_in, restarts, seed: 3 });
             momenta.column()
         };
         // the noise is that of the seed, whatever came before
-        let by_before = |burn_in: Option<f64>, restarts: bool| {
-            let (moving, resting) = (found(burn_in, restarts, 2.0), found(burn_in, restarts, 0.0));
+        let by_before = |burns_in: bool, restarts: bool| {
+            let (moving, resting) = (found(burns_in, restarts, 2.0), found(burns_in, restarts, 0.0));
             moving.iter().zip(resting).map(|(a, b)| a - b).collect::<Vec<f32>>()
         };
-        assert_eq!(by_before(Some(5e5), false), [0.0; 6]);
-        assert_eq!(by_before(None, true), [0.0; 6]);
+        assert_eq!(by_before(true, false), [0.0; 6]);
+        assert_eq!(by_before(false, true), [0.0; 6]);
         // γ (1 − η C) p with γ = ½
-        for kept in by_before(None, false) {
+        for kept in by_before(false, false) {
             assert!((kept - 0.9).abs() < 1e-5, "{kept}");
         }
     }
@@ -178,9 +177,9 @@ mod tests {
         let count = 4000;
         let state = state(&vec![0.005; count], &device);
         let rate = 1e-3;
-        let deviations = |burn_in: Option<f64>| {
+        let deviations = |burns_in: bool| {
             let mut momenta = Momenta::at_rest(count, &device);
-            step(&mut momenta, &state, &MomentumStep { rate, burn_in, restarts: true, seed: 5 });
+            step(&mut momenta, &state, &MomentumStep { rate, burns_in, restarts: true, seed: 5 });
             let rows = momenta.column();
             [0, 1, 2].map(|axis| {
                 let values: Vec<f64> = rows.iter().skip(axis).step_by(3).map(|&p| f64::from(p)).collect();
@@ -190,11 +189,11 @@ mod tests {
         };
         // ½ √(2 η C), along the axes times the variances e^−2, e^−4, e^−6 in burn-in
         let after = 0.5 * (2.0 * rate * FRICTION).sqrt();
-        for found in deviations(None) {
+        for found in deviations(false) {
             assert!((found / after - 1.0).abs() < 0.05, "{found} {after}");
         }
-        let during = 0.5 * (2.0 * rate * 5e5f64).sqrt();
-        for (found, log_variance) in deviations(Some(5e5)).into_iter().zip([-2.0f64, -4.0, -6.0]) {
+        let during = 0.5 * (2.0 * rate * BURN_IN_FRICTION).sqrt();
+        for (found, log_variance) in deviations(true).into_iter().zip([-2.0f64, -4.0, -6.0]) {
             assert!((found / (during * log_variance.exp()) - 1.0).abs() < 0.05, "{found} {log_variance}");
         }
     }

@@ -1,16 +1,26 @@
-//! What a stage of blended Gaussians begins with: the points of the dataset.
+//! The start of a stage of blended Gaussians: the points of the dataset.
 
 use dpges_core::scene::schema::Columns;
 use dpges_core::scene::{GaussianData, Rendering, SH_C0, SurfelData};
 
 use super::super::{Context, TrainError};
 use crate::config::{Blended, StagePlan};
-use crate::init::{PrimitiveQuota, initialise};
+use crate::init::{InitialScene, PrimitiveQuota, PrimitiveStart, initialise};
 
+/// Opacity of discs and of Gaussians under density control at the start (2DGS, 3DGS).
+const OPACITY: f64 = 0.1;
+/// Opacity of Gaussians that are relocated at the start (3DGS-MCMC).
+const RELOCATED_OPACITY: f64 = 0.5;
+/// Scale at the start relative to the root mean square distance to the 3 nearest points (2DGS, 3DGS, DBS).
+const SCALE: f64 = 1.0;
+/// The same of Student's t kernels (SSS).
+const STUDENT_SCALE: f64 = 0.1;
 /// Thickness of a Gaussian that is made of a surfel, over the mean of its two scales (GES).
 const THICKNESS: f64 = 0.1;
 /// Degrees of freedom of Student's t kernels at the start (SSS).
 const START_DEGREES: f32 = 100.0;
+/// Factor of opacities that depends on the direction at the start (weighted sums).
+const START_FACTOR: f64 = 0.1;
 
 impl Context {
     /// Discs at the surfels that the configuration asks for, or at the Gaussians if there are no surfels.
@@ -18,38 +28,39 @@ impl Context {
     /// # Errors
     /// [`TrainError::Init`] if the dataset has nothing to begin with.
     pub fn start_of_discs(&mut self, plan: StagePlan) -> Result<GaussianData, TrainError> {
-        let mut config = self.config.clone();
-        config.init.surfel_scale = config.discs.start_scale;
-        config.init.gaussian_scale = config.discs.start_scale;
-        let opacity = config.discs.start_opacity as f32;
-        let quota = self.most_primitives(plan.budget_share) as f64;
-        let start = initialise(&self.dataset, &config, PrimitiveQuota::new(quota, quota), &mut self.rng)?;
+        let start = self.start(plan, OPACITY, SCALE)?;
         let mut discs = if start.surfels.is_empty() { start.gaussians } else { flat(start.surfels) };
-        discs.opacities.fill(opacity);
+        discs.opacities.fill(OPACITY as f32);
         Ok(discs)
     }
 
     /// # Errors
     /// [`TrainError::Init`] if the dataset has nothing to begin with.
     pub fn start_of_gaussians(&mut self, plan: StagePlan, blended: Blended) -> Result<GaussianData, TrainError> {
-        let mut config = self.config.clone();
-        let (density, relocation) = (&config.density, &config.relocation);
-        (config.init.gaussian_scale, config.init.gaussian_opacity) = match blended {
-            Blended::Controlled(_) => (density.start_scale, density.start_opacity),
-            Blended::Discs | Blended::Relocated(_) => (relocation.start_scale, relocation.start_opacity),
-        };
-        let quota = self.most_primitives(plan.budget_share) as f64;
-        let mut start = initialise(&self.dataset, &config, PrimitiveQuota::new(quota, quota), &mut self.rng)?.gaussians;
-        if blended.rendering() == Rendering::Students {
+        let is_student = blended.rendering() == Rendering::Students;
+        let opacity = if blended.relocation().is_some() { RELOCATED_OPACITY } else { OPACITY };
+        let mut start = self.start(plan, opacity, if is_student { STUDENT_SCALE } else { SCALE })?.gaussians;
+        if is_student {
             start.degrees_of_freedom = Some(vec![START_DEGREES; start.len()]);
         }
         let model = blended.colour_model(start.model());
         if model.opacity_len() > 0 {
             start.colour.model = model;
-            start.opacity_base = vec![(config.weighted_sum.start_opacity / SH_C0) as f32; start.len()];
+            start.opacity_base = vec![(START_FACTOR / SH_C0) as f32; start.len()];
             start.opacity_detail = vec![0.0; (model.opacity_len() - 1) * start.len()];
         }
         Ok(start)
+    }
+
+    fn start(
+        &mut self,
+        plan: StagePlan,
+        gaussian_opacity: f64,
+        gaussian_scale: f64,
+    ) -> Result<InitialScene, TrainError> {
+        let quota = self.most_primitives(plan.budget_share) as f64;
+        let start = PrimitiveStart { surfel_scale: SCALE, gaussian_scale, gaussian_opacity };
+        Ok(initialise(&self.dataset, &self.config, start, PrimitiveQuota::new(quota, quota), &mut self.rng)?)
     }
 }
 

@@ -1,13 +1,15 @@
 //! What can be turned when a trained scene is drawn.
 //!
 //! A new knob is a variant of [`Change`], a line in [`Change::all`] for the values that are tried, and an arm where it
-//! acts: in [`apply`] if it makes another scene, in `measure.rs` if it changes how that scene is drawn.
+//! acts: in [`apply`] if it makes another scene, in `bench.rs` if it changes how that scene is drawn.
 
 use std::fmt;
 
+use dpges_core::camera::Camera;
 use dpges_core::scene::{Footprint, Quality, Rendering, SceneData};
 use dpges_render::MAX_LAYERS;
-use dpges_train::eval::simplify::{Contributions, detail_of, with_detail};
+
+use crate::eval::simplify::{Contributions, detail_of, with_detail};
 
 /// All knobs by name: those of rendering, then those that only training has. `layers`, `detail` and `resolution` are
 /// turned in both.
@@ -100,7 +102,7 @@ impl fmt::Display for Change {
     }
 }
 
-/// What a point with these changes is called.
+/// The label of a row with these changes.
 pub fn label(changes: &[Change]) -> String {
     match changes {
         [] => AS_TRAINED.to_owned(),
@@ -108,25 +110,32 @@ pub fn label(changes: &[Change]) -> String {
     }
 }
 
-/// The point without any change.
+/// The row without any change.
 pub const AS_TRAINED: &str = "as trained";
 
 /// `scene` with those of `changes` that make another scene of it. `contributions` are those of `scene`, and
-/// `camera_centres` (world units) where it is seen from.
+/// `cameras` where it is seen from.
+///
+/// # Panics
+/// If primitives are left out without contributions.
 pub fn apply(
     scene: &SceneData,
     changes: &[Change],
-    contributions: &Contributions,
-    camera_centres: &[[f64; 3]],
+    contributions: Option<&Contributions>,
+    cameras: &[Camera],
 ) -> SceneData {
     let mut scene = scene.clone();
+    let centres: Vec<[f64; 3]> = cameras.iter().map(|camera| camera.centre().to_array()).collect();
     for &change in changes {
         match change {
             Change::Layers(layers) => scene.info.layer_count = layers,
             Change::Footprint(footprint) => scene.info.footprint = footprint,
             Change::Modulation(factor) => scene.info.modulation *= factor,
-            Change::Detail(most) => scene = with_detail(&scene, most, camera_centres),
-            Change::Primitives(percent) => scene = contributions.keep_heaviest(&scene, f64::from(percent) / 100.0),
+            Change::Detail(most) => scene = with_detail(&scene, most, &centres),
+            Change::Primitives(percent) => {
+                let contributions = contributions.expect("they are measured where primitives are left out");
+                scene = contributions.keep_heaviest(&scene, f64::from(percent) / 100.0);
+            }
             Change::Resolution(_) | Change::HalfSums | Change::Compression(_) => {}
         }
     }
@@ -185,7 +194,7 @@ pub mod tests {
     #[test]
     fn changes_act_on_the_scene_and_on_nothing_else() {
         let (scene, contributions) = scene();
-        let changed = |changes: &[Change]| apply(&scene, changes, &contributions, &[]);
+        let changed = |changes: &[Change]| apply(&scene, changes, Some(&contributions), &[]);
         assert_eq!(changed(&[]), scene);
         assert_eq!(changed(&[Change::HalfSums, Change::Resolution(50), Change::Compression(0)]), scene);
         let found = changed(&[Change::Layers(1), Change::Modulation(2.0), Change::Footprint(Footprint::Opacity)]);

@@ -1,258 +1,134 @@
-//! `dpges trade`: what is gained in speed, size and time for what is lost in quality.
+//! Speed, size and time against quality: one scene drawn in many ways, and trained in many ways.
 
+pub mod bench;
 mod combine;
-mod knob;
-mod limit;
-mod measure;
-mod output;
-mod pareto;
-mod plot;
-mod point;
-mod report;
-mod store;
-mod sweep;
-mod training;
+pub mod knob;
+pub mod sweep;
 
-use std::path::{Path, PathBuf};
-use std::sync::atomic::Ordering;
-use std::time::Duration;
+use dpges_core::scene::ColourModel;
 
-use clap::{Args, value_parser};
-use dpges_core::camera::Camera;
-use dpges_core::scene::SceneInfo;
-use dpges_render::{Headless, check_drawn};
-use dpges_train::config::Config;
-use dpges_train::dataset::Dataset;
-use dpges_train::device::{DeviceName, DeviceRequest};
-use dpges_train::eval::pictures::{self, save_png};
-use glam::DVec3;
+use super::store::Shape;
+use super::variant::Variant;
+use crate::config::{Config, HARD_RIM, Method};
+use crate::dataset::Dataset;
+use crate::eval::simplify::detail_of;
+use crate::run::budget;
 
-use crate::cli::data::{Scene, Source, Split, ViewArgs, every_nth};
-use crate::cli::device_failure::watched;
-use crate::cli::eval::make_folder;
-use crate::cli::logging::LogStyle;
-use crate::cli::lpips::LpipsArgs;
-use crate::cli::render::Size;
-use crate::cli::train::display::watch_for_interrupts;
-use crate::cli::{Failure, Result, device_choice, duration, print};
-use knob::KNOBS;
-use limit::Limit;
-use measure::{Bench, Engine};
-use store::{Store, checksum};
-use sweep::{PICTURES, Sweep};
-use training::{Training, base_config};
+pub static SHAPE: Shape = Shape { name: "trade", title: "Speed and accuracy", line: "label", frontier_alone: true };
 
-/// Most training views that say what a primitive contributes.
-const JUDGING_VIEWS: usize = 32;
-
-/// Measure what is lost in quality for what is gained in speed, size and time
-///
-/// Draws the scene at different settings of rendering (layers, footprint, steepness of rims, lobes, primitives,
-/// resolution, 16-bit sums; each alone, then some together), and with --train trains it at different settings. Each point
-/// has PSNR, SSIM, FLIP and, with a network, LPIPS of the views, frame times and the size of the scene file. Results are trade.csv, trade.json,
-/// plots with the frontier, and report.html. The same command again measures only what is missing. Held-out views decide
-/// nothing unless they are asked for.
-#[derive(Debug, Args)]
-#[command(mut_arg("split", |split| split.help("Which views [default: validation if the run kept some, else train]")))]
-pub struct TradeArgs {
-    /// Scene file or folder of a run
-    scene: PathBuf,
-    #[command(flatten)]
-    views: ViewArgs,
-    /// Folder for the results
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
-    /// Where pictures are compared and scenes trained: auto (a GPU that passes a check, or else the CPU), cpu, cpu-flex,
-    /// wgpu (the best GPU), or another one that `dpges devices` lists
-    #[arg(long, value_name = "NAME", default_value_t)]
-    device: DeviceRequest,
-    #[command(flatten)]
-    lpips: LpipsArgs,
-    /// What draws pictures and frames [default: raster, or training where there is no graphics adapter]
-    #[arg(long, value_enum)]
-    renderer: Option<Engine>,
-    /// Size of the frames whose time is measured; the vertical field of view stays
-    #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "1920x1080")]
-    size: Size,
-    /// At most this many views, evenly chosen
-    #[arg(long = "views", value_name = "N", default_value_t = 8, value_parser = value_parser!(u32).range(1..=100_000))]
-    count: u32,
-    /// Counted rounds over the views, for frame times
-    #[arg(long, value_name = "N", default_value_t = 5, value_parser = value_parser!(u32).range(1..=100_000))]
-    rounds: u32,
-    /// Measure nothing that begins later, and stop a training that goes on longer; the same command goes on
-    #[arg(long, value_name = "TIME", value_parser = duration::duration)]
-    time_limit: Option<Duration>,
-    /// Turn only these knobs, separated by commas
-    #[arg(long, value_name = "KNOB", value_delimiter = ',', value_parser = KNOBS)]
-    only: Vec<String>,
-    /// Also train: budgets, lobes, layers, resolutions, lengths, a colour model and a method, as far as they differ from
-    /// the configuration of the scene's run
-    #[arg(long)]
-    train: bool,
-    /// Number of runs of each: with the seed of the configuration, and with those that follow it
-    #[arg(long, value_name = "N", default_value_t = 1, requires = "train", value_parser = value_parser!(u64).range(1..=1000))]
-    seeds: u64,
-    /// Set a key of the configuration that is trained with, such as train.steps=2000; may be repeated
-    #[arg(long, value_name = "KEY=VALUE", requires = "train")]
-    set: Vec<String>,
-}
-
-pub fn run(args: &TradeArgs, style: LogStyle) -> Result<()> {
-    let limit = Limit::new(args.time_limit);
-    let mut scene = Scene::load(&args.scene)?;
-    scene.use_pinholes();
-    scene.warn_of_order("the real-time renderer sorts");
-    let device = device_choice::select(args.device)?;
-    watched(device, || args.measure(&mut scene, device, &limit, style))
-}
-
-impl TradeArgs {
-    fn measure(&self, scene: &mut Scene, name: DeviceName, limit: &Limit, style: LogStyle) -> Result<()> {
-        let config_of_run = scene.run_config();
-        let (source, dataset, split) = self.views.load_to_decide(scene)?;
-        if split == Split::Train && self.train {
-            tracing::warn!(
-                "runs are compared on views that they are trained on, where more primitives and steps always look better: \
-                 train the scene with data.validation_every=8, or measure held-out views with --split test"
-            );
+/// The configuration itself, then every value of every knob of training that changes it and `is_wanted`.
+pub fn variants(config: &Config, dataset: &Dataset, is_wanted: &dyn Fn(&str) -> bool) -> Vec<Variant> {
+    let mut all = vec![Variant::new("trained-again", "", &[])];
+    let mut add = |label, knob, settings: &[(&str, String)]| {
+        if is_wanted(knob) {
+            let settings: Vec<String> = settings.iter().map(|(key, value)| format!("{key}={value}")).collect();
+            all.push(Variant::new(label, knob, &settings.iter().map(String::as_str).collect::<Vec<_>>()));
         }
-        let source = Source::named(Some(Path::new(&source.to_string())));
-        let resolve = |more: &[String]| -> Result<Config> {
-            let set = [&self.views.assignments()[..], &self.set, more].concat();
-            base_config(&source, config_of_run.as_deref(), &set)
+    };
+    let primitives = budget(config, dataset);
+    for (label, parts) in [("budget-half", 2), ("budget-quarter", 4)] {
+        add(label, "budget", &[("refine.budget", (primitives / parts).max(1).to_string())]);
+    }
+    let model = config.model.colour;
+    for (label, detail) in [("detail-1", 1), ("detail-0", 0)] {
+        let less = match model {
+            ColourModel::SphericalBeta { .. } => ColourModel::SphericalBeta { lobes: detail },
+            ColourModel::SphericalHarmonics { .. } | ColourModel::HarmonicsAndOpacity { .. } => {
+                ColourModel::SphericalHarmonics { degree: detail }
+            }
         };
-        let config = self.train.then(|| resolve(&[])).transpose()?;
-        let opened = name.open()?;
-        let networks = self.lpips.load(&opened)?;
-        let bench = Bench {
-            views: every_nth(split.of(&dataset), self.count as usize).collect(),
-            offset: DVec3::from_array(scene.data.info.offset),
-            size: self.size,
-            rounds: self.rounds as usize,
-            name,
-            device: &opened,
-            networks: &networks,
-            headless: self.headless(&scene.data.info)?,
-        };
-        let subject = self.subject(scene, &source, split, &bench)?;
-        tracing::info!("drawn on {}", subject.device);
-        make_folder(&self.out.join(PICTURES))?;
-        let store = Store::open(&self.out, subject)?;
-        let photograph = format!("{PICTURES}/photograph.png");
-        let first = bench.views[0].picture()?;
-        save_png(&pictures::photograph(&first), &self.out.join(&photograph))?;
-
-        let interrupted = watch_for_interrupts()?;
-        let mut sweep = Sweep::new(bench, &self.out, store);
-        let cameras = judging_cameras(&dataset);
-        let is_wanted = |knob: &str| self.only.is_empty() || self.only.iter().any(|wanted| wanted == knob);
-        let of_scene = sweep::Subject { scene: &scene.data, cameras: &cameras, is_wanted: &is_wanted };
-        sweep.render(&of_scene, &|| !limit.is_over() && !interrupted.load(Ordering::SeqCst))?;
-        if let Some(config) = config.filter(|_| !interrupted.load(Ordering::SeqCst)) {
-            let training = Training {
-                source: &source,
-                config: &config,
-                resolve: &resolve,
-                is_wanted: &is_wanted,
-                seeds: self.seeds,
-                name,
-                device: &opened,
-                style,
-                interrupted: interrupted.clone(),
-            };
-            training.run(&mut sweep, &self.out, limit)?;
-        }
-        let store = sweep.finish()?;
-        let files = output::write(&self.out, &store.trade, &photograph)?;
-        if interrupted.load(Ordering::SeqCst) {
-            let message = format!("interrupted: what was measured is in {}", self.out.display());
-            return Err(Failure::with_help(message, "the same command goes on"));
-        }
-        if style == LogStyle::Quiet { Ok(()) } else { print(&(output::table(&store.trade) + &files)) }
-    }
-
-    /// `None` for the renderer that is trained with.
-    fn headless(&self, info: &SceneInfo) -> Result<Option<Headless>> {
-        match self.renderer {
-            Some(Engine::Training) => Ok(None),
-            Some(Engine::Raster) => Ok(Some(Headless::new()?)),
-            None => Ok(check_drawn(info).and_then(|()| Headless::new()).map_or_else(
-                |error| {
-                    tracing::warn!("frame times are those of the renderer that is trained with: {error}");
-                    None
-                },
-                Some,
-            )),
+        if detail < detail_of(model) {
+            add(label, "detail", &[("model.colour", less.to_string())]);
         }
     }
-
-    fn subject(&self, scene: &Scene, source: &Source, split: Split, bench: &Bench) -> Result<store::Subject> {
-        let path = std::path::absolute(&scene.path)?;
-        let first = &bench.views[0].camera;
-        Ok(store::Subject {
-            scene: path.display().to_string(),
-            scene_checksum: checksum(&std::fs::read(&path)?),
-            dataset: source.to_string(),
-            split: split.to_string(),
-            views: bench.views.iter().map(|view| view.name.clone()).collect(),
-            view_size: [first.width, first.height],
-            frame_size: [self.size.width, self.size.height],
-            rounds: self.rounds as usize,
-            device: bench.device_text()?,
-        })
+    let other = match model {
+        ColourModel::SphericalBeta { .. } => ("colour-sh3", "sh3"),
+        ColourModel::SphericalHarmonics { .. } | ColourModel::HarmonicsAndOpacity { .. } => ("colour-sb2", "sb2"),
+    };
+    // its opacities depend on the direction as its colours do, by harmonics
+    if config.train.method != Method::SortFree {
+        add(other.0, "colour", &[("model.colour", other.1.to_owned())]);
     }
-}
-
-/// Where the training views are, or the held-out ones without them.
-fn judging_cameras(dataset: &Dataset) -> Vec<Camera> {
-    let views = if dataset.train.is_empty() { &dataset.test } else { &dataset.train };
-    every_nth(views, JUDGING_VIEWS).map(|view| view.camera).collect()
+    if config.train.method == Method::Dpges {
+        for (label, layers) in [("layers-1", 1), ("layers-2", 2), ("layers-4", 4)] {
+            // rims fade into what a second layer shows: without one they have to be hard
+            let modulation = config.model.modulation.max(if layers == 1 { HARD_RIM } else { 0.0 });
+            if layers != config.model.layers {
+                let settings = [("model.layers", layers.to_string()), ("model.modulation", modulation.to_string())];
+                add(label, "layers", &settings);
+            }
+        }
+        add("method-mcmc", "method", &[("train.method", "mcmc".to_owned())]);
+    }
+    let longest = dataset.train.iter().map(|view| view.camera.width.max(view.camera.height)).max().unwrap_or(0);
+    if longest > 1 {
+        add("resolution-half", "resolution", &[("data.max_resolution", (longest / 2).to_string())]);
+    }
+    for (label, parts) in [("steps-half", 2), ("steps-quarter", 4)] {
+        add(label, "steps", &[("train.steps", (config.train.steps / parts).max(1).to_string())]);
+    }
+    add("steps-double", "steps", &[("train.steps", (2 * config.train.steps).to_string())]);
+    all
 }
 
 #[cfg(test)]
 mod tests {
-    use clap::Parser;
+    use std::collections::HashSet;
 
+    use super::knob::KNOBS;
     use super::*;
+    use crate::dataset::{BuiltinOptions, builtin};
 
-    #[derive(Debug, Parser)]
-    struct Command {
-        #[command(flatten)]
-        trade: TradeArgs,
-    }
-
-    fn parsed(arguments: &[&str]) -> Result<TradeArgs, String> {
-        let command = Command::try_parse_from([&["trade", "run", "--out=a"], arguments].concat());
-        command.map(|command| command.trade).map_err(|error| error.to_string())
-    }
-
-    #[test]
-    fn options_are_checked() {
-        let args = parsed(&["--time-limit=30min", "--views=3", "--train", "--seeds=2"]).unwrap();
-        assert_eq!((args.time_limit, args.count, args.seeds), (Some(Duration::from_secs(1800)), 3, 2));
-        assert!(parsed(&["--time-limit=30"]).unwrap_err().contains("s, min or h"));
-        assert!(parsed(&["--seeds=2"]).unwrap_err().contains("--train"));
-        assert!(parsed(&["--set=train.steps=3"]).unwrap_err().contains("--train"));
-        assert!(parsed(&["--only=layers,lobes"]).unwrap_err().contains("[possible values: layers, footprint"));
-        assert!(parsed(&["--size=big"]).unwrap_err().contains("1920x1080"));
-        assert!(parsed(&["--views=0"]).is_err() && parsed(&["--rounds=0"]).is_err());
-    }
-
-    #[test]
-    fn views_are_spread_over_all() {
-        let options = dpges_train::dataset::BuiltinOptions {
-            width: 4,
-            height: 4,
-            train_views: 7,
+    fn dataset() -> Dataset {
+        builtin(&BuiltinOptions {
+            width: 20,
+            height: 12,
+            train_views: 2,
             test_views: 1,
-            points: 0,
+            points: 10,
             ..Default::default()
-        };
-        let dataset = dpges_train::dataset::builtin(&options);
-        let names = |most: usize| every_nth(&dataset.train, most).map(|view| view.name.as_str()).collect::<Vec<_>>();
-        assert_eq!(names(3), ["train_000", "train_003", "train_006"]);
-        assert_eq!((names(100).len(), names(1).len()), (7, 1));
-        assert_eq!(judging_cameras(&dataset).len(), 7);
+        })
+    }
+
+    #[test]
+    fn every_variant_is_another_configuration_but_the_first() {
+        for set in [vec![], vec!["model.colour=sh3".to_owned()], vec!["train.method=mcmc".to_owned()]] {
+            let resolve = |more: &[String]| Config::resolve(None, None, &[&set[..], more].concat()).unwrap();
+            let base = resolve(&[]);
+            let all = variants(&base, &dataset(), &|_| true);
+            assert_eq!(resolve(&all[0].settings), base);
+            assert!(all.iter().map(|variant| variant.label).collect::<HashSet<_>>().len() == all.len());
+            for variant in &all[1..] {
+                assert!(KNOBS.contains(&variant.about.as_str()), "{variant:?}");
+                assert_ne!(resolve(&variant.settings), base, "{variant:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn values_are_parts_of_the_configured_ones() {
+        let set = ["refine.budget=1000", "train.steps=8", "model.layers=2"].map(str::to_owned);
+        let config = Config::resolve(None, None, &set).unwrap();
+        let all = variants(&config, &dataset(), &|_| true);
+        let settings = |label: &str| all.iter().find(|v| v.label == label).map(|v| v.settings[0].as_str());
+        for (label, expected) in [
+            ("budget-quarter", "refine.budget=250"),
+            ("detail-0", "model.colour=sb0"),
+            ("resolution-half", "data.max_resolution=10"),
+            ("steps-half", "train.steps=4"),
+            ("steps-double", "train.steps=16"),
+            ("layers-1", "model.layers=1"),
+            ("method-mcmc", "train.method=mcmc"),
+        ] {
+            assert_eq!(settings(label), Some(expected));
+        }
+        assert_eq!(settings("layers-2"), None);
+        let wanted = variants(&config, &dataset(), &|knob| knob == "steps");
+        assert_eq!(
+            wanted.iter().map(|variant| variant.label).collect::<Vec<_>>()[..2],
+            ["trained-again", "steps-half"]
+        );
+        let hard = all.iter().find(|v| v.label == "layers-1").map(|v| v.settings[1].as_str());
+        assert_eq!(hard, Some("model.modulation=255"));
     }
 }

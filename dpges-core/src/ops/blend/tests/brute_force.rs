@@ -9,7 +9,7 @@ use crate::ops::blend::{
 };
 use crate::scene::{BlendOrder, ScreenFilter, Transparency};
 
-/// What of a primitive decides α and z at a pixel.
+/// The part of a primitive that decides α and z at a pixel.
 #[derive(Clone, Copy)]
 pub enum Shape {
     Ellipse(Splat<f64>),

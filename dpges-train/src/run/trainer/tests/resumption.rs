@@ -15,19 +15,17 @@ fn a_run_goes_on_from_any_step_of_any_stage_to_the_same_end() {
     let folder = tempfile::tempdir().unwrap();
     let with_exposure = [&STAGES[..], &["train.exposure=on"]].concat();
     let with_poses = [&STAGES[..], &["train.poses=on"]].concat();
-    let runs: [(&[&str], &[usize]); 10] = [
+    let runs: [(&[&str], &[usize]); 11] = [
         (&STAGES, &[7, 18, 19, 30, 36, 50]),
         (&with_exposure, &[7, 18, 50]),
         (&with_poses, &[1, 7, 18, 19, 50]),
         (&["train.steps=40", "train.method=mcmc", "refine.budget=300", "model.environment=sh2"], &[1, 25]),
         (&["train.steps=40", "train.method=dbs", "refine.budget=300"], &[25]),
         (&["train.steps=40", "train.method=stopthepop", "refine.budget=300"], &[11, 25]),
+        (&["train.steps=200", "train.method=htgs", "refine.budget=300"], &[53, 120]),
         (&["train.steps=40", "train.method=mip-splatting", "refine.budget=300"], &[11, 25]),
-        // burn-in ends after 9 steps, and only the faint keep their momenta from step to step
-        (
-            &["train.steps=40", "train.method=sss", "refine.budget=300", "relocation.start_opacity=0.01"],
-            &[5, 9, 20, 25],
-        ),
+        // burn-in ends after 9 steps
+        (&["train.steps=40", "train.method=sss", "refine.budget=300"], &[5, 9, 20, 25]),
         (&["train.steps=40", "train.method=2dgs", "refine.budget=300", "model.colour=sh1"], &[25]),
         (&["train.steps=40", "train.method=sortfree", "weighted_sum.weight=exp", "refine.budget=300"], &[11, 25]),
     ];
@@ -40,6 +38,11 @@ fn a_run_goes_on_from_any_step_of_any_stage_to_the_same_end() {
             }
             let checkpoint = saved_and_loaded(&first.checkpoint(), folder.path());
             let second = Trainer::resume(checkpoint, dataset(), device()).unwrap();
+            // what no later step would show, such as momenta of opaque Gaussians
+            assert!(
+                second.checkpoint() == first.checkpoint(),
+                "{set:?}: a checkpoint after {stop} is not read as it is"
+            );
             assert!(finished(second) == whole, "{set:?} stopped after {stop}");
         }
     }
@@ -88,12 +91,24 @@ fn a_step_that_is_not_finite_is_undone_with_all_that_it_has_changed() {
     }
 }
 
-/// Every 3rd of 9 views validates, and no batch is worth it: a control after 8 steps, a batch after 12 that settles
-/// after 16, a control after 20, the end of growth after 24.
+/// Every 3rd of 9 views validates, and no batch is worth it, as black Gaussians stay black where nothing is learnt: a
+/// control after 8 steps, a batch after 12 that settles after 16, a control after 20, the end of growth after 24.
 fn automatic() -> (Config, Arc<Dataset>) {
     let mut data = (*dataset_of(9)).clone();
     data.keep_for_validation(3);
-    let set = ["train.steps=100", "refine.budget=auto", "refine.least_gain=100", "refine.split=false"];
+    let set = [
+        "train.steps=100",
+        "refine.budget=auto",
+        "refine.split_until=0",
+        "refine.new_gaussians=black",
+        "optimizer.position_start=1e-12",
+        "optimizer.position_end=1e-12",
+        "optimizer.quaternions=0",
+        "optimizer.log_scales=0",
+        "optimizer.opacities=0",
+        "optimizer.base=0",
+        "optimizer.detail=0",
+    ];
     (config(&set), Arc::new(data))
 }
 

@@ -1,0 +1,259 @@
+//! The content of the window: read and changed by the panels, the picture and the viewer, which come after it.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use dpges_core::scene::{Rendering, SceneData, SceneInfo};
+use eframe::egui_wgpu::RenderState;
+use egui::Context;
+
+use super::canvas::Canvas;
+use super::comparison::Comparing;
+use super::dialogs::{Dialogs, Purpose};
+use super::frame_times::FrameTimes;
+use super::live::LiveScene;
+use super::loading::ViewsLoader;
+use super::measuring::Measuring;
+use super::messages::Message;
+use super::navigation::{Extent, Lens, Navigator, Surroundings, Viewpoint, mean_up};
+use super::path_editor::PathEditor;
+use super::resolution::ResolutionControl;
+use super::screenshot::{ScreenshotForm, save_png, unused};
+use super::views::DatasetViews;
+use crate::{Display, RenderError, RenderOptions};
+
+/// Field of view where no camera gives one, rad.
+const FIELD_OF_VIEW: f64 = 0.9;
+
+/// The scene on the screen.
+pub struct ShownScene {
+    pub name: String,
+    pub info: SceneInfo,
+    /// Surfels and Gaussians.
+    pub counts: [usize; 2],
+    pub extent: Extent,
+}
+
+/// How many pixels are drawn.
+pub struct Resolution {
+    /// Whether the scale holds the frame rate.
+    pub automatic: bool,
+    /// Share of the window's pixels along an edge, where it is not automatic.
+    pub scale: f64,
+    pub frames_per_second: f64,
+    pub control: ResolutionControl,
+}
+
+/// The content of the window, and its options.
+pub struct State {
+    pub canvas: Option<Canvas>,
+    pub scene: Option<ShownScene>,
+    /// Counts the scenes that were shown.
+    pub generation: u64,
+    pub options: RenderOptions,
+    pub views: Option<DatasetViews>,
+    /// The camera of the dataset that the view is at or on its way to.
+    pub at_view: Option<usize>,
+    /// The camera of the dataset that was chosen last.
+    pub chosen_view: Option<usize>,
+    pub navigator: Navigator,
+    pub home: Viewpoint,
+    pub resolution: Resolution,
+    pub frame_times: FrameTimes,
+    /// When the last frame was drawn, if another followed at once.
+    pub last_drawn: Option<Instant>,
+    pub comparing: Comparing,
+    pub measuring: Measuring,
+    pub path: PathEditor,
+    pub screenshot: ScreenshotForm,
+    /// Size of the picture in the window, px.
+    pub window_px: [usize; 2],
+    pub dialogs: Dialogs,
+    pub message: Option<Message>,
+    pub live: Option<LiveScene>,
+    pub panel_open: bool,
+    pub help_open: bool,
+    /// The views of the scene, while they are read.
+    pub views_loader: Option<ViewsLoader>,
+}
+
+impl State {
+    /// Nothing yet.
+    ///
+    /// # Errors
+    /// The errors of the renderer on the device of `gpu`; without it, nothing is drawn.
+    pub fn new(gpu: Option<&RenderState>) -> Result<Self, RenderError> {
+        let info = SceneInfo::default();
+        let lens = Lens { vertical_field_of_view: FIELD_OF_VIEW, near: info.near };
+        let surroundings = Surroundings { up: glam::DVec3::NEG_Y, size: 1.0 };
+        let nothing = SceneData { surfels: Default::default(), gaussians: Default::default(), environment: None, info };
+        let home = Extent::of(&nothing).overview(lens, surroundings.up);
+        Ok(Self {
+            canvas: gpu.map(Canvas::new).transpose()?,
+            scene: None,
+            generation: 0,
+            options: RenderOptions::from(&nothing.info),
+            views: None,
+            at_view: None,
+            chosen_view: None,
+            navigator: Navigator::new(home, surroundings),
+            home,
+            resolution: Resolution {
+                automatic: true,
+                scale: 1.0,
+                frames_per_second: 30.0,
+                control: ResolutionControl::default(),
+            },
+            frame_times: FrameTimes::default(),
+            last_drawn: None,
+            comparing: Comparing::default(),
+            measuring: Measuring::default(),
+            path: PathEditor::default(),
+            screenshot: ScreenshotForm::default(),
+            window_px: [0; 2],
+            dialogs: Dialogs::default(),
+            message: None,
+            live: None,
+            panel_open: true,
+            help_open: false,
+            views_loader: None,
+        })
+    }
+
+    /// Asks for a file by a dialog.
+    pub fn ask(&mut self, context: &Context, purpose: Purpose) {
+        if !self.dialogs.is_open() {
+            let name = if purpose == Purpose::SavePath { &self.path.file } else { &self.screenshot.file };
+            let woken = context.clone();
+            self.dialogs.ask(purpose, name, move || woken.request_repaint());
+        }
+    }
+
+    /// Returns whether the scene could be shown. Goes to its first view if `is_new`.
+    pub fn show_scene(&mut self, name: String, scene: &SceneData, is_new: bool) -> bool {
+        if let Some(canvas) = &mut self.canvas
+            && let Err(error) = canvas.upload(scene)
+        {
+            self.message = Some(Message::Error(format!("{name} cannot be shown: {error}")));
+            return false;
+        }
+        let counts = [scene.surfels.len(), scene.gaussians.len()];
+        let shown = ShownScene { name, info: scene.info.clone(), counts, extent: Extent::of(scene) };
+        let kept = (self.options.display, self.options.smallest_px);
+        if is_new {
+            self.options = RenderOptions::from(&shown.info);
+            (self.options.display, self.options.smallest_px) = kept;
+        }
+        if shown.info.rendering != Rendering::Peeled {
+            self.options.display = Display::Image;
+        }
+        self.generation += 1;
+        if is_new {
+            self.settle_in(&shown);
+        }
+        self.scene = Some(shown);
+        true
+    }
+
+    /// Goes to the first view of a scene.
+    pub fn settle_in(&mut self, shown: &ShownScene) {
+        let cameras = self.views.iter().flat_map(|views| &views.cameras).map(|(_, camera)| camera);
+        let up = mean_up(cameras);
+        self.navigator.surroundings = Surroundings { up, size: shown.extent.radius };
+        let first = self.views.as_ref().and_then(|views| views.cameras.first());
+        self.home = match first {
+            Some((_, camera)) => shown.extent.seen_from(camera),
+            None => {
+                let lens = Lens { vertical_field_of_view: FIELD_OF_VIEW, near: shown.info.near };
+                shown.extent.overview(lens, up)
+            }
+        };
+        self.at_view = first.map(|_| 0);
+        self.chosen_view = self.at_view;
+        self.navigator.jump(self.home);
+    }
+
+    /// Goes to a camera of the dataset.
+    pub fn go_to_view(&mut self, index: usize, at_once: bool) {
+        let (Some(views), Some(shown)) = (&self.views, &self.scene) else { return };
+        let Some((_, camera)) = views.cameras.get(index) else { return };
+        let viewpoint = shown.extent.seen_from(camera);
+        self.path.stop();
+        if at_once {
+            self.navigator.jump(viewpoint);
+        } else {
+            self.navigator.fly(viewpoint);
+        }
+        self.at_view = Some(index);
+        self.chosen_view = Some(index);
+    }
+
+    /// Goes to the camera `by` places farther in the list, in a ring.
+    pub fn step_view(&mut self, by: isize) {
+        let count = self.views.as_ref().map_or(0, |views| views.cameras.len());
+        if count > 0 {
+            let next = match self.chosen_view {
+                Some(now) => (now as isize + by).rem_euclid(count as isize) as usize,
+                None => 0,
+            };
+            self.go_to_view(next, false);
+        }
+    }
+
+    /// Leaves the cameras of the dataset for `viewpoint`.
+    pub fn leave_for(&mut self, viewpoint: Viewpoint) {
+        self.at_view = None;
+        self.navigator.fly(viewpoint);
+    }
+
+    /// Scenes that are blended have nothing but an image.
+    pub fn set_display(&mut self, display: Display) {
+        let peeled = self.scene.as_ref().is_some_and(|scene| scene.info.rendering == Rendering::Peeled);
+        if peeled || display == Display::Image {
+            self.options.display = display;
+        }
+    }
+
+    pub fn add_to_path(&mut self) {
+        if self.window_px != [0; 2] {
+            self.path.cameras.push(self.navigator.viewpoint().camera(self.window_px));
+        }
+    }
+
+    pub fn save_path(&mut self) {
+        let file = PathBuf::from(&self.path.file);
+        self.message = Some(match self.path.save(&file) {
+            Ok(()) => Message::Note(format!("{} cameras in {}", self.path.cameras.len(), absolute(&file))),
+            Err(reason) => Message::Error(reason),
+        });
+    }
+
+    pub fn load_path(&mut self) {
+        let near = self.navigator.viewpoint().lens.near;
+        let file = PathBuf::from(&self.path.file);
+        self.message = self.path.load(&file, near).err().map(Message::Error);
+    }
+
+    /// Writes what the view shows, beside files that are there already.
+    pub fn save_screenshot(&mut self, file: &Path) {
+        let size = self.screenshot.size.unwrap_or(self.window_px);
+        let camera = self.navigator.viewpoint().camera(size);
+        let Some(canvas) = &mut self.canvas else { return };
+        let picture = match canvas.picture(&camera, &self.options) {
+            Ok(picture) => picture,
+            Err(error) => {
+                self.message = Some(Message::Error(format!("there is no screenshot: {error}")));
+                return;
+            }
+        };
+        let file = unused(file);
+        self.message = Some(match save_png(&picture, &file) {
+            Ok(()) => Message::Note(format!("{} × {} px in {}", size[0], size[1], absolute(&file))),
+            Err(error) => Message::Error(error.to_string()),
+        });
+    }
+}
+
+fn absolute(path: &Path) -> String {
+    std::path::absolute(path).unwrap_or_else(|_| path.to_owned()).display().to_string()
+}

@@ -1,0 +1,192 @@
+//! `dpges compress`: a scene in fewer bytes.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use dpges_core::scene::atomic::write_atomically;
+use dpges_core::scene::{Quality, SceneData};
+use dpges_train::config::Budget;
+use dpges_train::config::budget::MEGABYTE;
+use dpges_train::dataset::View;
+use dpges_train::device::DeviceRequest;
+use dpges_train::eval::compress::report::{Psnr, Report};
+use dpges_train::eval::compress::{Compressed, within_loss, within_size};
+use dpges_train::eval::evaluate;
+
+use super::data::{Scene, Source, Split, ViewArgs, every_nth};
+use super::device_failure::watched;
+use super::{Failure, Result, device_choice, print_report, table};
+
+/// Most views that decide on a loss.
+const DECIDING_VIEWS: usize = 32;
+
+/// Write a scene in fewer bytes, which all commands and the viewers read like any other
+///
+/// If the dataset is at hand, the PSNR of its held-out views is printed before and after. A largest loss is that of views
+/// which the run of the scene kept for its decisions, or of training views, and then theirs is printed. The file may have
+/// any name; dialogs to open a scene list *.safetensors.
+#[derive(Debug, Args)]
+#[command(mut_arg("split", |split| split.help("Which views [default: test; with a largest loss validation, or train]")))]
+pub struct CompressArgs {
+    /// Scene file or folder of a run
+    scene: PathBuf,
+    /// File to write
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// How exact numbers are [default: medium]
+    #[arg(long, value_name = "LEVEL", value_parser = levels())]
+    quality: Option<Quality>,
+    /// Instead of a quality: the largest size of the file, as in 10MB, for which the best quality is found
+    #[arg(long, value_name = "NMB", value_parser = bytes, conflicts_with = "quality")]
+    budget: Option<usize>,
+    /// Instead of a quality: the largest loss of PSNR, as in 0.1dB, for which the smallest file is found. Renders up to 32
+    /// views a few dozen times
+    #[arg(long, value_name = "LOSS", value_parser = decibels, conflicts_with_all = ["quality", "budget"])]
+    target: Option<f64>,
+    #[command(flatten)]
+    views: ViewArgs,
+    /// auto (a GPU that passes a check, or else the CPU), cpu, cpu-flex, wgpu (the best GPU), or another one that
+    /// `dpges devices` lists
+    #[arg(long, value_name = "NAME", default_value_t)]
+    device: DeviceRequest,
+    /// Write the result to this file; `-` is standard output
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+}
+
+fn levels() -> impl TypedValueParser<Value = Quality> {
+    let texts = [
+        "16 bits per number: nearly without loss",
+        "9 bits: for views from closer than the photographs",
+        "7 bits",
+        "5 to 6 bits: where size matters most",
+    ];
+    let values = Quality::LEVELS.iter().zip(texts).map(|((name, _), text)| PossibleValue::new(*name).help(text));
+    PossibleValuesParser::new(values).map(|chosen| {
+        let level = Quality::LEVELS.into_iter().find(|(name, _)| *name == chosen);
+        level.expect("it is one of the possible values").1
+    })
+}
+
+fn bytes(text: &str) -> Result<usize, String> {
+    match text.parse()? {
+        Budget::Megabytes(size) => Ok((size * MEGABYTE).round() as usize),
+        _ => Err("this is no size such as 10MB".to_owned()),
+    }
+}
+
+fn decibels(text: &str) -> Result<f64, String> {
+    if bytes(text).is_ok() {
+        return Err(format!("this is a size, which is a budget: write `--budget {text}`"));
+    }
+    let loss = text.strip_suffix("dB").and_then(|digits| digits.trim().parse::<f64>().ok());
+    loss.filter(|loss| loss.is_finite() && *loss > 0.0).ok_or_else(|| "this is no loss such as 0.1dB".to_owned())
+}
+
+pub fn run(args: &CompressArgs) -> Result<()> {
+    let mut scene = Scene::load(&args.scene)?;
+    if is_same_file(&args.out, &scene.path) {
+        let message = format!("--out is the scene itself, {}: name another file", scene.path.display());
+        return Err(Failure::Usage(message));
+    }
+    match args.measured(&mut scene) {
+        Ok((source, split, views)) => {
+            let device = device_choice::select(args.device)?;
+            watched(device, || {
+                let device = device.open()?;
+                let psnr = |scene: &SceneData| Ok(evaluate(scene, &views, &device)?.psnr);
+                let (dataset, split, count) = (source.to_string(), split.to_string(), views.len());
+                args.compress(&scene, Ok(&Measuring { dataset, split, views: count, psnr: &psnr }))
+            })
+        }
+        Err(failure) if args.views.names_dataset() => Err(failure),
+        Err(failure) => args.compress(&scene, Err(failure.text())),
+    }
+}
+
+/// What pictures are compared with.
+struct Measuring<'a> {
+    dataset: String,
+    split: String,
+    views: usize,
+    /// Of a scene, dB, mean over the views.
+    psnr: &'a dyn Fn(&SceneData) -> dpges_core::Result<f64>,
+}
+
+impl CompressArgs {
+    /// The views that are measured, of which split they are, and what they were read from.
+    fn measured(&self, scene: &mut Scene) -> Result<(Source, Split, Vec<View>)> {
+        if self.target.is_none() {
+            let (source, views) = self.views.load(scene)?;
+            return Ok((source, self.views.split(), views));
+        }
+        let (source, dataset, split) = self.views.load_to_decide(scene)?;
+        Ok((source, split, every_nth(split.of(&dataset), DECIDING_VIEWS).cloned().collect()))
+    }
+
+    /// Compresses the scene; `measuring` may be impossible, for a reason.
+    fn compress(&self, scene: &Scene, measuring: Result<&Measuring, String>) -> Result<()> {
+        let (data, out) = (&scene.data, &self.out);
+        let measured = match measuring {
+            Ok(measuring) => Ok((measuring, (measuring.psnr)(data)?)),
+            Err(reason) => Err(reason),
+        };
+        let (compressed, after) = match (self.budget, self.target) {
+            (Some(largest), _) => (within_size(data, largest, out)?, None),
+            (None, None) => (Compressed::new(data, &self.quality.unwrap_or(Quality::MEDIUM), out)?, None),
+            (None, Some(allowed)) => {
+                let (measuring, before) = measured.as_ref().map_err(|reason| {
+                    Failure::Usage(format!("--target {allowed}dB compares with photographs: {reason}"))
+                })?;
+                let (compressed, after) = within_loss(data, *before, allowed, out, |candidate| {
+                    let psnr = (measuring.psnr)(&candidate.scene()?)?;
+                    let (megabytes, bits) = (candidate.bytes.len() as f64 / MEGABYTE, candidate.quality.list());
+                    tracing::info!("{megabytes:.3} MB: {psnr:.3} dB, {bits:?}");
+                    Ok(psnr)
+                })?;
+                (compressed, Some(after))
+            }
+        };
+        let psnr = match &measured {
+            Ok((Measuring { dataset, split, views, psnr }, psnr_before)) => Some(Psnr {
+                dataset: dataset.clone(),
+                split: split.clone(),
+                views: *views,
+                psnr_before: *psnr_before,
+                psnr_after: after.map_or_else(|| psnr(&compressed.scene()?), Ok)?,
+            }),
+            Err(_) => None,
+        };
+        write_atomically(out, |file| file.write_all(&compressed.bytes))?;
+        let names = [&scene.path, out].map(|path| path.display().to_string());
+        let report = Report::new(names, data, &std::fs::read(&scene.path)?, &compressed, psnr)?;
+        let rows = table(&report.rows(measured.err().as_deref().unwrap_or_default()));
+        print_report(self.json.as_deref(), &report, &rows)
+    }
+}
+
+/// Whether both paths lead to one file that is there.
+fn is_same_file(a: &Path, b: &Path) -> bool {
+    let [a, b] = [a, b].map(|path| path.canonicalize().ok());
+    a.is_some() && a == b
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_are_budgets_and_losses_are_targets() {
+        assert_eq!((bytes("10MB"), bytes("0.25MB")), (Ok(10_000_000), Ok(250_000)));
+        assert_eq!((decibels("0.1dB"), decibels("2 dB")), (Ok(0.1), Ok(2.0)));
+        assert!(decibels("2MB").unwrap_err().contains("write `--budget 2MB`"));
+        for wrong in ["10", "0MB", "infMB", "auto", ""] {
+            assert!(bytes(wrong).unwrap_err().contains("MB"), "{wrong}");
+        }
+        for wrong in ["0.1", "-1dB", "nandB", "dB", ""] {
+            assert!(decibels(wrong).unwrap_err().contains("such as 0.1dB"), "{wrong}");
+        }
+    }
+}

@@ -1,0 +1,206 @@
+//! Properties of each view: the only place that looks at pixels.
+
+use dpges_core::camera::Camera;
+use glam::DVec3;
+use rayon::prelude::*;
+use serde::{Serialize, Serializer};
+
+use super::luma::Luma;
+use super::points::{Cells, seen_by_view};
+use super::statistics::median;
+use super::{Effort, MOST_POINTS, QUICK_PIXELS};
+use crate::dataset::{Dataset, Picture, PointCloud, View};
+
+/// Points of a view that are compared in brightness: at least, at most.
+const FEWEST_POINTS: usize = 20;
+const MOST_COMPARED: usize = 2000;
+/// Values that may be clipped, and luminances that are little more than noise.
+const CLIPPED: f32 = 0.98;
+const DARK: f64 = 0.005;
+
+/// The purpose of a view.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Role {
+    Train,
+    /// Held out.
+    Test,
+    /// Kept for decisions during training.
+    Validation,
+}
+
+/// Properties of one view. Numbers are `None` where the dataset does not say, or where they were not measured.
+#[derive(Clone, Debug, Serialize)]
+pub struct ViewFacts {
+    pub name: String,
+    pub role: Role,
+    /// Its pose, size and focal lengths; in JSON the camera centre, width, height and focal lengths.
+    #[serde(flatten, serialize_with = "in_short")]
+    pub camera: Camera,
+    /// Share of the picture that does not count, because of a mask or of where its lens shows nothing.
+    pub ignored: Option<f64>,
+    /// Number of points of the dataset that it saw; of training views only.
+    pub points_seen: Option<usize>,
+    /// Share of the picture that shows such points, in squares of a twelfth of the longer side. Squares of which less than half
+    /// counts are left out, if pixels are looked at.
+    pub coverage: Option<f64>,
+    /// Share of the picture in which there is no point, seen or hidden, likewise.
+    pub unexplained: Option<f64>,
+    /// How much detail of the size of a pixel it has, compared with detail twice as large, in the direction in which it has
+    /// least; relative to the median of the views.
+    pub sharpness: Option<f64>,
+    /// How much of the former there is, relative to the median of the views.
+    pub detail: Option<f64>,
+    /// How much brighter it is than others that saw the same points, stops; relative to the median of the views.
+    pub exposure: Option<f64>,
+    #[serde(skip)]
+    pub(super) thumbnail: Option<Vec<f32>>,
+}
+
+/// Camera centre, world units; size and focal lengths, px.
+#[derive(Serialize)]
+struct Short {
+    centre: [f64; 3],
+    width: usize,
+    height: usize,
+    focal_lengths: [f64; 2],
+}
+
+fn in_short<S: Serializer>(camera: &Camera, serializer: S) -> Result<S::Ok, S::Error> {
+    let Camera { width, height, fx, fy, .. } = *camera;
+    Short { centre: camera.centre().to_array(), width, height, focal_lengths: [fx, fy] }.serialize(serializer)
+}
+
+/// Properties of the pixels of a view.
+struct Pixels {
+    /// Detail of the size of a pixel and of two, along rows and along columns.
+    detail: [[f64; 2]; 2],
+    /// Stops; `None` if it saw too few points.
+    exposure: Option<f64>,
+    thumbnail: Vec<f32>,
+}
+
+/// Properties of training, held-out and validation views.
+///
+/// # Errors
+/// [`dpges_core::Error::Io`] if a photograph cannot be read again.
+pub(super) fn facts(dataset: &Dataset, effort: Effort) -> dpges_core::Result<Vec<ViewFacts>> {
+    let train = dataset.train.iter().map(|view| (Role::Train, view));
+    let test = dataset.test.iter().map(|view| (Role::Test, view));
+    let validation = dataset.validation.iter().map(|view| (Role::Validation, view));
+    let views: Vec<(Role, &View)> = train.chain(test).chain(validation).collect();
+    let area: usize = views.iter().map(|(_, view)| view.camera.width * view.camera.height).sum();
+    let looks = effort == Effort::Full || area <= QUICK_PIXELS;
+    let seen = seen_by_view(dataset);
+    let some: Vec<DVec3> = dataset
+        .points
+        .positions
+        .iter()
+        .step_by(dataset.points.positions.len().div_ceil(MOST_POINTS).max(1))
+        .map(|position| DVec3::from_array(position.map(f64::from)))
+        .collect();
+    let measured = views.par_iter().enumerate().map(|(index, &(role, view))| -> dpges_core::Result<_> {
+        let seen: Option<&[u32]> = seen.get(index).map(Vec::as_slice);
+        let picture = if looks { Some(view.picture()?) } else { None };
+        let facts = of_points(dataset, role, view, picture.as_deref(), seen, &some);
+        let pixels = picture.map(|picture| of_pixels(dataset, view, &picture, seen.unwrap_or_default()));
+        Ok((facts, pixels))
+    });
+    let measured: Vec<_> = measured.collect::<dpges_core::Result<_>>()?;
+    let (mut facts, pixels): (Vec<ViewFacts>, Vec<Option<Pixels>>) = measured.into_iter().unzip();
+    relate(&mut facts, pixels);
+    Ok(facts)
+}
+
+/// `picture` is that of the view, if it is looked at.
+fn of_points(
+    dataset: &Dataset,
+    role: Role,
+    view: &View,
+    picture: Option<&Picture>,
+    seen: Option<&[u32]>,
+    some: &[DVec3],
+) -> ViewFacts {
+    let position = |&point: &u32| DVec3::from_array(dataset.points.positions[point as usize].map(f64::from));
+    let cells = Cells::of(&view.camera, picture);
+    let ignored = view.photograph.ignored_pixels();
+    let area = view.camera.width * view.camera.height;
+    ViewFacts {
+        name: view.name.clone(),
+        role,
+        camera: view.camera,
+        ignored: ignored.map(|pixels| pixels as f64 / area as f64),
+        points_seen: seen.map(<[u32]>::len),
+        coverage: seen.and_then(|seen| cells.share_with(&view.camera, seen.iter().map(position))),
+        unexplained: if some.is_empty() {
+            None
+        } else {
+            cells.share_with(&view.camera, some.iter().copied()).map(|share| 1.0 - share)
+        },
+        sharpness: None,
+        detail: None,
+        exposure: None,
+        thumbnail: None,
+    }
+}
+
+fn of_pixels(dataset: &Dataset, view: &View, picture: &Picture, seen: &[u32]) -> Pixels {
+    let luma = Luma::of(picture);
+    let detail = [luma.detail(), luma.halved().detail()];
+    let exposure = relative_exposure(&view.camera, picture, &dataset.points, seen);
+    Pixels { detail, exposure, thumbnail: luma.thumbnail() }
+}
+
+/// How much brighter the picture shows the points that it saw, where it counts, than they are on average, stops: views shall
+/// show the same points in the same brightness, whatever else they show. `None` if they are few.
+fn relative_exposure(camera: &Camera, picture: &Picture, points: &PointCloud, seen: &[u32]) -> Option<f64> {
+    let stops = seen.iter().step_by(seen.len().div_ceil(MOST_COMPARED).max(1)).filter_map(|&point| {
+        let (position, usual) = (points.positions[point as usize], points.colours[point as usize]);
+        let (pixel, _) = camera.pixel(DVec3::from_array(position.map(f64::from)))?;
+        let shown = picture.colour(pixel);
+        if !picture.counts(pixel) || shown.iter().chain(&usual).any(|&value| value > CLIPPED) {
+            return None;
+        }
+        let [shown, usual] = [shown, usual].map(luminance);
+        (shown > DARK && usual > DARK).then(|| (shown / usual).log2())
+    });
+    let stops: Vec<f64> = stops.collect();
+    if stops.len() < FEWEST_POINTS { None } else { median(stops) }
+}
+
+/// Luminance of an sRGB colour, 0 to 1.
+fn luminance(rgb: [f32; 3]) -> f64 {
+    let linear = |value: f32| {
+        let value = f64::from(value);
+        if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
+    };
+    let [r, g, b] = rgb.map(linear);
+    0.2126 * r + 0.7152 * g + 0.0722 * b
+}
+
+/// Compares each view with the median of all.
+fn relate(facts: &mut [ViewFacts], pixels: Vec<Option<Pixels>>) {
+    let of = |number: &dyn Fn(&Pixels) -> Option<f64>| median(pixels.iter().flatten().filter_map(number));
+    let axes = [0, 1];
+    // of a picture without any detail there is nothing to say
+    let fineness = |pixels: &Pixels, axis: usize| {
+        let [fine, coarse] = pixels.detail.map(|detail| detail[axis]);
+        (coarse > 0.0).then(|| fine / coarse)
+    };
+    let median_fineness = axes.map(|axis| of(&|pixels| fineness(pixels, axis)));
+    let median_detail = axes.map(|axis| of(&|pixels| Some(pixels.detail[0][axis])));
+    let median_exposure = of(&|pixels| pixels.exposure);
+    for (facts, pixels) in facts.iter_mut().zip(pixels) {
+        let Some(pixels) = pixels else { continue };
+        let relative = |axis: usize| {
+            let fineness = fineness(&pixels, axis)? / median_fineness[axis].filter(|&median| median > 0.0)?;
+            let detail = pixels.detail[0][axis] / median_detail[axis].filter(|&median| median > 0.0)?;
+            Some((fineness, detail))
+        };
+        if let Some((sharpness, detail)) = axes.into_iter().filter_map(relative).min_by(|a, b| a.0.total_cmp(&b.0)) {
+            (facts.sharpness, facts.detail) = (Some(sharpness), Some(detail));
+        }
+        facts.exposure = pixels.exposure.zip(median_exposure).map(|(exposure, median)| exposure - median);
+        facts.thumbnail = Some(pixels.thumbnail);
+    }
+}

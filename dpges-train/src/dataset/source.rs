@@ -1,0 +1,191 @@
+//! A dataset as a command names it: the built-in scene, or a folder.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use super::capture::{self, Input, Unusable};
+use super::check::{Effort, Report};
+use super::{BuiltinOptions, Dataset, DatasetError, builtin, format, load};
+use crate::config::{Background, Config, DataConfig};
+
+/// Why a dataset that a command names cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum SourceError {
+    #[error("the built-in scene has pictures of one scale: cap the resolution instead")]
+    OneScale,
+    /// Of [`BuiltinOptions::altered`].
+    #[error("{0}")]
+    Change(String),
+    #[error("{error}; `dpges sfm {}` finds the cameras of photographs", .path.display())]
+    NoCameras { error: DatasetError, path: PathBuf },
+    #[error("{error}; its cameras have not been found yet: repeat the command that began it")]
+    Unfinished { error: DatasetError },
+    #[error(transparent)]
+    Unusable(#[from] Unusable),
+    #[error(
+        "{left} training views of {dataset} are too few to keep every {every}th for decisions; decide by numbers instead: \
+         --stop steps, --budget N"
+    )]
+    TooFewForDecisions { dataset: String, left: usize, every: usize },
+    #[error(transparent)]
+    Dataset(#[from] DatasetError),
+    #[error(transparent)]
+    Core(#[from] dpges_core::Error),
+}
+
+type Result<T, E = SourceError> = std::result::Result<T, E>;
+
+impl SourceError {
+    /// An error of reading the dataset at `path`, with advice if there are no cameras yet.
+    fn explained(error: DatasetError, path: &Path) -> Self {
+        if Input::find(path).is_some() {
+            return Self::NoCameras { error, path: path.to_owned() };
+        }
+        if capture::is_begun(path) && format(path).is_none() {
+            return Self::Unfinished { error };
+        }
+        match error {
+            DatasetError::UnknownFormat { .. } => Self::Unusable(capture::unusable(path)),
+            other => other.into(),
+        }
+    }
+}
+
+/// The photographs without cameras or the video that a command names, by absolute paths; `None` for anything else.
+pub fn photographs(path: &Path) -> Option<Input> {
+    matches!(Source::new(path), Source::Folder(_)).then(|| Input::find(&absolute(path))).flatten()
+}
+
+fn absolute(path: &Path) -> PathBuf {
+    std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
+}
+
+/// Name of the scene that needs no files.
+pub const BUILTIN: &str = "builtin";
+/// Pictures of the built-in scene are this wide and high, unless the resolution is capped lower, px.
+const BUILTIN_SIZE: usize = 160;
+/// Points the built-in scene starts from.
+const BUILTIN_POINTS: usize = 4000;
+
+/// Where photographs come from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Source {
+    Builtin,
+    /// The built-in scene with changes that [`BuiltinOptions::altered`] takes.
+    Altered(String),
+    Folder(PathBuf),
+}
+
+impl Source {
+    /// `builtin`, `builtin:CHANGES`, or the path of a folder.
+    pub fn new(text: &Path) -> Self {
+        match text.to_str().and_then(|text| text.strip_prefix(BUILTIN)).map(|rest| (rest, rest.strip_prefix(':'))) {
+            Some(("", _)) => Self::Builtin,
+            Some((_, Some(changes))) => Self::Altered(changes.to_owned()),
+            _ => Self::Folder(text.to_owned()),
+        }
+    }
+
+    /// As a command names it: the folder by its absolute path, the built-in scene where there is none. For photographs
+    /// without cameras it is the folder of the dataset that [`capture::reconstruct`] makes of them.
+    pub fn named(dataset: Option<&Path>) -> Self {
+        match dataset.map_or(Self::Builtin, Self::new) {
+            Self::Folder(path) => {
+                let beside = photographs(&path).and_then(|input| capture::dataset_beside(&input).ok());
+                Self::Folder(beside.unwrap_or_else(|| absolute(&path)))
+            }
+            builtin => builtin,
+        }
+    }
+
+    /// Reads it, and logs what it is.
+    ///
+    /// # Errors
+    /// [`SourceError`].
+    pub fn load(&self, config: &DataConfig) -> Result<Dataset> {
+        let dataset = match self {
+            Self::Builtin => from_builtin("", config)?,
+            Self::Altered(changes) => from_builtin(changes, config)?,
+            Self::Folder(path) => {
+                load(path, &config.load_options()).map_err(|error| SourceError::explained(error, path))?
+            }
+        };
+        let Dataset { train, test, points, format, extent, .. } = &dataset;
+        let [width, height] = train.first().map_or([0; 2], |view| [view.camera.width, view.camera.height]);
+        tracing::info!(
+            "{self}: {format}, {} training and {} held-out views of {width}x{height} px, {} points, extent {extent:.3}",
+            train.len(),
+            test.len(),
+            points.positions.len()
+        );
+        let masked = dataset.masked();
+        if masked.masked_views > 0 {
+            tracing::info!("{masked}");
+        }
+        Ok(dataset)
+    }
+
+    /// The dataset of a run, without the views that are kept for its decisions; warns of what is wrong with it.
+    ///
+    /// # Errors
+    /// [`SourceError`].
+    pub fn load_for_training(&self, config: &Config) -> Result<Dataset> {
+        let mut dataset = self.load(&config.data)?;
+        if let Self::Folder(_) = self {
+            for finding in Report::of(&dataset, Effort::Quick)?.findings {
+                tracing::warn!("{finding}");
+            }
+        }
+        let every = config.validation_every();
+        dataset.keep_for_validation(every);
+        if every > 0 {
+            let (kept, left) = (dataset.validation.len(), dataset.train.len());
+            if kept == 0 {
+                return Err(SourceError::TooFewForDecisions { dataset: self.to_string(), left, every });
+            }
+            tracing::info!("{kept} training views are kept for decisions, {left} are trained on");
+        }
+        Ok(dataset)
+    }
+}
+
+impl fmt::Display for Source {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Builtin => f.write_str(BUILTIN),
+            Self::Altered(changes) => write!(f, "{BUILTIN}:{changes}"),
+            Self::Folder(path) => path.display().fmt(f),
+        }
+    }
+}
+
+fn from_builtin(changes: &str, config: &DataConfig) -> Result<Dataset> {
+    if config.image_scale != 1 {
+        return Err(SourceError::OneScale);
+    }
+    let cap = if config.max_resolution == 0 { BUILTIN_SIZE } else { config.max_resolution };
+    let size = cap.min(BUILTIN_SIZE);
+    let options = BuiltinOptions {
+        width: size,
+        height: size,
+        points: BUILTIN_POINTS,
+        depth: config.load_options().depth,
+        ..Default::default()
+    };
+    let options = options.altered(changes).map_err(SourceError::Change)?;
+    let mut dataset = builtin(&options);
+    if config.undistort && options.fisheye {
+        for view in dataset.train.iter_mut().chain(&mut dataset.test) {
+            *view = view.undistorted()?.expect("the middle of a fisheye picture fits a pinhole camera");
+        }
+    }
+    if let Background::Colour(colour) = config.background {
+        dataset.background = colour;
+    }
+    dataset.spare_memory = config.memory.bytes();
+    if config.near > 0.0 {
+        dataset.near = config.near;
+        dataset.train.iter_mut().chain(&mut dataset.test).for_each(|view| view.camera.near = config.near);
+    }
+    Ok(dataset)
+}

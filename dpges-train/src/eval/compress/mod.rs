@@ -1,0 +1,242 @@
+//! The choice of a quality for a compressed scene: the best that fits into a size, or the one with the smallest file
+//! that looks almost the same.
+//!
+//! Both start from a level of [`Quality::LEVELS`] and go on bit by bit, attribute by attribute, as long as it helps.
+
+pub mod report;
+
+use std::path::{Path, PathBuf};
+
+use dpges_core::scene::{Quality, SceneData};
+
+use crate::config::budget::MEGABYTE;
+
+/// Indices into [`Quality::list`], in the order in which attributes are given another bit: rotations and the detail of
+/// colours change pictures most, opacities and margins least.
+const RAISED: [usize; 7] = [1, 6, 0, 2, 5, 3, 4];
+
+/// Why there is no compressed scene, and what to do.
+#[derive(Debug, thiserror::Error)]
+pub enum CompressError {
+    #[error(
+        "no quality makes the scene as small as {largest} bytes: the smallest file has {smallest}; allow `--budget {}MB`, or \
+         train a scene of fewer primitives",
+        (*.smallest as f64 / 1e3).ceil() * 1e3 / MEGABYTE
+    )]
+    TooLarge { smallest: usize, largest: usize },
+    #[error(
+        "the highest quality loses {found:.4} dB, more than {allowed} dB; allow a larger loss, or keep the scene as it is"
+    )]
+    TooDifferent { found: f64, allowed: f64 },
+    #[error(transparent)]
+    Scene(#[from] dpges_core::Error),
+}
+
+/// A scene in the compressed format.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Compressed {
+    pub quality: Quality,
+    /// Content of the file.
+    pub bytes: Vec<u8>,
+    path: PathBuf,
+}
+
+impl Compressed {
+    /// For a file at `path`, which errors name and which is not written.
+    ///
+    /// # Errors
+    /// The errors of [`SceneData::to_compressed`].
+    pub fn new(scene: &SceneData, quality: &Quality, path: &Path) -> dpges_core::Result<Self> {
+        let bytes = scene.to_compressed(quality, path)?;
+        Ok(Self { quality: *quality, bytes, path: path.to_owned() })
+    }
+
+    /// The scene as a reader of the file sees it.
+    ///
+    /// # Errors
+    /// The errors of [`SceneData::from_bytes`].
+    pub fn scene(&self) -> dpges_core::Result<SceneData> {
+        SceneData::from_bytes(&self.bytes, &self.path.to_string_lossy())
+    }
+}
+
+/// The best quality for a file of at most `largest` bytes.
+///
+/// # Errors
+/// [`CompressError::TooLarge`] with the size of the lowest level, or [`CompressError::Scene`].
+pub fn within_size(scene: &SceneData, largest: usize, path: &Path) -> Result<Compressed, CompressError> {
+    let (mut better, mut smallest) = (None, 0);
+    for (_, quality) in Quality::LEVELS {
+        let candidate = Compressed::new(scene, &quality, path)?;
+        smallest = candidate.bytes.len();
+        if smallest <= largest {
+            let most = better.unwrap_or(quality).list();
+            let more = |bits: u8, attribute: usize| (bits < most[attribute]).then(|| bits + 1);
+            return bit_by_bit(scene, candidate, &RAISED, more, |candidate| Ok(candidate.bytes.len() <= largest));
+        }
+        better = Some(quality);
+    }
+    Err(CompressError::TooLarge { smallest, largest })
+}
+
+/// The smallest file found whose pictures are worse by at most `allowed` dB. `measure` gives the PSNR of a compressed
+/// scene, `before` is that of the scene itself. Returns the PSNR of the file as well.
+///
+/// # Errors
+/// [`CompressError::TooDifferent`] if the highest level loses more, those of `measure`, or [`CompressError::Scene`].
+pub fn within_loss(
+    scene: &SceneData,
+    before: f64,
+    allowed: f64,
+    path: &Path,
+    mut measure: impl FnMut(&Compressed) -> dpges_core::Result<f64>,
+) -> Result<(Compressed, f64), CompressError> {
+    let mut found = f64::INFINITY;
+    for (_, quality) in Quality::LEVELS.into_iter().rev() {
+        let start = Compressed::new(scene, &quality, path)?;
+        let mut after = measure(&start)?;
+        found = before - after;
+        if found <= allowed {
+            let lowered: Vec<usize> = RAISED.into_iter().rev().collect();
+            let fewer = |bits: u8, _| (bits > Quality::MIN_BITS).then(|| bits - 1);
+            let mut size = start.bytes.len();
+            let best = bit_by_bit(scene, start, &lowered, fewer, |candidate| {
+                if candidate.bytes.len() >= size {
+                    return Ok(false);
+                }
+                let psnr = measure(candidate)?;
+                let accepted = before - psnr <= allowed;
+                if accepted {
+                    (after, size) = (psnr, candidate.bytes.len());
+                }
+                Ok(accepted)
+            })?;
+            return Ok((best, after));
+        }
+    }
+    Err(CompressError::TooDifferent { found, allowed })
+}
+
+/// Changes one attribute of `best` after the other, in `order`, to what `next` makes of its bits, and begins again. An
+/// attribute stays as it is once `next` has no more bits for it or the result is not accepted.
+fn bit_by_bit(
+    scene: &SceneData,
+    mut best: Compressed,
+    order: &[usize],
+    next: impl Fn(u8, usize) -> Option<u8>,
+    mut accept: impl FnMut(&Compressed) -> dpges_core::Result<bool>,
+) -> Result<Compressed, CompressError> {
+    let mut open = order.to_vec();
+    while !open.is_empty() {
+        let mut still_open = Vec::new();
+        for attribute in open {
+            let mut bits = best.quality.list();
+            let Some(changed) = next(bits[attribute], attribute) else { continue };
+            bits[attribute] = changed;
+            let candidate = Compressed::new(scene, &Quality::from_list(bits), &best.path)?;
+            if accept(&candidate)? {
+                best = candidate;
+                still_open.push(attribute);
+            }
+        }
+        open = still_open;
+    }
+    Ok(best)
+}
+
+#[cfg(test)]
+mod tests {
+    use dpges_core::scene::schema::Columns;
+    use dpges_core::scene::{ColourModel, GaussianData, SceneInfo, SurfelData};
+
+    use super::*;
+
+    fn scene() -> SceneData {
+        let model = ColourModel::SphericalBeta { lobes: 2 };
+        let numbers = |count: usize, width: usize| -> Vec<f32> {
+            (0..count * width).map(|i| (i as f32 * 0.37).sin() + (i as f32 * 1.7).cos()).collect()
+        };
+        SceneData {
+            info: SceneInfo { colour_model: model, ..SceneInfo::default() },
+            surfels: SurfelData::generate(
+                model,
+                SurfelData::ATTRIBUTES.iter().map(|a| numbers(200, a.width.under(model))),
+            ),
+            gaussians: GaussianData::generate(
+                model,
+                GaussianData::ATTRIBUTES.iter().map(|a| numbers(300, a.width.under(model))),
+            ),
+            environment: None,
+        }
+    }
+
+    fn size_of_level(level: usize) -> usize {
+        Compressed::new(&scene(), &Quality::LEVELS[level].1, Path::new("out")).unwrap().bytes.len()
+    }
+
+    fn fitting(largest: usize) -> Result<Compressed, CompressError> {
+        within_size(&scene(), largest, Path::new("out"))
+    }
+
+    /// As if every bit less of any attribute made the error of pictures larger.
+    fn psnr(quality: &Quality) -> f64 {
+        40.0 - quality.list().iter().map(|&bits| 0.5f64.powi(bits.into())).sum::<f64>()
+    }
+
+    #[test]
+    fn the_best_quality_that_fits_is_taken() {
+        assert_eq!(fitting(usize::MAX).unwrap().quality, Quality::HIGHEST);
+        assert_eq!(fitting(size_of_level(0)).unwrap().quality, Quality::HIGHEST);
+        let [high, medium] = [1, 2].map(size_of_level);
+        let between = fitting((high + medium) / 2).unwrap();
+        assert!(between.bytes.len() <= (high + medium) / 2 && between.bytes.len() > medium);
+        let bits = between.quality.list().into_iter().zip(Quality::HIGH.list()).zip(Quality::MEDIUM.list());
+        assert!(bits.clone().all(|((found, high), medium)| (medium..=high).contains(&found)));
+        assert!(bits.clone().any(|((found, high), _)| found < high) && between.quality != Quality::MEDIUM);
+        assert_eq!(between.scene().unwrap().gaussians.len(), 300);
+    }
+
+    #[test]
+    fn what_does_not_fit_is_told_with_the_smallest_size() {
+        let low = size_of_level(3);
+        assert!(fitting(low).unwrap().bytes.len() <= low);
+        let error = fitting(low - 1).unwrap_err();
+        assert!(
+            matches!(error, CompressError::TooLarge { smallest, largest } if smallest == low && largest == low - 1)
+        );
+        assert!(error.to_string().contains(&low.to_string()));
+    }
+
+    #[test]
+    fn bits_are_saved_while_the_loss_is_allowed() {
+        let mut measured = 0;
+        for allowed in [0.002, 0.05, 0.5] {
+            let (found, after) = within_loss(&scene(), 40.0, allowed, Path::new("out"), |candidate| {
+                measured += 1;
+                Ok(psnr(&candidate.quality))
+            })
+            .unwrap();
+            assert_eq!(after, psnr(&found.quality));
+            assert!(40.0 - after <= allowed, "{:?}", found.quality);
+            // no attribute can do with one bit less
+            for attribute in 0..7 {
+                let mut bits = found.quality.list();
+                bits[attribute] -= 1;
+                if bits[attribute] >= Quality::MIN_BITS {
+                    let fewer = Quality::from_list(bits);
+                    let smaller = Compressed::new(&scene(), &fewer, Path::new("out")).unwrap();
+                    assert!(40.0 - psnr(&fewer) > allowed || smaller.bytes.len() >= found.bytes.len(), "{fewer:?}");
+                }
+            }
+        }
+        assert!(measured > 3, "levels and bits are tried");
+    }
+
+    #[test]
+    fn a_loss_that_no_level_keeps_is_told() {
+        let measure = |_: &Compressed| Ok(39.5);
+        let error = within_loss(&scene(), 40.0, 0.1, Path::new("out"), measure).unwrap_err();
+        assert!(matches!(error, CompressError::TooDifferent { found, allowed } if found == 0.5 && allowed == 0.1));
+        assert!(error.to_string().contains("0.5000 dB"), "{error}");
+    }
+}

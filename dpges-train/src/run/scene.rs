@@ -1,0 +1,215 @@
+//! A trained scene with what is known of it: the run it comes from, and the dataset it was trained on.
+
+use std::path::{Path, PathBuf};
+
+use dpges_core::camera::Camera;
+use dpges_core::scene::{BlendOrder, SceneData, SceneInfo};
+use dpges_render::{RenderError, check_drawn};
+use glam::{DVec3, Vec3};
+
+use super::folder::{RunFolder, RunFolderError};
+use super::metrics_log::MetricsLog;
+use crate::config::{Background, Config, ConfigError, DataConfig, DepthMaps};
+use crate::dataset::source::{Source, SourceError};
+use crate::dataset::{Dataset, View};
+use crate::views::pose::{RefinedPoses, refine};
+
+/// Why a scene, or the dataset to show it with, cannot be read.
+#[derive(Debug, thiserror::Error)]
+pub enum SceneError {
+    #[error(
+        "there is no scene file {}; name a scene file or the folder of a run (`dpges train --out FOLDER` makes one)",
+        .path.display()
+    )]
+    Absent { path: PathBuf },
+    #[error("{} is not in a run folder: name its dataset with --data", .path.display())]
+    NoDataset { path: PathBuf },
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    #[error(transparent)]
+    Source(#[from] SourceError),
+    #[error(transparent)]
+    Folder(#[from] RunFolderError),
+    #[error(transparent)]
+    Core(#[from] dpges_core::Error),
+}
+
+type Result<T, E = SceneError> = std::result::Result<T, E>;
+
+/// How the dataset of a scene is read.
+#[derive(Clone, Debug, Default)]
+pub struct Reading {
+    /// Instead of that of the scene.
+    pub background: Option<Background>,
+    /// Keys of `[data]`, as `key=value`.
+    pub assignments: Vec<String>,
+}
+
+/// A scene file, and the run it comes from where there is one.
+pub struct Scene {
+    pub path: PathBuf,
+    pub data: SceneData,
+    /// Size of the file.
+    pub bytes: u64,
+    run: Option<RunFolder>,
+    /// Whether datasets are read for pinhole cameras alone.
+    pinhole: bool,
+}
+
+impl Scene {
+    /// From a scene file or a run folder; a file in a run folder is the same as the folder.
+    ///
+    /// # Errors
+    /// [`SceneError::Absent`], and those of [`SceneData::load`].
+    pub fn load(path: &Path) -> Result<Self> {
+        let folder = RunFolder::new(if path.is_dir() { path } else { path.parent().unwrap_or(path) });
+        let is_run = folder.config().is_file() && folder.origin().is_file();
+        let path = Self::check(path)?;
+        let data = SceneData::load(&path)?;
+        let bytes = path.metadata().map_or(0, |metadata| metadata.len());
+        Ok(Self { path, data, bytes, run: is_run.then_some(folder), pinhole: false })
+    }
+
+    /// Reads photographs that were taken through a lens for pinhole cameras, whatever the run was trained with: what
+    /// follows draws nothing else.
+    pub fn use_pinholes(&mut self) {
+        self.pinhole = true;
+    }
+
+    /// The scene file that `path` names, which is there.
+    ///
+    /// # Errors
+    /// [`SceneError::Absent`].
+    pub fn check(path: &Path) -> Result<PathBuf> {
+        let path = if path.is_dir() { RunFolder::new(path).scene() } else { path.to_owned() };
+        if path.is_file() {
+            return Ok(path);
+        }
+        Err(SceneError::Absent { path })
+    }
+
+    /// Whether the real-time renderer draws it, and as it was trained.
+    ///
+    /// # Errors
+    /// [`RenderError::NotDrawn`] for Student's t kernels, weighted sums, and Gaussians that are sorted for each pixel or met
+    /// by rays.
+    pub fn check_drawn_as_trained(&self) -> std::result::Result<(), RenderError> {
+        check_drawn(&self.data.info)?;
+        match self.data.info.blend_order {
+            BlendOrder::Centres => Ok(()),
+            BlendOrder::Rays => Err(RenderError::NotDrawn("Gaussians that are sorted for each pixel (StopThePop)")),
+            BlendOrder::Whitened(_) => {
+                Err(RenderError::NotDrawn("Gaussians that rays meet without a projection (HTGS)"))
+            }
+        }
+    }
+
+    /// Warns if its Gaussians are sorted for each pixel, or met by rays, where `what` sorts them by their centres.
+    pub fn warn_of_order(&self, what: &str) {
+        let trained = match self.data.info.blend_order {
+            BlendOrder::Centres => return,
+            BlendOrder::Rays => "for each pixel along its ray as they were trained (StopThePop)",
+            BlendOrder::Whitened(_) => "met by the rays of pixels as they were trained (HTGS)",
+        };
+        tracing::warn!(
+            "{what} the Gaussians by their centres (3DGS), and not {trained}: pictures differ a little, and pop"
+        );
+    }
+
+    /// Time that its training took, s; `None` unless the file is the result of a run.
+    ///
+    /// # Errors
+    /// If the log of the run cannot be read.
+    pub fn training_seconds(&self) -> Result<Option<f64>> {
+        let Some(run) = self.run.as_ref().filter(|run| run.scene() == self.path && run.metrics().is_file()) else {
+            return Ok(None);
+        };
+        Ok(Some(MetricsLog::seconds_of_steps(&run.metrics())?))
+    }
+
+    /// Whether the run that the scene comes from has corrected exposures.
+    pub fn has_exposure(&self) -> bool {
+        self.run.as_ref().is_some_and(|run| run.exposure().is_file())
+    }
+
+    /// Where the training cameras of the dataset are by the run that the scene comes from: nowhere else than it says if the run
+    /// has not refined their poses, or if the dataset is another one, `data`.
+    ///
+    /// # Errors
+    /// If the file of poses is broken.
+    pub fn refined_poses(&self, data: Option<&Path>) -> Result<RefinedPoses> {
+        let run = self.run.as_ref().filter(|_| data.is_none());
+        Ok(run.map(RunFolder::read_poses).transpose()?.flatten().unwrap_or_default())
+    }
+
+    /// The configuration of the run that the scene comes from, where there is one.
+    pub fn run_config(&self) -> Option<PathBuf> {
+        self.run.as_ref().map(RunFolder::config)
+    }
+
+    /// Every how many-th training view of the dataset the run that the scene comes from kept for its decisions: 0 if it kept
+    /// none, or if the dataset is another one, `data`.
+    fn validation_every(&self, data: Option<&Path>) -> usize {
+        let file = self.run_config().filter(|_| data.is_none());
+        let config = file.and_then(|file| Config::of_run(&file).ok());
+        config.map_or(0, |config| config.validation_every())
+    }
+
+    /// The dataset to show the scene with, and how it is read: `data`, or that of the scene's run; `None` if there is
+    /// neither. The options of a run are those it was trained with, unless given; the background is the scene's, unless
+    /// given, and then the scene's too.
+    ///
+    /// # Errors
+    /// If the run does not say what it was trained on, or an option is wrong.
+    pub fn dataset(&mut self, data: Option<&Path>, options: &Reading) -> Result<Option<(Source, DataConfig)>> {
+        let source = match (data, &self.run) {
+            (Some(path), _) => Source::new(path),
+            (None, Some(run)) => Source::new(Path::new(&run.read_origin()?.dataset)),
+            (None, None) => return Ok(None),
+        };
+        let file = self.run.as_ref().map(RunFolder::config);
+        let mut config = Config::resolve_data(file.as_deref(), &options.assignments)?;
+        match options.background {
+            Some(Background::Colour(colour)) => self.data.info.background = colour,
+            _ => config.background = Background::Colour(self.data.info.background),
+        }
+        config.undistort |= self.pinhole;
+        // only training looks at them
+        config.depth = DepthMaps::None;
+        Ok(Some((source, config)))
+    }
+
+    /// The dataset to show the scene with, as [`dataset`](Self::dataset) says, with cameras and points in the scene's
+    /// coordinates, and what it was read from. Validation views are among the training views unless `apart`.
+    ///
+    /// # Errors
+    /// [`SceneError::NoDataset`] if none is known; those of reading it.
+    pub fn read(&mut self, data: Option<&Path>, options: &Reading, apart: bool) -> Result<(Source, Dataset)> {
+        let Some((source, config)) = self.dataset(data, options)? else {
+            return Err(SceneError::NoDataset { path: self.path.clone() });
+        };
+        let mut dataset = source.load(&config)?;
+        refine(&mut dataset.train, &self.refined_poses(data)?);
+        dataset.keep_for_validation(if apart { self.validation_every(data) } else { 0 });
+        let offset = dataset.offset;
+        for view in dataset.train.iter_mut().chain(&mut dataset.test).chain(&mut dataset.validation) {
+            view.camera = in_scene(view.camera, offset, &self.data.info);
+        }
+        let shift = (DVec3::from_array(self.data.info.offset) - offset).as_vec3();
+        for point in &mut dataset.points.positions {
+            *point = (Vec3::from_array(*point) - shift).to_array();
+        }
+        Ok((source, dataset))
+    }
+}
+
+/// A camera of a dataset that was moved by `offset`, in the coordinates of a scene.
+pub fn in_scene(camera: Camera, offset: DVec3, info: &SceneInfo) -> Camera {
+    let shift = DVec3::from_array(info.offset) - offset;
+    Camera { camera_from_world: camera.camera_from_world.recentred(shift), near: info.near, ..camera }
+}
+
+/// At most `most` of `views`, evenly chosen; at least one, if there are any.
+pub fn every_nth(views: &[View], most: usize) -> impl Iterator<Item = &View> {
+    views.iter().step_by(views.len().div_ceil(most.max(1)).max(1))
+}
