@@ -3,6 +3,7 @@
 //! sorted for each tile, and `rays` resorts them for each pixel.
 
 mod back;
+mod fold;
 mod fragments;
 mod gather;
 mod hybrid;
@@ -15,8 +16,9 @@ use burn::backend::tensor::{FloatTensor, IntTensor};
 use burn_cubecl::CubeBackend;
 use cubecl::prelude::*;
 
+use self::fold::Layout;
 use self::fragments::{FEATURES, Fragment, Fragments, Payload, fragment, on_projected};
-use self::gather::{Layout, gather};
+use self::gather::gather;
 use super::{BlendBackwardOps, BlendInput, BlendLists, BlendOps, BlendOptions, BlendOutput, Form, OutweighingOps, far};
 use crate::camera::Camera;
 use crate::footprint::gaussian::cube::regions::{WORDS, list_regions, mark_regions};

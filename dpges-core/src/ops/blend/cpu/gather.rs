@@ -7,7 +7,7 @@ use super::hybrid::Tile;
 use super::normal::normal_backward;
 use super::projected::{CameraPair, Group, Layout, Projected, Sums, WORK_ROWS};
 use super::rays::walk_rays;
-use super::walk::{Fragments, Progress, Sorted, Thresholds, group, is_nothing, walk_tile};
+use super::walk::{Fragments, Progress, Said, Sorted, Thresholds, group, is_nothing, walk_tile};
 use crate::backend::real::Real;
 use crate::backend::simd::{LANES, vectorised};
 use crate::camera::Camera;
@@ -249,9 +249,6 @@ fn gather_tile<T: Real, F: Projected<T>, const MAPS: bool>(
     sums
 }
 
-/// What the pixels of a tile say about an entry of its list: αT, gradient of the exponent, gradient of z.
-pub type Said<T> = [[T; TILE_PIXELS]; 3];
-
 /// [`gather_tile`] in the order of each pixel's own ray: first back through every pixel by itself, then over the pixels of
 /// every primitive.
 fn gather_tile_by_rays<T: Real, F: Projected<T>, const MAPS: bool>(
@@ -291,8 +288,7 @@ fn gather_tile_by_rays<T: Real, F: Projected<T>, const MAPS: bool>(
         slope,
     };
     let mut scratch = Scratch::new(layout);
-    let rows_of_pixel = &mut scratch.pixel;
-    let rows_of_pixel = rows_of_pixel.as_mut_slice();
+    let rows_of_pixel = scratch.pixel.as_mut_slice();
     let mut said: Vec<Said<T>> = vec![[[T::zero(); TILE_PIXELS]; 3]; entries];
     for (pixel, order) in orders.iter().enumerate() {
         let (start, lane) = (pixel / LANES * LANES, pixel % LANES);
@@ -316,7 +312,7 @@ fn gather_tile_by_rays<T: Real, F: Projected<T>, const MAPS: bool>(
 }
 
 /// Sums over the pixels of a tile for the first entries of its list, from what these say about them.
-pub fn gather_said<T: Real, F: Projected<T>, const MAPS: bool>(
+fn gather_said<T: Real, F: Projected<T>, const MAPS: bool>(
     sorted: &Sorted<T, F>,
     tile: usize,
     grad: &[T],
@@ -394,8 +390,14 @@ fn gather<T: Real, F: Projected<T>>(
                     (BlendOrder::Rays, false) => {
                         gather_tile_by_rays::<T, F, false>(sorted, camera, tile, grad, layout, &thresholds, slope)
                     }
-                    (BlendOrder::Whitened(transparency), true) => hybrid(transparency).gather::<true>(grad, layout),
-                    (BlendOrder::Whitened(transparency), false) => hybrid(transparency).gather::<false>(grad, layout),
+                    (BlendOrder::Whitened(transparency), true) => {
+                        let said = hybrid(transparency).go_back::<true>(grad);
+                        gather_said::<T, F, true>(sorted, tile, grad, layout, &said)
+                    }
+                    (BlendOrder::Whitened(transparency), false) => {
+                        let said = hybrid(transparency).go_back::<false>(grad);
+                        gather_said::<T, F, false>(sorted, tile, grad, layout, &said)
+                    }
                 }
             },
         )

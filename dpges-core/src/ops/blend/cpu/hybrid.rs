@@ -1,9 +1,8 @@
 //! Pixels that blend their nearest fragments in order, and mix the others behind them (HTGS).
 
 use super::distortion::slope;
-use super::gather::{Said, gather_said};
-use super::projected::{Layout, Projected};
-use super::walk::{Sorted, Thresholds};
+use super::projected::Projected;
+use super::walk::{Said, Sorted, Thresholds};
 use super::{ALPHA_PLANE, DEPTH_PLANE, DISTORTION_PLANE, MEDIAN, NORMAL_PLANE};
 use crate::backend::real::Real;
 use crate::backend::simd::LANES;
@@ -224,12 +223,12 @@ impl<'a, T: Real, F: Projected<T>> Tile<'a, T, F> {
         }
     }
 
-    /// Sums over the pixels for the entries of the list, each as in `layout`; `grad` is [planes, `TILE_PIXELS`].
-    pub fn gather<const MAPS: bool>(&self, grad: &[T], layout: &Layout) -> Vec<T> {
+    /// What the pixels say about the entries of the list; `grad` is [planes, `TILE_PIXELS`].
+    pub fn go_back<const MAPS: bool>(&self, grad: &[T]) -> Vec<Said<T>> {
         let pixels = self.pixels::<MAPS>();
         let mut said: Vec<Said<T>> = vec![[[T::zero(); TILE_PIXELS]; 3]; self.list().len()];
         let back: Vec<WayBack<T>> =
-            (0..TILE_PIXELS).map(|at| self.go_back::<MAPS>(&pixels[at], at, grad, &mut said)).collect();
+            (0..TILE_PIXELS).map(|at| self.say_core::<MAPS>(&pixels[at], at, grad, &mut said)).collect();
         for (position, said) in said.iter_mut().enumerate() {
             self.for_each_fragment(position, |at, found| {
                 let (pixel, back) = (&pixels[at], &back[at]);
@@ -243,7 +242,7 @@ impl<'a, T: Real, F: Projected<T>> Tile<'a, T, F> {
                 }
             });
         }
-        gather_said::<T, F, MAPS>(self.sorted, self.tile, grad, layout, &said)
+        said
     }
 
     /// Says αT, or the weight that stands for it, and the gradients of a fragment.
@@ -266,7 +265,7 @@ impl<'a, T: Real, F: Projected<T>> Tile<'a, T, F> {
     }
 
     /// Says what the core of a pixel says, and returns what the tail needs.
-    fn go_back<const MAPS: bool>(&self, pixel: &Pixel<T>, at: usize, grad: &[T], said: &mut [Said<T>]) -> WayBack<T> {
+    fn say_core<const MAPS: bool>(&self, pixel: &Pixel<T>, at: usize, grad: &[T], said: &mut [Said<T>]) -> WayBack<T> {
         let weights = self.weights::<MAPS>(pixel);
         let mut back = WayBack::new::<MAPS>(&weights, |plane| grad[plane * TILE_PIXELS + at]);
         let one = T::one();

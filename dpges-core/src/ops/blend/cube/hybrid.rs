@@ -10,8 +10,8 @@ use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
 use super::Thresholds;
+use super::fold::{ENTRIES, FOLD, GROUP, Layout, NUMBERS, fold_entries};
 use super::fragments::{FEATURES, Fragments, Payload};
-use super::gather::{ENTRIES, FOLD, GROUP, Layout, NUMBERS, fold_entries};
 use super::order::NO_KEY;
 use crate::camera::Camera;
 use crate::footprint::gaussian::cube::whitened::{WHITENED, Whitened};
@@ -487,7 +487,7 @@ fn gather_kernel(
     }
 }
 
-/// Sums over the pixels of the tiles of a band into `slots`, see [`gather`](super::gather::gather).
+/// Sums over the pixels of the tiles of a band into `slots`, which are added in the order of the tiles.
 pub fn gather(
     fragments: &Fragments,
     lists: &BlendLists<CubeBackend>,

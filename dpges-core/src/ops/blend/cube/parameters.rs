@@ -5,8 +5,8 @@ use burn_cubecl::CubeBackend;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
+use super::fold::{Layout, PROBE};
 use super::fragments::{LOW_PASS_SQUARED_RADIUS as K, discs, facing_sign, magnitudes, normal_axis, own_normal};
-use super::gather::{Layout, PROBE};
 use crate::camera::Camera;
 use crate::footprint::gaussian::cube as splat_cube;
 use crate::footprint::gaussian::cube::whitened as whitened_cube;
