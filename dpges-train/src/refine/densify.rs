@@ -212,6 +212,18 @@ mod tests {
     }
 
     #[test]
+    fn clones_are_drawn_from_their_originals_if_they_are_to_be() {
+        let old = gaussians(&[0.009, 0.005, 0.005]);
+        let edit = run(&old, &[3e-4, 1e-4, 2.1e-4], DensifyRule { draws_clones: true, ..RULE }, 9);
+        let originals = old.select(&[0, 2]);
+        assert_eq!(GaussianData { positions: originals.positions.clone(), ..edit.added.clone() }, originals);
+        for row in 0..2 {
+            let distance = (vector(&edit.added.positions, row) - vector(&originals.positions, row)).length();
+            assert!(distance > 0.0 && distance < 0.05, "{distance}");
+        }
+    }
+
+    #[test]
     fn the_large_are_replaced_by_two_smaller() {
         let old = gaussians(&[0.005, 0.02, 0.02]);
         let edit = run(&old, &[0.0, 3e-4, 1e-4], RULE, 9);

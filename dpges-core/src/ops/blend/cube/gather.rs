@@ -31,7 +31,7 @@ use crate::gpu::launch::{
 use crate::gpu::record::Record;
 use crate::gpu::tile::{REGIONS, own_pixel};
 use crate::gpu::view::CameraUniforms;
-use crate::ops::blend::{BlendLists, BlendOptions, Form};
+use crate::ops::blend::{BlendLists, BlendOptions};
 use crate::scene::{BlendOrder, Transparency};
 use crate::tiles::TileGrid;
 use crate::tiles::binning::cube::TileList;

@@ -124,6 +124,32 @@ fn what_is_summed_is_never_removed_and_learns_what_its_gaussians_have_in_common(
 }
 
 #[test]
+fn scenes_of_htgs_say_which_fragments_have_an_order_and_lose_what_no_view_needs() {
+    for transparency in ["hybrid", "nearest", "sorted", "tail"] {
+        let set = format!("density.transparency={transparency}");
+        let mut trainer = trainer(&["train.steps=90", "train.method=htgs", &set, "refine.budget=500"]);
+        let mut removed = 0;
+        while !trainer.is_finished() {
+            let before = trainer.scene().gaussians.len();
+            let report = trainer.step().unwrap().unwrap();
+            if report.events.iter().any(|event| event.contains("no training view needs")) {
+                removed += before - report.gaussians;
+            }
+        }
+        assert!(removed > 0, "{transparency}: nothing was removed");
+        let scene = trainer.scene();
+        assert_eq!(
+            (scene.info.rendering, scene.info.blend_order.to_string()),
+            (Rendering::Ellipsoids, transparency.into())
+        );
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("scene.safetensors");
+        scene.save(&path).unwrap();
+        assert_eq!(SceneData::load(&path).unwrap(), scene);
+    }
+}
+
+#[test]
 fn plans_that_lack_something_are_refused_before_the_first_step() {
     let error = |set: &[&str]| match Trainer::new(config(set), dataset(), device()) {
         Err(error) => error.to_string(),
