@@ -16,7 +16,6 @@ pub mod tensors;
 mod weighted_sum;
 
 use std::fmt;
-use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
@@ -133,16 +132,6 @@ impl fmt::Display for Transparency {
             Self::Sorted => "sorted",
             Self::Tail => "tail",
         })
-    }
-}
-
-impl FromStr for Transparency {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let all = [Self::Hybrid, Self::Nearest, Self::Sorted, Self::Tail];
-        let found = all.into_iter().find(|transparency| transparency.to_string() == text);
-        found.ok_or_else(|| format!("`{text}` is unknown: use hybrid, nearest, sorted or tail"))
     }
 }
 
