@@ -85,9 +85,8 @@ def weights_of(alpha, depths, centre_depths, transparency, rounding):
     core = pick(alpha, order)
     behind = numpy.cumprod(1.0 - stop_gradient(core), 1)
     stays = numpy.logical_and.accumulate(behind >= MIN_TRANSMITTANCE, 1)
-    if transparency != "sorted":
-        # the fragment that ends a pixel is blended
-        stays = numpy.concatenate([numpy.ones((pixels, 1), bool), stays[:, :-1]], 1)
+    # the fragment that ends a pixel is blended
+    stays = numpy.concatenate([numpy.ones((pixels, 1), bool), stays[:, :-1]], 1)
     core = np.where(stays, core, 0.0)
     through = [np.ones(pixels)]
     for k in range(core.shape[1]):

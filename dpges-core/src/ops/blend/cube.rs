@@ -37,6 +37,8 @@ use crate::tiles::binning::cube::TileList;
 pub struct Thresholds {
     max_alpha: f32,
     min_transmittance: f32,
+    /// 1 if a pixel ends behind the fragment that takes T below that, 0 if before it.
+    ends_behind: u32,
     /// d m / d(−1 / z) of the m of distortion, world units.
     slope: f32,
 }
@@ -45,7 +47,8 @@ impl Thresholds {
     fn launch(camera: &Camera, options: &BlendOptions) -> ThresholdsLaunch {
         let (near, far) = (camera.near, far(camera.near));
         let slope = far * near / (far - near);
-        ThresholdsLaunch::new(options.max_alpha as f32, options.min_transmittance as f32, slope as f32)
+        let ends_behind = u32::from(options.form.ends_behind());
+        ThresholdsLaunch::new(options.max_alpha as f32, options.min_transmittance as f32, ends_behind, slope as f32)
     }
 }
 
@@ -64,7 +67,7 @@ const SECOND_MOMENT: usize = 13;
 const STATE: usize = 14;
 
 /// Blends a fragment of primitive `i` behind those before it. Returns whether the pixel goes on; if not, it ended before
-/// this fragment.
+/// this fragment, or behind it.
 #[cube]
 fn add_fragment(
     state: &mut Array<f32>,
@@ -77,7 +80,7 @@ fn add_fragment(
     let alpha = max(min(found.weight, thresholds.max_alpha), -thresholds.max_alpha);
     let behind = state[THROUGH] * (1.0f32 - alpha);
     let goes_on = behind >= thresholds.min_transmittance;
-    if goes_on {
+    if goes_on || thresholds.ends_behind == 1u32 {
         let payload = Payload::load(features, i * FEATURES);
         let covered = alpha * state[THROUGH];
         state[COLOUR] += covered * payload.colour.x;

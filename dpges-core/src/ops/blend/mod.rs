@@ -39,7 +39,7 @@
 //! their own z, those first whose centre is nearer if equal. They are blended in that order. The first of them that takes T
 //! below [`BlendOptions::min_transmittance`] ends the pixel behind it. The other fragments are its tail: with T behind the core,
 //! the weight of one is `T (1 − Π (1 − α_j)) α_i / Σ α_j` over the tail. With [`Transparency::Nearest`] there is no tail, with
-//! [`Transparency::Tail`] no core. [`Transparency::Sorted`] is the order of centres. Planes are sums with these weights;
+//! [`Transparency::Tail`] no core. [`Transparency::Sorted`] is the order of centres; pixels end as cores do. Planes are sums with these weights;
 //! distortion is that of any two fragments, whatever their order. Median depth is that of the core, or, where T ≤ ½ only
 //! behind the tail, the mean z of the tail by α. Backward, each pixel finds its core again.
 //!
@@ -141,6 +141,11 @@ impl Form {
     /// Whether its footprint is an ellipse on the screen.
     pub const fn is_projected(self) -> bool {
         matches!(self, Self::Ellipsoids | Self::Students)
+    }
+
+    /// Whether a pixel ends behind the fragment that takes T below [`BlendOptions::min_transmittance`], not before it.
+    const fn ends_behind(self) -> bool {
+        matches!(self, Self::Whitened)
     }
 }
 

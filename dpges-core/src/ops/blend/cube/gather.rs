@@ -119,7 +119,7 @@ fn gather_kernel(
             let found = fragment(shapes, features, i, x, y, view, form);
             if found.weight > 0.0f32 {
                 let goes_on = add_fragment(&mut state, found, features, i, thresholds, layout.maps);
-                end = select(goes_on, end, position);
+                end = select(goes_on, end, position + thresholds.ends_behind);
             }
             position += 1u32;
         }

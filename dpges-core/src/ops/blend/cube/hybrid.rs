@@ -549,7 +549,7 @@ fn outweighing_kernel(
             let alpha = min(weight, thresholds.max_alpha);
             let behind = through * (1.0f32 - alpha);
             let goes_on = behind >= thresholds.min_transmittance;
-            if goes_on && alpha * through >= least {
+            if alpha * through >= least {
                 marks[order[i] as usize].fetch_max(1i32);
             }
             through = behind;

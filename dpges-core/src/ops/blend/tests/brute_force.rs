@@ -298,7 +298,8 @@ pub fn pixel(primitives: &[Primitive], camera: &Camera, options: &BlendOptions, 
         let Some((alpha, z)) = shape.fragment(at) else { continue };
         let alpha = alpha.clamp(-options.max_alpha, options.max_alpha);
         let behind = through * (1.0 - alpha);
-        if behind < options.min_transmittance {
+        let ends = behind < options.min_transmittance;
+        if ends && options.form != Form::Whitened {
             break;
         }
         let weight = alpha * through;
@@ -315,6 +316,9 @@ pub fn pixel(primitives: &[Primitive], camera: &Camera, options: &BlendOptions, 
             out.median_depth = z;
         }
         through = behind;
+        if ends {
+            break;
+        }
     }
     out.planes[3] = 1.0 - through;
     out

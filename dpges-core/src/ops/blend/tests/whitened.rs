@@ -212,7 +212,7 @@ fn those_that_outweigh_a_share_are_marked() {
         opacities: g.opacities.inner(),
         ..leaves.gaussians.clone()
     };
-    for (options, least) in TRANSPARENCIES.into_iter().flat_map(|t| [0.01, 0.2].map(|least| (hybrid(t), least))) {
+    for (options, least) in TRANSPARENCIES.into_iter().flat_map(|t| [0.01, 0.08].map(|least| (hybrid(t), least))) {
         let marks = outweighing(&gaussians, &camera, &options, least).unwrap();
         let found: Vec<i32> = marks.into_data().convert::<i32>().to_vec().unwrap();
         // the weight of a primitive is how a pixel changes with its colour
