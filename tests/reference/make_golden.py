@@ -18,6 +18,9 @@ Its metadata: width, height, near, layer_count, modulation, footprint, and backs
 Cases of Gaussians that are blended in the order of each pixel's own ray become FOLDER/stopthepop/NAME.safetensors. They have
 no surfels, target and losses, out.{image, alpha, depth}, and grad_image.*. What their metadata say of layers is unused.
 
+Cases of Gaussians that rays meet without a projection become FOLDER/htgs/NAME.safetensors, the same, with
+transparency [1], an index of `htgs.TRANSPARENCIES`.
+
 Cases of weighted sums become FOLDER/summed/NAME.safetensors:
   gaussians.*              inputs, of which opacity_base, opacity_detail and colour.* are harmonics
   common                   [3] sigma, beta and the weight of the background
@@ -28,12 +31,14 @@ Its metadata: width, height, near, weight.
 """
 
 import argparse
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from autograd import grad
 from safetensors.numpy import save_file
 
+import htgs
 import model
 import stopthepop
 
@@ -206,14 +211,41 @@ def stopthepop_cases(seed):
             raise RuntimeError(f"{name}: every order depends on rounding")
 
 
-def stopthepop_tensors_of(seed, gaussians, camera):
+def htgs_cases(seed):
+    """Name, Gaussians, camera and transparency of every case: the first random ones whose image does not depend on rounding."""
+    crowd = (300, {"gaussian_scale": (-2.5, -0.5)}, (0.02, 0.25), (2.0, 14, 10, 12.0))
+    few = (40, {"gaussian_scale": (-3.0, -1.0)}, (-0.1, 1.6), (3.0, 34, 20, 36.0))
+    recipes = [
+        ("few", "hybrid", few),
+        # more fragments than a core has room for, and fainter ones
+        ("crowd", "hybrid", crowd),
+        ("nearest", "nearest", crowd),
+        ("sorted", "sorted", few),
+        ("tail", "tail", crowd),
+        # some of them behind the camera or around it
+        ("inside", "hybrid", (120, {"gaussian_scale": (-3.5, -1.5)}, (-0.1, 1.6), (0.3, 28, 18, 20.0))),
+    ]
+    for index, (name, transparency, (count, scene, opacities, camera)) in enumerate(recipes):
+        for attempt in range(1000):
+            rng = np.random.default_rng([seed, 200 + index, attempt])
+            _, gaussians = random_scene(rng, 0, count, lobes=1, **scene)
+            gaussians = gaussians._replace(opacities=rng.uniform(*opacities, count))
+            seen_by = look_at(rng, *camera)
+            if htgs.is_robust(gaussians, seen_by, BACKGROUND, transparency):
+                yield name, gaussians, seen_by, transparency
+                break
+        else:
+            raise RuntimeError(f"{name}: every image depends on rounding")
+
+
+def blended_tensors_of(seed, gaussians, camera, render):
     upstream = np.random.default_rng([seed, 1001]).normal(0, 1, (camera.height, camera.width, 3))
     inputs = named("gaussians", gaussians)
 
     def rendered(arrays):
         colour = model.Colour(arrays["gaussians.colour.base"], arrays["gaussians.colour.lobes"])
         fields = (colour if field == "colour" else arrays[f"gaussians.{field}"] for field in model.Gaussians._fields)
-        return stopthepop.render(model.Gaussians(*fields), camera, BACKGROUND)
+        return render(model.Gaussians(*fields), camera, BACKGROUND)
 
     tensors = inputs | {
         "camera.rotation": camera.rotation,
@@ -317,12 +349,18 @@ def main():
     parser.add_argument("folder", type=Path)
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
-    own = arguments.folder / "stopthepop"
-    own.mkdir(parents=True, exist_ok=True)
+    for part in ("stopthepop", "htgs"):
+        (arguments.folder / part).mkdir(parents=True, exist_ok=True)
     for name, surfels, gaussians, camera, options in cases(arguments.seed):
         write(arguments.folder, name, tensors_of(arguments.seed, surfels, gaussians, camera, options), camera, options)
     for name, gaussians, camera in stopthepop_cases(arguments.seed):
-        write(own, name, stopthepop_tensors_of(arguments.seed, gaussians, camera), camera, {})
+        tensors = blended_tensors_of(arguments.seed, gaussians, camera, stopthepop.render)
+        write(arguments.folder / "stopthepop", name, tensors, camera, {})
+    for name, gaussians, camera, transparency in htgs_cases(arguments.seed):
+        render = partial(htgs.render, transparency=transparency)
+        tensors = blended_tensors_of(arguments.seed, gaussians, camera, render)
+        tensors["transparency"] = np.array([htgs.TRANSPARENCIES.index(transparency)], np.int32)
+        write(arguments.folder / "htgs", name, tensors, camera, {})
     write_summed(arguments.folder / "summed", arguments.seed)
 
 

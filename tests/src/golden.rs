@@ -35,9 +35,15 @@ fn by_rays() -> PathBuf {
     own_cases().join("stopthepop")
 }
 
+/// Cases of Gaussians that rays meet without a projection.
+fn whitened() -> PathBuf {
+    own_cases().join("htgs")
+}
+
 /// How cases are compared, and the fewest tensors of one.
 const PEELED: (Compare, usize) = (GoldenCase::compare, 41);
 const BY_RAYS: (Compare, usize) = (GoldenCase::compare_by_rays, 9);
+const WHITENED: (Compare, usize) = (GoldenCase::compare_whitened, 9);
 
 fn load(path: &Path) -> GoldenCase {
     GoldenCase::load(path).unwrap()
@@ -100,6 +106,7 @@ fn check_summed(device: &Device, dtype: DType) {
 pub fn check_all(device: &Device, dtype: DType) {
     check_folder(&own_cases(), device, dtype, PEELED);
     check_folder(&by_rays(), device, dtype, BY_RAYS);
+    check_folder(&whitened(), device, dtype, WHITENED);
     check_summed(device, dtype);
     if let Some(folder) = std::env::var_os("DPGES_GOLDEN_DIR") {
         check_folder(Path::new(&folder), device, dtype, PEELED);
@@ -128,7 +135,7 @@ fn flex_f32() {
 
 #[test]
 fn rounding_the_inputs_does_not_excuse_much() {
-    for (folder, (compare, _)) in [(own_cases(), PEELED), (by_rays(), BY_RAYS)] {
+    for (folder, (compare, _)) in [(own_cases(), PEELED), (by_rays(), BY_RAYS), (whitened(), WHITENED)] {
         for path in cases_in(&folder) {
             for (tensor, tolerance) in tolerances(&path, &flex(), DType::F32, compare) {
                 assert!(tolerance < 1e-3, "{}: {tensor} may be off by {tolerance:.1e}", path.display());
@@ -162,16 +169,18 @@ fn a_wrong_expectation_is_reported_and_only_that() {
 }
 
 #[test]
-fn a_wrong_expectation_of_rays_is_reported_and_only_that() {
-    let path = by_rays().join("few.safetensors");
-    let names: Vec<String> = load(&path).expected().map(str::to_owned).collect();
-    for name in &names {
-        let deviations = load(&path).perturbed(name, 1.001).compare_by_rays(&flex(), DType::F64);
-        let far: Vec<&str> =
-            deviations.iter().filter(|d| d.distance > TOLERANCE_F64).map(|d| d.tensor.as_str()).collect();
-        assert_eq!(far, [name.as_str()]);
+fn a_wrong_expectation_of_what_is_blended_is_reported_and_only_that() {
+    for (folder, (compare, least)) in [(by_rays(), BY_RAYS), (whitened(), WHITENED)] {
+        let path = folder.join("few.safetensors");
+        let names: Vec<String> = load(&path).expected().map(str::to_owned).collect();
+        for name in &names {
+            let deviations = compare(&load(&path).perturbed(name, 1.001), &flex(), DType::F64);
+            let far: Vec<&str> =
+                deviations.iter().filter(|d| d.distance > TOLERANCE_F64).map(|d| d.tensor.as_str()).collect();
+            assert_eq!(far, [name.as_str()]);
+        }
+        assert_eq!(names.len(), least);
     }
-    assert_eq!(names.len(), BY_RAYS.1);
 }
 
 #[test]

@@ -7,7 +7,7 @@ use dpges_core::ops::peel::PeelOptions;
 use dpges_core::ops::unpack::{pack, unpack};
 use dpges_core::render::blended::{BlendedOptions, render_blended};
 use dpges_core::render::{RenderOptions, Values, render};
-use dpges_core::scene::{BlendOrder, ColourModel, DepthWeight, Footprint, ScreenFilter};
+use dpges_core::scene::{BlendOrder, ColourModel, DepthWeight, Footprint, HIGHEST_ALPHA, ScreenFilter, Transparency};
 use dpges_core::testing::golden::values;
 use dpges_core::testing::kernels::limit_buffers;
 use dpges_core::testing::lenses::{behind, every_model};
@@ -66,12 +66,11 @@ fn check_blending(what: &str, scene: &TestScene, forms: &[(Form, ScreenFilter)],
     }
 }
 
-/// Sorted blending in the order of each pixel's own ray. Rounding may decide what is nearer, and rarely does: such pixels
-/// are counted, and left out of the rest.
-fn check_by_rays(what: &str, scene: &TestScene, device: &Device) {
+/// Blending of what each pixel sorts by itself. Rounding may decide what is nearer, and rarely does: such pixels are
+/// counted, and left out of the rest.
+fn check_where_orders_agree(what: &str, scene: &TestScene, options: BlendOptions, device: &Device) {
     for maps in [false, true] {
-        let (filter, order) = (ScreenFilter::Plain, BlendOrder::Rays);
-        let options = BlendOptions { filter, order, maps, ..BlendOptions::default() };
+        let options = BlendOptions { maps, ..options };
         let bench = |device: &Device| on(scene, PeelOptions::default(), device);
         let [found, expected] = [device, &ndarray()].map(|device| bench(device).blended_colour(options));
         let pixels = found.len() / 3;
@@ -82,8 +81,26 @@ fn check_by_rays(what: &str, scene: &TestScene, device: &Device) {
         let apart = 1.0 - agreed.iter().sum::<f64>() / pixels.max(1) as f64;
         assert!(apart <= MAY_SWAP, "{what}: colours differ in {apart:.1e} of the pixels");
         let run = |device: &Device| bench(device).blended_where(options, &agreed);
-        let what = format!("{what}, by rays, maps {maps}, other orders in {apart:.1e} of the pixels");
+        let what = format!("{what}, by {}, maps {maps}, other orders in {apart:.1e} of the pixels", options.order);
         assert_near(&what, &run(device), &run(&ndarray()));
+    }
+}
+
+fn check_by_rays(what: &str, scene: &TestScene, device: &Device) {
+    let (filter, order) = (ScreenFilter::Plain, BlendOrder::Rays);
+    check_where_orders_agree(what, scene, BlendOptions { filter, order, ..BlendOptions::default() }, device);
+}
+
+fn whitened(transparency: Transparency) -> BlendOptions {
+    let (form, order) = (Form::Whitened, BlendOrder::Whitened(transparency));
+    BlendOptions { form, order, max_alpha: HIGHEST_ALPHA, ..BlendOptions::default() }
+}
+
+/// Everything that pixels sort by themselves.
+fn check_by_pixels(what: &str, scene: &TestScene, device: &Device) {
+    check_by_rays(what, scene, device);
+    for transparency in [Transparency::Hybrid, Transparency::Nearest, Transparency::Sorted, Transparency::Tail] {
+        check_where_orders_agree(what, scene, whitened(transparency), device);
     }
 }
 
@@ -175,7 +192,7 @@ pub fn sorted_blending_agrees_on_random_scenes(device: Device) {
     for seed in 90..93 {
         let scene = random(seed, ColourModel::SphericalBeta { lobes: 0 });
         check_blending(&format!("seed {seed}"), &scene, &FORMS, &device);
-        check_by_rays(&format!("seed {seed}"), &scene, &device);
+        check_by_pixels(&format!("seed {seed}"), &scene, &device);
     }
 }
 
@@ -184,14 +201,14 @@ pub fn sorted_blending_agrees_in_a_crowd(device: Device) {
     let recipe = Recipe { surfels: 0, gaussians: 2_500, width: 40, height: 30, ..Recipe::default() };
     let scene = scenes::random(94, &recipe);
     check_blending("a crowd", &scene, &FORMS[..1], &device);
-    check_by_rays("a crowd", &scene, &device);
+    check_by_pixels("a crowd", &scene, &device);
 }
 
 pub fn sorted_blending_agrees_with_little_or_nothing_to_show(device: Device) {
     for gaussians in [0, 1, 5] {
         let scene = scenes::random(95, &Recipe { surfels: 0, gaussians, ..Recipe::default() });
         check_blending(&format!("{gaussians} primitives"), &scene, &FORMS, &device);
-        check_by_rays(&format!("{gaussians} primitives"), &scene, &device);
+        check_by_pixels(&format!("{gaussians} primitives"), &scene, &device);
     }
 }
 
@@ -222,7 +239,7 @@ pub fn lists_that_overflow_change_nothing(device: Device) {
     cap_lists(100);
     check("lists of 100 entries", &scene, PeelOptions::default(), &device);
     check_blending("lists of 100 entries", &scene, &FORMS, &device);
-    check_by_rays("lists of 100 entries", &scene, &device);
+    check_by_pixels("lists of 100 entries", &scene, &device);
     cap_lists(usize::MAX);
 }
 
@@ -235,8 +252,11 @@ fn everything(scene: &TestScene, device: &Device) -> Vec<Named> {
         let options = BlendOptions { form, filter, maps: true, ..BlendOptions::default() };
         found.extend(on(scene, PeelOptions::default(), device).blended(options));
     }
-    let options = BlendOptions { order: BlendOrder::Rays, maps: true, ..BlendOptions::default() };
-    found.extend(on(scene, PeelOptions::default(), device).blended(options));
+    let by_rays = BlendOptions { order: BlendOrder::Rays, ..BlendOptions::default() };
+    for options in [by_rays, whitened(Transparency::Hybrid)] {
+        let options = BlendOptions { maps: true, ..options };
+        found.extend(on(scene, PeelOptions::default(), device).blended(options));
+    }
     found
 }
 
@@ -272,23 +292,28 @@ pub fn primitives_larger_than_the_picture_agree(device: Device) {
     scene.surfels.log_scales[..6].copy_from_slice(&[0.3, 0.1, 0.2, 0.4, 0.0, 0.3]);
     check("larger than the picture", &scene, PeelOptions::default(), &device);
     check_blending("larger than the picture", &scene, &FORMS, &device);
-    check_by_rays("larger than the picture", &scene, &device);
+    check_by_pixels("larger than the picture", &scene, &device);
 }
 
 pub fn gradients_beyond_the_largest_buffer_are_gathered_in_parts(device: Device) {
     let recipe = Recipe { surfels: 0, gaussians: 2_500, width: 40, height: 30, ..Recipe::default() };
     let scene = with_large_ones(scenes::random(96, &recipe), 1_500);
     // the sums of a tile fit, and what its pixels say, those of all six do not
-    for (order, most) in [(BlendOrder::Centres, 180_000), (BlendOrder::Rays, 6_000_000)] {
+    let by = |order| BlendOptions { order, ..BlendOptions::default() };
+    for (options, most) in [
+        (by(BlendOrder::Centres), 180_000),
+        (by(BlendOrder::Rays), 6_000_000),
+        (whitened(Transparency::Hybrid), 250_000),
+    ] {
         let run = || {
-            let options = BlendOptions { order, maps: true, ..BlendOptions::default() };
+            let options = BlendOptions { maps: true, ..options };
             on(&scene, PeelOptions::default(), &device).blended(options)
         };
         let whole = run();
         limit_buffers(most);
         let in_parts = run();
         limit_buffers(usize::MAX);
-        assert_near(&format!("in parts, by {order}"), &in_parts, &whole);
+        assert_near(&format!("in parts, by {}", options.order), &in_parts, &whole);
     }
 }
 
@@ -331,11 +356,10 @@ pub fn every_operation_gives_the_same_bits_every_time(device: Device) {
     let reference = on(&scene, PeelOptions::default(), &ndarray()).reference();
     let run = || {
         let peeled = on(&scene, PeelOptions::default(), &device).against(&reference);
-        let [by_centres, by_rays] = [BlendOrder::Centres, BlendOrder::Rays].map(|order| {
-            let options = BlendOptions { order, maps: true, ..BlendOptions::default() };
-            on(&scene, PeelOptions::default(), &device).blended(options)
-        });
-        [peeled, by_centres, by_rays]
+        let by_rays = BlendOptions { order: BlendOrder::Rays, ..BlendOptions::default() };
+        let blended = [BlendOptions::default(), by_rays, whitened(Transparency::Hybrid)]
+            .map(|options| on(&scene, PeelOptions::default(), &device).blended(BlendOptions { maps: true, ..options }));
+        (peeled, blended)
     };
     let first = run();
     for _ in 0..3 {

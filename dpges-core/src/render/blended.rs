@@ -23,6 +23,7 @@ impl BlendedOptions {
     /// [`Error::Option`] if the scene is not one of blended Gaussians.
     pub fn new(info: &SceneInfo) -> Result<Self> {
         let form = match info.rendering {
+            Rendering::Ellipsoids if info.blend_order.transparency().is_some() => Form::Whitened,
             Rendering::Ellipsoids => Form::Ellipsoids,
             Rendering::Discs => Form::Discs,
             Rendering::Students => Form::Students,

@@ -75,6 +75,9 @@ impl ScreenFilter {
     }
 }
 
+/// Largest α of a fragment that is blended: backward divides by 1 − α.
+pub const HIGHEST_ALPHA: f64 = 0.9999;
+
 /// The order in which the fragments of a pixel are blended.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -85,13 +88,49 @@ pub enum BlendOrder {
     /// An order for each pixel: by the depth at which its ray meets the most of a Gaussian, as far as queues of limited
     /// length sort it (StopThePop).
     Rays,
+    /// That of Gaussians which rays meet as they are, without a projection (HTGS).
+    #[serde(untagged)]
+    Whitened(Transparency),
+}
+
+impl BlendOrder {
+    pub const fn transparency(self) -> Option<Transparency> {
+        if let Self::Whitened(transparency) = self { Some(transparency) } else { None }
+    }
 }
 
 impl fmt::Display for BlendOrder {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Centres => f.write_str("centres"),
+            Self::Rays => f.write_str("rays"),
+            Self::Whitened(transparency) => transparency.fmt(f),
+        }
+    }
+}
+
+/// Which fragments of a pixel have an order (HTGS).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Transparency {
+    /// The nearest along the ray of those that are not faint. The others are mixed behind them.
+    #[default]
+    Hybrid,
+    /// The same nearest. There are no others.
+    Nearest,
+    /// All, in one order for all pixels: by the depth of the centre, then by index.
+    Sorted,
+    /// None: all are mixed.
+    Tail,
+}
+
+impl fmt::Display for Transparency {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
-            Self::Centres => "centres",
-            Self::Rays => "rays",
+            Self::Hybrid => "hybrid",
+            Self::Nearest => "nearest",
+            Self::Sorted => "sorted",
+            Self::Tail => "tail",
         })
     }
 }
@@ -166,8 +205,11 @@ pub struct SceneInfo {
 
 impl SceneInfo {
     /// The largest α of a fragment of blended Gaussians: that of the method which trains them (3DGS, 2DGS, SSS: 0.99, DBS:
-    /// 0.999).
+    /// 0.999), or the largest there is (HTGS).
     pub fn max_alpha(&self) -> f64 {
+        if self.blend_order.transparency().is_some() {
+            return HIGHEST_ALPHA;
+        }
         let as_published = matches!(self.rendering, Rendering::Discs | Rendering::Students)
             || self.screen_filter == ScreenFilter::Plain;
         if as_published { 0.99 } else { 0.999 }

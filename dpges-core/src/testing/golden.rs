@@ -1,6 +1,7 @@
 //! Golden cases: inputs, outputs, losses and gradients of the float64 specification of the model, as
 //! safetensors files, and their comparison with this crate.
 
+mod htgs;
 mod stopthepop;
 pub mod summed;
 

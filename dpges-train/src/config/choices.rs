@@ -29,6 +29,9 @@ choices! {
         /// 3DGS with Gaussians no finer than what the training views resolve, and a filter that keeps their weight on the
         /// screen (Mip-Splatting).
         "mip-splatting" => MipSplatting,
+        /// Gaussians that rays meet without a projection, the nearest of each pixel blended in order and the others mixed
+        /// behind them, no finer than what the training views resolve (HTGS).
+        "htgs" => Htgs,
         /// Kernels of Student's t distribution alone, some of which take colour away, sorted and blended, relocated at
         /// intervals, with positions by stochastic gradient Hamiltonian Monte Carlo, spherical harmonics and the rates of
         /// its paper (SSS).

@@ -1,7 +1,7 @@
 //! How keys are declared. One declaration gives the field of a section with its documentation, its default, its range
 //! check, its ablations, and its entry in [`SECTIONS`](super::SECTIONS), which help texts and documents are made from.
 
-use dpges_core::scene::{ColourModel, DepthWeight, Footprint, MarginLookup, OpacityActivation};
+use dpges_core::scene::{ColourModel, DepthWeight, Footprint, MarginLookup, OpacityActivation, Transparency};
 
 /// A section of the configuration, such as `[train]`.
 #[derive(Debug)]
@@ -172,6 +172,14 @@ value!(
     "dir" => "1 at every depth (DIR-WSR).",
     "exp" => "exp(−σ d^β), with σ and β learnt (EXP-WSR).",
     "lc" => "max(0, 1 − d / σ), with σ learnt (LC-WSR)."
+);
+
+value!(
+    Transparency, "a string", toml::Value::is_str,
+    "hybrid" => "The 16 nearest of those with α of at least 0.05; the others are mixed behind them (HTGS).",
+    "nearest" => "The same 16, and no others.",
+    "sorted" => "All of them, in one order for all pixels, by the depths of their centres.",
+    "tail" => "None: all are mixed."
 );
 
 /// Enums whose variants are the strings that a key allows.

@@ -3,7 +3,7 @@
 //! Documents that repeat them are made from this file; `dpges-train/tests/documents.rs` says how.
 
 use dpges_core::ops::peel::MAX_LAYERS;
-use dpges_core::scene::{ColourModel, DepthWeight, Footprint, MarginLookup, OpacityActivation};
+use dpges_core::scene::{ColourModel, DepthWeight, Footprint, MarginLookup, OpacityActivation, Transparency};
 
 use super::budget::Budget;
 use super::choices::{
@@ -213,10 +213,15 @@ configuration! {
         lambda_distortion: f64 = 0.0, range: 0.0..;
     }
 
-    /// Adaptive density control of discs and Gaussians (2DGS, 3DGS, AbsGS, Mip-Splatting).
+    /// Adaptive density control of discs and Gaussians (2DGS, 3DGS, AbsGS, Mip-Splatting, HTGS).
     [density] DensityConfig {
         /// Mean norm of the gradient of the projected centre above which a disc or a Gaussian is cloned or split (3DGS).
         gradient_threshold: f64 = 2e-4, unit: "per NDC unit", range: POSITIVE;
+        /// Which fragments of a pixel have an order, with `train.method = "htgs"`.
+        transparency: Transparency = Transparency::Hybrid,
+            ablation: "nearest-alone" = "nearest" ("Blend the nearest fragments alone, with `train.method = \"htgs\"`"),
+            ablation: "sorted-by-centres" = "sorted" ("One order for all pixels, with `train.method = \"htgs\"`"),
+            ablation: "tail-alone" = "tail" ("No order at all, with `train.method = \"htgs\"`");
     }
 
     /// Gaussians that are summed in any order (`train.method = "sortfree"`).

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use dpges_core::scene::{BlendOrder, ColourModel, OpacityActivation, Rendering, ScreenFilter};
+use dpges_core::scene::{BlendOrder, ColourModel, OpacityActivation, Rendering, ScreenFilter, Transparency};
 
 use super::{Config, ConfigError, GaussianStage, Method};
 
@@ -44,6 +44,9 @@ pub enum Density {
     SignedByRays,
     /// By both, as many by absolute sums as by the others; with the filters of Mip-Splatting.
     Smoothed,
+    /// As [`Smoothed`](Self::Smoothed), of Gaussians that rays meet without a projection; opacities decay, clones are drawn from
+    /// their originals, and what no picture needs is removed (HTGS).
+    Hybrid,
     /// As [`Signed`](Self::Signed), of Gaussians that are summed in any order; none is removed, and no opacity is reset.
     Summed,
 }
@@ -90,8 +93,18 @@ impl Blended {
         }
     }
 
-    pub fn blend_order(self) -> BlendOrder {
-        if self == Self::Controlled(Density::SignedByRays) { BlendOrder::Rays } else { BlendOrder::Centres }
+    /// `transparency` is what `density.transparency` asks for.
+    pub fn blend_order(self, transparency: Transparency) -> BlendOrder {
+        match self {
+            Self::Controlled(Density::SignedByRays) => BlendOrder::Rays,
+            Self::Controlled(Density::Hybrid) => BlendOrder::Whitened(transparency),
+            _ => BlendOrder::Centres,
+        }
+    }
+
+    /// Whether its Gaussians have a filter in the world (Mip-Splatting).
+    pub fn smooths(self) -> bool {
+        matches!(self, Self::Controlled(Density::Smoothed | Density::Hybrid))
     }
 
     /// How opacities follow from the numbers that are trained.
@@ -118,6 +131,7 @@ impl fmt::Display for StageKind {
             Self::Blended(Blended::Controlled(Density::Absolute)) => "absgs",
             Self::Blended(Blended::Controlled(Density::SignedByRays)) => "stopthepop",
             Self::Blended(Blended::Controlled(Density::Smoothed)) => "mip-splatting",
+            Self::Blended(Blended::Controlled(Density::Hybrid)) => "htgs",
             Self::Blended(Blended::Controlled(Density::Summed)) => "sortfree",
             Self::Joint => "joint",
         })
@@ -161,6 +175,7 @@ impl Method {
             Self::Absolute => Blended::Controlled(Density::Absolute),
             Self::StopThePop => Blended::Controlled(Density::SignedByRays),
             Self::MipSplatting => Blended::Controlled(Density::Smoothed),
+            Self::Htgs => Blended::Controlled(Density::Hybrid),
             Self::Sss => Blended::Relocated(Relocation::Student),
             Self::SortFree => Blended::Controlled(Density::Summed),
         })
@@ -169,7 +184,12 @@ impl Method {
     /// `key=value` of its paper that differ from the defaults, which are those of DP-GES.
     pub fn settings(self) -> &'static [&'static str] {
         match self {
-            Self::Gaussians3d | Self::Absolute | Self::StopThePop | Self::MipSplatting | Self::SortFree => &[
+            Self::Gaussians3d
+            | Self::Absolute
+            | Self::StopThePop
+            | Self::MipSplatting
+            | Self::Htgs
+            | Self::SortFree => &[
                 "model.colour=sh3",
                 "init.limit_scales=false",
                 "optimizer.quaternions=1e-3",

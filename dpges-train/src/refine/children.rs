@@ -19,11 +19,22 @@ pub fn children(
 ) -> GaussianData {
     let twice: Vec<usize> = parents.flat_map(|row| [row, row]).collect();
     let mut children = gaussians.select(&twice);
-    for (position, &row) in children.positions.as_chunks_mut::<3>().0.iter_mut().zip(&twice) {
-        *position = draw_inside(gaussians, row, flat, rng).as_vec3().to_array();
-    }
+    draw_positions(&mut children, gaussians, &twice, flat, rng);
     children.log_scales.iter_mut().for_each(|log_scale| *log_scale -= SHRINKAGE.ln() as f32);
     children
+}
+
+/// Moves `copies` of `rows` to points that are distributed as these are, or in their planes if they are `flat`.
+pub fn draw_positions(
+    copies: &mut GaussianData,
+    gaussians: &GaussianData,
+    rows: &[usize],
+    flat: bool,
+    rng: &mut ChaCha8Rng,
+) {
+    for (position, &row) in copies.positions.as_chunks_mut::<3>().0.iter_mut().zip(rows) {
+        *position = draw_inside(gaussians, row, flat, rng).as_vec3().to_array();
+    }
 }
 
 /// Row `row` of `values` [N × 3].

@@ -4,7 +4,7 @@
 use dpges_core::scene::GaussianData;
 use rand_chacha::ChaCha8Rng;
 
-use super::children::{SHRINKAGE, children};
+use super::children::{SHRINKAGE, children, draw_positions};
 use super::{GaussianEdit, RowEdit};
 
 /// The decision by sums of absolute gradients.
@@ -35,6 +35,8 @@ pub struct DensifyRule {
     pub max_scale_fraction: Option<f64>,
     /// Whether the rows are discs. Then the third scale is ignored, and children lie in the plane of the first two axes.
     pub flat: bool,
+    /// Whether clones lie where a point of their originals is drawn, and not in the same place (GOF, HTGS).
+    pub draws_clones: bool,
 }
 
 /// Gradients of N rows, summed over views since the last densification.
@@ -133,6 +135,9 @@ pub fn densify(
 
     cloned.retain(|&row| stays(row, max_scale));
     let mut added = gaussians.select(&cloned);
+    if rule.draws_clones {
+        draw_positions(&mut added, gaussians, &cloned, rule.flat, rng);
+    }
     let fruitful = parents.into_iter().filter(|&row| stays(row, max_scale * SHRINKAGE));
     added.append(children(gaussians, fruitful, rule.flat, rng));
 
@@ -165,6 +170,7 @@ mod tests {
         min_opacity: 0.05,
         max_scale_fraction: None,
         flat: false,
+        draws_clones: false,
     };
 
     fn rng() -> ChaCha8Rng {
@@ -203,6 +209,18 @@ mod tests {
         let edit = run(&old, &[3e-4, 1e-4, 2.1e-4], RULE, 9);
         assert_eq!(edit.rows.keep, [0, 1, 2]);
         assert_eq!(edit.added, old.select(&[0, 2]));
+    }
+
+    #[test]
+    fn clones_are_drawn_from_their_originals_if_they_are_to_be() {
+        let old = gaussians(&[0.009, 0.005, 0.005]);
+        let edit = run(&old, &[3e-4, 1e-4, 2.1e-4], DensifyRule { draws_clones: true, ..RULE }, 9);
+        let originals = old.select(&[0, 2]);
+        assert_eq!(GaussianData { positions: originals.positions.clone(), ..edit.added.clone() }, originals);
+        for row in 0..2 {
+            let distance = (vector(&edit.added.positions, row) - vector(&originals.positions, row)).length();
+            assert!(distance > 0.0 && distance < 0.05, "{distance}");
+        }
     }
 
     #[test]

@@ -91,23 +91,29 @@ impl Scene {
     /// Whether the real-time renderer draws it, and as it was trained.
     ///
     /// # Errors
-    /// [`RenderError::NotDrawn`] for Student's t kernels, weighted sums, and Gaussians that are sorted for each pixel.
+    /// [`RenderError::NotDrawn`] for Student's t kernels, weighted sums, and Gaussians that are sorted for each pixel or met
+    /// by rays.
     pub fn check_drawn_as_trained(&self) -> std::result::Result<(), RenderError> {
         check_drawn(&self.data.info)?;
         match self.data.info.blend_order {
             BlendOrder::Centres => Ok(()),
             BlendOrder::Rays => Err(RenderError::NotDrawn("Gaussians that are sorted for each pixel (StopThePop)")),
+            BlendOrder::Whitened(_) => {
+                Err(RenderError::NotDrawn("Gaussians that rays meet without a projection (HTGS)"))
+            }
         }
     }
 
-    /// Warns if its Gaussians are sorted for each pixel, where `what` sorts them by their centres.
+    /// Warns if its Gaussians are sorted for each pixel, or met by rays, where `what` sorts them by their centres.
     pub fn warn_of_order(&self, what: &str) {
-        if self.data.info.blend_order == BlendOrder::Rays {
-            tracing::warn!(
-                "{what} the Gaussians by their centres (3DGS), and not for each pixel along its ray as they were trained (StopThePop): \
-                 pictures differ a little, and pop"
-            );
-        }
+        let trained = match self.data.info.blend_order {
+            BlendOrder::Centres => return,
+            BlendOrder::Rays => "for each pixel along its ray as they were trained (StopThePop)",
+            BlendOrder::Whitened(_) => "met by the rays of pixels as they were trained (HTGS)",
+        };
+        tracing::warn!(
+            "{what} the Gaussians by their centres (3DGS), and not {trained}: pictures differ a little, and pop"
+        );
     }
 
     /// Time that its training took, s; `None` unless the file is the result of a run.

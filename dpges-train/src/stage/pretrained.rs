@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use dpges_core::scene::{Rendering, SceneData};
 
 use super::{Context, TrainError};
-use crate::config::{Blended, Budget, GaussianStage, StageKind, StagePlan, Stop};
+use crate::config::{Blended, Budget, Density, GaussianStage, StageKind, StagePlan, Stop};
 
 /// Key of the file to take discs or surfels from.
 pub const SURFELS_FROM: &str = "stages.surfels_from";
@@ -39,9 +39,18 @@ impl Context {
         let joint = plan.iter().any(|stage| stage.kind == StageKind::Joint);
         let renders_discs = plan.iter().any(|stage| stage.kind == StageKind::Blended(Blended::Discs))
             || (joint && has_discs && self.config.train.has_geometry_losses());
+        let meets_rays =
+            plan.iter().any(|stage| stage.kind == StageKind::Blended(Blended::Controlled(Density::Hybrid)));
         // a stage is also judged by views that it does not learn from
         let mut views = self.dataset.train.iter().chain(&self.dataset.validation).chain(&self.dataset.test);
-        if let Some(view) = views.find(|view| view.camera.lens.is_some() && renders_discs) {
+        if let Some(view) = views.find(|view| view.camera.lens.is_some() && (renders_discs || meets_rays)) {
+            if meets_rays {
+                return Err(TrainError::Plan(format!(
+                    "Gaussians of train.method = \"htgs\" cannot be seen through a lens, and view `{}` has one: set \
+                     data.undistort = true",
+                    view.name
+                )));
+            }
             return Err(TrainError::Plan(format!(
                 "discs cannot be seen through a lens, and view `{}` has one: set data.undistort = true, or train without \
                  discs (stages.surfels = 0)",

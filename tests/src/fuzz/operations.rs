@@ -8,7 +8,7 @@ use dpges_core::ops::peel::PeelOptions;
 use dpges_core::render::blended::{BlendedOptions, render_blended};
 use dpges_core::render::{RenderOptions, Values, render};
 use dpges_core::scene::schema::Columns;
-use dpges_core::scene::{BlendOrder, ColourModel, Footprint, ScreenFilter};
+use dpges_core::scene::{BlendOrder, ColourModel, Footprint, ScreenFilter, Transparency};
 use dpges_core::testing::golden::values;
 use dpges_core::testing::random::Random;
 use dpges_core::testing::scenes::{self, Recipe, TestScene};
@@ -99,11 +99,17 @@ impl Case {
             footprint,
             backstop: random.below(2) == 0,
         };
-        let form = [Form::Ellipsoids, Form::Discs][random.below(2)];
-        let order = [BlendOrder::Centres, BlendOrder::Rays][random.below(2)];
+        let whitened = |transparency| (Form::Whitened, BlendOrder::Whitened(transparency));
+        let (form, order) = [
+            (Form::Ellipsoids, BlendOrder::Centres),
+            (Form::Ellipsoids, BlendOrder::Rays),
+            (Form::Discs, BlendOrder::Centres),
+            whitened(Transparency::Hybrid),
+            whitened(Transparency::Sorted),
+        ][random.below(5)];
         let blend = BlendOptions {
             form,
-            order: if form == Form::Discs { BlendOrder::Centres } else { order },
+            order,
             filter: [ScreenFilter::Compensated, ScreenFilter::Plain][random.below(2)],
             max_alpha: perhaps(0.999, share, random),
             min_transmittance: perhaps(1e-4, share, random),

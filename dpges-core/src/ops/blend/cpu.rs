@@ -5,25 +5,31 @@
 mod disc;
 mod distortion;
 mod gather;
+mod hybrid;
 mod normal;
 mod projected;
 mod rays;
 mod student;
 mod walk;
+mod whitened;
+
+use std::sync::atomic::{AtomicI32, Ordering};
 
 use burn::backend::TensorMetadata;
-use burn::backend::tensor::FloatTensor;
+use burn::backend::tensor::{FloatTensor, IntTensor};
 use rayon::prelude::*;
 
 use self::disc::DiscFootprint;
 use self::distortion::Spread;
 use self::gather::backward;
+use self::hybrid::Tile;
 use self::projected::{CameraPair, Ellipse, Projected};
 use self::rays::walk_rays;
 use self::walk::{Fragments, Sorted, Thresholds, group, walk_tile};
+use self::whitened::WhitenedFootprint;
 use super::{
     ALL_PLANES, ALPHA_PLANE, BlendBackwardOps, BlendInput, BlendLists, BlendOps, BlendOptions, BlendOutput,
-    COLOUR_PLANES, DEPTH_PLANE, DISTORTION_PLANE, Form, NORMAL_PLANE,
+    COLOUR_PLANES, DEPTH_PLANE, DISTORTION_PLANE, Form, NORMAL_PLANE, OutweighingOps,
 };
 use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
 use crate::backend::real::Real;
@@ -32,7 +38,7 @@ use crate::camera::Camera;
 use crate::footprint::gaussian::cpu::student::Student;
 use crate::footprint::gaussian::tensors::{GaussianRows, GaussianTensors};
 use crate::math::CameraOf;
-use crate::scene::BlendOrder;
+use crate::scene::{BlendOrder, Transparency};
 use crate::tiles::TILE_PIXELS;
 use crate::tiles::layout::to_planes;
 
@@ -144,14 +150,23 @@ fn forward<T: Real, F: Projected<T>>(
     blocks.par_chunks_mut(count * TILE_PIXELS).enumerate().for_each(|(tile, block)| {
         vectorised(
             #[inline(always)]
-            || match (options.order, options.maps) {
-                (BlendOrder::Centres, true) => blend_tile::<T, F, true>(&sorted, tile, &thresholds, slope, block),
-                (BlendOrder::Centres, false) => blend_tile::<T, F, false>(&sorted, tile, &thresholds, slope, block),
-                (BlendOrder::Rays, true) => {
-                    blend_tile_by_rays::<T, F, true>(&sorted, &view.camera, tile, &thresholds, slope, block);
-                }
-                (BlendOrder::Rays, false) => {
-                    blend_tile_by_rays::<T, F, false>(&sorted, &view.camera, tile, &thresholds, slope, block);
+            || {
+                let hybrid = |transparency| Tile::new(&sorted, &view.camera, tile, &thresholds, transparency);
+                match (options.order, options.maps) {
+                    (BlendOrder::Centres | BlendOrder::Whitened(Transparency::Sorted), true) => {
+                        blend_tile::<T, F, true>(&sorted, tile, &thresholds, slope, block);
+                    }
+                    (BlendOrder::Centres | BlendOrder::Whitened(Transparency::Sorted), false) => {
+                        blend_tile::<T, F, false>(&sorted, tile, &thresholds, slope, block);
+                    }
+                    (BlendOrder::Rays, true) => {
+                        blend_tile_by_rays::<T, F, true>(&sorted, &view.camera, tile, &thresholds, slope, block);
+                    }
+                    (BlendOrder::Rays, false) => {
+                        blend_tile_by_rays::<T, F, false>(&sorted, &view.camera, tile, &thresholds, slope, block);
+                    }
+                    (BlendOrder::Whitened(transparency), true) => hybrid(transparency).blend::<true>(block),
+                    (BlendOrder::Whitened(transparency), false) => hybrid(transparency).blend::<false>(block),
                 }
             },
         );
@@ -169,6 +184,7 @@ fn blend_on<B: Host>(input: &BlendInput<B>, camera: &Camera, options: &BlendOpti
             Form::Ellipsoids => forward::<T, Ellipse<T>>(&rows, camera, options),
             Form::Discs => forward::<T, DiscFootprint<T>>(&rows, camera, options),
             Form::Students => forward::<T, Student<T>>(&rows, camera, options),
+            Form::Whitened => forward::<T, WhitenedFootprint<T>>(&rows, camera, options),
         };
         let medians = usize::from(options.maps);
         BlendOutput {
@@ -193,6 +209,7 @@ fn blend_backward_on<B: Host>(
             Form::Ellipsoids => backward::<T, Ellipse<T>>(&rows, &grad, probed > 0, camera, options),
             Form::Discs => backward::<T, DiscFootprint<T>>(&rows, &grad, probed > 0, camera, options),
             Form::Students => backward::<T, Student<T>>(&rows, &grad, probed > 0, camera, options),
+            Form::Whitened => backward::<T, WhitenedFootprint<T>>(&rows, &grad, probed > 0, camera, options),
         };
         BlendInput {
             gaussians: GaussianTensors::from_rows([positions, quaternions, log_scales, opacities, colours], &device),
@@ -202,8 +219,48 @@ fn blend_backward_on<B: Host>(
     })
 }
 
+/// Marks every primitive with a weight of at least `least` at some pixel.
+fn outweighing_on<B: Host>(input: &BlendInput<B>, camera: &Camera, options: &BlendOptions, least: f64) -> IntTensor<B> {
+    let (count, device) = (host::rows(&input.gaussians.positions), input.gaussians.positions.device());
+    let transparency = options.order.transparency().expect("that of whitened Gaussians");
+    let marks: Vec<i32> = with_real!(input.gaussians.positions.dtype(), T => {
+        let rows = GaussianRows::<T>::new(&input.gaussians);
+        let view = CameraPair::<T>::new(camera, options.filter);
+        let sorted = Sorted::<T, WhitenedFootprint<T>>::new(&rows, &view, options);
+        let (thresholds, least) = (Thresholds::new(options), T::of(least));
+        let marks: Vec<AtomicI32> = (0..count).map(|_| AtomicI32::new(0)).collect();
+        (0..sorted.grid.len()).into_par_iter().for_each(|tile| {
+            let mark = |id: usize, weight: T| {
+                if weight >= least {
+                    marks[sorted.rows[id]].store(1, Ordering::Relaxed);
+                }
+            };
+            if transparency == Transparency::Sorted {
+                walk_tile(&sorted, tile, &thresholds, |id, _, fragments| {
+                    fragments.covered.iter().for_each(|&covered| mark(id, covered));
+                });
+            } else {
+                Tile::new(&sorted, &view.camera, tile, &thresholds, transparency).for_each_weight(mark);
+            }
+        });
+        marks.into_iter().map(AtomicI32::into_inner).collect()
+    });
+    host::int_tensor::<B, 1>(marks, [count], &device)
+}
+
 macro_rules! implement {
     ($backend:ty) => {
+        impl OutweighingOps for $backend {
+            fn outweighing(
+                input: BlendInput<Self>,
+                camera: Camera,
+                options: BlendOptions,
+                least: f64,
+            ) -> IntTensor<Self> {
+                outweighing_on::<Self>(&input, &camera, &options, least)
+            }
+        }
+
         impl BlendOps for $backend {
             fn blend(input: BlendInput<Self>, camera: Camera, options: BlendOptions) -> BlendOutput<Self> {
                 blend_on::<Self>(&input, &camera, &options)

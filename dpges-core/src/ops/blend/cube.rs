@@ -3,20 +3,23 @@
 //! sorted for each tile, and `rays` resorts them for each pixel.
 
 mod back;
+mod fold;
 mod fragments;
 mod gather;
+mod hybrid;
 mod order;
 mod parameters;
 mod rays;
 
 use burn::backend::TensorMetadata;
-use burn::backend::tensor::FloatTensor;
+use burn::backend::tensor::{FloatTensor, IntTensor};
 use burn_cubecl::CubeBackend;
 use cubecl::prelude::*;
 
+use self::fold::Layout;
 use self::fragments::{FEATURES, Fragment, Fragments, Payload, fragment, on_projected};
-use self::gather::{Layout, gather};
-use super::{BlendBackwardOps, BlendInput, BlendLists, BlendOps, BlendOptions, BlendOutput, Form, far};
+use self::gather::gather;
+use super::{BlendBackwardOps, BlendInput, BlendLists, BlendOps, BlendOptions, BlendOutput, Form, OutweighingOps, far};
 use crate::camera::Camera;
 use crate::footprint::gaussian::cube::regions::{WORDS, list_regions, mark_regions};
 use crate::footprint::gaussian::cube::{SPLAT, Splat};
@@ -25,7 +28,7 @@ use crate::gpu::launch::{LANES, UNITS, buffer, cube_dim, cubes, empty_f32, float
 use crate::gpu::record::Record;
 use crate::gpu::tile::{REGIONS, own_pixel, plane_of};
 use crate::gpu::view::CameraUniforms;
-use crate::scene::BlendOrder;
+use crate::scene::{BlendOrder, Transparency};
 use crate::tiles::TileGrid;
 use crate::tiles::binning::cube::TileList;
 
@@ -34,6 +37,8 @@ use crate::tiles::binning::cube::TileList;
 pub struct Thresholds {
     max_alpha: f32,
     min_transmittance: f32,
+    /// 1 if a pixel ends behind the fragment that takes T below that, 0 if before it.
+    ends_behind: u32,
     /// d m / d(−1 / z) of the m of distortion, world units.
     slope: f32,
 }
@@ -42,7 +47,8 @@ impl Thresholds {
     fn launch(camera: &Camera, options: &BlendOptions) -> ThresholdsLaunch {
         let (near, far) = (camera.near, far(camera.near));
         let slope = far * near / (far - near);
-        ThresholdsLaunch::new(options.max_alpha as f32, options.min_transmittance as f32, slope as f32)
+        let ends_behind = u32::from(options.form.ends_behind());
+        ThresholdsLaunch::new(options.max_alpha as f32, options.min_transmittance as f32, ends_behind, slope as f32)
     }
 }
 
@@ -61,7 +67,7 @@ const SECOND_MOMENT: usize = 13;
 const STATE: usize = 14;
 
 /// Blends a fragment of primitive `i` behind those before it. Returns whether the pixel goes on; if not, it ended before
-/// this fragment.
+/// this fragment, or behind it.
 #[cube]
 fn add_fragment(
     state: &mut Array<f32>,
@@ -74,7 +80,7 @@ fn add_fragment(
     let alpha = max(min(found.weight, thresholds.max_alpha), -thresholds.max_alpha);
     let behind = state[THROUGH] * (1.0f32 - alpha);
     let goes_on = behind >= thresholds.min_transmittance;
-    if goes_on {
+    if goes_on || thresholds.ends_behind == 1u32 {
         let payload = Payload::load(features, i * FEATURES);
         let covered = alpha * state[THROUGH];
         state[COLOUR] += covered * payload.colour.x;
@@ -122,7 +128,7 @@ fn blend_kernel(
     let own = own_pixel(view, CUBE_POS as u32);
     let mut state = zeros(STATE);
     state[THROUGH] = 1.0f32;
-    if comptime!(form != Form::Discs) {
+    if comptime!(form.is_projected()) {
         let mut staged = Shared::<[f32]>::new_slice(comptime!(UNITS as usize * SPLAT));
         let mut masks = Shared::<[u32]>::new_slice(comptime!(UNITS as usize));
         let mut visits = Shared::<[u32]>::new_slice(comptime!(REGIONS * WORDS));
@@ -156,7 +162,7 @@ fn blend_kernel(
         let mut end = select(own.inside, list.length, 0u32);
         while position < end {
             let i = list.entry(ids, position) as usize;
-            let found = fragment(shapes, features, i, own.x, own.y, view.near, form);
+            let found = fragment(shapes, features, i, own.x, own.y, view, form);
             if found.weight > 0.0f32 {
                 let goes_on = add_fragment(&mut state, found, features, i, thresholds, maps);
                 end = select(goes_on, end, 0u32);
@@ -205,7 +211,7 @@ impl BlendOps for CubeBackend {
         let planes = empty_f32(like, [options.planes(), height, width]);
         let median_depth = empty_f32(like, [usize::from(options.maps), height, width]);
         match options.order {
-            BlendOrder::Centres => blend_kernel::launch(
+            BlendOrder::Centres | BlendOrder::Whitened(Transparency::Sorted) => blend_kernel::launch(
                 &like.client.clone(),
                 cubes(TileGrid::new(width, height).len()),
                 cube_dim(),
@@ -223,8 +229,17 @@ impl BlendOps for CubeBackend {
                 options.maps,
             ),
             BlendOrder::Rays => rays::blend(&fragments, &lists, [&planes, &median_depth], &camera, &options),
+            BlendOrder::Whitened(_) => hybrid::blend(&fragments, &lists, [&planes, &median_depth], &camera, &options),
         }
         BlendOutput { planes, median_depth, lists }
+    }
+}
+
+impl OutweighingOps for CubeBackend {
+    fn outweighing(input: BlendInput<Self>, camera: Camera, options: BlendOptions, least: f64) -> IntTensor<Self> {
+        let gaussians = input.gaussians.contiguous();
+        let (fragments, lists) = Fragments::new(&gaussians, &floats(input.degrees_of_freedom), &camera, &options);
+        hybrid::outweighing(&fragments, &lists, &camera, &options, least)
     }
 }
 

@@ -1,4 +1,4 @@
-//! `blend`: primitives blended front to back in the order of their depths (3DGS, 2DGS, SSS).
+//! `blend`: primitives blended front to back in the order of their depths (3DGS, 2DGS, SSS, HTGS).
 //!
 //! Primitives, coloured c_i, → planes [P, H, W] and median depth. With `T_i = Π_{j<i} (1 − α_j)` and
 //! `w_i = α_i T_i`, the planes are
@@ -35,6 +35,14 @@
 //! for rounding: a CPU walks through the queues of a tile together; on a GPU one unit runs the queue of a block, and every
 //! pixel runs its own and that of its quad. Backward runs all of them again, so that nothing of the order is kept.
 //!
+//! [`BlendOrder::Whitened`] (HTGS): a pixel keeps the nearest [`CORE`] of its fragments with α of at least [`CORE_ALPHA`], by
+//! their own z, those first whose centre is nearer if equal. They are blended in that order. The first of them that takes T
+//! below [`BlendOptions::min_transmittance`] ends the pixel behind it. The other fragments are its tail: with T behind the core,
+//! the weight of one is `T (1 − Π (1 − α_j)) α_i / Σ α_j` over the tail. With [`Transparency::Nearest`] there is no tail, with
+//! [`Transparency::Tail`] no core. [`Transparency::Sorted`] is the order of centres; pixels end as cores do. Planes are sums with these weights;
+//! distortion is that of any two fragments, whatever their order. Median depth is that of the core, or, where T ≤ ½ only
+//! behind the tail, the mean z of the tail by α. Backward, each pixel finds its core again.
+//!
 //! [`Form::Ellipsoids`]: α = max(0, opacity) · compensation · exp(−½ dᵀ Q d), the footprint of
 //! [`splat`](super::splat): EWA, a low-pass filter of 0.1 px², compensation; or, with [`ScreenFilter::Plain`],
 //! 0.3 px² without compensation (3DGS, DBS). Gaussians trained that way change when they are splatted. z is that
@@ -51,12 +59,23 @@
 //! away, and T grows behind it, also above 1. A fragment exists within a square around the projected centre, whose half
 //! side is a number of standard deviations that depends on ν, rounded up to whole px (SSS). z and n as of ellipsoids.
 //!
+//! [`Form::Whitened`]: α = max(0, opacity) · exp(−½ r²), where r is the least distance of the ray from the centre in
+//! the frame in which the Gaussian is a sphere of standard deviation 1, and z the depth at which it is that near (HTGS). There is
+//! no projection and no low-pass filter. An ellipsoid that reaches the near plane at α = 1/255 does not exist. n as of
+//! ellipsoids. HTGS also leaves out what reaches a far plane, and has α up to 1.
+//!
 //! Gradients: from the planes to positions, quaternions, log-scales, opacities, degrees of freedom and colours, all in
 //! one pass. That of ν is exact; the published kernel leaves out a term of it. Median depth, a capped α, the order, the end of a pixel and the choice of a normal carry none.
 //!
 //! The *probe* is a [M, 4] tensor that no value depends on. Its gradient is Σ g_x, Σ g_y, Σ |g_x|, Σ |g_y|
 //! over the pixels, where (g_x, g_y) is a pixel's gradient with respect to the projected centre in units
-//! of half the image. 3DGS, 2DGS (only from hits with the disc) and AbsGS base densification on it.
+//! of half the image. 3DGS, 2DGS (only from hits with the disc) and AbsGS base densification on it. Of [`Form::Whitened`] it is
+//! Σ g_x, Σ g_y, Σ g_z, Σ (|g_x| + |g_y| + |g_z|), where g is a pixel's gradient with respect to the centre in camera axes
+//! times half its depth (HTGS: the norm of the sum of g, and the last with g in world axes).
+//!
+//! [`Transparency::Nearest`]: crate::scene::Transparency::Nearest
+//! [`Transparency::Tail`]: crate::scene::Transparency::Tail
+//! [`Transparency::Sorted`]: crate::scene::Transparency::Sorted
 
 mod backward;
 mod cpu;
@@ -67,13 +86,13 @@ mod tests;
 
 use burn::backend::tensor::{FloatTensor, IntTensor};
 use burn::backend::{Backend, Dispatch, ExtensionType, backend_extension};
-use burn::tensor::Tensor;
+use burn::tensor::{Int, Tensor};
 
 use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::footprint::gaussian::tensors::GaussianTensors;
 use crate::scene::tensors::{check_shape, flat};
-use crate::scene::{BlendOrder, Gaussians, ScreenFilter};
+use crate::scene::{BlendOrder, Gaussians, HIGHEST_ALPHA, ScreenFilter};
 use crate::tiles::capacity::within_capacity;
 
 /// Red, green, blue, alpha.
@@ -86,8 +105,12 @@ pub const DEPTH_PLANE: usize = 4;
 pub const NORMAL_PLANE: usize = 5;
 pub const DISTORTION_PLANE: usize = 8;
 
-/// Largest [`BlendOptions::max_alpha`]: backward divides by 1 − α.
-pub const HIGHEST_MAX_ALPHA: f64 = 0.9999;
+/// Largest [`BlendOptions::max_alpha`].
+pub const HIGHEST_MAX_ALPHA: f64 = HIGHEST_ALPHA;
+
+/// K: most fragments of a pixel that have an order, and their least α (HTGS).
+pub const CORE: usize = 16;
+pub const CORE_ALPHA: f64 = 0.05;
 
 /// Most entries of the queues of a block of 4 × 4 px, of a quad of 2 × 2 px and of a pixel (StopThePop).
 pub const QUEUES: [usize; 3] = [64, 8, 4];
@@ -110,15 +133,29 @@ pub enum Form {
     Discs,
     /// Three scales, a kernel of Student's t distribution, an opacity of either sign (SSS).
     Students,
+    /// Three scales, met by rays in the frame in which it is a sphere (HTGS).
+    Whitened,
+}
+
+impl Form {
+    /// Whether its footprint is an ellipse on the screen.
+    pub const fn is_projected(self) -> bool {
+        matches!(self, Self::Ellipsoids | Self::Students)
+    }
+
+    /// Whether a pixel ends behind the fragment that takes T below [`BlendOptions::min_transmittance`], not before it.
+    const fn ends_behind(self) -> bool {
+        matches!(self, Self::Whitened)
+    }
 }
 
 /// Form of the primitives and thresholds of blending.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BlendOptions {
     pub form: Form,
-    /// The filter of ellipsoids; students have none.
+    /// The filter of ellipsoids; other forms have none.
     pub filter: ScreenFilter,
-    /// [`BlendOrder::Rays`] of ellipsoids alone.
+    /// [`BlendOrder::Rays`] of ellipsoids alone, [`BlendOrder::Whitened`] of [`Form::Whitened`], and only that.
     pub order: BlendOrder,
     /// Largest |α| of a fragment; above 0, at most [`HIGHEST_MAX_ALPHA`].
     pub max_alpha: f64,
@@ -144,15 +181,18 @@ impl Default for BlendOptions {
 
 impl BlendOptions {
     /// # Errors
-    /// [`Error::Option`] for a number outside its range, and for discs in the order of rays.
+    /// [`Error::Option`] for a number outside its range, and for an order that the form does not have.
     pub fn validate(&self) -> Result<()> {
-        let by_centres_alone = match self.form {
-            Form::Ellipsoids => None,
-            Form::Discs => Some("discs"),
-            Form::Students => Some("Student's t kernels"),
+        let (fits, expected) = match (self.form, self.order) {
+            (Form::Ellipsoids, order) => (order.transparency().is_none(), "centres or rays for ellipsoids"),
+            (Form::Discs, order) => (order == BlendOrder::Centres, "centres for discs"),
+            (Form::Students, order) => (order == BlendOrder::Centres, "centres for Student's t kernels"),
+            (Form::Whitened, order) => {
+                (order.transparency().is_some(), "hybrid, nearest, sorted or tail for whitened Gaussians")
+            }
         };
-        if let (Some(form), BlendOrder::Rays) = (by_centres_alone, self.order) {
-            let expected = format!("{} for {form}", BlendOrder::Centres);
+        if !fits {
+            let expected = expected.to_owned();
             return Err(Error::Option { option: "order", expected, found: self.order.to_string() });
         }
         let check = |option, value: f64, fits: bool, expected: String| {
@@ -238,6 +278,17 @@ pub trait BlendBackwardOps: Backend {
     ) -> BlendInput<Self>;
 }
 
+#[backend_extension(Cube: cfg(feature = "gpu"), NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
+pub trait OutweighingOps: Backend {
+    /// See [`outweighing`]; without a probe.
+    fn outweighing(
+        #[extension_type] input: BlendInput<Self>,
+        camera: Camera,
+        options: BlendOptions,
+        least: f64,
+    ) -> IntTensor<Self>;
+}
+
 /// Blended primitives of one view.
 #[derive(Clone, Debug)]
 pub struct Blend {
@@ -264,7 +315,7 @@ pub struct Maps {
 
 /// Blends `gaussians` in `colours` [M, 3], as seen from the camera. Only the gradient of `probe` [M, 4] means anything:
 /// Σ g_x, Σ g_y, Σ |g_x|, Σ |g_y| over the pixels, with the gradient with respect to the projected centre in units of
-/// half the image.
+/// half the image; that of [`Form::Whitened`] is described above.
 ///
 /// # Errors
 /// [`Error::Shape`], [`Error::Camera`] or [`Error::Option`] if the input is invalid, which students without degrees of
@@ -277,7 +328,7 @@ pub fn blend(
     options: &BlendOptions,
 ) -> Result<Blend> {
     camera.validate()?;
-    if options.form == Form::Discs {
+    if matches!(options.form, Form::Discs | Form::Whitened) {
         camera.require_pinhole()?;
     }
     options.validate()?;
@@ -290,7 +341,9 @@ pub fn blend(
     };
     let degrees_of_freedom = match (&gaussians.degrees_of_freedom, options.form) {
         (Some(column), Form::Students) => flat(column),
-        (None, Form::Ellipsoids | Form::Discs) => Tensor::zeros([0], (&colours.device(), colours.dtype())),
+        (None, Form::Ellipsoids | Form::Discs | Form::Whitened) => {
+            Tensor::zeros([0], (&colours.device(), colours.dtype()))
+        }
         (column, form) => {
             let expected = "students if they have degrees of freedom, and another form if not".to_owned();
             let found = format!("{form:?} {} them", if column.is_some() { "with" } else { "without" });
@@ -313,4 +366,35 @@ pub fn blend(
         distortion: part(DISTORTION_PLANE, 1),
     });
     Ok(Blend { colour: part(0, 3), alpha: part(ALPHA_PLANE, 1), maps })
+}
+
+/// `[M]` 1 for every one of `gaussians` whose weight w_i is at least `least` at some pixel of the view, else 0. Of
+/// [`Form::Whitened`] alone. Nothing is on a tape.
+///
+/// # Errors
+/// Those of [`blend()`], and [`Error::Option`] for another form.
+pub fn outweighing(
+    gaussians: &Gaussians,
+    camera: &Camera,
+    options: &BlendOptions,
+    least: f64,
+) -> Result<Tensor<1, Int>> {
+    camera.validate()?;
+    camera.require_pinhole()?;
+    options.validate()?;
+    if options.form != Form::Whitened {
+        let (expected, found) = (format!("an order of {:?}", Form::Whitened), options.order.to_string());
+        return Err(Error::Option { option: "order", expected, found });
+    }
+    let like = &gaussians.positions;
+    let (device, dtype) = (like.device(), like.dtype());
+    let colours = Tensor::zeros([gaussians.len(), 3], (&device, dtype));
+    let input = BlendInput {
+        gaussians: GaussianTensors::new(gaussians, &colours)?,
+        degrees_of_freedom: Tensor::<1>::zeros([0], (&device, dtype)).into_dispatch(),
+        probe: Tensor::<2>::zeros([0, 4], (&device, dtype)).into_dispatch(),
+    };
+    let options = BlendOptions { maps: false, ..*options };
+    let marks = within_capacity(|| Dispatch::outweighing(input, *camera, options, least))?;
+    Ok(Tensor::from_dispatch(marks))
 }

@@ -5,6 +5,7 @@ mod precision;
 mod probe;
 mod rays;
 mod students;
+mod whitened;
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use glam::{DMat3, DVec3};
@@ -13,7 +14,7 @@ use self::brute_force::{Pixel, Primitive, Shape, centre_of, pixel};
 use super::{ALPHA_PLANE, Blend, BlendOptions, DEPTH_PLANE, DISTORTION_PLANE, Form, NORMAL_PLANE, blend};
 use crate::camera::{Camera, CameraFromWorld, Distortion, Lens, Projection};
 use crate::footprint::gaussian::cpu::Parameters;
-use crate::scene::{BlendOrder, Colour, ColourModel, Gaussians, ScreenFilter};
+use crate::scene::{BlendOrder, Colour, ColourModel, Gaussians, ScreenFilter, Transparency};
 use crate::testing::compare::relative_l2;
 use crate::testing::device;
 use crate::testing::golden::values;
@@ -80,9 +81,13 @@ fn by_rays() -> BlendOptions {
     BlendOptions { order: BlendOrder::Rays, ..plainly_filtered() }
 }
 
-/// Both forms of Gaussians, and both orders of ellipsoids.
-fn every_way() -> [BlendOptions; 3] {
-    [with_maps(Form::Ellipsoids), with_maps(Form::Discs), by_rays()]
+fn hybrid(transparency: Transparency) -> BlendOptions {
+    BlendOptions { order: BlendOrder::Whitened(transparency), max_alpha: 0.9999, ..with_maps(Form::Whitened) }
+}
+
+/// Forms and orders of Gaussians and discs.
+fn every_way() -> [BlendOptions; 4] {
+    [with_maps(Form::Ellipsoids), with_maps(Form::Discs), by_rays(), hybrid(Transparency::Hybrid)]
 }
 
 /// Positions, quaternions, log-scales, opacities and colours, row-major; then degrees of freedom, of students.
@@ -284,7 +289,7 @@ fn slanted() -> Flat {
 
 fn scene_of(form: Form) -> Flat {
     match form {
-        Form::Ellipsoids => capped(),
+        Form::Ellipsoids | Form::Whitened => capped(),
         Form::Discs => slanted(),
         Form::Students => students::mixed(),
     }

@@ -12,10 +12,24 @@ use crate::scene::{BlendOrder, Gaussians, ScreenFilter};
 impl GoldenCase {
     /// Renders a case without surfels in the order of rays, and compares every output and gradient that the file holds.
     pub fn compare_by_rays(&self, device: &Device, dtype: DType) -> Vec<Deviation> {
+        let options = BlendOptions {
+            filter: ScreenFilter::Plain,
+            order: BlendOrder::Rays,
+            max_alpha: 0.99,
+            maps: true,
+            ..BlendOptions::default()
+        };
+        self.compare_blended(options, device, dtype)
+    }
+
+    /// The same as `blend` says.
+    pub(super) fn compare_blended(&self, blend: BlendOptions, device: &Device, dtype: DType) -> Vec<Deviation> {
         let device = device.clone().autodiff();
         let mut found = Found { case: self, deviations: Vec::new() };
         let gaussians = self.columns::<Gaussians>(&device, dtype).require_grad();
-        let BlendedRender { image, blend } = self.render_by_rays(&gaussians);
+        let options = BlendedOptions { blend, background: self.options.background };
+        let rendered = render_blended(&gaussians, None, &self.camera, &options, Values::Unknown);
+        let BlendedRender { image, blend } = rendered.expect("golden inputs are valid");
         found.image("out.image", &image);
         found.compare("out.alpha", &values(&blend.alpha));
         found.compare("out.depth", &values(&blend.maps.expect("asked for").depth));
@@ -27,17 +41,5 @@ impl GoldenCase {
             found.compare(&format!("grad_image.{}", golden_name(attribute)), &gradient);
         }
         found.deviations
-    }
-
-    fn render_by_rays(&self, gaussians: &Gaussians) -> BlendedRender {
-        let blend = BlendOptions {
-            filter: ScreenFilter::Plain,
-            order: BlendOrder::Rays,
-            max_alpha: 0.99,
-            maps: true,
-            ..BlendOptions::default()
-        };
-        let options = BlendedOptions { blend, background: self.options.background };
-        render_blended(gaussians, None, &self.camera, &options, Values::Unknown).expect("golden inputs are valid")
     }
 }

@@ -18,12 +18,13 @@ use crate::gpu::launch::largest_buffer;
 use crate::tiles::capacity::{exceed, too_many_entries};
 use crate::tiles::lists::{is_deferred, postpone};
 
-/// The kind of a list: lists of surfels, discs and Gaussians have different lengths.
+/// The kind of a list: lists of surfels, discs, Gaussians and Gaussians that rays meet have different lengths.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum ListKind {
     Surfels,
     Discs,
     Gaussians,
+    Whitened,
 }
 
 /// The lists of one kind on one device.

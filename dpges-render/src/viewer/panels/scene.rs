@@ -31,7 +31,7 @@ pub fn title(state: &mut State, ui: &mut Ui) {
         ui.add(egui::Label::new(egui::RichText::new(&scene.name).strong()).truncate());
         let [surfels, gaussians] = scene.counts;
         ui.weak(format!("{surfels} surfels, {gaussians} Gaussians, {}", scene.info.rendering));
-        if scene.info.blend_order == BlendOrder::Rays {
+        if scene.info.blend_order != BlendOrder::Centres {
             ui.weak("drawn in the order of their centres, and not along rays as they were trained");
         }
     }

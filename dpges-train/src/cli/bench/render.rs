@@ -43,8 +43,8 @@ pub struct BenchRenderArgs {
     /// At most this many cameras, evenly chosen
     #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     cameras: u32,
-    /// Also measure the renderer that is trained with, on this device (cpu, wgpu, …); that alone of --method stopthepop, sss
-    /// and sortfree
+    /// Also measure the renderer that is trained with, on this device (cpu, wgpu, …); that alone of --method stopthepop, htgs,
+    /// sss and sortfree
     #[arg(long, value_name = "NAME")]
     training: Option<DeviceRequest>,
     /// Write the figures as JSON

@@ -179,10 +179,12 @@ fn config(scene: &SceneData, stage: StepStage) -> Config {
         (StepStage::Joint, _) => Method::Dpges,
         (StepStage::Blended, Rendering::Discs) => Method::Discs,
         (StepStage::Blended, _) if info.blend_order == BlendOrder::Rays => Method::StopThePop,
+        (StepStage::Blended, _) if info.blend_order.transparency().is_some() => Method::Htgs,
         (StepStage::Blended, Rendering::Students) => Method::Sss,
         (StepStage::Blended, Rendering::Summed) => Method::SortFree,
         (StepStage::Blended, Rendering::Peeled | Rendering::Ellipsoids) => Method::Mcmc,
     };
+    config.density.transparency = info.blend_order.transparency().unwrap_or_default();
     (config.stages.surfels, config.stages.gaussians) = (0.0, 0.0);
     config.model.colour = info.colour_model.without_opacity();
     config.model.modulation = info.modulation;

@@ -96,10 +96,9 @@ impl BlendedStage {
         let gaussians = GaussianState::new(&start, blended.opacity(), device);
         let screen_gradients = ScreenGradients::new(start.len(), device);
         let environment = EnvironmentState::new(trained.environment.as_ref(), device);
-        let smooths = blended == Blended::Controlled(Density::Smoothed);
         let smoothing_px = context.config.mip_splatting_px();
         let positions = gaussians.columns.positions.raw();
-        let sampling_limit = smooths.then(|| SamplingLimit::new(&positions, smoothing_px, context));
+        let sampling_limit = blended.smooths().then(|| SamplingLimit::new(&positions, smoothing_px, context));
         let weight = context.config.weighted_sum.weight;
         let sum =
             (blended.rendering() == Rendering::Summed).then(|| weighted_sum::start(weight, context.dataset.extent));
@@ -132,7 +131,7 @@ impl BlendedStage {
             blended,
             info: SceneInfo {
                 screen_filter: blended.screen_filter(),
-                blend_order: blended.blend_order(),
+                blend_order: blended.blend_order(config.density.transparency),
                 colour_model: blended.colour_model(config.model.colour),
                 ..context.scene_info(blended.rendering())
             },
@@ -361,7 +360,8 @@ impl Stage for BlendedStage {
             self.gradients_before = Some(self.screen_gradients.clone());
             let axes = if self.blended == Blended::Discs { 2 } else { 3 };
             self.screen_gradients.see(&self.gaussians.values(), axes, camera);
-            self.screen_gradients.add(gradient);
+            let signed = if self.blended == Blended::Controlled(Density::Hybrid) { 3 } else { 2 };
+            self.screen_gradients.add(gradient, signed);
         }
     }
 

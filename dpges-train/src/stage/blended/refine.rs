@@ -1,12 +1,17 @@
 //! Applies the decisions of [`crate::refine`] to blended Gaussians.
 
+use burn::tensor::{DType, Int, Tensor};
+use dpges_core::ops::blend::outweighing;
 use dpges_core::ops::jitter::{JitterOptions, NoiseGate, jitter};
+use dpges_core::render::blended::BlendedOptions;
+use dpges_core::scene::Gaussians;
 use rand::RngExt;
 
 use super::super::{Context, TrainError};
 use super::BlendedStage;
-use super::schedule::{BlendedDue, CAPPED_OPACITY};
+use super::schedule::{BlendedDue, CAPPED_OPACITY, decay};
 use crate::config::{Blended, Density, GaussianStage, Relocation};
+use crate::refine::RowEdit;
 use crate::refine::densify::{ByAbsolute, DensifyRule, densify, reset_opacities};
 use crate::refine::relocate::{grown, relocate_and_add};
 
@@ -22,6 +27,8 @@ const ABSOLUTE_DENSE_FRACTION: f64 = 0.001;
 const DISC_MIN_OPACITY: f64 = 0.05;
 /// Opacity below which a Gaussian is removed or relocated (3DGS, 3DGS-MCMC).
 const MIN_OPACITY: f64 = 0.005;
+/// Weight that a Gaussian needs at some pixel of some training view to stay, where what is not needed goes (HTGS).
+const NEEDED_WEIGHT: f64 = 0.01;
 /// Scale above which a primitive is removed, extents (3DGS).
 const MAX_SCALE: f64 = 0.1;
 /// Step from which it is.
@@ -52,6 +59,12 @@ impl BlendedStage {
         if due.cap {
             self.limit_opacities(CAPPED_OPACITY);
         }
+        if due.decay {
+            self.decay_opacities();
+        }
+        if due.prune {
+            events.extend(self.remove_unneeded(context)?);
+        }
         if let (true, Some(limit)) = (due.measure, &mut self.sampling_limit) {
             limit.measure(&self.gaussians.columns.positions.raw(), context);
         }
@@ -69,6 +82,38 @@ impl BlendedStage {
         self.gaussians.reset_opacities(&opacities);
     }
 
+    /// Multiplies all opacities; Adam starts again with them, as in the published code (HTGS).
+    fn decay_opacities(&mut self) {
+        let (_, factor) = decay(self.plan);
+        let opacities: Vec<f32> = self.gaussians.opacities().iter().map(|opacity| opacity * factor as f32).collect();
+        self.gaussians.reset_opacities(&opacities);
+    }
+
+    /// Removes the Gaussians that weigh less than [`NEEDED_WEIGHT`] at every pixel of every training view.
+    fn remove_unneeded(&mut self, context: &mut Context) -> Result<Option<String>, TrainError> {
+        let gaussians = Gaussians::from_data(&self.drawn(), &context.device, DType::F32);
+        let options = BlendedOptions::new(&self.info)?.blend;
+        let before = gaussians.len();
+        let mut needed: Option<Tensor<1, Int>> = None;
+        for view in &context.dataset.train {
+            let marks = outweighing(&gaussians, &view.camera, &options, NEEDED_WEIGHT)?;
+            needed = Some(match needed {
+                Some(needed) => needed.max_pair(marks),
+                None => marks,
+            });
+        }
+        let Some(needed) = needed else { return Ok(None) };
+        let is_needed: Vec<bool> = needed.into_data().iter::<i64>().map(|mark| mark > 0).collect();
+        let rows = RowEdit::retain(before, |&row| is_needed[row]);
+        if rows.keep.is_empty() || rows.keep.len() == before {
+            return Ok(None);
+        }
+        let removed = rows.removed_from(before);
+        self.gaussians.keep(&rows);
+        self.restart_observations(context);
+        Ok(Some(format!("{removed} of {before} Gaussians removed that no training view needs")))
+    }
+
     fn densify_rule(&self, completed: usize, context: &Context) -> DensifyRule {
         let (flat, density) = match self.blended {
             Blended::Controlled(density) => (false, density),
@@ -79,7 +124,7 @@ impl BlendedStage {
         let (by_absolute, dense_fraction) = match density {
             Density::Signed | Density::SignedByRays | Density::Summed => (ByAbsolute::Nothing, DENSE_FRACTION),
             Density::Absolute => (ByAbsolute::Splits(ABSOLUTE_THRESHOLD), ABSOLUTE_DENSE_FRACTION),
-            Density::Smoothed => (ByAbsolute::Quantile, DENSE_FRACTION),
+            Density::Smoothed | Density::Hybrid => (ByAbsolute::Quantile, DENSE_FRACTION),
         };
         // what is summed is never removed
         let removes = density != Density::Summed;
@@ -94,6 +139,7 @@ impl BlendedStage {
             },
             max_scale_fraction: (removes && completed >= self.plan.scaled(MAX_SCALE_FROM)).then_some(MAX_SCALE),
             flat,
+            draws_clones: density == Density::Hybrid,
         }
     }
 

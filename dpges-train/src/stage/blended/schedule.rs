@@ -24,6 +24,12 @@ const CAP_EVERY: usize = 500;
 pub const CAPPED_OPACITY: f64 = 0.8;
 /// Fewest steps between two limitations.
 const SHORTEST_CAP: usize = 100;
+/// Interval at which opacities decay, and their factor then (HTGS). In shorter runs the interval is as many steps of the run, and
+/// the factor that of all intervals it stands for.
+const DECAY_EVERY: usize = 50;
+const DECAY: f64 = 0.9995;
+/// Steps at which Gaussians go that no training view needs (HTGS).
+const UNNEEDED_AT: [usize; 2] = [16_000, 24_000];
 
 /// Completed steps of a stage at which something changes, ascending.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -36,6 +42,10 @@ pub struct BlendedSchedule {
     pub relocate: Vec<usize>,
     /// When the sampling limit is measured, besides whenever Gaussians come or go.
     pub measure: Vec<usize>,
+    /// When opacities decay.
+    pub decay: Vec<usize>,
+    /// When Gaussians go that no training view needs.
+    pub prune: Vec<usize>,
 }
 
 /// Changes due after a given number of completed steps.
@@ -46,6 +56,15 @@ pub struct BlendedDue {
     pub cap: bool,
     pub relocate: bool,
     pub measure: bool,
+    pub decay: bool,
+    pub prune: bool,
+}
+
+/// Interval at which opacities decay in a stage, and their factor then.
+pub fn decay(plan: StagePlan) -> (usize, f64) {
+    let interval = plan.scaled(DECAY_EVERY).max(DECAY_EVERY);
+    let share = interval as f64 * plan.reference_steps as f64 / (plan.steps as f64 * DECAY_EVERY as f64);
+    (interval, DECAY.powf(share))
 }
 
 impl BlendedSchedule {
@@ -79,13 +98,21 @@ impl BlendedSchedule {
                 let from = plan.scaled(FROM) + interval;
                 let until = plan.scaled(DENSIFY_UNTIL).min(plan.steps);
                 let cap = plan.scaled(CAP_EVERY) >= SHORTEST_CAP && density == Density::Absolute;
-                let measures = density == Density::Smoothed;
-                let resets_opacities = density != Density::Summed;
+                let measures = blended.smooths();
+                let decays = density == Density::Hybrid;
+                let resets_opacities = !decays && density != Density::Summed;
+                let (decay, _) = decay(plan);
                 Self {
                     densify: every(interval, from, until).collect(),
                     reset: if resets_opacities { reset } else { Vec::new() },
                     cap: if cap { scaled(every(CAP_EVERY, CAP_EVERY, DENSIFY_UNTIL)) } else { Vec::new() },
                     measure: if measures { every(interval, interval, plan.steps).collect() } else { Vec::new() },
+                    decay: if decays {
+                        every(decay, plan.scaled(FROM) + decay, until + 1).collect()
+                    } else {
+                        Vec::new()
+                    },
+                    prune: if decays { UNNEEDED_AT.map(|step| plan.scaled(step)).to_vec() } else { Vec::new() },
                     ..Self::default()
                 }
             }
@@ -110,6 +137,8 @@ impl BlendedSchedule {
             cap: due(&self.cap),
             relocate: due(&self.relocate),
             measure: due(&self.measure),
+            decay: due(&self.decay),
+            prune: due(&self.prune),
         }
     }
 }
@@ -138,6 +167,10 @@ mod tests {
         assert_eq!((absolute.cap[0], absolute.cap.last(), absolute.cap.len()), (500, Some(&14_500), 29));
         let smoothed = schedule(Method::MipSplatting, 30_000, 300);
         assert_eq!((smoothed.measure[0], smoothed.measure.last()), (100, Some(&29_900)));
+        let hybrid = schedule(Method::Htgs, 30_000, 300);
+        assert_eq!((&hybrid.densify, &hybrid.measure), (&smoothed.densify, &smoothed.measure));
+        assert_eq!((hybrid.decay[0], hybrid.decay.last(), hybrid.decay.len()), (550, Some(&15_000), 290));
+        assert_eq!((hybrid.prune, hybrid.reset), (vec![16_000, 24_000], vec![]));
         let summed = schedule(Method::SortFree, 30_000, 300);
         assert_eq!(summed, BlendedSchedule { densify: plain.densify, ..BlendedSchedule::default() });
         let dbs = schedule(Method::Dbs, 30_000, 100);

@@ -1,5 +1,7 @@
 //! How much the pictures want each Gaussian to move on the screen: what densification decides by.
 
+use std::ops::Range;
+
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use dpges_core::camera::{Camera, Lens};
 use dpges_core::scene::Gaussians;
@@ -48,12 +50,14 @@ impl ScreenGradients {
         }
     }
 
-    /// Adds the gradient [M, 4] of the probe of one view.
-    pub fn add(&mut self, probe: Tensor<2>) {
-        let [count, _] = probe.dims();
+    /// Adds the gradient [M, 4] of the probe of one view, whose first `signed` columns are a gradient, and the others that of
+    /// absolute values.
+    pub fn add(&mut self, probe: Tensor<2>, signed: usize) {
+        let [count, width] = probe.dims();
         let squares = probe.clone() * probe.clone();
-        let norm = |from: usize| squares.clone().slice([0..count, from..from + 2]).sum_dim(1).sqrt().reshape([count]);
-        let (signed, absolute) = (norm(0), norm(2));
+        let norm =
+            |columns: Range<usize>| squares.clone().slice([0..count, columns]).sum_dim(1).sqrt().reshape([count]);
+        let (signed, absolute) = (norm(0..signed), norm(signed..width));
         self.signed = self.signed.clone() + signed;
         self.absolute = self.absolute.clone() + absolute;
     }
@@ -195,9 +199,13 @@ mod tests {
         let device = Device::flex();
         let mut sums = ScreenGradients::new(2, &device);
         let probe = |rows: [f32; 8]| Tensor::from_data(TensorData::new(rows.to_vec(), [2, 4]), (&device, DType::F32));
-        sums.add(probe([3.0, -4.0, 6.0, 8.0, 0.0, 0.0, 0.0, 0.0]));
-        sums.add(probe([0.0, 1.0, 0.0, 2.0, 0.0, 0.0, 1.0, 0.0]));
+        sums.add(probe([3.0, -4.0, 6.0, 8.0, 0.0, 0.0, 0.0, 0.0]), 2);
+        sums.add(probe([0.0, 1.0, 0.0, 2.0, 0.0, 0.0, 1.0, 0.0]), 2);
         let GradientSums { signed, absolute, views } = sums.sums();
         assert_eq!((signed, absolute, views), (vec![6.0, 0.0], vec![12.0, 1.0], vec![0, 0]));
+        let mut sums = ScreenGradients::new(2, &device);
+        sums.add(probe([2.0, -1.0, 2.0, 5.0, 0.0, 0.0, 0.0, 0.25]), 3);
+        let GradientSums { signed, absolute, .. } = sums.sums();
+        assert_eq!((signed, absolute), (vec![3.0, 0.0], vec![5.0, 0.25]));
     }
 }

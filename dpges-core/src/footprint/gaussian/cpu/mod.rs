@@ -3,6 +3,7 @@
 
 pub mod along_ray;
 pub mod student;
+pub mod whitened;
 
 use crate::backend::real::Real;
 use crate::camera::{Lens, Seen};

@@ -3,6 +3,7 @@
 pub(crate) mod along_ray;
 pub(crate) mod regions;
 pub(crate) mod student;
+pub(crate) mod whitened;
 
 use burn::backend::TensorMetadata;
 use burn_cubecl::CubeBackend;

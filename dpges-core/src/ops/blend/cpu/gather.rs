@@ -3,10 +3,11 @@
 use rayon::prelude::*;
 
 use super::distortion::{self, Spread};
+use super::hybrid::Tile;
 use super::normal::normal_backward;
 use super::projected::{CameraPair, Group, Layout, Projected, Sums, WORK_ROWS};
 use super::rays::walk_rays;
-use super::walk::{Fragments, Progress, Sorted, Thresholds, group, is_nothing, walk_tile};
+use super::walk::{Fragments, Progress, Said, Sorted, Thresholds, group, is_nothing, walk_tile};
 use crate::backend::real::Real;
 use crate::backend::simd::{LANES, vectorised};
 use crate::camera::Camera;
@@ -14,7 +15,7 @@ use crate::footprint::gaussian::cpu::ParameterGrad;
 use crate::footprint::gaussian::tensors::GaussianRows;
 use crate::math::{CameraOf, V3};
 use crate::ops::blend::{ALPHA_PLANE, BlendOptions, COLOUR_PLANES, DEPTH_PLANE, DISTORTION_PLANE, NORMAL_PLANE};
-use crate::scene::BlendOrder;
+use crate::scene::{BlendOrder, Transparency};
 use crate::tiles::TILE_PIXELS;
 use crate::tiles::layout::to_tiles;
 use crate::tiles::{for_each_group, group_offsets};
@@ -248,9 +249,6 @@ fn gather_tile<T: Real, F: Projected<T>, const MAPS: bool>(
     sums
 }
 
-/// Values of the pixels of a tile for an entry of its list: αT, gradient of the exponent, gradient of z.
-type Said<T> = [[T; TILE_PIXELS]; 3];
-
 /// [`gather_tile`] in the order of each pixel's own ray: first back through every pixel by itself, then over the pixels of
 /// every primitive.
 fn gather_tile_by_rays<T: Real, F: Projected<T>, const MAPS: bool>(
@@ -272,7 +270,7 @@ fn gather_tile_by_rays<T: Real, F: Projected<T>, const MAPS: bool>(
         orders[pixel].push(position);
     });
     let entries = orders.iter().flatten().max().map_or(0, |last| last + 1);
-    let (list, origin, width) = (sorted.lists.of(tile), sorted.grid.origin(tile), layout.width());
+    let (list, origin) = (sorted.lists.of(tile), sorted.grid.origin(tile));
     let entry = |position: usize| {
         let id = list[position] as usize;
         let footprint = &sorted.footprints[id];
@@ -290,8 +288,7 @@ fn gather_tile_by_rays<T: Real, F: Projected<T>, const MAPS: bool>(
         slope,
     };
     let mut scratch = Scratch::new(layout);
-    let Scratch { pixel: rows_of_pixel, work, sums: rows } = &mut scratch;
-    let rows_of_pixel = rows_of_pixel.as_mut_slice();
+    let rows_of_pixel = scratch.pixel.as_mut_slice();
     let mut said: Vec<Said<T>> = vec![[[T::zero(); TILE_PIXELS]; 3]; entries];
     for (pixel, order) in orders.iter().enumerate() {
         let (start, lane) = (pixel / LANES * LANES, pixel % LANES);
@@ -311,14 +308,29 @@ fn gather_tile_by_rays<T: Real, F: Projected<T>, const MAPS: bool>(
         }
         way.progress.end[pixel] = T::zero();
     }
+    gather_said::<T, F, MAPS>(sorted, tile, grad, layout, &said)
+}
+
+/// Sums over the pixels of a tile for the first entries of its list, from what these say about them.
+fn gather_said<T: Real, F: Projected<T>, const MAPS: bool>(
+    sorted: &Sorted<T, F>,
+    tile: usize,
+    grad: &[T],
+    layout: &Layout,
+    said: &[Said<T>],
+) -> Vec<T> {
+    let (list, origin, width) = (sorted.lists.of(tile), sorted.grid.origin(tile), layout.width());
+    let mut scratch = Scratch::new(layout);
+    let Scratch { work, sums: rows, .. } = &mut scratch;
     let work: &mut [[T; LANES]; WORK_ROWS] = work.as_mut_slice().try_into().expect("as many rows");
-    let mut sums = vec![T::zero(); entries * width];
-    for (position, (sums, said)) in sums.chunks_exact_mut(width).zip(&said).enumerate() {
-        let Entry { footprint, .. } = entry(position);
+    let mut sums = vec![T::zero(); said.len() * width];
+    for (position, (sums, said)) in sums.chunks_exact_mut(width).zip(said).enumerate() {
+        let id = list[position] as usize;
+        let footprint = &sorted.footprints[id];
         rows.fill([T::zero(); LANES]);
         let mut parts = layout.split(rows);
         let depth = [footprint.centre_depth(); LANES];
-        for_each_group(footprint.anchor(), &sorted.rects[list[position] as usize], origin, |start, dx, dy| {
+        for_each_group(footprint.anchor(), &sorted.rects[id], origin, |start, dx, dy| {
             let [covered, power, grad_depth] = said.each_ref().map(|said| lanes(said, start));
             if !is_nothing(covered) {
                 let group = Group { dx: &dx, dy, covered, power, depth: &depth, grad_depth };
@@ -364,11 +376,12 @@ fn gather<T: Real, F: Projected<T>>(
                 if !maps && !reached(of_colour) {
                     return Vec::new();
                 }
+                let hybrid = |transparency| Tile::new(sorted, camera, tile, &thresholds, transparency);
                 match (options.order, maps) {
-                    (BlendOrder::Centres, true) => {
+                    (BlendOrder::Centres | BlendOrder::Whitened(Transparency::Sorted), true) => {
                         gather_tile::<T, F, true>(sorted, tile, grad, layout, &thresholds, slope)
                     }
-                    (BlendOrder::Centres, false) => {
+                    (BlendOrder::Centres | BlendOrder::Whitened(Transparency::Sorted), false) => {
                         gather_tile::<T, F, false>(sorted, tile, grad, layout, &thresholds, slope)
                     }
                     (BlendOrder::Rays, true) => {
@@ -376,6 +389,14 @@ fn gather<T: Real, F: Projected<T>>(
                     }
                     (BlendOrder::Rays, false) => {
                         gather_tile_by_rays::<T, F, false>(sorted, camera, tile, grad, layout, &thresholds, slope)
+                    }
+                    (BlendOrder::Whitened(transparency), true) => {
+                        let said = hybrid(transparency).go_back::<true>(grad);
+                        gather_said::<T, F, true>(sorted, tile, grad, layout, &said)
+                    }
+                    (BlendOrder::Whitened(transparency), false) => {
+                        let said = hybrid(transparency).go_back::<false>(grad);
+                        gather_said::<T, F, false>(sorted, tile, grad, layout, &said)
                     }
                 }
             },
@@ -423,8 +444,7 @@ pub fn backward<T: Real, F: Projected<T>>(
     let sorted = Sorted::<T, F>::new(gaussians, &view, options);
     let layout = Layout { footprint: F::SUMS, probe: probed, maps: options.maps };
     let mut sums = gather(&sorted, grad, &layout, &view.camera, options);
-    let [half_width, half_height] = [camera.width, camera.height].map(|size| T::of(0.5 * size as f64));
-    let units = [half_width, half_height, half_width, half_height];
+    let units = F::probe_units(camera);
     let to_parameters = |(at, sums): (usize, &mut [T])| {
         let (parameters, sums) = (gaussians.parameters(sorted.rows[at]), layout.split(sums));
         let mut grad = sorted.footprints[at].backward(&view, &parameters, &sums);

@@ -43,7 +43,10 @@ pub struct Sums<'a, V> {
     pub footprint: &'a mut [V],
     /// Three.
     pub colour: &'a mut [V],
-    /// Gradient with respect to the projected centre, px: Σ x, Σ y, Σ |x|, Σ |y|. Empty without a probe.
+    /// Gradient with respect to the projected centre, px: Σ x, Σ y, Σ |x|, Σ |y|; or, of [`Form::Whitened`], with respect to
+    /// the centre times its depth: Σ x, Σ y, Σ z, Σ (|x| + |y| + |z|). Empty without a probe.
+    ///
+    /// [`Form::Whitened`]: crate::ops::blend::Form::Whitened
     pub probe: &'a mut [V],
     /// Three of the normal, and one that the footprint makes of the gradients of z. Empty without maps.
     pub maps: &'a mut [V],
@@ -121,6 +124,12 @@ pub trait Projected<T: Real>: Copy + Send + Sync {
         work: &mut [[T; LANES]; WORK_ROWS],
         sums: &mut Sums<[T; LANES]>,
     );
+
+    /// What the sums of the probe are multiplied by; half the image in x and y for gradients per px.
+    fn probe_units(camera: &Camera) -> [T; 4] {
+        let [half_width, half_height] = [camera.width, camera.height].map(|size| T::of(0.5 * size as f64));
+        [half_width, half_height, half_width, half_height]
+    }
 
     /// From the sums to the raw parameters; what the normal and the colour pass on is not included.
     fn backward(&self, view: &CameraPair<T>, parameters: &Parameters<T>, sums: &Sums<T>) -> ParameterGrad<T>;

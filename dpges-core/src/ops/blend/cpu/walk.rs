@@ -50,7 +50,7 @@ impl<T: Real, F: Projected<T>> Sorted<T, F> {
         };
         let normals = if options.maps { rows.par_iter().map(normal_of).collect() } else { Vec::new() };
         let along = match options.order {
-            BlendOrder::Centres => Vec::new(),
+            BlendOrder::Centres | BlendOrder::Whitened(_) => Vec::new(),
             BlendOrder::Rays => {
                 let along = |(row, footprint): (&usize, &F)| {
                     footprint.along_ray(&view.camera, &gaussians.parameters(*row)).expect("only ellipsoids")
@@ -67,11 +67,17 @@ impl<T: Real, F: Projected<T>> Sorted<T, F> {
 pub struct Thresholds<T> {
     pub max_alpha: T,
     pub min_transmittance: T,
+    /// 1 if a pixel ends behind the fragment that takes T below that, 0 if before it.
+    pub ends_behind: T,
 }
 
 impl<T: Real> Thresholds<T> {
     pub fn new(options: &BlendOptions) -> Self {
-        Self { max_alpha: T::of(options.max_alpha), min_transmittance: T::of(options.min_transmittance) }
+        Self {
+            max_alpha: T::of(options.max_alpha),
+            min_transmittance: T::of(options.min_transmittance),
+            ends_behind: if options.form.ends_behind() { T::one() } else { T::zero() },
+        }
     }
 }
 
@@ -192,9 +198,11 @@ pub fn walk_tile<T: Real, F: Projected<T>>(
                 for lane in 0..LANES {
                     let goes_on = if behind[lane] >= thresholds.min_transmittance { T::one() } else { T::zero() };
                     let stays = open[lane] * goes_on;
-                    end[lane] = end[lane] + (open[lane] - stays) * (entry - end[lane]);
-                    covered[lane] = covered[lane] * stays;
-                    behind[lane] = stays * behind[lane] + (T::one() - stays) * through[lane];
+                    let ends = open[lane] - stays;
+                    end[lane] = end[lane] + ends * (entry + thresholds.ends_behind - end[lane]);
+                    let blended = stays + thresholds.ends_behind * ends;
+                    covered[lane] = covered[lane] * blended;
+                    behind[lane] = blended * behind[lane] + (T::one() - blended) * through[lane];
                     open[lane] = stays;
                 }
                 through.copy_from_slice(behind);
@@ -210,3 +218,6 @@ pub fn walk_tile<T: Real, F: Projected<T>>(
 pub fn is_nothing<T: Real>(values: &[T; LANES]) -> bool {
     values.iter().map(|value| value.abs()).sum::<T>() == T::zero()
 }
+
+/// What the pixels of a tile say about an entry of its list: αT, gradient of the exponent, gradient of z.
+pub type Said<T> = [[T; TILE_PIXELS]; 3];

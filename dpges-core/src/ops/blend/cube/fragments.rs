@@ -10,6 +10,8 @@ use crate::camera::Camera;
 use crate::footprint::gaussian::cube as splat_cube;
 use crate::footprint::gaussian::cube::student as student_cube;
 use crate::footprint::gaussian::cube::student::{Tail, student_weight};
+use crate::footprint::gaussian::cube::whitened as whitened_cube;
+use crate::footprint::gaussian::cube::whitened::{WHITENED, Whitened};
 use crate::footprint::gaussian::cube::{CUTOFF_F32, INVERSE_CUTOFF, SPLAT, Splat, along_ray};
 use crate::footprint::gaussian::tensors::GaussianTensors;
 use crate::footprint::surfel::cube as disc_cube;
@@ -255,7 +257,7 @@ pub fn fragment(
     i: usize,
     x: f32,
     y: f32,
-    near: f32,
+    view: CameraUniforms,
     #[comptime] form: Form,
 ) -> Fragment {
     let mut weight = 0.0f32;
@@ -265,6 +267,10 @@ pub fn fragment(
         let found = on_ellipse(Splat::load(shapes, i * SPLAT), x, y);
         weight = found.weight;
         depth = found.depth;
+    } else if comptime!(form == Form::Whitened) {
+        let (alpha, at) = Whitened::load(shapes, i * WHITENED).fragment(view, x, y);
+        weight = alpha;
+        depth = at;
     } else if comptime!(form == Form::Students) {
         let found = on_student(Splat::load(shapes, i * SPLAT), Tail::load(features, i * FEATURES + TAIL), x, y);
         weight = found.weight;
@@ -278,7 +284,7 @@ pub fn fragment(
         let on_disc = found.u * found.u + found.v * found.v;
         let on_screen = 2.0f32 * (dx * dx + dy * dy);
         let alpha = low_pass.opacity * f32::exp(max(-0.5f32 * min(on_disc, on_screen), -100.0f32));
-        if f32::abs(found.facing) > MIN_FACING && found.depth > near && alpha >= CUTOFF_F32 {
+        if f32::abs(found.facing) > MIN_FACING && found.depth > view.near && alpha >= CUTOFF_F32 {
             weight = alpha;
             depth = found.depth;
             by_plane = select(on_disc <= on_screen, 1.0f32, 0.0f32);
@@ -289,7 +295,7 @@ pub fn fragment(
 
 /// The values that do not depend on the pixel; rows are primitives, nearest first.
 pub struct Fragments {
-    /// [M, [`SPLAT`]] of ellipsoids and students, [M, [`PLANE`]] of discs
+    /// [M, [`SPLAT`]] of ellipsoids and students, [M, [`PLANE`]] of discs, [M, [`WHITENED`]] of what rays meet whitened
     pub shapes: CubeTensor,
     /// [M, [`FEATURES`]]
     pub features: CubeTensor,
@@ -331,6 +337,7 @@ impl Fragments {
                 pairs(&rects, Some(ellipses), camera, ListKind::Gaussians)
             }
             Form::Discs => pairs(&rects, None, camera, ListKind::Discs),
+            Form::Whitened => pairs(&rects, None, camera, ListKind::Whitened),
         };
         let keys = fragments.by_rays.as_ref().map(|table| tile_keys(table, &found, camera));
         (fragments, lists(order, &found, keys, grid))
@@ -379,6 +386,7 @@ impl Fragments {
                 let of_kernels = [&gaussians.opacities, degrees_of_freedom, order];
                 student_cube::students(of_kernels, &ellipses, (&features, TAIL), camera)
             }
+            Form::Whitened => whitened_cube::shapes(gaussians, order, camera),
             Form::Discs => {
                 let planes = disc_cube::planes(&discs(gaussians), Some(order), None, camera);
                 reach_kernel::launch(
@@ -399,7 +407,7 @@ impl Fragments {
             }
         };
         let by_rays = match options.order {
-            BlendOrder::Centres => None,
+            BlendOrder::Centres | BlendOrder::Whitened(_) => None,
             BlendOrder::Rays => Some(along_ray::table(gaussians, order, &shapes, camera)),
         };
         (Self { shapes, features, by_rays }, rects)

@@ -14,282 +14,28 @@ use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
 use super::back::{Spread, go_back, pixel_grad};
-use super::fragments::{
-    FEATURES, Fragments, LOW_PASS, LowPass, Payload, TAIL, TANGENTS, Tangents, fragment, on_projected,
-};
+use super::fold::{ENTRIES, FOLD, GROUP, Layout, NUMBERS, fold_entries};
+use super::fragments::{FEATURES, Fragments, Payload, fragment, on_projected};
+use super::hybrid;
 use super::rays::{Said, replay, said_at, said_numbers};
 use super::{FIRST_MOMENT, REFERENCE, SECOND_MOMENT, STATE, THROUGH, TOTAL, Thresholds, add_fragment};
 use crate::camera::Camera;
 use crate::counters::transfers::{download, wait};
 use crate::error::Error;
 use crate::footprint::gaussian::cube::regions::{WORDS, list_regions, mark_regions};
-use crate::footprint::gaussian::cube::student::{Tail, student_slopes};
-use crate::footprint::gaussian::cube::{SPLAT, Splat, add_moments};
-use crate::footprint::moments::MOMENTS;
-use crate::footprint::surfel::cube::{DISC_SUMS, DiscPixel, Hit, PLANE, Plane, add_disc_sums};
+use crate::footprint::gaussian::cube::{SPLAT, Splat};
 use crate::gpu::gather::{lane, primitive, total, zeros};
 use crate::gpu::launch::{
     GATHERED, HALVINGS, LANES, UNITS, buffer, cube_dim, cubes, empty_f32, empty_u32, gatherers, largest_buffer, units,
 };
 use crate::gpu::record::Record;
-use crate::gpu::tile::{Pixel, REGIONS, own_pixel, pixel_of, plane_of};
+use crate::gpu::tile::{REGIONS, own_pixel};
 use crate::gpu::view::CameraUniforms;
-use crate::ops::blend::{BlendLists, BlendOptions, Form};
-use crate::scene::BlendOrder;
+use crate::ops::blend::{BlendLists, BlendOptions};
+use crate::scene::{BlendOrder, Transparency};
 use crate::tiles::TileGrid;
 use crate::tiles::binning::cube::TileList;
 use crate::tiles::capacity::exceed;
-
-/// Entries whose sums a cube makes together, and the units that sum over the pixels of each.
-const ENTRIES: u32 = 4;
-const SHARE: u32 = UNITS / ENTRIES;
-/// Numbers of an entry at a pixel: gradient of the exponent, covered share, gradient of the depth.
-const NUMBERS: usize = 3;
-/// Units that one unit folds for, and parts of a sum of an entry after that.
-const FOLD: usize = 16;
-const PARTS: usize = SHARE as usize / FOLD;
-/// Sums of the probe: Σ x, Σ y, Σ |x|, Σ |y|.
-pub const PROBE: usize = 4;
-/// Sums that a cube folds at a time.
-const GROUP: usize = 12;
-const _: () = assert!(ENTRIES as usize * NUMBERS <= GROUP, "the memory to fold in holds what a pixel says");
-
-/// The sums of a primitive, in this order: those of the shape ([`MOMENTS`] or [`DISC_SUMS`]), then the rest:
-/// of the colour, of gradients that the shape lacks, of the normal, of the probe.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct Layout {
-    pub form: Form,
-    pub maps: bool,
-    pub probe: bool,
-}
-
-impl Layout {
-    pub fn shape(self) -> usize {
-        match self.form {
-            Form::Ellipsoids | Form::Students => MOMENTS,
-            Form::Discs => DISC_SUMS,
-        }
-    }
-
-    /// Place among the rest of the gradients that the shape lacks: the depth of ellipsoids; the two coordinates
-    /// of the low-pass filter and the exponent of discs; depth, degrees of freedom and exponent of students.
-    pub fn beside(self) -> usize {
-        3
-    }
-
-    pub fn normal(self) -> usize {
-        self.beside()
-            + match self.form {
-                Form::Ellipsoids => 1,
-                Form::Discs | Form::Students => 3,
-            }
-    }
-
-    pub fn probe(self) -> usize {
-        self.normal() + if self.maps { 3 } else { 0 }
-    }
-
-    pub fn rest(self) -> usize {
-        self.probe() + if self.probe { PROBE } else { 0 }
-    }
-
-    pub fn width(self) -> usize {
-        self.shape() + self.rest()
-    }
-}
-
-/// A primitive as a pixel sees it.
-#[derive(CubeType, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
-struct Seen {
-    /// Gradient of the exponent.
-    power: f32,
-    /// αT
-    covered: f32,
-    grad_depth: f32,
-    /// For a disc: 1 where its plane and not its low-pass decides, else 0.
-    by_plane: f32,
-}
-
-/// Adds a pixel to the sums of primitive `i`, in the order of `layout`.
-#[cube]
-fn add_pixel(
-    own: &mut Array<f32>,
-    shapes: &[f32],
-    features: &[f32],
-    i: usize,
-    grad: &[f32],
-    place: Pixel,
-    seen: Seen,
-    view: CameraUniforms,
-    #[comptime] layout: Layout,
-) {
-    let rest = comptime!(layout.shape());
-    let beside = comptime!(layout.shape() + layout.beside());
-    let normal = comptime!(layout.shape() + layout.normal());
-    let probe = comptime!(layout.shape() + layout.probe());
-    let (x, y, pixel, plane) = (place.x, place.y, place.at, plane_of(view));
-    let (power, covered) = (seen.power, seen.covered);
-    let (grad_depth, by_plane) = (seen.grad_depth, seen.by_plane);
-    own[rest] += covered * grad[pixel];
-    own[rest + 1] += covered * grad[pixel + plane];
-    own[rest + 2] += covered * grad[pixel + 2 * plane];
-    if comptime!(layout.maps) {
-        own[normal] += covered * grad[pixel + 5 * plane];
-        own[normal + 1] += covered * grad[pixel + 6 * plane];
-        own[normal + 2] += covered * grad[pixel + 7 * plane];
-    }
-    let mut towards_x = 0.0f32;
-    let mut towards_y = 0.0f32;
-    if comptime!(layout.form != Form::Discs) {
-        let splat = Splat::load(shapes, i * SPLAT);
-        let (dx, dy) = (x - splat.mean_x, y - splat.mean_y);
-        let (u, v) = (splat.u(dx, dy), splat.r * dy);
-        // −2 times the gradient of r²
-        let mut pull = power;
-        if comptime!(layout.form == Form::Students) {
-            let tail = Tail::load(features, i * FEATURES + TAIL);
-            let (by_squared, by_degrees) = student_slopes(tail.degrees, u * u + v * v);
-            pull = power * by_squared;
-            own[beside + 1] += power * by_degrees;
-            own[beside + 2] += power;
-        }
-        add_moments(own, pull, u, v);
-        own[beside] += grad_depth;
-        towards_x = pull * splat.p * u;
-        towards_y = pull * (splat.q * u + splat.r * v);
-    } else {
-        let disc = Plane::load(shapes, i * PLANE);
-        let low_pass = LowPass::load(features, i * FEATURES + LOW_PASS);
-        let tangents = Tangents::load(features, i * FEATURES + TANGENTS);
-        let met = disc.hit(x, y);
-        let (dx, dy) = (x - disc.anchor_x, y - disc.anchor_y);
-        // far from the disc they may be infinite
-        let on_disc = by_plane > 0.5f32;
-        let hit = Hit {
-            u: select(on_disc, met.u, 0.0f32),
-            v: select(on_disc, met.v, 0.0f32),
-            depth: met.depth,
-            facing: met.facing,
-            kernel: met.kernel,
-        };
-        let on_way = DiscPixel {
-            hit,
-            across: dx / view.fx,
-            down: dy / view.fy,
-            scale_u: tangents.scale_u,
-            scale_v: tangents.scale_v,
-            power,
-            grad_depth,
-        };
-        let towards = add_disc_sums(own, on_way, true, layout.maps);
-        let on_screen = 2.0f32 * power * (1.0f32 - by_plane);
-        own[beside] += on_screen * (dx - low_pass.offset_x);
-        own[beside + 1] += on_screen * (dy - low_pass.offset_y);
-        own[beside + 2] += power;
-        if comptime!(layout.probe) {
-            // gradient of the centre in camera space, over fx and fy: that of T_u.z and T_v.z
-            let (ray_x, ray_y) = ((x - view.cx) / view.fx, (y - view.cy) / view.fy);
-            let (u, v) = (tangents.u, tangents.v);
-            let centre_x =
-                towards.x * (ray_y * v.z - v.y) + towards.y * (u.y - u.z * ray_y) + towards.z * (u.y * v.z - u.z * v.y);
-            let centre_y =
-                towards.x * (v.x - ray_x * v.z) + towards.y * (u.z * ray_x - u.x) + towards.z * (u.z * v.x - u.x * v.z);
-            let share = by_plane * Payload::load(features, i * FEATURES).depth;
-            towards_x = share * centre_x / view.fx;
-            towards_y = share * centre_y / view.fy;
-        }
-    }
-    if comptime!(layout.probe) {
-        let ndc_x = towards_x * f32::cast_from(view.width) * 0.5f32;
-        let ndc_y = towards_y * f32::cast_from(view.height) * 0.5f32;
-        own[probe] += ndc_x;
-        own[probe + 1] += ndc_y;
-        own[probe + 2] += f32::abs(ndc_x);
-        own[probe + 3] += f32::abs(ndc_y);
-    }
-}
-
-/// Sums over the pixels of a tile for the last [`ENTRIES`] before place `top` of its list, which begins at `start` and has
-/// its sums from `slot` on, or for as many as there are. `partial` has what each pixel says about them, [[`ENTRIES`],
-/// [`NUMBERS`], [`UNITS`]]. All units of the cube must call this together.
-#[cube]
-fn fold_entries(
-    partial: &mut [f32],
-    folded: &mut [f32],
-    own: &mut Array<f32>,
-    sums: &mut [f32],
-    shapes: &[f32],
-    features: &[f32],
-    ids: &[u32],
-    grad: &[f32],
-    start: u32,
-    top: u32,
-    slot: u32,
-    tile: u32,
-    view: CameraUniforms,
-    #[comptime] layout: Layout,
-) {
-    let width = comptime!(layout.width());
-    let groups = comptime!(layout.width().div_ceil(GROUP));
-    let unit = UNIT_POS as usize;
-    let entries = min(top, ENTRIES);
-    // some units sum over the pixels of each entry
-    let (entry, member) = (UNIT_POS / SHARE, UNIT_POS % SHARE);
-    #[unroll]
-    for s in 0..width {
-        own[s] = 0.0f32;
-    }
-    if entry < entries {
-        let i = ids[(start + top - 1u32 - entry) as usize] as usize;
-        for step in 0..ENTRIES {
-            let other = step * SHARE + member;
-            let at = entry as usize * NUMBERS * UNITS as usize + other as usize;
-            let signed = partial[at + UNITS as usize];
-            if signed != 0.0f32 {
-                let mut covered = f32::abs(signed);
-                let mut by_plane = select(signed > 0.0f32, 1.0f32, 0.0f32);
-                if comptime!(layout.form == Form::Students) {
-                    covered = signed;
-                    by_plane = 1.0f32;
-                }
-                let seen = Seen { power: partial[at], covered, grad_depth: partial[at + 2 * UNITS as usize], by_plane };
-                add_pixel(own, shapes, features, i, grad, pixel_of(view, tile, other), seen, view, layout);
-            }
-        }
-    }
-    sync_cube();
-
-    #[unroll]
-    for group in 0..groups {
-        #[unroll]
-        for s in 0..GROUP {
-            if comptime!(group * GROUP + s < width) {
-                partial[s * UNITS as usize + unit] = own[group * GROUP + s];
-            }
-        }
-        sync_cube();
-        // several units fold each sum, then one unit
-        if unit < UNITS as usize / FOLD * GROUP {
-            let mut part = 0.0f32;
-            for k in 0..FOLD {
-                part += partial[unit * FOLD + k];
-            }
-            folded[unit] = part;
-        }
-        sync_cube();
-        let number = unit / ENTRIES as usize;
-        let of_entry = UNIT_POS % ENTRIES;
-        if number < GROUP && comptime!(group * GROUP) + number < width && of_entry < entries {
-            let mut sum = 0.0f32;
-            for k in 0..PARTS {
-                sum += folded[number * (UNITS as usize / FOLD) + of_entry as usize * PARTS + k];
-            }
-            let target = (slot + top - 1u32 - of_entry) as usize * width;
-            sums[target + comptime!(group * GROUP) + number] = sum;
-        }
-    }
-}
 
 #[cube(launch)]
 fn gather_kernel(
@@ -336,7 +82,7 @@ fn gather_kernel(
     let mut state = zeros(STATE);
     state[THROUGH] = 1.0f32;
     let mut end = select(place.inside, length, 0u32);
-    if comptime!(form != Form::Discs) {
+    if comptime!(form.is_projected()) {
         let list = TileList { start, length };
         let mut visits = Shared::<[u32]>::new_slice(comptime!(REGIONS * WORDS));
         let mut depths = Shared::<[f32]>::new_slice(REGIONS);
@@ -370,10 +116,10 @@ fn gather_kernel(
         let mut position = 0u32;
         while position < end {
             let i = ids[(start + position) as usize] as usize;
-            let found = fragment(shapes, features, i, x, y, view.near, form);
+            let found = fragment(shapes, features, i, x, y, view, form);
             if found.weight > 0.0f32 {
                 let goes_on = add_fragment(&mut state, found, features, i, thresholds, layout.maps);
-                end = select(goes_on, end, position);
+                end = select(goes_on, end, position + thresholds.ends_behind);
             }
             position += 1u32;
         }
@@ -414,7 +160,7 @@ fn gather_kernel(
             let position = top - 1u32 - entry;
             if entry < entries && position < end {
                 let i = ids[(start + position) as usize] as usize;
-                let found = fragment(shapes, features, i, x, y, view.near, form);
+                let found = fragment(shapes, features, i, x, y, view, form);
                 if found.weight != 0.0f32 {
                     let payload = Payload::load(features, i * FEATURES);
                     let back = go_back(found, payload, through, behind, of, spread, thresholds, layout.maps);
@@ -637,7 +383,7 @@ pub fn gather(
     let places = empty_u32(grad, [pairs]);
     places_kernel::launch(&client, units(pairs), cube_dim(), buffer(&lists.pairs), buffer(&places), pairs as u32);
     let (most, per_entry) = match options.order {
-        BlendOrder::Centres => (largest_buffer(grad) / (size_of::<f32>() * width), width),
+        BlendOrder::Centres | BlendOrder::Whitened(_) => (largest_buffer(grad) / (size_of::<f32>() * width), width),
         BlendOrder::Rays => (Said::most_entries(grad, layout.maps), Said::width(layout.maps)),
     };
     let room = pairs.min(most);
@@ -647,8 +393,12 @@ pub fn gather(
     let sums = parts.map(|(_, taken)| empty_f32(grad, [count, taken]));
     for band in bands(&lists.offsets, pairs, tiles, most, per_entry) {
         let [first_tile, end_tile] = [band.start, band.end].map(|tile| tile as u32);
-        match &said {
-            None => gather_kernel::launch(
+        match (&said, options.order) {
+            (None, BlendOrder::Whitened(transparency)) if transparency != Transparency::Sorted => {
+                let range = [first_tile, end_tile];
+                hybrid::gather(fragments, lists, [grad, &slots], range, camera, options, layout);
+            }
+            (None, _) => gather_kernel::launch(
                 &client,
                 cubes(band.len()),
                 cube_dim(),
@@ -664,7 +414,7 @@ pub fn gather(
                 end_tile,
                 layout,
             ),
-            Some(said) => {
+            (Some(said), _) => {
                 replay(fragments, lists, grad, said, [first_tile, end_tile], camera, options);
                 gather_said_kernel::launch(
                     &client,

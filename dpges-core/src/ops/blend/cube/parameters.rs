@@ -5,10 +5,11 @@ use burn_cubecl::CubeBackend;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
+use super::fold::{Layout, PROBE};
 use super::fragments::{LOW_PASS_SQUARED_RADIUS as K, discs, facing_sign, magnitudes, normal_axis, own_normal};
-use super::gather::{Layout, PROBE};
 use crate::camera::Camera;
 use crate::footprint::gaussian::cube as splat_cube;
+use crate::footprint::gaussian::cube::whitened as whitened_cube;
 use crate::footprint::gaussian::tensors::GaussianTensors;
 use crate::footprint::surfel::cube as disc_cube;
 use crate::footprint::surfel::cube::bounded_scale;
@@ -189,6 +190,7 @@ pub fn backward(
         Form::Ellipsoids => splat_cube::backward(gaussians, sums, camera, filter, &out),
         Form::Students => splat_cube::backward(&magnitudes(gaussians), sums, camera, ScreenFilter::Off, &out),
         Form::Discs => disc_cube::backward(&discs(gaussians), sums, camera, &discs(&out)),
+        Form::Whitened => whitened_cube::backward(gaussians, sums, camera, &out),
     }
     payload_kernel::launch(
         &client,

@@ -4,8 +4,10 @@ use crate::camera::Camera;
 use crate::footprint::CUTOFF;
 use crate::footprint::gaussian::cpu::{Parameters, Splat};
 use crate::math::{CameraOf, M3, V3, apply, column, cross, dot, rotation, scale};
-use crate::ops::blend::{ALL_PLANES, BlendOptions, DEPTH_PLANE, DISTORTION_PLANE, Form, NORMAL_PLANE, far};
-use crate::scene::{BlendOrder, ScreenFilter};
+use crate::ops::blend::{
+    ALL_PLANES, BlendOptions, CORE, CORE_ALPHA, DEPTH_PLANE, DISTORTION_PLANE, Form, NORMAL_PLANE, far,
+};
+use crate::scene::{BlendOrder, ScreenFilter, Transparency};
 
 /// The part of a primitive that decides α and z at a pixel.
 #[derive(Clone, Copy)]
@@ -17,6 +19,15 @@ pub enum Shape {
         opacity: f64,
         degrees: f64,
         bound: f64,
+    },
+    /// Met by rays in the frame in which it is a sphere.
+    Whitened {
+        /// From camera axes to standard deviations.
+        whitening: M3<f64>,
+        centre: V3<f64>,
+        opacity: f64,
+        /// fx, fy, cx, cy
+        intrinsics: [f64; 4],
     },
     Disc {
         /// T_u, T_v, T_w of 2DGS: from (u, v, 1) to (x z, y z, z), px.
@@ -83,6 +94,13 @@ impl Shape {
                 let kernel = (1.0 + (u * u + v * v) / degrees).powf(-0.5 * (degrees + 2.0));
                 let inside = dx.abs() <= *bound && dy.abs() <= *bound;
                 (if inside { opacity * kernel } else { 0.0 }, splat.depth)
+            }
+            Self::Whitened { whitening, centre, opacity, intrinsics: [fx, fy, cx, cy] } => {
+                let ray = apply(whitening, [(at[0] - cx) / fx, (at[1] - cy) / fy, 1.0]);
+                let centre = apply(whitening, *centre);
+                let z = dot(ray, centre) / dot(ray, ray);
+                let offset: V3<f64> = std::array::from_fn(|i| z * ray[i] - centre[i]);
+                (opacity * (-0.5 * dot(offset, offset)).exp(), z)
             }
             Self::Disc { rows, low_pass, opacity, near } => {
                 let [u, v, z] = meet(rows, at).filter(|hit| hit[2] > *near)?;
@@ -155,17 +173,28 @@ impl Primitive {
                 let bound = bound(splat.root, p.degrees_of_freedom);
                 Shape::Student { splat, opacity: p.opacity, degrees: p.degrees_of_freedom, bound }
             }
+            Form::Whitened => {
+                let axes: M3<f64> = std::array::from_fn(|d| apply(&of.rotation, column(&rotation(p.quaternion), d)));
+                let radius = (2.0 * (p.opacity / CUTOFF).ln()).max(0.0).sqrt();
+                let ahead = (0..3).map(|d| (axes[d][2] * p.log_scales[d].exp()).powi(2)).sum::<f64>().sqrt();
+                if p.opacity < CUTOFF || centre[2] - radius * ahead <= camera.near {
+                    return None;
+                }
+                let whitening = std::array::from_fn(|d| scale(axes[d], (-p.log_scales[d]).exp()));
+                let intrinsics = [camera.fx, camera.fy, camera.cx, camera.cy];
+                Shape::Whitened { whitening, centre, opacity: p.opacity, intrinsics }
+            }
         };
+        let axes: M3<f64> = std::array::from_fn(|d| apply(&of.rotation, column(&rotation(p.quaternion), d)));
         let [s, t, r] = p.log_scales;
         let axis = match form {
             Form::Discs => 2,
-            Form::Ellipsoids | Form::Students if s <= t && s <= r => 0,
-            Form::Ellipsoids | Form::Students if t <= r => 1,
-            Form::Ellipsoids | Form::Students => 2,
+            _ if s <= t && s <= r => 0,
+            _ if t <= r => 1,
+            _ => 2,
         };
         let normal = apply(&of.rotation, column(&rotation(p.quaternion), axis));
         let normal = if dot(normal, centre) > 0.0 { scale(normal, -1.0) } else { normal };
-        let axes: M3<f64> = std::array::from_fn(|d| apply(&of.rotation, column(&rotation(p.quaternion), d)));
         let precision = p.log_scales.map(|scale| scale.exp().max(1e-3).powi(-2));
         let inverse_covariance = std::array::from_fn(|i| {
             std::array::from_fn(|j| (0..3).map(|d| axes[d][i] * precision[d] * axes[d][j]).sum())
@@ -202,8 +231,64 @@ fn by_ray(primitives: &[Primitive], camera: &Camera, at: [f64; 2]) -> Vec<Primit
     met.into_iter().map(|(_, primitive)| primitive).collect()
 }
 
+/// w of every fragment of a pixel, of α and z each (HTGS).
+fn hybrid_weights(fragments: &[[f64; 2]], transparency: Transparency, options: &BlendOptions) -> Vec<f64> {
+    let mut order: Vec<usize> = (0..fragments.len()).filter(|&i| fragments[i][0] >= CORE_ALPHA).collect();
+    order.sort_by(|&i, &j| fragments[i][1].total_cmp(&fragments[j][1]));
+    order.truncate(if transparency == Transparency::Tail { 0 } else { CORE });
+    let (mut weights, mut through, mut open) = (vec![0.0; fragments.len()], 1.0, true);
+    for &i in &order {
+        if open {
+            weights[i] = fragments[i][0] * through;
+            through *= 1.0 - fragments[i][0];
+            open = through >= options.min_transmittance;
+        }
+    }
+    if open && transparency != Transparency::Nearest {
+        let tail: Vec<usize> = (0..fragments.len()).filter(|i| !order.contains(i)).collect();
+        let sum: f64 = tail.iter().map(|&i| fragments[i][0]).sum();
+        let hidden: f64 = 1.0 - tail.iter().map(|&i| 1.0 - fragments[i][0]).product::<f64>();
+        tail.iter().for_each(|&i| weights[i] = through * hidden * fragments[i][0] / sum);
+    }
+    weights
+}
+
+/// A pixel of a [`Transparency`] other than [`Transparency::Sorted`], without median depth.
+fn hybrid_pixel(
+    primitives: &[Primitive],
+    camera: &Camera,
+    transparency: Transparency,
+    options: &BlendOptions,
+    at: [f64; 2],
+) -> Pixel {
+    let mapped = |z: f64| far(camera.near) / (far(camera.near) - camera.near) * (1.0 - camera.near / z);
+    let seen = primitives.iter().filter_map(|primitive| Some((primitive, primitive.shape.fragment(at)?)));
+    let (seen, fragments): (Vec<&Primitive>, Vec<[f64; 2]>) =
+        seen.map(|(primitive, (alpha, z))| (primitive, [alpha.min(options.max_alpha), z])).unzip();
+    let weights = hybrid_weights(&fragments, transparency, options);
+    let mut out = Pixel::default();
+    for (i, &weight) in weights.iter().enumerate() {
+        for c in 0..3 {
+            out.planes[c] += weight * seen[i].colour[c];
+            out.planes[NORMAL_PLANE + c] += weight * seen[i].normal[c];
+        }
+        out.planes[3] += weight;
+        out.planes[DEPTH_PLANE] += weight * fragments[i][1];
+        for j in 0..i {
+            let apart = mapped(fragments[i][1]) - mapped(fragments[j][1]);
+            out.planes[DISTORTION_PLANE] += weight * weights[j] * apart.powi(2);
+        }
+    }
+    out
+}
+
 /// Blends sorted `primitives` at a point of the image; in the order of rays as if queues had no end.
 pub fn pixel(primitives: &[Primitive], camera: &Camera, options: &BlendOptions, at: [f64; 2]) -> Pixel {
+    if let BlendOrder::Whitened(transparency) = options.order
+        && transparency != Transparency::Sorted
+    {
+        return hybrid_pixel(primitives, camera, transparency, options, at);
+    }
     let mapped = |z: f64| far(camera.near) / (far(camera.near) - camera.near) * (1.0 - camera.near / z);
     let mut out = Pixel::default();
     let mut blended: Vec<[f64; 2]> = Vec::new();
@@ -213,7 +298,8 @@ pub fn pixel(primitives: &[Primitive], camera: &Camera, options: &BlendOptions, 
         let Some((alpha, z)) = shape.fragment(at) else { continue };
         let alpha = alpha.clamp(-options.max_alpha, options.max_alpha);
         let behind = through * (1.0 - alpha);
-        if behind < options.min_transmittance {
+        let ends = behind < options.min_transmittance;
+        if ends && options.form != Form::Whitened {
             break;
         }
         let weight = alpha * through;
@@ -230,6 +316,9 @@ pub fn pixel(primitives: &[Primitive], camera: &Camera, options: &BlendOptions, 
             out.median_depth = z;
         }
         through = behind;
+        if ends {
+            break;
+        }
     }
     out.planes[3] = 1.0 - through;
     out

@@ -207,6 +207,9 @@ fn options_outside_their_range_are_refused() {
     assert_eq!(refused(discs), "option `order` is rays, expected centres for discs");
     let students = BlendOptions { form: Form::Students, ..by_rays() };
     assert_eq!(refused(students), "option `order` is rays, expected centres for Student's t kernels");
+    let whitened = BlendOptions { form: Form::Whitened, ..by_rays() };
+    let expected = "option `order` is rays, expected hybrid, nearest, sorted or tail for whitened Gaussians";
+    assert_eq!(refused(whitened), expected);
     assert!(BlendOptions { max_alpha: f64::NAN, ..BlendOptions::default() }.validate().is_err());
 }
 

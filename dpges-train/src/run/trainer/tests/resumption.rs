@@ -15,13 +15,14 @@ fn a_run_goes_on_from_any_step_of_any_stage_to_the_same_end() {
     let folder = tempfile::tempdir().unwrap();
     let with_exposure = [&STAGES[..], &["train.exposure=on"]].concat();
     let with_poses = [&STAGES[..], &["train.poses=on"]].concat();
-    let runs: [(&[&str], &[usize]); 10] = [
+    let runs: [(&[&str], &[usize]); 11] = [
         (&STAGES, &[7, 18, 19, 30, 36, 50]),
         (&with_exposure, &[7, 18, 50]),
         (&with_poses, &[1, 7, 18, 19, 50]),
         (&["train.steps=40", "train.method=mcmc", "refine.budget=300", "model.environment=sh2"], &[1, 25]),
         (&["train.steps=40", "train.method=dbs", "refine.budget=300"], &[25]),
         (&["train.steps=40", "train.method=stopthepop", "refine.budget=300"], &[11, 25]),
+        (&["train.steps=200", "train.method=htgs", "refine.budget=300"], &[53, 120]),
         (&["train.steps=40", "train.method=mip-splatting", "refine.budget=300"], &[11, 25]),
         // burn-in ends after 9 steps
         (&["train.steps=40", "train.method=sss", "refine.budget=300"], &[5, 9, 20, 25]),

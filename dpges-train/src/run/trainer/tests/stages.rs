@@ -75,7 +75,7 @@ fn only_linear_opacities_become_odds() {
 fn methods_alone_learn() {
     // it starts with small kernels, and the rates of its paper are too low for so few steps
     let faster = ["optimizer.base=0.02", "optimizer.log_scales=0.1"];
-    for method in ["2dgs", "mcmc", "dbs", "3dgs", "absgs", "stopthepop", "mip-splatting", "sss", "sortfree"] {
+    for method in ["2dgs", "mcmc", "dbs", "3dgs", "absgs", "stopthepop", "mip-splatting", "htgs", "sss", "sortfree"] {
         let set: &[&str] = if method == "sss" { &faster } else { &[] };
         let method = format!("train.method={method}");
         let mut trainer = trainer(&[&["train.steps=60", &method, "refine.budget=500"], set].concat());
@@ -116,6 +116,32 @@ fn what_is_summed_is_never_removed_and_learns_what_its_gaussians_have_in_common(
         let changed = [before.sigma != after.sigma, before.beta != after.beta, before.background != after.background];
         let learns = [!weight.ends_with("dir"), weight.ends_with("exp"), true];
         assert_eq!(changed, learns, "{weight}: {before:?}, {after:?}");
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("scene.safetensors");
+        scene.save(&path).unwrap();
+        assert_eq!(SceneData::load(&path).unwrap(), scene);
+    }
+}
+
+#[test]
+fn scenes_of_htgs_say_which_fragments_have_an_order_and_lose_what_no_view_needs() {
+    for transparency in ["hybrid", "nearest", "sorted", "tail"] {
+        let set = format!("density.transparency={transparency}");
+        let mut trainer = trainer(&["train.steps=90", "train.method=htgs", &set, "refine.budget=500"]);
+        let mut removed = 0;
+        while !trainer.is_finished() {
+            let before = trainer.scene().gaussians.len();
+            let report = trainer.step().unwrap().unwrap();
+            if report.events.iter().any(|event| event.contains("no training view needs")) {
+                removed += before - report.gaussians;
+            }
+        }
+        assert!(removed > 0, "{transparency}: nothing was removed");
+        let scene = trainer.scene();
+        assert_eq!(
+            (scene.info.rendering, scene.info.blend_order.to_string()),
+            (Rendering::Ellipsoids, transparency.into())
+        );
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("scene.safetensors");
         scene.save(&path).unwrap();
