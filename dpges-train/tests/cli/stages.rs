@@ -63,7 +63,9 @@ fn what_the_real_time_renderer_does_not_draw_is_measured_by_the_renderer_of_trai
     let at = folder.path();
     // kernels of `sss` start too small to be seen
     let short = ["--steps=20", "--set=train.evaluate_every=0", "--set=optimizer.log_scales=0.1"];
-    for (method, rendering, named) in [("sss", "students", "Student's t"), ("sortfree", "summed", "weighted sums")] {
+    for (method, rendering, named) in
+        [("sss", "students", "Student's t"), ("sortfree", "summed", "sort-free Gaussians")]
+    {
         train(at, method, &[&short[..], &["--method", method]].concat());
         let info: Value = serde_json::from_str(&ok(at, &["info", method, "--json"])).unwrap();
         assert_eq!(info["rendering"], rendering);
