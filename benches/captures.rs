@@ -29,7 +29,7 @@ struct Arguments {
     /// Photographs
     #[arg(long, default_value_t = 60)]
     views: usize,
-    /// Of each photograph, at 4:3
+    /// Size of each photograph, at 4:3
     #[arg(long, default_value_t = 4.0)]
     megapixels: f64,
     /// Longest side that is trained on, px; 0 sets no limit

@@ -56,7 +56,7 @@ struct Arguments {
     bench: bool,
 }
 
-/// What has 16 bits per number.
+/// A buffer that can have 16 bits per number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Buffer {
     Positions,

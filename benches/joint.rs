@@ -142,7 +142,7 @@ impl Arguments {
     }
 }
 
-/// What all rows have in common.
+/// Data that all rows share.
 struct Bench {
     arguments: Arguments,
     dataset: Arc<Dataset>,
@@ -167,7 +167,7 @@ struct Compared {
     before: Errors,
 }
 
-/// What one joint stage has come to.
+/// The result of one joint stage.
 struct Outcome {
     /// Held-out views before the first step.
     at_start: Compared,
@@ -402,7 +402,7 @@ fn row_of_kinds(name: &str, compared: &[&Compared]) -> Vec<String> {
     std::iter::once(name.to_owned()).chain(PixelKind::ALL.map(cell)).collect()
 }
 
-/// What of an outcome a table shows.
+/// Selects the part of an outcome that a table shows.
 type Split = fn(&Outcome) -> &Compared;
 
 fn report(bench: &Bench, rows: &[(String, Vec<Outcome>)]) {

@@ -1,4 +1,4 @@
-//! What the benchmarks measure: a training step in its parts and as a whole, and the same step with
+//! Parts of the benchmarks: a training step in its parts and as a whole, and the same step with
 //! compositing and Adam as plain tensor operations; the joint stage alone.
 
 pub mod joint;

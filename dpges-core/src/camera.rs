@@ -66,7 +66,7 @@ pub struct Camera {
     pub height: usize,
     /// Fragments, and Gaussians by their centres, exist only beyond this depth.
     pub near: f64,
-    /// What makes it other than a pinhole camera.
+    /// The lens; `None` for a pinhole camera.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lens: Option<Lens>,
 }

@@ -1,4 +1,4 @@
-//! What can be wrong with what a caller hands in; every message names the tensor, option or file.
+//! Errors in the arguments of a caller; every message names the tensor, option or file.
 
 use std::path::PathBuf;
 

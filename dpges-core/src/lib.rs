@@ -20,7 +20,7 @@
 //! | num-traits, bytemuck | kernels generic over f32 and f64 on tensors viewed as slices |
 //! | rayon, pulp | threads; the vector instructions of the machine, chosen at run time |
 //! | safetensors, serde, serde_json, tempfile | the scene file, written whole or not at all |
-//! | miniz_oxide | deflate in compressed scenes, both ways, in Rust without unsafe code, in browsers too. What it packs is mostly noise, for which Huffman codes come within 2 % of the entropy of the bytes: a better search for repetitions gains little |
+//! | miniz_oxide | deflate in compressed scenes, both ways, in Rust without unsafe code, in browsers too. Its input is mostly noise, for which Huffman codes come within 2 % of the entropy of the bytes: a better search for repetitions gains little |
 //! | thiserror | errors |
 //! | burn-cubecl, cubecl | feature `gpu`: kernels for any GPU that wgpu reaches |
 //! | tracing | feature `gpu`: a note when a buffer had to grow |

@@ -47,7 +47,7 @@ pub fn rgb(image: Tensor<3>, target: impl Into<Target>, dssim_share: f64) -> Res
 /// [`rgb`], and the mean squared error of the clamped image over the pixels that count.
 ///
 /// # Errors
-/// Those of [`rgb`].
+/// The errors of [`rgb`].
 pub fn rgb_and_error(image: &Tensor<3>, target: &Target, dssim_share: f64) -> Result<Photometric> {
     let weights = PhotometricWeights::l1_and_dssim(dssim_share);
     let weights = PhotometricWeights { pixels_per_counted: target.pixels_per_counted(), ..weights };

@@ -99,7 +99,7 @@ pub fn validate(surfels: &Surfels, gaussians: &Gaussians, values: Values) -> Res
 /// [`validate`] for a scene without surfels.
 ///
 /// # Errors
-/// Those of [`validate`].
+/// The errors of [`validate`].
 pub fn validate_gaussians(gaussians: &Gaussians, values: Values) -> Result<()> {
     gaussians.check_shapes()?;
     let mut door = Door::new(("gaussians.positions", &gaussians.positions));
@@ -107,7 +107,7 @@ pub fn validate_gaussians(gaussians: &Gaussians, values: Values) -> Result<()> {
     check_finite(door.checks)
 }
 
-/// What every tensor has to pass.
+/// The checks that every tensor has to pass.
 struct Door {
     dtype: DType,
     expected: String,
@@ -157,7 +157,7 @@ pub fn render(surfels: &Surfels, gaussians: &Gaussians, camera: &Camera, options
 /// [`render`] for parameters whose `values` may be known to be finite.
 ///
 /// # Errors
-/// Those of [`render`].
+/// The errors of [`render`].
 pub fn render_values(
     surfels: &Surfels,
     gaussians: &Gaussians,
@@ -171,7 +171,7 @@ pub fn render_values(
 /// [`render_values`] from the camera of a `probe`, which gradients then reach.
 ///
 /// # Errors
-/// Those of [`render`].
+/// The errors of [`render`].
 pub fn render_probed(
     surfels: &Surfels,
     gaussians: &Gaussians,

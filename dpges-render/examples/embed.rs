@@ -7,7 +7,7 @@ use eframe::egui_wgpu::RenderState;
 use eframe::{egui, wgpu};
 use glam::DVec3;
 
-/// Of the picture, px.
+/// Side of the picture, px.
 const SIZE: usize = 600;
 const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
 

@@ -1,4 +1,4 @@
-//! What can be wrong with a scene, a camera or a device.
+//! Errors of scenes, cameras and devices.
 
 use dpges_core::scene::Rendering;
 

@@ -28,7 +28,7 @@ pub struct FrameTimes {
 pub struct PassShare {
     pub name: &'static str,
     pub p50_ms: f64,
-    /// Of the sum over the passes.
+    /// Share of the sum over the passes.
     pub share: f64,
 }
 
@@ -43,7 +43,7 @@ pub struct Rounds {
 /// Draws what `renderer` holds from each of `cameras`, again and again. `renderer` must render into [`PICTURE_FORMAT`].
 ///
 /// # Errors
-/// Those of [`Renderer::render`]; [`RenderError::Device`] if the device stops to answer.
+/// The errors of [`Renderer::render`]; [`RenderError::Device`] if the device stops to answer.
 pub fn frame_times(
     headless: &Headless,
     renderer: &mut Renderer,
@@ -84,7 +84,7 @@ pub fn frame_times(
 /// [`frame_times`] of `scene` with its own options, from `cameras` without their lenses.
 ///
 /// # Errors
-/// Those of [`frame_times`] and of [`Renderer::upload`].
+/// The errors of [`frame_times`] and of [`Renderer::upload`].
 pub fn scene_frame_times(
     headless: &Headless,
     scene: &SceneData,

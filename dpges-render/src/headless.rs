@@ -102,7 +102,7 @@ impl Headless {
     /// A renderer for [`picture`](Self::picture) with the best precision of the device.
     ///
     /// # Errors
-    /// Those of [`Renderer::new`].
+    /// The errors of [`Renderer::new`].
     pub fn renderer(&self) -> Result<Renderer> {
         self.renderer_with(None)
     }
@@ -110,7 +110,7 @@ impl Headless {
     /// [`renderer`](Self::renderer) with `precision`, if that is given.
     ///
     /// # Errors
-    /// Those of [`Renderer::new`].
+    /// The errors of [`Renderer::new`].
     pub fn renderer_with(&self, precision: Option<Precision>) -> Result<Renderer> {
         let precision = precision.unwrap_or_else(|| Renderer::best_precision(&self.device));
         Renderer::new(&self.device, &self.queue, PICTURE_FORMAT, precision)
@@ -119,7 +119,7 @@ impl Headless {
     /// The picture of the scene that `renderer` holds, which must render into [`PICTURE_FORMAT`].
     ///
     /// # Errors
-    /// Those of [`Renderer::render`]; [`RenderError::Device`] if it cannot be read back.
+    /// The errors of [`Renderer::render`]; [`RenderError::Device`] if it cannot be read back.
     pub fn draw(&self, renderer: &mut Renderer, camera: &Camera, options: &RenderOptions) -> Result<Rgb8Image> {
         let bytes = self.bytes(renderer, camera, options, PICTURE_FORMAT)?;
         let pixels = bytes.chunks_exact(4).map(|rgba| [rgba[0], rgba[1], rgba[2]]);
@@ -129,7 +129,7 @@ impl Headless {
     /// The picture of `scene` from `camera`.
     ///
     /// # Errors
-    /// Those of [`Renderer::upload`] and [`draw`](Self::draw).
+    /// The errors of [`Renderer::upload`] and [`draw`](Self::draw).
     pub fn picture(&self, scene: &SceneData, camera: &Camera, options: &RenderOptions) -> Result<Rgb8Image> {
         let mut renderer = self.renderer()?;
         renderer.upload(scene)?;
@@ -140,7 +140,7 @@ impl Headless {
     /// device cannot draw into 32-bit floats, numbers are rounded to 16 bits.
     ///
     /// # Errors
-    /// Those of [`picture`](Self::picture) and of [`Renderer::new`].
+    /// The errors of [`picture`](Self::picture) and of [`Renderer::new`].
     pub fn planes(
         &self,
         scene: &SceneData,
@@ -187,5 +187,5 @@ impl Headless {
     }
 }
 
-/// What [`Headless::draw`] draws into.
+/// Format of the target of [`Headless::draw`].
 pub const PICTURE_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;

@@ -49,6 +49,8 @@ pub mod false_colour;
 #[cfg(not(target_arch = "wasm32"))]
 pub mod frame_times;
 mod groups;
+#[doc = include_str!("../docs/view-and-export.md")]
+pub mod guide {}
 #[cfg(not(target_arch = "wasm32"))]
 mod headless;
 mod image;

@@ -1,4 +1,4 @@
-//! What is drawn, and how.
+//! Options of drawing.
 
 use std::fmt;
 
@@ -17,7 +17,7 @@ pub enum Precision {
     Half,
 }
 
-/// What a picture shows.
+/// The content of a picture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Display {
@@ -25,7 +25,7 @@ pub enum Display {
     Image,
     /// The surfels alone, on the background.
     Surfels,
-    /// What the Gaussians add: C_G / (1 + W_G).
+    /// The contribution of the Gaussians: C_G / (1 + W_G).
     Gaussians,
     /// T_1: white where all light passes the first layer.
     Transmittance,

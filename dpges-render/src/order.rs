@@ -2,8 +2,8 @@
 
 use dpges_core::camera::Camera;
 
-/// Gaussians beyond the near plane of `camera`, the furthest first. Of two at the same depth, the later comes first, so
-/// that the earlier is blended in front of it.
+/// Gaussians beyond the near plane of `camera`, the furthest first. At the same depth the later comes first, so that the
+/// earlier is blended in front of it.
 pub(crate) fn back_to_front(positions: &[[f32; 3]], camera: &Camera) -> Vec<u32> {
     let row = camera.camera_from_world.rotation.row(2);
     let [x, y, z] = row.to_array().map(|value| value as f32);

@@ -41,7 +41,7 @@ struct Uploaded {
     positions: Vec<[f32; 3]>,
 }
 
-/// What a pass draws into, before its pipeline is set.
+/// The target of a pass, before its pipeline is set.
 type Attachment<'a> = (&'a wgpu::TextureView, wgpu::LoadOp<wgpu::Color>);
 
 impl Renderer {

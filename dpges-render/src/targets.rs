@@ -28,10 +28,10 @@ pub(crate) struct Targets {
     pub sums: wgpu::TextureView,
 }
 
-/// What is computed for each primitive from one camera.
+/// Values of each primitive for one camera.
 #[derive(Debug)]
 pub(crate) struct PerPrimitive {
-    /// Of surfels, or of discs.
+    /// Colours of surfels, or of discs.
     pub colours: wgpu::TextureView,
     pub firsts: wgpu::TextureView,
     pub seconds: wgpu::TextureView,

@@ -1,4 +1,4 @@
-//! What `web/tests/browser.py` compares a browser with: an exported page, and pictures of its scene by this machine's
+//! Reference data of `web/tests/browser.py`: an exported page, and pictures of its scene by this machine's
 //! renderer.
 #![cfg(all(feature = "export", feature = "native"))]
 

@@ -10,9 +10,9 @@ const WRITE: &str = "DPGES_WRITE_DOCUMENTS";
 /// Document, command whose output it contains.
 const GENERATED: [(&str, &[&str]); 4] = [
     ("../configs/default.toml", &["config"]),
-    ("docs/configuration.md", &["config", "--markdown"]),
-    ("docs/ablations.md", &["ablate", "--list"]),
-    ("docs/comparisons.md", &["compare", "--list"]),
+    ("docs/reference/configuration.md", &["config", "--markdown"]),
+    ("docs/reference/variants.md", &["ablate", "--list"]),
+    ("docs/reference/variants.md", &["compare", "--list"]),
 ];
 
 /// `document` with its generated part replaced: in Markdown what lies between comments that name the command, elsewhere

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
 /// Two stages in a second, with a checkpoint after every other step, so that files are written most of the time.
-const RUN: [&str; 10] = [
+const RUN: [&str; 9] = [
     "--device=cpu",
     "--max-resolution=24",
     "--steps=40",
@@ -18,7 +18,6 @@ const RUN: [&str; 10] = [
     "--set=stages.surfels=0.4",
     "--set=train.evaluate_every=10",
     "--set=train.checkpoint_every=2",
-    "--set=train.picture_views=1",
     "--budget=900",
     "--seed=5",
 ];

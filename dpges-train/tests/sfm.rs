@@ -140,7 +140,7 @@ fn a_dataset_is_made_where_it_is_asked_for_and_after_a_failure_it_goes_on() {
     }
     assert_eq!(calls(at), [&ALL[..], &["mapper"]].concat());
     let message = fails(at, true, &[&make[..], &["--sfm-camera", "RADIAL"]].concat());
-    assert!(message.contains("data.sfm_camera") && message.contains("--overwrite"), "{message}");
+    assert!(message.contains("--sfm-camera") && message.contains("--overwrite"), "{message}");
     ok(at, &[&make[..], &["--sfm-camera", "RADIAL", "--overwrite"]].concat());
     assert_eq!(calls(at).len(), 7);
 }

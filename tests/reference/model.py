@@ -17,7 +17,7 @@ Conventions
   exceed 1.
 * The viewing direction of a primitive carries no gradient to its position.
 
-docs/method.md of `dpges-core` explains the formulas and names their sources.
+docs/method/method.md of `dpges-core` explains the formulas and names their sources.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-//! What the paper promises of its pictures, each on a scene where it can be seen.
+//! The paper's claims about its pictures, each on a scene where it can be seen.
 
 use burn::tensor::{DType, Tensor, TensorData};
 use dpges_core::camera::{Camera, CameraFromWorld};

@@ -9,7 +9,7 @@ pub fn number(name: &str) -> Option<u64> {
     Some(text.parse().unwrap_or_else(|_| panic!("{name} is {text}, expected a whole number")))
 }
 
-/// What is left of a test.
+/// The remaining time or cases of a test.
 #[derive(Clone, Copy, Debug)]
 pub struct Budget {
     cases: u64,

@@ -28,7 +28,7 @@ use mutation::{Mutation, mutated, mutations};
 
 const CASES: u64 = 500;
 
-/// What `DPGES_FUZZ_SEED` says.
+/// The seed of `DPGES_FUZZ_SEED`.
 fn seed() -> u64 {
     budget::number("DPGES_FUZZ_SEED").unwrap_or(0)
 }

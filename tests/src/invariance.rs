@@ -1,4 +1,4 @@
-//! What must not change the picture: the order of primitives, the backend, another run.
+//! Changes that must not change the picture: the order of primitives, the backend, another run.
 
 use burn::tensor::{DType, Device, Tensor};
 use dpges_core::losses::{LossWeights, losses};

@@ -1,4 +1,4 @@
-//! What GPU kernels share, by itself: prefix sums, the sort, pieces of rectangles.
+//! The kit of GPU kernels by itself: prefix sums, the sort, pieces of rectangles.
 
 use burn::tensor::Device;
 use dpges_core::testing::kernels::{Piece, pieces_of, prefix_sums, sorted};

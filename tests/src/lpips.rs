@@ -73,7 +73,7 @@ const PAIRS: [(usize, usize, Pixel, Pixel); 10] = [
     (33, 31, noisy, discs),
 ];
 
-/// What `reference/make_lpips.py` prints for them.
+/// The values that `reference/make_lpips.py` prints for them.
 fn expected(network: Network) -> [f64; 10] {
     match network {
         Network::Alex => [

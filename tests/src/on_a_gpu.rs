@@ -12,7 +12,7 @@ pub fn every_hazard_alone_is_finite(device: Device) {
     extremes::every_hazard_alone_is_finite(&device);
 }
 
-/// Of how many scenes [`budget`](crate::budget) says.
+/// [`budget`](crate::budget) says how many scenes.
 pub fn many_hazards_are_finite(device: Device) {
     for seed in Budget::start(SCENES).seeds() {
         extremes::finite(&format!("seed {seed}"), &extreme(seed), &device);

@@ -29,7 +29,7 @@ fn on<'a>(scene: &'a TestScene, options: PeelOptions, device: &Device) -> Bench<
     Bench::new(scene, options, device)
 }
 
-/// What the CPU finds, where the other device has the same layers.
+/// The results of the CPU, where the other device has the same layers.
 fn expected(scene: &TestScene, options: PeelOptions, ids: &[i64]) -> (Reference, Vec<Named>) {
     let cpu = ndarray();
     let reference = on(scene, options, &cpu).reference().only_where(ids, options.layer_count);

@@ -1,11 +1,11 @@
-//! What a training step asks of a GPU.
+//! The requests of a training step to a GPU.
 
 use burn::tensor::Device;
 use dpges_core::counters::transfers::Transfers;
 use dpges_core::testing::scenes::realistic;
 use dpges_train::run::step_cost::{GpuCost, Rounds, StepStage, Steps, measure};
 
-/// Of a small scene, measured anew.
+/// The cost of a small scene, measured again.
 fn cost(stage: StepStage, device: &Device) -> GpuCost {
     let (scene, camera) = realistic(200, 1000, 64, 48, 1).into_scene();
     let mut steps = Steps::new(&scene, &[camera], stage, device).unwrap();
@@ -14,7 +14,7 @@ fn cost(stage: StepStage, device: &Device) -> GpuCost {
     cost.gpu.expect("the device is a GPU")
 }
 
-/// What holds of any step.
+/// Holds for any step.
 fn check(cost: &GpuCost) {
     let GpuCost { launches, launches_by_kernel, transfers, memory, kernel_times } = cost;
     assert_eq!(launches_by_kernel.values().sum::<usize>(), *launches);

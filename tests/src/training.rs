@@ -64,7 +64,7 @@ pub fn a_gpu_trains_as_well_as_a_cpu(device: Device) {
         "refine.replace_until=0",
         "refine.gaussian_prune_until=0",
         "refine.surfel_prune_until=0",
-        "refine.split=false",
+        "refine.split_until=0",
     ];
     let config = || config(200, &settings);
     let untrained = psnr(&Trainer::new(config(), Arc::clone(&data), ndarray()).unwrap(), &ndarray());

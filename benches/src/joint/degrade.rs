@@ -11,7 +11,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::surfaces::TrueSurfels;
 
-/// What is wrong with true geometry.
+/// An error in the true geometry.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Degradation {
     Nothing,

@@ -1,4 +1,4 @@
-//! What the bench of the joint stage is made of, apart from training itself.
+//! Parts of the bench of the joint stage, apart from training itself.
 //!
 //! | module | says |
 //! |---|---|

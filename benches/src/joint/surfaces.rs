@@ -49,7 +49,7 @@ impl<'a> KnownView<'a> {
     /// A `view` of the built-in scene.
     ///
     /// # Errors
-    /// Those of [`View::picture`].
+    /// The errors of [`View::picture`].
     pub fn of_builtin(view: &'a View) -> Result<Self> {
         let (depth, normal) = builtin_geometry(&view.camera);
         Ok(Self { view, picture: view.picture()?, depth, normal })

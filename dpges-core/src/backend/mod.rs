@@ -1,4 +1,4 @@
-//! What is done differently on each of Burn's backends: the CPU's tensors as slices, element types, vector instructions,
+//! Differences between Burn's backends: the CPU's tensors as slices, element types, vector instructions,
 //! entries on the tape, reads from a device.
 
 pub mod device;

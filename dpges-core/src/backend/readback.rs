@@ -6,8 +6,8 @@ use std::task::{Context, Poll, Waker};
 
 use burn::tensor::{Tensor, TensorData, read_sync};
 
-/// What is on its way from a device. Dropped before it has arrived, it is waited for: CubeCL uses the memory that it comes
-/// through again, whether anything has come or not.
+/// A transfer from a device. Dropping it waits for its arrival: CubeCL reuses the memory of the transfer whether or not
+/// it has finished.
 pub struct Readback<T>(Option<State<T>>);
 
 enum State<T> {

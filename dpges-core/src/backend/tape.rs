@@ -1,4 +1,4 @@
-//! What every operation does on Burn's tape.
+//! The entry of an operation on Burn's tape.
 
 use burn::backend::Backend;
 use burn::backend::autodiff::grads::Gradients;

@@ -28,12 +28,12 @@ const START: f64 = 0.9;
 const SERIES_BELOW: f64 = 0.05;
 const SERIES_TERMS: usize = 16;
 
-/// What a point looks like through a lens.
+/// A point seen through a lens.
 #[derive(Clone, Copy, Debug)]
 pub struct Seen {
     /// Focal lengths from the principal point.
     pub position: [f64; 2],
-    /// Of the position with respect to the point in camera axes, by rows, focal lengths per world unit.
+    /// Derivative of the position by the point in camera axes, by rows, focal lengths per world unit.
     pub jacobian: [[f64; 3]; 2],
 }
 

@@ -87,7 +87,7 @@ impl LaunchObserver for Counter {
 }
 
 enum Measured {
-    /// To be read when all is done, so that nothing waits meanwhile.
+    /// Read after all work, so that nothing waits meanwhile.
     NotYet(ProfileDuration),
     Is(Duration, TimingMethod),
 }

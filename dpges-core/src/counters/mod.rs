@@ -1,4 +1,4 @@
-//! What a piece of work asks of its device: bytes between host and device and reads that the host waits for
+//! Counts of the requests to a device: bytes between host and device and reads that the host waits for
 //! ([`transfers`]), and of a GPU also launches, times of kernels and memory (`kernels`, feature `gpu`).
 
 #[cfg(feature = "gpu")]
@@ -17,9 +17,9 @@ pub type Launches = BTreeMap<String, usize>;
 pub struct KernelTime {
     /// Its module and function.
     pub kernel: String,
-    /// Those that were measured.
+    /// Launches that were measured.
     pub launches: usize,
-    /// Of all of these together.
+    /// Total of these launches.
     pub milliseconds: f64,
 }
 

@@ -10,7 +10,7 @@ use std::cell::Cell;
 use burn::tensor::TensorData;
 use serde::Serialize;
 
-/// What has crossed between host and device.
+/// Transfers between host and device.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Transfers {
     /// Tensors that went to the device.
@@ -60,7 +60,7 @@ pub fn wait<T>(read: impl FnOnce() -> T) -> T {
 }
 
 impl Transfers {
-    /// What came to these since they were `earlier`.
+    /// Transfers since the count was `earlier`.
     #[must_use]
     pub fn since(self, earlier: Self) -> Self {
         Self {

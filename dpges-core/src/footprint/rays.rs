@@ -10,7 +10,7 @@ use crate::math::V3;
 /// So many tables are kept: training renders views of few cameras, and each several times in a row.
 const KEPT: usize = 2;
 
-/// What rays in camera axes depend on.
+/// Everything that rays in camera axes depend on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Key {
     lens: Lens,

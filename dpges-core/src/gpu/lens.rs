@@ -18,7 +18,7 @@ const TANGENTIAL_STEPS: u32 = 8;
 const SERIES_BELOW: f32 = 0.05;
 const PI: f32 = std::f32::consts::PI;
 
-/// What a kernel is compiled for.
+/// The kind of lens that a kernel is compiled for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum LensKind {
     /// A pinhole.
@@ -83,7 +83,7 @@ impl LensUniforms {
         Self::from_numbers(numbers, kind, [p1, p2, s1, s2, t1, t2] == [0.0; 6], distortion.in_sequence)
     }
 
-    /// Of a pinhole.
+    /// Uniforms of a pinhole.
     pub fn none() -> LensUniformsLaunch {
         Self::from_numbers([0.0; NUMBERS], LensKind::None, true, false)
     }
@@ -169,7 +169,7 @@ pub fn radius_at(lens: LensUniforms, angle_from_axis: f32) -> f32 {
     }
 }
 
-/// What is tangential of a position, and what the prisms add: 2 p₁ u v + p₂ (r² + 2u²) + s₁ r² + t₁ r⁴ and its twin.
+/// Tangential and thin-prism shift of a position: 2 p₁ u v + p₂ (r² + 2u²) + s₁ r² + t₁ r⁴ and its twin.
 #[cube]
 fn aside(lens: LensUniforms, u: f32, v: f32) -> (f32, f32) {
     let m = u * u + v * v;
@@ -179,7 +179,7 @@ fn aside(lens: LensUniforms, u: f32, v: f32) -> (f32, f32) {
     )
 }
 
-/// What is moved aside of an undistorted position whose radius has this factor.
+/// The position at which the shift is evaluated, for an undistorted position whose radius has this factor.
 #[cube]
 fn moved_aside(lens: LensUniforms, a: f32, b: f32, factor: f32) -> (f32, f32) {
     if comptime!(lens.in_sequence) { (a * factor, b * factor) } else { (a, b) }
@@ -334,7 +334,7 @@ fn lens_scale(lens: LensUniforms, across: f32, z: f32) -> LensScale {
     if comptime!(lens.kind == LensKind::Arc) { arc_scale(lens, across, z) } else { perspective_scale(z) }
 }
 
-/// What a point looks like through a lens: [`crate::camera::Seen`].
+/// A point seen through a lens: [`crate::camera::Seen`].
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub struct Seen {

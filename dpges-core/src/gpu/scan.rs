@@ -88,7 +88,7 @@ fn sums_kernel(values: &[u32], sums: &mut [u32], count: u32) {
     }
 }
 
-/// What is known of the blocks before one.
+/// Knowledge of the blocks before one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum Before {
     /// There is one block.

@@ -114,8 +114,8 @@ pub fn depth_slope(view: CameraUniforms, point: Vec3) -> Vec3 {
     }
 }
 
-/// What a disc is met by at the point (`x`, `y`) px: that point, or its ray through a lens, camera axes, of depth 1 and 0
-/// where the lens shows nothing.
+/// The argument of a disc at the point (`x`, `y`) px: that point, or its ray through a lens, camera axes, of depth 1
+/// and 0 where the lens shows nothing.
 #[cube]
 pub fn sight(view: CameraUniforms, x: f32, y: f32) -> Vec3 {
     if comptime!(view.lens.kind == LensKind::None) {

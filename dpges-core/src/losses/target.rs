@@ -1,4 +1,4 @@
-//! What renders are compared with: photographs, and which of their pixels count.
+//! Targets of renders: photographs, and the pixels that count.
 
 use burn::tensor::{Device, Int, Tensor};
 
@@ -82,7 +82,7 @@ impl PackedMask {
         })
     }
 
-    /// What the mask of a view of so many pixels takes on the device, bytes.
+    /// Size on the device of the mask of a view of so many pixels, bytes.
     pub fn size_bytes(pixels: usize) -> usize {
         pixels.next_multiple_of(size_of::<i32>())
     }

@@ -53,7 +53,7 @@ fn what_a_photograph_shows_where_pixels_do_not_count_is_of_no_effect() {
     assert_ne!(loss, of(&other).0);
 }
 
-/// Of any number of pixels in the last word, on a tape and off it.
+/// With any number of pixels in the last word, on a tape and off it.
 #[test]
 fn a_packed_mask_is_the_mask_to_the_bit() {
     for device in [device(), device().inner()] {

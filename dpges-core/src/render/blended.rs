@@ -75,14 +75,14 @@ pub fn render_blended(
 pub struct Probes<'a> {
     /// [M, 4], see [`blend()`].
     pub gaussians: Option<&'a Tensor<2>>,
-    /// Of the camera.
+    /// Receives the gradient of the camera.
     pub pose: Option<&'a PoseProbe>,
 }
 
 /// [`render_blended`] with `probes` of both kinds.
 ///
 /// # Errors
-/// Those of [`render_blended`].
+/// The errors of [`render_blended`].
 pub fn render_blended_probed(
     gaussians: &Gaussians,
     probes: Probes<'_>,

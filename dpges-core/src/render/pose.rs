@@ -1,4 +1,4 @@
-//! What a loss wants of the camera: its gradient with respect to a motion of the camera.
+//! The gradient of a loss with respect to a motion of the camera.
 //!
 //! Operations take cameras as constants. A camera that is turned about its centre `c` by a small rotation vector `w` and
 //! shifted by `t` sees what the camera that stays sees of a world that moves the other way:
@@ -10,10 +10,10 @@
 //! ```
 //!
 //! Colours depend on the direction from the camera to a primitive in the axes of the world. The turn leaves that as it is.
-//! That the shift changes it is left out, as directions pass no gradient to positions either
+//! The change by the shift is left out, as directions pass no gradient to positions either
 //! ([`colour`](mod@crate::ops::colour)).
 //!
-//! The motion is 0. What is rendered is the same to the bit as without it, and apart from what a shift does to colours its
+//! The motion is 0. The picture is the same to the bit as without it, and apart from the effect of a shift on colours its
 //! derivatives are exact.
 
 use burn::tensor::{DType, Device, Gradients, Tensor, TensorData};
@@ -33,7 +33,7 @@ pub struct PoseProbe {
 }
 
 impl PoseProbe {
-    /// Of `camera`, on the tape of `device`, for primitives of `dtype`.
+    /// A probe for `camera`, on the tape of `device`, for primitives of `dtype`.
     pub fn new(camera: &Camera, device: &Device, dtype: DType) -> Self {
         let motion = Tensor::zeros([1, 6], (device, dtype)).require_grad();
         let centre = TensorData::new(camera.centre().to_array().to_vec(), [1, 3]).convert_dtype(dtype);

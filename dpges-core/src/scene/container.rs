@@ -14,7 +14,7 @@ use super::schema::{Attribute, ENVIRONMENT};
 /// in the order of a hash map, which differs from process to process.
 ///
 /// # Errors
-/// Those of [`safetensors::serialize`].
+/// The errors of [`safetensors::serialize`].
 pub fn serialize<V: View>(
     tensors: impl IntoIterator<Item = (impl AsRef<str> + Ord + std::fmt::Display, V)>,
     metadata: HashMap<String, String>,
@@ -32,7 +32,7 @@ pub fn serialize<V: View>(
 /// The file of a scene: `tensors`, the environment where there is one, and metadata.
 ///
 /// # Errors
-/// What cannot be written.
+/// A message about the part that cannot be written.
 pub(super) fn scene_file<'a>(
     scene: &'a SceneData,
     mut tensors: Vec<Rows<'a>>,

@@ -18,7 +18,7 @@ pub struct SceneData {
     pub info: SceneInfo,
     pub surfels: SurfelData,
     pub gaussians: GaussianData,
-    /// What lies behind them; `None` where that is the constant background of [`info`](Self::info).
+    /// The environment behind them; `None` for the constant background of [`info`](Self::info).
     pub environment: Option<EnvironmentData>,
 }
 

@@ -1,4 +1,4 @@
-//! What lies behind every primitive, at infinity: sky, horizon, whatever is too far to have a depth.
+//! The environment behind every primitive, at infinity: sky, horizon, everything too far away to have a depth.
 
 use super::data::check_numbers;
 use super::schema::ENVIRONMENT;
@@ -16,7 +16,7 @@ pub struct EnvironmentData {
 
 impl EnvironmentData {
     pub const MAX_DEGREE: usize = 3;
-    /// What errors say.
+    /// The expected shape, for errors.
     pub(crate) const EXPECTED_SHAPE: &str = "[(degree + 1)², 3] with a degree from 0 to 3";
 
     /// Coefficients of an environment of `degree`, 3 numbers each.

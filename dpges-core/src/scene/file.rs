@@ -4,10 +4,11 @@
 //!
 //! A scene with an environment has one tensor more, `environment` [(degree + 1)², 3]; see [`EnvironmentData`].
 //!
-//! Of spherical Beta colours a file has only the lobes that are there (see [`lobes`](super::lobes)). In place of
+//! A file stores only the spherical Beta lobes that a primitive has (see [`lobes`](super::lobes)). In place of
 //! `surfels.colour.detail` [N, 6 × lobes] stand `surfels.colour.lobe_counts` `[N]`, one byte for every surfel, and
 //! `surfels.colour.lobes` [sum of the counts, 6], those of the first surfel first; likewise for the Gaussians. Files of
-//! version "1", in which `detail` has every lobe, are read as well, and so are [compressed](mod@super::compressed) files.
+//! version "1", in which `detail` has every lobe, are read as well, and so are [compressed](mod@super::compressed)
+//! files.
 
 use std::io::Write;
 use std::path::Path;
@@ -63,7 +64,7 @@ impl SceneData {
         parse(bytes).map_err(|reason| Error::SceneFile { path: name.into(), reason })
     }
 
-    /// What is wrong with the scene, for a file at `path`.
+    /// The first problem of the scene, for a file at `path`.
     pub(super) fn check_to_save(&self, path: &Path) -> Result<()> {
         let wrong = |reason| Error::SceneFile { path: path.to_owned(), reason };
         check_info(&self.info).map_err(wrong)?;

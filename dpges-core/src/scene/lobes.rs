@@ -33,7 +33,7 @@ pub fn present(detail: &[f32], count: usize, lobes: usize) -> Vec<u8> {
 /// primitive has `[N]`, and the numbers of all, in order [sum of the counts × 6].
 ///
 /// # Panics
-/// Those of [`present`].
+/// The panics of [`present`].
 pub fn pack(detail: &[f32], count: usize, lobes: usize) -> (Vec<u8>, Vec<f32>) {
     let (all, _) = detail.as_chunks::<LOBE_LEN>();
     let rows = all.iter().filter(|lobe| !is_absent(&lobe[..])).flatten().copied().collect();
@@ -44,7 +44,7 @@ pub fn pack(detail: &[f32], count: usize, lobes: usize) -> (Vec<u8>, Vec<f32>) {
 /// The lobes of a primitive come first, then as many [`ABSENT_LOBE`]s as there is room for.
 ///
 /// # Errors
-/// What is wrong with `counts`: one is above `lobes`, or they do not add up to the number of `rows`.
+/// A message about `counts`: one is above `lobes`, or they do not add up to the number of `rows`.
 pub fn unpack(counts: &[u8], rows: &[f32], lobes: usize) -> Result<Vec<f32>, String> {
     if let Some(row) = counts.iter().position(|&count| usize::from(count) > lobes) {
         return Err(format!("has {} lobes at row {row}, expected at most {lobes}", counts[row]));

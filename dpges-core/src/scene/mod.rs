@@ -61,7 +61,7 @@ pub enum ScreenFilter {
 }
 
 impl ScreenFilter {
-    /// What is added to the diagonal of the covariance, px².
+    /// The variance added to the diagonal of the covariance, px².
     pub const fn variance(self) -> f64 {
         match self {
             Self::Compensated => 0.1,
@@ -93,7 +93,7 @@ impl fmt::Display for Rendering {
     }
 }
 
-/// What a scene file says besides its tensors.
+/// The content of a scene file besides its tensors.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SceneInfo {
     pub colour_model: ColourModel,
@@ -111,7 +111,7 @@ pub struct SceneInfo {
     /// Files without it are [`Rendering::Peeled`].
     #[serde(default)]
     pub rendering: Rendering,
-    /// Of blended Gaussians. Files without it are [`ScreenFilter::Compensated`], and so is everything that is peeled.
+    /// Filter of blended Gaussians. Files without it, and everything that is peeled, are [`ScreenFilter::Compensated`].
     #[serde(default)]
     pub screen_filter: ScreenFilter,
     /// Display-referred colour behind everything; an [environment](EnvironmentData) adds to it.

@@ -1,7 +1,7 @@
 //! Every attribute of surfels and Gaussians, declared once: its name, its width, its activation, its learning rate.
 //!
-//! [`SurfelColumns`] and [`GaussianColumns`] have one field per attribute, the same wherever a scene goes. What the
-//! field holds depends on the place: rows of `f32` in host memory and in files, a tensor on a device, a parameter with
+//! [`SurfelColumns`] and [`GaussianColumns`] have one field per attribute, the same wherever a scene goes. The content of
+//! a field depends on the place: rows of `f32` in host memory and in files, a tensor on a device, a parameter with
 //! its moments in an optimiser, a gradient, a learning rate. Code that treats all attributes alike goes over
 //! [`Columns`]; only an operation that gives an attribute its meaning names it.
 
@@ -18,7 +18,7 @@ pub enum Width {
     Scalar,
     /// As many.
     Fixed(usize),
-    /// What the colour model asks for: [`ColourModel::detail_len`].
+    /// The number that the colour model needs: [`ColourModel::detail_len`].
     Detail,
 }
 
@@ -33,7 +33,7 @@ impl Width {
     }
 }
 
-/// What turns the raw numbers that are trained into the values that are rendered and stored.
+/// The function from the raw numbers that are trained to the values that are rendered and stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Activation {
     /// None: the raw numbers are the values.
@@ -53,18 +53,18 @@ pub enum RateGroup {
     Opacities,
     Base,
     Detail,
-    /// Of the coefficients of an environment; no primitive has such an attribute.
+    /// Coefficients of an environment; no primitive has such an attribute.
     Environment,
-    /// Of the colour corrections of photographs; no primitive has such an attribute.
+    /// Colour corrections of photographs; no primitive has such an attribute.
     Exposure,
 }
 
 /// One attribute of a kind of primitive.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Attribute {
-    /// What errors and scene files call its values, as in `gaussians.opacities`.
+    /// Name of its values in errors and scene files, as in `gaussians.opacities`.
     pub name: &'static str,
-    /// What errors and checkpoints call the raw numbers, as in `gaussians.raw_opacities`.
+    /// Name of the raw numbers in errors and checkpoints, as in `gaussians.raw_opacities`.
     pub raw_name: &'static str,
     pub width: Width,
     pub activation: Activation,

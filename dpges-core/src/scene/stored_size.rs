@@ -1,4 +1,4 @@
-//! What takes how much room in a scene file.
+//! Sizes of the parts of a scene file.
 
 use safetensors::SafeTensors;
 

@@ -7,7 +7,7 @@ use super::scenes::{Recipe, TestScene, random};
 use crate::ops::peel::PeelOptions;
 use crate::scene::{ColourModel, Footprint};
 
-/// What is extreme about a scene.
+/// An extreme property of a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Hazard {
     /// Scales from e⁻³⁰ world units.
@@ -137,7 +137,7 @@ fn with_hazards(seed: u64, hazards: Vec<Hazard>, random: &mut Random) -> Extreme
     Extreme { seed, hazards, scene, peel, extent: recipe.extent }
 }
 
-/// What has to be known before there are primitives.
+/// The parameters that have to be known before there are primitives.
 fn recipe(hazards: &[Hazard], random: &mut Random) -> Recipe {
     let model = match random.below(3) {
         0 => ColourModel::SphericalHarmonics { degree: 3 },

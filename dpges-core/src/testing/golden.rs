@@ -310,7 +310,7 @@ impl Found<'_> {
     }
 }
 
-/// What the files call an attribute: detail is lobes there.
+/// The name of an attribute in the files, where detail is called lobes.
 fn golden_name(attribute: &Attribute) -> String {
     attribute.name.replace(".detail", ".lobes")
 }

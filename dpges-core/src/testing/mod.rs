@@ -1,4 +1,4 @@
-//! What tests of this crate and of its users share: golden cases, gradient checks, random and extreme scenes.
+//! Shared parts of tests of this crate and of its users: golden cases, gradient checks, random and extreme scenes.
 
 pub mod compare;
 pub mod extremes;

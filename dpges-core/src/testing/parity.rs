@@ -34,7 +34,7 @@ use crate::scene::{Gaussians, MarginLookup, Surfels};
 /// A tensor by name, as `peel.alpha` or `splat.grad.positions`.
 pub type Named = (String, Vec<f64>);
 
-/// What the reference device found, in host memory.
+/// The results of the reference device, in host memory.
 #[derive(Clone, Debug)]
 pub struct Reference {
     ids: Vec<i64>,

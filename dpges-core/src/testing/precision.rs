@@ -53,7 +53,7 @@ pub struct Deviation {
     pub tensor: &'static str,
     /// Values that are NaN or infinite.
     pub non_finite: usize,
-    /// Of a picture: the largest difference of a value, where the largest value is 1 or more, relative to that. Of a
+    /// For a picture: the largest difference of a value, relative to the largest value where that is 1 or more. For a
     /// gradient: relative L2 distance, with positions in units of the size of the world. Infinite if a value is not
     /// finite.
     pub error: f64,
@@ -66,7 +66,7 @@ type Found = Vec<Named>;
 /// Renders and differentiates an extreme scene in f32 on `device` and in f64 on the CPU.
 ///
 /// # Errors
-/// Those of rendering, which a scene with finite parameters and a valid camera does not have.
+/// The errors of rendering; a scene with finite parameters and a valid camera has none.
 pub fn deviations(extreme: &Extreme, way: Way, device: &Device) -> Result<Vec<Deviation>> {
     let found = compute(extreme, way, device, DType::F32)?;
     let exact = compute(extreme, way, &crate::backend::device::cpu(), DType::F64)?;
@@ -161,7 +161,7 @@ pub struct Distribution {
 }
 
 impl Distribution {
-    /// Of `errors`; `None` if there are none.
+    /// The distribution of `errors`; `None` if there are none.
     pub fn of(mut errors: Vec<f64>) -> Option<Self> {
         errors.sort_by(f64::total_cmp);
         let last = errors.len().checked_sub(1)?;

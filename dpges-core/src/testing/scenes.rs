@@ -35,7 +35,7 @@ impl TestScene {
     }
 }
 
-/// What a random scene is made of.
+/// The parameters of a random scene.
 #[derive(Clone, Copy, Debug)]
 pub struct Recipe {
     pub surfels: usize,

@@ -1,4 +1,5 @@
-//! What is too large for a buffer: a typed error, although Burn's interface for operations has no place for errors.
+//! Errors for buffers that are too small: they are typed, although Burn's interface for operations has no place for
+//! errors.
 
 use std::cell::Cell;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};

@@ -10,7 +10,7 @@ use std::cell::RefCell;
 type Pending = Box<dyn FnOnce() -> bool>;
 
 thread_local! {
-    /// What was postponed on this thread; `None` where the host waits for every length.
+    /// Postponed reads of this thread; `None` where the host waits for every length.
     static PENDING: RefCell<Option<Vec<Pending>>> = const { RefCell::new(None) };
 }
 

@@ -28,11 +28,11 @@ pub struct TileWork {
     pub entries: usize,
     /// Entries of the longest list.
     pub longest: usize,
-    /// Pairs of a pixel and a primitive that a kernel of a GPU asks about on its way forward. Of a surfel these are the
-    /// 256 pixels of the tile for each entry; of a Gaussian the 32 pixels of each region of 8 × 4 px of the tile that its
+    /// Pairs of a pixel and a primitive that a kernel of a GPU asks about on its way forward. For a surfel these are the
+    /// 256 pixels of the tile for each entry; for a Gaussian the 32 pixels of each region of 8 × 4 px of the tile that its
     /// ellipse touches, and in which some pixel sees as far as its depth. A kernel that stops early asks about fewer.
     pub evaluated_pairs: u64,
-    /// Those of a pixel of the image that lies in the footprint of the primitive.
+    /// Pairs whose pixel lies in the image and in the footprint of the primitive.
     pub inside_pairs: u64,
 }
 
@@ -166,7 +166,7 @@ impl Ends {
         Self { size, columns, depths }
     }
 
-    /// Of the part from the pixel at a column and row on.
+    /// Value of the part that starts at a pixel's column and row.
     fn at(&self, first: [usize; 2]) -> f32 {
         self.depths[first[1] / self.size[1] * self.columns + first[0] / self.size[0]]
     }

@@ -11,9 +11,9 @@ pub enum UpAxis {
     /// splats in PLY files expect.
     #[default]
     MinusY,
-    /// Of files that are in the axes of glTF already.
+    /// Up in files that are already in the axes of glTF.
     Y,
-    /// Of Blender, nerfstudio, and the built-in scene.
+    /// Up in Blender, nerfstudio, and the built-in scene.
     Z,
 }
 
@@ -28,7 +28,7 @@ impl UpAxis {
         }
     }
 
-    /// Rotation to the axes of glTF: y up, z where the front looks. What lies ahead of a camera with OpenCV axes, +z, stays
+    /// Rotation to the axes of glTF: y up, z where the front looks. The front of a camera with OpenCV axes, +z, stays
     /// there, and Blender's front, −y, becomes +z, as their own converters have it.
     pub fn to_gltf(self) -> DMat3 {
         match self {

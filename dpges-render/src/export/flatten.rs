@@ -133,7 +133,7 @@ fn row_of<const W: usize>(values: &[f32], row: usize) -> [f32; W] {
     values.as_chunks::<W>().0[row]
 }
 
-/// Of unit length; no rotation where the length is 0.
+/// The quaternion at unit length; no rotation where the length is 0.
 fn normalised(quaternion: [f32; 4]) -> [f32; 4] {
     let length = quaternion.iter().map(|&component| f64::from(component).powi(2)).sum::<f64>().sqrt();
     if length > 1e-12 {

@@ -148,7 +148,7 @@ impl GlbBuilder {
     }
 }
 
-/// To a multiple of 4 bytes.
+/// Pads to a multiple of 4 bytes.
 fn pad(bytes: &mut Vec<u8>, with: u8) {
     bytes.resize(bytes.len().next_multiple_of(4), with);
 }

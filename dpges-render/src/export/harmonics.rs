@@ -51,7 +51,7 @@ fn basis(direction: DVec3) -> [f64; MAX_COEFFICIENTS] {
 
 /// The colour of primitive `row` as harmonics of all degrees.
 ///
-/// Harmonics are kept as they are. Of a spherical Beta lobe this is the least-squares fit over all directions of the
+/// Harmonics are kept as they are. A spherical Beta lobe is fitted by least squares over all directions of the
 /// sphere. Because the harmonics are orthonormal and a lobe is symmetric about its axis μ, the coefficient of `Y_i` is
 /// `λ_l Y_i(μ)` (Funk and Hecke) with `λ_l = 2π ∫₀¹ t^e P_l(t) dt`, exponent `e = 4 exp β` and the Legendre polynomial
 /// `P_l` of the degree l of `Y_i`. A lower degree leaves the coefficients of the others as they are.

@@ -1,7 +1,7 @@
 //! A folder that any web server can serve: the browser viewer's page, a scene, a poster picture and cameras.
 //!
 //! The page is not part of the program, because it is built for another target. `dpges-render/web/build.sh` builds it. The
-//! [`guide`] tells how it is used.
+//! [`guide`](crate::guide) tells how it is used.
 
 use std::fs;
 use std::io::{self, Write};
@@ -13,9 +13,6 @@ use dpges_core::scene::atomic::write_atomically;
 
 use crate::path::CameraPath;
 
-#[doc = include_str!("../../docs/web.md")]
-pub mod guide {}
-
 /// Names the folder of the built page where no option does.
 pub const PAGE_VARIABLE: &str = "DPGES_WEB_PAGE";
 /// Beside the program: the folder of the built page.
@@ -26,14 +23,14 @@ const INDEX: &str = "index.html";
 const SCENE: &str = "scene.safetensors";
 const POSTER: &str = "poster.jpg";
 const CAMERAS: &str = "cameras.json";
-/// What `index.html` has in place of the scene, the poster and the title.
+/// Placeholders of `index.html` for the scene, the poster and the title.
 const NO_SCENE: &str = r#"<meta name="dpges-scene" content="">"#;
 const NO_POSTER: &str = r#"<meta name="dpges-poster" content="">"#;
 const NO_TITLE: &str = "<title>dpges</title>";
 /// Where the page has its program.
 const PACKAGE: &str = "pkg";
 
-/// What can be wrong with a page or the folder it is written to.
+/// Errors of a page or of the folder it is written to.
 #[derive(Debug, thiserror::Error)]
 pub enum HtmlError {
     #[error(
@@ -56,10 +53,10 @@ fn listed(folders: &[PathBuf]) -> String {
     folders.iter().map(|folder| folder.display().to_string()).collect::<Vec<_>>().join(", ")
 }
 
-/// What a page shows besides the scene.
+/// The parts of a page besides the scene.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Page<'a> {
-    /// Of the window or tab.
+    /// Title of the window or tab.
     pub title: &'a str,
     /// A picture in the JPEG format, shown until the scene has been loaded.
     pub poster_jpeg: Option<&'a [u8]>,

@@ -1,15 +1,23 @@
 //! Files for other programs: a scene as [splats](SplatCloud) that are sorted and blended (PLY, SPZ, glTF), or as a
 //! [`mesh`] (PLY, glTF).
 //!
-//! Splats are an approximation: see [`flatten`](mod@flatten). The [`guide`] says what each format keeps.
+//! Splats are an approximation: see [`flatten`](mod@flatten). The [`guide`](crate::guide) says what each format keeps.
+//!
+//! ```no_run
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! use dpges_render::export::{UpAxis, flatten, to_ply};
+//!
+//! let scene = dpges_core::SceneData::load("scene.safetensors".as_ref())?;
+//! std::fs::write("scene.ply", to_ply(&flatten(&scene, 3)?, UpAxis::Z))?;
+//! # Ok(())
+//! # }
+//! ```
 
 mod axes;
 mod cloud;
 mod error;
 pub mod flatten;
 mod glb;
-#[doc = include_str!("../../docs/exports.md")]
-pub mod guide {}
 mod harmonics;
 pub mod html;
 pub mod mesh;
@@ -27,8 +35,8 @@ pub use harmonics::{MAX_DEGREE, coefficient_count};
 pub use splat_glb::to_glb;
 pub use splat_ply::to_ply;
 
-/// What comments in files call the program.
+/// The name of the program in comments of files.
 const GENERATOR: &str = concat!("dpges ", env!("CARGO_PKG_VERSION"));
-/// What files of splats say about themselves, where the format has a place for it.
+/// The comment in files of splats, where the format has a place for it.
 const APPROXIMATION: &str =
     "Approximation: sorted splats in place of depth-peeled surfels with order-free Gaussians (DP-GES)";

@@ -66,7 +66,7 @@ fn differences(columns: &HashMap<String, Vec<f32>>, cloud: &SplatCloud) -> [f32;
     largest
 }
 
-/// Of a quaternion (w, x, y, z).
+/// Axes of a quaternion (w, x, y, z).
 fn axes([w, x, y, z]: [f32; 4]) -> Mat3 {
     Mat3::from_quat(Quat::from_xyzw(x, y, z, w).normalize())
 }

@@ -1,4 +1,4 @@
-// What lies behind everything.
+// The background and the environment.
 
 const Y0: f32 = 0.28209479177387814;
 

@@ -1,4 +1,4 @@
-//! What all passes of a frame share: `struct Frame` of `frame.wgsl`.
+//! Uniforms that all passes of a frame share: `struct Frame` of `frame.wgsl`.
 
 use bytemuck::{Pod, Zeroable};
 use dpges_core::camera::Camera;
@@ -7,7 +7,7 @@ use dpges_core::scene::{ColourModel, EnvironmentData, MarginLookup, Rendering, S
 use crate::options::{RenderOptions, squared_radius};
 use crate::scene::SceneTextures;
 
-/// Of an environment.
+/// Coefficients of an environment.
 const MAX_COEFFICIENTS: usize = EnvironmentData::coefficient_count(EnvironmentData::MAX_DEGREE);
 
 #[repr(C)]

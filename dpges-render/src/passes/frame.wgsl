@@ -1,4 +1,4 @@
-// What all passes of a frame share.
+// Uniforms that all passes of a frame share.
 
 struct Frame {
     // Rows of camera_from_world: rotation, translation.

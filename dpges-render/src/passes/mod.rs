@@ -37,7 +37,7 @@ pub(crate) const INTERVAL_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgb
 pub(crate) const THIRD_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rg32Uint;
 pub(crate) const ORDER_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::R32Uint;
 
-/// What is drawn into and read, apart from sums.
+/// Formats of textures that are drawn into and read, apart from sums.
 pub(crate) const DRAWN_FORMATS: [wgpu::TextureFormat; 6] =
     [LAYER_FORMAT, OPACITY_FORMAT, COLOUR_FORMAT, RECORD_FORMAT, INTERVAL_FORMAT, THIRD_FORMAT];
 

@@ -59,8 +59,8 @@ impl PeelPass {
         }
     }
 
-    /// What is drawn over the whole picture before the surfels of layer `k`, and the pipeline of these. In the last layer,
-    /// surfels come only where there is no core.
+    /// The pipeline that draws over the whole picture before the surfels of layer `k`, if any, and the pipeline of
+    /// these surfels. In the last layer, surfels come only where there is no core.
     pub fn of(&self, k: usize, options: &RenderOptions) -> (Option<&wgpu::RenderPipeline>, &wgpu::RenderPipeline) {
         let is_last = k + 1 == options.layer_count;
         let before = match (options.backstop, k) {

@@ -41,13 +41,13 @@ fn vertex(@builtin(vertex_index) at: u32, @builtin(instance_index) index: u32) -
     return corner_of_disc(at, index, frame.surfel.y);
 }
 
-// Of the part of a disc that is opaque.
+// A corner of the opaque part of a disc.
 @vertex
 fn core_vertex(@builtin(vertex_index) at: u32, @builtin(instance_index) index: u32) -> Corner {
     return corner_of_disc(at, index, min(2.0 * log(max(frame.surfel.x, 1.0)), frame.surfel.y));
 }
 
-// Of the disc up to a squared radius in σ.
+// A corner of the disc up to a squared radius in σ.
 fn corner_of_disc(at: u32, index: u32, squared_reach: f32) -> Corner {
     let place = textureLoad(places, texel(index), 0).xyz;
     let form = textureLoad(forms, texel(index), 0);

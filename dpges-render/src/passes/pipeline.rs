@@ -11,7 +11,7 @@ pub(crate) enum Texture {
     Uint,
 }
 
-/// What makes pipelines.
+/// Makes pipelines.
 #[derive(Debug)]
 pub(crate) struct Kit<'a> {
     pub device: &'a wgpu::Device,

@@ -66,7 +66,7 @@ fn shown(position: vec4f) -> vec3f {
     }
 }
 
-// What an sRGB target stores as `value`.
+// The number that an sRGB target stores as `value`.
 fn linear(value: vec3f) -> vec3f {
     let bounded = clamp(value, vec3f(0.0), vec3f(1.0));
     return select(pow((bounded + 0.055) / 1.055, vec3f(2.4)), bounded / 12.92, bounded <= vec3f(0.04045));

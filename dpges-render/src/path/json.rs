@@ -91,7 +91,7 @@ impl CameraPath {
     /// An open path from the text of a `cameras.json`. Cameras without a near plane have `near`.
     ///
     /// # Errors
-    /// What is wrong with the text.
+    /// A message that names the problem.
     pub fn from_json(text: &str, near: f64) -> Result<Self, String> {
         let entries: Vec<Entry> = serde_json::from_str(text).map_err(|error| error.to_string())?;
         let keys = entries.iter().map(|entry| entry.camera(near)).collect::<Result<Vec<_>, _>>()?;

@@ -44,7 +44,7 @@ impl Grid {
 #[derive(Debug)]
 pub struct Primitives {
     pub count: usize,
-    /// Of one texel per primitive.
+    /// Grid of one texel per primitive.
     pub grid: Grid,
     /// Rgba32Float: position, margin of a surfel or opacity of a Gaussian.
     pub places: wgpu::TextureView,

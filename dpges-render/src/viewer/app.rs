@@ -36,7 +36,7 @@ pub struct Viewer {
 
 impl Viewer {
     /// # Errors
-    /// Those of the renderer on the device of `gpu`; without it, nothing is drawn.
+    /// The errors of the renderer on the device of `gpu`; without it, nothing is drawn.
     pub fn new(
         context: &Context,
         gpu: Option<&RenderState>,
@@ -120,7 +120,7 @@ impl Viewer {
         }
     }
 
-    /// What threads, dialogs and other windows have brought since the last frame.
+    /// Takes messages of threads, dialogs and other windows since the last frame.
     fn take_news(&mut self, context: &Context) {
         let closes = self.state.live.as_ref().is_some_and(LiveScene::closes);
         if (self.failure.reason().is_some() || closes) && !self.may_close {

@@ -8,7 +8,7 @@ use egui::TextureId;
 use crate::readback::texels;
 use crate::{PassTime, RenderError, RenderOptions, Renderer, Rgb8Image};
 
-/// What egui shows without conversion; colours are display-referred.
+/// A format that egui shows without conversion; colours are display-referred.
 const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
 
 /// Draws a scene on the device of egui.
@@ -16,7 +16,7 @@ pub struct Canvas {
     state: RenderState,
     renderer: Renderer,
     target: Option<Target>,
-    /// What the target shows; `None` if it has to be drawn anew.
+    /// The content of the target; `None` if it has to be drawn again.
     shown: Option<(Camera, RenderOptions)>,
 }
 
@@ -28,7 +28,7 @@ struct Target {
 
 impl Canvas {
     /// # Errors
-    /// Those of [`Renderer::new`].
+    /// The errors of [`Renderer::new`].
     pub fn new(state: &RenderState) -> Result<Self, RenderError> {
         let precision = Renderer::best_precision(&state.device);
         let renderer = Renderer::new(&state.device, &state.queue, FORMAT, precision)?;
@@ -36,7 +36,7 @@ impl Canvas {
     }
 
     /// # Errors
-    /// Those of [`Renderer::upload`].
+    /// The errors of [`Renderer::upload`].
     pub fn upload(&mut self, scene: &SceneData) -> Result<(), RenderError> {
         self.shown = None;
         self.renderer.upload(scene)
@@ -54,7 +54,7 @@ impl Canvas {
     /// Draws what `camera` sees, unless it is what the texture shows. Returns whether it was drawn.
     ///
     /// # Errors
-    /// Those of [`Renderer::render`].
+    /// The errors of [`Renderer::render`].
     pub fn draw(&mut self, camera: &Camera, options: &RenderOptions) -> Result<bool, RenderError> {
         let wanted = (*camera, *options);
         if self.shown.as_ref() == Some(&wanted) {
@@ -88,10 +88,10 @@ impl Canvas {
         self.renderer.depth_at(x_px, y_px)
     }
 
-    /// What `camera` sees, as bytes. Waits for the GPU.
+    /// The view of `camera`, as bytes. Waits for the GPU.
     ///
     /// # Errors
-    /// Those of [`Renderer::render`], and [`RenderError::Device`].
+    /// The errors of [`Renderer::render`], and [`RenderError::Device`].
     pub fn picture(&mut self, camera: &Camera, options: &RenderOptions) -> Result<Rgb8Image, RenderError> {
         // the renderer remembers one frame, and this becomes it
         self.shown = None;

@@ -93,7 +93,7 @@ impl Comparing {
     /// `generation` counts the scenes. Drawn anew only if one of them is another.
     ///
     /// # Errors
-    /// Those of `draw`.
+    /// The errors of `draw`.
     pub fn update_error<E>(
         &mut self,
         context: &Context,

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 /// Nobody closes a dialog sooner than this: one that is gone by then was never there.
 const LEAST_TIME: Duration = Duration::from_millis(400);
 
-/// What the file is for.
+/// The purpose of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Purpose {
     OpenScene,

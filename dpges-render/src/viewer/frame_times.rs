@@ -1,4 +1,4 @@
-//! What frames took, for the graph.
+//! Times of frames, for the graph.
 
 use std::collections::VecDeque;
 
@@ -20,7 +20,7 @@ impl FrameTime {
         (!self.passes.is_empty()).then(|| self.passes.iter().map(|(_, ms)| ms).sum())
     }
 
-    /// What the frame took: by the GPU's clock, or else by the wall's.
+    /// The time of the frame: by the GPU's clock, or else by the wall's.
     pub fn ms(&self) -> Option<f64> {
         self.gpu_ms().or(self.wall_ms)
     }

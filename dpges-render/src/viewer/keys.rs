@@ -4,7 +4,7 @@ use egui::{InputState, Key};
 
 use crate::Display;
 
-/// What a key asks for, besides moving.
+/// The commands of keys, besides moving.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Command {
     Display(Display),
@@ -45,7 +45,7 @@ const KEYS: [(Key, Command); 15] = [
     (Key::Escape, Command::Escape),
 ];
 
-/// What mouse and keys do, for the help.
+/// Mouse and key bindings, for the help.
 pub const HELP: [(&str, &str); 26] = [
     ("drag", "turn about the focus (orbit) or look around (fly)"),
     ("right drag, shift + drag", "pan"),

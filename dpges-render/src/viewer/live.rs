@@ -16,13 +16,13 @@ pub struct LiveProgress {
     /// Completed steps.
     pub step: usize,
     pub steps: usize,
-    /// Of the last training view or of held-out views, dB.
+    /// PSNR of the last training view or of held-out views, dB.
     pub psnr: Option<f64>,
-    /// What happens or happened last, one line.
+    /// The current or last event, one line.
     pub text: String,
 }
 
-/// What the window wants of the training.
+/// A request of the window to the training.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Wish {
     Go,
@@ -34,7 +34,7 @@ struct State {
     progress: LiveProgress,
     scene: Option<SceneData>,
     wish: Wish,
-    /// What came out, once the training is over.
+    /// The result, once the training is over.
     end: Option<Result<String, String>>,
     closes: bool,
     /// Whether a window looks.

@@ -27,7 +27,7 @@ pub fn open_scene(path: &Path) -> Result<Opened, String> {
     Ok(Opened { scene, views: Views::None })
 }
 
-/// What came of opening a path.
+/// The result of opening a path.
 pub struct Loaded {
     pub path: PathBuf,
     pub result: Result<Opened, String>,
@@ -52,7 +52,7 @@ impl Loader {
         self.running = Some((path, receiver));
     }
 
-    /// What is being opened.
+    /// The path that is being opened.
     pub fn path(&self) -> Option<&Path> {
         self.running.as_ref().map(|(path, _)| path.as_path())
     }

@@ -1,4 +1,4 @@
-//! A window that shows a scene: [`run`] opens it and returns when it is closed. Its guide is `docs/viewer.md`.
+//! A window that shows a scene: [`run`] opens it and returns when it is closed. The [`guide`](crate::guide) describes it.
 
 mod app;
 mod canvas;

@@ -69,7 +69,7 @@ impl PathEditor {
     /// Writes the key cameras as JSON.
     ///
     /// # Errors
-    /// What is wrong, naming the file.
+    /// A message that names the file and the problem.
     pub fn save(&self, path: &Path) -> Result<(), String> {
         let path_of_cameras = CameraPath::new(self.cameras.clone(), false).map_err(|error| error.to_string())?;
         path_of_cameras.save(path).map_err(|error| error.to_string())
@@ -78,7 +78,7 @@ impl PathEditor {
     /// Takes the key cameras of a file; `near` is their near plane, world units.
     ///
     /// # Errors
-    /// What is wrong, naming the file.
+    /// A message that names the file and the problem.
     pub fn load(&mut self, path: &Path, near: f64) -> Result<(), String> {
         let loaded = CameraPath::load(path, near).map_err(|error| error.to_string())?;
         self.cameras = loaded.keys().to_vec();

@@ -12,7 +12,7 @@ const KEPT: usize = 8;
 pub struct RecentFiles(Vec<PathBuf>);
 
 impl RecentFiles {
-    /// What it is called in eframe's storage.
+    /// Its key in eframe's storage.
     pub const KEY: &'static str = "recent";
 
     /// Puts `path` first, by its absolute name.

@@ -9,7 +9,7 @@ use image::{ExtendedColorType, ImageEncoder};
 
 use crate::Rgb8Image;
 
-/// What a screenshot will be.
+/// Settings of a screenshot.
 #[derive(Clone, Debug)]
 pub struct ScreenshotForm {
     /// File name as typed.

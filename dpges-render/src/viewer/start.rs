@@ -1,4 +1,4 @@
-//! What a window begins with, and how it learns that its device has failed.
+//! The first content of a window, and the report of a failed device.
 
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -9,9 +9,9 @@ use super::live::LiveScene;
 use super::loading::Opened;
 use super::views::DatasetViews;
 
-/// What the window shows first.
+/// The first content of the window.
 pub enum Start {
-    /// What can be done.
+    /// The page of possible actions.
     Page,
     /// A scene file or the folder of a run, which is read while the window is there already.
     Open(PathBuf),

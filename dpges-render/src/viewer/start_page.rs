@@ -1,4 +1,4 @@
-//! What one sees without a scene.
+//! The page that is shown without a scene.
 
 use std::path::PathBuf;
 
@@ -7,7 +7,7 @@ use egui::{RichText, ScrollArea, TextEdit, Ui};
 use super::dialogs::Purpose;
 use super::recent::RecentFiles;
 
-/// What was chosen on the page.
+/// The choice on the page.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Choice {
     Ask(Purpose),

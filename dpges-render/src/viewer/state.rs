@@ -1,4 +1,4 @@
-//! What the window shows: read and changed by the panels, the picture and the viewer, which come after it.
+//! The content of the window: read and changed by the panels, the picture and the viewer, which come after it.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -44,7 +44,7 @@ pub struct Resolution {
     pub control: ResolutionControl,
 }
 
-/// What the window shows, and how.
+/// The content of the window, and its options.
 pub struct State {
     pub canvas: Option<Canvas>,
     pub scene: Option<ShownScene>,
@@ -81,7 +81,7 @@ impl State {
     /// Nothing yet.
     ///
     /// # Errors
-    /// Those of the renderer on the device of `gpu`; without it, nothing is drawn.
+    /// The errors of the renderer on the device of `gpu`; without it, nothing is drawn.
     pub fn new(gpu: Option<&RenderState>) -> Result<Self, RenderError> {
         let info = SceneInfo::default();
         let lens = Lens { vertical_field_of_view: FIELD_OF_VIEW, near: info.near };

@@ -23,7 +23,7 @@ pub struct Gpu {
     pub queue: wgpu::Queue,
 }
 
-/// What [`run`] shows, and with what.
+/// The content of [`run`] and its settings.
 pub struct ViewerOptions {
     pub title: String,
     pub start: Start,

@@ -6,7 +6,7 @@ use dpges_render::Renderer;
 use web_sys::HtmlCanvasElement;
 use wgpu::{Adapter, Backends, Device, Instance, Queue, Surface, SurfaceTarget};
 
-/// What went wrong on the device since it was opened; the first cause only.
+/// The first error of the device since it was opened.
 pub type Fault = Arc<Mutex<Option<String>>>;
 
 /// A device and the canvas that it draws on.
@@ -22,7 +22,7 @@ impl Gpu {
     /// Opens the `backend` "auto", "webgpu" or "webgl" for `canvas`.
     ///
     /// # Errors
-    /// What the browser lacks.
+    /// A message that names the feature missing in the browser.
     pub async fn open(canvas: &HtmlCanvasElement, backend: &str) -> Result<Self, String> {
         match backend {
             "webgpu" => Self::webgpu(canvas).await,

@@ -1,4 +1,4 @@
-//! What the page says and is told, as JSON: cameras, options, and what a scene is.
+//! Messages from and to the page, as JSON: cameras, options, properties of a scene.
 
 use dpges_core::camera::{Camera, CameraFromWorld};
 use dpges_core::scene::SceneInfo;
@@ -23,7 +23,7 @@ pub struct PageCamera {
 }
 
 impl PageCamera {
-    /// Of which primitives beyond `near` (world units) are drawn.
+    /// The camera, which draws primitives beyond `near` (world units).
     pub fn camera(&self, near: f64) -> Camera {
         let mut camera_from_world = CameraFromWorld::from_quaternion([1.0, 0.0, 0.0, 0.0], [0.0; 3].into());
         let rotation = &mut camera_from_world.rotation;
@@ -44,7 +44,7 @@ impl PageCamera {
     }
 }
 
-/// What the visitor has chosen.
+/// The visitor's choices.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PageOptions {
@@ -63,7 +63,7 @@ impl PageOptions {
     }
 }
 
-/// What a scene is.
+/// Properties of a scene.
 #[derive(Serialize)]
 pub struct Summary<'a> {
     pub surfels: usize,
@@ -76,7 +76,7 @@ pub struct Summary<'a> {
     pub info: &'a SceneInfo,
 }
 
-/// What draws.
+/// The device that draws.
 #[derive(Serialize)]
 pub struct Device<'a> {
     pub backend: &'a str,

@@ -1,4 +1,4 @@
-//! What the page holds: a canvas, the renderer, and the scene it shows.
+//! The state of the page: a canvas, the renderer, and the scene it shows.
 
 use dpges_core::camera::Camera;
 use dpges_core::scene::SceneData;
@@ -25,7 +25,7 @@ pub struct Viewer {
     view: Option<View>,
 }
 
-/// What is drawn next.
+/// The view that is drawn next.
 struct View {
     camera: Camera,
     options: RenderOptions,
@@ -36,7 +36,7 @@ impl Viewer {
     /// Draws on `canvas` through `backend`: "auto" (WebGPU if there is one, or else WebGL2), "webgpu" or "webgl".
     ///
     /// # Errors
-    /// What the browser or its graphics device lacks.
+    /// A message that names the feature missing in the browser or its graphics device.
     pub async fn create(canvas: HtmlCanvasElement, backend: String) -> Result<Viewer, JsError> {
         console_error_panic_hook::set_once();
         let gpu = Gpu::open(&canvas, &backend).await.map_err(|cause| JsError::new(&cause))?;
@@ -51,7 +51,7 @@ impl Viewer {
         Ok(Self { gpu, surface, precision, renderer, view: None })
     }
 
-    /// What draws, as JSON.
+    /// The device that draws, as JSON.
     pub fn device(&self) -> Result<String, JsError> {
         let info = self.gpu.adapter.get_info();
         json(&page::Device {
@@ -65,7 +65,7 @@ impl Viewer {
     /// Takes the bytes of a scene file; messages call it `name`. Returns what the scene is, as JSON.
     ///
     /// # Errors
-    /// What is wrong with the file, or why the scene cannot be drawn. The scene before it stays.
+    /// A message about the file, or the reason why the scene cannot be drawn. The scene before it stays.
     pub fn load(&mut self, bytes: &[u8], name: &str) -> Result<String, JsError> {
         let scene = SceneData::from_bytes(bytes, name)?;
         let (centre, radius) = bounds::sphere(&scene);
@@ -151,7 +151,7 @@ impl Viewer {
             .transpose()
     }
 
-    /// What went wrong on the device since it was opened, if anything.
+    /// The first error of the device since it was opened, if any.
     pub fn fault(&self) -> Option<String> {
         self.gpu.fault.lock().expect("no thread panics while it holds the lock").clone()
     }

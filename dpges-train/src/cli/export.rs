@@ -197,7 +197,7 @@ impl ExportArgs {
         rows.push(("voxel", format!("{voxel:.4} world units, {} training views", dataset.train.len())));
         rows.push(up_row(up, is_ply));
         rows.push(("note", "surfels alone: what Gaussians draw is missing".into()));
-        if source == Source::Builtin {
+        if let Source::Builtin | Source::Altered(_) = source {
             rows.push(("exact depth", exact_error(&mesh, &dataset.test)));
         }
         Ok(rows)

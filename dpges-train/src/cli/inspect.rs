@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use clap::Args;
 use dpges_core::scene::atomic::write_atomically;
 use dpges_train::config::Config;
+use dpges_train::dataset::capture;
 use dpges_train::dataset::check::{Effort, Report, map, sheet, summary};
 use dpges_train::eval::pictures::save_png;
 use dpges_train::run::folder::write_json;
@@ -36,7 +37,8 @@ pub struct InspectArgs {
 
 pub fn run(args: &InspectArgs, style: LogStyle) -> Result<()> {
     let config = Config::resolve_data(None, &args.options.assignments())?;
-    sfm::prepare(Some(&args.dataset), &config, style)?;
+    let options = capture::Options { invert_masks: config.invert_masks, ..capture::Options::default() };
+    sfm::prepare(Some(&args.dataset), &options, style)?;
     let source = Source::named(Some(&args.dataset));
     let dataset = source.load(&config)?;
     let report = Report::of(&dataset, Effort::Full)?;

@@ -108,7 +108,7 @@ fn is_usage(error: &(dyn std::error::Error + 'static)) -> bool {
             _ => false,
         };
     }
-    matches!(error.downcast_ref(), Some(SourceError::OneScale))
+    matches!(error.downcast_ref(), Some(SourceError::OneScale | SourceError::Change(_)))
         || matches!(error.downcast_ref(), Some(ChoiceError::NoneAndOthers | ChoiceError::Twice { .. }))
         || matches!(error.downcast_ref(), Some(VideoError::Sizes { .. } | VideoError::NoFormat { .. }))
         || error.downcast_ref::<ConfigError>().is_some_and(|error| !matches!(error, ConfigError::Io { .. }))

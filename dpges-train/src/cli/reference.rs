@@ -1,10 +1,10 @@
-//! The reference section of `docs/commands.md`: what `--help` prints.
+//! The reference section of `docs/reference/commands.md`: what `--help` prints.
 
 use clap::{Command, CommandFactory};
 
 use super::Cli;
 
-const FILE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/commands.md");
+const FILE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/reference/commands.md");
 const MARKER: &str = "<!-- generated from here on -->\n";
 const WRITE: &str = "DPGES_WRITE_DOCS";
 

@@ -3,12 +3,14 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use dpges_train::config::{Config, DataConfig, key};
+use dpges_train::config::key;
 use dpges_train::dataset;
-use dpges_train::dataset::capture::{self, Input, Observer, Options, Outcome, Programs, Request, SfmError, Step};
+use dpges_train::dataset::capture::{
+    self, FEWEST, Input, Observer, Options, Outcome, Programs, Request, SfmCamera, SfmError, SfmMatching, SfmProgram,
+    Step,
+};
 use dpges_train::dataset::source::photographs;
 
-use super::data::assigned;
 use super::progress::{Progress, Seconds};
 use super::{Failure, Result, print, table};
 use crate::cli::logging::LogStyle;
@@ -34,48 +36,56 @@ pub struct SfmArgs {
     options: SfmOptions,
 }
 
-/// Options that replace keys of `[data]` on photographs without cameras.
+/// Options on photographs without cameras.
 #[derive(Debug, Args)]
 pub struct SfmOptions {
-    #[arg(long, value_name = "PROGRAM", help = key("data.sfm").help())]
-    sfm: Option<String>,
-    #[arg(long, value_name = "MODEL", help = key("data.sfm_camera").help())]
-    sfm_camera: Option<String>,
-    #[arg(long, value_name = "PAIRS", help = key("data.sfm_matching").help())]
-    sfm_matching: Option<String>,
-    #[arg(long, value_name = "N", help = key("data.video_frames").help())]
-    video_frames: Option<usize>,
+    /// Which program places the cameras of photographs without cameras
+    #[arg(long, value_name = "PROGRAM", value_enum, default_value_t)]
+    sfm: SfmProgram,
+    /// Which camera model it fits to them
+    #[arg(long, value_name = "MODEL", value_enum, default_value_t)]
+    sfm_camera: SfmCamera,
+    /// Which pairs of them it compares
+    #[arg(long, value_name = "PAIRS", value_enum, default_value_t)]
+    sfm_matching: SfmMatching,
+    /// Largest number of frames of a video that become photographs. Of neighbouring frames the sharpest is taken
+    #[arg(long, value_name = "N", value_parser = frames, default_value_t = Options::default().video_frames)]
+    video_frames: usize,
 }
 
 impl SfmOptions {
-    /// As `key=value`.
-    pub fn assignments(&self) -> Vec<String> {
-        assigned([
-            ("data.sfm", self.sfm.clone()),
-            ("data.sfm_camera", self.sfm_camera.clone()),
-            ("data.sfm_matching", self.sfm_matching.clone()),
-            ("data.video_frames", self.video_frames.map(|count| count.to_string())),
-        ])
+    /// For photographs whose masks are black where they count if `invert_masks`.
+    pub fn options(&self, invert_masks: bool) -> Options {
+        Options {
+            program: self.sfm,
+            camera: self.sfm_camera,
+            matching: self.sfm_matching,
+            video_frames: self.video_frames,
+            invert_masks,
+            ..Options::default()
+        }
     }
 }
 
+fn frames(text: &str) -> Result<usize, String> {
+    let fewest = || format!("expected a number of frames, at least {FEWEST}");
+    text.parse().ok().filter(|&frames| frames >= FEWEST).ok_or_else(fewest)
+}
+
 pub fn run(args: &SfmArgs, style: LogStyle) -> Result<()> {
-    let mut set = args.options.assignments();
-    set.extend(args.invert_masks.then(|| "data.invert_masks=true".to_owned()));
-    let config = Config::resolve_data(None, &set)?;
     let input = photographs(&args.photographs).ok_or_else(|| not_photographs(&args.photographs))?;
     let out = match &args.out {
         Some(out) => std::path::absolute(out)?,
         None => capture::dataset_beside(&input)?,
     };
-    let outcome = reconstruct(&input, &out, &config, args.overwrite, style)?;
+    let outcome = reconstruct(&input, &out, &args.options.options(args.invert_masks), args.overwrite, style)?;
     if style == LogStyle::Quiet { Ok(()) } else { print(&summary(&outcome, args.invert_masks)) }
 }
 
 /// What a command was asked to train on: if that is photographs or a video, the dataset is made of it, unless it has been.
-pub fn prepare(dataset: Option<&Path>, config: &DataConfig, style: LogStyle) -> Result<()> {
+pub fn prepare(dataset: Option<&Path>, options: &Options, style: LogStyle) -> Result<()> {
     let Some(input) = dataset.and_then(photographs) else { return Ok(()) };
-    let outcome = reconstruct(&input, &capture::dataset_beside(&input)?, config, false, style)?;
+    let outcome = reconstruct(&input, &capture::dataset_beside(&input)?, options, false, style)?;
     let Outcome { dataset, photographs, points, .. } = &outcome;
     let placed = outcome.placed();
     tracing::info!("{}: {placed} of {photographs} photographs have a place, {points} points", dataset.display());
@@ -90,15 +100,9 @@ fn not_photographs(path: &Path) -> Failure {
     Failure::with_help(format!("{path} is a dataset already"), format!("train on it: `dpges train {path}`"))
 }
 
-fn reconstruct(
-    input: &Input,
-    dataset: &Path,
-    config: &DataConfig,
-    overwrite: bool,
-    style: LogStyle,
-) -> Result<Outcome> {
-    let (options, programs) = (Options::from(config), Programs::of_environment());
-    let request = Request { input, dataset, options: &options, overwrite, programs: &programs };
+fn reconstruct(input: &Input, dataset: &Path, options: &Options, overwrite: bool, style: LogStyle) -> Result<Outcome> {
+    let programs = Programs::of_environment();
+    let request = Request { input, dataset, options, overwrite, programs: &programs };
     let mut display = Display { style, progress: None };
     let outcome = capture::reconstruct(&request, &mut display).map_err(|error| match error {
         SfmError::File(_) => {

@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use super::declare::{choices, value};
+use super::declare::{choices, text, value};
 
 choices! {
     /// What a run trains.
@@ -26,14 +26,6 @@ choices! {
         /// 3DGS with Gaussians no finer than what the training views resolve, and a filter that keeps their weight on the
         /// screen (Mip-Splatting).
         "mip-splatting" => MipSplatting,
-    }
-
-    /// Lens of the built-in scene.
-    BuiltinLens {
-        /// A pinhole camera.
-        "none" => None,
-        /// A fisheye lens that sees 170° across the picture (`OPENCV_FISHEYE`).
-        "fisheye" => Fisheye,
     }
 
     /// Where the Gaussians of the joint stage come from.
@@ -117,14 +109,6 @@ choices! {
         "kept" => Kept,
     }
 
-    /// What a number of pixels is counted in.
-    PixelsOf {
-        /// A picture of 1 megapixel: the number scales with the size of the pictures.
-        "megapixel" => Megapixel,
-        /// The pictures as they are (GES, DP-GES).
-        "picture" => Picture,
-    }
-
     /// Which scales the depth margin of a surfel is computed from.
     Margin {
         /// The median over the 16 nearest surfels (DP-GES).
@@ -151,42 +135,6 @@ choices! {
         "sh3" => Degree3,
     }
 
-    /// Which program places the cameras of photographs without cameras.
-    SfmProgram {
-        /// COLMAP, one photograph after another.
-        "colmap" => Colmap,
-        /// GLOMAP, all photographs at once: quicker if there are hundreds. Features and matches are COLMAP's.
-        "glomap" => Glomap,
-    }
-
-    /// Which camera model is fitted to photographs without cameras, by its name in COLMAP.
-    SfmCamera {
-        /// Two focal lengths, a centre, two radial and two tangential coefficients.
-        "OPENCV" => OpenCv,
-        /// The same with six radial coefficients.
-        "FULL_OPENCV" => FullOpenCv,
-        /// One focal length, a centre, two radial coefficients.
-        "RADIAL" => Radial,
-        /// One focal length, a centre, one radial coefficient.
-        "SIMPLE_RADIAL" => SimpleRadial,
-        /// Two focal lengths and a centre: for pictures without distortion.
-        "PINHOLE" => Pinhole,
-        /// One focal length and a centre: likewise.
-        "SIMPLE_PINHOLE" => SimplePinhole,
-        /// Two focal lengths, a centre, four coefficients of a fisheye lens. `data.undistort` keeps or undoes it.
-        "OPENCV_FISHEYE" => OpenCvFisheye,
-    }
-
-    /// Which pairs of photographs without cameras are compared.
-    SfmMatching {
-        /// All pairs of up to 200 photographs; neighbours if there are more, in a video or by numbered names.
-        "auto" => Auto,
-        /// All pairs.
-        "exhaustive" => Exhaustive,
-        /// Each with those that follow it by name, at distances up to 10 and at powers of two.
-        "sequential" => Sequential,
-    }
-
     /// Where surfels and Gaussians start.
     InitMethod {
         /// The first of the following that the dataset allows.
@@ -197,21 +145,6 @@ choices! {
         "silhouette" => Silhouette,
         /// Gaussians at random places in view of the cameras; no surfels.
         "random" => Random,
-    }
-}
-
-impl SfmCamera {
-    /// Its name in COLMAP.
-    pub fn colmap_name(self) -> &'static str {
-        match self {
-            Self::OpenCv => "OPENCV",
-            Self::FullOpenCv => "FULL_OPENCV",
-            Self::Radial => "RADIAL",
-            Self::SimpleRadial => "SIMPLE_RADIAL",
-            Self::Pinhole => "PINHOLE",
-            Self::SimplePinhole => "SIMPLE_PINHOLE",
-            Self::OpenCvFisheye => "OPENCV_FISHEYE",
-        }
     }
 }
 
@@ -245,6 +178,7 @@ value!(
     "white" => "",
     "r,g,b" => "Display-referred red, green and blue, 0 to 1."
 );
+text!(Background);
 
 impl fmt::Display for Background {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -272,20 +206,6 @@ impl FromStr for Background {
             Some(&[r, g, b]) if [r, g, b].iter().all(|c| (0.0..=1.0).contains(c)) => Ok(Self::Colour([r, g, b])),
             _ => Err(format!("background `{text}` is neither auto, black, white nor three numbers from 0 to 1")),
         }
-    }
-}
-
-impl TryFrom<String> for Background {
-    type Error = String;
-
-    fn try_from(text: String) -> Result<Self, String> {
-        text.parse()
-    }
-}
-
-impl From<Background> for String {
-    fn from(background: Background) -> Self {
-        background.to_string()
     }
 }
 

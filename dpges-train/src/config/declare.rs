@@ -26,8 +26,6 @@ pub struct Key {
     /// The kind of value, such as "a whole number".
     pub(super) kind: &'static str,
     pub(super) takes: fn(&toml::Value) -> bool,
-    /// Its name before it was renamed, without the section.
-    pub(super) former_name: Option<&'static str>,
     pub ablations: &'static [Ablation],
 }
 
@@ -122,6 +120,25 @@ macro_rules! value {
     };
 }
 
+/// A type that is written as a string: `FromStr` and `Display` make it one for serde.
+macro_rules! text {
+    ($Type:ty) => {
+        impl TryFrom<String> for $Type {
+            type Error = String;
+
+            fn try_from(text: String) -> Result<Self, String> {
+                text.parse()
+            }
+        }
+
+        impl From<$Type> for String {
+            fn from(value: $Type) -> Self {
+                value.to_string()
+            }
+        }
+    };
+}
+
 value!(bool, "true or false", toml::Value::is_bool);
 value!(u32, "a whole number", toml::Value::is_integer);
 value!(u64, "a whole number", toml::Value::is_integer);
@@ -187,7 +204,7 @@ macro_rules! optional {
 /// /// What the section is about.
 /// [section] Struct {
 ///     /// What the key means.
-///     key: Type = default, unit: "px", range: 1.., formerly: "old_name", ablation: "name" = "value" ("What changes");
+///     key: Type = default, unit: "px", range: 1.., ablation: "name" = "value" ("What changes");
 /// }
 /// ```
 ///
@@ -200,7 +217,6 @@ macro_rules! configuration {
             $key:ident: $Type:ty = $default:expr
             $(, unit: $unit:literal)?
             $(, range: $range:expr)?
-            $(, formerly: $formerly:literal)?
             $(, ablation: $ablation:literal = $value:literal ($effect:literal))*;
         )+}
     )+) => {
@@ -238,7 +254,6 @@ macro_rules! configuration {
                 choices: <$Type as Value>::CHOICES,
                 kind: <$Type as Value>::KIND,
                 takes: <$Type as Value>::TAKES,
-                former_name: optional!($($formerly)?),
                 ablations: &[$(Ablation { name: $ablation, value: $value, effect: $effect }),*],
             }),+],
         }),+];
@@ -251,22 +266,8 @@ macro_rules! configuration {
                 )?)+)+
                 Ok(())
             }
-
-            /// For each key with a range, the defaults with a value just outside it.
-            #[cfg(test)]
-            pub(super) fn out_of_range() -> Vec<(&'static str, Self)> {
-                let mut all = Vec::new();
-                $($($(
-                    for value in range::tests::outside(&$range) {
-                        let mut config = Self::default();
-                        config.$section.$key = value;
-                        all.push((concat!(stringify!($section), ".", stringify!($key)), config));
-                    }
-                )?)+)+
-                all
-            }
         }
     };
 }
 
-pub(super) use {choices, configuration, optional, value};
+pub(super) use {choices, configuration, optional, text, value};

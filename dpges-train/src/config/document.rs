@@ -102,11 +102,11 @@ mod tests {
     #[test]
     fn documented_toml_is_the_configuration() {
         let mut config = Config::default();
-        (config.train.steps, config.optimizer.epsilon) = (77, 2.5e-9);
+        (config.train.steps, config.optimizer.poses) = (77, 2.5e-9);
         let text = config.to_documented_toml();
         assert_eq!(toml::from_str::<Config>(&text).unwrap(), config);
         assert!(text.lines().filter(|line| line.starts_with('#')).all(|line| line.chars().count() <= WIDTH), "{text}");
-        assert!(text.contains("\nepsilon = 2.5e-9  # above 0\n"), "{text}");
+        assert!(text.contains("\nposes = 2.5e-9  # radians, extents; at least 0\n"), "{text}");
     }
 
     #[test]
@@ -123,6 +123,8 @@ mod tests {
                     "shN" => "sh2",
                     "NMB" => "2MB",
                     "NGB" => "2GB",
+                    "Npx" => "2px",
+                    "Npx/MP" => "2px/MP",
                     "r,g,b" => "0,0.5,1",
                     name => name,
                 };

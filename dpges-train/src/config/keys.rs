@@ -7,13 +7,14 @@ use dpges_core::scene::{ColourModel, Footprint, MarginLookup, OpacityActivation}
 
 use super::budget::Budget;
 use super::choices::{
-    Alpha, Background, BuiltinLens, DepthMaps, Environment, Exposure, GaussianStage, InitMethod, JointOpacity, Margin,
-    Method, NewGaussians, PixelsOf, Poses, SfmCamera, SfmMatching, SfmProgram, Stop, SurfelStart,
+    Alpha, Background, DepthMaps, Environment, Exposure, GaussianStage, InitMethod, JointOpacity, Margin, Method,
+    NewGaussians, Poses, Stop, SurfelStart,
 };
 use super::declare::{Ablation, Key, Section, Value, configuration, optional};
+use super::error::ConfigError;
 use super::memory::Memory;
-use super::range::{self, OPACITY, POSITIVE, POSITIVE_SHARE};
-use super::sources::ConfigError;
+use super::pixels::PixelCount;
+use super::range::{self, POSITIVE, POSITIVE_SHARE};
 
 configuration! {
     /// How a dataset is read.
@@ -47,24 +48,6 @@ configuration! {
         /// Depth maps beside the photographs, 16-bit grey PNGs in which 0 means unknown: the `depth_file_path` of a frame,
         /// or files in the folder `depths` named as the photographs. `train.lambda_depth_maps` is their weight.
         depth: DepthMaps = DepthMaps::None;
-        /// Lens of the built-in scene.
-        builtin_lens: BuiltinLens = BuiltinLens::None;
-        /// Largest change of exposure of a view of the built-in scene, up or down: by how much differs from view to view. It
-        /// is for tests of `train.exposure`.
-        builtin_exposure_stops: f64 = 0.0, unit: "stops", range: 0.0..=4.0;
-        /// By how much training cameras of the built-in scene are turned away from where they took their photographs, by
-        /// root mean square, each about an axis of its own. It is for tests of `train.poses`.
-        builtin_pose_degrees: f64 = 0.0, unit: "degrees", range: 0.0..=10.0;
-        /// By how much they are shifted, likewise.
-        builtin_pose_extents: f64 = 0.0, unit: "extents", range: 0.0..=0.1;
-        /// Which program places the cameras of photographs without cameras.
-        sfm: SfmProgram = SfmProgram::Colmap;
-        /// Which camera model it fits to them.
-        sfm_camera: SfmCamera = SfmCamera::OpenCv;
-        /// Which pairs of them it compares.
-        sfm_matching: SfmMatching = SfmMatching::Auto;
-        /// Largest number of frames of a video that become photographs. Of neighbouring frames the sharpest is taken.
-        video_frames: usize = 150, unit: "frames", range: 3..;
     }
 
     /// Length, losses and output of a run.
@@ -80,9 +63,6 @@ configuration! {
         patience: usize = 5, unit: "evaluations", range: 1..;
         /// Seed of all random numbers.
         seed: u64 = 0, range: ..=i64::MAX as u64;
-        /// Fix the order of sums, so that two runs give the same file. Every device always does; the key remains for
-        /// configurations that have it.
-        deterministic: bool = false;
         /// λ1: weight of the L1 loss of the surfels rendered alone (DP-GES).
         lambda_surfel: f64 = 0.01, range: 0.0..,
             ablation: "no-surfel-loss" = "0" ("Without the loss of the surfels rendered alone");
@@ -112,12 +92,12 @@ configuration! {
         poses: Poses = Poses::Off;
         /// λ4: weight of the difference between the depths of surfels and of the discs they come from, for surface
         /// reconstruction (DP-GES: 0.1). It acts in the joint stage and needs a stage or a file of discs.
-        lambda_depth: f64 = 0.0, range: 0.0..;
+        lambda_disc_depth: f64 = 0.0, range: 0.0..;
         /// λ5: weight of the difference between the normals of surfels and discs, likewise (DP-GES: 0.05).
-        lambda_normal: f64 = 0.0, range: 0.0..;
+        lambda_disc_normal: f64 = 0.0, range: 0.0..;
         /// λ6: weight of the difference between the normals of the surfels' depth and the discs' normals, likewise
         /// (DP-GES: 0.05).
-        lambda_depth_normal: f64 = 0.0, range: 0.0..;
+        lambda_disc_depth_normal: f64 = 0.0, range: 0.0..;
         /// Weight of the relative error of rendered depths against the depth maps of `data.depth`: of surfels in the joint
         /// stage, of all primitives in the stages before it. With 0 maps are read but not used.
         lambda_depth_maps: f64 = 0.2, range: 0.0..;
@@ -133,8 +113,6 @@ configuration! {
         evaluate_every: usize = 1000, unit: "steps";
         /// Interval of checkpoints. 0 writes one only at the end.
         checkpoint_every: usize = 1000, unit: "steps";
-        /// Number of held-out views written as pictures at each evaluation.
-        picture_views: usize = 3;
     }
 
     /// What a scene consists of.
@@ -166,7 +144,8 @@ configuration! {
         environment: Environment = Environment::Auto,
             ablation: "no-environment" = "none" ("Without an environment, if the run has one");
         /// Standard deviation of a filter in the world that limits how fine surfels and Gaussians of the joint stage are:
-        /// in pixels of the training view that resolves them best (Mip-Splatting: √0.2). 0 sets no limit (DP-GES).
+        /// in pixels of the training view that resolves them best (Mip-Splatting: √0.2). 0 sets no limit (DP-GES), but
+        /// √0.2 with `train.method = "mip-splatting"`.
         sampling_limit: f64 = 0.0, unit: "px", range: 0.0..,
             ablation: "sampling-limit" = "0.4472136" ("Let no primitive be finer than the training views resolve");
     }
@@ -177,16 +156,8 @@ configuration! {
         method: InitMethod = InitMethod::Auto;
         /// Largest number of points. The rest are dropped at random; each point gives a surfel and a Gaussian.
         max_points: usize = 50_000, unit: "points", range: 1..;
-        /// Scale of a surfel relative to the root mean square distance to the 3 nearest points.
-        surfel_scale: f64 = 0.4, range: POSITIVE;
-        /// Scale of a Gaussian relative to the same distance.
-        gaussian_scale: f64 = 0.5, range: POSITIVE;
-        /// Largest scale relative to the extent of the scene.
-        max_scale_extent: f64 = 0.06, unit: "extents", range: POSITIVE;
-        /// Largest scale relative to the median scale.
-        max_scale_median: f64 = 10.0, range: POSITIVE;
-        /// Opacity of Gaussians.
-        gaussian_opacity: f64 = 0.1, range: POSITIVE;
+        /// Start no primitive larger than 0.06 extents of the scene or 10 times the median (3DGS, DP-GES: false).
+        limit_scales: bool = true;
         /// Number of Gaussians if the dataset has neither points nor silhouettes.
         random_gaussians: usize = 50_000, range: 1..;
         /// Half the side of the cube around the origin in which they are (3DGS: 1.3 for NeRF-Synthetic). 0 takes a cube that
@@ -194,8 +165,6 @@ configuration! {
         random_half_side: f64 = 0.0, unit: "world units", range: 0.0..;
         /// Voxels along each side of the visual hull.
         hull_resolution: usize = 96, unit: "voxels", range: 8..=512;
-        /// Share of the views whose silhouettes may miss a voxel of the visual hull.
-        hull_tolerance: f64 = 0.02, range: 0.0..=1.0;
     }
 
     /// Stages before surfels and Gaussians are trained together.
@@ -231,119 +200,23 @@ configuration! {
         /// Opacity in the joint stage of Gaussians that were blended before, if `model.opacity` is linear; otherwise it is
         /// kept.
         joint_opacity: JointOpacity = JointOpacity::Odds;
-        /// Learning rate of the logits of opacities in these stages (3DGS).
-        opacities: f64 = 0.05, range: 0.0..;
         /// Share of the decay from `optimizer.position_start` to `optimizer.position_end` that each of these stages goes
         /// through, and at which the joint stage begins (DP-GES: 2/3).
         position_share: f64 = 0.0, range: 0.0..=1.0;
     }
 
-    /// Training of discs (2DGS). Numbers of steps are those of a stage of 20,000 steps, or of a run of 30,000 with
-    /// `train.method = "2dgs"`, and scale with its length.
+    /// Training of discs (2DGS).
     [discs] DiscsConfig {
-        /// Interval of densification. It is extended to whole passes over the training views.
-        densify_every: usize = 100, unit: "steps", range: 1..;
-        /// Step after which densification begins.
-        densify_from: usize = 500, unit: "steps";
-        /// Step at which densification ends, exclusive.
-        densify_until: usize = 15_000, unit: "steps";
-        /// Mean norm of the gradient of the projected centre above which a disc is cloned or split (3DGS).
-        gradient_threshold: f64 = 2e-4, unit: "per NDC unit", range: POSITIVE;
-        /// Densify as many discs again by the sums of absolute gradients over their pixels (GES).
-        by_quantile: bool = true;
-        /// Scale up to which a disc is cloned; larger ones are split (3DGS: `percent_dense`).
-        dense_fraction: f64 = 0.01, unit: "extents", range: POSITIVE, formerly: "clone_scale";
-        /// Opacity below which a disc is removed (2DGS).
-        min_opacity: f64 = 0.05, range: 0.0..=1.0;
-        /// Scale above which a disc is removed (3DGS).
-        max_scale: f64 = 0.1, unit: "extents", range: POSITIVE;
-        /// Step from which discs above `discs.max_scale` are removed.
-        max_scale_from: usize = 3000, unit: "steps";
-        /// Interval of opacity resets (3DGS). Opacities are not reset if that is less than 500 steps of the run, too few
-        /// to recover in.
-        reset_every: usize = 3000, unit: "steps", range: 1..;
-        /// Largest opacity after a reset.
-        reset_opacity: f64 = 0.01, range: OPACITY;
-        /// Weight of the difference between normals and the normals of the depth (2DGS).
+        /// Weight of the difference between normals and the normals of the depth, from 7000 steps of a stage of 20,000 on (2DGS).
         lambda_normal: f64 = 0.05, range: 0.0..;
-        /// Step from which `discs.lambda_normal` acts.
-        normal_from: usize = 7000, unit: "steps";
-        /// Weight of the depth distortion (2DGS).
+        /// Weight of the depth distortion, from 3000 such steps on (2DGS).
         lambda_distortion: f64 = 0.0, range: 0.0..;
-        /// Step from which `discs.lambda_distortion` acts.
-        distortion_from: usize = 3000, unit: "steps";
-        /// Opacity at the start.
-        start_opacity: f64 = 0.1, range: OPACITY;
-        /// Scale at the start relative to the root mean square distance to the 3 nearest points.
-        start_scale: f64 = 1.0, range: POSITIVE;
     }
 
-    /// Training of Gaussians under adaptive density control (3DGS, AbsGS, Mip-Splatting). Numbers of steps are those of a run
-    /// of 30,000 and scale with its length.
+    /// Adaptive density control of discs and Gaussians (2DGS, 3DGS, AbsGS, Mip-Splatting).
     [density] DensityConfig {
-        /// Interval of densification. It is extended to as many steps of the run, or to a pass over the training views if
-        /// that is shorter.
-        every: usize = 100, unit: "steps", range: 1..;
-        /// Step after which densification begins.
-        from: usize = 500, unit: "steps";
-        /// Step at which densification ends, exclusive.
-        until: usize = 15_000, unit: "steps";
-        /// Mean norm of the gradient of the projected centre above which a Gaussian is cloned or split (3DGS).
+        /// Mean norm of the gradient of the projected centre above which a disc or a Gaussian is cloned or split (3DGS).
         gradient_threshold: f64 = 2e-4, unit: "per NDC unit", range: POSITIVE;
-        /// Mean norm of the sums of absolute gradients above which a Gaussian is split, with `train.method = "absgs"`
-        /// (AbsGS).
-        absolute_threshold: f64 = 4e-4, unit: "per NDC unit", range: POSITIVE;
-        /// Scale up to which a Gaussian is cloned; larger ones are split (3DGS).
-        dense_fraction: f64 = 0.01, unit: "extents", range: POSITIVE;
-        /// The same with `train.method = "absgs"` (AbsGS).
-        absolute_dense_fraction: f64 = 0.001, unit: "extents", range: POSITIVE;
-        /// Opacity below which a Gaussian is removed (3DGS).
-        min_opacity: f64 = 0.005, range: 0.0..=1.0;
-        /// Scale above which a Gaussian is removed (3DGS).
-        max_scale: f64 = 0.1, unit: "extents", range: POSITIVE;
-        /// Step from which Gaussians above `density.max_scale` are removed.
-        max_scale_from: usize = 3000, unit: "steps";
-        /// Interval of opacity resets (3DGS). Opacities are not reset if that is less than 500 steps of the run, too few
-        /// to recover in.
-        reset_every: usize = 3000, unit: "steps", range: 1..;
-        /// Largest opacity after a reset.
-        reset_opacity: f64 = 0.01, range: OPACITY;
-        /// Interval at which harmonics of another degree begin to learn (3DGS). With 0 all learn from the start.
-        degree_every: usize = 1000, unit: "steps";
-        /// Opacity at the start.
-        start_opacity: f64 = 0.1, range: OPACITY;
-        /// Scale at the start relative to the root mean square distance to the 3 nearest points.
-        start_scale: f64 = 1.0, range: POSITIVE;
-        /// Standard deviation of the filter that limits how fine Gaussians are, with `train.method = "mip-splatting"`: in
-        /// pixels of the training view that resolves them best (Mip-Splatting: √0.2).
-        smoothing: f64 = 0.447_213_6, unit: "px", range: 0.0..;
-    }
-
-    /// Training of Gaussians that are relocated (3DGS-MCMC, DBS). Numbers of steps are those of a stage of 20,000 steps,
-    /// or of a run of 30,000 with `train.method = "mcmc"` or `"dbs"`, and scale with its length.
-    [relocation] RelocationConfig {
-        /// Interval of relocation and growth.
-        every: usize = 100, unit: "steps", range: 1..;
-        /// Step after which relocation begins.
-        from: usize = 500, unit: "steps";
-        /// Step at which relocation ends, exclusive.
-        until: usize = 25_000, unit: "steps";
-        /// Factor on the number of Gaussians each time, up to the budget (3DGS-MCMC).
-        growth: f64 = 1.05, range: 1.0..;
-        /// Opacity below which a Gaussian is relocated (3DGS-MCMC).
-        min_opacity: f64 = 0.005, range: OPACITY;
-        /// Weight of the mean opacity in the loss (3DGS-MCMC).
-        lambda_opacity: f64 = 0.01, range: 0.0..;
-        /// Weight of the mean scale in the loss (3DGS-MCMC).
-        lambda_scale: f64 = 0.01, unit: "per world unit", range: 0.0..;
-        /// Noise on positions relative to their learning rate (3DGS-MCMC). DBS takes a tenth, and only when it
-        /// relocates.
-        noise: f64 = 5e5, range: 0.0..;
-        /// Opacity at the start.
-        start_opacity: f64 = 0.5, range: OPACITY;
-        /// Scale at the start relative to the root mean square distance to the 3 nearest points (DBS: 1, 3DGS-MCMC:
-        /// 0.1).
-        start_scale: f64 = 1.0, range: POSITIVE;
     }
 
     /// Adam. Learning rates are per step and of raw parameters. The defaults suit 5000 steps; the presets of benchmarks
@@ -353,8 +226,6 @@ configuration! {
         position_start: f64 = 1.6e-4, unit: "extents", range: POSITIVE;
         /// Learning rate of positions at the last step. Its logarithm is interpolated in between (3DGS).
         position_end: f64 = 1.6e-6, unit: "extents", range: POSITIVE;
-        /// Learning rate of surfel positions relative to that of Gaussian positions.
-        surfel_position_factor: f64 = 1.0, range: 0.0..;
         /// Learning rate of quaternions.
         quaternions: f64 = 4e-3, range: 0.0..;
         /// Learning rate of the logarithms of scales.
@@ -370,23 +241,14 @@ configuration! {
         /// Learning rate of the colour corrections of `train.exposure` at the first step of the run. It falls to a tenth at
         /// the last.
         exposure: f64 = 5e-3, range: 0.0..;
-        /// Learning rate of the rotations of `train.poses`. It rises from 0 over a tenth of the run, and falls to 0 at its end.
-        pose_rotation: f64 = 1e-3, unit: "radians", range: 0.0..;
-        /// Learning rate of the translations of `train.poses`, likewise.
-        pose_translation: f64 = 1e-3, unit: "extents", range: 0.0..;
+        /// Learning rate of the rotations of `train.poses`, in radians, and of their translations, in extents. It rises from 0
+        /// over a tenth of the run, and falls to 0 at its end.
+        poses: f64 = 1e-3, unit: "radians, extents", range: 0.0..;
         /// Share of the run after which poses are learnt: before, the scene is too coarse to say where cameras are.
         pose_from: f64 = 0.2, range: 0.0..1.0;
         /// Factor on all learning rates but those of positions at the last step of the last stage (DP-GES, 3DGS: 1).
-        /// Its logarithm is interpolated from 1 at `optimizer.decay_from`.
+        /// Its logarithm is interpolated from 1 after seven tenths of the stage.
         decay: f64 = 0.3, range: POSITIVE;
-        /// Share of the last stage after which these rates begin to decay.
-        decay_from: f64 = 0.7, range: 0.0..1.0;
-        /// Decay of the mean of gradients.
-        beta1: f64 = 0.9, range: 0.0..1.0;
-        /// Decay of the mean of squared gradients.
-        beta2: f64 = 0.999, range: 0.0..1.0;
-        /// Added to the denominator.
-        epsilon: f64 = 1e-15, range: POSITIVE;
     }
 
     /// How the set of surfels and Gaussians changes in the joint stage. Numbers of steps are those of a stage of 25,000
@@ -394,8 +256,6 @@ configuration! {
     [refine] RefineConfig {
         /// Steps at which margins are computed (DP-GES).
         margins_at: Vec<usize> = vec![0, 4000], unit: "steps";
-        /// Compute margins also whenever surfels were pruned (DP-GES: false).
-        margins_with_pruning: bool = false;
         /// Interval of pruning surfels. It is extended to whole passes over the training views.
         surfel_prune_every: usize = 1000, unit: "steps", range: 1..;
         /// First step at which surfels are pruned.
@@ -403,11 +263,7 @@ configuration! {
         /// Last step at which surfels are pruned, inclusive.
         surfel_prune_until: usize = 15_000, unit: "steps";
         /// Remove a surfel that is the nearest at no more pixels than this in every view.
-        surfel_min_pixels: usize = 16, unit: "px";
-        /// What these pixels are counted in.
-        surfel_pixels_of: PixelsOf = PixelsOf::Megapixel;
-        /// Scale above which a surfel is removed.
-        surfel_max_scale: f64 = 0.06, unit: "extents", range: POSITIVE;
+        surfel_pixels: PixelCount = PixelCount::PerMegapixel(16);
         /// Interval of pruning Gaussians. It is extended to whole passes over the training views.
         gaussian_prune_every: usize = 500, unit: "steps", range: 1..;
         /// Step at which pruning of Gaussians ends, exclusive (DP-GES: 2000). With 0 none is pruned.
@@ -429,19 +285,11 @@ configuration! {
             ablation: "black-gaussians" = "black" ("Add black Gaussians where errors are large");
         /// Largest number of surfels and Gaussians together, or largest size of the scene file.
         budget: Budget = Budget::Pixels;
-        /// Gain of PSNR by twice the primitives below which an automatic budget adds none: by how much more validation views
-        /// improve in the interval after a batch, or the two after it, than in intervals without one. Part of what a batch
-        /// gains shows later.
-        least_gain: f64 = 0.05, unit: "dB", range: 0.0..;
-        /// Steps at which an automatic budget drops lobes that change no colour visibly.
-        drop_lobes_at: Vec<usize> = vec![16_000, 22_000], unit: "steps";
-        /// Split Gaussians that are large compared with the margins around them (DP-GES).
-        split: bool = true, ablation: "no-split" = "false" ("Split no Gaussians");
-        /// Interval of splitting Gaussians.
+        /// Interval of splitting Gaussians that are large compared with the margins around them (DP-GES).
         split_every: usize = 2000, unit: "steps", range: 1..;
-        /// Last step at which Gaussians are split, inclusive.
-        split_until: usize = 16_000, unit: "steps";
-        /// Mean scale of a Gaussian relative to the margins around it above which it is split.
+        /// Last step at which Gaussians are split, inclusive. With 0 none is split.
+        split_until: usize = 16_000, unit: "steps", ablation: "no-split" = "0" ("Split no Gaussians");
+        /// Mean scale of a Gaussian relative to the margins around it above which it is split (DP-GES).
         split_factor: f64 = 2.0, range: POSITIVE;
     }
 }

@@ -6,7 +6,7 @@ use std::str::FromStr;
 use serde::{Deserialize, Serialize};
 
 use super::budget::MEGABYTE;
-use super::declare::value;
+use super::declare::{text, value};
 use crate::device::memory::machine_memory_bytes;
 
 /// Bytes.
@@ -34,6 +34,7 @@ value!(
     "NMB" => "N million bytes.",
     "NGB" => "N thousand million bytes."
 );
+text!(Memory);
 
 impl Memory {
     pub fn bytes(self) -> usize {
@@ -74,20 +75,6 @@ impl FromStr for Memory {
             Ok(size) => Ok(Self::Gigabytes(size)),
             Err(_) => Err(unknown()),
         }
-    }
-}
-
-impl TryFrom<String> for Memory {
-    type Error = String;
-
-    fn try_from(text: String) -> Result<Self, String> {
-        text.parse()
-    }
-}
-
-impl From<Memory> for String {
-    fn from(memory: Memory) -> Self {
-        memory.to_string()
     }
 }
 

@@ -1,12 +1,12 @@
 //! Where values come from: defaults, those of a kind of dataset, a preset, a file, `key=value`. Each names only what it
 //! changes, and later ones win.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde::Deserialize;
 use toml::{Table, Value};
 
-use super::{Config, DataConfig, Key, SECTIONS, keys};
+use super::{Config, ConfigError, DataConfig, Key, SECTIONS, former, keys};
 
 /// Configurations that come with the program: name and TOML, which begins with a comment on what it is for.
 pub const PRESETS: [(&str, &str); 11] = [
@@ -14,7 +14,7 @@ pub const PRESETS: [(&str, &str); 11] = [
     ("quick", include_str!("../../../configs/quick.toml")),
     ("cpu", include_str!("../../../configs/cpu.toml")),
     ("fast", include_str!("../../../configs/fast.toml")),
-    ("balanced", include_str!("../../../configs/balanced.toml")),
+    ("balanced", "# The defaults, between `fast` and `quality`."),
     ("quality", include_str!("../../../configs/quality.toml")),
     ("mipnerf360", include_str!("../../../configs/mipnerf360.toml")),
     ("tanks-and-temples", include_str!("../../../configs/tanks-and-temples.toml")),
@@ -22,24 +22,6 @@ pub const PRESETS: [(&str, &str); 11] = [
     ("nerf-synthetic", include_str!("../../../configs/nerf-synthetic.toml")),
     ("ges", include_str!("../../../configs/ges.toml")),
 ];
-
-#[derive(Debug, thiserror::Error)]
-pub enum ConfigError {
-    #[error("{origin}: key `{key}` is unknown{}", nearest.as_ref().map(|n| format!(", did you mean `{n}`?")).unwrap_or_default())]
-    UnknownKey { key: String, origin: String, nearest: Option<String> },
-    #[error("{origin}: key `{key}`: {reason}")]
-    Value { key: String, origin: String, reason: String },
-    #[error("{origin} is not valid TOML: {reason}")]
-    Syntax { origin: String, reason: String },
-    #[error("`{text}` is not of the form key=value")]
-    Set { text: String },
-    #[error("preset `{name}` is unknown, there are: {known}")]
-    UnknownPreset { name: String, known: String },
-    #[error("cannot read {path}: {source}")]
-    Io { path: PathBuf, source: std::io::Error },
-    #[error("key `{key}` is {found}, expected {expected}")]
-    Range { key: &'static str, found: String, expected: String },
-}
 
 impl Config {
     /// Defaults, then `preset`, then `file`, then each `key=value` of `set` in order (`train.steps=1000`); later ones
@@ -94,7 +76,8 @@ impl Config {
     }
 
     /// The section `[data]` of `file`, the configuration of a run, with each `key=value` of `set` on top. Other sections
-    /// of the file are ignored: a scene can be older than the keys that it was trained with.
+    /// of the file are ignored, and former keys without which the dataset is read as it was: a scene can be older than the
+    /// keys that it was trained with.
     ///
     /// # Errors
     /// Any [`ConfigError`].
@@ -102,7 +85,10 @@ impl Config {
         let mut config = Self::default();
         if let Some(path) = file {
             let origin = path.display().to_string();
-            let data = parse(&read(path)?, &origin)?.remove_entry("data");
+            let mut data = parse(&read(path)?, &origin)?.remove_entry("data");
+            if let Some((_, Value::Table(keys))) = &mut data {
+                keys.retain(|key, value| !former::dataset_does_without(key, value));
+            }
             config.assign_table(data.into_iter().collect(), &origin)?;
         }
         for text in set {
@@ -110,6 +96,25 @@ impl Config {
         }
         config.validate()?;
         Ok(config.data)
+    }
+
+    /// `file`, the configuration of a run of this or an earlier version, without keys that are no more.
+    ///
+    /// # Errors
+    /// Any [`ConfigError`].
+    pub fn of_run(file: &Path) -> Result<Self, ConfigError> {
+        let mut config = Self::default();
+        let origin = file.display().to_string();
+        let mut table = parse(&read(file)?, &origin)?;
+        for (section, value) in &mut table {
+            if let Value::Table(keys) = value {
+                keys.retain(|key, _| former::instead(&format!("{section}.{key}")).is_none());
+            }
+        }
+        table.retain(|_, value| value.as_table().is_none_or(|keys| !keys.is_empty()));
+        config.assign_table(table, &origin)?;
+        config.validate()?;
+        Ok(config)
     }
 
     /// Every key with its value, as TOML that [`Config::resolve`] reads back.
@@ -126,7 +131,7 @@ impl Config {
         for (section, value) in table {
             let is_known = SECTIONS.iter().any(|known| known.name == section);
             match value {
-                Value::Table(keys) if is_known => {
+                Value::Table(keys) if is_known || former::had_section(&section) => {
                     for (key, value) in keys {
                         self.assign(&format!("{section}.{key}"), value, origin)?;
                     }
@@ -193,24 +198,21 @@ fn find(name: &str, origin: &str) -> Result<&'static Key, ConfigError> {
     keys().find(|key| key.name == name).ok_or_else(|| unknown(name, origin))
 }
 
-/// Names the section or key that `name` is most like, or that was called so.
+/// Names the section or key that `name` is most like, or what has become of it.
 fn unknown(name: &str, origin: &str) -> ConfigError {
+    let (key, origin) = (name.to_owned(), origin.to_owned());
+    if let Some(instead) = former::instead(name) {
+        return ConfigError::FormerKey { key, origin, instead };
+    }
     let last = |name: &str| name.rsplit('.').next().unwrap_or(name).to_owned();
     let likeness = |known: &str| {
         let whole = strsim::jaro_winkler(name, known);
         whole.max(strsim::jaro_winkler(&last(name), &last(known)) - 0.01)
     };
     let sections = SECTIONS.iter().map(|section| (likeness(section.name), section.name));
-    let keys = keys().map(|key| {
-        let renamed = key.former_name == Some(&last(name));
-        (if renamed { 1.0 } else { likeness(key.name) }, key.name)
-    });
+    let keys = keys().map(|key| (likeness(key.name), key.name));
     let nearest = keys.chain(sections).max_by(|a, b| a.0.total_cmp(&b.0)).filter(|(likeness, _)| *likeness > 0.75);
-    ConfigError::UnknownKey {
-        key: name.to_owned(),
-        origin: origin.to_owned(),
-        nearest: nearest.map(|(_, name)| name.to_owned()),
-    }
+    ConfigError::UnknownKey { key, origin, nearest: nearest.map(|(_, name)| name.to_owned()) }
 }
 
 fn kind(value: &Value) -> &'static str {
@@ -228,8 +230,7 @@ fn kind(value: &Value) -> &'static str {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::schedule::REFERENCE_STEPS;
-    use crate::config::stages::STAGE_STEPS;
+    use crate::config::stages::{REFERENCE_STEPS, STAGE_STEPS};
     use crate::config::{Background, InitMethod, Margin};
     use dpges_core::scene::MarginLookup;
 
@@ -269,154 +270,46 @@ mod tests {
         assert!(fast.data.max_resolution < quality.data.max_resolution);
     }
 
-    /// What a preset says itself, whatever the defaults are.
-    fn assert_pins(name: &str, section: &str, expected: &str) {
+    /// What a preset says itself, whatever the defaults are. `expected` is TOML with a section a line.
+    fn assert_pins(name: &str, expected: &str) {
         let pinned: Table = preset_text(name).unwrap().parse().unwrap();
-        for (key, value) in expected.parse::<Table>().unwrap() {
-            let found = pinned.get(section).and_then(|section| section.get(&key));
-            assert_eq!(found, Some(&value), "{name}: {section}.{key}");
+        for (section, keys) in expected.parse::<Table>().unwrap() {
+            for (key, value) in keys.as_table().unwrap() {
+                assert_eq!(pinned[&section].get(key), Some(value), "{name}: {section}.{key}");
+            }
         }
     }
 
     /// The numbers of DP-GES, and of 2DGS, DBS and GES where it takes theirs.
-    const RECIPE: [(&str, &str); 7] = [
-        (
-            "train",
-            r#"
-            method = "dpges"
-            steps = 65000
-            lambda_dssim = 0.2
-            lambda_surfel = 0.01
-            lambda_transmittance = 0.08
-            lambda_opacity = 0.0
-            lambda_gaussian_scale = 0.0
-            lambda_sky = 0.0
-            detach_transmittance = false
-            freeze_surfels = false
-            "#,
-        ),
-        (
-            "model",
-            r#"
-            colour = "sb2"
-            layers = 3
-            modulation = 30.0
-            backstop = false
-            opacity = "linear"
-            footprint = "kernel"
-            margin = "median"
-            margin_lookup = "shifted"
-            environment = "none"
-            sampling_limit = 0.0
-            "#,
-        ),
-        (
-            "stages",
-            r#"
-            surfels = 0.30769231
-            gaussians = 0.30769231
-            gaussians_by = "dbs"
-            surfel_opacity = 0.8
-            surfel_scale = 1.0
-            surfel_budget = 0
-            gaussian_budget = 0.6
-            joint_opacity = "kept"
-            opacities = 0.05
-            position_share = 0.66666667
-            "#,
-        ),
-        (
-            "discs",
-            r"
-            densify_every = 100
-            densify_from = 500
-            densify_until = 15000
-            gradient_threshold = 2e-4
-            by_quantile = false
-            dense_fraction = 0.01
-            min_opacity = 0.05
-            max_scale = 0.1
-            max_scale_from = 3000
-            reset_every = 3000
-            reset_opacity = 0.01
-            lambda_normal = 0.05
-            normal_from = 7000
-            lambda_distortion = 0.0
-            start_opacity = 0.1
-            start_scale = 1.0
-            ",
-        ),
-        (
-            "relocation",
-            r"
-            every = 100
-            from = 500
-            until = 25000
-            growth = 1.05
-            min_opacity = 0.005
-            lambda_opacity = 0.01
-            lambda_scale = 0.01
-            noise = 5e5
-            start_opacity = 0.5
-            start_scale = 1.0
-            ",
-        ),
-        (
-            "optimizer",
-            r"
-            position_start = 1.6e-4
-            position_end = 1.6e-6
-            quaternions = 1e-3
-            log_scales = 5e-3
-            opacities = 2.5e-4
-            base = 2.5e-3
-            detail = 2.5e-3
-            decay = 1.0
-            beta1 = 0.9
-            beta2 = 0.999
-            epsilon = 1e-15
-            ",
-        ),
-        (
-            "refine",
-            r#"
-            margins_at = [0, 4000]
-            margins_with_pruning = false
-            surfel_prune_every = 1000
-            surfel_prune_from = 1000
-            surfel_prune_until = 15000
-            surfel_pixels_of = "picture"
-            surfel_max_scale = 0.06
-            gaussian_prune_every = 500
-            gaussian_prune_until = 2000
-            gaussian_min_contribution = 0.02
-            add_every = 1000
-            add_from = 3000
-            add_until = 13000
-            new_gaussians = "black"
-            split = true
-            split_every = 2000
-            split_until = 16000
-            split_factor = 2.0
-            "#,
-        ),
-    ];
+    const RECIPE: &str = "
+train = { method = 'dpges', steps = 65000, lambda_dssim = 0.2, lambda_surfel = 0.01, lambda_transmittance = 0.08, \
+lambda_opacity = 0.0, lambda_gaussian_scale = 0.0, lambda_sky = 0.0, detach_transmittance = false, freeze_surfels = false }
+model = { colour = 'sb2', layers = 3, modulation = 30.0, backstop = false, opacity = 'linear', footprint = 'kernel', \
+margin = 'median', margin_lookup = 'shifted', environment = 'none', sampling_limit = 0.0 }
+init = { limit_scales = false }
+stages = { surfels = 0.30769231, gaussians = 0.30769231, gaussians_by = 'dbs', surfel_opacity = 0.8, surfel_scale = 1.0, \
+surfel_budget = 0, gaussian_budget = 0.6, joint_opacity = 'kept', position_share = 0.66666667 }
+discs = { lambda_normal = 0.05, lambda_distortion = 0.0 }
+density = { gradient_threshold = 2e-4 }
+optimizer = { position_start = 1.6e-4, position_end = 1.6e-6, quaternions = 1e-3, log_scales = 5e-3, opacities = 2.5e-4, \
+base = 2.5e-3, detail = 2.5e-3, decay = 1.0 }
+refine = { margins_at = [0, 4000], surfel_prune_every = 1000, surfel_prune_from = 1000, surfel_prune_until = 15000, \
+gaussian_prune_every = 500, gaussian_prune_until = 2000, gaussian_min_contribution = 0.02, add_every = 1000, \
+add_from = 3000, add_until = 13000, new_gaussians = 'black', split_every = 2000, split_until = 16000, split_factor = 2.0 }
+";
 
     #[test]
     fn presets_of_benchmarks_are_the_recipe_of_the_paper() {
-        for (name, image_scale, background, lambda_scale, min_pixels) in [
+        for (name, image_scale, background, lambda_scale, pixels) in [
             ("mipnerf360", 4, "black", "5e-5", 16),
             ("tanks-and-temples", 1, "black", "5e-5", 16),
             ("deep-blending", 1, "black", "5e-5", 16),
             ("nerf-synthetic", 1, "white", "1e-5", 4),
         ] {
-            for (section, expected) in RECIPE {
-                assert_pins(name, section, expected);
-            }
-            let data = format!("image_scale = {image_scale}\nmax_resolution = 0\nbackground = \"{background}\"");
-            assert_pins(name, "data", &data);
-            assert_pins(name, "train", &format!("lambda_scale = {lambda_scale}"));
-            assert_pins(name, "refine", &format!("surfel_min_pixels = {min_pixels}"));
+            assert_pins(name, RECIPE);
+            let data = format!("{{ image_scale = {image_scale}, max_resolution = 0, background = '{background}' }}");
+            let (train, refine) = (format!("lambda_scale = {lambda_scale}"), format!("surfel_pixels = '{pixels}px'"));
+            assert_pins(name, &format!("data = {data}\ntrain = {{ {train} }}\nrefine = {{ {refine} }}"));
             assert_eq!(preset(name).data.test_every, 8, "{name}");
             let stages = preset(name).plan();
             let lengths: Vec<usize> = stages.iter().map(|stage| stage.steps).collect();
@@ -426,32 +319,22 @@ mod tests {
 
     #[test]
     fn ges_is_the_predecessor() {
-        let model = "opacity = \"linear\"\nfootprint = \"kernel\"\nmargin_lookup = \"shifted\"\nenvironment = \"none\"";
-        assert_pins("ges", "model", &format!("{model}\nsampling_limit = 0.0"));
-        assert_pins("ges", "train", "lambda_dssim = 0.2\nlambda_sky = 0.0\nlambda_opacity = 0.0");
-        assert_pins("ges", "discs", "by_quantile = true\nmin_opacity = 0.05\ngradient_threshold = 2e-4");
-        let refine = "surfel_max_scale = 0.06\nsurfel_min_pixels = 16\ngaussian_min_contribution = 0.02\nsplit = false";
-        assert_pins("ges", "refine", refine);
-        let ges = preset("ges");
-        assert_eq!((ges.model.modulation, ges.model.layers, ges.model.margin), (255.0, 1, Margin::Raw));
-        assert_eq!(ges.model.colour.to_string(), "sh3");
-        assert!(ges.train.freeze_surfels && !ges.refine.split);
-        assert_eq!((ges.train.lambda_surfel, ges.train.lambda_scale, ges.train.lambda_transmittance), (0.0, 0.0, 0.0));
-        let schedule = ges.schedule(1);
-        assert!(schedule.surfel_prune.is_empty() && schedule.split.is_empty());
-        let near = |found: &[usize], expected: &[usize]| {
-            found.len() == expected.len() && found.iter().zip(expected).all(|(a, b)| a.abs_diff(*b) <= 1)
-        };
-        let lengths: Vec<usize> = ges.plan().iter().map(|stage| stage.steps).collect();
+        let ges = "
+train = { lambda_dssim = 0.2, lambda_surfel = 0.0, lambda_scale = 0.0, lambda_transmittance = 0.0, lambda_sky = 0.0, \
+lambda_opacity = 0.0, freeze_surfels = true }
+model = { colour = 'sh3', layers = 1, modulation = 255.0, margin = 'raw', opacity = 'linear', footprint = 'kernel', \
+margin_lookup = 'shifted', environment = 'none', sampling_limit = 0.0 }
+density = { gradient_threshold = 2e-4 }
+refine = { surfel_pixels = '16px', gaussian_min_contribution = 0.02, split_until = 0 }
+";
+        assert_pins("ges", ges);
+        let lengths: Vec<usize> = preset("ges").plan().iter().map(|stage| stage.steps).collect();
         assert_eq!(lengths, [20_000, 30_000]);
-        assert_eq!(schedule.margins, [0]);
-        assert!(near(&schedule.gaussian_prune, &[500, 1000, 1500]), "{schedule:?}");
-        assert!(near(&schedule.add, &[8000, 9000, 10_000, 11_000, 12_000]), "{schedule:?}");
     }
 
     #[test]
     fn what_is_written_is_read_back() {
-        let config = set(&["train.steps=77", "data.background=0.5,0,1", "optimizer.epsilon=1e-9", "model.margin=raw"]);
+        let config = set(&["train.steps=77", "data.background=0.5,0,1", "optimizer.base=1e-9", "model.margin=raw"]);
         let config = config.unwrap();
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("run.toml");
@@ -463,10 +346,15 @@ mod tests {
     fn a_dataset_is_found_whatever_else_a_run_was_configured_with() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("config.toml");
-        std::fs::write(&path, "[data]\nimage_scale = 4\n[optimizer]\nof_long_ago = 3\n").unwrap();
+        let file = "[data]\nbuiltin_lens = \"none\"\nbuiltin_pose_degrees = 0.0\nsfm = \"glomap\"\nimage_scale = 4\n";
+        std::fs::write(&path, format!("{file}[optimizer]\nof_long_ago = 3\n")).unwrap();
         let data = Config::resolve_data(Some(&path), &["data.test_every=5".to_owned()]).unwrap();
         assert_eq!((data.image_scale, data.test_every), (4, 5));
-        assert!(message(Config::resolve(None, Some(&path), &[])).contains("of_long_ago"));
+        assert!(
+            message(Config::resolve(None, Some(&path), &[])).contains("`data.builtin_lens` is of an earlier version")
+        );
+        std::fs::write(&path, "[data]\nbuiltin_lens = \"fisheye\"\n").unwrap();
+        assert!(Config::resolve_data(Some(&path), &[]).unwrap_err().to_string().contains("builtin:lens=fisheye"));
         std::fs::write(&path, "[data]\nimage_scales = 4\n").unwrap();
         assert!(Config::resolve_data(Some(&path), &[]).unwrap_err().to_string().contains("`data.image_scale`"));
         assert_eq!(Config::resolve_data(None, &[]).unwrap(), Config::default().data);
@@ -502,8 +390,7 @@ mod tests {
         assert!(set(&["train.detach_transmittance = true"]).unwrap().train.detach_transmittance);
         assert_eq!(set(&["model.margin=raw"]).unwrap().model.margin, Margin::Raw);
         assert_eq!(set(&["model.margin_lookup=literal"]).unwrap().model.margin_lookup, MarginLookup::Literal);
-        assert!(set(&["train.deterministic=true"]).unwrap().train.deterministic);
-        assert!(message(set(&["train.deterministic=1"])).contains("expected true or false"));
+        assert!(message(set(&["train.freeze_surfels=1"])).contains("expected true or false"));
     }
 
     #[test]
@@ -518,7 +405,21 @@ mod tests {
         std::fs::write(&path, "[optimiser]\nbase = 1\n").unwrap();
         let error = message(Config::resolve(None, Some(&path), &[]));
         assert!(error.contains("mine.toml") && error.contains("did you mean `optimizer`"), "{error}");
-        assert!(message(set(&["discs.clone_scale=0.1"])).contains("did you mean `discs.dense_fraction`"));
+    }
+
+    #[test]
+    fn former_keys_say_what_has_become_of_them() {
+        let error = message(set(&["train.deterministic=true"]));
+        assert!(error.contains("key `train.deterministic` is of an earlier version: every run is"), "{error}");
+        assert!(message(set(&["refine.surfel_min_pixels=4"])).contains("refine.surfel_pixels"));
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("run.toml");
+        std::fs::write(&path, "[train]\nstop = \"validation\"\ndeterministic = false\n[relocation]\nnoise = 5e5\n")
+            .unwrap();
+        std::fs::write(folder.path().join("b.toml"), "[relocation]\nnoise = 1.0\n").unwrap();
+        let error = message(Config::resolve(None, Some(&folder.path().join("b.toml")), &[]));
+        assert!(error.contains("b.toml: key `relocation.noise` is of an earlier version: it is a constant"), "{error}");
+        assert_eq!(Config::of_run(&path).unwrap().validation_every(), 8);
     }
 
     #[test]

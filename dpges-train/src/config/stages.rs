@@ -4,16 +4,23 @@ use std::fmt;
 
 use dpges_core::scene::{Rendering, ScreenFilter};
 
-use super::schedule::REFERENCE_STEPS;
-use super::{Config, GaussianStage, Method};
+use super::{Config, ConfigError, GaussianStage, Method};
 
-/// Length of the stage for which the steps in `[discs]` and `[relocation]` are given (DP-GES).
+/// Length of the joint stage for which the steps in `[refine]` are given (DP-GES).
+pub const REFERENCE_STEPS: usize = 25_000;
+/// Length of a stage of discs or Gaussians for which its schedule is given (DP-GES).
 pub const STAGE_STEPS: usize = 20_000;
 /// The same if a method is trained alone (2DGS, 3DGS-MCMC).
 pub const METHOD_STEPS: usize = 30_000;
 /// Smallest interval of opacity resets: steps for opacities to recover in. At 0.05 per step, a logit rises from an opacity
 /// of 0.01 to ½ in about 100.
 pub const SHORTEST_RESET: usize = 500;
+
+/// Standard deviation of the filter of Mip-Splatting, px: √0.2 with the digits of its measurements.
+const MIP_SPLATTING_PX: f64 = 0.447_213_6;
+
+/// Largest number of steps after scaling; f64 does not hold much larger whole numbers exactly.
+const MOST_SCALED_STEPS: f64 = 1e15;
 
 /// What changes when several Gaussians take the place of one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -129,8 +136,7 @@ impl Method {
         match self {
             Self::Gaussians3d | Self::Absolute | Self::MipSplatting => &[
                 "model.colour=sh3",
-                "init.max_scale_extent=1e6",
-                "init.max_scale_median=1e6",
+                "init.limit_scales=false",
                 "optimizer.quaternions=1e-3",
                 "optimizer.log_scales=5e-3",
                 "optimizer.base=2.5e-3",
@@ -181,6 +187,22 @@ impl Config {
         plan
     }
 
+    /// Makes the run `factor` times as long. The schedules of its stages and the steps in `[refine]` scale with it; `train.evaluate_every` and `train.checkpoint_every` remain numbers of steps of the longer or shorter run.
+    ///
+    /// # Errors
+    /// [`ConfigError::Range`] if the result is not from 1 to 1e15 steps, which includes every factor that is not
+    /// positive and finite.
+    pub fn scale_steps(&mut self, factor: f64) -> Result<(), ConfigError> {
+        let before = self.train.steps;
+        let steps = (before as f64 * factor).round();
+        if !(1.0..=MOST_SCALED_STEPS).contains(&steps) {
+            let found = format!("{before} × {factor} = {steps}");
+            return Err(ConfigError::Range { key: "train.steps", found, expected: "1 to 1e15".to_owned() });
+        }
+        self.train.steps = steps as usize;
+        Ok(())
+    }
+
     /// Steps of all stages.
     pub fn total_steps(&self) -> usize {
         self.plan().last().map_or(0, StagePlan::end)
@@ -189,6 +211,11 @@ impl Config {
     /// Steps of the last stage.
     pub fn last_stage_steps(&self) -> usize {
         self.plan().last().map_or(0, |stage| stage.steps)
+    }
+
+    /// Standard deviation of the filter in the world of a stage of Mip-Splatting, px.
+    pub fn mip_splatting_px(&self) -> f64 {
+        if self.model.sampling_limit > 0.0 { self.model.sampling_limit } else { MIP_SPLATTING_PX }
     }
 
     /// Whether surfels or Gaussians have been trained before the joint stage.
@@ -201,6 +228,7 @@ impl Config {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::TrainConfig;
 
     fn plan(set: &[&str]) -> Vec<(String, usize, usize)> {
         let set: Vec<String> = set.iter().map(|&text| text.to_owned()).collect();
@@ -224,5 +252,20 @@ mod tests {
         assert_eq!(with("stages.gaussians_from=a"), [stage("2dgs", 0, 200), stage("joint", 200, 500)]);
         assert_eq!(with("train.method=2dgs"), [stage("2dgs", 0, 1000)]);
         assert_eq!(plan(&["train.steps=1", "stages.surfels=0", "stages.gaussians=0"]), [stage("joint", 0, 1)]);
+    }
+
+    #[test]
+    fn a_factor_scales_the_steps() {
+        let config = |steps| Config { train: TrainConfig { steps, ..Default::default() }, ..Default::default() };
+        let mut tenth = config(25_000);
+        tenth.scale_steps(0.1).unwrap();
+        assert_eq!(tenth, config(2500));
+        tenth.scale_steps(1.0001).unwrap();
+        assert_eq!(tenth.train.steps, 2500);
+        for factor in [0.0, -1.0, 1e-4, f64::NAN, f64::INFINITY, 1e300] {
+            let error = tenth.scale_steps(factor).unwrap_err().to_string();
+            assert!(error.contains("`train.steps` is 2500 ×") && error.contains("expected 1 to 1e15"), "{error}");
+        }
+        assert_eq!(tenth.train.steps, 2500);
     }
 }

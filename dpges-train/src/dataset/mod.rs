@@ -14,6 +14,7 @@ mod error;
 pub(crate) mod fixtures;
 mod formats;
 pub(crate) mod image;
+mod load_options;
 pub(crate) mod names;
 pub mod source;
 
@@ -37,6 +38,7 @@ pub use self::image::picture::Picture;
 pub use builtin::{BuiltinOptions, builtin, builtin_geometry};
 pub use error::DatasetError;
 pub(crate) use formats::colmap::{ModelContent, model_content};
+pub use load_options::LoadOptions;
 
 use self::image::undistort;
 use error::Result;
@@ -94,7 +96,7 @@ pub struct Dataset {
     pub format: Format,
     /// Near plane of every camera, world units.
     pub near: f64,
-    /// What the photographs leave of [`LoadOptions::memory`], bytes: room for other numbers per pixel.
+    /// Memory of [`LoadOptions::memory`] that photographs do not use, bytes: room for other numbers per pixel.
     pub spare_memory: usize,
 }
 
@@ -110,7 +112,7 @@ impl View {
     /// The photograph on `device`, and which of its pixels count.
     ///
     /// # Errors
-    /// Those of [`picture`](Self::picture).
+    /// The errors of [`picture`](Self::picture).
     pub fn target(&self, device: &Device) -> dpges_core::Result<Target> {
         Ok(self.picture()?.target(device))
     }
@@ -118,7 +120,7 @@ impl View {
     /// Changes the photograph, which is in memory from then on.
     ///
     /// # Errors
-    /// Those of [`picture`](Self::picture).
+    /// The errors of [`picture`](Self::picture).
     pub fn repaint(&mut self, change: impl FnOnce(&mut Picture)) -> dpges_core::Result<()> {
         let mut picture = Arc::unwrap_or_clone(self.picture()?);
         change(&mut picture);
@@ -136,7 +138,7 @@ impl View {
     /// memory from then on, and the depth map are resampled for it.
     ///
     /// # Errors
-    /// Those of [`picture`](Self::picture).
+    /// The errors of [`picture`](Self::picture).
     pub fn undistorted(&self) -> dpges_core::Result<Option<Self>> {
         if self.camera.lens.is_none() {
             return Ok(Some(self.clone()));
@@ -211,48 +213,6 @@ impl Format {
     }
 }
 
-#[derive(Clone, Debug, PartialEq)]
-pub struct LoadOptions {
-    /// Red, green, blue in 0..1. `None`: white for Blender images with alpha, else black.
-    pub background: Option<[f64; 3]>,
-    /// Read `images_2`, `images_4`, … as shipped instead of `images`.
-    pub image_scale: Option<u32>,
-    /// Largest length of the longer side of a picture, px. Larger pictures are downscaled.
-    pub max_resolution: Option<usize>,
-    /// Hold out every n-th view by name if the dataset stores no split. 0 holds none out and accepts a dataset without
-    /// held-out views.
-    pub test_every: usize,
-    /// Whether photographs taken through a lens are resampled for a pinhole camera; otherwise the cameras have the lens.
-    pub undistort: bool,
-    /// World units. `None`: 0.2 for COLMAP and nerfstudio, 0.01 for Blender.
-    pub near: Option<f64>,
-    /// Whether alpha says which pixels count, those from one half, instead of how much of the background they show.
-    pub alpha_masks: bool,
-    /// Whether masks are black where pixels count, instead of white.
-    pub invert_masks: bool,
-    /// Most memory for photographs, bytes. Those beyond are read again from their files whenever they are needed.
-    pub memory: usize,
-    /// Read the depth maps of training views, which have values of this kind. `None` reads none.
-    pub depth: Option<DepthKind>,
-}
-
-impl Default for LoadOptions {
-    fn default() -> Self {
-        Self {
-            background: None,
-            image_scale: None,
-            max_resolution: None,
-            test_every: 8,
-            undistort: true,
-            near: None,
-            alpha_masks: false,
-            invert_masks: false,
-            memory: usize::MAX,
-            depth: None,
-        }
-    }
-}
-
 /// The layout of folder `path`: COLMAP if it has a folder `sparse`, else Blender if it has `transforms_train.json`,
 /// else nerfstudio if it has `transforms.json`.
 pub fn format(path: &Path) -> Option<Format> {
@@ -265,8 +225,8 @@ pub fn format(path: &Path) -> Option<Format> {
     }
 }
 
-/// Reads the dataset in folder `path`, see [`format()`]. Of more than [`SAMPLED_VIEWS`] photographs without alpha, masks and
-/// depth maps only the headers are read; their pixels follow when they are needed.
+/// Reads the dataset in folder `path`, see [`format()`]. For more than [`SAMPLED_VIEWS`] photographs without alpha, masks and
+/// depth maps it reads only the headers; their pixels follow when they are needed.
 ///
 /// # Errors
 /// [`DatasetError`] names the file at fault and the remedy.

@@ -6,13 +6,16 @@ use std::path::{Path, PathBuf};
 use super::capture::{self, Input, Unusable};
 use super::check::{Effort, Report};
 use super::{BuiltinOptions, Dataset, DatasetError, builtin, format, load};
-use crate::config::{Background, BuiltinLens, Config, DataConfig};
+use crate::config::{Background, Config, DataConfig};
 
 /// Why a dataset that a command names cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum SourceError {
     #[error("the built-in scene has pictures of one scale: cap the resolution instead")]
     OneScale,
+    /// Of [`BuiltinOptions::altered`].
+    #[error("{0}")]
+    Change(String),
     #[error("{error}; `dpges sfm {}` finds the cameras of photographs", .path.display())]
     NoCameras { error: DatasetError, path: PathBuf },
     #[error("{error}; its cameras have not been found yet: repeat the command that began it")]
@@ -50,7 +53,7 @@ impl SourceError {
 
 /// The photographs without cameras or the video that a command names, by absolute paths; `None` for anything else.
 pub fn photographs(path: &Path) -> Option<Input> {
-    (path != Path::new(BUILTIN)).then(|| Input::find(&absolute(path))).flatten()
+    matches!(Source::new(path), Source::Folder(_)).then(|| Input::find(&absolute(path))).flatten()
 }
 
 fn absolute(path: &Path) -> PathBuf {
@@ -68,13 +71,19 @@ const BUILTIN_POINTS: usize = 4000;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Source {
     Builtin,
+    /// The built-in scene with changes that [`BuiltinOptions::altered`] takes.
+    Altered(String),
     Folder(PathBuf),
 }
 
 impl Source {
-    /// `builtin`, or the path of a folder.
+    /// `builtin`, `builtin:CHANGES`, or the path of a folder.
     pub fn new(text: &Path) -> Self {
-        if text == Path::new(BUILTIN) { Self::Builtin } else { Self::Folder(text.to_owned()) }
+        match text.to_str().and_then(|text| text.strip_prefix(BUILTIN)).map(|rest| (rest, rest.strip_prefix(':'))) {
+            Some(("", _)) => Self::Builtin,
+            Some((_, Some(changes))) => Self::Altered(changes.to_owned()),
+            _ => Self::Folder(text.to_owned()),
+        }
     }
 
     /// As a command names it: the folder by its absolute path, the built-in scene where there is none. For photographs
@@ -85,7 +94,7 @@ impl Source {
                 let beside = photographs(&path).and_then(|input| capture::dataset_beside(&input).ok());
                 Self::Folder(beside.unwrap_or_else(|| absolute(&path)))
             }
-            Self::Builtin => Self::Builtin,
+            builtin => builtin,
         }
     }
 
@@ -95,7 +104,8 @@ impl Source {
     /// [`SourceError`].
     pub fn load(&self, config: &DataConfig) -> Result<Dataset> {
         let dataset = match self {
-            Self::Builtin => from_builtin(config)?,
+            Self::Builtin => from_builtin("", config)?,
+            Self::Altered(changes) => from_builtin(changes, config)?,
             Self::Folder(path) => {
                 load(path, &config.load_options()).map_err(|error| SourceError::explained(error, path))?
             }
@@ -143,31 +153,28 @@ impl fmt::Display for Source {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Builtin => f.write_str(BUILTIN),
+            Self::Altered(changes) => write!(f, "{BUILTIN}:{changes}"),
             Self::Folder(path) => path.display().fmt(f),
         }
     }
 }
 
-fn from_builtin(config: &DataConfig) -> Result<Dataset> {
+fn from_builtin(changes: &str, config: &DataConfig) -> Result<Dataset> {
     if config.image_scale != 1 {
         return Err(SourceError::OneScale);
     }
     let cap = if config.max_resolution == 0 { BUILTIN_SIZE } else { config.max_resolution };
     let size = cap.min(BUILTIN_SIZE);
-    let fisheye = config.builtin_lens == BuiltinLens::Fisheye;
     let options = BuiltinOptions {
         width: size,
         height: size,
         points: BUILTIN_POINTS,
-        exposure_stops: config.builtin_exposure_stops,
-        pose_degrees: config.builtin_pose_degrees,
-        pose_extents: config.builtin_pose_extents,
         depth: config.load_options().depth,
-        fisheye,
         ..Default::default()
     };
+    let options = options.altered(changes).map_err(SourceError::Change)?;
     let mut dataset = builtin(&options);
-    if config.undistort && fisheye {
+    if config.undistort && options.fisheye {
         for view in dataset.train.iter_mut().chain(&mut dataset.test) {
             *view = view.undistorted()?.expect("the middle of a fisheye picture fits a pinhole camera");
         }

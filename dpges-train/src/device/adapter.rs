@@ -42,7 +42,7 @@ pub struct Adapter {
     /// Place among the adapters of the same API and kind.
     #[serde(skip)]
     place: usize,
-    /// What wgpu has of it, or why it could not be started, once that was tried.
+    /// Its wgpu objects, or the reason why it could not be started, once that was tried.
     #[serde(skip)]
     started: OnceLock<Result<WgpuSetup, String>>,
 }
@@ -185,7 +185,7 @@ impl Adapter {
 }
 
 impl Adapter {
-    /// What wgpu has of the adapter that [`open`](Self::open) has started: to draw on Burn's device.
+    /// The wgpu objects of the adapter that [`open`](Self::open) has started, for drawing on Burn's device.
     pub fn setup(&self) -> Option<&WgpuSetup> {
         self.started.get()?.as_ref().ok()
     }

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{DeviceError, DeviceName};
 
-/// What `--device` accepts: `auto`, or a [`DeviceName`].
+/// The values of `--device`: `auto`, or a [`DeviceName`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum DeviceRequest {
     #[default]
@@ -157,7 +157,7 @@ pub mod check {
         })
     }
 
-    /// What `work` returns, or that it failed or took longer than `limit`; then its thread is left behind.
+    /// The result of `work`, or its failure, or a timeout after `limit`, which abandons its thread.
     pub(super) fn within(
         limit: Duration,
         work: impl FnOnce() -> Result<(), String> + Send + 'static,

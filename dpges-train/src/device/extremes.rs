@@ -8,7 +8,7 @@ use serde::Serialize;
 /// The scenes that deviate most, of which the report names this many.
 const NAMED: usize = 10;
 
-/// What came out of many extreme scenes.
+/// The results of many extreme scenes.
 #[derive(Debug, Serialize)]
 pub struct Extremes {
     pub device: String,

@@ -42,7 +42,7 @@ impl DeviceFailure {
             .any(|part| text.contains(part))
     }
 
-    /// What can be done about it.
+    /// Advice for the failure.
     pub fn advice(&self) -> &'static str {
         if self.is_out_of_memory() {
             "the memory of the device is too small: use another device (`--device cpu` has the memory of the machine), \

@@ -74,7 +74,7 @@ impl DeviceName {
         }
     }
 
-    /// What wgpu has of a GPU that was [opened](Self::open): to draw on the device that Burn uses.
+    /// The wgpu objects of a GPU that was [opened](Self::open), for drawing on the device that Burn uses.
     #[cfg(feature = "gpu")]
     pub fn wgpu_setup(self) -> Option<&'static burn_wgpu::WgpuSetup> {
         match self {
@@ -108,7 +108,7 @@ impl DeviceName {
         }
     }
 
-    /// What the name stands for on this machine, as text for people.
+    /// The device of this name on this machine, as text for people.
     ///
     /// # Errors
     /// [`DeviceError`] if there is no such adapter or the kernels do not run on it.

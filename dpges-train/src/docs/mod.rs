@@ -1,52 +1,43 @@
-//! The guides of `docs/`: how to train, and what to expect.
+//! The guides, the reference and the research notes of `docs/`.
 
-#[doc = include_str!("../../docs/commands.md")]
-pub mod commands {}
+/// How to use the program.
+pub mod guide {
+    #[doc = include_str!("../../docs/guide/capture.md")]
+    pub mod capture {}
 
-#[doc = include_str!("../../docs/captures.md")]
-pub mod captures {}
+    #[doc = include_str!("../../docs/guide/train.md")]
+    pub mod train {}
 
-#[doc = include_str!("../../docs/compression.md")]
-pub mod compression {}
+    #[doc = include_str!("../../docs/guide/measure.md")]
+    pub mod measure {}
+}
 
-#[doc = include_str!("../../docs/stages.md")]
-pub mod stages {}
+/// Generated lists of commands, keys and variants.
+pub mod reference {
+    #[doc = include_str!("../../docs/reference/commands.md")]
+    pub mod commands {}
 
-#[doc = include_str!("../../docs/depth.md")]
-pub mod depth {}
+    #[doc = include_str!("../../docs/reference/configuration.md")]
+    pub mod configuration {}
 
-#[doc = include_str!("../../docs/exposure.md")]
-pub mod exposure {}
+    #[doc = include_str!("../../docs/reference/variants.md")]
+    pub mod variants {}
+}
 
-#[doc = include_str!("../../docs/poses.md")]
-pub mod poses {}
+#[doc = include_str!("../../docs/log/README.md")]
+pub mod log {
+    #[doc = include_str!("../../docs/log/2026-11-24-results.md")]
+    pub mod results {}
 
-#[doc = include_str!("../../docs/paper.md")]
-pub mod paper {}
+    #[doc = include_str!("../../docs/log/2026-11-24-benchmarks.md")]
+    pub mod benchmarks {}
 
-#[doc = include_str!("../../docs/results.md")]
-pub mod results {}
+    #[doc = include_str!("../../docs/log/2026-11-23-trade.md")]
+    pub mod trade {}
 
-#[doc = include_str!("../../docs/metrics.md")]
-pub mod metrics {}
+    #[doc = include_str!("../../docs/log/2026-11-23-exports-and-captures.md")]
+    pub mod exports_and_captures {}
 
-#[doc = include_str!("../../docs/library.md")]
-pub mod library {}
-
-#[doc = include_str!("../../docs/configuration.md")]
-pub mod configuration {}
-
-#[doc = include_str!("../../docs/ablations.md")]
-pub mod ablations {}
-
-#[doc = include_str!("../../docs/comparisons.md")]
-pub mod comparisons {}
-
-#[doc = include_str!("../../docs/trade.md")]
-pub mod trade {}
-
-#[doc = include_str!("../../docs/popping.md")]
-pub mod popping {}
-
-#[doc = include_str!("../../docs/step.md")]
-pub mod step {}
+    #[doc = include_str!("../../docs/log/2026-11-22-precision.md")]
+    pub mod precision {}
+}

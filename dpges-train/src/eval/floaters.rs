@@ -35,7 +35,7 @@ pub struct Visibility {
     pub gaussians: Vec<Votes>,
 }
 
-/// What the views say of one primitive.
+/// The votes of the views on one primitive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Votes {
     /// Number of views that it blocks.
@@ -61,7 +61,8 @@ impl Votes {
 }
 
 impl Visibility {
-    /// Of `surfels` and `gaussians` in the training views; `None` if the dataset does not say which view saw what.
+    /// Votes of the training views on `surfels` and `gaussians`; `None` if the dataset does not say which view saw
+    /// what.
     ///
     /// # Errors
     /// [`dpges_core::Error`] if the primitives cannot be rendered.

@@ -1,7 +1,7 @@
 //! Measures how well a scene shows views that it was not trained on.
 //!
 //! All metrics compare renders and photographs after both are quantised to 8 bits. PSNR is taken over all pixels and
-//! channels of a view, then averaged over views (the protocol of 3DGS). `docs/metrics.md` defines the others, and what
+//! channels of a view, then averaged over views (the protocol of 3DGS). `docs/guide/measure.md` defines the others, and what
 //! masks do to all of them.
 
 pub mod compress;
@@ -109,7 +109,7 @@ pub struct EvalReport {
     /// else so far. Absent where it is not known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub peak_memory_bytes: Option<u64>,
-    /// What the run was to reach; absent without a target.
+    /// The target of the run, if it had one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub target: Option<TargetReport>,
     /// How much the scene pops along [an arc](fn@crate::eval::popping::arc); absent unless it was measured.
@@ -137,7 +137,7 @@ pub struct FrameMs {
     pub renderer: String,
 }
 
-/// What a run was to reach, what was expected of it before, and what it has come to.
+/// The target of a run, the expectation before it, and its result.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TargetReport {
     /// As it was asked for, such as `5min`.
@@ -148,7 +148,7 @@ pub struct TargetReport {
     pub got: f64,
 }
 
-/// What is measured besides PSNR, SSIM and FLIP.
+/// Optional measurements besides PSNR, SSIM and FLIP.
 #[derive(Clone, Copy, Debug)]
 pub struct Measures<'a> {
     /// Whether MS-SSIM and SSIMULACRA2 are measured.
@@ -211,7 +211,7 @@ impl Evaluation {
 /// Renders every view and compares it with its photograph, by PSNR, SSIM and FLIP.
 ///
 /// # Errors
-/// Those of [`Renderer::render`]; [`Error::Option`] if there are no views.
+/// The errors of [`Renderer::render`]; [`Error::Option`] if there are no views.
 pub fn evaluate(scene: &SceneData, views: &[View], device: &Device) -> Result<Evaluation> {
     evaluate_each(&Renderer::new(scene, device), scene, views, device, Measures::BASIC, |_, _| Ok(()))
 }
@@ -220,7 +220,7 @@ pub fn evaluate(scene: &SceneData, views: &[View], device: &Device) -> Result<Ev
 /// render of every view.
 ///
 /// # Errors
-/// Those of [`evaluate`] and of `visit`.
+/// The errors of [`evaluate`] and of `visit`.
 pub fn evaluate_each<E: From<Error>>(
     renderer: &Renderer,
     scene: &SceneData,

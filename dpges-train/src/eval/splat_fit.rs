@@ -19,6 +19,7 @@ use rand_chacha::rand_core::SeedableRng;
 
 use crate::config::{Config, OpacityActivation};
 use crate::dataset::{MOST_PREFETCHED, View, prefetch};
+use crate::optimizer::LOGIT_RATE;
 use crate::optimizer::scene_state::{GaussianState, Rates};
 
 /// Trains the ellipsoids of `scene`, in front of its environment, for `steps` steps on `views`, whose cameras are in the coordinates of the scene.
@@ -84,7 +85,7 @@ fn rates(config: &Config, progress: f64, extent: f64) -> Rates {
         positions: optimizer.position_rate(progress, extent),
         quaternions: decay * optimizer.quaternions,
         log_scales: decay * optimizer.log_scales,
-        opacities: decay * config.stages.opacities,
+        opacities: decay * LOGIT_RATE,
         base: decay * optimizer.base,
         detail: decay * optimizer.detail,
     }

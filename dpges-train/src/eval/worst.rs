@@ -17,7 +17,7 @@ use crate::metrics::{METRICS, Metric, Scores};
 /// A view, and the picture of it.
 pub struct WorstView {
     metric: &'static Metric,
-    /// What the metric says of it.
+    /// Its value of the metric.
     value: Option<f64>,
     /// Name of the view.
     view: String,

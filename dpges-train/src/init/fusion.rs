@@ -2,7 +2,7 @@
 //!
 //! A point is evidence for a surface if the picture of its view is opaque there and of one depth, if at least
 //! [`FusionRule::min_views`] other views have that depth where they see it, and if no more than half as many look through
-//! it. What is no surface (leaves, sky, floaters) has no such points.
+//! it. Leaves, sky and floaters have no such points.
 
 use std::sync::Arc;
 
@@ -17,7 +17,7 @@ use crate::views::exposure::Seen;
 /// Views that a point is checked in: those whose cameras are nearest to its own.
 pub const CHECKED_VIEWS: usize = 24;
 
-/// What trained Gaussians look like in views, and their photographs: both are made when they are asked for.
+/// Views of trained Gaussians, and their photographs: both are made when they are asked for.
 pub struct DepthViews<'a> {
     pub cameras: Vec<&'a Camera>,
     /// [H × W] depth, world units; not positive where the picture is not opaque and of one depth, or does not count.

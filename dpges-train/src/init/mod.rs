@@ -21,9 +21,10 @@ use rand_chacha::ChaCha8Rng;
 use crate::config::{Config, InitMethod};
 use crate::dataset::{Dataset, PointCloud};
 use crate::refine::margins::margins;
+pub use placement::PrimitiveStart;
 use placement::{OrientedPoints, Placement};
 use region::Region;
-use silhouette::Silhouettes;
+use silhouette::{Silhouettes, TOLERANCE};
 
 /// The largest size of an initial scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -63,14 +64,15 @@ pub enum InitError {
     Picture(#[from] dpges_core::Error),
 }
 
-/// The initial scene of a dataset, within the limits of `quota`. `init.method` "auto" starts from points if the dataset
-/// has some, else from silhouettes, else from random Gaussians.
+/// The initial scene of a dataset, within the limits of `quota`, of primitives as large and opaque as `start` says.
+/// `init.method` "auto" starts from points if the dataset has some, else from silhouettes, else from random Gaussians.
 ///
 /// # Errors
 /// [`InitError`] if there are no training views or the dataset lacks what the method needs.
 pub fn initialise(
     dataset: &Dataset,
     config: &Config,
+    start: PrimitiveStart,
     quota: PrimitiveQuota,
     rng: &mut ChaCha8Rng,
 ) -> Result<InitialScene, InitError> {
@@ -78,14 +80,16 @@ pub fn initialise(
         return Err(InitError::NoViews);
     }
     match config.init.method {
-        InitMethod::Sfm => from_points(dataset, config, quota, rng),
-        InitMethod::Silhouette => from_silhouettes(dataset, config, quota, rng),
-        InitMethod::Random => Ok(random_gaussians(dataset, config, quota, rng)),
+        InitMethod::Sfm => from_points(dataset, config, start, quota, rng),
+        InitMethod::Silhouette => from_silhouettes(dataset, config, start, quota, rng),
+        InitMethod::Random => Ok(random_gaussians(dataset, config, start, quota, rng)),
         InitMethod::Auto => {
-            match from_points(dataset, config, quota, rng).or_else(|_| from_silhouettes(dataset, config, quota, rng)) {
+            match from_points(dataset, config, start, quota, rng)
+                .or_else(|_| from_silhouettes(dataset, config, start, quota, rng))
+            {
                 Err(reason @ (InitError::NoSilhouettes | InitError::EmptyHull)) => {
                     tracing::warn!("no points, and no hull ({reason}): starting from random Gaussians without surfels");
-                    Ok(random_gaussians(dataset, config, quota, rng))
+                    Ok(random_gaussians(dataset, config, start, quota, rng))
                 }
                 result => result,
             }
@@ -96,6 +100,7 @@ pub fn initialise(
 fn from_points(
     dataset: &Dataset,
     config: &Config,
+    start: PrimitiveStart,
     quota: PrimitiveQuota,
     rng: &mut ChaCha8Rng,
 ) -> Result<InitialScene, InitError> {
@@ -104,32 +109,39 @@ fn from_points(
         return Err(InitError::NoPoints);
     }
     let centres: Vec<_> = dataset.train.iter().map(|view| view.camera.centre()).collect();
-    Ok(place(&sfm::orient(points, &centres), dataset, config, rng))
+    Ok(place(&sfm::orient(points, &centres), dataset, config, start, rng))
 }
 
 fn from_silhouettes(
     dataset: &Dataset,
     config: &Config,
+    start: PrimitiveStart,
     quota: PrimitiveQuota,
     rng: &mut ChaCha8Rng,
 ) -> Result<InitialScene, InitError> {
     let silhouettes = Silhouettes::new(&dataset.train).ok_or(InitError::NoSilhouettes)?;
     let region = in_sight(dataset);
-    let mut points =
-        silhouette::hull_points(&silhouettes, region, config.init.hull_resolution, config.init.hull_tolerance)?;
+    let mut points = silhouette::hull_points(&silhouettes, region, config.init.hull_resolution, TOLERANCE)?;
     if points.is_empty() {
         return Err(InitError::EmptyHull);
     }
     points.thin_out(config.init.max_points.min(quota.points), rng);
-    Ok(place(&points, dataset, config, rng))
+    Ok(place(&points, dataset, config, start, rng))
 }
 
-fn random_gaussians(dataset: &Dataset, config: &Config, quota: PrimitiveQuota, rng: &mut ChaCha8Rng) -> InitialScene {
+fn random_gaussians(
+    dataset: &Dataset,
+    config: &Config,
+    start: PrimitiveStart,
+    quota: PrimitiveQuota,
+    rng: &mut ChaCha8Rng,
+) -> InitialScene {
     let count = config.init.random_gaussians.min(quota.gaussians);
     let half_side = config.init.random_half_side;
     let region = if half_side > 0.0 { Region::cube(-dataset.offset, half_side) } else { in_sight(dataset) };
     let points = random::points(region, count, rng);
-    let gaussians = placement::gaussians(&points, &Placement::new(config, dataset.extent), rng);
+    let placement = Placement { start, ..Placement::new(config, dataset.extent) };
+    let gaussians = placement::gaussians(&points, &placement, rng);
     InitialScene { surfels: SurfelData::neutral(gaussians.colour.model, 0), gaussians }
 }
 
@@ -140,8 +152,14 @@ pub fn surfels_at(points: PointCloud, dataset: &Dataset, config: &Config, rng: &
 }
 
 /// A surfel and a faint Gaussian at every point.
-fn place(points: &OrientedPoints, dataset: &Dataset, config: &Config, rng: &mut ChaCha8Rng) -> InitialScene {
-    let placement = Placement::new(config, dataset.extent);
+fn place(
+    points: &OrientedPoints,
+    dataset: &Dataset,
+    config: &Config,
+    start: PrimitiveStart,
+    rng: &mut ChaCha8Rng,
+) -> InitialScene {
+    let placement = Placement { start, ..Placement::new(config, dataset.extent) };
     let mut surfels = placement::surfels(points, &placement, rng);
     surfels.margins = margins(&surfels.positions, &surfels.log_scales, config.model.margin);
     InitialScene { surfels, gaussians: placement::gaussians(points, &placement, rng) }
@@ -207,7 +225,13 @@ mod tests {
         config.init.method = method;
         config.init.hull_resolution = 24;
         config.init.random_gaussians = 300;
-        initialise(dataset, &config, PrimitiveQuota::new(1e6, 1e6), &mut ChaCha8Rng::seed_from_u64(4))
+        initialise(
+            dataset,
+            &config,
+            PrimitiveStart::default(),
+            PrimitiveQuota::new(1e6, 1e6),
+            &mut ChaCha8Rng::seed_from_u64(4),
+        )
     }
 
     #[test]
@@ -229,7 +253,8 @@ mod tests {
         let mut config = Config::default();
         (config.init.method, config.init.random_half_side) = (InitMethod::Random, 1.3);
         let quota = PrimitiveQuota::new(1e6, 5000.0);
-        let scene = initialise(&moved, &config, quota, &mut ChaCha8Rng::seed_from_u64(4)).unwrap();
+        let scene =
+            initialise(&moved, &config, PrimitiveStart::default(), quota, &mut ChaCha8Rng::seed_from_u64(4)).unwrap();
         assert_eq!((scene.surfels.len(), scene.gaussians.len()), (0, 5000));
         assert_eq!(scene.surfels.colour.model, scene.gaussians.colour.model);
         for (axis, offset) in moved.offset.to_array().into_iter().enumerate() {
@@ -261,7 +286,10 @@ mod tests {
         let dataset = dataset(6, false, cloud);
         let config = Config::default();
         let quota = PrimitiveQuota::new(30.0, 60.0);
-        let start = |seed| initialise(&dataset, &config, quota, &mut ChaCha8Rng::seed_from_u64(seed)).unwrap();
+        let start = |seed| {
+            initialise(&dataset, &config, PrimitiveStart::default(), quota, &mut ChaCha8Rng::seed_from_u64(seed))
+                .unwrap()
+        };
         assert_eq!(start(1), start(1));
         assert_ne!(start(1), start(2));
         assert_eq!((start(1).surfels.len(), start(1).gaussians.len()), (30, 30));

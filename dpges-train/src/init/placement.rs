@@ -54,13 +54,33 @@ pub fn draw_rows(total: usize, count: usize, rng: &mut ChaCha8Rng) -> Vec<usize>
     rows
 }
 
+/// Largest scale at the start, extents.
+const MAX_SCALE_EXTENT: f64 = 0.06;
+/// Largest scale at the start, medians.
+const MAX_SCALE_MEDIAN: f64 = 10.0;
+
+/// How large and how opaque primitives start.
+#[derive(Clone, Copy, Debug)]
+pub struct PrimitiveStart {
+    /// Scale of a surfel relative to the root mean square distance to the 3 nearest points.
+    pub surfel_scale: f64,
+    /// The same of a Gaussian.
+    pub gaussian_scale: f64,
+    pub gaussian_opacity: f64,
+}
+
+impl Default for PrimitiveStart {
+    /// Those of the joint stage: together, surfels and Gaussians cover what either would cover alone.
+    fn default() -> Self {
+        Self { surfel_scale: 0.4, gaussian_scale: 0.5, gaussian_opacity: 0.1 }
+    }
+}
+
 /// The settings of `[init]` that concern primitives, for a scene of a given extent.
 #[derive(Clone, Copy, Debug)]
 pub struct Placement {
     pub model: ColourModel,
-    pub surfel_scale: f64,
-    pub gaussian_scale: f64,
-    pub gaussian_opacity: f64,
+    pub start: PrimitiveStart,
     /// World units.
     pub max_scale: f64,
     /// Multiple of the median scale.
@@ -72,15 +92,12 @@ pub struct Placement {
 impl Placement {
     /// `extent` in world units. An extent of 0 limits no scale.
     pub fn new(config: &Config, extent: f64) -> Self {
-        let init = &config.init;
-        let known = extent > 0.0;
+        let (known, limited) = (extent > 0.0, config.init.limit_scales);
         Self {
             model: config.model.colour,
-            surfel_scale: init.surfel_scale,
-            gaussian_scale: init.gaussian_scale,
-            gaussian_opacity: init.gaussian_opacity,
-            max_scale: if known { init.max_scale_extent * extent } else { f64::MAX },
-            max_scale_median: init.max_scale_median,
+            start: PrimitiveStart::default(),
+            max_scale: if known && limited { MAX_SCALE_EXTENT * extent } else { f64::MAX },
+            max_scale_median: if limited { MAX_SCALE_MEDIAN } else { f64::INFINITY },
             lone_scale: LONE_SCALE * if known { extent } else { 1.0 },
         }
     }
@@ -100,7 +117,7 @@ impl Placement {
 
 /// One disc per point, perpendicular to its normal, as wide as the spacing of the points. Margins are zero.
 pub fn surfels(points: &OrientedPoints, placement: &Placement, rng: &mut ChaCha8Rng) -> SurfelData {
-    let log_scales = placement.log_scales(&points.positions, placement.surfel_scale);
+    let log_scales = placement.log_scales(&points.positions, placement.start.surfel_scale);
     let mut surfels = SurfelData::neutral(placement.model, points.len());
     surfels.positions = points.positions.as_flattened().to_vec();
     surfels.quaternions = points.normals.iter().flat_map(|&normal| facing(normal)).collect();
@@ -111,12 +128,12 @@ pub fn surfels(points: &OrientedPoints, placement: &Placement, rng: &mut ChaCha8
 
 /// One isotropic Gaussian of low opacity per point.
 pub fn gaussians(points: &OrientedPoints, placement: &Placement, rng: &mut ChaCha8Rng) -> GaussianData {
-    let log_scales = placement.log_scales(&points.positions, placement.gaussian_scale);
+    let log_scales = placement.log_scales(&points.positions, placement.start.gaussian_scale);
     let mut gaussians = GaussianData::neutral(placement.model, points.len());
     gaussians.positions = points.positions.as_flattened().to_vec();
     gaussians.quaternions = [1.0, 0.0, 0.0, 0.0].repeat(points.len());
     gaussians.log_scales = log_scales.into_iter().flat_map(|s| [s; 3]).collect();
-    gaussians.opacities.fill(placement.gaussian_opacity as f32);
+    gaussians.opacities.fill(placement.start.gaussian_opacity as f32);
     gaussians.colour = colour(points, placement.model, rng);
     gaussians
 }
@@ -169,6 +186,10 @@ mod tests {
         assert!((f64::from(scales[20]).exp() / median - 10.0).abs() < 1e-3, "{}", scales[20].exp());
         let placement = Placement::new(&Config::default(), 1.0);
         assert!(placement.log_scales(&positions, 1.0).iter().all(|s| s.exp() <= 0.0601));
+        let mut unlimited = Config::default();
+        unlimited.init.limit_scales = false;
+        let scales = Placement::new(&unlimited, 1.0).log_scales(&positions, 1.0);
+        assert!((scales[20].exp() - spacing(&positions)[20].unwrap()).abs() < 1e-2, "{}", scales[20].exp());
     }
 
     #[test]

@@ -70,6 +70,9 @@ impl Grid {
     }
 }
 
+/// Share of the views whose silhouettes may miss a voxel of a run's visual hull: masks are not exact.
+pub const TOLERANCE: f64 = 0.02;
+
 /// Points on the surface of the visual hull inside `region`, one per boundary voxel. The grid has `resolution` voxels
 /// along each side and is fitted to the occupied part of the region. A voxel is occupied if at least half of the views
 /// show its centre and at most the share `tolerance` of these show it outside their silhouette. Empty if the

@@ -1,4 +1,4 @@
-//! What the photographs show above the scene: pixels that no point of the dataset explains.
+//! Sky in the photographs: pixels above the scene that no point of the dataset explains.
 //!
 //! A cell of a photograph is *open sky* if no point of the dataset projects into it, at whatever depth, if such cells
 //! connect it with the upper border, and if it lies above the horizon. White walls and close photographs of one surface
@@ -22,7 +22,7 @@ const UPRIGHT: f64 = 0.05;
 /// The open sky of the training views.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OpenSky {
-    /// Of all pixels that count, 0 to 1.
+    /// Share of all pixels that count, 0 to 1.
     pub share: f64,
     /// Mean colour, display-referred; `None` without open sky.
     pub colour: Option<[f64; 3]>,
@@ -71,7 +71,7 @@ pub fn open_sky(dataset: &Dataset) -> Result<OpenSky> {
     })
 }
 
-/// What a view shows of the sky: pixels of its open sky that have about the colour that most of it has in this view.
+/// The sky of a view: pixels of its open sky that have about the colour that most of it has in this view.
 #[derive(Clone, Debug)]
 pub struct ViewSky {
     open: OpenCells,
@@ -108,7 +108,7 @@ impl ViewSky {
     }
 }
 
-/// What each training view shows of the sky, which is found when it is first asked for.
+/// The sky of each training view, which is found when it is first asked for.
 #[derive(Debug)]
 pub struct Skies {
     cameras: Vec<Camera>,
@@ -119,7 +119,7 @@ pub struct Skies {
 }
 
 impl Skies {
-    /// Of the training views of `dataset`.
+    /// Skies of the training views of `dataset`.
     pub fn new(dataset: &Dataset) -> Self {
         let cameras: Vec<Camera> = dataset.train.iter().map(|view| view.camera).collect();
         Self {
@@ -130,7 +130,7 @@ impl Skies {
         }
     }
 
-    /// Of the training view with index `index`, whose picture is `picture`; `None` if it shows none.
+    /// The sky of the training view with index `index`, whose picture is `picture`; `None` if it shows none.
     pub fn of(&self, index: usize, picture: &Picture) -> Option<&ViewSky> {
         let find = || ViewSky::new(picture, open_cells(&self.cameras[index], &self.points, self.up));
         self.found[index].get_or_init(find).as_ref()

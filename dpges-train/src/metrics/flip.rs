@@ -18,7 +18,7 @@ struct Sensitivity {
     b: f64,
 }
 
-/// Of luminance, red against green, blue against yellow.
+/// Sensitivities to luminance, red against green, blue against yellow.
 const SENSITIVITIES: [&[Sensitivity]; 3] = [
     &[Sensitivity { a: 1.0, b: 0.0047 }],
     &[Sensitivity { a: 1.0, b: 0.0053 }],
@@ -71,7 +71,7 @@ pub fn flip_map(reference: &[f32], test: &[f32], width: usize, height: usize) ->
     errors.collect()
 }
 
-/// What of a picture is seen, a value per pixel.
+/// The visible part of a picture, a value per pixel.
 struct Seen {
     /// CIELAB with Hunt's effect, without the contrast that the eye does not see.
     colours: Vec<DVec3>,
@@ -222,8 +222,8 @@ mod tests {
         )
     }
 
-    /// What the published evaluator, flip-evaluator 1.7, says of the same pictures at the same viewing conditions, in single
-    /// precision.
+    /// Values of the published evaluator, flip-evaluator 1.7, for the same pictures at the same viewing conditions, in
+    /// single precision.
     #[test]
     fn it_agrees_with_the_published_evaluator() {
         let cases = [

@@ -1,4 +1,4 @@
-//! Measures of how alike two pictures look. PSNR and SSIM are in [`dpges_core::metrics`]. `docs/metrics.md` says what each
+//! Measures of how alike two pictures look. PSNR and SSIM are in [`dpges_core::metrics`]. `docs/guide/measure.md` says what each
 //! means.
 
 mod flip;

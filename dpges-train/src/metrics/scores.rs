@@ -1,10 +1,11 @@
-//! What is measured of a view, or in the mean over views, and how people read it.
+//! Scores of a view, or means over views, and their presentation.
 
 use serde::{Deserialize, Serialize};
 
 use super::{ms_ssim, ssimulacra2};
 
-/// What takes longer than PSNR, SSIM and FLIP. Each is absent where it was not measured or the picture is too small for it.
+/// Metrics that take longer than PSNR, SSIM and FLIP. Each is absent where it was not measured or the picture is too
+/// small for it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Perceptual {
     /// From 0 to 1.
@@ -60,7 +61,7 @@ pub struct Metric {
     pub key: &'static str,
     /// As people call it.
     pub title: &'static str,
-    /// What stands behind its values, with a space, or nothing.
+    /// Unit behind its values, with a space, or nothing.
     pub unit: &'static str,
     /// Digits behind the point.
     pub digits: usize,

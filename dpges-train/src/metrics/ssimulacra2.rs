@@ -33,8 +33,8 @@ mod tests {
     use super::super::test_pictures::{discs, moved, noisy, picture, tinted};
     use super::*;
 
-    /// What another implementation says, the Python package ssimulacra2 0.3.0 with the filter that the metric is defined with:
-    /// `tests/reference/make_metrics.py` prints it. Roots and powers are approximate here.
+    /// Values of another implementation, the Python package ssimulacra2 0.3.0 with the filter that the metric is
+    /// defined with: `tests/reference/make_metrics.py` prints them. Roots and powers are approximate here.
     #[test]
     fn it_agrees_with_another_implementation() {
         let (width, height) = (256, 232);

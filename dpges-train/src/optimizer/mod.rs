@@ -1,11 +1,15 @@
 //! Adam over the attributes of a scene, and the edits of rows that keep its moments. All of it stays on the device.
 
+pub mod rates;
 pub mod scene_state;
 
 use burn::tensor::{Bool, DType, Device, Gradients, Int, Tensor, TensorData};
 use dpges_core::ops::adam::{AdamStep, adam_step};
 use dpges_core::scene::schema::Attribute;
 use dpges_core::scene::tensors::{row_indices, tensor_to_rows};
+
+/// Learning rate of the logits of opacities, of Gaussians and discs that are blended (3DGS).
+pub const LOGIT_RATE: f64 = 0.05;
 
 /// One attribute of all primitives of a kind: its raw numbers and, if it learns, its two Adam moments.
 #[derive(Clone, Debug)]

@@ -58,9 +58,9 @@ pub type GaussianState = State<GaussianColumns<Parameter>>;
 
 /// The attributes of one step, on a tape.
 pub struct Leaves<T> {
-    /// What is rendered.
+    /// The values that are rendered.
     pub values: T,
-    /// What is trained: the leaves that the values are functions of.
+    /// The numbers that are trained: the leaves of the values.
     pub raw: T,
 }
 

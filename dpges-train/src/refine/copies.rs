@@ -23,9 +23,9 @@ const ROUNDS: usize = 4;
 /// A set of Gaussians with copies in place of those that draw nothing.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Renewal {
-    /// Those that stay.
+    /// The rows that stay.
     pub rows: RowEdit,
-    /// Of those that stay, as they are rendered.
+    /// Opacities of the rows that stay, as they are rendered.
     pub opacities: Vec<f32>,
     pub copies: GaussianData,
 }

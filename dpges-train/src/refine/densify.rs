@@ -7,7 +7,7 @@ use rand_chacha::ChaCha8Rng;
 use super::children::{SHRINKAGE, children};
 use super::{GaussianEdit, RowEdit};
 
-/// What the sums of absolute gradients decide.
+/// The decision by sums of absolute gradients.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum ByAbsolute {
     /// Nothing (3DGS, 2DGS).

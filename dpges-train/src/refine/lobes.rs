@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use crate::refine::neighbours::as_points;
 
-/// Of the softplus of a lobe's colour (DBS): a raw value of 0 means 0.1.
+/// Sharpness of the softplus of a lobe's colour (DBS): a raw value of 0 means 0.1.
 const SHARPNESS: f64 = 10.0 * LN_2;
 
 /// Why a lobe can go.
@@ -18,16 +18,16 @@ const SHARPNESS: f64 = 10.0 * LN_2;
 pub enum Spare {
     /// It adds less than the threshold to every channel, whatever camera looks.
     Idle,
-    /// What it adds differs by less than the threshold between cameras: its mean red, green and blue.
+    /// Its contribution differs by less than the threshold between cameras: its mean red, green and blue.
     Constant([f64; 3]),
 }
 
 /// A lobe that can go.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SpareLobe {
-    /// Of the primitive.
+    /// Row of the primitive.
     pub row: usize,
-    /// Of the primitive's lobes.
+    /// Index among the primitive's lobes.
     pub lobe: usize,
     pub why: Spare,
 }

@@ -5,25 +5,21 @@ use dpges_core::footprint::CUTOFF;
 
 use super::RowEdit;
 
+/// Scale above which a surfel is removed, extents (GES).
+const SURFEL_MAX_SCALE: f64 = 0.06;
+
 /// The surfels to keep: nearest at more than `min_pixels` px in some view (`max_pixels` `[N]` is the
-/// largest count over the views) and with both scales of `log_scales` [N × 2] at most
-/// `max_scale_fraction` of the extent (world units). An extent of 0, as of a single camera, limits no scale.
-pub fn surfels_to_keep(
-    max_pixels: &[u32],
-    log_scales: &[f32],
-    extent: f64,
-    min_pixels: usize,
-    max_scale_fraction: f64,
-) -> RowEdit {
-    let small = small_surfels(log_scales, extent, max_scale_fraction);
+/// largest count over the views), and [small](small_surfels).
+pub fn surfels_to_keep(max_pixels: &[u32], log_scales: &[f32], extent: f64, min_pixels: usize) -> RowEdit {
+    let small = small_surfels(log_scales, extent);
     let stays = |row: &usize| max_pixels[*row] as usize > min_pixels && small.keep.binary_search(row).is_ok();
     unless_nothing_is_left(RowEdit::retain(max_pixels.len(), stays), max_pixels.len(), "surfel")
 }
 
-/// The surfels with both scales of `log_scales` [N × 2] at most `max_scale_fraction` of the `extent` (world units). An
-/// extent of 0 limits no scale. NaN is too large.
-pub fn small_surfels(log_scales: &[f32], extent: f64, max_scale_fraction: f64) -> RowEdit {
-    let max_scale = if extent > 0.0 { max_scale_fraction * extent } else { f64::MAX };
+/// The surfels with both scales of `log_scales` [N × 2] at most 0.06 of the `extent` (world units). An extent of 0, as of a
+/// single camera, limits no scale. NaN is too large.
+pub fn small_surfels(log_scales: &[f32], extent: f64) -> RowEdit {
+    let max_scale = if extent > 0.0 { SURFEL_MAX_SCALE * extent } else { f64::MAX };
     let (scales, _) = log_scales.as_chunks::<2>();
     RowEdit::retain(scales.len(), |&row| scales[row].iter().all(|&scale| f64::from(scale).exp() <= max_scale))
 }
@@ -60,9 +56,9 @@ mod tests {
             .flatten()
             .map(f32::ln)
             .collect();
-        let edit = surfels_to_keep(&[17, 16, 99, 99, 99, 99], &logs, 10.01, 16, 0.06);
+        let edit = surfels_to_keep(&[17, 16, 99, 99, 99, 99], &logs, 10.01, 16);
         assert_eq!(edit.keep, [0, 4]);
-        assert_eq!(surfels_to_keep(&[17, 16, 99, 99, 99, 99], &logs, 0.0, 16, 0.06).keep, [0, 2, 3, 4]);
+        assert_eq!(surfels_to_keep(&[17, 16, 99, 99, 99, 99], &logs, 0.0, 16).keep, [0, 2, 3, 4]);
     }
 
     #[test]
@@ -79,9 +75,9 @@ mod tests {
 
     #[test]
     fn never_all() {
-        assert_eq!(surfels_to_keep(&[1, 2], &[0.0; 4], 100.0, 16, 0.06).keep, [0, 1]);
+        assert_eq!(surfels_to_keep(&[1, 2], &[0.0; 4], 100.0, 16).keep, [0, 1]);
         assert_eq!(gaussians_to_keep(&[0.0; 3], 0.02).keep, [0, 1, 2]);
         assert!(gaussians_to_keep(&[], 0.02).keep.is_empty());
-        assert!(surfels_to_keep(&[], &[], 1.0, 16, 0.06).keep.is_empty());
+        assert!(surfels_to_keep(&[], &[], 1.0, 16).keep.is_empty());
     }
 }

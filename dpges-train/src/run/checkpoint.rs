@@ -16,10 +16,10 @@ use crate::optimizer::ParameterRows;
 use crate::refine::growth::Growth;
 
 const FORMAT: &str = "dpges-checkpoint";
-const VERSION: &str = "3";
+const VERSION: &str = "4";
 /// Prefix of the names of columns in the file.
 const COLUMN: &str = "column/";
-/// What the names of the tensors of an attribute end with.
+/// Suffixes of the names of an attribute's tensors.
 const RAW: &str = "raw";
 const MOMENTS: [&str; 2] = ["moment_1", "moment_2"];
 

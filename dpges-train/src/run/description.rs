@@ -1,4 +1,4 @@
-//! What a scene is: counts, its model, percentiles.
+//! Properties of a scene: counts, its model, percentiles.
 
 use dpges_core::scene::lobes::present;
 use dpges_core::scene::{ColourModel, EnvironmentData};

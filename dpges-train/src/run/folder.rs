@@ -82,7 +82,7 @@ pub enum RunFolderError {
     File(#[from] Error),
 }
 
-/// What a run was started with besides its configuration: the content of `run.json`.
+/// The origin of a run besides its configuration: the content of `run.json`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Origin {
     /// Absolute path of the dataset's folder, or `builtin`.

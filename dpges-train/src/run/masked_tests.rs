@@ -46,12 +46,10 @@ fn what_is_painted_over_and_masked_changes_no_bit_of_a_run() {
             "stages.surfels=0.3",
             "stages.gaussians=0.3",
             "stages.surfel_opacity=0.12",
-            "train.lambda_depth=0.1",
-            "train.lambda_normal=0.05",
-            "train.lambda_depth_normal=0.05",
-            "discs.normal_from=0",
+            "train.lambda_disc_depth=0.1",
+            "train.lambda_disc_normal=0.05",
+            "train.lambda_disc_depth_normal=0.05",
             "discs.lambda_distortion=0.1",
-            "discs.distortion_from=0",
         ],
         &["train.steps=60", "stages.gaussians=0.5", "refine.budget=700", "refine.new_gaussians=black"],
         &["train.steps=60", "train.exposure=on", "stages.gaussians=0.5", "refine.budget=700"],
@@ -76,7 +74,7 @@ fn what_is_painted_over_and_masked_changes_no_bit_of_a_run() {
 #[test]
 fn masks_make_up_for_what_is_painted_over() {
     let clean = dataset(32, 16);
-    let set = ["train.steps=400", "refine.budget=1500", "refine.surfel_min_pixels=1"];
+    let set = ["train.steps=400", "refine.budget=1500", "refine.surfel_pixels=1px/MP"];
     let psnr = |data: Dataset| {
         let mut trainer = Trainer::new(config(&set), Arc::new(data), device()).unwrap();
         while !trainer.is_finished() {

@@ -87,7 +87,7 @@ pub struct Run {
     started: Instant,
 }
 
-/// What a finished run has made.
+/// The result of a finished run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Outcome {
     /// The scene after the last step; with `train.stop = "validation"` the best by the validation views. The scene of the
@@ -194,7 +194,7 @@ impl Run {
         Ok(Self { record: Some(record), best: None, ..self })
     }
 
-    /// What takes the steps of the run: it knows the scene as it stands, the configuration and the state.
+    /// The object that takes the steps of the run: it knows the scene as it stands, the configuration and the state.
     pub fn trainer(&self) -> &Trainer {
         &self.trainer
     }

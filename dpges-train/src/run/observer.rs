@@ -6,7 +6,8 @@ use super::{StepReport, Verdict};
 use crate::config::StagePlan;
 use crate::eval::Evaluation;
 
-/// What a run tells while it trains, and asks. Every method does nothing, or answers no, unless it is implemented.
+/// Receives events of a run and answers its questions. Every method does nothing, or answers no, unless it is
+/// implemented.
 ///
 /// `()` ignores everything; a closure `FnMut(&StepReport)` is told of steps only. `step` counts the completed steps of
 /// the run.

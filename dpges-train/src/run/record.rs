@@ -1,4 +1,4 @@
-//! What a run writes to its folder.
+//! Files that a run writes to its folder.
 
 use std::io::Write;
 use std::path::Path;
@@ -25,7 +25,7 @@ pub struct Record {
     pub folder: RunFolder,
     origin: Origin,
     pub metrics: MetricsLog,
-    /// Of the run, in this process.
+    /// Peak memory of the run, in this process.
     peak: PeakMemory,
     /// Completed steps of the checkpoint in the folder.
     pub saved: Option<usize>,

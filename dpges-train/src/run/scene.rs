@@ -122,7 +122,7 @@ impl Scene {
     /// none, or if the dataset is another one, `data`.
     fn validation_every(&self, data: Option<&Path>) -> usize {
         let file = self.run_config().filter(|_| data.is_none());
-        let config = file.and_then(|file| Config::resolve(None, Some(&file), &[]).ok());
+        let config = file.and_then(|file| Config::of_run(&file).ok());
         config.map_or(0, |config| config.validation_every())
     }
 

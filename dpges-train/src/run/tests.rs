@@ -272,7 +272,7 @@ fn validation_views_are_kept_and_end_a_run_with_the_best_scene() {
     assert_eq!((report.split.as_str(), report.evaluation.psnr), ("validation", best_psnr));
 }
 
-/// What is written of the training views beside the scene.
+/// Options of a run that corrects its training views.
 const CORRECTED: [&str; 3] = ["train.poses=on", "optimizer.pose_from=0", "train.exposure=on"];
 
 #[test]

@@ -194,7 +194,7 @@ impl Trainer {
         self.context.refined_poses()
     }
 
-    /// What has been learnt about the training views, as it stands.
+    /// The corrections of the training views so far.
     pub fn view_corrections(&self) -> ViewCorrections {
         let exposure = self.corrects_exposure().then(|| {
             let corrections = self.context.exposure.corrections().0;
@@ -213,7 +213,7 @@ impl Trainer {
         self.stage.scene()
     }
 
-    /// What has become of the validation views.
+    /// The state of the validation views.
     pub fn validation(&self) -> &Validation {
         &self.validation
     }
@@ -227,7 +227,7 @@ impl Trainer {
     /// Begins the stage after one that is over, settled and not the last.
     ///
     /// # Errors
-    /// Those of [`new`](Self::new).
+    /// The errors of [`new`](Self::new).
     pub(super) fn next_stage(&mut self) -> Result<(), TrainError> {
         self.stage.hand_on(&mut self.trained);
         self.context.begin_pass();

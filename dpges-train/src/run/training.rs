@@ -12,8 +12,11 @@ use crate::eval::pictures::{comparison, file_stems, save_png};
 use crate::eval::rendered::Renderer;
 use crate::eval::{Evaluation, Measures, evaluate_each};
 
-/// What the trainer is asked to do; the report of the step whose numbers it then knows.
+/// A request to the trainer; it returns the report of the step whose numbers are then known.
 type Work = fn(&mut Trainer) -> Result<Option<StepReport>, TrainError>;
+
+/// Number of held-out views written as pictures at each evaluation.
+const PICTURE_VIEWS: usize = 3;
 
 impl Run {
     /// Trains to the end. Evaluates and saves on the way, as the configuration says.
@@ -218,7 +221,7 @@ impl Run {
         let (views, step, device) = (&dataset.test, self.trainer.completed_steps(), self.trainer.device());
         let stems = file_stems(views);
         let measures = measures.fitted(self.trainer.corrects_exposure());
-        let shown = evenly_spaced(self.trainer.config().train.picture_views, views.len());
+        let shown = evenly_spaced(PICTURE_VIEWS, views.len());
         let evaluation = evaluate_each(&self.renderer(scene), scene, views, device, measures, |index, render| {
             let Some(record) = self.record.as_ref().filter(|_| shown.contains(&index)) else { return Ok(()) };
             save_png(&comparison(&views[index], render)?, &record.folder.picture(step, &stems[index]))

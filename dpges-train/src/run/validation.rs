@@ -21,7 +21,7 @@ struct Best {
     psnr: f64,
 }
 
-/// What an evaluation of the validation views means.
+/// The verdict of an evaluation of the validation views.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Verdict {
     /// The scene is the best so far.
@@ -59,7 +59,7 @@ impl Validation {
         self.before_last_stage = Some(psnr);
     }
 
-    /// What [`begin_last_stage`](Self::begin_last_stage) was told.
+    /// The value given to [`begin_last_stage`](Self::begin_last_stage).
     pub fn before_last_stage(&self) -> Option<f64> {
         self.before_last_stage
     }

@@ -6,6 +6,7 @@ use dpges_core::scene::schema::{Attribute, Columns};
 use dpges_core::scene::{ColourModel, GaussianData, SceneInfo};
 
 use super::blended::{BlendedStage, ScreenGradients};
+use super::joint::schedule::Schedule;
 use super::joint::{JointStage, SamplingLimits, SkyMasks, Statistics, Supervisions};
 use super::sampling_limit::SamplingLimit;
 use super::{Context, EnvironmentState, TrainError};
@@ -20,7 +21,7 @@ const ERRORS: &str = "errors";
 const SURFEL_LIMIT: &str = "surfel_sampling_limit";
 const GAUSSIAN_LIMIT: &str = "sampling_limit";
 
-/// What a stage adds to the checkpoint of its run.
+/// The part of a stage in the checkpoint of its run.
 pub struct StageCheckpoint {
     pub info: SceneInfo,
     /// Growth decisions of an automatic budget; `None` before the first, and with a fixed budget.
@@ -108,7 +109,7 @@ impl BlendedStage {
             return Err(TrainError::Resume { reason });
         }
         let gradients = ScreenGradients::from_columns([&found[0], &found[1], &found[2]], &context.device);
-        let smoothing_px = context.config.density.smoothing;
+        let smoothing_px = context.config.mip_splatting_px();
         let sampling_limit = limit(&mut columns, GAUSSIAN_LIMIT, gaussians.len(), smoothing_px, context)?;
         let mut stage = Self::new(plan, blended, gaussians, environment, gradients, context);
         stage.sampling_limit = sampling_limit;
@@ -145,7 +146,7 @@ impl JointStage {
         let gaussian_limit = limit(&mut columns, GAUSSIAN_LIMIT, gaussians.len(), smoothing_px, context)?;
         Ok(Self {
             plan,
-            schedule: context.config.schedule(context.dataset.train.len()),
+            schedule: Schedule::new(&context.config, context.dataset.train.len()),
             limits: surfel_limit.zip(gaussian_limit).map(|(surfels, gaussians)| SamplingLimits { surfels, gaussians }),
             surfels,
             gaussians,

@@ -1,4 +1,4 @@
-//! What all stages of a run share.
+//! State that all stages of a run share.
 
 use std::sync::Arc;
 
@@ -15,7 +15,7 @@ use crate::views::depth::DepthMaps;
 use crate::views::exposure::ExposureState;
 use crate::views::pose::PoseState;
 
-/// What all stages of a run share.
+/// State that all stages of a run share.
 pub struct Context {
     /// With the cameras of the training views where they are by now, if their poses are refined.
     pub dataset: Arc<Dataset>,
@@ -24,15 +24,15 @@ pub struct Context {
     pub rng: ChaCha8Rng,
     /// Indices of the views still to come in this pass, last first.
     pub remaining_views: Vec<u32>,
-    /// Of the whole run.
+    /// Completed steps of the whole run.
     pub completed_steps: usize,
-    /// Of the training views, through all stages.
+    /// Exposures of the training views, through all stages.
     pub exposure: ExposureState,
     /// Likewise.
     pub poses: PoseState,
     /// `None` if no depth maps are learnt from.
     pub depth: Option<DepthMaps>,
-    /// Those that stay on a GPU.
+    /// Photographs that stay on a GPU.
     pub photographs: DevicePhotographs,
     /// The largest number of surfels and Gaussians together: that of the [cameras as they were recorded](budget), wherever
     /// they have moved since.
@@ -119,8 +119,8 @@ impl Context {
         }
     }
 
-    /// What shares of the budget before the joint stage are of. With an automatic budget that is `pixels`, half of the
-    /// largest number: growth beyond it has to be worth it.
+    /// The budget whose shares stages before the joint one have. With an automatic budget that is `pixels`, half of the
+    /// largest number: growth beyond it has to justify itself.
     pub fn budget_before_growth(&self) -> usize {
         if self.config.refine.budget == Budget::Auto { self.budget / 2 } else { self.budget }
     }

@@ -39,7 +39,7 @@ pub use step::{StepInput, begin_step};
 pub trait Stage: Send {
     fn plan(&self) -> StagePlan;
 
-    /// What it trains.
+    /// The parameters that it trains.
     fn parameters(&mut self) -> Parameters<'_>;
 
     /// The scene as it stands.
@@ -90,30 +90,30 @@ pub trait Stage: Send {
     fn hand_on(&self, _trained: &mut Trained) {}
 }
 
-/// What a stage makes of a view, on the tape of one step.
+/// A view as a stage renders it, on the tape of one step.
 pub struct ForwardPass {
     /// [1] each; terms that the stage does not have are 0.
     pub losses: Losses,
     /// Leaf beside the parameters whose gradient the stage wants to know.
     pub probe: Option<Tensor<2>>,
-    /// Those of the stage with this view; `None` if it has none.
+    /// Statistics of the stage with this view; `None` if it has none.
     pub statistics: Option<Statistics>,
 }
 
-/// What a view shows beside the gradients of the parameters.
+/// Observations of a view beside the gradients of the parameters.
 pub struct Observed {
-    /// Those of the [forward pass](ForwardPass::statistics).
+    /// Statistics of the [forward pass](ForwardPass::statistics).
     pub statistics: Option<Statistics>,
     /// The gradient of its [probe](ForwardPass::probe).
     pub of_probe: Option<Tensor<2>>,
 }
 
-/// What the stages so far have trained for those to come.
+/// Results of the stages so far for those to come.
 #[derive(Default)]
 pub struct Trained {
     pub discs: Option<GaussianData>,
     pub gaussians: Option<GaussianData>,
-    /// What the next stage begins with; `None` in runs without one.
+    /// The environment that the next stage starts with; `None` in runs without one.
     pub environment: Option<EnvironmentData>,
 }
 

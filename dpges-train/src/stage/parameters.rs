@@ -8,7 +8,7 @@ use dpges_core::scene::{Gaussians, Surfels};
 use super::environment::{EnvironmentGradient, EnvironmentState};
 use crate::optimizer::scene_state::{self, GaussianState, GradientList, Rates, SurfelState};
 
-/// What a stage trains.
+/// The parameters that a stage trains.
 pub struct Parameters<'a> {
     /// Empty in stages without surfels.
     pub surfels: &'a mut SurfelState,

@@ -18,7 +18,7 @@ pub struct PendingStep {
     numbers: Readback<Result<TensorData, String>>,
 }
 
-/// What is known of a step that the device has done.
+/// The results of a step that the device has done.
 pub struct Settled {
     pub report: StepReport,
     /// With respect to the pose of its view; `None` if that is not refined.
@@ -32,7 +32,7 @@ pub struct StepGate {
 }
 
 impl StepGate {
-    /// Of a step with these `gradients` of what has these names.
+    /// The gate of a step with this `loss` and these named `gradients`.
     pub fn new<'a>(loss: &Tensor<1>, gradients: impl Iterator<Item = (&'a str, &'a Tensor<2>)>) -> Self {
         let mut checks = FiniteChecks::default();
         checks.add("loss", &loss.clone().inner());

@@ -13,7 +13,7 @@ use crate::dataset::{PackedPicture, Picture};
 /// The photographs that steps needed first, as many as there is room for. There is none on a CPU, which has nothing to upload.
 #[derive(Debug)]
 pub struct DevicePhotographs {
-    /// What is left of `data.device_memory`, bytes.
+    /// The unused part of `data.device_memory`, bytes.
     room: usize,
     /// By the index of the training view.
     kept: HashMap<usize, PackedPicture>,

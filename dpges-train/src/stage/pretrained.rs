@@ -53,7 +53,7 @@ impl Context {
                 TrainError::Plan(format!("{what} needs discs: set stages.surfels above 0, or stages.surfels_from"))
             };
             if self.config.train.has_geometry_losses() {
-                return Err(needs("train.lambda_depth, .lambda_normal or .lambda_depth_normal"));
+                return Err(needs("train.lambda_disc_depth, .lambda_disc_normal or .lambda_disc_depth_normal"));
             }
             if self.config.stages.gaussians_by == GaussianStage::Rest {
                 return Err(needs("stages.gaussians_by = \"rest\""));

@@ -1,8 +1,8 @@
-//! What one step did.
+//! The report of one step.
 
 use crate::config::StageKind;
 
-/// What one step did.
+/// The report of one step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StepReport {
     /// Completed steps of the run, this one included.
@@ -26,7 +26,7 @@ pub struct StepReport {
     pub surfels: usize,
     /// Number of Gaussians.
     pub gaussians: usize,
-    /// What refinement did before the step, a sentence each.
+    /// Refinements before the step, a sentence each.
     pub events: Vec<String>,
 }
 

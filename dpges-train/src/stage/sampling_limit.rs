@@ -12,7 +12,7 @@ use crate::refine::sampling::finest_pixels;
 /// filter: scales √(s² + f²), and an opacity that keeps its weight. A surfel gets the same scales, which widen its rim; it
 /// stays opaque.
 pub struct SamplingLimit {
-    /// Of a pixel at the primitive, px.
+    /// Width of the filter at the primitive, px.
     smoothing_px: f64,
     /// [N, 1] world units.
     deviations: Tensor<2>,

@@ -17,7 +17,7 @@ use crate::views::depth::DepthTarget;
 use crate::views::exposure::state::{ExposureGradient, photographed};
 use crate::views::pose::state::POSES;
 
-/// What a step learns from.
+/// The inputs of a step.
 #[derive(Clone)]
 pub struct StepInput<'a> {
     /// Steps of the stage that are done.
@@ -27,13 +27,13 @@ pub struct StepInput<'a> {
     pub view: &'a View,
     /// Its photograph, on the device of the tape.
     pub target: Target,
-    /// What is known of the parameters.
+    /// Whether the parameters are known to be finite.
     pub values: Values,
-    /// What a depth map says of the view; `None` if it has none.
+    /// The depth map of the view; `None` if it has none.
     pub depth: Option<DepthTarget>,
     /// [1, 6] the colour correction of the view, on the tape; `None` in runs without any.
     pub exposure: Option<Tensor<2>>,
-    /// What the gradient of the pose of the view arrives at; `None` if poses are not refined.
+    /// Receives the gradient of the pose of the view; `None` if poses are not refined.
     pub pose: Option<&'a PoseProbe>,
 }
 
@@ -49,7 +49,7 @@ impl StepInput<'_> {
     /// The environment [3, H, W] with `coefficients` [(degree + 1)², 3] behind the view.
     ///
     /// # Errors
-    /// Those of [`environment`].
+    /// The errors of [`environment`].
     pub fn environment(&self, coefficients: &Tensor<2>) -> dpges_core::Result<Tensor<3>> {
         match self.pose {
             Some(probe) => environment(&probe.environment(coefficients), &self.view.camera),
@@ -58,7 +58,7 @@ impl StepInput<'_> {
     }
 }
 
-/// What a view says about the parameters, all of it on the device. Nothing has learnt from it yet.
+/// The results of a view for the parameters, all of it on the device. Nothing has learnt from it yet.
 struct Pass {
     losses: Losses,
     of_parameters: ParameterGradients,

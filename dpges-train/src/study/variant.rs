@@ -5,12 +5,11 @@ use toml::{Table, Value};
 use crate::config::sources::preset_text;
 
 /// Keys and sections of a preset that are no part of the method: length of the run, budget, learning rates, environment, output.
-const OF_THE_RUN: [&str; 9] = [
+const OF_THE_RUN: [&str; 8] = [
     "train.steps",
     "train.evaluate_every",
     "train.checkpoint_every",
     "model.environment",
-    "stages.opacities",
     "stages.position_share",
     "stages.surfel_scale",
     "stages.surfel_budget",

@@ -1,4 +1,4 @@
-//! What depth maps beside the photographs say about the depth of a training view.
+//! Depth maps beside the photographs as targets for the depth of a training view.
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use dpges_core::counters::transfers::upload;
@@ -13,8 +13,8 @@ const FEWEST_POINTS: usize = 16;
 /// Variance up to which relative values, which reach 1, are all the same: no line through them means anything.
 const FLAT: f64 = 1e-8;
 
-/// Of the relative map of each training view the scale and the shift that the points of the dataset give it, if they do:
-/// disparity, in 1 / world units, = scale · value + shift.
+/// For the relative map of each training view the scale and the shift that the points of the dataset give it, if they
+/// do: disparity, in 1 / world units, = scale · value + shift.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DepthMaps(Vec<Option<[f64; 2]>>);
 
@@ -92,7 +92,7 @@ fn empty(dataset: &Dataset) -> Vec<&str> {
     dataset.train.iter().filter(is_empty).map(|view| view.name.as_str()).collect()
 }
 
-/// Of each training view the values of its relative map at points of `dataset` that it saw, and their disparities.
+/// For each training view the values of its relative map at points of `dataset` that it saw, and their disparities.
 fn pairs(dataset: &Dataset) -> Vec<Vec<[f64; 2]>> {
     let mut pairs = vec![Vec::new(); dataset.train.len()];
     for (position, seen_by) in dataset.points.positions.iter().zip(&dataset.points.seen_by) {
@@ -128,7 +128,7 @@ impl Context {
         if self.config.train.lambda_depth_maps > 0.0 { DepthMaps::new(&self.dataset) } else { None }
     }
 
-    /// What the map of the training view with index `view` says in the current step, on `device`.
+    /// The target from the map of the training view with index `view` in the current step, on `device`.
     pub fn depth_target(&self, view: usize, device: &Device) -> Option<DepthTarget> {
         let (maps, map) = (self.depth.as_ref()?, self.dataset.train[view].depth.as_ref()?);
         let camera = &self.dataset.train[view].camera;

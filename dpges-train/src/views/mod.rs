@@ -1,4 +1,4 @@
-//! What is learnt or known about each view besides the scene: its pose, its exposure, its depth map.
+//! Properties of each view besides the scene, learnt or known: its pose, its exposure, its depth map.
 
 pub mod corrections;
 pub mod depth;

@@ -20,14 +20,13 @@ use tempfile::TempDir;
 
 /// A run of a few seconds: every kind of event happens, the scene changes its size. On the CPU, where the same seed
 /// gives the same bytes.
-const TINY: [&str; 9] = [
+const TINY: [&str; 8] = [
     "--device=cpu",
     "--max-resolution=32",
     "--steps=60",
     "--set=init.max_points=400",
     "--set=train.evaluate_every=25",
     "--set=train.checkpoint_every=20",
-    "--set=train.picture_views=2",
     "--budget=1500",
     "--seed=3",
 ];

@@ -87,7 +87,7 @@ fn lpips_is_measured_with_a_network_and_worst_views_are_shown() {
     assert!(fails(at, 2, &twice).contains("both hold network `alex`"));
     std::fs::write(at.join("vgg.safetensors"), "no tensors").unwrap();
     let broken = fails(at, 1, &[&eval[..], &["--lpips=vgg.safetensors"]].concat());
-    assert!(broken.contains("vgg.safetensors") && broken.contains("docs/metrics.md"), "{broken}");
+    assert!(broken.contains("vgg.safetensors") && broken.contains("docs/guide/measure.md"), "{broken}");
     let scene = fails(at, 1, &[&eval[..], &["--lpips=run/scene.safetensors"]].concat());
     assert!(scene.contains("run/scene.safetensors") && scene.contains("`network`"), "{scene}");
 }

@@ -26,7 +26,7 @@ fn a_run_writes_everything_and_can_be_measured_and_shown() {
     assert_eq!(steps("evaluation"), [24, 25, 50, 60]);
     assert!([10, 20, 30, 40, 50, 60].iter().all(|step| steps("step").contains(step)));
     assert!(lines.iter().any(|line| line.contains_key("events")), "refinement is logged");
-    assert_eq!(png_names(&run.join("pictures")).len(), 4 * 2);
+    assert_eq!(png_names(&run.join("pictures")).len(), 4 * 3);
 
     let written = json(run.join("eval.json"));
     let size = bytes(run.join("scene.safetensors")).len() as u64;
@@ -89,9 +89,6 @@ fn equal_seeds_give_equal_files_and_a_run_is_not_overwritten_by_accident() {
     assert!(is_equal(at.join("a/checkpoint.safetensors"), at.join("b/checkpoint.safetensors")));
     let message = fails(at, 1, &["train", "--out", "a"]);
     assert!(message.contains("--overwrite") && message.contains("--resume"), "{message}");
-    train(at, "c", &["--quiet", "--deterministic"]);
-    assert!(String::from_utf8(bytes(at.join("c/config.toml"))).unwrap().contains("deterministic = true"));
-    assert!(is_equal(at.join("a/scene.safetensors"), at.join("c/scene.safetensors")), "CPUs always are");
     train(at, "a", &["--seed=4", "--overwrite"]);
     assert!(!is_equal(at.join("a/scene.safetensors"), at.join("b/scene.safetensors")));
 }

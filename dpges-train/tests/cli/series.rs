@@ -12,7 +12,7 @@ use super::{start, wait_until};
 fn a_series_begins_with_no_run_if_one_cannot_be_trained() {
     let folder = folder();
     let at = folder.path();
-    let lens = ["--set=data.builtin_lens=fisheye", "--set=data.undistort=false"];
+    let lens = ["builtin:lens=fisheye", "--set=data.undistort=false"];
     let compare = ["compare", "--out=study", "--device=cpu", "--steps=5", "--max-resolution=32"];
     let message = fails(at, 1, &[&compare[..], &["--methods=dpges,2dgs"], &lens].concat());
     for part in ["2dgs: discs cannot be seen through a lens", "data.undistort", "leave it out"] {

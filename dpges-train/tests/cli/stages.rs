@@ -1,4 +1,4 @@
-//! What stages leave, and what decides about their lengths and budgets.
+//! Results of stages, and decisions about their lengths and budgets.
 
 use serde_json::Value;
 

@@ -1,4 +1,4 @@
-//! What is wrong or missing is refused and named.
+//! Wrong or missing arguments are rejected and named.
 
 use image::{Rgba, RgbaImage};
 use serde_json::{Value, json};

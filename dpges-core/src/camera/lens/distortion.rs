@@ -1,4 +1,4 @@
-//! What a lens does to positions on the picture.
+//! The distortion of positions by a lens.
 
 use serde::{Deserialize, Serialize};
 
@@ -75,7 +75,7 @@ impl Distortion {
         [value, slope, (n2 - 2.0 * slope * d1 - value * d2) / d0]
     }
 
-    /// What is tangential of a position, and what the prisms add.
+    /// Tangential and thin-prism shift of a position.
     fn shift(&self, u: f64, v: f64) -> [f64; 2] {
         let m = u * u + v * v;
         let ([p1, p2], [s1, s2], [t1, t2]) = (self.tangential, self.thin_prism, self.thin_prism_quartic);
@@ -124,7 +124,7 @@ impl Distortion {
         ]
     }
 
-    /// What is moved aside of an undistorted position whose radius has this factor.
+    /// The position at which the shift is evaluated, for an undistorted position whose radius has this factor.
     fn shifted(&self, a: f64, b: f64, factor: f64) -> [f64; 2] {
         if self.in_sequence { [a * factor, b * factor] } else { [a, b] }
     }

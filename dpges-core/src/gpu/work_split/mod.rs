@@ -1,5 +1,5 @@
 //! Gathering from primitives of very different sizes: the pixels of every rectangle in pieces of about the same size,
-//! each for [`WORKERS`] units. What is gathered in pieces is added up for each primitive afterwards, in a fixed order.
+//! each for [`WORKERS`] units. Sums of pieces are added up for each primitive afterwards, in a fixed order.
 //!
 //! The size of a piece grows with the area of all rectangles, so that the number of pieces has a bound that does not
 //! depend on them, and the host need not wait for it.

@@ -5,7 +5,7 @@
 //! Nothing changes unless a gate on the device is 1: a bad gradient is held back without reading it back.
 //!
 //! The step is an operation because it works in place. Tensor operations take four times as long and hold
-//! several copies of every attribute (`benches/README.md`).
+//! several copies of every attribute (`dpges-train/docs/log/2026-11-24-benchmarks.md`).
 
 mod cpu;
 #[cfg(feature = "gpu")]

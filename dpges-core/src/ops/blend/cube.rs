@@ -42,14 +42,14 @@ impl Thresholds {
     }
 }
 
-/// What a pixel sums, by place in an array: transmittance behind the last fragment, then the planes but for alpha.
+/// Sums of a pixel, by place in an array: transmittance behind the last fragment, then the planes but for alpha.
 const THROUGH: usize = 0;
 const COLOUR: usize = 1;
 const DEPTH: usize = 4;
 const NORMAL: usize = 5;
 const DISTORTION: usize = 8;
 const MEDIAN: usize = 9;
-/// Of distortion: 1 / z of the first fragment; sums of αT, αT m, αT m² with m relative to that.
+/// For distortion: 1 / z of the first fragment; sums of αT, αT m, αT m² with m relative to that.
 const REFERENCE: usize = 10;
 const TOTAL: usize = 11;
 const FIRST_MOMENT: usize = 12;

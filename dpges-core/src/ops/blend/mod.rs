@@ -55,7 +55,7 @@ use crate::tiles::capacity::within_capacity;
 
 /// Red, green, blue, alpha.
 pub const COLOUR_PLANES: usize = 4;
-/// Those, expected depth, three of the normal, distortion.
+/// The planes above, expected depth, three of the normal, distortion.
 pub const ALL_PLANES: usize = 9;
 pub const ALPHA_PLANE: usize = 3;
 pub const DEPTH_PLANE: usize = 4;
@@ -88,7 +88,7 @@ pub enum Form {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BlendOptions {
     pub form: Form,
-    /// Of ellipsoids.
+    /// The filter of ellipsoids.
     pub filter: ScreenFilter,
     /// Largest α of a fragment; above 0, at most [`HIGHEST_MAX_ALPHA`].
     pub max_alpha: f64,

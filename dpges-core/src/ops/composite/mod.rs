@@ -11,7 +11,7 @@
 //! opacities. All outputs of a call go back together: a loss of several of them is one `backward`, not one for each.
 //!
 //! Compositing is an operation because burn-ndarray takes over ten times as long for the same tensor
-//! operations (burn-flex does not): see `benches/README.md`.
+//! operations (burn-flex does not): see `dpges-train/docs/log/2026-11-24-benchmarks.md`.
 
 mod backward;
 mod cpu;

@@ -33,7 +33,7 @@ impl<T: Real> Directions<T> {
         }
     }
 
-    /// Of [`LANES`] pixels of row `y`, from column `x` on; 0 where there is no ray.
+    /// Rays of [`LANES`] pixels of row `y`, from column `x` on; 0 where there is no ray.
     #[inline(always)]
     fn of(&self, x: usize, y: usize) -> [V3<T>; LANES] {
         let half = T::of(0.5);

@@ -1,4 +1,4 @@
-//! What turning does to coefficients of spherical harmonics, for small angles.
+//! The rotation of coefficients of spherical harmonics by small angles.
 
 use std::f64::consts::{FRAC_PI_4, FRAC_PI_8};
 use std::sync::LazyLock;
@@ -14,7 +14,7 @@ const ALL: usize = EnvironmentData::coefficient_count(EnvironmentData::MAX_DEGRE
 /// polynomials of degree 3 in either, which 8 samples determine.
 const SAMPLES: usize = 8;
 
-/// Of each axis the matrix [ALL × ALL] of [`generators`].
+/// For each axis the matrix [ALL × ALL] of [`generators`].
 static GENERATORS: LazyLock<[[[f64; ALL]; ALL]; 3]> = LazyLock::new(|| DVec3::AXES.map(generator));
 
 /// For each axis of the world a matrix [`count` × `count`], by rows: how fast the first `count` coefficients change, rad⁻¹,

@@ -49,7 +49,7 @@ pub struct FiniteChecks {
     names: Vec<String>,
     tensors: Vec<FloatTensor<Dispatch>>,
     row_lens: Vec<usize>,
-    /// Of the first tensor.
+    /// The device of the first tensor.
     device: Option<Device>,
 }
 
@@ -77,7 +77,7 @@ impl FiniteChecks {
     }
 }
 
-/// What [`FiniteChecks`] found. It stays on the device until it is asked for.
+/// The results of [`FiniteChecks`]. They stay on the device until they are read.
 #[derive(Clone)]
 pub struct FiniteResults {
     names: Vec<String>,
@@ -124,7 +124,7 @@ impl FiniteResults {
 /// Launches `checks` and reads the results.
 ///
 /// # Errors
-/// Those of [`FiniteResults::check`].
+/// The errors of [`FiniteResults::check`].
 pub fn check_finite(checks: FiniteChecks) -> Result<()> {
     if checks.names.is_empty() { Ok(()) } else { checks.launch().check() }
 }

@@ -43,7 +43,7 @@ pub struct PeelOptions {
 }
 
 impl Default for PeelOptions {
-    /// Those of DP-GES: 3 layers, w = 30, footprint to G = 1/255, no backstop.
+    /// The options of DP-GES: 3 layers, w = 30, footprint to G = 1/255, no backstop.
     fn default() -> Self {
         Self { layer_count: 3, modulation: 30.0, footprint: Footprint::Kernel, backstop: false }
     }

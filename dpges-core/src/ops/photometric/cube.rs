@@ -29,7 +29,7 @@ const ROWS: usize = (PADDED * TILE) as usize;
 const MEANS: usize = 4;
 /// Partial derivatives of SSIM: [`PhotometricOutput::partials`].
 const PARTIALS: usize = 3;
-/// What a cube adds up: absolute differences, SSIM, squared errors.
+/// Sums of a cube: absolute differences, SSIM, squared errors.
 const SUMS: usize = 3;
 /// Neighbours along a row that a unit finds the windows of together.
 const ACROSS: u32 = 2;

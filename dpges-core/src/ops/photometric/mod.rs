@@ -89,7 +89,7 @@ pub trait PhotometricBackwardOps: Backend {
     ) -> FloatTensor<Self>;
 }
 
-/// What [`photometric`] finds, `[1]` each.
+/// The results of [`photometric`], `[1]` each.
 #[derive(Clone, Debug)]
 pub struct Photometric {
     /// The weighted sum.

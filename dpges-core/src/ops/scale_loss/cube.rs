@@ -12,7 +12,7 @@ use crate::gpu::launch::{UNITS, buffer, cube_dim, cubes, empty_f32, floats, unit
 use crate::gpu::reduce::{max_units, parts, sum_parts, sum_units};
 
 const LINEAR_FROM_F32: f32 = LINEAR_FROM as f32;
-/// What a cube finds of its log-scales: the largest, and the sum of their exponentials relative to it.
+/// Results of a cube from its log-scales: the largest, and the sum of their exponentials relative to it.
 const FOUND: usize = 2;
 
 #[cube(launch)]

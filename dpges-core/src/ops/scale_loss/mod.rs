@@ -51,7 +51,7 @@ pub trait ScaleLossBackwardOps: Backend {
     ) -> FloatTensor<Self>;
 }
 
-/// What [`scale_loss`] finds, `[1]` each.
+/// The results of [`scale_loss`], `[1]` each.
 #[derive(Clone, Debug)]
 pub struct ScaleLoss {
     /// L_scale times its weight.

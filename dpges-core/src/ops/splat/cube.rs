@@ -33,7 +33,7 @@ const CHANNELS: usize = 4;
 const COLOUR: usize = 3;
 /// A splat and its colour.
 const STAGED: usize = SPLAT + COLOUR;
-/// What is gathered for a Gaussian: moments and the gradient of its colour.
+/// Sums gathered for a Gaussian: moments and the gradient of its colour.
 const SUMS: usize = MOMENTS + COLOUR;
 
 /// Depth at and behind which no pixel of a tile sees a Gaussian: the largest of its last limits.

@@ -77,7 +77,7 @@ pub fn splat(gaussians: &Gaussians, colours: &Tensor<2>, limits: &Tensor<3>, cam
 /// [K, H, W] is the weight of interval k in the pixel, T_k / (1 + W_G) (GES, pruning). No gradient.
 ///
 /// # Errors
-/// Those of [`splat`](fn@splat).
+/// The errors of [`splat`](fn@splat).
 pub fn contributions(
     gaussians: &Gaussians,
     colours: &Tensor<2>,

@@ -100,7 +100,7 @@ fn backward<T: Real>(inputs: &Inputs<T>, layers: usize, grad: T, weights: &Surfe
     [grad_image, grad_transmittance.map(of_transmittance).collect()]
 }
 
-/// What a term of this weight adds to the sum.
+/// The summand of a term of this weight.
 fn term<T: Real>(value: T, weight: f64) -> T {
     if weight == 0.0 { T::zero() } else { value * T::of(weight) }
 }

@@ -15,7 +15,7 @@ use crate::gpu::mask::counts;
 use crate::gpu::reduce::{parts, sum_parts, sum_units};
 use crate::gpu::vector::sign;
 
-/// What a cube adds up: absolute differences and squares of opacities.
+/// Sums of a cube: absolute differences and squares of opacities.
 const SUMS: usize = 2;
 
 #[cube(launch)]

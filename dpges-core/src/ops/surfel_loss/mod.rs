@@ -27,9 +27,9 @@ const FEWEST_LAYERS: usize = 2;
 /// Without gradients.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SurfelLossWeights {
-    /// Of L_s in the sum.
+    /// Weight of L_s.
     pub image: f64,
-    /// Of L_t in the sum.
+    /// Weight of L_t.
     pub transmittance: f64,
     /// Number of all pixels over the number of those that count.
     pub pixels_per_counted: f64,
@@ -88,7 +88,7 @@ pub trait SurfelLossBackwardOps: Backend {
     ) -> SurfelLossGradients<Self>;
 }
 
-/// What [`surfel_loss`] finds, `[1]` each.
+/// The results of [`surfel_loss`], `[1]` each.
 #[derive(Clone, Debug)]
 pub struct SurfelLoss {
     /// The weighted sum; a term of weight 0 is not part of it.

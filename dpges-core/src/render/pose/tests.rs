@@ -14,7 +14,7 @@ use crate::testing::gradients::{check, leaf};
 use crate::testing::random::Random;
 use crate::testing::scenes::{Recipe, TestScene, random};
 
-/// What is rendered.
+/// The kind of scene that is rendered.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Kind {
     Peeled,

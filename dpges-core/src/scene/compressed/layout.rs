@@ -1,4 +1,4 @@
-//! What the header of a compressed scene says, and how every attribute is kept.
+//! The header of a compressed scene, and the storage of every attribute.
 
 use serde::{Deserialize, Serialize};
 
@@ -36,7 +36,7 @@ impl Layout {
     /// the file, whatever it claims.
     ///
     /// # Errors
-    /// What is wrong.
+    /// A message that names the problem.
     pub fn check(&self, model: ColourModel, file_len: usize) -> Result<(), String> {
         self.bits.check().map_err(|error| error.to_string())?;
         if self.block_len == 0 {

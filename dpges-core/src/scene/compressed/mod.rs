@@ -40,8 +40,8 @@
 //! # Errors of a number
 //!
 //! Half a step: (high − low) / (2^b − 1) / 2 of its block, and one rounding of f32. Half a step of the three smallest
-//! components of a unit quaternion is 1/√2 / (2^b − 2); its length and its sign, which mean nothing, are lost. What is equal
-//! throughout a block, the bounds of a block, counts of lobes, and the environment are exact.
+//! components of a unit quaternion is 1/√2 / (2^b − 2); its length and its sign, which mean nothing, are lost. Numbers that are
+//! equal throughout a block, the bounds of a block, counts of lobes, and the environment are exact.
 //!
 //! # Files of strangers
 //!
@@ -78,14 +78,14 @@ pub(super) const FORMAT: &str = "dpges-scene-compressed";
 pub(super) const VERSION: &str = "1";
 /// Entry of the metadata.
 const LAYOUT: &str = "compressed";
-/// Of a count of lobes.
+/// Bits of a count of lobes.
 const COUNT_BITS: u8 = 8;
 
 impl SceneData {
     /// Writes the compressed scene file; an existing file is replaced only once the new one is complete.
     ///
     /// # Errors
-    /// Those of [`to_compressed`](Self::to_compressed), [`Error::Io`].
+    /// The errors of [`to_compressed`](Self::to_compressed), [`Error::Io`].
     pub fn save_compressed(&self, path: &Path, quality: &Quality) -> Result<()> {
         let bytes = self.to_compressed(quality, path)?;
         write_atomically(path, |file| file.write_all(&bytes))
@@ -150,7 +150,7 @@ fn store<C: Columns<Value = Vec<f32>>>(
 /// The primitives of a compressed file of `file_len` bytes.
 ///
 /// # Errors
-/// What is wrong, naming the tensor where there is one.
+/// A message that names the problem, and the tensor where there is one.
 pub(super) fn read(
     file: &SafeTensors,
     metadata: &HashMap<String, String>,

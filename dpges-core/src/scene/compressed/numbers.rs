@@ -39,7 +39,7 @@ pub fn encode(values: &[f32], groups: &[usize], bits: u8, block_len: usize) -> V
 /// rounding of `f32`. What comes out lies within the bounds.
 ///
 /// # Errors
-/// What is wrong with `bytes`: bounds of a block that are missing, not finite, or the wrong way round, or see
+/// A message about `bytes`: bounds of a block that are missing, not finite, or the wrong way round, or see
 /// [`planes::decode`].
 pub fn decode(bytes: &[u8], rows: usize, groups: &[usize], bits: u8, block_len: usize) -> Result<Vec<f32>, String> {
     let width: usize = groups.iter().sum();

@@ -6,9 +6,9 @@ use miniz_oxide::deflate::core::{
 };
 use miniz_oxide::inflate::{TINFLStatus, decompress_to_vec_zlib_with_limit};
 
-/// Of deflate, up to 10.
+/// Effort of deflate, up to 10.
 const EFFORT: i32 = 9;
-/// Of the window of deflate; that it is not 0 asks for a zlib stream.
+/// Window of deflate; a value other than 0 asks for a zlib stream.
 const WINDOW_BITS: i32 = 15;
 
 /// The largest symbol of `bits`.
@@ -42,7 +42,7 @@ pub fn encode(symbols: &[u32], bits: &[u8]) -> Vec<u8> {
 /// Undoes [`encode`] for a number of `rows`, never holding more than is expected.
 ///
 /// # Errors
-/// What is wrong with `encoded`: too short, too long, not a zlib stream, a stream of another number of rows, a symbol of
+/// A message about `encoded`: too short, too long, not a zlib stream, a stream of another number of rows, a symbol of
 /// too many bits.
 pub fn decode(encoded: &[u8], rows: usize, bits: &[u8]) -> Result<Vec<u32>, String> {
     let mut symbols = vec![0; rows * bits.len()];

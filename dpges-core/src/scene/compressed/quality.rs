@@ -11,14 +11,14 @@ use crate::scene::schema::RateGroup;
 #[serde(deny_unknown_fields)]
 pub struct Quality {
     pub positions: u8,
-    /// Of each of the three smallest components of a rotation.
+    /// Bits of each of the three smallest components of a rotation.
     pub quaternions: u8,
     pub log_scales: u8,
     pub opacities: u8,
-    /// Of the depth margins, and of whatever else does not learn.
+    /// Bits of the depth margins, and of everything else that does not learn.
     pub margins: u8,
     pub base: u8,
-    /// Of lobes, or of the higher coefficients of harmonics.
+    /// Bits of lobes, or of the higher coefficients of harmonics.
     pub detail: u8,
 }
 

@@ -14,9 +14,9 @@ pub const fn bits(bits: u8) -> [u8; LEN] {
 
 /// Symbols of `quaternions` [N, 4], which need not have unit length, of `bits` per component: N × 4, as [`bits()`] says.
 ///
-/// Of the two quaternions of a rotation the one with a positive largest component is meant, and that component follows
-/// from the others, which lie between −1/√2 and 1/√2. Their 2^bits − 1 levels include 0. A quaternion of zeros has no
-/// rotation, and becomes that of none.
+/// A rotation has two quaternions; the one with a positive largest component is stored, and that component follows from
+/// the others, which lie between −1/√2 and 1/√2. Their 2^bits − 1 levels include 0. A quaternion of zeros has no
+/// rotation, and becomes the identity.
 pub fn encode(quaternions: &[f32], bits: u8) -> Vec<u32> {
     let half = half_levels(bits);
     let mut symbols = Vec::with_capacity(quaternions.len());

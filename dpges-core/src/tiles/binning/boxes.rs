@@ -113,7 +113,7 @@ impl Found {
     }
 }
 
-/// What an operation has found for the next one that gathers over the same layers.
+/// Rectangles that an operation found, for the next one that gathers over the same layers.
 static FOUND: Mutex<Option<Found>> = Mutex::new(None);
 
 /// Pieces of the boxes around the pixels of `ids` [K, H, W] that belong to each of `count` surfels. Compositing and peeling go

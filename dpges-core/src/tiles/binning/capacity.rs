@@ -18,7 +18,7 @@ use crate::gpu::launch::largest_buffer;
 use crate::tiles::capacity::{exceed, too_many_entries};
 use crate::tiles::lists::{is_deferred, postpone};
 
-/// Whose lists: those of surfels, of discs and of Gaussians have different lengths.
+/// The kind of a list: lists of surfels, discs and Gaussians have different lengths.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum ListKind {
     Surfels,
@@ -108,7 +108,7 @@ fn begin_readback(starts: &CubeTensor) -> Length {
     })
 }
 
-/// What was read, counted as a download.
+/// Reads a length, counted as a download.
 fn downloaded(length: Length) -> usize {
     let entries = length.arrived().expect("the device answers");
     download(TensorData::new(vec![entries], [1]));

@@ -10,7 +10,7 @@ pub const BLOCK_LEN: usize = (BLOCK * BLOCK * BLOCK) as usize;
 /// Place of a block: that of its first voxel divided by [`BLOCK`]. Voxel (i, j, k) lies at (i, j, k) × voxel.
 pub type BlockKey = [i32; 3];
 
-/// What a voxel knows.
+/// The state of a voxel.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Voxel {
     /// Mean signed distance from the surface, in units of the truncation: positive where it was seen, at most 1.

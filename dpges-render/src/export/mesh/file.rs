@@ -10,7 +10,7 @@ use super::super::error::ExportError;
 use super::super::glb::{Column, GlbBuilder};
 use super::TriangleMesh;
 
-/// What files say about themselves.
+/// The comment in files.
 const NOTE: &str = "Mesh of the surfels alone: what Gaussians draw is missing";
 
 impl TriangleMesh {

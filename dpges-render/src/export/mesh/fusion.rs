@@ -33,7 +33,7 @@ impl FusionOptions {
     }
 }
 
-/// What surfels look like from one camera, in the coordinates of the scene.
+/// Surfels from one camera, in the coordinates of the scene.
 #[derive(Clone, Copy, Debug)]
 pub struct DepthView<'a> {
     pub camera: &'a Camera,

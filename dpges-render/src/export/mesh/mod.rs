@@ -1,7 +1,7 @@
 //! A mesh of the surfels: their rendered depths are [fused](Fusion) into a truncated signed distance field, and surface
 //! nets make triangles of it.
 //!
-//! What surfels do not show, a mesh does not have: what Gaussians alone draw is missing, and holes stay holes.
+//! A mesh shows surfels only: details of Gaussians are missing, and holes stay holes.
 
 mod depth_map;
 mod field;

@@ -32,12 +32,12 @@ use super::error::ExportError;
 const MAGIC: [u8; 4] = *b"NGSP";
 const HEADER_LEN: usize = 32;
 const LEGACY_HEADER_LEN: usize = 16;
-/// Of the table: compressed and plain size.
+/// Size of an entry of the table: compressed and plain size.
 const ENTRY_LEN: usize = 16;
 /// The splats are made for a low-pass filter that dims what it widens (Mip-Splatting).
 const ANTIALIASED: u8 = 1;
 const HAS_EXTENSIONS: u8 = 2;
-/// What Niantic's library compresses with.
+/// Level that Niantic's library uses.
 const ZSTD_LEVEL: i32 = 12;
 
 /// Versions that are written.
@@ -50,7 +50,7 @@ pub enum SpzVersion {
     Four,
 }
 
-/// What both headers say.
+/// The fields of both headers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Header {
     count: u32,

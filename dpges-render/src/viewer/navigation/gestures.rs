@@ -1,4 +1,4 @@
-//! What mouse, touchpad, touch screen and keys of egui mean for a view.
+//! The meaning of mouse, touchpad, touch screen and keys of egui for a view.
 
 use std::f64::consts::PI;
 
@@ -20,7 +20,7 @@ const WALK: f64 = 0.8;
 const TURN: f64 = 1.2;
 const FASTER: f64 = 4.0;
 
-/// What the hands do to the picture of `response`. Keys count only if `takes_keys`.
+/// Gestures on the picture of `response`. Keys count only if `takes_keys`.
 pub fn gestures(ui: &Ui, response: &Response, mode: Mode, takes_keys: bool) -> Input {
     let height = f64::from(response.rect.height()).max(1.0);
     let mut input = Input::default();

@@ -1,4 +1,4 @@
-//! What hands and inertia do to a view: an amount, or an amount per second.
+//! Motions of a view by hands and inertia: an amount, or an amount per second.
 
 use std::ops::{Add, Mul};
 

@@ -16,7 +16,7 @@ const DRAG: f64 = 0.04;
 /// Longest step, s: a slow frame does not throw the view.
 const LONGEST_STEP: f64 = 0.2;
 
-/// What dragging turns about.
+/// The centre about which dragging turns.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Mode {
     /// The focus.
@@ -26,7 +26,7 @@ pub enum Mode {
     Fly,
 }
 
-/// What the hands do in one frame.
+/// The input of one frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Input {
     /// Way of the fingers or the mouse since the last frame; followed at once.

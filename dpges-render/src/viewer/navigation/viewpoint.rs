@@ -83,7 +83,7 @@ impl Lens {
     }
 }
 
-/// What a motion needs to know of the scene.
+/// The properties of a scene that motions depend on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Surroundings {
     /// Unit vector upwards, about which views turn.

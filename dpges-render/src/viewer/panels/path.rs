@@ -6,7 +6,7 @@ use super::super::dialogs::Purpose;
 use super::super::navigation::Viewpoint;
 use super::super::state::State;
 
-/// What was asked of a key camera.
+/// A request for a key camera.
 enum Request {
     Show(usize),
     Remove(usize),

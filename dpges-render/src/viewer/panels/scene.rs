@@ -1,4 +1,4 @@
-//! What is drawn, and how.
+//! Options of the picture.
 
 use dpges_core::scene::{Footprint, Rendering};
 use egui::{ComboBox, Slider, Ui};

@@ -35,7 +35,7 @@ pub fn show(state: &mut State, ui: &mut Ui) {
     }
 }
 
-/// What each pass of the last frame took on the GPU.
+/// Times of the passes of the last frame on the GPU.
 fn passes(state: &State, ui: &mut Ui) {
     let Some(frame) = state.frame_times.last() else { return };
     let Some(sum) = frame.gpu_ms() else {

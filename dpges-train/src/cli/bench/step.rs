@@ -29,7 +29,7 @@ const REALISTIC_SIZE: Size = Size { width: 400, height: 400 };
 
 /// Measure a training step: time, and on a GPU launches, transfers and memory
 ///
-/// The scene learns its own pictures, a little darker, and is not refined. docs/step.md explains every figure.
+/// The scene learns its own pictures, a little darker, and is not refined. docs/guide/measure.md explains every figure.
 #[derive(Debug, Args)]
 pub struct BenchStepArgs {
     /// Scene file or folder of a run; `builtin` (the built-in scene as its training begins), or `realistic` (a room of as

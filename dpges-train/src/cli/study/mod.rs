@@ -88,7 +88,7 @@ impl StudyArgs {
     /// The device and the data, read as `config` says.
     fn load(&self, config: &Config, style: LogStyle) -> Result<Training> {
         let name = device_choice::select(self.device)?;
-        sfm::prepare(self.dataset.as_deref(), &config.data, style)?;
+        sfm::prepare(self.dataset.as_deref(), &self.options.sfm(config), style)?;
         Training::new(self.source(), config, name, name.open()?, style, watch_for_interrupts()?)
     }
 

@@ -98,7 +98,7 @@ impl TrainArgs {
                 let name = name.or_else(|| Some(path.file_name()?.to_string_lossy().into_owned()));
                 Path::new("runs").join(name.unwrap_or_else(|| "dataset".to_owned()))
             }
-            Source::Builtin => PathBuf::from("runs/builtin"),
+            Source::Builtin | Source::Altered(_) => PathBuf::from("runs/builtin"),
         };
         RunFolder::new(self.out.clone().unwrap_or_else(named))
     }
@@ -125,7 +125,7 @@ impl TrainArgs {
             })?;
         }
         let device = device_choice::select(self.device.unwrap_or_default())?;
-        sfm::prepare(self.dataset.as_deref(), &config.data, style)?;
+        sfm::prepare(self.dataset.as_deref(), &self.options.sfm(&config), style)?;
         let opened = device.open()?;
         let dataset = Arc::new(source.load_for_training(&config)?);
         let pursue = |target: &Target| target.pursue(&mut config, &dataset, &opened);

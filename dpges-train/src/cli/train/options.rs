@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use dpges_train::config::{Config, key};
+use dpges_train::dataset::capture::Options;
 
 use super::super::Result;
 use super::super::data::{DataArgs, Source, assigned};
@@ -11,20 +12,18 @@ use super::super::sfm::SfmOptions;
 
 /// Defaults for the built-in scene: about two minutes of training.
 const BUILTIN_DEFAULTS: [&str; 4] =
-    ["train.steps=2000", "train.evaluate_every=500", "train.checkpoint_every=500", "refine.surfel_min_pixels=1"];
+    ["train.steps=2000", "train.evaluate_every=500", "train.checkpoint_every=500", "refine.surfel_pixels=1px/MP"];
 
 /// Options that select and change the configuration. Those that set a key take their help from its declaration.
 #[derive(Debug, Args)]
 pub struct ConfigArgs {
     #[arg(long, value_name = "N", help = key("train.steps").help())]
     steps: Option<usize>,
-    /// Make the run F times as long; the steps in `[discs]`, `[relocation]`, `[density]` and `[refine]` scale with it
+    /// Make the run F times as long; the schedules of its stages and the steps in `[refine]` scale with it
     #[arg(long, value_name = "F", value_parser = factor, allow_negative_numbers = true, conflicts_with = "steps")]
     steps_scale: Option<f64>,
     #[arg(long, value_name = "S", help = key("train.seed").help())]
     seed: Option<u64>,
-    #[arg(long, help = key("train.deterministic").help())]
-    deterministic: bool,
     /// Configuration that comes with the program, such as cpu; `dpges config --markdown` lists them
     #[arg(long, value_name = "NAME")]
     preset: Option<String>,
@@ -71,6 +70,11 @@ impl ConfigArgs {
         self.steps.is_some() || self.steps_scale.is_some()
     }
 
+    /// How cameras are found where photographs of a run of `config` have none.
+    pub fn sfm(&self, config: &Config) -> Options {
+        self.sfm.options(config.data.invert_masks)
+    }
+
     /// The configuration for a dataset, with `more` (`key=value`) on top.
     pub fn resolve(&self, source: &Source, more: &[String]) -> Result<Config> {
         let mut config = self.resolved(of_dataset(source), self.config.as_deref(), more)?;
@@ -88,7 +92,6 @@ impl ConfigArgs {
     fn resolved(&self, of_dataset: &[&str], file: Option<&Path>, more: &[String]) -> Result<Config> {
         let mut set = self.set.clone();
         set.extend(self.data.assignments());
-        set.extend(self.sfm.assignments());
         let path = |path: &Option<PathBuf>| {
             let path = path.as_ref()?;
             Some(std::path::absolute(path).unwrap_or_else(|_| path.clone()).display().to_string())
@@ -96,7 +99,6 @@ impl ConfigArgs {
         set.extend(assigned([
             ("train.steps", self.steps.map(|steps| steps.to_string())),
             ("train.seed", self.seed.map(|seed| seed.to_string())),
-            ("train.deterministic", self.deterministic.then(|| "true".to_owned())),
             ("refine.budget", self.budget.clone()),
             ("train.method", self.method.clone()),
             ("train.stop", self.stop.clone()),
@@ -111,7 +113,7 @@ impl ConfigArgs {
 /// Defaults for the kind of dataset, as `key=value`.
 pub fn of_dataset(source: &Source) -> &'static [&'static str] {
     match source {
-        Source::Builtin => &BUILTIN_DEFAULTS,
+        Source::Builtin | Source::Altered(_) => &BUILTIN_DEFAULTS,
         Source::Folder(_) => &[],
     }
 }

@@ -40,10 +40,10 @@ pub struct BuiltinOptions {
     pub supersampling: usize,
     /// Largest change of exposure of a view, up or down, stops of linear light.
     pub exposure_stops: f64,
-    /// By how much training cameras are turned away from where they took their photographs, by root mean square, degrees.
-    /// The mean of their rotation vectors is 0.
+    /// Root-mean-square rotation of training cameras from where they took their photographs, degrees. The mean of their
+    /// rotation vectors is 0.
     pub pose_degrees: f64,
-    /// By how much they are shifted, likewise, extents.
+    /// Root-mean-square translation of training cameras, extents.
     pub pose_extents: f64,
     /// Depth maps of the training views: exact, but for their steps. Relative ones are scaled and shifted from view to
     /// view.
@@ -70,6 +70,38 @@ impl Default for BuiltinOptions {
             seed: 1,
             fisheye: false,
         }
+    }
+}
+
+impl BuiltinOptions {
+    /// With `changes` to the photographs and cameras, for tests of what corrects them: any of `lens=fisheye`,
+    /// `exposure_stops=0.5` (0 to 4), `pose_degrees=0.2` (0 to 10) and `pose_extents=0.005` (0 to 0.1), with commas in between.
+    ///
+    /// # Errors
+    /// A sentence that names the change that is none.
+    pub fn altered(mut self, changes: &str) -> Result<Self, String> {
+        for change in changes.split(',').filter(|change| !change.is_empty()) {
+            let named = match change.split_once('=') {
+                Some(("lens", "fisheye")) => {
+                    self.fisheye = true;
+                    continue;
+                }
+                Some(("exposure_stops", stops)) => Some((&mut self.exposure_stops, 4.0, stops)),
+                Some(("pose_degrees", degrees)) => Some((&mut self.pose_degrees, 10.0, degrees)),
+                Some(("pose_extents", extents)) => Some((&mut self.pose_extents, 0.1, extents)),
+                _ => None,
+            };
+            let number = |text: &str, most: f64| text.parse().ok().filter(|number| (0.0..=most).contains(number));
+            let Some((option, value)) = named.and_then(|(option, most, text)| Some((option, number(text, most)?)))
+            else {
+                return Err(format!(
+                    "the built-in scene has no change `{change}`: there are lens=fisheye, exposure_stops=0.5 (up to 4), \
+                     pose_degrees=0.2 (up to 10) and pose_extents=0.005 (up to 0.1)"
+                ));
+            };
+            *option = value;
+        }
+        Ok(self)
     }
 }
 
@@ -172,7 +204,7 @@ fn hit(camera: &Camera, x: f64, y: f64) -> Hit {
     trace(eye, camera.unproject(x, y, 1.0) - eye)
 }
 
-/// What `camera` sees, with an exposure changed by `stops`.
+/// The photograph of `camera`, with an exposure changed by `stops`.
 fn photograph(camera: &Camera, supersampling: usize, stops: f64) -> Picture {
     let (width, height) = (camera.width, camera.height);
     let pixels = width * height;
@@ -235,6 +267,17 @@ mod tests {
     use glam::DQuat;
 
     use super::*;
+
+    #[test]
+    fn changes_are_named_and_others_refused() {
+        let changed = BuiltinOptions::default().altered("lens=fisheye,pose_degrees=0.2,exposure_stops=4").unwrap();
+        assert_eq!((changed.fisheye, changed.pose_degrees, changed.exposure_stops), (true, 0.2, 4.0));
+        assert_eq!(BuiltinOptions::default().altered(""), Ok(BuiltinOptions::default()));
+        for change in ["lens=wide", "exposure_stops=4.1", "pose_extents=-1", "pose_degrees=nan", "fisheye"] {
+            let error = BuiltinOptions::default().altered(change).unwrap_err();
+            assert!(error.contains(&format!("`{change}`")), "{error}");
+        }
+    }
 
     #[test]
     fn it_is_what_the_options_say_and_always_the_same() {

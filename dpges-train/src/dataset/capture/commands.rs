@@ -1,4 +1,4 @@
-//! What the programs are started with. COLMAP has renamed options and taken up GLOMAP, so it is asked first what it knows.
+//! Command lines of the programs. COLMAP has renamed options and taken up GLOMAP, so it is asked first what it knows.
 
 use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
@@ -6,9 +6,9 @@ use std::process::{Command, Stdio};
 
 use super::Options;
 use super::error::SfmError;
+use super::options::{SfmMatching, SfmProgram, name_of};
 use super::programs::Programs;
 use super::workspace::Workspace;
-use crate::config::{SfmMatching, SfmProgram};
 
 /// The matcher goes through blocks of photographs against blocks. Progress is known by the block, so there are about a
 /// hundred pairs of them, not more: each block is read anew.
@@ -26,7 +26,7 @@ pub(super) struct Colmap {
     pub extraction: &'static str,
     /// Likewise.
     pub matching: &'static str,
-    /// What places the cameras: a program and its command.
+    /// The program that places the cameras, and its command.
     pub mapper: (PathBuf, &'static str),
 }
 
@@ -53,9 +53,8 @@ impl Colmap {
             (SfmProgram::Glomap, None) => {
                 return Err(SfmError::MissingProgram {
                     program: "GLOMAP",
-                    purpose: "which `data.sfm` asks for, nor is it part of the COLMAP that is installed",
-                    remedy: "install it (https://github.com/colmap/glomap) or COLMAP 4, or use data.sfm=colmap"
-                        .to_owned(),
+                    purpose: "which `--sfm glomap` asks for, nor is it part of the COLMAP that is installed",
+                    remedy: "install it (https://github.com/colmap/glomap) or COLMAP 4, or use --sfm colmap".to_owned(),
                 });
             }
         };
@@ -74,7 +73,7 @@ impl Colmap {
     ) -> Call {
         let mut words = begun("feature_extractor", workspace);
         add(&mut words, "--image_path", workspace.images());
-        add(&mut words, "--ImageReader.camera_model", options.camera.colmap_name());
+        add(&mut words, "--ImageReader.camera_model", name_of(options.camera));
         if one_camera {
             add(&mut words, "--ImageReader.single_camera", "1");
         }
@@ -131,7 +130,7 @@ fn add(words: &mut Vec<OsString>, option: &str, value: impl AsRef<OsStr>) {
     words.extend([option.into(), value.as_ref().into()]);
 }
 
-/// What a program says of itself, on both outputs.
+/// The output of a program, standard output and error.
 pub(super) fn said(program: &Path, arguments: &[&OsStr]) -> Result<String, SfmError> {
     let output = Command::new(program)
         .args(arguments)
@@ -143,8 +142,8 @@ pub(super) fn said(program: &Path, arguments: &[&OsStr]) -> Result<String, SfmEr
 
 #[cfg(test)]
 mod tests {
+    use super::super::SfmCamera;
     use super::*;
-    use crate::config::{DataConfig, SfmCamera};
 
     fn colmap(extraction: &'static str, matching: &'static str) -> Colmap {
         let path = PathBuf::from("/bin/colmap");
@@ -161,7 +160,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let workspace = Workspace::open(&folder.path().join("set")).unwrap();
         let at = folder.path().join("set").display().to_string();
-        let options = Options { threads: Some(3), ..Options::from(&DataConfig::default()) };
+        let options = Options { threads: Some(3), ..Options::default() };
         let old = colmap("SiftExtraction", "SiftMatching");
         assert_eq!(
             text(old.features(&workspace, &options, true, None, false)),
@@ -195,7 +194,7 @@ mod tests {
             program: SfmProgram::Glomap,
             camera: SfmCamera::SimpleRadial,
             threads: None,
-            ..Options::from(&DataConfig::default())
+            ..Options::default()
         };
         let mut new = colmap("FeatureExtraction", "FeatureMatching");
         new.mapper.1 = "global_mapper";

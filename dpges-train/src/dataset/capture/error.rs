@@ -46,7 +46,7 @@ pub enum SfmError {
     NoModel { photographs: usize, log: PathBuf },
     #[error(
         "only {registered} of {photographs} photographs have found a place, too few for a dataset; take more, with more in \
-         common from one to the next, or compare all pairs (data.sfm_matching=exhaustive)"
+         common from one to the next, or compare all pairs (--sfm-matching exhaustive)"
     )]
     TooFewRegistered { registered: usize, photographs: usize },
     #[error("ffmpeg has found only {found} frames in {path}, {log} says more; at least {} are needed", super::FEWEST)]

@@ -89,7 +89,7 @@ fn frames_per_second(about: &str) -> Option<f64> {
     before.rsplit([',', ' ']).next()?.parse().ok().filter(|&rate: &f64| rate > 0.0)
 }
 
-/// Of `found`, in at most `count` groups of neighbours of equal size, the sharpest of each.
+/// The sharpest of each group of neighbours; `found` is divided into at most `count` groups of equal size.
 fn sharpest(found: &[PathBuf], count: usize) -> Result<Vec<PathBuf>, SfmError> {
     if found.len() <= count {
         return Ok(found.to_vec());

@@ -1,4 +1,4 @@
-//! What there is to reconstruct: a folder of photographs, or a video.
+//! The input of a reconstruction: a folder of photographs, or a video.
 
 use std::collections::BTreeSet;
 use std::fs::File;
@@ -33,11 +33,11 @@ pub enum Input {
         path: PathBuf,
         /// That holds the files: `path`, or `images` or `input` in it.
         folder: PathBuf,
-        /// Of the files, sorted.
+        /// Names of the files, sorted.
         names: Vec<String>,
         /// Names of pictures in formats that are not read, sorted.
         unread: Vec<String>,
-        /// Of photographs that have a mask in the folder `masks` of `path`, the name and the mask.
+        /// Photographs that have a mask in the folder `masks` of `path`: name and mask.
         masks: Vec<(String, PathBuf)>,
     },
     Video {
@@ -46,7 +46,7 @@ pub enum Input {
 }
 
 impl Input {
-    /// What `path` holds, if it is a video or a folder of pictures and no dataset.
+    /// The content of `path`, if it is a video or a folder of pictures and no dataset.
     pub fn find(path: &Path) -> Option<Self> {
         if path.is_file() {
             return has_extension(path, &VIDEOS).then(|| Self::Video { path: path.to_owned() });
@@ -72,7 +72,7 @@ impl Input {
         }
     }
 
-    /// What a dataset of it is called after: the name of the folder, or that of the video without extension.
+    /// The name of its dataset: that of the folder, or that of the video without extension.
     pub fn name(&self) -> Option<String> {
         let name = match self {
             Self::Photographs { path, .. } => path.file_name(),
@@ -81,7 +81,7 @@ impl Input {
         name.map(|name| name.to_string_lossy().into_owned())
     }
 
-    /// Of photographs that have a mask, the name and the mask.
+    /// Photographs that have a mask: name and mask.
     pub(super) fn masks(&self) -> &[(String, PathBuf)] {
         match self {
             Self::Photographs { masks, .. } => masks,

@@ -13,13 +13,13 @@ use crate::dataset::{DatasetError, image_header, mask_called_like, read_mask};
 /// Folder of masks, beside photographs and in a dataset.
 pub(super) const FOLDER: &str = "masks";
 
-/// Of the photographs `names`, those that have a mask in folder `masks` of `path`, and its file.
+/// The photographs among `names` that have a mask in folder `masks` of `path`, and its file.
 pub(super) fn find(path: &Path, names: &[String]) -> Vec<(String, PathBuf)> {
     let folder = path.join(FOLDER);
     names.iter().filter_map(|name| Some((name.clone(), mask_called_like(Path::new(name), &folder)?))).collect()
 }
 
-/// What COLMAP and a dataset call the mask of a photograph.
+/// The name of the mask of a photograph, for COLMAP and for datasets.
 pub(super) fn file_name(photograph: &str) -> String {
     format!("{photograph}.png")
 }

@@ -10,7 +10,7 @@
 //!
 //! The result is a COLMAP dataset as [`crate::dataset`] reads it, which undistorts the photographs if asked to.
 //! `sfm/steps.json` says which steps are done, with what they depend on: [`reconstruct`] goes on where it was interrupted, and
-//! repeats a step if that has changed. What a program says is in `sfm/STEP.log`.
+//! repeats a step if that has changed. The output of a program is in `sfm/STEP.log`.
 
 mod commands;
 mod error;
@@ -18,6 +18,7 @@ mod frames;
 mod input;
 mod masks;
 mod model;
+mod options;
 mod process;
 mod programs;
 mod progress;
@@ -35,13 +36,14 @@ use serde_json::{Value, json};
 pub use error::SfmError;
 pub use input::{Input, is_begun};
 pub use model::Outcome;
+pub use options::{Options, SfmCamera, SfmMatching, SfmProgram};
 pub use programs::Programs;
 pub use step::{Observer, Step};
 pub use unusable::{Unusable, unusable};
 
-use crate::config::{DataConfig, SfmCamera, SfmMatching, SfmProgram};
 use crate::dataset::strange_masks;
 use commands::Colmap;
+use options::name_of;
 use process::Job;
 use workspace::Workspace;
 
@@ -51,38 +53,7 @@ const MOST_FOR_ALL_PAIRS: usize = 200;
 /// Fewest photographs that a dataset can be made of.
 pub const FEWEST: usize = 3;
 
-/// How cameras are found.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Options {
-    /// Which program places the cameras.
-    pub program: SfmProgram,
-    /// Which camera model it fits.
-    pub camera: SfmCamera,
-    /// Which pairs of photographs are compared.
-    pub matching: SfmMatching,
-    /// Largest number of frames of a video that become photographs.
-    pub video_frames: usize,
-    /// Whether masks are black where photographs count, instead of white.
-    pub invert_masks: bool,
-    /// Threads of each program. `None`: as many as it likes.
-    pub threads: Option<usize>,
-}
-
-impl From<&DataConfig> for Options {
-    /// With the threads of this process's pool.
-    fn from(config: &DataConfig) -> Self {
-        Self {
-            program: config.sfm,
-            camera: config.sfm_camera,
-            matching: config.sfm_matching,
-            video_frames: config.video_frames,
-            invert_masks: config.invert_masks,
-            threads: Some(rayon::current_num_threads()),
-        }
-    }
-}
-
-/// What is to be reconstructed, and where to.
+/// The input of a reconstruction, and its destination.
 #[derive(Clone, Debug)]
 pub struct Request<'a> {
     pub input: &'a Input,
@@ -158,7 +129,7 @@ impl Reconstruction<'_> {
         Ok(None)
     }
 
-    /// What the result of a step depends on, besides the steps before it.
+    /// The inputs of a step, besides the steps before it.
     fn key(&self, step: Step, workspace: &Workspace) -> Result<Value, SfmError> {
         let options = self.request.options;
         Ok(match step {
@@ -172,14 +143,14 @@ impl Reconstruction<'_> {
             }
             Step::Features => {
                 let one_camera = input::have_one_camera(&workspace.pictures()?)?;
-                let mut key = json!({ "camera": options.camera, "one_camera": one_camera });
+                let mut key = json!({ "camera": name_of(options.camera), "one_camera": one_camera });
                 if options.invert_masks && !self.request.input.masks().is_empty() {
                     key["invert_masks"] = true.into();
                 }
                 key
             }
-            Step::Matches => json!({ "matching": self.matching(&workspace.picture_names()?) }),
-            Step::Mapping => json!({ "program": options.program }),
+            Step::Matches => json!({ "matching": name_of(self.matching(&workspace.picture_names()?)) }),
+            Step::Mapping => json!({ "program": name_of(options.program) }),
             Step::Model => Value::Null,
         })
     }

@@ -38,14 +38,14 @@ impl Outcome {
         self.photographs - self.unplaced.len()
     }
 
-    /// What is not as it should be, and what to do about it.
+    /// Problems of the model, with advice.
     pub fn warnings(&self) -> Vec<String> {
         let mut warnings = Vec::new();
         let (placed, all) = (self.placed(), self.photographs);
         if (placed as f64) < ENOUGH * all as f64 {
             warnings.push(format!(
                 "only {placed} of {all} photographs have found a place, the scene will lack the rest: take more with more in \
-                 common from one to the next, or compare all pairs (data.sfm_matching=exhaustive)"
+                 common from one to the next, or compare all pairs (--sfm-matching exhaustive)"
             ));
         }
         if self.models.len() > 1 {
@@ -102,7 +102,7 @@ pub(super) fn take_largest(workspace: &Workspace) -> Result<(), SfmError> {
     replace(&part, &workspace.sparse())
 }
 
-/// What the finished dataset holds.
+/// The content of the finished dataset.
 pub(super) fn outcome(workspace: &Workspace) -> Result<Outcome, SfmError> {
     let content = model_content(&workspace.sparse().join("0"))?;
     let names = workspace.picture_names()?;

@@ -17,7 +17,7 @@ pub(super) struct Job<'a> {
     pub step: Step,
     pub program: &'a Path,
     pub arguments: &'a [OsString],
-    /// To which the output is appended, after the command line.
+    /// File that the output is appended to, after the command line.
     pub log: &'a Path,
 }
 

@@ -10,9 +10,9 @@ use serde::{Deserialize, Serialize};
 pub enum Step {
     /// The photographs, or the frames of the video.
     Pictures,
-    /// What is conspicuous in each.
+    /// Conspicuous places in each photograph.
     Features,
-    /// What two of them have in common.
+    /// Features that two photographs share.
     Matches,
     /// Where they were taken from.
     Mapping,
@@ -34,13 +34,13 @@ impl Step {
         }
     }
 
-    /// What its result depends on, besides the steps before it.
+    /// The options that its result depends on, besides the steps before it.
     pub(super) fn depends_on(self) -> &'static str {
         match self {
             Self::Pictures => "the photographs or their masks",
-            Self::Features => "the camera model (`data.sfm_camera`) or what masks mean (`data.invert_masks`)",
-            Self::Matches => "the pairs that are compared (`data.sfm_matching`)",
-            Self::Mapping => "the program (`data.sfm`)",
+            Self::Features => "the camera model (`--sfm-camera`) or what masks mean (`data.invert_masks`)",
+            Self::Matches => "the pairs that are compared (`--sfm-matching`)",
+            Self::Mapping => "the program (`--sfm`)",
             Self::Model => "the models",
         }
     }

@@ -71,7 +71,7 @@ impl Observer for Heard {
 impl Stage {
     fn new(photographs: usize) -> Self {
         let folder = tempfile::tempdir().unwrap();
-        let stage = Self { folder, options: Options::from(&DataConfig::default()) };
+        let stage = Self { folder, options: Options::default() };
         for index in 0..photographs {
             write_png(&stage.path(&format!("room/{index:03}.png")), 24, 16, [index as u8, 100, 200]);
         }
@@ -94,7 +94,7 @@ impl Stage {
         assert!(Command::new("install").args(["-m", "755"]).args([&source, &to]).status().unwrap().success());
     }
 
-    /// What mapping will find: `models/NAME` with the photographs of these numbers.
+    /// The model that mapping will find: `models/NAME` with the photographs of these numbers.
     fn model(&self, name: &str, numbers: &[usize]) {
         let scene = scene(numbers.iter().map(|number| format!("{number:03}.png")).collect());
         fixtures::write_model(&self.path("models").join(name), &scene, Encoding::Binary);
@@ -174,7 +174,7 @@ fn a_missing_program_is_named_before_anything_is_done() {
     stage.install("colmap", COLMAP);
     stage.options.program = SfmProgram::Glomap;
     let message = stage.reconstruct().unwrap_err().to_string();
-    assert!(message.contains("GLOMAP is not installed") && message.contains("data.sfm=colmap"), "{message}");
+    assert!(message.contains("GLOMAP is not installed") && message.contains("--sfm colmap"), "{message}");
     assert_eq!(stage.calls(), [""; 0]);
 }
 
@@ -286,7 +286,7 @@ fn a_finished_dataset_changes_only_when_asked_to() {
     stage.reconstruct().unwrap();
     stage.options.camera = SfmCamera::SimpleRadial;
     let message = stage.reconstruct().unwrap_err().to_string();
-    assert!(message.contains("before the camera model (`data.sfm_camera`) or"), "{message}");
+    assert!(message.contains("before the camera model (`--sfm-camera`) or"), "{message}");
     stage.options.camera = SfmCamera::OpenCv;
     stage.reconstruct().unwrap();
 

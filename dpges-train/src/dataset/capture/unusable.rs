@@ -1,5 +1,5 @@
-//! What is neither a dataset nor something that a dataset can be made of: what was looked for, what is there instead, and
-//! what may have been meant.
+//! Errors for paths that are no dataset and cannot become one: what was looked for, what is there instead, and what may
+//! have been meant.
 
 use std::path::{Path, PathBuf};
 
@@ -16,13 +16,13 @@ const LOOKED_FOR: &str = "looked for a dataset (sparse/ of COLMAP, transforms_tr
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{message}; {advice}")]
 pub struct Unusable {
-    /// What was looked for, and what was found.
+    /// The expected and the found content.
     pub message: String,
-    /// What to do.
+    /// The next thing to do.
     pub advice: String,
 }
 
-/// Of `path`, which is no dataset and no [`Input`].
+/// The error for `path`, which is no dataset and no [`Input`].
 pub fn unusable(path: &Path) -> Unusable {
     let shown = path.display();
     if path.is_file() {

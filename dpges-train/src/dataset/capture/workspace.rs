@@ -48,7 +48,7 @@ struct Record {
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Entry {
-    /// What the result depends on.
+    /// The inputs of the result.
     key: Value,
     /// How long it took, s. `None` while it is not done.
     seconds: Option<f64>,
@@ -127,7 +127,7 @@ impl Workspace {
         self.sparse().is_dir() && model.is_some_and(|entry| entry.seconds.is_some())
     }
 
-    /// Whether `step` has been done, depending on `key`. What only later steps need may have been removed since.
+    /// Whether `step` has been done, depending on `key`. Files that only later steps need may have been removed since.
     pub fn is_done(&self, step: Step, key: &Value) -> bool {
         let is_there = match step {
             Step::Pictures => self.images().is_dir(),

@@ -1,4 +1,4 @@
-//! What is known of each view: the only place that looks at pixels.
+//! Properties of each view: the only place that looks at pixels.
 
 use dpges_core::camera::Camera;
 use glam::DVec3;
@@ -18,7 +18,7 @@ const MOST_COMPARED: usize = 2000;
 const CLIPPED: f32 = 0.98;
 const DARK: f64 = 0.005;
 
-/// What a view is for.
+/// The purpose of a view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Role {
@@ -29,7 +29,7 @@ pub enum Role {
     Validation,
 }
 
-/// What is known of one view. Numbers are `None` where the dataset does not say, or where they were not measured.
+/// Properties of one view. Numbers are `None` where the dataset does not say, or where they were not measured.
 #[derive(Clone, Debug, Serialize)]
 pub struct ViewFacts {
     pub name: String,
@@ -71,7 +71,7 @@ fn in_short<S: Serializer>(camera: &Camera, serializer: S) -> Result<S::Ok, S::E
     Short { centre: camera.centre().to_array(), width, height, focal_lengths: [fx, fy] }.serialize(serializer)
 }
 
-/// What the pixels of a view say.
+/// Properties of the pixels of a view.
 struct Pixels {
     /// Detail of the size of a pixel and of two, along rows and along columns.
     detail: [[f64; 2]; 2],
@@ -80,7 +80,7 @@ struct Pixels {
     thumbnail: Vec<f32>,
 }
 
-/// Of training, held-out and validation views.
+/// Properties of training, held-out and validation views.
 ///
 /// # Errors
 /// [`dpges_core::Error::Io`] if a photograph cannot be read again.
@@ -168,7 +168,7 @@ fn relative_exposure(camera: &Camera, picture: &Picture, points: &PointCloud, se
     if stops.len() < FEWEST_POINTS { None } else { median(stops) }
 }
 
-/// Of an sRGB colour, 0 to 1.
+/// Luminance of an sRGB colour, 0 to 1.
 fn luminance(rgb: [f32; 3]) -> f64 {
     let linear = |value: f32| {
         let value = f64::from(value);

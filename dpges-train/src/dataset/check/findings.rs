@@ -1,4 +1,4 @@
-//! What is wrong with a dataset, in words. Each judgement compares views with the rest of the set, so that it needs no
+//! Problems of a dataset, in words. Each judgement compares views with the rest of the set, so that it needs no
 //! knowledge of cameras or scenes.
 
 use std::fmt;
@@ -27,8 +27,8 @@ const STOPS_SPREAD: f64 = 1.0;
 /// Points below which a view has few: of all views, and relative to the median of the set.
 const FEW_POINTS: f64 = 20.0;
 const FEW_OF_MEDIAN: f64 = 0.03;
-/// Of one pose: distance relative to the spread of the cameras, angle between the directions, rad; and the root mean square
-/// difference of thumbnails that show the same.
+/// Limits for the same pose: distance relative to the spread of the cameras, angle between the directions, rad; and the
+/// root mean square difference of thumbnails that show the same.
 const SAME_DISTANCE: f64 = 0.005;
 const SAME_ANGLE: f64 = 0.01;
 const SAME_PICTURE: f64 = 0.02;
@@ -37,7 +37,7 @@ const UNEXPLAINED: f64 = 0.5;
 /// Fewest training views that are no reason to say so.
 const FEW_VIEWS: usize = 10;
 
-/// What may be wrong with a dataset.
+/// A possible problem of a dataset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {

@@ -20,7 +20,7 @@ pub struct Luma {
 }
 
 impl Luma {
-    /// Of a picture, from its values as they are stored.
+    /// Luma of a picture, from its values as they are stored.
     pub fn of(picture: &Picture) -> Self {
         let value = |pixel: usize| {
             let weighed = picture.colour(pixel).into_iter().zip(WEIGHTS).map(|(value, weight)| weight * value);

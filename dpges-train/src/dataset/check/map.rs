@@ -17,16 +17,16 @@ const SIDE: f64 = 540.0;
 const TEXT: f64 = 28.0;
 /// Length of the line along which a camera looks, relative to the side.
 const LOOK: f64 = 0.04;
-/// What is shown reaches beyond the cameras by this share of their size, or as far as most points do, but no farther than
+/// The map reaches beyond the cameras by this share of their size, or as far as most points do, but no farther than
 /// this many times the cameras.
 const BEYOND: f64 = 0.3;
 const FARTHEST: f64 = 3.0;
-/// Of training, held-out and validation cameras, and of those that something was found about.
+/// Colours of training, held-out and validation cameras, and of cameras with a finding.
 const COLOURS: [(&str, &str); 4] =
     [("#286ebe", "training"), ("#e68c14", "held out"), ("#7850aa", "validation"), ("#dc1e1e", "something was found")];
 
 /// Both pictures beside each other: cameras and points around the middle of the cameras of `dataset`, of which `report` is.
-/// What lies outside is drawn at the border.
+/// Points outside are drawn at the border.
 pub fn svg(dataset: &Dataset, report: &Report) -> String {
     let map_from_world = upright(report.views.iter().map(|view| &view.camera));
     let origin = middle(&report.views);

@@ -41,7 +41,7 @@ pub enum Effort {
     Full,
 }
 
-/// What a dataset is, and what is wrong with it.
+/// The content of a dataset, and its problems.
 #[derive(Clone, Debug, Serialize)]
 pub struct Report {
     /// Training, then held-out, then validation views, each by name.
@@ -54,7 +54,7 @@ pub struct Report {
 }
 
 impl Report {
-    /// Of `dataset`.
+    /// The report of `dataset`.
     ///
     /// # Errors
     /// [`dpges_core::Error::Io`] if a photograph cannot be read again.

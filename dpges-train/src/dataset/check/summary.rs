@@ -1,4 +1,4 @@
-//! What a dataset is, in words.
+//! The content of a dataset, in words.
 
 use std::collections::BTreeMap;
 

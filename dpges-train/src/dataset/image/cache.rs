@@ -32,7 +32,7 @@ impl<T> Cache<T> {
     /// meanwhile waits.
     ///
     /// # Errors
-    /// Those of `make`; whoever asks next tries again.
+    /// The errors of `make`; whoever asks next tries again.
     pub fn get<E>(&self, key: usize, bytes: usize, make: impl FnOnce() -> Result<T, E>) -> Result<Arc<T>, E> {
         let slot = self.slot(key, bytes);
         let mut value = locked(&slot);

@@ -15,7 +15,7 @@ const COUNTS: u8 = 128;
 /// Bytes of a file that are read for its header at first. The crate `image` reads the whole of a JPEG.
 const BEGINNING: u64 = 1 << 18;
 
-/// What the alpha of images says.
+/// The meaning of the alpha of images.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(in crate::dataset) enum Alpha {
     /// How much of the photograph covers this background.

@@ -1,4 +1,4 @@
-//! What becomes of the image file of a frame: its picture, undistorted if asked to and made smaller, and the camera that
+//! Decoding of the image file of a frame: its picture, undistorted if asked to and downsampled, and the camera that
 //! took it or would have.
 
 use std::path::PathBuf;
@@ -17,7 +17,7 @@ use crate::dataset::{DepthKind, DepthMap, LoadOptions, Picture};
 /// How frames are read.
 #[derive(Debug)]
 pub(in crate::dataset) struct ImageDecoder {
-    /// Of the dataset.
+    /// Folder of the dataset.
     root: PathBuf,
     alpha: Alpha,
     invert_masks: bool,
@@ -44,7 +44,7 @@ struct Cameras {
 }
 
 impl ImageDecoder {
-    /// Of the dataset in folder `root`, whose pictures with alpha have `background` behind them.
+    /// A decoder for the dataset in folder `root`, whose pictures with alpha have `background` behind them.
     pub fn new(root: PathBuf, options: &LoadOptions, background: [f64; 3], near: f64, offset: DVec3) -> Self {
         Self {
             root,
@@ -127,7 +127,7 @@ impl ImageDecoder {
         self.depth.filter(|_| frame.split == Split::Train).and_then(|_| depth::file(&self.root, frame))
     }
 
-    /// Of a photograph of `width` × `height` px.
+    /// Cameras of a photograph of `width` × `height` px.
     fn cameras(&self, frame: &Frame, [width, height]: [usize; 2]) -> Result<Cameras> {
         if !frame.calibration.fits(width, height) {
             return Err(DatasetError::ImageSize {
@@ -166,7 +166,7 @@ fn shows_nothing(frame: &Frame) -> DatasetError {
     DatasetError::LensShowsNothing { path: frame.described_in.clone(), view: frame.name.clone() }
 }
 
-/// What was found for cameras that differ in more than their poses: most photographs of a dataset share a lens.
+/// Results for cameras that differ in more than their poses: most photographs of a dataset share a lens.
 #[derive(Debug)]
 struct PerLens<T>(Mutex<Vec<(Camera, T)>>);
 
@@ -177,7 +177,7 @@ impl<T> Default for PerLens<T> {
 }
 
 impl<T: Copy> PerLens<T> {
-    /// What `find` finds for `camera` at the origin.
+    /// The result of `find` for `camera` at the origin.
     fn of(&self, camera: &Camera, find: impl FnOnce(&Camera) -> T) -> T {
         let at_origin = CameraFromWorld { rotation: DMat3::IDENTITY, translation: DVec3::ZERO };
         let camera = Camera { camera_from_world: at_origin, ..*camera };

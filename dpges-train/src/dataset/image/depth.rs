@@ -21,7 +21,7 @@ pub(in crate::dataset) const FOLDER: &str = "depths";
 /// World units of a step of metric maps that do not say, those of a map in millimetres in a world in metres (nerfstudio).
 pub(in crate::dataset) const DEFAULT_UNIT: f64 = 1e-3;
 
-/// What the values of a depth map are.
+/// The meaning of the values of a depth map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DepthKind {
     /// Depths.
@@ -37,7 +37,7 @@ pub struct DepthMap {
     pub kind: DepthKind,
     /// [height × width] of the picture of the view, row by row; 0 where nothing is known or the pixel does not count.
     pub steps: Arc<[u16]>,
-    /// Of one step: world units of depth; or, if relative, 1/65535.
+    /// Size of one step: world units of depth; or, if relative, 1/65535.
     pub step: f64,
 }
 
@@ -94,8 +94,8 @@ pub(in crate::dataset) fn file(root: &Path, frame: &Frame) -> Option<DepthFile> 
 }
 
 /// Reads the depth map of `frame` for its finished `picture` and the `camera` of that. Each pixel takes the value of the map
-/// where it lies, without interpolation: between the depths on both sides of an edge there is nothing. Of pixels that do not
-/// count nothing is known.
+/// where it lies, without interpolation: between the depths on both sides of an edge there is nothing. Pixels that do not
+/// count have unknown depth.
 ///
 /// # Errors
 /// [`DatasetError::Read`], [`DatasetError::Decode`]; [`DatasetError::DepthType`] unless it is a 16-bit grey PNG, or an

@@ -12,16 +12,16 @@ use crate::dataset::formats::source::Frame;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Masked {
     pub views: usize,
-    /// Those that have a mask, or a lens that shows nothing at some of their pixels.
+    /// Views with a mask, or with a lens that shows nothing at some of their pixels.
     pub masked_views: usize,
-    /// Of all views.
+    /// Pixels of all views.
     pub pixels: usize,
-    /// Those that do not count.
+    /// Pixels that do not count.
     pub ignored_pixels: usize,
 }
 
 impl Masked {
-    /// Of these views.
+    /// The summary of these views.
     pub fn of<'a>(views: impl IntoIterator<Item = &'a View>) -> Self {
         views.into_iter().fold(Self::default(), |sum, view| {
             let ignored = view.photograph.ignored_pixels();
@@ -106,7 +106,7 @@ pub(in crate::dataset) fn warn_of_strangers(root: &Path, frames: &[Frame]) {
     }
 }
 
-/// Of a `folder` of masks, none of which belongs to a photograph.
+/// A message about a `folder` of masks, none of which belongs to a photograph.
 pub(crate) fn strangers(folder: &Path) -> String {
     format!(
         "{} has no mask that is called like a photograph: that of NAME.jpg is NAME.jpg.png or NAME.png",

@@ -32,7 +32,7 @@ impl PackedPicture {
         }
     }
 
-    /// What it takes on the device, bytes.
+    /// Size on the device, bytes.
     pub fn size_bytes(picture: &Picture) -> usize {
         let mask = if picture.counted.is_some() { PackedMask::size_bytes(picture.area()) } else { 0 };
         picture.bytes.len().next_multiple_of(size_of::<i32>()) + mask

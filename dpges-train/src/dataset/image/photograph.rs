@@ -27,10 +27,10 @@ pub struct Photograph {
     info: ImageInfo,
 }
 
-/// What is known of a photograph without its pixels.
+/// Properties of a photograph without its pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::dataset) struct ImageInfo {
-    /// What it takes in memory.
+    /// Size in memory, bytes.
     pub bytes: usize,
     /// Number of pixels that do not count; `None` without a mask, which a lens that does not fill the picture makes too.
     pub ignored_pixels: Option<usize>,
@@ -102,7 +102,7 @@ impl InFile {
 pub(in crate::dataset) struct ImageCache {
     /// They fit into memory.
     kept: Cache<Picture>,
-    /// Of the others, those that were read lately.
+    /// Photographs beyond the budget that were read recently.
     cached: Cache<Picture>,
     most_cached_bytes: usize,
     /// Files are read.
@@ -166,7 +166,7 @@ impl Photograph {
         }
     }
 
-    /// What it takes in memory, bytes.
+    /// Size in memory, bytes.
     pub fn size_bytes(&self) -> usize {
         self.info.bytes
     }
@@ -198,7 +198,7 @@ impl Photograph {
 }
 
 /// Begins to read in the background those of `photographs` that are not in memory, the first first, as far as there is room
-/// for them. What was asked for before and has not begun is forgotten.
+/// for them. Earlier requests that have not begun are forgotten.
 pub(crate) fn prefetch<'a>(photographs: impl IntoIterator<Item = &'a Photograph>) {
     let (mut wanted, mut cache, mut passing_bytes) = (VecDeque::new(), None, 0usize);
     for photograph in photographs {

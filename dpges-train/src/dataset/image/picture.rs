@@ -89,8 +89,8 @@ impl Picture {
         self.counted.as_ref().map_or(0, |counted| counted.iter().filter(|&&counts| !counts).count())
     }
 
-    /// Whether the pixel shows the background rather than what is before it. Of a pixel that does not count that is not
-    /// known.
+    /// Whether the pixel shows the background rather than what is before it. This is unknown for a pixel that does not
+    /// count.
     pub fn is_transparent(&self, pixel: usize) -> bool {
         self.alpha.as_ref().is_some_and(|alpha| alpha[pixel] <= TRANSPARENT) && self.counts(pixel)
     }
@@ -115,7 +115,7 @@ impl Picture {
         }
     }
 
-    /// What it takes in memory, bytes.
+    /// Size in memory, bytes.
     pub fn size_bytes(&self) -> usize {
         self.bytes.len() + self.alpha.as_ref().map_or(0, Vec::len) + self.counted.as_ref().map_or(0, Vec::len)
     }

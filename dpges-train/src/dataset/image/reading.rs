@@ -17,7 +17,7 @@ const WORKING_BYTES_PER_PIXEL: usize = 16;
 /// Share of a budget that not all photographs fit into for those that were read again lately.
 const FOR_RECENT: f64 = 0.25;
 
-/// What is known of a frame once the dataset is loaded.
+/// Properties of a frame once the dataset is loaded.
 struct Found {
     camera: Camera,
     info: ImageInfo,
@@ -32,7 +32,7 @@ struct Found {
 /// bytes of them at most; others are read again and again if need be. Returns the bytes that are left over, too.
 ///
 /// # Errors
-/// Those of reading: the error of the first frame that has one, whatever the number of threads.
+/// The errors of reading: the error of the first frame that has one, whatever the number of threads.
 pub(in crate::dataset) fn views(
     frames: &[&Frame],
     memory: usize,

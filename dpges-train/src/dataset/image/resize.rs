@@ -97,7 +97,7 @@ fn catmull_rom(x: f32) -> f32 {
     six / 6.0
 }
 
-/// To the nearest of 0..=255, halves up.
+/// Rounds to the nearest of 0..=255, halves up.
 fn rounded(value: f32) -> u8 {
     let value = value.clamp(0.0, 255.0);
     let whole = value as u8;
@@ -111,7 +111,7 @@ mod tests {
 
     use super::*;
 
-    /// What the crate `image` makes of it.
+    /// The result of the crate `image`.
     fn expected<P: Pixel<Subpixel = u8> + 'static>(samples: &[u8], from: [usize; 2], to: [usize; 2]) -> Vec<u8> {
         let [width, height, to_width, to_height] = [from[0], from[1], to[0], to[1]].map(|side| side as u32);
         let picture = ImageBuffer::<P, _>::from_raw(width, height, samples.to_vec()).unwrap();

@@ -3,7 +3,7 @@
 //! As COLMAP's `image_undistorter` with `blank_pixels` = 0, the pinhole camera is chosen so that every one of its
 //! pixels lies on the photograph. COLMAP keeps the focal length and changes the size of the picture; here
 //! size and principal point are kept and both focal lengths are multiplied by one zoom, so that sizes agree
-//! with the files. Of a fisheye photograph this leaves the middle.
+//! with the files. This keeps only the middle of a fisheye photograph.
 
 use dpges_core::camera::{Camera, Projection};
 

@@ -1,5 +1,5 @@
-//! What quality a scene is compressed with: the best that fits into a size, or the one with the smallest file that looks
-//! almost the same.
+//! The choice of a quality for a compressed scene: the best that fits into a size, or the one with the smallest file
+//! that looks almost the same.
 //!
 //! Both start from a level of [`Quality::LEVELS`] and go on bit by bit, attribute by attribute, as long as it helps.
 
@@ -36,7 +36,7 @@ pub enum CompressError {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Compressed {
     pub quality: Quality,
-    /// Of the file.
+    /// Content of the file.
     pub bytes: Vec<u8>,
     path: PathBuf,
 }
@@ -45,7 +45,7 @@ impl Compressed {
     /// For a file at `path`, which errors name and which is not written.
     ///
     /// # Errors
-    /// Those of [`SceneData::to_compressed`].
+    /// The errors of [`SceneData::to_compressed`].
     pub fn new(scene: &SceneData, quality: &Quality, path: &Path) -> dpges_core::Result<Self> {
         let bytes = scene.to_compressed(quality, path)?;
         Ok(Self { quality: *quality, bytes, path: path.to_owned() })
@@ -54,7 +54,7 @@ impl Compressed {
     /// The scene as a reader of the file sees it.
     ///
     /// # Errors
-    /// Those of [`SceneData::from_bytes`].
+    /// The errors of [`SceneData::from_bytes`].
     pub fn scene(&self) -> dpges_core::Result<SceneData> {
         SceneData::from_bytes(&self.bytes, &self.path.to_string_lossy())
     }

@@ -1,4 +1,4 @@
-//! What compression did, in numbers and in words.
+//! The result of compression, in numbers and in words.
 
 use std::collections::BTreeMap;
 
@@ -49,10 +49,10 @@ pub struct Psnr {
 }
 
 impl Report {
-    /// Of `compressed`, made of `data`, which the file `scene` with the bytes `before` holds.
+    /// The report of `compressed`, made of `data`, which the file `scene` with the bytes `before` holds.
     ///
     /// # Errors
-    /// Those of [`SceneData::stored_sizes`].
+    /// The errors of [`SceneData::stored_sizes`].
     pub fn new(
         [scene, out]: [String; 2],
         data: &SceneData,

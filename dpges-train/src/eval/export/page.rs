@@ -17,7 +17,7 @@ const POSTER_QUALITY: u8 = 85;
 /// The first is that of the poster picture and of the first view. Returns what was written, as names and values.
 ///
 /// # Errors
-/// Those of [`find_page`] and [`write_html`].
+/// The errors of [`find_page`] and [`write_html`].
 pub fn write(
     scene: &SceneData,
     cameras: &[Camera],
@@ -49,7 +49,7 @@ pub fn write(
     Ok(rows)
 }
 
-/// What `camera` sees, in the JPEG format.
+/// The picture of `camera`, in the JPEG format.
 fn poster(scene: &SceneData, camera: &Camera) -> Result<Vec<u8>, Box<dyn std::error::Error>> {
     let scale = POSTER_PX as f64 / camera.width.max(camera.height) as f64;
     let side = |length: usize| ((length as f64 * scale).round() as usize).max(1);

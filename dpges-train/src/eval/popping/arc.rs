@@ -16,9 +16,8 @@ const LENGTH: f64 = 0.25;
 /// A turn of so much along the path counts as much as being longer by its length, radians.
 const TURN: f64 = FRAC_PI_6;
 
-/// [`FRAMES`] cameras from one view of `dataset`, in the coordinates of the scene, to another nearby. Of all pairs of views,
-/// whether trained on or not, it is the one nearest to a distance of a quarter of the extent, with the least turn between
-/// them. The pictures have the size of the first.
+/// [`FRAMES`] cameras from one view of `dataset`, in the coordinates of the scene, to another nearby: the pair of views, trained on or
+/// not, whose distance is nearest to a quarter of the extent, with the least turn between them. The pictures have the size of the first.
 ///
 /// # Errors
 /// [`Error::Option`] if there are fewer than two views.

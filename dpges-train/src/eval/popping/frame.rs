@@ -13,7 +13,7 @@ const DEPTH_TOLERANCE: f64 = 0.02;
 /// ... and with that of each of them to this one: they are not on both sides of an edge.
 const EDGE: f64 = 0.1;
 
-/// What a camera shows, and how far away it is.
+/// The picture of a camera, and its depth.
 #[derive(Clone, Debug)]
 pub struct Frame {
     pub camera: Camera,
@@ -37,7 +37,7 @@ impl Frame {
     /// Renders the picture, rounded to 8 bits, and its [median depth](Renderer::render_with_depth).
     ///
     /// # Errors
-    /// Those of [`Renderer::render`].
+    /// The errors of [`Renderer::render`].
     pub fn render(renderer: &Renderer, camera: &Camera) -> Result<Self> {
         let (view, depth) = renderer.render_with_depth(camera)?;
         Ok(Self { camera: *camera, planes: tensor_to_rows(&quantised(view.image().clone())), depth })

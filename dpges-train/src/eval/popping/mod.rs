@@ -3,7 +3,7 @@
 //! A frame is compared with an earlier one as it would look from the later camera, by FLIP, where both show the same
 //! surface (Radl, Steiner, Parger, Weinrauch, Kerbl, Steinberger: *StopThePop: Sorted Gaussian Splatting for View-Consistent
 //! Real-time Rendering*. SIGGRAPH 2024). They estimate the motion of pixels with a network; here it follows from depth and
-//! cameras. `docs/popping.md` says what else differs.
+//! cameras. `docs/guide/measure.md` says what else differs.
 
 mod arc;
 mod frame;
@@ -38,16 +38,16 @@ pub struct Popping {
 }
 
 impl Popping {
-    /// Of what `renderer` shows along `path`, in the coordinates of its scene; `None` if no surface is seen twice, or with
-    /// fewer than 8 cameras.
+    /// Popping of the frames of `renderer` along `path`, in the coordinates of its scene; `None` if no surface is seen
+    /// twice, or with fewer than 8 cameras.
     ///
     /// # Errors
-    /// Those of [`Renderer::render`].
+    /// The errors of [`Renderer::render`].
     pub fn measure(renderer: &Renderer, path: &[Camera]) -> Result<Option<Self>> {
         Self::of(path.iter().map(|camera| Frame::render(renderer, camera)))
     }
 
-    /// Of `frames`, which have one size; `None` if no surface is seen twice, or with fewer than 8 of them.
+    /// Popping of `frames`, which have one size; `None` if no surface is seen twice, or with fewer than 8 of them.
     ///
     /// # Errors
     /// The first of `frames`.
@@ -76,11 +76,11 @@ impl Popping {
     }
 }
 
-/// Of pairs of frames.
+/// Sum over pairs of frames.
 #[derive(Default)]
 struct Sum {
     flip: f64,
-    /// Of pixels that were compared.
+    /// Sum of the shares of pixels that were compared.
     shares: f64,
     /// With pixels to compare.
     compared: usize,

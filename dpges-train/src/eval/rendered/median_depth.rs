@@ -21,7 +21,7 @@ pub(super) fn median_depth(view: &Rendered, camera: &Camera) -> Vec<f32> {
     }
 }
 
-/// Of layers of `area` pixels: their depth, and the transmittance behind each.
+/// Median depth from layers of `area` pixels: their depth, and the transmittance behind each.
 fn first_half_opaque(depth: &[f32], behind: &[f32], area: usize) -> Vec<f32> {
     let of_pixel = |pixel: usize| {
         let mut layers = (pixel..depth.len()).step_by(area);

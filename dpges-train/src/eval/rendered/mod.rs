@@ -112,7 +112,7 @@ impl Renderer {
     /// The image [3, H, W] from the `camera` of a `probe`, on the tape of the probe; the scene is not.
     ///
     /// # Errors
-    /// Those of [`render`](Self::render).
+    /// The errors of [`render`](Self::render).
     pub fn render_probed(&self, camera: &Camera, probe: &PoseProbe) -> Result<Tensor<3>> {
         let gaussians = self.gaussians.map_ref(|_, tensor| tensor.clone().autodiff());
         let rendered = match &self.options {
@@ -141,7 +141,7 @@ impl Renderer {
     /// blended Gaussian, behind which no more than half of the light passes, world units; 0 where there is none.
     ///
     /// # Errors
-    /// Those of [`render`](Self::render).
+    /// The errors of [`render`](Self::render).
     pub fn render_with_depth(&self, camera: &Camera) -> Result<(Rendered, Vec<f32>)> {
         let mut options = self.options;
         if let Options::Blended(options) = &mut options {

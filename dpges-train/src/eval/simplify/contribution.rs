@@ -1,4 +1,4 @@
-//! What every primitive contributes to pictures: the sum of the weights with which it is blended into their pixels.
+//! Contributions of primitives to pictures: the sum of the weights with which each is blended into their pixels.
 
 use burn::tensor::{DType, Device, Tensor};
 use dpges_core::Result;
@@ -24,7 +24,7 @@ impl Contributions {
     /// weights. Colours are replaced by grey: one that is clamped has no gradient.
     ///
     /// # Errors
-    /// Those of [`render`] and [`render_blended`].
+    /// The errors of [`render`] and [`render_blended`].
     pub fn measure(scene: &SceneData, cameras: &[Camera], device: &Device) -> Result<Self> {
         let mut sums = Self { surfels: vec![0.0; scene.surfels.len()], gaussians: vec![0.0; scene.gaussians.len()] };
         let tape = device.clone().autodiff();
@@ -60,7 +60,7 @@ impl Contributions {
     }
 
     /// The `share` (0 to 1) of all primitives that contribute most, surfels and Gaussians together: the rows of both, in
-    /// their order. Of equal contributions surfels go first, then earlier rows.
+    /// their order. If contributions are equal, surfels go first, then earlier rows.
     pub fn heaviest(&self, share: f64) -> [Vec<usize>; 2] {
         let surfels = self.surfels.len();
         let all: Vec<f64> = self.surfels.iter().chain(&self.gaussians).copied().collect();

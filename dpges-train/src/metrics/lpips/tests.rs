@@ -38,7 +38,8 @@ fn upload(planes: &[f32], device: &Device) -> Tensor<3> {
     tensor(planes, [3, HEIGHT, WIDTH], device)
 }
 
-/// What the published `lpips` 0.1.4 says with PyTorch 2.0.1 and these weights: `tests/reference/make_metrics.py` prints it.
+/// Values of the published `lpips` 0.1.4 with PyTorch 2.0.1 and these weights: `tests/reference/make_metrics.py` prints
+/// them.
 #[test]
 fn it_agrees_with_the_published_program() {
     let cases = [

@@ -9,9 +9,9 @@ use super::network::{Network, TensorShape};
 
 /// Version of the linear layers: those for scaled pictures.
 const VERSION: &str = "0.1";
-/// What to do about a file that cannot be used.
+/// Advice for a file that cannot be used.
 const ADVICE: &str =
-    "`dpges lpips install` and dpges-train/tools/lpips_weights.py make such files, see docs/metrics.md";
+    "`dpges lpips install` and dpges-train/tools/lpips_weights.py make such files, see docs/guide/measure.md";
 
 /// Why a network cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -43,7 +43,7 @@ impl Weights {
         weights
     }
 
-    /// Reads a file in the format of `docs/metrics.md`: safetensors with the metadata `network` and `version`, and the
+    /// Reads a file in the format of `docs/guide/measure.md`: safetensors with the metadata `network` and `version`, and the
     /// tensors of [`Network::tensors`] in f32, and no others.
     ///
     /// # Errors

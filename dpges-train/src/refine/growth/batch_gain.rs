@@ -1,8 +1,10 @@
-//! What a batch of new primitives is worth: how much more the views improve with it than without one.
+//! The gain of a batch of new primitives: how much more the views improve with it than without one.
 
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
+
+use super::LEAST_GAIN;
 
 /// Steps of training between two evaluations of the same views.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -11,7 +13,7 @@ pub struct Interval {
     pub begin: usize,
     /// The same when it ended, more than at its beginning.
     pub end: usize,
-    /// By how much the PSNR of each view rose, dB.
+    /// Rise of the PSNR of each view, dB.
     pub rises: Vec<f64>,
 }
 
@@ -25,11 +27,11 @@ pub struct Batch {
     pub interval: Interval,
     /// Number of new primitives, at least 1.
     pub added: usize,
-    /// Of the number of primitives: 1 for a batch of as many as there were.
+    /// Binary logarithm of the growth of the number of primitives: 1 for a batch of as many as there were.
     pub doublings: f64,
 }
 
-/// By how much a batch improved each view more than training alone would have.
+/// Improvement of each view by a batch beyond that of training alone.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Excess {
     /// dB of each view.
@@ -46,27 +48,25 @@ pub struct Mean {
     pub error: Option<f64>,
 }
 
-/// What a batch was worth, and what follows from that.
+/// The gain of a batch, and the verdict on it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BatchGain {
     /// Number of new primitives.
     pub added: usize,
     /// Length of the interval.
     pub steps: usize,
-    /// By how much the PSNR of the views rose in the mean, dB.
+    /// Mean rise of the PSNR of the views, dB.
     pub rise: f64,
-    /// By how much it would have risen without the batch, dB.
+    /// Mean rise that training alone would have given, dB.
     pub rise_without: f64,
-    /// What the last batches were worth, dB per doubling of the primitives.
+    /// Gain of the last batches, dB per doubling of the primitives.
     pub gain: Mean,
     /// Number of batches that `gain` is of.
     pub batches: usize,
-    /// Below this `gain` a batch is not worth it, dB per doubling of the primitives.
-    pub least_gain: f64,
     pub verdict: Verdict,
 }
 
-/// What follows from the worth of a batch.
+/// The consequence of a gain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
     /// It was worth it: the next one follows.
@@ -86,7 +86,7 @@ impl Interval {
         self.end - self.begin
     }
 
-    /// By how much the PSNR of the views rose in the mean, dB.
+    /// Mean rise of the PSNR of the views, dB.
     pub fn rise(&self) -> f64 {
         mean(&self.rises)
     }
@@ -101,9 +101,9 @@ impl Interval {
         self.rises.iter().map(|rise| rise / self.steps() as f64)
     }
 
-    /// By how much each view would have risen in this interval, dB, at the rate of the control interval `before` it; with one
-    /// `after` it as well, at the rate between them that the trend has in the middle of this interval. Where improvement
-    /// slows down, it does so exponentially: a straight line between the two would promise too much.
+    /// Rise of each view in this interval without a batch, dB, at the rate of the control interval `before` it; with
+    /// one `after` it as well, at the rate between them that the trend has in the middle of this interval. Where
+    /// improvement slows down, it does so exponentially: a straight line between the two would promise too much.
     pub fn rises_without(&self, before: &Self, after: Option<&Self>) -> Vec<f64> {
         let after = after.unwrap_or(before);
         let span = after.middle() - before.middle();
@@ -117,7 +117,7 @@ impl Interval {
 }
 
 impl Excess {
-    /// Of `batch`, whose views would have risen by `rises_without` dB.
+    /// The excess of `batch`, whose views would have risen by `rises_without` dB.
     pub fn new(batch: &Batch, rises_without: &[f64]) -> Self {
         let rises = batch.interval.rises.iter().zip(rises_without);
         Self { views: rises.map(|(rise, without)| rise - without).collect(), doublings: batch.doublings }
@@ -133,7 +133,7 @@ impl Excess {
 }
 
 impl Mean {
-    /// Of at least one view.
+    /// Mean of at least one view.
     pub fn of(views: &[f64]) -> Self {
         let (value, count) = (mean(views), views.len() as f64);
         let squares: f64 = views.iter().map(|view| (view - value).powi(2)).sum();
@@ -141,7 +141,7 @@ impl Mean {
         Self { value, error }
     }
 
-    /// Of what each view gains from `before` to `after`, which have at least one.
+    /// Mean of the changes of the views from `before` to `after`, which have at least one.
     pub fn of_changes(before: &[f64], after: &[f64]) -> Self {
         Self::of(&after.iter().zip(before).map(|(after, before)| after - before).collect::<Vec<_>>())
     }
@@ -177,14 +177,14 @@ impl fmt::Display for Mean {
 
 impl fmt::Display for BatchGain {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { added, steps, rise, rise_without, gain, batches, least_gain, verdict } = self;
+        let Self { added, steps, rise, rise_without, gain, batches, verdict } = self;
         let [with, without] = [*rise, *rise_without].map(percent_of_error);
         write!(f, "batch of {added} Gaussians: validation error {with:+.1} % in {steps} steps, ")?;
         write!(f, "{without:+.1} % without one: {:+.3} dB; {gain} for twice the primitives", rise - rise_without)?;
         if *batches > 1 {
             write!(f, " by the last {batches} batches")?;
         }
-        write!(f, ", at least {least_gain} wanted: ")?;
+        write!(f, ", at least {LEAST_GAIN} wanted: ")?;
         f.write_str(match verdict {
             Verdict::GoesOn => "the scene goes on growing",
             Verdict::Settles => "not clear yet, so the batch is given time to settle",

@@ -14,6 +14,9 @@ use serde::{Deserialize, Serialize};
 use batch_gain::{Batch, Excess, Interval, percent_of_error};
 pub use batch_gain::{BatchGain, Mean, Verdict};
 
+/// Gain by twice the primitives from which on a batch is worth it, dB: less cannot be seen. It is smaller than the gain that
+/// is wanted in the end, as part of what a batch gains shows later.
+const LEAST_GAIN: f64 = 0.05;
 /// Most batches that are judged together while their worth is within its error of what is wanted: earlier ones say little
 /// of a scene that has grown since.
 const POOLED: usize = 4;
@@ -28,7 +31,7 @@ pub fn batches_within(intervals: usize) -> usize {
     intervals.div_ceil(OF_A_BATCH)
 }
 
-/// What the next interval of growth begins with.
+/// The start of the next interval of growth.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Next {
     /// No new primitives, to see what training does alone.
@@ -51,7 +54,7 @@ pub struct Growth {
     control: Option<Interval>,
     /// The last batch, if no control has followed yet.
     batch: Option<Batch>,
-    /// What the last batches were worth, if that was within its error.
+    /// Gains of the last batches, if they were within their errors.
     undecided: Vec<Excess>,
 }
 
@@ -60,7 +63,7 @@ pub struct Growth {
 struct Running {
     /// Steps of the stage that were done.
     begin: usize,
-    /// Of each view before the new primitives, dB.
+    /// PSNR of each view before the new primitives, dB.
     psnr: Vec<f64>,
     /// Before the new ones.
     primitives: usize,
@@ -70,17 +73,17 @@ struct Running {
     settles: bool,
 }
 
-/// What an interval has shown.
+/// The result of an interval.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Finding {
-    /// By how much the PSNR of the views rose in `steps` without new primitives in the mean, dB.
+    /// Mean rise of the PSNR of the views in `steps` without new primitives, dB.
     Control { rise: f64, steps: usize },
-    /// What a batch was worth.
+    /// The gain of a batch.
     Batch(BatchGain),
 }
 
 impl Growth {
-    /// What the next interval begins with.
+    /// The start of the next interval.
     pub fn next(&self) -> Next {
         self.next
     }
@@ -105,7 +108,7 @@ impl Growth {
     }
 
     /// Ends the interval after `completed` steps of the stage, when the views have `psnr`, dB, and decides what comes next. A
-    /// batch is worth it from `least_gain` dB per doubling of the primitives on.
+    /// batch is worth it from [`LEAST_GAIN`] on.
     ///
     /// Right after a batch only the control before it is known. As improvement slows down, that one rather promises too
     /// much; a batch that exceeds it clearly is followed by the next. Otherwise it settles: new primitives disturb a scene
@@ -115,14 +118,14 @@ impl Growth {
     /// wanted, the scene goes on growing: a primitive too many costs less than detail that is missing.
     ///
     /// `None` if no interval was running, or if it showed nothing because a PSNR is not finite.
-    pub fn end(&mut self, completed: usize, psnr: &[f64], least_gain: f64) -> Option<Finding> {
+    pub fn end(&mut self, completed: usize, psnr: &[f64]) -> Option<Finding> {
         let running = self.running.take()?;
         let Some(interval) = running.ended(completed, psnr) else {
             self.next = Next::Control;
             return None;
         };
         if running.added > 0 {
-            return self.end_batch(running, interval, least_gain);
+            return self.end_batch(running, interval);
         }
         let before = self.control.replace(interval.clone());
         let Some((before, batch)) = before.zip(self.batch.take()) else {
@@ -136,10 +139,10 @@ impl Growth {
         self.undecided.push(Excess::new(&batch, &rises_without));
         let (gain, batches) = (Excess::gain(&self.undecided), self.undecided.len());
         let by_value = gain.error.is_none() && batches >= WITHOUT_ERROR;
-        let verdict = if gain.is_clearly_above(least_gain) || (by_value && gain.value >= least_gain) {
+        let verdict = if gain.is_clearly_above(LEAST_GAIN) || (by_value && gain.value >= LEAST_GAIN) {
             self.undecided.clear();
             Verdict::GoesOn
-        } else if gain.is_clearly_below(least_gain) || by_value {
+        } else if gain.is_clearly_below(LEAST_GAIN) || by_value {
             Verdict::Stops
         } else {
             Verdict::Undecided
@@ -148,15 +151,15 @@ impl Growth {
         if verdict == Verdict::Stops {
             self.finish();
         }
-        Some(Finding::Batch(batch_gain(&batch, &rises_without, gain, batches, least_gain, verdict)))
+        Some(Finding::Batch(batch_gain(&batch, &rises_without, gain, batches, verdict)))
     }
 
-    fn end_batch(&mut self, running: Running, interval: Interval, least_gain: f64) -> Option<Finding> {
+    fn end_batch(&mut self, running: Running, interval: Interval) -> Option<Finding> {
         let doublings = (running.added as f64 / running.primitives.max(1) as f64).ln_1p() / 2f64.ln();
         let batch = Batch { interval, added: running.added, doublings };
         let rises_without = batch.interval.rises_without(self.control.as_ref()?, None);
         let gain = Excess::gain(&[Excess::new(&batch, &rises_without)]);
-        let verdict = if gain.is_clearly_above(least_gain) {
+        let verdict = if gain.is_clearly_above(LEAST_GAIN) {
             self.undecided.clear();
             self.next = Next::Batch;
             Verdict::GoesOn
@@ -164,7 +167,7 @@ impl Growth {
             self.next = Next::Control;
             if running.settles { Verdict::AwaitsControl } else { Verdict::Settles }
         };
-        let found = batch_gain(&batch, &rises_without, gain, 1, least_gain, verdict);
+        let found = batch_gain(&batch, &rises_without, gain, 1, verdict);
         if verdict == Verdict::Settles {
             self.running = Some(Running { settles: true, ..running });
         } else {
@@ -183,14 +186,7 @@ impl Running {
     }
 }
 
-fn batch_gain(
-    batch: &Batch,
-    rises_without: &[f64],
-    gain: Mean,
-    batches: usize,
-    least_gain: f64,
-    verdict: Verdict,
-) -> BatchGain {
+fn batch_gain(batch: &Batch, rises_without: &[f64], gain: Mean, batches: usize, verdict: Verdict) -> BatchGain {
     let rise = batch.interval.rise();
     BatchGain {
         added: batch.added,
@@ -199,7 +195,6 @@ fn batch_gain(
         rise_without: Mean::of(rises_without).value,
         gain,
         batches,
-        least_gain,
         verdict,
     }
 }

@@ -35,10 +35,10 @@ impl From<TileWork> for List {
 }
 
 impl Lists {
-    /// Those of `scene` seen by `camera` in a stage of `kind`; the joint stage renders it on `device`.
+    /// Lists of `scene` seen by `camera` in a stage of `kind`; the joint stage renders it on `device`.
     ///
     /// # Errors
-    /// Those of [`Renderer::render`].
+    /// The errors of [`Renderer::render`].
     pub fn new(scene: &SceneData, kind: StageKind, camera: &Camera, device: &Device) -> dpges_core::Result<Self> {
         let of_gaussians = |filter: ScreenFilter, ends: Option<&[f32]>| {
             Some(List::from(gaussian_work(&scene.gaussians, camera, filter, ends)))

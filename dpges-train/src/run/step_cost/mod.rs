@@ -1,4 +1,4 @@
-//! What a training step costs: its time, and what it asks of its device.
+//! The time of a training step, and its requests to its device.
 //!
 //! [`Steps`] takes the steps of a run, and never refines; [`measure`] counts and times them.
 //!
@@ -40,7 +40,7 @@ pub use steps::{StepStage, Steps};
 pub struct Rounds {
     /// Before those: kernels are compiled, and buffers find their sizes.
     pub warm_up: usize,
-    /// Those whose times count; at least 1.
+    /// Steps whose times count; at least 1.
     pub counted: usize,
 }
 
@@ -53,7 +53,7 @@ pub struct StepTimes {
     pub p95_ms: f64,
 }
 
-/// What a step costs.
+/// The measurements of a step.
 #[derive(Clone, Debug, Serialize)]
 pub struct StepCost {
     /// `joint`, `mcmc` or `2dgs`.
@@ -67,13 +67,13 @@ pub struct StepCost {
     pub time: StepTimes,
     /// The most memory that this process has had in use during these steps, bytes; `None` where that is not known.
     pub process_peak_bytes: Option<u64>,
-    /// Of the first view.
+    /// Tile lists of the first view.
     pub lists: Lists,
     /// `None` on a CPU.
     pub gpu: Option<GpuCost>,
 }
 
-/// What a step asks of a GPU.
+/// The requests of a step to a GPU.
 #[derive(Clone, Debug, Serialize)]
 pub struct GpuCost {
     /// Launches of all kernels, dpges' own and Burn's.
@@ -88,7 +88,7 @@ pub struct GpuCost {
 /// Takes steps and measures them: first the times, then, of steps that are waited for, all else.
 ///
 /// # Errors
-/// Those of [`Steps::step`].
+/// The errors of [`Steps::step`].
 pub fn measure(steps: &mut Steps, rounds: Rounds) -> Result<StepCost, TrainError> {
     (0..rounds.warm_up).try_for_each(|_| steps.step())?;
     let peak = PeakMemory::start();

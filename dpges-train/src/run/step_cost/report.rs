@@ -1,4 +1,4 @@
-//! What a step costs as a report: in JSON and in words.
+//! The cost of a step as a report: in JSON and in words.
 
 use dpges_core::camera::Camera;
 use dpges_core::counters::transfers::Transfers;
@@ -10,16 +10,16 @@ use crate::device::{DeviceError, DeviceName};
 
 const MEGABYTE: f64 = 1e6;
 
-/// What was measured of a step, and what with: the content of the file of `dpges bench step --json`.
+/// The measurements of a step and their conditions: the content of the file of `dpges bench step --json`.
 #[derive(Serialize)]
 pub struct Report {
     scene: String,
     /// As --device takes it.
     device: String,
-    /// What it is.
+    /// Name of the device.
     adapter: String,
     hardware: Hardware,
-    /// What has not been measured, and why, a sentence each.
+    /// Quantities without a measurement, with reasons, a sentence each.
     not_measured: Vec<String>,
     camera: Pinhole,
     #[serde(flatten)]
@@ -59,7 +59,7 @@ enum Hardware {
 }
 
 impl Report {
-    /// Of a step of `scene` on `device`, from `camera` and others.
+    /// The report of a step of `scene` on `device`, from `camera` and others.
     ///
     /// # Errors
     /// [`DeviceError`] if the device is not there.
@@ -91,7 +91,7 @@ impl Report {
         Ok(Self { scene, device, adapter, hardware, not_measured, camera, cost })
     }
 
-    /// What was measured, in a line.
+    /// The measurement, in a line.
     pub fn title(&self) -> String {
         let StepCost { stage, surfels, gaussians, views, width, height, .. } = &self.cost;
         let plural = if *views == 1 { "view" } else { "views" };
@@ -262,9 +262,9 @@ mod tests {
         let mut found = BTreeSet::new();
         keys(&serde_json::to_value(report()).unwrap(), &mut found);
         assert!(found.len() > 30, "{found:?}");
-        let document = include_str!("../../../docs/step.md");
+        let document = include_str!("../../../docs/guide/measure.md");
         for key in found {
-            assert!(document.contains(&format!("`{key}`")), "docs/step.md says nothing of `{key}`");
+            assert!(document.contains(&format!("`{key}`")), "docs/guide/measure.md says nothing of `{key}`");
         }
     }
 

@@ -63,7 +63,7 @@ pub struct Steps {
     stage: Box<dyn Stage>,
     /// Index of the next view.
     next: usize,
-    /// What a GPU works on.
+    /// The step that a GPU works on.
     pending: Option<PendingStep>,
 }
 
@@ -121,7 +121,7 @@ impl Steps {
     /// Waits for the step that the device works on.
     ///
     /// # Errors
-    /// Those of [`step`](Self::step).
+    /// The errors of [`step`](Self::step).
     pub fn settle(&mut self) -> Result<(), TrainError> {
         self.pending.take().map_or(Ok(()), |step| step.settle().map(drop))
     }
@@ -129,7 +129,7 @@ impl Steps {
     /// Takes one step and waits for it.
     ///
     /// # Errors
-    /// Those of [`step`](Self::step).
+    /// The errors of [`step`](Self::step).
     pub fn step_and_settle(&mut self) -> Result<(), TrainError> {
         self.settle()?;
         self.step()?;
@@ -165,7 +165,7 @@ impl Steps {
         (parameters.surfels.len(), parameters.gaussians.len())
     }
 
-    /// What the steps train.
+    /// The kind of stage that the steps train.
     pub fn kind(&self) -> StageKind {
         self.stage.plan().kind
     }

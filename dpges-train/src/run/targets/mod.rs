@@ -1,4 +1,4 @@
-//! What a run is to reach, a time or a speed: by a small model of what is measured, its steps or its budget are set.
+//! Targets of a run, a time or a speed: a small model of measurements sets its steps or its budget.
 
 pub mod duration;
 mod speed;
@@ -34,7 +34,7 @@ pub struct Target {
 enum Wanted {
     /// Length of the training, with what is measured before.
     Time(Duration),
-    /// Of the real-time renderer.
+    /// Speed of the real-time renderer.
     FramesPerSecond(f64),
 }
 
@@ -134,7 +134,7 @@ impl Target {
     }
 }
 
-/// What a target sets.
+/// The key that a target sets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Decision {
     /// `train.steps`
@@ -170,8 +170,8 @@ impl Pursuit {
     }
 }
 
-/// What became of the target of the finished run in `folder`, as text; `None` if it had none. The evaluation of the run
-/// says it too.
+/// The result of the target of the finished run in `folder`, as text; `None` if it had none. The evaluation of the run
+/// contains it too.
 ///
 /// # Errors
 /// If a file of the run cannot be read or written, or frames cannot be measured.

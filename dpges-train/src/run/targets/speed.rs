@@ -106,7 +106,7 @@ fn size_of(dataset: &Dataset) -> Size {
     Size { width: largest(|camera| camera.width), height: largest(|camera| camera.height) }
 }
 
-/// What a run with the model and the method of `config` begins with in a room of so many points, and cameras in it.
+/// The first scene of a run with the model and the method of `config` in a room of so many points, and cameras in it.
 fn builtin_scene(
     config: &Config,
     points: usize,

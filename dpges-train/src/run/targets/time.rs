@@ -21,7 +21,7 @@ const FEWEST_STEPS: f64 = 20.0;
 /// No run is longer, whatever the time.
 const MOST_STEPS: f64 = 1e9;
 
-/// What a run takes, s.
+/// The times of a run, s.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Costs {
     /// A step in which nothing else happens.

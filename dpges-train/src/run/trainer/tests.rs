@@ -19,7 +19,7 @@ fn trainer(set: &[&str]) -> Trainer {
 }
 
 /// All stages and everything that changes something in them.
-const STAGES: [&str; 16] = [
+const STAGES: [&str; 13] = [
     "train.steps=60",
     "train.lambda_opacity=0.01",
     "train.lambda_gaussian_scale=0.01",
@@ -29,13 +29,10 @@ const STAGES: [&str; 16] = [
     "stages.surfels=0.3",
     "stages.gaussians=0.3",
     "stages.surfel_opacity=0.12",
-    "train.lambda_depth=0.1",
-    "train.lambda_normal=0.05",
-    "train.lambda_depth_normal=0.05",
-    "relocation.every=1000",
-    "discs.densify_every=1000",
-    "discs.gradient_threshold=1e-7",
-    "relocation.min_opacity=0.3",
+    "train.lambda_disc_depth=0.1",
+    "train.lambda_disc_normal=0.05",
+    "train.lambda_disc_depth_normal=0.05",
+    "density.gradient_threshold=1e-7",
 ];
 
 fn finished(mut trainer: Trainer) -> Checkpoint {

@@ -8,18 +8,26 @@ use dpges_core::ops::blend::Maps;
 use dpges_core::render::blended::BlendedRender;
 use dpges_core::scene::Gaussians;
 
-use crate::config::{DiscsConfig, Relocation, RelocationConfig, StagePlan};
+use super::schedule::RELOCATION;
+use crate::config::{DiscsConfig, Relocation, StagePlan};
+
+/// Steps from which normals and depth distortion of discs are in the loss (2DGS).
+const NORMAL_FROM: usize = 7000;
+const DISTORTION_FROM: usize = 3000;
+/// Weights of the mean opacity and of the mean scale, per world unit, of relocated Gaussians (3DGS-MCMC).
+const LAMBDA_OPACITY: f64 = 0.01;
+const LAMBDA_SCALE: f64 = 0.01;
 
 /// Weights of the terms beside L_rgb.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Weights {
-    /// Of the mean opacity.
+    /// Weight of the mean opacity.
     opacity: f64,
-    /// Of the mean scale, world units.
+    /// Weight of the mean scale, per world unit.
     scale: f64,
-    /// Of normals against those of the depth.
+    /// Weight of normals against those of the depth.
     normal: f64,
-    /// Of the spread of depths along a ray.
+    /// Weight of the spread of depths along a ray.
     distortion: f64,
 }
 
@@ -28,19 +36,19 @@ impl Weights {
     pub fn of_discs(discs: &DiscsConfig, plan: StagePlan, completed: usize) -> Self {
         let from = |step: usize, weight: f64| if completed >= plan.scaled(step) { weight } else { 0.0 };
         Self {
-            normal: from(discs.normal_from, discs.lambda_normal),
-            distortion: from(discs.distortion_from, discs.lambda_distortion),
+            normal: from(NORMAL_FROM, discs.lambda_normal),
+            distortion: from(DISTORTION_FROM, discs.lambda_distortion),
             ..Self::default()
         }
     }
 
     /// The weights of Gaussians after `completed` steps. DBS has these terms only as long as it relocates.
-    pub fn of_relocated(config: &RelocationConfig, kind: Relocation, plan: StagePlan, completed: usize) -> Self {
-        let relocates = (plan.scaled(config.from)..plan.scaled(config.until)).contains(&completed);
+    pub fn of_relocated(kind: Relocation, plan: StagePlan, completed: usize) -> Self {
+        let relocates = (plan.scaled(RELOCATION.start)..plan.scaled(RELOCATION.end)).contains(&completed);
         if kind == Relocation::Beta && !relocates {
             return Self::default();
         }
-        Self { opacity: config.lambda_opacity, scale: config.lambda_scale, ..Self::default() }
+        Self { opacity: LAMBDA_OPACITY, scale: LAMBDA_SCALE, ..Self::default() }
     }
 
     /// Whether the terms need normals or distortions of every pixel.

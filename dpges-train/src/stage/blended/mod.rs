@@ -23,6 +23,7 @@ use super::{
     TrainError, Trained,
 };
 use crate::config::{Blended, Config, Density, OpacityActivation, Relocation, StagePlan};
+use crate::optimizer::LOGIT_RATE;
 use crate::optimizer::scene_state::{GaussianState, Rates, SurfelState};
 use losses::Weights;
 use schedule::{BlendedDue, BlendedSchedule};
@@ -30,6 +31,8 @@ pub use screen_gradients::ScreenGradients;
 
 /// Base colour that is black without detail: 0.5 + C₀ k = 0.
 const BLACK: f64 = -0.5 / SH_C0;
+/// Interval at which harmonics of another degree begin to learn, steps (3DGS).
+const DEGREE_EVERY: usize = 1000;
 
 /// A stage of blended Gaussians. Their opacities are trained as logits.
 pub struct BlendedStage {
@@ -42,7 +45,7 @@ pub struct BlendedStage {
     pub gaussians: GaussianState,
     pub environment: EnvironmentState,
     pub screen_gradients: ScreenGradients,
-    /// Those before the last step, if it had any.
+    /// Gradients before the last step, if there was one.
     gradients_before: Option<ScreenGradients>,
     /// [M, 3] positions before the jitter of the last step, if it had any.
     positions_before: Option<Tensor<2>>,
@@ -54,7 +57,7 @@ impl BlendedStage {
     /// A stage of discs or of Gaussians, before the environment that is `trained`.
     ///
     /// # Errors
-    /// Those of [`begin`](super::begin).
+    /// The errors of [`begin`](super::begin).
     pub fn begin(
         plan: StagePlan,
         blended: Blended,
@@ -70,7 +73,7 @@ impl BlendedStage {
         let screen_gradients = ScreenGradients::new(start.len(), device);
         let environment = EnvironmentState::new(trained.environment.as_ref(), device);
         let smooths = blended == Blended::Controlled(Density::Smoothed);
-        let smoothing_px = context.config.density.smoothing;
+        let smoothing_px = context.config.mip_splatting_px();
         let positions = gaussians.columns.positions.raw();
         let sampling_limit = smooths.then(|| SamplingLimit::new(&positions, smoothing_px, context));
         Ok(Self { sampling_limit, ..Self::new(plan, blended, gaussians, environment, screen_gradients, context) })
@@ -90,7 +93,7 @@ impl BlendedStage {
             plan,
             blended,
             info: SceneInfo { screen_filter: blended.screen_filter(), ..context.scene_info(blended.rendering()) },
-            schedule: BlendedSchedule::new(config, plan, blended, context.dataset.train.len()),
+            schedule: BlendedSchedule::new(plan, blended, context.dataset.train.len()),
             surfels: SurfelState::new(
                 &SurfelData::neutral(config.model.colour, 0),
                 OpacityActivation::Linear,
@@ -127,8 +130,8 @@ impl BlendedStage {
         gaussians
     }
 
-    /// What a step draws.
-    fn drawn_on_tape(&self, gaussians: &Gaussians, completed: usize, config: &Config, tape: &Device) -> Gaussians {
+    /// The Gaussians that a step draws.
+    fn drawn_on_tape(&self, gaussians: &Gaussians, completed: usize, tape: &Device) -> Gaussians {
         let mut gaussians = match &self.sampling_limit {
             Some(limit) => limit.smoothed(gaussians),
             None => gaussians.clone(),
@@ -138,7 +141,7 @@ impl BlendedStage {
                 gaussians.colour.base = gaussians.colour.base.clamp_min(BLACK);
             }
             ColourModel::SphericalHarmonics { degree } => {
-                let learning = self.degree(completed, config);
+                let learning = self.degree(completed);
                 let (of, all) = (ColourModel::SphericalHarmonics { degree: learning }.detail_len(), degree);
                 if learning < all {
                     let mask = (0..self.info.colour_model.detail_len()).map(|at| f32::from(u8::from(at < of)));
@@ -152,9 +155,9 @@ impl BlendedStage {
     }
 
     /// The degree up to which harmonics learn.
-    fn degree(&self, completed: usize, config: &Config) -> usize {
+    fn degree(&self, completed: usize) -> usize {
         let interval = match self.blended {
-            Blended::Controlled(_) => self.plan.scaled(config.density.degree_every),
+            Blended::Controlled(_) => self.plan.scaled(DEGREE_EVERY),
             Blended::Discs | Blended::Relocated(_) => 0,
         };
         completed.checked_div(interval).unwrap_or(usize::MAX)
@@ -178,7 +181,7 @@ impl BlendedStage {
         match self.blended {
             Blended::Discs => Weights::of_discs(&config.discs, self.plan, completed),
             Blended::Controlled(_) => Weights::default(),
-            Blended::Relocated(kind) => Weights::of_relocated(&config.relocation, kind, self.plan, completed),
+            Blended::Relocated(kind) => Weights::of_relocated(kind, self.plan, completed),
         }
     }
 
@@ -222,7 +225,7 @@ impl Stage for BlendedStage {
         let camera = &input.view.camera;
         let tape = context.tape();
         let probe = self.probe(input.completed, &tape);
-        let gaussians = &self.drawn_on_tape(&leaves.gaussians, input.completed, &context.config, &tape);
+        let gaussians = &self.drawn_on_tape(&leaves.gaussians, input.completed, &tape);
         let weights = self.weights(input.completed, &context.config);
         let mut options = BlendedOptions::new(&self.info)?;
         options.blend.maps = weights.need_maps() || input.depth.is_some();
@@ -263,7 +266,7 @@ impl Stage for BlendedStage {
             positions: self.position_rate(completed, config),
             quaternions: optimizer.quaternions * decay,
             log_scales: optimizer.log_scales * decay,
-            opacities: config.stages.opacities * decay,
+            opacities: LOGIT_RATE * decay,
             base: optimizer.base * decay,
             detail: optimizer.detail * decay,
         };

@@ -6,10 +6,30 @@ use rand::RngExt;
 use super::super::{Context, TrainError};
 use super::BlendedStage;
 use super::schedule::{BlendedDue, CAPPED_OPACITY};
-use crate::config::{Blended, Density, Relocation};
+use crate::config::{Blended, Density, GaussianStage, Relocation};
 use crate::refine::densify::{ByAbsolute, DensifyRule, densify, reset_opacities};
 use crate::refine::relocate::{grown, relocate_and_add};
 
+/// Largest opacity after a reset (3DGS).
+const RESET_OPACITY: f64 = 0.01;
+/// Mean norm of the sums of absolute gradients above which a Gaussian is split, per NDC unit (AbsGS).
+const ABSOLUTE_THRESHOLD: f64 = 4e-4;
+/// Scale up to which a primitive is cloned, larger ones are split, extents (3DGS: `percent_dense`).
+const DENSE_FRACTION: f64 = 0.01;
+/// The same of AbsGS.
+const ABSOLUTE_DENSE_FRACTION: f64 = 0.001;
+/// Opacity below which a disc is removed (2DGS).
+const DISC_MIN_OPACITY: f64 = 0.05;
+/// Opacity below which a Gaussian is removed or relocated (3DGS, 3DGS-MCMC).
+const MIN_OPACITY: f64 = 0.005;
+/// Scale above which a primitive is removed, extents (3DGS).
+const MAX_SCALE: f64 = 0.1;
+/// Step from which it is.
+const MAX_SCALE_FROM: usize = 3000;
+/// Factor on the number of Gaussians with each relocation, up to the budget (3DGS-MCMC).
+const GROWTH: f64 = 1.05;
+/// Noise on positions relative to their learning rate (3DGS-MCMC).
+const NOISE: f64 = 5e5;
 /// Jitter of DBS over that of 3DGS-MCMC, where both relocate.
 const BETA_NOISE: f64 = 0.1;
 
@@ -26,11 +46,8 @@ impl BlendedStage {
             events.push(self.densify(completed, context));
         }
         if due.reset {
-            let config = &context.config;
-            let discs = self.blended == Blended::Discs;
-            let at_most = if discs { config.discs.reset_opacity } else { config.density.reset_opacity };
-            self.limit_opacities(at_most);
-            events.push(format!("opacities reset to at most {at_most}"));
+            self.limit_opacities(RESET_OPACITY);
+            events.push(format!("opacities reset to at most {RESET_OPACITY}"));
         }
         if due.cap {
             self.limit_opacities(CAPPED_OPACITY);
@@ -53,30 +70,24 @@ impl BlendedStage {
     }
 
     fn densify_rule(&self, completed: usize, context: &Context) -> DensifyRule {
-        let (discs, density) = (&context.config.discs, &context.config.density);
-        let from = |step: usize, limit: f64| (completed >= self.plan.scaled(step)).then_some(limit);
-        let Blended::Controlled(kind) = self.blended else {
-            return DensifyRule {
-                gradient_threshold: discs.gradient_threshold,
-                by_absolute: if discs.by_quantile { ByAbsolute::Quantile } else { ByAbsolute::Nothing },
-                dense_fraction: discs.dense_fraction,
-                min_opacity: discs.min_opacity,
-                max_scale_fraction: from(discs.max_scale_from, discs.max_scale),
-                flat: true,
-            };
+        let (flat, density) = match self.blended {
+            Blended::Controlled(density) => (false, density),
+            // discs of DP-GES are those of 2DGS; GES densifies as many again by absolute gradients
+            _ if context.config.stages.gaussians_by == GaussianStage::Dbs => (true, Density::Signed),
+            _ => (true, Density::Smoothed),
         };
-        let (by_absolute, dense_fraction) = match kind {
-            Density::Signed => (ByAbsolute::Nothing, density.dense_fraction),
-            Density::Absolute => (ByAbsolute::Splits(density.absolute_threshold), density.absolute_dense_fraction),
-            Density::Smoothed => (ByAbsolute::Quantile, density.dense_fraction),
+        let (by_absolute, dense_fraction) = match density {
+            Density::Signed => (ByAbsolute::Nothing, DENSE_FRACTION),
+            Density::Absolute => (ByAbsolute::Splits(ABSOLUTE_THRESHOLD), ABSOLUTE_DENSE_FRACTION),
+            Density::Smoothed => (ByAbsolute::Quantile, DENSE_FRACTION),
         };
         DensifyRule {
-            gradient_threshold: density.gradient_threshold,
+            gradient_threshold: context.config.density.gradient_threshold,
             by_absolute,
             dense_fraction,
-            min_opacity: density.min_opacity,
-            max_scale_fraction: from(density.max_scale_from, density.max_scale),
-            flat: false,
+            min_opacity: if flat { DISC_MIN_OPACITY } else { MIN_OPACITY },
+            max_scale_fraction: (completed >= self.plan.scaled(MAX_SCALE_FROM)).then_some(MAX_SCALE),
+            flat,
         }
     }
 
@@ -103,12 +114,10 @@ impl BlendedStage {
     /// Moves faint Gaussians to where opaque ones are, and adds some, up to the budget. This happens every few steps, so
     /// it is no event, only a message for those who ask for details.
     fn relocate(&mut self, kind: Relocation, context: &mut Context) {
-        let relocation = &context.config.relocation;
         let cap = context.most_primitives(self.plan.budget_share);
         let gaussians = self.gaussians.to_data();
-        let target = grown(gaussians.len(), relocation.growth, cap);
-        let min_opacity = relocation.min_opacity;
-        let Some(relocated) = relocate_and_add(&gaussians, target, min_opacity, kind, &mut context.rng) else { return };
+        let target = grown(gaussians.len(), GROWTH, cap);
+        let Some(relocated) = relocate_and_add(&gaussians, target, MIN_OPACITY, kind, &mut context.rng) else { return };
         self.gaussians.relocate(&relocated);
         self.restart_observations(context);
         tracing::debug!("{} Gaussians relocated, {} added", relocated.relocated, relocated.added);
@@ -119,9 +128,8 @@ impl BlendedStage {
     /// # Errors
     /// [`TrainError::Core`] if the operation refuses the parameters.
     pub fn jitter(&mut self, gate: NoiseGate, completed: usize, context: &mut Context) -> Result<(), TrainError> {
-        let relocation = &context.config.relocation;
         let factor = if gate == NoiseGate::Beta { BETA_NOISE } else { 1.0 };
-        let amount = relocation.noise * factor * self.position_rate(completed, &context.config);
+        let amount = NOISE * factor * self.position_rate(completed, &context.config);
         if amount > 0.0 {
             let options = JitterOptions { gate, amount, seed: context.rng.random() };
             let positions = jitter(&self.gaussians.values(), &options)?;

@@ -4,8 +4,19 @@ use std::iter::StepBy;
 use std::ops::Range;
 
 use crate::config::stages::SHORTEST_RESET;
-use crate::config::{Blended, Config, Density, StagePlan};
+use crate::config::{Blended, Density, StagePlan};
 
+/// Interval of densification and of relocation, and the step after which they begin (3DGS, 2DGS, 3DGS-MCMC).
+const EVERY: usize = 100;
+const FROM: usize = 500;
+/// Step at which densification ends, exclusive (3DGS, 2DGS).
+const DENSIFY_UNTIL: usize = 15_000;
+/// Step at which relocation ends, exclusive (3DGS-MCMC).
+const RELOCATE_UNTIL: usize = 25_000;
+/// Steps in which Gaussians are relocated.
+pub const RELOCATION: Range<usize> = FROM..RELOCATE_UNTIL;
+/// Interval of opacity resets (3DGS). There are none if it is less than [`SHORTEST_RESET`] steps of the run.
+const RESET_EVERY: usize = 3000;
 /// Fewest steps between two relocations: fewer would say nothing new about who is dead, and cost more than the steps.
 const SHORTEST_RELOCATION: usize = 5;
 /// Interval of limiting opacities and their limit (AbsGS).
@@ -27,7 +38,7 @@ pub struct BlendedSchedule {
     pub measure: Vec<usize>,
 }
 
-/// What is due after a given number of completed steps.
+/// Changes due after a given number of completed steps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BlendedDue {
     pub densify: bool,
@@ -40,51 +51,45 @@ pub struct BlendedDue {
 impl BlendedSchedule {
     /// The schedule of a stage over `views` training views. Densification of discs waits until all views were seen, as
     /// pruning does.
-    pub fn new(config: &Config, plan: StagePlan, blended: Blended, views: usize) -> Self {
-        let every = |every: usize, from: usize, until: usize| (from..until).step_by(every.max(1));
-        // none is looked at that lies beyond the stage, however far that is
+    pub fn new(plan: StagePlan, blended: Blended, views: usize) -> Self {
+        let every = |every: usize, from: usize, until: usize| (from..until).step_by(every);
         let scaled = |steps: StepBy<Range<usize>>| -> Vec<usize> {
             let within = steps.map(|step| plan.scaled(step)).take_while(|&step| step < plan.steps);
             let mut steps: Vec<usize> = within.filter(|&step| step > 0).collect();
             steps.dedup();
             steps
         };
-        let resets = |interval: usize, until: usize| {
-            let enough = plan.scaled(interval) >= SHORTEST_RESET;
-            if enough { scaled(every(interval, interval, until)) } else { Vec::new() }
+        let reset = if plan.scaled(RESET_EVERY) >= SHORTEST_RESET {
+            scaled(every(RESET_EVERY, RESET_EVERY, DENSIFY_UNTIL))
+        } else {
+            Vec::new()
         };
         match blended {
             Blended::Discs => {
-                let discs = &config.discs;
                 let views = views.max(1);
-                let until = plan.scaled(discs.densify_until).min(plan.steps);
-                let from = discs.densify_from.saturating_add(discs.densify_every);
-                let steps = every(discs.densify_every, from, discs.densify_until);
-                let mut densify: Vec<usize> =
-                    scaled(steps).into_iter().map(|step| step.div_ceil(views) * views).collect();
+                let until = plan.scaled(DENSIFY_UNTIL).min(plan.steps);
+                let steps = scaled(every(EVERY, FROM + EVERY, DENSIFY_UNTIL));
+                let mut densify: Vec<usize> = steps.into_iter().map(|step| step.div_ceil(views) * views).collect();
                 densify.retain(|&step| step < until);
                 densify.dedup();
-                Self { densify, reset: resets(discs.reset_every, discs.densify_until), ..Self::default() }
+                Self { densify, reset, ..Self::default() }
             }
             Blended::Controlled(density) => {
-                let control = &config.density;
-                let interval = plan.scaled(control.every).max(control.every.min(views)).max(1);
-                let from = plan.scaled(control.from).saturating_add(interval);
-                let until = plan.scaled(control.until).min(plan.steps);
+                let interval = plan.scaled(EVERY).max(EVERY.min(views)).max(1);
+                let from = plan.scaled(FROM) + interval;
+                let until = plan.scaled(DENSIFY_UNTIL).min(plan.steps);
                 let cap = plan.scaled(CAP_EVERY) >= SHORTEST_CAP && density == Density::Absolute;
                 let measures = density == Density::Smoothed;
                 Self {
                     densify: every(interval, from, until).collect(),
-                    reset: resets(control.reset_every, control.until),
-                    cap: if cap { scaled(every(CAP_EVERY, CAP_EVERY, control.until)) } else { Vec::new() },
+                    reset,
+                    cap: if cap { scaled(every(CAP_EVERY, CAP_EVERY, DENSIFY_UNTIL)) } else { Vec::new() },
                     measure: if measures { every(interval, interval, plan.steps).collect() } else { Vec::new() },
                     ..Self::default()
                 }
             }
             Blended::Relocated(_) => {
-                let relocation = &config.relocation;
-                let from = relocation.from.saturating_add(relocation.every);
-                let mut relocate = scaled(every(relocation.every, from, relocation.until));
+                let mut relocate = scaled(every(EVERY, RELOCATION.start + EVERY, RELOCATION.end));
                 let mut last = 0;
                 relocate.retain(|&step| {
                     let stays = step - last >= SHORTEST_RELOCATION;
@@ -111,12 +116,12 @@ impl BlendedSchedule {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Method;
+    use crate::config::{Config, Method};
 
     fn schedule(method: Method, steps: usize, views: usize) -> BlendedSchedule {
         let mut config = Config::default();
         (config.train.method, config.train.steps) = (method, steps);
-        BlendedSchedule::new(&config, config.plan()[0], method.alone().unwrap(), views)
+        BlendedSchedule::new(config.plan()[0], method.alone().unwrap(), views)
     }
 
     #[test]
@@ -134,27 +139,6 @@ mod tests {
         let dbs = schedule(Method::Dbs, 30_000, 100);
         assert_eq!((dbs.relocate[0], dbs.relocate.last(), dbs.relocate.len()), (600, Some(&24_900), 244));
         assert!(dbs.densify.is_empty() && discs.relocate.is_empty());
-    }
-
-    #[test]
-    fn changes_without_an_end_go_on_to_the_last_step() {
-        let ending_at = |method: Method, from: usize, until: usize| {
-            let mut config = Config::default();
-            (config.train.method, config.train.steps) = (method, 30_000);
-            (config.discs.densify_from, config.density.from, config.relocation.from) = (from, from, from);
-            (config.discs.densify_until, config.density.until, config.relocation.until) = (until, until, until);
-            BlendedSchedule::new(&config, config.plan()[0], method.alone().unwrap(), 100)
-        };
-        for method in [Method::Discs, Method::Gaussians3d, Method::Absolute, Method::Mcmc] {
-            let whole = ending_at(method, 500, 30_000);
-            let last = whole.densify.last().or(whole.relocate.last());
-            assert_eq!(last, Some(&29_900), "{method:?}");
-            for until in [1_000_000_000_000, i64::MAX as usize, usize::MAX] {
-                assert_eq!(ending_at(method, 500, until), whole, "{method:?}, {until}");
-            }
-            let never = ending_at(method, usize::MAX, usize::MAX);
-            assert!(never.densify.is_empty() && never.relocate.is_empty(), "{method:?}");
-        }
     }
 
     #[test]

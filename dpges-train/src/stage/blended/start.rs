@@ -1,11 +1,17 @@
-//! What a stage of blended Gaussians begins with: the points of the dataset.
+//! The start of a stage of blended Gaussians: the points of the dataset.
 
 use dpges_core::scene::{GaussianData, SurfelData};
 
 use super::super::{Context, TrainError};
 use crate::config::{Blended, StagePlan};
-use crate::init::{PrimitiveQuota, initialise};
+use crate::init::{InitialScene, PrimitiveQuota, PrimitiveStart, initialise};
 
+/// Opacity of discs and of Gaussians under density control at the start (2DGS, 3DGS).
+const OPACITY: f64 = 0.1;
+/// Opacity of Gaussians that are relocated at the start (3DGS-MCMC).
+const RELOCATED_OPACITY: f64 = 0.5;
+/// Scale at the start relative to the root mean square distance to the 3 nearest points (2DGS, 3DGS, DBS).
+const SCALE: f64 = 1.0;
 /// Thickness of a Gaussian that is made of a surfel, over the mean of its two scales (GES).
 const THICKNESS: f64 = 0.1;
 
@@ -15,28 +21,23 @@ impl Context {
     /// # Errors
     /// [`TrainError::Init`] if the dataset has nothing to begin with.
     pub fn start_of_discs(&mut self, plan: StagePlan) -> Result<GaussianData, TrainError> {
-        let mut config = self.config.clone();
-        config.init.surfel_scale = config.discs.start_scale;
-        config.init.gaussian_scale = config.discs.start_scale;
-        let opacity = config.discs.start_opacity as f32;
-        let quota = self.most_primitives(plan.budget_share) as f64;
-        let start = initialise(&self.dataset, &config, PrimitiveQuota::new(quota, quota), &mut self.rng)?;
+        let start = self.start(plan, OPACITY)?;
         let mut discs = if start.surfels.is_empty() { start.gaussians } else { flat(start.surfels) };
-        discs.opacities.fill(opacity);
+        discs.opacities.fill(OPACITY as f32);
         Ok(discs)
     }
 
     /// # Errors
     /// [`TrainError::Init`] if the dataset has nothing to begin with.
     pub fn start_of_gaussians(&mut self, plan: StagePlan, blended: Blended) -> Result<GaussianData, TrainError> {
-        let mut config = self.config.clone();
-        let (density, relocation) = (&config.density, &config.relocation);
-        (config.init.gaussian_scale, config.init.gaussian_opacity) = match blended {
-            Blended::Controlled(_) => (density.start_scale, density.start_opacity),
-            Blended::Discs | Blended::Relocated(_) => (relocation.start_scale, relocation.start_opacity),
-        };
+        let is_relocated = blended.relocation().is_some();
+        Ok(self.start(plan, if is_relocated { RELOCATED_OPACITY } else { OPACITY })?.gaussians)
+    }
+
+    fn start(&mut self, plan: StagePlan, gaussian_opacity: f64) -> Result<InitialScene, TrainError> {
         let quota = self.most_primitives(plan.budget_share) as f64;
-        Ok(initialise(&self.dataset, &config, PrimitiveQuota::new(quota, quota), &mut self.rng)?.gaussians)
+        let start = PrimitiveStart { surfel_scale: SCALE, gaussian_scale: SCALE, gaussian_opacity };
+        Ok(initialise(&self.dataset, &self.config, start, PrimitiveQuota::new(quota, quota), &mut self.rng)?)
     }
 }
 

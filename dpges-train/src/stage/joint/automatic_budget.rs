@@ -41,8 +41,8 @@ impl JointStage {
             return Ok(None);
         }
         let psnr = self.psnr_of_views(context)?;
-        let (completed, least_gain) = (context.completed_in(self.plan), context.config.refine.least_gain);
-        let found = self.growth.as_mut().and_then(|growth| growth.end(completed, &psnr, least_gain));
+        let completed = context.completed_in(self.plan);
+        let found = self.growth.as_mut().and_then(|growth| growth.end(completed, &psnr));
         events.extend(found.map(|found| found.to_string()));
         Ok(Some(psnr))
     }

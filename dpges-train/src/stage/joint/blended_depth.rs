@@ -28,10 +28,10 @@ pub struct ShownDepth {
 }
 
 impl BlendedDepth {
-    /// Of `gaussians`, blended with `filter`.
+    /// Depths of `gaussians`, blended with `filter`.
     ///
     /// # Errors
-    /// Those of [`BlendedOptions::new`].
+    /// The errors of [`BlendedOptions::new`].
     pub fn new(gaussians: &GaussianData, filter: ScreenFilter, context: &Context) -> dpges_core::Result<Self> {
         let info = SceneInfo { screen_filter: filter, ..context.scene_info(Rendering::Ellipsoids) };
         let mut options = BlendedOptions::new(&info)?;

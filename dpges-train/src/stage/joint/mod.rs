@@ -6,6 +6,7 @@ mod depth_surfels;
 mod judging;
 mod limits;
 mod refine;
+pub mod schedule;
 mod sky;
 mod start;
 mod statistics;
@@ -24,12 +25,13 @@ use super::{
     Context, EnvironmentState, ForwardPass, Leaves, Observed, Parameters, Stage, StageCheckpoint, StepInput, StepRates,
     TrainError,
 };
-use crate::config::{Config, Due, OpacityActivation, Schedule, StagePlan};
+use crate::config::{Config, OpacityActivation, StagePlan};
 use crate::init::InitialScene;
 use crate::optimizer::scene_state::{GaussianState, Rates, SurfelState};
 use crate::refine::growth::Growth;
 use crate::refine::prune::drawn;
 pub use limits::SamplingLimits;
+use schedule::{Due, Schedule};
 pub use sky::SkyMasks;
 pub use statistics::Statistics;
 pub use supervision::Supervisions;
@@ -50,7 +52,7 @@ pub struct JointStage {
     /// `None` if nothing holds the sky free.
     pub sky: Option<SkyMasks>,
     pub statistics: Statistics,
-    /// Those before the last step.
+    /// Statistics before the last step.
     pub statistics_before: Option<Statistics>,
     /// Targets of the geometry losses; `None` without them.
     pub supervisions: Option<Supervisions>,
@@ -73,7 +75,7 @@ impl JointStage {
         Self {
             plan,
             info: context.scene_info(Rendering::Peeled),
-            schedule: config.schedule(context.dataset.train.len()),
+            schedule: Schedule::new(config, context.dataset.train.len()),
             limits: SamplingLimits::new(&surfels, &gaussians, context),
             surfels,
             gaussians,
@@ -200,8 +202,7 @@ impl Stage for JointStage {
             base: optimizer.base * decay,
             detail: optimizer.detail * decay,
         };
-        let surfels = Rates { positions: position * optimizer.surfel_position_factor, ..gaussians };
-        let surfels = if config.train.freeze_surfels { surfels.of_colours() } else { surfels };
+        let surfels = if config.train.freeze_surfels { gaussians.of_colours() } else { gaussians };
         StepRates { surfels, gaussians, environment: optimizer.environment * decay }
     }
 
@@ -222,5 +223,9 @@ fn loss_weights(config: &Config) -> LossWeights {
 
 fn geometry_weights(config: &Config) -> GeometryWeights {
     let train = &config.train;
-    GeometryWeights { depth: train.lambda_depth, normal: train.lambda_normal, depth_normal: train.lambda_depth_normal }
+    GeometryWeights {
+        depth: train.lambda_disc_depth,
+        normal: train.lambda_disc_normal,
+        depth_normal: train.lambda_disc_depth_normal,
+    }
 }

@@ -11,7 +11,8 @@ use rand_chacha::ChaCha8Rng;
 use super::super::context::mean_pixels;
 use super::super::{Context, TrainError};
 use super::JointStage;
-use crate::config::{Budget, Due, NewGaussians, PixelsOf};
+use super::schedule::Due;
+use crate::config::{Budget, NewGaussians};
 use crate::dataset::View;
 use crate::refine::add::{batch_size, draw_in_proportion, new_gaussians};
 use crate::refine::copies::{Renewal, renew};
@@ -37,13 +38,11 @@ impl JointStage {
         if due.gaussian_prune {
             events.push(self.prune_gaussians(context));
         }
-        if due.margins || (due.surfel_prune && context.config.refine.margins_with_pruning) {
+        if due.margins {
             let surfels = self.drawn_surfel_data();
             let margins = margins(&surfels.positions, &surfels.log_scales, context.config.model.margin);
             self.surfels.columns.margins.set(&margins);
             events.push(format!("margins of {} surfels computed", surfels.len()));
-        }
-        if due.margins {
             let begun = context.completed_steps > self.plan.begin;
             if begun && context.config.refine.budget == Budget::Auto {
                 events.push(self.choose_layer_count(context)?);
@@ -78,17 +77,12 @@ impl JointStage {
     }
 
     fn prune_surfels(&mut self, context: &Context) -> String {
-        let refine = &context.config.refine;
         let log_scales = tensor_to_rows(&self.surfels.columns.log_scales.raw());
         let edit = surfels_to_keep(
             &self.statistics.max_pixels(),
             &log_scales,
             self.info.extent,
-            match refine.surfel_pixels_of {
-                PixelsOf::Picture => refine.surfel_min_pixels,
-                PixelsOf::Megapixel => min_pixels(refine.surfel_min_pixels, mean_pixels(&context.dataset)),
-            },
-            refine.surfel_max_scale,
+            context.config.refine.surfel_pixels.of(mean_pixels(&context.dataset)),
         );
         let before = self.surfels.len();
         self.surfels.keep(&edit);
@@ -190,7 +184,7 @@ impl JointStage {
         Ok(new_gaussians(&positions, largest, self.info.colour_model, &mut context.rng))
     }
 
-    /// Edits the set of Gaussians. What was observed of those that stay stays.
+    /// Edits the set of Gaussians. Gaussians that stay keep their observations.
     fn edit_gaussians(&mut self, edit: &GaussianEdit, context: &Context) {
         self.gaussians.edit(edit);
         self.measure_gaussian_limit(context);
@@ -210,12 +204,6 @@ impl JointStage {
             None => rendered,
         })
     }
-}
-
-/// The threshold that is the same share of a view of `pixels` px as `per_megapixel` of 10⁶ px, rounded up: in small views,
-/// too, a threshold removes something.
-fn min_pixels(per_megapixel: usize, pixels: usize) -> usize {
-    (per_megapixel as f64 * pixels as f64 / 1e6).ceil() as usize
 }
 
 /// [H × W] squared error summed over channels; 0 where pixels do not count.
@@ -251,12 +239,5 @@ mod tests {
         }
         assert!(totals.iter().all(|total| (2800..3200).contains(total)), "{totals:?}");
         assert_eq!(shares(7, 7, &mut rng), [1; 7]);
-    }
-
-    #[test]
-    fn thresholds_per_megapixel_remain_thresholds_in_small_views() {
-        let found = [1_000_000, 500_000, 62_500, 62_501, 250 * 250 / 4, 1].map(|pixels| min_pixels(16, pixels));
-        assert_eq!(found, [16, 8, 1, 2, 1, 1]);
-        assert_eq!((min_pixels(0, 250), min_pixels(1, 400 * 400)), (0, 1));
     }
 }

@@ -1,4 +1,4 @@
-//! What is known to be sky belongs to the environment.
+//! Pixels that are known to be sky belong to the environment.
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use dpges_core::counters::transfers::upload;
@@ -7,7 +7,7 @@ use super::super::{Context, EnvironmentState};
 use crate::dataset::Picture;
 use crate::init::sky::Skies;
 
-/// What the training views show of the sky.
+/// The sky in the training views.
 pub struct SkyMasks(Skies);
 
 impl SkyMasks {

@@ -1,4 +1,4 @@
-//! What the joint stage begins with: trained discs and Gaussians, files, or the points of the dataset.
+//! The start of the joint stage: trained discs and Gaussians, files, or the points of the dataset.
 
 use dpges_core::scene::{GaussianData, Rendering, SceneData, ScreenFilter};
 
@@ -7,7 +7,7 @@ use super::super::{Context, EnvironmentState, TrainError, Trained};
 use super::{JointStage, Supervisions};
 use crate::config::{GaussianStage, HARD_RIM, JointOpacity, NewGaussians, OpacityActivation, StagePlan, SurfelStart};
 use crate::init::promote::promote;
-use crate::init::{InitialScene, PrimitiveQuota, initialise};
+use crate::init::{InitialScene, PrimitiveQuota, PrimitiveStart, initialise};
 use crate::refine::margins::margins;
 use crate::refine::prune::small_surfels;
 
@@ -18,7 +18,7 @@ impl JointStage {
     /// The stage of `plan`, with the discs and Gaussians that are `trained`.
     ///
     /// # Errors
-    /// Those of [`begin`](super::super::begin).
+    /// The errors of [`begin`](super::super::begin).
     pub fn begin(plan: StagePlan, trained: Trained, context: &mut Context) -> Result<Self, TrainError> {
         let given = context.pretrained(SURFELS_FROM)?;
         let from_file = given.as_ref().filter(|scene| scene.info.rendering == Rendering::Discs);
@@ -53,8 +53,7 @@ impl Context {
         let (mut surfels, rest) = match (discs, given) {
             (Some(discs), _) => {
                 let (surfels, rest) = promote(discs, stages.surfel_opacity, stages.surfel_scale);
-                let small =
-                    small_surfels(&surfels.log_scales, self.dataset.extent, self.config.refine.surfel_max_scale);
+                let small = small_surfels(&surfels.log_scales, self.dataset.extent);
                 let surfels = surfels.select(&small.keep);
                 tracing::info!("{} of {} discs become surfels", surfels.len(), discs.len());
                 if surfels.is_empty() {
@@ -87,7 +86,7 @@ impl Context {
         if surfels.is_none() || gaussians.is_none() {
             let budget = self.budget_before_growth() as f64;
             let quota = PrimitiveQuota::new(budget * START_SHARE / 2.0, budget * START_SHARE);
-            let start = initialise(&self.dataset, &self.config, quota, &mut self.rng)?;
+            let start = initialise(&self.dataset, &self.config, PrimitiveStart::default(), quota, &mut self.rng)?;
             surfels.get_or_insert(start.surfels);
             gaussians.get_or_insert(start.gaussians);
         }

@@ -10,7 +10,7 @@ use dpges_core::scene::Gaussians;
 use dpges_core::scene::schema::Columns;
 use dpges_core::scene::tensors::tensor_to_rows;
 
-use crate::config::Schedule;
+use super::schedule::Schedule;
 use crate::refine::RowEdit;
 
 /// Most views whose errors are observed before new Gaussians are made.

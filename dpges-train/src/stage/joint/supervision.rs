@@ -35,7 +35,7 @@ struct Discs {
 type DepthAndNormal = [Vec<f32>; 2];
 
 impl Supervisions {
-    /// Of `discs`, which are rendered in the training views that there is room for.
+    /// Supervision by `discs`, which are rendered in the training views that there is room for.
     ///
     /// # Errors
     /// [`TrainError::Core`] if they cannot be rendered.

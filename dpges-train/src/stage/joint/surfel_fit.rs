@@ -31,7 +31,7 @@ const LEAST_FACTOR: f32 = 0.6;
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Cover {
     pixels: u32,
-    /// Those among them at which Gaussians show nothing, or something behind the surfel.
+    /// Pixels among them at which Gaussians show nothing, or something behind the surfel.
     wrong: u32,
 }
 

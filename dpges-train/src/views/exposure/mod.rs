@@ -1,4 +1,4 @@
-//! What exposure and white balance have changed from one photograph to the next.
+//! Changes of exposure and white balance from one photograph to the next.
 //!
 //! A photograph shows `gain · C + offset` in each channel, where C is the display-referred colour of the scene. Gains and
 //! offsets are exactly what all photographs could have in common with the scene, so that their means can be held still;
@@ -26,10 +26,10 @@ const SAMPLED_POINTS: usize = 20_000;
 /// Fewest points by which the brightness of a photograph is judged.
 const FEWEST_POINTS: usize = 16;
 
-/// What the exposure of one photograph has changed: `photograph = gain · scene + offset`, display-referred.
+/// The change by the exposure of one photograph: `photograph = gain · scene + offset`, display-referred.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Correction {
-    /// Of red, green and blue.
+    /// Gains of red, green and blue.
     pub gain: [f64; 3],
     /// Likewise.
     pub offset: [f64; 3],
@@ -110,12 +110,12 @@ pub struct Seen<'a> {
     pub camera: &'a Camera,
     /// As it was taken.
     pub picture: Arc<Picture>,
-    /// What the exposure has changed; `None` if the photograph is taken as it is.
+    /// The correction; `None` if the photograph is taken as it is.
     pub correction: Option<&'a Correction>,
 }
 
 impl<'a> Seen<'a> {
-    /// What a view saw.
+    /// The view with its photograph.
     ///
     /// # Errors
     /// [`dpges_core::Error::Io`] if its photograph cannot be read again.
@@ -141,8 +141,8 @@ impl<'a> Seen<'a> {
 }
 
 /// How differently bright the training photographs of `dataset` show the same points: the standard deviation over views of
-/// the logarithm to base 2 of how much brighter the points are in a photograph than by their own colours. Of many views a
-/// sample is looked at. `None` if fewer than two photographs show enough points with a colour.
+/// the logarithm to base 2 of how much brighter the points are in a photograph than by their own colours. A sample
+/// stands for many views. `None` if fewer than two photographs show enough points with a colour.
 ///
 /// # Errors
 /// [`dpges_core::Error::Io`] if a photograph cannot be read again.

@@ -22,11 +22,11 @@ const DECAY: f64 = 0.01;
 const DSSIM: f64 = 0.2;
 
 /// The correction of `camera` with which `renderer` comes nearest to `target`, in a scene of `extent`, world units: the best
-/// of a descent that begins with none. What is compared is the render as `exposed` shows it, which may depend on the render:
+/// of a descent that begins with none. The loss compares the render as `exposed` shows it, which may depend on the render:
 /// a photograph that is brighter than the scene says nothing about where its camera is.
 ///
 /// # Errors
-/// Those of [`Renderer::render`], [`dpges_core::Error::Shape`] if the target has another size.
+/// The errors of [`Renderer::render`], [`dpges_core::Error::Shape`] if the target has another size.
 pub fn fitted_pose(
     renderer: &Renderer,
     camera: &Camera,

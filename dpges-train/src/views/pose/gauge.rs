@@ -1,11 +1,11 @@
-//! What the corrections of all cameras have in common: a similarity of the whole world, which no photograph shows.
+//! The common part of the corrections of all cameras: a similarity of the whole world, which no photograph shows.
 
 use dpges_core::camera::CameraFromWorld;
 use glam::{DMat3, DVec3};
 
 use crate::views::pose::PoseCorrection;
 
-/// A small motion of the whole world about the mean c̄ of the camera centres. Of a camera at c it is the turn ω and the shift
+/// A small motion of the whole world about the mean c̄ of the camera centres. It turns a camera at c by ω and shifts it by
 /// `τ + ω × (c − c̄) + σ (c − c̄)`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Similarity {
@@ -31,7 +31,7 @@ pub struct Gauge {
 }
 
 impl Gauge {
-    /// Of cameras where they were recorded, in a scene of `extent`, world units.
+    /// The gauge of cameras where they were recorded, in a scene of `extent`, world units.
     pub fn new(recorded: &[CameraFromWorld], extent: f64) -> Self {
         let centres = recorded.iter().map(CameraFromWorld::centre);
         let middle = centres.clone().sum::<DVec3>() / recorded.len().max(1) as f64;

@@ -85,7 +85,7 @@ pub struct PoseChanges {
 }
 
 impl PoseChanges {
-    /// Of all `corrections`, in a scene of `extent`, world units.
+    /// Summary of all `corrections`, in a scene of `extent`, world units.
     pub fn of(corrections: &[PoseCorrection], extent: f64) -> Self {
         let numbers = |of: fn(&PoseCorrection) -> [f64; 3], unit: f64| {
             let sizes = corrections.iter().map(|correction| DVec3::from(of(correction)).length() / unit);
@@ -121,7 +121,8 @@ pub struct RefinedPose {
 }
 
 impl RefinedPose {
-    /// Of a camera that was recorded in a world shifted by `-offset`, see [`Dataset::offset`](crate::dataset::Dataset).
+    /// The pose of a camera that was recorded in a world shifted by `-offset`, see
+    /// [`Dataset::offset`](crate::dataset::Dataset).
     pub fn new(correction: PoseCorrection, recorded: &CameraFromWorld, offset: DVec3) -> Self {
         let CameraFromWorld { rotation, translation } = correction.applied(recorded).recentred(-offset);
         let row = |row: usize| {

@@ -117,7 +117,7 @@ impl PoseState {
         Some((POSES, rows))
     }
 
-    /// What a checkpoint holds besides: names and numbers.
+    /// The numbers in a checkpoint, with names.
     pub fn columns(&self) -> Vec<(&'static str, Vec<f32>)> {
         let Some(Refinement { steps, waiting, .. }) = &self.0 else { return Vec::new() };
         let steps = steps.iter().map(|&steps| steps as f32).collect();
@@ -132,7 +132,7 @@ impl PoseState {
         self.0.is_some()
     }
 
-    /// Of the training views, by their indices; empty in runs without any.
+    /// Corrections of the training views, by their indices; empty in runs without any.
     pub fn corrections(&self) -> Vec<PoseCorrection> {
         self.0.iter().flat_map(|refinement| &refinement.corrections).map(PoseCorrection::of_row).collect()
     }
@@ -186,8 +186,8 @@ impl Context {
         }
     }
 
-    /// What the gradient of the pose of the training view with index `view` arrives at; `None` if poses are not learnt, or
-    /// not yet.
+    /// Receives the gradient of the pose of the training view with index `view`; `None` if poses are not learnt, or not
+    /// yet.
     pub fn pose_probe(&self, view: usize) -> Option<PoseProbe> {
         let progress = self.completed_steps as f64 / self.config.total_steps().max(1) as f64;
         let learnt = self.poses.is_on() && self.config.optimizer.poses_are_learnt(progress);

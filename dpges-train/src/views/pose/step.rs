@@ -9,7 +9,7 @@ pub struct PoseStep {
     pub rotation: f64,
     /// Learning rate of the translation, extents.
     pub translation: f64,
-    /// Of the scene, world units.
+    /// Extent of the scene, world units.
     pub extent: f64,
     /// Adam's constants; `time` counts the steps of this correction.
     pub adam: AdamStep,

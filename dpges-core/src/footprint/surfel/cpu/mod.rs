@@ -103,8 +103,8 @@ pub struct Disc {
 /// Gradients of the linear functions of a surfel, summed over its pixels.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct DiscGrad {
-    /// Of r·(t_v × c): at the anchor, times offset in x, times offset in y (offsets in units of the ray). Through a lens
-    /// times z, x and y of the ray.
+    /// Coefficients of r·(t_v × c): at the anchor, times offset in x, times offset in y (offsets in units of the ray).
+    /// Through a lens times z, x and y of the ray.
     pub u: V3<f64>,
     pub v: V3<f64>,
     pub facing: V3<f64>,
@@ -154,7 +154,7 @@ impl Disc {
         Self { plane, anchor_ray, centre, axes, scales, centred }
     }
 
-    /// What the linear functions are functions of, at a pixel: 1 and the offset from the anchor in units of the ray.
+    /// Arguments of the linear functions at a pixel: 1 and the offset from the anchor in units of the ray.
     #[inline(always)]
     pub fn offset(&self, camera: &CameraOf<f64>, [x, y]: [f64; 2]) -> V3<f64> {
         [1.0, (x - self.plane.anchor[0]) / camera.fx, (y - self.plane.anchor[1]) / camera.fy]

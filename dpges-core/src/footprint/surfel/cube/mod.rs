@@ -87,7 +87,7 @@ impl Plane {
         }
     }
 
-    /// What the linear functions are multiples of at a pixel: constant, across, down.
+    /// Factors of the linear functions at a pixel: constant, across, down.
     pub fn shares(&self, view: CameraUniforms, sight: Vec3) -> Vec3 {
         if comptime!(view.lens.kind == LensKind::None) {
             vec3(1.0f32, (sight.x - self.anchor_x) / view.fx, (sight.y - self.anchor_y) / view.fy)
@@ -118,7 +118,7 @@ fn meeting(u: f32, v: f32, facing: f32, distance: f32) -> Hit {
 record! {
     /// Gradients of the linear functions of a surfel, summed over its pixels.
     struct DiscSums {
-        /// Of r·(t_v × c): at the anchor, times offset in x, times offset in y (offsets in units of the ray).
+        /// For r·(t_v × c): at the anchor, times offset in x, times offset in y (offsets in units of the ray).
         pub u: Vec3,
         pub v: Vec3,
         pub facing: Vec3,

@@ -83,7 +83,7 @@ fn union(a: PixelRect, b: PixelRect) -> PixelRect {
 /// How one coordinate of the projected centre, in px, moves the linear functions of a [`Plane`].
 #[derive(Clone, Copy, Debug)]
 struct CentreSlopes<T> {
-    /// Of u and of v: at the anchor, and slope per px along the other coordinate.
+    /// Coefficients of u and of v: at the anchor, and slope per px along the other coordinate.
     u: [T; 2],
     v: [T; 2],
     distance: T,

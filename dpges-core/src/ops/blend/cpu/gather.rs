@@ -57,7 +57,7 @@ struct WayBack<'a, T> {
     /// [planes, `TILE_PIXELS`]
     grad: &'a [T],
     max_alpha: T,
-    /// Of all fragments; unused without maps.
+    /// Spread of all fragments; unused without maps.
     spread: Spread<T>,
     /// 1 − T behind the last.
     alpha: [T; TILE_PIXELS],

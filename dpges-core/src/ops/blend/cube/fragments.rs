@@ -210,7 +210,7 @@ pub struct Fragment {
     pub weight: f32,
     /// Camera-space z, world units.
     pub depth: f32,
-    /// Of a disc: 1 where its plane and not its low-pass decides, else 0.
+    /// For a disc: 1 where its plane and not its low-pass decides, else 0.
     pub by_plane: f32,
 }
 
@@ -258,7 +258,7 @@ pub fn fragment(
     Fragment { weight, depth, by_plane }
 }
 
-/// What does not depend on the pixel; rows are primitives, nearest first.
+/// The values that do not depend on the pixel; rows are primitives, nearest first.
 pub struct Fragments {
     /// [M, [`SPLAT`]] of ellipsoids, [M, [`PLANE`]] of discs
     pub shapes: CubeTensor,

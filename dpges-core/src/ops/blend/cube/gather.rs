@@ -35,7 +35,7 @@ use crate::tiles::capacity::exceed;
 /// Entries whose sums a cube makes together, and the units that sum over the pixels of each.
 const ENTRIES: u32 = 4;
 const SHARE: u32 = UNITS / ENTRIES;
-/// What an entry has at a pixel: gradient of the exponent, covered share, gradient of the depth.
+/// Numbers of an entry at a pixel: gradient of the exponent, covered share, gradient of the depth.
 const NUMBERS: usize = 3;
 /// Units that one unit folds for, and parts of a sum of an entry after that.
 const FOLD: usize = 16;
@@ -90,7 +90,7 @@ impl Layout {
     }
 }
 
-/// What a pixel says about a primitive.
+/// A primitive as a pixel sees it.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 struct Seen {
@@ -99,7 +99,7 @@ struct Seen {
     /// αT
     covered: f32,
     grad_depth: f32,
-    /// Of a disc: 1 where its plane and not its low-pass decides, else 0.
+    /// For a disc: 1 where its plane and not its low-pass decides, else 0.
     by_plane: f32,
 }
 

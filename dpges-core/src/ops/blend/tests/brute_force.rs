@@ -6,7 +6,7 @@ use crate::footprint::gaussian::cpu::{Parameters, Splat};
 use crate::math::{CameraOf, M3, V3, apply, column, cross, dot, rotation, scale};
 use crate::ops::blend::{ALL_PLANES, BlendOptions, DEPTH_PLANE, DISTORTION_PLANE, Form, NORMAL_PLANE, far};
 
-/// What of a primitive decides α and z at a pixel.
+/// The part of a primitive that decides α and z at a pixel.
 #[derive(Clone, Copy)]
 pub enum Shape {
     Ellipse(Splat<f64>),

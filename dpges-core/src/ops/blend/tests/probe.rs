@@ -1,7 +1,7 @@
 use super::*;
 
-/// What the probe's gradient is made of, from central differences at every pixel: of the weighted sum of all planes
-/// with respect to the projected centre.
+/// The terms of the probe's gradient, from central differences at every pixel: of the weighted sum of all planes with
+/// respect to the projected centre.
 fn brute_force_probe(flat: &Flat, camera: &Camera, options: &BlendOptions) -> Vec<f64> {
     const STEP: f64 = 1e-6;
     let pixels = camera.width * camera.height;

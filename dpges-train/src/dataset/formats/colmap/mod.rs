@@ -60,7 +60,7 @@ pub(in crate::dataset) fn read(root: &Path, options: &LoadOptions) -> Result<Sou
     })
 }
 
-/// What a model holds.
+/// The content of a model.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct ModelContent {
     /// Names of the registered images, sorted.
@@ -68,7 +68,7 @@ pub(crate) struct ModelContent {
     pub points: usize,
 }
 
-/// What the model in folder `model` holds.
+/// The content of the model in folder `model`.
 ///
 /// # Errors
 /// [`DatasetError`] for files that are missing, truncated or malformed.

@@ -8,7 +8,7 @@ use crate::eval::rendered::Renderer;
 use crate::run::Trainer;
 use crate::run::fixtures::{config, device};
 
-/// Of the surfels of `trainer` in a training view of the built-in scene.
+/// Mean error of depth of the surfels of `trainer` in a training view of the built-in scene.
 fn mean_depth_error(trainer: &Trainer, view: &View) -> f64 {
     let scene = trainer.scene();
     let (_, depth) = Renderer::new(&scene, &device()).render_with_depth(&view.camera).unwrap();

@@ -60,7 +60,7 @@ fn cameras_that_do_not_move_change_no_bit() {
         }
         trainer.scene()
     };
-    let still = ["train.poses=on", "optimizer.pose_rotation=0", "optimizer.pose_translation=0"];
+    let still = ["train.poses=on", "optimizer.poses=0"];
     let without = scene(&[]);
     assert!(scene(&still) == without, "the probe of a pose changes nothing");
     assert!(scene(&["train.poses=off"]) == without);

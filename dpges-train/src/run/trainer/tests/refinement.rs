@@ -1,4 +1,4 @@
-//! What changes the set of primitives while a run trains.
+//! Changes of the set of primitives while a run trains.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -35,7 +35,7 @@ fn frozen_surfels_learn_nothing_but_colours() {
 fn gaussians_that_draw_nothing_are_in_no_scene_and_make_room_for_others() {
     for (set, replaced) in [("refine.replace_until=20000", true), ("refine.replace_until=0", false)] {
         // batches after 12, 16, …, 48 steps, replacements after 52, …, 76
-        let mut trainer = trainer(&["train.steps=100", "refine.budget=300", "refine.split=false", set]);
+        let mut trainer = trainer(&["train.steps=100", "refine.budget=300", "refine.split_until=0", set]);
         while trainer.completed_steps() < 52 {
             trainer.step().unwrap();
         }
@@ -61,14 +61,14 @@ fn gaussians_that_draw_nothing_are_in_no_scene_and_make_room_for_others() {
 fn black_gaussians_are_added_over_surfels_only() {
     for (set, grows) in [("refine.new_gaussians=copies", true), ("refine.new_gaussians=black", false)] {
         let few = ["train.steps=40", "init.method=random", "init.random_gaussians=100", "refine.budget=300"];
-        let mut trainer = trainer(&[&few[..], &["refine.split=false", set]].concat());
+        let mut trainer = trainer(&[&few[..], &["refine.split_until=0", set]].concat());
         assert!(trainer.scene().surfels.is_empty());
         while !trainer.is_finished() {
             trainer.step().unwrap();
         }
         assert_eq!(gaussians(&mut trainer).len() > 100, grows, "{set}");
     }
-    let set = ["train.steps=40", "refine.budget=900", "refine.split=false", "refine.new_gaussians=black"];
+    let set = ["train.steps=40", "refine.budget=900", "refine.split_until=0", "refine.new_gaussians=black"];
     let mut trainer = trainer(&set);
     let before = gaussians(&mut trainer).len();
     while !trainer.is_finished() {
@@ -79,7 +79,7 @@ fn black_gaussians_are_added_over_surfels_only() {
 
 #[test]
 fn copies_fill_the_budget() {
-    let set = ["train.steps=100", "refine.budget=700", "refine.split=false", "refine.surfel_prune_from=15000"];
+    let set = ["train.steps=100", "refine.budget=700", "refine.split_until=0", "refine.surfel_prune_from=15000"];
     let mut trainer = trainer(&set);
     let mut batches = 0;
     while !trainer.is_finished() {
@@ -159,7 +159,7 @@ fn surfels_start_somewhere_where_depths_agree_nowhere() {
 fn all_views_are_seen_between_two_changes_that_judge_by_views() {
     // 7 views, stages of 40, 40 and 120 steps: no stage begins where a pass over the views would
     let views = 7;
-    let set = ["train.steps=200", "stages.surfels=0.2", "stages.gaussians=0.2", "refine.surfel_min_pixels=0"];
+    let set = ["train.steps=200", "stages.surfels=0.2", "stages.gaussians=0.2", "refine.surfel_pixels=0px"];
     let set = [&set[..], &["refine.gaussian_prune_until=2000"]].concat();
     let mut trainer = Trainer::new(config(&set), dataset_of(views), device()).unwrap();
     let mut stage = trainer.stage();

@@ -73,12 +73,24 @@ fn a_step_that_is_not_finite_is_undone_with_all_that_it_has_changed() {
     }
 }
 
-/// Every 3rd of 9 views validates, and no batch is worth it: a control after 8 steps, a batch after 12 that settles
-/// after 16, a control after 20, the end of growth after 24.
+/// Every 3rd of 9 views validates, and no batch is worth it, as black Gaussians stay black where nothing is learnt: a
+/// control after 8 steps, a batch after 12 that settles after 16, a control after 20, the end of growth after 24.
 fn automatic() -> (Config, Arc<Dataset>) {
     let mut data = (*dataset_of(9)).clone();
     data.keep_for_validation(3);
-    let set = ["train.steps=100", "refine.budget=auto", "refine.least_gain=100", "refine.split=false"];
+    let set = [
+        "train.steps=100",
+        "refine.budget=auto",
+        "refine.split_until=0",
+        "refine.new_gaussians=black",
+        "optimizer.position_start=1e-12",
+        "optimizer.position_end=1e-12",
+        "optimizer.quaternions=0",
+        "optimizer.log_scales=0",
+        "optimizer.opacities=0",
+        "optimizer.base=0",
+        "optimizer.detail=0",
+    ];
     (config(&set), Arc::new(data))
 }
 

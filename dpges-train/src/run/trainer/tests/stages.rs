@@ -92,7 +92,7 @@ fn plans_that_lack_something_are_refused_before_the_first_step() {
         Err(error) => error.to_string(),
         Ok(_) => panic!("not refused"),
     };
-    assert!(error(&["train.lambda_normal=0.05"]).contains("stages.surfels above 0"));
+    assert!(error(&["train.lambda_disc_normal=0.05"]).contains("stages.surfels above 0"));
     assert!(error(&["stages.gaussians_by=rest"]).contains("needs discs"));
     assert!(error(&["refine.budget=auto"]).contains("validation views"));
     let absent = error(&["stages.surfels_from=absent.safetensors"]);
@@ -102,7 +102,7 @@ fn plans_that_lack_something_are_refused_before_the_first_step() {
 #[test]
 fn rates_decay_in_the_last_stage_only() {
     let colours = |set: &[&str], steps: usize| {
-        let mut trainer = trainer(&[set, &["train.steps=20", "optimizer.decay_from=0"]].concat());
+        let mut trainer = trainer(&[set, &["train.steps=20"]].concat());
         while trainer.completed_steps() < steps {
             trainer.step().unwrap();
         }
@@ -110,7 +110,7 @@ fn rates_decay_in_the_last_stage_only() {
     };
     let (constant, decaying) = ("optimizer.decay=1", "optimizer.decay=1e-3");
     for set in [["train.method=mcmc", "stages.gaussians=0"], ["train.method=dpges", "stages.gaussians=0"]] {
-        let of = |decay| colours(&[&set[..], &[decay]].concat(), 10);
+        let of = |decay| colours(&[&set[..], &[decay]].concat(), 20);
         assert!(of(constant) != of(decaying), "{set:?}");
     }
     let of = |decay, steps| colours(&["stages.gaussians=0.5", decay], steps);
@@ -123,7 +123,7 @@ fn the_joint_stage_ends_above_the_gaussians_that_it_begins_with() {
     let size =
         BuiltinOptions { width: 48, height: 48, train_views: 16, test_views: 6, points: 400, ..Default::default() };
     let data = Arc::new(builtin(&size));
-    let set = ["train.steps=900", "refine.budget=1500", "refine.surfel_min_pixels=1"].map(str::to_owned);
+    let set = ["train.steps=900", "refine.budget=1500", "refine.surfel_pixels=1px/MP"].map(str::to_owned);
     let mut trainer = Trainer::new(Config::resolve(None, None, &set).unwrap(), data.clone(), device()).unwrap();
     let psnr = |trainer: &Trainer| evaluate(&trainer.scene(), &data.test, trainer.device()).unwrap().psnr;
     while !trainer.stage_is_over() {

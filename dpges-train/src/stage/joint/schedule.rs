@@ -1,9 +1,7 @@
 //! The steps of the joint stage at which the set of primitives changes.
 
-use super::{Budget, Config, ConfigError, NewGaussians};
-
-/// Length of the joint stage for which the steps in `[refine]` are given (DP-GES).
-pub const REFERENCE_STEPS: usize = 25_000;
+use crate::config::stages::REFERENCE_STEPS;
+use crate::config::{Budget, Config, NewGaussians};
 
 /// Numbers of completed steps of the stage, ascending: a change due at 1000 happens after the 1000th step, margins due
 /// at 0 are computed before the first. Nothing is due after the last step.
@@ -41,49 +39,21 @@ pub struct Due {
     pub drop_lobes: bool,
 }
 
-impl Due {
-    /// Whether rows may appear or disappear.
-    pub fn changes_rows(&self) -> bool {
-        self.surfel_prune || self.gaussian_prune || self.batches_left.is_some() || self.replace || self.split
-    }
-}
+/// Steps at which an automatic budget drops lobes that change no colour visibly.
+const DROP_LOBES_AT: [usize; 2] = [16_000, 22_000];
 
-/// Largest number of steps after scaling; f64 does not hold much larger whole numbers exactly.
-const MOST_SCALED_STEPS: f64 = 1e15;
-
-impl Config {
-    /// Makes the run `factor` times as long. The steps in `[discs]`, `[relocation]`, `[density]` and `[refine]`
-    /// scale with it; `train.evaluate_every` and `train.checkpoint_every` remain numbers of steps of the longer or shorter run.
-    ///
-    /// # Errors
-    /// [`ConfigError::Range`] if the result is not from 1 to 1e15 steps, which includes every factor that is not
-    /// positive and finite.
-    pub fn scale_steps(&mut self, factor: f64) -> Result<(), ConfigError> {
-        let before = self.train.steps;
-        let steps = (before as f64 * factor).round();
-        if !(1.0..=MOST_SCALED_STEPS).contains(&steps) {
-            let found = format!("{before} × {factor} = {steps}");
-            return Err(ConfigError::Range { key: "train.steps", found, expected: "1 to 1e15".to_owned() });
-        }
-        self.train.steps = steps as usize;
-        Ok(())
-    }
-
-    /// Step of the joint stage that corresponds to `step` of one of [`REFERENCE_STEPS`].
-    pub fn scaled(&self, step: usize) -> usize {
-        let scale = self.last_stage_steps() as f64 / REFERENCE_STEPS as f64;
-        (step as f64 * scale).round() as usize
-    }
-
+impl Schedule {
     /// The schedule of the joint stage over `views` training views, each of which is drawn once per `views` steps.
     ///
     /// Pruning is postponed to the end of the pass over the views, so that its statistics cover every view. Prunings
     /// that then coincide become one, and none happens if the run or its `_until` ends before the first pass. Frozen
     /// surfels are not pruned.
-    pub fn schedule(&self, views: usize) -> Schedule {
-        let (refine, length) = (&self.refine, self.last_stage_steps());
+    pub fn new(config: &Config, views: usize) -> Self {
+        let (refine, length) = (&config.refine, config.last_stage_steps());
+        let scale = length as f64 / REFERENCE_STEPS as f64;
+        let scaled = |step: usize| (step as f64 * scale).round() as usize;
         let run = |steps: Vec<usize>, first: usize| {
-            let mut steps: Vec<usize> = steps.into_iter().map(|step| self.scaled(step)).collect();
+            let mut steps: Vec<usize> = steps.into_iter().map(scaled).collect();
             steps.retain(|&step| (first..length).contains(&step));
             steps.sort_unstable();
             steps.dedup();
@@ -104,29 +74,26 @@ impl Config {
 
         let surfel_prune =
             every(refine.surfel_prune_every, refine.surfel_prune_from, refine.surfel_prune_until.saturating_add(1));
-        let surfel_prune = only_if(!self.train.freeze_surfels, surfel_prune);
+        let surfel_prune = only_if(!config.train.freeze_surfels, surfel_prune);
         let gaussian_prune =
             every(refine.gaussian_prune_every, refine.gaussian_prune_every, refine.gaussian_prune_until);
-        let split =
-            only_if(refine.split, every(refine.split_every, refine.split_every, refine.split_until.saturating_add(1)));
+        let split = every(refine.split_every, refine.split_every, refine.split_until.saturating_add(1));
         let automatic = refine.budget == Budget::Auto;
         let add = run(every(refine.add_every, refine.add_from, refine.add_until), 1);
         let control = refine.add_from.checked_sub(refine.add_every).filter(|_| automatic && !add.is_empty());
-        Schedule {
+        Self {
             margins: run(refine.margins_at.clone(), 0),
-            surfel_prune: whole_passes(run(surfel_prune, 1), self.scaled(refine.surfel_prune_until).saturating_add(1)),
-            gaussian_prune: whole_passes(run(gaussian_prune, 1), self.scaled(refine.gaussian_prune_until)),
+            surfel_prune: whole_passes(run(surfel_prune, 1), scaled(refine.surfel_prune_until).saturating_add(1)),
+            gaussian_prune: whole_passes(run(gaussian_prune, 1), scaled(refine.gaussian_prune_until)),
             add,
             control: run(control.into_iter().collect(), 1),
             replace: run(every(refine.add_every, refine.add_until, refine.replace_until), 1),
             copies: refine.new_gaussians == NewGaussians::Copies,
             split: run(split, 1),
-            drop_lobes: run(only_if(automatic, refine.drop_lobes_at.clone()), 1),
+            drop_lobes: run(only_if(automatic, DROP_LOBES_AT.to_vec()), 1),
         }
     }
-}
 
-impl Schedule {
     /// The number of completed steps, more than `completed_steps`, at which Gaussians are copied next; `None` if none are.
     pub fn next_copies(&self, completed_steps: usize) -> Option<usize> {
         let after = |steps: &[usize]| steps.get(steps.partition_point(|&step| step <= completed_steps)).copied();
@@ -162,7 +129,7 @@ mod tests {
 
     #[test]
     fn the_reference_run_has_the_schedule_of_the_paper() {
-        let schedule = config(REFERENCE_STEPS).schedule(100);
+        let schedule = Schedule::new(&config(REFERENCE_STEPS), 100);
         assert_eq!(schedule.margins, [0, 4000]);
         assert_eq!(schedule.surfel_prune, (1..=15).map(|n| n * 1000).collect::<Vec<_>>());
         assert!(schedule.gaussian_prune.is_empty());
@@ -182,7 +149,7 @@ mod tests {
 
     #[test]
     fn shorter_runs_scale_it() {
-        let schedule = config(5000).schedule(50);
+        let schedule = Schedule::new(&config(5000), 50);
         assert_eq!(schedule.margins, [0, 800]);
         assert_eq!(schedule.surfel_prune[..3], [200, 400, 600]);
         assert_eq!(schedule.surfel_prune.last(), Some(&3000));
@@ -190,39 +157,24 @@ mod tests {
     }
 
     #[test]
-    fn a_factor_on_the_steps_scales_the_schedule() {
-        let mut tenth = config(REFERENCE_STEPS);
-        tenth.scale_steps(0.1).unwrap();
-        assert_eq!(tenth, config(2500));
-        assert_eq!(tenth.schedule(20), config(2500).schedule(20));
-        tenth.scale_steps(1.0001).unwrap();
-        assert_eq!(tenth.train.steps, 2500);
-        for factor in [0.0, -1.0, 1e-4, f64::NAN, f64::INFINITY, 1e300] {
-            let error = tenth.scale_steps(factor).unwrap_err().to_string();
-            assert!(error.contains("`train.steps` is 2500 ×") && error.contains("expected 1 to 1e15"), "{error}");
-        }
-        assert_eq!(tenth.train.steps, 2500);
-    }
-
-    #[test]
     fn switches_take_their_changes_out_and_no_others() {
-        let all = config(REFERENCE_STEPS).schedule(100);
+        let all = Schedule::new(&config(REFERENCE_STEPS), 100);
         let mut frozen = config(REFERENCE_STEPS);
         frozen.train.freeze_surfels = true;
-        assert_eq!(frozen.schedule(100), Schedule { surfel_prune: vec![], ..all.clone() });
+        assert_eq!(Schedule::new(&frozen, 100), Schedule { surfel_prune: vec![], ..all.clone() });
         let mut automatic = config(REFERENCE_STEPS);
         automatic.refine.budget = Budget::Auto;
         let measured = Schedule { control: vec![2000], drop_lobes: vec![16_000, 22_000], ..all.clone() };
-        assert_eq!(automatic.schedule(100), measured);
+        assert_eq!(Schedule::new(&automatic, 100), measured);
         assert!(measured.due(2000).control && !measured.due(3000).control);
         for (every, until) in [(4000, 13_000), (1000, 3000)] {
             let mut unmeasured = automatic.clone();
             (unmeasured.refine.add_every, unmeasured.refine.add_until) = (every, until);
-            assert!(unmeasured.schedule(100).control.is_empty());
+            assert!(Schedule::new(&unmeasured, 100).control.is_empty());
         }
         let mut unsplit = config(REFERENCE_STEPS);
-        unsplit.refine.split = false;
-        assert_eq!(unsplit.schedule(100), Schedule { split: vec![], ..all });
+        unsplit.refine.split_until = 0;
+        assert_eq!(Schedule::new(&unsplit, 100), Schedule { split: vec![], ..all });
     }
 
     #[test]
@@ -232,9 +184,9 @@ mod tests {
             let refine = &mut config.refine;
             (refine.surfel_prune_until, refine.gaussian_prune_until, refine.split_until) = (until, until, until);
             (refine.add_until, refine.margins_at) = (until, vec![0, until]);
-            let growing = config.schedule(100);
+            let growing = Schedule::new(&config, 100);
             (config.refine.add_until, config.refine.replace_until) = (4000, until);
-            [growing, config.schedule(100)]
+            [growing, Schedule::new(&config, 100)]
         };
         let [growing, replacing] = ending_at(REFERENCE_STEPS);
         assert_eq!((growing.add.last(), growing.split.last()), (Some(&24_000), Some(&24_000)));
@@ -249,20 +201,20 @@ mod tests {
         let mut config = config(5000);
         config.refine.gaussian_prune_until = 2000;
         for views in [1, 7, 130, 311] {
-            let schedule = config.schedule(views);
+            let schedule = Schedule::new(&config, views);
             for steps in [&schedule.surfel_prune, &schedule.gaussian_prune] {
                 assert!(!steps.is_empty());
                 assert!(steps.iter().all(|step| step % views == 0), "{views}: {steps:?}");
                 assert!(steps.windows(2).all(|pair| pair[0] < pair[1]));
             }
         }
-        assert!(config.schedule(401).gaussian_prune.is_empty());
+        assert!(Schedule::new(&config, 401).gaussian_prune.is_empty());
     }
 
     #[test]
     fn tiny_runs_and_odd_keys_give_ascending_steps_within_the_run() {
         for steps in [1, 2, 7, 40] {
-            let schedule = config(steps).schedule(3);
+            let schedule = Schedule::new(&config(steps), 3);
             for steps_of in [&schedule.surfel_prune, &schedule.gaussian_prune, &schedule.add, &schedule.split] {
                 assert!(steps_of.iter().all(|&step| step > 0 && step < steps));
                 assert!(steps_of.windows(2).all(|pair| pair[0] < pair[1]));
@@ -272,8 +224,20 @@ mod tests {
         let mut odd = config(1000);
         odd.refine.margins_at = vec![4000, 0, 4000, 90_000];
         odd.refine.add_from = 20_000;
-        let schedule = odd.schedule(0);
+        let schedule = Schedule::new(&odd, 0);
         assert_eq!(schedule.margins, [0, 160]);
         assert!(schedule.add.is_empty());
+    }
+
+    #[test]
+    fn ges_has_the_schedule_of_its_paper() {
+        let schedule = Schedule::new(&Config::resolve(Some("ges"), None, &[]).unwrap(), 1);
+        assert!(schedule.surfel_prune.is_empty() && schedule.split.is_empty());
+        let near = |found: &[usize], expected: &[usize]| {
+            found.len() == expected.len() && found.iter().zip(expected).all(|(a, b)| a.abs_diff(*b) <= 1)
+        };
+        assert_eq!(schedule.margins, [0]);
+        assert!(near(&schedule.gaussian_prune, &[500, 1000, 1500]), "{schedule:?}");
+        assert!(near(&schedule.add, &[8000, 9000, 10_000, 11_000, 12_000]), "{schedule:?}");
     }
 }
