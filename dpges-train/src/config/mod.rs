@@ -36,8 +36,8 @@ pub use differences::differences;
 pub use dpges_core::scene::OpacityActivation;
 pub use error::ConfigError;
 pub use keys::{
-    Config, DataConfig, DensityConfig, DiscsConfig, InitConfig, ModelConfig, OptimizerConfig, RefineConfig, SECTIONS,
-    StagesConfig, TrainConfig,
+    Config, DataConfig, DensityConfig, DiscsConfig, InitConfig, ModelConfig, OptimizerConfig, RefineConfig,
+    RelocationConfig, SECTIONS, StagesConfig, TrainConfig,
 };
 pub use memory::Memory;
 pub use pixels::PixelCount;

@@ -9,13 +9,12 @@ use dpges_core::render::blended::BlendedRender;
 use dpges_core::scene::Gaussians;
 
 use super::schedule::RELOCATION;
-use crate::config::{DiscsConfig, Relocation, StagePlan};
+use crate::config::{DiscsConfig, Relocation, RelocationConfig, StagePlan};
 
 /// Steps from which normals and depth distortion of discs are in the loss (2DGS).
 const NORMAL_FROM: usize = 7000;
 const DISTORTION_FROM: usize = 3000;
-/// Weights of the mean opacity and of the mean scale, per world unit, of relocated Gaussians (3DGS-MCMC).
-const LAMBDA_OPACITY: f64 = 0.01;
+/// Weight of the mean scale of relocated Gaussians, per world unit (3DGS-MCMC).
 const LAMBDA_SCALE: f64 = 0.01;
 
 /// Weights of the terms beside L_rgb.
@@ -43,12 +42,12 @@ impl Weights {
     }
 
     /// The weights of Gaussians after `completed` steps. DBS has these terms only as long as it relocates.
-    pub fn of_relocated(kind: Relocation, plan: StagePlan, completed: usize) -> Self {
+    pub fn of_relocated(config: &RelocationConfig, kind: Relocation, plan: StagePlan, completed: usize) -> Self {
         let relocates = (plan.scaled(RELOCATION.start)..plan.scaled(RELOCATION.end)).contains(&completed);
         if kind == Relocation::Beta && !relocates {
             return Self::default();
         }
-        Self { opacity: LAMBDA_OPACITY, scale: LAMBDA_SCALE, ..Self::default() }
+        Self { opacity: config.lambda_opacity, scale: LAMBDA_SCALE, ..Self::default() }
     }
 
     /// Whether the terms need normals or distortions of every pixel.

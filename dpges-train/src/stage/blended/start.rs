@@ -10,7 +10,7 @@ use crate::init::{InitialScene, PrimitiveQuota, PrimitiveStart, initialise};
 const OPACITY: f64 = 0.1;
 /// Opacity of Gaussians that are relocated at the start (3DGS-MCMC).
 const RELOCATED_OPACITY: f64 = 0.5;
-/// Scale at the start relative to the root mean square distance to the 3 nearest points (2DGS, 3DGS, DBS).
+/// Scale at the start relative to the root mean square distance to the 3 nearest points (2DGS, 3DGS).
 const SCALE: f64 = 1.0;
 /// Thickness of a Gaussian that is made of a surfel, over the mean of its two scales (GES).
 const THICKNESS: f64 = 0.1;
@@ -21,7 +21,7 @@ impl Context {
     /// # Errors
     /// [`TrainError::Init`] if the dataset has nothing to begin with.
     pub fn start_of_discs(&mut self, plan: StagePlan) -> Result<GaussianData, TrainError> {
-        let start = self.start(plan, OPACITY)?;
+        let start = self.start(plan, OPACITY, SCALE)?;
         let mut discs = if start.surfels.is_empty() { start.gaussians } else { flat(start.surfels) };
         discs.opacities.fill(OPACITY as f32);
         Ok(discs)
@@ -30,13 +30,16 @@ impl Context {
     /// # Errors
     /// [`TrainError::Init`] if the dataset has nothing to begin with.
     pub fn start_of_gaussians(&mut self, plan: StagePlan, blended: Blended) -> Result<GaussianData, TrainError> {
-        let is_relocated = blended.relocation().is_some();
-        Ok(self.start(plan, if is_relocated { RELOCATED_OPACITY } else { OPACITY })?.gaussians)
+        let (opacity, scale) = match blended.relocation() {
+            Some(_) => (RELOCATED_OPACITY, self.config.relocation.start_scale),
+            None => (OPACITY, SCALE),
+        };
+        Ok(self.start(plan, opacity, scale)?.gaussians)
     }
 
-    fn start(&mut self, plan: StagePlan, gaussian_opacity: f64) -> Result<InitialScene, TrainError> {
+    fn start(&mut self, plan: StagePlan, gaussian_opacity: f64, scale: f64) -> Result<InitialScene, TrainError> {
         let quota = self.most_primitives(plan.budget_share) as f64;
-        let start = PrimitiveStart { surfel_scale: SCALE, gaussian_scale: SCALE, gaussian_opacity };
+        let start = PrimitiveStart { surfel_scale: scale, gaussian_scale: scale, gaussian_opacity };
         Ok(initialise(&self.dataset, &self.config, start, PrimitiveQuota::new(quota, quota), &mut self.rng)?)
     }
 }
