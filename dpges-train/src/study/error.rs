@@ -31,6 +31,8 @@ pub enum StudyError {
     /// Cells of a benchmark ended with an error; the others are in its tables.
     #[error("{failed} of {all} cells failed; the same command tries them again:\n{reasons}")]
     Cells { failed: usize, all: usize, reasons: String },
+    #[error("interrupted: the same command goes on with the cells that are not finished")]
+    Interrupted,
     #[error(transparent)]
     Layout(#[from] LayoutError),
     #[error(transparent)]

@@ -46,7 +46,7 @@ impl Benchmark {
     /// Trains and measures all cells that are not done, one on each of `devices` at a time, until `interrupted`.
     ///
     /// # Errors
-    /// [`StudyError::Cells`] if some failed; the others go on. [`StudyError::OtherRun`] if a folder holds another run, before
+    /// [`StudyError::Cells`] if some failed; the others go on. [`StudyError::Interrupted`]. [`StudyError::OtherRun`] if a folder holds another run, before
     /// anything is trained.
     pub fn run(&self, devices: &[DeviceRequest], interrupted: &AtomicBool) -> Result<()> {
         let devices: Vec<String> = devices.iter().map(ToString::to_string).collect();
@@ -72,6 +72,9 @@ impl Benchmark {
         std::thread::scope(|scope| {
             devices.iter().for_each(|device| _ = scope.spawn(|| work(device)));
         });
+        if interrupted.load(Ordering::SeqCst) {
+            return Err(StudyError::Interrupted);
+        }
         let failed = failed.into_inner().expect("no thread panics with it");
         if failed.is_empty() {
             return Ok(());

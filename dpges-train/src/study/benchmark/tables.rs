@@ -36,7 +36,7 @@ impl Mark {
             Self::Scenes => "not the mean of all scenes of the dataset",
             Self::Size => "photographs of another size",
             Self::Steps => "another number of steps",
-            Self::Stopping => "trained without validation views",
+            Self::Stopping => "trained without the views that end the run",
             Self::Primitives => "another number of primitives than in the paper's comparison",
             Self::Device => "published on an RTX 4090",
             Self::Motion => "motion from depth and cameras instead of optical flow, and another path",
