@@ -105,7 +105,7 @@ const BENCHMARK: [&str; 7] = [
     "--out=out",
     "--devices=cpu,cpu",
     "--lpips=none",
-    "--steps-scale=0.0012",
+    "--steps-scale=0.0004",
     "--max-resolution=16",
 ];
 
@@ -165,8 +165,10 @@ fn cells_that_were_killed_go_on_and_the_tables_have_all_of_them() {
         let row = rows.iter().find(|row| row["scene"] == *scene && row["label"] == parts[2]).unwrap();
         assert_eq!(row["folder"], format!("runs/{cell}"));
         assert_eq!((&row["psnr"], &row["longest_px"]), (&json(run(cell).join("eval.json"))["psnr"], &16.into()));
-        assert!(row["flip_7"].as_f64().unwrap() > 0.0 && row["training_seconds"].as_f64().unwrap() > 0.0, "{row}");
+        assert!(row["training_seconds"].as_f64().unwrap() > 0.0, "{row}");
     }
+    // where a surface is seen twice
+    assert!(rows.iter().any(|row| row["flip_7"].as_f64().is_some_and(|flip| flip > 0.0)), "{rows:?}");
     let printed = String::from_utf8(output.stdout).unwrap();
     let read = |name: &str| String::from_utf8(bytes(at.join("out").join(name))).unwrap();
     let (markdown, csv, latex) = (read("tables.md"), read("tables.csv"), read("tables.tex"));
@@ -175,7 +177,7 @@ fn cells_that_were_killed_go_on_and_the_tables_have_all_of_them() {
     let psnr = psnr["psnr"].as_f64().unwrap();
     for (text, part) in [
         (&markdown, format!("{psnr:.2}<sup>abc</sup> (24.61)")),
-        (&markdown, "0.0012 of its published steps".to_owned()),
+        (&markdown, "0.0004 of its published steps".to_owned()),
         (&markdown, "Mip-NeRF360 PSNR: paper DP-GES, 3DGS-MCMC; found ".to_owned()),
         (&csv, format!("1,dpges,tanks-and-temples,,PSNR,{psnr},24.61,abc,1\n")),
         (&latex, format!("{psnr:.2}\\textsuperscript{{abc}} (24.61)")),
@@ -212,7 +214,7 @@ fn a_cell_that_fails_is_named_and_the_others_go_on() {
     assert_eq!((study["rows"].as_array().unwrap().len(), &study["rows"][0]["label"]), (1, &"mcmc".into()));
     assert_eq!(study["not_run"], json!(["tanks-and-temples/truck/mcmc/seed_0"]));
     let other = fails(at, 1, &[&args[..], &["--steps-scale=0.01"]].concat());
-    assert!(other.contains("benchmark.json holds other measurements: `steps_scale` is 0.0012, not 0.01"), "{other}");
+    assert!(other.contains("benchmark.json holds other measurements: `steps_scale` is 0.0004, not 0.01"), "{other}");
 }
 
 #[test]

@@ -54,6 +54,8 @@ pub struct Column {
     /// In the unit of the table, per unit of the measure.
     scale: f64,
     pub digits: usize,
+    /// Of the published numbers.
+    pub published_digits: usize,
     pub is_better_if_more: bool,
     /// What its numbers depend on beside the pictures.
     mark: Option<Mark>,
@@ -142,6 +144,7 @@ fn quality_columns(dataset: &'static DatasetEntry) -> impl Iterator<Item = Colum
         key,
         scale: 1.0,
         digits,
+        published_digits: digits,
         is_better_if_more,
         mark: None,
         published,
@@ -162,7 +165,9 @@ fn cost_columns(dataset: &'static DatasetEntry) -> impl Iterator<Item = Column> 
             "FLIP_1" | "FLIP_7" => Some(Mark::Motion),
             _ => None,
         };
-        Column { dataset, title, key, scale, digits, is_better_if_more, mark, published }
+        // the paper has whole numbers but for FLIP
+        let published_digits = if mark == Some(Mark::Motion) { digits } else { 0 };
+        Column { dataset, title, key, scale, digits, published_digits, is_better_if_more, mark, published }
     })
 }
 

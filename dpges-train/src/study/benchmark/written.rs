@@ -60,11 +60,11 @@ fn name(table: &Table, column: &Column) -> String {
 
 /// `found`, marks, and `published` in parentheses; `raised` sets the marks.
 fn text(entry: &Entry, column: &Column, none: &str, raised: impl Fn(&str) -> String) -> String {
-    let digits = column.digits;
+    let Column { digits, published_digits, .. } = *column;
     let marks: String = entry.marks.iter().map(|mark| mark.letter()).collect();
     let found = entry.found.map_or_else(|| none.to_owned(), |value| format!("{value:.digits$}"));
     let marks = if marks.is_empty() { marks } else { raised(&marks) };
-    let published = entry.published.map(|value| format!(" ({value:.digits$})")).unwrap_or_default();
+    let published = entry.published.map(|value| format!(" ({value:.published_digits$})")).unwrap_or_default();
     format!("{found}{marks}{published}")
 }
 
@@ -212,6 +212,7 @@ mod tests {
             "21.23<sup>ac</sup> (24.33)",
             "| **DP-GES** ",
             "– (27.43)",
+            "2.5<sup>ac</sup> (156)",
             "## Table 3: Ablations",
             "Tanks & Temples PSNR: paper DP-GES, 3DGS-MCMC; found DP-GES, 3DGS-MCMC; 1 of 1 pairs in the same order",
             "- c: another number of steps.",
