@@ -43,10 +43,22 @@ impl Headless {
                 instance.request_adapter(&wanted).await.map_err(|error| RenderError::NoAdapter(error.to_string()))?
             }
         };
-        Renderer::check_adapter(&adapter)?;
+        Self::open_on(&adapter).await
+    }
+
+    /// Another device of `adapter`.
+    ///
+    /// # Errors
+    /// [`RenderError::Adapter`].
+    pub fn on(adapter: &wgpu::Adapter) -> Result<Self> {
+        pollster::block_on(Self::open_on(adapter))
+    }
+
+    async fn open_on(adapter: &wgpu::Adapter) -> Result<Self> {
+        Renderer::check_adapter(adapter)?;
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("dpges"),
-            required_features: Renderer::required_features(&adapter),
+            required_features: Renderer::required_features(adapter),
             required_limits: adapter.limits(),
             ..wgpu::DeviceDescriptor::default()
         };
@@ -71,6 +83,11 @@ impl Headless {
     /// Name and interface of the adapter.
     pub fn adapter_name(&self) -> String {
         format!("{} ({})", self.adapter.name, self.adapter.backend)
+    }
+
+    /// Whether the adapter is a driver that emulates a GPU on the CPU.
+    pub fn is_software(&self) -> bool {
+        self.adapter.device_type == wgpu::DeviceType::Cpu
     }
 
     pub fn backend(&self) -> wgpu::Backend {

@@ -29,6 +29,11 @@ impl LpipsArgs {
         self.chosen.is_empty()
     }
 
+    /// What was said about networks.
+    pub fn chosen(&self) -> &[Choice] {
+        &self.chosen
+    }
+
     /// The networks on `device`: those that were chosen, or else VGG16 if it is installed.
     pub fn load(&self, device: &Device) -> Result<Vec<Lpips>> {
         Ok(load(&self.chosen, device)?)

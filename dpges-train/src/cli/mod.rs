@@ -41,7 +41,7 @@ use miette::{Diagnostic, MietteHandlerOpts, Report};
 use serde::Serialize;
 
 use logging::LogStyle;
-use study::{ablate, compare, trade};
+use study::{ablate, benchmark, compare, trade};
 
 /// Train, measure and look at depth-peeled Gaussian-enhanced surfels.
 #[derive(Debug, Parser)]
@@ -64,6 +64,7 @@ enum Command {
     Data(inspect::InspectArgs),
     Ablate(ablate::AblateArgs),
     Compare(compare::CompareArgs),
+    Benchmark(benchmark::BenchmarkArgs),
     Trade(trade::TradeArgs),
     Config(config::ConfigArgs),
     Eval(eval::EvalArgs),
@@ -158,6 +159,7 @@ pub fn run() -> ExitCode {
         Command::Data(args) => inspect::run(&args, style),
         Command::Ablate(args) => ablate::run(&args, style),
         Command::Compare(args) => compare::run(&args, style),
+        Command::Benchmark(args) => benchmark::run(args, style),
         Command::Trade(args) => trade::run(&args, style),
         Command::Config(args) => config::run(&args),
         Command::Eval(args) => eval::run(&args),

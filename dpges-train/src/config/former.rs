@@ -31,7 +31,7 @@ const FORMER: [(&str, &str, &str); 26] = [
     ("density", "smoothing", "it is called model.sampling_limit"),
     ("density", "every from until absolute_threshold dense_fraction absolute_dense_fraction min_opacity", CONSTANT),
     ("density", "max_scale max_scale_from reset_every reset_opacity degree_every start_opacity start_scale", CONSTANT),
-    ("relocation", "", CONSTANT),
+    ("relocation", "every from until growth min_opacity lambda_scale noise start_opacity", CONSTANT),
     ("optimizer", "surfel_position_factor beta1 beta2 epsilon decay_from", CONSTANT),
     ("optimizer", "pose_rotation pose_translation", "both are called optimizer.poses"),
     ("refine", "surfel_min_pixels surfel_pixels_of", "both are refine.surfel_pixels now: \"16px/MP\" or \"16px\""),
@@ -42,7 +42,7 @@ const FORMER: [(&str, &str, &str); 26] = [
 /// What has become of the key `name`, such as `train.deterministic`; `None` if no earlier version had it.
 pub fn instead(name: &str) -> Option<&'static str> {
     let (section, key) = name.split_once('.')?;
-    let is_it = |keys: &str| keys.is_empty() || keys.split(' ').any(|former| former == key);
+    let is_it = |keys: &str| keys.split(' ').any(|former| former == key);
     FORMER.iter().find(|(of, keys, _)| *of == section && is_it(keys)).map(|(.., instead)| *instead)
 }
 

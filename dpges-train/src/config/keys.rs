@@ -232,6 +232,14 @@ configuration! {
             ablation: "weights-exp" = "exp" ("Weigh depths exponentially, with `train.method = \"sortfree\"`");
     }
 
+    /// Training of Gaussians that are relocated (3DGS-MCMC, DBS).
+    [relocation] RelocationConfig {
+        /// Weight of the mean opacity in the loss (3DGS-MCMC; for one scene it takes 0.001).
+        lambda_opacity: f64 = 0.01, range: 0.0..;
+        /// Scale at the start relative to the root mean square distance to the 3 nearest points (DBS: 1, 3DGS-MCMC: 0.1).
+        start_scale: f64 = 1.0, range: POSITIVE;
+    }
+
     /// Adam. Learning rates are per step and of raw parameters. The defaults suit 5000 steps; the presets of benchmarks
     /// have the paper's rates, for 65,000.
     [optimizer] OptimizerConfig {

@@ -37,8 +37,8 @@ use dpges_core::scene::ColourModel;
 pub use dpges_core::scene::OpacityActivation;
 pub use error::ConfigError;
 pub use keys::{
-    Config, DataConfig, DensityConfig, DiscsConfig, InitConfig, ModelConfig, OptimizerConfig, RefineConfig, SECTIONS,
-    StagesConfig, TrainConfig, WeightedSumConfig,
+    Config, DataConfig, DensityConfig, DiscsConfig, InitConfig, ModelConfig, OptimizerConfig, RefineConfig,
+    RelocationConfig, SECTIONS, StagesConfig, TrainConfig, WeightedSumConfig,
 };
 pub use memory::Memory;
 pub use pixels::PixelCount;

@@ -41,6 +41,7 @@ mod observer;
 mod peak_tests;
 mod record;
 pub mod scene;
+pub mod shell;
 pub mod step_cost;
 #[cfg(test)]
 mod streamed_tests;

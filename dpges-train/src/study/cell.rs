@@ -64,7 +64,11 @@ impl Plan<'_> {
         Ok(cells)
     }
 
-    fn cell(&self, variant: &Variant, config: Config) -> Result<Cell> {
+    /// That of `variant` with a configuration, as far as it has come.
+    ///
+    /// # Errors
+    /// [`StudyError::OtherRun`] if its folder holds anything else.
+    pub fn cell(&self, variant: &Variant, config: Config) -> Result<Cell> {
         let (label, seed) = (variant.label, config.train.seed);
         let relative = format!("{label}/seed_{seed}");
         let folder = RunFolder::new(self.folder.join(&relative));

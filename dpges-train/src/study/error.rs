@@ -2,6 +2,9 @@
 
 use std::path::PathBuf;
 
+use super::benchmark::layout::LayoutError;
+use crate::config::ConfigError;
+use crate::metrics::lpips::choice::ChoiceError;
 use crate::run::{RunError, TrainError};
 
 /// Why a study cannot begin, go on, or be reported.
@@ -22,6 +25,20 @@ pub enum StudyError {
     /// A variant has not what its stages need.
     #[error("{variant}: {source}; leave it out, or change the options that all have in common")]
     Untrainable { variant: String, source: Box<TrainError> },
+    /// A cell of a benchmark is asked for by a name that none has.
+    #[error("there is no cell `{name}`; cells are called DATASET/SCENE/METHOD/seed_N")]
+    NoCell { name: String },
+    /// Cells of a benchmark ended with an error; the others are in its tables.
+    #[error("{failed} of {all} cells failed; the same command tries them again:\n{reasons}")]
+    Cells { failed: usize, all: usize, reasons: String },
+    #[error("interrupted: the same command goes on with the cells that are not finished")]
+    Interrupted,
+    #[error(transparent)]
+    Layout(#[from] LayoutError),
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    #[error(transparent)]
+    Lpips(#[from] ChoiceError),
     /// This is a fault of the program.
     #[error("a plot cannot be drawn: {0}")]
     Plot(String),

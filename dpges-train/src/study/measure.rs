@@ -24,7 +24,7 @@ pub struct Measure {
 
 /// All of them, in the order of columns: the quality of pictures, of which the names are those of
 /// [`METRICS`](crate::metrics::METRICS), popping, validation views, then costs.
-pub static MEASURES: [Measure; 26] = [
+pub static MEASURES: [Measure; 29] = [
     quality("psnr", "PSNR, dB", 2),
     quality("ssim", "SSIM", 4),
     quality("flip", "FLIP", 4),
@@ -32,6 +32,7 @@ pub static MEASURES: [Measure; 26] = [
     quality("ssimulacra2", "SSIMULACRA2", 2),
     quality("lpips_alex", "LPIPS (Alex)", 4),
     quality("lpips_vgg", "LPIPS (VGG)", 4),
+    quality("lpips_vgg_unscaled", "LPIPS (VGG, 0 to 1)", 4),
     quality("psnr_fitted", "fitted PSNR", 2),
     quality("ssim_fitted", "fitted SSIM", 4),
     quality("psnr_posed", "posed PSNR", 2),
@@ -43,6 +44,8 @@ pub static MEASURES: [Measure; 26] = [
     cost("frame_ms", "frame, ms", 1.0, 2, 4).plotted("frame_time", "median frame time, ms"),
     cost("frame_p99_ms", "99 %, ms", 1.0, 2, 4).on_the_page(),
     cost("frames", "frames", 1.0, 0, 0).on_the_page(),
+    cost("frames_per_second", "frames/s", 1.0, 1, 2).on_the_page(),
+    cost("longest_px", "longest side, px", 1.0, 0, 0).on_the_page(),
     cost("surfels", "surfels", 1.0, 0, 0),
     cost("gaussians", "Gaussians", 1.0, 0, 0),
     cost("primitives", "primitives", 1.0, 0, 0).on_the_page(),

@@ -4,9 +4,11 @@
 //! is measured of a scene is a [`row::Row`] of numbers by the names of [`measure::MEASURES`]. A [`store::Study`] keeps the
 //! rows, and [`report`] writes them: a table, a plot for every cost and one page.
 //!
-//! [`ablate`], [`compare`] and [`trade`] say which variants there are; `trade` also draws one scene in many ways.
+//! [`ablate`], [`compare`] and [`trade`] say which variants there are; `trade` also draws one scene in many ways. [`benchmark`]
+//! trains on many scenes.
 
 pub mod ablate;
+pub mod benchmark;
 pub mod cell;
 pub mod compare;
 mod error;

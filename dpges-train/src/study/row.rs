@@ -16,6 +16,12 @@ pub struct Row {
     pub label: String,
     /// Of the run that made it; `None` for a scene that was there.
     pub seed: Option<u64>,
+    /// Of several scenes, the one that was trained: `DATASET/SCENE`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scene: Option<String>,
+    /// What it was trained on, if rows may differ in that.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub device: Option<String>,
     /// What was changed, as `name=value`.
     pub settings: Vec<String>,
     /// The run that made it, relative to the folder of the study.

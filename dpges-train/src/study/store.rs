@@ -105,6 +105,15 @@ impl Study {
         self.save()
     }
 
+    /// Puts `row` in the place of that of the same label, scene and seed, or behind all others.
+    pub fn replace(&mut self, row: Row) {
+        let is_it = |other: &Row| (&other.label, &other.scene, other.seed) == (&row.label, &row.scene, row.seed);
+        match self.content.rows.iter().position(is_it) {
+            Some(at) => self.content.rows[at] = row,
+            None => self.content.rows.push(row),
+        }
+    }
+
     /// Notes that there was no time for a row.
     pub fn leave_out(&mut self, label: &str, seed: Option<u64>) {
         let seed = seed.map(|seed| format!(", seed {seed}")).unwrap_or_default();
@@ -136,7 +145,11 @@ impl Study {
         self.content.frontiers.values().flatten().any(|best| best == label)
     }
 
-    fn save(&self) -> Result<()> {
+    /// Writes the file.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn save(&self) -> Result<()> {
         Ok(write_json(&self.path(), &self.content)?)
     }
 }

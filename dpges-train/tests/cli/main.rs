@@ -1,5 +1,6 @@
 //! The `dpges` binary as a process: exit codes, messages, files.
 
+mod benchmark;
 mod devices;
 #[cfg(unix)]
 mod interruption;

@@ -1,6 +1,7 @@
-//! Commands that train many runs and report them: `ablate`, `compare`, `trade`.
+//! Commands that train many runs and report them: `ablate`, `benchmark`, `compare`, `trade`.
 
 pub mod ablate;
+pub mod benchmark;
 pub mod compare;
 pub mod trade;
 

@@ -118,7 +118,7 @@ pub fn of_dataset(source: &Source) -> &'static [&'static str] {
     }
 }
 
-fn factor(text: &str) -> Result<f64, String> {
+pub fn factor(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(factor) if factor.is_finite() && factor > 0.0 => Ok(factor),
         _ => Err("expected a positive, finite number, such as 0.1 for a tenth of the steps".to_owned()),

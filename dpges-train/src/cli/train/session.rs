@@ -6,6 +6,7 @@ use dpges_train::device::DeviceName;
 use dpges_train::device::failure::{DeviceFailure, Watch};
 use dpges_train::eval::{EvalReport, Evaluation};
 use dpges_train::run::folder::RunFolder;
+use dpges_train::run::shell::quoted;
 use dpges_train::run::{Observer, Outcome, Run, RunError, TrainError};
 
 use super::super::{Failure, Result, table};
@@ -115,27 +116,5 @@ impl Session {
         let program = std::env::args().next().unwrap_or_else(|| "dpges".to_owned());
         let out = self.folder.path().display().to_string();
         [program.as_str(), "train", "--out", &out, "--resume"].map(quoted).join(" ")
-    }
-}
-
-/// A word as a shell reads it.
-fn quoted(word: &str) -> String {
-    let plain = |c: char| c.is_alphanumeric() || "-_./:=+,@".contains(c);
-    if !word.is_empty() && word.chars().all(plain) {
-        word.to_owned()
-    } else {
-        format!("'{}'", word.replace('\'', r"'\''"))
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn words_are_quoted_where_a_shell_would_split_them() {
-        assert_eq!(quoted("runs/first"), "runs/first");
-        assert_eq!(quoted("my runs"), "'my runs'");
-        assert_eq!(quoted("it's"), r"'it'\''s'");
     }
 }

@@ -56,6 +56,13 @@ impl fmt::Display for Choice {
     }
 }
 
+/// Whether LPIPS with VGG16 is among `choices`, as far as their files need not be read to know; without choices, whether it is
+/// installed.
+pub fn has_vgg(choices: &[Choice]) -> bool {
+    let may_be_vgg = |choice: &Choice| matches!(choice, Choice::Installed(Network::Vgg) | Choice::File(_));
+    if choices.is_empty() { installed(Network::Vgg).is_some() } else { choices.iter().any(may_be_vgg) }
+}
+
 /// The networks of `choices` on `device`; without choices VGG16 if it is installed.
 ///
 /// # Errors

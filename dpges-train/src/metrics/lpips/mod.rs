@@ -40,6 +40,8 @@ pub struct Lpips {
     shift: Tensor<4>,
     /// [1, 3, 1, 1]
     scale: Tensor<4>,
+    /// Factor and summand that pictures from 0 to 1 are given to the network with.
+    range: [f32; 2],
 }
 
 #[derive(Debug)]
@@ -75,14 +77,19 @@ impl Lpips {
             layers: weights.network.convolutions().iter().map(layer).collect(),
             shift: tensor(&SHIFT, [1, 3, 1, 1], device),
             scale: tensor(&SCALE, [1, 3, 1, 1], device),
+            range: [2.0, -1.0],
         }
+    }
+
+    /// The same network, which takes pictures from 0 to 1 as if they were from −1 to 1. This is what the script that came with
+    /// 3DGS does, and most papers on splats report.
+    #[must_use]
+    pub fn unscaled(self) -> Self {
+        Self { range: [1.0, 0.0], ..self }
     }
 
     /// LPIPS of two pictures [3, H, W] in f32 on the device of the network, display-referred (sRGB) from 0 to 1: 0 if they
     /// are equal. `None` for pictures that are too small, see [`Network::fits`].
-    ///
-    /// Pictures `0.5 * picture + 0.5` give the figure of the script that came with 3DGS, which hands the network pictures from 0
-    /// to 1.
     ///
     /// # Errors
     /// [`dpges_core::Error::Shape`] if they differ in shape or have other than three channels.
@@ -111,7 +118,8 @@ impl Lpips {
 
     /// The input of the first convolution, [1, 3, H, W].
     fn scaled(&self, picture: Tensor<3>) -> Tensor<4> {
-        (picture.unsqueeze::<4>() * 2.0 - 1.0 - self.shift.clone()) / self.scale.clone()
+        let [factor, summand] = self.range;
+        (picture.unsqueeze::<4>() * factor + summand - self.shift.clone()) / self.scale.clone()
     }
 }
 

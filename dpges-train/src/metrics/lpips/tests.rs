@@ -63,6 +63,21 @@ fn it_agrees_with_the_published_program() {
     }
 }
 
+/// As if pictures from 0 to 1 were from −1 to 1, where they lie between a half and 1.
+#[test]
+fn an_unscaled_network_takes_pictures_as_they_are() {
+    let device = devices().remove(0);
+    let weights = weights(Network::Alex);
+    let [reference, test] = [discs, noisy].map(|of| upload(&picture(WIDTH, HEIGHT, of), &device));
+    let brighter = |picture: &Tensor<3>| picture.clone() * 0.5 + 0.5;
+    let scaled = Lpips::new(&weights, &device);
+    let expected = scaled.distance(&brighter(&reference), &brighter(&test)).unwrap().unwrap();
+    let other = scaled.distance(&reference, &test).unwrap().unwrap();
+    let found = scaled.unscaled().distance(&reference, &test).unwrap().unwrap();
+    assert!((found - expected).abs() < 1e-5 * expected, "{found}, not {expected}");
+    assert!((found - other).abs() > 1e-2 * other, "{found} is {other}");
+}
+
 #[test]
 fn pictures_that_are_too_small_have_none_and_other_shapes_are_refused() {
     let device = devices().remove(0);

@@ -9,13 +9,12 @@ use dpges_core::render::blended::BlendedRender;
 use dpges_core::scene::Gaussians;
 
 use super::schedule::RELOCATION;
-use crate::config::{DiscsConfig, Relocation, StagePlan};
+use crate::config::{DiscsConfig, Relocation, RelocationConfig, StagePlan};
 
 /// Steps from which normals and depth distortion of discs are in the loss (2DGS).
 const NORMAL_FROM: usize = 7000;
 const DISTORTION_FROM: usize = 3000;
-/// Weights of the mean opacity and of the mean scale, per world unit, of relocated Gaussians (3DGS-MCMC).
-const LAMBDA_OPACITY: f64 = 0.01;
+/// Weight of the mean scale of relocated Gaussians, per world unit (3DGS-MCMC).
 const LAMBDA_SCALE: f64 = 0.01;
 
 /// Weights of the terms beside L_rgb.
@@ -44,13 +43,13 @@ impl Weights {
     }
 
     /// The weights of Gaussians after `completed` steps. DBS has these terms only as long as it relocates.
-    pub fn of_relocated(kind: Relocation, plan: StagePlan, completed: usize) -> Self {
+    pub fn of_relocated(config: &RelocationConfig, kind: Relocation, plan: StagePlan, completed: usize) -> Self {
         let relocates = (plan.scaled(RELOCATION.start)..plan.scaled(RELOCATION.end)).contains(&completed);
         if kind == Relocation::Beta && !relocates {
             return Self::default();
         }
         let signed = kind == Relocation::Student;
-        Self { opacity: LAMBDA_OPACITY, signed, scale: LAMBDA_SCALE, ..Self::default() }
+        Self { opacity: config.lambda_opacity, signed, scale: LAMBDA_SCALE, ..Self::default() }
     }
 
     /// Whether the terms need normals or distortions of every pixel.
@@ -104,7 +103,7 @@ mod tests {
         let mean = |kind: Relocation, method: Method| {
             let mut config = Config::default();
             config.train.method = method;
-            let weights = Weights::of_relocated(kind, config.plan()[0], 0);
+            let weights = Weights::of_relocated(&config.relocation, kind, config.plan()[0], 0);
             values(&weights.mean_opacity(&Tensor::from_floats([[-0.5], [0.25]], &device())))[0]
         };
         assert_eq!(mean(Relocation::Student, Method::Sss), 0.375);

@@ -233,7 +233,7 @@ impl BlendedStage {
         match self.blended {
             Blended::Discs => Weights::of_discs(&config.discs, self.plan, completed),
             Blended::Controlled(_) => Weights::default(),
-            Blended::Relocated(kind) => Weights::of_relocated(kind, self.plan, completed),
+            Blended::Relocated(kind) => Weights::of_relocated(&config.relocation, kind, self.plan, completed),
         }
     }
 

@@ -4,14 +4,14 @@ use dpges_core::scene::schema::Columns;
 use dpges_core::scene::{GaussianData, Rendering, SH_C0, SurfelData};
 
 use super::super::{Context, TrainError};
-use crate::config::{Blended, StagePlan};
+use crate::config::{Blended, Relocation, StagePlan};
 use crate::init::{InitialScene, PrimitiveQuota, PrimitiveStart, initialise};
 
 /// Opacity of discs and of Gaussians under density control at the start (2DGS, 3DGS).
 const OPACITY: f64 = 0.1;
 /// Opacity of Gaussians that are relocated at the start (3DGS-MCMC).
 const RELOCATED_OPACITY: f64 = 0.5;
-/// Scale at the start relative to the root mean square distance to the 3 nearest points (2DGS, 3DGS, DBS).
+/// Scale at the start relative to the root mean square distance to the 3 nearest points (2DGS, 3DGS).
 const SCALE: f64 = 1.0;
 /// The same of Student's t kernels (SSS).
 const STUDENT_SCALE: f64 = 0.1;
@@ -38,8 +38,12 @@ impl Context {
     /// [`TrainError::Init`] if the dataset has nothing to begin with.
     pub fn start_of_gaussians(&mut self, plan: StagePlan, blended: Blended) -> Result<GaussianData, TrainError> {
         let is_student = blended.rendering() == Rendering::Students;
-        let opacity = if blended.relocation().is_some() { RELOCATED_OPACITY } else { OPACITY };
-        let mut start = self.start(plan, opacity, if is_student { STUDENT_SCALE } else { SCALE })?.gaussians;
+        let (opacity, scale) = match blended.relocation() {
+            Some(Relocation::Student) => (RELOCATED_OPACITY, STUDENT_SCALE),
+            Some(_) => (RELOCATED_OPACITY, self.config.relocation.start_scale),
+            None => (OPACITY, SCALE),
+        };
+        let mut start = self.start(plan, opacity, scale)?.gaussians;
         if is_student {
             start.degrees_of_freedom = Some(vec![START_DEGREES; start.len()]);
         }
