@@ -105,7 +105,8 @@ fn step(device: &Device) -> Vec<Vec<f64>> {
 /// The attributes that learn.
 fn parameters<'a>(surfels: &'a Surfels, gaussians: &'a Gaussians) -> Vec<&'a Tensor<2>> {
     let all = surfels.iter().chain(gaussians.iter());
-    all.filter(|(attribute, _)| attribute.learns()).map(|(_, tensor)| tensor).collect()
+    let model = gaussians.model();
+    all.filter(|(attribute, _)| attribute.learns() && !attribute.is_left_out(model)).map(|(_, tensor)| tensor).collect()
 }
 
 #[test]

@@ -26,17 +26,20 @@ fn blended(form: Form) -> BlendedOptions {
 fn poisoned() -> impl Iterator<Item = (&'static Attribute, f32, TestScene)> {
     let attributes = || SurfelColumns::<()>::ATTRIBUTES.iter().chain(GaussianColumns::<()>::ATTRIBUTES);
     let of_surfels = SurfelData::ATTRIBUTES.len();
-    attributes().enumerate().flat_map(move |(number, attribute)| {
-        POISONS.into_iter().enumerate().map(move |(which, poison)| {
-            let mut scene = scene();
-            let rows = if number < of_surfels { scene.surfels.len() } else { scene.gaussians.len() };
-            let mut columns = scene.surfels.list_mut().into_iter().chain(scene.gaussians.list_mut());
-            let column = columns.nth(number).expect("one for each attribute");
-            let width = column.len() / rows;
-            column[ROW * width + which % 2 * (width - 1)] = poison;
-            (attribute, poison, scene)
-        })
-    })
+    let model = scene().gaussians.model();
+    attributes().enumerate().filter(move |(_, attribute)| !attribute.is_left_out(model)).flat_map(
+        move |(number, attribute)| {
+            POISONS.into_iter().enumerate().map(move |(which, poison)| {
+                let mut scene = scene();
+                let rows = if number < of_surfels { scene.surfels.len() } else { scene.gaussians.len() };
+                let mut columns = scene.surfels.list_mut().into_iter().chain(scene.gaussians.list_mut());
+                let column = columns.nth(number).expect("one for each attribute");
+                let width = column.len() / rows;
+                column[ROW * width + which % 2 * (width - 1)] = poison;
+                (attribute, poison, scene)
+            })
+        },
+    )
 }
 
 pub fn poisoned_numbers_are_named_with_their_row(device: &Device, dtype: DType) {

@@ -19,7 +19,7 @@ use crate::devices::flex;
 /// Attributes that learn, those of surfels first.
 fn learning() -> Vec<&'static Attribute> {
     let all = SurfelColumns::<()>::ATTRIBUTES.iter().chain(GaussianColumns::<()>::ATTRIBUTES);
-    all.filter(|attribute| attribute.learns()).collect()
+    all.filter(|attribute| attribute.learns() && !attribute.is_left_out(LOBES)).collect()
 }
 
 const LOBES: ColourModel = ColourModel::SphericalBeta { lobes: 2 };

@@ -16,7 +16,7 @@ use crate::scene::{DepthWeight, Gaussians, SceneInfo, ScreenFilter, WeightedSum}
 /// Largest logarithm of d^β.
 const LARGEST_LOGARITHM: f64 = 80.0;
 
-/// What the Gaussians of a [`WeightedSum`] have in common, each [1, 1].
+/// The numbers that all Gaussians of a [`WeightedSum`] share, each [1, 1].
 #[derive(Clone, Debug)]
 pub struct WeightedSumTensors {
     /// σ, used as at least [`WeightedSum::LEAST_SIGMA`].
@@ -123,17 +123,19 @@ pub fn render_summed(
         |colours: &Tensor<2>, probe| splat_probed(&gaussians, colours, &everywhere, probe, camera, ScreenFilter::Plain);
     let sums = splat(&colours, probes.gaussians)?;
     let background = common.background.clone().clamp_min(WeightedSum::LEAST_BACKGROUND).reshape([1, 1, 1]);
-    let total = planes(sums.clone(), 3, 1) + background.clone();
+    let total = planes(sums.clone(), 3, 1) + background;
+    let alpha = planes(sums.clone(), 3, 1) / total.clone();
     let behind = TensorData::new(options.background.to_vec(), [3, 1, 1]).convert_dtype(dtype);
-    let behind = Tensor::<3>::from_data(upload(behind), (&device, dtype)) * background;
-    let image = (planes(sums.clone(), 0, 3) + behind) / total.clone();
+    // w_b C_b over the total; as a product with w_b its gradient would cancel where there is no Gaussian
+    let behind = (alpha.clone() * -1.0 + 1.0) * Tensor::<3>::from_data(upload(behind), (&device, dtype));
+    let image = planes(sums, 0, 3) / total.clone() + behind;
     let depth = if options.depth {
         let of_depths = splat(&depths.repeat_dim(1, 3), None)?;
-        Some(planes(of_depths, 0, 1) / total.clone())
+        Some(planes(of_depths, 0, 1) / total)
     } else {
         None
     };
-    Ok(SummedRender { image, alpha: planes(sums, 3, 1) / total, depth })
+    Ok(SummedRender { image, alpha, depth })
 }
 
 /// [M, 1] depths of `positions` [M, 3], world units: what splatting sorts into intervals by.

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 /// Value of the zeroth spherical harmonic.
 pub const SH_C0: f64 = 0.282_094_791_773_878_14;
 
-/// What the name of a model ends with if opacities depend on the direction.
+/// End of the name of a model whose opacities depend on the direction.
 const AND_OPACITY: &str = "+opacity";
 
 /// How colour depends on the viewing direction (DP-GES: spherical Beta with 2 lobes; 3DGS: harmonics of degree 3).

@@ -187,10 +187,10 @@ pub struct SceneInfo {
     /// Filter of blended Gaussians. Files without it, and everything that is peeled, are [`ScreenFilter::Compensated`].
     #[serde(default)]
     pub screen_filter: ScreenFilter,
-    /// Of blended Gaussians. Files without it are [`BlendOrder::Centres`].
+    /// The order of blended Gaussians. Files without it are [`BlendOrder::Centres`].
     #[serde(default)]
     pub blend_order: BlendOrder,
-    /// Of [`Rendering::Summed`]; no other scene has it.
+    /// The numbers of [`Rendering::Summed`]; no other scene has them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub weighted_sum: Option<WeightedSum>,
     /// Display-referred colour behind everything; an [environment](EnvironmentData) adds to it.

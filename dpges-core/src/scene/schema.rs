@@ -74,7 +74,7 @@ pub enum RateGroup {
     OpacityDetail,
     Base,
     Detail,
-    /// Of what a weighted sum has in common; no primitive has such an attribute.
+    /// Numbers that all Gaussians of a weighted sum share; no primitive has such an attribute.
     WeightedSum,
     /// Coefficients of an environment; no primitive has such an attribute.
     Environment,
@@ -148,7 +148,7 @@ pub trait Columns: Sized {
     type With<U>: Columns<Value = U>;
 
     const ATTRIBUTES: &'static [Attribute];
-    /// What only some scenes have. One has the first of them before it has the next.
+    /// Attributes of some scenes only. A scene has the first of them before it has the next.
     const OPTIONAL: &'static [Attribute];
 
     fn colour(&self) -> &Colour<Self::Value>;

@@ -1,4 +1,4 @@
-//! What the Gaussians of a weighted sum have in common.
+//! The numbers that all Gaussians of a weighted sum share.
 
 use serde::{Deserialize, Serialize};
 

@@ -72,9 +72,9 @@ impl Arrays {
     }
 }
 
-/// What a golden file holds.
+/// The content of a golden file.
 struct File<'a> {
-    /// What messages call it.
+    /// Its name in messages.
     origin: &'a str,
     arrays: Arrays,
     metadata: HashMap<String, String>,

@@ -76,7 +76,8 @@ impl Blended {
         }
     }
 
-    /// That of its scenes, for colours of `model`: opacities of what is summed depend on the direction as its colours do.
+    /// The colour model of its scenes, for colours of `model`: opacities of summed Gaussians depend on the direction as their
+    /// colours do.
     pub fn colour_model(self, model: ColourModel) -> ColourModel {
         if self.rendering() == Rendering::Summed { model.with_opacity() } else { model }
     }

@@ -24,7 +24,7 @@ pub struct Rates {
     pub log_scales: f64,
     pub opacities: f64,
     pub degrees_of_freedom: f64,
-    /// Of the factors of opacities that depend on the direction; 0 where there are none.
+    /// Rate of the factors of opacities that depend on the direction; 0 where there are none.
     pub opacity_base: f64,
     /// Likewise.
     pub opacity_detail: f64,

@@ -71,7 +71,7 @@ pub fn grown(count: usize, factor: f64, cap: usize) -> usize {
 /// are `target`. Sources are drawn with replacement in proportion to their opacity, for the addition
 /// to that after relocation (3DGS-MCMC).
 ///
-/// Of Student's t kernels the absolute values of opacities count, those of exactly `min_opacity` live, and at most 5 % of
+/// For Student's t kernels the absolute values of opacities count, those of exactly `min_opacity` live, and at most 5 % of
 /// all, the weakest, are moved at a time (SSS).
 ///
 /// Opacities are effective, from 0 to 1, or from −1 to 1. Without living Gaussians none is relocated. `None` if nothing

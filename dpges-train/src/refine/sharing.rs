@@ -1,4 +1,4 @@
-//! What Gaussians, or Student's t kernels, share when several take the place of one (3DGS-MCMC, DBS, SSS).
+//! Opacities and scales of Gaussians, or Student's t kernels, that take the place of one (3DGS-MCMC, DBS, SSS).
 
 use crate::config::Relocation;
 

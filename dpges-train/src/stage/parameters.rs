@@ -47,7 +47,7 @@ pub struct StepRates {
     pub surfels: Rates,
     pub gaussians: Rates,
     pub environment: f64,
-    /// Of σ, β and w_b.
+    /// Learning rates of σ, β and w_b.
     pub weighted_sum: [f64; 3],
 }
 

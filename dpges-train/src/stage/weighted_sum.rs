@@ -1,4 +1,4 @@
-//! What the Gaussians of a weighted sum have in common, in training: σ, β, and the weight of the background.
+//! Training of the numbers that all Gaussians of a weighted sum share: σ, β, and the weight of the background.
 
 use std::collections::HashMap;
 

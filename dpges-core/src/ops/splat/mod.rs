@@ -89,7 +89,7 @@ pub fn splat(gaussians: &Gaussians, colours: &Tensor<2>, limits: &Tensor<3>, cam
 /// [`splat`](fn@splat) with another `filter`, and a `probe` [M, 2] of which only the gradient means anything.
 ///
 /// # Errors
-/// Those of [`splat`](fn@splat).
+/// The errors of [`splat`](fn@splat).
 pub fn splat_probed(
     gaussians: &Gaussians,
     colours: &Tensor<2>,

@@ -395,6 +395,22 @@ fn masks_go_into_the_dataset_and_to_colmap() {
 }
 
 #[test]
+fn masks_that_were_put_into_a_dataset_stay() {
+    let mut stage = Stage::new(5);
+    stage.install("colmap", COLMAP);
+    stage.model("0", &[0, 1, 2, 3, 4]);
+    stage.reconstruct().unwrap();
+    let own = stage.path("room_colmap/masks/001.png");
+    write_mask(&own, [24, 16], 3);
+    stage.options.invert_masks = true;
+    stage.reconstruct().unwrap();
+    assert_eq!(stage.calls().len(), 3, "they are no business of COLMAP's");
+    write_png(&stage.path("room/005.png"), 24, 16, [1, 2, 3]);
+    stage.try_to(&stage.path("room"), true).0.unwrap();
+    assert!(own.is_file());
+}
+
+#[test]
 fn masks_that_were_put_beside_made_ones_stay() {
     let stage = Stage::new(5);
     stage.install("colmap", COLMAP);

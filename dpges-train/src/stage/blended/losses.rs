@@ -69,9 +69,7 @@ impl Weights {
     ) -> Tensor<1> {
         let mut total = rgb;
         if self.opacity > 0.0 {
-            let opacities = gaussians.opacities.clone();
-            let opacities = if self.signed { opacities.abs() } else { opacities };
-            total = total + opacities.mean() * self.opacity;
+            total = total + self.mean_opacity(&gaussians.opacities) * self.opacity;
         }
         if self.scale > 0.0 {
             total = total + gaussians.log_scales.clone().exp().mean() * self.scale;
@@ -86,5 +84,30 @@ impl Weights {
             total = total + mean_of_counted(distortion, mask) * self.distortion;
         }
         total
+    }
+
+    fn mean_opacity(&self, opacities: &Tensor<2>) -> Tensor<1> {
+        if self.signed { opacities.clone().abs().mean() } else { opacities.clone().mean() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use dpges_core::testing::golden::values;
+
+    use super::*;
+    use crate::config::{Config, Method};
+    use crate::run::fixtures::device;
+
+    #[test]
+    fn students_that_take_colour_away_fade_as_those_that_add_some() {
+        let mean = |kind: Relocation, method: Method| {
+            let mut config = Config::default();
+            config.train.method = method;
+            let weights = Weights::of_relocated(kind, config.plan()[0], 0);
+            values(&weights.mean_opacity(&Tensor::from_floats([[-0.5], [0.25]], &device())))[0]
+        };
+        assert_eq!(mean(Relocation::Student, Method::Sss), 0.375);
+        assert_eq!(mean(Relocation::Mcmc, Method::Mcmc), -0.125);
     }
 }

@@ -69,9 +69,9 @@ pub struct BlendedStage {
     positions_before: Option<Tensor<2>>,
     /// `None` without a filter in the world.
     pub sampling_limit: Option<SamplingLimit>,
-    /// Of positions; `None` where Adam moves them.
+    /// Momenta of positions; `None` where Adam moves them.
     pub momenta: Option<Momenta>,
-    /// Those before the last step.
+    /// Momenta before the last step.
     momenta_before: Option<Momenta>,
     /// `None` unless Gaussians are summed.
     pub weighted_sum: Option<WeightedSumState>,
@@ -163,7 +163,7 @@ impl BlendedStage {
         stage.summing(scene.info.weighted_sum.clone(), context)
     }
 
-    /// What its scenes say besides their tensors, as it stands.
+    /// The info of its scenes as it stands.
     pub fn scene_info(&self) -> SceneInfo {
         let weighted_sum = self.weighted_sum.as_ref().map(WeightedSumState::to_data);
         SceneInfo { weighted_sum, ..self.info.clone() }

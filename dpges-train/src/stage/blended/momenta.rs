@@ -36,12 +36,12 @@ pub struct MomentumStep {
     pub burns_in: bool,
     /// Whether this is the first step after burn-in.
     pub restarts: bool,
-    /// Of the noise.
+    /// Seed of the noise.
     pub seed: u64,
 }
 
 impl Momenta {
-    /// Of `count` Gaussians at rest.
+    /// Momenta of `count` Gaussians at rest.
     pub fn at_rest(count: usize, device: &Device) -> Self {
         Self(rows_to_tensor(&vec![0.0; 3 * count], 3, device, DType::F32))
     }

@@ -32,7 +32,7 @@ record! {
 
 #[cube]
 impl AlongRay {
-    /// Of the Gaussian with these axes, by rows, and this centre, in camera axes.
+    /// The values of the Gaussian with these axes, by rows, and this centre, in camera axes.
     pub fn new(axes: Mat3, log_scales: Vec3, centre: Vec3) -> AlongRay {
         let whitening = Mat3 {
             row0: scale(axes.row0, 1.0f32 / max(f32::exp(log_scales.x), MIN_SCALE)),

@@ -17,7 +17,7 @@ const LEAST_REACH: f32 = STUDENT_LEAST_REACH as f32;
 const LEAST_SPREAD: f32 = STUDENT_LEAST_SPREAD as f32;
 
 record! {
-    /// What a Student's t kernel has besides its [`Splat`].
+    /// The values of a Student's t kernel besides its [`Splat`].
     pub struct Tail {
         /// ν
         pub degrees: f32,

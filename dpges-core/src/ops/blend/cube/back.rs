@@ -44,7 +44,7 @@ pub fn pixel_grad(grad: &[f32], pixel: usize, view: CameraUniforms, #[comptime] 
     }
 }
 
-/// What distortion needs of all fragments of a pixel.
+/// Sums over all fragments of a pixel, for distortion.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub struct Spread {

@@ -299,7 +299,7 @@ pub struct Fragments {
     pub shapes: CubeTensor,
     /// [M, [`FEATURES`]]
     pub features: CubeTensor,
-    /// What [`along_ray::table`] gives; `None` in the order of centres.
+    /// The result of [`along_ray::table`]; `None` in the order of centres.
     by_rays: Option<CubeTensor>,
 }
 

@@ -223,7 +223,7 @@ pub fn sort(primitives: &mut [Primitive]) {
     primitives.sort_by(|a, b| a.centre_depth.total_cmp(&b.centre_depth).then(a.row.cmp(&b.row)));
 }
 
-/// Those that are met in front of the camera, exactly in the order along the ray.
+/// Primitives that are met in front of the camera, exactly in the order along the ray.
 fn by_ray(primitives: &[Primitive], camera: &Camera, at: [f64; 2]) -> Vec<Primitive> {
     let met = primitives.iter().map(|primitive| (primitive.depth_along_ray(camera, at), *primitive));
     let mut met: Vec<(f64, Primitive)> = met.filter(|(depth, _)| *depth >= 0.0).collect();

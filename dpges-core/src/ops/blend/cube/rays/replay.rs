@@ -25,7 +25,7 @@ use crate::tiles::binning::cube::TileList;
 /// Largest buffer for what the pixels of some tiles say, bytes.
 const LARGEST: usize = 256 << 20;
 
-/// What the pixels of the tiles of a band say about their entries.
+/// Values of the pixels of the tiles of a band for their entries.
 pub struct Said {
     /// [entries, [`said_numbers`], [`UNITS`]]; 0 where a pixel has no fragment
     pub numbers: CubeTensor,

@@ -38,7 +38,7 @@ const _: () = assert!(BLOCK_QUEUE <= BATCH, "there is room for what leaves a blo
 /// Position of nothing.
 const NOTHING: u32 = NO_KEY;
 
-/// What a pixel has besides what it sums, by place in its array: as numbers, the position of the fragment that was blended
+/// State of a pixel besides its sums, by place in its array: as numbers, the position of the fragment that was blended
 /// last, −1 before the first, and the position behind the largest.
 pub const LAST: usize = STATE;
 pub const END: usize = STATE + 1;
