@@ -145,7 +145,7 @@ configuration! {
             ablation: "no-environment" = "none" ("Without an environment, if the run has one");
         /// Standard deviation of a filter in the world that limits how fine surfels and Gaussians of the joint stage are:
         /// in pixels of the training view that resolves them best (Mip-Splatting: √0.2). 0 sets no limit (DP-GES), but
-        /// √0.2 with `train.method = "mip-splatting"`.
+        /// √0.2 with `train.method = "mip-splatting"` or `"htgs"`.
         sampling_limit: f64 = 0.0, unit: "px", range: 0.0..,
             ablation: "sampling-limit" = "0.4472136" ("Let no primitive be finer than the training views resolve");
     }
