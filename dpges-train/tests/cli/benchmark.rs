@@ -166,9 +166,10 @@ fn cells_that_were_killed_go_on_and_the_tables_have_all_of_them() {
         assert_eq!(row["folder"], format!("runs/{cell}"));
         assert_eq!((&row["psnr"], &row["longest_px"]), (&json(run(cell).join("eval.json"))["psnr"], &16.into()));
         assert!(row["training_seconds"].as_f64().unwrap() > 0.0, "{row}");
+        // so few steps leave no surface that two frames see, so that there may be no FLIP_1
+        let log = String::from_utf8(bytes(run(cell).join("log.txt"))).unwrap();
+        assert!(log.contains("measuring popping over 60 frames"), "{log}");
     }
-    // where a surface is seen twice
-    assert!(rows.iter().any(|row| row["flip_7"].as_f64().is_some_and(|flip| flip > 0.0)), "{rows:?}");
     let printed = String::from_utf8(output.stdout).unwrap();
     let read = |name: &str| String::from_utf8(bytes(at.join("out").join(name))).unwrap();
     let (markdown, csv, latex) = (read("tables.md"), read("tables.csv"), read("tables.tex"));
@@ -194,9 +195,10 @@ fn cells_that_were_killed_go_on_and_the_tables_have_all_of_them() {
     let job = script.lines().last().unwrap().replace("\"$cell\"", "mipnerf360/garden/no-split/seed_0");
     let status = std::process::Command::new("sh").args(["-c", &job]).current_dir(at).status().unwrap();
     assert!(status.success(), "{job}");
-    let tables = ok(at, &[&command[..], &["--tables"]].concat());
+    let tables = ok(at, &[&BENCHMARK[..], &["--methods=no-split", "--tables"]].concat());
     let line = tables.lines().rfind(|line| line.starts_with("| no splitting")).unwrap();
-    assert!(line.contains("<sup>abc</sup> (28.04)"), "a row of an earlier command counts: {line}");
+    assert!(line.contains("<sup>abc</sup> (28.04)"), "{line}");
+    assert!(tables.contains(&format!("{psnr:.2}<sup>abc</sup> (24.61)")), "rows of earlier commands stay: {tables}");
 }
 
 #[test]
