@@ -232,6 +232,16 @@ configuration! {
             ablation: "weights-exp" = "exp" ("Weigh depths exponentially, with `train.method = \"sortfree\"`");
     }
 
+    /// Positions of Student's t kernels (SSS), with `train.method = "sss"`.
+    [students] StudentsConfig {
+        /// Friction and noise of positions after burn-in (SSS: 100 to 120).
+        friction: f64 = 100.0, range: 0.0..;
+        /// The same in burn-in (SSS: 5e5, for two scenes 5e8).
+        burn_in_friction: f64 = 5e5, range: 0.0..;
+        /// End of burn-in. The number is that of a run of 30,000 steps and scales with its length (SSS).
+        burn_in: usize = 7000, unit: "steps";
+    }
+
     /// Training of Gaussians that are relocated (3DGS-MCMC, DBS).
     [relocation] RelocationConfig {
         /// Weight of the mean opacity in the loss (3DGS-MCMC; for one scene it takes 0.001).

@@ -38,7 +38,7 @@ pub use dpges_core::scene::OpacityActivation;
 pub use error::ConfigError;
 pub use keys::{
     Config, DataConfig, DensityConfig, DiscsConfig, InitConfig, ModelConfig, OptimizerConfig, RefineConfig,
-    RelocationConfig, SECTIONS, StagesConfig, TrainConfig, WeightedSumConfig,
+    RelocationConfig, SECTIONS, StagesConfig, StudentsConfig, TrainConfig, WeightedSumConfig,
 };
 pub use memory::Memory;
 pub use pixels::PixelCount;

@@ -32,7 +32,7 @@ use crate::optimizer::LOGIT_RATE;
 use crate::optimizer::scene_state::{GaussianState, Rates, SurfelState};
 use losses::Weights;
 pub use momenta::Momenta;
-use momenta::{BURN_IN, MomentumStep};
+use momenta::MomentumStep;
 use schedule::{BlendedDue, BlendedSchedule};
 pub use screen_gradients::ScreenGradients;
 
@@ -265,10 +265,13 @@ impl BlendedStage {
     /// Takes the step of the momenta after `completed` ones, and moves the positions by it.
     fn move_by_momenta(&mut self, completed: usize, context: &mut Context) -> Result<(), TrainError> {
         let rate = self.position_rate(completed, &context.config).sqrt();
-        let burn_in_steps = self.plan.scaled(BURN_IN);
+        let students = &context.config.students;
+        let burn_in_steps = self.plan.scaled(students.burn_in);
+        let burns_in = completed < burn_in_steps;
         let step = MomentumStep {
             rate,
-            burns_in: completed < burn_in_steps,
+            burns_in,
+            friction: if burns_in { students.burn_in_friction } else { students.friction },
             restarts: completed == burn_in_steps,
             seed: context.rng.random(),
         };

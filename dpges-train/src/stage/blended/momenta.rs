@@ -16,13 +16,6 @@ use dpges_core::scene::tensors::{rows_to_tensor, tensor_to_rows};
 use crate::optimizer::Parameter;
 use crate::refine::relocate::Relocated;
 
-/// C after burn-in (SSS: 1e2 to 1.2e2).
-const FRICTION: f64 = 100.0;
-/// C_b, the same in burn-in (SSS).
-const BURN_IN_FRICTION: f64 = 5e5;
-/// Steps of burn-in in a run of 30,000 (SSS).
-pub const BURN_IN: usize = 7000;
-
 /// p: [M, 3] momenta of positions.
 #[derive(Clone, Debug)]
 pub struct Momenta(Tensor<2>);
@@ -34,6 +27,8 @@ pub struct MomentumStep {
     pub rate: f64,
     /// Whether it is one of burn-in.
     pub burns_in: bool,
+    /// C, or C_b in burn-in.
+    pub friction: f64,
     /// Whether this is the first step after burn-in.
     pub restarts: bool,
     /// Seed of the noise.
@@ -68,16 +63,16 @@ impl Momenta {
         adam: &AdamStep,
         step: &MomentumStep,
     ) -> dpges_core::Result<Tensor<2>> {
-        let MomentumStep { rate, burns_in, restarts, seed } = *step;
+        let MomentumStep { rate, burns_in, friction, restarts, seed } = *step;
         let magnitudes = gaussians.opacities.clone().abs();
         let mut momenta = direction(positions, adam) * -rate;
         if !burns_in && !restarts {
             // as the noise is gated; beyond e^80 it is 0, and more would overflow
             let gate = ((magnitudes.clone() - 0.005) * 100.0).clamp_max(80.0).exp().add_scalar(1.0).recip();
-            momenta = momenta + self.0.clone() * (gate * (1.0 - rate * FRICTION));
+            momenta = momenta + self.0.clone() * (gate * (1.0 - rate * friction));
         }
         let log_scales = if burns_in { gaussians.log_scales.clone() } else { gaussians.log_scales.zeros_like() };
-        let amount = (2.0 * rate * if burns_in { BURN_IN_FRICTION } else { FRICTION }).sqrt();
+        let amount = (2.0 * rate * friction).sqrt();
         let moved = Gaussians { positions: momenta, log_scales, opacities: magnitudes, ..gaussians.clone() };
         self.0 = jitter(&moved, &JitterOptions { gate: NoiseGate::Mcmc, amount, seed })?;
         Ok(positions.raw() + self.0.clone() * rate)
@@ -111,6 +106,10 @@ mod tests {
     use crate::optimizer::ParameterRows;
     use crate::optimizer::scene_state::GaussianState;
 
+    fn friction(burns_in: bool) -> f64 {
+        if burns_in { 5e5 } else { 100.0 }
+    }
+
     const ADAM: AdamStep = AdamStep { learning_rate: 0.0, beta_1: 0.9, beta_2: 0.999, epsilon: 1e-15, time: 1 };
 
     /// Students of these opacities, with the moments of a first gradient (2, −3, 0.5) of each.
@@ -139,7 +138,7 @@ mod tests {
         let state = state(&[0.9, -0.9], &device);
         for (burns_in, restarts) in [(true, false), (false, true), (false, false)] {
             let mut momenta = Momenta::from_column(&[7.0; 6], &device);
-            let settings = MomentumStep { rate: 0.02, burns_in, restarts, seed: 1 };
+            let settings = MomentumStep { rate: 0.02, burns_in, friction: friction(burns_in), restarts, seed: 1 };
             let moved = step(&mut momenta, &state, &settings);
             // the first direction of Adam is the sign
             for (found, expected) in moved.iter().zip([-1.0f32, 1.0, -1.0].repeat(2)) {
@@ -155,7 +154,11 @@ mod tests {
         let rate = 1e-3;
         let found = |burns_in: bool, restarts: bool, before: f32| {
             let mut momenta = Momenta::from_column(&[before; 6], &device);
-            step(&mut momenta, &state, &MomentumStep { rate, burns_in, restarts, seed: 3 });
+            step(
+                &mut momenta,
+                &state,
+                &MomentumStep { rate, burns_in, friction: friction(burns_in), restarts, seed: 3 },
+            );
             momenta.column()
         };
         // the noise is that of the seed, whatever came before
@@ -179,7 +182,11 @@ mod tests {
         let rate = 1e-3;
         let deviations = |burns_in: bool| {
             let mut momenta = Momenta::at_rest(count, &device);
-            step(&mut momenta, &state, &MomentumStep { rate, burns_in, restarts: true, seed: 5 });
+            step(
+                &mut momenta,
+                &state,
+                &MomentumStep { rate, burns_in, friction: friction(burns_in), restarts: true, seed: 5 },
+            );
             let rows = momenta.column();
             [0, 1, 2].map(|axis| {
                 let values: Vec<f64> = rows.iter().skip(axis).step_by(3).map(|&p| f64::from(p)).collect();
@@ -188,11 +195,11 @@ mod tests {
             })
         };
         // ½ √(2 η C), along the axes times the variances e^−2, e^−4, e^−6 in burn-in
-        let after = 0.5 * (2.0 * rate * FRICTION).sqrt();
+        let after = 0.5 * (2.0 * rate * friction(false)).sqrt();
         for found in deviations(false) {
             assert!((found / after - 1.0).abs() < 0.05, "{found} {after}");
         }
-        let during = 0.5 * (2.0 * rate * BURN_IN_FRICTION).sqrt();
+        let during = 0.5 * (2.0 * rate * friction(true)).sqrt();
         for (found, log_variance) in deviations(true).into_iter().zip([-2.0f64, -4.0, -6.0]) {
             assert!((found / (during * log_variance.exp()) - 1.0).abs() < 0.05, "{found} {log_variance}");
         }

@@ -235,9 +235,9 @@ impl<'a, T: Real, F: Projected<T>> Tile<'a, T, F> {
                 let in_core = pixel.core[..pixel.len].iter().any(|kept| kept.position == found.position);
                 if !in_core && back.share > T::zero() {
                     let alpha = self.alpha(&found);
-                    let own = weighted(&back.coefficients, &self.payload::<MAPS>(&found, pixel.reference)) + back.rest;
+                    let own = weighted(&back.coefficients, &self.payload::<MAPS>(&found, pixel.reference));
                     let through = (T::one() - alpha).max(T::of(LEAST_THROUGH));
-                    let grad_alpha = back.share * own + back.of_alpha + back.of_through / through;
+                    let grad_alpha = back.share * (own - back.mean) + back.of_through / through;
                     self.say(said, at, &found, [back.share * alpha, alpha * grad_alpha], back, pixel.reference);
                 }
             });
@@ -272,11 +272,11 @@ impl<'a, T: Real, F: Projected<T>> Tile<'a, T, F> {
         // derivative with respect to T behind the fragment that is next
         let mut behind = T::zero();
         if weights.share > T::zero() {
-            let tail = weighted(&back.coefficients, &pixel.payload) + back.rest * pixel.alpha;
-            behind = (one - pixel.through) / pixel.alpha * tail;
             back.share = weights.share;
-            back.of_alpha = -weights.share / pixel.alpha * tail;
-            back.of_through = weights.through * pixel.through / pixel.alpha * tail;
+            back.mean = weighted(&back.coefficients, &pixel.payload) / pixel.alpha;
+            let mean = back.mean + back.rest;
+            behind = (one - pixel.through) * mean;
+            back.of_through = weights.through * pixel.through * mean;
         }
         for (fragment, &covered) in pixel.core[..pixel.len].iter().zip(&weights.covered).rev() {
             if covered > T::zero() {
@@ -317,8 +317,10 @@ struct WayBack<T> {
     rest: T,
     /// As in [`Weights`].
     share: T,
-    /// What every α of the tail has by Σ α, and by Π (1 − α) times its 1 − α.
-    of_alpha: T,
+    /// Mean of `coefficients · payload` over the tail by α. `rest` is no part of it: by Σ α it changes nothing, and the
+    /// difference would be rounding alone where the tail is opaque.
+    mean: T,
+    /// What every α of the tail has by Π (1 − α), times its 1 − α.
     of_through: T,
 }
 
@@ -336,6 +338,6 @@ impl<T: Real> WayBack<T> {
             coefficients[M + 1] = of_distortion * weights.total;
             rest = rest + of_distortion * weights.sums[M + 1];
         }
-        Self { coefficients, rest, share: T::zero(), of_alpha: T::zero(), of_through: T::zero() }
+        Self { coefficients, rest, share: T::zero(), mean: T::zero(), of_through: T::zero() }
     }
 }

@@ -310,8 +310,10 @@ pub fn blend(
 #[expand(derive(Clone, Copy))]
 struct TailGrad {
     share: f32,
-    /// What its α has by Σ α, and by Π (1 − α) times its 1 − α.
-    of_alpha: f32,
+    /// Mean of `coefficients · payload` over the tail by α. `rest` is no part of it: by Σ α it changes nothing, and the
+    /// difference would be rounding alone where the tail is opaque.
+    mean: f32,
+    /// What its α has by Π (1 − α), times its 1 − α.
     of_through: f32,
 }
 
@@ -392,18 +394,18 @@ fn gather_kernel(
         rest += of_distortion * sums[M + 1];
     }
 
-    let mut of_tail = TailGrad { share: sums[SHARE], of_alpha: 0.0f32, of_through: 0.0f32 };
+    let mut of_tail = TailGrad { share: sums[SHARE], mean: 0.0f32, of_through: 0.0f32 };
     // derivative with respect to T behind the fragment that is next
     let mut behind = 0.0f32;
     if of_tail.share > 0.0f32 {
-        let mut whole = rest * tail[ALPHA];
+        let mut whole = 0.0f32;
         #[unroll]
         for number in 0..PAYLOAD {
             whole += coefficients[number] * tail[number];
         }
-        let mean = whole / tail[ALPHA];
+        of_tail.mean = whole / tail[ALPHA];
+        let mean = of_tail.mean + rest;
         behind = (1.0f32 - tail[THROUGH]) * mean;
-        of_tail.of_alpha = -of_tail.share * mean;
         of_tail.of_through = sums[BEHIND] * tail[THROUGH] * mean;
     }
     // gradients of the exponents and of the depths take the places of what they are made of
@@ -452,9 +454,9 @@ fn gather_kernel(
                         let (weight, depth) = Whitened::load(shapes, i * WHITENED).fragment(view, x, y);
                         if weight > 0.0f32 {
                             let alpha = min(weight, thresholds.max_alpha);
-                            let value = weighted(&coefficients, features, i, depth, reference, slope, maps) + rest;
+                            let value = weighted(&coefficients, features, i, depth, reference, slope, maps);
                             let through = max(1.0f32 - alpha, LEAST_THROUGH);
-                            let grad_alpha = of_tail.share * value + of_tail.of_alpha + of_tail.of_through / through;
+                            let grad_alpha = of_tail.share * (value - of_tail.mean) + of_tail.of_through / through;
                             power = select(weight < thresholds.max_alpha, alpha * grad_alpha, 0.0f32);
                             covered = of_tail.share * alpha;
                             grad_depth = covered * depth_gradient(&coefficients, depth, reference, slope, maps);
