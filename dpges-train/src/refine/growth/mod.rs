@@ -108,7 +108,7 @@ impl Growth {
     }
 
     /// Ends the interval after `completed` steps of the stage, when the views have `psnr`, dB, and decides what comes next. A
-    /// batch is worth it from [`LEAST_GAIN`] on.
+    /// batch is worth it from 0.05 dB on.
     ///
     /// Right after a batch only the control before it is known. As improvement slows down, that one rather promises too
     /// much; a batch that exceeds it clearly is followed by the next. Otherwise it settles: new primitives disturb a scene
