@@ -73,4 +73,4 @@ pub use image::Rgb8Image;
 pub use options::{Display, MAX_LAYERS, Precision, RenderOptions};
 pub use path::CameraPath;
 pub use profile::PassTime;
-pub use renderer::{Renderer, check_drawn};
+pub use renderer::{Renderer, check_drawn, check_drawn_as_trained};

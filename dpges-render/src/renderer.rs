@@ -1,7 +1,7 @@
 //! The renderer: a scene on a device, drawn into a view of a texture.
 
 use dpges_core::camera::Camera;
-use dpges_core::scene::{Rendering, SceneData, SceneInfo};
+use dpges_core::scene::{BlendOrder, Rendering, SceneData, SceneInfo};
 use wgpu::util::DeviceExt;
 
 use crate::error::{RenderError, Result};
@@ -53,6 +53,19 @@ pub fn check_drawn(info: &SceneInfo) -> Result<()> {
         Rendering::Students => Err(RenderError::NotDrawn("Student's t kernels (SSS)")),
         Rendering::Summed => Err(RenderError::NotDrawn("weighted sums (sort-free Gaussians)")),
         Rendering::Peeled | Rendering::Ellipsoids | Rendering::Discs => Ok(()),
+    }
+}
+
+/// Whether scenes of this kind are drawn as they were trained. Others are sorted by the centres of their Gaussians.
+///
+/// # Errors
+/// [`RenderError::NotDrawn`] as [`check_drawn`], and for Gaussians that are sorted for each pixel or met by rays.
+pub fn check_drawn_as_trained(info: &SceneInfo) -> Result<()> {
+    check_drawn(info)?;
+    match info.blend_order {
+        BlendOrder::Centres => Ok(()),
+        BlendOrder::Rays => Err(RenderError::NotDrawn("Gaussians that are sorted for each pixel (StopThePop)")),
+        BlendOrder::Whitened(_) => Err(RenderError::NotDrawn("Gaussians that rays meet without a projection (HTGS)")),
     }
 }
 

@@ -106,7 +106,7 @@ pub fn run(args: &CompressArgs) -> Result<()> {
     }
 }
 
-/// What pictures are compared with.
+/// The photographs that pictures are compared with.
 struct Measuring<'a> {
     dataset: String,
     split: String,

@@ -31,7 +31,7 @@ fn said(device: DeviceName, why: &str) -> Result<DeviceName> {
     Ok(device)
 }
 
-/// What `auto` stands for.
+/// The device that `auto` stands for.
 pub fn automatic() -> Result<Selection> {
     Ok(select_in_child(&["devices", "--auto", "--json"])?)
 }

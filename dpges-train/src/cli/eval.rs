@@ -103,7 +103,6 @@ fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> 
     }
     let mut frame_ms = None;
     if args.frame_times {
-        scene.warn_of_order("the real-time renderer, whose frames are timed, sorts");
         match FrameMs::measure(&scene.data, views, &renderer, &device_name) {
             Ok(times) => frame_ms = Some(times),
             Err(error) => notes.push(("frames", format!("not measured: {error}"))),

@@ -46,7 +46,7 @@ pub enum ExportFormat {
 /// Which axis of the scene points up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Up {
-    /// What the format of the dataset suggests: z of Blender, nerfstudio and the built-in scene, -y of COLMAP
+    /// The axis that the format of the dataset suggests: z of Blender, nerfstudio and the built-in scene, -y of COLMAP
     Auto,
     /// -y
     MinusY,

@@ -1,4 +1,4 @@
-//! What goes to standard error while a command works.
+//! Messages on standard error while a command works.
 
 use std::io::IsTerminal;
 

@@ -29,7 +29,7 @@ impl LpipsArgs {
         self.chosen.is_empty()
     }
 
-    /// What was said about networks.
+    /// The networks as they were asked for.
     pub fn chosen(&self) -> &[Choice] {
         &self.chosen
     }

@@ -8,7 +8,7 @@ const FILE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/reference/commands
 const MARKER: &str = "<!-- generated from here on -->\n";
 const WRITE: &str = "DPGES_WRITE_DOCS";
 
-/// What `--help` prints for every subcommand, as Markdown.
+/// The output of `--help` for every subcommand, as Markdown.
 fn reference() -> String {
     let section = |command: &Command| {
         let name = command.get_name();

@@ -3,7 +3,7 @@
 use clap::ValueEnum;
 use dpges_core::scene::SceneData;
 
-/// What a scene is drawn with at most.
+/// Limits on how a scene is drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum RenderingPreset {
     /// At most 2 layers, sums of Gaussians in 16 bits

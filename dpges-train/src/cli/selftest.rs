@@ -36,7 +36,7 @@ pub struct SelftestArgs {
 #[derive(Serialize)]
 struct Report {
     device: String,
-    /// What the device is on this machine.
+    /// The device on this machine.
     description: String,
     passed: bool,
     tensors: usize,

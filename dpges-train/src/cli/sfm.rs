@@ -82,7 +82,8 @@ pub fn run(args: &SfmArgs, style: LogStyle) -> Result<()> {
     if style == LogStyle::Quiet { Ok(()) } else { print(&summary(&outcome, args.invert_masks)) }
 }
 
-/// What a command was asked to train on: if that is photographs or a video, the dataset is made of it, unless it has been.
+/// Makes a dataset of the photographs or the video that a command was given, unless there is one; other datasets stay as they
+/// are.
 pub fn prepare(dataset: Option<&Path>, options: &Options, style: LogStyle) -> Result<()> {
     let Some(input) = dataset.and_then(photographs) else { return Ok(()) };
     let outcome = reconstruct(&input, &capture::dataset_beside(&input)?, options, false, style)?;

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::declare::{choices, text, value};
 
 choices! {
-    /// What a run trains.
+    /// The method that a run trains.
     Method {
         /// Surfels and Gaussians together, after the stages of `[stages]` (DP-GES).
         "dpges" => Dpges,
@@ -51,7 +51,7 @@ choices! {
         "rest" => Rest,
     }
 
-    /// What the alpha of pictures says.
+    /// Meaning of the alpha of pictures.
     Alpha {
         /// How much of a photograph covers the background: it is composited on `data.background`.
         "matte" => Matte,
@@ -59,7 +59,7 @@ choices! {
         "mask" => Mask,
     }
 
-    /// What ends a run.
+    /// The end of a run.
     Stop {
         /// Its length, `train.steps`.
         "steps" => Steps,
@@ -98,7 +98,7 @@ choices! {
         "on" => On,
     }
 
-    /// What new Gaussians of the joint stage are.
+    /// Kind of new Gaussians of the joint stage.
     NewGaussians {
         /// Copies of those that answer for the most error, which share their opacity: no picture changes.
         "copies" => Copies,
@@ -130,7 +130,7 @@ choices! {
         "raw" => Raw,
     }
 
-    /// What lies behind every surfel and every Gaussian, in the direction of a pixel.
+    /// Colour behind all surfels and Gaussians, in the direction of a pixel.
     Environment {
         /// Spherical harmonics of degree 3 if more than 5 % of the training pixels are open sky: above the horizon, with
         /// no point of the dataset from there up to the border of the picture. The background alone otherwise, and if

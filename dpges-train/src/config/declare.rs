@@ -19,7 +19,7 @@ pub struct Key {
     pub(super) about: &'static [&'static str],
     /// Empty for numbers without a unit and for what is no number.
     pub unit: &'static str,
-    /// What values are allowed, for numbers that are not all allowed.
+    /// Allowed values, for numbers that are not all allowed.
     pub range: Option<fn() -> String>,
     /// The strings that are allowed, for keys that do not take any string.
     pub choices: &'static [Choice],
@@ -42,7 +42,7 @@ pub struct Ablation {
     pub name: &'static str,
     /// As `--set KEY=VALUE` takes it.
     pub value: &'static str,
-    /// What changes.
+    /// The change, in words.
     pub effect: &'static str,
 }
 
@@ -52,14 +52,14 @@ fn joined(lines: &[&str]) -> String {
 }
 
 impl Section {
-    /// What its keys are about.
+    /// Subject of its keys.
     pub fn about(&self) -> String {
         joined(self.about)
     }
 }
 
 impl Key {
-    /// What it means.
+    /// Its meaning.
     pub fn about(&self) -> String {
         joined(self.about)
     }
@@ -88,7 +88,7 @@ impl Key {
 }
 
 impl Choice {
-    /// What it means; empty if the name says it.
+    /// Its meaning; empty if the name says it.
     pub fn about(&self) -> String {
         joined(self.about)
     }
@@ -216,9 +216,9 @@ macro_rules! optional {
 /// The sections of the configuration with their keys:
 ///
 /// ```text
-/// /// What the section is about.
+/// /// Subject of the section.
 /// [section] Struct {
-///     /// What the key means.
+///     /// Meaning of the key.
 ///     key: Type = default, unit: "px", range: 1.., ablation: "name" = "value" ("What changes");
 /// }
 /// ```

@@ -39,7 +39,7 @@ const FORMER: [(&str, &str, &str); 26] = [
     ("refine", "margins_with_pruning surfel_max_scale least_gain drop_lobes_at", CONSTANT),
 ];
 
-/// What has become of the key `name`, such as `train.deterministic`; `None` if no earlier version had it.
+/// Replacement of the former key `name`, such as `train.deterministic`, in words; `None` if no earlier version had it.
 pub fn instead(name: &str) -> Option<&'static str> {
     let (section, key) = name.split_once('.')?;
     let is_it = |keys: &str| keys.split(' ').any(|former| former == key);

@@ -21,7 +21,7 @@ configuration! {
     [data] DataConfig {
         /// Colour behind the scene. Pictures with alpha are composited on it.
         background: Background = Background::Auto;
-        /// What the alpha of pictures says.
+        /// Meaning of the alpha of pictures.
         alpha: Alpha = Alpha::Matte;
         /// Masks are black where pixels count, and white where they are ignored, instead of the other way round.
         invert_masks: bool = false;
@@ -52,11 +52,11 @@ configuration! {
 
     /// Length, losses and output of a run.
     [train] TrainConfig {
-        /// What to train.
+        /// The method to train.
         method: Method = Method::Dpges;
         /// Length of the run, all stages together. Each step renders one view.
         steps: usize = 5000, unit: "steps", range: 1..;
-        /// What ends the run.
+        /// The end of the run.
         stop: Stop = Stop::Steps;
         /// End the run after this many evaluations in a row without a better validation PSNR, if
         /// `train.stop = "validation"`.
@@ -115,7 +115,7 @@ configuration! {
         checkpoint_every: usize = 1000, unit: "steps";
     }
 
-    /// What a scene consists of.
+    /// Primitives of a scene, and how they are drawn.
     [model] ModelConfig {
         /// How colours depend on the viewing direction.
         colour: ColourModel = ColourModel::SphericalBeta { lobes: 2 },
@@ -140,7 +140,7 @@ configuration! {
         /// Which depths a Gaussian's depth is compared with to find its transmittance. The scene file keeps it.
         margin_lookup: MarginLookup = MarginLookup::Shifted,
             ablation: "literal-lookup" = "literal" ("Look the transmittance up without margins");
-        /// What lies behind every surfel and every Gaussian, in the direction of a pixel.
+        /// Colour behind all surfels and Gaussians, in the direction of a pixel.
         environment: Environment = Environment::Auto,
             ablation: "no-environment" = "none" ("Without an environment, if the run has one");
         /// Standard deviation of a filter in the world that limits how fine surfels and Gaussians of the joint stage are:
@@ -311,7 +311,7 @@ configuration! {
         /// batch before, new Gaussians take the place of those too faint to be drawn.
         replace_until: usize = 20_000, unit: "steps",
             ablation: "no-replacement" = "0" ("Replace no Gaussians after the last batch");
-        /// What new Gaussians are.
+        /// Kind of new Gaussians.
         new_gaussians: NewGaussians = NewGaussians::Copies,
             ablation: "black-gaussians" = "black" ("Add black Gaussians where errors are large");
         /// Largest number of surfels and Gaussians together, or largest size of the scene file.

@@ -272,7 +272,7 @@ mod tests {
         assert!(fast.data.max_resolution < quality.data.max_resolution);
     }
 
-    /// What a preset says itself, whatever the defaults are. `expected` is TOML with a section a line.
+    /// The keys that a preset itself names, whatever the defaults are. `expected` is TOML with a section a line.
     fn assert_pins(name: &str, expected: &str) {
         let pinned: Table = preset_text(name).unwrap().parse().unwrap();
         for (section, keys) in expected.parse::<Table>().unwrap() {

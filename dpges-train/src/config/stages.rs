@@ -22,7 +22,7 @@ const MIP_SPLATTING_PX: f64 = 0.447_213_6;
 /// Largest number of steps after scaling; f64 does not hold much larger whole numbers exactly.
 const MOST_SCALED_STEPS: f64 = 1e15;
 
-/// What changes when several Gaussians take the place of one.
+/// Rule by which several Gaussians take the place of one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Relocation {
     /// Opacity and scales (3DGS-MCMC).
@@ -113,7 +113,7 @@ impl Blended {
     }
 }
 
-/// What one stage trains.
+/// Primitives that one stage trains.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StageKind {
     Blended(Blended),
@@ -164,7 +164,7 @@ impl StagePlan {
 }
 
 impl Method {
-    /// What it trains in one stage of blended primitives; `None` for DP-GES.
+    /// The primitives of its one stage of blended primitives; `None` for DP-GES.
     pub fn alone(self) -> Option<Blended> {
         Some(match self {
             Self::Dpges => return None,

@@ -4,7 +4,7 @@ use dpges_core::camera::Camera;
 use dpges_core::scene::SceneData;
 use dpges_render::frame_times::{FrameTimes, Rounds, scene_frame_times};
 use dpges_render::path::Size;
-use dpges_render::{Headless, RenderError, check_drawn};
+use dpges_render::{Headless, RenderError, check_drawn_as_trained};
 use serde::{Deserialize, Serialize};
 
 use super::rendered::Renderer;
@@ -31,9 +31,28 @@ pub struct FrameMs {
     pub renderer: String,
 }
 
+/// Times of `scene` from `cameras`, and the name of the adapter: in real time if `headless`, or else by `renderer`, that of
+/// training, which draws all scenes as they were trained. No name means the latter.
+///
+/// # Errors
+/// Those of `headless`, which only scenes need that are drawn in real time; [`RenderError`] if a renderer refuses the cameras.
+pub fn frame_times_as_trained(
+    scene: &SceneData,
+    cameras: &[Camera],
+    rounds: Rounds,
+    headless: impl FnOnce() -> Result<Headless, RenderError>,
+    renderer: &Renderer,
+) -> Result<(FrameTimes, Option<String>), RenderError> {
+    if check_drawn_as_trained(&scene.info).is_err() {
+        return Ok((renderer.frame_times(cameras, rounds)?, None));
+    }
+    let headless = headless()?;
+    Ok((scene_frame_times(&headless, scene, cameras, rounds)?, Some(headless.adapter_name())))
+}
+
 impl FrameMs {
-    /// Times of `scene` in real time from some of `views`, at the size of the first. A scene that is not drawn in real time is
-    /// drawn by `renderer`, that of training, on the `device` that is called so.
+    /// Times of `scene` as [`frame_times_as_trained`], from some of `views`, at the size of the first; `renderer` is on the
+    /// `device` that is called so.
     ///
     /// # Errors
     /// [`RenderError`] without an adapter, or if a renderer refuses the scene or the cameras.
@@ -44,14 +63,43 @@ impl FrameMs {
         let Camera { width, height, .. } = views[0].camera;
         let some = views.iter().step_by(views.len().div_ceil(TIMED_VIEWS));
         let cameras: Vec<Camera> = some.map(|view| Size { width, height }.apply(&view.camera)).collect();
-        let (times, device, renderer) = match check_drawn(&scene.info) {
-            Ok(()) => {
-                let headless = Headless::new()?;
-                (scene_frame_times(&headless, scene, &cameras, ROUNDS)?, headless.adapter_name(), "raster")
-            }
-            Err(_) => (renderer.frame_times(&cameras, ROUNDS)?, device.to_owned(), "training"),
-        };
+        let (times, adapter) = frame_times_as_trained(scene, &cameras, ROUNDS, Headless::new, renderer)?;
+        let (device, renderer) = adapter.map_or((device.to_owned(), "training"), |adapter| (adapter, "raster"));
         let FrameTimes { p50_ms, p99_ms, .. } = times;
         Ok(Self { p50: p50_ms, p99: p99_ms, device, width, height, renderer: renderer.to_owned() })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use dpges_core::scene::{BlendOrder, ColourModel, GaussianData, Rendering, SceneInfo, SurfelData, Transparency};
+
+    use super::*;
+    use crate::dataset::{BuiltinOptions, builtin};
+    use crate::run::fixtures::device;
+
+    #[test]
+    fn scenes_that_are_sorted_otherwise_in_real_time_are_timed_as_they_were_trained() {
+        let model = ColourModel::SphericalBeta { lobes: 0 };
+        let options = BuiltinOptions { width: 8, height: 8, train_views: 1, test_views: 1, ..Default::default() };
+        let camera = builtin(&options).train[0].camera;
+        let times = |blend_order: BlendOrder| {
+            let info = SceneInfo {
+                colour_model: model,
+                rendering: Rendering::Ellipsoids,
+                blend_order,
+                ..SceneInfo::default()
+            };
+            let surfels = SurfelData::neutral(model, 0);
+            let scene = SceneData { info, surfels, gaussians: GaussianData::neutral(model, 1), environment: None };
+            let (rounds, renderer) = (Rounds { warm_up: 1, counted: 3 }, Renderer::new(&scene, &device()));
+            let headless = || Err(RenderError::NoAdapter("none is asked for".to_owned()));
+            frame_times_as_trained(&scene, &[camera], rounds, headless, &renderer)
+        };
+        for order in [BlendOrder::Rays, BlendOrder::Whitened(Transparency::Hybrid)] {
+            let (times, adapter) = times(order).unwrap();
+            assert_eq!((times.frames, adapter), (3, None), "{order}");
+        }
+        assert!(matches!(times(BlendOrder::Centres), Err(RenderError::NoAdapter(_))));
     }
 }

@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 
 use dpges_core::camera::Camera;
 use dpges_core::scene::{BlendOrder, SceneData, SceneInfo};
-use dpges_render::{RenderError, check_drawn};
 use glam::{DVec3, Vec3};
 
 use super::folder::{RunFolder, RunFolderError};
@@ -86,22 +85,6 @@ impl Scene {
             return Ok(path);
         }
         Err(SceneError::Absent { path })
-    }
-
-    /// Whether the real-time renderer draws it, and as it was trained.
-    ///
-    /// # Errors
-    /// [`RenderError::NotDrawn`] for Student's t kernels, weighted sums, and Gaussians that are sorted for each pixel or met
-    /// by rays.
-    pub fn check_drawn_as_trained(&self) -> std::result::Result<(), RenderError> {
-        check_drawn(&self.data.info)?;
-        match self.data.info.blend_order {
-            BlendOrder::Centres => Ok(()),
-            BlendOrder::Rays => Err(RenderError::NotDrawn("Gaussians that are sorted for each pixel (StopThePop)")),
-            BlendOrder::Whitened(_) => {
-                Err(RenderError::NotDrawn("Gaussians that rays meet without a projection (HTGS)"))
-            }
-        }
     }
 
     /// Warns if its Gaussians are sorted for each pixel, or met by rays, where `what` sorts them by their centres.

@@ -1,4 +1,4 @@
-//! What nothing else beats: points for which no other is both cheaper and better.
+//! Frontiers: points for which no other is both cheaper and better.
 
 /// Indices of the points (cost, quality) that none dominates, by ascending cost, equal ones by index. A point dominates
 /// another if its cost is not higher and its quality not lower, and one of them is better; of equal points all stay. All

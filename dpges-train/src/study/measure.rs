@@ -1,4 +1,4 @@
-//! What is measured of a scene, and how people read it.
+//! Measures of a scene, and how people read them.
 
 use super::spread::Spread;
 
@@ -9,7 +9,7 @@ pub struct Measure {
     pub key: &'static str,
     /// As people call it, with the unit that they read it in.
     pub title: &'static str,
-    /// What people read is its value times this, with so many digits behind the point.
+    /// Factor for readers, and the digits behind the point that they see.
     scale: f64,
     digits: usize,
     /// Digits in CSV; whole numbers have none.

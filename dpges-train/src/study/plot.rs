@@ -68,7 +68,7 @@ impl Plot {
     /// The plot as SVG.
     ///
     /// # Errors
-    /// What cannot be drawn.
+    /// The drawing error.
     pub fn svg(&self) -> Result<String> {
         let mut text = String::new();
         self.draw(&SVGBackend::with_string(&mut text, (WIDTH as u32, HEIGHT as u32)).into_drawing_area())?;
@@ -78,7 +78,7 @@ impl Plot {
     /// The plot as a picture.
     ///
     /// # Errors
-    /// What cannot be drawn.
+    /// The drawing error.
     pub fn picture(&self) -> Result<Rgb8Image> {
         let (width, height) = (WIDTH as usize, HEIGHT as usize);
         let mut bytes = vec![0; 3 * width * height];

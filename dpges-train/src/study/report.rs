@@ -1,4 +1,4 @@
-//! What a study leaves in its folder: a table as CSV, plots, and a page that needs no other file and no script.
+//! Files of a study: a table as CSV, plots, and a page that needs no other file and no script.
 
 use std::fmt::Write as _;
 use std::io::Write as _;

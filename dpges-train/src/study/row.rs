@@ -1,4 +1,4 @@
-//! What was measured of one scene, and rows of the same label.
+//! Measures of one scene, and rows of the same label.
 
 use std::collections::BTreeMap;
 
@@ -19,10 +19,10 @@ pub struct Row {
     /// Of several scenes, the one that was trained: `DATASET/SCENE`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scene: Option<String>,
-    /// What it was trained on, if rows may differ in that.
+    /// The scene that it was trained on, if rows may differ in that.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub device: Option<String>,
-    /// What was changed, as `name=value`.
+    /// The changes, as `name=value`.
     pub settings: Vec<String>,
     /// The run that made it, relative to the folder of the study.
     #[serde(skip_serializing_if = "Option::is_none")]

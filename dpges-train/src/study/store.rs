@@ -12,13 +12,13 @@ use super::row::{Group, Row, groups};
 use super::{Result, StudyError};
 use crate::run::folder::write_json;
 
-/// What distinguishes one study from another.
+/// Properties in which one study differs from another.
 #[derive(Debug)]
 pub struct Shape {
     /// Of its files, such as `NAME.json`.
     pub name: &'static str,
     pub title: &'static str,
-    /// What a line of its table is called.
+    /// Name of a line of its table.
     pub line: &'static str,
     /// Whether the printed table leaves out what is on no frontier.
     pub frontier_alone: bool,
@@ -34,7 +34,7 @@ pub struct Figure {
 
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Content {
-    /// What all rows have in common; rows of another subject cannot be compared with them.
+    /// The subject that all rows share; rows of another subject cannot be compared with them.
     #[serde(flatten)]
     pub subject: Map<String, Value>,
     /// In the order in which they were measured.

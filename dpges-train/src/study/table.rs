@@ -25,7 +25,7 @@ impl Table {
         Self::new(study, &groups, groups.first(), &columns)
     }
 
-    /// What is printed: fewer columns, and where the study says so only the first line and frontiers, by ascending cost.
+    /// The printed table: fewer columns, and where the study says so only the first line and frontiers, by ascending cost.
     pub fn printed(study: &Study) -> Self {
         let all = groups(&study.content.rows);
         let mut shown = all.clone();

@@ -21,7 +21,7 @@ const OF_THE_RUN: [&str; 8] = [
 pub struct Variant {
     /// Unique in its study; also the name of its folder.
     pub label: &'static str,
-    /// What distinguishes it, in words.
+    /// Its difference from others, in words.
     pub about: String,
     /// `key=value` of that.
     pub settings: Vec<String>,

@@ -20,7 +20,7 @@ fn camera(index: usize) -> ([[f64; 3]; 3], [f64; 3]) {
     ([[-sin, cos, 0.0], [0.0, 0.0, -1.0], [-cos, -sin, 0.0]], [3.0 * cos, 3.0 * sin, 0.0])
 }
 
-/// What it takes of a ball of radius 1 around the origin that is red in the north and green in the east, before black.
+/// Photograph of a ball of radius 1 around the origin that is red in the north and green in the east, before black.
 fn photograph(index: usize) -> image::RgbaImage {
     let ([right, down, forward], centre) = camera(index);
     image::RgbaImage::from_fn(SIDE, SIDE, |x, y| {

@@ -56,7 +56,7 @@ fn add_weighted<T: Real>(block: &mut [T], first: usize, start: usize, covered: &
     }
 }
 
-/// What the maps of a tile need besides what they sum.
+/// State of the maps of a tile besides their sums.
 struct TileSums<'a, T, F> {
     sorted: &'a Sorted<T, F>,
     spread: Spread<T>,

@@ -8,6 +8,7 @@ mod fragments;
 mod gather;
 mod hybrid;
 mod order;
+mod outweighing;
 mod parameters;
 mod rays;
 
@@ -239,7 +240,7 @@ impl OutweighingOps for CubeBackend {
     fn outweighing(input: BlendInput<Self>, camera: Camera, options: BlendOptions, least: f64) -> IntTensor<Self> {
         let gaussians = input.gaussians.contiguous();
         let (fragments, lists) = Fragments::new(&gaussians, &floats(input.degrees_of_freedom), &camera, &options);
-        hybrid::outweighing(&fragments, &lists, &camera, &options, least)
+        outweighing::outweighing(&fragments, &lists, &camera, &options, least)
     }
 }
 

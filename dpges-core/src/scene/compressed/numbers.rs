@@ -36,7 +36,7 @@ pub fn encode(values: &[f32], groups: &[usize], bits: u8, block_len: usize) -> V
 }
 
 /// Undoes [`encode`] for a number of `rows`, up to half a step: half of (high − low) / (2^bits − 1) of the block, and the
-/// rounding of `f32`. What comes out lies within the bounds.
+/// rounding of `f32`. Results lie within the bounds.
 ///
 /// # Errors
 /// A message about `bytes`: bounds of a block that are missing, not finite, or the wrong way round, or see

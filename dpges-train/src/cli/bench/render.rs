@@ -8,7 +8,7 @@ use dpges_core::camera::Camera;
 use dpges_core::scene::{Rendering, SceneData};
 use dpges_render::frame_times::{FrameTimes, Rounds, frame_times};
 use dpges_render::path::Size;
-use dpges_render::{Display, Headless, RenderOptions};
+use dpges_render::{Display, Headless, RenderOptions, check_drawn_as_trained};
 use dpges_train::device::DeviceRequest;
 use dpges_train::eval::rendered::Renderer;
 use dpges_train::run::folder::write_json;
@@ -89,7 +89,7 @@ pub fn run(args: &BenchRenderArgs) -> Result<()> {
         height: args.size.height,
         cameras: cameras.len(),
         // without its rows there are those of the other renderer, if it is asked for
-        rows: match scene.check_drawn_as_trained() {
+        rows: match check_drawn_as_trained(&scene.data.info) {
             Ok(()) => args.raster(&scene.data, &cameras)?,
             Err(refusal) if args.training.is_none() => return Err(refusal.into()),
             Err(_) => Vec::new(),

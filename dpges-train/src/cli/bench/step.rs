@@ -91,7 +91,7 @@ pub fn run(args: &BenchStepArgs) -> Result<()> {
 }
 
 impl BenchStepArgs {
-    /// What is trained, and the cameras that see it.
+    /// The scene that is trained, and the cameras that see it.
     fn scene(&self, device: &Device) -> Result<(SceneData, Vec<Camera>)> {
         if self.scene == Path::new(REALISTIC) {
             if self.surfels + self.gaussians == 0 {

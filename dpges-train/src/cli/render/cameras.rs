@@ -42,7 +42,7 @@ pub struct Shot {
     pub camera: Camera,
     /// Of its file.
     pub stem: String,
-    /// What the dataset calls the view, or the number of the frame.
+    /// Name of the view in the dataset, or number of the frame.
     pub name: String,
 }
 

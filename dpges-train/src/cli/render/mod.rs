@@ -65,7 +65,7 @@ pub struct RenderArgs {
     layers: bool,
 }
 
-/// What makes the pictures.
+/// The renderer of the pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Engine {
     /// The one that is trained with: CPU or compute kernels

@@ -58,7 +58,7 @@ pub struct StudyArgs {
     options: ConfigArgs,
 }
 
-/// What the runs of a study are trained with.
+/// The data and the device of the runs of a study.
 struct Training {
     source: Source,
     dataset: Arc<Dataset>,

@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 
 use clap::{Args, ValueEnum, value_parser};
 use dpges_core::camera::Camera;
-use dpges_core::scene::{SceneData, SceneInfo};
-use dpges_render::{Headless, check_drawn};
+use dpges_core::scene::SceneData;
+use dpges_render::{Headless, check_drawn_as_trained};
 use dpges_train::config::Config;
 use dpges_train::dataset::Dataset;
 use dpges_train::device::{DeviceName, DeviceRequest};
@@ -41,7 +41,7 @@ const JUDGING_VIEWS: usize = 32;
 /// Folder of the runs in that of the study.
 const RUNS: &str = "runs";
 
-/// What draws.
+/// A renderer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Engine {
     /// The real-time one, on the graphics adapter that wgpu prefers
@@ -73,7 +73,7 @@ pub struct TradeArgs {
     device: DeviceRequest,
     #[command(flatten)]
     lpips: LpipsArgs,
-    /// What draws pictures and frames [default: raster, or training where there is no graphics adapter]
+    /// Renderer of pictures and frames [default: raster, or training where there is no graphics adapter]
     #[arg(long, value_enum)]
     renderer: Option<Engine>,
     /// Size of the frames whose time is measured; the vertical field of view stays
@@ -107,7 +107,6 @@ pub fn run(args: &TradeArgs, style: LogStyle) -> Result<()> {
     let end = args.time_limit.and_then(|length| Instant::now().checked_add(length));
     let mut scene = Scene::load(&args.scene)?;
     scene.use_pinholes();
-    scene.warn_of_order("the real-time renderer sorts");
     let device = device_choice::select(args.device)?;
     watched(device, || args.measure(&mut scene, device, end, style))
 }
@@ -138,7 +137,7 @@ impl TradeArgs {
             rounds: self.rounds as usize,
             device: &opened,
             networks: &networks,
-            headless: self.headless(&scene.data.info)?,
+            headless: self.headless(scene)?,
             folder: &self.out,
         };
         let subject = self.subject(scene, &source, split, &bench, name)?;
@@ -180,19 +179,22 @@ impl TradeArgs {
     }
 
     /// `None` for the renderer that is trained with.
-    fn headless(&self, info: &SceneInfo) -> Result<Option<Headless>> {
+    fn headless(&self, scene: &Scene) -> Result<Option<Headless>> {
         match self.renderer {
             Some(Engine::Training) => Ok(None),
-            Some(Engine::Raster) => Ok(Some(Headless::new()?)),
+            Some(Engine::Raster) => {
+                scene.warn_of_order("the real-time renderer sorts");
+                Ok(Some(Headless::new()?))
+            }
             None => {
-                let headless = check_drawn(info).and_then(|()| Headless::new());
+                let headless = check_drawn_as_trained(&scene.data.info).and_then(|()| Headless::new());
                 let of_training = "frame times are those of the renderer that is trained with";
                 Ok(headless.inspect_err(|error| tracing::warn!("{of_training}: {error}")).ok())
             }
         }
     }
 
-    /// What all rows have in common.
+    /// The subject that all rows share.
     fn subject(
         &self,
         scene: &Scene,

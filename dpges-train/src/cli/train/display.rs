@@ -1,4 +1,4 @@
-//! What a run shows while it trains, and how Ctrl-C and a failing device end it.
+//! Progress of a run, and its end by Ctrl-C or a failing device.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

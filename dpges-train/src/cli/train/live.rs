@@ -19,7 +19,7 @@ use super::session::Session;
 /// Share of a training view in the mean PSNR that the window shows.
 const FRESH: f64 = 0.05;
 
-/// What the window needs of a run.
+/// The parts of a run that the window needs.
 type Begun = (DatasetViews, Option<viewer::Gpu>);
 
 /// Trains what `begin` returns, beside a window on this thread, the main one. Returns what came out, as a table for

@@ -7,7 +7,7 @@ use dpges_core::camera::Camera;
 use dpges_core::scene::SceneData;
 use dpges_render::frame_times::{Rounds, scene_frame_times};
 use dpges_render::path::Size;
-use dpges_render::{Headless, RenderError};
+use dpges_render::{Headless, RenderError, check_drawn_as_trained};
 
 use super::{Pursuit, TargetError, Unit};
 use crate::config::{Budget, Config};
@@ -97,6 +97,7 @@ pub(super) fn frames_per_second(scene: &SceneData, cameras: &[Camera]) -> Result
 }
 
 fn median_ms(headless: &Headless, scene: &SceneData, cameras: &[Camera]) -> Result<f64, RenderError> {
+    check_drawn_as_trained(&scene.info)?;
     Ok(scene_frame_times(headless, scene, cameras, ROUNDS)?.p50_ms)
 }
 

@@ -23,7 +23,7 @@ pub struct Schedule {
     pub drop_lobes: Vec<usize>,
 }
 
-/// What is due after a given number of completed steps.
+/// The changes that are due after a given number of completed steps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Due {
     pub margins: bool,

@@ -1,11 +1,11 @@
-//! What is measured of a finished cell beyond its evaluation.
+//! Measures of a finished cell beyond its evaluation.
 
 use burn::tensor::Device;
 use dpges_core::camera::Camera;
 use dpges_core::scene::SceneData;
-use dpges_render::Headless;
-use dpges_render::frame_times::{Rounds, scene_frame_times};
+use dpges_render::frame_times::Rounds;
 use dpges_render::path::Size;
+use dpges_render::{Headless, check_drawn_as_trained};
 
 use super::super::cell::Cell;
 use super::super::evaluated::{self, Further};
@@ -13,6 +13,7 @@ use super::super::{Result, StudyError};
 use super::{Benchmark, Planned, ROW};
 use crate::dataset::Dataset;
 use crate::device::DeviceName;
+use crate::eval::frame_ms::frame_times_as_trained;
 use crate::eval::rendered::Renderer;
 use crate::eval::{Measures, evaluate_each};
 use crate::metrics::lpips::choice::load;
@@ -46,6 +47,7 @@ impl Benchmark {
         row.scene = Some(format!("{}/{}", planned.scene.dataset.name, planned.scene.name));
         row.device = name.describe().ok();
         let scene = SceneData::load(&cell.folder.scene())?;
+        let renderer = Renderer::new(&scene, device);
         let networks: Vec<Lpips> = load(&self.lpips, device)?
             .into_iter()
             .filter(|lpips| lpips.network == Network::Vgg)
@@ -54,7 +56,7 @@ impl Benchmark {
         if !networks.is_empty() {
             let views = &dataset.test;
             tracing::info!("{}: measuring LPIPS of {} views", cell.name, views.len());
-            let (renderer, measures) = (Renderer::new(&scene, device), Measures::lpips(&networks));
+            let measures = Measures::lpips(&networks);
             let found = evaluate_each(&renderer, &scene, views, device, measures, |_, _| Ok::<_, StudyError>(()))?;
             row.set(LPIPS, found.perceptual.lpips_vgg);
         }
@@ -64,10 +66,13 @@ impl Benchmark {
             Ok(headless) if headless.is_software() => {
                 tracing::info!("{}: no frame times, since {} is no GPU", cell.name, headless.adapter_name());
             }
+            Ok(_) if name.is_cpu() && check_drawn_as_trained(&scene.info).is_err() => {
+                tracing::info!("{}: no frame times, since it is drawn as it was trained on a CPU alone", cell.name);
+            }
             Ok(headless) => {
                 let views = every_nth(&dataset.test, TIMED_VIEWS);
                 let cameras: Vec<Camera> = views.map(|view| FRAME.apply(&view.camera)).collect();
-                let times = scene_frame_times(&headless, &scene, &cameras, ROUNDS)?;
+                let (times, _) = frame_times_as_trained(&scene, &cameras, ROUNDS, || Ok(headless), &renderer)?;
                 row.set("frames_per_second", Some(times.frames_per_second));
                 row.set("frame_ms", Some(times.p50_ms));
                 row.set("frame_p99_ms", Some(times.p99_ms));

@@ -41,7 +41,7 @@ const LOG: &str = "log.txt";
 /// Held by that process.
 const LOCK: &str = "lock";
 
-/// What is asked for.
+/// The request of a user.
 #[derive(Clone, Debug, Default)]
 pub struct Request {
     /// Folder of all datasets.
@@ -56,7 +56,7 @@ pub struct Request {
     pub lpips: Vec<Choice>,
 }
 
-/// What is to be trained and measured.
+/// The cells that are to be trained and measured.
 #[derive(Debug)]
 pub struct Benchmark {
     data: PathBuf,

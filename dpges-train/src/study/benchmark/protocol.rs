@@ -1,4 +1,4 @@
-//! What all cells of a benchmark have in common.
+//! Protocol that all cells of a benchmark share.
 
 use serde_json::{Map, Value};
 
@@ -39,7 +39,7 @@ impl Protocol {
         arguments
     }
 
-    /// What rows must have in common to be in one table.
+    /// The subject that rows must share to be in one table.
     pub fn subject(&self) -> Map<String, Value> {
         Map::from_iter([
             ("steps_scale".to_owned(), Value::from(self.steps_scale)),
@@ -76,7 +76,8 @@ impl Protocol {
     /// In words.
     pub fn sentences(&self) -> Vec<String> {
         let primitives = if self.own_caps {
-            "Methods that relocate Gaussians have as many as in their own publications."
+            "Methods that relocate Gaussians have as many as in their own publications; where these do not say how many, it is \
+             the budget of the preset of the dataset."
         } else {
             "Methods that relocate Gaussians have as many primitives as DP-GES, as in the paper; how many that is per scene is \
              not published, so it is the budget of the preset of the dataset."

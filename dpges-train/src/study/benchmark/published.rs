@@ -1,11 +1,11 @@
-//! What papers publish of datasets and methods: scenes, settings, results.
+//! Published scenes, settings and results of datasets and methods.
 
 use std::collections::BTreeMap;
 use std::sync::LazyLock;
 
 use serde::Deserialize;
 
-use super::super::{ablate, compare};
+use super::super::ablate;
 
 /// The content of `published.toml`, which says where everything is from.
 #[derive(Debug, Deserialize)]
@@ -139,7 +139,6 @@ pub struct Way {
 
 /// All that this program can train: methods, then ablations, each in the order of the tables.
 pub static WAYS: LazyLock<Vec<Way>> = LazyLock::new(|| {
-    let is_known = |method: &&MethodEntry| compare::METHODS.iter().any(|known| known.label == method.name);
     let whole = |method: &'static MethodEntry| Way {
         name: &method.name,
         preset: method.preset,
@@ -155,7 +154,7 @@ pub static WAYS: LazyLock<Vec<Way>> = LazyLock::new(|| {
         Way { name: &ablation.name, settings, is_ablation: true, ..whole(dpges) }
     };
     let ablations = PUBLISHED.ablations.iter().filter(|ablation| ablation.name != DPGES);
-    PUBLISHED.methods.iter().filter(is_known).map(whole).chain(ablations.map(ablated)).collect()
+    PUBLISHED.methods.iter().map(whole).chain(ablations.map(ablated)).collect()
 });
 
 impl Published {
@@ -220,6 +219,7 @@ impl Way {
 mod tests {
     use std::collections::HashSet;
 
+    use super::super::super::compare;
     use super::*;
     use crate::config::{Budget, Config};
 
@@ -240,6 +240,10 @@ mod tests {
                     }
                 }
             }
+        }
+        let of_compare: HashSet<&str> = compare::METHODS.iter().map(|method| method.label).collect();
+        for method in &PUBLISHED.methods {
+            assert!(of_compare.contains(&method.name[..]), "{} is no method of `dpges compare`", method.name);
         }
         for exception in PUBLISHED.methods.iter().flat_map(|method| &method.exceptions) {
             assert!(exception.settings.iter().all(|setting| setting.contains('=')), "{exception:?}");
@@ -292,6 +296,11 @@ mod tests {
         assert_eq!(budget("3dgs", "mipnerf360", "garden", false), Budget::Primitives(20_000_000));
         assert_eq!(config("dpges", "mipnerf360", "room", false).data.image_scale, 2);
         assert_eq!(config("ges", "mipnerf360", "garden", false).data.image_scale, 4);
+        let burn_in = |scene| {
+            let config = config("sss", "mipnerf360", scene, false);
+            config.plan()[0].scaled(config.students.burn_in)
+        };
+        assert_eq!(["garden", "flowers", "bicycle", "stump"].map(burn_in), [7000, 7000, 15_000, 15_000]);
         let lambda = |scene| config("mcmc", "deep-blending", scene, false).relocation.lambda_opacity;
         assert_eq!((lambda("drjohnson"), lambda("playroom")), (0.001, 0.01));
         assert_eq!(config("layers-2", "mipnerf360", "room", false).model.layers, 2);

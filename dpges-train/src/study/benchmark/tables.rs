@@ -57,12 +57,12 @@ pub struct Column {
     /// Of the published numbers.
     pub published_digits: usize,
     pub is_better_if_more: bool,
-    /// What its numbers depend on beside the pictures.
+    /// Why its numbers may differ besides the pictures.
     mark: Option<Mark>,
     published: fn(&MethodEntry, &DatasetEntry) -> Option<f64>,
 }
 
-/// What was found, and what is published.
+/// A found and a published number.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Entry {
     /// Mean over scenes of means over seeds.

@@ -27,7 +27,7 @@ pub fn write(tables: &Tables, study: &Study, protocol: &Protocol) -> Result<(Str
     Ok((markdown, paths))
 }
 
-/// What holds for all tables.
+/// Sentences that hold for all tables.
 fn sentences(tables: &Tables, study: &Study, protocol: &Protocol) -> Vec<String> {
     let mut seeds: Vec<u64> = study.content.rows.iter().filter_map(|row| row.seed).collect();
     seeds.sort_unstable();

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use burn::tensor::Device;
 use dpges_core::camera::Camera;
-use dpges_core::scene::{Quality, SceneData, SceneInfo};
+use dpges_core::scene::{Quality, SceneData};
 use dpges_render::frame_times::{FrameTimes, Rounds, frame_times};
 use dpges_render::{Headless, Precision, RenderOptions, Rgb8Image};
 use glam::DVec3;
@@ -21,6 +21,7 @@ use crate::eval::rendered::{Renderer, to_picture};
 use crate::eval::{Measures, ViewScore, score_picture};
 use crate::metrics::lpips::Lpips;
 use crate::metrics::{Fitted, Perceptual, Scores};
+use crate::run::scene::in_scene;
 
 /// Folder of the pictures in that of the study.
 pub const PICTURES: &str = "pictures";
@@ -78,7 +79,8 @@ impl Bench<'_> {
         };
         let scene = compressed.as_ref().unwrap_or(scene);
         let smaller = |camera: Camera| if percent == 100 { camera } else { reduced(&camera, percent) };
-        let cameras: Vec<Camera> = self.views.iter().map(|view| self.camera(view, &scene.info)).collect();
+        let cameras: Vec<Camera> =
+            self.views.iter().map(|view| in_scene(view.camera, self.offset, &scene.info)).collect();
         let frames: Vec<Camera> = cameras.iter().map(|camera| smaller((self.sized)(camera))).collect();
         let drawn: Vec<Camera> = cameras.into_iter().map(smaller).collect();
         let (pictures, times, gpu_bytes) = match &self.headless {
@@ -116,13 +118,6 @@ impl Bench<'_> {
 
     fn counts(&self) -> Rounds {
         Rounds { warm_up: WARM_UP, counted: self.rounds }
-    }
-
-    /// Of a view, in the coordinates of a scene.
-    fn camera(&self, view: &View, info: &SceneInfo) -> Camera {
-        let shift = DVec3::from_array(info.offset) - self.offset;
-        let camera_from_world = view.camera.camera_from_world.recentred(shift);
-        Camera { camera_from_world, near: info.near, ..view.camera }
     }
 
     fn raster(

@@ -1,4 +1,4 @@
-//! What can be turned when a trained scene is drawn.
+//! Knobs of drawing a trained scene.
 //!
 //! A new knob is a variant of [`Change`], a line in [`Change::all`] for the values that are tried, and an arm where it
 //! acts: in [`apply`] if it makes another scene, in `bench.rs` if it changes how that scene is drawn.

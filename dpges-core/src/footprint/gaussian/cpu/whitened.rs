@@ -50,7 +50,7 @@ struct Ray<T> {
     inverse: T,
 }
 
-/// What a pixel makes of its gradients: those of A, B, Z, of the logarithm of k, of δx and δy, of the depth of the centre.
+/// Gradients of a pixel: those of A, B, Z, of the logarithm of k, of δx and δy, of the depth of the centre.
 pub struct RayGrad<T> {
     pub a: V3<T>,
     pub b: V3<T>,
@@ -181,7 +181,7 @@ impl<T: Real> Whitened<T> {
         }
     }
 
-    /// What a gradient says about the centre, in camera axes, times its depth.
+    /// Gradient with respect to the centre in camera axes, times its depth.
     #[inline(always)]
     pub fn towards(&self, grad: &RayGrad<T>, slopes: [T; 2]) -> V3<T> {
         let [x, y] = [-dot(self.z, grad.a) - grad.delta[0], -dot(self.z, grad.b) - grad.delta[1]];

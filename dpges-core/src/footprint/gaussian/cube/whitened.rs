@@ -52,7 +52,7 @@ struct Ray {
     inverse: f32,
 }
 
-/// What a pixel makes of its gradients, as in the twin.
+/// Gradients of a pixel, as in the twin.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub struct RayGrad {
@@ -120,7 +120,7 @@ impl Whitened {
         }
     }
 
-    /// What a gradient says about the centre, in camera axes, times its depth.
+    /// Gradient with respect to the centre in camera axes, times its depth.
     pub fn towards(&self, grad: RayGrad, view: CameraUniforms) -> Vec3 {
         let x = -dot(self.z, grad.a) - grad.x;
         let y = -dot(self.z, grad.b) - grad.y;

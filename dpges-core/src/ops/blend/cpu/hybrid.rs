@@ -57,7 +57,7 @@ struct Weights<T> {
     sums: [T; PAYLOAD],
 }
 
-/// What blends a tile.
+/// The blending of a tile.
 pub struct Tile<'a, T, F> {
     sorted: &'a Sorted<T, F>,
     tile: usize,
@@ -223,7 +223,7 @@ impl<'a, T: Real, F: Projected<T>> Tile<'a, T, F> {
         }
     }
 
-    /// What the pixels say about the entries of the list; `grad` is [planes, `TILE_PIXELS`].
+    /// Values of every pixel for every entry of the list; `grad` is [planes, `TILE_PIXELS`].
     pub fn go_back<const MAPS: bool>(&self, grad: &[T]) -> Vec<Said<T>> {
         let pixels = self.pixels::<MAPS>();
         let mut said: Vec<Said<T>> = vec![[[T::zero(); TILE_PIXELS]; 3]; self.list().len()];
@@ -311,7 +311,7 @@ impl<'a, T: Real, F: Projected<T>> Tile<'a, T, F> {
     }
 }
 
-/// What the gradients of the planes say about the weights of a pixel: w of a fragment has `coefficients · payload + rest`.
+/// Gradients with respect to the weights of a pixel: that of a fragment's w is `coefficients · payload + rest`.
 struct WayBack<T> {
     coefficients: [T; PAYLOAD],
     rest: T,
@@ -320,7 +320,7 @@ struct WayBack<T> {
     /// Mean of `coefficients · payload` over the tail by α. `rest` is no part of it: by Σ α it changes nothing, and the
     /// difference would be rounding alone where the tail is opaque.
     mean: T,
-    /// What every α of the tail has by Π (1 − α), times its 1 − α.
+    /// Gradient with respect to every α of the tail through Π (1 − α), times its 1 − α.
     of_through: T,
 }
 

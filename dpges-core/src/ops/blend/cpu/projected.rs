@@ -125,7 +125,7 @@ pub trait Projected<T: Real>: Copy + Send + Sync {
         sums: &mut Sums<[T; LANES]>,
     );
 
-    /// What the sums of the probe are multiplied by; half the image in x and y for gradients per px.
+    /// Factor on the sums of the probe: half the image in x and y for gradients per px.
     fn probe_units(camera: &Camera) -> [T; 4] {
         let [half_width, half_height] = [camera.width, camera.height].map(|size| T::of(0.5 * size as f64));
         [half_width, half_height, half_width, half_height]

@@ -219,5 +219,5 @@ pub fn is_nothing<T: Real>(values: &[T; LANES]) -> bool {
     values.iter().map(|value| value.abs()).sum::<T>() == T::zero()
 }
 
-/// What the pixels of a tile say about an entry of its list: αT, gradient of the exponent, gradient of z.
+/// Values of the pixels of a tile for an entry of its list: αT, gradient of the exponent, gradient of z.
 pub type Said<T> = [[T; TILE_PIXELS]; 3];

@@ -1,4 +1,4 @@
-//! What is summed over the pixels of a primitive, and the sums over the pixels of a tile for some entries of its list.
+//! Numbers of a primitive that are summed over pixels, and their sums over a tile for some entries of its list.
 
 use cubecl::prelude::*;
 

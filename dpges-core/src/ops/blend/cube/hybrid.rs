@@ -3,8 +3,6 @@
 //! sorted blending.
 
 use burn::backend::TensorMetadata;
-use burn::backend::ops::IntTensorOps;
-use burn::tensor::IntDType;
 use burn_cubecl::CubeBackend;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
@@ -36,29 +34,29 @@ const PAYLOAD: usize = 9;
 const Z: usize = 3;
 const NORMAL: usize = 4;
 const M: usize = 7;
-/// What a pixel has of its tail behind Σ α payload: Σ α, Π (1 − α); and 1 / z of the first fragment in the list.
+/// State of the tail of a pixel behind Σ α payload: Σ α, Π (1 − α); and 1 / z of the first fragment in the list.
 const ALPHA: usize = PAYLOAD;
 const THROUGH: usize = PAYLOAD + 1;
 const REFERENCE: usize = PAYLOAD + 2;
-const TAIL: usize = PAYLOAD + 3;
-/// What it has of its weights behind Σ w payload: Σ w; the weight of a fragment of the tail over its α; T behind the core, 0
+pub const TAIL: usize = PAYLOAD + 3;
+/// State of its weights behind Σ w payload: Σ w; the weight of a fragment of the tail over its α; T behind the core, 0
 /// if the pixel has ended there; median depth.
 const TOTAL: usize = PAYLOAD;
-const SHARE: usize = PAYLOAD + 1;
+pub const SHARE: usize = PAYLOAD + 1;
 const BEHIND: usize = PAYLOAD + 2;
 const MEDIAN: usize = PAYLOAD + 3;
-const WEIGHTS: usize = PAYLOAD + 4;
+pub const WEIGHTS: usize = PAYLOAD + 4;
 
 /// The fragments of a pixel that have an order, nearest first; what comes first in the list if equal.
 #[derive(CubeType)]
-struct Core {
+pub struct Core {
     depths: Array<f32>,
     /// α before it is capped.
     weights: Array<f32>,
     /// In the list of the tile, or [`NOTHING`].
-    positions: Array<u32>,
+    pub positions: Array<u32>,
     /// αT
-    covered: Array<f32>,
+    pub covered: Array<f32>,
 }
 
 /// Adds a share of what is mixed by weight to sums.
@@ -88,7 +86,7 @@ fn add_payload(
     }
 }
 
-/// What coefficients say about what is mixed by weight.
+/// `coefficients · payload` of a fragment.
 #[cube]
 fn weighted(
     coefficients: &Array<f32>,
@@ -115,7 +113,7 @@ fn weighted(
 
 /// Finds the core of the pixel at (`x`, `y`) px, and sums its `tail`, [[`TAIL`]] zeros so far.
 #[cube]
-fn find_core(
+pub fn find_core(
     tail: &mut Array<f32>,
     shapes: &[f32],
     features: &[f32],
@@ -186,7 +184,7 @@ fn find_core(
 
 /// Weighs the fragments of a pixel into `sums`, [[`WEIGHTS`]] zeros so far.
 #[cube]
-fn weigh(
+pub fn weigh(
     core: &mut Core,
     tail: &Array<f32>,
     sums: &mut Array<f32>,
@@ -274,7 +272,7 @@ fn blend_kernel(
     }
 }
 
-fn transparency_of(options: &BlendOptions) -> Transparency {
+pub fn transparency_of(options: &BlendOptions) -> Transparency {
     options.order.transparency().expect("that of whitened Gaussians")
 }
 
@@ -305,7 +303,7 @@ pub fn blend(
     );
 }
 
-/// What every fragment of the tail of a pixel needs besides its own.
+/// Gradients that all fragments of the tail of a pixel share.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 struct TailGrad {
@@ -313,7 +311,7 @@ struct TailGrad {
     /// Mean of `coefficients · payload` over the tail by α. `rest` is no part of it: by Σ α it changes nothing, and the
     /// difference would be rounding alone where the tail is opaque.
     mean: f32,
-    /// What its α has by Π (1 − α), times its 1 − α.
+    /// Gradient with respect to its α through Π (1 − α), times its 1 − α.
     of_through: f32,
 }
 
@@ -516,105 +514,4 @@ pub fn gather(
         transparency_of(options),
         layout,
     );
-}
-
-/// Marks the primitives, in the order of the parameters, whose weight is at least `least` at some pixel.
-#[cube(launch)]
-fn outweighing_kernel(
-    shapes: &[f32],
-    features: &[f32],
-    offsets: &[u32],
-    ids: &[u32],
-    order: &[u32],
-    marks: &[Atomic<i32>],
-    view: CameraUniforms,
-    thresholds: Thresholds,
-    capacity: u32,
-    count: u32,
-    least: f32,
-    #[comptime] transparency: Transparency,
-) {
-    if CUBE_POS >= (view.columns * view.rows) as usize {
-        terminate!();
-    }
-    let list = TileList::own(offsets, capacity, count);
-    let own = own_pixel(view, CUBE_POS as u32);
-    let (x, y) = (own.x, own.y);
-    let end = select(own.inside, list.length, 0u32);
-    if comptime!(transparency == Transparency::Sorted) {
-        let mut through = 1.0f32;
-        let mut entry = 0u32;
-        let mut last = end;
-        while entry < last {
-            let i = list.entry(ids, entry) as usize;
-            let (weight, _depth) = Whitened::load(shapes, i * WHITENED).fragment(view, x, y);
-            let alpha = min(weight, thresholds.max_alpha);
-            let behind = through * (1.0f32 - alpha);
-            let goes_on = behind >= thresholds.min_transmittance;
-            if alpha * through >= least {
-                marks[order[i] as usize].fetch_max(1i32);
-            }
-            through = behind;
-            last = select(goes_on, last, 0u32);
-            entry += 1u32;
-        }
-    } else {
-        let mut tail = zeros(TAIL);
-        let mut sums = zeros(WEIGHTS);
-        let mut core =
-            find_core(&mut tail, shapes, features, list, ids, own.inside, x, y, view, thresholds, transparency, false);
-        weigh(&mut core, &tail, &mut sums, features, list, ids, thresholds, false);
-        #[unroll]
-        for k in 0..CORE {
-            if core.covered[k] >= least {
-                let i = list.entry(ids, core.positions[k]) as usize;
-                marks[order[i] as usize].fetch_max(1i32);
-            }
-        }
-        let share = sums[SHARE];
-        // α is at most 1
-        let last = select(share >= least, end, 0u32);
-        for entry in 0..last {
-            let i = list.entry(ids, entry) as usize;
-            let (weight, _depth) = Whitened::load(shapes, i * WHITENED).fragment(view, x, y);
-            let mut in_core = false;
-            #[unroll]
-            for k in 0..CORE {
-                in_core = in_core || core.positions[k] == entry;
-            }
-            if !in_core && share * min(weight, thresholds.max_alpha) >= least {
-                marks[order[i] as usize].fetch_max(1i32);
-            }
-        }
-    }
-}
-
-/// `[M]` 1 for every primitive whose weight is at least `least` at some pixel, else 0.
-pub fn outweighing(
-    fragments: &Fragments,
-    lists: &BlendLists<CubeBackend>,
-    camera: &Camera,
-    options: &BlendOptions,
-    least: f64,
-) -> CubeTensor {
-    let count = lists.order.shape()[0];
-    let marks = CubeBackend::int_zeros([count].into(), &lists.order.device, IntDType::I32);
-    outweighing_kernel::launch(
-        &marks.client.clone(),
-        cubes(TileGrid::new(camera.width, camera.height).len()),
-        cube_dim(),
-        buffer(&fragments.shapes),
-        buffer(&fragments.features),
-        buffer(&lists.offsets),
-        buffer(&lists.primitives),
-        buffer(&lists.order),
-        buffer(&marks),
-        CameraUniforms::launch(camera),
-        Thresholds::launch(camera, options),
-        lists.primitives.shape()[0] as u32,
-        count as u32,
-        least as f32,
-        transparency_of(options),
-    );
-    marks
 }
