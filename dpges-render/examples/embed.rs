@@ -40,7 +40,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let scene = SceneData::load(std::env::args_os().nth(1).ok_or("name a scene file")?.as_ref())?;
     let create = move |context: &eframe::CreationContext<'_>| -> Result<Box<dyn eframe::App>, _> {
         let gpu = context.wgpu_render_state.clone().ok_or("eframe draws without wgpu")?;
-        let mut renderer = Renderer::new(&gpu.device, &gpu.queue, FORMAT, Renderer::best_precision(&gpu.device))?;
+        let (precision, depths) = (Renderer::best_precision(&gpu.device), Renderer::best_depths(&gpu.device));
+        let mut renderer = Renderer::new(&gpu.device, &gpu.queue, FORMAT, precision, depths)?;
         renderer.upload(&scene)?;
         let texture = gpu.device.create_texture(&wgpu::TextureDescriptor {
             label: None,

@@ -6,7 +6,7 @@ use half::f16;
 
 use crate::error::{RenderError, Result};
 use crate::image::Rgb8Image;
-use crate::options::{Precision, RenderOptions};
+use crate::options::{DepthSource, Precision, RenderOptions};
 use crate::renderer::Renderer;
 use crate::{readback, targets};
 
@@ -113,7 +113,8 @@ impl Headless {
     /// The errors of [`Renderer::new`].
     pub fn renderer_with(&self, precision: Option<Precision>) -> Result<Renderer> {
         let precision = precision.unwrap_or_else(|| Renderer::best_precision(&self.device));
-        Renderer::new(&self.device, &self.queue, PICTURE_FORMAT, precision)
+        let depths = Renderer::best_depths(&self.device);
+        Renderer::new(&self.device, &self.queue, PICTURE_FORMAT, precision, depths)
     }
 
     /// The picture of the scene that `renderer` holds, which must render into [`PICTURE_FORMAT`].
@@ -136,8 +137,8 @@ impl Headless {
         self.draw(&mut renderer, camera, options)
     }
 
-    /// The planes [3, H, W] of a picture, not clamped and not rounded to bytes, with sums of `precision`. Where the
-    /// device cannot draw into 32-bit floats, numbers are rounded to 16 bits.
+    /// The planes [3, H, W] of a picture, not clamped and not rounded to bytes, with sums of `precision` and depths from
+    /// `depths`. Where the device cannot draw into 32-bit floats, numbers are rounded to 16 bits.
     ///
     /// # Errors
     /// The errors of [`picture`](Self::picture) and of [`Renderer::new`].
@@ -147,10 +148,11 @@ impl Headless {
         camera: &Camera,
         options: &RenderOptions,
         precision: Precision,
+        depths: DepthSource,
     ) -> Result<Vec<f32>> {
         use wgpu::TextureFormat::{Rgba16Float, Rgba32Float};
         let format = if self.draws_floats { Rgba32Float } else { Rgba16Float };
-        let mut renderer = Renderer::new(&self.device, &self.queue, format, precision)?;
+        let mut renderer = Renderer::new(&self.device, &self.queue, format, precision, depths)?;
         renderer.upload(scene)?;
         let bytes = self.bytes(&mut renderer, camera, options, format)?;
         let numbers: Vec<f32> = if self.draws_floats {

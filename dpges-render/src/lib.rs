@@ -70,7 +70,7 @@ pub use error::{RenderError, Result};
 #[cfg(not(target_arch = "wasm32"))]
 pub use headless::{Headless, PICTURE_FORMAT};
 pub use image::Rgb8Image;
-pub use options::{Display, MAX_LAYERS, Precision, RenderOptions};
+pub use options::{DepthSource, Display, MAX_LAYERS, Precision, RenderOptions};
 pub use path::CameraPath;
 pub use profile::PassTime;
 pub use renderer::{Renderer, check_drawn, check_drawn_as_trained};

@@ -17,6 +17,16 @@ pub enum Precision {
     Half,
 }
 
+/// Where the depths of surfels come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DepthSource {
+    /// The rasteriser interpolates them between corners. Hidden fragments need not be shaded.
+    Rasterised,
+    /// Every fragment computes its own, to full precision: for drivers that move corners to coarse steps, and for OpenGL,
+    /// which rounds depths far away.
+    Computed,
+}
+
 /// The content of a picture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]

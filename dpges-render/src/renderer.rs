@@ -6,7 +6,7 @@ use wgpu::util::DeviceExt;
 
 use crate::error::{RenderError, Result};
 use crate::groups::Groups;
-use crate::options::{Display, Precision, RenderOptions};
+use crate::options::{DepthSource, Display, Precision, RenderOptions};
 use crate::order::back_to_front;
 use crate::passes::{DRAWN_FORMATS, Frame, Kit, ORDER_FORMAT, Passes, Switches, textures_group};
 use crate::profile::{PassTime, Profile};
@@ -80,6 +80,7 @@ impl Renderer {
         queue: &wgpu::Queue,
         format: wgpu::TextureFormat,
         precision: Precision,
+        depths: DepthSource,
     ) -> Result<Self> {
         let sums = match precision {
             Precision::Float => wgpu::TextureFormat::Rgba32Float,
@@ -101,7 +102,7 @@ impl Renderer {
                 count: None,
             }],
         });
-        let passes = Passes::new(&Kit { device, frame: &frame_layout }, sums, format);
+        let passes = Passes::new(&Kit { device, frame: &frame_layout }, sums, format, depths);
         Ok(Self {
             device: device.clone(),
             queue: queue.clone(),
@@ -120,6 +121,15 @@ impl Renderer {
     /// The highest precision that `device` can do.
     pub fn best_precision(device: &wgpu::Device) -> Precision {
         if device.features().contains(wgpu::Features::FLOAT32_BLENDABLE) { Precision::Float } else { Precision::Half }
+    }
+
+    /// [`DepthSource::Computed`] for drivers that emulate a GPU. A GPU moves corners to steps of
+    /// 1/256 px, and saves much of the work by the depths that it interpolates.
+    pub fn best_depths(device: &wgpu::Device) -> DepthSource {
+        let info = device.adapter_info();
+        // in browsers its name is all there is
+        let named = [&info.name, &info.driver].iter().any(|name| name.to_lowercase().contains("swiftshader"));
+        if info.device_type == wgpu::DeviceType::Cpu || named { DepthSource::Computed } else { DepthSource::Rasterised }
     }
 
     /// Features of `adapter` that a device should be created with: blending of 32-bit floats, timestamps. None is

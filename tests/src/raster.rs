@@ -96,13 +96,14 @@ fn compare(headless: &Headless, name: &str, scene: &SceneData) -> Result<(), Fai
     let renderer = Renderer::new(scene, &flex());
     let options = RenderOptions::from(&scene.info);
     let best = dpges_render::Renderer::best_precision(headless.device());
+    let depths = dpges_render::Renderer::best_depths(headless.device());
     for camera in cameras(scene) {
         let expected = tensor_to_rows(renderer.render(&camera)?.image());
         let spread = expected.iter().fold([f32::MAX, f32::MIN], |[low, high], &v| [low.min(v), high.max(v)]);
         assert!(spread[1] - spread[0] > 0.3, "{name}: the picture is empty");
         let can = |&(precision, _): &(Precision, f64)| precision == Precision::Half || best == precision;
         for (precision, least) in LEAST_DB.into_iter().filter(can) {
-            let db = psnr(&headless.planes(scene, &camera, &options, precision)?, &expected);
+            let db = psnr(&headless.planes(scene, &camera, &options, precision, depths)?, &expected);
             println!("{name}, {precision:?}: {db:.1} dB");
             if db < least {
                 return Err(format!("{name}, {precision:?}: {db:.2} dB, expected at least {least}").into());
@@ -199,12 +200,13 @@ fn nothing_pops_along_a_path(headless: &Headless) -> Result<(), Failed> {
     let path: Vec<Camera> = CameraPath::orbit(&keys)?.frames(8 * FRAMES).into_iter().take(FRAMES).collect();
     let surfels = Renderer::new(scene, &flex());
     let best = dpges_render::Renderer::best_precision(headless.device());
+    let depths = dpges_render::Renderer::best_depths(headless.device());
     let sorted = trained(60, &["train.method=mcmc"]);
     let frames = |shown: &SceneData| {
         let frame = |camera: &Camera| {
             let layers = surfels.render(camera)?;
             let depth = tensor_to_rows(&layers.peeled().ok_or("a peeled scene")?.layers.depth);
-            let planes = headless.planes(shown, camera, &RenderOptions::from(&shown.info), best)?;
+            let planes = headless.planes(shown, camera, &RenderOptions::from(&shown.info), best, depths)?;
             Ok(Frame { camera: *camera, planes, depth: depth[..camera.width * camera.height].to_vec() })
         };
         path.iter().map(frame).collect::<Result<Vec<Frame>, Failed>>()

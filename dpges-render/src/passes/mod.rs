@@ -1,5 +1,5 @@
 //! The passes of a frame, in their order. The WGSL of each stands beside it; `frame`, `harmonics`, `colour`, `behind`,
-//! `ellipse` and `layer` hold what several share.
+//! `ellipse` and `layer` hold what several share, and `depth_rasterised` and `depth_computed` what differs between them.
 //!
 //! | pass | reads | writes |
 //! |---|---|---|
@@ -24,6 +24,8 @@ mod splat;
 
 pub(crate) use frame::{Frame, Switches};
 pub(crate) use pipeline::{Kit, Texture, textures_group};
+
+use crate::options::DepthSource;
 
 /// Format of depth buffers: near / z, so that floats are dense where scenes are far.
 pub(crate) const DEPTH_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
@@ -55,11 +57,11 @@ pub(crate) struct Passes {
 
 impl Passes {
     /// Sums of Gaussians in textures of format `sums`, pictures in those of `format`.
-    pub fn new(kit: &Kit, sums: wgpu::TextureFormat, format: wgpu::TextureFormat) -> Self {
+    pub fn new(kit: &Kit, sums: wgpu::TextureFormat, format: wgpu::TextureFormat, depths: DepthSource) -> Self {
         Self {
             colours: colours::ColoursPass::new(kit),
             project: project::ProjectPass::new(kit),
-            peel: peel::PeelPass::new(kit, sums),
+            peel: peel::PeelPass::new(kit, sums, depths),
             resolve: resolve::ResolvePass::new(kit),
             splat: splat::SplatPass::new(kit, sums),
             sorted: sorted::SortedPass::new(kit, sums),
@@ -73,11 +75,13 @@ mod tests {
     /// Every shader is valid for every device: halves are unpacked, which WebGL2 can do, and no more is asked for.
     #[test]
     fn shaders_are_valid() {
+        use super::DepthSource;
         use wgpu::naga::{front::wgsl, valid};
         let shaders = [
             ("colours", super::colours::SHADER),
             ("project", super::project::SHADER),
-            ("peel", super::peel::SHADER),
+            ("peel", super::peel::shader(DepthSource::Rasterised)),
+            ("peel with computed depths", super::peel::shader(DepthSource::Computed)),
             ("resolve", super::resolve::SHADER),
             ("splat", super::splat::SHADER),
             ("sorted", super::sorted::SHADER),

@@ -3,10 +3,20 @@
 
 use super::pipeline::{ADDITIVE, Depth, Stage};
 use super::{Kit, LAYER_FORMAT, OPACITY_FORMAT, Texture};
-use crate::options::RenderOptions;
+use crate::options::{DepthSource, RenderOptions};
 
-pub(crate) const SHADER: &str =
-    concat!(include_str!("frame.wgsl"), include_str!("layer.wgsl"), include_str!("peel.wgsl"));
+macro_rules! shader {
+    ($depth:literal) => {
+        concat!(include_str!("frame.wgsl"), include_str!("layer.wgsl"), include_str!($depth), include_str!("peel.wgsl"))
+    };
+}
+
+pub(crate) const fn shader(depths: DepthSource) -> &'static str {
+    match depths {
+        DepthSource::Rasterised => shader!("depth_rasterised.wgsl"),
+        DepthSource::Computed => shader!("depth_computed.wgsl"),
+    }
+}
 
 #[derive(Debug)]
 pub(crate) struct PeelPass {
@@ -26,8 +36,8 @@ pub(crate) struct PeelPass {
 }
 
 impl PeelPass {
-    pub fn new(kit: &Kit, sums: wgpu::TextureFormat) -> Self {
-        let shader = kit.shader("peel", SHADER);
+    pub fn new(kit: &Kit, sums: wgpu::TextureFormat, depths: DepthSource) -> Self {
+        let shader = kit.shader("peel", shader(depths));
         let layout = kit.textures("peel", &[Texture::Float, Texture::Uint, Texture::Uint, Texture::Uint]);
         let stage = |vertex: &'static str, fragment: &'static str, writes: bool, quads: bool| Stage {
             label: "peel",

@@ -1,7 +1,7 @@
 // The nearest fragment of surfels at every pixel that is behind the previous layer, found by the depth test.
 //
 // A layer is (near / z as bits, index of the surfel), and its opacity. The nearest is the largest in the first, then
-// the smallest in the second.
+// the smallest in the second. `Layer` and `depth_of` are those of `depth_rasterised` or of `depth_computed`.
 //
 // With a backstop, the cores come first: the nearest opaque fragments, as layers. Each peel starts with them, so that
 // the depth test ends what is behind; rims before them take their place.
@@ -24,17 +24,14 @@ struct Corner {
     @location(1) @interpolate(flat, either) slopes: vec4f,
     // r·n at the anchor, its slopes
     @location(2) @interpolate(flat, either) facing: vec3f,
-    @location(3) @interpolate(flat, either) index: u32,
+    // near / z at the anchor, and what a unit of r·n adds to it
+    @location(3) @interpolate(flat, either) depths: vec2f,
+    @location(4) @interpolate(flat, either) index: u32,
 }
 
 // Corners lie further out than the disc, by a share and in px, so that no step of theirs cuts it.
 const WIDER: f32 = 1.01;
 const WIDER_PX: f32 = 0.125;
-
-struct Layer {
-    @location(0) nearest: vec2u,
-    @location(1) opacity: f32,
-}
 
 @vertex
 fn vertex(@builtin(vertex_index) at: u32, @builtin(instance_index) index: u32) -> Corner {
@@ -72,9 +69,17 @@ fn corner_of_disc(at: u32, index: u32, squared_reach: f32) -> Corner {
     corner.anchor = vec4f(ray.xy * focal + frame.lens.zw, at_anchor);
     corner.slopes = vec4f(along_u.xy / focal, along_v.xy / focal);
     corner.facing = vec3f(dot(ray, n), n.xy / focal);
+    let per_facing = near / dot(n, camera);
+    corner.depths = vec2f(select(per_facing * corner.facing.x, near / camera.z, centred), per_facing);
     let wider = WIDER_PX * max(camera.z, near) / max(focal.x, focal.y);
     let sides = (WIDER * reach * scales + wider) * corner_of(at);
     corner.position = project(camera + u * sides.x + v * sides.y);
+    if centred {
+        let across = focal / camera.z;
+        let u_px = (u.xy - ray.xy * u.z) * across * scales.x;
+        let v_px = (v.xy - ray.xy * v.z) * across * scales.y;
+        corner.position = widened(corner.position, u_px, v_px, corner_of(at));
+    }
     if camera.z + radius <= near || radius_px < frame.size.z {
         corner.position = NOWHERE;
     }
@@ -96,7 +101,8 @@ fn opacity_at(squared: f32) -> f32 {
 fn layer_of(corner: Corner, squared: f32) -> Layer {
     let opacity = opacity_at(squared);
     let mark = select(0u, OPAQUE, opacity >= 1.0);
-    return Layer(vec2u(bitcast<u32>(corner.position.z), corner.index | mark), opacity);
+    let depth = depth_of(corner);
+    return layer_at(vec2u(bitcast<u32>(depth), corner.index | mark), opacity, depth);
 }
 
 // Also for an edge-on disc, which no ray meets.
@@ -106,7 +112,7 @@ fn outside(squared: f32) -> bool {
 
 fn is_behind_previous(corner: Corner) -> bool {
     let before = textureLoad(previous, vec2u(corner.position.xy), 0).xy;
-    let depth = corner.position.z;
+    let depth = depth_of(corner);
     let depth_before = bitcast<f32>(before.x);
     let behind = depth < depth_before || (depth == depth_before && corner.index > (before.y & ~OPAQUE));
     return behind && before.y < OPAQUE;
@@ -115,19 +121,20 @@ fn is_behind_previous(corner: Corner) -> bool {
 // The core itself may come out nearer than it is: the corners of its quads differ.
 fn is_before_core(corner: Corner) -> bool {
     let core = textureLoad(cores, vec2u(corner.position.xy), 0).xy;
-    let depth = corner.position.z;
+    let depth = depth_of(corner);
     let core_depth = bitcast<f32>(core.x);
     let index = core.y & ~OPAQUE;
     return (depth > core_depth && corner.index != index) || (depth == core_depth && corner.index < index);
 }
 
 @fragment
-fn core(corner: Corner) -> @location(0) vec2u {
+fn core(corner: Corner) -> Core {
     let squared = squared_radius(corner);
     if outside(squared) || opacity_at(squared) < 1.0 {
         discard;
     }
-    return layer_of(corner, squared).nearest;
+    let depth = depth_of(corner);
+    return core_at(vec2u(bitcast<u32>(depth), corner.index | OPAQUE), depth);
 }
 
 @fragment
@@ -178,7 +185,7 @@ fn close(@builtin(position) position: vec4f) -> Layer {
     if textureLoad(previous, vec2u(position.xy), 0).y < OPAQUE {
         discard;
     }
-    return Layer(vec2u(0u), 0.0);
+    return layer_at(vec2u(0u), 0.0, position.z);
 }
 
 struct Start {

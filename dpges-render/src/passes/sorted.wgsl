@@ -9,9 +9,9 @@
 
 struct Ellipse {
     @builtin(position) position: vec4f,
-    // from the centre, in σ
-    @location(0) offset: vec2f,
-    @location(1) @interpolate(flat, either) colour_strength: vec4f,
+    @location(0) @interpolate(flat, either) colour_strength: vec4f,
+    @location(1) @interpolate(flat, either) inverse: vec4f,
+    @location(2) @interpolate(flat, either) centre: vec2f,
 }
 
 @vertex
@@ -25,7 +25,8 @@ fn ellipse_vertex(@builtin(vertex_index) at: u32, @builtin(instance_index) insta
     }
     let ellipse = ellipse_corner(first, textureLoad(seconds, texel(index), 0), at);
     corner.colour_strength = ellipse.colour_strength;
-    corner.offset = ellipse.offset;
+    corner.inverse = ellipse.inverse;
+    corner.centre = ellipse.centre;
     corner.position = at_px(ellipse.place, 0.5);
     return corner;
 }
@@ -40,12 +41,12 @@ fn blended(colour_strength: vec4f, squared: f32) -> vec4f {
 
 @fragment
 fn ellipse(corner: Ellipse) -> @location(0) vec4f {
-    return blended(corner.colour_strength, dot(corner.offset, corner.offset));
+    return blended(corner.colour_strength, squared_distance(corner.position, corner.centre, corner.inverse));
 }
 
 @fragment
 fn count_ellipse(corner: Ellipse) -> @location(0) vec4f {
-    _ = blended(corner.colour_strength, dot(corner.offset, corner.offset));
+    _ = blended(corner.colour_strength, squared_distance(corner.position, corner.centre, corner.inverse));
     return vec4f(0.0, 0.0, 0.0, 1.0);
 }
 

@@ -7,10 +7,10 @@
 
 struct Corner {
     @builtin(position) position: vec4f,
-    // from the centre, in σ
-    @location(0) offset: vec2f,
-    @location(1) @interpolate(flat, either) colour_strength: vec4f,
-    @location(2) @interpolate(flat, either) depth: f32,
+    @location(0) @interpolate(flat, either) colour_strength: vec4f,
+    @location(1) @interpolate(flat, either) inverse: vec4f,
+    @location(2) @interpolate(flat, either) centre: vec2f,
+    @location(3) @interpolate(flat, either) depth: f32,
 }
 
 @vertex
@@ -24,13 +24,14 @@ fn vertex(@builtin(vertex_index) at: u32, @builtin(instance_index) index: u32) -
     let ellipse = ellipse_corner(first, textureLoad(seconds, texel(index), 0), at);
     corner.colour_strength = ellipse.colour_strength;
     corner.depth = bitcast<f32>(first.z);
-    corner.offset = ellipse.offset;
+    corner.inverse = ellipse.inverse;
+    corner.centre = ellipse.centre;
     corner.position = at_px(ellipse.place, corner.depth);
     return corner;
 }
 
 fn weight(corner: Corner) -> f32 {
-    return corner.colour_strength.w * exp(-0.5 * dot(corner.offset, corner.offset));
+    return corner.colour_strength.w * exp(-0.5 * squared_distance(corner.position, corner.centre, corner.inverse));
 }
 
 @fragment

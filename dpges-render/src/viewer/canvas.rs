@@ -30,8 +30,8 @@ impl Canvas {
     /// # Errors
     /// The errors of [`Renderer::new`].
     pub fn new(state: &RenderState) -> Result<Self, RenderError> {
-        let precision = Renderer::best_precision(&state.device);
-        let renderer = Renderer::new(&state.device, &state.queue, FORMAT, precision)?;
+        let (precision, depths) = (Renderer::best_precision(&state.device), Renderer::best_depths(&state.device));
+        let renderer = Renderer::new(&state.device, &state.queue, FORMAT, precision, depths)?;
         Ok(Self { state: state.clone(), renderer, target: None, shown: None })
     }
 

@@ -45,8 +45,8 @@ impl Viewer {
         let surface = gpu.surface.get_default_config(&gpu.adapter, width, height);
         let surface = surface.ok_or_else(|| JsError::new("the graphics device cannot draw on this canvas"))?;
         let surface = SurfaceConfiguration { format, ..surface };
-        let precision = Renderer::best_precision(&gpu.device);
-        let renderer = Renderer::new(&gpu.device, &gpu.queue, format, precision)?;
+        let (precision, depths) = (Renderer::best_precision(&gpu.device), Renderer::best_depths(&gpu.device));
+        let renderer = Renderer::new(&gpu.device, &gpu.queue, format, precision, depths)?;
         gpu.surface.configure(&gpu.device, &surface);
         Ok(Self { gpu, surface, precision, renderer, view: None })
     }

@@ -1,0 +1,217 @@
+#!/usr/bin/env python3
+"""Runs dpges on every graphics driver of this machine, and prints a table in Markdown.
+
+    cargo build --release && cargo test --release --workspace --no-run
+    python3 tests/drivers.py target/release/dpges [--only SwiftShader] [--json drivers.json]
+
+A driver is a row: Mesa's lavapipe with subgroups of 4, 8 and 16, Chromium's SwiftShader, every Vulkan driver of a GPU, and
+OpenGL. Columns: the selftest (worst error as a share of its tolerance, so that 1 is the most that passes), random scenes at
+the extremes (tensors that are not finite), the kernels' tests of golden cases and parity, PSNR of a training of 50 steps,
+and the worst golden picture of the real-time renderer. Validation by Khronos's layers is a row of its own where they are
+installed: the number of their messages in a selftest, a training and a rendered path. Ends with 1 if a cell failed.
+Needs Python 3.9 and nothing else.
+"""
+
+import argparse
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+ICD_FOLDERS = ["/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d", "/usr/local/nvidia/share/vulkan/icd.d"]
+SWIFTSHADER = ["/usr/lib/chromium/vk_swiftshader_icd.json", "/opt/google/chrome/vk_swiftshader_icd.json"]
+# files of drivers that run on the CPU
+LAVAPIPE = "lvp_icd"
+VALIDATION_LAYER = "VkLayer_khronos_validation.json"
+FEATURES = {
+    "core": "",
+    "synchronisation": "VK_VALIDATION_FEATURE_ENABLE_SYNCHRONIZATION_VALIDATION_EXT",
+    "GPU-assisted": "VK_VALIDATION_FEATURE_ENABLE_GPU_ASSISTED_EXT",
+}
+# of the tests on a GPU
+KERNEL_TESTS = ["golden_cases", "parity::every_operation"]
+SMALL = ["--steps", "50", "--max-resolution", "64", "--budget", "2000"]
+
+
+class Row:
+    def __init__(self, name, environment, computes=True):
+        self.name, self.environment, self.computes = name, environment, computes
+
+
+def vulkan(icd, **more):
+    # the second name is that of loaders before 1.3.207
+    return {"VK_DRIVER_FILES": str(icd), "VK_ICD_FILENAMES": str(icd), "WGPU_BACKEND": "vulkan", **more}
+
+
+def installed():
+    """Files that name Vulkan drivers to the loader."""
+    return [icd for folder in ICD_FOLDERS if Path(folder).is_dir() for icd in sorted(Path(folder).glob("*.json"))]
+
+
+def rows():
+    found = []
+    for icd in installed():
+        if LAVAPIPE in icd.name:
+            for bits in [128, 256, 512]:
+                environment = vulkan(icd, LP_NATIVE_VECTOR_WIDTH=str(bits))
+                found.append(Row(f"lavapipe, subgroups of {bits // 32}", environment))
+        else:
+            found.append(Row(icd.name.split("_icd")[0], vulkan(icd)))
+    found += [Row("SwiftShader", vulkan(icd)) for icd in SWIFTSHADER if Path(icd).is_file()][:1]
+    found.append(Row("OpenGL", {"WGPU_BACKEND": "gl"}, computes=False))
+    return found
+
+
+class Kit:
+    def __init__(self, options, folder):
+        self.dpges = str(Path(options.dpges).resolve())
+        self.deps = Path(self.dpges).parent / "deps"
+        self.limit = options.limit
+        self.folder = folder
+
+    def run(self, command, environment):
+        """Exit status (None: it ran too long) and all that was printed."""
+        runtime = {"XDG_RUNTIME_DIR": os.environ.get("XDG_RUNTIME_DIR", self.folder), "NO_COLOR": "1"}
+        environment = {**os.environ, **runtime, **environment}
+        try:
+            done = subprocess.run(
+                command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, timeout=self.limit, text=True
+            )
+        except subprocess.TimeoutExpired as error:
+            output = error.stdout or b""
+            return None, output.decode(errors="replace") if isinstance(output, bytes) else output
+        return done.returncode, done.stdout
+
+    def test(self, name):
+        """The newest binary of a test target."""
+        files = [file for file in self.deps.glob(f"{name}-*") if os.access(file, os.X_OK) and not file.suffix]
+        if not files:
+            sys.exit(f"no test `{name}` in {self.deps}: run `cargo test --release --workspace --no-run` first")
+        return str(max(files, key=lambda file: file.stat().st_mtime))
+
+    def driver(self, environment):
+        """Name and version of the driver, or None if it has no adapter."""
+        code, output = self.run([self.dpges, "devices", "--json"], environment)
+        if code != 0:
+            return None
+        for adapter in json.loads(output[output.index("{" if output.lstrip().startswith("{") else "[") :])["adapters"]:
+            return " ".join(str(adapter[key]) for key in ["description", "driver"] if adapter.get(key))
+        return None
+
+    def selftest(self, environment):
+        code, output = self.run([self.dpges, "selftest", "--device", "wgpu", "--json"], environment)
+        try:
+            report = json.loads(output[output.index("{") :])
+        except ValueError:
+            return failed(code, output)
+        worst = max(row["error"] / row["tolerance"] for row in report["operations"] if row["tolerance"] > 0)
+        return (f"{worst:.2f} of {report['tensors']} tensors", report["passed"])
+
+    def extremes(self, environment):
+        command = [self.dpges, "selftest", "--device", "wgpu", "--extremes", "20", "--json"]
+        code, output = self.run(command, environment)
+        return ("finite", True) if code == 0 else failed(code, output)
+
+    def kernels(self, environment):
+        passed, wrong = 0, 0
+        for filtered in KERNEL_TESTS:
+            command = [self.test("machine"), filtered, "--test-threads", "1"]
+            code, output = self.run(command, {**environment, "DPGES_REQUIRE_GPU": "1"})
+            found = re.search(r"test result: \w+\. (\d+) passed; (\d+) failed", output)
+            if not found:
+                return failed(code, output)
+            passed, wrong = passed + int(found[1]), wrong + int(found[2])
+        return (f"{passed} passed, {wrong} failed", wrong == 0)
+
+    def training(self, environment):
+        out = tempfile.mkdtemp(dir=self.folder)
+        code, output = self.run([self.dpges, "train", "--out", f"{out}/run", "--device", "wgpu", *SMALL], environment)
+        if code != 0:
+            return failed(code, output)
+        found = re.search(r"held-out PSNR\s+(\d+\.\d+)", output)
+        return (f"{found[1]} dB" if found else "ran", True)
+
+    def raster(self, environment):
+        command = [self.test("golden"), "agrees_with", "--nocapture", "--test-threads", "1"]
+        code, output = self.run(command, {**environment, "DPGES_REQUIRE_GPU": "1"})
+        found, worst = re.findall(r"(\w+), (Float|Half), (\w+): ([\d.]+) dB", output), {}
+        # drivers that cannot blend 32-bit floats have only the other
+        best = min((precision for _, precision, _, _ in found), default="Float")
+        for name, _, depths, db in (row for row in found if row[1] == best):
+            worst[depths] = min(worst.get(depths, (float("inf"), "")), (float(db), name))
+        if not worst:
+            return failed(code, output)
+        cells = [f"{depths.lower()} depths {db:.0f} dB ({name})" for depths, (db, name) in worst.items()]
+        return (", ".join(cells), code == 0)
+
+
+def failed(code, output):
+    lines = [line for line in output.strip().splitlines() if line.strip()]
+    why = next((line for line in reversed(lines) if "error" in line.lower() or "failed" in line.lower()), "")
+    return (f"{'too slow' if code is None else f'exit {code}'}: {why.strip()[:120]}", False)
+
+
+def validation(kit):
+    """Messages of Khronos's layers by kind of validation, on lavapipe."""
+    icds = [icd for icd in installed() if LAVAPIPE in icd.name]
+    if not icds:
+        return
+    for kind, feature in FEATURES.items():
+        run = f"{kit.folder}/validated-{kind}"
+        environment = vulkan(
+            icds[0], VK_INSTANCE_LAYERS="VK_LAYER_KHRONOS_validation", VK_LAYER_ENABLES=feature, VK_LOADER_LAYERS_ENABLE="*validation"
+        )
+        commands = {
+            "selftest": [kit.dpges, "selftest", "--device", "wgpu"],
+            "training": [kit.dpges, "train", "--out", run, "--device", "wgpu", *SMALL],
+            "path": [kit.dpges, "render", run, "--renderer", "raster", "--path", "orbit", "--frames", "3", "--size", "320x180"]
+            + ["--out", f"{kit.folder}/path-{kind}"],
+        }
+        for name, command in commands.items():
+            code, output = kit.run(command, environment)
+            messages = re.findall(r"(?:VUID-[\w-]+|SYNC-HAZARD-[\w-]+|UNASSIGNED-[\w-]+)", output)
+            yield kind, name, code, sorted(set(messages)), output
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("dpges", help="the program, built with `cargo build --release`")
+    parser.add_argument("--only", action="append", help="drivers whose names contain this")
+    parser.add_argument("--json", help="where to write everything that was found")
+    parser.add_argument("--limit", type=float, default=900, help="most seconds for a cell (default 900)")
+    options = parser.parse_args()
+    passed, table = True, []
+    with tempfile.TemporaryDirectory() as folder:
+        kit = Kit(options, folder)
+        print("| driver | selftest | extremes | kernels' tests | training | real-time renderer |")
+        print("|---|---|---|---|---|---|")
+        for row in rows():
+            if options.only and not any(only.lower() in row.name.lower() for only in options.only):
+                continue
+            driver = kit.driver(row.environment)
+            if driver is None:
+                print(f"{row.name}: no adapter", file=sys.stderr)
+                continue
+            measures = [kit.selftest, kit.extremes, kit.kernels, kit.training] if row.computes else []
+            cells = [measure(row.environment) for measure in measures] or [("–", True)] * 4
+            cells.append(kit.raster(row.environment))
+            passed &= all(ok for _, ok in cells)
+            print(f"| {row.name}: {driver} | " + " | ".join(text if ok else f"**{text}**" for text, ok in cells) + " |", flush=True)
+            table.append({"driver": row.name, "version": driver, "cells": [text for text, _ in cells]})
+        layers = Path("/usr/share/vulkan/explicit_layer.d") / VALIDATION_LAYER
+        if layers.is_file() and not options.only:
+            print("\n| validation | what ran | messages |\n|---|---|---|")
+            for kind, name, code, messages, _ in validation(kit):
+                passed &= code == 0 and not messages
+                print(f"| {kind} | {name} | {', '.join(messages) or 'none'}{'' if code == 0 else f' (exit {code})'} |", flush=True)
+                table.append({"validation": kind, "of": name, "exit": code, "messages": messages})
+    if options.json:
+        Path(options.json).write_text(json.dumps(table, indent=1))
+    sys.exit(0 if passed else 1)
+
+
+if __name__ == "__main__":
+    main()
