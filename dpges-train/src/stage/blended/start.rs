@@ -19,8 +19,10 @@ const STUDENT_SCALE: f64 = 0.1;
 const THICKNESS: f64 = 0.1;
 /// Degrees of freedom of Student's t kernels at the start (SSS).
 const START_DEGREES: f32 = 100.0;
-/// Factor of opacities that depends on the direction at the start (weighted sums).
-const START_FACTOR: f64 = 0.1;
+/// Factor of opacities that depends on the direction at the start (weighted sums). The public re-implementation of
+/// SortFreeGS begins with 0.1, where opacities are 2.5 / 255: many Gaussians then fall below 1 / 255 in their first steps,
+/// and what is not drawn has no gradient that brings it back.
+const START_FACTOR: f64 = 1.0;
 
 impl Context {
     /// Discs at the surfels that the configuration asks for, or at the Gaussians if there are no surfels.
