@@ -61,13 +61,13 @@ fn cases(seed: u64) -> [Case; 4] {
 /// At first about ten times those of the presets, as 200 steps are few; a hundredth of that at the end, where runs that
 /// rounding has sent along other paths come to the same loss.
 fn rate(attribute: &Attribute, extent: f64, time: u64) -> f64 {
-    let decay = 0.01f64.powf(time as f64 / STEPS as f64);
-    decay * match attribute.rate {
+    let first = match attribute.rate {
         RateGroup::Positions => 2e-3 * extent,
         RateGroup::Quaternions | RateGroup::LogScales | RateGroup::Detail => 5e-3,
         RateGroup::Opacities | RateGroup::Base => 2e-2,
         _ => 0.0,
-    }
+    };
+    first * 0.01f64.powf(time as f64 / STEPS as f64)
 }
 
 /// One tensor of a scene and its moments.

@@ -9,9 +9,7 @@ use crate::backend::real::Real;
 use crate::camera::{Lens, Seen};
 use crate::footprint::CUTOFF;
 use crate::footprint::moments::MOMENTS;
-use crate::math::{
-    CameraOf, M3, V3, add, apply, apply_transposed, cross, dot, rotation, scale, times, turn_backward,
-};
+use crate::math::{CameraOf, M3, V3, add, apply, apply_transposed, cross, dot, rotation, scale, times, turn_backward};
 use crate::scene::ScreenFilter;
 use crate::tiles::{PixelRect, TILE};
 
