@@ -33,6 +33,12 @@ pub fn scale<T: Real>(a: V3<T>, s: T) -> V3<T> {
     [a[0] * s, a[1] * s, a[2] * s]
 }
 
+/// Element by element.
+#[inline(always)]
+pub fn times<T: Real>(a: V3<T>, b: V3<T>) -> V3<T> {
+    [a[0] * b[0], a[1] * b[1], a[2] * b[2]]
+}
+
 #[inline(always)]
 pub fn column<T: Real>(m: &M3<T>, j: usize) -> V3<T> {
     [m[0][j], m[1][j], m[2][j]]
@@ -105,10 +111,22 @@ pub fn rotation_backward<T: Real>(q: [T; 4], grad: &M3<T>) -> [T; 4] {
     std::array::from_fn(|i| (g[i] - unit[i] * along) * inverse_length)
 }
 
+/// Gradient with respect to the raw quaternion from the gradient with respect to a turn about each axis of the frame that
+/// the quaternion rotates, in radians.
+#[inline(always)]
+pub fn turn_backward<T: Real>(q: [T; 4], [a, b, c]: V3<T>) -> [T; 4] {
+    let ([w, x, y, z], inverse_length) = unit(q);
+    // a turn by ω moves the unit quaternion by ½ q ω, in three directions at right angles to it and to each other
+    let along = [-x * a - y * b - z * c, w * a + y * c - z * b, w * b + z * a - x * c, w * c + x * b - y * a];
+    along.map(|part| T::of(2.0) * part * inverse_length)
+}
+
 /// A camera's numbers in the element type of a kernel.
 #[derive(Clone, Copy, Debug)]
 pub struct CameraOf<T> {
     pub rotation: M3<T>,
+    /// Cross products of the other two rows of the rotation, in cyclic order: of a rotation, its rows.
+    pub cofactors: M3<T>,
     pub translation: V3<T>,
     pub fx: T,
     pub fy: T,
@@ -129,6 +147,7 @@ impl<T: Real> CameraOf<T> {
         let rows = pose.rotation.transpose().to_cols_array_2d();
         Self {
             rotation: rows.map(|r| r.map(T::of)),
+            cofactors: [0, 1, 2].map(|i| cross(rows[(i + 1) % 3], rows[(i + 2) % 3]).map(T::of)),
             translation: pose.translation.to_array().map(T::of),
             fx: T::of(camera.fx),
             fy: T::of(camera.fy),

@@ -23,6 +23,7 @@ pub fn trials() -> Vec<Trial> {
         on_a_gpu::every_hazard_alone_is_finite,
         on_a_gpu::many_hazards_are_finite,
         on_a_gpu::transmittances_of_exactly_0_and_1_are_finite,
+        on_a_gpu::gradients_of_needles_are_close,
         on_a_gpu::poisoned_numbers_are_named_with_their_row,
         on_a_gpu::poisoned_numbers_that_nobody_looked_at_do_no_harm,
         on_a_gpu::fifty_thousand_at_one_point_add_up,
@@ -59,6 +60,7 @@ pub fn trials() -> Vec<Trial> {
     ];
     let slow_in_software = named![
         on_a_gpu::each_of_a_million_has_its_pixel,
+        on_a_gpu::training_in_f32_ends_where_it_ends_in_f64,
         parity::every_operation_agrees_through_lenses,
         training::a_gpu_trains_as_well_as_a_cpu,
         training::lists_without_room_change_no_bit_of_a_run,

@@ -3,6 +3,7 @@
 
 mod budget;
 mod devices;
+mod extreme_training;
 mod extremes;
 mod golden;
 mod gpu;

@@ -4,6 +4,7 @@
 mod acceptance;
 mod budget;
 mod devices;
+mod extreme_training;
 mod extremes;
 mod fuzz;
 mod golden;

@@ -4,7 +4,7 @@ use burn::tensor::{DType, Device};
 use dpges_core::testing::extremes::extreme;
 
 use crate::budget::Budget;
-use crate::{extremes, large, poisoned};
+use crate::{extreme_training, extremes, large, poisoned};
 
 const SCENES: u64 = 24;
 
@@ -21,6 +21,14 @@ pub fn many_hazards_are_finite(device: Device) {
 
 pub fn transmittances_of_exactly_0_and_1_are_finite(device: Device) {
     extremes::transmittances_of_exactly_0_and_1_are_finite(&device);
+}
+
+pub fn gradients_of_needles_are_close(device: Device) {
+    extremes::gradients_of_needles_are_close(&device);
+}
+
+pub fn training_in_f32_ends_where_it_ends_in_f64(device: Device) {
+    extreme_training::training_in_f32_ends_where_it_ends_in_f64(&device);
 }
 
 pub fn poisoned_numbers_are_named_with_their_row(device: Device) {

@@ -3,7 +3,7 @@
 use burn::tensor::DType;
 
 use crate::devices::{flex, ndarray};
-use crate::{extremes, large, poisoned};
+use crate::{extreme_training, extremes, large, poisoned};
 
 const DTYPES: [DType; 2] = [DType::F32, DType::F64];
 
@@ -17,6 +17,17 @@ fn every_hazard_alone_is_finite() {
 fn transmittances_of_exactly_0_and_1_are_finite() {
     extremes::transmittances_of_exactly_0_and_1_are_finite(&ndarray());
     extremes::transmittances_of_exactly_0_and_1_are_finite(&flex());
+}
+
+#[test]
+fn gradients_of_needles_are_close() {
+    extremes::gradients_of_needles_are_close(&ndarray());
+    extremes::gradients_of_needles_are_close(&flex());
+}
+
+#[test]
+fn training_in_f32_ends_where_it_ends_in_f64() {
+    extreme_training::training_in_f32_ends_where_it_ends_in_f64(&ndarray());
 }
 
 #[test]

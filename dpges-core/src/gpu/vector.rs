@@ -87,6 +87,12 @@ pub fn scale(a: Vec3, s: f32) -> Vec3 {
     vec3(a.x * s, a.y * s, a.z * s)
 }
 
+/// Element by element.
+#[cube]
+pub fn times(a: Vec3, b: Vec3) -> Vec3 {
+    vec3(a.x * b.x, a.y * b.y, a.z * b.z)
+}
+
 /// m · v
 #[cube]
 pub fn apply(m: Mat3, v: Vec3) -> Vec3 {
@@ -183,6 +189,25 @@ pub fn rotation_backward(raw: Quaternion, d: Mat3) -> Quaternion {
         x: (x - q.x * along) * inverse_length,
         y: (y - q.y * along) * inverse_length,
         z: (z - q.z * along) * inverse_length,
+    }
+}
+
+/// Gradient with respect to the raw quaternion from the gradient with respect to a turn about each axis of the frame that
+/// the quaternion rotates, in radians.
+#[cube]
+pub fn turn_backward(raw: Quaternion, turn: Vec3) -> Quaternion {
+    let (q, inverse_length) = unit(raw);
+    // a turn by ω moves the unit quaternion by ½ q ω, in three directions at right angles to it and to each other
+    let along = vec3(
+        q.w * turn.x + q.y * turn.z - q.z * turn.y,
+        q.w * turn.y + q.z * turn.x - q.x * turn.z,
+        q.w * turn.z + q.x * turn.y - q.y * turn.x,
+    );
+    Quaternion {
+        w: 2.0f32 * (-q.x * turn.x - q.y * turn.y - q.z * turn.z) * inverse_length,
+        x: 2.0f32 * along.x * inverse_length,
+        y: 2.0f32 * along.y * inverse_length,
+        z: 2.0f32 * along.z * inverse_length,
     }
 }
 

@@ -1,10 +1,12 @@
 //! How far 32-bit pictures and gradients are from 64-bit ones, and whether they are finite, at the extremes.
 
 use burn::tensor::{DType, Device, Gradients, Tensor, TensorData};
+use glam::DMat3;
 
 use super::extremes::{Extreme, Hazard};
 use super::golden::values;
 use super::random::Random;
+use crate::camera::Camera;
 use crate::error::Result;
 use crate::losses::{self, LossWeights, losses};
 use crate::ops::blend::{BlendOptions, Form};
@@ -72,18 +74,72 @@ pub fn deviations(extreme: &Extreme, way: Way, device: &Device) -> Result<Vec<De
     let exact = compute(extreme, way, &crate::backend::device::cpu(), DType::F64)?;
     let compare = |((tensor, found), (_, exact)): (Named, Named)| {
         let non_finite = found.iter().chain(&exact).filter(|value| !value.is_finite()).count();
-        let error = match (non_finite, tensor) {
-            (0, IMAGE) => largest_difference(&found, &exact),
-            (0, _) if tensor.ends_with(".positions") => {
-                let in_worlds = |values: &[f64]| values.iter().map(|v| v * extreme.extent).collect::<Vec<_>>();
-                relative(&in_worlds(&found), &in_worlds(&exact))
-            }
-            (0, _) => relative(&found, &exact),
-            _ => f64::INFINITY,
-        };
+        let error = if non_finite == 0 { distance(tensor, &found, &exact, extreme.extent) } else { f64::INFINITY };
         Deviation { seed: extreme.seed, hazards: extreme.hazards.clone(), way, tensor, non_finite, error }
     };
     Ok(found.into_iter().zip(exact).map(compare).collect())
+}
+
+/// The condition of each tensor of [`deviations`], in its order: how far it moves in f64, as [`Deviation::error`] measures,
+/// if every number of the scene and of the camera moves by half a unit in the last place of an f32, up or down. The largest
+/// of `moves` random choices. No arithmetic in f32 can promise less than that.
+///
+/// # Errors
+/// The errors of [`deviations`].
+pub fn conditions(extreme: &Extreme, way: Way, moves: usize) -> Result<Vec<f64>> {
+    let device = crate::backend::device::cpu();
+    let exact = compute(extreme, way, &device, DType::F64)?;
+    let mut largest = vec![0.0f64; exact.len()];
+    let mut random = Random::new(extreme.seed ^ 0xc0_4d17);
+    for _ in 0..moves {
+        let device = device.clone().autodiff();
+        let (surfels, gaussians) = extreme.scene.tensors(&device, DType::F64);
+        let surfels = surfels.map(|_, tensor| moved(&tensor, &mut random)).require_grad();
+        let gaussians = gaussians.map(|_, tensor| moved(&tensor, &mut random)).require_grad();
+        let camera = moved_camera(&extreme.scene.camera, &mut random);
+        let found = differentiate(extreme, way, &surfels, &gaussians, &camera)?;
+        for (largest, ((tensor, found), (_, exact))) in largest.iter_mut().zip(found.iter().zip(&exact)) {
+            *largest = largest.max(distance(tensor, found, exact, extreme.extent));
+        }
+    }
+    Ok(largest)
+}
+
+/// Up or down by half a unit in the last place of an f32.
+fn moved_number(value: f64, random: &mut Random) -> f64 {
+    let magnitude = (value as f32).abs();
+    let half_unit = 0.5 * (f64::from(magnitude.next_up()) - f64::from(magnitude));
+    match (value == 0.0, random.below(2)) {
+        (true, _) => value,
+        (false, 0) => value - half_unit,
+        (false, _) => value + half_unit,
+    }
+}
+
+fn moved(tensor: &Tensor<2>, random: &mut Random) -> Tensor<2> {
+    let numbers: Vec<f64> = values(tensor).into_iter().map(|value| moved_number(value, random)).collect();
+    Tensor::from_data(TensorData::new(numbers, tensor.dims()), (&tensor.device(), DType::F64))
+}
+
+fn moved_camera(camera: &Camera, random: &mut Random) -> Camera {
+    let mut moved = *camera;
+    let pose = &mut moved.camera_from_world;
+    pose.rotation = DMat3::from_cols_array(&pose.rotation.to_cols_array().map(|value| moved_number(value, random)));
+    pose.translation = pose.translation.to_array().map(|value| moved_number(value, random)).into();
+    for value in [&mut moved.fx, &mut moved.fy, &mut moved.cx, &mut moved.cy] {
+        *value = moved_number(*value, random);
+    }
+    moved
+}
+
+/// How far `found` is from `exact`, see [`Deviation::error`].
+fn distance(tensor: &str, found: &[f64], exact: &[f64], extent: f64) -> f64 {
+    if tensor == IMAGE {
+        return largest_difference(found, exact);
+    }
+    let unit = if tensor.ends_with(".positions") { extent } else { 1.0 };
+    let in_units = |values: &[f64]| values.iter().map(|value| value * unit).collect::<Vec<_>>();
+    relative(&in_units(found), &in_units(exact))
 }
 
 const IMAGE: &str = "image";
@@ -107,19 +163,30 @@ fn relative(found: &[f64], exact: &[f64]) -> f64 {
 fn compute(extreme: &Extreme, way: Way, device: &Device, dtype: DType) -> Result<Found> {
     let device = device.clone().autodiff();
     let (surfels, gaussians) = extreme.scene.leaves(&device, dtype);
-    let camera = &extreme.scene.camera;
+    differentiate(extreme, way, &surfels, &gaussians, &extreme.scene.camera)
+}
+
+/// The picture and the gradients of `surfels` and `gaussians`, which are leaves, against the target of an extreme scene.
+fn differentiate(
+    extreme: &Extreme,
+    way: Way,
+    surfels: &Surfels,
+    gaussians: &Gaussians,
+    camera: &Camera,
+) -> Result<Found> {
+    let (device, dtype) = (gaussians.positions.device(), gaussians.positions.dtype());
     let count = 3 * camera.width * camera.height;
     let target = Random::new(extreme.seed).numbers(count, 0.0, 1.0);
     let target = TensorData::new(target, [3, camera.height, camera.width]).convert_dtype(dtype);
     let target = Tensor::<3>::from_data(target, (&device, dtype));
     if way == Way::Peeled {
         let options = RenderOptions { peel: extreme.peel, background: [0.2, 0.4, 0.6], ..RenderOptions::default() };
-        let rendered = render(&surfels, &gaussians, camera, &options)?;
+        let rendered = render(surfels, gaussians, camera, &options)?;
         let total = losses(&rendered, surfels.log_scales.clone(), target, &LossWeights::default())?.total;
         let gradients = total.backward();
         let mut found = vec![(IMAGE, values(&rendered.composite.image))];
-        found.extend(gradients_of_surfels(&surfels, &gradients));
-        found.extend(gradients_of_gaussians(&gaussians, &gradients));
+        found.extend(gradients_of_surfels(surfels, &gradients));
+        found.extend(gradients_of_gaussians(gaussians, &gradients));
         return Ok(found);
     }
     let (form, filter) = match way {
@@ -129,10 +196,10 @@ fn compute(extreme: &Extreme, way: Way, device: &Device, dtype: DType) -> Result
     };
     let blend = BlendOptions { form, filter, ..BlendOptions::default() };
     let options = BlendedOptions { blend, background: [0.2, 0.4, 0.6] };
-    let rendered = render_blended(&gaussians, None, camera, &options, Values::Unknown)?;
+    let rendered = render_blended(gaussians, None, camera, &options, Values::Unknown)?;
     let gradients = losses::rgb(rendered.image.clone(), target, LossWeights::default().dssim)?.backward();
     let mut found = vec![(IMAGE, values(&rendered.image))];
-    found.extend(gradients_of_gaussians(&gaussians, &gradients));
+    found.extend(gradients_of_gaussians(gaussians, &gradients));
     Ok(found)
 }
 

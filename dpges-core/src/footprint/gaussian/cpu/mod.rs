@@ -9,9 +9,7 @@ use crate::backend::real::Real;
 use crate::camera::{Lens, Seen};
 use crate::footprint::CUTOFF;
 use crate::footprint::moments::MOMENTS;
-use crate::math::{
-    CameraOf, M3, V3, add, apply, apply_transposed, column, cross, dot, rotation, rotation_backward, scale,
-};
+use crate::math::{CameraOf, M3, V3, add, apply, apply_transposed, cross, dot, rotation, scale, times, turn_backward};
 use crate::scene::ScreenFilter;
 use crate::tiles::{PixelRect, TILE};
 
@@ -19,6 +17,8 @@ use crate::tiles::{PixelRect, TILE};
 pub const MIN_COMPENSATION_SQUARED: f64 = 2.5e-5;
 /// The Jacobian is evaluated at most this fraction of the image size outside the image (3DGS: 1.3 × tan fov/2).
 pub const JACOBIAN_MARGIN: f64 = 0.15;
+/// Scales are relative to the largest, or to this if that is smaller, world units.
+pub const LEAST_SCALE: f64 = 1e-37;
 
 /// Raw parameters of one Gaussian.
 #[derive(Clone, Copy, Debug)]
@@ -60,6 +60,11 @@ pub struct SplatGrad<T> {
 }
 
 /// Intermediate values of the projection (EWA).
+///
+/// Determinants and products of axes are those of the footprint divided by its [`length`](Self::length): those of a Gaussian
+/// as large as the world would overflow. Scales are relative to the largest. Nothing is computed as the difference of what
+/// is nearly equal for a needle: its axes are nearly parallel in the image, but their cross products are products of two
+/// scales and of the direction of the ray.
 struct Projection<T> {
     centre: V3<T>,
     /// x / z and y / z, clamped for the Jacobian, and whether they were not.
@@ -68,19 +73,21 @@ struct Projection<T> {
     /// Position through a lens, px, and whether the lens shows it well enough; `None` without a lens.
     through_lens: Option<([T; 2], bool)>,
     rotation: M3<T>,
-    scales: V3<T>,
-    /// Rows of J W.
-    plane: [V3<T>; 2],
-    /// Rows of J W R S.
-    half: [V3<T>; 2],
+    /// The largest scale, world units, and all scales relative to it.
+    largest: T,
+    relative: V3<T>,
     /// A, B, C of the filtered covariance, px².
     covariance: [T; 3],
-    /// The larger of A and C, px². Determinants are those of covariances divided by it: that of a Gaussian as large as
-    /// the world would overflow.
+    /// The larger of A and C, px², and its root.
     size: T,
+    length: T,
+    /// Rows of J W R, times the largest scale, over the length.
+    axes: [V3<T>; 2],
+    /// Their cross product over the root of the determinant.
+    crossed: V3<T>,
+    /// Variance of the filter over the size.
+    low_pass: T,
     determinant: T,
-    /// Cross product of the rows of `half` divided by `size`; its square is the determinant of the unfiltered covariance.
-    minors: V3<T>,
     /// Ratio of the determinants, and what it lacks to 1.
     ratio: T,
     lack: T,
@@ -100,32 +107,40 @@ impl<T: Real> Projection<T> {
         };
         let (sx, free_x) = clamp(x / z, camera.cx, camera.fx, camera.width);
         let (sy, free_y) = clamp(y / z, camera.cy, camera.fy, camera.height);
-        let w = &camera.rotation;
-        let mut plane =
-            [scale(add(w[0], scale(w[2], -sx)), camera.fx / z), scale(add(w[1], scale(w[2], -sy)), camera.fy / z)];
+        let (w, cofactors) = (&camera.rotation, &camera.cofactors);
+        // rows of J W over the focal lengths and the depth, and their cross product
+        let mut plane = [add(w[0], scale(w[2], -sx)), add(w[1], scale(w[2], -sy))];
+        let mut normal = add(cofactors[2], add(scale(cofactors[0], sx), scale(cofactors[1], sy)));
+        let mut magnification = [camera.fx / z, camera.fy / z];
         let mut through_lens = None;
         if let Some(lens) = &camera.lens {
             let seen = lens.look(centre.map(T::as_f64));
             let Seen { position, jacobian } = seen.unwrap_or(Seen { position: [0.0; 2], jacobian: [[0.0; 3]; 2] });
             let mean = [T::of(position[0]) * camera.fx + camera.cx, T::of(position[1]) * camera.fy + camera.cy];
-            plane = [0, 1].map(|axis| {
-                let row = scale(jacobian[axis].map(T::of), [camera.fx, camera.fy][axis]);
-                apply_transposed(w, row)
-            });
+            plane = jacobian.map(|row| apply_transposed(w, row.map(T::of)));
+            normal = cross(plane[0], plane[1]);
+            magnification = [camera.fx, camera.fy];
             through_lens = Some((mean, seen.is_some() && position[0].hypot(position[1]) <= camera.coverage));
         }
         let rotation = rotation(p.quaternion);
         let scales = p.log_scales.map(T::exp);
-        let half = plane.map(|row| std::array::from_fn(|d| dot(row, column(&rotation, d)) * scales[d]));
-        let low_pass = T::of(filter.variance());
-        let covariance = [dot(half[0], half[0]) + low_pass, dot(half[0], half[1]), dot(half[1], half[1]) + low_pass];
+        let largest = scales[0].max(scales[1]).max(scales[2]);
+        let relative = scales.map(|scale| scale / largest.max(T::of(LEAST_SCALE)));
+        let turned = [0, 1].map(|axis| scale(apply_transposed(&rotation, plane[axis]), magnification[axis]));
+        let half = turned.map(|row| times(row, scales));
+        let added = T::of(filter.variance());
+        let covariance = [dot(half[0], half[0]) + added, dot(half[0], half[1]), dot(half[1], half[1]) + added];
         let size = covariance[0].max(covariance[2]);
         let length = size.sqrt();
-        let minors = cross(half[0].map(|v| v / length), half[1].map(|v| v / length));
+        let per_length = largest / length;
+        let [across, down] = magnification.map(|magnification| magnification * per_length);
+        let crossed = scale(scale(apply_transposed(&rotation, normal), across), down);
         // det(Σ + εI) = det Σ + ε tr Σ + ε², every term non-negative: no cancellation for needles
+        let minors = times(pairs(relative), crossed);
         let unfiltered = dot(minors, minors);
+        let low_pass = added / size;
         let trace = covariance[0] / size + covariance[2] / size;
-        let added = low_pass / size * (trace - low_pass / size);
+        let added = low_pass * (trace - low_pass);
         let determinant = unfiltered + added;
         Self {
             centre,
@@ -133,17 +148,36 @@ impl<T: Real> Projection<T> {
             unclamped: [free_x, free_y],
             through_lens,
             rotation,
-            scales,
-            plane,
-            half,
+            largest,
+            relative,
             covariance,
             size,
+            length,
+            axes: turned.map(|row| scale(row, per_length)),
+            crossed: scale(crossed, T::one() / determinant.sqrt()),
+            low_pass,
             determinant,
-            minors,
             ratio: unfiltered / determinant,
             lack: added / determinant,
             filter,
         }
+    }
+
+    /// How u and v change with the axes of the Gaussian times the largest scale, `root` · J W R: with Q = Rᵀ R, R (h₀ h₁) for
+    /// the rows h of J W R. The first is the part of h₀ at right angles to h₁, and ε / C of the part along it.
+    #[inline(always)]
+    fn whitened(&self) -> [V3<T>; 2] {
+        let [a0, a1] = self.axes;
+        let root = (self.covariance[2] / self.size).sqrt();
+        let v1 = scale(a1, T::one() / root);
+        let along = self.low_pass / root / self.determinant.sqrt();
+        [add(cross(times(self.squares(), v1), self.crossed), scale(a0, along)), v1]
+    }
+
+    /// Squares of the relative scales.
+    #[inline(always)]
+    fn squares(&self) -> V3<T> {
+        times(self.relative, self.relative)
     }
 
     #[inline(always)]
@@ -176,7 +210,7 @@ impl<T: Real> Splat<T> {
         let [variance_x, covariance, variance_y] = projection.covariance;
         let (size, d) = (projection.size, projection.determinant);
         let visible = shown && depth > camera.near && strength >= T::of(CUTOFF) && d > T::zero() && size < T::INFINITY;
-        let across = (variance_y / size / d / size).sqrt();
+        let across = (variance_y / size / d).sqrt() / projection.length;
         visible.then(|| Self {
             mean,
             root: [across, -across * (covariance / variance_y), T::one() / variance_y.sqrt()],
@@ -268,6 +302,84 @@ pub struct ParameterGrad<T> {
     pub degrees_of_freedom: T,
 }
 
+/// Gradients with respect to the logarithms of the scales, to turns about the axes of the Gaussian, and to the rows of
+/// J W R S.
+struct ShapeGrad<T> {
+    log_scales: V3<T>,
+    turn: V3<T>,
+    half: [V3<T>; 2],
+}
+
+/// The gradients that the exponents of the pixels make.
+#[inline(always)]
+fn exponent_backward<T: Real>(projection: &Projection<T>, splat: &Splat<T>, sum: &SplatGrad<T>) -> ShapeGrad<T> {
+    let [.., muu, muv, mvv] = sum.moments;
+    let [p, q, r] = splat.root;
+    // with Q = Rᵀ R and M = Σ g w wᵀ, w = R d: ∂Σ = ½ Rᵀ M R, and ∂H = 2 ∂Σ H = Rᵀ (M (R H)) for Σ = H Hᵀ + εI
+    let [v0, v1] = projection.whitened();
+    let (n0, n1) = (add(scale(v0, muu), scale(v1, muv)), add(scale(v0, muv), scale(v1, mvv)));
+    let (relative, squares) = (projection.relative, projection.squares());
+    // Hᵀ ∂H is symmetric: a turn from one axis to another matters as far as their scales differ
+    let both: V3<T> = std::array::from_fn(|k| {
+        let [i, j] = others(k);
+        v0[i] * n0[j] + v1[i] * n1[j]
+    });
+    ShapeGrad {
+        log_scales: times(squares, add(times(v0, n0), times(v1, n1))),
+        turn: times(differences(relative), both),
+        half: [times(relative, scale(n0, p)), times(relative, add(scale(n0, q), scale(n1, r)))],
+    }
+}
+
+/// The gradients that the ratio of the determinants makes.
+#[inline(always)]
+fn ratio_backward<T: Real>(projection: &Projection<T>, grad_ratio: T) -> ShapeGrad<T> {
+    let Projection { relative, axes: [a0, a1], crossed, low_pass, determinant, ratio, lack, .. } = *projection;
+    let (squares, share) = (projection.squares(), low_pass / determinant);
+    let minors = times(pairs(relative), crossed);
+    let minors = times(minors, minors);
+    let spread = times(squares, add(times(a0, a0), times(a1, a1)));
+    let twice = T::of(2.0) * grad_ratio;
+    // lack ∂det Σ − ratio ε ∂tr Σ without the terms that cancel
+    let log_scales = std::array::from_fn(|k| {
+        let [i, j] = others(k);
+        twice * share * ((spread[i] + spread[j] + low_pass) * (minors[i] + minors[j]) - minors[k] * spread[k])
+    });
+    let both: V3<T> = std::array::from_fn(|k| {
+        let [i, j] = others(k);
+        let of_minors = (relative[k] * crossed[i]) * (relative[k] * crossed[j]);
+        -twice * (lack * of_minors + ratio * share * (a0[i] * a0[j] + a1[i] * a1[j]))
+    });
+    let (by_minors, by_axes) = (lack / determinant.sqrt(), -ratio * share);
+    let of_axes = [
+        add(scale(cross(times(squares, a1), crossed), by_minors), scale(a0, by_axes)),
+        add(scale(cross(crossed, times(squares, a0)), by_minors), scale(a1, by_axes)),
+    ];
+    ShapeGrad {
+        log_scales,
+        turn: times(differences(relative), both),
+        half: of_axes.map(|row| scale(times(relative, row), twice / projection.length)),
+    }
+}
+
+/// The other two of three axes, in cyclic order.
+fn others(axis: usize) -> [usize; 2] {
+    [(axis + 1) % 3, (axis + 2) % 3]
+}
+
+/// Products of two of three scales, by the axis that is left out.
+#[inline(always)]
+fn pairs<T: Real>(scales: V3<T>) -> V3<T> {
+    let [a, b, c] = scales;
+    [b * c, c * a, a * b]
+}
+
+/// Differences of the squares of two of three scales, by the axis that is left out.
+#[inline(always)]
+fn differences<T: Real>([a, b, c]: V3<T>) -> V3<T> {
+    [(b - c) * (b + c), (c - a) * (c + a), (a - b) * (a + b)]
+}
+
 /// Gradients with respect to the raw parameters, from the sums over the pixels (3DGS; compensation: GES).
 pub fn backward<T: Real>(
     camera: &CameraOf<T>,
@@ -277,70 +389,49 @@ pub fn backward<T: Real>(
     filter: ScreenFilter,
 ) -> ParameterGrad<T> {
     let projection = Projection::new(camera, p, filter);
-    let [total, _, _, muu, muv, mvv] = sum.moments;
-    let (half, two) = (T::of(0.5), T::of(2.0));
-    let [p0, q0, r0] = splat.root;
+    let total = sum.moments[0];
     let grad_mean = splat.mean_gradient(sum);
-    // with Q = Rᵀ R and M = Σ g w wᵀ, w = R d: ∂Σ = ½ Rᵀ M R, and ∂H = 2 ∂Σ H = Rᵀ (M (R H)) for Σ = H Hᵀ + εI
-    let [h0, h1] = projection.half;
-    let (w0, w1) = (add(scale(h0, p0), scale(h1, q0)), scale(h1, r0));
-    let (n0, n1) = (add(scale(w0, muu), scale(w1, muv)), add(scale(w0, muv), scale(w1, mvv)));
-    let mut grad_half = [scale(n0, p0), add(scale(n0, q0), scale(n1, r0))];
-
-    let grad_strength = total / splat.strength;
-    let compensation = projection.compensation();
-    let opacity = p.opacity.max(T::zero());
+    let mut shape = exponent_backward(&projection, splat, sum);
     if projection.compensates() {
-        let grad_ratio = grad_strength * opacity * half / compensation;
-        let per_size = T::of(filter.variance()) / projection.size;
-        let by_ratio = two * grad_ratio / projection.determinant / projection.size;
-        let (by_minors, by_half) = (by_ratio * projection.lack, -by_ratio * projection.ratio * per_size);
-        let minors = projection.minors;
-        grad_half[0] = add(grad_half[0], add(scale(cross(h1, minors), by_minors), scale(h0, by_half)));
-        grad_half[1] = add(grad_half[1], add(scale(cross(minors, h0), by_minors), scale(h1, by_half)));
+        let of_ratio = ratio_backward(&projection, T::of(0.5) * total / projection.ratio);
+        shape = ShapeGrad {
+            log_scales: add(shape.log_scales, of_ratio.log_scales),
+            turn: add(shape.turn, of_ratio.turn),
+            half: [0, 1].map(|axis| add(shape.half[axis], of_ratio.half[axis])),
+        };
     }
-
-    // half = plane · R S
-    let factor: M3<T> =
-        std::array::from_fn(|i| std::array::from_fn(|d| projection.rotation[i][d] * projection.scales[d]));
-    let grad_factor: M3<T> = std::array::from_fn(|i| {
-        std::array::from_fn(|d| projection.plane[0][i] * grad_half[0][d] + projection.plane[1][i] * grad_half[1][d])
-    });
-    let log_scales = std::array::from_fn(|d| dot(column(&grad_factor, d), column(&factor, d)));
-    let grad_rotation: M3<T> =
-        std::array::from_fn(|i| std::array::from_fn(|d| grad_factor[i][d] * projection.scales[d]));
-
-    let grad_planes: [V3<T>; 2] = [0, 1].map(|axis| std::array::from_fn(|i| dot(grad_half[axis], factor[i])));
     let grad_centre = match &camera.lens {
-        None => pinhole_backward(camera, &projection, grad_mean, grad_planes),
-        Some(lens) => lens_backward(lens, camera, projection.centre, grad_mean, grad_planes),
+        None => pinhole_backward(camera, &projection, grad_mean, &shape),
+        Some(lens) => lens_backward(lens, camera, &projection, grad_mean, &shape),
     };
+    let grad_strength = total / splat.strength;
     ParameterGrad {
         position: apply_transposed(&camera.rotation, grad_centre),
-        quaternion: rotation_backward(p.quaternion, &grad_rotation),
-        log_scales,
-        opacity: if p.opacity > T::zero() { grad_strength * compensation } else { T::zero() },
+        quaternion: turn_backward(p.quaternion, shape.turn),
+        log_scales: shape.log_scales,
+        opacity: if p.opacity > T::zero() { grad_strength * projection.compensation() } else { T::zero() },
         degrees_of_freedom: T::zero(),
     }
 }
 
-/// Gradient with respect to the centre in camera axes from those with respect to the mean, px, and to the rows of J W.
+/// Gradient with respect to the centre in camera axes from those with respect to the mean, px, and to the shape.
 #[inline(always)]
 fn pinhole_backward<T: Real>(
     camera: &CameraOf<T>,
     projection: &Projection<T>,
     grad_mean: [T; 2],
-    grad_planes: [V3<T>; 2],
+    shape: &ShapeGrad<T>,
 ) -> V3<T> {
     let [x, y, z] = projection.centre;
-    // plane row 0 = fx / z (W₀ − s_x W₂), s_x = x / z unless clamped
-    let mut grad_centre = [T::zero(); 3];
+    let turned = apply_transposed(&projection.rotation, camera.rotation[2]);
+    let depths = times(turned, scale(projection.relative, projection.largest));
+    // row 0 of J W = fx / z (W₀ − s_x W₂), s_x = x / z unless clamped; 1 / z acts like all scales at once
+    let [a, b, c] = shape.log_scales;
+    let mut grad_centre = [T::zero(), T::zero(), -(a + b + c) / z];
     for (axis, focal) in [(0, camera.fx), (1, camera.fy)] {
-        let grad_plane = grad_planes[axis];
-        grad_centre[2] = grad_centre[2] - dot(grad_plane, projection.plane[axis]) / z;
         let coordinate = [x, y][axis];
         if projection.unclamped[axis] {
-            let grad_slope = -focal / z * dot(grad_plane, camera.rotation[2]);
+            let grad_slope = -focal / z * dot(shape.half[axis], depths);
             grad_centre[axis] = grad_centre[axis] + grad_slope / z;
             grad_centre[2] = grad_centre[2] - grad_slope * projection.slopes[axis] / z;
         }
@@ -354,13 +445,16 @@ fn pinhole_backward<T: Real>(
 fn lens_backward<T: Real>(
     lens: &Lens,
     camera: &CameraOf<T>,
-    centre: V3<T>,
+    projection: &Projection<T>,
     grad_mean: [T; 2],
-    grad_planes: [V3<T>; 2],
+    shape: &ShapeGrad<T>,
 ) -> V3<T> {
     let focals = [camera.fx, camera.fy];
+    let scales = scale(projection.relative, projection.largest);
     let grad_position = [0, 1].map(|axis| (focals[axis] * grad_mean[axis]).as_f64());
-    let grad_jacobian =
-        [0, 1].map(|axis| scale(apply(&camera.rotation, grad_planes[axis]), focals[axis]).map(T::as_f64));
-    lens.look_backward(centre.map(T::as_f64), grad_position, grad_jacobian).map(T::of)
+    let grad_jacobian = [0, 1].map(|axis| {
+        let grad_plane = apply(&projection.rotation, times(scales, shape.half[axis]));
+        scale(apply(&camera.rotation, grad_plane), focals[axis]).map(T::as_f64)
+    });
+    lens.look_backward(projection.centre.map(T::as_f64), grad_position, grad_jacobian).map(T::of)
 }

@@ -311,6 +311,7 @@ mod tests {
         let exact = camera();
         let single = CameraOf::<f32> {
             rotation: exact.rotation.map(|row| row.map(|v| v as f32)),
+            cofactors: exact.cofactors.map(|row| row.map(|v| v as f32)),
             translation: exact.translation.map(|v| v as f32),
             fx: 60.0,
             fy: 66.0,

@@ -22,7 +22,7 @@ use crate::gpu::record::{Record, record};
 use crate::gpu::rect::{RECT, Rect};
 use crate::gpu::tile::TILE;
 use crate::gpu::vector::{
-    Mat3, Quaternion, Vec3, add, apply, cross, dot, rotation, rotation_backward, row3, row4, scale, transpose, vec3,
+    Mat3, Quaternion, Vec3, add, apply, cross, dot, rotation, row3, row4, scale, times, transpose, turn_backward, vec3,
     write3, write4,
 };
 use crate::gpu::view::{CameraUniforms, pixel_range, to_camera, view_depth, view_rotation};
@@ -32,6 +32,7 @@ const MIN_RATIO: f32 = MIN_COMPENSATION_SQUARED as f32;
 pub const CUTOFF_F32: f32 = CUTOFF as f32;
 pub const INVERSE_CUTOFF: f32 = (1.0 / CUTOFF) as f32;
 const JACOBIAN_MARGIN: f32 = splat::JACOBIAN_MARGIN as f32;
+const LEAST_SCALE: f32 = splat::LEAST_SCALE as f32;
 
 /// Number of values in a [`Splat`].
 pub const SPLAT: usize = Splat::LEN;
@@ -169,29 +170,39 @@ struct Local {
     y: f32,
     free_x: f32,
     free_y: f32,
-    /// Rows of J W.
+    /// Rows of J W over `magnification`, and their cross product.
     plane0: Vec3,
     plane1: Vec3,
+    normal: Vec3,
+    magnification_x: f32,
+    magnification_y: f32,
 }
 
+/// Intermediate values of the projection; see the twin for why they are relative to sizes.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 struct Projection {
     centre: Vec3,
     local: Local,
     rotation: Mat3,
-    scales: Vec3,
-    /// Rows of J W R S.
-    half0: Vec3,
-    half1: Vec3,
+    /// The largest scale, world units, and all scales relative to it.
+    largest: f32,
+    relative: Vec3,
     /// A, B, C of the filtered covariance, px².
     cov_a: f32,
     cov_b: f32,
     cov_c: f32,
-    /// The larger of A and C, px². Determinants are those of covariances divided by it, see the twin.
+    /// The larger of A and C, px², and its root.
     size: f32,
+    length: f32,
+    /// Rows of J W R, times the largest scale, over the length.
+    axes0: Vec3,
+    axes1: Vec3,
+    /// Their cross product over the root of the determinant.
+    crossed: Vec3,
+    /// Variance of the filter over the size.
+    low_pass: f32,
     determinant: f32,
-    minors: Vec3,
     /// Ratio of the determinants, and what it lacks to 1.
     ratio: f32,
     lack: f32,
@@ -206,13 +217,18 @@ fn pinhole_local(view: CameraUniforms, centre: Vec3) -> Local {
     let slope_x = min(max(raw_x, -view.cx / view.fx - margin_x), (width - view.cx) / view.fx + margin_x);
     let slope_y = min(max(raw_y, -view.cy / view.fy - margin_y), (height - view.cy) / view.fy + margin_y);
     let pose = view_rotation(view);
+    let (cofactor0, cofactor1) = (cross(pose.row1, pose.row2), cross(pose.row2, pose.row0));
+    let cofactor2 = cross(pose.row0, pose.row1);
     Local {
         x: slope_x,
         y: slope_y,
         free_x: select(raw_x == slope_x, 1.0f32, 0.0f32),
         free_y: select(raw_y == slope_y, 1.0f32, 0.0f32),
-        plane0: scale(add(pose.row0, scale(pose.row2, -slope_x)), view.fx / z),
-        plane1: scale(add(pose.row1, scale(pose.row2, -slope_y)), view.fy / z),
+        plane0: add(pose.row0, scale(pose.row2, -slope_x)),
+        plane1: add(pose.row1, scale(pose.row2, -slope_y)),
+        normal: add(cofactor2, add(scale(cofactor0, slope_x), scale(cofactor1, slope_y))),
+        magnification_x: view.fx / z,
+        magnification_y: view.fy / z,
     }
 }
 
@@ -221,13 +237,17 @@ fn lens_local(view: CameraUniforms, centre: Vec3) -> Local {
     let seen = look(view.lens, centre);
     let back = transpose(view_rotation(view));
     let shown = select(seen.shown, 1.0f32, 0.0f32);
+    let (plane0, plane1) = (apply(back, seen.row0), apply(back, seen.row1));
     Local {
         x: view.fx * seen.x + view.cx,
         y: view.fy * seen.y + view.cy,
         free_x: shown,
         free_y: shown,
-        plane0: scale(apply(back, seen.row0), view.fx),
-        plane1: scale(apply(back, seen.row1), view.fy),
+        plane0,
+        plane1,
+        normal: cross(plane0, plane1),
+        magnification_x: view.fx,
+        magnification_y: view.fy,
     }
 }
 
@@ -244,42 +264,63 @@ fn project(
     log_scales: Vec3,
     #[comptime] filter: ScreenFilter,
 ) -> Projection {
-    let low_pass = comptime!(filter.variance() as f32);
+    let variance = comptime!(filter.variance() as f32);
     let centre = to_camera(view, position);
     let local = local(view, centre);
     let rotation = rotation(quaternion);
     let scales = vec3(f32::exp(log_scales.x), f32::exp(log_scales.y), f32::exp(log_scales.z));
-    let axes = transpose(rotation);
-    let turned0 = apply(axes, local.plane0);
-    let turned1 = apply(axes, local.plane1);
-    let half0 = vec3(turned0.x * scales.x, turned0.y * scales.y, turned0.z * scales.z);
-    let half1 = vec3(turned1.x * scales.x, turned1.y * scales.y, turned1.z * scales.z);
-    let cov_a = dot(half0, half0) + low_pass;
+    let largest = max(max(scales.x, scales.y), scales.z);
+    let least = max(largest, LEAST_SCALE);
+    let relative = vec3(scales.x / least, scales.y / least, scales.z / least);
+    let world = transpose(rotation);
+    let turned0 = scale(apply(world, local.plane0), local.magnification_x);
+    let turned1 = scale(apply(world, local.plane1), local.magnification_y);
+    let (half0, half1) = (times(turned0, scales), times(turned1, scales));
+    let cov_a = dot(half0, half0) + variance;
     let cov_b = dot(half0, half1);
-    let cov_c = dot(half1, half1) + low_pass;
+    let cov_c = dot(half1, half1) + variance;
     let size = max(cov_a, cov_c);
-    let per_length = 1.0f32 / f32::sqrt(size);
-    let minors = cross(scale(half0, per_length), scale(half1, per_length));
+    let length = f32::sqrt(size);
+    let per_length = largest / length;
+    let (across, down) = (local.magnification_x * per_length, local.magnification_y * per_length);
+    let crossed = scale(scale(apply(world, local.normal), across), down);
     // det(Σ + εI) = det Σ + ε tr Σ + ε², every term non-negative: no cancellation for needles
+    let minors = times(pairs(relative), crossed);
     let unfiltered = dot(minors, minors);
-    let added = low_pass / size * (cov_a / size + cov_c / size - low_pass / size);
+    let low_pass = variance / size;
+    let added = low_pass * (cov_a / size + cov_c / size - low_pass);
     let determinant = unfiltered + added;
     Projection {
         centre,
         local,
         rotation,
-        scales,
-        half0,
-        half1,
+        largest,
+        relative,
         cov_a,
         cov_b,
         cov_c,
         size,
+        length,
+        axes0: scale(turned0, per_length),
+        axes1: scale(turned1, per_length),
+        crossed: scale(crossed, 1.0f32 / f32::sqrt(determinant)),
+        low_pass,
         determinant,
-        minors,
         ratio: unfiltered / determinant,
         lack: added / determinant,
     }
+}
+
+/// Products of two of three scales, by the axis that is left out.
+#[cube]
+fn pairs(scales: Vec3) -> Vec3 {
+    vec3(scales.y * scales.z, scales.z * scales.x, scales.x * scales.y)
+}
+
+/// Differences of the squares of two of three scales, by the axis that is left out.
+#[cube]
+fn differences(s: Vec3) -> Vec3 {
+    vec3((s.y - s.z) * (s.y + s.z), (s.z - s.x) * (s.z + s.x), (s.x - s.y) * (s.x + s.y))
 }
 
 #[cube]
@@ -293,8 +334,8 @@ fn compensation(p: Projection, #[comptime] filter: ScreenFilter) -> f32 {
 
 /// p, q and r of a footprint whose projection does not overflow.
 #[cube]
-fn root(cov_b: f32, cov_c: f32, size: f32, determinant: f32) -> Vec3 {
-    let across = f32::sqrt(cov_c / size / determinant / size);
+fn root(cov_b: f32, cov_c: f32, size: f32, length: f32, determinant: f32) -> Vec3 {
+    let across = f32::sqrt(cov_c / size / determinant) / length;
     vec3(across, -across * (cov_b / cov_c), 1.0f32 / f32::sqrt(cov_c))
 }
 
@@ -330,6 +371,7 @@ fn splat_of(view: CameraUniforms, p: Projection, opacity: f32, #[comptime] filte
         select(visible, p.cov_b, 0.0f32),
         select(visible, p.cov_c, 1.0f32),
         select(visible, p.size, 1.0f32),
+        select(visible, p.length, 1.0f32),
         select(visible, d, 1.0f32),
     );
     let squared = 2.0f32 * f32::ln(max(strength * INVERSE_CUTOFF, 1.0f32));
@@ -361,25 +403,111 @@ struct SplatGradient {
     opacity: f32,
 }
 
-/// Gradient with respect to the centre in camera axes from those with respect to the mean, px, and to the rows of J W.
+/// Gradients with respect to the logarithms of the scales, to turns about the axes of the Gaussian, and to the rows of
+/// J W R S.
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+struct ShapeGradient {
+    log_scales: Vec3,
+    turn: Vec3,
+    half0: Vec3,
+    half1: Vec3,
+}
+
+/// The gradients that the exponents of the pixels make.
 #[cube]
-fn pinhole_backward(
-    view: CameraUniforms,
-    p: Projection,
-    grad_x: f32,
-    grad_y: f32,
-    grad_plane0: Vec3,
-    grad_plane1: Vec3,
-) -> Vec3 {
-    // plane row 0 = fx / z (W₀ − s_x W₂), s_x = x / z unless clamped
+fn exponent_backward(p: Projection, root: Vec3, moments: Moments) -> ShapeGradient {
+    let squares = times(p.relative, p.relative);
+    // ∂H = Rᵀ (M (R H)), and how u and v change with the axes, see the twin
+    let up = f32::sqrt(p.cov_c / p.size);
+    let along = p.low_pass / up / f32::sqrt(p.determinant);
+    let v1 = scale(p.axes1, 1.0f32 / up);
+    let v0 = add(cross(times(squares, v1), p.crossed), scale(p.axes0, along));
+    let n0 = add(scale(v0, moments.uu), scale(v1, moments.uv));
+    let n1 = add(scale(v0, moments.uv), scale(v1, moments.vv));
+    // Hᵀ ∂H is symmetric: a turn from one axis to another matters as far as their scales differ
+    let both = vec3(v0.y * n0.z + v1.y * n1.z, v0.z * n0.x + v1.z * n1.x, v0.x * n0.y + v1.x * n1.y);
+    ShapeGradient {
+        log_scales: times(squares, add(times(v0, n0), times(v1, n1))),
+        turn: times(differences(p.relative), both),
+        half0: times(p.relative, scale(n0, root.x)),
+        half1: times(p.relative, add(scale(n0, root.y), scale(n1, root.z))),
+    }
+}
+
+/// The gradients that the ratio of the determinants makes.
+#[cube]
+fn ratio_backward(p: Projection, grad_ratio: f32) -> ShapeGradient {
+    let (relative, a0, a1, crossed) = (p.relative, p.axes0, p.axes1, p.crossed);
+    let squares = times(relative, relative);
+    let share = p.low_pass / p.determinant;
+    let minors = times(pairs(relative), crossed);
+    let m = times(minors, minors);
+    let s = times(squares, add(times(a0, a0), times(a1, a1)));
+    let twice = 2.0f32 * grad_ratio;
+    // lack ∂det Σ − ratio ε ∂tr Σ without the terms that cancel
+    let log_scales = vec3(
+        (s.y + s.z + p.low_pass) * (m.y + m.z) - m.x * s.x,
+        (s.z + s.x + p.low_pass) * (m.z + m.x) - m.y * s.y,
+        (s.x + s.y + p.low_pass) * (m.x + m.y) - m.z * s.z,
+    );
+    let of_minors = vec3(
+        (relative.x * crossed.y) * (relative.x * crossed.z),
+        (relative.y * crossed.z) * (relative.y * crossed.x),
+        (relative.z * crossed.x) * (relative.z * crossed.y),
+    );
+    let of_axes = vec3(a0.y * a0.z + a1.y * a1.z, a0.z * a0.x + a1.z * a1.x, a0.x * a0.y + a1.x * a1.y);
+    let both = add(scale(of_minors, -twice * p.lack), scale(of_axes, -twice * p.ratio * share));
+    let (by_minors, by_axes) = (p.lack / f32::sqrt(p.determinant), -p.ratio * share);
+    let row0 = add(scale(cross(times(squares, a1), crossed), by_minors), scale(a0, by_axes));
+    let row1 = add(scale(cross(crossed, times(squares, a0)), by_minors), scale(a1, by_axes));
+    ShapeGradient {
+        log_scales: scale(log_scales, twice * share),
+        turn: times(differences(relative), both),
+        half0: scale(times(relative, row0), twice / p.length),
+        half1: scale(times(relative, row1), twice / p.length),
+    }
+}
+
+/// a + b, or a.
+#[cube]
+fn add_if(condition: bool, a: Vec3, b: Vec3) -> Vec3 {
+    vec3(
+        a.x + select(condition, b.x, 0.0f32),
+        a.y + select(condition, b.y, 0.0f32),
+        a.z + select(condition, b.z, 0.0f32),
+    )
+}
+
+#[cube]
+fn shape_backward(p: Projection, root: Vec3, moments: Moments, #[comptime] filter: ScreenFilter) -> ShapeGradient {
+    let shape = exponent_backward(p, root, moments);
+    if comptime!(filter == ScreenFilter::Compensated) {
+        let compensates = p.ratio > MIN_RATIO;
+        let of_ratio = ratio_backward(p, 0.5f32 * moments.total / max(p.ratio, MIN_RATIO));
+        ShapeGradient {
+            log_scales: add_if(compensates, shape.log_scales, of_ratio.log_scales),
+            turn: add_if(compensates, shape.turn, of_ratio.turn),
+            half0: add_if(compensates, shape.half0, of_ratio.half0),
+            half1: add_if(compensates, shape.half1, of_ratio.half1),
+        }
+    } else {
+        shape
+    }
+}
+
+/// Gradient with respect to the centre in camera axes from those with respect to the mean, px, and to the shape.
+#[cube]
+fn pinhole_backward(view: CameraUniforms, p: Projection, grad_x: f32, grad_y: f32, shape: ShapeGradient) -> Vec3 {
     let z = p.centre.z;
-    let pose = view_rotation(view);
-    let grad_slope_x = -p.local.free_x * view.fx / z * dot(grad_plane0, pose.row2);
-    let grad_slope_y = -p.local.free_y * view.fy / z * dot(grad_plane1, pose.row2);
+    let turned = apply(transpose(p.rotation), view_rotation(view).row2);
+    let depths = times(turned, scale(p.relative, p.largest));
+    // row 0 of J W = fx / z (W₀ − s_x W₂), s_x = x / z unless clamped; 1 / z acts like all scales at once
+    let grad_slope_x = -p.local.free_x * view.fx / z * dot(shape.half0, depths);
+    let grad_slope_y = -p.local.free_y * view.fy / z * dot(shape.half1, depths);
     let centre_x = grad_slope_x / z + view.fx / z * grad_x;
     let centre_y = grad_slope_y / z + view.fy / z * grad_y;
-    let centre_z = -dot(grad_plane0, p.local.plane0) / z
-        - dot(grad_plane1, p.local.plane1) / z
+    let centre_z = -(shape.log_scales.x + shape.log_scales.y + shape.log_scales.z) / z
         - grad_slope_x * p.local.x / z
         - grad_slope_y * p.local.y / z
         - view.fx * p.centre.x / (z * z) * grad_x
@@ -389,32 +517,20 @@ fn pinhole_backward(
 
 /// [`pinhole_backward`] through a lens.
 #[cube]
-fn lens_backward(
-    view: CameraUniforms,
-    p: Projection,
-    grad_x: f32,
-    grad_y: f32,
-    grad_plane0: Vec3,
-    grad_plane1: Vec3,
-) -> Vec3 {
-    let pose = view_rotation(view);
-    let (row0, row1) = (scale(apply(pose, grad_plane0), view.fx), scale(apply(pose, grad_plane1), view.fy));
+fn lens_backward(view: CameraUniforms, p: Projection, grad_x: f32, grad_y: f32, shape: ShapeGradient) -> Vec3 {
+    let (pose, scales) = (view_rotation(view), scale(p.relative, p.largest));
+    let plane0 = apply(p.rotation, times(scales, shape.half0));
+    let plane1 = apply(p.rotation, times(scales, shape.half1));
+    let (row0, row1) = (scale(apply(pose, plane0), view.fx), scale(apply(pose, plane1), view.fy));
     look_backward(view.lens, p.centre, view.fx * grad_x, view.fy * grad_y, row0, row1)
 }
 
 #[cube]
-fn local_backward(
-    view: CameraUniforms,
-    p: Projection,
-    grad_x: f32,
-    grad_y: f32,
-    grad_plane0: Vec3,
-    grad_plane1: Vec3,
-) -> Vec3 {
+fn centre_backward(view: CameraUniforms, p: Projection, grad_x: f32, grad_y: f32, shape: ShapeGradient) -> Vec3 {
     if comptime!(view.lens.kind == LensKind::None) {
-        pinhole_backward(view, p, grad_x, grad_y, grad_plane0, grad_plane1)
+        pinhole_backward(view, p, grad_x, grad_y, shape)
     } else {
-        lens_backward(view, p, grad_x, grad_y, grad_plane0, grad_plane1)
+        lens_backward(view, p, grad_x, grad_y, shape)
     }
 }
 
@@ -429,57 +545,17 @@ fn splat_backward(
     #[comptime] filter: ScreenFilter,
 ) -> SplatGradient {
     let total = moments.total;
-    let root = root(p.cov_b, p.cov_c, p.size, p.determinant);
+    let root = root(p.cov_b, p.cov_c, p.size, p.length, p.determinant);
     let (grad_x, grad_y) = (root.x * moments.u, root.y * moments.u + root.z * moments.v);
-    // ∂H = Rᵀ (M (R H)), see the twin
-    let (w0, w1) = (add(scale(p.half0, root.x), scale(p.half1, root.y)), scale(p.half1, root.z));
-    let n0 = add(scale(w0, moments.uu), scale(w1, moments.uv));
-    let n1 = add(scale(w0, moments.uv), scale(w1, moments.vv));
-    let direct0 = scale(n0, root.x);
-    let direct1 = add(scale(n0, root.y), scale(n1, root.z));
-
+    let shape = shape_backward(p, root, moments, filter);
     let dimming = compensation(p, filter);
-    let opacity = max(raw_opacity, 0.0f32);
-    let strength = opacity * dimming;
+    let strength = max(raw_opacity, 0.0f32) * dimming;
     let grad_strength = total / max(strength, 1e-30f32);
-    let mut live = 0.0f32;
-    if comptime!(filter == ScreenFilter::Compensated) {
-        live = select(p.ratio > MIN_RATIO, 1.0f32, 0.0f32);
-    }
-    let low_pass = comptime!(filter.variance() as f32);
-    let by_ratio = live * grad_strength * opacity / dimming / p.determinant / p.size;
-    let (by_minors, by_half) = (by_ratio * p.lack, -by_ratio * p.ratio * (low_pass / p.size));
-    let grad_half0 = add(direct0, add(scale(cross(p.half1, p.minors), by_minors), scale(p.half0, by_half)));
-    let grad_half1 = add(direct1, add(scale(cross(p.minors, p.half0), by_minors), scale(p.half1, by_half)));
-
-    // half = plane · R S
-    let r = p.rotation;
-    let s = p.scales;
-    let factor = Mat3 {
-        row0: vec3(r.row0.x * s.x, r.row0.y * s.y, r.row0.z * s.z),
-        row1: vec3(r.row1.x * s.x, r.row1.y * s.y, r.row1.z * s.z),
-        row2: vec3(r.row2.x * s.x, r.row2.y * s.y, r.row2.z * s.z),
-    };
-    let (plane0, plane1) = (p.local.plane0, p.local.plane1);
-    let of0 = add(scale(grad_half0, plane0.x), scale(grad_half1, plane1.x));
-    let of1 = add(scale(grad_half0, plane0.y), scale(grad_half1, plane1.y));
-    let of2 = add(scale(grad_half0, plane0.z), scale(grad_half1, plane1.z));
-    let log_scales = vec3(
-        of0.x * factor.row0.x + of1.x * factor.row1.x + of2.x * factor.row2.x,
-        of0.y * factor.row0.y + of1.y * factor.row1.y + of2.y * factor.row2.y,
-        of0.z * factor.row0.z + of1.z * factor.row1.z + of2.z * factor.row2.z,
-    );
-    let grad_rotation = Mat3 {
-        row0: vec3(of0.x * s.x, of0.y * s.y, of0.z * s.z),
-        row1: vec3(of1.x * s.x, of1.y * s.y, of1.z * s.z),
-        row2: vec3(of2.x * s.x, of2.y * s.y, of2.z * s.z),
-    };
-
-    let grad_centre = local_backward(view, p, grad_x, grad_y, apply(factor, grad_half0), apply(factor, grad_half1));
+    let grad_centre = centre_backward(view, p, grad_x, grad_y, shape);
     SplatGradient {
         position: apply(transpose(view_rotation(view)), grad_centre),
-        quaternion: rotation_backward(raw_quaternion, grad_rotation),
-        log_scales,
+        quaternion: turn_backward(raw_quaternion, shape.turn),
+        log_scales: shape.log_scales,
         opacity: select(raw_opacity > 0.0f32, grad_strength * dimming, 0.0f32),
     }
 }
