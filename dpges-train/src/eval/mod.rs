@@ -8,7 +8,7 @@ pub mod compress;
 pub mod export;
 mod fits;
 pub mod floaters;
-mod frame_ms;
+pub mod frame_ms;
 pub mod pictures;
 pub mod popping;
 pub mod rendered;
