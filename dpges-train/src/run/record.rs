@@ -8,7 +8,7 @@ use dpges_core::scene::atomic::write_atomically;
 use dpges_core::{Error, Result};
 
 use super::StepReport;
-use super::checkpoint::{Checkpoint, CheckpointError};
+use super::checkpoint::Checkpoint;
 use super::folder::{Origin, RunFolder, RunFolderError, write_json};
 use super::metrics_log::MetricsLog;
 use crate::config::Config;
@@ -58,19 +58,6 @@ impl Record {
         if report.step.is_multiple_of(METRICS_EVERY) || !report.events.is_empty() || last {
             self.metrics.step(report, seconds)?;
         }
-        Ok(())
-    }
-
-    /// Writes `scene` with its `corrections`, and `checkpoint`.
-    pub fn save(
-        &mut self,
-        scene: &SceneData,
-        corrections: &ViewCorrections,
-        checkpoint: &Checkpoint,
-    ) -> Result<(), CheckpointError> {
-        self.save_scene(scene, corrections, &self.folder.scene())?;
-        checkpoint.save(&self.folder.checkpoint())?;
-        self.saved = Some(checkpoint.completed_steps());
         Ok(())
     }
 
