@@ -1,6 +1,6 @@
 use burn::tensor::{DType, Tensor};
 
-use super::{Alone, Ranks};
+use super::{Alone, Ranks, sent_bytes};
 use crate::ops::environment::environment;
 use crate::render::pose::PoseProbe;
 use crate::render::{RenderOptions, Values, render_on_ranks};
@@ -153,4 +153,13 @@ fn a_rank_that_is_gone_ends_the_others() {
             ranks.gather(&[]);
         }
     });
+}
+
+#[test]
+fn bytes_of_a_view_do_not_grow_with_the_number_of_ranks() {
+    // 1600 × 1060 px, 48 bytes a pixel
+    let view = 1600 * 1060 * 48;
+    assert_eq!(sent_bytes(1600 * 1060, 3, 1), 0);
+    assert_eq!(sent_bytes(1600 * 1060, 3, 2), view);
+    assert!((1..100).all(|ranks| sent_bytes(1600 * 1060, 3, ranks) < 2 * view + 2 * 4 * ranks));
 }

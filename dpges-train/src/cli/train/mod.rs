@@ -84,6 +84,9 @@ pub fn run(args: TrainArgs, style: LogStyle) -> Result<()> {
 
 fn train(args: TrainArgs, style: LogStyle, job: &Job) -> Result<String> {
     args.check_alone(job)?;
+    if !job.ranks.is_alone() {
+        tracing::info!("{} ranks train one scene; of stages that sort, all do the same", job.ranks.count());
+    }
     #[cfg(feature = "viewer")]
     if args.view {
         return live::train_in_window(move || args.session(style, &Job::join()?));
@@ -95,7 +98,8 @@ fn train(args: TrainArgs, style: LogStyle, job: &Job) -> Result<String> {
 /// Ends the other ranks of a job that cannot go on without this one.
 fn give_up(job: &Job, reason: &str) {
     if !job.ranks.is_alone() {
-        eprintln!("rank {} of {}: {reason}", job.ranks.rank(), job.ranks.count());
+        // in one piece beside those of other ranks
+        eprint!("{}", format!("rank {} of {}: {reason}\n", job.ranks.rank(), job.ranks.count()));
         job.end_others(1);
     }
 }
