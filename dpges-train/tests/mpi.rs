@@ -43,7 +43,11 @@ fn psnr(run: &Path) -> f64 {
 /// The process that is rank number `rank` of `job`.
 fn process_of(job: &Child, rank: usize) -> Option<u32> {
     let wanted = format!("OMPI_COMM_WORLD_RANK={rank}");
-    let children = std::fs::read_to_string(format!("/proc/{0}/task/{0}/children", job.id())).ok()?;
+    // any thread of mpirun may have started it
+    let threads = std::fs::read_dir(format!("/proc/{}/task", job.id())).ok()?.flatten();
+    let children: String = threads
+        .map(|thread| std::fs::read_to_string(thread.path().join("children")).unwrap_or_default() + " ")
+        .collect();
     children.split_whitespace().map(|id| id.parse().unwrap()).find(|id: &u32| {
         let variables = std::fs::read(format!("/proc/{id}/environ")).unwrap_or_default();
         variables.split(|&byte| byte == 0).any(|variable| variable == wanted.as_bytes())

@@ -84,6 +84,8 @@ pub struct Run {
     folder: Option<RunFolder>,
     /// What the first rank writes; `None` on others, and if the run is kept in memory.
     record: Option<Record>,
+    /// Completed steps of the checkpoint in the folder.
+    saved: Option<usize>,
     /// The best scene by the validation views, unless it is in the folder.
     best: Option<SceneData>,
     /// The scene that the last stage began with, unless it is in the folder or there was no stage before.
@@ -169,8 +171,9 @@ impl Run {
         } else {
             (None, 0.0)
         };
+        let saved = Some(checkpoint.completed_steps());
         let trainer = Trainer::resume(checkpoint, data, place)?;
-        Ok(Self { folder: Some(folder), record, seconds_before, ..Self::of(trainer, peak) })
+        Ok(Self { folder: Some(folder), record, saved, seconds_before, ..Self::of(trainer, peak) })
     }
 
     fn of(trainer: Trainer, peak: PeakMemory) -> Self {
@@ -179,6 +182,7 @@ impl Run {
             peak,
             folder: None,
             record: None,
+            saved: None,
             best: None,
             before_last_stage: None,
             seconds_before: 0.0,
@@ -201,13 +205,13 @@ impl Run {
     /// [`RunError::Folder`] if the folder cannot be written.
     pub fn overwrite(self, folder: RunFolder, origin: Origin) -> Result<Self, RunError> {
         if !self.trainer.ranks().is_first() {
-            return Ok(Self { folder: Some(folder), best: None, ..self });
+            return Ok(Self { folder: Some(folder), saved: None, best: None, ..self });
         }
         let record = Record::start(folder.clone(), origin, self.trainer.config(), self.peak)?;
         if let Some(best) = &self.best {
             best.save(&record.folder.best())?;
         }
-        Ok(Self { folder: Some(folder), record: Some(record), best: None, ..self })
+        Ok(Self { folder: Some(folder), record: Some(record), saved: None, best: None, ..self })
     }
 
     /// The object that takes the steps of the run: it knows the scene as it stands, the configuration and the state.
@@ -222,7 +226,7 @@ impl Run {
 
     /// Completed steps of the checkpoint in the folder; `None` if there is none.
     pub fn saved_step(&self) -> Option<usize> {
-        self.record.as_ref().and_then(|record| record.saved)
+        self.saved
     }
 }
 

@@ -269,11 +269,9 @@ impl Run {
         }
         let completed = checkpoint.completed_steps();
         shards::save(checkpoint, folder, &**self.trainer.ranks())?;
-        if let Some(record) = &mut self.record {
-            record.saved = Some(completed);
-            if let Some(changes) = self.trainer.pose_changes() {
-                tracing::info!("after {completed} steps training cameras are {changes}");
-            }
+        self.saved = Some(completed);
+        if let Some(changes) = self.trainer.pose_changes() {
+            tracing::info!("after {completed} steps training cameras are {changes}");
         }
         observer.saved(completed);
         Ok(())

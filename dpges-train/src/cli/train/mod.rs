@@ -99,7 +99,8 @@ fn train(args: TrainArgs, style: LogStyle, job: &Job) -> Result<String> {
 fn give_up(job: &Job, reason: &str) {
     if !job.ranks.is_alone() {
         // in one piece beside those of other ranks
-        eprint!("{}", format!("rank {} of {}: {reason}\n", job.ranks.rank(), job.ranks.count()));
+        let line = format!("rank {} of {}: {reason}\n", job.ranks.rank(), job.ranks.count());
+        eprint!("{line}");
         job.end_others(1);
     }
 }
