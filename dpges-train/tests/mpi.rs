@@ -43,14 +43,13 @@ fn psnr(run: &Path) -> f64 {
 /// The process that is rank number `rank` of `job`.
 fn process_of(job: &Child, rank: usize) -> Option<u32> {
     let wanted = format!("OMPI_COMM_WORLD_RANK={rank}");
-    // any thread of mpirun may have started it
-    let threads = std::fs::read_dir(format!("/proc/{}/task", job.id())).ok()?.flatten();
-    let children: String = threads
-        .map(|thread| std::fs::read_to_string(thread.path().join("children")).unwrap_or_default() + " ")
-        .collect();
-    children.split_whitespace().map(|id| id.parse().unwrap()).find(|id: &u32| {
-        let variables = std::fs::read(format!("/proc/{id}/environ")).unwrap_or_default();
-        variables.split(|&byte| byte == 0).any(|variable| variable == wanted.as_bytes())
+    let parent = format!("PPid:\t{}\n", job.id());
+    let processes = std::fs::read_dir("/proc").ok()?.flatten();
+    let mut ids = processes.filter_map(|process| process.file_name().to_str()?.parse::<u32>().ok());
+    ids.find(|id| {
+        let read = |file: &str| std::fs::read(format!("/proc/{id}/{file}")).unwrap_or_default();
+        String::from_utf8_lossy(&read("status")).contains(&parent)
+            && read("environ").split(|&byte| byte == 0).any(|variable| variable == wanted.as_bytes())
     })
 }
 
@@ -74,10 +73,11 @@ fn a_rank_that_is_killed_ends_the_job_and_any_number_goes_on() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
     for (killed, resumed) in [(1, 3), (0, 1)] {
-        let longer = [&["--out", "run", "--overwrite"], &TINY[..], &["--steps=2000"]].concat();
+        let run = format!("killed_{killed}");
+        let longer = [&["--out", run.as_str()], &TINY[..], &["--steps=2000"]].concat();
         let mut job = begin(at, 2, &longer);
         let start = Instant::now();
-        while !at.join("run/checkpoint.json").is_file() {
+        while !at.join(&run).join("checkpoint.json").is_file() {
             assert!(start.elapsed() < Duration::from_secs(120), "there is no checkpoint");
             std::thread::sleep(Duration::from_millis(20));
         }
@@ -87,11 +87,11 @@ fn a_rank_that_is_killed_ends_the_job_and_any_number_goes_on() {
         let mut said = String::new();
         std::io::Read::read_to_string(&mut job.stderr.take().unwrap(), &mut said).unwrap();
         assert!(said.contains(&format!("process rank {killed}")) && said.contains("signal 9"), "{said}");
-        let mut job = begin(at, resumed, &["--out", "run", "--resume"]);
+        let mut job = begin(at, resumed, &["--out", &run, "--resume"]);
         let files = |count: usize| {
-            let names = std::fs::read_dir(at.join("run")).unwrap().map(|entry| entry.unwrap().file_name());
+            let names = std::fs::read_dir(at.join(&run)).unwrap().map(|entry| entry.unwrap().file_name());
             let part = format!("_of_{count}.safetensors");
-            let single = at.join("run/checkpoint.safetensors").is_file();
+            let single = at.join(&run).join("checkpoint.safetensors").is_file();
             if count == 1 { single } else { names.into_iter().any(|name| name.to_string_lossy().ends_with(&part)) }
         };
         let start = Instant::now();
