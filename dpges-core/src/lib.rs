@@ -48,6 +48,8 @@ pub mod metrics;
 #[cfg(feature = "burn")]
 pub mod ops;
 #[cfg(feature = "burn")]
+pub mod ranks;
+#[cfg(feature = "burn")]
 pub mod render;
 pub mod scene;
 #[cfg(any(test, feature = "testing"))]

@@ -15,6 +15,7 @@ use crate::ops::finite::{FiniteChecks, check_finite};
 use crate::ops::limits::interval_limits;
 use crate::ops::peel::{Layers, PeelOptions, peel};
 use crate::ops::splat::splat;
+use crate::ranks::{Alone, Ranks};
 use crate::scene::schema::Columns;
 use crate::scene::{Gaussians, MarginLookup, SceneInfo, Surfels};
 use pose::PoseProbe;
@@ -181,6 +182,23 @@ pub fn render_probed(
     options: &RenderOptions,
     values: Values,
 ) -> Result<Render> {
+    render_on_ranks(surfels, gaussians, camera, probe, options, values, &Alone)
+}
+
+/// [`render_probed`] of a scene whose Gaussians are dealt out to `ranks`: `gaussians` are those of this one. All ranks get the
+/// same picture, and the whole gradient of surfels and own Gaussians.
+///
+/// # Errors
+/// The errors of [`render`], of this rank alone.
+pub fn render_on_ranks(
+    surfels: &Surfels,
+    gaussians: &Gaussians,
+    camera: &Camera,
+    probe: Option<&PoseProbe>,
+    options: &RenderOptions,
+    values: Values,
+    ranks: &dyn Ranks,
+) -> Result<Render> {
     camera.validate()?;
     options.peel.validate()?;
     validate(surfels, gaussians, values)?;
@@ -191,7 +209,7 @@ pub fn render_probed(
     let (surfels, gaussians) = moved.as_ref().map_or((surfels, gaussians), |(surfels, gaussians)| (surfels, gaussians));
     let layers = peel(&surfels.positions, &surfels.quaternions, &surfels.log_scales, camera, &options.peel)?;
     let limits = interval_limits(&layers, &surfels.margins, options.margin_lookup)?;
-    let sums = splat(gaussians, &gaussian_colours, &limits, camera)?;
+    let sums = ranks.joined(splat(gaussians, &gaussian_colours, &limits, camera)?);
     let blending =
         CompositeOptions { background: options.background, detach_transmittance: options.detach_transmittance };
     let composite = composite(&layers, &surfel_colours, &sums, &blending)?;

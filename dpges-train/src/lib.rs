@@ -24,6 +24,7 @@
 //! | plotters, epaint_default_fonts, base64 | plots, their letters, pictures within a report |
 //! | humantime | durations, the date of a report |
 //! | clap, ctrlc, indicatif, tracing, tracing-indicatif, tracing-subscriber | the command line |
+//! | mpi | feature `mpi`: processes that train one scene |
 //! | mimalloc | the binary's allocator |
 
 pub mod config;

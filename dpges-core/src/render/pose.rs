@@ -30,6 +30,8 @@ pub struct PoseProbe {
     motion: Tensor<2>,
     /// [1, 3] of the camera, world units.
     centre: Tensor<2>,
+    /// Whether surfels and environment move too.
+    moves_all: bool,
 }
 
 impl PoseProbe {
@@ -37,7 +39,14 @@ impl PoseProbe {
     pub fn new(camera: &Camera, device: &Device, dtype: DType) -> Self {
         let motion = Tensor::zeros([1, 6], (device, dtype)).require_grad();
         let centre = TensorData::new(camera.centre().to_array().to_vec(), [1, 3]).convert_dtype(dtype);
-        Self { motion, centre: Tensor::from_data(upload(centre), (device, dtype)) }
+        Self { motion, centre: Tensor::from_data(upload(centre), (device, dtype)), moves_all: true }
+    }
+
+    /// The same for Gaussians alone. Where these are dealt out to [ranks](crate::ranks), and surfels and environment are not,
+    /// the gradients of all ranks add up to the whole if one of them moves everything, and the others Gaussians alone.
+    #[must_use]
+    pub fn of_gaussians(self) -> Self {
+        Self { moves_all: false, ..self }
     }
 
     /// [1, 6] the gradient that a backward pass left: of the rotation vector, rad, by which the camera is turned about its
@@ -48,6 +57,9 @@ impl PoseProbe {
 
     /// `surfels` as the camera sees them, but for their colours.
     pub fn surfels(&self, surfels: &Surfels) -> Surfels {
+        if !self.moves_all {
+            return surfels.clone();
+        }
         let (positions, quaternions) = self.moved(&surfels.positions, &surfels.quaternions);
         Surfels { positions, quaternions, ..surfels.clone() }
     }
@@ -60,6 +72,9 @@ impl PoseProbe {
 
     /// `coefficients` [(degree + 1)², 3] of an [environment](mod@crate::ops::environment) as the camera sees it.
     pub fn environment(&self, coefficients: &Tensor<2>) -> Tensor<2> {
+        if !self.moves_all {
+            return coefficients.clone();
+        }
         let [count, _] = coefficients.dims();
         let (device, dtype) = (coefficients.device(), coefficients.dtype());
         let changes = generators(count).map(|matrix| {

@@ -11,6 +11,7 @@ pub mod parity;
 #[cfg(any(feature = "ndarray", feature = "flex"))]
 pub mod precision;
 pub mod random;
+pub mod ranks;
 pub mod scenes;
 
 /// A CPU device that is switched on, with a tape.

@@ -1,6 +1,7 @@
 //! Which device a command runs on, and the line that says so.
 
 use dpges_train::device::probe::select_in_child;
+use dpges_train::device::ranks::Job;
 use dpges_train::device::{DeviceName, DeviceRequest, Selection};
 
 use super::{Failure, Result};
@@ -23,6 +24,12 @@ pub fn select_again(request: Option<DeviceRequest>, started_on: &str) -> Result<
         Some(request) => select(request),
         None => said(started_on.parse().map_err(Failure::Usage)?, "as before"),
     }
+}
+
+/// The device of this rank of `job`, which runs on `device`; `request` is what was asked for.
+pub fn of_rank(job: &Job, device: DeviceName, request: Option<DeviceRequest>) -> Result<DeviceName> {
+    let own = job.device(device, matches!(request, Some(DeviceRequest::Named(_))));
+    if own == device { Ok(device) } else { said(own, "as the number of this rank on its machine says") }
 }
 
 fn said(device: DeviceName, why: &str) -> Result<DeviceName> {

@@ -38,10 +38,11 @@ impl LogStyle {
     }
 }
 
-/// Starts logging; once per process.
-pub fn init(style: LogStyle, json: bool) {
+/// Starts logging; once per process. One that `follows` another says what went wrong and nothing else.
+pub fn init(style: LogStyle, json: bool, follows: bool) {
     let own = if style == LogStyle::Quiet { "" } else { ",dpges=info" };
-    let filter = EnvFilter::try_from_env(FILTER_VARIABLE).unwrap_or_else(|_| EnvFilter::new(OTHERS.to_owned() + own));
+    let filter = EnvFilter::try_from_env(FILTER_VARIABLE)
+        .unwrap_or_else(|_| EnvFilter::new(if follows { "error".to_owned() } else { OTHERS.to_owned() + own }));
     let registry = tracing_subscriber::registry().with(filter);
     if json {
         registry.with(layer().json().flatten_event(true).with_writer(std::io::stderr)).init();

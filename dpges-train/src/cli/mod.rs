@@ -33,6 +33,7 @@ use clap::error::ErrorKind;
 use clap::{CommandFactory, Parser, Subcommand};
 use dpges_train::config::ConfigError;
 use dpges_train::dataset::source::SourceError;
+use dpges_train::device::ranks::launched;
 use dpges_train::eval::video::VideoError;
 use dpges_train::metrics::lpips::choice::ChoiceError;
 use dpges_train::run::folder::write_json;
@@ -150,8 +151,10 @@ pub fn run() -> ExitCode {
         Ok(cli) => cli,
         Err(error) => error.exit(),
     };
-    let style = LogStyle::choose(cli.quiet, cli.json_log);
-    logging::init(style, cli.json_log);
+    // of several processes the first speaks for all
+    let follows = launched().is_some_and(|launched| launched.rank > 0);
+    let style = LogStyle::choose(cli.quiet || follows, cli.json_log);
+    logging::init(style, cli.json_log, follows);
     keep_lines_whole();
     let result = match cli.command {
         Command::Train(args) => train::run(args, style),

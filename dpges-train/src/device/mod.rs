@@ -7,7 +7,9 @@ pub mod choice;
 pub mod extremes;
 pub mod failure;
 pub mod memory;
+pub mod place;
 pub mod probe;
+pub mod ranks;
 pub mod selftest;
 
 use std::fmt;

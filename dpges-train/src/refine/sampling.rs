@@ -8,15 +8,16 @@ use rayon::prelude::*;
 const MARGIN: f64 = 0.15;
 
 /// `[N]` width of a pixel at each of `positions` [N × 3] (world units) in the view of `cameras` that resolves it best:
-/// depth over focal length, world units per px. Where no view sees a point, the largest of the others; 0 if none is seen.
-pub fn finest_pixels(positions: &[f32], cameras: &[&Camera]) -> Vec<f32> {
+/// depth over focal length, world units per px. Where no view sees a point, the `coarsest` of all ranks, whose argument is the
+/// largest of the others; 0 if none is seen.
+pub fn finest_pixels(positions: &[f32], cameras: &[&Camera], coarsest: impl FnOnce(f64) -> f64) -> Vec<f32> {
     let points = positions.as_chunks::<3>().0;
     let finest = |point: &[f32; 3]| {
         let world = Vec3::from_array(*point).as_dvec3();
         cameras.iter().filter_map(|camera| pixel(camera, world)).fold(f64::INFINITY, f64::min)
     };
     let mut pixels: Vec<f64> = points.par_iter().map(finest).collect();
-    let coarsest = pixels.iter().copied().filter(|pixel| pixel.is_finite()).fold(0.0, f64::max);
+    let coarsest = coarsest(pixels.iter().copied().filter(|pixel| pixel.is_finite()).fold(0.0, f64::max));
     pixels.iter_mut().filter(|pixel| !pixel.is_finite()).for_each(|pixel| *pixel = coarsest);
     pixels.into_iter().map(|pixel| pixel as f32).collect()
 }
@@ -57,11 +58,11 @@ mod tests {
         let cameras = [&far, &near, &away];
         // in the middle; 1 to the side: 50 px of the near view, 12.5 of the far; beyond both; behind them
         let positions = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 9.0, 0.0, 0.0, 0.0, 0.0, -20.0];
-        let found = finest_pixels(&positions, &cameras);
+        let found = finest_pixels(&positions, &cameras, |own| own);
         for (found, expected) in found.iter().zip([0.02, 0.08, 0.08, 0.08]) {
             assert!((found - expected).abs() < 1e-6, "{found}, expected {expected}");
         }
-        assert_eq!(finest_pixels(&positions[6..9], &cameras), [0.0]);
-        assert!(finest_pixels(&[], &cameras).is_empty());
+        assert_eq!(finest_pixels(&positions[6..9], &cameras, |own| own), [0.0]);
+        assert!(finest_pixels(&[], &cameras, |own| own).is_empty());
     }
 }

@@ -14,6 +14,7 @@ use super::validation::Validation;
 use crate::config::Config;
 use crate::optimizer::ParameterRows;
 use crate::refine::growth::Growth;
+use crate::stage::{OWNERS, in_order, is_dealt};
 
 const FORMAT: &str = "dpges-checkpoint";
 const VERSION: &str = "4";
@@ -88,6 +89,64 @@ impl Checkpoint {
     /// # Errors
     /// [`CheckpointError::Write`] if the file cannot be written.
     pub fn save(&self, path: &Path) -> Result<(), CheckpointError> {
+        Ok(write_atomically(path, |out| std::io::Write::write_all(out, &self.to_bytes()))?)
+    }
+
+    /// The part of a rank after the first: without what all ranks have alike.
+    #[must_use]
+    pub fn of_later_rank(mut self) -> Self {
+        let has_own = self.columns.contains_key(OWNERS);
+        self.attributes.retain(|name, _| has_own && is_dealt(name));
+        self.columns.retain(|name, _| has_own && is_dealt(name));
+        self.max_pixels = Vec::new();
+        self
+    }
+
+    /// The checkpoint of the whole scene, from the parts of all ranks in their order.
+    ///
+    /// # Errors
+    /// A message if they do not fit each other.
+    pub fn join(mut parts: Vec<Self>) -> Result<Self, String> {
+        if parts.is_empty() {
+            return Err("there is no part of any rank".to_owned());
+        }
+        let mut whole = parts.remove(0);
+        if parts.iter().any(|part| part.state.completed_steps != whole.state.completed_steps) {
+            return Err("its parts are of different steps".to_owned());
+        }
+        let Some(owners) = whole.columns.get(OWNERS) else { return Ok(whole) };
+        let owners: Vec<u16> = owners.iter().map(|&owner| owner as u16).collect();
+        let misfit = |name: &str| format!("the parts of `{name}` do not fit each other");
+        for (name, rows) in whole.attributes.iter_mut().filter(|(name, _)| is_dealt(name)) {
+            let others: Option<Vec<&ParameterRows>> = parts.iter().map(|part| part.attributes.get(name)).collect();
+            let others = others.ok_or_else(|| misfit(name))?;
+            let all = |own: &Vec<f32>, of: &dyn Fn(&ParameterRows) -> Option<Vec<f32>>| {
+                let of_ranks: Option<Vec<Vec<f32>>> =
+                    std::iter::once(Some(own.clone())).chain(others.iter().map(|rows| of(rows))).collect();
+                in_order(&owners, &of_ranks?, rows.width)
+            };
+            let raw = all(&rows.raw, &|rows| Some(rows.raw.clone())).ok_or_else(|| misfit(name))?;
+            let moments = match &rows.moments {
+                Some([first, second]) => {
+                    let moment = |own, at: usize| {
+                        all(own, &|rows| Some(rows.moments.as_ref()?[at].clone())).ok_or_else(|| misfit(name))
+                    };
+                    Some([moment(first, 0)?, moment(second, 1)?])
+                }
+                None => None,
+            };
+            *rows = ParameterRows { count: owners.len(), width: rows.width, raw, moments };
+        }
+        for (name, column) in whole.columns.iter_mut().filter(|(name, _)| is_dealt(name)) {
+            let others = parts.iter().map(|part| part.columns.get(name).cloned());
+            let of_ranks: Option<Vec<Vec<f32>>> = std::iter::once(Some(column.clone())).chain(others).collect();
+            *column = of_ranks.and_then(|of_ranks| in_order(&owners, &of_ranks, 1)).ok_or_else(|| misfit(name))?;
+        }
+        Ok(whole)
+    }
+
+    /// The bytes of the file.
+    pub fn to_bytes(&self) -> Vec<u8> {
         let mut arrays: Vec<(String, [usize; 2], Vec<u8>)> = Vec::new();
         let bytes = |values: &[f32]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
         let mut names: Vec<&String> = self.attributes.keys().collect();
@@ -113,8 +172,7 @@ impl Checkpoint {
             [("format", FORMAT), ("version", VERSION), ("progress", state.as_str())]
                 .map(|(key, value)| (key.to_owned(), value.to_owned())),
         );
-        let file = container::serialize(views, metadata).expect("names are unique");
-        Ok(write_atomically(path, |out| std::io::Write::write_all(out, &file))?)
+        container::serialize(views, metadata).expect("names are unique")
     }
 
     /// Reads a file that [`save`](Self::save) has written.
@@ -123,7 +181,15 @@ impl Checkpoint {
     /// [`CheckpointError`] names the file and what is wrong with it.
     pub fn load(path: &Path) -> Result<Self, CheckpointError> {
         let bytes = std::fs::read(path).map_err(|source| CheckpointError::Read { path: path.to_owned(), source })?;
-        parse(&bytes).map_err(|reason| CheckpointError::Content { path: path.to_owned(), reason })
+        Self::from_bytes(&bytes, path)
+    }
+
+    /// From the bytes of the file at `path`.
+    ///
+    /// # Errors
+    /// [`CheckpointError::Content`] says what is wrong with them.
+    pub fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, CheckpointError> {
+        parse(bytes).map_err(|reason| CheckpointError::Content { path: path.to_owned(), reason })
     }
 }
 

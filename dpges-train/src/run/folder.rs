@@ -6,6 +6,8 @@
 //! metrics.jsonl             losses, PSNR and counts along the run, see `run::metrics_log`
 //! scene.safetensors         the scene at the last checkpoint, then the result
 //! checkpoint.safetensors    what `--resume` continues from
+//! checkpoint.json           in its place, of a run on several ranks: the newest two generations, see `run::shards`
+//! checkpoint_N_R_of_RANKS.safetensors  the part of rank R in generation N
 //! stage_NAME.safetensors    the scene at the end of a stage before the last (`2dgs`, `dbs`, `mcmc`)
 //! stage_NAME.json           its evaluation, like eval.json
 //! exposure.json             gain and offset of every training view in that scene, if exposures are corrected
@@ -31,12 +33,13 @@ use serde::{Deserialize, Serialize};
 use crate::config::{Config, StageKind};
 use crate::views::pose::RefinedPoses;
 
-const FILES: [&str; 25] = [
+const FILES: [&str; 26] = [
     "config.toml",
     "run.json",
     "metrics.jsonl",
     "scene.safetensors",
     "checkpoint.safetensors",
+    "checkpoint.json",
     "eval.json",
     "validation.json",
     "target.json",
@@ -137,6 +140,21 @@ impl RunFolder {
         self.path.join("checkpoint.safetensors")
     }
 
+    /// What names the parts of a checkpoint of several ranks.
+    pub fn manifest(&self) -> PathBuf {
+        self.path.join("checkpoint.json")
+    }
+
+    /// The parts of checkpoints of several ranks that are there.
+    pub fn shards(&self) -> Vec<PathBuf> {
+        let entries = std::fs::read_dir(&self.path).into_iter().flatten().flatten();
+        let is_shard = |path: &PathBuf| {
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            name.starts_with("checkpoint_") && name.contains("_of_") && name.ends_with(".safetensors")
+        };
+        entries.map(|entry| entry.path()).filter(is_shard).collect()
+    }
+
     pub fn evaluation(&self) -> PathBuf {
         self.path.join("eval.json")
     }
@@ -205,8 +223,31 @@ impl RunFolder {
     /// # Errors
     /// [`RunFolderError::NoCheckpoint`] if there is none.
     pub fn check_resumable(&self) -> Result<(), RunFolderError> {
-        let missing = self.checkpoint();
-        if missing.is_file() { Ok(()) } else { Err(RunFolderError::NoCheckpoint { path: self.path.clone(), missing }) }
+        if self.has_checkpoint() {
+            return Ok(());
+        }
+        Err(RunFolderError::NoCheckpoint { path: self.path.clone(), missing: self.checkpoint() })
+    }
+
+    /// Whether there is a checkpoint.
+    pub fn has_checkpoint(&self) -> bool {
+        self.checkpoint().is_file() || self.manifest().is_file()
+    }
+
+    /// Removes a file of the folder, if it is there.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn remove(&self, path: &Path) -> Result<(), Error> {
+        remove(path)
+    }
+
+    /// Writes a file of this `name`, whole or not at all.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn write(&self, name: &str, bytes: &[u8]) -> Result<(), Error> {
+        write_atomically(&self.path.join(name), |file| file.write_all(bytes))
     }
 
     /// Makes the folder, removes the files of an earlier run and nothing else, and writes `run.json` and `config.toml`.
@@ -217,6 +258,9 @@ impl RunFolder {
         let pictures = self.pictures();
         for file in FILES {
             remove(&self.path.join(file))?;
+        }
+        for shard in self.shards() {
+            remove(&shard)?;
         }
         for entry in std::fs::read_dir(&pictures).into_iter().flatten().flatten() {
             let name = entry.file_name();

@@ -33,14 +33,18 @@ mod error;
 #[cfg(test)]
 pub mod fixtures;
 pub mod folder;
+mod hash;
 #[cfg(test)]
 mod masked_tests;
 pub mod metrics_log;
 mod observer;
 #[cfg(test)]
 mod peak_tests;
+#[cfg(test)]
+mod ranks_tests;
 mod record;
 pub mod scene;
+mod shards;
 pub mod shell;
 pub mod step_cost;
 #[cfg(test)]
@@ -55,12 +59,12 @@ mod validation;
 use std::sync::Arc;
 use std::time::Instant;
 
-use burn::tensor::Device;
 use dpges_core::scene::SceneData;
 
 use crate::config::Config;
 use crate::dataset::Dataset;
 use crate::device::memory::PeakMemory;
+use crate::device::place::Place;
 use crate::eval::Evaluation;
 pub use crate::stage::{StepReport, TrainError, budget};
 use checkpoint::Checkpoint;
@@ -76,8 +80,12 @@ pub struct Run {
     trainer: Trainer,
     /// Began with the run, or where it goes on.
     peak: PeakMemory,
-    /// `None` if the run is kept in memory.
+    /// Where it writes to; `None` if it is kept in memory.
+    folder: Option<RunFolder>,
+    /// What the first rank writes; `None` on others, and if the run is kept in memory.
     record: Option<Record>,
+    /// Completed steps of the checkpoint in the folder.
+    saved: Option<usize>,
     /// The best scene by the validation views, unless it is in the folder.
     best: Option<SceneData>,
     /// The scene that the last stage began with, unless it is in the folder or there was no stage before.
@@ -115,7 +123,7 @@ impl SavedRun {
     /// be read.
     pub fn open(folder: RunFolder) -> Result<Self, RunError> {
         folder.check_resumable()?;
-        let checkpoint = Checkpoint::load(&folder.checkpoint())?;
+        let checkpoint = shards::load(&folder)?;
         let origin = folder.read_origin()?;
         Ok(Self { folder, origin, checkpoint })
     }
@@ -136,15 +144,15 @@ impl SavedRun {
 }
 
 impl Run {
-    /// A run before its first step, in memory. Where the configuration decides by validation views and `data` has none,
+    /// A run before its first step, in memory, on a device alone or on one of several ranks. Where the configuration decides by validation views and `data` has none,
     /// every [`Config::validation_every`]th training view becomes one.
     ///
     /// # Errors
     /// [`RunError::Train`] if the dataset, or a file that the configuration names, is not what the run begins with.
-    pub fn new(config: Config, data: impl Into<Arc<Dataset>>, device: Device) -> Result<Self, RunError> {
+    pub fn new(config: Config, data: impl Into<Arc<Dataset>>, place: impl Into<Place>) -> Result<Self, RunError> {
         let peak = PeakMemory::start();
         let data = with_validation(data.into(), &config);
-        Ok(Self::of(Trainer::new(config, data, device)?, peak))
+        Ok(Self::of(Trainer::new(config, data, place)?, peak))
     }
 
     /// Goes on where `saved` was last saved, with the dataset that it was started with.
@@ -152,20 +160,29 @@ impl Run {
     /// # Errors
     /// [`RunError::Train`] if the dataset is another one or the checkpoint contradicts itself, [`RunError::Core`] if the
     /// metrics cannot be read.
-    pub fn resume(saved: SavedRun, data: impl Into<Arc<Dataset>>, device: Device) -> Result<Self, RunError> {
+    pub fn resume(saved: SavedRun, data: impl Into<Arc<Dataset>>, place: impl Into<Place>) -> Result<Self, RunError> {
         let peak = PeakMemory::start();
         let SavedRun { folder, origin, checkpoint } = saved;
         let data = with_validation(data.into(), checkpoint.config());
-        let (record, seconds_before) = Record::resume(folder, origin, &checkpoint, peak)?;
-        let trainer = Trainer::resume(checkpoint, data, device)?;
-        Ok(Self { record: Some(record), seconds_before, ..Self::of(trainer, peak) })
+        let place = place.into();
+        let (record, seconds_before) = if place.ranks.is_first() {
+            let (record, seconds) = Record::resume(folder.clone(), origin, &checkpoint, peak)?;
+            (Some(record), seconds)
+        } else {
+            (None, 0.0)
+        };
+        let saved = Some(checkpoint.completed_steps());
+        let trainer = Trainer::resume(checkpoint, data, place)?;
+        Ok(Self { folder: Some(folder), record, saved, seconds_before, ..Self::of(trainer, peak) })
     }
 
     fn of(trainer: Trainer, peak: PeakMemory) -> Self {
         Self {
             trainer,
             peak,
+            folder: None,
             record: None,
+            saved: None,
             best: None,
             before_last_stage: None,
             seconds_before: 0.0,
@@ -173,7 +190,7 @@ impl Run {
         }
     }
 
-    /// Makes the run write to `folder` from now on.
+    /// Makes the run write to `folder` from now on. Of several ranks the first writes all but its parts of checkpoints.
     ///
     /// # Errors
     /// [`RunError::Folder`] if the folder holds another run or cannot be written.
@@ -187,11 +204,14 @@ impl Run {
     /// # Errors
     /// [`RunError::Folder`] if the folder cannot be written.
     pub fn overwrite(self, folder: RunFolder, origin: Origin) -> Result<Self, RunError> {
-        let record = Record::start(folder, origin, self.trainer.config(), self.peak)?;
+        if !self.trainer.ranks().is_first() {
+            return Ok(Self { folder: Some(folder), saved: None, best: None, ..self });
+        }
+        let record = Record::start(folder.clone(), origin, self.trainer.config(), self.peak)?;
         if let Some(best) = &self.best {
             best.save(&record.folder.best())?;
         }
-        Ok(Self { record: Some(record), best: None, ..self })
+        Ok(Self { folder: Some(folder), record: Some(record), saved: None, best: None, ..self })
     }
 
     /// The object that takes the steps of the run: it knows the scene as it stands, the configuration and the state.
@@ -201,12 +221,12 @@ impl Run {
 
     /// Where the run writes to; `None` if it is kept in memory.
     pub fn folder(&self) -> Option<&RunFolder> {
-        self.record.as_ref().map(|record| &record.folder)
+        self.folder.as_ref()
     }
 
     /// Completed steps of the checkpoint in the folder; `None` if there is none.
     pub fn saved_step(&self) -> Option<usize> {
-        self.record.as_ref().and_then(|record| record.saved)
+        self.saved
     }
 }
 

@@ -8,7 +8,7 @@ use dpges_core::scene::atomic::write_atomically;
 use dpges_core::{Error, Result};
 
 use super::StepReport;
-use super::checkpoint::{Checkpoint, CheckpointError};
+use super::checkpoint::Checkpoint;
 use super::folder::{Origin, RunFolder, RunFolderError, write_json};
 use super::metrics_log::MetricsLog;
 use crate::config::Config;
@@ -27,8 +27,6 @@ pub struct Record {
     pub metrics: MetricsLog,
     /// Peak memory of the run, in this process.
     peak: PeakMemory,
-    /// Completed steps of the checkpoint in the folder.
-    pub saved: Option<usize>,
 }
 
 impl Record {
@@ -39,7 +37,7 @@ impl Record {
     pub fn start(folder: RunFolder, origin: Origin, config: &Config, peak: PeakMemory) -> Result<Self, RunFolderError> {
         folder.start(&origin, config)?;
         let metrics = MetricsLog::create(&folder.metrics())?;
-        Ok(Self { folder, origin, metrics, peak, saved: None })
+        Ok(Self { folder, origin, metrics, peak })
     }
 
     /// The record of a run that goes on where `checkpoint` was made, and the seconds that it had taken by then; `peak` began
@@ -50,7 +48,7 @@ impl Record {
     pub fn resume(folder: RunFolder, origin: Origin, checkpoint: &Checkpoint, peak: PeakMemory) -> Result<(Self, f64)> {
         let completed = checkpoint.completed_steps();
         let (metrics, seconds) = MetricsLog::resume(&folder.metrics(), completed, checkpoint.stage_is_over())?;
-        Ok((Self { folder, origin, metrics, peak, saved: Some(completed) }, seconds))
+        Ok((Self { folder, origin, metrics, peak }, seconds))
     }
 
     /// Logs every tenth step, those with events, and the `last`; `seconds` is the time of the whole run so far.
@@ -58,19 +56,6 @@ impl Record {
         if report.step.is_multiple_of(METRICS_EVERY) || !report.events.is_empty() || last {
             self.metrics.step(report, seconds)?;
         }
-        Ok(())
-    }
-
-    /// Writes `scene` with its `corrections`, and `checkpoint`.
-    pub fn save(
-        &mut self,
-        scene: &SceneData,
-        corrections: &ViewCorrections,
-        checkpoint: &Checkpoint,
-    ) -> Result<(), CheckpointError> {
-        self.save_scene(scene, corrections, &self.folder.scene())?;
-        checkpoint.save(&self.folder.checkpoint())?;
-        self.saved = Some(checkpoint.completed_steps());
         Ok(())
     }
 

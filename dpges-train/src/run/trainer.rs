@@ -7,17 +7,20 @@ use std::sync::Arc;
 
 use burn::tensor::Device;
 use dpges_core::backend::device::is_gpu;
+use dpges_core::ranks::Ranks;
 use dpges_core::scene::SceneData;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use super::checkpoint::{Checkpoint, RunState};
+use super::hash::Hash;
 use super::validation::Validation;
 use crate::config::{Config, StagePlan};
 use crate::dataset::Dataset;
+use crate::device::place::Place;
 use crate::stage::{
-    self, BeforeStep, Context, DevicePhotographs, PendingStep, Settled, Stage, StageCheckpoint, StepReport, TrainError,
-    Trained, begin_step, budget,
+    self, BeforeStep, Context, DevicePhotographs, Parameters, PendingStep, Settled, Stage, StageCheckpoint, StepReport,
+    TrainError, Trained, begin_step, budget,
 };
 use crate::views::corrections::ViewCorrections;
 use crate::views::exposure::ExposureState;
@@ -39,14 +42,14 @@ pub struct Trainer {
 }
 
 impl Trainer {
-    /// A run before its first step.
+    /// A run before its first step, on a device alone or on one of several ranks.
     ///
     /// # Errors
     /// [`TrainError::Init`] if the dataset has nothing to begin with, [`TrainError::Pretrained`] if a file that the
     /// configuration names cannot take the place of a stage, [`TrainError::Plan`] if the plan lacks something else.
-    pub fn new(config: Config, dataset: Arc<Dataset>, device: Device) -> Result<Self, TrainError> {
+    pub fn new(config: Config, dataset: Arc<Dataset>, place: impl Into<Place>) -> Result<Self, TrainError> {
         let plan = config.plan();
-        let mut context = Self::context(config, dataset, device);
+        let mut context = Self::context(config, dataset, place.into());
         context.check_plan(&plan)?;
         context.exposure = context.start_of_exposure()?;
         context.poses = context.start_of_poses();
@@ -63,10 +66,11 @@ impl Trainer {
     /// # Errors
     /// [`TrainError::Pretrained`], [`TrainError::Plan`].
     pub fn check(config: &Config, dataset: &Arc<Dataset>, device: &Device) -> Result<(), TrainError> {
-        Self::context(config.clone(), Arc::clone(dataset), device.clone()).check_plan(&config.plan())
+        Self::context(config.clone(), Arc::clone(dataset), device.clone().into()).check_plan(&config.plan())
     }
 
-    fn context(config: Config, dataset: Arc<Dataset>, device: Device) -> Context {
+    fn context(config: Config, dataset: Arc<Dataset>, place: Place) -> Context {
+        let Place { device, ranks } = place;
         let rng = ChaCha8Rng::seed_from_u64(config.train.seed);
         let photographs = DevicePhotographs::new(&config, &device);
         let budget = budget(&config, &dataset);
@@ -74,6 +78,7 @@ impl Trainer {
             dataset,
             config,
             device,
+            ranks,
             rng,
             remaining_views: Vec::new(),
             completed_steps: 0,
@@ -85,11 +90,12 @@ impl Trainer {
         }
     }
 
-    /// Goes on where `checkpoint` was made.
+    /// Goes on where `checkpoint`, with the Gaussians of all ranks, was made, by any number of ranks.
     ///
     /// # Errors
     /// [`TrainError::Resume`] if the dataset is another one or the checkpoint contradicts itself.
-    pub fn resume(checkpoint: Checkpoint, dataset: Arc<Dataset>, device: Device) -> Result<Self, TrainError> {
+    pub fn resume(checkpoint: Checkpoint, dataset: Arc<Dataset>, place: impl Into<Place>) -> Result<Self, TrainError> {
+        let place = place.into();
         let Checkpoint { state, mut attributes, mut columns, max_pixels } = checkpoint;
         let RunState { config, info, completed_steps, refined, stage: at, validation, growth, .. } = state;
         let RunState { rng, remaining_views, view_names, .. } = state;
@@ -102,11 +108,11 @@ impl Trainer {
         let Some(&current) = plan.get(at) else {
             return Err(TrainError::Resume { reason: format!("stage {at} of {} does not exist", plan.len()) });
         };
-        let exposure = ExposureState::from_rows(&mut attributes, dataset.train.len(), &device)
+        let exposure = ExposureState::from_rows(&mut attributes, dataset.train.len(), &place.device)
             .map_err(|reason| TrainError::Resume { reason })?;
         let poses = PoseState::from_rows(&mut attributes, &mut columns, &dataset)
             .map_err(|reason| TrainError::Resume { reason })?;
-        let context = Self::context(config, dataset, device);
+        let context = Self::context(config, dataset, place);
         let mut context = Context { rng, remaining_views, completed_steps, exposure, poses, ..context };
         context.depth = context.start_of_depth();
         context.place_cameras();
@@ -116,7 +122,8 @@ impl Trainer {
         Ok(Self { context, plan, at, stage, trained, validation, pending: None, refined_after })
     }
 
-    /// All that [`resume`](Self::resume) needs to go on to the same result. Settle before.
+    /// All that [`resume`](Self::resume) needs to go on to the same result; of several ranks the part of this one, see
+    /// [`Checkpoint::join`]. Settle before.
     pub fn checkpoint(&self) -> Checkpoint {
         let context = &self.context;
         let mut stage = self.stage.checkpoint();
@@ -153,6 +160,38 @@ impl Trainer {
 
     pub fn device(&self) -> &Device {
         &self.context.device
+    }
+
+    pub fn ranks(&self) -> &Arc<dyn Ranks> {
+        &self.context.ranks
+    }
+
+    /// Compares what all ranks have alike.
+    ///
+    /// # Errors
+    /// [`TrainError::Diverged`] names the first rank that has something else.
+    pub fn check_ranks(&mut self) -> Result<(), TrainError> {
+        let ranks = &self.context.ranks;
+        if ranks.is_alone() {
+            return Ok(());
+        }
+        let is_dealt = !self.stage.ranks().is_alone();
+        let Parameters { surfels, gaussians, environment, .. } = self.stage.parameters();
+        let mut hash = Hash::default();
+        let replicated = surfels.rows().into_values().chain(environment.rows().map(|(_, rows)| rows));
+        let replicated = replicated.chain(self.context.exposure.rows().map(|(_, rows)| rows));
+        replicated.for_each(|rows| hash.add_numbers(&rows.raw));
+        if !is_dealt {
+            gaussians.rows().into_values().for_each(|rows| hash.add_numbers(&rows.raw));
+        }
+        let hashes = ranks.gather_numbers(&[hash.value()]).concat();
+        let alike = |of: u64| hashes.iter().filter(|&&other| other == of).count();
+        // the first of equally many
+        let most = hashes.iter().rev().copied().max_by_key(|&of| alike(of)).expect("there are ranks");
+        match hashes.iter().position(|&of| of != most) {
+            Some(rank) => Err(TrainError::Diverged { step: self.context.completed_steps, rank }),
+            None => Ok(()),
+        }
     }
 
     /// Steps of the whole run that are done, or that a GPU is still working on.
@@ -208,7 +247,7 @@ impl Trainer {
         self.context.pose_changes()
     }
 
-    /// The scene as it stands.
+    /// The scene as it stands. All ranks ask for it together.
     pub fn scene(&self) -> SceneData {
         self.stage.scene()
     }
@@ -274,7 +313,9 @@ impl Trainer {
             Ok(begun) => begun,
             Err(error) => {
                 self.context.go_back(before);
-                return Err(error);
+                let ranks = &self.context.ranks;
+                let of_rank = |error| TrainError::OnRank { rank: ranks.rank(), source: Box::new(error) };
+                return Err(if ranks.is_alone() { error } else { of_rank(error) });
             }
         };
         self.pending = Some((begun.learn(&mut *self.stage, &mut self.context)?, before));

@@ -1,12 +1,15 @@
 //! Training to the end: steps, and between them evaluations, checkpoints and the ends of stages.
 
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
 use dpges_core::scene::SceneData;
 
+use super::shards;
 use super::{Observer, Outcome, Run, RunError, StepReport, TrainError, Trainer, Verdict};
 use crate::config::Stop;
+use crate::device::place::Place;
 use crate::eval::floaters::Floaters;
 use crate::eval::pictures::{comparison, file_stems, save_png};
 use crate::eval::rendered::Renderer;
@@ -17,6 +20,8 @@ type Work = fn(&mut Trainer) -> Result<Option<StepReport>, TrainError>;
 
 /// Number of held-out views written as pictures at each evaluation.
 const PICTURE_VIEWS: usize = 3;
+/// Steps after which ranks compare what they have alike.
+const COMPARE_EVERY: usize = 200;
 
 impl Run {
     /// Trains to the end. Evaluates and saves on the way, as the configuration says.
@@ -35,6 +40,7 @@ impl Run {
 
     fn train_to_the_end(&mut self, observer: &mut dyn Observer) -> Result<(SceneData, Option<Evaluation>), RunError> {
         let train = self.trainer.config().train.clone();
+        let ranks = Arc::clone(self.trainer.ranks());
         while !self.trainer.is_finished() {
             if self.trainer.stage_is_over() {
                 self.end_stage(observer)?;
@@ -50,12 +56,15 @@ impl Run {
                 self.work(Trainer::settle, observer)?;
                 self.validate(train.patience, observer)?;
             }
-            if observer.wants_scene() {
+            if ranks.any(observer.wants_scene()) {
                 self.work(Trainer::settle, observer)?;
                 observer.scene(step, self.trainer.scene());
             }
             let finished = self.trainer.is_finished();
-            let stop = !finished && observer.should_stop();
+            let stop = !finished && ranks.any(observer.should_stop());
+            if is_due(step, COMPARE_EVERY) {
+                self.trainer.check_ranks()?;
+            }
             if is_due(step, train.checkpoint_every) || finished || stop {
                 self.work(Trainer::settle, observer)?;
                 self.save(observer)?;
@@ -68,8 +77,9 @@ impl Run {
         let scene = self.unless_it_was_better_before(scene)?;
         self.report_validation(&scene, observer)?;
         let evaluation = self.evaluate(&scene, Measures::perceptual(&[]), observer)?;
+        let floaters = self.floaters(&scene)?;
         if let (Some(evaluation), Some(record)) = (&evaluation, &self.record) {
-            let (folder, floaters) = (&record.folder, self.floaters(&scene)?);
+            let folder = &record.folder;
             record.report("test", &folder.scene(), evaluation, floaters, &folder.evaluation())?;
         }
         Ok((scene, evaluation))
@@ -109,22 +119,17 @@ impl Run {
             record.save_scene(&scene, &self.trainer.view_corrections(), &record.folder.stage_scene(stage.kind))?;
         }
         observer.stage_ended(stage, &scene);
-        if let (Some(evaluation), Some(record)) = (self.evaluate(&scene, Measures::BASIC, observer)?, &self.record) {
-            let folder = &record.folder;
-            record.report(
-                "test",
-                &folder.stage_scene(stage.kind),
-                &evaluation,
-                self.floaters(&scene)?,
-                &folder.stage_evaluation(stage.kind),
-            )?;
+        let (evaluation, floaters) = (self.evaluate(&scene, Measures::BASIC, observer)?, self.floaters(&scene)?);
+        if let (Some(evaluation), Some(record)) = (evaluation, &self.record) {
+            let (file, report) = (record.folder.stage_scene(stage.kind), record.folder.stage_evaluation(stage.kind));
+            record.report("test", &file, &evaluation, floaters, &report)?;
         }
         if self.trainer.last_but_one().is_some_and(|before| before.kind == stage.kind) {
             if !self.trainer.dataset().validation.is_empty() {
-                let psnr = self.evaluate_validation(&scene)?.deciding_psnr();
+                let psnr = self.deciding_psnr(&self.evaluate_validation(&scene)?);
                 self.trainer.validation_mut().begin_last_stage(psnr);
             }
-            self.before_last_stage = self.record.is_none().then_some(scene);
+            self.before_last_stage = self.folder.is_none().then_some(scene);
         }
         self.trainer.next_stage()?;
         self.save(observer)
@@ -137,7 +142,7 @@ impl Run {
         else {
             return Ok(scene);
         };
-        let psnr = self.evaluate_validation(&scene)?.deciding_psnr();
+        let psnr = self.deciding_psnr(&self.evaluate_validation(&scene)?);
         if psnr >= before {
             return Ok(scene);
         }
@@ -146,10 +151,18 @@ impl Run {
              stage {} (a longer run may be better: --steps)",
             stage.kind
         );
-        let Some(record) = &self.record else {
+        let Some(folder) = &self.folder else {
             return Ok(self.before_last_stage.take().expect("kept when the stage ended"));
         };
-        Ok(record.take(&record.folder.stage_scene(stage.kind))?)
+        self.take(&folder.stage_scene(stage.kind))
+    }
+
+    /// The scene in the file `earlier` of the folder, which becomes that of the run.
+    fn take(&self, earlier: &Path) -> Result<SceneData, RunError> {
+        Ok(match &self.record {
+            Some(record) => record.take(earlier)?,
+            None => SceneData::load(earlier)?,
+        })
     }
 
     /// Lets the validation views judge the scene as it stands.
@@ -157,7 +170,7 @@ impl Run {
         let (step, scene) = (self.trainer.completed_steps(), self.trainer.scene());
         self.check_device(observer)?;
         let evaluation = self.evaluate_validation(&scene)?;
-        let psnr = evaluation.deciding_psnr();
+        let psnr = self.deciding_psnr(&evaluation);
         let verdict = self.trainer.validation_mut().observe(step, psnr, patience);
         let is_best = verdict == Verdict::Best;
         let seconds = self.seconds();
@@ -166,7 +179,7 @@ impl Run {
             if is_best {
                 record.save_scene(&scene, &self.trainer.view_corrections(), &record.folder.best())?;
             }
-        } else if is_best {
+        } else if is_best && self.folder.is_none() {
             self.best = Some(scene);
         }
         observer.validated(step, psnr, verdict);
@@ -175,12 +188,12 @@ impl Run {
 
     /// Writes down how well `scene`, the result, shows the validation views, if there are any and there is a folder.
     fn report_validation(&self, scene: &SceneData, observer: &mut dyn Observer) -> Result<(), RunError> {
-        let Some(record) = &self.record else { return Ok(()) };
-        if self.trainer.dataset().validation.is_empty() {
+        if self.folder.is_none() || self.trainer.dataset().validation.is_empty() {
             return Ok(());
         }
         let evaluation = self.evaluate_validation(scene)?;
         self.check_device(observer)?;
+        let Some(record) = &self.record else { return Ok(()) };
         let folder = &record.folder;
         Ok(record.report("validation", &folder.scene(), &evaluation, None, &folder.validation())?)
     }
@@ -191,20 +204,30 @@ impl Run {
         evaluate_each(&self.renderer(scene), scene, views, device, measures, |_, _| Ok(()))
     }
 
-    /// The best scene by the validation views; in a folder it becomes the scene of the run.
-    fn best_scene(&self) -> Result<SceneData, RunError> {
-        let Some(record) = &self.record else {
-            return Ok(self.best.clone().unwrap_or_else(|| self.trainer.scene()));
-        };
-        Ok(record.take(&record.folder.best())?)
+    /// The PSNR of validation views that all ranks decide by, dB.
+    fn deciding_psnr(&self, evaluation: &Evaluation) -> f64 {
+        self.trainer.ranks().of_first(vec![evaluation.deciding_psnr()])[0]
     }
 
+    /// The best scene by the validation views; in a folder it becomes the scene of the run.
+    fn best_scene(&self) -> Result<SceneData, RunError> {
+        match &self.folder {
+            Some(folder) => self.take(&folder.best()),
+            None => Ok(self.best.clone().unwrap_or_else(|| self.trainer.scene())),
+        }
+    }
+
+    /// `None` if they are written nowhere, or not known.
     fn floaters(&self, scene: &SceneData) -> Result<Option<Floaters>, RunError> {
+        if self.folder.is_none() || self.trainer.dataset().test.is_empty() {
+            return Ok(None);
+        }
         Ok(self.renderer(scene).floaters(self.trainer.dataset())?)
     }
 
     fn renderer(&self, scene: &SceneData) -> Renderer {
-        Renderer::new(scene, self.trainer.device())
+        let place = Place { device: self.trainer.device().clone(), ranks: Arc::clone(self.trainer.ranks()) };
+        Renderer::on_ranks(scene, &place)
     }
 
     /// Evaluates the held-out views and writes pictures of a few; `None` if there are none.
@@ -236,19 +259,21 @@ impl Run {
 
     /// Saves scene and checkpoint, if there is a folder.
     fn save(&mut self, observer: &mut dyn Observer) -> Result<(), RunError> {
-        if self.record.is_none() {
-            return Ok(());
-        }
+        let Some(folder) = &self.folder else { return Ok(()) };
+        self.trainer.check_ranks()?;
         let (scene, checkpoint) = (self.trainer.scene(), self.trainer.checkpoint());
         // what was read from a device that has failed must not replace the files of an earlier step
         self.check_device(observer)?;
-        if let Some(record) = &mut self.record {
-            record.save(&scene, &self.trainer.view_corrections(), &checkpoint)?;
-            if let Some(changes) = self.trainer.pose_changes() {
-                tracing::info!("after {} steps training cameras are {changes}", checkpoint.completed_steps());
-            }
-            observer.saved(checkpoint.completed_steps());
+        if let Some(record) = &self.record {
+            record.save_scene(&scene, &self.trainer.view_corrections(), &folder.scene())?;
         }
+        let completed = checkpoint.completed_steps();
+        shards::save(checkpoint, folder, &**self.trainer.ranks())?;
+        self.saved = Some(completed);
+        if let Some(changes) = self.trainer.pose_changes() {
+            tracing::info!("after {completed} steps training cameras are {changes}");
+        }
+        observer.saved(completed);
         Ok(())
     }
 

@@ -7,7 +7,7 @@ use dpges_core::scene::{ColourModel, GaussianData, SceneInfo};
 
 use super::blended::{BlendedStage, Momenta, ScreenGradients};
 use super::joint::schedule::Schedule;
-use super::joint::{JointStage, SamplingLimits, SkyMasks, Statistics, Supervisions};
+use super::joint::{Dealt, JointStage, OWNERS, SamplingLimits, SkyMasks, Statistics, Supervisions};
 use super::sampling_limit::SamplingLimit;
 use super::{Context, EnvironmentState, TrainError, WeightedSumState};
 use crate::config::{Blended, OpacityActivation, StagePlan};
@@ -22,6 +22,11 @@ const MOMENTA: &str = "momenta";
 /// Columns of the filters of surfels and of Gaussians.
 const SURFEL_LIMIT: &str = "surfel_sampling_limit";
 const GAUSSIAN_LIMIT: &str = "sampling_limit";
+
+/// Whether an attribute or a column has a row for each Gaussian of the joint stage.
+pub fn is_dealt(name: &str) -> bool {
+    name.starts_with("gaussians.") || [MAX_CONTRIBUTIONS, ERRORS, GAUSSIAN_LIMIT].contains(&name)
+}
 
 /// The part of a stage in the checkpoint of its run.
 pub struct StageCheckpoint {
@@ -61,7 +66,7 @@ impl StageCheckpoint {
             .flat_map(|limits| [(SURFEL_LIMIT, limits.surfels.column()), (GAUSSIAN_LIMIT, limits.gaussians.column())]);
         let statistics =
             [(MAX_CONTRIBUTIONS, stage.statistics.max_contributions()), (ERRORS, stage.statistics.errors())];
-        let columns = statistics.into_iter().chain(limits);
+        let columns = statistics.into_iter().chain(limits).chain(stage.dealt.column());
         let mut checkpoint = Self {
             info: stage.info.clone(),
             growth: stage.growth.clone(),
@@ -138,7 +143,7 @@ impl BlendedStage {
 }
 
 impl JointStage {
-    /// The stage of `plan` where `checkpoint` was made, with the `discs` of its losses.
+    /// The stage of `plan` where `checkpoint`, with the Gaussians of all ranks, was made, with the `discs` of its losses.
     ///
     /// # Errors
     /// [`TrainError::Resume`] if the checkpoint contradicts itself, [`TrainError::Core`] if the discs cannot be rendered.
@@ -152,17 +157,30 @@ impl JointStage {
         let (model, device) = (info.colour_model, &context.device);
         let (contributions, errors) = (column(&mut columns, MAX_CONTRIBUTIONS)?, column(&mut columns, ERRORS)?);
         let wrong = |reason| TrainError::Resume { reason };
+        let count = attributes.get(GaussianData::ATTRIBUTES[0].raw_name).map_or(0, |rows| rows.count);
+        if [contributions.len(), errors.len()] != [count; 2] {
+            return Err(wrong("`max_contributions` or `errors` does not fit the Gaussians".into()));
+        }
+        let dealt = Dealt::from_column(columns.remove(OWNERS), count, context.ranks.clone()).map_err(wrong)?;
+        if !context.ranks.is_alone() {
+            for (_, rows) in attributes.iter_mut().filter(|(name, _)| is_dealt(name)) {
+                *rows = dealt.own_rows(rows).map_err(wrong)?;
+            }
+        }
         let surfels =
             SurfelState::from_rows(&mut attributes, model, OpacityActivation::Linear, device).map_err(wrong)?;
         let gaussians =
             GaussianState::from_rows(&mut attributes, model, context.config.model.opacity, device).map_err(wrong)?;
         let environment = EnvironmentState::from_rows(&mut attributes, device).map_err(wrong)?;
-        let observed = [max_pixels.len(), contributions.len(), errors.len()];
-        if observed != [surfels.len(), gaussians.len(), gaussians.len()] {
-            return Err(wrong("`max_pixels`, `max_contributions` or `errors` does not fit the primitives".into()));
+        if max_pixels.len() != surfels.len() {
+            return Err(wrong("`max_pixels` does not fit the surfels".into()));
         }
+        let [contributions, errors] = [contributions, errors].map(|all| dealt.own_of(&all, 1));
         let smoothing_px = context.config.model.sampling_limit;
         let surfel_limit = limit(&mut columns, SURFEL_LIMIT, surfels.len(), smoothing_px, context)?;
+        if let Some(column) = columns.get_mut(GAUSSIAN_LIMIT).filter(|column| column.len() == count) {
+            *column = dealt.own_of(column, 1);
+        }
         let gaussian_limit = limit(&mut columns, GAUSSIAN_LIMIT, gaussians.len(), smoothing_px, context)?;
         Ok(Self {
             plan,
@@ -170,6 +188,7 @@ impl JointStage {
             limits: surfel_limit.zip(gaussian_limit).map(|(surfels, gaussians)| SamplingLimits { surfels, gaussians }),
             surfels,
             gaussians,
+            dealt,
             sky: SkyMasks::new(&environment, context),
             environment,
             statistics: Statistics::from_rows(&max_pixels, [&contributions, &errors], device),

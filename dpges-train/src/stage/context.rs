@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use burn::tensor::Device;
+use dpges_core::ranks::Ranks;
 use dpges_core::scene::{BlendOrder, Rendering, SceneInfo, ScreenFilter};
 use glam::Vec3;
 use rand::seq::SliceRandom;
@@ -21,6 +22,8 @@ pub struct Context {
     pub dataset: Arc<Dataset>,
     pub config: Config,
     pub device: Device,
+    /// Those that train the scene together.
+    pub ranks: Arc<dyn Ranks>,
     pub rng: ChaCha8Rng,
     /// Indices of the views still to come in this pass, last first.
     pub remaining_views: Vec<u32>,

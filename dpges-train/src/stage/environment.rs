@@ -149,6 +149,7 @@ fn has_background(dataset: &Dataset) -> bool {
 mod tests {
     use std::sync::Arc;
 
+    use dpges_core::ranks::Alone;
     use dpges_core::scene::{GaussianData, Rendering, SceneInfo, SurfelData};
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
@@ -168,6 +169,7 @@ mod tests {
             dataset: Arc::new(dataset),
             config,
             device,
+            ranks: Arc::new(Alone),
             rng: ChaCha8Rng::seed_from_u64(0),
             remaining_views: Vec::new(),
             completed_steps: 0,

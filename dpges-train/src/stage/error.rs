@@ -25,6 +25,15 @@ pub enum TrainError {
     /// The device failed at or before this step: what it holds is worth nothing.
     #[error("step {step}: the device failed: {reason}")]
     Device { step: usize, reason: String },
+    /// A step failed on one rank of several: it is not known how far the others are.
+    #[error("rank {rank}: {source}")]
+    OnRank { rank: usize, source: Box<Self> },
+    /// What all ranks should have alike is not the same.
+    #[error(
+        "step {step}: rank {rank} does not have the surfels that the others have, to the bit: train on devices of one kind \
+         with one driver, or with one process for each kind"
+    )]
+    Diverged { step: usize, rank: usize },
     /// A view could not be rendered.
     #[error(transparent)]
     Core(#[from] dpges_core::Error),

@@ -18,18 +18,22 @@ mod sampling_limit;
 mod step;
 mod weighted_sum;
 
+use std::sync::Arc;
+
 use burn::tensor::Tensor;
 use dpges_core::camera::Camera;
 use dpges_core::losses::Losses;
+use dpges_core::ranks::{Alone, Ranks};
 use dpges_core::scene::{EnvironmentData, GaussianData, SceneData};
 
 use crate::config::{Config, StageKind, StagePlan};
 use blended::BlendedStage;
-pub use checkpoint::StageCheckpoint;
+pub use checkpoint::{StageCheckpoint, is_dealt};
 pub use context::{BeforeStep, Context, budget};
 pub use environment::EnvironmentState;
 pub use error::TrainError;
 use joint::{JointStage, Statistics};
+pub use joint::{OWNERS, in_order};
 pub use parameters::{Leaves, Parameters, StepRates};
 pub use pending::{PendingStep, Settled};
 pub use photographs::DevicePhotographs;
@@ -44,8 +48,18 @@ pub trait Stage: Send {
     /// The parameters that it trains.
     fn parameters(&mut self) -> Parameters<'_>;
 
-    /// The scene as it stands.
+    /// The scene as it stands. All ranks ask for it together.
     fn scene(&self) -> SceneData;
+
+    /// The ranks that its Gaussians are dealt out to; one alone where every rank has all of them, and does the same.
+    fn ranks(&self) -> Arc<dyn Ranks> {
+        Arc::new(Alone)
+    }
+
+    /// Number of Gaussians of all ranks.
+    fn gaussian_count(&mut self) -> usize {
+        self.parameters().gaussians.len()
+    }
 
     /// Whether [`refine`](Self::refine) has something to do after `completed` steps.
     fn is_due(&self, completed: usize) -> bool;
@@ -85,7 +99,7 @@ pub trait Stage: Send {
     /// which nothing was refined since: it was not finite, and parameters have not learnt from it.
     fn undo(&mut self);
 
-    /// All that [`resume`] needs to go on with this stage, on the host.
+    /// All that [`resume`] needs to go on with this stage, on the host: of Gaussians that are dealt out, the own ones.
     fn checkpoint(&self) -> StageCheckpoint;
 
     /// Leaves what it has trained to the stages after it. The last stage leaves nothing.

@@ -1,11 +1,13 @@
 //! A step that has been handed to the device and whose numbers are not known yet.
 
 use burn::tensor::{Tensor, TensorData};
+use dpges_core::Error;
 use dpges_core::backend::readback::{Readback, begin_readback};
 use dpges_core::counters::transfers::{download, wait};
 use dpges_core::losses::Losses;
 use dpges_core::ops::finite::{FiniteChecks, FiniteResults, Gate};
 use dpges_core::ops::join::join;
+use dpges_core::ranks::Ranks;
 
 use super::{StepReport, TrainError};
 
@@ -32,15 +34,23 @@ pub struct StepGate {
 }
 
 impl StepGate {
-    /// The gate of a step with this `loss` and these named `gradients`.
-    pub fn new<'a>(loss: &Tensor<1>, gradients: impl Iterator<Item = (&'a str, &'a Tensor<2>)>) -> Self {
+    /// The gate of a step with this `loss` and these named `gradients`. It is open if it is so on all `ranks`.
+    pub fn new<'a>(
+        loss: &Tensor<1>,
+        gradients: impl Iterator<Item = (&'a str, &'a Tensor<2>)>,
+        ranks: &dyn Ranks,
+    ) -> Self {
         let mut checks = FiniteChecks::default();
         checks.add("loss", &loss.clone().inner());
         for (name, gradient) in gradients {
             checks.add(format!("gradient of {name}"), gradient);
         }
         let checks = checks.launch();
-        let gate = checks.gate();
+        let mut gate = checks.gate();
+        if !ranks.is_alone() {
+            let bad = ranks.joined(gate.bad);
+            gate = Gate { open: (bad.clone() * -1.0 + 1.0).clamp_min(0.0), bad };
+        }
         Self { checks, gate }
     }
 
@@ -85,7 +95,9 @@ impl PendingStep {
             return Err(TrainError::Loss { step, view, loss });
         }
         if bad != 0.0 {
-            self.checks.check().map_err(|source| TrainError::Step { step, view, source })?;
+            let own = self.checks.check();
+            let source = own.err().unwrap_or(Error::NonFinite { tensor: "a gradient of another rank".into(), row: 0 });
+            return Err(TrainError::Step { step, view, source });
         }
         let psnr = -10.0 * squared_error.log10();
         let report = StepReport { loss, rgb, surfel, scale, transmittance, psnr, ..self.report };

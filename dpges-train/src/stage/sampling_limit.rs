@@ -22,7 +22,8 @@ impl SamplingLimit {
     /// The filter of primitives at `positions` [N, 3], `smoothing_px` wide in the training view that resolves each best.
     pub fn new(positions: &Tensor<2>, smoothing_px: f64, context: &Context) -> Self {
         let cameras: Vec<&Camera> = context.dataset.train.iter().map(|view| &view.camera).collect();
-        let mut deviations = finest_pixels(&tensor_to_rows(positions), &cameras);
+        let coarsest = |own: f64| context.ranks.gather_numbers(&[own]).concat().into_iter().fold(0.0, f64::max);
+        let mut deviations = finest_pixels(&tensor_to_rows(positions), &cameras, coarsest);
         deviations.iter_mut().for_each(|pixel| *pixel *= smoothing_px as f32);
         Self::from_column(&deviations, smoothing_px, &context.device)
     }

@@ -1,6 +1,6 @@
 //! One step of any stage: render, compare, go back, optimise.
 
-use burn::tensor::Tensor;
+use burn::tensor::{DType, Tensor};
 use dpges_core::camera::Camera;
 use dpges_core::losses::{Losses, Target};
 use dpges_core::ops::environment::environment;
@@ -75,19 +75,28 @@ impl Pass {
         let leaves = stage.parameters().leaves();
         let corrections = context.exposure.leaf();
         let exposure = corrections.as_ref().map(|leaf| leaf.clone().slice([given.index..given.index + 1, 0..6]));
-        let probe = context.pose_probe(given.index);
+        let ranks = stage.ranks();
+        let moved = |probe: PoseProbe| if ranks.is_first() { probe } else { probe.of_gaussians() };
+        let probe = context.pose_probe(given.index).map(moved);
         let input = StepInput { exposure, pose: probe.as_ref(), ..given.clone() };
         let forward = within_capacity(|| stage.forward(&leaves, &input, context)).flatten()?;
 
         let mut gradients = within_capacity(|| forward.losses.total.backward())?;
         let of_parameters = stage.parameters().gradients(&leaves, &mut gradients);
         let of_exposure = context.exposure.gradient(corrections.as_ref(), &mut gradients);
-        let of_pose = probe.as_ref().and_then(|probe| probe.gradient(&mut gradients));
+        let mut of_pose = probe.as_ref().and_then(|probe| probe.gradient(&mut gradients));
+        if probe.is_some() && !ranks.is_alone() {
+            let nothing = || Tensor::zeros([1, 6], (&context.device, DType::F32));
+            of_pose = Some(ranks.joined(of_pose.unwrap_or_else(nothing)));
+        }
         let of_probe = forward.probe.and_then(|probe| probe.grad_remove(&mut gradients));
         let attributes = of_parameters.iter().chain(&of_exposure);
         let attributes = attributes.filter_map(|(attribute, gradient)| Some((attribute.raw_name, gradient.as_ref()?)));
-        let gate =
-            StepGate::new(&forward.losses.total, attributes.chain(of_pose.as_ref().map(|gradient| (POSES, gradient))));
+        let gate = StepGate::new(
+            &forward.losses.total,
+            attributes.chain(of_pose.as_ref().map(|gradient| (POSES, gradient))),
+            &*ranks,
+        );
         let observed = Observed { statistics: forward.statistics, of_probe };
         Ok(Self { losses: forward.losses, of_parameters, of_exposure, of_pose, observed, gate })
     }
@@ -118,8 +127,7 @@ pub fn begin_step(
     let dataset = context.dataset.clone();
     let view = &dataset.train[report.view];
 
-    let parameters = stage.parameters();
-    (report.surfels, report.gaussians) = (parameters.surfels.len(), parameters.gaussians.len());
+    (report.surfels, report.gaussians) = (stage.parameters().surfels.len(), stage.gaussian_count());
     let target = context.target(report.view)?;
     context.prefetch(stage);
     // After the first step they stay finite, since a step with a gradient that is not finite is held back
@@ -127,8 +135,14 @@ pub fn begin_step(
     let depth = context.depth_target(report.view, &context.tape());
     let given = StepInput { completed, index: report.view, view, target, values, depth, exposure: None, pose: None };
     let at = |source| TrainError::Step { step: report.step, view: view.name.clone(), source };
-    // twice if a list had no room: a pass changes nothing
-    let pass = lists::defer_readback(|| Pass::new(stage, context, &given)).map_err(at)?;
+    let pass = if stage.ranks().is_alone() {
+        // twice if a list had no room: a pass changes nothing
+        lists::defer_readback(|| Pass::new(stage, context, &given))
+    } else {
+        // other ranks would not go with this one a second time
+        Pass::new(stage, context, &given)
+    };
+    let pass = pass.map_err(at)?;
     Ok(BegunStep { report, view_name: view.name.clone(), camera: view.camera, completed, pass })
 }
 

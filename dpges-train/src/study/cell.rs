@@ -112,7 +112,7 @@ fn state(folder: &RunFolder, config: &Config, dataset: &str) -> Result<State> {
     if !differences.is_empty() {
         return Err(other(differences.join(", ")));
     }
-    Ok(match (folder.evaluation().is_file(), folder.checkpoint().is_file()) {
+    Ok(match (folder.evaluation().is_file(), folder.has_checkpoint()) {
         (true, _) => State::Finished,
         (false, true) => State::Begun,
         (false, false) => State::New,

@@ -113,3 +113,16 @@ fn runs_begin_with_a_stage_of_gaussians_unless_told_otherwise() {
     ok(at, &["train", "toy", "--device=cpu", "--out=alone", "--steps=4", "--set=stages.gaussians=0"]);
     assert_eq!(config("alone/config.toml")["stages"]["gaussians"].as_float(), Some(0.0));
 }
+
+#[cfg(not(feature = "mpi"))]
+#[test]
+fn a_job_of_an_mpi_launcher_needs_the_feature() {
+    let folder = folder();
+    let mut command = assert_cmd::Command::cargo_bin("dpges").unwrap();
+    command.env("OMPI_COMM_WORLD_RANK", "1").env("OMPI_COMM_WORLD_SIZE", "4").current_dir(folder.path());
+    let output = command.args(["train", "--out", "run", "--device", "cpu"]).output().unwrap();
+    let message = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{message}");
+    assert!(message.contains("process 1 of 4") && message.contains("--features mpi"), "{message}");
+    assert!(!folder.path().join("run").exists());
+}

@@ -49,6 +49,9 @@ pub struct BenchStepArgs {
     /// joint (surfels and Gaussians) or blended (the Gaussians alone) instead of what the scene was made for
     #[arg(long, value_name = "STAGE")]
     stage: Option<StepStage>,
+    /// Measure one of N ranks, which has all surfels and one in N Gaussians, and say what it sends (joint stage)
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    ranks: u32,
     /// Steps that are timed
     #[arg(long, value_name = "N", default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     rounds: u32,
@@ -74,15 +77,21 @@ pub fn run(args: &BenchStepArgs) -> Result<()> {
     let device = device_choice::select(args.device)?;
     watched(device, || {
         let opened = device.open()?;
-        let (scene, cameras) = args.scene(&opened)?;
+        let (mut scene, cameras) = args.scene(&opened)?;
         if let Some(file) = &args.save_scene {
             scene.save(file)?;
         }
         let stage = args.stage.unwrap_or_else(|| StepStage::of(scene.info.rendering));
+        let ranks = args.ranks as usize;
+        if ranks > 1 && stage == StepStage::Blended {
+            return Err(Failure::Usage("--ranks is for the joint stage: what is sorted is not dealt out".into()));
+        }
+        scene.gaussians = scene.gaussians.select(&(0..scene.gaussians.len()).step_by(ranks).collect::<Vec<_>>());
         let mut steps = Steps::new(&scene, &cameras, stage, &opened)?;
         let rounds = Rounds { warm_up: args.warm_up as usize, counted: args.rounds as usize };
         let cost = measure(&mut steps, rounds)?;
         let report = Report::new(args.scene.display().to_string(), device, &cameras[0], cost)?;
+        let report = report.of_ranks(ranks, scene.info.layer_count);
         if let Some(file) = &args.json {
             write_json(file, &report)?;
         }

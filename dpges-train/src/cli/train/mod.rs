@@ -6,12 +6,15 @@ mod live;
 pub mod options;
 pub mod session;
 
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use clap::Args;
 use dpges_train::config::differences;
 use dpges_train::dataset::source::photographs;
+use dpges_train::device::place::Place;
+use dpges_train::device::ranks::Job;
 use dpges_train::device::{DeviceName, DeviceRequest};
 use dpges_train::run::folder::{Origin, RunFolder, RunFolderError};
 use dpges_train::run::targets::{Decision, Target, conclude};
@@ -64,18 +67,42 @@ pub struct TrainArgs {
 
 pub fn run(args: TrainArgs, style: LogStyle) -> Result<()> {
     let folder = args.folder();
-    let summary = train(args, style)?;
+    let job = Job::join()?;
+    let summary = match catch_unwind(AssertUnwindSafe(|| train(args, style, &job))) {
+        Ok(result) => result.inspect_err(|failure| give_up(&job, &failure.text()))?,
+        Err(panic) => {
+            give_up(&job, "it has panicked, see above");
+            resume_unwind(panic)
+        }
+    };
+    if !job.ranks.is_first() {
+        return Ok(());
+    }
     let reached = conclude(&folder)?.map(|text| table(&[("target", text)]));
     report(&(summary + &reached.unwrap_or_default()), style)
 }
 
-fn train(args: TrainArgs, style: LogStyle) -> Result<String> {
+fn train(args: TrainArgs, style: LogStyle, job: &Job) -> Result<String> {
+    args.check_alone(job)?;
+    if !job.ranks.is_alone() {
+        tracing::info!("{} ranks train one scene; of stages that sort, all do the same", job.ranks.count());
+    }
     #[cfg(feature = "viewer")]
     if args.view {
-        return live::train_in_window(move || args.session(style));
+        return live::train_in_window(move || args.session(style, &Job::join()?));
     }
-    let session = args.session(style)?;
+    let session = args.session(style, job)?;
     session.train(&*watch_for_interrupts()?)
+}
+
+/// Ends the other ranks of a job that cannot go on without this one.
+fn give_up(job: &Job, reason: &str) {
+    if !job.ranks.is_alone() {
+        // in one piece beside those of other ranks
+        let line = format!("rank {} of {}: {reason}\n", job.ranks.rank(), job.ranks.count());
+        eprint!("{line}");
+        job.end_others(1);
+    }
 }
 
 fn report(summary: &str, style: LogStyle) -> Result<()> {
@@ -83,8 +110,19 @@ fn report(summary: &str, style: LogStyle) -> Result<()> {
 }
 
 impl TrainArgs {
-    fn session(self, style: LogStyle) -> Result<Session> {
-        if self.resume { self.resume(style) } else { self.start(style) }
+    fn session(self, style: LogStyle, job: &Job) -> Result<Session> {
+        if self.resume { self.resume(style, job) } else { self.start(style, job) }
+    }
+
+    /// Refuses what several ranks cannot do together.
+    fn check_alone(&self, job: &Job) -> Result<()> {
+        let option = match self {
+            #[cfg(feature = "viewer")]
+            Self { view: true, .. } => "--view",
+            Self { target: Some(_), .. } => "--target",
+            _ => return Ok(()),
+        };
+        if job.ranks.is_alone() { Ok(()) } else { Err(Failure::Usage(format!("{option} is for one process alone"))) }
     }
 
     fn source(&self) -> Source {
@@ -114,30 +152,37 @@ impl TrainArgs {
         Err(Failure::Usage(format!("--target {target} decides what {taken} would: leave one of them out")))
     }
 
-    fn start(self, style: LogStyle) -> Result<Session> {
+    fn start(self, style: LogStyle, job: &Job) -> Result<Session> {
         let source = self.source();
         let mut config = self.options.resolve(&source, &[])?;
         self.check_target()?;
         let folder = self.folder();
-        if !self.overwrite {
+        let ranks = Arc::clone(&job.ranks);
+        if !self.overwrite && ranks.is_first() {
             folder.check_unused().map_err(|error| {
                 Failure::with_help(error, "go on with it (--resume), replace it (--overwrite), or name another --out")
             })?;
         }
         let device = device_choice::select(self.device.unwrap_or_default())?;
-        sfm::prepare(self.dataset.as_deref(), &self.options.sfm(&config), style)?;
+        let device = device_choice::of_rank(job, device, self.device)?;
+        if ranks.is_first() {
+            sfm::prepare(self.dataset.as_deref(), &self.options.sfm(&config), style)?;
+        }
+        // the others wait for the cameras
+        ranks.gather(&[]);
         let opened = device.open()?;
         let dataset = Arc::new(source.load_for_training(&config)?);
         let pursue = |target: &Target| target.pursue(&mut config, &dataset, &opened);
         let pursuit = self.target.as_ref().map(pursue).transpose()?;
-        let run = Run::new(config, dataset, opened)?.overwrite(folder.clone(), Origin::new(&source, device))?;
+        let place = Place { device: opened, ranks };
+        let run = Run::new(config, dataset, place)?.overwrite(folder.clone(), Origin::new(&source, device))?;
         if let Some(pursuit) = pursuit {
             pursuit.save(&folder)?;
         }
         Ok(Session { run, folder, device, style })
     }
 
-    fn resume(self, style: LogStyle) -> Result<Session> {
+    fn resume(self, style: LogStyle, job: &Job) -> Result<Session> {
         let folder = self.folder();
         let saved = SavedRun::open(folder.clone()).map_err(|error| match error {
             RunError::Folder(RunFolderError::NoCheckpoint { .. }) => {
@@ -164,10 +209,12 @@ impl TrainArgs {
             return Err(Failure::Usage(format!("a run is resumed with the configuration it was started with: {list}")));
         }
         let device = device_choice::select_again(self.device, &origin.device)?;
+        let device = device_choice::of_rank(job, device, self.device)?;
         say_resumed(&saved, device);
         let opened = device.open()?;
         let dataset = source.load_for_training(saved.config())?;
-        Ok(Session { run: Run::resume(saved, dataset, opened)?, folder, device, style })
+        let place = Place { device: opened, ranks: Arc::clone(&job.ranks) };
+        Ok(Session { run: Run::resume(saved, dataset, place)?, folder, device, style })
     }
 }
 

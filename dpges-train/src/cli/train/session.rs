@@ -105,7 +105,8 @@ impl Session {
     fn way_back(&self) -> String {
         match self.run.saved_step() {
             Some(step) => {
-                let path = self.folder.checkpoint();
+                let single = self.folder.checkpoint();
+                let path = if single.is_file() { single } else { self.folder.manifest() };
                 format!("{} holds the state after step {step}: `{}`", path.display(), self.resume_command())
             }
             None => "there was no checkpoint yet: train.checkpoint_every says how often".to_owned(),

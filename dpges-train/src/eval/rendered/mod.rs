@@ -3,6 +3,8 @@
 mod layers;
 mod median_depth;
 
+use std::borrow::Cow;
+use std::sync::Arc;
 use std::time::Instant;
 
 use burn::tensor::{DType, Device, Tensor};
@@ -11,10 +13,11 @@ use dpges_core::camera::Camera;
 use dpges_core::ops::composite::{Geometry, geometry};
 use dpges_core::ops::environment::environment;
 use dpges_core::ops::peel::PeelOptions;
+use dpges_core::ranks::Ranks;
 use dpges_core::render::blended::{BlendedOptions, BlendedRender, Probes, render_blended, render_blended_probed};
 use dpges_core::render::pose::PoseProbe;
 use dpges_core::render::summed::{SummedOptions, SummedRender, WeightedSumTensors, render_summed};
-use dpges_core::render::{Render, RenderOptions, Values, render, render_probed};
+use dpges_core::render::{Render, RenderOptions, Values, render_on_ranks, render_probed};
 use dpges_core::scene::schema::Columns;
 use dpges_core::scene::tensors::{rows_to_tensor, tensor_to_rows};
 use dpges_core::scene::{Gaussians, Rendering, SceneData, Surfels};
@@ -22,6 +25,7 @@ use dpges_render::Rgb8Image;
 use dpges_render::frame_times::{FrameTimes, Rounds};
 
 use crate::dataset::Dataset;
+use crate::device::place::Place;
 use crate::eval::floaters::{Floaters, Visibility};
 pub use layers::{LayerPictures, layer_pictures};
 
@@ -36,6 +40,8 @@ pub fn to_picture(image: &Tensor<3>) -> Rgb8Image {
 pub struct Renderer {
     surfels: Surfels,
     gaussians: Gaussians,
+    /// Those that `gaussians` are dealt out to.
+    ranks: Arc<dyn Ranks>,
     /// [(degree + 1)², 3]
     environment: Option<Tensor<2>>,
     options: Options,
@@ -87,6 +93,21 @@ impl Rendered {
 impl Renderer {
     /// Uploads `scene` to `device`.
     pub fn new(scene: &SceneData, device: &Device) -> Self {
+        Self::on_ranks(scene, &device.clone().into())
+    }
+
+    /// Uploads `scene`, of summed Gaussians behind surfels those that are dealt to this rank. All ranks then render the same
+    /// views together.
+    pub fn on_ranks(scene: &SceneData, place: &Place) -> Self {
+        let Place { device, ranks } = place.clone();
+        let (device, alone) = (&device, Place::from(device.clone()).ranks);
+        let (gaussians, ranks) = match scene.info.rendering {
+            Rendering::Peeled if !ranks.is_alone() => {
+                let own: Vec<usize> = (ranks.rank()..scene.gaussians.len()).step_by(ranks.count()).collect();
+                (Cow::Owned(scene.gaussians.select(&own)), ranks)
+            }
+            _ => (Cow::Borrowed(&scene.gaussians), alone),
+        };
         let options = match scene.info.rendering {
             Rendering::Peeled => Options::Peeled(RenderOptions::from(&scene.info)),
             Rendering::Ellipsoids | Rendering::Discs | Rendering::Students => {
@@ -100,7 +121,8 @@ impl Renderer {
         };
         Self {
             surfels: Surfels::from_data(&scene.surfels, device, DType::F32),
-            gaussians: Gaussians::from_data(&scene.gaussians, device, DType::F32),
+            gaussians: Gaussians::from_data(&gaussians, device, DType::F32),
+            ranks,
             environment: scene.environment.as_ref().map(|e| rows_to_tensor(&e.coefficients, 3, device, DType::F32)),
             options,
         }
@@ -109,17 +131,17 @@ impl Renderer {
     /// Renders the view from `camera`, in the coordinates of the scene.
     ///
     /// # Errors
-    /// As [`render`], [`render_blended`] and [`render_summed`].
+    /// As [`render_on_ranks`], [`render_blended`] and [`render_summed`].
     pub fn render(&self, camera: &Camera) -> Result<Rendered> {
         self.render_with(camera, &self.options)
     }
 
-    /// Whether there are no primitives.
+    /// Whether there are no primitives on this rank.
     pub fn is_empty(&self) -> bool {
         self.surfels.is_empty() && self.gaussians.is_empty()
     }
 
-    /// The image [3, H, W] from the `camera` of a `probe`, on the tape of the probe; the scene is not.
+    /// The image [3, H, W] from the `camera` of a `probe`, on the tape of the probe; the scene is not. Of a rank alone.
     ///
     /// # Errors
     /// The errors of [`render`](Self::render).
@@ -176,7 +198,16 @@ impl Renderer {
     fn render_with(&self, camera: &Camera, options: &Options) -> Result<Rendered> {
         let rendered = match options {
             Options::Peeled(options) => {
-                Rendered::Peeled(Box::new(render(&self.surfels, &self.gaussians, camera, options)?))
+                let (surfels, gaussians, values) = (&self.surfels, &self.gaussians, Values::Unknown);
+                Rendered::Peeled(Box::new(render_on_ranks(
+                    surfels,
+                    gaussians,
+                    camera,
+                    None,
+                    options,
+                    values,
+                    &*self.ranks,
+                )?))
             }
             Options::Blended(options) => {
                 let rendered = render_blended(&self.gaussians, None, camera, options, Values::Unknown)?;
@@ -198,20 +229,25 @@ impl Renderer {
     /// the scene, does not say which view saw what.
     ///
     /// # Errors
-    /// As [`render`].
+    /// As [`render_on_ranks`].
     pub fn floaters(&self, dataset: &Dataset) -> Result<Option<Floaters>> {
         let peel = match &self.options {
             Options::Peeled(options) => options.peel,
             Options::Blended(_) | Options::Summed(..) => PeelOptions::default(),
         };
         let visibility = Visibility::measure(&self.surfels, &self.gaussians, &peel, dataset)?;
-        Ok(visibility.map(|visibility| visibility.floaters()))
+        let Some(Floaters { surfels, gaussians }) = visibility.map(|visibility| visibility.floaters()) else {
+            return Ok(None);
+        };
+        let mut gaussians = [gaussians as f64];
+        self.ranks.add_up(&mut gaussians);
+        Ok(Some(Floaters { surfels, gaussians: gaussians[0] as usize }))
     }
 
     /// How long pictures from `cameras` take.
     ///
     /// # Errors
-    /// As [`render`].
+    /// As [`render_on_ranks`].
     pub fn frame_times(&self, cameras: &[Camera], rounds: Rounds) -> Result<FrameTimes> {
         let mut times = Vec::new();
         for round in 0..rounds.warm_up + rounds.counted {

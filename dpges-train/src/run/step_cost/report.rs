@@ -3,12 +3,15 @@
 use dpges_core::camera::Camera;
 use dpges_core::counters::transfers::Transfers;
 use dpges_core::counters::{DeviceMemory, KernelTime};
+use dpges_core::ranks::sent_bytes;
 use serde::Serialize;
 
 use super::{GpuCost, List, StepCost, StepTimes};
 use crate::device::{DeviceError, DeviceName};
 
 const MEGABYTE: f64 = 1e6;
+/// Rates of networks.
+const GIGABITS: [f64; 3] = [10.0, 25.0, 100.0];
 
 /// The measurements of a step and their conditions: the content of the file of `dpges bench step --json`.
 #[derive(Serialize)]
@@ -22,6 +25,10 @@ pub struct Report {
     /// Quantities without a measurement, with reasons, a sentence each.
     not_measured: Vec<String>,
     camera: Pinhole,
+    /// Of which this is one: it has all surfels, and its share of the Gaussians.
+    ranks: usize,
+    /// What it sends to the others in a step.
+    sent_bytes: usize,
     #[serde(flatten)]
     pub cost: StepCost,
 }
@@ -59,7 +66,7 @@ enum Hardware {
 }
 
 impl Report {
-    /// The report of a step of `scene` on `device`, from `camera` and others.
+    /// The report of a step of `scene` on `device`, from `camera` and others. Alone; see [`of_ranks`](Self::of_ranks).
     ///
     /// # Errors
     /// [`DeviceError`] if the device is not there.
@@ -88,7 +95,13 @@ impl Report {
             not_measured.push("tile lists: those of discs are not counted".to_owned());
         }
         let (device, camera) = (device.to_string(), camera.into());
-        Ok(Self { scene, device, adapter, hardware, not_measured, camera, cost })
+        Ok(Self { scene, device, adapter, hardware, not_measured, camera, ranks: 1, sent_bytes: 0, cost })
+    }
+
+    /// The same of a step of one of `ranks`, which peels so many `layers`.
+    #[must_use]
+    pub fn of_ranks(self, ranks: usize, layers: usize) -> Self {
+        Self { ranks, sent_bytes: sent_bytes(self.cost.width * self.cost.height, layers, ranks), ..self }
     }
 
     /// The measurement, in a line.
@@ -105,12 +118,20 @@ impl Report {
     pub fn rows(&self) -> Vec<(&'static str, String)> {
         let StepCost { time: StepTimes { steps, median_ms, p95_ms }, lists, gpu, .. } = &self.cost;
         let mut rows = vec![("step", format!("median {median_ms:.2} ms, p95 {p95_ms:.2} ms, of {steps}"))];
+        rows.extend((self.ranks > 1).then(|| ("sent", self.sent())));
         rows.extend(self.cost.process_peak_bytes.map(|bytes| ("process", format!("peak {}", megabytes(bytes)))));
         rows.extend(lists.surfels.map(|list| ("surfel lists", of_list(&list))));
         rows.extend(lists.gaussians.map(|list| ("Gaussian lists", of_list(&list))));
         rows.extend(gpu.iter().flat_map(of_gpu));
         rows.extend(self.not_measured.iter().map(|what| ("not measured", what.clone())));
         rows
+    }
+
+    /// What a rank sends, and how long that takes at least.
+    fn sent(&self) -> String {
+        let times = GIGABITS.map(|rate| format!("{:.1} ms at {rate} Gb/s", 8e-6 * self.sent_bytes as f64 / rate));
+        let megabytes = megabytes(self.sent_bytes as u64);
+        format!("{megabytes} a step by each of {} ranks: at least {}", self.ranks, times.join(", "))
     }
 
     /// A table of the kernels of a GPU; empty without one.
@@ -210,6 +231,8 @@ mod tests {
             hardware: Hardware::Gpu,
             not_measured: Vec::new(),
             camera: (&camera()).into(),
+            ranks: 1,
+            sent_bytes: 0,
             cost,
         }
     }
@@ -279,6 +302,11 @@ mod tests {
         for part in ["3 of 2 kernels", "1920 B", "peak 2.50 MB", "25.0 % of 0.01 million pairs", "100.0  a::splat"] {
             assert!(text.contains(part), "{text}");
         }
+        assert!(!text.contains("ranks"), "{text}");
+        report = report.of_ranks(2, 3);
+        // 48 bytes for each of 48 × 32 px
+        let sent = "0.07 MB a step by each of 2 ranks: at least 0.1 ms at 10 Gb/s";
+        assert!(format!("{:?}", report.rows()).contains(sent), "{:?}", report.rows());
         report.cost.gpu.as_mut().unwrap().kernel_times = None;
         assert_eq!(report.kernels(), "launches  kernel\n       2  a::splat\n       1  a::peel\n");
     }

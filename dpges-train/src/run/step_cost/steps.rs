@@ -6,6 +6,7 @@ use std::sync::Arc;
 use burn::tensor::Device;
 use dpges_core::backend::device::is_gpu;
 use dpges_core::camera::Camera;
+use dpges_core::ranks::Alone;
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{BlendOrder, Rendering, SceneData};
 use glam::DVec3;
@@ -90,6 +91,7 @@ impl Steps {
             dataset,
             config,
             device: device.clone(),
+            ranks: Arc::new(Alone),
             rng: ChaCha8Rng::seed_from_u64(0),
             remaining_views: Vec::new(),
             completed_steps: plan.begin + (PROGRESS * plan.steps as f64) as usize,

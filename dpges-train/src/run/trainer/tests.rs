@@ -3,6 +3,7 @@
 mod depth;
 mod exposure;
 mod poses;
+mod ranks;
 mod refinement;
 mod resumption;
 mod stages;

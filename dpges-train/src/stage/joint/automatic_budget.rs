@@ -6,7 +6,7 @@ use std::sync::Arc;
 use dpges_core::losses::Target;
 use dpges_core::metrics::{psnr, quantised};
 use dpges_core::ops::peel::MAX_LAYERS;
-use dpges_core::render::{Values, render_values};
+use dpges_core::render::{Values, render_on_ranks};
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{ColourData, ColourModel};
 
@@ -53,7 +53,7 @@ impl JointStage {
     /// [`TrainError::Core`] if a view cannot be rendered.
     pub fn begin_control(&mut self, context: &Context) -> Result<(), TrainError> {
         let psnr = self.psnr_of_views(context)?;
-        let (completed, primitives) = (context.completed_in(self.plan), self.surfels.len() + self.gaussians.len());
+        let (completed, primitives) = (context.completed_in(self.plan), self.primitives());
         self.growth.get_or_insert_default().begin(completed, psnr, primitives, 0);
         Ok(())
     }
@@ -71,7 +71,7 @@ impl JointStage {
         removed: usize,
         measured: Option<Vec<f64>>,
     ) -> Result<Vec<String>, TrainError> {
-        let (primitives, budget) = (self.surfels.len() + self.gaussians.len(), context.budget);
+        let (primitives, budget) = (self.primitives(), context.budget);
         let mut events = Vec::new();
         let growth = self.growth.get_or_insert_default();
         let next = growth.next();
@@ -95,9 +95,9 @@ impl JointStage {
             return Ok(events);
         }
         let psnr = measured.map_or_else(|| self.psnr_of_views(context), Ok)?;
-        let before = self.gaussians.len();
+        let before = self.dealt.len();
         events.push(self.add_gaussians(context, count, removed)?);
-        let (completed, added) = (context.completed_in(self.plan), self.gaussians.len() - before);
+        let (completed, added) = (context.completed_in(self.plan), self.dealt.len() - before);
         self.growth.get_or_insert_default().begin(completed, psnr, primitives, added);
         Ok(events)
     }
@@ -112,7 +112,8 @@ impl JointStage {
             let target = Target { image: quantised(target), mask };
             Ok(psnr(quantised(image), target).clamp(0.0, LARGEST_PSNR))
         };
-        pictures(judging_views(context)).map(of_view).collect()
+        let psnr = pictures(judging_views(context)).map(of_view).collect::<Result<_, _>>()?;
+        Ok(self.dealt.ranks.of_first(psnr))
     }
 
     /// Chooses the smallest number of layers that leaves hardly any pixel of the validation views open; soft rims need two.
@@ -124,7 +125,8 @@ impl JointStage {
         let mut shares = vec![0.0; MAX_LAYERS];
         let views = &context.dataset.validation;
         for view in views {
-            let rendered = render_values(&surfels, &gaussians, &view.camera, &options, Values::KnownFinite)?;
+            let (camera, ranks) = (&view.camera, &*self.dealt.ranks);
+            let rendered = render_on_ranks(&surfels, &gaussians, camera, None, &options, Values::KnownFinite, ranks)?;
             let pixels = view.camera.width * view.camera.height;
             let open = open_share(&tensor_to_rows(&rendered.composite.transmittance), pixels);
             shares.iter_mut().zip(open).for_each(|(sum, share)| *sum += share / views.len() as f64);
@@ -156,19 +158,18 @@ impl JointStage {
         let (surfels, gaussians) = (self.surfels.columns.positions.raw(), self.gaussians.columns.positions.raw());
         let all = [self.surfels.colour(), self.gaussians.colour()];
         let [mut surfel_colour, mut gaussian_colour] = all.clone();
-        let mut dropped = [0; 2];
-        let mut drop = |positions: &[f32], colour: &mut ColourData| {
+        let drop = |positions: &[f32], colour: &mut ColourData| {
             let spare = spare_lobes(positions, colour, lobes, &centres, UNSEEN);
             let found = drop_lobes(colour, lobes, &spare);
-            dropped[0] += found.idle;
-            dropped[1] += found.folded;
+            [found.idle as f64, found.folded as f64]
         };
-        drop(&tensor_to_rows(&surfels), &mut surfel_colour);
-        drop(&tensor_to_rows(&gaussians), &mut gaussian_colour);
+        let of_surfels = drop(&tensor_to_rows(&surfels), &mut surfel_colour);
+        let mut of_gaussians = drop(&tensor_to_rows(&gaussians), &mut gaussian_colour);
+        self.dealt.ranks.add_up(&mut of_gaussians);
         self.surfels.set_colour(&surfel_colour);
         self.gaussians.set_colour(&gaussian_colour);
-        let count = lobes * (self.surfels.len() + self.gaussians.len());
-        let [idle, folded] = dropped;
+        let count = lobes * self.primitives();
+        let [idle, folded] = [0, 1].map(|why| (of_surfels[why] + of_gaussians[why]) as usize);
         let change = Mean::of_changes(&psnr_before, &self.psnr_of_views(context)?);
         if change.is_clearly_below(-MOST_LOST) {
             let [surfel_colour, gaussian_colour] = all;

@@ -2,6 +2,7 @@
 
 mod automatic_budget;
 mod blended_depth;
+mod dealt;
 mod depth_surfels;
 mod judging;
 mod limits;
@@ -13,12 +14,15 @@ mod statistics;
 mod supervision;
 mod surfel_fit;
 
+use std::sync::Arc;
+
 use burn::tensor::Tensor;
 use dpges_core::camera::Camera;
 use dpges_core::losses::depth::surfel_depth;
 use dpges_core::losses::geometry::{GeometryWeights, geometry};
 use dpges_core::losses::{LossWeights, hidden, losses};
-use dpges_core::render::{RenderOptions, render_probed};
+use dpges_core::ranks::Ranks;
+use dpges_core::render::{RenderOptions, render_on_ranks};
 use dpges_core::scene::{Rendering, SceneData, SceneInfo};
 
 use super::{
@@ -30,6 +34,7 @@ use crate::init::InitialScene;
 use crate::optimizer::scene_state::{GaussianState, Rates, SurfelState};
 use crate::refine::growth::Growth;
 use crate::refine::prune::drawn;
+pub use dealt::{Dealt, OWNERS, in_order};
 pub use limits::SamplingLimits;
 use schedule::{Due, Schedule};
 pub use sky::SkyMasks;
@@ -45,7 +50,9 @@ pub struct JointStage {
     pub info: SceneInfo,
     pub schedule: Schedule,
     pub surfels: SurfelState,
+    /// Those of this rank.
     pub gaussians: GaussianState,
+    pub dealt: Dealt,
     pub environment: EnvironmentState,
     /// `None` if primitives may be as fine as they like.
     pub limits: Option<SamplingLimits>,
@@ -71,7 +78,9 @@ impl JointStage {
     ) -> Self {
         let (config, device) = (&context.config, &context.device);
         let surfels = SurfelState::new(&start.surfels, OpacityActivation::Linear, device);
-        let gaussians = GaussianState::new(&start.gaussians, config.model.opacity, device);
+        let dealt = Dealt::new(start.gaussians.len(), context.ranks.clone());
+        let own = start.gaussians.select(&dealt.own());
+        let gaussians = GaussianState::new(&own, config.model.opacity, device);
         Self {
             plan,
             info: context.scene_info(Rendering::Peeled),
@@ -79,9 +88,10 @@ impl JointStage {
             limits: SamplingLimits::new(&surfels, &gaussians, context),
             surfels,
             gaussians,
+            dealt,
             sky: SkyMasks::new(&environment, context),
             environment,
-            statistics: Statistics::new(start.surfels.len(), start.gaussians.len(), device),
+            statistics: Statistics::new(start.surfels.len(), own.len(), device),
             statistics_before: None,
             supervisions,
             growth: None,
@@ -116,10 +126,18 @@ impl Stage for JointStage {
 
     /// Leaves out Gaussians that draw nothing.
     fn scene(&self) -> SceneData {
-        let gaussians = self.drawn_gaussian_data();
+        let gaussians = self.dealt.all_data(self.drawn_gaussian_data());
         let gaussians = gaussians.select(&drawn(&gaussians.opacities).keep);
         let (surfels, environment) = (self.drawn_surfel_data(), self.environment.to_data());
         SceneData { info: self.info.clone(), surfels, gaussians, environment }
+    }
+
+    fn ranks(&self) -> Arc<dyn Ranks> {
+        self.dealt.ranks.clone()
+    }
+
+    fn gaussian_count(&mut self) -> usize {
+        self.dealt.len()
     }
 
     fn is_due(&self, completed: usize) -> bool {
@@ -134,7 +152,8 @@ impl Stage for JointStage {
         let (surfels, gaussians) = (&self.drawn_surfels(&leaves.surfels), &self.drawn_gaussians(&leaves.gaussians));
         let camera = &input.view.camera;
         let options = self.render_options(&context.config);
-        let rendered = render_probed(surfels, gaussians, camera, input.pose, &options, input.values)?;
+        let ranks = &*self.dealt.ranks;
+        let rendered = render_on_ranks(surfels, gaussians, camera, input.pose, &options, input.values, ranks)?;
         let mut rendered = match &leaves.environment {
             Some(coefficients) => rendered.in_front_of(input.environment(coefficients)?),
             None => rendered,
@@ -148,9 +167,10 @@ impl Stage for JointStage {
         let mask = input.target.mask.as_ref();
         let of_counted = |mean: Tensor<1>| mask.map_or(mean.clone(), |mask| mask.of_counted(mean));
         let train = &context.config.train;
-        if leaves.environment.is_some() && !self.gaussians.is_empty() {
-            let opacity = gaussians.opacities.clone().abs().mean() * train.lambda_opacity;
-            let scale = gaussians.log_scales.clone().exp().mean() * (train.lambda_gaussian_scale / self.info.extent);
+        if leaves.environment.is_some() && !self.dealt.is_empty() {
+            let opacity = self.dealt.mean(gaussians.opacities.clone().abs()) * train.lambda_opacity;
+            let scale =
+                self.dealt.mean(gaussians.log_scales.clone().exp()) * (train.lambda_gaussian_scale / self.info.extent);
             losses.total = losses.total + opacity + scale;
         }
         let sky = match &self.sky {

@@ -2,7 +2,7 @@
 
 use dpges_core::losses::Target;
 use dpges_core::ops::environment::environment;
-use dpges_core::render::{Render, Values, render_values};
+use dpges_core::render::{Render, Values, render_on_ranks};
 use dpges_core::scene::GaussianData;
 use dpges_core::scene::tensors::tensor_to_rows;
 use rand::RngExt;
@@ -64,7 +64,7 @@ impl JointStage {
                 let measured = measured.filter(|_| events.len() == told);
                 events.extend(self.grow(context, due.batches_left, removed, measured)?);
             } else {
-                let (budget, primitives) = (context.budget, self.surfels.len() + self.gaussians.len());
+                let (budget, primitives) = (context.budget, self.primitives());
                 let replaced = match context.config.refine.new_gaussians {
                     NewGaussians::Copies => removed.min(budget.saturating_sub(primitives)),
                     NewGaussians::Black => 0,
@@ -92,32 +92,32 @@ impl JointStage {
     }
 
     fn prune_gaussians(&mut self, context: &Context) -> String {
-        let rows =
-            gaussians_to_keep(&self.statistics.max_contributions(), context.config.refine.gaussian_min_contribution);
-        let before = self.gaussians.len();
+        let contributions = self.dealt.all_of(self.statistics.max_contributions(), 1);
+        let rows = gaussians_to_keep(&contributions, context.config.refine.gaussian_min_contribution);
+        let before = self.dealt.len();
         self.edit_gaussians(&GaussianEdit { rows, ..GaussianEdit::default() }, context);
         self.statistics.reset_gaussians(self.gaussians.len());
-        format!("{} of {before} Gaussians pruned", before - self.gaussians.len())
+        format!("{} of {before} Gaussians pruned", before - self.dealt.len())
     }
 
     fn split_gaussians(&mut self, context: &mut Context) -> String {
         self.remove_undrawn(context);
         let surfels = self.surfels.to_data();
-        let room = context.budget.saturating_sub(self.surfels.len() + self.gaussians.len());
-        let before = self.gaussians.len();
+        let room = context.budget.saturating_sub(self.primitives());
+        let before = self.dealt.len();
         let factor = context.config.refine.split_factor;
-        let gaussians = self.gaussians.to_data();
+        let gaussians = self.dealt.all_data(self.gaussians.to_data());
         let (edit, too_large) = split(&gaussians, &surfels.positions, &surfels.margins, factor, room, &mut context.rng);
         self.edit_gaussians(&edit, context);
-        format!("{} of {too_large} Gaussians split that are too large, of {before}", self.gaussians.len() - before)
+        format!("{} of {too_large} Gaussians split that are too large, of {before}", self.dealt.len() - before)
     }
 
     /// Removes Gaussians that draw nothing. Returns how many.
     fn remove_undrawn(&mut self, context: &Context) -> usize {
-        let before = self.gaussians.len();
-        let rows = drawn(&self.gaussians.opacities());
+        let before = self.dealt.len();
+        let rows = drawn(&self.dealt.all_of(self.gaussians.opacities(), 1));
         self.edit_gaussians(&GaussianEdit { rows, ..GaussianEdit::default() }, context);
-        before - self.gaussians.len()
+        before - self.dealt.len()
     }
 
     /// Makes `count` new Gaussians after as many as were `removed` have left: copies of those that answer for the most error, or
@@ -126,7 +126,7 @@ impl JointStage {
     /// # Errors
     /// [`TrainError::Core`] if a view cannot be rendered, or a photograph not be read again.
     pub fn add_gaussians(&mut self, context: &mut Context, count: usize, removed: usize) -> Result<String, TrainError> {
-        let before = self.gaussians.len();
+        let before = self.dealt.len();
         match context.config.refine.new_gaussians {
             NewGaussians::Copies => self.copy_gaussians(context, before + count),
             NewGaussians::Black => {
@@ -135,8 +135,8 @@ impl JointStage {
             }
         }
         self.statistics.reset_gaussians(self.gaussians.len());
-        let gone = removed + before.saturating_sub(self.gaussians.len());
-        let added = self.gaussians.len().saturating_sub(before);
+        let gone = removed + before.saturating_sub(self.dealt.len());
+        let added = self.dealt.len().saturating_sub(before);
         Ok(format!(
             "{gone} Gaussians removed that draw nothing or are beyond the budget, {added} added of {count} wanted"
         ))
@@ -145,12 +145,12 @@ impl JointStage {
     /// Copies Gaussians until there are `wanted`, or as many as the budget allows.
     fn copy_gaussians(&mut self, context: &mut Context, wanted: usize) {
         let target = wanted.min(context.budget.saturating_sub(self.surfels.len()));
-        let gaussians = self.gaussians.to_data();
-        let Renewal { rows, opacities, copies } =
-            renew(&gaussians, &self.statistics.errors(), target, true, &mut context.rng);
+        let gaussians = self.dealt.all_data(self.gaussians.to_data());
+        let errors = self.dealt.all_of(self.statistics.errors(), 1);
+        let Renewal { rows, opacities, copies } = renew(&gaussians, &errors, target, true, &mut context.rng);
         self.edit_gaussians(&GaussianEdit { rows, added: GaussianData::neutral(self.info.colour_model, 0) }, context);
-        self.gaussians.set_opacities(&opacities);
-        let rows = RowEdit::keep_all(self.gaussians.len());
+        self.gaussians.set_opacities(&self.dealt.own_of(&opacities, 1));
+        let rows = RowEdit::keep_all(self.dealt.len());
         self.edit_gaussians(&GaussianEdit { rows, added: copies }, context);
     }
 
@@ -184,9 +184,15 @@ impl JointStage {
         Ok(new_gaussians(&positions, largest, self.info.colour_model, &mut context.rng))
     }
 
-    /// Edits the set of Gaussians. Gaussians that stay keep their observations.
+    /// Number of primitives of all ranks.
+    pub fn primitives(&self) -> usize {
+        self.surfels.len() + self.dealt.len()
+    }
+
+    /// Edits the set of all Gaussians. Gaussians that stay keep their observations.
     fn edit_gaussians(&mut self, edit: &GaussianEdit, context: &Context) {
-        self.gaussians.edit(edit);
+        let edit = self.dealt.edit(edit);
+        self.gaussians.edit(&edit);
         self.measure_gaussian_limit(context);
         self.statistics.edit_gaussians(&edit.rows, edit.added.len());
     }
@@ -198,7 +204,8 @@ impl JointStage {
     pub fn render_view(&self, context: &Context, view: &View) -> Result<Render, TrainError> {
         let (surfels, gaussians) = self.drawn_values();
         let options = self.render_options(&context.config);
-        let rendered = render_values(&surfels, &gaussians, &view.camera, &options, Values::KnownFinite)?;
+        let (camera, ranks) = (&view.camera, &*self.dealt.ranks);
+        let rendered = render_on_ranks(&surfels, &gaussians, camera, None, &options, Values::KnownFinite, ranks)?;
         Ok(match self.environment.value() {
             Some(coefficients) => rendered.in_front_of(environment(&coefficients, &view.camera)?),
             None => rendered,

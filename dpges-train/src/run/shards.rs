@@ -1,0 +1,140 @@
+//! The checkpoint of a run on several ranks: a file of each, and a manifest that names them.
+//!
+//! A rank writes its file; once all have, the first writes the manifest, in which the files before stay named. So a kill at any
+//! moment leaves a generation that is whole. The files of rank 0 hold all but the Gaussians of other ranks.
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use dpges_core::Error;
+use dpges_core::ranks::Ranks;
+use serde::{Deserialize, Serialize};
+
+use super::checkpoint::{Checkpoint, CheckpointError};
+use super::folder::{RunFolder, read_json, write_json};
+use super::hash::Hash;
+
+/// Checkpoints that are kept.
+const GENERATIONS: usize = 2;
+
+/// Content of `checkpoint.json`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+struct Manifest {
+    /// The newest first.
+    generations: Vec<Generation>,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Generation {
+    /// One more than that of the generation before.
+    number: u64,
+    /// Completed steps.
+    step: usize,
+    /// Of the ranks in their order.
+    shards: Vec<Shard>,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Shard {
+    file: String,
+    /// FNV-1a of its bytes, 16 digits.
+    hash: String,
+}
+
+/// Saves the `checkpoint` of this rank in `folder`, in place of that of another number of ranks. All `ranks` do so together; one
+/// alone writes a single file.
+///
+/// # Errors
+/// [`CheckpointError::Write`] if a file cannot be written or removed.
+pub fn save(checkpoint: Checkpoint, folder: &RunFolder, ranks: &dyn Ranks) -> Result<(), CheckpointError> {
+    if ranks.is_alone() {
+        checkpoint.save(&folder.checkpoint())?;
+        folder.remove(&folder.manifest())?;
+        return Ok(remove_others(folder, &Manifest::default())?);
+    }
+    let mut manifest = if folder.manifest().is_file() { read_json(&folder.manifest())? } else { Manifest::default() };
+    let last = manifest.generations.first().map_or(0, |generation| generation.number);
+    let number = ranks.gather_numbers(&[last]).concat()[0] + 1;
+    let file = |rank: usize| format!("checkpoint_{number:04}_{rank}_of_{}.safetensors", ranks.count());
+    let step = checkpoint.completed_steps();
+    let part = if ranks.is_first() { checkpoint } else { checkpoint.of_later_rank() };
+    let bytes = part.to_bytes();
+    folder.write(&file(ranks.rank()), &bytes)?;
+    // by then every rank has written its own
+    let hashes = ranks.gather_numbers(&[Hash::of(&bytes)]).concat();
+    if ranks.is_first() {
+        let shard = |(rank, hash): (usize, &u64)| Shard { file: file(rank), hash: digits(*hash) };
+        let shards = hashes.iter().enumerate().map(shard).collect();
+        manifest.generations.insert(0, Generation { number, step, shards });
+        manifest.generations.truncate(GENERATIONS);
+        write_json(&folder.manifest(), &manifest)?;
+        folder.remove(&folder.checkpoint())?;
+        remove_others(folder, &manifest)?;
+    }
+    Ok(())
+}
+
+/// The checkpoint in `folder` with the Gaussians of all ranks, whatever their number was.
+///
+/// # Errors
+/// [`CheckpointError`] names the file and what is wrong with it.
+pub fn load(folder: &RunFolder) -> Result<Checkpoint, CheckpointError> {
+    if !folder.manifest().is_file() {
+        return Checkpoint::load(&folder.checkpoint());
+    }
+    let dealt = load_generation(folder);
+    if !folder.checkpoint().is_file() {
+        return dealt;
+    }
+    // a kill came between one kind and the removal of the other
+    match (Checkpoint::load(&folder.checkpoint()), dealt) {
+        (Ok(single), Ok(dealt)) if dealt.completed_steps() > single.completed_steps() => Ok(dealt),
+        (Err(_), Ok(dealt)) => Ok(dealt),
+        (single, _) => single,
+    }
+}
+
+/// The newest generation that is whole.
+fn load_generation(folder: &RunFolder) -> Result<Checkpoint, CheckpointError> {
+    let Manifest { generations } = read_json(&folder.manifest())?;
+    let mut wrong = String::new();
+    for Generation { step, shards, .. } in generations {
+        match shards.iter().map(|shard| load_shard(folder.path(), shard)).collect::<Result<Vec<_>, _>>() {
+            Ok(parts) => {
+                let joined = Checkpoint::join(parts);
+                return joined.map_err(|reason| CheckpointError::Content { path: folder.manifest(), reason });
+            }
+            Err(error) => {
+                tracing::warn!("the checkpoint of step {step} is not whole: {error}");
+                let _ = write!(wrong, "{}step {step}: {error}", if wrong.is_empty() { "" } else { "; " });
+            }
+        }
+    }
+    Err(CheckpointError::Content { path: folder.manifest(), reason: format!("no generation is whole: {wrong}") })
+}
+
+fn load_shard(folder: &Path, Shard { file, hash }: &Shard) -> Result<Checkpoint, CheckpointError> {
+    let path = folder.join(file);
+    let bytes = std::fs::read(&path).map_err(|source| CheckpointError::Read { path: path.clone(), source })?;
+    let found = digits(Hash::of(&bytes));
+    if found != *hash {
+        return Err(CheckpointError::Content { path, reason: format!("its hash is {found}, expected {hash}") });
+    }
+    Checkpoint::from_bytes(&bytes, &path)
+}
+
+/// Removes the files of ranks that `manifest` does not name.
+fn remove_others(folder: &RunFolder, manifest: &Manifest) -> Result<(), Error> {
+    let shards = || manifest.generations.iter().flat_map(|generation| &generation.shards);
+    for path in folder.shards() {
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        if !shards().any(|shard| shard.file == name) {
+            folder.remove(&path)?;
+        }
+    }
+    Ok(())
+}
+
+fn digits(hash: u64) -> String {
+    format!("{hash:016x}")
+}
