@@ -92,17 +92,19 @@ class Kit:
             sys.exit(f"no test `{name}` in {self.deps}: run `cargo test --release --workspace --no-run` first")
         return str(max(files, key=lambda file: file.stat().st_mtime))
 
-    def driver(self, environment):
-        """Name and version of the driver, or None if it has no adapter."""
-        code, output = self.run([self.dpges, "devices", "--json"], environment)
+    def driver(self, row):
+        """The adapter of a row as `--device` takes it, and its name and version; None if there is none."""
+        code, output = self.run([self.dpges, "devices", "--json"], row.environment)
         if code != 0:
             return None
-        for adapter in json.loads(output[output.index("{" if output.lstrip().startswith("{") else "[") :])["adapters"]:
-            return " ".join(str(adapter[key]) for key in ["description", "driver"] if adapter.get(key))
+        for adapter in json.loads(output[output.index("{") :])["adapters"]:
+            if adapter["api"] == row.environment["WGPU_BACKEND"]:
+                words = [adapter[key] for key in ["name", "driver", "driver_info"]]
+                return adapter["device"], ", ".join(word for word in words if word)
         return None
 
-    def selftest(self, environment):
-        code, output = self.run([self.dpges, "selftest", "--device", "wgpu", "--json"], environment)
+    def selftest(self, environment, device):
+        code, output = self.run([self.dpges, "selftest", "--device", device, "--json"], environment)
         try:
             report = json.loads(output[output.index("{") :])
         except ValueError:
@@ -110,12 +112,12 @@ class Kit:
         worst = max(row["error"] / row["tolerance"] for row in report["operations"] if row["tolerance"] > 0)
         return (f"{worst:.2f} of {report['tensors']} tensors", report["passed"])
 
-    def extremes(self, environment):
-        command = [self.dpges, "selftest", "--device", "wgpu", "--extremes", "20", "--json"]
+    def extremes(self, environment, device):
+        command = [self.dpges, "selftest", "--device", device, "--extremes", "20", "--json"]
         code, output = self.run(command, environment)
         return ("finite", True) if code == 0 else failed(code, output)
 
-    def kernels(self, environment):
+    def kernels(self, environment, _):
         passed, wrong = 0, 0
         for filtered in KERNEL_TESTS:
             command = [self.test("machine"), filtered, "--test-threads", "1"]
@@ -126,15 +128,15 @@ class Kit:
             passed, wrong = passed + int(found[1]), wrong + int(found[2])
         return (f"{passed} passed, {wrong} failed", wrong == 0)
 
-    def training(self, environment):
+    def training(self, environment, device):
         out = tempfile.mkdtemp(dir=self.folder)
-        code, output = self.run([self.dpges, "train", "--out", f"{out}/run", "--device", "wgpu", *SMALL], environment)
+        code, output = self.run([self.dpges, "train", "--out", f"{out}/run", "--device", device, *SMALL], environment)
         if code != 0:
             return failed(code, output)
         found = re.search(r"held-out PSNR\s+(\d+\.\d+)", output)
         return (f"{found[1]} dB" if found else "ran", True)
 
-    def raster(self, environment):
+    def raster(self, environment, _):
         command = [self.test("golden"), "agrees_with", "--nocapture", "--test-threads", "1"]
         code, output = self.run(command, {**environment, "DPGES_REQUIRE_GPU": "1"})
         found, worst = re.findall(r"(\w+), (Float|Half), (\w+): ([\d.]+) dB", output), {}
@@ -191,13 +193,14 @@ def main():
         for row in rows():
             if options.only and not any(only.lower() in row.name.lower() for only in options.only):
                 continue
-            driver = kit.driver(row.environment)
-            if driver is None:
+            found = kit.driver(row)
+            if found is None:
                 print(f"{row.name}: no adapter", file=sys.stderr)
                 continue
+            device, driver = found
             measures = [kit.selftest, kit.extremes, kit.kernels, kit.training] if row.computes else []
-            cells = [measure(row.environment) for measure in measures] or [("–", True)] * 4
-            cells.append(kit.raster(row.environment))
+            cells = [measure(row.environment, device) for measure in measures] or [("–", True)] * 4
+            cells.append(kit.raster(row.environment, device))
             passed &= all(ok for _, ok in cells)
             print(f"| {row.name}: {driver} | " + " | ".join(text if ok else f"**{text}**" for text, ok in cells) + " |", flush=True)
             table.append({"driver": row.name, "version": driver, "cells": [text for text, _ in cells]})

@@ -2,7 +2,7 @@
 //!
 //! Without an adapter they are ignored. With `DPGES_REQUIRE_GPU=1` they fail. On a software driver those that take long there
 //! are ignored, too, unless `DPGES_REQUIRE_GPU=1`, `--ignored` or `--include-ignored` asks for them. The largest picture is
-//! rendered only if it is asked for.
+//! rendered, and scenes at the extremes are trained, only if that is asked for.
 
 use burn::tensor::{DType, Device};
 use dpges_train::device::DeviceName;
@@ -60,12 +60,11 @@ pub fn trials() -> Vec<Trial> {
     ];
     let slow_in_software = named![
         on_a_gpu::each_of_a_million_has_its_pixel,
-        on_a_gpu::training_in_f32_ends_where_it_ends_in_f64,
         parity::every_operation_agrees_through_lenses,
         training::a_gpu_trains_as_well_as_a_cpu,
         training::lists_without_room_change_no_bit_of_a_run,
     ];
-    let on_request = named![on_a_gpu::the_largest_picture];
+    let on_request = named![on_a_gpu::the_largest_picture, on_a_gpu::training_in_f32_ends_where_it_ends_in_f64];
     let device = best();
     let required = is_required();
     let in_software = !required && is_software();
