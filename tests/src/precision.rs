@@ -32,7 +32,7 @@ fn measure(extreme: &Extreme, moves: usize, all: &mut Errors) {
     }
 }
 
-/// What an error is beyond what rounding the inputs to f32 does, which no arithmetic can mend.
+/// The part of an error beyond the effect of rounding the inputs to f32, which no arithmetic can mend.
 fn beyond(factor: f64, [error, condition]: [f64; 2]) -> f64 {
     (error - factor * condition).max(0.0)
 }

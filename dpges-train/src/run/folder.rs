@@ -140,7 +140,7 @@ impl RunFolder {
         self.path.join("checkpoint.safetensors")
     }
 
-    /// What names the parts of a checkpoint of several ranks.
+    /// The file that names the parts of a checkpoint of several ranks.
     pub fn manifest(&self) -> PathBuf {
         self.path.join("checkpoint.json")
     }

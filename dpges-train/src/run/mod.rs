@@ -82,7 +82,7 @@ pub struct Run {
     peak: PeakMemory,
     /// Where it writes to; `None` if it is kept in memory.
     folder: Option<RunFolder>,
-    /// What the first rank writes; `None` on others, and if the run is kept in memory.
+    /// The files that the first rank writes; `None` on others, and if the run is kept in memory.
     record: Option<Record>,
     /// Completed steps of the checkpoint in the folder.
     saved: Option<usize>,
@@ -144,8 +144,8 @@ impl SavedRun {
 }
 
 impl Run {
-    /// A run before its first step, in memory, on a device alone or on one of several ranks. Where the configuration decides by validation views and `data` has none,
-    /// every [`Config::validation_every`]th training view becomes one.
+    /// A run before its first step, in memory, on a device alone or on one of several ranks. Where the configuration decides by
+    /// validation views and `data` has none, every [`Config::validation_every`]th training view becomes one.
     ///
     /// # Errors
     /// [`RunError::Train`] if the dataset, or a file that the configuration names, is not what the run begins with.

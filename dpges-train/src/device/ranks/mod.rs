@@ -49,7 +49,7 @@ pub struct Job {
     _mpi: Option<mpi::Session>,
 }
 
-/// What the environment says; `None` of a process alone.
+/// The number of this process and their count, as the launcher has put them into the environment; `None` of a process alone.
 pub fn launched() -> Option<Launched> {
     let number = |name: &str| std::env::var(name).ok()?.parse::<usize>().ok();
     let by = |[rank, count]: [&str; 2]| Some(Launched { rank: number(rank)?, count: number(count)? });

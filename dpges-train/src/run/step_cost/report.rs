@@ -27,7 +27,7 @@ pub struct Report {
     camera: Pinhole,
     /// Of which this is one: it has all surfels, and its share of the Gaussians.
     ranks: usize,
-    /// What it sends to the others in a step.
+    /// Bytes that it sends to the others in a step.
     sent_bytes: usize,
     #[serde(flatten)]
     pub cost: StepCost,
@@ -127,7 +127,7 @@ impl Report {
         rows
     }
 
-    /// What a rank sends, and how long that takes at least.
+    /// The bytes that a rank sends, and the least time that networks take for them.
     fn sent(&self) -> String {
         let times = GIGABITS.map(|rate| format!("{:.1} ms at {rate} Gb/s", 8e-6 * self.sent_bytes as f64 / rate));
         let megabytes = megabytes(self.sent_bytes as u64);

@@ -1,8 +1,8 @@
 //! Which rank has which Gaussians of a scene.
 //!
 //! Refinement decides on the columns of all Gaussians, which it gathers, with random numbers that all ranks draw alike: every rank
-//! comes to the same edit of the whole scene, and applies what concerns its own Gaussians. What stays stays where it is; new
-//! Gaussians go one by one to the rank that has the fewest.
+//! comes to the same edit of the whole scene, and applies what concerns its own Gaussians. Gaussians that stay keep their rank; new
+//! ones go one by one to the rank that has the fewest.
 
 use std::sync::Arc;
 
@@ -43,7 +43,7 @@ impl Dealt {
         Ok(if before == ranks.count() { Self { ranks, owners } } else { Self::new(count, ranks) })
     }
 
-    /// What [`from_column`](Self::from_column) takes; `None` of a rank alone.
+    /// The column that [`from_column`](Self::from_column) takes; `None` of a rank alone.
     pub fn column(&self) -> Option<(&'static str, Vec<f32>)> {
         let column = || self.owners.iter().map(|&owner| f32::from(owner)).collect();
         (!self.ranks.is_alone()).then(|| (OWNERS, column()))
