@@ -8,11 +8,13 @@ A driver is a row: Mesa's lavapipe with subgroups of 4, 8 and 16, Chromium's Swi
 OpenGL. Columns: the selftest (worst error as a share of its tolerance, so that 1 is the most that passes), random scenes at
 the extremes (tensors that are not finite), the kernels' tests of golden cases and parity, PSNR of a training of 50 steps,
 and the worst golden picture of the real-time renderer. Validation by Khronos's layers is a row of its own where they are
-installed: the number of their messages in a selftest, a training and a rendered path. Ends with 1 if a cell failed.
+installed: the number of their messages in a selftest, a training and a rendered path. The last table tells whether
+trainings on lavapipe depend on the order of workgroups. Ends with 1 if a cell failed.
 Needs Python 3.9 and nothing else.
 """
 
 import argparse
+import hashlib
 import json
 import os
 import re
@@ -33,6 +35,9 @@ FEATURES = {
 }
 # of the tests on a GPU
 KERNEL_TESTS = ["golden_cases", "parity::every_operation"]
+# kernels of every kind: peeled and summed, sorted, met by rays, in queues, with a core
+METHODS = ["dpges", "mcmc", "2dgs", "stopthepop", "htgs", "sortfree"]
+THREADS = [0, 1, 2, 7]
 SMALL = ["--steps", "50", "--max-resolution", "64", "--budget", "2000"]
 
 
@@ -178,6 +183,19 @@ def validation(kit):
             yield kind, name, code, sorted(set(messages)), output
 
 
+def orders(kit):
+    """Whether trainings on lavapipe end with the same bytes, whatever the number of threads that take its workgroups: with one
+    they run in order, with more in an order that differs from run to run. Yields method, thread count, exit status, digest."""
+    icds = [icd for icd in installed() if LAVAPIPE in icd.name]
+    for method in METHODS if icds else []:
+        for threads in THREADS:
+            run = Path(kit.folder) / f"order-{method}-{threads}"
+            command = [kit.dpges, "train", "--out", run, "--device", "wgpu", "--method", method, *SMALL]
+            code, _ = kit.run(command, vulkan(icds[0], LP_NUM_THREADS=str(threads)))
+            scene = run / "scene.safetensors"
+            yield method, threads, code, hashlib.sha256(scene.read_bytes()).hexdigest() if scene.is_file() else None
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("dpges", help="the program, built with `cargo build --release`")
@@ -211,6 +229,17 @@ def main():
                 passed &= code == 0 and not messages
                 print(f"| {kind} | {name} | {', '.join(messages) or 'none'}{'' if code == 0 else f' (exit {code})'} |", flush=True)
                 table.append({"validation": kind, "of": name, "exit": code, "messages": messages})
+        if not options.only:
+            digests = {}
+            for method, threads, code, digest in orders(kit):
+                passed &= code == 0
+                digests.setdefault(method, set()).add(digest)
+            if digests:
+                print(f"\n| trained with {', '.join(map(str, THREADS))} threads | scenes |\n|---|---|")
+            for method, found in digests.items():
+                passed &= len(found) == 1
+                print(f"| {method} | {'the same bytes' if len(found) == 1 else f'**{len(found)} different**'} |")
+                table.append({"method": method, "threads": THREADS, "different": len(found)})
     if options.json:
         Path(options.json).write_text(json.dumps(table, indent=1))
     sys.exit(0 if passed else 1)

@@ -22,7 +22,7 @@ fn main() -> Result<()> {
     let (model, none) = (ColourModel::SphericalBeta { lobes: 0 }, Tensor::zeros([1, 0], &device));
     let disc = Surfels::from_data(&SurfelData::neutral(model, 1), &device, DType::F32);
     let ball = Gaussians::from_data(&GaussianData::neutral(model, 1), &device, DType::F32);
-    let colour = |base| Colour { model, base, detail: none.clone() };
+    let colour = |base| Colour::new(model, base, none.clone());
     let target = Tensor::<3>::zeros([3, 48, 48], &device).slice_fill([0..3, 18..34, 14..30], 0.8);
     let mut optimiser = AdamConfig::new().init();
     for step in 0..200 {

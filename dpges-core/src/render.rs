@@ -2,6 +2,7 @@
 
 pub mod blended;
 pub mod pose;
+pub mod room;
 pub mod summed;
 
 use burn::tensor::{DType, Tensor};

@@ -9,7 +9,7 @@ const WRITE: &str = "DPGES_WRITE_DOCUMENTS";
 
 /// Document, command whose output it contains.
 const GENERATED: [(&str, &[&str]); 4] = [
-    ("../configs/default.toml", &["config"]),
+    ("configs/default.toml", &["config"]),
     ("docs/reference/configuration.md", &["config", "--markdown"]),
     ("docs/reference/variants.md", &["ablate", "--list"]),
     ("docs/reference/variants.md", &["compare", "--list"]),

@@ -8,7 +8,9 @@ use burn::tensor::{DType, Device};
 use dpges_train::device::DeviceName;
 use libtest_mimic::Trial;
 
-use crate::{golden, gpu, kernels, lpips, on_a_gpu, parity, step_cost, students, timing, training};
+use crate::{
+    buffers, golden, gpu, kernels, lpips, on_a_gpu, own_device, parity, step_cost, students, timing, training,
+};
 
 /// Every function named, with its name.
 macro_rules! named {
@@ -46,6 +48,8 @@ pub fn trials() -> Vec<Trial> {
         parity::primitives_larger_than_the_picture_agree,
         parity::gradients_beyond_the_largest_buffer_are_gathered_in_parts,
         parity::what_no_buffer_holds_is_refused_by_name,
+        buffers::details_in_parts_change_no_bit,
+        buffers::as_many_fit_as_are_said_to,
         parity::every_operation_gives_the_same_bits_every_time,
         parity::doubles_on_a_gpu_are_refused_by_name,
         parity::photographs_are_unpacked_to_the_same_bits,
@@ -53,13 +57,17 @@ pub fn trials() -> Vec<Trial> {
         gpu::starts_once,
         training::a_run_on_a_gpu_is_the_same_bytes_every_time,
         training::a_step_that_is_not_finite_is_undone,
+        training::details_that_no_buffer_holds_are_trained_in_parts,
         training::photographs_reach_a_gpu_to_the_bit,
         training::where_photographs_are_changes_no_bit_of_a_run,
+        own_device::every_operation_keeps_to_the_limits_of_webgpu,
+        own_device::a_device_that_is_lost_leaves_a_run_that_goes_on_elsewhere,
         step_cost::a_step_is_counted_alike_every_time,
         step_cost::a_blended_step_is_counted,
     ];
     let slow_in_software = named![
         on_a_gpu::each_of_a_million_has_its_pixel,
+        buffers::details_beyond_the_largest_buffer_of_the_driver,
         parity::every_operation_agrees_through_lenses,
         training::a_gpu_trains_as_well_as_a_cpu,
         training::lists_without_room_change_no_bit_of_a_run,

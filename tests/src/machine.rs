@@ -2,6 +2,7 @@
 //! ignored, and names them.
 
 mod budget;
+mod buffers;
 mod devices;
 mod extreme_training;
 mod extremes;
@@ -11,6 +12,7 @@ mod kernels;
 mod large;
 mod lpips;
 mod on_a_gpu;
+mod own_device;
 mod parity;
 mod poisoned;
 mod raster;

@@ -77,7 +77,7 @@ impl Case {
             opacities,
             opacity_base: detail.clone(),
             opacity_detail: detail.clone(),
-            colour: Colour { model: ColourModel::SphericalBeta { lobes: 0 }, base: colours.clone(), detail },
+            colour: Colour::new(ColourModel::SphericalBeta { lobes: 0 }, colours.clone(), detail),
             degrees_of_freedom: Some(degrees),
         };
         let camera = self.camera();

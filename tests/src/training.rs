@@ -6,6 +6,7 @@ use burn::tensor::Device;
 use dpges_core::counters::transfers::transfers;
 use dpges_core::losses::Target;
 use dpges_core::scene::tensors::tensor_to_rows;
+use dpges_core::testing::kernels::limit_buffers;
 use dpges_core::tiles::binning::cap_lists;
 use dpges_train::config::Config;
 use dpges_train::dataset::{BuiltinOptions, Dataset, builtin};
@@ -14,7 +15,7 @@ use dpges_train::run::{TrainError, Trainer};
 
 use crate::devices::ndarray;
 
-fn dataset() -> Arc<Dataset> {
+pub fn dataset() -> Arc<Dataset> {
     let (size, defaults) = (64, BuiltinOptions::default());
     Arc::new(builtin(&BuiltinOptions {
         width: size,
@@ -26,7 +27,7 @@ fn dataset() -> Arc<Dataset> {
     }))
 }
 
-fn config(steps: usize, more: &[&str]) -> Config {
+pub fn config(steps: usize, more: &[&str]) -> Config {
     let steps = format!("train.steps={steps}");
     let set: Vec<String> = [steps.as_str(), "refine.budget=3000", "stages.gaussians=0"]
         .iter()
@@ -37,7 +38,7 @@ fn config(steps: usize, more: &[&str]) -> Config {
 }
 
 /// A whole run; reports come one step late from a GPU, and all of them come.
-fn trained(data: &Arc<Dataset>, config: Config, device: &Device) -> Trainer {
+pub fn trained(data: &Arc<Dataset>, config: Config, device: &Device) -> Trainer {
     let steps = config.train.steps;
     let mut trainer = Trainer::new(config, Arc::clone(data), device.clone()).unwrap();
     let mut reported = Vec::new();
@@ -111,6 +112,29 @@ pub fn lists_without_room_change_no_bit_of_a_run(device: Device) {
         cap_lists(usize::MAX);
         assert!(found == expected, "{more:?}: another run where lists had no room");
     }
+}
+
+/// Harmonics of degree 3 that no buffer holds are trained in several tensors, with the same bits; what has no room at all is
+/// refused before the run.
+pub fn details_that_no_buffer_holds_are_trained_in_parts(device: Device) {
+    let (size, points) = (64, 1500);
+    let options =
+        BuiltinOptions { width: size, height: size, train_views: 8, test_views: 8, points, ..Default::default() };
+    let data = Arc::new(builtin(&options));
+    for method in ["train.method=3dgs", "train.method=mcmc"] {
+        let config = || config(12, &[method, "model.colour=sh3", "refine.budget=2000"]);
+        let whole = trained(&data, config(), &device).checkpoint();
+        limit_buffers(160_000);
+        let split = trained(&data, config(), &device);
+        limit_buffers(usize::MAX);
+        assert!(split.checkpoint() == whole, "{method}: another run where details are in parts");
+        assert!(split.scene().gaussians.len() * 45 * size_of::<f32>() > 160_000, "{method}: nothing was in parts");
+    }
+    limit_buffers(100_000);
+    let refused = Trainer::new(config(10, &["train.method=mcmc"]), Arc::clone(&data), device.clone()).err();
+    limit_buffers(usize::MAX);
+    let message = refused.expect("3000 do not fit").to_string();
+    assert!(message.contains("has room for 1388") && message.contains("refine.budget to at most 1388"), "{message}");
 }
 
 /// On a tape and off it, what a GPU has is what files have; so are the masks, of every other view.

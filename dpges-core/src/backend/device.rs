@@ -20,3 +20,14 @@ pub fn is_gpu(device: &Device) -> bool {
         _ => false,
     }
 }
+
+/// Bytes of the largest buffer that `device` takes; no limit on a CPU.
+pub fn largest_buffer(device: &Device) -> usize {
+    match device.as_dispatch().clone().inner() {
+        #[cfg(feature = "gpu")]
+        burn::backend::DispatchDevice::Cube(device) => {
+            crate::gpu::launch::largest_page(device.client().properties().memory.max_page_size)
+        }
+        _ => usize::MAX,
+    }
+}

@@ -44,7 +44,12 @@ pub fn gatherers(count: usize) -> CubeCount {
 
 /// Bytes of the largest buffer that the device of `like` takes.
 pub fn largest_buffer(like: &CubeTensor) -> usize {
-    let largest = usize::try_from(like.client.properties().memory.max_page_size).unwrap_or(usize::MAX);
+    largest_page(like.client.properties().memory.max_page_size)
+}
+
+/// Bytes of the largest buffer of a device whose memory has pages of at most so many bytes.
+pub fn largest_page(max_page_size: u64) -> usize {
+    let largest = usize::try_from(max_page_size).unwrap_or(usize::MAX);
     #[cfg(any(test, feature = "testing"))]
     let largest = largest.min(LARGEST_BUFFER.load(std::sync::atomic::Ordering::Relaxed));
     largest

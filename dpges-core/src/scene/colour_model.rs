@@ -5,6 +5,8 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
+use super::lobes::LOBE_LEN;
+
 /// Value of the zeroth spherical harmonic.
 pub const SH_C0: f64 = 0.282_094_791_773_878_14;
 
@@ -28,10 +30,18 @@ impl ColourModel {
     /// Numbers per primitive beside the base colour.
     pub const fn detail_len(self) -> usize {
         match self {
-            Self::SphericalBeta { lobes } => 6 * lobes,
+            Self::SphericalBeta { lobes } => LOBE_LEN * lobes,
             Self::SphericalHarmonics { degree } | Self::HarmonicsAndOpacity { degree } => {
                 3 * ((degree + 1) * (degree + 1) - 1)
             }
+        }
+    }
+
+    /// Numbers of a lobe, or of a coefficient of spherical harmonics.
+    pub const fn detail_unit(self) -> usize {
+        match self {
+            Self::SphericalBeta { .. } => LOBE_LEN,
+            Self::SphericalHarmonics { .. } | Self::HarmonicsAndOpacity { .. } => 3,
         }
     }
 

@@ -125,11 +125,11 @@ mod tests {
     fn colour_and_gradient(detail: &[f32], dtype: DType) -> [Vec<f64>; 2] {
         let (device, lobes) = (device(), detail.len() / LOBE_LEN);
         let black = [(-0.5 / SH_C0) as f32; 3];
-        let of = Colour {
-            model: ColourModel::SphericalBeta { lobes },
-            base: rows_to_tensor(&black, 3, &device, dtype),
-            detail: rows_to_tensor(detail, detail.len(), &device, dtype).require_grad(),
-        };
+        let of = Colour::new(
+            ColourModel::SphericalBeta { lobes },
+            rows_to_tensor(&black, 3, &device, dtype),
+            rows_to_tensor(detail, detail.len(), &device, dtype).require_grad(),
+        );
         let positions = rows_to_tensor(&[0.3, -0.4, 0.8], 3, &device, dtype);
         let out = colour(&of, &positions, [0.0; 3]).unwrap();
         let gradients = out.clone().sum().backward();

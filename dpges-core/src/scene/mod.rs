@@ -10,6 +10,7 @@ mod environment;
 pub mod file;
 pub mod lobes;
 pub mod schema;
+pub mod split;
 mod stored_size;
 #[cfg(feature = "burn")]
 pub mod tensors;

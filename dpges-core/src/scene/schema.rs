@@ -138,6 +138,23 @@ pub struct Colour<T> {
     pub base: T,
     /// [N, [`ColourModel::detail_len`]] raw lobes or higher spherical-harmonic coefficients.
     pub detail: T,
+    /// Further columns of the detail, in tensors on devices whose largest buffer does not hold all of it; else none.
+    pub rest: Vec<T>,
+}
+
+impl<T> Colour<T> {
+    pub const fn new(model: ColourModel, base: T, detail: T) -> Self {
+        Self { model, base, detail, rest: Vec::new() }
+    }
+
+    /// The detail and its rest.
+    pub fn details(&self) -> impl Iterator<Item = &T> {
+        std::iter::once(&self.detail).chain(&self.rest)
+    }
+
+    pub fn details_mut(&mut self) -> impl Iterator<Item = &mut T> {
+        std::iter::once(&mut self.detail).chain(&mut self.rest)
+    }
 }
 
 /// One value of type [`Value`](Self::Value) per attribute of a kind of primitive, in the order of
@@ -177,13 +194,23 @@ pub trait Columns: Sized {
         Self::all_attributes().zip(self.list())
     }
 
-    fn map<U>(self, mut with: impl FnMut(&'static Attribute, Self::Value) -> U) -> Self::With<U> {
-        let model = self.model();
-        Self::generate(model, Self::all_attributes().zip(self.into_list()).map(|(a, value)| with(a, value)))
+    fn map<U>(mut self, mut with: impl FnMut(&'static Attribute, Self::Value) -> U) -> Self::With<U> {
+        let (model, rest) = (self.model(), std::mem::take(&mut self.colour_mut().rest));
+        let values = Self::all_attributes().zip(self.into_list());
+        let mut mapped = Self::generate(model, values.map(|(attribute, value)| with(attribute, value)));
+        mapped.colour_mut().rest = rest.into_iter().map(|value| with(Self::detail(), value)).collect();
+        mapped
     }
 
     fn map_ref<U>(&self, mut with: impl FnMut(&'static Attribute, &Self::Value) -> U) -> Self::With<U> {
-        Self::generate(self.model(), self.iter().map(|(attribute, value)| with(attribute, value)))
+        let mut mapped = Self::generate(self.model(), self.iter().map(|(attribute, value)| with(attribute, value)));
+        mapped.colour_mut().rest = self.colour().rest.iter().map(|value| with(Self::detail(), value)).collect();
+        mapped
+    }
+
+    /// The attribute of [`Colour::detail`].
+    fn detail() -> &'static Attribute {
+        &Self::ATTRIBUTES[Self::ATTRIBUTES.len() - 1]
     }
 
     fn generate<U>(model: ColourModel, values: impl Iterator<Item = U>) -> Self::With<U> {
@@ -296,7 +323,7 @@ macro_rules! columns {
                 let mut next = || values.next().expect("counted above");
                 $columns {
                     $($field: next(),)*
-                    colour: Colour { model, base: next(), detail: next() },
+                    colour: Colour::new(model, next(), next()),
                     $($extra: values.next(),)*
                 }
             }

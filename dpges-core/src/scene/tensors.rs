@@ -3,8 +3,8 @@
 use burn::tensor::activation::sigmoid;
 use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 
-use super::schema::{self, Attribute, Columns, GaussianColumns, OpacityActivation, SurfelColumns};
-use super::{ColourModel, GaussianData, SurfelData};
+use super::schema::{self, Attribute, Columns, GaussianColumns, OpacityActivation, SurfelColumns, Width};
+use super::{ColourModel, GaussianData, SurfelData, split};
 use crate::counters::transfers::{download, upload, wait};
 use crate::error::{Error, Result};
 
@@ -29,6 +29,11 @@ fn shaped(rows: &[f32], shape: [usize; 2], device: &Device, dtype: DType) -> Ten
 pub fn tensor_to_rows<const D: usize>(tensor: &Tensor<D>) -> Vec<f32> {
     let data = wait(|| download(tensor.clone().into_data()));
     data.convert::<f32>().try_to_vec().expect("just converted to f32")
+}
+
+/// The detail of `colour`, row-major, from one tensor or several.
+pub fn detail_to_rows(colour: &Colour) -> Vec<f32> {
+    split::join(colour.details().map(|part| (tensor_to_rows(part), part.dims()[1])).collect())
 }
 
 /// A [N, 1] column as a vector `[N]`.
@@ -57,13 +62,30 @@ impl OpacityActivation {
 macro_rules! on_a_device {
     ($tensors:ident, $data:ident) => {
         impl $tensors {
+            /// The detail is [split](super::split) where no buffer of the device holds it.
             pub fn from_data(data: &$data, device: &Device, dtype: DType) -> Self {
                 let (count, model) = (data.len(), data.model());
-                data.map_ref(|attribute, rows| attribute.tensor(rows, count, model, device, dtype))
+                let mut rest = Vec::new();
+                let mut tensors = data.map_ref(|attribute, rows| {
+                    let widths = split::widths(attribute, attribute.shape(count, model), device);
+                    if widths.len() == 1 {
+                        return attribute.tensor(rows, count, model, device, dtype);
+                    }
+                    let parts = split::split(rows, &widths).into_iter().zip(widths);
+                    let mut parts = parts.map(|(rows, width)| shaped(&rows, [count, width], device, dtype));
+                    let first = parts.next().expect("several parts");
+                    rest = parts.collect();
+                    first
+                });
+                tensors.colour.rest = rest;
+                tensors
             }
 
             pub fn to_data(&self) -> $data {
-                self.map_ref(|_, tensor| tensor_to_rows(tensor))
+                let mut data = self.map_ref(|_, tensor| tensor_to_rows(tensor));
+                data.colour.rest.clear();
+                data.colour.detail = detail_to_rows(&self.colour);
+                data
             }
 
             pub fn len(&self) -> usize {
@@ -84,8 +106,11 @@ macro_rules! on_a_device {
             /// [`Error::Shape`] naming the tensor that does not fit the others.
             pub fn check_shapes(&self) -> Result<()> {
                 let (count, model) = (self.len(), self.model());
+                let of_rest: usize = self.colour.rest.iter().map(|tensor| tensor.dims()[1]).sum();
                 self.iter().try_for_each(|(attribute, tensor)| {
-                    check_shape(attribute.name, tensor, attribute.shape(count, model))
+                    let [count, width] = attribute.shape(count, model);
+                    let elsewhere = if attribute.width == Width::Detail { of_rest } else { 0 };
+                    check_shape(attribute.name, tensor, [count, width.saturating_sub(elsewhere)])
                 })
             }
         }

@@ -51,11 +51,11 @@ impl SplatCloud {
     pub fn to_scene(&self) -> SceneData {
         let model = ColourModel::SphericalHarmonics { degree: self.degree };
         let rows = || (0..self.len()).map(|row| self.harmonics_of(row));
-        let colour = ColourData {
+        let colour = ColourData::new(
             model,
-            base: rows().flat_map(|k| k[0]).collect(),
-            detail: rows().flat_map(|k| k[1..].as_flattened()).copied().collect(),
-        };
+            rows().flat_map(|k| k[0]).collect(),
+            rows().flat_map(|k| k[1..].as_flattened()).copied().collect(),
+        );
         SceneData {
             info: SceneInfo { colour_model: model, rendering: Rendering::Ellipsoids, ..self.info.clone() },
             surfels: SurfelData::neutral(model, 0),

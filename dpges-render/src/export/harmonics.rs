@@ -188,7 +188,7 @@ mod tests {
         let (theta, phi) = (0.8f64, -1.9f64);
         let axis = DVec3::new(theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos());
         let detail = vec![0.0, -0.1, 0.2, theta as f32, phi as f32, 2f32.ln()];
-        let colour = ColourData { model: ColourModel::SphericalBeta { lobes: 1 }, base: vec![0.1, -0.2, 0.3], detail };
+        let colour = ColourData::new(ColourModel::SphericalBeta { lobes: 1 }, vec![0.1, -0.2, 0.3], detail);
         let fit = coefficients(&colour, 0);
         let spots: Vec<DVec3> = (0..4000)
             .map(|index| {
@@ -209,7 +209,7 @@ mod tests {
     fn harmonics_are_kept() {
         let detail: Vec<f32> = (0..24).map(|i| 0.01 * i as f32).collect();
         let model = ColourModel::SphericalHarmonics { degree: 2 };
-        let colour = ColourData { model, base: vec![1.0, 2.0, 3.0], detail: detail.clone() };
+        let colour = ColourData::new(model, vec![1.0, 2.0, 3.0], detail.clone());
         let fit = coefficients(&colour, 0);
         assert_eq!(fit[0], [1.0, 2.0, 3.0]);
         assert_eq!(fit[8], [21, 22, 23].map(|i: usize| f64::from(detail[i])));

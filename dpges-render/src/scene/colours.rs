@@ -91,7 +91,7 @@ mod tests {
         assert_eq!(["sb0", "sb1", "sb2", "sb3", "sh0", "sh1", "sh3"].map(count), [1, 2, 2, 3, 1, 2, 8]);
         for model in ["sb0", "sb3", "sh2"] {
             let model: ColourModel = model.parse().unwrap();
-            let colours = ColourData { model, base: vec![0.0; 6], detail: vec![0.1; 2 * model.detail_len()] };
+            let colours = ColourData::new(model, vec![0.0; 6], vec![0.1; 2 * model.detail_len()]);
             assert_eq!(pack(&colours).len(), 2 * texels(model));
         }
     }

@@ -10,17 +10,17 @@ use super::{Config, ConfigError, DataConfig, Key, SECTIONS, former, keys};
 
 /// Configurations that come with the program: name and TOML, which begins with a comment on what it is for.
 pub const PRESETS: [(&str, &str); 11] = [
-    ("default", include_str!("../../../configs/default.toml")),
-    ("quick", include_str!("../../../configs/quick.toml")),
-    ("cpu", include_str!("../../../configs/cpu.toml")),
-    ("fast", include_str!("../../../configs/fast.toml")),
+    ("default", include_str!("../../configs/default.toml")),
+    ("quick", include_str!("../../configs/quick.toml")),
+    ("cpu", include_str!("../../configs/cpu.toml")),
+    ("fast", include_str!("../../configs/fast.toml")),
     ("balanced", "# The defaults, between `fast` and `quality`."),
-    ("quality", include_str!("../../../configs/quality.toml")),
-    ("mipnerf360", include_str!("../../../configs/mipnerf360.toml")),
-    ("tanks-and-temples", include_str!("../../../configs/tanks-and-temples.toml")),
-    ("deep-blending", include_str!("../../../configs/deep-blending.toml")),
-    ("nerf-synthetic", include_str!("../../../configs/nerf-synthetic.toml")),
-    ("ges", include_str!("../../../configs/ges.toml")),
+    ("quality", include_str!("../../configs/quality.toml")),
+    ("mipnerf360", include_str!("../../configs/mipnerf360.toml")),
+    ("tanks-and-temples", include_str!("../../configs/tanks-and-temples.toml")),
+    ("deep-blending", include_str!("../../configs/deep-blending.toml")),
+    ("nerf-synthetic", include_str!("../../configs/nerf-synthetic.toml")),
+    ("ges", include_str!("../../configs/ges.toml")),
 ];
 
 impl Config {

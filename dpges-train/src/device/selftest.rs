@@ -17,14 +17,11 @@ pub struct Case {
 /// A plain scene; one with more surfels per pixel than are peeled; one with the camera among the primitives; one of
 /// translucent surfels. The first is the quickest.
 pub const CASES: [Case; 5] = [
-    Case { name: "basic", bytes: include_bytes!("../../../tests/golden/basic.safetensors") },
-    Case { name: "backstop", bytes: include_bytes!("../../../tests/golden/backstop.safetensors") },
-    Case { name: "crowded", bytes: include_bytes!("../../../tests/golden/crowded.safetensors") },
-    Case { name: "inside", bytes: include_bytes!("../../../tests/golden/inside.safetensors") },
-    Case {
-        name: "four_layers_translucent",
-        bytes: include_bytes!("../../../tests/golden/four_layers_translucent.safetensors"),
-    },
+    Case { name: "basic", bytes: include_bytes!("../../golden/basic.safetensors") },
+    Case { name: "backstop", bytes: include_bytes!("../../golden/backstop.safetensors") },
+    Case { name: "crowded", bytes: include_bytes!("../../golden/crowded.safetensors") },
+    Case { name: "inside", bytes: include_bytes!("../../golden/inside.safetensors") },
+    Case { name: "four_layers_translucent", bytes: include_bytes!("../../golden/four_layers_translucent.safetensors") },
 ];
 
 /// Relative error that is tolerated in addition to the effect of rounding the inputs to f32.

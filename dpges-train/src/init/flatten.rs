@@ -44,11 +44,11 @@ mod tests {
             quaternions: [0.5, 0.5, -0.5, 0.5].repeat(3),
             log_scales: [0.0, 1.0, 2.0, 1.0, 0.0, 2.0, 2.0, 1.0, 0.0].to_vec(),
             opacities: vec![0.9, 0.2, 0.8],
-            colour: ColourData {
-                model: ColourModel::SphericalBeta { lobes: 0 },
-                base: (0..9).map(|i| i as f32).collect(),
-                detail: vec![],
-            },
+            colour: ColourData::new(
+                ColourModel::SphericalBeta { lobes: 0 },
+                (0..9).map(|i| i as f32).collect(),
+                vec![],
+            ),
             ..GaussianData::default()
         };
         let surfels = flatten(&gaussians, 2, 1f64.exp());

@@ -146,7 +146,7 @@ pub fn facing(normal: DVec3) -> [f32; 4] {
 
 fn colour(points: &OrientedPoints, model: ColourModel, rng: &mut ChaCha8Rng) -> ColourData {
     let base = points.colours.as_flattened().iter().map(|&c| ((f64::from(c) - 0.5) / SH_C0) as f32).collect();
-    ColourData { model, base, detail: faint_detail(model, points.len(), rng) }
+    ColourData::new(model, base, faint_detail(model, points.len(), rng))
 }
 
 #[cfg(test)]

@@ -47,7 +47,7 @@ mod tests {
             quaternions: numbered(4),
             log_scales: [0.0, 3f32.ln(), f32::NAN].repeat(n),
             opacities: opacities.to_vec(),
-            colour: ColourData { model: MODEL, base: numbered(3), detail: numbered(9) },
+            colour: ColourData::new(MODEL, numbered(3), numbered(9)),
             ..GaussianData::default()
         }
     }

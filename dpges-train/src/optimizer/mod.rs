@@ -6,6 +6,7 @@ pub mod scene_state;
 use burn::tensor::{Bool, DType, Device, Gradients, Int, Tensor, TensorData};
 use dpges_core::ops::adam::{AdamStep, adam_step};
 use dpges_core::scene::schema::Attribute;
+use dpges_core::scene::split;
 use dpges_core::scene::tensors::{row_indices, tensor_to_rows};
 
 /// Learning rate of the logits of opacities, of Gaussians and discs that are blended (3DGS).
@@ -15,9 +16,16 @@ pub const LOGIT_RATE: f64 = 0.05;
 #[derive(Clone, Debug)]
 pub struct Parameter {
     attribute: &'static Attribute,
-    /// [rows, width]
+    /// One after the other, all columns: one block, unless no buffer of the device holds them ([`split`]).
+    blocks: Vec<Block>,
+}
+
+/// Some columns of a parameter.
+#[derive(Clone, Debug)]
+struct Block {
+    /// [rows, columns]
     raw: Tensor<2>,
-    /// Each [rows, width].
+    /// Each [rows, columns].
     moments: Option<[Tensor<2>; 2]>,
 }
 
@@ -32,37 +40,85 @@ pub struct ParameterRows {
 
 impl Parameter {
     /// Raw numbers [`count`, `width`] that have not been stepped yet.
-    pub fn fresh(attribute: &'static Attribute, raw: &[f32], [count, width]: [usize; 2], device: &Device) -> Self {
-        let raw = tensor(raw, [count, width], device);
-        let moments = attribute.learns().then(|| [(); 2].map(|()| zeros([count, width], device)));
-        Self { attribute, raw, moments }
+    pub fn fresh(attribute: &'static Attribute, raw: &[f32], shape: [usize; 2], device: &Device) -> Self {
+        let block = |columns: Tensor<2>| {
+            let shape = columns.dims();
+            let moments = attribute.learns().then(|| [(); 2].map(|()| zeros(shape, device)));
+            Block { raw: columns, moments }
+        };
+        let columns = columns(raw, shape, &split::widths(attribute, shape, device), device);
+        Self { attribute, blocks: columns.into_iter().map(block).collect() }
     }
 
     pub fn from_rows(attribute: &'static Attribute, rows: &ParameterRows, device: &Device) -> Self {
         let shape = [rows.count, rows.width];
-        let moments = rows.moments.as_ref().map(|moments| moments.each_ref().map(|rows| tensor(rows, shape, device)));
-        Self { attribute, raw: tensor(&rows.raw, shape, device), moments }
+        Self::in_blocks(attribute, rows, &split::widths(attribute, shape, device), device)
+    }
+
+    fn in_blocks(attribute: &'static Attribute, rows: &ParameterRows, widths: &[usize], device: &Device) -> Self {
+        let of = |values: &Vec<f32>| columns(values, [rows.count, rows.width], widths, device);
+        let mut moments = rows.moments.as_ref().map(|moments| moments.each_ref().map(|rows| of(rows).into_iter()));
+        let block = |raw| Block {
+            raw,
+            moments: moments
+                .as_mut()
+                .map(|both| both.each_mut().map(|columns| columns.next().expect("as many blocks"))),
+        };
+        Self { attribute, blocks: of(&rows.raw).into_iter().map(block).collect() }
     }
 
     pub fn rows(&self) -> ParameterRows {
-        let [count, width] = self.raw.dims();
-        let moments = self.moments.as_ref().map(|moments| moments.each_ref().map(tensor_to_rows));
-        ParameterRows { count, width, raw: tensor_to_rows(&self.raw), moments }
+        let of = |column: &dyn Fn(&Block) -> Tensor<2>| {
+            split::join(self.blocks.iter().map(|block| (tensor_to_rows(&column(block)), block.raw.dims()[1])).collect())
+        };
+        let moment =
+            |which: usize| of(&|block| block.moments.as_ref().expect("every block has moments")[which].clone());
+        let moments = self.blocks[0].moments.is_some().then(|| [moment(0), moment(1)]);
+        let [count, width] = self.dims();
+        ParameterRows { count, width, raw: of(&|block| block.raw.clone()), moments }
     }
 
-    /// [rows, width] the raw numbers, not on a tape.
+    /// [rows, width]
+    fn dims(&self) -> [usize; 2] {
+        [self.blocks[0].raw.dims()[0], self.widths().into_iter().sum()]
+    }
+
+    /// Columns of each block.
+    fn widths(&self) -> Vec<usize> {
+        self.blocks.iter().map(|block| block.raw.dims()[1]).collect()
+    }
+
+    fn device(&self) -> Device {
+        self.blocks[0].raw.device()
+    }
+
+    /// [rows, width] the raw numbers, not on a tape; of a detail those of the first block.
     pub fn raw(&self) -> Tensor<2> {
-        self.raw.clone()
+        self.blocks[0].raw.clone()
     }
 
-    /// The two Adam moments, each [rows, width]; `None` if the attribute does not learn.
+    /// The raw numbers of all blocks but the first.
+    pub fn rest(&self) -> Vec<Tensor<2>> {
+        self.blocks[1..].iter().map(|block| block.raw.clone()).collect()
+    }
+
+    /// The two Adam moments, each [rows, width], of a detail those of the first block; `None` if the attribute does not learn.
     pub fn moments(&self) -> Option<&[Tensor<2>; 2]> {
-        self.moments.as_ref()
+        self.blocks[0].moments.as_ref()
     }
 
-    /// [rows, width] the raw numbers on a new tape; a leaf of it if the attribute learns.
+    /// [`raw`](Self::raw) on a new tape; a leaf of it if the attribute learns.
     pub fn leaf(&self) -> Tensor<2> {
-        let raw = self.raw.clone().autodiff();
+        self.on_tape(self.raw())
+    }
+
+    /// [`rest`](Self::rest), likewise.
+    pub fn rest_of_leaves(&self) -> Vec<Tensor<2>> {
+        self.rest().into_iter().map(|raw| self.on_tape(raw)).collect()
+    }
+
+    fn on_tape(&self, raw: Tensor<2>) -> Tensor<2> {
+        let raw = raw.autodiff();
         if self.attribute.learns() { raw.require_grad() } else { raw }
     }
 
@@ -71,11 +127,96 @@ impl Parameter {
         if self.attribute.learns() { leaf.grad_remove(gradients) } else { None }
     }
 
-    /// Nothing changes where `gate` `[1]` is not 1, or if the attribute does not learn.
+    /// Steps the first block. Nothing changes where `gate` `[1]` is not 1, or if the attribute does not learn.
     ///
     /// # Errors
     /// [`dpges_core::Error::Shape`] if the gradient belongs to another set of rows.
     pub fn step(&mut self, gradient: Option<Tensor<2>>, gate: &Tensor<1>, step: AdamStep) -> dpges_core::Result<()> {
+        self.blocks[0].step(gradient, gate, step)
+    }
+
+    /// Steps the [rest](Self::rest), each block by the gradient in its place.
+    ///
+    /// # Errors
+    /// Those of [`step`](Self::step).
+    pub fn step_rest(
+        &mut self,
+        gradients: impl Iterator<Item = Option<Tensor<2>>>,
+        gate: &Tensor<1>,
+        step: AdamStep,
+    ) -> dpges_core::Result<()> {
+        self.blocks[1..].iter_mut().zip(gradients).try_for_each(|(block, gradient)| block.step(gradient, gate, step))
+    }
+
+    /// Replaces all raw numbers; the moments stay.
+    ///
+    /// # Panics
+    /// If `raw` has another length.
+    pub fn set(&mut self, raw: &[f32]) {
+        let columns = columns(raw, self.dims(), &self.widths(), &self.device());
+        self.blocks.iter_mut().zip(columns).for_each(|(block, raw)| block.raw = raw);
+    }
+
+    /// Replaces all raw numbers by those of a tensor [rows, width] on the same device; the moments stay. Not of a detail.
+    pub fn set_tensor(&mut self, raw: Tensor<2>) {
+        self.blocks[0].raw = raw;
+    }
+
+    /// Replaces all raw numbers; the moments start again.
+    ///
+    /// # Panics
+    /// If `raw` has another length.
+    pub fn restart(&mut self, raw: &[f32]) {
+        *self = Self::fresh(self.attribute, raw, self.dims(), &self.device());
+    }
+
+    /// Keeps the `kept` rows and appends `added_count` rows with the raw numbers `added`, whose moments are zero (3DGS).
+    ///
+    /// # Panics
+    /// If `added` has another length.
+    pub fn edit(&mut self, kept: &Rows, added: &[f32], added_count: usize) {
+        self.split_for(kept.len() + added_count);
+        let (device, [_, width]) = (self.device(), self.dims());
+        let added = columns(added, [added_count, width], &self.widths(), &device);
+        for (block, added) in self.blocks.iter_mut().zip(added) {
+            let shape = added.dims();
+            block.raw = joined(kept.of(&block.raw), || added, added_count);
+            for moment in block.moments.iter_mut().flatten() {
+                *moment = joined(kept.of(moment), || zeros(shape, &device), added_count);
+            }
+        }
+    }
+
+    /// More blocks, if `count` rows need more.
+    fn split_for(&mut self, count: usize) {
+        let widths = split::widths(self.attribute, [count, self.dims()[1]], &self.device());
+        if widths.len() > self.blocks.len() {
+            *self = Self::in_blocks(self.attribute, &self.rows(), &widths, &self.device());
+        }
+    }
+
+    /// Row i becomes a copy of row i of `copied`. Moments stay with their place; they are zero in places that are new,
+    /// and where `fresh` [rows of the new set, 1] is true (3DGS-MCMC).
+    pub fn copy_rows(&mut self, copied: &Rows, fresh: &Tensor<2, Bool>) {
+        self.split_for(copied.len());
+        for Block { raw, moments } in &mut self.blocks {
+            let [count, width] = raw.dims();
+            let added = copied.len() - count;
+            *raw = copied.of(raw);
+            for moment in moments.iter_mut().flatten() {
+                let extended = joined(moment.clone(), || zeros([added, width], &moment.device()), added);
+                *moment = if width == 0 {
+                    extended
+                } else {
+                    extended.mask_fill(fresh.clone().expand([-1, width as i64]), 0.0)
+                };
+            }
+        }
+    }
+}
+
+impl Block {
+    fn step(&mut self, gradient: Option<Tensor<2>>, gate: &Tensor<1>, step: AdamStep) -> dpges_core::Result<()> {
         let [_, width] = self.raw.dims();
         if width == 0 {
             return Ok(());
@@ -87,60 +228,6 @@ impl Parameter {
         let (raw, moments) = adam_step(raw, moments, &gradient, gate, &step)?;
         (self.raw, self.moments) = (raw, Some(moments));
         Ok(())
-    }
-
-    /// Replaces all raw numbers; the moments stay.
-    ///
-    /// # Panics
-    /// If `raw` has another length.
-    pub fn set(&mut self, raw: &[f32]) {
-        self.raw = tensor(raw, self.raw.dims(), &self.raw.device());
-    }
-
-    /// Replaces all raw numbers by those of a tensor [rows, width] on the same device; the moments stay.
-    pub fn set_tensor(&mut self, raw: Tensor<2>) {
-        self.raw = raw;
-    }
-
-    /// Replaces all raw numbers; the moments start again.
-    ///
-    /// # Panics
-    /// If `raw` has another length.
-    pub fn restart(&mut self, raw: &[f32]) {
-        *self = Self::fresh(self.attribute, raw, self.raw.dims(), &self.raw.device());
-    }
-
-    /// Keeps the `kept` rows and appends `added_count` rows with the raw numbers `added`, whose moments are zero (3DGS).
-    ///
-    /// # Panics
-    /// If `added` has another length.
-    pub fn edit(&mut self, kept: &Rows, added: &[f32], added_count: usize) {
-        let [_, width] = self.raw.dims();
-        let (device, shape) = (self.raw.device(), [added_count, width]);
-        self.raw = joined(kept.of(&self.raw), || tensor(added, shape, &device), added_count);
-        if let Some(moments) = &mut self.moments {
-            for moment in moments {
-                *moment = joined(kept.of(moment), || zeros(shape, &device), added_count);
-            }
-        }
-    }
-
-    /// Row i becomes a copy of row i of `copied`. Moments stay with their place; they are zero in places that are new,
-    /// and where `fresh` [rows of the new set, 1] is true (3DGS-MCMC).
-    pub fn copy_rows(&mut self, copied: &Rows, fresh: &Tensor<2, Bool>) {
-        let [count, width] = self.raw.dims();
-        let added = copied.len() - count;
-        self.raw = copied.of(&self.raw);
-        if let Some(moments) = &mut self.moments {
-            for moment in moments {
-                let extended = joined(moment.clone(), || zeros([added, width], &moment.device()), added);
-                *moment = if width == 0 {
-                    extended
-                } else {
-                    extended.mask_fill(fresh.clone().expand([-1, width as i64]), 0.0)
-                };
-            }
-        }
     }
 }
 
@@ -186,6 +273,15 @@ fn joined(kept: Tensor<2>, added: impl FnOnce() -> Tensor<2>, count: usize) -> T
     }
 }
 
+/// `values` [`count`, all columns] in tensors of so many columns each.
+fn columns(values: &[f32], [count, _]: [usize; 2], widths: &[usize], device: &Device) -> Vec<Tensor<2>> {
+    if let &[width] = widths {
+        return vec![tensor(values, [count, width], device)];
+    }
+    let parts = split::split(values, widths).into_iter().zip(widths);
+    parts.map(|(values, &width)| tensor(&values, [count, width], device)).collect()
+}
+
 fn tensor(values: &[f32], shape: [usize; 2], device: &Device) -> Tensor<2> {
     Tensor::from_data(TensorData::new(values.to_vec(), shape), (device, DType::F32))
 }
@@ -221,6 +317,35 @@ mod tests {
 
     fn moments(parameter: &Parameter) -> [Vec<f32>; 2] {
         parameter.rows().moments.unwrap()
+    }
+
+    /// What happens to an attribute in a run, one thing after the other.
+    fn in_a_run(mut parameter: Parameter, device: &Device) -> Vec<ParameterRows> {
+        let gradient: Vec<f32> = (0..24).map(|at| (at as f32).sin()).collect();
+        let gradients = columns(&gradient, [2, 12], &parameter.widths(), device);
+        let mut gradients = gradients.into_iter().map(Some);
+        parameter.step(gradients.next().flatten(), &open(device), STEP).unwrap();
+        parameter.step_rest(gradients, &open(device), STEP).unwrap();
+        let mut all = vec![parameter.rows()];
+        let added: Vec<f32> = (0..12).map(|at| at as f32).collect();
+        parameter.edit(&Rows::new(&[1], 2, device), &added, 1);
+        all.push(parameter.rows());
+        parameter.copy_rows(&Rows::new(&[1, 1, 0], 2, device), &fresh_rows(&[false, true, false], device));
+        all.push(parameter.rows());
+        parameter.set(&[0.25; 36]);
+        all.push(parameter.rows());
+        all
+    }
+
+    #[test]
+    fn a_detail_in_several_blocks_fares_like_one_in_one() {
+        let (device, detail) = (Device::flex(), SurfelColumns::<()>::detail());
+        let raw: Vec<f32> = (0..24).map(|at| at as f32 / 7.0).collect();
+        let whole = Parameter::fresh(detail, &raw, [2, 12], &device);
+        let split = Parameter::in_blocks(detail, &whole.rows(), &[6, 6], &device);
+        assert_eq!((whole.widths(), split.widths()), (vec![12], vec![6, 6]));
+        assert_eq!((split.raw().dims(), split.rest_of_leaves().len()), ([2, 6], 1));
+        assert_eq!(in_a_run(split, &device), in_a_run(whole, &device));
     }
 
     #[test]

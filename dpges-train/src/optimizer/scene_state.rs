@@ -143,7 +143,7 @@ impl<C: Columns<Value = Parameter, With<Parameter> = C>> State<C> {
     /// The attributes as they are rendered, in host memory.
     pub fn to_data(&self) -> C::With<Vec<f32>> {
         self.columns.map_ref(|attribute, parameter| {
-            let raw = tensor_to_rows(&parameter.raw());
+            let raw = parameter.rows().raw;
             match attribute.activation {
                 Activation::Identity => raw,
                 Activation::Opacity => raw.into_iter().map(|raw| self.opacity.value(raw)).collect(),
@@ -162,21 +162,30 @@ impl<C: Columns<Value = Parameter, With<Parameter> = C>> State<C> {
 
     /// The attributes as they are rendered, without a tape.
     pub fn values(&self) -> C::With<Tensor<2>> {
-        self.columns.map_ref(|attribute, parameter| self.activated(attribute, parameter.raw()))
+        let mut values = self.columns.map_ref(|attribute, parameter| self.activated(attribute, parameter.raw()));
+        values.colour_mut().rest = self.columns.colour().detail.rest();
+        values
     }
 
     /// The attributes on a new tape, for one step.
     pub fn leaves(&self) -> Leaves<C::With<Tensor<2>>> {
-        let leaves: Vec<Tensor<2>> = self.columns.list().into_iter().map(Parameter::leaf).collect();
-        let values = C::all_attributes().zip(&leaves).map(|(a, leaf)| self.activated(a, leaf.clone()));
-        let model = self.columns.model();
-        Leaves { values: C::generate(model, values), raw: C::from_list(model, leaves) }
+        let mut raw = self.columns.map_ref(|_, parameter| parameter.leaf());
+        raw.colour_mut().rest = self.columns.colour().detail.rest_of_leaves();
+        let activated = C::all_attributes().zip(raw.list()).map(|(a, leaf)| self.activated(a, leaf.clone()));
+        let mut values = C::generate(self.columns.model(), activated);
+        values.colour_mut().rest.clone_from(&raw.colour().rest);
+        Leaves { values, raw }
     }
 
-    /// The gradients that a backward pass left for the raw [`leaves`](Self::leaves).
+    /// The gradients that a backward pass left for the raw [`leaves`](Self::leaves); those of further blocks of the detail
+    /// are the last.
     pub fn gradients(&self, raw: &C::With<Tensor<2>>, gradients: &mut Gradients) -> GradientList {
-        let columns = self.columns.iter().zip(raw.list()).filter(|((attribute, _), _)| attribute.learns());
-        columns.map(|((attribute, parameter), leaf)| (attribute, parameter.gradient(leaf, gradients))).collect()
+        let columns =
+            self.columns.iter().zip(raw.list()).map(|((attribute, parameter), leaf)| (attribute, parameter, leaf));
+        let detail = &self.columns.colour().detail;
+        let rest = raw.colour().rest.iter().map(|leaf| (C::detail(), detail, leaf));
+        let learning = columns.chain(rest).filter(|(attribute, ..)| attribute.learns());
+        learning.map(|(attribute, parameter, leaf)| (attribute, parameter.gradient(leaf, gradients))).collect()
     }
 
     /// Nothing changes where `gate` `[1]` is not 1.
@@ -191,10 +200,12 @@ impl<C: Columns<Value = Parameter, With<Parameter> = C>> State<C> {
         adam: AdamStep,
     ) -> dpges_core::Result<()> {
         let learning = C::all_attributes().zip(self.columns.list_mut()).filter(|(attribute, _)| attribute.learns());
-        for ((attribute, parameter), (_, gradient)) in learning.zip(gradients) {
-            parameter.step(gradient, gate, AdamStep { learning_rate: rates.of(attribute.rate), ..adam })?;
+        let mut gradients = gradients.into_iter().map(|(_, gradient)| gradient);
+        let at = |attribute: &Attribute| AdamStep { learning_rate: rates.of(attribute.rate), ..adam };
+        for (attribute, parameter) in learning {
+            parameter.step(gradients.next().flatten(), gate, at(attribute))?;
         }
-        Ok(())
+        self.columns.colour_mut().detail.step_rest(gradients, gate, at(C::detail()))
     }
 
     /// Rows that stay.
@@ -206,8 +217,8 @@ impl<C: Columns<Value = Parameter, With<Parameter> = C>> State<C> {
     /// The colours in host memory.
     pub fn colour(&self) -> ColourData {
         let colour = self.columns.colour();
-        let [base, detail] = [&colour.base, &colour.detail].map(|parameter| tensor_to_rows(&parameter.raw()));
-        ColourData { model: colour.model, base, detail }
+        let [base, detail] = [&colour.base, &colour.detail].map(|parameter| parameter.rows().raw);
+        ColourData::new(colour.model, base, detail)
     }
 
     /// Replaces all colours; their moments stay.

@@ -112,11 +112,7 @@ mod tests {
             quaternions: [1.0, 0.0, 0.0, 0.0].repeat(n),
             log_scales: [0.0, 1.0, -20.0].repeat(n),
             opacities: opacities.to_vec(),
-            colour: ColourData {
-                model: ColourModel::SphericalBeta { lobes: 0 },
-                base: vec![0.5; n * 3],
-                detail: vec![],
-            },
+            colour: ColourData::new(ColourModel::SphericalBeta { lobes: 0 }, vec![0.5; n * 3], vec![]),
             ..GaussianData::default()
         }
     }

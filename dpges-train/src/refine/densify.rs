@@ -187,7 +187,7 @@ mod tests {
             quaternions: [3.0, 0.0, 0.0, 3.0].repeat(n),
             log_scales: scales.iter().flat_map(|s| [*s, s / 2.0, s / 4.0].map(f32::ln)).collect(),
             opacities: (0..n).map(|i| 0.5 + 0.125 * (i % 4) as f32).collect(),
-            colour: ColourData { model: MODEL, base: numbered(3), detail: numbered(6) },
+            colour: ColourData::new(MODEL, numbered(3), numbered(6)),
             ..GaussianData::default()
         }
     }

@@ -114,11 +114,11 @@ pub fn keep_lobes(
         (base, detail)
     };
     let primitives: Vec<_> = as_points(positions).par_iter().enumerate().map(of_primitive).collect();
-    ColourData {
-        model: ColourModel::SphericalBeta { lobes: keep },
-        base: primitives.iter().flat_map(|(base, _)| *base).collect(),
-        detail: primitives.into_iter().flat_map(|(_, detail)| detail).collect(),
-    }
+    ColourData::new(
+        ColourModel::SphericalBeta { lobes: keep },
+        primitives.iter().flat_map(|(base, _)| *base).collect(),
+        primitives.into_iter().flat_map(|(_, detail)| detail).collect(),
+    )
 }
 
 /// Whether the lobe `raw` can go if it is seen in `directions`, and why.
@@ -303,7 +303,7 @@ mod tests {
         let device = device();
         let tensor = |rows: &[f32], width| rows_to_tensor(rows, width, &device, DType::F32);
         let model = ColourModel::SphericalBeta { lobes };
-        let of = Colour { model, base: tensor(&data.base, 3), detail: tensor(&data.detail, model.detail_len()) };
+        let of = Colour::new(model, tensor(&data.base, 3), tensor(&data.detail, model.detail_len()));
         values(&colour(&of, &tensor(positions, 3), centre).unwrap())
     }
 

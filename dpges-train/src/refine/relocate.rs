@@ -145,7 +145,7 @@ mod tests {
             quaternions: numbered(4),
             log_scales: [1f32, 2.0, 4.0].map(f32::ln).repeat(n),
             opacities: opacities.to_vec(),
-            colour: ColourData { model: MODEL, base: numbered(3), detail: numbered(6) },
+            colour: ColourData::new(MODEL, numbered(3), numbered(6)),
             ..GaussianData::default()
         }
     }

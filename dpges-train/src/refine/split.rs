@@ -70,7 +70,7 @@ mod tests {
             quaternions: [half * 3.0, 0.0, 0.0, half * 3.0].repeat(n),
             log_scales: scales.iter().flat_map(|s| [(4.0 * s).ln(), s.ln(), s.ln()]).collect(),
             opacities: (0..n).map(|i| i as f32).collect(),
-            colour: ColourData { model: MODEL, base: vec![0.25; n * 3], detail: vec![0.75; n * 6] },
+            colour: ColourData::new(MODEL, vec![0.25; n * 3], vec![0.75; n * 6]),
             ..GaussianData::default()
         }
     }

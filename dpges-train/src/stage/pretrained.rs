@@ -2,6 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
+use dpges_core::backend::device::largest_buffer;
+use dpges_core::ops::blend::Form;
+use dpges_core::render::room::Drawn;
 use dpges_core::scene::{Rendering, SceneData};
 
 use super::{Context, TrainError};
@@ -16,8 +19,9 @@ impl Context {
     /// Checks before the first step that there is all that `plan`, its losses and its decisions need.
     ///
     /// # Errors
-    /// [`TrainError::Plan`] names what is missing, [`TrainError::Pretrained`] a file that cannot be used.
+    /// [`TrainError::Plan`] names what is missing or too large, [`TrainError::Pretrained`] a file that cannot be used.
     pub fn check_plan(&self, plan: &[StagePlan]) -> Result<(), TrainError> {
+        plan.iter().try_for_each(|stage| self.check_room(stage))?;
         let surfels = self.pretrained(SURFELS_FROM)?;
         self.pretrained(GAUSSIANS_FROM)?;
         if self.dataset.validation.is_empty() {
@@ -69,6 +73,38 @@ impl Context {
             }
         }
         Ok(())
+    }
+
+    /// Whether buffers of the device hold as many primitives as `stage` may have.
+    fn check_room(&self, stage: &StagePlan) -> Result<(), TrainError> {
+        let of_ranks = if stage.kind == StageKind::Joint { self.ranks.count() } else { 1 };
+        let most = self.drawn(stage.kind).most(&self.device).saturating_mul(of_ranks);
+        let wanted = self.budget as f64 * stage.budget_share;
+        if wanted.is_infinite() || wanted <= most as f64 {
+            return Ok(());
+        }
+        let (wanted, bytes, fits) = (wanted as usize, largest_buffer(&self.device), most as f64 / stage.budget_share);
+        Err(TrainError::Plan(format!(
+            "the {} stage would hold {wanted} primitives, and this device has room for {most}, since none of its buffers has \
+             more than {bytes} bytes: set refine.budget to at most {}",
+            stage.kind, fits as usize
+        )))
+    }
+
+    fn drawn(&self, kind: StageKind) -> Drawn {
+        match kind {
+            StageKind::Joint | StageKind::Blended(Blended::Controlled(Density::Summed)) => Drawn::Summed,
+            StageKind::Blended(blended) => {
+                let order = blended.blend_order(self.config.density.transparency);
+                let form = match blended.rendering() {
+                    Rendering::Discs => Form::Discs,
+                    Rendering::Students => Form::Students,
+                    _ if order.transparency().is_some() => Form::Whitened,
+                    _ => Form::Ellipsoids,
+                };
+                Drawn::Blended(form, order)
+            }
+        }
     }
 
     /// The scene in the file that `key` names, if it names one.

@@ -199,7 +199,7 @@ impl Flat {
         let count = self.len();
         let rows = |i: usize| leaf(&self.0[i], [count, WIDTHS[i]], device, dtype);
         let model = ColourModel::SphericalBeta { lobes: 0 };
-        let colour = Colour { model, base: rows(4), detail: leaf(&[], [count, 0], device, dtype) };
+        let colour = Colour::new(model, rows(4), leaf(&[], [count, 0], device, dtype));
         Leaves {
             gaussians: Gaussians {
                 positions: rows(0),

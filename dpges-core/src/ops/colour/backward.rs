@@ -7,16 +7,15 @@ use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::tensor::FloatTensor;
 
-use super::{ColourBackwardOps, ColourOps};
+use super::{ColourBackwardOps, ColourOps, DetailPart};
 use crate::backend::tape::pass_back;
-use crate::scene::ColourModel;
 
 #[derive(Clone, Debug)]
 struct ColourState<F: Clone> {
     detail: F,
     positions: F,
     centre: [f64; 3],
-    model: ColourModel,
+    part: DetailPart,
 }
 
 #[derive(Debug)]
@@ -26,8 +25,8 @@ impl<B: ColourBackwardOps> Backward<B, 2> for ColourBackward {
     type State = ColourState<FloatTensor<B>>;
 
     fn backward(self, ops: Ops<Self::State, 2>, grads: &mut Gradients, _: &mut Checkpointer) {
-        pass_back::<B, _, 2>(ops, grads, |ColourState { detail, positions, centre, model }, grad| {
-            let (base, detail) = B::colour_backward(detail, positions, grad, centre, model);
+        pass_back::<B, _, 2>(ops, grads, |ColourState { detail, positions, centre, part }, grad| {
+            let (base, detail) = B::colour_backward(detail, positions, grad, centre, part);
             [Some(base), Some(detail)]
         });
     }
@@ -39,14 +38,14 @@ impl<B: ColourOps + ColourBackwardOps, S: CheckpointStrategy> ColourOps for Auto
         detail: FloatTensor<Self>,
         positions: FloatTensor<Self>,
         centre: [f64; 3],
-        model: ColourModel,
+        part: DetailPart,
     ) -> FloatTensor<Self> {
         let (base, base_node) = base.into_parts();
         let (detail, detail_node) = detail.into_parts();
         let positions = positions.into_parts().0;
-        let out = B::colour(base, detail.clone(), positions.clone(), centre, model);
+        let out = B::colour(base, detail.clone(), positions.clone(), centre, part);
         match ColourBackward.prepare::<S>([base_node, detail_node]).compute_bound().stateful() {
-            OpsKind::Tracked(prep) => prep.finish(ColourState { detail, positions, centre, model }, out),
+            OpsKind::Tracked(prep) => prep.finish(ColourState { detail, positions, centre, part }, out),
             OpsKind::UnTracked(prep) => prep.finish(out),
         }
     }

@@ -6,7 +6,7 @@ use burn::backend::TensorMetadata;
 use burn::backend::tensor::FloatTensor;
 use rayon::prelude::*;
 
-use super::{ColourBackwardOps, ColourOps};
+use super::{ColourBackwardOps, ColourOps, DetailPart};
 use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
 use crate::backend::real::Real;
 use crate::math::{add, row};
@@ -14,8 +14,8 @@ use crate::scene::{ColourModel, SH_C0};
 
 const MIN_ROWS: usize = 512;
 
-fn forward<T: Real>(base: &[T], detail: &[T], positions: &[T], centre: [f64; 3], kind: ColourModel) -> Vec<T> {
-    let (width, centre) = (kind.detail_len(), centre.map(T::of));
+fn forward<T: Real>(base: &[T], detail: &[T], positions: &[T], centre: [f64; 3], part: DetailPart) -> Vec<T> {
+    let (DetailPart { model: kind, before, width }, centre) = (part, centre.map(T::of));
     let mut out = vec![T::zero(); base.len()];
     out.par_chunks_mut(3).with_min_len(MIN_ROWS).enumerate().for_each(|(i, out)| {
         let d = model::direction(row(positions, i), centre);
@@ -23,10 +23,11 @@ fn forward<T: Real>(base: &[T], detail: &[T], positions: &[T], centre: [f64; 3],
         let varying = match kind {
             ColourModel::SphericalBeta { .. } => model::lobes(raw, d),
             ColourModel::SphericalHarmonics { .. } | ColourModel::HarmonicsAndOpacity { .. } => {
-                model::higher_harmonics(raw, d)
+                model::higher_harmonics(raw, before / kind.detail_unit(), d)
             }
         };
-        out.copy_from_slice(&add(model::base(row(base, i)), varying));
+        let constant = if before == 0 { model::base(row(base, i)) } else { row(base, i) };
+        out.copy_from_slice(&add(constant, varying));
     });
     out
 }
@@ -37,10 +38,11 @@ fn backward<T: Real>(
     positions: &[T],
     grad: &[T],
     centre: [f64; 3],
-    kind: ColourModel,
+    part: DetailPart,
 ) -> (Vec<T>, Vec<T>) {
-    let (width, centre) = (kind.detail_len(), centre.map(T::of));
-    let grad_base: Vec<T> = grad.iter().map(|&g| g * T::of(SH_C0)).collect();
+    let (DetailPart { model: kind, before, width }, centre) = (part, centre.map(T::of));
+    let of_base = if before == 0 { T::of(SH_C0) } else { T::one() };
+    let grad_base: Vec<T> = grad.iter().map(|&g| g * of_base).collect();
     let mut grad_detail = vec![T::zero(); detail.len()];
     if width > 0 {
         grad_detail.par_chunks_mut(width).with_min_len(MIN_ROWS).enumerate().for_each(|(i, out)| {
@@ -54,7 +56,7 @@ fn backward<T: Real>(
                     model::lobes_backward(&detail[i * width..(i + 1) * width], d, incoming, out)
                 }
                 ColourModel::SphericalHarmonics { .. } | ColourModel::HarmonicsAndOpacity { .. } => {
-                    model::higher_harmonics_backward(d, incoming, out)
+                    model::higher_harmonics_backward(before / kind.detail_unit(), d, incoming, out)
                 }
             }
         });
@@ -67,11 +69,11 @@ fn colour_on<B: Host>(
     detail: &FloatTensor<B>,
     positions: &FloatTensor<B>,
     centre: [f64; 3],
-    model: ColourModel,
+    part: DetailPart,
 ) -> FloatTensor<B> {
     with_real!(base.dtype(), T => {
         let (values, detail, positions) = (host::floats::<B, T>(base), host::floats::<B, T>(detail), host::floats::<B, T>(positions));
-        let out = forward(&values, &detail, &positions, centre, model);
+        let out = forward(&values, &detail, &positions, centre, part);
         host::float_tensor::<B, T, 2>(out, [host::rows(base), 3], &base.device())
     })
 }
@@ -81,15 +83,15 @@ fn colour_backward_on<B: Host>(
     positions: &FloatTensor<B>,
     grad: &FloatTensor<B>,
     centre: [f64; 3],
-    model: ColourModel,
+    part: DetailPart,
 ) -> (FloatTensor<B>, FloatTensor<B>) {
     let (count, device) = (host::rows(grad), grad.device());
     with_real!(grad.dtype(), T => {
         let (detail, positions, grad) = (host::floats::<B, T>(detail), host::floats::<B, T>(positions), host::floats::<B, T>(grad));
-        let (base, detail) = backward(&detail, &positions, &grad, centre, model);
+        let (base, detail) = backward(&detail, &positions, &grad, centre, part);
         (
             host::float_tensor::<B, T, 2>(base, [count, 3], &device),
-            host::float_tensor::<B, T, 2>(detail, [count, model.detail_len()], &device),
+            host::float_tensor::<B, T, 2>(detail, [count, part.width], &device),
         )
     })
 }
@@ -102,9 +104,9 @@ macro_rules! implement {
                 detail: FloatTensor<Self>,
                 positions: FloatTensor<Self>,
                 centre: [f64; 3],
-                model: ColourModel,
+                part: DetailPart,
             ) -> FloatTensor<Self> {
-                colour_on::<Self>(&base, &detail, &positions, centre, model)
+                colour_on::<Self>(&base, &detail, &positions, centre, part)
             }
         }
 
@@ -114,9 +116,9 @@ macro_rules! implement {
                 positions: FloatTensor<Self>,
                 grad: FloatTensor<Self>,
                 centre: [f64; 3],
-                model: ColourModel,
+                part: DetailPart,
             ) -> (FloatTensor<Self>, FloatTensor<Self>) {
-                colour_backward_on::<Self>(&detail, &positions, &grad, centre, model)
+                colour_backward_on::<Self>(&detail, &positions, &grad, centre, part)
             }
         }
     };

@@ -5,7 +5,7 @@ use burn::backend::tensor::FloatTensor;
 use burn_cubecl::CubeBackend;
 use cubecl::prelude::*;
 
-use super::{ColourBackwardOps, ColourOps, LARGEST_BETA, SHARPNESS};
+use super::{ColourBackwardOps, ColourOps, DetailPart, LARGEST_BETA, SHARPNESS};
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, floats, units};
 use crate::gpu::vector::{Vec3, dot, row3, scale, sin_cos, vec3, write3};
 use crate::scene::{ColourModel, SH_C0};
@@ -122,6 +122,27 @@ pub fn harmonic(d: Vec3, #[comptime] index: usize) -> f32 {
     value
 }
 
+/// Lobes and higher harmonics of a part; one of the two is 0.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+struct PartShape {
+    lobes: usize,
+    coefficients: usize,
+    /// Lobes or harmonics of the parts before.
+    before: usize,
+}
+
+impl PartShape {
+    fn of(part: DetailPart) -> Self {
+        let [own, before] = [part.width, part.before].map(|columns| columns / part.model.detail_unit());
+        match part.model {
+            ColourModel::SphericalBeta { .. } => Self { lobes: own, coefficients: 0, before },
+            ColourModel::SphericalHarmonics { .. } | ColourModel::HarmonicsAndOpacity { .. } => {
+                Self { lobes: 0, coefficients: own, before }
+            }
+        }
+    }
+}
+
 #[cube(launch)]
 fn colour_kernel(
     base: &[f32],
@@ -129,8 +150,7 @@ fn colour_kernel(
     positions: &[f32],
     out: &mut [f32],
     eye: Eye,
-    #[comptime] lobes: usize,
-    #[comptime] coefficients: usize,
+    #[comptime] shape: PartShape,
 ) {
     let i = ABSOLUTE_POS;
     if i >= eye.count as usize {
@@ -138,20 +158,25 @@ fn colour_kernel(
     }
     let d = direction(row3(positions, i), eye);
     let constant = row3(base, i);
-    let mut red = 0.5f32 + C0 * constant.x;
-    let mut green = 0.5f32 + C0 * constant.y;
-    let mut blue = 0.5f32 + C0 * constant.z;
+    let mut red = constant.x;
+    let mut green = constant.y;
+    let mut blue = constant.z;
+    if comptime!(shape.before == 0) {
+        red = 0.5f32 + C0 * constant.x;
+        green = 0.5f32 + C0 * constant.y;
+        blue = 0.5f32 + C0 * constant.z;
+    }
     #[unroll]
-    for l in 0..lobes {
-        let lobe = lobe(detail, (i * lobes + l) * 6, d);
+    for l in 0..shape.lobes {
+        let lobe = lobe(detail, (i * shape.lobes + l) * 6, d);
         red += lobe.rgb.x * lobe.lit;
         green += lobe.rgb.y * lobe.lit;
         blue += lobe.rgb.z * lobe.lit;
     }
     #[unroll]
-    for c in 0..coefficients {
-        let value = harmonic(d, comptime!(c + 1));
-        let row = row3(detail, i * coefficients + c);
+    for c in 0..shape.coefficients {
+        let value = harmonic(d, comptime!(shape.before + c + 1));
+        let row = row3(detail, i * shape.coefficients + c);
         red += value * row.x;
         green += value * row.y;
         blue += value * row.z;
@@ -167,19 +192,22 @@ fn colour_backward_kernel(
     grad_base: &mut [f32],
     grad_detail: &mut [f32],
     eye: Eye,
-    #[comptime] lobes: usize,
-    #[comptime] coefficients: usize,
+    #[comptime] shape: PartShape,
 ) {
     let i = ABSOLUTE_POS;
     if i >= eye.count as usize {
         terminate!();
     }
     let incoming = row3(grad, i);
-    write3(grad_base, i, scale(incoming, C0));
+    if comptime!(shape.before == 0) {
+        write3(grad_base, i, scale(incoming, C0));
+    } else {
+        write3(grad_base, i, incoming);
+    }
     let d = direction(row3(positions, i), eye);
     #[unroll]
-    for l in 0..lobes {
-        let o = (i * lobes + l) * 6;
+    for l in 0..shape.lobes {
+        let o = (i * shape.lobes + l) * 6;
         let lobe = lobe(detail, o, d);
         let brightness = dot(incoming, lobe.rgb);
         let lit = lobe.lit > 0.0f32;
@@ -193,8 +221,9 @@ fn colour_backward_kernel(
         grad_detail[o + 5] = select(detail[o + 5] > LARGEST_BETA_F32, 0.0f32, powered * f32::ln(cosine));
     }
     #[unroll]
-    for c in 0..coefficients {
-        write3(grad_detail, i * coefficients + c, scale(incoming, harmonic(d, comptime!(c + 1))));
+    for c in 0..shape.coefficients {
+        let value = harmonic(d, comptime!(shape.before + c + 1));
+        write3(grad_detail, i * shape.coefficients + c, scale(incoming, value));
     }
 }
 
@@ -204,26 +233,17 @@ pub fn eye(centre: [f64; 3], count: usize) -> EyeLaunch {
     EyeLaunch::new(x, y, z, count as u32)
 }
 
-/// Lobes and higher harmonics of a model; one of the two is 0.
-fn parts(model: ColourModel) -> (usize, usize) {
-    match model {
-        ColourModel::SphericalBeta { lobes } => (lobes, 0),
-        ColourModel::SphericalHarmonics { .. } | ColourModel::HarmonicsAndOpacity { .. } => (0, model.detail_len() / 3),
-    }
-}
-
 impl ColourOps for CubeBackend {
     fn colour(
         base: FloatTensor<Self>,
         detail: FloatTensor<Self>,
         positions: FloatTensor<Self>,
         centre: [f64; 3],
-        model: ColourModel,
+        part: DetailPart,
     ) -> FloatTensor<Self> {
         let (base, detail, positions) = (floats(base), floats(detail), floats(positions));
         let count = base.shape()[0];
         let out = empty_f32(&base, [count, 3]);
-        let (lobes, coefficients) = parts(model);
         colour_kernel::launch(
             &base.client.clone(),
             units(count),
@@ -233,8 +253,7 @@ impl ColourOps for CubeBackend {
             buffer(&positions),
             buffer(&out),
             eye(centre, count),
-            lobes,
-            coefficients,
+            PartShape::of(part),
         );
         out
     }
@@ -246,12 +265,11 @@ impl ColourBackwardOps for CubeBackend {
         positions: FloatTensor<Self>,
         grad: FloatTensor<Self>,
         centre: [f64; 3],
-        model: ColourModel,
+        part: DetailPart,
     ) -> (FloatTensor<Self>, FloatTensor<Self>) {
         let (detail, positions, grad) = (floats(detail), floats(positions), floats(grad));
         let count = grad.shape()[0];
-        let (base, out) = (empty_f32(&grad, [count, 3]), empty_f32(&grad, [count, model.detail_len()]));
-        let (lobes, coefficients) = parts(model);
+        let (base, out) = (empty_f32(&grad, [count, 3]), empty_f32(&grad, [count, part.width]));
         colour_backward_kernel::launch(
             &grad.client.clone(),
             units(count),
@@ -262,8 +280,7 @@ impl ColourBackwardOps for CubeBackend {
             buffer(&base),
             buffer(&out),
             eye(centre, count),
-            lobes,
-            coefficients,
+            PartShape::of(part),
         );
         (base, out)
     }

@@ -5,6 +5,8 @@
 //! lobes (DBS) or, for spherical harmonics, the higher bands (3DGS).
 //! d is the unit vector from the camera to the primitive, in world axes.
 //!
+//! A detail in several tensors is added tensor by tensor: of all but the first, the base is the colour of those before.
+//!
 //! Gradients: to base and detail. The direction passes none to the position (DP-GES, DBS).
 
 mod backward;
@@ -21,6 +23,15 @@ use burn::tensor::Tensor;
 use crate::error::Result;
 use crate::scene::tensors::check_shape;
 use crate::scene::{Colour, ColourModel};
+
+/// Which part of the detail a tensor holds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DetailPart {
+    pub model: ColourModel,
+    /// Columns of the parts before. Where there are any, the base is the colour of these parts, not a coefficient.
+    pub before: usize,
+    pub width: usize,
+}
 
 /// Sharpness of the softplus of a lobe's colour: a raw value of 0 means 0.1.
 const SHARPNESS: f64 = 10.0 * std::f64::consts::LN_2;
@@ -39,7 +50,7 @@ pub trait ColourOps: Backend {
         detail: FloatTensor<Self>,
         positions: FloatTensor<Self>,
         centre: [f64; 3],
-        model: ColourModel,
+        part: DetailPart,
     ) -> FloatTensor<Self>;
 }
 
@@ -50,7 +61,7 @@ pub trait ColourBackwardOps: Backend {
         positions: FloatTensor<Self>,
         grad: FloatTensor<Self>,
         centre: [f64; 3],
-        model: ColourModel,
+        part: DetailPart,
     ) -> (FloatTensor<Self>, FloatTensor<Self>);
 }
 
@@ -63,13 +74,20 @@ pub fn colour(colour: &Colour, positions: &Tensor<2>, centre: [f64; 3]) -> Resul
     let count = positions.dims()[0];
     check_shape("positions", positions, [count, 3])?;
     check_shape("colour.base", &colour.base, [count, 3])?;
-    check_shape("colour.detail", &colour.detail, [count, colour.model.detail_len()])?;
-    let out = Dispatch::colour(
-        colour.base.clone().into_dispatch(),
-        colour.detail.clone().into_dispatch(),
-        positions.clone().into_dispatch(),
-        centre,
-        colour.model,
-    );
-    Ok(Tensor::from_dispatch(out))
+    let of_rest: usize = colour.rest.iter().map(|part| part.dims()[1]).sum();
+    check_shape("colour.detail", &colour.detail, [count, colour.model.detail_len().saturating_sub(of_rest)])?;
+    let (mut out, mut before) = (colour.base.clone(), 0);
+    for detail in colour.details() {
+        let width = detail.dims()[1];
+        check_shape("colour.detail", detail, [count, width])?;
+        out = Tensor::from_dispatch(Dispatch::colour(
+            out.into_dispatch(),
+            detail.clone().into_dispatch(),
+            positions.clone().into_dispatch(),
+            centre,
+            DetailPart { model: colour.model, before, width },
+        ));
+        before += width;
+    }
+    Ok(out)
 }

@@ -52,11 +52,8 @@ struct Leaves {
 
 fn leaves(model: ColourModel, [base, detail, positions]: &[Vec<f64>; 3]) -> Leaves {
     let (device, count) = (device(), base.len() / 3);
-    let colour = Colour {
-        model,
-        base: leaf(base, [count, 3], &device),
-        detail: leaf(detail, [count, model.detail_len()], &device),
-    };
+    let colour =
+        Colour::new(model, leaf(base, [count, 3], &device), leaf(detail, [count, model.detail_len()], &device));
     Leaves { colour, positions: leaf(positions, [count, 3], &device) }
 }
 
@@ -80,6 +77,42 @@ fn gradients_are_central_differences_and_the_direction_carries_none() {
                 values(&loss(&leaves(model, &rows)))[0]
             });
         }
+    }
+}
+
+#[test]
+fn a_detail_in_parts_is_the_same_colour() {
+    let parts: [(&str, &[usize]); 3] = [("sh3", &[24, 21]), ("sh2", &[6, 12, 6]), ("sb3", &[6, 12])];
+    for (model, widths) in parts {
+        let (model, count): (ColourModel, _) = (model.parse().unwrap(), 4);
+        let rows = primitives(model, count, 8);
+        let weights = leaf(&Random::new(9).numbers(3 * count, -1.0, 1.0), [count, 3], &device()).detach();
+        let whole = leaves(model, &rows);
+        let mut split = leaves(model, &rows);
+        let mut first = 0;
+        let mut columns = widths.iter().map(|&width| {
+            first += width;
+            whole.colour.detail.clone().inner().slice([0..count, first - width..first]).autodiff().require_grad()
+        });
+        split.colour.detail = columns.next().unwrap();
+        split.colour.rest = columns.collect();
+        let [expected, found] = [&whole, &split].map(|of| colour(&of.colour, &of.positions, CENTRE).unwrap());
+        // on a CPU the sums of the parts are formed one by one
+        let near = |found: Vec<f64>, expected: Vec<f64>| {
+            assert_eq!(found.len(), expected.len(), "{model}");
+            found.iter().zip(expected).for_each(|(a, b)| approx::assert_relative_eq!(*a, b, epsilon = 1e-14));
+        };
+        near(values(&found), values(&expected));
+        let [of_whole, of_split] = [expected, found].map(|out| (out * weights.clone()).sum().backward());
+        let expected = whole.colour.detail.grad(&of_whole).unwrap();
+        let found = split.colour.details().map(|part| part.grad(&of_split).unwrap()).collect();
+        near(values(&Tensor::<2>::cat(found, 1)), values(&expected));
+        let [expected, found] = [(&whole, &of_whole), (&split, &of_split)]
+            .map(|(of, gradients)| values(&of.colour.base.grad(gradients).unwrap()));
+        near(found, expected);
+        split.colour.rest.pop();
+        let error = colour(&split.colour, &split.positions, CENTRE).unwrap_err().to_string();
+        assert!(error.contains("colour.detail"), "{error}");
     }
 }
 

@@ -43,7 +43,7 @@ fn a_pixel_shows_what_the_colour_model_gives_a_primitive_on_its_ray() {
         let device = device();
         let model = ColourModel::SphericalHarmonics { degree };
         let of_all = |row: &[f64]| leaf(&row.repeat(pixels.len()), [pixels.len(), row.len()], &device);
-        let primitives = Colour { model, base: of_all(&coefficients[..3]), detail: of_all(&coefficients[3..]) };
+        let primitives = Colour::new(model, of_all(&coefficients[..3]), of_all(&coefficients[3..]));
         let positions = leaf(&far, [pixels.len(), 3], &device);
         let expected = values(&colour(&primitives, &positions, camera.centre().to_array()).unwrap());
         for pixel in 0..pixels.len() {

@@ -34,11 +34,11 @@ fn values_are_those_of_a_channel_of_harmonic_colours() {
         let found = values(&harmonics(&base, &detail, &positions, CENTRE).unwrap());
         let thrice = |values: &[f64]| values.iter().flat_map(|&value| [value; 3]).collect::<Vec<f64>>();
         let model = ColourModel::SphericalHarmonics { degree };
-        let colours = Colour {
+        let colours = Colour::new(
             model,
-            base: leaf(&thrice(&rows[0]), [COUNT, 3], &device()),
-            detail: leaf(&thrice(&rows[1]), [COUNT, model.detail_len()], &device()),
-        };
+            leaf(&thrice(&rows[0]), [COUNT, 3], &device()),
+            leaf(&thrice(&rows[1]), [COUNT, model.detail_len()], &device()),
+        );
         let expected = values(&colour(&colours, &positions, CENTRE).unwrap());
         for (found, expected) in found.iter().zip(expected.chunks_exact(3)) {
             approx::assert_relative_eq!(*found, expected[1] - 0.5, epsilon = 1e-14);

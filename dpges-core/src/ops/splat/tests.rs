@@ -57,7 +57,7 @@ impl Flat {
         let device = device();
         let rows = |i: usize| leaf(&self.0[i], [self.len(), WIDTHS[i]], &device);
         let model = ColourModel::SphericalBeta { lobes: 0 };
-        let colour = Colour { model, base: rows(4), detail: leaf(&[], [self.len(), 0], &device) };
+        let colour = Colour::new(model, rows(4), leaf(&[], [self.len(), 0], &device));
         Leaves {
             gaussians: Gaussians {
                 positions: rows(0),

@@ -92,7 +92,7 @@ impl Contributions {
 /// Colours of ½ from everywhere, of primitives with colours of `model`. Opacities depend on the direction as before.
 fn grey(model: ColourModel, count: usize) -> ColourData {
     let model = if model.opacity_len() > 0 { model } else { ColourModel::SphericalBeta { lobes: 0 } };
-    ColourData { model, base: vec![0.0; 3 * count], detail: vec![0.0; model.detail_len() * count] }
+    ColourData::new(model, vec![0.0; 3 * count], vec![0.0; model.detail_len() * count])
 }
 
 #[cfg(test)]

@@ -45,7 +45,7 @@ fn lower_degree(colour: &ColourData, model: ColourModel, degree: usize) -> Colou
     let of_degree = ColourModel::SphericalHarmonics { degree };
     let of_degree = if model.opacity_len() > 0 { of_degree.with_opacity() } else { of_degree };
     let detail = lower(&colour.detail, model.detail_len(), of_degree.detail_len());
-    ColourData { model: of_degree, base: colour.base.clone(), detail }
+    ColourData::new(of_degree, colour.base.clone(), detail)
 }
 
 /// The first `kept` of every `width` numbers.

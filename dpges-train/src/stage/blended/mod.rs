@@ -196,7 +196,12 @@ impl BlendedStage {
                 let learning = self.degree(completed);
                 if learning < degree {
                     let of = ColourModel::HarmonicsAndOpacity { degree: learning };
-                    gaussians.colour.detail = first(gaussians.colour.detail, of.detail_len(), tape);
+                    let mut left = of.detail_len();
+                    for detail in gaussians.colour.details_mut() {
+                        let [_, width] = detail.dims();
+                        *detail = first(detail.clone(), left, tape);
+                        left = left.saturating_sub(width);
+                    }
                     if self.weighted_sum.is_some() {
                         gaussians.opacity_detail = first(gaussians.opacity_detail, of.opacity_len() - 1, tape);
                     }

@@ -123,18 +123,18 @@ pub fn harmonics<T: Real>([x, y, z]: V3<T>) -> [T; 15] {
     ]
 }
 
-/// Σ over the higher coefficients in `raw` (3 numbers each) seen in direction `d`.
+/// Σ over the higher coefficients in `raw` (3 numbers each), after so many `before` them, seen in direction `d`.
 #[inline(always)]
-pub fn higher_harmonics<T: Real>(raw: &[T], d: V3<T>) -> V3<T> {
+pub fn higher_harmonics<T: Real>(raw: &[T], before: usize, d: V3<T>) -> V3<T> {
     raw.chunks_exact(3)
-        .zip(harmonics(d))
-        .fold([T::zero(); 3], |sum, (raw, y)| std::array::from_fn(|c| sum[c] + raw[c] * y))
+        .zip(&harmonics(d)[before..])
+        .fold([T::zero(); 3], |sum, (raw, y)| std::array::from_fn(|c| sum[c] + raw[c] * *y))
 }
 
 /// Gradient of [`higher_harmonics`] with respect to `raw`, written to `out`.
 #[inline(always)]
-pub fn higher_harmonics_backward<T: Real>(d: V3<T>, grad: V3<T>, out: &mut [T]) {
-    for (out, y) in out.chunks_exact_mut(3).zip(harmonics(d)) {
-        out.copy_from_slice(&scale(grad, y));
+pub fn higher_harmonics_backward<T: Real>(before: usize, d: V3<T>, grad: V3<T>, out: &mut [T]) {
+    for (out, y) in out.chunks_exact_mut(3).zip(&harmonics(d)[before..]) {
+        out.copy_from_slice(&scale(grad, *y));
     }
 }
