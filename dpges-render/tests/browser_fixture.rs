@@ -131,7 +131,7 @@ fn export_a_page_and_pictures_of_its_scene() {
     let trained = RenderOptions::from(&scene.info);
     let poster = jpeg(&picture(&scene, &first, &trained));
     let page = Page { title: "Test scene", poster_jpeg: Some(&poster), cameras: &[first] };
-    write_html(folder, &find_page(None).unwrap(), &scene, &page).unwrap();
+    write_html(folder, &find_page(None).unwrap(), Some(&scene), &page).unwrap();
 
     let mut references = Vec::new();
     let mut refer = |name: &str, file: &str, scene: &SceneData, camera: &Camera, options: RenderOptions| {

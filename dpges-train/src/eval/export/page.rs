@@ -34,7 +34,7 @@ pub fn write(
             None
         }
     });
-    let files = write_html(out, &built, scene, &Page { title, poster_jpeg: poster.as_deref(), cameras })?;
+    let files = write_html(out, &built, Some(scene), &Page { title, poster_jpeg: poster.as_deref(), cameras })?;
     let bytes: u64 = files.iter().map(|file| file.bytes).sum();
     let mut rows = vec![
         ("folder", out.display().to_string()),
