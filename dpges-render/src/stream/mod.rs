@@ -74,7 +74,7 @@ pub fn decode(index: &Index, cell: usize, bytes: &[u8]) -> Result<LoadedCell, St
 }
 
 /// How far a stream is.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
 pub struct StreamStatus {
     /// Primitives that are drawn, loaded or being loaded; never more than the budget.
     pub resident: usize,

@@ -28,18 +28,6 @@ struct Wanted<'a> {
     part: &'a Part,
 }
 
-/// How far the levels are, for the page.
-#[derive(Serialize)]
-struct Status {
-    resident: usize,
-    budget: usize,
-    loading: usize,
-    changing: bool,
-    failed: usize,
-    reason: Option<String>,
-    retry_in: Option<f64>,
-}
-
 impl Levels {
     /// Goes on for what `camera` sees, before a frame.
     pub fn advance(&mut self, renderer: &mut Renderer, camera: &Camera) {
@@ -107,9 +95,7 @@ impl Viewer {
     pub fn levels(&self) -> Result<Option<String>, JsError> {
         let Some(stream) = &self.levels.stream else { return Ok(None) };
         let status = stream.status(now());
-        let (resident, budget, loading, changing) = (status.resident, status.budget, status.loading, status.changing);
-        let (failed, reason, retry_in) = (status.failed, status.reason, status.retry_in);
-        json(&Status { resident, budget, loading, changing, failed, reason, retry_in }).map(Some)
+        json(&status).map(Some)
     }
 }
 
