@@ -3,57 +3,43 @@
 //! Texel A holds the position and one scalar as f32. Texel B holds the unit quaternion in steps of 2⁻¹⁵ and the
 //! log-scales: two of a surfel as f32, three of a Gaussian in steps of 3.1e-5 (21 bits each).
 
-use dpges_core::scene::{ColourModel, GaussianData, SceneData, SurfelData};
-
-use super::colours;
+use dpges_core::scene::{GaussianData, SurfelData};
 
 /// Log-scales of Gaussians are bounded by ± this.
 const LARGEST_LOG_SCALE: f32 = 32.0;
 const LOG_SCALE_STEPS: f32 = ((1 << 21) - 1) as f32;
 
-/// Primitives of one kind as texels.
+/// Texels A and B of every primitive.
 #[derive(Debug)]
-pub struct Packed {
-    /// A: position, margin of a surfel or opacity of a Gaussian.
+pub struct Shapes {
     pub places: Vec<[f32; 4]>,
-    /// B: quaternion, log-scales.
     pub forms: Vec<[u32; 4]>,
-    /// See [`colours`].
-    pub colours: Vec<[u32; 4]>,
-    pub model: ColourModel,
 }
 
-impl Packed {
-    pub fn surfels(surfels: &SurfelData) -> Self {
-        let (positions, _) = surfels.positions.as_chunks::<3>();
-        let (quaternions, _) = surfels.quaternions.as_chunks::<4>();
-        let (log_scales, _) = surfels.log_scales.as_chunks::<2>();
-        let places = positions.iter().zip(&surfels.margins).map(|(&[x, y, z], &margin)| [x, y, z, margin]);
-        let forms = quaternions.iter().zip(log_scales).map(|(&quaternion, scales)| {
-            let [wx, yz] = pack_quaternion(quaternion);
-            [wx, yz, scales[0].to_bits(), scales[1].to_bits()]
-        });
-        let (colours, model) = (colours::pack(&surfels.colour), surfels.colour.model);
-        Self { places: places.collect(), forms: forms.collect(), colours, model }
-    }
+/// A: position, margin. B: quaternion, log-scales.
+pub fn surfels(surfels: &SurfelData) -> Shapes {
+    let (positions, _) = surfels.positions.as_chunks::<3>();
+    let (quaternions, _) = surfels.quaternions.as_chunks::<4>();
+    let (log_scales, _) = surfels.log_scales.as_chunks::<2>();
+    let places = positions.iter().zip(&surfels.margins).map(|(&[x, y, z], &margin)| [x, y, z, margin]).collect();
+    let forms = quaternions.iter().zip(log_scales).map(|(&quaternion, scales)| {
+        let [wx, yz] = pack_quaternion(quaternion);
+        [wx, yz, scales[0].to_bits(), scales[1].to_bits()]
+    });
+    Shapes { places, forms: forms.collect() }
+}
 
-    pub fn gaussians(gaussians: &GaussianData) -> Self {
-        let (positions, _) = gaussians.positions.as_chunks::<3>();
-        let (quaternions, _) = gaussians.quaternions.as_chunks::<4>();
-        let (log_scales, _) = gaussians.log_scales.as_chunks::<3>();
-        let places = positions.iter().zip(&gaussians.opacities).map(|(&[x, y, z], &opacity)| [x, y, z, opacity]);
-        let forms = quaternions.iter().zip(log_scales).map(|(&quaternion, &scales)| {
-            let ([wx, yz], [low, high]) = (pack_quaternion(quaternion), pack_log_scales(scales));
-            [wx, yz, low, high]
-        });
-        let (colours, model) = (colours::pack(&gaussians.colour), gaussians.colour.model);
-        Self { places: places.collect(), forms: forms.collect(), colours, model }
-    }
-
-    /// Surfels, Gaussians.
-    pub fn both(scene: &SceneData) -> [Self; 2] {
-        [Self::surfels(&scene.surfels), Self::gaussians(&scene.gaussians)]
-    }
+/// A: position, opacity. B: quaternion, log-scales.
+pub fn gaussians(gaussians: &GaussianData) -> Shapes {
+    let (positions, _) = gaussians.positions.as_chunks::<3>();
+    let (quaternions, _) = gaussians.quaternions.as_chunks::<4>();
+    let (log_scales, _) = gaussians.log_scales.as_chunks::<3>();
+    let places = positions.iter().zip(&gaussians.opacities).map(|(&[x, y, z], &opacity)| [x, y, z, opacity]).collect();
+    let forms = quaternions.iter().zip(log_scales).map(|(&quaternion, &scales)| {
+        let ([wx, yz], [low, high]) = (pack_quaternion(quaternion), pack_log_scales(scales));
+        [wx, yz, low, high]
+    });
+    Shapes { places, forms: forms.collect() }
 }
 
 /// Unit quaternion (w, x, y, z) as four signed 16-bit fractions; the identity for a zero quaternion.

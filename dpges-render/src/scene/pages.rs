@@ -4,8 +4,7 @@ use std::ops::Range;
 
 use dpges_core::scene::SceneData;
 
-use super::packing::Packed;
-use super::textures::{Grid, SceneTextures, descriptor, write};
+use super::textures::{Grid, Packed, SceneTextures, descriptor, write};
 use crate::error::Result;
 
 /// Primitives of a page: `PAGE` of `fade_paged.wgsl`.
@@ -56,7 +55,7 @@ pub struct PackedCell([Packed; 2]);
 
 impl PackedCell {
     pub fn new(scene: &SceneData) -> Self {
-        Self(Packed::both(scene))
+        Self([Packed::surfels(&scene.surfels), Packed::gaussians(&scene.gaussians)])
     }
 
     /// Writes them to their places.

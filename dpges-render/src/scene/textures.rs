@@ -2,11 +2,10 @@
 
 use std::ops::Range;
 
-use dpges_core::scene::{ColourModel, Rendering, SceneData, SceneInfo};
+use dpges_core::scene::{ColourModel, GaussianData, Rendering, SceneData, SceneInfo, SurfelData};
 use wgpu::util::DeviceExt;
 
-use super::colours;
-use super::packing::Packed;
+use super::{colours, packing};
 use crate::error::{RenderError, Result};
 
 /// Widest grid, px.
@@ -43,6 +42,27 @@ impl Grid {
     }
 }
 
+/// Primitives of one kind as texels.
+#[derive(Debug)]
+pub struct Packed {
+    shapes: packing::Shapes,
+    /// See [`colours`].
+    colours: Vec<[u32; 4]>,
+    model: ColourModel,
+}
+
+impl Packed {
+    pub fn surfels(surfels: &SurfelData) -> Self {
+        let (shapes, colour) = (packing::surfels(surfels), &surfels.colour);
+        Self { shapes, colours: colours::pack(colour), model: colour.model }
+    }
+
+    pub fn gaussians(gaussians: &GaussianData) -> Self {
+        let (shapes, colour) = (packing::gaussians(gaussians), &gaussians.colour);
+        Self { shapes, colours: colours::pack(colour), model: colour.model }
+    }
+}
+
 /// Primitives of one kind.
 #[derive(Debug)]
 pub struct Primitives {
@@ -64,8 +84,8 @@ impl Primitives {
         let mut from = 0;
         for place in places {
             let (start, part) = (place.start as usize, from..from + place.len());
-            write(queue, &self.places, self.grid, start, &packed.places[part.clone()]);
-            write(queue, &self.forms, self.grid, start, &packed.forms[part.clone()]);
+            write(queue, &self.places, self.grid, start, &packed.shapes.places[part.clone()]);
+            write(queue, &self.forms, self.grid, start, &packed.shapes.forms[part.clone()]);
             let part = part.start * texels..part.end * texels;
             write(queue, &self.colours, self.grid, start * texels, &packed.colours[part]);
             from += place.len();
@@ -160,14 +180,14 @@ struct Upload<'a> {
 
 impl Upload<'_> {
     fn primitives(&self, what: &'static str, packed: Packed) -> Result<Primitives> {
-        let (count, limits) = (packed.places.len(), self.device.limits());
+        let (count, limits) = (packed.shapes.places.len(), self.device.limits());
         let grid = Grid::new(&limits, what, count, 1)?;
         let wide = Grid::new(&limits, what, count, colours::texels(packed.model))?;
         Ok(Primitives {
             count,
             grid,
-            places: self.texture(grid, wgpu::TextureFormat::Rgba32Float, packed.places),
-            forms: self.texture(grid, wgpu::TextureFormat::Rgba32Uint, packed.forms),
+            places: self.texture(grid, wgpu::TextureFormat::Rgba32Float, packed.shapes.places),
+            forms: self.texture(grid, wgpu::TextureFormat::Rgba32Uint, packed.shapes.forms),
             colours: self.texture(wide, wgpu::TextureFormat::Rgba32Uint, packed.colours),
         })
     }
