@@ -9,7 +9,8 @@ use glam::DVec3;
 
 /// Cells are not refined whose primitives are narrower than this on the screen, px.
 const LEAST_PX: f64 = 1.0;
-/// A cell that is refined stays so until its primitives are smaller than the least, or than those of others, by this.
+/// A cell that is refined stays so until its primitives are smaller than the least, or than those of others, by this, and its
+/// box counts as larger by as much.
 const HELD: f64 = 1.25;
 /// Weight of cells outside the picture: near ones are there when the camera turns, if the budget has room for them.
 const OUTSIDE: f64 = 0.1;
@@ -55,7 +56,7 @@ pub(super) fn refinements(
     let view = View::new(camera);
     let candidate = |cell: usize| {
         let hold = if refined(cell) { HELD } else { 1.0 };
-        let priority = hold * view.width_px(&index.cells[cell]);
+        let priority = hold * view.width_px(&index.cells[cell], hold);
         (!index.cells[cell].children.is_empty() && priority >= least).then_some(Candidate { priority, cell })
     };
     let mut cost = index.roots().map(|cell| index.cells[cell].primitives()).sum::<usize>();
@@ -90,18 +91,18 @@ impl<'a> View<'a> {
         Self { camera, eye: camera.centre(), focal_px: camera.fx.max(camera.fy) }
     }
 
-    /// Width of a primitive of `cell` as near as the cell's box is, px; less outside the picture.
-    fn width_px(&self, cell: &Cell) -> f64 {
+    /// Width of a primitive of `cell` as near as the cell's box is, px; less if the box, made `larger`, is outside the picture.
+    fn width_px(&self, cell: &Cell, larger: f64) -> f64 {
         let [min, max] = [cell.min, cell.max].map(|corner| DVec3::from(corner.map(f64::from)));
         let distance = (self.eye.clamp(min, max) - self.eye).length().max(self.camera.near);
         let width = 2.0 * f64::from(cell.size) * self.focal_px / distance;
-        if self.is_outside(min, max) { OUTSIDE * width } else { width }
+        if self.is_outside(0.5 * (min + max), 0.5 * larger * (max - min)) { OUTSIDE * width } else { width }
     }
 
-    /// Whether all of the box is beyond one side of the picture, or behind the camera.
-    fn is_outside(&self, min: DVec3, max: DVec3) -> bool {
+    /// Whether all of the box that reaches `half` to both sides of `centre` is beyond one side of the picture, or behind the
+    /// camera.
+    fn is_outside(&self, centre: DVec3, half: DVec3) -> bool {
         let pose = &self.camera.camera_from_world;
-        let (centre, half) = (0.5 * (min + max), 0.5 * (max - min));
         let at = pose.rotation * centre + pose.translation;
         let Camera { fx, fy, cx, cy, width, height, near, .. } = *self.camera;
         let sides = [
@@ -128,7 +129,7 @@ mod tests {
     fn boxes_are_outside_only_where_nothing_of_them_is_seen() {
         let camera = camera([0.0, 0.0, -10.0]);
         let view = View::new(&camera);
-        let outside = |at: [f64; 3], half: f64| view.is_outside(DVec3::from(at) - half, DVec3::from(at) + half);
+        let outside = |at: [f64; 3], half: f64| view.is_outside(DVec3::from(at), DVec3::splat(half));
         assert!(!outside([0.0; 3], 1.0) && !outside([4.9, 0.0, 0.0], 0.5) && !outside([0.0, 0.0, -10.0], 30.0));
         assert!(outside([0.0, 0.0, -12.0], 1.0), "behind");
         assert!(outside([8.0, 0.0, 0.0], 1.0) && outside([0.0, -8.0, 0.0], 1.0));
