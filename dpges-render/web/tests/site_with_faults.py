@@ -16,6 +16,7 @@ class Handler(http.server.SimpleHTTPRequestHandler):
                 return answer()
         # a server that ignores ranges, one that fails for all but the first cell, a good one
         prefix, separator, name = self.path.partition("levels/")
+        separator = separator and "?" not in prefix
         if separator and prefix != "/ignores/" and "Range" in self.headers:
             return self.range(name, prefix == "/torn/")
         if separator:
