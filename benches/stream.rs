@@ -1,5 +1,6 @@
 //! `cargo bench --workspace --bench stream -- FOLDER CAMERAS [--scene FILE] [--budgets 1,0.5,0.25,0.125] [--width PX]
-//! [--height PX] [--frames N] [--pictures FOLDER]`: the streaming of a scene in levels of detail.
+//! [--height PX] [--frames N] [--pictures FOLDER]`: the streaming of a scene in levels of detail. With `--make N` FOLDER and
+//! CAMERAS are made first: a synthetic scene of N primitives, a tenth of them surfels, and a flight into it.
 //!
 //! Measures the time to the first picture; for every budget, as a share of all primitives, the largest number of primitives
 //! that were resident, and the PSNR against the whole scene from the cameras (`cameras.json` of 3DGS) once the cut is
@@ -7,16 +8,22 @@
 //! take 50 ms and 20 ns a byte (50 MB/s) of a clock of 30 frames a second. The whole scene is `--scene`, or else level 0.
 
 use std::collections::VecDeque;
+use std::f64::consts::TAU;
 use std::path::PathBuf;
 use std::time::Instant;
 
 use dpges_core::camera::Camera;
-use dpges_core::scene::SceneData;
+use dpges_core::scene::{GaussianData, SceneData, SurfelData};
+use dpges_core::testing::scenes::realistic;
 use dpges_render::stream::{Levels, Loader, Source, Stream, decode};
 use dpges_render::{CameraPath, Headless, RenderOptions, Renderer, Rgb8Image};
 use dpges_train::eval::pictures::save_png;
+use dpges_train::lod::{self, CELL_PRIMITIVES, Options};
 use dpges_train::metrics::flip;
+use glam::DVec3;
 
+/// Along the flight that is made.
+const CAMERAS: usize = 20;
 const FRAMES_PER_SECOND: f64 = 30.0;
 const LATENCY_S: f64 = 0.05;
 const SECONDS_PER_BYTE: f64 = 20e-9;
@@ -25,6 +32,7 @@ struct Arguments {
     folder: PathBuf,
     cameras: PathBuf,
     scene: Option<PathBuf>,
+    make: Option<usize>,
     budgets: Vec<f64>,
     size: [usize; 2],
     frames: usize,
@@ -38,6 +46,7 @@ impl Arguments {
             folder: PathBuf::new(),
             cameras: PathBuf::new(),
             scene: None,
+            make: None,
             budgets: vec![1.0, 0.5, 0.25, 0.125],
             size: [640, 360],
             frames: 60,
@@ -52,6 +61,7 @@ impl Arguments {
                 "--scene" => all.scene = Some(value().into()),
                 "--pictures" => all.pictures = Some(value().into()),
                 "--budgets" => all.budgets = value().split(',').map(|share| share.parse().expect("shares")).collect(),
+                "--make" => all.make = Some(number(value())),
                 "--width" => all.size[0] = number(value()),
                 "--height" => all.size[1] = number(value()),
                 "--frames" => all.frames = number(value()),
@@ -86,6 +96,9 @@ impl Bench {
 
 fn main() {
     let arguments = Arguments::new();
+    if let Some(primitives) = arguments.make {
+        make(&arguments, primitives);
+    }
     let headless = Headless::new().expect("a graphics adapter");
     println!("adapter                 {}", headless.adapter_name());
 
@@ -181,6 +194,22 @@ fn main() {
             streamed[1] / alone[1]
         );
     }
+}
+
+/// Writes the synthetic scene and the cameras.
+fn make(arguments: &Arguments, primitives: usize) {
+    let surfels = primitives / 10;
+    let (scene, camera) = realistic(surfels, primitives - surfels, 1600, 1060, 1).into_scene();
+    let options = Options { cell_primitives: CELL_PRIMITIVES, cameras: &[camera], fit: None };
+    lod::write(scene, &options, &arguments.folder).expect("levels of detail");
+    let axes = camera.camera_from_world.rotation.transpose();
+    let key = |at: usize| {
+        let share = at as f64 / (CAMERAS - 1) as f64;
+        let shift = 2.2 * share * axes.z_axis + 0.3 * (TAU * share).sin() * axes.x_axis;
+        Camera { camera_from_world: camera.camera_from_world.moved(DVec3::ZERO, shift), ..camera }
+    };
+    let path = CameraPath::new((0..CAMERAS).map(key).collect(), false).expect("cameras");
+    std::fs::write(&arguments.cameras, path.to_json()).expect("a file for cameras");
 }
 
 /// All of level 0.

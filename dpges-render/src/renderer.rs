@@ -2,7 +2,9 @@
 
 mod paged;
 
+use std::iter::once;
 use std::ops::Range;
+use std::slice::from_ref;
 
 use dpges_core::camera::Camera;
 use dpges_core::scene::{BlendOrder, Rendering, SceneData, SceneInfo};
@@ -179,7 +181,7 @@ impl Renderer {
         let is_sorted = scene.info.rendering != Rendering::Peeled;
         let positions = if is_sorted { scene.gaussians.positions.as_chunks::<3>().0.to_vec() } else { Vec::new() };
         let textures = SceneTextures::new(&self.device, &self.queue, scene)?;
-        let drawn = [&textures.surfels, &textures.gaussians].map(|kind| vec![0..kind.count as u32]);
+        let drawn = [&textures.surfels, &textures.gaussians].map(|kind| once(0..kind.count as u32).collect());
         self.take(textures, positions, drawn, None);
         Ok(())
     }
@@ -422,7 +424,7 @@ impl Renderer {
             (false, true) => &passes.sorted.count_ellipses,
         };
         self.pass(encoder, "sorted", &[(&targets.sums, zero)], None, |pass| {
-            draw(pass, pipeline, [frame, &group], 4, &[0..order.len() as u32]);
+            draw(pass, pipeline, [frame, &group], 4, from_ref(&(0..order.len() as u32)));
         });
     }
 

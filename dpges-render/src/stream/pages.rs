@@ -1,5 +1,6 @@
 //! Places in the buffers of a fixed size that cells share.
 
+use std::iter::once;
 use std::ops::Range;
 
 use crate::scene::PAGE;
@@ -20,8 +21,8 @@ impl Pages {
     pub fn take(&mut self, count: usize) -> Option<Vec<Range<u32>>> {
         let needed = count.div_ceil(PAGE);
         let gaps = self.gaps();
-        let mut found = match gaps.iter().find(|gap| gap.len() >= needed) {
-            Some(gap) => vec![gap.start..gap.start + needed],
+        let mut found: Vec<Range<usize>> = match gaps.iter().find(|gap| gap.len() >= needed) {
+            Some(gap) => once(gap.start..gap.start + needed).collect(),
             None => {
                 let mut left = needed;
                 let pieces = gaps.into_iter().map(|gap| {

@@ -92,7 +92,7 @@ pub struct ExportArgs {
     /// Distance between the voxels that a mesh is made of, world units [default: a 128th of the extent]
     #[arg(long, value_name = "SIZE")]
     voxel: Option<f64>,
-    /// Folder of the browser viewer for html, as dpges-render/web/build.sh builds it [default: DPGES_WEB_PAGE, dpges-web
+    /// Folder of the browser viewer for html and lod, as dpges-render/web/build.sh builds it [default: DPGES_WEB_PAGE, dpges-web
     /// beside the program, or that of its sources]
     #[arg(long, value_name = "DIR")]
     page: Option<PathBuf>,
@@ -216,6 +216,8 @@ impl ExportArgs {
             let mut rows = vec![("folder", self.out.display().to_string())];
             rows.extend(lod::describe::of(&index).rows());
             rows.push(("fit", if steps > 0 { format!("{steps} steps per level") } else { "none".to_owned() }));
+            let title = self.out.file_name().unwrap_or_default().to_string_lossy();
+            rows.push(page::write_beside_levels(&cameras, &title, self.page.as_deref(), &self.out)?);
             print(&table(&rows))
         };
         if steps == 0 {

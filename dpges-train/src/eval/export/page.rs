@@ -50,6 +50,25 @@ pub fn write(
     Ok(rows)
 }
 
+/// Writes the page beside the index of levels of detail in the folder `out`, with the page built in `page` (see [`find_page`])
+/// and `cameras`. Returns a row about it; without a page that is built, and none named, there is only the row.
+///
+/// # Errors
+/// The errors of [`find_page`] and [`write_html`].
+pub fn write_beside_levels(
+    cameras: &[Camera],
+    title: &str,
+    page: Option<&Path>,
+    out: &Path,
+) -> Result<(&'static str, String), HtmlError> {
+    let built = match find_page(page) {
+        Err(error @ HtmlError::NoPage(_)) if page.is_none() => return Ok(("page", format!("none: {error}"))),
+        built => built?,
+    };
+    write_html(out, &built, None, &Page { title, poster_jpeg: None, cameras })?;
+    Ok(("page", format!("{}, on a web server that serves ranges of bytes", out.join("index.html").display())))
+}
+
 /// The picture of `camera`, in the JPEG format.
 fn poster(scene: &SceneData, camera: &Camera) -> Result<Vec<u8>, Box<dyn std::error::Error>> {
     let scale = POSTER_PX as f64 / camera.width.max(camera.height) as f64;
