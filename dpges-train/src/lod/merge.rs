@@ -1,6 +1,5 @@
 //! Half as many primitives for the same picture from farther away.
 
-use dpges_core::scene::schema::Columns;
 use dpges_core::scene::{ColourData, GaussianData, SH_C0, SurfelData};
 use glam::{DMat3, DQuat, DVec3};
 
