@@ -14,8 +14,9 @@ use tempfile::TempDir;
 use super::{LodError, Primitives};
 use crate::refine::neighbours::as_points;
 
-/// Level 0 is the scene to 45 dB and more at this.
-const QUALITY: Quality = Quality::HIGH;
+/// Between `high` and `highest`: pictures of level 0 are those of the scene to 45 dB and more.
+const QUALITY: Quality =
+    Quality { positions: 18, quaternions: 11, log_scales: 11, opacities: 11, margins: 12, base: 11, detail: 11 };
 const SKY: &str = "base.safetensors";
 const CAMERAS: &str = "cameras.json";
 

@@ -1,6 +1,5 @@
 //! Half as many primitives for the same picture from farther away.
 
-use dpges_core::scene::schema::Columns;
 use dpges_core::scene::{ColourData, GaussianData, SH_C0, SurfelData};
 use glam::{DMat3, DQuat, DVec3};
 
@@ -50,13 +49,14 @@ pub fn half_of_surfels(surfels: &SurfelData, modulation: f64, seen: impl Fn(DVec
             half.append(surfels.select(&members));
             continue;
         };
-        let ([a, b, _], frame) = whole.axes();
+        let ([a, b, across], frame) = whole.axes();
         let shares = shares(&blobs, &members);
         half.positions.extend(whole.mean.as_vec3().to_array());
         half.quaternions.extend(quaternion(frame));
         half.log_scales.extend([a, b].map(|variance| log(variance.sqrt() / spread)));
-        half.margins
-            .push(shares.iter().map(|&(row, share)| share * f64::from(surfels.margins[row])).sum::<f64>() as f32);
+        // the disc leaves out how far its members are before and behind it, and Gaussians before them are not hidden
+        let margin: f64 = shares.iter().map(|&(row, share)| share * f64::from(surfels.margins[row])).sum();
+        half.margins.push((margin + across.sqrt()) as f32);
         append_mean(&mut half.colour, &surfels.colour, &shares);
     }
     half

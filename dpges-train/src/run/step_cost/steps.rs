@@ -3,8 +3,8 @@
 use burn::tensor::Device;
 use dpges_core::backend::device::is_gpu;
 use dpges_core::camera::Camera;
+use dpges_core::scene::SceneData;
 use dpges_core::scene::tensors::tensor_to_rows;
-use dpges_core::scene::{Rendering, SceneData};
 
 use super::lists::Lists;
 use crate::config::StageKind;
