@@ -216,9 +216,8 @@ fn make(arguments: &Arguments, primitives: usize) {
 fn finest(source: &Source, arguments: &Arguments) -> SceneData {
     let levels = Levels::open(&arguments.folder, usize::MAX).expect("a scene");
     let (index, mut scene) = (levels.scene().index(), levels.scene().coarse().clone());
-    let kept =
-        |model| (dpges_core::scene::SurfelData::neutral(model, 0), dpges_core::scene::GaussianData::neutral(model, 0));
-    (scene.surfels, scene.gaussians) = kept(scene.info.colour_model);
+    let model = scene.info.colour_model;
+    (scene.surfels, scene.gaussians) = (SurfelData::neutral(model, 0), GaussianData::neutral(model, 0));
     for cell in index.level(0) {
         let bytes = source.read(&index.cells[cell].part).expect("a cell");
         let cell = index.cell(cell, &bytes).expect("a cell");
