@@ -3,6 +3,7 @@
 use std::io::Write;
 use std::path::PathBuf;
 
+use burn::tensor::Device;
 use clap::{Args, ValueEnum};
 use dpges_core::camera::Camera;
 use dpges_core::scene::atomic::write_atomically;
@@ -211,7 +212,7 @@ impl ExportArgs {
         let cameras: Vec<Camera> = data.iter().flat_map(|(_, data)| &data.train).map(|view| view.camera).collect();
         let steps = self.fit.unwrap_or(if cameras.is_empty() { 0 } else { LOD_FIT_STEPS });
         let cell_primitives = self.cell_primitives;
-        let write = |fit| {
+        let write = |fit: Option<(usize, &Device)>| {
             let index = lod::write(scene, &lod::Options { cell_primitives, cameras: &cameras, fit }, &self.out)?;
             let mut rows = vec![("folder", self.out.display().to_string())];
             rows.extend(lod::describe::of(&index).rows());
