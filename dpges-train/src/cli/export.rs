@@ -93,8 +93,8 @@ pub struct ExportArgs {
     /// Distance between the voxels that a mesh is made of, world units [default: a 128th of the extent]
     #[arg(long, value_name = "SIZE")]
     voxel: Option<f64>,
-    /// Folder of the browser viewer for html and lod, as dpges-render/web/build.sh builds it [default: DPGES_WEB_PAGE, dpges-web
-    /// beside the program, or that of its sources]
+    /// Folder of the browser viewer for html and lod, as dpges-render/web/build.sh builds it [default: DPGES_WEB_PAGE,
+    /// dpges-web beside the program, or that of its sources]
     #[arg(long, value_name = "DIR")]
     page: Option<PathBuf>,
     /// auto (a GPU that passes a check, or else the CPU), cpu, cpu-flex, wgpu (the best GPU), or another one that

@@ -3,10 +3,10 @@
 //!
 //! | module | for |
 //! |---|---|
-//! | [`tree`] | the cells |
-//! | [`merge`], [`pairs`], [`blob`], [`colours`] | half as many primitives: which become one, and what one |
-//! | [`pictures`], [`fit`] | a level that learns to look like the scene |
-//! | [`folder`] | the files |
+//! | `tree` | the cells |
+//! | `merge`, `pairs`, `blob`, `colours` | half as many primitives: which become one, and what one |
+//! | `pictures`, `fit` | a level that learns to look like the scene |
+//! | `folder` | the files |
 //! | [`describe`] | what is in a folder |
 
 mod blob;

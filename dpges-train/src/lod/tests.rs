@@ -93,12 +93,11 @@ fn level_0_is_the_scene_and_the_others_are_about_half_of_the_finer() {
     let loss = psnr(&image(&finest, &camera), &whole);
     assert!(loss > 45.0, "{loss}");
     for coarse in 1..4 {
-        let (cells, count) = (index.level(coarse).count(), level(&out, &index, coarse));
-        let finer = 2000 >> coarse;
-        assert!((finer..finer + 2 * cells).contains(&(count.surfels.len() + count.gaussians.len())));
+        // each merged cell rounds up its surfels and its Gaussians
+        let (all, half) = (level(&out, &index, coarse), 2000 >> coarse);
+        assert!((half..half + 8).contains(&(all.surfels.len() + all.gaussians.len())));
     }
     for cell in &index.cells {
-        // a box lies within that of what stands for it, up to what merging moves
         assert!(cell.primitives() <= 300 && cell.size > 0.0);
         assert_eq!(cell.parent.is_none(), cell.level == 3);
     }
@@ -140,10 +139,9 @@ fn coarser_levels_look_like_the_scene_in_small_pictures_and_a_fit_brings_them_ne
         let target = view.picture().unwrap().planes();
         psnrs.push([1, 2].map(|coarse| psnr(&image(&level(&out, &index, coarse), &view.camera), &target)));
     }
-    println!("{psnrs:?}");
     let [merged, fitted] = psnrs[..] else { unreachable!() };
-    assert!(merged[0] > 20.0 && merged[1] > 18.0, "{merged:?}");
-    assert!(fitted[0] > merged[0] + 0.5 && fitted[1] > merged[1] + 0.5, "{merged:?} {fitted:?}");
+    assert!(merged[0] > 25.0 && merged[1] > 22.0, "{merged:?}");
+    assert!(fitted[0] > merged[0] + 2.0 && fitted[1] > merged[1] + 2.0, "{merged:?} {fitted:?}");
 }
 
 #[test]

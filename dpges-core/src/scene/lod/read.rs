@@ -63,7 +63,7 @@ impl Index {
         read_range(&path, part).map_err(|source| Error::Io { action: "cannot read", path, source })
     }
 
-    /// The scene of a cell from its `bytes`: only the primitives, the environment is in the [sky](Self::sky).
+    /// The scene of a cell from its `bytes`: only the primitives, the environment is in the sky.
     ///
     /// # Errors
     /// [`Error::SceneFile`] naming the pack file and the cell if it is no scene file, or not the one that the index says.
