@@ -4,18 +4,11 @@
 use std::process::Command;
 
 use dpges_benches::training::{Training, Variant};
-use dpges_benches::{cpus, machine};
+use dpges_benches::{cpus, machine, resident_mib};
 use dpges_core::testing::scenes::realistic;
 
 const STEPS: usize = 20;
 const VARIANTS: [Variant; 2] = [Variant::OWN, Variant::PLAIN];
-
-/// A line of /proc/self/status in MiB; NaN where there is none.
-fn resident_mib(key: &str) -> f64 {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let line = status.lines().find(|line| line.starts_with(key)).and_then(|line| line.split_whitespace().nth(1));
-    line.and_then(|kib| kib.parse::<f64>().ok()).map_or(f64::NAN, |kib| kib / 1024.0)
-}
 
 fn measure(backend: &str, variant: Variant, size: usize) {
     let (_, device) = cpus().into_iter().find(|(name, _)| *name == backend).expect("a CPU backend");

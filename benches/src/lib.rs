@@ -29,3 +29,10 @@ pub fn machine() -> String {
     let (model, family, number) = (of("model name"), of("cpu family"), of("model\t"));
     format!("{model} (family {family}, model {number}), {threads} threads")
 }
+
+/// A line of /proc/self/status in MiB; NaN where there is none.
+pub fn resident_mib(key: &str) -> f64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find(|line| line.starts_with(key)).and_then(|line| line.split_whitespace().nth(1));
+    line.and_then(|kib| kib.parse::<f64>().ok()).map_or(f64::NAN, |kib| kib / 1024.0)
+}

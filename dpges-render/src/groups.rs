@@ -1,7 +1,7 @@
 //! Bind groups of a scene that is drawn into targets.
 
 use crate::passes::{Passes, textures_group};
-use crate::scene::SceneTextures;
+use crate::scene::{Fades, SceneTextures};
 use crate::targets::{PerPrimitive, Targets};
 
 #[derive(Debug)]
@@ -24,14 +24,18 @@ impl Groups {
         scene: &SceneTextures,
         per_primitive: &PerPrimitive,
         targets: &Targets,
+        fades: Option<&Fades>,
     ) -> Self {
         let group = |layout, views: &[&wgpu::TextureView]| textures_group(device, layout, views);
         let (surfels, gaussians, layers) = (&scene.surfels, &scene.gaussians, &targets.layers);
         let coloured = if scene.is_peeled() { surfels } else { gaussians };
         // the first layer has no previous one, and its pipeline reads none: any other texture of the format will do
         let previous = |k: usize| &layers[(k + layers.len() - 1) % layers.len()].nearest;
-        let peel_after =
-            |previous, cores| group(&passes.peel.layout, &[&surfels.places, &surfels.forms, previous, cores]);
+        let [of_surfels, of_gaussians] = [0, 1].map(|kind: usize| fades.map(|fades| &fades.views[kind]));
+        let peel_after = |previous, cores| {
+            let views = [&surfels.places, &surfels.forms, previous, cores];
+            group(&passes.peel.layout, &views.into_iter().chain(of_surfels).collect::<Vec<_>>())
+        };
         let peel = |k| peel_after(previous(k), &targets.cores);
         let mut resolve = vec![&surfels.places, &per_primitive.colours];
         resolve.extend(layers.iter().map(|layer| &layer.nearest));
@@ -39,16 +43,14 @@ impl Groups {
         let mut present = vec![&targets.surfels, &targets.sums, &layers[0].opacity];
         present.extend(layers.iter().map(|layer| &layer.nearest));
         present.push(&surfels.forms);
+        let splat = [&per_primitive.firsts, &per_primitive.seconds, &targets.intervals, &targets.thirds];
         Self {
             colours: group(&passes.colours.layout, &[&coloured.places, &coloured.colours]),
             project: group(&passes.project.layout, &[&gaussians.places, &gaussians.forms, &gaussians.colours]),
             core: peel_after(&layers[0].nearest, &layers[0].nearest),
             peel: (0..layers.len()).map(peel).collect(),
             resolve: group(&passes.resolve.layout, &resolve),
-            splat: group(
-                &passes.splat.layout,
-                &[&per_primitive.firsts, &per_primitive.seconds, &targets.intervals, &targets.thirds],
-            ),
+            splat: group(&passes.splat.layout, &splat.into_iter().chain(of_gaussians).collect::<Vec<_>>()),
             present: group(&passes.present.layout, &present),
         }
     }

@@ -164,7 +164,7 @@ impl Headless {
         Ok((0..3).flat_map(|channel| pixels.iter().map(move |pixel| pixel[channel])).collect())
     }
 
-    fn bytes(
+    pub(crate) fn bytes(
         &self,
         renderer: &mut Renderer,
         camera: &Camera,

@@ -39,6 +39,7 @@
 //! | serde, serde_json | files of camera paths |
 //! | thiserror | errors |
 //! | zstd, flate2, gltf-json, fast-surface-nets, rayon | feature `export`: the formats, the surface of a mesh |
+//! | ureq | feature `http`: cells of scenes in levels of detail from web servers |
 //! | eframe, egui, egui_plot, rfd, image | feature `viewer`: the window, its graph, dialogs, screenshots |
 //! | egui_kittest, libtest-mimic, serde-ply, safetensors, tempfile, approx | tests |
 
@@ -62,6 +63,7 @@ mod profile;
 mod readback;
 mod renderer;
 mod scene;
+pub mod stream;
 mod targets;
 #[cfg(feature = "viewer")]
 pub mod viewer;

@@ -1,5 +1,11 @@
 //! The renderer: a scene on a device, drawn into a view of a texture.
 
+mod paged;
+
+use std::iter::once;
+use std::ops::Range;
+use std::slice::from_ref;
+
 use dpges_core::camera::Camera;
 use dpges_core::scene::{BlendOrder, Rendering, SceneData, SceneInfo};
 use wgpu::util::DeviceExt;
@@ -8,9 +14,9 @@ use crate::error::{RenderError, Result};
 use crate::groups::Groups;
 use crate::options::{DepthSource, Display, Precision, RenderOptions};
 use crate::order::back_to_front;
-use crate::passes::{DRAWN_FORMATS, Frame, Kit, ORDER_FORMAT, Passes, Switches, textures_group};
+use crate::passes::{DRAWN_FORMATS, Fading, Frame, Kit, ORDER_FORMAT, Passes, Switches, textures_group};
 use crate::profile::{PassTime, Profile};
-use crate::scene::{Grid, SceneTextures};
+use crate::scene::{Fades, Grid, SceneTextures};
 use crate::targets::{PerPrimitive, Targets, texture, view};
 
 /// Shares of the primitives before the camera that are nearer than the ends of the colour ramp of depths.
@@ -23,8 +29,10 @@ pub struct Renderer {
     queue: wgpu::Queue,
     format: wgpu::TextureFormat,
     sums: wgpu::TextureFormat,
+    depths: DepthSource,
     frame_layout: wgpu::BindGroupLayout,
     passes: Passes,
+    fading: Fading,
     profile: Profile,
     scene: Option<Uploaded>,
     targets: Option<Targets>,
@@ -39,6 +47,10 @@ struct Uploaded {
     per_primitive: PerPrimitive,
     /// Positions of Gaussians that are blended in an order; empty if none is needed.
     positions: Vec<[f32; 3]>,
+    /// The surfels and the Gaussians that are drawn.
+    drawn: [Vec<Range<u32>>; 2],
+    /// Factors of pages, where the scene has pages.
+    fades: Option<Fades>,
 }
 
 /// The target of a pass, before its pipeline is set.
@@ -102,14 +114,17 @@ impl Renderer {
                 count: None,
             }],
         });
-        let passes = Passes::new(&Kit { device, frame: &frame_layout }, sums, format, depths);
+        let fading = Fading::Whole;
+        let passes = Passes::new(&Kit { device, frame: &frame_layout }, sums, format, depths, fading);
         Ok(Self {
             device: device.clone(),
             queue: queue.clone(),
             format,
             sums,
+            depths,
             frame_layout,
             passes,
+            fading,
             profile: Profile::new(device)?,
             scene: None,
             targets: None,
@@ -166,11 +181,28 @@ impl Renderer {
         let is_sorted = scene.info.rendering != Rendering::Peeled;
         let positions = if is_sorted { scene.gaussians.positions.as_chunks::<3>().0.to_vec() } else { Vec::new() };
         let textures = SceneTextures::new(&self.device, &self.queue, scene)?;
+        let drawn = [&textures.surfels, &textures.gaussians].map(|kind| once(0..kind.count as u32).collect());
+        self.take(textures, positions, drawn, None);
+        Ok(())
+    }
+
+    fn take(
+        &mut self,
+        textures: SceneTextures,
+        positions: Vec<[f32; 3]>,
+        drawn: [Vec<Range<u32>>; 2],
+        fades: Option<Fades>,
+    ) {
+        let fading = if fades.is_some() { Fading::Paged } else { Fading::Whole };
+        if self.fading != fading {
+            let kit = Kit { device: &self.device, frame: &self.frame_layout };
+            self.passes = Passes::new(&kit, self.sums, self.format, self.depths, fading);
+            self.fading = fading;
+        }
         let per_primitive = PerPrimitive::new(&self.device, &textures);
-        self.scene = Some(Uploaded { textures, per_primitive, positions });
+        self.scene = Some(Uploaded { textures, per_primitive, positions, drawn, fades });
         self.groups = None;
         self.last = None;
-        Ok(())
     }
 
     pub fn scene_info(&self) -> Option<&SceneInfo> {
@@ -178,11 +210,11 @@ impl Renderer {
     }
 
     pub fn surfel_count(&self) -> usize {
-        self.scene.as_ref().map_or(0, |scene| scene.textures.surfels.count)
+        self.scene.as_ref().map_or(0, |scene| length(&scene.drawn[0]))
     }
 
     pub fn gaussian_count(&self) -> usize {
-        self.scene.as_ref().map_or(0, |scene| scene.textures.gaussians.count)
+        self.scene.as_ref().map_or(0, |scene| length(&scene.drawn[1]))
     }
 
     /// Records a picture from `camera` into the upper left of `target`, `camera.width` × `camera.height` px. Submit the
@@ -256,7 +288,9 @@ impl Renderer {
             self.groups = None;
         }
         if let (None, Some(targets), Some(scene)) = (&self.groups, &self.targets, &self.scene) {
-            self.groups = Some(Groups::new(&self.device, &self.passes, &scene.textures, &scene.per_primitive, targets));
+            let fades = scene.fades.as_ref();
+            let (textures, per_primitive) = (&scene.textures, &scene.per_primitive);
+            self.groups = Some(Groups::new(&self.device, &self.passes, textures, per_primitive, targets, fades));
         }
     }
 
@@ -288,25 +322,31 @@ impl Renderer {
     fn peeled(&self, encoder: &mut wgpu::CommandEncoder, frame: &wgpu::BindGroup, options: &RenderOptions) {
         let (scene, targets, groups) = self.prepared();
         let (passes, per_primitive) = (&self.passes, &scene.per_primitive);
-        let (surfels, gaussians) = (scene.textures.surfels.count as u32, scene.textures.gaussians.count as u32);
         let visible = crate::options::squared_radius(options.footprint, options.modulation) > 0.0;
-        let surfels = if visible { surfels } else { 0 };
+        let surfels = if visible { &scene.drawn[0][..] } else { &[] };
+        let gaussians = &scene.drawn[1][..];
+        let whole = |pass: &mut wgpu::RenderPass, grid: Grid, drawn: &[Range<u32>]| {
+            let rows = drawn.iter().map(|range| range.end).max().unwrap_or(0).div_ceil(1 << grid.log2_width);
+            pass.set_scissor_rect(0, 0, 1 << grid.log2_width, rows);
+        };
         let counting = options.display == Display::Overdraw;
         let (zero, nothing) = (wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT), wgpu::LoadOp::Clear(NOTHING));
 
-        if surfels > 0 {
+        if length(surfels) > 0 {
             let attachments = &[(&per_primitive.colours, zero)];
             self.pass(encoder, "colours", attachments, None, |pass| {
-                draw(pass, &passes.colours.pipeline, [frame, &groups.colours], 3, 1);
+                whole(pass, scene.textures.surfels.grid, surfels);
+                draw(pass, &passes.colours.pipeline, [frame, &groups.colours], 3, ONCE);
             });
         }
-        if gaussians > 0 {
+        if length(gaussians) > 0 {
             let attachments = &[(&per_primitive.firsts, zero), (&per_primitive.seconds, zero)];
             self.pass(encoder, "project", attachments, None, |pass| {
-                draw(pass, &passes.project.pipeline, [frame, &groups.project], 3, 1);
+                whole(pass, scene.textures.gaussians.grid, gaussians);
+                draw(pass, &passes.project.pipeline, [frame, &groups.project], 3, ONCE);
             });
         }
-        if options.backstop && surfels > 0 {
+        if options.backstop && length(surfels) > 0 {
             let (attachments, depth) = (&[(&targets.cores, nothing)], Some((&targets.depth, true)));
             self.pass(encoder, "peel", attachments, depth, |pass| {
                 draw(pass, &passes.peel.core, [frame, &groups.core], 4, surfels);
@@ -318,11 +358,11 @@ impl Renderer {
             let attachments = &[(&layer.nearest, nothing), (&layer.opacity, zero)];
             let depth = Some((&targets.depth, true));
             self.pass(encoder, "peel", attachments, depth, |pass| {
-                if asked && surfels > 0 {
+                if asked && length(surfels) > 0 {
                     let groups = [frame, &groups.peel[k]];
                     let (before, pipeline) = passes.peel.of(k, options);
                     if let Some(before) = before {
-                        draw(pass, before, groups, 3, 1);
+                        draw(pass, before, groups, 3, ONCE);
                     }
                     draw(pass, pipeline, groups, 4, surfels);
                 }
@@ -330,7 +370,7 @@ impl Renderer {
         }
         let attachments = &[(&targets.surfels, zero), (&targets.intervals, zero), (&targets.thirds, zero)];
         self.pass(encoder, "resolve", attachments, Some((&targets.depth, true)), |pass| {
-            draw(pass, &passes.resolve.pipeline, [frame, &groups.resolve], 3, 1);
+            draw(pass, &passes.resolve.pipeline, [frame, &groups.resolve], 3, ONCE);
         });
         if counting {
             self.pass(encoder, "splat", &[(&targets.sums, zero)], None, |pass| {
@@ -358,12 +398,12 @@ impl Renderer {
         let discs = rendering == Rendering::Discs;
         if discs {
             self.pass(encoder, "colours", &[(&per_primitive.colours, zero)], None, |pass| {
-                draw(pass, &passes.colours.pipeline, [frame, &groups.colours], 3, 1);
+                draw(pass, &passes.colours.pipeline, [frame, &groups.colours], 3, ONCE);
             });
         } else {
             let attachments = &[(&per_primitive.firsts, zero), (&per_primitive.seconds, zero)];
             self.pass(encoder, "project", attachments, None, |pass| {
-                draw(pass, &passes.project.pipeline, [frame, &groups.project], 3, 1);
+                draw(pass, &passes.project.pipeline, [frame, &groups.project], 3, ONCE);
             });
         }
         let order = back_to_front(&scene.positions, camera);
@@ -384,7 +424,7 @@ impl Renderer {
             (false, true) => &passes.sorted.count_ellipses,
         };
         self.pass(encoder, "sorted", &[(&targets.sums, zero)], None, |pass| {
-            draw(pass, pipeline, [frame, &group], 4, order.len() as u32);
+            draw(pass, pipeline, [frame, &group], 4, from_ref(&(0..order.len() as u32)));
         });
     }
 
@@ -422,7 +462,7 @@ impl Renderer {
         };
         self.pass(encoder, "present", &[(target, wgpu::LoadOp::Load)], None, |pass| {
             pass.set_viewport(0.0, 0.0, camera.width as f32, camera.height as f32, 0.0, 1.0);
-            draw(pass, pipeline, [frame, &groups.present], 3, 1);
+            draw(pass, pipeline, [frame, &groups.present], 3, ONCE);
         });
     }
 
@@ -466,17 +506,26 @@ const NOTHING: wgpu::Color = {
     wgpu::Color { r: 0.0, g: all, b: 0.0, a: 0.0 }
 };
 
+/// The instances of what is drawn once.
+const ONCE: &[Range<u32>] = &[Range { start: 0, end: 1 }];
+
 fn draw(
     pass: &mut wgpu::RenderPass,
     pipeline: &wgpu::RenderPipeline,
     groups: [&wgpu::BindGroup; 2],
     vertices: u32,
-    instances: u32,
+    instances: &[Range<u32>],
 ) {
     pass.set_pipeline(pipeline);
     pass.set_bind_group(0, groups[0], &[]);
     pass.set_bind_group(1, groups[1], &[]);
-    pass.draw(0..vertices, 0..instances);
+    for range in instances {
+        pass.draw(0..vertices, range.clone());
+    }
+}
+
+fn length(ranges: &[Range<u32>]) -> usize {
+    ranges.iter().map(Range::len).sum()
 }
 
 /// Depths at the ends of the colour ramp.

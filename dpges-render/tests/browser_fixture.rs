@@ -6,7 +6,8 @@ use std::f64::consts::TAU;
 use std::path::Path;
 
 use dpges_core::camera::{Camera, CameraFromWorld};
-use dpges_core::scene::{EnvironmentData, GaussianData, Rendering, SceneData, SceneInfo, SurfelData};
+use dpges_core::scene::lod::{Cell, INDEX, Index, Part};
+use dpges_core::scene::{EnvironmentData, GaussianData, Quality, Rendering, SceneData, SceneInfo, SurfelData};
 use dpges_render::export::html::{Page, find_page, write_html};
 use dpges_render::{Display, Headless, RenderOptions, Rgb8Image};
 use image::ExtendedColorType::Rgb8;
@@ -112,6 +113,39 @@ fn write_ppm(path: &Path, picture: &Rgb8Image) {
     std::fs::write(path, [header.as_bytes(), &picture.bytes].concat()).unwrap();
 }
 
+/// Writes `scene` in two levels of detail to `folder`: every second primitive, and two cells with one half each. Returns the
+/// scene as the cells have it.
+fn write_levels(folder: &Path, scene: &SceneData) -> SceneData {
+    std::fs::create_dir_all(folder).unwrap();
+    let half = |first: usize| {
+        let rows = |count: usize| (first..count).step_by(2).collect::<Vec<_>>();
+        SceneData {
+            surfels: scene.surfels.select(&rows(scene.surfels.len())),
+            gaussians: scene.gaussians.select(&rows(scene.gaussians.len())),
+            ..scene.clone()
+        }
+    };
+    let mut index = Index::new(scene.info.clone());
+    let (mut pack, mut finest) = (Vec::new(), SceneData { environment: None, ..half(usize::MAX) });
+    for (cell, level, first) in [(0, 1, 0), (1, 0, 0), (2, 0, 1)] {
+        let bytes = half(first).to_compressed(&Quality::HIGH, "cell".as_ref()).unwrap();
+        let stored = SceneData::from_bytes(&bytes, "cell").unwrap();
+        let part = Part { file: "cells.pack".to_owned(), offset: pack.len() as u64, bytes: bytes.len() as u64 };
+        let (parent, children) = if level == 0 { (Some(0), Vec::new()) } else { (None, vec![1, 2]) };
+        let (surfels, gaussians) = (stored.surfels.len(), stored.gaussians.len());
+        let (min, max, size) = ([-3.0; 3], [3.0; 3], 0.1);
+        index.cells.push(Cell { level, min, max, parent, children, part, surfels, gaussians, size });
+        pack.extend(bytes);
+        if cell > 0 {
+            finest.surfels.append(stored.surfels);
+            finest.gaussians.append(stored.gaussians);
+        }
+    }
+    std::fs::write(folder.join("cells.pack"), pack).unwrap();
+    std::fs::write(folder.join(INDEX), serde_json::to_vec(&index).unwrap()).unwrap();
+    finest
+}
+
 /// `DPGES_WEB_FIXTURE` names the folder; `DPGES_WEB_SCENE` another scene file than the made one.
 #[test]
 #[ignore = "web/tests/browser.py runs it, after it has built the page"]
@@ -131,7 +165,7 @@ fn export_a_page_and_pictures_of_its_scene() {
     let trained = RenderOptions::from(&scene.info);
     let poster = jpeg(&picture(&scene, &first, &trained));
     let page = Page { title: "Test scene", poster_jpeg: Some(&poster), cameras: &[first] };
-    write_html(folder, &find_page(None).unwrap(), &scene, &page).unwrap();
+    write_html(folder, &find_page(None).unwrap(), Some(&scene), &page).unwrap();
 
     let mut references = Vec::new();
     let mut refer = |name: &str, file: &str, scene: &SceneData, camera: &Camera, options: RenderOptions| {
@@ -184,5 +218,8 @@ fn export_a_page_and_pictures_of_its_scene() {
         other.save(&folder.join(&file)).unwrap();
         refer(name, &file, &other, &wide, trained);
     }
+    let scene = SceneData { environment: None, ..scene };
+    let finest = write_levels(&folder.join("levels"), &scene);
+    refer("levels", "levels/index.json", &finest, &wide, trained);
     std::fs::write(folder.join("reference.json"), Value::from(references).to_string()).unwrap();
 }

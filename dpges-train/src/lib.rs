@@ -2,7 +2,7 @@
 //!
 //! A [`run`] takes a [`dataset::Dataset`] through the stages of a [`config::Config`]: discs, Gaussians, then surfels and
 //! Gaussians together. [`init`] makes what it begins with; [`refine`] decides which primitives come and go; [`eval`]
-//! measures the scene. A [`study`] trains and measures many.
+//! measures the scene; [`lod`] makes coarser levels of it. A [`study`] trains and measures many.
 //!
 //! # Dependencies
 //!
@@ -14,7 +14,7 @@
 //! | image, serde-ply | photographs; the points of nerfstudio datasets |
 //! | kamadak-exif | which camera and lens took a photograph |
 //! | kiddo | nearest neighbours: point spacing, margins, splits |
-//! | nalgebra | eigenvectors: the normals of points |
+//! | nalgebra | eigenvectors: the normals of points, the axes of merged primitives |
 //! | rand, rand_chacha | random numbers that a checkpoint can hold |
 //! | rayon | reading pictures, neighbours |
 //! | safetensors, serde, serde_json, toml, tempfile | checkpoints, configuration, logs |
@@ -33,6 +33,7 @@ pub mod device;
 pub mod docs;
 pub mod eval;
 pub mod init;
+pub mod lod;
 pub mod metrics;
 pub mod optimizer;
 pub mod refine;

@@ -1,5 +1,6 @@
 //! A scene: surfels, Gaussians, and what is needed to render them. [`schema`] declares their attributes; [`data`] holds
-//! them in host memory, [`tensors`] on a device, [`mod@file`] on disk, [`compressed`] in fewer bytes.
+//! them in host memory, [`tensors`] on a device, [`mod@file`] on disk, [`compressed`] in fewer bytes, [`lod`] in levels of
+//! detail.
 
 pub mod atomic;
 mod colour_model;
@@ -9,6 +10,7 @@ pub mod data;
 mod environment;
 pub mod file;
 pub mod lobes;
+pub mod lod;
 pub mod schema;
 pub mod split;
 mod stored_size;

@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use dpges_core::camera::Camera;
 use dpges_core::scene::SceneData;
 use dpges_core::scene::atomic::write_atomically;
+use dpges_core::scene::lod;
 
 use crate::error::RenderError;
 use crate::path::CameraPath;
@@ -93,8 +94,9 @@ pub fn find_page(given: Option<&Path>) -> Result<PathBuf, HtmlError> {
     found.ok_or(HtmlError::NoPage(folders))
 }
 
-/// Writes to `folder`, which is created, the page built in `page_folder`, `scene`, and what `page` says. Files of the same
-/// names are replaced; `index.html` comes last. Returns the files.
+/// Writes to `folder`, which is created, the page built in `page_folder`, what `page` says, and `scene`; without it, the page
+/// shows the scene in levels of detail whose index is in `folder`. Files of the same names are replaced; `index.html` comes last.
+/// Returns the files.
 ///
 /// # Errors
 /// [`HtmlError::ForeignPage`] if `page_folder` has another page, [`HtmlError::SameFolder`], [`HtmlError::Io`], or [`HtmlError::Write`] if the scene is
@@ -102,10 +104,11 @@ pub fn find_page(given: Option<&Path>) -> Result<PathBuf, HtmlError> {
 pub fn write_html(
     folder: &Path,
     page_folder: &Path,
-    scene: &SceneData,
+    scene: Option<&SceneData>,
     page: &Page,
 ) -> Result<Vec<WrittenFile>, HtmlError> {
-    let index = filled_index(&page_folder.join(INDEX), page)?;
+    let shown = if scene.is_some() { SCENE } else { lod::INDEX };
+    let index = filled_index(&page_folder.join(INDEX), page, shown)?;
     let package = page_folder.join(PACKAGE);
     let package_files = files_in(&package)?;
     if !package_files.iter().any(|path| path.extension().is_some_and(|extension| extension == "wasm")) {
@@ -124,8 +127,10 @@ pub fn write_html(
     for path in files_in(page_folder)?.iter().filter(|path| !path.ends_with(INDEX)) {
         writer.copy(path, Path::new(path.file_name().unwrap_or_default()))?;
     }
-    scene.save(&folder.join(SCENE))?;
-    writer.note(folder.join(SCENE))?;
+    if let Some(scene) = scene {
+        scene.save(&folder.join(SCENE))?;
+        writer.note(folder.join(SCENE))?;
+    }
     if let Some(poster) = page.poster_jpeg {
         writer.write(Path::new(POSTER), poster)?;
     }
@@ -136,8 +141,8 @@ pub fn write_html(
     Ok(writer.files)
 }
 
-/// The page's `index.html` with the names of the files and the title.
-fn filled_index(path: &Path, page: &Page) -> Result<String, HtmlError> {
+/// The page's `index.html` with the names of the files, `scene` among them, and the title.
+fn filled_index(path: &Path, page: &Page, scene: &str) -> Result<String, HtmlError> {
     let index = fs::read_to_string(path).map_err(|source| HtmlError::Io {
         action: "cannot read",
         path: path.to_owned(),
@@ -149,7 +154,7 @@ fn filled_index(path: &Path, page: &Page) -> Result<String, HtmlError> {
     let named = |empty: &str, name: &str| empty.replace(r#"content="""#, &format!(r#"content="{name}""#));
     let poster = if page.poster_jpeg.is_some() { POSTER } else { "" };
     let title = if page.title.is_empty() { "dpges".to_owned() } else { escaped(page.title) };
-    let index = index.replace(NO_SCENE, &named(NO_SCENE, SCENE)).replace(NO_POSTER, &named(NO_POSTER, poster));
+    let index = index.replace(NO_SCENE, &named(NO_SCENE, scene)).replace(NO_POSTER, &named(NO_POSTER, poster));
     Ok(index.replace(NO_TITLE, &format!("<title>{title}</title>")))
 }
 
@@ -248,7 +253,7 @@ mod tests {
         built_page(built.path());
         let folder = out.path().join("new/page");
         let page = Page { title: "Fox & <friends>", poster_jpeg: Some(b"jpeg"), cameras: &[camera()] };
-        let files = write_html(&folder, built.path(), &scene(), &page).unwrap();
+        let files = write_html(&folder, built.path(), Some(&scene()), &page).unwrap();
         assert!(files.iter().all(|file| fs::metadata(&file.path).unwrap().len() == file.bytes));
         assert!(files.last().unwrap().path.ends_with(INDEX));
         for name in ["viewer.js", "camera.js", "style.css", "pkg/dpges_web.js", "pkg/dpges_web_bg.wasm", POSTER] {
@@ -266,6 +271,11 @@ mod tests {
         let cameras = CameraPath::load(&folder.join(CAMERAS), 0.5).unwrap();
         assert!((cameras.keys()[0].centre() - camera().centre()).length() < 1e-12, "{cameras:?}");
         assert_eq!((cameras.keys()[0].fx, cameras.keys()[0].width), (50.0, 64));
+        // beside the index of levels of detail
+        let files = write_html(&folder, built.path(), None, &page).unwrap();
+        assert!(files.iter().all(|file| !file.path.ends_with(SCENE)));
+        let index = fs::read_to_string(folder.join(INDEX)).unwrap();
+        assert!(index.contains(r#"<meta name="dpges-scene" content="index.json">"#));
     }
 
     #[test]
@@ -275,11 +285,11 @@ mod tests {
         assert!(missing.contains(&*built.path().to_string_lossy()) && missing.contains(BUILD_COMMAND), "{missing}");
         built_page(built.path());
         assert_eq!(find_page(Some(built.path())).unwrap(), built.path());
-        let write = || write_html(out.path(), built.path(), &scene(), &Page::default()).map(|_| ());
+        let write = || write_html(out.path(), built.path(), Some(&scene()), &Page::default()).map(|_| ());
         write().unwrap();
         assert_eq!(fs::read(out.path().join(CAMERAS)).unwrap(), b"[]");
         assert!(!out.path().join(POSTER).exists());
-        let itself = write_html(built.path(), built.path(), &scene(), &Page::default()).unwrap_err().to_string();
+        let itself = write_html(built.path(), built.path(), Some(&scene()), &Page::default()).unwrap_err().to_string();
         assert!(itself.contains("is the built page itself"), "{itself}");
         fs::remove_file(built.path().join("pkg/dpges_web_bg.wasm")).unwrap();
         assert!(write().unwrap_err().to_string().contains("WebAssembly"));

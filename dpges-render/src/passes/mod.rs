@@ -1,5 +1,6 @@
 //! The passes of a frame, in their order. The WGSL of each stands beside it; `frame`, `harmonics`, `colour`, `behind`,
-//! `ellipse` and `layer` hold what several share, and `depth_rasterised` and `depth_computed` what differs between them.
+//! `ellipse` and `layer` hold what several share; `depth_rasterised` and `depth_computed`, `fade_whole` and `fade_paged` what
+//! differs between them.
 //!
 //! | pass | reads | writes |
 //! |---|---|---|
@@ -26,6 +27,21 @@ pub(crate) use frame::{Frame, Switches};
 pub(crate) use pipeline::{Kit, Texture, textures_group};
 
 use crate::options::DepthSource;
+
+/// Whether all primitives are drawn as they are, or each by the factor of its page.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Fading {
+    Whole,
+    Paged,
+}
+
+impl Fading {
+    /// The textures of a pass, and that of the factors behind them.
+    fn with_factors(self, textures: &[Texture]) -> Vec<Texture> {
+        let factors = (self == Self::Paged).then_some(Texture::Float);
+        textures.iter().copied().chain(factors).collect()
+    }
+}
 
 /// Format of depth buffers: near / z, so that floats are dense where scenes are far.
 pub(crate) const DEPTH_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
@@ -57,13 +73,19 @@ pub(crate) struct Passes {
 
 impl Passes {
     /// Sums of Gaussians in textures of format `sums`, pictures in those of `format`.
-    pub fn new(kit: &Kit, sums: wgpu::TextureFormat, format: wgpu::TextureFormat, depths: DepthSource) -> Self {
+    pub fn new(
+        kit: &Kit,
+        sums: wgpu::TextureFormat,
+        format: wgpu::TextureFormat,
+        depths: DepthSource,
+        fading: Fading,
+    ) -> Self {
         Self {
             colours: colours::ColoursPass::new(kit),
             project: project::ProjectPass::new(kit),
-            peel: peel::PeelPass::new(kit, sums, depths),
+            peel: peel::PeelPass::new(kit, sums, depths, fading),
             resolve: resolve::ResolvePass::new(kit),
-            splat: splat::SplatPass::new(kit, sums),
+            splat: splat::SplatPass::new(kit, sums, fading),
             sorted: sorted::SortedPass::new(kit, sums),
             present: present::PresentPass::new(kit, format),
         }
@@ -75,15 +97,18 @@ mod tests {
     /// Every shader is valid for every device: halves are unpacked, which WebGL2 can do, and no more is asked for.
     #[test]
     fn shaders_are_valid() {
-        use super::DepthSource;
+        use super::{DepthSource, Fading};
         use wgpu::naga::{front::wgsl, valid};
         let shaders = [
             ("colours", super::colours::SHADER),
             ("project", super::project::SHADER),
-            ("peel", super::peel::shader(DepthSource::Rasterised)),
-            ("peel with computed depths", super::peel::shader(DepthSource::Computed)),
+            ("peel", super::peel::shader(DepthSource::Rasterised, Fading::Whole)),
+            ("peel with computed depths", super::peel::shader(DepthSource::Computed, Fading::Whole)),
+            ("peel by pages", super::peel::shader(DepthSource::Rasterised, Fading::Paged)),
+            ("peel by pages with computed depths", super::peel::shader(DepthSource::Computed, Fading::Paged)),
             ("resolve", super::resolve::SHADER),
-            ("splat", super::splat::SHADER),
+            ("splat", super::splat::shader(Fading::Whole)),
+            ("splat by pages", super::splat::shader(Fading::Paged)),
             ("sorted", super::sorted::SHADER),
             ("present", super::present::SHADER),
         ];

@@ -2,19 +2,27 @@
 //! are the nearest opaque fragments.
 
 use super::pipeline::{ADDITIVE, Depth, Stage};
-use super::{Kit, LAYER_FORMAT, OPACITY_FORMAT, Texture};
+use super::{Fading, Kit, LAYER_FORMAT, OPACITY_FORMAT, Texture};
 use crate::options::{DepthSource, RenderOptions};
 
 macro_rules! shader {
-    ($depth:literal) => {
-        concat!(include_str!("frame.wgsl"), include_str!("layer.wgsl"), include_str!($depth), include_str!("peel.wgsl"))
+    ($depth:literal, $fade:literal) => {
+        concat!(
+            include_str!("frame.wgsl"),
+            include_str!("layer.wgsl"),
+            include_str!($depth),
+            include_str!($fade),
+            include_str!("peel.wgsl")
+        )
     };
 }
 
-pub(crate) const fn shader(depths: DepthSource) -> &'static str {
-    match depths {
-        DepthSource::Rasterised => shader!("depth_rasterised.wgsl"),
-        DepthSource::Computed => shader!("depth_computed.wgsl"),
+pub(crate) const fn shader(depths: DepthSource, fading: Fading) -> &'static str {
+    match (depths, fading) {
+        (DepthSource::Rasterised, Fading::Whole) => shader!("depth_rasterised.wgsl", "fade_whole.wgsl"),
+        (DepthSource::Rasterised, Fading::Paged) => shader!("depth_rasterised.wgsl", "fade_paged.wgsl"),
+        (DepthSource::Computed, Fading::Whole) => shader!("depth_computed.wgsl", "fade_whole.wgsl"),
+        (DepthSource::Computed, Fading::Paged) => shader!("depth_computed.wgsl", "fade_paged.wgsl"),
     }
 }
 
@@ -36,9 +44,10 @@ pub(crate) struct PeelPass {
 }
 
 impl PeelPass {
-    pub fn new(kit: &Kit, sums: wgpu::TextureFormat, depths: DepthSource) -> Self {
-        let shader = kit.shader("peel", shader(depths));
-        let layout = kit.textures("peel", &[Texture::Float, Texture::Uint, Texture::Uint, Texture::Uint]);
+    pub fn new(kit: &Kit, sums: wgpu::TextureFormat, depths: DepthSource, fading: Fading) -> Self {
+        let shader = kit.shader("peel", shader(depths, fading));
+        let textures = [Texture::Float, Texture::Uint, Texture::Uint, Texture::Uint];
+        let layout = kit.textures("peel", &fading.with_factors(&textures));
         let stage = |vertex: &'static str, fragment: &'static str, writes: bool, quads: bool| Stage {
             label: "peel",
             vertex,

@@ -1,7 +1,8 @@
 // The nearest fragment of surfels at every pixel that is behind the previous layer, found by the depth test.
 //
 // A layer is (near / z as bits, index of the surfel), and its opacity. The nearest is the largest in the first, then
-// the smallest in the second. `Layer` and `depth_of` are those of `depth_rasterised` or of `depth_computed`.
+// the smallest in the second. `Layer` and `depth_of` are those of `depth_rasterised` or of `depth_computed`,
+// `fade_of` that of `fade_whole` or of `fade_paged`: it changes the size.
 //
 // With a backstop, the cores come first: the nearest opaque fragments, as layers. Each peel starts with them, so that
 // the depth test ends what is behind; rims before them take their place.
@@ -50,7 +51,7 @@ fn corner_of_disc(at: u32, index: u32, squared_reach: f32) -> Corner {
     let form = textureLoad(forms, texel(index), 0);
     let camera = in_camera(place);
     let axes = rotation(form.xy);
-    let scales = exp(min(bitcast<vec2f>(form.zw), vec2f(LARGEST_LOG_SCALE)));
+    let scales = exp(min(bitcast<vec2f>(form.zw), vec2f(LARGEST_LOG_SCALE))) * fade_of(index);
     let reach = sqrt(squared_reach);
     let radius = sqrt(frame.surfel.y) * max(scales.x, scales.y);
     let near = frame.centre_near.w;

@@ -1,10 +1,25 @@
 //! Gaussians between the layers, summed in any order.
 
 use super::pipeline::{ADDITIVE, Depth, Stage};
-use super::{Kit, Texture};
+use super::{Fading, Kit, Texture};
 
-pub(crate) const SHADER: &str =
-    concat!(include_str!("frame.wgsl"), include_str!("ellipse.wgsl"), include_str!("splat.wgsl"));
+macro_rules! shader {
+    ($fade:literal) => {
+        concat!(
+            include_str!("frame.wgsl"),
+            include_str!("ellipse.wgsl"),
+            include_str!($fade),
+            include_str!("splat.wgsl")
+        )
+    };
+}
+
+pub(crate) const fn shader(fading: Fading) -> &'static str {
+    match fading {
+        Fading::Whole => shader!("fade_whole.wgsl"),
+        Fading::Paged => shader!("fade_paged.wgsl"),
+    }
+}
 
 #[derive(Debug)]
 pub(crate) struct SplatPass {
@@ -17,9 +32,9 @@ pub(crate) struct SplatPass {
 }
 
 impl SplatPass {
-    pub fn new(kit: &Kit, sums: wgpu::TextureFormat) -> Self {
-        let shader = kit.shader("splat", SHADER);
-        let layout = kit.textures("splat", &[Texture::Uint; 4]);
+    pub fn new(kit: &Kit, sums: wgpu::TextureFormat, fading: Fading) -> Self {
+        let shader = kit.shader("splat", shader(fading));
+        let layout = kit.textures("splat", &fading.with_factors(&[Texture::Uint; 4]));
         let pipeline = |fragment| {
             let stage = Stage {
                 label: "splat",

@@ -1,4 +1,7 @@
 // Ellipses of Gaussians, summed in any order. The depth test hides what lies behind the last layer.
+//
+// `fade_of` is that of `fade_whole` or of `fade_paged`. It changes weights once they are cut off, so that the sums of two
+// Gaussians in the same place whose factors add up to 1 are those of one.
 
 @group(1) @binding(0) var firsts: texture_2d<u32>;
 @group(1) @binding(1) var seconds: texture_2d<u32>;
@@ -9,8 +12,8 @@ struct Corner {
     @builtin(position) position: vec4f,
     @location(0) @interpolate(flat, either) colour_strength: vec4f,
     @location(1) @interpolate(flat, either) inverse: vec4f,
-    @location(2) @interpolate(flat, either) centre: vec2f,
-    @location(3) @interpolate(flat, either) depth: f32,
+    // centre in px, depth, fade
+    @location(2) @interpolate(flat, either) place: vec4f,
 }
 
 @vertex
@@ -23,15 +26,15 @@ fn vertex(@builtin(vertex_index) at: u32, @builtin(instance_index) index: u32) -
     }
     let ellipse = ellipse_corner(first, textureLoad(seconds, texel(index), 0), at);
     corner.colour_strength = ellipse.colour_strength;
-    corner.depth = bitcast<f32>(first.z);
+    let depth = bitcast<f32>(first.z);
     corner.inverse = ellipse.inverse;
-    corner.centre = ellipse.centre;
-    corner.position = at_px(ellipse.place, corner.depth);
+    corner.place = vec4f(ellipse.centre, depth, fade_of(index));
+    corner.position = at_px(ellipse.place, depth);
     return corner;
 }
 
 fn weight(corner: Corner) -> f32 {
-    return corner.colour_strength.w * exp(-0.5 * squared_distance(corner.position, corner.centre, corner.inverse));
+    return corner.colour_strength.w * exp(-0.5 * squared_distance(corner.position, corner.place.xy, corner.inverse));
 }
 
 @fragment
@@ -40,13 +43,13 @@ fn one_layer(corner: Corner) -> @location(0) vec4f {
     if alpha < CUTOFF {
         discard;
     }
-    return vec4f(corner.colour_strength.rgb, 1.0) * alpha;
+    return vec4f(corner.colour_strength.rgb, 1.0) * (alpha * corner.place.w);
 }
 
 fn through(corner: Corner) -> f32 {
     let packed = bitcast<vec4f>(textureLoad(intervals, vec2u(corner.position.xy), 0));
     // in front of the first layer, of the second, behind both
-    return select(select(packed.w, packed.z, corner.depth > packed.y), 1.0, corner.depth > packed.x);
+    return select(select(packed.w, packed.z, corner.place.z > packed.y), 1.0, corner.place.z > packed.x);
 }
 
 @fragment
@@ -55,7 +58,7 @@ fn three_layers(corner: Corner) -> @location(0) vec4f {
     if alpha < CUTOFF {
         discard;
     }
-    return vec4f(corner.colour_strength.rgb, 1.0) * (alpha * through(corner));
+    return vec4f(corner.colour_strength.rgb, 1.0) * (alpha * corner.place.w * through(corner));
 }
 
 @fragment
@@ -67,10 +70,10 @@ fn four_layers(corner: Corner) -> @location(0) vec4f {
     var share = through(corner);
     let at = vec2u(corner.position.xy);
     let third = bitcast<vec2f>(textureLoad(thirds, at, 0).xy);
-    if corner.depth <= bitcast<f32>(textureLoad(intervals, at, 0).y) && corner.depth <= third.x {
+    if corner.place.z <= bitcast<f32>(textureLoad(intervals, at, 0).y) && corner.place.z <= third.x {
         share = third.y;
     }
-    return vec4f(corner.colour_strength.rgb, 1.0) * (alpha * share);
+    return vec4f(corner.colour_strength.rgb, 1.0) * (alpha * corner.place.w * share);
 }
 
 // Counts fragments.

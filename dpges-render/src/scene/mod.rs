@@ -2,6 +2,8 @@
 
 mod colours;
 mod packing;
+mod pages;
 mod textures;
 
+pub(crate) use pages::{Fades, PAGE, PackedCell, Places};
 pub(crate) use textures::{Grid, SceneTextures};

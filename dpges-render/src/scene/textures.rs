@@ -1,6 +1,8 @@
 //! The textures of a scene, laid out as grids: primitive i stands in row i / width.
 
-use dpges_core::scene::{Rendering, SceneData, SceneInfo};
+use std::ops::Range;
+
+use dpges_core::scene::{ColourModel, GaussianData, Rendering, SceneData, SceneInfo, SurfelData};
 use wgpu::util::DeviceExt;
 
 use super::{colours, packing};
@@ -40,6 +42,27 @@ impl Grid {
     }
 }
 
+/// Primitives of one kind as texels.
+#[derive(Debug)]
+pub struct Packed {
+    shapes: packing::Shapes,
+    /// See [`colours`].
+    colours: Vec<[u32; 4]>,
+    model: ColourModel,
+}
+
+impl Packed {
+    pub fn surfels(surfels: &SurfelData) -> Self {
+        let (shapes, colour) = (packing::surfels(surfels), &surfels.colour);
+        Self { shapes, colours: colours::pack(colour), model: colour.model }
+    }
+
+    pub fn gaussians(gaussians: &GaussianData) -> Self {
+        let (shapes, colour) = (packing::gaussians(gaussians), &gaussians.colour);
+        Self { shapes, colours: colours::pack(colour), model: colour.model }
+    }
+}
+
 /// Primitives of one kind.
 #[derive(Debug)]
 pub struct Primitives {
@@ -48,10 +71,45 @@ pub struct Primitives {
     pub grid: Grid,
     /// Rgba32Float: position, margin of a surfel or opacity of a Gaussian.
     pub places: wgpu::TextureView,
-    /// Rgba32Uint: see [`packing`].
+    /// Rgba32Uint: see [`packing`](super::packing).
     pub forms: wgpu::TextureView,
     /// Rgba32Uint: see [`colours`].
     pub colours: wgpu::TextureView,
+}
+
+impl Primitives {
+    /// Writes `packed` to the `places` in the grid, whose lengths add up to their number.
+    pub fn write(&self, queue: &wgpu::Queue, places: &[Range<u32>], packed: &Packed) {
+        let texels = colours::texels(packed.model);
+        let mut from = 0;
+        for place in places {
+            let (start, part) = (place.start as usize, from..from + place.len());
+            write(queue, &self.places, self.grid, start, &packed.shapes.places[part.clone()]);
+            write(queue, &self.forms, self.grid, start, &packed.shapes.forms[part.clone()]);
+            let part = part.start * texels..part.end * texels;
+            write(queue, &self.colours, self.grid, start * texels, &packed.colours[part]);
+            from += place.len();
+        }
+    }
+}
+
+/// Writes `texels` of a texture with the width of `grid` from texel `start` on.
+pub fn write<T: bytemuck::Pod>(queue: &wgpu::Queue, view: &wgpu::TextureView, grid: Grid, start: usize, texels: &[T]) {
+    let width = 1 << grid.log2_width;
+    let (mut at, mut rest) = (start, texels);
+    while !rest.is_empty() {
+        let (x, y) = (at % width, at / width);
+        let size =
+            if x == 0 && rest.len() >= width { [width, rest.len() / width] } else { [rest.len().min(width - x), 1] };
+        let (now, later) = rest.split_at(size[0] * size[1]);
+        let origin = wgpu::Origin3d { x: x as u32, y: y as u32, z: 0 };
+        let to = wgpu::TexelCopyTextureInfo { origin, ..view.texture().as_image_copy() };
+        let bytes_per_row = Some((size[0] * size_of::<T>()) as u32);
+        let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row, rows_per_image: None };
+        let extent = wgpu::Extent3d { width: size[0] as u32, height: size[1] as u32, depth_or_array_layers: 1 };
+        queue.write_texture(to, bytemuck::cast_slice(now), layout, extent);
+        (at, rest) = (at + now.len(), later);
+    }
 }
 
 /// A scene on a device.
@@ -76,9 +134,26 @@ impl SceneTextures {
     /// [`RenderError::TooMany`], [`RenderError::Input`] for an environment of no degree.
     pub fn new(device: &wgpu::Device, queue: &wgpu::Queue, scene: &SceneData) -> Result<Self> {
         let upload = Upload { device, queue };
-        let surfels = upload.primitives("surfels", packing::surfels(&scene.surfels), &scene.surfels.colour)?;
-        let gaussians =
-            upload.primitives("Gaussians", packing::gaussians(&scene.gaussians), &scene.gaussians.colour)?;
+        let surfels = upload.primitives("surfels", Packed::surfels(&scene.surfels))?;
+        let gaussians = upload.primitives("Gaussians", Packed::gaussians(&scene.gaussians))?;
+        Self::of(scene, surfels, gaussians)
+    }
+
+    /// Room for as many surfels and Gaussians, of which none is there; everything else is that of `scene`.
+    ///
+    /// # Errors
+    /// The errors of [`new`](Self::new).
+    pub fn with_room(
+        device: &wgpu::Device,
+        queue: &wgpu::Queue,
+        scene: &SceneData,
+        [surfels, gaussians]: [usize; 2],
+    ) -> Result<Self> {
+        let (upload, model) = (Upload { device, queue }, scene.info.colour_model);
+        Self::of(scene, upload.room("surfels", surfels, model)?, upload.room("Gaussians", gaussians, model)?)
+    }
+
+    fn of(scene: &SceneData, surfels: Primitives, gaussians: Primitives) -> Result<Self> {
         let all = if scene.surfels.is_empty() { &scene.gaussians.positions } else { &scene.surfels.positions };
         let (positions, _) = all.as_chunks::<3>();
         let sample = positions.iter().step_by((positions.len() / SAMPLE).max(1)).copied().collect();
@@ -104,21 +179,30 @@ struct Upload<'a> {
 }
 
 impl Upload<'_> {
-    fn primitives(
-        &self,
-        what: &'static str,
-        shapes: packing::Shapes,
-        colour: &dpges_core::scene::ColourData,
-    ) -> Result<Primitives> {
-        let (count, limits) = (shapes.places.len(), self.device.limits());
+    fn primitives(&self, what: &'static str, packed: Packed) -> Result<Primitives> {
+        let (count, limits) = (packed.shapes.places.len(), self.device.limits());
         let grid = Grid::new(&limits, what, count, 1)?;
-        let wide = Grid::new(&limits, what, count, colours::texels(colour.model))?;
+        let wide = Grid::new(&limits, what, count, colours::texels(packed.model))?;
         Ok(Primitives {
             count,
             grid,
-            places: self.texture(grid, wgpu::TextureFormat::Rgba32Float, shapes.places),
-            forms: self.texture(grid, wgpu::TextureFormat::Rgba32Uint, shapes.forms),
-            colours: self.texture(wide, wgpu::TextureFormat::Rgba32Uint, colours::pack(colour)),
+            places: self.texture(grid, wgpu::TextureFormat::Rgba32Float, packed.shapes.places),
+            forms: self.texture(grid, wgpu::TextureFormat::Rgba32Uint, packed.shapes.forms),
+            colours: self.texture(wide, wgpu::TextureFormat::Rgba32Uint, packed.colours),
+        })
+    }
+
+    fn room(&self, what: &'static str, count: usize, model: ColourModel) -> Result<Primitives> {
+        let limits = self.device.limits();
+        let grid = Grid::new(&limits, what, count, 1)?;
+        let wide = Grid::new(&limits, what, count, colours::texels(model))?;
+        let empty = |grid: Grid, format| view(&self.device.create_texture(&descriptor(grid, format)));
+        Ok(Primitives {
+            count,
+            grid,
+            places: empty(grid, wgpu::TextureFormat::Rgba32Float),
+            forms: empty(grid, wgpu::TextureFormat::Rgba32Uint),
+            colours: empty(wide, wgpu::TextureFormat::Rgba32Uint),
         })
     }
 
@@ -129,21 +213,28 @@ impl Upload<'_> {
         mut texels: Vec<[T; 4]>,
     ) -> wgpu::TextureView {
         texels.resize(grid.len(), [T::zeroed(); 4]);
-        let descriptor = wgpu::TextureDescriptor {
-            label: Some("scene"),
-            size: grid.size(),
-            mip_level_count: 1,
-            sample_count: 1,
-            dimension: wgpu::TextureDimension::D2,
-            format,
-            usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
-            view_formats: &[],
-        };
         let order = wgpu::util::TextureDataOrder::LayerMajor;
-        let texture =
-            self.device.create_texture_with_data(self.queue, &descriptor, order, bytemuck::cast_slice(&texels));
-        texture.create_view(&wgpu::TextureViewDescriptor::default())
+        let bytes = bytemuck::cast_slice(&texels);
+        view(&self.device.create_texture_with_data(self.queue, &descriptor(grid, format), order, bytes))
     }
+}
+
+/// A texture that is written by the host and read by shaders.
+pub fn descriptor(grid: Grid, format: wgpu::TextureFormat) -> wgpu::TextureDescriptor<'static> {
+    wgpu::TextureDescriptor {
+        label: Some("scene"),
+        size: grid.size(),
+        mip_level_count: 1,
+        sample_count: 1,
+        dimension: wgpu::TextureDimension::D2,
+        format,
+        usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
+        view_formats: &[],
+    }
+}
+
+fn view(texture: &wgpu::Texture) -> wgpu::TextureView {
+    texture.create_view(&wgpu::TextureViewDescriptor::default())
 }
 
 #[cfg(test)]

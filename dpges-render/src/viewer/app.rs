@@ -196,7 +196,11 @@ impl Viewer {
             Views::Later(read) => (None, Some(read)),
         };
         let before = std::mem::replace(&mut self.state.views, views);
-        if !self.state.show_scene(name, &opened.scene, true) {
+        let shown = match opened.levels {
+            Some(levels) => self.state.show_levels(context, name, &opened.scene, levels),
+            None => self.state.show_scene(name, &opened.scene, true),
+        };
+        if !shown {
             self.state.views = before;
             return;
         }

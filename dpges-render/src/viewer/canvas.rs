@@ -6,6 +6,7 @@ use eframe::egui_wgpu::RenderState;
 use egui::TextureId;
 
 use crate::readback::texels;
+use crate::stream::{Levels, Loader, StreamError, StreamStatus};
 use crate::{PassTime, RenderError, RenderOptions, Renderer, Rgb8Image};
 
 /// A format that egui shows without conversion; colours are display-referred.
@@ -15,6 +16,8 @@ const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
 pub struct Canvas {
     state: RenderState,
     renderer: Renderer,
+    /// The cells that come and go, where the scene has levels of detail.
+    loader: Option<Loader>,
     target: Option<Target>,
     /// The content of the target; `None` if it has to be drawn again.
     shown: Option<(Camera, RenderOptions)>,
@@ -32,14 +35,38 @@ impl Canvas {
     pub fn new(state: &RenderState) -> Result<Self, RenderError> {
         let (precision, depths) = (Renderer::best_precision(&state.device), Renderer::best_depths(&state.device));
         let renderer = Renderer::new(&state.device, &state.queue, FORMAT, precision, depths)?;
-        Ok(Self { state: state.clone(), renderer, target: None, shown: None })
+        Ok(Self { state: state.clone(), renderer, loader: None, target: None, shown: None })
     }
 
     /// # Errors
     /// The errors of [`Renderer::upload`].
     pub fn upload(&mut self, scene: &SceneData) -> Result<(), RenderError> {
         self.shown = None;
-        self.renderer.upload(scene)
+        self.renderer.upload(scene)?;
+        self.loader = None;
+        Ok(())
+    }
+
+    /// Shows a scene in levels of detail. Calls `wake` whenever a part of it has come.
+    ///
+    /// # Errors
+    /// The errors of [`Loader::new`].
+    pub fn stream(&mut self, levels: Levels, wake: impl Fn() + Send + Clone + 'static) -> Result<(), StreamError> {
+        self.shown = None;
+        self.loader = Some(Loader::new(levels, &mut self.renderer, wake)?);
+        Ok(())
+    }
+
+    /// Goes on with the levels of detail for what `camera` sees, before it is drawn.
+    pub fn advance(&mut self, camera: &Camera) -> Option<StreamStatus> {
+        let loader = self.loader.as_mut()?;
+        let before = loader.status().changes;
+        loader.update(&mut self.renderer, camera);
+        let status = loader.status();
+        if status.changes != before {
+            self.shown = None;
+        }
+        Some(status)
     }
 
     pub fn adapter_name(&self) -> String {

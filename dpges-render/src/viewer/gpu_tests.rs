@@ -18,6 +18,8 @@ use super::loading::{Opened, open_scene};
 use super::messages::Message;
 use super::start::{DeviceFailure, Start};
 use super::views::{DatasetViews, Views};
+use crate::stream::fixtures::{filled, forest, write};
+use crate::stream::{Levels, StreamStatus};
 use crate::{Display, RenderOptions, Rgb8Image};
 
 /// Distance of the first camera from the disc.
@@ -38,7 +40,7 @@ fn opened() -> Opened {
     let eyes = [dvec3(0.0, 0.0, DISTANCE), dvec3(3.0, 0.0, 3.0)];
     let cameras = eyes.into_iter().map(|eye| (format!("{eye}"), camera(eye))).collect();
     let red = |_| Some(Rgb8Image { width: 80, height: 60, bytes: [200, 0, 0].repeat(4800) });
-    Opened { scene, views: Views::Ready(DatasetViews { cameras, photograph: Box::new(red) }) }
+    Opened::whole(scene, Views::Ready(DatasetViews { cameras, photograph: Box::new(red) }))
 }
 
 fn window() -> Harness<'static, Viewer> {
@@ -143,7 +145,7 @@ fn screenshots_have_the_chosen_size() {
 fn nothing_is_drawn_twice_and_nothing_without_pixels() {
     let gpu = create_render_state(default_wgpu_setup(), Default::default());
     let mut canvas = Canvas::new(&gpu).unwrap();
-    let Opened { scene, views: Views::Ready(views) } = opened() else { unreachable!() };
+    let Opened { scene, views: Views::Ready(views), .. } = opened() else { unreachable!() };
     let (camera, options) = (views.cameras[0].1, RenderOptions::from(&scene.info));
     assert!(canvas.draw(&camera, &options).is_err(), "there is no scene yet");
     canvas.upload(&scene).unwrap();
@@ -163,4 +165,45 @@ fn nothing_is_drawn_twice_and_nothing_without_pixels() {
     harness.set_size([640.0, 480.0].into());
     harness.run_steps(2);
     assert!(is_grey(pixel(&mut harness, [0.0, 0.0])));
+}
+
+#[test]
+fn levels_of_detail_come_while_the_window_shows_the_coarsest() {
+    let folder = tempfile::tempdir().unwrap();
+    let index = forest(1, 1);
+    let index = write(folder.path(), index.clone(), |cell| filled(&index, cell, [30, 300 + cell]));
+    // the last cell is torn
+    let file = folder.path().join("cells.pack");
+    let whole = std::fs::read(&file).unwrap();
+    let mut torn = whole.clone();
+    torn[index.cells[2].part.offset as usize..].fill(0);
+    std::fs::write(&file, &torn).unwrap();
+
+    let gpu = create_render_state(default_wgpu_setup(), Default::default());
+    let levels = Levels::open(folder.path(), 5000).unwrap();
+    let start = Start::Scene { name: "room".to_owned(), opened: Box::new(Opened::levels(levels, Views::None)) };
+    let context = egui::Context::default();
+    let failure = DeviceFailure::default();
+    let viewer = Viewer::new(&context, Some(&gpu), None, start, Arc::new(open_scene), failure).unwrap();
+    let show = |ui: &mut egui::Ui, viewer: &mut Viewer| viewer.show(ui);
+    let renderer = WgpuTestRenderer::from_render_state(gpu);
+    let mut harness = Harness::builder().with_size([640.0, 480.0]).renderer(renderer).build_ui_state(show, viewer);
+    let mut wait = |until: fn(&StreamStatus) -> bool| {
+        for _ in 0..2000 {
+            harness.step();
+            if harness.state().state.stream.as_ref().is_some_and(until) {
+                harness.step();
+                return;
+            }
+            std::thread::sleep(std::time::Duration::from_millis(5));
+        }
+        panic!("{:?}", harness.state().state.stream);
+    };
+    wait(|stream| stream.failed == 1);
+    std::fs::write(&file, &whole).unwrap();
+    // two seconds later
+    wait(|stream| stream.complete && stream.failed == 0);
+    harness.get_by_label("60 surfels, 603 Gaussians, peeled");
+    harness.get_by_label("663 of at most 5000 primitives are in memory");
+    assert_eq!(harness.state().state.message, None, "it came in the end");
 }

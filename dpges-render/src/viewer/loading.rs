@@ -7,24 +7,42 @@ use std::sync::mpsc::{Receiver, TryRecvError, channel};
 use dpges_core::scene::SceneData;
 
 use super::views::{DatasetViews, ReadViews, Views};
+use crate::stream::{DEFAULT_BUDGET, Levels, is_lod};
 
 /// Name of the scene file in the folder of a run.
 const SCENE_OF_RUN: &str = "scene.safetensors";
 
 /// A scene, and the views that it is compared with.
 pub struct Opened {
+    /// The scene, or its coarsest level.
     pub scene: SceneData,
+    /// The finer levels of a scene in levels of detail.
+    pub levels: Option<Levels>,
     pub views: Views,
+}
+
+impl Opened {
+    pub fn whole(scene: SceneData, views: Views) -> Self {
+        Self { scene, levels: None, views }
+    }
+
+    pub fn levels(levels: Levels, views: Views) -> Self {
+        Self { scene: levels.scene().coarse().clone(), levels: Some(levels), views }
+    }
 }
 
 /// Reads a scene file or the folder of a run; the error is what the window says.
 pub type Opener = Arc<dyn Fn(&Path) -> Result<Opened, String> + Send + Sync>;
 
-/// Reads the scene file, or that of the run, without views.
+/// Reads the scene file, or that of the run, or opens the scene in levels of detail, without views.
 pub fn open_scene(path: &Path) -> Result<Opened, String> {
+    if is_lod(path) {
+        let levels = Levels::open(path, DEFAULT_BUDGET).map_err(|error| error.to_string())?;
+        return Ok(Opened::levels(levels, Views::None));
+    }
     let file = if path.is_dir() { path.join(SCENE_OF_RUN) } else { path.to_owned() };
     let scene = SceneData::load(&file).map_err(|error| error.to_string())?;
-    Ok(Opened { scene, views: Views::None })
+    Ok(Opened::whole(scene, Views::None))
 }
 
 /// The result of opening a path.

@@ -1,6 +1,6 @@
 //! The picture of the scene in the window: hands, drawing, overlays.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use dpges_core::camera::Camera;
 use egui::{Align2, Color32, FontId, Rect, Response, Sense, Ui};
@@ -11,6 +11,7 @@ use super::measuring::pixel_at;
 use super::messages::Message;
 use super::navigation::{Viewpoint, gestures};
 use super::state::State;
+use crate::stream::StreamStatus;
 
 impl State {
     /// Shows the scene in what is left of `ui`.
@@ -101,11 +102,35 @@ impl State {
                 self.message = Some(Message::Error(error.to_string()));
             }
         }
+        // as sharp as the view is once it rests
+        let sharp = [camera.width, camera.height].map(|px| ((px as f64 / scale).round() as usize).max(1));
+        let stream = canvas.advance(&camera.resized(sharp[0], sharp[1]));
         match canvas.draw(&camera, &self.options) {
             Ok(drawn) => self.take_time(drawn, moving),
             Err(error) => self.message = Some(Message::Error(error.to_string())),
         }
+        self.take_stream(ui, stream);
         Some(camera)
+    }
+
+    /// Takes note of how far the levels of detail are, and of what could not be loaded.
+    fn take_stream(&mut self, ui: &Ui, stream: Option<StreamStatus>) {
+        let Some(now) = &stream else { return };
+        if now.changing {
+            ui.ctx().request_repaint();
+        } else if let Some(seconds) = now.retry_in {
+            ui.ctx().request_repaint_after(Duration::from_secs_f64(seconds));
+        }
+        let before = self.stream.as_ref().and_then(|before| before.reason.clone());
+        if now.reason != before {
+            let told = |reason: &String| {
+                Message::Error(format!("A part of the scene stays coarse for now, and is tried again: {reason}"))
+            };
+            if self.message.is_none() || self.message == before.as_ref().map(told) {
+                self.message = now.reason.as_ref().map(told);
+            }
+        }
+        self.stream = stream;
     }
 
     /// Takes note of what the frame took, if it was `drawn`.

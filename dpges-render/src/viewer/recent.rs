@@ -4,6 +4,8 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use crate::stream::is_address;
+
 const KEPT: usize = 8;
 
 /// Paths of scenes and runs, the last one first.
@@ -15,9 +17,10 @@ impl RecentFiles {
     /// Its key in eframe's storage.
     pub const KEY: &'static str = "recent";
 
-    /// Puts `path` first, by its absolute name.
+    /// Puts `path` first: a file by its absolute name.
     pub fn add(&mut self, path: &Path) {
-        let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+        let file = std::path::absolute(path).ok().filter(|_| !is_address(path));
+        let path = file.unwrap_or_else(|| path.to_owned());
         self.0.retain(|other| *other != path);
         self.0.insert(0, path);
         self.0.truncate(KEPT);

@@ -20,6 +20,7 @@ use super::path_editor::PathEditor;
 use super::resolution::ResolutionControl;
 use super::screenshot::{ScreenshotForm, save_png, unused};
 use super::views::DatasetViews;
+use crate::stream::{Levels, StreamStatus};
 use crate::{Display, RenderError, RenderOptions};
 
 /// Field of view where no camera gives one, rad.
@@ -29,7 +30,7 @@ const FIELD_OF_VIEW: f64 = 0.9;
 pub struct ShownScene {
     pub name: String,
     pub info: SceneInfo,
-    /// Surfels and Gaussians.
+    /// Surfels and Gaussians, of the finest level.
     pub counts: [usize; 2],
     pub extent: Extent,
 }
@@ -75,6 +76,8 @@ pub struct State {
     pub help_open: bool,
     /// The views of the scene, while they are read.
     pub views_loader: Option<ViewsLoader>,
+    /// How far the levels of detail are, where the scene has any.
+    pub stream: Option<StreamStatus>,
 }
 
 impl State {
@@ -117,6 +120,7 @@ impl State {
             panel_open: true,
             help_open: false,
             views_loader: None,
+            stream: None,
         })
     }
 
@@ -131,13 +135,33 @@ impl State {
 
     /// Returns whether the scene could be shown. Goes to its first view if `is_new`.
     pub fn show_scene(&mut self, name: String, scene: &SceneData, is_new: bool) -> bool {
-        if let Some(canvas) = &mut self.canvas
-            && let Err(error) = canvas.upload(scene)
-        {
-            self.message = Some(Message::Error(format!("{name} cannot be shown: {error}")));
+        let counts = [scene.surfels.len(), scene.gaussians.len()];
+        let upload = |canvas: &mut Canvas| canvas.upload(scene).map_err(|error| error.to_string());
+        self.show(name, scene, counts, upload, is_new)
+    }
+
+    /// The same for a scene in levels of detail, with `scene` as the coarsest.
+    pub fn show_levels(&mut self, context: &Context, name: String, scene: &SceneData, levels: Levels) -> bool {
+        let (counts, woken) = (levels.scene().counts(), context.clone());
+        let stream = |canvas: &mut Canvas| {
+            canvas.stream(levels, move || woken.request_repaint()).map_err(|error| error.to_string())
+        };
+        self.show(name, scene, counts, stream, true)
+    }
+
+    fn show(
+        &mut self,
+        name: String,
+        scene: &SceneData,
+        counts: [usize; 2],
+        upload: impl FnOnce(&mut Canvas) -> Result<(), String>,
+        is_new: bool,
+    ) -> bool {
+        if let Some(Err(reason)) = self.canvas.as_mut().map(upload) {
+            self.message = Some(Message::Error(format!("{name} cannot be shown: {reason}")));
             return false;
         }
-        let counts = [scene.surfels.len(), scene.gaussians.len()];
+        self.stream = None;
         let shown = ShownScene { name, info: scene.info.clone(), counts, extent: Extent::of(scene) };
         let kept = (self.options.display, self.options.smallest_px);
         if is_new {

@@ -40,7 +40,7 @@ fn views(count: usize) -> DatasetViews {
 }
 
 fn opened(count: usize) -> Opened {
-    Opened { scene: scene(count), views: Views::Ready(views(6)) }
+    Opened::whole(scene(count), Views::Ready(views(6)))
 }
 
 fn window(start: Start, opener: Opener) -> Harness<'static, Viewer> {
@@ -130,7 +130,7 @@ fn scenes_that_are_blended_show_nothing_but_an_image() {
     assert_eq!(harness.state().state.options.display, Display::Transmittance);
     let mut blended = scene(0);
     blended.info.rendering = Rendering::Ellipsoids;
-    let opened = Opened { scene: blended, views: Views::None };
+    let opened = Opened::whole(blended, Views::None);
     let mut harness = window(Start::Scene { name: "stage".to_owned(), opened: Box::new(opened) }, Arc::new(open_scene));
     press(&mut harness, Key::Num4);
     assert_eq!(harness.state().state.options.display, Display::Image);
@@ -277,7 +277,7 @@ fn views_come_after_their_scene_and_the_view_goes_to_the_first_unless_it_was_mov
             released.recv().unwrap();
             Ok(views(6))
         };
-        let opened = Opened { scene: scene(20), views: Views::Later(Box::new(read)) };
+        let opened = Opened::whole(scene(20), Views::Later(Box::new(read)));
         let mut harness =
             window(Start::Scene { name: "room".to_owned(), opened: Box::new(opened) }, Arc::new(open_scene));
         harness.get_by_label("reading the dataset");
@@ -301,7 +301,7 @@ fn views_come_after_their_scene_and_the_view_goes_to_the_first_unless_it_was_mov
 #[test]
 fn views_that_cannot_be_read_leave_the_scene() {
     let read = || Err("the folder photographs is gone".to_owned());
-    let opened = Opened { scene: scene(20), views: Views::Later(Box::new(read)) };
+    let opened = Opened::whole(scene(20), Views::Later(Box::new(read)));
     let mut harness = window(Start::Scene { name: "room".to_owned(), opened: Box::new(opened) }, Arc::new(open_scene));
     wait(&mut harness, |viewer| viewer.state.message.is_some());
     harness.run_steps(2);

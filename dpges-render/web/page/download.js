@@ -58,7 +58,7 @@ export function webAddress(text, base) {
   return url.href;
 }
 
-function unreachable(url) {
+export function unreachable(url) {
   const { origin, protocol } = new URL(url);
   if (protocol === "blob:" || origin === location.origin) return `The address ${url} could not be reached: is the server running?`;
   return `The address ${url} could not be read. Either ${origin} cannot be reached, or it does not let other sites read its files: `

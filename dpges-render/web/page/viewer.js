@@ -4,6 +4,7 @@ import init, { Viewer } from "./pkg/dpges_web.js";
 import { OrbitCamera, parseCameras, upOf } from "./camera.js";
 import { Controls, isForScene } from "./controls.js";
 import { download, sizeOf, nameOf, webAddress } from "./download.js";
+import { fetchWanted, openLevels } from "./levels.js";
 
 // What scenes of blended Gaussians or discs cannot show.
 const OF_LAYERS = ["surfels", "depth", "normal", "layer_count"];
@@ -32,11 +33,15 @@ let scene = null;
 let address = null;
 let firstCameras = [];
 let loading = null;
+// Of the cells of the scene that is shown.
+let streaming = new AbortController();
 // w: the slider has it as a power of ten, rounded.
 let modulation = 1;
 let frameMs = 0;
 let drawnAt = 0;
 let pending = false;
+// Draws again when a cell that could not be loaded is tried again.
+let retry = 0;
 let faulty = false;
 
 const controls = new Controls(canvas, camera, draw);
@@ -100,12 +105,21 @@ async function loadAddress(url) {
   say(nameOf(url));
   const camerasUrl = new URL(parameter("cameras") ?? new URL("cameras.json", url), location.href);
   const cameras = fetchCameras(camerasUrl, signal);
+  if (new URL(url).pathname.endsWith(".json")) {
+    const budget = Number(parameter("budget")) || undefined;
+    const progress = (share) => { element("progress-bar").value = share; };
+    const found = await cameras;
+    const opened = await openLevels(viewer, url, budget, progress, signal);
+    address = url;
+    return show(() => opened, found);
+  }
   const bytes = await download(url, (size, total) => {
     element("progress-bar").value = total ? size / total : 0;
     if (!total) element("progress-bar").removeAttribute("value");
     say(`${nameOf(url)}: ${sizeOf(size)}${total ? ` of ${sizeOf(total)}` : ""}`);
   }, signal);
-  await show(bytes, nameOf(url), await cameras);
+  const name = nameOf(url);
+  await show(() => loadBytes(bytes, name), await cameras);
   address = url;
 }
 
@@ -125,20 +139,32 @@ async function loadFile(file) {
   state("loading");
   say(`${file.name}: ${sizeOf(file.size)}`);
   element("progress-bar").removeAttribute("value");
-  await show(new Uint8Array(await file.arrayBuffer()), file.name, []);
+  const bytes = new Uint8Array(await file.arrayBuffer());
+  await show(() => loadBytes(bytes, file.name), []);
   address = null;
 }
 
-async function show(bytes, name, cameras) {
+function loadBytes(bytes, name) {
+  try {
+    return viewer.load(bytes, name);
+  } catch (error) {
+    throw new Error(error.message + hint(bytes));
+  }
+}
+
+// Shows what `load` gives the viewer, which describes it as JSON.
+async function show(load, cameras) {
   element("message").hidden = true;
   // The browser draws the text before the page is busy.
   await new Promise((resolve) => setTimeout(resolve));
   try {
-    scene = JSON.parse(viewer.load(bytes, name));
+    scene = JSON.parse(load());
   } catch (error) {
     state(scene ? "shown" : "failed");
-    throw new Error(error.message + hint(bytes));
+    throw error;
   }
+  streaming.abort();
+  streaming = new AbortController();
   firstCameras = cameras;
   frameMs = 0;
   fillSettings();
@@ -219,7 +245,19 @@ function frame(now) {
 function drawNow() {
   viewer.set_view(...view().map((part) => JSON.stringify(part)));
   if (!viewer.draw()) draw();
-  describe();
+  describe(stream());
+}
+
+// Fetches what the frame asks for of a scene in levels of detail. Returns how far it is, or null.
+function stream() {
+  const levels = viewer.levels();
+  if (!levels) return null;
+  const status = JSON.parse(levels);
+  fetchWanted(viewer, address, draw, streaming.signal);
+  if (status.changing) draw();
+  clearTimeout(retry);
+  if (status.retry_in !== null) retry = setTimeout(draw, 1000 * status.retry_in);
+  return status;
 }
 
 // The picture of a camera and options as ImageData, read back from a texture.
@@ -228,10 +266,14 @@ async function picture(entry, options) {
   return new ImageData(await viewer.read_pixels(), entry.width, entry.height);
 }
 
-function describe() {
+function describe(levels) {
   const count = (number) => number.toLocaleString("en");
   const time = frameMs > 0 ? ` · ${frameMs.toFixed(1)} ms` : "";
-  element("status").textContent = `${count(scene.surfels)} surfels · ${count(scene.gaussians)} Gaussians${time}`;
+  const parts = [`${count(scene.surfels)} surfels · ${count(scene.gaussians)} Gaussians${time}`];
+  if (levels) parts.push(`${count(levels.resident)} of at most ${count(levels.budget)} in memory`);
+  if (levels?.loading) parts.push(`${levels.loading} parts are being loaded`);
+  if (levels?.failed) parts.push(`${levels.failed} parts could not be loaded and stay coarse: ${levels.reason}`);
+  element("status").textContent = parts.join(" · ");
   const times = viewer.pass_times();
   element("status").title = times ? JSON.parse(times).map(([name, ms]) => `${name} ${ms.toFixed(2)} ms`).join(", ") : "";
 }

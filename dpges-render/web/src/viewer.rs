@@ -1,5 +1,7 @@
 //! The state of the page: a canvas, the renderer, and the scene it shows.
 
+mod levels;
+
 use dpges_core::camera::Camera;
 use dpges_core::scene::SceneData;
 use dpges_render::{Precision, RenderOptions, Renderer};
@@ -14,6 +16,7 @@ use crate::bounds;
 use crate::device::Gpu;
 use crate::page::{self, PageCamera, PageOptions};
 use crate::pixels::Copy;
+use levels::Levels;
 
 /// Draws scenes on a canvas.
 #[wasm_bindgen]
@@ -22,6 +25,7 @@ pub struct Viewer {
     surface: SurfaceConfiguration,
     precision: Precision,
     renderer: Renderer,
+    levels: Levels,
     view: Option<View>,
 }
 
@@ -48,7 +52,7 @@ impl Viewer {
         let (precision, depths) = (Renderer::best_precision(&gpu.device), Renderer::best_depths(&gpu.device));
         let renderer = Renderer::new(&gpu.device, &gpu.queue, format, precision, depths)?;
         gpu.surface.configure(&gpu.device, &surface);
-        Ok(Self { gpu, surface, precision, renderer, view: None })
+        Ok(Self { gpu, surface, precision, renderer, levels: Levels::default(), view: None })
     }
 
     /// The device that draws, as JSON.
@@ -68,11 +72,9 @@ impl Viewer {
     /// A message about the file, or the reason why the scene cannot be drawn. The scene before it stays.
     pub fn load(&mut self, bytes: &[u8], name: &str) -> Result<String, JsError> {
         let scene = SceneData::from_bytes(bytes, name)?;
-        let (centre, radius) = bounds::sphere(&scene);
-        let (surfels, gaussians) = (scene.surfels.len(), scene.gaussians.len());
         self.renderer.upload(&scene)?;
-        self.view = None;
-        json(&page::Summary { surfels, gaussians, centre, radius, info: &scene.info })
+        self.levels = Levels::default();
+        self.summary(&scene, [scene.surfels.len(), scene.gaussians.len()])
     }
 
     /// Says what the next frames show: a camera and options as JSON.
@@ -158,6 +160,13 @@ impl Viewer {
 }
 
 impl Viewer {
+    /// Describes `scene`, or the scene of `counts` primitives whose coarsest level it is, which is shown from now on.
+    fn summary(&mut self, scene: &SceneData, [surfels, gaussians]: [usize; 2]) -> Result<String, JsError> {
+        let (centre, radius) = bounds::sphere(scene);
+        self.view = None;
+        json(&page::Summary { surfels, gaussians, centre, radius, info: &scene.info })
+    }
+
     /// Renders the view into `target`, then what `record` adds, and hands both to the device.
     fn submit<T>(
         &mut self,
@@ -165,6 +174,7 @@ impl Viewer {
         record: impl FnOnce(&wgpu::Device, &mut wgpu::CommandEncoder) -> T,
     ) -> Result<T, JsError> {
         let View { camera, options } = self.view.as_ref().ok_or_else(|| JsError::new("there is no view to draw"))?;
+        self.levels.advance(&mut self.renderer, camera);
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         self.renderer.render(&mut encoder, target, camera, options)?;
         let recorded = record(&self.gpu.device, &mut encoder);

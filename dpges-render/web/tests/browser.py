@@ -58,6 +58,8 @@ DROP = """
 """
 EYE = """(async () => (await import("./viewer.js")).page.camera.eye())()"""
 DEVICE = """(async () => (await import("./viewer.js")).page.viewer.device())()"""
+COMPLETE = """(async () => JSON.parse((await import("./viewer.js")).page.viewer.levels()).complete)()"""
+STATUS = """document.getElementById("status").textContent"""
 TEXT = """document.getElementById("message-text").textContent"""
 WAIT = "new Promise((resolve) => setTimeout(resolve, %d))"
 
@@ -103,6 +105,8 @@ def pictures(tab, site, folder, backend, save):
             scene = reference["scene"]
             state = tab.open(f"{site.here}/?backend={backend}&url={scene}")
             check(f"{label}: {scene} is shown", state == "shown", tab.evaluate(TEXT))
+        if scene.endswith(".json"):
+            check(f"{label}: all of {scene} comes", wait_until(tab, COMPLETE), tab.evaluate(STATUS))
         least = LEAST_PSNR[json.loads(tab.evaluate(DEVICE))["precision_bits"]]
         found = base64.b64decode(tab.evaluate(READ % (camera, options)))
         opaque = all(alpha == 255 for alpha in found[3::4])
@@ -206,6 +210,13 @@ def faults(tab, site):
     for name, (url, expected) in cases.items():
         state, text = tab.open(page + url), tab.evaluate(TEXT)
         check(name, state == "failed" and expected in text, text)
+    state, text = tab.open(f"{page}{site.here}/ignores/levels/index.json"), tab.evaluate(TEXT)
+    check("a server without ranges", state == "failed" and "ignores ranges" in text, text)
+    state = tab.open(f"{page}{site.here}/torn/levels/index.json")
+    said = wait_until(tab, f"{STATUS}.includes('2 parts could not be loaded and stay coarse')")
+    check("cells that do not come leave the coarsest level", state == "shown" and said, tab.evaluate(STATUS))
+    state = tab.open(f"{page}{site.here}/levels/index.json&budget=10")
+    check("a budget that is too small", "at least 450" in tab.evaluate(TEXT), tab.evaluate(TEXT))
     state = tab.open(f"{site.here}/?url={site.here}/slow/scene.safetensors")
     check("a file of unknown length", state == "shown", state)
     tab.evaluate(DROP)

@@ -3,6 +3,7 @@
 use std::io::Write;
 use std::path::PathBuf;
 
+use burn::tensor::Device;
 use clap::{Args, ValueEnum};
 use dpges_core::camera::Camera;
 use dpges_core::scene::atomic::write_atomically;
@@ -14,6 +15,7 @@ use dpges_train::device::{DeviceName, DeviceRequest};
 use dpges_train::eval::export::mesh::{exact_error, mesh};
 use dpges_train::eval::export::page;
 use dpges_train::eval::export::splats::{SplatFormat, file, loss, splats};
+use dpges_train::lod::{self, CELL_PRIMITIVES};
 
 use super::data::{Scene, Source, Split, ViewArgs};
 use super::device_failure::watched;
@@ -23,6 +25,7 @@ use super::{Failure, Result, device_choice, print, table};
 const VOXELS_PER_EXTENT: f64 = 128.0;
 /// Steps of a fit, unless they are given.
 const FIT_STEPS: usize = 300;
+const LOD_FIT_STEPS: usize = 100;
 
 /// Kinds of files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -41,6 +44,8 @@ pub enum ExportFormat {
     MeshGlb,
     /// A folder for any web server: the scene itself in a page for browsers
     Html,
+    /// A folder for any web server: the scene in levels of detail, of which viewers load what they show
+    Lod,
 }
 
 /// Which axis of the scene points up.
@@ -54,7 +59,8 @@ enum Up {
     Z,
 }
 
-/// Write a scene for other programs: splats (PLY, SPZ, glTF), a mesh (PLY, glTF) or a page for browsers (HTML)
+/// Write a scene for other programs: splats (PLY, SPZ, glTF), a mesh (PLY, glTF), a page for browsers (HTML), or levels of
+/// detail for scenes larger than the memory of a viewer
 ///
 /// Splats are an approximation. If the dataset is at hand, the PSNR of its held-out views is printed before and after.
 /// A mesh is made of the surfels, seen from the training views.
@@ -65,7 +71,7 @@ pub struct ExportArgs {
     /// Kind of file
     #[arg(long, value_enum)]
     format: ExportFormat,
-    /// File to write, or folder of html
+    /// File to write, or folder of html and lod
     #[arg(long, value_name = "PATH")]
     out: PathBuf,
     #[command(flatten)]
@@ -76,15 +82,19 @@ pub struct ExportArgs {
     /// Axis of the scene that points up; files in SPZ and glTF stand upright
     #[arg(long, value_enum, default_value_t = Up::Auto)]
     up: Up,
-    /// Train the splats for this many steps on the training views, so that less is lost [default: 300 if surfels are
-    /// flattened and the dataset is at hand, or else 0]
+    /// Train for this many steps, so that less is lost: splats on the training views [default: 300 if surfels are flattened
+    /// and the dataset is at hand, or else 0], each coarser level of lod on smaller pictures of the scene itself [default:
+    /// 100 if the dataset is at hand, or else 0]
     #[arg(long, value_name = "STEPS")]
     fit: Option<usize>,
+    /// Primitives of a cell of lod, at most: what is loaded at a time
+    #[arg(long, value_name = "N", default_value_t = CELL_PRIMITIVES, value_parser = cell_primitives)]
+    cell_primitives: usize,
     /// Distance between the voxels that a mesh is made of, world units [default: a 128th of the extent]
     #[arg(long, value_name = "SIZE")]
     voxel: Option<f64>,
-    /// Folder of the browser viewer for html, as dpges-render/web/build.sh builds it [default: DPGES_WEB_PAGE, dpges-web
-    /// beside the program, or that of its sources]
+    /// Folder of the browser viewer for html and lod, as dpges-render/web/build.sh builds it [default: DPGES_WEB_PAGE,
+    /// dpges-web beside the program, or that of its sources]
     #[arg(long, value_name = "DIR")]
     page: Option<PathBuf>,
     /// auto (a GPU that passes a check, or else the CPU), cpu, cpu-flex, wgpu (the best GPU), or another one that
@@ -95,6 +105,12 @@ pub struct ExportArgs {
 
 type Rows = Vec<(&'static str, String)>;
 
+/// A cell has a header of some kilobytes: very small ones are mostly that.
+fn cell_primitives(text: &str) -> Result<usize, String> {
+    let count = text.parse::<usize>().ok().filter(|count| *count >= 64);
+    count.ok_or_else(|| format!("`{text}` is no number of primitives from 64 on"))
+}
+
 pub fn run(args: &ExportArgs) -> Result<()> {
     let mut scene = Scene::load(&args.scene)?;
     scene.use_pinholes();
@@ -102,13 +118,16 @@ pub fn run(args: &ExportArgs) -> Result<()> {
         scene.warn_of_order("what shows this file sorts");
     }
     let device = match args.format {
-        ExportFormat::Html => None,
+        ExportFormat::Html | ExportFormat::Lod => None,
         _ => Some(device_choice::select(args.device)?),
     };
     let data = match args.views.dataset(&mut scene) {
         Err(failure) if args.views.names_dataset() => return Err(failure),
         data => data,
     };
+    if args.format == ExportFormat::Lod {
+        return args.lod(scene.data, data.ok());
+    }
     let Some(device) = device else {
         let cameras: Vec<Camera> = data.iter().flat_map(|(_, data)| &data.train).map(|view| view.camera).collect();
         let title = args.out.file_name().unwrap_or_default().to_string_lossy();
@@ -130,7 +149,7 @@ impl ExportFormat {
             Self::Spz => Some(SplatFormat::Spz(SpzVersion::Four)),
             Self::Spz3 => Some(SplatFormat::Spz(SpzVersion::Three)),
             Self::Glb => Some(SplatFormat::Glb),
-            Self::MeshPly | Self::MeshGlb | Self::Html => None,
+            Self::MeshPly | Self::MeshGlb | Self::Html | Self::Lod => None,
         }
     }
 }
@@ -187,6 +206,26 @@ impl ExportArgs {
         rows.push(("PSNR", loss));
         rows.push(("fit", if steps > 0 { format!("{steps} steps") } else { "none".to_owned() }));
         Ok(rows)
+    }
+
+    fn lod(&self, scene: SceneData, data: Option<(Source, Dataset)>) -> Result<()> {
+        let cameras: Vec<Camera> = data.iter().flat_map(|(_, data)| &data.train).map(|view| view.camera).collect();
+        let steps = self.fit.unwrap_or(if cameras.is_empty() { 0 } else { LOD_FIT_STEPS });
+        let cell_primitives = self.cell_primitives;
+        let write = |fit: Option<(usize, &Device)>| {
+            let index = lod::write(scene, &lod::Options { cell_primitives, cameras: &cameras, fit }, &self.out)?;
+            let mut rows = vec![("folder", self.out.display().to_string())];
+            rows.extend(lod::describe::of(&index).rows());
+            rows.push(("fit", if steps > 0 { format!("{steps} steps per level") } else { "none".to_owned() }));
+            let title = self.out.file_name().unwrap_or_default().to_string_lossy();
+            rows.push(page::write_beside_levels(&cameras, &title, self.page.as_deref(), &self.out)?);
+            print(&table(&rows))
+        };
+        if steps == 0 {
+            return write(None);
+        }
+        let device = device_choice::select(self.device)?;
+        watched(device, || write(Some((steps, &device.open()?))))
     }
 
     fn mesh(&self, scene: &SceneData, (source, dataset): (Source, Dataset), device: DeviceName) -> Result<Rows> {

@@ -4,16 +4,17 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use clap::Args;
+use dpges_train::lod::describe as lod;
 use dpges_train::run::description::describe;
 use serde_json::Value;
 
 use super::data::Scene;
 use super::{Result, print, print_json, table};
 
-/// Describe a scene: counts, size, colour model, rendering, extent, percentiles
+/// Describe a scene: counts, size, colour model, rendering, extent, percentiles; or the levels of one in levels of detail
 #[derive(Debug, Args)]
 pub struct InfoArgs {
-    /// Scene file or folder of a run
+    /// Scene file, folder of a run, or folder of levels of detail
     scene: PathBuf,
     /// Print JSON
     #[arg(long)]
@@ -21,6 +22,10 @@ pub struct InfoArgs {
 }
 
 pub fn run(args: &InfoArgs) -> Result<()> {
+    if lod::is_lod(&args.scene) {
+        let description = lod::describe(&args.scene)?;
+        return if args.json { print_json(&description) } else { print(&table(&description.rows())) };
+    }
     let entries = describe(&Scene::load(&args.scene)?);
     if args.json {
         return print_json(&entries.into_iter().collect::<BTreeMap<_, _>>());

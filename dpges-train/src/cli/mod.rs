@@ -11,6 +11,7 @@ pub mod eval;
 mod export;
 mod info;
 mod inspect;
+mod levels;
 pub mod logging;
 pub mod lpips;
 pub mod progress;

@@ -14,6 +14,7 @@ use dpges_train::views::pose::{RefinedPoses, refine};
 
 use super::Result;
 use super::data::{DataArgs, Scene, Source, in_scene};
+use super::levels::{LevelsArgs, load};
 use super::rendering_preset::RenderingPreset;
 
 /// Look at a scene in a window
@@ -21,7 +22,7 @@ use super::rendering_preset::RenderingPreset;
 /// Without SCENE a page says what can be done. F1 lists what mouse and keys do.
 #[derive(Debug, Args)]
 pub struct WindowArgs {
-    /// Scene file or folder of a run
+    /// Scene file, folder of a run, or scene in levels of detail: its folder or address
     scene: Option<PathBuf>,
     /// Folder of the dataset whose cameras and photographs are shown too, or `builtin`; a run knows its own
     #[arg(long, value_name = "DATASET", requires = "scene")]
@@ -31,6 +32,8 @@ pub struct WindowArgs {
     #[arg(long, value_name = "NAME", value_enum)]
     preset: Option<RenderingPreset>,
     #[command(flatten)]
+    levels: LevelsArgs,
+    #[command(flatten)]
     options: DataArgs,
 }
 
@@ -38,7 +41,9 @@ pub fn run(args: WindowArgs) -> Result<()> {
     let title = args.scene.as_ref().map_or_else(|| "dpges".to_owned(), |scene| format!("dpges: {}", scene.display()));
     let start = match &args.scene {
         Some(path) => {
-            Scene::check(path)?;
+            if !args.levels.are_at(path, args.preset)? {
+                Scene::check(path)?;
+            }
             Start::Open(path.clone())
         }
         None => Start::Page,
@@ -50,7 +55,8 @@ pub fn run(args: WindowArgs) -> Result<()> {
 impl WindowArgs {
     /// The scene at once, the views later: reading photographs takes longer.
     fn open(&self, path: &Path) -> Result<Opened> {
-        let mut scene = Scene::load(path)?;
+        let levels = self.levels.open(path)?;
+        let mut scene = load(path, levels.as_ref())?;
         let named = self.data.as_deref().filter(|_| self.scene.as_deref() == Some(path));
         let views = match scene.dataset(named, &self.options.reading())? {
             None => Views::None,
@@ -59,10 +65,10 @@ impl WindowArgs {
                 Views::Later(Box::new(move || read(&source, &config, &info, &poses).map_err(|failure| failure.text())))
             }
         };
-        if let Some(preset) = self.preset {
+        if let (Some(preset), None) = (self.preset, &levels) {
             preset.apply(&mut scene.data);
         }
-        Ok(Opened { scene: scene.data, views })
+        Ok(Opened { scene: scene.data, levels, views })
     }
 }
 

@@ -38,6 +38,7 @@ mod hash;
 mod masked_tests;
 pub mod metrics_log;
 mod observer;
+pub mod own_pictures;
 #[cfg(test)]
 mod peak_tests;
 #[cfg(test)]

@@ -69,6 +69,11 @@ impl Scene {
         Ok(Self { path, data, bytes, run: is_run.then_some(folder), pinhole: false })
     }
 
+    /// The coarsest level of a scene in levels of detail: it knows no run.
+    pub fn of_levels(path: &Path, coarsest: SceneData) -> Self {
+        Self { path: path.to_owned(), data: coarsest, bytes: 0, run: None, pinhole: false }
+    }
+
     /// Reads photographs that were taken through a lens for pinhole cameras, whatever the run was trained with: what
     /// follows draws nothing else.
     pub fn use_pinholes(&mut self) {

@@ -5,6 +5,7 @@ use egui::{ComboBox, Slider, Ui};
 
 use super::super::dialogs::Purpose;
 use super::super::state::State;
+use crate::stream::StreamStatus;
 use crate::{Display, MAX_LAYERS, RenderOptions};
 
 /// Largest w of the slider.
@@ -31,10 +32,26 @@ pub fn title(state: &mut State, ui: &mut Ui) {
         ui.add(egui::Label::new(egui::RichText::new(&scene.name).strong()).truncate());
         let [surfels, gaussians] = scene.counts;
         ui.weak(format!("{surfels} surfels, {gaussians} Gaussians, {}", scene.info.rendering));
+        if let Some(stream) = &state.stream {
+            ui.weak(streamed(stream));
+        }
         if scene.info.blend_order != BlendOrder::Centres {
             ui.weak("drawn in the order of their centres, and not along rays as they were trained");
         }
     }
+}
+
+/// What is there of a scene in levels of detail.
+fn streamed(stream: &StreamStatus) -> String {
+    let StreamStatus { resident, budget, loading, failed, .. } = stream;
+    let mut text = format!("{resident} of at most {budget} primitives are in memory");
+    if *loading > 0 {
+        text += &format!(", {loading} cells are being loaded");
+    }
+    if *failed > 0 {
+        text += &format!(", {failed} could not be loaded");
+    }
+    text
 }
 
 pub fn show(state: &mut State, ui: &mut Ui) {

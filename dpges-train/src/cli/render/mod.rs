@@ -8,12 +8,14 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 use dpges_core::camera::Camera;
 use dpges_core::scene::Rendering;
+use dpges_render::stream::Loader;
 use dpges_render::{Headless, Precision, RenderOptions, Rgb8Image};
 use dpges_train::device::DeviceRequest;
 use dpges_train::eval::rendered::{LayerPictures, Renderer, layer_pictures, to_picture};
 
 use super::data::{Scene, ViewArgs};
 use super::device_failure::watched;
+use super::levels::{LevelsArgs, load};
 use super::rendering_preset::RenderingPreset;
 use super::{Failure, Result, device_choice, print};
 use cameras::{PathChoice, Shot, shots};
@@ -23,8 +25,10 @@ use sink::Sink;
 /// Write pictures of a scene: PNGs or a video, of the views of a dataset or along a camera path
 #[derive(Debug, Args)]
 pub struct RenderArgs {
-    /// Scene file or folder of a run
+    /// Scene file, folder of a run, or scene in levels of detail: its folder or address
     scene: PathBuf,
+    #[command(flatten)]
+    levels: LevelsArgs,
     #[command(flatten)]
     views: ViewArgs,
     /// Folder for PNGs
@@ -75,7 +79,12 @@ enum Engine {
 }
 
 pub fn run(args: &RenderArgs) -> Result<()> {
-    let mut scene = Scene::load(&args.scene)?;
+    if args.levels.are_at(&args.scene, args.preset)? && args.renderer == Engine::Training {
+        let message = "--renderer training: a scene in levels of detail is drawn by `--renderer raster`";
+        return Err(Failure::Usage(message.to_owned()));
+    }
+    let levels = args.levels.open(&args.scene)?;
+    let mut scene = load(&args.scene, levels.as_ref())?;
     let rendering = scene.data.info.rendering;
     if args.layers && rendering != Rendering::Peeled {
         let of = args.scene.display();
@@ -94,9 +103,19 @@ pub fn run(args: &RenderArgs) -> Result<()> {
             tracing::info!("rendering on {}", headless.adapter_name());
             let half_sums = args.preset.is_some_and(RenderingPreset::half_sums);
             let mut renderer = headless.renderer_with(half_sums.then_some(Precision::Half))?;
-            renderer.upload(&scene.data)?;
             let options = RenderOptions::from(&scene.data.info);
-            args.write(&shots, |camera| Ok((headless.draw(&mut renderer, camera, &options)?, None)))
+            let Some(levels) = levels else {
+                renderer.upload(&scene.data)?;
+                return args.write(&shots, |camera| Ok((headless.draw(&mut renderer, camera, &options)?, None)));
+            };
+            let mut loader = Loader::new(levels, &mut renderer, || {})?;
+            let mut most = 0;
+            args.write(&shots, |camera| {
+                most = most.max(loader.complete(&mut renderer, camera)?);
+                Ok((headless.draw(&mut renderer, camera, &options)?, None))
+            })?;
+            tracing::info!("at most {most} of {} primitives were in memory", loader.status().budget);
+            Ok(())
         }
         Engine::Training => {
             let device = device_choice::select(args.device)?;

@@ -34,7 +34,7 @@ pub fn write(
             None
         }
     });
-    let files = write_html(out, &built, scene, &Page { title, poster_jpeg: poster.as_deref(), cameras })?;
+    let files = write_html(out, &built, Some(scene), &Page { title, poster_jpeg: poster.as_deref(), cameras })?;
     let bytes: u64 = files.iter().map(|file| file.bytes).sum();
     let mut rows = vec![
         ("folder", out.display().to_string()),
@@ -48,6 +48,25 @@ pub fn write(
         ));
     }
     Ok(rows)
+}
+
+/// Writes the page beside the index of levels of detail in the folder `out`, with the page built in `page` (see [`find_page`])
+/// and `cameras`. Returns a row about it; without a page that is built, and none named, there is only the row.
+///
+/// # Errors
+/// The errors of [`find_page`] and [`write_html`].
+pub fn write_beside_levels(
+    cameras: &[Camera],
+    title: &str,
+    page: Option<&Path>,
+    out: &Path,
+) -> Result<(&'static str, String), HtmlError> {
+    let built = match find_page(page) {
+        Err(error @ HtmlError::NoPage(_)) if page.is_none() => return Ok(("page", format!("none: {error}"))),
+        built => built?,
+    };
+    write_html(out, &built, None, &Page { title, poster_jpeg: None, cameras })?;
+    Ok(("page", format!("{}, on a web server that serves ranges of bytes", out.join("index.html").display())))
 }
 
 /// The picture of `camera`, in the JPEG format.

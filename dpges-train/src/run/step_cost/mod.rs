@@ -32,8 +32,9 @@ use serde::Serialize;
 
 use crate::device::memory::PeakMemory;
 use crate::run::TrainError;
+pub use crate::run::own_pictures::StepStage;
 pub use lists::{List, Lists};
-pub use steps::{StepStage, Steps};
+pub use steps::Steps;
 
 /// How many steps are taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,0 +1,195 @@
+//! The files of a scene in levels of detail, in a folder that takes its place when it is complete.
+
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use dpges_core::camera::Camera;
+use dpges_core::scene::lod::{Cell, INDEX, Index, Part};
+use dpges_core::scene::{Quality, SceneData};
+use dpges_render::CameraPath;
+use rayon::prelude::*;
+use tempfile::TempDir;
+
+use super::{LodError, Primitives};
+use crate::refine::neighbours::as_points;
+
+/// Between `high` and `highest`: pictures of level 0 are those of the scene to 45 dB and more.
+const QUALITY: Quality =
+    Quality { positions: 18, quaternions: 11, log_scales: 11, opacities: 11, margins: 12, base: 11, detail: 11 };
+const SKY: &str = "base.safetensors";
+const CAMERAS: &str = "cameras.json";
+
+/// A folder that is being written.
+pub struct Folder {
+    out: PathBuf,
+    partial: TempDir,
+    /// Without primitives.
+    base: SceneData,
+    index: Index,
+    /// Cells of each level, from 0.
+    levels: Vec<Vec<Cell>>,
+    pack: Option<File>,
+}
+
+impl Folder {
+    /// Begins beside `out`, where there is room for `scene` in levels of detail.
+    ///
+    /// # Errors
+    /// [`LodError::Taken`] if there is something else, [`LodError::Io`].
+    pub fn begin(out: &Path, scene: &SceneData) -> Result<Self, LodError> {
+        check(out)?;
+        let parent = match out.parent() {
+            Some(parent) if !parent.as_os_str().is_empty() => parent,
+            _ => Path::new("."),
+        };
+        fs::create_dir_all(parent).map_err(|source| io_error("cannot make", parent, source))?;
+        let mut builder = tempfile::Builder::new();
+        #[cfg(unix)]
+        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o777));
+        let partial = builder.prefix(".dpges-lod-").tempdir_in(parent);
+        let partial = partial.map_err(|source| io_error("cannot write into", parent, source))?;
+        let base = SceneData {
+            info: scene.info.clone(),
+            surfels: scene.surfels.select(&[]),
+            gaussians: scene.gaussians.select(&[]),
+            environment: scene.environment.clone(),
+        };
+        let index = Index::new(scene.info.clone());
+        Ok(Self { out: out.to_owned(), partial, base, index, levels: Vec::new(), pack: None })
+    }
+
+    /// Adds cells after those that the level has.
+    ///
+    /// # Errors
+    /// [`LodError::Io`], and those of [`SceneData::to_compressed`].
+    pub fn write(&mut self, level: u32, cells: &[Primitives]) -> Result<(), LodError> {
+        let name = format!("level-{level}.pack");
+        let path = self.partial.path().join(&name);
+        let encode = |cell: &Primitives| {
+            let (surfels, gaussians) = cell.clone();
+            let scene = SceneData { surfels, gaussians, info: self.base.info.clone(), environment: None };
+            Ok((scene.to_compressed(&QUALITY, &path)?, shape(cell)))
+        };
+        let encoded: Vec<(Vec<u8>, Shape)> = cells.par_iter().map(encode).collect::<Result<_, LodError>>()?;
+        let wrong = |source| io_error("cannot write", &path, source);
+        if self.levels.len() <= level as usize {
+            self.levels.push(Vec::new());
+            self.pack = Some(File::create(&path).map_err(wrong)?);
+        }
+        let (pack, written) = (self.pack.as_mut().expect("just made"), &mut self.levels[level as usize]);
+        for ((surfels, gaussians), (bytes, Shape { min, max, size })) in cells.iter().zip(encoded) {
+            pack.write_all(&bytes).map_err(wrong)?;
+            let offset = written.last().map_or(0, |cell| cell.part.offset + cell.part.bytes);
+            let part = Part { file: name.clone(), offset, bytes: bytes.len() as u64 };
+            let (surfels, gaussians) = (surfels.len(), gaussians.len());
+            written.push(Cell { level, min, max, parent: None, children: Vec::new(), part, surfels, gaussians, size });
+        }
+        Ok(())
+    }
+
+    /// After the last cell of a level.
+    ///
+    /// # Errors
+    /// [`LodError::Io`]
+    pub fn finish_level(&mut self, level: u32) -> Result<(), LodError> {
+        if let Some(pack) = self.pack.take() {
+            pack.sync_all().map_err(|source| io_error("cannot write", self.partial.path(), source))?;
+        }
+        let cells = &self.levels[level as usize];
+        let (count, bytes): (usize, u64) =
+            cells.iter().fold((0, 0), |(count, bytes), cell| (count + cell.primitives(), bytes + cell.part.bytes));
+        tracing::info!("level {level}: {} cells, {count} primitives, {:.2} MB", cells.len(), bytes as f64 / 1e6);
+        Ok(())
+    }
+
+    /// Writes the sky, the cameras and the index, and puts the folder where it belongs.
+    ///
+    /// # Errors
+    /// [`LodError::Taken`] if there is something else by now, [`LodError::Io`].
+    pub fn finish(mut self, cameras: &[Camera]) -> Result<Index, LodError> {
+        if self.base.environment.is_some() {
+            let bytes = self.base.to_compressed(&QUALITY, SKY.as_ref())?;
+            self.index.sky = Some(Part { file: SKY.to_owned(), offset: 0, bytes: bytes.len() as u64 });
+            self.put(SKY, &bytes)?;
+        }
+        let path = CameraPath::new(cameras.to_vec(), false);
+        self.put(CAMERAS, path.map_or_else(|_| "[]".to_owned(), |path| path.to_json()).as_bytes())?;
+        // level by level from the root: the children of cell k are cells 2 k + 1 and 2 k + 2
+        let coarsest = self.levels.len() - 1;
+        self.index.cells = std::mem::take(&mut self.levels).into_iter().rev().flatten().collect();
+        for (at, cell) in self.index.cells.iter_mut().enumerate() {
+            cell.parent = (at > 0).then(|| (at - 1) / 2);
+            cell.children = if cell.level == 0 { Vec::new() } else { vec![2 * at + 1, 2 * at + 2] };
+        }
+        debug_assert_eq!(self.index.cells.len(), (2 << coarsest) - 1);
+        let json =
+            serde_json::to_vec(&self.index).map_err(|error| io_error("cannot write", &self.out, error.into()))?;
+        self.put(INDEX, &json)?;
+        self.publish()?;
+        Ok(self.index)
+    }
+
+    fn put(&self, name: &str, bytes: &[u8]) -> Result<(), LodError> {
+        let path = self.partial.path().join(name);
+        let write = || -> io::Result<()> {
+            let mut file = File::create(&path)?;
+            file.write_all(bytes)?;
+            file.sync_all()
+        };
+        write().map_err(|source| io_error("cannot write", &path, source))
+    }
+
+    /// The folder in the place of what is there, which is removed after that.
+    fn publish(&self) -> Result<(), LodError> {
+        check(&self.out)?;
+        let replace = || -> io::Result<()> {
+            if self.out.exists() {
+                let old = self.partial.path().with_extension("old");
+                fs::rename(&self.out, &old)?;
+                fs::rename(self.partial.path(), &self.out)?;
+                return fs::remove_dir_all(old);
+            }
+            fs::rename(self.partial.path(), &self.out)
+        };
+        replace().map_err(|source| io_error("cannot write", &self.out, source))
+    }
+}
+
+/// Whether `out` is absent, an empty folder, or a scene in levels of detail.
+fn check(out: &Path) -> Result<(), LodError> {
+    let is_empty = || fs::read_dir(out).is_ok_and(|mut files| files.next().is_none());
+    let is_lod = || fs::read(out.join(INDEX)).is_ok_and(|bytes| Index::from_bytes(&bytes, INDEX).is_ok());
+    if !out.exists() || is_empty() || is_lod() { Ok(()) } else { Err(LodError::Taken(out.to_owned())) }
+}
+
+fn io_error(action: &'static str, path: &Path, source: io::Error) -> LodError {
+    LodError::Io { action, path: path.to_owned(), source }
+}
+
+/// Where primitives are, and how large.
+struct Shape {
+    min: [f32; 3],
+    max: [f32; 3],
+    size: f32,
+}
+
+fn shape((surfels, gaussians): &Primitives) -> Shape {
+    let largest = |scales: &[f32]| scales.iter().copied().fold(f32::NEG_INFINITY, f32::max).exp();
+    let of_surfels = as_points(&surfels.positions).iter().zip(surfels.log_scales.chunks_exact(2).map(largest));
+    let of_gaussians = as_points(&gaussians.positions).iter().zip(gaussians.log_scales.chunks_exact(3).map(largest));
+    let (mut min, mut max) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
+    let mut sizes = Vec::with_capacity(surfels.len() + gaussians.len());
+    for (place, sigma) in of_surfels.chain(of_gaussians) {
+        // out of the range of f32 there is no box
+        let sigma = sigma.min(f32::MAX / 8.0);
+        sizes.push(sigma);
+        for axis in 0..3 {
+            min[axis] = min[axis].min(place[axis] - 3.0 * sigma).max(f32::MIN);
+            max[axis] = max[axis].max(place[axis] + 3.0 * sigma).min(f32::MAX);
+        }
+    }
+    let middle = sizes.len() / 2;
+    let size = *sizes.select_nth_unstable_by(middle, f32::total_cmp).1;
+    Shape { min, max, size }
+}

@@ -1,0 +1,108 @@
+//! Stages of a scene that is given, which learns from pictures of a scene.
+
+use std::str::FromStr;
+use std::sync::Arc;
+
+use burn::tensor::Device;
+use dpges_core::ranks::Alone;
+use dpges_core::scene::{BlendOrder, Rendering, SceneData, SceneInfo};
+use glam::DVec3;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+use crate::config::{Config, Method, StagePlan};
+use crate::dataset::{Dataset, Format, PointCloud, View};
+use crate::stage::{self, Context, DevicePhotographs};
+use crate::views::exposure::ExposureState;
+use crate::views::pose::PoseState;
+
+/// Which step is taken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StepStage {
+    /// Surfels and Gaussians together (DP-GES).
+    Joint,
+    /// The Gaussians alone, blended in the order of their depths: as in 2DGS if the scene is one of discs, summed if it is one
+    /// of weighted sums, else as in 3DGS-MCMC.
+    Blended,
+}
+
+impl StepStage {
+    /// The one in which scenes that are drawn by `rendering` are trained.
+    pub fn of(rendering: Rendering) -> Self {
+        if rendering == Rendering::Peeled { Self::Joint } else { Self::Blended }
+    }
+}
+
+impl FromStr for StepStage {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "joint" => Ok(Self::Joint),
+            "blended" => Ok(Self::Blended),
+            _ => Err(format!("there is no stage `{text}`: joint (surfels and Gaussians) or blended (Gaussians alone)")),
+        }
+    }
+}
+
+/// The default configuration with the model of `scene`, and one stage.
+pub fn config(scene: &SceneData, stage: StepStage) -> Config {
+    let info = &scene.info;
+    let mut config = Config::default();
+    config.train.method = match (stage, info.rendering) {
+        (StepStage::Joint, _) => Method::Dpges,
+        (StepStage::Blended, Rendering::Discs) => Method::Discs,
+        (StepStage::Blended, _) if info.blend_order == BlendOrder::Rays => Method::StopThePop,
+        (StepStage::Blended, _) if info.blend_order.transparency().is_some() => Method::Htgs,
+        (StepStage::Blended, Rendering::Students) => Method::Sss,
+        (StepStage::Blended, Rendering::Summed) => Method::SortFree,
+        (StepStage::Blended, Rendering::Peeled | Rendering::Ellipsoids) => Method::Mcmc,
+    };
+    config.density.transparency = info.blend_order.transparency().unwrap_or_default();
+    (config.stages.surfels, config.stages.gaussians) = (0.0, 0.0);
+    config.model.colour = info.colour_model.without_opacity();
+    config.model.modulation = info.modulation;
+    config.model.layers = info.layer_count;
+    config.model.footprint = info.footprint;
+    config.model.backstop = info.backstop;
+    config.model.margin_lookup = info.margin_lookup;
+    config
+}
+
+/// The `train` views, in the coordinates of a scene with `info`.
+pub fn dataset(info: &SceneInfo, train: Vec<View>) -> Dataset {
+    Dataset {
+        train,
+        test: Vec::new(),
+        validation: Vec::new(),
+        points: PointCloud::default(),
+        offset: DVec3::from_array(info.offset),
+        extent: info.extent,
+        background: info.background,
+        format: Format::Builtin,
+        near: info.near,
+        spare_memory: usize::MAX,
+    }
+}
+
+/// A run of `config` on `dataset` that comes to its last stage, `done` (0 to 1) of which is over.
+pub fn last_stage(config: Config, dataset: Dataset, done: f64, device: &Device) -> (StagePlan, Context) {
+    let plan = *config.plan().last().expect("a run has stages");
+    let photographs = DevicePhotographs::new(&config, device);
+    let budget = stage::budget(&config, &dataset);
+    let context = Context {
+        dataset: Arc::new(dataset),
+        config,
+        device: device.clone(),
+        ranks: Arc::new(Alone),
+        rng: ChaCha8Rng::seed_from_u64(0),
+        remaining_views: Vec::new(),
+        completed_steps: plan.begin + (done * plan.steps as f64) as usize,
+        exposure: ExposureState::default(),
+        poses: PoseState::default(),
+        depth: None,
+        photographs,
+        budget,
+    };
+    (plan, context)
+}
