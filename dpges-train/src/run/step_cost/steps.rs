@@ -99,6 +99,7 @@ impl Steps {
             poses: PoseState::default(),
             depth: None,
             photographs,
+            surroundings: None,
             budget,
         };
         let stage = stage::of_scene(plan, scene, &context);
