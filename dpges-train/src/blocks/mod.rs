@@ -22,7 +22,7 @@
 
 pub mod cameras;
 mod error;
-pub mod picture;
+mod picture;
 pub mod plan;
 mod scenes;
 pub mod slurm;

@@ -1,5 +1,8 @@
-//! A plan from above: points, blocks and cameras.
+//! A plan as files: its numbers, and points, blocks and cameras from above.
 
+use std::path::Path;
+
+use dpges_core::Error;
 use dpges_render::Rgb8Image;
 use plotters::prelude::{
     BLACK, BitMapBackend, ChartBuilder, Circle, Color, DrawingAreaErrorKind, DrawingBackend, HSLColor, IntoDrawingArea,
@@ -10,6 +13,8 @@ use super::plan::{Plan, PlannedBlock};
 use super::split::percentiles;
 use super::{BlocksError, Result};
 use crate::dataset::{Dataset, View};
+use crate::eval::pictures::save_png;
+use crate::run::folder::write_json;
 use crate::study::plot_font::{self, FAMILY};
 
 /// Longest side, px.
@@ -33,8 +38,13 @@ struct Ground {
 
 impl Ground {
     /// Seen along the axis in which points and cameras have the least extent.
-    fn new(positions: &[[f32; 3]]) -> Self {
-        let range = |axis: usize| percentiles(positions.iter().map(|position| position[axis]).collect(), BEYOND);
+    fn new(points: &[[f32; 3]], cameras: &[[f32; 3]]) -> Self {
+        let range = |axis: usize| {
+            let of =
+                |positions: &[[f32; 3]]| percentiles(positions.iter().map(|position| position[axis]).collect(), BEYOND);
+            let [points, cameras] = [of(points), of(cameras)];
+            [points[0].min(cameras[0]), points[1].max(cameras[1])]
+        };
         let all = [0, 1, 2].map(range);
         let extent = |axis: &usize| all[*axis][1] - all[*axis][0];
         let least = (0..3).min_by(|a, b| extent(a).total_cmp(&extent(b))).unwrap_or(2);
@@ -63,19 +73,35 @@ impl Ground {
     }
 }
 
+impl Plan {
+    /// Writes `plan.json` and `plan.png` to `folder`.
+    ///
+    /// # Errors
+    /// If a file cannot be written.
+    pub fn save(&self, folder: &Path, dataset: &Dataset) -> Result<()> {
+        std::fs::create_dir_all(folder).map_err(|source| Error::Io {
+            action: "cannot make folder",
+            path: folder.to_owned(),
+            source,
+        })?;
+        save_png(&draw(self, dataset)?, &folder.join("plan.png"))?;
+        Ok(write_json(&Self::path(folder), self)?)
+    }
+}
+
 /// The picture: points grey; every block a rectangle in a colour of its own, with its number, its points and its cameras, and
 /// grown in a thinner line; cameras in the colour of their block, or dark if they have several.
 ///
 /// # Errors
 /// [`BlocksError::Picture`] is a fault of the program.
-pub fn draw(plan: &Plan, dataset: &Dataset) -> Result<Rgb8Image> {
+fn draw(plan: &Plan, dataset: &Dataset) -> Result<Rgb8Image> {
     plot_font::register().map_err(BlocksError::Picture)?;
     let views: Vec<&View> = dataset.train.iter().chain(&dataset.validation).chain(&dataset.test).collect();
     let thinned = |count: usize| count.div_ceil(SHOWN).max(1);
     let points = &dataset.points.positions;
     let points: Vec<[f32; 3]> = points.iter().step_by(thinned(points.len())).copied().collect();
     let centres: Vec<[f32; 3]> = views.iter().map(|view| view.camera.centre().as_vec3().to_array()).collect();
-    let ground = Ground::new(&[&points[..], &centres[..]].concat());
+    let ground = Ground::new(&points, &centres);
     let cameras: Vec<(&str, [f32; 3])> =
         views.iter().zip(&centres).step_by(thinned(views.len())).map(|(view, &centre)| (&*view.name, centre)).collect();
     let [width, height] = ground.size();

@@ -2,21 +2,18 @@
 
 use std::path::{Path, PathBuf};
 
-use dpges_core::Error;
 use dpges_core::camera::Camera;
 use dpges_core::scene::SceneData;
 use serde::{Deserialize, Serialize};
 
 use super::cameras::{MeasuredBy, assign, shares_of_points, shares_of_scene};
-use super::picture;
 use super::split::{Limit, Part, split};
 use super::{BlocksError, Result};
 use crate::config::{Config, Method, Poses, differences};
 use crate::dataset::block::Bounds;
 use crate::dataset::{Dataset, View};
 use crate::device::place::Place;
-use crate::eval::pictures::save_png;
-use crate::run::folder::{read_json, write_json};
+use crate::run::folder::read_json;
 
 /// A block as planned.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -101,20 +98,6 @@ impl Plan {
         Ok(())
     }
 
-    /// Writes `plan.json` and `plan.png` to `folder`.
-    ///
-    /// # Errors
-    /// If a file cannot be written.
-    pub fn save(&self, folder: &Path, dataset: &Dataset) -> Result<()> {
-        std::fs::create_dir_all(folder).map_err(|source| Error::Io {
-            action: "cannot make folder",
-            path: folder.to_owned(),
-            source,
-        })?;
-        save_png(&picture::draw(self, dataset)?, &folder.join("plan.png"))?;
-        Ok(write_json(&Self::path(folder), self)?)
-    }
-
     /// Reads that in `folder`.
     ///
     /// # Errors
@@ -155,7 +138,8 @@ impl Plan {
         Ok(true)
     }
 
-    fn path(folder: &Path) -> PathBuf {
+    /// Where the plan in `folder` is.
+    pub(super) fn path(folder: &Path) -> PathBuf {
         folder.join("plan.json")
     }
 }

@@ -206,24 +206,26 @@ impl Capture {
                 // as the last steps of a run: nothing comes or goes
                 let (refine, optimizer) = (&mut config.refine, &mut config.optimizer);
                 refine.budget = Budget::Primitives(surfels.len() + gaussians.len());
-                [
+                for until in [
                     &mut refine.surfel_prune_until,
                     &mut refine.gaussian_prune_until,
                     &mut refine.add_until,
                     &mut refine.replace_until,
                     &mut refine.split_until,
-                ]
-                .map(|until| *until = 0);
+                ] {
+                    *until = 0;
+                }
                 optimizer.position_start = optimizer.position_end;
-                let rates = [
+                for rate in [
                     &mut optimizer.quaternions,
                     &mut optimizer.log_scales,
                     &mut optimizer.opacities,
                     &mut optimizer.base,
                     &mut optimizer.detail,
                     &mut optimizer.environment,
-                ];
-                rates.map(|rate| *rate *= optimizer.decay);
+                ] {
+                    *rate *= optimizer.decay;
+                }
                 optimizer.decay = 1.0;
             }
         }
@@ -235,6 +237,12 @@ impl Capture {
     /// # Errors
     /// If a scene cannot be read, or a file not be written.
     pub fn prepare(&self, step: Step) -> Result<()> {
+        let folder = self.run_folder(step).path().to_owned();
+        std::fs::create_dir_all(&folder).map_err(|source| Error::Io {
+            action: "cannot make folder",
+            path: folder,
+            source,
+        })?;
         let coarse = || SceneData::load(&self.run_folder(Step::Coarse).scene());
         match step {
             Step::Coarse => {}

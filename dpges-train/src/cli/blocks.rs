@@ -61,7 +61,7 @@ enum BlocksCommand {
 /// of blocks and cameras from above, DIR/plan.png. The options are those of the coarse run and of the run of every block.
 #[derive(Debug, Args)]
 struct PlanArgs {
-    /// Folder of a COLMAP or nerfstudio dataset with points; or photographs or a video, see `dpges sfm`
+    /// Folder of a COLMAP or nerfstudio dataset with points, or `builtin`; or photographs or a video, see `dpges sfm`
     dataset: PathBuf,
     /// Folder for the plan and its runs
     #[arg(long, value_name = "DIR")]

@@ -86,7 +86,9 @@ impl Dataset {
             })
         };
         let new_index: Vec<Option<u32>> = self.train.iter().map(number).collect();
-        [&mut self.train, &mut self.test, &mut self.validation].map(|views| views.retain(&keeps));
+        for views in [&mut self.train, &mut self.test, &mut self.validation] {
+            views.retain(&keeps);
+        }
         self.renumber_views(&new_index);
     }
 

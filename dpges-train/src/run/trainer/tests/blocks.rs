@@ -93,7 +93,7 @@ fn surroundings_are_drawn_and_neither_learn_nor_count_nor_go_into_the_scene() {
     darker.gaussians.colour.base.iter_mut().for_each(|value| *value -= 0.5);
     let learnt = |around: &SceneData| {
         let config = block(folder.path(), &inside, Some(around), Bounds::ALL, &["train.steps=2"]);
-        trained(config).attributes["gaussians.sb_base"].raw.clone()
+        trained(config).attributes["gaussians.colour.base"].raw.clone()
     };
     assert!(learnt(&around) == learnt(&around) && learnt(&around) != learnt(&darker));
     let mut no_environment = around.clone();
