@@ -2,7 +2,8 @@
 //!
 //! A [`run`] takes a [`dataset::Dataset`] through the stages of a [`config::Config`]: discs, Gaussians, then surfels and
 //! Gaussians together. [`init`] makes what it begins with; [`refine`] decides which primitives come and go; [`eval`]
-//! measures the scene; [`lod`] makes coarser levels of it. A [`study`] trains and measures many.
+//! measures the scene; [`lod`] makes coarser levels of it. A [`study`] trains and measures many; [`blocks`] splits a large
+//! capture into runs.
 //!
 //! # Dependencies
 //!
@@ -27,6 +28,7 @@
 //! | mpi | feature `mpi`: processes that train one scene |
 //! | mimalloc | the binary's allocator |
 
+pub mod blocks;
 pub mod config;
 pub mod dataset;
 pub mod device;

@@ -1,6 +1,7 @@
 //! The command line: one module per subcommand.
 
 mod bench;
+mod blocks;
 mod compress;
 mod config;
 pub mod data;
@@ -68,6 +69,7 @@ enum Command {
     Compare(compare::CompareArgs),
     Benchmark(benchmark::BenchmarkArgs),
     Trade(trade::TradeArgs),
+    Blocks(blocks::BlocksArgs),
     Config(config::ConfigArgs),
     Eval(eval::EvalArgs),
     Render(render::RenderArgs),
@@ -112,6 +114,7 @@ fn is_usage(error: &(dyn std::error::Error + 'static)) -> bool {
     }
     matches!(error.downcast_ref(), Some(SourceError::OneScale | SourceError::Change(_)))
         || matches!(error.downcast_ref(), Some(ChoiceError::NoneAndOthers | ChoiceError::Twice { .. }))
+        || error.downcast_ref().is_some_and(blocks::is_usage)
         || matches!(error.downcast_ref(), Some(VideoError::Sizes { .. } | VideoError::NoFormat { .. }))
         || error.downcast_ref::<ConfigError>().is_some_and(|error| !matches!(error, ConfigError::Io { .. }))
 }
@@ -165,6 +168,7 @@ pub fn run() -> ExitCode {
         Command::Compare(args) => compare::run(&args, style),
         Command::Benchmark(args) => benchmark::run(args, style),
         Command::Trade(args) => trade::run(&args, style),
+        Command::Blocks(args) => blocks::run(args, style),
         Command::Config(args) => config::run(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Render(args) => render::run(&args),

@@ -8,15 +8,19 @@ const FILE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/reference/commands
 const MARKER: &str = "<!-- generated from here on -->\n";
 const WRITE: &str = "DPGES_WRITE_DOCS";
 
-/// The output of `--help` for every subcommand, as Markdown.
+/// The output of `--help` for every subcommand, and those below it, as Markdown.
 fn reference() -> String {
-    let section = |command: &Command| {
-        let name = command.get_name();
-        let help = Cli::command().try_get_matches_from(["dpges", name, "--help"]).unwrap_err().to_string();
-        let lines: Vec<&str> = help.lines().map(str::trim_end).collect();
-        format!("\n### dpges {name}\n\n```text\n{}\n```\n", lines.join("\n").trim_end())
-    };
-    Cli::command().get_subcommands().map(section).collect()
+    Cli::command().get_subcommands().map(|command| section(&[], command)).collect()
+}
+
+fn section(above: &[&str], command: &Command) -> String {
+    let names = [above, &[command.get_name()]].concat();
+    let words = [&["dpges"], &names[..], &["--help"]].concat();
+    let help = Cli::command().try_get_matches_from(words).unwrap_err().to_string();
+    let lines: Vec<&str> = help.lines().map(str::trim_end).collect();
+    let own = format!("\n### dpges {}\n\n```text\n{}\n```\n", names.join(" "), lines.join("\n").trim_end());
+    let below = command.get_subcommands().filter(|below| below.get_name() != "help");
+    own + &below.map(|below| section(&names, below)).collect::<String>()
 }
 
 #[test]

@@ -103,6 +103,9 @@ configuration! {
         lambda_depth_maps: f64 = 0.2, range: 0.0..;
         /// Factor on `train.lambda_depth_maps` at the last step of the run. Its logarithm is interpolated from 1 at the first.
         depth_maps_decay: f64 = 0.01, range: POSITIVE_SHARE;
+        /// File that says which block of a large capture the run trains: its views, its bounds and the scene around it
+        /// (`dpges blocks` writes it). Empty for the whole capture.
+        block: String = String::new();
         /// Stop the gradient from Gaussians to surfels through the transmittance.
         detach_transmittance: bool = false,
             ablation: "no-transmittance-gradient" = "true" ("Without the gradient from Gaussians to surfels");

@@ -1,6 +1,7 @@
 //! The stages of a run: what is trained before surfels and Gaussians are trained together, or instead (DP-GES).
 
 use std::fmt;
+use std::path::Path;
 
 use dpges_core::scene::{BlendOrder, ColourModel, OpacityActivation, Rendering, ScreenFilter, Transparency};
 
@@ -283,6 +284,11 @@ impl Config {
     /// Standard deviation of the filter in the world of a stage of Mip-Splatting, px.
     pub fn mip_splatting_px(&self) -> f64 {
         if self.model.sampling_limit > 0.0 { self.model.sampling_limit } else { MIP_SPLATTING_PX }
+    }
+
+    /// The file of the block that the run trains; `None` if it trains all.
+    pub fn block(&self) -> Option<&Path> {
+        (!self.train.block.is_empty()).then(|| Path::new(&self.train.block))
     }
 
     /// Whether surfels or Gaussians have been trained before the joint stage.

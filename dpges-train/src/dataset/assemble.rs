@@ -58,7 +58,7 @@ pub(super) fn assemble(root: &Path, mut source: Source, options: &LoadOptions) -
         train,
         test,
         validation: Vec::new(),
-        points: recentred_points(&source, offset),
+        points: recentred_points(source.points, &source.frames, offset),
         offset,
         extent,
         background,
@@ -181,10 +181,9 @@ fn warn_of_deep_images(frames: &[Frame]) -> Result<()> {
     Ok(())
 }
 
-fn recentred_points(source: &Source, offset: DVec3) -> PointCloud {
+fn recentred_points(points: RawPoints, frames: &[Frame], offset: DVec3) -> PointCloud {
     let mut next = 0;
-    let train_index: Vec<Option<u32>> = source
-        .frames
+    let train_index: Vec<Option<u32>> = frames
         .iter()
         .map(|frame| {
             (frame.split == Split::Train).then(|| {
@@ -193,10 +192,10 @@ fn recentred_points(source: &Source, offset: DVec3) -> PointCloud {
             })
         })
         .collect();
-    let RawPoints { positions, colours, seen_by } = &source.points;
+    let RawPoints { positions, colours, seen_by } = points;
     PointCloud {
         positions: positions.iter().map(|position| (position - offset).as_vec3().to_array()).collect(),
-        colours: colours.clone(),
+        colours,
         seen_by: seen_by
             .iter()
             .map(|frames| frames.iter().filter_map(|&frame| train_index[frame as usize]).collect())

@@ -6,6 +6,7 @@
 //! Cameras have OpenCV axes (x right, y down, z forward).
 
 mod assemble;
+pub mod block;
 mod builtin;
 pub mod capture;
 pub mod check;
@@ -71,7 +72,8 @@ pub struct PointCloud {
     pub positions: Vec<[f32; 3]>,
     /// Red, green, blue in 0..1, display-referred.
     pub colours: Vec<[f32; 3]>,
-    /// Per point, ascending indices into [`Dataset::train`] of the views that saw it; empty where unknown.
+    /// Per point, ascending indices into [`Dataset::train`] of the views that saw it; empty where unknown, and no point has any
+    /// if that is known of none.
     pub seen_by: Vec<Vec<u32>>,
 }
 
@@ -176,6 +178,11 @@ impl Dataset {
             }
         }
         self.train = train;
+        self.renumber_views(&new_index);
+    }
+
+    /// Tells the points which number each training view has now; `None` if it is none any more.
+    fn renumber_views(&mut self, new_index: &[Option<u32>]) {
         for seen_by in &mut self.points.seen_by {
             *seen_by = seen_by.iter().filter_map(|&view| new_index[view as usize]).collect();
         }

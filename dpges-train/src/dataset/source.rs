@@ -3,6 +3,7 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+use super::block::Block;
 use super::capture::{self, Input, Unusable};
 use super::check::{Effort, Report};
 use super::{BuiltinOptions, Dataset, DatasetError, builtin, format, load};
@@ -27,6 +28,8 @@ pub enum SourceError {
          --stop steps, --budget N"
     )]
     TooFewForDecisions { dataset: String, left: usize, every: usize },
+    #[error("{} does not fit {dataset}: {reason}; plan the blocks anew (`dpges blocks plan`)", .path.display())]
+    Block { path: PathBuf, dataset: String, reason: String },
     #[error(transparent)]
     Dataset(#[from] DatasetError),
     #[error(transparent)]
@@ -125,12 +128,17 @@ impl Source {
         Ok(dataset)
     }
 
-    /// The dataset of a run, without the views that are kept for its decisions; warns of what is wrong with it.
+    /// The dataset of a run, without the views that are kept for its decisions, and those of other blocks; warns of what is
+    /// wrong with it.
     ///
     /// # Errors
     /// [`SourceError`].
     pub fn load_for_training(&self, config: &Config) -> Result<Dataset> {
         let mut dataset = self.load(&config.data)?;
+        if let Some(path) = config.block() {
+            let wrong = |reason| SourceError::Block { path: path.to_owned(), dataset: self.to_string(), reason };
+            dataset.keep_block(&Block::read(path)?).map_err(wrong)?;
+        }
         if let Self::Folder(_) = self {
             for finding in Report::of(&dataset, Effort::Quick)?.findings {
                 tracing::warn!("{finding}");

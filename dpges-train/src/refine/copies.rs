@@ -12,6 +12,7 @@ use super::add::draw_in_proportion;
 use super::children::{rotation, vector};
 use super::prune::drawn;
 use super::{RowEdit, normal};
+use crate::dataset::block::Bounds;
 
 /// Least opacity that is left to a copy: five times what is cut off, so that a copy is hardly narrower than its source.
 const LEAST_OPACITY: f32 = 5.0 / 255.0;
@@ -33,9 +34,15 @@ pub struct Renewal {
 /// As many copies as it takes to have `target` Gaussians, after those that draw nothing have left. If more than `target` draw,
 /// those that answer for the least error leave too.
 ///
-/// Sources are drawn in proportion to `errors` `[M]`, what each answers for, or to o / (1 + o) if that is not known. A source
+/// Sources lie within `bounds` and are drawn in proportion to `errors` `[M]`, what each answers for, or to o / (1 + o) if that is not known. A source
 /// and its copies share its opacity, and copies are shifted by 0.5 R diag(s) N(0, I) (`shift` true).
-pub fn renew(gaussians: &GaussianData, errors: &[f32], target: usize, shift: bool, rng: &mut ChaCha8Rng) -> Renewal {
+pub fn renew(
+    gaussians: &GaussianData,
+    errors: &[f32],
+    (target, bounds): (usize, Bounds),
+    shift: bool,
+    rng: &mut ChaCha8Rng,
+) -> Renewal {
     let rows = most_useful(drawn(&gaussians.opacities), errors, target);
     let kept: Vec<f32> = rows.keep.iter().map(|&row| gaussians.opacities[row]).collect();
     let known = rows.keep.iter().any(|&row| errors[row] > 0.0);
@@ -43,6 +50,9 @@ pub fn renew(gaussians: &GaussianData, errors: &[f32], target: usize, shift: boo
         true => rows.keep.iter().map(|&row| errors[row]).collect(),
         false => kept.iter().map(|opacity| opacity / (1.0 + opacity)).collect(),
     };
+    let (positions, _) = gaussians.positions.as_chunks::<3>();
+    let beyond = rows.keep.iter().map(|&row| !bounds.contains(positions[row]));
+    weights.iter_mut().zip(beyond).filter(|(_, beyond)| *beyond).for_each(|(weight, _)| *weight = 0.0);
     let most_members = |opacity: f32| ((opacity / LEAST_OPACITY) as usize).max(1);
     let mut members = vec![1; kept.len()];
     let mut sources = Vec::new();
@@ -120,7 +130,7 @@ mod tests {
     #[test]
     fn sources_share_their_opacity_and_errors_choose_them() {
         let old = gaussians(&[0.6, 0.001, 1.2, -0.3, 0.3]);
-        let new = renew(&old, &[1.0, 9.0, 0.0, 9.0, 0.0], 5, false, &mut rng());
+        let new = renew(&old, &[1.0, 9.0, 0.0, 9.0, 0.0], (5, Bounds::ALL), false, &mut rng());
         assert_eq!((&new.rows.keep[..], new.copies.len()), (&[0, 2, 4][..], 2));
         assert!((new.opacities[0] - 0.2).abs() < 1e-6 && new.opacities[1..] == [1.2, 0.3], "{:?}", new.opacities);
         assert_eq!(new.copies.positions, [0.0; 6]);
@@ -132,7 +142,7 @@ mod tests {
         let mut random = rng();
         let old = gaussians(&(0..200).map(|i| 0.004 + 0.01 * i as f32).collect::<Vec<_>>());
         let errors: Vec<f32> = (0..200).map(|i| (i % 7) as f32).collect();
-        let new = renew(&old, &errors, 900, true, &mut random);
+        let new = renew(&old, &errors, (900, Bounds::ALL), true, &mut random);
         let after = new.opacities.iter().chain(&new.copies.opacities).sum::<f32>();
         assert!((after - old.opacities.iter().sum::<f32>()).abs() < 1e-3);
         assert_eq!(new.rows.keep.len() + new.copies.len(), 900);
@@ -155,7 +165,7 @@ mod tests {
     fn pictures_stay_as_they_were() {
         let mut old = gaussians(&[0.75, 2.0]);
         old.log_scales = vec![3.0; 6];
-        let new = renew(&old, &[1.0, 0.0], 4, false, &mut rng());
+        let new = renew(&old, &[1.0, 0.0], (4, Bounds::ALL), false, &mut rng());
         let mut after = GaussianData { opacities: new.opacities, ..old.select(&new.rows.keep) };
         after.append(new.copies);
         assert_eq!(after.opacities, [0.25, 2.0, 0.25, 0.25]);
@@ -168,28 +178,28 @@ mod tests {
 
     #[test]
     fn faint_gaussians_have_no_copies() {
-        let new = renew(&gaussians(&[0.021, 0.0393]), &[1.0; 2], 50, true, &mut rng());
+        let new = renew(&gaussians(&[0.021, 0.0393]), &[1.0; 2], (50, Bounds::ALL), true, &mut rng());
         assert_eq!((new.rows.keep.len(), new.copies.len()), (2, 1));
-        let none = renew(&gaussians(&[]), &[], 50, true, &mut rng());
+        let none = renew(&gaussians(&[]), &[], (50, Bounds::ALL), true, &mut rng());
         assert_eq!((none.rows.keep.len(), none.copies.len()), (0, 0));
     }
 
     #[test]
     fn without_errors_the_opaque_have_more_copies() {
-        let new = renew(&gaussians(&[9.0, 1.0]), &[0.0; 2], 142, false, &mut rng());
+        let new = renew(&gaussians(&[9.0, 1.0]), &[0.0; 2], (142, Bounds::ALL), false, &mut rng());
         let of_first = new.copies.positions.chunks(3).filter(|position| position[0] == 0.0).count();
         assert!((75..=105).contains(&of_first), "{of_first}");
     }
 
     #[test]
     fn beyond_the_target_those_that_answer_for_least_leave() {
-        let new = renew(&gaussians(&[0.5, 0.5, 0.0, 0.5]), &[0.2, 0.1, 5.0, 0.3], 2, true, &mut rng());
+        let new = renew(&gaussians(&[0.5, 0.5, 0.0, 0.5]), &[0.2, 0.1, 5.0, 0.3], (2, Bounds::ALL), true, &mut rng());
         assert_eq!((&new.rows.keep[..], new.copies.len()), (&[0, 3][..], 0));
     }
 
     #[test]
     fn copies_lie_within_their_source() {
-        let new = renew(&gaussians(&[1e3]), &[1.0], 20_001, true, &mut rng());
+        let new = renew(&gaussians(&[1e3]), &[1.0], (20_001, Bounds::ALL), true, &mut rng());
         let spread = |axis: usize| {
             let squares = new.copies.positions.chunks(3).map(|position| f64::from(position[axis]).powi(2));
             (squares.sum::<f64>() / new.copies.len() as f64).sqrt()

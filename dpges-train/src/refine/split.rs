@@ -6,23 +6,26 @@ use rand_chacha::ChaCha8Rng;
 use super::children::children;
 use super::margins::NEIGHBOURS;
 use super::{GaussianEdit, RowEdit};
+use crate::dataset::block::Bounds;
 use crate::refine::neighbours::{as_points, nearest_to};
 
 /// Splits Gaussians whose mean scale exceeds `factor` × the mean of `margins` `[N]` (world units)
 /// over the 16 surfels of `surfel_positions` [N × 3] nearest to them. The parent is
 /// replaced by two children at `μ + R · N(0, diag s²)`, with its scales / 1.6 and otherwise its parameters.
 ///
-/// At most `room` Gaussians are split, those that exceed their limit most; each adds one row. Without surfels none is split.
-/// Returns also how many exceed it.
+/// At most as many Gaussians are split as there is room for, those within bounds that exceed their limit most; each adds one
+/// row. Without surfels none is split. Returns also how many exceed it.
 pub fn split(
     gaussians: &GaussianData,
     surfel_positions: &[f32],
     margins: &[f32],
     factor: f64,
-    room: usize,
+    (room, bounds): (usize, Bounds),
     rng: &mut ChaCha8Rng,
 ) -> (GaussianEdit, usize) {
     let mut parents = parents(gaussians, surfel_positions, margins, factor);
+    let (positions, _) = gaussians.positions.as_chunks::<3>();
+    parents.retain(|&row| bounds.contains(positions[row]));
     let too_large = parents.len();
     parents.truncate(room);
     parents.sort_unstable();
@@ -82,7 +85,7 @@ mod tests {
     #[test]
     fn the_large_are_replaced_by_two_smaller() {
         let old = gaussians(&[0.9, 1.1, 0.5, 5.0]);
-        let (edit, too_large) = split(&old, &[0.0; 9], &[1.0, 1.0, 1.0], 2.0, 10, &mut rng());
+        let (edit, too_large) = split(&old, &[0.0; 9], &[1.0, 1.0, 1.0], 2.0, (10, Bounds::ALL), &mut rng());
         assert_eq!((&edit.rows.keep, too_large), (&vec![0, 2], 2));
         assert_eq!(edit.added.opacities, [1.0, 1.0, 3.0, 3.0]);
         assert!((edit.added.log_scales[0] - (4.4f32 / 1.6).ln()).abs() < 1e-6);
@@ -94,17 +97,18 @@ mod tests {
 
     #[test]
     fn room_goes_to_those_that_exceed_most() {
-        let (edit, too_large) = split(&gaussians(&[3.0, 2.0, 5.0]), &[0.0; 3], &[1.0], 1.0, 2, &mut rng());
+        let (edit, too_large) =
+            split(&gaussians(&[3.0, 2.0, 5.0]), &[0.0; 3], &[1.0], 1.0, (2, Bounds::ALL), &mut rng());
         assert_eq!((edit.rows.keep, too_large), (vec![1], 3));
-        let (edit, too_large) = split(&gaussians(&[3.0, 2.0]), &[0.0; 3], &[1.0], 1.0, 0, &mut rng());
+        let (edit, too_large) = split(&gaussians(&[3.0, 2.0]), &[0.0; 3], &[1.0], 1.0, (0, Bounds::ALL), &mut rng());
         assert_eq!((edit.rows.keep.len(), edit.added.len(), too_large), (2, 0, 2));
     }
 
     #[test]
     fn without_surfels_or_gaussians_nothing_is_split() {
-        let (edit, _) = split(&gaussians(&[3.0, 2.0]), &[], &[], 2.0, 10, &mut rng());
+        let (edit, _) = split(&gaussians(&[3.0, 2.0]), &[], &[], 2.0, (10, Bounds::ALL), &mut rng());
         assert_eq!((edit.rows.keep.len(), edit.added.len()), (2, 0));
-        let (edit, _) = split(&gaussians(&[]), &[0.0; 3], &[1.0], 2.0, 10, &mut rng());
+        let (edit, _) = split(&gaussians(&[]), &[0.0; 3], &[1.0], 2.0, (10, Bounds::ALL), &mut rng());
         assert_eq!(edit, GaussianEdit { added: GaussianData::neutral(MODEL, 0), ..GaussianEdit::default() });
     }
 }

@@ -28,6 +28,7 @@
 //! files.
 
 pub mod checkpoint;
+pub mod child;
 pub mod description;
 mod error;
 #[cfg(test)]

@@ -102,6 +102,7 @@ pub fn last_stage(config: Config, dataset: Dataset, done: f64, device: &Device) 
         poses: PoseState::default(),
         depth: None,
         photographs,
+        surroundings: None,
         budget,
     };
     (plan, context)

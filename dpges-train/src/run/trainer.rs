@@ -3,6 +3,7 @@
 #[cfg(test)]
 mod tests;
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use burn::tensor::Device;
@@ -20,7 +21,7 @@ use crate::dataset::Dataset;
 use crate::device::place::Place;
 use crate::stage::{
     self, BeforeStep, Context, DevicePhotographs, Parameters, PendingStep, Settled, Stage, StageCheckpoint, StepReport,
-    TrainError, Trained, begin_step, budget,
+    Surroundings, TrainError, Trained, begin_step, budget,
 };
 use crate::views::corrections::ViewCorrections;
 use crate::views::exposure::ExposureState;
@@ -49,7 +50,9 @@ impl Trainer {
     /// configuration names cannot take the place of a stage, [`TrainError::Plan`] if the plan lacks something else.
     pub fn new(config: Config, dataset: Arc<Dataset>, place: impl Into<Place>) -> Result<Self, TrainError> {
         let plan = config.plan();
-        let mut context = Self::context(config, dataset, place.into());
+        let place = place.into();
+        let surroundings = Surroundings::read(&config, &dataset, &place)?;
+        let mut context = Context { surroundings, ..Self::context(config, dataset, place) };
         context.check_plan(&plan)?;
         context.exposure = context.start_of_exposure()?;
         context.poses = context.start_of_poses();
@@ -86,6 +89,7 @@ impl Trainer {
             poses: PoseState::default(),
             depth: None,
             photographs,
+            surroundings: None,
             budget,
         }
     }
@@ -112,8 +116,9 @@ impl Trainer {
             .map_err(|reason| TrainError::Resume { reason })?;
         let poses = PoseState::from_rows(&mut attributes, &mut columns, &dataset)
             .map_err(|reason| TrainError::Resume { reason })?;
+        let surroundings = Surroundings::read(&config, &dataset, &place)?;
         let context = Self::context(config, dataset, place);
-        let mut context = Context { rng, remaining_views, completed_steps, exposure, poses, ..context };
+        let mut context = Context { rng, remaining_views, completed_steps, exposure, poses, surroundings, ..context };
         context.depth = context.start_of_depth();
         context.place_cameras();
         let of_stage = StageCheckpoint { info, growth, attributes, columns, max_pixels };
@@ -250,6 +255,14 @@ impl Trainer {
     /// The scene as it stands. All ranks ask for it together.
     pub fn scene(&self) -> SceneData {
         self.stage.scene()
+    }
+
+    /// `scene`, of this run, as it is to be looked at: a block with what is around it.
+    pub fn complete<'a>(&self, scene: &'a SceneData) -> Cow<'a, SceneData> {
+        match &self.context.surroundings {
+            Some(around) => Cow::Owned(around.complete(scene)),
+            None => Cow::Borrowed(scene),
+        }
     }
 
     /// The state of the validation views.

@@ -227,7 +227,7 @@ impl Run {
 
     fn renderer(&self, scene: &SceneData) -> Renderer {
         let place = Place { device: self.trainer.device().clone(), ranks: Arc::clone(self.trainer.ranks()) };
-        Renderer::on_ranks(scene, &place)
+        Renderer::on_ranks(&self.trainer.complete(scene), &place)
     }
 
     /// Evaluates the held-out views and writes pictures of a few; `None` if there are none.

@@ -195,6 +195,7 @@ impl JointStage {
             statistics_before: None,
             supervisions: discs.map(|discs| Supervisions::new(&discs, context)).transpose()?,
             growth,
+            surroundings: context.surroundings.clone(),
             info,
         })
     }

@@ -11,7 +11,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::config::{Budget, Config, StagePlan};
 use crate::dataset::{Dataset, MOST_PREFETCHED, prefetch};
-use crate::stage::{DevicePhotographs, Stage};
+use crate::stage::{DevicePhotographs, Stage, Surroundings};
 use crate::views::depth::DepthMaps;
 use crate::views::exposure::ExposureState;
 use crate::views::pose::PoseState;
@@ -37,6 +37,8 @@ pub struct Context {
     pub depth: Option<DepthMaps>,
     /// Photographs that stay on a GPU.
     pub photographs: DevicePhotographs,
+    /// The scene around a block; `None` if the run trains all.
+    pub surroundings: Option<Arc<Surroundings>>,
     /// The largest number of surfels and Gaussians together: that of the [cameras as they were recorded](budget), wherever
     /// they have moved since.
     pub budget: usize,

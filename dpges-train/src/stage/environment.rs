@@ -177,6 +177,7 @@ mod tests {
             poses: PoseState::default(),
             depth: None,
             photographs,
+            surroundings: None,
         };
         context.start_of_environment().unwrap()
     }

@@ -16,6 +16,7 @@ mod pretrained;
 mod report;
 mod sampling_limit;
 mod step;
+mod surroundings;
 mod weighted_sum;
 
 use std::sync::Arc;
@@ -39,6 +40,7 @@ pub use pending::{PendingStep, Settled};
 pub use photographs::DevicePhotographs;
 pub use report::StepReport;
 pub use step::{StepInput, begin_step};
+pub use surroundings::Surroundings;
 pub use weighted_sum::WeightedSumState;
 
 /// The training of one kind of scene. `completed` is the number of steps of this stage that are done.

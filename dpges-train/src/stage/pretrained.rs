@@ -41,6 +41,13 @@ impl Context {
         let has_discs = plan.iter().any(|stage| stage.kind == StageKind::Blended(Blended::Discs))
             || surfels.is_some_and(|scene| scene.info.rendering == Rendering::Discs);
         let joint = plan.iter().any(|stage| stage.kind == StageKind::Joint);
+        if self.config.block().is_some() && plan.iter().any(|stage| stage.kind != StageKind::Joint) {
+            return Err(TrainError::Plan(
+                "a block (train.block) is trained by the joint stage alone: name what it begins with in \
+                 stages.surfels_from and stages.gaussians_from"
+                    .into(),
+            ));
+        }
         let renders_discs = plan.iter().any(|stage| stage.kind == StageKind::Blended(Blended::Discs))
             || (joint && has_discs && self.config.train.has_geometry_losses());
         let meets_rays =

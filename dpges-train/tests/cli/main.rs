@@ -1,6 +1,7 @@
 //! The `dpges` binary as a process: exit codes, messages, files.
 
 mod benchmark;
+mod blocks;
 mod devices;
 #[cfg(unix)]
 mod interruption;

@@ -6,10 +6,10 @@ use clap::builder::PossibleValuesParser;
 use clap::{Args, value_parser};
 use dpges_train::dataset::source::Source;
 use dpges_train::device::DeviceRequest;
+use dpges_train::run::child::end_with_the_other;
 use dpges_train::study::benchmark::layout::Asked;
 use dpges_train::study::benchmark::protocol::Protocol;
 use dpges_train::study::benchmark::published::{PUBLISHED, WAYS};
-use dpges_train::study::benchmark::side_by_side::end_with_the_other;
 use dpges_train::study::benchmark::{Benchmark, Request};
 
 use super::Training;

@@ -96,7 +96,7 @@ fn train(args: TrainArgs, style: LogStyle, job: &Job) -> Result<String> {
 }
 
 /// Ends the other ranks of a job that cannot go on without this one.
-fn give_up(job: &Job, reason: &str) {
+pub fn give_up(job: &Job, reason: &str) {
     if !job.ranks.is_alone() {
         // in one piece beside those of other ranks
         let line = format!("rank {} of {}: {reason}\n", job.ranks.rank(), job.ranks.count());

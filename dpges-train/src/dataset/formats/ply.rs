@@ -1,16 +1,20 @@
 //! Point clouds in PLY files, ASCII or binary: positions and optional colours.
 
+use std::fmt;
+use std::fs::File;
+use std::io::{BufRead, BufReader};
 use std::path::Path;
 
 use glam::DVec3;
-use serde::Deserialize;
+use serde::de::{SeqAccess, Visitor};
+use serde::{Deserialize, Deserializer};
 use serde_ply::{DeserializeError, ElementDef, PlyReader, PropertyType, ScalarType};
 
 use super::source::RawPoints;
-use crate::dataset::error::{DatasetError, Result, read};
+use crate::dataset::error::{DatasetError, Result};
 
 /// Colour of points without one in the file.
-const GREY: f64 = 0.5;
+const GREY: f32 = 0.5;
 
 #[derive(Deserialize)]
 struct Vertex {
@@ -18,11 +22,11 @@ struct Vertex {
     y: f64,
     z: f64,
     #[serde(default)]
-    red: Option<f64>,
+    red: Option<f32>,
     #[serde(default)]
-    green: Option<f64>,
+    green: Option<f32>,
     #[serde(default)]
-    blue: Option<f64>,
+    blue: Option<f32>,
 }
 
 /// A row of an element that is skipped.
@@ -35,26 +39,54 @@ struct Skipped {}
 /// # Errors
 /// [`DatasetError::Read`], [`DatasetError::Ply`], [`DatasetError::Malformed`] for coordinates that are not finite.
 pub(super) fn points(path: &Path) -> Result<RawPoints> {
-    let data = read(path)?;
-    let (vertices, colour_scale) =
-        vertices(&data).map_err(|source| DatasetError::Ply { path: path.to_owned(), source })?;
-    let mut points = RawPoints::default();
-    for (index, vertex) in vertices.iter().enumerate() {
-        let position = DVec3::new(vertex.x, vertex.y, vertex.z);
-        if !position.as_vec3().is_finite() {
-            let what = format!("the position of vertex {index}");
-            return Err(DatasetError::malformed(path, what, position, "finite coordinates"));
-        }
-        let colour = [vertex.red, vertex.green, vertex.blue]
-            .map(|channel| channel.map_or(GREY, |value| (value * colour_scale).clamp(0.0, 1.0)) as f32);
-        points.positions.push(position);
-        points.colours.push(colour);
-        points.seen_by.push(Vec::new());
+    let file = File::open(path).map_err(|source| DatasetError::Read { path: path.to_owned(), source })?;
+    let (Rows { positions, mut colours }, colour_scale) =
+        vertices(BufReader::new(file)).map_err(|source| DatasetError::Ply { path: path.to_owned(), source })?;
+    if let Some((index, position)) = positions.iter().enumerate().find(|(_, position)| !position.as_vec3().is_finite())
+    {
+        let what = format!("the position of vertex {index}");
+        return Err(DatasetError::malformed(path, what, position, "finite coordinates"));
     }
-    Ok(points)
+    for channel in colours.as_flattened_mut() {
+        *channel = if channel.is_nan() { GREY } else { (f64::from(*channel) * colour_scale).clamp(0.0, 1.0) as f32 };
+    }
+    Ok(RawPoints { positions, colours, seen_by: Vec::new() })
 }
 
-fn vertices(data: &[u8]) -> Result<(Vec<Vertex>, f64), DeserializeError> {
+/// All vertices, read one by one: large captures have tens of millions.
+#[derive(Default)]
+struct Rows {
+    positions: Vec<DVec3>,
+    /// As in the file; NaN where there is none.
+    colours: Vec<[f32; 3]>,
+}
+
+impl<'de> Deserialize<'de> for Rows {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> std::result::Result<Self, D::Error> {
+        struct Reader;
+
+        impl<'de> Visitor<'de> for Reader {
+            type Value = Rows;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("vertices")
+            }
+
+            fn visit_seq<A: SeqAccess<'de>>(self, mut vertices: A) -> std::result::Result<Rows, A::Error> {
+                let mut rows = Rows::default();
+                while let Some(Vertex { x, y, z, red, green, blue }) = vertices.next_element()? {
+                    rows.positions.push(DVec3::new(x, y, z));
+                    rows.colours.push([red, green, blue].map(|channel| channel.unwrap_or(f32::NAN)));
+                }
+                Ok(rows)
+            }
+        }
+
+        deserializer.deserialize_seq(Reader)
+    }
+}
+
+fn vertices(data: impl BufRead) -> std::result::Result<(Rows, f64), DeserializeError> {
     let mut reader = PlyReader::from_reader(data)?;
     while let Some(element) = reader.current_element() {
         if element.name == "vertex" {

@@ -45,7 +45,7 @@ pub(in crate::dataset) struct DepthFile {
 pub(in crate::dataset) struct RawPoints {
     pub positions: Vec<DVec3>,
     pub colours: Vec<[f32; 3]>,
-    /// Indices into [`Source::frames`], ascending.
+    /// Indices into [`Source::frames`], ascending; none at all if unknown.
     pub seen_by: Vec<Vec<u32>>,
 }
 

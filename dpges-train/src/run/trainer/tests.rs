@@ -1,5 +1,6 @@
 //! Runs by single steps, on the built-in scene.
 
+mod blocks;
 mod depth;
 mod exposure;
 mod poses;

@@ -27,7 +27,7 @@ use dpges_core::scene::{Rendering, SceneData, SceneInfo};
 
 use super::{
     Context, EnvironmentState, ForwardPass, Leaves, Observed, Parameters, Stage, StageCheckpoint, StepInput, StepRates,
-    TrainError,
+    Surroundings, TrainError,
 };
 use crate::config::{Config, OpacityActivation, StagePlan};
 use crate::init::InitialScene;
@@ -65,6 +65,8 @@ pub struct JointStage {
     pub supervisions: Option<Supervisions>,
     /// Growth decisions of an automatic budget; `None` before the first, and with a fixed budget.
     pub growth: Option<Growth>,
+    /// `None` unless the run trains a block.
+    pub surroundings: Option<Arc<Surroundings>>,
 }
 
 impl JointStage {
@@ -95,6 +97,7 @@ impl JointStage {
             statistics_before: None,
             supervisions,
             growth: None,
+            surroundings: context.surroundings.clone(),
         }
     }
 
@@ -149,7 +152,10 @@ impl Stage for JointStage {
     }
 
     fn forward(&self, leaves: &Leaves, input: &StepInput<'_>, context: &Context) -> dpges_core::Result<ForwardPass> {
-        let (surfels, gaussians) = (&self.drawn_surfels(&leaves.surfels), &self.drawn_gaussians(&leaves.gaussians));
+        let own = (self.drawn_surfels(&leaves.surfels), self.drawn_gaussians(&leaves.gaussians));
+        let all = self.surroundings.as_ref().map(|around| around.on_tape(&own.0, &own.1));
+        let (own_surfels, own_gaussians) = &own;
+        let (surfels, gaussians) = all.as_ref().unwrap_or(&own);
         let camera = &input.view.camera;
         let options = self.render_options(&context.config);
         let ranks = &*self.dealt.ranks;
@@ -161,16 +167,23 @@ impl Stage for JointStage {
         rendered.composite.image = input.photographed(rendered.composite.image);
         rendered.composite.surfel_image = input.photographed(rendered.composite.surfel_image);
         let mut statistics = self.statistics.clone();
-        statistics.observe(&rendered, gaussians, camera, &input.target, &self.schedule, input.completed)?;
+        statistics.observe(
+            &rendered,
+            own_gaussians,
+            surfels.len(),
+            camera,
+            &input.target,
+            (&self.schedule, input.completed),
+        )?;
         let weights = loss_weights(&context.config);
-        let mut losses = losses(&rendered, surfels.log_scales.clone(), input.target.clone(), &weights)?;
+        let mut losses = losses(&rendered, own_surfels.log_scales.clone(), input.target.clone(), &weights)?;
         let mask = input.target.mask.as_ref();
         let of_counted = |mean: Tensor<1>| mask.map_or(mean.clone(), |mask| mask.of_counted(mean));
         let train = &context.config.train;
         if leaves.environment.is_some() && !self.dealt.is_empty() {
-            let opacity = self.dealt.mean(gaussians.opacities.clone().abs()) * train.lambda_opacity;
-            let scale =
-                self.dealt.mean(gaussians.log_scales.clone().exp()) * (train.lambda_gaussian_scale / self.info.extent);
+            let opacity = self.dealt.mean(own_gaussians.opacities.clone().abs()) * train.lambda_opacity;
+            let scale = self.dealt.mean(own_gaussians.log_scales.clone().exp())
+                * (train.lambda_gaussian_scale / self.info.extent);
             losses.total = losses.total + opacity + scale;
         }
         let sky = match &self.sky {
@@ -231,7 +244,10 @@ impl Stage for JointStage {
             detail: optimizer.detail * decay,
         };
         let surfels = if config.train.freeze_surfels { gaussians.of_colours() } else { gaussians };
-        StepRates { surfels, gaussians, environment: optimizer.environment * decay, weighted_sum: [0.0; 3] }
+        // what is behind everything is that of all blocks
+        let is_given = self.surroundings.as_ref().is_some_and(|around| around.scene.environment.is_some());
+        let environment = if is_given { 0.0 } else { optimizer.environment * decay };
+        StepRates { surfels, gaussians, environment, weighted_sum: [0.0; 3] }
     }
 
     fn checkpoint(&self) -> StageCheckpoint {

@@ -14,6 +14,7 @@ use super::JointStage;
 use super::schedule::Due;
 use crate::config::{Budget, NewGaussians};
 use crate::dataset::View;
+use crate::dataset::block::Bounds;
 use crate::refine::add::{batch_size, draw_in_proportion, new_gaussians};
 use crate::refine::copies::{Renewal, renew};
 use crate::refine::margins::margins;
@@ -107,7 +108,9 @@ impl JointStage {
         let before = self.dealt.len();
         let factor = context.config.refine.split_factor;
         let gaussians = self.dealt.all_data(self.gaussians.to_data());
-        let (edit, too_large) = split(&gaussians, &surfels.positions, &surfels.margins, factor, room, &mut context.rng);
+        let limits = (room, self.bounds());
+        let (edit, too_large) =
+            split(&gaussians, &surfels.positions, &surfels.margins, factor, limits, &mut context.rng);
         self.edit_gaussians(&edit, context);
         format!("{} of {too_large} Gaussians split that are too large, of {before}", self.dealt.len() - before)
     }
@@ -147,7 +150,8 @@ impl JointStage {
         let target = wanted.min(context.budget.saturating_sub(self.surfels.len()));
         let gaussians = self.dealt.all_data(self.gaussians.to_data());
         let errors = self.dealt.all_of(self.statistics.errors(), 1);
-        let Renewal { rows, opacities, copies } = renew(&gaussians, &errors, target, true, &mut context.rng);
+        let Renewal { rows, opacities, copies } =
+            renew(&gaussians, &errors, (target, self.bounds()), true, &mut context.rng);
         self.edit_gaussians(&GaussianEdit { rows, added: GaussianData::neutral(self.info.colour_model, 0) }, context);
         self.gaussians.set_opacities(&self.dealt.own_of(&opacities, 1));
         let rows = RowEdit::keep_all(self.dealt.len());
@@ -180,8 +184,14 @@ impl JointStage {
                 camera.unproject(x, y, f64::from(depths[pixel])).as_vec3().to_array()
             }));
         }
+        positions.retain(|&position| self.bounds().contains(position));
         let largest = (MAX_ADDED_SCALE * self.info.extent) as f32;
         Ok(new_gaussians(&positions, largest, self.info.colour_model, &mut context.rng))
+    }
+
+    /// Where Gaussians may be added.
+    fn bounds(&self) -> Bounds {
+        self.surroundings.as_ref().map_or(Bounds::ALL, |around| around.bounds)
     }
 
     /// Number of primitives of all ranks.
@@ -202,7 +212,9 @@ impl JointStage {
     /// # Errors
     /// [`TrainError::Core`] if it cannot be rendered.
     pub fn render_view(&self, context: &Context, view: &View) -> Result<Render, TrainError> {
-        let (surfels, gaussians) = self.drawn_values();
+        let own = self.drawn_values();
+        let (surfels, gaussians) =
+            self.surroundings.as_ref().map_or_else(|| own.clone(), |around| around.values(&own.0, &own.1));
         let options = self.render_options(&context.config);
         let (camera, ranks) = (&view.camera, &*self.dealt.ranks);
         let rendered = render_on_ranks(&surfels, &gaussians, camera, None, &options, Values::KnownFinite, ranks)?;

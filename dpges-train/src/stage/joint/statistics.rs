@@ -79,8 +79,9 @@ impl Statistics {
         (self.max_contributions, self.errors) = (fresh.max_contributions, fresh.errors);
     }
 
-    /// Adds one view rendered from `gaussians` on a tape and its photograph, as far as `schedule` needs it after
-    /// `completed_steps`.
+    /// Adds one view and its photograph, as far as a schedule needs it after a number of completed steps. It was rendered from
+    /// `surfels` surfels, the first of which are those of the stage, and from the `gaussians` of the stage, on a tape, and
+    /// others after them.
     ///
     /// # Errors
     /// [`dpges_core::Error`] if the render belongs to other Gaussians.
@@ -88,15 +89,19 @@ impl Statistics {
         &mut self,
         render: &Render,
         gaussians: &Gaussians,
+        surfels: usize,
         camera: &Camera,
         target: &Target,
-        schedule: &Schedule,
-        completed_steps: usize,
+        (schedule, completed_steps): (&Schedule, usize),
     ) -> dpges_core::Result<()> {
         let later = |steps: &[usize]| steps.last().is_some_and(|&last| completed_steps < last);
-        let [surfels] = self.max_pixels.dims();
-        if surfels > 0 && later(&schedule.surfel_prune) {
-            self.max_pixels = self.max_pixels.clone().max_pair(coverage(&render.layers, surfels));
+        let [own] = self.max_pixels.dims();
+        if own > 0 && later(&schedule.surfel_prune) {
+            let mut found = coverage(&render.layers, surfels);
+            if surfels > own {
+                found = found.slice([0..own]);
+            }
+            self.max_pixels = self.max_pixels.clone().max_pair(found);
         }
         let [count] = self.errors.dims();
         let prunes = later(&schedule.gaussian_prune);
@@ -107,7 +112,10 @@ impl Statistics {
         let gaussians = gaussians.map_ref(|_, values| values.clone().inner());
         let (limits, gates) = (render.limits.clone().inner(), gates(render));
         if prunes {
-            let colours = render.gaussian_colours.clone().inner();
+            let mut colours = render.gaussian_colours.clone().inner();
+            if colours.dims()[0] > count {
+                colours = colours.slice([0..count, 0..3]);
+            }
             let found = contributions(&gaussians, &colours, &limits, &gates, camera)?;
             self.max_contributions = self.max_contributions.clone().max_pair(found);
         }

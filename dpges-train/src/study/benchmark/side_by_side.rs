@@ -3,7 +3,6 @@
 use std::collections::VecDeque;
 use std::ffi::OsString;
 use std::fs::OpenOptions;
-use std::io::Read;
 use std::process::{Command, Stdio};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,9 +11,8 @@ use std::time::Instant;
 use super::super::{Result, StudyError};
 use super::{Benchmark, LOG, Planned};
 use crate::device::DeviceRequest;
+use crate::run::child::FOR_ANOTHER;
 
-/// Set for a process that works on a cell for another one, which holds its standard input open.
-const FOR_ANOTHER: &str = "DPGES_BENCHMARK_CELL";
 /// Lines of the log of a failed cell that are repeated.
 const LAST_LINES: usize = 3;
 
@@ -114,17 +112,6 @@ impl Benchmark {
 fn last_lines(log: &str) -> String {
     let lines: Vec<&str> = log.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
     lines[lines.len().saturating_sub(LAST_LINES)..].join(" ")
-}
-
-/// Ends this process as soon as the one that it works for has ended, if there is one: a cell is trained by one process at a time.
-pub fn end_with_the_other() {
-    if std::env::var_os(FOR_ANOTHER).is_some() {
-        std::thread::spawn(|| {
-            let mut rest = Vec::new();
-            let _ = std::io::stdin().read_to_end(&mut rest);
-            std::process::exit(1);
-        });
-    }
 }
 
 #[cfg(test)]

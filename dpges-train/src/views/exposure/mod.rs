@@ -150,7 +150,8 @@ pub fn brightness_spread(dataset: &Dataset) -> Result<Option<f64>> {
     let points = &dataset.points;
     let mut seen = vec![Vec::new(); dataset.train.len()];
     for point in (0..points.positions.len()).step_by(points.positions.len().div_ceil(SAMPLED_POINTS).max(1)) {
-        points.seen_by[point].iter().for_each(|&view| seen[view as usize].push(point));
+        let views = points.seen_by.get(point).map(Vec::as_slice).unwrap_or_default();
+        views.iter().for_each(|&view| seen[view as usize].push(point));
     }
     let asked = dataset.train.iter().zip(&seen).filter(|(_, points)| points.len() >= FEWEST_POINTS);
     let asked: Vec<(&View, &Vec<usize>)> = asked.collect();
