@@ -99,7 +99,7 @@ impl Statistics {
         if own > 0 && later(&schedule.surfel_prune) {
             let mut found = coverage(&render.layers, surfels);
             if surfels > own {
-                found = found.slice([0..own]);
+                found = found.narrow(0, 0, own);
             }
             self.max_pixels = self.max_pixels.clone().max_pair(found);
         }
