@@ -79,7 +79,7 @@ pub(super) fn children_primitives(index: &Index, cell: usize) -> usize {
     index.cells[cell].children.iter().map(|&child| index.cells[child].primitives()).sum()
 }
 
-/// What a camera sees of boxes.
+/// A camera that measures boxes.
 struct View<'a> {
     camera: &'a Camera,
     eye: DVec3,

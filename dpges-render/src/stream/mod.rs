@@ -67,7 +67,7 @@ pub struct LoadedCell(PackedCell);
 /// Makes of the `bytes` of `cell` what [`Stream::take`] takes. Slow: made for another thread.
 ///
 /// # Errors
-/// What is wrong with the bytes.
+/// A message that names the fault of the bytes.
 pub fn decode(index: &Index, cell: usize, bytes: &[u8]) -> Result<LoadedCell, String> {
     let scene = index.cell(cell, bytes).map_err(|error| error.to_string())?;
     Ok(LoadedCell(PackedCell::new(&scene)))

@@ -68,7 +68,7 @@ struct Failure {
     reason: String,
 }
 
-/// What the caller has to do after an update.
+/// Loads and drops that an update asks the caller for.
 #[derive(Debug, Default, PartialEq)]
 pub(super) struct Orders {
     /// Cells to load, the most urgent first.

@@ -1,4 +1,4 @@
-//! What has to be there before anything of a scene in levels of detail is shown.
+//! The part of a scene in levels of detail that is loaded first: index, sky, coarsest level.
 
 use dpges_core::scene::lod::{Index, Part};
 use dpges_core::scene::{GaussianData, Rendering, SceneData, SurfelData};

@@ -43,7 +43,7 @@ impl World {
         orders.load.len()
     }
 
-    /// What holds at any time: the budget, and that every way from a root to a leaf is covered once in all.
+    /// Checks the invariants: the budget holds, and every way from a root to a leaf is covered once in all.
     fn check(&self) {
         let (residency, index) = (&self.residency, &self.residency.index);
         let of =

@@ -19,7 +19,7 @@ const SAMPLED_POINTS: usize = 100_000;
 /// Longest side of the pictures that are rendered for their shares, px.
 const LONGEST_PX: usize = 96;
 
-/// What shares of pictures are measured by.
+/// Measure of the share of a picture that a block fills.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum MeasuredBy {

@@ -33,7 +33,7 @@ pub struct PlannedBlock {
 pub struct Plan {
     /// Absolute path of the dataset's folder, or `builtin`.
     pub dataset: String,
-    /// What the cameras of blocks were found by.
+    /// Measure by which the cameras of blocks were found.
     pub cameras_by: MeasuredBy,
     pub blocks: Vec<PlannedBlock>,
     /// Of the coarse run; those of blocks and of the merge follow from it.

@@ -56,7 +56,7 @@ impl Capture {
         Ok(paths)
     }
 
-    /// What is left to do, a line for each step.
+    /// The remaining work, a line for each step.
     pub fn progress(&self) -> String {
         let all = std::iter::once(Step::Coarse).chain(self.blocks()).chain([Step::Merge]);
         let line = |step: Step| {

@@ -50,11 +50,11 @@ impl fmt::Display for Step {
     }
 }
 
-/// What is left of a step.
+/// The remaining part of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Left {
     All,
-    /// What follows its checkpoint.
+    /// The steps after its checkpoint.
     Rest,
     Nothing,
 }
@@ -149,7 +149,7 @@ impl Capture {
         open().map_err(|source| Error::Io { action: "cannot lock", path: path.clone(), source }.into())
     }
 
-    /// What is left of a step whose predecessors are done.
+    /// The remaining part of a step whose predecessors are done.
     ///
     /// # Errors
     /// [`BlocksError::NoBlock`]; [`BlocksError::Missing`] names a step that comes before; [`BlocksError::OtherRun`] if its folder

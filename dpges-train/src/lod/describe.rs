@@ -1,4 +1,4 @@
-//! What is in a folder with a scene in levels of detail.
+//! Description of a folder with a scene in levels of detail.
 
 use std::path::Path;
 
@@ -36,7 +36,7 @@ pub fn is_lod(path: &Path) -> bool {
     path.join(INDEX).is_file()
 }
 
-/// What the folder `path` holds.
+/// Describes the folder `path`.
 ///
 /// # Errors
 /// The errors of [`Index::open`].
@@ -44,7 +44,7 @@ pub fn describe(path: &Path) -> Result<Description> {
     Ok(of(&Index::open(path)?))
 }
 
-/// What `index` says.
+/// Describes `index`.
 pub fn of(index: &Index) -> Description {
     let level = |level: u32| {
         let cells: Vec<&Cell> = index.level(level).map(|at| &index.cells[at]).collect();

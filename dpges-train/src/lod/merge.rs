@@ -69,7 +69,7 @@ fn whole(blobs: &[Blob], members: &[usize]) -> Option<Blob> {
     (!others.is_empty()).then_some(whole)
 }
 
-/// What each of `members` has of the mass of all.
+/// Share of each of `members` in the mass of all.
 fn shares(blobs: &[Blob], members: &[usize]) -> Vec<(usize, f64)> {
     let mass: f64 = members.iter().map(|&row| blobs[row].mass).sum();
     let share = |row: usize| if mass > 0.0 { blobs[row].mass / mass } else { 1.0 / members.len() as f64 };

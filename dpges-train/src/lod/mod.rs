@@ -68,7 +68,7 @@ pub enum LodError {
     Fit { level: u32, source: TrainError },
 }
 
-/// What a scene in levels of detail is made with.
+/// Options for making a scene in levels of detail.
 pub struct Options<'a> {
     /// At most in a cell of level 0; cells of other levels have about as many.
     pub cell_primitives: usize,

@@ -4,17 +4,12 @@ use std::str::FromStr;
 use std::sync::Arc;
 
 use burn::tensor::Device;
-use dpges_core::ranks::Alone;
 use dpges_core::scene::{BlendOrder, Rendering, SceneData, SceneInfo};
 use glam::DVec3;
-use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
 
 use crate::config::{Config, Method, StagePlan};
 use crate::dataset::{Dataset, Format, PointCloud, View};
-use crate::stage::{self, Context, DevicePhotographs};
-use crate::views::exposure::ExposureState;
-use crate::views::pose::PoseState;
+use crate::stage::Context;
 
 /// Which step is taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -88,22 +83,7 @@ pub fn dataset(info: &SceneInfo, train: Vec<View>) -> Dataset {
 /// A run of `config` on `dataset` that comes to its last stage, `done` (0 to 1) of which is over.
 pub fn last_stage(config: Config, dataset: Dataset, done: f64, device: &Device) -> (StagePlan, Context) {
     let plan = *config.plan().last().expect("a run has stages");
-    let photographs = DevicePhotographs::new(&config, device);
-    let budget = stage::budget(&config, &dataset);
-    let context = Context {
-        dataset: Arc::new(dataset),
-        config,
-        device: device.clone(),
-        ranks: Arc::new(Alone),
-        rng: ChaCha8Rng::seed_from_u64(0),
-        remaining_views: Vec::new(),
-        completed_steps: plan.begin + (done * plan.steps as f64) as usize,
-        exposure: ExposureState::default(),
-        poses: PoseState::default(),
-        depth: None,
-        photographs,
-        surroundings: None,
-        budget,
-    };
+    let mut context = Context::new(config, Arc::new(dataset), device.clone().into());
+    context.completed_steps = plan.begin + (done * plan.steps as f64) as usize;
     (plan, context)
 }

@@ -10,8 +10,6 @@ use burn::tensor::Device;
 use dpges_core::backend::device::is_gpu;
 use dpges_core::ranks::Ranks;
 use dpges_core::scene::SceneData;
-use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
 
 use super::checkpoint::{Checkpoint, RunState};
 use super::hash::Hash;
@@ -20,8 +18,8 @@ use crate::config::{Config, StagePlan};
 use crate::dataset::Dataset;
 use crate::device::place::Place;
 use crate::stage::{
-    self, BeforeStep, Context, DevicePhotographs, Parameters, PendingStep, Settled, Stage, StageCheckpoint, StepReport,
-    Surroundings, TrainError, Trained, begin_step, budget,
+    self, BeforeStep, Context, Parameters, PendingStep, Settled, Stage, StageCheckpoint, StepReport, Surroundings,
+    TrainError, Trained, begin_step,
 };
 use crate::views::corrections::ViewCorrections;
 use crate::views::exposure::ExposureState;
@@ -52,7 +50,7 @@ impl Trainer {
         let plan = config.plan();
         let place = place.into();
         let surroundings = Surroundings::read(&config, &dataset, &place)?;
-        let mut context = Context { surroundings, ..Self::context(config, dataset, place) };
+        let mut context = Context { surroundings, ..Context::new(config, dataset, place) };
         context.check_plan(&plan)?;
         context.exposure = context.start_of_exposure()?;
         context.poses = context.start_of_poses();
@@ -69,29 +67,7 @@ impl Trainer {
     /// # Errors
     /// [`TrainError::Pretrained`], [`TrainError::Plan`].
     pub fn check(config: &Config, dataset: &Arc<Dataset>, device: &Device) -> Result<(), TrainError> {
-        Self::context(config.clone(), Arc::clone(dataset), device.clone().into()).check_plan(&config.plan())
-    }
-
-    fn context(config: Config, dataset: Arc<Dataset>, place: Place) -> Context {
-        let Place { device, ranks } = place;
-        let rng = ChaCha8Rng::seed_from_u64(config.train.seed);
-        let photographs = DevicePhotographs::new(&config, &device);
-        let budget = budget(&config, &dataset);
-        Context {
-            dataset,
-            config,
-            device,
-            ranks,
-            rng,
-            remaining_views: Vec::new(),
-            completed_steps: 0,
-            exposure: ExposureState::default(),
-            poses: PoseState::default(),
-            depth: None,
-            photographs,
-            surroundings: None,
-            budget,
-        }
+        Context::new(config.clone(), Arc::clone(dataset), device.clone().into()).check_plan(&config.plan())
     }
 
     /// Goes on where `checkpoint`, with the Gaussians of all ranks, was made, by any number of ranks.
@@ -117,7 +93,7 @@ impl Trainer {
         let poses = PoseState::from_rows(&mut attributes, &mut columns, &dataset)
             .map_err(|reason| TrainError::Resume { reason })?;
         let surroundings = Surroundings::read(&config, &dataset, &place)?;
-        let context = Self::context(config, dataset, place);
+        let context = Context::new(config, dataset, place);
         let mut context = Context { rng, remaining_views, completed_steps, exposure, poses, surroundings, ..context };
         context.depth = context.start_of_depth();
         context.place_cameras();

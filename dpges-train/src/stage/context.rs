@@ -6,11 +6,13 @@ use burn::tensor::Device;
 use dpges_core::ranks::Ranks;
 use dpges_core::scene::{BlendOrder, Rendering, SceneInfo, ScreenFilter};
 use glam::Vec3;
+use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
 use crate::config::{Budget, Config, StagePlan};
 use crate::dataset::{Dataset, MOST_PREFETCHED, prefetch};
+use crate::device::place::Place;
 use crate::stage::{DevicePhotographs, Stage, Surroundings};
 use crate::views::depth::DepthMaps;
 use crate::views::exposure::ExposureState;
@@ -59,6 +61,29 @@ impl Context {
     pub fn before_step(&self) -> BeforeStep {
         let (rng, remaining_views) = (self.rng.clone(), self.remaining_views.clone());
         BeforeStep { rng, remaining_views, completed_steps: self.completed_steps, poses: self.poses.clone() }
+    }
+
+    /// The context of a run of `config` on `dataset` before its first step, without what its stages learn beside the scene.
+    pub fn new(config: Config, dataset: Arc<Dataset>, place: Place) -> Self {
+        let Place { device, ranks } = place;
+        let rng = ChaCha8Rng::seed_from_u64(config.train.seed);
+        let photographs = DevicePhotographs::new(&config, &device);
+        let budget = budget(&config, &dataset);
+        Self {
+            dataset,
+            config,
+            device,
+            ranks,
+            rng,
+            remaining_views: Vec::new(),
+            completed_steps: 0,
+            exposure: ExposureState::default(),
+            poses: PoseState::default(),
+            depth: None,
+            photographs,
+            surroundings: None,
+            budget,
+        }
     }
 
     /// Goes back to where the run stood: what came since is not part of it.

@@ -84,18 +84,27 @@ impl Context {
 
     /// Whether buffers of the device hold as many primitives as `stage` may have.
     fn check_room(&self, stage: &StagePlan) -> Result<(), TrainError> {
-        let of_ranks = if stage.kind == StageKind::Joint { self.ranks.count() } else { 1 };
-        let most = self.drawn(stage.kind).most(&self.device).saturating_mul(of_ranks);
-        let wanted = self.budget as f64 * stage.budget_share;
-        if wanted.is_infinite() || wanted <= most as f64 {
-            return Ok(());
+        let joint = stage.kind == StageKind::Joint;
+        let of_surfels = if joint { self.config.stages.depth_surfels } else { 0.0 };
+        let of_ranks = if joint { self.ranks.count() } else { 1 };
+        // every rank has all surfels, and its part of the Gaussians
+        for (drawn, share, ranks) in
+            [(Drawn::Surfels, of_surfels, 1), (self.drawn(stage.kind), stage.budget_share, of_ranks)]
+        {
+            let most = drawn.most(&self.device).saturating_mul(ranks);
+            let wanted = self.budget as f64 * share;
+            if wanted.is_finite() && wanted > most as f64 {
+                let (wanted, bytes, fits) = (wanted as usize, largest_buffer(&self.device), most as f64 / share);
+                return Err(TrainError::Plan(format!(
+                    "the {} stage would hold {wanted} {}, and this device has room for {most}, since none of its buffers \
+                     has more than {bytes} bytes: set refine.budget to at most {}",
+                    stage.kind,
+                    if drawn == Drawn::Surfels { "surfels" } else { "primitives" },
+                    fits as usize
+                )));
+            }
         }
-        let (wanted, bytes, fits) = (wanted as usize, largest_buffer(&self.device), most as f64 / stage.budget_share);
-        Err(TrainError::Plan(format!(
-            "the {} stage would hold {wanted} primitives, and this device has room for {most}, since none of its buffers has \
-             more than {bytes} bytes: set refine.budget to at most {}",
-            stage.kind, fits as usize
-        )))
+        Ok(())
     }
 
     fn drawn(&self, kind: StageKind) -> Drawn {

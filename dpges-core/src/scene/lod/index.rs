@@ -1,4 +1,4 @@
-//! What `index.json` says.
+//! The content of `index.json`.
 
 use serde::{Deserialize, Serialize};
 
@@ -14,7 +14,7 @@ pub struct Index {
     pub format: String,
     /// [`VERSION`]
     pub version: u32,
-    /// What every cell is rendered with.
+    /// Rendering settings of all cells.
     pub settings: SceneInfo,
     /// A scene file without primitives, with the environment; `None` where there is only the background of the settings.
     pub sky: Option<Part>,

@@ -41,7 +41,7 @@ pub fn title(state: &mut State, ui: &mut Ui) {
     }
 }
 
-/// What is there of a scene in levels of detail.
+/// State of a scene in levels of detail: resident primitives, loads, failures.
 fn streamed(stream: &StreamStatus) -> String {
     let StreamStatus { resident, budget, loading, failed, .. } = stream;
     let mut text = format!("{resident} of at most {budget} primitives are in memory");

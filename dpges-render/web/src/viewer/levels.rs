@@ -10,7 +10,7 @@ use wasm_bindgen::prelude::*;
 
 use super::{Viewer, json};
 
-/// What the page has of scenes in levels of detail.
+/// Streams of the page, for scenes in levels of detail.
 #[derive(Default)]
 pub struct Levels {
     /// The index of the next scene, whose first parts are on their way.
