@@ -14,8 +14,8 @@ use crate::run::shell::quoted;
 
 impl Capture {
     /// Writes into the folder of the plan: `coarse.sbatch`; `blocks.sbatch`, an array with a job for each block; `merge.sbatch`;
-    /// and `submit.sh`, which submits each to follow the one before. A job that is requeued goes on where it was. Returns
-    /// the paths, one a line.
+    /// and `submit.sh`, which submits each to follow the one before. A job asks for a GPU unless `device` is a CPU, and goes on
+    /// where it was if it is requeued. Returns the paths, one a line.
     ///
     /// # Errors
     /// If a file cannot be written.
@@ -26,9 +26,13 @@ impl Capture {
             source,
         })?;
         let (program, folder) = (quoted(&program.to_string_lossy()), quoted(&self.folder().to_string_lossy()));
+        let gpu = match device {
+            DeviceRequest::Named(name) if name.is_cpu() => "",
+            _ => "#SBATCH --gres=gpu:1\n",
+        };
         let job = |name: &str, options: &str, log: &str, step: &str| {
             format!(
-                "#!/bin/bash\n#SBATCH --job-name=dpges-{name}\n{options}#SBATCH --gres=gpu:1\n#SBATCH --requeue\n\
+                "#!/bin/bash\n#SBATCH --job-name=dpges-{name}\n{options}{gpu}#SBATCH --requeue\n\
                  #SBATCH --output={log}.log\n#SBATCH --open-mode=append\nset -euo pipefail\n\
                  exec {program} blocks {step} --device={device}\n"
             )
@@ -51,6 +55,12 @@ impl Capture {
         for (name, text) in files {
             let path = self.folder().join(name);
             write_atomically(&path, |file| file.write_all(text.as_bytes()))?;
+            #[cfg(unix)]
+            if name.ends_with(".sh") {
+                use std::os::unix::fs::PermissionsExt as _;
+                let set = std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o755));
+                set.map_err(|source| Error::Io { action: "cannot make executable", path: path.clone(), source })?;
+            }
             _ = writeln!(paths, "{}", path.display());
         }
         Ok(paths)

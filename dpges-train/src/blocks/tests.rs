@@ -122,7 +122,15 @@ fn steps_follow_one_another_and_are_done_once() {
     for part in ["#SBATCH --array=0-1\n", "#SBATCH --requeue\n", "--block=\"$SLURM_ARRAY_TASK_ID\" --device=wgpu:1\n"] {
         assert!(read("blocks.sbatch").contains(part), "{part}");
     }
+    assert!(read("coarse.sbatch").contains("#SBATCH --gres=gpu:1\n"));
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        assert_eq!(std::fs::metadata(at.path().join("submit.sh")).unwrap().permissions().mode() & 0o111, 0o111);
+    }
     assert!(read("submit.sh").contains("--dependency=\"afterok:$blocks\" \"$@\" merge.sbatch"));
+    capture.write_slurm("cpu".parse().unwrap()).unwrap();
+    assert!(!read("coarse.sbatch").contains("gres"), "a job on a CPU asks for no GPU");
 }
 
 #[test]

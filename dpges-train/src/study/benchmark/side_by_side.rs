@@ -166,7 +166,7 @@ mod tests {
         };
         let reason = shell("echo first; echo; echo 'no memory' >&2; echo help; exit 3").unwrap_err();
         assert!(reason.ends_with("3: first no memory help"), "{reason}");
-        assert_eq!(shell("test -n \"$DPGES_BENCHMARK_CELL\""), Ok(()));
+        assert_eq!(shell(&format!("test -n \"${FOR_ANOTHER}\"")), Ok(()));
         let absent = all.work(planned, "cpu", Command::new("/absent")).unwrap_err();
         assert!(absent.contains("/absent cannot be run"), "{absent}");
         let log = std::fs::read_to_string(all.folder(planned).join(LOG)).unwrap();
