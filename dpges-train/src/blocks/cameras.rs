@@ -29,7 +29,7 @@ pub enum MeasuredBy {
     CoarseScene,
 }
 
-/// [views][parts] shares of what each of `cameras` has of `points` in its picture, hidden or not.
+/// `[views][parts]` shares of what each of `cameras` has of `points` in its picture, hidden or not.
 pub fn shares_of_points(cameras: &[&Camera], points: &[[f32; 3]], parts: &[Part]) -> Vec<Vec<f64>> {
     let sample: Vec<[f32; 3]> = points.iter().step_by(points.len().div_ceil(SAMPLED_POINTS).max(1)).copied().collect();
     let within: Vec<Vec<u32>> = sample.par_iter().map(|&point| parts_at(point, parts)).collect();
@@ -40,7 +40,7 @@ pub fn shares_of_points(cameras: &[&Camera], points: &[[f32; 3]], parts: &[Part]
     cameras.par_iter().map(of_camera).collect()
 }
 
-/// [views][parts] shares of the pixels of each of `cameras` at which `scene` shows a surface in a part, by their median depth.
+/// `[views][parts]` shares of the pixels of each of `cameras` at which `scene` shows a surface in a part, by their median depth.
 ///
 /// # Errors
 /// [`dpges_core::Error`] if a view cannot be rendered.
@@ -79,7 +79,7 @@ fn shares<'a>(found: impl Iterator<Item = &'a Vec<u32>>, all: Option<usize>, par
     counts.into_iter().map(|count| count as f64 / all as f64).collect()
 }
 
-/// For each part the indices of its `views`, the first `train` of which are trained on, by their `shares` [views][parts]: a
+/// For each part the indices of its `views`, the first `train` of which are trained on, by their `shares` `[views][parts]`: a
 /// view belongs to every part with [`LEAST_SHARE`], or to the one that it shows most of, or in which it stands. A part that no
 /// training view would belong to has the one that shows most of it.
 pub fn assign(views: &[&View], train: usize, parts: &[Part], shares: &[Vec<f64>]) -> Vec<Vec<usize>> {

@@ -31,7 +31,7 @@ pub struct Part {
     pub points: usize,
 }
 
-/// Splits the world by `points` [n], world units. Fewer parts than asked for if points cannot be told apart.
+/// Splits the world by `points` `[n]`, world units. Fewer parts than asked for if points cannot be told apart.
 pub fn split(points: &[[f32; 3]], limit: Limit) -> Vec<Part> {
     let mut order: Vec<u32> = (0..points.len() as u32).collect();
     let mut parts = vec![(Bounds::ALL, &mut order[..])];
