@@ -192,15 +192,10 @@ fn recentred_points(points: RawPoints, frames: &[Frame], offset: DVec3) -> Point
             })
         })
         .collect();
-    let RawPoints { positions, colours, seen_by } = points;
-    PointCloud {
-        positions: positions.iter().map(|position| (position - offset).as_vec3().to_array()).collect(),
-        colours,
-        seen_by: seen_by
-            .iter()
-            .map(|frames| frames.iter().filter_map(|&frame| train_index[frame as usize]).collect())
-            .collect(),
-    }
+    let RawPoints { positions, colours, mut seen_by } = points;
+    seen_by.renumber(&train_index);
+    let positions = positions.iter().map(|position| (position - offset).as_vec3().to_array()).collect();
+    PointCloud { positions, colours, seen_by }
 }
 
 #[cfg(test)]

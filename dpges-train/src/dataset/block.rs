@@ -133,7 +133,7 @@ mod tests {
         let options =
             BuiltinOptions { width: 4, height: 4, train_views: 4, test_views: 2, points: 0, ..Default::default() };
         let mut dataset = builtin(&options);
-        dataset.points.seen_by = vec![vec![0, 1, 3], vec![0]];
+        dataset.points.seen_by = [vec![0, 1, 3], vec![0]].into_iter().collect();
         let names = [&dataset.train[1], &dataset.train[3], &dataset.test[0]].map(|view| view.name.clone());
         let block = |views: &[String]| Block {
             bounds: Bounds::ALL,
@@ -144,7 +144,7 @@ mod tests {
         dataset.keep_block(&block(&names)).unwrap();
         let found: Vec<&String> = dataset.train.iter().chain(&dataset.test).map(|view| &view.name).collect();
         assert_eq!(found, names.each_ref());
-        assert_eq!(dataset.points.seen_by, [vec![0, 1], vec![]]);
+        assert_eq!(dataset.points.seen_by, [vec![0, 1], vec![]].into_iter().collect());
         let error = |views: &[String]| whole.clone().keep_block(&block(views)).unwrap_err();
         assert!(error(&[names[0].clone(), "absent".into()]).contains("of its 2 views 1"));
         assert!(error(&names[2..]).contains("0 of them to train on"));

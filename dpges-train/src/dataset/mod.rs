@@ -18,6 +18,7 @@ pub(crate) mod image;
 mod load_options;
 pub(crate) mod names;
 pub mod source;
+mod tracks;
 
 use std::fmt;
 use std::path::Path;
@@ -40,6 +41,7 @@ pub use builtin::{BuiltinOptions, builtin, builtin_geometry};
 pub use error::DatasetError;
 pub(crate) use formats::colmap::{ModelContent, model_content};
 pub use load_options::LoadOptions;
+pub use tracks::Tracks;
 
 use self::image::undistort;
 use error::Result;
@@ -72,9 +74,8 @@ pub struct PointCloud {
     pub positions: Vec<[f32; 3]>,
     /// Red, green, blue in 0..1, display-referred.
     pub colours: Vec<[f32; 3]>,
-    /// Per point, ascending indices into [`Dataset::train`] of the views that saw it; empty where unknown, and no point has any
-    /// if that is known of none.
-    pub seen_by: Vec<Vec<u32>>,
+    /// Indices into [`Dataset::train`] of the views that saw a point; those of no point if nothing is known.
+    pub seen_by: Tracks,
 }
 
 /// Photographs, cameras and points to train on. Views are sorted by name.
@@ -183,9 +184,7 @@ impl Dataset {
 
     /// Tells the points which number each training view has now; `None` if it is none any more.
     fn renumber_views(&mut self, new_index: &[Option<u32>]) {
-        for seen_by in &mut self.points.seen_by {
-            *seen_by = seen_by.iter().filter_map(|&view| new_index[view as usize]).collect();
-        }
+        self.points.seen_by.renumber(new_index);
     }
 }
 
@@ -259,20 +258,20 @@ mod tests {
             BuiltinOptions { width: 4, height: 4, train_views: 5, test_views: 1, points: 0, ..Default::default() };
         let mut dataset = builtin(&options);
         let names: Vec<String> = dataset.train.iter().map(|view| view.name.clone()).collect();
-        dataset.points.seen_by = vec![vec![0, 1, 4], vec![2, 3], vec![3]];
+        dataset.points.seen_by = [vec![0, 1, 4], vec![2, 3], vec![3]].into_iter().collect();
         let untouched = dataset.clone();
         dataset.keep_for_validation(0);
         assert_eq!((dataset.train.len(), dataset.validation.len()), (5, 0));
         dataset.keep_for_validation(2);
         let kept: Vec<&String> = dataset.validation.iter().map(|view| &view.name).collect();
         assert_eq!(kept, [&names[1], &names[3]]);
-        assert_eq!(dataset.points.seen_by, [vec![0, 2], vec![1], vec![]]);
+        assert_eq!(dataset.points.seen_by, [vec![0, 2], vec![1], vec![]].into_iter().collect());
         let mut rare = untouched.clone();
         rare.keep_for_validation(100);
         assert_eq!(rare.validation.iter().map(|view| &view.name).collect::<Vec<_>>(), [&names[2]]);
         let mut few = untouched;
         few.train.truncate(2);
-        few.points.seen_by.clear();
+        few.points.seen_by = Tracks::default();
         few.keep_for_validation(2);
         assert_eq!((few.train.len(), few.validation.len()), (2, 0));
     }

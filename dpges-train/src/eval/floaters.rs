@@ -110,7 +110,7 @@ impl Visibility {
 /// [H × W] depths of the points that the training view `view` saw, world units; 0 where it saw none.
 fn seen_depths(points: &PointCloud, view: u32, camera: &Camera) -> Vec<f32> {
     let mut depths = vec![0.0f32; camera.width * camera.height];
-    for (position, seen_by) in points.positions.iter().zip(&points.seen_by) {
+    for (position, seen_by) in points.positions.iter().zip(points.seen_by.iter()) {
         if seen_by.binary_search(&view).is_err() {
             continue;
         }
@@ -125,7 +125,8 @@ fn seen_depths(points: &PointCloud, view: u32, camera: &Camera) -> Vec<f32> {
 /// Centre of the camera of the training view `view`, and the radius in which nothing is, world units.
 fn empty_space(points: &PointCloud, view: u32, camera: &Camera) -> (DVec3, f64) {
     let centre = camera.centre();
-    let seen = points.positions.iter().zip(&points.seen_by).filter(|(_, seen_by)| seen_by.binary_search(&view).is_ok());
+    let seen =
+        points.positions.iter().zip(points.seen_by.iter()).filter(|(_, seen_by)| seen_by.binary_search(&view).is_ok());
     let mut distances: Vec<f64> =
         seen.map(|(position, _)| centre.distance(Vec3::from_array(*position).as_dvec3())).collect();
     let at = (TOO_NEAR * distances.len() as f64) as usize;
@@ -188,7 +189,7 @@ fn observe_surfels(all_votes: &mut [Votes], layers: &Layers, depths: &[f32]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dataset::{BuiltinOptions, View, builtin};
+    use crate::dataset::{BuiltinOptions, Tracks, View, builtin};
     use crate::device::DeviceName;
     use dpges_core::camera::CameraFromWorld;
     use dpges_core::scene::{ColourData, GaussianData, SurfelData};
@@ -203,7 +204,8 @@ mod tests {
             *view = View { camera, ..view.clone() };
         }
         let seen_by = if all_saw { vec![0, 1, 2] } else { vec![0] };
-        dataset.points = PointCloud { positions: vec![[0.0; 3]], colours: vec![[0.5; 3]], seen_by: vec![seen_by] };
+        dataset.points =
+            PointCloud { positions: vec![[0.0; 3]], colours: vec![[0.5; 3]], seen_by: [seen_by].into_iter().collect() };
         dataset
     }
 
@@ -252,7 +254,7 @@ mod tests {
         assert_eq!(found.gaussians[2], Votes { blocked: 1, supported: 0, is_close: false });
         assert_eq!(found.floaters(), Floaters { surfels: 0, gaussians: 0 });
         let mut unknown = dataset(true);
-        unknown.points.seen_by = vec![Vec::new()];
+        unknown.points.seen_by = Tracks::default();
         assert!(all_votes(&unknown).is_none());
     }
 

@@ -24,6 +24,7 @@ use std::time::Instant;
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use dpges_core::losses::Target;
 use dpges_core::metrics::{OF_IGNORED_PIXELS, mean_ssim, psnr, quantised};
+use dpges_core::ranks::Ranks;
 use dpges_core::scene::SceneData;
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::{Error, Result};
@@ -201,8 +202,8 @@ pub fn evaluate(scene: &SceneData, views: &[View], device: &Device) -> Result<Ev
     evaluate_each(&Renderer::new(scene, device), scene, views, device, Measures::BASIC, |_, _| Ok(()))
 }
 
-/// Like [`evaluate`], with a scene that is on its device already, by all `measures`. Calls `visit` with the index and the
-/// render of every view.
+/// Like [`evaluate`], with a scene that is on its device already, by all `measures`. Views are dealt out to the ranks, which all get
+/// the result. Calls `visit` with the index and the render of every view of this rank.
 ///
 /// # Errors
 /// The errors of [`evaluate`] and of `visit`.
@@ -217,22 +218,30 @@ pub fn evaluate_each<E: From<Error>>(
     if views.is_empty() {
         return Err(Error::Option { option: "views", expected: "at least one".to_owned(), found: "none".into() }.into());
     }
-    let mut scores = Vec::with_capacity(views.len());
-    for (index, (view, picture)) in pictures(views).enumerate() {
-        let picture = picture?;
+    let job = renderer.job();
+    let mut own_pictures = pictures(views.iter().skip(job.rank()).step_by(job.count()));
+    let mut own = Vec::with_capacity(views.len());
+    for (index, view) in views.iter().enumerate() {
+        let is_own = index % job.count() == job.rank();
+        if !is_own && !renderer.is_dealt() {
+            continue;
+        }
         let start = Instant::now();
         let render = renderer.render(&view.camera)?;
         // a GPU may have only begun
         device.sync().map_err(|error| Error::Device { reason: error.to_string() })?;
         let seconds = start.elapsed().as_secs_f64();
+        let Some((_, picture)) = is_own.then(|| own_pictures.next()).flatten() else { continue };
+        let picture = picture?;
         let mut score = score(&view.name, &picture, render.image().clone(), seconds, device, measures)?;
         if measures.posed {
             [score.fitted.psnr_posed, score.fitted.ssim_posed] =
                 posed(renderer, view, &picture, scene.info.extent, device, measures.fitted)?;
         }
-        scores.push(score);
+        own.push(score);
         visit(index, &render)?;
     }
+    let scores = of_all_ranks(own, views.len(), job)?;
     let mean = |of: fn(&ViewScore) -> f64| scores.iter().map(of).sum::<f64>() / scores.len() as f64;
     Ok(Evaluation {
         psnr: mean(|view| view.psnr),
@@ -245,6 +254,22 @@ pub fn evaluate_each<E: From<Error>>(
         gaussians: scene.gaussians.len(),
         views: scores,
     })
+}
+
+/// The scores of all `views`, which were dealt out one by one.
+fn of_all_ranks(own: Vec<ViewScore>, views: usize, ranks: &dyn Ranks) -> Result<Vec<ViewScore>> {
+    if ranks.is_alone() {
+        return Ok(own);
+    }
+    let text = serde_json::to_vec(&own).expect("scores are numbers");
+    let mut of_ranks = Vec::with_capacity(ranks.count());
+    for (rank, text) in ranks.gather(&text).iter().enumerate() {
+        // what is no number has no text
+        let scores = serde_json::from_slice::<Vec<ViewScore>>(text);
+        let not_finite = |_| Error::NonFinite { tensor: format!("a score of rank {rank}"), row: 0 };
+        of_ranks.push(scores.map_err(not_finite)?.into_iter());
+    }
+    Ok((0..views).filter_map(|index| of_ranks[index % ranks.count()].next()).collect())
 }
 
 /// The scores of a finished `picture` of `view`, which took `seconds` to render, by `measures` but those that render.

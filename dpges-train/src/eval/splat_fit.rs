@@ -77,7 +77,7 @@ pub fn fit(
         // the tape shares the parameters: without it the optimiser can work in place
         drop(leaves);
         let rates = rates(&config, completed as f64 / steps as f64, scene.info.extent);
-        state.step(found, &Tensor::ones([1], device), &rates, config.optimizer.adam(completed))?;
+        state.step(found, &Tensor::ones([1], device), &rates, config.optimizer.adam(completed, 1))?;
         report(completed + 1);
     }
     Ok(SceneData { gaussians: state.to_data(), ..scene.clone() })

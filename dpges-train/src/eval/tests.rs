@@ -1,10 +1,12 @@
 use dpges_core::scene::{
     BlendOrder, ColourModel, Footprint, GaussianData, MarginLookup, Rendering, SceneInfo, ScreenFilter, SurfelData,
 };
+use dpges_core::testing::ranks::on_ranks;
 
 use super::*;
 use crate::dataset::{BuiltinOptions, builtin};
 use crate::device::DeviceName;
+use crate::device::place::Place;
 use crate::metrics::lpips::Weights;
 use crate::views::exposure::Correction;
 
@@ -224,4 +226,46 @@ fn reports_of_earlier_versions_are_read() {
     let report: EvalReport = serde_json::from_value(written).unwrap();
     assert_eq!(report.evaluation.perceptual.lpips_vgg, Some(0.125));
     assert_eq!(report.evaluation.views[0].scores().perceptual.ssimulacra2, Some(60.5));
+}
+
+#[test]
+fn views_are_dealt_out_to_ranks_and_all_get_the_scores() {
+    let options = BuiltinOptions { width: 32, height: 24, train_views: 2, test_views: 5, ..Default::default() };
+    let dataset = builtin(&options);
+    let device = "cpu".parse::<DeviceName>().unwrap().open().unwrap();
+    let mut peeled = nothing([0.5; 3]);
+    peeled.gaussians = GaussianData::neutral(ColourModel::SphericalBeta { lobes: 0 }, 3);
+    peeled.gaussians.positions = vec![0.0, 0.0, 0.0, 0.3, 0.1, 0.0, -0.2, 0.2, 0.1];
+    let info = SceneInfo { rendering: Rendering::Ellipsoids, ..peeled.info.clone() };
+    let blended = SceneData { info, ..peeled.clone() };
+    for scene in [peeled, blended] {
+        let is_dealt = scene.info.rendering == Rendering::Peeled;
+        let scores = |count: usize| {
+            on_ranks(count, |ranks| {
+                let (rank, place) = (ranks.rank(), Place { device: device.clone(), ranks });
+                let renderer = Renderer::on_ranks(&scene, &place);
+                let mut visited = Vec::new();
+                let visit = |index: usize, _: &Rendered| -> Result<()> {
+                    visited.push(index);
+                    Ok(())
+                };
+                let found = evaluate_each(&renderer, &scene, &dataset.test, &device, Measures::perceptual(&[]), visit);
+                assert!(visited.iter().copied().eq((rank..5).step_by(count)));
+                found.unwrap()
+            })
+        };
+        let alone = scores(1).remove(0);
+        for found in scores(2).iter().chain(&scores(3)) {
+            assert_eq!(found.views.len(), 5);
+            for (found, alone) in found.views.iter().zip(&alone.views) {
+                assert_eq!(found.name, alone.name);
+                // sums of ranks round to another of 256 values here and there
+                let most = if is_dealt { 0.05 } else { 1e-9 };
+                assert!((found.psnr - alone.psnr).abs() < most, "{found:?}, alone {alone:?}");
+                assert!((found.flip - alone.flip).abs() < most, "{found:?}, alone {alone:?}");
+            }
+            assert!((found.psnr - alone.psnr).abs() < 0.05);
+        }
+        assert!(alone.views.iter().any(|view| view.psnr != alone.psnr));
+    }
 }

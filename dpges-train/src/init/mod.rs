@@ -177,7 +177,7 @@ mod tests {
     use rand::SeedableRng;
 
     use super::*;
-    use crate::dataset::{Format, Picture, View};
+    use crate::dataset::{Format, Picture, Tracks, View};
 
     const SIZE: usize = 40;
 
@@ -210,7 +210,7 @@ mod tests {
             train: (0..views).map(view).collect(),
             test: vec![],
             validation: vec![],
-            points: PointCloud { positions: points, colours, seen_by: vec![] },
+            points: PointCloud { positions: points, colours, seen_by: Tracks::default() },
             offset: DVec3::ZERO,
             extent: 4.4,
             background: [0.0; 3],

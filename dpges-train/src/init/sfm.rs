@@ -22,32 +22,34 @@ const LINE: f64 = 1e-6;
 pub fn usable_points(points: &PointCloud, max_points: usize, rng: &mut ChaCha8Rng) -> PointCloud {
     let mut row_at: HashMap<[u32; 3], usize> = HashMap::with_capacity(points.positions.len());
     let mut usable = PointCloud::default();
+    // of each usable point its row in `points`, and the other rows at the same position
+    let (mut first, mut twins): (Vec<u32>, Vec<(u32, u32)>) = (Vec::new(), Vec::new());
     for (row, (position, colour)) in points.positions.iter().zip(&points.colours).enumerate() {
         if !position.iter().chain(colour).all(|x| x.is_finite()) {
             continue;
         }
-        let seen_by = points.seen_by.get(row).map(Vec::as_slice).unwrap_or_default();
         let new_row = usable.positions.len();
         // Adding zero turns -0 into 0, so that equal points have equal bits.
         match *row_at.entry(position.map(|x| (x + 0.0).to_bits())).or_insert(new_row) {
             at if at == new_row => {
                 usable.positions.push(*position);
                 usable.colours.push(colour.map(|c| c.clamp(0.0, 1.0)));
-                usable.seen_by.push(seen_by.to_vec());
+                first.push(row as u32);
             }
-            at => {
-                let all = &mut usable.seen_by[at];
-                all.extend(seen_by);
-                all.sort_unstable();
-                all.dedup();
-            }
+            at => twins.push((at as u32, row as u32)),
         }
     }
+    twins.sort_unstable();
+    let seen_by = |at: usize| {
+        let from = twins.partition_point(|&(of, _)| (of as usize) < at);
+        let others = twins[from..].iter().take_while(move |&&(of, _)| of as usize == at).map(|&(_, row)| row);
+        [first[at]].into_iter().chain(others).flat_map(|row| points.seen_by.of(row as usize).iter().copied())
+    };
     let rows = draw_rows(usable.positions.len(), max_points, rng);
     PointCloud {
         positions: rows.iter().map(|&row| usable.positions[row]).collect(),
         colours: rows.iter().map(|&row| usable.colours[row]).collect(),
-        seen_by: rows.iter().map(|&row| std::mem::take(&mut usable.seen_by[row])).collect(),
+        seen_by: rows.iter().map(|&row| seen_by(row)).collect(),
     }
 }
 
@@ -57,7 +59,7 @@ pub fn usable_points(points: &PointCloud, max_points: usize, rng: &mut ChaCha8Rn
 pub fn orient(points: PointCloud, camera_centres: &[DVec3]) -> OrientedPoints {
     let all: Vec<u32> = (0..camera_centres.len() as u32).collect();
     let normal = |(row, around): (usize, &Vec<Neighbour>)| {
-        let known = points.seen_by.get(row).filter(|seen| !seen.is_empty()).unwrap_or(&all);
+        let known = Some(points.seen_by.of(row)).filter(|seen| !seen.is_empty()).unwrap_or(&all);
         let centres = known.iter().filter_map(|&view| camera_centres.get(view as usize));
         let (sum, count) = centres.fold((DVec3::ZERO, 0), |(sum, count), centre| (sum + *centre, count + 1));
         let towards = sum / f64::from(count.max(1)) - point(points.positions[row]);
@@ -97,6 +99,7 @@ mod tests {
     use rand::{RngExt, SeedableRng};
 
     use super::*;
+    use crate::dataset::Tracks;
 
     fn rng() -> ChaCha8Rng {
         ChaCha8Rng::seed_from_u64(2)
@@ -104,7 +107,7 @@ mod tests {
 
     fn cloud(positions: Vec<[f32; 3]>) -> PointCloud {
         let n = positions.len();
-        PointCloud { positions, colours: vec![[0.5; 3]; n], seen_by: vec![] }
+        PointCloud { positions, colours: vec![[0.5; 3]; n], seen_by: Tracks::default() }
     }
 
     #[test]
@@ -119,7 +122,7 @@ mod tests {
         let on_sphere: Vec<DVec3> = (0..4000).map(|_| draw()).collect();
         let centres = [4.0 * DVec3::X, -4.0 * DVec3::X];
         let mut points = cloud(on_sphere.iter().map(|p| p.as_vec3().to_array()).collect());
-        points.seen_by = on_sphere.iter().map(|p| vec![u32::from(p.x < 0.0)]).collect();
+        points.seen_by = on_sphere.iter().map(|p| [u32::from(p.x < 0.0)]).collect();
         let oriented = orient(points, &centres);
         let facing_camera = on_sphere.iter().zip(&oriented.normals).filter(|(p, _)| p.x.abs() > 0.4);
         assert!(facing_camera.clone().count() > 1000);
@@ -145,12 +148,12 @@ mod tests {
     #[test]
     fn unusable_points_are_left_out_and_twins_become_one() {
         let mut points = cloud(vec![[0.0; 3], [f32::NAN, 0.0, 0.0], [1.0; 3], [-0.0; 3], [f32::INFINITY; 3], [2.0; 3]]);
-        points.seen_by = vec![vec![3], vec![], vec![1], vec![0, 3], vec![], vec![]];
+        points.seen_by = [vec![3], vec![], vec![1], vec![0, 3], vec![], vec![]].into_iter().collect();
         points.colours[2] = [2.0, -1.0, 0.5];
         points.colours[5] = [f32::NAN; 3];
         let usable = usable_points(&points, 100, &mut rng());
         assert_eq!(usable.positions, [[0.0; 3], [1.0; 3]]);
-        assert_eq!(usable.seen_by, [vec![0, 3], vec![1]]);
+        assert_eq!(usable.seen_by, [vec![0, 3], vec![1]].into_iter().collect());
         assert_eq!(usable.colours[1], [1.0, 0.0, 0.5]);
         assert_eq!(usable_points(&points, 1, &mut rng()).positions.len(), 1);
     }

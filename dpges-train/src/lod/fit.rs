@@ -7,7 +7,7 @@ use dpges_core::scene::schema::OpacityActivation;
 use crate::dataset::View;
 use crate::run::own_pictures::{StepStage, config, dataset, last_stage};
 use crate::run::{StepReport, TrainError};
-use crate::stage::{self, begin_step};
+use crate::stage::{self, StepViews, begin_step};
 
 /// Trains the primitives of `scene`, a peeled one, for `steps` steps of the joint stage on `views`. None comes or goes, each
 /// stays in its row, and the environment stays as it is. The image alone is learnt from: at the learning rates of the default
@@ -34,7 +34,8 @@ pub fn fit(scene: &SceneData, views: &[View], steps: usize, device: &Device) -> 
     let mut stage = stage::of_scene(plan, scene, &context);
     for step in 1..=steps {
         let view = context.next_view();
-        let begun = begin_step(&mut *stage, &mut context, StepReport::begin(step, plan.kind, view, Vec::new()))?;
+        let report = StepReport::begin(step, plan.kind, view, Vec::new());
+        let begun = begin_step(&mut *stage, &mut context, report, StepViews::one(view))?;
         begun.learn(&mut *stage, &mut context)?.settle()?;
         context.completed_steps += 1;
     }

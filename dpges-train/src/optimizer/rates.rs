@@ -27,15 +27,11 @@ impl TrainConfig {
 }
 
 impl OptimizerConfig {
-    /// Adam's constants for the step after `completed` steps, without a learning rate.
-    pub fn adam(&self, completed: usize) -> AdamStep {
-        AdamStep {
-            learning_rate: 0.0,
-            beta_1: BETAS[0],
-            beta_2: BETAS[1],
-            epsilon: EPSILON,
-            time: completed as u64 + 1,
-        }
+    /// Adam's constants for the step after `completed` steps, without a learning rate. A step of a `batch` of views counts as so
+    /// many, and forgets as much as they would (Grendel-GS).
+    pub fn adam(&self, completed: usize, batch: usize) -> AdamStep {
+        let [beta_1, beta_2] = BETAS.map(|beta| beta.powi(batch as i32));
+        AdamStep { learning_rate: 0.0, beta_1, beta_2, epsilon: EPSILON, time: (completed / batch) as u64 + 1 }
     }
 
     /// Learning rate of Gaussian positions in world units at `progress` (0 at the first step, 1 at the last) for a scene
@@ -64,7 +60,7 @@ impl OptimizerConfig {
             rotation: self.poses * factor,
             translation: self.poses * factor,
             extent,
-            adam: AdamStep { beta_1: POSE_BETA, beta_2: POSE_BETA, ..self.adam(completed) },
+            adam: AdamStep { beta_1: POSE_BETA, beta_2: POSE_BETA, ..self.adam(completed, 1) },
         }
     }
 
@@ -81,6 +77,16 @@ fn between(start: f64, end: f64, progress: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_batch_forgets_as_much_as_its_views_one_by_one() {
+        let config = OptimizerConfig::default();
+        let (batch, last) = (config.adam(20, 4), config.adam(23, 1));
+        assert_eq!((batch.time, last.time), (6, 24));
+        assert!((batch.beta_1 - 0.9f64.powi(4)).abs() < 1e-15 && (batch.beta_2 - 0.999f64.powi(4)).abs() < 1e-15);
+        // the same share of the gradients that are still to come
+        assert!((batch.beta_2.powi(6) - last.beta_2.powi(24)).abs() < 1e-12);
+    }
 
     #[test]
     fn rates_start_and_end_where_they_should() {

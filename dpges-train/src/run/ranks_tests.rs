@@ -122,20 +122,24 @@ fn an_automatic_budget_decides_alike_on_all_ranks() {
 
 #[test]
 fn stages_of_blended_gaussians_are_the_same_on_all_ranks() {
+    // 16 steps of 40, two at once
     let set = ["train.steps=40", "stages.gaussians=0.4", "stages.gaussians_by=mcmc", "refine.budget=500"];
-    let parts = trained(&set, 2, 12);
+    let parts = trained(&set, 2, 6);
     assert_eq!(parts[0].1, parts[1].1);
-    assert_eq!(parts[0].1, trained(&set, 1, 12).remove(0).1);
-    let parts = trained(&set, 2, 40);
+    let parts = trained(&set, 2, 8 + 24);
     assert_eq!(parts[0].1, parts[1].1);
     let all = parts[0].1.gaussians.len();
     assert!(parts.iter().all(|(part, _)| part.attributes["gaussians.positions"].count < all));
 }
 
 fn in_folder(path: &Path, count: usize, stop: Option<usize>) {
+    in_folder_of(&ALL, path, count, stop);
+}
+
+fn in_folder_of(set: &[&str], path: &Path, count: usize, stop: Option<usize>) {
     on_ranks(count, |ranks| {
         let folder = RunFolder::new(path);
-        let run = Run::new(config(&ALL), dataset(), place(ranks)).unwrap();
+        let run = Run::new(config(set), dataset(), place(ranks)).unwrap();
         let mut run = run.overwrite(folder, Origin::new("builtin", "cpu")).unwrap();
         train_until(&mut run, stop);
     });
@@ -226,4 +230,38 @@ fn a_run_goes_on_with_any_number_of_ranks() {
     assert!(!folder.path().join("checkpoint.safetensors").exists());
     assert_eq!(resumed(folder.path(), 1, None), 25);
     assert_eq!(names(folder.path()), ["checkpoint.safetensors"]);
+}
+
+#[test]
+fn blended_stages_whose_views_are_dealt_out_go_on_with_any_number_of_ranks() {
+    let mut set = ALL.to_vec();
+    set.extend(["train.method=3dgs", "density.gradient_threshold=1e-7", "train.checkpoint_every=7"]);
+    let scene = |path: &Path| std::fs::read(path.join("scene.safetensors")).unwrap();
+    let whole = tempfile::tempdir().unwrap();
+    in_folder_of(&set, whole.path(), 2, None);
+    for count in [1, 2, 3] {
+        let folder = tempfile::tempdir().unwrap();
+        in_folder_of(&set, folder.path(), 2, Some(26));
+        assert_eq!(resumed(folder.path(), count, None), 26);
+        assert!((scene(folder.path()) == scene(whole.path())) == (count == 2), "{count} ranks");
+    }
+}
+
+/// A batch takes fewer and larger steps: the results differ, and no rank has half the quality.
+#[test]
+fn trainings_whose_views_are_dealt_out_are_as_good_but_for_the_size_of_batches() {
+    let data = dataset();
+    for method in ["train.method=mcmc", "train.method=3dgs"] {
+        let psnr = |count: usize| {
+            let set = [method, "train.steps=300", "refine.budget=700", "train.evaluate_every=0"];
+            let outcomes = on_ranks(count, |ranks| {
+                Run::new(config(&set), Arc::clone(&data), place(ranks)).unwrap().train(&mut ()).unwrap()
+            });
+            assert!(outcomes.iter().all(|outcome| outcome.scene == outcomes[0].scene));
+            evaluate(&outcomes[0].scene, &data.train, &device()).unwrap().psnr
+        };
+        let found = [1, 2, 3].map(psnr);
+        println!("{method}: {found:?}");
+        assert!(found.iter().all(|psnr| (psnr - found[0]).abs() < 1.5), "{method}: {found:?}");
+    }
 }

@@ -27,6 +27,8 @@ pub struct Record {
     pub metrics: MetricsLog,
     /// Peak memory of the run, in this process.
     peak: PeakMemory,
+    /// Number of the last step that was reported.
+    reported: usize,
 }
 
 impl Record {
@@ -37,7 +39,7 @@ impl Record {
     pub fn start(folder: RunFolder, origin: Origin, config: &Config, peak: PeakMemory) -> Result<Self, RunFolderError> {
         folder.start(&origin, config)?;
         let metrics = MetricsLog::create(&folder.metrics())?;
-        Ok(Self { folder, origin, metrics, peak })
+        Ok(Self { folder, origin, metrics, peak, reported: 0 })
     }
 
     /// The record of a run that goes on where `checkpoint` was made, and the seconds that it had taken by then; `peak` began
@@ -48,12 +50,13 @@ impl Record {
     pub fn resume(folder: RunFolder, origin: Origin, checkpoint: &Checkpoint, peak: PeakMemory) -> Result<(Self, f64)> {
         let completed = checkpoint.completed_steps();
         let (metrics, seconds) = MetricsLog::resume(&folder.metrics(), completed, checkpoint.stage_is_over())?;
-        Ok((Self { folder, origin, metrics, peak }, seconds))
+        Ok((Self { folder, origin, metrics, peak, reported: completed }, seconds))
     }
 
     /// Logs every tenth step, those with events, and the `last`; `seconds` is the time of the whole run so far.
     pub fn step(&mut self, report: &StepReport, last: bool, seconds: f64) -> Result<()> {
-        if report.step.is_multiple_of(METRICS_EVERY) || !report.events.is_empty() || last {
+        let before = std::mem::replace(&mut self.reported, report.step);
+        if before / METRICS_EVERY < report.step / METRICS_EVERY || !report.events.is_empty() || last {
             self.metrics.step(report, seconds)?;
         }
         Ok(())

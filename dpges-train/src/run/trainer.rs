@@ -293,9 +293,10 @@ impl Trainer {
             self.refined_after = refined_after;
         }
         let mut before = self.context.before_step();
-        let view = self.context.next_view();
-        let report = StepReport::begin(self.context.completed_steps + 1, self.stage().kind, view, events);
-        let begun = begin_step(&mut *self.stage, &mut self.context, report);
+        let views = self.context.next_views(&*self.stage);
+        let after = (self.context.completed_steps + views.of_ranks.len()).min(self.stage().end());
+        let report = StepReport::begin(after, self.stage().kind, views.own, events);
+        let begun = begin_step(&mut *self.stage, &mut self.context, report, views);
         known = self.settle()?.or(known);
         before.poses = self.context.poses.clone();
         let begun = match begun {
@@ -308,7 +309,7 @@ impl Trainer {
             }
         };
         self.pending = Some((begun.learn(&mut *self.stage, &mut self.context)?, before));
-        self.context.completed_steps += 1;
+        self.context.completed_steps = after;
         if is_gpu(&self.context.device) { Ok(known) } else { self.settle() }
     }
 
@@ -324,9 +325,9 @@ impl Trainer {
             self.stage.undo();
             self.context.go_back(before);
         }
-        let Settled { report, pose_gradient } = settled?;
-        if let Some(gradient) = pose_gradient {
-            self.context.poses.keep(report.step, report.view, gradient);
+        let Settled { report, pose_gradients } = settled?;
+        for (view, gradient) in pose_gradients {
+            self.context.poses.keep(report.step, view, gradient);
         }
         Ok(Some(report))
     }

@@ -1,5 +1,6 @@
 //! Training to the end: steps, and between them evaluations, checkpoints and the ends of stages.
 
+use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
@@ -45,9 +46,11 @@ impl Run {
             if self.trainer.stage_is_over() {
                 self.end_stage(observer)?;
             }
+            let before = self.trainer.completed_steps();
             self.work(Trainer::step, observer)?;
             let step = self.trainer.completed_steps();
-            let (evaluates, stage_is_over) = (is_due(step, train.evaluate_every), self.trainer.stage_is_over());
+            let is_due = |every: usize| is_due(before..step, every);
+            let (evaluates, stage_is_over) = (is_due(train.evaluate_every), self.trainer.stage_is_over());
             if evaluates && !stage_is_over {
                 self.work(Trainer::settle, observer)?;
                 self.evaluate(&self.trainer.scene(), Measures::BASIC, observer)?;
@@ -62,10 +65,10 @@ impl Run {
             }
             let finished = self.trainer.is_finished();
             let stop = !finished && ranks.any(observer.should_stop());
-            if is_due(step, COMPARE_EVERY) {
+            if is_due(COMPARE_EVERY) {
                 self.trainer.check_ranks()?;
             }
-            if is_due(step, train.checkpoint_every) || finished || stop {
+            if is_due(train.checkpoint_every) || finished || stop {
                 self.work(Trainer::settle, observer)?;
                 self.save(observer)?;
             }
@@ -246,8 +249,8 @@ impl Run {
         let measures = measures.fitted(self.trainer.corrects_exposure());
         let shown = evenly_spaced(PICTURE_VIEWS, views.len());
         let evaluation = evaluate_each(&self.renderer(scene), scene, views, device, measures, |index, render| {
-            let Some(record) = self.record.as_ref().filter(|_| shown.contains(&index)) else { return Ok(()) };
-            save_png(&comparison(&views[index], render)?, &record.folder.picture(step, &stems[index]))
+            let Some(folder) = self.folder.as_ref().filter(|_| shown.contains(&index)) else { return Ok(()) };
+            save_png(&comparison(&views[index], render)?, &folder.picture(step, &stems[index]))
         })?;
         observer.evaluated(step, &evaluation);
         let seconds = self.seconds();
@@ -290,8 +293,9 @@ impl Run {
     }
 }
 
-fn is_due(step: usize, every: usize) -> bool {
-    every > 0 && step.is_multiple_of(every)
+/// Whether something is due after one of the `steps`, numbered from 0, that were taken at once.
+fn is_due(steps: Range<usize>, every: usize) -> bool {
+    every > 0 && steps.start / every < steps.end / every
 }
 
 /// `count` of `0..len`, or all of them.
@@ -313,6 +317,11 @@ mod tests {
 
     #[test]
     fn nothing_is_due_every_zero_steps() {
-        assert!(is_due(20, 10) && !is_due(15, 10) && !is_due(10, 0));
+        assert!(is_due(19..20, 10) && !is_due(14..15, 10) && !is_due(9..10, 0));
+    }
+
+    #[test]
+    fn steps_taken_at_once_pass_no_number_by() {
+        assert!(is_due(18..21, 10) && is_due(17..20, 10) && !is_due(20..23, 10));
     }
 }

@@ -1,5 +1,6 @@
 //! State that all stages of a run share.
 
+use std::iter;
 use std::sync::Arc;
 
 use burn::tensor::Device;
@@ -13,7 +14,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::config::{Budget, Config, StagePlan};
 use crate::dataset::{Dataset, MOST_PREFETCHED, prefetch};
 use crate::device::place::Place;
-use crate::stage::{DevicePhotographs, Stage, Surroundings};
+use crate::stage::{DevicePhotographs, Stage, StepViews, Surroundings};
 use crate::views::depth::DepthMaps;
 use crate::views::exposure::ExposureState;
 use crate::views::pose::PoseState;
@@ -112,17 +113,27 @@ impl Context {
         self.remaining_views.pop().expect("a dataset has training views") as usize
     }
 
+    /// The next views of this pass, as many as `stage` has in a step.
+    pub fn next_views(&mut self, stage: &dyn Stage) -> StepViews {
+        let of_ranks: Vec<usize> = (0..stage.views_per_step()).map(|_| self.next_view()).collect();
+        let own = of_ranks[self.ranks.rank() % of_ranks.len()];
+        StepViews { of_ranks, own }
+    }
+
     /// Begins to read the photographs in the background that the next steps of `stage` need, if they are neither in memory nor
-    /// on a GPU. Beyond the end of a pass that is a guess: other random numbers may be drawn before the next one begins.
+    /// on a GPU.
     pub fn prefetch(&self, stage: &dyn Stage) {
-        let mut next: Vec<u32> = self.remaining_views.iter().rev().take(MOST_PREFETCHED).copied().collect();
-        if next.len() < MOST_PREFETCHED {
-            let following = pass(self.dataset.train.len(), &mut self.rng.clone());
-            next.extend(following.iter().rev().take(MOST_PREFETCHED - next.len()));
-        }
-        let next = next.iter().map(|&view| view as usize);
+        let next = self.upcoming(stage.views_per_step()).take(MOST_PREFETCHED);
         let needed = next.filter(|&view| stage.looks_at_pictures() || !self.has_on_device(view));
         prefetch(needed.map(|view| &self.dataset.train[view].photograph));
+    }
+
+    /// The views of this rank in the next steps of a `batch` of views. Beyond the end of the next pass there are none, and beyond
+    /// that of this one they are a guess: other random numbers may be drawn before the next one begins.
+    fn upcoming(&self, batch: usize) -> impl Iterator<Item = usize> {
+        let following = iter::once_with(|| pass(self.dataset.train.len(), &mut self.rng.clone()));
+        let next = self.remaining_views.iter().rev().copied().chain(following.flat_map(|pass| pass.into_iter().rev()));
+        next.skip(self.ranks.rank() % batch).step_by(batch).map(|view| view as usize)
     }
 
     /// Begins a new pass. A stage does so at its start, since its schedule counts passes from there.
@@ -203,10 +214,11 @@ pub fn mean_pixels(dataset: &Dataset) -> usize {
 #[cfg(test)]
 mod tests {
     use dpges_core::camera::{Camera, CameraFromWorld};
+    use dpges_core::testing::ranks::on_ranks;
     use glam::DVec3;
 
     use super::*;
-    use crate::dataset::{BuiltinOptions, View, builtin};
+    use crate::dataset::{BuiltinOptions, Tracks, View, builtin};
 
     /// The built-in scene with `views`, each a camera at the origin that looks along x turned about y, rad.
     fn looking(turns: &[f64], points: Vec<[f32; 3]>) -> Dataset {
@@ -217,9 +229,25 @@ mod tests {
             Camera { camera_from_world: CameraFromWorld::look_at(DVec3::ZERO, at, -DVec3::Y), ..view.camera }
         };
         dataset.train = turns.iter().map(|&turn| View { camera: camera(turn), ..view.clone() }).collect();
-        dataset.points.seen_by = vec![Vec::new(); points.len()];
+        dataset.points.seen_by = Tracks::default();
         dataset.points.positions = points;
         dataset
+    }
+
+    #[test]
+    fn what_is_read_ahead_is_what_comes_next() {
+        let upcoming = on_ranks(2, |ranks| {
+            let own = ranks.rank();
+            let place = Place { device: Device::flex(), ranks };
+            let mut context = Context::new(Config::default(), Arc::new(looking(&[0.0; 5], Vec::new())), place);
+            context.next_view();
+            let expected: Vec<usize> = context.upcoming(2).take(4).collect();
+            let mut next = || [context.next_view(), context.next_view()];
+            let found: Vec<usize> = (0..4).map(|_| next()[own]).collect();
+            assert_eq!(expected, found);
+            found
+        });
+        assert_ne!(upcoming[0], upcoming[1]);
     }
 
     #[test]

@@ -29,6 +29,8 @@ use dpges_core::scene::{EnvironmentData, GaussianData, SceneData};
 
 use crate::config::{Config, StageKind, StagePlan};
 use blended::BlendedStage;
+#[cfg(test)]
+pub use blended::ScreenGradients;
 pub use checkpoint::{StageCheckpoint, is_dealt};
 pub use context::{BeforeStep, Context, budget};
 pub use environment::EnvironmentState;
@@ -39,7 +41,7 @@ pub use parameters::{Leaves, Parameters, StepRates};
 pub use pending::{PendingStep, Settled};
 pub use photographs::DevicePhotographs;
 pub use report::StepReport;
-pub use step::{StepInput, begin_step};
+pub use step::{StepInput, StepViews, begin_step};
 pub use surroundings::Surroundings;
 pub use weighted_sum::WeightedSumState;
 
@@ -53,9 +55,14 @@ pub trait Stage: Send {
     /// The scene as it stands. All ranks ask for it together.
     fn scene(&self) -> SceneData;
 
-    /// The ranks that its Gaussians are dealt out to; one alone where every rank has all of them, and does the same.
+    /// The ranks that its Gaussians are dealt out to; one alone where every rank has all of them.
     fn ranks(&self) -> Arc<dyn Ranks> {
         Arc::new(Alone)
+    }
+
+    /// Number of views of a step, each on a rank of its own; 1 where all ranks have the same view.
+    fn views_per_step(&self) -> usize {
+        1
     }
 
     /// Number of Gaussians of all ranks.
@@ -83,8 +90,8 @@ pub trait Stage: Send {
         false
     }
 
-    /// Takes note of what refinement wants to know of the view that `camera` sees.
-    fn observe(&mut self, _observed: Observed, _camera: &Camera) {}
+    /// Takes note of what refinement wants to know of the views of a step, that of this rank `observed`, which `cameras` see.
+    fn observe(&mut self, _observed: Observed, _cameras: &[Camera]) {}
 
     /// Learning rates of the step after `completed` ones.
     fn rates(&self, completed: usize, config: &Config) -> StepRates;

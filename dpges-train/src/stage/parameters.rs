@@ -95,6 +95,17 @@ impl Parameters<'_> {
 }
 
 impl ParameterGradients {
+    /// The same after `change`.
+    pub fn map(self, change: impl Fn(Tensor<2>) -> Tensor<2>) -> Self {
+        let all = |list: GradientList| list.into_iter().map(|(of, gradient)| (of, gradient.map(&change))).collect();
+        Self {
+            surfels: all(self.surfels),
+            gaussians: all(self.gaussians),
+            environment: self.environment.map(|(of, gradient)| (of, gradient.map(&change))),
+            weighted_sum: all(self.weighted_sum),
+        }
+    }
+
     /// With their attributes; `None` where no gradient reached one.
     pub fn iter(&self) -> impl Iterator<Item = &(&'static Attribute, Option<Tensor<2>>)> {
         self.surfels.iter().chain(&self.gaussians).chain(&self.environment).chain(&self.weighted_sum)

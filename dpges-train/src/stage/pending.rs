@@ -9,13 +9,14 @@ use dpges_core::ops::finite::{FiniteChecks, FiniteResults, Gate};
 use dpges_core::ops::join::join;
 use dpges_core::ranks::Ranks;
 
-use super::{StepReport, TrainError};
+use super::{StepReport, StepViews, TrainError};
 
 /// A step on the device.
 pub struct PendingStep {
     /// Complete but for the numbers.
     report: StepReport,
     view_name: String,
+    views: StepViews,
     checks: FiniteResults,
     numbers: Readback<Result<TensorData, String>>,
 }
@@ -23,8 +24,8 @@ pub struct PendingStep {
 /// The results of a step that the device has done.
 pub struct Settled {
     pub report: StepReport,
-    /// With respect to the pose of its view; `None` if that is not refined.
-    pub pose_gradient: Option<[f32; 6]>,
+    /// Views of the step with the gradient of their poses; empty if these are not refined.
+    pub pose_gradients: Vec<(usize, [f32; 6])>,
 }
 
 /// Whether a step may be taken: whether its loss and all its gradients are finite.
@@ -61,20 +62,21 @@ impl StepGate {
 }
 
 impl PendingStep {
-    /// Begins to read the numbers without waiting for them: the `losses`, and the `pose_gradient` [1, 6], if there is one.
+    /// Begins to read the numbers without waiting for them: the `losses`, and the gradient [V, 6] of the poses of the
+    /// `views`, if there is one.
     pub fn new(
         report: StepReport,
         view_name: String,
         losses: Losses,
-        pose_gradient: Option<Tensor<2>>,
+        (views, of_poses): (StepViews, Option<Tensor<2>>),
         gate: &StepGate,
     ) -> Self {
         let Losses { total, rgb, surfel, scale, transmittance, squared_error } = losses;
         let numbers = [total, rgb, surfel, scale, transmittance, squared_error].map(Tensor::inner);
         let mut numbers: Vec<Tensor<1>> = numbers.into();
         numbers.push(gate.gate.bad.clone());
-        numbers.extend(pose_gradient.map(|gradient| gradient.reshape([6])));
-        Self { report, view_name, checks: gate.checks.clone(), numbers: begin_readback(join(&numbers)) }
+        numbers.extend(of_poses.map(|gradient| gradient.reshape([-1])));
+        Self { report, view_name, views, checks: gate.checks.clone(), numbers: begin_readback(join(&numbers)) }
     }
 
     /// Waits for the numbers.
@@ -85,10 +87,10 @@ impl PendingStep {
     pub fn settle(self) -> Result<Settled, TrainError> {
         let has_arrived = self.numbers.has_arrived();
         let numbers = if has_arrived { self.numbers.arrived() } else { wait(|| self.numbers.arrived()) };
-        let (step, view) = (self.report.step, self.view_name);
+        let (step, view, views) = (self.report.step, self.view_name, self.views.of_ranks);
         let numbers = numbers.map_err(|reason| TrainError::Device { step, reason })?;
         let numbers: Vec<f64> = download(numbers).iter::<f64>().collect();
-        let &[loss, rgb, surfel, scale, transmittance, squared_error, bad, ref pose @ ..] = numbers.as_slice() else {
+        let &[loss, rgb, surfel, scale, transmittance, squared_error, bad, ref poses @ ..] = numbers.as_slice() else {
             unreachable!("at least seven numbers were asked for");
         };
         if !loss.is_finite() {
@@ -101,7 +103,7 @@ impl PendingStep {
         }
         let psnr = -10.0 * squared_error.log10();
         let report = StepReport { loss, rgb, surfel, scale, transmittance, psnr, ..self.report };
-        let pose_gradient = <&[f64; 6]>::try_from(pose).ok().map(|gradient| gradient.map(|value| value as f32));
-        Ok(Settled { report, pose_gradient })
+        let rows = poses.as_chunks().0.iter().map(|row: &[f64; 6]| row.map(|value| value as f32));
+        Ok(Settled { report, pose_gradients: views.into_iter().zip(rows).collect() })
     }
 }

@@ -17,6 +17,22 @@ use crate::views::depth::DepthTarget;
 use crate::views::exposure::state::{ExposureGradient, photographed};
 use crate::views::pose::state::POSES;
 
+/// Indices of the training views of a step.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct StepViews {
+    /// One for each rank, or one for all of them.
+    pub of_ranks: Vec<usize>,
+    /// That of this rank.
+    pub own: usize,
+}
+
+impl StepViews {
+    /// The same view on all ranks.
+    pub fn one(view: usize) -> Self {
+        Self { of_ranks: vec![view], own: view }
+    }
+}
+
 /// The inputs of a step.
 #[derive(Clone)]
 pub struct StepInput<'a> {
@@ -63,14 +79,15 @@ struct Pass {
     losses: Losses,
     of_parameters: ParameterGradients,
     of_exposure: ExposureGradient,
-    /// [1, 6]; `None` if poses are not refined.
+    /// [V, 6] for the views of the step; `None` if poses are not refined.
     of_pose: Option<Tensor<2>>,
     observed: Observed,
     gate: StepGate,
 }
 
 impl Pass {
-    /// Goes forward and back. `given` lacks what begins on the tape of this pass: exposure and pose.
+    /// Goes forward and back, on as many views as the stage has in a step. `given` lacks what begins on the tape of this pass:
+    /// exposure and pose.
     fn new(stage: &mut dyn Stage, context: &Context, given: &StepInput<'_>) -> dpges_core::Result<Self> {
         let leaves = stage.parameters().leaves();
         let corrections = context.exposure.leaf();
@@ -82,12 +99,22 @@ impl Pass {
         let forward = within_capacity(|| stage.forward(&leaves, &input, context)).flatten()?;
 
         let mut gradients = within_capacity(|| forward.losses.total.backward())?;
-        let of_parameters = stage.parameters().gradients(&leaves, &mut gradients);
-        let of_exposure = context.exposure.gradient(corrections.as_ref(), &mut gradients);
+        let mut of_parameters = stage.parameters().gradients(&leaves, &mut gradients);
+        let mut of_exposure = context.exposure.gradient(corrections.as_ref(), &mut gradients);
         let mut of_pose = probe.as_ref().and_then(|probe| probe.gradient(&mut gradients));
-        if probe.is_some() && !ranks.is_alone() {
-            let nothing = || Tensor::zeros([1, 6], (&context.device, DType::F32));
-            of_pose = Some(ranks.joined(of_pose.unwrap_or_else(nothing)));
+        let views = stage.views_per_step();
+        if views > 1 {
+            let mean = |gradient: Tensor<2>| context.ranks.joined(gradient) / views as f64;
+            of_parameters = of_parameters.map(mean);
+            of_exposure = of_exposure.map(|(attribute, gradient)| (attribute, gradient.map(mean)));
+        }
+        if probe.is_some() && !context.ranks.is_alone() {
+            let nothing = |rows: usize| Tensor::zeros([rows, 6], (&context.device, DType::F32));
+            let own = of_pose.unwrap_or_else(|| nothing(1));
+            let (before, after) =
+                if views > 1 { (context.ranks.rank(), views - 1 - context.ranks.rank()) } else { (0, 0) };
+            let rows = [nothing(before), own, nothing(after)].into_iter().filter(|rows| rows.dims()[0] > 0);
+            of_pose = Some(context.ranks.joined(Tensor::cat(rows.collect(), 0)));
         }
         let of_probe = forward.probe.and_then(|probe| probe.grad_remove(&mut gradients));
         let attributes = of_parameters.iter().chain(&of_exposure);
@@ -95,7 +122,7 @@ impl Pass {
         let gate = StepGate::new(
             &forward.losses.total,
             attributes.chain(of_pose.as_ref().map(|gradient| (POSES, gradient))),
-            &*ranks,
+            &*context.ranks,
         );
         let observed = Observed { statistics: forward.statistics, of_probe };
         Ok(Self { losses: forward.losses, of_parameters, of_exposure, of_pose, observed, gate })
@@ -106,13 +133,14 @@ impl Pass {
 pub struct BegunStep {
     report: StepReport,
     view_name: String,
-    camera: Camera,
+    views: StepViews,
+    cameras: Vec<Camera>,
     /// Steps of the stage that are done.
     completed: usize,
     pass: Pass,
 }
 
-/// Hands the first half of a step to the device, and waits for nothing but the lengths of its tile lists. A GPU knows these
+/// Hands the first half of a step on `views` to the device, and waits for nothing but the lengths of its tile lists. A GPU knows these
 /// after the numbers of the step before.
 ///
 /// # Errors
@@ -122,20 +150,22 @@ pub fn begin_step(
     stage: &mut dyn Stage,
     context: &mut Context,
     mut report: StepReport,
+    views: StepViews,
 ) -> Result<BegunStep, TrainError> {
     let completed = context.completed_in(stage.plan());
     let dataset = context.dataset.clone();
-    let view = &dataset.train[report.view];
+    let view = &dataset.train[views.own];
+    let cameras = views.of_ranks.iter().map(|&view| dataset.train[view].camera).collect();
 
     (report.surfels, report.gaussians) = (stage.parameters().surfels.len(), stage.gaussian_count());
-    let target = context.target(report.view)?;
+    let target = context.target(views.own)?;
     context.prefetch(stage);
     // After the first step they stay finite, since a step with a gradient that is not finite is held back
     let values = if completed == 0 { Values::Unknown } else { Values::KnownFinite };
     let depth = context.depth_target(report.view, &context.tape());
-    let given = StepInput { completed, index: report.view, view, target, values, depth, exposure: None, pose: None };
+    let given = StepInput { completed, index: views.own, view, target, values, depth, exposure: None, pose: None };
     let at = |source| TrainError::Step { step: report.step, view: view.name.clone(), source };
-    let pass = if stage.ranks().is_alone() {
+    let pass = if context.ranks.is_alone() {
         // twice if a list had no room: a pass changes nothing
         lists::defer_readback(|| Pass::new(stage, context, &given))
     } else {
@@ -143,7 +173,7 @@ pub fn begin_step(
         Pass::new(stage, context, &given)
     };
     let pass = pass.map_err(at)?;
-    Ok(BegunStep { report, view_name: view.name.clone(), camera: view.camera, completed, pass })
+    Ok(BegunStep { report, view_name: view.name.clone(), views, cameras, completed, pass })
 }
 
 impl BegunStep {
@@ -153,13 +183,15 @@ impl BegunStep {
     /// # Errors
     /// [`TrainError::Core`] if an operation refuses the gradients or the parameters.
     pub fn learn(self, stage: &mut dyn Stage, context: &mut Context) -> Result<PendingStep, TrainError> {
-        let Self { report, view_name, camera, completed, pass } = self;
+        let Self { report, view_name, views, cameras, completed, pass } = self;
         let Pass { losses, of_parameters, of_exposure, of_pose, observed, gate } = pass;
-        let pending = PendingStep::new(report, view_name, losses, of_pose, &gate);
-        stage.observe(observed, &camera);
+        let pending = PendingStep::new(report, view_name, losses, (views, of_pose), &gate);
+        stage.observe(observed, &cameras);
         let rates = stage.rates(completed, &context.config);
-        stage.parameters().step(of_parameters, gate.open(), &rates, context.config.optimizer.adam(completed))?;
-        let step = context.exposure_step();
+        let batch = stage.views_per_step();
+        let adam = context.config.optimizer.adam(completed, batch);
+        stage.parameters().step(of_parameters, gate.open(), &rates, adam)?;
+        let step = context.exposure_step(batch);
         context.exposure.step(of_exposure, gate.open(), step)?;
         stage.after_step(completed, context)?;
         Ok(pending)

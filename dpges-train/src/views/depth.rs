@@ -95,7 +95,7 @@ fn empty(dataset: &Dataset) -> Vec<&str> {
 /// For each training view the values of its relative map at points of `dataset` that it saw, and their disparities.
 fn pairs(dataset: &Dataset) -> Vec<Vec<[f64; 2]>> {
     let mut pairs = vec![Vec::new(); dataset.train.len()];
-    for (position, seen_by) in dataset.points.positions.iter().zip(&dataset.points.seen_by) {
+    for (position, seen_by) in dataset.points.positions.iter().zip(dataset.points.seen_by.iter()) {
         let world = Vec3::from_array(*position).as_dvec3();
         for &view in seen_by {
             let View { camera, depth, .. } = &dataset.train[view as usize];

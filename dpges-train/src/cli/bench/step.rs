@@ -49,7 +49,8 @@ pub struct BenchStepArgs {
     /// joint (surfels and Gaussians) or blended (the Gaussians alone) instead of what the scene was made for
     #[arg(long, value_name = "STAGE")]
     stage: Option<StepStage>,
-    /// Measure one of N ranks, which has all surfels and one in N Gaussians, and say what it sends (joint stage)
+    /// Measure one of N ranks and say what it sends: in the joint stage it has all surfels and one in N Gaussians, in others all
+    /// Gaussians and one of the N views of a step
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1000))]
     ranks: u32,
     /// Steps that are timed
@@ -83,15 +84,14 @@ pub fn run(args: &BenchStepArgs) -> Result<()> {
         }
         let stage = args.stage.unwrap_or_else(|| StepStage::of(scene.info.rendering));
         let ranks = args.ranks as usize;
-        if ranks > 1 && stage == StepStage::Blended {
-            return Err(Failure::Usage("--ranks is for the joint stage: what is sorted is not dealt out".into()));
+        if stage == StepStage::Joint {
+            scene.gaussians = scene.gaussians.select(&(0..scene.gaussians.len()).step_by(ranks).collect::<Vec<_>>());
         }
-        scene.gaussians = scene.gaussians.select(&(0..scene.gaussians.len()).step_by(ranks).collect::<Vec<_>>());
         let mut steps = Steps::new(&scene, &cameras, stage, &opened)?;
         let rounds = Rounds { warm_up: args.warm_up as usize, counted: args.rounds as usize };
-        let cost = measure(&mut steps, rounds)?;
+        let (cost, joined) = (measure(&mut steps, rounds)?, steps.joined_numbers());
         let report = Report::new(args.scene.display().to_string(), device, &cameras[0], cost)?;
-        let report = report.of_ranks(ranks, scene.info.layer_count);
+        let report = report.of_ranks(ranks, joined);
         if let Some(file) = &args.json {
             write_json(file, &report)?;
         }

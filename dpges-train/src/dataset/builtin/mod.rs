@@ -250,7 +250,7 @@ fn surface_points(train: &[View], options: &BuiltinOptions) -> PointCloud {
         let seen_by = (0..).zip(train).filter(|(_, view)| sees(&view.camera, hit.position)).map(|(index, _)| index);
         points.positions.push((hit.position + noise).as_vec3().to_array());
         points.colours.push(hit.diffuse().as_vec3().to_array());
-        points.seen_by.push(seen_by.collect());
+        points.seen_by.push(seen_by);
     }
     points
 }

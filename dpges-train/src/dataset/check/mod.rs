@@ -60,7 +60,7 @@ impl Report {
     /// [`dpges_core::Error::Io`] if a photograph cannot be read again.
     pub fn of(dataset: &Dataset, effort: Effort) -> dpges_core::Result<Self> {
         let views = facts::facts(dataset, effort)?;
-        let seen: usize = dataset.points.seen_by.iter().map(Vec::len).sum();
+        let seen: usize = dataset.points.seen_by.iter().map(<[u32]>::len).sum();
         let points = dataset.points.positions.len();
         let findings = findings::findings(&views);
         let views_per_point = (seen > 0).then(|| seen as f64 / points as f64);

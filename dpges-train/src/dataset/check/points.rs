@@ -53,11 +53,11 @@ impl Cells {
 
 /// For each training view the indices of the points that it saw; empty if the dataset does not say.
 pub(super) fn seen_by_view(dataset: &Dataset) -> Vec<Vec<u32>> {
-    if dataset.points.seen_by.iter().all(Vec::is_empty) {
+    if dataset.points.seen_by.are_unknown() {
         return Vec::new();
     }
     let mut seen = vec![Vec::new(); dataset.train.len()];
-    for (point, views) in (0..).zip(&dataset.points.seen_by) {
+    for (point, views) in (0..).zip(dataset.points.seen_by.iter()) {
         views.iter().for_each(|&view| seen[view as usize].push(point));
     }
     seen

@@ -4,7 +4,7 @@ use dpges_core::camera::{Camera, CameraFromWorld};
 use glam::DVec3;
 
 use super::*;
-use crate::dataset::{BuiltinOptions, Picture, View, builtin};
+use crate::dataset::{BuiltinOptions, Picture, Tracks, View, builtin};
 
 /// Width and height of the photographs, px.
 const SIZE: [usize; 2] = [96; 2];
@@ -146,7 +146,7 @@ fn what_is_masked_needs_no_points() {
         if pixel.is_none_or(|(pixel, _)| pixel % 96 < 40) {
             dataset.points.positions.push(*position);
             dataset.points.colours.push(points.colours[index]);
-            dataset.points.seen_by.push(points.seen_by[index].clone());
+            dataset.points.seen_by.push(points.seen_by.of(index).iter().copied());
         }
     }
     let (coverage, unexplained) = shows_little(&dataset);
@@ -188,7 +188,11 @@ fn a_photograph_that_is_there_twice_is_named() {
     let mut dataset = clean();
     let copy = View { name: "train_003 copy".to_owned(), ..dataset.train[3].clone() };
     dataset.train.push(copy);
-    dataset.points.seen_by.iter_mut().filter(|seen_by| seen_by.contains(&3)).for_each(|seen_by| seen_by.push(24));
+    let seen_by = dataset.points.seen_by.iter().map(|views| {
+        let twin = views.contains(&3).then_some(24);
+        views.iter().copied().chain(twin)
+    });
+    dataset.points.seen_by = seen_by.collect();
     assert_eq!(found(&dataset), [(Kind::Duplicate, vec!["train_003 copy".to_owned()])]);
     assert!(full(&dataset).findings[0].message.ends_with("train_003 copy (like train_003)"));
     mask(&mut dataset.train[24], 60, |_| 255);
@@ -214,28 +218,27 @@ fn a_camera_far_from_the_rest_is_named() {
 fn views_without_points_and_with_few_are_named() {
     let mut dataset = clean();
     let mut left = 5;
-    for seen_by in &mut dataset.points.seen_by {
-        seen_by.retain(|&view| match view {
-            2 => false,
-            6 if left == 0 => false,
-            6 => {
-                left -= 1;
-                true
-            }
-            _ => true,
-        });
-    }
+    let mut stays = |view: u32| match view {
+        2 => false,
+        6 if left == 0 => false,
+        6 => {
+            left -= 1;
+            true
+        }
+        _ => true,
+    };
+    let kept = |views: &[u32]| views.iter().copied().filter(|&view| stays(view)).collect::<Vec<u32>>();
+    dataset.points.seen_by = dataset.points.seen_by.iter().map(kept).collect();
     let expected = [(Kind::NoPoints, vec!["train_002".to_owned()]), (Kind::FewPoints, vec!["train_006".to_owned()])];
     assert_eq!(found(&dataset), expected);
 
     dataset = clean();
-    dataset.points.seen_by.iter_mut().for_each(Vec::clear);
+    dataset.points.seen_by = Tracks::default();
     let camera = &mut dataset.test[1].camera;
     let away = CameraFromWorld::look_at(camera.centre(), 2.0 * camera.centre(), DVec3::Z);
     *camera = Camera { camera_from_world: away, ..*camera };
     dataset.points.positions.retain(|point| DVec3::from_array(point.map(f64::from)).length() < 1.0);
     dataset.points.colours.truncate(dataset.points.positions.len());
-    dataset.points.seen_by.truncate(dataset.points.positions.len());
     let named = found(&dataset).into_iter().find(|(kind, _)| *kind == Kind::NoPoints);
     assert_eq!(named, Some((Kind::NoPoints, vec!["test_001".to_owned()])), "it looks away from all points");
 }
@@ -246,7 +249,7 @@ fn few_views_and_pictures_without_points_are_said() {
     assert_eq!(found(&dataset), [(Kind::FewViews, Vec::new())]);
     dataset.points.positions.truncate(10);
     dataset.points.colours.truncate(10);
-    dataset.points.seen_by.truncate(10);
+    dataset.points.seen_by = dataset.points.seen_by.iter().take(10).map(<[u32]>::to_vec).collect();
     let kinds: Vec<Kind> = found(&dataset).into_iter().map(|(kind, _)| kind).collect();
     assert!(kinds.contains(&Kind::Unexplained) && kinds.contains(&Kind::FewViews), "{kinds:?}");
 }

@@ -11,6 +11,7 @@ use serde::{Deserialize, Deserializer};
 use serde_ply::{DeserializeError, ElementDef, PlyReader, PropertyType, ScalarType};
 
 use super::source::RawPoints;
+use crate::dataset::Tracks;
 use crate::dataset::error::{DatasetError, Result};
 
 /// Colour of points without one in the file.
@@ -50,7 +51,7 @@ pub(super) fn points(path: &Path) -> Result<RawPoints> {
     for channel in colours.as_flattened_mut() {
         *channel = if channel.is_nan() { GREY } else { (f64::from(*channel) * colour_scale).clamp(0.0, 1.0) as f32 };
     }
-    Ok(RawPoints { positions, colours, seen_by: Vec::new() })
+    Ok(RawPoints { positions, colours, seen_by: Tracks::default() })
 }
 
 /// All vertices, read one by one: large captures have tens of millions.

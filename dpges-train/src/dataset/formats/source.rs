@@ -6,7 +6,7 @@ use dpges_core::camera::CameraFromWorld;
 use glam::DVec3;
 
 use super::calibration::Calibration;
-use crate::dataset::Format;
+use crate::dataset::{Format, Tracks};
 
 /// Which set a view belongs to; `Neither` for a view that the dataset's own lists leave out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -45,8 +45,8 @@ pub(in crate::dataset) struct DepthFile {
 pub(in crate::dataset) struct RawPoints {
     pub positions: Vec<DVec3>,
     pub colours: Vec<[f32; 3]>,
-    /// Indices into [`Source::frames`], ascending; none at all if unknown.
-    pub seen_by: Vec<Vec<u32>>,
+    /// Indices into [`Source::frames`]; those of no point if unknown.
+    pub seen_by: Tracks,
 }
 
 #[derive(Clone, Debug)]

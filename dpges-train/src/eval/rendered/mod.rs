@@ -42,6 +42,8 @@ pub struct Renderer {
     gaussians: Gaussians,
     /// Those that `gaussians` are dealt out to.
     ranks: Arc<dyn Ranks>,
+    /// All that render this scene.
+    job: Arc<dyn Ranks>,
     /// [(degree + 1)², 3]
     environment: Option<Tensor<2>>,
     options: Options,
@@ -96,15 +98,15 @@ impl Renderer {
         Self::on_ranks(scene, &device.clone().into())
     }
 
-    /// Uploads `scene`, of summed Gaussians behind surfels those that are dealt to this rank. All ranks then render the same
-    /// views together.
+    /// Uploads `scene`, of summed Gaussians behind surfels those that are dealt to this rank. All ranks then render views of such
+    /// a scene together.
     pub fn on_ranks(scene: &SceneData, place: &Place) -> Self {
-        let Place { device, ranks } = place.clone();
+        let Place { device, ranks: job } = place.clone();
         let (device, alone) = (&device, Place::from(device.clone()).ranks);
         let (gaussians, ranks) = match scene.info.rendering {
-            Rendering::Peeled if !ranks.is_alone() => {
-                let own: Vec<usize> = (ranks.rank()..scene.gaussians.len()).step_by(ranks.count()).collect();
-                (Cow::Owned(scene.gaussians.select(&own)), ranks)
+            Rendering::Peeled if !job.is_alone() => {
+                let own: Vec<usize> = (job.rank()..scene.gaussians.len()).step_by(job.count()).collect();
+                (Cow::Owned(scene.gaussians.select(&own)), Arc::clone(&job))
             }
             _ => (Cow::Borrowed(&scene.gaussians), alone),
         };
@@ -123,6 +125,7 @@ impl Renderer {
             surfels: Surfels::from_data(&scene.surfels, device, DType::F32),
             gaussians: Gaussians::from_data(&gaussians, device, DType::F32),
             ranks,
+            job,
             environment: scene.environment.as_ref().map(|e| rows_to_tensor(&e.coefficients, 3, device, DType::F32)),
             options,
         }
@@ -134,6 +137,16 @@ impl Renderer {
     /// As [`render_on_ranks`], [`render_blended`] and [`render_summed`].
     pub fn render(&self, camera: &Camera) -> Result<Rendered> {
         self.render_with(camera, &self.options)
+    }
+
+    /// All ranks that render this scene.
+    pub fn job(&self) -> &dyn Ranks {
+        &*self.job
+    }
+
+    /// Whether all ranks have to render a view together.
+    pub fn is_dealt(&self) -> bool {
+        !self.ranks.is_alone()
     }
 
     /// Whether there are no primitives on this rank.

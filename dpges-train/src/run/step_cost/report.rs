@@ -98,10 +98,10 @@ impl Report {
         Ok(Self { scene, device, adapter, hardware, not_measured, camera, ranks: 1, sent_bytes: 0, cost })
     }
 
-    /// The same of a step of one of `ranks`, which peels so many `layers`.
+    /// The same of a step of one of `ranks`, which join so many `numbers`.
     #[must_use]
-    pub fn of_ranks(self, ranks: usize, layers: usize) -> Self {
-        Self { ranks, sent_bytes: sent_bytes(self.cost.width * self.cost.height, layers, ranks), ..self }
+    pub fn of_ranks(self, ranks: usize, numbers: usize) -> Self {
+        Self { ranks, sent_bytes: sent_bytes(numbers, ranks), ..self }
     }
 
     /// The measurement, in a line.
@@ -303,7 +303,7 @@ mod tests {
             assert!(text.contains(part), "{text}");
         }
         assert!(!text.contains("ranks"), "{text}");
-        report = report.of_ranks(2, 3);
+        report = report.of_ranks(2, 12 * 48 * 32);
         // 48 bytes for each of 48 × 32 px
         let sent = "0.07 MB a step by each of 2 ranks: at least 0.1 ms at 10 Gb/s";
         assert!(format!("{:?}", report.rows()).contains(sent), "{:?}", report.rows());

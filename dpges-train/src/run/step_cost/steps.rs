@@ -3,6 +3,7 @@
 use burn::tensor::Device;
 use dpges_core::backend::device::is_gpu;
 use dpges_core::camera::Camera;
+use dpges_core::ranks::sums_of_view;
 use dpges_core::scene::SceneData;
 use dpges_core::scene::tensors::tensor_to_rows;
 
@@ -12,7 +13,7 @@ use crate::dataset::{Picture, View};
 use crate::eval::rendered::Renderer;
 use crate::run::own_pictures::{StepStage, config, dataset, last_stage};
 use crate::run::{StepReport, TrainError};
-use crate::stage::{self, Context, PendingStep, Stage, begin_step};
+use crate::stage::{self, Context, Parameters, PendingStep, Stage, StepViews, begin_step};
 
 /// Where in the stage the steps are, as a share: surfels are still judged, blended Gaussians still densified.
 const PROGRESS: f64 = 0.4;
@@ -60,7 +61,7 @@ impl Steps {
         let view = self.next % self.context.dataset.train.len();
         self.next += 1;
         let report = StepReport::begin(self.context.completed_steps + 1, self.kind(), view, Vec::new());
-        let begun = begin_step(&mut *self.stage, &mut self.context, report)?;
+        let begun = begin_step(&mut *self.stage, &mut self.context, report, StepViews::one(view))?;
         self.settle()?;
         self.pending = Some(begun.learn(&mut *self.stage, &mut self.context)?);
         if is_gpu(&self.context.device) { Ok(()) } else { self.settle() }
@@ -111,6 +112,21 @@ impl Steps {
     pub fn primitives(&mut self) -> (usize, usize) {
         let parameters = self.stage.parameters();
         (parameters.surfels.len(), parameters.gaussians.len())
+    }
+
+    /// How many numbers ranks join in a step: in the joint stage the sums of a view, otherwise the gradients of all parameters.
+    pub fn joined_numbers(&mut self) -> usize {
+        match self.kind() {
+            StageKind::Joint => {
+                let [width, height] = self.size();
+                sums_of_view(width * height, self.scene.info.layer_count)
+            }
+            StageKind::Blended(_) => {
+                let Parameters { gaussians, environment, .. } = self.stage.parameters();
+                let rows = gaussians.rows().into_values().chain(environment.rows().map(|(_, rows)| rows));
+                rows.map(|rows| rows.raw.len()).sum()
+            }
+        }
     }
 
     /// The kind of stage that the steps train.

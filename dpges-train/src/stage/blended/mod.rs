@@ -8,12 +8,15 @@ mod schedule;
 mod screen_gradients;
 mod start;
 
+use std::sync::Arc;
+
 use burn::tensor::{DType, Device, Tensor};
 use dpges_core::camera::Camera;
 use dpges_core::losses::geometry::expected_depth;
 use dpges_core::losses::{Losses, rgb_and_error};
 use dpges_core::ops::jitter::NoiseGate;
 use dpges_core::ops::photometric::Photometric;
+use dpges_core::ranks::Ranks;
 use dpges_core::render::blended::{BlendedOptions, BlendedRender, Probes, render_blended_probed};
 use dpges_core::render::summed::{SummedOptions, SummedRender, render_summed};
 use dpges_core::scene::tensors::rows_to_tensor;
@@ -56,6 +59,8 @@ const DEGREES_HALVED_EVERY: usize = 5000;
 pub struct BlendedStage {
     pub plan: StagePlan,
     blended: Blended,
+    /// Those that see a view each in every step.
+    ranks: Arc<dyn Ranks>,
     pub info: SceneInfo,
     schedule: BlendedSchedule,
     /// There are none.
@@ -129,6 +134,7 @@ impl BlendedStage {
         Self {
             plan,
             blended,
+            ranks: Arc::clone(&context.ranks),
             info: SceneInfo {
                 screen_filter: blended.screen_filter(),
                 blend_order: blended.blend_order(config.density.transparency),
@@ -251,11 +257,16 @@ impl BlendedStage {
         }
     }
 
+    /// Factor on learning rates: the root of the number of views of a step (Grendel-GS).
+    fn batch_factor(&self) -> f64 {
+        (self.views_per_step() as f64).sqrt()
+    }
+
     /// World units.
     fn position_rate(&self, completed: usize, config: &Config) -> f64 {
         let progress = completed as f64 / self.plan.steps as f64;
         let progress = if is_alone(config) { progress } else { config.stages.position_share * progress };
-        config.optimizer.position_rate(progress, self.info.extent)
+        config.optimizer.position_rate(progress, self.info.extent) * self.batch_factor()
     }
 }
 
@@ -277,10 +288,11 @@ impl BlendedStage {
             rate,
             burns_in,
             friction: if burns_in { students.burn_in_friction } else { students.friction },
-            restarts: completed == burn_in_steps,
+            restarts: (burn_in_steps..burn_in_steps + self.views_per_step()).contains(&completed),
             seed: context.rng.random(),
         };
-        let (gaussians, adam) = (self.gaussians.values(), context.config.optimizer.adam(completed));
+        let adam = context.config.optimizer.adam(completed, self.views_per_step());
+        let gaussians = self.gaussians.values();
         let Some(momenta) = &mut self.momenta else { return Ok(()) };
         self.momenta_before = Some(momenta.clone());
         let positions = momenta.step(&self.gaussians.columns.positions, &gaussians, &adam, &step)?;
@@ -314,12 +326,16 @@ impl Stage for BlendedStage {
         SceneData { info: self.scene_info(), surfels, gaussians, environment }
     }
 
+    fn views_per_step(&self) -> usize {
+        self.ranks.count()
+    }
+
     fn is_due(&self, completed: usize) -> bool {
-        self.schedule.due(completed) != BlendedDue::default()
+        self.schedule.due(completed, self.views_per_step()) != BlendedDue::default()
     }
 
     fn refine(&mut self, completed: usize, context: &mut Context) -> Result<Vec<String>, TrainError> {
-        self.refine_due(self.schedule.due(completed), completed, context)
+        self.refine_due(self.schedule.due(completed, self.views_per_step()), completed, context)
     }
 
     fn forward(&self, leaves: &Leaves, input: &StepInput<'_>, context: &Context) -> dpges_core::Result<ForwardPass> {
@@ -362,20 +378,23 @@ impl Stage for BlendedStage {
         Ok(ForwardPass { losses, probe, statistics: None })
     }
 
-    fn observe(&mut self, observed: Observed, camera: &Camera) {
+    fn observe(&mut self, observed: Observed, cameras: &[Camera]) {
         self.gradients_before = None;
         if let Some(gradient) = observed.of_probe {
             self.gradients_before = Some(self.screen_gradients.clone());
             let axes = if self.blended == Blended::Discs { 2 } else { 3 };
-            self.screen_gradients.see(&self.gaussians.values(), axes, camera);
+            let gaussians = self.gaussians.values();
+            cameras.iter().for_each(|camera| self.screen_gradients.see(&gaussians, axes, camera));
             let signed = if self.blended == Blended::Controlled(Density::Hybrid) { 3 } else { 2 };
-            self.screen_gradients.add(gradient, signed);
+            self.screen_gradients.add(gradient, signed, &*self.ranks);
         }
     }
 
     fn rates(&self, completed: usize, config: &Config) -> StepRates {
         let optimizer = &config.optimizer;
-        let decay = if is_alone(config) { optimizer.decay_at(completed as f64 / self.plan.steps as f64) } else { 1.0 };
+        let progress = completed as f64 / self.plan.steps as f64;
+        let batch = self.batch_factor();
+        let decay = batch * if is_alone(config) { optimizer.decay_at(progress) } else { 1.0 };
         let halvings = completed / self.plan.scaled(DEGREES_HALVED_EVERY).max(1);
         let rates = Rates {
             // momenta move them
@@ -383,14 +402,14 @@ impl Stage for BlendedStage {
             quaternions: optimizer.quaternions * decay,
             log_scales: optimizer.log_scales * decay,
             opacities: self.opacity_rate() * decay,
-            degrees_of_freedom: DEGREES_RATE * 0.5f64.powi(halvings as i32),
+            degrees_of_freedom: batch * DEGREES_RATE * 0.5f64.powi(halvings as i32),
             opacity_base: FACTOR_RATE * decay,
             opacity_detail: HIGHER_FACTORS * FACTOR_RATE * decay,
             base: optimizer.base * decay,
             detail: optimizer.detail * decay,
         };
-        let progress = completed as f64 / self.plan.steps as f64;
         let weighted_sum = self.weighted_sum.as_ref().map_or([0.0; 3], |sum| sum.rates(progress, self.info.extent));
+        let weighted_sum = weighted_sum.map(|rate| rate * batch);
         StepRates { surfels: rates, gaussians: rates, environment: optimizer.environment * decay, weighted_sum }
     }
 

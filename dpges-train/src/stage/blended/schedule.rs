@@ -129,8 +129,12 @@ impl BlendedSchedule {
         }
     }
 
-    pub fn due(&self, completed: usize) -> BlendedDue {
-        let due = |steps: &[usize]| steps.binary_search(&completed).is_ok();
+    /// What is due after `completed` steps, of which the last step was a batch of `views`.
+    pub fn due(&self, completed: usize, views: usize) -> BlendedDue {
+        let due = |steps: &[usize]| {
+            let next = steps.partition_point(|&step| step + views <= completed);
+            steps.get(next).is_some_and(|&step| step <= completed)
+        };
         BlendedDue {
             densify: due(&self.densify),
             reset: due(&self.reset),
@@ -177,6 +181,16 @@ mod tests {
         assert_eq!((dbs.relocate[0], dbs.relocate.last(), dbs.relocate.len()), (600, Some(&24_900), 244));
         assert!(dbs.densify.is_empty() && discs.relocate.is_empty());
         assert_eq!(schedule(Method::Sss, 30_000, 100), dbs);
+    }
+
+    #[test]
+    fn what_is_due_within_a_batch_is_due_once_after_it() {
+        let schedule = BlendedSchedule { relocate: vec![3, 4, 9], reset: vec![6], ..BlendedSchedule::default() };
+        let due = |views: usize| -> Vec<usize> {
+            (0..=12).step_by(views).filter(|&completed| schedule.due(completed, views).relocate).collect()
+        };
+        assert_eq!([due(1), due(2), due(3)], [vec![3, 4, 9], vec![4, 10], vec![3, 6, 9]]);
+        assert!(schedule.due(6, 3).reset && !schedule.due(9, 3).reset && !schedule.due(0, 4).reset);
     }
 
     #[test]

@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use dpges_core::camera::{Camera, Lens};
+use dpges_core::ranks::Ranks;
 use dpges_core::scene::Gaussians;
 use dpges_core::scene::tensors::{rows_to_tensor, tensor_to_rows};
 
@@ -50,14 +51,14 @@ impl ScreenGradients {
         }
     }
 
-    /// Adds the gradient [M, 4] of the probe of one view, whose first `signed` columns are a gradient, and the others that of
-    /// absolute values.
-    pub fn add(&mut self, probe: Tensor<2>, signed: usize) {
+    /// Adds the gradient [M, 4] of the probe of one view of each of `ranks`, whose first `signed` columns are a gradient, and the
+    /// others that of absolute values.
+    pub fn add(&mut self, probe: Tensor<2>, signed: usize, ranks: &dyn Ranks) {
         let [count, width] = probe.dims();
         let squares = probe.clone() * probe.clone();
         let norm =
             |columns: Range<usize>| squares.clone().slice([0..count, columns]).sum_dim(1).sqrt().reshape([count]);
-        let (signed, absolute) = (norm(0..signed), norm(signed..width));
+        let (signed, absolute) = (ranks.joined(norm(0..signed)), ranks.joined(norm(signed..width)));
         self.signed = self.signed.clone() + signed;
         self.absolute = self.absolute.clone() + absolute;
     }
@@ -128,6 +129,7 @@ fn in_picture_of_lens(lens: &Lens, [x, y, z]: [Tensor<1>; 3], radius: Tensor<1>,
 #[cfg(test)]
 mod tests {
     use dpges_core::camera::{CameraFromWorld, Distortion, Projection};
+    use dpges_core::ranks::Alone;
     use dpges_core::scene::{ColourModel, GaussianData};
     use dpges_core::testing::random::Random;
     use glam::DVec3;
@@ -199,12 +201,12 @@ mod tests {
         let device = Device::flex();
         let mut sums = ScreenGradients::new(2, &device);
         let probe = |rows: [f32; 8]| Tensor::from_data(TensorData::new(rows.to_vec(), [2, 4]), (&device, DType::F32));
-        sums.add(probe([3.0, -4.0, 6.0, 8.0, 0.0, 0.0, 0.0, 0.0]), 2);
-        sums.add(probe([0.0, 1.0, 0.0, 2.0, 0.0, 0.0, 1.0, 0.0]), 2);
+        sums.add(probe([3.0, -4.0, 6.0, 8.0, 0.0, 0.0, 0.0, 0.0]), 2, &Alone);
+        sums.add(probe([0.0, 1.0, 0.0, 2.0, 0.0, 0.0, 1.0, 0.0]), 2, &Alone);
         let GradientSums { signed, absolute, views } = sums.sums();
         assert_eq!((signed, absolute, views), (vec![6.0, 0.0], vec![12.0, 1.0], vec![0, 0]));
         let mut sums = ScreenGradients::new(2, &device);
-        sums.add(probe([2.0, -1.0, 2.0, 5.0, 0.0, 0.0, 0.0, 0.25]), 3);
+        sums.add(probe([2.0, -1.0, 2.0, 5.0, 0.0, 0.0, 0.0, 0.25]), 3, &Alone);
         let GradientSums { signed, absolute, .. } = sums.sums();
         assert_eq!((signed, absolute), (vec![3.0, 0.0], vec![5.0, 0.25]));
     }

@@ -214,7 +214,7 @@ impl Stage for JointStage {
         Ok(ForwardPass { losses, probe: None, statistics: Some(statistics) })
     }
 
-    fn observe(&mut self, observed: Observed, _: &Camera) {
+    fn observe(&mut self, observed: Observed, _: &[Camera]) {
         let statistics = observed.statistics.expect("this stage has statistics");
         self.statistics_before = Some(std::mem::replace(&mut self.statistics, statistics));
     }

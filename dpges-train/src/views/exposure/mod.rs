@@ -150,8 +150,7 @@ pub fn brightness_spread(dataset: &Dataset) -> Result<Option<f64>> {
     let points = &dataset.points;
     let mut seen = vec![Vec::new(); dataset.train.len()];
     for point in (0..points.positions.len()).step_by(points.positions.len().div_ceil(SAMPLED_POINTS).max(1)) {
-        let views = points.seen_by.get(point).map(Vec::as_slice).unwrap_or_default();
-        views.iter().for_each(|&view| seen[view as usize].push(point));
+        points.seen_by.of(point).iter().for_each(|&view| seen[view as usize].push(point));
     }
     let asked = dataset.train.iter().zip(&seen).filter(|(_, points)| points.len() >= FEWEST_POINTS);
     let asked: Vec<(&View, &Vec<usize>)> = asked.collect();
@@ -185,7 +184,7 @@ mod tests {
     use burn::tensor::DType;
 
     use super::*;
-    use crate::dataset::{BuiltinOptions, builtin};
+    use crate::dataset::{BuiltinOptions, Tracks, builtin};
 
     const CHANGE: Correction = Correction { gain: [0.75, 1.0, 1.5], offset: [0.05, -0.1, 0.0] };
 
@@ -279,7 +278,7 @@ mod tests {
         let (equal, different) = (spread(0.0).unwrap(), spread(1.0).unwrap());
         assert!(equal < 0.05 && different > 0.12, "{equal}, {different}");
         let mut unknown = builtin(&BuiltinOptions { test_views: 0, points: 30, ..Default::default() });
-        unknown.points.seen_by.iter_mut().for_each(Vec::clear);
+        unknown.points.seen_by = Tracks::default();
         assert_eq!(brightness_spread(&unknown).unwrap(), None);
     }
 }

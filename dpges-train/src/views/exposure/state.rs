@@ -126,11 +126,11 @@ impl Context {
         Ok(if is_on { ExposureState::new(self.dataset.train.len(), &self.device) } else { ExposureState::default() })
     }
 
-    /// The step of the corrections in the current step of the run.
-    pub fn exposure_step(&self) -> AdamStep {
+    /// The step of the corrections in the current step of the run, on a `batch` of views.
+    pub fn exposure_step(&self, batch: usize) -> AdamStep {
         let progress = self.completed_steps as f64 / self.config.total_steps().max(1) as f64;
-        let learning_rate = self.config.optimizer.exposure_rate(progress);
-        AdamStep { learning_rate, ..self.config.optimizer.adam(self.completed_steps) }
+        let learning_rate = self.config.optimizer.exposure_rate(progress) * (batch as f64).sqrt();
+        AdamStep { learning_rate, ..self.config.optimizer.adam(self.completed_steps, batch) }
     }
 }
 

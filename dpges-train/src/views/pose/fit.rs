@@ -60,7 +60,7 @@ pub fn fitted_pose(
             break;
         }
         let rate = RATE * DECAY.powf(step as f64 / STEPS as f64);
-        let adam = OptimizerConfig::default().adam(step);
+        let adam = OptimizerConfig::default().adam(step, 1);
         let step = PoseStep { rotation: rate, translation: rate, extent, adam };
         let [first, second] = &mut moments;
         step.take(&mut row, [first, second], gradient);

@@ -1,10 +1,12 @@
 //! The binary files of a model: little-endian, counts first (COLMAP `src/colmap/scene/reconstruction_io_binary.cc`).
 
+use std::fs::File;
+use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
 use super::camera_model::{self, CameraRecord};
-use super::{ImageRecord, PointRecord};
-use crate::dataset::error::{DatasetError, Result, read};
+use super::{ImageRecord, PointRecord, PointRecords};
+use crate::dataset::error::{DatasetError, Result};
 
 const CAMERA_BYTES: usize = 24;
 const IMAGE_BYTES: usize = 4 + 7 * 8 + 4 + 1 + 8;
@@ -15,8 +17,7 @@ const OBSERVATION_BYTES: usize = 8;
 /// # Errors
 /// [`DatasetError::Read`], [`DatasetError::Truncated`], [`DatasetError::CameraModel`] for an id without a known layout.
 pub(super) fn cameras(path: &Path) -> Result<Vec<CameraRecord>> {
-    let data = read(path)?;
-    let mut bytes = Bytes { path, rest: &data };
+    let mut bytes = Bytes::open(path)?;
     let count = bytes.count(CAMERA_BYTES, || "the list of cameras".to_owned())?;
     (0..count)
         .map(|index| {
@@ -39,8 +40,7 @@ pub(super) fn cameras(path: &Path) -> Result<Vec<CameraRecord>> {
 /// # Errors
 /// [`DatasetError::Read`], [`DatasetError::Truncated`].
 pub(super) fn images(path: &Path) -> Result<Vec<ImageRecord>> {
-    let data = read(path)?;
-    let mut bytes = Bytes { path, rest: &data };
+    let mut bytes = Bytes::open(path)?;
     let count = bytes.count(IMAGE_BYTES, || "the list of images".to_owned())?;
     (0..count)
         .map(|index| {
@@ -53,7 +53,7 @@ pub(super) fn images(path: &Path) -> Result<Vec<ImageRecord>> {
             let name = bytes.name(what)?;
             let keypoints = || format!("the keypoints of image `{name}`");
             let skipped = bytes.count(KEYPOINT_BYTES, keypoints)? * KEYPOINT_BYTES;
-            bytes.record(skipped, keypoints)?;
+            bytes.skip(skipped, keypoints)?;
             Ok(ImageRecord { id, camera_id, name, wxyz, translation })
         })
         .collect()
@@ -61,44 +61,68 @@ pub(super) fn images(path: &Path) -> Result<Vec<ImageRecord>> {
 
 /// # Errors
 /// [`DatasetError::Read`], [`DatasetError::Truncated`].
-pub(super) fn points(path: &Path) -> Result<Vec<PointRecord>> {
-    let data = read(path)?;
-    let mut bytes = Bytes { path, rest: &data };
+pub(super) fn points(path: &Path) -> Result<PointRecords<'_>> {
+    let mut bytes = Bytes::open(path)?;
     let count = bytes.count(POINT_BYTES, || "the list of points".to_owned())?;
-    (0..count)
-        .map(|index| {
-            let mut fields = bytes.record(POINT_BYTES - 8, || format!("point {index} of {count}"))?;
-            let _id = fields.u64();
-            let position = std::array::from_fn(|_| fields.f64());
-            let rgb = fields.array();
-            let track = || format!("the track of point {index} of {count}");
-            let observations = bytes.count(OBSERVATION_BYTES, track)?;
-            let mut fields = bytes.record(observations * OBSERVATION_BYTES, track)?;
-            let track = (0..observations)
-                .map(|_| {
-                    let (image, _keypoint) = (fields.u32(), fields.u32());
-                    image
-                })
-                .collect();
-            Ok(PointRecord { position, rgb, track })
-        })
-        .collect()
+    // what is no point is a track
+    let observations = (bytes.left as usize - count * POINT_BYTES) / OBSERVATION_BYTES;
+    let records = (0..count).map(move |index| {
+        let mut fields = bytes.record(POINT_BYTES - 8, || format!("point {index} of {count}"))?;
+        let _id = fields.u64();
+        let position = std::array::from_fn(|_| fields.f64());
+        let rgb = fields.array();
+        let track = || format!("the track of point {index} of {count}");
+        let observations = bytes.count(OBSERVATION_BYTES, track)?;
+        let mut fields = bytes.record(observations * OBSERVATION_BYTES, track)?;
+        let track = (0..observations)
+            .map(|_| {
+                let (image, _keypoint) = (fields.u32(), fields.u32());
+                image
+            })
+            .collect();
+        Ok(PointRecord { position, rgb, track })
+    });
+    Ok(PointRecords { count, observations, records: Box::new(records) })
 }
 
 /// The unread bytes of a file.
 struct Bytes<'a> {
     path: &'a Path,
-    rest: &'a [u8],
+    reader: BufReader<File>,
+    left: u64,
+    /// The last record.
+    record: Vec<u8>,
 }
 
 impl<'a> Bytes<'a> {
-    /// The next `length` bytes.
-    fn record(&mut self, length: usize, what: impl Fn() -> String) -> Result<Fields<'a>> {
-        let Some((record, rest)) = self.rest.split_at_checked(length) else {
-            return Err(self.truncated(what(), length as u64));
+    fn open(path: &'a Path) -> Result<Self> {
+        let open = || {
+            let file = File::open(path)?;
+            let left = file.metadata()?.len();
+            Ok(Self { path, reader: BufReader::new(file), left, record: Vec::new() })
         };
-        self.rest = rest;
-        Ok(Fields(record))
+        open().map_err(|source| DatasetError::Read { path: path.to_owned(), source })
+    }
+
+    /// The next `length` bytes.
+    fn record(&mut self, length: usize, what: impl Fn() -> String) -> Result<Fields<'_>> {
+        self.take(length as u64, what)?;
+        self.record.resize(length, 0);
+        let read = self.reader.read_exact(&mut self.record);
+        read.map_err(|source| DatasetError::Read { path: self.path.to_owned(), source })?;
+        Ok(Fields(&self.record))
+    }
+
+    /// Passes by the next `length` bytes.
+    fn skip(&mut self, length: usize, what: impl Fn() -> String) -> Result<()> {
+        self.take(length as u64, what)?;
+        let moved = self.reader.seek_relative(length as i64);
+        moved.map_err(|source| DatasetError::Read { path: self.path.to_owned(), source })
+    }
+
+    fn take(&mut self, length: u64, what: impl Fn() -> String) -> Result<()> {
+        self.left = self.left.checked_sub(length).ok_or_else(|| self.truncated(what(), length))?;
+        Ok(())
     }
 
     /// A 64-bit count of entries of at least `entry_bytes` each. The file must be long enough to hold them, so that a
@@ -106,21 +130,23 @@ impl<'a> Bytes<'a> {
     fn count(&mut self, entry_bytes: usize, what: impl Fn() -> String) -> Result<usize> {
         let count = self.record(8, &what)?.u64();
         let needed = count.saturating_mul(entry_bytes as u64);
-        if needed > self.rest.len() as u64 { Err(self.truncated(what(), needed)) } else { Ok(count as usize) }
+        if needed > self.left { Err(self.truncated(what(), needed)) } else { Ok(count as usize) }
     }
 
     /// A name that ends with a zero byte.
     fn name(&mut self, what: impl Fn() -> String) -> Result<String> {
-        let Some(length) = self.rest.iter().position(|&byte| byte == 0) else {
-            return Err(self.truncated(what(), self.rest.len() as u64 + 1));
-        };
-        let name = String::from_utf8_lossy(&self.rest[..length]).into_owned();
-        self.rest = &self.rest[length + 1..];
-        Ok(name)
+        let mut name = Vec::new();
+        let read = self.reader.read_until(0, &mut name);
+        read.map_err(|source| DatasetError::Read { path: self.path.to_owned(), source })?;
+        if name.pop() != Some(0) {
+            return Err(self.truncated(what(), self.left + 1));
+        }
+        self.left = self.left.saturating_sub(name.len() as u64 + 1);
+        Ok(String::from_utf8_lossy(&name).into_owned())
     }
 
     fn truncated(&self, what: String, needed: u64) -> DatasetError {
-        DatasetError::Truncated { path: self.path.to_owned(), what, needed, left: self.rest.len() }
+        DatasetError::Truncated { path: self.path.to_owned(), what, needed, left: self.left as usize }
     }
 }
 

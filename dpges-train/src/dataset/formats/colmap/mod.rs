@@ -17,7 +17,7 @@ use self::camera_model::CameraRecord;
 use super::source::{Frame, RawPoints, Source};
 use super::split;
 use crate::dataset::error::{DatasetError, Result, listing};
-use crate::dataset::{Format, LoadOptions};
+use crate::dataset::{Format, LoadOptions, Tracks};
 
 /// A registered image.
 #[derive(Clone, Debug, PartialEq)]
@@ -75,9 +75,25 @@ pub(crate) struct ModelContent {
 pub(crate) fn model_content(model: &Path) -> Result<ModelContent> {
     let mut images: Vec<String> = images(model)?.into_iter().map(|image| image.name).collect();
     images.sort();
-    let path = file(model, "points3D")?;
-    let points = if is_binary(&path) { binary::points(&path)? } else { text::points(&path)? }.len();
+    let mut points = 0;
+    for record in records(&file(model, "points3D")?)?.records {
+        record?;
+        points += 1;
+    }
     Ok(ModelContent { images, points })
+}
+
+/// The points of a file, read one by one: a large capture has gigabytes of them.
+struct PointRecords<'a> {
+    /// Their number, as far as it is known beforehand.
+    count: usize,
+    /// Likewise that of their observations.
+    observations: usize,
+    records: Box<dyn Iterator<Item = Result<PointRecord>> + 'a>,
+}
+
+fn records(path: &Path) -> Result<PointRecords<'_>> {
+    if is_binary(path) { binary::points(path) } else { text::points(path) }
 }
 
 fn images(model: &Path) -> Result<Vec<ImageRecord>> {
@@ -161,24 +177,23 @@ fn frames(
 
 fn points(model: &Path, images: &[ImageRecord]) -> Result<RawPoints> {
     let path = file(model, "points3D")?;
-    let records = if is_binary(&path) { binary::points(&path)? } else { text::points(&path)? };
-    if records.is_empty() {
-        return Err(DatasetError::NoPoints { path });
-    }
+    let PointRecords { count, observations, records } = records(&path)?;
     let frame_of: BTreeMap<u32, u32> = images.iter().zip(0..).map(|(image, index)| (image.id, index)).collect();
-    let mut points = RawPoints::default();
-    for (index, record) in records.into_iter().enumerate() {
+    let (positions, colours) = (Vec::with_capacity(count), Vec::with_capacity(count));
+    let mut points = RawPoints { positions, colours, seen_by: Tracks::with_room(count, observations) };
+    for (index, record) in records.enumerate() {
+        let record = record?;
         let position = DVec3::from_array(record.position);
         if !position.as_vec3().is_finite() {
             let what = format!("the position of point {index}");
             return Err(DatasetError::malformed(&path, what, position, "finite coordinates"));
         }
-        let mut seen_by: Vec<u32> = record.track.iter().filter_map(|image| frame_of.get(image).copied()).collect();
-        seen_by.sort_unstable();
-        seen_by.dedup();
         points.positions.push(position);
         points.colours.push(record.rgb.map(|channel| f32::from(channel) / 255.0));
-        points.seen_by.push(seen_by);
+        points.seen_by.push(record.track.iter().filter_map(|image| frame_of.get(image).copied()));
+    }
+    if points.positions.is_empty() {
+        return Err(DatasetError::NoPoints { path });
     }
     Ok(points)
 }

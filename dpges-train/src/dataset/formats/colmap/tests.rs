@@ -39,7 +39,8 @@ fn views_are_sorted_split_and_matched_to_tracks() {
     assert_eq!(data.train[0].name, "left/001.png");
     assert_eq!(data.train[0].picture().unwrap().bytes[..3], [1, 100, 200]);
     // Image 107 is left/001, the first that trains; image 100 is held out.
-    assert_eq!(data.points.seen_by, [vec![0], vec![0], vec![0, 1], vec![0, 2], vec![0, 3]]);
+    let tracks: Vec<&[u32]> = data.points.seen_by.iter().collect();
+    assert_eq!(tracks, [&[0][..], &[0], &[0, 1], &[0, 2], &[0, 3]]);
     assert_eq!(data.points.colours[1], [50.0 / 255.0, 1.0, 0.0]);
     assert_eq!(data.points.positions[1], [-0.2f64 as f32, 0.125, -0.2f64 as f32]);
     let expected = fixtures::pose(1, 10);

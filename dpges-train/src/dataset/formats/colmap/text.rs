@@ -4,7 +4,7 @@ use std::path::Path;
 use std::str::FromStr;
 
 use super::camera_model::CameraRecord;
-use super::{ImageRecord, PointRecord};
+use super::{ImageRecord, PointRecord, PointRecords};
 use crate::dataset::error::{DatasetError, Result, read};
 
 /// # Errors
@@ -54,9 +54,9 @@ pub(super) fn images(path: &Path) -> Result<Vec<ImageRecord>> {
 
 /// # Errors
 /// [`DatasetError::Read`], [`DatasetError::Malformed`] with the line.
-pub(super) fn points(path: &Path) -> Result<Vec<PointRecord>> {
+pub(super) fn points(path: &Path) -> Result<PointRecords<'_>> {
     let text = text(path)?;
-    lines(&text)
+    let records: Result<Vec<PointRecord>> = lines(&text)
         .filter(|line| line.is_entry())
         .map(|line| {
             let mut words = line.words(path, "POINT3D_ID X Y Z R G B ERROR TRACK[] as (IMAGE_ID POINT2D_IDX)");
@@ -67,7 +67,10 @@ pub(super) fn points(path: &Path) -> Result<Vec<PointRecord>> {
             let track: Vec<u32> = words.rest()?.chunks(2).map(|observation: &[u32]| observation[0]).collect();
             Ok(PointRecord { position, rgb, track })
         })
-        .collect()
+        .collect();
+    let records = records?;
+    let observations = records.iter().map(|record| record.track.len()).sum();
+    Ok(PointRecords { count: records.len(), observations, records: Box::new(records.into_iter().map(Ok)) })
 }
 
 fn text(path: &Path) -> Result<String> {

@@ -72,7 +72,7 @@ fn cameras_that_do_not_move_change_no_bit() {
 /// points that these saw.
 fn misplacement(found: &Dataset, truth: &Dataset) -> f64 {
     let (mut sum, mut count) = (0.0, 0.0);
-    for (position, seen_by) in truth.points.positions.iter().zip(&truth.points.seen_by) {
+    for (position, seen_by) in truth.points.positions.iter().zip(truth.points.seen_by.iter()) {
         let world = DVec3::from_array(position.map(f64::from));
         for &view in seen_by {
             let [found, truth] = [found, truth].map(|data| data.train[view as usize].camera.project(world));
