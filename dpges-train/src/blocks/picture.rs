@@ -20,6 +20,11 @@ use crate::study::plot_font::{self, FAMILY};
 /// Longest side, px.
 const LONGEST: f32 = 1000.0;
 const LETTERS: i32 = 16;
+/// Width of a label with points and views, and of a number alone, px.
+const LABEL: i32 = 200;
+const NUMBER: i32 = 36;
+/// Largest radius of a camera, px.
+const CAMERA: f64 = 4.0;
 /// Points and cameras that are drawn, at most.
 const SHOWN: usize = 20_000;
 /// Share of the points and cameras beyond the picture at each side, and the margin relative to the rest.
@@ -89,8 +94,8 @@ impl Plan {
     }
 }
 
-/// The picture: points grey; every block a rectangle in a colour of its own, with its number, its points and its cameras, and
-/// grown in a thinner line; cameras in the colour of their block, or dark if they have several.
+/// The picture: points grey; every block a rectangle in a colour of its own, with its number and, where there is room, its points and
+/// its cameras, and grown in a thinner line; cameras in the colour of their block, or dark if they have several.
 ///
 /// # Errors
 /// [`BlocksError::Picture`] is a fault of the program.
@@ -134,20 +139,32 @@ fn draw_on<B: DrawingBackend>(
         chart.draw_series([Rectangle::new(core, colour(number).stroke_width(3))])?;
         chart.draw_series([Rectangle::new(grown, colour(number).stroke_width(1))])?;
     }
+    let [width, height] = ground.size().map(f64::from);
+    // a quarter of the distance to the next one
+    let radius = (0.25 * (width * height / cameras.len().max(1) as f64).sqrt()).clamp(1.0, CAMERA) as i32;
     chart.draw_series(cameras.iter().map(|(name, centre)| {
         let place = ground.of(*centre);
         match of_cameras.get(name).map(Vec::as_slice) {
-            Some(&[only]) => Circle::new(place, 4, colour(only).filled()),
-            _ => Circle::new(place, 4, SHARED.filled()),
+            Some(&[only]) => Circle::new(place, radius, colour(only).filled()),
+            _ => Circle::new(place, radius, SHARED.filled()),
         }
     }))?;
     let letters = (FAMILY, LETTERS).into_font().color(&BLACK);
     for (number, block) in plan.blocks.iter().enumerate() {
         let [(left, bottom), (right, top)] = ground.corners([block.core.min, block.core.max]);
+        let [(from, _), (to, _)] = [(left, bottom), (right, top)].map(|corner| chart.backend_coord(&corner));
         let (x, y) = chart.backend_coord(&(0.5 * (left + right), 0.5 * (bottom + top)));
-        let text = format!("{number}: {} points, {} views", block.points, block.cameras.len());
-        area.draw(&PathElement::new(vec![(x - 70, y), (x + 130, y)], WHITE.mix(0.7).stroke_width(LETTERS as u32 + 4)))?;
-        area.draw(&Text::new(text, (x - 66, y - LETTERS / 2), letters.clone()))?;
+        let (text, width) = if to - from < LABEL {
+            (number.to_string(), NUMBER)
+        } else {
+            (format!("{number}: {} points, {} views", block.points, block.cameras.len()), LABEL)
+        };
+        let start = x - width / 2;
+        area.draw(&PathElement::new(
+            vec![(start, y), (start + width, y)],
+            WHITE.mix(0.7).stroke_width(LETTERS as u32 + 4),
+        ))?;
+        area.draw(&Text::new(text, (start + 4, y - LETTERS / 2), letters.clone()))?;
     }
     area.present()
 }

@@ -167,7 +167,12 @@ fn io_error(action: &'static str, path: &Path, source: io::Error) -> LodError {
     LodError::Io { action, path: path.to_owned(), source }
 }
 
-/// Where primitives are, and how large.
+/// Share of the primitives that reach beyond each side of their box. One floater would otherwise put all cameras into it.
+const BEYOND: f64 = 0.05;
+/// Reach of a primitive, σ.
+const REACH: f32 = 2.0;
+
+/// Where most primitives are, and how large.
 struct Shape {
     min: [f32; 3],
     max: [f32; 3],
@@ -178,18 +183,44 @@ fn shape((surfels, gaussians): &Primitives) -> Shape {
     let largest = |scales: &[f32]| scales.iter().copied().fold(f32::NEG_INFINITY, f32::max).exp();
     let of_surfels = as_points(&surfels.positions).iter().zip(surfels.log_scales.chunks_exact(2).map(largest));
     let of_gaussians = as_points(&gaussians.positions).iter().zip(gaussians.log_scales.chunks_exact(3).map(largest));
-    let (mut min, mut max) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
-    let mut sizes = Vec::with_capacity(surfels.len() + gaussians.len());
-    for (place, sigma) in of_surfels.chain(of_gaussians) {
-        // out of the range of f32 there is no box
-        let sigma = sigma.min(f32::MAX / 8.0);
-        sizes.push(sigma);
-        for axis in 0..3 {
-            min[axis] = min[axis].min(place[axis] - 3.0 * sigma).max(f32::MIN);
-            max[axis] = max[axis].max(place[axis] + 3.0 * sigma).min(f32::MAX);
-        }
+    // out of the range of f32 there is no box
+    let all: Vec<(&[f32; 3], f32)> =
+        of_surfels.chain(of_gaussians).map(|(place, sigma)| (place, sigma.min(f32::MAX / 8.0))).collect();
+    let nth = |at: usize, mut values: Vec<f32>| *values.select_nth_unstable_by(at, f32::total_cmp).1;
+    let last = all.len() - 1;
+    let beyond = (BEYOND * last as f64) as usize;
+    let side = |at: usize, sigmas: f32| {
+        [0, 1, 2].map(|axis: usize| {
+            let reach = |(place, sigma): &(&[f32; 3], f32)| (place[axis] + sigmas * sigma).clamp(f32::MIN, f32::MAX);
+            nth(at, all.iter().map(reach).collect())
+        })
+    };
+    let size = nth(all.len() / 2, all.iter().map(|&(_, sigma)| sigma).collect());
+    Shape { min: side(beyond, -REACH), max: side(last - beyond, REACH), size }
+}
+
+#[cfg(test)]
+mod tests {
+    use dpges_core::scene::{ColourModel, GaussianData, SurfelData};
+
+    use super::*;
+
+    #[test]
+    fn what_floats_far_away_is_beyond_the_box() {
+        let model = ColourModel::SphericalHarmonics { degree: 0 };
+        let surfels = SurfelData::neutral(model, 0);
+        let mut gaussians = GaussianData::neutral(model, 101);
+        // along x from 0 to 1, and one of them at 500
+        gaussians.positions =
+            (0..101).flat_map(|at| [if at == 50 { 500.0 } else { at as f32 / 100.0 }, 2.0, -1.0]).collect();
+        gaussians.log_scales = vec![0.01f32.ln(); 303];
+        let Shape { min, max, size } = shape(&(surfels.clone(), gaussians));
+        assert!((min[0] - 0.03).abs() < 1e-6 && (0.96..1.0).contains(&max[0]), "{min:?} {max:?}");
+        assert!((max[1] - 2.02).abs() < 1e-6 && (min[2] + 1.02).abs() < 1e-6 && (size - 0.01).abs() < 1e-6);
+        let mut one = GaussianData::neutral(model, 1);
+        one.positions = vec![1.0, 2.0, 3.0];
+        one.log_scales = vec![f32::MAX, 0.0, 0.0];
+        let Shape { min, max, .. } = shape(&(surfels, one));
+        assert!(min.iter().zip(&max).all(|(low, high)| low < high && low.is_finite() && high.is_finite()), "{min:?}");
     }
-    let middle = sizes.len() / 2;
-    let size = *sizes.select_nth_unstable_by(middle, f32::total_cmp).1;
-    Shape { min, max, size }
 }

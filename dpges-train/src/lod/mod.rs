@@ -100,6 +100,11 @@ pub fn write(scene: SceneData, options: &Options, out: &Path) -> Result<Index, L
     let cameras = if options.cameras.is_empty() { &around } else { options.cameras };
     let pictures = match options.fit {
         Some((steps, device)) if steps > 0 && coarsest > 0 => {
+            if options.cameras.is_empty() {
+                tracing::info!(
+                    "no cameras are known: levels are fitted to views from around the scene (--data names a dataset)"
+                );
+            }
             tracing::info!("pictures of the whole scene, {} primitives", scene.surfels.len() + scene.gaussians.len());
             Some((Pictures::new(&scene, cameras, coarsest, device)?, steps, device))
         }
@@ -124,8 +129,13 @@ pub fn write(scene: SceneData, options: &Options, out: &Path) -> Result<Index, L
             let fitted = fit::fit(&base, views, *steps, device).map_err(|source| LodError::Fit { level, source })?;
             let [width, height] = [views[0].camera.width, views[0].camera.height];
             let (before, after) = (psnr(&base)?, psnr(&fitted)?);
-            tracing::info!("level {level}: {before:.2} dB → {after:.2} dB at {width} × {height} px by {steps} steps");
-            cells = split(fitted, &cells);
+            let kept = if after < before { ": left as it was" } else { "" };
+            tracing::info!(
+                "level {level}: {before:.2} dB → {after:.2} dB at {width} × {height} px by {steps} steps{kept}"
+            );
+            if after >= before {
+                cells = split(fitted, &cells);
+            }
         }
         above = write_level(&mut folder, level, cells.len(), &|at| cells[at].clone(), &info, &seen)?;
     }

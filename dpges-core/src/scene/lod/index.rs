@@ -36,7 +36,8 @@ pub struct Part {
 pub struct Cell {
     /// 0: the primitives of the scene itself. One more: about half as many.
     pub level: u32,
-    /// Lowest corner of a box around its primitives, out to three σ, world units.
+    /// Lowest corner of a box around most of its primitives, world units. It says how near they are: one that is far from the
+    /// others is beyond it.
     pub min: [f32; 3],
     /// Highest corner.
     pub max: [f32; 3],
