@@ -94,8 +94,8 @@ impl Plan {
     }
 }
 
-/// The picture: points grey; every block a rectangle in a colour of its own, with its number and, where there is room, its points and
-/// its cameras, and grown in a thinner line; cameras in the colour of their block, or dark if they have several.
+/// The picture: points grey; every block a rectangle in a colour of its own, with its number and, where there is room, its points
+/// and its cameras, and grown in a thinner line; cameras in the colour of their block, or dark if they have several.
 ///
 /// # Errors
 /// [`BlocksError::Picture`] is a fault of the program.

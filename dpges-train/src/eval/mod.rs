@@ -202,8 +202,8 @@ pub fn evaluate(scene: &SceneData, views: &[View], device: &Device) -> Result<Ev
     evaluate_each(&Renderer::new(scene, device), scene, views, device, Measures::BASIC, |_, _| Ok(()))
 }
 
-/// Like [`evaluate`], with a scene that is on its device already, by all `measures`. Views are dealt out to the ranks, which all get
-/// the result. Calls `visit` with the index and the render of every view of this rank.
+/// Like [`evaluate`], with a scene that is on its device already, by all `measures`. Views are dealt out to the ranks, which all
+/// get the result. Calls `visit` with the index and the render of every view of this rank.
 ///
 /// # Errors
 /// The errors of [`evaluate`] and of `visit`.

@@ -140,8 +140,8 @@ pub struct BegunStep {
     pass: Pass,
 }
 
-/// Hands the first half of a step on `views` to the device, and waits for nothing but the lengths of its tile lists. A GPU knows these
-/// after the numbers of the step before.
+/// Hands the first half of a step on `views` to the device, and waits for nothing but the lengths of its tile lists. A GPU knows
+/// these after the numbers of the step before.
 ///
 /// # Errors
 /// [`TrainError::Step`] if the parameters or the view are not what the operations expect, [`TrainError::Core`] if its

@@ -129,7 +129,7 @@ impl BlendedSchedule {
         }
     }
 
-    /// What is due after `completed` steps, of which the last step was a batch of `views`.
+    /// The changes due after `completed` steps, the last `views` of which were taken at once.
     pub fn due(&self, completed: usize, views: usize) -> BlendedDue {
         let due = |steps: &[usize]| {
             let next = steps.partition_point(|&step| step + views <= completed);
