@@ -3,8 +3,10 @@
 
 pub mod device;
 pub(crate) mod host;
+pub(crate) mod lanes;
 pub mod readback;
 pub(crate) mod real;
 pub(crate) mod simd;
 pub(crate) mod tape;
 pub(crate) mod tensor_list;
+pub(crate) mod vectors;

@@ -2,8 +2,10 @@
 
 use burn::tensor::{DType, Element};
 
+use super::vectors::Vectors;
+
 /// `f32` for training, `f64` for gradient checks.
-pub trait Real: num_traits::Float + Element + bytemuck::Pod + Send + Sync + std::iter::Sum {
+pub trait Real: num_traits::Float + Element + bytemuck::Pod + Send + Sync + std::iter::Sum + Vectors {
     const DTYPE: DType;
     const INFINITY: Self;
 

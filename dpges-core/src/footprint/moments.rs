@@ -1,5 +1,8 @@
 //! Moments of a value over the pixels of a primitive, a group of lanes at a time.
 
+use pulp::Simd;
+
+use crate::backend::lanes::Lanes;
 use crate::backend::real::Real;
 use crate::backend::simd::LANES;
 
@@ -42,4 +45,17 @@ pub fn add_moments<T: Real>(sums: &mut [[T; LANES]], g: &[T; LANES], u: &[T; LAN
     for lane in 0..LANES {
         sum_vv[lane] = sum_vv[lane] + g[lane] * v * v;
     }
+}
+
+/// [`add_moments`] of pixels in a vector.
+#[inline(always)]
+pub fn add_moments_of_lanes<T: Real, S: Simd>(
+    sums: &mut [Lanes<T, S>; MOMENTS],
+    g: Lanes<T, S>,
+    u: Lanes<T, S>,
+    v: Lanes<T, S>,
+) {
+    let (gu, gv) = (g * u, g * v);
+    let [sum, sum_u, sum_v, sum_uu, sum_uv, sum_vv] = *sums;
+    *sums = [sum + g, sum_u + gu, sum_v + gv, gu.mul_add(u, sum_uu), gu.mul_add(v, sum_uv), gv.mul_add(v, sum_vv)];
 }

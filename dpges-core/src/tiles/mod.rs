@@ -7,6 +7,9 @@ pub(crate) mod layout;
 pub mod lists;
 pub mod work;
 
+use pulp::Simd;
+
+use crate::backend::lanes::Lanes;
 use crate::backend::real::Real;
 use crate::backend::simd::LANES;
 
@@ -105,6 +108,28 @@ pub(crate) fn for_each_group<T: Real>(
         for group in x0 / LANES..x1.div_ceil(LANES) {
             let dx = lane_offsets(anchor, origin.0 + group * LANES);
             visit(line * TILE + group * LANES, dx, dy);
+        }
+    }
+}
+
+/// [`for_each_group`] for groups as wide as the vectors of `S`.
+#[inline(always)]
+pub(crate) fn for_each_lanes<T: Real, S: Simd>(
+    simd: S,
+    anchor: [T; 2],
+    rect: &PixelRect,
+    origin: (usize, usize),
+    mut visit: impl FnMut(usize, Lanes<T, S>, T),
+) {
+    let count = T::lane_count::<S>();
+    let [x0, x1, y0, y1] = rect.within_tile(origin);
+    let offset = |axis: usize, first: usize| T::of(first as f64 + 0.5) - anchor[axis];
+    let (groups, left, top) = (x0 / count..x1.div_ceil(count), offset(0, origin.0), offset(1, origin.1));
+    let lanes: [T; TILE] = std::array::from_fn(|column| T::of(column as f64));
+    for group in groups {
+        let dx = Lanes::splat(simd, left) + Lanes::load(simd, &lanes[group * count..]);
+        for line in y0..y1 {
+            visit(line * TILE + group * count, dx, top + T::of(line as f64));
         }
     }
 }

@@ -3,22 +3,26 @@
 
 use burn::backend::TensorMetadata;
 use burn::backend::tensor::FloatTensor;
+use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::{SplatBackwardOps, SplatGradients, SplatOps};
 use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::backend::lanes::{Lanes, Mask, with_lanes};
 use crate::backend::real::Real;
-use crate::backend::simd::{LANES, vectorised};
+use crate::backend::simd::vectorised;
 use crate::camera::Camera;
 use crate::footprint::gaussian::cpu as splat;
+use crate::footprint::gaussian::cpu::in_view::{InView, UNSEEN};
+use crate::footprint::gaussian::cpu::lanes::{At, SplatLanes};
 use crate::footprint::gaussian::cpu::{Splat, SplatGrad};
 use crate::footprint::gaussian::tensors::{GaussianRows, GaussianTensors};
-use crate::footprint::moments::{MOMENTS, add_moments};
+use crate::footprint::moments::{MOMENTS, add_moments_of_lanes};
 use crate::math::CameraOf;
 use crate::scene::ScreenFilter;
 use crate::tiles::binning::cpu::bin;
 use crate::tiles::layout::{to_planes, to_tiles};
-use crate::tiles::{PixelRect, TILE_PIXELS, TileGrid, for_each_group};
+use crate::tiles::{PixelRect, TILE_PIXELS, TileGrid, for_each_lanes};
 
 const CHANNELS: usize = 4;
 const CHUNK: usize = 256;
@@ -68,22 +72,13 @@ impl<T: Real> TileLimits<'_, T> {
         self.ranges.iter().enumerate().filter(move |(_, range)| depth >= range[0] && depth < range[1]).map(|(k, _)| k)
     }
 
-    /// For each lane 1 if `depth` falls into interval `k`, else 0.
+    /// Whether `depth` falls into interval `k` of the pixels from `start` on.
     #[inline(always)]
-    fn mask(&self, k: usize, start: usize, depth: T) -> [T; LANES] {
-        let upper = lanes(self.upper, k * TILE_PIXELS + start);
-        let lower = if k == 0 { [-T::INFINITY; LANES] } else { lanes(self.upper, (k - 1) * TILE_PIXELS + start) };
-        let mut mask = [T::zero(); LANES];
-        for lane in 0..LANES {
-            mask[lane] = if (depth >= lower[lane]) & (depth < upper[lane]) { T::one() } else { T::zero() };
-        }
-        mask
+    fn within<S: Simd>(&self, k: usize, start: usize, depth: Lanes<T, S>, simd: S) -> Mask<T, S> {
+        let limit = |k: usize| Lanes::load(simd, &self.upper[k * TILE_PIXELS + start..]);
+        let before_upper = depth.below(limit(k));
+        if k == 0 { before_upper } else { before_upper & depth.at_least(limit(k - 1)) }
     }
-}
-
-#[inline(always)]
-fn lanes<T: Real>(values: &[T], start: usize) -> [T; LANES] {
-    values[start..start + LANES].try_into().expect("one group")
 }
 
 /// Sums as [K, 4, H, W].
@@ -95,68 +90,61 @@ fn forward<T: Real>(
     filter: ScreenFilter,
 ) -> Vec<T> {
     let grid = TileGrid::new(camera.width, camera.height);
-    let camera = CameraOf::<T>::new(camera);
-    let splats: Vec<Option<Splat<T>>> =
-        (0..gaussians.len()).into_par_iter().map(|i| gaussians.splat(&camera, i, filter)).collect();
-    let reach =
-        |splat: &Option<Splat<T>>| splat.as_ref().map_or(PixelRect::EMPTY, |s| s.reach(grid.width, grid.height));
-    let rects: Vec<PixelRect> = splats.par_iter().map(reach).collect();
-    let lists = bin(&rects, grid, |i, tx, ty| splats[i].as_ref().is_some_and(|s| s.touches(tx, ty)));
+    let seen = InView::new(gaussians, &CameraOf::new(camera), filter, grid);
+    let lists = bin(&seen.rects, grid, |i, tx, ty| seen.splats[i].touches(tx, ty));
     let limits = LimitBlocks::new(limits, layers, grid);
     let block = layers * CHANNELS * TILE_PIXELS;
     let mut sums = vec![T::zero(); grid.len() * block];
     sums.par_chunks_mut(block).enumerate().for_each(|(tile, sums)| {
-        vectorised(
-            #[inline(always)]
-            || splat_tile(lists.of(tile), &splats, &rects, grid.origin(tile), &limits.tile(tile), sums),
-        );
+        let (candidates, origin, limits) = (lists.of(tile), grid.origin(tile), limits.tile(tile));
+        with_lanes(SplatTile { candidates, seen: &seen, origin, limits, sums });
     });
     to_planes(&sums, layers * CHANNELS, grid)
 }
 
-#[inline(always)]
-fn splat_tile<T: Real>(
-    candidates: &[u32],
-    splats: &[Option<Splat<T>>],
-    rects: &[PixelRect],
+/// Adds the Gaussians of the list of a tile to its sums, [K, 4, `TILE_PIXELS`].
+struct SplatTile<'a, T> {
+    candidates: &'a [u32],
+    seen: &'a InView<T>,
     origin: (usize, usize),
-    limits: &TileLimits<T>,
-    sums: &mut [T],
-) {
-    for &id in candidates {
-        let Some(splat) = &splats[id as usize] else { continue };
-        let intervals = limits.intervals(splat.depth);
-        if intervals.clone().next().is_none() {
-            continue;
-        }
-        let payload = [splat.colour[0], splat.colour[1], splat.colour[2], T::one()];
-        for_each_group(
-            splat.mean,
-            &rects[id as usize],
-            origin,
-            #[inline(always)]
-            |start, dx, dy| {
-                let mut weight = [T::zero(); LANES];
-                for lane in 0..LANES {
-                    let [u, v] = splat.in_deviations(dx[lane], dy);
-                    weight[lane] = splat.weight(u, v);
-                }
-                for k in intervals.clone() {
-                    let mask = limits.mask(k, start, splat.depth);
-                    let mut masked = [T::zero(); LANES];
-                    for lane in 0..LANES {
-                        masked[lane] = weight[lane] * mask[lane];
-                    }
-                    for (channel, &value) in payload.iter().enumerate() {
-                        let at = (k * CHANNELS + channel) * TILE_PIXELS + start;
-                        let sums: &mut [T; LANES] = (&mut sums[at..at + LANES]).try_into().expect("one group");
-                        for lane in 0..LANES {
-                            sums[lane] = sums[lane] + masked[lane] * value;
+    limits: TileLimits<'a, T>,
+    sums: &'a mut [T],
+}
+
+impl<T: Real> WithSimd for SplatTile<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { candidates, seen, origin, limits, sums } = self;
+        for &id in candidates {
+            let (splat, rect) = (&seen.splats[id as usize], &seen.rects[id as usize]);
+            let intervals = limits.intervals(splat.depth);
+            if intervals.clone().next().is_none() {
+                continue;
+            }
+            let all = |value: T| Lanes::splat(simd, value);
+            let (footprint, depth) = (SplatLanes::new(simd, splat), all(splat.depth));
+            let [red, green, blue] = splat.colour;
+            let payload = [all(red), all(green), all(blue), all(T::one())];
+            for_each_lanes(
+                simd,
+                splat.mean,
+                rect,
+                origin,
+                #[inline(always)]
+                |start, dx, dy| {
+                    let Some(At { weight, .. }) = footprint.at(dx, dy) else { return };
+                    for k in intervals.clone() {
+                        let weight = Lanes::select(limits.within(k, start, depth, simd), weight, all(T::zero()));
+                        for (channel, &value) in payload.iter().enumerate() {
+                            let sums = &mut sums[(k * CHANNELS + channel) * TILE_PIXELS + start..];
+                            weight.mul_add(value, Lanes::load(simd, sums)).store(sums);
                         }
                     }
-                }
-            },
-        );
+                },
+            );
+        }
     }
 }
 
@@ -181,103 +169,89 @@ fn for_each_lit_tile<T: Real>(
     }
 }
 
-/// Lanes that [`gather`] works on. They are on the heap because the compiler splits local arrays into scalars
-/// and then does not vectorise.
-struct Scratch<T> {
-    /// Red, green, blue and alpha gradients of the pixels, weight, gradient of the exponent, u.
-    pixel: Vec<[T; LANES]>,
-    /// Moments and three colour sums, as in [`SplatGrad`].
-    sums: Vec<[T; LANES]>,
+/// Sums the gradients of Gaussians from `first` on over their pixels; `grad` is [tile, K, 4, `TILE_PIXELS`].
+struct Gather<'a, T> {
+    seen: &'a InView<T>,
+    first: usize,
+    grid: TileGrid,
+    limits: &'a LimitBlocks<T>,
+    grad: &'a [T],
+    sums: &'a mut [SplatGrad<T>],
 }
 
-impl<T: Real> Scratch<T> {
-    fn new() -> Self {
-        Self { pixel: vec![[T::zero(); LANES]; 7], sums: vec![[T::zero(); LANES]; MOMENTS + 3] }
+impl<T: Real> WithSimd for Gather<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        for i in 0..self.sums.len() {
+            self.sums[i] = self.gather(self.first + i, simd);
+        }
     }
 }
 
-/// Sums the gradients of one Gaussian over its pixels; `grad` is [tile, K, 4, `TILE_PIXELS`].
-#[inline(always)]
-fn gather<T: Real>(
-    splat: &Splat<T>,
-    grid: TileGrid,
-    limits: &LimitBlocks<T>,
-    grad: &[T],
-    scratch: &mut Scratch<T>,
-) -> SplatGrad<T> {
-    scratch.sums.fill([T::zero(); LANES]);
-    let rect = splat.reach(grid.width, grid.height);
-    let block = limits.layers * CHANNELS * TILE_PIXELS;
-    for_each_lit_tile(
-        splat,
-        &rect,
-        grid,
-        limits,
-        #[inline(always)]
-        |tile, limits| {
-            let grad = &grad[tile * block..][..block];
-            let intervals = limits.intervals(splat.depth);
-            for_each_group(
-                splat.mean,
-                &rect,
-                grid.origin(tile),
-                #[inline(always)]
-                |start, dx, dy| {
-                    read_gradients(grad, &limits, intervals.clone(), splat.depth, start, &mut scratch.pixel);
-                    add_group(splat, &dx, dy, scratch);
-                },
-            );
-        },
-    );
-    let total = |sum: usize| scratch.sums[sum].iter().copied().sum::<T>();
-    SplatGrad { moments: std::array::from_fn(total), colour: std::array::from_fn(|c| total(MOMENTS + c)) }
+impl<T: Real> Gather<'_, T> {
+    #[inline(always)]
+    fn gather<S: Simd>(&self, i: usize, simd: S) -> SplatGrad<T> {
+        let (splat, rect) = (&self.seen.splats[i], &self.seen.rects[i]);
+        let all = |value: T| Lanes::splat(simd, value);
+        let (footprint, depth) = (SplatLanes::new(simd, splat), all(splat.depth));
+        let colour = splat.colour.map(all);
+        let mut moments = [all(T::zero()); MOMENTS];
+        let mut colours = [all(T::zero()); 3];
+        let block = self.limits.layers * CHANNELS * TILE_PIXELS;
+        for_each_lit_tile(
+            splat,
+            rect,
+            self.grid,
+            self.limits,
+            #[inline(always)]
+            |tile, limits| {
+                let grad = &self.grad[tile * block..][..block];
+                let intervals = limits.intervals(splat.depth);
+                for_each_lanes(
+                    simd,
+                    splat.mean,
+                    rect,
+                    self.grid.origin(tile),
+                    #[inline(always)]
+                    |start, dx, dy| {
+                        let Some(At { u, v, weight }) = footprint.at(dx, dy) else { return };
+                        let [red, green, blue, alpha] =
+                            read_gradients(grad, &limits, intervals.clone(), depth, start, simd);
+                        let payload = colour[0].mul_add(red, colour[1].mul_add(green, colour[2].mul_add(blue, alpha)));
+                        for (sum, grad) in colours.iter_mut().zip([red, green, blue]) {
+                            *sum = weight.mul_add(grad, *sum);
+                        }
+                        add_moments_of_lanes(&mut moments, weight * payload, u, all(v));
+                    },
+                );
+            },
+        );
+        SplatGrad { moments: moments.map(Lanes::sum), colour: colours.map(Lanes::sum) }
+    }
 }
 
-/// Gradients of the sums that a Gaussian at `depth` adds to, for each channel and lane.
+/// Gradients of the sums that a Gaussian at `depth` adds to, for each channel.
 #[inline(always)]
-fn read_gradients<T: Real>(
+fn read_gradients<T: Real, S: Simd>(
     grad: &[T],
     limits: &TileLimits<T>,
     intervals: impl Iterator<Item = usize>,
-    depth: T,
+    depth: Lanes<T, S>,
     start: usize,
-    pixel: &mut [[T; LANES]],
-) {
-    pixel[..CHANNELS].fill([T::zero(); LANES]);
+    simd: S,
+) -> [Lanes<T, S>; CHANNELS] {
+    let zero = Lanes::splat(simd, T::zero());
+    let mut pixel = [zero; CHANNELS];
     for k in intervals {
-        let mask = limits.mask(k, start, depth);
-        for (channel, pixel) in pixel[..CHANNELS].iter_mut().enumerate() {
-            let grad = lanes(grad, (k * CHANNELS + channel) * TILE_PIXELS + start);
-            for lane in 0..LANES {
-                pixel[lane] = pixel[lane] + mask[lane] * grad[lane];
-            }
+        let within = limits.within(k, start, depth, simd);
+        for (channel, pixel) in pixel.iter_mut().enumerate() {
+            let grad = Lanes::load(simd, &grad[(k * CHANNELS + channel) * TILE_PIXELS + start..]);
+            *pixel = *pixel + Lanes::select(within, grad, zero);
         }
     }
-}
-
-/// Adds one group of pixels to the sums of a Gaussian.
-#[inline(always)]
-fn add_group<T: Real>(splat: &Splat<T>, dx: &[T; LANES], dy: T, scratch: &mut Scratch<T>) {
-    let [red, green, blue, alpha, weight, power, u] = scratch.pixel.as_mut_slice() else {
-        unreachable!("seven rows of lanes");
-    };
-    let [p, q, r] = splat.root;
-    let v = r * dy;
-    for lane in 0..LANES {
-        u[lane] = p * dx[lane] + q * dy;
-        weight[lane] = splat.weight(u[lane], v);
-    }
-    let [r, g, b] = splat.colour;
-    for lane in 0..LANES {
-        power[lane] = weight[lane] * (alpha[lane] + r * red[lane] + g * green[lane] + b * blue[lane]);
-    }
-    let (moments, colours) = scratch.sums.split_at_mut(MOMENTS);
-    for (sum, grad) in colours.iter_mut().zip([&*red, &*green, &*blue]) {
-        for lane in 0..LANES {
-            sum[lane] = sum[lane] + weight[lane] * grad[lane];
-        }
-    }
-    add_moments(moments, power, u, v);
+    pixel
 }
 
 /// Gradients with respect to positions, quaternions, log-scales, opacities, colours and the probe, the last empty unless it
@@ -296,6 +270,12 @@ fn backward<T: Real>(
     let camera = CameraOf::<T>::new(camera);
     let limits = LimitBlocks::new(limits, layers, grid);
     let grad = to_tiles(grad, layers * CHANNELS, grid, T::zero());
+    let seen = InView::new(gaussians, &camera, filter, grid);
+    let mut sums: Vec<SplatGrad<T>> = vec![SplatGrad::default(); seen.rows.len()];
+    sums.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, sums)| {
+        with_lanes(Gather { seen: &seen, first: chunk * CHUNK, grid, limits: &limits, grad: &grad, sums });
+    });
+    let places = seen.places(gaussians.len());
     let probe_width = if probed { 2 } else { 0 };
     let mut out = [3, 4, 3, 1, 3, probe_width].map(|width| vec![T::zero(); gaussians.len() * width]);
     let [positions, quaternions, log_scales, opacities, colours, probes] = &mut out;
@@ -314,19 +294,21 @@ fn backward<T: Real>(
             vectorised(
                 #[inline(always)]
                 || {
-                    let mut scratch = Scratch::new();
                     for j in 0..opacities.len() {
                         let i = chunk * CHUNK + j;
-                        let Some(splat) = gaussians.splat(&camera, i, filter) else { continue };
-                        let sum = gather(&splat, grid, &limits, &grad, &mut scratch);
-                        let grads = splat::backward(&camera, &gaussians.parameters(i), &splat, &sum, filter);
+                        if places[i] == UNSEEN {
+                            continue;
+                        }
+                        let place = places[i] as usize;
+                        let (splat, sum) = (&seen.splats[place], &sums[place]);
+                        let grads = splat::backward(&camera, &gaussians.parameters(i), splat, sum, filter);
                         positions[3 * j..3 * j + 3].copy_from_slice(&grads.position);
                         quaternions[4 * j..4 * j + 4].copy_from_slice(&grads.quaternion);
                         log_scales[3 * j..3 * j + 3].copy_from_slice(&grads.log_scales);
                         opacities[j] = grads.opacity;
                         colours[3 * j..3 * j + 3].copy_from_slice(&sum.colour);
                         if probed {
-                            let [x, y] = splat.mean_gradient(&sum);
+                            let [x, y] = splat.mean_gradient(sum);
                             probes[2 * j..2 * j + 2].copy_from_slice(&[x * half_image[0], y * half_image[1]]);
                         }
                     }
@@ -334,6 +316,55 @@ fn backward<T: Real>(
             );
         });
     out
+}
+
+/// The largest contribution of a Gaussian to any pixel; `gates` are [tile, K, `TILE_PIXELS`].
+struct Largest<'a, T> {
+    seen: &'a InView<T>,
+    i: usize,
+    grid: TileGrid,
+    limits: &'a LimitBlocks<T>,
+    gates: &'a [T],
+}
+
+impl<T: Real> WithSimd for Largest<'_, T> {
+    type Output = T;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> T {
+        let (splat, rect) = (&self.seen.splats[self.i], &self.seen.rects[self.i]);
+        let (footprint, depth) = (SplatLanes::new(simd, splat), Lanes::splat(simd, splat.depth));
+        let zero = Lanes::splat(simd, T::zero());
+        let mut largest = zero;
+        let block = self.limits.layers * TILE_PIXELS;
+        for_each_lit_tile(
+            splat,
+            rect,
+            self.grid,
+            self.limits,
+            #[inline(always)]
+            |tile, limits| {
+                let gates = &self.gates[tile * block..][..block];
+                let intervals = limits.intervals(splat.depth);
+                for_each_lanes(
+                    simd,
+                    splat.mean,
+                    rect,
+                    self.grid.origin(tile),
+                    #[inline(always)]
+                    |start, dx, dy| {
+                        let Some(At { weight, .. }) = footprint.at(dx, dy) else { return };
+                        for k in intervals.clone() {
+                            let gate = Lanes::load(simd, &gates[k * TILE_PIXELS + start..]);
+                            let within = limits.within(k, start, depth, simd);
+                            largest = largest.max(Lanes::select(within, weight * gate, zero));
+                        }
+                    },
+                );
+            },
+        );
+        largest.largest() * splat.colour.iter().fold(T::zero(), |most, channel| most.max(channel.abs()))
+    }
 }
 
 /// Largest contribution of each Gaussian to any pixel.
@@ -348,27 +379,14 @@ fn contributions<T: Real>(
     let camera = CameraOf::<T>::new(camera);
     let limits = LimitBlocks::new(limits, layers, grid);
     let gates = to_tiles(gates, layers, grid, T::zero());
-    let largest = |splat: Splat<T>| {
-        let rect = splat.reach(grid.width, grid.height);
-        let mut largest = [T::zero(); LANES];
-        for_each_lit_tile(&splat, &rect, grid, &limits, |tile, limits| {
-            let gates = &gates[tile * layers * TILE_PIXELS..][..layers * TILE_PIXELS];
-            for_each_group(splat.mean, &rect, grid.origin(tile), |start, dx, dy| {
-                for k in limits.intervals(splat.depth) {
-                    let mask = limits.mask(k, start, splat.depth);
-                    let gate = lanes(gates, k * TILE_PIXELS + start);
-                    for lane in 0..LANES {
-                        let [u, v] = splat.in_deviations(dx[lane], dy);
-                        largest[lane] = largest[lane].max(splat.weight(u, v) * mask[lane] * gate[lane]);
-                    }
-                }
-            });
-        });
-        let brightest = splat.colour.iter().fold(T::zero(), |m, c| m.max(c.abs()));
-        largest.into_iter().fold(T::zero(), T::max) * brightest
-    };
-    let splat = |i| gaussians.splat(&camera, i, ScreenFilter::Compensated);
-    (0..gaussians.len()).into_par_iter().map(|i| splat(i).map_or(T::zero(), largest)).collect()
+    let seen = InView::new(gaussians, &camera, ScreenFilter::Compensated, grid);
+    let largest = |i: usize| with_lanes(Largest { seen: &seen, i, grid, limits: &limits, gates: &gates });
+    let of_seen: Vec<T> = (0..seen.rows.len()).into_par_iter().map(largest).collect();
+    let mut of_all = vec![T::zero(); gaussians.len()];
+    for (&row, largest) in seen.rows.iter().zip(of_seen) {
+        of_all[row as usize] = largest;
+    }
+    of_all
 }
 
 fn splat_on<B: Host>(

@@ -2,6 +2,8 @@
 //! its parameters.
 
 pub mod along_ray;
+pub mod in_view;
+pub mod lanes;
 pub mod student;
 pub mod whitened;
 
@@ -52,7 +54,7 @@ pub struct Splat<T> {
 }
 
 /// Sums over the pixels of a Gaussian.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct SplatGrad<T> {
     /// With g the gradient of the exponent: Σ g, Σ g u, Σ g v, Σ g u², Σ g u v, Σ g v².
     pub moments: [T; MOMENTS],

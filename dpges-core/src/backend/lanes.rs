@@ -1,0 +1,223 @@
+//! Numbers of pixels that a kernel processes together, in the vector instructions of the machine: written out, since
+//! compilers leave loops over arrays in scalar instructions wherever they cannot exclude that the arrays overlap.
+
+use std::ops::{Add, BitAnd, Mul, Sub};
+
+use pulp::{Simd, WithSimd};
+
+use super::real::Real;
+
+/// Runs `kernel` with the widest vector instructions of this machine. Everything it calls must be `#[inline(always)]` to
+/// profit.
+#[inline]
+pub fn with_lanes<K: WithSimd>(kernel: K) -> K::Output {
+    pulp::Arch::new().dispatch(kernel)
+}
+
+/// As many numbers as a vector instruction of `S` processes.
+#[derive(Clone, Copy)]
+pub struct Lanes<T: Real, S: Simd> {
+    simd: S,
+    of: T::Vector<S>,
+}
+
+/// Which of the numbers.
+#[derive(Clone, Copy)]
+pub struct Mask<T: Real, S: Simd> {
+    simd: S,
+    of: T::Mask<S>,
+}
+
+impl<T: Real, S: Simd> Lanes<T, S> {
+    /// All the same.
+    #[inline(always)]
+    pub fn splat(simd: S, value: T) -> Self {
+        Self { simd, of: T::splat_lanes(simd, value) }
+    }
+
+    /// The first of `values`.
+    ///
+    /// # Panics
+    /// If there are too few.
+    #[inline(always)]
+    pub fn load(simd: S, values: &[T]) -> Self {
+        Self { simd, of: T::load_lanes(simd, &values[..T::lane_count::<S>()]) }
+    }
+
+    /// Into the first of `values`.
+    ///
+    /// # Panics
+    /// If there are too few.
+    #[inline(always)]
+    pub fn store(self, values: &mut [T]) {
+        T::store_lanes(self.simd, &mut values[..T::lane_count::<S>()], self.of);
+    }
+
+    /// self × factor + summand
+    #[inline(always)]
+    pub fn mul_add(self, factor: Self, summand: Self) -> Self {
+        Self { of: T::mul_add_lanes(self.simd, self.of, factor.of, summand.of), ..self }
+    }
+
+    #[inline(always)]
+    pub fn max(self, other: Self) -> Self {
+        Self { of: T::max_lanes(self.simd, self.of, other.of), ..self }
+    }
+
+    /// self ≥ other
+    #[inline(always)]
+    pub fn at_least(self, other: Self) -> Mask<T, S> {
+        Mask { simd: self.simd, of: T::at_least_lanes(self.simd, self.of, other.of) }
+    }
+
+    /// self < other
+    #[inline(always)]
+    pub fn below(self, other: Self) -> Mask<T, S> {
+        Mask { simd: self.simd, of: T::below_lanes(self.simd, self.of, other.of) }
+    }
+
+    /// `a` where the mask is set, else `b`.
+    #[inline(always)]
+    pub fn select(mask: Mask<T, S>, a: Self, b: Self) -> Self {
+        Self { simd: a.simd, of: T::select_lanes(a.simd, mask.of, a.of, b.of) }
+    }
+
+    #[inline(always)]
+    pub fn exp_nonpositive(self) -> Self {
+        Self { of: T::exp_nonpositive_lanes(self.simd, self.of), ..self }
+    }
+
+    #[inline(always)]
+    pub fn sum(self) -> T {
+        T::sum_lanes(self.simd, self.of)
+    }
+
+    #[inline(always)]
+    pub fn largest(self) -> T {
+        T::largest_lanes(self.simd, self.of)
+    }
+}
+
+impl<T: Real, S: Simd> Mask<T, S> {
+    /// Whether one is set.
+    #[inline(always)]
+    pub fn any(self) -> bool {
+        T::any_lane(self.simd, self.of)
+    }
+}
+
+impl<T: Real, S: Simd> Add for Lanes<T, S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn add(self, other: Self) -> Self {
+        Self { of: T::add_lanes(self.simd, self.of, other.of), ..self }
+    }
+}
+
+impl<T: Real, S: Simd> Sub for Lanes<T, S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn sub(self, other: Self) -> Self {
+        Self { of: T::sub_lanes(self.simd, self.of, other.of), ..self }
+    }
+}
+
+impl<T: Real, S: Simd> Mul for Lanes<T, S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn mul(self, other: Self) -> Self {
+        Self { of: T::mul_lanes(self.simd, self.of, other.of), ..self }
+    }
+}
+
+impl<T: Real, S: Simd> BitAnd for Mask<T, S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn bitand(self, other: Self) -> Self {
+        Self { of: T::both_lanes(self.simd, self.of, other.of), ..self }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::backend::vectors::MOST;
+
+    /// Exponentials of the numbers, by lanes.
+    struct Exponentials<'a, T>(&'a mut [T]);
+
+    impl<T: Real> WithSimd for Exponentials<'_, T> {
+        type Output = ();
+
+        #[inline(always)]
+        fn with_simd<S: Simd>(self, simd: S) {
+            for values in self.0.chunks_exact_mut(T::lane_count::<S>()) {
+                Lanes::load(simd, values).exp_nonpositive().store(values);
+            }
+        }
+    }
+
+    #[test]
+    fn exponentials_are_those_of_single_numbers() {
+        let arguments: Vec<f32> = (0..200_000).map(|step| -(step as f32) * 1e-4).collect();
+        let mut found = arguments.clone();
+        with_lanes(Exponentials(&mut found));
+        for (argument, found) in arguments.into_iter().zip(found) {
+            let exact = f64::from(argument).exp();
+            assert!((f64::from(found) - exact).abs() < 2.5e-7 * exact, "exp({argument}) is {found}, not {exact}");
+        }
+        let mut far = [f32::NEG_INFINITY, -1e30, -200.0, f32::NAN].repeat(4);
+        with_lanes(Exponentials(&mut far));
+        assert!(far.iter().all(|&value| value < 1e-37), "{far:?}");
+        let mut exact: Vec<f64> = (0..16).map(|step| -f64::from(step)).collect();
+        with_lanes(Exponentials(&mut exact));
+        assert!(exact.iter().enumerate().all(|(step, &value)| value == (-(step as f64)).exp()), "{exact:?}");
+    }
+
+    /// What the operations make of two vectors of 16 numbers.
+    struct Operations<'a, T>(&'a [T; MOST], &'a [T; MOST]);
+
+    impl<T: Real> WithSimd for Operations<'_, T> {
+        type Output = (Vec<[T; 5]>, T, T);
+
+        #[inline(always)]
+        fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
+            let count = T::lane_count::<S>();
+            let (mut rows, mut sum, mut largest) = (Vec::new(), T::zero(), -T::INFINITY);
+            for (a, b) in self.0.chunks_exact(count).zip(self.1.chunks_exact(count)) {
+                let (a, b) = (Lanes::load(simd, a), Lanes::load(simd, b));
+                assert_eq!(a.at_least(b).any(), (a - b).largest() >= T::zero());
+                let both = a.at_least(b) & Lanes::splat(simd, -T::one()).below(b);
+                let of = [a + b, a - b, a.mul_add(b, a * b), a.max(b), Lanes::select(both, a, b)];
+                let mut stored = [[T::zero(); MOST]; 5];
+                of.iter().zip(&mut stored).for_each(|(lanes, stored)| lanes.store(stored));
+                rows.extend((0..count).map(|lane| stored.map(|row| row[lane])));
+                sum = sum + a.sum();
+                largest = largest.max(a.largest());
+            }
+            (rows, sum, largest)
+        }
+    }
+
+    fn operations_are_those_of_single_numbers<T: Real>() {
+        let a: [T; MOST] = std::array::from_fn(|i| T::of(i as f64 - 5.0));
+        let b: [T; MOST] = std::array::from_fn(|i| T::of((i * 7 % 16) as f64 - 4.0));
+        let (rows, sum, largest) = with_lanes(Operations(&a, &b));
+        assert_eq!((rows.len(), sum.as_f64(), largest.as_f64()), (MOST, 40.0, 10.0));
+        for ((&a, &b), row) in a.iter().zip(&b).zip(rows) {
+            let chosen = if a >= b && b > -T::one() { a } else { b };
+            let expected = [a + b, a - b, a * b + a * b, a.max(b), chosen];
+            assert_eq!(row.map(T::as_f64), expected.map(T::as_f64));
+        }
+    }
+
+    #[test]
+    fn both_kinds_of_numbers_have_the_same_operations() {
+        operations_are_those_of_single_numbers::<f32>();
+        operations_are_those_of_single_numbers::<f64>();
+    }
+}

@@ -1,0 +1,204 @@
+//! The vector instructions that kernels use, for both kinds of numbers.
+
+use pulp::Simd;
+
+/// Most numbers in a vector: of 512 bits, in f32.
+pub const MOST: usize = 16;
+
+/// The vectors of a number. [`Lanes`](super::lanes::Lanes) has the same as operators.
+pub trait Vectors: Copy {
+    type Vector<S: Simd>: Copy;
+    type Mask<S: Simd>: Copy;
+
+    /// Numbers in a vector: a divisor of [`MOST`].
+    fn lane_count<S: Simd>() -> usize;
+    fn splat_lanes<S: Simd>(simd: S, value: Self) -> Self::Vector<S>;
+    fn load_lanes<S: Simd>(simd: S, values: &[Self]) -> Self::Vector<S>;
+    fn store_lanes<S: Simd>(simd: S, values: &mut [Self], vector: Self::Vector<S>);
+    fn add_lanes<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
+    fn sub_lanes<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
+    fn mul_lanes<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
+    /// a b + c, rounded once where the machine can.
+    fn mul_add_lanes<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>, c: Self::Vector<S>) -> Self::Vector<S>;
+    fn max_lanes<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
+    fn at_least_lanes<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Mask<S>;
+    fn below_lanes<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Mask<S>;
+    fn both_lanes<S: Simd>(simd: S, a: Self::Mask<S>, b: Self::Mask<S>) -> Self::Mask<S>;
+    fn any_lane<S: Simd>(simd: S, mask: Self::Mask<S>) -> bool;
+    fn select_lanes<S: Simd>(simd: S, mask: Self::Mask<S>, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
+    fn sum_lanes<S: Simd>(simd: S, vector: Self::Vector<S>) -> Self;
+    fn largest_lanes<S: Simd>(simd: S, vector: Self::Vector<S>) -> Self;
+    /// As `Real::exp_nonpositive`.
+    fn exp_nonpositive_lanes<S: Simd>(simd: S, vector: Self::Vector<S>) -> Self::Vector<S>;
+}
+
+macro_rules! implement {
+    (
+        $number:ty, $vector:ident, $mask:ident, $count:ident, $splat:ident, $slice:ident, $slice_mut:ident, $add:ident,
+        $sub:ident, $mul:ident, $mul_add:ident, $max:ident, $at_least:ident, $below:ident, $both:ident, $first_true:ident, $select:ident, $sum:ident,
+        $largest:ident, $exp:ident
+    ) => {
+        impl Vectors for $number {
+            type Vector<S: Simd> = S::$vector;
+            type Mask<S: Simd> = S::$mask;
+
+            #[inline(always)]
+            fn lane_count<S: Simd>() -> usize {
+                const { assert!(MOST.is_multiple_of(S::$count)) };
+                S::$count
+            }
+
+            #[inline(always)]
+            fn splat_lanes<S: Simd>(simd: S, value: Self) -> S::$vector {
+                simd.$splat(value)
+            }
+
+            #[inline(always)]
+            fn load_lanes<S: Simd>(_: S, values: &[Self]) -> S::$vector {
+                S::$slice(values).0[0]
+            }
+
+            #[inline(always)]
+            fn store_lanes<S: Simd>(_: S, values: &mut [Self], vector: S::$vector) {
+                S::$slice_mut(values).0[0] = vector;
+            }
+
+            #[inline(always)]
+            fn add_lanes<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> S::$vector {
+                simd.$add(a, b)
+            }
+
+            #[inline(always)]
+            fn sub_lanes<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> S::$vector {
+                simd.$sub(a, b)
+            }
+
+            #[inline(always)]
+            fn mul_lanes<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> S::$vector {
+                simd.$mul(a, b)
+            }
+
+            #[inline(always)]
+            fn mul_add_lanes<S: Simd>(simd: S, a: S::$vector, b: S::$vector, c: S::$vector) -> S::$vector {
+                simd.$mul_add(a, b, c)
+            }
+
+            #[inline(always)]
+            fn max_lanes<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> S::$vector {
+                simd.$max(a, b)
+            }
+
+            #[inline(always)]
+            fn at_least_lanes<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> S::$mask {
+                simd.$at_least(a, b)
+            }
+
+            #[inline(always)]
+            fn below_lanes<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> S::$mask {
+                simd.$below(a, b)
+            }
+
+            #[inline(always)]
+            fn both_lanes<S: Simd>(simd: S, a: S::$mask, b: S::$mask) -> S::$mask {
+                simd.$both(a, b)
+            }
+
+            #[inline(always)]
+            fn any_lane<S: Simd>(simd: S, mask: S::$mask) -> bool {
+                simd.$first_true(mask) < S::$count
+            }
+
+            #[inline(always)]
+            fn select_lanes<S: Simd>(simd: S, mask: S::$mask, a: S::$vector, b: S::$vector) -> S::$vector {
+                simd.$select(mask, a, b)
+            }
+
+            #[inline(always)]
+            fn sum_lanes<S: Simd>(simd: S, vector: S::$vector) -> Self {
+                simd.$sum(vector)
+            }
+
+            #[inline(always)]
+            fn largest_lanes<S: Simd>(simd: S, vector: S::$vector) -> Self {
+                simd.$largest(vector)
+            }
+
+            #[inline(always)]
+            fn exp_nonpositive_lanes<S: Simd>(simd: S, vector: S::$vector) -> S::$vector {
+                $exp(simd, vector)
+            }
+        }
+    };
+}
+
+implement!(
+    f32,
+    f32s,
+    m32s,
+    F32_LANES,
+    splat_f32s,
+    as_simd_f32s,
+    as_mut_simd_f32s,
+    add_f32s,
+    sub_f32s,
+    mul_f32s,
+    mul_add_e_f32s,
+    max_f32s,
+    greater_than_or_equal_f32s,
+    less_than_f32s,
+    and_m32s,
+    first_true_m32s,
+    select_f32s,
+    reduce_sum_f32s,
+    reduce_max_f32s,
+    exp_nonpositive_f32
+);
+implement!(
+    f64,
+    f64s,
+    m64s,
+    F64_LANES,
+    splat_f64s,
+    as_simd_f64s,
+    as_mut_simd_f64s,
+    add_f64s,
+    sub_f64s,
+    mul_f64s,
+    mul_add_e_f64s,
+    max_f64s,
+    greater_than_or_equal_f64s,
+    less_than_f64s,
+    and_m64s,
+    first_true_m64s,
+    select_f64s,
+    reduce_sum_f64s,
+    reduce_max_f64s,
+    exp_nonpositive_f64
+);
+
+/// The polynomial of `Real::exp_nonpositive`.
+#[inline(always)]
+fn exp_nonpositive_f32<S: Simd>(simd: S, vector: S::f32s) -> S::f32s {
+    const ROUND: f32 = 12_582_912.0;
+    let all = |value: f32| simd.splat_f32s(value);
+    // not a number becomes the smallest
+    let x = simd.select_f32s(simd.greater_than_or_equal_f32s(vector, all(-87.0)), vector, all(-87.0));
+    let shifted = simd.mul_add_e_f32s(x, all(std::f32::consts::LOG2_E), all(ROUND));
+    let n = simd.sub_f32s(shifted, all(ROUND));
+    let r = simd.mul_add_e_f32s(n, all(-0.693_359_4), x);
+    let r = simd.mul_add_e_f32s(n, all(2.121_944_4e-4), r);
+    let mut p = simd.mul_add_e_f32s(r, all(1.984_127e-4), all(1.388_888_9e-3));
+    for coefficient in [8.333_334e-3, 4.166_666_8e-2, 1.666_666_7e-1, 0.5, 1.0, 1.0] {
+        p = simd.mul_add_e_f32s(p, r, all(coefficient));
+    }
+    let exponent = simd.sub_u32s(simd.transmute_u32s_f32s(shifted), simd.splat_u32s(ROUND.to_bits() - 127));
+    let power = simd.wrapping_dyn_shl_u32s(exponent, simd.splat_u32s(23));
+    simd.mul_f32s(p, simd.transmute_f32s_u32s(power))
+}
+
+#[inline(always)]
+fn exp_nonpositive_f64<S: Simd>(simd: S, vector: S::f64s) -> S::f64s {
+    let mut values = [0.0; MOST];
+    f64::store_lanes(simd, &mut values, vector);
+    f64::load_lanes(simd, &values.map(f64::exp))
+}
