@@ -22,6 +22,7 @@ type Outcome = (usize, Result<LoadedCell, String>);
 pub struct Levels {
     source: Source,
     scene: LodScene,
+    cameras: Vec<Camera>,
     budget: usize,
 }
 
@@ -33,7 +34,13 @@ impl Levels {
     pub fn open(place: &Path, budget: usize) -> Result<Self, StreamError> {
         let source = Source::new(place)?;
         let scene = LodScene::new(source.index()?, |part| source.read(part))?;
-        Ok(Self { source, scene, budget })
+        let cameras = source.cameras(scene.index().settings.near);
+        Ok(Self { source, scene, cameras, budget })
+    }
+
+    /// Those that the scene was exported with.
+    pub fn cameras(&self) -> &[Camera] {
+        &self.cameras
     }
 
     pub fn scene(&self) -> &LodScene {
@@ -57,7 +64,7 @@ impl Loader {
     /// # Errors
     /// The errors of [`Stream::new`].
     pub fn new(
-        Levels { source, scene, budget }: Levels,
+        Levels { source, scene, budget, .. }: Levels,
         renderer: &mut Renderer,
         wake: impl Fn() + Send + Clone + 'static,
     ) -> Result<Self, StreamError> {

@@ -4,9 +4,11 @@ use std::path::{Path, PathBuf};
 #[cfg(feature = "http")]
 use std::time::Duration;
 
-use dpges_core::scene::lod::{INDEX, Index, Part};
+use dpges_core::camera::Camera;
+use dpges_core::scene::lod::{CAMERAS, INDEX, Index, Part};
 
 use super::StreamError;
+use crate::path::CameraPath;
 
 /// Longest wait for a server to answer a request, and for all of an answer.
 #[cfg(feature = "http")]
@@ -82,6 +84,20 @@ impl Source {
                 Ok(Index::from_bytes(&bytes, &place)?)
             }
         }
+    }
+
+    /// The cameras beside the index, those without a near plane with `near`; none if there is no such file, or one that has
+    /// none: a scene can be shown without.
+    pub fn cameras(&self, near: f64) -> Vec<Camera> {
+        let text = match self {
+            Self::Folder(folder) => std::fs::read_to_string(folder.join(CAMERAS)).ok(),
+            #[cfg(feature = "http")]
+            Self::Web { client, base } => web::whole(client, &format!("{base}{CAMERAS}"), LARGEST_INDEX)
+                .ok()
+                .and_then(|bytes| String::from_utf8(bytes).ok()),
+        };
+        let path = text.and_then(|text| CameraPath::from_json(&text, near).ok());
+        path.map_or_else(Vec::new, |path| path.keys().to_vec())
     }
 
     /// The bytes of a part.

@@ -5,8 +5,12 @@ use std::io::{BufRead, BufReader, Write};
 use std::net::{TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
 
+use dpges_core::scene::lod::{CAMERAS, Index};
+
 use super::fixtures::{filled, forest, write};
 use super::{Levels, Source};
+use crate::path::CameraPath;
+use crate::path::tests::camera;
 
 /// How the server misbehaves.
 #[derive(Clone, Copy, PartialEq)]
@@ -65,13 +69,23 @@ fn parts_come_by_ranges_of_bytes() {
     let address = serve(folder.path(), Kind::Good);
     for place in [address.clone(), format!("{address}/"), format!("{address}/index.json")] {
         let web = Source::new(&PathBuf::from(&place)).unwrap();
-        assert_eq!(web.index().unwrap(), index, "{place}");
+        let found = web.index().unwrap();
+        assert_eq!(found.place, Path::new(&address));
+        assert_eq!(Index { place: PathBuf::new(), ..found }, index, "{place}");
         let local = Source::new(folder.path()).unwrap();
         for part in index.parts() {
             assert_eq!(web.read(part).unwrap(), local.read(part).unwrap());
         }
     }
     assert_eq!(Levels::open(address.as_ref(), 1000).unwrap().scene().counts(), [10, 103]);
+    let cameras = |place: &Path| Levels::open(place, 1000).unwrap().cameras().to_vec();
+    assert!(cameras(address.as_ref()).is_empty(), "there is no such file");
+    let kept = [camera([4.0, 0.0, 1.0], 50.0), camera([0.0, 4.0, 1.5], 60.0)];
+    CameraPath::new(kept.to_vec(), false).unwrap().save(&folder.path().join(CAMERAS)).unwrap();
+    for place in [folder.path(), address.as_ref()] {
+        let found = cameras(place);
+        assert_eq!(found.iter().map(|camera| camera.fx).collect::<Vec<_>>(), kept.map(|camera| camera.fx));
+    }
 }
 
 #[test]

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, TryRecvError, channel};
 
+use dpges_core::camera::Camera;
 use dpges_core::scene::SceneData;
 
 use super::views::{DatasetViews, ReadViews, Views};
@@ -26,7 +27,16 @@ impl Opened {
         Self { scene, levels: None, views }
     }
 
+    /// Without `views`, those that the scene was exported with.
     pub fn levels(levels: Levels, views: Views) -> Self {
+        let views = match views {
+            Views::None if !levels.cameras().is_empty() => {
+                let named = |(at, camera): (usize, &Camera)| (format!("view {}", at + 1), *camera);
+                let cameras = levels.cameras().iter().enumerate().map(named).collect();
+                Views::Ready(DatasetViews::without_photographs(cameras))
+            }
+            views => views,
+        };
         Self { scene: levels.scene().coarse().clone(), levels: Some(levels), views }
     }
 }
@@ -34,7 +44,7 @@ impl Opened {
 /// Reads a scene file or the folder of a run; the error is what the window says.
 pub type Opener = Arc<dyn Fn(&Path) -> Result<Opened, String> + Send + Sync>;
 
-/// Reads the scene file, or that of the run, or opens the scene in levels of detail, without views.
+/// Reads the scene file, or that of the run, without views, or opens the scene in levels of detail.
 pub fn open_scene(path: &Path) -> Result<Opened, String> {
     if is_lod(path) {
         let levels = Levels::open(path, DEFAULT_BUDGET).map_err(|error| error.to_string())?;
@@ -113,7 +123,12 @@ impl ViewsLoader {
 
 #[cfg(test)]
 mod tests {
+    use dpges_core::scene::lod::CAMERAS;
+
     use super::*;
+    use crate::path::CameraPath;
+    use crate::path::tests::camera;
+    use crate::stream::fixtures::{filled, forest, write};
 
     fn wait(loader: &mut Loader, woken: &Receiver<()>) -> Loaded {
         woken.recv().unwrap();
@@ -136,6 +151,19 @@ mod tests {
         let file = folder.path().join("photo.jpg");
         std::fs::write(&file, "no scene").unwrap();
         assert!(open_scene(&file).err().unwrap().contains("photo.jpg"));
+    }
+
+    #[test]
+    fn scenes_in_levels_of_detail_are_shown_with_their_cameras() {
+        let folder = tempfile::tempdir().unwrap();
+        let index = forest(1, 1);
+        write(folder.path(), index.clone(), |cell| filled(&index, cell, [5, 50 + cell]));
+        assert!(matches!(open_scene(folder.path()).unwrap().views, Views::None));
+        let cameras = vec![camera([4.0, 0.0, 1.0], 50.0), camera([0.0, 4.0, 1.5], 60.0)];
+        CameraPath::new(cameras, false).unwrap().save(&folder.path().join(CAMERAS)).unwrap();
+        let Views::Ready(views) = open_scene(folder.path()).unwrap().views else { panic!("there are two cameras") };
+        let names: Vec<&str> = views.cameras.iter().map(|(name, _)| &**name).collect();
+        assert_eq!(names, ["view 1", "view 2"]);
     }
 
     #[test]

@@ -46,3 +46,10 @@ pub enum BlocksError {
     #[error(transparent)]
     Core(#[from] dpges_core::Error),
 }
+
+impl BlocksError {
+    /// Whether a step or a plan was asked for wrongly.
+    pub fn is_usage(&self) -> bool {
+        matches!(self, Self::NoBlock { .. } | Self::Poses | Self::Method | Self::FewPlaces { .. })
+    }
+}

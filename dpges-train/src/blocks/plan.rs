@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::cameras::{MeasuredBy, assign, shares_of_points, shares_of_scene};
 use super::split::{Limit, Part, split};
 use super::{BlocksError, Result};
-use crate::config::{Config, Method, Poses, differences};
+use crate::config::{Budget, Config, Method, Poses, differences};
 use crate::dataset::block::Bounds;
 use crate::dataset::{Dataset, View};
 use crate::device::place::Place;
@@ -36,8 +36,10 @@ pub struct Plan {
     /// Measure by which the cameras of blocks were found.
     pub cameras_by: MeasuredBy,
     pub blocks: Vec<PlannedBlock>,
-    /// Of the coarse run; those of blocks and of the merge follow from it.
+    /// Of the runs of blocks; those of the coarse run and of the merge follow from it.
     pub config: Config,
+    /// Of the coarse run, if it is not that of a block.
+    pub coarse_budget: Option<Budget>,
 }
 
 /// All views of `dataset`, those to train on first, and the number of these.
@@ -78,7 +80,7 @@ impl Plan {
             PlannedBlock { points, core, grown, cameras: names(indices) }
         };
         let blocks = parts.into_iter().zip(of_parts).map(planned).collect();
-        Ok(Self { dataset: name, cameras_by: MeasuredBy::Points, blocks, config })
+        Ok(Self { dataset: name, cameras_by: MeasuredBy::Points, blocks, config, coarse_budget: None })
     }
 
     /// Finds the cameras of all blocks anew, by what they see of the coarse `scene` of `dataset`.
@@ -126,6 +128,12 @@ impl Plan {
         let differences = differences(&found.config, &self.config);
         if !differences.is_empty() {
             return Err(other(differences.join(", ")));
+        }
+        if found.coarse_budget != self.coarse_budget {
+            let told =
+                |budget: Option<Budget>| budget.map_or("that of a block".to_owned(), |budget| budget.to_string());
+            let [there, here] = [found.coarse_budget, self.coarse_budget].map(told);
+            return Err(other(format!("the budget of its coarse scene is {there}, not {here}")));
         }
         let bounds = |plan: &Self| plan.blocks.iter().map(|block| (block.core, block.grown)).collect::<Vec<_>>();
         if bounds(&found) != bounds(self) {

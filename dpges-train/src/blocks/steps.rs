@@ -190,7 +190,7 @@ impl Capture {
             (config.stages.surfels_from, config.stages.gaussians_from) = (path.clone(), path);
         };
         match step {
-            Step::Coarse => {}
+            Step::Coarse => config.refine.budget = self.plan.coarse_budget.unwrap_or(config.refine.budget),
             Step::Block(_) => {
                 begin_with(self.file(step, INSIDE));
                 config.train.block = self.file(step, BLOCK).display().to_string();

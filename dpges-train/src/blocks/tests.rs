@@ -83,6 +83,11 @@ fn steps_follow_one_another_and_are_done_once() {
     let (at, dataset) = (tempfile::tempdir().unwrap(), dataset());
     plan(&["train.steps=300"], Limit::Blocks(2)).unwrap().save(at.path(), &dataset).unwrap();
     let mut capture = Capture::open(at.path()).unwrap();
+    let budget = |capture: &Capture, step| capture.config(step).unwrap().refine.budget;
+    assert_eq!(budget(&capture, Step::Coarse), budget(&capture, Step::Block(0)));
+    capture.plan.coarse_budget = Some(Budget::Primitives(900));
+    assert_eq!(budget(&capture, Step::Coarse), Budget::Primitives(900));
+    assert_ne!(budget(&capture, Step::Block(0)), Budget::Primitives(900));
     let message = |capture: &Capture, step| capture.left(step).unwrap_err().to_string();
     assert!(message(&capture, Step::Block(0)).contains("dpges blocks coarse"));
     assert!(message(&capture, Step::Block(2)).contains("the plan has 2"));
@@ -141,6 +146,9 @@ fn a_step_with_other_options_is_refused() {
     assert!(plan(&["train.steps=300"], Limit::Blocks(2)).unwrap().is_in(at.path()).unwrap());
     assert!(refused(&plan(&["train.steps=30"], Limit::Blocks(2)).unwrap()).contains("`train.steps` is 300, not 30"));
     assert!(refused(&plan(&["train.steps=300"], Limit::Blocks(3)).unwrap()).contains("2 blocks"));
+    let coarse_budget = Some(Budget::Primitives(900));
+    let denser = Plan { coarse_budget, ..plan(&["train.steps=300"], Limit::Blocks(2)).unwrap() };
+    assert!(refused(&denser).contains("the budget of its coarse scene is that of a block, not 900"));
     let other = Plan { dataset: "/data/other".into(), ..plan(&["train.steps=300"], Limit::Blocks(2)).unwrap() };
     assert!(refused(&other).contains("/data/other"));
     assert!(!other.is_in(Path::new("nowhere")).unwrap());

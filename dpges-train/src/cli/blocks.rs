@@ -5,10 +5,10 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use clap::{Args, Subcommand};
-use dpges_train::blocks::BlocksError;
 use dpges_train::blocks::plan::Plan;
 use dpges_train::blocks::split::{Limit, MOST_POINTS};
 use dpges_train::blocks::steps::{Capture, Left, Step};
+use dpges_train::config::Budget;
 use dpges_train::device::DeviceRequest;
 use dpges_train::device::place::Place;
 use dpges_train::device::ranks::Job;
@@ -72,6 +72,9 @@ struct PlanArgs {
     /// Most points of a block
     #[arg(long, value_name = "N", value_parser = at_least_one, default_value_t = MOST_POINTS)]
     points: usize,
+    /// Budget of the coarse scene [default: that of a block]. Blocks begin with its surfels: a larger one gains quality
+    #[arg(long, value_name = "N|MB|auto")]
+    coarse_budget: Option<Budget>,
     #[command(flatten)]
     options: ConfigArgs,
 }
@@ -107,7 +110,7 @@ fn plan(args: &PlanArgs, style: LogStyle) -> Result<()> {
     sfm::prepare(Some(&args.dataset), &args.options.sfm(&config), style)?;
     let dataset = source.load(&config.data)?;
     let limit = args.blocks.map_or(Limit::Points(args.points), Limit::Blocks);
-    let plan = Plan::new(source.to_string(), &dataset, config, limit)?;
+    let plan = Plan { coarse_budget: args.coarse_budget, ..Plan::new(source.to_string(), &dataset, config, limit)? };
     if plan.is_in(&args.out)? {
         tracing::info!("{} holds this plan already", args.out.display());
     } else {
@@ -182,12 +185,4 @@ impl Worker<'_> {
         }
         watched(name, || Ok(self.capture.finish(step, &dataset, &place)?))
     }
-}
-
-/// Whether a step was asked for wrongly.
-pub fn is_usage(error: &BlocksError) -> bool {
-    matches!(
-        error,
-        BlocksError::NoBlock { .. } | BlocksError::Poses | BlocksError::Method | BlocksError::FewPlaces { .. }
-    )
 }

@@ -33,6 +33,7 @@ use std::process::ExitCode;
 
 use clap::error::ErrorKind;
 use clap::{CommandFactory, Parser, Subcommand};
+use dpges_train::blocks::BlocksError;
 use dpges_train::config::ConfigError;
 use dpges_train::dataset::source::SourceError;
 use dpges_train::device::ranks::launched;
@@ -114,7 +115,7 @@ fn is_usage(error: &(dyn std::error::Error + 'static)) -> bool {
     }
     matches!(error.downcast_ref(), Some(SourceError::OneScale | SourceError::Change(_)))
         || matches!(error.downcast_ref(), Some(ChoiceError::NoneAndOthers | ChoiceError::Twice { .. }))
-        || error.downcast_ref().is_some_and(blocks::is_usage)
+        || error.downcast_ref().is_some_and(BlocksError::is_usage)
         || matches!(error.downcast_ref(), Some(VideoError::Sizes { .. } | VideoError::NoFormat { .. }))
         || error.downcast_ref::<ConfigError>().is_some_and(|error| !matches!(error, ConfigError::Io { .. }))
 }

@@ -65,10 +65,13 @@ impl WindowArgs {
                 Views::Later(Box::new(move || read(&source, &config, &info, &poses).map_err(|failure| failure.text())))
             }
         };
-        if let (Some(preset), None) = (self.preset, &levels) {
+        if let Some(levels) = levels {
+            return Ok(Opened::levels(levels, views));
+        }
+        if let Some(preset) = self.preset {
             preset.apply(&mut scene.data);
         }
-        Ok(Opened { scene: scene.data, levels, views })
+        Ok(Opened::whole(scene.data, views))
     }
 }
 

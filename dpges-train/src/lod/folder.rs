@@ -5,7 +5,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use dpges_core::camera::Camera;
-use dpges_core::scene::lod::{Cell, INDEX, Index, Part};
+use dpges_core::scene::lod::{CAMERAS, Cell, INDEX, Index, Part};
 use dpges_core::scene::{Quality, SceneData};
 use dpges_render::CameraPath;
 use rayon::prelude::*;
@@ -18,7 +18,8 @@ use crate::refine::neighbours::as_points;
 const QUALITY: Quality =
     Quality { positions: 18, quaternions: 11, log_scales: 11, opacities: 11, margins: 12, base: 11, detail: 11 };
 const SKY: &str = "base.safetensors";
-const CAMERAS: &str = "cameras.json";
+/// First bytes of every index that was exported.
+const INDEX_BEGIN: &str = "{\"format\":\"dpges-lod\"";
 
 /// A folder that is being written.
 pub struct Folder {
@@ -127,7 +128,7 @@ impl Folder {
             serde_json::to_vec(&self.index).map_err(|error| io_error("cannot write", &self.out, error.into()))?;
         self.put(INDEX, &json)?;
         self.publish()?;
-        Ok(self.index)
+        Ok(Index { place: self.out, ..self.index })
     }
 
     fn put(&self, name: &str, bytes: &[u8]) -> Result<(), LodError> {
@@ -156,10 +157,11 @@ impl Folder {
     }
 }
 
-/// Whether `out` is absent, an empty folder, or a scene in levels of detail.
+/// Whether `out` is absent, an empty folder, or a scene in levels of detail, a damaged one too: its message says to export
+/// it again.
 fn check(out: &Path) -> Result<(), LodError> {
     let is_empty = || fs::read_dir(out).is_ok_and(|mut files| files.next().is_none());
-    let is_lod = || fs::read(out.join(INDEX)).is_ok_and(|bytes| Index::from_bytes(&bytes, INDEX).is_ok());
+    let is_lod = || fs::read(out.join(INDEX)).is_ok_and(|bytes| bytes.starts_with(INDEX_BEGIN.as_bytes()));
     if !out.exists() || is_empty() || is_lod() { Ok(()) } else { Err(LodError::Taken(out.to_owned())) }
 }
 

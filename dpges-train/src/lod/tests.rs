@@ -111,6 +111,16 @@ fn level_0_is_the_scene_and_the_others_are_about_half_of_the_finer() {
     let before = files(&out);
     assert_eq!(exported(&scene, camera, None, &out), index);
     assert_eq!(files(&out), before);
+    // and in place of an index that was cut off
+    let whole = fs::read(out.join("index.json")).unwrap();
+    fs::write(out.join("index.json"), &whole[..100]).unwrap();
+    assert!(Index::open(&out).unwrap_err().to_string().contains("export it again"));
+    assert_eq!(exported(&scene, camera, None, &out), index);
+    assert_eq!(files(&out), before);
+    fs::write(out.join("index.json"), "{}").unwrap();
+    let taken = write(scene.clone(), &Options { cell_primitives: 300, cameras: &[camera], fit: None }, &out);
+    assert!(matches!(taken, Err(LodError::Taken(_))));
+    fs::write(out.join("index.json"), whole).unwrap();
     assert_eq!(fs::read_dir(out.parent().unwrap()).unwrap().count(), 1);
     let described = describe::describe(&out).unwrap();
     assert_eq!(

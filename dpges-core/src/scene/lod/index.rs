@@ -1,5 +1,7 @@
 //! The content of `index.json`.
 
+use std::path::PathBuf;
+
 use serde::{Deserialize, Serialize};
 
 use crate::scene::SceneInfo;
@@ -20,6 +22,9 @@ pub struct Index {
     pub sky: Option<Part>,
     /// The coarsest first, so that every cell follows its parent.
     pub cells: Vec<Cell>,
+    /// Folder or address that it was read from, for messages.
+    #[serde(skip)]
+    pub place: PathBuf,
 }
 
 /// Bytes of a file of the folder.
@@ -62,7 +67,14 @@ impl Cell {
 
 impl Index {
     pub fn new(settings: SceneInfo) -> Self {
-        Self { format: FORMAT.to_owned(), version: VERSION, settings, sky: None, cells: Vec::new() }
+        Self {
+            format: FORMAT.to_owned(),
+            version: VERSION,
+            settings,
+            sky: None,
+            cells: Vec::new(),
+            place: PathBuf::new(),
+        }
     }
 
     /// Indices of the cells without a parent.

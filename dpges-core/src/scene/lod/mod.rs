@@ -18,3 +18,5 @@ pub use index::{Cell, FORMAT, Index, Part, VERSION};
 
 /// The file of a folder that says what the others hold.
 pub const INDEX: &str = "index.json";
+/// Name of the file with the cameras that a scene was exported with, in the convention of 3DGS.
+pub const CAMERAS: &str = "cameras.json";

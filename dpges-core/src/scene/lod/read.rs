@@ -20,7 +20,7 @@ impl Index {
         };
         let index: Self = serde_json::from_slice(bytes).map_err(|error| wrong(error.to_string()))?;
         index.check().map_err(wrong)?;
-        Ok(index)
+        Ok(Self { place: Path::new(name).parent().unwrap_or(Path::new("")).to_owned(), ..index })
     }
 
     /// Reads the index of `folder`, and looks whether its files are there and long enough.
@@ -85,7 +85,7 @@ impl Index {
 
     fn scene(&self, part: &Part, bytes: &[u8], expected: [usize; 2], what: &str) -> Result<SceneData> {
         let wrong = |reason: String| Error::SceneFile {
-            path: part.file.clone().into(),
+            path: self.place.join(&part.file),
             reason: format!("{what} ({} bytes from {} on): {reason}; copy or export it again", part.bytes, part.offset),
         };
         let scene = SceneData::from_bytes(bytes, &part.file).map_err(|error| match error {
