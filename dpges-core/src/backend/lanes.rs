@@ -178,7 +178,7 @@ mod tests {
         assert!(exact.iter().enumerate().all(|(step, &value)| value == (-(step as f64)).exp()), "{exact:?}");
     }
 
-    /// What the operations make of two vectors of 16 numbers.
+    /// Results of the operations on two vectors of 16 numbers.
     struct Operations<'a, T>(&'a [T; MOST], &'a [T; MOST]);
 
     impl<T: Real> WithSimd for Operations<'_, T> {

@@ -35,8 +35,8 @@ pub trait Vectors: Copy {
 macro_rules! implement {
     (
         $number:ty, $vector:ident, $mask:ident, $count:ident, $splat:ident, $slice:ident, $slice_mut:ident, $add:ident,
-        $sub:ident, $mul:ident, $mul_add:ident, $max:ident, $at_least:ident, $below:ident, $both:ident, $first_true:ident, $select:ident, $sum:ident,
-        $largest:ident, $exp:ident
+        $sub:ident, $mul:ident, $mul_add:ident, $max:ident, $at_least:ident, $below:ident, $both:ident, $first_true:ident,
+        $select:ident, $sum:ident, $largest:ident, $exp:ident
     ) => {
         impl Vectors for $number {
             type Vector<S: Simd> = S::$vector;
