@@ -1,6 +1,8 @@
 //! Three-vectors, matrices and rotations over either element type, and the derivative of a rotation
 //! with respect to its raw quaternion.
 
+use std::ops::{Add, Mul, Neg, Sub};
+
 use crate::backend::real::Real;
 use crate::camera::{Camera, Lens};
 
@@ -8,28 +10,33 @@ pub type V3<T> = [T; 3];
 /// Row-major.
 pub type M3<T> = [[T; 3]; 3];
 
+/// Numbers, or as many as a vector of the machine holds.
+pub trait Arithmetic: Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Neg<Output = Self> {}
+
+impl<N: Copy + Add<Output = N> + Sub<Output = N> + Mul<Output = N> + Neg<Output = N>> Arithmetic for N {}
+
 #[inline(always)]
-pub fn dot<T: Real>(a: V3<T>, b: V3<T>) -> T {
+pub fn dot<N: Arithmetic>(a: V3<N>, b: V3<N>) -> N {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
 #[inline(always)]
-pub fn cross<T: Real>(a: V3<T>, b: V3<T>) -> V3<T> {
+pub fn cross<N: Arithmetic>(a: V3<N>, b: V3<N>) -> V3<N> {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 #[inline(always)]
-pub fn add<T: Real>(a: V3<T>, b: V3<T>) -> V3<T> {
+pub fn add<N: Arithmetic>(a: V3<N>, b: V3<N>) -> V3<N> {
     [a[0] + b[0], a[1] + b[1], a[2] + b[2]]
 }
 
 #[inline(always)]
-pub fn sub<T: Real>(a: V3<T>, b: V3<T>) -> V3<T> {
+pub fn sub<N: Arithmetic>(a: V3<N>, b: V3<N>) -> V3<N> {
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
 }
 
 #[inline(always)]
-pub fn scale<T: Real>(a: V3<T>, s: T) -> V3<T> {
+pub fn scale<N: Arithmetic>(a: V3<N>, s: N) -> V3<N> {
     [a[0] * s, a[1] * s, a[2] * s]
 }
 

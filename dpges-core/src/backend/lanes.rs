@@ -1,7 +1,7 @@
 //! Numbers of pixels that a kernel processes together, in the vector instructions of the machine: written out, since
 //! compilers leave loops over arrays in scalar instructions wherever they cannot exclude that the arrays overlap.
 
-use std::ops::{Add, BitAnd, Mul, Sub};
+use std::ops::{Add, BitAnd, BitOr, Div, Mul, Neg, Sub};
 
 use pulp::{Simd, WithSimd};
 
@@ -35,6 +35,17 @@ impl<T: Real, S: Simd> Lanes<T, S> {
         Self { simd, of: T::splat_lanes(simd, value) }
     }
 
+    /// One vector for each number. `array::map` is not always inlined, and then runs without vector instructions.
+    #[inline(always)]
+    pub fn splat_three(simd: S, [a, b, c]: [T; 3]) -> [Self; 3] {
+        [Self::splat(simd, a), Self::splat(simd, b), Self::splat(simd, c)]
+    }
+
+    #[inline(always)]
+    pub fn zero(simd: S) -> Self {
+        Self::splat(simd, T::zero())
+    }
+
     /// The first of `values`.
     ///
     /// # Panics
@@ -53,10 +64,25 @@ impl<T: Real, S: Simd> Lanes<T, S> {
         T::store_lanes(self.simd, &mut values[..T::lane_count::<S>()], self.of);
     }
 
+    #[inline(always)]
+    pub fn simd(self) -> S {
+        self.simd
+    }
+
     /// self × factor + summand
     #[inline(always)]
     pub fn mul_add(self, factor: Self, summand: Self) -> Self {
         Self { of: T::mul_add_lanes(self.simd, self.of, factor.of, summand.of), ..self }
+    }
+
+    #[inline(always)]
+    pub fn min(self, other: Self) -> Self {
+        Self { of: T::min_lanes(self.simd, self.of, other.of), ..self }
+    }
+
+    #[inline(always)]
+    pub fn abs(self) -> Self {
+        self.max(-self)
     }
 
     #[inline(always)]
@@ -82,9 +108,22 @@ impl<T: Real, S: Simd> Lanes<T, S> {
         Self { simd: a.simd, of: T::select_lanes(a.simd, mask.of, a.of, b.of) }
     }
 
+    /// The numbers where the mask is set, else 0.
+    #[inline(always)]
+    pub fn only(self, mask: Mask<T, S>) -> Self {
+        Self::select(mask, self, Self::zero(self.simd))
+    }
+
+    /// e^x for x ≤ 0, within 2 units in the last place; 0 far below the cutoff.
     #[inline(always)]
     pub fn exp_nonpositive(self) -> Self {
         Self { of: T::exp_nonpositive_lanes(self.simd, self.of), ..self }
+    }
+
+    /// ln(1 + x) for x from 0 to 1, within 3 units in the last place.
+    #[inline(always)]
+    pub fn ln_1p_share(self) -> Self {
+        Self { of: T::ln_1p_share_lanes(self.simd, self.of), ..self }
     }
 
     #[inline(always)]
@@ -133,12 +172,39 @@ impl<T: Real, S: Simd> Mul for Lanes<T, S> {
     }
 }
 
+impl<T: Real, S: Simd> Div for Lanes<T, S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn div(self, other: Self) -> Self {
+        Self { of: T::div_lanes(self.simd, self.of, other.of), ..self }
+    }
+}
+
+impl<T: Real, S: Simd> Neg for Lanes<T, S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn neg(self) -> Self {
+        Self::zero(self.simd) - self
+    }
+}
+
 impl<T: Real, S: Simd> BitAnd for Mask<T, S> {
     type Output = Self;
 
     #[inline(always)]
     fn bitand(self, other: Self) -> Self {
         Self { of: T::both_lanes(self.simd, self.of, other.of), ..self }
+    }
+}
+
+impl<T: Real, S: Simd> BitOr for Mask<T, S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn bitor(self, other: Self) -> Self {
+        Self { of: T::either_lanes(self.simd, self.of, other.of), ..self }
     }
 }
 
@@ -182,7 +248,7 @@ mod tests {
     struct Operations<'a, T>(&'a [T; MOST], &'a [T; MOST]);
 
     impl<T: Real> WithSimd for Operations<'_, T> {
-        type Output = (Vec<[T; 5]>, T, T);
+        type Output = (Vec<[T; 10]>, T, T);
 
         #[inline(always)]
         fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
@@ -192,8 +258,19 @@ mod tests {
                 let (a, b) = (Lanes::load(simd, a), Lanes::load(simd, b));
                 assert_eq!(a.at_least(b).any(), (a - b).largest() >= T::zero());
                 let both = a.at_least(b) & Lanes::splat(simd, -T::one()).below(b);
-                let of = [a + b, a - b, a.mul_add(b, a * b), a.max(b), Lanes::select(both, a, b)];
-                let mut stored = [[T::zero(); MOST]; 5];
+                let of = [
+                    a + b,
+                    a - b,
+                    a.mul_add(b, a * b),
+                    a.max(b),
+                    Lanes::select(both, a, b),
+                    a.only(both),
+                    a.only(both | a.below(b)),
+                    a.min(b),
+                    a.abs(),
+                    a / Lanes::splat(simd, T::of(4.0)),
+                ];
+                let mut stored = [[T::zero(); MOST]; 10];
                 of.iter().zip(&mut stored).for_each(|(lanes, stored)| lanes.store(stored));
                 rows.extend((0..count).map(|lane| stored.map(|row| row[lane])));
                 sum = sum + a.sum();
@@ -209,10 +286,42 @@ mod tests {
         let (rows, sum, largest) = with_lanes(Operations(&a, &b));
         assert_eq!((rows.len(), sum.as_f64(), largest.as_f64()), (MOST, 40.0, 10.0));
         for ((&a, &b), row) in a.iter().zip(&b).zip(rows) {
-            let chosen = if a >= b && b > -T::one() { a } else { b };
-            let expected = [a + b, a - b, a * b + a * b, a.max(b), chosen];
+            let both = a >= b && b > -T::one();
+            let [chosen, only] = if both { [a, a] } else { [b, T::zero()] };
+            let either = if both || a < b { a } else { T::zero() };
+            let quarter = a / T::of(4.0);
+            let expected = [a + b, a - b, a * b + a * b, a.max(b), chosen, only, either, a.min(b), a.abs(), quarter];
             assert_eq!(row.map(T::as_f64), expected.map(T::as_f64));
         }
+    }
+
+    /// Logarithms of 1 and the numbers, by lanes.
+    struct Logarithms<'a, T>(&'a mut [T]);
+
+    impl<T: Real> WithSimd for Logarithms<'_, T> {
+        type Output = ();
+
+        #[inline(always)]
+        fn with_simd<S: Simd>(self, simd: S) {
+            for values in self.0.chunks_exact_mut(T::lane_count::<S>()) {
+                Lanes::load(simd, values).ln_1p_share().store(values);
+            }
+        }
+    }
+
+    #[test]
+    fn logarithms_are_accurate_from_one_to_two() {
+        let arguments: Vec<f32> = (0..=200_016).flat_map(|step| [5e-6, 5e-12].map(|unit| step as f32 * unit)).collect();
+        let arguments: Vec<f32> = arguments.into_iter().filter(|&x| x <= 1.0).take(400_000).collect();
+        let mut found = arguments.clone();
+        with_lanes(Logarithms(&mut found));
+        for (argument, found) in arguments.into_iter().zip(found) {
+            let exact = f64::from(argument).ln_1p();
+            assert!((f64::from(found) - exact).abs() <= 3.6e-7 * exact, "ln(1 + {argument}) is {found}, not {exact}");
+        }
+        let mut exact: Vec<f64> = (0..16).map(|step| f64::from(step) / 16.0).collect();
+        with_lanes(Logarithms(&mut exact));
+        assert!(exact.iter().enumerate().all(|(step, &value)| value == (step as f64 / 16.0).ln_1p()), "{exact:?}");
     }
 
     #[test]

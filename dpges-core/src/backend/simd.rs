@@ -1,7 +1,4 @@
-//! Vector instructions for kernels that are loops over a fixed number of lanes.
-
-/// Pixels that kernels process together.
-pub const LANES: usize = 8;
+//! Vector instructions for kernels that are loops.
 
 /// Runs `kernel` compiled for the widest vector instructions of this machine. Everything it calls
 /// must be `#[inline(always)]` to profit.

@@ -20,23 +20,28 @@ pub trait Vectors: Copy {
     fn mul_lanes<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
     /// a b + c, rounded once where the machine can.
     fn mul_add_lanes<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>, c: Self::Vector<S>) -> Self::Vector<S>;
+    fn div_lanes<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
+    fn min_lanes<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
     fn max_lanes<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
     fn at_least_lanes<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Mask<S>;
     fn below_lanes<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Mask<S>;
     fn both_lanes<S: Simd>(simd: S, a: Self::Mask<S>, b: Self::Mask<S>) -> Self::Mask<S>;
+    fn either_lanes<S: Simd>(simd: S, a: Self::Mask<S>, b: Self::Mask<S>) -> Self::Mask<S>;
     fn any_lane<S: Simd>(simd: S, mask: Self::Mask<S>) -> bool;
     fn select_lanes<S: Simd>(simd: S, mask: Self::Mask<S>, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
     fn sum_lanes<S: Simd>(simd: S, vector: Self::Vector<S>) -> Self;
     fn largest_lanes<S: Simd>(simd: S, vector: Self::Vector<S>) -> Self;
-    /// As `Real::exp_nonpositive`.
+    /// e^x for x ≤ 0, within 2 units in the last place; 0 far below the cutoff.
     fn exp_nonpositive_lanes<S: Simd>(simd: S, vector: Self::Vector<S>) -> Self::Vector<S>;
+    /// ln(1 + x) for x from 0 to 1, within 3 units in the last place.
+    fn ln_1p_share_lanes<S: Simd>(simd: S, vector: Self::Vector<S>) -> Self::Vector<S>;
 }
 
 macro_rules! implement {
     (
         $number:ty, $vector:ident, $mask:ident, $count:ident, $splat:ident, $slice:ident, $slice_mut:ident, $add:ident,
-        $sub:ident, $mul:ident, $mul_add:ident, $max:ident, $at_least:ident, $below:ident, $both:ident, $first_true:ident,
-        $select:ident, $sum:ident, $largest:ident, $exp:ident
+        $sub:ident, $mul:ident, $mul_add:ident, $div:ident, $min:ident, $max:ident, $at_least:ident, $below:ident,
+        $both:ident, $either:ident, $first_true:ident, $select:ident, $sum:ident, $largest:ident, $exp:ident, $ln_1p:ident
     ) => {
         impl Vectors for $number {
             type Vector<S: Simd> = S::$vector;
@@ -84,6 +89,16 @@ macro_rules! implement {
             }
 
             #[inline(always)]
+            fn div_lanes<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> S::$vector {
+                simd.$div(a, b)
+            }
+
+            #[inline(always)]
+            fn min_lanes<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> S::$vector {
+                simd.$min(a, b)
+            }
+
+            #[inline(always)]
             fn max_lanes<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> S::$vector {
                 simd.$max(a, b)
             }
@@ -101,6 +116,11 @@ macro_rules! implement {
             #[inline(always)]
             fn both_lanes<S: Simd>(simd: S, a: S::$mask, b: S::$mask) -> S::$mask {
                 simd.$both(a, b)
+            }
+
+            #[inline(always)]
+            fn either_lanes<S: Simd>(simd: S, a: S::$mask, b: S::$mask) -> S::$mask {
+                simd.$either(a, b)
             }
 
             #[inline(always)]
@@ -127,6 +147,11 @@ macro_rules! implement {
             fn exp_nonpositive_lanes<S: Simd>(simd: S, vector: S::$vector) -> S::$vector {
                 $exp(simd, vector)
             }
+
+            #[inline(always)]
+            fn ln_1p_share_lanes<S: Simd>(simd: S, vector: S::$vector) -> S::$vector {
+                $ln_1p(simd, vector)
+            }
         }
     };
 }
@@ -143,15 +168,19 @@ implement!(
     sub_f32s,
     mul_f32s,
     mul_add_e_f32s,
+    div_f32s,
+    min_f32s,
     max_f32s,
     greater_than_or_equal_f32s,
     less_than_f32s,
     and_m32s,
+    or_m32s,
     first_true_m32s,
     select_f32s,
     reduce_sum_f32s,
     reduce_max_f32s,
-    exp_nonpositive_f32
+    exp_nonpositive_f32,
+    ln_1p_share_f32
 );
 implement!(
     f64,
@@ -165,20 +194,24 @@ implement!(
     sub_f64s,
     mul_f64s,
     mul_add_e_f64s,
+    div_f64s,
+    min_f64s,
     max_f64s,
     greater_than_or_equal_f64s,
     less_than_f64s,
     and_m64s,
+    or_m64s,
     first_true_m64s,
     select_f64s,
     reduce_sum_f64s,
     reduce_max_f64s,
-    exp_nonpositive_f64
+    exp_nonpositive_f64,
+    ln_1p_share_f64
 );
 
-/// The polynomial of `Real::exp_nonpositive`.
 #[inline(always)]
 fn exp_nonpositive_f32<S: Simd>(simd: S, vector: S::f32s) -> S::f32s {
+    // x = n ln 2 + r, |r| ≤ ln 2 / 2. Adding 1.5 · 2²³ rounds to an integer and leaves it in the low bits.
     const ROUND: f32 = 12_582_912.0;
     let all = |value: f32| simd.splat_f32s(value);
     // not a number becomes the smallest
@@ -187,6 +220,7 @@ fn exp_nonpositive_f32<S: Simd>(simd: S, vector: S::f32s) -> S::f32s {
     let n = simd.sub_f32s(shifted, all(ROUND));
     let r = simd.mul_add_e_f32s(n, all(-0.693_359_4), x);
     let r = simd.mul_add_e_f32s(n, all(2.121_944_4e-4), r);
+    // Taylor coefficients, the last two adjusted for the interval
     let mut p = simd.mul_add_e_f32s(r, all(1.984_127e-4), all(1.388_888_9e-3));
     for coefficient in [8.333_334e-3, 4.166_666_8e-2, 1.666_666_7e-1, 0.5, 1.0, 1.0] {
         p = simd.mul_add_e_f32s(p, r, all(coefficient));
@@ -198,7 +232,30 @@ fn exp_nonpositive_f32<S: Simd>(simd: S, vector: S::f32s) -> S::f32s {
 
 #[inline(always)]
 fn exp_nonpositive_f64<S: Simd>(simd: S, vector: S::f64s) -> S::f64s {
+    one_by_one(simd, vector, f64::exp)
+}
+
+#[inline(always)]
+fn ln_1p_share_f32<S: Simd>(simd: S, vector: S::f32s) -> S::f32s {
+    // ln(1 + x) = 2 artanh(x / (2 + x)), whose argument is at most 1/3
+    let all = |value: f32| simd.splat_f32s(value);
+    let z = simd.div_f32s(vector, simd.add_f32s(all(2.0), vector));
+    let squared = simd.mul_f32s(z, z);
+    let mut p = simd.mul_add_e_f32s(squared, all(2.0 / 15.0), all(2.0 / 13.0));
+    for coefficient in [2.0 / 11.0, 2.0 / 9.0, 2.0 / 7.0, 2.0 / 5.0, 2.0 / 3.0, 2.0] {
+        p = simd.mul_add_e_f32s(p, squared, all(coefficient));
+    }
+    simd.mul_f32s(p, z)
+}
+
+#[inline(always)]
+fn ln_1p_share_f64<S: Simd>(simd: S, vector: S::f64s) -> S::f64s {
+    one_by_one(simd, vector, f64::ln_1p)
+}
+
+#[inline(always)]
+fn one_by_one<S: Simd>(simd: S, vector: S::f64s, function: impl Fn(f64) -> f64) -> S::f64s {
     let mut values = [0.0; MOST];
     f64::store_lanes(simd, &mut values, vector);
-    f64::load_lanes(simd, &values.map(f64::exp))
+    f64::load_lanes(simd, &values.map(function))
 }

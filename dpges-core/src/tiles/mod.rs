@@ -11,7 +11,6 @@ use pulp::Simd;
 
 use crate::backend::lanes::Lanes;
 use crate::backend::real::Real;
-use crate::backend::simd::LANES;
 
 /// Edge of a square tile, px.
 pub(crate) const TILE: usize = 16;
@@ -93,26 +92,8 @@ impl PixelRect {
     }
 }
 
-/// Calls `visit(start, dx, dy)` for every group of lanes of a tile that lies in `rect`: position of
-/// the group within the tile and offsets of its pixels from `anchor`, px.
-#[inline(always)]
-pub(crate) fn for_each_group<T: Real>(
-    anchor: [T; 2],
-    rect: &PixelRect,
-    origin: (usize, usize),
-    mut visit: impl FnMut(usize, [T; LANES], T),
-) {
-    let [x0, x1, y0, y1] = rect.within_tile(origin);
-    for line in y0..y1 {
-        let dy = T::of((origin.1 + line) as f64 + 0.5) - anchor[1];
-        for group in x0 / LANES..x1.div_ceil(LANES) {
-            let dx = lane_offsets(anchor, origin.0 + group * LANES);
-            visit(line * TILE + group * LANES, dx, dy);
-        }
-    }
-}
-
-/// [`for_each_group`] for groups as wide as the vectors of `S`.
+/// Calls `visit(start, dx, dy)` for every group of pixels of a tile, as wide as the vectors of `S`, that reaches into `rect`:
+/// position of the group within the tile and offsets of its pixels from `anchor`, px.
 #[inline(always)]
 pub(crate) fn for_each_lanes<T: Real, S: Simd>(
     simd: S,
@@ -134,23 +115,11 @@ pub(crate) fn for_each_lanes<T: Real, S: Simd>(
     }
 }
 
-/// Offsets in x from `anchor`, px, of a group of pixels that begins at a column of the image.
+/// Offset from `anchor`, px, of the pixel at position `at` of a tile.
 #[inline(always)]
-fn lane_offsets<T: Real>(anchor: [T; 2], column: usize) -> [T; LANES] {
-    let left = T::of(column as f64 + 0.5) - anchor[0];
-    let mut dx = [T::zero(); LANES];
-    for (lane, dx) in dx.iter_mut().enumerate() {
-        *dx = left + T::of(lane as f64);
-    }
-    dx
-}
-
-/// Offsets from `anchor`, px, of the pixels of the group of lanes at position `start` of a tile, as [`for_each_group`] has
-/// them.
-#[inline(always)]
-pub(crate) fn group_offsets<T: Real>(anchor: [T; 2], origin: (usize, usize), start: usize) -> ([T; LANES], T) {
-    let dy = T::of((origin.1 + start / TILE) as f64 + 0.5) - anchor[1];
-    (lane_offsets(anchor, origin.0 + start % TILE), dy)
+pub(crate) fn pixel_offset<T: Real>(anchor: [T; 2], origin: (usize, usize), at: usize) -> [T; 2] {
+    let offset = |axis: usize, first: usize| T::of(first as f64 + 0.5) - anchor[axis];
+    [offset(0, origin.0 + at % TILE), offset(1, origin.1 + at / TILE)]
 }
 
 #[cfg(test)]

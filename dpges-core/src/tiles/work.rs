@@ -3,10 +3,11 @@
 
 use std::ops::Add;
 
+use pulp::Scalar;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::backend::simd::LANES;
+use crate::backend::lanes::Lanes;
 use crate::camera::Camera;
 use crate::footprint::CUTOFF;
 use crate::footprint::gaussian::cpu as splat;
@@ -140,9 +141,7 @@ pub fn gaussian_work(
         splats[i].as_ref().is_some_and(|splat| {
             let (dx, dy) = (x - splat.mean[0], y - splat.mean[1]);
             if let Some(student) = &students[i] {
-                let mut weights = [0.0; LANES];
-                student.weights(&[dx; LANES], dy, &mut weights);
-                return weights[0] != 0.0;
+                return student.weights(Lanes::splat(Scalar::new(), dx), dy).0.any();
             }
             let [u, v] = splat.in_deviations(dx, dy);
             splat.weight(u, v) > 0.0

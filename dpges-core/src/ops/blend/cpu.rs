@@ -17,6 +17,7 @@ use std::sync::atomic::{AtomicI32, Ordering};
 
 use burn::backend::TensorMetadata;
 use burn::backend::tensor::{FloatTensor, IntTensor};
+use pulp::{Scalar, Simd, WithSimd};
 use rayon::prelude::*;
 
 use self::disc::DiscFootprint;
@@ -25,15 +26,15 @@ use self::gather::backward;
 use self::hybrid::Tile;
 use self::projected::{CameraPair, Ellipse, Projected};
 use self::rays::walk_rays;
-use self::walk::{Fragments, Sorted, Thresholds, group, walk_tile};
+use self::walk::{Fragments, Sorted, Thresholds, walk_tile};
 use self::whitened::WhitenedFootprint;
 use super::{
     ALL_PLANES, ALPHA_PLANE, BlendBackwardOps, BlendInput, BlendLists, BlendOps, BlendOptions, BlendOutput,
     COLOUR_PLANES, DEPTH_PLANE, DISTORTION_PLANE, Form, NORMAL_PLANE, OutweighingOps,
 };
 use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::backend::lanes::{Lanes, with_lanes};
 use crate::backend::real::Real;
-use crate::backend::simd::{LANES, vectorised};
 use crate::camera::Camera;
 use crate::footprint::gaussian::cpu::student::Student;
 use crate::footprint::gaussian::tensors::{GaussianRows, GaussianTensors};
@@ -45,17 +46,6 @@ use crate::tiles::layout::to_planes;
 /// Median depth follows the planes where there are maps.
 const MEDIAN: usize = ALL_PLANES;
 
-/// Adds a group of αT, weighted by the values of three planes from `first` on.
-#[inline(always)]
-fn add_weighted<T: Real>(block: &mut [T], first: usize, start: usize, covered: &[T; LANES], values: [T; 3]) {
-    for (plane, value) in values.into_iter().enumerate() {
-        let sum = group(block, (first + plane) * TILE_PIXELS + start);
-        for lane in 0..LANES {
-            sum[lane] = sum[lane] + covered[lane] * value;
-        }
-    }
-}
-
 /// State of the maps of a tile besides their sums.
 struct TileSums<'a, T, F> {
     sorted: &'a Sorted<T, F>,
@@ -65,30 +55,38 @@ struct TileSums<'a, T, F> {
 }
 
 impl<T: Real, F: Projected<T>> TileSums<'_, T, F> {
-    /// Adds the fragments of a primitive in a group of lanes.
+    /// Adds the fragments of a primitive at the pixels from `start` on.
     #[inline(always)]
-    fn add<const MAPS: bool>(&mut self, id: usize, start: usize, fragments: &Fragments<T>) {
-        let Fragments { covered, through, depth, .. } = fragments;
-        let block = &mut *self.block;
-        add_weighted(block, 0, start, covered, self.sorted.footprints[id].colour());
+    fn add<S: Simd, const MAPS: bool>(&mut self, id: usize, start: usize, fragments: &Fragments<T, S>) {
+        let &Fragments { depth, covered, through, .. } = fragments;
+        self.add_weighted(0, start, covered, self.sorted.footprints[id].colour());
         if MAPS {
-            let half = T::of(0.5);
-            add_weighted(block, NORMAL_PLANE, start, covered, self.sorted.normals[id]);
-            let sum = group(block, DEPTH_PLANE * TILE_PIXELS + start);
-            for lane in 0..LANES {
-                sum[lane] = sum[lane] + covered[lane] * depth[lane];
-            }
-            let growth = self.spread.add(start, covered, through, depth);
-            let sum = group(block, DISTORTION_PLANE * TILE_PIXELS + start);
-            for lane in 0..LANES {
-                sum[lane] = sum[lane] + growth[lane];
-            }
-            let median = group(block, MEDIAN * TILE_PIXELS + start);
-            for lane in 0..LANES {
-                let first = (covered[lane] > T::zero()) & (through[lane] <= half) & (median[lane] == T::zero());
-                median[lane] = if first { depth[lane] } else { median[lane] };
-            }
+            let simd = depth.simd();
+            self.add_weighted(NORMAL_PLANE, start, covered, self.sorted.normals[id]);
+            self.add_to(DEPTH_PLANE, start, covered * depth);
+            let growth = self.spread.add(start, fragments);
+            self.add_to(DISTORTION_PLANE, start, growth);
+            let median = &mut self.block[MEDIAN * TILE_PIXELS + start..];
+            let found = Lanes::load(simd, median);
+            let zero = Lanes::zero(simd);
+            let half = Lanes::splat(simd, T::of(0.5));
+            let first = zero.below(covered) & half.at_least(through) & zero.at_least(found);
+            Lanes::select(first, depth, found).store(median);
         }
+    }
+
+    /// Adds αT, weighted by the values of three planes from `first` on.
+    #[inline(always)]
+    fn add_weighted<S: Simd>(&mut self, first: usize, start: usize, covered: Lanes<T, S>, values: [T; 3]) {
+        for (plane, value) in values.into_iter().enumerate() {
+            self.add_to(first + plane, start, covered * Lanes::splat(covered.simd(), value));
+        }
+    }
+
+    #[inline(always)]
+    fn add_to<S: Simd>(&mut self, plane: usize, start: usize, values: Lanes<T, S>) {
+        let sums = &mut self.block[plane * TILE_PIXELS + start..];
+        (Lanes::load(values.simd(), sums) + values).store(sums);
     }
 
     #[inline(always)]
@@ -99,41 +97,59 @@ impl<T: Real, F: Projected<T>> TileSums<'_, T, F> {
     }
 }
 
-/// Adds one tile to `block` [planes, `TILE_PIXELS`], zero so far.
-#[inline(always)]
-fn blend_tile<T: Real, F: Projected<T>, const MAPS: bool>(
-    sorted: &Sorted<T, F>,
+/// The forward pass of a tile, into `block` [planes, `TILE_PIXELS`], zero so far.
+struct BlendTile<'a, T, F> {
+    sorted: &'a Sorted<T, F>,
+    camera: &'a CameraOf<T>,
     tile: usize,
-    thresholds: &Thresholds<T>,
+    thresholds: &'a Thresholds<T>,
     slope: T,
-    block: &mut [T],
-) {
-    let mut sums = TileSums { sorted, spread: Spread::new(slope), block };
-    let progress = walk_tile(
-        sorted,
-        tile,
-        thresholds,
-        #[inline(always)]
-        |id, start, fragments| sums.add::<MAPS>(id, start, fragments),
-    );
-    sums.set_alpha(&progress.through);
+    options: &'a BlendOptions,
+    block: &'a mut [T],
 }
 
-/// [`blend_tile`] in the order of each pixel's own ray.
-fn blend_tile_by_rays<T: Real, F: Projected<T>, const MAPS: bool>(
-    sorted: &Sorted<T, F>,
-    camera: &CameraOf<T>,
-    tile: usize,
-    thresholds: &Thresholds<T>,
-    slope: T,
-    block: &mut [T],
-) {
-    let list = sorted.lists.of(tile);
-    let mut sums = TileSums { sorted, spread: Spread::new(slope), block };
-    let through = walk_rays(sorted, camera, tile, thresholds, |position, pixel, fragments| {
-        sums.add::<MAPS>(list[position] as usize, pixel / LANES * LANES, fragments);
-    });
-    sums.set_alpha(&through);
+impl<T: Real, F: Projected<T>> WithSimd for BlendTile<'_, T, F> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        if self.options.maps {
+            self.blend::<S, true>(simd);
+        } else {
+            self.blend::<S, false>(simd);
+        }
+    }
+}
+
+impl<T: Real, F: Projected<T>> BlendTile<'_, T, F> {
+    #[inline(always)]
+    fn blend<S: Simd, const MAPS: bool>(self, simd: S) {
+        let Self { sorted, camera, tile, thresholds, slope, options, block } = self;
+        let mut sums = TileSums { sorted, spread: Spread::new(slope), block };
+        match options.order {
+            BlendOrder::Centres | BlendOrder::Whitened(Transparency::Sorted) => {
+                let progress = walk_tile(
+                    simd,
+                    sorted,
+                    tile,
+                    thresholds,
+                    #[inline(always)]
+                    |id, start, fragments| sums.add::<S, MAPS>(id, start, fragments),
+                );
+                sums.set_alpha(&progress.through);
+            }
+            BlendOrder::Rays => {
+                let list = sorted.lists.of(tile);
+                let through = walk_rays(sorted, camera, tile, thresholds, |position, pixel, fragment| {
+                    sums.add::<Scalar, MAPS>(list[position] as usize, pixel, fragment);
+                });
+                sums.set_alpha(&through);
+            }
+            BlendOrder::Whitened(transparency) => {
+                Tile::new(simd, sorted, camera, tile, thresholds, transparency).blend::<MAPS>(sums.block);
+            }
+        }
+    }
 }
 
 /// Planes and median depth, the latter empty without maps.
@@ -148,28 +164,8 @@ fn forward<T: Real, F: Projected<T>>(
     let count = if options.maps { ALL_PLANES + 1 } else { COLOUR_PLANES };
     let mut blocks = vec![T::zero(); sorted.grid.len() * count * TILE_PIXELS];
     blocks.par_chunks_mut(count * TILE_PIXELS).enumerate().for_each(|(tile, block)| {
-        vectorised(
-            #[inline(always)]
-            || {
-                let hybrid = |transparency| Tile::new(&sorted, &view.camera, tile, &thresholds, transparency);
-                match (options.order, options.maps) {
-                    (BlendOrder::Centres | BlendOrder::Whitened(Transparency::Sorted), true) => {
-                        blend_tile::<T, F, true>(&sorted, tile, &thresholds, slope, block);
-                    }
-                    (BlendOrder::Centres | BlendOrder::Whitened(Transparency::Sorted), false) => {
-                        blend_tile::<T, F, false>(&sorted, tile, &thresholds, slope, block);
-                    }
-                    (BlendOrder::Rays, true) => {
-                        blend_tile_by_rays::<T, F, true>(&sorted, &view.camera, tile, &thresholds, slope, block);
-                    }
-                    (BlendOrder::Rays, false) => {
-                        blend_tile_by_rays::<T, F, false>(&sorted, &view.camera, tile, &thresholds, slope, block);
-                    }
-                    (BlendOrder::Whitened(transparency), true) => hybrid(transparency).blend::<true>(block),
-                    (BlendOrder::Whitened(transparency), false) => hybrid(transparency).blend::<false>(block),
-                }
-            },
-        );
+        let (sorted, camera, thresholds) = (&sorted, &view.camera, &thresholds);
+        with_lanes(BlendTile { sorted, camera, tile, thresholds, slope, options, block });
     });
     let mut planes = to_planes(&blocks, count, sorted.grid);
     let median_depth = planes.split_off(options.planes() * camera.width * camera.height);
@@ -228,6 +224,7 @@ fn outweighing_on<B: Host>(input: &BlendInput<B>, camera: &Camera, options: &Ble
         let view = CameraPair::<T>::new(camera, options.filter);
         let sorted = Sorted::<T, WhitenedFootprint<T>>::new(&rows, &view, options);
         let (thresholds, least) = (Thresholds::new(options), T::of(least));
+        let simd = Scalar::new();
         let marks: Vec<AtomicI32> = (0..count).map(|_| AtomicI32::new(0)).collect();
         (0..sorted.grid.len()).into_par_iter().for_each(|tile| {
             let mark = |id: usize, weight: T| {
@@ -236,11 +233,9 @@ fn outweighing_on<B: Host>(input: &BlendInput<B>, camera: &Camera, options: &Ble
                 }
             };
             if transparency == Transparency::Sorted {
-                walk_tile(&sorted, tile, &thresholds, |id, _, fragments| {
-                    fragments.covered.iter().for_each(|&covered| mark(id, covered));
-                });
+                walk_tile(simd, &sorted, tile, &thresholds, |id, _, fragments| mark(id, fragments.covered.largest()));
             } else {
-                Tile::new(&sorted, &view.camera, tile, &thresholds, transparency).for_each_weight(mark);
+                Tile::new(simd, &sorted, &view.camera, tile, &thresholds, transparency).for_each_weight(mark);
             }
         });
         marks.into_iter().map(AtomicI32::into_inner).collect()

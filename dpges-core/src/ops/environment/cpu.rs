@@ -7,13 +7,15 @@ use rayon::prelude::*;
 use super::{EnvironmentBackwardOps, EnvironmentOps, PixelRays};
 use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
 use crate::backend::real::Real;
-use crate::backend::simd::{LANES, vectorised};
+use crate::backend::simd::vectorised;
 use crate::footprint::rays::{self, Rays};
 use crate::math::{CameraOf, M3, V3, apply, apply_transposed, dot, scale};
 use crate::ops::colour::cpu::model::harmonics;
 use crate::scene::{EnvironmentData, SH_C0};
 use crate::tiles::bands::{BAND_COUNT, Bands};
 
+/// Pixels that are processed together.
+const LANES: usize = 8;
 /// Y0 … Y15.
 const MAX_COEFFICIENTS: usize = EnvironmentData::coefficient_count(EnvironmentData::MAX_DEGREE);
 

@@ -4,22 +4,23 @@ use std::borrow::Cow;
 
 use burn::backend::TensorMetadata;
 use burn::backend::tensor::{FloatTensor, IntTensor};
+use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::{PeelBackwardOps, PeelGradient, PeelOps, PeelOptions, PeelOutput, SurfelShapes};
 use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::backend::lanes::{Lanes, with_lanes};
 use crate::backend::real::Real;
-use crate::backend::simd::{LANES, vectorised};
 use crate::camera::Camera;
 use crate::footprint::CUTOFF;
 use crate::footprint::rays::rays;
-use crate::footprint::surfel::cpu::{Disc, DiscGrad, Hit, MIN_FACING, Parameters, Plane};
+use crate::footprint::surfel::cpu::{Disc, DiscGrad, MIN_FACING, Parameters, Plane};
 use crate::math::{CameraOf, V3, row};
 use crate::scene::Footprint;
 use crate::tiles::bands::{BAND_COUNT, Bands};
 use crate::tiles::binning::cpu::bin;
 use crate::tiles::layout::to_planes;
-use crate::tiles::{PixelRect, TILE, TILE_PIXELS, TileGrid};
+use crate::tiles::{PixelRect, TILE, TILE_PIXELS, TileGrid, for_each_lanes};
 
 /// Parameters of all surfels, row-major.
 struct SurfelRows<'a, T: Real> {
@@ -54,44 +55,90 @@ impl<'a, T: Real> SurfelRows<'a, T> {
     }
 }
 
-/// The sorted fragment lists of one tile: slot k of every pixel.
+/// The nearest opaque fragment of every pixel of a tile. A primitive is its place in the list of the tile, a whole number of type `T`, which
+/// vectors move.
+struct TileCores<T> {
+    places: [T; TILE_PIXELS],
+    depth: [T; TILE_PIXELS],
+}
+
+/// Stands for no primitive.
+const NONE: f64 = -1.0;
+
+impl<T: Real> TileCores<T> {
+    fn none() -> Self {
+        Self { places: [T::of(NONE); TILE_PIXELS], depth: [T::INFINITY; TILE_PIXELS] }
+    }
+
+    /// Takes the opaque ones of the fragments of a primitive that are nearer. Candidates ascend by index, so a strict
+    /// comparison breaks ties in depth by index.
+    #[inline(always)]
+    fn take_nearer<S: Simd>(&mut self, start: usize, [place, alpha, depth]: [Lanes<T, S>; 3]) {
+        let simd = depth.simd();
+        let nearest = Lanes::load(simd, &self.depth[start..]);
+        let nearer = alpha.at_least(Lanes::splat(simd, T::one())) & depth.below(nearest);
+        if nearer.any() {
+            Lanes::select(nearer, depth, nearest).store(&mut self.depth[start..]);
+            let places = Lanes::load(simd, &self.places[start..]);
+            Lanes::select(nearer, place, places).store(&mut self.places[start..]);
+        }
+    }
+}
+
+/// The sorted fragment lists of one tile: slot k of every pixel, [K, `TILE_PIXELS`].
 struct TileLayers<'a, T> {
-    ids: &'a mut [i32],
+    count: usize,
+    places: Vec<T>,
     alpha: &'a mut [T],
     depth: &'a mut [T],
 }
 
-/// The nearest opaque fragment of every pixel of a tile.
-struct TileCores<T> {
-    ids: [i32; TILE_PIXELS],
-    depth: [T; TILE_PIXELS],
-}
-
-impl<T: Real> TileCores<T> {
-    fn none() -> Self {
-        Self { ids: [-1; TILE_PIXELS], depth: [T::INFINITY; TILE_PIXELS] }
-    }
-
-    /// Takes the opaque ones of a group of fragments that are nearer. Candidates ascend by index, so a strict comparison
-    /// breaks ties in depth by index.
+impl<T: Real> TileLayers<'_, T> {
+    /// Inserts a fragment of one primitive per lane into the sorted lists and moves those behind it by one, ties by index.
     #[inline(always)]
-    fn take_nearer(&mut self, id: i32, alpha: [T; LANES], depth: [T; LANES], start: usize) {
-        let ids: &mut [i32; LANES] = (&mut self.ids[start..][..LANES]).try_into().expect("one group");
-        let nearest: &mut [T; LANES] = (&mut self.depth[start..][..LANES]).try_into().expect("one group");
-        for lane in 0..LANES {
-            let nearer = (alpha[lane] >= T::one()) & (depth[lane] < nearest[lane]);
-            nearest[lane] = if nearer { depth[lane] } else { nearest[lane] };
-            ids[lane] = if nearer { id } else { ids[lane] };
+    fn insert<S: Simd>(&mut self, start: usize, fragments: [Lanes<T, S>; 3]) {
+        let [mut place, mut alpha, mut depth] = fragments;
+        let simd = depth.simd();
+        let last = (self.count - 1) * TILE_PIXELS + start;
+        let mut moves = depth.below(Lanes::load(simd, &self.depth[last..]));
+        if !moves.any() {
+            return;
+        }
+        for layer in 0..self.count {
+            let at = layer * TILE_PIXELS + start;
+            let slot_depth = Lanes::load(simd, &self.depth[at..]);
+            moves = if layer == 0 { depth.below(slot_depth) } else { moves | depth.below(slot_depth) };
+            let swap = |moving: &mut Lanes<T, S>, slot: &mut [T]| {
+                let own = Lanes::load(simd, slot);
+                Lanes::select(moves, *moving, own).store(slot);
+                *moving = Lanes::select(moves, own, *moving);
+            };
+            swap(&mut depth, &mut self.depth[at..]);
+            swap(&mut alpha, &mut self.alpha[at..]);
+            swap(&mut place, &mut self.places[at..]);
         }
     }
 
     /// Makes the core the last layer of the pixels whose other layers are all rims before it.
-    fn stop(&self, layers: usize, slots: &mut TileLayers<T>) {
-        for pixel in (0..TILE_PIXELS).filter(|&pixel| self.ids[pixel] >= 0) {
-            let has_core = (0..layers).any(|layer| slots.alpha[layer * TILE_PIXELS + pixel] >= T::one());
+    fn stop(&mut self, cores: &TileCores<T>) {
+        for pixel in (0..TILE_PIXELS).filter(|&pixel| cores.depth[pixel] < T::INFINITY) {
+            let has_core = (0..self.count).any(|layer| self.alpha[layer * TILE_PIXELS + pixel] >= T::one());
             if !has_core {
-                let at = (layers - 1) * TILE_PIXELS + pixel;
-                (slots.ids[at], slots.alpha[at], slots.depth[at]) = (self.ids[pixel], T::one(), self.depth[pixel]);
+                let at = (self.count - 1) * TILE_PIXELS + pixel;
+                (self.places[at], self.alpha[at], self.depth[at]) = (cores.places[pixel], T::one(), cores.depth[pixel]);
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn end_behind_opaque(&mut self) {
+        for pixel in 0..TILE_PIXELS {
+            let mut opaque = false;
+            for at in (0..self.count).map(|layer| layer * TILE_PIXELS + pixel) {
+                if opaque {
+                    (self.places[at], self.alpha[at], self.depth[at]) = (T::of(NONE), T::zero(), T::INFINITY);
+                }
+                opaque |= self.alpha[at] >= T::one();
             }
         }
     }
@@ -116,156 +163,93 @@ fn forward<T: Real>(surfels: &SurfelRows<T>, camera: &Camera, options: &PeelOpti
     let mut depth = vec![T::INFINITY; grid.len() * block];
     ids.par_chunks_mut(block).zip(alpha.par_chunks_mut(block)).zip(depth.par_chunks_mut(block)).enumerate().for_each(
         |(tile, ((ids, alpha), depth))| {
-            let slots = TileLayers { ids, alpha, depth };
             let (candidates, origin) = (lists.of(tile), grid.origin(tile));
-            let Some(rays) = &rays else {
-                vectorised(
-                    #[inline(always)]
-                    || {
-                        peel_tile(
-                            candidates,
-                            &planes,
-                            &rects,
-                            origin,
-                            near,
-                            options,
-                            slots,
-                            #[inline(always)]
-                            |plane, x, y, _| plane.hit(x, y),
-                        );
-                    },
-                );
-                return;
-            };
-            let rays = rays_of_tile::<T>(rays, grid, origin);
-            vectorised(
-                #[inline(always)]
-                || {
-                    peel_tile(
-                        candidates,
-                        &planes,
-                        &rects,
-                        origin,
-                        near,
-                        options,
-                        slots,
-                        #[inline(always)]
-                        |plane, _, _, at| plane.hit_by(rays[at]),
-                    );
-                },
-            );
+            let rays = rays.as_ref().map(|rays| rays_of_tile(rays, grid, origin));
+            let places = vec![T::of(NONE); block];
+            let layers = TileLayers { count: layers, places, alpha, depth };
+            let (planes, rects) = (&planes, &rects);
+            with_lanes(PeelTile { candidates, planes, rects, origin, near, options, rays, ids, layers });
         },
     );
     (to_planes(&ids, layers, grid), to_planes(&alpha, layers, grid), to_planes(&depth, layers, grid))
 }
 
-/// Rays of the pixels of a tile; 0 outside the image.
-fn rays_of_tile<T: Real>(rays: &[V3<f64>], grid: TileGrid, (left, top): (usize, usize)) -> Vec<V3<T>> {
+/// Rays of the pixels of a tile, by coordinates; 0 outside the image.
+fn rays_of_tile<T: Real>(rays: &[V3<f64>], grid: TileGrid, (left, top): (usize, usize)) -> V3<[T; TILE_PIXELS]> {
     let ray = |at: usize| {
         let (x, y) = (left + at % TILE, top + at / TILE);
         let inside = x < grid.width && y < grid.height;
         if inside { rays[y * grid.width + x].map(T::of) } else { [T::zero(); 3] }
     };
-    (0..TILE_PIXELS).map(ray).collect()
+    [0, 1, 2].map(|axis| std::array::from_fn(|at| ray(at)[axis]))
 }
 
-/// `meet` finds the hit at a point (x, y) px, which is a pixel at this place in the tile.
-#[inline(always)]
-#[expect(clippy::too_many_arguments, reason = "what a tile is made of")]
-fn peel_tile<T: Real>(
-    candidates: &[u32],
-    planes: &[Plane<T>],
-    rects: &[PixelRect],
+/// Peels a tile.
+struct PeelTile<'a, T> {
+    candidates: &'a [u32],
+    planes: &'a [Plane<T>],
+    rects: &'a [PixelRect],
     origin: (usize, usize),
     near: T,
-    options: &PeelOptions,
-    mut slots: TileLayers<T>,
-    meet: impl Fn(&Plane<T>, T, T, usize) -> Hit<T>,
-) {
-    let mut cores = options.backstop.then(TileCores::none);
-    let modulation = T::of(options.modulation);
-    let (cutoff, min_facing) = (T::of(CUTOFF), T::of(MIN_FACING));
-    let by_kernel = options.footprint == Footprint::Kernel;
-    let last = (options.layer_count - 1) * TILE_PIXELS;
-    let offsets: [T; LANES] = std::array::from_fn(|lane| T::of(lane as f64 + 0.5));
-    for &id in candidates {
-        let plane = &planes[id as usize];
-        let [x0, x1, y0, y1] = rects[id as usize].within_tile(origin);
-        for line in y0..y1 {
-            let y = T::of((origin.1 + line) as f64 + 0.5);
-            for group in x0 / LANES..x1.div_ceil(LANES) {
-                let start = line * TILE + group * LANES;
-                let left = T::of((origin.0 + group * LANES) as f64);
-                let mut alpha = [T::zero(); LANES];
-                let mut depth = [T::INFINITY; LANES];
-                let mut nearer = false;
-                let furthest: &[T; LANES] = slots.depth[last + start..][..LANES].try_into().expect("one group");
-                for lane in 0..LANES {
-                    let hit = meet(plane, left + offsets[lane], y, start + lane);
-                    let opacity = if modulation * hit.kernel < T::one() { modulation * hit.kernel } else { T::one() };
-                    let inside = if by_kernel { hit.kernel } else { opacity } >= cutoff;
-                    let exists = (hit.facing.abs() > min_facing) & (hit.depth > near) & inside;
-                    alpha[lane] = if exists { opacity } else { T::zero() };
-                    depth[lane] = if exists { hit.depth } else { T::INFINITY };
-                    nearer |= depth[lane] < furthest[lane];
-                }
-                if let Some(cores) = &mut cores {
-                    cores.take_nearer(id as i32, alpha, depth, start);
-                }
-                if nearer {
-                    insert(id as i32, alpha, depth, start, options.layer_count, slots.ids, slots.alpha, slots.depth);
-                }
-            }
-        }
-    }
-    if let Some(cores) = cores {
-        cores.stop(options.layer_count, &mut slots);
-    }
-    end_behind_opaque(options.layer_count, slots);
+    options: &'a PeelOptions,
+    /// Through a lens.
+    rays: Option<V3<[T; TILE_PIXELS]>>,
+    /// −1 so far.
+    ids: &'a mut [i32],
+    layers: TileLayers<'a, T>,
 }
 
-/// Inserts one fragment per lane into the sorted lists and moves those behind it by one. Candidates ascend by
-/// index, so a strict comparison breaks ties in depth by index.
-#[inline(always)]
-#[expect(clippy::too_many_arguments, reason = "three parallel arrays on each side")]
-fn insert<T: Real>(
-    id: i32,
-    mut alpha: [T; LANES],
-    mut depth: [T; LANES],
-    start: usize,
-    layers: usize,
-    ids: &mut [i32],
-    alphas: &mut [T],
-    depths: &mut [T],
-) {
-    let mut moving = [id; LANES];
-    for layer in 0..layers {
-        let at = layer * TILE_PIXELS + start;
-        let slot_ids: &mut [i32; LANES] = (&mut ids[at..at + LANES]).try_into().expect("one group");
-        let slot_alpha: &mut [T; LANES] = (&mut alphas[at..at + LANES]).try_into().expect("one group");
-        let slot_depth: &mut [T; LANES] = (&mut depths[at..at + LANES]).try_into().expect("one group");
-        for lane in 0..LANES {
-            let swap = (depth[lane] < slot_depth[lane]) | (moving[lane] != id);
-            let (d, a, i) = (slot_depth[lane], slot_alpha[lane], slot_ids[lane]);
-            slot_depth[lane] = if swap { depth[lane] } else { d };
-            slot_alpha[lane] = if swap { alpha[lane] } else { a };
-            slot_ids[lane] = if swap { moving[lane] } else { i };
-            depth[lane] = if swap { d } else { depth[lane] };
-            alpha[lane] = if swap { a } else { alpha[lane] };
-            moving[lane] = if swap { i } else { moving[lane] };
-        }
-    }
-}
+impl<T: Real> WithSimd for PeelTile<'_, T> {
+    type Output = ();
 
-#[inline(always)]
-fn end_behind_opaque<T: Real>(layers: usize, slots: TileLayers<T>) {
-    for pixel in 0..TILE_PIXELS {
-        let mut opaque = false;
-        for at in (0..layers).map(|layer| layer * TILE_PIXELS + pixel) {
-            if opaque {
-                (slots.ids[at], slots.alpha[at], slots.depth[at]) = (-1, T::zero(), T::INFINITY);
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { candidates, planes, rects, origin, near, options, rays, ids, mut layers } = self;
+        let mut cores = options.backstop.then(TileCores::none);
+        let all = |value: T| Lanes::splat(simd, value);
+        let (modulation, near, one) = (all(T::of(options.modulation)), all(near), all(T::one()));
+        let (cutoff, min_facing) = (all(T::of(CUTOFF)), all(T::of(MIN_FACING)));
+        let by_kernel = options.footprint == Footprint::Kernel;
+        for (place, &id) in candidates.iter().enumerate() {
+            let (plane, place) = (&planes[id as usize], all(T::of(place as f64)));
+            for_each_lanes(
+                simd,
+                plane.anchor,
+                &rects[id as usize],
+                origin,
+                #[inline(always)]
+                |start, dx, dy| {
+                    let [u, v, depth, facing] = match &rays {
+                        None => plane.meet(dx, dy),
+                        Some(rays) => {
+                            let axis = |axis: usize| Lanes::load(simd, &rays[axis][start..]);
+                            plane.meet_by([axis(0), axis(1), axis(2)])
+                        }
+                    };
+                    let kernel = (all(T::of(-0.5)) * u.mul_add(u, v * v)).exp_nonpositive();
+                    let opacity = (modulation * kernel).min(one);
+                    let inside = if by_kernel { kernel } else { opacity }.at_least(cutoff);
+                    let exists = min_facing.below(facing.abs()) & near.below(depth) & inside;
+                    if !exists.any() {
+                        return;
+                    }
+                    let depth = Lanes::select(exists, depth, all(T::INFINITY));
+                    let fragments = [place, opacity.only(exists), depth];
+                    if let Some(cores) = &mut cores {
+                        cores.take_nearer(start, fragments);
+                    }
+                    layers.insert(start, fragments);
+                },
+            );
+        }
+        if let Some(cores) = cores {
+            layers.stop(&cores);
+        }
+        layers.end_behind_opaque();
+        for (id, place) in ids.iter_mut().zip(&layers.places) {
+            if *place >= T::zero() {
+                *id = candidates[place.as_f64() as usize] as i32;
             }
-            opaque |= slots.alpha[at] >= T::one();
         }
     }
 }

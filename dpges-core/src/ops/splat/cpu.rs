@@ -17,7 +17,7 @@ use crate::footprint::gaussian::cpu::in_view::{InView, UNSEEN};
 use crate::footprint::gaussian::cpu::lanes::{At, SplatLanes};
 use crate::footprint::gaussian::cpu::{Splat, SplatGrad};
 use crate::footprint::gaussian::tensors::{GaussianRows, GaussianTensors};
-use crate::footprint::moments::{MOMENTS, add_moments_of_lanes};
+use crate::footprint::moments::{MOMENTS, add_moments};
 use crate::math::CameraOf;
 use crate::scene::ScreenFilter;
 use crate::tiles::binning::cpu::bin;
@@ -136,7 +136,7 @@ impl<T: Real> WithSimd for SplatTile<'_, T> {
                 |start, dx, dy| {
                     let Some(At { weight, .. }) = footprint.at(dx, dy) else { return };
                     for k in intervals.clone() {
-                        let weight = Lanes::select(limits.within(k, start, depth, simd), weight, all(T::zero()));
+                        let weight = weight.only(limits.within(k, start, depth, simd));
                         for (channel, &value) in payload.iter().enumerate() {
                             let sums = &mut sums[(k * CHANNELS + channel) * TILE_PIXELS + start..];
                             weight.mul_add(value, Lanes::load(simd, sums)).store(sums);
@@ -148,22 +148,40 @@ impl<T: Real> WithSimd for SplatTile<'_, T> {
     }
 }
 
-/// Calls `visit(tile, limits)` for every tile in which a splat can add to some pixel.
-#[inline(always)]
-fn for_each_lit_tile<T: Real>(
-    splat: &Splat<T>,
-    rect: &PixelRect,
+/// A Gaussian of a view, in all its tiles.
+struct Reached<'a, T> {
+    splat: &'a Splat<T>,
+    rect: &'a PixelRect,
     grid: TileGrid,
-    limits: &LimitBlocks<T>,
-    mut visit: impl FnMut(usize, TileLimits<T>),
-) {
-    let [tx0, tx1, ty0, ty1] = rect.tiles();
-    for ty in ty0..ty1 {
-        for tx in tx0..tx1 {
-            let tile = ty * grid.columns + tx;
-            let limits = limits.tile(tile);
-            if splat.touches(tx, ty) && limits.intervals(splat.depth).next().is_some() {
-                visit(tile, limits);
+    limits: &'a LimitBlocks<T>,
+}
+
+impl<T: Real> Reached<'_, T> {
+    /// Calls `visit(tile, start, limits, at)` for the pixels from `start` on of every tile in which the Gaussian can add to
+    /// some pixel.
+    #[inline(always)]
+    fn for_each<S: Simd>(&self, simd: S, mut visit: impl FnMut(usize, usize, &TileLimits<T>, At<T, S>)) {
+        let footprint = SplatLanes::new(simd, self.splat);
+        let [tx0, tx1, ty0, ty1] = self.rect.tiles();
+        for ty in ty0..ty1 {
+            for tx in tx0..tx1 {
+                let tile = ty * self.grid.columns + tx;
+                let limits = self.limits.tile(tile);
+                if !self.splat.touches(tx, ty) || limits.intervals(self.splat.depth).next().is_none() {
+                    continue;
+                }
+                for_each_lanes(
+                    simd,
+                    self.splat.mean,
+                    self.rect,
+                    self.grid.origin(tile),
+                    #[inline(always)]
+                    |start, dx, dy| {
+                        if let Some(at) = footprint.at(dx, dy) {
+                            visit(tile, start, &limits, at);
+                        }
+                    },
+                );
             }
         }
     }
@@ -193,39 +211,24 @@ impl<T: Real> WithSimd for Gather<'_, T> {
 impl<T: Real> Gather<'_, T> {
     #[inline(always)]
     fn gather<S: Simd>(&self, i: usize, simd: S) -> SplatGrad<T> {
-        let (splat, rect) = (&self.seen.splats[i], &self.seen.rects[i]);
+        let splat = &self.seen.splats[i];
         let all = |value: T| Lanes::splat(simd, value);
-        let (footprint, depth) = (SplatLanes::new(simd, splat), all(splat.depth));
-        let colour = splat.colour.map(all);
+        let (depth, colour) = (all(splat.depth), Lanes::splat_three(simd, splat.colour));
         let mut moments = [all(T::zero()); MOMENTS];
         let mut colours = [all(T::zero()); 3];
         let block = self.limits.layers * CHANNELS * TILE_PIXELS;
-        for_each_lit_tile(
-            splat,
-            rect,
-            self.grid,
-            self.limits,
+        Reached { splat, rect: &self.seen.rects[i], grid: self.grid, limits: self.limits }.for_each(
+            simd,
             #[inline(always)]
-            |tile, limits| {
+            |tile, start, limits, At { u, v, weight }| {
                 let grad = &self.grad[tile * block..][..block];
                 let intervals = limits.intervals(splat.depth);
-                for_each_lanes(
-                    simd,
-                    splat.mean,
-                    rect,
-                    self.grid.origin(tile),
-                    #[inline(always)]
-                    |start, dx, dy| {
-                        let Some(At { u, v, weight }) = footprint.at(dx, dy) else { return };
-                        let [red, green, blue, alpha] =
-                            read_gradients(grad, &limits, intervals.clone(), depth, start, simd);
-                        let payload = colour[0].mul_add(red, colour[1].mul_add(green, colour[2].mul_add(blue, alpha)));
-                        for (sum, grad) in colours.iter_mut().zip([red, green, blue]) {
-                            *sum = weight.mul_add(grad, *sum);
-                        }
-                        add_moments_of_lanes(&mut moments, weight * payload, u, all(v));
-                    },
-                );
+                let [red, green, blue, alpha] = read_gradients(grad, limits, intervals, depth, start, simd);
+                let payload = colour[0].mul_add(red, colour[1].mul_add(green, colour[2].mul_add(blue, alpha)));
+                for (sum, grad) in colours.iter_mut().zip([red, green, blue]) {
+                    *sum = weight.mul_add(grad, *sum);
+                }
+                add_moments(&mut moments, weight * payload, u, all(v));
             },
         );
         SplatGrad { moments: moments.map(Lanes::sum), colour: colours.map(Lanes::sum) }
@@ -242,13 +245,12 @@ fn read_gradients<T: Real, S: Simd>(
     start: usize,
     simd: S,
 ) -> [Lanes<T, S>; CHANNELS] {
-    let zero = Lanes::splat(simd, T::zero());
-    let mut pixel = [zero; CHANNELS];
+    let mut pixel = [Lanes::zero(simd); CHANNELS];
     for k in intervals {
         let within = limits.within(k, start, depth, simd);
         for (channel, pixel) in pixel.iter_mut().enumerate() {
             let grad = Lanes::load(simd, &grad[(k * CHANNELS + channel) * TILE_PIXELS + start..]);
-            *pixel = *pixel + Lanes::select(within, grad, zero);
+            *pixel = *pixel + grad.only(within);
         }
     }
     pixel
@@ -333,34 +335,17 @@ impl<T: Real> WithSimd for Largest<'_, T> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> T {
         let (splat, rect) = (&self.seen.splats[self.i], &self.seen.rects[self.i]);
-        let (footprint, depth) = (SplatLanes::new(simd, splat), Lanes::splat(simd, splat.depth));
-        let zero = Lanes::splat(simd, T::zero());
-        let mut largest = zero;
+        let (depth, mut largest) = (Lanes::splat(simd, splat.depth), Lanes::zero(simd));
         let block = self.limits.layers * TILE_PIXELS;
-        for_each_lit_tile(
-            splat,
-            rect,
-            self.grid,
-            self.limits,
+        Reached { splat, rect, grid: self.grid, limits: self.limits }.for_each(
+            simd,
             #[inline(always)]
-            |tile, limits| {
+            |tile, start, limits, At { weight, .. }| {
                 let gates = &self.gates[tile * block..][..block];
-                let intervals = limits.intervals(splat.depth);
-                for_each_lanes(
-                    simd,
-                    splat.mean,
-                    rect,
-                    self.grid.origin(tile),
-                    #[inline(always)]
-                    |start, dx, dy| {
-                        let Some(At { weight, .. }) = footprint.at(dx, dy) else { return };
-                        for k in intervals.clone() {
-                            let gate = Lanes::load(simd, &gates[k * TILE_PIXELS + start..]);
-                            let within = limits.within(k, start, depth, simd);
-                            largest = largest.max(Lanes::select(within, weight * gate, zero));
-                        }
-                    },
-                );
+                for k in limits.intervals(splat.depth) {
+                    let gate = Lanes::load(simd, &gates[k * TILE_PIXELS + start..]);
+                    largest = largest.max((weight * gate).only(limits.within(k, start, depth, simd)));
+                }
             },
         );
         largest.largest() * splat.colour.iter().fold(T::zero(), |most, channel| most.max(channel.abs()))

@@ -47,6 +47,6 @@ impl<T: Real, S: Simd> SplatLanes<T, S> {
             return None;
         }
         let weight = self.strength * exponent.exp_nonpositive();
-        Some(At { u, v, weight: Lanes::select(weight.at_least(self.cutoff), weight, all(T::zero())) })
+        Some(At { u, v, weight: weight.only(weight.at_least(self.cutoff)) })
     }
 }

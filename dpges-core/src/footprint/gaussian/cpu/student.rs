@@ -2,9 +2,12 @@
 //!
 //! α = o (1 + r² / ν)^(−(ν + 2) / 2) at r standard deviations from the mean. There is no low-pass filter.
 
+use pulp::Simd;
+
 use super::{ParameterGrad, Parameters, Splat, SplatGrad};
+use crate::backend::lanes::{Lanes, Mask};
 use crate::backend::real::Real;
-use crate::backend::simd::LANES;
+use crate::backend::vectors::MOST;
 use crate::footprint::CUTOFF;
 use crate::footprint::gaussian::{STUDENT_LEAST_REACH, STUDENT_LEAST_SPREAD, STUDENT_REACH};
 use crate::math::{CameraOf, V3};
@@ -60,51 +63,47 @@ impl<T: Real> Student<T> {
         PixelRect::covering([x - half_x, x + half_x, y - half_y, y + half_y], width, height)
     }
 
-    /// r², and ln(1 + r² / ν), of a group of pixels at offsets (`dx`, `dy`) px from the mean.
+    /// r², and ln(1 + r² / ν), at offsets (`dx`, `dy`) px from the mean.
     #[inline(always)]
-    fn falls(&self, dx: &[T; LANES], dy: T, squared: &mut [T; LANES], fall: &mut [T; LANES]) {
-        for lane in 0..LANES {
-            let [u, v] = self.ellipse.in_deviations(dx[lane], dy);
-            squared[lane] = u * u + v * v;
-        }
-        for lane in 0..LANES {
-            fall[lane] = (squared[lane] / self.degrees).min(T::one()).ln_1p_share();
-        }
+    fn falls<S: Simd>(&self, dx: Lanes<T, S>, dy: T) -> [Lanes<T, S>; 2] {
+        let all = |value: T| Lanes::splat(dx.simd(), value);
+        let [p, q, r] = self.ellipse.root;
+        let (u, v, degrees) = (all(p).mul_add(dx, all(q * dy)), all(r * dy), all(self.degrees));
+        let squared = u.mul_add(u, v * v);
+        let near = (squared / degrees).min(all(T::one())).ln_1p_share();
         // few pixels are so far out, and the library's logarithm does not vectorise
-        if squared.iter().any(|&squared| squared > self.degrees) {
-            for lane in 0..LANES {
-                if squared[lane] > self.degrees {
-                    fall[lane] = (squared[lane] / self.degrees).ln_1p();
-                }
-            }
+        let beyond = degrees.below(squared);
+        if !beyond.any() {
+            return [squared, near];
         }
+        let mut far = [T::zero(); MOST];
+        squared.store(&mut far);
+        let share = |squared: T| if squared > self.degrees { (squared / self.degrees).ln_1p() } else { T::zero() };
+        let far = far.map(share);
+        [squared, Lanes::select(beyond, Lanes::load(dx.simd(), &far), near)]
     }
 
-    /// α before it is capped, 0 below the cutoff and out of bounds.
+    /// Where α reaches the cutoff within its bounds, and α before it is capped.
     #[inline(always)]
-    pub fn weights(&self, dx: &[T; LANES], dy: T, weight: &mut [T; LANES]) {
-        let (mut squared, mut fall) = ([T::zero(); LANES], [T::zero(); LANES]);
-        self.falls(dx, dy, &mut squared, &mut fall);
-        let exponent = T::of(-0.5) * (self.degrees + T::of(2.0));
-        for lane in 0..LANES {
-            let alpha = self.opacity * (exponent * fall[lane]).exp_nonpositive();
-            let far = dx[lane].abs().max(dy.abs()) > self.bound;
-            weight[lane] = if far | (alpha.abs() < T::of(CUTOFF)) { T::zero() } else { alpha };
-        }
+    pub fn weights<S: Simd>(&self, dx: Lanes<T, S>, dy: T) -> (Mask<T, S>, Lanes<T, S>) {
+        let all = |value: T| Lanes::splat(dx.simd(), value);
+        let [_, fall] = self.falls(dx, dy);
+        let exponent = all(T::of(-0.5) * (self.degrees + T::of(2.0)));
+        let alpha = all(self.opacity) * (exponent * fall).exp_nonpositive();
+        let near = all(self.bound).at_least(dx.abs().max(all(dy.abs())));
+        (near & alpha.abs().at_least(all(T::of(CUTOFF))), alpha)
     }
 
-    /// −2 and 1 times the derivatives of the exponent of α with respect to r² and ν, of a group of pixels: (ν + 2) / (ν + r²)
-    /// and ½ (x (1 + 2 / ν) / (1 + x) − ln(1 + x)) with x = r² / ν.
+    /// −2 and 1 times the derivatives of the exponent of α with respect to r² and ν: (ν + 2) / (ν + r²) and
+    /// ½ (x (1 + 2 / ν) / (1 + x) − ln(1 + x)) with x = r² / ν.
     #[inline(always)]
-    pub fn slopes(&self, dx: &[T; LANES], dy: T, by_squared: &mut [T; LANES], by_degrees: &mut [T; LANES]) {
-        let mut squared = [T::zero(); LANES];
-        self.falls(dx, dy, &mut squared, by_degrees);
-        let (half, two) = (T::of(0.5), T::of(2.0));
-        for lane in 0..LANES {
-            let share = squared[lane] / (self.degrees + squared[lane]);
-            by_degrees[lane] = half * (share - by_degrees[lane]) + share / self.degrees;
-            by_squared[lane] = (self.degrees + two) / (self.degrees + squared[lane]);
-        }
+    pub fn slopes<S: Simd>(&self, dx: Lanes<T, S>, dy: T) -> [Lanes<T, S>; 2] {
+        let all = |value: T| Lanes::splat(dx.simd(), value);
+        let [squared, fall] = self.falls(dx, dy);
+        let degrees = all(self.degrees);
+        let share = squared / (degrees + squared);
+        let by_degrees = all(T::of(0.5)) * (share - fall) + share / degrees;
+        [all(self.degrees + T::of(2.0)) / (degrees + squared), by_degrees]
     }
 }
 

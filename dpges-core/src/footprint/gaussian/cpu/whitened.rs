@@ -6,12 +6,14 @@
 //! `m = −z (δx B − δy A)`: the products of δx and δy cancel. Counted from the projected centre, small Gaussians lose nothing to
 //! rounding. All rows are divided by the largest scale, so that no product underflows.
 
+use pulp::Simd;
+
 use super::{ParameterGrad, Parameters};
+use crate::backend::lanes::{Lanes, Mask};
 use crate::backend::real::Real;
-use crate::backend::simd::LANES;
 use crate::footprint::CUTOFF;
 use crate::math::{
-    CameraOf, M3, V3, add, apply_transposed, column, cross, dot, rotation, rotation_backward, scale, sub,
+    Arithmetic, CameraOf, M3, V3, add, apply_transposed, column, cross, dot, rotation, rotation_backward, scale, sub,
 };
 use crate::tiles::PixelRect;
 
@@ -58,6 +60,15 @@ pub struct RayGrad<T> {
     pub distance: T,
     pub delta: [T; 2],
     pub depth: T,
+}
+
+impl<N: Arithmetic> RayGrad<N> {
+    /// As [`Whitened::towards`], with Z, the depth and the slopes of the centre.
+    #[inline(always)]
+    fn towards(&self, z: V3<N>, depth: N, slopes: [N; 2]) -> V3<N> {
+        let [x, y] = [-dot(z, self.a) - self.delta[0], -dot(z, self.b) - self.delta[1]];
+        [x, y, self.distance + depth * self.depth - slopes[0] * x - slopes[1] * y]
+    }
 }
 
 /// Scaled axes in camera axes, by rows, over the largest scale; the relative scales; and the logarithm of the largest.
@@ -123,69 +134,77 @@ impl<T: Real> Whitened<T> {
     }
 
     #[inline(always)]
-    fn ray(&self, dx: T, dy: T) -> Ray<T> {
-        let delta = [dx * self.per_px[0], dy * self.per_px[1]];
-        let moment = sub(scale(self.b, delta[0]), scale(self.a, delta[1]));
-        let direction = cross(sub(self.a, scale(self.z, delta[0])), sub(self.b, scale(self.z, delta[1])));
-        let inverse = T::one() / dot(direction, direction).max(T::of(MIN_SQUARED_DIRECTION));
+    fn rows<S: Simd>(&self, simd: S) -> [V3<Lanes<T, S>>; 3] {
+        let row = |row: V3<T>| Lanes::splat_three(simd, row);
+        [row(self.a), row(self.b), row(self.z)]
+    }
+
+    #[inline(always)]
+    fn ray<S: Simd>(&self, dx: Lanes<T, S>, dy: T) -> Ray<Lanes<T, S>> {
+        let all = |value: T| Lanes::splat(dx.simd(), value);
+        let [a, b, z] = self.rows(dx.simd());
+        let delta = [dx * all(self.per_px[0]), all(dy * self.per_px[1])];
+        let moment = sub(scale(b, delta[0]), scale(a, delta[1]));
+        let direction = cross(sub(a, scale(z, delta[0])), sub(b, scale(z, delta[1])));
+        let inverse = all(T::one()) / dot(direction, direction).max(all(T::of(MIN_SQUARED_DIRECTION)));
         Ray { delta, moment, direction, inverse }
     }
 
-    /// α before it is capped, and the depth at which it is largest along the ray, at offsets from the mean, px. α is 0 below
-    /// the cutoff.
+    /// At offsets from the mean, px: where α reaches the cutoff, α before it is capped, and the depth at which it is largest
+    /// along the ray, finite everywhere.
     #[inline(always)]
-    pub fn fragments(&self, dx: &[T; LANES], dy: T, weight: &mut [T; LANES], depth: &mut [T; LANES]) {
-        let squared = self.distance * self.distance;
-        for lane in 0..LANES {
-            let ray = self.ray(dx[lane], dy);
-            weight[lane] = squared * dot(ray.moment, ray.moment) * ray.inverse;
-        }
-        for weight in weight.iter_mut() {
-            *weight = self.strength * (T::of(-0.5) * *weight).exp_nonpositive();
-        }
-        for weight in weight.iter_mut() {
-            *weight = if *weight >= T::of(CUTOFF) { *weight } else { T::zero() };
-        }
-        for lane in 0..LANES {
-            let ray = self.ray(dx[lane], dy);
-            let along = dot(self.z, cross(ray.direction, ray.moment)) * ray.inverse;
-            // elsewhere it may be infinite
-            depth[lane] = if weight[lane] > T::zero() { self.depth * (T::one() - along) } else { self.depth };
-        }
+    pub fn fragments<S: Simd>(&self, dx: Lanes<T, S>, dy: T) -> (Mask<T, S>, [Lanes<T, S>; 2]) {
+        let all = |value: T| Lanes::splat(dx.simd(), value);
+        let ray = self.ray(dx, dy);
+        let squared = all(self.distance * self.distance) * dot(ray.moment, ray.moment) * ray.inverse;
+        let weight = all(self.strength) * (all(T::of(-0.5)) * squared).exp_nonpositive();
+        let drawn = weight.at_least(all(T::of(CUTOFF)));
+        let [.., z] = self.rows(dx.simd());
+        let along = dot(z, cross(ray.direction, ray.moment)) * ray.inverse;
+        let depth = all(self.depth) * (all(T::one()) - along);
+        (drawn, [weight, Lanes::select(drawn, depth, all(self.depth))])
     }
 
-    /// From the gradients of the exponent and of the depth of the fragment at an offset from the mean, px.
+    /// From the gradients of the exponent and of the depth of the fragments at offsets from the mean, px.
     #[inline(always)]
-    pub fn pixel_backward(&self, dx: T, dy: T, power: T, grad_depth: T) -> RayGrad<T> {
+    pub fn pixel_backward<S: Simd>(
+        &self,
+        dx: Lanes<T, S>,
+        dy: T,
+        power: Lanes<T, S>,
+        grad_depth: Lanes<T, S>,
+    ) -> RayGrad<Lanes<T, S>> {
+        let all = |value: T| Lanes::splat(dx.simd(), value);
+        let ([a, b, z], depth) = (self.rows(dx.simd()), all(self.depth));
         let Ray { delta: [x, y], moment, direction, inverse } = self.ray(dx, dy);
-        let squared = self.distance * self.distance;
+        let squared = all(self.distance * self.distance);
         let deviations = squared * dot(moment, moment) * inverse;
         let ahead = cross(direction, moment);
-        let along = dot(self.z, ahead) * inverse;
-        let grad_along = -self.depth * grad_depth * inverse;
-        let two = T::of(2.0);
-        let grad_moment = add(scale(moment, -power * squared * inverse), scale(cross(self.z, direction), grad_along));
+        let along = dot(z, ahead) * inverse;
+        let grad_along = -depth * grad_depth * inverse;
+        let grad_moment = sub(scale(cross(z, direction), grad_along), scale(moment, power * squared * inverse));
         let grad_direction = add(
-            scale(direction, power * deviations * inverse - two * grad_along * along),
-            scale(cross(moment, self.z), grad_along),
+            scale(direction, power * deviations * inverse - all(T::of(2.0)) * grad_along * along),
+            scale(cross(moment, z), grad_along),
         );
-        let (plane_a, plane_b) = (sub(self.a, scale(self.z, x)), sub(self.b, scale(self.z, y)));
+        let (plane_a, plane_b) = (sub(a, scale(z, x)), sub(b, scale(z, y)));
         let (grad_a, grad_b) = (cross(plane_b, grad_direction), cross(grad_direction, plane_a));
         RayGrad {
             a: sub(grad_a, scale(grad_moment, y)),
             b: add(grad_b, scale(grad_moment, x)),
             z: sub(scale(ahead, grad_along), add(scale(grad_a, x), scale(grad_b, y))),
-            distance: -power * deviations,
-            delta: [dot(self.b, grad_moment) - dot(self.z, grad_a), -dot(self.a, grad_moment) - dot(self.z, grad_b)],
-            depth: grad_depth * (T::one() - along),
+            distance: -(power * deviations),
+            delta: [dot(b, grad_moment) - dot(z, grad_a), -dot(a, grad_moment) - dot(z, grad_b)],
+            depth: grad_depth * (all(T::one()) - along),
         }
     }
 
     /// Gradient with respect to the centre in camera axes, times its depth.
     #[inline(always)]
-    pub fn towards(&self, grad: &RayGrad<T>, slopes: [T; 2]) -> V3<T> {
-        let [x, y] = [-dot(self.z, grad.a) - grad.delta[0], -dot(self.z, grad.b) - grad.delta[1]];
-        [x, y, grad.distance + self.depth * grad.depth - slopes[0] * x - slopes[1] * y]
+    pub fn towards<S: Simd>(&self, grad: &RayGrad<Lanes<T, S>>, slopes: [T; 2]) -> V3<Lanes<T, S>> {
+        let all = |value: T| Lanes::splat(grad.depth.simd(), value);
+        let z = Lanes::splat_three(grad.depth.simd(), self.z);
+        grad.towards(z, all(self.depth), [all(slopes[0]), all(slopes[1])])
     }
 
     /// x / z and y / z of the centre.
@@ -222,7 +241,7 @@ pub fn backward<T: Real>(
     let grad_axes = grad_rows.map(|row| -> V3<T> { std::array::from_fn(|j| row[j] * relative[j]) });
     let grad_rotation: M3<T> =
         std::array::from_fn(|i| std::array::from_fn(|j| dot(column(&camera.rotation, i), column(&grad_axes, j))));
-    let grad_centre = scale(whitened.towards(&grad, slopes), T::one() / whitened.depth);
+    let grad_centre = scale(grad.towards(whitened.z, whitened.depth, slopes), T::one() / whitened.depth);
     ParameterGrad {
         position: apply_transposed(&camera.rotation, grad_centre),
         quaternion: rotation_backward(p.quaternion, &grad_rotation),
@@ -235,6 +254,7 @@ pub fn backward<T: Real>(
 #[cfg(test)]
 mod tests {
     use glam::{DMat3, DVec3};
+    use pulp::Scalar;
 
     use super::*;
     use crate::camera::{Camera, CameraFromWorld};
@@ -270,6 +290,12 @@ mod tests {
         [dot(offset, offset), depth]
     }
 
+    /// α, 0 below the cutoff, and depth at an offset from the mean, px.
+    fn fragment<T: Real>(whitened: &Whitened<T>, [dx, dy]: [T; 2]) -> [T; 2] {
+        let (drawn, [weight, depth]) = whitened.fragments(Lanes::splat(Scalar::new(), dx), dy);
+        [weight.only(drawn).sum(), depth.sum()]
+    }
+
     #[test]
     fn rays_are_met_where_whitening_them_says() {
         let camera = camera();
@@ -277,17 +303,15 @@ mod tests {
         let mut reached = 0;
         for at in 0..64 * 48 {
             let pixel = [(at % 64) as f64 + 0.5, (at / 64) as f64 + 0.5];
-            let (mut weight, mut depth) = ([0.0; LANES], [0.0; LANES]);
-            let dx = [pixel[0] - whitened.mean[0]; LANES];
-            whitened.fragments(&dx, pixel[1] - whitened.mean[1], &mut weight, &mut depth);
+            let [weight, depth] = fragment(&whitened, [pixel[0] - whitened.mean[0], pixel[1] - whitened.mean[1]]);
             let [squared, expected] = brute_force(&camera, pixel);
             let alpha = P.opacity * (-0.5 * squared).exp();
-            assert!(weight[0] == 0.0 || (depth[0] - expected).abs() < 1e-12 * expected.abs(), "{pixel:?}");
-            assert!((weight[0] - if alpha >= CUTOFF { alpha } else { 0.0 }).abs() < 1e-12, "{pixel:?}");
+            assert!(weight == 0.0 || (depth - expected).abs() < 1e-12 * expected.abs(), "{pixel:?}");
+            assert!((weight - if alpha >= CUTOFF { alpha } else { 0.0 }).abs() < 1e-12, "{pixel:?}");
             let PixelRect { x0, x1, y0, y1 } = whitened.reach();
             let inside = (x0..x1).contains(&(pixel[0] as u32)) && (y0..y1).contains(&(pixel[1] as u32));
-            assert!(inside || weight[0] == 0.0, "{pixel:?}");
-            reached += usize::from(weight[0] > 0.0);
+            assert!(inside || weight == 0.0, "{pixel:?}");
+            reached += usize::from(weight > 0.0);
         }
         let PixelRect { x0, x1, y0, y1 } = whitened.reach();
         // an ellipse covers π / 4 of an axis-parallel box, one that is turned less
@@ -335,12 +359,10 @@ mod tests {
             let (found, expected) =
                 (Whitened::new(&single, &narrow, [0.0; 3]).unwrap(), Whitened::new(&exact, &p, [0.0; 3]).unwrap());
             for offset in [[0.01, 0.02], [0.3, -0.2], [2.0, 1.0]] {
-                let (mut weight, mut depth) = ([0.0; LANES], [0.0; LANES]);
-                found.fragments(&[offset[0] as f32; LANES], offset[1] as f32, &mut weight, &mut depth);
-                let (mut weight64, mut depth64) = ([0.0; LANES], [0.0; LANES]);
-                expected.fragments(&[offset[0]; LANES], offset[1], &mut weight64, &mut depth64);
-                assert!((f64::from(weight[0]) - weight64[0]).abs() < 2e-3, "{log_scales:?} {offset:?}: {weight:?}");
-                assert!(weight64[0] == 0.0 || (f64::from(depth[0]) / depth64[0] - 1.0).abs() < 1e-4, "{log_scales:?}");
+                let [weight, depth] = fragment(&found, offset.map(|at| at as f32)).map(f64::from);
+                let [weight64, depth64] = fragment(&expected, offset);
+                assert!((weight - weight64).abs() < 2e-3, "{log_scales:?} {offset:?}: {weight}");
+                assert!(weight64 == 0.0 || (depth / depth64 - 1.0).abs() < 1e-4, "{log_scales:?}");
             }
         }
     }

@@ -2,6 +2,9 @@
 
 mod lens_reach;
 
+use pulp::Simd;
+
+use crate::backend::lanes::Lanes;
 use crate::backend::real::Real;
 use crate::footprint::CUTOFF;
 use crate::math::{CameraOf, M3, V3, add, apply_transposed, column, cross, dot, rotation, rotation_backward, scale};
@@ -43,14 +46,26 @@ pub struct Hit<T> {
 }
 
 impl<T: Real> Plane<T> {
-    /// u, v, depth and r·n where the ray through a point (`dx`, `dy`) px from the anchor meets the plane.
+    /// u, v, depth and r·n where the rays through the pixels at offsets (`dx`, `dy`) px from the anchor meet the plane.
     #[inline(always)]
-    pub fn meet(&self, dx: T, dy: T) -> [T; 4] {
-        let facing = self.facing[0] + self.facing[1] * dx + self.facing[2] * dy;
-        let inverse = T::one() / facing;
-        let u = (self.u[0] + self.u[1] * dx + self.u[2] * dy) * inverse;
-        let v = (self.v[0] + self.v[1] * dx + self.v[2] * dy) * inverse;
-        [u, v, self.distance * inverse, facing]
+    pub fn meet<S: Simd>(&self, dx: Lanes<T, S>, dy: T) -> [Lanes<T, S>; 4] {
+        let all = |value: T| Lanes::splat(dx.simd(), value);
+        self.at(dx.simd(), |[at_anchor, x, y]| all(x).mul_add(dx, all(at_anchor + y * dy)))
+    }
+
+    /// [`meet`](Self::meet) of rays through a lens.
+    #[inline(always)]
+    pub fn meet_by<S: Simd>(&self, [x, y, z]: V3<Lanes<T, S>>) -> [Lanes<T, S>; 4] {
+        let all = |value: T| Lanes::splat(x.simd(), value);
+        self.at(x.simd(), |linear| all(linear[0]) * z + all(linear[1]) * x + all(linear[2]) * y)
+    }
+
+    #[inline(always)]
+    fn at<S: Simd>(&self, simd: S, linear: impl Fn([T; 3]) -> Lanes<T, S>) -> [Lanes<T, S>; 4] {
+        let facing = linear(self.facing);
+        let inverse = Lanes::splat(simd, T::one()) / facing;
+        let depth = Lanes::splat(simd, self.distance) * inverse;
+        [linear(self.u) * inverse, linear(self.v) * inverse, depth, facing]
     }
 
     /// Where a ray through a lens meets the plane of the disc.
@@ -67,7 +82,11 @@ impl<T: Real> Plane<T> {
     /// Where the ray through the point (`x`, `y`) px meets the plane of the disc.
     #[inline(always)]
     pub fn hit(&self, x: T, y: T) -> Hit<T> {
-        let [u, v, depth, facing] = self.meet(x - self.anchor[0], y - self.anchor[1]);
+        let (dx, dy) = (x - self.anchor[0], y - self.anchor[1]);
+        let linear = |[at_anchor, x, y]: [T; 3]| at_anchor + x * dx + y * dy;
+        let facing = linear(self.facing);
+        let inverse = T::one() / facing;
+        let (u, v, depth) = (linear(self.u) * inverse, linear(self.v) * inverse, self.distance * inverse);
         let kernel = (T::of(-0.5) * (u * u + v * v)).exp_nonpositive();
         Hit { u, v, depth, facing, kernel }
     }

@@ -1,9 +1,11 @@
 //! A disc met by rays, with the low-pass filter of 2DGS (its sections 4.2 and 4.3); where a ray meets it and the way
 //! back from there are those of [`footprint`](crate::footprint::surfel::cpu).
 
-use super::projected::{CameraPair, Group, Projected, Sums, WORK_ROWS};
+use pulp::Simd;
+
+use super::projected::{CameraPair, Drawn, Group, Projected, Sums, add_depths, add_to_probe};
+use crate::backend::lanes::Lanes;
 use crate::backend::real::Real;
-use crate::backend::simd::LANES;
 use crate::footprint::CUTOFF;
 use crate::footprint::gaussian::cpu::{ParameterGrad, Parameters};
 use crate::footprint::moments::{FIRST_MOMENTS, add_first_moments};
@@ -112,8 +114,16 @@ impl<T: Real> CentreSlopes<T> {
     /// Gradient with respect to the coordinate from those with respect to u, v and distance, `offset` px away from
     /// the anchor along the other coordinate.
     #[inline(always)]
-    fn gradient(&self, to_u: T, to_v: T, to_distance: T, offset: T) -> T {
-        to_u * (self.u[0] + self.u[1] * offset) + to_v * (self.v[0] + self.v[1] * offset) + to_distance * self.distance
+    fn gradient<S: Simd>(
+        &self,
+        to_u: Lanes<T, S>,
+        to_v: Lanes<T, S>,
+        to_distance: Lanes<T, S>,
+        offset: Lanes<T, S>,
+    ) -> Lanes<T, S> {
+        let all = |value: T| Lanes::splat(offset.simd(), value);
+        let linear = |[at_anchor, slope]: [T; 2]| all(slope).mul_add(offset, all(at_anchor));
+        to_u * linear(self.u) + to_v * linear(self.v) + to_distance * all(self.distance)
     }
 }
 
@@ -135,9 +145,10 @@ pub struct DiscFootprint<T> {
 impl<T: Real> DiscFootprint<T> {
     /// 2 |d|², d in px from the centre of the low-pass filter.
     #[inline(always)]
-    fn squared_on_screen(&self, dx: T, dy: T) -> T {
-        let (x, y) = (dx - self.low_pass[0], dy - self.low_pass[1]);
-        T::of(2.0) * (x * x + y * y)
+    fn squared_on_screen<S: Simd>(&self, dx: Lanes<T, S>, dy: T) -> Lanes<T, S> {
+        let all = |value: T| Lanes::splat(dx.simd(), value);
+        let (x, y) = (dx - all(self.low_pass[0]), dy - self.low_pass[1]);
+        all(T::of(2.0)) * x.mul_add(x, all(y * y))
     }
 }
 
@@ -203,92 +214,51 @@ impl<T: Real> Projected<T> for DiscFootprint<T> {
     }
 
     #[inline(always)]
-    fn fragments(&self, dx: &[T; LANES], dy: T, weight: &mut [T; LANES], depth: &mut [T; LANES]) {
-        for lane in 0..LANES {
-            let [u, v, ..] = self.plane.meet(dx[lane], dy);
-            weight[lane] = u * u + v * v;
-        }
-        for lane in 0..LANES {
-            let on_screen = self.squared_on_screen(dx[lane], dy);
-            weight[lane] = if on_screen < weight[lane] { on_screen } else { weight[lane] };
-        }
-        for weight in weight.iter_mut() {
-            *weight = self.strength * (T::of(-0.5) * *weight).exp_nonpositive();
-        }
-        for lane in 0..LANES {
-            let [_, _, z, facing] = self.plane.meet(dx[lane], dy);
-            depth[lane] = if facing.abs() > T::of(MIN_FACING) { z } else { T::zero() };
-        }
-        for weight in weight.iter_mut() {
-            *weight = if *weight >= T::of(CUTOFF) { *weight } else { T::zero() };
-        }
-        for lane in 0..LANES {
-            weight[lane] = if depth[lane] > self.near { weight[lane] } else { T::zero() };
-        }
+    fn draw<S: Simd>(&self, dx: Lanes<T, S>, dy: T) -> Option<Drawn<T, S>> {
+        let all = |value: f64| Lanes::splat(dx.simd(), T::of(value));
+        let [u, v, z, facing] = self.plane.meet(dx, dy);
+        let (on_disc, on_screen) = (u.mul_add(u, v * v), self.squared_on_screen(dx, dy));
+        let squared = Lanes::select(on_screen.below(on_disc), on_screen, on_disc);
+        let weight = Lanes::splat(dx.simd(), self.strength) * (all(-0.5) * squared).exp_nonpositive();
+        let depth = z.only(all(MIN_FACING).below(facing.abs()));
+        let drawn = weight.at_least(all(CUTOFF)) & Lanes::splat(dx.simd(), self.near).below(depth);
+        Drawn::new(drawn, weight, depth)
     }
 
     #[inline(always)]
-    fn gather<const MAPS: bool>(
-        &self,
-        group: &Group<T>,
-        work: &mut [[T; LANES]; WORK_ROWS],
-        sums: &mut Sums<[T; LANES]>,
-    ) {
-        let (dx, dy, power) = (group.dx, group.dy, group.power);
-        let [to_u, to_v, to_facing, to_distance, on_screen] = work;
-        for lane in 0..LANES {
-            let [u, v, _, facing] = self.plane.meet(dx[lane], dy);
-            let blended = group.covered[lane] > T::zero();
-            let filtered = self.squared_on_screen(dx[lane], dy) < u * u + v * v;
-            let by_disc = blended & !filtered;
-            // what is not blended may be infinite
-            let inverse = if blended { T::one() / facing } else { T::zero() };
-            let (u, v) = (if by_disc { u } else { T::zero() }, if by_disc { v } else { T::zero() });
-            let on_disc = if by_disc { power[lane] } else { T::zero() };
-            let mut grad_facing = on_disc * (u * u + v * v);
-            to_u[lane] = -on_disc * u * inverse;
-            to_v[lane] = -on_disc * v * inverse;
-            on_screen[lane] = power[lane] - on_disc;
-            if MAPS {
-                let grad_depth = group.grad_depth[lane];
-                grad_facing = grad_facing - grad_depth * group.depth[lane];
-                to_distance[lane] = grad_depth * inverse;
-            }
-            to_facing[lane] = grad_facing * inverse;
+    fn gather<S: Simd, const MAPS: bool>(&self, group: &Group<T, S>, sums: &mut Sums<Lanes<T, S>>) {
+        let (dx, dy, power, blended) = (group.dx, group.dy, group.power, group.blended);
+        let all = |value: T| Lanes::splat(dx.simd(), value);
+        let [u, v, _, facing] = self.plane.meet(dx, dy);
+        let by_disc = blended & self.squared_on_screen(dx, dy).at_least(u.mul_add(u, v * v));
+        // what is not blended may be infinite
+        let inverse = (all(T::one()) / facing).only(blended);
+        let (u, v, on_disc) = (u.only(by_disc), v.only(by_disc), power.only(by_disc));
+        let (mut grad_facing, mut to_distance) = (on_disc * u.mul_add(u, v * v), all(T::zero()));
+        if MAPS {
+            grad_facing = grad_facing - group.grad_depth * group.depth;
+            to_distance = group.grad_depth * inverse;
         }
+        let to_facing = grad_facing * inverse;
+        let (to_u, to_v) = (-(on_disc * u * inverse), -(on_disc * v * inverse));
+        let on_screen = power - on_disc;
         let [sum, moments @ .., screen_x, screen_y] = &mut *sums.footprint else {
-            unreachable!("twelve rows of lanes");
+            unreachable!("twelve sums");
         };
-        for lane in 0..LANES {
-            sum[lane] = sum[lane] + power[lane];
+        *sum = *sum + power;
+        for (moments, values) in moments.chunks_exact_mut(FIRST_MOMENTS).zip([to_u, to_v, to_facing]) {
+            add_first_moments(moments, values, dx, all(dy));
         }
-        for (moments, values) in moments.chunks_exact_mut(FIRST_MOMENTS).zip([&*to_u, &*to_v, &*to_facing]) {
-            add_first_moments(moments, values, dx, dy);
-        }
-        for lane in 0..LANES {
-            screen_x[lane] = screen_x[lane] + on_screen[lane] * (dx[lane] - self.low_pass[0]);
-        }
-        for lane in 0..LANES {
-            screen_y[lane] = screen_y[lane] + on_screen[lane] * (dy - self.low_pass[1]);
-        }
-        if let [x, y, size_x, size_y] = &mut *sums.probe {
+        *screen_x = on_screen.mul_add(dx - all(self.low_pass[0]), *screen_x);
+        *screen_y = on_screen.mul_add(all(dy - self.low_pass[1]), *screen_y);
+        if !sums.probe.is_empty() {
+            let distance = to_distance.only(by_disc);
             let [slopes_x, slopes_y] = &self.centre_slopes;
-            for lane in 0..LANES {
-                let [u, v, ..] = self.plane.meet(dx[lane], dy);
-                let filtered = self.squared_on_screen(dx[lane], dy) < u * u + v * v;
-                let distance = if MAPS & !filtered { to_distance[lane] } else { T::zero() };
-                let grad_x = slopes_x.gradient(to_u[lane], to_v[lane], distance, dy);
-                let grad_y = slopes_y.gradient(to_u[lane], to_v[lane], distance, dx[lane]);
-                x[lane] = x[lane] + grad_x;
-                y[lane] = y[lane] + grad_y;
-                size_x[lane] = size_x[lane] + grad_x.abs();
-                size_y[lane] = size_y[lane] + grad_y.abs();
-            }
+            let grad_x = slopes_x.gradient(to_u, to_v, distance, all(dy));
+            add_to_probe(sums.probe, grad_x, slopes_y.gradient(to_u, to_v, distance, dx));
         }
-        if MAPS && let [.., of_depth] = &mut *sums.maps {
-            for lane in 0..LANES {
-                of_depth[lane] = of_depth[lane] + to_distance[lane];
-            }
+        if MAPS {
+            add_depths(sums.maps, to_distance);
         }
     }
 

@@ -3,9 +3,11 @@
 //! Only differences of m count, so m is taken relative to that of a pixel's first fragment: of
 //! m = far / (far − near) · (1 − near / z) itself f32 would leave nothing but rounding where z ≫ near.
 
-use super::walk::group;
+use pulp::Simd;
+
+use super::walk::Fragments;
+use crate::backend::lanes::Lanes;
 use crate::backend::real::Real;
-use crate::backend::simd::LANES;
 use crate::math::CameraOf;
 use crate::ops::blend::far;
 use crate::tiles::TILE_PIXELS;
@@ -34,26 +36,24 @@ impl<T: Real> Spread<T> {
         Self { slope, reference: zero, first: zero, second: zero }
     }
 
-    /// Adds a fragment at `depth` to a group of pixels, `covered` αT each, where that is not 0, and returns by how
-    /// much distortion grows. `through` is T behind it.
+    /// Adds fragments to the pixels from `start` on, and returns by how much distortion grows.
     #[inline(always)]
-    pub fn add(&mut self, start: usize, covered: &[T; LANES], through: &[T; LANES], depth: &[T; LANES]) -> [T; LANES] {
-        let reference = group(&mut self.reference, start);
-        let first = group(&mut self.first, start);
-        let second = group(&mut self.second, start);
-        let two = T::of(2.0);
-        let mut growth = [T::zero(); LANES];
-        for lane in 0..LANES {
-            let blended = covered[lane] != T::zero();
-            let inverse = T::one() / depth[lane];
-            let fresh = blended & (reference[lane] == T::zero());
-            reference[lane] = if fresh { inverse } else { reference[lane] };
-            let m = if blended { self.slope * (reference[lane] - inverse) } else { T::zero() };
-            let before = T::one() - (through[lane] + covered[lane]);
-            growth[lane] = covered[lane] * (m * m * before + second[lane] - two * m * first[lane]);
-            first[lane] = first[lane] + covered[lane] * m;
-            second[lane] = second[lane] + covered[lane] * m * m;
-        }
+    pub fn add<S: Simd>(&mut self, start: usize, fragments: &Fragments<T, S>) -> Lanes<T, S> {
+        let &Fragments { blended, depth, covered, through } = fragments;
+        let simd = depth.simd();
+        let all = |value: T| Lanes::splat(simd, value);
+        let reference = Lanes::load(simd, &self.reference[start..]);
+        let first = Lanes::load(simd, &self.first[start..]);
+        let second = Lanes::load(simd, &self.second[start..]);
+        let inverse = all(T::one()) / depth;
+        let fresh = blended & all(T::zero()).at_least(reference);
+        let reference = Lanes::select(fresh, inverse, reference);
+        let m = (all(self.slope) * (reference - inverse)).only(blended);
+        let before = all(T::one()) - (through + covered);
+        let growth = covered * (m * m * before + second - all(T::of(2.0)) * m * first);
+        reference.store(&mut self.reference[start..]);
+        covered.mul_add(m, first).store(&mut self.first[start..]);
+        (covered * m).mul_add(m, second).store(&mut self.second[start..]);
         growth
     }
 }

@@ -1,43 +1,84 @@
 //! The backward pass: from the gradients of the planes to those of the parameters.
 
+use pulp::{Scalar, Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::distortion::{self, Spread};
 use super::hybrid::Tile;
 use super::normal::normal_backward;
-use super::projected::{CameraPair, Group, Layout, Projected, Sums, WORK_ROWS};
+use super::projected::{CameraPair, Drawn, Group, Layout, MOST_SUMS, Projected, Sums};
 use super::rays::walk_rays;
-use super::walk::{Fragments, Progress, Said, Sorted, Thresholds, group, is_nothing, walk_tile};
+use super::walk::{Progress, Said, Sorted, Thresholds, capped, walk_tile};
+use crate::backend::lanes::{Lanes, Mask, with_lanes};
 use crate::backend::real::Real;
-use crate::backend::simd::{LANES, vectorised};
 use crate::camera::Camera;
 use crate::footprint::gaussian::cpu::ParameterGrad;
 use crate::footprint::gaussian::tensors::GaussianRows;
-use crate::math::{CameraOf, V3};
+use crate::math::{CameraOf, V3, dot};
 use crate::ops::blend::{ALPHA_PLANE, BlendOptions, COLOUR_PLANES, DEPTH_PLANE, DISTORTION_PLANE, NORMAL_PLANE};
 use crate::scene::{BlendOrder, Transparency};
-use crate::tiles::TILE_PIXELS;
 use crate::tiles::layout::to_tiles;
-use crate::tiles::{for_each_group, group_offsets};
+use crate::tiles::{TILE_PIXELS, for_each_lanes, pixel_offset};
 
 /// Tiles whose sums are held at a time.
 const BATCH: usize = 64;
 /// Primitives that one task adds sums to.
 const CHUNK: usize = 4096;
 
-/// Lanes that the backward pass works on, on the heap as in `splat`.
-struct Scratch<T> {
-    /// α before it is capped, z, derivative of the payload, αT, gradient of the exponent, gradient of z.
-    pixel: Vec<[T; LANES]>,
-    work: Vec<[T; LANES]>,
-    /// As in [`Layout`].
-    sums: Vec<[T; LANES]>,
+/// Sums of a primitive over the pixels of a tile. Arrays of their own, so that those of constant size stay in registers.
+struct TileSums<T: Real, S: Simd> {
+    footprint: [Lanes<T, S>; MOST_SUMS],
+    colour: [Lanes<T, S>; 3],
+    probe: [Lanes<T, S>; 4],
+    maps: [Lanes<T, S>; 4],
 }
 
-impl<T: Real> Scratch<T> {
-    fn new(layout: &Layout) -> Self {
-        let rows = |count: usize| vec![[T::zero(); LANES]; count];
-        Self { pixel: rows(6), work: rows(WORK_ROWS), sums: rows(layout.width()) }
+impl<T: Real, S: Simd> TileSums<T, S> {
+    #[inline(always)]
+    fn new(simd: S) -> Self {
+        let zero = Lanes::zero(simd);
+        Self { footprint: [zero; MOST_SUMS], colour: [zero; 3], probe: [zero; 4], maps: [zero; 4] }
+    }
+
+    /// Adds the gradients of a primitive at some pixels; `grad` is [planes, `TILE_PIXELS`].
+    #[inline(always)]
+    fn add<F: Projected<T>, const MAPS: bool>(
+        &mut self,
+        footprint: &F,
+        grad: &[T],
+        start: usize,
+        group: &Group<T, S>,
+        probed: bool,
+    ) {
+        let simd = group.dx.simd();
+        add_covered(&mut self.colour, three(simd, grad, 0, start), group.covered);
+        if MAPS {
+            add_covered(&mut self.maps, three(simd, grad, NORMAL_PLANE, start), group.covered);
+        }
+        let mut sums = Sums {
+            footprint: &mut self.footprint[..F::SUMS],
+            colour: &mut self.colour,
+            probe: if probed { &mut self.probe } else { &mut [] },
+            maps: if MAPS { &mut self.maps } else { &mut [] },
+        };
+        footprint.gather::<S, MAPS>(group, &mut sums);
+    }
+
+    /// The totals, as in [`Layout`].
+    #[inline(always)]
+    fn write(&self, layout: &Layout, totals: &mut [T]) {
+        let sums = layout.split(totals);
+        let parts = [
+            (&self.footprint[..], sums.footprint),
+            (&self.colour, sums.colour),
+            (&self.probe, sums.probe),
+            (&self.maps, sums.maps),
+        ];
+        for (lanes, totals) in parts {
+            for (lanes, total) in lanes.iter().zip(totals) {
+                *total = lanes.sum();
+            }
+        }
     }
 }
 
@@ -67,289 +108,241 @@ struct WayBack<'a, T> {
     slope: T,
 }
 
-/// Three planes of a group of pixels, from `first` on.
+/// Three planes of the pixels from `start` on, from `first` on.
 #[inline(always)]
-fn three<T: Real>(grad: &[T], first: usize, start: usize) -> [&[T; LANES]; 3] {
-    [0, 1, 2].map(|plane| lanes(grad, (first + plane) * TILE_PIXELS + start))
+fn three<T: Real, S: Simd>(simd: S, grad: &[T], first: usize, start: usize) -> V3<Lanes<T, S>> {
+    let plane = |plane: usize| Lanes::load(simd, &grad[(first + plane) * TILE_PIXELS + start..]);
+    [plane(0), plane(1), plane(2)]
 }
 
 #[inline(always)]
-fn lanes<T: Real>(values: &[T], start: usize) -> &[T; LANES] {
-    (&values[start..start + LANES]).try_into().expect("one group")
-}
-
-#[inline(always)]
-fn add_payload<T: Real>(own: &mut [T; LANES], grads: [&[T; LANES]; 3], payload: V3<T>) {
-    for (grad, value) in grads.into_iter().zip(payload) {
-        for lane in 0..LANES {
-            own[lane] = own[lane] + grad[lane] * value;
-        }
-    }
-}
-
-#[inline(always)]
-fn add_covered<T: Real>(sums: &mut [[T; LANES]], grads: [&[T; LANES]; 3], covered: &[T; LANES]) {
+fn add_covered<T: Real, S: Simd>(sums: &mut [Lanes<T, S>], grads: V3<Lanes<T, S>>, covered: Lanes<T, S>) {
     for (sum, grad) in sums.iter_mut().zip(grads) {
-        for lane in 0..LANES {
-            sum[lane] = sum[lane] + covered[lane] * grad[lane];
-        }
+        *sum = covered.mul_add(grad, *sum);
     }
 }
 
 impl<T: Real> WayBack<'_, T> {
-    /// Adds to `own` what depth, normal and distortion make of an αT; sets `grad_depth` to the gradient
-    /// with respect to z over αT.
+    /// What depth, normal and distortion make of an αT, and the gradient with respect to z over αT.
     #[inline(always)]
-    fn add_maps(
-        &self,
-        start: usize,
-        normal: V3<T>,
-        [weight, depth]: [&[T; LANES]; 2],
-        own: &mut [T; LANES],
-        grad_depth: &mut [T; LANES],
-    ) {
-        let two = T::of(2.0);
-        let of_depth = lanes(self.grad, DEPTH_PLANE * TILE_PIXELS + start);
-        let of_distortion = lanes(self.grad, DISTORTION_PLANE * TILE_PIXELS + start);
-        let (first, second) = (lanes(&self.spread.first, start), lanes(&self.spread.second, start));
-        let (reference, total) = (lanes(&self.spread.reference, start), lanes(&self.alpha, start));
-        add_payload(own, three(self.grad, NORMAL_PLANE, start), normal);
-        for lane in 0..LANES {
-            let inverse = if weight[lane] != T::zero() { T::one() / depth[lane] } else { T::zero() };
-            let m = self.slope * (reference[lane] - inverse);
-            let apart = m * m * total[lane] + second[lane] - two * m * first[lane];
-            own[lane] = own[lane] + of_depth[lane] * depth[lane] + of_distortion[lane] * apart;
-            let grad_m = of_distortion[lane] * two * (m * total[lane] - first[lane]);
-            grad_depth[lane] = of_depth[lane] + grad_m * self.slope * inverse * inverse;
-        }
+    fn maps<S: Simd>(&self, start: usize, normal: V3<T>, blended: Mask<T, S>, depth: Lanes<T, S>) -> [Lanes<T, S>; 2] {
+        let simd = depth.simd();
+        let all = |value: T| Lanes::splat(simd, value);
+        let plane = |plane: usize| Lanes::load(simd, &self.grad[plane * TILE_PIXELS + start..]);
+        let of_pixel = |values: &[T; TILE_PIXELS]| Lanes::load(simd, &values[start..]);
+        let (of_depth, of_distortion) = (plane(DEPTH_PLANE), plane(DISTORTION_PLANE));
+        let (first, second) = (of_pixel(&self.spread.first), of_pixel(&self.spread.second));
+        let (reference, total) = (of_pixel(&self.spread.reference), of_pixel(&self.alpha));
+        let (slope, two) = (all(self.slope), all(T::of(2.0)));
+        let inverse = (all(T::one()) / depth).only(blended);
+        let m = slope * (reference - inverse);
+        let apart = m * m * total + second - two * m * first;
+        let of_normal = dot(three(simd, self.grad, NORMAL_PLANE, start), Lanes::splat_three(simd, normal));
+        let grad_m = of_distortion * two * (m * total - first);
+        [of_normal + of_depth * depth + of_distortion * apart, of_depth + grad_m * slope * inverse * inverse]
     }
 
-    /// Removes one primitive from a group of pixels, of which `pixel` then has α, z, αT and the gradients. Returns whether
-    /// it was blended in any.
+    /// Removes one primitive from the pixels from `start` on. `None` if it was blended in none.
     #[inline(always)]
-    fn pass<F: Projected<T>, const MAPS: bool>(
+    fn pass<F: Projected<T>, S: Simd, const MAPS: bool>(
         &mut self,
         entry: &Entry<T, F>,
         start: usize,
-        (dx, dy): (&[T; LANES], T),
-        pixel: &mut [[T; LANES]],
-    ) -> bool {
-        let [weight, depth, own, covered, power, grad_depth] = pixel else {
-            unreachable!("six rows of lanes");
-        };
-        entry.footprint.fragments(dx, dy, weight, depth);
-        let end = group(&mut self.progress.end, start);
-        for lane in 0..LANES {
-            let blended = if entry.position < end[lane] { T::one() } else { T::zero() };
-            weight[lane] = weight[lane] * blended;
+        dx: Lanes<T, S>,
+        dy: T,
+    ) -> Option<Group<T, S>> {
+        let simd = dx.simd();
+        let all = |value: T| Lanes::splat(simd, value);
+        let Drawn { drawn, weight, depth } = entry.footprint.draw(dx, dy)?;
+        let blended = drawn & all(entry.position).below(Lanes::load(simd, &self.progress.end[start..]));
+        if !blended.any() {
+            return None;
         }
-        if is_nothing(weight) {
-            return false;
-        }
-        own.fill(T::zero());
-        add_payload(own, three(self.grad, 0, start), entry.colour);
+        let mut own = dot(three(simd, self.grad, 0, start), Lanes::splat_three(simd, entry.colour));
+        let mut grad_depth = all(T::zero());
         if MAPS {
-            self.add_maps(start, entry.normal, [&*weight, &*depth], own, grad_depth);
+            let [of_maps, of_depth] = self.maps(start, entry.normal, blended, depth);
+            (own, grad_depth) = (own + of_maps, of_depth);
         }
-        let through = group(&mut self.progress.through, start);
-        let behind = group(&mut self.behind, start);
-        for lane in 0..LANES {
-            let alpha = weight[lane].min(self.max_alpha).max(-self.max_alpha);
-            let before = through[lane] / (T::one() - alpha);
-            let free = if weight[lane].abs() < self.max_alpha { T::one() } else { T::zero() };
-            covered[lane] = alpha * before;
-            power[lane] = free * covered[lane] * (own[lane] - behind[lane]);
-            behind[lane] = alpha * own[lane] + (T::one() - alpha) * behind[lane];
-            through[lane] = before;
-        }
-        if MAPS {
-            for lane in 0..LANES {
-                grad_depth[lane] = covered[lane] * grad_depth[lane];
-            }
-        }
-        true
+        let through = Lanes::load(simd, &self.progress.through[start..]);
+        let behind = Lanes::load(simd, &self.behind[start..]);
+        let alpha = capped(weight, self.max_alpha).only(blended);
+        let passed = all(T::one()) - alpha;
+        let before = through / passed;
+        let covered = alpha * before;
+        let free = weight.abs().below(all(self.max_alpha));
+        before.store(&mut self.progress.through[start..]);
+        alpha.mul_add(own, passed * behind).store(&mut self.behind[start..]);
+        let power = (covered * (own - behind)).only(free);
+        Some(Group { dx, dy, blended, covered, power, depth, grad_depth: covered * grad_depth })
     }
 }
 
-/// Adds the gradients of a primitive in a group of pixels to its sums.
-#[inline(always)]
-fn add_group<T: Real, F: Projected<T>, const MAPS: bool>(
-    footprint: &F,
-    grad: &[T],
-    start: usize,
-    group: &Group<T>,
-    work: &mut [[T; LANES]; WORK_ROWS],
-    sums: &mut Sums<[T; LANES]>,
-) {
-    add_covered(sums.colour, three(grad, 0, start), group.covered);
-    if MAPS {
-        add_covered(sums.maps, three(grad, NORMAL_PLANE, start), group.covered);
-    }
-    footprint.gather::<MAPS>(group, work, sums);
-}
-
-/// Sums over the pixels of a tile for the primitives of its list, up to where the last pixel ends, each as
-/// in [`Layout`]; `grad` is [planes, `TILE_PIXELS`], zero outside the image.
-#[inline(always)]
-fn gather_tile<T: Real, F: Projected<T>, const MAPS: bool>(
-    sorted: &Sorted<T, F>,
+/// The backward pass of a tile.
+struct GatherTile<'a, T, F> {
+    sorted: &'a Sorted<T, F>,
+    camera: &'a CameraOf<T>,
     tile: usize,
-    grad: &[T],
-    layout: &Layout,
-    thresholds: &Thresholds<T>,
+    /// [planes, `TILE_PIXELS`], zero outside the image.
+    grad: &'a [T],
+    layout: &'a Layout,
+    thresholds: &'a Thresholds<T>,
     slope: T,
-) -> Vec<T> {
-    let mut spread = Spread::new(slope);
-    let progress = walk_tile(
-        sorted,
-        tile,
-        thresholds,
-        #[inline(always)]
-        |_, start, Fragments { covered, through, depth, .. }| {
-            if MAPS {
-                spread.add(start, covered, through, depth);
+    order: BlendOrder,
+}
+
+impl<T: Real, F: Projected<T>> WithSimd for GatherTile<'_, T, F> {
+    /// Sums over the pixels of the tile for the primitives of its list, up to where the last pixel ends, each as in
+    /// [`Layout`].
+    type Output = Vec<T>;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> Vec<T> {
+        let (of_colour, of_maps) = self.grad.split_at(COLOUR_PLANES * TILE_PIXELS);
+        let reached = |grad: &[T]| grad.iter().any(|&value| value != T::zero());
+        if reached(of_maps) {
+            self.gather::<S, true>(simd)
+        } else if reached(of_colour) {
+            self.gather::<S, false>(simd)
+        } else {
+            Vec::new()
+        }
+    }
+}
+
+impl<T: Real, F: Projected<T>> GatherTile<'_, T, F> {
+    #[inline(always)]
+    fn gather<S: Simd, const MAPS: bool>(&self, simd: S) -> Vec<T> {
+        match self.order {
+            BlendOrder::Centres | BlendOrder::Whitened(Transparency::Sorted) => self.by_centres::<S, MAPS>(simd),
+            BlendOrder::Rays => self.said::<S, MAPS>(simd, &self.by_rays::<MAPS>()),
+            BlendOrder::Whitened(transparency) => {
+                let tile = Tile::new(simd, self.sorted, self.camera, self.tile, self.thresholds, transparency);
+                self.said::<S, MAPS>(simd, &tile.go_back::<MAPS>(self.grad))
             }
-        },
-    );
-    let (list, origin, width) = (sorted.lists.of(tile), sorted.grid.origin(tile), layout.width());
-    let mut sums = vec![T::zero(); progress.last_end() * width];
-    let of_alpha = &grad[ALPHA_PLANE * TILE_PIXELS..][..TILE_PIXELS];
-    let behind: [T; TILE_PIXELS] = std::array::from_fn(|pixel| -of_alpha[pixel]);
-    let alpha: [T; TILE_PIXELS] = std::array::from_fn(|pixel| T::one() - progress.through[pixel]);
-    let max_alpha = thresholds.max_alpha;
-    let mut way = WayBack { progress, behind, grad, max_alpha, spread, alpha, slope };
-    let mut scratch = Scratch::new(layout);
-    let Scratch { pixel, work, sums: rows } = &mut scratch;
-    let pixel = pixel.as_mut_slice();
-    let work: &mut [[T; LANES]; WORK_ROWS] = work.as_mut_slice().try_into().expect("as many rows");
-    for (position, sums) in sums.chunks_exact_mut(width).enumerate().rev() {
-        let id = list[position] as usize;
-        let footprint = &sorted.footprints[id];
-        let normal = if MAPS { sorted.normals[id] } else { [T::zero(); 3] };
-        let entry = Entry { position: T::of(position as f64), footprint, colour: footprint.colour(), normal };
-        rows.fill([T::zero(); LANES]);
-        let mut parts = layout.split(rows);
-        for_each_group(
-            footprint.anchor(),
-            &sorted.rects[id],
-            origin,
+        }
+    }
+
+    #[inline(always)]
+    fn entry<const MAPS: bool>(&self, position: usize, number: T) -> (usize, Entry<'_, T, F>) {
+        let id = self.sorted.lists.of(self.tile)[position] as usize;
+        let footprint = &self.sorted.footprints[id];
+        let normal = if MAPS { self.sorted.normals[id] } else { [T::zero(); 3] };
+        (id, Entry { position: number, footprint, colour: footprint.colour(), normal })
+    }
+
+    /// From the pixels, of which T behind everything is known.
+    #[inline(always)]
+    fn way_back(&self, progress: Progress<T>, spread: Spread<T>) -> WayBack<'_, T> {
+        let of_alpha = &self.grad[ALPHA_PLANE * TILE_PIXELS..][..TILE_PIXELS];
+        WayBack {
+            behind: std::array::from_fn(|pixel| -of_alpha[pixel]),
+            grad: self.grad,
+            max_alpha: self.thresholds.max_alpha,
+            spread,
+            alpha: std::array::from_fn(|pixel| T::one() - progress.through[pixel]),
+            slope: self.slope,
+            progress,
+        }
+    }
+
+    #[inline(always)]
+    fn by_centres<S: Simd, const MAPS: bool>(&self, simd: S) -> Vec<T> {
+        let mut spread = Spread::new(self.slope);
+        let progress = walk_tile(
+            simd,
+            self.sorted,
+            self.tile,
+            self.thresholds,
             #[inline(always)]
-            |start, dx, dy| {
-                if way.pass::<F, MAPS>(&entry, start, (&dx, dy), &mut pixel[..]) {
-                    let [_, depth, _, covered, power, grad_depth] = &*pixel else { unreachable!("six rows of lanes") };
-                    let group = Group { dx: &dx, dy, covered, power, depth, grad_depth };
-                    add_group::<T, F, MAPS>(footprint, grad, start, &group, work, &mut parts);
+            |_, start, fragments| {
+                if MAPS {
+                    spread.add(start, fragments);
                 }
             },
         );
-        for (sum, row) in sums.iter_mut().zip(rows.iter()) {
-            *sum = total(row);
+        let (origin, width) = (self.sorted.grid.origin(self.tile), self.layout.width());
+        let mut totals = vec![T::zero(); progress.last_end(simd) * width];
+        let mut way = self.way_back(progress, spread);
+        for (position, totals) in totals.chunks_exact_mut(width).enumerate().rev() {
+            let (id, entry) = self.entry::<MAPS>(position, T::of(position as f64));
+            let mut sums = TileSums::new(simd);
+            for_each_lanes(
+                simd,
+                entry.footprint.anchor(),
+                &self.sorted.rects[id],
+                origin,
+                #[inline(always)]
+                |start, dx, dy| {
+                    if let Some(group) = way.pass::<F, S, MAPS>(&entry, start, dx, dy) {
+                        sums.add::<F, MAPS>(entry.footprint, self.grad, start, &group, self.layout.probe);
+                    }
+                },
+            );
+            sums.write(self.layout, totals);
         }
+        totals
     }
-    sums
-}
 
-/// [`gather_tile`] in the order of each pixel's own ray: first back through every pixel by itself, then over the pixels of
-/// every primitive.
-fn gather_tile_by_rays<T: Real, F: Projected<T>, const MAPS: bool>(
-    sorted: &Sorted<T, F>,
-    camera: &CameraOf<T>,
-    tile: usize,
-    grad: &[T],
-    layout: &Layout,
-    thresholds: &Thresholds<T>,
-    slope: T,
-) -> Vec<T> {
-    let mut spread = Spread::new(slope);
-    let mut orders: Vec<Vec<usize>> = vec![Vec::new(); TILE_PIXELS];
-    let through = walk_rays(sorted, camera, tile, thresholds, |position, pixel, fragments| {
-        if MAPS {
-            let Fragments { covered, through, depth, .. } = fragments;
-            spread.add(pixel / LANES * LANES, covered, through, depth);
-        }
-        orders[pixel].push(position);
-    });
-    let entries = orders.iter().flatten().max().map_or(0, |last| last + 1);
-    let (list, origin) = (sorted.lists.of(tile), sorted.grid.origin(tile));
-    let entry = |position: usize| {
-        let id = list[position] as usize;
-        let footprint = &sorted.footprints[id];
-        let normal = if MAPS { sorted.normals[id] } else { [T::zero(); 3] };
-        Entry { position: T::zero(), footprint, colour: footprint.colour(), normal }
-    };
-    let of_alpha = &grad[ALPHA_PLANE * TILE_PIXELS..][..TILE_PIXELS];
-    let mut way = WayBack {
-        progress: Progress::ended(through),
-        behind: std::array::from_fn(|pixel| -of_alpha[pixel]),
-        grad,
-        max_alpha: thresholds.max_alpha,
-        spread,
-        alpha: std::array::from_fn(|pixel| T::one() - through[pixel]),
-        slope,
-    };
-    let mut scratch = Scratch::new(layout);
-    let rows_of_pixel = scratch.pixel.as_mut_slice();
-    let mut said: Vec<Said<T>> = vec![[[T::zero(); TILE_PIXELS]; 3]; entries];
-    for (pixel, order) in orders.iter().enumerate() {
-        let (start, lane) = (pixel / LANES * LANES, pixel % LANES);
-        // the only pixel of its group that has not ended
-        way.progress.end[pixel] = T::one();
-        for &position in order.iter().rev() {
-            let entry = entry(position);
-            let (dx, dy) = group_offsets(entry.footprint.anchor(), origin, start);
-            if way.pass::<F, MAPS>(&entry, start, (&dx, dy), rows_of_pixel) {
-                let [_, _, _, covered, power, grad_depth] = &*rows_of_pixel else {
-                    unreachable!("six rows of lanes");
-                };
-                for (said, row) in said[position].iter_mut().zip([covered, power, grad_depth]) {
-                    said[pixel] = row[lane];
+    /// First back through every pixel by itself, in the order of its own ray.
+    fn by_rays<const MAPS: bool>(&self) -> Vec<Said<T>> {
+        let mut spread = Spread::new(self.slope);
+        let mut orders: Vec<Vec<usize>> = vec![Vec::new(); TILE_PIXELS];
+        let through = walk_rays(self.sorted, self.camera, self.tile, self.thresholds, |position, pixel, fragments| {
+            if MAPS {
+                spread.add(pixel, fragments);
+            }
+            orders[pixel].push(position);
+        });
+        let entries = orders.iter().flatten().max().map_or(0, |last| last + 1);
+        let mut way = self.way_back(Progress::ended(through), spread);
+        let mut said: Vec<Said<T>> = vec![[[T::zero(); TILE_PIXELS]; 3]; entries];
+        for (pixel, order) in orders.iter().enumerate() {
+            way.progress.end[pixel] = T::one();
+            for &position in order.iter().rev() {
+                let (_, entry) = self.entry::<MAPS>(position, T::zero());
+                let [dx, dy] = pixel_offset(entry.footprint.anchor(), self.sorted.grid.origin(self.tile), pixel);
+                let dx = Lanes::splat(Scalar::new(), dx);
+                if let Some(group) = way.pass::<F, Scalar, MAPS>(&entry, pixel, dx, dy) {
+                    let numbers = [group.covered, group.power, group.grad_depth];
+                    for (said, number) in said[position].iter_mut().zip(numbers) {
+                        said[pixel] = number.sum();
+                    }
                 }
             }
         }
-        way.progress.end[pixel] = T::zero();
+        said
     }
-    gather_said::<T, F, MAPS>(sorted, tile, grad, layout, &said)
-}
 
-/// Sums over the pixels of a tile for the first entries of its list, from what these say about them.
-fn gather_said<T: Real, F: Projected<T>, const MAPS: bool>(
-    sorted: &Sorted<T, F>,
-    tile: usize,
-    grad: &[T],
-    layout: &Layout,
-    said: &[Said<T>],
-) -> Vec<T> {
-    let (list, origin, width) = (sorted.lists.of(tile), sorted.grid.origin(tile), layout.width());
-    let mut scratch = Scratch::new(layout);
-    let Scratch { work, sums: rows, .. } = &mut scratch;
-    let work: &mut [[T; LANES]; WORK_ROWS] = work.as_mut_slice().try_into().expect("as many rows");
-    let mut sums = vec![T::zero(); said.len() * width];
-    for (position, (sums, said)) in sums.chunks_exact_mut(width).zip(said).enumerate() {
-        let id = list[position] as usize;
-        let footprint = &sorted.footprints[id];
-        rows.fill([T::zero(); LANES]);
-        let mut parts = layout.split(rows);
-        let depth = [footprint.centre_depth(); LANES];
-        for_each_group(footprint.anchor(), &sorted.rects[id], origin, |start, dx, dy| {
-            let [covered, power, grad_depth] = said.each_ref().map(|said| lanes(said, start));
-            if !is_nothing(covered) {
-                let group = Group { dx: &dx, dy, covered, power, depth: &depth, grad_depth };
-                add_group::<T, F, MAPS>(footprint, grad, start, &group, work, &mut parts);
-            }
-        });
-        for (sum, row) in sums.iter_mut().zip(rows.iter()) {
-            *sum = total(row);
+    /// Over the pixels of the primitives, from what these say about them.
+    #[inline(always)]
+    fn said<S: Simd, const MAPS: bool>(&self, simd: S, said: &[Said<T>]) -> Vec<T> {
+        let (origin, width) = (self.sorted.grid.origin(self.tile), self.layout.width());
+        let mut totals = vec![T::zero(); said.len() * width];
+        for (position, (totals, said)) in totals.chunks_exact_mut(width).zip(said).enumerate() {
+            let (id, Entry { footprint, .. }) = self.entry::<MAPS>(position, T::zero());
+            let depth = Lanes::splat(simd, footprint.centre_depth());
+            let mut sums = TileSums::new(simd);
+            for_each_lanes(
+                simd,
+                footprint.anchor(),
+                &self.sorted.rects[id],
+                origin,
+                #[inline(always)]
+                |start, dx, dy| {
+                    let row = |at: usize| Lanes::load(simd, &said[at][start..]);
+                    let (covered, power, grad_depth) = (row(0), row(1), row(2));
+                    let blended = Lanes::zero(simd).below(covered);
+                    if blended.any() {
+                        let group = Group { dx, dy, blended, covered, power, depth, grad_depth };
+                        sums.add::<F, MAPS>(footprint, self.grad, start, &group, self.layout.probe);
+                    }
+                },
+            );
+            sums.write(self.layout, totals);
         }
+        totals
     }
-    sums
-}
-
-/// By halves, so that the first step is one instruction.
-#[inline(always)]
-fn total<T: Real>(row: &[T; LANES]) -> T {
-    let [a, b, c, d, e, f, g, h] = *row;
-    let [a, b, c, d] = [a + e, b + f, c + g, d + h];
-    (a + c) + (b + d)
 }
 
 /// Sums over all pixels for every sorted primitive, each as in `layout`; `grad` is [P, H, W].
@@ -367,40 +360,8 @@ fn gather<T: Real, F: Projected<T>>(
     let mut sums = vec![T::zero(); sorted.footprints.len() * width];
     let of_tile = |tile: usize| {
         let grad = &grad[tile * block..][..block];
-        let (of_colour, of_maps) = grad.split_at(COLOUR_PLANES * TILE_PIXELS);
-        let reached = |grad: &[T]| grad.iter().any(|&value| value != T::zero());
-        vectorised(
-            #[inline(always)]
-            || {
-                let maps = reached(of_maps);
-                if !maps && !reached(of_colour) {
-                    return Vec::new();
-                }
-                let hybrid = |transparency| Tile::new(sorted, camera, tile, &thresholds, transparency);
-                match (options.order, maps) {
-                    (BlendOrder::Centres | BlendOrder::Whitened(Transparency::Sorted), true) => {
-                        gather_tile::<T, F, true>(sorted, tile, grad, layout, &thresholds, slope)
-                    }
-                    (BlendOrder::Centres | BlendOrder::Whitened(Transparency::Sorted), false) => {
-                        gather_tile::<T, F, false>(sorted, tile, grad, layout, &thresholds, slope)
-                    }
-                    (BlendOrder::Rays, true) => {
-                        gather_tile_by_rays::<T, F, true>(sorted, camera, tile, grad, layout, &thresholds, slope)
-                    }
-                    (BlendOrder::Rays, false) => {
-                        gather_tile_by_rays::<T, F, false>(sorted, camera, tile, grad, layout, &thresholds, slope)
-                    }
-                    (BlendOrder::Whitened(transparency), true) => {
-                        let said = hybrid(transparency).go_back::<true>(grad);
-                        gather_said::<T, F, true>(sorted, tile, grad, layout, &said)
-                    }
-                    (BlendOrder::Whitened(transparency), false) => {
-                        let said = hybrid(transparency).go_back::<false>(grad);
-                        gather_said::<T, F, false>(sorted, tile, grad, layout, &said)
-                    }
-                }
-            },
-        )
+        let order = options.order;
+        with_lanes(GatherTile { sorted, camera, tile, grad, layout, thresholds: &thresholds, slope, order })
     };
     for first_tile in (0..sorted.grid.len()).step_by(BATCH) {
         let batch = first_tile..sorted.grid.len().min(first_tile + BATCH);

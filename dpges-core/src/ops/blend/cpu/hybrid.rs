@@ -1,15 +1,17 @@
 //! Pixels that blend their nearest fragments in order, and mix the others behind them (HTGS).
 
+use pulp::Simd;
+
 use super::distortion::slope;
-use super::projected::Projected;
+use super::projected::{Drawn, Projected};
 use super::walk::{Said, Sorted, Thresholds};
 use super::{ALPHA_PLANE, DEPTH_PLANE, DISTORTION_PLANE, MEDIAN, NORMAL_PLANE};
 use crate::backend::real::Real;
-use crate::backend::simd::LANES;
+use crate::backend::vectors::MOST;
 use crate::math::CameraOf;
 use crate::ops::blend::{CORE, CORE_ALPHA};
 use crate::scene::Transparency;
-use crate::tiles::{TILE, TILE_PIXELS, for_each_group};
+use crate::tiles::{TILE, TILE_PIXELS, for_each_lanes};
 
 /// Numbers of a fragment that are mixed by weight: colour, z, normal, m and m².
 const PAYLOAD: usize = 9;
@@ -58,7 +60,8 @@ struct Weights<T> {
 }
 
 /// The blending of a tile.
-pub struct Tile<'a, T, F> {
+pub struct Tile<'a, T, F, S> {
+    simd: S,
     sorted: &'a Sorted<T, F>,
     tile: usize,
     thresholds: &'a Thresholds<T>,
@@ -70,15 +73,16 @@ fn weighted<T: Real>(coefficients: &[T; PAYLOAD], payload: &[T; PAYLOAD]) -> T {
     coefficients.iter().zip(payload).map(|(&coefficient, &value)| coefficient * value).sum()
 }
 
-impl<'a, T: Real, F: Projected<T>> Tile<'a, T, F> {
+impl<'a, T: Real, F: Projected<T>, S: Simd> Tile<'a, T, F, S> {
     pub fn new(
+        simd: S,
         sorted: &'a Sorted<T, F>,
         camera: &CameraOf<T>,
         tile: usize,
         thresholds: &'a Thresholds<T>,
         transparency: Transparency,
     ) -> Self {
-        Self { sorted, tile, thresholds, transparency, slope: slope(camera) }
+        Self { simd, sorted, tile, thresholds, transparency, slope: slope(camera) }
     }
 
     fn list(&self) -> &'a [u32] {
@@ -91,16 +95,26 @@ impl<'a, T: Real, F: Projected<T>> Tile<'a, T, F> {
         let (grid, origin) = (self.sorted.grid, self.sorted.grid.origin(self.tile));
         let id = self.list()[position] as usize;
         let footprint = &self.sorted.footprints[id];
-        let (mut weight, mut depth) = ([T::zero(); LANES], [T::zero(); LANES]);
-        for_each_group(footprint.anchor(), &self.sorted.rects[id], origin, |start, dx, dy| {
-            footprint.fragments(&dx, dy, &mut weight, &mut depth);
-            for lane in 0..LANES {
-                let (pixel, column) = (start + lane, origin.0 + start % TILE + lane);
-                if weight[lane] > T::zero() && column < grid.width && origin.1 + start / TILE < grid.height {
-                    visit(pixel, Fragment { position: position as u32, weight: weight[lane], depth: depth[lane] });
+        for_each_lanes(
+            self.simd,
+            footprint.anchor(),
+            &self.sorted.rects[id],
+            origin,
+            #[inline(always)]
+            |start, dx, dy| {
+                let Some(Drawn { drawn, weight, depth }) = footprint.draw(dx, dy) else { return };
+                let (mut weights, mut depths) = ([T::zero(); MOST], [T::zero(); MOST]);
+                weight.only(drawn).store(&mut weights);
+                depth.store(&mut depths);
+                for lane in 0..T::lane_count::<S>() {
+                    let (weight, depth) = (weights[lane], depths[lane]);
+                    let (column, line) = (origin.0 + start % TILE + lane, origin.1 + start / TILE);
+                    if weight > T::zero() && column < grid.width && line < grid.height {
+                        visit(start + lane, Fragment { position: position as u32, weight, depth });
+                    }
                 }
-            }
-        });
+            },
+        );
     }
 
     fn alpha(&self, fragment: &Fragment<T>) -> T {

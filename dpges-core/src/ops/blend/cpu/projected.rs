@@ -1,10 +1,13 @@
 //! A primitive of either form as a camera sees it.
 
+use pulp::Simd;
+
+use crate::backend::lanes::{Lanes, Mask};
 use crate::backend::real::Real;
-use crate::backend::simd::LANES;
 use crate::camera::Camera;
 use crate::footprint::gaussian::cpu as splat;
 use crate::footprint::gaussian::cpu::along_ray::AlongRay;
+use crate::footprint::gaussian::cpu::lanes::{At, SplatLanes};
 use crate::footprint::gaussian::cpu::{ParameterGrad, Parameters, Splat, SplatGrad};
 use crate::footprint::moments::{MOMENTS, add_moments};
 use crate::math::{CameraOf, V3, add, scale};
@@ -24,20 +27,40 @@ impl<T: Real> CameraPair<T> {
     }
 }
 
-/// A group of pixels on the way back, at offsets (`dx`, `dy`) px from the anchor of a footprint.
-pub struct Group<'a, T> {
-    pub dx: &'a [T; LANES],
-    pub dy: T,
-    /// αT
-    pub covered: &'a [T; LANES],
-    /// Gradient with respect to the exponent of α.
-    pub power: &'a [T; LANES],
-    /// With maps: z and the gradient with respect to it.
-    pub depth: &'a [T; LANES],
-    pub grad_depth: &'a [T; LANES],
+/// A primitive at the pixels of a vector.
+pub struct Drawn<T: Real, S: Simd> {
+    /// Where there is a fragment.
+    pub drawn: Mask<T, S>,
+    /// α before it is capped; any finite number where there is no fragment.
+    pub weight: Lanes<T, S>,
+    /// z, likewise.
+    pub depth: Lanes<T, S>,
 }
 
-/// Sums over the pixels of one primitive, of one lane each or in total.
+impl<T: Real, S: Simd> Drawn<T, S> {
+    /// `None` if there is no fragment.
+    #[inline(always)]
+    pub fn new(drawn: Mask<T, S>, weight: Lanes<T, S>, depth: Lanes<T, S>) -> Option<Self> {
+        drawn.any().then_some(Self { drawn, weight, depth })
+    }
+}
+
+/// Pixels on the way back, at offsets (`dx`, `dy`) px from the anchor of a footprint.
+pub struct Group<T: Real, S: Simd> {
+    pub dx: Lanes<T, S>,
+    pub dy: T,
+    /// Where something is blended; elsewhere all gradients are 0.
+    pub blended: Mask<T, S>,
+    /// αT
+    pub covered: Lanes<T, S>,
+    /// Gradient with respect to the exponent of α.
+    pub power: Lanes<T, S>,
+    /// With maps: z and the gradient with respect to it.
+    pub depth: Lanes<T, S>,
+    pub grad_depth: Lanes<T, S>,
+}
+
+/// Sums over the pixels of one primitive, by lanes or in total.
 pub struct Sums<'a, V> {
     /// [`Projected::SUMS`]
     pub footprint: &'a mut [V],
@@ -78,8 +101,8 @@ impl Layout {
     }
 }
 
-/// Rows of lanes that [`Projected::gather`] may work on.
-pub const WORK_ROWS: usize = 5;
+/// The most that [`Projected::SUMS`] can be.
+pub const MOST_SUMS: usize = 13;
 
 /// One primitive seen by one camera.
 pub trait Projected<T: Real>: Copy + Send + Sync {
@@ -113,17 +136,11 @@ pub trait Projected<T: Real>: Copy + Send + Sync {
     /// Whether α can reach the cutoff at some pixel of a tile.
     fn touches(&self, tile_x: usize, tile_y: usize) -> bool;
 
-    /// α before it is capped, and z, at offsets from the anchor; 0 and any finite z where there is no fragment.
-    /// One loop for each number: loops that make several are not vectorised.
-    fn fragments(&self, dx: &[T; LANES], dy: T, weight: &mut [T; LANES], depth: &mut [T; LANES]);
+    /// At offsets from the anchor, px; `None` if there is no fragment.
+    fn draw<S: Simd>(&self, dx: Lanes<T, S>, dy: T) -> Option<Drawn<T, S>>;
 
-    /// Adds a group of pixels to the sums of the footprint and the probe and, with `MAPS`, of z.
-    fn gather<const MAPS: bool>(
-        &self,
-        group: &Group<T>,
-        work: &mut [[T; LANES]; WORK_ROWS],
-        sums: &mut Sums<[T; LANES]>,
-    );
+    /// Adds pixels to the sums of the footprint and the probe and, with `MAPS`, of z.
+    fn gather<S: Simd, const MAPS: bool>(&self, group: &Group<T, S>, sums: &mut Sums<Lanes<T, S>>);
 
     /// Factor on the sums of the probe: half the image in x and y for gradients per px.
     fn probe_units(camera: &Camera) -> [T; 4] {
@@ -141,29 +158,38 @@ pub fn thinnest_axis<T: Real>(parameters: &Parameters<T>) -> usize {
     (0..3).min_by(|&a, &b| size(a).total_cmp(&size(b))).unwrap_or(0)
 }
 
-/// Adds a group to the sums of a probe: the gradient of the mean, where `power` is −2 times that of r² with (u, v) the
-/// offset in standard deviations by the `root`.
+/// Adds gradients in x and y to a probe.
 #[inline(always)]
-pub fn add_to_probe<T: Real>(probe: &mut [[T; LANES]], [p, q, r]: [T; 3], power: &[T; LANES], u: &[T; LANES], v: T) {
+pub fn add_to_probe<T: Real, S: Simd>(probe: &mut [Lanes<T, S>], grad_x: Lanes<T, S>, grad_y: Lanes<T, S>) {
     if let [x, y, size_x, size_y] = probe {
-        for lane in 0..LANES {
-            let grad_x = power[lane] * p * u[lane];
-            let grad_y = power[lane] * (q * u[lane] + r * v);
-            x[lane] = x[lane] + grad_x;
-            y[lane] = y[lane] + grad_y;
-            size_x[lane] = size_x[lane] + grad_x.abs();
-            size_y[lane] = size_y[lane] + grad_y.abs();
-        }
+        (*x, *y) = (*x + grad_x, *y + grad_y);
+        (*size_x, *size_y) = (*size_x + grad_x.abs(), *size_y + grad_y.abs());
     }
 }
 
-/// Adds a group to the sum of the gradients of z, if there are maps.
+/// Adds pixels to the sums of an ellipse: to its moments, and the gradient of its mean to the probe. `power` is −2 times the
+/// gradient of r².
 #[inline(always)]
-pub fn add_depths<T: Real>(maps: &mut [[T; LANES]], grad_depth: &[T; LANES]) {
+pub fn add_to_ellipse<T: Real, S: Simd>(
+    [p, q, r]: [T; 3],
+    group: &Group<T, S>,
+    power: Lanes<T, S>,
+    moments: &mut [Lanes<T, S>],
+    probe: &mut [Lanes<T, S>],
+) {
+    let all = |value: T| Lanes::splat(power.simd(), value);
+    let (u, v) = (all(p).mul_add(group.dx, all(q * group.dy)), all(r * group.dy));
+    add_moments(moments, power, u, v);
+    if !probe.is_empty() {
+        add_to_probe(probe, power * all(p) * u, power * all(q).mul_add(u, all(r) * v));
+    }
+}
+
+/// Adds pixels to the sum of the gradients of z, if there are maps.
+#[inline(always)]
+pub fn add_depths<T: Real, S: Simd>(maps: &mut [Lanes<T, S>], grad_depth: Lanes<T, S>) {
     if let [.., of_depth] = maps {
-        for lane in 0..LANES {
-            of_depth[lane] = of_depth[lane] + grad_depth[lane];
-        }
+        *of_depth = *of_depth + grad_depth;
     }
 }
 
@@ -210,25 +236,14 @@ impl<T: Real> Projected<T> for Ellipse<T> {
     }
 
     #[inline(always)]
-    fn fragments(&self, dx: &[T; LANES], dy: T, weight: &mut [T; LANES], depth: &mut [T; LANES]) {
-        for lane in 0..LANES {
-            let [u, v] = self.0.in_deviations(dx[lane], dy);
-            weight[lane] = self.0.weight(u, v);
-        }
-        depth.fill(self.0.depth);
+    fn draw<S: Simd>(&self, dx: Lanes<T, S>, dy: T) -> Option<Drawn<T, S>> {
+        let At { weight, .. } = SplatLanes::new(dx.simd(), &self.0).at(dx, dy)?;
+        Drawn::new(Lanes::zero(dx.simd()).below(weight), weight, Lanes::splat(dx.simd(), self.0.depth))
     }
 
     #[inline(always)]
-    fn gather<const MAPS: bool>(&self, group: &Group<T>, _: &mut [[T; LANES]; WORK_ROWS], sums: &mut Sums<[T; LANES]>) {
-        let (dx, dy, power) = (group.dx, group.dy, group.power);
-        let [p, q, r] = self.0.root;
-        let mut u = [T::zero(); LANES];
-        for lane in 0..LANES {
-            u[lane] = p * dx[lane] + q * dy;
-        }
-        let v = r * dy;
-        add_moments(sums.footprint, power, &u, v);
-        add_to_probe(sums.probe, self.0.root, power, &u, v);
+    fn gather<S: Simd, const MAPS: bool>(&self, group: &Group<T, S>, sums: &mut Sums<Lanes<T, S>>) {
+        add_to_ellipse(self.0.root, group, group.power, sums.footprint, sums.probe);
         if MAPS {
             add_depths(sums.maps, group.grad_depth);
         }

@@ -1,13 +1,14 @@
 //! The walk through a tile in the order of each pixel's own ray (StopThePop).
 
+use pulp::Scalar;
+
 use super::projected::Projected;
 use super::walk::{Fragments, Sorted, Thresholds};
 use crate::backend::real::Real;
-use crate::backend::simd::LANES;
 use crate::footprint::gaussian::cpu::along_ray::{AlongRay, unit_ray};
 use crate::math::{CameraOf, V3};
 use crate::ops::blend::QUEUES;
-use crate::tiles::{TILE, TILE_PIXELS, group_offsets};
+use crate::tiles::{TILE, TILE_PIXELS, pixel_offset};
 
 /// Edges of a block and of a quad, px.
 const BLOCK: usize = 4;
@@ -81,7 +82,6 @@ struct Walk<'a, T, V> {
     pixels: Vec<Pixel<T>>,
     /// Open pixels of each block.
     open: [usize; BLOCKS * BLOCKS],
-    fragments: Fragments<T>,
     visit: V,
 }
 
@@ -91,7 +91,7 @@ fn quarters(at: usize, row: usize) -> [usize; 4] {
     [first, first + 1, first + 2 * row, first + 2 * row + 1]
 }
 
-impl<'a, T: Real, V: FnMut(usize, usize, &Fragments<T>)> Walk<'a, T, V> {
+impl<'a, T: Real, V: FnMut(usize, usize, &Fragments<T, Scalar>)> Walk<'a, T, V> {
     fn new<F>(
         sorted: &'a Sorted<T, F>,
         camera: &CameraOf<T>,
@@ -119,7 +119,6 @@ impl<'a, T: Real, V: FnMut(usize, usize, &Fragments<T>)> Walk<'a, T, V> {
             quads: vec![Queue::new(); QUADS * QUADS],
             pixels,
             open,
-            fragments: Fragments::nothing(),
             visit,
         }
     }
@@ -158,8 +157,8 @@ impl<'a, T: Real, V: FnMut(usize, usize, &Fragments<T>)> Walk<'a, T, V> {
             if !self.pixels[pixel].open {
                 continue;
             }
-            let (dx, dy) = group_offsets(along.splat.mean, self.origin, pixel / LANES * LANES);
-            let [u, v] = along.splat.in_deviations(dx[pixel % LANES], dy);
+            let [dx, dy] = pixel_offset(along.splat.mean, self.origin, pixel);
+            let [u, v] = along.splat.in_deviations(dx, dy);
             let weight = along.splat.weight(u, v);
             let depth = along.depth(self.rays[2][pixel]);
             if weight > T::zero()
@@ -181,11 +180,9 @@ impl<'a, T: Real, V: FnMut(usize, usize, &Fragments<T>)> Walk<'a, T, V> {
             self.open[block_of(at)] -= 1;
             return;
         }
-        let lane = at % LANES;
-        self.fragments.set(lane, alpha * pixel.through, behind, depth);
+        let fragments = Fragments::single(alpha * pixel.through, behind, depth);
         pixel.through = behind;
-        (self.visit)(position as usize, at, &self.fragments);
-        self.fragments.clear(lane);
+        (self.visit)(position as usize, at, &fragments);
     }
 
     /// Empties all queues.
@@ -227,15 +224,14 @@ fn by_depth_in_tile<T: Real, F>(sorted: &Sorted<T, F>, camera: &CameraOf<T>, til
     keyed.into_iter().map(|(_, position)| position).collect()
 }
 
-/// Goes through a tile, each pixel in its own order. Calls `visit(position, pixel, fragments)` for every fragment that is
-/// blended: its position in the list, the pixel in the tile, and its group of lanes, of which all others are empty.
-/// Returns T behind everything.
+/// Goes through a tile, each pixel in its own order. Calls `visit(position, pixel, fragment)` for every fragment that is
+/// blended: with its position in the list, and the pixel in the tile. Returns T behind everything.
 pub fn walk_rays<T: Real, F: Projected<T>>(
     sorted: &Sorted<T, F>,
     camera: &CameraOf<T>,
     tile: usize,
     thresholds: &Thresholds<T>,
-    visit: impl FnMut(usize, usize, &Fragments<T>),
+    visit: impl FnMut(usize, usize, &Fragments<T, Scalar>),
 ) -> [T; TILE_PIXELS] {
     let mut walk = Walk::new(sorted, camera, tile, thresholds, visit);
     for position in by_depth_in_tile(sorted, camera, tile) {

@@ -1,11 +1,13 @@
 //! Ellipses with kernels of Student's t distribution.
 
-use super::projected::{CameraPair, Group, Projected, Sums, WORK_ROWS, add_depths, add_to_probe, thinnest_axis};
+use pulp::Simd;
+
+use super::projected::{CameraPair, Drawn, Group, Projected, Sums, add_depths, add_to_ellipse, thinnest_axis};
+use crate::backend::lanes::Lanes;
 use crate::backend::real::Real;
-use crate::backend::simd::LANES;
 use crate::footprint::gaussian::cpu::student::{self, Student};
 use crate::footprint::gaussian::cpu::{ParameterGrad, Parameters, SplatGrad};
-use crate::footprint::moments::{MOMENTS, add_moments};
+use crate::footprint::moments::MOMENTS;
 use crate::math::{V3, add, scale};
 use crate::tiles::{PixelRect, TileGrid};
 
@@ -46,37 +48,21 @@ impl<T: Real> Projected<T> for Student<T> {
     }
 
     #[inline(always)]
-    fn fragments(&self, dx: &[T; LANES], dy: T, weight: &mut [T; LANES], depth: &mut [T; LANES]) {
-        self.weights(dx, dy, weight);
-        depth.fill(self.ellipse.depth);
+    fn draw<S: Simd>(&self, dx: Lanes<T, S>, dy: T) -> Option<Drawn<T, S>> {
+        let (drawn, weight) = self.weights(dx, dy);
+        Drawn::new(drawn, weight, Lanes::splat(dx.simd(), self.ellipse.depth))
     }
 
     #[inline(always)]
-    fn gather<const MAPS: bool>(
-        &self,
-        group: &Group<T>,
-        work: &mut [[T; LANES]; WORK_ROWS],
-        sums: &mut Sums<[T; LANES]>,
-    ) {
-        let (dx, dy, power) = (group.dx, group.dy, group.power);
-        let [by_squared, by_degrees, u, ..] = work;
-        self.slopes(dx, dy, by_squared, by_degrees);
+    fn gather<S: Simd, const MAPS: bool>(&self, group: &Group<T, S>, sums: &mut Sums<Lanes<T, S>>) {
+        let [by_squared, by_degrees] = self.slopes(group.dx, group.dy);
         let (moments, rest) = sums.footprint.split_at_mut(MOMENTS);
         let [of_power, of_degrees] = rest else {
-            unreachable!("two rows of lanes");
+            unreachable!("two sums");
         };
-        for lane in 0..LANES {
-            of_power[lane] = of_power[lane] + power[lane];
-            of_degrees[lane] = of_degrees[lane] + power[lane] * by_degrees[lane];
-        }
-        let [p, q, r] = self.ellipse.root;
-        for lane in 0..LANES {
-            by_squared[lane] = power[lane] * by_squared[lane];
-            u[lane] = p * dx[lane] + q * dy;
-        }
-        let v = r * dy;
-        add_moments(moments, by_squared, u, v);
-        add_to_probe(sums.probe, self.ellipse.root, by_squared, u, v);
+        *of_power = *of_power + group.power;
+        *of_degrees = group.power.mul_add(by_degrees, *of_degrees);
+        add_to_ellipse(self.ellipse.root, group, group.power * by_squared, moments, sums.probe);
         if MAPS {
             add_depths(sums.maps, group.grad_depth);
         }

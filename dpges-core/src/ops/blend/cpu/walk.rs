@@ -1,18 +1,19 @@
 //! Primitives sorted by depth, and the walk through a tile from front to back in that order.
 
+use pulp::{Scalar, Simd};
 use rayon::prelude::*;
 
 use super::normal::normal;
-use super::projected::{CameraPair, Projected};
+use super::projected::{CameraPair, Drawn, Projected};
+use crate::backend::lanes::{Lanes, Mask};
 use crate::backend::real::Real;
-use crate::backend::simd::LANES;
 use crate::footprint::gaussian::cpu::along_ray::AlongRay;
 use crate::footprint::gaussian::tensors::GaussianRows;
 use crate::math::V3;
 use crate::ops::blend::BlendOptions;
 use crate::scene::BlendOrder;
 use crate::tiles::binning::cpu::{TileLists, bin};
-use crate::tiles::for_each_group;
+use crate::tiles::for_each_lanes;
 use crate::tiles::{PixelRect, TILE, TILE_PIXELS, TileGrid};
 
 /// Whether all pixels of a tile have ended is looked up after this many primitives.
@@ -67,8 +68,8 @@ impl<T: Real, F: Projected<T>> Sorted<T, F> {
 pub struct Thresholds<T> {
     pub max_alpha: T,
     pub min_transmittance: T,
-    /// 1 if a pixel ends behind the fragment that takes T below that, 0 if before it.
-    pub ends_behind: T,
+    /// Whether a pixel ends behind the fragment that takes T below that, or before it.
+    pub ends_behind: bool,
 }
 
 impl<T: Real> Thresholds<T> {
@@ -76,19 +77,23 @@ impl<T: Real> Thresholds<T> {
         Self {
             max_alpha: T::of(options.max_alpha),
             min_transmittance: T::of(options.min_transmittance),
-            ends_behind: if options.form.ends_behind() { T::one() } else { T::zero() },
+            ends_behind: options.form.ends_behind(),
         }
     }
+}
+
+/// A weight as α, capped on both sides.
+#[inline(always)]
+pub fn capped<T: Real, S: Simd>(weight: Lanes<T, S>, max_alpha: T) -> Lanes<T, S> {
+    let all = |value: T| Lanes::splat(weight.simd(), value);
+    weight.min(all(max_alpha)).max(all(-max_alpha))
 }
 
 /// State of the pixels of a tile.
 pub struct Progress<T> {
     /// T
     pub through: [T; TILE_PIXELS],
-    /// 1 until a pixel has ended, then 0; 0 outside the image.
-    open: [T; TILE_PIXELS],
-    /// Entry of the list before which a pixel ends; 0 outside the image. A whole number of type `T`, so that loops
-    /// over it vectorise.
+    /// Entry of the list before which a pixel ends; 0 outside the image. A whole number of type `T`, which vectors compare.
     pub end: [T; TILE_PIXELS],
 }
 
@@ -96,127 +101,101 @@ impl<T: Real> Progress<T> {
     /// No pixel ends before the last of `entries`.
     #[inline(always)]
     fn new(entries: usize, origin: (usize, usize), grid: TileGrid) -> Self {
-        let zero = [T::zero(); TILE_PIXELS];
-        let mut progress = Self { through: [T::one(); TILE_PIXELS], open: zero, end: zero };
+        let mut progress = Self::ended([T::one(); TILE_PIXELS]);
         let (columns, rows) = (TILE.min(grid.width - origin.0), TILE.min(grid.height - origin.1));
         for line in 0..rows {
             progress.end[line * TILE..][..columns].fill(T::of(entries as f64));
-            progress.open[line * TILE..][..columns].fill(T::one());
         }
         progress
     }
 
     /// All pixels have ended, with T `through`.
     pub fn ended(through: [T; TILE_PIXELS]) -> Self {
-        let zero = [T::zero(); TILE_PIXELS];
-        Self { through, open: zero, end: zero }
+        Self { through, end: [T::zero(); TILE_PIXELS] }
     }
 
     /// Entry before which all pixels have ended.
     #[inline(always)]
-    pub fn last_end(&self) -> usize {
-        self.end.iter().fold(T::zero(), |last, &end| last.max(end)).as_f64() as usize
+    pub fn last_end<S: Simd>(&self, simd: S) -> usize {
+        let ends = self.end.chunks_exact(T::lane_count::<S>());
+        ends.fold(Lanes::zero(simd), |last, ends| last.max(Lanes::load(simd, ends))).largest().as_f64() as usize
     }
 }
 
-#[inline(always)]
-pub fn group<V>(values: &mut [V], start: usize) -> &mut [V; LANES] {
-    (&mut values[start..start + LANES]).try_into().expect("one group")
-}
-
-/// Fragments of a group of lanes. They are on the heap because the compiler splits local arrays into scalars.
-pub struct Fragments<T> {
-    /// α before it is capped.
-    weight: [T; LANES],
+/// What is blended of a primitive at the pixels of a vector.
+pub struct Fragments<T: Real, S: Simd> {
+    /// Where something is.
+    pub blended: Mask<T, S>,
     /// z
-    pub depth: [T; LANES],
+    pub depth: Lanes<T, S>,
     /// αT, 0 where nothing is blended.
-    pub covered: [T; LANES],
+    pub covered: Lanes<T, S>,
     /// T behind it.
-    pub through: [T; LANES],
+    pub through: Lanes<T, S>,
 }
 
-impl<T: Real> Fragments<T> {
-    pub fn nothing() -> Self {
-        let (zero, one) = ([T::zero(); LANES], [T::one(); LANES]);
-        Self { weight: zero, depth: one, covered: zero, through: one }
-    }
-
-    /// Sets the only fragment.
-    pub fn set(&mut self, lane: usize, covered: T, through: T, depth: T) {
-        (self.covered[lane], self.through[lane], self.depth[lane]) = (covered, through, depth);
-    }
-
-    pub fn clear(&mut self, lane: usize) {
-        self.set(lane, T::zero(), T::one(), T::one());
+impl<T: Real> Fragments<T, Scalar> {
+    /// A fragment of one pixel.
+    pub fn single(covered: T, through: T, depth: T) -> Self {
+        let one = |value: T| Lanes::splat(Scalar::new(), value);
+        let (covered, through, depth) = (one(covered), one(through), one(depth));
+        Self { blended: one(T::zero()).below(covered), depth, covered, through }
     }
 }
 
-/// Goes through a tile front to back. Calls `visit(position, start, fragments)` for every group of lanes in which a
-/// primitive is blended.
+/// Goes through a tile front to back. Calls `visit(id, start, fragments)` for every vector of pixels in which a primitive is
+/// drawn.
 #[inline(always)]
-pub fn walk_tile<T: Real, F: Projected<T>>(
+pub fn walk_tile<T: Real, F: Projected<T>, S: Simd>(
+    simd: S,
     sorted: &Sorted<T, F>,
     tile: usize,
     thresholds: &Thresholds<T>,
-    mut visit: impl FnMut(usize, usize, &Fragments<T>),
+    mut visit: impl FnMut(usize, usize, &Fragments<T, S>),
 ) -> Progress<T> {
     let (list, origin) = (sorted.lists.of(tile), sorted.grid.origin(tile));
     let mut progress = Progress::<T>::new(list.len(), origin, sorted.grid);
-    let none = [T::zero(); LANES];
-    let mut fragments = vec![Fragments { weight: none, depth: none, covered: none, through: none }];
+    let all = |value: T| Lanes::splat(simd, value);
+    let (one, least) = (all(T::one()), all(thresholds.min_transmittance));
     for (entry, &id) in list.iter().enumerate() {
-        if entry.is_multiple_of(LOOK_EVERY) && progress.last_end() <= entry {
+        if entry.is_multiple_of(LOOK_EVERY) && progress.last_end(simd) <= entry {
             break;
         }
-        let (entry, id) = (T::of(entry as f64), id as usize);
+        let id = id as usize;
         let footprint = &sorted.footprints[id];
-        for_each_group(
+        let entry = T::of(entry as f64);
+        let end_here = all(if thresholds.ends_behind { entry + T::one() } else { entry });
+        for_each_lanes(
+            simd,
             footprint.anchor(),
             &sorted.rects[id],
             origin,
             #[inline(always)]
             |start, dx, dy| {
-                let [Fragments { weight, depth, covered, through: behind }] = fragments.as_mut_slice() else {
-                    unreachable!("one group");
-                };
-                let open = group(&mut progress.open, start);
-                footprint.fragments(&dx, dy, weight, depth);
-                for lane in 0..LANES {
-                    weight[lane] = weight[lane] * open[lane];
-                }
-                if is_nothing(weight) {
+                let Some(Drawn { drawn, weight, depth }) = footprint.draw(dx, dy) else { return };
+                let end = Lanes::load(simd, &progress.end[start..]);
+                let drawn = drawn & all(entry).below(end);
+                if !drawn.any() {
                     return;
                 }
-                let through = group(&mut progress.through, start);
-                let end = group(&mut progress.end, start);
-                for lane in 0..LANES {
-                    let alpha = weight[lane].min(thresholds.max_alpha).max(-thresholds.max_alpha);
-                    covered[lane] = alpha * through[lane];
-                    behind[lane] = through[lane] * (T::one() - alpha);
-                }
-                for lane in 0..LANES {
-                    let goes_on = if behind[lane] >= thresholds.min_transmittance { T::one() } else { T::zero() };
-                    let stays = open[lane] * goes_on;
-                    let ends = open[lane] - stays;
-                    end[lane] = end[lane] + ends * (entry + thresholds.ends_behind - end[lane]);
-                    let blended = stays + thresholds.ends_behind * ends;
-                    covered[lane] = covered[lane] * blended;
-                    behind[lane] = blended * behind[lane] + (T::one() - blended) * through[lane];
-                    open[lane] = stays;
-                }
-                through.copy_from_slice(behind);
-                visit(id, start, &fragments[0]);
+                let through = Lanes::load(simd, &progress.through[start..]);
+                let alpha = capped(weight, thresholds.max_alpha);
+                let behind = through * (one - alpha);
+                let goes_on = behind.at_least(least);
+                Lanes::select(drawn, Lanes::select(goes_on, end, end_here), end).store(&mut progress.end[start..]);
+                let blended = if thresholds.ends_behind { drawn } else { drawn & goes_on };
+                let fragments = Fragments {
+                    blended,
+                    depth,
+                    covered: (alpha * through).only(blended),
+                    through: Lanes::select(blended, behind, through),
+                };
+                fragments.through.store(&mut progress.through[start..]);
+                visit(id, start, &fragments);
             },
         );
     }
     progress
-}
-
-/// Whether weights are all 0.
-#[inline(always)]
-pub fn is_nothing<T: Real>(values: &[T; LANES]) -> bool {
-    values.iter().map(|value| value.abs()).sum::<T>() == T::zero()
 }
 
 /// Values of the pixels of a tile for an entry of its list: αT, gradient of the exponent, gradient of z.

@@ -1,8 +1,10 @@
 //! Gaussians that rays meet in the frame in which they are spheres.
 
-use super::projected::{CameraPair, Group, Projected, Sums, WORK_ROWS, thinnest_axis};
+use pulp::Simd;
+
+use super::projected::{CameraPair, Drawn, Group, Projected, Sums, add_depths, thinnest_axis};
+use crate::backend::lanes::Lanes;
 use crate::backend::real::Real;
-use crate::backend::simd::LANES;
 use crate::camera::Camera;
 use crate::footprint::gaussian::cpu::whitened::{self, SUMS, Whitened};
 use crate::footprint::gaussian::cpu::{ParameterGrad, Parameters};
@@ -52,33 +54,30 @@ impl<T: Real> Projected<T> for WhitenedFootprint<T> {
     }
 
     #[inline(always)]
-    fn fragments(&self, dx: &[T; LANES], dy: T, weight: &mut [T; LANES], depth: &mut [T; LANES]) {
-        self.shape.fragments(dx, dy, weight, depth);
+    fn draw<S: Simd>(&self, dx: Lanes<T, S>, dy: T) -> Option<Drawn<T, S>> {
+        let (drawn, [weight, depth]) = self.shape.fragments(dx, dy);
+        Drawn::new(drawn, weight, depth)
     }
 
     #[inline(always)]
-    fn gather<const MAPS: bool>(&self, group: &Group<T>, _: &mut [[T; LANES]; WORK_ROWS], sums: &mut Sums<[T; LANES]>) {
-        for lane in 0..LANES {
-            if group.covered[lane] == T::zero() && group.power[lane] == T::zero() {
-                continue;
+    fn gather<S: Simd, const MAPS: bool>(&self, group: &Group<T, S>, sums: &mut Sums<Lanes<T, S>>) {
+        let grad_depth = if MAPS { group.grad_depth } else { Lanes::zero(group.dx.simd()) };
+        let grad = self.shape.pixel_backward(group.dx, group.dy, group.power, grad_depth);
+        let numbers = grad.a.into_iter().chain(grad.b).chain(grad.z);
+        let numbers = numbers.chain([grad.distance, grad.delta[0], grad.delta[1], group.power]);
+        // what is not blended may be infinite
+        for (sum, value) in sums.footprint.iter_mut().zip(numbers) {
+            *sum = *sum + value.only(group.blended);
+        }
+        if let [x, y, z, size] = &mut *sums.probe {
+            for (sum, value) in [x, y, z].into_iter().zip(self.shape.towards(&grad, self.slopes)) {
+                let value = value.only(group.blended);
+                *sum = *sum + value;
+                *size = *size + value.abs();
             }
-            let grad_depth = if MAPS { group.grad_depth[lane] } else { T::zero() };
-            let grad = self.shape.pixel_backward(group.dx[lane], group.dy, group.power[lane], grad_depth);
-            let numbers = grad.a.into_iter().chain(grad.b).chain(grad.z);
-            let numbers = numbers.chain([grad.distance, grad.delta[0], grad.delta[1], group.power[lane]]);
-            for (sum, value) in sums.footprint.iter_mut().zip(numbers) {
-                sum[lane] = sum[lane] + value;
-            }
-            if let [x, y, z, size] = &mut *sums.probe {
-                let towards = self.shape.towards(&grad, self.slopes);
-                for (sum, value) in [x, y, z].into_iter().zip(towards) {
-                    sum[lane] = sum[lane] + value;
-                }
-                size[lane] = size[lane] + towards.into_iter().map(|value| value.abs()).sum::<T>();
-            }
-            if MAPS && let [.., of_depth] = &mut *sums.maps {
-                of_depth[lane] = of_depth[lane] + grad.depth;
-            }
+        }
+        if MAPS {
+            add_depths(sums.maps, grad.depth.only(group.blended));
         }
     }
 
