@@ -5,6 +5,7 @@ use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 
 use super::schema::{self, Attribute, Columns, GaussianColumns, OpacityActivation, SurfelColumns, Width};
 use super::{ColourModel, GaussianData, SurfelData, split};
+use crate::backend::host::copied;
 use crate::counters::transfers::{download, upload, wait};
 use crate::error::{Error, Result};
 
@@ -27,8 +28,8 @@ fn shaped(rows: &[f32], shape: [usize; 2], device: &Device, dtype: DType) -> Ten
 
 /// The values of a tensor as `f32`, row-major.
 pub fn tensor_to_rows<const D: usize>(tensor: &Tensor<D>) -> Vec<f32> {
-    let data = wait(|| download(tensor.clone().into_data()));
-    data.convert::<f32>().try_to_vec().expect("just converted to f32")
+    let data = wait(|| download(copied(tensor).unwrap_or_else(|| tensor.clone().into_data())));
+    data.convert::<f32>().try_into_vec().expect("just converted to f32")
 }
 
 /// The detail of `colour`, row-major, from one tensor or several.

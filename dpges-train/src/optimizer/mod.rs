@@ -68,14 +68,19 @@ impl Parameter {
     }
 
     pub fn rows(&self) -> ParameterRows {
-        let of = |column: &dyn Fn(&Block) -> Tensor<2>| {
-            split::join(self.blocks.iter().map(|block| (tensor_to_rows(&column(block)), block.raw.dims()[1])).collect())
-        };
-        let moment =
-            |which: usize| of(&|block| block.moments.as_ref().expect("every block has moments")[which].clone());
+        let moment = |which: usize| self.join(|block| &block.moments.as_ref().expect("every block has moments")[which]);
         let moments = self.blocks[0].moments.is_some().then(|| [moment(0), moment(1)]);
         let [count, width] = self.dims();
-        ParameterRows { count, width, raw: of(&|block| block.raw.clone()), moments }
+        ParameterRows { count, width, raw: self.raw_rows(), moments }
+    }
+
+    /// [`ParameterRows::raw`] alone.
+    pub fn raw_rows(&self) -> Vec<f32> {
+        self.join(|block| &block.raw)
+    }
+
+    fn join<'a>(&'a self, column: impl Fn(&'a Block) -> &'a Tensor<2>) -> Vec<f32> {
+        split::join(self.blocks.iter().map(|block| (tensor_to_rows(column(block)), block.raw.dims()[1])).collect())
     }
 
     /// [rows, width]

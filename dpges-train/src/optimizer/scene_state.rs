@@ -143,7 +143,7 @@ impl<C: Columns<Value = Parameter, With<Parameter> = C>> State<C> {
     /// The attributes as they are rendered, in host memory.
     pub fn to_data(&self) -> C::With<Vec<f32>> {
         self.columns.map_ref(|attribute, parameter| {
-            let raw = parameter.rows().raw;
+            let raw = parameter.raw_rows();
             match attribute.activation {
                 Activation::Identity => raw,
                 Activation::Opacity => raw.into_iter().map(|raw| self.opacity.value(raw)).collect(),
@@ -217,7 +217,7 @@ impl<C: Columns<Value = Parameter, With<Parameter> = C>> State<C> {
     /// The colours in host memory.
     pub fn colour(&self) -> ColourData {
         let colour = self.columns.colour();
-        let [base, detail] = [&colour.base, &colour.detail].map(|parameter| parameter.rows().raw);
+        let [base, detail] = [&colour.base, &colour.detail].map(Parameter::raw_rows);
         ColourData::new(colour.model, base, detail)
     }
 

@@ -62,7 +62,7 @@ impl ExposureState {
 
     /// On the host.
     pub fn corrections(&self) -> Corrections {
-        let rows = self.0.as_ref().map(|parameter| parameter.rows().raw).unwrap_or_default();
+        let rows = self.0.as_ref().map(Parameter::raw_rows).unwrap_or_default();
         Corrections(rows.as_chunks().0.iter().map(Correction::of_row).collect())
     }
 

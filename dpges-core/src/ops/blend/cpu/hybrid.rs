@@ -160,6 +160,7 @@ impl<'a, T: Real, F: Projected<T>, S: Simd> Tile<'a, T, F, S> {
         }
     }
 
+    #[inline(always)]
     fn pixels<const MAPS: bool>(&self) -> Vec<Pixel<T>> {
         let nothing = Fragment { position: 0, weight: T::zero(), depth: T::INFINITY };
         let empty = Pixel {
@@ -172,7 +173,11 @@ impl<'a, T: Real, F: Projected<T>, S: Simd> Tile<'a, T, F, S> {
         };
         let mut pixels = vec![empty; TILE_PIXELS];
         for position in 0..self.list().len() {
-            self.for_each_fragment(position, |pixel, found| self.add::<MAPS>(&mut pixels[pixel], found));
+            self.for_each_fragment(
+                position,
+                #[inline(always)]
+                |pixel, found| self.add::<MAPS>(&mut pixels[pixel], found),
+            );
         }
         pixels
     }
@@ -221,6 +226,7 @@ impl<'a, T: Real, F: Projected<T>, S: Simd> Tile<'a, T, F, S> {
     }
 
     /// Writes the planes [planes, `TILE_PIXELS`].
+    #[inline(always)]
     pub fn blend<const MAPS: bool>(&self, block: &mut [T]) {
         for (at, pixel) in self.pixels::<MAPS>().iter().enumerate() {
             let weights = self.weights::<MAPS>(pixel);
@@ -238,6 +244,7 @@ impl<'a, T: Real, F: Projected<T>, S: Simd> Tile<'a, T, F, S> {
     }
 
     /// Values of every pixel for every entry of the list; `grad` is [planes, `TILE_PIXELS`].
+    #[inline(always)]
     pub fn go_back<const MAPS: bool>(&self, grad: &[T]) -> Vec<Said<T>> {
         let pixels = self.pixels::<MAPS>();
         let mut said: Vec<Said<T>> = vec![[[T::zero(); TILE_PIXELS]; 3]; self.list().len()];
@@ -305,6 +312,7 @@ impl<'a, T: Real, F: Projected<T>, S: Simd> Tile<'a, T, F, S> {
     }
 
     /// Calls `visit(id, w)` with the weight of every fragment.
+    #[inline(always)]
     pub fn for_each_weight(&self, mut visit: impl FnMut(usize, T)) {
         let list = self.list();
         let pixels = self.pixels::<false>();
