@@ -3,7 +3,6 @@
 use burn::tensor::{DType, Element};
 use pulp::Scalar;
 
-use super::lanes::Lanes;
 use super::vectors::Vectors;
 
 /// `f32` for training, `f64` for gradient checks.
@@ -18,14 +17,21 @@ pub trait Real: num_traits::Float + Element + bytemuck::Pod + Send + Sync + std:
     /// e^self for self ≤ 0, within 2 units in the last place; 0 far below the cutoff. Loops over it vectorise.
     #[inline(always)]
     fn exp_nonpositive(self) -> Self {
-        Lanes::splat(Scalar::new(), self).exp_nonpositive().sum()
+        alone(Self::exp_nonpositive_lanes, self)
     }
 
     /// ln(1 + self) for self from 0 to 1, within 3 units in the last place. Loops over it vectorise.
     #[inline(always)]
     fn ln_1p_share(self) -> Self {
-        Lanes::splat(Scalar::new(), self).ln_1p_share().sum()
+        alone(Self::ln_1p_share_lanes, self)
     }
+}
+
+/// A function of vectors, of one number.
+#[inline(always)]
+fn alone<T: Vectors>(function: impl Fn(Scalar, T::Vector<Scalar>) -> T::Vector<Scalar>, value: T) -> T {
+    let simd = Scalar::new();
+    T::sum_lanes(simd, function(simd, T::splat_lanes(simd, value)))
 }
 
 impl Real for f64 {

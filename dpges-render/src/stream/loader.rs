@@ -30,11 +30,11 @@ impl Levels {
     /// Opens the folder or address `place`.
     ///
     /// # Errors
-    /// The errors of [`Source::new`], [`Source::index`], [`Source::read`] and [`LodScene::new`].
+    /// The errors of [`Source::new`], [`Source::index`], [`Source::read`], [`Source::cameras`] and [`LodScene::new`].
     pub fn open(place: &Path, budget: usize) -> Result<Self, StreamError> {
         let source = Source::new(place)?;
         let scene = LodScene::new(source.index()?, |part| source.read(part))?;
-        let cameras = source.cameras(scene.index().settings.near);
+        let cameras = source.cameras(scene.index().settings.near)?;
         Ok(Self { source, scene, cameras, budget })
     }
 

@@ -1,5 +1,6 @@
 //! Where the files of a scene in levels of detail are: in a folder, or on a web server.
 
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 #[cfg(feature = "http")]
 use std::time::Duration;
@@ -86,18 +87,39 @@ impl Source {
         }
     }
 
-    /// The cameras beside the index, those without a near plane with `near`; none if there is no such file, or one that has
-    /// none: a scene can be shown without.
-    pub fn cameras(&self, near: f64) -> Vec<Camera> {
-        let text = match self {
-            Self::Folder(folder) => std::fs::read_to_string(folder.join(CAMERAS)).ok(),
+    /// The cameras beside the index, those without a near plane with `near`; none if there is no such file: a scene can be
+    /// shown without.
+    ///
+    /// # Errors
+    /// [`StreamError::Load`] for a file that cannot be read or lists no cameras.
+    pub fn cameras(&self, near: f64) -> Result<Vec<Camera>, StreamError> {
+        let (place, text) = match self {
+            Self::Folder(folder) => {
+                let path = folder.join(CAMERAS);
+                let text = std::fs::read_to_string(&path);
+                if text.as_ref().is_err_and(|error| error.kind() == ErrorKind::NotFound) {
+                    return Ok(Vec::new());
+                }
+                (path.display().to_string(), text.map_err(|error| error.to_string()))
+            }
             #[cfg(feature = "http")]
-            Self::Web { client, base } => web::whole(client, &format!("{base}{CAMERAS}"), LARGEST_INDEX)
-                .ok()
-                .and_then(|bytes| String::from_utf8(bytes).ok()),
+            Self::Web { client, base } => {
+                let place = format!("{base}{CAMERAS}");
+                let bytes = web::whole(client, &place, LARGEST_INDEX).ok();
+                // some servers answer with a page where there is no file
+                let text = bytes.and_then(|bytes| String::from_utf8(bytes).ok()).filter(|text| text.starts_with('['));
+                let Some(text) = text else { return Ok(Vec::new()) };
+                (place, Ok(text))
+            }
         };
-        let path = text.and_then(|text| CameraPath::from_json(&text, near).ok());
-        path.map_or_else(Vec::new, |path| path.keys().to_vec())
+        let cameras = |text: String| {
+            if text == "[]" { Ok(Vec::new()) } else { Ok(CameraPath::from_json(&text, near)?.keys().to_vec()) }
+        };
+        text.and_then(cameras).map_err(|reason| {
+            let reason =
+                format!("{reason}; expected a list of cameras as in the cameras.json of 3DGS, or no such file");
+            StreamError::Load { place, reason }
+        })
     }
 
     /// The bytes of a part.

@@ -86,6 +86,13 @@ fn parts_come_by_ranges_of_bytes() {
         let found = cameras(place);
         assert_eq!(found.iter().map(|camera| camera.fx).collect::<Vec<_>>(), kept.map(|camera| camera.fx));
     }
+    fs::write(folder.path().join(CAMERAS), "[]").unwrap();
+    assert!([folder.path(), address.as_ref()].into_iter().all(|place| cameras(place).is_empty()));
+    fs::write(folder.path().join(CAMERAS), "[{\"id\": 0}]").unwrap();
+    for place in [folder.path(), address.as_ref()] {
+        let error = Levels::open(place, 1000).unwrap_err().to_string();
+        assert!(error.contains("cameras.json") && error.contains("missing field"), "{error}");
+    }
 }
 
 #[test]
