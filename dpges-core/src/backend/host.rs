@@ -42,7 +42,7 @@ pub fn take_floats<B: Host, T: Real>(tensor: FloatTensor<B>) -> Vec<T> {
 }
 
 /// The `f32` values of a tensor of burn-ndarray; `None` of others. Burn's `into_data` copies a tensor that is shared number by
-/// number, ten times slower.
+/// number.
 pub fn copied<const D: usize>(tensor: &Tensor<D>) -> Option<TensorData> {
     match tensor.clone().into_dispatch().kind {
         #[cfg(feature = "ndarray")]

@@ -26,14 +26,14 @@ const BATCH: usize = 64;
 const CHUNK: usize = 4096;
 
 /// Sums of a primitive over the pixels of a tile. Arrays of their own, so that those of constant size stay in registers.
-struct TileSums<T: Real, S: Simd> {
+struct PrimitiveSums<T: Real, S: Simd> {
     footprint: [Lanes<T, S>; MOST_SUMS],
     colour: [Lanes<T, S>; 3],
     probe: [Lanes<T, S>; 4],
     maps: [Lanes<T, S>; 4],
 }
 
-impl<T: Real, S: Simd> TileSums<T, S> {
+impl<T: Real, S: Simd> PrimitiveSums<T, S> {
     #[inline(always)]
     fn new(simd: S) -> Self {
         let zero = Lanes::zero(simd);
@@ -266,7 +266,7 @@ impl<T: Real, F: Projected<T>> GatherTile<'_, T, F> {
         let mut way = self.way_back(progress, spread);
         for (position, totals) in totals.chunks_exact_mut(width).enumerate().rev() {
             let (id, entry) = self.entry::<MAPS>(position, T::of(position as f64));
-            let mut sums = TileSums::new(simd);
+            let mut sums = PrimitiveSums::new(simd);
             for_each_lanes(
                 simd,
                 entry.footprint.anchor(),
@@ -322,7 +322,7 @@ impl<T: Real, F: Projected<T>> GatherTile<'_, T, F> {
         for (position, (totals, said)) in totals.chunks_exact_mut(width).zip(said).enumerate() {
             let (id, Entry { footprint, .. }) = self.entry::<MAPS>(position, T::zero());
             let depth = Lanes::splat(simd, footprint.centre_depth());
-            let mut sums = TileSums::new(simd);
+            let mut sums = PrimitiveSums::new(simd);
             for_each_lanes(
                 simd,
                 footprint.anchor(),

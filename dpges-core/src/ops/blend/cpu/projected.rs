@@ -33,7 +33,7 @@ pub struct Drawn<T: Real, S: Simd> {
     pub drawn: Mask<T, S>,
     /// α before it is capped; any finite number where there is no fragment.
     pub weight: Lanes<T, S>,
-    /// z, likewise.
+    /// z; any finite number where there is no fragment.
     pub depth: Lanes<T, S>,
 }
 

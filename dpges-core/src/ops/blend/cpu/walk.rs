@@ -122,9 +122,9 @@ impl<T: Real> Progress<T> {
     }
 }
 
-/// What is blended of a primitive at the pixels of a vector.
+/// The blended fragments of a primitive at the pixels of a vector.
 pub struct Fragments<T: Real, S: Simd> {
-    /// Where something is.
+    /// Pixels in which the primitive is blended.
     pub blended: Mask<T, S>,
     /// z
     pub depth: Lanes<T, S>,
