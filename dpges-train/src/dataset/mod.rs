@@ -10,6 +10,7 @@ pub mod block;
 mod builtin;
 pub mod capture;
 pub mod check;
+mod empty_space;
 mod error;
 #[cfg(test)]
 pub(crate) mod fixtures;
@@ -38,6 +39,7 @@ pub(crate) use self::image::photograph::{MOST_PREFETCHED, prefetch};
 pub use self::image::photograph::{Photograph, pictures};
 pub use self::image::picture::Picture;
 pub use builtin::{BuiltinOptions, builtin, builtin_geometry};
+pub use empty_space::EmptySpace;
 pub use error::DatasetError;
 pub(crate) use formats::colmap::{ModelContent, model_content};
 pub use load_options::LoadOptions;

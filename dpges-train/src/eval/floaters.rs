@@ -11,11 +11,11 @@ use dpges_core::ops::peel::{Layers, PeelOptions, peel};
 use dpges_core::ops::splat::contributions;
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{Gaussians, Surfels};
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::dataset::{Dataset, PointCloud};
+use crate::dataset::{Dataset, EmptySpace, PointCloud};
 
 /// Depths relative to that of a point from which, and up to which, a primitive is where the point is.
 const AT_THE_POINT: [f32; 2] = [0.9, 1.1];
@@ -23,10 +23,6 @@ const AT_THE_POINT: [f32; 2] = [0.9, 1.1];
 const HIDES: f32 = 0.1;
 /// Least number of views that a floating primitive blocks.
 const BLOCKED_VIEWS: u32 = 2;
-/// Radius of the empty space around a camera, relative to the distance of the nearest points that it saw.
-const CLEARANCE: f64 = 0.5;
-/// Share of the points of a view that are nearer than its nearest points: some are wrong.
-const TOO_NEAR: f64 = 0.01;
 
 /// How many views every primitive blocks and supports.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -76,14 +72,14 @@ impl Visibility {
         let [mut of_surfels, mut of_gaussians] = counts.map(|count| vec![Votes::default(); count]);
         let device = surfels.positions.device();
         let white = Tensor::ones([counts[1], 3], (&device, DType::F32));
-        let mut empty = Vec::new();
+        let mut is_known = false;
         for (index, view) in dataset.train.iter().enumerate() {
             let depths = seen_depths(&dataset.points, index as u32, &view.camera);
             if depths.iter().all(|&depth| depth == 0.0) {
                 continue;
             }
             let camera = &view.camera;
-            empty.push(empty_space(&dataset.points, index as u32, camera));
+            is_known = true;
             let layers = peel(&surfels.positions, &surfels.quaternions, &surfels.log_scales, camera, options)?;
             observe_surfels(&mut of_surfels, &layers, &depths);
             if counts[1] > 0 {
@@ -94,11 +90,12 @@ impl Visibility {
                 }
             }
         }
+        let empty = EmptySpace::of(dataset);
         for (all_votes, positions) in [(&mut of_surfels, &surfels.positions), (&mut of_gaussians, &gaussians.positions)]
         {
             observe_closeness(all_votes, &tensor_to_rows(positions), &empty);
         }
-        Ok((!empty.is_empty()).then_some(Self { surfels: of_surfels, gaussians: of_gaussians }))
+        Ok(is_known.then_some(Self { surfels: of_surfels, gaussians: of_gaussians }))
     }
 
     pub fn floaters(&self) -> Floaters {
@@ -122,25 +119,10 @@ fn seen_depths(points: &PointCloud, view: u32, camera: &Camera) -> Vec<f32> {
     depths
 }
 
-/// Centre of the camera of the training view `view`, and the radius in which nothing is, world units.
-fn empty_space(points: &PointCloud, view: u32, camera: &Camera) -> (DVec3, f64) {
-    let centre = camera.centre();
-    let seen =
-        points.positions.iter().zip(points.seen_by.iter()).filter(|(_, seen_by)| seen_by.binary_search(&view).is_ok());
-    let mut distances: Vec<f64> =
-        seen.map(|(position, _)| centre.distance(Vec3::from_array(*position).as_dvec3())).collect();
-    let at = (TOO_NEAR * distances.len() as f64) as usize;
-    let nearest = if distances.is_empty() { 0.0 } else { *distances.select_nth_unstable_by(at, f64::total_cmp).1 };
-    (centre, CLEARANCE * nearest)
-}
-
-/// Adds which of the primitives at `positions` [N × 3] are in one of the `empty` spaces.
-fn observe_closeness(all_votes: &mut [Votes], positions: &[f32], empty: &[(DVec3, f64)]) {
-    let positions = positions.as_chunks::<3>().0;
-    all_votes.par_iter_mut().zip(positions).for_each(|(votes, position)| {
-        let position = Vec3::from_array(*position).as_dvec3();
-        votes.is_close = empty.iter().any(|(centre, radius)| position.distance_squared(*centre) < radius * radius);
-    });
+/// Adds which of the primitives at `positions` [N × 3] are in the `empty` space.
+fn observe_closeness(all_votes: &mut [Votes], positions: &[f32], empty: &EmptySpace) {
+    let (positions, _) = positions.as_chunks::<3>();
+    all_votes.par_iter_mut().zip(positions).for_each(|(votes, position)| votes.is_close = empty.contains(*position));
 }
 
 /// Largest α of each Gaussian at a pixel that shows a point: `[M]` before it, and `[M]` where it is.
@@ -193,6 +175,7 @@ mod tests {
     use crate::device::DeviceName;
     use dpges_core::camera::CameraFromWorld;
     use dpges_core::scene::{ColourData, GaussianData, SurfelData};
+    use glam::DVec3;
 
     /// Three cameras before the origin that look at it, all of which saw one point there, or only the first.
     fn dataset(all_saw: bool) -> Dataset {
@@ -268,13 +251,14 @@ mod tests {
     fn what_is_close_to_a_camera_floats_unless_a_view_supports_it() {
         let close = |supported| Votes { blocked: 0, supported, is_close: true };
         assert!(close(0).floats() && !close(1).floats());
-        let data = dataset(true);
-        let empty: Vec<_> =
-            data.train.iter().zip(0..).map(|(view, i)| empty_space(&data.points, i, &view.camera)).collect();
-        assert!((empty[1].1 - 2.0).abs() < 1e-9 && empty[0].1 > 2.0, "{empty:?}");
+        let mut data = dataset(true);
+        // the cameras are 4 and more before the points
+        let many = 100;
+        data.points.positions = vec![[0.0; 3]; many];
+        data.points.colours = vec![[0.5; 3]; many];
+        data.points.seen_by = vec![vec![1]; many].into_iter().collect();
         let mut all_votes = vec![Votes::default(); 3];
-        // the middle camera is 4 before the point; behind it is as empty as before it
-        observe_closeness(&mut all_votes, &[0.0, 0.0, -1.9, 0.0, 0.0, -2.2, 0.0, 0.0, -5.5], &empty[1..2]);
+        observe_closeness(&mut all_votes, &[0.0, 0.0, -1.9, 0.0, 0.0, -2.2, 0.0, 0.0, -5.5], &EmptySpace::of(&data));
         assert_eq!(all_votes.iter().map(|votes| votes.is_close).collect::<Vec<_>>(), [false, true, true]);
     }
 }

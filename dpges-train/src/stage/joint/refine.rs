@@ -13,12 +13,12 @@ use super::super::{Context, TrainError};
 use super::JointStage;
 use super::schedule::Due;
 use crate::config::{Budget, NewGaussians};
-use crate::dataset::View;
 use crate::dataset::block::Bounds;
+use crate::dataset::{EmptySpace, View};
 use crate::refine::add::{batch_size, draw_in_proportion, new_gaussians};
 use crate::refine::copies::{Renewal, renew};
 use crate::refine::margins::margins;
-use crate::refine::prune::{drawn, gaussians_to_keep, surfels_to_keep};
+use crate::refine::prune::{beyond, drawn, gaussians_to_keep, surfels_to_keep};
 use crate::refine::split::split;
 use crate::refine::{GaussianEdit, RowEdit};
 use crate::views::exposure::Seen;
@@ -59,7 +59,7 @@ impl JointStage {
             self.begin_control(context)?;
         }
         if due.batches_left.is_some() || due.replace {
-            let removed = self.remove_undrawn(context);
+            let removed = self.remove_useless(context);
             if context.config.refine.budget == Budget::Auto {
                 // what else was due may have changed the views
                 let measured = measured.filter(|_| events.len() == told);
@@ -102,7 +102,7 @@ impl JointStage {
     }
 
     fn split_gaussians(&mut self, context: &mut Context) -> String {
-        self.remove_undrawn(context);
+        self.remove_useless(context);
         let surfels = self.surfels.to_data();
         let room = context.budget.saturating_sub(self.primitives());
         let before = self.dealt.len();
@@ -115,10 +115,14 @@ impl JointStage {
         format!("{} of {too_large} Gaussians split that are too large, of {before}", self.dealt.len() - before)
     }
 
-    /// Removes Gaussians that draw nothing. Returns how many.
-    fn remove_undrawn(&mut self, context: &Context) -> usize {
+    /// Removes Gaussians that draw nothing, and those before cameras if copies take their place. Returns how many.
+    fn remove_useless(&mut self, context: &Context) -> usize {
         let before = self.dealt.len();
-        let rows = drawn(&self.dealt.all_of(self.gaussians.opacities(), 1));
+        let mut rows = drawn(&self.dealt.all_of(self.gaussians.opacities(), 1));
+        if self.schedule.copies {
+            let positions = self.dealt.all_of(self.gaussians.columns.positions.raw_rows(), 3);
+            rows = beyond(&EmptySpace::of(&context.dataset), rows, &positions);
+        }
         self.edit_gaussians(&GaussianEdit { rows, ..GaussianEdit::default() }, context);
         before - self.dealt.len()
     }
@@ -141,7 +145,8 @@ impl JointStage {
         let gone = removed + before.saturating_sub(self.dealt.len());
         let added = self.dealt.len().saturating_sub(before);
         Ok(format!(
-            "{gone} Gaussians removed that draw nothing or are beyond the budget, {added} added of {count} wanted"
+            "{gone} Gaussians removed that draw nothing, float before a camera or exceed the budget, \
+             {added} added of {count} wanted"
         ))
     }
 

@@ -7,7 +7,7 @@ use burn::tensor::DType;
 use dpges_core::ops::peel::{PeelOptions, peel};
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{ScreenFilter, Surfels};
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 
 use super::{gaussians, trainer};
 use crate::config::StageKind;
@@ -54,6 +54,36 @@ fn gaussians_that_draw_nothing_are_in_no_scene_and_make_room_for_others() {
         assert_eq!(report.events.iter().any(|event| event.contains(&said)), replaced, "{:?}", report.events);
         let alive = gaussians(&mut trainer).opacities().iter().filter(|&&o| o > 0.0).count();
         assert_eq!(alive > left, replaced, "{alive}, {left} before");
+    }
+}
+
+#[test]
+fn what_is_before_a_camera_makes_room_for_copies() {
+    let options = BuiltinOptions { width: 24, height: 24, train_views: 3, points: 800, ..Default::default() };
+    let dataset = Arc::new(builtin(&options));
+    let centre = dataset.train[0].camera.centre().as_vec3().to_array();
+    for (set, leave) in [("refine.new_gaussians=copies", true), ("refine.new_gaussians=black", false)] {
+        let set = ["train.steps=100", "refine.budget=400", "refine.split_until=0", set];
+        let mut trainer = Trainer::new(config(&set), dataset.clone(), device()).unwrap();
+        while trainer.completed_steps() < 52 {
+            trainer.step().unwrap();
+        }
+        let all = gaussians(&mut trainer);
+        let mut positions = all.columns.positions.raw_rows();
+        positions[..15].copy_from_slice(&centre.repeat(5));
+        all.columns.positions.set(&positions);
+        let rows = |trainer: &mut Trainer| {
+            let positions = gaussians(trainer).columns.positions.raw_rows();
+            positions.as_chunks::<3>().0.iter().filter(|&&position| position == centre).count()
+        };
+        assert_eq!(rows(&mut trainer), 5);
+        let before = gaussians(&mut trainer).len();
+        let report = trainer.step().unwrap().unwrap();
+        assert!(report.events.iter().any(|event| event.contains("Gaussians removed")), "{:?}", report.events);
+        let near = gaussians(&mut trainer).columns.positions.raw_rows();
+        let near = near.as_chunks::<3>().0.iter().filter(|at| Vec3::from_array(**at).distance(centre.into()) < 0.1);
+        assert_eq!(near.count(), if leave { 0 } else { 5 });
+        assert!(!leave || gaussians(&mut trainer).len() >= before, "copies take their place");
     }
 }
 

@@ -1,0 +1,90 @@
+//! Where nothing can be: around a camera that saw only what is far there is nothing close.
+
+use glam::{DVec3, Vec3};
+
+use super::Dataset;
+
+/// Radius of the empty space around a camera, relative to the distance of the nearest points that it saw.
+const CLEARANCE: f64 = 0.5;
+/// Share of the points of a view that are nearer than its nearest points: some are wrong.
+const TOO_NEAR: f64 = 0.01;
+/// Least number of points that say what is near a camera: of fewer there is no hundredth.
+const ENOUGH_POINTS: usize = 100;
+
+/// The empty space around the training cameras of a dataset.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct EmptySpace {
+    /// Centres of cameras and the distances up to which nothing is, world units.
+    spheres: Vec<(DVec3, f64)>,
+}
+
+impl EmptySpace {
+    /// That around the training cameras of which it is known which points they saw, if they are a hundred or more: half the
+    /// distance of the nearest of them, of which one in a hundred may be wrong.
+    pub fn of(dataset: &Dataset) -> Self {
+        let views = &dataset.train;
+        let mut distances = vec![Vec::new(); views.len()];
+        for (position, seen_by) in dataset.points.positions.iter().zip(dataset.points.seen_by.iter()) {
+            let position = Vec3::from_array(*position).as_dvec3();
+            for &view in seen_by {
+                distances[view as usize].push(views[view as usize].camera.centre().distance(position));
+            }
+        }
+        let known = views.iter().zip(&mut distances).filter(|(_, distances)| distances.len() >= ENOUGH_POINTS);
+        let spheres = known.map(|(view, distances)| {
+            let nearest = (TOO_NEAR * distances.len() as f64) as usize;
+            let nearest = *distances.select_nth_unstable_by(nearest, f64::total_cmp).1;
+            (view.camera.centre(), CLEARANCE * nearest)
+        });
+        Self { spheres: spheres.collect() }
+    }
+
+    /// Whether `position` (world units) is in it.
+    pub fn contains(&self, position: [f32; 3]) -> bool {
+        let position = Vec3::from_array(position).as_dvec3();
+        self.spheres.iter().any(|(centre, radius)| position.distance_squared(*centre) < radius * radius)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use dpges_core::camera::CameraFromWorld;
+
+    use super::*;
+    use crate::dataset::{BuiltinOptions, PointCloud, View, builtin};
+
+    /// Two cameras 4 and 8 before the origin, of which the first saw `count` points there.
+    fn dataset(count: usize) -> Dataset {
+        let mut dataset = builtin(&BuiltinOptions { width: 16, height: 16, train_views: 2, ..Default::default() });
+        for (view, distance) in dataset.train.iter_mut().zip([4.0, 8.0]) {
+            let camera_from_world = CameraFromWorld::look_at(DVec3::new(0.0, 0.0, -distance), DVec3::ZERO, -DVec3::Y);
+            let camera = dpges_core::camera::Camera { camera_from_world, ..view.camera };
+            *view = View { camera, ..view.clone() };
+        }
+        let seen_by = vec![vec![0]; count].into_iter().collect();
+        dataset.points = PointCloud { positions: vec![[0.0; 3]; count], colours: vec![[0.5; 3]; count], seen_by };
+        dataset
+    }
+
+    #[test]
+    fn half_way_to_the_points_that_a_camera_saw() {
+        let empty = EmptySpace::of(&dataset(100));
+        // behind the camera it is as empty as before it; the other camera saw nothing
+        let at = [-1.9, -2.1, -4.0, -5.9, -6.1, -8.0];
+        assert_eq!(at.map(|z| empty.contains([0.0, 0.0, z])), [false, true, true, true, false, false]);
+    }
+
+    #[test]
+    fn one_point_in_a_hundred_may_be_wrong() {
+        let mut data = dataset(200);
+        data.points.positions[..2].fill([0.0, 0.0, -3.9]);
+        assert!(EmptySpace::of(&data).contains([0.0, 0.0, -2.1]));
+        data.points.positions[2] = [0.0, 0.0, -3.9];
+        assert!(!EmptySpace::of(&data).contains([0.0, 0.0, -2.1]));
+    }
+
+    #[test]
+    fn a_few_points_say_nothing() {
+        assert_eq!(EmptySpace::of(&dataset(99)), EmptySpace::default());
+    }
+}
