@@ -1,12 +1,12 @@
-//! `cargo bench -p dpges-benches --bench ops`: each operation, a whole training step, and how both grow.
+//! `cargo bench -p dpges-benches --bench ops`: each operation, and a whole training step.
 
 use std::hint::black_box;
 use std::time::Duration;
 
 use burn::tensor::{DType, Device, Tensor};
-use criterion::{BatchSize, BenchmarkId, Criterion, SamplingMode, criterion_group, criterion_main};
+use criterion::{BatchSize, Criterion, SamplingMode, criterion_group, criterion_main};
 use dpges_benches::training::{Parameter, Training, Variant, adam_settings};
-use dpges_benches::{cpus, devices, machine, plain};
+use dpges_benches::{devices, machine, plain};
 use dpges_core::ops::blend::{Blend, BlendOptions, Form, blend};
 use dpges_core::ops::composite::{Composite, CompositeOptions, composite};
 use dpges_core::ops::limits::interval_limits;
@@ -215,34 +215,6 @@ fn steps(c: &mut Criterion) {
     }
 }
 
-/// A step's time against pixels (at the same overlap) and against primitives (at half the area each).
-fn growth(c: &mut Criterion) {
-    let [_, (name, device)] = &cpus();
-    let mut group = c.benchmark_group(format!("growth on {name}"));
-    group.sampling_mode(SamplingMode::Flat);
-    let training = Training::new(&scene(), device);
-    for size in [200, 400, 800] {
-        let mut resized = training.resized(size, size);
-        group.bench_function(BenchmarkId::new("pixels", size), |b| b.iter(|| black_box(resized.step(Variant::OWN))));
-    }
-    for times in [1, 2, 4] {
-        let mut scene = realistic(times * SURFELS, times * GAUSSIANS, SIZE, SIZE, 1);
-        // surfels shrink with their number; so shall the Gaussians
-        scene.gaussians.log_scales.iter_mut().for_each(|s| *s -= 0.5 * (times as f32).ln());
-        let mut more = Training::new(&scene, device);
-        group.bench_function(BenchmarkId::new("primitives at constant overlap", times), |b| {
-            b.iter(|| black_box(more.step(Variant::OWN)));
-        });
-    }
-    for times in [1, 2, 4] {
-        let scene = realistic(SURFELS, times * GAUSSIANS, SIZE, SIZE, 1);
-        let mut more = Training::new(&scene, device);
-        group.bench_function(BenchmarkId::new("Gaussian overlap", times), |b| {
-            b.iter(|| black_box(more.step(Variant::OWN)));
-        });
-    }
-}
-
 fn short() -> Criterion {
     Criterion::default()
         .sample_size(10)
@@ -250,5 +222,5 @@ fn short() -> Criterion {
         .measurement_time(Duration::from_millis(1500))
 }
 
-criterion_group! { name = all; config = short(); targets = operations, steps, growth }
+criterion_group! { name = all; config = short(); targets = operations, steps }
 criterion_main!(all);

@@ -2,14 +2,14 @@
 """Runs dpges on every graphics driver of this machine, and prints a table in Markdown.
 
     cargo build --release && cargo test --release --workspace --no-run
-    python3 tests/drivers.py target/release/dpges [--only SwiftShader] [--json drivers.json]
+    python3 tests/drivers.py target/release/dpges [--only SwiftShader] [--only "validation: core"] [--json drivers.json]
 
 A driver is a row: Mesa's lavapipe with subgroups of 4, 8 and 16, Chromium's SwiftShader, every Vulkan driver of a GPU, and
 OpenGL. Columns: the selftest (worst error as a share of its tolerance, so that 1 is the most that passes), random scenes at
 the extremes (tensors that are not finite), the kernels' tests of golden cases and parity, PSNR of a training of 50 steps,
 and the worst golden picture of the real-time renderer. Validation by Khronos's layers is a row of its own where they are
 installed: the number of their messages in a selftest, a training and a rendered path. The last table tells whether
-trainings on lavapipe depend on the order of workgroups. Ends with 1 if a cell failed.
+trainings on lavapipe depend on the order of workgroups. Ends with 1 if a cell failed, or if there is nothing to run.
 Needs Python 3.9 and nothing else.
 """
 
@@ -161,15 +161,18 @@ def failed(code, output):
     return (f"{'too slow' if code is None else f'exit {code}'}: {why.strip()[:120]}", False)
 
 
-def validation(kit):
+def validation(kit, wanted):
     """Messages of Khronos's layers by kind of validation, on lavapipe."""
     icds = [icd for icd in installed() if LAVAPIPE in icd.name]
     if not icds:
         return
     for kind, feature in FEATURES.items():
+        if not wanted(f"validation: {kind}"):
+            continue
         run = f"{kit.folder}/validated-{kind}"
         environment = vulkan(
-            icds[0], VK_INSTANCE_LAYERS="VK_LAYER_KHRONOS_validation", VK_LAYER_ENABLES=feature, VK_LOADER_LAYERS_ENABLE="*validation"
+            icds[0], VK_INSTANCE_LAYERS="VK_LAYER_KHRONOS_validation", VK_LAYER_ENABLES=feature, VK_LOADER_LAYERS_ENABLE="*validation",
+            VK_LOADER_DEBUG="layer",
         )
         commands = {
             "selftest": [kit.dpges, "selftest", "--device", "wgpu"],
@@ -179,6 +182,9 @@ def validation(kit):
         }
         for name, command in commands.items():
             code, output = kit.run(command, environment)
+            if not re.search(r'Insert instance layer "?VK_LAYER_KHRONOS_validation', output):
+                yield kind, name, code, ["the layer was not loaded"], output
+                continue
             messages = re.findall(r"(?:VUID-[\w-]+|SYNC-HAZARD-[\w-]+|UNASSIGNED-[\w-]+)", output)
             yield kind, name, code, sorted(set(messages)), output
 
@@ -199,17 +205,21 @@ def orders(kit):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("dpges", help="the program, built with `cargo build --release`")
-    parser.add_argument("--only", action="append", help="drivers whose names contain this")
+    parser.add_argument("--only", action="append", help="drivers whose names contain this; `validation: core`, `order of workgroups`")
     parser.add_argument("--json", help="where to write everything that was found")
     parser.add_argument("--limit", type=float, default=900, help="most seconds for a cell (default 900)")
     options = parser.parse_args()
     passed, table = True, []
+
+    def wanted(name):
+        return not options.only or any(only.lower() in name.lower() for only in options.only)
+
     with tempfile.TemporaryDirectory() as folder:
         kit = Kit(options, folder)
         print("| driver | selftest | extremes | kernels' tests | training | real-time renderer |")
         print("|---|---|---|---|---|---|")
         for row in rows():
-            if options.only and not any(only.lower() in row.name.lower() for only in options.only):
+            if not wanted(row.name):
                 continue
             found = kit.driver(row)
             if found is None:
@@ -223,13 +233,13 @@ def main():
             print(f"| {row.name}: {driver} | " + " | ".join(text if ok else f"**{text}**" for text, ok in cells) + " |", flush=True)
             table.append({"driver": row.name, "version": driver, "cells": [text for text, _ in cells]})
         layers = Path("/usr/share/vulkan/explicit_layer.d") / VALIDATION_LAYER
-        if layers.is_file() and not options.only:
+        if layers.is_file() and any(wanted(f"validation: {kind}") for kind in FEATURES):
             print("\n| validation | what ran | messages |\n|---|---|---|")
-            for kind, name, code, messages, _ in validation(kit):
+            for kind, name, code, messages, _ in validation(kit, wanted):
                 passed &= code == 0 and not messages
                 print(f"| {kind} | {name} | {', '.join(messages) or 'none'}{'' if code == 0 else f' (exit {code})'} |", flush=True)
                 table.append({"validation": kind, "of": name, "exit": code, "messages": messages})
-        if not options.only:
+        if wanted("order of workgroups"):
             digests = {}
             for method, threads, code, digest in orders(kit):
                 passed &= code == 0
@@ -242,7 +252,7 @@ def main():
                 table.append({"method": method, "threads": THREADS, "different": len(found)})
     if options.json:
         Path(options.json).write_text(json.dumps(table, indent=1))
-    sys.exit(0 if passed else 1)
+    sys.exit(0 if passed and table else 1)
 
 
 if __name__ == "__main__":

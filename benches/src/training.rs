@@ -99,12 +99,6 @@ impl Training {
         }
     }
 
-    /// The same scene seen by its camera at another size.
-    pub fn resized(&self, width: usize, height: usize) -> Self {
-        let scene = TestScene { camera: self.scene.camera.resized(width, height), ..self.scene.clone() };
-        Self::new(&scene, &self.device)
-    }
-
     fn leaves(&self) -> (Surfels, Gaussians) {
         (self.surfels.map_ref(|_, parameter| parameter.leaf()), self.gaussians.map_ref(|_, parameter| parameter.leaf()))
     }
