@@ -9,6 +9,7 @@ Python 3.8; with --plot also matplotlib. An idle machine, or times mean little.
 """
 
 import argparse
+import importlib.util
 import json
 import math
 import subprocess
@@ -36,9 +37,15 @@ def main():
     parser.add_argument("--json", type=Path, help="file for the figures")
     parser.add_argument("--plot", type=Path, help="file for a plot, such as growth.svg")
     options = parser.parse_args()
+    if not options.dpges.is_file():
+        parser.error(f"{options.dpges} is not there: build it with `cargo build --release`")
+    if options.most < PRIMITIVES[0]:
+        parser.error(f"--most {options.most}: expected at least {PRIMITIVES[0]}")
+    if options.plot and not importlib.util.find_spec("matplotlib"):
+        parser.error("--plot needs matplotlib: pip install matplotlib")
     sweeps = {}
-    for name, unit, sizes in sweeps_of(options):
-        sweeps[name] = rows = []
+    for unit, sizes in sweeps_of(options):
+        sweeps[unit] = rows = []
         print(f"\n| {unit} | step, ms | exponent | peak memory, MB | exponent |\n|---:|---:|---:|---:|---:|")
         for size, arguments in sizes:
             measured = measure(options, arguments)
@@ -51,16 +58,18 @@ def main():
 
 
 def sweeps_of(options):
-    """Name, unit and sizes with their arguments of each sweep."""
-    room = lambda gaussians, width: [
-        "realistic", "--gaussians", gaussians, "--surfels", gaussians // 10, "--size", f"{width}x{width * 3 // 4}"
-    ]
+    """What grows in each sweep, and sizes with their arguments."""
+
+    def room(gaussians, width):
+        size = f"{width}x{width * 3 // 4}"
+        return ["realistic", "--gaussians", gaussians, "--surfels", gaussians // 10, "--size", size]
+
     primitives = [(11 * count // 10, room(count, WIDTHS[0])) for count in PRIMITIVES if count <= options.most]
     pixels = [(width * width * 3 // 4, room(min(GAUSSIANS, options.most), width)) for width in WIDTHS]
-    yield "primitives", "primitives", primitives
-    yield "pixels", "pixels", pixels
+    yield "primitives", primitives
+    yield "pixels", pixels
     if options.run:
-        yield "views", "views", [(count, [options.run, "--split", "train", "--cameras", count]) for count in VIEWS]
+        yield "views", [(count, [options.run, "--split", "train", "--cameras", count]) for count in VIEWS]
 
 
 def measure(options, arguments):
@@ -104,13 +113,13 @@ def plot(sweeps, path):
     from matplotlib import pyplot
 
     figure, axes = pyplot.subplots(1, len(sweeps), figsize=(4 * len(sweeps), 3.4))
-    for axis, (name, rows) in zip(axes, sweeps.items()):
-        sizes = [row[name] for row in rows]
+    for axis, (unit, rows) in zip(axes, sweeps.items()):
+        sizes = [row[unit] for row in rows]
         for key, label, factor in [("ms", "step, ms", 1), ("bytes", "peak memory, MB", 1e-6)]:
             known = [(size, factor * row[key]) for size, row in zip(sizes, rows) if row[key] is not None]
             if known:
                 axis.loglog(*zip(*known), "o-", label=label)
-        axis.set_xlabel(name)
+        axis.set_xlabel(unit)
         axis.grid(True, which="major", alpha=0.3)
         axis.legend()
     figure.tight_layout()

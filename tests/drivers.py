@@ -216,11 +216,11 @@ def main():
 
     with tempfile.TemporaryDirectory() as folder:
         kit = Kit(options, folder)
-        print("| driver | selftest | extremes | kernels' tests | training | real-time renderer |")
-        print("|---|---|---|---|---|---|")
-        for row in rows():
-            if not wanted(row.name):
-                continue
+        chosen = [row for row in rows() if wanted(row.name)]
+        if chosen:
+            print("| driver | selftest | extremes | kernels' tests | training | real-time renderer |")
+            print("|---|---|---|---|---|---|")
+        for row in chosen:
             found = kit.driver(row)
             if found is None:
                 print(f"{row.name}: no adapter", file=sys.stderr)

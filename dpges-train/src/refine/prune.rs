@@ -44,7 +44,13 @@ pub fn drawn(opacities: &[f32]) -> RowEdit {
 pub fn beyond(empty: &EmptySpace, rows: RowEdit, positions: &[f32]) -> RowEdit {
     let (positions, _) = positions.as_chunks::<3>();
     let keep: Vec<usize> = rows.keep.par_iter().copied().filter(|&row| !empty.contains(positions[row])).collect();
-    if keep.is_empty() { rows } else { RowEdit { keep } }
+    if keep.is_empty() && !rows.keep.is_empty() {
+        tracing::warn!(
+            "each Gaussian is in the empty space before a camera: none is removed; are the points in their places?"
+        );
+        return rows;
+    }
+    RowEdit { keep }
 }
 
 fn unless_nothing_is_left(edit: RowEdit, count: usize, of: &str) -> RowEdit {
