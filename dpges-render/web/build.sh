@@ -1,7 +1,6 @@
 #!/usr/bin/env bash
 # Builds the browser viewer into a folder that any web server can serve: `build.sh [FOLDER]`, default dist/ beside this
-# script. Needs wasm-bindgen of the version below and a compiler for wasm32: that of rustup
-# (`rustup target add wasm32-unknown-unknown`), or else Debian's (rustc-web cargo-web rust-web-src lld).
+# script. Needs wasm-bindgen of the version below, and rustup's standard library for wasm32.
 set -euo pipefail
 cd "$(dirname "$0")"
 folder="$(realpath -m "${1:-dist}")"
@@ -19,15 +18,11 @@ if ! wasm-bindgen --version 2>/dev/null | grep -qF "$wasm_bindgen_version"; then
     exit 1
 fi
 
-if [ -d "$(rustc --print sysroot)/lib/rustlib/$target" ]; then
-    cargo build --release --locked --package dpges-web --target "$target"
-elif [ -x /usr/bin/cargo ] && [ -d /usr/lib/rustlib/src ] && command -v wasm-ld >/dev/null; then
-    PATH="/usr/bin:$PATH" RUSTC=/usr/bin/rustc RUSTC_BOOTSTRAP=1 CARGO_TARGET_WASM32_UNKNOWN_UNKNOWN_LINKER=wasm-ld \
-        /usr/bin/cargo build --release --locked -Z build-std=std,panic_abort --package dpges-web --target "$target"
-else
-    echo "missing: rustup target add $target, or on Debian: apt-get install rustc-web cargo-web rust-web-src lld" >&2
+if ! [ -d "$(rustc --print sysroot)/lib/rustlib/$target" ]; then
+    echo "missing: rustup target add $target" >&2
     exit 1
 fi
+cargo build --release --locked --package dpges-web --target "$target"
 
 mkdir -p "$folder/pkg"
 wasm-bindgen --target web --no-typescript --remove-name-section --remove-producers-section --out-dir "$folder/pkg" "$CARGO_TARGET_DIR/$target/release/dpges_web.wasm"

@@ -26,7 +26,7 @@
 //! | humantime | durations, the date of a report |
 //! | clap, ctrlc, indicatif, tracing, tracing-indicatif, tracing-subscriber | the command line |
 //! | mpi | feature `mpi`: processes that train one scene |
-//! | mimalloc | the binary's allocator |
+//! | mimalloc, libmimalloc-sys | the binary's allocator, and how long it keeps freed pages |
 
 pub mod blocks;
 pub mod config;

@@ -12,6 +12,7 @@ pub mod file;
 pub mod lobes;
 pub mod lod;
 pub mod schema;
+#[cfg(feature = "burn")]
 pub mod split;
 mod stored_size;
 #[cfg(feature = "burn")]

@@ -198,7 +198,7 @@ configuration! {
         depth_surfels: f64 = 0.25, range: POSITIVE_SHARE;
         /// Share of `refine.budget` that discs may use. 0 sets no limit (2DGS).
         surfel_budget: f64 = 0.3, range: 0.0..;
-        /// Share of `refine.budget` that Gaussians may use before the joint stage (DP-GES: 0.5 to 0.6).
+        /// Share of `refine.budget` that Gaussians may use before the joint stage.
         gaussian_budget: f64 = 0.9, range: POSITIVE_SHARE;
         /// Opacity in the joint stage of Gaussians that were blended before, if `model.opacity` is linear; otherwise it is
         /// kept.

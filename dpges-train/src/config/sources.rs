@@ -290,7 +290,7 @@ model = { colour = 'sb2', layers = 3, modulation = 30.0, backstop = false, opaci
 margin = 'median', margin_lookup = 'shifted', environment = 'none', sampling_limit = 0.0 }
 init = { limit_scales = false }
 stages = { surfels = 0.30769231, gaussians = 0.30769231, gaussians_by = 'dbs', surfel_opacity = 0.8, surfel_scale = 1.0, \
-surfel_budget = 0, gaussian_budget = 0.6, joint_opacity = 'kept', position_share = 0.66666667 }
+surfel_budget = 0, gaussian_budget = 0.8, joint_opacity = 'kept', position_share = 0.66666667 }
 discs = { lambda_normal = 0.05, lambda_distortion = 0.0 }
 density = { gradient_threshold = 2e-4 }
 optimizer = { position_start = 1.6e-4, position_end = 1.6e-6, quaternions = 1e-3, log_scales = 5e-3, opacities = 2.5e-4, \

@@ -54,12 +54,11 @@ pub fn draw_in_proportion(weights: &[f32], count: usize, rng: &mut ChaCha8Rng) -
     (0..count).map(draw).collect()
 }
 
-/// One Gaussian at each of `positions` (world units): isotropic, its scale half the root mean
-/// square distance to the 3 nearest others but at most `max_scale` (world units), which is also the
-/// scale of one alone; opacity 0.5, black, faint lobes, a random rotation.
-pub fn new_gaussians(positions: &[[f32; 3]], max_scale: f32, model: ColourModel, rng: &mut ChaCha8Rng) -> GaussianData {
+/// One Gaussian at each of `positions` (world units): isotropic, its scale half the root mean square distance to the 3 nearest
+/// others (GES), that of one alone `alone` (world units); opacity 0.5, black, faint lobes, a random rotation.
+pub fn new_gaussians(positions: &[[f32; 3]], alone: f32, model: ColourModel, rng: &mut ChaCha8Rng) -> GaussianData {
     let count = positions.len();
-    let scale = |spacing: Option<f32>| spacing.map_or(max_scale, |spacing| (SCALE * spacing).min(max_scale));
+    let scale = |spacing: Option<f32>| spacing.map_or(alone, |spacing| SCALE * spacing);
     let mut new = GaussianData::neutral(model, count);
     new.positions = positions.as_flattened().to_vec();
     new.quaternions = (0..count).flat_map(|_| random_rotation(rng)).collect();
@@ -158,7 +157,7 @@ mod tests {
         let new = new_gaussians(&positions, 0.75, model, &mut rng());
         assert_eq!((new.len(), new.colour.detail.len()), (4, 48));
         assert!((new.log_scales[0].exp() - 0.5 * 2f32.sqrt()).abs() < 1e-6);
-        assert!((new.log_scales[9].exp() - 0.75).abs() < 1e-6);
+        assert!((new.log_scales[9].exp() - 0.5 * (14f32 / 3.0).sqrt()).abs() < 1e-6);
         assert!(new.opacities.iter().all(|&opacity| opacity == 0.5));
         assert!((new.colour.base[0] as f64 * SH_C0 + 0.5).abs() < 1e-6);
         let lengths = new.quaternions.as_chunks::<4>().0.iter().map(|q| q.iter().map(|x| x * x).sum::<f32>());

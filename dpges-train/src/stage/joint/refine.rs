@@ -23,8 +23,8 @@ use crate::refine::split::split;
 use crate::refine::{GaussianEdit, RowEdit};
 use crate::views::exposure::Seen;
 
-/// Largest scale of an added Gaussian, as a fraction of the extent.
-const MAX_ADDED_SCALE: f64 = 0.01;
+/// Scale of an added Gaussian that is the only one of its batch, as a fraction of the extent.
+const SCALE_ALONE: f64 = 0.01;
 
 impl JointStage {
     /// Does what is `due` in the order prune, margins, split, add. Returns a sentence for each thing it did.
@@ -190,8 +190,8 @@ impl JointStage {
             }));
         }
         positions.retain(|&position| self.bounds().contains(position));
-        let largest = (MAX_ADDED_SCALE * self.info.extent) as f32;
-        Ok(new_gaussians(&positions, largest, self.info.colour_model, &mut context.rng))
+        let alone = (SCALE_ALONE * self.info.extent) as f32;
+        Ok(new_gaussians(&positions, alone, self.info.colour_model, &mut context.rng))
     }
 
     /// Where Gaussians may be added.
