@@ -3,13 +3,15 @@
 
     cargo build --release && cargo test --release --workspace --no-run
     python3 tests/drivers.py target/release/dpges [--only SwiftShader] [--only "validation: core"] [--json drivers.json]
+    dpges-render/web/tests/browser.py --keep page && python3 tests/drivers.py target/release/dpges --page page   # with browsers
 
-A driver is a row: Mesa's lavapipe with subgroups of 4, 8 and 16, Chromium's SwiftShader, every Vulkan driver of a GPU, and
-OpenGL. Columns: the selftest (worst error as a share of its tolerance, so that 1 is the most that passes), random scenes at
-the extremes (tensors that are not finite), the kernels' tests of golden cases and parity, PSNR of a training of 50 steps,
-and the worst golden picture of the real-time renderer. Validation by Khronos's layers is a row of its own where they are
-installed: the number of their messages in a selftest, a training and a rendered path. The last table tells whether
-trainings on lavapipe depend on the order of workgroups. Ends with 1 if a cell failed, or if there is nothing to run.
+A driver is a row: Mesa's lavapipe with subgroups of 4, 8 and 16, Chromium's SwiftShader, every Vulkan driver of a GPU,
+OpenGL, and Chromium's WebGPU and WebGL2 if there is a page. Columns: the selftest (worst error as a share of its tolerance,
+so that 1 is the most that passes), random scenes at the extremes (tensors that are not finite), the kernels' tests of golden
+cases and parity, PSNR of a training of 50 steps, and the worst golden picture of the real-time renderer (of the page: the
+worst picture against the native one). Validation by Khronos's layers is a row of its own where they are installed: the number
+of their messages in a selftest, a training and a rendered path. The last table tells whether trainings on lavapipe depend on
+the order of workgroups. Ends with 1 if a cell failed, or if there is nothing to run.
 Needs Python 3.9 and nothing else.
 """
 
@@ -35,6 +37,8 @@ FEATURES = {
 }
 # of the tests on a GPU
 KERNEL_TESTS = ["golden_cases", "parity::every_operation"]
+BROWSER_TEST = Path(__file__).resolve().parent.parent / "dpges-render/web/tests/browser.py"
+BROWSERS = {"webgpu": "Chromium, WebGPU", "webgl": "Chromium, WebGL2"}
 # kernels of every kind: peeled and summed, sorted, met by rays, in queues, with a core
 METHODS = ["dpges", "mcmc", "2dgs", "stopthepop", "htgs", "sortfree"]
 THREADS = [0, 1, 2, 7]
@@ -154,6 +158,14 @@ class Kit:
         cells = [f"{depths.lower()} depths {db:.0f} dB ({name})" for depths, (db, name) in worst.items()]
         return (", ".join(cells), code == 0)
 
+    def page(self, backend, page):
+        code, output = self.run([sys.executable, BROWSER_TEST, "--folder", page, "--backends", backend], {})
+        pictures = re.findall(r"^\w+ +\w+: (.+): (\d+\.\d+|inf) dB, at least", output, re.MULTILINE)
+        if not pictures:
+            return failed(code, output)
+        db, name = min((float(db), name) for name, db in pictures)
+        return (f"{db:.0f} dB ({name}), {len(pictures)} pictures", code == 0)
+
 
 def failed(code, output):
     lines = [line for line in output.strip().splitlines() if line.strip()]
@@ -202,10 +214,17 @@ def orders(kit):
             yield method, threads, code, hashlib.sha256(scene.read_bytes()).hexdigest() if scene.is_file() else None
 
 
+def line(name, version, cells):
+    """Prints a row of the table; returns what is kept of it."""
+    print(f"| {name}: {version} | " + " | ".join(text if ok else f"**{text}**" for text, ok in cells) + " |", flush=True)
+    return {"driver": name, "version": version, "cells": [text for text, _ in cells]}
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("dpges", help="the program, built with `cargo build --release`")
     parser.add_argument("--only", action="append", help="drivers whose names contain this; `validation: core`, `order of workgroups`")
+    parser.add_argument("--page", help="a folder that browser.py left with --keep, for the rows of Chromium")
     parser.add_argument("--json", help="where to write everything that was found")
     parser.add_argument("--limit", type=float, default=900, help="most seconds for a cell (default 900)")
     options = parser.parse_args()
@@ -217,7 +236,7 @@ def main():
     with tempfile.TemporaryDirectory() as folder:
         kit = Kit(options, folder)
         chosen = [row for row in rows() if wanted(row.name)]
-        if chosen:
+        if chosen or options.page and any(map(wanted, BROWSERS.values())):
             print("| driver | selftest | extremes | kernels' tests | training | real-time renderer |")
             print("|---|---|---|---|---|---|")
         for row in chosen:
@@ -230,8 +249,12 @@ def main():
             cells = [measure(row.environment, device) for measure in measures] or [("–", True)] * 4
             cells.append(kit.raster(row.environment, device))
             passed &= all(ok for _, ok in cells)
-            print(f"| {row.name}: {driver} | " + " | ".join(text if ok else f"**{text}**" for text, ok in cells) + " |", flush=True)
-            table.append({"driver": row.name, "version": driver, "cells": [text for text, _ in cells]})
+            table.append(line(row.name, driver, cells))
+        for backend, name in BROWSERS.items() if options.page else []:
+            if wanted(name):
+                cells = [("–", True)] * 4 + [kit.page(backend, options.page)]
+                passed &= cells[-1][1]
+                table.append(line(name, kit.run(["chromium", "--version"], {})[1].strip().splitlines()[-1], cells))
         layers = Path("/usr/share/vulkan/explicit_layer.d") / VALIDATION_LAYER
         if layers.is_file() and any(wanted(f"validation: {kind}") for kind in FEATURES):
             print("\n| validation | what ran | messages |\n|---|---|---|")
