@@ -25,6 +25,10 @@ import sys
 import tempfile
 from pathlib import Path
 
+BROWSER_TEST = Path(__file__).resolve().parent.parent / "dpges-render/web/tests/browser.py"
+sys.path.append(str(BROWSER_TEST.parent))
+from chromium import program  # noqa: E402
+
 ICD_FOLDERS = ["/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d", "/usr/local/nvidia/share/vulkan/icd.d"]
 SWIFTSHADER = ["/usr/lib/chromium/vk_swiftshader_icd.json", "/opt/google/chrome/vk_swiftshader_icd.json"]
 # files of drivers that run on the CPU
@@ -37,7 +41,6 @@ FEATURES = {
 }
 # of the tests on a GPU
 KERNEL_TESTS = ["golden_cases", "parity::every_operation"]
-BROWSER_TEST = Path(__file__).resolve().parent.parent / "dpges-render/web/tests/browser.py"
 BROWSERS = {"webgpu": "Chromium, WebGPU", "webgl": "Chromium, WebGL2"}
 # kernels of every kind: peeled and summed, sorted, met by rays, in queues, with a core
 METHODS = ["dpges", "mcmc", "2dgs", "stopthepop", "htgs", "sortfree"]
@@ -228,6 +231,8 @@ def main():
     parser.add_argument("--json", help="where to write everything that was found")
     parser.add_argument("--limit", type=float, default=900, help="most seconds for a cell (default 900)")
     options = parser.parse_args()
+    if options.page and not (Path(options.page) / "reference.json").is_file():
+        parser.error(f"--page {options.page}: no reference.json there; make it with browser.py --keep {options.page}")
     passed, table = True, []
 
     def wanted(name):
@@ -254,7 +259,7 @@ def main():
             if wanted(name):
                 cells = [("–", True)] * 4 + [kit.page(backend, options.page)]
                 passed &= cells[-1][1]
-                table.append(line(name, kit.run(["chromium", "--version"], {})[1].strip().splitlines()[-1], cells))
+                table.append(line(name, kit.run([program(), "--version"], {})[1].strip().splitlines()[-1], cells))
         layers = Path("/usr/share/vulkan/explicit_layer.d") / VALIDATION_LAYER
         if layers.is_file() and any(wanted(f"validation: {kind}") for kind in FEATURES):
             print("\n| validation | what ran | messages |\n|---|---|---|")
