@@ -23,6 +23,8 @@ const START_DEGREES: f32 = 100.0;
 /// SortFreeGS begins with 0.1, where opacities are 2.5 / 255: many Gaussians then fall below 1 / 255 in their first steps,
 /// and what is not drawn has no gradient that brings it back.
 const START_FACTOR: f64 = 1.0;
+/// Largest part of its budget with which a stage under density control begins: with all of it, nothing could be split.
+const CONTROLLED_SHARE: f64 = 0.5;
 
 impl Context {
     /// Discs at the surfels that the configuration asks for, or at the Gaussians if there are no surfels.
@@ -30,7 +32,7 @@ impl Context {
     /// # Errors
     /// [`TrainError::Init`] if the dataset has nothing to begin with.
     pub fn start_of_discs(&mut self, plan: StagePlan) -> Result<GaussianData, TrainError> {
-        let start = self.start(plan, OPACITY, SCALE)?;
+        let start = self.start(CONTROLLED_SHARE * plan.budget_share, OPACITY, SCALE)?;
         let mut discs = if start.surfels.is_empty() { start.gaussians } else { flat(start.surfels) };
         discs.opacities.fill(OPACITY as f32);
         Ok(discs)
@@ -45,7 +47,8 @@ impl Context {
             Some(_) => (RELOCATED_OPACITY, self.config.relocation.start_scale),
             None => (OPACITY, SCALE),
         };
-        let mut start = self.start(plan, opacity, scale)?.gaussians;
+        let share = if matches!(blended, Blended::Controlled(_)) { CONTROLLED_SHARE } else { 1.0 };
+        let mut start = self.start(share * plan.budget_share, opacity, scale)?.gaussians;
         if is_student {
             start.degrees_of_freedom = Some(vec![START_DEGREES; start.len()]);
         }
@@ -60,11 +63,11 @@ impl Context {
 
     fn start(
         &mut self,
-        plan: StagePlan,
+        budget_share: f64,
         gaussian_opacity: f64,
         gaussian_scale: f64,
     ) -> Result<InitialScene, TrainError> {
-        let quota = self.most_primitives(plan.budget_share) as f64;
+        let quota = self.most_primitives(budget_share) as f64;
         let start = PrimitiveStart { surfel_scale: SCALE, gaussian_scale, gaussian_opacity };
         Ok(initialise(&self.dataset, &self.config, start, PrimitiveQuota::new(quota, quota), &mut self.rng)?)
     }

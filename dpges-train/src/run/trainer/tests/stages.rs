@@ -90,6 +90,15 @@ fn methods_alone_learn() {
 }
 
 #[test]
+fn density_control_begins_with_half_its_budget() {
+    for (method, count) in [("2dgs", 100), ("3dgs", 100), ("sortfree", 100), ("mcmc", 200), ("sss", 200)] {
+        let method = format!("train.method={method}");
+        let set = ["train.steps=9", "refine.budget=200", "init.method=random", "init.random_gaussians=1000", &method];
+        assert_eq!(trainer(&set).scene().gaussians.len(), count, "{method}");
+    }
+}
+
+#[test]
 fn what_is_summed_is_never_removed_and_learns_what_its_gaussians_have_in_common() {
     for weight in ["dir", "exp", "lc"] {
         let weight = format!("weighted_sum.weight={weight}");
