@@ -30,7 +30,8 @@ const ATTRIBUTES: [&Attribute; 3] =
 /// σ of linear weights at the start, world units, or so many extents if that is more: cameras see across the scene.
 const SIGMA: f64 = 10.0;
 const LEAST_SIGMA: f64 = 2.0;
-/// w_b at the start, and its learning rate.
+/// w_b at the start and at least, and its learning rate. Gaussians weigh 1 / 255 where they end: with a w_b far below that they are
+/// as bright at their edges as in their middle, and no gradient tells them to grow over a hole beside them.
 const BACKGROUND: f32 = 0.02;
 const BACKGROUND_RATE: f64 = 0.01;
 /// Learning rates of σ at the first and at the last step, extents. The logarithm is interpolated in between. A hundredth of
@@ -133,6 +134,8 @@ impl WeightedSumState {
         for ((parameter, (_, gradient)), learning_rate) in self.parameters.iter_mut().zip(gradients).zip(rates) {
             parameter.step(gradient, gate, AdamStep { learning_rate, ..adam })?;
         }
+        let [_, _, background] = &mut self.parameters;
+        background.set_tensor(background.raw().clamp_min(BACKGROUND));
         Ok(())
     }
 }
@@ -162,19 +165,20 @@ mod tests {
     }
 
     #[test]
-    fn sigma_stays_beyond_the_scene_in_its_first_steps() {
+    fn sigma_stays_beyond_the_scene_in_its_first_steps_and_the_background_keeps_its_weight() {
         let device = device();
         let mut state = WeightedSumState::new(&start(DepthWeight::Linear, 5.0), &device);
         let open = Tensor::ones([1], (&device, DType::F32));
         for time in 1..=100 {
-            // every picture wants it smaller
-            let of_sigma = Some(Tensor::full([1, 1], 1.0, (&device, DType::F32)));
-            let gradients = ATTRIBUTES.into_iter().zip([of_sigma, None, None]).collect();
+            // every picture wants them smaller
+            let smaller = Some(Tensor::full([1, 1], 1.0, (&device, DType::F32)));
+            let gradients = ATTRIBUTES.into_iter().zip([smaller.clone(), None, smaller]).collect();
             let adam = AdamStep { learning_rate: 0.0, beta_1: 0.9, beta_2: 0.999, epsilon: 1e-15, time };
             state.step(gradients, &open, state.rates(0.0, 5.0), adam).unwrap();
         }
-        let WeightedSum { sigma, .. } = state.to_data();
+        let WeightedSum { sigma, background, .. } = state.to_data();
         assert!((9.0..9.6).contains(&sigma), "{sigma}");
+        assert_eq!(background, BACKGROUND);
     }
 
     #[test]
