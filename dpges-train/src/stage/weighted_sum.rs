@@ -30,8 +30,9 @@ const ATTRIBUTES: [&Attribute; 3] =
 /// σ of linear weights at the start, world units, or so many extents if that is more: cameras see across the scene.
 const SIGMA: f64 = 10.0;
 const LEAST_SIGMA: f64 = 2.0;
-/// w_b at the start and at least, and its learning rate. Gaussians weigh 1 / 255 where they end: with a w_b far below that they are
-/// as bright at their edges as in their middle, and no gradient tells them to grow over a hole beside them.
+/// w_b at the start (the re-implementation of SortFreeGS) and at least (ours), and its learning rate. Gaussians weigh 1 / 255
+/// where they end: with a w_b far below that they are as bright at their edges as in their middle, and no gradient tells them
+/// to grow over a hole beside them.
 const BACKGROUND: f32 = 0.02;
 const BACKGROUND_RATE: f64 = 0.01;
 /// Learning rates of σ at the first and at the last step, extents. The logarithm is interpolated in between. A hundredth of
@@ -120,7 +121,8 @@ impl WeightedSumState {
         [of_sigma, BETA_SHARE * of_linear / reach, BACKGROUND_RATE]
     }
 
-    /// Nothing changes where `gate` `[1]` is not 1. `rates` are those of [`rates`](Self::rates).
+    /// Nothing changes where `gate` `[1]` is not 1, but w_b is raised to its least value. `rates` are those of
+    /// [`rates`](Self::rates).
     ///
     /// # Errors
     /// [`dpges_core::Error::Shape`] if a gradient is not one number.
