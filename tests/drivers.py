@@ -11,8 +11,8 @@ so that 1 is the most that passes), random scenes at the extremes (tensors that 
 cases and parity, PSNR of a training of 50 steps, and the worst golden picture of the real-time renderer (of the page: the
 worst picture against the native one). Validation by Khronos's layers is a row of its own where they are installed: the number
 of their messages in a selftest, a training and a rendered path. The last table tells whether trainings on lavapipe depend on
-the order of workgroups. Ends with 1 if a cell failed, or if there is nothing to run.
-Needs Python 3.9 and nothing else.
+the order of workgroups, which a layer of our own shuffles (workgroups.c). Ends with 1 if a cell failed, or if there is nothing
+to run. Needs Python 3.9; the layer needs gcc and Vulkan's headers (Debian's libvulkan-dev).
 """
 
 import argparse
@@ -45,6 +45,10 @@ BROWSERS = {"webgpu": "Chromium, WebGPU", "webgl": "Chromium, WebGL2"}
 # kernels of every kind: peeled and summed, sorted, met by rays, in queues, with a core
 METHODS = ["dpges", "mcmc", "2dgs", "stopthepop", "htgs", "sortfree"]
 THREADS = [0, 1, 2, 7]
+# the second half of a dispatch before the first, then pieces in orders drawn from these seeds
+SHUFFLES = [0, 1, 2]
+ORDER = "order of workgroups"
+SHUFFLE_LAYER = Path(__file__).with_name("workgroups.c")
 SMALL = ["--steps", "50", "--max-resolution", "64", "--budget", "2000"]
 
 
@@ -204,17 +208,44 @@ def validation(kit, wanted):
             yield kind, name, code, sorted(set(messages)), output
 
 
-def orders(kit):
-    """Whether trainings on lavapipe end with the same bytes, whatever the number of threads that take its workgroups: with one
-    they run in order, with more in an order that differs from run to run. Yields method, thread count, exit status, digest."""
+def shuffles(kit):
+    """Environments in which every dispatch is cut into pieces that run in another order; none if the layer cannot be built."""
+    library = f"{kit.folder}/libworkgroups.so"
+    code, output = kit.run(["gcc", "-shared", "-fPIC", "-O2", "-o", library, SHUFFLE_LAYER], {})
+    if code != 0:
+        print(f"workgroups are not shuffled, the layer was not built: {output.strip()[:200]}", file=sys.stderr)
+        return {}
+    layer = {
+        "name": "VK_LAYER_DPGES_workgroups", "type": "INSTANCE", "library_path": library, "api_version": "1.3.0",
+        "implementation_version": "1", "description": "Dispatches run in pieces, in another order.",
+    }
+    manifest = Path(kit.folder, "workgroups.json")
+    manifest.write_text(json.dumps({"file_format_version": "1.1.0", "layer": layer}))
+    loaded = {"VK_LAYER_PATH": kit.folder, "VK_INSTANCE_LAYERS": layer["name"]}
+    return {f"shuffle {seed}": {**loaded, "DPGES_WORKGROUPS": str(seed)} for seed in SHUFFLES}
+
+
+def orders(kit, wanted):
+    """Whether trainings on lavapipe end with the same bytes, whatever the order of workgroups: with one thread they run as they
+    come, with more in an order that differs from run to run, and a layer shuffles them. Yields the method, the order, digest of
+    the scene (None: no scene) and the share of dispatches that had more than one workgroup and were cut."""
     icds = [icd for icd in installed() if LAVAPIPE in icd.name]
+    environments = {f"{threads} threads": {"LP_NUM_THREADS": str(threads)} for threads in THREADS}
+    if icds and any(wanted(f"{ORDER}: {method}, shuffle {seed}") for method in METHODS for seed in SHUFFLES):
+        environments |= shuffles(kit)
     for method in METHODS if icds else []:
-        for threads in THREADS:
-            run = Path(kit.folder) / f"order-{method}-{threads}"
+        for order, environment in environments.items():
+            if not wanted(f"{ORDER}: {method}, {order}"):
+                continue
+            run = Path(kit.folder) / f"{method}, {order}"
             command = [kit.dpges, "train", "--out", run, "--device", "wgpu", "--method", method, *SMALL]
-            code, _ = kit.run(command, vulkan(icds[0], LP_NUM_THREADS=str(threads)))
+            code, output = kit.run(command, vulkan(icds[0], **environment))
             scene = run / "scene.safetensors"
-            yield method, threads, code, hashlib.sha256(scene.read_bytes()).hexdigest() if scene.is_file() else None
+            digest = hashlib.sha256(scene.read_bytes()).hexdigest() if code == 0 and scene.is_file() else None
+            counted = re.search(r"workgroups: (\d+) dispatches, (\d+) of them cut", output)
+            cut = int(counted[2]) / max(int(counted[1]), 1) if counted else 0
+            # without the layer the order would be the usual one
+            yield method, order, digest if "shuffle" not in order or cut > 0 else None, cut
 
 
 def line(name, version, cells):
@@ -226,7 +257,7 @@ def line(name, version, cells):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("dpges", help="the program, built with `cargo build --release`")
-    parser.add_argument("--only", action="append", help="drivers whose names contain this; `validation: core`, `order of workgroups`")
+    parser.add_argument("--only", action="append", help="drivers whose names contain this; `validation: core`, `order of workgroups: dpges, shuffle`")
     parser.add_argument("--page", help="a folder that browser.py left with --keep, for the rows of Chromium")
     parser.add_argument("--json", help="where to write everything that was found")
     parser.add_argument("--limit", type=float, default=900, help="most seconds for a cell (default 900)")
@@ -267,17 +298,20 @@ def main():
                 passed &= code == 0 and not messages
                 print(f"| {kind} | {name} | {', '.join(messages) or 'none'}{'' if code == 0 else f' (exit {code})'} |", flush=True)
                 table.append({"validation": kind, "of": name, "exit": code, "messages": messages})
-        if wanted("order of workgroups"):
-            digests = {}
-            for method, threads, code, digest in orders(kit):
-                passed &= code == 0
-                digests.setdefault(method, set()).add(digest)
-            if digests:
-                print(f"\n| trained with {', '.join(map(str, THREADS))} threads | scenes |\n|---|---|")
-            for method, found in digests.items():
-                passed &= len(found) == 1
-                print(f"| {method} | {'the same bytes' if len(found) == 1 else f'**{len(found)} different**'} |")
-                table.append({"method": method, "threads": THREADS, "different": len(found)})
+        digests = {}
+        for method, order, digest, cut in orders(kit, wanted):
+            if not digests:
+                print("\n| method | orders of workgroups | most dispatches cut | scenes |\n|---|---|---|---|")
+            digests.setdefault(method, {})[order] = (digest, cut)
+            if digest is None:
+                print(f"{method}, {order}: no scene, or the layer did not cut", file=sys.stderr)
+        for method, found in digests.items():
+            scenes, most = {digest for digest, _ in found.values()}, max(cut for _, cut in found.values())
+            agree = len(scenes) == 1 < len(found) and None not in scenes
+            passed &= agree
+            same = "the same bytes" if agree else f"**{len(scenes)} of {len(found)} differ**"
+            print(f"| {method} | {', '.join(found)} | {most:.0%} | {same} |")
+            table.append({"method": method, "scenes": {order: digest for order, (digest, _) in found.items()}, "cut": most})
     if options.json:
         Path(options.json).write_text(json.dumps(table, indent=1))
     sys.exit(0 if passed and table else 1)
