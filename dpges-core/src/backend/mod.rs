@@ -3,6 +3,7 @@
 
 pub mod device;
 pub(crate) mod host;
+pub mod kept;
 pub(crate) mod lanes;
 pub mod readback;
 pub(crate) mod real;

@@ -33,6 +33,7 @@ use super::{
     COLOUR_PLANES, DEPTH_PLANE, DISTORTION_PLANE, Form, NORMAL_PLANE, OutweighingOps,
 };
 use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::backend::kept::Kept;
 use crate::backend::lanes::{Lanes, with_lanes};
 use crate::backend::real::Real;
 use crate::camera::Camera;
@@ -157,6 +158,7 @@ fn forward<T: Real, F: Projected<T>>(
     gaussians: &GaussianRows<T>,
     camera: &Camera,
     options: &BlendOptions,
+    kept: &Kept,
 ) -> [Vec<T>; 2] {
     let view = CameraPair::<T>::new(camera, options.filter);
     let sorted = Sorted::<T, F>::new(gaussians, &view, options);
@@ -168,19 +170,20 @@ fn forward<T: Real, F: Projected<T>>(
         with_lanes(BlendTile { sorted, camera, tile, thresholds, slope, options, block });
     });
     let mut planes = to_planes(&blocks, count, sorted.grid);
+    kept.put(sorted);
     let median_depth = planes.split_off(options.planes() * camera.width * camera.height);
     [planes, median_depth]
 }
 
-fn blend_on<B: Host>(input: &BlendInput<B>, camera: &Camera, options: &BlendOptions) -> BlendOutput<B> {
+fn blend_on<B: Host>(input: &BlendInput<B>, camera: &Camera, options: &BlendOptions, kept: &Kept) -> BlendOutput<B> {
     let (height, width, device) = (camera.height, camera.width, input.gaussians.positions.device());
     with_real!(input.gaussians.positions.dtype(), T => {
         let rows = GaussianRows::<T>::new(&input.gaussians).with_kernels::<B>(&input.degrees_of_freedom);
         let [planes, median_depth] = match options.form {
-            Form::Ellipsoids => forward::<T, Ellipse<T>>(&rows, camera, options),
-            Form::Discs => forward::<T, DiscFootprint<T>>(&rows, camera, options),
-            Form::Students => forward::<T, Student<T>>(&rows, camera, options),
-            Form::Whitened => forward::<T, WhitenedFootprint<T>>(&rows, camera, options),
+            Form::Ellipsoids => forward::<T, Ellipse<T>>(&rows, camera, options, kept),
+            Form::Discs => forward::<T, DiscFootprint<T>>(&rows, camera, options, kept),
+            Form::Students => forward::<T, Student<T>>(&rows, camera, options, kept),
+            Form::Whitened => forward::<T, WhitenedFootprint<T>>(&rows, camera, options, kept),
         };
         let medians = usize::from(options.maps);
         BlendOutput {
@@ -196,16 +199,17 @@ fn blend_backward_on<B: Host>(
     grad: &FloatTensor<B>,
     camera: &Camera,
     options: &BlendOptions,
+    kept: &Kept,
 ) -> BlendInput<B> {
     let (probed, device) = (host::rows(&input.probe), grad.device());
     with_real!(grad.dtype(), T => {
         let rows = GaussianRows::<T>::new(&input.gaussians).with_kernels::<B>(&input.degrees_of_freedom);
         let grad = host::floats::<B, T>(grad);
         let [positions, quaternions, log_scales, opacities, colours, degrees, probe] = match options.form {
-            Form::Ellipsoids => backward::<T, Ellipse<T>>(&rows, &grad, probed > 0, camera, options),
-            Form::Discs => backward::<T, DiscFootprint<T>>(&rows, &grad, probed > 0, camera, options),
-            Form::Students => backward::<T, Student<T>>(&rows, &grad, probed > 0, camera, options),
-            Form::Whitened => backward::<T, WhitenedFootprint<T>>(&rows, &grad, probed > 0, camera, options),
+            Form::Ellipsoids => backward::<T, Ellipse<T>>(&rows, &grad, probed > 0, camera, options, kept),
+            Form::Discs => backward::<T, DiscFootprint<T>>(&rows, &grad, probed > 0, camera, options, kept),
+            Form::Students => backward::<T, Student<T>>(&rows, &grad, probed > 0, camera, options, kept),
+            Form::Whitened => backward::<T, WhitenedFootprint<T>>(&rows, &grad, probed > 0, camera, options, kept),
         };
         BlendInput {
             gaussians: GaussianTensors::from_rows([positions, quaternions, log_scales, opacities, colours], &device),
@@ -257,8 +261,8 @@ macro_rules! implement {
         }
 
         impl BlendOps for $backend {
-            fn blend(input: BlendInput<Self>, camera: Camera, options: BlendOptions) -> BlendOutput<Self> {
-                blend_on::<Self>(&input, &camera, &options)
+            fn blend(input: BlendInput<Self>, camera: Camera, options: BlendOptions, kept: Kept) -> BlendOutput<Self> {
+                blend_on::<Self>(&input, &camera, &options, &kept)
             }
         }
 
@@ -269,8 +273,9 @@ macro_rules! implement {
                 grad: FloatTensor<Self>,
                 camera: Camera,
                 options: BlendOptions,
+                kept: Kept,
             ) -> BlendInput<Self> {
-                blend_backward_on::<Self>(&input, &grad, &camera, &options)
+                blend_backward_on::<Self>(&input, &grad, &camera, &options, &kept)
             }
         }
     };

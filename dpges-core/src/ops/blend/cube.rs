@@ -21,6 +21,7 @@ use self::fold::Layout;
 use self::fragments::{FEATURES, Fragment, Fragments, Payload, fragment, on_projected};
 use self::gather::gather;
 use super::{BlendBackwardOps, BlendInput, BlendLists, BlendOps, BlendOptions, BlendOutput, Form, OutweighingOps, far};
+use crate::backend::kept::Kept;
 use crate::camera::Camera;
 use crate::footprint::gaussian::cube::regions::{WORDS, list_regions, mark_regions};
 use crate::footprint::gaussian::cube::{SPLAT, Splat};
@@ -203,7 +204,7 @@ fn write_pixel(
 }
 
 impl BlendOps for CubeBackend {
-    fn blend(input: BlendInput<Self>, camera: Camera, options: BlendOptions) -> BlendOutput<Self> {
+    fn blend(input: BlendInput<Self>, camera: Camera, options: BlendOptions, _: Kept) -> BlendOutput<Self> {
         let gaussians = input.gaussians.contiguous();
         let (like, count) = (&gaussians.positions, gaussians.positions.shape()[0]);
         let (height, width) = (camera.height, camera.width);
@@ -251,6 +252,7 @@ impl BlendBackwardOps for CubeBackend {
         grad: FloatTensor<Self>,
         camera: Camera,
         options: BlendOptions,
+        _: Kept,
     ) -> BlendInput<Self> {
         let (gaussians, grad) = (input.gaussians.contiguous(), floats(grad));
         let layout = Layout { form: options.form, maps: options.maps, probe: input.probe.shape()[0] > 0 };

@@ -88,6 +88,7 @@ use burn::backend::tensor::{FloatTensor, IntTensor};
 use burn::backend::{Backend, Dispatch, ExtensionType, backend_extension};
 use burn::tensor::{Int, Tensor};
 
+use crate::backend::kept::Kept;
 use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::footprint::gaussian::tensors::GaussianTensors;
@@ -262,7 +263,12 @@ pub struct BlendOutput<B: Backend> {
     Autodiff
 )]
 pub trait BlendOps: Backend {
-    fn blend(#[extension_type] input: BlendInput<Self>, camera: Camera, options: BlendOptions) -> BlendOutput<Self>;
+    fn blend(
+        #[extension_type] input: BlendInput<Self>,
+        camera: Camera,
+        options: BlendOptions,
+        kept: Kept,
+    ) -> BlendOutput<Self>;
 }
 
 #[backend_extension(Cube: cfg(feature = "gpu"), NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
@@ -275,6 +281,7 @@ pub trait BlendBackwardOps: Backend {
         grad: FloatTensor<Self>,
         camera: Camera,
         options: BlendOptions,
+        kept: Kept,
     ) -> BlendInput<Self>;
 }
 
@@ -355,7 +362,7 @@ pub fn blend(
         degrees_of_freedom: degrees_of_freedom.into_dispatch(),
         probe: probe.into_dispatch(),
     };
-    let out = within_capacity(|| Dispatch::blend(input, *camera, *options))?;
+    let out = within_capacity(|| Dispatch::blend(input, *camera, *options, Kept::default()))?;
     let planes = Tensor::<3>::from_dispatch(out.planes);
     let part =
         |first: usize, count: usize| planes.clone().slice([first..first + count, 0..camera.height, 0..camera.width]);

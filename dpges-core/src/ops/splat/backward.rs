@@ -9,6 +9,7 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{AutodiffBackend, Backend, TensorMetadata};
 
 use super::{SplatBackwardOps, SplatGradients, SplatOps};
+use crate::backend::kept::Kept;
 use crate::backend::tape::pass_back;
 use crate::camera::Camera;
 use crate::footprint::gaussian::tensors::GaussianTensors;
@@ -21,6 +22,7 @@ struct SplatState<B: Backend> {
     camera: Camera,
     filter: ScreenFilter,
     probed: bool,
+    kept: Kept,
 }
 
 #[derive(Debug)]
@@ -31,9 +33,9 @@ impl<B: SplatBackwardOps> Backward<B, 6> for SplatBackward {
 
     fn backward(self, ops: Ops<Self::State, 6>, grads: &mut Gradients, _: &mut Checkpointer) {
         pass_back::<B, _, 6>(ops, grads, |state, grad| {
-            let SplatState { gaussians, limits, camera, filter, probed } = state;
+            let SplatState { gaussians, limits, camera, filter, probed, kept } = state;
             let SplatGradients { gaussians, probe } =
-                B::splat_backward(gaussians, limits, grad, camera, filter, probed);
+                B::splat_backward(gaussians, limits, grad, camera, filter, probed, kept);
             let [positions, quaternions, log_scales, opacities, colours] = gaussians.into_array().map(Some);
             [positions, quaternions, log_scales, opacities, colours, probed.then_some(probe)]
         });
@@ -47,20 +49,24 @@ impl<B: SplatOps + SplatBackwardOps, S: CheckpointStrategy> SplatOps for Autodif
         limits: FloatTensor<Self>,
         camera: Camera,
         filter: ScreenFilter,
+        _: Kept,
     ) -> FloatTensor<Self> {
         let values = gaussians.values();
         let limits = limits.into_parts().0;
         let probed = probe.shape()[0] > 0;
         let (probe_value, probe) = probe.into_parts();
-        let out = B::splat(values.clone(), probe_value, limits.clone(), camera, filter);
         let [positions, quaternions, log_scales, opacities, colours] =
             gaussians.into_array().map(|tensor| tensor.into_parts().1);
         let parents = [positions, quaternions, log_scales, opacities, colours, probe];
         match SplatBackward.prepare::<S>(parents).compute_bound().stateful() {
             OpsKind::Tracked(prep) => {
-                prep.finish(SplatState { gaussians: values, limits, camera, filter, probed }, out)
+                let kept = Kept::wanted();
+                let out = B::splat(values.clone(), probe_value, limits.clone(), camera, filter, kept.clone());
+                prep.finish(SplatState { gaussians: values, limits, camera, filter, probed, kept }, out)
             }
-            OpsKind::UnTracked(prep) => prep.finish(out),
+            OpsKind::UnTracked(prep) => {
+                prep.finish(B::splat(values, probe_value, limits, camera, filter, Kept::default()))
+            }
         }
     }
 

@@ -8,6 +8,7 @@ use rayon::prelude::*;
 
 use super::{SplatBackwardOps, SplatGradients, SplatOps};
 use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::backend::kept::Kept;
 use crate::backend::lanes::{Lanes, Mask, with_lanes};
 use crate::backend::real::Real;
 use crate::backend::simd::vectorised;
@@ -88,6 +89,7 @@ fn forward<T: Real>(
     layers: usize,
     camera: &Camera,
     filter: ScreenFilter,
+    kept: &Kept,
 ) -> Vec<T> {
     let grid = TileGrid::new(camera.width, camera.height);
     let seen = InView::new(gaussians, &CameraOf::new(camera), filter, grid);
@@ -99,6 +101,7 @@ fn forward<T: Real>(
         let (candidates, origin, limits) = (lists.of(tile), grid.origin(tile), limits.tile(tile));
         with_lanes(SplatTile { candidates, seen: &seen, origin, limits, sums });
     });
+    kept.put(seen);
     to_planes(&sums, layers * CHANNELS, grid)
 }
 
@@ -262,17 +265,18 @@ fn backward<T: Real>(
     gaussians: &GaussianRows<T>,
     limits: &[T],
     grad: &[T],
-    layers: usize,
     camera: &Camera,
     filter: ScreenFilter,
     probed: bool,
+    kept: &Kept,
 ) -> [Vec<T>; 6] {
+    let layers = limits.len() / (camera.width * camera.height);
     let grid = TileGrid::new(camera.width, camera.height);
     let half_image = [camera.width, camera.height].map(|size| T::of(0.5 * size as f64));
     let camera = CameraOf::<T>::new(camera);
     let limits = LimitBlocks::new(limits, layers, grid);
     let grad = to_tiles(grad, layers * CHANNELS, grid, T::zero());
-    let seen = InView::new(gaussians, &camera, filter, grid);
+    let seen = kept.get_or(|| InView::new(gaussians, &camera, filter, grid));
     let mut sums: Vec<SplatGrad<T>> = vec![SplatGrad::default(); seen.rows.len()];
     sums.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, sums)| {
         with_lanes(Gather { seen: &seen, first: chunk * CHUNK, grid, limits: &limits, grad: &grad, sums });
@@ -379,10 +383,11 @@ fn splat_on<B: Host>(
     limits: &FloatTensor<B>,
     camera: &Camera,
     filter: ScreenFilter,
+    kept: &Kept,
 ) -> FloatTensor<B> {
     let layers = host::rows(limits);
     with_real!(limits.dtype(), T => {
-        let sums = forward(&GaussianRows::<T>::new(gaussians), &host::floats::<B, T>(limits), layers, camera, filter);
+        let sums = forward(&GaussianRows::<T>::new(gaussians), &host::floats::<B, T>(limits), layers, camera, filter, kept);
         host::float_tensor::<B, T, 4>(sums, [layers, CHANNELS, camera.height, camera.width], &limits.device())
     })
 }
@@ -394,14 +399,14 @@ fn splat_backward_on<B: Host>(
     camera: &Camera,
     filter: ScreenFilter,
     probed: bool,
+    kept: &Kept,
 ) -> SplatGradients<B> {
     let device = limits.device();
     with_real!(limits.dtype(), T => {
         let rows = GaussianRows::<T>::new(gaussians);
         let (limit, grad) = (host::floats::<B, T>(limits), host::floats::<B, T>(grad));
-        let layers = host::rows(limits);
         let [positions, quaternions, log_scales, opacities, colours, probe] =
-            backward(&rows, &limit, &grad, layers, camera, filter, probed);
+            backward(&rows, &limit, &grad, camera, filter, probed, kept);
         let count = probe.len() / 2;
         SplatGradients {
             gaussians: GaussianTensors::from_rows([positions, quaternions, log_scales, opacities, colours], &device),
@@ -433,8 +438,9 @@ macro_rules! implement {
                 limits: FloatTensor<Self>,
                 camera: Camera,
                 filter: ScreenFilter,
+                kept: Kept,
             ) -> FloatTensor<Self> {
-                splat_on::<Self>(&gaussians, &limits, &camera, filter)
+                splat_on::<Self>(&gaussians, &limits, &camera, filter, &kept)
             }
 
             fn splat_contributions(
@@ -455,8 +461,9 @@ macro_rules! implement {
                 camera: Camera,
                 filter: ScreenFilter,
                 probed: bool,
+                kept: Kept,
             ) -> SplatGradients<Self> {
-                splat_backward_on::<Self>(&gaussians, &limits, &grad, &camera, filter, probed)
+                splat_backward_on::<Self>(&gaussians, &limits, &grad, &camera, filter, probed, &kept)
             }
         }
     };

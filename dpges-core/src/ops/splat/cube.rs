@@ -7,6 +7,7 @@ use burn_cubecl::CubeBackend;
 use cubecl::prelude::*;
 
 use super::{SplatBackwardOps, SplatGradients, SplatOps};
+use crate::backend::kept::Kept;
 use crate::camera::Camera;
 use crate::footprint::gaussian::cube as splat_cube;
 use crate::footprint::gaussian::cube::regions::{WORDS, list_regions, mark_regions};
@@ -303,6 +304,7 @@ impl SplatOps for CubeBackend {
         limits: FloatTensor<Self>,
         camera: Camera,
         filter: ScreenFilter,
+        _: Kept,
     ) -> FloatTensor<Self> {
         let (gaussians, limits) = (gaussians.contiguous(), floats(limits));
         let (client, layers, count) = (limits.client.clone(), limits.shape()[0], gaussians.opacities.shape()[0]);
@@ -386,6 +388,7 @@ impl SplatBackwardOps for CubeBackend {
         camera: Camera,
         filter: ScreenFilter,
         probed: bool,
+        _: Kept,
     ) -> SplatGradients<Self> {
         let (gaussians, limits, grad) = (gaussians.contiguous(), floats(limits), floats(grad));
         let (client, layers, count) = (limits.client.clone(), limits.shape()[0], gaussians.opacities.shape()[0]);

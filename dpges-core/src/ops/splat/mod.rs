@@ -23,6 +23,7 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, Dispatch, ExtensionType, backend_extension};
 use burn::tensor::{Tensor, TensorData};
 
+use crate::backend::kept::Kept;
 use crate::camera::Camera;
 use crate::error::Result;
 use crate::footprint::gaussian::tensors::GaussianTensors;
@@ -43,6 +44,7 @@ pub trait SplatOps: Backend {
         limits: FloatTensor<Self>,
         camera: Camera,
         filter: ScreenFilter,
+        kept: Kept,
     ) -> FloatTensor<Self>;
 
     /// Largest contribution of each Gaussian to any pixel, `[M]`; no gradient.
@@ -64,6 +66,7 @@ pub trait SplatBackwardOps: Backend {
         camera: Camera,
         filter: ScreenFilter,
         probed: bool,
+        kept: Kept,
     ) -> SplatGradients<Self>;
 }
 
@@ -113,7 +116,9 @@ pub fn splat_probed(
     };
     let gaussians = GaussianTensors::new(gaussians, colours)?;
     let (probe, limits) = (probe.into_dispatch(), limits.clone().into_dispatch());
-    Ok(Tensor::from_dispatch(within_capacity(|| Dispatch::splat(gaussians, probe, limits, *camera, filter))?))
+    Ok(Tensor::from_dispatch(within_capacity(|| {
+        Dispatch::splat(gaussians, probe, limits, *camera, filter, Kept::default())
+    })?))
 }
 
 /// Largest value over all pixels of α · gate · max|colour| for each Gaussian, `[M]`, where `gates`

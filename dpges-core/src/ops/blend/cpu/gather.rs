@@ -9,6 +9,7 @@ use super::normal::normal_backward;
 use super::projected::{CameraPair, Drawn, Group, Layout, MOST_SUMS, Projected, Sums};
 use super::rays::walk_rays;
 use super::walk::{Progress, Said, Sorted, Thresholds, capped, walk_tile};
+use crate::backend::kept::Kept;
 use crate::backend::lanes::{Lanes, Mask, with_lanes};
 use crate::backend::real::Real;
 use crate::camera::Camera;
@@ -400,9 +401,10 @@ pub fn backward<T: Real, F: Projected<T>>(
     probed: bool,
     camera: &Camera,
     options: &BlendOptions,
+    kept: &Kept,
 ) -> [Vec<T>; 7] {
     let view = CameraPair::<T>::new(camera, options.filter);
-    let sorted = Sorted::<T, F>::new(gaussians, &view, options);
+    let sorted = kept.get_or(|| Sorted::<T, F>::new(gaussians, &view, options));
     let layout = Layout { footprint: F::SUMS, probe: probed, maps: options.maps };
     let mut sums = gather(&sorted, grad, &layout, &view.camera, options);
     let units = F::probe_units(camera);

@@ -105,7 +105,7 @@ impl Layout {
 pub const MOST_SUMS: usize = 13;
 
 /// One primitive seen by one camera.
-pub trait Projected<T: Real>: Copy + Send + Sync {
+pub trait Projected<T: Real>: Copy + Send + Sync + 'static {
     /// Sums over pixels that its gradient is made of, besides those of [`Layout`].
     const SUMS: usize;
     /// Whether its kernel has degrees of freedom.
