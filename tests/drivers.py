@@ -99,6 +99,8 @@ class Kit:
         except subprocess.TimeoutExpired as error:
             output = error.stdout or b""
             return None, output.decode(errors="replace") if isinstance(output, bytes) else output
+        except OSError as error:
+            return 127, str(error)
         return done.returncode, done.stdout
 
     def test(self, name):
@@ -209,12 +211,12 @@ def validation(kit, wanted):
 
 
 def shuffles(kit):
-    """Environments in which every dispatch is cut into pieces that run in another order; none if the layer cannot be built."""
+    """Environments in which every dispatch is cut into pieces that run in another order; None for each if the layer cannot be built."""
     library = f"{kit.folder}/libworkgroups.so"
     code, output = kit.run(["gcc", "-shared", "-fPIC", "-O2", "-o", library, SHUFFLE_LAYER], {})
     if code != 0:
-        print(f"workgroups are not shuffled, the layer was not built: {output.strip()[:200]}", file=sys.stderr)
-        return {}
+        print(f"the layer that shuffles workgroups was not built: {output.strip()[:200]}", file=sys.stderr)
+        return {f"shuffle {seed}": None for seed in SHUFFLES}
     layer = {
         "name": "VK_LAYER_DPGES_workgroups", "type": "INSTANCE", "library_path": library, "api_version": "1.3.0",
         "implementation_version": "1", "description": "Dispatches run in pieces, in another order.",
@@ -236,6 +238,9 @@ def orders(kit, wanted):
     for method in METHODS if icds else []:
         for order, environment in environments.items():
             if not wanted(f"{ORDER}: {method}, {order}"):
+                continue
+            if environment is None:
+                yield method, order, None, 0
                 continue
             run = Path(kit.folder) / f"{method}, {order}"
             command = [kit.dpges, "train", "--out", run, "--device", "wgpu", "--method", method, *SMALL]
@@ -307,9 +312,11 @@ def main():
                 print(f"{method}, {order}: no scene, or the layer did not cut", file=sys.stderr)
         for method, found in digests.items():
             scenes, most = {digest for digest, _ in found.values()}, max(cut for _, cut in found.values())
-            agree = len(scenes) == 1 < len(found) and None not in scenes
+            missing = [order for order, (digest, _) in found.items() if digest is None]
+            agree = len(scenes) == 1 < len(found) and not missing
             passed &= agree
-            same = "the same bytes" if agree else f"**{len(scenes)} of {len(found)} differ**"
+            differ = f"**none of {', '.join(missing)}**" if missing else f"**{len(scenes)} of {len(found)} differ**"
+            same = "the same bytes" if agree else differ
             print(f"| {method} | {', '.join(found)} | {most:.0%} | {same} |")
             table.append({"method": method, "scenes": {order: digest for order, (digest, _) in found.items()}, "cut": most})
     if options.json:

@@ -137,24 +137,21 @@ impl Headless {
         self.draw(&mut renderer, camera, options)
     }
 
-    /// The planes [3, H, W] of a picture, not clamped and not rounded to bytes, with sums of `precision` and depths from
-    /// `depths`. Where the device cannot draw into 32-bit floats, numbers are rounded to 16 bits.
+    /// A renderer for [`planes`](Self::planes), with sums of `precision` and depths from `depths`.
     ///
     /// # Errors
-    /// The errors of [`picture`](Self::picture) and of [`Renderer::new`].
-    pub fn planes(
-        &self,
-        scene: &SceneData,
-        camera: &Camera,
-        options: &RenderOptions,
-        precision: Precision,
-        depths: DepthSource,
-    ) -> Result<Vec<f32>> {
-        use wgpu::TextureFormat::{Rgba16Float, Rgba32Float};
-        let format = if self.draws_floats { Rgba32Float } else { Rgba16Float };
-        let mut renderer = Renderer::new(&self.device, &self.queue, format, precision, depths)?;
-        renderer.upload(scene)?;
-        let bytes = self.bytes(&mut renderer, camera, options, format)?;
+    /// The errors of [`Renderer::new`].
+    pub fn float_renderer(&self, precision: Precision, depths: DepthSource) -> Result<Renderer> {
+        Renderer::new(&self.device, &self.queue, self.float_format(), precision, depths)
+    }
+
+    /// The planes [3, H, W] of a picture of the scene that `renderer` holds, not clamped and not rounded to bytes. It must be a
+    /// [`float_renderer`](Self::float_renderer). Where the device cannot draw into 32-bit floats, numbers are rounded to 16 bits.
+    ///
+    /// # Errors
+    /// The errors of [`draw`](Self::draw).
+    pub fn planes(&self, renderer: &mut Renderer, camera: &Camera, options: &RenderOptions) -> Result<Vec<f32>> {
+        let bytes = self.bytes(renderer, camera, options, self.float_format())?;
         let numbers: Vec<f32> = if self.draws_floats {
             bytemuck::pod_collect_to_vec(&bytes)
         } else {
@@ -162,6 +159,10 @@ impl Headless {
         };
         let (pixels, _) = numbers.as_chunks::<4>();
         Ok((0..3).flat_map(|channel| pixels.iter().map(move |pixel| pixel[channel])).collect())
+    }
+
+    fn float_format(&self) -> wgpu::TextureFormat {
+        if self.draws_floats { wgpu::TextureFormat::Rgba32Float } else { wgpu::TextureFormat::Rgba16Float }
     }
 
     pub(crate) fn bytes(

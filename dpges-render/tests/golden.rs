@@ -139,14 +139,16 @@ fn agrees(headless: &Headless, path: &Path) -> Result<(), Failed> {
     for (precision, depths, least) in LEAST_DB.into_iter().filter(|&(precision, _, _)| can(headless, precision)) {
         let is_rasterised = depths == DepthSource::Rasterised;
         let least = if is_far_on_gl && is_rasterised { LEAST_FAR_ON_GL_DB } else { least };
-        let found = headless.planes(&golden.scene, &golden.camera, &options, precision, depths)?;
+        let mut renderer = headless.float_renderer(precision, depths)?;
+        renderer.upload(&golden.scene)?;
+        let found = headless.planes(&mut renderer, &golden.camera, &options)?;
         let db = psnr(&found, &golden.image);
         println!("{name}, {precision:?}, {depths:?}: {db:.1} dB");
         if db < least && !(is_rasterised && has_coarse_corners(headless)) {
             return Err(format!("{precision:?}, {depths:?}: {db:.2} dB, expected at least {least}").into());
         }
         let beside = Camera { cx: golden.camera.cx + 1.0, ..golden.camera };
-        let wrong = headless.planes(&golden.scene, &beside, &options, precision, depths)?;
+        let wrong = headless.planes(&mut renderer, &beside, &options)?;
         if psnr(&wrong, &golden.image) >= least {
             return Err("a picture that is shifted by a pixel is not told from the right one".into());
         }
@@ -158,13 +160,16 @@ fn order_does_not_matter(headless: &Headless) -> Result<(), Failed> {
     // a sum of halves depends on its order in the last place of 11 bits
     let (precision, depths) = (Renderer::best_precision(headless.device()), Renderer::best_depths(headless.device()));
     let tolerance = if precision == Precision::Float { 1e-5 } else { 4e-3 };
+    let mut renderer = headless.float_renderer(precision, depths)?;
     for path in files() {
         let Golden { mut scene, camera, .. } = Golden::load(&path);
         let options = RenderOptions::from(&scene.info);
-        let before = headless.planes(&scene, &camera, &options, precision, depths)?;
+        renderer.upload(&scene)?;
+        let before = headless.planes(&mut renderer, &camera, &options)?;
         scene.surfels = scene.surfels.select(&shuffled(scene.surfels.len()));
         scene.gaussians = scene.gaussians.select(&shuffled(scene.gaussians.len()));
-        let after = headless.planes(&scene, &camera, &options, precision, depths)?;
+        renderer.upload(&scene)?;
+        let after = headless.planes(&mut renderer, &camera, &options)?;
         let largest = before.iter().zip(&after).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
         println!("{}: largest difference {largest:.1e}", path.file_stem().unwrap().to_string_lossy());
         if largest > tolerance {
@@ -203,7 +208,7 @@ fn a_rim_at_the_depth_of_the_core_is_before_it_by_index(headless: &Headless) -> 
     ];
     // a colour is 0.5 + Y0 base
     let y0 = 0.282_094_791_773_878_14;
-    let depths = Renderer::best_depths(headless.device());
+    let mut renderer = headless.float_renderer(Precision::Half, Renderer::best_depths(headless.device()))?;
     for (order, shares) in expected {
         let scene = SceneData {
             info: info.clone(),
@@ -211,7 +216,8 @@ fn a_rim_at_the_depth_of_the_core_is_before_it_by_index(headless: &Headless) -> 
             gaussians: gaussians.clone(),
             environment: None,
         };
-        let planes = headless.planes(&scene, &camera, &RenderOptions::from(&scene.info), Precision::Half, depths)?;
+        renderer.upload(&scene)?;
+        let planes = headless.planes(&mut renderer, &camera, &RenderOptions::from(&scene.info))?;
         let found = [0, 1, 2].map(|channel| (f64::from(planes[channel * 81 + 40]) - 0.5) / y0);
         println!("{order:?}: {found:.3?}, expected {shares:.3?}");
         if found.iter().zip(shares).any(|(found, expected)| (found - expected).abs() > 0.005) {

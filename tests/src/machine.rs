@@ -1,5 +1,5 @@
 //! Tests that need more than a CPU: a graphics adapter, Python, or the weights of a network. `cargo test` counts those that cannot run here as
-//! ignored, and names them.
+//! ignored, and names them. `DPGES_TEST_SHARE=1/2` runs the first of every two: a software driver keeps a processor and a quarter busy.
 
 mod budget;
 mod buffers;
@@ -40,7 +40,21 @@ fn main() -> ExitCode {
         parity::a_device_that_is_off_is_found_out();
         Ok(())
     }));
+    if let Ok(share) = std::env::var("DPGES_TEST_SHARE") {
+        let Some((number, of)) = parse_share(&share) else {
+            eprintln!("DPGES_TEST_SHARE={share}: expected a share as 1/2, the first of two");
+            return ExitCode::from(2);
+        };
+        trials = trials.into_iter().skip(number - 1).step_by(of).collect();
+    }
     let conclusion = libtest_mimic::run(&arguments, trials);
     eprint!("slowest:\n{}", timing::slowest());
     conclusion.exit_code()
+}
+
+/// Number and count of a share: `2/3` is the second of three.
+fn parse_share(share: &str) -> Option<(usize, usize)> {
+    let (number, of) = share.split_once('/')?;
+    let (number, of) = (number.parse().ok()?, of.parse().ok()?);
+    (1..=of).contains(&number).then_some((number, of))
 }
