@@ -1,11 +1,10 @@
 //! Results of a forward kernel that its way back needs again.
 
 use std::any::Any;
-use std::fmt;
 use std::sync::{Arc, OnceLock};
 
-/// A place for what a kernel keeps, if there is a way back. Kernels that compute it again leave it empty.
-#[derive(Clone, Default)]
+/// A place for what a kernel keeps, if there is a way back. Kernels that compute it again leave it empty. Clones share the place.
+#[derive(Clone, Debug, Default)]
 pub struct Kept(Option<Arc<OnceLock<Arc<dyn Any + Send + Sync>>>>);
 
 impl Kept {
@@ -22,16 +21,10 @@ impl Kept {
         }
     }
 
-    /// What was kept, or else what `make` returns.
+    /// Returns the kept value. Calls `make` if no value of type V was kept.
     pub fn get_or<V: Any + Send + Sync>(&self, make: impl FnOnce() -> V) -> Arc<V> {
         let kept = self.0.as_ref().and_then(|place| Arc::clone(place.get()?).downcast().ok());
         kept.unwrap_or_else(|| Arc::new(make()))
-    }
-}
-
-impl fmt::Debug for Kept {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_tuple("Kept").field(&self.0.is_some()).finish()
     }
 }
 

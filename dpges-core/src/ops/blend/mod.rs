@@ -263,6 +263,7 @@ pub struct BlendOutput<B: Backend> {
     Autodiff
 )]
 pub trait BlendOps: Backend {
+    /// On the tape, CPU kernels keep the sorted primitives and their lists in `kept` for the way back; GPU kernels return lists.
     fn blend(
         #[extension_type] input: BlendInput<Self>,
         camera: Camera,

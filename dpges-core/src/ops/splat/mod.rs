@@ -38,6 +38,7 @@ use crate::tiles::capacity::within_capacity;
     Autodiff
 )]
 pub trait SplatOps: Backend {
+    /// On the tape, CPU kernels keep the projected Gaussians in `kept` for the way back; GPU kernels project them again.
     fn splat(
         #[extension_type] gaussians: GaussianTensors<Self>,
         probe: FloatTensor<Self>,
