@@ -8,7 +8,7 @@ use dpges_train::device::memory::peak_memory_bytes;
 use dpges_train::device::{DeviceName, DeviceRequest};
 use dpges_train::eval::floaters::Floaters;
 use dpges_train::eval::pictures::{file_stems, save_png};
-use dpges_train::eval::popping::{Popping, arc};
+use dpges_train::eval::popping::{Measured, Popping, arc};
 use dpges_train::eval::rendered::{Renderer, to_picture};
 use dpges_train::eval::worst::{self, WorstView};
 use dpges_train::eval::{EvalReport, Evaluation, FrameMs, Measures, evaluate_each};
@@ -49,7 +49,8 @@ pub struct EvalArgs {
     #[arg(long, value_name = "DIR")]
     save_images: Option<PathBuf>,
     /// Write the view that each metric finds worst to this folder, as worst_METRIC.png: photograph, render and FLIP side by
-    /// side
+    /// side. With --popping also the frames that pop most, as worst_flip_1.png and worst_flip_7.png: the earlier frame as the
+    /// motion of the camera moves it, the later one, and FLIP
     #[arg(long, value_name = "DIR")]
     worst: Option<PathBuf>,
     /// Also measure popping: FLIP between frames of a short path that are 1 and 7 apart, where the motion of the camera does
@@ -89,14 +90,17 @@ fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> 
         let Some(folder) = &args.save_images else { return Ok(()) };
         save_png(&to_picture(render.image()), &folder.join(format!("{}.png", stems[index])))
     })?;
-    let worst = match &args.worst {
-        Some(folder) => worst::write(folder, &evaluation, views, &renderer)?,
-        None => Vec::new(),
-    };
     let popping = match &path {
-        Some(path) => Popping::measure(&renderer, path)?,
+        Some(path) => Measured::along(&renderer, path)?,
         None => None,
     };
+    let mut worst = Vec::new();
+    if let Some(folder) = &args.worst {
+        worst.extend(worst::write(folder, &evaluation, views, &renderer)?.iter().map(WorstView::to_string));
+        for frame in popping.iter().flat_map(|measured| &measured.worst) {
+            worst.push(format!("{frame}, {}", frame.save(folder)?.display()));
+        }
+    }
     let mut notes = Vec::new();
     if args.popping && popping.is_none() {
         notes.push(("popping", "not measured: no surface is seen from two frames".to_owned()));
@@ -121,7 +125,7 @@ fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> 
         training_seconds: scene.training_seconds()?,
         peak_memory_bytes: peak_memory_bytes(),
         target: None,
-        popping,
+        popping: popping.map(|measured| measured.popping),
         frame_ms,
     };
     let summary = summary(&report, &worst, notes);
@@ -138,8 +142,8 @@ pub fn make_folder(path: &Path) -> Result<(), Error> {
     })
 }
 
-/// `notes` say what was not measured.
-fn summary(report: &EvalReport, worst: &[WorstView], notes: Vec<(&'static str, String)>) -> String {
+/// `worst` says what is worst and where its picture is, `notes` what was not measured.
+fn summary(report: &EvalReport, worst: &[String], notes: Vec<(&'static str, String)>) -> String {
     let Evaluation { views, surfels, gaussians, seconds_per_view, .. } = &report.evaluation;
     let mut scores: Vec<(&str, Scores)> = views.iter().map(|view| (view.name.as_str(), view.scores())).collect();
     scores.push(("mean", report.evaluation.scores()));
@@ -151,7 +155,7 @@ fn summary(report: &EvalReport, worst: &[WorstView], notes: Vec<(&'static str, S
     };
     let mut rows = vec![("view", line(&|metric| metric.title.to_owned()))];
     rows.extend(scores.iter().map(|(name, scores)| (*name, line(&|metric| metric.text(metric.of(scores))))));
-    rows.extend(worst.iter().map(|view| ("worst", view.to_string())));
+    rows.extend(worst.iter().map(|worst| ("worst", worst.clone())));
     rows.extend(report.popping.map(|popping| {
         let Popping { flip_1, flip_7, frames, pixels_compared } = popping;
         let [of_1, of_7] = pixels_compared.map(|share| 100.0 * share);

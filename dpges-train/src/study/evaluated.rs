@@ -9,7 +9,7 @@ use super::cell::Cell;
 use super::row::Row;
 use super::{Result, StudyError};
 use crate::dataset::Dataset;
-use crate::eval::popping::{Popping, arc};
+use crate::eval::popping::{Measured, arc};
 use crate::eval::rendered::Renderer;
 use crate::eval::{EvalReport, Measures, evaluate_each};
 use crate::metrics::lpips::{Lpips, Network};
@@ -55,7 +55,7 @@ impl Further<'_> {
         if lacks_popping {
             let cameras = arc(self.dataset, &scene.info)?;
             tracing::info!("{}: measuring popping over {} frames", cell.folder.path().display(), cameras.len());
-            report.popping = Popping::measure(&renderer, &cameras)?;
+            report.popping = Measured::along(&renderer, &cameras)?.map(|measured| measured.popping);
             if report.popping.is_none() {
                 tracing::warn!("{}: no surface is seen from two frames", cell.folder.path().display());
             }

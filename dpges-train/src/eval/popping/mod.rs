@@ -9,6 +9,7 @@ mod arc;
 mod frame;
 #[cfg(test)]
 mod tests;
+mod worst;
 
 use std::collections::VecDeque;
 
@@ -20,6 +21,7 @@ use crate::eval::rendered::Renderer;
 use crate::metrics::flip_map;
 pub use arc::{FRAMES, arc};
 pub use frame::{Frame, Warped};
+pub use worst::WorstFrame;
 
 /// Frames between those that are compared.
 const STEPS: [usize; 2] = [1, 7];
@@ -37,13 +39,20 @@ pub struct Popping {
     pub pixels_compared: [f64; 2],
 }
 
-impl Popping {
+/// Popping, and the frames 1 and 7 after another that pop most.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Measured {
+    pub popping: Popping,
+    pub worst: [WorstFrame; 2],
+}
+
+impl Measured {
     /// Popping of the frames of `renderer` along `path`, in the coordinates of its scene; `None` if no surface is seen
     /// twice, or with fewer than 8 cameras.
     ///
     /// # Errors
     /// The errors of [`Renderer::render`].
-    pub fn measure(renderer: &Renderer, path: &[Camera]) -> Result<Option<Self>> {
+    pub fn along(renderer: &Renderer, path: &[Camera]) -> Result<Option<Self>> {
         Self::of(path.iter().map(|camera| Frame::render(renderer, camera)))
     }
 
@@ -62,7 +71,7 @@ impl Popping {
             let frame = frame?;
             for (sum, step) in sums.iter_mut().zip(STEPS) {
                 if let Some(at) = earlier.len().checked_sub(step) {
-                    sum.add(&frame, &earlier[at]);
+                    sum.add(&frame, &earlier[at], count, step);
                 }
             }
             earlier.push_back(frame);
@@ -72,7 +81,9 @@ impl Popping {
             count += 1;
         }
         let [Some(flip_1), Some(flip_7)] = sums.each_ref().map(Sum::mean) else { return Ok(None) };
-        Ok(Some(Self { flip_1, flip_7, frames: count, pixels_compared: sums.map(|sum| sum.share()) }))
+        let pixels_compared = sums.each_ref().map(Sum::share);
+        let worst = sums.map(|sum| sum.worst.expect("a mean is of at least one pair"));
+        Ok(Some(Self { popping: Popping { flip_1, flip_7, frames: count, pixels_compared }, worst }))
     }
 }
 
@@ -85,10 +96,12 @@ struct Sum {
     /// With pixels to compare.
     compared: usize,
     pairs: usize,
+    worst: Option<WorstFrame>,
 }
 
 impl Sum {
-    fn add(&mut self, frame: &Frame, earlier: &Frame) {
+    /// `frame` is number `number` of the path, counted from 0, and `step` after `earlier`.
+    fn add(&mut self, frame: &Frame, earlier: &Frame, number: usize, step: usize) {
         let warped = frame.warped(earlier);
         let count = warped.is_seen.iter().filter(|&&is_seen| is_seen).count();
         self.pairs += 1;
@@ -96,8 +109,12 @@ impl Sum {
         if count > 0 {
             let map = flip_map(&frame.planes, &warped.planes, frame.camera.width, frame.camera.height);
             let seen = map.iter().zip(&warped.is_seen).filter(|(_, is_seen)| **is_seen);
-            self.flip += seen.map(|(flip, _)| flip).sum::<f64>() / count as f64;
+            let flip = seen.map(|(flip, _)| flip).sum::<f64>() / count as f64;
+            self.flip += flip;
             self.compared += 1;
+            if self.worst.as_ref().is_none_or(|worst| flip > worst.flip) {
+                self.worst = Some(WorstFrame { flip, number, step, picture: worst::picture(frame, &warped, &map) });
+            }
         }
     }
 

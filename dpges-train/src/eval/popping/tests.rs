@@ -54,8 +54,12 @@ fn floor(camera: &Camera) -> Frame {
     Frame { camera: *camera, planes, depth }
 }
 
+fn measured(frames: &[Frame]) -> Measured {
+    Measured::of(frames.iter().map(|frame| Ok::<_, Infallible>(frame.clone()))).unwrap().expect("surfaces are seen")
+}
+
 fn popping(frames: &[Frame]) -> Popping {
-    Popping::of(frames.iter().map(|frame| Ok::<_, Infallible>(frame.clone()))).unwrap().expect("surfaces are seen")
+    measured(frames).popping
 }
 
 fn renderer(scene: &SceneData) -> Renderer {
@@ -67,7 +71,7 @@ fn nothing_pops_before_a_camera_that_stands_still() {
     let test = realistic(1500, 300, 2 * WIDTH, 2 * HEIGHT, 5);
     let info = SceneInfo { near: test.camera.near, ..SceneInfo::default() };
     let scene = SceneData { info, surfels: test.surfels, gaussians: test.gaussians, environment: None };
-    let still = Popping::measure(&renderer(&scene), &[test.camera; 9]).unwrap().expect("surfels are seen");
+    let still = Measured::along(&renderer(&scene), &[test.camera; 9]).unwrap().expect("surfels are seen").popping;
     assert_eq!((still.flip_1, still.flip_7, still.frames), (0.0, 0.0, 9));
     assert!(still.pixels_compared.iter().all(|&share| share > 0.1 && share <= 1.0), "{still:?}");
 }
@@ -102,6 +106,38 @@ fn a_frame_that_flashes_is_found() {
     assert!(after.flip_1 > before.flip_1 + 0.02 && after.flip_7 > before.flip_7 + 0.02, "{before:?} {after:?}");
 }
 
+#[test]
+fn the_frame_that_flashes_is_the_worst_and_its_picture_shows_where() {
+    let mut frames: Vec<Frame> = flight().iter().map(floor).collect();
+    // in the middle of the left half
+    let (x, y) = (WIDTH / 4, HEIGHT / 2);
+    let square = (y - 4..y + 4).flat_map(|row| (x - 4..x + 4).map(move |column| row * WIDTH + column));
+    for pixel in square {
+        frames[11].planes[pixel] = 1.0;
+    }
+    let [worst_1, worst_7] = measured(&frames).worst;
+    // the flash comes with frame 11 and goes with frame 12
+    assert!(matches!((worst_1.number, worst_1.step), (11 | 12, 1)), "{worst_1}");
+    assert_eq!((worst_7.number, worst_7.step), (11, 7), "{worst_7}");
+    let picture = &worst_7.picture;
+    assert_eq!((picture.width, picture.height), (3 * WIDTH + 4, HEIGHT));
+    let at = |column: usize, row: usize| -> [u8; 3] {
+        picture.bytes[3 * (row * picture.width + column)..][..3].try_into().unwrap()
+    };
+    let [before, after, flip] = [0, 1, 2].map(|part| part * (WIDTH + 2));
+    assert_eq!(at(after + x, y)[0], 255);
+    assert!(at(before + x, y)[0] < 240, "{:?}", at(before + x, y));
+    let calm = at(flip + 3 * WIDTH / 4, y);
+    let brightness = |colour: [u8; 3]| colour.iter().map(|&byte| u32::from(byte)).sum::<u32>();
+    assert!(brightness(at(flip + x, y)) > 2 * brightness(calm), "{:?} {calm:?}", at(flip + x, y));
+    let is_grey = |column: usize| at(flip + column, y) == [128; 3];
+    assert!((0..WIDTH).any(is_grey) && !is_grey(x), "what left the picture is not compared");
+
+    let folder = tempfile::tempdir().unwrap();
+    assert_eq!(worst_7.save(folder.path()).unwrap(), folder.path().join("worst_flip_7.png"));
+    assert!(worst_7.save(&folder.path().join("absent")).unwrap_err().to_string().contains("worst_flip_7.png"));
+}
+
 /// Wide red and blue Gaussians, one to the left and one to the right: which is nearer depends on the side that they are
 /// seen from.
 fn two_gaussians() -> SceneData {
@@ -129,7 +165,7 @@ fn gaussians_whose_order_changes_pop() {
             let eye = 10.0 * DVec3::new(angle.sin(), -angle.cos(), 0.0);
             Camera { fx: 300.0, fy: 300.0, ..camera(eye, DVec3::ZERO) }
         });
-        Popping::measure(&renderer, &cameras.collect::<Vec<_>>()).unwrap().expect("Gaussians are seen")
+        Measured::along(&renderer, &cameras.collect::<Vec<_>>()).unwrap().expect("Gaussians are seen").popping
     };
     let [ordered, swapped] = [along([0.02, 0.06]), along([-0.02, 0.02])];
     assert!(ordered.pixels_compared[1] > 0.5 && swapped.pixels_compared[1] > 0.5, "{ordered:?} {swapped:?}");
@@ -159,7 +195,7 @@ fn a_scene_without_surfaces_has_no_popping() {
     let info = SceneInfo::default();
     let (surfels, gaussians) = (SurfelData::neutral(info.colour_model, 0), GaussianData::neutral(info.colour_model, 0));
     let scene = SceneData { info, surfels, gaussians, environment: None };
-    assert_eq!(Popping::measure(&renderer(&scene), &flight()[..9]).unwrap(), None);
+    assert_eq!(Measured::along(&renderer(&scene), &flight()[..9]).unwrap(), None);
 }
 
 #[test]
