@@ -17,6 +17,7 @@ use dpges_train::run::folder::Origin;
 use dpges_train::run::{Run, SavedRun};
 
 use super::data::Source;
+use super::device_choice::DeviceArgs;
 use super::device_failure::watched;
 use super::logging::LogStyle;
 use super::train::display::watch_for_interrupts;
@@ -83,10 +84,8 @@ struct PlanArgs {
 struct StepArgs {
     /// Folder of the plan
     dir: PathBuf,
-    /// auto (a GPU that passes a check, or else the CPU), cpu, cpu-flex, wgpu (the best GPU), or another one that
-    /// `dpges devices` lists
-    #[arg(long, value_name = "NAME", default_value_t)]
-    device: DeviceRequest,
+    #[command(flatten)]
+    device: DeviceArgs,
 }
 
 fn at_least_one(text: &str) -> Result<usize, String> {
@@ -100,7 +99,7 @@ pub fn run(args: BlocksArgs, style: LogStyle) -> Result<()> {
         BlocksCommand::Train { step, block: Some(block) } => work(&step, style, |_| vec![Step::Block(block)]),
         BlocksCommand::Train { step, block: None } => work(&step, style, |capture| capture.blocks().collect()),
         BlocksCommand::Merge(args) => work(&args, style, |_| vec![Step::Merge]),
-        BlocksCommand::Slurm(args) => print(&Capture::open(&args.dir)?.write_slurm(args.device)?),
+        BlocksCommand::Slurm(args) => print(&Capture::open(&args.dir)?.write_slurm(args.device.request)?),
     }
 }
 
@@ -132,7 +131,7 @@ fn work(args: &StepArgs, style: LogStyle, steps: impl Fn(&Capture) -> Vec<Step>)
         let mut capture = Capture::open(&args.dir)?;
         let interrupted = watch_for_interrupts()?;
         for step in steps(&capture) {
-            Worker { capture: &mut capture, job: &job, device: args.device, style }.work(step, &interrupted)?;
+            Worker { capture: &mut capture, job: &job, device: args.device.request, style }.work(step, &interrupted)?;
         }
         Ok(())
     };

@@ -10,14 +10,14 @@ use dpges_core::scene::{Quality, SceneData};
 use dpges_train::config::Budget;
 use dpges_train::config::budget::MEGABYTE;
 use dpges_train::dataset::View;
-use dpges_train::device::DeviceRequest;
 use dpges_train::eval::compress::report::{Psnr, Report};
 use dpges_train::eval::compress::{Compressed, within_loss, within_size};
 use dpges_train::eval::evaluate;
 
 use super::data::{Scene, Source, Split, ViewArgs, every_nth};
+use super::device_choice::DeviceArgs;
 use super::device_failure::watched;
-use super::{Failure, Result, device_choice, print_report, table};
+use super::{Failure, Result, print_report, table};
 
 /// Most views that decide on a loss.
 const DECIDING_VIEWS: usize = 32;
@@ -47,10 +47,8 @@ pub struct CompressArgs {
     target: Option<f64>,
     #[command(flatten)]
     views: ViewArgs,
-    /// auto (a GPU that passes a check, or else the CPU), cpu, cpu-flex, wgpu (the best GPU), or another one that
-    /// `dpges devices` lists
-    #[arg(long, value_name = "NAME", default_value_t)]
-    device: DeviceRequest,
+    #[command(flatten)]
+    device: DeviceArgs,
     /// Write the result to this file; `-` is standard output
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
@@ -93,7 +91,7 @@ pub fn run(args: &CompressArgs) -> Result<()> {
     }
     match args.measured(&mut scene) {
         Ok((source, split, views)) => {
-            let device = device_choice::select(args.device)?;
+            let device = args.device.select()?;
             watched(device, || {
                 let device = device.open()?;
                 let psnr = |scene: &SceneData| Ok(evaluate(scene, &views, &device)?.psnr);

@@ -1,10 +1,27 @@
 //! Which device a command runs on, and the line that says so.
 
+use clap::Args;
 use dpges_train::device::probe::select_in_child;
 use dpges_train::device::ranks::Job;
 use dpges_train::device::{DeviceName, DeviceRequest, Selection};
 
 use super::{Failure, Result};
+
+/// The option of commands that use one device.
+#[derive(Clone, Copy, Debug, Args)]
+pub struct DeviceArgs {
+    /// auto (a GPU that passes a check, or else the CPU), cpu, cpu-flex, wgpu (the best GPU), or another one that
+    /// `dpges devices` lists
+    #[arg(long = "device", value_name = "NAME", default_value_t)]
+    pub request: DeviceRequest,
+}
+
+impl DeviceArgs {
+    /// As [`select`].
+    pub fn select(self) -> Result<DeviceName> {
+        select(self.request)
+    }
+}
 
 /// The device that is asked for; says which and why.
 pub fn select(request: DeviceRequest) -> Result<DeviceName> {

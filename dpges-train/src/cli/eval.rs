@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use dpges_core::Error;
+use dpges_train::device::DeviceName;
 use dpges_train::device::memory::peak_memory_bytes;
-use dpges_train::device::{DeviceName, DeviceRequest};
 use dpges_train::eval::floaters::Floaters;
 use dpges_train::eval::pictures::{file_stems, save_png};
 use dpges_train::eval::popping::{Measured, Popping, arc};
@@ -15,9 +15,10 @@ use dpges_train::eval::{EvalReport, Evaluation, FrameMs, Measures, evaluate_each
 use dpges_train::metrics::{METRICS, Metric, Scores};
 
 use super::data::{Scene, ViewArgs};
+use super::device_choice::DeviceArgs;
 use super::device_failure::watched;
 use super::lpips::LpipsArgs;
-use super::{Result, device_choice, print_report, table};
+use super::{Result, print_report, table};
 use crate::cli::progress::Seconds;
 
 /// Measure PSNR, SSIM, FLIP, MS-SSIM, SSIMULACRA2 and LPIPS of a scene against photographs
@@ -31,10 +32,8 @@ pub struct EvalArgs {
     scene: PathBuf,
     #[command(flatten)]
     views: ViewArgs,
-    /// auto (a GPU that passes a check, or else the CPU), cpu, cpu-flex, wgpu (the best GPU), or another one that
-    /// `dpges devices` lists
-    #[arg(long, value_name = "NAME", default_value_t)]
-    device: DeviceRequest,
+    #[command(flatten)]
+    device: DeviceArgs,
     #[command(flatten)]
     lpips: LpipsArgs,
     /// Also measure PSNR and SSIM after a fit of exposure: of the right half of each view, with a gain and an offset per
@@ -68,7 +67,7 @@ pub struct EvalArgs {
 
 pub fn run(args: &EvalArgs) -> Result<()> {
     let scene = Scene::load(&args.scene)?;
-    let device = device_choice::select(args.device)?;
+    let device = args.device.select()?;
     watched(device, || measure(args, scene, device))
 }
 

@@ -11,15 +11,16 @@ use dpges_core::scene::{Rendering, SceneData};
 use dpges_render::export::UpAxis;
 use dpges_render::export::spz::SpzVersion;
 use dpges_train::dataset::{Dataset, Format};
-use dpges_train::device::{DeviceName, DeviceRequest};
+use dpges_train::device::DeviceName;
 use dpges_train::eval::export::mesh::{exact_error, mesh};
 use dpges_train::eval::export::page;
 use dpges_train::eval::export::splats::{SplatFormat, file, loss, splats};
 use dpges_train::lod::{self, CELL_PRIMITIVES};
 
 use super::data::{Scene, Source, Split, ViewArgs};
+use super::device_choice::DeviceArgs;
 use super::device_failure::watched;
-use super::{Failure, Result, device_choice, print, table};
+use super::{Failure, Result, print, table};
 
 /// Voxels along the extent of the scene, unless they are given.
 const VOXELS_PER_EXTENT: f64 = 128.0;
@@ -97,10 +98,8 @@ pub struct ExportArgs {
     /// dpges-web beside the program, or that of its sources]
     #[arg(long, value_name = "DIR")]
     page: Option<PathBuf>,
-    /// auto (a GPU that passes a check, or else the CPU), cpu, cpu-flex, wgpu (the best GPU), or another one that
-    /// `dpges devices` lists
-    #[arg(long, value_name = "NAME", default_value_t)]
-    device: DeviceRequest,
+    #[command(flatten)]
+    device: DeviceArgs,
 }
 
 type Rows = Vec<(&'static str, String)>;
@@ -119,7 +118,7 @@ pub fn run(args: &ExportArgs) -> Result<()> {
     }
     let device = match args.format {
         ExportFormat::Html | ExportFormat::Lod => None,
-        _ => Some(device_choice::select(args.device)?),
+        _ => Some(args.device.select()?),
     };
     let data = match args.views.dataset(&mut scene) {
         Err(failure) if args.views.names_dataset() => return Err(failure),
@@ -224,7 +223,7 @@ impl ExportArgs {
         if steps == 0 {
             return write(None);
         }
-        let device = device_choice::select(self.device)?;
+        let device = self.device.select()?;
         watched(device, || write(Some((steps, &device.open()?))))
     }
 

@@ -201,3 +201,19 @@ pub fn in_scene(camera: Camera, offset: DVec3, info: &SceneInfo) -> Camera {
 pub fn every_nth(views: &[View], most: usize) -> impl Iterator<Item = &View> {
     views.iter().step_by(views.len().div_ceil(most.max(1)).max(1))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::{BuiltinOptions, builtin};
+
+    #[test]
+    fn views_are_spread_over_all() {
+        let options =
+            BuiltinOptions { width: 4, height: 4, train_views: 7, test_views: 1, points: 0, ..Default::default() };
+        let views = builtin(&options).train;
+        let names = |most: usize| every_nth(&views, most).map(|view| view.name.as_str()).collect::<Vec<_>>();
+        assert_eq!(names(3), ["train_000", "train_003", "train_006"]);
+        assert_eq!((names(100).len(), names(1).len(), names(0).len()), (7, 1, 1));
+    }
+}

@@ -12,15 +12,15 @@ use dpges_render::path::Size;
 use dpges_train::config::Config;
 use dpges_train::dataset::View;
 use dpges_train::dataset::source::{BUILTIN, Source};
-use dpges_train::device::DeviceRequest;
 use dpges_train::run::Trainer;
 use dpges_train::run::folder::write_json;
 use dpges_train::run::step_cost::report::Report;
 use dpges_train::run::step_cost::{Rounds, StepStage, Steps, measure};
 
 use super::super::data::{Scene, ViewArgs, every_nth};
+use super::super::device_choice::DeviceArgs;
 use super::super::device_failure::watched;
-use super::super::{Failure, Result, device_choice, print, table};
+use super::super::{Failure, Result, print, table};
 
 /// Name of the synthetic scene of the benchmarks.
 const REALISTIC: &str = "realistic";
@@ -62,10 +62,8 @@ pub struct BenchStepArgs {
     /// At most this many cameras, evenly chosen
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     cameras: u32,
-    /// Device: auto (a GPU that passes a check, or else the CPU), cpu, cpu-flex, wgpu (the best GPU), or another one that
-    /// `dpges devices` lists
-    #[arg(long, value_name = "NAME", default_value_t)]
-    device: DeviceRequest,
+    #[command(flatten)]
+    device: DeviceArgs,
     /// Write the scene that is measured to a file
     #[arg(long, value_name = "FILE")]
     save_scene: Option<PathBuf>,
@@ -75,7 +73,7 @@ pub struct BenchStepArgs {
 }
 
 pub fn run(args: &BenchStepArgs) -> Result<()> {
-    let device = device_choice::select(args.device)?;
+    let device = args.device.select()?;
     watched(device, || {
         let opened = device.open()?;
         let (mut scene, cameras) = args.scene(&opened)?;

@@ -14,7 +14,7 @@ use clap::builder::PossibleValue;
 use clap::{Args, value_parser};
 use dpges_train::config::{Config, DataConfig};
 use dpges_train::dataset::Dataset;
-use dpges_train::device::{DeviceName, DeviceRequest};
+use dpges_train::device::DeviceName;
 use dpges_train::run::folder::Origin;
 use dpges_train::run::{Observer, Run, SavedRun};
 use dpges_train::study::cell::{Cell, Plan, State};
@@ -24,6 +24,7 @@ use dpges_train::study::variant::Variant;
 use dpges_train::study::{report, sheets};
 
 use super::data::Source;
+use super::device_choice::DeviceArgs;
 use super::device_failure::watched;
 use super::logging::LogStyle;
 use super::lpips::LpipsArgs;
@@ -31,7 +32,7 @@ use super::train::display::watch_for_interrupts;
 use super::train::options::ConfigArgs;
 use super::train::say_resumed;
 use super::train::session::Session;
-use super::{Failure, Result, device_choice, print, sfm};
+use super::{Failure, Result, print, sfm};
 
 /// Options of studies whose variants are all trained.
 #[derive(Debug, Args)]
@@ -41,10 +42,8 @@ pub struct StudyArgs {
     /// Folder for the runs and the report
     #[arg(long, value_name = "DIR", required_unless_present = "list")]
     out: Option<PathBuf>,
-    /// auto (a GPU that passes a check, or else the CPU), cpu, cpu-flex, wgpu (the best GPU), or another one that
-    /// `dpges devices` lists
-    #[arg(long, value_name = "NAME", default_value_t)]
-    device: DeviceRequest,
+    #[command(flatten)]
+    device: DeviceArgs,
     /// Number of runs of each: with the seed of the configuration, and with those that follow it
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = value_parser!(u64).range(1..=1000))]
     seeds: u64,
@@ -87,7 +86,7 @@ impl StudyArgs {
 
     /// The device and the data, read as `config` says.
     fn load(&self, config: &Config, style: LogStyle) -> Result<Training> {
-        let name = device_choice::select(self.device)?;
+        let name = self.device.select()?;
         sfm::prepare(self.dataset.as_deref(), &self.options.sfm(config), style)?;
         Training::new(self.source(), config, name, name.open()?, style, watch_for_interrupts()?)
     }

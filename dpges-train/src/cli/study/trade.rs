@@ -11,7 +11,7 @@ use dpges_core::scene::SceneData;
 use dpges_render::{Headless, check_drawn_as_trained};
 use dpges_train::config::Config;
 use dpges_train::dataset::Dataset;
-use dpges_train::device::{DeviceName, DeviceRequest};
+use dpges_train::device::DeviceName;
 use dpges_train::eval::pictures::{self, save_png};
 use dpges_train::run::Observer;
 use dpges_train::run::targets::duration::duration;
@@ -27,13 +27,14 @@ use serde_json::{Map, Value, json};
 
 use super::{Training, conclude};
 use crate::cli::data::{Scene, Source, Split, ViewArgs, every_nth};
+use crate::cli::device_choice::DeviceArgs;
 use crate::cli::device_failure::watched;
 use crate::cli::eval::make_folder;
 use crate::cli::logging::LogStyle;
 use crate::cli::lpips::LpipsArgs;
 use crate::cli::train::display::watch_for_interrupts;
 use crate::cli::train::options::of_dataset;
-use crate::cli::{Failure, Result, device_choice};
+use crate::cli::{Failure, Result};
 use dpges_render::path::Size;
 
 /// Most training views that say what a primitive contributes.
@@ -67,10 +68,8 @@ pub struct TradeArgs {
     /// Folder for the results
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Where pictures are compared and scenes trained: auto (a GPU that passes a check, or else the CPU), cpu, cpu-flex,
-    /// wgpu (the best GPU), or another one that `dpges devices` lists
-    #[arg(long, value_name = "NAME", default_value_t)]
-    device: DeviceRequest,
+    #[command(flatten)]
+    device: DeviceArgs,
     #[command(flatten)]
     lpips: LpipsArgs,
     /// Renderer of pictures and frames [default: raster, or training where there is no graphics adapter]
@@ -107,7 +106,7 @@ pub fn run(args: &TradeArgs, style: LogStyle) -> Result<()> {
     let end = args.time_limit.and_then(|length| Instant::now().checked_add(length));
     let mut scene = Scene::load(&args.scene)?;
     scene.use_pinholes();
-    let device = device_choice::select(args.device)?;
+    let device = args.device.select()?;
     watched(device, || args.measure(&mut scene, device, end, style))
 }
 
@@ -321,22 +320,5 @@ mod tests {
         assert!(!until.should_stop() && !until.stopped);
         until.end = Some(Instant::now());
         assert!(until.should_stop() && until.stopped);
-    }
-
-    #[test]
-    fn views_are_spread_over_all() {
-        let options = dpges_train::dataset::BuiltinOptions {
-            width: 4,
-            height: 4,
-            train_views: 7,
-            test_views: 1,
-            points: 0,
-            ..Default::default()
-        };
-        let dataset = dpges_train::dataset::builtin(&options);
-        let names = |most: usize| every_nth(&dataset.train, most).map(|view| view.name.as_str()).collect::<Vec<_>>();
-        assert_eq!(names(3), ["train_000", "train_003", "train_006"]);
-        assert_eq!((names(100).len(), names(1).len()), (7, 1));
-        assert_eq!(judging_cameras(&dataset).len(), 7);
     }
 }

@@ -49,8 +49,7 @@ impl fmt::Display for WorstFrame {
 pub(super) fn picture(frame: &Frame, warped: &Warped, map: &[f64]) -> Rgb8Image {
     let (width, height) = (frame.camera.width, frame.camera.height);
     let pixels = map.iter().zip(&warped.is_seen);
-    let colours =
-        pixels.map(|(&flip, &is_seen)| if is_seen { false_colour::ramp(flip as f32) } else { NOT_COMPARED });
+    let colours = pixels.map(|(&flip, &is_seen)| if is_seen { false_colour::ramp(flip as f32) } else { NOT_COMPARED });
     let [before, after] = [&warped.planes, &frame.planes].map(|planes| Rgb8Image::from_planes(planes, width, height));
     Rgb8Image::beside(&[before, after, Rgb8Image::from_pixels(width, height, colours)])
 }
