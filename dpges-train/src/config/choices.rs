@@ -154,7 +154,7 @@ choices! {
         "auto" => Auto,
         /// On the points of structure from motion.
         "sfm" => Sfm,
-        /// On the visual hull of pictures with alpha.
+        /// In the visual hull of pictures with alpha, where neighbouring views agree about a colour.
         "silhouette" => Silhouette,
         /// Gaussians at random places in view of the cameras; no surfels.
         "random" => Random,

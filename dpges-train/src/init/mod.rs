@@ -4,6 +4,7 @@
 //! and an arm of [`initialise`]. Most methods find [`OrientedPoints`] on the surfaces of the scene, and [`placement`]
 //! turns these into primitives. [`promote`] turns trained discs into surfels.
 
+pub mod agreement;
 pub mod flatten;
 pub mod fusion;
 pub mod placement;
@@ -121,11 +122,11 @@ fn from_silhouettes(
 ) -> Result<InitialScene, InitError> {
     let silhouettes = Silhouettes::new(&dataset.train).ok_or(InitError::NoSilhouettes)?;
     let region = in_sight(dataset);
-    let mut points = silhouette::hull_points(&silhouettes, region, config.init.hull_resolution, TOLERANCE)?;
+    let (resolution, count) = (config.init.hull_resolution, config.init.max_points.min(quota.points));
+    let points = silhouette::hull_points(&silhouettes, region, resolution, TOLERANCE, count, rng)?;
     if points.is_empty() {
         return Err(InitError::EmptyHull);
     }
-    points.thin_out(config.init.max_points.min(quota.points), rng);
     Ok(place(&points, dataset, config, start, rng))
 }
 

@@ -31,14 +31,6 @@ impl OrientedPoints {
     pub fn is_empty(&self) -> bool {
         self.positions.is_empty()
     }
-
-    /// Keeps at most `count` points, drawn at random, in their order.
-    pub fn thin_out(&mut self, count: usize, rng: &mut ChaCha8Rng) {
-        let rows = draw_rows(self.len(), count, rng);
-        self.positions = rows.iter().map(|&row| self.positions[row]).collect();
-        self.colours = rows.iter().map(|&row| self.colours[row]).collect();
-        self.normals = rows.iter().map(|&row| self.normals[row]).collect();
-    }
 }
 
 /// At most `count` of `total` rows, drawn uniformly, ascending.
@@ -215,12 +207,10 @@ mod tests {
     }
 
     #[test]
-    fn thinning_out_draws_without_replacement_and_keeps_the_order() {
-        let mut cloud = points(&(0..50).map(|i| [i as f32, 0.0, 0.0]).collect::<Vec<_>>());
-        cloud.thin_out(20, &mut rng());
-        assert_eq!((cloud.len(), cloud.colours.len(), cloud.normals.len()), (20, 20, 20));
-        assert!(cloud.positions.windows(2).all(|pair| pair[0][0] < pair[1][0]));
-        cloud.thin_out(100, &mut rng());
-        assert_eq!(cloud.len(), 20);
+    fn rows_are_drawn_without_replacement_and_in_their_order() {
+        let drawn = draw_rows(50, 20, &mut rng());
+        assert_eq!(drawn.len(), 20);
+        assert!(drawn.windows(2).all(|pair| pair[0] < pair[1]) && drawn[19] < 50);
+        assert_eq!(draw_rows(20, 100, &mut rng()), (0..20).collect::<Vec<_>>());
     }
 }

@@ -1,23 +1,16 @@
-//! Initialisation from the visual hull of pictures with alpha (Laurentini): the surface of what lies inside every
-//! silhouette, coloured by the views that face it best.
+//! Initialisation from the visual hull of pictures with alpha (Laurentini): what lies inside every silhouette.
 
 use std::sync::Arc;
 
 use dpges_core::Result;
-use dpges_core::camera::Camera;
 use glam::{DVec3, IVec3};
+use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
+use super::agreement;
 use super::placement::OrientedPoints;
 use super::region::Region;
 use crate::dataset::{Picture, View, pictures};
-
-/// A pixel with more than this alpha shows no background.
-const OPAQUE: f32 = 0.9;
-/// Number of views that determine a colour.
-const VOTERS: usize = 5;
-/// Largest distance of a visible point behind the nearest surface, voxels.
-const HIDDEN_BEHIND: f64 = 2.5;
 
 /// The views whose photographs have alpha that says what is outside.
 #[derive(Debug)]
@@ -59,12 +52,6 @@ impl Grid {
         IVec3::new((index % n) as i32, (index / n % n) as i32, (index / (n * n)) as i32)
     }
 
-    fn index(&self, voxel: IVec3) -> Option<usize> {
-        let n = self.sides as i32;
-        let inside = voxel.min_element() >= 0 && voxel.max_element() < n;
-        inside.then(|| (voxel.x + n * (voxel.y + n * voxel.z)) as usize)
-    }
-
     fn centre(&self, voxel: IVec3) -> DVec3 {
         self.region.low + self.step() * (voxel.as_dvec3() + 0.5)
     }
@@ -73,10 +60,10 @@ impl Grid {
 /// Share of the views whose silhouettes may miss a voxel of a run's visual hull: masks are not exact.
 pub const TOLERANCE: f64 = 0.02;
 
-/// Points on the surface of the visual hull inside `region`, one per boundary voxel. The grid has `resolution` voxels
-/// along each side and is fitted to the occupied part of the region. A voxel is occupied if at least half of the views
-/// show its centre and at most the share `tolerance` of these show it outside their silhouette. Empty if the
-/// silhouettes have no volume in common.
+/// At most `count` points of the visual hull inside `region`, where views agree about colours: hulls fill what is hollow, and
+/// its surface is inside. Points are centres of voxels. The grid has `resolution` voxels along each side and is fitted to the
+/// occupied part of the region. A voxel is occupied if at least half of the views show its centre and at most the share
+/// `tolerance` of these show it outside their silhouette. Empty if the silhouettes have no volume in common.
 ///
 /// # Errors
 /// [`dpges_core::Error::Io`] if a photograph cannot be read again.
@@ -85,22 +72,15 @@ pub fn hull_points(
     region: Region,
     resolution: usize,
     tolerance: f64,
+    count: usize,
+    rng: &mut ChaCha8Rng,
 ) -> Result<OrientedPoints> {
     let coarse = Grid { region, sides: resolution.div_ceil(2) };
     let region = occupied_region(&coarse, &carve(&coarse, silhouettes, tolerance)?).unwrap_or(region);
     let grid = Grid { region, sides: resolution };
     let occupied = carve(&grid, silhouettes, tolerance)?;
-
-    let is_occupied = |voxel: IVec3| grid.index(voxel).is_some_and(|index| occupied[index]);
-    let on_surface = |&index: &usize| {
-        let voxel = grid.voxel(index);
-        occupied[index] && IVec3::AXES.iter().any(|&axis| !is_occupied(voxel + axis) || !is_occupied(voxel - axis))
-    };
-    let surface: Vec<usize> = (0..grid.len()).into_par_iter().filter(on_surface).collect();
-    let points: Vec<DVec3> = surface.iter().map(|&index| grid.centre(grid.voxel(index))).collect();
-    let normals: Vec<DVec3> = surface.par_iter().map(|&index| outwards(grid.voxel(index), is_occupied)).collect();
-    let colours = colours(silhouettes, &points, &normals, grid.step().max_element())?;
-    Ok(OrientedPoints { positions: points.iter().map(|p| p.as_vec3().to_array()).collect(), colours, normals })
+    let centres = (0..grid.len()).filter(|&index| occupied[index]).map(|index| grid.centre(grid.voxel(index)));
+    agreement::draw(&silhouettes.0, &centres.collect::<Vec<_>>(), count, rng)
 }
 
 /// How many views show a voxel, and how many of these show it outside of their silhouettes.
@@ -144,95 +124,12 @@ fn occupied_region(grid: &Grid, occupied: &[bool]) -> Option<Region> {
     Some(Region { low: (low - room).max(grid.region.low), high: (high + room).min(grid.region.high) })
 }
 
-/// The outward direction at `voxel`: minus the gradient of the occupancy around it.
-fn outwards(voxel: IVec3, is_occupied: impl Fn(IVec3) -> bool) -> DVec3 {
-    let reach = || -2..=2;
-    let offsets = reach().flat_map(|x| reach().flat_map(move |y| reach().map(move |z| IVec3::new(x, y, z))));
-    let gradient: DVec3 = offsets
-        .filter(|&offset| offset != IVec3::ZERO && is_occupied(voxel + offset))
-        .map(|offset| offset.as_dvec3().normalize())
-        .sum();
-    (-gradient).try_normalize().unwrap_or(DVec3::Z)
-}
-
-/// The depth of the nearest point in each cell of a view.
-struct DepthMap {
-    /// px
-    cell: f64,
-    columns: usize,
-    depths: Vec<f64>,
-}
-
-impl DepthMap {
-    /// Cells are about as large as the image of a voxel of side `step` (world units) at the mean depth.
-    fn new(camera: &Camera, points: &[DVec3], step: f64) -> Self {
-        let seen: Vec<(f64, f64, f64)> = points.iter().filter_map(|&point| camera.project(point)).collect();
-        let mean_depth = seen.iter().map(|p| p.2).sum::<f64>() / seen.len().max(1) as f64;
-        let cell = (camera.fx.max(camera.fy) * step / mean_depth).clamp(1.0, 64.0);
-        let count = |size: usize| (size as f64 / cell).ceil() as usize;
-        let (columns, rows) = (count(camera.width), count(camera.height));
-        let mut map = Self { cell, columns, depths: vec![f64::INFINITY; columns * rows] };
-        for (x, y, depth) in seen {
-            let (left, top) = ((x / cell - 0.5).floor(), (y / cell - 0.5).floor());
-            for (column, row) in [(left, top), (left + 1.0, top), (left, top + 1.0), (left + 1.0, top + 1.0)] {
-                if (0.0..columns as f64).contains(&column) && (0.0..rows as f64).contains(&row) {
-                    let nearest = &mut map.depths[row as usize * columns + column as usize];
-                    *nearest = nearest.min(depth);
-                }
-            }
-        }
-        map
-    }
-
-    /// The depth of the nearest point around `pixel` of a picture `width` px wide.
-    fn at(&self, pixel: usize, width: usize) -> f64 {
-        let cell = |px: usize| (px as f64 / self.cell) as usize;
-        self.depths[cell(pixel / width) * self.columns + cell(pixel % width)]
-    }
-}
-
-/// A point in a view that its surface faces: whether its colour can be trusted, how much it faces the view, its colour.
-type Sighting = (bool, f64, [f32; 3]);
-
-/// Inserts a sighting among the best [`VOTERS`], best first, behind those that are as good.
-fn insert(best: &mut Vec<Sighting>, sighting: Sighting) {
-    let is_better = |a: &Sighting| a.0.cmp(&sighting.0).then(a.1.total_cmp(&sighting.1)).is_ge();
-    best.insert(best.partition_point(is_better), sighting);
-    best.truncate(VOTERS);
-}
-
-/// The median colour of each point over the views that see it unobstructed and face it best; grey if there is none.
-fn colours(silhouettes: &Silhouettes<'_>, points: &[DVec3], normals: &[DVec3], step: f64) -> Result<Vec<[f32; 3]>> {
-    let mut best: Vec<Vec<Sighting>> = vec![Vec::new(); points.len()];
-    for (view, picture) in silhouettes.pictures() {
-        let (camera, picture) = (&view.camera, picture?);
-        let (map, centre) = (DepthMap::new(camera, points, step), camera.centre());
-        let surface = points.par_iter().zip(normals);
-        best.par_iter_mut().zip(surface).for_each(|(best, (&point, &normal))| {
-            let facing = (centre - point).normalize_or_zero().dot(normal);
-            let Some((pixel, depth)) = camera.pixel(point).filter(|_| facing > 0.0) else { return };
-            let unobstructed = depth <= map.at(pixel, camera.width) + HIDDEN_BEHIND * step;
-            let is_opaque = picture.counts(pixel) && picture.alpha(pixel) > OPAQUE;
-            insert(best, (unobstructed && is_opaque, facing, picture.colour(pixel)));
-        });
-    }
-    let median = |mut views: Vec<Sighting>| {
-        let trusted = views.iter().filter(|view| view.0).count();
-        views.truncate(trusted.clamp(1, VOTERS));
-        [0, 1, 2].map(|channel| {
-            let mut values: Vec<f32> = views.iter().map(|view| view.2[channel]).collect();
-            values.sort_by(f32::total_cmp);
-            values.get(values.len() / 2).copied().unwrap_or(0.5)
-        })
-    };
-    Ok(best.into_iter().map(median).collect())
-}
-
 #[cfg(test)]
 mod tests {
     use std::f64::consts::TAU;
 
-    use dpges_core::camera::CameraFromWorld;
+    use dpges_core::camera::{Camera, CameraFromWorld};
+    use rand::SeedableRng;
 
     use super::*;
 
@@ -277,7 +174,9 @@ mod tests {
     }
 
     fn hull(photos: &[View], resolution: usize, tolerance: f64) -> OrientedPoints {
-        hull_points(&Silhouettes::new(photos).unwrap(), region(photos), resolution, tolerance).unwrap()
+        let mut rng = ChaCha8Rng::seed_from_u64(6);
+        let silhouettes = Silhouettes::new(photos).unwrap();
+        hull_points(&silhouettes, region(photos), resolution, tolerance, 1_000_000, &mut rng).unwrap()
     }
 
     fn make_transparent(photo: &mut View) {
@@ -292,17 +191,20 @@ mod tests {
     fn the_hull_of_a_ball_is_a_ball() {
         let photos = photos(60);
         let found = hull(&photos, 48, 0.0);
-        assert!(found.len() > 1500, "{}", found.len());
-        let (mut well_coloured, mut coloured) = (0, 0);
+        // of 48 voxels along each side
+        assert!(found.len() > 20_000, "{}", found.len());
+        let (mut well_coloured, mut coloured, mut outermost) = (0, 0, 0.0f64);
         for ((position, normal), colour) in found.positions.iter().zip(&found.normals).zip(&found.colours) {
             let p = DVec3::from_array(position.map(f64::from));
-            assert!((0.85..1.1).contains(&p.length()), "{p}");
-            assert!(normal.dot(p.normalize()) > 0.8, "{p} {normal}");
-            if p.x.abs() > 0.1 {
+            outermost = outermost.max(p.length());
+            if p.length() > 0.9 && p.x.abs() > 0.2 {
                 coloured += 1;
-                well_coloured += usize::from(*colour == if p.x > 0.0 { [1.0, 0.0, 0.0] } else { [0.0, 0.0, 1.0] });
+                let channel = if p.x > 0.0 { 0 } else { 2 };
+                well_coloured += usize::from(colour[channel] > 0.9 && colour[2 - channel] < 0.1);
+                assert!(normal.dot(p.normalize()) > 0.3, "{p} {normal}");
             }
         }
+        assert!((0.95..1.1).contains(&outermost) && coloured > 1000, "{outermost} {coloured}");
         assert!(well_coloured as f64 > 0.99 * coloured as f64, "{well_coloured} of {coloured}");
     }
 
