@@ -12,7 +12,7 @@
 //! | `mod.rs` | the contract (shapes, units, source, which gradients exist) and the public function |
 //! | `cpu.rs` | kernels of the CPU backends |
 //! | `cube.rs` | their CubeCL twins for GPUs |
-//! | `backward.rs` | the operation on Burn's tape |
+//! | `autodiff.rs` | the operation on Burn's tape |
 //! | `tests.rs` | what only this operation needs |
 //!
 //! A file that grew too long has a folder of its name beside it. To add an operation, copy the shape of

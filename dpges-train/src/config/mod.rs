@@ -7,7 +7,7 @@
 //! | [`choices`], [`budget`], [`memory`], [`pixels`] | types of values |
 //! | [`range`], [`error`] | which numbers make sense, and what can be wrong |
 //! | [`sources`] | defaults, presets, files and options, one over the other |
-//! | [`former`] | what has become of keys of earlier versions |
+//! | [`removed_keys`] | what has become of keys of earlier versions |
 //! | [`document`] | the keys as TOML and Markdown |
 //! | [`stages`] | the stages of a run |
 
@@ -17,11 +17,11 @@ pub mod declare;
 mod differences;
 pub mod document;
 pub mod error;
-pub mod former;
 pub mod keys;
 pub mod memory;
 pub mod pixels;
 pub mod range;
+pub mod removed_keys;
 pub mod sources;
 pub mod stages;
 

@@ -6,7 +6,7 @@ use std::path::Path;
 use serde::Deserialize;
 use toml::{Table, Value};
 
-use super::{Config, ConfigError, DataConfig, Key, SECTIONS, former, keys};
+use super::{Config, ConfigError, DataConfig, Key, SECTIONS, keys, removed_keys};
 
 /// Configurations that come with the program: name and TOML, which begins with a comment on what it is for.
 pub const PRESETS: [(&str, &str); 11] = [
@@ -89,7 +89,7 @@ impl Config {
             let origin = path.display().to_string();
             let mut data = parse(&read(path)?, &origin)?.remove_entry("data");
             if let Some((_, Value::Table(keys))) = &mut data {
-                keys.retain(|key, value| !former::dataset_does_without(key, value));
+                keys.retain(|key, value| !removed_keys::dataset_does_without(key, value));
             }
             config.assign_table(data.into_iter().collect(), &origin)?;
         }
@@ -110,7 +110,7 @@ impl Config {
         let mut table = parse(&read(file)?, &origin)?;
         for (section, value) in &mut table {
             if let Value::Table(keys) = value {
-                keys.retain(|key, _| former::instead(&format!("{section}.{key}")).is_none());
+                keys.retain(|key, _| removed_keys::instead(&format!("{section}.{key}")).is_none());
             }
         }
         table.retain(|_, value| value.as_table().is_none_or(|keys| !keys.is_empty()));
@@ -133,7 +133,7 @@ impl Config {
         for (section, value) in table {
             let is_known = SECTIONS.iter().any(|known| known.name == section);
             match value {
-                Value::Table(keys) if is_known || former::had_section(&section) => {
+                Value::Table(keys) if is_known || removed_keys::had_section(&section) => {
                     for (key, value) in keys {
                         self.assign(&format!("{section}.{key}"), value, origin)?;
                     }
@@ -203,7 +203,7 @@ fn find(name: &str, origin: &str) -> Result<&'static Key, ConfigError> {
 /// Names the section or key that `name` is most like, or what has become of it.
 fn unknown(name: &str, origin: &str) -> ConfigError {
     let (key, origin) = (name.to_owned(), origin.to_owned());
-    if let Some(instead) = former::instead(name) {
+    if let Some(instead) = removed_keys::instead(name) {
         return ConfigError::FormerKey { key, origin, instead };
     }
     let last = |name: &str| name.rsplit('.').next().unwrap_or(name).to_owned();

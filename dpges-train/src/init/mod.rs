@@ -13,7 +13,7 @@ pub mod random;
 pub mod region;
 pub mod sfm;
 pub mod silhouette;
-pub mod sky;
+pub mod sky_detection;
 
 use dpges_core::camera::Camera;
 use dpges_core::scene::{GaussianData, SurfelData};

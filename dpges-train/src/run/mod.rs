@@ -55,7 +55,7 @@ pub mod targets;
 #[cfg(test)]
 mod tests;
 mod trainer;
-mod training;
+mod training_loop;
 mod validation;
 
 use std::sync::Arc;

@@ -12,7 +12,7 @@ use super::pretrained::{GAUSSIANS_FROM, SURFELS_FROM};
 use super::{Context, TrainError};
 use crate::config::{Background, Environment};
 use crate::dataset::{Dataset, Format};
-use crate::init::sky::open_sky;
+use crate::init::sky_detection::open_sky;
 use crate::optimizer::{Parameter, ParameterRows};
 
 /// Share of open sky above which a scene gets an environment by itself.
@@ -156,7 +156,7 @@ mod tests {
 
     use super::super::{DevicePhotographs, budget};
     use super::*;
-    use crate::init::sky::tests::{BLUE, ring, tower};
+    use crate::init::sky_detection::tests::{BLUE, ring, tower};
     use crate::run::fixtures::{config, device};
     use crate::views::exposure::ExposureState;
     use crate::views::pose::PoseState;

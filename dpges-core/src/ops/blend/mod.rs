@@ -77,7 +77,7 @@
 //! [`Transparency::Tail`]: crate::scene::Transparency::Tail
 //! [`Transparency::Sorted`]: crate::scene::Transparency::Sorted
 
-mod backward;
+mod autodiff;
 mod cpu;
 #[cfg(feature = "gpu")]
 mod cube;

@@ -9,7 +9,7 @@
 //!
 //! Gradients: to base and detail. The direction passes none to the position (DP-GES, DBS).
 
-mod backward;
+mod autodiff;
 pub(super) mod cpu;
 #[cfg(feature = "gpu")]
 pub(super) mod cube;

@@ -13,7 +13,7 @@
 //! Compositing is an operation because burn-ndarray takes over ten times as long for the same tensor
 //! operations (burn-flex does not): see `dpges-train/docs/log/2026-11-24-benchmarks.md`.
 
-mod backward;
+mod autodiff;
 mod cpu;
 #[cfg(feature = "gpu")]
 mod cube;

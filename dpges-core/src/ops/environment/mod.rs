@@ -6,7 +6,7 @@
 //!
 //! Gradient: to the coefficients.
 
-mod backward;
+mod autodiff;
 mod cpu;
 #[cfg(feature = "gpu")]
 mod cube;

@@ -3,7 +3,7 @@
 //! Any float tensors → an integer each: position in row-major order of the first NaN or infinity, −1 if there is none; and
 //! a gate that is open if there is none in any. Training checks every step with it. No gradients.
 
-mod backward;
+mod autodiff;
 mod cpu;
 #[cfg(feature = "gpu")]
 mod cube;

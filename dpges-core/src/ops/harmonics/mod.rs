@@ -6,7 +6,7 @@
 //!
 //! Gradients: to base and detail. The direction passes none to the position, as in [`colour`](mod@super::colour).
 
-mod backward;
+mod autodiff;
 mod cpu;
 #[cfg(feature = "gpu")]
 mod cube;

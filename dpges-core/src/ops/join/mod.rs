@@ -1,6 +1,6 @@
 //! `join`: short tensors one after the other in one tensor, so that the numbers of a step are read at once. No gradient.
 
-mod backward;
+mod autodiff;
 mod cpu;
 #[cfg(feature = "gpu")]
 mod cube;

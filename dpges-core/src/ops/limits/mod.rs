@@ -6,7 +6,7 @@
 //!
 //! No gradient.
 
-mod backward;
+mod autodiff;
 mod cpu;
 #[cfg(feature = "gpu")]
 mod cube;

@@ -9,7 +9,7 @@
 //! Gradients: from alpha and from depth to positions, quaternions and log-scales. An opaque
 //! fragment's alpha has none. Which fragment forms which layer carries none.
 
-mod backward;
+mod autodiff;
 mod cpu;
 #[cfg(feature = "gpu")]
 mod cube;

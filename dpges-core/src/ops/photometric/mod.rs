@@ -9,7 +9,7 @@
 //!
 //! Gradient: of the weighted sum to the image, 0 where pixels do not count; the photograph has none.
 
-mod backward;
+mod autodiff;
 mod cpu;
 #[cfg(feature = "gpu")]
 mod cube;

@@ -8,7 +8,7 @@
 //!
 //! Gradient: of the weighted loss to the log-scales.
 
-mod backward;
+mod autodiff;
 mod cpu;
 #[cfg(feature = "gpu")]
 mod cube;

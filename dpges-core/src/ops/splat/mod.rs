@@ -12,7 +12,7 @@
 //! The *probe* is a [M, 2] tensor that no value depends on. Its gradient is that with respect to the projected centre in
 //! units of half the image. 3DGS bases densification on it.
 
-mod backward;
+mod autodiff;
 mod cpu;
 #[cfg(feature = "gpu")]
 mod cube;

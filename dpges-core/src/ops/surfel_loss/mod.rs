@@ -7,7 +7,7 @@
 //! Gradients: of the weighted sum of the two to the surfels' image and to the transmittance. Both have none where pixels do
 //! not count, and a term of weight 0 has none at all.
 
-mod backward;
+mod autodiff;
 mod cpu;
 #[cfg(feature = "gpu")]
 mod cube;

@@ -8,7 +8,7 @@ use glam::{DMat3, DVec3};
 use super::findings::middle;
 use super::{Report, Role};
 use crate::dataset::Dataset;
-use crate::init::sky::upwards;
+use crate::init::sky_detection::upwards;
 
 /// Points on a map at most.
 const MOST_POINTS: usize = 4000;

@@ -8,7 +8,7 @@ mod judging;
 mod limits;
 mod refine;
 pub mod schedule;
-mod sky;
+mod sky_masks;
 mod start;
 mod statistics;
 mod supervision;
@@ -37,7 +37,7 @@ use crate::refine::prune::drawn;
 pub use dealt::{Dealt, OWNERS, in_order};
 pub use limits::SamplingLimits;
 use schedule::{Due, Schedule};
-pub use sky::SkyMasks;
+pub use sky_masks::SkyMasks;
 pub use statistics::Statistics;
 pub use supervision::Supervisions;
 

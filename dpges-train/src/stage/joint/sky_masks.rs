@@ -5,7 +5,7 @@ use dpges_core::counters::transfers::upload;
 
 use super::super::{Context, EnvironmentState};
 use crate::dataset::Picture;
-use crate::init::sky::Skies;
+use crate::init::sky_detection::Skies;
 
 /// The sky in the training views.
 pub struct SkyMasks(Skies);
