@@ -30,19 +30,22 @@ const LEAST_WEIGHT: f64 = 0.02;
 /// Power of the distance by which nearer views count more.
 const NEARNESS: i32 = 8;
 
-/// What groups of views show at a point.
+/// The colour that groups of views show at a point, and how well they agree about it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Agreement {
     /// Standard deviation over the group that agrees best, of the channel that differs most, from 0 to 1.
     deviation: f64,
+    /// Mean over the groups that agree about as well, from 0 to 1.
     colour: [f32; 3],
     /// Towards the views, a unit vector.
     direction: DVec3,
 }
 
-/// What one group of views shows at a point.
+/// The colours that one group of views shows at a point.
 struct OfGroup {
+    /// As in [`Agreement`].
     deviation: f64,
+    /// Mean, from 0 to 1.
     colour: DVec3,
     /// From the point to the middle of the views, world units.
     towards: DVec3,
@@ -53,7 +56,7 @@ impl Agreement {
     const NONE: Self = Self { deviation: 1.0, colour: [0.5; 3], direction: DVec3::Z };
 }
 
-/// At most `count` of `points`, where neighbouring ones of `views` agree best about a colour, and seldom elsewhere. They have
+/// At most `count` of `points` (world units), where neighbouring ones of `views` agree best about a colour, and seldom elsewhere. They have
 /// the colour and the direction of the views that agree best.
 ///
 /// # Errors
@@ -89,7 +92,7 @@ fn draw_weighted(agreements: &[Agreement], count: usize, rng: &mut ChaCha8Rng) -
     rows
 }
 
-/// Of each point. A group of views is one with its nearest neighbours, if all of them see the point.
+/// The agreement of views at each of `points`. A view and its nearest neighbours are a group, if all of them see the point.
 fn agreements(views: &[&View], points: &[DVec3]) -> Result<Vec<Agreement>> {
     let views: Vec<&View> = views.iter().step_by(views.len().div_ceil(MOST_VIEWS)).copied().collect();
     let centres: Vec<DVec3> = views.iter().map(|view| view.camera.centre()).collect();
@@ -134,7 +137,7 @@ fn mean(groups: &[OfGroup]) -> Agreement {
     Agreement { deviation, colour, direction: direction.try_normalize().unwrap_or(DVec3::Z) }
 }
 
-/// By which a deviation of colours counts, at most 1.
+/// The weight of a deviation of colours, at most 1.
 fn weight(deviation: f64) -> f64 {
     (-(deviation / DEVIATION).powi(2)).exp()
 }
