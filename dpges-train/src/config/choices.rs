@@ -152,10 +152,12 @@ choices! {
     InitMethod {
         /// The first of the following that the dataset allows.
         "auto" => Auto,
-        /// On the points of structure from motion.
+        /// On the points of structure from motion; if they are fewer than 3,000, also where views agree about a colour.
         "sfm" => Sfm,
-        /// In the visual hull of pictures with alpha, where neighbouring views agree about a colour.
+        /// In the visual hull of pictures with alpha, where views agree about a colour.
         "silhouette" => Silhouette,
+        /// Where views agree about a colour, in view of the cameras.
+        "plane-sweep" => PlaneSweep,
         /// Gaussians at random places in view of the cameras; no surfels.
         "random" => Random,
     }

@@ -80,6 +80,18 @@ pub struct PointCloud {
     pub seen_by: Tracks,
 }
 
+impl PointCloud {
+    /// Adds the points of `other`, whose views are those of this cloud.
+    pub fn append(&mut self, other: &Self) {
+        while self.seen_by.len() < self.positions.len() {
+            self.seen_by.push([]);
+        }
+        self.positions.extend(&other.positions);
+        self.colours.extend(&other.colours);
+        other.seen_by.iter().for_each(|views| self.seen_by.push(views.iter().copied()));
+    }
+}
+
 /// Photographs, cameras and points to train on. Views are sorted by name.
 #[derive(Clone, Debug)]
 pub struct Dataset {

@@ -4,10 +4,10 @@
 //! and an arm of [`initialise`]. Most methods find [`OrientedPoints`] on the surfaces of the scene, and [`placement`]
 //! turns these into primitives. [`promote`] turns trained discs into surfels.
 
-pub mod agreement;
 pub mod flatten;
 pub mod fusion;
 pub mod placement;
+pub mod plane_sweep;
 pub mod promote;
 pub mod random;
 pub mod region;
@@ -17,15 +17,22 @@ pub mod sky_detection;
 
 use dpges_core::camera::Camera;
 use dpges_core::scene::{GaussianData, SurfelData};
+use glam::DVec3;
 use rand_chacha::ChaCha8Rng;
 
 use crate::config::{Config, InitMethod};
-use crate::dataset::{Dataset, PointCloud};
+use crate::dataset::{Dataset, PointCloud, View};
 use crate::refine::margins::margins;
 pub use placement::PrimitiveStart;
 use placement::{OrientedPoints, Placement};
+use plane_sweep::{Acceptance, Volume};
 use region::Region;
 use silhouette::{Silhouettes, TOLERANCE};
+
+/// Fewer points of structure from motion are joined by points about which views agree.
+const FEW_POINTS: usize = 3_000;
+/// Compared points of a ray along the longest side of a region.
+const SAMPLES_OF_A_SIDE: usize = 192;
 
 /// The largest size of an initial scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -60,13 +67,16 @@ pub enum InitError {
     NoSilhouettes,
     #[error("the silhouettes of the training views share no volume: check the cameras and the alpha of the pictures")]
     EmptyHull,
+    #[error("views agree nowhere about colours: photographs without texture, too far apart, or with wrong cameras")]
+    NoAgreement,
     /// A photograph cannot be read again.
     #[error(transparent)]
     Picture(#[from] dpges_core::Error),
 }
 
 /// The initial scene of a dataset, within the limits of `quota`, of primitives as large and opaque as `start` says.
-/// `init.method` "auto" starts from points if the dataset has some, else from silhouettes, else from random Gaussians.
+/// `init.method` "auto" starts from points if the dataset has some, else from silhouettes, else where views
+/// agree about colours, else from random Gaussians.
 ///
 /// # Errors
 /// [`InitError`] if there are no training views or the dataset lacks what the method needs.
@@ -80,22 +90,24 @@ pub fn initialise(
     if dataset.train.is_empty() {
         return Err(InitError::NoViews);
     }
-    match config.init.method {
+    let of = |method: InitMethod, rng: &mut ChaCha8Rng| match method {
         InitMethod::Sfm => from_points(dataset, config, start, quota, rng),
         InitMethod::Silhouette => from_silhouettes(dataset, config, start, quota, rng),
-        InitMethod::Random => Ok(random_gaussians(dataset, config, start, quota, rng)),
-        InitMethod::Auto => {
-            match from_points(dataset, config, start, quota, rng)
-                .or_else(|_| from_silhouettes(dataset, config, start, quota, rng))
-            {
-                Err(reason @ (InitError::NoSilhouettes | InitError::EmptyHull)) => {
-                    tracing::warn!("no points, and no hull ({reason}): starting from random Gaussians without surfels");
-                    Ok(random_gaussians(dataset, config, start, quota, rng))
-                }
-                result => result,
-            }
+        InitMethod::PlaneSweep => from_agreement(dataset, config, start, quota, rng),
+        InitMethod::Auto | InitMethod::Random => Ok(random_gaussians(dataset, config, start, quota, rng)),
+    };
+    if config.init.method != InitMethod::Auto {
+        return of(config.init.method, rng);
+    }
+    for method in [InitMethod::Sfm, InitMethod::Silhouette, InitMethod::PlaneSweep] {
+        match of(method, rng) {
+            Err(InitError::NoPoints | InitError::NoSilhouettes) => {}
+            Err(reason @ (InitError::EmptyHull | InitError::NoAgreement)) => tracing::warn!("{reason}"),
+            result => return result,
         }
     }
+    tracing::warn!("starting from random Gaussians without surfels");
+    of(InitMethod::Random, rng)
 }
 
 fn from_points(
@@ -105,12 +117,23 @@ fn from_points(
     quota: PrimitiveQuota,
     rng: &mut ChaCha8Rng,
 ) -> Result<InitialScene, InitError> {
-    let points = sfm::usable_points(&dataset.points, config.init.max_points.min(quota.points), rng);
+    let mut points = sfm::usable_points(&dataset.points, config.init.max_points.min(quota.points), rng);
     if points.positions.is_empty() {
         return Err(InitError::NoPoints);
     }
-    let centres: Vec<_> = dataset.train.iter().map(|view| view.camera.centre()).collect();
-    Ok(place(&sfm::orient(points, &centres), dataset, config, start, rng))
+    let most = config.init.max_points.min(quota.points).min(FEW_POINTS);
+    let wanted = most.saturating_sub(points.positions.len());
+    if wanted > 0 {
+        let region = Region::around(&points.positions).unwrap_or_else(|| in_sight(dataset));
+        let more = where_views_agree(dataset, region, wanted, rng)?;
+        tracing::info!(
+            "{} points are few: {} more where views agree about a colour",
+            points.positions.len(),
+            more.positions.len()
+        );
+        points.append(&more);
+    }
+    Ok(place(&sfm::orient(points, &centres(&dataset.train)), dataset, config, start, rng))
 }
 
 fn from_silhouettes(
@@ -124,10 +147,25 @@ fn from_silhouettes(
     let region = in_sight(dataset);
     let (resolution, count) = (config.init.hull_resolution, config.init.max_points.min(quota.points));
     let points = silhouette::hull_points(&silhouettes, region, resolution, TOLERANCE, count, rng)?;
-    if points.is_empty() {
+    if points.positions.is_empty() {
         return Err(InitError::EmptyHull);
     }
-    Ok(place(&points, dataset, config, start, rng))
+    Ok(place(&sfm::orient(points, &silhouettes.centres()), dataset, config, start, rng))
+}
+
+fn from_agreement(
+    dataset: &Dataset,
+    config: &Config,
+    start: PrimitiveStart,
+    quota: PrimitiveQuota,
+    rng: &mut ChaCha8Rng,
+) -> Result<InitialScene, InitError> {
+    let count = config.init.max_points.min(quota.points).min(FEW_POINTS);
+    let points = where_views_agree(dataset, in_sight(dataset), count, rng)?;
+    if points.positions.len() < count / 4 {
+        return Err(InitError::NoAgreement);
+    }
+    Ok(place(&sfm::orient(points, &centres(&dataset.train)), dataset, config, start, rng))
 }
 
 fn random_gaussians(
@@ -148,8 +186,7 @@ fn random_gaussians(
 
 /// A surfel at every point. Margins are zero.
 pub fn surfels_at(points: PointCloud, dataset: &Dataset, config: &Config, rng: &mut ChaCha8Rng) -> SurfelData {
-    let centres: Vec<_> = dataset.train.iter().map(|view| view.camera.centre()).collect();
-    placement::surfels(&sfm::orient(points, &centres), &Placement::new(config, dataset.extent), rng)
+    placement::surfels(&sfm::orient(points, &centres(&dataset.train)), &Placement::new(config, dataset.extent), rng)
 }
 
 /// A surfel and a faint Gaussian at every point.
@@ -166,6 +203,23 @@ fn place(
     InitialScene { surfels, gaussians: placement::gaussians(points, &placement, rng) }
 }
 
+/// At most `count` points in `region` about which views agree.
+fn where_views_agree(
+    dataset: &Dataset,
+    region: Region,
+    count: usize,
+    rng: &mut ChaCha8Rng,
+) -> Result<PointCloud, InitError> {
+    let step = region.size().max_element() / SAMPLES_OF_A_SIDE as f64;
+    let views: Vec<&View> = dataset.train.iter().collect();
+    let volume = Volume { region, step, contains: &|_| true };
+    Ok(plane_sweep::draw(&views, &volume, Acceptance::DISTINCT, count, rng)?)
+}
+
+fn centres(views: &[View]) -> Vec<DVec3> {
+    views.iter().map(|view| view.camera.centre()).collect()
+}
+
 fn in_sight(dataset: &Dataset) -> Region {
     let cameras: Vec<&Camera> = dataset.train.iter().map(|view| &view.camera).collect();
     Region::in_sight(&cameras, dataset.extent)
@@ -174,7 +228,6 @@ fn in_sight(dataset: &Dataset) -> Region {
 #[cfg(test)]
 mod tests {
     use dpges_core::camera::CameraFromWorld;
-    use glam::DVec3;
     use rand::SeedableRng;
 
     use super::*;
@@ -237,14 +290,34 @@ mod tests {
 
     #[test]
     fn auto_takes_the_best_there_is() {
-        let points = start(&dataset(6, true, vec![[0.0; 3], [1.0, 0.0, 0.0]]), InitMethod::Auto).unwrap();
+        let points = start(&dataset(6, false, vec![[0.0; 3], [1.0, 0.0, 0.0]]), InitMethod::Auto).unwrap();
         assert_eq!((points.surfels.len(), points.gaussians.len()), (2, 2));
         let hull = start(&dataset(20, true, vec![]), InitMethod::Auto).unwrap();
         assert!(hull.surfels.len() > 100 && hull.surfels.len() == hull.gaussians.len());
         assert!(hull.surfels.margins.iter().all(|&margin| margin > 0.0));
+        // of one colour, so that nothing tells their distances
         let random = start(&dataset(6, false, vec![[f32::NAN; 3]]), InitMethod::Auto).unwrap();
         assert_eq!((random.surfels.len(), random.gaussians.len()), (0, 300));
         assert!(random.gaussians.positions.iter().all(|x| x.abs() < 4.4));
+    }
+
+    #[test]
+    fn points_that_are_few_are_joined_by_those_that_views_agree_about() {
+        let mosaic = plane_sweep::tests::photos(plane_sweep::tests::mosaic, |_| false);
+        let corners =
+            (0..60).map(|i| [(i % 8) as f32 / 4.0 - 1.0, (i / 8) as f32 / 4.0 - 1.0, 0.3 * (i % 3 - 1) as f32]);
+        let few = Dataset { train: mosaic.clone(), ..dataset(0, false, corners.collect()) };
+        let scene = start(&few, InitMethod::Auto).unwrap();
+        assert!(scene.surfels.len() > 1000 && scene.surfels.len() <= FEW_POINTS, "{}", scene.surfels.len());
+        let on_the_floor = |scene: &InitialScene| {
+            let added = scene.surfels.positions.iter().skip(2).step_by(3).skip(60);
+            added.clone().filter(|z| z.abs() < 0.1).count() as f64 / added.count() as f64
+        };
+        assert!(on_the_floor(&scene) > 0.8, "{}", on_the_floor(&scene));
+        let none = Dataset { points: PointCloud::default(), ..few };
+        let scene = start(&none, InitMethod::Auto).unwrap();
+        assert!(scene.surfels.len() > 1000 && on_the_floor(&scene) > 0.7, "{}", on_the_floor(&scene));
+        assert!(matches!(start(&dataset(6, false, vec![]), InitMethod::PlaneSweep), Err(InitError::NoAgreement)));
     }
 
     #[test]

@@ -6,6 +6,13 @@ use glam::{DMat3, DVec3};
 /// Size of the region relative to the sphere that a typical camera sees completely.
 const SLACK: f64 = 1.1;
 
+/// Points that say where a scene is.
+const LEAST_POINTS: usize = 50;
+/// Share of the points beyond either side of a box around them.
+const OUTLIERS: f64 = 0.02;
+/// What is added to either side of a box around points, relative to its length.
+const MARGIN: f64 = 0.1;
+
 /// An axis-aligned box, world units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Region {
@@ -32,6 +39,23 @@ impl Region {
             Some(&radius) if radius > 0.0 => Self::cube(focus, SLACK * radius.max(0.1 * extent)),
             _ => Self::cube(mean, extent.max(1e-3)),
         }
+    }
+
+    /// The box of most of `positions` (world units), a little enlarged. `None` if these are too few to tell.
+    pub fn around(positions: &[[f32; 3]]) -> Option<Self> {
+        if positions.len() < LEAST_POINTS {
+            return None;
+        }
+        let of_axis = |axis: usize| {
+            let mut along: Vec<f32> = positions.iter().map(|position| position[axis]).collect();
+            along.sort_by(f32::total_cmp);
+            let outside = (OUTLIERS * along.len() as f64) as usize;
+            [along[outside], along[along.len() - 1 - outside]].map(f64::from)
+        };
+        let [x, y, z] = [0, 1, 2].map(of_axis);
+        let (low, high) = (DVec3::new(x[0], y[0], z[0]), DVec3::new(x[1], y[1], z[1]));
+        let more = MARGIN * (high - low);
+        Some(Self { low: low - more, high: high + more })
     }
 
     pub fn cube(centre: DVec3, half_side: f64) -> Self {
