@@ -167,4 +167,14 @@ mod tests {
         let region = Region::in_sight(&outwards.iter().collect::<Vec<_>>(), 4.4);
         assert!((region.size().x - 8.8).abs() < 1e-9);
     }
+
+    #[test]
+    fn a_box_around_points_leaves_outliers_out() {
+        let mut positions: Vec<[f32; 3]> = (0..=100).map(|i| [i as f32 / 100.0, 2.0, -(i as f32)]).collect();
+        positions.extend([[1e6; 3], [-1e6; 3]]);
+        let Region { low, high } = Region::around(&positions).unwrap();
+        assert!((low - DVec3::new(-0.088, 2.0, -108.8)).length() < 0.1, "{low}");
+        assert!((high - DVec3::new(1.088, 2.0, 8.8)).length() < 0.1, "{high}");
+        assert_eq!(Region::around(&positions[..LEAST_POINTS - 1]), None);
+    }
 }
