@@ -161,7 +161,7 @@ configuration! {
         max_points: usize = 50_000, unit: "points", range: 1..;
         /// Start no primitive larger than 0.06 extents of the scene or 10 times the median (3DGS, DP-GES: false).
         limit_scales: bool = true;
-        /// Number of Gaussians if the dataset has neither points nor silhouettes.
+        /// Number of Gaussians that start at random places.
         random_gaussians: usize = 50_000, range: 1..;
         /// Half the side of the cube around the origin in which they are (3DGS: 1.3 for NeRF-Synthetic). 0 takes a cube that
         /// the cameras see.

@@ -31,6 +31,8 @@ use silhouette::{Silhouettes, TOLERANCE};
 
 /// Fewer points of structure from motion are joined by points about which views agree.
 const FEW_POINTS: usize = 3_000;
+/// A start by plane sweep alone needs this share of the points that it asks for.
+const LEAST_SHARE_FOUND: f64 = 0.25;
 /// Compared points of a ray along the longest side of a region.
 const SAMPLES_OF_A_SIDE: usize = 192;
 
@@ -65,9 +67,13 @@ pub enum InitError {
     NoPoints,
     #[error("init.method is `silhouette`, but no training picture has transparent pixels")]
     NoSilhouettes,
-    #[error("the silhouettes of the training views share no volume: check the cameras and the alpha of the pictures")]
+    #[error(
+        "the silhouettes of the training views share no volume, or no pixel is opaque: check the cameras and the alpha of the pictures"
+    )]
     EmptyHull,
-    #[error("views agree nowhere about colours: photographs without texture, too far apart, or with wrong cameras")]
+    #[error(
+        "views agree nowhere about colours: photographs lack texture, are too far apart, or have wrong cameras; give points of structure from motion"
+    )]
     NoAgreement,
     /// A photograph cannot be read again.
     #[error(transparent)]
@@ -162,7 +168,7 @@ fn from_agreement(
 ) -> Result<InitialScene, InitError> {
     let count = config.init.max_points.min(quota.points).min(FEW_POINTS);
     let points = where_views_agree(dataset, in_sight(dataset), count, rng)?;
-    if points.positions.len() < count / 4 {
+    if (points.positions.len() as f64) < LEAST_SHARE_FOUND * count as f64 {
         return Err(InitError::NoAgreement);
     }
     Ok(place(&sfm::orient(points, &centres(&dataset.train)), dataset, config, start, rng))
@@ -227,7 +233,6 @@ fn in_sight(dataset: &Dataset) -> Region {
 
 #[cfg(test)]
 mod tests {
-    use dpges_core::camera::CameraFromWorld;
     use rand::SeedableRng;
 
     use super::*;
@@ -240,19 +245,7 @@ mod tests {
         let view = |i: usize| {
             let turn = i as f64 / views as f64 * std::f64::consts::TAU;
             let eye = 4.0 * DVec3::new(turn.cos(), turn.sin(), 0.5 * (3.0 * turn).sin());
-            let camera_from_world = CameraFromWorld::look_at(eye, DVec3::ZERO, DVec3::Z);
-            let (f, c) = (50.0, SIZE as f64 / 2.0);
-            let camera = Camera {
-                camera_from_world,
-                fx: f,
-                fy: f,
-                cx: c,
-                cy: c,
-                width: SIZE,
-                height: SIZE,
-                near: 0.01,
-                lens: None,
-            };
+            let (camera, c) = (plane_sweep::tests::camera(eye, SIZE, 50.0), SIZE as f64 / 2.0);
             let radius = |pixel: usize| ((pixel % SIZE) as f64 + 0.5 - c).hypot((pixel / SIZE) as f64 + 0.5 - c);
             let disc = (0..SIZE * SIZE).map(|pixel| if radius(pixel) < 12.0 { 255 } else { 0 }).collect();
             let (bytes, alpha) = (vec![64; 3 * SIZE * SIZE], alpha.then_some(disc));

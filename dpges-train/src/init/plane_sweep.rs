@@ -213,24 +213,19 @@ pub(super) mod tests {
         [0.4; 3]
     }
 
+    /// Looks at the origin, `size` px wide and high, of focal length `f` px.
+    pub fn camera(eye: DVec3, size: usize, f: f64) -> Camera {
+        let (camera_from_world, c) = (CameraFromWorld::look_at(eye, DVec3::ZERO, DVec3::Z), size as f64 / 2.0);
+        let (fx, fy, cx, cy, width, height) = (f, f, c, c, size, size);
+        Camera { camera_from_world, fx, fy, cx, cy, width, height, near: 0.01, lens: None }
+    }
+
     /// Of a floor, from a ring above it. A wall with a pattern of its own hides it from every view whose number `is_blocked`.
     pub fn photos(floor: fn(DVec3) -> [f32; 3], is_blocked: impl Fn(usize) -> bool) -> Vec<View> {
         let photo = |number: usize| {
             let turn = number as f64 / 40.0 * TAU;
             let eye = DVec3::new(3.0 * turn.cos(), 3.0 * turn.sin(), 2.0 + (number % 3) as f64);
-            let camera_from_world = CameraFromWorld::look_at(eye, DVec3::ZERO, DVec3::Z);
-            let (f, c) = (100.0, SIZE as f64 / 2.0);
-            let camera = Camera {
-                camera_from_world,
-                fx: f,
-                fy: f,
-                cx: c,
-                cy: c,
-                width: SIZE,
-                height: SIZE,
-                near: 0.01,
-                lens: None,
-            };
+            let camera = camera(eye, SIZE, 100.0);
             let mut planes = vec![0.0; 3 * SIZE * SIZE];
             for pixel in 0..SIZE * SIZE {
                 let ray = camera.unproject((pixel % SIZE) as f64 + 0.5, (pixel / SIZE) as f64 + 0.5, 1.0) - eye;

@@ -1,4 +1,4 @@
-//! Initialisation of datasets without points and silhouettes (3DGS).
+//! Initialisation at random places (3DGS).
 
 use glam::DVec3;
 use rand::RngExt;

@@ -10,7 +10,7 @@ const SLACK: f64 = 1.1;
 const LEAST_POINTS: usize = 50;
 /// Share of the points beyond either side of a box around them.
 const OUTLIERS: f64 = 0.02;
-/// What is added to either side of a box around points, relative to its length.
+/// A box around points is longer by this share of its length on either side.
 const MARGIN: f64 = 0.1;
 
 /// An axis-aligned box, world units.
