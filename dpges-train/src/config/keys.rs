@@ -178,7 +178,7 @@ configuration! {
             ablation: "no-surfel-stage" = "0" ("Without the stage of discs, if the run has one");
         /// Share of `train.steps` for Gaussians (DP-GES: 20/65). 0 starts them as `[init]` says. It has no effect with
         /// `stages.gaussians_by = "rest"`.
-        gaussians: f64 = 0.4, range: 0.0..=1.0,
+        gaussians: f64 = 0.2, range: 0.0..=1.0,
             ablation: "no-gaussian-stage" = "0" ("Without the stage of Gaussians, if the run has one");
         /// Where the Gaussians of the joint stage come from.
         gaussians_by: GaussianStage = GaussianStage::Mcmc,
@@ -195,7 +195,7 @@ configuration! {
         /// Where surfels start if no discs were trained.
         surfels_by: SurfelStart = SurfelStart::Depth;
         /// Share of `refine.budget` of surfels that start on surfaces seen in depths.
-        depth_surfels: f64 = 0.25, range: POSITIVE_SHARE;
+        depth_surfels: f64 = 0.4, range: POSITIVE_SHARE;
         /// Share of `refine.budget` that discs may use. 0 sets no limit (2DGS).
         surfel_budget: f64 = 0.3, range: 0.0..;
         /// Share of `refine.budget` that Gaussians may use before the joint stage.
@@ -264,6 +264,8 @@ configuration! {
         quaternions: f64 = 4e-3, range: 0.0..;
         /// Learning rate of the logarithms of scales.
         log_scales: f64 = 0.015, range: 0.0..;
+        /// Factor on the learning rates of positions, quaternions and scales in the joint stage (DP-GES: 1).
+        joint_geometry: f64 = 2.0, range: 0.0..;
         /// Learning rate of opacities in the joint stage.
         opacities: f64 = 0.02, range: 0.0..;
         /// Learning rate of base colours.

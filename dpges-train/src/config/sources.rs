@@ -293,7 +293,7 @@ stages = { surfels = 0.30769231, gaussians = 0.30769231, gaussians_by = 'dbs', s
 surfel_budget = 0, gaussian_budget = 0.8, joint_opacity = 'kept', position_share = 0.66666667 }
 discs = { lambda_normal = 0.05, lambda_distortion = 0.0 }
 density = { gradient_threshold = 2e-4 }
-optimizer = { position_start = 1.6e-4, position_end = 1.6e-6, quaternions = 1e-3, log_scales = 5e-3, opacities = 2.5e-4, \
+optimizer = { position_start = 1.6e-4, position_end = 1.6e-6, quaternions = 1e-3, log_scales = 5e-3, joint_geometry = 1.0, opacities = 2.5e-4, \
 base = 2.5e-3, detail = 2.5e-3, decay = 1.0 }
 refine = { margins_at = [0, 4000], surfel_prune_every = 1000, surfel_prune_from = 1000, surfel_prune_until = 15000, \
 gaussian_prune_every = 500, gaussian_prune_until = 2000, gaussian_min_contribution = 0.02, add_every = 1000, \

@@ -1,5 +1,6 @@
 //! Where surfels start: on the surfaces that trained Gaussians show to several views.
 
+use std::ops::RangeInclusive;
 use std::sync::Arc;
 
 use dpges_core::scene::{GaussianData, ScreenFilter, SurfelData};
@@ -24,10 +25,16 @@ const RULES: [FusionRule; 3] = [
     FusionRule { tolerance: 0.03, min_views: 2 },
     FusionRule { tolerance: 0.06, min_views: 1 },
 ];
-/// Distances between surface points that are tried, px: the first that fits the share of surfels is taken.
-const STRIDES_PX: [usize; 7] = [3, 4, 6, 8, 12, 16, 24];
+/// Distance between surface points, px. Closer surfels take primitives from Gaussians that draw more.
+const STRIDE_PX: usize = 6;
+/// The same where there are too few points.
+const CLOSER_PX: [usize; 2] = [4, 3];
+/// The same where there are too many.
+const FARTHER_PX: [usize; 4] = [8, 12, 16, 24];
 /// Enough surfels, as a share of the most. With fewer, next to nothing hides what lies behind, and steps are slow.
-const ENOUGH: f64 = 0.05;
+const ENOUGH: f64 = 0.03;
+/// Most of the budget for surfels where depths agree nowhere: such surfels are less certain.
+const MOST_UNCERTAIN: f64 = 0.25;
 
 impl Context {
     /// Surfels on the surfaces that blended `gaussians` show to several training views, none of which covers what views show
@@ -45,7 +52,7 @@ impl Context {
         let dataset = self.dataset.clone();
         let depths = BlendedDepth::new(gaussians, filter, self)?;
         for rule in RULES {
-            let (points, stride_px) = self.surface_points(&depths, rule, most)?;
+            let (points, stride_px) = self.surface_points(&depths, rule, enough..=most)?;
             let found = points.positions.len();
             tracing::info!(
                 "{found} points on surfaces that at least {} views agree about to {} %, about {stride_px} px from one another",
@@ -58,6 +65,7 @@ impl Context {
                 return self.without_wrong_cover(surfels, &depths);
             }
         }
+        let most = most.min(self.most_primitives(MOST_UNCERTAIN));
         let points = usable_points(&dataset.points, most, &mut self.rng);
         if points.positions.len() >= enough {
             tracing::warn!(
@@ -75,12 +83,12 @@ impl Context {
         Ok(surfels)
     }
 
-    /// Points by a rule, about as far from one another as makes `most` of them, and that distance in px.
+    /// Points by a rule, as many as are `wanted` if a distance between them has so many, and that distance in px.
     fn surface_points(
         &self,
         depths: &BlendedDepth,
         rule: FusionRule,
-        most: usize,
+        wanted: RangeInclusive<usize>,
     ) -> Result<(PointCloud, usize), TrainError> {
         let dataset = &self.dataset;
         // those that are checked beside one stay, whatever the room
@@ -97,10 +105,11 @@ impl Context {
         let photograph = |index: usize| Seen::by(&dataset.train[index], corrections.of(index));
         let cameras = dataset.train.iter().map(|view| &view.camera).collect();
         let views = DepthViews { cameras, depth: &depth, photograph: &photograph };
-        let mut stride_px = STRIDES_PX[0];
+        let mut stride_px = STRIDE_PX;
         let mut points = surface_points(&views, stride_px, rule)?;
-        for stride in &STRIDES_PX[1..] {
-            if points.positions.len() <= most {
+        let others: &[usize] = if points.positions.len() < *wanted.start() { &CLOSER_PX } else { &FARTHER_PX };
+        for stride in others {
+            if wanted.contains(&points.positions.len()) {
                 break;
             }
             stride_px = *stride;

@@ -233,9 +233,9 @@ impl Stage for JointStage {
         let travelled = if config.joins_trained() { config.stages.position_share + JOINT * progress } else { progress };
         let (position, decay) = (optimizer.position_rate(travelled, self.info.extent), optimizer.decay_at(progress));
         let gaussians = Rates {
-            positions: position,
-            quaternions: optimizer.quaternions * decay,
-            log_scales: optimizer.log_scales * decay,
+            positions: optimizer.joint_geometry * position,
+            quaternions: optimizer.joint_geometry * optimizer.quaternions * decay,
+            log_scales: optimizer.joint_geometry * optimizer.log_scales * decay,
             opacities: optimizer.opacities * decay,
             degrees_of_freedom: 0.0,
             opacity_base: 0.0,
