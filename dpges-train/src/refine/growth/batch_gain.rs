@@ -38,13 +38,16 @@ pub struct Excess {
     pub views: Vec<f64>,
     /// See [`Batch::doublings`].
     pub doublings: f64,
+    /// Error of what training alone would have given, common to all views, dB.
+    #[serde(default)]
+    pub trend_error: f64,
 }
 
 /// A mean over views.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mean {
     pub value: f64,
-    /// Its standard error; `None` if there is one view only.
+    /// Its error; `None` if there is one view only.
     pub error: Option<f64>,
 }
 
@@ -96,6 +99,11 @@ impl Interval {
         0.5 * (self.begin + self.end) as f64
     }
 
+    /// dB per step.
+    fn rate(&self) -> f64 {
+        self.rise() / self.steps() as f64
+    }
+
     /// dB per step of each view.
     fn rates(&self) -> impl Iterator<Item = f64> {
         self.rises.iter().map(|rise| rise / self.steps() as f64)
@@ -108,19 +116,26 @@ impl Interval {
         let after = after.unwrap_or(before);
         let span = after.middle() - before.middle();
         let share = if span > 0.0 { (self.middle() - before.middle()) / span } else { 0.0 };
-        let [first, last] = [before, after].map(|control| control.rise() / control.steps() as f64);
+        let [first, last] = [before, after].map(Self::rate);
         let slowing = if first > 0.0 { (last / first).clamp(MOST_SLOWING, 1.0) } else { 1.0 };
         let bend = slowing.powf(share) / (1.0 + share * (slowing - 1.0));
         let rates = before.rates().zip(after.rates()).map(|(before, after)| before + share * (after - before));
         rates.map(|rate| bend * rate * self.steps() as f64).collect()
     }
+
+    /// Error of these rises that all views share, dB: training slows down, so a control `after` this interval that is faster
+    /// than the one `before` shows by how much steps fluctuate.
+    pub fn trend_error(&self, before: &Self, after: &Self) -> f64 {
+        0.5 * (after.rate() - before.rate()).max(0.0) * self.steps() as f64
+    }
 }
 
 impl Excess {
-    /// The excess of `batch`, whose views would have risen by `rises_without` dB.
-    pub fn new(batch: &Batch, rises_without: &[f64]) -> Self {
+    /// The excess of `batch`, whose views would have risen by `rises_without` dB, with the error `trend_error`, dB.
+    pub fn new(batch: &Batch, rises_without: &[f64], trend_error: f64) -> Self {
         let rises = batch.interval.rises.iter().zip(rises_without);
-        Self { views: rises.map(|(rise, without)| rise - without).collect(), doublings: batch.doublings }
+        let views = rises.map(|(rise, without)| rise - without).collect();
+        Self { views, doublings: batch.doublings, trend_error }
     }
 
     /// dB per doubling, of `batches` together: noise of single batches averages out.
@@ -128,7 +143,9 @@ impl Excess {
         let doublings: f64 = batches.iter().map(|batch| batch.doublings).sum();
         let views = batches.iter().map(|batch| batch.views.len()).min().unwrap_or(0);
         let of_view = |view: usize| batches.iter().map(|batch| batch.views[view]).sum::<f64>() / doublings;
-        Mean::of(&(0..views).map(of_view).collect::<Vec<_>>())
+        let mean = Mean::of(&(0..views).map(of_view).collect::<Vec<_>>());
+        let of_trend = batches.iter().map(|batch| batch.trend_error.powi(2)).sum::<f64>().sqrt() / doublings;
+        Mean { error: mean.error.map(|error| error.hypot(of_trend)), ..mean }
     }
 }
 

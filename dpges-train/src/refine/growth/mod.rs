@@ -136,7 +136,8 @@ impl Growth {
         if self.undecided.len() == POOLED {
             self.undecided.remove(0);
         }
-        self.undecided.push(Excess::new(&batch, &rises_without));
+        let trend_error = batch.interval.trend_error(&before, &interval);
+        self.undecided.push(Excess::new(&batch, &rises_without, trend_error));
         let (gain, batches) = (Excess::gain(&self.undecided), self.undecided.len());
         let by_value = gain.error.is_none() && batches >= WITHOUT_ERROR;
         let verdict = if gain.is_clearly_above(LEAST_GAIN) || (by_value && gain.value >= LEAST_GAIN) {
@@ -158,7 +159,7 @@ impl Growth {
         let doublings = (running.added as f64 / running.primitives.max(1) as f64).ln_1p() / 2f64.ln();
         let batch = Batch { interval, added: running.added, doublings };
         let rises_without = batch.interval.rises_without(self.control.as_ref()?, None);
-        let gain = Excess::gain(&[Excess::new(&batch, &rises_without)]);
+        let gain = Excess::gain(&[Excess::new(&batch, &rises_without, 0.0)]);
         let verdict = if gain.is_clearly_above(LEAST_GAIN) {
             self.undecided.clear();
             self.next = Next::Batch;

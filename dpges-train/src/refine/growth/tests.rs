@@ -168,6 +168,9 @@ fn the_rate_without_a_batch_is_that_between_its_controls() {
     assert_close(&batch.rises_without(&before, Some(&interval(300, 400, [0.25, 0.5]))), &expected);
     let later = interval(300, 400, [0.49, 0.98]);
     assert_close(&batch.rises_without(&before, Some(&later)), &[2.0 * 0.7, 4.0 * 0.7]);
+    // training that goes faster after a batch fluctuates by half of the difference
+    assert_close(&[batch.trend_error(&before, &interval(300, 400, [3.0, 6.0]))], &[3.0]);
+    assert_close(&[batch.trend_error(&before, &later)], &[0.0]);
     // two thirds of the way
     let second = interval(200, 300, [9.0, 9.0]);
     let last = interval(300, 400, [4.0, 8.0]);
@@ -176,10 +179,13 @@ fn the_rate_without_a_batch_is_that_between_its_controls() {
 
 #[test]
 fn gains_of_several_batches_are_pooled_by_view() {
-    let batches = [Excess { views: vec![0.1, 0.3], doublings: 0.5 }, Excess { views: vec![0.3, 0.3], doublings: 1.5 }];
-    let Mean { value, error } = Excess::gain(&batches);
+    let excess = |views: &[f64], doublings| Excess { views: views.to_vec(), doublings, trend_error: 0.0 };
+    let [first, second] = [excess(&[0.1, 0.3], 0.5), excess(&[0.3, 0.3], 1.5)];
+    let Mean { value, error } = Excess::gain(&[first.clone(), second.clone()]);
     assert_close(&[value, error.unwrap()], &[0.25, 0.05]);
-    let alone = Excess::gain(&[Excess { views: vec![0.25], doublings: 0.5 }]);
+    let fluctuating = [Excess { trend_error: 0.24, ..first }, second];
+    assert_close(&[Excess::gain(&fluctuating).error.unwrap()], &[0.13]);
+    let alone = Excess::gain(&[excess(&[0.25], 0.5)]);
     assert_eq!(alone, Mean { value: 0.5, error: None });
     assert!(!alone.is_clearly_above(0.0) && !alone.is_clearly_below(9.0));
 }
