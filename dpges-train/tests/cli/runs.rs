@@ -22,8 +22,8 @@ fn a_run_writes_everything_and_can_be_measured_and_shown() {
         let of_kind = lines.iter().filter(|line| line["kind"] == kind);
         of_kind.map(|line| line["step"].as_u64().unwrap()).collect()
     };
-    // the stage of Gaussians ends after 24
-    assert_eq!(steps("evaluation"), [24, 25, 50, 60]);
+    // the stage of Gaussians ends after 12
+    assert_eq!(steps("evaluation"), [12, 25, 50, 60]);
     assert!([10, 20, 30, 40, 50, 60].iter().all(|step| steps("step").contains(step)));
     assert!(lines.iter().any(|line| line.contains_key("events")), "refinement is logged");
     assert_eq!(png_names(&run.join("pictures")).len(), 4 * 3);

@@ -105,11 +105,11 @@ fn runs_begin_with_a_stage_of_gaussians_unless_told_otherwise() {
     }
     let config = |out: &str| -> toml::Table { String::from_utf8(bytes(at.join(out))).unwrap().parse().unwrap() };
     ok(at, &["train", "toy", "--device=cpu", "--out=stages", "--steps=10"]);
-    assert_eq!(config("stages/config.toml")["stages"]["gaussians"].as_float(), Some(0.4));
+    assert_eq!(config("stages/config.toml")["stages"]["gaussians"].as_float(), Some(0.2));
     assert!(at.join("stages/stage_mcmc.safetensors").is_file());
     ok(at, &["train", "toy", "--out=stages", "--steps=10", "--resume"]);
     ok(at, &["train", "toy", "--device=cpu", "--out=preset", "--steps=10", "--preset=quick"]);
-    assert_eq!(config("preset/config.toml")["stages"]["gaussians"].as_float(), Some(0.4));
+    assert_eq!(config("preset/config.toml")["stages"]["gaussians"].as_float(), Some(0.2));
     ok(at, &["train", "toy", "--device=cpu", "--out=alone", "--steps=4", "--set=stages.gaussians=0"]);
     assert_eq!(config("alone/config.toml")["stages"]["gaussians"].as_float(), Some(0.0));
 }
