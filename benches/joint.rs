@@ -302,7 +302,7 @@ impl Bench {
         self.arguments.config(&self.arguments.set, &of_bench)
     }
 
-    /// The built-in scene's own surfels, as many as a run would place.
+    /// The built-in scene's own surfels, as many as a run may place.
     fn true_surfels(&self) -> Result<TrueSurfels> {
         let views: dpges_core::Result<Vec<_>> = self.dataset.train.iter().map(KnownView::of_builtin).collect();
         let config = self.config(0, None)?;

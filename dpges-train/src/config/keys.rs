@@ -194,7 +194,7 @@ configuration! {
         surfel_scale: f64 = 0.35, range: POSITIVE;
         /// Where surfels start if no discs were trained.
         surfels_by: SurfelStart = SurfelStart::Depth;
-        /// Share of `refine.budget` of surfels that start on surfaces seen in depths.
+        /// Largest share of `refine.budget` of surfels that start on surfaces seen in depths.
         depth_surfels: f64 = 0.4, range: POSITIVE_SHARE;
         /// Share of `refine.budget` that discs may use. 0 sets no limit (2DGS).
         surfel_budget: f64 = 0.3, range: 0.0..;

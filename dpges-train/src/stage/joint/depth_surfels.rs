@@ -105,18 +105,24 @@ impl Context {
         let photograph = |index: usize| Seen::by(&dataset.train[index], corrections.of(index));
         let cameras = dataset.train.iter().map(|view| &view.camera).collect();
         let views = DepthViews { cameras, depth: &depth, photograph: &photograph };
-        let mut stride_px = STRIDE_PX;
-        let mut points = surface_points(&views, stride_px, rule)?;
-        let others: &[usize] = if points.positions.len() < *wanted.start() { &CLOSER_PX } else { &FARTHER_PX };
-        for stride in others {
-            if wanted.contains(&points.positions.len()) {
-                break;
-            }
-            stride_px = *stride;
-            points = surface_points(&views, stride_px, rule)?;
-        }
-        Ok((points, stride_px))
+        Ok(as_wanted(wanted, |stride_px| surface_points(&views, stride_px, rule))?)
     }
+}
+
+/// The points that `at` finds at a distance in px, as many as are `wanted` if a distance has so many, and that distance.
+fn as_wanted(
+    wanted: RangeInclusive<usize>,
+    at: impl Fn(usize) -> dpges_core::Result<PointCloud>,
+) -> dpges_core::Result<(PointCloud, usize)> {
+    let (mut points, mut stride_px) = (at(STRIDE_PX)?, STRIDE_PX);
+    let others: &[usize] = if points.positions.len() < *wanted.start() { &CLOSER_PX } else { &FARTHER_PX };
+    for &stride in others {
+        if wanted.contains(&points.positions.len()) {
+            break;
+        }
+        (points, stride_px) = (at(stride)?, stride);
+    }
+    Ok((points, stride_px))
 }
 
 /// [H × W] median depths where a pixel is opaque and of one depth, else 0; world units.
@@ -133,6 +139,22 @@ fn certain(ShownDepth { alpha, mean, mut median }: ShownDepth) -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn too_few_points_move_closer_and_too_many_apart() {
+        let found = |wanted, area: usize| {
+            let positions = |stride: usize| vec![[0.0; 3]; area / (stride * stride)];
+            let at = |stride| Ok(PointCloud { positions: positions(stride), ..PointCloud::default() });
+            let (points, stride_px) = as_wanted(wanted, at).unwrap();
+            (points.positions.len(), stride_px)
+        };
+        assert_eq!(found(5..=100, 3600), (100, 6));
+        assert_eq!(found(5..=99, 3600), (56, 8));
+        assert_eq!(found(1..=3, 3600), (6, 24));
+        assert_eq!(found(101..=900, 3600), (225, 4));
+        assert_eq!(found(300..=900, 3600), (400, 3));
+        assert_eq!(found(500..=900, 3600), (400, 3));
+    }
 
     #[test]
     fn depths_are_certain_where_a_pixel_is_opaque_and_of_one_depth() {

@@ -32,6 +32,27 @@ fn frozen_surfels_learn_nothing_but_colours() {
 }
 
 #[test]
+fn the_factor_of_geometry_scales_its_rates_and_no_others() {
+    let one_step = |factor: usize| {
+        let mut trainer = trainer(&["train.steps=9", &format!("optimizer.joint_geometry={factor}")]);
+        let before = trainer.scene();
+        trainer.step().unwrap();
+        (before, trainer.scene())
+    };
+    let (before, after) = one_step(0);
+    assert_eq!(after.surfels.positions, before.surfels.positions);
+    assert_eq!(after.gaussians.positions, before.gaussians.positions);
+    assert_eq!(after.gaussians.log_scales, before.gaussians.log_scales);
+    assert_ne!(after.gaussians.colour, before.gaussians.colour);
+    let [once, twice] = [1, 2].map(|factor| {
+        let (before, after) = one_step(factor);
+        let moved = before.gaussians.log_scales.iter().zip(&after.gaussians.log_scales).map(|(a, b)| (b - a).abs());
+        moved.fold(0.0, f32::max)
+    });
+    assert!(once > 0.0 && (twice / once - 2.0).abs() < 1e-3, "{once}, {twice}");
+}
+
+#[test]
 fn gaussians_that_draw_nothing_are_in_no_scene_and_make_room_for_others() {
     for (set, replaced) in [("refine.replace_until=20000", true), ("refine.replace_until=0", false)] {
         // batches after 12, 16, …, 48 steps, replacements after 52, …, 76
