@@ -15,11 +15,11 @@ use dpges_core::ops::environment::environment;
 use dpges_core::ops::limits::interval_limits;
 use dpges_core::ops::peel::{Layers, PeelOptions, peel};
 use dpges_core::ops::splat::splat;
-use dpges_core::psnr;
 use dpges_core::scene::tensors::{rows_to_tensor, tensor_to_rows};
 use dpges_core::scene::{Gaussians, Rendering, SceneData, Surfels};
 use dpges_core::testing::scenes::realistic;
 use dpges_train::dataset::{LoadOptions, load};
+use dpges_train::metrics::psnr;
 use half::f16;
 
 /// PSNR from which a loss is not visible, dB.

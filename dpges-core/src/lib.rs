@@ -44,8 +44,6 @@ pub mod losses;
 #[cfg(feature = "burn")]
 mod math;
 #[cfg(feature = "burn")]
-pub mod metrics;
-#[cfg(feature = "burn")]
 pub mod ops;
 #[cfg(feature = "burn")]
 pub mod ranks;
@@ -59,8 +57,6 @@ pub mod tiles;
 
 pub use camera::{Camera, CameraFromWorld};
 pub use error::{Error, Result};
-#[cfg(feature = "burn")]
-pub use metrics::{mean_ssim, psnr};
 #[cfg(feature = "burn")]
 pub use render::blended::{BlendedOptions, render_blended};
 #[cfg(feature = "burn")]

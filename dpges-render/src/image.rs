@@ -22,7 +22,7 @@ impl Rgb8Image {
         Self { width, height, bytes }
     }
 
-    /// From `planes` [3, height, width], clamped to [0, 1] and rounded as `dpges_core::metrics::quantised` rounds.
+    /// From `planes` [3, height, width], clamped to [0, 1] and rounded as `dpges_train::metrics::quantised` rounds.
     pub fn from_planes(planes: &[f32], width: usize, height: usize) -> Self {
         let count = width * height;
         let pixels = (0..count).map(|pixel| std::array::from_fn(|channel| to_byte(planes[channel * count + pixel])));

@@ -12,7 +12,8 @@ use dpges_core::scene::{ColourModel, Footprint, GaussianData, Gaussians, SurfelD
 use dpges_core::testing::compare::relative_l2;
 use dpges_core::testing::golden::values;
 use dpges_core::testing::scenes::{TestScene, realistic};
-use dpges_core::{Error, Result, psnr};
+use dpges_core::{Error, Result};
+use dpges_train::metrics::psnr;
 use glam::{DMat3, DVec3};
 
 pub const MILLION: usize = 1_000_000;

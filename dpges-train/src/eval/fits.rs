@@ -7,12 +7,11 @@ use burn::tensor::{Device, Tensor};
 use dpges_core::Result;
 use dpges_core::camera::Camera;
 use dpges_core::losses::{Mask, Target};
-use dpges_core::metrics::{mean_ssim, psnr, quantised};
 
 use super::LARGEST_PSNR;
 use crate::dataset::{Picture, View};
 use crate::eval::rendered::Renderer;
-use crate::metrics::Fitted;
+use crate::metrics::{Fitted, mean_ssim, psnr, quantised};
 use crate::views::exposure::Correction;
 use crate::views::pose::fit::fitted_pose;
 

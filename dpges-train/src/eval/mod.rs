@@ -23,7 +23,6 @@ use std::time::Instant;
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use dpges_core::losses::Target;
-use dpges_core::metrics::{OF_IGNORED_PIXELS, mean_ssim, psnr, quantised};
 use dpges_core::ranks::Ranks;
 use dpges_core::scene::SceneData;
 use dpges_core::scene::tensors::tensor_to_rows;
@@ -36,7 +35,7 @@ use crate::eval::floaters::Floaters;
 use crate::eval::popping::Popping;
 use crate::eval::rendered::{Rendered, Renderer};
 use crate::metrics::lpips::{Lpips, Network};
-use crate::metrics::{Fitted, Perceptual, Scores, flip, flip_map};
+use crate::metrics::{Fitted, OF_IGNORED_PIXELS, Perceptual, Scores, flip, flip_map, mean_ssim, psnr, quantised};
 use fits::{fitted, posed};
 pub use frame_ms::FrameMs;
 

@@ -2,7 +2,7 @@
 //! Quality Assessment*. Asilomar 2003).
 //!
 //! The window is 11 × 11 px with σ = 1.5 px and lies inside the picture as a whole, as in the paper; the SSIM of
-//! [`dpges_core::metrics::mean_ssim`] extends the picture by zeros instead, as 3DGS does.
+//! [`super::mean_ssim`] extends the picture by zeros instead, as 3DGS does.
 
 use super::plane::Plane;
 

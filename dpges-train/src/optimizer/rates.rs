@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use dpges_core::ops::adam::AdamStep;
 
 use crate::config::{OptimizerConfig, TrainConfig};
-use crate::views::pose::step::PoseStep;
+use crate::views::pose::adam::PoseStep;
 
 /// Factor on the learning rate of colour corrections at the last step.
 const EXPOSURE_DECAY: f64 = 0.1;

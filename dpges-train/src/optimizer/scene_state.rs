@@ -12,7 +12,7 @@ use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{ColourData, ColourModel};
 
 use crate::optimizer::{Parameter, ParameterRows, Rows};
-use crate::refine::relocate::Relocated;
+use crate::refine::mcmc_relocation::Relocated;
 use crate::refine::{GaussianEdit, RowEdit};
 
 /// Learning rates of one step and one kind of primitive.

@@ -3,13 +3,14 @@
 //! | module | decides |
 //! |---|---|
 //! | [`prune`] | which primitives stay |
+//! | [`floaters`] | which Gaussians float before cameras |
 //! | [`split`] | which Gaussians of the joint stage are split |
 //! | [`add`] | where new Gaussians are placed |
 //! | [`copies`] | which Gaussians are copied, and which leave for it |
 //! | [`margins`] | the depth margins of surfels |
 //! | [`densify`] | which discs and Gaussians are cloned, split and pruned |
 //! | [`sampling`] | how fine Gaussians may be |
-//! | [`relocate`] | which Gaussians of MCMC, DBS and SSS are relocated |
+//! | [`mcmc_relocation`] | which Gaussians of MCMC, DBS and SSS are relocated |
 //! | [`sharing`] | opacity and scales of several that take the place of one |
 //! | [`lobes`], [`growth`], [`layer_count`] | with an automatic budget: lobes to drop, the end of growth, the number of layers |
 //!
@@ -20,13 +21,14 @@ pub mod add;
 pub mod children;
 pub mod copies;
 pub mod densify;
+pub mod floaters;
 pub mod growth;
 pub mod layer_count;
 pub mod lobes;
 pub mod margins;
+pub mod mcmc_relocation;
 pub mod neighbours;
 pub mod prune;
-pub mod relocate;
 pub mod sampling;
 pub mod sharing;
 pub mod split;

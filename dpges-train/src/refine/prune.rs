@@ -2,10 +2,8 @@
 //! its threshold is wrong, not the rows.
 
 use dpges_core::footprint::CUTOFF;
-use rayon::prelude::*;
 
 use super::RowEdit;
-use crate::dataset::EmptySpace;
 
 /// Scale above which a surfel is removed, extents (GES).
 const SURFEL_MAX_SCALE: f64 = 0.06;
@@ -39,20 +37,6 @@ pub fn drawn(opacities: &[f32]) -> RowEdit {
     RowEdit::retain(opacities.len(), |&row| opacities[row] >= CUTOFF as f32)
 }
 
-/// Of `rows`, those whose `positions` [M × 3] (world units) are not in the `empty` space around cameras; all of them if all are
-/// in it.
-pub fn beyond(empty: &EmptySpace, rows: RowEdit, positions: &[f32]) -> RowEdit {
-    let (positions, _) = positions.as_chunks::<3>();
-    let keep: Vec<usize> = rows.keep.par_iter().copied().filter(|&row| !empty.contains(positions[row])).collect();
-    if keep.is_empty() && !rows.keep.is_empty() {
-        tracing::warn!(
-            "each Gaussian is in the empty space before a camera: none is removed; are the points in their places?"
-        );
-        return rows;
-    }
-    RowEdit { keep }
-}
-
 fn unless_nothing_is_left(edit: RowEdit, count: usize, of: &str) -> RowEdit {
     if count > 0 && edit.keep.is_empty() {
         tracing::warn!("pruning would remove each of {count} {of}s: none is removed, see the thresholds in [refine]");
@@ -64,7 +48,6 @@ fn unless_nothing_is_left(edit: RowEdit, count: usize, of: &str) -> RowEdit {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dataset::{BuiltinOptions, PointCloud, builtin};
 
     #[test]
     fn surfels_go_when_hardly_seen_or_too_large() {
@@ -82,24 +65,6 @@ mod tests {
     fn gaussians_that_draw_nothing_go() {
         assert_eq!(drawn(&[0.5, 0.0, -0.1, 1.0 / 255.0, 0.0039, 3.0, f32::NAN]).keep, [0, 3, 5]);
         assert!(drawn(&[-1.0]).keep.is_empty());
-    }
-
-    #[test]
-    fn what_is_before_a_camera_goes() {
-        let mut data = builtin(&BuiltinOptions { width: 8, height: 8, train_views: 1, ..Default::default() });
-        let centre = data.train[0].camera.centre().as_vec3();
-        let at = |distance: f32| (centre + distance * glam::Vec3::X).to_array();
-        let points = vec![at(2.0); 100];
-        data.points = PointCloud {
-            colours: vec![[0.5; 3]; 100],
-            seen_by: vec![[0]; 100].into_iter().collect(),
-            positions: points,
-        };
-        let empty = EmptySpace::of(&data);
-        let positions = [at(0.9), at(1.1), at(-0.5), at(1.9)].concat();
-        assert_eq!(beyond(&empty, RowEdit { keep: vec![0, 1, 2] }, &positions).keep, [1]);
-        assert_eq!(beyond(&empty, RowEdit { keep: vec![0, 2] }, &positions).keep, [0, 2], "never all");
-        assert_eq!(beyond(&EmptySpace::default(), RowEdit::keep_all(4), &positions).keep, [0, 1, 2, 3]);
     }
 
     #[test]

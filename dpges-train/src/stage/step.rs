@@ -15,7 +15,7 @@ use super::{Context, Observed, Stage, StepReport, TrainError};
 use crate::dataset::View;
 use crate::views::depth::DepthTarget;
 use crate::views::exposure::state::{ExposureGradient, photographed};
-use crate::views::pose::state::POSES;
+use crate::views::pose::refinement::POSES;
 
 /// Indices of the training views of a step.
 #[derive(Clone, Debug, PartialEq, Eq)]

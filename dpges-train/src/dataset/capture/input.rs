@@ -1,13 +1,8 @@
 //! The input of a reconstruction: a folder of photographs, or a video.
 
 use std::collections::BTreeSet;
-use std::fs::File;
-use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
-use exif::{In, Tag};
-use image::ImageReader;
-use rayon::prelude::*;
 use serde_json::{Value, json};
 
 use super::FEWEST;
@@ -160,30 +155,6 @@ pub(super) fn unread_warning(unread: &[String]) -> String {
     format!("left out, for only JPEG and PNG are read: {}; convert them to JPEG to use them", list(unread))
 }
 
-/// Whether the pictures, which are there, can share a camera: all have the same size and, as far as they say so, were
-/// taken by the same camera with the same focal length.
-///
-/// # Errors
-/// [`SfmError::Image`] for a file that is no picture.
-pub(super) fn have_one_camera(pictures: &[PathBuf]) -> Result<bool, SfmError> {
-    let cameras: BTreeSet<(u32, u32, Vec<String>)> =
-        pictures.par_iter().map(|path| camera(path)).collect::<Result<_, _>>()?;
-    Ok(cameras.len() <= 1)
-}
-
-/// Size in px, and what a picture says of its camera.
-fn camera(path: &Path) -> Result<(u32, u32, Vec<String>), SfmError> {
-    let undecodable = |source| SfmError::Image { path: path.to_owned(), source };
-    let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format);
-    let (width, height) = reader.map_err(io("cannot read", path))?.into_dimensions().map_err(undecodable)?;
-    let file = File::open(path).map_err(io("cannot read", path))?;
-    // pictures without EXIF, or with broken EXIF, say nothing
-    let said = exif::Reader::new().read_from_container(&mut BufReader::new(file)).ok();
-    let tags = [Tag::Make, Tag::Model, Tag::FocalLength, Tag::FocalLengthIn35mmFilm];
-    let values = tags.iter().filter_map(|&tag| said.as_ref()?.get_field(tag, In::PRIMARY));
-    Ok((width, height, values.map(|field| format!("{} {}", field.tag, field.display_value())).collect()))
-}
-
 /// Whether names differ in their last number only, so that their order is that in which they were taken.
 pub(super) fn are_numbered(names: &[String]) -> bool {
     let prefixes: Option<BTreeSet<&str>> = names.iter().map(|name| before_last_number(name)).collect();
@@ -268,40 +239,6 @@ mod tests {
         let found = Input::find(&path).unwrap();
         assert_eq!((found.path(), found.name().unwrap().as_str()), (path.as_path(), "walk 1"));
         assert_eq!(found.fingerprint().unwrap(), json!([["walk 1.MP4", 5]]));
-    }
-
-    #[test]
-    fn a_camera_is_shared_by_pictures_of_one_size_and_one_focal_length() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = |name: &str| folder.path().join(name);
-        write_png(&path("a.png"), 24, 16, [1, 2, 3]);
-        write_png(&path("b.png"), 24, 16, [9, 2, 3]);
-        write_png(&path("c.png"), 16, 24, [1, 2, 3]);
-        assert!(have_one_camera(&[path("a.png"), path("b.png")]).unwrap());
-        assert!(!have_one_camera(&[path("a.png"), path("b.png"), path("c.png")]).unwrap());
-        for (name, millimetres) in [("near.jpg", 26), ("far.jpg", 77), ("again.jpg", 26)] {
-            image::RgbImage::new(24, 16).save(path(name)).unwrap();
-            write_focal_length(&path(name), millimetres);
-        }
-        assert!(have_one_camera(&[path("near.jpg"), path("again.jpg")]).unwrap());
-        assert!(!have_one_camera(&[path("near.jpg"), path("far.jpg")]).unwrap());
-        std::fs::write(path("d.png"), "no picture").unwrap();
-        let message = have_one_camera(&[path("a.png"), path("d.png")]).unwrap_err().to_string();
-        assert!(message.contains("d.png") && message.contains("replace or remove"), "{message}");
-    }
-
-    /// Adds EXIF to a JPEG: a directory that points to another, which holds `FocalLengthIn35mmFilm`.
-    fn write_focal_length(path: &Path, millimetres: u8) {
-        let plain = std::fs::read(path).unwrap();
-        let mut tiff = b"Exif\0\0II*\0\x08\0\0\0\x01\0\x69\x87\x04\0\x01\0\0\0\x1a\0\0\0\0\0\0\0".to_vec();
-        tiff.extend(b"\x01\0\x05\xa4\x03\0\x01\0\0\0");
-        tiff.extend([millimetres, 0, 0, 0, 0, 0, 0, 0]);
-        let mut with = plain[..2].to_vec();
-        with.extend([0xff, 0xe1]);
-        with.extend((tiff.len() as u16 + 2).to_be_bytes());
-        with.extend(tiff);
-        with.extend(&plain[2..]);
-        std::fs::write(path, with).unwrap();
     }
 
     #[test]

@@ -14,6 +14,7 @@
 
 mod commands;
 mod error;
+mod exif;
 mod frames;
 mod input;
 mod masks;
@@ -142,7 +143,7 @@ impl Reconstruction<'_> {
                 key
             }
             Step::Features => {
-                let one_camera = input::have_one_camera(&workspace.pictures()?)?;
+                let one_camera = exif::have_one_camera(&workspace.pictures()?)?;
                 let mut key = json!({ "camera": name_of(options.camera), "one_camera": one_camera });
                 if options.invert_masks && !self.request.input.masks().is_empty() {
                     key["invert_masks"] = true.into();
@@ -225,7 +226,7 @@ impl Reconstruction<'_> {
     /// One of the steps that are COLMAP's, on a GPU if it has been built for it. If that fails, then on the CPU.
     fn colmap(&mut self, step: Step, workspace: &Workspace) -> Result<(), SfmError> {
         let names = workspace.picture_names()?;
-        let one_camera = input::have_one_camera(&workspace.pictures()?)?;
+        let one_camera = exif::have_one_camera(&workspace.pictures()?)?;
         let matching = self.matching(&names);
         let options = self.request.options;
         let masks = if step == Step::Features { self.masks(workspace)? } else { None };

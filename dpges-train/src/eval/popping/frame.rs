@@ -2,11 +2,11 @@
 
 use dpges_core::Result;
 use dpges_core::camera::Camera;
-use dpges_core::metrics::quantised;
 use dpges_core::scene::tensors::tensor_to_rows;
 use rayon::prelude::*;
 
 use crate::eval::rendered::Renderer;
+use crate::metrics::quantised;
 
 /// A surface is seen in both frames if its depth agrees to this relative error with that between four pixels, ...
 const DEPTH_TOLERANCE: f64 = 0.02;

@@ -14,7 +14,7 @@ use dpges_core::scene::Gaussians;
 use dpges_core::scene::tensors::{rows_to_tensor, tensor_to_rows};
 
 use crate::optimizer::Parameter;
-use crate::refine::relocate::Relocated;
+use crate::refine::mcmc_relocation::Relocated;
 
 /// p: [M, 3] momenta of positions.
 #[derive(Clone, Debug)]

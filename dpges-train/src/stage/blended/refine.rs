@@ -13,7 +13,7 @@ use super::schedule::{BlendedDue, CAPPED_OPACITY, decay};
 use crate::config::{Blended, Density, GaussianStage, Relocation};
 use crate::refine::RowEdit;
 use crate::refine::densify::{ByAbsolute, DensifyRule, densify, reset_opacities};
-use crate::refine::relocate::{grown, relocate_and_add};
+use crate::refine::mcmc_relocation::{grown, relocate_and_add};
 
 /// Largest opacity after a reset (3DGS).
 const RESET_OPACITY: f64 = 0.01;

@@ -4,7 +4,6 @@
 use std::sync::Arc;
 
 use dpges_core::losses::Target;
-use dpges_core::metrics::{psnr, quantised};
 use dpges_core::ops::peel::MAX_LAYERS;
 use dpges_core::render::{Values, render_on_ranks};
 use dpges_core::scene::tensors::tensor_to_rows;
@@ -16,6 +15,7 @@ use super::judging::{judging_target, judging_views};
 use crate::config::HARD_RIM;
 use crate::dataset::{Picture, View, pictures};
 use crate::eval::LARGEST_PSNR;
+use crate::metrics::{psnr, quantised};
 use crate::refine::add::geometric_batch_size;
 use crate::refine::growth::{Growth, Mean, Next, batches_within};
 use crate::refine::layer_count::{MOST_OPEN, choose, open_share};

@@ -17,8 +17,9 @@ use crate::dataset::block::Bounds;
 use crate::dataset::{EmptySpace, View};
 use crate::refine::add::{batch_size, draw_in_proportion, new_gaussians};
 use crate::refine::copies::{Renewal, renew};
+use crate::refine::floaters::without_floaters;
 use crate::refine::margins::margins;
-use crate::refine::prune::{beyond, drawn, gaussians_to_keep, surfels_to_keep};
+use crate::refine::prune::{drawn, gaussians_to_keep, surfels_to_keep};
 use crate::refine::split::split;
 use crate::refine::{GaussianEdit, RowEdit};
 use crate::views::exposure::Seen;
@@ -121,7 +122,7 @@ impl JointStage {
         let mut rows = drawn(&self.dealt.all_of(self.gaussians.opacities(), 1));
         if self.schedule.copies {
             let positions = self.dealt.all_of(self.gaussians.columns.positions.raw_rows(), 3);
-            rows = beyond(&EmptySpace::of(&context.dataset), rows, &positions);
+            rows = without_floaters(&EmptySpace::of(&context.dataset), rows, &positions);
         }
         self.edit_gaussians(&GaussianEdit { rows, ..GaussianEdit::default() }, context);
         before - self.dealt.len()

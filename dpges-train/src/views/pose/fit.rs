@@ -10,7 +10,7 @@ use dpges_core::scene::tensors::tensor_to_rows;
 use crate::config::OptimizerConfig;
 use crate::eval::rendered::Renderer;
 use crate::views::pose::PoseCorrection;
-use crate::views::pose::step::PoseStep;
+use crate::views::pose::adam::PoseStep;
 
 /// Steps of a fit.
 const STEPS: usize = 80;

@@ -1,9 +1,9 @@
 //! Small corrections of where the cameras of photographs stand and look.
 
+pub mod adam;
 pub mod fit;
 pub mod gauge;
-pub(crate) mod state;
-pub mod step;
+pub(crate) mod refinement;
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -13,7 +13,7 @@ use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
 use crate::dataset::View;
-pub use state::PoseState;
+pub use refinement::PoseState;
 
 /// Angle below which the series of the Jacobian are used, rad: its terms would cancel.
 const SMALL: f64 = 1e-3;

@@ -14,8 +14,8 @@ use crate::config::Poses;
 use crate::dataset::Dataset;
 use crate::optimizer::ParameterRows;
 use crate::stage::Context;
+use crate::views::pose::adam::PoseStep;
 use crate::views::pose::gauge::Gauge;
-use crate::views::pose::step::PoseStep;
 use crate::views::pose::{PoseChanges, PoseCorrection, RefinedPose, RefinedPoses};
 
 /// Name of the corrections, and of their steps and gradients, in a checkpoint.
