@@ -112,6 +112,10 @@ configuration! {
         /// Keep positions, rotations and scales of surfels in the joint stage, and prune none. Colours are still
         /// trained (GES).
         freeze_surfels: bool = false, ablation: "frozen-surfels" = "true" ("Train only the colours of surfels");
+        /// Largest share of Gaussians that a step leaves out at random, in the joint stage of scenes with an environment
+        /// (DropGaussian; DP-GES: 0), so that these learn no photograph by heart. Runs of up to 50 passes over the training
+        /// views leave out none, those of 150 passes or more as many.
+        dropout: f64 = 0.2, range: 0.0..1.0, ablation: "no-dropout" = "0" ("Leave out no Gaussians at random");
         /// Interval of evaluations on held-out views. 0 evaluates only at the end.
         evaluate_every: usize = 1000, unit: "steps";
         /// Interval of checkpoints. 0 writes one only at the end.

@@ -285,7 +285,7 @@ mod tests {
     /// The numbers of DP-GES, and of 2DGS, DBS and GES where it takes theirs.
     const RECIPE: &str = "
 train = { method = 'dpges', steps = 65000, lambda_dssim = 0.2, lambda_surfel = 0.01, lambda_transmittance = 0.08, \
-lambda_opacity = 0.0, lambda_gaussian_scale = 0.0, lambda_sky = 0.0, detach_transmittance = false, freeze_surfels = false }
+lambda_opacity = 0.0, lambda_gaussian_scale = 0.0, lambda_sky = 0.0, dropout = 0.0, detach_transmittance = false, freeze_surfels = false }
 model = { colour = 'sb2', layers = 3, modulation = 30.0, backstop = false, opacity = 'linear', footprint = 'kernel', \
 margin = 'median', margin_lookup = 'shifted', environment = 'none', sampling_limit = 0.0 }
 init = { limit_scales = false }

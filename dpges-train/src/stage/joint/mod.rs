@@ -4,6 +4,7 @@ mod automatic_budget;
 mod blended_depth;
 mod dealt;
 mod depth_surfels;
+mod dropout;
 mod judging;
 mod limits;
 mod refine;
@@ -23,7 +24,7 @@ use dpges_core::losses::geometry::{GeometryWeights, geometry};
 use dpges_core::losses::{LossWeights, hidden, losses};
 use dpges_core::ranks::Ranks;
 use dpges_core::render::{RenderOptions, render_on_ranks};
-use dpges_core::scene::{Rendering, SceneData, SceneInfo};
+use dpges_core::scene::{Gaussians, Rendering, SceneData, SceneInfo};
 
 use super::{
     Context, EnvironmentState, ForwardPass, Leaves, Observed, Parameters, Stage, StageCheckpoint, StepInput, StepRates,
@@ -108,6 +109,16 @@ impl JointStage {
         Self::new(plan, &start, environment, None, context)
     }
 
+    /// Leaves out Gaussians, see [`dropout`].
+    fn drop_out(&self, gaussians: &mut Gaussians, completed: usize, context: &Context) {
+        let train = &context.config.train;
+        let share = dropout::share(train, context.dataset.train.len());
+        if share > 0.0 {
+            let factors = dropout::factors(&self.dealt, share, train.seed, completed, &gaussians.opacities.device());
+            gaussians.opacities = gaussians.opacities.clone() * factors;
+        }
+    }
+
     fn render_options(&self, config: &Config) -> RenderOptions {
         RenderOptions { detach_transmittance: config.train.detach_transmittance, ..RenderOptions::from(&self.info) }
     }
@@ -152,7 +163,10 @@ impl Stage for JointStage {
     }
 
     fn forward(&self, leaves: &Leaves, input: &StepInput<'_>, context: &Context) -> dpges_core::Result<ForwardPass> {
-        let own = (self.drawn_surfels(&leaves.surfels), self.drawn_gaussians(&leaves.gaussians));
+        let mut own = (self.drawn_surfels(&leaves.surfels), self.drawn_gaussians(&leaves.gaussians));
+        if leaves.environment.is_some() {
+            self.drop_out(&mut own.1, input.completed, context);
+        }
         let all = self.surroundings.as_ref().map(|around| around.on_tape(&own.0, &own.1));
         let (own_surfels, own_gaussians) = &own;
         let (surfels, gaussians) = all.as_ref().unwrap_or(&own);

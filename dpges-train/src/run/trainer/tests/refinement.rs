@@ -53,6 +53,26 @@ fn the_factor_of_geometry_scales_its_rates_and_no_others() {
 }
 
 #[test]
+fn long_runs_leave_out_gaussians_if_the_scene_has_an_environment() {
+    let loss = |steps: usize, environment: &str, dropout: f64| {
+        let set = [&format!("train.steps={steps}"), environment, &format!("train.dropout={dropout}")];
+        let mut trainer = trainer(&set.map(|text| text as &str));
+        trainer.step().unwrap();
+        trainer.step().unwrap().unwrap().loss
+    };
+    // 3 views
+    let [short, long] = [150, 450];
+    for (steps, environment, is_changed) in [
+        (long, "model.environment=sh0", true),
+        (short, "model.environment=sh0", false),
+        (long, "model.environment=none", false),
+    ] {
+        let is_different = loss(steps, environment, 0.0) != loss(steps, environment, 0.2);
+        assert_eq!(is_different, is_changed, "{steps} steps, {environment}");
+    }
+}
+
+#[test]
 fn gaussians_that_draw_nothing_are_in_no_scene_and_make_room_for_others() {
     for (set, replaced) in [("refine.replace_until=20000", true), ("refine.replace_until=0", false)] {
         // batches after 12, 16, …, 48 steps, replacements after 52, …, 76
