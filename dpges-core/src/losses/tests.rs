@@ -6,31 +6,12 @@ use crate::render::{Render, RenderOptions, render};
 use crate::testing::device;
 use crate::testing::golden::values;
 use crate::testing::gradients::leaf;
+use crate::testing::masked::{AREA, HEIGHT, WIDTH, counted, mask, overpainted};
 use crate::testing::random::Random;
 use crate::testing::scenes::{self, Recipe};
 
-const WIDTH: usize = 23;
-const HEIGHT: usize = 19;
-const AREA: usize = WIDTH * HEIGHT;
-
-/// A rectangle in the middle and a column at the border do not count.
-fn counted() -> Vec<bool> {
-    let is_ignored = |x: usize, y: usize| ((6..15).contains(&x) && (4..12).contains(&y)) || x + 1 == WIDTH;
-    (0..AREA).map(|at| !is_ignored(at % WIDTH, at / WIDTH)).collect()
-}
-
-fn mask(counted: &[bool]) -> Mask {
-    Mask::new(counted, WIDTH, HEIGHT, &device()).unwrap()
-}
-
 fn image(values: &[f64]) -> Tensor<3> {
     leaf(values, [3, HEIGHT, WIDTH], &device())
-}
-
-/// `values` [3 × H × W] with `others` where pixels do not count.
-fn overpainted(values: &[f64], others: &[f64]) -> Vec<f64> {
-    let counted = counted();
-    (0..3 * AREA).map(|at| if counted[at % AREA] { values[at] } else { others[at] }).collect()
 }
 
 #[test]

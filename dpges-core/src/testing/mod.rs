@@ -7,6 +7,7 @@ pub mod gradients;
 #[cfg(feature = "gpu")]
 pub mod kernels;
 pub mod lenses;
+pub mod masked;
 pub mod parity;
 #[cfg(any(feature = "ndarray", feature = "flex"))]
 pub mod precision;

@@ -3,7 +3,3 @@
 fn fade_of(index: u32) -> f32 {
     return 1.0;
 }
-
-fn gaussian_fade_of(index: u32, depth: f32) -> f32 {
-    return 1.0;
-}

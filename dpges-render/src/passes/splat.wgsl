@@ -1,6 +1,6 @@
 // Ellipses of Gaussians, summed in any order. The depth test hides what lies behind the last layer.
 //
-// `gaussian_fade_of` is that of `fade_whole` or of `fade_paged`. It changes weights once they are cut off, so that the sums of two
+// `fade_of` is that of `fade_whole` or of `fade_paged`. It changes weights once they are cut off, so that the sums of two
 // Gaussians in the same place whose factors add up to 1 are those of one.
 
 @group(1) @binding(0) var firsts: texture_2d<u32>;
@@ -28,7 +28,7 @@ fn vertex(@builtin(vertex_index) at: u32, @builtin(instance_index) index: u32) -
     corner.colour_strength = ellipse.colour_strength;
     let depth = bitcast<f32>(first.z);
     corner.inverse = ellipse.inverse;
-    corner.place = vec4f(ellipse.centre, depth, gaussian_fade_of(index, depth));
+    corner.place = vec4f(ellipse.centre, depth, fade_of(index));
     corner.position = at_px(ellipse.place, depth);
     return corner;
 }

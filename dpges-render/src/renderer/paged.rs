@@ -6,7 +6,7 @@ use dpges_core::scene::SceneData;
 
 use super::Renderer;
 use crate::error::Result;
-use crate::scene::{CellFade, Fades, PackedCell, Places, SceneTextures};
+use crate::scene::{Fades, PackedCell, Places, SceneTextures};
 
 impl Renderer {
     /// Takes, in place of what was there, a scene of which nothing is there yet but what all cells share, with room for as
@@ -29,8 +29,8 @@ impl Renderer {
         }
     }
 
-    /// Says which cells are drawn, and how.
-    pub(crate) fn draw_cells(&mut self, drawn: &[(&Places, CellFade)]) {
+    /// Says what of the cells is drawn: their places, the factors of the sizes of surfels and of the weights of Gaussians.
+    pub(crate) fn draw_cells(&mut self, drawn: &[(&Places, [f32; 2])]) {
         let Some(scene) = &mut self.scene else { return };
         if let Some(fades) = &scene.fades {
             fades.write(&self.queue, drawn.iter().copied());

@@ -5,5 +5,5 @@ mod packing;
 mod pages;
 mod textures;
 
-pub(crate) use pages::{CellFade, Fades, PAGE, PackedCell, Places};
+pub(crate) use pages::{Fades, PAGE, PackedCell, Places};
 pub(crate) use textures::{Grid, SceneTextures};

@@ -13,16 +13,7 @@ pub const PAGE: usize = 256;
 /// Where the primitives of a cell are: surfels, Gaussians. Ranges begin with a page.
 pub type Places = [Vec<Range<u32>>; 2];
 
-/// How the primitives of a cell are drawn.
-#[derive(Clone, Copy, Debug)]
-pub struct CellFade {
-    /// Factors of the sizes of surfels and of the weights of Gaussians.
-    pub factors: [f32; 2],
-    /// Whether its Gaussians stand for several each, which fade before the near plane.
-    pub is_merged: bool,
-}
-
-/// A factor, and whether primitives are merged ones, per page of surfels, and of Gaussians, in textures as wide as the grids of primitives.
+/// A factor per page of surfels, and of Gaussians, in textures as wide as the grids of primitives.
 #[derive(Debug)]
 pub struct Fades {
     grids: [Grid; 2],
@@ -36,20 +27,19 @@ impl Fades {
         let grid = |what, count: usize| Grid::new(&device.limits(), what, count.div_ceil(PAGE), 1);
         let grids = [grid("surfels", scene.surfels.count)?, grid("Gaussians", scene.gaussians.count)?];
         let view = |grid: Grid| {
-            let texture = device.create_texture(&descriptor(grid, wgpu::TextureFormat::Rg32Float));
+            let texture = device.create_texture(&descriptor(grid, wgpu::TextureFormat::R32Float));
             texture.create_view(&wgpu::TextureViewDescriptor::default())
         };
         Ok(Self { views: grids.map(view), grids })
     }
 
     /// Writes the factors of all pages: those of cells that are drawn, and 0 elsewhere.
-    pub fn write<'a>(&self, queue: &wgpu::Queue, drawn: impl Iterator<Item = (&'a Places, CellFade)>) {
-        let mut tables = self.grids.map(|grid| vec![[0f32; 2]; grid.len()]);
-        for (places, fade) in drawn {
-            let merged = f32::from(u8::from(fade.is_merged));
-            for ((table, places), factor) in tables.iter_mut().zip(places).zip(fade.factors) {
+    pub fn write<'a>(&self, queue: &wgpu::Queue, drawn: impl Iterator<Item = (&'a Places, [f32; 2])>) {
+        let mut tables = self.grids.map(|grid| vec![0f32; grid.len()]);
+        for (places, factors) in drawn {
+            for ((table, places), factor) in tables.iter_mut().zip(places).zip(factors) {
                 for place in places {
-                    table[place.start as usize / PAGE..(place.end as usize).div_ceil(PAGE)].fill([factor, merged]);
+                    table[place.start as usize / PAGE..(place.end as usize).div_ceil(PAGE)].fill(factor);
                 }
             }
         }

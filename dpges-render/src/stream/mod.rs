@@ -34,7 +34,7 @@ pub use scene::{LodScene, StreamError};
 pub use source::{Source, is_address, is_lod};
 
 use crate::renderer::Renderer;
-use crate::scene::{CellFade, PAGE, PackedCell, Places};
+use crate::scene::{PAGE, PackedCell, Places};
 use pages::Pages;
 use residency::Residency;
 
@@ -157,10 +157,9 @@ impl Stream {
         }
         if self.changes == 0 || was_fading || self.residency.is_fading() {
             let drawn = self.residency.drawn(now);
-            let drawn = drawn.iter().filter_map(|&(cell, fade)| {
-                let is_merged = self.residency.index.cells[cell].level > 0;
-                Some((self.places[cell].as_ref()?, CellFade { factors: [fade.surfels, fade.gaussians], is_merged }))
-            });
+            let drawn = drawn
+                .iter()
+                .filter_map(|&(cell, fade)| Some((self.places[cell].as_ref()?, [fade.surfels, fade.gaussians])));
             renderer.draw_cells(&drawn.collect::<Vec<_>>());
             self.changes += 1;
         }
