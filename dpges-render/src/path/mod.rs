@@ -31,10 +31,6 @@ impl CameraPath {
         &self.keys
     }
 
-    pub fn is_closed(&self) -> bool {
-        self.closed
-    }
-
     fn segments(&self) -> usize {
         if self.closed { self.keys.len() } else { self.keys.len() - 1 }
     }

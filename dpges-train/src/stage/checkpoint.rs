@@ -69,7 +69,7 @@ impl StageCheckpoint {
         let columns = statistics.into_iter().chain(limits).chain(stage.dealt.column());
         let mut checkpoint = Self {
             info: stage.info.clone(),
-            growth: stage.growth.clone(),
+            growth: stage.growth,
             attributes: named([stage.surfels.rows(), stage.gaussians.rows()], &stage.environment),
             columns: columns.map(|(name, values)| (name.to_owned(), values)).collect(),
             max_pixels: stage.statistics.max_pixels(),

@@ -163,7 +163,7 @@ impl Context {
     }
 
     /// The budget whose shares stages before the joint one have. With an automatic budget that is `pixels`, half of the
-    /// largest number: growth beyond it has to justify itself.
+    /// largest number: growth beyond it is for validation views to decide.
     pub fn budget_before_growth(&self) -> usize {
         if self.config.refine.budget == Budget::Auto { self.budget / 2 } else { self.budget }
     }

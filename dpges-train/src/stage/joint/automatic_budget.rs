@@ -11,114 +11,69 @@ use dpges_core::scene::{ColourData, ColourModel};
 
 use super::super::{Context, TrainError};
 use super::JointStage;
-use super::judging::{judging_target, judging_views};
 use crate::config::HARD_RIM;
 use crate::dataset::{Picture, View, pictures};
 use crate::eval::LARGEST_PSNR;
 use crate::metrics::{psnr, quantised};
-use crate::refine::add::geometric_batch_size;
-use crate::refine::growth::{Growth, Mean, Next, batches_within};
+use crate::refine::growth::Growth;
 use crate::refine::layer_count::{MOST_OPEN, choose, open_share};
 use crate::refine::lobes::{drop_lobes, spare_lobes};
+use crate::views::exposure::Correction;
 
+/// Enough to see most primitives several times.
+const JUDGING_VIEWS: usize = 24;
 /// A lobe is dropped if its absence changes no colour by more than this: half a step of an 8-bit picture.
 const UNSEEN: f64 = 0.5 / 255.0;
 /// dB that validation views may lose by all lobes dropped at once. Many invisible changes may add up.
 const MOST_LOST: f64 = 0.01;
 
 impl JointStage {
-    /// Ends the interval of growth that is running, and tells `events` what it has shown. Returns the PSNR of the judging
-    /// views, dB; `None` if no interval was running.
-    ///
-    /// # Errors
-    /// [`TrainError::Core`] if a view cannot be rendered.
-    pub fn end_interval(
-        &mut self,
-        context: &Context,
-        events: &mut Vec<String>,
-    ) -> Result<Option<Vec<f64>>, TrainError> {
-        if !self.growth.as_ref().is_some_and(Growth::is_running) {
-            return Ok(None);
-        }
-        let psnr = self.psnr_of_views(context)?;
-        let completed = context.completed_in(self.plan);
-        let found = self.growth.as_mut().and_then(|growth| growth.end(completed, &psnr));
-        events.extend(found.map(|found| found.to_string()));
-        Ok(Some(psnr))
-    }
-
-    /// Begins the first interval of growth, which shows what training does alone.
-    ///
-    /// # Errors
-    /// [`TrainError::Core`] if a view cannot be rendered.
-    pub fn begin_control(&mut self, context: &Context) -> Result<(), TrainError> {
-        let psnr = self.psnr_of_views(context)?;
-        let (completed, primitives) = (context.completed_in(self.plan), self.primitives());
-        self.growth.get_or_insert_default().begin(completed, psnr, primitives, 0);
-        Ok(())
-    }
-
-    /// Begins the next interval of growth, the first of `intervals_left`, after Gaussians were `removed`: with a batch or, as
-    /// a control, without one. Once growth has ended, and if none is left, it adds as many as were removed. `measured` is
-    /// the PSNR of the judging views, dB, if it is known. Returns a sentence for each thing it did.
+    /// The number of primitives that the scene is to have from now on, before the first of `batches_left` batches or, with
+    /// `None`, when there are no more. With a sentence if that is decided now.
     ///
     /// # Errors
     /// [`TrainError::Core`] if a view cannot be rendered.
     pub fn grow(
         &mut self,
-        context: &mut Context,
-        intervals_left: Option<usize>,
-        removed: usize,
-        measured: Option<Vec<f64>>,
-    ) -> Result<Vec<String>, TrainError> {
-        let (primitives, budget) = (self.primitives(), context.budget);
-        let mut events = Vec::new();
-        let growth = self.growth.get_or_insert_default();
-        let next = growth.next();
-        let is_full = next == Next::Batch && primitives >= budget;
-        let count = match intervals_left {
-            Some(intervals_left) if next == Next::Batch && !is_full => {
-                geometric_batch_size(budget, primitives, batches_within(intervals_left))
+        context: &Context,
+        batches_left: Option<usize>,
+    ) -> Result<(usize, Option<String>), TrainError> {
+        let primitives = self.primitives();
+        let mut growth = self.growth.unwrap_or_else(|| Growth::of(primitives));
+        let told = match batches_left {
+            Some(batches_left) if !growth.has_ended() => {
+                let psnr = self.mean_psnr(context)?;
+                Some(growth.judge(psnr, primitives, context.budget, batches_left))
             }
-            Some(_) if next == Next::Control => 0,
-            _ => {
-                if next != Next::Nothing {
-                    growth.finish();
-                    let why = if is_full { "at its limit" } else { "with the schedule" };
-                    events.push(format!("growth stops {why}, at {primitives} of {budget} primitives"));
-                }
-                removed.min(budget.saturating_sub(primitives))
-            }
+            _ => None,
         };
-        if growth.next() == Next::Nothing {
-            events.push(self.add_gaussians(context, count, removed)?);
-            return Ok(events);
-        }
-        let psnr = measured.map_or_else(|| self.psnr_of_views(context), Ok)?;
-        let before = self.dealt.len();
-        events.push(self.add_gaussians(context, count, removed)?);
-        let (completed, added) = (context.completed_in(self.plan), self.dealt.len() - before);
-        self.growth.get_or_insert_default().begin(completed, psnr, primitives, added);
-        Ok(events)
+        self.growth = Some(growth);
+        Ok((growth.wanted(), told))
     }
 
-    /// PSNR of the judging views, dB, as evaluations measure it.
-    fn psnr_of_views(&self, context: &Context) -> Result<Vec<f64>, TrainError> {
+    /// Mean PSNR of the judging views, dB, as evaluations measure it. In a run that corrects exposures, photographs are
+    /// compared without what the exposure that fits best explains: validation views have no correction of their own.
+    fn mean_psnr(&self, context: &Context) -> Result<f64, TrainError> {
         let of_view = |(view, picture): (&View, dpges_core::Result<Arc<Picture>>)| -> Result<f64, TrainError> {
             let picture = picture?;
-            let rendered = self.render_view(context, view)?;
-            let image = rendered.composite.image;
-            let Target { image: target, mask } = judging_target(&picture, &image, context);
-            let target = Target { image: quantised(target), mask };
+            let image = self.render_view(context, view)?.composite.image;
+            let Target { image: mut photograph, mask } = picture.target(&context.device);
+            if context.exposure.is_on() {
+                let fitted = Correction::fitted(&image, &photograph, picture.counted.as_deref());
+                photograph = fitted.undone(photograph);
+            }
+            let target = Target { image: quantised(photograph), mask };
             Ok(psnr(quantised(image), target).clamp(0.0, LARGEST_PSNR))
         };
-        let psnr = pictures(judging_views(context)).map(of_view).collect::<Result<_, _>>()?;
-        Ok(self.dealt.ranks.of_first(psnr))
+        let views = judging_views(context);
+        let psnr: Vec<f64> = pictures(views).map(of_view).collect::<Result<_, _>>()?;
+        let mean = psnr.iter().sum::<f64>() / psnr.len() as f64;
+        Ok(self.dealt.ranks.of_first(vec![mean])[0])
     }
 
     /// Chooses the smallest number of layers that leaves hardly any pixel of the validation views open; soft rims need two.
     pub fn choose_layer_count(&mut self, context: &Context) -> Result<String, TrainError> {
-        let psnr_before = self.psnr_of_views(context)?;
+        let psnr_before = self.mean_psnr(context)?;
         let mut options = self.render_options(&context.config);
         options.peel.layer_count = MAX_LAYERS;
         let (surfels, gaussians) = self.drawn_values();
@@ -134,24 +89,24 @@ impl JointStage {
         let fewest = if self.info.modulation < HARD_RIM { 2 } else { 1 };
         let (before, after) = (self.info.layer_count, choose(&shares, MOST_OPEN, fewest));
         self.info.layer_count = after;
-        let change = Mean::of_changes(&psnr_before, &self.psnr_of_views(context)?);
+        let change = self.mean_psnr(context)? - psnr_before;
         let percents: Vec<String> = shares.iter().map(|share| format!("{:.2}", 100.0 * share)).collect();
         Ok(format!(
             "{after} layers instead of {before}: behind 1, 2, … layers {} % of the covered pixels let more than 1/255 \
-             through; up to {} % more than behind the last may do so; validation PSNR {change} by that",
+             through; up to {} % more than behind the last may do so; validation PSNR {change:+.3} dB by that",
             percents.join(", "),
             100.0 * MOST_OPEN
         ))
     }
 
-    /// Drops the lobes whose absence no camera would show, unless validation views lose clearly by all of them together.
+    /// Drops the lobes whose absence no camera would show, unless validation views lose by all of them together.
     /// `None` if colours have no lobes.
     ///
     /// # Errors
     /// [`TrainError::Core`] if a view cannot be rendered.
     pub fn drop_lobes(&mut self, context: &Context) -> Result<Option<String>, TrainError> {
         let ColourModel::SphericalBeta { lobes } = self.info.colour_model else { return Ok(None) };
-        let psnr_before = self.psnr_of_views(context)?;
+        let psnr_before = self.mean_psnr(context)?;
         let dataset = &context.dataset;
         let views = dataset.train.iter().chain(&dataset.validation);
         let centres: Vec<[f64; 3]> = views.map(|view| view.camera.centre().to_array()).collect();
@@ -170,19 +125,26 @@ impl JointStage {
         self.gaussians.set_colour(&gaussian_colour);
         let count = lobes * self.primitives();
         let [idle, folded] = [0, 1].map(|why| (of_surfels[why] + of_gaussians[why]) as usize);
-        let change = Mean::of_changes(&psnr_before, &self.psnr_of_views(context)?);
-        if change.is_clearly_below(-MOST_LOST) {
+        let change = self.mean_psnr(context)? - psnr_before;
+        if change < -MOST_LOST {
             let [surfel_colour, gaussian_colour] = all;
             self.surfels.set_colour(&surfel_colour);
             self.gaussians.set_colour(&gaussian_colour);
             return Ok(Some(format!(
-                "all of {count} lobes stay: without {} that hardly show, validation PSNR changes by {change}",
+                "all of {count} lobes stay: without {} that hardly show, validation PSNR changes by {change:+.3} dB",
                 idle + folded
             )));
         }
         Ok(Some(format!(
             "of {count} lobes {idle} dropped that add less than half of 1/255 in any camera, {folded} that do not change: \
-             validation PSNR {change}"
+             validation PSNR {change:+.3} dB"
         )))
     }
+}
+
+/// The views that decide: validation views, or else training views, evenly spread.
+fn judging_views(context: &Context) -> impl Iterator<Item = &View> {
+    let (validation, train) = (&context.dataset.validation, &context.dataset.train);
+    let views = if validation.is_empty() { train } else { validation };
+    views.iter().step_by(views.len().div_ceil(JUDGING_VIEWS).max(1))
 }

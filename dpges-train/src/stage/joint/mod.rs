@@ -5,7 +5,6 @@ mod blended_depth;
 mod dealt;
 mod depth_surfels;
 mod dropout;
-mod judging;
 mod limits;
 mod refine;
 pub mod schedule;

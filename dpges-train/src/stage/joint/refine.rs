@@ -31,9 +31,16 @@ impl JointStage {
     /// Does what is `due` in the order prune, margins, split, add. Returns a sentence for each thing it did.
     pub fn refine_due(&mut self, due: Due, context: &mut Context) -> Result<Vec<String>, TrainError> {
         let mut events = Vec::new();
-        let ends_interval = due.batches_left.is_some() || due.replace;
-        let measured = if ends_interval { self.end_interval(context, &mut events)? } else { None };
-        let told = events.len();
+        let makes_new = due.batches_left.is_some() || due.replace;
+        let is_automatic = context.config.refine.budget == Budget::Auto;
+        // views judge what has learnt since the last batch, before anything else is changed
+        let grown = if makes_new && is_automatic {
+            let (wanted, told) = self.grow(context, due.batches_left)?;
+            events.extend(told);
+            Some(wanted)
+        } else {
+            None
+        };
         if due.surfel_prune {
             events.push(self.prune_surfels(context));
         }
@@ -46,7 +53,7 @@ impl JointStage {
             self.surfels.columns.margins.set(&margins);
             events.push(format!("margins of {} surfels computed", surfels.len()));
             let begun = context.completed_steps > self.plan.begin;
-            if begun && context.config.refine.budget == Budget::Auto {
+            if begun && is_automatic {
                 events.push(self.choose_layer_count(context)?);
             }
         }
@@ -56,24 +63,20 @@ impl JointStage {
         if due.split {
             events.push(self.split_gaussians(context));
         }
-        if due.control {
-            self.begin_control(context)?;
-        }
-        if due.batches_left.is_some() || due.replace {
+        if makes_new {
             let removed = self.remove_useless(context);
-            if context.config.refine.budget == Budget::Auto {
-                // what else was due may have changed the views
-                let measured = measured.filter(|_| events.len() == told);
-                events.extend(self.grow(context, due.batches_left, removed, measured)?);
-            } else {
-                let (budget, primitives) = (context.budget, self.primitives());
-                let replaced = match context.config.refine.new_gaussians {
-                    NewGaussians::Copies => removed.min(budget.saturating_sub(primitives)),
-                    NewGaussians::Black => 0,
-                };
-                let batch = batch_size(budget, primitives + replaced, due.batches_left.unwrap_or(1));
-                events.push(self.add_gaussians(context, replaced + batch, removed)?);
-            }
+            let (budget, primitives) = (context.budget, self.primitives());
+            let count = match grown {
+                Some(wanted) => wanted.saturating_sub(primitives),
+                None => {
+                    let replaced = match context.config.refine.new_gaussians {
+                        NewGaussians::Copies => removed.min(budget.saturating_sub(primitives)),
+                        NewGaussians::Black => 0,
+                    };
+                    replaced + batch_size(budget, primitives + replaced, due.batches_left.unwrap_or(1))
+                }
+            };
+            events.push(self.add_gaussians(context, count, removed)?);
         }
         Ok(events)
     }

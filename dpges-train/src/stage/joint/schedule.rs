@@ -11,9 +11,6 @@ pub struct Schedule {
     pub surfel_prune: Vec<usize>,
     pub gaussian_prune: Vec<usize>,
     pub add: Vec<usize>,
-    /// The interval of batches before the first one, in which training alone is measured. Empty unless the budget is
-    /// automatic.
-    pub control: Vec<usize>,
     /// Replacements of Gaussians that are not drawn, after the last batch of new ones.
     pub replace: Vec<usize>,
     /// Whether new Gaussians are copies.
@@ -31,8 +28,6 @@ pub struct Due {
     pub gaussian_prune: bool,
     /// Batches of Gaussians still to add, including one now; `None` if none is due now.
     pub batches_left: Option<usize>,
-    /// Whether an interval without a batch begins, the first that is measured.
-    pub control: bool,
     /// Whether Gaussians that are not drawn are replaced by new ones.
     pub replace: bool,
     pub split: bool,
@@ -79,14 +74,11 @@ impl Schedule {
             every(refine.gaussian_prune_every, refine.gaussian_prune_every, refine.gaussian_prune_until);
         let split = every(refine.split_every, refine.split_every, refine.split_until.saturating_add(1));
         let automatic = refine.budget == Budget::Auto;
-        let add = run(every(refine.add_every, refine.add_from, refine.add_until), 1);
-        let control = refine.add_from.checked_sub(refine.add_every).filter(|_| automatic && !add.is_empty());
         Self {
             margins: run(refine.margins_at.clone(), 0),
             surfel_prune: whole_passes(run(surfel_prune, 1), scaled(refine.surfel_prune_until).saturating_add(1)),
             gaussian_prune: whole_passes(run(gaussian_prune, 1), scaled(refine.gaussian_prune_until)),
-            add,
-            control: run(control.into_iter().collect(), 1),
+            add: run(every(refine.add_every, refine.add_from, refine.add_until), 1),
             replace: run(every(refine.add_every, refine.add_until, refine.replace_until), 1),
             copies: refine.new_gaussians == NewGaussians::Copies,
             split: run(split, 1),
@@ -108,7 +100,6 @@ impl Schedule {
             surfel_prune: is_in(&self.surfel_prune).is_ok(),
             gaussian_prune: is_in(&self.gaussian_prune).is_ok(),
             batches_left: is_in(&self.add).ok().map(|batch| self.add.len() - batch),
-            control: is_in(&self.control).is_ok(),
             replace: is_in(&self.replace).is_ok(),
             split: is_in(&self.split).is_ok(),
             drop_lobes: is_in(&self.drop_lobes).is_ok(),
@@ -164,14 +155,8 @@ mod tests {
         assert_eq!(Schedule::new(&frozen, 100), Schedule { surfel_prune: vec![], ..all.clone() });
         let mut automatic = config(REFERENCE_STEPS);
         automatic.refine.budget = Budget::Auto;
-        let measured = Schedule { control: vec![2000], drop_lobes: vec![16_000, 22_000], ..all.clone() };
-        assert_eq!(Schedule::new(&automatic, 100), measured);
-        assert!(measured.due(2000).control && !measured.due(3000).control);
-        for (every, until) in [(4000, 13_000), (1000, 3000)] {
-            let mut unmeasured = automatic.clone();
-            (unmeasured.refine.add_every, unmeasured.refine.add_until) = (every, until);
-            assert!(Schedule::new(&unmeasured, 100).control.is_empty());
-        }
+        let dropping = Schedule { drop_lobes: vec![16_000, 22_000], ..all.clone() };
+        assert_eq!(Schedule::new(&automatic, 100), dropping);
         let mut unsplit = config(REFERENCE_STEPS);
         unsplit.refine.split_until = 0;
         assert_eq!(Schedule::new(&unsplit, 100), Schedule { split: vec![], ..all });
