@@ -64,7 +64,7 @@ impl Growth {
 mod tests {
     use super::*;
 
-    /// What batches aim at if validation views have these PSNRs, dB, before them, from 1000 primitives up to 4000.
+    /// Numbers of primitives that batches aim at, from 1000 up to 4000; validation views have `psnrs`, dB, before them.
     fn aims(psnrs: &[f64]) -> (Vec<usize>, Growth) {
         let mut growth = Growth::of(1000);
         let aims = psnrs.iter().enumerate().map(|(at, &psnr)| {

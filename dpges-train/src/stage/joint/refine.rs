@@ -65,17 +65,13 @@ impl JointStage {
         }
         if makes_new {
             let removed = self.remove_useless(context);
-            let (budget, primitives) = (context.budget, self.primitives());
-            let count = match grown {
-                Some(wanted) => wanted.saturating_sub(primitives),
-                None => {
-                    let replaced = match context.config.refine.new_gaussians {
-                        NewGaussians::Copies => removed.min(budget.saturating_sub(primitives)),
-                        NewGaussians::Black => 0,
-                    };
-                    replaced + batch_size(budget, primitives + replaced, due.batches_left.unwrap_or(1))
-                }
+            let primitives = self.primitives();
+            let (target, batches) = grown.map_or((context.budget, due.batches_left.unwrap_or(1)), |wanted| (wanted, 1));
+            let replaced = match context.config.refine.new_gaussians {
+                NewGaussians::Copies => removed.min(target.saturating_sub(primitives)),
+                NewGaussians::Black => 0,
             };
+            let count = replaced + batch_size(target, primitives + replaced, batches);
             events.push(self.add_gaussians(context, count, removed)?);
         }
         Ok(events)
