@@ -12,7 +12,7 @@ use dpges_core::camera::Camera;
 use dpges_core::ops::colour::colour;
 use dpges_core::ops::composite::{CompositeOptions, composite};
 use dpges_core::ops::environment::environment;
-use dpges_core::ops::limits::interval_limits;
+use dpges_core::ops::interval_limits::interval_limits;
 use dpges_core::ops::peel::{Layers, PeelOptions, peel};
 use dpges_core::ops::splat::splat;
 use dpges_core::scene::tensors::{rows_to_tensor, tensor_to_rows};

@@ -9,7 +9,7 @@ use dpges_benches::training::{Parameter, Training, Variant, adam_settings};
 use dpges_benches::{devices, machine, plain};
 use dpges_core::ops::blend::{Blend, BlendOptions, Form, blend};
 use dpges_core::ops::composite::{Composite, CompositeOptions, composite};
-use dpges_core::ops::limits::interval_limits;
+use dpges_core::ops::interval_limits::interval_limits;
 use dpges_core::ops::peel::{Layers, PeelOptions, peel};
 use dpges_core::ops::photometric::ssim;
 use dpges_core::ops::splat::splat;

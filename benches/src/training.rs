@@ -5,7 +5,7 @@ use dpges_core::losses::{LossWeights, losses};
 use dpges_core::ops::adam::{AdamStep, adam_step};
 use dpges_core::ops::colour::colour;
 use dpges_core::ops::composite::CompositeOptions;
-use dpges_core::ops::limits::interval_limits;
+use dpges_core::ops::interval_limits::interval_limits;
 use dpges_core::ops::peel::peel;
 use dpges_core::ops::splat::splat;
 use dpges_core::render::{Render, RenderOptions, Values, render_values, validate};

@@ -13,7 +13,7 @@ use crate::error::{Error, Result};
 use crate::ops::colour::colour;
 use crate::ops::composite::{Composite, CompositeOptions, composite};
 use crate::ops::finite::{FiniteChecks, check_finite};
-use crate::ops::limits::interval_limits;
+use crate::ops::interval_limits::interval_limits;
 use crate::ops::peel::{Layers, PeelOptions, peel};
 use crate::ops::splat::splat;
 use crate::ranks::{Alone, Ranks};

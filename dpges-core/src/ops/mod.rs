@@ -1,5 +1,5 @@
 //! The custom operations, in the order in which a training step uses them: [`finite`], [`colour`],
-//! [`peel`], [`limits`], [`splat`], [`composite`], [`environment`](mod@environment), [`photometric`], [`surfel_loss`],
+//! [`peel`], [`interval_limits`](mod@interval_limits), [`splat`], [`composite`], [`environment`](mod@environment), [`photometric`], [`surfel_loss`],
 //! [`scale_loss`], [`join`], [`adam`]. [`coverage`] and [`jitter`] serve refinement, and [`unpack`](mod@unpack) brings
 //! photographs and masks to a GPU.
 //! [`blend`] replaces peel, splat and composite where Gaussians or discs are trained alone, [`harmonics`](mod@harmonics)
@@ -35,9 +35,9 @@ pub mod coverage;
 pub mod environment;
 pub mod finite;
 pub mod harmonics;
+pub mod interval_limits;
 pub mod jitter;
 pub mod join;
-pub mod limits;
 pub mod peel;
 pub mod photometric;
 pub mod scale_loss;

@@ -1,9 +1,9 @@
 //! `dpges devices`: what scenes can be trained and shown on.
 
 use clap::Args;
-use dpges_train::device::{DeviceName, Selection, auto};
+use dpges_train::device::{DeviceName, Selection, choice};
 #[cfg(feature = "gpu")]
-use dpges_train::device::{NO_ADAPTER_ADVICE, adapter::adapters, choice::AdapterChoice};
+use dpges_train::device::{NO_ADAPTER_ADVICE, adapter::adapters, adapter_name::AdapterName};
 use serde_json::{Value, json};
 
 use super::{Result, device_choice, print, print_json, table};
@@ -50,7 +50,7 @@ pub fn run(args: &DevicesArgs) -> Result<()> {
 /// In this process for JSON, which is what another `dpges` asks for in a line, and so in a child process otherwise.
 fn choose(json: bool) -> Result<()> {
     if json {
-        return print(&format!("{}\n", serde_json::to_string(&auto::select()?)?));
+        return print(&format!("{}\n", serde_json::to_string(&choice::select()?)?));
     }
     let Selection { device, reason } = device_choice::automatic()?;
     print(&format!("{device}, since {reason}\n"))
@@ -79,7 +79,7 @@ fn no_adapter() -> String {
 #[cfg(feature = "gpu")]
 fn gpus() -> Result<Vec<Entry>> {
     let entries = adapters().iter().map(|adapter| {
-        let name = DeviceName::Gpu(AdapterChoice::Number(adapter.number)).to_string();
+        let name = DeviceName::Gpu(AdapterName::Number(adapter.number)).to_string();
         let shortcoming = adapter.shortcoming();
         let mut json = serde_json::to_value(adapter)?;
         json["device"] = json!(name);

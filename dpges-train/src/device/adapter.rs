@@ -10,7 +10,7 @@ use burn_wgpu::{RuntimeOptions, WgpuBackend, WgpuDevice, WgpuSetup, try_init_set
 use serde::Serialize;
 
 use super::DeviceError;
-use super::choice::{AdapterChoice, Api, Kind};
+use super::adapter_name::{AdapterName, Api, Kind};
 
 /// Requirements of the kernels: no more than WebGPU guarantees.
 const LEAST_WORKGROUP_BYTES: u32 = 16 << 10;
@@ -198,7 +198,7 @@ impl fmt::Display for Adapter {
     }
 }
 
-impl AdapterChoice {
+impl AdapterName {
     /// The adapter that is meant, of all `adapters`.
     ///
     /// # Errors
@@ -228,7 +228,7 @@ impl AdapterChoice {
 }
 
 fn list(adapters: &[Adapter]) -> String {
-    let names = adapters.iter().map(|adapter| format!("{} {adapter}", AdapterChoice::Number(adapter.number)));
+    let names = adapters.iter().map(|adapter| format!("{} {adapter}", AdapterName::Number(adapter.number)));
     names.collect::<Vec<_>>().join(", ")
 }
 
@@ -270,8 +270,8 @@ pub(super) mod tests {
     }
 
     fn pick(name: &str, adapters: &[Adapter]) -> Result<usize, String> {
-        let choice = AdapterChoice::parse(name).unwrap();
-        choice.pick(adapters).map(|adapter| adapter.number).map_err(|error| error.to_string())
+        let name = AdapterName::parse(name).unwrap();
+        name.pick(adapters).map(|adapter| adapter.number).map_err(|error| error.to_string())
     }
 
     #[test]

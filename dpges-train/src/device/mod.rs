@@ -2,7 +2,7 @@
 
 #[cfg(feature = "gpu")]
 pub mod adapter;
-pub mod auto;
+pub mod adapter_name;
 pub mod choice;
 pub mod extremes;
 pub mod failure;
@@ -17,11 +17,11 @@ use std::str::FromStr;
 
 use burn::tensor::Device;
 
-pub use auto::{DeviceRequest, Selection};
-use choice::AdapterChoice;
+use adapter_name::AdapterName;
+pub use choice::{DeviceRequest, Selection};
 
 /// The name of a device: `cpu` and `ndarray` are burn-ndarray, `cpu-flex` and `flex` are burn-flex. All others are
-/// graphics adapters, see [`AdapterChoice`].
+/// graphics adapters, see [`AdapterName`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DeviceName {
     #[cfg(feature = "ndarray")]
@@ -29,18 +29,18 @@ pub enum DeviceName {
     #[cfg(feature = "flex")]
     Flex,
     #[cfg(feature = "gpu")]
-    Gpu(AdapterChoice),
+    Gpu(AdapterName),
 }
 
 /// Why a device cannot be used, and what to do.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum DeviceError {
     #[error("no graphics adapter was found for device `{asked}`: {}", NO_ADAPTER_ADVICE)]
-    NoAdapter { asked: AdapterChoice },
+    NoAdapter { asked: AdapterName },
     #[error("there is no device `{asked}`, there are: {found}; `dpges devices` says more about them")]
-    NoMatch { asked: AdapterChoice, found: String },
+    NoMatch { asked: AdapterName, found: String },
     #[error("device `{asked}` is {adapter}, where the kernels do not run: {shortcoming}; `dpges devices` lists others")]
-    Unsuitable { asked: AdapterChoice, adapter: String, shortcoming: String },
+    Unsuitable { asked: AdapterName, adapter: String, shortcoming: String },
     #[error("{adapter} cannot be opened: {reason}; update its driver, or name another device (`dpges devices`)")]
     Refused { adapter: String, reason: String },
     #[error("there is no device to choose: {reason}, and this build leaves the CPU backends out")]
@@ -72,7 +72,7 @@ impl DeviceName {
             #[cfg(feature = "flex")]
             Self::Flex => Ok(Device::flex()),
             #[cfg(feature = "gpu")]
-            Self::Gpu(choice) => choice.pick(adapter::adapters())?.open(),
+            Self::Gpu(name) => name.pick(adapter::adapters())?.open(),
         }
     }
 
@@ -80,7 +80,7 @@ impl DeviceName {
     #[cfg(feature = "gpu")]
     pub fn wgpu_setup(self) -> Option<&'static burn_wgpu::WgpuSetup> {
         match self {
-            Self::Gpu(choice) => choice.pick(adapter::adapters()).ok()?.setup(),
+            Self::Gpu(name) => name.pick(adapter::adapters()).ok()?.setup(),
             #[cfg(any(feature = "ndarray", feature = "flex"))]
             _ => None,
         }
@@ -102,8 +102,8 @@ impl DeviceName {
     pub fn is_software(self) -> bool {
         match self {
             #[cfg(feature = "gpu")]
-            Self::Gpu(choice) => {
-                choice.pick(adapter::adapters()).is_ok_and(|adapter| adapter.kind == choice::Kind::Software)
+            Self::Gpu(name) => {
+                name.pick(adapter::adapters()).is_ok_and(|adapter| adapter.kind == adapter_name::Kind::Software)
             }
             #[cfg(any(feature = "ndarray", feature = "flex"))]
             _ => false,
@@ -121,7 +121,7 @@ impl DeviceName {
             #[cfg(feature = "flex")]
             Self::Flex => Ok("burn-flex on the CPU".to_owned()),
             #[cfg(feature = "gpu")]
-            Self::Gpu(choice) => choice.pick(adapter::adapters()).map(ToString::to_string),
+            Self::Gpu(name) => name.pick(adapter::adapters()).map(ToString::to_string),
         }
     }
 }
@@ -135,7 +135,7 @@ impl fmt::Display for DeviceName {
             #[cfg(feature = "flex")]
             Self::Flex => f.write_str("cpu-flex"),
             #[cfg(feature = "gpu")]
-            Self::Gpu(choice) => choice.fmt(f),
+            Self::Gpu(name) => name.fmt(f),
         }
     }
 }
@@ -144,14 +144,14 @@ impl FromStr for DeviceName {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        match (text, AdapterChoice::parse(text)) {
+        match (text, AdapterName::parse(text)) {
             #[cfg(feature = "ndarray")]
             ("cpu" | "ndarray", _) => Ok(Self::NdArray),
             #[cfg(feature = "flex")]
             ("cpu-flex" | "flex", _) => Ok(Self::Flex),
             #[cfg(feature = "gpu")]
-            (_, Some(choice)) => Ok(Self::Gpu(choice)),
-            (_, choice) if choice.is_some() || CPUS.contains(&text) => {
+            (_, Some(name)) => Ok(Self::Gpu(name)),
+            (_, name) if name.is_some() || CPUS.contains(&text) => {
                 Err(format!("this build leaves out the backend of device `{text}`: build with its feature"))
             }
             _ if OTHER_GPUS.contains(&text) => Err(format!(

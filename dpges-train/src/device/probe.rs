@@ -5,7 +5,7 @@ use std::process::{Command, Stdio};
 use std::sync::mpsc::channel;
 use std::time::Duration;
 
-use super::{DeviceError, Selection, auto};
+use super::{DeviceError, Selection, choice};
 
 /// Longest time to look for a GPU: to find the adapters and to check one, with another 10 s for a second one.
 const LIMIT: Duration = Duration::from_secs(25);
@@ -16,7 +16,7 @@ const LIMIT: Duration = Duration::from_secs(25);
 /// # Errors
 /// [`DeviceError::NoCpu`] if the build has no CPU backend either.
 pub fn select_in_child(arguments: &[&str]) -> Result<Selection, DeviceError> {
-    in_child(arguments).or_else(auto::cpu)
+    in_child(arguments).or_else(choice::cpu)
 }
 
 fn in_child(arguments: &[&str]) -> Result<Selection, String> {

@@ -1,4 +1,4 @@
-//! The end of an automatic budget's growth: early stopping by validation views.
+//! How an automatic budget grows: the size of its batches, and their end by early stopping on validation views.
 
 use serde::{Deserialize, Serialize};
 

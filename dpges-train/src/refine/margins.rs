@@ -1,4 +1,5 @@
-//! The depth margin ε of every surfel: Gaussians this far behind it still contribute (GES, DP-GES).
+//! The depth margin ε of every surfel: Gaussians this far behind it still contribute (GES, DP-GES), by
+//! [`interval_limits`](dpges_core::ops::interval_limits::interval_limits).
 
 use crate::config::Margin;
 use crate::refine::neighbours::{as_points, nearest};

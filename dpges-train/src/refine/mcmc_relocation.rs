@@ -1,5 +1,6 @@
 //! Moves faded Gaussians to opaque ones and adds new ones there (3DGS-MCMC, DBS, SSS). A source and its copies share the
-//! opacity of the source, so that the picture does not change.
+//! opacity of the source, so that the picture does not change. The joint stage has
+//! [exact relocation](super::exact_relocation) instead.
 
 use dpges_core::scene::GaussianData;
 use rand_chacha::ChaCha8Rng;

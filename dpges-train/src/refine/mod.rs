@@ -6,21 +6,21 @@
 //! | [`floaters`] | which Gaussians float before cameras |
 //! | [`split`] | which Gaussians of the joint stage are split |
 //! | [`add`] | where new Gaussians are placed |
-//! | [`copies`] | which Gaussians are copied, and which leave for it |
+//! | [`exact_relocation`] | which Gaussians of the joint stage are copied, and which leave for it |
 //! | [`margins`] | the depth margins of surfels |
 //! | [`densify`] | which discs and Gaussians are cloned, split and pruned |
 //! | [`sampling`] | how fine Gaussians may be |
 //! | [`mcmc_relocation`] | which Gaussians of MCMC, DBS and SSS are relocated |
 //! | [`sharing`] | opacity and scales of several that take the place of one |
-//! | [`lobes`], [`growth`], [`layer_count`] | with an automatic budget: lobes to drop, the end of growth, the number of layers |
+//! | [`lobes`], [`growth`], [`layer_count`] | with an automatic budget: lobes to drop, how the number of Gaussians grows, the number of layers |
 //!
 //! Each returns a plan. A stage applies it to the parameters and to the moments of the optimiser, where new rows start
 //! at zero.
 
 pub mod add;
 pub mod children;
-pub mod copies;
 pub mod densify;
+pub mod exact_relocation;
 pub mod floaters;
 pub mod growth;
 pub mod layer_count;

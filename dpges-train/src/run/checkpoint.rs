@@ -1,4 +1,4 @@
-//! Everything a run needs to go on as if it had never stopped, in one safetensors file.
+//! Everything a run needs to [go on](super::Run::resume) as if it had never stopped, in one safetensors file.
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};

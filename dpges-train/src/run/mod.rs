@@ -45,6 +45,7 @@ mod peak_tests;
 #[cfg(test)]
 mod ranks_tests;
 mod record;
+mod resume;
 pub mod scene;
 mod shards;
 pub mod shell;
@@ -69,11 +70,11 @@ use crate::device::memory::PeakMemory;
 use crate::device::place::Place;
 use crate::eval::Evaluation;
 pub use crate::stage::{StepReport, TrainError, budget};
-use checkpoint::Checkpoint;
 pub use error::RunError;
 use folder::{Origin, RunFolder};
 pub use observer::Observer;
 use record::Record;
+pub use resume::SavedRun;
 pub use trainer::Trainer;
 pub use validation::{Validation, Verdict};
 
@@ -109,42 +110,6 @@ pub struct Outcome {
     pub seconds: f64,
 }
 
-/// A run in a folder, before it goes on.
-#[derive(Clone, Debug)]
-pub struct SavedRun {
-    folder: RunFolder,
-    origin: Origin,
-    checkpoint: Checkpoint,
-}
-
-impl SavedRun {
-    /// Reads the checkpoint in `folder`, and what the run was started with.
-    ///
-    /// # Errors
-    /// [`RunError::Folder`] if the folder holds no run that can go on, [`RunError::Checkpoint`] if the checkpoint cannot
-    /// be read.
-    pub fn open(folder: RunFolder) -> Result<Self, RunError> {
-        folder.check_resumable()?;
-        let checkpoint = shards::load(&folder)?;
-        let origin = folder.read_origin()?;
-        Ok(Self { folder, origin, checkpoint })
-    }
-
-    /// The configuration that the run was started with and goes on with.
-    pub fn config(&self) -> &Config {
-        self.checkpoint.config()
-    }
-
-    /// The dataset and the device that the run was started with.
-    pub fn origin(&self) -> &Origin {
-        &self.origin
-    }
-
-    pub fn completed_steps(&self) -> usize {
-        self.checkpoint.completed_steps()
-    }
-}
-
 impl Run {
     /// A run before its first step, in memory, on a device alone or on one of several ranks. Where the configuration decides by
     /// validation views and `data` has none, every [`Config::validation_every`]th training view becomes one.
@@ -155,27 +120,6 @@ impl Run {
         let peak = PeakMemory::start();
         let data = with_validation(data.into(), &config);
         Ok(Self::of(Trainer::new(config, data, place)?, peak))
-    }
-
-    /// Goes on where `saved` was last saved, with the dataset that it was started with.
-    ///
-    /// # Errors
-    /// [`RunError::Train`] if the dataset is another one or the checkpoint contradicts itself, [`RunError::Core`] if the
-    /// metrics cannot be read.
-    pub fn resume(saved: SavedRun, data: impl Into<Arc<Dataset>>, place: impl Into<Place>) -> Result<Self, RunError> {
-        let peak = PeakMemory::start();
-        let SavedRun { folder, origin, checkpoint } = saved;
-        let data = with_validation(data.into(), checkpoint.config());
-        let place = place.into();
-        let (record, seconds_before) = if place.ranks.is_first() {
-            let (record, seconds) = Record::resume(folder.clone(), origin, &checkpoint, peak)?;
-            (Some(record), seconds)
-        } else {
-            (None, 0.0)
-        };
-        let saved = Some(checkpoint.completed_steps());
-        let trainer = Trainer::resume(checkpoint, data, place)?;
-        Ok(Self { folder: Some(folder), record, saved, seconds_before, ..Self::of(trainer, peak) })
     }
 
     fn of(trainer: Trainer, peak: PeakMemory) -> Self {

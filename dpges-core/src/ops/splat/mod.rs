@@ -81,7 +81,7 @@ pub struct SplatGradients<B: Backend> {
 }
 
 /// Sums [K, 4, H, W] of `gaussians` in `colours` [M, 3], as seen from the camera, for ascending interval
-/// `limits` [K, H, W] ([`interval_limits`](super::limits::interval_limits)).
+/// `limits` [K, H, W] ([`interval_limits`](super::interval_limits::interval_limits)).
 ///
 /// # Errors
 /// [`crate::Error::Shape`] or [`crate::Error::Camera`] if the input is invalid, [`crate::Error::Capacity`] if the tile lists

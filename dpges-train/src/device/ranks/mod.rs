@@ -9,7 +9,7 @@ use dpges_core::ranks::{Alone, Ranks};
 
 use super::DeviceName;
 #[cfg(feature = "gpu")]
-use super::choice::AdapterChoice;
+use super::adapter_name::AdapterName;
 
 /// Variables with the number of a process and their count: of Open MPI, of MPICH, of Slurm.
 const LAUNCHERS: [[&str; 2]; 3] = [
@@ -93,7 +93,7 @@ impl Job {
     pub fn device(&self, device: DeviceName, named: bool) -> DeviceName {
         match (self.local, device) {
             #[cfg(feature = "gpu")]
-            (Some(local), DeviceName::Gpu(choice)) => DeviceName::Gpu(of_local(choice, local, named)),
+            (Some(local), DeviceName::Gpu(name)) => DeviceName::Gpu(of_local(name, local, named)),
             _ => device,
         }
     }
@@ -110,13 +110,13 @@ impl Job {
 }
 
 #[cfg(feature = "gpu")]
-fn of_local(choice: AdapterChoice, local: usize, named: bool) -> AdapterChoice {
-    match choice {
-        AdapterChoice::Best => AdapterChoice::Number(local),
-        AdapterChoice::OfKind(kind) => AdapterChoice::NumberOfKind(kind, local),
-        AdapterChoice::Number(_) if !named => AdapterChoice::Number(local),
-        AdapterChoice::NumberOfKind(kind, _) if !named => AdapterChoice::NumberOfKind(kind, local),
-        AdapterChoice::Number(_) | AdapterChoice::NumberOfKind(..) | AdapterChoice::OfApi(_) => choice,
+fn of_local(name: AdapterName, local: usize, named: bool) -> AdapterName {
+    match name {
+        AdapterName::Best => AdapterName::Number(local),
+        AdapterName::OfKind(kind) => AdapterName::NumberOfKind(kind, local),
+        AdapterName::Number(_) if !named => AdapterName::Number(local),
+        AdapterName::NumberOfKind(kind, _) if !named => AdapterName::NumberOfKind(kind, local),
+        AdapterName::Number(_) | AdapterName::NumberOfKind(..) | AdapterName::OfApi(_) => name,
     }
 }
 
@@ -126,7 +126,7 @@ mod tests {
 
     #[test]
     fn ranks_of_a_machine_have_adapters_of_their_own() {
-        let of = |text: &str, named| of_local(AdapterChoice::parse(text).unwrap(), 2, named).to_string();
+        let of = |text: &str, named| of_local(AdapterName::parse(text).unwrap(), 2, named).to_string();
         for (asked, automatic, named) in [
             ("wgpu", "wgpu:2", "wgpu:2"),
             ("wgpu:0", "wgpu:2", "wgpu:0"),

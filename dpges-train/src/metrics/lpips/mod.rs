@@ -7,9 +7,9 @@
 //! The weights do not come with the program: [`Weights::load`] reads them from a file, and [`installed`] says where it may be.
 
 pub mod choice;
-mod convolutions;
 pub mod install;
 pub mod installed;
+mod network;
 #[cfg(test)]
 mod tests;
 mod weights;
@@ -21,8 +21,8 @@ use burn::tensor::{DType, Device, Tensor, TensorData};
 use dpges_core::Result;
 use dpges_core::scene::tensors::check_shape;
 
-use convolutions::{Convolution, linear};
-pub use convolutions::{Network, TensorShape};
+use network::{Convolution, linear};
+pub use network::{Network, TensorShape};
 pub use weights::{LpipsError, Weights};
 
 /// Mean and deviation of the channels of pictures from −1 to 1 that the networks were trained on.

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use safetensors::{Dtype, SafeTensors};
 
-use super::convolutions::{Network, TensorShape};
+use super::network::{Network, TensorShape};
 
 /// Version of the linear layers: those for scaled pictures.
 const VERSION: &str = "0.1";

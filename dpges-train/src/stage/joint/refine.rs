@@ -16,7 +16,7 @@ use crate::config::{Budget, NewGaussians};
 use crate::dataset::block::Bounds;
 use crate::dataset::{EmptySpace, View};
 use crate::refine::add::{batch_size, draw_in_proportion, new_gaussians};
-use crate::refine::copies::{Renewal, renew};
+use crate::refine::exact_relocation::{Renewal, renew};
 use crate::refine::floaters::without_floaters;
 use crate::refine::margins::margins;
 use crate::refine::prune::{drawn, gaussians_to_keep, surfels_to_keep};
