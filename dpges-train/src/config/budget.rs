@@ -29,7 +29,7 @@ pub enum Budget {
 value!(
     Budget, "a whole number or a string", |value| value.is_integer() || value.is_str(),
     "pixels" => "One primitive per two different pixels of the training views, at least 16,384; views that share what they show count once.",
-    "auto" => "As many as improve the pictures of validation views, at most twice `pixels`.",
+    "auto" => "As many as improve the pictures of validation views (training views if there are fewer than 32), at most twice `pixels`.",
     "N" => "N surfels and Gaussians together.",
     "NMB" => "As many as a scene file of N million bytes holds with all lobes, not counting its header."
 );
@@ -126,6 +126,7 @@ pub fn primitives_for(bytes: f64, model: ColourModel, surfel_share: f64) -> usiz
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::Config;
 
     #[derive(Debug, PartialEq, Serialize, Deserialize)]
     struct Section {
@@ -134,6 +135,13 @@ mod tests {
 
     fn from_toml(value: &str) -> Result<Budget, String> {
         toml::from_str::<Section>(&format!("budget = {value}")).map(|s| s.budget).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn an_automatic_budget_alone_keeps_no_views_of_few() {
+        let every = |set: &str, views| Config::resolve(None, None, &[set.to_owned()]).unwrap().validation_every(views);
+        assert_eq!([31, 32].map(|views| every("refine.budget=auto", views)), [0, 8]);
+        assert_eq!([every("train.stop=validation", 3), every("data.validation_every=4", 3)], [8, 4]);
     }
 
     #[test]

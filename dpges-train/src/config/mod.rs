@@ -52,6 +52,8 @@ pub const SMALLEST_BUDGET_BY_PIXELS: usize = 16_384;
 const SURFEL_SHARE: f64 = 0.1;
 /// Every how many-th training view is kept for validation by default.
 const DEFAULT_VALIDATION_EVERY: usize = 8;
+/// Number of training views from which on some are kept for an automatic budget.
+const FEW_VIEWS: usize = 32;
 
 /// All keys, in the order in which they are documented.
 pub fn keys() -> impl Iterator<Item = &'static Key> {
@@ -84,9 +86,11 @@ impl Config {
         self.train.method.alone().map_or(self.model.colour, |blended| blended.colour_model(self.model.colour))
     }
 
-    /// Every how many-th training view is kept for validation; 0: none.
-    pub fn validation_every(&self) -> usize {
-        let decides = self.train.stop == Stop::Validation || self.refine.budget == Budget::Auto;
+    /// Every how many-th of `views` training views is kept for validation; 0: none. Of few views none is for an automatic
+    /// budget alone: a scene misses them more than it gains by what they decide.
+    pub fn validation_every(&self, views: usize) -> usize {
+        let is_many = views >= FEW_VIEWS;
+        let decides = self.train.stop == Stop::Validation || (self.refine.budget == Budget::Auto && is_many);
         match self.data.validation_every {
             0 if decides => DEFAULT_VALIDATION_EVERY,
             every => every,

@@ -421,7 +421,7 @@ refine = { surfel_pixels = '16px', gaussian_min_contribution = 0.02, split_until
         std::fs::write(folder.path().join("b.toml"), "[relocation]\nnoise = 1.0\n").unwrap();
         let error = message(Config::resolve(None, Some(&folder.path().join("b.toml")), &[]));
         assert!(error.contains("b.toml: key `relocation.noise` is of an earlier version: it is a constant"), "{error}");
-        assert_eq!(Config::of_run(&path).unwrap().validation_every(), 8);
+        assert_eq!(Config::of_run(&path).unwrap().validation_every(3), 8);
     }
 
     #[test]

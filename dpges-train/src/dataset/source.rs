@@ -144,7 +144,7 @@ impl Source {
                 tracing::warn!("{finding}");
             }
         }
-        let every = config.validation_every();
+        let every = config.validation_every(dataset.train.len());
         dataset.keep_for_validation(every);
         if every > 0 {
             let (kept, left) = (dataset.validation.len(), dataset.train.len());

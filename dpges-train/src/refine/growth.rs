@@ -1,10 +1,10 @@
-//! How an automatic budget grows: the size of its batches, and their end by early stopping on validation views.
+//! How an automatic budget grows: the size of its batches, and their end by early stopping on the views that judge.
 
 use serde::{Deserialize, Serialize};
 
 use super::add::geometric_batch_size;
 
-/// Batches in a row before which validation views are no better than before an earlier one, after which growth ends: half of
+/// Batches in a row before which the views that judge are no better than before an earlier one, after which growth ends: half of
 /// those in the schedule. In short runs a few views vary by 0.4 dB from batch to batch while they improve.
 const PATIENCE: usize = 5;
 
@@ -14,7 +14,7 @@ const PATIENCE: usize = 5;
 pub struct Growth {
     /// Number of primitives that batches have aimed at so far.
     wanted: usize,
-    /// Best PSNR of the validation views before a batch, dB.
+    /// Best PSNR of the views that judge before a batch, dB.
     best_psnr: Option<f64>,
     /// Batches since.
     since_best: usize,
@@ -36,7 +36,7 @@ impl Growth {
         self.has_ended
     }
 
-    /// Decides about the first of `batches_left` batches, the last of which reaches the `budget`. Before it, validation views
+    /// Decides about the first of `batches_left` batches, the last of which reaches the `budget`. Before it, the views that judge
     /// have a mean PSNR of `psnr` dB and the scene has so many `primitives`. Returns a sentence about it.
     pub fn judge(&mut self, psnr: f64, primitives: usize, budget: usize, batches_left: usize) -> String {
         let known = self.best_psnr.filter(|best| psnr <= *best);
@@ -56,7 +56,7 @@ impl Growth {
             self.wanted += geometric_batch_size(budget, self.wanted, batches_left);
         }
         let grows = if self.has_ended { "growth stops at" } else { "growth to" };
-        format!("validation PSNR {psnr:.2} dB, {verdict}: {grows} {} of at most {budget} primitives", self.wanted)
+        format!("PSNR {psnr:.2} dB, {verdict}: {grows} {} of at most {budget} primitives", self.wanted)
     }
 }
 
@@ -64,7 +64,7 @@ impl Growth {
 mod tests {
     use super::*;
 
-    /// Numbers of primitives that batches aim at, from 1000 up to 4000; validation views have `psnrs`, dB, before them.
+    /// Numbers of primitives that batches aim at, from 1000 up to 4000; the views that judge have `psnrs`, dB, before them.
     fn aims(psnrs: &[f64]) -> (Vec<usize>, Growth) {
         let mut growth = Growth::of(1000);
         let aims = psnrs.iter().enumerate().map(|(at, &psnr)| {
@@ -116,8 +116,8 @@ mod tests {
     fn sentences_say_what_was_decided_and_why() {
         let mut growth = Growth::of(1000);
         let told = [20.0, 19.5, 19.0, 18.0, 17.0, 16.0].map(|psnr| growth.judge(psnr, 0, 4000, 4));
-        assert_eq!(told[0], "validation PSNR 20.00 dB, the best so far: growth to 1414 of at most 4000 primitives");
-        assert!(told[1].starts_with("validation PSNR 19.50 dB, not above 20.00 dB, 1 of 5: growth to "), "{told:?}");
+        assert_eq!(told[0], "PSNR 20.00 dB, the best so far: growth to 1414 of at most 4000 primitives");
+        assert!(told[1].starts_with("PSNR 19.50 dB, not above 20.00 dB, 1 of 5: growth to "), "{told:?}");
         assert!(told[5].contains("5 of 5: growth stops at 2879 of at most 4000"), "{told:?}");
     }
 }

@@ -177,7 +177,7 @@ impl Run {
 }
 
 fn with_validation(mut data: Arc<Dataset>, config: &Config) -> Arc<Dataset> {
-    let every = config.validation_every();
+    let every = config.validation_every(data.train.len());
     if every > 0 && data.validation.is_empty() {
         Arc::make_mut(&mut data).keep_for_validation(every);
     }

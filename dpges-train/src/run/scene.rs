@@ -135,12 +135,12 @@ impl Scene {
         self.run.as_ref().map(RunFolder::config)
     }
 
-    /// Every how many-th training view of the dataset the run that the scene comes from kept for its decisions: 0 if it kept
-    /// none, or if the dataset is another one, `data`.
-    fn validation_every(&self, data: Option<&Path>) -> usize {
+    /// Every how many-th of the `views` training views of the dataset the run that the scene comes from kept for its
+    /// decisions: 0 if it kept none, or if the dataset is another one, `data`.
+    fn validation_every(&self, data: Option<&Path>, views: usize) -> usize {
         let file = self.run_config().filter(|_| data.is_none());
         let config = file.and_then(|file| Config::of_run(&file).ok());
-        config.map_or(0, |config| config.validation_every())
+        config.map_or(0, |config| config.validation_every(views))
     }
 
     /// The dataset to show the scene with, and how it is read: `data`, or that of the scene's run; `None` if there is
@@ -178,7 +178,8 @@ impl Scene {
         };
         let mut dataset = source.load(&config)?;
         refine(&mut dataset.train, &self.refined_poses(data)?);
-        dataset.keep_for_validation(if apart { self.validation_every(data) } else { 0 });
+        let views = dataset.train.len();
+        dataset.keep_for_validation(if apart { self.validation_every(data, views) } else { 0 });
         let offset = dataset.offset;
         for view in dataset.train.iter_mut().chain(&mut dataset.test).chain(&mut dataset.validation) {
             view.camera = in_scene(view.camera, offset, &self.data.info);

@@ -352,7 +352,7 @@ fn errors_say_which_part_failed() {
     std::fs::write(folder().checkpoint(), "half").unwrap();
     let broken = error(SavedRun::open(folder()));
     assert!(matches!(broken, RunError::Checkpoint(CheckpointError::Content { .. })), "{broken}");
-    let two_views = error(Run::new(config(&["refine.budget=auto"]), dataset_of(2), device()));
+    let two_views = error(Run::new(config(&["train.stop=validation"]), dataset_of(2), device()));
     assert!(matches!(two_views, RunError::Train(TrainError::Plan(_))), "{two_views}");
 }
 

@@ -8,7 +8,7 @@ use dpges_core::render::room::Drawn;
 use dpges_core::scene::{Rendering, SceneData};
 
 use super::{Context, TrainError};
-use crate::config::{Blended, Budget, Density, GaussianStage, StageKind, StagePlan, Stop};
+use crate::config::{Blended, Density, GaussianStage, StageKind, StagePlan, Stop};
 
 /// Key of the file to take discs or surfels from.
 pub const SURFELS_FROM: &str = "stages.surfels_from";
@@ -24,19 +24,12 @@ impl Context {
         plan.iter().try_for_each(|stage| self.check_room(stage))?;
         let surfels = self.pretrained(SURFELS_FROM)?;
         self.pretrained(GAUSSIANS_FROM)?;
-        if self.dataset.validation.is_empty() {
-            let needs = |what: &str| {
-                TrainError::Plan(format!(
-                    "{what} needs validation views, and the dataset has none: data.validation_every keeps some of the \
-                     training views, of which there must be more than two"
-                ))
-            };
-            if self.config.refine.budget == Budget::Auto {
-                return Err(needs("refine.budget = \"auto\""));
-            }
-            if self.config.train.stop == Stop::Validation {
-                return Err(needs("train.stop = \"validation\""));
-            }
+        if self.config.train.stop == Stop::Validation && self.dataset.validation.is_empty() {
+            return Err(TrainError::Plan(
+                "train.stop = \"validation\" needs validation views, and the dataset has none: data.validation_every keeps \
+                 some of the training views, of which there must be more than two"
+                    .into(),
+            ));
         }
         let has_discs = plan.iter().any(|stage| stage.kind == StageKind::Blended(Blended::Discs))
             || surfels.is_some_and(|scene| scene.info.rendering == Rendering::Discs);

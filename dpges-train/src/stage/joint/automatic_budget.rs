@@ -1,4 +1,4 @@
-//! The decisions of an automatic budget, by validation views: how long the scene grows, how many layers it peels, and which
+//! The decisions of an automatic budget, by validation views or, without any, training views: how long the scene grows, how many layers it peels, and which
 //! lobes it does without.
 
 use std::sync::Arc;
@@ -24,7 +24,7 @@ use crate::views::exposure::Correction;
 const JUDGING_VIEWS: usize = 24;
 /// A lobe is dropped if its absence changes no colour by more than this: half a step of an 8-bit picture.
 const UNSEEN: f64 = 0.5 / 255.0;
-/// dB that validation views may lose by all lobes dropped at once. Many invisible changes may add up.
+/// dB that the judging views may lose by all lobes dropped at once. Many invisible changes may add up.
 const MOST_LOST: f64 = 0.01;
 
 impl JointStage {
@@ -43,7 +43,8 @@ impl JointStage {
         let told = match batches_left {
             Some(batches_left) if !growth.has_ended() => {
                 let psnr = self.mean_psnr(context)?;
-                Some(growth.judge(psnr, primitives, context.budget, batches_left))
+                let told = growth.judge(psnr, primitives, context.budget, batches_left);
+                Some(format!("{} {told}", judges(context)))
             }
             _ => None,
         };
@@ -71,15 +72,15 @@ impl JointStage {
         Ok(self.dealt.ranks.of_first(vec![mean])[0])
     }
 
-    /// Chooses the smallest number of layers that leaves hardly any pixel of the validation views open; soft rims need two.
+    /// Chooses the smallest number of layers that leaves hardly any pixel of the judging views open; soft rims need two.
     pub fn choose_layer_count(&mut self, context: &Context) -> Result<String, TrainError> {
         let psnr_before = self.mean_psnr(context)?;
         let mut options = self.render_options(&context.config);
         options.peel.layer_count = MAX_LAYERS;
         let (surfels, gaussians) = self.drawn_values();
         let mut shares = vec![0.0; MAX_LAYERS];
-        let views = &context.dataset.validation;
-        for view in views {
+        let views: Vec<&View> = judging_views(context).collect();
+        for view in &views {
             let (camera, ranks) = (&view.camera, &*self.dealt.ranks);
             let rendered = render_on_ranks(&surfels, &gaussians, camera, None, &options, Values::KnownFinite, ranks)?;
             let pixels = view.camera.width * view.camera.height;
@@ -93,13 +94,14 @@ impl JointStage {
         let percents: Vec<String> = shares.iter().map(|share| format!("{:.2}", 100.0 * share)).collect();
         Ok(format!(
             "{after} layers instead of {before}: behind 1, 2, … layers {} % of the covered pixels let more than 1/255 \
-             through; up to {} % more than behind the last may do so; validation PSNR {change:+.3} dB by that",
+             through; up to {} % more than behind the last may do so; {} PSNR {change:+.3} dB by that",
             percents.join(", "),
-            100.0 * MOST_OPEN
+            100.0 * MOST_OPEN,
+            judges(context)
         ))
     }
 
-    /// Drops the lobes whose absence no camera would show, unless validation views lose by all of them together.
+    /// Drops the lobes whose absence no camera would show, unless the judging views lose by all of them together.
     /// `None` if colours have no lobes.
     ///
     /// # Errors
@@ -131,15 +133,22 @@ impl JointStage {
             self.surfels.set_colour(&surfel_colour);
             self.gaussians.set_colour(&gaussian_colour);
             return Ok(Some(format!(
-                "all of {count} lobes stay: without {} that hardly show, validation PSNR changes by {change:+.3} dB",
-                idle + folded
+                "all of {count} lobes stay: without {} that hardly show, {} PSNR changes by {change:+.3} dB",
+                idle + folded,
+                judges(context)
             )));
         }
         Ok(Some(format!(
             "of {count} lobes {idle} dropped that add less than half of 1/255 in any camera, {folded} that do not change: \
-             validation PSNR {change:+.3} dB"
+             {} PSNR {change:+.3} dB",
+            judges(context)
         )))
     }
+}
+
+/// What sort of views decide.
+fn judges(context: &Context) -> &'static str {
+    if context.dataset.validation.is_empty() { "training" } else { "validation" }
 }
 
 /// The views that decide: validation views, or else training views, evenly spread.

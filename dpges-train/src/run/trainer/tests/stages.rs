@@ -159,7 +159,7 @@ fn plans_that_lack_something_are_refused_before_the_first_step() {
     };
     assert!(error(&["train.lambda_disc_normal=0.05"]).contains("stages.surfels above 0"));
     assert!(error(&["stages.gaussians_by=rest"]).contains("needs discs"));
-    assert!(error(&["refine.budget=auto"]).contains("validation views"));
+    assert!(error(&["train.stop=validation"]).contains("validation views"));
     let absent = error(&["stages.surfels_from=absent.safetensors"]);
     assert!(absent.contains("stages.surfels_from") && absent.contains("absent.safetensors"), "{absent}");
 }
