@@ -18,7 +18,7 @@ pub const MEGABYTE: f64 = 1e6;
 pub enum Budget {
     /// One primitive per two different pixels of the training views.
     Pixels,
-    /// As many as improve the pictures of validation views.
+    /// As many as improve the pictures of validation views, or of few training views.
     Auto,
     /// At least 1.
     Primitives(usize),

@@ -53,7 +53,7 @@ const SURFEL_SHARE: f64 = 0.1;
 /// Every how many-th training view is kept for validation by default.
 const DEFAULT_VALIDATION_EVERY: usize = 8;
 /// Number of training views from which on some are kept for an automatic budget.
-const FEW_VIEWS: usize = 32;
+const MANY_VIEWS: usize = 32;
 
 /// All keys, in the order in which they are documented.
 pub fn keys() -> impl Iterator<Item = &'static Key> {
@@ -86,11 +86,11 @@ impl Config {
         self.train.method.alone().map_or(self.model.colour, |blended| blended.colour_model(self.model.colour))
     }
 
-    /// Every how many-th of `views` training views is kept for validation; 0: none. Of few views none is for an automatic
-    /// budget alone: a scene misses them more than it gains by what they decide.
+    /// Every how many-th of `views` training views is kept for validation; 0: none. An automatic budget alone keeps none of
+    /// few views: the scene would lose more by their absence than it gains by their decisions.
     pub fn validation_every(&self, views: usize) -> usize {
-        let is_many = views >= FEW_VIEWS;
-        let decides = self.train.stop == Stop::Validation || (self.refine.budget == Budget::Auto && is_many);
+        let decides =
+            self.train.stop == Stop::Validation || (self.refine.budget == Budget::Auto && views >= MANY_VIEWS);
         match self.data.validation_every {
             0 if decides => DEFAULT_VALIDATION_EVERY,
             every => every,

@@ -146,7 +146,7 @@ impl JointStage {
     }
 }
 
-/// What sort of views decide.
+/// The kind of the [judging views](judging_views), for messages.
 fn judges(context: &Context) -> &'static str {
     if context.dataset.validation.is_empty() { "training" } else { "validation" }
 }
