@@ -16,6 +16,7 @@
 //! | kamadak-exif | which camera and lens took a photograph |
 //! | kiddo | nearest neighbours: point spacing, margins, splits |
 //! | nalgebra | eigenvectors: the normals of points, the axes of merged primitives |
+//! | moka | pictures in memory, up to a number of bytes |
 //! | rand, rand_chacha | random numbers that a checkpoint can hold |
 //! | rayon | reading pictures, neighbours |
 //! | safetensors, serde, serde_json, toml, tempfile | checkpoints, configuration, logs |

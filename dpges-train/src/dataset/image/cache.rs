@@ -1,135 +1,123 @@
-//! Values that are made when they are needed, and kept as long as there is room for them.
+//! Pictures in memory: kept as long as there is room, and read in the background ahead of their need.
 
-use std::collections::VecDeque;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// The values that were asked for last, up to a number of bytes. Others are made again when they are asked for.
-#[derive(Debug)]
-pub struct Cache<T> {
+use moka::policy::EvictionPolicy;
+use moka::sync::Cache;
+use rayon::{ThreadPool, ThreadPoolBuilder};
+
+use crate::dataset::Picture;
+
+/// Pictures from files that are kept in any case: the one in use and the next.
+const LEAST_CACHED: usize = 2;
+
+/// A cache of the values that were asked for last, up to `most_bytes`.
+///
+/// Its bound holds after [`Cache::run_pending_tasks`]: before, it may hold up to 64 values more.
+pub(crate) fn least_recently_used<T: Send + Sync + 'static>(
     most_bytes: usize,
-    /// Values that are kept however large they are.
-    least: usize,
-    /// The one that was asked for last is at the back.
-    entries: Mutex<VecDeque<Entry<T>>>,
+    size_bytes: impl Fn(&T) -> usize + Send + Sync + 'static,
+) -> Cache<usize, Arc<T>> {
+    Cache::builder()
+        .max_capacity(most_bytes as u64)
+        .weigher(move |_, value: &Arc<T>| u32::try_from(size_bytes(value)).unwrap_or(u32::MAX))
+        .eviction_policy(EvictionPolicy::lru())
+        .build()
 }
 
-#[derive(Debug)]
-struct Entry<T> {
-    key: usize,
-    bytes: usize,
-    slot: Slot<T>,
+/// Threads that read photographs.
+///
+/// # Panics
+/// If the system grants no thread.
+pub(in crate::dataset) fn reading_threads(count: usize) -> ThreadPool {
+    let threads = ThreadPoolBuilder::new().num_threads(count).thread_name(|_| "photographs".to_owned());
+    // whoever needs what was being read tries again, and panics there
+    threads.panic_handler(|_| {}).build().expect("the system grants threads")
 }
 
-/// Locked while the value is made; `None` before.
-type Slot<T> = Arc<Mutex<Option<Arc<T>>>>;
+/// The pictures that were read from files, and threads that read ahead.
+pub(in crate::dataset) struct ImageCache {
+    /// They fit into memory.
+    pub kept: Cache<usize, Arc<Picture>>,
+    /// Photographs beyond the budget that were read recently.
+    pub cached: Cache<usize, Arc<Picture>>,
+    pub most_cached_bytes: usize,
+    threads: ThreadPool,
+    /// Calls of [`prefetch`](Self::prefetch).
+    requests: Arc<AtomicUsize>,
+}
 
-impl<T> Cache<T> {
-    pub fn new(most_bytes: usize, least: usize) -> Self {
-        Self { most_bytes, least, entries: Mutex::default() }
+impl ImageCache {
+    /// Keeps all pictures that stay and up to `most_cached_bytes` of the others, and two of up to `largest_bytes` in any case.
+    pub fn new(most_cached_bytes: usize, largest_bytes: usize, threads: ThreadPool) -> Arc<Self> {
+        let most_cached_bytes = most_cached_bytes.max(LEAST_CACHED * largest_bytes);
+        Arc::new(Self {
+            kept: Cache::builder().build(),
+            cached: least_recently_used(most_cached_bytes, Picture::size_bytes),
+            most_cached_bytes,
+            threads,
+            requests: Arc::default(),
+        })
     }
 
-    /// The value of `key`, which takes `bytes`. `make` makes it if it is not here; another thread that asks for it
-    /// meanwhile waits.
-    ///
-    /// # Errors
-    /// The errors of `make`; whoever asks next tries again.
-    pub fn get<E>(&self, key: usize, bytes: usize, make: impl FnOnce() -> Result<T, E>) -> Result<Arc<T>, E> {
-        let slot = self.slot(key, bytes);
-        let mut value = locked(&slot);
-        if let Some(value) = &*value {
-            return Ok(Arc::clone(value));
+    /// Does `work` in the background, the first first, instead of what was asked for before and has not begun.
+    pub fn prefetch(&self, work: impl IntoIterator<Item = impl FnOnce() + Send + 'static>) {
+        let request = self.requests.fetch_add(1, Ordering::SeqCst) + 1;
+        for work in work {
+            let requests = Arc::clone(&self.requests);
+            self.threads.spawn(move || {
+                if requests.load(Ordering::SeqCst) == request {
+                    work();
+                }
+            });
         }
-        let made = Arc::new(make()?);
-        *value = Some(Arc::clone(&made));
-        Ok(made)
     }
-
-    /// Whether the value of `key` is here, or being made.
-    pub fn has(&self, key: usize) -> bool {
-        locked(&self.entries).iter().any(|entry| entry.key == key)
-    }
-
-    fn slot(&self, key: usize, bytes: usize) -> Slot<T> {
-        let mut entries = locked(&self.entries);
-        let known = entries.iter().position(|entry| entry.key == key).and_then(|at| entries.remove(at));
-        let entry = known.unwrap_or_else(|| Entry { key, bytes, slot: Slot::default() });
-        let slot = Arc::clone(&entry.slot);
-        entries.push_back(entry);
-        let mut sum: usize = entries.iter().map(|entry| entry.bytes).sum();
-        while sum > self.most_bytes && entries.len() > self.least.max(1) {
-            sum -= entries.pop_front().map_or(0, |entry| entry.bytes);
-        }
-        slot
-    }
-}
-
-/// A thread that panicked while it made a value has left none.
-fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[cfg(test)]
 mod tests {
-    use std::sync::atomic::{AtomicUsize, Ordering};
+    use std::sync::Mutex;
+    use std::sync::mpsc::channel;
 
     use super::*;
 
-    /// Which of `keys`, each of 10 bytes, are made when they are asked for in this order.
-    fn made(cache: &Cache<usize>, keys: &[usize]) -> Vec<usize> {
-        let mut made = Vec::new();
-        for &key in keys {
-            let found = cache.get(key, 10, || {
-                made.push(key);
-                Ok::<_, ()>(100 + key)
-            });
-            assert_eq!(*found.unwrap(), 100 + key);
-        }
-        made
-    }
-
     #[test]
     fn what_was_asked_for_longest_ago_leaves_first() {
-        let cache = Cache::new(30, 1);
-        assert_eq!(made(&cache, &[1, 2, 3, 1, 2, 3]), [1, 2, 3]);
-        assert_eq!(made(&cache, &[1, 4, 1, 3, 2]), [4, 2]);
-    }
-
-    #[test]
-    fn what_is_here_is_known_without_being_asked_for() {
-        let cache = Cache::new(20, 1);
-        made(&cache, &[1, 2]);
-        assert_eq!([1, 2, 3].map(|key| cache.has(key)), [true, true, false]);
-        made(&cache, &[3]);
-        assert_eq!([1, 2, 3].map(|key| cache.has(key)), [false, true, true]);
-    }
-
-    #[test]
-    fn the_least_stay_however_large_they_are() {
-        let cache = Cache::new(0, 2);
-        assert_eq!(made(&cache, &[1, 2, 1, 2, 3, 2, 1]), [1, 2, 3, 1]);
-    }
-
-    #[test]
-    fn what_failed_is_tried_again() {
-        let cache = Cache::<usize>::new(30, 1);
-        assert_eq!(cache.get(7, 10, || Err("absent")), Err("absent"));
-        assert_eq!(made(&cache, &[7, 7]), [7]);
-    }
-
-    #[test]
-    fn threads_that_ask_for_the_same_make_it_once() {
-        let (cache, count) = (Cache::new(1000, 1), AtomicUsize::new(0));
-        let ask = |key: usize| {
-            cache.get(key, 10, || {
-                count.fetch_add(1, Ordering::SeqCst);
-                Ok::<_, ()>(key)
-            })
+        let cache = least_recently_used(30, |_: &usize| 10);
+        let made = |keys: &[usize]| -> Vec<usize> {
+            let mut made = Vec::new();
+            for &key in keys {
+                cache.get_with(key, || {
+                    made.push(key);
+                    Arc::new(key)
+                });
+                cache.run_pending_tasks();
+            }
+            made
         };
-        std::thread::scope(|scope| {
-            (0..4).for_each(|_| {
-                scope.spawn(|| (0..50).for_each(|key| assert_eq!(*ask(key).unwrap(), key)));
-            });
-        });
-        assert_eq!(count.load(Ordering::SeqCst), 50);
+        assert_eq!(made(&[1, 2, 3, 1, 2, 3]), [1, 2, 3]);
+        assert_eq!(made(&[1, 4, 1, 3, 2]), [4, 2]);
+    }
+
+    #[test]
+    fn what_is_asked_for_is_done_in_order_until_something_else_is() {
+        let (done, results) = channel();
+        let (let_go, gate) = channel::<()>();
+        let gate = Arc::new(Mutex::new(gate));
+        let work = |item: usize| {
+            let (done, gate) = (done.clone(), Arc::clone(&gate));
+            move || {
+                done.send(item).unwrap();
+                gate.lock().unwrap().recv().unwrap();
+            }
+        };
+        let cache = ImageCache::new(0, 1, reading_threads(1));
+        cache.prefetch([1, 2, 3].map(work));
+        assert_eq!(results.recv(), Ok(1));
+        // 1 has begun, 2 and 3 are forgotten
+        cache.prefetch([4, 5].map(work));
+        (0..3).for_each(|_| let_go.send(()).unwrap());
+        assert_eq!((results.recv(), results.recv()), (Ok(4), Ok(5)));
     }
 }

@@ -8,8 +8,6 @@ pub(super) mod masks;
 pub(super) mod packed;
 pub(super) mod photograph;
 pub(super) mod picture;
-mod prefetch;
 pub(super) mod reading;
 mod resize;
-mod semaphore;
 pub(super) mod undistort;

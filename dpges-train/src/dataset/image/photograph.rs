@@ -2,21 +2,18 @@
 //!
 //! Which it is changes nothing but time and memory: a file is read, undistorted and made smaller in the same way each time.
 
-use std::collections::VecDeque;
 use std::fmt;
 use std::io;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Weak};
 
-use super::prefetch::Prefetcher;
-use super::semaphore::Semaphore;
-use crate::dataset::error::Result;
-use crate::dataset::image::cache::Cache;
+use moka::sync::Cache;
+
+use super::cache::ImageCache;
+use crate::dataset::error::{DatasetError, Result};
 use crate::dataset::{Picture, View};
 
-/// Pictures from files that are kept in any case: the one in use and the next.
-const LEAST_CACHED: usize = 2;
 /// Photographs that are read ahead, at most.
 pub(crate) const MOST_PREFETCHED: usize = 16;
 
@@ -82,51 +79,21 @@ impl fmt::Debug for InFile {
 }
 
 impl InFile {
-    fn picture(&self) -> Result<Arc<Picture>> {
-        let read = || -> Result<Picture> {
-            let _permit = self.cache.semaphore.acquire();
+    fn picture(&self) -> Result<Arc<Picture>, Arc<DatasetError>> {
+        let read = || -> Result<Arc<Picture>> {
             let picture = (self.file.read)()?;
             self.was_read.store(true, Ordering::Relaxed);
-            Ok(picture)
+            Ok(Arc::new(picture))
         };
-        self.pictures().get(self.file.key, self.bytes, read)
+        let pictures = self.pictures();
+        let picture = pictures.try_get_with(self.file.key, read)?;
+        pictures.run_pending_tasks();
+        Ok(picture)
     }
 
     /// Where its picture is, once it was read.
-    fn pictures(&self) -> &Cache<Picture> {
+    fn pictures(&self) -> &Cache<usize, Arc<Picture>> {
         if self.file.stays { &self.cache.kept } else { &self.cache.cached }
-    }
-}
-
-/// The pictures that were read from files, and threads that read ahead.
-pub(in crate::dataset) struct ImageCache {
-    /// They fit into memory.
-    kept: Cache<Picture>,
-    /// Photographs beyond the budget that were read recently.
-    cached: Cache<Picture>,
-    most_cached_bytes: usize,
-    /// Files are read.
-    semaphore: Semaphore,
-    prefetcher: Prefetcher<Weak<InFile>>,
-}
-
-impl ImageCache {
-    /// Keeps all pictures that stay and up to `most_cached_bytes` of the others. Up to so many `readers` read at the same time.
-    pub fn new(most_cached_bytes: usize, readers: usize) -> Arc<Self> {
-        let read = |photograph: Weak<InFile>| {
-            if let Some(photograph) = photograph.upgrade() {
-                // whoever needs it tries again, and is told what is wrong
-                let _ = photograph.picture();
-            }
-        };
-        Arc::new(Self {
-            kept: Cache::new(usize::MAX, 0),
-            cached: Cache::new(most_cached_bytes, LEAST_CACHED),
-            most_cached_bytes,
-            semaphore: Semaphore::new(readers.max(2)),
-            // so that whoever needs a picture now need not wait for all of them
-            prefetcher: Prefetcher::new((readers.max(2) - 1).min(MOST_PREFETCHED), read),
-        })
     }
 }
 
@@ -200,24 +167,29 @@ impl Photograph {
 /// Begins to read in the background those of `photographs` that are not in memory, the first first, as far as there is room
 /// for them. Earlier requests that have not begun are forgotten.
 pub(crate) fn prefetch<'a>(photographs: impl IntoIterator<Item = &'a Photograph>) {
-    let (mut wanted, mut cache, mut passing_bytes) = (VecDeque::new(), None, 0usize);
+    let (mut wanted, mut cache, mut passing_bytes) = (Vec::new(), None, 0usize);
     for photograph in photographs {
         let Place::File(in_file) = &photograph.place else { continue };
         if !in_file.file.stays {
             // beside them is the one in use
-            let is_first = passing_bytes == 0;
             passing_bytes = passing_bytes.saturating_add(in_file.bytes);
-            if !is_first && passing_bytes.saturating_add(in_file.bytes) > in_file.cache.most_cached_bytes {
+            if passing_bytes.saturating_add(in_file.bytes) > in_file.cache.most_cached_bytes {
                 break;
             }
         }
         cache = Some(&in_file.cache);
-        if !in_file.pictures().has(in_file.file.key) {
-            wanted.push_back(Arc::downgrade(in_file));
+        if !in_file.pictures().contains_key(&in_file.file.key) {
+            let in_file = Arc::downgrade(in_file);
+            wanted.push(move || {
+                if let Some(in_file) = in_file.upgrade() {
+                    // whoever needs it tries again, and is told what is wrong
+                    let _ = in_file.picture();
+                }
+            });
         }
     }
     if let Some(cache) = cache {
-        cache.prefetcher.ask(wanted);
+        cache.prefetch(wanted);
     }
 }
 
@@ -238,12 +210,12 @@ mod tests {
     use std::sync::atomic::AtomicUsize;
     use std::thread;
 
+    use super::super::cache::reading_threads;
     use super::*;
-    use crate::dataset::DatasetError;
 
     /// `count` photographs of 3 bytes, each of its own grey, and how often any was read.
     fn in_files(count: usize, most_bytes: usize, stays: bool) -> (Vec<Photograph>, Arc<AtomicUsize>) {
-        let (cache, reads) = (ImageCache::new(most_bytes, 3), Arc::new(AtomicUsize::new(0)));
+        let (cache, reads) = (ImageCache::new(most_bytes, 3, reading_threads(2)), Arc::new(AtomicUsize::new(0)));
         let photograph = |key: usize| {
             let grey = Picture { width: 1, height: 1, bytes: vec![key as u8; 3], alpha: None, counted: None };
             let (info, reads) = (ImageInfo::of(&grey), Arc::clone(&reads));
@@ -326,7 +298,10 @@ mod tests {
             };
             let path = PathBuf::from("images/a.png");
             let file = ImageFile { key: 0, path, read: Box::new(read), stays: !was_read, was_read };
-            let message = Photograph::in_file(file, info, ImageCache::new(0, 1)).picture().unwrap_err().to_string();
+            let message = Photograph::in_file(file, info, ImageCache::new(0, 3, reading_threads(1)))
+                .picture()
+                .unwrap_err()
+                .to_string();
             assert!(message.contains(&format!("{action} the photograph images/a.png: cannot read")), "{message}");
         }
     }

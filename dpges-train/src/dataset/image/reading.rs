@@ -2,12 +2,13 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::thread;
 
 use dpges_core::camera::Camera;
+use rayon::prelude::*;
 
+use super::cache::{ImageCache, reading_threads};
 use super::decoder::ImageDecoder;
-use super::photograph::{ImageCache, ImageFile, ImageInfo, Photograph};
+use super::photograph::{ImageFile, ImageInfo, Photograph};
 use crate::dataset::error::Result;
 use crate::dataset::formats::source::Frame;
 use crate::dataset::{DepthMap, Picture, SAMPLED_VIEWS, View};
@@ -43,8 +44,7 @@ pub(in crate::dataset) fn views(
         let with = |kept: usize| kept.checked_add(bytes).filter(|&kept| kept <= memory);
         kept_bytes.fetch_update(Ordering::SeqCst, Ordering::SeqCst, with).is_ok()
     };
-    let first = |index: usize| -> Result<Found> {
-        let frame = frames[index];
+    let first = |frame: &&Frame| -> Result<Found> {
         if frames.len() > SAMPLED_VIEWS
             && let Some((camera, info)) = decoder.survey(frame)?
         {
@@ -55,13 +55,14 @@ pub(in crate::dataset) fn views(
         let picture = fits(info.bytes).then(|| Arc::new(picture));
         Ok(Found { camera, info, picture, was_read: true, depth })
     };
-    let readers = threads(frames, memory);
-    let found: Result<Vec<Found>> = in_parallel(frames.len(), readers, first).into_iter().collect();
-    let found = found?;
+    let threads = reading_threads(thread_count(frames, memory));
+    let found: Vec<Result<Found>> = threads.install(|| frames.par_iter().map(first).collect());
+    let found: Vec<Found> = found.into_iter().collect::<Result<_>>()?;
     let all: usize = found.iter().map(|found| found.info.bytes).sum();
     let all_fit = all <= memory;
     let most_kept = if all_fit { memory } else { (memory as f64 * (1.0 - FOR_RECENT)) as usize };
-    let mut cache = None;
+    let largest_bytes = found.iter().map(|found| found.info.bytes).max().unwrap_or(0);
+    let cache = ImageCache::new(memory - most_kept, largest_bytes, threads);
     let (mut sum, mut kept, mut kept_sum) = (0, 0, 0);
     let mut views = Vec::with_capacity(frames.len());
     for (key, (frame, found)) in frames.iter().zip(found).enumerate() {
@@ -77,8 +78,7 @@ pub(in crate::dataset) fn views(
                 let (decoder, own) = (Arc::clone(decoder), (*frame).clone());
                 let read = Box::new(move || decoder.photograph(&own).map(|(_, picture)| picture));
                 let file = ImageFile { key, path: frame.image.clone(), read, stays, was_read };
-                let cache = cache.get_or_insert_with(|| ImageCache::new(memory - most_kept, readers));
-                Photograph::in_file(file, info, Arc::clone(cache))
+                Photograph::in_file(file, info, Arc::clone(&cache))
             }
         };
         views.push(View { name: frame.name.clone(), camera, photograph, depth });
@@ -95,34 +95,13 @@ pub(in crate::dataset) fn views(
     Ok((views, if all_fit { memory - all } else { 0 }))
 }
 
-/// Number of photographs that are read at the same time, so that what they take meanwhile fits into `memory`, bytes.
-fn threads(frames: &[&Frame], memory: usize) -> usize {
+/// Number of threads that read photographs, so that what they take meanwhile, and one more that is needed now, fits into
+/// `memory`, bytes.
+fn thread_count(frames: &[&Frame], memory: usize) -> usize {
     let largest =
         frames.iter().map(|frame| frame.calibration.width.saturating_mul(frame.calibration.height)).max().unwrap_or(0);
     let each = largest.saturating_mul(WORKING_BYTES_PER_PIXEL).max(1);
-    (memory / each).clamp(1, rayon::current_num_threads())
-}
-
-/// `of` 0..`count`, by so many threads.
-fn in_parallel<T: Send>(count: usize, threads: usize, of: impl Fn(usize) -> T + Sync) -> Vec<T> {
-    let next = AtomicUsize::new(0);
-    let work = || {
-        let mut done = Vec::new();
-        loop {
-            let index = next.fetch_add(1, Ordering::Relaxed);
-            if index >= count {
-                return done;
-            }
-            done.push((index, of(index)));
-        }
-    };
-    let mut all: Vec<(usize, T)> = thread::scope(|scope| {
-        let workers: Vec<_> = (0..threads.min(count)).map(|_| scope.spawn(work)).collect();
-        let finished = workers.into_iter().map(|worker| worker.join());
-        finished.flat_map(|done| done.unwrap_or_else(|panic| std::panic::resume_unwind(panic))).collect()
-    });
-    all.sort_by_key(|(index, _)| *index);
-    all.into_iter().map(|(_, value)| value).collect()
+    (memory / each).saturating_sub(1).clamp(1, rayon::current_num_threads())
 }
 
 #[cfg(test)]
@@ -130,14 +109,6 @@ mod tests {
     use super::*;
     use crate::dataset::fixtures::{self, Encoding};
     use crate::dataset::{Dataset, LoadOptions, load};
-
-    #[test]
-    fn work_in_parallel_comes_back_in_order() {
-        for threads in [1, 2, 7] {
-            assert_eq!(in_parallel(20, threads, |index| index * index), (0..20).map(|i| i * i).collect::<Vec<_>>());
-        }
-        assert!(in_parallel(0, 3, |index| index).is_empty());
-    }
 
     /// Nine photographs of 24 × 16 px, one of them with a mask: 1152 bytes each, and 384 more.
     fn written() -> tempfile::TempDir {

@@ -7,8 +7,8 @@ use dpges_core::scene::{GaussianData, ScreenFilter, SurfelData};
 
 use super::super::{Context, TrainError};
 use super::blended_depth::{BlendedDepth, ShownDepth};
-use crate::dataset::PointCloud;
-use crate::dataset::image::cache::Cache;
+use crate::dataset::image::cache::least_recently_used;
+use crate::dataset::{PointCloud, View};
 use crate::init::flatten::flatten;
 use crate::init::fusion::{CHECKED_VIEWS, DepthViews, FusionRule, surface_points};
 use crate::init::sfm::usable_points;
@@ -92,14 +92,21 @@ impl Context {
     ) -> Result<(PointCloud, usize), TrainError> {
         let dataset = &self.dataset;
         // those that are checked beside one stay, whatever the room
-        let maps = Cache::new(dataset.spare_memory, CHECKED_VIEWS + 1);
+        let bytes = |view: &View| size_of::<f32>() * view.camera.width * view.camera.height;
+        let largest_bytes = dataset.train.iter().map(bytes).max().unwrap_or(0);
+        let most_bytes = dataset.spare_memory.max((CHECKED_VIEWS + 1) * largest_bytes);
+        let maps = least_recently_used(most_bytes, |map: &Vec<f32>| size_of_val(map.as_slice()));
         let depth = |index: usize| -> dpges_core::Result<Arc<Vec<f32>>> {
+            if let Some(depth) = maps.get(&index) {
+                return Ok(depth);
+            }
             let view = &dataset.train[index];
-            maps.get(index, size_of::<f32>() * view.camera.width * view.camera.height, || {
-                let mut depth = certain(depths.seen_by(&view.camera)?);
-                view.picture()?.clear_ignored(&mut depth);
-                Ok(depth)
-            })
+            let mut depth = certain(depths.seen_by(&view.camera)?);
+            view.picture()?.clear_ignored(&mut depth);
+            let depth = Arc::new(depth);
+            maps.insert(index, Arc::clone(&depth));
+            maps.run_pending_tasks();
+            Ok(depth)
         };
         let corrections = self.exposure.corrections();
         let photograph = |index: usize| Seen::by(&dataset.train[index], corrections.of(index));
