@@ -17,8 +17,7 @@ use dpges_train::run::folder::Origin;
 use dpges_train::run::{Run, SavedRun};
 
 use super::data::Source;
-use super::device_choice::DeviceArgs;
-use super::device_failure::watched;
+use super::device_choice::{DeviceArgs, watched};
 use super::logging::LogStyle;
 use super::train::display::watch_for_interrupts;
 use super::train::options::ConfigArgs;
@@ -115,12 +114,7 @@ fn plan(args: &PlanArgs, style: LogStyle) -> Result<()> {
     } else {
         plan.save(&args.out, &dataset)?;
     }
-    tell(&args.out, style)
-}
-
-/// Says what is done in `folder`, and what is left.
-fn tell(folder: &Path, style: LogStyle) -> Result<()> {
-    if style == LogStyle::Quiet { Ok(()) } else { print(&Capture::open(folder)?.progress()) }
+    style.print(&Capture::open(&args.out)?.progress())
 }
 
 /// Does what is left of `steps`.
@@ -136,7 +130,7 @@ fn work(args: &StepArgs, style: LogStyle, steps: impl Fn(&Capture) -> Vec<Step>)
         Ok(())
     };
     all().inspect_err(|failure| give_up(&job, &failure.text()))?;
-    if job.ranks.is_first() { tell(&args.dir, style) } else { Ok(()) }
+    if job.ranks.is_first() { style.print(&Capture::open(&args.dir)?.progress()) } else { Ok(()) }
 }
 
 struct Worker<'a> {
@@ -179,8 +173,8 @@ impl Worker<'_> {
         let dataset = Arc::clone(run.trainer().dataset());
         let session = Session { run, folder, device: name, style: self.style };
         let summary = session.train(interrupted)?;
-        if self.style != LogStyle::Quiet && place.ranks.is_first() {
-            print(&summary)?;
+        if place.ranks.is_first() {
+            self.style.print(&summary)?;
         }
         watched(name, || Ok(self.capture.finish(step, &dataset, &place)?))
     }

@@ -11,12 +11,11 @@ use dpges_train::config::Budget;
 use dpges_train::config::budget::MEGABYTE;
 use dpges_train::dataset::View;
 use dpges_train::eval::compress::report::{Psnr, Report};
-use dpges_train::eval::compress::{Compressed, within_loss, within_size};
+use dpges_train::eval::compress::{Goal, Measure};
 use dpges_train::eval::evaluate;
 
 use super::data::{Scene, Source, Split, ViewArgs, every_nth};
-use super::device_choice::DeviceArgs;
-use super::device_failure::watched;
+use super::device_choice::{DeviceArgs, watched};
 use super::{Failure, Result, print_report, table};
 
 /// Most views that decide on a loss.
@@ -95,73 +94,55 @@ pub fn run(args: &CompressArgs) -> Result<()> {
             watched(device, || {
                 let device = device.open()?;
                 let psnr = |scene: &SceneData| Ok(evaluate(scene, &views, &device)?.psnr);
-                let (dataset, split, count) = (source.to_string(), split.to_string(), views.len());
-                args.compress(&scene, Ok(&Measuring { dataset, split, views: count, psnr: &psnr }))
+                let psnr_of = |[psnr_before, psnr_after]: [f64; 2]| {
+                    let (dataset, split, views) = (source.to_string(), split.to_string(), views.len());
+                    Psnr { dataset, split, views, psnr_before, psnr_after }
+                };
+                args.compress(&scene, Some(&psnr), |psnr| psnr.map(psnr_of), "")
             })
         }
-        Err(failure) if args.views.names_dataset() => Err(failure),
-        Err(failure) => args.compress(&scene, Err(failure.text())),
+        Err(failure) if args.views.choice().data.is_some() => Err(failure),
+        Err(failure) => match args.target {
+            Some(allowed) => {
+                let message = format!("--target {allowed}dB compares with photographs: {}", failure.text());
+                Err(Failure::Usage(message))
+            }
+            None => args.compress(&scene, None, |_| None, &failure.text()),
+        },
     }
-}
-
-/// The photographs that pictures are compared with.
-struct Measuring<'a> {
-    dataset: String,
-    split: String,
-    views: usize,
-    /// Of a scene, dB, mean over the views.
-    psnr: &'a dyn Fn(&SceneData) -> dpges_core::Result<f64>,
 }
 
 impl CompressArgs {
     /// The views that are measured, of which split they are, and what they were read from.
     fn measured(&self, scene: &mut Scene) -> Result<(Source, Split, Vec<View>)> {
+        let choice = self.views.choice();
         if self.target.is_none() {
-            let (source, views) = self.views.load(scene)?;
-            return Ok((source, self.views.split(), views));
+            let (source, views) = choice.load(scene)?;
+            return Ok((source, choice.split(), views));
         }
-        let (source, dataset, split) = self.views.load_to_decide(scene)?;
+        let (source, dataset, split) = choice.load_to_decide(scene)?;
         Ok((source, split, every_nth(split.of(&dataset), DECIDING_VIEWS).cloned().collect()))
     }
 
-    /// Compresses the scene; `measuring` may be impossible, for a reason.
-    fn compress(&self, scene: &Scene, measuring: Result<&Measuring, String>) -> Result<()> {
+    /// Writes the compressed scene and the report. `psnr` completes what `measure` found; `not_measured` says why there is none.
+    fn compress(
+        &self,
+        scene: &Scene,
+        measure: Option<&Measure>,
+        psnr: impl FnOnce(Option<[f64; 2]>) -> Option<Psnr>,
+        not_measured: &str,
+    ) -> Result<()> {
         let (data, out) = (&scene.data, &self.out);
-        let measured = match measuring {
-            Ok(measuring) => Ok((measuring, (measuring.psnr)(data)?)),
-            Err(reason) => Err(reason),
+        let goal = match (self.budget, self.target) {
+            (Some(largest), _) => Goal::Bytes(largest),
+            (None, Some(allowed)) => Goal::Loss(allowed),
+            (None, None) => Goal::Quality(self.quality.unwrap_or(Quality::MEDIUM)),
         };
-        let (compressed, after) = match (self.budget, self.target) {
-            (Some(largest), _) => (within_size(data, largest, out)?, None),
-            (None, None) => (Compressed::new(data, &self.quality.unwrap_or(Quality::MEDIUM), out)?, None),
-            (None, Some(allowed)) => {
-                let (measuring, before) = measured.as_ref().map_err(|reason| {
-                    Failure::Usage(format!("--target {allowed}dB compares with photographs: {reason}"))
-                })?;
-                let (compressed, after) = within_loss(data, *before, allowed, out, |candidate| {
-                    let psnr = (measuring.psnr)(&candidate.scene()?)?;
-                    let (megabytes, bits) = (candidate.bytes.len() as f64 / MEGABYTE, candidate.quality.list());
-                    tracing::info!("{megabytes:.3} MB: {psnr:.3} dB, {bits:?}");
-                    Ok(psnr)
-                })?;
-                (compressed, Some(after))
-            }
-        };
-        let psnr = match &measured {
-            Ok((Measuring { dataset, split, views, psnr }, psnr_before)) => Some(Psnr {
-                dataset: dataset.clone(),
-                split: split.clone(),
-                views: *views,
-                psnr_before: *psnr_before,
-                psnr_after: after.map_or_else(|| psnr(&compressed.scene()?), Ok)?,
-            }),
-            Err(_) => None,
-        };
+        let (compressed, found) = goal.reach(data, out, measure)?;
         write_atomically(out, |file| file.write_all(&compressed.bytes))?;
         let names = [&scene.path, out].map(|path| path.display().to_string());
-        let report = Report::new(names, data, &std::fs::read(&scene.path)?, &compressed, psnr)?;
-        let rows = table(&report.rows(measured.err().as_deref().unwrap_or_default()));
-        print_report(self.json.as_deref(), &report, &rows)
+        let report = Report::new(names, data, &std::fs::read(&scene.path)?, &compressed, psnr(found))?;
+        print_report(self.json.as_deref(), &report, &table(&report.rows(not_measured)))
     }
 }
 

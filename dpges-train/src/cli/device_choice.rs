@@ -1,6 +1,7 @@
-//! Which device a command runs on, and the line that says so.
+//! Which device a command runs on, the line that says so, and how its failure is told.
 
 use clap::Args;
+use dpges_train::device::failure::{DeviceFailure, Watch};
 use dpges_train::device::probe::select_in_child;
 use dpges_train::device::ranks::Job;
 use dpges_train::device::{DeviceName, DeviceRequest, Selection};
@@ -58,4 +59,14 @@ fn said(device: DeviceName, why: &str) -> Result<DeviceName> {
 /// The device that `auto` stands for.
 pub fn automatic() -> Result<Selection> {
     Ok(select_in_child(&["devices", "--auto", "--json"])?)
+}
+
+/// Returns what `work` returns, which uses `device` and leaves nothing behind if the device fails.
+pub fn watched(device: DeviceName, work: impl FnOnce() -> Result<()>) -> Result<()> {
+    if device.is_cpu() {
+        return work();
+    }
+    let failed =
+        |failure: DeviceFailure| Failure::with_help(format!("device `{device}` failed: {failure}"), failure.advice());
+    Watch::start().catch(work).map_err(failed)?
 }

@@ -6,20 +6,16 @@ use clap::Args;
 use dpges_core::Error;
 use dpges_train::device::DeviceName;
 use dpges_train::device::memory::peak_memory_bytes;
-use dpges_train::eval::floaters::Floaters;
 use dpges_train::eval::pictures::{file_stems, save_png};
-use dpges_train::eval::popping::{Measured, Popping, arc};
+use dpges_train::eval::popping::{Measured, arc};
 use dpges_train::eval::rendered::{Renderer, to_picture};
 use dpges_train::eval::worst::{self, WorstView};
-use dpges_train::eval::{EvalReport, Evaluation, FrameMs, Measures, evaluate_each};
-use dpges_train::metrics::{METRICS, Metric, Scores};
+use dpges_train::eval::{EvalReport, FrameMs, Measures, evaluate_each};
 
 use super::data::{Scene, ViewArgs};
-use super::device_choice::DeviceArgs;
-use super::device_failure::watched;
+use super::device_choice::{DeviceArgs, watched};
 use super::lpips::LpipsArgs;
 use super::{Result, print_report, table};
-use crate::cli::progress::Seconds;
 
 /// Measure PSNR, SSIM, FLIP, MS-SSIM, SSIMULACRA2 and LPIPS of a scene against photographs
 ///
@@ -75,8 +71,9 @@ fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> 
     let device_name = device.to_string();
     let device = device.open()?;
     let networks = args.lpips.load(&device)?;
-    let (source, dataset) = args.views.load_dataset(&mut scene)?;
-    let views = args.views.chosen(&dataset);
+    let choice = args.views.choice();
+    let (source, dataset) = choice.load_dataset(&mut scene)?;
+    let views = choice.chosen(&dataset);
     let path = args.popping.then(|| arc(&dataset, &scene.data.info)).transpose()?;
     for folder in args.save_images.iter().chain(&args.worst) {
         make_folder(folder)?;
@@ -117,7 +114,7 @@ fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> 
     let report = EvalReport {
         scene: scene.path.display().to_string(),
         dataset: source.to_string(),
-        split: args.views.split().to_string(),
+        split: choice.split().to_string(),
         evaluation,
         bytes: scene.bytes,
         floaters: renderer.floaters(&dataset)?,
@@ -127,7 +124,7 @@ fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> 
         popping: popping.map(|measured| measured.popping),
         frame_ms,
     };
-    let summary = summary(&report, &worst, notes);
+    let summary = table(&report.rows(&worst, notes));
     print_report(Some(args.json.as_deref().unwrap_or(Path::new("-"))), &report, &summary)
 }
 
@@ -139,46 +136,4 @@ pub fn make_folder(path: &Path) -> Result<(), Error> {
         path: path.to_owned(),
         source,
     })
-}
-
-/// `worst` says what is worst and where its picture is, `notes` what was not measured.
-fn summary(report: &EvalReport, worst: &[String], notes: Vec<(&'static str, String)>) -> String {
-    let Evaluation { views, surfels, gaussians, seconds_per_view, .. } = &report.evaluation;
-    let mut scores: Vec<(&str, Scores)> = views.iter().map(|view| (view.name.as_str(), view.scores())).collect();
-    scores.push(("mean", report.evaluation.scores()));
-    let is_known = |metric: &&Metric| scores.iter().any(|(_, scores)| metric.of(scores).is_some());
-    let shown: Vec<&Metric> = METRICS.iter().filter(is_known).collect();
-    let line = |cell: &dyn Fn(&Metric) -> String| -> String {
-        let cells: Vec<String> = shown.iter().map(|metric| format!("{:>1$}", cell(metric), width(metric))).collect();
-        cells.join("  ")
-    };
-    let mut rows = vec![("view", line(&|metric| metric.title.to_owned()))];
-    rows.extend(scores.iter().map(|(name, scores)| (*name, line(&|metric| metric.text(metric.of(scores))))));
-    rows.extend(worst.iter().map(|worst| ("worst", worst.clone())));
-    rows.extend(report.popping.map(|popping| {
-        let Popping { flip_1, flip_7, frames, pixels_compared } = popping;
-        let [of_1, of_7] = pixels_compared.map(|share| 100.0 * share);
-        let text = format!(
-            "FLIP_1 {flip_1:.4}, FLIP_7 {flip_7:.4} over {frames} frames, {of_1:.0} % and {of_7:.0} % of the pixels"
-        );
-        ("popping", text)
-    }));
-    rows.extend(notes);
-    rows.push(("scene", format!("{surfels} surfels, {gaussians} Gaussians, {:.1} MB", report.bytes as f64 / 1e6)));
-    if let Some(Floaters { surfels, gaussians }) = report.floaters {
-        rows.push(("floaters", format!("{surfels} surfels, {gaussians} Gaussians")));
-    }
-    rows.extend(report.training_seconds.map(|seconds| ("training", Seconds(seconds).to_string())));
-    rows.push(("rendering", format!("{:.1} ms per view", 1e3 * seconds_per_view)));
-    rows.extend(report.frame_ms.as_ref().map(|times| {
-        let FrameMs { p50, p99, device, width, height, renderer } = times;
-        ("frames", format!("p50 {p50:.2} ms, p99 {p99:.2} ms at {width}x{height} px by `{renderer}` on {device}"))
-    }));
-    rows.extend(report.peak_memory_bytes.map(|bytes| ("memory", format!("{:.0} MB at most", bytes as f64 / 1e6))));
-    table(&rows)
-}
-
-/// Of a column, characters.
-fn width(metric: &Metric) -> usize {
-    metric.title.len().max("-100.00".len() + metric.unit.len())
 }

@@ -18,8 +18,7 @@ use dpges_train::eval::export::splats::{SplatFormat, file, loss, splats};
 use dpges_train::lod::{self, CELL_PRIMITIVES};
 
 use super::data::{Scene, Source, Split, ViewArgs};
-use super::device_choice::DeviceArgs;
-use super::device_failure::watched;
+use super::device_choice::{DeviceArgs, watched};
 use super::{Failure, Result, print, table};
 
 /// Voxels along the extent of the scene, unless they are given.
@@ -120,9 +119,10 @@ pub fn run(args: &ExportArgs) -> Result<()> {
         ExportFormat::Html | ExportFormat::Lod => None,
         _ => Some(args.device.select()?),
     };
-    let data = match args.views.dataset(&mut scene) {
-        Err(failure) if args.views.names_dataset() => return Err(failure),
-        data => data,
+    let choice = args.views.choice();
+    let data = match choice.dataset(&mut scene) {
+        Err(error) if choice.data.is_some() => return Err(error.into()),
+        data => data.map_err(Failure::from),
     };
     if args.format == ExportFormat::Lod {
         return args.lod(scene.data, data.ok());
@@ -184,13 +184,13 @@ impl ExportArgs {
             let text = "missing: the format has no environment; the PSNR is that of the splats before it";
             rows.push(("sky", text.to_owned()));
         }
-        let split = self.views.split();
+        let split = self.views.choice().split();
         let loss = match &data {
-            Ok((source, dataset)) if self.views.chosen(dataset).is_empty() => {
+            Ok((source, dataset)) if split.of(dataset).is_empty() => {
                 format!("not measured: {source} has no views in split `{split}`")
             }
             Ok((_, dataset)) => {
-                let views = self.views.chosen(dataset);
+                let views = split.of(dataset);
                 let [before, after] = loss(scene, &cloud, views, &device)?;
                 let of = match split {
                     Split::Test => "held-out",

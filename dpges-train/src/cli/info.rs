@@ -5,8 +5,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use dpges_train::lod::describe as lod;
-use dpges_train::run::description::describe;
-use serde_json::Value;
+use dpges_train::run::description::{describe, rows};
 
 use super::data::Scene;
 use super::{Result, print, print_json, table};
@@ -28,21 +27,8 @@ pub fn run(args: &InfoArgs) -> Result<()> {
     }
     let entries = describe(&Scene::load(&args.scene)?);
     if args.json {
-        return print_json(&entries.into_iter().collect::<BTreeMap<_, _>>());
-    }
-    let rows: Vec<(&str, String)> = entries.iter().map(|(name, value)| (*name, text(value))).collect();
-    print(&table(&rows))
-}
-
-fn text(value: &Value) -> String {
-    match value {
-        Value::String(text) => text.clone(),
-        Value::Null => "none".to_owned(),
-        Value::Array(values) => values.iter().map(text).collect::<Vec<_>>().join("  "),
-        Value::Number(number) if number.is_f64() => match number.as_f64().unwrap_or(f64::NAN) {
-            small if small != 0.0 && small.abs() < 0.01 => format!("{small:.3e}"),
-            other => format!("{other:.4}"),
-        },
-        other => other.to_string(),
+        print_json(&entries.into_iter().collect::<BTreeMap<_, _>>())
+    } else {
+        print(&table(&rows(&entries)))
     }
 }

@@ -4,9 +4,9 @@ use std::path::Path;
 
 use clap::Args;
 use dpges_render::stream::{DEFAULT_BUDGET, Levels, is_lod, parse_budget};
+use dpges_train::eval::rendering_preset::RenderingPreset;
 
 use super::data::Scene;
-use super::rendering_preset::RenderingPreset;
 use super::{Failure, Result};
 
 #[derive(Debug, Args)]

@@ -8,6 +8,8 @@ use tracing_subscriber::fmt::layer;
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 
+use super::{Result, print};
+
 /// Variable that replaces the filter, e.g. `DPGES_LOG=debug`.
 const FILTER_VARIABLE: &str = "DPGES_LOG";
 
@@ -35,6 +37,11 @@ impl LogStyle {
             _ if std::io::stderr().is_terminal() => Self::Bar,
             _ => Self::Lines,
         }
+    }
+
+    /// Prints what came out, unless only warnings and errors are wanted.
+    pub fn print(self, text: &str) -> Result<()> {
+        if self == Self::Quiet { Ok(()) } else { print(text) }
     }
 }
 

@@ -6,7 +6,6 @@ mod compress;
 mod config;
 pub mod data;
 pub mod device_choice;
-pub mod device_failure;
 mod devices;
 pub mod eval;
 mod export;
@@ -19,7 +18,6 @@ pub mod progress;
 #[cfg(test)]
 mod reference;
 pub mod render;
-mod rendering_preset;
 mod selftest;
 pub mod sfm;
 mod study;
@@ -135,10 +133,6 @@ impl Failure {
                 None => report.to_string(),
             },
         }
-    }
-
-    pub fn from_config(error: ConfigError) -> Self {
-        error.into()
     }
 }
 

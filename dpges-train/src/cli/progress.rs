@@ -1,9 +1,9 @@
 //! How far a run is: a bar, lines of text or JSON, or nothing.
 
-use std::fmt;
 use std::time::{Duration, Instant};
 
 use dpges_train::run::StepReport;
+use dpges_train::run::targets::duration::Seconds;
 use indicatif::ProgressStyle;
 use tracing::Span;
 use tracing_indicatif::span_ext::IndicatifSpanExt;
@@ -114,30 +114,9 @@ impl ProgressDisplay {
     }
 }
 
-/// A duration, shown in one or two units.
-pub struct Seconds(pub f64);
-
-impl fmt::Display for Seconds {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let whole = self.0.round() as u64;
-        match whole {
-            0..10 => write!(f, "{:.1} s", self.0),
-            10..60 => write!(f, "{whole} s"),
-            60..3600 => write!(f, "{} min {} s", whole / 60, whole % 60),
-            _ => write!(f, "{} h {} min", whole / 3600, whole % 3600 / 60),
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn durations_are_written_in_two_units() {
-        let texts = [3.21, 59.4, 61.0, 7322.0].map(|seconds| Seconds(seconds).to_string());
-        assert_eq!(texts, ["3.2 s", "59 s", "1 min 1 s", "2 h 2 min"]);
-    }
 
     #[test]
     fn smoothing_starts_at_the_first_value() {

@@ -4,10 +4,9 @@ use std::time::Instant;
 
 use clap::{Args, value_parser};
 use dpges_train::device::failure::Watch;
-use dpges_train::device::selftest::{CASES, Finding, worst};
+use dpges_train::device::selftest::{CASES, Report};
 use dpges_train::device::{DeviceName, DeviceRequest, extremes};
 use indicatif::ProgressBar;
-use serde::Serialize;
 
 use super::{Failure, Result, device_choice, print, print_json, table};
 
@@ -33,18 +32,6 @@ pub struct SelftestArgs {
     json: bool,
 }
 
-#[derive(Serialize)]
-struct Report {
-    device: String,
-    /// The device on this machine.
-    description: String,
-    passed: bool,
-    tensors: usize,
-    seconds: f64,
-    /// The worst tensor of each.
-    operations: Vec<Finding>,
-}
-
 pub fn run(args: &SelftestArgs) -> Result<()> {
     let name = device_choice::select(args.device)?;
     let device = name.open()?;
@@ -56,24 +43,17 @@ pub fn run(args: &SelftestArgs) -> Result<()> {
     let findings = Watch::start()
         .catch(|| CASES.iter().flat_map(|case| case.check(&device)).collect::<Vec<_>>())
         .map_err(|failure| Failure::with_help(format!("{description} failed: {failure}"), advice(name)))?;
-    let report = Report {
-        device: name.to_string(),
-        passed: findings.iter().all(|finding| finding.passed),
-        tensors: findings.len(),
-        seconds: start.elapsed().as_secs_f64(),
-        operations: worst(&findings),
-        description,
-    };
+    let seconds = start.elapsed().as_secs_f64();
+    let report = Report::new(name.to_string(), description, &findings, seconds);
     if args.json {
         print_json(&report)?
     } else {
-        print(&summary(&report))?
+        print(&table(&report.rows()))?
     }
     if report.passed {
         return Ok(());
     }
-    let wrong = findings.iter().filter(|finding| !finding.passed).count();
-    let message = format!("{} computes {wrong} of {} tensors wrongly", report.description, report.tensors);
+    let message = format!("{} computes {} of {} tensors wrongly", report.description, report.wrong, report.tensors);
     Err(Failure::with_help(message, advice(name)))
 }
 
@@ -105,21 +85,4 @@ fn advice(device: DeviceName) -> &'static str {
         "do not train on it: update its driver, or try another --device (`dpges devices`; `cpu` works everywhere); \
          please report it with what `dpges devices` says"
     }
-}
-
-fn summary(report: &Report) -> String {
-    let mut rows = vec![("operation", "worst error, tolerance, where".to_owned())];
-    for Finding { operation, case, tensor, error, tolerance, passed } in &report.operations {
-        let verdict = if *passed { "ok" } else { "WRONG" };
-        let (error, tolerance) = (number(*error), number(*tolerance));
-        rows.push((*operation, format!("{error:>7} {tolerance:>7}  {verdict:5}  {case}: {tensor}")));
-    }
-    rows.push(("device", report.description.clone()));
-    let verdict = if report.passed { "all as they should be" } else { "NOT all as they should be" };
-    rows.push(("result", format!("{} tensors in {:.1} s, {verdict}", report.tensors, report.seconds)));
-    table(&rows)
-}
-
-fn number(value: f64) -> String {
-    if value.fract() == 0.0 { format!("{value}") } else { format!("{value:.1e}") }
 }

@@ -10,9 +10,10 @@ use dpges_train::dataset::capture::{
     Step,
 };
 use dpges_train::dataset::source::photographs;
+use dpges_train::run::targets::duration::Seconds;
 
-use super::progress::{Progress, Seconds};
-use super::{Failure, Result, print, table};
+use super::progress::Progress;
+use super::{Failure, Result, table};
 use crate::cli::logging::LogStyle;
 
 /// Make a dataset of photographs or of a video: find their cameras, by COLMAP
@@ -79,7 +80,7 @@ pub fn run(args: &SfmArgs, style: LogStyle) -> Result<()> {
         None => capture::dataset_beside(&input)?,
     };
     let outcome = reconstruct(&input, &out, &args.options.options(args.invert_masks), args.overwrite, style)?;
-    if style == LogStyle::Quiet { Ok(()) } else { print(&summary(&outcome, args.invert_masks)) }
+    style.print(&summary(&outcome, args.invert_masks))
 }
 
 /// Makes a dataset of the photographs or the video that a command was given, unless there is one; other datasets stay as they

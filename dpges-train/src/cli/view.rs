@@ -10,12 +10,12 @@ use dpges_render::viewer::{self, DatasetViews, Opened, Start, ViewerOptions, Vie
 use dpges_train::config::DataConfig;
 use dpges_train::dataset::View;
 use dpges_train::eval::pictures;
+use dpges_train::eval::rendering_preset::RenderingPreset;
 use dpges_train::views::pose::{RefinedPoses, refine};
 
 use super::Result;
 use super::data::{DataArgs, Scene, Source, in_scene};
 use super::levels::{LevelsArgs, load};
-use super::rendering_preset::RenderingPreset;
 
 /// Look at a scene in a window
 ///

@@ -19,6 +19,7 @@ pub(crate) mod image;
 mod load_options;
 pub(crate) mod names;
 pub mod source;
+mod split;
 mod tracks;
 
 use std::fmt;
@@ -43,6 +44,7 @@ pub use empty_space::EmptySpace;
 pub use error::DatasetError;
 pub(crate) use formats::colmap::{ModelContent, model_content};
 pub use load_options::LoadOptions;
+pub use split::Split;
 pub use tracks::Tracks;
 
 use self::image::undistort;

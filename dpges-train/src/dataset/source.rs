@@ -63,6 +63,14 @@ fn absolute(path: &Path) -> PathBuf {
     std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
 }
 
+/// The name of a run on the dataset that a command names.
+pub fn run_name(dataset: Option<&Path>) -> String {
+    let Source::Folder(path) = Source::named(dataset) else { return BUILTIN.to_owned() };
+    let name = dataset.and_then(photographs).and_then(|input| input.name());
+    let name = name.or_else(|| Some(path.file_name()?.to_string_lossy().into_owned()));
+    name.unwrap_or_else(|| "dataset".to_owned())
+}
+
 /// Name of the scene that needs no files.
 pub const BUILTIN: &str = "builtin";
 /// Pictures of the built-in scene are this wide and high, unless the resolution is capped lower, px.

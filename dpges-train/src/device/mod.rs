@@ -6,6 +6,7 @@ pub mod adapter_name;
 pub mod choice;
 pub mod extremes;
 pub mod failure;
+pub mod listing;
 pub mod memory;
 pub mod place;
 pub mod probe;

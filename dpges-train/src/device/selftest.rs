@@ -91,6 +91,46 @@ pub fn worst(findings: &[Finding]) -> Vec<Finding> {
     OPERATIONS.iter().filter_map(worst_of).collect()
 }
 
+/// What a device computes, operation by operation.
+#[derive(Clone, Debug, Serialize)]
+pub struct Report {
+    pub device: String,
+    /// The device on this machine.
+    pub description: String,
+    pub passed: bool,
+    pub tensors: usize,
+    pub seconds: f64,
+    /// The worst tensor of each.
+    pub operations: Vec<Finding>,
+    /// Number of tensors that are wrong.
+    #[serde(skip)]
+    pub wrong: usize,
+}
+
+impl Report {
+    /// Of the `findings` of the device that is called so, which took `seconds`.
+    pub fn new(device: String, description: String, findings: &[Finding], seconds: f64) -> Self {
+        let wrong = findings.iter().filter(|finding| !finding.passed).count();
+        let (tensors, operations) = (findings.len(), worst(findings));
+        Self { device, description, passed: wrong == 0, tensors, seconds, operations, wrong }
+    }
+
+    /// For people.
+    pub fn rows(&self) -> Vec<(&str, String)> {
+        let number = |value: f64| if value.fract() == 0.0 { format!("{value}") } else { format!("{value:.1e}") };
+        let mut rows = vec![("operation", "worst error, tolerance, where".to_owned())];
+        for Finding { operation, case, tensor, error, tolerance, passed } in &self.operations {
+            let verdict = if *passed { "ok" } else { "WRONG" };
+            let (error, tolerance) = (number(*error), number(*tolerance));
+            rows.push((*operation, format!("{error:>7} {tolerance:>7}  {verdict:5}  {case}: {tensor}")));
+        }
+        rows.push(("device", self.description.clone()));
+        let verdict = if self.passed { "all as they should be" } else { "NOT all as they should be" };
+        rows.push(("result", format!("{} tensors in {:.1} s, {verdict}", self.tensors, self.seconds)));
+        rows
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

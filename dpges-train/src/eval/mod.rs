@@ -9,11 +9,15 @@ pub mod export;
 mod fits;
 pub mod floaters;
 pub mod frame_ms;
+pub mod frame_rates;
 pub mod pictures;
 pub mod popping;
 pub mod rendered;
+pub mod rendering_preset;
+pub mod shots;
 pub mod simplify;
 pub mod splat_fit;
+pub mod table;
 #[cfg(test)]
 mod tests;
 pub mod video;

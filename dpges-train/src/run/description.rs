@@ -49,6 +49,24 @@ pub fn describe(scene: &Scene) -> Vec<(&'static str, Value)> {
     ]
 }
 
+/// The same for people.
+pub fn rows(entries: &[(&'static str, Value)]) -> Vec<(&'static str, String)> {
+    entries.iter().map(|(name, value)| (*name, text(value))).collect()
+}
+
+fn text(value: &Value) -> String {
+    match value {
+        Value::String(text) => text.clone(),
+        Value::Null => "none".to_owned(),
+        Value::Array(values) => values.iter().map(text).collect::<Vec<_>>().join("  "),
+        Value::Number(number) if number.is_f64() => match number.as_f64().unwrap_or(f64::NAN) {
+            small if small != 0.0 && small.abs() < 0.01 => format!("{small:.3e}"),
+            other => format!("{other:.4}"),
+        },
+        other => other.to_string(),
+    }
+}
+
 /// Numbers of lobes of the surfels and of the Gaussians; `None` for colours without lobes.
 fn lobes(scene: &Scene) -> Option<[usize; 2]> {
     let ColourModel::SphericalBeta { lobes } = scene.data.info.colour_model else { return None };

@@ -58,6 +58,7 @@ mod tests;
 mod trainer;
 mod training_loop;
 mod validation;
+pub mod view_choice;
 
 use std::sync::Arc;
 use std::time::Instant;

@@ -10,7 +10,7 @@ use super::folder::{RunFolder, RunFolderError};
 use super::metrics_log::MetricsLog;
 use crate::config::{Background, Config, ConfigError, DataConfig, DepthMaps};
 use crate::dataset::source::{Source, SourceError};
-use crate::dataset::{Dataset, View};
+use crate::dataset::{Dataset, Split, View};
 use crate::views::pose::{RefinedPoses, refine};
 
 /// Why a scene, or the dataset to show it with, cannot be read.
@@ -23,6 +23,8 @@ pub enum SceneError {
     Absent { path: PathBuf },
     #[error("{} is not in a run folder: name its dataset with --data", .path.display())]
     NoDataset { path: PathBuf },
+    #[error("{dataset} has no views in split `{split}`; `--split {other}` has views")]
+    NoViews { dataset: String, split: Split, other: Split },
     #[error(transparent)]
     Config(#[from] ConfigError),
     #[error(transparent)]

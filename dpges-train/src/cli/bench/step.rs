@@ -18,8 +18,7 @@ use dpges_train::run::step_cost::report::Report;
 use dpges_train::run::step_cost::{Rounds, StepStage, Steps, measure};
 
 use super::super::data::{Scene, ViewArgs, every_nth};
-use super::super::device_choice::DeviceArgs;
-use super::super::device_failure::watched;
+use super::super::device_choice::{DeviceArgs, watched};
 use super::super::{Failure, Result, print, table};
 
 /// Name of the synthetic scene of the benchmarks.
@@ -117,7 +116,7 @@ impl BenchStepArgs {
         let mut scene = Scene::load(&self.scene)?;
         // the report has pinhole cameras, so that others can take the same step
         scene.use_pinholes();
-        let (_, views) = self.views.load(&mut scene)?;
+        let (_, views) = self.views.choice().load(&mut scene)?;
         Ok((scene.data, self.cameras(&views)))
     }
 

@@ -1,6 +1,5 @@
 //! `dpges render`: pictures of a scene, from the cameras of a dataset or along a path.
 
-mod cameras;
 mod sink;
 
 use std::path::PathBuf;
@@ -8,18 +7,18 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 use dpges_core::camera::Camera;
 use dpges_core::scene::Rendering;
+use dpges_render::path::Size;
 use dpges_render::stream::Loader;
 use dpges_render::{Headless, Precision, RenderOptions, Rgb8Image};
 use dpges_train::device::DeviceRequest;
 use dpges_train::eval::rendered::{LayerPictures, Renderer, layer_pictures, to_picture};
+use dpges_train::eval::rendering_preset::RenderingPreset;
+use dpges_train::eval::shots::{PathChoice, Shot};
 
 use super::data::{Scene, ViewArgs};
-use super::device_failure::watched;
+use super::device_choice::watched;
 use super::levels::{LevelsArgs, load};
-use super::rendering_preset::RenderingPreset;
 use super::{Failure, Result, device_choice, print};
-use cameras::{PathChoice, Shot, shots};
-pub use dpges_render::path::Size;
 use sink::Sink;
 
 /// Write pictures of a scene: PNGs or a video, of the views of a dataset or along a camera path
@@ -139,7 +138,9 @@ type Painted = (Rgb8Image, Option<LayerPictures>);
 impl RenderArgs {
     /// The pictures to take; leaves out of `scene` what the preset does without.
     fn shots(&self, scene: &mut Scene) -> Result<Vec<Shot>> {
-        let shots = shots(&self.path, self.frames as usize, self.size, &self.views, scene)?;
+        let near = scene.data.info.near;
+        let views = || Ok::<_, Failure>(self.views.choice().load(scene)?.1);
+        let shots = self.path.shots(self.frames as usize, self.size, near, views)?;
         if let Some(preset) = self.preset {
             preset.apply(&mut scene.data);
         }

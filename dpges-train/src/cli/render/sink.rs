@@ -1,9 +1,9 @@
 //! Where pictures go: PNGs, a video, or both.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use dpges_train::eval::pictures::save_png;
-use dpges_train::eval::rendered::LayerPictures;
+use dpges_train::eval::shots::Shot;
 use dpges_train::eval::video::Video;
 use dpges_train::run::folder::write_json;
 use serde_json::{Value, json};
@@ -12,13 +12,13 @@ use super::super::Result;
 use super::super::eval::make_folder;
 use super::super::logging::LogStyle;
 use super::super::progress::Progress;
-use super::cameras::Shot;
 use super::{Painted, RenderArgs};
 
 /// Takes the pictures of one command, and shows how far it is.
 pub struct Sink {
     folder: Option<PathBuf>,
     video: Option<Video>,
+    /// Entries of `layers.json`.
     ranges: Vec<Value>,
     layers: bool,
     count: usize,
@@ -42,7 +42,9 @@ impl Sink {
         if let Some(folder) = &self.folder {
             save_png(picture, &folder.join(format!("{}.png", shot.stem)))?;
             if let Some(layers) = layers {
-                self.ranges.push(save_layers(folder, shot, layers)?);
+                layers.save(folder, &shot.stem)?;
+                let [near, far] = layers.depth_range.map_or([None; 2], |range| range.map(Some));
+                self.ranges.push(json!({ "name": shot.name, "file": shot.stem, "depth_near": near, "depth_far": far }));
             }
         }
         if let Some(video) = &mut self.video {
@@ -68,20 +70,4 @@ impl Sink {
         }
         Ok(said)
     }
-}
-
-/// Returns the view's entry in `layers.json`.
-fn save_layers(folder: &Path, shot: &Shot, pictures: &LayerPictures) -> Result<Value> {
-    let mut named = vec![
-        ("surfels".to_owned(), &pictures.surfels),
-        ("depth".to_owned(), &pictures.depth),
-        ("normal".to_owned(), &pictures.normal),
-    ];
-    let behind = pictures.transmittance.iter().zip(1..);
-    named.extend(behind.map(|(picture, layer)| (format!("transmittance_{layer}"), picture)));
-    for (name, picture) in named {
-        save_png(picture, &folder.join(format!("{}_{name}.png", shot.stem)))?;
-    }
-    let [near, far] = pictures.depth_range.map_or([None; 2], |range| range.map(Some));
-    Ok(json!({ "name": shot.name, "file": shot.stem, "depth_near": near, "depth_far": far }))
 }

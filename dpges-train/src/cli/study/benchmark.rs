@@ -13,7 +13,7 @@ use dpges_train::study::benchmark::published::{PUBLISHED, WAYS};
 use dpges_train::study::benchmark::{Benchmark, Request};
 
 use super::Training;
-use crate::cli::device_failure::watched;
+use crate::cli::device_choice::watched;
 use crate::cli::logging::LogStyle;
 use crate::cli::lpips::LpipsArgs;
 use crate::cli::train::display::watch_for_interrupts;
@@ -92,9 +92,7 @@ pub fn run(args: BenchmarkArgs, style: LogStyle) -> Result<()> {
     benchmark.study()?;
     let trained = if args.tables { Ok(()) } else { benchmark.run(&args.devices, &*watch_for_interrupts()?) };
     let report = benchmark.report()?;
-    if style != LogStyle::Quiet {
-        print(&report)?;
-    }
+    style.print(&report)?;
     Ok(trained?)
 }
 

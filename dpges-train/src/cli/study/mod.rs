@@ -24,15 +24,14 @@ use dpges_train::study::variant::Variant;
 use dpges_train::study::{report, sheets};
 
 use super::data::Source;
-use super::device_choice::DeviceArgs;
-use super::device_failure::watched;
+use super::device_choice::{DeviceArgs, watched};
 use super::logging::LogStyle;
 use super::lpips::LpipsArgs;
 use super::train::display::watch_for_interrupts;
 use super::train::options::ConfigArgs;
 use super::train::say_resumed;
 use super::train::session::Session;
-use super::{Failure, Result, print, sfm};
+use super::{Failure, Result, sfm};
 
 /// Options of studies whose variants are all trained.
 #[derive(Debug, Args)]
@@ -117,7 +116,7 @@ impl StudyArgs {
 fn conclude(study: &mut Study, style: LogStyle) -> Result<()> {
     study.finish()?;
     let files = report::write(study)?;
-    if style == LogStyle::Quiet { Ok(()) } else { print(&(report::printed(study) + &files)) }
+    style.print(&(report::printed(study) + &files))
 }
 
 /// `variants` by their labels.

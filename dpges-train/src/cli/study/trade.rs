@@ -3,32 +3,29 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use clap::{Args, ValueEnum, value_parser};
 use dpges_core::camera::Camera;
-use dpges_core::scene::SceneData;
 use dpges_render::{Headless, check_drawn_as_trained};
 use dpges_train::config::Config;
 use dpges_train::dataset::Dataset;
 use dpges_train::device::DeviceName;
 use dpges_train::eval::pictures::{self, save_png};
-use dpges_train::run::Observer;
 use dpges_train::run::targets::duration::duration;
-use dpges_train::study::cell::{Cell, Plan};
-use dpges_train::study::evaluated;
-use dpges_train::study::store::{Figure, Study, checksum};
+use dpges_train::study::cell::Plan;
+use dpges_train::study::store::{Figure, Study};
 use dpges_train::study::trade::bench::{Bench, PICTURES};
 use dpges_train::study::trade::knob::KNOBS;
+use dpges_train::study::trade::subject::Subject;
 use dpges_train::study::trade::sweep::Sweep;
+use dpges_train::study::trade::trained::{Deadline, RUNS, train_each};
 use dpges_train::study::trade::{SHAPE, variants};
 use glam::DVec3;
-use serde_json::{Map, Value, json};
 
 use super::{Training, conclude};
 use crate::cli::data::{Scene, Source, Split, ViewArgs, every_nth};
-use crate::cli::device_choice::DeviceArgs;
-use crate::cli::device_failure::watched;
+use crate::cli::device_choice::{DeviceArgs, watched};
 use crate::cli::eval::make_folder;
 use crate::cli::logging::LogStyle;
 use crate::cli::lpips::LpipsArgs;
@@ -39,8 +36,6 @@ use dpges_render::path::Size;
 
 /// Most training views that say what a primitive contributes.
 const JUDGING_VIEWS: usize = 32;
-/// Folder of the runs in that of the study.
-const RUNS: &str = "runs";
 
 /// A renderer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -103,17 +98,18 @@ pub struct TradeArgs {
 }
 
 pub fn run(args: &TradeArgs, style: LogStyle) -> Result<()> {
-    let end = args.time_limit.and_then(|length| Instant::now().checked_add(length));
+    let deadline = Deadline::after(args.time_limit);
     let mut scene = Scene::load(&args.scene)?;
     scene.use_pinholes();
     let device = args.device.select()?;
-    watched(device, || args.measure(&mut scene, device, end, style))
+    watched(device, || args.measure(&mut scene, device, deadline, style))
 }
 
 impl TradeArgs {
-    fn measure(&self, scene: &mut Scene, name: DeviceName, end: Option<Instant>, style: LogStyle) -> Result<()> {
+    fn measure(&self, scene: &mut Scene, name: DeviceName, deadline: Deadline, style: LogStyle) -> Result<()> {
         let config_of_run = scene.run_config();
-        let (source, dataset, split) = self.views.load_to_decide(scene)?;
+        let choice = self.views.choice();
+        let (source, dataset, split) = choice.load_to_decide(scene)?;
         if split == Split::Train && self.train {
             tracing::warn!(
                 "runs are compared on views that they are trained on, where more primitives and steps always look better: \
@@ -122,9 +118,9 @@ impl TradeArgs {
         }
         let source = Source::named(Some(Path::new(&source.to_string())));
         let resolve = |more: &[String]| -> Result<Config> {
-            let set = [&self.views.assignments()[..], &self.set, more].concat();
+            let set = [&choice.reading.assignments[..], &self.set, more].concat();
             let of_dataset = if config_of_run.is_some() { &[] } else { of_dataset(&source) };
-            Config::resolve_for(of_dataset, None, config_of_run.as_deref(), &set).map_err(Failure::from_config)
+            Config::resolve_for(of_dataset, None, config_of_run.as_deref(), &set).map_err(Failure::from)
         };
         let config = self.train.then(|| resolve(&[])).transpose()?;
         let opened = name.open()?;
@@ -139,8 +135,19 @@ impl TradeArgs {
             headless: self.headless(scene)?,
             folder: &self.out,
         };
-        let subject = self.subject(scene, &source, split, &bench, name)?;
-        let drawn_on = format!("Drawn on {}.", subject["device"].as_str().unwrap_or_default());
+        let device = match &bench.headless {
+            Some(headless) => headless.adapter_name(),
+            None => format!("{}, by the renderer that is trained with", name.describe()?),
+        };
+        let subject = Subject {
+            scene: &scene.path,
+            dataset: &source.to_string(),
+            split: &split.to_string(),
+            frame_size: [self.size.width, self.size.height],
+            device: &device,
+        };
+        let subject = subject.of(&bench)?;
+        let drawn_on = format!("Drawn on {device}.");
         tracing::info!("{drawn_on}");
         make_folder(&self.out.join(PICTURES))?;
         let mut study = Study::open(&SHAPE, &self.out, subject)?;
@@ -158,16 +165,17 @@ impl TradeArgs {
             scene: &scene.data,
             cameras: &judging_cameras(&dataset),
             is_wanted: &is_wanted,
-            goes_on: &|| !is_over(end) && !is_interrupted(),
+            goes_on: &|| !deadline.is_over() && !is_interrupted(),
         };
         sweep.measure(&mut study)?;
         if let Some(config) = config.filter(|_| !is_interrupted()) {
             let interrupted = Arc::clone(&interrupted);
-            let training = Training::new(source.clone(), &config, name, opened.clone(), style, interrupted)?;
+            let mut training = Training::new(source.clone(), &config, name, opened.clone(), style, interrupted)?;
             let variants = variants(&config, &training.dataset, &is_wanted);
             let (folder, dataset) = (self.out.join(RUNS), source.to_string());
             let plan = Plan { variants: &variants, seeds: self.seeds, folder: &folder, dataset: &dataset };
-            train_each(&plan.cells(resolve)?, training, &bench, &mut study, end)?;
+            let cells = plan.cells(resolve)?;
+            train_each(&cells, &bench, &mut study, deadline, |cell, until| training.train(cell, until))?;
         }
         if is_interrupted() {
             conclude(&mut study, LogStyle::Quiet)?;
@@ -192,91 +200,6 @@ impl TradeArgs {
             }
         }
     }
-
-    /// The subject that all rows share.
-    fn subject(
-        &self,
-        scene: &Scene,
-        source: &Source,
-        split: Split,
-        bench: &Bench,
-        name: DeviceName,
-    ) -> Result<Map<String, Value>> {
-        let path = std::path::absolute(&scene.path)?;
-        let first = &bench.views[0].camera;
-        let device = match &bench.headless {
-            Some(headless) => headless.adapter_name(),
-            None => format!("{}, by the renderer that is trained with", name.describe()?),
-        };
-        let subject = json!({
-            "scene": path.display().to_string(),
-            "scene_checksum": checksum(&std::fs::read(&path)?),
-            "dataset": source.to_string(),
-            "split": split.to_string(),
-            "views": bench.views.iter().map(|view| &view.name).collect::<Vec<_>>(),
-            "view_size": [first.width, first.height],
-            "frame_size": [self.size.width, self.size.height],
-            "rounds": self.rounds,
-            "device": device,
-        });
-        Ok(subject.as_object().cloned().unwrap_or_default())
-    }
-}
-
-/// Trains and measures the rows of `cells` that `study` lacks, until the time is over.
-fn train_each(
-    cells: &[Cell],
-    mut training: Training,
-    bench: &Bench,
-    study: &mut Study,
-    end: Option<Instant>,
-) -> Result<()> {
-    for cell in cells {
-        let (label, seed) = (cell.variant.label, Some(cell.seed()));
-        if study.has(label, seed) {
-            continue;
-        }
-        if is_over(end) {
-            study.leave_out(label, seed);
-            continue;
-        }
-        let mut until = Until { end, stopped: false };
-        match training.train(cell, &mut until) {
-            Err(_) if until.stopped => {
-                tracing::info!("{label}: the time is over, the same command goes on with it");
-                study.leave_out(label, seed);
-                continue;
-            }
-            other => other?,
-        }
-        let trained = evaluated::row(cell)?;
-        let mut row = bench.row(&SceneData::load(&cell.folder.scene())?, &[], label, seed)?;
-        row.settings.clone_from(&trained.settings);
-        row.folder = Some(format!("{RUNS}/{}", cell.relative));
-        for key in ["training_seconds", "training_peak_bytes"] {
-            row.set(key, trained.get(key));
-        }
-        study.add(row)?;
-    }
-    Ok(())
-}
-
-/// Ends a run when the time is over.
-struct Until {
-    end: Option<Instant>,
-    /// Whether it has ended one.
-    stopped: bool,
-}
-
-impl Observer for Until {
-    fn should_stop(&mut self) -> bool {
-        self.stopped |= is_over(self.end);
-        self.stopped
-    }
-}
-
-fn is_over(end: Option<Instant>) -> bool {
-    end.is_some_and(|end| Instant::now() >= end)
 }
 
 /// Where the training views are, or the held-out ones without them.
@@ -312,13 +235,5 @@ mod tests {
         assert!(parsed(&["--only=layers,lobes"]).unwrap_err().contains("[possible values: layers, footprint"));
         assert!(parsed(&["--size=big"]).unwrap_err().contains("1920x1080"));
         assert!(parsed(&["--views=0"]).is_err() && parsed(&["--rounds=0"]).is_err());
-    }
-
-    #[test]
-    fn a_run_is_stopped_when_the_time_is_over() {
-        let mut until = Until { end: None, stopped: false };
-        assert!(!until.should_stop() && !until.stopped);
-        until.end = Some(Instant::now());
-        assert!(until.should_stop() && until.stopped);
     }
 }

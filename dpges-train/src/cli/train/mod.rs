@@ -12,7 +12,7 @@ use std::sync::Arc;
 
 use clap::Args;
 use dpges_train::config::differences;
-use dpges_train::dataset::source::photographs;
+use dpges_train::dataset::source::run_name;
 use dpges_train::device::place::Place;
 use dpges_train::device::ranks::Job;
 use dpges_train::device::{DeviceName, DeviceRequest};
@@ -21,7 +21,7 @@ use dpges_train::run::targets::{Decision, Target, conclude};
 use dpges_train::run::{Run, RunError, SavedRun};
 
 use super::data::Source;
-use super::{Failure, Result, device_choice, print, sfm, table};
+use super::{Failure, Result, device_choice, sfm, table};
 use crate::cli::logging::LogStyle;
 use display::watch_for_interrupts;
 use options::ConfigArgs;
@@ -79,7 +79,7 @@ pub fn run(args: TrainArgs, style: LogStyle) -> Result<()> {
         return Ok(());
     }
     let reached = conclude(&folder)?.map(|text| table(&[("target", text)]));
-    report(&(summary + &reached.unwrap_or_default()), style)
+    style.print(&(summary + &reached.unwrap_or_default()))
 }
 
 fn train(args: TrainArgs, style: LogStyle, job: &Job) -> Result<String> {
@@ -105,10 +105,6 @@ pub fn give_up(job: &Job, reason: &str) {
     }
 }
 
-fn report(summary: &str, style: LogStyle) -> Result<()> {
-    if style == LogStyle::Quiet { Ok(()) } else { print(summary) }
-}
-
 impl TrainArgs {
     fn session(self, style: LogStyle, job: &Job) -> Result<Session> {
         if self.resume { self.resume(style, job) } else { self.start(style, job) }
@@ -130,14 +126,7 @@ impl TrainArgs {
     }
 
     fn folder(&self) -> RunFolder {
-        let named = || match self.source() {
-            Source::Folder(path) => {
-                let name = self.dataset.as_deref().and_then(photographs).and_then(|input| input.name());
-                let name = name.or_else(|| Some(path.file_name()?.to_string_lossy().into_owned()));
-                Path::new("runs").join(name.unwrap_or_else(|| "dataset".to_owned()))
-            }
-            Source::Builtin | Source::Altered(_) => PathBuf::from("runs/builtin"),
-        };
+        let named = || Path::new("runs").join(run_name(self.dataset.as_deref()));
         RunFolder::new(self.out.clone().unwrap_or_else(named))
     }
 

@@ -7,12 +7,12 @@ use dpges_train::device::failure::{DeviceFailure, Watch};
 use dpges_train::eval::{EvalReport, Evaluation};
 use dpges_train::run::folder::RunFolder;
 use dpges_train::run::shell::quoted;
+use dpges_train::run::targets::duration::Seconds;
 use dpges_train::run::{Observer, Outcome, Run, RunError, TrainError};
 
 use super::super::{Failure, Result, table};
 use super::display::Display;
 use crate::cli::logging::LogStyle;
-use crate::cli::progress::Seconds;
 
 /// A run that writes to a folder.
 pub struct Session {
@@ -63,17 +63,7 @@ impl Session {
         }
         let mut files = vec![path, self.folder.metrics()];
         if let Some(evaluation) = evaluation {
-            let Evaluation { psnr, ssim, flip, perceptual, fitted, seconds_per_view, ref views, .. } = evaluation;
-            rows.push(("held-out PSNR", format!("{psnr:.2} dB (mean of {} views)", views.len())));
-            rows.push(("held-out SSIM", format!("{ssim:.4}")));
-            rows.push(("held-out FLIP", format!("{flip:.4}")));
-            rows.extend(perceptual.ms_ssim.map(|value| ("held-out MS-SSIM", format!("{value:.4}"))));
-            rows.extend(perceptual.ssimulacra2.map(|value| ("held-out SSIMULACRA2", format!("{value:.2}"))));
-            rows.extend(
-                fitted.psnr_fitted.map(|value| ("fitted PSNR", format!("{value:.2} dB, after a fit of exposure"))),
-            );
-            rows.extend(fitted.ssim_fitted.map(|value| ("fitted SSIM", format!("{value:.4}"))));
-            rows.push(("rendering", format!("{:.1} ms per view", 1e3 * seconds_per_view)));
+            rows.extend(evaluation.held_out_rows());
             files.extend([self.folder.evaluation(), self.folder.pictures()]);
         }
         let names = std::iter::once("files").chain(std::iter::repeat(""));

@@ -60,6 +60,53 @@ impl Compressed {
     }
 }
 
+/// What a compressed scene is made for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Goal {
+    Quality(Quality),
+    /// The best quality for a file of at most so many bytes.
+    Bytes(usize),
+    /// The smallest file that loses at most so many dB.
+    Loss(f64),
+}
+
+/// The PSNR of a scene, mean over some views, dB.
+pub type Measure<'a> = dyn Fn(&SceneData) -> dpges_core::Result<f64> + 'a;
+
+impl Goal {
+    /// The compressed `scene`, and its PSNR before and after by `measure`, which a largest loss needs.
+    ///
+    /// # Errors
+    /// [`CompressError`].
+    ///
+    /// # Panics
+    /// If a largest loss comes without `measure`.
+    pub fn reach(
+        self,
+        scene: &SceneData,
+        path: &Path,
+        measure: Option<&Measure>,
+    ) -> Result<(Compressed, Option<[f64; 2]>), CompressError> {
+        let before = measure.map(|measure| measure(scene)).transpose()?;
+        let compressed = match self {
+            Self::Quality(quality) => Compressed::new(scene, &quality, path)?,
+            Self::Bytes(largest) => within_size(scene, largest, path)?,
+            Self::Loss(allowed) => {
+                let (measure, before) = measure.zip(before).expect("a loss is measured");
+                let (compressed, after) = within_loss(scene, before, allowed, path, |candidate| {
+                    let psnr = measure(&candidate.scene()?)?;
+                    let (megabytes, bits) = (candidate.bytes.len() as f64 / MEGABYTE, candidate.quality.list());
+                    tracing::info!("{megabytes:.3} MB: {psnr:.3} dB, {bits:?}");
+                    Ok(psnr)
+                })?;
+                return Ok((compressed, Some([before, after])));
+            }
+        };
+        let after = measure.map(|measure| measure(&compressed.scene()?)).transpose()?;
+        Ok((compressed, before.zip(after).map(|(before, after)| [before, after])))
+    }
+}
+
 /// The best quality for a file of at most `largest` bytes.
 ///
 /// # Errors

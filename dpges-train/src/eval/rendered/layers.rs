@@ -1,11 +1,14 @@
 //! The layers of a rendered view as pictures.
 
+use std::path::Path;
+
 use dpges_core::camera::Camera;
 use dpges_core::render::Render;
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_render::{Rgb8Image, false_colour};
 
 use super::{Renderer, to_picture};
+use crate::eval::pictures::save_png;
 
 /// The layers of a view, one picture each.
 #[derive(Clone, Debug)]
@@ -20,6 +23,23 @@ pub struct LayerPictures {
     pub depth_range: Option<[f32; 2]>,
     /// Normals of the surfels: world x, y, z as red, green, blue.
     pub normal: Rgb8Image,
+}
+
+impl LayerPictures {
+    /// Writes them to a folder, as `STEM_surfels.png`, `STEM_depth.png`, `STEM_normal.png`, `STEM_transmittance_1.png`, ….
+    ///
+    /// # Errors
+    /// [`Error::Io`](dpges_core::Error::Io) naming the file.
+    pub fn save(&self, folder: &Path, stem: &str) -> dpges_core::Result<()> {
+        let mut named = vec![
+            ("surfels".to_owned(), &self.surfels),
+            ("depth".to_owned(), &self.depth),
+            ("normal".to_owned(), &self.normal),
+        ];
+        let behind = self.transmittance.iter().zip(1..);
+        named.extend(behind.map(|(picture, layer)| (format!("transmittance_{layer}"), picture)));
+        named.into_iter().try_for_each(|(name, picture)| save_png(picture, &folder.join(format!("{stem}_{name}.png"))))
+    }
 }
 
 /// Pictures of the layers of `view`, which `renderer` rendered from `camera`.

@@ -3,7 +3,9 @@
 pub mod bench;
 mod combine;
 pub mod knob;
+pub mod subject;
 pub mod sweep;
+pub mod trained;
 
 use dpges_core::scene::ColourModel;
 
