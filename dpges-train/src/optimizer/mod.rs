@@ -3,6 +3,9 @@
 pub mod rates;
 pub mod scene_state;
 
+use std::collections::HashMap;
+use std::fmt::Display;
+
 use burn::tensor::{Bool, DType, Device, Gradients, Int, Tensor, TensorData};
 use dpges_core::ops::adam::{AdamStep, adam_step};
 use dpges_core::scene::schema::Attribute;
@@ -20,7 +23,6 @@ pub struct Parameter {
     blocks: Vec<Block>,
 }
 
-/// Some columns of a parameter.
 #[derive(Clone, Debug)]
 struct Block {
     /// [rows, columns]
@@ -37,6 +39,9 @@ pub struct ParameterRows {
     pub raw: Vec<f32>,
     pub moments: Option<[Vec<f32>; 2]>,
 }
+
+/// An attribute with the gradient that a backward pass left for it; `None` if nothing reached it.
+pub type NamedGradient = (&'static Attribute, Option<Tensor<2>>);
 
 impl Parameter {
     /// Raw numbers [`count`, `width`] that have not been stepped yet.
@@ -67,6 +72,31 @@ impl Parameter {
         Self { attribute, blocks: of(&rows.raw).into_iter().map(block).collect() }
     }
 
+    /// Takes the parameter of an attribute that only some runs have out of `rows`; `None` if it is not there.
+    ///
+    /// # Errors
+    /// A message if the number of its rows does not fit, which should be `expected`, or if it has another width or no moments.
+    pub fn take(
+        attribute: &'static Attribute,
+        rows: &mut HashMap<String, ParameterRows>,
+        width: usize,
+        (fits, expected): (impl Fn(usize) -> bool, impl Display),
+        device: &Device,
+    ) -> Result<Option<Self>, String> {
+        let name = attribute.raw_name;
+        let Some(found) = rows.remove(name) else { return Ok(None) };
+        if found.width != width || !fits(found.count) || found.moments.is_none() {
+            let shape = format!("{} × {}", found.count, found.width);
+            return Err(format!("`{name}` is {shape}, expected {expected} × {width} with moments"));
+        }
+        Ok(Some(Self::from_rows(attribute, &found, device)))
+    }
+
+    /// [`rows`](Self::rows) with the name that they have in a checkpoint.
+    pub fn named_rows(&self) -> (&'static str, ParameterRows) {
+        (self.attribute.raw_name, self.rows())
+    }
+
     pub fn rows(&self) -> ParameterRows {
         let moment = |which: usize| self.join(|block| &block.moments.as_ref().expect("every block has moments")[which]);
         let moments = self.blocks[0].moments.is_some().then(|| [moment(0), moment(1)]);
@@ -88,7 +118,6 @@ impl Parameter {
         [self.blocks[0].raw.dims()[0], self.widths().into_iter().sum()]
     }
 
-    /// Columns of each block.
     fn widths(&self) -> Vec<usize> {
         self.blocks.iter().map(|block| block.raw.dims()[1]).collect()
     }
@@ -127,9 +156,9 @@ impl Parameter {
         if self.attribute.learns() { raw.require_grad() } else { raw }
     }
 
-    /// The gradient that a backward pass left for a [`leaf`](Self::leaf); `None` if nothing reached it.
-    pub fn gradient(&self, leaf: &Tensor<2>, gradients: &mut Gradients) -> Option<Tensor<2>> {
-        if self.attribute.learns() { leaf.grad_remove(gradients) } else { None }
+    /// The gradient that a backward pass left for a [`leaf`](Self::leaf).
+    pub fn gradient(&self, leaf: &Tensor<2>, gradients: &mut Gradients) -> NamedGradient {
+        (self.attribute, if self.attribute.learns() { leaf.grad_remove(gradients) } else { None })
     }
 
     /// Steps the first block. Nothing changes where `gate` `[1]` is not 1, or if the attribute does not learn.
@@ -141,9 +170,6 @@ impl Parameter {
     }
 
     /// Steps the [rest](Self::rest), each block by the gradient in its place.
-    ///
-    /// # Errors
-    /// Those of [`step`](Self::step).
     pub fn step_rest(
         &mut self,
         gradients: impl Iterator<Item = Option<Tensor<2>>>,
@@ -222,11 +248,7 @@ impl Parameter {
 
 impl Block {
     fn step(&mut self, gradient: Option<Tensor<2>>, gate: &Tensor<1>, step: AdamStep) -> dpges_core::Result<()> {
-        let [_, width] = self.raw.dims();
-        if width == 0 {
-            return Ok(());
-        }
-        let Some(moments) = self.moments.take() else { return Ok(()) };
+        let Some(moments) = self.moments.take_if(|_| self.raw.dims()[1] > 0) else { return Ok(()) };
         let gradient = gradient.unwrap_or_else(|| self.raw.zeros_like());
         // Moved out, so that the step can work in place.
         let raw = std::mem::replace(&mut self.raw, zeros([0, 0], &gate.device()));
@@ -320,10 +342,6 @@ mod tests {
         Tensor::<1, Bool>::from_data(TensorData::new(rows.to_vec(), [rows.len()]), device).reshape([rows.len(), 1])
     }
 
-    fn moments(parameter: &Parameter) -> [Vec<f32>; 2] {
-        parameter.rows().moments.unwrap()
-    }
-
     /// What happens to an attribute in a run, one thing after the other.
     fn in_a_run(mut parameter: Parameter, device: &Device) -> Vec<ParameterRows> {
         let gradient: Vec<f32> = (0..24).map(|at| (at as f32).sin()).collect();
@@ -404,13 +422,14 @@ mod tests {
         let copied = Rows::new(&[0, 2, 2, 0], 3, &device);
         parameter.copy_rows(&copied, &fresh_rows(&[false, false, true, true], &device));
         assert_eq!(parameter.rows().raw, [1.0, 1.5, 3.0, 3.5, 3.0, 3.5, 1.0, 1.5]);
-        let [first, second] = moments(&parameter);
+        let [first, second] = parameter.rows().moments.unwrap();
         assert_eq!(first, [0.1, 0.1, 0.2, 0.2, 0.0, 0.0, 0.0, 0.0]);
         assert_eq!(second, [0.4, 0.4, 0.5, 0.5, 0.0, 0.0, 0.0, 0.0]);
         parameter.set(&[5.0; 8]);
-        assert_eq!((parameter.rows().raw, moments(&parameter)[0][2]), (vec![5.0; 8], 0.2));
+        assert_eq!((parameter.rows().raw, parameter.rows().moments.unwrap()[0][2]), (vec![5.0; 8], 0.2));
         parameter.restart(&[6.0; 8]);
-        assert_eq!((parameter.rows().raw, moments(&parameter)), (vec![6.0; 8], [vec![0.0; 8], vec![0.0; 8]]));
+        let rows = parameter.rows();
+        assert_eq!((rows.raw, rows.moments), (vec![6.0; 8], Some([vec![0.0; 8], vec![0.0; 8]])));
     }
 
     #[test]

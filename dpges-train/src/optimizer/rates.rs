@@ -57,8 +57,7 @@ impl OptimizerConfig {
         let fall = 0.5 + 0.5 * (PI * (since / (1.0 - self.pose_from)).min(1.0)).cos();
         let factor = (since / POSE_RISE).min(1.0) * fall;
         PoseStep {
-            rotation: self.poses * factor,
-            translation: self.poses * factor,
+            rate: self.poses * factor,
             extent,
             adam: AdamStep { beta_1: POSE_BETA, beta_2: POSE_BETA, ..self.adam(completed, 1) },
         }
@@ -109,11 +108,7 @@ mod tests {
     fn poses_are_learnt_late_with_rates_that_rise_and_fall() {
         let rates = OptimizerConfig { pose_from: 0.2, poses: 0.5, ..Default::default() };
         assert!(!rates.poses_are_learnt(0.199) && rates.poses_are_learnt(0.2));
-        let factor = |completed: usize| {
-            let step = rates.pose_step(completed, 1000, 2.0);
-            assert_eq!(step.translation, step.rotation);
-            step.rotation / 0.5
-        };
+        let factor = |completed: usize| rates.pose_step(completed, 1000, 2.0).rate / 0.5;
         assert_eq!([0, 100, 200].map(factor), [0.0; 3]);
         // half of the way up, in the middle of what is left, at the end
         assert!((factor(250) - 0.25 * (1.0 + (PI / 16.0).cos())).abs() < 1e-12);

@@ -11,9 +11,9 @@ use dpges_core::scene::schema::{
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{ColourData, ColourModel};
 
-use crate::optimizer::{Parameter, ParameterRows, Rows};
+use crate::optimizer::{NamedGradient, Parameter, ParameterRows, Rows};
+use crate::refine::GaussianEdit;
 use crate::refine::mcmc_relocation::Relocated;
-use crate::refine::{GaussianEdit, RowEdit};
 
 /// Learning rates of one step and one kind of primitive.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -75,8 +75,7 @@ pub struct Leaves<T> {
 /// Parameters by their raw names, as a checkpoint holds them.
 pub type NamedRows = BTreeMap<&'static str, ParameterRows>;
 
-/// Gradients of the attributes that learn.
-pub type GradientList = Vec<(&'static Attribute, Option<Tensor<2>>)>;
+pub type GradientList = Vec<NamedGradient>;
 
 impl<C: Columns<Value = Parameter, With<Parameter> = C>> State<C> {
     /// Primitives that have not been stepped yet; opacities in `data` are as they are rendered.
@@ -125,7 +124,7 @@ impl<C: Columns<Value = Parameter, With<Parameter> = C>> State<C> {
     pub fn rows(&self) -> NamedRows {
         let model = self.columns.model();
         let kept = self.columns.iter().filter(|(attribute, _)| !attribute.is_left_out(model));
-        kept.map(|(attribute, parameter)| (attribute.raw_name, parameter.rows())).collect()
+        kept.map(|(_, parameter)| parameter.named_rows()).collect()
     }
 
     pub fn len(&self) -> usize {
@@ -147,7 +146,10 @@ impl<C: Columns<Value = Parameter, With<Parameter> = C>> State<C> {
             match attribute.activation {
                 Activation::Identity => raw,
                 Activation::Opacity => raw.into_iter().map(|raw| self.opacity.value(raw)).collect(),
-                Activation::DegreesOfFreedom => raw.into_iter().map(clamped_degrees).collect(),
+                Activation::DegreesOfFreedom => raw
+                    .into_iter()
+                    .map(|raw| raw.clamp(*DEGREES_OF_FREEDOM.start(), *DEGREES_OF_FREEDOM.end()))
+                    .collect(),
             }
         })
     }
@@ -180,12 +182,11 @@ impl<C: Columns<Value = Parameter, With<Parameter> = C>> State<C> {
     /// The gradients that a backward pass left for the raw [`leaves`](Self::leaves); those of further blocks of the detail
     /// are the last.
     pub fn gradients(&self, raw: &C::With<Tensor<2>>, gradients: &mut Gradients) -> GradientList {
-        let columns =
-            self.columns.iter().zip(raw.list()).map(|((attribute, parameter), leaf)| (attribute, parameter, leaf));
         let detail = &self.columns.colour().detail;
-        let rest = raw.colour().rest.iter().map(|leaf| (C::detail(), detail, leaf));
-        let learning = columns.chain(rest).filter(|(attribute, ..)| attribute.learns());
-        learning.map(|(attribute, parameter, leaf)| (attribute, parameter.gradient(leaf, gradients))).collect()
+        let rest = raw.colour().rest.iter().map(|leaf| (detail, leaf));
+        let all = self.columns.list().into_iter().zip(raw.list()).chain(rest);
+        let learning = all.filter(|(parameter, _)| parameter.attribute.learns());
+        learning.map(|(parameter, leaf)| parameter.gradient(leaf, gradients)).collect()
     }
 
     /// Nothing changes where `gate` `[1]` is not 1.
@@ -208,20 +209,17 @@ impl<C: Columns<Value = Parameter, With<Parameter> = C>> State<C> {
         self.columns.colour_mut().detail.step_rest(gradients, gate, at(C::detail()))
     }
 
-    /// Rows that stay.
-    pub fn keep(&mut self, edit: &RowEdit) {
-        let kept = Rows::new(&edit.keep, self.len(), &self.device());
+    pub fn keep(&mut self, rows: &[usize]) {
+        let kept = Rows::new(rows, self.len(), &self.device());
         self.columns.list_mut().into_iter().for_each(|parameter| parameter.edit(&kept, &[], 0));
     }
 
-    /// The colours in host memory.
     pub fn colour(&self) -> ColourData {
         let colour = self.columns.colour();
         let [base, detail] = [&colour.base, &colour.detail].map(Parameter::raw_rows);
         ColourData::new(colour.model, base, detail)
     }
 
-    /// Replaces all colours; their moments stay.
     pub fn set_colour(&mut self, colour: &ColourData) {
         let columns = self.columns.colour_mut();
         columns.base.set(&colour.base);
@@ -237,7 +235,7 @@ impl GaussianState {
     }
 
     pub fn edit(&mut self, edit: &GaussianEdit) {
-        let kept = Rows::new(&edit.rows.keep, self.len(), &self.device());
+        let kept = Rows::new(&edit.keep, self.len(), &self.device());
         let parameters = self.columns.list_mut().into_iter();
         for ((attribute, added), parameter) in edit.added.iter().zip(parameters) {
             parameter.edit(&kept, &raw(attribute, added, self.opacity), edit.added.len());
@@ -265,10 +263,6 @@ impl GaussianState {
     pub fn reset_opacities(&mut self, opacities: &[f32]) {
         self.columns.opacities.restart(&raw_opacities(opacities, self.opacity));
     }
-}
-
-fn clamped_degrees(raw: f32) -> f32 {
-    raw.clamp(*DEGREES_OF_FREEDOM.start(), *DEGREES_OF_FREEDOM.end())
 }
 
 /// The numbers that are trained for `values`.

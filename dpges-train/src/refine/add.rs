@@ -98,13 +98,8 @@ fn random_rotation(rng: &mut ChaCha8Rng) -> [f32; 4] {
 
 #[cfg(test)]
 mod tests {
-    use rand::SeedableRng;
-
+    use super::super::fixtures::rng;
     use super::*;
-
-    fn rng() -> ChaCha8Rng {
-        ChaCha8Rng::seed_from_u64(3)
-    }
 
     #[test]
     fn batches_fill_the_budget_exactly() {
@@ -135,7 +130,7 @@ mod tests {
     fn pixels_are_drawn_in_proportion_to_their_error() {
         let error = [0.0, 1.0, 3.0, f32::NAN, 0.0, -5.0, 4.0, f32::INFINITY, 0.0];
         let mut counts = [0; 9];
-        draw_in_proportion(&error, 80_000, &mut rng()).into_iter().for_each(|pixel| counts[pixel] += 1);
+        draw_in_proportion(&error, 80_000, &mut rng(3)).into_iter().for_each(|pixel| counts[pixel] += 1);
         for (pixel, expected) in [(1, 10_000), (2, 30_000), (6, 40_000)] {
             assert!(i32::abs(counts[pixel] - expected) < 600, "{counts:?}");
         }
@@ -145,16 +140,16 @@ mod tests {
     #[test]
     fn no_error_draws_nothing() {
         for error in [&[][..], &[0.0; 5], &[f32::NAN, -1.0]] {
-            assert!(draw_in_proportion(error, 10, &mut rng()).is_empty());
+            assert!(draw_in_proportion(error, 10, &mut rng(3)).is_empty());
         }
-        assert_eq!(draw_in_proportion(&[0.0, f32::MIN_POSITIVE, 0.0], 3, &mut rng()), [1, 1, 1]);
+        assert_eq!(draw_in_proportion(&[0.0, f32::MIN_POSITIVE, 0.0], 3, &mut rng(3)), [1, 1, 1]);
     }
 
     #[test]
     fn new_gaussians_are_black_and_fit_their_batch() {
         let model = ColourModel::SphericalBeta { lobes: 2 };
         let positions = [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 2.0]];
-        let new = new_gaussians(&positions, 0.75, model, &mut rng());
+        let new = new_gaussians(&positions, 0.75, model, &mut rng(3));
         assert_eq!((new.len(), new.colour.detail.len()), (4, 48));
         assert!((new.log_scales[0].exp() - 0.5 * 2f32.sqrt()).abs() < 1e-6);
         assert!((new.log_scales[9].exp() - 0.5 * (14f32 / 3.0).sqrt()).abs() < 1e-6);
@@ -168,10 +163,10 @@ mod tests {
     #[test]
     fn one_alone_and_duplicates_have_a_positive_scale() {
         let model = ColourModel::SphericalHarmonics { degree: 1 };
-        let alone = new_gaussians(&[[1.0; 3]], 0.25, model, &mut rng());
+        let alone = new_gaussians(&[[1.0; 3]], 0.25, model, &mut rng(3));
         assert!((alone.log_scales[0].exp() - 0.25).abs() < 1e-6);
-        let twins = new_gaussians(&[[1.0; 3]; 2], 0.25, model, &mut rng());
+        let twins = new_gaussians(&[[1.0; 3]; 2], 0.25, model, &mut rng(3));
         assert!(twins.log_scales.iter().all(|s| s.is_finite()));
-        assert!(new_gaussians(&[], 0.25, model, &mut rng()).is_empty());
+        assert!(new_gaussians(&[], 0.25, model, &mut rng(3)).is_empty());
     }
 }

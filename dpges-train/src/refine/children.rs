@@ -33,7 +33,9 @@ pub fn draw_positions(
     rng: &mut ChaCha8Rng,
 ) {
     for (position, &row) in copies.positions.as_chunks_mut::<3>().0.iter_mut().zip(rows) {
-        *position = draw_inside(gaussians, row, flat, rng).as_vec3().to_array();
+        let draw = DVec3::new(normal(rng), normal(rng), if flat { 0.0 } else { normal(rng) });
+        let inside = rotation(gaussians, row) * (vector(&gaussians.log_scales, row).exp() * draw);
+        *position = (vector(&gaussians.positions, row) + inside).as_vec3().to_array();
     }
 }
 
@@ -47,11 +49,4 @@ pub fn rotation(gaussians: &GaussianData, row: usize) -> DQuat {
     let [w, x, y, z] = [0, 1, 2, 3].map(|i| f64::from(gaussians.quaternions[row * 4 + i]));
     let rotation = DQuat::from_xyzw(x, y, z, w);
     if rotation.length_squared() > 0.0 { rotation.normalize() } else { DQuat::IDENTITY }
-}
-
-/// A point distributed as the Gaussian of `row`, or in its plane if it is `flat`; world units.
-fn draw_inside(gaussians: &GaussianData, row: usize, flat: bool, rng: &mut ChaCha8Rng) -> DVec3 {
-    let draw = DVec3::new(normal(rng), normal(rng), if flat { 0.0 } else { normal(rng) });
-    let inside = rotation(gaussians, row) * (vector(&gaussians.log_scales, row).exp() * draw);
-    vector(&gaussians.positions, row) + inside
 }

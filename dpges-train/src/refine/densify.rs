@@ -4,8 +4,8 @@
 use dpges_core::scene::GaussianData;
 use rand_chacha::ChaCha8Rng;
 
+use super::GaussianEdit;
 use super::children::{SHRINKAGE, children, draw_positions};
-use super::{GaussianEdit, RowEdit};
 
 /// The decision by sums of absolute gradients.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -131,7 +131,7 @@ pub fn densify(
         rule.selected(sums, room, is_small).into_iter().partition(is_small);
     let mut is_parent = vec![false; count];
     parents.iter().for_each(|&row| is_parent[row] = true);
-    let rows = RowEdit::retain(count, |&row| !is_parent[row] && stays(row, max_scale));
+    let keep: Vec<usize> = (0..count).filter(|&row| !is_parent[row] && stays(row, max_scale)).collect();
 
     cloned.retain(|&row| stays(row, max_scale));
     let mut added = gaussians.select(&cloned);
@@ -141,11 +141,11 @@ pub fn densify(
     let fruitful = parents.into_iter().filter(|&row| stays(row, max_scale * SHRINKAGE));
     added.append(children(gaussians, fruitful, rule.flat, rng));
 
-    if count > 0 && rows.keep.is_empty() && added.is_empty() {
+    if count > 0 && keep.is_empty() && added.is_empty() {
         tracing::warn!("densification would prune each of {count} Gaussians: none is changed");
-        return GaussianEdit { rows: RowEdit::keep_all(count), added };
+        return GaussianEdit { keep: (0..count).collect(), added };
     }
-    GaussianEdit { rows, added }
+    GaussianEdit { keep, added }
 }
 
 /// Opacities after a reset: each at most `at_most` (3DGS: 0.01 every 3000 steps).
@@ -155,14 +155,12 @@ pub fn reset_opacities(opacities: &[f32], at_most: f32) -> Vec<f32> {
 
 #[cfg(test)]
 mod tests {
-    use dpges_core::scene::{ColourData, ColourModel};
     use glam::DVec3;
-    use rand::SeedableRng;
 
     use super::super::children::vector;
+    use super::super::fixtures::{self, MODEL, rng};
     use super::*;
 
-    const MODEL: ColourModel = ColourModel::SphericalBeta { lobes: 1 };
     const RULE: DensifyRule = DensifyRule {
         gradient_threshold: 2e-4,
         by_absolute: ByAbsolute::Nothing,
@@ -173,23 +171,11 @@ mod tests {
         draws_clones: false,
     };
 
-    fn rng() -> ChaCha8Rng {
-        ChaCha8Rng::seed_from_u64(41)
-    }
-
     /// Gaussians of scales (s, s/2, s/4) turned by 90° about z, so that their long axis is y; their other
     /// numbers tell the rows apart.
     fn gaussians(scales: &[f32]) -> GaussianData {
-        let n = scales.len();
-        let numbered = |width: usize| (0..n * width).map(|i| i as f32).collect();
-        GaussianData {
-            positions: numbered(3),
-            quaternions: [3.0, 0.0, 0.0, 3.0].repeat(n),
-            log_scales: scales.iter().flat_map(|s| [*s, s / 2.0, s / 4.0].map(f32::ln)).collect(),
-            opacities: (0..n).map(|i| 0.5 + 0.125 * (i % 4) as f32).collect(),
-            colour: ColourData::new(MODEL, numbered(3), numbered(6)),
-            ..GaussianData::default()
-        }
+        let of_axes: Vec<[f32; 3]> = scales.iter().map(|s| [*s, s / 2.0, s / 4.0]).collect();
+        fixtures::gaussians(&of_axes, (0..scales.len()).map(|i| 0.5 + 0.125 * (i % 4) as f32).collect())
     }
 
     /// Sums of two views with the given means.
@@ -200,14 +186,14 @@ mod tests {
 
     /// Densification with an extent of 1.
     fn run(gaussians: &GaussianData, signed: &[f32], rule: DensifyRule, room: usize) -> GaussianEdit {
-        densify(gaussians, &sums(signed, &vec![0.0; signed.len()]), 1.0, &rule, room, &mut rng())
+        densify(gaussians, &sums(signed, &vec![0.0; signed.len()]), 1.0, &rule, room, &mut rng(41))
     }
 
     #[test]
     fn the_small_are_cloned_in_place() {
         let old = gaussians(&[0.009, 0.005, 0.005]);
         let edit = run(&old, &[3e-4, 1e-4, 2.1e-4], RULE, 9);
-        assert_eq!(edit.rows.keep, [0, 1, 2]);
+        assert_eq!(edit.keep, [0, 1, 2]);
         assert_eq!(edit.added, old.select(&[0, 2]));
     }
 
@@ -227,7 +213,7 @@ mod tests {
     fn the_large_are_replaced_by_two_smaller() {
         let old = gaussians(&[0.005, 0.02, 0.02]);
         let edit = run(&old, &[0.0, 3e-4, 1e-4], RULE, 9);
-        assert_eq!(edit.rows.keep, [0, 2]);
+        assert_eq!(edit.keep, [0, 2]);
         let parents = old.select(&[1, 1]);
         let GaussianData { positions, quaternions, log_scales, opacities, colour, .. } = edit.added;
         assert_eq!((quaternions, opacities, colour), (parents.quaternions, parents.opacities, parents.colour));
@@ -245,7 +231,7 @@ mod tests {
         let mut old = gaussians(&[0.005, 0.02, 0.005, 0.02]);
         (old.opacities[2], old.opacities[3]) = (0.04, 0.04);
         let edit = run(&old, &[3e-4; 4], RULE, 9);
-        assert_eq!(edit.rows.keep, [0]);
+        assert_eq!(edit.keep, [0]);
         assert_eq!(edit.added.opacities, [0.5, 0.625, 0.625]);
         assert_eq!(edit.apply(&old).len(), 4);
     }
@@ -257,9 +243,9 @@ mod tests {
             absolute: vec![0.0; 5],
             views: vec![3, 4, 0, 0, 2],
         };
-        let edit = densify(&gaussians(&[0.005; 5]), &sums, 1.0, &RULE, 9, &mut rng());
+        let edit = densify(&gaussians(&[0.005; 5]), &sums, 1.0, &RULE, 9, &mut rng(41));
         assert_eq!(edit.added.opacities, [0.5]);
-        assert_eq!(edit.rows.keep.len(), 5);
+        assert_eq!(edit.keep.len(), 5);
     }
 
     #[test]
@@ -267,10 +253,10 @@ mod tests {
         let mut old = gaussians(&[0.09, 0.11, 0.05, 0.005, 0.005]);
         (old.opacities[3], old.opacities[4]) = (0.04, f32::NAN);
         let huge = DensifyRule { max_scale_fraction: Some(0.1), ..RULE };
-        assert_eq!(run(&old, &[0.0; 5], RULE, 9).rows.keep, [0, 1, 2]);
-        assert_eq!(run(&old, &[0.0; 5], huge, 9).rows.keep, [0, 2]);
-        let no_extent = densify(&old, &sums(&[1.0; 5], &[0.0; 5]), 0.0, &huge, 9, &mut rng());
-        assert_eq!((no_extent.rows.keep, no_extent.added.len()), (vec![0, 1, 2], 3));
+        assert_eq!(run(&old, &[0.0; 5], RULE, 9).keep, [0, 1, 2]);
+        assert_eq!(run(&old, &[0.0; 5], huge, 9).keep, [0, 2]);
+        let no_extent = densify(&old, &sums(&[1.0; 5], &[0.0; 5]), 0.0, &huge, 9, &mut rng(41));
+        assert_eq!((no_extent.keep, no_extent.added.len()), (vec![0, 1, 2], 3));
     }
 
     #[test]
@@ -278,7 +264,7 @@ mod tests {
         let huge = DensifyRule { max_scale_fraction: Some(0.1), ..RULE };
         let old = gaussians(&[0.15, 0.17, 0.005]);
         let edit = run(&old, &[3e-4, 3e-4, 0.0], huge, 9);
-        assert_eq!(edit.rows.keep, [2]);
+        assert_eq!(edit.keep, [2]);
         assert_eq!(edit.added.opacities, [0.5, 0.5]);
     }
 
@@ -291,7 +277,7 @@ mod tests {
             assert_eq!(edit.apply(&old).len(), 4 + room.min(4));
         }
         let edit = run(&old, &gradients, RULE, 2);
-        assert_eq!((edit.rows.keep, edit.added.opacities), (vec![0, 1, 2], vec![0.75, 0.875, 0.875]));
+        assert_eq!((edit.keep, edit.added.opacities), (vec![0, 1, 2], vec![0.75, 0.875, 0.875]));
         assert_eq!(run(&old, &[3e-4; 4], RULE, 1).added.opacities, [0.5]);
     }
 
@@ -310,7 +296,7 @@ mod tests {
         let sums = sums(&[1e-4, 3e-4, 0.0, 0.0, 0.0], &[5.0, 1.0, 3.0, 2.0, 4.0]);
         let old = gaussians(&[0.005; 5]);
         let by_quantile = DensifyRule { by_absolute: ByAbsolute::Quantile, ..RULE };
-        let added = |rule: DensifyRule, room: usize| densify(&old, &sums, 1.0, &rule, room, &mut rng()).added;
+        let added = |rule: DensifyRule, room: usize| densify(&old, &sums, 1.0, &rule, room, &mut rng(41)).added;
         assert_eq!(added(RULE, 9), old.select(&[1]));
         assert_eq!(added(by_quantile, 9), old.select(&[0, 1]));
         assert_eq!(added(by_quantile, 1), old.select(&[1]));
@@ -322,8 +308,8 @@ mod tests {
         let sums = sums(&[3e-4, 1e-4, 3e-4, 1e-4], &[5e-4, 5e-4, 3e-4, 5e-4]);
         // small, small, large, large
         let old = gaussians(&[0.0005, 0.0005, 0.005, 0.005]);
-        let edit = densify(&old, &sums, 1.0, &rule, 9, &mut rng());
-        assert_eq!(edit.rows.keep, [0, 1, 2], "the last is split");
+        let edit = densify(&old, &sums, 1.0, &rule, 9, &mut rng(41));
+        assert_eq!(edit.keep, [0, 1, 2], "the last is split");
         assert_eq!(edit.added.opacities, old.select(&[0, 3, 3]).opacities);
     }
 
@@ -367,7 +353,7 @@ mod tests {
         let mut old = gaussians(&[0.005, 0.02]);
         old.opacities = vec![0.01; 2];
         let edit = run(&old, &[1.0; 2], RULE, 9);
-        assert_eq!((edit.rows.keep.len(), edit.added.len()), (2, 0));
+        assert_eq!((edit.keep.len(), edit.added.len()), (2, 0));
         let nothing = GaussianEdit { added: GaussianData::neutral(MODEL, 0), ..GaussianEdit::default() };
         assert_eq!(run(&gaussians(&[]), &[], RULE, 9), nothing);
     }

@@ -10,8 +10,8 @@ use rand_chacha::ChaCha8Rng;
 
 use super::add::draw_in_proportion;
 use super::children::{rotation, vector};
+use super::normal;
 use super::prune::drawn;
-use super::{RowEdit, normal};
 use crate::dataset::block::Bounds;
 
 /// Least opacity that is left to a copy: five times what is cut off, so that a copy is hardly narrower than its source.
@@ -24,8 +24,7 @@ const ROUNDS: usize = 4;
 /// A set of Gaussians with copies in place of those that draw nothing.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Renewal {
-    /// The rows that stay.
-    pub rows: RowEdit,
+    pub rows: Vec<usize>,
     /// Opacities of the rows that stay, as they are rendered.
     pub opacities: Vec<f32>,
     pub copies: GaussianData,
@@ -44,14 +43,14 @@ pub fn renew(
     rng: &mut ChaCha8Rng,
 ) -> Renewal {
     let rows = most_useful(drawn(&gaussians.opacities), errors, target);
-    let kept: Vec<f32> = rows.keep.iter().map(|&row| gaussians.opacities[row]).collect();
-    let known = rows.keep.iter().any(|&row| errors[row] > 0.0);
+    let kept: Vec<f32> = rows.iter().map(|&row| gaussians.opacities[row]).collect();
+    let known = rows.iter().any(|&row| errors[row] > 0.0);
     let mut weights: Vec<f32> = match known {
-        true => rows.keep.iter().map(|&row| errors[row]).collect(),
+        true => rows.iter().map(|&row| errors[row]).collect(),
         false => kept.iter().map(|opacity| opacity / (1.0 + opacity)).collect(),
     };
     let (positions, _) = gaussians.positions.as_chunks::<3>();
-    let beyond = rows.keep.iter().map(|&row| !bounds.contains(positions[row]));
+    let beyond = rows.iter().map(|&row| !bounds.contains(positions[row]));
     weights.iter_mut().zip(beyond).filter(|(_, beyond)| *beyond).for_each(|(weight, _)| *weight = 0.0);
     let most_members = |opacity: f32| ((opacity / LEAST_OPACITY) as usize).max(1);
     let mut members = vec![1; kept.len()];
@@ -71,7 +70,7 @@ pub fn renew(
         }
     }
     let opacities: Vec<f32> = kept.iter().zip(&members).map(|(opacity, &members)| opacity / members as f32).collect();
-    let mut copies = gaussians.select(&sources.iter().map(|&at| rows.keep[at]).collect::<Vec<_>>());
+    let mut copies = gaussians.select(&sources.iter().map(|&at| rows[at]).collect::<Vec<_>>());
     copies.opacities = sources.iter().map(|&at| opacities[at]).collect();
     if shift {
         shift_within(&mut copies, rng);
@@ -80,11 +79,11 @@ pub fn renew(
 }
 
 /// At most `target` of `rows`: those of the largest `errors`.
-fn most_useful(mut rows: RowEdit, errors: &[f32], target: usize) -> RowEdit {
-    if rows.keep.len() > target {
-        rows.keep.sort_by(|&a, &b| errors[b].total_cmp(&errors[a]).then(a.cmp(&b)));
-        rows.keep.truncate(target);
-        rows.keep.sort_unstable();
+fn most_useful(mut rows: Vec<usize>, errors: &[f32], target: usize) -> Vec<usize> {
+    if rows.len() > target {
+        rows.sort_by(|&a, &b| errors[b].total_cmp(&errors[a]).then(a.cmp(&b)));
+        rows.truncate(target);
+        rows.sort_unstable();
     }
     rows
 }
@@ -100,19 +99,13 @@ fn shift_within(gaussians: &mut GaussianData, rng: &mut ChaCha8Rng) {
 
 #[cfg(test)]
 mod tests {
+    use super::super::fixtures::rng;
+    use super::*;
+    use crate::run::fixtures::{camera, device};
     use burn::tensor::{DType, Tensor};
-    use dpges_core::camera::{Camera, CameraFromWorld};
+    use dpges_core::camera::CameraFromWorld;
     use dpges_core::ops::splat::splat;
     use dpges_core::scene::{ColourData, ColourModel, Gaussians};
-    use rand::SeedableRng;
-
-    use crate::run::fixtures::device;
-
-    use super::*;
-
-    fn rng() -> ChaCha8Rng {
-        ChaCha8Rng::seed_from_u64(8)
-    }
 
     /// Gaussians whose position, x, is their row.
     fn gaussians(opacities: &[f32]) -> GaussianData {
@@ -130,8 +123,8 @@ mod tests {
     #[test]
     fn sources_share_their_opacity_and_errors_choose_them() {
         let old = gaussians(&[0.6, 0.001, 1.2, -0.3, 0.3]);
-        let new = renew(&old, &[1.0, 9.0, 0.0, 9.0, 0.0], (5, Bounds::ALL), false, &mut rng());
-        assert_eq!((&new.rows.keep[..], new.copies.len()), (&[0, 2, 4][..], 2));
+        let new = renew(&old, &[1.0, 9.0, 0.0, 9.0, 0.0], (5, Bounds::ALL), false, &mut rng(8));
+        assert_eq!((&new.rows[..], new.copies.len()), (&[0, 2, 4][..], 2));
         assert!((new.opacities[0] - 0.2).abs() < 1e-6 && new.opacities[1..] == [1.2, 0.3], "{:?}", new.opacities);
         assert_eq!(new.copies.positions, [0.0; 6]);
         assert_eq!(new.copies.opacities, [new.opacities[0]; 2]);
@@ -139,23 +132,20 @@ mod tests {
 
     #[test]
     fn sums_of_opacities_stay_as_they_were() {
-        let mut random = rng();
         let old = gaussians(&(0..200).map(|i| 0.004 + 0.01 * i as f32).collect::<Vec<_>>());
         let errors: Vec<f32> = (0..200).map(|i| (i % 7) as f32).collect();
-        let new = renew(&old, &errors, (900, Bounds::ALL), true, &mut random);
+        let new = renew(&old, &errors, (900, Bounds::ALL), true, &mut rng(8));
         let after = new.opacities.iter().chain(&new.copies.opacities).sum::<f32>();
         assert!((after - old.opacities.iter().sum::<f32>()).abs() < 1e-3);
-        assert_eq!(new.rows.keep.len() + new.copies.len(), 900);
+        assert_eq!(new.rows.len() + new.copies.len(), 900);
         assert!(new.copies.opacities.iter().all(|&opacity| opacity >= 0.99 * LEAST_OPACITY));
     }
 
     /// Sums of pixels of Gaussians around the camera, which are cut off nowhere in the picture.
     fn sums(gaussians: &GaussianData, dtype: DType) -> Vec<f64> {
         let camera_from_world = CameraFromWorld::look_at(DVec3::new(0.0, 0.0, -40.0), DVec3::ZERO, -DVec3::Y);
-        let (width, height) = (24, 16);
-        let camera =
-            Camera { camera_from_world, fx: 30.0, fy: 30.0, cx: 12.0, cy: 8.0, width, height, near: 0.01, lens: None };
-        let limits = Tensor::full([1, height, width], 1e9, (&device(), dtype));
+        let camera = camera(camera_from_world, 30.0, [24, 16]);
+        let limits = Tensor::full([1, 16, 24], 1e9, (&device(), dtype));
         let gaussians = Gaussians::from_data(gaussians, &device(), dtype);
         let white = Tensor::ones([gaussians.positions.dims()[0], 3], (&device(), dtype));
         splat(&gaussians, &white, &limits, &camera).unwrap().into_data().iter::<f64>().collect()
@@ -165,8 +155,8 @@ mod tests {
     fn pictures_stay_as_they_were() {
         let mut old = gaussians(&[0.75, 2.0]);
         old.log_scales = vec![3.0; 6];
-        let new = renew(&old, &[1.0, 0.0], (4, Bounds::ALL), false, &mut rng());
-        let mut after = GaussianData { opacities: new.opacities, ..old.select(&new.rows.keep) };
+        let new = renew(&old, &[1.0, 0.0], (4, Bounds::ALL), false, &mut rng(8));
+        let mut after = GaussianData { opacities: new.opacities, ..old.select(&new.rows) };
         after.append(new.copies);
         assert_eq!(after.opacities, [0.25, 2.0, 0.25, 0.25]);
         for (dtype, most) in [(DType::F64, 1e-12), (DType::F32, 1e-5)] {
@@ -178,28 +168,28 @@ mod tests {
 
     #[test]
     fn faint_gaussians_have_no_copies() {
-        let new = renew(&gaussians(&[0.021, 0.0393]), &[1.0; 2], (50, Bounds::ALL), true, &mut rng());
-        assert_eq!((new.rows.keep.len(), new.copies.len()), (2, 1));
-        let none = renew(&gaussians(&[]), &[], (50, Bounds::ALL), true, &mut rng());
-        assert_eq!((none.rows.keep.len(), none.copies.len()), (0, 0));
+        let new = renew(&gaussians(&[0.021, 0.0393]), &[1.0; 2], (50, Bounds::ALL), true, &mut rng(8));
+        assert_eq!((new.rows.len(), new.copies.len()), (2, 1));
+        let none = renew(&gaussians(&[]), &[], (50, Bounds::ALL), true, &mut rng(8));
+        assert_eq!((none.rows.len(), none.copies.len()), (0, 0));
     }
 
     #[test]
     fn without_errors_the_opaque_have_more_copies() {
-        let new = renew(&gaussians(&[9.0, 1.0]), &[0.0; 2], (142, Bounds::ALL), false, &mut rng());
+        let new = renew(&gaussians(&[9.0, 1.0]), &[0.0; 2], (142, Bounds::ALL), false, &mut rng(8));
         let of_first = new.copies.positions.chunks(3).filter(|position| position[0] == 0.0).count();
         assert!((75..=105).contains(&of_first), "{of_first}");
     }
 
     #[test]
     fn beyond_the_target_those_that_answer_for_least_leave() {
-        let new = renew(&gaussians(&[0.5, 0.5, 0.0, 0.5]), &[0.2, 0.1, 5.0, 0.3], (2, Bounds::ALL), true, &mut rng());
-        assert_eq!((&new.rows.keep[..], new.copies.len()), (&[0, 3][..], 0));
+        let new = renew(&gaussians(&[0.5, 0.5, 0.0, 0.5]), &[0.2, 0.1, 5.0, 0.3], (2, Bounds::ALL), true, &mut rng(8));
+        assert_eq!((&new.rows[..], new.copies.len()), (&[0, 3][..], 0));
     }
 
     #[test]
     fn copies_lie_within_their_source() {
-        let new = renew(&gaussians(&[1e3]), &[1.0], (20_001, Bounds::ALL), true, &mut rng());
+        let new = renew(&gaussians(&[1e3]), &[1.0], (20_001, Bounds::ALL), true, &mut rng(8));
         let spread = |axis: usize| {
             let squares = new.copies.positions.chunks(3).map(|position| f64::from(position[axis]).powi(2));
             (squares.sum::<f64>() / new.copies.len() as f64).sqrt()

@@ -2,21 +2,20 @@
 
 use rayon::prelude::*;
 
-use super::RowEdit;
 use crate::dataset::EmptySpace;
 
 /// Of `rows`, those whose `positions` [M × 3] (world units) are not in the `empty` space around cameras; all of them if all are
 /// in it.
-pub fn without_floaters(empty: &EmptySpace, rows: RowEdit, positions: &[f32]) -> RowEdit {
+pub fn without_floaters(empty: &EmptySpace, rows: Vec<usize>, positions: &[f32]) -> Vec<usize> {
     let (positions, _) = positions.as_chunks::<3>();
-    let keep: Vec<usize> = rows.keep.par_iter().copied().filter(|&row| !empty.contains(positions[row])).collect();
-    if keep.is_empty() && !rows.keep.is_empty() {
+    let kept: Vec<usize> = rows.par_iter().copied().filter(|&row| !empty.contains(positions[row])).collect();
+    if kept.is_empty() && !rows.is_empty() {
         tracing::warn!(
             "each Gaussian is in the empty space before a camera: none is removed; are the points in their places?"
         );
         return rows;
     }
-    RowEdit { keep }
+    kept
 }
 
 #[cfg(test)]
@@ -37,8 +36,8 @@ mod tests {
         };
         let empty = EmptySpace::of(&data);
         let positions = [at(0.9), at(1.1), at(-0.5), at(1.9)].concat();
-        assert_eq!(without_floaters(&empty, RowEdit { keep: vec![0, 1, 2] }, &positions).keep, [1]);
-        assert_eq!(without_floaters(&empty, RowEdit { keep: vec![0, 2] }, &positions).keep, [0, 2], "never all");
-        assert_eq!(without_floaters(&EmptySpace::default(), RowEdit::keep_all(4), &positions).keep, [0, 1, 2, 3]);
+        assert_eq!(without_floaters(&empty, vec![0, 1, 2], &positions), [1]);
+        assert_eq!(without_floaters(&empty, vec![0, 2], &positions), [0, 2], "never all");
+        assert_eq!(without_floaters(&EmptySpace::default(), vec![0, 1, 2, 3], &positions), [0, 1, 2, 3]);
     }
 }

@@ -22,17 +22,14 @@ pub enum Spare {
     Constant([f64; 3]),
 }
 
-/// A lobe that can go.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SpareLobe {
-    /// Row of the primitive.
     pub row: usize,
     /// Index among the primitive's lobes.
     pub lobe: usize,
     pub why: Spare,
 }
 
-/// How many lobes were dropped.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Dropped {
     /// Without replacement.
@@ -155,7 +152,6 @@ impl Lit {
         }
     }
 
-    /// The brightest channel.
     fn largest(&self) -> f64 {
         self.colour.into_iter().fold(0.0, f64::max)
     }

@@ -39,43 +39,47 @@ use dpges_core::scene::GaussianData;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-/// The rows of a set that are kept.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct RowEdit {
-    /// Rows of the old set, ascending.
-    pub keep: Vec<usize>,
-}
-
-impl RowEdit {
-    /// Keeps those of `count` rows for which `stays` holds.
-    pub fn retain(count: usize, stays: impl FnMut(&usize) -> bool) -> Self {
-        Self { keep: (0..count).filter(stays).collect() }
-    }
-
-    /// Keeps all of `count` rows.
-    pub fn keep_all(count: usize) -> Self {
-        Self { keep: (0..count).collect() }
-    }
-
-    /// The number of rows that are removed from `count`.
-    pub fn removed_from(&self, count: usize) -> usize {
-        count - self.keep.len()
-    }
-}
-
 /// Gaussians that are kept, followed by new ones.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GaussianEdit {
-    pub rows: RowEdit,
+    /// Rows of the old set, ascending.
+    pub keep: Vec<usize>,
     pub added: GaussianData,
 }
 
 impl GaussianEdit {
     /// The set after the edit: kept rows in their order, then the new ones.
     pub fn apply(&self, gaussians: &GaussianData) -> GaussianData {
-        let mut edited = gaussians.select(&self.rows.keep);
+        let mut edited = gaussians.select(&self.keep);
         edited.append(self.added.clone());
         edited
+    }
+}
+
+#[cfg(test)]
+mod fixtures {
+    use dpges_core::scene::{ColourData, ColourModel, GaussianData};
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
+    pub const MODEL: ColourModel = ColourModel::SphericalBeta { lobes: 1 };
+
+    pub fn rng(seed: u64) -> ChaCha8Rng {
+        ChaCha8Rng::seed_from_u64(seed)
+    }
+
+    /// Gaussians of these scales, turned by 90° about z, whose positions and colours tell the rows apart.
+    pub fn gaussians(scales: &[[f32; 3]], opacities: Vec<f32>) -> GaussianData {
+        let n = scales.len();
+        let numbered = |width: usize| (0..n * width).map(|i| i as f32).collect();
+        GaussianData {
+            positions: numbered(3),
+            quaternions: [3.0, 0.0, 0.0, 3.0].repeat(n),
+            log_scales: scales.as_flattened().iter().map(|scale| scale.ln()).collect(),
+            opacities,
+            colour: ColourData::new(MODEL, numbered(3), numbered(6)),
+            ..GaussianData::default()
+        }
     }
 }
 
@@ -87,14 +91,12 @@ fn normal(rng: &mut ChaCha8Rng) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use dpges_core::scene::ColourModel;
-    use rand::SeedableRng;
-
+    use super::fixtures::{MODEL, rng};
     use super::*;
 
     #[test]
     fn normal_numbers_have_mean_0_and_variance_1() {
-        let mut rng = ChaCha8Rng::seed_from_u64(5);
+        let mut rng = rng(5);
         let draws: Vec<f64> = (0..40_000).map(|_| normal(&mut rng)).collect();
         let mean = draws.iter().sum::<f64>() / draws.len() as f64;
         let variance = draws.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / draws.len() as f64;
@@ -104,11 +106,9 @@ mod tests {
 
     #[test]
     fn an_edit_keeps_then_appends() {
-        let model = ColourModel::SphericalBeta { lobes: 0 };
-        let old = add::new_gaussians(&[[0.0; 3], [1.0; 3], [2.0; 3]], 1.0, model, &mut ChaCha8Rng::seed_from_u64(0));
-        let added = add::new_gaussians(&[[9.0; 3]], 1.0, model, &mut ChaCha8Rng::seed_from_u64(1));
-        let edit = GaussianEdit { rows: RowEdit::retain(3, |&row| row != 1), added };
-        assert_eq!(edit.rows.removed_from(3), 1);
+        let old = add::new_gaussians(&[[0.0; 3], [1.0; 3], [2.0; 3]], 1.0, MODEL, &mut rng(0));
+        let added = add::new_gaussians(&[[9.0; 3]], 1.0, MODEL, &mut rng(0));
+        let edit = GaussianEdit { keep: vec![0, 2], added };
         assert_eq!(edit.apply(&old).positions, [0.0, 0.0, 0.0, 2.0, 2.0, 2.0, 9.0, 9.0, 9.0]);
     }
 }

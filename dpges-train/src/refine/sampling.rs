@@ -34,20 +34,11 @@ mod tests {
     use dpges_core::camera::CameraFromWorld;
 
     use super::*;
+    use crate::run::fixtures;
 
     fn camera(distance: f64, focal: f64) -> Camera {
-        let camera_from_world = CameraFromWorld::look_at(DVec3::new(0.0, 0.0, -distance), DVec3::ZERO, -DVec3::Y);
-        Camera {
-            camera_from_world,
-            fx: focal,
-            fy: focal,
-            cx: 20.0,
-            cy: 20.0,
-            width: 40,
-            height: 40,
-            near: 0.1,
-            lens: None,
-        }
+        let pose = CameraFromWorld::look_at(DVec3::new(0.0, 0.0, -distance), DVec3::ZERO, -DVec3::Y);
+        fixtures::camera(pose, focal, [40, 40])
     }
 
     #[test]

@@ -3,9 +3,9 @@
 use dpges_core::scene::GaussianData;
 use rand_chacha::ChaCha8Rng;
 
+use super::GaussianEdit;
 use super::children::children;
 use super::margins::NEIGHBOURS;
-use super::{GaussianEdit, RowEdit};
 use crate::dataset::block::Bounds;
 use crate::refine::neighbours::{as_points, nearest_to};
 
@@ -33,7 +33,7 @@ pub fn split(
     parents.iter().for_each(|&row| is_parent[row] = true);
 
     let added = children(gaussians, parents.into_iter(), false, rng);
-    (GaussianEdit { rows: RowEdit::retain(gaussians.len(), |&row| !is_parent[row]), added }, too_large)
+    (GaussianEdit { keep: (0..gaussians.len()).filter(|&row| !is_parent[row]).collect(), added }, too_large)
 }
 
 /// The rows to split, those that exceed their limit most first.
@@ -57,39 +57,23 @@ fn parents(gaussians: &GaussianData, surfel_positions: &[f32], margins: &[f32], 
 
 #[cfg(test)]
 mod tests {
-    use dpges_core::scene::{ColourData, ColourModel};
-    use rand::SeedableRng;
-
+    use super::super::fixtures::{self, MODEL, rng};
     use super::*;
 
-    const MODEL: ColourModel = ColourModel::SphericalBeta { lobes: 1 };
-
-    /// Gaussians of scale (4 s, s, s) turned so that their long axis is y.
+    /// Gaussians of scale (4 s, s, s), whose long axis is y.
     fn gaussians(scales: &[f32]) -> GaussianData {
-        let n = scales.len();
-        let half = std::f32::consts::FRAC_1_SQRT_2;
-        GaussianData {
-            positions: (0..n * 3).map(|i| i as f32).collect(),
-            quaternions: [half * 3.0, 0.0, 0.0, half * 3.0].repeat(n),
-            log_scales: scales.iter().flat_map(|s| [(4.0 * s).ln(), s.ln(), s.ln()]).collect(),
-            opacities: (0..n).map(|i| i as f32).collect(),
-            colour: ColourData::new(MODEL, vec![0.25; n * 3], vec![0.75; n * 6]),
-            ..GaussianData::default()
-        }
-    }
-
-    fn rng() -> ChaCha8Rng {
-        ChaCha8Rng::seed_from_u64(11)
+        let of_axes: Vec<[f32; 3]> = scales.iter().map(|s| [4.0 * s, *s, *s]).collect();
+        fixtures::gaussians(&of_axes, (0..scales.len()).map(|i| i as f32).collect())
     }
 
     #[test]
     fn the_large_are_replaced_by_two_smaller() {
         let old = gaussians(&[0.9, 1.1, 0.5, 5.0]);
-        let (edit, too_large) = split(&old, &[0.0; 9], &[1.0, 1.0, 1.0], 2.0, (10, Bounds::ALL), &mut rng());
-        assert_eq!((&edit.rows.keep, too_large), (&vec![0, 2], 2));
+        let (edit, too_large) = split(&old, &[0.0; 9], &[1.0, 1.0, 1.0], 2.0, (10, Bounds::ALL), &mut rng(11));
+        assert_eq!((&edit.keep, too_large), (&vec![0, 2], 2));
         assert_eq!(edit.added.opacities, [1.0, 1.0, 3.0, 3.0]);
         assert!((edit.added.log_scales[0] - (4.4f32 / 1.6).ln()).abs() < 1e-6);
-        assert_eq!(edit.added.colour.detail, vec![0.75; 24]);
+        assert_eq!(edit.added.colour, old.select(&[1, 1, 3, 3]).colour);
         assert_eq!(edit.added.quaternions[..4], old.quaternions[..4]);
         assert_ne!(edit.added.positions[..3], edit.added.positions[3..6]);
         assert_eq!(edit.apply(&old).len(), 6);
@@ -98,17 +82,17 @@ mod tests {
     #[test]
     fn room_goes_to_those_that_exceed_most() {
         let (edit, too_large) =
-            split(&gaussians(&[3.0, 2.0, 5.0]), &[0.0; 3], &[1.0], 1.0, (2, Bounds::ALL), &mut rng());
-        assert_eq!((edit.rows.keep, too_large), (vec![1], 3));
-        let (edit, too_large) = split(&gaussians(&[3.0, 2.0]), &[0.0; 3], &[1.0], 1.0, (0, Bounds::ALL), &mut rng());
-        assert_eq!((edit.rows.keep.len(), edit.added.len(), too_large), (2, 0, 2));
+            split(&gaussians(&[3.0, 2.0, 5.0]), &[0.0; 3], &[1.0], 1.0, (2, Bounds::ALL), &mut rng(11));
+        assert_eq!((edit.keep, too_large), (vec![1], 3));
+        let (edit, too_large) = split(&gaussians(&[3.0, 2.0]), &[0.0; 3], &[1.0], 1.0, (0, Bounds::ALL), &mut rng(11));
+        assert_eq!((edit.keep.len(), edit.added.len(), too_large), (2, 0, 2));
     }
 
     #[test]
     fn without_surfels_or_gaussians_nothing_is_split() {
-        let (edit, _) = split(&gaussians(&[3.0, 2.0]), &[], &[], 2.0, (10, Bounds::ALL), &mut rng());
-        assert_eq!((edit.rows.keep.len(), edit.added.len()), (2, 0));
-        let (edit, _) = split(&gaussians(&[]), &[0.0; 3], &[1.0], 2.0, (10, Bounds::ALL), &mut rng());
+        let (edit, _) = split(&gaussians(&[3.0, 2.0]), &[], &[], 2.0, (10, Bounds::ALL), &mut rng(11));
+        assert_eq!((edit.keep.len(), edit.added.len()), (2, 0));
+        let (edit, _) = split(&gaussians(&[]), &[0.0; 3], &[1.0], 2.0, (10, Bounds::ALL), &mut rng(11));
         assert_eq!(edit, GaussianEdit { added: GaussianData::neutral(MODEL, 0), ..GaussianEdit::default() });
     }
 }

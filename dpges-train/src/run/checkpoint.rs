@@ -85,9 +85,6 @@ impl Checkpoint {
     }
 
     /// Writes the whole file or nothing.
-    ///
-    /// # Errors
-    /// [`CheckpointError::Write`] if the file cannot be written.
     pub fn save(&self, path: &Path) -> Result<(), CheckpointError> {
         Ok(write_atomically(path, |out| std::io::Write::write_all(out, &self.to_bytes()))?)
     }
@@ -103,49 +100,38 @@ impl Checkpoint {
     }
 
     /// The checkpoint of the whole scene, from the parts of all ranks in their order.
-    ///
-    /// # Errors
-    /// A message if they do not fit each other.
     pub fn join(mut parts: Vec<Self>) -> Result<Self, String> {
-        if parts.is_empty() {
-            return Err("there is no part of any rank".to_owned());
-        }
-        let mut whole = parts.remove(0);
-        if parts.iter().any(|part| part.state.completed_steps != whole.state.completed_steps) {
+        let first = parts.first().ok_or("there is no part of any rank")?;
+        if parts.iter().any(|part| part.state.completed_steps != first.state.completed_steps) {
             return Err("its parts are of different steps".to_owned());
         }
-        let Some(owners) = whole.columns.get(OWNERS) else { return Ok(whole) };
+        let Some(owners) = first.columns.get(OWNERS) else { return Ok(parts.remove(0)) };
         let owners: Vec<u16> = owners.iter().map(|&owner| owner as u16).collect();
-        let misfit = |name: &str| format!("the parts of `{name}` do not fit each other");
-        for (name, rows) in whole.attributes.iter_mut().filter(|(name, _)| is_dealt(name)) {
-            let others: Option<Vec<&ParameterRows>> = parts.iter().map(|part| part.attributes.get(name)).collect();
-            let others = others.ok_or_else(|| misfit(name))?;
-            let all = |own: &Vec<f32>, of: &dyn Fn(&ParameterRows) -> Option<Vec<f32>>| {
-                let of_ranks: Option<Vec<Vec<f32>>> =
-                    std::iter::once(Some(own.clone())).chain(others.iter().map(|rows| of(rows))).collect();
-                in_order(&owners, &of_ranks?, rows.width)
-            };
-            let raw = all(&rows.raw, &|rows| Some(rows.raw.clone())).ok_or_else(|| misfit(name))?;
-            let moments = match &rows.moments {
-                Some([first, second]) => {
-                    let moment = |own, at: usize| {
-                        all(own, &|rows| Some(rows.moments.as_ref()?[at].clone())).ok_or_else(|| misfit(name))
-                    };
-                    Some([moment(first, 0)?, moment(second, 1)?])
-                }
-                None => None,
-            };
-            *rows = ParameterRows { count: owners.len(), width: rows.width, raw, moments };
-        }
-        for (name, column) in whole.columns.iter_mut().filter(|(name, _)| is_dealt(name)) {
-            let others = parts.iter().map(|part| part.columns.get(name).cloned());
-            let of_ranks: Option<Vec<Vec<f32>>> = std::iter::once(Some(column.clone())).chain(others).collect();
-            *column = of_ranks.and_then(|of_ranks| in_order(&owners, &of_ranks, 1)).ok_or_else(|| misfit(name))?;
-        }
+        // the rows of all ranks, from those `of` each
+        let all = |name: &str, width: usize, of: &dyn Fn(&Self) -> Option<Vec<f32>>| {
+            let of_ranks: Option<Vec<Vec<f32>>> = parts.iter().map(of).collect();
+            let all = of_ranks.and_then(|of_ranks| in_order(&owners, &of_ranks, width));
+            all.ok_or_else(|| format!("the parts of `{name}` do not fit each other"))
+        };
+        let joined = |(name, rows): (&String, &ParameterRows)| {
+            let width = rows.width;
+            let raw = all(name, width, &|part| Some(part.attributes.get(name)?.raw.clone()))?;
+            let moment =
+                |at: usize| all(name, width, &|part| Some(part.attributes.get(name)?.moments.as_ref()?[at].clone()));
+            let moments = if rows.moments.is_some() { Some([moment(0)?, moment(1)?]) } else { None };
+            Ok((name.clone(), ParameterRows { count: owners.len(), width, raw, moments }))
+        };
+        let attributes = first.attributes.iter().filter(|(name, _)| is_dealt(name)).map(joined);
+        let attributes: Vec<_> = attributes.collect::<Result<_, String>>()?;
+        let columns = first.columns.keys().filter(|name| is_dealt(name));
+        let columns = columns.map(|name| Ok((name.clone(), all(name, 1, &|part| part.columns.get(name).cloned())?)));
+        let columns: Vec<_> = columns.collect::<Result<_, String>>()?;
+        let mut whole = parts.remove(0);
+        whole.attributes.extend(attributes);
+        whole.columns.extend(columns);
         Ok(whole)
     }
 
-    /// The bytes of the file.
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut arrays: Vec<(String, [usize; 2], Vec<u8>)> = Vec::new();
         let bytes = |values: &[f32]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
@@ -176,18 +162,12 @@ impl Checkpoint {
     }
 
     /// Reads a file that [`save`](Self::save) has written.
-    ///
-    /// # Errors
-    /// [`CheckpointError`] names the file and what is wrong with it.
     pub fn load(path: &Path) -> Result<Self, CheckpointError> {
         let bytes = std::fs::read(path).map_err(|source| CheckpointError::Read { path: path.to_owned(), source })?;
         Self::from_bytes(&bytes, path)
     }
 
     /// From the bytes of the file at `path`.
-    ///
-    /// # Errors
-    /// [`CheckpointError::Content`] says what is wrong with them.
     pub fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, CheckpointError> {
         parse(bytes).map_err(|reason| CheckpointError::Content { path: path.to_owned(), reason })
     }

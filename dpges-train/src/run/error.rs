@@ -1,5 +1,3 @@
-//! Why a run ends before its last step.
-
 use super::checkpoint::CheckpointError;
 use super::folder::RunFolderError;
 use crate::stage::TrainError;
@@ -11,13 +9,10 @@ pub enum RunError {
     /// a folder if it is [resumed](super::Run::resume).
     #[error("stopped after step {step} of {steps}")]
     Stopped { step: usize, steps: usize },
-    /// The run cannot be trained, or a step failed.
     #[error(transparent)]
     Train(#[from] TrainError),
-    /// The folder does not hold what it should.
     #[error(transparent)]
     Folder(#[from] RunFolderError),
-    /// The checkpoint cannot be written or read.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
     /// Another file cannot be written or read, or a view cannot be rendered.

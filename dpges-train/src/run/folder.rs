@@ -33,7 +33,8 @@ use serde::{Deserialize, Serialize};
 use crate::config::{Config, StageKind};
 use crate::views::pose::RefinedPoses;
 
-const FILES: [&str; 26] = [
+/// Files of every run.
+const FILES: [&str; 14] = [
     "config.toml",
     "run.json",
     "metrics.jsonl",
@@ -48,39 +49,24 @@ const FILES: [&str; 26] = [
     "best.safetensors",
     "best_exposure.json",
     "best_poses.json",
-    "stage_2dgs.safetensors",
-    "stage_2dgs.json",
-    "stage_2dgs_exposure.json",
-    "stage_2dgs_poses.json",
-    "stage_dbs.safetensors",
-    "stage_dbs.json",
-    "stage_dbs_exposure.json",
-    "stage_dbs_poses.json",
-    "stage_mcmc.safetensors",
-    "stage_mcmc.json",
-    "stage_mcmc_exposure.json",
-    "stage_mcmc_poses.json",
 ];
-const PICTURES: &str = "pictures";
+/// Stages before the last, and the ends of the names of their files.
+const STAGES: [&str; 3] = ["2dgs", "dbs", "mcmc"];
+const OF_STAGE: [&str; 4] = [".safetensors", ".json", "_exposure.json", "_poses.json"];
 
 /// Why a folder cannot be used for a run.
 #[derive(Debug, thiserror::Error)]
 pub enum RunFolderError {
-    /// A file of another run is there.
     #[error("{path} holds another run ({found})")]
-    Used { path: PathBuf, found: &'static str },
-    /// There is nothing to go on with.
+    Used { path: PathBuf, found: String },
     #[error("{path} holds no run to resume: {missing} is missing")]
     NoCheckpoint { path: PathBuf, missing: PathBuf },
-    /// `run.json` is missing or broken.
     #[error("{path} does not say what it was trained on: {reason}")]
     Origin { path: PathBuf, reason: String },
-    /// `poses.json` is broken.
     #[error(
         "{path} does not say where the training cameras are: {reason}; without it they are where the dataset has them"
     )]
     Poses { path: PathBuf, reason: String },
-    /// A file cannot be written or removed.
     #[error(transparent)]
     File(#[from] Error),
 }
@@ -92,7 +78,6 @@ pub struct Origin {
     pub dataset: String,
     /// As `--device` takes it.
     pub device: String,
-    /// Version of the program that started the run.
     pub version: String,
 }
 
@@ -104,7 +89,6 @@ impl Origin {
     }
 }
 
-/// Paths of a run's files.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RunFolder {
     path: PathBuf,
@@ -147,12 +131,9 @@ impl RunFolder {
 
     /// The parts of checkpoints of several ranks that are there.
     pub fn shards(&self) -> Vec<PathBuf> {
-        let entries = std::fs::read_dir(&self.path).into_iter().flatten().flatten();
-        let is_shard = |path: &PathBuf| {
-            let name = path.file_name().unwrap_or_default().to_string_lossy();
+        files_in(&self.path, |name| {
             name.starts_with("checkpoint_") && name.contains("_of_") && name.ends_with(".safetensors")
-        };
-        entries.map(|entry| entry.path()).filter(is_shard).collect()
+        })
     }
 
     pub fn evaluation(&self) -> PathBuf {
@@ -197,9 +178,8 @@ impl RunFolder {
         self.path.join(format!("stage_{stage}.json"))
     }
 
-    /// Folder of the comparison pictures.
     pub fn pictures(&self) -> PathBuf {
-        self.path.join(PICTURES)
+        self.path.join("pictures")
     }
 
     /// Comparison picture of the view with file stem `view` after `step` steps.
@@ -212,16 +192,13 @@ impl RunFolder {
     /// # Errors
     /// [`RunFolderError::Used`] names the first one found.
     pub fn check_unused(&self) -> Result<(), RunFolderError> {
-        match FILES.into_iter().find(|file| self.path.join(file).exists()) {
+        match files().find(|file| self.path.join(file).exists()) {
             Some(found) => Err(RunFolderError::Used { path: self.path.clone(), found }),
             None => Ok(()),
         }
     }
 
     /// Checks that there is a checkpoint.
-    ///
-    /// # Errors
-    /// [`RunFolderError::NoCheckpoint`] if there is none.
     pub fn check_resumable(&self) -> Result<(), RunFolderError> {
         if self.has_checkpoint() {
             return Ok(());
@@ -229,59 +206,21 @@ impl RunFolder {
         Err(RunFolderError::NoCheckpoint { path: self.path.clone(), missing: self.checkpoint() })
     }
 
-    /// Whether there is a checkpoint.
     pub fn has_checkpoint(&self) -> bool {
         self.checkpoint().is_file() || self.manifest().is_file()
     }
 
-    /// Removes a file of the folder, if it is there.
-    ///
-    /// # Errors
-    /// [`Error::Io`].
-    pub fn remove(&self, path: &Path) -> Result<(), Error> {
-        remove(path)
-    }
-
-    /// Writes a file of this `name`, whole or not at all.
-    ///
-    /// # Errors
-    /// [`Error::Io`].
-    pub fn write(&self, name: &str, bytes: &[u8]) -> Result<(), Error> {
-        write_atomically(&self.path.join(name), |file| file.write_all(bytes))
-    }
-
     /// Makes the folder, removes the files of an earlier run and nothing else, and writes `run.json` and `config.toml`.
-    ///
-    /// # Errors
-    /// [`RunFolderError::File`] if a file cannot be removed or written.
     pub fn start(&self, origin: &Origin, config: &Config) -> Result<(), RunFolderError> {
         let pictures = self.pictures();
-        for file in FILES {
-            remove(&self.path.join(file))?;
-        }
-        for shard in self.shards() {
-            remove(&shard)?;
-        }
-        for entry in std::fs::read_dir(&pictures).into_iter().flatten().flatten() {
-            let name = entry.file_name();
-            let name = name.to_string_lossy();
-            if name.starts_with("step_") && name.ends_with(".png") {
-                remove(&entry.path())?;
-            }
-        }
-        std::fs::create_dir_all(&pictures).map_err(|source| Error::Io {
-            action: "cannot make folder",
-            path: pictures,
-            source,
-        })?;
+        let shown = files_in(&pictures, |name| name.starts_with("step_") && name.ends_with(".png"));
+        let mut found = files().map(|file| self.path.join(file)).chain(self.shards()).chain(shown);
+        found.try_for_each(|file| remove(&file))?;
+        std::fs::create_dir_all(&pictures).map_err(failed("cannot make folder", &pictures))?;
         write_json(&self.origin(), origin)?;
         Ok(self.write_config(config)?)
     }
 
-    /// Writes `config.toml`.
-    ///
-    /// # Errors
-    /// [`Error::Io`].
     pub fn write_config(&self, config: &Config) -> Result<(), Error> {
         write_atomically(&self.config(), |file| file.write_all(config.to_toml().as_bytes()))
     }
@@ -304,35 +243,24 @@ impl RunFolder {
     pub fn read_poses(&self) -> Result<Option<RefinedPoses>, RunFolderError> {
         let path = self.poses();
         let wrong = |reason: String| RunFolderError::Poses { path: path.clone(), reason };
-        match std::fs::read_to_string(&path) {
-            Ok(text) => {
-                let poses: RefinedPoses = serde_json::from_str(&text).map_err(|error| wrong(error.to_string()))?;
-                match poses.iter().find(|(_, pose)| !pose.correction.is_sound()) {
-                    Some((view, pose)) => {
-                        Err(wrong(format!("the correction of view `{view}` is {:?}", pose.correction)))
-                    }
-                    None => Ok(Some(poses)),
-                }
-            }
-            Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
-            Err(error) => Err(wrong(error.to_string())),
+        let text = match std::fs::read_to_string(&path) {
+            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
+            text => text.map_err(|error| wrong(error.to_string()))?,
+        };
+        let poses: RefinedPoses = serde_json::from_str(&text).map_err(|error| wrong(error.to_string()))?;
+        match poses.iter().find(|(_, pose)| !pose.correction.is_sound()) {
+            Some((view, pose)) => Err(wrong(format!("the correction of view `{view}` is {:?}", pose.correction))),
+            None => Ok(Some(poses)),
         }
     }
 }
 
-/// Reads JSON.
-///
-/// # Errors
-/// [`Error::Io`] naming `path`.
 pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, Error> {
     let read = || -> std::io::Result<T> { Ok(serde_json::from_slice(&std::fs::read(path)?)?) };
-    read().map_err(|source| Error::Io { action: "cannot read", path: path.to_owned(), source })
+    read().map_err(failed("cannot read", path))
 }
 
 /// Writes `value` as indented JSON, the whole file or nothing.
-///
-/// # Errors
-/// [`Error::Io`].
 pub fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Error> {
     write_atomically(path, |file| {
         serde_json::to_writer_pretty(&mut *file, value)?;
@@ -340,12 +268,28 @@ pub fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Error> {
     })
 }
 
-fn remove(path: &Path) -> Result<(), Error> {
+/// Names of the files that a run may have in its folder.
+fn files() -> impl Iterator<Item = String> {
+    let of_stages = STAGES.iter().flat_map(|stage| OF_STAGE.map(|end| format!("stage_{stage}{end}")));
+    FILES.into_iter().map(str::to_owned).chain(of_stages)
+}
+
+fn files_in(folder: &Path, is_wanted: impl Fn(&str) -> bool) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let wanted = entries.filter(|entry| is_wanted(&entry.file_name().to_string_lossy()));
+    wanted.map(|entry| entry.path()).collect()
+}
+
+/// The error of an `action` on the file at `path`.
+pub fn failed<'a>(action: &'static str, path: &'a Path) -> impl FnOnce(std::io::Error) -> Error + 'a {
+    move |source| Error::Io { action, path: path.to_owned(), source }
+}
+
+/// Removes a file, if it is there.
+pub fn remove(path: &Path) -> Result<(), Error> {
     match std::fs::remove_file(path) {
-        Err(error) if error.kind() != ErrorKind::NotFound => {
-            Err(Error::Io { action: "cannot remove", path: path.to_owned(), source: error })
-        }
-        _ => Ok(()),
+        Err(error) if error.kind() == ErrorKind::NotFound => Ok(()),
+        removed => removed.map_err(failed("cannot remove", path)),
     }
 }
 

@@ -1,18 +1,14 @@
 //! Runs on photographs that are masked.
 
-use std::sync::Arc;
-
-use super::fixtures::{config, device, finished};
+use super::fixtures::{STAGES, finished, options, trained};
 use super::*;
-use crate::dataset::{BuiltinOptions, Picture, View, builtin};
+use crate::dataset::{Picture, View, builtin};
 use crate::eval::evaluate;
 
 /// A third of every training photograph is painted over, another third in each, and masked if that is asked for.
 pub fn overpainted(data: &Dataset, value: u8, masked: bool) -> Dataset {
     let mut data = data.clone();
-    for (index, view) in data.train.iter_mut().enumerate() {
-        paint(view, index % 3, value, masked);
-    }
+    data.train.iter_mut().enumerate().for_each(|(index, view)| paint(view, index % 3, value, masked));
     data
 }
 
@@ -31,26 +27,14 @@ fn paint(view: &mut View, third: usize, value: u8, masked: bool) {
 }
 
 fn dataset(size: usize, train_views: usize) -> Dataset {
-    let options =
-        BuiltinOptions { width: size, height: size, train_views, test_views: 4, points: 400, ..Default::default() };
-    builtin(&options)
+    builtin(&options(size, [train_views, 4], 400))
 }
 
 #[test]
 fn what_is_painted_over_and_masked_changes_no_bit_of_a_run() {
+    let all = [&STAGES[..], &["discs.lambda_distortion=0.1"]].concat();
     let runs: [&[&str]; 4] = [
-        &[
-            "train.steps=60",
-            "model.environment=sh1",
-            "refine.budget=700",
-            "stages.surfels=0.3",
-            "stages.gaussians=0.3",
-            "stages.surfel_opacity=0.12",
-            "train.lambda_disc_depth=0.1",
-            "train.lambda_disc_normal=0.05",
-            "train.lambda_disc_depth_normal=0.05",
-            "discs.lambda_distortion=0.1",
-        ],
+        &all,
         &["train.steps=60", "stages.gaussians=0.5", "refine.budget=700", "refine.new_gaussians=black"],
         &["train.steps=60", "train.exposure=on", "stages.gaussians=0.5", "refine.budget=700"],
         &["train.steps=30", "train.method=3dgs", "refine.budget=300", "model.colour=sh1"],
@@ -76,10 +60,7 @@ fn masks_make_up_for_what_is_painted_over() {
     let clean = dataset(32, 16);
     let set = ["train.steps=400", "refine.budget=1500", "refine.surfel_pixels=1px/MP"];
     let psnr = |data: Dataset| {
-        let mut trainer = Trainer::new(config(&set), Arc::new(data), device()).unwrap();
-        while !trainer.is_finished() {
-            trainer.step().unwrap();
-        }
+        let trainer = trained(&set, Arc::new(data));
         evaluate(&trainer.scene(), &clean.test, trainer.device()).unwrap().psnr
     };
     let whole = psnr(clean.clone());

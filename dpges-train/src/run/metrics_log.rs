@@ -12,10 +12,11 @@ use std::fs::{File, OpenOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use dpges_core::Result;
 use dpges_core::scene::atomic::write_atomically;
-use dpges_core::{Error, Result};
 use serde_json::{Value, json};
 
+use super::folder::failed;
 use crate::eval::Evaluation;
 use crate::metrics::Fitted;
 use crate::stage::StepReport;
@@ -29,9 +30,6 @@ pub struct MetricsLog {
 
 impl MetricsLog {
     /// An empty log, in place of any other.
-    ///
-    /// # Errors
-    /// [`Error::Io`].
     pub fn create(path: &Path) -> Result<Self> {
         write_atomically(path, |_| Ok(()))?;
         Self::open(path)
@@ -40,14 +38,10 @@ impl MetricsLog {
     /// The log of a run that goes on after step `completed_steps`, and the seconds that the run had taken by then. Lines
     /// of later steps are dropped, as is a line that was never finished, and the evaluation after `completed_steps` if
     /// it `evaluates_again`: they all come again. A log that is missing starts anew.
-    ///
-    /// # Errors
-    /// [`Error::Io`].
     pub fn resume(path: &Path, completed_steps: usize, evaluates_again: bool) -> Result<(Self, f64)> {
         let text = match std::fs::read_to_string(path) {
-            Ok(text) => text,
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => String::new(),
-            Err(source) => return Err(Error::Io { action: "cannot read", path: path.to_owned(), source }),
+            text => text.map_err(failed("cannot read", path))?,
         };
         let parsed = |line: &str| serde_json::from_str::<Value>(line).ok();
         let stays = |line: &&str| {
@@ -63,29 +57,19 @@ impl MetricsLog {
     }
 
     /// Seconds that the run of the log at `path` had taken at its last logged step, evaluations on the way included.
-    ///
-    /// # Errors
-    /// [`Error::Io`].
     pub fn seconds_of_steps(path: &Path) -> Result<f64> {
-        let text = std::fs::read_to_string(path).map_err(|source| Error::Io {
-            action: "cannot read",
-            path: path.to_owned(),
-            source,
-        })?;
+        let text = std::fs::read_to_string(path).map_err(failed("cannot read", path))?;
         let mut latest_first = text.lines().rev().filter_map(|line| serde_json::from_str::<Value>(line).ok());
         let step = latest_first.find(|line| line["kind"] == "step");
         Ok(step.and_then(|line| line["seconds"].as_f64()).unwrap_or(0.0))
     }
 
     fn open(path: &Path) -> Result<Self> {
-        let file = OpenOptions::new().append(true).open(path).map_err(|source| error(path, source))?;
+        let file = OpenOptions::new().append(true).open(path).map_err(failed("cannot write", path))?;
         Ok(Self { file, path: path.to_owned() })
     }
 
     /// Appends a step; `seconds` is the time of the whole run so far.
-    ///
-    /// # Errors
-    /// [`Error::Io`].
     pub fn step(&mut self, report: &StepReport, seconds: f64) -> Result<()> {
         let mut line = json!({
             "kind": "step", "step": report.step, "stage": report.stage.to_string(), "view": report.view,
@@ -100,47 +84,36 @@ impl MetricsLog {
     }
 
     /// Appends an evaluation of the held-out views; `seconds` is the time of the whole run so far.
-    ///
-    /// # Errors
-    /// [`Error::Io`].
     pub fn evaluation(&mut self, step: usize, evaluation: &Evaluation, seconds: f64) -> Result<()> {
-        self.append_evaluation(evaluation, json!({
-            "kind": "evaluation", "step": step, "psnr": evaluation.psnr, "ssim": evaluation.ssim, "flip": evaluation.flip,
-            "views": evaluation.views.len(), "surfels": evaluation.surfels, "gaussians": evaluation.gaussians,
-            "seconds_per_view": evaluation.seconds_per_view, "seconds": seconds,
-        }))
-    }
-
-    /// Appends an evaluation of the validation views; `seconds` is the time of the whole run so far.
-    ///
-    /// # Errors
-    /// [`Error::Io`].
-    pub fn validation(&mut self, step: usize, evaluation: &Evaluation, seconds: f64) -> Result<()> {
-        self.append_evaluation(evaluation, json!({
-            "kind": "validation", "step": step, "psnr": evaluation.psnr, "ssim": evaluation.ssim, "flip": evaluation.flip,
-            "views": evaluation.views.len(), "surfels": evaluation.surfels, "gaussians": evaluation.gaussians,
-            "seconds": seconds,
-        }))
-    }
-
-    /// Appends `line` with what only some runs measure.
-    fn append_evaluation(&mut self, evaluation: &Evaluation, mut line: Value) -> Result<()> {
-        let Fitted { psnr_fitted, ssim_fitted, .. } = evaluation.fitted;
-        for (key, value) in [("psnr_fitted", psnr_fitted), ("ssim_fitted", ssim_fitted)] {
-            if let Some(value) = value {
-                line[key] = json!(value);
-            }
-        }
+        let mut line = line_of("evaluation", step, evaluation, seconds);
+        line["seconds_per_view"] = json!(evaluation.seconds_per_view);
         self.append(&line)
     }
 
+    /// Appends an evaluation of the validation views; `seconds` is the time of the whole run so far.
+    pub fn validation(&mut self, step: usize, evaluation: &Evaluation, seconds: f64) -> Result<()> {
+        self.append(&line_of("validation", step, evaluation, seconds))
+    }
+
     fn append(&mut self, line: &Value) -> Result<()> {
-        self.file.write_all(format!("{line}\n").as_bytes()).map_err(|source| error(&self.path, source))
+        self.file.write_all(format!("{line}\n").as_bytes()).map_err(failed("cannot write", &self.path))
     }
 }
 
-fn error(path: &Path, source: std::io::Error) -> Error {
-    Error::Io { action: "cannot write", path: path.to_owned(), source }
+fn line_of(kind: &str, step: usize, evaluation: &Evaluation, seconds: f64) -> Value {
+    let mut line = json!({
+        "kind": kind, "step": step, "psnr": evaluation.psnr, "ssim": evaluation.ssim, "flip": evaluation.flip,
+        "views": evaluation.views.len(), "surfels": evaluation.surfels, "gaussians": evaluation.gaussians,
+        "seconds": seconds,
+    });
+    // only some runs measure these
+    let Fitted { psnr_fitted, ssim_fitted, .. } = evaluation.fitted;
+    for (key, value) in [("psnr_fitted", psnr_fitted), ("ssim_fitted", ssim_fitted)] {
+        if let Some(value) = value {
+            line[key] = json!(value);
+        }
+    }
+    line
 }
 
 #[cfg(test)]

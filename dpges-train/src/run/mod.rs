@@ -99,7 +99,6 @@ pub struct Run {
     started: Instant,
 }
 
-/// The result of a finished run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Outcome {
     /// The scene after the last step; with `train.stop = "validation"` the best by the validation views. The scene of the
@@ -147,9 +146,6 @@ impl Run {
     }
 
     /// Like [`write_to`](Self::write_to), but removes the files of another run in `folder`, and nothing else.
-    ///
-    /// # Errors
-    /// [`RunError::Folder`] if the folder cannot be written.
     pub fn overwrite(self, folder: RunFolder, origin: Origin) -> Result<Self, RunError> {
         if !self.trainer.ranks().is_first() {
             return Ok(Self { folder: Some(folder), saved: None, best: None, ..self });

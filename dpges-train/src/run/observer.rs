@@ -33,7 +33,6 @@ pub trait Observer {
         false
     }
 
-    /// The scene that was asked for.
     fn scene(&mut self, _step: usize, _scene: SceneData) {}
 
     /// Asked after every step: whether the run is to save its state and end with

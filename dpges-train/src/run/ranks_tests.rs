@@ -1,7 +1,6 @@
 //! Runs on several ranks, which are threads here.
 
 use std::path::Path;
-use std::sync::Arc;
 
 use dpges_core::ranks::Ranks;
 use dpges_core::scene::SceneData;
@@ -9,7 +8,6 @@ use dpges_core::testing::ranks::on_ranks;
 
 use super::checkpoint::Checkpoint;
 use super::fixtures::{config, dataset, dataset_of, device};
-use super::folder::{Origin, RunFolder};
 use super::*;
 use crate::device::place::Place;
 use crate::eval::evaluate;
@@ -34,20 +32,22 @@ fn place(ranks: Arc<dyn Ranks>) -> Place {
     Place { device: device(), ranks }
 }
 
-fn trainer(set: &[&str], ranks: Arc<dyn Ranks>) -> Trainer {
-    Trainer::new(config(set), dataset(), place(ranks)).unwrap()
-}
-
 /// The state of every rank after `steps` steps, and the scene.
 fn trained(set: &[&str], count: usize, steps: usize) -> Vec<(Checkpoint, SceneData)> {
     on_ranks(count, |ranks| {
-        let mut trainer = trainer(set, ranks);
-        for _ in 0..steps {
-            trainer.step().unwrap();
-        }
+        let mut trainer = Trainer::new(config(set), dataset(), place(ranks)).unwrap();
+        (0..steps).for_each(|_| drop(trainer.step().unwrap()));
         trainer.check_ranks().unwrap();
         (trainer.checkpoint(), trainer.scene())
     })
+}
+
+/// Whole runs on `count` ranks, all with the same scene.
+fn outcomes(set: &[&str], data: &Arc<Dataset>, count: usize) -> Vec<Outcome> {
+    let outcomes =
+        on_ranks(count, |ranks| Run::new(config(set), Arc::clone(data), place(ranks)).unwrap().train(&mut ()).unwrap());
+    assert!(outcomes.iter().all(|outcome| outcome.scene == outcomes[0].scene));
+    outcomes
 }
 
 fn largest_difference(a: &[f32], b: &[f32]) -> f32 {
@@ -57,7 +57,7 @@ fn largest_difference(a: &[f32], b: &[f32]) -> f32 {
 
 #[test]
 fn few_steps_on_several_ranks_are_those_of_one() {
-    let alone = trained(&ALL, 1, 5).remove(0).1;
+    let (single, alone) = trained(&ALL, 1, 5).remove(0);
     for count in [2, 3] {
         let parts = trained(&ALL, count, 5);
         for (checkpoint, scene) in &parts {
@@ -70,7 +70,6 @@ fn few_steps_on_several_ranks_are_those_of_one() {
         assert!(largest_difference(&scene.gaussians.opacities, &alone.gaussians.opacities) < 1e-3);
         assert!(largest_difference(&scene.surfels.positions, &alone.surfels.positions) < 1e-3);
         let rows = |checkpoint: &Checkpoint, name: &str| checkpoint.attributes[name].raw.clone();
-        let single = trained(&ALL, 1, 5).remove(0).0;
         for name in ["poses", "environment", "exposure"] {
             let (found, expected) = (rows(&parts[1].0, name), rows(&single, name));
             assert!(expected.iter().any(|&number| number != 0.0), "{name} has not learnt");
@@ -81,11 +80,8 @@ fn few_steps_on_several_ranks_are_those_of_one() {
 
 #[test]
 fn the_same_ranks_give_the_same_bytes() {
-    let run = || trained(&ALL, 2, 40);
-    let (first, second) = (run(), run());
-    for ((a, of_a), (b, of_b)) in first.iter().zip(&second) {
-        assert!(a == b && of_a == of_b);
-    }
+    let (first, second) = (trained(&ALL, 2, 40), trained(&ALL, 2, 40));
+    assert!(first == second);
     assert_eq!(first[0].1, first[1].1);
     let primitives = first[0].1.surfels.len() + first[0].1.gaussians.len();
     assert!((600..=700).contains(&primitives), "{primitives}: the budget is that of all ranks");
@@ -96,16 +92,12 @@ fn whole_trainings_are_within_chance_of_one_another() {
     let data = dataset();
     let psnr = |count: usize| {
         let set = ["train.steps=150", "refine.budget=700", "train.evaluate_every=0"];
-        let outcomes = on_ranks(count, |ranks| {
-            Run::new(config(&set), Arc::clone(&data), place(ranks)).unwrap().train(&mut ()).unwrap()
-        });
-        for outcome in &outcomes {
-            assert_eq!(outcome.scene, outcomes[0].scene);
-            assert_eq!(outcome.evaluation.as_ref().unwrap().psnr, outcomes[0].evaluation.as_ref().unwrap().psnr);
-        }
+        let outcomes = outcomes(&set, &data, count);
+        let scores: Vec<f64> = outcomes.iter().map(|outcome| outcome.evaluation.as_ref().unwrap().psnr).collect();
+        assert!(scores.iter().all(|&score| score == scores[0]), "{scores:?}");
         // of the gathered scene on one device
         let whole = evaluate(&outcomes[0].scene, &data.test, &device()).unwrap().psnr;
-        assert!((whole - outcomes[0].evaluation.as_ref().unwrap().psnr).abs() < 1e-3);
+        assert!((whole - scores[0]).abs() < 1e-3);
         evaluate(&outcomes[0].scene, &data.train, &device()).unwrap().psnr
     };
     let found = [1, 2, 3].map(psnr);
@@ -115,9 +107,7 @@ fn whole_trainings_are_within_chance_of_one_another() {
 #[test]
 fn an_automatic_budget_decides_alike_on_all_ranks() {
     let set = ["train.steps=100", "refine.budget=auto", "refine.split_until=0"];
-    let outcomes =
-        on_ranks(2, |ranks| Run::new(config(&set), dataset_of(9), place(ranks)).unwrap().train(&mut ()).unwrap());
-    assert_eq!(outcomes[0].scene, outcomes[1].scene);
+    outcomes(&set, &dataset_of(9), 2);
 }
 
 #[test]
@@ -132,11 +122,7 @@ fn stages_of_blended_gaussians_are_the_same_on_all_ranks() {
     assert!(parts.iter().all(|(part, _)| part.attributes["gaussians.positions"].count < all));
 }
 
-fn in_folder(path: &Path, count: usize, stop: Option<usize>) {
-    in_folder_of(&ALL, path, count, stop);
-}
-
-fn in_folder_of(set: &[&str], path: &Path, count: usize, stop: Option<usize>) {
+fn in_folder(set: &[&str], path: &Path, count: usize, stop: Option<usize>) {
     on_ranks(count, |ranks| {
         let folder = RunFolder::new(path);
         let run = Run::new(config(set), dataset(), place(ranks)).unwrap();
@@ -184,11 +170,15 @@ fn names(path: &Path) -> Vec<String> {
     names
 }
 
+fn scene(path: &Path) -> Vec<u8> {
+    std::fs::read(path.join("scene.safetensors")).unwrap()
+}
+
 #[test]
 fn a_run_goes_on_with_any_number_of_ranks() {
     let (whole, stopped) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-    in_folder(whole.path(), 2, None);
-    in_folder(stopped.path(), 2, Some(25));
+    in_folder(&ALL, whole.path(), 2, None);
+    in_folder(&ALL, stopped.path(), 2, Some(25));
     let [a, b, c, d] = ["0002_0_of_2", "0002_1_of_2", "0003_0_of_2", "0003_1_of_2"]
         .map(|part| format!("checkpoint_{part}.safetensors"));
     assert_eq!(names(stopped.path()), ["checkpoint.json".to_owned(), a, b, c, d]);
@@ -200,7 +190,6 @@ fn a_run_goes_on_with_any_number_of_ranks() {
             }
         }
     };
-    let scene = |path: &Path| std::fs::read(path.join("scene.safetensors")).unwrap();
     for count in [1, 2, 3] {
         let folder = tempfile::tempdir().unwrap();
         copy(folder.path());
@@ -225,7 +214,7 @@ fn a_run_goes_on_with_any_number_of_ranks() {
     assert!(error.contains("no generation is whole") && error.contains("checkpoint_"), "{error}");
     // and from one rank to two
     let folder = tempfile::tempdir().unwrap();
-    in_folder(folder.path(), 1, Some(15));
+    in_folder(&ALL, folder.path(), 1, Some(15));
     assert_eq!(resumed(folder.path(), 2, Some(25)), 15);
     assert!(!folder.path().join("checkpoint.safetensors").exists());
     assert_eq!(resumed(folder.path(), 1, None), 25);
@@ -236,12 +225,11 @@ fn a_run_goes_on_with_any_number_of_ranks() {
 fn blended_stages_whose_views_are_dealt_out_go_on_with_any_number_of_ranks() {
     let mut set = ALL.to_vec();
     set.extend(["train.method=3dgs", "density.gradient_threshold=1e-7", "train.checkpoint_every=7"]);
-    let scene = |path: &Path| std::fs::read(path.join("scene.safetensors")).unwrap();
     let whole = tempfile::tempdir().unwrap();
-    in_folder_of(&set, whole.path(), 2, None);
+    in_folder(&set, whole.path(), 2, None);
     for count in [1, 2, 3] {
         let folder = tempfile::tempdir().unwrap();
-        in_folder_of(&set, folder.path(), 2, Some(26));
+        in_folder(&set, folder.path(), 2, Some(26));
         assert_eq!(resumed(folder.path(), count, None), 26);
         assert!((scene(folder.path()) == scene(whole.path())) == (count == 2), "{count} ranks");
     }
@@ -254,11 +242,7 @@ fn trainings_whose_views_are_dealt_out_are_as_good_but_for_the_size_of_batches()
     for method in ["train.method=mcmc", "train.method=3dgs"] {
         let psnr = |count: usize| {
             let set = [method, "train.steps=300", "refine.budget=700", "train.evaluate_every=0"];
-            let outcomes = on_ranks(count, |ranks| {
-                Run::new(config(&set), Arc::clone(&data), place(ranks)).unwrap().train(&mut ()).unwrap()
-            });
-            assert!(outcomes.iter().all(|outcome| outcome.scene == outcomes[0].scene));
-            evaluate(&outcomes[0].scene, &data.train, &device()).unwrap().psnr
+            evaluate(&outcomes(&set, &data, count)[0].scene, &data.train, &device()).unwrap().psnr
         };
         let found = [1, 2, 3].map(psnr);
         println!("{method}: {found:?}");

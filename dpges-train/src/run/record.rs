@@ -3,13 +3,13 @@
 use std::io::Write;
 use std::path::Path;
 
+use dpges_core::Result;
 use dpges_core::scene::SceneData;
 use dpges_core::scene::atomic::write_atomically;
-use dpges_core::{Error, Result};
 
 use super::StepReport;
 use super::checkpoint::Checkpoint;
-use super::folder::{Origin, RunFolder, RunFolderError, write_json};
+use super::folder::{Origin, RunFolder, RunFolderError, failed, write_json};
 use super::metrics_log::MetricsLog;
 use crate::config::Config;
 use crate::device::memory::PeakMemory;
@@ -20,22 +20,17 @@ use crate::views::corrections::ViewCorrections;
 /// Steps between lines of `metrics.jsonl`.
 const METRICS_EVERY: usize = 10;
 
-/// The folder of a run, and its open log.
 pub struct Record {
     pub folder: RunFolder,
     origin: Origin,
     pub metrics: MetricsLog,
     /// Peak memory of the run, in this process.
     peak: PeakMemory,
-    /// Number of the last step that was reported.
     reported: usize,
 }
 
 impl Record {
     /// The record of a run before its first step, in place of another run in the folder; `peak` began with the run.
-    ///
-    /// # Errors
-    /// [`RunFolderError::File`].
     pub fn start(folder: RunFolder, origin: Origin, config: &Config, peak: PeakMemory) -> Result<Self, RunFolderError> {
         folder.start(&origin, config)?;
         let metrics = MetricsLog::create(&folder.metrics())?;
@@ -44,9 +39,6 @@ impl Record {
 
     /// The record of a run that goes on where `checkpoint` was made, and the seconds that it had taken by then; `peak` began
     /// where it goes on.
-    ///
-    /// # Errors
-    /// [`Error::Io`].
     pub fn resume(folder: RunFolder, origin: Origin, checkpoint: &Checkpoint, peak: PeakMemory) -> Result<(Self, f64)> {
         let completed = checkpoint.completed_steps();
         let (metrics, seconds) = MetricsLog::resume(&folder.metrics(), completed, checkpoint.stage_is_over())?;
@@ -82,8 +74,7 @@ impl Record {
         scene.save(&place)?;
         for (from, to) in self.folder.corrections_of(earlier).iter().zip(self.folder.corrections_of(&place)) {
             if from.is_file() {
-                let bytes = std::fs::read(from);
-                let bytes = bytes.map_err(|source| Error::Io { action: "cannot read", path: from.clone(), source })?;
+                let bytes = std::fs::read(from).map_err(failed("cannot read", from))?;
                 write_atomically(&to, |file| file.write_all(&bytes))?;
             }
         }
@@ -99,8 +90,7 @@ impl Record {
         floaters: Option<Floaters>,
         path: &Path,
     ) -> Result<()> {
-        let file = std::fs::metadata(scene);
-        let file = file.map_err(|source| Error::Io { action: "cannot read", path: scene.to_owned(), source })?;
+        let file = std::fs::metadata(scene).map_err(failed("cannot read", scene))?;
         let report = EvalReport {
             scene: scene.display().to_string(),
             dataset: self.origin.dataset.clone(),

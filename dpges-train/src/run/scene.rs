@@ -50,7 +50,6 @@ pub struct Reading {
 pub struct Scene {
     pub path: PathBuf,
     pub data: SceneData,
-    /// Size of the file.
     pub bytes: u64,
     run: Option<RunFolder>,
     /// Whether datasets are read for pinhole cameras alone.
@@ -83,9 +82,6 @@ impl Scene {
     }
 
     /// The scene file that `path` names, which is there.
-    ///
-    /// # Errors
-    /// [`SceneError::Absent`].
     pub fn check(path: &Path) -> Result<PathBuf> {
         let path = if path.is_dir() { RunFolder::new(path).scene() } else { path.to_owned() };
         if path.is_file() {
@@ -107,9 +103,6 @@ impl Scene {
     }
 
     /// Time that its training took, s; `None` unless the file is the result of a run.
-    ///
-    /// # Errors
-    /// If the log of the run cannot be read.
     pub fn training_seconds(&self) -> Result<Option<f64>> {
         let Some(run) = self.run.as_ref().filter(|run| run.scene() == self.path && run.metrics().is_file()) else {
             return Ok(None);
@@ -124,9 +117,6 @@ impl Scene {
 
     /// Where the training cameras of the dataset are by the run that the scene comes from: nowhere else than it says if the run
     /// has not refined their poses, or if the dataset is another one, `data`.
-    ///
-    /// # Errors
-    /// If the file of poses is broken.
     pub fn refined_poses(&self, data: Option<&Path>) -> Result<RefinedPoses> {
         let run = self.run.as_ref().filter(|_| data.is_none());
         Ok(run.map(RunFolder::read_poses).transpose()?.flatten().unwrap_or_default())
@@ -208,13 +198,12 @@ pub fn every_nth(views: &[View], most: usize) -> impl Iterator<Item = &View> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dataset::{BuiltinOptions, builtin};
+    use crate::dataset::builtin;
+    use crate::run::fixtures::options;
 
     #[test]
     fn views_are_spread_over_all() {
-        let options =
-            BuiltinOptions { width: 4, height: 4, train_views: 7, test_views: 1, points: 0, ..Default::default() };
-        let views = builtin(&options).train;
+        let views = builtin(&options(4, [7, 1], 0)).train;
         let names = |most: usize| every_nth(&views, most).map(|view| view.name.as_str()).collect::<Vec<_>>();
         assert_eq!(names(3), ["train_000", "train_003", "train_006"]);
         assert_eq!((names(100).len(), names(1).len(), names(0).len()), (7, 1, 1));

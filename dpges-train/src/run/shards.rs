@@ -3,21 +3,21 @@
 //! A rank writes its file; once all have, the first writes the manifest, in which the files before stay named. So a kill at any
 //! moment leaves a generation that is whole. The files of rank 0 hold all but the Gaussians of other ranks.
 
-use std::fmt::Write as _;
-use std::path::Path;
+use std::io::Write;
+use std::path::{Path, PathBuf};
 
 use dpges_core::Error;
 use dpges_core::ranks::Ranks;
+use dpges_core::scene::atomic::write_atomically;
 use serde::{Deserialize, Serialize};
 
 use super::checkpoint::{Checkpoint, CheckpointError};
-use super::folder::{RunFolder, read_json, write_json};
+use super::folder::{RunFolder, read_json, remove, write_json};
 use super::hash::Hash;
 
 /// Checkpoints that are kept.
 const GENERATIONS: usize = 2;
 
-/// Content of `checkpoint.json`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 struct Manifest {
     /// The newest first.
@@ -28,7 +28,6 @@ struct Manifest {
 struct Generation {
     /// One more than that of the generation before.
     number: u64,
-    /// Completed steps.
     step: usize,
     /// Of the ranks in their order.
     shards: Vec<Shard>,
@@ -43,13 +42,10 @@ struct Shard {
 
 /// Saves the `checkpoint` of this rank in `folder`, in place of that of another number of ranks. All `ranks` do so together; one
 /// alone writes a single file.
-///
-/// # Errors
-/// [`CheckpointError::Write`] if a file cannot be written or removed.
 pub fn save(checkpoint: Checkpoint, folder: &RunFolder, ranks: &dyn Ranks) -> Result<(), CheckpointError> {
     if ranks.is_alone() {
         checkpoint.save(&folder.checkpoint())?;
-        folder.remove(&folder.manifest())?;
+        remove(&folder.manifest())?;
         return Ok(remove_others(folder, &Manifest::default())?);
     }
     let mut manifest = if folder.manifest().is_file() { read_json(&folder.manifest())? } else { Manifest::default() };
@@ -59,7 +55,7 @@ pub fn save(checkpoint: Checkpoint, folder: &RunFolder, ranks: &dyn Ranks) -> Re
     let step = checkpoint.completed_steps();
     let part = if ranks.is_first() { checkpoint } else { checkpoint.of_later_rank() };
     let bytes = part.to_bytes();
-    folder.write(&file(ranks.rank()), &bytes)?;
+    write_atomically(&folder.path().join(file(ranks.rank())), |out| out.write_all(&bytes))?;
     // by then every rank has written its own
     let hashes = ranks.gather_numbers(&[Hash::of(&bytes)]).concat();
     if ranks.is_first() {
@@ -68,16 +64,13 @@ pub fn save(checkpoint: Checkpoint, folder: &RunFolder, ranks: &dyn Ranks) -> Re
         manifest.generations.insert(0, Generation { number, step, shards });
         manifest.generations.truncate(GENERATIONS);
         write_json(&folder.manifest(), &manifest)?;
-        folder.remove(&folder.checkpoint())?;
+        remove(&folder.checkpoint())?;
         remove_others(folder, &manifest)?;
     }
     Ok(())
 }
 
 /// The checkpoint in `folder` with the Gaussians of all ranks, whatever their number was.
-///
-/// # Errors
-/// [`CheckpointError`] names the file and what is wrong with it.
 pub fn load(folder: &RunFolder) -> Result<Checkpoint, CheckpointError> {
     if !folder.manifest().is_file() {
         return Checkpoint::load(&folder.checkpoint());
@@ -97,7 +90,7 @@ pub fn load(folder: &RunFolder) -> Result<Checkpoint, CheckpointError> {
 /// The newest generation that is whole.
 fn load_generation(folder: &RunFolder) -> Result<Checkpoint, CheckpointError> {
     let Manifest { generations } = read_json(&folder.manifest())?;
-    let mut wrong = String::new();
+    let mut wrong = Vec::new();
     for Generation { step, shards, .. } in generations {
         match shards.iter().map(|shard| load_shard(folder.path(), shard)).collect::<Result<Vec<_>, _>>() {
             Ok(parts) => {
@@ -106,11 +99,12 @@ fn load_generation(folder: &RunFolder) -> Result<Checkpoint, CheckpointError> {
             }
             Err(error) => {
                 tracing::warn!("the checkpoint of step {step} is not whole: {error}");
-                let _ = write!(wrong, "{}step {step}: {error}", if wrong.is_empty() { "" } else { "; " });
+                wrong.push(format!("step {step}: {error}"));
             }
         }
     }
-    Err(CheckpointError::Content { path: folder.manifest(), reason: format!("no generation is whole: {wrong}") })
+    let reason = format!("no generation is whole: {}", wrong.join("; "));
+    Err(CheckpointError::Content { path: folder.manifest(), reason })
 }
 
 fn load_shard(folder: &Path, Shard { file, hash }: &Shard) -> Result<Checkpoint, CheckpointError> {
@@ -125,14 +119,9 @@ fn load_shard(folder: &Path, Shard { file, hash }: &Shard) -> Result<Checkpoint,
 
 /// Removes the files of ranks that `manifest` does not name.
 fn remove_others(folder: &RunFolder, manifest: &Manifest) -> Result<(), Error> {
-    let shards = || manifest.generations.iter().flat_map(|generation| &generation.shards);
-    for path in folder.shards() {
-        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        if !shards().any(|shard| shard.file == name) {
-            folder.remove(&path)?;
-        }
-    }
-    Ok(())
+    let named: Vec<_> = manifest.generations.iter().flat_map(|generation| &generation.shards).collect();
+    let is_named = |path: &PathBuf| named.iter().any(|shard| path.file_name() == Some(shard.file.as_ref()));
+    folder.shards().iter().filter(|path| !is_named(path)).try_for_each(|path| remove(path))
 }
 
 fn digits(hash: u64) -> String {

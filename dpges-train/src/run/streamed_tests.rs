@@ -1,19 +1,15 @@
 //! Runs on photographs that do not fit into memory.
 
-use std::sync::Arc;
-
-use super::fixtures::{config, device, finished};
+use super::fixtures::{STAGES, config, device, finished, options};
 use super::masked_tests::overpainted;
 use super::*;
 use crate::dataset::fixtures::export;
-use crate::dataset::{BuiltinOptions, LoadOptions, SAMPLED_VIEWS, View, builtin, load};
+use crate::dataset::{LoadOptions, SAMPLED_VIEWS, View, builtin, load};
 use crate::eval::evaluate;
 
 #[test]
 fn where_photographs_are_kept_changes_no_bit_of_a_run() {
-    let options =
-        BuiltinOptions { width: 24, height: 24, train_views: 6, test_views: 2, points: 300, ..Default::default() };
-    let data = builtin(&options);
+    let data = builtin(&options(24, [6, 2], 300));
     let folder = tempfile::tempdir().unwrap();
     export(folder.path(), &data);
     // the first and the last have masks
@@ -36,16 +32,7 @@ fn where_photographs_are_kept_changes_no_bit_of_a_run() {
     assert!((1..6).contains(&kept(&read(5000))));
 
     let runs: [&[&str]; 3] = [
-        &[
-            "train.steps=60",
-            "model.environment=sh1",
-            "refine.budget=700",
-            "stages.surfels=0.3",
-            "stages.gaussians=0.3",
-            "stages.surfel_opacity=0.12",
-            "train.lambda_disc_depth=0.1",
-            "train.lambda_disc_normal=0.05",
-        ],
+        &STAGES,
         &["train.steps=60", "stages.gaussians=0.5", "refine.budget=700", "train.exposure=on"],
         &["train.steps=40", "train.method=mcmc", "refine.budget=300"],
     ];
@@ -68,9 +55,7 @@ fn where_photographs_are_kept_changes_no_bit_of_a_run() {
 
 /// The photographs of more views than are sampled, in files that are read when they are needed, in this much memory.
 fn many(folder: &tempfile::TempDir, train_views: usize, memory: usize) -> Dataset {
-    let options =
-        BuiltinOptions { width: 12, height: 12, train_views, test_views: 2, points: 300, ..Default::default() };
-    let data = builtin(&options);
+    let data = builtin(&options(12, [train_views, 2], 300));
     export(folder.path(), &data);
     let mut read = load(folder.path(), &LoadOptions { memory, near: Some(data.near), ..Default::default() }).unwrap();
     read.points = data.points;
@@ -90,9 +75,7 @@ fn a_run_begins_when_a_sample_of_many_photographs_is_read() {
     // one sample for the exposures, of views with enough points, and one for the sky
     let at_first = read_so_far(&data);
     assert!((1..=2 * SAMPLED_VIEWS).contains(&at_first), "{at_first}");
-    for _ in 0..40 {
-        trainer.step().unwrap();
-    }
+    (0..40).for_each(|_| drop(trainer.step().unwrap()));
     assert!(read_so_far(&data) > at_first);
     assert!(data.test.iter().all(|view| !view.photograph.was_read()));
 }
@@ -112,14 +95,11 @@ fn when_photographs_are_read_changes_no_bit_of_a_run() {
 
 #[test]
 fn a_photograph_that_is_gone_ends_a_run_with_its_name() {
-    let data = builtin(&BuiltinOptions { width: 12, height: 12, train_views: 3, points: 50, ..Default::default() });
     let folder = tempfile::tempdir().unwrap();
-    export(folder.path(), &data);
-    let mut read = load(folder.path(), &LoadOptions { memory: 0, near: Some(0.01), ..Default::default() }).unwrap();
-    read.points = data.points.clone();
-    let mut trainer = Trainer::new(config(&["train.steps=9"]), Arc::new(read), device()).unwrap();
-    for view in &data.train {
-        std::fs::remove_file(folder.path().join(format!("images/{}.png", view.name))).unwrap();
+    let data = Arc::new(many(&folder, 3, 0));
+    let mut trainer = Trainer::new(config(&["train.steps=9"]), data, device()).unwrap();
+    for view in 0..3 {
+        std::fs::remove_file(folder.path().join(format!("images/train_{view:03}.png"))).unwrap();
     }
     let failed = (0..9).find_map(|_| trainer.step().err()).unwrap().to_string();
     assert!(failed.contains("cannot read again the photograph") && failed.contains("train_00"), "{failed}");

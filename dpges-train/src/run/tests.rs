@@ -1,11 +1,11 @@
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use dpges_core::scene::{Rendering, SceneData};
 
 use super::checkpoint::CheckpointError;
 use super::fixtures::{config, dataset, dataset_of, device, fisheye_dataset};
-use super::folder::RunFolderError;
+use super::folder::{RunFolderError, read_json};
 use super::*;
 use crate::config::StagePlan;
 use crate::eval::{EvalReport, evaluate};
@@ -26,7 +26,20 @@ fn run(set: &[&str]) -> Run {
 }
 
 fn in_folder(set: &[&str], path: &Path) -> Run {
-    run(set).write_to(RunFolder::new(path), Origin::new("builtin", "cpu")).unwrap()
+    written(run(set), path)
+}
+
+fn written(run: Run, path: &Path) -> Run {
+    run.write_to(RunFolder::new(path), Origin::new("builtin", "cpu")).unwrap()
+}
+
+/// On nine views, in a folder if there is one.
+fn on_nine(set: &[&str], folder: Option<&Path>) -> Run {
+    let run = Run::new(config(set), dataset_of(9), device()).unwrap();
+    match folder {
+        Some(path) => written(run, path),
+        None => run,
+    }
 }
 
 fn error<T>(result: Result<T, RunError>) -> RunError {
@@ -196,15 +209,14 @@ fn corrections_of_exposure_are_in_the_folder_and_scores_say_what_they_are_worth(
     let at = tempfile::tempdir().unwrap();
     let folder = RunFolder::new(at.path().join("run"));
     in_folder(&[&SHORT[..], &["train.exposure=on"]].concat(), folder.path()).train(&mut ()).unwrap();
-    let text = std::fs::read_to_string(folder.exposure()).unwrap();
-    let found: BTreeMap<String, Correction> = serde_json::from_str(&text).unwrap();
+    let found: BTreeMap<String, Correction> = read_json(&folder.exposure()).unwrap();
     assert_eq!(found.keys().collect::<Vec<_>>(), ["train_000", "train_001", "train_002"]);
     for channel in 0..3 {
         let gain: f64 = found.values().map(|correction| correction.gain[channel].ln()).sum();
         let offset: f64 = found.values().map(|correction| correction.offset[channel]).sum();
         assert!(gain.abs() < 1e-5 && offset.abs() < 1e-5, "{found:?}");
     }
-    let report: EvalReport = serde_json::from_str(&std::fs::read_to_string(folder.evaluation()).unwrap()).unwrap();
+    let report: EvalReport = read_json(&folder.evaluation()).unwrap();
     assert!(report.evaluation.fitted.psnr_fitted.is_some() && report.evaluation.views[0].fitted.ssim_fitted.is_some());
 
     run_again_without(&folder);
@@ -246,14 +258,13 @@ fn run_again_without(folder: &RunFolder) {
     again.unwrap().train(&mut ()).unwrap();
 }
 
+/// Options of a run that validation views end.
+const JUDGED: [&str; 4] = ["train.steps=400", "train.stop=validation", "train.evaluate_every=4", "train.patience=1"];
+
 #[test]
 fn validation_views_are_kept_and_end_a_run_with_the_best_scene() {
-    let set = ["train.steps=400", "train.stop=validation", "train.evaluate_every=4", "train.patience=1"];
     let judged = |folder: Option<&Path>| {
-        let mut run = Run::new(config(&set), dataset_of(9), device()).unwrap();
-        if let Some(folder) = folder {
-            run = run.write_to(RunFolder::new(folder), Origin::new("builtin", "cpu")).unwrap();
-        }
+        let mut run = on_nine(&JUDGED, folder);
         let mut notes = Notes::default();
         let scene = run.train(&mut notes).unwrap().scene;
         assert!(!run.trainer().dataset().validation.is_empty());
@@ -267,8 +278,7 @@ fn validation_views_are_kept_and_end_a_run_with_the_best_scene() {
     let folder = at.path().join("run");
     let (scene, best_psnr) = judged(Some(&folder));
     assert!(judged(None).0 == scene && SceneData::load(&folder.join("scene.safetensors")).unwrap() == scene);
-    let text = std::fs::read_to_string(folder.join("validation.json")).unwrap();
-    let report: EvalReport = serde_json::from_str(&text).unwrap();
+    let report: EvalReport = read_json(&folder.join("validation.json")).unwrap();
     assert_eq!((report.split.as_str(), report.evaluation.psnr), ("validation", best_psnr));
 }
 
@@ -277,14 +287,10 @@ const CORRECTED: [&str; 3] = ["train.poses=on", "optimizer.pose_from=0", "train.
 
 #[test]
 fn corrections_are_those_of_the_best_scene() {
-    let set = ["train.steps=400", "train.stop=validation", "train.evaluate_every=4", "train.patience=1"];
-    let set = [&set[..], &CORRECTED].concat();
+    let set = [&JUDGED[..], &CORRECTED].concat();
     let at = tempfile::tempdir().unwrap();
     let folder = |name: &str| RunFolder::new(at.path().join(name));
-    let begun = |name: &str| {
-        let run = Run::new(config(&set), dataset_of(9), device()).unwrap();
-        run.write_to(folder(name), Origin::new("builtin", "cpu")).unwrap()
-    };
+    let begun = |name: &str| on_nine(&set, Some(folder(name).path()));
     let mut notes = Notes::default();
     let mut whole = begun("whole");
     whole.train(&mut notes).unwrap();
@@ -296,8 +302,7 @@ fn corrections_are_those_of_the_best_scene() {
     };
     assert!(files("whole") == files("best"), "after {best_step} steps");
     let last = whole.trainer().view_corrections();
-    let written = |path: PathBuf| std::fs::read_to_string(path).unwrap();
-    let exposure: BTreeMap<String, Correction> = serde_json::from_str(&written(folder("whole").exposure())).unwrap();
+    let exposure: BTreeMap<String, Correction> = read_json(&folder("whole").exposure()).unwrap();
     assert!(last.exposure != Some(exposure) && last.poses != folder("whole").read_poses().unwrap());
 }
 
@@ -307,26 +312,21 @@ fn corrections_are_those_of_the_stage_that_is_kept() {
     let set = [&set[..], &["optimizer.decay=1e4"], &CORRECTED].concat();
     let at = tempfile::tempdir().unwrap();
     let folder = RunFolder::new(at.path());
-    let mut run = Run::new(config(&set), dataset_of(9), device()).unwrap();
-    run = run.write_to(folder.clone(), Origin::new("builtin", "cpu")).unwrap();
+    let mut run = on_nine(&set, Some(folder.path()));
     let scene = run.train(&mut ()).unwrap().scene;
     assert_eq!(scene.info.rendering, Rendering::Ellipsoids);
     let stage = run.trainer().last_but_one().unwrap().kind;
     let [exposure, poses] = folder.corrections_of(&folder.stage_scene(stage));
     let read = |path: &Path| std::fs::read(path).unwrap();
     assert!(read(&folder.exposure()) == read(&exposure) && read(&folder.poses()) == read(&poses));
-    assert!(folder.read_poses().unwrap() != run.trainer().refined_poses());
+    assert!(folder.read_poses().unwrap() != run.trainer().view_corrections().poses);
 }
 
 #[test]
 fn a_last_stage_that_makes_validation_views_worse_is_undone() {
     let result = |decay: &str, folder: Option<&Path>| {
         let set = ["train.steps=60", "stages.gaussians=0.7", "data.validation_every=3", "refine.budget=500", decay];
-        let mut run = Run::new(config(&set), dataset_of(9), device()).unwrap();
-        if let Some(folder) = folder {
-            run = run.write_to(RunFolder::new(folder), Origin::new("builtin", "cpu")).unwrap();
-        }
-        run.train(&mut ()).unwrap().scene
+        on_nine(&set, folder).train(&mut ()).unwrap().scene
     };
     let at = tempfile::tempdir().unwrap();
     let folder = at.path().join("worse");

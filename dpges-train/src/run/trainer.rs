@@ -17,13 +17,14 @@ use super::validation::Validation;
 use crate::config::{Config, StagePlan};
 use crate::dataset::Dataset;
 use crate::device::place::Place;
+use crate::optimizer::Parameter;
 use crate::stage::{
     self, BeforeStep, Context, Parameters, PendingStep, Settled, Stage, StageCheckpoint, StepReport, Surroundings,
     TrainError, Trained, begin_step,
 };
 use crate::views::corrections::ViewCorrections;
-use crate::views::exposure::ExposureState;
-use crate::views::pose::{PoseChanges, PoseState, RefinedPoses};
+use crate::views::exposure::state as exposures;
+use crate::views::pose::{PoseChanges, PoseState};
 
 /// A scene that learns a dataset, and where in the plan of its stages it stands.
 pub struct Trainer {
@@ -33,7 +34,8 @@ pub struct Trainer {
     at: usize,
     stage: Box<dyn Stage>,
     trained: Trained,
-    validation: Validation,
+    /// Wants to be told of every evaluation of the validation views, and then ends the run with `train.stop = "validation"`.
+    pub(super) validation: Validation,
     /// A GPU works on this step while the host prepares the next. With where the run stood before it.
     pending: Option<(PendingStep, BeforeStep)>,
     /// Completed steps after which the scene was refined last. If the step that followed was undone, that is not done again.
@@ -63,9 +65,6 @@ impl Trainer {
 
     /// Whether there is all that the plan of a run needs, which [`new`](Self::new) asks first. It takes no time: a series of runs
     /// asks before it begins with any.
-    ///
-    /// # Errors
-    /// [`TrainError::Pretrained`], [`TrainError::Plan`].
     pub fn check(config: &Config, dataset: &Arc<Dataset>, device: &Device) -> Result<(), TrainError> {
         Context::new(config.clone(), Arc::clone(dataset), device.clone().into()).check_plan(&config.plan())
     }
@@ -82,16 +81,15 @@ impl Trainer {
         if view_names != names_of_views(&dataset) {
             let (before, now) = (view_names.len(), dataset.train.len());
             let reason = format!("it was made with {before} training views, and these {now} are not the same ones");
-            return Err(TrainError::Resume { reason });
+            return Err(TrainError::resume(reason));
         }
         let plan = config.plan();
         let Some(&current) = plan.get(at) else {
-            return Err(TrainError::Resume { reason: format!("stage {at} of {} does not exist", plan.len()) });
+            return Err(TrainError::resume(format!("stage {at} of {} does not exist", plan.len())));
         };
-        let exposure = ExposureState::from_rows(&mut attributes, dataset.train.len(), &place.device)
-            .map_err(|reason| TrainError::Resume { reason })?;
-        let poses = PoseState::from_rows(&mut attributes, &mut columns, &dataset)
-            .map_err(|reason| TrainError::Resume { reason })?;
+        let exposure = exposures::from_rows(&mut attributes, dataset.train.len(), &place.device);
+        let exposure = exposure.map_err(TrainError::resume)?;
+        let poses = PoseState::from_rows(&mut attributes, &mut columns, &dataset).map_err(TrainError::resume)?;
         let surroundings = Surroundings::read(&config, &dataset, &place)?;
         let context = Context::new(config, dataset, place);
         let mut context = Context { rng, remaining_views, completed_steps, exposure, poses, surroundings, ..context };
@@ -112,7 +110,7 @@ impl Trainer {
             stage.add_discs(discs);
         }
         let StageCheckpoint { info, growth, mut attributes, mut columns, max_pixels } = stage;
-        let of_views = context.exposure.rows().into_iter().chain(context.poses.rows());
+        let of_views = context.exposure.as_ref().map(Parameter::named_rows).into_iter().chain(context.poses.rows());
         attributes.extend(of_views.map(|(name, rows)| (name.to_owned(), rows)));
         columns.extend(context.poses.columns().into_iter().map(|(name, values)| (name.to_owned(), values)));
         let state = RunState {
@@ -159,9 +157,9 @@ impl Trainer {
         let is_dealt = !self.stage.ranks().is_alone();
         let Parameters { surfels, gaussians, environment, .. } = self.stage.parameters();
         let mut hash = Hash::default();
-        let replicated = surfels.rows().into_values().chain(environment.rows().map(|(_, rows)| rows));
-        let replicated = replicated.chain(self.context.exposure.rows().map(|(_, rows)| rows));
-        replicated.for_each(|rows| hash.add_numbers(&rows.raw));
+        surfels.rows().into_values().for_each(|rows| hash.add_numbers(&rows.raw));
+        let of_all = [&*environment, &self.context.exposure].into_iter().flatten();
+        of_all.for_each(|parameter| hash.add_numbers(&parameter.raw_rows()));
         if !is_dealt {
             gaussians.rows().into_values().for_each(|rows| hash.add_numbers(&rows.raw));
         }
@@ -206,21 +204,15 @@ impl Trainer {
 
     /// Whether the run corrects the exposures of its training views.
     pub fn corrects_exposure(&self) -> bool {
-        self.context.exposure.is_on()
+        self.context.exposure.is_some()
     }
 
-    /// The poses of the training views by name; `None` if they are as they were recorded.
-    pub fn refined_poses(&self) -> Option<RefinedPoses> {
-        self.context.refined_poses()
-    }
-
-    /// The corrections of the training views so far.
     pub fn view_corrections(&self) -> ViewCorrections {
         let exposure = self.corrects_exposure().then(|| {
-            let corrections = self.context.exposure.corrections().0;
+            let corrections = exposures::corrections(&self.context.exposure);
             names_of_views(&self.context.dataset).into_iter().zip(corrections).collect()
         });
-        ViewCorrections { exposure, poses: self.refined_poses() }
+        ViewCorrections { exposure, poses: self.context.refined_poses() }
     }
 
     /// How far the cameras of the training views have been moved; `None` if they are where they were recorded.
@@ -241,21 +233,7 @@ impl Trainer {
         }
     }
 
-    /// The state of the validation views.
-    pub fn validation(&self) -> &Validation {
-        &self.validation
-    }
-
-    /// The same, to be changed. It wants to be told of every evaluation of theirs, and then ends the
-    /// run with `train.stop = "validation"`.
-    pub fn validation_mut(&mut self) -> &mut Validation {
-        &mut self.validation
-    }
-
     /// Begins the stage after one that is over, settled and not the last.
-    ///
-    /// # Errors
-    /// The errors of [`new`](Self::new).
     pub(super) fn next_stage(&mut self) -> Result<(), TrainError> {
         self.stage.hand_on(&mut self.trained);
         self.context.begin_pass();

@@ -24,12 +24,18 @@ struct Best {
 /// The verdict of an evaluation of the validation views.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Verdict {
-    /// The scene is the best so far.
     Best,
     /// It was better before; this is the `since`th evaluation that did not improve it.
-    Worse { since: usize, best_step: usize, best_psnr: f64 },
+    Worse {
+        since: usize,
+        best_step: usize,
+        best_psnr: f64,
+    },
     /// It has not improved for `patience` evaluations: the run ends.
-    Enough { best_step: usize, best_psnr: f64 },
+    Enough {
+        best_step: usize,
+        best_psnr: f64,
+    },
 }
 
 impl Validation {
@@ -64,7 +70,6 @@ impl Validation {
         self.before_last_stage
     }
 
-    /// Whether the run has ended.
     pub fn stopped(&self) -> bool {
         self.stopped
     }

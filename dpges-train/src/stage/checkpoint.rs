@@ -3,16 +3,15 @@
 use std::collections::{BTreeMap, HashMap};
 
 use dpges_core::scene::schema::{Attribute, Columns};
-use dpges_core::scene::{ColourModel, GaussianData, SceneInfo};
+use dpges_core::scene::{GaussianData, SceneInfo};
 
 use super::blended::{BlendedStage, Momenta, ScreenGradients};
-use super::joint::schedule::Schedule;
-use super::joint::{Dealt, JointStage, OWNERS, SamplingLimits, SkyMasks, Statistics, Supervisions};
+use super::joint::{Dealt, JointStage, OWNERS, SamplingLimits, Statistics, Supervisions};
 use super::sampling_limit::SamplingLimit;
-use super::{Context, EnvironmentState, TrainError, WeightedSumState};
+use super::{Context, EnvironmentState, TrainError, WeightedSumState, environment};
 use crate::config::{Blended, OpacityActivation, StagePlan};
-use crate::optimizer::ParameterRows;
 use crate::optimizer::scene_state::{GaussianState, NamedRows, SurfelState};
+use crate::optimizer::{Parameter, ParameterRows};
 use crate::refine::growth::Growth;
 
 const MAX_CONTRIBUTIONS: &str = "max_contributions";
@@ -80,25 +79,24 @@ impl StageCheckpoint {
         checkpoint
     }
 
-    /// Adds trained discs that a stage still needs.
     pub fn add_discs(&mut self, discs: &GaussianData) {
         self.columns.extend(discs.iter().map(|(attribute, values)| (disc_column(attribute), values.clone())));
     }
 
     /// Takes out the trained discs, if there are any.
-    ///
-    /// # Errors
-    /// [`TrainError::Resume`] if their columns do not fit together.
     pub fn take_discs(&mut self) -> Result<Option<GaussianData>, TrainError> {
-        take_discs(&mut self.columns, self.info.colour_model)
+        let (model, first) = (self.info.colour_model, &GaussianData::ATTRIBUTES[0]);
+        let Some(positions) = self.columns.get(&disc_column(first)) else { return Ok(None) };
+        let count = positions.len() / first.width.under(model);
+        let discs = GaussianData::try_generate(model, |attribute| {
+            column(&mut self.columns, &disc_column(attribute), attribute.shape(count, model).iter().product())
+        });
+        discs.map(Some)
     }
 }
 
 impl BlendedStage {
     /// The stage of `plan` where `checkpoint` was made.
-    ///
-    /// # Errors
-    /// [`TrainError::Resume`] if the checkpoint contradicts itself.
     pub fn resume(
         plan: StagePlan,
         blended: Blended,
@@ -107,37 +105,24 @@ impl BlendedStage {
     ) -> Result<Self, TrainError> {
         let StageCheckpoint { info, mut attributes, mut columns, .. } = checkpoint;
         let model = info.colour_model;
-        let mut found = Vec::with_capacity(3);
-        for name in ScreenGradients::NAMES {
-            found.push(column(&mut columns, name)?);
-        }
-        let gaussians = GaussianState::from_rows(&mut attributes, model, blended.opacity(), &context.device)
-            .map_err(|reason| TrainError::Resume { reason })?;
-        let environment = EnvironmentState::from_rows(&mut attributes, &context.device)
-            .map_err(|reason| TrainError::Resume { reason })?;
-        let summed = info.weighted_sum.as_ref();
-        let weighted_sum = summed
-            .map(|sum| WeightedSumState::from_rows(&mut attributes, sum.weight, &context.device))
-            .transpose()
-            .map_err(|reason| TrainError::Resume { reason })?;
-        if found.iter().any(|column| column.len() != gaussians.len()) {
-            let reason = "columns `screen_gradients` do not fit the Gaussians".into();
-            return Err(TrainError::Resume { reason });
-        }
-        let gradients = ScreenGradients::from_columns([&found[0], &found[1], &found[2]], &context.device);
+        let device = &context.device;
+        let gaussians =
+            GaussianState::from_rows(&mut attributes, model, blended.opacity(), device).map_err(TrainError::resume)?;
+        let environment = environment::from_rows(&mut attributes, device).map_err(TrainError::resume)?;
+        let sum = info.weighted_sum.as_ref();
+        let weighted_sum = sum.map(|sum| WeightedSumState::from_rows(&mut attributes, sum.weight, device)).transpose();
+        let count = gaussians.len();
+        let [signed, absolute, views] = ScreenGradients::NAMES.map(|name| column(&mut columns, name, count));
+        let gradients = ScreenGradients::from_columns([&signed?, &absolute?, &views?], device);
         let smoothing_px = context.config.mip_splatting_px();
-        let sampling_limit = limit(&mut columns, GAUSSIAN_LIMIT, gaussians.len(), smoothing_px, context)?;
+        let sampling_limit = limit(&mut columns, GAUSSIAN_LIMIT, count, smoothing_px, context)?;
         let mut stage = Self::new(plan, blended, gaussians, environment, gradients, context);
         stage.sampling_limit = sampling_limit;
         if let Some(momenta) = &mut stage.momenta {
-            let found = column(&mut columns, MOMENTA)?;
-            if found.len() != 3 * stage.gaussians.len() {
-                return Err(TrainError::Resume { reason: format!("column `{MOMENTA}` does not fit the Gaussians") });
-            }
-            *momenta = Momenta::from_column(&found, &context.device);
+            *momenta = Momenta::from_column(&column(&mut columns, MOMENTA, 3 * count)?, device);
         }
+        stage.weighted_sum = weighted_sum.map_err(TrainError::resume)?;
         stage.info.weighted_sum = info.weighted_sum;
-        stage.weighted_sum = weighted_sum;
         Ok(stage)
     }
 }
@@ -155,12 +140,9 @@ impl JointStage {
     ) -> Result<Self, TrainError> {
         let StageCheckpoint { info, growth, mut attributes, mut columns, max_pixels } = checkpoint;
         let (model, device) = (info.colour_model, &context.device);
-        let (contributions, errors) = (column(&mut columns, MAX_CONTRIBUTIONS)?, column(&mut columns, ERRORS)?);
-        let wrong = |reason| TrainError::Resume { reason };
+        let wrong = TrainError::resume;
         let count = attributes.get(GaussianData::ATTRIBUTES[0].raw_name).map_or(0, |rows| rows.count);
-        if [contributions.len(), errors.len()] != [count; 2] {
-            return Err(wrong("`max_contributions` or `errors` does not fit the Gaussians".into()));
-        }
+        let [contributions, errors] = [MAX_CONTRIBUTIONS, ERRORS].map(|name| column(&mut columns, name, count));
         let dealt = Dealt::from_column(columns.remove(OWNERS), count, context.ranks.clone()).map_err(wrong)?;
         if !context.ranks.is_alone() {
             for (_, rows) in attributes.iter_mut().filter(|(name, _)| is_dealt(name)) {
@@ -171,11 +153,11 @@ impl JointStage {
             SurfelState::from_rows(&mut attributes, model, OpacityActivation::Linear, device).map_err(wrong)?;
         let gaussians =
             GaussianState::from_rows(&mut attributes, model, context.config.model.opacity, device).map_err(wrong)?;
-        let environment = EnvironmentState::from_rows(&mut attributes, device).map_err(wrong)?;
+        let environment = environment::from_rows(&mut attributes, device).map_err(wrong)?;
         if max_pixels.len() != surfels.len() {
             return Err(wrong("`max_pixels` does not fit the surfels".into()));
         }
-        let [contributions, errors] = [contributions, errors].map(|all| dealt.own_of(&all, 1));
+        let [contributions, errors] = [contributions?, errors?].map(|all| dealt.own_of(&all, 1));
         let smoothing_px = context.config.model.sampling_limit;
         let surfel_limit = limit(&mut columns, SURFEL_LIMIT, surfels.len(), smoothing_px, context)?;
         if let Some(column) = columns.get_mut(GAUSSIAN_LIMIT).filter(|column| column.len() == count) {
@@ -183,30 +165,31 @@ impl JointStage {
         }
         let gaussian_limit = limit(&mut columns, GAUSSIAN_LIMIT, gaussians.len(), smoothing_px, context)?;
         Ok(Self {
-            plan,
-            schedule: Schedule::new(&context.config, context.dataset.train.len()),
+            info,
             limits: surfel_limit.zip(gaussian_limit).map(|(surfels, gaussians)| SamplingLimits { surfels, gaussians }),
-            surfels,
-            gaussians,
-            dealt,
-            sky: SkyMasks::new(&environment, context),
-            environment,
             statistics: Statistics::from_rows(&max_pixels, [&contributions, &errors], device),
-            statistics_before: None,
             supervisions: discs.map(|discs| Supervisions::new(&discs, context)).transpose()?,
             growth,
-            surroundings: context.surroundings.clone(),
-            info,
+            ..Self::of_states(plan, surfels, gaussians, dealt, environment, context)
         })
     }
 }
 
 fn named<const N: usize>(rows: [NamedRows; N], environment: &EnvironmentState) -> HashMap<String, ParameterRows> {
-    rows.into_iter().flatten().chain(environment.rows()).map(|(name, rows)| (name.to_owned(), rows)).collect()
+    rows.into_iter()
+        .flatten()
+        .chain(environment.as_ref().map(Parameter::named_rows))
+        .map(|(name, rows)| (name.to_owned(), rows))
+        .collect()
 }
 
-fn column(columns: &mut BTreeMap<String, Vec<f32>>, name: &str) -> Result<Vec<f32>, TrainError> {
-    columns.remove(name).ok_or_else(|| TrainError::Resume { reason: format!("column `{name}` is missing") })
+/// Takes out the column `name`, which should have so many numbers.
+fn column(columns: &mut BTreeMap<String, Vec<f32>>, name: &str, numbers: usize) -> Result<Vec<f32>, TrainError> {
+    let column = columns.remove(name).ok_or_else(|| TrainError::resume(format!("column `{name}` is missing")))?;
+    if column.len() == numbers {
+        return Ok(column);
+    }
+    Err(TrainError::resume(format!("column `{name}` has {} numbers, expected {numbers}", column.len())))
 }
 
 /// The filter in column `name`, if there is one.
@@ -217,36 +200,11 @@ fn limit(
     smoothing_px: f64,
     context: &Context,
 ) -> Result<Option<SamplingLimit>, TrainError> {
-    let Some(column) = columns.remove(name) else { return Ok(None) };
-    if column.len() != primitives {
-        let reason = format!("column `{name}` has {} numbers, expected {primitives}", column.len());
-        return Err(TrainError::Resume { reason });
-    }
-    Ok(Some(SamplingLimit::from_column(&column, smoothing_px, &context.device)))
+    let found = columns.contains_key(name).then(|| column(columns, name, primitives)).transpose()?;
+    Ok(found.map(|column| SamplingLimit::from_column(&column, smoothing_px, &context.device)))
 }
 
 /// Name of the column of the trained discs that holds an attribute.
 fn disc_column(attribute: &Attribute) -> String {
     attribute.name.replace("gaussians.", "discs.")
-}
-
-/// The trained discs, if the checkpoint has them.
-fn take_discs(
-    columns: &mut BTreeMap<String, Vec<f32>>,
-    model: ColourModel,
-) -> Result<Option<GaussianData>, TrainError> {
-    let first = &GaussianData::ATTRIBUTES[0];
-    let Some(positions) = columns.get(&disc_column(first)) else { return Ok(None) };
-    let count = positions.len() / first.width.under(model);
-    let discs = GaussianData::try_generate(model, |attribute| {
-        let name = disc_column(attribute);
-        let values = column(columns, &name)?;
-        let [count, width] = attribute.shape(count, model);
-        if values.len() != count * width {
-            let reason = format!("column `{name}` has {} numbers, expected {count} × {width}", values.len());
-            return Err(TrainError::Resume { reason });
-        }
-        Ok(values)
-    })?;
-    Ok(Some(discs))
 }

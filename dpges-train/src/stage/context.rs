@@ -1,5 +1,3 @@
-//! State that all stages of a run share.
-
 use std::iter;
 use std::sync::Arc;
 
@@ -16,7 +14,7 @@ use crate::dataset::{Dataset, MOST_PREFETCHED, prefetch};
 use crate::device::place::Place;
 use crate::stage::{DevicePhotographs, Stage, StepViews, Surroundings};
 use crate::views::depth::DepthMaps;
-use crate::views::exposure::ExposureState;
+use crate::views::exposure::state::ExposureState;
 use crate::views::pose::PoseState;
 
 /// State that all stages of a run share.
@@ -30,7 +28,6 @@ pub struct Context {
     pub rng: ChaCha8Rng,
     /// Indices of the views still to come in this pass, last first.
     pub remaining_views: Vec<u32>,
-    /// Completed steps of the whole run.
     pub completed_steps: usize,
     /// Exposures of the training views, through all stages.
     pub exposure: ExposureState,
@@ -58,7 +55,6 @@ pub struct BeforeStep {
 }
 
 impl Context {
-    /// Where the run stands.
     pub fn before_step(&self) -> BeforeStep {
         let (rng, remaining_views) = (self.rng.clone(), self.remaining_views.clone());
         BeforeStep { rng, remaining_views, completed_steps: self.completed_steps, poses: self.poses.clone() }
@@ -78,7 +74,7 @@ impl Context {
             rng,
             remaining_views: Vec::new(),
             completed_steps: 0,
-            exposure: ExposureState::default(),
+            exposure: None,
             poses: PoseState::default(),
             depth: None,
             photographs,
@@ -93,6 +89,11 @@ impl Context {
         (self.rng, self.remaining_views, self.completed_steps) = (rng, remaining_views, completed_steps);
         self.poses = poses;
         self.place_cameras();
+    }
+
+    /// Share of the whole run that is done.
+    pub fn progress(&self) -> f64 {
+        self.completed_steps as f64 / self.config.total_steps().max(1) as f64
     }
 
     /// The steps of the current stage, that of `plan`, that are done.
@@ -141,7 +142,6 @@ impl Context {
         self.remaining_views.clear();
     }
 
-    /// The metadata of the scenes of this run.
     pub fn scene_info(&self, rendering: Rendering) -> SceneInfo {
         let (model, dataset) = (&self.config.model, &self.dataset);
         SceneInfo {

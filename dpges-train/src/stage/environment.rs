@@ -2,10 +2,8 @@
 
 use std::collections::HashMap;
 
-use burn::tensor::{Device, Gradients, Tensor};
-use dpges_core::ops::adam::AdamStep;
-use dpges_core::scene::schema::{Attribute, ENVIRONMENT};
-use dpges_core::scene::tensors::tensor_to_rows;
+use burn::tensor::Device;
+use dpges_core::scene::schema::ENVIRONMENT;
 use dpges_core::scene::{EnvironmentData, SH_C0, SceneData};
 
 use super::pretrained::{GAUSSIANS_FROM, SURFELS_FROM};
@@ -20,63 +18,24 @@ const SKY: f64 = 0.05;
 /// The degree that it gets.
 const DEGREE: usize = 3;
 
-/// The environment of a stage; empty in runs without one.
-#[derive(Clone, Debug, Default)]
-pub struct EnvironmentState(Option<Parameter>);
+/// The environment of a stage, [(degree + 1)², 3]; `None` in runs without one.
+pub type EnvironmentState = Option<Parameter>;
 
-/// Gradient of the coefficients; `None` in runs without an environment.
-pub type EnvironmentGradient = Option<(&'static Attribute, Option<Tensor<2>>)>;
+pub fn fresh(data: Option<&EnvironmentData>, device: &Device) -> EnvironmentState {
+    data.map(|data| Parameter::fresh(&ENVIRONMENT, &data.coefficients, [data.len(), 3], device))
+}
 
-impl EnvironmentState {
-    pub fn new(data: Option<&EnvironmentData>, device: &Device) -> Self {
-        Self(data.map(|data| Parameter::fresh(&ENVIRONMENT, &data.coefficients, [data.len(), 3], device)))
-    }
+/// Takes the environment out of `rows`, if there is one.
+///
+/// # Errors
+/// A message if its coefficients are those of no degree, or have no moments.
+pub fn from_rows(rows: &mut HashMap<String, ParameterRows>, device: &Device) -> Result<EnvironmentState, String> {
+    let is_of_a_degree = |count| EnvironmentData::degree_of(count).is_some();
+    Parameter::take(&ENVIRONMENT, rows, 3, (is_of_a_degree, "1, 4, 9 or 16"), device)
+}
 
-    /// Takes the environment out of `rows`, if there is one.
-    ///
-    /// # Errors
-    /// A message if its coefficients are those of no degree, or have no moments.
-    pub fn from_rows(rows: &mut HashMap<String, ParameterRows>, device: &Device) -> Result<Self, String> {
-        let name = ENVIRONMENT.raw_name;
-        let Some(found) = rows.remove(name) else { return Ok(Self::default()) };
-        if found.width != 3 || EnvironmentData::degree_of(found.count).is_none() || found.moments.is_none() {
-            let (count, width) = (found.count, found.width);
-            return Err(format!("`{name}` is {count} × {width}, expected 1, 4, 9 or 16 × 3 with moments"));
-        }
-        Ok(Self(Some(Parameter::from_rows(&ENVIRONMENT, &found, device))))
-    }
-
-    pub fn rows(&self) -> Option<(&'static str, ParameterRows)> {
-        self.0.as_ref().map(|parameter| (ENVIRONMENT.raw_name, parameter.rows()))
-    }
-
-    pub fn to_data(&self) -> Option<EnvironmentData> {
-        self.value().map(|coefficients| EnvironmentData { coefficients: tensor_to_rows(&coefficients) })
-    }
-
-    /// [(degree + 1)², 3] without a tape.
-    pub fn value(&self) -> Option<Tensor<2>> {
-        self.0.as_ref().map(Parameter::raw)
-    }
-
-    /// [(degree + 1)², 3] on a new tape, for one step.
-    pub fn leaf(&self) -> Option<Tensor<2>> {
-        self.0.as_ref().map(Parameter::leaf)
-    }
-
-    /// The gradient that a backward pass left for the [`leaf`](Self::leaf).
-    pub fn gradient(&self, leaf: Option<&Tensor<2>>, gradients: &mut Gradients) -> EnvironmentGradient {
-        self.0.as_ref().zip(leaf).map(|(parameter, leaf)| (&ENVIRONMENT, parameter.gradient(leaf, gradients)))
-    }
-
-    /// Nothing changes where `gate` `[1]` is not 1.
-    ///
-    /// # Errors
-    /// [`dpges_core::Error::Shape`] if the gradient has another shape.
-    pub fn step(&mut self, gradient: EnvironmentGradient, gate: &Tensor<1>, step: AdamStep) -> dpges_core::Result<()> {
-        let gradient = gradient.and_then(|(_, gradient)| gradient);
-        self.0.as_mut().map_or(Ok(()), |parameter| parameter.step(gradient, gate, step))
-    }
+pub fn to_data(state: &EnvironmentState) -> Option<EnvironmentData> {
+    state.as_ref().map(|parameter| EnvironmentData { coefficients: parameter.raw_rows() })
 }
 
 impl Context {
@@ -149,36 +108,14 @@ fn has_background(dataset: &Dataset) -> bool {
 mod tests {
     use std::sync::Arc;
 
-    use dpges_core::ranks::Alone;
     use dpges_core::scene::{GaussianData, Rendering, SceneInfo, SurfelData};
-    use rand::SeedableRng;
-    use rand_chacha::ChaCha8Rng;
 
-    use super::super::{DevicePhotographs, budget};
     use super::*;
     use crate::init::sky_detection::tests::{BLUE, ring, tower};
     use crate::run::fixtures::{config, device};
-    use crate::views::exposure::ExposureState;
-    use crate::views::pose::PoseState;
 
     fn start(dataset: Dataset, set: &[&str]) -> Option<EnvironmentData> {
-        let (config, device) = (config(set), device());
-        let photographs = DevicePhotographs::new(&config, &device);
-        let context = Context {
-            budget: budget(&config, &dataset),
-            dataset: Arc::new(dataset),
-            config,
-            device,
-            ranks: Arc::new(Alone),
-            rng: ChaCha8Rng::seed_from_u64(0),
-            remaining_views: Vec::new(),
-            completed_steps: 0,
-            exposure: ExposureState::default(),
-            poses: PoseState::default(),
-            depth: None,
-            photographs,
-            surroundings: None,
-        };
+        let context = Context::new(config(set), Arc::new(dataset), device().into());
         context.start_of_environment().unwrap()
     }
 

@@ -1,5 +1,3 @@
-//! Why a run cannot be trained.
-
 use std::path::PathBuf;
 
 use crate::init::InitError;
@@ -7,10 +5,8 @@ use crate::init::InitError;
 /// Why a run cannot begin, go on or be resumed.
 #[derive(Debug, thiserror::Error)]
 pub enum TrainError {
-    /// The dataset has nothing to begin with.
     #[error("initialisation: {0}")]
     Init(#[from] InitError),
-    /// A file that the configuration names cannot take the place of a stage.
     #[error("`{key}`: {path} cannot be used: {reason}")]
     Pretrained { key: &'static str, path: PathBuf, reason: String },
     /// The stages, or what decides on them, lack something.
@@ -34,10 +30,14 @@ pub enum TrainError {
          with one driver, or with one process for each kind"
     )]
     Diverged { step: usize, rank: usize },
-    /// A view could not be rendered.
     #[error(transparent)]
     Core(#[from] dpges_core::Error),
-    /// The checkpoint contradicts itself or belongs to another dataset.
     #[error("the checkpoint does not fit: {reason}")]
     Resume { reason: String },
+}
+
+impl TrainError {
+    pub fn resume(reason: String) -> Self {
+        Self::Resume { reason }
+    }
 }

@@ -49,7 +49,6 @@ pub use weighted_sum::WeightedSumState;
 pub trait Stage: Send {
     fn plan(&self) -> StagePlan;
 
-    /// The parameters that it trains.
     fn parameters(&mut self) -> Parameters<'_>;
 
     /// The scene as it stands. All ranks ask for it together.
@@ -74,15 +73,9 @@ pub trait Stage: Send {
     fn is_due(&self, completed: usize) -> bool;
 
     /// Refines the scene as is due after `completed` steps. Returns a sentence for each thing it did.
-    ///
-    /// # Errors
-    /// [`TrainError::Core`] if a view that decides on it cannot be rendered.
     fn refine(&mut self, completed: usize, context: &mut Context) -> Result<Vec<String>, TrainError>;
 
     /// Renders a view from `leaves` and compares it with its photograph.
-    ///
-    /// # Errors
-    /// [`dpges_core::Error`] if the leaves or the view are not what the operations expect.
     fn forward(&self, leaves: &Leaves, input: &StepInput<'_>, context: &Context) -> dpges_core::Result<ForwardPass>;
 
     /// Whether [`forward`](Self::forward) looks at the pictures of its views in host memory.
@@ -97,9 +90,6 @@ pub trait Stage: Send {
     fn rates(&self, completed: usize, config: &Config) -> StepRates;
 
     /// Changes parameters beyond what the optimiser does in the step after `completed` ones.
-    ///
-    /// # Errors
-    /// [`TrainError::Core`] if an operation refuses the parameters.
     fn after_step(&mut self, _completed: usize, _context: &mut Context) -> Result<(), TrainError> {
         Ok(())
     }

@@ -3,14 +3,13 @@
 use burn::tensor::{Gradients, Tensor};
 use dpges_core::ops::adam::AdamStep;
 use dpges_core::render::summed::WeightedSumTensors;
-use dpges_core::scene::schema::Attribute;
 use dpges_core::scene::{Gaussians, Surfels};
 
-use super::environment::{EnvironmentGradient, EnvironmentState};
+use super::environment::EnvironmentState;
 use super::weighted_sum::WeightedSumState;
 use crate::optimizer::scene_state::{self, GaussianState, GradientList, Rates, SurfelState};
+use crate::optimizer::{NamedGradient, Parameter};
 
-/// The parameters that a stage trains.
 pub struct Parameters<'a> {
     /// Empty in stages without surfels.
     pub surfels: &'a mut SurfelState,
@@ -32,16 +31,9 @@ pub struct Leaves {
     raw_gaussians: Gaussians,
 }
 
-/// Gradients of all parameters.
-pub struct ParameterGradients {
-    surfels: GradientList,
-    gaussians: GradientList,
-    environment: EnvironmentGradient,
-    /// Empty in stages whose Gaussians are not summed.
-    weighted_sum: GradientList,
-}
+/// Gradients of surfels, Gaussians, the environment and the weighted sum; of what a stage does not have none.
+pub struct ParameterGradients([GradientList; 4]);
 
-/// Learning rates of one step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StepRates {
     pub surfels: Rates,
@@ -56,26 +48,24 @@ impl Parameters<'_> {
         let scene_state::Leaves { values: surfels, raw: raw_surfels } = self.surfels.leaves();
         let scene_state::Leaves { values: gaussians, raw: raw_gaussians } = self.gaussians.leaves();
         let weighted_sum = self.weighted_sum.as_ref().map(|sum| sum.leaves());
-        Leaves { surfels, gaussians, environment: self.environment.leaf(), weighted_sum, raw_surfels, raw_gaussians }
+        let environment = self.environment.as_ref().map(Parameter::leaf);
+        Leaves { surfels, gaussians, environment, weighted_sum, raw_surfels, raw_gaussians }
     }
 
     /// Takes out of `gradients` what a backward pass left for `leaves`.
     pub fn gradients(&self, leaves: &Leaves, gradients: &mut Gradients) -> ParameterGradients {
-        ParameterGradients {
-            surfels: self.surfels.gradients(&leaves.raw_surfels, gradients),
-            gaussians: self.gaussians.gradients(&leaves.raw_gaussians, gradients),
-            environment: self.environment.gradient(leaves.environment.as_ref(), gradients),
-            weighted_sum: match (&self.weighted_sum, &leaves.weighted_sum) {
-                (Some(sum), Some(leaves)) => sum.gradients(leaves, gradients),
-                _ => GradientList::new(),
-            },
-        }
+        let surfels = self.surfels.gradients(&leaves.raw_surfels, gradients);
+        let gaussians = self.gaussians.gradients(&leaves.raw_gaussians, gradients);
+        let environment = self.environment.iter().zip(&leaves.environment);
+        let environment = environment.map(|(parameter, leaf)| parameter.gradient(leaf, gradients)).collect();
+        let weighted_sum = match (&self.weighted_sum, &leaves.weighted_sum) {
+            (Some(sum), Some(leaves)) => sum.gradients(leaves, gradients),
+            _ => GradientList::new(),
+        };
+        ParameterGradients([surfels, gaussians, environment, weighted_sum])
     }
 
     /// Takes one optimisation step. Nothing changes where `gate` `[1]` is not 1.
-    ///
-    /// # Errors
-    /// [`dpges_core::Error::Shape`] if the gradients belong to other rows.
     pub fn step(
         self,
         gradients: ParameterGradients,
@@ -83,12 +73,14 @@ impl Parameters<'_> {
         rates: &StepRates,
         adam: AdamStep,
     ) -> dpges_core::Result<()> {
-        self.surfels.step(gradients.surfels, gate, &rates.surfels, adam)?;
-        self.gaussians.step(gradients.gaussians, gate, &rates.gaussians, adam)?;
-        let step = AdamStep { learning_rate: rates.environment, ..adam };
-        self.environment.step(gradients.environment, gate, step)?;
+        let ParameterGradients([surfels, gaussians, environment, weighted_sum]) = gradients;
+        self.surfels.step(surfels, gate, &rates.surfels, adam)?;
+        self.gaussians.step(gaussians, gate, &rates.gaussians, adam)?;
+        for (parameter, (_, gradient)) in self.environment.iter_mut().zip(environment) {
+            parameter.step(gradient, gate, AdamStep { learning_rate: rates.environment, ..adam })?;
+        }
         match self.weighted_sum {
-            Some(sum) => sum.step(gradients.weighted_sum, gate, rates.weighted_sum, adam),
+            Some(sum) => sum.step(weighted_sum, gate, rates.weighted_sum, adam),
             None => Ok(()),
         }
     }
@@ -98,16 +90,11 @@ impl ParameterGradients {
     /// The same after `change`.
     pub fn map(self, change: impl Fn(Tensor<2>) -> Tensor<2>) -> Self {
         let all = |list: GradientList| list.into_iter().map(|(of, gradient)| (of, gradient.map(&change))).collect();
-        Self {
-            surfels: all(self.surfels),
-            gaussians: all(self.gaussians),
-            environment: self.environment.map(|(of, gradient)| (of, gradient.map(&change))),
-            weighted_sum: all(self.weighted_sum),
-        }
+        Self(self.0.map(all))
     }
 
     /// With their attributes; `None` where no gradient reached one.
-    pub fn iter(&self) -> impl Iterator<Item = &(&'static Attribute, Option<Tensor<2>>)> {
-        self.surfels.iter().chain(&self.gaussians).chain(&self.environment).chain(&self.weighted_sum)
+    pub fn iter(&self) -> impl Iterator<Item = &NamedGradient> {
+        self.0.iter().flatten()
     }
 }

@@ -11,7 +11,6 @@ use dpges_core::ranks::Ranks;
 
 use super::{StepReport, StepViews, TrainError};
 
-/// A step on the device.
 pub struct PendingStep {
     /// Complete but for the numbers.
     report: StepReport,

@@ -15,7 +15,6 @@ use crate::dataset::{PackedPicture, Picture};
 pub struct DevicePhotographs {
     /// The unused part of `data.device_memory`, bytes.
     room: usize,
-    /// By the index of the training view.
     kept: HashMap<usize, PackedPicture>,
 }
 
@@ -24,11 +23,6 @@ impl DevicePhotographs {
     pub fn new(config: &Config, device: &Device) -> Self {
         let room = if is_gpu(device) { config.data.device_memory.bytes() } else { 0 };
         Self { room, kept: HashMap::new() }
-    }
-
-    /// Whether the photograph of the training view with this index is on the device.
-    fn has(&self, view: usize) -> bool {
-        self.kept.contains_key(&view)
     }
 
     /// Brings the `picture` of a training view to `device`, where it stays if there is room.
@@ -48,9 +42,6 @@ impl DevicePhotographs {
 
 impl Context {
     /// The photograph of the training view with this index on the tape, and which of its pixels count.
-    ///
-    /// # Errors
-    /// [`dpges_core::Error::Io`] if it cannot be read again.
     pub fn target(&mut self, view: usize) -> dpges_core::Result<Target> {
         if let Some(kept) = self.photographs.kept.get(&view) {
             return Ok(kept.target());
@@ -61,7 +52,7 @@ impl Context {
 
     /// Whether the photograph of the training view with this index is on a GPU.
     pub fn has_on_device(&self, view: usize) -> bool {
-        self.photographs.has(view)
+        self.photographs.kept.contains_key(&view)
     }
 }
 
@@ -84,7 +75,7 @@ mod tests {
             photographs.add(view, &picture(view as u8), &device);
             assert_eq!(transfers().since(before).uploads, 1);
         }
-        assert_eq!([3, 5, 7].map(|view| photographs.has(view)), [true, false, true]);
+        assert_eq!([3, 5, 7].map(|view| photographs.kept.contains_key(&view)), [true, false, true]);
         assert_eq!(photographs.room, 8);
         let before = transfers();
         let found = photographs.kept[&3].target().image.into_data().iter::<f32>().collect::<Vec<_>>();

@@ -31,9 +31,9 @@ impl Context {
                     .into(),
             ));
         }
-        let has_discs = plan.iter().any(|stage| stage.kind == StageKind::Blended(Blended::Discs))
-            || surfels.is_some_and(|scene| scene.info.rendering == Rendering::Discs);
-        let joint = plan.iter().any(|stage| stage.kind == StageKind::Joint);
+        let trains = |kind: StageKind| plan.iter().any(|stage| stage.kind == kind);
+        let (joint, discs) = (trains(StageKind::Joint), trains(StageKind::Blended(Blended::Discs)));
+        let has_discs = discs || surfels.is_some_and(|scene| scene.info.rendering == Rendering::Discs);
         if self.config.block().is_some() && plan.iter().any(|stage| stage.kind != StageKind::Joint) {
             return Err(TrainError::Plan(
                 "a block (train.block) is trained by the joint stage alone: name what it begins with in \
@@ -41,10 +41,8 @@ impl Context {
                     .into(),
             ));
         }
-        let renders_discs = plan.iter().any(|stage| stage.kind == StageKind::Blended(Blended::Discs))
-            || (joint && has_discs && self.config.train.has_geometry_losses());
-        let meets_rays =
-            plan.iter().any(|stage| stage.kind == StageKind::Blended(Blended::Controlled(Density::Hybrid)));
+        let renders_discs = discs || (joint && has_discs && self.config.train.has_geometry_losses());
+        let meets_rays = trains(StageKind::Blended(Blended::Controlled(Density::Hybrid)));
         // a stage is also judged by views that it does not learn from
         let mut views = self.dataset.train.iter().chain(&self.dataset.validation).chain(&self.dataset.test);
         if let Some(view) = views.find(|view| view.camera.lens.is_some() && (renders_discs || meets_rays)) {

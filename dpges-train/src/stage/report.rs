@@ -1,5 +1,3 @@
-//! The report of one step.
-
 use crate::config::StageKind;
 
 /// The report of one step.
@@ -8,7 +6,6 @@ pub struct StepReport {
     /// Completed steps of the run, this one included.
     pub step: usize,
     pub stage: StageKind,
-    /// Index of the training view.
     pub view: usize,
     /// Weighted sum of all terms.
     pub loss: f64,
@@ -22,9 +19,7 @@ pub struct StepReport {
     pub transmittance: f64,
     /// dB, of the training view before the step, clamped to 0..1 and not quantised.
     pub psnr: f64,
-    /// Number of surfels.
     pub surfels: usize,
-    /// Number of Gaussians.
     pub gaussians: usize,
     /// Refinements before the step, a sentence each.
     pub events: Vec<String>,

@@ -94,16 +94,13 @@ fn widen(log_scales: &mut [f32], deviation: f32) {
 #[cfg(test)]
 mod tests {
     use dpges_core::scene::ColourData;
+    use dpges_core::testing::gradients::central_differences;
 
     use super::*;
-    use crate::device::DeviceName;
+    use crate::run::fixtures::device;
 
     /// Standard deviations of two filters, world units: wider and narrower than what they filter.
     const DEVIATIONS: [f32; 2] = [0.3, 0.01];
-
-    fn device() -> Device {
-        "cpu".parse::<DeviceName>().unwrap().open().unwrap()
-    }
 
     fn limit() -> SamplingLimit {
         SamplingLimit::from_column(&DEVIATIONS, 0.5, &device())
@@ -141,26 +138,16 @@ mod tests {
         let gradients = loss.backward();
         let of = |tensor: &Tensor<2>| tensor_to_rows(&tensor.grad(&gradients).expect("on the tape"));
         let (scales, opacities) = (of(&leaves.log_scales), of(&leaves.opacities));
-        for row in 0..2 {
-            let data = gaussians();
-            let logs: Vec<f64> = data.log_scales[3 * row..][..3].iter().map(|&s| f64::from(s)).collect();
-            let (opacity, deviation) = (f64::from(data.opacities[row]), f64::from(DEVIATIONS[row]));
-            let difference = |axis: Option<usize>| {
-                let value = |step: f64| {
-                    let mut logs = logs.clone();
-                    if let Some(axis) = axis {
-                        logs[axis] += step;
-                    }
-                    drawn(&logs, opacity + if axis.is_none() { step } else { 0.0 }, deviation, weights)
-                };
-                (value(1e-5) - value(-1e-5)) / 2e-5
+        for (row, deviation) in DEVIATIONS.into_iter().enumerate() {
+            let numbers = |scales: &[f32], opacities: &[f32]| -> Vec<f64> {
+                scales[3 * row..][..3].iter().chain(&opacities[row..=row]).map(|&number| number.into()).collect()
             };
-            for axis in 0..3 {
-                let (found, expected) = (f64::from(scales[3 * row + axis]), difference(Some(axis)));
-                assert!((found - expected).abs() < 1e-5, "scale {axis} of {row}: {found}, expected {expected}");
+            let at = numbers(&gaussians().log_scales, &gaussians().opacities);
+            let loss = |at: &[f64]| drawn(&at[..3], at[3], deviation.into(), weights);
+            let expected = central_differences(&at, &[0, 1, 2, 3], 1e-5, loss);
+            for (found, expected) in numbers(&scales, &opacities).into_iter().zip(expected) {
+                assert!((found - expected.unwrap()).abs() < 1e-5, "of {row}: {found}, expected {expected:?}");
             }
-            let (found, expected) = (f64::from(opacities[row]), difference(None));
-            assert!((found - expected).abs() < 1e-5, "opacity of {row}: {found}, expected {expected}");
         }
     }
 

@@ -13,11 +13,11 @@ use super::parameters::ParameterGradients;
 use super::pending::{PendingStep, StepGate};
 use super::{Context, Observed, Stage, StepReport, TrainError};
 use crate::dataset::View;
+use crate::optimizer::{NamedGradient, Parameter};
 use crate::views::depth::DepthTarget;
-use crate::views::exposure::state::{ExposureGradient, photographed};
+use crate::views::exposure::state::{self, photographed};
 use crate::views::pose::refinement::POSES;
 
-/// Indices of the training views of a step.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct StepViews {
     /// One for each rank, or one for all of them.
@@ -33,12 +33,10 @@ impl StepViews {
     }
 }
 
-/// The inputs of a step.
 #[derive(Clone)]
 pub struct StepInput<'a> {
     /// Steps of the stage that are done.
     pub completed: usize,
-    /// Index of the training view.
     pub index: usize,
     pub view: &'a View,
     /// Its photograph, on the device of the tape.
@@ -63,9 +61,6 @@ impl StepInput<'_> {
     }
 
     /// The environment [3, H, W] with `coefficients` [(degree + 1)², 3] behind the view.
-    ///
-    /// # Errors
-    /// The errors of [`environment`].
     pub fn environment(&self, coefficients: &Tensor<2>) -> dpges_core::Result<Tensor<3>> {
         match self.pose {
             Some(probe) => environment(&probe.environment(coefficients), &self.view.camera),
@@ -78,7 +73,8 @@ impl StepInput<'_> {
 struct Pass {
     losses: Losses,
     of_parameters: ParameterGradients,
-    of_exposure: ExposureGradient,
+    /// `None` in runs without corrections.
+    of_exposure: Option<NamedGradient>,
     /// [V, 6] for the views of the step; `None` if poses are not refined.
     of_pose: Option<Tensor<2>>,
     observed: Observed,
@@ -90,7 +86,7 @@ impl Pass {
     /// exposure and pose.
     fn new(stage: &mut dyn Stage, context: &Context, given: &StepInput<'_>) -> dpges_core::Result<Self> {
         let leaves = stage.parameters().leaves();
-        let corrections = context.exposure.leaf();
+        let corrections = context.exposure.as_ref().map(Parameter::leaf);
         let exposure = corrections.as_ref().map(|leaf| leaf.clone().slice([given.index..given.index + 1, 0..6]));
         let ranks = stage.ranks();
         let moved = |probe: PoseProbe| if ranks.is_first() { probe } else { probe.of_gaussians() };
@@ -100,7 +96,8 @@ impl Pass {
 
         let mut gradients = within_capacity(|| forward.losses.total.backward())?;
         let mut of_parameters = stage.parameters().gradients(&leaves, &mut gradients);
-        let mut of_exposure = context.exposure.gradient(corrections.as_ref(), &mut gradients);
+        let with_leaf = context.exposure.as_ref().zip(corrections.as_ref());
+        let mut of_exposure = with_leaf.map(|(parameter, leaf)| parameter.gradient(leaf, &mut gradients));
         let mut of_pose = probe.as_ref().and_then(|probe| probe.gradient(&mut gradients));
         let views = stage.views_per_step();
         if views > 1 {
@@ -179,9 +176,6 @@ pub fn begin_step(
 impl BegunStep {
     /// Hands the other half to the device, in which parameters learn, and waits for nothing. The step before has to be known
     /// to be finite: what this one changes could not be told from what that one changed.
-    ///
-    /// # Errors
-    /// [`TrainError::Core`] if an operation refuses the gradients or the parameters.
     pub fn learn(self, stage: &mut dyn Stage, context: &mut Context) -> Result<PendingStep, TrainError> {
         let Self { report, view_name, views, cameras, completed, pass } = self;
         let Pass { losses, of_parameters, of_exposure, of_pose, observed, gate } = pass;
@@ -192,7 +186,7 @@ impl BegunStep {
         let adam = context.config.optimizer.adam(completed, batch);
         stage.parameters().step(of_parameters, gate.open(), &rates, adam)?;
         let step = context.exposure_step(batch);
-        context.exposure.step(of_exposure, gate.open(), step)?;
+        state::step(&mut context.exposure, of_exposure, gate.open(), step)?;
         stage.after_step(completed, context)?;
         Ok(pending)
     }

@@ -78,19 +78,15 @@ impl WeightedSumState {
         device: &Device,
     ) -> Result<Self, String> {
         let mut take = |attribute: &'static Attribute| {
-            let name = attribute.raw_name;
-            let found = rows.remove(name).ok_or_else(|| format!("attribute `{name}` is missing"))?;
-            if (found.count, found.width) != (1, 1) || found.moments.is_none() {
-                return Err(format!("`{name}` is {} × {}, expected 1 × 1 with moments", found.count, found.width));
-            }
-            Ok(Parameter::from_rows(attribute, &found, device))
+            let found = Parameter::take(attribute, rows, 1, (|count| count == 1, 1), device)?;
+            found.ok_or_else(|| format!("attribute `{}` is missing", attribute.raw_name))
         };
         let [sigma, beta, background] = ATTRIBUTES;
         Ok(Self { weight, parameters: [take(sigma)?, take(beta)?, take(background)?] })
     }
 
     pub fn rows(&self) -> impl Iterator<Item = (&'static str, ParameterRows)> {
-        ATTRIBUTES.iter().zip(&self.parameters).map(|(attribute, parameter)| (attribute.raw_name, parameter.rows()))
+        self.parameters.iter().map(Parameter::named_rows)
     }
 
     pub fn to_data(&self) -> WeightedSum {
@@ -107,8 +103,7 @@ impl WeightedSumState {
     /// The gradients that a backward pass left for the [`leaves`](Self::leaves).
     pub fn gradients(&self, leaves: &WeightedSumTensors, gradients: &mut Gradients) -> GradientList {
         let leaves = [&leaves.sigma, &leaves.beta, &leaves.background];
-        let all = ATTRIBUTES.into_iter().zip(&self.parameters).zip(leaves);
-        all.map(|((attribute, parameter), leaf)| (attribute, parameter.gradient(leaf, gradients))).collect()
+        self.parameters.iter().zip(leaves).map(|(parameter, leaf)| parameter.gradient(leaf, gradients)).collect()
     }
 
     /// Learning rates of σ, β and w_b at `progress` (0 at the first step, 1 at the last) in a scene of `extent` (world
@@ -123,9 +118,6 @@ impl WeightedSumState {
 
     /// Nothing changes where `gate` `[1]` is not 1, but w_b is raised to its least value. `rates` are those of
     /// [`rates`](Self::rates).
-    ///
-    /// # Errors
-    /// [`dpges_core::Error::Shape`] if a gradient is not one number.
     pub fn step(
         &mut self,
         gradients: GradientList,
@@ -149,6 +141,16 @@ mod tests {
     use super::*;
     use crate::run::fixtures::device;
 
+    fn number(value: f32) -> Option<Tensor<2>> {
+        Some(Tensor::full([1, 1], value, (&device(), DType::F32)))
+    }
+
+    fn stepped(state: &mut WeightedSumState, gradients: [Option<Tensor<2>>; 3], rates: [f64; 3], time: u64) {
+        let open = Tensor::ones([1], (&device(), DType::F32));
+        let adam = AdamStep { learning_rate: 0.0, beta_1: 0.9, beta_2: 0.999, epsilon: 1e-15, time };
+        state.step(ATTRIBUTES.into_iter().zip(gradients).collect(), &open, rates, adam).unwrap();
+    }
+
     #[test]
     fn exponential_weights_move_as_fast_as_linear_ones() {
         let device = device();
@@ -168,16 +170,10 @@ mod tests {
 
     #[test]
     fn sigma_stays_beyond_the_scene_in_its_first_steps_and_the_background_keeps_its_weight() {
-        let device = device();
-        let mut state = WeightedSumState::new(&start(DepthWeight::Linear, 5.0), &device);
-        let open = Tensor::ones([1], (&device, DType::F32));
-        for time in 1..=100 {
-            // every picture wants them smaller
-            let smaller = Some(Tensor::full([1, 1], 1.0, (&device, DType::F32)));
-            let gradients = ATTRIBUTES.into_iter().zip([smaller.clone(), None, smaller]).collect();
-            let adam = AdamStep { learning_rate: 0.0, beta_1: 0.9, beta_2: 0.999, epsilon: 1e-15, time };
-            state.step(gradients, &open, state.rates(0.0, 5.0), adam).unwrap();
-        }
+        let mut state = WeightedSumState::new(&start(DepthWeight::Linear, 5.0), &device());
+        let rates = state.rates(0.0, 5.0);
+        // every picture wants them smaller
+        (1..=100).for_each(|time| stepped(&mut state, [number(1.0), None, number(1.0)], rates, time));
         let WeightedSum { sigma, background, .. } = state.to_data();
         assert!((9.0..9.6).contains(&sigma), "{sigma}");
         assert_eq!(background, BACKGROUND);
@@ -189,11 +185,7 @@ mod tests {
         let sum = WeightedSum { weight: DepthWeight::Exponential, sigma: 0.3, beta: 1.25, background: 0.5 };
         let mut state = WeightedSumState::new(&sum, &device);
         assert_eq!(state.to_data(), sum);
-        let gradient = |value: f32| Some(Tensor::full([1, 1], value, (&device, DType::F32)));
-        let gradients = ATTRIBUTES.into_iter().zip([gradient(2.0), None, gradient(-1.0)]).collect();
-        let adam = AdamStep { learning_rate: 0.0, beta_1: 0.9, beta_2: 0.999, epsilon: 1e-15, time: 1 };
-        let open = Tensor::ones([1], (&device, DType::F32));
-        state.step(gradients, &open, [0.1, 0.1, 0.01], adam).unwrap();
+        stepped(&mut state, [number(2.0), None, number(-1.0)], [0.1, 0.1, 0.01], 1);
         let WeightedSum { sigma, beta, background, .. } = state.to_data();
         assert!((sigma - 0.2).abs() < 1e-5 && beta == 1.25 && (background - 0.51).abs() < 1e-5);
 

@@ -133,11 +133,10 @@ impl Context {
         let (maps, map) = (self.depth.as_ref()?, self.dataset.train[view].depth.as_ref()?);
         let camera = &self.dataset.train[view].camera;
         let values = TensorData::new(maps.disparities(map, view), [1, camera.height, camera.width]);
-        let progress = self.completed_steps as f64 / self.config.total_steps().max(1) as f64;
         Some(DepthTarget {
             values: Tensor::from_data(upload(values), (device, DType::F32)),
             is_relative: map.kind == DepthKind::Relative && maps.0[view].is_none(),
-            weight: self.config.train.depth_map_weight(progress),
+            weight: self.config.train.depth_map_weight(self.progress()),
         })
     }
 }
@@ -148,11 +147,10 @@ mod tests {
 
     use super::*;
     use crate::dataset::{BuiltinOptions, builtin, builtin_geometry};
+    use crate::run::fixtures::options;
 
     fn dataset(kind: DepthKind) -> Dataset {
-        let options =
-            BuiltinOptions { width: 48, height: 48, train_views: 3, test_views: 0, points: 600, ..Default::default() };
-        builtin(&BuiltinOptions { depth: Some(kind), ..options })
+        builtin(&BuiltinOptions { depth: Some(kind), ..options(48, [3, 0], 600) })
     }
 
     /// Median of the relative errors of the disparities of view `view` as depths.

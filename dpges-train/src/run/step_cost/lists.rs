@@ -36,24 +36,20 @@ impl From<TileWork> for List {
 
 impl Lists {
     /// Lists of `scene` seen by `camera` in a stage of `kind`; the joint stage renders it on `device`.
-    ///
-    /// # Errors
-    /// The errors of [`Renderer::render`].
     pub fn new(scene: &SceneData, kind: StageKind, camera: &Camera, device: &Device) -> dpges_core::Result<Self> {
         let of_gaussians = |filter: ScreenFilter, ends: Option<&[f32]>| {
             Some(List::from(gaussian_work(&scene.gaussians, camera, filter, ends)))
         };
-        let blended = match kind {
-            StageKind::Blended(Blended::Discs) => return Ok(Self { surfels: None, gaussians: None }),
-            StageKind::Blended(blended) => blended,
-            StageKind::Joint => {
-                let surfels = List::from(surfel_work(&scene.surfels, camera, &PeelOptions::from(&scene.info)));
-                let ends = ends(scene, camera, device)?;
-                let gaussians = of_gaussians(ScreenFilter::Compensated, ends.as_deref());
-                return Ok(Self { surfels: Some(surfels), gaussians });
+        Ok(match kind {
+            StageKind::Blended(Blended::Discs) => Self { surfels: None, gaussians: None },
+            StageKind::Blended(blended) => {
+                Self { surfels: None, gaussians: of_gaussians(blended.screen_filter(), None) }
             }
-        };
-        Ok(Self { surfels: None, gaussians: of_gaussians(blended.screen_filter(), None) })
+            StageKind::Joint => Self {
+                surfels: Some(surfel_work(&scene.surfels, camera, &PeelOptions::from(&scene.info)).into()),
+                gaussians: of_gaussians(ScreenFilter::Compensated, ends(scene, camera, device)?.as_deref()),
+            },
+        })
     }
 }
 

@@ -54,7 +54,6 @@ pub struct StepTimes {
     pub p95_ms: f64,
 }
 
-/// The measurements of a step.
 #[derive(Clone, Debug, Serialize)]
 pub struct StepCost {
     /// `joint`, `mcmc` or `2dgs`.
@@ -87,9 +86,6 @@ pub struct GpuCost {
 }
 
 /// Takes steps and measures them: first the times, then, of steps that are waited for, all else.
-///
-/// # Errors
-/// The errors of [`Steps::step`].
 pub fn measure(steps: &mut Steps, rounds: Rounds) -> Result<StepCost, TrainError> {
     (0..rounds.warm_up).try_for_each(|_| steps.step())?;
     let peak = PeakMemory::start();

@@ -19,7 +19,6 @@ pub struct Report {
     scene: String,
     /// As --device takes it.
     device: String,
-    /// Name of the device.
     adapter: String,
     hardware: Hardware,
     /// Quantities without a measurement, with reasons, a sentence each.
@@ -36,7 +35,6 @@ pub struct Report {
 /// The camera of the first view, px and world units.
 #[derive(Serialize)]
 struct Pinhole {
-    /// Rows of rotation and translation.
     camera_from_world: [[f64; 4]; 3],
     fx: f64,
     fy: f64,
@@ -67,27 +65,20 @@ enum Hardware {
 
 impl Report {
     /// The report of a step of `scene` on `device`, from `camera` and others. Alone; see [`of_ranks`](Self::of_ranks).
-    ///
-    /// # Errors
-    /// [`DeviceError`] if the device is not there.
     pub fn new(scene: String, device: DeviceName, camera: &Camera, cost: StepCost) -> Result<Self, DeviceError> {
-        let hardware = match (device.is_cpu(), device.is_software()) {
-            (true, _) => Hardware::Cpu,
-            (_, true) => Hardware::Software,
-            _ => Hardware::Gpu,
-        };
         let adapter = device.describe()?;
         let mut not_measured = Vec::new();
-        match hardware {
-            Hardware::Cpu => {
-                not_measured
-                    .push("launches, transfers and memory of a GPU: this is the CPU, which has none".to_owned());
-            }
-            Hardware::Software => not_measured.push(format!(
+        let hardware = if device.is_cpu() {
+            not_measured.push("launches, transfers and memory of a GPU: this is the CPU, which has none".to_owned());
+            Hardware::Cpu
+        } else if device.is_software() {
+            not_measured.push(format!(
                 "times of a GPU: {adapter} emulates one on the CPU, and only its counts are those of a GPU"
-            )),
-            Hardware::Gpu => {}
-        }
+            ));
+            Hardware::Software
+        } else {
+            Hardware::Gpu
+        };
         if cost.gpu.as_ref().is_some_and(|gpu| gpu.kernel_times.is_none()) {
             not_measured.push(format!("times of kernels: {adapter} has no timestamps"));
         }
@@ -114,7 +105,6 @@ impl Report {
         )
     }
 
-    /// Names and values, for people.
     pub fn rows(&self) -> Vec<(&'static str, String)> {
         let StepCost { time: StepTimes { steps, median_ms, p95_ms }, lists, gpu, .. } = &self.cost;
         let mut rows = vec![("step", format!("median {median_ms:.2} ms, p95 {p95_ms:.2} ms, of {steps}"))];
@@ -198,6 +188,7 @@ mod tests {
     use serde_json::Value;
 
     use super::*;
+    use crate::run::fixtures;
     use crate::run::step_cost::Lists;
 
     /// A report in which nothing is missing.
@@ -239,17 +230,7 @@ mod tests {
 
     fn camera() -> Camera {
         let camera_from_world = CameraFromWorld::look_at(DVec3::new(0.0, -2.0, 0.0), DVec3::ZERO, DVec3::Z);
-        Camera {
-            camera_from_world,
-            fx: 40.0,
-            fy: 41.0,
-            cx: 24.0,
-            cy: 16.0,
-            width: 48,
-            height: 32,
-            near: 0.1,
-            lens: None,
-        }
+        Camera { fy: 41.0, ..fixtures::camera(camera_from_world, 40.0, [48, 32]) }
     }
 
     #[test]

@@ -11,6 +11,7 @@ use super::lists::Lists;
 use crate::config::StageKind;
 use crate::dataset::{Picture, View};
 use crate::eval::rendered::Renderer;
+use crate::optimizer::Parameter;
 use crate::run::own_pictures::{StepStage, config, dataset, last_stage};
 use crate::run::{StepReport, TrainError};
 use crate::stage::{self, Context, Parameters, PendingStep, Stage, StepViews, begin_step};
@@ -26,7 +27,6 @@ pub struct Steps {
     scene: SceneData,
     context: Context,
     stage: Box<dyn Stage>,
-    /// Index of the next view.
     next: usize,
     /// The step that a GPU works on.
     pending: Option<PendingStep>,
@@ -67,18 +67,10 @@ impl Steps {
         if is_gpu(&self.context.device) { Ok(()) } else { self.settle() }
     }
 
-    /// Waits for the step that the device works on.
-    ///
-    /// # Errors
-    /// The errors of [`step`](Self::step).
     pub fn settle(&mut self) -> Result<(), TrainError> {
         self.pending.take().map_or(Ok(()), |step| step.settle().map(drop))
     }
 
-    /// Takes one step and waits for it.
-    ///
-    /// # Errors
-    /// The errors of [`step`](Self::step).
     pub fn step_and_settle(&mut self) -> Result<(), TrainError> {
         self.settle()?;
         self.step()?;
@@ -86,9 +78,6 @@ impl Steps {
     }
 
     /// The tile lists of the first view, of the scene as it was given.
-    ///
-    /// # Errors
-    /// [`TrainError::Core`] if it cannot be rendered.
     pub fn lists(&self) -> Result<Lists, TrainError> {
         let camera = &self.context.dataset.train[0].camera;
         Ok(Lists::new(&self.scene, self.kind(), camera, &self.context.device)?)
@@ -123,13 +112,12 @@ impl Steps {
             }
             StageKind::Blended(_) => {
                 let Parameters { gaussians, environment, .. } = self.stage.parameters();
-                let rows = gaussians.rows().into_values().chain(environment.rows().map(|(_, rows)| rows));
+                let rows = gaussians.rows().into_values().chain(environment.as_ref().map(Parameter::rows));
                 rows.map(|rows| rows.raw.len()).sum()
             }
         }
     }
 
-    /// The kind of stage that the steps train.
     pub fn kind(&self) -> StageKind {
         self.stage.plan().kind
     }

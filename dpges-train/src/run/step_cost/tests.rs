@@ -1,21 +1,17 @@
-use burn::tensor::Device;
 use dpges_core::camera::Camera;
 use dpges_core::counters::transfers::transfers;
 use dpges_core::scene::{Rendering, SceneData};
 use dpges_core::testing::scenes::realistic;
 
 use super::*;
+use crate::run::fixtures::device;
 
 fn scene() -> (SceneData, Camera) {
     realistic(80, 400, 48, 32, 1).into_scene()
 }
 
-fn cpu() -> Device {
-    "cpu".parse::<crate::device::DeviceName>().unwrap().open().unwrap()
-}
-
 fn cost(scene: &SceneData, camera: Camera, stage: StepStage) -> StepCost {
-    let mut steps = Steps::new(scene, &[camera, camera], stage, &cpu()).unwrap();
+    let mut steps = Steps::new(scene, &[camera, camera], stage, &device()).unwrap();
     measure(&mut steps, Rounds { warm_up: 1, counted: 3 }).unwrap()
 }
 
@@ -50,7 +46,7 @@ fn a_blended_step_trains_gaussians_alone() {
 #[test]
 fn every_step_on_a_cpu_uploads_its_photograph() {
     let (scene, camera) = scene();
-    let mut steps = Steps::new(&scene, &[camera], StepStage::Joint, &cpu()).unwrap();
+    let mut steps = Steps::new(&scene, &[camera], StepStage::Joint, &device()).unwrap();
     let mut of_a_step = || {
         let before = transfers();
         steps.step().unwrap();
@@ -66,7 +62,7 @@ fn every_step_on_a_cpu_uploads_its_photograph() {
 fn nothing_to_train_and_nowhere_to_look_from_are_refused() {
     let (scene, camera) = scene();
     let refused = |scene: &SceneData, cameras: &[Camera], stage| {
-        Steps::new(scene, cameras, stage, &cpu()).err().expect("it is refused").to_string()
+        Steps::new(scene, cameras, stage, &device()).err().expect("it is refused").to_string()
     };
     assert!(refused(&scene, &[], StepStage::Joint).contains("no camera"));
     let only_surfels = SceneData { gaussians: scene.gaussians.select(&[]), ..scene };

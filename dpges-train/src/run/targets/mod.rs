@@ -22,7 +22,6 @@ use crate::config::Config;
 use crate::dataset::Dataset;
 use crate::eval::{EvalReport, TargetReport};
 
-/// A time or a speed.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Target {
     wanted: Wanted,
@@ -120,9 +119,6 @@ impl Target {
     }
 
     /// Changes `config` so that a run on `dataset` and `device` reaches the target. Says what is expected.
-    ///
-    /// # Errors
-    /// If that cannot be, or what is measured fails.
     pub fn pursue(&self, config: &mut Config, dataset: &Arc<Dataset>, device: &Device) -> Result<Pursuit, TargetError> {
         let asked = self.text.clone();
         let pursuit = match self.wanted {
@@ -144,7 +140,6 @@ pub enum Decision {
 }
 
 impl Unit {
-    /// A value, for people.
     fn text(self, value: f64) -> String {
         match self {
             Self::Seconds => format!("{value:.1} s"),
@@ -161,10 +156,6 @@ impl Unit {
 }
 
 impl Pursuit {
-    /// Keeps it in the folder of the run.
-    ///
-    /// # Errors
-    /// [`dpges_core::Error::Io`].
     pub fn save(&self, folder: &RunFolder) -> dpges_core::Result<()> {
         write_json(&folder.target(), self)
     }
@@ -172,9 +163,6 @@ impl Pursuit {
 
 /// The result of the target of the finished run in `folder`, as text; `None` if it had none. The evaluation of the run
 /// contains it too.
-///
-/// # Errors
-/// If a file of the run cannot be read or written, or frames cannot be measured.
 pub fn conclude(folder: &RunFolder) -> Result<Option<String>, TargetError> {
     let path = folder.target();
     if !path.is_file() {
@@ -199,8 +187,8 @@ pub fn conclude(folder: &RunFolder) -> Result<Option<String>, TargetError> {
 mod tests {
     use super::*;
     use crate::config::Budget;
-    use crate::dataset::{BuiltinOptions, builtin};
-    use crate::device::DeviceName;
+    use crate::dataset::builtin;
+    use crate::run::fixtures::{device, options};
 
     #[test]
     fn times_and_speeds_are_read_and_sizes_are_budgets() {
@@ -231,9 +219,7 @@ mod tests {
 
     #[test]
     fn a_time_sets_the_steps_and_is_kept_until_the_end() {
-        let options =
-            BuiltinOptions { width: 16, height: 16, train_views: 3, test_views: 1, points: 60, ..Default::default() };
-        let (dataset, device) = (Arc::new(builtin(&options)), "cpu".parse::<DeviceName>().unwrap().open().unwrap());
+        let (dataset, device) = (Arc::new(builtin(&options(16, [3, 1], 60))), device());
         let mut config = Config::default();
         let mut pursue = |text: &str| text.parse::<Target>().unwrap().pursue(&mut config, &dataset, &device);
         let pursuit = pursue("2h").unwrap();

@@ -48,7 +48,6 @@ impl FrameModel {
         self.rest + self.per_primitive * primitives as f64
     }
 
-    /// The most primitives that are drawn in `ms`.
     fn primitives_within(&self, ms: f64) -> usize {
         ((ms - self.rest) / self.per_primitive).max(0.0) as usize
     }
@@ -131,7 +130,7 @@ fn builtin_scene(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::device::DeviceName;
+    use crate::run::fixtures::device;
 
     #[test]
     fn frame_times_are_linear_in_the_primitives() {
@@ -148,9 +147,8 @@ mod tests {
 
     #[test]
     fn scenes_of_two_sizes_are_made_of_points() {
-        let device = "cpu".parse::<DeviceName>().unwrap().open().unwrap();
         let size = Size { width: 40, height: 20 };
-        let made = |points: usize| builtin_scene(&Config::default(), points, size, &device).unwrap();
+        let made = |points: usize| builtin_scene(&Config::default(), points, size, &device()).unwrap();
         let [(few, cameras), (many, _)] = [300, 900].map(made);
         let count = |scene: &SceneData| scene.surfels.len() + scene.gaussians.len();
         assert!(count(&few) > 300 && count(&many) > 2 * count(&few), "{} and {}", count(&few), count(&many));

@@ -28,7 +28,6 @@ struct Costs {
     step: f64,
     /// All refinements together, of which there are as many in a short run as in a long one.
     refinement: f64,
-    /// One evaluation of the held-out views.
     evaluation: f64,
 }
 
@@ -87,11 +86,10 @@ fn rehearse(config: Config, dataset: &Arc<Dataset>, device: &Device) -> Result<C
     let steps = config.total_steps();
     let mut trainer = Trainer::new(config, Arc::clone(dataset), device.clone())?;
     let times = timed(&mut trainer, steps)?;
-    let (busy, plain): (Vec<_>, Vec<_>) = times.into_iter().skip(1).partition(|(_, is_busy)| *is_busy);
-    let seconds = |times: &[(f64, bool)]| times.iter().map(|(seconds, _)| *seconds).collect::<Vec<f64>>();
-    let (busy, plain) = (seconds(&busy), seconds(&plain));
-    let step = mean(plain.into_iter()).or_else(|| mean(busy.iter().copied())).unwrap_or(0.0);
-    let refinement = busy.iter().map(|seconds| (seconds - step).max(0.0)).sum();
+    let seconds =
+        |busy: bool| times.iter().skip(1).filter(move |(_, is_busy)| *is_busy == busy).map(|(seconds, _)| *seconds);
+    let step = mean(seconds(false)).or_else(|| mean(seconds(true))).unwrap_or(0.0);
+    let refinement = seconds(true).map(|seconds| (seconds - step).max(0.0)).sum();
     let start = Instant::now();
     if !dataset.test.is_empty() {
         evaluate(&trainer.scene(), &dataset.test, device)?;

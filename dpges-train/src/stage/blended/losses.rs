@@ -17,7 +17,6 @@ const DISTORTION_FROM: usize = 3000;
 /// Weight of the mean scale of relocated Gaussians, per world unit (3DGS-MCMC).
 const LAMBDA_SCALE: f64 = 0.01;
 
-/// Weights of the terms beside L_rgb.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Weights {
     /// Weight of the mean opacity, of its absolute value where opacities may be below 0.

@@ -21,14 +21,15 @@ use dpges_core::render::blended::{BlendedOptions, BlendedRender, Probes, render_
 use dpges_core::render::summed::{SummedOptions, SummedRender, render_summed};
 use dpges_core::scene::tensors::rows_to_tensor;
 use dpges_core::scene::{
-    ColourModel, GaussianData, Gaussians, Rendering, SH_C0, SceneData, SceneInfo, SurfelData, WeightedSum,
+    ColourModel, EnvironmentData, GaussianData, Gaussians, Rendering, SH_C0, SceneData, SceneInfo, SurfelData,
+    WeightedSum,
 };
 use rand::RngExt;
 
 use super::sampling_limit::SamplingLimit;
 use super::{
     Context, EnvironmentState, ForwardPass, Leaves, Observed, Parameters, Stage, StageCheckpoint, StepInput, StepRates,
-    TrainError, Trained, WeightedSumState, weighted_sum,
+    TrainError, Trained, WeightedSumState, environment, weighted_sum,
 };
 use crate::config::{Blended, Config, Density, OpacityActivation, Relocation, StagePlan};
 use crate::optimizer::LOGIT_RATE;
@@ -76,7 +77,6 @@ pub struct BlendedStage {
     pub sampling_limit: Option<SamplingLimit>,
     /// Momenta of positions; `None` where Adam moves them.
     pub momenta: Option<Momenta>,
-    /// Momenta before the last step.
     momenta_before: Option<Momenta>,
     /// `None` unless Gaussians are summed.
     pub weighted_sum: Option<WeightedSumState>,
@@ -84,9 +84,6 @@ pub struct BlendedStage {
 
 impl BlendedStage {
     /// A stage of discs or of Gaussians, before the environment that is `trained`.
-    ///
-    /// # Errors
-    /// The errors of [`begin`](super::begin).
     pub fn begin(
         plan: StagePlan,
         blended: Blended,
@@ -97,18 +94,27 @@ impl BlendedStage {
             Blended::Discs => context.start_of_discs(plan)?,
             Blended::Controlled(_) | Blended::Relocated(_) => context.start_of_gaussians(plan, blended)?,
         };
-        let device = &context.device;
-        let gaussians = GaussianState::new(&start, blended.opacity(), device);
-        let screen_gradients = ScreenGradients::new(start.len(), device);
-        let environment = EnvironmentState::new(trained.environment.as_ref(), device);
-        let smoothing_px = context.config.mip_splatting_px();
-        let positions = gaussians.columns.positions.raw();
-        let sampling_limit = blended.smooths().then(|| SamplingLimit::new(&positions, smoothing_px, context));
+        let mut stage = Self::of_gaussians(plan, blended, &start, trained.environment.as_ref(), context);
+        let (positions, smoothing_px) = (stage.gaussians.columns.positions.raw(), context.config.mip_splatting_px());
+        stage.sampling_limit = blended.smooths().then(|| SamplingLimit::new(&positions, smoothing_px, context));
         let weight = context.config.weighted_sum.weight;
         let sum =
             (blended.rendering() == Rendering::Summed).then(|| weighted_sum::start(weight, context.dataset.extent));
-        let stage = Self::new(plan, blended, gaussians, environment, screen_gradients, context);
-        Ok(Self { sampling_limit, ..stage.summing(sum, context) })
+        Ok(stage.summing(sum, context))
+    }
+
+    /// A stage that begins with these, without a sampling limit or a weighted sum.
+    fn of_gaussians(
+        plan: StagePlan,
+        blended: Blended,
+        gaussians: &GaussianData,
+        environment: Option<&EnvironmentData>,
+        context: &Context,
+    ) -> Self {
+        let device = &context.device;
+        let state = GaussianState::new(gaussians, blended.opacity(), device);
+        let screen_gradients = ScreenGradients::new(gaussians.len(), device);
+        Self::new(plan, blended, state, environment::fresh(environment, device), screen_gradients, context)
     }
 
     /// The same, with Gaussians that are summed as `sum` says; `None` if they are not.
@@ -161,11 +167,7 @@ impl BlendedStage {
 
     /// A stage that begins with the Gaussians and the environment of `scene` as they are, without a sampling limit.
     pub fn of_scene(plan: StagePlan, blended: Blended, scene: &SceneData, context: &Context) -> Self {
-        let device = &context.device;
-        let gaussians = GaussianState::new(&scene.gaussians, blended.opacity(), device);
-        let environment = EnvironmentState::new(scene.environment.as_ref(), device);
-        let screen_gradients = ScreenGradients::new(scene.gaussians.len(), device);
-        let stage = Self::new(plan, blended, gaussians, environment, screen_gradients, context);
+        let stage = Self::of_gaussians(plan, blended, &scene.gaussians, scene.environment.as_ref(), context);
         stage.summing(scene.info.weighted_sum.clone(), context)
     }
 
@@ -188,16 +190,13 @@ impl BlendedStage {
         gaussians
     }
 
-    /// The Gaussians that a step draws.
     fn drawn_on_tape(&self, gaussians: &Gaussians, completed: usize, tape: &Device) -> Gaussians {
         let mut gaussians = match &self.sampling_limit {
             Some(limit) => limit.smoothed(gaussians),
             None => gaussians.clone(),
         };
         match self.info.colour_model {
-            ColourModel::SphericalBeta { .. } => {
-                gaussians.colour.base = gaussians.colour.base.clamp_min(BLACK);
-            }
+            ColourModel::SphericalBeta { .. } => gaussians.colour.base = gaussians.colour.base.clamp_min(BLACK),
             ColourModel::SphericalHarmonics { degree } | ColourModel::HarmonicsAndOpacity { degree } => {
                 let learning = self.degree(completed);
                 if learning < degree {
@@ -268,16 +267,7 @@ impl BlendedStage {
         let progress = if is_alone(config) { progress } else { config.stages.position_share * progress };
         config.optimizer.position_rate(progress, self.info.extent) * self.batch_factor()
     }
-}
 
-/// The first `count` columns of `values`, and zeros in place of the others.
-fn first(values: Tensor<2>, count: usize, tape: &Device) -> Tensor<2> {
-    let [_, width] = values.dims();
-    let mask: Vec<f32> = (0..width).map(|at| f32::from(u8::from(at < count))).collect();
-    values * rows_to_tensor(&mask, width, tape, DType::F32)
-}
-
-impl BlendedStage {
     /// Takes the step of the momenta after `completed` ones, and moves the positions by it.
     fn move_by_momenta(&mut self, completed: usize, context: &mut Context) -> Result<(), TrainError> {
         let rate = self.position_rate(completed, &context.config).sqrt();
@@ -301,6 +291,13 @@ impl BlendedStage {
     }
 }
 
+/// The first `count` columns of `values`, and zeros in place of the others.
+fn first(values: Tensor<2>, count: usize, tape: &Device) -> Tensor<2> {
+    let [_, width] = values.dims();
+    let mask: Vec<f32> = (0..width).map(|at| f32::from(u8::from(at < count))).collect();
+    values * rows_to_tensor(&mask, width, tape, DType::F32)
+}
+
 /// Whether a stage of blended primitives is the whole run.
 fn is_alone(config: &Config) -> bool {
     config.plan().len() == 1
@@ -322,7 +319,7 @@ impl Stage for BlendedStage {
 
     fn scene(&self) -> SceneData {
         let surfels = SurfelData::neutral(self.info.colour_model, 0);
-        let (gaussians, environment) = (self.drawn(), self.environment.to_data());
+        let (gaussians, environment) = (self.drawn(), environment::to_data(&self.environment));
         SceneData { info: self.scene_info(), surfels, gaussians, environment }
     }
 
@@ -442,7 +439,7 @@ impl Stage for BlendedStage {
     }
 
     fn hand_on(&self, trained: &mut Trained) {
-        trained.environment = self.environment.to_data();
+        trained.environment = environment::to_data(&self.environment);
         let gaussians = Some(self.drawn());
         match self.blended {
             Blended::Discs => trained.discs = gaussians,

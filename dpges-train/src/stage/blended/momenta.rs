@@ -20,25 +20,21 @@ use crate::refine::mcmc_relocation::Relocated;
 #[derive(Clone, Debug)]
 pub struct Momenta(Tensor<2>);
 
-/// One step of the momenta.
 #[derive(Clone, Copy, Debug)]
 pub struct MomentumStep {
     /// η
     pub rate: f64,
-    /// Whether it is one of burn-in.
     pub burns_in: bool,
     /// C, or C_b in burn-in.
     pub friction: f64,
     /// Whether this is the first step after burn-in.
     pub restarts: bool,
-    /// Seed of the noise.
     pub seed: u64,
 }
 
 impl Momenta {
-    /// Momenta of `count` Gaussians at rest.
     pub fn at_rest(count: usize, device: &Device) -> Self {
-        Self(rows_to_tensor(&vec![0.0; 3 * count], 3, device, DType::F32))
+        Self::from_column(&vec![0.0; 3 * count], device)
     }
 
     /// From [M × 3] numbers.
@@ -53,9 +49,6 @@ impl Momenta {
 
     /// Changes the momenta and returns the positions [M, 3] after the step. `positions` has the Adam moments after `adam`,
     /// whose learning rate is not used; `gaussians` are the same, as they are drawn.
-    ///
-    /// # Errors
-    /// [`dpges_core::Error::Shape`] if the attributes do not fit each other.
     pub fn step(
         &mut self,
         positions: &Parameter,
@@ -110,6 +103,10 @@ mod tests {
         if burns_in { 5e5 } else { 100.0 }
     }
 
+    fn settings(rate: f64, burns_in: bool, restarts: bool, seed: u64) -> MomentumStep {
+        MomentumStep { rate, burns_in, friction: friction(burns_in), restarts, seed }
+    }
+
     const ADAM: AdamStep = AdamStep { learning_rate: 0.0, beta_1: 0.9, beta_2: 0.999, epsilon: 1e-15, time: 1 };
 
     /// Students of these opacities, with the moments of a first gradient (2, −3, 0.5) of each.
@@ -138,8 +135,7 @@ mod tests {
         let state = state(&[0.9, -0.9], &device);
         for (burns_in, restarts) in [(true, false), (false, true), (false, false)] {
             let mut momenta = Momenta::from_column(&[7.0; 6], &device);
-            let settings = MomentumStep { rate: 0.02, burns_in, friction: friction(burns_in), restarts, seed: 1 };
-            let moved = step(&mut momenta, &state, &settings);
+            let moved = step(&mut momenta, &state, &settings(0.02, burns_in, restarts, 1));
             // the first direction of Adam is the sign
             for (found, expected) in moved.iter().zip([-1.0f32, 1.0, -1.0].repeat(2)) {
                 assert!((found - 4e-4 * expected).abs() < 1e-8, "{found} {expected}");
@@ -151,14 +147,9 @@ mod tests {
     fn faint_ones_keep_momentum_after_burn_in_alone() {
         let device = Device::flex();
         let state = state(&[0.005, -0.005], &device);
-        let rate = 1e-3;
         let found = |burns_in: bool, restarts: bool, before: f32| {
             let mut momenta = Momenta::from_column(&[before; 6], &device);
-            step(
-                &mut momenta,
-                &state,
-                &MomentumStep { rate, burns_in, friction: friction(burns_in), restarts, seed: 3 },
-            );
+            step(&mut momenta, &state, &settings(1e-3, burns_in, restarts, 3));
             momenta.column()
         };
         // the noise is that of the seed, whatever came before
@@ -182,11 +173,7 @@ mod tests {
         let rate = 1e-3;
         let deviations = |burns_in: bool| {
             let mut momenta = Momenta::at_rest(count, &device);
-            step(
-                &mut momenta,
-                &state,
-                &MomentumStep { rate, burns_in, friction: friction(burns_in), restarts: true, seed: 5 },
-            );
+            step(&mut momenta, &state, &settings(rate, burns_in, true, 5));
             let rows = momenta.column();
             [0, 1, 2].map(|axis| {
                 let values: Vec<f64> = rows.iter().skip(axis).step_by(3).map(|&p| f64::from(p)).collect();

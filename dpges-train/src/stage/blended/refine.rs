@@ -11,7 +11,6 @@ use super::super::{Context, TrainError};
 use super::BlendedStage;
 use super::schedule::{BlendedDue, CAPPED_OPACITY, decay};
 use crate::config::{Blended, Density, GaussianStage, Relocation};
-use crate::refine::RowEdit;
 use crate::refine::densify::{ByAbsolute, DensifyRule, densify, reset_opacities};
 use crate::refine::mcmc_relocation::{grown, relocate_and_add};
 
@@ -97,21 +96,17 @@ impl BlendedStage {
         let mut needed: Option<Tensor<1, Int>> = None;
         for view in &context.dataset.train {
             let marks = outweighing(&gaussians, &view.camera, &options, NEEDED_WEIGHT)?;
-            needed = Some(match needed {
-                Some(needed) => needed.max_pair(marks),
-                None => marks,
-            });
+            needed = Some(if let Some(needed) = needed { needed.max_pair(marks) } else { marks });
         }
         let Some(needed) = needed else { return Ok(None) };
         let is_needed: Vec<bool> = needed.into_data().iter::<i64>().map(|mark| mark > 0).collect();
-        let rows = RowEdit::retain(before, |&row| is_needed[row]);
-        if rows.keep.is_empty() || rows.keep.len() == before {
+        let keep: Vec<usize> = (0..before).filter(|&row| is_needed[row]).collect();
+        if keep.is_empty() || keep.len() == before {
             return Ok(None);
         }
-        let removed = rows.removed_from(before);
-        self.gaussians.keep(&rows);
+        self.gaussians.keep(&keep);
         self.restart_observations(context);
-        Ok(Some(format!("{removed} of {before} Gaussians removed that no training view needs")))
+        Ok(Some(format!("{} of {before} Gaussians removed that no training view needs", before - keep.len())))
     }
 
     fn densify_rule(&self, completed: usize, context: &Context) -> DensifyRule {
@@ -158,7 +153,7 @@ impl BlendedStage {
         );
         self.gaussians.edit(&edit);
         self.restart_observations(context);
-        let (removed, added) = (edit.rows.removed_from(before), edit.added.len());
+        let (removed, added) = (before - edit.keep.len(), edit.added.len());
         let what = if self.blended == Blended::Discs { "discs" } else { "Gaussians" };
         format!("{added} of {before} {what} added by densification, {removed} removed")
     }
@@ -179,9 +174,6 @@ impl BlendedStage {
     }
 
     /// Moves Gaussians at random, faint ones most.
-    ///
-    /// # Errors
-    /// [`TrainError::Core`] if the operation refuses the parameters.
     pub fn jitter(&mut self, gate: NoiseGate, completed: usize, context: &mut Context) -> Result<(), TrainError> {
         let factor = if gate == NoiseGate::Beta { BETA_NOISE } else { 1.0 };
         let amount = NOISE * factor * self.position_rate(completed, &context.config);

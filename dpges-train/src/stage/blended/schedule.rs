@@ -31,34 +31,27 @@ const DECAY: f64 = 0.9995;
 /// Steps at which Gaussians go that no training view needs (HTGS).
 const UNNEEDED_AT: [usize; 2] = [16_000, 24_000];
 
-/// Completed steps of a stage at which something changes, ascending.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct BlendedSchedule {
-    pub densify: Vec<usize>,
-    /// When opacities are reset.
-    pub reset: Vec<usize>,
-    /// When opacities are limited.
-    pub cap: Vec<usize>,
-    pub relocate: Vec<usize>,
-    /// When the sampling limit is measured, besides whenever Gaussians come or go.
-    pub measure: Vec<usize>,
-    /// When opacities decay.
-    pub decay: Vec<usize>,
-    /// When Gaussians go that no training view needs.
-    pub prune: Vec<usize>,
+/// Something of every change.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Changes<T> {
+    pub densify: T,
+    /// Of resets of opacities.
+    pub reset: T,
+    /// Of limits to opacities.
+    pub cap: T,
+    pub relocate: T,
+    /// Of measurements of the sampling limit, besides whenever Gaussians come or go.
+    pub measure: T,
+    /// Of the decay of opacities.
+    pub decay: T,
+    /// Of the removal of Gaussians that no training view needs.
+    pub prune: T,
 }
 
+/// Completed steps of a stage at which something changes, ascending.
+pub type BlendedSchedule = Changes<Vec<usize>>;
 /// Changes due after a given number of completed steps.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct BlendedDue {
-    pub densify: bool,
-    pub reset: bool,
-    pub cap: bool,
-    pub relocate: bool,
-    pub measure: bool,
-    pub decay: bool,
-    pub prune: bool,
-}
+pub type BlendedDue = Changes<bool>;
 
 /// Interval at which opacities decay in a stage, and their factor then.
 pub fn decay(plan: StagePlan) -> (usize, f64) {
@@ -78,11 +71,9 @@ impl BlendedSchedule {
             steps.dedup();
             steps
         };
-        let reset = if plan.scaled(RESET_EVERY) >= SHORTEST_RESET {
-            scaled(every(RESET_EVERY, RESET_EVERY, DENSIFY_UNTIL))
-        } else {
-            Vec::new()
-        };
+        let only_if = |wanted: bool, steps: Vec<usize>| if wanted { steps } else { Vec::new() };
+        let resets = scaled(every(RESET_EVERY, RESET_EVERY, DENSIFY_UNTIL));
+        let reset = only_if(plan.scaled(RESET_EVERY) >= SHORTEST_RESET, resets);
         match blended {
             Blended::Discs => {
                 let views = views.max(1);
@@ -98,21 +89,15 @@ impl BlendedSchedule {
                 let from = plan.scaled(FROM) + interval;
                 let until = plan.scaled(DENSIFY_UNTIL).min(plan.steps);
                 let cap = plan.scaled(CAP_EVERY) >= SHORTEST_CAP && density == Density::Absolute;
-                let measures = blended.smooths();
                 let decays = density == Density::Hybrid;
-                let resets_opacities = !decays && density != Density::Summed;
                 let (decay, _) = decay(plan);
                 Self {
                     densify: every(interval, from, until).collect(),
-                    reset: if resets_opacities { reset } else { Vec::new() },
-                    cap: if cap { scaled(every(CAP_EVERY, CAP_EVERY, DENSIFY_UNTIL)) } else { Vec::new() },
-                    measure: if measures { every(interval, interval, plan.steps).collect() } else { Vec::new() },
-                    decay: if decays {
-                        every(decay, plan.scaled(FROM) + decay, until + 1).collect()
-                    } else {
-                        Vec::new()
-                    },
-                    prune: if decays { UNNEEDED_AT.map(|step| plan.scaled(step)).to_vec() } else { Vec::new() },
+                    reset: only_if(!decays && density != Density::Summed, reset),
+                    cap: only_if(cap, scaled(every(CAP_EVERY, CAP_EVERY, DENSIFY_UNTIL))),
+                    measure: only_if(blended.smooths(), every(interval, interval, plan.steps).collect()),
+                    decay: only_if(decays, every(decay, plan.scaled(FROM) + decay, until + 1).collect()),
+                    prune: only_if(decays, UNNEEDED_AT.map(|step| plan.scaled(step)).to_vec()),
                     ..Self::default()
                 }
             }

@@ -135,21 +135,12 @@ mod tests {
     use glam::DVec3;
 
     use super::*;
+    use crate::run::fixtures::camera;
 
     #[test]
     fn views_count_for_what_is_in_their_picture_hidden_or_not() {
         let camera_from_world = CameraFromWorld::look_at(DVec3::ZERO, DVec3::Z, -DVec3::Y);
-        let camera = Camera {
-            camera_from_world,
-            fx: 50.0,
-            fy: 50.0,
-            cx: 10.0,
-            cy: 10.0,
-            width: 40,
-            height: 20,
-            near: 0.5,
-            lens: None,
-        };
+        let camera = Camera { cx: 10.0, near: 0.5, ..camera(camera_from_world, 50.0, [40, 20]) };
         // seen, behind, too near, beyond the left border (10 px left of the axis), reaching over it, below the picture
         let positions =
             [[0.0, 0.0, 2.0], [0.0, 0.0, -2.0], [0.0, 0.0, 0.4], [-0.5, 0.0, 2.0], [-0.5, 0.0, 2.0], [0.0, 0.5, 2.0]];
@@ -174,8 +165,8 @@ mod tests {
             let lens = Lens::new(Distortion { numerator, ..Distortion::new(projection) });
             let camera_from_world = CameraFromWorld::look_at(DVec3::ZERO, DVec3::new(0.2, 0.1, 1.0), -DVec3::Y);
             let (fx, fy) = if lens.is_wide() { (14.0, 15.0) } else { (30.0, 31.0) };
-            let (cx, cy, width, height, near) = (18.0, 11.0, 40, 20, 0.05);
-            let camera = Camera { camera_from_world, fx, fy, cx, cy, width, height, near, lens: Some(lens) };
+            let pinhole = camera(camera_from_world, fx, [40, 20]);
+            let camera = Camera { fy, cx: 18.0, cy: 11.0, near: 0.05, lens: Some(lens), ..pinhole };
             let mut random = Random::new(3);
             let count = 400;
             let positions: Vec<f32> = (0..3 * count).map(|_| random.normal() as f32).collect();

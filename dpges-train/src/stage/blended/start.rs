@@ -38,8 +38,6 @@ impl Context {
         Ok(discs)
     }
 
-    /// # Errors
-    /// [`TrainError::Init`] if the dataset has nothing to begin with.
     pub fn start_of_gaussians(&mut self, plan: StagePlan, blended: Blended) -> Result<GaussianData, TrainError> {
         let is_student = blended.rendering() == Rendering::Students;
         let (opacity, scale) = match blended.relocation() {

@@ -30,9 +30,6 @@ const MOST_LOST: f64 = 0.01;
 impl JointStage {
     /// The number of primitives that the scene is to have from now on, before the first of `batches_left` batches or, with
     /// `None`, when there are no more. With a sentence if that is decided now.
-    ///
-    /// # Errors
-    /// [`TrainError::Core`] if a view cannot be rendered.
     pub fn grow(
         &mut self,
         context: &Context,
@@ -59,7 +56,7 @@ impl JointStage {
             let picture = picture?;
             let image = self.render_view(context, view)?.composite.image;
             let Target { image: mut photograph, mask } = picture.target(&context.device);
-            if context.exposure.is_on() {
+            if context.exposure.is_some() {
                 let fitted = Correction::fitted(&image, &photograph, picture.counted.as_deref());
                 photograph = fitted.undone(photograph);
             }
@@ -103,9 +100,6 @@ impl JointStage {
 
     /// Drops the lobes whose absence no camera would show, unless the judging views lose by all of them together.
     /// `None` if colours have no lobes.
-    ///
-    /// # Errors
-    /// [`TrainError::Core`] if a view cannot be rendered.
     pub fn drop_lobes(&mut self, context: &Context) -> Result<Option<String>, TrainError> {
         let ColourModel::SphericalBeta { lobes } = self.info.colour_model else { return Ok(None) };
         let psnr_before = self.mean_psnr(context)?;

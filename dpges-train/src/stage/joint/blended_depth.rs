@@ -1,18 +1,16 @@
-//! The depths that trained Gaussians show, blended in their order.
+//! The maps that trained Gaussians or discs show, blended in their order.
 
-use burn::tensor::DType;
+use burn::tensor::{DType, Device, Tensor};
 use dpges_core::camera::Camera;
 use dpges_core::losses::geometry::expected_depth;
 use dpges_core::ops::blend::Maps;
 use dpges_core::render::Values;
 use dpges_core::render::blended::{BlendedOptions, render_blended};
 use dpges_core::scene::tensors::tensor_to_rows;
-use dpges_core::scene::{GaussianData, Gaussians, Rendering, SceneInfo, ScreenFilter};
+use dpges_core::scene::{GaussianData, Gaussians, SceneInfo};
 
-use super::super::Context;
-
-/// Gaussians on a device, whose depths are rendered.
-pub struct BlendedDepth {
+/// Gaussians or discs on a device, of which maps are rendered.
+pub struct BlendedMaps {
     gaussians: Gaussians,
     options: BlendedOptions,
 }
@@ -27,26 +25,25 @@ pub struct ShownDepth {
     pub median: Vec<f32>,
 }
 
-impl BlendedDepth {
-    /// Depths of `gaussians`, blended with `filter`.
-    ///
-    /// # Errors
-    /// The errors of [`BlendedOptions::new`].
-    pub fn new(gaussians: &GaussianData, filter: ScreenFilter, context: &Context) -> dpges_core::Result<Self> {
-        let info = SceneInfo { screen_filter: filter, ..context.scene_info(Rendering::Ellipsoids) };
-        let mut options = BlendedOptions::new(&info)?;
+impl BlendedMaps {
+    /// Maps of `gaussians`, blended as a scene with `info` says.
+    pub fn new(gaussians: &GaussianData, info: &SceneInfo, device: &Device) -> dpges_core::Result<Self> {
+        let mut options = BlendedOptions::new(info)?;
         options.blend.maps = true;
-        Ok(Self { gaussians: Gaussians::from_data(gaussians, &context.device, DType::F32), options })
+        Ok(Self { gaussians: Gaussians::from_data(gaussians, device, DType::F32), options })
     }
 
-    /// # Errors
-    /// [`dpges_core::Error`] if they cannot be rendered from `camera`.
-    pub fn seen_by(&self, camera: &Camera) -> dpges_core::Result<ShownDepth> {
+    /// With alpha, [1, H, W].
+    pub fn seen_by(&self, camera: &Camera) -> dpges_core::Result<(Maps, Tensor<3>)> {
         let blend = render_blended(&self.gaussians, None, camera, &self.options, Values::KnownFinite)?.blend;
-        let Some(Maps { depth, median_depth, .. }) = blend.maps else { unreachable!("maps were asked for") };
+        Ok((blend.maps.expect("maps were asked for"), blend.alpha))
+    }
+
+    pub fn depths(&self, camera: &Camera) -> dpges_core::Result<ShownDepth> {
+        let (Maps { depth, median_depth, .. }, alpha) = self.seen_by(camera)?;
         Ok(ShownDepth {
-            alpha: tensor_to_rows(&blend.alpha),
-            mean: tensor_to_rows(&expected_depth(depth, blend.alpha)),
+            alpha: tensor_to_rows(&alpha),
+            mean: tensor_to_rows(&expected_depth(depth, alpha)),
             median: tensor_to_rows(&median_depth),
         })
     }

@@ -12,7 +12,7 @@ use dpges_core::scene::GaussianData;
 use dpges_core::scene::schema::Columns;
 
 use crate::optimizer::ParameterRows;
-use crate::refine::{GaussianEdit, RowEdit};
+use crate::refine::GaussianEdit;
 
 /// The ranks of the Gaussians of a scene.
 #[derive(Clone, Debug)]
@@ -77,9 +77,6 @@ impl Dealt {
     }
 
     /// Of the parameters of all, those of this rank.
-    ///
-    /// # Errors
-    /// A message if they are of another number of Gaussians.
     pub fn own_rows(&self, all: &ParameterRows) -> Result<ParameterRows, String> {
         if all.count != self.len() {
             return Err(format!("{} rows of a parameter do not fit {} Gaussians", all.count, self.len()));
@@ -119,15 +116,15 @@ impl Dealt {
     /// Applies an edit of all Gaussians. Returns what it is to the own ones.
     pub fn edit(&mut self, edit: &GaussianEdit) -> GaussianEdit {
         if self.ranks.is_alone() {
-            self.owners = vec![0; edit.rows.keep.len() + edit.added.len()];
+            self.owners = vec![0; edit.keep.len() + edit.added.len()];
             return edit.clone();
         }
         let rank = self.rank();
         let own = self.own();
         let kept = |row: &usize| self.owners[*row] == rank;
         let place = |row: usize| own.binary_search(&row).expect("it is an own one");
-        let keep = edit.rows.keep.iter().copied().filter(kept).map(place).collect();
-        self.owners = edit.rows.keep.iter().map(|&row| self.owners[row]).collect();
+        let keep = edit.keep.iter().copied().filter(kept).map(place).collect();
+        self.owners = edit.keep.iter().map(|&row| self.owners[row]).collect();
         let mut counts = vec![0usize; self.ranks.count()];
         self.owners.iter().for_each(|&owner| counts[usize::from(owner)] += 1);
         let mut added = Vec::new();
@@ -139,7 +136,7 @@ impl Dealt {
                 added.push(row);
             }
         }
-        GaussianEdit { rows: RowEdit { keep }, added: edit.added.select(&added) }
+        GaussianEdit { keep, added: edit.added.select(&added) }
     }
 }
 
@@ -178,7 +175,7 @@ mod tests {
     #[test]
     fn edits_of_all_are_edits_of_every_rank() {
         let before = numbered(0..11);
-        let edit = GaussianEdit { rows: RowEdit { keep: vec![0, 3, 4, 6, 9, 10] }, added: numbered(20..27) };
+        let edit = GaussianEdit { keep: vec![0, 3, 4, 6, 9, 10], added: numbered(20..27) };
         let expected = edit.apply(&before);
         for count in [1, 2, 3, 4] {
             let parts = on_ranks(count, |ranks| {
@@ -202,7 +199,7 @@ mod tests {
     fn columns_of_as_many_ranks_are_taken_up_again() {
         on_ranks(2, |ranks| {
             let mut dealt = Dealt::new(4, ranks.clone());
-            dealt.edit(&GaussianEdit { rows: RowEdit { keep: vec![1, 2, 3] }, added: numbered(0..0) });
+            dealt.edit(&GaussianEdit { keep: vec![1, 2, 3], added: numbered(0..0) });
             let (_, column) = dealt.column().unwrap();
             let again = Dealt::from_column(Some(column.clone()), 3, ranks.clone()).unwrap();
             assert_eq!(again.owners, [1, 0, 1]);

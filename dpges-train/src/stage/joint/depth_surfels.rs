@@ -3,10 +3,10 @@
 use std::ops::RangeInclusive;
 use std::sync::Arc;
 
-use dpges_core::scene::{GaussianData, ScreenFilter, SurfelData};
+use dpges_core::scene::{GaussianData, Rendering, SceneInfo, ScreenFilter, SurfelData};
 
 use super::super::{Context, TrainError};
-use super::blended_depth::{BlendedDepth, ShownDepth};
+use super::blended_depth::{BlendedMaps, ShownDepth};
 use crate::dataset::image::cache::least_recently_used;
 use crate::dataset::{PointCloud, View};
 use crate::init::flatten::flatten;
@@ -14,6 +14,7 @@ use crate::init::fusion::{CHECKED_VIEWS, DepthViews, FusionRule, surface_points}
 use crate::init::sfm::usable_points;
 use crate::init::surfels_at;
 use crate::views::exposure::Seen;
+use crate::views::exposure::state::corrections;
 
 /// Least alpha of a pixel that may show a surface.
 const OPAQUE: f32 = 0.9;
@@ -39,9 +40,6 @@ const MOST_UNCERTAIN: f64 = 0.25;
 impl Context {
     /// Surfels on the surfaces that blended `gaussians` show to several training views, none of which covers what views show
     /// behind it; or else at the points of the dataset, or in the planes of the most opaque Gaussians. Margins are zero.
-    ///
-    /// # Errors
-    /// [`TrainError::Core`] if the Gaussians cannot be rendered, or a photograph not be read again.
     pub fn surfels_of_depth(
         &mut self,
         gaussians: &GaussianData,
@@ -50,7 +48,8 @@ impl Context {
         let most = self.most_primitives(self.config.stages.depth_surfels);
         let enough = (ENOUGH * most as f64).ceil() as usize;
         let dataset = self.dataset.clone();
-        let depths = BlendedDepth::new(gaussians, filter, self)?;
+        let info = SceneInfo { screen_filter: filter, ..self.scene_info(Rendering::Ellipsoids) };
+        let depths = BlendedMaps::new(gaussians, &info, &self.device)?;
         for rule in RULES {
             let (points, stride_px) = self.surface_points(&depths, rule, enough..=most)?;
             let found = points.positions.len();
@@ -86,7 +85,7 @@ impl Context {
     /// Points by a rule, as many as are `wanted` if a distance between them has so many, and that distance in px.
     fn surface_points(
         &self,
-        depths: &BlendedDepth,
+        depths: &BlendedMaps,
         rule: FusionRule,
         wanted: RangeInclusive<usize>,
     ) -> Result<(PointCloud, usize), TrainError> {
@@ -101,15 +100,15 @@ impl Context {
                 return Ok(depth);
             }
             let view = &dataset.train[index];
-            let mut depth = certain(depths.seen_by(&view.camera)?);
+            let mut depth = certain(depths.depths(&view.camera)?);
             view.picture()?.clear_ignored(&mut depth);
             let depth = Arc::new(depth);
             maps.insert(index, Arc::clone(&depth));
             maps.run_pending_tasks();
             Ok(depth)
         };
-        let corrections = self.exposure.corrections();
-        let photograph = |index: usize| Seen::by(&dataset.train[index], corrections.of(index));
+        let corrections = corrections(&self.exposure);
+        let photograph = |index: usize| Seen::by(&dataset.train[index], corrections.get(index));
         let cameras = dataset.train.iter().map(|view| &view.camera).collect();
         let views = DepthViews { cameras, depth: &depth, photograph: &photograph };
         Ok(as_wanted(wanted, |stride_px| surface_points(&views, stride_px, rule))?)

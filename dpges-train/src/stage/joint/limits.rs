@@ -58,18 +58,4 @@ impl JointStage {
         }
         gaussians
     }
-
-    /// Measures the filter of the surfels anew, after some left.
-    pub fn measure_surfel_limit(&mut self, context: &Context) {
-        if let Some(limits) = &mut self.limits {
-            limits.surfels.measure(&self.surfels.columns.positions.raw(), context);
-        }
-    }
-
-    /// Measures the filter of the Gaussians anew, after some came or left.
-    pub fn measure_gaussian_limit(&mut self, context: &Context) {
-        if let Some(limits) = &mut self.limits {
-            limits.gaussians.measure(&self.gaussians.columns.positions.raw(), context);
-        }
-    }
 }

@@ -7,7 +7,7 @@ mod depth_surfels;
 mod dropout;
 mod limits;
 mod refine;
-pub mod schedule;
+mod schedule;
 mod sky_masks;
 mod start;
 mod statistics;
@@ -27,7 +27,7 @@ use dpges_core::scene::{Gaussians, Rendering, SceneData, SceneInfo};
 
 use super::{
     Context, EnvironmentState, ForwardPass, Leaves, Observed, Parameters, Stage, StageCheckpoint, StepInput, StepRates,
-    Surroundings, TrainError,
+    Surroundings, TrainError, environment,
 };
 use crate::config::{Config, OpacityActivation, StagePlan};
 use crate::init::InitialScene;
@@ -37,7 +37,7 @@ use crate::refine::prune::drawn;
 pub use dealt::{Dealt, OWNERS, in_order};
 pub use limits::SamplingLimits;
 use schedule::{Due, Schedule};
-pub use sky_masks::SkyMasks;
+use sky_masks::SkyMasks;
 pub use statistics::Statistics;
 pub use supervision::Supervisions;
 
@@ -50,7 +50,6 @@ pub struct JointStage {
     pub info: SceneInfo,
     pub schedule: Schedule,
     pub surfels: SurfelState,
-    /// Those of this rank.
     pub gaussians: GaussianState,
     pub dealt: Dealt,
     pub environment: EnvironmentState,
@@ -59,7 +58,6 @@ pub struct JointStage {
     /// `None` if nothing holds the sky free.
     pub sky: Option<SkyMasks>,
     pub statistics: Statistics,
-    /// Statistics before the last step.
     pub statistics_before: Option<Statistics>,
     /// Targets of the geometry losses; `None` without them.
     pub supervisions: Option<Supervisions>,
@@ -70,7 +68,6 @@ pub struct JointStage {
 }
 
 impl JointStage {
-    /// A stage that begins with `start`.
     fn new(
         plan: StagePlan,
         start: &InitialScene,
@@ -78,24 +75,37 @@ impl JointStage {
         supervisions: Option<Supervisions>,
         context: &Context,
     ) -> Self {
-        let (config, device) = (&context.config, &context.device);
+        let device = &context.device;
         let surfels = SurfelState::new(&start.surfels, OpacityActivation::Linear, device);
         let dealt = Dealt::new(start.gaussians.len(), context.ranks.clone());
         let own = start.gaussians.select(&dealt.own());
-        let gaussians = GaussianState::new(&own, config.model.opacity, device);
+        let gaussians = GaussianState::new(&own, context.config.model.opacity, device);
+        let limits = SamplingLimits::new(&surfels, &gaussians, context);
+        Self { limits, supervisions, ..Self::of_states(plan, surfels, gaussians, dealt, environment, context) }
+    }
+
+    /// A stage of which nothing has been observed, without limits or geometry losses.
+    pub fn of_states(
+        plan: StagePlan,
+        surfels: SurfelState,
+        gaussians: GaussianState,
+        dealt: Dealt,
+        environment: EnvironmentState,
+        context: &Context,
+    ) -> Self {
         Self {
             plan,
             info: context.scene_info(Rendering::Peeled),
-            schedule: Schedule::new(config, context.dataset.train.len()),
-            limits: SamplingLimits::new(&surfels, &gaussians, context),
+            schedule: Schedule::new(&context.config, context.dataset.train.len()),
+            statistics: Statistics::new(surfels.len(), gaussians.len(), &context.device),
             surfels,
             gaussians,
             dealt,
+            limits: None,
             sky: SkyMasks::new(&environment, context),
             environment,
-            statistics: Statistics::new(start.surfels.len(), own.len(), device),
             statistics_before: None,
-            supervisions,
+            supervisions: None,
             growth: None,
             surroundings: context.surroundings.clone(),
         }
@@ -104,7 +114,7 @@ impl JointStage {
     /// A stage that begins with `scene` as it is, without geometry losses.
     pub fn of_scene(plan: StagePlan, scene: &SceneData, context: &Context) -> Self {
         let start = InitialScene { surfels: scene.surfels.clone(), gaussians: scene.gaussians.clone() };
-        let environment = EnvironmentState::new(scene.environment.as_ref(), &context.device);
+        let environment = environment::fresh(scene.environment.as_ref(), &context.device);
         Self::new(plan, &start, environment, None, context)
     }
 
@@ -140,8 +150,8 @@ impl Stage for JointStage {
     /// Leaves out Gaussians that draw nothing.
     fn scene(&self) -> SceneData {
         let gaussians = self.dealt.all_data(self.drawn_gaussian_data());
-        let gaussians = gaussians.select(&drawn(&gaussians.opacities).keep);
-        let (surfels, environment) = (self.drawn_surfel_data(), self.environment.to_data());
+        let gaussians = gaussians.select(&drawn(&gaussians.opacities));
+        let (surfels, environment) = (self.drawn_surfel_data(), environment::to_data(&self.environment));
         SceneData { info: self.info.clone(), surfels, gaussians, environment }
     }
 
@@ -188,11 +198,16 @@ impl Stage for JointStage {
             &input.target,
             (&self.schedule, input.completed),
         )?;
-        let weights = loss_weights(&context.config);
+        let train = &context.config.train;
+        let weights = LossWeights {
+            dssim: train.lambda_dssim,
+            surfel: train.lambda_surfel,
+            scale: train.lambda_scale,
+            transmittance: train.lambda_transmittance,
+        };
         let mut losses = losses(&rendered, own_surfels.log_scales.clone(), input.target.clone(), &weights)?;
         let mask = input.target.mask.as_ref();
         let of_counted = |mean: Tensor<1>| mask.map_or(mean.clone(), |mask| mask.of_counted(mean));
-        let train = &context.config.train;
         if leaves.environment.is_some() && !self.dealt.is_empty() {
             let opacity = self.dealt.mean(own_gaussians.opacities.clone().abs()) * train.lambda_opacity;
             let scale = self.dealt.mean(own_gaussians.log_scales.clone().exp())
@@ -219,7 +234,11 @@ impl Stage for JointStage {
                 Some(mask) => supervision.within(mask),
                 None => supervision,
             };
-            let weights = geometry_weights(&context.config);
+            let weights = GeometryWeights {
+                depth: train.lambda_disc_depth,
+                normal: train.lambda_disc_normal,
+                depth_normal: train.lambda_disc_depth_normal,
+            };
             let seen = input.pose.map(|probe| probe.surfels(surfels));
             let surfels = seen.as_ref().unwrap_or(surfels);
             losses.total = losses.total + of_counted(geometry(&rendered, surfels, camera, &supervision, &weights)?);
@@ -265,24 +284,5 @@ impl Stage for JointStage {
 
     fn checkpoint(&self) -> StageCheckpoint {
         StageCheckpoint::of_joint(self)
-    }
-}
-
-fn loss_weights(config: &Config) -> LossWeights {
-    let train = &config.train;
-    LossWeights {
-        dssim: train.lambda_dssim,
-        surfel: train.lambda_surfel,
-        scale: train.lambda_scale,
-        transmittance: train.lambda_transmittance,
-    }
-}
-
-fn geometry_weights(config: &Config) -> GeometryWeights {
-    let train = &config.train;
-    GeometryWeights {
-        depth: train.lambda_disc_depth,
-        normal: train.lambda_disc_normal,
-        depth_normal: train.lambda_disc_depth_normal,
     }
 }

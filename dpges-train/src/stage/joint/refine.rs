@@ -15,14 +15,15 @@ use super::schedule::Due;
 use crate::config::{Budget, NewGaussians};
 use crate::dataset::block::Bounds;
 use crate::dataset::{EmptySpace, View};
+use crate::refine::GaussianEdit;
 use crate::refine::add::{batch_size, draw_in_proportion, new_gaussians};
 use crate::refine::exact_relocation::{Renewal, renew};
 use crate::refine::floaters::without_floaters;
 use crate::refine::margins::margins;
 use crate::refine::prune::{drawn, gaussians_to_keep, surfels_to_keep};
 use crate::refine::split::split;
-use crate::refine::{GaussianEdit, RowEdit};
 use crate::views::exposure::Seen;
+use crate::views::exposure::state::corrections;
 
 /// Scale of an added Gaussian that is the only one of its batch, as a fraction of the extent.
 const SCALE_ALONE: f64 = 0.01;
@@ -87,16 +88,18 @@ impl JointStage {
         );
         let before = self.surfels.len();
         self.surfels.keep(&edit);
-        self.measure_surfel_limit(context);
+        if let Some(limits) = &mut self.limits {
+            limits.surfels.measure(&self.surfels.columns.positions.raw(), context);
+        }
         self.statistics.reset_surfels(self.surfels.len());
         format!("{} of {before} surfels pruned", before - self.surfels.len())
     }
 
     fn prune_gaussians(&mut self, context: &Context) -> String {
         let contributions = self.dealt.all_of(self.statistics.max_contributions(), 1);
-        let rows = gaussians_to_keep(&contributions, context.config.refine.gaussian_min_contribution);
+        let keep = gaussians_to_keep(&contributions, context.config.refine.gaussian_min_contribution);
         let before = self.dealt.len();
-        self.edit_gaussians(&GaussianEdit { rows, ..GaussianEdit::default() }, context);
+        self.edit_gaussians(&GaussianEdit { keep, ..GaussianEdit::default() }, context);
         self.statistics.reset_gaussians(self.gaussians.len());
         format!("{} of {before} Gaussians pruned", before - self.dealt.len())
     }
@@ -118,27 +121,24 @@ impl JointStage {
     /// Removes Gaussians that draw nothing, and those before cameras if copies take their place. Returns how many.
     fn remove_useless(&mut self, context: &Context) -> usize {
         let before = self.dealt.len();
-        let mut rows = drawn(&self.dealt.all_of(self.gaussians.opacities(), 1));
+        let mut keep = drawn(&self.dealt.all_of(self.gaussians.opacities(), 1));
         if self.schedule.copies {
             let positions = self.dealt.all_of(self.gaussians.columns.positions.raw_rows(), 3);
-            rows = without_floaters(&EmptySpace::of(&context.dataset), rows, &positions);
+            keep = without_floaters(&EmptySpace::of(&context.dataset), keep, &positions);
         }
-        self.edit_gaussians(&GaussianEdit { rows, ..GaussianEdit::default() }, context);
+        self.edit_gaussians(&GaussianEdit { keep, ..GaussianEdit::default() }, context);
         before - self.dealt.len()
     }
 
     /// Makes `count` new Gaussians after as many as were `removed` have left: copies of those that answer for the most error, or
     /// black ones where the error is largest, as the configuration says. Within the budget.
-    ///
-    /// # Errors
-    /// [`TrainError::Core`] if a view cannot be rendered, or a photograph not be read again.
     pub fn add_gaussians(&mut self, context: &mut Context, count: usize, removed: usize) -> Result<String, TrainError> {
         let before = self.dealt.len();
         match context.config.refine.new_gaussians {
             NewGaussians::Copies => self.copy_gaussians(context, before + count),
             NewGaussians::Black => {
                 let added = self.black_gaussians(context, count)?;
-                self.edit_gaussians(&GaussianEdit { rows: RowEdit::keep_all(before), added }, context);
+                self.edit_gaussians(&GaussianEdit { keep: (0..before).collect(), added }, context);
             }
         }
         self.statistics.reset_gaussians(self.gaussians.len());
@@ -155,12 +155,12 @@ impl JointStage {
         let target = wanted.min(context.budget.saturating_sub(self.surfels.len()));
         let gaussians = self.dealt.all_data(self.gaussians.to_data());
         let errors = self.dealt.all_of(self.statistics.errors(), 1);
-        let Renewal { rows, opacities, copies } =
+        let Renewal { rows: keep, opacities, copies } =
             renew(&gaussians, &errors, (target, self.bounds()), true, &mut context.rng);
-        self.edit_gaussians(&GaussianEdit { rows, added: GaussianData::neutral(self.info.colour_model, 0) }, context);
+        self.edit_gaussians(&GaussianEdit { keep, added: GaussianData::neutral(self.info.colour_model, 0) }, context);
         self.gaussians.set_opacities(&self.dealt.own_of(&opacities, 1));
-        let rows = RowEdit::keep_all(self.dealt.len());
-        self.edit_gaussians(&GaussianEdit { rows, added: copies }, context);
+        let keep = (0..self.dealt.len()).collect();
+        self.edit_gaussians(&GaussianEdit { keep, added: copies }, context);
     }
 
     /// `count` Gaussians on the nearest surfels, at pixels drawn in proportion to their squared error, none where a view shows
@@ -169,13 +169,13 @@ impl JointStage {
     fn black_gaussians(&self, context: &mut Context, count: usize) -> Result<GaussianData, TrainError> {
         let views = context.dataset.train.len();
         let dataset = context.dataset.clone();
-        let corrections = context.exposure.corrections();
+        let corrections = corrections(&context.exposure);
         let mut positions = Vec::new();
         for (index, share) in
             shares(count, views, &mut context.rng).into_iter().enumerate().filter(|(_, share)| *share > 0)
         {
             let view = &dataset.train[index];
-            let own = Seen::by(view, corrections.of(index))?;
+            let own = Seen::by(view, corrections.get(index))?;
             let rendered = self.render_view(context, view)?;
             let mut error = squared_error(&rendered, &own.target(&context.device));
             if let Some(sky) = &self.sky {
@@ -208,23 +208,23 @@ impl JointStage {
     fn edit_gaussians(&mut self, edit: &GaussianEdit, context: &Context) {
         let edit = self.dealt.edit(edit);
         self.gaussians.edit(&edit);
-        self.measure_gaussian_limit(context);
-        self.statistics.edit_gaussians(&edit.rows, edit.added.len());
+        if let Some(limits) = &mut self.limits {
+            limits.gaussians.measure(&self.gaussians.columns.positions.raw(), context);
+        }
+        self.statistics.edit_gaussians(&edit.keep, edit.added.len());
     }
 
     /// Renders a view of the scene as it stands, without a tape.
-    ///
-    /// # Errors
-    /// [`TrainError::Core`] if it cannot be rendered.
     pub fn render_view(&self, context: &Context, view: &View) -> Result<Render, TrainError> {
-        let own = self.drawn_values();
-        let (surfels, gaussians) =
-            self.surroundings.as_ref().map_or_else(|| own.clone(), |around| around.values(&own.0, &own.1));
+        let mut drawn = self.drawn_values();
+        if let Some(around) = &self.surroundings {
+            drawn = around.values(&drawn.0, &drawn.1);
+        }
         let options = self.render_options(&context.config);
         let (camera, ranks) = (&view.camera, &*self.dealt.ranks);
-        let rendered = render_on_ranks(&surfels, &gaussians, camera, None, &options, Values::KnownFinite, ranks)?;
-        Ok(match self.environment.value() {
-            Some(coefficients) => rendered.in_front_of(environment(&coefficients, &view.camera)?),
+        let rendered = render_on_ranks(&drawn.0, &drawn.1, camera, None, &options, Values::KnownFinite, ranks)?;
+        Ok(match &self.environment {
+            Some(coefficients) => rendered.in_front_of(environment(&coefficients.raw(), &view.camera)?),
             None => rendered,
         })
     }

@@ -13,7 +13,7 @@ pub struct SkyMasks(Skies);
 impl SkyMasks {
     /// `None` in runs without an environment, and where nothing holds it free.
     pub fn new(environment: &EnvironmentState, context: &Context) -> Option<Self> {
-        let is_held_free = environment.value().is_some() && context.config.train.lambda_sky > 0.0;
+        let is_held_free = environment.is_some() && context.config.train.lambda_sky > 0.0;
         is_held_free.then(|| Self(Skies::new(&context.recorded())))
     }
 

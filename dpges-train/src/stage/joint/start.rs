@@ -3,7 +3,7 @@
 use dpges_core::scene::{GaussianData, Rendering, SceneData, ScreenFilter};
 
 use super::super::pretrained::{GAUSSIANS_FROM, SURFELS_FROM};
-use super::super::{Context, EnvironmentState, TrainError, Trained};
+use super::super::{Context, TrainError, Trained, environment};
 use super::{JointStage, Supervisions};
 use crate::config::{GaussianStage, HARD_RIM, JointOpacity, NewGaussians, OpacityActivation, StagePlan, SurfelStart};
 use crate::init::promote::promote;
@@ -16,9 +16,6 @@ const START_SHARE: f64 = 0.6;
 
 impl JointStage {
     /// The stage of `plan`, with the discs and Gaussians that are `trained`.
-    ///
-    /// # Errors
-    /// The errors of [`begin`](super::super::begin).
     pub fn begin(plan: StagePlan, trained: Trained, context: &mut Context) -> Result<Self, TrainError> {
         let given = context.pretrained(SURFELS_FROM)?;
         let from_file = given.as_ref().filter(|scene| scene.info.rendering == Rendering::Discs);
@@ -36,7 +33,7 @@ impl JointStage {
             );
         }
         let start = context.start_of_joint(given.as_ref(), discs, trained.gaussians)?;
-        let environment = EnvironmentState::new(trained.environment.as_ref(), &context.device);
+        let environment = environment::fresh(trained.environment.as_ref(), &context.device);
         Ok(Self::new(plan, &start, environment, supervisions, context))
     }
 }
@@ -53,8 +50,7 @@ impl Context {
         let (mut surfels, rest) = match (discs, given) {
             (Some(discs), _) => {
                 let (surfels, rest) = promote(discs, stages.surfel_opacity, stages.surfel_scale);
-                let small = small_surfels(&surfels.log_scales, self.dataset.extent);
-                let surfels = surfels.select(&small.keep);
+                let surfels = surfels.select(&small_surfels(&surfels.log_scales, self.dataset.extent));
                 tracing::info!("{} of {} discs become surfels", surfels.len(), discs.len());
                 if surfels.is_empty() {
                     tracing::warn!(

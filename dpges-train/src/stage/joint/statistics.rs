@@ -11,7 +11,6 @@ use dpges_core::scene::schema::Columns;
 use dpges_core::scene::tensors::tensor_to_rows;
 
 use super::schedule::Schedule;
-use crate::refine::RowEdit;
 
 /// Most views whose errors are observed before new Gaussians are made.
 const MOST_ERRORS: usize = 60;
@@ -57,34 +56,27 @@ impl Statistics {
 
     /// Forgets what was observed of surfels; from now on there are `count`.
     pub fn reset_surfels(&mut self, count: usize) {
-        let device = self.max_pixels.device();
-        self.max_pixels = Self::new(count, 0, &device).max_pixels;
+        self.max_pixels = Self::new(count, 0, &self.max_pixels.device()).max_pixels;
     }
 
     /// Keeps what was observed of the Gaussians that stay; nothing was of the `added` ones.
-    pub fn edit_gaussians(&mut self, rows: &RowEdit, added: usize) {
+    pub fn edit_gaussians(&mut self, keep: &[usize], added: usize) {
         let edited = |values: Vec<f32>| {
-            let kept = rows.keep.iter().map(|&row| values[row]);
-            kept.chain(std::iter::repeat_n(0.0, added)).collect::<Vec<f32>>()
+            keep.iter().map(|&row| values[row]).chain(std::iter::repeat_n(0.0, added)).collect::<Vec<f32>>()
         };
         let (contributions, errors) = (edited(self.max_contributions()), edited(self.errors()));
         let edited = Self::from_rows(&[], [&contributions, &errors], &self.errors.device());
-        (self.max_contributions, self.errors) = (edited.max_contributions, edited.errors);
+        *self = Self { max_pixels: self.max_pixels.clone(), ..edited };
     }
 
     /// Forgets what was observed of Gaussians; from now on there are `count`.
     pub fn reset_gaussians(&mut self, count: usize) {
-        let device = self.max_contributions.device();
-        let fresh = Self::new(0, count, &device);
-        (self.max_contributions, self.errors) = (fresh.max_contributions, fresh.errors);
+        *self = Self { max_pixels: self.max_pixels.clone(), ..Self::new(0, count, &self.errors.device()) };
     }
 
     /// Adds one view and its photograph, as far as a schedule needs it after a number of completed steps. It was rendered from
     /// `surfels` surfels, the first of which are those of the stage, and from the `gaussians` of the stage, on a tape, and
     /// others after them.
-    ///
-    /// # Errors
-    /// [`dpges_core::Error`] if the render belongs to other Gaussians.
     pub fn observe(
         &mut self,
         render: &Render,

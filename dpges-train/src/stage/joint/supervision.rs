@@ -5,12 +5,11 @@ use dpges_core::camera::Camera;
 use dpges_core::counters::transfers::upload;
 use dpges_core::losses::geometry::{Supervision, expected_depth};
 use dpges_core::ops::blend::Maps;
-use dpges_core::render::Values;
-use dpges_core::render::blended::{BlendedOptions, render_blended};
 use dpges_core::scene::tensors::tensor_to_rows;
-use dpges_core::scene::{GaussianData, Gaussians, Rendering};
+use dpges_core::scene::{GaussianData, Rendering};
 
 use super::super::{Context, TrainError};
+use super::blended_depth::BlendedMaps;
 use crate::dataset::View;
 
 /// Numbers per pixel: a depth and a normal.
@@ -20,15 +19,9 @@ const NUMBERS: usize = 4;
 /// otherwise.
 pub struct Supervisions {
     data: GaussianData,
-    discs: Discs,
+    discs: BlendedMaps,
     /// `None` for views that are rendered again.
     views: Vec<Option<DepthAndNormal>>,
-}
-
-/// The discs on a device.
-struct Discs {
-    gaussians: Gaussians,
-    options: BlendedOptions,
 }
 
 /// Depth [H × W], world units, and unit normal [3 × H × W].
@@ -36,21 +29,16 @@ type DepthAndNormal = [Vec<f32>; 2];
 
 impl Supervisions {
     /// Supervision by `discs`, which are rendered in the training views that there is room for.
-    ///
-    /// # Errors
-    /// [`TrainError::Core`] if they cannot be rendered.
     pub fn new(discs: &GaussianData, context: &Context) -> Result<Self, TrainError> {
-        let (dataset, info) = (&context.dataset, context.scene_info(Rendering::Discs));
-        let mut options = BlendedOptions::new(&info)?;
-        options.blend.maps = true;
-        let on_device = Discs { gaussians: Gaussians::from_data(discs, &context.device, DType::F32), options };
+        let dataset = &context.dataset;
+        let on_device = BlendedMaps::new(discs, &context.scene_info(Rendering::Discs), &context.device)?;
         // those that are kept are of cameras that stay where they are
         let mut room = if context.poses.is_on() { 0 } else { dataset.spare_memory };
         let mut views = Vec::with_capacity(dataset.train.len());
         for view in &dataset.train {
             let bytes = NUMBERS * size_of::<f32>() * view.camera.width * view.camera.height;
             let left = room.checked_sub(bytes);
-            views.push(left.map(|_| on_device.seen_by(&view.camera)).transpose()?);
+            views.push(left.map(|_| depth_and_normal(&on_device, &view.camera)).transpose()?);
             room = left.unwrap_or(room);
         }
         let again = views.iter().filter(|view| view.is_none()).count();
@@ -64,20 +52,16 @@ impl Supervisions {
         Ok(Self { data: discs.clone(), discs: on_device, views })
     }
 
-    /// The discs that were rendered.
     pub fn discs(&self) -> &GaussianData {
         &self.data
     }
 
     /// The target of the training `view` with this `index`, on `device`.
-    ///
-    /// # Errors
-    /// [`dpges_core::Error`] if it cannot be rendered.
     pub fn of(&self, index: usize, view: &View, device: &Device) -> dpges_core::Result<Supervision> {
         let Camera { width, height, .. } = view.camera;
         let [depth, normal] = match &self.views[index] {
             Some(maps) => maps.clone(),
-            None => self.discs.seen_by(&view.camera)?,
+            None => depth_and_normal(&self.discs, &view.camera)?,
         };
         let tensor = |values: Vec<f32>, planes: usize| -> Tensor<3> {
             Tensor::from_data(upload(TensorData::new(values, [planes, height, width])), (device, DType::F32))
@@ -86,12 +70,8 @@ impl Supervisions {
     }
 }
 
-impl Discs {
-    fn seen_by(&self, camera: &Camera) -> dpges_core::Result<DepthAndNormal> {
-        let rendered = render_blended(&self.gaussians, None, camera, &self.options, Values::KnownFinite)?;
-        let Some(Maps { depth, normal, .. }) = rendered.blend.maps else { unreachable!("maps were asked for") };
-        let depth = expected_depth(depth, rendered.blend.alpha);
-        let length = (normal.clone() * normal.clone()).sum_dim(0).sqrt().clamp_min(1e-6);
-        Ok([tensor_to_rows(&depth), tensor_to_rows(&(normal / length))])
-    }
+fn depth_and_normal(discs: &BlendedMaps, camera: &Camera) -> dpges_core::Result<DepthAndNormal> {
+    let (Maps { depth, normal, .. }, alpha) = discs.seen_by(camera)?;
+    let length = (normal.clone() * normal.clone()).sum_dim(0).sqrt().clamp_min(1e-6);
+    Ok([tensor_to_rows(&expected_depth(depth, alpha)), tensor_to_rows(&(normal / length))])
 }

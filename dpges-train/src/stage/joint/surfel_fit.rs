@@ -9,7 +9,7 @@ use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{Rendering, SurfelData, Surfels};
 
 use super::super::{Context, TrainError};
-use super::blended_depth::BlendedDepth;
+use super::blended_depth::BlendedMaps;
 
 /// Training views in which surfels are looked at.
 const VIEWS: usize = 24;
@@ -50,14 +50,7 @@ impl Cover {
 impl Context {
     /// `surfels` without those that cover what `depths` show behind them for the most part, even after they were shrunk. Pixels
     /// that do not count say nothing of them.
-    ///
-    /// # Errors
-    /// [`TrainError::Core`] if they cannot be rendered, or a photograph not be read again.
-    pub fn without_wrong_cover(
-        &self,
-        mut surfels: SurfelData,
-        depths: &BlendedDepth,
-    ) -> Result<SurfelData, TrainError> {
+    pub fn without_wrong_cover(&self, mut surfels: SurfelData, depths: &BlendedMaps) -> Result<SurfelData, TrainError> {
         let seen = self.seen_depths(depths)?;
         let before = surfels.len();
         let mut shrunk = vec![false; before];
@@ -80,10 +73,10 @@ impl Context {
 
     /// For some views, by their index, [H × W] the depth that is seen, world units: +∞ where nothing is, 0 where pixels do not
     /// count.
-    fn seen_depths(&self, depths: &BlendedDepth) -> Result<Vec<(usize, Vec<f32>)>, TrainError> {
+    fn seen_depths(&self, depths: &BlendedMaps) -> Result<Vec<(usize, Vec<f32>)>, TrainError> {
         let views = &self.dataset.train;
         let of_view = |index: usize| -> Result<(usize, Vec<f32>), TrainError> {
-            let shown = depths.seen_by(&views[index].camera)?;
+            let shown = depths.depths(&views[index].camera)?;
             let seen = |(depth, alpha): (f32, f32)| if alpha < SHOWS { f32::INFINITY } else { depth };
             let mut seen: Vec<f32> = shown.median.into_iter().zip(shown.alpha).map(seen).collect();
             views[index].picture()?.clear_ignored(&mut seen);

@@ -17,7 +17,6 @@ use dpges_core::scene::tensors::tensor_to_rows;
 use serde::{Deserialize, Serialize};
 
 use crate::dataset::{Dataset, Picture, View, pictures, sampled};
-pub use state::ExposureState;
 
 /// Pictures that differ by a larger gain, or by less than one over it, show different things.
 const MOST_GAIN: f64 = 4.0;
@@ -91,17 +90,6 @@ fn line(from: &[f32], to: &[f32]) -> (f64, f64) {
     }
     let gain = if variance > 0.0 { (covariance / variance).clamp(1.0 / MOST_GAIN, MOST_GAIN) } else { 1.0 };
     (gain, mean_to - gain * mean_from)
-}
-
-/// The corrections of all training views, by their indices; none if photographs are taken as they are.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Corrections(pub Vec<Correction>);
-
-impl Corrections {
-    /// `None` if photographs are taken as they are.
-    pub fn of(&self, view: usize) -> Option<&Correction> {
-        self.0.get(view)
-    }
 }
 
 /// A camera, and the photograph that it took, as the scene looks: with what its exposure has changed undone.
@@ -237,14 +225,6 @@ mod tests {
         assert_close(&found.gain, &[0.25, 4.0, 1.0], 1e-6);
         // the means agree all the same
         assert_close(&found.offset, &[0.45 - 0.0625, 1.5 - 1.0, 0.375 - 0.5], 1e-6);
-    }
-
-    #[test]
-    fn trained_numbers_are_logarithms_of_gains_and_offsets() {
-        let row = [0.75f32.ln(), 0.0, 1.5f32.ln(), 0.05, -0.1, 0.0];
-        let found = Correction::of_row(&row);
-        assert_close(&found.gain, &CHANGE.gain, 1e-6);
-        assert_close(&found.offset, &CHANGE.offset, 1e-6);
     }
 
     #[test]

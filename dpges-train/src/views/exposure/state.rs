@@ -2,14 +2,14 @@
 
 use std::collections::HashMap;
 
-use burn::tensor::{Device, Gradients, Tensor};
+use burn::tensor::{Device, Tensor};
 use dpges_core::ops::adam::AdamStep;
 use dpges_core::scene::schema::{Activation, Attribute, RateGroup, Width};
 
 use crate::config::Exposure;
-use crate::optimizer::{Parameter, ParameterRows};
+use crate::optimizer::{NamedGradient, Parameter, ParameterRows};
 use crate::stage::{Context, TrainError};
-use crate::views::exposure::{Correction, Corrections, brightness_spread};
+use crate::views::exposure::{Correction, brightness_spread};
 
 /// [views, 6]: of each training view three logarithms of gains, three offsets.
 static EXPOSURE: Attribute = Attribute {
@@ -23,75 +23,50 @@ static EXPOSURE: Attribute = Attribute {
 /// Spread of brightness above which a run with `train.exposure = "auto"` corrects exposures, stops.
 const LARGE_SPREAD: f64 = 0.1;
 
-/// The corrections of a run; empty in runs without any. Their means over the views are 0, so that the scene cannot change
-/// its own exposure through them.
-#[derive(Clone, Debug, Default)]
-pub struct ExposureState(Option<Parameter>);
+/// The corrections of a run, [views, 6]; `None` in runs without any. Their means over the views are 0, so that the scene cannot
+/// change its own exposure through them.
+pub type ExposureState = Option<Parameter>;
 
-/// Gradient of the corrections; `None` in runs without any.
-pub type ExposureGradient = Option<(&'static Attribute, Option<Tensor<2>>)>;
-
-impl ExposureState {
-    /// Corrections of `views` views that change nothing yet.
-    pub fn new(views: usize, device: &Device) -> Self {
-        Self(Some(Parameter::fresh(&EXPOSURE, &vec![0.0; 6 * views], [views, 6], device)))
-    }
-
-    /// Takes the corrections of `views` views out of `rows`, if there are any.
-    ///
-    /// # Errors
-    /// A message if they are those of other views, or have no moments.
-    pub fn from_rows(rows: &mut HashMap<String, ParameterRows>, views: usize, device: &Device) -> Result<Self, String> {
-        let name = EXPOSURE.raw_name;
-        let Some(found) = rows.remove(name) else { return Ok(Self::default()) };
-        if (found.count, found.width) != (views, 6) || found.moments.is_none() {
-            let (count, width) = (found.count, found.width);
-            return Err(format!("`{name}` is {count} × {width}, expected {views} × 6 with moments"));
-        }
-        Ok(Self(Some(Parameter::from_rows(&EXPOSURE, &found, device))))
-    }
-
-    pub fn rows(&self) -> Option<(&'static str, ParameterRows)> {
-        self.0.as_ref().map(|parameter| (EXPOSURE.raw_name, parameter.rows()))
-    }
-
-    /// Whether photographs are corrected.
-    pub fn is_on(&self) -> bool {
-        self.0.is_some()
-    }
-
-    /// On the host.
-    pub fn corrections(&self) -> Corrections {
-        let rows = self.0.as_ref().map(Parameter::raw_rows).unwrap_or_default();
-        Corrections(rows.as_chunks().0.iter().map(Correction::of_row).collect())
-    }
-
-    /// [views, 6] on a new tape, for one step.
-    pub fn leaf(&self) -> Option<Tensor<2>> {
-        self.0.as_ref().map(Parameter::leaf)
-    }
-
-    /// The gradient that a backward pass left for the [`leaf`](Self::leaf).
-    pub fn gradient(&self, leaf: Option<&Tensor<2>>, gradients: &mut Gradients) -> ExposureGradient {
-        self.0.as_ref().zip(leaf).map(|(parameter, leaf)| (&EXPOSURE, parameter.gradient(leaf, gradients)))
-    }
-
-    /// Takes a step and takes the means over the views away. Nothing changes where `gate` `[1]` is not 1.
-    ///
-    /// # Errors
-    /// [`dpges_core::Error::Shape`] if the gradient has another shape.
-    pub fn step(&mut self, gradient: ExposureGradient, gate: &Tensor<1>, step: AdamStep) -> dpges_core::Result<()> {
-        let Some(parameter) = &mut self.0 else { return Ok(()) };
-        parameter.step(gradient.and_then(|(_, gradient)| gradient), gate, step)?;
-        let raw = parameter.raw();
-        let mean = raw.clone().mean_dim(0) * gate.clone().reshape([1, 1]);
-        parameter.set_tensor(raw - mean);
-        Ok(())
-    }
+/// Corrections of `views` views that change nothing yet.
+pub fn fresh(views: usize, device: &Device) -> ExposureState {
+    Some(Parameter::fresh(&EXPOSURE, &vec![0.0; 6 * views], [views, 6], device))
 }
 
-/// `image` [3, H, W] of the scene as a photograph with `correction` [1, 6], a row of the [leaf](ExposureState::leaf), shows
-/// it. Gradients reach both.
+/// Takes the corrections of `views` views out of `rows`, if there are any.
+///
+/// # Errors
+/// A message if they are those of other views, or have no moments.
+pub fn from_rows(
+    rows: &mut HashMap<String, ParameterRows>,
+    views: usize,
+    device: &Device,
+) -> Result<ExposureState, String> {
+    Parameter::take(&EXPOSURE, rows, 6, (|count| count == views, views), device)
+}
+
+/// The corrections of all training views, by their indices; none if photographs are taken as they are.
+pub fn corrections(state: &ExposureState) -> Vec<Correction> {
+    let rows = state.as_ref().map(Parameter::raw_rows).unwrap_or_default();
+    rows.as_chunks().0.iter().map(Correction::of_row).collect()
+}
+
+/// Takes a step and takes the means over the views away. Nothing changes where `gate` `[1]` is not 1.
+pub fn step(
+    state: &mut ExposureState,
+    gradient: Option<NamedGradient>,
+    gate: &Tensor<1>,
+    step: AdamStep,
+) -> dpges_core::Result<()> {
+    let Some(parameter) = state else { return Ok(()) };
+    parameter.step(gradient.and_then(|(_, gradient)| gradient), gate, step)?;
+    let raw = parameter.raw();
+    let mean = raw.clone().mean_dim(0) * gate.clone().reshape([1, 1]);
+    parameter.set_tensor(raw - mean);
+    Ok(())
+}
+
+/// `image` [3, H, W] of the scene as a photograph with `correction` [1, 6], a row of the leaf of its [state](ExposureState),
+/// shows it. Gradients reach both.
 pub fn photographed(image: Tensor<3>, correction: &Tensor<2>) -> Tensor<3> {
     let part = |from: usize| correction.clone().slice([0..1, from..from + 3]).reshape([3, 1, 1]);
     image * part(0).exp() + part(3)
@@ -105,11 +80,9 @@ impl Context {
     pub fn start_of_exposure(&self) -> Result<ExposureState, TrainError> {
         let spread = brightness_spread(&self.dataset)?;
         let said = match spread {
-            Some(stops) => {
-                format!(
-                    "the brightness of the same points differs by {stops:.2} stops between photographs, by standard deviation"
-                )
-            }
+            Some(stops) => format!(
+                "the brightness of the same points differs by {stops:.2} stops between photographs, by standard deviation"
+            ),
             None => "which photographs are brighter is not known without points that they show".to_owned(),
         };
         let is_large = spread.is_some_and(|stops| stops > LARGE_SPREAD);
@@ -123,13 +96,12 @@ impl Context {
             (false, true) => tracing::info!("{said}: train.exposure = \"on\" corrects exposures"),
             (false, false) => tracing::debug!("{said}: photographs are taken as they are (train.exposure)"),
         }
-        Ok(if is_on { ExposureState::new(self.dataset.train.len(), &self.device) } else { ExposureState::default() })
+        Ok(if is_on { fresh(self.dataset.train.len(), &self.device) } else { None })
     }
 
     /// The step of the corrections in the current step of the run, on a `batch` of views.
     pub fn exposure_step(&self, batch: usize) -> AdamStep {
-        let progress = self.completed_steps as f64 / self.config.total_steps().max(1) as f64;
-        let learning_rate = self.config.optimizer.exposure_rate(progress) * (batch as f64).sqrt();
+        let learning_rate = self.config.optimizer.exposure_rate(self.progress()) * (batch as f64).sqrt();
         AdamStep { learning_rate, ..self.config.optimizer.adam(self.completed_steps, batch) }
     }
 }
@@ -145,27 +117,30 @@ mod tests {
 
     const STEP: AdamStep = AdamStep { learning_rate: 0.1, beta_1: 0.9, beta_2: 0.999, epsilon: 1e-15, time: 1 };
 
-    fn gate(value: f32, device: &Device) -> Tensor<1> {
-        Tensor::from_data(TensorData::new(vec![value], [1]), (device, DType::F32))
+    /// A state of three views, of which these were stepped.
+    fn stepped(views: &[usize]) -> ExposureState {
+        let mut state = fresh(3, &Device::flex());
+        views.iter().for_each(|&view| take_step(&mut state, view, 1.0));
+        state
     }
 
-    fn stepped(state: &mut ExposureState, view: usize, open: f32, device: &Device) {
+    fn take_step(state: &mut ExposureState, view: usize, open: f32) {
         let mut gradient = vec![0.0; 18];
         gradient[6 * view..][..6].copy_from_slice(&[1.0, -1.0, 2.0, -0.5, 0.25, -3.0]);
-        let gradient = rows_to_tensor(&gradient, 6, device, DType::F32);
-        state.step(Some((&EXPOSURE, Some(gradient))), &gate(open, device), STEP).unwrap();
+        let gradient = rows_to_tensor(&gradient, 6, &Device::flex(), DType::F32);
+        let gate = Tensor::full([1], open, (&Device::flex(), DType::F32));
+        step(state, Some((&EXPOSURE, Some(gradient))), &gate, STEP).unwrap();
     }
 
     fn raw(state: &ExposureState) -> Vec<f32> {
-        state.rows().unwrap().1.raw
+        state.as_ref().unwrap().raw_rows()
     }
 
     #[test]
     fn means_over_the_views_stay_zero_and_a_closed_gate_changes_nothing() {
-        let device = Device::flex();
-        let mut state = ExposureState::new(3, &device);
+        let mut state = stepped(&[]);
         for view in [0, 1, 0, 2, 0] {
-            stepped(&mut state, view, 1.0, &device);
+            take_step(&mut state, view, 1.0);
             let raw = raw(&state);
             for column in 0..6 {
                 let sum: f32 = raw.iter().skip(column).step_by(6).sum();
@@ -174,21 +149,19 @@ mod tests {
         }
         let before = raw(&state);
         assert!(before.iter().all(|value| *value != 0.0), "{before:?}");
-        stepped(&mut state, 1, 0.0, &device);
+        take_step(&mut state, 1, 0.0);
         assert_eq!(raw(&state), before);
     }
 
     #[test]
     fn a_first_step_moves_the_view_away_from_the_others() {
-        let device = Device::flex();
-        let mut state = ExposureState::new(3, &device);
-        stepped(&mut state, 1, 1.0, &device);
+        let state = stepped(&[1]);
         let raw = raw(&state);
         // −0.1 for the view, then the mean of −0.1/3 taken away
         for (row, expected) in [(0, 0.1 / 3.0), (1, -0.2 / 3.0), (2, 0.1 / 3.0)] {
             assert!((raw[6 * row] - expected).abs() < 1e-6 && (raw[6 * row + 1] + expected).abs() < 1e-6, "{raw:?}");
         }
-        let Corrections(corrections) = state.corrections();
+        let corrections = corrections(&state);
         assert_eq!(corrections.len(), 3);
         assert!((corrections[1].gain[0] - (-0.2f64 / 3.0).exp()).abs() < 1e-6);
         assert!((corrections[1].offset[0] - f64::from(raw[9])).abs() < 1e-9);
@@ -197,16 +170,14 @@ mod tests {
     #[test]
     fn rows_come_back_and_those_of_other_views_do_not() {
         let device = Device::flex();
-        let mut state = ExposureState::new(3, &device);
-        stepped(&mut state, 2, 1.0, &device);
-        let (name, rows) = state.rows().unwrap();
+        let (name, rows) = stepped(&[2]).unwrap().named_rows();
         let saved = || HashMap::from([(name.to_owned(), rows.clone())]);
-        let back = ExposureState::from_rows(&mut saved(), 3, &device).unwrap();
-        assert_eq!(back.rows(), state.rows());
-        let refused = ExposureState::from_rows(&mut saved(), 4, &device).unwrap_err();
+        let back = from_rows(&mut saved(), 3, &device).unwrap().unwrap();
+        assert_eq!(back.rows(), rows);
+        let refused = from_rows(&mut saved(), 4, &device).unwrap_err();
         assert!(refused.contains("3 × 6, expected 4 × 6"), "{refused}");
-        assert!(!ExposureState::from_rows(&mut HashMap::new(), 3, &device).unwrap().is_on());
-        assert_eq!(ExposureState::default().corrections(), Corrections::default());
+        assert!(from_rows(&mut HashMap::new(), 3, &device).unwrap().is_none());
+        assert!(corrections(&None).is_empty());
     }
 
     #[test]

@@ -5,11 +5,9 @@ use dpges_core::ops::adam::AdamStep;
 /// How far a correction moves in one step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseStep {
-    /// Learning rate of the rotation, rad.
-    pub rotation: f64,
-    /// Learning rate of the translation, extents.
-    pub translation: f64,
-    /// Extent of the scene, world units.
+    /// Learning rate of the rotation, rad, and of the translation, extents.
+    pub rate: f64,
+    /// World units.
     pub extent: f64,
     /// Adam's constants; `time` counts the steps of this correction.
     pub adam: AdamStep,
@@ -24,7 +22,7 @@ impl PoseStep {
             first[at] = (beta_1 * f64::from(first[at]) + (1.0 - beta_1) * gradient) as f32;
             second[at] = (beta_2 * f64::from(second[at]) + (1.0 - beta_2) * gradient * gradient) as f32;
             let deviation = (f64::from(second[at]) / left(beta_2)).sqrt();
-            let rate = if at < 3 { self.rotation } else { self.translation * self.extent };
+            let rate = if at < 3 { self.rate } else { self.rate * self.extent };
             row[at] = (f64::from(row[at]) - rate * f64::from(first[at]) / left(beta_1) / (deviation + epsilon)) as f32;
         }
     }
@@ -35,7 +33,7 @@ mod tests {
     use super::*;
 
     const ADAM: AdamStep = AdamStep { learning_rate: 0.0, beta_1: 0.9, beta_2: 0.9, epsilon: 1e-15, time: 1 };
-    const STEP: PoseStep = PoseStep { rotation: 0.01, translation: 0.1, extent: 2.0, adam: ADAM };
+    const STEP: PoseStep = PoseStep { rate: 0.01, extent: 20.0, adam: ADAM };
 
     /// The numbers after as many steps as there are `gradients`.
     fn after(start: [f32; 6], gradients: impl IntoIterator<Item = [f64; 6]>) -> [f32; 6] {

@@ -12,7 +12,6 @@ use crate::eval::rendered::Renderer;
 use crate::views::pose::PoseCorrection;
 use crate::views::pose::adam::PoseStep;
 
-/// Steps of a fit.
 const STEPS: usize = 80;
 /// Learning rate of the first step, rad and extents, and the factor on it at the last. All steps together reach 0.02, which
 /// is more than a degree.
@@ -61,7 +60,7 @@ pub fn fitted_pose(
         }
         let rate = RATE * DECAY.powf(step as f64 / STEPS as f64);
         let adam = OptimizerConfig::default().adam(step, 1);
-        let step = PoseStep { rotation: rate, translation: rate, extent, adam };
+        let step = PoseStep { rate, extent, adam };
         let [first, second] = &mut moments;
         step.take(&mut row, [first, second], gradient);
     }
@@ -76,14 +75,14 @@ mod tests {
 
     use super::*;
     use crate::dataset::Picture;
-    use crate::device::DeviceName;
+    use crate::run::fixtures::device;
     use crate::views::exposure::Correction;
 
     #[test]
     fn a_camera_is_found_again_by_its_photograph_whatever_its_exposure() {
         let same = Correction { gain: [1.0; 3], offset: [0.0; 3] };
         let darker = Correction { gain: [0.6, 0.7, 0.5], offset: [0.1, 0.0, 0.2] };
-        let device = "cpu".parse::<DeviceName>().unwrap().open().unwrap();
+        let device = device();
         let recipe = Recipe { surfels: 30, gaussians: 60, width: 56, height: 48, ..Recipe::default() };
         let cases = [(Rendering::Peeled, same), (Rendering::Ellipsoids, same), (Rendering::Peeled, darker)];
         for (rendering, change) in cases {

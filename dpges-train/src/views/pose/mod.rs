@@ -74,7 +74,6 @@ impl PoseCorrection {
     }
 }
 
-/// How far cameras have been moved.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseChanges {
     pub mean_degrees: f64,
@@ -133,7 +132,6 @@ impl RefinedPose {
     }
 }
 
-/// Refined poses of views by their names.
 pub type RefinedPoses = BTreeMap<String, RefinedPose>;
 
 /// Corrects the cameras of those of `views` that have a refined pose.
@@ -147,8 +145,11 @@ pub fn refine(views: &mut [View], poses: &RefinedPoses) {
 
 #[cfg(test)]
 mod tests {
+    use dpges_core::testing::gradients::central_differences;
+
     use super::*;
-    use crate::dataset::{BuiltinOptions, builtin};
+    use crate::dataset::builtin;
+    use crate::run::fixtures::options;
 
     fn pose() -> CameraFromWorld {
         CameraFromWorld::look_at(DVec3::new(1.0, -3.0, 2.0), DVec3::ZERO, DVec3::Z)
@@ -166,14 +167,8 @@ mod tests {
     }
 
     fn slopes(at: [f64; 6], of: impl Fn(&[f64; 6]) -> f64) -> [f64; 6] {
-        std::array::from_fn(|index| {
-            let moved = |step: f64| {
-                let mut moved = at;
-                moved[index] += step;
-                of(&moved)
-            };
-            (moved(1e-6) - moved(-1e-6)) / 2e-6
-        })
+        let slopes = central_differences(&at, &[0, 1, 2, 3, 4, 5], 1e-6, |moved| of(moved.try_into().unwrap()));
+        std::array::from_fn(|index| slopes[index].expect("it is smooth"))
     }
 
     #[test]
@@ -207,8 +202,7 @@ mod tests {
 
     #[test]
     fn refined_poses_are_in_the_coordinates_of_the_files_and_correct_views_by_name() {
-        let options = BuiltinOptions { width: 4, height: 4, train_views: 3, points: 0, ..Default::default() };
-        let mut views = builtin(&options).train;
+        let mut views = builtin(&options(4, [3, 0], 0)).train;
         let correction = PoseCorrection { rotation: [0.01, 0.0, 0.02], translation: [0.1, 0.0, -0.1] };
         let (recorded, offset) = (views[1].camera.camera_from_world, DVec3::new(100.0, 0.0, -50.0));
         let refined = RefinedPose::new(correction, &recorded, offset);

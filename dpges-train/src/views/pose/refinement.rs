@@ -43,7 +43,6 @@ struct Refinement {
     waiting: Vec<Waiting>,
 }
 
-/// A gradient that has not taken effect yet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Waiting {
     /// Number of the step that it comes from.
@@ -127,7 +126,6 @@ impl PoseState {
         vec![(STEPS, steps), (GRADIENTS, gradients.collect())]
     }
 
-    /// Whether poses are refined.
     pub fn is_on(&self) -> bool {
         self.0.is_some()
     }
@@ -189,8 +187,7 @@ impl Context {
     /// Receives the gradient of the pose of the training view with index `view`; `None` if poses are not learnt, or not
     /// yet.
     pub fn pose_probe(&self, view: usize) -> Option<PoseProbe> {
-        let progress = self.completed_steps as f64 / self.config.total_steps().max(1) as f64;
-        let learnt = self.poses.is_on() && self.config.optimizer.poses_are_learnt(progress);
+        let learnt = self.poses.is_on() && self.config.optimizer.poses_are_learnt(self.progress());
         learnt.then(|| PoseProbe::new(&self.dataset.train[view].camera, &self.tape(), DType::F32))
     }
 
@@ -244,7 +241,7 @@ mod tests {
     use crate::views::pose::gauge::Similarity;
 
     const ADAM: AdamStep = AdamStep { learning_rate: 0.0, beta_1: 0.9, beta_2: 0.999, epsilon: 1e-15, time: 1 };
-    const STEP: PoseStep = PoseStep { rotation: 0.01, translation: 0.1, extent: 1.0, adam: ADAM };
+    const STEP: PoseStep = PoseStep { rate: 0.01, extent: 10.0, adam: ADAM };
     const GRADIENT: [f32; 6] = [1.0, -1.0, 2.0, -0.5, 0.25, -3.0];
 
     fn raw(state: &PoseState) -> Vec<f32> {

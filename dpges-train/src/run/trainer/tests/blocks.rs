@@ -4,21 +4,19 @@ use std::path::Path;
 
 use dpges_core::scene::{EnvironmentData, SceneData};
 
-use super::finished;
+use super::{after, finished, goes_on_alike, trainer};
 use crate::config::Config;
 use crate::dataset::block::{Block, Bounds};
 use crate::run::Trainer;
 use crate::run::checkpoint::Checkpoint;
-use crate::run::fixtures::{config, dataset, device};
+use crate::run::fixtures::{config, dataset, device, step_until};
 use crate::run::folder::write_json;
 
 const NOWHERE: Bounds = Bounds { max: [Some(f32::MIN); 3], ..Bounds::ALL };
 
 /// A scene after a few steps, whose primitives with odd numbers are the block and the others are around it.
 fn halves() -> [SceneData; 2] {
-    let mut trainer = Trainer::new(config(&["train.steps=9", "model.environment=sh1"]), dataset(), device()).unwrap();
-    (0..3).for_each(|_| drop(trainer.step().unwrap()));
-    let scene = trainer.scene();
+    let scene = after(trainer(&["train.steps=9", "model.environment=sh1"]), 3).scene();
     [1, 0].map(|first| {
         let rows = |count: usize| (first..count).step_by(2).collect::<Vec<_>>();
         SceneData {
@@ -76,9 +74,7 @@ fn surroundings_are_drawn_and_neither_learn_nor_count_nor_go_into_the_scene() {
         let mut trainer = Trainer::new(config, dataset(), device()).unwrap();
         let first = trainer.step().unwrap().unwrap();
         assert_eq!((first.surfels, first.gaussians), (inside.surfels.len(), inside.gaussians.len()));
-        while !trainer.is_finished() {
-            trainer.step().unwrap();
-        }
+        step_until(&mut trainer, Trainer::is_finished);
         let scene = trainer.scene();
         let all = trainer.complete(&scene).into_owned();
         assert!(scene.gaussians.len() > inside.gaussians.len() && scene.surfels.len() <= inside.surfels.len());
@@ -105,9 +101,7 @@ fn surroundings_are_drawn_and_neither_learn_nor_count_nor_go_into_the_scene() {
 
 fn finished_scene(config: Config) -> SceneData {
     let mut trainer = Trainer::new(config, dataset(), device()).unwrap();
-    while !trainer.is_finished() {
-        trainer.step().unwrap();
-    }
+    step_until(&mut trainer, Trainer::is_finished);
     trainer.scene()
 }
 
@@ -127,11 +121,7 @@ fn gaussians_come_within_the_bounds_alone() {
 fn a_block_resumes_to_the_same_bytes() {
     let (folder, [inside, around]) = (tempfile::tempdir().unwrap(), halves());
     let config = block(folder.path(), &inside, Some(&around), Bounds::ALL, &[]);
-    let whole = trained(config.clone());
-    let mut trainer = Trainer::new(config, dataset(), device()).unwrap();
-    (0..31).for_each(|_| drop(trainer.step().unwrap()));
-    let resumed = Trainer::resume(trainer.checkpoint(), dataset(), device()).unwrap();
-    assert!(finished(resumed) == whole);
+    goes_on_alike(|| Trainer::new(config.clone(), dataset(), device()).unwrap(), &dataset(), &[31]);
 }
 
 #[test]

@@ -2,11 +2,11 @@
 
 use std::sync::Arc;
 
-use super::{STAGES, finished, saved_and_loaded, trainer};
+use super::{STAGES, finished, goes_on_alike, trainer};
 use crate::dataset::{BuiltinOptions, DepthKind, View, builtin, builtin_geometry};
 use crate::eval::rendered::Renderer;
 use crate::run::Trainer;
-use crate::run::fixtures::{config, device};
+use crate::run::fixtures::{config, device, options, trained};
 
 /// Mean error of depth of the surfels of `trainer` in a training view of the built-in scene.
 fn mean_depth_error(trainer: &Trainer, view: &View) -> f64 {
@@ -25,9 +25,8 @@ fn mean_depth_error(trainer: &Trainer, view: &View) -> f64 {
 
 #[test]
 fn depth_maps_bring_surfels_to_their_depth() {
-    let size = BuiltinOptions { width: 32, height: 32, train_views: 6, points: 500, ..Default::default() };
-    let error = |kind: Option<DepthKind>| {
-        let mut data = builtin(&BuiltinOptions { depth: kind, ..size.clone() });
+    let error = |depth: Option<DepthKind>| {
+        let mut data = builtin(&BuiltinOptions { depth, ..options(32, [6, 6], 500) });
         // along the first axis by up to 0.15
         let positions = data.points.positions.iter_mut().enumerate();
         positions.for_each(|(at, position)| position[0] += 0.3 * ((at * 37 % 101) as f32 / 101.0 - 0.5));
@@ -41,10 +40,7 @@ fn depth_maps_bring_surfels_to_their_depth() {
             "optimizer.position_start=1e-3",
             "optimizer.position_end=1e-3",
         ];
-        let mut trainer = Trainer::new(config(&set), Arc::new(data), device()).unwrap();
-        while !trainer.is_finished() {
-            trainer.step().unwrap();
-        }
+        let trainer = trained(&set, Arc::new(data));
         let views = &trainer.dataset().train;
         views.iter().map(|view| mean_depth_error(&trainer, view)).sum::<f64>() / views.len() as f64
     };
@@ -54,18 +50,10 @@ fn depth_maps_bring_surfels_to_their_depth() {
 
 #[test]
 fn stages_learn_from_depth_maps_and_resume() {
-    let folder = tempfile::tempdir().unwrap();
     for kind in [DepthKind::Metric, DepthKind::Relative] {
-        let options =
-            BuiltinOptions { width: 24, height: 24, train_views: 3, test_views: 1, points: 200, ..Default::default() };
-        let data = Arc::new(builtin(&BuiltinOptions { depth: Some(kind), ..options }));
-        let whole = finished(Trainer::new(config(&STAGES), data.clone(), device()).unwrap());
+        let data = Arc::new(builtin(&BuiltinOptions { depth: Some(kind), ..options(24, [3, 1], 200) }));
+        let begin = || Trainer::new(config(&STAGES), data.clone(), device()).unwrap();
+        let whole = goes_on_alike(begin, &data, &[25]);
         assert!(whole.attributes != finished(trainer(&STAGES)).attributes, "maps change something");
-        let mut first = Trainer::new(config(&STAGES), data.clone(), device()).unwrap();
-        while first.completed_steps() < 25 {
-            first.step().unwrap();
-        }
-        let checkpoint = saved_and_loaded(&first.checkpoint(), folder.path());
-        assert!(finished(Trainer::resume(checkpoint, data, device()).unwrap()) == whole, "{kind:?}");
     }
 }

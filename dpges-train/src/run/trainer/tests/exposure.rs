@@ -2,12 +2,11 @@
 
 use std::sync::Arc;
 
-use super::{STAGES, trainer};
+use super::{STAGES, end_stage, trainer};
 use crate::dataset::{BuiltinOptions, View, builtin};
 use crate::eval::rendered::Renderer;
 use crate::eval::{Evaluation, Measures, evaluate_each};
-use crate::run::Trainer;
-use crate::run::fixtures::{config, device};
+use crate::run::fixtures::{device, options, trained};
 use crate::views::corrections::ViewCorrections;
 use crate::views::exposure::Correction;
 
@@ -16,10 +15,7 @@ fn exposures_are_learnt_around_their_mean_in_every_stage() {
     let mut trainer = trainer(&[&STAGES[..], &["train.exposure=on"]].concat());
     let mut before = vec![0.0; 18];
     for stage in ["2dgs", "dbs", "joint"] {
-        while !trainer.stage_is_over() {
-            trainer.step().unwrap();
-        }
-        assert_eq!(trainer.stage().kind.to_string(), stage);
+        assert_eq!(end_stage(&mut trainer), stage);
         let checkpoint = trainer.checkpoint();
         let after = checkpoint.attributes["exposure"].raw.clone();
         assert!(after.iter().zip(&before).all(|(a, b)| a != b), "{stage}: {after:?}");
@@ -41,16 +37,12 @@ fn exposures_are_learnt_around_their_mean_in_every_stage() {
 
 #[test]
 fn exposures_are_found_and_compensated() {
-    let options =
-        BuiltinOptions { width: 32, height: 32, train_views: 8, test_views: 4, points: 400, ..Default::default() };
+    let options = options(32, [8, 4], 400);
     let plain = builtin(&options);
     let changed = Arc::new(builtin(&BuiltinOptions { exposure_stops: 1.0, ..options }));
-    let trained = |exposure: &str| {
+    let learnt = |exposure: &str| {
         let set = ["train.steps=400", "refine.budget=1500", "optimizer.exposure=0.02", exposure];
-        let mut trainer = Trainer::new(config(&set), changed.clone(), device()).unwrap();
-        while !trainer.is_finished() {
-            trainer.step().unwrap();
-        }
+        let trainer = trained(&set, changed.clone());
         let scene = trainer.scene();
         let renderer = Renderer::new(&scene, &device());
         let measures = Measures::BASIC.fitted(true);
@@ -58,8 +50,8 @@ fn exposures_are_found_and_compensated() {
             evaluate_each(&renderer, &scene, &changed.test, &device(), measures, |_, _| Ok(()));
         (evaluation.unwrap().fitted.psnr_fitted.unwrap(), trainer.view_corrections().exposure)
     };
-    let (with, found) = trained("train.exposure=auto");
-    let (without, none) = trained("train.exposure=off");
+    let (with, found) = learnt("train.exposure=auto");
+    let (without, none) = learnt("train.exposure=off");
     assert!(with > without && none.is_none(), "{with} with, {without} dB without");
 
     // by how much each photograph is brighter than the scene, and than the others

@@ -5,11 +5,11 @@ use std::sync::Arc;
 use dpges_core::camera::CameraFromWorld;
 use glam::DVec3;
 
-use super::{STAGES, trainer};
+use super::{STAGES, end_stage, trainer};
 use crate::config::SMALLEST_BUDGET_BY_PIXELS;
 use crate::dataset::{BuiltinOptions, Dataset, builtin};
 use crate::run::Trainer;
-use crate::run::fixtures::{config, dataset, device};
+use crate::run::fixtures::{config, dataset, device, options, trained};
 use crate::views::pose::PoseCorrection;
 use crate::views::pose::gauge::Gauge;
 
@@ -22,17 +22,14 @@ fn poses_are_learnt_in_every_stage_but_for_what_all_have_in_common() {
     let gauge = Gauge::new(&cameras, recorded.extent);
     let mut before = vec![0.0; 18];
     for stage in ["2dgs", "dbs", "joint"] {
-        while !trainer.stage_is_over() {
-            trainer.step().unwrap();
-        }
-        assert_eq!(trainer.stage().kind.to_string(), stage);
+        assert_eq!(end_stage(&mut trainer), stage);
         let after = trainer.checkpoint().attributes["poses"].raw.clone();
         assert!(after.iter().zip(&before).all(|(a, b)| a != b), "{stage}: {after:?}");
         let rows = after.as_chunks().0.iter();
         let common = gauge.common(&rows.map(PoseCorrection::of_row).collect::<Vec<_>>());
         let size = common.turn.length() + common.shift.length() + common.growth.abs();
         assert!(size < 1e-6, "{stage}: {common:?}");
-        let poses = trainer.refined_poses().unwrap();
+        let poses = trainer.view_corrections().poses.unwrap();
         assert_eq!(poses.keys().collect::<Vec<_>>(), ["train_000", "train_001", "train_002"]);
         assert!((poses["train_001"].correction.rotation[2] - f64::from(after[8])).abs() < 1e-9);
         for (now, recorded) in trainer.dataset().train.iter().zip(&recorded.train) {
@@ -47,18 +44,14 @@ fn poses_are_learnt_in_every_stage_but_for_what_all_have_in_common() {
         }
     }
     let without = super::trainer(&["train.steps=9"]);
-    assert!(without.refined_poses().is_none() && !without.checkpoint().attributes.contains_key("poses"));
+    assert!(without.view_corrections().poses.is_none() && !without.checkpoint().attributes.contains_key("poses"));
 }
 
 #[test]
 fn cameras_that_do_not_move_change_no_bit() {
     let scene = |set: &[&str]| {
         let common = ["train.steps=40", "stages.gaussians=0.5", "refine.budget=500", "model.environment=sh1"];
-        let mut trainer = trainer(&[&common[..], set].concat());
-        while !trainer.is_finished() {
-            trainer.step().unwrap();
-        }
-        trainer.scene()
+        trained(&[&common[..], set].concat(), dataset()).scene()
     };
     let still = ["train.poses=on", "optimizer.poses=0"];
     let without = scene(&[]);
@@ -85,16 +78,12 @@ fn misplacement(found: &Dataset, truth: &Dataset) -> f64 {
 
 #[test]
 fn misplaced_cameras_are_put_back() {
-    let options =
-        BuiltinOptions { width: 48, height: 48, train_views: 12, test_views: 1, points: 800, ..Default::default() };
+    let options = options(48, [12, 1], 800);
     let truth = builtin(&options);
     // neither what is wrong nor what corrects it has a mean: little that all cameras have in common stands between
     let wrong = Arc::new(builtin(&BuiltinOptions { pose_degrees: 0.2, pose_extents: 0.005, ..options }));
     let set = ["train.steps=720", "refine.budget=2000", "train.poses=on"];
-    let mut trainer = Trainer::new(config(&set), wrong.clone(), device()).unwrap();
-    while !trainer.is_finished() {
-        trainer.step().unwrap();
-    }
+    let trainer = trained(&set, wrong.clone());
     let (before, after) = (misplacement(&wrong, &truth), misplacement(trainer.dataset(), &truth));
     assert!(after < 0.5 * before, "{after} px, {before} px before; {}", trainer.pose_changes().unwrap());
 }
@@ -102,9 +91,7 @@ fn misplaced_cameras_are_put_back() {
 #[test]
 fn a_budget_by_pixels_is_that_of_the_cameras_as_they_were_recorded() {
     // large enough for a budget above the smallest, with cameras that all see the same
-    let options =
-        BuiltinOptions { width: 240, height: 240, train_views: 3, test_views: 0, points: 200, ..Default::default() };
-    let dataset = Arc::new(builtin(&options));
+    let dataset = Arc::new(builtin(&options(240, [3, 0], 200)));
     let begun = Trainer::new(config(&["train.poses=on"]), dataset.clone(), device()).unwrap();
     let expected = begun.context.budget;
     assert!(expected > SMALLEST_BUDGET_BY_PIXELS, "{expected}");

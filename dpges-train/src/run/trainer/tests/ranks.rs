@@ -1,4 +1,5 @@
 use burn::tensor::Tensor;
+use dpges_core::ranks::Ranks;
 use dpges_core::testing::ranks::on_ranks;
 
 use super::*;
@@ -7,14 +8,14 @@ use crate::run::fixtures::dataset_of;
 use crate::run::{StepReport, TrainError};
 use crate::stage::{ScreenGradients, StepViews, begin_step};
 
+fn on_rank(set: &[&str], data: Arc<Dataset>, ranks: Arc<dyn Ranks>) -> Trainer {
+    Trainer::new(config(set), data, Place { device: device(), ranks }).unwrap()
+}
+
 #[test]
 fn what_is_not_finite_on_one_rank_holds_all_back() {
     on_ranks(2, |ranks| {
-        let place = Place { device: device(), ranks: ranks.clone() };
-        let mut trainer = Trainer::new(config(&["train.steps=20"]), dataset(), place).unwrap();
-        for _ in 0..3 {
-            trainer.step().unwrap();
-        }
+        let mut trainer = after(on_rank(&["train.steps=20"], dataset(), ranks.clone()), 3);
         let mut before = trainer.checkpoint();
         if ranks.rank() == 1 {
             trainer.context.config.train.lambda_dssim = 1e39;
@@ -36,8 +37,7 @@ fn what_is_not_finite_on_one_rank_holds_all_back() {
 #[test]
 fn a_rank_that_has_something_else_is_named() {
     let errors = on_ranks(3, |ranks| {
-        let place = Place { device: device(), ranks: ranks.clone() };
-        let mut trainer = Trainer::new(config(&["train.steps=20"]), dataset(), place).unwrap();
+        let mut trainer = on_rank(&["train.steps=20"], dataset(), ranks.clone());
         trainer.step().unwrap();
         trainer.check_ranks().unwrap();
         if ranks.rank() == 2 {
@@ -64,8 +64,7 @@ const CONTROLLED: [&str; 7] = [
 /// The state of each of `count` ranks after a step on `views` views in all.
 fn after_a_step(count: usize, views: usize) -> Vec<Checkpoint> {
     on_ranks(count, |ranks| {
-        let place = Place { device: device(), ranks };
-        let mut trainer = Trainer::new(config(&CONTROLLED), dataset_of(views), place).unwrap();
+        let mut trainer = on_rank(&CONTROLLED, dataset_of(views), ranks);
         trainer.step().unwrap();
         trainer.check_ranks().unwrap();
         trainer.checkpoint()
@@ -130,8 +129,7 @@ fn what_the_views_of_a_step_want_is_added_up() {
 fn a_stage_of_several_views_a_step_ends_where_it_ends_with_one() {
     let reports = on_ranks(2, |ranks| {
         let set = ["train.steps=15", "stages.gaussians=0.6", "stages.gaussians_by=mcmc", "refine.budget=500"];
-        let place = Place { device: device(), ranks };
-        let mut trainer = Trainer::new(config(&set), dataset(), place).unwrap();
+        let mut trainer = on_rank(&set, dataset(), ranks);
         let mut steps = Vec::new();
         while !trainer.is_finished() {
             steps.extend(trainer.step().unwrap().map(|report| report.step));

@@ -9,19 +9,17 @@ use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{ScreenFilter, Surfels};
 use glam::{DVec3, Vec3};
 
-use super::{gaussians, trainer};
+use super::{after, gaussians, trainer};
 use crate::config::StageKind;
-use crate::dataset::{BuiltinOptions, builtin, builtin_geometry};
+use crate::dataset::{builtin, builtin_geometry};
 use crate::run::Trainer;
-use crate::run::fixtures::{config, dataset_of, device};
+use crate::run::fixtures::{config, dataset_of, device, options, step_until};
 
 #[test]
 fn frozen_surfels_learn_nothing_but_colours() {
     let mut trainer = trainer(&["train.steps=9", "train.freeze_surfels=true"]);
     let before = trainer.scene();
-    while !trainer.is_finished() {
-        trainer.step().unwrap();
-    }
+    step_until(&mut trainer, Trainer::is_finished);
     let after = trainer.scene();
     assert!(!before.surfels.is_empty());
     assert_eq!(after.surfels.positions, before.surfels.positions);
@@ -76,10 +74,7 @@ fn long_runs_leave_out_gaussians_if_the_scene_has_an_environment() {
 fn gaussians_that_draw_nothing_are_in_no_scene_and_make_room_for_others() {
     for (set, replaced) in [("refine.replace_until=20000", true), ("refine.replace_until=0", false)] {
         // batches after 12, 16, …, 48 steps, replacements after 52, …, 76
-        let mut trainer = trainer(&["train.steps=100", "refine.budget=300", "refine.split_until=0", set]);
-        while trainer.completed_steps() < 52 {
-            trainer.step().unwrap();
-        }
+        let mut trainer = after(trainer(&["train.steps=100", "refine.budget=300", "refine.split_until=0", set]), 52);
         let mut opacities = gaussians(&mut trainer).opacities();
         let mut sorted = opacities.clone();
         sorted.sort_by(f32::total_cmp);
@@ -100,15 +95,11 @@ fn gaussians_that_draw_nothing_are_in_no_scene_and_make_room_for_others() {
 
 #[test]
 fn what_is_before_a_camera_makes_room_for_copies() {
-    let options = BuiltinOptions { width: 24, height: 24, train_views: 3, points: 800, ..Default::default() };
-    let dataset = Arc::new(builtin(&options));
+    let dataset = Arc::new(builtin(&options(24, [3, 6], 800)));
     let centre = dataset.train[0].camera.centre().as_vec3().to_array();
     for (set, leave) in [("refine.new_gaussians=copies", true), ("refine.new_gaussians=black", false)] {
         let set = ["train.steps=100", "refine.budget=400", "refine.split_until=0", set];
-        let mut trainer = Trainer::new(config(&set), dataset.clone(), device()).unwrap();
-        while trainer.completed_steps() < 52 {
-            trainer.step().unwrap();
-        }
+        let mut trainer = after(Trainer::new(config(&set), dataset.clone(), device()).unwrap(), 52);
         let all = gaussians(&mut trainer);
         let mut positions = all.columns.positions.raw_rows();
         positions[..15].copy_from_slice(&centre.repeat(5));
@@ -134,17 +125,13 @@ fn black_gaussians_are_added_over_surfels_only() {
         let few = ["train.steps=40", "init.method=random", "init.random_gaussians=100", "refine.budget=300"];
         let mut trainer = trainer(&[&few[..], &["refine.split_until=0", set]].concat());
         assert!(trainer.scene().surfels.is_empty());
-        while !trainer.is_finished() {
-            trainer.step().unwrap();
-        }
+        step_until(&mut trainer, Trainer::is_finished);
         assert_eq!(gaussians(&mut trainer).len() > 100, grows, "{set}");
     }
     let set = ["train.steps=40", "refine.budget=900", "refine.split_until=0", "refine.new_gaussians=black"];
     let mut trainer = trainer(&set);
     let before = gaussians(&mut trainer).len();
-    while !trainer.is_finished() {
-        trainer.step().unwrap();
-    }
+    step_until(&mut trainer, Trainer::is_finished);
     assert!(gaussians(&mut trainer).len() > before, "{before}");
 }
 
@@ -167,12 +154,9 @@ fn copies_fill_the_budget() {
 #[test]
 fn surfels_enter_where_views_agree() {
     let set = ["train.steps=300", "stages.gaussians=0.7", "refine.budget=1500", "refine.surfel_prune_from=15000"];
-    let options = BuiltinOptions { width: 40, height: 40, train_views: 12, points: 400, ..Default::default() };
-    let dataset = Arc::new(builtin(&options));
+    let dataset = Arc::new(builtin(&options(40, [12, 6], 400)));
     let mut trainer = Trainer::new(config(&set), dataset.clone(), device()).unwrap();
-    while trainer.stage().kind != StageKind::Joint {
-        trainer.step().unwrap();
-    }
+    step_until(&mut trainer, |trainer| trainer.stage().kind == StageKind::Joint);
     let scene = trainer.scene();
     let surfels = &scene.surfels;
     assert!((10..=300).contains(&surfels.len()), "{}", surfels.len());
@@ -209,15 +193,12 @@ fn surfels_enter_where_views_agree() {
 fn surfels_start_somewhere_where_depths_agree_nowhere() {
     let set = ["train.steps=20", "stages.gaussians=0.5", "refine.budget=400"];
     let first_joint_scene = |points: bool| {
-        let mut data =
-            builtin(&BuiltinOptions { width: 24, height: 24, train_views: 2, points: 200, ..Default::default() });
+        let mut data = builtin(&options(24, [2, 6], 200));
         if !points {
             data.points = Default::default();
         }
         let mut trainer = Trainer::new(config(&set), Arc::new(data), device()).unwrap();
-        while trainer.stage().kind != StageKind::Joint {
-            trainer.step().unwrap();
-        }
+        step_until(&mut trainer, |trainer| trainer.stage().kind == StageKind::Joint);
         trainer.scene()
     };
     for points in [true, false] {

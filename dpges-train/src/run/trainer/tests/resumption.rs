@@ -2,16 +2,15 @@
 
 use std::sync::Arc;
 
-use super::{STAGES, finished, gaussians, saved_and_loaded, trainer};
+use super::{STAGES, after, finished, gaussians, goes_on_alike, saved_and_loaded, trainer};
 use crate::config::Config;
 use crate::dataset::{BuiltinOptions, Dataset, DepthKind, builtin};
 use crate::run::Trainer;
-use crate::run::fixtures::{config, dataset, dataset_of, device};
+use crate::run::fixtures::{config, dataset, dataset_of, device, options};
 use crate::stage::TrainError;
 
 #[test]
 fn a_run_goes_on_from_any_step_of_any_stage_to_the_same_end() {
-    let folder = tempfile::tempdir().unwrap();
     let with_exposure = [&STAGES[..], &["train.exposure=on"]].concat();
     let with_poses = [&STAGES[..], &["train.poses=on"]].concat();
     let runs: [(&[&str], &[usize]); 11] = [
@@ -29,27 +28,12 @@ fn a_run_goes_on_from_any_step_of_any_stage_to_the_same_end() {
         (&["train.steps=40", "train.method=sortfree", "weighted_sum.weight=exp", "refine.budget=300"], &[11, 25]),
     ];
     for (set, stops) in runs {
-        let whole = finished(trainer(set));
-        for &stop in stops {
-            let mut first = trainer(set);
-            while first.completed_steps() < stop {
-                first.step().unwrap();
-            }
-            let checkpoint = saved_and_loaded(&first.checkpoint(), folder.path());
-            let second = Trainer::resume(checkpoint, dataset(), device()).unwrap();
-            // what no later step would show, such as momenta of opaque Gaussians
-            assert!(
-                second.checkpoint() == first.checkpoint(),
-                "{set:?}: a checkpoint after {stop} is not read as it is"
-            );
-            assert!(finished(second) == whole, "{set:?} stopped after {stop}");
-        }
+        goes_on_alike(|| trainer(set), &dataset(), stops);
     }
 }
 
 #[test]
 fn a_step_that_is_not_finite_is_undone_with_all_that_it_has_changed() {
-    let folder = tempfile::tempdir().unwrap();
     let joint = ["train.steps=60", "refine.budget=700", "train.exposure=on"];
     let with_poses = [&joint[..], &["train.poses=on", "optimizer.pose_from=0"]].concat();
     let mcmc = ["train.steps=40", "train.method=mcmc", "refine.budget=300", "model.environment=sh1"];
@@ -68,16 +52,13 @@ fn a_step_that_is_not_finite_is_undone_with_all_that_it_has_changed() {
     for (set, stops) in runs {
         let whole = finished(trainer(set));
         for &stop in stops {
-            let mut broken = trainer(set);
-            while broken.completed_steps() < stop {
-                broken.step().unwrap();
-            }
+            let mut broken = after(trainer(set), stop);
             let before = broken.checkpoint();
             broken.context.config.train.lambda_dssim = 1e39;
             let error = broken.step().unwrap_err();
             assert!(matches!(error, TrainError::Loss { step, .. } if step == stop + 1), "{error}");
 
-            let mut undone = saved_and_loaded(&broken.checkpoint(), folder.path());
+            let mut undone = saved_and_loaded(&broken.checkpoint());
             undone.state.config = config(set);
             assert_eq!(undone.completed_steps(), stop, "{set:?}");
             // a gradient of the step before may have moved its camera
@@ -134,19 +115,11 @@ fn an_automatic_budget_ends_growth_when_validation_views_do_not_improve() {
 
 #[test]
 fn a_run_goes_on_from_between_two_batches_of_growth() {
-    let folder = tempfile::tempdir().unwrap();
     let (config, data) = automatic();
     let begin = || Trainer::new(config.clone(), data.clone(), device()).unwrap();
-    let whole = finished(begin());
-    for stop in [10, 12, 14, 30, 32, 38] {
-        let mut first = begin();
-        while first.completed_steps() < stop {
-            first.step().unwrap();
-        }
-        let checkpoint = saved_and_loaded(&first.checkpoint(), folder.path());
-        assert_eq!(checkpoint.state.growth.is_some_and(|growth| growth.has_ended()), stop > 32);
-        let second = Trainer::resume(checkpoint, data.clone(), device()).unwrap();
-        assert!(finished(second) == whole, "stopped after {stop}");
+    goes_on_alike(begin, &data, &[10, 12, 14, 30, 32, 38]);
+    for stop in [32, 38] {
+        assert_eq!(after(begin(), stop).checkpoint().state.growth.unwrap().has_ended(), stop > 32);
     }
 }
 
@@ -154,16 +127,11 @@ fn a_run_goes_on_from_between_two_batches_of_growth() {
 fn a_run_that_corrects_everything_at_once_goes_on_to_the_same_end() {
     let size = 24;
     let options = BuiltinOptions {
-        width: size,
-        height: size,
-        train_views: 9,
-        test_views: 1,
-        points: 400,
         depth: Some(DepthKind::Relative),
         exposure_stops: 0.5,
         pose_degrees: 0.2,
         fisheye: true,
-        ..Default::default()
+        ..options(size, [9, 1], 400)
     };
     let mut data = builtin(&options);
     let counted: Vec<bool> = (0..size * size).map(|pixel| pixel % size > 5).collect();
@@ -180,18 +148,8 @@ fn a_run_that_corrects_everything_at_once_goes_on_to_the_same_end() {
         "model.sampling_limit=0.3",
     ];
     let begun = || Trainer::new(config(&set), data.clone(), device()).unwrap();
-    let whole = finished(begun());
+    let whole = goes_on_alike(begun, &data, &[9, 24, 25, 60]);
     for corrections in ["poses", "exposure"] {
         assert!(whole.attributes[corrections].raw.iter().all(|number| *number != 0.0), "{corrections}");
-    }
-    let folder = tempfile::tempdir().unwrap();
-    for stop in [9, 24, 25, 60] {
-        let mut first = begun();
-        while first.completed_steps() < stop {
-            first.step().unwrap();
-        }
-        let checkpoint = saved_and_loaded(&first.checkpoint(), folder.path());
-        let second = Trainer::resume(checkpoint, data.clone(), device()).unwrap();
-        assert!(finished(second) == whole, "stopped after {stop}");
     }
 }

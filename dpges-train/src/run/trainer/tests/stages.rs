@@ -4,12 +4,12 @@ use std::sync::Arc;
 
 use dpges_core::scene::{EnvironmentData, Rendering, SceneData};
 
-use super::{STAGES, gaussians, trainer};
+use super::{STAGES, after, end_stage, gaussians, trainer};
 use crate::config::{Config, StageKind};
-use crate::dataset::{BuiltinOptions, builtin};
+use crate::dataset::builtin;
 use crate::eval::evaluate;
 use crate::run::Trainer;
-use crate::run::fixtures::{config, dataset, device};
+use crate::run::fixtures::{config, dataset, device, options, step_until, trained};
 
 #[test]
 fn stages_hand_on_what_they_trained() {
@@ -42,10 +42,7 @@ fn an_environment_learns_in_every_stage_and_goes_from_one_to_the_next() {
     assert_eq!(before, EnvironmentData::neutral(1));
     for stage in ["2dgs", "dbs", "joint"] {
         assert_eq!(trainer.scene().environment.as_ref(), Some(&before), "{stage}");
-        while !trainer.stage_is_over() {
-            trainer.step().unwrap();
-        }
-        assert_eq!(trainer.stage().kind.to_string(), stage);
+        assert_eq!(end_stage(&mut trainer), stage);
         let after = trainer.scene().environment.unwrap();
         let pairs = after.coefficients.iter().zip(&before.coefficients);
         assert!(pairs.clone().count() == 12 && pairs.clone().all(|(a, b)| a != b), "{stage}: {after:?}");
@@ -62,9 +59,7 @@ fn only_linear_opacities_become_odds() {
     let first_joint = |opacity: &str| {
         let set = ["train.steps=40", "stages.gaussians=0.5", "refine.budget=300", opacity];
         let mut trainer = trainer(&set);
-        while trainer.stage().kind != StageKind::Joint {
-            trainer.step().unwrap();
-        }
+        step_until(&mut trainer, |trainer| trainer.stage().kind == StageKind::Joint);
         gaussians(&mut trainer).opacities().into_iter().fold(0.0, f32::max)
     };
     let (linear, logistic) = (first_joint("model.opacity=linear"), first_joint("model.opacity=sigmoid"));
@@ -137,11 +132,7 @@ fn what_is_summed_is_never_removed_and_learns_what_its_gaussians_have_in_common(
 fn scenes_of_htgs_say_which_fragments_have_an_order() {
     for transparency in ["hybrid", "nearest", "sorted", "tail"] {
         let set = format!("density.transparency={transparency}");
-        let mut trainer = trainer(&["train.steps=90", "train.method=htgs", &set, "refine.budget=500"]);
-        while !trainer.is_finished() {
-            trainer.step().unwrap();
-        }
-        let scene = trainer.scene();
+        let scene = trained(&["train.steps=90", "train.method=htgs", &set, "refine.budget=500"], dataset()).scene();
         let found = (scene.info.rendering, scene.info.blend_order.to_string());
         assert_eq!(found, (Rendering::Ellipsoids, transparency.into()));
         let folder = tempfile::tempdir().unwrap();
@@ -167,11 +158,7 @@ fn plans_that_lack_something_are_refused_before_the_first_step() {
 #[test]
 fn rates_decay_in_the_last_stage_only() {
     let colours = |set: &[&str], steps: usize| {
-        let mut trainer = trainer(&[set, &["train.steps=20"]].concat());
-        while trainer.completed_steps() < steps {
-            trainer.step().unwrap();
-        }
-        trainer.scene().gaussians.colour
+        after(trainer(&[set, &["train.steps=20"]].concat()), steps).scene().gaussians.colour
     };
     let (constant, decaying) = ("optimizer.decay=1", "optimizer.decay=1e-3");
     for set in [["train.method=mcmc", "stages.gaussians=0"], ["train.method=dpges", "stages.gaussians=0"]] {
@@ -185,19 +172,13 @@ fn rates_decay_in_the_last_stage_only() {
 
 #[test]
 fn the_joint_stage_ends_above_the_gaussians_that_it_begins_with() {
-    let size =
-        BuiltinOptions { width: 48, height: 48, train_views: 16, test_views: 6, points: 400, ..Default::default() };
-    let data = Arc::new(builtin(&size));
+    let data = Arc::new(builtin(&options(48, [16, 6], 400)));
     let set = ["train.steps=900", "refine.budget=1500", "refine.surfel_pixels=1px/MP"].map(str::to_owned);
     let mut trainer = Trainer::new(Config::resolve(None, None, &set).unwrap(), data.clone(), device()).unwrap();
     let psnr = |trainer: &Trainer| evaluate(&trainer.scene(), &data.test, trainer.device()).unwrap().psnr;
-    while !trainer.stage_is_over() {
-        trainer.step().unwrap();
-    }
+    step_until(&mut trainer, Trainer::stage_is_over);
     let gaussians = psnr(&trainer);
-    while !trainer.is_finished() {
-        trainer.step().unwrap();
-    }
+    step_until(&mut trainer, Trainer::is_finished);
     let joint = psnr(&trainer);
     println!("held out: {gaussians:.2} dB of Gaussians, {joint:.2} dB after the joint stage");
     assert_eq!(trainer.stage().kind, StageKind::Joint);
