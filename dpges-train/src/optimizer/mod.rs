@@ -206,7 +206,7 @@ impl Parameter {
     /// # Panics
     /// If `added` has another length.
     pub fn edit(&mut self, kept: &Rows, added: &[f32], added_count: usize) {
-        self.split_for(kept.len() + added_count);
+        self.split_for(kept.count + added_count);
         let (device, [_, width]) = (self.device(), self.dims());
         let added = columns(added, [added_count, width], &self.widths(), &device);
         for (block, added) in self.blocks.iter_mut().zip(added) {
@@ -229,10 +229,10 @@ impl Parameter {
     /// Row i becomes a copy of row i of `copied`. Moments stay with their place; they are zero in places that are new,
     /// and where `fresh` [rows of the new set, 1] is true (3DGS-MCMC).
     pub fn copy_rows(&mut self, copied: &Rows, fresh: &Tensor<2, Bool>) {
-        self.split_for(copied.len());
+        self.split_for(copied.count);
         for Block { raw, moments } in &mut self.blocks {
             let [count, width] = raw.dims();
-            let added = copied.len() - count;
+            let added = copied.count - count;
             *raw = copied.of(raw);
             for moment in moments.iter_mut().flatten() {
                 let extended = joined(moment.clone(), || zeros([added, width], &moment.device()), added);
@@ -270,14 +270,6 @@ impl Rows {
     pub fn new(rows: &[usize], of: usize, device: &Device) -> Self {
         let all = rows.len() == of && rows.iter().enumerate().all(|(at, &row)| at == row);
         Self { indices: (!all).then(|| row_indices(rows, device)), count: rows.len() }
-    }
-
-    pub fn len(&self) -> usize {
-        self.count
-    }
-
-    pub fn is_empty(&self) -> bool {
-        self.count == 0
     }
 
     /// [count, width] these rows of `values`.

@@ -190,18 +190,12 @@ mod tests {
     }
 
     #[test]
-    fn the_small_are_cloned_in_place() {
+    fn the_small_are_cloned_in_place_or_drawn_from_their_originals() {
         let old = gaussians(&[0.009, 0.005, 0.005]);
-        let edit = run(&old, &[3e-4, 1e-4, 2.1e-4], RULE, 9);
-        assert_eq!(edit.keep, [0, 1, 2]);
-        assert_eq!(edit.added, old.select(&[0, 2]));
-    }
-
-    #[test]
-    fn clones_are_drawn_from_their_originals_if_they_are_to_be() {
-        let old = gaussians(&[0.009, 0.005, 0.005]);
-        let edit = run(&old, &[3e-4, 1e-4, 2.1e-4], DensifyRule { draws_clones: true, ..RULE }, 9);
         let originals = old.select(&[0, 2]);
+        let edit = run(&old, &[3e-4, 1e-4, 2.1e-4], RULE, 9);
+        assert_eq!(edit, GaussianEdit { keep: vec![0, 1, 2], added: originals.clone() });
+        let edit = run(&old, &[3e-4, 1e-4, 2.1e-4], DensifyRule { draws_clones: true, ..RULE }, 9);
         assert_eq!(GaussianData { positions: originals.positions.clone(), ..edit.added.clone() }, originals);
         for row in 0..2 {
             let distance = (vector(&edit.added.positions, row) - vector(&originals.positions, row)).length();
@@ -291,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn the_quantile_adds_rows_whose_gradients_cancel() {
+    fn the_quantile_adds_rows_whose_gradients_cancel_but_no_unseen_ones() {
         // One of five is steep, so that the absolute threshold is the quantile of 0.8: 4.2.
         let sums = sums(&[1e-4, 3e-4, 0.0, 0.0, 0.0], &[5.0, 1.0, 3.0, 2.0, 4.0]);
         let old = gaussians(&[0.005; 5]);
@@ -300,6 +294,8 @@ mod tests {
         assert_eq!(added(RULE, 9), old.select(&[1]));
         assert_eq!(added(by_quantile, 9), old.select(&[0, 1]));
         assert_eq!(added(by_quantile, 1), old.select(&[1]));
+        let old = gaussians(&[0.005; 4]);
+        assert_eq!(run(&old, &[0.0, 3e-4, 0.0, 0.0], by_quantile, 9).added, old.select(&[1]));
     }
 
     #[test]
@@ -311,13 +307,6 @@ mod tests {
         let edit = densify(&old, &sums, 1.0, &rule, 9, &mut rng(41));
         assert_eq!(edit.keep, [0, 1, 2], "the last is split");
         assert_eq!(edit.added.opacities, old.select(&[0, 3, 3]).opacities);
-    }
-
-    #[test]
-    fn unseen_rows_are_in_no_quantile() {
-        let by_quantile = DensifyRule { by_absolute: ByAbsolute::Quantile, ..RULE };
-        let old = gaussians(&[0.005; 4]);
-        assert_eq!(run(&old, &[0.0, 3e-4, 0.0, 0.0], by_quantile, 9).added, old.select(&[1]));
     }
 
     #[test]

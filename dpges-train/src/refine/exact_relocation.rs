@@ -42,7 +42,12 @@ pub fn renew(
     shift: bool,
     rng: &mut ChaCha8Rng,
 ) -> Renewal {
-    let rows = most_useful(drawn(&gaussians.opacities), errors, target);
+    let mut rows = drawn(&gaussians.opacities);
+    if rows.len() > target {
+        rows.sort_by(|&a, &b| errors[b].total_cmp(&errors[a]).then(a.cmp(&b)));
+        rows.truncate(target);
+        rows.sort_unstable();
+    }
     let kept: Vec<f32> = rows.iter().map(|&row| gaussians.opacities[row]).collect();
     let known = rows.iter().any(|&row| errors[row] > 0.0);
     let mut weights: Vec<f32> = match known {
@@ -76,16 +81,6 @@ pub fn renew(
         shift_within(&mut copies, rng);
     }
     Renewal { rows, opacities, copies }
-}
-
-/// At most `target` of `rows`: those of the largest `errors`.
-fn most_useful(mut rows: Vec<usize>, errors: &[f32], target: usize) -> Vec<usize> {
-    if rows.len() > target {
-        rows.sort_by(|&a, &b| errors[b].total_cmp(&errors[a]).then(a.cmp(&b)));
-        rows.truncate(target);
-        rows.sort_unstable();
-    }
-    rows
 }
 
 fn shift_within(gaussians: &mut GaussianData, rng: &mut ChaCha8Rng) {

@@ -19,15 +19,11 @@ pub fn margins(positions: &[f32], log_scales: &[f32], kind: Margin) -> Vec<f32> 
     let around = nearest(as_points(positions), NEIGHBOURS);
     let median_around = |(own, neighbours): (&f32, Vec<(u32, f32)>)| {
         let mut values: Vec<f32> = neighbours.iter().map(|&(row, _)| raw[row as usize]).collect();
-        lower_median(&mut values).unwrap_or(*own)
+        let Some(last) = values.len().checked_sub(1) else { return *own };
+        // the largest value of the smaller half: of 16 values the 8th smallest
+        *values.select_nth_unstable_by(last / 2, f32::total_cmp).1
     };
     raw.iter().zip(around).map(median_around).collect()
-}
-
-/// The largest value of the smaller half: of 16 values the 8th smallest.
-fn lower_median(values: &mut [f32]) -> Option<f32> {
-    let middle = values.len().checked_sub(1)? / 2;
-    Some(*values.select_nth_unstable_by(middle, f32::total_cmp).1)
 }
 
 #[cfg(test)]

@@ -205,10 +205,12 @@ fn a_run_in_a_folder_is_resumed_to_identical_bytes() {
 }
 
 #[test]
-fn corrections_of_exposure_are_in_the_folder_and_scores_say_what_they_are_worth() {
+fn corrections_of_views_are_in_the_folder_and_scores_say_what_they_are_worth() {
     let at = tempfile::tempdir().unwrap();
     let folder = RunFolder::new(at.path().join("run"));
-    in_folder(&[&SHORT[..], &["train.exposure=on"]].concat(), folder.path()).train(&mut ()).unwrap();
+    assert_eq!(folder.read_poses().unwrap(), None);
+    let mut corrected = in_folder(&[&SHORT[..], &["train.exposure=on", "train.poses=on"]].concat(), folder.path());
+    corrected.train(&mut ()).unwrap();
     let found: BTreeMap<String, Correction> = read_json(&folder.exposure()).unwrap();
     assert_eq!(found.keys().collect::<Vec<_>>(), ["train_000", "train_001", "train_002"]);
     for channel in 0..3 {
@@ -219,24 +221,11 @@ fn corrections_of_exposure_are_in_the_folder_and_scores_say_what_they_are_worth(
     let report: EvalReport = read_json(&folder.evaluation()).unwrap();
     assert!(report.evaluation.fitted.psnr_fitted.is_some() && report.evaluation.views[0].fitted.ssim_fitted.is_some());
 
-    run_again_without(&folder);
-    assert!(!folder.exposure().exists());
-    let text = std::fs::read_to_string(folder.evaluation()).unwrap();
-    assert!(!text.contains("fitted"), "{text}");
-}
-
-#[test]
-fn refined_poses_are_in_the_folder() {
-    let at = tempfile::tempdir().unwrap();
-    let folder = RunFolder::new(at.path().join("run"));
-    assert_eq!(folder.read_poses().unwrap(), None);
-    let mut run = in_folder(&[&SHORT[..], &["train.poses=on"]].concat(), folder.path());
-    run.train(&mut ()).unwrap();
     let found = folder.read_poses().unwrap().unwrap();
     assert_eq!(found.keys().collect::<Vec<_>>(), ["train_000", "train_001", "train_002"]);
     let mut views = dataset().train.clone();
     crate::views::pose::refine(&mut views, &found);
-    for ((view, now), recorded) in views.iter().zip(&run.trainer().dataset().train).zip(&dataset().train) {
+    for ((view, now), recorded) in views.iter().zip(&corrected.trainer().dataset().train).zip(&dataset().train) {
         let [found, now, recorded] = [view, now, recorded].map(|view| view.camera.camera_from_world);
         assert!((found.centre() - now.centre()).length() < 1e-12 && now != recorded);
     }
@@ -248,14 +237,12 @@ fn refined_poses_are_in_the_folder() {
     std::fs::write(folder.poses(), serde_json::to_string(&lost).unwrap()).unwrap();
     let lost = folder.read_poses().unwrap_err().to_string();
     assert!(lost.contains("poses.json") && lost.contains("`train_001`") && lost.contains("1e300"), "{lost}");
-    run_again_without(&folder);
-    assert!(!folder.poses().exists());
-}
 
-/// Overwrites the run in `folder` with a plain one.
-fn run_again_without(folder: &RunFolder) {
-    let again = run(&SHORT).overwrite(folder.clone(), Origin::new("builtin", "cpu"));
-    again.unwrap().train(&mut ()).unwrap();
+    let plain = run(&SHORT).overwrite(folder.clone(), Origin::new("builtin", "cpu"));
+    plain.unwrap().train(&mut ()).unwrap();
+    assert!(!folder.exposure().exists() && !folder.poses().exists());
+    let text = std::fs::read_to_string(folder.evaluation()).unwrap();
+    assert!(!text.contains("fitted"), "{text}");
 }
 
 /// Options of a run that validation views end.

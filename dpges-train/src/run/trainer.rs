@@ -236,7 +236,8 @@ impl Trainer {
     /// Begins the stage after one that is over, settled and not the last.
     pub(super) fn next_stage(&mut self) -> Result<(), TrainError> {
         self.stage.hand_on(&mut self.trained);
-        self.context.begin_pass();
+        // the schedule of a stage counts passes from its start
+        self.context.remaining_views.clear();
         self.stage = stage::begin(self.plan[self.at + 1], &mut self.trained, &mut self.context)?;
         self.at += 1;
         Ok(())

@@ -130,7 +130,7 @@ impl Run {
         if self.trainer.last_but_one().is_some_and(|before| before.kind == stage.kind) {
             if !self.trainer.dataset().validation.is_empty() {
                 let psnr = self.deciding_psnr(&self.evaluate_validation(&scene)?);
-                self.trainer.validation.begin_last_stage(psnr);
+                self.trainer.validation.before_last_stage = Some(psnr);
             }
             self.before_last_stage = self.folder.is_none().then_some(scene);
         }
@@ -141,7 +141,7 @@ impl Run {
     /// `scene`, the result of the last stage, or the scene that this stage began with if the validation views are better
     /// with that; then it becomes the scene of the run.
     fn unless_it_was_better_before(&mut self, scene: SceneData) -> Result<SceneData, RunError> {
-        let (Some(before), Some(stage)) = (self.trainer.validation.before_last_stage(), self.trainer.last_but_one())
+        let (Some(before), Some(stage)) = (self.trainer.validation.before_last_stage, self.trainer.last_but_one())
         else {
             return Ok(scene);
         };

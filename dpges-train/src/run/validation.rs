@@ -11,7 +11,7 @@ pub struct Validation {
     stopped: bool,
     /// PSNR of the scene that the last stage began with, dB; `None` without validation views or an earlier stage.
     #[serde(default)]
-    before_last_stage: Option<f64>,
+    pub(super) before_last_stage: Option<f64>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -58,16 +58,6 @@ impl Validation {
                 Verdict::Best
             }
         }
-    }
-
-    /// Takes note of the mean PSNR, dB, of the validation views in the scene that the last stage begins with.
-    pub fn begin_last_stage(&mut self, psnr: f64) {
-        self.before_last_stage = Some(psnr);
-    }
-
-    /// The value given to [`begin_last_stage`](Self::begin_last_stage).
-    pub fn before_last_stage(&self) -> Option<f64> {
-        self.before_last_stage
     }
 
     pub fn stopped(&self) -> bool {

@@ -74,7 +74,7 @@ impl StageCheckpoint {
             max_pixels: stage.statistics.max_pixels(),
         };
         if let Some(supervisions) = &stage.supervisions {
-            checkpoint.add_discs(supervisions.discs());
+            checkpoint.add_discs(&supervisions.data);
         }
         checkpoint
     }

@@ -137,11 +137,6 @@ impl Context {
         next.skip(self.ranks.rank() % batch).step_by(batch).map(|view| view as usize)
     }
 
-    /// Begins a new pass. A stage does so at its start, since its schedule counts passes from there.
-    pub fn begin_pass(&mut self) {
-        self.remaining_views.clear();
-    }
-
     pub fn scene_info(&self, rendering: Rendering) -> SceneInfo {
         let (model, dataset) = (&self.config.model, &self.dataset);
         SceneInfo {

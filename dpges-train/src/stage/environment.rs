@@ -9,7 +9,7 @@ use dpges_core::scene::{EnvironmentData, SH_C0, SceneData};
 use super::pretrained::{GAUSSIANS_FROM, SURFELS_FROM};
 use super::{Context, TrainError};
 use crate::config::{Background, Environment};
-use crate::dataset::{Dataset, Format};
+use crate::dataset::Format;
 use crate::init::sky_detection::open_sky;
 use crate::optimizer::{Parameter, ParameterRows};
 
@@ -50,7 +50,10 @@ impl Context {
         if wanted == Environment::None {
             return Ok(None);
         }
-        let is_given = has_background(&self.dataset) || self.config.data.background != Background::Auto;
+        // whether the photographs show the background of the dataset, not a world
+        let is_given = self.dataset.format == Format::Blender
+            || self.dataset.train.iter().any(|view| view.photograph.has_transparency())
+            || self.config.data.background != Background::Auto;
         if wanted == Environment::Auto && is_given {
             tracing::info!("the background is given, so the scene has no environment");
             return Ok(None);
@@ -99,11 +102,6 @@ impl Context {
     }
 }
 
-/// Whether the photographs show the background of the dataset, not a world.
-fn has_background(dataset: &Dataset) -> bool {
-    dataset.format == Format::Blender || dataset.train.iter().any(|view| view.photograph.has_transparency())
-}
-
 #[cfg(test)]
 mod tests {
     use std::sync::Arc;
@@ -111,6 +109,7 @@ mod tests {
     use dpges_core::scene::{GaussianData, Rendering, SceneInfo, SurfelData};
 
     use super::*;
+    use crate::dataset::Dataset;
     use crate::init::sky_detection::tests::{BLUE, ring, tower};
     use crate::run::fixtures::{config, device};
 

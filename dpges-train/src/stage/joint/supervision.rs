@@ -18,7 +18,7 @@ const NUMBERS: usize = 4;
 /// Depth and normal of every training view: in host memory as far as there is room, and rendered when they are needed
 /// otherwise.
 pub struct Supervisions {
-    data: GaussianData,
+    pub data: GaussianData,
     discs: BlendedMaps,
     /// `None` for views that are rendered again.
     views: Vec<Option<DepthAndNormal>>,
@@ -50,10 +50,6 @@ impl Supervisions {
             );
         }
         Ok(Self { data: discs.clone(), discs: on_device, views })
-    }
-
-    pub fn discs(&self) -> &GaussianData {
-        &self.data
     }
 
     /// The target of the training `view` with this `index`, on `device`.

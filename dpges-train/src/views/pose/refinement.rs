@@ -151,7 +151,9 @@ impl PoseState {
         refinement.waiting = later;
         for waiting in &due {
             refinement.step(waiting, step_of(waiting.step - 1));
-            refinement.hold_gauge();
+            let mut corrections: Vec<_> = refinement.corrections.iter().map(PoseCorrection::of_row).collect();
+            refinement.gauge.hold(&mut corrections);
+            refinement.corrections = corrections.iter().map(PoseCorrection::row).collect();
         }
         !due.is_empty()
     }
@@ -166,12 +168,6 @@ impl Refinement {
         step.adam.time = u64::from(self.steps[*view]);
         let [first, second] = &mut self.moments;
         step.take(&mut self.corrections[*view], [&mut first[*view], &mut second[*view]], gradient);
-    }
-
-    fn hold_gauge(&mut self) {
-        let mut corrections: Vec<PoseCorrection> = self.corrections.iter().map(PoseCorrection::of_row).collect();
-        self.gauge.hold(&mut corrections);
-        self.corrections = corrections.iter().map(PoseCorrection::row).collect();
     }
 }
 

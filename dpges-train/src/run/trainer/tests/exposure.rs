@@ -2,38 +2,11 @@
 
 use std::sync::Arc;
 
-use super::{STAGES, end_stage, trainer};
 use crate::dataset::{BuiltinOptions, View, builtin};
 use crate::eval::rendered::Renderer;
 use crate::eval::{Evaluation, Measures, evaluate_each};
 use crate::run::fixtures::{device, options, trained};
-use crate::views::corrections::ViewCorrections;
 use crate::views::exposure::Correction;
-
-#[test]
-fn exposures_are_learnt_around_their_mean_in_every_stage() {
-    let mut trainer = trainer(&[&STAGES[..], &["train.exposure=on"]].concat());
-    let mut before = vec![0.0; 18];
-    for stage in ["2dgs", "dbs", "joint"] {
-        assert_eq!(end_stage(&mut trainer), stage);
-        let checkpoint = trainer.checkpoint();
-        let after = checkpoint.attributes["exposure"].raw.clone();
-        assert!(after.iter().zip(&before).all(|(a, b)| a != b), "{stage}: {after:?}");
-        for column in 0..6 {
-            let sum: f32 = after.iter().skip(column).step_by(6).sum();
-            assert!(sum.abs() < 1e-5, "{stage}: column {column} sums to {sum}");
-        }
-        let named = trainer.view_corrections().exposure.unwrap();
-        assert_eq!(named.keys().collect::<Vec<_>>(), ["train_000", "train_001", "train_002"]);
-        assert!((named["train_001"].gain[0].ln() - f64::from(after[6])).abs() < 1e-6);
-        before = after;
-        if !trainer.is_in_last_stage() {
-            trainer.next_stage().unwrap();
-        }
-    }
-    let without = super::trainer(&["train.steps=9"]);
-    assert!(!without.corrects_exposure() && without.view_corrections() == ViewCorrections::default());
-}
 
 #[test]
 fn exposures_are_found_and_compensated() {

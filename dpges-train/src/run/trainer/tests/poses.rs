@@ -2,50 +2,12 @@
 
 use std::sync::Arc;
 
-use dpges_core::camera::CameraFromWorld;
 use glam::DVec3;
 
-use super::{STAGES, end_stage, trainer};
 use crate::config::SMALLEST_BUDGET_BY_PIXELS;
 use crate::dataset::{BuiltinOptions, Dataset, builtin};
 use crate::run::Trainer;
 use crate::run::fixtures::{config, dataset, device, options, trained};
-use crate::views::pose::PoseCorrection;
-use crate::views::pose::gauge::Gauge;
-
-#[test]
-fn poses_are_learnt_in_every_stage_but_for_what_all_have_in_common() {
-    let poses = ["train.poses=on", "optimizer.pose_from=0"];
-    let mut trainer = trainer(&[&STAGES[..], &poses].concat());
-    let recorded = dataset();
-    let cameras: Vec<CameraFromWorld> = recorded.train.iter().map(|view| view.camera.camera_from_world).collect();
-    let gauge = Gauge::new(&cameras, recorded.extent);
-    let mut before = vec![0.0; 18];
-    for stage in ["2dgs", "dbs", "joint"] {
-        assert_eq!(end_stage(&mut trainer), stage);
-        let after = trainer.checkpoint().attributes["poses"].raw.clone();
-        assert!(after.iter().zip(&before).all(|(a, b)| a != b), "{stage}: {after:?}");
-        let rows = after.as_chunks().0.iter();
-        let common = gauge.common(&rows.map(PoseCorrection::of_row).collect::<Vec<_>>());
-        let size = common.turn.length() + common.shift.length() + common.growth.abs();
-        assert!(size < 1e-6, "{stage}: {common:?}");
-        let poses = trainer.view_corrections().poses.unwrap();
-        assert_eq!(poses.keys().collect::<Vec<_>>(), ["train_000", "train_001", "train_002"]);
-        assert!((poses["train_001"].correction.rotation[2] - f64::from(after[8])).abs() < 1e-9);
-        for (now, recorded) in trainer.dataset().train.iter().zip(&recorded.train) {
-            let expected = poses[&now.name].correction.applied(&recorded.camera.camera_from_world);
-            assert!(now.camera.camera_from_world == expected && expected != recorded.camera.camera_from_world);
-        }
-        let changes = trainer.pose_changes().unwrap();
-        assert!(changes.mean_degrees > 0.0 && changes.largest_shift < 0.1, "{changes}");
-        before = after;
-        if !trainer.is_in_last_stage() {
-            trainer.next_stage().unwrap();
-        }
-    }
-    let without = super::trainer(&["train.steps=9"]);
-    assert!(without.view_corrections().poses.is_none() && !without.checkpoint().attributes.contains_key("poses"));
-}
 
 #[test]
 fn cameras_that_do_not_move_change_no_bit() {

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use dpges_core::camera::CameraFromWorld;
 use dpges_core::scene::{EnvironmentData, Rendering, SceneData};
 
 use super::{STAGES, after, end_stage, gaussians, trainer};
@@ -10,6 +11,9 @@ use crate::dataset::builtin;
 use crate::eval::evaluate;
 use crate::run::Trainer;
 use crate::run::fixtures::{config, dataset, device, options, step_until, trained};
+use crate::views::corrections::ViewCorrections;
+use crate::views::pose::PoseCorrection;
+use crate::views::pose::gauge::Gauge;
 
 #[test]
 fn stages_hand_on_what_they_trained() {
@@ -36,22 +40,56 @@ fn stages_hand_on_what_they_trained() {
 }
 
 #[test]
-fn an_environment_learns_in_every_stage_and_goes_from_one_to_the_next() {
-    let mut trainer = trainer(&STAGES);
-    let mut before = trainer.scene().environment.unwrap();
-    assert_eq!(before, EnvironmentData::neutral(1));
+fn what_is_learnt_beside_the_primitives_learns_in_every_stage_and_goes_from_one_to_the_next() {
+    let corrected = ["train.exposure=on", "train.poses=on", "optimizer.pose_from=0"];
+    let mut trainer = trainer(&[&STAGES[..], &corrected].concat());
+    let recorded = dataset();
+    let cameras: Vec<CameraFromWorld> = recorded.train.iter().map(|view| view.camera.camera_from_world).collect();
+    let gauge = Gauge::new(&cameras, recorded.extent);
+    let neutral = EnvironmentData::neutral(1);
+    assert_eq!(trainer.scene().environment.as_ref(), Some(&neutral));
+    let mut before = [vec![0.0; 18], vec![0.0; 18], neutral.coefficients];
     for stage in ["2dgs", "dbs", "joint"] {
-        assert_eq!(trainer.scene().environment.as_ref(), Some(&before), "{stage}");
+        assert_eq!(trainer.scene().environment.unwrap().coefficients, before[2], "{stage}");
         assert_eq!(end_stage(&mut trainer), stage);
-        let after = trainer.scene().environment.unwrap();
-        let pairs = after.coefficients.iter().zip(&before.coefficients);
-        assert!(pairs.clone().count() == 12 && pairs.clone().all(|(a, b)| a != b), "{stage}: {after:?}");
+        let checkpoint = trainer.checkpoint();
+        let after = ["exposure", "poses", "environment"].map(|name| checkpoint.attributes[name].raw.clone());
+        for (after, before) in after.iter().zip(&before) {
+            assert!(after.len() == before.len() && after.iter().zip(before).all(|(a, b)| a != b), "{stage}: {after:?}");
+        }
+        let [exposures, poses, _] = &after;
+        let ViewCorrections { exposure: Some(named), poses: Some(refined) } = trainer.view_corrections() else {
+            panic!("photographs and cameras are corrected")
+        };
+        for keys in [named.keys().collect::<Vec<_>>(), refined.keys().collect()] {
+            assert_eq!(keys, ["train_000", "train_001", "train_002"]);
+        }
+        // their means are 0
+        for column in 0..6 {
+            let sum: f32 = exposures.iter().skip(column).step_by(6).sum();
+            assert!(sum.abs() < 1e-5, "{stage}: column {column} sums to {sum}");
+        }
+        assert!((named["train_001"].gain[0].ln() - f64::from(exposures[6])).abs() < 1e-6);
+        // no part of them is a similarity of the whole world
+        let rows = poses.as_chunks().0.iter();
+        let common = gauge.common(&rows.map(PoseCorrection::of_row).collect::<Vec<_>>());
+        let size = common.turn.length() + common.shift.length() + common.growth.abs();
+        assert!(size < 1e-6, "{stage}: {common:?}");
+        assert!((refined["train_001"].correction.rotation[2] - f64::from(poses[8])).abs() < 1e-9);
+        for (now, recorded) in trainer.dataset().train.iter().zip(&recorded.train) {
+            let expected = refined[&now.name].correction.applied(&recorded.camera.camera_from_world);
+            assert!(now.camera.camera_from_world == expected && expected != recorded.camera.camera_from_world);
+        }
+        let changes = trainer.pose_changes().unwrap();
+        assert!(changes.mean_degrees > 0.0 && changes.largest_shift < 0.1, "{changes}");
         before = after;
         if !trainer.is_in_last_stage() {
             trainer.next_stage().unwrap();
         }
     }
-    assert_eq!(super::trainer(&["train.steps=9"]).scene().environment, None);
+    let without = super::trainer(&["train.steps=9"]);
+    assert!(!without.corrects_exposure() && without.view_corrections() == ViewCorrections::default());
+    assert!(without.scene().environment.is_none() && !without.checkpoint().attributes.contains_key("poses"));
 }
 
 #[test]
