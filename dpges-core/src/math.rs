@@ -188,6 +188,12 @@ impl<T: Real> CameraOf<T> {
         }
     }
 
+    /// Axes of a primitive, the columns of `world`, in camera axes, as columns.
+    #[inline(always)]
+    pub fn axes(&self, world: &M3<T>) -> M3<T> {
+        self.rotation.map(|row| std::array::from_fn(|j| dot(row, column(world, j))))
+    }
+
     /// World point in camera axes.
     #[inline(always)]
     pub fn transform(&self, world: V3<T>) -> V3<T> {

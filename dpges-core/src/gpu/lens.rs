@@ -5,7 +5,7 @@ mod range;
 
 use cubecl::prelude::*;
 
-pub use range::{Range, aside_x, aside_y, plus, times};
+pub use range::{Range, aside_ranges, plus, times};
 
 use super::vector::{Vec3, add, dot, scale, sin_cos, vec3};
 use crate::camera::Camera;
@@ -65,7 +65,6 @@ pub struct LensUniforms {
     pub in_sequence: bool,
 }
 
-/// Numbers of [`LensUniforms`].
 const NUMBERS: usize = 20;
 
 impl LensUniforms {
@@ -83,7 +82,6 @@ impl LensUniforms {
         Self::from_numbers(numbers, kind, [p1, p2, s1, s2, t1, t2] == [0.0; 6], distortion.in_sequence)
     }
 
-    /// Uniforms of a pinhole.
     pub fn none() -> LensUniformsLaunch {
         Self::from_numbers([0.0; NUMBERS], LensKind::None, true, false)
     }
@@ -232,7 +230,6 @@ fn radial_jacobian(a: f32, b: f32, value: f32, slope: f32) -> Mat2 {
     Mat2 { xx: value + 2.0f32 * a * a * slope, xy: across, yx: across, yy: value + 2.0f32 * b * b * slope }
 }
 
-/// Jacobian of [`distort`].
 #[cube]
 fn distort_jacobian(lens: LensUniforms, a: f32, b: f32) -> Mat2 {
     let factor = factor(lens, a * a + b * b);

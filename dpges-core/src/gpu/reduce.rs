@@ -37,8 +37,7 @@ pub fn sum_units(own: &Array<f32>, memory: &mut [f32], #[comptime] numbers: usiz
     sync_cube();
 }
 
-/// Finds the largest number of all units of the cube: it is the first of `memory`, which holds [`UNITS`], and whose contents
-/// before are lost. All units of the cube must call this together.
+/// [`sum_units`] for the largest number of all units: it is the first of `memory`, which holds [`UNITS`].
 #[cube]
 pub fn max_units(own: f32, memory: &mut [f32]) {
     let unit = UNIT_POS as usize;

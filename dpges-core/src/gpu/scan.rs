@@ -67,6 +67,19 @@ pub fn scan_units(own: u32, memory: &mut [u32]) -> Scanned {
     Scanned { before, total }
 }
 
+/// The sum of the values of a unit, whose first is at `first`.
+#[cube]
+fn own_sum(values: &[u32], first: usize, count: u32) -> u32 {
+    let mut own = 0u32;
+    #[unroll]
+    for number in 0..PER_UNIT {
+        if first + number < count as usize {
+            own = plus(own, values[first + number]);
+        }
+    }
+    own
+}
+
 /// The sum of every block.
 #[cube(launch)]
 fn sums_kernel(values: &[u32], sums: &mut [u32], count: u32) {
@@ -75,14 +88,7 @@ fn sums_kernel(values: &[u32], sums: &mut [u32], count: u32) {
     }
     let mut memory = Shared::<[u32]>::new_slice(SCAN);
     let first = CUBE_POS * BLOCK + UNIT_POS as usize * PER_UNIT;
-    let mut own = 0u32;
-    #[unroll]
-    for number in 0..PER_UNIT {
-        if first + number < count as usize {
-            own = plus(own, values[first + number]);
-        }
-    }
-    let sum = scan_units(own, &mut memory);
+    let sum = scan_units(own_sum(values, first, count), &mut memory);
     if UNIT_POS == 0u32 {
         sums[CUBE_POS] = sum.total;
     }
@@ -122,14 +128,7 @@ fn starts_kernel(values: &[u32], blocks: &[u32], starts: &mut [u32], count: u32,
         before = blocks[CUBE_POS];
     }
     let first = CUBE_POS * BLOCK + UNIT_POS as usize * PER_UNIT;
-    let mut own = 0u32;
-    #[unroll]
-    for number in 0..PER_UNIT {
-        if first + number < count as usize {
-            own = plus(own, values[first + number]);
-        }
-    }
-    let mut sum = plus(before, scan_units(own, &mut memory).before);
+    let mut sum = plus(before, scan_units(own_sum(values, first, count), &mut memory).before);
     #[unroll]
     for number in 0..PER_UNIT {
         let at = first + number;

@@ -1,10 +1,12 @@
 //! Three-vectors, rotations and elementary functions on the device; the CPU's are in [`crate::math`].
 
 use cubecl::prelude::*;
+use glam::{DMat3, DVec3};
 
 use super::record::{Record, record};
 
 record! {
+    #[derive(CubeLaunch)]
     pub struct Vec3 {
         pub x: f32,
         pub y: f32,
@@ -12,13 +14,25 @@ record! {
     }
 }
 
+impl Vec3Launch {
+    pub fn of(v: DVec3) -> Self {
+        Self::new(v.x as f32, v.y as f32, v.z as f32)
+    }
+}
+
 /// A 3 × 3 matrix by rows.
-#[derive(CubeType, Clone, Copy)]
+#[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub struct Mat3 {
     pub row0: Vec3,
     pub row1: Vec3,
     pub row2: Vec3,
+}
+
+impl Mat3Launch {
+    pub fn of(m: DMat3) -> Self {
+        Self::new(Vec3Launch::of(m.row(0)), Vec3Launch::of(m.row(1)), Vec3Launch::of(m.row(2)))
+    }
 }
 
 record! {
@@ -169,7 +183,7 @@ pub fn rotation(q: Quaternion) -> Mat3 {
     }
 }
 
-/// Gradient with respect to the raw quaternion from the gradient `d` with respect to its rotation.
+/// [`crate::math::rotation_backward`]
 #[cube]
 pub fn rotation_backward(raw: Quaternion, d: Mat3) -> Quaternion {
     let (q, inverse_length) = unit(raw);
@@ -192,8 +206,7 @@ pub fn rotation_backward(raw: Quaternion, d: Mat3) -> Quaternion {
     }
 }
 
-/// Gradient with respect to the raw quaternion from the gradient with respect to a turn about each axis of the frame that
-/// the quaternion rotates, in radians.
+/// [`crate::math::turn_backward`]
 #[cube]
 pub fn turn_backward(raw: Quaternion, turn: Vec3) -> Quaternion {
     let (q, inverse_length) = unit(raw);

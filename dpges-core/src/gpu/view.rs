@@ -1,9 +1,11 @@
 //! A camera as kernels see it.
 
 use cubecl::prelude::*;
+use glam::DMat3;
 
 use super::lens::{LensKind, LensUniforms, ray};
-use super::vector::{Mat3, Vec3, add, apply, dot, scale, transpose, vec3};
+use super::rect::Rect;
+use super::vector::{Mat3, Mat3Launch, Vec3, Vec3Launch, add, apply, dot, scale, transpose, vec3};
 use crate::camera::Camera;
 use crate::tiles::TileGrid;
 
@@ -11,22 +13,11 @@ use crate::tiles::TileGrid;
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub struct CameraUniforms {
-    pub r00: f32,
-    pub r01: f32,
-    pub r02: f32,
-    pub r10: f32,
-    pub r11: f32,
-    pub r12: f32,
-    pub r20: f32,
-    pub r21: f32,
-    pub r22: f32,
-    pub tx: f32,
-    pub ty: f32,
-    pub tz: f32,
+    /// From world to camera axes.
+    pub rotation: Mat3,
+    pub translation: Vec3,
     /// Camera centre in world units.
-    pub centre_x: f32,
-    pub centre_y: f32,
-    pub centre_z: f32,
+    pub centre: Vec3,
     pub fx: f32,
     pub fy: f32,
     pub cx: f32,
@@ -46,27 +37,12 @@ pub struct CameraUniforms {
 
 impl CameraUniforms {
     pub fn launch(camera: &Camera) -> CameraUniformsLaunch {
-        let rotation = camera.camera_from_world.rotation.transpose().to_cols_array_2d();
-        let [r0, r1, r2] = rotation.map(|row| row.map(|v| v as f32));
-        let t = camera.camera_from_world.translation.to_array().map(|v| v as f32);
-        let centre = camera.centre().to_array().map(|v| v as f32);
+        let pose = &camera.camera_from_world;
         let grid = TileGrid::new(camera.width, camera.height);
         CameraUniformsLaunch::new(
-            r0[0],
-            r0[1],
-            r0[2],
-            r1[0],
-            r1[1],
-            r1[2],
-            r2[0],
-            r2[1],
-            r2[2],
-            t[0],
-            t[1],
-            t[2],
-            centre[0],
-            centre[1],
-            centre[2],
+            Mat3Launch::of(pose.rotation),
+            Vec3Launch::of(pose.translation),
+            Vec3Launch::of(camera.centre()),
             camera.fx as f32,
             camera.fy as f32,
             camera.cx as f32,
@@ -83,26 +59,17 @@ impl CameraUniforms {
     }
 }
 
-#[cube]
-pub fn view_rotation(view: CameraUniforms) -> Mat3 {
-    Mat3 {
-        row0: vec3(view.r00, view.r01, view.r02),
-        row1: vec3(view.r10, view.r11, view.r12),
-        row2: vec3(view.r20, view.r21, view.r22),
-    }
-}
-
 /// Axes of a primitive, the columns of `world`, in camera axes, by rows.
 #[cube]
 pub fn camera_axes(view: CameraUniforms, world: Mat3) -> Mat3 {
-    let (pose, axes) = (view_rotation(view), transpose(world));
+    let (pose, axes) = (view.rotation, transpose(world));
     Mat3 { row0: apply(pose, axes.row0), row1: apply(pose, axes.row1), row2: apply(pose, axes.row2) }
 }
 
 /// World point in camera axes.
 #[cube]
 pub fn to_camera(view: CameraUniforms, world: Vec3) -> Vec3 {
-    add(apply(view_rotation(view), world), vec3(view.tx, view.ty, view.tz))
+    add(apply(view.rotation, world), view.translation)
 }
 
 /// Depth of a point in camera axes.
@@ -115,9 +82,9 @@ pub fn view_depth(view: CameraUniforms, point: Vec3) -> f32 {
 #[cube]
 pub fn depth_slope(view: CameraUniforms, point: Vec3) -> Vec3 {
     if comptime!(view.lens.kind == LensKind::Arc) {
-        apply(transpose(view_rotation(view)), scale(point, 1.0f32 / view_depth(view, point)))
+        apply(transpose(view.rotation), scale(point, 1.0f32 / view_depth(view, point)))
     } else {
-        view_rotation(view).row2
+        view.rotation.row2
     }
 }
 
@@ -141,22 +108,20 @@ pub fn pixel_range(low: f32, high: f32, size: u32) -> (u32, u32) {
     (u32::cast_from(first), u32::cast_from(end))
 }
 
+/// Pixels whose centres lie in [x0, x1] and [y0, y1] px; none unless `visible`.
+#[cube]
+pub fn pixels_within(view: CameraUniforms, visible: bool, x0: f32, x1: f32, y0: f32, y1: f32) -> Rect {
+    let (first_x, end_x) = pixel_range(x0, x1, view.width);
+    let (first_y, end_y) = pixel_range(y0, y1, view.height);
+    Rect { x0: first_x, x1: select(visible, end_x, first_x), y0: first_y, y1: select(visible, end_y, first_y) }
+}
+
 /// Rounding errors of [`CameraUniforms`]: a number of the camera in f64 is the sum of the two.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub struct Rests {
-    pub r00: f32,
-    pub r01: f32,
-    pub r02: f32,
-    pub r10: f32,
-    pub r11: f32,
-    pub r12: f32,
-    pub r20: f32,
-    pub r21: f32,
-    pub r22: f32,
-    pub centre_x: f32,
-    pub centre_y: f32,
-    pub centre_z: f32,
+    pub rotation: Mat3,
+    pub centre: Vec3,
     pub fx: f32,
     pub fy: f32,
     pub cx: f32,
@@ -165,10 +130,10 @@ pub struct Rests {
 
 impl Rests {
     pub fn launch(camera: &Camera) -> RestsLaunch {
-        let rest = |v: f64| (v - f64::from(v as f32)) as f32;
-        let [r0, r1, r2] = camera.camera_from_world.rotation.transpose().to_cols_array_2d().map(|row| row.map(rest));
-        let [x, y, z] = camera.centre().to_array().map(rest);
-        let [fx, fy, cx, cy] = [camera.fx, camera.fy, camera.cx, camera.cy].map(rest);
-        RestsLaunch::new(r0[0], r0[1], r0[2], r1[0], r1[1], r1[2], r2[0], r2[1], r2[2], x, y, z, fx, fy, cx, cy)
+        let rest = |v: f64| v - f64::from(v as f32);
+        let [fx, fy, cx, cy] = [camera.fx, camera.fy, camera.cx, camera.cy].map(|v| rest(v) as f32);
+        let rotation = DMat3::from_cols_array(&camera.camera_from_world.rotation.to_cols_array().map(rest));
+        let centre = camera.centre().map(rest);
+        RestsLaunch::new(Mat3Launch::of(rotation), Vec3Launch::of(centre), fx, fy, cx, cy)
     }
 }

@@ -17,16 +17,6 @@ thread_local! {
 /// Lengths are postponed as long as it lives; then as before.
 struct Scope(Option<Vec<Pending>>);
 
-impl Scope {
-    fn open() -> Self {
-        Self(PENDING.replace(Some(Vec::new())))
-    }
-
-    fn close(self) -> Vec<Pending> {
-        PENDING.take().unwrap_or_default()
-    }
-}
-
 impl Drop for Scope {
     fn drop(&mut self) {
         PENDING.set(self.0.take());
@@ -40,14 +30,13 @@ impl Drop for Scope {
 ///
 /// `work` may thus be called twice, and must leave nothing behind by which the second call could tell. On a CPU it is called
 /// once: lists in host memory always have room.
-///
-/// # Panics
-/// If the device does not answer.
 pub fn defer_readback<T>(mut work: impl FnMut() -> T) -> T {
-    let scope = Scope::open();
+    let scope = Scope(PENDING.replace(Some(Vec::new())));
     let result = work();
+    let postponed = PENDING.take().unwrap_or_default();
+    drop(scope);
     // all are asked, since each says how much room the next list of its kind needs
-    let without_room = scope.close().into_iter().map(|pending| pending()).filter(|had_room| !had_room).count();
+    let without_room = postponed.into_iter().map(|pending| pending()).filter(|had_room| !had_room).count();
     if without_room == 0 {
         return result;
     }
@@ -63,9 +52,6 @@ pub(crate) fn is_deferred() -> bool {
 
 /// Has [`defer_readback`] call `pending` when everything is launched. It waits for the length of a list, and returns
 /// whether the list had room.
-///
-/// # Panics
-/// Outside of [`defer_readback`].
 #[cfg(any(test, feature = "gpu"))]
 pub(crate) fn postpone(pending: impl FnOnce() -> bool + 'static) {
     PENDING.with_borrow_mut(|all| {

@@ -14,13 +14,11 @@ use crate::backend::real::Real;
 
 /// Edge of a square tile, px.
 pub(crate) const TILE: usize = 16;
-/// Pixels of a tile.
 pub(crate) const TILE_PIXELS: usize = TILE * TILE;
 /// Size of the regions of a tile, px: GPU kernels ask the pixels of a region together about a Gaussian, or none of them.
 pub(crate) const REGION_WIDTH: usize = 8;
 pub(crate) const REGION_HEIGHT: usize = 4;
 
-/// The tiles of an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct TileGrid {
     /// Image size, px.

@@ -2,7 +2,6 @@
 
 use cubecl::prelude::*;
 
-/// A 2 × 2 matrix.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub struct Mat2 {

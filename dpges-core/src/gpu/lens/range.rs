@@ -4,7 +4,6 @@ use cubecl::prelude::*;
 
 use super::LensUniforms;
 
-/// An interval.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub struct Range {
@@ -38,24 +37,16 @@ fn squared(a: Range) -> Range {
     Range { low: select(holds_zero, 0.0f32, min(low, high)), high: max(low, high) }
 }
 
-/// Range of t r⁴ over ranges of positions.
+/// Ranges of [`aside`](super::aside) in x and in y over ranges of positions.
 #[cube]
-fn quartic(u: Range, v: Range, t: f32) -> Range {
-    scaled(squared(plus(squared(u), squared(v))), t)
-}
-
-/// Range of [`aside`](super::aside) in x over ranges of positions.
-#[cube]
-pub fn aside_x(lens: LensUniforms, u: Range, v: Range) -> Range {
-    let mixed = scaled(times(u, v), 2.0f32 * lens.p1);
-    let along = scaled(squared(u), 3.0f32 * lens.p2 + lens.s1);
-    plus(mixed, plus(along, plus(scaled(squared(v), lens.p2 + lens.s1), quartic(u, v, lens.t1))))
-}
-
-/// Range of [`aside`](super::aside) in y.
-#[cube]
-pub fn aside_y(lens: LensUniforms, u: Range, v: Range) -> Range {
-    let mixed = scaled(times(u, v), 2.0f32 * lens.p2);
-    let along = scaled(squared(v), 3.0f32 * lens.p1 + lens.s2);
-    plus(mixed, plus(along, plus(scaled(squared(u), lens.p1 + lens.s2), quartic(u, v, lens.t2))))
+pub fn aside_ranges(lens: LensUniforms, u: Range, v: Range) -> (Range, Range) {
+    let (uu, vv, uv) = (squared(u), squared(v), times(u, v));
+    let quartic = squared(plus(uu, vv));
+    let mixed_x = scaled(uv, 2.0f32 * lens.p1);
+    let along_x = scaled(uu, 3.0f32 * lens.p2 + lens.s1);
+    let x = plus(mixed_x, plus(along_x, plus(scaled(vv, lens.p2 + lens.s1), scaled(quartic, lens.t1))));
+    let mixed_y = scaled(uv, 2.0f32 * lens.p2);
+    let along_y = scaled(vv, 3.0f32 * lens.p1 + lens.s2);
+    let y = plus(mixed_y, plus(along_y, plus(scaled(uu, lens.p1 + lens.s2), scaled(quartic, lens.t2))));
+    (x, y)
 }

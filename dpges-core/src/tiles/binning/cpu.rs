@@ -103,6 +103,7 @@ pub fn bin(rects: &[PixelRect], grid: TileGrid, touches: impl Fn(usize, usize, u
 mod tests {
     use super::*;
     use crate::error::Error;
+    use crate::testing::random::Random;
     use crate::tiles::capacity::within_capacity;
 
     #[test]
@@ -117,31 +118,23 @@ mod tests {
     #[test]
     fn every_primitive_is_listed_once_in_each_tile_it_touches_and_in_order() {
         let grid = TileGrid::new(75, 50);
-        let mut state = 1u32;
-        let mut random = |below: u32| {
-            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            (state >> 8) % below
+        let mut random = Random::new(1);
+        let mut below = |count: usize| random.below(count) as u32;
+        let mut rect = || {
+            let (x0, y0) = (below(75), below(50));
+            PixelRect { x0, x1: (x0 + below(30)).min(75), y0, y1: (y0 + 1 + below(30)).min(50) }
         };
-        let rects: Vec<_> = (0..10_000)
-            .map(|_| {
-                let (x0, y0) = (random(75), random(50));
-                PixelRect { x0, x1: (x0 + random(30)).min(75), y0, y1: (y0 + 1 + random(30)).min(50) }
-            })
-            .collect();
+        let rects: Vec<_> = (0..10_000).map(|_| rect()).collect();
         let lists = bin(&rects, grid, |id, tx, _| id % 3 != 0 || tx % 2 == 0);
         for tile in 0..grid.len() {
             let (x, y) = grid.origin(tile);
-            let expected: Vec<u32> = (0..rects.len())
-                .filter(|&id| {
-                    let [cx0, cx1, cy0, cy1] = rects[id].within_tile((x, y));
-                    !rects[id].is_empty()
-                        && cx0 < cx1
-                        && cy0 < cy1
-                        && (id % 3 != 0 || (tile % grid.columns).is_multiple_of(2))
-                })
-                .map(|id| id as u32)
-                .collect();
-            assert_eq!(lists.of(tile), expected);
+            let is_listed = |&id: &u32| {
+                let rect = rects[id as usize];
+                let [cx0, cx1, cy0, cy1] = rect.within_tile((x, y));
+                let touches = id % 3 != 0 || (tile % grid.columns).is_multiple_of(2);
+                !rect.is_empty() && cx0 < cx1 && cy0 < cy1 && touches
+            };
+            assert_eq!(lists.of(tile), (0..10_000).filter(is_listed).collect::<Vec<u32>>());
         }
     }
 }

@@ -40,7 +40,7 @@ pub struct Pairs {
     /// [primitives + 1] the first pair of each primitive
     pub starts: CubeTensor,
     /// `[pairs]` tile of every pair, or the number of tiles where the primitive does not touch it, or there is no pair
-    tiles: CubeTensor,
+    pub tiles: CubeTensor,
     /// `[pairs]` of any value where there is no pair
     pub primitives: CubeTensor,
 }
@@ -106,11 +106,9 @@ fn offsets_kernel(sorted: &[u32], offsets: &mut [u32], tiles: u32, count: u32) {
     offsets[tile] = lower_bound(sorted, 0u32, count, tile as u32);
 }
 
-/// The list of a tile.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub struct TileList {
-    /// Place of the first entry.
     pub start: u32,
     pub length: u32,
 }
@@ -129,7 +127,6 @@ impl TileList {
         TileList { start: low, length: min(high - low, count) }
     }
 
-    /// Primitive at place `at` of the list.
     pub fn entry(&self, ids: &[u32], at: u32) -> u32 {
         ids[(self.start + at) as usize]
     }
@@ -137,11 +134,6 @@ impl TileList {
     /// Batches of [`UNITS`] entries.
     pub fn batches(&self) -> u32 {
         self.length.div_ceil(UNITS)
-    }
-
-    /// Number of entries of a batch.
-    pub fn batch_length(&self, batch: u32) -> u32 {
-        min(UNITS, self.length - batch * UNITS)
     }
 
     /// Copies a batch into workgroup memory and returns its number of entries. The record of an entry is the
@@ -173,7 +165,7 @@ impl TileList {
             }
         }
         sync_cube();
-        self.batch_length(batch)
+        min(UNITS, self.length - batch * UNITS)
     }
 }
 
@@ -215,11 +207,6 @@ impl Pairs {
     /// their order.
     pub fn by_tile(&self, values: &CubeTensor, grid: TileGrid) -> (CubeTensor, CubeTensor) {
         by_tile(self.tiles.clone(), values.clone(), grid)
-    }
-
-    /// `[pairs]` tile of every pair, or the number of tiles where the primitive does not touch it, or there is no pair
-    pub fn tiles(&self) -> &CubeTensor {
-        &self.tiles
     }
 }
 

@@ -11,17 +11,9 @@ use crate::testing::scenes::{Recipe, TestScene, random};
 
 /// 3 × 2 tiles; a pixel is 1/32 of a world unit at depth 1.
 fn camera() -> Camera {
-    Camera {
-        camera_from_world: CameraFromWorld { rotation: DMat3::IDENTITY, translation: DVec3::ZERO },
-        fx: 32.0,
-        fy: 32.0,
-        cx: 24.0,
-        cy: 16.0,
-        width: 48,
-        height: 32,
-        near: 0.1,
-        lens: None,
-    }
+    let camera_from_world = CameraFromWorld { rotation: DMat3::IDENTITY, translation: DVec3::ZERO };
+    let (fx, fy, cx, cy) = (32.0, 32.0, 24.0, 16.0);
+    Camera { camera_from_world, fx, fy, cx, cy, width: 48, height: 32, near: 0.1, lens: None }
 }
 
 /// Round Gaussians of 1 px whose centres are at (x, y) px and depth z.
@@ -77,16 +69,22 @@ fn brute_force(scene: &TestScene) -> (usize, usize) {
     ((0..surfels.len()).map(of_surfel).sum(), (0..gaussians.len()).map(of_gaussian).sum())
 }
 
+/// The work of surfels and of Gaussians, whose pairs inside are those of [`brute_force`], more than `least`.
+fn checked(name: &str, scene: &TestScene, least: usize) -> [TileWork; 2] {
+    let (surfels, gaussians) = brute_force(scene);
+    let of_surfels = surfel_work(&scene.surfels, &scene.camera, &PeelOptions::default());
+    let of_gaussians = gaussian_work(&scene.gaussians, &scene.camera, ScreenFilter::Compensated, None);
+    assert!(surfels > least && gaussians > least, "{name}: {surfels}, {gaussians}: too few to compare");
+    assert_eq!(of_surfels.inside_pairs, surfels as u64, "{name}");
+    assert_eq!(of_gaussians.inside_pairs, gaussians as u64, "{name}");
+    [of_surfels, of_gaussians]
+}
+
 #[test]
 fn pairs_inside_are_those_of_every_primitive_drawn_alone() {
     for seed in 1..4 {
         let scene = random(seed, &Recipe { width: 50, height: 35, ..Recipe::default() });
-        let (surfels, gaussians) = brute_force(&scene);
-        let of_surfels = surfel_work(&scene.surfels, &scene.camera, &PeelOptions::default());
-        let of_gaussians = gaussian_work(&scene.gaussians, &scene.camera, ScreenFilter::Compensated, None);
-        assert!(surfels > 100 && gaussians > 100, "seed {seed}: {surfels}, {gaussians}: too few to compare");
-        assert_eq!(of_surfels.inside_pairs, surfels as u64, "seed {seed}");
-        assert_eq!(of_gaussians.inside_pairs, gaussians as u64, "seed {seed}");
+        let [of_surfels, of_gaussians] = checked(&format!("seed {seed}"), &scene, 100);
         for work in [of_surfels, of_gaussians] {
             let share = work.inside_share().unwrap();
             assert!(work.tiles == 12 && share > 0.0 && share < 1.0, "seed {seed}: {work:?}");
@@ -102,11 +100,6 @@ fn pairs_inside_are_those_that_lenses_show() {
     for (name, distortion) in every_model().into_iter().step_by(4) {
         let mut scene = random(2, &Recipe { width: 50, height: 35, ..Recipe::default() });
         scene.camera = behind(scene.camera, distortion, 120.0);
-        let (surfels, gaussians) = brute_force(&scene);
-        let of_surfels = surfel_work(&scene.surfels, &scene.camera, &PeelOptions::default());
-        let of_gaussians = gaussian_work(&scene.gaussians, &scene.camera, ScreenFilter::Compensated, None);
-        assert!(surfels > 0 && gaussians > 0, "{name}: {surfels}, {gaussians}");
-        assert_eq!(of_surfels.inside_pairs, surfels as u64, "{name}");
-        assert_eq!(of_gaussians.inside_pairs, gaussians as u64, "{name}");
+        checked(name, &scene, 0);
     }
 }

@@ -22,7 +22,6 @@ pub const JACOBIAN_MARGIN: f64 = 0.15;
 /// Scales are relative to the largest, or to this if that is smaller, world units.
 pub const LEAST_SCALE: f64 = 1e-37;
 
-/// Raw parameters of one Gaussian.
 #[derive(Clone, Copy, Debug)]
 pub struct Parameters<T> {
     pub position: V3<T>,
@@ -176,7 +175,6 @@ impl<T: Real> Projection<T> {
         [add(cross(times(self.squares(), v1), self.crossed), scale(a0, along)), v1]
     }
 
-    /// Squares of the relative scales.
     #[inline(always)]
     fn squares(&self) -> V3<T> {
         times(self.relative, self.relative)
@@ -226,8 +224,13 @@ impl<T: Real> Splat<T> {
 
     /// Pixels at which the weight can reach the cutoff: the bounding box of the ellipse.
     pub fn reach(&self, width: usize, height: usize) -> PixelRect {
+        self.reach_within(f64::INFINITY, width, height)
+    }
+
+    /// [`reach`](Self::reach) up to an offset in x or y from the mean, px.
+    fn reach_within(&self, bound: f64, width: usize, height: usize) -> PixelRect {
         let squared = self.squared_radius.as_f64() * (1.0 + 1e-5);
-        let [half_x, half_y] = self.variances.map(|variance| (squared * variance.as_f64()).sqrt());
+        let [half_x, half_y] = self.variances.map(|variance| (squared * variance.as_f64()).sqrt().min(bound));
         let (x, y) = (self.mean[0].as_f64(), self.mean[1].as_f64());
         PixelRect::covering([x - half_x, x + half_x, y - half_y, y + half_y], width, height)
     }
@@ -293,7 +296,6 @@ impl<T: Real> Splat<T> {
     }
 }
 
-/// Gradients with respect to the raw parameters.
 #[derive(Clone, Copy, Debug)]
 pub struct ParameterGrad<T> {
     pub position: V3<T>,
@@ -312,7 +314,6 @@ struct ShapeGrad<T> {
     half: [V3<T>; 2],
 }
 
-/// The gradients that the exponents of the pixels make.
 #[inline(always)]
 fn exponent_backward<T: Real>(projection: &Projection<T>, splat: &Splat<T>, sum: &SplatGrad<T>) -> ShapeGrad<T> {
     let [.., muu, muv, mvv] = sum.moments;
@@ -333,7 +334,6 @@ fn exponent_backward<T: Real>(projection: &Projection<T>, splat: &Splat<T>, sum:
     }
 }
 
-/// The gradients that the ratio of the determinants makes.
 #[inline(always)]
 fn ratio_backward<T: Real>(projection: &Projection<T>, grad_ratio: T) -> ShapeGrad<T> {
     let Projection { relative, axes: [a0, a1], crossed, low_pass, determinant, ratio, lack, .. } = *projection;
@@ -443,7 +443,6 @@ fn pinhole_backward<T: Real>(
     grad_centre
 }
 
-/// [`pinhole_backward`] through a lens.
 fn lens_backward<T: Real>(
     lens: &Lens,
     camera: &CameraOf<T>,

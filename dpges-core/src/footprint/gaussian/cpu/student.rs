@@ -14,7 +14,6 @@ use crate::math::{CameraOf, V3};
 use crate::scene::ScreenFilter;
 use crate::tiles::PixelRect;
 
-/// Footprint of one such Gaussian.
 #[derive(Clone, Copy, Debug)]
 pub struct Student<T> {
     /// Its strength is |o|, its squared radius that at which |α| reaches the cutoff.
@@ -56,11 +55,7 @@ impl<T: Real> Student<T> {
 
     /// Pixels at which it can be drawn.
     pub fn reach(&self, width: usize, height: usize) -> PixelRect {
-        let squared = self.ellipse.squared_radius.as_f64() * (1.0 + 1e-5);
-        let bound = self.bound.as_f64() * (1.0 + 1e-6);
-        let [half_x, half_y] = self.ellipse.variances.map(|variance| (squared * variance.as_f64()).sqrt().min(bound));
-        let (x, y) = (self.ellipse.mean[0].as_f64(), self.ellipse.mean[1].as_f64());
-        PixelRect::covering([x - half_x, x + half_x, y - half_y, y + half_y], width, height)
+        self.ellipse.reach_within(self.bound.as_f64() * (1.0 + 1e-6), width, height)
     }
 
     /// r², and ln(1 + r² / ν), at offsets (`dx`, `dy`) px from the mean.

@@ -6,7 +6,7 @@ use super::Moments;
 use super::projection::{MIN_RATIO, Projection, compensation, differences, pairs, root};
 use crate::gpu::lens::{LensKind, look_backward};
 use crate::gpu::vector::{Quaternion, Vec3, add, apply, cross, dot, scale, times, transpose, turn_backward, vec3};
-use crate::gpu::view::{CameraUniforms, view_rotation};
+use crate::gpu::view::CameraUniforms;
 use crate::scene::ScreenFilter;
 
 #[derive(CubeType, Clone, Copy)]
@@ -18,8 +18,7 @@ pub struct SplatGradient {
     pub opacity: f32,
 }
 
-/// Gradients with respect to the logarithms of the scales, to turns about the axes of the Gaussian, and to the rows of
-/// J W R S.
+/// See the twin.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 struct ShapeGradient {
@@ -29,7 +28,6 @@ struct ShapeGradient {
     half1: Vec3,
 }
 
-/// The gradients that the exponents of the pixels make.
 #[cube]
 fn exponent_backward(p: Projection, root: Vec3, moments: Moments) -> ShapeGradient {
     let squares = times(p.relative, p.relative);
@@ -50,7 +48,6 @@ fn exponent_backward(p: Projection, root: Vec3, moments: Moments) -> ShapeGradie
     }
 }
 
-/// The gradients that the ratio of the determinants makes.
 #[cube]
 fn ratio_backward(p: Projection, grad_ratio: f32) -> ShapeGradient {
     let (relative, a0, a1, crossed) = (p.relative, p.axes0, p.axes1, p.crossed);
@@ -115,7 +112,7 @@ fn shape_backward(p: Projection, root: Vec3, moments: Moments, #[comptime] filte
 #[cube]
 fn pinhole_backward(view: CameraUniforms, p: Projection, grad_x: f32, grad_y: f32, shape: ShapeGradient) -> Vec3 {
     let z = p.centre.z;
-    let turned = apply(transpose(p.rotation), view_rotation(view).row2);
+    let turned = apply(transpose(p.rotation), view.rotation.row2);
     let depths = times(turned, scale(p.relative, p.largest));
     // row 0 of J W = fx / z (W₀ − s_x W₂), s_x = x / z unless clamped; 1 / z acts like all scales at once
     let grad_slope_x = -p.local.free_x * view.fx / z * dot(shape.half0, depths);
@@ -130,10 +127,9 @@ fn pinhole_backward(view: CameraUniforms, p: Projection, grad_x: f32, grad_y: f3
     vec3(centre_x, centre_y, centre_z)
 }
 
-/// [`pinhole_backward`] through a lens.
 #[cube]
 fn lens_backward(view: CameraUniforms, p: Projection, grad_x: f32, grad_y: f32, shape: ShapeGradient) -> Vec3 {
-    let (pose, scales) = (view_rotation(view), scale(p.relative, p.largest));
+    let (pose, scales) = (view.rotation, scale(p.relative, p.largest));
     let plane0 = apply(p.rotation, times(scales, shape.half0));
     let plane1 = apply(p.rotation, times(scales, shape.half1));
     let (row0, row1) = (scale(apply(pose, plane0), view.fx), scale(apply(pose, plane1), view.fy));
@@ -149,7 +145,6 @@ fn centre_backward(view: CameraUniforms, p: Projection, grad_x: f32, grad_y: f32
     }
 }
 
-/// From the moments to the raw parameters.
 #[cube]
 pub fn splat_backward(
     view: CameraUniforms,
@@ -168,7 +163,7 @@ pub fn splat_backward(
     let grad_strength = total / max(strength, 1e-30f32);
     let grad_centre = centre_backward(view, p, grad_x, grad_y, shape);
     SplatGradient {
-        position: apply(transpose(view_rotation(view)), grad_centre),
+        position: apply(transpose(view.rotation), grad_centre),
         quaternion: turn_backward(raw_quaternion, shape.turn),
         log_scales: shape.log_scales,
         opacity: select(raw_opacity > 0.0f32, grad_strength * dimming, 0.0f32),

@@ -13,7 +13,7 @@ use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
 use self::gradients::{SplatGradient, splat_backward};
-use self::projection::{project, splat_of};
+use self::projection::{Projection, project, splat_of};
 use super::tensors::GaussianTensors;
 use crate::camera::Camera;
 use crate::footprint::CUTOFF;
@@ -29,7 +29,6 @@ use crate::scene::ScreenFilter;
 pub const CUTOFF_F32: f32 = CUTOFF as f32;
 pub const INVERSE_CUTOFF: f32 = (1.0 / CUTOFF) as f32;
 
-/// Number of values in a [`Splat`].
 pub const SPLAT: usize = Splat::LEN;
 
 record! {
@@ -107,7 +106,6 @@ impl Splat {
     }
 }
 
-/// A point of a rectangle.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub struct Nearest {
@@ -155,12 +153,40 @@ pub fn add_moments(own: &mut Array<f32>, power: f32, u: f32, v: f32) {
     own[5] += power * v * v;
 }
 
+/// The parameters of Gaussians, as in [`GaussianTensors`].
+#[derive(CubeType, CubeLaunch)]
+pub struct GaussianBuffers {
+    pub positions: Box<[f32]>,
+    pub quaternions: Box<[f32]>,
+    pub log_scales: Box<[f32]>,
+    pub opacities: Box<[f32]>,
+}
+
+impl GaussianBuffers {
+    pub fn launch(gaussians: &GaussianTensors<CubeBackend>) -> GaussianBuffersLaunch {
+        GaussianBuffersLaunch::new(
+            buffer(&gaussians.positions),
+            buffer(&gaussians.quaternions),
+            buffer(&gaussians.log_scales),
+            buffer(&gaussians.opacities),
+        )
+    }
+}
+
+#[cube]
+fn projection_of(
+    gaussians: &GaussianBuffers,
+    view: CameraUniforms,
+    i: usize,
+    #[comptime] filter: ScreenFilter,
+) -> Projection {
+    let position = row3(&gaussians.positions, i);
+    project(view, position, row4(&gaussians.quaternions, i), row3(&gaussians.log_scales, i), filter)
+}
+
 #[cube(launch)]
 fn splats_kernel(
-    positions: &[f32],
-    quaternions: &[f32],
-    log_scales: &[f32],
-    opacities: &[f32],
+    gaussians: &GaussianBuffers,
     order: &[u32],
     splats: &mut [f32],
     rects: &mut [u32],
@@ -177,24 +203,46 @@ fn splats_kernel(
     if comptime!(ordered) {
         i = order[rank] as usize;
     }
-    let projection = project(view, row3(positions, i), row4(quaternions, i), row3(log_scales, i), filter);
-    let (splat, rect) = splat_of(view, projection, opacities[i], filter);
+    let projection = projection_of(gaussians, view, i, filter);
+    let (splat, rect) = splat_of(view, projection, gaussians.opacities[i], filter);
     Splat::store(splat, splats, rank * SPLAT);
     rect.store(rects, rank);
 }
 
+/// Writes the gradients of Gaussian `i`: those of the position and the opacity if `of_place`, else those of the quaternion
+/// and the log-scales. Kernels are launched once for each, because one launch would need more buffers than every device has.
+#[cube]
+fn store_gradient(
+    gradient: SplatGradient,
+    first: &mut [f32],
+    second: &mut [f32],
+    i: usize,
+    #[comptime] of_place: bool,
+) {
+    if comptime!(of_place) {
+        write3(first, i, gradient.position);
+        second[i] = gradient.opacity;
+    } else {
+        write4(first, i, gradient.quaternion);
+        write3(second, i, gradient.log_scales);
+    }
+}
+
+/// The launches of a kernel that ends with [`store_gradient`]: `of_place`, `first` and `second`.
+fn parts(out: &GaussianTensors<CubeBackend>) -> [(bool, &CubeTensor, &CubeTensor); 2] {
+    [(true, &out.positions, &out.opacities), (false, &out.quaternions, &out.log_scales)]
+}
+
 #[cube(launch)]
-fn place_backward_kernel(
-    positions: &[f32],
-    quaternions: &[f32],
-    log_scales: &[f32],
-    opacities: &[f32],
+fn backward_kernel(
+    gaussians: &GaussianBuffers,
     moments: &[f32],
-    grad_positions: &mut [f32],
-    grad_opacities: &mut [f32],
+    first: &mut [f32],
+    second: &mut [f32],
     view: CameraUniforms,
     count: u32,
     #[comptime] filter: ScreenFilter,
+    #[comptime] of_place: bool,
 ) {
     let i = ABSOLUTE_POS;
     if i >= count as usize {
@@ -203,59 +251,16 @@ fn place_backward_kernel(
     let moments = Moments::load(moments, i * MOMENTS);
     // an invisible Gaussian has no projection to differentiate
     if moments.any() {
-        let gradient = gradient(positions, quaternions, log_scales, opacities, moments, view, i, filter);
-        write3(grad_positions, i, gradient.position);
-        grad_opacities[i] = gradient.opacity;
+        let projection = projection_of(gaussians, view, i, filter);
+        let quaternion = row4(&gaussians.quaternions, i);
+        let gradient = splat_backward(view, projection, quaternion, gaussians.opacities[i], moments, filter);
+        store_gradient(gradient, first, second, i, of_place);
     } else {
-        write3(grad_positions, i, vec3(0.0f32, 0.0f32, 0.0f32));
-        grad_opacities[i] = 0.0f32;
+        let none = vec3(0.0f32, 0.0f32, 0.0f32);
+        let quaternion = Quaternion { w: 0.0f32, x: 0.0f32, y: 0.0f32, z: 0.0f32 };
+        let gradient = SplatGradient { position: none, quaternion, log_scales: none, opacity: 0.0f32 };
+        store_gradient(gradient, first, second, i, of_place);
     }
-}
-
-#[cube(launch)]
-fn shape_backward_kernel(
-    positions: &[f32],
-    quaternions: &[f32],
-    log_scales: &[f32],
-    opacities: &[f32],
-    moments: &[f32],
-    grad_quaternions: &mut [f32],
-    grad_log_scales: &mut [f32],
-    view: CameraUniforms,
-    count: u32,
-    #[comptime] filter: ScreenFilter,
-) {
-    let i = ABSOLUTE_POS;
-    if i >= count as usize {
-        terminate!();
-    }
-    let moments = Moments::load(moments, i * MOMENTS);
-    if moments.any() {
-        let gradient = gradient(positions, quaternions, log_scales, opacities, moments, view, i, filter);
-        write4(grad_quaternions, i, gradient.quaternion);
-        write3(grad_log_scales, i, gradient.log_scales);
-    } else {
-        write4(grad_quaternions, i, Quaternion { w: 0.0f32, x: 0.0f32, y: 0.0f32, z: 0.0f32 });
-        write3(grad_log_scales, i, vec3(0.0f32, 0.0f32, 0.0f32));
-    }
-}
-
-/// Gradients of one Gaussian. Two kernels write them, because one kernel would need more buffers than
-/// every device has.
-#[cube]
-fn gradient(
-    positions: &[f32],
-    quaternions: &[f32],
-    log_scales: &[f32],
-    opacities: &[f32],
-    moments: Moments,
-    view: CameraUniforms,
-    i: usize,
-    #[comptime] filter: ScreenFilter,
-) -> SplatGradient {
-    let quaternion = row4(quaternions, i);
-    let projection = project(view, row3(positions, i), quaternion, row3(log_scales, i), filter);
-    splat_backward(view, projection, quaternion, opacities[i], moments, filter)
 }
 
 /// Splats [M, [`SPLAT`]] and pixel rectangles [M, [`RECT`]] of `gaussians`. Row i is Gaussian i, or Gaussian
@@ -273,10 +278,7 @@ pub fn splats(
         &like.client.clone(),
         units(count),
         cube_dim(),
-        buffer(&gaussians.positions),
-        buffer(&gaussians.quaternions),
-        buffer(&gaussians.log_scales),
-        buffer(&gaussians.opacities),
+        GaussianBuffers::launch(gaussians),
         buffer(order.unwrap_or(&empty_u32(like, [1]))),
         buffer(&splats),
         buffer(&rects),
@@ -297,35 +299,20 @@ pub fn backward(
     filter: ScreenFilter,
     out: &GaussianTensors<CubeBackend>,
 ) {
-    let (client, count) = (moments.client.clone(), moments.shape()[0]);
-    place_backward_kernel::launch(
-        &client,
-        units(count),
-        cube_dim(),
-        buffer(&gaussians.positions),
-        buffer(&gaussians.quaternions),
-        buffer(&gaussians.log_scales),
-        buffer(&gaussians.opacities),
-        buffer(moments),
-        buffer(&out.positions),
-        buffer(&out.opacities),
-        CameraUniforms::launch(camera),
-        count as u32,
-        filter,
-    );
-    shape_backward_kernel::launch(
-        &client,
-        units(count),
-        cube_dim(),
-        buffer(&gaussians.positions),
-        buffer(&gaussians.quaternions),
-        buffer(&gaussians.log_scales),
-        buffer(&gaussians.opacities),
-        buffer(moments),
-        buffer(&out.quaternions),
-        buffer(&out.log_scales),
-        CameraUniforms::launch(camera),
-        count as u32,
-        filter,
-    );
+    let count = moments.shape()[0];
+    for (of_place, first, second) in parts(out) {
+        backward_kernel::launch(
+            &moments.client.clone(),
+            units(count),
+            cube_dim(),
+            GaussianBuffers::launch(gaussians),
+            buffer(moments),
+            buffer(first),
+            buffer(second),
+            CameraUniforms::launch(camera),
+            count as u32,
+            filter,
+            of_place,
+        );
+    }
 }

@@ -7,7 +7,7 @@ use super::{CUTOFF_F32, INVERSE_CUTOFF, Splat};
 use crate::gpu::lens::{LensKind, look};
 use crate::gpu::rect::Rect;
 use crate::gpu::vector::{Mat3, Quaternion, Vec3, add, apply, cross, dot, rotation, scale, times, transpose, vec3};
-use crate::gpu::view::{CameraUniforms, pixel_range, to_camera, view_depth, view_rotation};
+use crate::gpu::view::{CameraUniforms, pixels_within, to_camera, view_depth};
 use crate::scene::ScreenFilter;
 
 pub const MIN_RATIO: f32 = cpu::MIN_COMPENSATION_SQUARED as f32;
@@ -70,7 +70,7 @@ fn pinhole_local(view: CameraUniforms, centre: Vec3) -> Local {
     let (raw_x, raw_y) = (centre.x / z, centre.y / z);
     let slope_x = min(max(raw_x, -view.cx / view.fx - margin_x), (width - view.cx) / view.fx + margin_x);
     let slope_y = min(max(raw_y, -view.cy / view.fy - margin_y), (height - view.cy) / view.fy + margin_y);
-    let pose = view_rotation(view);
+    let pose = view.rotation;
     let (cofactor0, cofactor1) = (cross(pose.row1, pose.row2), cross(pose.row2, pose.row0));
     let cofactor2 = cross(pose.row0, pose.row1);
     Local {
@@ -89,7 +89,7 @@ fn pinhole_local(view: CameraUniforms, centre: Vec3) -> Local {
 #[cube]
 fn lens_local(view: CameraUniforms, centre: Vec3) -> Local {
     let seen = look(view.lens, centre);
-    let back = transpose(view_rotation(view));
+    let back = transpose(view.rotation);
     let shown = select(seen.shown, 1.0f32, 0.0f32);
     let (plane0, plane1) = (apply(back, seen.row0), apply(back, seen.row1));
     Local {
@@ -203,7 +203,6 @@ fn mean(view: CameraUniforms, p: Projection, z: f32) -> (f32, f32) {
     }
 }
 
-/// Whether the camera shows the centre.
 #[cube]
 fn is_shown(view: CameraUniforms, p: Projection) -> bool {
     let mut shown = view_depth(view, p.centre) > view.near;
@@ -233,8 +232,8 @@ pub fn splat_of(view: CameraUniforms, p: Projection, opacity: f32, #[comptime] f
     let reach = squared * 1.001f32 + 0.01f32;
     let (half_x, half_y) = (f32::sqrt(reach * p.cov_a), f32::sqrt(reach * p.cov_c));
     let slack = 0.01f32;
-    let (x0, x1) = pixel_range(x - half_x - slack, x + half_x + slack, view.width);
-    let (y0, y1) = pixel_range(y - half_y - slack, y + half_y + slack, view.height);
+    let (x0, x1) = (x - half_x - slack, x + half_x + slack);
+    let (y0, y1) = (y - half_y - slack, y + half_y + slack);
     let splat = Splat {
         mean_x: x,
         mean_y: y,
@@ -245,5 +244,5 @@ pub fn splat_of(view: CameraUniforms, p: Projection, opacity: f32, #[comptime] f
         depth: view_depth(view, p.centre),
         squared_radius: squared,
     };
-    (splat, Rect { x0, x1: select(visible, x1, x0), y0, y1: select(visible, y1, y0) })
+    (splat, pixels_within(view, visible, x0, x1, y0, y1))
 }

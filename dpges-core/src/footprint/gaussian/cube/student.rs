@@ -10,8 +10,8 @@ use crate::camera::Camera;
 use crate::footprint::gaussian::{STUDENT_LEAST_REACH, STUDENT_LEAST_SPREAD, STUDENT_REACH};
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, empty_u32, units};
 use crate::gpu::record::{Record, record};
-use crate::gpu::rect::{RECT, Rect};
-use crate::gpu::view::{CameraUniforms, pixel_range};
+use crate::gpu::rect::RECT;
+use crate::gpu::view::{CameraUniforms, pixels_within};
 
 const LEAST_REACH: f32 = STUDENT_LEAST_REACH as f32;
 const LEAST_SPREAD: f32 = STUDENT_LEAST_SPREAD as f32;
@@ -117,10 +117,8 @@ fn students_kernel(
     let slack = 0.01f32;
     let half_x = min(f32::sqrt(reach * variance_x), bound) + slack;
     let half_y = min(f32::sqrt(reach * variance_y), bound) + slack;
-    let (x0, x1) = pixel_range(base.mean_x - half_x, base.mean_x + half_x, view.width);
-    let (y0, y1) = pixel_range(base.mean_y - half_y, base.mean_y + half_y, view.height);
-    let rect = Rect { x0, x1: select(visible, x1, x0), y0, y1: select(visible, y1, y0) };
-    rect.store(rects, rank);
+    let (x, y) = (base.mean_x, base.mean_y);
+    pixels_within(view, visible, x - half_x, x + half_x, y - half_y, y + half_y).store(rects, rank);
     let splat = Splat {
         mean_x: base.mean_x,
         mean_y: base.mean_y,

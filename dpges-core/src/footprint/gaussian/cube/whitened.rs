@@ -8,15 +8,16 @@ use cubecl::prelude::*;
 
 use super::super::cpu::whitened;
 use super::super::tensors::GaussianTensors;
-use super::{CUTOFF_F32, INVERSE_CUTOFF};
+use super::gradients::SplatGradient;
+use super::{CUTOFF_F32, GaussianBuffers, INVERSE_CUTOFF, parts, store_gradient};
 use crate::camera::Camera;
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, empty_u32, units};
 use crate::gpu::record::{Record, record};
 use crate::gpu::rect::{RECT, Rect};
 use crate::gpu::vector::{
-    Mat3, Vec3, add, apply, cross, dot, rotation, rotation_backward, row3, row4, scale, transpose, vec3, write3, write4,
+    Mat3, Vec3, add, apply, cross, dot, rotation, rotation_backward, row3, row4, scale, times, transpose, vec3,
 };
-use crate::gpu::view::{CameraUniforms, camera_axes, pixel_range, to_camera, view_rotation};
+use crate::gpu::view::{CameraUniforms, camera_axes, pixels_within, to_camera};
 
 const MIN_SQUARED_DIRECTION: f32 = whitened::MIN_SQUARED_DIRECTION as f32;
 pub const WHITENED_SUMS: usize = whitened::SUMS;
@@ -38,10 +39,8 @@ record! {
     }
 }
 
-/// Numbers of a [`Whitened`].
 pub const WHITENED: usize = Whitened::LEN;
 
-/// The ray through a pixel.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 struct Ray {
@@ -130,7 +129,6 @@ impl Whitened {
     }
 }
 
-/// Adds what a pixel says to the sums of a Gaussian.
 #[cube]
 pub fn add_whitened_sums(own: &mut Array<f32>, grad: RayGrad, power: f32) {
     own[0] += grad.a.x;
@@ -158,11 +156,6 @@ fn largest(values: Vec3) -> f32 {
 fn relative(log_scales: Vec3) -> Vec3 {
     let most = largest(log_scales);
     vec3(f32::exp(log_scales.x - most), f32::exp(log_scales.y - most), f32::exp(log_scales.z - most))
-}
-
-#[cube]
-fn times(a: Vec3, b: Vec3) -> Vec3 {
-    vec3(a.x * b.x, a.y * b.y, a.z * b.z)
 }
 
 /// Offsets, over the focal length, at which a plane through the camera touches the ellipsoid: the middle and half of what lies
@@ -209,32 +202,20 @@ fn whitened_of(view: CameraUniforms, axes: Mat3, log_scales: Vec3, centre: Vec3,
     let down = select(bounded, view.fy * half_y + slack, wide);
     let x = select(bounded, mean_x + view.fx * middle_x, 0.0f32);
     let y = select(bounded, mean_y + view.fy * middle_y, 0.0f32);
-    let (x0, x1) = pixel_range(x - across, x + across, view.width);
-    let (y0, y1) = pixel_range(y - down, y + down, view.height);
     let whitened = Whitened { mean_x, mean_y, a, b, z, depth, distance, strength: select(visible, strength, 0.0f32) };
-    (whitened, Rect { x0, x1: select(visible, x1, x0), y0, y1: select(visible, y1, y0) })
+    (whitened, pixels_within(view, visible, x - across, x + across, y - down, y + down))
 }
 
-/// Gaussian `i` seen by a camera.
 #[cube]
-fn seen(
-    positions: &[f32],
-    quaternions: &[f32],
-    log_scales: &[f32],
-    opacities: &[f32],
-    view: CameraUniforms,
-    i: usize,
-) -> (Whitened, Rect) {
-    let axes = camera_axes(view, rotation(row4(quaternions, i)));
-    whitened_of(view, axes, row3(log_scales, i), to_camera(view, row3(positions, i)), opacities[i])
+fn seen(gaussians: &GaussianBuffers, view: CameraUniforms, i: usize) -> (Whitened, Rect) {
+    let axes = camera_axes(view, rotation(row4(&gaussians.quaternions, i)));
+    let centre = to_camera(view, row3(&gaussians.positions, i));
+    whitened_of(view, axes, row3(&gaussians.log_scales, i), centre, gaussians.opacities[i])
 }
 
 #[cube(launch)]
 fn whitened_kernel(
-    positions: &[f32],
-    quaternions: &[f32],
-    log_scales: &[f32],
-    opacities: &[f32],
+    gaussians: &GaussianBuffers,
     order: &[u32],
     shapes: &mut [f32],
     rects: &mut [u32],
@@ -245,12 +226,11 @@ fn whitened_kernel(
     if rank >= count as usize {
         terminate!();
     }
-    let (whitened, rect) = seen(positions, quaternions, log_scales, opacities, view, order[rank] as usize);
+    let (whitened, rect) = seen(gaussians, view, order[rank] as usize);
     Whitened::store(whitened, shapes, rank * WHITENED);
     rect.store(rects, rank);
 }
 
-/// Sums of a Gaussian.
 #[cube]
 fn load_sums(sums: &[f32], i: usize) -> RayGrad {
     let o = i * WHITENED_SUMS;
@@ -265,76 +245,54 @@ fn load_sums(sums: &[f32], i: usize) -> RayGrad {
     }
 }
 
-#[cube(launch)]
-fn place_backward_kernel(
-    positions: &[f32],
-    quaternions: &[f32],
-    log_scales: &[f32],
-    opacities: &[f32],
-    sums: &[f32],
-    grad_positions: &mut [f32],
-    grad_opacities: &mut [f32],
-    view: CameraUniforms,
-    count: u32,
-) {
-    let i = ABSOLUTE_POS;
-    if i >= count as usize {
-        terminate!();
-    }
-    let (whitened, _rect) = seen(positions, quaternions, log_scales, opacities, view, i);
-    // one that is not drawn has no sums
-    let drawn = whitened.strength > 0.0f32;
-    let towards = scale(whitened.towards(load_sums(sums, i), view), 1.0f32 / whitened.depth);
-    let moved = apply(transpose(view_rotation(view)), towards);
-    let power = sums[i * WHITENED_SUMS + 12];
-    write3(grad_positions, i, keep(drawn, moved));
-    grad_opacities[i] = select(drawn, power / max(whitened.strength, 1e-30f32), 0.0f32);
-}
-
 #[cube]
 fn keep(kept: bool, value: Vec3) -> Vec3 {
     vec3(select(kept, value.x, 0.0f32), select(kept, value.y, 0.0f32), select(kept, value.z, 0.0f32))
 }
 
 #[cube(launch)]
-fn shape_backward_kernel(
-    positions: &[f32],
-    quaternions: &[f32],
-    log_scales: &[f32],
-    opacities: &[f32],
+fn backward_kernel(
+    gaussians: &GaussianBuffers,
     sums: &[f32],
-    grad_quaternions: &mut [f32],
-    grad_log_scales: &mut [f32],
+    first: &mut [f32],
+    second: &mut [f32],
     view: CameraUniforms,
     count: u32,
+    #[comptime] of_place: bool,
 ) {
     let i = ABSOLUTE_POS;
     if i >= count as usize {
         terminate!();
     }
-    let quaternion = row4(quaternions, i);
-    let axes = camera_axes(view, rotation(quaternion));
-    let relative = relative(row3(log_scales, i));
-    let rows = rows(axes, relative);
-    let (whitened, _rect) = seen(positions, quaternions, log_scales, opacities, view, i);
+    let quaternion = row4(&gaussians.quaternions, i);
+    let relative = relative(row3(&gaussians.log_scales, i));
+    let rows = rows(camera_axes(view, rotation(quaternion)), relative);
+    let (whitened, _rect) = seen(gaussians, view, i);
+    // one that is not drawn has no sums
     let drawn = whitened.strength > 0.0f32;
-    let grad = load_sums(sums, i);
+    let (grad, power) = (load_sums(sums, i), sums[i * WHITENED_SUMS + 12]);
+    let back = transpose(view.rotation);
+    let towards = scale(whitened.towards(grad, view), 1.0f32 / whitened.depth);
     let slope_x = (whitened.mean_x - view.cx) / view.fx;
     let slope_y = (whitened.mean_y - view.cy) / view.fy;
     let grad_z = minus(grad.z, add(scale(grad.a, slope_x), scale(grad.b, slope_y)));
     let of_scales = add(add(times(rows.row0, grad.a), times(rows.row1, grad.b)), times(rows.row2, grad_z));
-    write3(grad_log_scales, i, keep(drawn, of_scales));
     // rows = W R · relative scales
     let grad_axes =
         Mat3 { row0: times(grad.a, relative), row1: times(grad.b, relative), row2: times(grad_z, relative) };
-    let back = transpose(view_rotation(view));
     let by_axes = transpose(grad_axes);
     let columns = Mat3 {
         row0: apply(back, keep(drawn, by_axes.row0)),
         row1: apply(back, keep(drawn, by_axes.row1)),
         row2: apply(back, keep(drawn, by_axes.row2)),
     };
-    write4(grad_quaternions, i, rotation_backward(quaternion, transpose(columns)));
+    let gradient = SplatGradient {
+        position: keep(drawn, apply(back, towards)),
+        quaternion: rotation_backward(quaternion, transpose(columns)),
+        log_scales: keep(drawn, of_scales),
+        opacity: select(drawn, power / max(whitened.strength, 1e-30f32), 0.0f32),
+    };
+    store_gradient(gradient, first, second, i, of_place);
 }
 
 /// [M, [`WHITENED`]] of the primitives in an `order`, and [M, [`RECT`]] the pixels that they can reach.
@@ -350,10 +308,7 @@ pub fn shapes(
         &like.client.clone(),
         units(count),
         cube_dim(),
-        buffer(&gaussians.positions),
-        buffer(&gaussians.quaternions),
-        buffer(&gaussians.log_scales),
-        buffer(&gaussians.opacities),
+        GaussianBuffers::launch(gaussians),
         buffer(order),
         buffer(&shapes),
         buffer(&rects),
@@ -371,33 +326,19 @@ pub fn backward(
     camera: &Camera,
     out: &GaussianTensors<CubeBackend>,
 ) {
-    let (client, count) = (sums.client.clone(), sums.shape()[0]);
-    place_backward_kernel::launch(
-        &client,
-        units(count),
-        cube_dim(),
-        buffer(&gaussians.positions),
-        buffer(&gaussians.quaternions),
-        buffer(&gaussians.log_scales),
-        buffer(&gaussians.opacities),
-        buffer(sums),
-        buffer(&out.positions),
-        buffer(&out.opacities),
-        CameraUniforms::launch(camera),
-        count as u32,
-    );
-    shape_backward_kernel::launch(
-        &client,
-        units(count),
-        cube_dim(),
-        buffer(&gaussians.positions),
-        buffer(&gaussians.quaternions),
-        buffer(&gaussians.log_scales),
-        buffer(&gaussians.opacities),
-        buffer(sums),
-        buffer(&out.quaternions),
-        buffer(&out.log_scales),
-        CameraUniforms::launch(camera),
-        count as u32,
-    );
+    let count = sums.shape()[0];
+    for (of_place, first, second) in parts(out) {
+        backward_kernel::launch(
+            &sums.client.clone(),
+            units(count),
+            cube_dim(),
+            GaussianBuffers::launch(gaussians),
+            buffer(sums),
+            buffer(first),
+            buffer(second),
+            CameraUniforms::launch(camera),
+            count as u32,
+            of_place,
+        );
+    }
 }

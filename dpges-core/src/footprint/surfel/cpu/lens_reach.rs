@@ -14,7 +14,6 @@ use crate::math::{V3, dot};
 /// Nearer ones are bounded by the picture.
 const LEAST_AHEAD: f64 = 0.05;
 
-/// An interval.
 type Range = [f64; 2];
 
 fn around(values: &[f64]) -> Range {

@@ -35,7 +35,6 @@ pub struct Plane<T> {
     pub distance: T,
 }
 
-/// The point where a ray meets a disc.
 #[derive(Clone, Copy, Debug)]
 pub struct Hit<T> {
     pub u: T,
@@ -71,19 +70,18 @@ impl<T: Real> Plane<T> {
     /// Where a ray through a lens meets the plane of the disc.
     #[inline(always)]
     pub fn hit_by(&self, [x, y, z]: V3<T>) -> Hit<T> {
-        let along = |linear: &[T; 3]| linear[0] * z + linear[1] * x + linear[2] * y;
-        let facing = along(&self.facing);
-        let inverse = T::one() / facing;
-        let (u, v) = (along(&self.u) * inverse, along(&self.v) * inverse);
-        let kernel = (T::of(-0.5) * (u * u + v * v)).exp_nonpositive();
-        Hit { u, v, depth: self.distance * inverse, facing, kernel }
+        self.hit_of(|linear| linear[0] * z + linear[1] * x + linear[2] * y)
     }
 
     /// Where the ray through the point (`x`, `y`) px meets the plane of the disc.
     #[inline(always)]
     pub fn hit(&self, x: T, y: T) -> Hit<T> {
         let (dx, dy) = (x - self.anchor[0], y - self.anchor[1]);
-        let linear = |[at_anchor, x, y]: [T; 3]| at_anchor + x * dx + y * dy;
+        self.hit_of(|[at_anchor, x, y]| at_anchor + x * dx + y * dy)
+    }
+
+    #[inline(always)]
+    fn hit_of(&self, linear: impl Fn([T; 3]) -> T) -> Hit<T> {
         let facing = linear(self.facing);
         let inverse = T::one() / facing;
         let (u, v, depth) = (linear(self.u) * inverse, linear(self.v) * inverse, self.distance * inverse);
@@ -145,9 +143,7 @@ impl DiscGrad {
 impl Disc {
     pub fn new(camera: &CameraOf<f64>, surfel: &Parameters) -> Self {
         let centre = camera.transform(surfel.position);
-        let world = rotation(surfel.quaternion);
-        let axes: M3<f64> =
-            std::array::from_fn(|i| std::array::from_fn(|j| dot(camera.rotation[i], column(&world, j))));
+        let axes = camera.axes(&rotation(surfel.quaternion));
         let [tangent_u, tangent_v, normal] = [0, 1, 2].map(|j| column(&axes, j));
         let centred = centre[2] > camera.near && camera.lens.is_none();
         let anchor_ray = if centred { [centre[0] / centre[2], centre[1] / centre[2], 1.0] } else { [0.0, 0.0, 1.0] };
@@ -225,25 +221,17 @@ impl Disc {
     pub fn reach(&self, camera: &CameraOf<f64>, radius: f64) -> PixelRect {
         let c = self.centre;
         let [a, b] = [0, 1].map(|j| scale(column(&self.axes, j), radius * self.scales[j]));
-        if let Some(lens) = &camera.lens {
-            let Some([x0, x1, y0, y1]) = lens_reach::bounds(lens, c, [a, b]) else {
-                return PixelRect::EMPTY;
-            };
-            let (across, down) = (|x: f64| x * camera.fx + camera.cx, |y: f64| y * camera.fy + camera.cy);
-            let bounds = [across(x0), across(x1), down(y0), down(y1)];
-            return PixelRect::covering(bounds, camera.width, camera.height);
-        }
         let along = |i: usize| slope_range([c[i], c[2]], [a[i], a[2]], [b[i], b[2]], camera.near);
-        let (Some(x), Some(y)) = (along(0), along(1)) else {
-            return PixelRect::EMPTY;
+        let bounds = match &camera.lens {
+            Some(lens) => lens_reach::bounds(lens, c, [a, b]),
+            None => along(0).zip(along(1)).map(|([x0, x1], [y0, y1])| [x0, x1, y0, y1]),
         };
-        let (across, down) =
-            (x.map(|slope| slope * camera.fx + camera.cx), y.map(|slope| slope * camera.fy + camera.cy));
-        PixelRect::covering([across[0], across[1], down[0], down[1]], camera.width, camera.height)
+        let Some([x0, x1, y0, y1]) = bounds else { return PixelRect::EMPTY };
+        let (across, down) = (|x: f64| x * camera.fx + camera.cx, |y: f64| y * camera.fy + camera.cy);
+        PixelRect::covering([across(x0), across(x1), down(y0), down(y1)], camera.width, camera.height)
     }
 }
 
-/// Raw parameters of one surfel.
 #[derive(Clone, Copy, Debug)]
 pub struct Parameters {
     pub position: V3<f64>,

@@ -44,6 +44,11 @@ fn squares(a: f32, b: f32, c: f32, d: f32, zero: u32) -> Pair {
 }
 
 #[cube]
+fn pairs(high: Vec3, low: Vec3) -> Pairs3 {
+    Pairs3 { x: pair(high.x, low.x), y: pair(high.y, low.y), z: pair(high.z, low.z) }
+}
+
+#[cube]
 fn away(position: f32, centre: f32, rest: f32, zero: u32) -> Pair {
     let offset = two_sum(position, -centre, zero);
     two_sum(offset.high, offset.low - rest, zero)
@@ -52,11 +57,12 @@ fn away(position: f32, centre: f32, rest: f32, zero: u32) -> Pair {
 /// A world direction in camera axes.
 #[cube]
 fn turned(view: CameraUniforms, rests: Rests, v: Pairs3) -> Pairs3 {
-    let zero = view.zero;
-    let row0 = Pairs3 { x: pair(view.r00, rests.r00), y: pair(view.r01, rests.r01), z: pair(view.r02, rests.r02) };
-    let row1 = Pairs3 { x: pair(view.r10, rests.r10), y: pair(view.r11, rests.r11), z: pair(view.r12, rests.r12) };
-    let row2 = Pairs3 { x: pair(view.r20, rests.r20), y: pair(view.r21, rests.r21), z: pair(view.r22, rests.r22) };
-    Pairs3 { x: dot_pairs(row0, v, zero), y: dot_pairs(row1, v, zero), z: dot_pairs(row2, v, zero) }
+    let (high, low, zero) = (view.rotation, rests.rotation, view.zero);
+    Pairs3 {
+        x: dot_pairs(pairs(high.row0, low.row0), v, zero),
+        y: dot_pairs(pairs(high.row1, low.row1), v, zero),
+        z: dot_pairs(pairs(high.row2, low.row2), v, zero),
+    }
 }
 
 #[cube]
@@ -64,9 +70,9 @@ pub fn exact_disc(view: CameraUniforms, rests: Rests, position: Vec3, quaternion
     let zero = view.zero;
     let q = near_unit(quaternion);
     let offset = Pairs3 {
-        x: away(position.x, view.centre_x, rests.centre_x, zero),
-        y: away(position.y, view.centre_y, rests.centre_y, zero),
-        z: away(position.z, view.centre_z, rests.centre_z, zero),
+        x: away(position.x, view.centre.x, rests.centre.x, zero),
+        y: away(position.y, view.centre.y, rests.centre.y, zero),
+        z: away(position.z, view.centre.z, rests.centre.z, zero),
     };
     let tangent_u = Pairs3 {
         x: squares(q.w, q.x, q.y, q.z, zero),
@@ -271,22 +277,16 @@ pub fn store_plane(
 pub fn exact_hit_by(view: CameraUniforms, plane: Plane, low: Plane, sight: Vec3) -> Hit {
     let zero = view.zero;
     if comptime!(view.lens.kind == LensKind::None) {
-        exact_hit(plane, low, sight.x, sight.y, zero)
+        let dx = away(sight.x, plane.anchor_x, low.anchor_x, zero);
+        let dy = away(sight.y, plane.anchor_y, low.anchor_y, zero);
+        let facing = ExactLinear::load(plane.facing, low.facing).at(dx, dy, zero);
+        let u = ExactLinear::load(plane.u, low.u).at(dx, dy, zero);
+        let v = ExactLinear::load(plane.v, low.v).at(dx, dy, zero);
+        meeting(u, v, facing, plane.distance)
     } else {
         let facing = ExactLinear::load(plane.facing, low.facing).of(sight, zero);
         let u = ExactLinear::load(plane.u, low.u).of(sight, zero);
         let v = ExactLinear::load(plane.v, low.v).of(sight, zero);
         meeting(u, v, facing, plane.distance)
     }
-}
-
-/// [`Plane::hit`] in pairs, for the gradients. `low` holds the rounding errors of `plane`.
-#[cube]
-fn exact_hit(plane: Plane, low: Plane, x: f32, y: f32, zero: u32) -> Hit {
-    let dx = away(x, plane.anchor_x, low.anchor_x, zero);
-    let dy = away(y, plane.anchor_y, low.anchor_y, zero);
-    let facing = ExactLinear::load(plane.facing, low.facing).at(dx, dy, zero);
-    let u = ExactLinear::load(plane.u, low.u).at(dx, dy, zero);
-    let v = ExactLinear::load(plane.v, low.v).at(dx, dy, zero);
-    meeting(u, v, facing, plane.distance)
 }

@@ -3,10 +3,10 @@
 use cubecl::prelude::*;
 
 use super::{Disc, tangents, widened};
-use crate::gpu::lens::{LensUniforms, Range, angle, aside_x, aside_y, plus, radial, radius_at, times};
+use crate::gpu::lens::{LensUniforms, Range, angle, aside_ranges, plus, radial, radius_at, times};
 use crate::gpu::rect::Rect;
 use crate::gpu::vector::{dot, scale, sin_cos, vec3};
-use crate::gpu::view::{CameraUniforms, pixel_range};
+use crate::gpu::view::{CameraUniforms, pixels_within};
 
 const PI: f32 = std::f32::consts::PI;
 const LEAST_AHEAD: f32 = 0.05;
@@ -92,14 +92,10 @@ fn cosines(azimuth: Range, quarter: f32) -> Range {
     }
 }
 
-/// Ranges of the positions that are moved aside, whose radii and cosines are in these ranges.
+/// Radii of the positions that are moved aside.
 #[cube]
-fn moved_aside(lens: LensUniforms, undistorted: Range, distorted: Range, across: Range, down: Range) -> (Range, Range) {
-    if comptime!(lens.in_sequence) {
-        (times(distorted, across), times(distorted, down))
-    } else {
-        (times(undistorted, across), times(undistorted, down))
-    }
+fn moved_radii(lens: LensUniforms, undistorted: Range, distorted: Range) -> Range {
+    if comptime!(lens.in_sequence) { distorted } else { undistorted }
 }
 
 /// Pixels that the disc can reach within `radius`, in σ; none if the radius is negative.
@@ -113,12 +109,12 @@ pub fn lens_reach(view: CameraUniforms, disc: Disc, radius: f32) -> Rect {
     let distorted = Range { low: radial(lens, undistorted.low), high: radial(lens, undistorted.high) };
     let (across, down) = (cosines(cone.azimuth, 0.0f32), cosines(cone.azimuth, 0.5f32 * PI));
     let (bent_x, bent_y) = (times(distorted, across), times(distorted, down));
-    let (u, v) = moved_aside(lens, undistorted, distorted, across, down);
-    let (x, y) = (plus(bent_x, aside_x(lens, u, v)), plus(bent_y, aside_y(lens, u, v)));
+    let moved = moved_radii(lens, undistorted, distorted);
+    let (aside_x, aside_y) = aside_ranges(lens, times(moved, across), times(moved, down));
+    let (x, y) = (plus(bent_x, aside_x), plus(bent_y, aside_y));
     let (x0, x1) = widened(x.low * view.fx + view.cx, x.high * view.fx + view.cx);
     let (y0, y1) = widened(y.low * view.fy + view.cy, y.high * view.fy + view.cy);
-    let (first_x, end_x) = pixel_range(select(cone.ahead, x0, -1e9f32), select(cone.ahead, x1, 1e9f32), view.width);
-    let (first_y, end_y) = pixel_range(select(cone.ahead, y0, -1e9f32), select(cone.ahead, y1, 1e9f32), view.height);
-    let reached = seen && radius >= 0.0f32;
-    Rect { x0: first_x, x1: select(reached, end_x, first_x), y0: first_y, y1: select(reached, end_y, first_y) }
+    let (x0, x1) = (select(cone.ahead, x0, -1e9f32), select(cone.ahead, x1, 1e9f32));
+    let (y0, y1) = (select(cone.ahead, y0, -1e9f32), select(cone.ahead, y1, 1e9f32));
+    pixels_within(view, seen && radius >= 0.0f32, x0, x1, y0, y1)
 }

@@ -23,11 +23,9 @@ use crate::gpu::rect::RECT;
 use crate::gpu::vector::{
     Mat3, Quaternion, Vec3, add, apply, cross, rotation_backward, row3, row4, scale, transpose, vec3, write3, write4,
 };
-use crate::gpu::view::{CameraUniforms, Rests, view_rotation};
+use crate::gpu::view::{CameraUniforms, Rests};
 
-/// Number of values in a [`Plane`].
 pub const PLANE: usize = Plane::LEN;
-/// Number of values in the sums over the pixels of a disc.
 pub const DISC_SUMS: usize = DiscSums::LEN;
 pub const MIN_FACING: f32 = on_cpu::MIN_FACING as f32;
 const LARGEST_LOG_SCALE: f32 = on_cpu::LARGEST_LOG_SCALE as f32;
@@ -144,20 +142,9 @@ pub struct DiscPixel {
     pub grad_depth: f32,
 }
 
-/// Adds a pixel to the first [`DISC_SUMS`] of a unit's sums: what the gradient of the exponent, that of the
-/// depth, or both contribute. Returns the gradients with respect to r·(t_v × c), r·(c × t_u) and the distance.
-#[cube]
-pub fn add_disc_sums(
-    own: &mut Array<f32>,
-    pixel: DiscPixel,
-    #[comptime] of_kernel: bool,
-    #[comptime] of_depth: bool,
-) -> Vec3 {
-    add_sums(own, pixel, 1.0f32, of_kernel, of_depth)
-}
-
-/// [`add_disc_sums`] at a pixel where the constant of the linear functions counts `constant` times: 1, or z of the ray
-/// through a lens.
+/// Adds a pixel to the first [`DISC_SUMS`] of a unit's sums: what the gradient of the exponent, that of the depth, or both
+/// contribute. The constant of the linear functions counts `constant` times: 1, or z of the ray through a lens. Returns the
+/// gradients with respect to r·(t_v × c), r·(c × t_u) and the distance.
 #[cube]
 pub fn add_sums(
     own: &mut Array<f32>,
@@ -257,7 +244,6 @@ fn along(disc: Disc, g: Vec3) -> Vec3 {
     add(scale(disc.anchor_ray, g.x), vec3(g.y, g.z, 0.0f32))
 }
 
-/// Gradients with respect to the parameters, from the sums.
 #[cube]
 fn disc_backward(view: CameraUniforms, disc: Disc, quaternion: Quaternion, sums: DiscSums) -> DiscGradient {
     let grad_tangent_v = centre_cross(disc, sums.u);
@@ -267,7 +253,7 @@ fn disc_backward(view: CameraUniforms, disc: Disc, quaternion: Quaternion, sums:
         add(cross(along(disc, sums.u), disc.tangent_v), cross(disc.tangent_u, along(disc, sums.v))),
         scale(disc.normal, sums.distance),
     );
-    let back = transpose(view_rotation(view));
+    let back = transpose(view.rotation);
     let columns =
         Mat3 { row0: apply(back, grad_tangent_u), row1: apply(back, grad_tangent_v), row2: apply(back, grad_normal) };
     DiscGradient { position: apply(back, grad_centre), quaternion: rotation_backward(quaternion, transpose(columns)) }

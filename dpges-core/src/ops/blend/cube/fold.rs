@@ -7,7 +7,7 @@ use crate::footprint::gaussian::cube::student::{Tail, student_slopes};
 use crate::footprint::gaussian::cube::whitened::{WHITENED, WHITENED_SUMS, Whitened, add_whitened_sums};
 use crate::footprint::gaussian::cube::{SPLAT, Splat, add_moments};
 use crate::footprint::moments::MOMENTS;
-use crate::footprint::surfel::cube::{DISC_SUMS, DiscPixel, Hit, PLANE, Plane, add_disc_sums};
+use crate::footprint::surfel::cube::{DISC_SUMS, DiscPixel, Hit, PLANE, Plane, add_sums};
 use crate::gpu::launch::UNITS;
 use crate::gpu::record::Record;
 use crate::gpu::tile::{Pixel, pixel_of, plane_of};
@@ -170,7 +170,7 @@ fn add_pixel(
             power,
             grad_depth,
         };
-        let towards = add_disc_sums(own, on_way, true, layout.maps);
+        let towards = add_sums(own, on_way, 1.0f32, true, layout.maps);
         let on_screen = 2.0f32 * power * (1.0f32 - by_plane);
         own[beside] += on_screen * (dx - low_pass.offset_x);
         own[beside + 1] += on_screen * (dy - low_pass.offset_y);

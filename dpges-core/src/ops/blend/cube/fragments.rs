@@ -424,7 +424,7 @@ fn lists(order: CubeTensor, found: &Pairs, keys: Option<CubeTensor>, grid: TileG
         None => found.by_tile(&numbers, grid),
         Some(keys) => {
             let (_, numbers) = sorted_pairs(keys, numbers, u32::BITS);
-            by_tile(picked(found.tiles(), &numbers), numbers, grid)
+            by_tile(picked(&found.tiles, &numbers), numbers, grid)
         }
     };
     let primitives = picked(&found.primitives, &pairs);

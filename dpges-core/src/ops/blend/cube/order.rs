@@ -93,7 +93,7 @@ pub fn tile_keys(table: &CubeTensor, pairs: &Pairs, camera: &Camera) -> CubeTens
         cube_dim(),
         buffer(table),
         buffer(&pairs.primitives),
-        buffer(pairs.tiles()),
+        buffer(&pairs.tiles),
         buffer(&keys),
         CameraUniforms::launch(camera),
         count as u32,

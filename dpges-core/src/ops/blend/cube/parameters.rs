@@ -18,7 +18,7 @@ use crate::gpu::record::Record;
 use crate::gpu::vector::{
     Mat3, Vec3, add3, apply, dot, rotation, rotation_backward, row3, row4, scale, transpose, vec3, write3,
 };
-use crate::gpu::view::{CameraUniforms, camera_axes, depth_slope, to_camera, view_rotation};
+use crate::gpu::view::{CameraUniforms, camera_axes, depth_slope, to_camera};
 use crate::ops::blend::{BlendInput, Form};
 use crate::scene::ScreenFilter;
 
@@ -87,7 +87,7 @@ fn rest_kernel(
     let normal = comptime!(layout.normal());
     let o = i * width;
     let beside = o + place;
-    let pose = view_rotation(view);
+    let pose = view.rotation;
     let back = transpose(pose);
     let centre = to_camera(view, row3(positions, i));
     let quaternion = row4(quaternions, i);
