@@ -92,11 +92,9 @@ impl Camera {
         let finite = |field, ok: bool, found: String| {
             if ok { Ok(()) } else { Err(Error::Camera { field, expected: "finite 32-bit numbers", found }) }
         };
-        positive("width", self.width as f64)?;
-        positive("height", self.height as f64)?;
-        positive("fx", self.fx)?;
-        positive("fy", self.fy)?;
-        positive("near", self.near)?;
+        let (width, height) = (self.width as f64, self.height as f64);
+        let sizes = [("width", width), ("height", height), ("fx", self.fx), ("fy", self.fy), ("near", self.near)];
+        sizes.into_iter().try_for_each(|(field, value)| positive(field, value))?;
         finite("cx", (self.cx as f32).is_finite(), self.cx.to_string())?;
         finite("cy", (self.cy as f32).is_finite(), self.cy.to_string())?;
         let pose = &self.camera_from_world;
@@ -156,6 +154,11 @@ impl Camera {
         COVERAGE * across.hypot(along)
     }
 
+    /// A pixel position relative to the principal point.
+    fn in_focal_lengths(&self, x_px: f64, y_px: f64) -> [f64; 2] {
+        [(x_px - self.cx) / self.fx, (y_px - self.cy) / self.fy]
+    }
+
     fn in_camera(&self, world: DVec3) -> DVec3 {
         self.camera_from_world.rotation * world + self.camera_from_world.translation
     }
@@ -192,7 +195,7 @@ impl Camera {
 
     /// The ray through pixel position (`x_px`, `y_px`) in camera axes, of depth 1; `None` where a lens shows nothing.
     pub fn ray(&self, x_px: f64, y_px: f64) -> Option<DVec3> {
-        let (x, y) = ((x_px - self.cx) / self.fx, (y_px - self.cy) / self.fy);
+        let [x, y] = self.in_focal_lengths(x_px, y_px);
         match &self.lens {
             None => Some(DVec3::new(x, y, 1.0)),
             Some(lens) => lens.ray([x, y]).map(DVec3::from),
@@ -204,9 +207,8 @@ impl Camera {
     pub fn shown_pixels(&self) -> Option<Vec<bool>> {
         let lens = self.lens.as_ref()?;
         let (width, height) = (self.width, self.height);
-        let is_shown = |column: usize, row: usize| {
-            lens.shows([(column as f64 + 0.5 - self.cx) / self.fx, (row as f64 + 0.5 - self.cy) / self.fy])
-        };
+        let is_shown =
+            |column: usize, row: usize| lens.shows(self.in_focal_lengths(column as f64 + 0.5, row as f64 + 0.5));
         let rows_are_shown = (0..width).all(|column| is_shown(column, 0) && is_shown(column, height - 1));
         if rows_are_shown && (0..height).all(|row| is_shown(0, row) && is_shown(width - 1, row)) {
             return None;
@@ -217,7 +219,7 @@ impl Camera {
     /// World point seen at pixel position (`x_px`, `y_px`) at `depth`. Where a lens shows nothing, it is the nearest that it
     /// shows.
     pub fn unproject(&self, x_px: f64, y_px: f64, depth: f64) -> DVec3 {
-        let (x, y) = ((x_px - self.cx) / self.fx, (y_px - self.cy) / self.fy);
+        let [x, y] = self.in_focal_lengths(x_px, y_px);
         let ray = self.lens.map_or(DVec3::new(x, y, 1.0), |lens| lens.nearest_ray([x, y]).into());
         let p = ray * depth;
         self.camera_from_world.rotation.transpose() * (p - self.camera_from_world.translation)
@@ -229,18 +231,9 @@ mod tests {
     use super::*;
 
     fn camera() -> Camera {
-        let pose = CameraFromWorld::look_at(DVec3::new(1.0, -3.0, 2.0), DVec3::ZERO, DVec3::Z);
-        Camera {
-            camera_from_world: pose,
-            fx: 60.0,
-            fy: 70.0,
-            cx: 20.0,
-            cy: 11.0,
-            width: 48,
-            height: 32,
-            near: 0.01,
-            lens: None,
-        }
+        let camera_from_world = CameraFromWorld::look_at(DVec3::new(1.0, -3.0, 2.0), DVec3::ZERO, DVec3::Z);
+        let (fx, fy, cx, cy) = (60.0, 70.0, 20.0, 11.0);
+        Camera { camera_from_world, fx, fy, cx, cy, width: 48, height: 32, near: 0.01, lens: None }
     }
 
     #[test]
@@ -337,17 +330,21 @@ mod tests {
 
     #[test]
     fn bad_cameras_are_named() {
-        let bad = Camera { fx: -1.0, ..camera() };
-        assert!(bad.validate().unwrap_err().to_string().contains("`fx` is -1"));
-        let bad = Camera { width: 0, ..camera() };
-        assert!(bad.validate().unwrap_err().to_string().contains("`width`"));
-        let mut bad = camera();
-        bad.camera_from_world.translation.y = f64::NAN;
-        assert!(bad.validate().unwrap_err().to_string().contains("`translation`"));
-        bad.camera_from_world.translation.y = 1e300;
-        assert!(bad.validate().unwrap_err().to_string().contains("`translation`"));
-        let bad = Camera { near: 1e-60, ..camera() };
-        assert!(bad.validate().unwrap_err().to_string().contains("`near` is 0.00"));
+        let at = |y: f64| {
+            let mut camera = camera();
+            camera.camera_from_world.translation.y = y;
+            camera
+        };
+        for (bad, part) in [
+            (Camera { fx: -1.0, ..camera() }, "`fx` is -1"),
+            (Camera { width: 0, ..camera() }, "`width`"),
+            (at(f64::NAN), "`translation`"),
+            (at(1e300), "`translation`"),
+            (Camera { near: 1e-60, ..camera() }, "`near` is 0.00"),
+        ] {
+            let message = bad.validate().unwrap_err().to_string();
+            assert!(message.contains(part), "{message}");
+        }
         camera().validate().unwrap();
     }
 }

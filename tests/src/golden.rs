@@ -6,7 +6,6 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use burn::tensor::{DType, Device};
-use dpges_core::testing::golden::summed::SummedCase;
 use dpges_core::testing::golden::{Deviation, GoldenCase};
 
 use crate::devices::flex;
@@ -40,10 +39,17 @@ fn whitened() -> PathBuf {
     own_cases().join("htgs")
 }
 
+/// Cases of weighted sums.
+fn summed() -> PathBuf {
+    own_cases().join("summed")
+}
+
 /// How cases are compared, and the fewest tensors of one.
 const PEELED: (Compare, usize) = (GoldenCase::compare, 41);
 const BY_RAYS: (Compare, usize) = (GoldenCase::compare_by_rays, 9);
 const WHITENED: (Compare, usize) = (GoldenCase::compare_whitened, 9);
+/// Image, alpha, and the gradients of eight attributes and of what is common.
+const SUMMED: (Compare, usize) = (GoldenCase::compare_summed, 11);
 
 fn load(path: &Path) -> GoldenCase {
     GoldenCase::load(path).unwrap()
@@ -76,38 +82,11 @@ fn check_folder(folder: &Path, device: &Device, dtype: DType, (compare, least): 
     assert!(failures.is_empty(), "{}", failures.join("\n"));
 }
 
-fn load_summed(path: &Path) -> SummedCase {
-    SummedCase::load(path).unwrap()
-}
-
-/// Image, alpha, and the gradients of eight attributes and of what is common.
-const SUMMED_TENSORS: usize = 11;
-
-fn check_summed(device: &Device, dtype: DType) {
-    let mut failures = Vec::new();
-    for path in cases_in(&own_cases().join("summed")) {
-        let deviations = load_summed(&path).compare(device, dtype);
-        assert_eq!(deviations.len(), SUMMED_TENSORS, "{}", path.display());
-        let worst = deviations.iter().map(|d| d.distance).fold(0.0, f64::max);
-        println!("{} {dtype:?}: worst {worst:.2e}", path.display());
-        let rounding: HashMap<String, f64> = if dtype == DType::F64 {
-            HashMap::new()
-        } else {
-            let rounded = load_summed(&path).rounded_to_f32().compare(&flex(), DType::F64);
-            rounded.into_iter().map(|d| (d.tensor, d.distance + TOLERANCE_F32)).collect()
-        };
-        let tolerance = |tensor: &str| rounding.get(tensor).copied().unwrap_or(TOLERANCE_F64);
-        let too_far = deviations.into_iter().filter(|d| d.distance > tolerance(&d.tensor) || d.distance.is_nan());
-        failures.extend(too_far.map(|d| format!("{}: {} is off by {:.3e}", path.display(), d.tensor, d.distance)));
-    }
-    assert!(failures.is_empty(), "{}", failures.join("\n"));
-}
-
 pub fn check_all(device: &Device, dtype: DType) {
     check_folder(&own_cases(), device, dtype, PEELED);
     check_folder(&by_rays(), device, dtype, BY_RAYS);
     check_folder(&whitened(), device, dtype, WHITENED);
-    check_summed(device, dtype);
+    check_folder(&summed(), device, dtype, SUMMED);
     if let Some(folder) = std::env::var_os("DPGES_GOLDEN_DIR") {
         check_folder(Path::new(&folder), device, dtype, PEELED);
     }
@@ -169,9 +148,11 @@ fn a_wrong_expectation_is_reported_and_only_that() {
 }
 
 #[test]
-fn a_wrong_expectation_of_what_is_blended_is_reported_and_only_that() {
-    for (folder, (compare, least)) in [(by_rays(), BY_RAYS), (whitened(), WHITENED)] {
-        let path = folder.join("few.safetensors");
+fn a_wrong_expectation_of_what_is_blended_or_summed_is_reported_and_only_that() {
+    for (folder, name, (compare, least)) in
+        [(by_rays(), "few", BY_RAYS), (whitened(), "few", WHITENED), (summed(), "exp", SUMMED)]
+    {
+        let path = folder.join(name).with_extension("safetensors");
         let names: Vec<String> = load(&path).expected().map(str::to_owned).collect();
         for name in &names {
             let deviations = compare(&load(&path).perturbed(name, 1.001), &flex(), DType::F64);
@@ -180,18 +161,5 @@ fn a_wrong_expectation_of_what_is_blended_is_reported_and_only_that() {
             assert_eq!(far, [name.as_str()]);
         }
         assert_eq!(names.len(), least);
-    }
-}
-
-#[test]
-fn a_wrong_expectation_of_a_weighted_sum_is_reported_and_only_that() {
-    let path = own_cases().join("summed/exp.safetensors");
-    let names: Vec<String> = load_summed(&path).expected().map(str::to_owned).collect();
-    assert_eq!(names.len(), SUMMED_TENSORS);
-    for name in &names {
-        let deviations = load_summed(&path).perturbed(name, 1.001).compare(&flex(), DType::F64);
-        let far: Vec<String> =
-            deviations.into_iter().filter(|d| d.distance > TOLERANCE_F64).map(|d| d.tensor).collect();
-        assert_eq!(far, [name.as_str()]);
     }
 }

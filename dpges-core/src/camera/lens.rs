@@ -28,7 +28,6 @@ const START: f64 = 0.9;
 const SERIES_BELOW: f64 = 0.05;
 const SERIES_TERMS: usize = 16;
 
-/// A point seen through a lens.
 #[derive(Clone, Copy, Debug)]
 pub struct Seen {
     /// Focal lengths from the principal point.
@@ -94,16 +93,13 @@ impl Lens {
 
     /// Whether its numbers are finite, also in f32, and it shows anything.
     pub fn is_sound(&self) -> bool {
-        let Distortion { projection, numerator, denominator, tangential, thin_prism, thin_prism_quartic, .. } =
-            &self.distortion;
-        let finite = |values: &[f64]| values.iter().all(|&v| (v as f32).is_finite());
-        let projects = match *projection {
+        let d = &self.distortion;
+        let numbers = [&d.numerator[..], &d.denominator, &d.tangential, &d.thin_prism, &d.thin_prism_quartic];
+        let projects = match d.projection {
             Projection::FieldOfView(omega) => omega > 1e-3 && omega < std::f64::consts::PI,
             Projection::Perspective | Projection::Equidistant => true,
         };
-        let radial = finite(numerator) && finite(denominator);
-        let aside = finite(tangential) && finite(thin_prism) && finite(thin_prism_quartic);
-        projects && radial && aside && self.limit > 0.0
+        projects && numbers.concat().iter().all(|&v| (v as f32).is_finite()) && self.limit > 0.0
     }
 
     /// Largest undistorted radius that it sees.
@@ -198,7 +194,6 @@ impl Lens {
         self.undistorted(point).map(|[a, b]| self.distortion.apply(a, b))
     }
 
-    /// Jacobian of the undistorted position.
     fn undistorted_jacobian([x, y, _]: [f64; 3], scale: &Scale) -> [[f64; 3]; 2] {
         let across = 2.0 * x * y * scale.w;
         [[scale.s + 2.0 * x * x * scale.w, across, x * scale.z], [across, scale.s + 2.0 * y * y * scale.w, y * scale.z]]

@@ -20,7 +20,6 @@ pub trait Ranks: Debug + Send + Sync {
     /// The number of this one, from 0.
     fn rank(&self) -> usize;
 
-    /// Number of ranks.
     fn count(&self) -> usize;
 
     /// Adds up `sums` `[n]` element by element over all ranks. Each sum is formed once, in the order of the ranks: all of them
@@ -115,7 +114,6 @@ impl dyn Ranks + '_ {
         if self.is_alone() { numbers } else { self.gather_numbers(&numbers).swap_remove(0) }
     }
 
-    /// Whether it is so for any rank.
     pub fn any(&self, own: bool) -> bool {
         !self.is_alone() && self.gather(&[u8::from(own)]).iter().any(|found| found == &[1]) || own
     }

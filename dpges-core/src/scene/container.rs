@@ -12,9 +12,6 @@ use super::schema::{Attribute, ENVIRONMENT};
 
 /// Like [`safetensors::serialize`], with the entries of the header in alphabetical order: the library writes metadata
 /// in the order of a hash map, which differs from process to process.
-///
-/// # Errors
-/// The errors of [`safetensors::serialize`].
 pub fn serialize<V: View>(
     tensors: impl IntoIterator<Item = (impl AsRef<str> + Ord + std::fmt::Display, V)>,
     metadata: HashMap<String, String>,
@@ -30,9 +27,6 @@ pub fn serialize<V: View>(
 }
 
 /// The file of a scene: `tensors`, the environment where there is one, and metadata.
-///
-/// # Errors
-/// A message about the part that cannot be written.
 pub(super) fn scene_file<'a>(
     scene: &'a SceneData,
     mut tensors: Vec<Rows<'a>>,
@@ -46,7 +40,6 @@ pub(super) fn scene_file<'a>(
     serialize(tensors.into_iter().map(|tensor| (tensor.name, tensor)), metadata).map_err(|error| error.to_string())
 }
 
-/// The tensor of the environment, if there is one.
 pub(super) fn environment(scene: &SceneData) -> Option<Rows<'_>> {
     let environment = scene.environment.as_ref()?;
     Some(Rows::numbers(ENVIRONMENT.name, vec![environment.len(), 3], &environment.coefficients[..]))
@@ -110,7 +103,6 @@ pub(super) fn lobe_names(detail: &Attribute) -> [&'static str; 2] {
     if detail.name.starts_with("surfels") { SURFEL_LOBES } else { GAUSSIAN_LOBES }
 }
 
-/// Why a file cannot be read, in words.
 pub(super) fn unreadable(error: SafeTensorError) -> String {
     format!("not a safetensors file, or truncated: {error}")
 }
@@ -121,7 +113,6 @@ pub(super) fn row_count(file: &SafeTensors, name: &str) -> Result<usize, String>
     Ok(tensor.shape().first().copied().unwrap_or(0))
 }
 
-/// The numbers of a tensor of a shape.
 pub(super) fn read(file: &SafeTensors, name: &str, shape: &[usize]) -> Result<Vec<f32>, String> {
     let (numbers, _) = bytes(file, name, Dtype::F32, shape)?.as_chunks::<4>();
     Ok(numbers.iter().map(|&bytes| f32::from_le_bytes(bytes)).collect())
@@ -140,7 +131,6 @@ fn tensor<'a>(file: &SafeTensors<'a>, name: &str, dtype: Dtype) -> Result<Tensor
     Ok(tensor)
 }
 
-/// The bytes of a tensor of a type and shape.
 pub(super) fn bytes<'a>(file: &SafeTensors<'a>, name: &str, dtype: Dtype, shape: &[usize]) -> Result<&'a [u8], String> {
     let tensor = tensor(file, name, dtype)?;
     if tensor.shape() != shape {

@@ -22,11 +22,6 @@ pub struct SceneData {
     pub environment: Option<EnvironmentData>,
 }
 
-/// Rows of `values` (`width` numbers each) in the order of `rows`.
-pub fn select_rows(values: &[f32], width: usize, rows: &[usize]) -> Vec<f32> {
-    rows.iter().flat_map(|&row| &values[row * width..(row + 1) * width]).copied().collect()
-}
-
 macro_rules! on_the_host {
     ($data:ident) => {
         impl $data {
@@ -49,17 +44,16 @@ macro_rules! on_the_host {
 
             /// The primitives `rows`, in that order; repetitions are allowed.
             pub fn select(&self, rows: &[usize]) -> Self {
-                let model = self.model();
-                self.map_ref(|attribute, values| select_rows(values, attribute.width.under(model), rows))
+                self.map_ref(|attribute, values| {
+                    let width = attribute.width.under(self.model());
+                    rows.iter().flat_map(|&row| &values[row * width..(row + 1) * width]).copied().collect()
+                })
             }
 
-            /// Adds the primitives of `other` after these.
             pub fn append(&mut self, other: Self) {
                 self.list_mut().into_iter().zip(other.into_list()).for_each(|(values, more)| values.extend(more));
             }
 
-            /// # Errors
-            /// [`Error::Shape`] or [`Error::NonFinite`] naming the first attribute that is wrong.
             pub(crate) fn check(&self) -> Result<()> {
                 let (model, count) = (self.model(), self.len());
                 self.iter().try_for_each(|(attribute, values)| {
@@ -74,9 +68,6 @@ on_the_host!(SurfelData);
 on_the_host!(GaussianData);
 
 /// Whether `values` are finite and as many as `shape` asks for.
-///
-/// # Errors
-/// [`Error::Shape`] or [`Error::NonFinite`] naming the tensor and the row.
 pub(crate) fn check_numbers(name: &str, shape: &[usize], values: &[f32]) -> Result<()> {
     if values.len() != shape.iter().product::<usize>() {
         let expected = format!("{shape:?}");

@@ -61,9 +61,6 @@ impl SceneData {
     }
 
     /// [`load`](Self::load) for the `bytes` of a file; errors name it `name`.
-    ///
-    /// # Errors
-    /// [`Error::SceneFile`], as [`load`](Self::load).
     pub fn from_bytes(bytes: &[u8], name: &str) -> Result<Self> {
         parse(bytes).map_err(|reason| Error::SceneFile { path: name.into(), reason })
     }
@@ -173,7 +170,6 @@ fn read_columns<C: Columns>(file: &SafeTensors, model: ColourModel, packed: bool
     Ok(C::from_list(model, list))
 }
 
-/// The environment, if the file has one.
 fn read_environment(file: &SafeTensors) -> Result<Option<EnvironmentData>, String> {
     let name = ENVIRONMENT.name;
     let Ok(tensor) = file.tensor(name) else { return Ok(None) };
@@ -229,38 +225,26 @@ mod tests {
     use crate::scene::container::{GAUSSIAN_LOBES, SURFEL_LOBES, environment};
     use crate::scene::lobes::ABSENT_LOBE;
     use crate::scene::schema::Attribute;
-    use crate::scene::{Footprint, MarginLookup};
+    use crate::scene::{BlendOrder, MarginLookup, ScreenFilter};
+    use crate::testing::scenes::numbered;
 
     const TWO_LOBES: ColourModel = ColourModel::SphericalBeta { lobes: 2 };
 
     fn scene(model: ColourModel, surfels: usize, gaussians: usize) -> SceneData {
-        let rows = |count: usize| {
-            move |attribute: &'static Attribute| {
-                let numbers = count * attribute.width.under(model);
-                (0..numbers).map(|i| (i as f32 * 0.37).sin()).collect::<Vec<f32>>()
-            }
-        };
-        SceneData {
-            info: SceneInfo {
-                colour_model: model,
-                modulation: 30.0,
-                layer_count: 3,
-                footprint: Footprint::Kernel,
-                backstop: true,
-                margin_lookup: MarginLookup::Literal,
-                rendering: if model.opacity_len() > 0 { Rendering::Summed } else { Rendering::Peeled },
-                screen_filter: crate::scene::ScreenFilter::Plain,
-                blend_order: crate::scene::BlendOrder::Rays,
-                weighted_sum: (model.opacity_len() > 0).then(|| WeightedSum { sigma: 7.5, ..WeightedSum::default() }),
-                background: [0.0, 0.5, 1.0],
-                offset: [5.25e5, -2.0, 0.125],
-                extent: 4.5,
-                near: 0.2,
-            },
-            surfels: SurfelData::generate(model, SurfelData::ATTRIBUTES.iter().map(rows(surfels))),
-            gaussians: GaussianData::generate(model, GaussianData::ATTRIBUTES.iter().map(rows(gaussians))),
-            environment: None,
+        let mut scene = numbered(model, [surfels, gaussians], |_, at| (at as f32 * 0.37).sin());
+        if let Some(sum) = &mut scene.info.weighted_sum {
+            sum.sigma = 7.5;
         }
+        scene.info = SceneInfo {
+            backstop: true,
+            margin_lookup: MarginLookup::Literal,
+            screen_filter: ScreenFilter::Plain,
+            blend_order: BlendOrder::Rays,
+            background: [0.0, 0.5, 1.0],
+            extent: 4.5,
+            ..scene.info
+        };
+        scene
     }
 
     fn read_back(bytes: &[u8]) -> Result<SceneData> {
@@ -471,6 +455,10 @@ mod tests {
         let no_info = |m: &mut HashMap<String, String>| drop(m.insert("info".into(), "{}".into()));
         assert!(load_bytes(&save_bytes(&good, no_info, "")).contains("`info`"));
         assert!(load_bytes(&save_bytes(&good, |_| {}, "surfels.margins")).contains("`surfels.margins` is missing"));
+        let mut infinite = good;
+        infinite.surfels.positions[4] = f32::INFINITY;
+        let error = load_bytes(&save_bytes(&infinite, |_| {}, ""));
+        assert!(error.contains("`surfels.positions` is not finite at row 1"), "{error}");
         let missing = SceneData::load(Path::new("/nowhere/scene.safetensors")).unwrap_err();
         assert!(matches!(&missing, Error::Io { .. }) && missing.to_string().contains("/nowhere"));
     }
@@ -497,14 +485,6 @@ mod tests {
         assert!(spoilt(|info| info.rendering = Rendering::Ellipsoids).contains("info `colour_model` is sh1+opacity"));
         let infinite = spoilt(|info| info.weighted_sum.as_mut().unwrap().beta = f32::INFINITY);
         assert!(infinite.contains("info"), "{infinite}");
-    }
-
-    #[test]
-    fn wrong_tensors_are_named() {
-        let mut bad = scene(TWO_LOBES, 3, 5);
-        bad.surfels.positions[4] = f32::INFINITY;
-        let error = load_bytes(&save_bytes(&bad, |_| {}, ""));
-        assert!(error.contains("`surfels.positions` is not finite at row 1"), "{error}");
     }
 
     #[test]

@@ -11,7 +11,6 @@ pub const ABSENT_BELOW: f32 = -10.0;
 /// so that no gradient reaches the lobe and it stays absent while the scene is trained.
 pub const ABSENT: f32 = -20.0;
 
-/// A lobe that was dropped.
 pub const ABSENT_LOBE: [f32; LOBE_LEN] = [ABSENT, ABSENT, ABSENT, 0.0, 0.0, 0.0];
 
 /// Whether the lobe with the raw numbers `lobe` (r, g, b, θ, φ, β) adds nothing to any colour.
@@ -31,9 +30,6 @@ pub fn present(detail: &[f32], count: usize, lobes: usize) -> Vec<u8> {
 
 /// The lobes that are there in `detail` [N × 6 L] of N = `count` primitives with room for L = `lobes`: how many each
 /// primitive has `[N]`, and the numbers of all, in order [sum of the counts × 6].
-///
-/// # Panics
-/// The panics of [`present`].
 pub fn pack(detail: &[f32], count: usize, lobes: usize) -> (Vec<u8>, Vec<f32>) {
     let (all, _) = detail.as_chunks::<LOBE_LEN>();
     let rows = all.iter().filter(|lobe| !is_absent(&lobe[..])).flatten().copied().collect();
@@ -90,34 +86,6 @@ mod tests {
             assert!(!is_absent(&lobe));
             lobe[channel] = f32::NAN;
             assert!(!is_absent(&lobe));
-        }
-    }
-
-    #[test]
-    fn packing_keeps_the_order_and_unpacking_puts_the_absent_last() {
-        let (a, b, c, d) = (lobe(0.1, 1.0), lobe(-9.0, 2.0), lobe(0.3, 3.0), lobe(0.4, 4.0));
-        let gone = lobe(-12.0, 5.0);
-        let detail = [a, b, gone, c, gone, gone, d, gone].concat();
-        let (counts, rows) = pack(&detail, 4, 2);
-        assert_eq!(counts, [2, 1, 0, 1]);
-        assert_eq!(rows, [a, b, c, d].concat());
-        let n = ABSENT_LOBE;
-        assert_eq!(unpack(&counts, &rows, 2).unwrap(), [a, b, c, n, n, n, d, n].concat());
-    }
-
-    #[test]
-    fn primitives_without_lobes_are_still_counted() {
-        assert_eq!(pack(&[], 3, 0), (vec![0, 0, 0], vec![]));
-        assert!(unpack(&[0, 0, 0], &[], 0).unwrap().is_empty());
-    }
-
-    #[test]
-    fn counts_that_cannot_be_are_told() {
-        let rows = [lobe(0.0, 1.0), lobe(0.0, 2.0), lobe(0.0, 3.0)].concat();
-        assert_eq!(unpack(&[0, 3], &rows, 2).unwrap_err(), "has 3 lobes at row 1, expected at most 2");
-        for (counts, total) in [([1, 1], 2), ([2, 2], 4)] {
-            let expected = format!("adds up to {total} lobes, expected the 3 that are listed");
-            assert_eq!(unpack(&counts, &rows, 2).unwrap_err(), expected);
         }
     }
 

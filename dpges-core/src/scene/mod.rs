@@ -105,11 +105,7 @@ impl BlendOrder {
 
 impl fmt::Display for BlendOrder {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Centres => f.write_str("centres"),
-            Self::Rays => f.write_str("rays"),
-            Self::Whitened(transparency) => transparency.fmt(f),
-        }
+        self.serialize(f)
     }
 }
 
@@ -130,12 +126,7 @@ pub enum Transparency {
 
 impl fmt::Display for Transparency {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Hybrid => "hybrid",
-            Self::Nearest => "nearest",
-            Self::Sorted => "sorted",
-            Self::Tail => "tail",
-        })
+        self.serialize(f)
     }
 }
 
@@ -160,13 +151,7 @@ pub enum Rendering {
 
 impl fmt::Display for Rendering {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Peeled => "peeled",
-            Self::Ellipsoids => "ellipsoids",
-            Self::Discs => "discs",
-            Self::Students => "students",
-            Self::Summed => "summed",
-        })
+        self.serialize(f)
     }
 }
 

@@ -5,7 +5,6 @@
 //! its moments in an optimiser, a gradient, a learning rate. Code that treats all attributes alike goes over
 //! [`Columns`]; only an operation that gives an attribute its meaning names it.
 
-use std::fmt;
 use std::ops::RangeInclusive;
 
 use serde::{Deserialize, Serialize};
@@ -17,7 +16,6 @@ use super::colour_model::{ColourModel, SH_C0};
 pub enum Width {
     /// One. Files store such an attribute as `[N]`, tensors in memory are [N, 1].
     Scalar,
-    /// As many.
     Fixed(usize),
     /// The number that the colour model needs: [`ColourModel::detail_len`].
     Detail,
@@ -34,13 +32,7 @@ impl Width {
             Self::Scalar => 1,
             Self::Fixed(width) => width,
             Self::Detail => model.detail_len(),
-            Self::OpacityBase => {
-                if model.opacity_len() > 0 {
-                    1
-                } else {
-                    0
-                }
-            }
+            Self::OpacityBase => (model.opacity_len() > 0) as usize,
             Self::OpacityDetail => model.opacity_len().saturating_sub(1),
         }
     }
@@ -218,9 +210,6 @@ pub trait Columns: Sized {
     }
 
     /// Without optional attributes.
-    ///
-    /// # Errors
-    /// The first error of `make`.
     fn try_generate<U, E>(
         model: ColourModel,
         make: impl FnMut(&'static Attribute) -> Result<U, E>,
@@ -229,14 +218,13 @@ pub trait Columns: Sized {
     }
 }
 
-/// An attribute that is declared as a field of columns.
 macro_rules! attribute {
-    ($kind:literal, $field:ident, $width:expr, $activation:ident, $rate:ident, $neutral:expr) => {
+    ($kind:literal, [$($field:tt)+], $width:expr, $activation:ident, $rate:ident, $neutral:expr) => {
         Attribute {
-            name: concat!($kind, ".", stringify!($field)),
+            name: concat!($kind, ".", $($field)+),
             raw_name: match Activation::$activation {
-                Activation::Identity => concat!($kind, ".", stringify!($field)),
-                Activation::Opacity | Activation::DegreesOfFreedom => concat!($kind, ".raw_", stringify!($field)),
+                Activation::Identity => concat!($kind, ".", $($field)+),
+                Activation::Opacity | Activation::DegreesOfFreedom => concat!($kind, ".raw_", $($field)+),
             },
             width: $width,
             activation: Activation::$activation,
@@ -268,27 +256,13 @@ macro_rules! columns {
             type With<U> = $columns<U>;
 
             const ATTRIBUTES: &'static [Attribute] = &[
-                $(attribute!($kind, $field, $width, $activation, $rate, $neutral),)*
-                Attribute {
-                    name: concat!($kind, ".colour.base"),
-                    raw_name: concat!($kind, ".colour.base"),
-                    width: Width::Fixed(3),
-                    activation: Activation::Identity,
-                    rate: RateGroup::Base,
-                    neutral: &[0.0],
-                },
-                Attribute {
-                    name: concat!($kind, ".colour.detail"),
-                    raw_name: concat!($kind, ".colour.detail"),
-                    width: Width::Detail,
-                    activation: Activation::Identity,
-                    rate: RateGroup::Detail,
-                    neutral: &[0.0],
-                },
+                $(attribute!($kind, [stringify!($field)], $width, $activation, $rate, $neutral),)*
+                attribute!($kind, ["colour.base"], Width::Fixed(3), Identity, Base, [0.0]),
+                attribute!($kind, ["colour.detail"], Width::Detail, Identity, Detail, [0.0]),
             ];
 
             const OPTIONAL: &'static [Attribute] =
-                &[$(attribute!($kind, $extra, $extra_width, $extra_activation, $extra_rate, $extra_neutral),)*];
+                &[$(attribute!($kind, [stringify!($extra)], $extra_width, $extra_activation, $extra_rate, $extra_neutral),)*];
 
             fn colour(&self) -> &Colour<T> {
                 &self.colour
@@ -299,21 +273,18 @@ macro_rules! columns {
             }
 
             fn list(&self) -> Vec<&T> {
-                let extra: Vec<Option<&T>> = vec![$(self.$extra.as_ref(),)*];
                 let all = [$(&self.$field,)* &self.colour.base, &self.colour.detail];
-                all.into_iter().chain(extra.into_iter().flatten()).collect()
+                all.into_iter()$(.chain(&self.$extra))*.collect()
             }
 
             fn list_mut(&mut self) -> Vec<&mut T> {
-                let extra: Vec<Option<&mut T>> = vec![$(self.$extra.as_mut(),)*];
                 let all = [$(&mut self.$field,)* &mut self.colour.base, &mut self.colour.detail];
-                all.into_iter().chain(extra.into_iter().flatten()).collect()
+                all.into_iter()$(.chain(&mut self.$extra))*.collect()
             }
 
             fn into_list(self) -> Vec<T> {
-                let extra: Vec<Option<T>> = vec![$(self.$extra,)*];
                 let all = [$(self.$field,)* self.colour.base, self.colour.detail];
-                all.into_iter().chain(extra.into_iter().flatten()).collect()
+                all.into_iter()$(.chain(self.$extra))*.collect()
             }
 
             fn from_list<U>(model: ColourModel, list: Vec<U>) -> $columns<U> {
@@ -405,16 +376,6 @@ impl OpacityActivation {
             }
             Self::Tanh => f64::from(value).clamp(Self::LIMIT - 1.0, 1.0 - Self::LIMIT).atanh() as f32,
         }
-    }
-}
-
-impl fmt::Display for OpacityActivation {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Linear => "linear",
-            Self::Sigmoid => "sigmoid",
-            Self::Tanh => "tanh",
-        })
     }
 }
 

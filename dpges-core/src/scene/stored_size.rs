@@ -31,17 +31,13 @@ impl SceneData {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{ColourModel, EnvironmentData, Quality, SceneInfo};
+    use crate::scene::{ColourModel, EnvironmentData, Quality};
+    use crate::testing::scenes::numbered;
 
     #[test]
     fn every_byte_but_those_of_the_header_is_counted() {
-        let model = ColourModel::SphericalBeta { lobes: 2 };
-        let scene = SceneData {
-            info: SceneInfo { colour_model: model, ..SceneInfo::default() },
-            surfels: SurfelData::neutral(model, 3),
-            gaussians: GaussianData::neutral(model, 5),
-            environment: Some(EnvironmentData::neutral(1)),
-        };
+        let scene = numbered(ColourModel::SphericalBeta { lobes: 2 }, [3, 5], |_, _| 0.5);
+        let scene = SceneData { environment: Some(EnvironmentData::neutral(1)), ..scene };
         let file = tempfile::NamedTempFile::new().unwrap();
         scene.save(file.path()).unwrap();
         let plain = std::fs::read(file.path()).unwrap();

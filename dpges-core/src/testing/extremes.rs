@@ -1,13 +1,12 @@
 //! Scenes at the extremes of what parameters and cameras can be, made from a seed.
 
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DMat3, DQuat, DVec3, Vec3};
 
 use super::random::Random;
 use super::scenes::{Recipe, TestScene, random};
 use crate::ops::peel::PeelOptions;
 use crate::scene::{ColourModel, Footprint};
 
-/// An extreme property of a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Hazard {
     /// Scales from e⁻³⁰ world units.
@@ -26,7 +25,6 @@ pub enum Hazard {
     AroundCamera,
     /// Centres at the near plane, and within rounding before and behind it.
     AtNearPlane,
-    /// Centres behind the camera.
     Behind,
     /// A world 10⁻⁶ units across.
     SmallWorld,
@@ -38,19 +36,15 @@ pub enum Hazard {
     NarrowView,
     /// A horizontal field of view of 179°.
     WideView,
-    /// A principal point outside the image.
     OffCentre,
     /// An image of 1 × N, N × 1 or 1 × 1 px.
     ThinImage,
     /// No primitives of one kind or of both, or one.
     Nearly0,
-    /// All primitives at one point.
     OnePoint,
-    /// All primitives at one depth.
     OneDepth,
     /// Lobes with sharpness parameters of ±30.
     SharpLobes,
-    /// Lobes exactly at the poles.
     PolarLobes,
     /// Surfels that are opaque everywhere, or transparent everywhere.
     Steep,
@@ -84,9 +78,7 @@ impl Hazard {
         Self::Steep,
         Self::OneHuge,
     ];
-}
 
-impl Hazard {
     /// Whether rounding decides: what is there at all (centres at the near plane, positions that f32 holds to a unit), in
     /// which order it is blended (one depth), or gradients that vanish but for rounding (scales far beyond the world).
     pub fn is_decided_by_rounding(self) -> bool {
@@ -94,7 +86,6 @@ impl Hazard {
     }
 }
 
-/// A scene and what is extreme about it.
 #[derive(Clone, Debug)]
 pub struct Extreme {
     pub seed: u64,
@@ -119,7 +110,6 @@ pub fn extreme(seed: u64) -> Extreme {
     with_hazards(seed, hazards, &mut random)
 }
 
-/// The scene of a seed with one hazard.
 pub fn extreme_of(hazard: Hazard, seed: u64) -> Extreme {
     with_hazards(seed, vec![hazard], &mut Random::new(seed ^ 0x5eed))
 }
@@ -257,8 +247,7 @@ fn quaternions(scene: &mut TestScene, random: &mut Random) {
 fn edge_on(scene: &mut TestScene, random: &mut Random) {
     let eye = scene.camera.centre();
     for (position, quaternion) in scene.surfels.positions.chunks_mut(3).zip(scene.surfels.quaternions.chunks_mut(4)) {
-        let at = DVec3::new(position[0].into(), position[1].into(), position[2].into());
-        let ray = (at - eye).normalize_or(DVec3::Z);
+        let ray = (Vec3::from_slice(position).as_dvec3() - eye).normalize_or(DVec3::Z);
         let normal = ray.any_orthonormal_vector();
         let tilt = [0.0, 0.0, 1e-12, 1e-8, 1e-6, 1e-4, 1e-2][random.below(7)];
         let normal = (normal + tilt * ray).normalize();
@@ -273,8 +262,7 @@ fn move_each(scene: &mut TestScene, random: &mut Random, to: impl Fn(&TestScene,
     let before = scene.clone();
     for values in [&mut scene.surfels.positions, &mut scene.gaussians.positions] {
         for position in values.chunks_mut(3) {
-            let at = DVec3::new(position[0].into(), position[1].into(), position[2].into());
-            if let Some(to) = to(&before, at, random) {
+            if let Some(to) = to(&before, Vec3::from_slice(position).as_dvec3(), random) {
                 position.copy_from_slice(&to.as_vec3().to_array());
             }
         }
@@ -286,7 +274,7 @@ fn around_camera(scene: &mut TestScene, random: &mut Random) {
     let eye = scene.camera.centre();
     let rows = scene.surfels.positions.chunks_mut(3).zip(scene.surfels.quaternions.chunks(4));
     for (position, quaternion) in rows {
-        let [w, x, y, z] = [0, 1, 2, 3].map(|i| f64::from(quaternion[i]));
+        let [x, y, z, w] = [1, 2, 3, 0].map(|i| f64::from(quaternion[i]));
         let rotation = DQuat::from_xyzw(x, y, z, w);
         let rotation = if rotation.length_squared() > 1e-20 { rotation.normalize() } else { DQuat::IDENTITY };
         let within = rotation * DVec3::new(random.between(-1.0, 1.0), random.between(-1.0, 1.0), 0.0);
@@ -324,9 +312,8 @@ fn far_from_origin(scene: &mut TestScene, random: &mut Random) {
 }
 
 fn field_of_view(scene: &mut TestScene, horizontal: f64) {
-    let camera = &mut scene.camera;
-    let focal = 0.5 * camera.width as f64 / (0.5 * horizontal).tan();
-    (camera.fx, camera.fy) = (focal, focal);
+    let focal = 0.5 * scene.camera.width as f64 / (0.5 * horizontal).tan();
+    (scene.camera.fx, scene.camera.fy) = (focal, focal);
 }
 
 fn lobes(scene: &mut TestScene, random: &mut Random, edit: impl Fn(&mut [f32], &mut Random)) {
@@ -357,9 +344,8 @@ mod tests {
     fn parameters_of_extreme_scenes_are_finite_and_their_cameras_valid() {
         for seed in 0..500 {
             let Extreme { scene, hazards, .. } = extreme(seed);
-            scene.camera.validate().unwrap_or_else(|error| panic!("seed {seed}, {hazards:?}: {error}"));
-            scene.surfels.check().unwrap_or_else(|error| panic!("seed {seed}, {hazards:?}: {error}"));
-            scene.gaussians.check().unwrap_or_else(|error| panic!("seed {seed}, {hazards:?}: {error}"));
+            let checked = scene.camera.validate().and(scene.surfels.check()).and(scene.gaussians.check());
+            checked.unwrap_or_else(|error| panic!("seed {seed}, {hazards:?}: {error}"));
         }
     }
 
@@ -374,8 +360,7 @@ mod tests {
         let far = extreme_of(Hazard::FarFromOrigin, 1).scene;
         assert!(far.camera.centre().length() > 900.0);
         let discs = extreme_of(Hazard::AroundCamera, 2).scene;
-        let nearest =
-            |at: &[f32]| (DVec3::new(at[0].into(), at[1].into(), at[2].into()) - discs.camera.centre()).length();
+        let nearest = |at: &[f32]| (Vec3::from_slice(at).as_dvec3() - discs.camera.centre()).length();
         assert!(discs.surfels.positions.chunks(3).all(|at| nearest(at) < 2.0));
     }
 }

@@ -1,9 +1,8 @@
 //! Golden cases: inputs, outputs, losses and gradients of the float64 specification of the model, as
 //! safetensors files, and their comparison with this crate.
 
-mod htgs;
-mod stopthepop;
-pub mod summed;
+mod blended;
+mod summed;
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -14,21 +13,20 @@ use safetensors::{Dtype, SafeTensors};
 
 use super::compare::relative_l2;
 use crate::camera::{Camera, CameraFromWorld};
-use crate::losses::{self, LossWeights};
+use crate::losses::{self, LossWeights, Losses};
 use crate::ops::composite::geometry;
 use crate::ops::environment::environment;
 use crate::ops::peel::PeelOptions;
 use crate::ops::photometric::ssim;
 use crate::render::{Render, RenderOptions, render};
 use crate::scene::schema::{Attribute, Columns, ENVIRONMENT, Width};
-use crate::scene::{ColourModel, Footprint, Gaussians, Surfels};
+use crate::scene::{ColourModel, DepthWeight, Footprint, Gaussians, Surfels};
 
 struct Array {
     shape: Vec<usize>,
     values: Vec<f64>,
 }
 
-/// The arrays of a file by their names.
 struct Arrays(HashMap<String, Array>);
 
 impl Arrays {
@@ -51,28 +49,13 @@ impl Arrays {
         Tensor::<3>::from_data(data, (device, dtype)).permute([2, 0, 1])
     }
 
-    /// Rounds what begins with one of `inputs` to f32.
-    fn round(&mut self, inputs: &[&str]) {
-        for (name, array) in &mut self.0 {
-            if inputs.iter().any(|input| name.starts_with(input)) {
-                array.values.iter_mut().for_each(|value| *value = f64::from(*value as f32));
-            }
-        }
-    }
-
-    fn multiply(&mut self, name: &str, factor: f64) {
-        let array = self.0.get_mut(name).unwrap_or_else(|| panic!("golden case has no tensor `{name}`"));
-        array.values.iter_mut().for_each(|value| *value *= factor);
-    }
-
-    /// Names of the expected values.
-    fn expected(&self) -> impl Iterator<Item = &str> {
-        let is_expected = |name: &&str| ["out.", "loss.", "grad_"].iter().any(|output| name.starts_with(output));
-        self.0.keys().map(String::as_str).filter(is_expected)
+    /// How far `found` is from what the file says, if it says something.
+    fn deviation(&self, name: &str, found: &[f64]) -> Option<Deviation> {
+        let expected = self.0.get(name)?;
+        Some(Deviation { tensor: name.to_owned(), distance: relative_l2(found, &expected.values), is_id: false })
     }
 }
 
-/// The content of a golden file.
 struct File<'a> {
     /// Its name in messages.
     origin: &'a str,
@@ -87,14 +70,8 @@ impl<'a> File<'a> {
         let mut arrays = HashMap::new();
         for (name, view) in file.iter() {
             let numbers: Vec<f64> = match view.dtype() {
-                Dtype::F64 => {
-                    view.data().chunks_exact(8).map(|b| f64::from_le_bytes(b.try_into().expect("8 bytes"))).collect()
-                }
-                Dtype::I32 => view
-                    .data()
-                    .chunks_exact(4)
-                    .map(|b| f64::from(i32::from_le_bytes(b.try_into().expect("4 bytes"))))
-                    .collect(),
+                Dtype::F64 => view.data().as_chunks().0.iter().map(|&b| f64::from_le_bytes(b)).collect(),
+                Dtype::I32 => view.data().as_chunks().0.iter().map(|&b| f64::from(i32::from_le_bytes(b))).collect(),
                 other => return Err(format!("{origin}: {name} has element type {other:?}")),
             };
             arrays.insert(name.to_owned(), Array { shape: view.shape().to_vec(), values: numbers });
@@ -121,30 +98,46 @@ impl<'a> File<'a> {
         self.values("background")?.try_into().map_err(|_| format!("{}: background", self.origin))
     }
 
-    fn camera(&self) -> Result<Camera, String> {
-        let intrinsics = self.values("camera.intrinsics")?;
-        Ok(Camera {
-            camera_from_world: CameraFromWorld {
-                rotation: DMat3::from_cols_slice(self.values("camera.rotation")?).transpose(),
-                translation: DVec3::from_slice(self.values("camera.translation")?),
-            },
-            fx: intrinsics[0],
-            fy: intrinsics[1],
-            cx: intrinsics[2],
-            cy: intrinsics[3],
-            width: self.number("width")? as usize,
-            height: self.number("height")? as usize,
-            near: self.number("near")?,
-            lens: None,
+    fn peel(&self) -> Result<PeelOptions, String> {
+        Ok(PeelOptions {
+            layer_count: self.number("layer_count")? as usize,
+            modulation: self.number("modulation")?,
+            footprint: if self.text("footprint")? == "opacity" { Footprint::Opacity } else { Footprint::Kernel },
+            backstop: self.metadata.get("backstop").is_some_and(|backstop| backstop == "true"),
         })
+    }
+
+    /// How a weighted sum weighs; `None` of another case.
+    fn weight(&self) -> Result<Option<DepthWeight>, String> {
+        match self.metadata.get("weight").map(String::as_str) {
+            None => Ok(None),
+            Some("dir") => Ok(Some(DepthWeight::Direct)),
+            Some("exp") => Ok(Some(DepthWeight::Exponential)),
+            Some("lc") => Ok(Some(DepthWeight::Linear)),
+            Some(other) => Err(format!("{}: weight {other}", self.origin)),
+        }
+    }
+
+    fn camera(&self) -> Result<Camera, String> {
+        let camera_from_world = CameraFromWorld {
+            rotation: DMat3::from_cols_slice(self.values("camera.rotation")?).transpose(),
+            translation: DVec3::from_slice(self.values("camera.translation")?),
+        };
+        let &[fx, fy, cx, cy] = self.values("camera.intrinsics")? else {
+            return Err(format!("{}: camera.intrinsics", self.origin));
+        };
+        let [width, height] = [self.number("width")? as usize, self.number("height")? as usize];
+        Ok(Camera { camera_from_world, fx, fy, cx, cy, width, height, near: self.number("near")?, lens: None })
     }
 }
 
-/// One case.
 pub struct GoldenCase {
     arrays: Arrays,
     camera: Camera,
+    /// Of a peeled scene; of any other only the background.
     options: RenderOptions,
+    /// Of a weighted sum.
+    weight: Option<DepthWeight>,
 }
 
 /// How far one tensor is from its golden values.
@@ -167,55 +160,46 @@ struct Inputs {
 }
 
 impl GoldenCase {
-    /// # Errors
-    /// A message naming the file and what is missing or malformed.
     pub fn load(path: &Path) -> Result<Self, String> {
         let bytes = std::fs::read(path).map_err(|e| format!("{}: {e}", path.display()))?;
         Self::from_bytes(&path.display().to_string(), &bytes)
     }
 
     /// From the content of a file, `origin` being what messages call it.
-    ///
-    /// # Errors
-    /// A message naming `origin` and what is missing or malformed.
     pub fn from_bytes(origin: &str, bytes: &[u8]) -> Result<Self, String> {
         let file = File::parse(origin, bytes)?;
-        let footprint = if file.text("footprint")? == "opacity" { Footprint::Opacity } else { Footprint::Kernel };
-        let peel = PeelOptions {
-            layer_count: file.number("layer_count")? as usize,
-            modulation: file.number("modulation")?,
-            footprint,
-            backstop: file.metadata.get("backstop").is_some_and(|backstop| backstop == "true"),
-        };
-        let (camera, background) = (file.camera()?, file.background()?);
-        let options = RenderOptions { peel, background, ..RenderOptions::default() };
-        Ok(Self { arrays: file.arrays, camera, options })
+        let (camera, weight) = (file.camera()?, file.weight()?);
+        let peel = if weight.is_some() { PeelOptions::default() } else { file.peel()? };
+        let options = RenderOptions { peel, background: file.background()?, ..RenderOptions::default() };
+        Ok(Self { arrays: file.arrays, camera, options, weight })
     }
 
     /// The same case with every input rounded to f32: what f32 can be expected to reproduce is no
     /// nearer than this, since a nearly edge-on surfel magnifies the rounding of its parameters.
     #[must_use]
     pub fn rounded_to_f32(mut self) -> Self {
-        self.arrays.round(&["surfels.", "gaussians.", "environment", "upstream", "target"]);
+        const INPUTS: [&str; 6] = ["surfels.", "gaussians.", "common", "environment", "upstream", "target"];
+        for (name, array) in &mut self.arrays.0 {
+            if INPUTS.iter().any(|input| name.starts_with(input)) {
+                array.values.iter_mut().for_each(|value| *value = f64::from(*value as f32));
+            }
+        }
         self
     }
 
     /// The same case with one tensor multiplied by `factor`.
-    ///
-    /// # Panics
-    /// If there is no such tensor.
     #[must_use]
     pub fn perturbed(mut self, name: &str, factor: f64) -> Self {
-        self.arrays.multiply(name, factor);
+        let array = self.arrays.0.get_mut(name).unwrap_or_else(|| panic!("golden case has no tensor `{name}`"));
+        array.values.iter_mut().for_each(|value| *value *= factor);
         self
     }
 
-    /// Names of the expected values.
     pub fn expected(&self) -> impl Iterator<Item = &str> {
-        self.arrays.expected()
+        let is_expected = |name: &&str| ["out.", "loss.", "grad_"].iter().any(|output| name.starts_with(output));
+        self.arrays.0.keys().map(String::as_str).filter(is_expected)
     }
 
-    /// The attributes of a kind of primitive.
     fn columns<C: Columns>(&self, device: &Device, dtype: DType) -> C::With<Tensor<2>> {
         let detail = C::ATTRIBUTES.iter().find(|attribute| attribute.width == Width::Detail).expect("colours have it");
         let model = ColourModel::SphericalBeta { lobes: self.arrays.array(&golden_name(detail)).shape[1] };
@@ -279,13 +263,12 @@ impl GoldenCase {
         if inputs.surfels.is_empty() {
             return losses::rgb(rendered.composite.image, inputs.target.clone(), 0.2).expect("shapes agree");
         }
-        let terms = losses::losses(
-            &rendered,
-            inputs.surfels.log_scales.clone(),
-            inputs.target.clone(),
-            &LossWeights::default(),
-        );
-        terms.expect("shapes agree").total
+        self.terms(&rendered, inputs).total
+    }
+
+    fn terms(&self, rendered: &Render, inputs: &Inputs) -> Losses {
+        let (log_scales, target) = (inputs.surfels.log_scales.clone(), inputs.target.clone());
+        losses::losses(rendered, log_scales, target, &LossWeights::default()).expect("shapes agree")
     }
 }
 
@@ -294,17 +277,14 @@ pub fn values<const D: usize>(tensor: &Tensor<D>) -> Vec<f64> {
     tensor.clone().into_data().iter::<f64>().collect()
 }
 
+/// The gradient with respect to `leaf` as f64, row-major; zeros if nothing reached it.
+pub fn gradient<const D: usize>(leaf: &Tensor<D>, gradients: &Gradients) -> Vec<f64> {
+    leaf.grad(gradients).map_or_else(|| vec![0.0; leaf.dims().iter().product()], |gradient| values(&gradient))
+}
+
 struct Found<'a> {
     case: &'a GoldenCase,
     deviations: Vec<Deviation>,
-}
-
-impl Arrays {
-    /// How far `found` is from what the file says, if it says something.
-    fn deviation(&self, name: &str, found: &[f64]) -> Option<Deviation> {
-        let expected = self.0.get(name)?;
-        Some(Deviation { tensor: name.to_owned(), distance: relative_l2(found, &expected.values), is_id: false })
-    }
 }
 
 impl Found<'_> {
@@ -353,9 +333,7 @@ impl Found<'_> {
         let image = || rendered.composite.image.clone();
         self.compare("loss.rgb", &values(&losses::rgb(image(), inputs.target.clone(), 0.2).expect("shapes agree")));
         self.compare("loss.ssim", &values(&ssim(&image(), &inputs.target).expect("shapes agree")));
-        let log_scales = inputs.surfels.log_scales.clone();
-        let terms = losses::losses(rendered, log_scales, inputs.target.clone(), &LossWeights::default());
-        let terms = terms.expect("shapes agree");
+        let terms = case.terms(rendered, inputs);
         self.compare("loss.surfel", &values(&terms.surfel));
         self.compare("loss.transmittance", &values(&terms.transmittance));
         self.compare("loss.scale", &values(&terms.scale));
@@ -366,9 +344,7 @@ impl Found<'_> {
         let environment = inputs.environment.iter().map(|coefficients| (&ENVIRONMENT, coefficients));
         let all = inputs.surfels.iter().chain(inputs.gaussians.iter()).chain(environment);
         for (attribute, tensor) in all.filter(|(attribute, _)| attribute.learns()) {
-            let gradient =
-                tensor.grad(gradients).map_or_else(|| vec![0.0; tensor.dims().iter().product()], |g| values(&g));
-            self.compare(&format!("{prefix}.{}", golden_name(attribute)), &gradient);
+            self.compare(&format!("{prefix}.{}", golden_name(attribute)), &gradient(tensor, gradients));
         }
     }
 }

@@ -30,7 +30,6 @@ pub fn central_differences(
     slopes.into_iter().map(|s| agree(s).then_some(s[1])).collect()
 }
 
-/// How a gradient compares with the expected one.
 #[derive(Clone, Copy, Debug)]
 pub struct Judgement {
     /// Largest difference of an element, over its size plus a hundredth of the largest element.
@@ -76,9 +75,6 @@ impl Judgement {
 }
 
 /// Compares `gradient` at `elements` of `parameters` with central differences of `loss`.
-///
-/// # Panics
-/// If the gradient is not close.
 pub fn check_elements(
     name: &str,
     parameters: &[f64],
@@ -95,9 +91,6 @@ pub fn check_elements(
 }
 
 /// [`check_elements`] with all of them.
-///
-/// # Panics
-/// If the gradient is not close.
 pub fn check(name: &str, parameters: &[f64], gradient: &[f64], step: f64, loss: impl FnMut(&[f64]) -> f64) {
     check_elements(name, parameters, gradient, &(0..parameters.len()).collect::<Vec<_>>(), step, loss);
 }

@@ -34,17 +34,11 @@ fn download(tensor: &CubeTensor) -> Vec<u32> {
 }
 
 /// [n + 1] sums of the numbers before each of `values` `[n]`, and of all of them; at most the largest number.
-///
-/// # Panics
-/// If `device` is no GPU.
 pub fn prefix_sums(values: &[u32], device: &Device) -> Vec<u32> {
     download(&scan::starts(&upload(values, [values.len()], device)))
 }
 
 /// (keys, places before) `[n]` in ascending order of `keys` `[n]` below 2^`bits`; equal ones keep their order.
-///
-/// # Panics
-/// If `device` is no GPU.
 pub fn sorted(keys: &[u32], bits: u32, device: &Device) -> (Vec<u32>, Vec<u32>) {
     let places: Vec<u32> = (0..).take(keys.len()).collect();
     let [keys, places] = [keys, &places].map(|values| upload(values, [values.len()], device));
@@ -53,9 +47,6 @@ pub fn sorted(keys: &[u32], bits: u32, device: &Device) -> (Vec<u32>, Vec<u32>) 
 }
 
 /// All pieces, those that are none last, and [n + 1] the first of each of the rectangles `[n]`: x0, x1, y0, y1, half open.
-///
-/// # Panics
-/// If `device` is no GPU.
 pub fn pieces_of(rects: &[[u32; 4]], device: &Device) -> (Vec<Piece>, Vec<usize>) {
     let found = work_split::split_work(&upload(rects.as_flattened(), [rects.len(), 4], device));
     let starts = download(&found.starts).into_iter().map(|start| start as usize).collect();

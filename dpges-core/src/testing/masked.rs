@@ -13,8 +13,6 @@ pub fn counted() -> Vec<bool> {
     (0..AREA).map(|at| !is_ignored(at % WIDTH, at / WIDTH)).collect()
 }
 
-/// # Panics
-/// If `counted` is not [H × W] long.
 pub fn mask(counted: &[bool]) -> Mask {
     Mask::new(counted, WIDTH, HEIGHT, &device()).expect("the size of the picture")
 }

@@ -10,7 +10,7 @@
 use burn::tensor::{DType, Device, Gradients, Int, Tensor, TensorData};
 
 use super::compare::relative_l2;
-use super::golden::values;
+use super::golden::{gradient, values};
 use super::random::Random;
 use super::scenes::TestScene;
 use crate::ops::adam::{AdamStep, adam_step};
@@ -38,7 +38,6 @@ use crate::scene::{DepthWeight, Gaussians, MarginLookup, Surfels};
 /// A tensor by name, as `peel.alpha` or `splat.grad.positions`.
 pub type Named = (String, Vec<f64>);
 
-/// The results of the reference device, in host memory.
 #[derive(Clone, Debug)]
 pub struct Reference {
     ids: Vec<i64>,
@@ -72,7 +71,6 @@ impl Reference {
     }
 }
 
-/// One scene on one device.
 pub struct Bench<'a> {
     scene: &'a TestScene,
     options: PeelOptions,
@@ -105,8 +103,13 @@ impl<'a> Bench<'a> {
     }
 
     fn gradient<const D: usize>(&mut self, name: &str, leaf: &Tensor<D>, gradients: &Gradients) {
-        let gradient = leaf.grad(gradients).map_or_else(|| vec![0.0; leaf.dims().iter().product()], |g| values(&g));
-        self.found.push((name.to_owned(), gradient));
+        self.found.push((name.to_owned(), gradient(leaf, gradients)));
+    }
+
+    fn gradients(&mut self, of: &str, leaves: &[(&str, &Tensor<2>)], gradients: &Gradients) {
+        for (name, leaf) in leaves {
+            self.gradient(&format!("{of}.grad.{name}"), leaf, gradients);
+        }
     }
 
     fn shape(&self) -> [usize; 3] {
@@ -144,12 +147,10 @@ impl<'a> Bench<'a> {
         let upstream = self.upstream(&alpha, 1);
         let of_alpha = (alpha * upstream.clone()).sum().backward();
         let of_depth = (depth * upstream).sum().backward();
-        let surfels = self.surfels.clone();
-        for (of, gradients) in [("alpha", of_alpha), ("depth", of_depth)] {
-            self.gradient(&format!("peel.{of}.grad.positions"), &surfels.positions, &gradients);
-            self.gradient(&format!("peel.{of}.grad.quaternions"), &surfels.quaternions, &gradients);
-            self.gradient(&format!("peel.{of}.grad.log_scales"), &surfels.log_scales, &gradients);
-        }
+        let Surfels { positions, quaternions, log_scales, .. } = &self.surfels.clone();
+        let leaves = [("positions", positions), ("quaternions", quaternions), ("log_scales", log_scales)];
+        self.gradients("peel.alpha", &leaves, &of_alpha);
+        self.gradients("peel.depth", &leaves, &of_depth);
     }
 
     fn colours(&mut self) -> [Tensor<2>; 2] {
@@ -162,8 +163,8 @@ impl<'a> Bench<'a> {
             let out = colour(&model, &positions, centre).expect("valid input");
             self.note(&format!("colour.{of}"), &out);
             let gradients = (out.clone() * self.upstream(&out, 2)).sum().backward();
-            self.gradient(&format!("colour.{of}.grad.base"), &model.base, &gradients);
-            self.gradient(&format!("colour.{of}.grad.detail"), &model.detail, &gradients);
+            let leaves = [("base", &model.base), ("detail", &model.detail)];
+            self.gradients(&format!("colour.{of}"), &leaves, &gradients);
             out
         })
     }
@@ -174,10 +175,7 @@ impl<'a> Bench<'a> {
         let sums = splat(&gaussians, &colours, &limits, camera).expect("valid input");
         self.note("splat.sums", &sums);
         let gradients = (sums.clone() * self.upstream(&sums, 3)).sum().backward();
-        self.gradient("splat.grad.positions", &gaussians.positions, &gradients);
-        self.gradient("splat.grad.quaternions", &gaussians.quaternions, &gradients);
-        self.gradient("splat.grad.log_scales", &gaussians.log_scales, &gradients);
-        self.gradient("splat.grad.opacities", &gaussians.opacities, &gradients);
+        self.gradients("splat", &leaves(&gaussians), &gradients);
         self.gradient("splat.grad.colours", &colours, &gradients);
         let gates = self.upstream(&limits, 4).abs();
         let largest = contributions(&gaussians, &colours, &limits, &gates, camera).expect("valid input");
@@ -369,15 +367,12 @@ impl<'a> Bench<'a> {
             let output = output * agreed.clone();
             self.note(&format!("blend.{name}"), &output);
             let gradients = (output.clone() * self.upstream(&output, 13)).sum().backward();
-            self.gradient(&format!("blend.{name}.grad.positions"), &gaussians.positions, &gradients);
-            self.gradient(&format!("blend.{name}.grad.quaternions"), &gaussians.quaternions, &gradients);
-            self.gradient(&format!("blend.{name}.grad.log_scales"), &gaussians.log_scales, &gradients);
-            self.gradient(&format!("blend.{name}.grad.opacities"), &gaussians.opacities, &gradients);
+            let of = format!("blend.{name}");
+            self.gradients(&of, &leaves(&gaussians), &gradients);
             if let Some(degrees) = &gaussians.degrees_of_freedom {
-                self.gradient(&format!("blend.{name}.grad.degrees_of_freedom"), degrees, &gradients);
+                self.gradients(&of, &[("degrees_of_freedom", degrees)], &gradients);
             }
-            self.gradient(&format!("blend.{name}.grad.colours"), &colours, &gradients);
-            self.gradient(&format!("blend.{name}.grad.probe"), &probe, &gradients);
+            self.gradients(&of, &[("colours", &colours), ("probe", &probe)], &gradients);
         }
         self.found
     }
@@ -391,8 +386,8 @@ impl<'a> Bench<'a> {
         let factors = harmonics(&of.opacity_base, &of.opacity_detail, &of.positions, centre).expect("valid input");
         self.note("harmonics", &factors);
         let gradients = (factors.clone() * self.upstream(&factors, 15)).sum().backward();
-        self.gradient("harmonics.grad.base", &gaussians.opacity_base, &gradients);
-        self.gradient("harmonics.grad.detail", &gaussians.opacity_detail, &gradients);
+        let leaves = [("base", &gaussians.opacity_base), ("detail", &gaussians.opacity_detail)];
+        self.gradients("harmonics", &leaves, &gradients);
 
         let options = SummedOptions { weight, background: [0.3, 0.6, 0.1], depth: true };
         for name in ["image", "alpha", "depth"] {
@@ -412,13 +407,10 @@ impl<'a> Bench<'a> {
             };
             self.note(&format!("summed.{name}"), &output);
             let gradients = (output.clone() * self.upstream(&output, 16)).sum().backward();
-            for (attribute, leaf) in gaussians.iter() {
-                self.gradient(&format!("summed.{name}.grad.{}", attribute.name), leaf, &gradients);
-            }
             let WeightedSumTensors { sigma, beta, background } = &common;
-            for (of, leaf) in [("sigma", sigma), ("beta", beta), ("background", background), ("probe", &probe)] {
-                self.gradient(&format!("summed.{name}.grad.{of}"), leaf, &gradients);
-            }
+            let shared = [("sigma", sigma), ("beta", beta), ("background", background), ("probe", &probe)];
+            let own = gaussians.iter().map(|(attribute, leaf)| (attribute.name, leaf));
+            self.gradients(&format!("summed.{name}"), &own.chain(shared).collect::<Vec<_>>(), &gradients);
         }
         self.found
     }
@@ -468,18 +460,18 @@ impl<'a> Bench<'a> {
     }
 }
 
+/// What every way to draw Gaussians has gradients of.
+fn leaves(gaussians: &Gaussians) -> [(&'static str, &Tensor<2>); 4] {
+    let Gaussians { positions, quaternions, log_scales, opacities, .. } = gaussians;
+    [("positions", positions), ("quaternions", quaternions), ("log_scales", log_scales), ("opacities", opacities)]
+}
+
 /// How far two devices are apart: relative L2 of every tensor.
-///
-/// # Panics
-/// If the two did not run the same operations.
 pub fn distances(found: &[Named], expected: &[Named]) -> Vec<(String, f64)> {
     assert_eq!(found.len(), expected.len(), "the same operations");
-    found
-        .iter()
-        .zip(expected)
-        .map(|((name, found), (expected_name, expected))| {
-            assert_eq!(name, expected_name);
-            (name.clone(), relative_l2(found, expected))
-        })
-        .collect()
+    let distance = |((name, found), (expected_name, expected)): (&Named, &Named)| {
+        assert_eq!(name, expected_name);
+        (name.clone(), relative_l2(found, expected))
+    };
+    found.iter().zip(expected).map(distance).collect()
 }

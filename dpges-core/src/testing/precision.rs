@@ -4,7 +4,7 @@ use burn::tensor::{DType, Device, Gradients, Tensor, TensorData};
 use glam::DMat3;
 
 use super::extremes::{Extreme, Hazard};
-use super::golden::values;
+use super::golden::{gradient, values};
 use super::random::Random;
 use crate::camera::Camera;
 use crate::error::Result;
@@ -19,16 +19,12 @@ use crate::scene::{Gaussians, ScreenFilter, Surfels};
 /// units of the size of the world.
 const SMALLEST_NORM: f64 = 1e-9;
 
-/// How a scene is rendered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Way {
-    /// Peeled surfels and Gaussians.
     Peeled,
-    /// Blended ellipsoids.
     Ellipsoids,
     /// Blended ellipsoids without compensation.
     PlainEllipsoids,
-    /// Blended discs.
     Discs,
 }
 
@@ -53,7 +49,6 @@ pub struct Deviation {
     pub way: Way,
     /// `image`, or the name of an attribute.
     pub tensor: &'static str,
-    /// Values that are NaN or infinite.
     pub non_finite: usize,
     /// For a picture: the largest difference of a value, relative to the largest value where that is 1 or more. For a
     /// gradient: relative L2 distance, with positions in units of the size of the world. Infinite if a value is not
@@ -61,14 +56,10 @@ pub struct Deviation {
     pub error: f64,
 }
 
-/// A tensor and its name.
 type Named = (&'static str, Vec<f64>);
 type Found = Vec<Named>;
 
 /// Renders and differentiates an extreme scene in f32 on `device` and in f64 on the CPU.
-///
-/// # Errors
-/// The errors of rendering; a scene with finite parameters and a valid camera has none.
 pub fn deviations(extreme: &Extreme, way: Way, device: &Device) -> Result<Vec<Deviation>> {
     let found = compute(extreme, way, device, DType::F32)?;
     let exact = compute(extreme, way, &crate::backend::device::cpu(), DType::F64)?;
@@ -83,9 +74,6 @@ pub fn deviations(extreme: &Extreme, way: Way, device: &Device) -> Result<Vec<De
 /// The condition of each tensor of [`deviations`], in its order: how far it moves in f64, as [`Deviation::error`] measures,
 /// if every number of the scene and of the camera moves by half a unit in the last place of an f32, up or down. The largest
 /// of `moves` random choices. No arithmetic in f32 can promise less than that.
-///
-/// # Errors
-/// The errors of [`deviations`].
 pub fn conditions(extreme: &Extreme, way: Way, moves: usize) -> Result<Vec<f64>> {
     let device = crate::backend::device::cpu();
     let exact = compute(extreme, way, &device, DType::F64)?;
@@ -185,8 +173,8 @@ fn differentiate(
         let total = losses(&rendered, surfels.log_scales.clone(), target, &LossWeights::default())?.total;
         let gradients = total.backward();
         let mut found = vec![(IMAGE, values(&rendered.composite.image))];
-        found.extend(gradients_of_surfels(surfels, &gradients));
-        found.extend(gradients_of_gaussians(gaussians, &gradients));
+        found.extend(gradients_of(surfels, &gradients));
+        found.extend(gradients_of(gaussians, &gradients));
         return Ok(found);
     }
     let (form, filter) = match way {
@@ -199,21 +187,12 @@ fn differentiate(
     let rendered = render_blended(gaussians, None, camera, &options, Values::Unknown)?;
     let gradients = losses::rgb(rendered.image.clone(), target, LossWeights::default().dssim)?.backward();
     let mut found = vec![(IMAGE, values(&rendered.image))];
-    found.extend(gradients_of_gaussians(gaussians, &gradients));
+    found.extend(gradients_of(gaussians, &gradients));
     Ok(found)
 }
 
-fn gradient<const D: usize>(leaf: &Tensor<D>, gradients: &Gradients) -> Vec<f64> {
-    leaf.grad(gradients).map_or_else(|| vec![0.0; leaf.dims().iter().product()], |gradient| values(&gradient))
-}
-
-fn gradients_of_surfels(surfels: &Surfels, gradients: &Gradients) -> Found {
-    let learnt = surfels.iter().filter(|(attribute, _)| attribute.learns());
-    learnt.map(|(attribute, tensor)| (attribute.name, gradient(tensor, gradients))).collect()
-}
-
-fn gradients_of_gaussians(gaussians: &Gaussians, gradients: &Gradients) -> Found {
-    let learnt = gaussians.iter().filter(|(attribute, _)| attribute.learns());
+fn gradients_of(columns: &impl Columns<Value = Tensor<2>>, gradients: &Gradients) -> Found {
+    let learnt = columns.iter().filter(|(attribute, _)| attribute.learns());
     learnt.map(|(attribute, tensor)| (attribute.name, gradient(tensor, gradients))).collect()
 }
 

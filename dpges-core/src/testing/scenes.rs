@@ -5,10 +5,11 @@ use glam::{DMat3, DQuat, DVec2, DVec3};
 
 use super::random::Random;
 use crate::camera::{Camera, CameraFromWorld};
-use crate::scene::schema::Columns;
-use crate::scene::{ColourData, ColourModel, GaussianData, Gaussians, SceneData, SceneInfo, SurfelData, Surfels};
+use crate::scene::schema::{Attribute, Columns};
+use crate::scene::{
+    ColourData, ColourModel, GaussianData, Gaussians, Rendering, SceneData, SceneInfo, SurfelData, Surfels, WeightedSum,
+};
 
-/// A scene and a camera that looks at it.
 #[derive(Clone, Debug)]
 pub struct TestScene {
     pub surfels: SurfelData,
@@ -35,7 +36,6 @@ impl TestScene {
     }
 }
 
-/// The parameters of a random scene.
 #[derive(Clone, Copy, Debug)]
 pub struct Recipe {
     pub surfels: usize,
@@ -106,18 +106,32 @@ pub fn random(seed: u64, recipe: &Recipe) -> TestScene {
     let target = DVec3::new(random.unit(), random.unit(), random.unit()) * 0.3 * extent;
     let up = if towards.z.abs() < 0.9 { DVec3::Z } else { DVec3::X };
     let (width, height) = (recipe.width as f64, recipe.height as f64);
-    let camera = Camera {
-        camera_from_world: CameraFromWorld::look_at(eye, target, up),
-        fx: 1.1 * width,
-        fy: 1.2 * width,
-        cx: 0.48 * width,
-        cy: 0.53 * height,
-        width: recipe.width,
-        height: recipe.height,
-        near: 0.02 * extent,
-        lens: None,
-    };
+    let camera_from_world = CameraFromWorld::look_at(eye, target, up);
+    let [fx, fy, cx, cy] = [1.1 * width, 1.2 * width, 0.48 * width, 0.53 * height];
+    let &Recipe { width, height, .. } = recipe;
+    let camera = Camera { camera_from_world, fx, fy, cx, cy, width, height, near: 0.02 * extent, lens: None };
     TestScene { surfels, gaussians, camera }
+}
+
+/// A scene of so many surfels and Gaussians, whose attributes have the `number` at every place of their rows.
+pub fn numbered(
+    model: ColourModel,
+    [surfels, gaussians]: [usize; 2],
+    mut number: impl FnMut(&Attribute, usize) -> f32,
+) -> SceneData {
+    let mut rows = |attribute: &Attribute, count: usize| -> Vec<f32> {
+        (0..count * attribute.width.under(model)).map(|at| number(attribute, at)).collect()
+    };
+    let mut info = SceneInfo { colour_model: model, offset: [5.25e5, -2.0, 0.125], near: 0.2, ..SceneInfo::default() };
+    if model.opacity_len() > 0 {
+        (info.rendering, info.weighted_sum) = (Rendering::Summed, Some(WeightedSum::default()));
+    }
+    SceneData {
+        info,
+        surfels: SurfelData::generate(model, SurfelData::ATTRIBUTES.iter().map(|a| rows(a, surfels))),
+        gaussians: GaussianData::generate(model, GaussianData::ATTRIBUTES.iter().map(|a| rows(a, gaussians))),
+        environment: None,
+    }
 }
 
 /// The room of [`realistic`]: half its size along each axis, world units, with a ball on its floor.
@@ -150,17 +164,9 @@ pub fn realistic(surfels: usize, gaussians: usize, width: usize, height: usize, 
     let (w, h) = (width as f64, height as f64);
     let eye = DVec3::new(-1.2, -3.3, 0.3);
     let focal = 0.8 * w;
-    let camera = Camera {
-        camera_from_world: CameraFromWorld::look_at(eye, DVec3::new(0.3, 1.5, -0.3), DVec3::Z),
-        fx: focal,
-        fy: focal,
-        cx: w / 2.0,
-        cy: h / 2.0,
-        width,
-        height,
-        near: 0.2,
-        lens: None,
-    };
+    let camera_from_world = CameraFromWorld::look_at(eye, DVec3::new(0.3, 1.5, -0.3), DVec3::Z);
+    let (fx, fy, cx, cy) = (focal, focal, w / 2.0, h / 2.0);
+    let camera = Camera { camera_from_world, fx, fy, cx, cy, width, height, near: 0.2, lens: None };
     // a place on a surface, its normal, and how large a pixel is there
     let place = |pixel: DVec2| {
         let direction = (camera.unproject(pixel.x, pixel.y, 1.0) - eye).normalize();

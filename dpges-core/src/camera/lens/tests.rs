@@ -34,62 +34,49 @@ fn rays_lead_back_to_the_points_that_they_show() {
     }
 }
 
-#[test]
-fn jacobians_are_central_differences() {
+/// Central differences of `of` at a point along each axis.
+fn slopes<const N: usize>(point: [f64; 3], of: impl Fn([f64; 3]) -> [f64; N]) -> [[f64; N]; 3] {
     const STEP: f64 = 1e-6;
+    [0, 1, 2].map(|axis| {
+        let at = |step: f64| {
+            let mut moved = point;
+            moved[axis] += step;
+            of(moved)
+        };
+        let (above, below) = (at(STEP), at(-STEP));
+        std::array::from_fn(|i| (above[i] - below[i]) / (2.0 * STEP))
+    })
+}
+
+#[test]
+fn jacobians_and_the_way_back_are_central_differences() {
+    let mut random = Random::new(5);
     for (name, distortion) in every_model() {
         let lens = Lens::new(distortion);
         for point in points(&lens, 200) {
             let seen = lens.look(point).unwrap();
             assert_eq!(seen.position, lens.position(point).unwrap());
-            for k in 0..3 {
-                let at = |step: f64| {
-                    let mut moved = point;
-                    moved[k] += step;
-                    lens.position(moved).unwrap()
-                };
-                let (above, below) = (at(STEP), at(-STEP));
-                for i in 0..2 {
-                    let slope = (above[i] - below[i]) / (2.0 * STEP);
-                    let found = seen.jacobian[i][k];
-                    assert!(
-                        (found - slope).abs() < 1e-5 * (1.0 + slope.abs()),
-                        "{name} at {point:?}: {found}, {slope}"
-                    );
+            for (k, expected) in slopes(point, |point| lens.position(point).unwrap()).into_iter().enumerate() {
+                for (row, slope) in seen.jacobian.iter().zip(expected) {
+                    let near = (row[k] - slope).abs() < 1e-5 * (1.0 + slope.abs());
+                    assert!(near, "{name} at {point:?}: {}, {slope}", row[k]);
                 }
             }
-        }
-    }
-}
-
-#[test]
-fn the_way_back_is_a_central_difference_of_position_and_jacobian() {
-    const STEP: f64 = 1e-6;
-    let mut random = Random::new(5);
-    for (name, distortion) in every_model() {
-        let lens = Lens::new(distortion);
-        for point in points(&lens, 200) {
             let grad_position: [f64; 2] = std::array::from_fn(|_| random.normal());
             let grad_jacobian: [[f64; 3]; 2] = std::array::from_fn(|_| std::array::from_fn(|_| random.normal()));
             let loss = |point: [f64; 3]| {
                 let seen = lens.look(point).unwrap();
-                (0..2)
-                    .map(|i| {
-                        let of_jacobian: f64 = (0..3).map(|k| seen.jacobian[i][k] * grad_jacobian[i][k]).sum();
-                        seen.position[i] * grad_position[i] + of_jacobian
-                    })
-                    .sum::<f64>()
+                let of_row = |i: usize| {
+                    let of_jacobian: f64 = (0..3).map(|k| seen.jacobian[i][k] * grad_jacobian[i][k]).sum();
+                    seen.position[i] * grad_position[i] + of_jacobian
+                };
+                [of_row(0) + of_row(1)]
             };
             let found = lens.look_backward(point, grad_position, grad_jacobian);
-            for k in 0..3 {
-                let at = |step: f64| {
-                    let mut moved = point;
-                    moved[k] += step;
-                    loss(moved)
-                };
-                let slope = (at(STEP) - at(-STEP)) / (2.0 * STEP);
-                let size = slope.abs().max(found.iter().fold(1.0, |most: f64, v| most.max(v.abs())));
-                assert!((found[k] - slope).abs() < 1e-5 * size, "{name} at {point:?}: {}, {slope}", found[k]);
+            let largest = found.iter().fold(1.0, |most: f64, v| most.max(v.abs()));
+            for (found, [slope]) in found.into_iter().zip(slopes(point, loss)) {
+                let near = (found - slope).abs() < 1e-5 * largest.max(slope.abs());
+                assert!(near, "the way back of {name} at {point:?}: {found}, {slope}");
             }
         }
     }
@@ -101,46 +88,42 @@ fn models_are_those_of_colmap() {
     let [x, y, z] = point;
     let (a, b) = (x / z, y / z);
     let models = every_model();
-    let position = |model: usize| Lens::new(models[model].1).position(point).unwrap();
+    let check = |model: usize, point: [f64; 3], expected: [f64; 2], epsilon: f64| {
+        let found = Lens::new(models[model].1).position(point).unwrap();
+        for (found, expected) in found.into_iter().zip(expected) {
+            assert_relative_eq!(found, expected, epsilon = epsilon);
+        }
+    };
 
     let r2 = a * a + b * b;
     let radial = 1.0 - 0.2 * r2 + 0.05 * r2 * r2;
-    let [found_x, found_y] = position(2);
-    assert_relative_eq!(found_x, a * radial + 2.0 * 0.003 * a * b - 0.004 * (r2 + 2.0 * a * a), epsilon = 1e-12);
-    assert_relative_eq!(found_y, b * radial + 0.003 * (r2 + 2.0 * b * b) - 2.0 * 0.004 * a * b, epsilon = 1e-12);
+    let across = a * radial + 2.0 * 0.003 * a * b - 0.004 * (r2 + 2.0 * a * a);
+    let down = b * radial + 0.003 * (r2 + 2.0 * b * b) - 2.0 * 0.004 * a * b;
+    check(2, point, [across, down], 1e-12);
 
     let radius = x.hypot(y);
     let theta = radius.atan2(z);
     let t2 = theta * theta;
     let bent = theta * (1.0 + 0.04 * t2 - 0.012 * t2 * t2 + 0.003 * t2.powi(3) - 0.0002 * t2.powi(4));
-    let [found_x, found_y] = position(4);
-    assert_relative_eq!(found_x, bent * x / radius, epsilon = 1e-12);
-    assert_relative_eq!(found_y, bent * y / radius, epsilon = 1e-12);
+    check(4, point, [bent * x / radius, bent * y / radius], 1e-12);
 
     let (u, v) = (theta * x / radius, theta * y / radius);
     let bulge = 0.02 * t2 - 0.01 * t2 * t2 + 0.001 * t2.powi(3);
-    let [found_x, found_y] = position(7);
     let across = u + u * bulge + 2.0 * 0.002 * u * v - 0.001 * (t2 + 2.0 * u * u) + 0.003 * t2;
     let down = v + v * bulge - 2.0 * 0.001 * u * v + 0.002 * (t2 + 2.0 * v * v) - 0.002 * t2;
-    assert_relative_eq!(found_x, across, epsilon = 1e-12);
-    assert_relative_eq!(found_y, down, epsilon = 1e-12);
+    check(7, point, [across, down], 1e-12);
 
     let (omega, r) = (1.3f64, r2.sqrt());
     let factor = (2.0 * r * (0.5 * omega).tan()).atan() / (r * omega);
-    let [found_x, found_y] = position(8);
-    assert_relative_eq!(found_x, a * factor, epsilon = 1e-12);
-    assert_relative_eq!(found_y, b * factor, epsilon = 1e-12);
+    check(8, point, [a * factor, b * factor], 1e-12);
 
     // of a program of its own
-    let lens = Lens::new(models[9].1);
     for (point, expected) in [
         (point, [0.806_972_939_476_258_8, -0.448_063_681_023_826_1]),
         ([-0.4, 0.7, -0.1], [-0.854_489_485_448_965_5, 1.493_022_017_712_310_4]),
         ([0.2, 0.1, 1.0], [0.196_988_848_068_316_04, 0.098_483_586_355_042_05]),
     ] {
-        let found = lens.position(point).unwrap();
-        assert_relative_eq!(found[0], expected[0], epsilon = 1e-14);
-        assert_relative_eq!(found[1], expected[1], epsilon = 1e-14);
+        check(9, point, expected, 1e-14);
     }
 }
 

@@ -34,9 +34,6 @@ impl Layout {
 
     /// Whether a file of `file_len` bytes may hold such a scene under `model`: so that memory is bounded by the size of
     /// the file, whatever it claims.
-    ///
-    /// # Errors
-    /// A message that names the problem.
     pub fn check(&self, model: ColourModel, file_len: usize) -> Result<(), String> {
         self.bits.check().map_err(|error| error.to_string())?;
         if self.block_len == 0 {
@@ -65,7 +62,6 @@ impl Layout {
 pub enum Kept {
     /// [One by one](super::numbers), in these groups.
     Numbers(Vec<usize>),
-    /// As rotations.
     Rotations,
     /// As counts of the lobes that are there, of so many, and as the [numbers](LOBE_GROUPS) of those lobes.
     Lobes(usize),
@@ -107,16 +103,6 @@ mod tests {
                 assert!(error.unwrap_err().contains("more than a compressed file of 1000000 bytes may hold"));
             }
         }
-    }
-
-    #[test]
-    fn headers_that_cannot_be_are_told() {
-        let good = Layout::new(1, 1, Quality::LOW);
-        assert!(good.check(TWO_LOBES, 100).is_ok());
-        let no_blocks = Layout { block_len: 0, ..good.clone() };
-        assert!(no_blocks.check(TWO_LOBES, 100).unwrap_err().contains("`block_len`"));
-        let many_bits = Layout { bits: Quality { opacities: 32, ..Quality::LOW }, ..good };
-        assert!(many_bits.check(TWO_LOBES, 100).unwrap_err().contains("`opacities` is 32 bits"));
     }
 
     #[test]

@@ -122,7 +122,6 @@ impl SceneData {
     }
 }
 
-/// The tensors of `count` primitives.
 fn store<C: Columns<Value = Vec<f32>>>(
     columns: &C,
     count: usize,
@@ -153,9 +152,6 @@ fn store<C: Columns<Value = Vec<f32>>>(
 }
 
 /// The primitives of a compressed file of `file_len` bytes.
-///
-/// # Errors
-/// A message that names the problem, and the tensor where there is one.
 pub(super) fn read(
     file: &SafeTensors,
     metadata: &HashMap<String, String>,

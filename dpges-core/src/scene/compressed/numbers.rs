@@ -77,7 +77,6 @@ fn subtract_green(group: &mut [u32], bits: u8) {
     }
 }
 
-/// Undoes [`subtract_green`].
 fn add_green(group: &mut [u32], bits: u8) {
     let most = largest(bits);
     let [red, green, blue] = group else { return };
@@ -90,8 +89,8 @@ fn add_green(group: &mut [u32], bits: u8) {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    const LOBES: [usize; 4] = [3, 1, 1, 1];
+    use crate::scene::compressed::layout::LOBE_GROUPS as LOBES;
+    use crate::scene::compressed::tests::check_groups;
 
     /// The values come back within half a step of their block and one rounding of `f32`.
     fn check(values: &[f32], groups: &[usize], bits: u8, block_len: usize) {
@@ -99,16 +98,8 @@ mod tests {
         let bytes = encode(values, groups, bits, block_len);
         let found = decode(&bytes, values.len() / width, groups, bits, block_len).unwrap();
         assert_eq!(found.len(), values.len());
-        let group_of: Vec<usize> = (0..groups.len()).flat_map(|group| vec![group; groups[group]]).collect();
-        for (at, (&value, &found)) in values.iter().zip(&found).enumerate() {
-            let range = 8 * (at / width / block_len * groups.len() + group_of[at % width]);
-            let bound = |at: usize| f64::from(f32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()));
-            let [low, high] = [range, range + 4].map(bound);
-            assert!(low <= f64::from(value) && f64::from(value) <= high);
-            let half_step = 0.5 * (high - low) / f64::from(largest(bits));
-            let rounding = f64::from(value.abs().max(found.abs())) * f64::from(f32::EPSILON);
-            let error = (f64::from(value) - f64::from(found)).abs();
-            assert!(error <= half_step * (1.0 + 1e-9) + rounding, "{value} became {found} at {bits} bits");
+        for (values, found) in values.chunks(block_len * width).zip(found.chunks(block_len * width)) {
+            check_groups("numbers", groups, values, found, bits);
         }
     }
 

@@ -11,7 +11,6 @@ const EFFORT: i32 = 9;
 /// Window of deflate; a value other than 0 asks for a zlib stream.
 const WINDOW_BITS: i32 = 15;
 
-/// The largest symbol of `bits`.
 pub const fn largest(bits: u8) -> u32 {
     (1 << bits) - 1
 }
@@ -96,7 +95,6 @@ fn deflate(plane: &[u8]) -> Vec<u8> {
     if statistics.len() < repeats.len() { statistics } else { repeats }
 }
 
-/// The `rows` bytes of a plane.
 fn inflate(deflated: &[u8], rows: usize) -> Result<Vec<u8>, String> {
     // room for one byte too many, so that the end of the stream is read, and a longer stream told apart
     match decompress_to_vec_zlib_with_limit(deflated, rows.saturating_add(1)) {
@@ -112,15 +110,12 @@ fn inflate(deflated: &[u8], rows: usize) -> Result<Vec<u8>, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::testing::random::Random;
 
     /// Some that repeat, some that do not.
     fn symbols(rows: usize, bits: &[u8]) -> Vec<u32> {
-        let mut state = 1u64;
-        let mut noise = || {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            (state >> 33) as u32
-        };
-        let mut symbol = |at: usize| if at.is_multiple_of(3) { at as u32 / 30 } else { noise() };
+        let mut random = Random::new(1);
+        let mut symbol = |at: usize| if at.is_multiple_of(3) { at as u32 / 30 } else { random.below(1 << 31) as u32 };
         (0..rows * bits.len()).map(&mut symbol).zip(bits.iter().cycle()).map(|(s, &bits)| s & largest(bits)).collect()
     }
 

@@ -43,15 +43,7 @@ impl Quality {
     pub const NAMES: [&str; 7] = ["positions", "quaternions", "log_scales", "opacities", "margins", "base", "detail"];
 
     const fn even(bits: u8) -> Self {
-        Self {
-            positions: bits,
-            quaternions: bits,
-            log_scales: bits,
-            opacities: bits,
-            margins: bits,
-            base: bits,
-            detail: bits,
-        }
+        Self::from_list([bits; 7])
     }
 
     /// Bits per number of every attribute, in the order of [`NAMES`](Self::NAMES).
@@ -60,13 +52,11 @@ impl Quality {
         [positions, quaternions, log_scales, opacities, margins, base, detail]
     }
 
-    /// Undoes [`list`](Self::list).
     pub const fn from_list(bits: [u8; 7]) -> Self {
         let [positions, quaternions, log_scales, opacities, margins, base, detail] = bits;
         Self { positions, quaternions, log_scales, opacities, margins, base, detail }
     }
 
-    /// Bits per number of the attributes of a group.
     pub(super) const fn bits(&self, group: RateGroup) -> u8 {
         match group {
             RateGroup::Positions => self.positions,
@@ -93,7 +83,6 @@ impl Quality {
 }
 
 impl Default for Quality {
-    /// [`MEDIUM`](Self::MEDIUM).
     fn default() -> Self {
         Self::MEDIUM
     }

@@ -4,7 +4,6 @@ use std::f64::consts::FRAC_1_SQRT_2;
 
 use super::planes::largest;
 
-/// Numbers of a quaternion.
 const LEN: usize = 4;
 
 /// Bits of the symbols of a rotation: the index of the largest component, then the three others in order.
@@ -36,9 +35,6 @@ pub fn encode(quaternions: &[f32], bits: u8) -> Vec<u32> {
 
 /// Undoes [`encode`]: quaternions [N, 4] of unit length with a positive largest component. The other three components are
 /// those of the unit quaternion up to half a step, which is 1/√2 / (2^bits − 2).
-///
-/// # Errors
-/// A symbol that [`encode`] does not use.
 pub fn decode(symbols: &[u32], bits: u8) -> Result<Vec<f32>, String> {
     let half = half_levels(bits);
     let unused = largest(bits);
@@ -65,7 +61,6 @@ fn half_levels(bits: u8) -> f64 {
     f64::from(largest(bits) / 2)
 }
 
-/// The components beside `index`.
 fn others(index: usize) -> impl Iterator<Item = usize> {
     (0..LEN).filter(move |&component| component != index)
 }

@@ -9,7 +9,6 @@ use crate::scene::SceneInfo;
 pub const FORMAT: &str = "dpges-lod";
 pub const VERSION: u32 = 1;
 
-/// A scene in levels of detail.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Index {
     /// [`FORMAT`]
@@ -59,7 +58,6 @@ pub struct Cell {
 }
 
 impl Cell {
-    /// Surfels and Gaussians.
     pub fn primitives(&self) -> usize {
         self.surfels + self.gaussians
     }
@@ -67,14 +65,8 @@ impl Cell {
 
 impl Index {
     pub fn new(settings: SceneInfo) -> Self {
-        Self {
-            format: FORMAT.to_owned(),
-            version: VERSION,
-            settings,
-            sky: None,
-            cells: Vec::new(),
-            place: PathBuf::new(),
-        }
+        let (format, cells, place) = (FORMAT.to_owned(), Vec::new(), PathBuf::new());
+        Self { format, version: VERSION, settings, sky: None, cells, place }
     }
 
     /// Indices of the cells without a parent.
@@ -98,9 +90,6 @@ impl Index {
     }
 
     /// The first thing that cannot be, in words.
-    ///
-    /// # Errors
-    /// A message naming the field or the cell.
     pub(super) fn check(&self) -> Result<(), String> {
         if self.format != FORMAT {
             return Err(format!("`format` is `{}`, expected `{FORMAT}`", self.format));

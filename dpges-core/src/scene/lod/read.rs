@@ -30,8 +30,7 @@ impl Index {
     /// [`Error::SceneFile`] naming the file that is too short.
     pub fn open(folder: &Path) -> Result<Self> {
         let path = folder.join(INDEX);
-        let bytes =
-            std::fs::read(&path).map_err(|source| Error::Io { action: "cannot read", path: path.clone(), source })?;
+        let bytes = std::fs::read(&path).map_err(unreadable(&path))?;
         let index = Self::from_bytes(&bytes, &path.to_string_lossy())?;
         let mut files: Vec<(&str, u64)> = Vec::new();
         for part in index.parts() {
@@ -43,9 +42,7 @@ impl Index {
         }
         for (name, needed) in files {
             let path = folder.join(name);
-            let found = std::fs::metadata(&path)
-                .map_err(|source| Error::Io { action: "cannot read", path: path.clone(), source })?
-                .len();
+            let found = std::fs::metadata(&path).map_err(unreadable(&path))?.len();
             if found < needed {
                 let reason = format!("has {found} bytes, and the index expects {needed}: copy or export it again");
                 return Err(Error::SceneFile { path, reason });
@@ -55,12 +52,9 @@ impl Index {
     }
 
     /// The bytes of a part of this index, of `folder`.
-    ///
-    /// # Errors
-    /// [`Error::Io`] naming the file.
     pub fn read_part(folder: &Path, part: &Part) -> Result<Vec<u8>> {
         let path = folder.join(&part.file);
-        read_range(&path, part).map_err(|source| Error::Io { action: "cannot read", path, source })
+        read_range(&path, part).map_err(unreadable(&path))
     }
 
     /// The scene of a cell from its `bytes`: only the primitives, the environment is in the sky.
@@ -102,6 +96,10 @@ impl Index {
         }
         Ok(scene)
     }
+}
+
+fn unreadable(path: &Path) -> impl FnOnce(io::Error) -> Error {
+    move |source| Error::Io { action: "cannot read", path: path.to_owned(), source }
 }
 
 fn read_range(path: &Path, part: &Part) -> io::Result<Vec<u8>> {

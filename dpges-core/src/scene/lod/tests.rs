@@ -1,16 +1,11 @@
 use std::fs;
 
 use super::*;
-use crate::scene::{ColourModel, EnvironmentData, GaussianData, Quality, SceneData, SceneInfo, SurfelData};
+use crate::scene::{ColourModel, EnvironmentData, Quality, SceneData};
+use crate::testing::scenes::numbered;
 
 fn scene(surfels: usize, gaussians: usize) -> SceneData {
-    let model = ColourModel::default();
-    SceneData {
-        info: SceneInfo { colour_model: model, ..SceneInfo::default() },
-        surfels: SurfelData::neutral(model, surfels),
-        gaussians: GaussianData::neutral(model, gaussians),
-        environment: None,
-    }
+    numbered(ColourModel::default(), [surfels, gaussians], |attribute, _| attribute.neutral[0])
 }
 
 fn part(file: &str, offset: usize, bytes: &[u8]) -> Part {
