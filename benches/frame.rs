@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use burn::tensor::{DType, Device};
 use dpges_benches::{devices, machine};
-use dpges_core::render::{RenderOptions, Values, render_values};
+use dpges_core::render::{RenderOptions, Values, render_probed};
 use dpges_core::testing::scenes::{TestScene, realistic};
 use dpges_train::run::step_cost::{Rounds, StepStage, Steps, measure as measure_step};
 
@@ -64,7 +64,7 @@ fn measure(name: &str, device: &Device, scene: &TestScene, repeats: usize) {
     let (surfels, gaussians) = scene.tensors(device, DType::F32);
     let options = RenderOptions::default();
     let forward = median_ms(repeats, || {
-        _ = render_values(&surfels, &gaussians, &scene.camera, &options, Values::KnownFinite).expect("valid");
+        _ = render_probed(&surfels, &gaussians, &scene.camera, None, &options, Values::KnownFinite).expect("valid");
         device.sync().expect("the device runs");
     });
     let (scene, camera) = scene.clone().into_scene();

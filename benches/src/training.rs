@@ -8,7 +8,7 @@ use dpges_core::ops::composite::CompositeOptions;
 use dpges_core::ops::interval_limits::interval_limits;
 use dpges_core::ops::peel::peel;
 use dpges_core::ops::splat::splat;
-use dpges_core::render::{Render, RenderOptions, Values, render_values, validate};
+use dpges_core::render::{Render, RenderOptions, Values, render, render_probed, validate};
 use dpges_core::scene::schema::{Columns, GaussianColumns, SurfelColumns};
 use dpges_core::scene::{Gaussians, Surfels};
 use dpges_core::testing::scenes::TestScene;
@@ -87,7 +87,7 @@ impl Training {
     pub fn new(scene: &TestScene, device: &Device) -> Self {
         let (s, g) = scene.tensors(device, DType::F32);
         let options = RenderOptions::default();
-        let view = render_values(&s, &g, &scene.camera, &options, Values::Unknown).expect("benchmark scenes are valid");
+        let view = render(&s, &g, &scene.camera, &options).expect("benchmark scenes are valid");
         let target = view.composite.image.clamp(0.0, 1.0) * 0.9;
         Self {
             surfels: s.map_ref(|_, tensor| Parameter::new(tensor)),
@@ -111,7 +111,7 @@ impl Training {
     fn loss_of(&self, (surfels, gaussians): &(Surfels, Gaussians), variant: Variant) -> Tensor<1> {
         let view = if variant.own_composite {
             let options = RenderOptions::default();
-            render_values(surfels, gaussians, &self.scene.camera, &options, Values::KnownFinite).expect("valid")
+            render_probed(surfels, gaussians, &self.scene.camera, None, &options, Values::KnownFinite).expect("valid")
         } else {
             self.render_plainly(surfels, gaussians)
         };

@@ -5,10 +5,11 @@ pub mod pose;
 pub mod room;
 pub mod summed;
 
-use burn::tensor::{DType, Tensor};
+use burn::tensor::{DType, Tensor, TensorData};
 
 use crate::backend::device::is_gpu;
 use crate::camera::Camera;
+use crate::counters::transfers::upload;
 use crate::error::{Error, Result};
 use crate::ops::colour::colour;
 use crate::ops::composite::{Composite, CompositeOptions, composite};
@@ -21,7 +22,7 @@ use crate::scene::schema::Columns;
 use crate::scene::{Gaussians, MarginLookup, SceneInfo, Surfels};
 use pose::PoseProbe;
 
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RenderOptions {
     pub peel: PeelOptions,
     /// Where the depth intervals of the transmittance end.
@@ -32,25 +33,10 @@ pub struct RenderOptions {
     pub detach_transmittance: bool,
 }
 
-impl Default for RenderOptions {
-    fn default() -> Self {
-        Self {
-            peel: PeelOptions::default(),
-            margin_lookup: MarginLookup::default(),
-            background: [0.0; 3],
-            detach_transmittance: false,
-        }
-    }
-}
-
 impl From<&SceneInfo> for RenderOptions {
     fn from(info: &SceneInfo) -> Self {
-        Self {
-            peel: PeelOptions::from(info),
-            margin_lookup: info.margin_lookup,
-            background: info.background,
-            detach_transmittance: false,
-        }
+        let &SceneInfo { margin_lookup, background, .. } = info;
+        Self { peel: PeelOptions::from(info), margin_lookup, background, detach_transmittance: false }
     }
 }
 
@@ -85,8 +71,18 @@ pub enum Values {
     KnownFinite,
 }
 
-/// Checks shapes, element types and, where `values` asks for it, finiteness of everything that is
-/// rendered.
+/// The part of `behind` that shows through `alpha` [1, H, W].
+fn shown(alpha: &Tensor<3>, behind: Tensor<3>) -> Tensor<3> {
+    (alpha.clone() * -1.0 + 1.0) * behind
+}
+
+/// [3, 1, 1] `colour` as a tensor like another.
+fn flat_colour(colour: [f64; 3], like: &Tensor<3>) -> Tensor<3> {
+    let data = TensorData::new(colour.to_vec(), [3, 1, 1]).convert_dtype(like.dtype());
+    Tensor::from_data(upload(data), (&like.device(), like.dtype()))
+}
+
+/// Checks shapes, element types and, where `values` asks for it, finiteness of everything that is rendered.
 ///
 /// # Errors
 /// [`Error::Shape`], [`Error::DType`] or [`Error::NonFinite`] naming the tensor.
@@ -100,9 +96,6 @@ pub fn validate(surfels: &Surfels, gaussians: &Gaussians, values: Values) -> Res
 }
 
 /// [`validate`] for a scene without surfels.
-///
-/// # Errors
-/// The errors of [`validate`].
 pub fn validate_gaussians(gaussians: &Gaussians, values: Values) -> Result<()> {
     gaussians.check_shapes()?;
     let mut door = Door::new(("gaussians.positions", &gaussians.positions));
@@ -110,7 +103,6 @@ pub fn validate_gaussians(gaussians: &Gaussians, values: Values) -> Result<()> {
     check_finite(door.checks)
 }
 
-/// The checks that every tensor has to pass.
 struct Door {
     dtype: DType,
     expected: String,
@@ -154,27 +146,11 @@ impl Door {
 /// A typed error naming what does not fit: see [`validate`], [`Camera::validate`], [`PeelOptions::validate`]. Also
 /// [`Error::Capacity`].
 pub fn render(surfels: &Surfels, gaussians: &Gaussians, camera: &Camera, options: &RenderOptions) -> Result<Render> {
-    render_values(surfels, gaussians, camera, options, Values::Unknown)
+    render_probed(surfels, gaussians, camera, None, options, Values::Unknown)
 }
 
-/// [`render`] for parameters whose `values` may be known to be finite.
-///
-/// # Errors
-/// The errors of [`render`].
-pub fn render_values(
-    surfels: &Surfels,
-    gaussians: &Gaussians,
-    camera: &Camera,
-    options: &RenderOptions,
-    values: Values,
-) -> Result<Render> {
-    render_probed(surfels, gaussians, camera, None, options, values)
-}
-
-/// [`render_values`] from the camera of a `probe`, which gradients then reach.
-///
-/// # Errors
-/// The errors of [`render`].
+/// [`render`] for parameters whose `values` may be known to be finite, from the camera of a `probe`, which gradients then
+/// reach.
 pub fn render_probed(
     surfels: &Surfels,
     gaussians: &Gaussians,

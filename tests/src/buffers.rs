@@ -5,7 +5,7 @@ use dpges_core::backend::device::largest_buffer;
 use dpges_core::ops::blend::{BlendOptions, Form};
 use dpges_core::render::blended::{BlendedOptions, render_blended};
 use dpges_core::render::room::Drawn;
-use dpges_core::render::{RenderOptions, Values, render_values};
+use dpges_core::render::{RenderOptions, Values, render};
 use dpges_core::scene::schema::Columns;
 use dpges_core::scene::tensors::detail_to_rows;
 use dpges_core::scene::{BlendOrder, ColourModel, HIGHEST_ALPHA, ScreenFilter, Transparency};
@@ -26,7 +26,7 @@ fn step(scene: &TestScene, drawn: Drawn, device: &Device) -> Result<[Vec<f32>; 2
     let (image, loss) = match drawn {
         Drawn::Surfels | Drawn::Summed => {
             let options = RenderOptions::default();
-            let out = render_values(&surfels, &gaussians, &scene.camera, &options, Values::Unknown)?.composite.image;
+            let out = render(&surfels, &gaussians, &scene.camera, &options)?.composite.image;
             (out.clone(), out.sum())
         }
         Drawn::Blended(form, order) => {

@@ -4,7 +4,7 @@ use burn::tensor::{DType, Device};
 use dpges_core::Error;
 use dpges_core::ops::blend::{BlendOptions, Form};
 use dpges_core::render::blended::{BlendedOptions, render_blended};
-use dpges_core::render::{RenderOptions, Values, render, render_values};
+use dpges_core::render::{RenderOptions, Values, render, render_probed};
 use dpges_core::scene::schema::{Attribute, Columns, GaussianColumns, SurfelColumns};
 use dpges_core::scene::{GaussianData, SurfelData};
 use dpges_core::testing::golden::values;
@@ -66,7 +66,8 @@ pub fn poisoned_numbers_that_nobody_looked_at_do_no_harm(device: &Device, dtype:
     let known = Values::KnownFinite;
     let run = |scene: &TestScene| {
         let (surfels, gaussians) = scene.leaves(&device, dtype);
-        let peeled = render_values(&surfels, &gaussians, &scene.camera, &RenderOptions::default(), known).unwrap();
+        let peeled =
+            render_probed(&surfels, &gaussians, &scene.camera, None, &RenderOptions::default(), known).unwrap();
         let mut found = vec![values(&peeled.composite.image)];
         let mut gradients = vec![peeled.composite.image.sum().backward()];
         for form in [Form::Ellipsoids, Form::Discs] {

@@ -1,11 +1,10 @@
 //! One view of a scene of blended Gaussians: what DP-GES is initialised with, and compared with (3DGS, 2DGS, SSS).
 
-use burn::tensor::{Tensor, TensorData};
+use burn::tensor::Tensor;
 
 use super::pose::PoseProbe;
-use super::{Values, validate_gaussians};
+use super::{Values, flat_colour, shown, validate_gaussians};
 use crate::camera::Camera;
-use crate::counters::transfers::upload;
 use crate::error::{Error, Result};
 use crate::ops::blend::{Blend, BlendOptions, Form, blend};
 use crate::ops::colour::colour;
@@ -43,7 +42,6 @@ impl BlendedOptions {
     }
 }
 
-/// A rendered view of blended Gaussians.
 #[derive(Clone, Debug)]
 pub struct BlendedRender {
     /// [3, H, W] display-referred, not clamped, on the background.
@@ -56,8 +54,7 @@ impl BlendedRender {
     /// background: `(1 − alpha) E`.
     #[must_use]
     pub fn in_front_of(self, environment: Tensor<3>) -> Self {
-        let behind = (self.blend.alpha.clone() * -1.0 + 1.0) * environment;
-        Self { image: self.image + behind, ..self }
+        Self { image: self.image + shown(&self.blend.alpha, environment), ..self }
     }
 }
 
@@ -87,9 +84,6 @@ pub struct Probes<'a> {
 }
 
 /// [`render_blended`] with `probes` of both kinds.
-///
-/// # Errors
-/// The errors of [`render_blended`].
 pub fn render_blended_probed(
     gaussians: &Gaussians,
     probes: Probes<'_>,
@@ -105,10 +99,7 @@ pub fn render_blended_probed(
     let image = if options.background == [0.0; 3] {
         blend.colour.clone()
     } else {
-        let like = &blend.colour;
-        let behind = TensorData::new(options.background.to_vec(), [3, 1, 1]).convert_dtype(like.dtype());
-        let behind = Tensor::<3>::from_data(upload(behind), (&like.device(), like.dtype()));
-        blend.colour.clone() + (blend.alpha.clone() * -1.0 + 1.0) * behind
+        blend.colour.clone() + shown(&blend.alpha, flat_colour(options.background, &blend.colour))
     };
     Ok(BlendedRender { image, blend })
 }

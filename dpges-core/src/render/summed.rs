@@ -4,7 +4,7 @@
 use burn::tensor::{DType, Device, Tensor, TensorData};
 
 use super::blended::Probes;
-use super::{Values, validate_gaussians};
+use super::{Values, flat_colour, shown, validate_gaussians};
 use crate::camera::Camera;
 use crate::counters::transfers::upload;
 use crate::error::{Error, Result};
@@ -42,7 +42,6 @@ pub struct SummedOptions {
     pub weight: DepthWeight,
     /// Display-referred colour behind everything.
     pub background: [f64; 3],
-    /// Whether to compute depth.
     pub depth: bool,
 }
 
@@ -62,7 +61,6 @@ impl SummedOptions {
     }
 }
 
-/// A rendered view of summed Gaussians.
 #[derive(Clone, Debug)]
 pub struct SummedRender {
     /// [3, H, W] display-referred, not clamped, on the background.
@@ -78,8 +76,7 @@ impl SummedRender {
     /// background: `(1 − alpha) E`.
     #[must_use]
     pub fn in_front_of(self, environment: Tensor<3>) -> Self {
-        let behind = (self.alpha.clone() * -1.0 + 1.0) * environment;
-        Self { image: self.image + behind, ..self }
+        Self { image: self.image + shown(&self.alpha, environment), ..self }
     }
 }
 
@@ -125,9 +122,8 @@ pub fn render_summed(
     let background = common.background.clone().clamp_min(WeightedSum::LEAST_BACKGROUND).reshape([1, 1, 1]);
     let total = planes(sums.clone(), 3, 1) + background;
     let alpha = planes(sums.clone(), 3, 1) / total.clone();
-    let behind = TensorData::new(options.background.to_vec(), [3, 1, 1]).convert_dtype(dtype);
     // w_b C_b over the total; as a product with w_b its gradient would cancel where there is no Gaussian
-    let behind = (alpha.clone() * -1.0 + 1.0) * Tensor::<3>::from_data(upload(behind), (&device, dtype));
+    let behind = shown(&alpha, flat_colour(options.background, &alpha));
     let image = planes(sums, 0, 3) / total.clone() + behind;
     let depth = if options.depth {
         let of_depths = splat(&depths.repeat_dim(1, 3), None)?;

@@ -1,12 +1,8 @@
-use burn::tensor::Gradients;
-
 use super::*;
-use crate::footprint::gaussian::cpu::{Parameters, Splat};
-use crate::math::CameraOf;
 use crate::scene::schema::Columns;
-use crate::scene::{ColourModel, GaussianData};
+use crate::scene::{ColourModel, GaussianData, SH_C0};
 use crate::testing::device;
-use crate::testing::golden::values;
+use crate::testing::golden::{gradient, values};
 use crate::testing::gradients::{check, leaf};
 use crate::testing::random::Random;
 use crate::testing::scenes::{Recipe, TestScene, random};
@@ -35,6 +31,12 @@ impl Numbers {
     fn new(gaussians: &GaussianData, weight: DepthWeight) -> Self {
         let wide = |values: &Vec<f32>| values.iter().map(|&value| f64::from(value)).collect();
         Self { columns: gaussians.list().into_iter().map(wide).collect(), common: common_of(weight) }
+    }
+
+    fn with_column(&self, at: usize, values: &[f64]) -> Self {
+        let mut numbers = self.clone();
+        numbers.columns[at] = values.to_vec();
+        numbers
     }
 
     fn leaves(&self, model: ColourModel) -> (Gaussians, WeightedSumTensors) {
@@ -72,69 +74,39 @@ fn loss(view: &SummedRender) -> Tensor<1> {
     weighted.reduce(|sum, term| sum + term).unwrap()
 }
 
-/// Image, alpha and depth by the formula, one Gaussian and one pixel after the other.
-fn densely(numbers: &Numbers, camera: &Camera, weight: DepthWeight) -> Vec<f64> {
-    let (gaussians, _) = numbers.leaves(MODEL);
-    let centre = camera.centre().to_array();
-    let factor =
-        values(&harmonics(&gaussians.opacity_base, &gaussians.opacity_detail, &gaussians.positions, centre).unwrap());
-    let colours = values(&colour(&gaussians.colour, &gaussians.positions, centre).unwrap());
-    let (of, [sigma, beta, of_background]) = (CameraOf::<f64>::new(camera), numbers.common);
-    let row = |of: usize, i: usize, width: usize| &numbers.columns[of][i * width..][..width];
-    let area = camera.width * camera.height;
-    let mut sums = vec![[0.0; 5]; area];
-    for i in 0..gaussians.len() {
-        let position: [f64; 3] = row(0, i, 3).try_into().unwrap();
-        let depth = camera.depth(position.into());
-        let w = match weight {
-            DepthWeight::Direct => 1.0,
-            DepthWeight::Exponential => (-sigma * depth.max(1e-6).powf(beta)).exp(),
-            DepthWeight::Linear => (1.0 - depth / sigma).max(0.0),
+/// The images of golden cases tell what these should be.
+#[test]
+fn pictures_do_not_depend_on_an_order() {
+    for (seed, weight) in (3..).zip(WEIGHTS) {
+        let TestScene { gaussians, camera, .. } = scene(seed, 40, MODEL);
+        let flat = |gaussians: &GaussianData| {
+            let view = seen(&Numbers::new(gaussians, weight), &camera, weight).0;
+            [&view.image, &view.alpha, view.depth.as_ref().unwrap()].into_iter().flat_map(values).collect::<Vec<f64>>()
         };
-        let parameters = Parameters {
-            position,
-            quaternion: row(1, i, 4).try_into().unwrap(),
-            log_scales: row(2, i, 3).try_into().unwrap(),
-            opacity: numbers.columns[3][i] * factor[i].max(0.0) * w,
-            degrees_of_freedom: f64::INFINITY,
-        };
-        let Some(splat) = Splat::new(&of, &parameters, [0.0; 3], ScreenFilter::Plain) else { continue };
-        for (at, sums) in sums.iter_mut().enumerate() {
-            let dx = (at % camera.width) as f64 + 0.5 - splat.mean[0];
-            let dy = (at / camera.width) as f64 + 0.5 - splat.mean[1];
-            let [u, v] = splat.in_deviations(dx, dy);
-            let alpha = splat.weight(u, v);
-            let payload = [colours[3 * i], colours[3 * i + 1], colours[3 * i + 2]].map(|c| c.max(0.0));
-            let payload = [payload[0], payload[1], payload[2], 1.0, depth];
-            sums.iter_mut().zip(payload).for_each(|(sum, value)| *sum += alpha * value);
+        let found = flat(&gaussians);
+        assert!(found.iter().filter(|value| **value > 0.05).count() > found.len() / 4, "{weight:?}");
+        let backwards: Vec<usize> = (0..gaussians.len()).rev().collect();
+        for (found, reversed) in found.iter().zip(flat(&gaussians.select(&backwards))) {
+            approx::assert_relative_eq!(*found, reversed, epsilon = 1e-12, max_relative = 1e-12);
         }
     }
-    let plane = |c: usize| {
-        let background = BACKGROUND.get(c).map_or(0.0, |b| b * of_background);
-        sums.iter().map(move |sums| (sums[c] + background) / (sums[3] + of_background)).collect::<Vec<f64>>()
-    };
-    (0..5).flat_map(plane).collect()
 }
 
 #[test]
-fn pictures_are_weighted_means_in_any_order() {
+fn depth_is_what_colours_are_that_equal_depths() {
     for (seed, weight) in (3..).zip(WEIGHTS) {
-        let TestScene { gaussians, camera, .. } = scene(seed, 40, MODEL);
-        let numbers = Numbers::new(&gaussians, weight);
-        let flat = |view: &SummedRender| {
-            let planes = [&view.image, &view.alpha, view.depth.as_ref().unwrap()];
-            planes.into_iter().flat_map(values).collect::<Vec<f64>>()
-        };
-        let found = flat(&seen(&numbers, &camera, weight).0);
-        let expected = densely(&numbers, &camera, weight);
-        assert!(expected.iter().filter(|value| **value > 0.05).count() > expected.len() / 4, "{weight:?}");
-        for (found, expected) in found.iter().zip(&expected) {
-            approx::assert_relative_eq!(*found, *expected, epsilon = 1e-10, max_relative = 1e-10);
+        let TestScene { mut gaussians, camera, .. } = scene(seed, 40, MODEL);
+        gaussians.colour.detail.fill(0.0);
+        let colours = gaussians.colour.base.as_chunks_mut::<3>().0.iter_mut();
+        for (colour, position) in colours.zip(gaussians.positions.as_chunks::<3>().0) {
+            let depth = camera.depth(position.map(f64::from).into());
+            colour.fill(((depth - 0.5) / SH_C0) as f32);
         }
-        let backwards: Vec<usize> = (0..gaussians.len()).rev().collect();
-        let reversed = flat(&seen(&Numbers::new(&gaussians.select(&backwards), weight), &camera, weight).0);
-        for (found, reversed) in found.iter().zip(&reversed) {
-            approx::assert_relative_eq!(*found, *reversed, epsilon = 1e-12, max_relative = 1e-12);
+        let view = seen(&Numbers::new(&gaussians, weight), &camera, weight).0;
+        let (image, alphas) = (values(&view.image), values(&view.alpha));
+        for ((depth, alpha), red) in values(&view.depth.unwrap()).into_iter().zip(alphas).zip(image) {
+            let expected = red - (1.0 - alpha) * BACKGROUND[0];
+            approx::assert_relative_eq!(depth, expected, epsilon = 1e-5, max_relative = 1e-5);
         }
     }
 }
@@ -146,31 +118,17 @@ fn gradients_of_everything_that_learns_are_central_differences() {
         let numbers = Numbers::new(&gaussians, weight);
         let (view, leaves, common, _) = seen(&numbers, &camera, weight);
         let gradients = loss(&view).backward();
-        let of = |leaf: &Tensor<2>, gradients: &Gradients| {
-            leaf.grad(gradients).map_or_else(|| vec![0.0; leaf.dims().iter().product()], |gradient| values(&gradient))
-        };
         let at = |numbers: &Numbers| values(&loss(&seen(numbers, &camera, weight).0))[0];
         for (i, (attribute, leaf)) in leaves.iter().enumerate() {
             // directions carry none
             if attribute.name == "gaussians.positions" {
                 continue;
             }
-            check(
-                &format!("{weight:?}, {}", attribute.name),
-                &numbers.columns[i],
-                &of(leaf, &gradients),
-                1e-6,
-                |moved| {
-                    let mut numbers = numbers.clone();
-                    numbers.columns[i] = moved.to_vec();
-                    at(&numbers)
-                },
-            );
+            let (name, found) = (format!("{weight:?}, {}", attribute.name), gradient(leaf, &gradients));
+            check(&name, &numbers.columns[i], &found, 1e-6, |moved| at(&numbers.with_column(i, moved)));
         }
-        let found: Vec<f64> = [&common.sigma, &common.beta, &common.background]
-            .into_iter()
-            .flat_map(|leaf| of(leaf, &gradients))
-            .collect();
+        let of_common = [&common.sigma, &common.beta, &common.background];
+        let found: Vec<f64> = of_common.into_iter().flat_map(|leaf| gradient(leaf, &gradients)).collect();
         let learns = [weight != DepthWeight::Direct, weight == DepthWeight::Exponential, true];
         assert_eq!([0, 1, 2].map(|i| found[i] != 0.0), learns, "{weight:?}: {found:?}");
         check(&format!("{weight:?}, common"), &numbers.common, &found, 1e-6, |moved| {
@@ -190,9 +148,7 @@ fn gradients_of_positions_go_through_depths_too() {
         let (view, leaves, ..) = seen(&numbers, &camera, weight);
         let found = values(&leaves.positions.grad(&loss(&view).backward()).unwrap());
         check(&format!("{weight:?}, positions"), &numbers.columns[0], &found, 1e-6, |moved| {
-            let mut numbers = numbers.clone();
-            numbers.columns[0] = moved.to_vec();
-            values(&loss(&seen(&numbers, &camera, weight).0))[0]
+            values(&loss(&seen(&numbers.with_column(0, moved), &camera, weight).0))[0]
         });
     }
 }
