@@ -8,7 +8,7 @@ use cubecl::prelude::*;
 pub use range::{Range, aside_ranges, plus, times};
 
 use super::vector::{Vec3, add, dot, scale, sin_cos, vec3};
-use crate::camera::Camera;
+use crate::camera::{Camera, Distortion, Projection};
 use matrix::{Mat2, product, sum, transposed};
 
 /// Steps of Newton's method that find the undistorted radius of a position, and then the position itself.
@@ -33,23 +33,13 @@ pub enum LensKind {
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub struct LensUniforms {
-    n1: f32,
-    n2: f32,
-    n3: f32,
-    n4: f32,
-    n5: f32,
-    n6: f32,
-    d1: f32,
-    d2: f32,
-    d3: f32,
-    p1: f32,
-    p2: f32,
-    s1: f32,
-    s2: f32,
-    t1: f32,
-    t2: f32,
-    kappa: f32,
-    omega: f32,
+    numerator: (f32, f32, f32, f32, f32, f32),
+    denominator: (f32, f32, f32),
+    tangential: (f32, f32),
+    thin_prism: (f32, f32),
+    thin_prism_quartic: (f32, f32),
+    /// κ and ω.
+    arc: (f32, f32),
     /// Largest undistorted radius that it sees, and where it appears without what is tangential.
     pub limit: f32,
     radial_limit: f32,
@@ -65,48 +55,30 @@ pub struct LensUniforms {
     pub in_sequence: bool,
 }
 
-const NUMBERS: usize = 20;
-
 impl LensUniforms {
     pub fn launch(camera: &Camera) -> LensUniformsLaunch {
         let Some(lens) = &camera.lens else { return Self::none() };
-        let distortion = lens.distortion();
-        let ([n1, n2, n3, n4, n5, n6], [d1, d2, d3]) = (distortion.numerator, distortion.denominator);
-        let ([p1, p2], [s1, s2], [t1, t2]) =
-            (distortion.tangential, distortion.thin_prism, distortion.thin_prism_quartic);
-        let [kappa, omega] = lens.arc().unwrap_or([1.0; 2]);
-        let (limit, radial_limit, coverage) = (lens.limit(), lens.radial(lens.limit()), camera.coverage());
-        let numbers =
-            [n1, n2, n3, n4, n5, n6, d1, d2, d3, p1, p2, s1, s2, t1, t2, kappa, omega, limit, radial_limit, coverage];
         let kind = if lens.is_wide() { LensKind::Arc } else { LensKind::Perspective };
-        Self::from_numbers(numbers, kind, [p1, p2, s1, s2, t1, t2] == [0.0; 6], distortion.in_sequence)
+        let limits = [lens.limit(), lens.radial(lens.limit()), camera.coverage()];
+        Self::of(lens.distortion(), kind, lens.arc().unwrap_or([1.0; 2]), limits)
     }
 
     pub fn none() -> LensUniformsLaunch {
-        Self::from_numbers([0.0; NUMBERS], LensKind::None, true, false)
+        Self::of(&Distortion::new(Projection::Perspective), LensKind::None, [0.0; 2], [0.0; 3])
     }
 
-    fn from_numbers(numbers: [f64; NUMBERS], kind: LensKind, is_radial: bool, in_sequence: bool) -> LensUniformsLaunch {
-        let [n1, n2, n3, n4, n5, n6, d1, d2, d3, p1, p2, s1, s2, t1, t2, kappa, omega, limit, radial_limit, coverage] =
-            numbers.map(|v| v as f32);
+    fn of(distortion: &Distortion, kind: LensKind, arc: [f64; 2], limits: [f64; 3]) -> LensUniformsLaunch {
+        let &Distortion { tangential, thin_prism, thin_prism_quartic, in_sequence, .. } = distortion;
+        let is_radial = [tangential, thin_prism, thin_prism_quartic] == [[0.0; 2]; 3];
+        let two = |numbers: [f64; 2]| numbers.map(|v| v as f32).into();
+        let [limit, radial_limit, coverage] = limits.map(|v| v as f32);
         LensUniformsLaunch::new(
-            n1,
-            n2,
-            n3,
-            n4,
-            n5,
-            n6,
-            d1,
-            d2,
-            d3,
-            p1,
-            p2,
-            s1,
-            s2,
-            t1,
-            t2,
-            kappa,
-            omega,
+            distortion.numerator.map(|v| v as f32).into(),
+            distortion.denominator.map(|v| v as f32).into(),
+            two(tangential),
+            two(thin_prism),
+            two(thin_prism_quartic),
+            two(arc),
             limit,
             radial_limit,
             coverage,
@@ -136,14 +108,16 @@ pub fn angle(away: f32, along: f32) -> f32 {
 /// Factor of the radius at r² = `m`, and its first two derivatives with respect to m.
 #[cube]
 fn factor(lens: LensUniforms, m: f32) -> Vec3 {
-    let n = 1.0f32 + m * (lens.n1 + m * (lens.n2 + m * (lens.n3 + m * (lens.n4 + m * (lens.n5 + m * lens.n6)))));
-    let high_slope = 4.0f32 * lens.n4 + m * (5.0f32 * lens.n5 + m * 6.0f32 * lens.n6);
-    let n_slope = lens.n1 + m * (2.0f32 * lens.n2 + m * (3.0f32 * lens.n3 + m * high_slope));
-    let high_bend = 12.0f32 * lens.n4 + m * (20.0f32 * lens.n5 + m * 30.0f32 * lens.n6);
-    let n_bend = 2.0f32 * lens.n2 + m * (6.0f32 * lens.n3 + m * high_bend);
-    let d = 1.0f32 + m * (lens.d1 + m * (lens.d2 + m * lens.d3));
-    let d_slope = lens.d1 + m * (2.0f32 * lens.d2 + m * 3.0f32 * lens.d3);
-    let d_bend = 2.0f32 * lens.d2 + m * 6.0f32 * lens.d3;
+    let (n1, n2, n3, n4, n5, n6) = lens.numerator;
+    let (d1, d2, d3) = lens.denominator;
+    let n = 1.0f32 + m * (n1 + m * (n2 + m * (n3 + m * (n4 + m * (n5 + m * n6)))));
+    let high_slope = 4.0f32 * n4 + m * (5.0f32 * n5 + m * 6.0f32 * n6);
+    let n_slope = n1 + m * (2.0f32 * n2 + m * (3.0f32 * n3 + m * high_slope));
+    let high_bend = 12.0f32 * n4 + m * (20.0f32 * n5 + m * 30.0f32 * n6);
+    let n_bend = 2.0f32 * n2 + m * (6.0f32 * n3 + m * high_bend);
+    let d = 1.0f32 + m * (d1 + m * (d2 + m * d3));
+    let d_slope = d1 + m * (2.0f32 * d2 + m * 3.0f32 * d3);
+    let d_bend = 2.0f32 * d2 + m * 6.0f32 * d3;
     let value = n / d;
     let slope = (n_slope - value * d_slope) / d;
     vec3(value, slope, (n_bend - 2.0f32 * slope * d_slope - value * d_bend) / d)
@@ -161,7 +135,8 @@ pub fn radial(lens: LensUniforms, radius: f32) -> f32 {
 pub fn radius_at(lens: LensUniforms, angle_from_axis: f32) -> f32 {
     let (sin, cos) = sin_cos(angle_from_axis);
     if comptime!(lens.kind == LensKind::Arc) {
-        angle(max(lens.kappa * sin, 0.0f32), cos) / lens.omega
+        let (kappa, omega) = lens.arc;
+        angle(max(kappa * sin, 0.0f32), cos) / omega
     } else {
         select(cos > 1e-3f32, sin / max(cos, 1e-3f32), 1e30f32)
     }
@@ -170,10 +145,13 @@ pub fn radius_at(lens: LensUniforms, angle_from_axis: f32) -> f32 {
 /// Tangential and thin-prism shift of a position: 2 p₁ u v + p₂ (r² + 2u²) + s₁ r² + t₁ r⁴ and its twin.
 #[cube]
 fn aside(lens: LensUniforms, u: f32, v: f32) -> (f32, f32) {
+    let (p1, p2) = lens.tangential;
+    let (s1, s2) = lens.thin_prism;
+    let (t1, t2) = lens.thin_prism_quartic;
     let m = u * u + v * v;
     (
-        2.0f32 * lens.p1 * u * v + lens.p2 * (m + 2.0f32 * u * u) + (lens.s1 + lens.t1 * m) * m,
-        lens.p1 * (m + 2.0f32 * v * v) + 2.0f32 * lens.p2 * u * v + (lens.s2 + lens.t2 * m) * m,
+        2.0f32 * p1 * u * v + p2 * (m + 2.0f32 * u * u) + (s1 + t1 * m) * m,
+        p1 * (m + 2.0f32 * v * v) + 2.0f32 * p2 * u * v + (s2 + t2 * m) * m,
     )
 }
 
@@ -195,31 +173,37 @@ fn distort(lens: LensUniforms, a: f32, b: f32) -> (f32, f32) {
 /// Jacobian of [`aside`].
 #[cube]
 fn aside_jacobian(lens: LensUniforms, u: f32, v: f32) -> Mat2 {
+    let (p1, p2) = lens.tangential;
+    let (s1, s2) = lens.thin_prism;
+    let (t1, t2) = lens.thin_prism_quartic;
     let m = 2.0f32 * (u * u + v * v);
-    let (prism_x, prism_y) = (2.0f32 * (lens.s1 + m * lens.t1), 2.0f32 * (lens.s2 + m * lens.t2));
+    let (prism_x, prism_y) = (2.0f32 * (s1 + m * t1), 2.0f32 * (s2 + m * t2));
     Mat2 {
-        xx: 2.0f32 * lens.p1 * v + (6.0f32 * lens.p2 + prism_x) * u,
-        xy: 2.0f32 * lens.p1 * u + (2.0f32 * lens.p2 + prism_x) * v,
-        yx: (2.0f32 * lens.p1 + prism_y) * u + 2.0f32 * lens.p2 * v,
-        yy: (6.0f32 * lens.p1 + prism_y) * v + 2.0f32 * lens.p2 * u,
+        xx: 2.0f32 * p1 * v + (6.0f32 * p2 + prism_x) * u,
+        xy: 2.0f32 * p1 * u + (2.0f32 * p2 + prism_x) * v,
+        yx: (2.0f32 * p1 + prism_y) * u + 2.0f32 * p2 * v,
+        yy: (6.0f32 * p1 + prism_y) * v + 2.0f32 * p2 * u,
     }
 }
 
 /// Gradient with respect to (u, v) from that with respect to [`aside_jacobian`].
 #[cube]
 fn aside_jacobian_backward(lens: LensUniforms, u: f32, v: f32, grad: Mat2) -> (f32, f32) {
+    let (p1, p2) = lens.tangential;
+    let (s1, s2) = lens.thin_prism;
+    let (t1, t2) = lens.thin_prism_quartic;
     let m = u * u + v * v;
-    let along = grad.xx * lens.t1 + grad.yx * lens.t2;
-    let across = grad.xy * lens.t1 + grad.yy * lens.t2;
+    let along = grad.xx * t1 + grad.yx * t2;
+    let across = grad.xy * t1 + grad.yy * t2;
     let form = 8.0f32 * (along * u + across * v);
-    let of_u = grad.xx * (6.0f32 * lens.p2 + 2.0f32 * lens.s1)
-        + grad.xy * 2.0f32 * lens.p1
-        + grad.yx * (2.0f32 * lens.p1 + 2.0f32 * lens.s2)
-        + grad.yy * 2.0f32 * lens.p2;
-    let of_v = grad.xx * 2.0f32 * lens.p1
-        + grad.xy * (2.0f32 * lens.p2 + 2.0f32 * lens.s1)
-        + grad.yx * 2.0f32 * lens.p2
-        + grad.yy * (6.0f32 * lens.p1 + 2.0f32 * lens.s2);
+    let of_u = grad.xx * (6.0f32 * p2 + 2.0f32 * s1)
+        + grad.xy * 2.0f32 * p1
+        + grad.yx * (2.0f32 * p1 + 2.0f32 * s2)
+        + grad.yy * 2.0f32 * p2;
+    let of_v = grad.xx * 2.0f32 * p1
+        + grad.xy * (2.0f32 * p2 + 2.0f32 * s1)
+        + grad.yx * 2.0f32 * p2
+        + grad.yy * (6.0f32 * p1 + 2.0f32 * s2);
     (of_u + 4.0f32 * m * along + form * u, of_v + 4.0f32 * m * across + form * v)
 }
 
@@ -291,8 +275,9 @@ fn perspective_scale(z: f32) -> LensScale {
 
 #[cube]
 fn arc_scale(lens: LensUniforms, across: f32, z: f32) -> LensScale {
-    let square = lens.kappa * lens.kappa;
-    let gain = lens.kappa / lens.omega;
+    let (kappa, omega) = lens.arc;
+    let square = kappa * kappa;
+    let gain = kappa / omega;
     let w = square * across;
     let squared = max(w + z * z, 1e-30f32);
     let near_axis = z > 0.0f32 && w < SERIES_BELOW * z * z;
@@ -433,10 +418,11 @@ fn inverse_radial(lens: LensUniforms, target: f32) -> f32 {
 fn direction(lens: LensUniforms, a: f32, b: f32) -> Vec3 {
     if comptime!(lens.kind == LensKind::Arc) {
         let radius = f32::sqrt(a * a + b * b);
-        let (sin, cos) = sin_cos(lens.omega * radius);
+        let (kappa, omega) = lens.arc;
+        let (sin, cos) = sin_cos(omega * radius);
         let off_axis = radius > 1e-6f32;
         let far = select(off_axis, radius, 1.0f32);
-        let share = select(off_axis, sin / far, lens.omega) / lens.kappa;
+        let share = select(off_axis, sin / far, omega) / kappa;
         let along = vec3(share * a, share * b, cos);
         scale(along, 1.0f32 / f32::sqrt(dot(along, along)))
     } else {

@@ -40,13 +40,16 @@ fn squared(a: Range) -> Range {
 /// Ranges of [`aside`](super::aside) in x and in y over ranges of positions.
 #[cube]
 pub fn aside_ranges(lens: LensUniforms, u: Range, v: Range) -> (Range, Range) {
+    let (p1, p2) = lens.tangential;
+    let (s1, s2) = lens.thin_prism;
+    let (t1, t2) = lens.thin_prism_quartic;
     let (uu, vv, uv) = (squared(u), squared(v), times(u, v));
     let quartic = squared(plus(uu, vv));
-    let mixed_x = scaled(uv, 2.0f32 * lens.p1);
-    let along_x = scaled(uu, 3.0f32 * lens.p2 + lens.s1);
-    let x = plus(mixed_x, plus(along_x, plus(scaled(vv, lens.p2 + lens.s1), scaled(quartic, lens.t1))));
-    let mixed_y = scaled(uv, 2.0f32 * lens.p2);
-    let along_y = scaled(vv, 3.0f32 * lens.p1 + lens.s2);
-    let y = plus(mixed_y, plus(along_y, plus(scaled(uu, lens.p1 + lens.s2), scaled(quartic, lens.t2))));
+    let mixed_x = scaled(uv, 2.0f32 * p1);
+    let along_x = scaled(uu, 3.0f32 * p2 + s1);
+    let x = plus(mixed_x, plus(along_x, plus(scaled(vv, p2 + s1), scaled(quartic, t1))));
+    let mixed_y = scaled(uv, 2.0f32 * p2);
+    let along_y = scaled(vv, 3.0f32 * p1 + s2);
+    let y = plus(mixed_y, plus(along_y, plus(scaled(uu, p1 + s2), scaled(quartic, t2))));
     (x, y)
 }
