@@ -5,11 +5,10 @@ pub mod pose;
 pub mod room;
 pub mod summed;
 
-use burn::tensor::{DType, Tensor, TensorData};
+use burn::tensor::{DType, Tensor};
 
 use crate::backend::device::is_gpu;
 use crate::camera::Camera;
-use crate::counters::transfers::upload;
 use crate::error::{Error, Result};
 use crate::ops::colour::colour;
 use crate::ops::composite::{Composite, CompositeOptions, composite};
@@ -74,12 +73,6 @@ pub enum Values {
 /// The part of `behind` that shows through `alpha` [1, H, W].
 fn shown(alpha: &Tensor<3>, behind: Tensor<3>) -> Tensor<3> {
     (alpha.clone() * -1.0 + 1.0) * behind
-}
-
-/// [3, 1, 1] `colour` as a tensor like another.
-fn flat_colour(colour: [f64; 3], like: &Tensor<3>) -> Tensor<3> {
-    let data = TensorData::new(colour.to_vec(), [3, 1, 1]).convert_dtype(like.dtype());
-    Tensor::from_data(upload(data), (&like.device(), like.dtype()))
 }
 
 /// Checks shapes, element types and, where `values` asks for it, finiteness of everything that is rendered.

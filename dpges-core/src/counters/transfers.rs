@@ -7,7 +7,7 @@
 
 use std::cell::Cell;
 
-use burn::tensor::TensorData;
+use burn::tensor::{DType, Device, Element, Tensor, TensorData};
 use serde::Serialize;
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -41,6 +41,16 @@ pub fn upload(data: TensorData) -> TensorData {
     let uploaded_bytes = before.uploaded_bytes + data.as_bytes().len() as u64;
     COUNTED.set(Transfers { uploads: before.uploads + 1, uploaded_bytes, ..before });
     data
+}
+
+/// A tensor of `numbers` on `device`, counted on their way.
+pub fn uploaded<E: Element, const D: usize>(
+    numbers: Vec<E>,
+    shape: [usize; D],
+    device: &Device,
+    dtype: DType,
+) -> Tensor<D> {
+    Tensor::from_data(upload(TensorData::new(numbers, shape).convert_dtype(dtype)), (device, dtype))
 }
 
 /// Counts `data` that came from a device.

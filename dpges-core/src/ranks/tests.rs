@@ -1,6 +1,7 @@
 use burn::tensor::{DType, Tensor};
 
 use super::{Alone, Ranks, sent_bytes, sums_of_view};
+use crate::counters::transfers::uploaded;
 use crate::ops::environment::environment;
 use crate::render::pose::PoseProbe;
 use crate::render::{RenderOptions, Values, render_on_ranks};
@@ -63,7 +64,7 @@ fn seen(scene: &TestScene, dtype: DType, ranks: &dyn Ranks) -> Seen {
 
 fn numbers<const D: usize>(seed: u64, shape: [usize; D], dtype: DType) -> Tensor<D> {
     let numbers = Random::new(seed).numbers(shape.iter().product(), -1.0, 1.0);
-    Tensor::from_data(burn::tensor::TensorData::new(numbers, shape).convert_dtype(dtype), (&device(), dtype))
+    uploaded(numbers, shape, &device(), dtype)
 }
 
 /// The gradients of all Gaussians, dealt out row by row to the ranks of `parts`.

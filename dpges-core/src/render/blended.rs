@@ -3,8 +3,9 @@
 use burn::tensor::Tensor;
 
 use super::pose::PoseProbe;
-use super::{Values, flat_colour, shown, validate_gaussians};
+use super::{Values, shown, validate_gaussians};
 use crate::camera::Camera;
+use crate::counters::transfers::uploaded;
 use crate::error::{Error, Result};
 use crate::ops::blend::{Blend, BlendOptions, Form, blend};
 use crate::ops::colour::colour;
@@ -99,7 +100,9 @@ pub fn render_blended_probed(
     let image = if options.background == [0.0; 3] {
         blend.colour.clone()
     } else {
-        blend.colour.clone() + shown(&blend.alpha, flat_colour(options.background, &blend.colour))
+        let (device, dtype) = (blend.colour.device(), blend.colour.dtype());
+        let background = uploaded(options.background.to_vec(), [3, 1, 1], &device, dtype);
+        blend.colour.clone() + shown(&blend.alpha, background)
     };
     Ok(BlendedRender { image, blend })
 }

@@ -16,10 +16,10 @@
 //! The motion is 0. The picture is the same to the bit as without it, and apart from the effect of a shift on colours its
 //! derivatives are exact.
 
-use burn::tensor::{DType, Device, Gradients, Tensor, TensorData};
+use burn::tensor::{DType, Device, Gradients, Tensor};
 
 use crate::camera::Camera;
-use crate::counters::transfers::upload;
+use crate::counters::transfers::uploaded;
 use crate::ops::environment::turn::generators;
 use crate::scene::{Gaussians, Surfels};
 
@@ -38,8 +38,8 @@ impl PoseProbe {
     /// A probe for `camera`, on the tape of `device`, for primitives of `dtype`.
     pub fn new(camera: &Camera, device: &Device, dtype: DType) -> Self {
         let motion = Tensor::zeros([1, 6], (device, dtype)).require_grad();
-        let centre = TensorData::new(camera.centre().to_array().to_vec(), [1, 3]).convert_dtype(dtype);
-        Self { motion, centre: Tensor::from_data(upload(centre), (device, dtype)), moves_all: true }
+        let centre = uploaded(camera.centre().to_array().to_vec(), [1, 3], device, dtype);
+        Self { motion, centre, moves_all: true }
     }
 
     /// The same for Gaussians alone. Where these are dealt out to [ranks](crate::ranks), and surfels and environment are not,
@@ -77,11 +77,8 @@ impl PoseProbe {
         }
         let [count, _] = coefficients.dims();
         let (device, dtype) = (coefficients.device(), coefficients.dtype());
-        let changes = generators(count).map(|matrix| {
-            let matrix = TensorData::new(matrix, [count, count]).convert_dtype(dtype);
-            let matrix: Tensor<2> = Tensor::from_data(upload(matrix), (&device, dtype));
-            matrix.matmul(coefficients.clone().detach())
-        });
+        let changes = generators(count)
+            .map(|matrix| uploaded(matrix, [count, count], &device, dtype).matmul(coefficients.clone().detach()));
         less(coefficients, self.turn() * -1.0, changes)
     }
 

@@ -1,12 +1,12 @@
 //! One view of a scene of Gaussians that are summed in any order (Hou et al., "Sort-free Gaussian Splatting via Weighted Sum
 //! Rendering").
 
-use burn::tensor::{DType, Device, Tensor, TensorData};
+use burn::tensor::{DType, Device, Tensor};
 
 use super::blended::Probes;
-use super::{Values, flat_colour, shown, validate_gaussians};
+use super::{Values, shown, validate_gaussians};
 use crate::camera::Camera;
-use crate::counters::transfers::upload;
+use crate::counters::transfers::uploaded;
 use crate::error::{Error, Result};
 use crate::ops::colour::colour;
 use crate::ops::harmonics::harmonics;
@@ -29,10 +29,7 @@ pub struct WeightedSumTensors {
 
 impl WeightedSumTensors {
     pub fn new(sum: &WeightedSum, device: &Device, dtype: DType) -> Self {
-        let number = |value: f32| {
-            let data = TensorData::new(vec![value], [1, 1]).convert_dtype(dtype);
-            Tensor::from_data(upload(data), (device, dtype))
-        };
+        let number = |value: f32| uploaded(vec![value], [1, 1], device, dtype);
         Self { sigma: number(sum.sigma), beta: number(sum.beta), background: number(sum.background) }
     }
 }
@@ -123,7 +120,7 @@ pub fn render_summed(
     let total = planes(sums.clone(), 3, 1) + background;
     let alpha = planes(sums.clone(), 3, 1) / total.clone();
     // w_b C_b over the total; as a product with w_b its gradient would cancel where there is no Gaussian
-    let behind = shown(&alpha, flat_colour(options.background, &alpha));
+    let behind = shown(&alpha, uploaded(options.background.to_vec(), [3, 1, 1], &device, dtype));
     let image = planes(sums, 0, 3) / total.clone() + behind;
     let depth = if options.depth {
         let of_depths = splat(&depths.repeat_dim(1, 3), None)?;
@@ -138,14 +135,12 @@ pub fn render_summed(
 fn depths(positions: &Tensor<2>, camera: &Camera) -> Tensor<2> {
     let (device, dtype) = (positions.device(), positions.dtype());
     let pose = &camera.camera_from_world;
-    let tensor = |numbers: Vec<f64>, shape: [usize; 2]| -> Tensor<2> {
-        Tensor::from_data(upload(TensorData::new(numbers, shape).convert_dtype(dtype)), (&device, dtype))
-    };
+    let row = |numbers: [f64; 3]| uploaded(numbers.to_vec(), [1, 3], &device, dtype);
     if camera.lens.is_some_and(|lens| lens.is_wide()) {
-        let offset = positions.clone() - tensor(camera.centre().to_array().to_vec(), [1, 3]);
+        let offset = positions.clone() - row(camera.centre().to_array());
         return (offset.clone() * offset).sum_dim(1).clamp_min(f64::from(f32::MIN_POSITIVE)).sqrt();
     }
-    let forward = tensor(pose.rotation.row(2).to_array().to_vec(), [1, 3]);
+    let forward = row(pose.rotation.row(2).to_array());
     (positions.clone() * forward).sum_dim(1) + pose.translation.z
 }
 

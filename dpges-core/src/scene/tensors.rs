@@ -6,7 +6,7 @@ use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 use super::schema::{self, Attribute, Columns, GaussianColumns, OpacityActivation, SurfelColumns, Width};
 use super::{ColourModel, GaussianData, SurfelData, split};
 use crate::backend::host::copied;
-use crate::counters::transfers::{download, upload, wait};
+use crate::counters::transfers::{download, upload, uploaded, wait};
 use crate::error::{Error, Result};
 
 /// View-dependent colour of N primitives; each column is [N, its width].
@@ -19,11 +19,7 @@ pub type Gaussians = GaussianColumns<Tensor<2>>;
 /// [N, `width`] tensor of `dtype` from rows in host memory.
 pub fn rows_to_tensor(rows: &[f32], width: usize, device: &Device, dtype: DType) -> Tensor<2> {
     let count = rows.len().checked_div(width).unwrap_or(0);
-    shaped(rows, [count, width], device, dtype)
-}
-
-fn shaped(rows: &[f32], shape: [usize; 2], device: &Device, dtype: DType) -> Tensor<2> {
-    Tensor::from_data(upload(TensorData::new(rows.to_vec(), shape).convert_dtype(dtype)), (device, dtype))
+    uploaded(rows.to_vec(), [count, width], device, dtype)
 }
 
 /// The values of a tensor as `f32`, row-major.
@@ -45,7 +41,7 @@ pub fn flat(column: &Tensor<2>) -> Tensor<1> {
 impl Attribute {
     /// The raw numbers `rows` of `count` primitives as a tensor.
     pub fn tensor(&self, rows: &[f32], count: usize, model: ColourModel, device: &Device, dtype: DType) -> Tensor<2> {
-        shaped(rows, self.shape(count, model), device, dtype)
+        uploaded(rows.to_vec(), self.shape(count, model), device, dtype)
     }
 }
 
@@ -73,7 +69,7 @@ macro_rules! on_a_device {
                         return attribute.tensor(rows, count, model, device, dtype);
                     }
                     let parts = split::split(rows, &widths).into_iter().zip(widths);
-                    let mut parts = parts.map(|(rows, width)| shaped(&rows, [count, width], device, dtype));
+                    let mut parts = parts.map(|(rows, width)| uploaded(rows, [count, width], device, dtype));
                     let first = parts.next().expect("several parts");
                     rest = parts.collect();
                     first

@@ -7,12 +7,13 @@ mod summed;
 use std::collections::HashMap;
 use std::path::Path;
 
-use burn::tensor::{DType, Device, Gradients, Int, Tensor, TensorData};
+use burn::tensor::{DType, Device, Gradients, Int, Tensor};
 use glam::{DMat3, DVec3};
 use safetensors::{Dtype, SafeTensors};
 
 use super::compare::relative_l2;
 use crate::camera::{Camera, CameraFromWorld};
+use crate::counters::transfers::uploaded;
 use crate::losses::{self, LossWeights, Losses};
 use crate::ops::composite::geometry;
 use crate::ops::environment::environment;
@@ -38,15 +39,14 @@ impl Arrays {
         let array = self.array(name);
         let count = array.shape[0];
         let width = array.shape[1..].iter().product();
-        Tensor::from_data(TensorData::new(array.values.clone(), [count, width]).convert_dtype(dtype), (device, dtype))
+        uploaded(array.values.clone(), [count, width], device, dtype)
     }
 
     /// [H, W, C] in the file to [C, H, W].
     fn image(&self, name: &str, device: &Device, dtype: DType) -> Tensor<3> {
         let array = self.array(name);
         let shape: [usize; 3] = array.shape.clone().try_into().expect("an image has three axes");
-        let data = TensorData::new(array.values.clone(), shape).convert_dtype(dtype);
-        Tensor::<3>::from_data(data, (device, dtype)).permute([2, 0, 1])
+        uploaded(array.values.clone(), shape, device, dtype).permute([2, 0, 1])
     }
 
     /// How far `found` is from what the file says, if it says something.

@@ -13,6 +13,7 @@ use super::compare::relative_l2;
 use super::golden::{gradient, values};
 use super::random::Random;
 use super::scenes::TestScene;
+use crate::counters::transfers::uploaded;
 use crate::ops::adam::{AdamStep, adam_step};
 use crate::ops::blend::{BlendOptions, Form, blend};
 use crate::ops::colour::colour;
@@ -89,7 +90,7 @@ impl<'a> Bench<'a> {
     }
 
     fn tensor<const D: usize>(&self, values: &[f64], shape: [usize; D]) -> Tensor<D> {
-        Tensor::from_data(TensorData::new(values.to_vec(), shape).convert_dtype(DType::F32), (&self.device, DType::F32))
+        uploaded(values.to_vec(), shape, &self.device, DType::F32)
     }
 
     /// The gradient that makes a sum out of `output`: random, the same on every device.

@@ -7,6 +7,7 @@ use super::extremes::{Extreme, Hazard};
 use super::golden::{gradient, values};
 use super::random::Random;
 use crate::camera::Camera;
+use crate::counters::transfers::uploaded;
 use crate::error::Result;
 use crate::losses::{self, LossWeights, losses};
 use crate::ops::blend::{BlendOptions, Form};
@@ -165,8 +166,7 @@ fn differentiate(
     let (device, dtype) = (gaussians.positions.device(), gaussians.positions.dtype());
     let count = 3 * camera.width * camera.height;
     let target = Random::new(extreme.seed).numbers(count, 0.0, 1.0);
-    let target = TensorData::new(target, [3, camera.height, camera.width]).convert_dtype(dtype);
-    let target = Tensor::<3>::from_data(target, (&device, dtype));
+    let target = uploaded(target, [3, camera.height, camera.width], &device, dtype);
     if way == Way::Peeled {
         let options = RenderOptions { peel: extreme.peel, background: [0.2, 0.4, 0.6], ..RenderOptions::default() };
         let rendered = render(surfels, gaussians, camera, &options)?;

@@ -130,13 +130,11 @@ pub fn gaussian_work(
     let (splats, students): (Vec<_>, Vec<_>) = seen.into_iter().unzip();
     let of_tiles = Ends::new(ends, grid, [TILE; 2]);
     let of_regions = Ends::new(ends, grid, REGION);
-    let is_listed = |i: usize, column: usize, row: usize| {
-        let first = [column * TILE, row * TILE];
-        splats[i].as_ref().is_some_and(|splat| splat.touches(column, row) && splat.depth < of_tiles.at(first))
+    let reaches = |i: usize, first: [usize; 2], ends: &Ends| {
+        splats[i].as_ref().is_some_and(|splat| splat.reaches(first, ends.size) && splat.depth < ends.at(first))
     };
-    let is_asked = |i: usize, first: [usize; 2]| {
-        splats[i].as_ref().is_some_and(|splat| splat.reaches(first, REGION) && splat.depth < of_regions.at(first))
-    };
+    let is_listed = |i: usize, column: usize, row: usize| reaches(i, [column * TILE, row * TILE], &of_tiles);
+    let is_asked = |i: usize, first: [usize; 2]| reaches(i, first, &of_regions);
     let is_inside = |i: usize, x: f32, y: f32| {
         splats[i].as_ref().is_some_and(|splat| {
             let (dx, dy) = (x - splat.mean[0], y - splat.mean[1]);
