@@ -50,9 +50,8 @@ pub fn surface_points(views: &DepthViews<'_>, stride_px: usize, rule: FusionRule
     let view_at = |index: usize| Ok(DepthView { camera: views.cameras[index], depth: (views.depth)(index)? });
     for index in 0..views.cameras.len() {
         let (view, photograph) = (view_at(index)?, (views.photograph)(index)?);
-        let others: Result<Vec<_>> =
-            nearest_views(&views.cameras, index).into_iter().map(|other| Ok((other, view_at(other)?))).collect();
-        let others = others?;
+        let others = nearest_views(&views.cameras, index).into_iter().map(|other| Ok((other, view_at(other)?)));
+        let others = others.collect::<Result<Vec<_>>>()?;
         let covered = covered(&view, &cloud.positions, stride_px, rule);
         let (columns, rows) = squares(view.camera, stride_px);
         let found: Vec<_> = (0..columns * rows)
@@ -147,6 +146,7 @@ mod tests {
 
     use super::*;
     use crate::dataset::Picture;
+    use crate::init::plane_sweep;
     use crate::views::exposure::Correction;
 
     const SIZE: usize = 40;
@@ -157,17 +157,7 @@ mod tests {
         let camera = |i: usize| {
             let eye = DVec3::new(0.1 * i as f64, 0.0, -4.0);
             let camera_from_world = CameraFromWorld::look_at(eye, eye + DVec3::Z, -DVec3::Y);
-            Camera {
-                camera_from_world,
-                fx: 40.0,
-                fy: 40.0,
-                cx: 20.0,
-                cy: 20.0,
-                width: SIZE,
-                height: SIZE,
-                near: 0.1,
-                lens: None,
-            }
+            Camera { camera_from_world, ..plane_sweep::tests::camera(DVec3::X, SIZE, 40.0) }
         };
         (0..count).map(camera).collect()
     }
@@ -222,10 +212,6 @@ mod tests {
         assert!(in_front.positions.iter().all(|position| (position[2] + 1.0).abs() < 1e-5));
         // each sees another depth
         assert_eq!(count(&|view, _| 3.0 + 0.2 * view as f32), 0);
-    }
-
-    #[test]
-    fn no_views_have_no_points() {
         assert!(points(&[], |_, _| 4.0).positions.is_empty());
     }
 }

@@ -1,7 +1,7 @@
 //! The first scene of a run.
 //!
 //! A method of initialisation consists of a module that returns an [`InitialScene`], an [`InitMethod`] that names it,
-//! and an arm of [`initialise`]. Most methods find [`OrientedPoints`] on the surfaces of the scene, and [`placement`]
+//! and an arm of `Init::by`. Most methods find [`placement::OrientedPoints`] on the surfaces of the scene, and [`placement`]
 //! turns these into primitives. [`promote`] turns trained discs into surfels.
 
 pub mod flatten;
@@ -23,11 +23,11 @@ use rand_chacha::ChaCha8Rng;
 use crate::config::{Config, InitMethod};
 use crate::dataset::{Dataset, PointCloud, View};
 use crate::refine::margins::margins;
+use placement::Placement;
 pub use placement::PrimitiveStart;
-use placement::{OrientedPoints, Placement};
 use plane_sweep::{Acceptance, Volume};
 use region::Region;
-use silhouette::{Silhouettes, TOLERANCE};
+use silhouette::TOLERANCE;
 
 /// Fewer points of structure from motion are joined by points about which views agree.
 const FEW_POINTS: usize = 3_000;
@@ -96,117 +96,111 @@ pub fn initialise(
     if dataset.train.is_empty() {
         return Err(InitError::NoViews);
     }
-    let of = |method: InitMethod, rng: &mut ChaCha8Rng| match method {
-        InitMethod::Sfm => from_points(dataset, config, start, quota, rng),
-        InitMethod::Silhouette => from_silhouettes(dataset, config, start, quota, rng),
-        InitMethod::PlaneSweep => from_agreement(dataset, config, start, quota, rng),
-        InitMethod::Auto | InitMethod::Random => Ok(random_gaussians(dataset, config, start, quota, rng)),
-    };
+    let init = Init { dataset, config, start, quota };
     if config.init.method != InitMethod::Auto {
-        return of(config.init.method, rng);
+        return init.by(config.init.method, rng);
     }
     for method in [InitMethod::Sfm, InitMethod::Silhouette, InitMethod::PlaneSweep] {
-        match of(method, rng) {
+        match init.by(method, rng) {
             Err(InitError::NoPoints | InitError::NoSilhouettes) => {}
             Err(reason @ (InitError::EmptyHull | InitError::NoAgreement)) => tracing::warn!("{reason}"),
             result => return result,
         }
     }
     tracing::warn!("starting from random Gaussians without surfels");
-    of(InitMethod::Random, rng)
+    init.by(InitMethod::Random, rng)
 }
 
-fn from_points(
-    dataset: &Dataset,
-    config: &Config,
+/// The inputs of every method.
+struct Init<'a> {
+    dataset: &'a Dataset,
+    config: &'a Config,
     start: PrimitiveStart,
     quota: PrimitiveQuota,
-    rng: &mut ChaCha8Rng,
-) -> Result<InitialScene, InitError> {
-    let mut points = sfm::usable_points(&dataset.points, config.init.max_points.min(quota.points), rng);
-    if points.positions.is_empty() {
-        return Err(InitError::NoPoints);
-    }
-    let most = config.init.max_points.min(quota.points).min(FEW_POINTS);
-    let wanted = most.saturating_sub(points.positions.len());
-    if wanted > 0 {
-        let region = Region::around(&points.positions).unwrap_or_else(|| in_sight(dataset));
-        let more = where_views_agree(dataset, region, wanted, rng)?;
-        tracing::info!(
-            "{} points are few: {} more where views agree about a colour",
-            points.positions.len(),
-            more.positions.len()
-        );
-        points.append(&more);
-    }
-    Ok(place(&sfm::orient(points, &centres(&dataset.train)), dataset, config, start, rng))
 }
 
-fn from_silhouettes(
-    dataset: &Dataset,
-    config: &Config,
-    start: PrimitiveStart,
-    quota: PrimitiveQuota,
-    rng: &mut ChaCha8Rng,
-) -> Result<InitialScene, InitError> {
-    let silhouettes = Silhouettes::new(&dataset.train).ok_or(InitError::NoSilhouettes)?;
-    let region = in_sight(dataset);
-    let (resolution, count) = (config.init.hull_resolution, config.init.max_points.min(quota.points));
-    let points = silhouette::hull_points(&silhouettes, region, resolution, TOLERANCE, count, rng)?;
-    if points.positions.is_empty() {
-        return Err(InitError::EmptyHull);
+impl Init<'_> {
+    fn by(&self, method: InitMethod, rng: &mut ChaCha8Rng) -> Result<InitialScene, InitError> {
+        match method {
+            InitMethod::Sfm => self.by_points(rng),
+            InitMethod::Silhouette => self.by_silhouettes(rng),
+            InitMethod::PlaneSweep => self.by_agreement(rng),
+            InitMethod::Auto | InitMethod::Random => Ok(self.random_gaussians(rng)),
+        }
     }
-    Ok(place(&sfm::orient(points, &silhouettes.centres()), dataset, config, start, rng))
-}
 
-fn from_agreement(
-    dataset: &Dataset,
-    config: &Config,
-    start: PrimitiveStart,
-    quota: PrimitiveQuota,
-    rng: &mut ChaCha8Rng,
-) -> Result<InitialScene, InitError> {
-    let count = config.init.max_points.min(quota.points).min(FEW_POINTS);
-    let points = where_views_agree(dataset, in_sight(dataset), count, rng)?;
-    if (points.positions.len() as f64) < LEAST_SHARE_FOUND * count as f64 {
-        return Err(InitError::NoAgreement);
+    fn max_points(&self) -> usize {
+        self.config.init.max_points.min(self.quota.points)
     }
-    Ok(place(&sfm::orient(points, &centres(&dataset.train)), dataset, config, start, rng))
-}
 
-fn random_gaussians(
-    dataset: &Dataset,
-    config: &Config,
-    start: PrimitiveStart,
-    quota: PrimitiveQuota,
-    rng: &mut ChaCha8Rng,
-) -> InitialScene {
-    let count = config.init.random_gaussians.min(quota.gaussians);
-    let half_side = config.init.random_half_side;
-    let region = if half_side > 0.0 { Region::cube(-dataset.offset, half_side) } else { in_sight(dataset) };
-    let points = random::points(region, count, rng);
-    let placement = Placement { start, ..Placement::new(config, dataset.extent) };
-    let gaussians = placement::gaussians(&points, &placement, rng);
-    InitialScene { surfels: SurfelData::neutral(gaussians.colour.model, 0), gaussians }
+    fn by_points(&self, rng: &mut ChaCha8Rng) -> Result<InitialScene, InitError> {
+        let mut points = sfm::usable_points(&self.dataset.points, self.max_points(), rng);
+        if points.positions.is_empty() {
+            return Err(InitError::NoPoints);
+        }
+        let wanted = self.max_points().min(FEW_POINTS).saturating_sub(points.positions.len());
+        if wanted > 0 {
+            let region = Region::around(&points.positions).unwrap_or_else(|| in_sight(self.dataset));
+            let more = where_views_agree(self.dataset, region, wanted, rng)?;
+            tracing::info!(
+                "{} points are few: {} more where views agree about a colour",
+                points.positions.len(),
+                more.positions.len()
+            );
+            points.append(&more);
+        }
+        Ok(self.place(points, &centres(&self.dataset.train), rng))
+    }
+
+    fn by_silhouettes(&self, rng: &mut ChaCha8Rng) -> Result<InitialScene, InitError> {
+        let views = self.dataset.train.iter().filter(|view| view.photograph.has_transparency());
+        let views: Vec<&View> = views.collect();
+        if views.is_empty() {
+            return Err(InitError::NoSilhouettes);
+        }
+        let (region, resolution) = (in_sight(self.dataset), self.config.init.hull_resolution);
+        let points = silhouette::hull_points(&views, region, resolution, TOLERANCE, self.max_points(), rng)?;
+        if points.positions.is_empty() {
+            return Err(InitError::EmptyHull);
+        }
+        Ok(self.place(points, &centres(views), rng))
+    }
+
+    fn by_agreement(&self, rng: &mut ChaCha8Rng) -> Result<InitialScene, InitError> {
+        let count = self.max_points().min(FEW_POINTS);
+        let points = where_views_agree(self.dataset, in_sight(self.dataset), count, rng)?;
+        if (points.positions.len() as f64) < LEAST_SHARE_FOUND * count as f64 {
+            return Err(InitError::NoAgreement);
+        }
+        Ok(self.place(points, &centres(&self.dataset.train), rng))
+    }
+
+    fn random_gaussians(&self, rng: &mut ChaCha8Rng) -> InitialScene {
+        let count = self.config.init.random_gaussians.min(self.quota.gaussians);
+        let half_side = self.config.init.random_half_side;
+        let around_origin = || Region::cube(-self.dataset.offset, half_side);
+        let region = if half_side > 0.0 { around_origin() } else { in_sight(self.dataset) };
+        let points = random::points(region, count, rng);
+        let gaussians = placement::gaussians(&points, &self.placement(), rng);
+        InitialScene { surfels: SurfelData::neutral(gaussians.colour.model, 0), gaussians }
+    }
+
+    fn placement(&self) -> Placement {
+        Placement { start: self.start, ..Placement::new(self.config, self.dataset.extent) }
+    }
+
+    /// A surfel and a faint Gaussian at every point, which cameras at `centres` saw.
+    fn place(&self, points: PointCloud, centres: &[DVec3], rng: &mut ChaCha8Rng) -> InitialScene {
+        let (points, placement) = (sfm::orient(points, centres), self.placement());
+        let mut surfels = placement::surfels(&points, &placement, rng);
+        surfels.margins = margins(&surfels.positions, &surfels.log_scales, self.config.model.margin);
+        InitialScene { surfels, gaussians: placement::gaussians(&points, &placement, rng) }
+    }
 }
 
 /// A surfel at every point. Margins are zero.
 pub fn surfels_at(points: PointCloud, dataset: &Dataset, config: &Config, rng: &mut ChaCha8Rng) -> SurfelData {
     placement::surfels(&sfm::orient(points, &centres(&dataset.train)), &Placement::new(config, dataset.extent), rng)
-}
-
-/// A surfel and a faint Gaussian at every point.
-fn place(
-    points: &OrientedPoints,
-    dataset: &Dataset,
-    config: &Config,
-    start: PrimitiveStart,
-    rng: &mut ChaCha8Rng,
-) -> InitialScene {
-    let placement = Placement { start, ..Placement::new(config, dataset.extent) };
-    let mut surfels = placement::surfels(points, &placement, rng);
-    surfels.margins = margins(&surfels.positions, &surfels.log_scales, config.model.margin);
-    InitialScene { surfels, gaussians: placement::gaussians(points, &placement, rng) }
 }
 
 /// At most `count` points in `region` about which views agree.
@@ -222,12 +216,12 @@ fn where_views_agree(
     Ok(plane_sweep::draw(&views, &volume, Acceptance::DISTINCT, count, rng)?)
 }
 
-fn centres(views: &[View]) -> Vec<DVec3> {
-    views.iter().map(|view| view.camera.centre()).collect()
+fn centres<'a>(views: impl IntoIterator<Item = &'a View>) -> Vec<DVec3> {
+    views.into_iter().map(|view| view.camera.centre()).collect()
 }
 
 fn in_sight(dataset: &Dataset) -> Region {
-    let cameras: Vec<&Camera> = dataset.train.iter().map(|view| &view.camera).collect();
+    let cameras: Vec<Camera> = dataset.train.iter().map(|view| view.camera).collect();
     Region::in_sight(&cameras, dataset.extent)
 }
 
@@ -236,7 +230,7 @@ mod tests {
     use rand::SeedableRng;
 
     use super::*;
-    use crate::dataset::{Format, Picture, Tracks, View};
+    use crate::dataset::{BuiltinOptions, Picture, Tracks, builtin};
 
     const SIZE: usize = 40;
 
@@ -253,18 +247,9 @@ mod tests {
             View { name: i.to_string(), camera, photograph: picture.into(), depth: None }
         };
         let colours = vec![[0.75; 3]; points.len()];
-        Dataset {
-            train: (0..views).map(view).collect(),
-            test: vec![],
-            validation: vec![],
-            points: PointCloud { positions: points, colours, seen_by: Tracks::default() },
-            offset: DVec3::ZERO,
-            extent: 4.4,
-            background: [0.0; 3],
-            format: Format::Builtin,
-            near: 0.01,
-            spare_memory: usize::MAX,
-        }
+        let points = PointCloud { positions: points, colours, seen_by: Tracks::default() };
+        let none = BuiltinOptions { train_views: 0, test_views: 0, points: 0, ..Default::default() };
+        Dataset { train: (0..views).map(view).collect(), points, extent: 4.4, ..builtin(&none) }
     }
 
     fn start(dataset: &Dataset, method: InitMethod) -> Result<InitialScene, InitError> {
@@ -272,13 +257,11 @@ mod tests {
         config.init.method = method;
         config.init.hull_resolution = 24;
         config.init.random_gaussians = 300;
-        initialise(
-            dataset,
-            &config,
-            PrimitiveStart::default(),
-            PrimitiveQuota::new(1e6, 1e6),
-            &mut ChaCha8Rng::seed_from_u64(4),
-        )
+        seeded(dataset, &config, PrimitiveQuota::new(1e6, 1e6), 4)
+    }
+
+    fn seeded(dataset: &Dataset, config: &Config, quota: PrimitiveQuota, seed: u64) -> Result<InitialScene, InitError> {
+        initialise(dataset, config, PrimitiveStart::default(), quota, &mut ChaCha8Rng::seed_from_u64(seed))
     }
 
     #[test]
@@ -320,8 +303,7 @@ mod tests {
         let mut config = Config::default();
         (config.init.method, config.init.random_half_side) = (InitMethod::Random, 1.3);
         let quota = PrimitiveQuota::new(1e6, 5000.0);
-        let scene =
-            initialise(&moved, &config, PrimitiveStart::default(), quota, &mut ChaCha8Rng::seed_from_u64(4)).unwrap();
+        let scene = seeded(&moved, &config, quota, 4).unwrap();
         assert_eq!((scene.surfels.len(), scene.gaussians.len()), (0, 5000));
         assert_eq!(scene.surfels.colour.model, scene.gaussians.colour.model);
         for (axis, offset) in moved.offset.to_array().into_iter().enumerate() {
@@ -351,12 +333,7 @@ mod tests {
     fn the_same_seed_gives_the_same_scene_within_its_room() {
         let cloud = (0..200).map(|i| [(i as f32).sin(), (i as f32 * 1.7).cos(), i as f32 * 0.01]).collect();
         let dataset = dataset(6, false, cloud);
-        let config = Config::default();
-        let quota = PrimitiveQuota::new(30.0, 60.0);
-        let start = |seed| {
-            initialise(&dataset, &config, PrimitiveStart::default(), quota, &mut ChaCha8Rng::seed_from_u64(seed))
-                .unwrap()
-        };
+        let start = |seed| seeded(&dataset, &Config::default(), PrimitiveQuota::new(30.0, 60.0), seed).unwrap();
         assert_eq!(start(1), start(1));
         assert_ne!(start(1), start(2));
         assert_eq!((start(1).surfels.len(), start(1).gaussians.len()), (30, 30));

@@ -23,16 +23,6 @@ pub struct OrientedPoints {
     pub normals: Vec<DVec3>,
 }
 
-impl OrientedPoints {
-    pub fn len(&self) -> usize {
-        self.positions.len()
-    }
-
-    pub fn is_empty(&self) -> bool {
-        self.positions.is_empty()
-    }
-}
-
 /// At most `count` of `total` rows, drawn uniformly, ascending.
 pub fn draw_rows(total: usize, count: usize, rng: &mut ChaCha8Rng) -> Vec<usize> {
     let mut rows: Vec<usize> = (0..total).collect();
@@ -110,7 +100,7 @@ impl Placement {
 /// One disc per point, perpendicular to its normal, as wide as the spacing of the points. Margins are zero.
 pub fn surfels(points: &OrientedPoints, placement: &Placement, rng: &mut ChaCha8Rng) -> SurfelData {
     let log_scales = placement.log_scales(&points.positions, placement.start.surfel_scale);
-    let mut surfels = SurfelData::neutral(placement.model, points.len());
+    let mut surfels = SurfelData::neutral(placement.model, points.positions.len());
     surfels.positions = points.positions.as_flattened().to_vec();
     surfels.quaternions = points.normals.iter().flat_map(|&normal| facing(normal)).collect();
     surfels.log_scales = log_scales.into_iter().flat_map(|s| [s; 2]).collect();
@@ -121,9 +111,9 @@ pub fn surfels(points: &OrientedPoints, placement: &Placement, rng: &mut ChaCha8
 /// One isotropic Gaussian of low opacity per point.
 pub fn gaussians(points: &OrientedPoints, placement: &Placement, rng: &mut ChaCha8Rng) -> GaussianData {
     let log_scales = placement.log_scales(&points.positions, placement.start.gaussian_scale);
-    let mut gaussians = GaussianData::neutral(placement.model, points.len());
+    let mut gaussians = GaussianData::neutral(placement.model, points.positions.len());
     gaussians.positions = points.positions.as_flattened().to_vec();
-    gaussians.quaternions = [1.0, 0.0, 0.0, 0.0].repeat(points.len());
+    gaussians.quaternions = [1.0, 0.0, 0.0, 0.0].repeat(points.positions.len());
     gaussians.log_scales = log_scales.into_iter().flat_map(|s| [s; 3]).collect();
     gaussians.opacities.fill(placement.start.gaussian_opacity as f32);
     gaussians.colour = colour(points, placement.model, rng);
@@ -138,7 +128,7 @@ pub fn facing(normal: DVec3) -> [f32; 4] {
 
 fn colour(points: &OrientedPoints, model: ColourModel, rng: &mut ChaCha8Rng) -> ColourData {
     let base = points.colours.as_flattened().iter().map(|&c| ((f64::from(c) - 0.5) / SH_C0) as f32).collect();
-    ColourData::new(model, base, faint_detail(model, points.len(), rng))
+    ColourData::new(model, base, faint_detail(model, points.positions.len(), rng))
 }
 
 #[cfg(test)]
@@ -194,12 +184,8 @@ mod tests {
         assert!(rgb.iter().zip([0.5, 1.0, 0.0]).all(|(a, b)| (a - b).abs() < 1e-6));
         assert_eq!(surfels.colour.detail.len(), 3 * 12);
         for lobe in surfels.colour.detail.chunks(6) {
-            assert!(
-                lobe[..3] == [-0.3; 3]
-                    && (0.0..PI).contains(&lobe[3])
-                    && (0.0..TAU).contains(&lobe[4])
-                    && lobe[5] == 0.0
-            );
+            assert_eq!((&lobe[..3], lobe[5]), (&[-0.3; 3][..], 0.0));
+            assert!((0.0..PI).contains(&lobe[3]) && (0.0..TAU).contains(&lobe[4]), "{lobe:?}");
         }
         assert!((surfels.log_scales[0].exp() - 0.4).abs() < 1e-6);
         assert!((gaussians.log_scales[0].exp() - 0.5).abs() < 1e-6);

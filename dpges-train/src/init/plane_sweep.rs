@@ -140,13 +140,12 @@ impl<'a> Group<'a> {
         let (enter, leave) = (a.min(b).max_element().max(self.camera.near), a.max(b).min_element());
         let distances = (0..).map(|step| enter + (f64::from(step) + 0.5) * volume.step);
         let inside = distances.take_while(|&distance| distance < leave);
-        let inside = inside.filter(|&distance| (volume.contains)(centre + distance * ray));
-        inside
-            .map(|distance| Sample {
-                position: centre + distance * ray,
-                difference: self.difference(centre, distance, &patch),
-            })
-            .collect()
+        let sample = |distance: f64| {
+            let position = centre + distance * ray;
+            let is_inside = (volume.contains)(position);
+            is_inside.then(|| Sample { position, difference: self.difference(centre, distance, &patch) })
+        };
+        inside.filter_map(sample).collect()
     }
 
     /// The ray of a pixel, a unit vector, and the rays and colours of the pixels around it; these rays end on the plane
@@ -255,11 +254,8 @@ pub(super) mod tests {
     #[test]
     fn points_lie_on_the_surface_with_its_colour() {
         let points = drawn(&photos(mosaic, |_| false), Acceptance::DISTINCT, 400);
-        assert!(
-            points.positions.len() > 300 && points.colours.len() == points.positions.len(),
-            "{}",
-            points.positions.len()
-        );
+        let count = points.positions.len();
+        assert!(count > 300 && points.colours.len() == count, "{count}");
         assert!(near(&points) > 0.9, "{}", near(&points));
         let (mut compared, mut right) = (0, 0);
         for (at, colour) in points.positions.iter().zip(&points.colours) {

@@ -29,8 +29,8 @@ impl Region {
     /// A cube around the point nearest to all optical axes that contains the sphere the median camera sees completely.
     /// If the cameras look away from each other, the cube is centred on their mean and reaches `extent` (world units)
     /// to each side.
-    pub fn in_sight(cameras: &[&Camera], extent: f64) -> Self {
-        let mean = cameras.iter().map(|camera| camera.centre()).sum::<DVec3>() / cameras.len().max(1) as f64;
+    pub fn in_sight(cameras: &[Camera], extent: f64) -> Self {
+        let mean = cameras.iter().map(Camera::centre).sum::<DVec3>() / cameras.len().max(1) as f64;
         let focus = nearest_to_axes(cameras, mean, extent);
         let ahead = |camera: &Camera| (focus - camera.centre()).dot(forward(camera));
         let mut radii: Vec<f64> = cameras.iter().map(|camera| ahead(camera) * narrowest_sine(camera)).collect();
@@ -64,9 +64,9 @@ impl Region {
 }
 
 /// The point nearest to all optical axes, by least squares. For parallel axes, a point about `extent` ahead of `mean`.
-fn nearest_to_axes(cameras: &[&Camera], mean: DVec3, extent: f64) -> DVec3 {
+fn nearest_to_axes(cameras: &[Camera], mean: DVec3, extent: f64) -> DVec3 {
     const PULL: f64 = 1e-4;
-    let looking = cameras.iter().map(|camera| forward(camera)).sum::<DVec3>().try_normalize().unwrap_or(DVec3::ZERO);
+    let looking = cameras.iter().map(forward).sum::<DVec3>().try_normalize().unwrap_or(DVec3::ZERO);
     let ahead = mean + looking * extent.max(1e-3);
     let weight = PULL * cameras.len().max(1) as f64;
     let (mut matrix, mut right) = (DMat3::IDENTITY * weight, ahead * weight);
@@ -107,20 +107,11 @@ mod tests {
     use dpges_core::camera::{CameraFromWorld, Distortion, Lens, Projection};
 
     use super::*;
+    use crate::init::plane_sweep;
 
     fn camera(eye: DVec3, target: DVec3) -> Camera {
         let camera_from_world = CameraFromWorld::look_at(eye, target, DVec3::Z);
-        Camera {
-            camera_from_world,
-            fx: 1111.0,
-            fy: 1111.0,
-            cx: 400.0,
-            cy: 400.0,
-            width: 800,
-            height: 800,
-            near: 0.01,
-            lens: None,
-        }
+        Camera { camera_from_world, ..plane_sweep::tests::camera(DVec3::X, 800, 1111.0) }
     }
 
     #[test]
@@ -148,7 +139,7 @@ mod tests {
     fn cameras_on_a_ring_see_the_middle() {
         let middle = DVec3::new(1.0, -2.0, 5.0);
         let cameras = around(middle);
-        let region = Region::in_sight(&cameras.iter().collect::<Vec<_>>(), 4.4);
+        let region = Region::in_sight(&cameras, 4.4);
         let centre = (region.low + region.high) / 2.0;
         assert!(centre.distance(middle) < 0.01, "{region:?}");
         assert!((1.3..1.8).contains(&(region.size().x / 2.0)), "{region:?}");
@@ -157,14 +148,14 @@ mod tests {
     #[test]
     fn parallel_lone_and_diverging_cameras_have_a_region_too() {
         let lone = camera(DVec3::ZERO, DVec3::X);
-        let region = Region::in_sight(&[&lone], 2.0);
+        let region = Region::in_sight(&[lone], 2.0);
         assert!(((region.low + region.high) / 2.0).distance(2.0 * DVec3::X) < 1e-6);
         let wall: Vec<Camera> = (0..4).map(|i| camera(DVec3::Y * i as f64, DVec3::new(9.0, i as f64, 0.0))).collect();
-        let region = Region::in_sight(&wall.iter().collect::<Vec<_>>(), 3.0);
+        let region = Region::in_sight(&wall, 3.0);
         assert!(region.low.is_finite() && region.size().min_element() > 0.0 && region.high.x > 1.0);
         let outwards: Vec<Camera> =
             around(DVec3::ZERO).iter().map(|inwards| camera(inwards.centre(), 2.0 * inwards.centre())).collect();
-        let region = Region::in_sight(&outwards.iter().collect::<Vec<_>>(), 4.4);
+        let region = Region::in_sight(&outwards, 4.4);
         assert!((region.size().x - 8.8).abs() < 1e-9);
     }
 

@@ -134,7 +134,7 @@ mod tests {
         let eye = DVec3::new(0.0, 5.0, 0.0);
         for count in 1..=20 {
             let oriented = orient(cloud((0..count).map(|i| [0.0, 0.0, i as f32]).collect()), &[eye]);
-            assert_eq!(oriented.len(), count);
+            assert_eq!(oriented.positions.len(), count);
             for (position, normal) in oriented.positions.iter().zip(&oriented.normals) {
                 assert!((*normal - (eye - point(*position)).normalize()).length() < 1e-9, "{count}");
             }
@@ -142,7 +142,7 @@ mod tests {
         let triangle = cloud(vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]);
         assert!(orient(triangle, &[eye]).normals.iter().all(|normal| normal.distance(DVec3::Y) < 1e-9));
         assert_eq!(orient(cloud(vec![[0.0; 3]]), &[]).normals, [DVec3::Z]);
-        assert!(orient(cloud(vec![]), &[eye]).is_empty());
+        assert!(orient(cloud(vec![]), &[eye]).positions.is_empty());
     }
 
     #[test]

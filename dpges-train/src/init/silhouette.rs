@@ -1,7 +1,5 @@
 //! Initialisation from the visual hull of pictures with alpha (Laurentini): what lies inside every silhouette.
 
-use std::sync::Arc;
-
 use dpges_core::Result;
 use glam::{DVec3, IVec3};
 use rand_chacha::ChaCha8Rng;
@@ -9,32 +7,7 @@ use rayon::prelude::*;
 
 use super::plane_sweep::{self, Acceptance, Volume};
 use super::region::Region;
-use crate::dataset::{Picture, PointCloud, View, pictures};
-
-/// The views whose photographs have alpha that says what is outside.
-#[derive(Debug)]
-pub struct Silhouettes<'a>(Vec<&'a View>);
-
-impl<'a> Silhouettes<'a> {
-    /// `None` if there are none among `views`.
-    pub fn new(views: &'a [View]) -> Option<Self> {
-        let views: Vec<&View> = views.iter().filter(|view| view.photograph.has_transparency()).collect();
-        (!views.is_empty()).then_some(Self(views))
-    }
-
-    fn len(&self) -> usize {
-        self.0.len()
-    }
-
-    /// Of the cameras, world units.
-    pub fn centres(&self) -> Vec<DVec3> {
-        self.0.iter().map(|view| view.camera.centre()).collect()
-    }
-
-    fn pictures(&self) -> impl Iterator<Item = (&'a View, Result<Arc<Picture>>)> {
-        pictures(self.0.iter().copied())
-    }
-}
+use crate::dataset::{PointCloud, View, pictures};
 
 /// Nearly cubic voxels that fill a region, `sides` of them along each axis.
 struct Grid {
@@ -71,16 +44,16 @@ impl Grid {
 /// Share of the views whose silhouettes may miss a voxel of a run's visual hull: masks are not exact.
 pub const TOLERANCE: f64 = 0.02;
 
-/// At most `count` points inside of the visual hull, within `region`, where views agree about colours: hulls fill what is
-/// hollow. Where colours say nothing, points lie on the surface of the hull. It consists of `resolution` voxels along each side
-/// of a grid that is fitted to the occupied part of the region. A voxel is occupied if at least half of the views show its
-/// centre and at most the share `tolerance` of these show it outside their silhouette. Empty if the silhouettes have no
-/// volume in common.
+/// At most `count` points inside of the visual hull of `views`, whose alpha says what is outside, within `region`, where views
+/// agree about colours: hulls fill what is hollow. Where colours say nothing, points lie on the surface of the hull. It
+/// consists of `resolution` voxels along each side of a grid that is fitted to the occupied part of the region. A voxel is
+/// occupied if at least half of the views show its centre and at most the share `tolerance` of these show it outside their
+/// silhouette. Empty if the silhouettes have no volume in common.
 ///
 /// # Errors
 /// [`dpges_core::Error::Io`] if a photograph cannot be read again.
 pub fn hull_points(
-    silhouettes: &Silhouettes<'_>,
+    views: &[&View],
     region: Region,
     resolution: usize,
     tolerance: f64,
@@ -88,13 +61,13 @@ pub fn hull_points(
     rng: &mut ChaCha8Rng,
 ) -> Result<PointCloud> {
     let coarse = Grid { region, sides: resolution.div_ceil(2) };
-    let region = occupied_region(&coarse, &carve(&coarse, silhouettes, tolerance)?).unwrap_or(region);
+    let region = occupied_region(&coarse, &carve(&coarse, views, tolerance)?).unwrap_or(region);
     let grid = Grid { region, sides: resolution };
-    let occupied = carve(&grid, silhouettes, tolerance)?;
+    let occupied = carve(&grid, views, tolerance)?;
     let contains = |position: DVec3| grid.index(position).is_some_and(|index| occupied[index]);
     let step = grid.region.size().max_element() / (2 * resolution) as f64;
     let volume = Volume { region: grid.region, step, contains: &contains };
-    plane_sweep::draw(&silhouettes.0, &volume, Acceptance::ALL, count, rng)
+    plane_sweep::draw(views, &volume, Acceptance::ALL, count, rng)
 }
 
 /// How many views show a voxel, and how many of these show it outside of their silhouettes.
@@ -104,10 +77,10 @@ struct Shown {
     misses: u32,
 }
 
-fn carve(grid: &Grid, silhouettes: &Silhouettes<'_>, tolerance: f64) -> Result<Vec<bool>> {
-    let most_misses = tolerance * silhouettes.len() as f64;
+fn carve(grid: &Grid, views: &[&View], tolerance: f64) -> Result<Vec<bool>> {
+    let most_misses = tolerance * views.len() as f64;
     let mut shown = vec![Shown::default(); grid.len()];
-    for (view, picture) in silhouettes.pictures() {
+    for (view, picture) in pictures(views.iter().copied()) {
         let picture = picture?;
         shown.par_iter_mut().enumerate().for_each(|(index, shown)| {
             if f64::from(shown.misses) > most_misses {
@@ -120,7 +93,7 @@ fn carve(grid: &Grid, silhouettes: &Silhouettes<'_>, tolerance: f64) -> Result<V
         });
     }
     let occupied = |Shown { seen, misses }: Shown| {
-        seen > 0 && 2 * seen as usize >= silhouettes.len() && f64::from(misses) <= tolerance * f64::from(seen)
+        seen > 0 && 2 * seen as usize >= views.len() && f64::from(misses) <= tolerance * f64::from(seen)
     };
     Ok(shown.into_iter().map(occupied).collect())
 }
@@ -142,33 +115,18 @@ fn occupied_region(grid: &Grid, occupied: &[bool]) -> Option<Region> {
 mod tests {
     use std::f64::consts::TAU;
 
-    use dpges_core::camera::{Camera, CameraFromWorld};
     use rand::SeedableRng;
 
     use super::*;
+    use crate::dataset::Picture;
 
     /// Pictures of a ball of radius 1: red where x > 0, else blue; white behind.
     fn photos(count: usize) -> Vec<View> {
         let photo = |i: usize| {
             let (turn, height) = (i as f64 / count as f64 * TAU * 7.0, 0.9 - 1.8 * i as f64 / count as f64);
-            let eye = 4.0
-                * DVec3::new(
-                    turn.cos() * (1.0 - height * height).sqrt(),
-                    turn.sin() * (1.0 - height * height).sqrt(),
-                    height,
-                );
-            let camera_from_world = CameraFromWorld::look_at(eye, DVec3::ZERO, DVec3::Z);
-            let camera = Camera {
-                camera_from_world,
-                fx: 140.0,
-                fy: 140.0,
-                cx: 50.0,
-                cy: 50.0,
-                width: 100,
-                height: 100,
-                near: 0.01,
-                lens: None,
-            };
+            let radius = (1.0 - height * height).sqrt();
+            let eye = 4.0 * DVec3::new(turn.cos() * radius, turn.sin() * radius, height);
+            let camera = plane_sweep::tests::camera(eye, 100, 140.0);
             let (mut alpha, mut planes) = (vec![0; 10_000], vec![1.0f32; 30_000]);
             for pixel in 0..10_000 {
                 let ray =
@@ -189,8 +147,8 @@ mod tests {
 
     fn hull(photos: &[View], resolution: usize, tolerance: f64) -> PointCloud {
         let mut rng = ChaCha8Rng::seed_from_u64(6);
-        let silhouettes = Silhouettes::new(photos).unwrap();
-        hull_points(&silhouettes, region(photos), resolution, tolerance, 30_000, &mut rng).unwrap()
+        let views: Vec<&View> = photos.iter().collect();
+        hull_points(&views, region(photos), resolution, tolerance, 30_000, &mut rng).unwrap()
     }
 
     fn make_transparent(photo: &mut View) {
@@ -198,7 +156,7 @@ mod tests {
     }
 
     fn region(photos: &[View]) -> Region {
-        Region::in_sight(&photos.iter().map(|photo| &photo.camera).collect::<Vec<_>>(), 4.4)
+        Region::in_sight(&photos.iter().map(|photo| photo.camera).collect::<Vec<_>>(), 4.4)
     }
 
     #[test]
@@ -237,17 +195,7 @@ mod tests {
         counted[2500..7500].fill(false);
         photos[7].repaint(|picture| picture.counted = Some(counted)).unwrap();
         let found = hull(&photos, 32, 0.0);
-        assert!(
-            found.positions.len() > 300,
-            "what photo 7 shows in the middle is not carved away: {}",
-            found.positions.len()
-        );
-    }
-
-    #[test]
-    fn disjoint_silhouettes_have_no_hull() {
-        let mut photos = photos(4);
-        photos.iter_mut().for_each(make_transparent);
-        assert!(hull(&photos, 16, 0.0).positions.is_empty());
+        let count = found.positions.len();
+        assert!(count > 300, "what photo 7 shows in the middle is not carved away: {count}");
     }
 }

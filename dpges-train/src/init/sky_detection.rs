@@ -28,14 +28,6 @@ pub struct OpenSky {
     pub colour: Option<[f64; 3]>,
 }
 
-/// Sums over the pixels of one view.
-#[derive(Clone, Copy, Default)]
-struct Sums {
-    pixels: usize,
-    open: usize,
-    colour: [f64; 3],
-}
-
 /// Largest difference of a channel between the sky and the median of the open sky of a view. Leaves and roofs in open cells
 /// differ by more.
 const OF_THE_SKY: f32 = 0.15;
@@ -46,29 +38,22 @@ const OF_THE_SKY: f32 = 0.15;
 /// [`dpges_core::Error::Io`] if a photograph cannot be read again.
 pub fn open_sky(dataset: &Dataset) -> Result<OpenSky> {
     let up = upwards(dataset.train.iter().map(|view| &view.camera));
-    let of_view = |index: usize| -> Result<Sums> {
+    // numbers of pixels that count and of open ones, and the sums of their colours
+    let of_view = |index: usize| -> Result<[f64; 5]> {
         let view = &dataset.train[index];
         let (picture, open) = (view.picture()?, open_cells(&view.camera, &dataset.points.positions, up));
-        let mut sums = Sums { pixels: picture.area() - picture.ignored_pixels(), ..Sums::default() };
-        for pixel in open.pixels().into_iter().filter(|&pixel| picture.counts(pixel)) {
-            sums.open += 1;
-            for (sum, channel) in sums.colour.iter_mut().zip(picture.colour(pixel)) {
-                *sum += f64::from(channel);
-            }
+        let (pixels, mut colours) = (open.pixels(&picture), [0.0; 3]);
+        for &pixel in &pixels {
+            colours.iter_mut().zip(picture.colour(pixel)).for_each(|(sum, channel)| *sum += f64::from(channel));
         }
-        Ok(sums)
+        let [red, green, blue] = colours;
+        Ok([(picture.area() - picture.ignored_pixels()) as f64, pixels.len() as f64, red, green, blue])
     };
     let sample: Vec<usize> = sampled(dataset.train.len()).collect();
-    let sums: Vec<Sums> = sample.into_par_iter().map(of_view).collect::<Result<_>>()?;
-    let sum = sums.into_iter().fold(Sums::default(), |sum, view| Sums {
-        pixels: sum.pixels + view.pixels,
-        open: sum.open + view.open,
-        colour: std::array::from_fn(|c| sum.colour[c] + view.colour[c]),
-    });
-    Ok(OpenSky {
-        share: sum.open as f64 / sum.pixels.max(1) as f64,
-        colour: (sum.open > 0).then(|| sum.colour.map(|channel| channel / sum.open as f64)),
-    })
+    let sums: Vec<[f64; 5]> = sample.into_par_iter().map(of_view).collect::<Result<_>>()?;
+    let add = |sum: [f64; 5], view: [f64; 5]| std::array::from_fn(|at| sum[at] + view[at]);
+    let [counted, open, colours @ ..] = sums.into_iter().fold([0.0; 5], add);
+    Ok(OpenSky { share: open / counted.max(1.0), colour: (open > 0.0).then(|| colours.map(|sum| sum / open)) })
 }
 
 /// The sky of a view: pixels of its open sky that have about the colour that most of it has in this view.
@@ -82,8 +67,7 @@ pub struct ViewSky {
 impl ViewSky {
     /// `None` if nothing in the `picture` is open sky.
     fn new(picture: &Picture, open: OpenCells) -> Option<Self> {
-        let mut pixels = open.pixels();
-        pixels.retain(|&pixel| picture.counts(pixel));
+        let pixels = open.pixels(picture);
         if pixels.is_empty() {
             return None;
         }
@@ -102,8 +86,8 @@ impl ViewSky {
 
     /// The pixels of the `picture` of this view that count and show nothing but sky.
     pub fn pixels(&self, picture: &Picture) -> Vec<usize> {
-        let mut pixels = self.open.pixels();
-        pixels.retain(|&pixel| picture.counts(pixel) && self.has_colour_of(picture, pixel));
+        let mut pixels = self.open.pixels(picture);
+        pixels.retain(|&pixel| self.has_colour_of(picture, pixel));
         pixels
     }
 }
@@ -220,15 +204,16 @@ struct OpenCells {
 }
 
 impl OpenCells {
-    /// The pixels in open cells, row by row.
-    fn pixels(&self) -> Vec<usize> {
+    /// The pixels of the `picture` in open cells that count, row by row.
+    fn pixels(&self, picture: &Picture) -> Vec<usize> {
         let Cells { columns, width, height, .. } = self.cells;
         let columns_of: Vec<usize> = (0..width).map(|x| self.cells.at(x as f64 + 0.5, 0.5)).collect();
         let mut pixels = Vec::new();
         for y in 0..height {
             let first = self.cells.at(0.5, y as f64 + 0.5);
             let row = &self.open[first..first + columns];
-            pixels.extend((0..width).filter(|&x| row[columns_of[x]]).map(|x| y * width + x));
+            let open = (0..width).filter(|&x| row[columns_of[x]]).map(|x| y * width + x);
+            pixels.extend(open.filter(|&pixel| picture.counts(pixel)));
         }
         pixels
     }
@@ -259,31 +244,21 @@ fn open_cells(camera: &Camera, points: &[[f32; 3]], up: DVec3) -> OpenCells {
 
 #[cfg(test)]
 pub mod tests {
-    use dpges_core::camera::CameraFromWorld;
-
     use super::*;
     use crate::dataset::{BuiltinOptions, PointCloud, View, builtin};
+    use crate::init::plane_sweep;
 
     const SIZE: usize = 64;
     pub const BLUE: [u8; 3] = [51, 102, 255];
 
     /// A ring of cameras around the origin that look at it from a height of `height`. Their photographs are plain blue.
     pub fn ring(height: f64, points: Vec<[f32; 3]>) -> Dataset {
-        let options = BuiltinOptions {
-            width: SIZE,
-            height: SIZE,
-            train_views: 12,
-            test_views: 1,
-            points: 0,
-            ..BuiltinOptions::default()
-        };
-        let mut dataset = builtin(&options);
+        let options = BuiltinOptions { train_views: 12, test_views: 1, points: 0, ..Default::default() };
+        let mut dataset = builtin(&BuiltinOptions { width: SIZE, height: SIZE, ..options });
         for (index, view) in dataset.train.iter_mut().enumerate() {
             let angle = index as f64 / 12.0 * std::f64::consts::TAU;
             let eye = DVec3::new(5.0 * angle.cos(), 5.0 * angle.sin(), height);
-            let camera_from_world = CameraFromWorld::look_at(eye, DVec3::ZERO, DVec3::Z);
-            let (fx, cx) = (SIZE as f64, SIZE as f64 / 2.0);
-            view.camera = Camera { camera_from_world, fx, fy: fx, cx, cy: cx, ..view.camera };
+            view.camera = plane_sweep::tests::camera(eye, SIZE, SIZE as f64);
             view.repaint(|picture| picture.bytes = BLUE.repeat(SIZE * SIZE)).unwrap();
         }
         dataset.points = PointCloud { positions: points, ..PointCloud::default() };
@@ -329,7 +304,8 @@ pub mod tests {
     fn leaves_in_open_sky_are_not_sky() {
         let mut dataset = ring(0.0, tower(0.0));
         let up = upwards(dataset.train.iter().map(|view| &view.camera));
-        let open_of = |view: &View| open_cells(&view.camera, &dataset.points.positions, up).pixels();
+        let open_of =
+            |view: &View| open_cells(&view.camera, &dataset.points.positions, up).pixels(&view.picture().unwrap());
         let open: Vec<Vec<usize>> = dataset.train.iter().map(open_of).collect();
         let first = open[0][0];
         let leaf = |picture: &mut Picture| picture.bytes[3 * first..][..3].copy_from_slice(&[64, 51, 26]);
@@ -360,10 +336,6 @@ pub mod tests {
         let mut window = tower(20.0);
         window.retain(|point| !(3.0..9.0).contains(&point[2]));
         assert!(open_sky(&ring(0.0, window)).unwrap().share < 0.02);
-    }
-
-    #[test]
-    fn without_points_nothing_is_known() {
-        assert_eq!(open_sky(&ring(0.0, Vec::new())).unwrap().share, 0.0);
+        assert_eq!(open_sky(&ring(0.0, Vec::new())).unwrap().share, 0.0, "without points nothing is known");
     }
 }
