@@ -5,10 +5,11 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
-use super::error::{DatasetError, Result, listing};
+use super::error::{DatasetError, Result};
 use super::formats::source::{Frame, RawPoints, Source, Split};
 use super::image::decoder::ImageDecoder;
 use super::image::{codec, depth, masks, reading};
+use super::names::{in_folder, listing};
 use super::{Dataset, Format, LoadOptions, PointCloud};
 
 /// Distance of the cameras from the origin, in extents, beyond which the world is moved there. f32 has 24 bits: at
@@ -19,16 +20,15 @@ const RECENTRE_BEYOND_EXTENTS: f64 = 100.0;
 /// [`DatasetError`]; the first view by name that is at fault, whatever the number of threads.
 pub(super) fn assemble(root: &Path, mut source: Source, options: &LoadOptions) -> Result<Dataset> {
     let near = options.near.unwrap_or_else(|| source.format.default_near());
-    check(&source, near, options)?;
+    source.frames.iter_mut().for_each(|frame| frame.camera.near = near);
+    check(&source, options)?;
     if let Some(scale) = options.image_scale {
         for frame in &mut source.frames {
             frame.image = scaled_image(root, &frame.image, scale)?;
         }
     }
-    for frame in &source.frames {
-        if !frame.image.is_file() {
-            return Err(missing_image(frame));
-        }
+    if let Some(frame) = source.frames.iter().find(|frame| !frame.image.is_file()) {
+        return Err(DatasetError::missing_image(frame.image.clone(), &frame.name, &frame.described_in));
     }
     for frame in &mut source.frames {
         frame.mask = masks::find(root, frame)?;
@@ -39,19 +39,22 @@ pub(super) fn assemble(root: &Path, mut source: Source, options: &LoadOptions) -
         check_depth(root, &source)?;
     }
 
-    let train_centres: Vec<DVec3> =
-        frames_of(&source, Split::Train).map(|frame| frame.camera_from_world.centre()).collect();
+    let train_centres: Vec<DVec3> = frames_of(&source, Split::Train).map(|frame| frame.camera.centre()).collect();
     let (mean, extent) = mean_and_extent(&train_centres);
     let offset = if mean.length() > RECENTRE_BEYOND_EXTENTS * extent { mean } else { DVec3::ZERO };
+    for frame in &mut source.frames {
+        frame.camera.camera_from_world = frame.camera.camera_from_world.recentred(offset);
+    }
     let background = match options.background {
         Some(background) => background,
-        None => default_background(&source)?,
+        None if source.format == Format::Blender && has_alpha(&source.frames)? => [1.0; 3],
+        None => [0.0; 3],
     };
     warn_of_deep_images(&source.frames)?;
     // photographs to train on come first: they are needed more often
     let frames: Vec<&Frame> =
         [Split::Train, Split::Test].into_iter().flat_map(|split| frames_of(&source, split)).collect();
-    let decoder = Arc::new(ImageDecoder::new(root.to_owned(), options, background, near, offset));
+    let decoder = Arc::new(ImageDecoder::new(root.to_owned(), options, background));
     let (mut train, spare_memory) = reading::views(&frames, options.memory, &decoder)?;
     let test = train.split_off(train_centres.len());
     Ok(Dataset {
@@ -73,7 +76,7 @@ fn frames_of(source: &Source, split: Split) -> impl Iterator<Item = &Frame> {
 }
 
 /// Checks that need no pixels.
-fn check(source: &Source, near: f64, options: &LoadOptions) -> Result<()> {
+fn check(source: &Source, options: &LoadOptions) -> Result<()> {
     let path = source.described_in.clone();
     if source.frames.is_empty() {
         return Err(DatasetError::NoViews { path });
@@ -86,7 +89,7 @@ fn check(source: &Source, near: f64, options: &LoadOptions) -> Result<()> {
         return Err(DatasetError::NoTestViews { path, reason: source.no_test_reason });
     }
     for frame in &source.frames {
-        frame.calibration.camera(frame.camera_from_world, near).validate().map_err(|source| DatasetError::Camera {
+        frame.camera.validate().map_err(|source| DatasetError::Camera {
             path: frame.described_in.clone(),
             view: frame.name.clone(),
             source: Box::new(source),
@@ -102,16 +105,14 @@ pub(super) fn mean_and_extent(centres: &[DVec3]) -> (DVec3, f64) {
     (mean, if radius > 0.0 { 1.1 * radius } else { 1.0 })
 }
 
-fn default_background(source: &Source) -> Result<[f64; 3]> {
-    if source.format != Format::Blender {
-        return Ok([0.0; 3]);
-    }
-    for frame in &source.frames {
+/// Whether one of the images has alpha.
+fn has_alpha(frames: &[Frame]) -> Result<bool> {
+    for frame in frames {
         if codec::header(&frame.image)?.has_alpha {
-            return Ok([1.0; 3]);
+            return Ok(true);
         }
     }
-    Ok([0.0; 3])
+    Ok(false)
 }
 
 /// `images/…` as `images_<scale>/…`.
@@ -127,39 +128,21 @@ fn scaled_image(root: &Path, image: &Path, scale: u32) -> Result<PathBuf> {
 }
 
 fn image_folders(root: &Path) -> String {
-    let mut folders: Vec<String> = std::fs::read_dir(root)
-        .into_iter()
-        .flatten()
-        .flatten()
-        .filter(|entry| entry.path().is_dir())
-        .map(|entry| entry.file_name().to_string_lossy().into_owned())
-        .filter(|name| name == "images" || name.starts_with("images_"))
-        .collect();
-    folders.sort();
+    let mut folders = in_folder(root).unwrap_or_default();
+    folders.retain(|name| (name == "images" || name.starts_with("images_")) && root.join(name).is_dir());
     if folders.is_empty() { format!("no image folders but {}", listing(root)) } else { folders.join(", ") }
 }
 
-fn missing_image(frame: &Frame) -> DatasetError {
-    DatasetError::MissingImage {
-        path: frame.image.clone(),
-        view: frame.name.clone(),
-        described_in: frame.described_in.clone(),
-    }
-}
-
 /// # Errors
-/// [`DatasetError::MissingDepth`] for the first training view whose map is not there, [`DatasetError::NoDepth`] if no
+/// [`DatasetError::Missing`] for the first training view whose map is not there, [`DatasetError::NoDepth`] if no
 /// training view has one.
 fn check_depth(root: &Path, source: &Source) -> Result<()> {
     let mut found = false;
     for frame in frames_of(source, Split::Train) {
         let Some(file) = depth::file(root, frame) else { continue };
         if !file.path.is_file() {
-            return Err(DatasetError::MissingDepth {
-                path: file.path,
-                view: frame.name.clone(),
-                described_in: frame.described_in.clone(),
-            });
+            let words = &["depth map", ", remove its `depth_file_path`, or set `data.depth` = \"none\""];
+            return Err(frame.missing(file.path, words));
         }
         found = true;
     }
@@ -182,18 +165,8 @@ fn warn_of_deep_images(frames: &[Frame]) -> Result<()> {
 }
 
 fn recentred_points(points: RawPoints, frames: &[Frame], offset: DVec3) -> PointCloud {
-    let mut next = 0;
-    let train_index: Vec<Option<u32>> = frames
-        .iter()
-        .map(|frame| {
-            (frame.split == Split::Train).then(|| {
-                next += 1;
-                next - 1
-            })
-        })
-        .collect();
     let RawPoints { positions, colours, mut seen_by } = points;
-    seen_by.renumber(&train_index);
+    seen_by.keep_views(frames.iter().map(|frame| frame.split == Split::Train));
     let positions = positions.iter().map(|position| (position - offset).as_vec3().to_array()).collect();
     PointCloud { positions, colours, seen_by }
 }
@@ -202,7 +175,7 @@ fn recentred_points(points: RawPoints, frames: &[Frame], offset: DVec3) -> Point
 mod tests {
     use dpges_core::camera::CameraFromWorld;
 
-    use super::super::fixtures::{self, Encoding};
+    use super::super::fixtures::{self, Encoding, assert_refused, colmap_folder, write_mask};
     use super::super::load;
     use super::*;
 
@@ -217,19 +190,16 @@ mod tests {
     fn geo_referenced_worlds_keep_sub_millimetre_precision() {
         let far = DVec3::new(5e6, -4.2e6, 300.0);
         let mut scene = fixtures::scene(10);
-        let near_data = {
-            let folder = tempfile::tempdir().unwrap();
-            fixtures::write_colmap(folder.path(), &scene, Encoding::Binary);
-            load(folder.path(), &LoadOptions::default()).unwrap()
+        let loaded = |scene: &fixtures::FixtureScene| {
+            load(colmap_folder(scene, Encoding::Binary).path(), &LoadOptions::default()).unwrap()
         };
+        let near_data = loaded(&scene);
         assert_eq!(near_data.offset, DVec3::ZERO);
         for image in &mut scene.images {
             image.pose = image.pose.recentred(-far);
         }
         scene.points.iter_mut().for_each(|point| point.position += far);
-        let folder = tempfile::tempdir().unwrap();
-        fixtures::write_colmap(folder.path(), &scene, Encoding::Binary);
-        let data = load(folder.path(), &LoadOptions::default()).unwrap();
+        let data = loaded(&scene);
         assert!((data.offset - far).length() < 10.0);
         let shift = far - data.offset;
         for (found, near) in data.points.positions.iter().zip(&near_data.points.positions) {
@@ -244,12 +214,10 @@ mod tests {
 
     #[test]
     fn a_scaled_folder_is_read_as_shipped_and_intrinsics_follow() {
-        let folder = tempfile::tempdir().unwrap();
         let scene = fixtures::scene(9);
-        fixtures::write_colmap(folder.path(), &scene, Encoding::Text);
+        let folder = colmap_folder(&scene, Encoding::Text);
         let options = LoadOptions { image_scale: Some(2), ..Default::default() };
-        let message = load(folder.path(), &options).unwrap_err().to_string();
-        assert!(message.contains("images_2") && message.contains("there are images;"), "{message}");
+        assert_refused(folder.path(), &options, &["images_2", "there are images;"]);
         for image in &scene.images {
             fixtures::write_png(&folder.path().join("images_2").join(&image.name), 12, 8, [10, 20, 30]);
         }
@@ -262,8 +230,7 @@ mod tests {
 
     #[test]
     fn the_longer_side_is_capped_and_intrinsics_follow() {
-        let folder = tempfile::tempdir().unwrap();
-        fixtures::write_colmap(folder.path(), &fixtures::scene(9), Encoding::Text);
+        let folder = colmap_folder(&fixtures::scene(9), Encoding::Text);
         let full = load(folder.path(), &LoadOptions::default()).unwrap();
         let options = LoadOptions { max_resolution: Some(12), near: Some(0.5), ..Default::default() };
         let small = load(folder.path(), &options).unwrap();
@@ -281,24 +248,17 @@ mod tests {
         let mut scene = fixtures::scene(9);
         // the principal point is a corner between four pixels
         (scene.model, scene.params) = ((2, "SIMPLE_RADIAL"), vec![20.0, 12.0, 8.0, -1e6]);
-        let folder = tempfile::tempdir().unwrap();
-        fixtures::write_colmap(folder.path(), &scene, Encoding::Text);
+        let folder = colmap_folder(&scene, Encoding::Text);
         let options = LoadOptions { undistort: false, ..Default::default() };
-        let message = load(folder.path(), &options).unwrap_err().to_string();
-        for part in ["images.txt", "`left/001.png`", "lens", "shows nothing"] {
-            assert!(message.contains(part), "{part}: {message}");
-        }
+        assert_refused(folder.path(), &options, &["images.txt", "`left/001.png`", "lens", "shows nothing"]);
     }
 
     #[test]
     fn photographs_that_keep_their_lens_keep_their_masks_and_are_read_again_alike() {
         let mut scene = fixtures::scene(9);
         (scene.model, scene.params) = ((2, "SIMPLE_RADIAL"), vec![20.0, 12.0, 8.0, 0.1]);
-        let folder = tempfile::tempdir().unwrap();
-        fixtures::write_colmap(folder.path(), &scene, Encoding::Binary);
-        let mask = folder.path().join("masks/left/003.png");
-        std::fs::create_dir_all(mask.parent().unwrap()).unwrap();
-        image::GrayImage::from_fn(24, 16, |x, _| image::Luma([u8::from(x < 6)])).save(mask).unwrap();
+        let folder = colmap_folder(&scene, Encoding::Binary);
+        write_mask(&folder.path().join("masks/left/003.png"), [24, 16], 18);
         let of_view = |undistort: bool, memory: usize| {
             let options = LoadOptions { undistort, memory, ..Default::default() };
             let data = load(folder.path(), &options).unwrap();
@@ -308,9 +268,9 @@ mod tests {
         };
         let [read_again, kept] = [0, usize::MAX].map(|memory| of_view(false, memory));
         assert_eq!(read_again, kept);
-        let columns: Vec<bool> = (0..24 * 16).map(|pixel| pixel % 24 < 6).collect();
+        let columns: Vec<bool> = (0..24 * 16).map(|pixel| pixel % 24 >= 18).collect();
         assert_eq!(kept.counted.as_ref(), Some(&columns));
-        // without the lens, what does not count gets into the last column that does
+        // without the lens, what does not count gets into the first column that does
         assert_ne!(of_view(true, usize::MAX).counted, kept.counted);
     }
 
@@ -319,11 +279,8 @@ mod tests {
         let mut scene = fixtures::scene(9);
         // it shows a circle of 6.9 px, within pictures of 24 × 16 px
         (scene.model, scene.params) = ((8, "SIMPLE_RADIAL_FISHEYE"), vec![8.0, 12.0, 8.0, -0.2]);
-        let folder = tempfile::tempdir().unwrap();
-        fixtures::write_colmap(folder.path(), &scene, Encoding::Binary);
-        let mask = folder.path().join("masks/left/003.png");
-        std::fs::create_dir_all(mask.parent().unwrap()).unwrap();
-        image::GrayImage::from_fn(24, 16, |x, _| image::Luma([u8::from(x < 12)])).save(mask).unwrap();
+        let folder = colmap_folder(&scene, Encoding::Binary);
+        write_mask(&folder.path().join("masks/left/003.png"), [24, 16], 12);
         let read = |options: LoadOptions| load(folder.path(), &options).unwrap();
         let lens = LoadOptions { undistort: false, ..Default::default() };
         for (max_resolution, memory) in [(None, usize::MAX), (None, 0), (Some(12), usize::MAX)] {
@@ -351,7 +308,7 @@ mod tests {
         };
         let [(_, masked), (taken, whole)] = ["left/003.png", "left/004.png"].map(|name| of_view(&bent, name));
         for pixel in 0..24 * 16 {
-            assert_eq!(masked.counts(pixel), whole.counts(pixel) && pixel % 24 < 12, "pixel {pixel}");
+            assert_eq!(masked.counts(pixel), whole.counts(pixel) && pixel % 24 >= 12, "pixel {pixel}");
         }
         let (pinhole, picture) = of_view(&straight, "left/004.png");
         assert_eq!((pinhole.lens, &picture.counted), (None, &None));
@@ -363,43 +320,33 @@ mod tests {
 
     #[test]
     fn images_that_are_missing_or_contradict_their_camera_are_named() {
-        let folder = tempfile::tempdir().unwrap();
         let scene = fixtures::scene(9);
-        fixtures::write_colmap(folder.path(), &scene, Encoding::Binary);
+        let folder = colmap_folder(&scene, Encoding::Binary);
         let path = folder.path().join("images").join(&scene.images[3].name);
         fixtures::write_png(&path, 24, 20, [0; 3]);
-        let message = load(folder.path(), &LoadOptions::default()).unwrap_err().to_string();
-        for part in [scene.images[3].name.as_str(), "24x20", "24x16", "images.bin"] {
-            assert!(message.contains(part), "{message}");
-        }
+        let options = LoadOptions::default();
+        assert_refused(folder.path(), &options, &[&scene.images[3].name, "24x20", "24x16", "images.bin"]);
         std::fs::remove_file(&path).unwrap();
-        let message = load(folder.path(), &LoadOptions::default()).unwrap_err().to_string();
-        assert!(message.contains(path.to_str().unwrap()) && message.contains("is missing"), "{message}");
+        assert_refused(folder.path(), &options, &[path.to_str().unwrap(), "is missing"]);
     }
 
     #[test]
     fn poses_that_are_not_finite_name_view_and_file() {
-        let folder = tempfile::tempdir().unwrap();
         let mut scene = fixtures::scene(9);
         let pose = scene.images[2].pose;
         scene.images[2].pose = CameraFromWorld { translation: DVec3::new(0.0, f64::NAN, 1.0), ..pose };
-        fixtures::write_colmap(folder.path(), &scene, Encoding::Binary);
-        let message = load(folder.path(), &LoadOptions::default()).unwrap_err().to_string();
-        for part in [scene.images[2].name.as_str(), "images.bin", "`translation`", "remove it"] {
-            assert!(message.contains(part), "{message}");
-        }
+        let folder = colmap_folder(&scene, Encoding::Binary);
+        let parts = [scene.images[2].name.as_str(), "images.bin", "`translation`", "remove it"];
+        assert_refused(folder.path(), &LoadOptions::default(), &parts);
     }
 
     #[test]
     fn splits_that_leave_a_side_empty_are_refused() {
-        let folder = tempfile::tempdir().unwrap();
-        fixtures::write_colmap(folder.path(), &fixtures::scene(3), Encoding::Binary);
-        let load = |test_every| load(folder.path(), &LoadOptions { test_every, ..Default::default() });
-        let message = load(1).unwrap_err().to_string();
-        assert!(message.contains("images.bin") && message.contains("all 3 are held out"), "{message}");
-        assert_eq!(load(0).unwrap().train.len(), 3);
+        let folder = colmap_folder(&fixtures::scene(3), Encoding::Binary);
+        let every = |test_every| LoadOptions { test_every, ..Default::default() };
+        assert_refused(folder.path(), &every(1), &["images.bin", "all 3 are held out"]);
+        assert_eq!(load(folder.path(), &every(0)).unwrap().train.len(), 3);
         std::fs::write(folder.path().join("test.txt"), "nobody.png\n").unwrap();
-        let message = load(8).unwrap_err().to_string();
-        assert!(message.contains("images.bin") && message.contains("no test views"), "{message}");
+        assert_refused(folder.path(), &every(8), &["images.bin", "no test views"]);
     }
 }

@@ -78,18 +78,10 @@ impl Block {
 impl Dataset {
     /// Leaves out the views that `keeps` does not want. Points that only those saw remain, with no view that sees them.
     pub fn keep_views(&mut self, keeps: impl Fn(&View) -> bool) {
-        let mut kept = 0;
-        let number = |view: &View| {
-            keeps(view).then(|| {
-                kept += 1;
-                kept - 1
-            })
-        };
-        let new_index: Vec<Option<u32>> = self.train.iter().map(number).collect();
+        self.points.seen_by.keep_views(self.train.iter().map(&keeps));
         for views in [&mut self.train, &mut self.test, &mut self.validation] {
             views.retain(&keeps);
         }
-        self.renumber_views(&new_index);
     }
 
     /// Leaves out the views that do not show `block`.

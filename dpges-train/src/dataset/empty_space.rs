@@ -2,7 +2,7 @@
 
 use glam::{DVec3, Vec3};
 
-use super::Dataset;
+use super::{Dataset, PointCloud};
 
 /// Radius of the empty space around a camera, relative to the distance of the nearest points that it saw.
 const CLEARANCE: f64 = 0.5;
@@ -11,7 +11,6 @@ const TOO_NEAR: f64 = 0.01;
 /// Least number of points that say what is near a camera: of fewer there is no hundredth.
 const ENOUGH_POINTS: usize = 100;
 
-/// The empty space around the training cameras of a dataset.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct EmptySpace {
     /// Centres of cameras and the distances up to which nothing is, world units.
@@ -22,19 +21,14 @@ impl EmptySpace {
     /// That around the training cameras of which it is known which points they saw, if they are a hundred or more: half the
     /// distance of the nearest of them, of which one in a hundred may be wrong.
     pub fn of(dataset: &Dataset) -> Self {
-        let views = &dataset.train;
-        let mut distances = vec![Vec::new(); views.len()];
-        for (position, seen_by) in dataset.points.positions.iter().zip(dataset.points.seen_by.iter()) {
-            let position = Vec3::from_array(*position).as_dvec3();
-            for &view in seen_by {
-                distances[view as usize].push(views[view as usize].camera.centre().distance(position));
-            }
-        }
-        let known = views.iter().zip(&mut distances).filter(|(_, distances)| distances.len() >= ENOUGH_POINTS);
-        let spheres = known.map(|(view, distances)| {
+        let PointCloud { positions, seen_by, .. } = &dataset.points;
+        let seen = dataset.train.iter().zip(seen_by.by_view(dataset.train.len()));
+        let spheres = seen.filter(|(_, points)| points.len() >= ENOUGH_POINTS).map(|(view, points)| {
+            let centre = view.camera.centre();
+            let distance = |&point: &u32| centre.distance(Vec3::from_array(positions[point as usize]).as_dvec3());
+            let mut distances: Vec<f64> = points.iter().map(distance).collect();
             let nearest = (TOO_NEAR * distances.len() as f64) as usize;
-            let nearest = *distances.select_nth_unstable_by(nearest, f64::total_cmp).1;
-            (view.camera.centre(), CLEARANCE * nearest)
+            (centre, CLEARANCE * *distances.select_nth_unstable_by(nearest, f64::total_cmp).1)
         });
         Self { spheres: spheres.collect() }
     }
@@ -51,15 +45,14 @@ mod tests {
     use dpges_core::camera::CameraFromWorld;
 
     use super::*;
-    use crate::dataset::{BuiltinOptions, PointCloud, View, builtin};
+    use crate::dataset::{BuiltinOptions, builtin};
 
     /// Two cameras 4 and 8 before the origin, of which the first saw `count` points there.
     fn dataset(count: usize) -> Dataset {
         let mut dataset = builtin(&BuiltinOptions { width: 16, height: 16, train_views: 2, ..Default::default() });
         for (view, distance) in dataset.train.iter_mut().zip([4.0, 8.0]) {
-            let camera_from_world = CameraFromWorld::look_at(DVec3::new(0.0, 0.0, -distance), DVec3::ZERO, -DVec3::Y);
-            let camera = dpges_core::camera::Camera { camera_from_world, ..view.camera };
-            *view = View { camera, ..view.clone() };
+            let eye = DVec3::new(0.0, 0.0, -distance);
+            view.camera.camera_from_world = CameraFromWorld::look_at(eye, DVec3::ZERO, -DVec3::Y);
         }
         let seen_by = vec![vec![0]; count].into_iter().collect();
         dataset.points = PointCloud { positions: vec![[0.0; 3]; count], colours: vec![[0.5; 3]; count], seen_by };

@@ -55,35 +55,29 @@ pub enum DatasetError {
          export the model again"
     )]
     NoPoints { path: PathBuf },
-    #[error("image {path} of view `{view}` is missing; {described_in} names it, restore the file or remove the view")]
-    MissingImage { path: PathBuf, view: String, described_in: PathBuf },
+    /// An image, a mask or a depth map; `words` say which, and what to do.
+    #[error("{} {path} of view `{view}` is missing; {described_in} names it, restore the file{}", words[0], words[1])]
+    Missing { words: &'static [&'static str; 2], path: PathBuf, view: String, described_in: PathBuf },
+    /// Likewise.
+    #[error(
+        "{} {path} is {}x{} px, its camera in {described_in} {}x{}; their aspects differ, use the {}",
+        words[0], found[0], found[1], camera[0], camera[1], words[1]
+    )]
+    Aspect {
+        words: &'static [&'static str; 2],
+        path: PathBuf,
+        found: [usize; 2],
+        camera: [usize; 2],
+        described_in: PathBuf,
+    },
     #[error("{path} has no depth maps; set `data.depth` = \"none\" to train without them")]
     NoDepth { path: PathBuf },
-    #[error(
-        "depth map {path} of view `{view}` is missing; {described_in} names it, restore the file, remove its \
-         `depth_file_path`, or set `data.depth` = \"none\""
-    )]
-    MissingDepth { path: PathBuf, view: String, described_in: PathBuf },
     #[error("depth map {path} is an image of type {found}, expected {expected}; export it again")]
     DepthType { path: PathBuf, found: String, expected: &'static str },
-    #[error(
-        "depth map {path} is {}x{} px, its camera in {described_in} {}x{}; their aspects differ, use the map of this \
-         photograph",
-        found[0], found[1], camera[0], camera[1]
-    )]
-    DepthSize { path: PathBuf, found: [usize; 2], camera: [usize; 2], described_in: PathBuf },
     #[error("folder {path} is missing, there are {available}; use an image scale that exists, or cap the resolution")]
     MissingScale { path: PathBuf, available: String },
     #[error("image {path} cannot be decoded: {source}; replace it, as PNG or JPEG, or remove the view")]
     Decode { path: PathBuf, source: image::ImageError },
-    #[error(
-        "image {path} is {}x{} px, its camera in {described_in} {}x{}; their aspects differ, \
-         use the image the camera was calibrated with",
-        found[0], found[1], camera[0], camera[1]
-    )]
-    ImageSize { path: PathBuf, found: [usize; 2], camera: [usize; 2], described_in: PathBuf },
-    #[error("mask {path} of view `{view}` is missing; {described_in} names it, restore the file or remove its name")]
-    MissingMask { path: PathBuf, view: String, described_in: PathBuf },
     #[error(
         "mask {mask} is {}x{} px, its image {image} {}x{}; make the mask anew for this image, or remove it",
         found[0], found[1], expected[0], expected[1]
@@ -102,9 +96,19 @@ pub enum DatasetError {
 }
 
 impl DatasetError {
+    pub(super) fn missing_image(path: PathBuf, view: &str, described_in: &Path) -> Self {
+        let (view, described_in) = (view.to_owned(), described_in.to_owned());
+        Self::Missing { words: &["image", " or remove the view"], path, view, described_in }
+    }
+
     pub(super) fn malformed(path: &Path, what: String, found: impl ToString, expected: &'static str) -> Self {
         Self::Malformed { path: path.to_owned(), what, found: found.to_string(), expected }
     }
+}
+
+/// An error of the file system as [`DatasetError::Read`], for `map_err`.
+pub(super) fn unreadable(path: &Path) -> impl FnOnce(std::io::Error) -> DatasetError {
+    |source| DatasetError::Read { path: path.to_owned(), source }
 }
 
 /// The bytes of a file.
@@ -112,19 +116,5 @@ impl DatasetError {
 /// # Errors
 /// [`DatasetError::Read`].
 pub(super) fn read(path: &Path) -> Result<Vec<u8>> {
-    std::fs::read(path).map_err(|source| DatasetError::Read { path: path.to_owned(), source })
-}
-
-/// Names in a folder, sorted, for a message; at most eight of them.
-pub(super) fn listing(folder: &Path) -> String {
-    let Ok(entries) = std::fs::read_dir(folder) else {
-        return "no such folder".to_owned();
-    };
-    let mut names: Vec<_> = entries.flatten().map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
-    names.sort();
-    match names.len() {
-        0 => "an empty folder".to_owned(),
-        1..=8 => names.join(", "),
-        more => format!("{} and {} more", names[..8].join(", "), more - 8),
-    }
+    std::fs::read(path).map_err(unreadable(path))
 }

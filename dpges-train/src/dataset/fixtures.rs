@@ -5,8 +5,10 @@ use std::path::Path;
 
 use dpges_core::camera::CameraFromWorld;
 use glam::{DMat3, DQuat, DVec3};
+use image::{DynamicImage, GrayImage, Luma, Rgb, RgbImage, Rgba, RgbaImage};
+use tempfile::TempDir;
 
-use super::{Dataset, View};
+use super::{Dataset, LoadOptions, View, load};
 
 /// Size and intrinsics of the photographs of [`scene`].
 const WIDTH: u64 = 24;
@@ -66,14 +68,45 @@ pub(crate) fn scene(count: usize) -> FixtureScene {
     FixtureScene { model: (1, "PINHOLE"), params: vec![20.0, 20.0, 12.0, 8.0], images, points }
 }
 
-pub(crate) fn write_png(path: &Path, width: u32, height: u32, rgb: [u8; 3]) {
+/// Saves an image, and makes the folder that it goes to.
+pub(crate) fn save(path: &Path, image: impl Into<DynamicImage>) {
     std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-    image::RgbImage::from_pixel(width, height, image::Rgb(rgb)).save(path).unwrap();
+    image.into().save(path).unwrap();
+}
+
+pub(crate) fn write_png(path: &Path, width: u32, height: u32, rgb: [u8; 3]) {
+    save(path, RgbImage::from_pixel(width, height, Rgb(rgb)));
 }
 
 pub(crate) fn write_rgba(path: &Path, width: u32, height: u32, rgba: [u8; 4]) {
-    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-    image::RgbaImage::from_pixel(width, height, image::Rgba(rgba)).save(path).unwrap();
+    save(path, RgbaImage::from_pixel(width, height, Rgba(rgba)));
+}
+
+/// A mask that counts the columns from `from` on.
+pub(crate) fn write_mask(path: &Path, [width, height]: [u32; 2], from: u32) {
+    save(path, GrayImage::from_fn(width, height, |x, _| Luma([u8::from(x >= from)])));
+}
+
+/// Adds a segment to a JPEG, before all others.
+pub(crate) fn insert_segment(path: &Path, marker: u8, content: &[u8]) {
+    let plain = std::fs::read(path).unwrap();
+    let length = (content.len() as u16 + 2).to_be_bytes();
+    std::fs::write(path, [&plain[..2], &[0xff, marker], &length, content, &plain[2..]].concat()).unwrap();
+}
+
+/// Fails unless `message` has all `parts`.
+#[track_caller]
+pub(crate) fn assert_says(message: impl ToString, parts: &[&str]) {
+    let message = message.to_string();
+    for part in parts {
+        assert!(message.contains(part), "`{part}` is not in: {message}");
+    }
+}
+
+/// Fails unless the dataset cannot be read, for a reason that has all `parts`.
+#[track_caller]
+pub(crate) fn assert_refused(folder: &Path, options: &LoadOptions, parts: &[&str]) {
+    assert_says(load(folder, options).unwrap_err(), parts);
 }
 
 /// Camera-to-world JSON with OpenGL axes.
@@ -85,20 +118,30 @@ pub(crate) fn transform_matrix(pose: &CameraFromWorld) -> String {
     format!("[{}, [0, 0, 0, 1]]", rows.join(", "))
 }
 
+/// A frame of a nerfstudio dataset, one of `count` around the origin, and its image `images/NAME.png` of 24 × 16 px. `extra` are
+/// other entries, each with a comma after it.
+pub(crate) fn nerfstudio_frame(folder: &Path, name: &str, [index, count]: [usize; 2], extra: &str) -> String {
+    write_png(&folder.join(format!("images/{name}.png")), 24, 16, [index as u8 * 10, 0, 0]);
+    let matrix = transform_matrix(&pose(index, count));
+    format!(r#"{{"file_path": "images/{name}.png", {extra} "transform_matrix": {matrix}}}"#)
+}
+
+/// A file of transforms: `header` are its entries besides the frames.
+pub(crate) fn write_transforms(path: &Path, header: &str, frames: &[String]) {
+    std::fs::write(path, format!(r#"{{{header}, "frames": [{}]}}"#, frames.join(","))).unwrap();
+}
+
 /// Training and held-out views as a nerfstudio dataset: `images/`, `masks/` where pictures have them, `transforms.json`.
 pub(crate) fn export(root: &Path, data: &Dataset) {
     let file = |view: &View| format!("images/{}.png", view.name);
     let frame = |view: &View| {
         let (picture, camera) = (view.picture().unwrap(), view.camera);
         let (width, height) = (picture.width as u32, picture.height as u32);
-        let path = root.join(file(view));
-        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-        image::RgbImage::from_raw(width, height, picture.bytes.clone()).unwrap().save(path).unwrap();
+        save(&root.join(file(view)), RgbImage::from_raw(width, height, picture.bytes.clone()).unwrap());
         if let Some(counted) = &picture.counted {
-            let path = root.join(format!("masks/{}.png", view.name));
-            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
             let white = counted.iter().map(|&counts| if counts { 255 } else { 0 }).collect();
-            image::GrayImage::from_raw(width, height, white).unwrap().save(path).unwrap();
+            let mask = GrayImage::from_raw(width, height, white).unwrap();
+            save(&root.join(format!("masks/{}.png", view.name)), mask);
         }
         format!(
             r#"{{"file_path": "{}", "w": {width}, "h": {height}, "fl_x": {}, "fl_y": {}, "cx": {}, "cy": {},
@@ -115,6 +158,13 @@ pub(crate) fn export(root: &Path, data: &Dataset) {
     let held_out: Vec<String> = data.test.iter().map(|view| format!("{:?}", file(view))).collect();
     let json = format!(r#"{{"test_filenames": [{}], "frames": [{}]}}"#, held_out.join(","), frames.join(","));
     std::fs::write(root.join("transforms.json"), json).unwrap();
+}
+
+/// A folder with [`write_colmap`].
+pub(crate) fn colmap_folder(scene: &FixtureScene, encoding: Encoding) -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    write_colmap(folder.path(), scene, encoding);
+    folder
 }
 
 /// `images/` and `sparse/0`.

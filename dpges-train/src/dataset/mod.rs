@@ -173,7 +173,12 @@ impl View {
 impl Dataset {
     /// How much of its views is masked.
     pub fn masked(&self) -> Masked {
-        Masked::of(self.train.iter().chain(&self.test).chain(&self.validation))
+        Masked::of(self.views())
+    }
+
+    /// Training, then held-out, then validation views.
+    pub(crate) fn views(&self) -> impl Iterator<Item = &View> {
+        self.train.iter().chain(&self.test).chain(&self.validation)
     }
 
     /// Moves every `every`-th training view to [`validation`](Self::validation); 0 moves none. It takes the middle view
@@ -182,25 +187,12 @@ impl Dataset {
     pub fn keep_for_validation(&mut self, every: usize) {
         let count = self.train.len();
         let first = (every / 2).min(count.saturating_sub(1) / 2);
-        let is_kept = |index: usize| every > 1 && count > 2 && index % every == first;
-        let mut new_index = Vec::with_capacity(count);
-        let mut train = Vec::with_capacity(count);
+        let trains = |index: usize| every <= 1 || count <= 2 || index % every != first;
+        self.points.seen_by.keep_views((0..count).map(trains));
         for (index, view) in std::mem::take(&mut self.train).into_iter().enumerate() {
-            if is_kept(index) {
-                new_index.push(None);
-                self.validation.push(view);
-            } else {
-                new_index.push(Some(train.len() as u32));
-                train.push(view);
-            }
+            let views = if trains(index) { &mut self.train } else { &mut self.validation };
+            views.push(view);
         }
-        self.train = train;
-        self.renumber_views(&new_index);
-    }
-
-    /// Tells the points which number each training view has now; `None` if it is none any more.
-    fn renumber_views(&mut self, new_index: &[Option<u32>]) {
-        self.points.seen_by.renumber(new_index);
     }
 }
 
@@ -258,7 +250,7 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<Dataset> {
         Some(Format::Blender) => formats::blender::read(path)?,
         Some(Format::Nerfstudio) => formats::nerfstudio::read(path, options)?,
         Some(Format::Builtin) | None => {
-            return Err(DatasetError::UnknownFormat { path: path.to_owned(), found: error::listing(path) });
+            return Err(DatasetError::UnknownFormat { path: path.to_owned(), found: names::listing(path) });
         }
     };
     assemble::assemble(path, source, options)
@@ -273,18 +265,18 @@ mod tests {
         let options =
             BuiltinOptions { width: 4, height: 4, train_views: 5, test_views: 1, points: 0, ..Default::default() };
         let mut dataset = builtin(&options);
-        let names: Vec<String> = dataset.train.iter().map(|view| view.name.clone()).collect();
+        let validation =
+            |dataset: &Dataset| -> Vec<String> { dataset.validation.iter().map(|view| view.name.clone()).collect() };
         dataset.points.seen_by = [vec![0, 1, 4], vec![2, 3], vec![3]].into_iter().collect();
         let untouched = dataset.clone();
         dataset.keep_for_validation(0);
         assert_eq!((dataset.train.len(), dataset.validation.len()), (5, 0));
         dataset.keep_for_validation(2);
-        let kept: Vec<&String> = dataset.validation.iter().map(|view| &view.name).collect();
-        assert_eq!(kept, [&names[1], &names[3]]);
+        assert_eq!(validation(&dataset), ["train_001", "train_003"]);
         assert_eq!(dataset.points.seen_by, [vec![0, 2], vec![1], vec![]].into_iter().collect());
         let mut rare = untouched.clone();
         rare.keep_for_validation(100);
-        assert_eq!(rare.validation.iter().map(|view| &view.name).collect::<Vec<_>>(), [&names[2]]);
+        assert_eq!(validation(&rare), ["train_002"]);
         let mut few = untouched;
         few.train.truncate(2);
         few.points.seen_by = Tracks::default();
@@ -310,12 +302,9 @@ mod tests {
     fn unknown_folders_list_what_was_looked_for() {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("notes.md"), "").unwrap();
-        let message = load(folder.path(), &LoadOptions::default()).unwrap_err().to_string();
-        for part in [folder.path().to_str().unwrap(), "sparse/", "transforms_train.json", "transforms.json", "notes.md"]
-        {
-            assert!(message.contains(part), "{message}");
-        }
-        let message = load(&folder.path().join("absent"), &LoadOptions::default()).unwrap_err().to_string();
-        assert!(message.contains("absent") && message.contains("no such folder"), "{message}");
+        let (at, options) = (folder.path(), LoadOptions::default());
+        let looked_for = ["sparse/", "transforms_train.json", "transforms.json"];
+        fixtures::assert_refused(at, &options, &[&looked_for[..], &[at.to_str().unwrap(), "notes.md"]].concat());
+        fixtures::assert_refused(&at.join("absent"), &options, &["absent", "no such folder"]);
     }
 }

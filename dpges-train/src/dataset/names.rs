@@ -1,12 +1,37 @@
-//! Lists of names in messages.
+//! Names in folders, and lists of names in messages.
+
+use std::path::Path;
 
 /// Names that are listed before the rest is counted.
 const LISTED: usize = 8;
 
+/// Names of the files and folders in `folder`, sorted.
+pub fn in_folder(folder: &Path) -> std::io::Result<Vec<String>> {
+    let entries = std::fs::read_dir(folder)?.flatten();
+    let mut names: Vec<String> = entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
+    names.sort();
+    Ok(names)
+}
+
+/// The content of `folder` for a message.
+pub fn listing(folder: &Path) -> String {
+    match in_folder(folder) {
+        Err(error) if folder.is_dir() => error.to_string(),
+        Err(_) => "no such folder".to_owned(),
+        Ok(names) if names.is_empty() => "an empty folder".to_owned(),
+        Ok(names) => list(&names),
+    }
+}
+
 /// The names, or the first eight and how many more there are.
 pub fn list(names: &[impl AsRef<str>]) -> String {
-    let listed: Vec<&str> = names.iter().take(LISTED).map(AsRef::as_ref).collect();
-    match names.len().saturating_sub(LISTED) {
+    list_up_to(LISTED, names)
+}
+
+/// The names, or the first `most` and how many more there are.
+pub fn list_up_to(most: usize, names: &[impl AsRef<str>]) -> String {
+    let listed: Vec<&str> = names.iter().take(most).map(AsRef::as_ref).collect();
+    match names.len().saturating_sub(most) {
         0 => listed.join(", "),
         more => format!("{} and {more} more", listed.join(", ")),
     }

@@ -15,7 +15,6 @@ impl Tracks {
         Self { ends: Vec::with_capacity(points), views: Vec::with_capacity(observations) }
     }
 
-    /// Number of points.
     pub fn len(&self) -> usize {
         self.ends.len()
     }
@@ -53,13 +52,23 @@ impl Tracks {
         &self.views[start..end]
     }
 
-    /// The views of every point.
     pub fn iter(&self) -> impl Iterator<Item = &[u32]> {
         (0..self.len()).map(|point| self.of(point))
     }
 
-    /// Gives the views the numbers `new`, ascending as before; `None` leaves a view out.
-    pub fn renumber(&mut self, new: &[Option<u32>]) {
+    /// For each of `count` views, the points that it saw, ascending.
+    pub fn by_view(&self, count: usize) -> Vec<Vec<u32>> {
+        let mut points = vec![Vec::new(); count];
+        for (point, views) in (0..).zip(self.iter()) {
+            views.iter().for_each(|&view| points[view as usize].push(point));
+        }
+        points
+    }
+
+    /// Leaves out the views that are not kept, by the old numbers of all, and numbers the others anew from 0.
+    pub fn keep_views(&mut self, is_kept: impl IntoIterator<Item = bool>) {
+        let mut next = 0..;
+        let new: Vec<Option<u32>> = is_kept.into_iter().map(|is_kept| is_kept.then(|| next.next()).flatten()).collect();
         let (mut at, mut kept) = (0, 0);
         for end in &mut self.ends {
             while at < *end {
@@ -87,25 +96,11 @@ impl<V: IntoIterator<Item = u32>> FromIterator<V> for Tracks {
 mod tests {
     use super::*;
 
-    fn rows(tracks: &Tracks) -> Vec<&[u32]> {
-        tracks.iter().collect()
-    }
-
     #[test]
     fn views_are_ascending_and_there_once() {
         let tracks: Tracks = [vec![3, 1, 3, 0], vec![], vec![2], vec![2, 2]].into_iter().collect();
-        assert_eq!(rows(&tracks), [&[0, 1, 3][..], &[], &[2], &[2]]);
+        assert_eq!(tracks.iter().collect::<Vec<_>>(), [&[0, 1, 3][..], &[], &[2], &[2]]);
         assert_eq!((tracks.of(2), tracks.of(9), tracks.len()), (&[2][..], &[][..], 4));
         assert!(!tracks.are_unknown() && Tracks::from_iter([vec![], vec![]]).are_unknown());
-    }
-
-    #[test]
-    fn views_that_are_none_any_more_leave_their_tracks() {
-        let mut tracks: Tracks = [vec![0, 1, 3], vec![1], vec![], vec![2, 3]].into_iter().collect();
-        tracks.renumber(&[Some(0), None, Some(1), Some(2)]);
-        assert_eq!(rows(&tracks), [&[0, 2][..], &[], &[], &[1, 2]]);
-        assert_eq!(tracks, [vec![0, 2], vec![], vec![], vec![1, 2]].into_iter().collect());
-        tracks.renumber(&[None; 3]);
-        assert!(tracks.are_unknown() && tracks.len() == 4);
     }
 }

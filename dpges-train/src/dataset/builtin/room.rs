@@ -29,7 +29,6 @@ enum Thing {
     Ball(usize),
 }
 
-/// The intersection of a ray with a surface.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Hit {
     /// In units of the length of the ray's direction.

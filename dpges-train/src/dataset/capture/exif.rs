@@ -38,7 +38,7 @@ fn camera(path: &Path) -> Result<(u32, u32, Vec<String>), SfmError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dataset::fixtures::write_png;
+    use crate::dataset::fixtures::{assert_says, insert_segment, write_png};
 
     #[test]
     fn a_camera_is_shared_by_pictures_of_one_size_and_one_focal_length() {
@@ -47,30 +47,18 @@ mod tests {
         write_png(&path("a.png"), 24, 16, [1, 2, 3]);
         write_png(&path("b.png"), 24, 16, [9, 2, 3]);
         write_png(&path("c.png"), 16, 24, [1, 2, 3]);
-        assert!(have_one_camera(&[path("a.png"), path("b.png")]).unwrap());
-        assert!(!have_one_camera(&[path("a.png"), path("b.png"), path("c.png")]).unwrap());
         for (name, millimetres) in [("near.jpg", 26), ("far.jpg", 77), ("again.jpg", 26)] {
             image::RgbImage::new(24, 16).save(path(name)).unwrap();
-            write_focal_length(&path(name), millimetres);
+            // a directory that points to another, which holds `FocalLengthIn35mmFilm`
+            let directory = b"Exif\0\0II*\0\x08\0\0\0\x01\0\x69\x87\x04\0\x01\0\0\0\x1a\0\0\0\0\0\0\0";
+            let entry = b"\x01\0\x05\xa4\x03\0\x01\0\0\0";
+            let exif = [&directory[..], entry, &[millimetres, 0, 0, 0, 0, 0, 0, 0]].concat();
+            insert_segment(&path(name), 0xe1, &exif);
         }
-        assert!(have_one_camera(&[path("near.jpg"), path("again.jpg")]).unwrap());
-        assert!(!have_one_camera(&[path("near.jpg"), path("far.jpg")]).unwrap());
+        let share = |names: &[&str]| have_one_camera(&names.iter().map(|name| path(name)).collect::<Vec<_>>());
+        assert!(share(&["a.png", "b.png"]).unwrap() && !share(&["a.png", "b.png", "c.png"]).unwrap());
+        assert!(share(&["near.jpg", "again.jpg"]).unwrap() && !share(&["near.jpg", "far.jpg"]).unwrap());
         std::fs::write(path("d.png"), "no picture").unwrap();
-        let message = have_one_camera(&[path("a.png"), path("d.png")]).unwrap_err().to_string();
-        assert!(message.contains("d.png") && message.contains("replace or remove"), "{message}");
-    }
-
-    /// Adds EXIF to a JPEG: a directory that points to another, which holds `FocalLengthIn35mmFilm`.
-    fn write_focal_length(path: &Path, millimetres: u8) {
-        let plain = std::fs::read(path).unwrap();
-        let mut tiff = b"Exif\0\0II*\0\x08\0\0\0\x01\0\x69\x87\x04\0\x01\0\0\0\x1a\0\0\0\0\0\0\0".to_vec();
-        tiff.extend(b"\x01\0\x05\xa4\x03\0\x01\0\0\0");
-        tiff.extend([millimetres, 0, 0, 0, 0, 0, 0, 0]);
-        let mut with = plain[..2].to_vec();
-        with.extend([0xff, 0xe1]);
-        with.extend((tiff.len() as u16 + 2).to_be_bytes());
-        with.extend(tiff);
-        with.extend(&plain[2..]);
-        std::fs::write(path, with).unwrap();
+        assert_says(share(&["a.png", "d.png"]).unwrap_err(), &["d.png", "replace or remove"]);
     }
 }

@@ -1,19 +1,18 @@
 //! Frames of a video as photographs: ffmpeg takes three times as many as asked for, evenly, and the sharpest of each three
 //! stays.
 
-use std::ffi::OsString;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use image::ImageReader;
 use rayon::prelude::*;
 
 use super::FEWEST;
-use super::commands::said;
+use super::commands::number;
 use super::error::{SfmError, io};
-use super::process::{self, Job};
-use super::progress;
+use super::programs::{run, said};
 use super::step::{Observer, Step};
-use super::workspace::{Workspace, file_names, replace};
+use super::workspace::{Workspace, file_names, remove, replace};
 use crate::dataset::check::luma::Luma;
 
 /// How many frames are compared for each that stays.
@@ -31,16 +30,19 @@ pub(super) fn extract(
     workspace: &Workspace,
     observer: &mut dyn Observer,
 ) -> Result<(), SfmError> {
-    let about = said(ffmpeg, &["-hide_banner".as_ref(), "-nostdin".as_ref(), "-i".as_ref(), path.as_os_str()])?;
+    let about = said(Command::new(ffmpeg).args(["-hide_banner", "-nostdin", "-i"]).arg(path))?;
     let seconds = duration(&about);
     let rate = rate(CANDIDATES * count, seconds, frames_per_second(&about));
     let expected = seconds.map(|seconds| ((seconds * rate).round() as usize).max(1));
     let candidates = workspace.empty_folder("frames.part")?;
-    let arguments = arguments(path, rate, &candidates);
     let log = workspace.log(Step::Pictures);
-    let job = Job { step: Step::Pictures, program: ffmpeg, arguments: &arguments, log: &log };
-    process::run(&job, &mut |line| {
-        if let (Some(done), Some(expected)) = (progress::of_ffmpeg(line), expected) {
+    let mut command = Command::new(ffmpeg);
+    command.args(["-hide_banner", "-nostdin", "-nostats", "-y", "-i"]).arg(path);
+    command.args(["-an", "-sn", "-vf", &format!("fps={rate:.6}"), "-q:v", "2", "-progress", "pipe:1"]);
+    command.arg(candidates.join("frame_%06d.jpg"));
+    run(Step::Pictures, command, &log, &mut |line| {
+        let done = line.strip_prefix("frame=").and_then(|done| number(done.trim_start()));
+        if let (Some(done), Some(expected)) = (done, expected) {
             observer.progress(Step::Pictures, done.min(expected), expected);
         }
     })?;
@@ -53,18 +55,8 @@ pub(super) fn extract(
         let place = part.join(format!("frame_{:05}.jpg", number + 1));
         std::fs::rename(frame, &place).map_err(io("cannot write", &place))?;
     }
-    replace(&part, &workspace.images())?;
-    super::workspace::remove(&candidates)
-}
-
-fn arguments(path: &Path, rate: f64, folder: &Path) -> Vec<OsString> {
-    let mut words: Vec<OsString> = ["-hide_banner", "-nostdin", "-nostats", "-y", "-i"].map(OsString::from).to_vec();
-    words.push(path.into());
-    words.extend(["-an", "-sn", "-vf"].map(OsString::from));
-    words.push(format!("fps={rate:.6}").into());
-    words.extend(["-q:v", "2", "-progress", "pipe:1"].map(OsString::from));
-    words.push(folder.join("frame_%06d.jpg").into());
-    words
+    replace(&part, &workspace.images)?;
+    remove(&candidates)
 }
 
 /// Frames per second that give `count` frames, but no more than the video has.

@@ -7,9 +7,9 @@ use serde_json::{Value, json};
 
 use super::FEWEST;
 use super::error::{SfmError, io};
-use super::masks;
 use crate::dataset;
-use crate::dataset::names::list;
+use crate::dataset::mask_called_like;
+use crate::dataset::names::{in_folder, list};
 
 /// Pictures that are read.
 pub(super) const PHOTOGRAPHS: [&str; 3] = ["jpg", "jpeg", "png"];
@@ -20,6 +20,9 @@ pub(super) const VIDEOS: [&str; 10] = ["mp4", "mov", "mkv", "avi", "webm", "m4v"
 /// Folders within the one that is named in which photographs are looked for if it holds none itself.
 const SUBFOLDERS: [&str; 2] = ["images", "input"];
 
+/// The folder of masks, beside photographs and in a dataset.
+pub(super) const MASKS: &str = "masks";
+
 /// Photographs or a video without cameras.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Input {
@@ -28,7 +31,6 @@ pub enum Input {
         path: PathBuf,
         /// That holds the files: `path`, or `images` or `input` in it.
         folder: PathBuf,
-        /// Names of the files, sorted.
         names: Vec<String>,
         /// Names of pictures in formats that are not read, sorted.
         unread: Vec<String>,
@@ -54,13 +56,13 @@ impl Input {
             let (names, unread) = (files(&folder, &PHOTOGRAPHS), files(&folder, &OTHER_PICTURES));
             let holds_pictures = !(names.is_empty() && unread.is_empty());
             holds_pictures.then(|| {
-                let masks = masks::find(path, &names);
+                let mask_of = |name: &String| Some((name.clone(), mask_called_like(name.as_ref(), &path.join(MASKS))?));
+                let masks = names.iter().filter_map(mask_of).collect();
                 Self::Photographs { path: path.to_owned(), folder, names, unread, masks }
             })
         })
     }
 
-    /// The folder of photographs or the video, as it was named.
     pub fn path(&self) -> &Path {
         match self {
             Self::Photographs { path, .. } | Self::Video { path } => path,
@@ -76,7 +78,6 @@ impl Input {
         name.map(|name| name.to_string_lossy().into_owned())
     }
 
-    /// Photographs that have a mask: name and mask.
     pub(super) fn masks(&self) -> &[(String, PathBuf)] {
         match self {
             Self::Photographs { masks, .. } => masks,
@@ -98,28 +99,26 @@ impl Input {
         }
     }
 
-    /// Names and sizes of the files, which tell whether others have taken their places.
+    /// Names and sizes of the files and of their masks, which tell whether others have taken their places, and how many of
+    /// `video_frames` a video gives.
     ///
     /// # Errors
     /// [`SfmError::File`].
-    pub(super) fn fingerprint(&self) -> Result<Value, SfmError> {
-        match self {
-            Self::Photographs { folder, names, .. } => fingerprint(names.iter().map(|name| folder.join(name))),
-            Self::Video { path } => fingerprint([path.clone()]),
+    pub(super) fn fingerprint(&self, video_frames: usize) -> Result<Value, SfmError> {
+        let mut key = match self {
+            Self::Photographs { folder, names, .. } => {
+                json!({ "files": sizes(names.iter().map(|name| folder.join(name)))?, "video_frames": null })
+            }
+            Self::Video { path } => json!({ "files": sizes([path.clone()])?, "video_frames": video_frames }),
+        };
+        if !self.masks().is_empty() {
+            key["masks"] = sizes(self.masks().iter().map(|(_, mask)| mask.clone()))?;
         }
-    }
-
-    /// The same of the masks; `None` without any.
-    ///
-    /// # Errors
-    /// [`SfmError::File`].
-    pub(super) fn fingerprint_of_masks(&self) -> Result<Option<Value>, SfmError> {
-        let masks = self.masks();
-        (!masks.is_empty()).then(|| fingerprint(masks.iter().map(|(_, mask)| mask.clone()))).transpose()
+        Ok(key)
     }
 }
 
-fn fingerprint(files: impl IntoIterator<Item = PathBuf>) -> Result<Value, SfmError> {
+fn sizes(files: impl IntoIterator<Item = PathBuf>) -> Result<Value, SfmError> {
     let of = |path: PathBuf| -> Result<Value, SfmError> {
         let bytes = path.metadata().map_err(io("cannot read", &path))?.len();
         Ok(json!([path.file_name().unwrap_or_default().to_string_lossy(), bytes]))
@@ -139,20 +138,12 @@ pub(super) fn has_extension(path: &Path, extensions: &[&str]) -> bool {
 
 /// Names of the files in `folder` with one of the extensions, sorted; those that begin with a dot are left out.
 fn files(folder: &Path, extensions: &[&str]) -> Vec<String> {
-    let mut names: Vec<String> = std::fs::read_dir(folder)
-        .into_iter()
-        .flatten()
-        .flatten()
-        .filter(|entry| has_extension(&entry.path(), extensions) && entry.path().is_file())
-        .filter_map(|entry| entry.file_name().into_string().ok())
-        .filter(|name| !name.starts_with('.'))
-        .collect();
-    names.sort();
+    let mut names = in_folder(folder).unwrap_or_default();
+    names.retain(|name| {
+        let path = folder.join(name);
+        !name.starts_with('.') && has_extension(&path, extensions) && path.is_file()
+    });
     names
-}
-
-pub(super) fn unread_warning(unread: &[String]) -> String {
-    format!("left out, for only JPEG and PNG are read: {}; convert them to JPEG to use them", list(unread))
 }
 
 /// Whether names differ in their last number only, so that their order is that in which they were taken.
@@ -170,23 +161,30 @@ fn before_last_number(name: &str) -> Option<&str> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dataset::fixtures::write_png;
+    use crate::dataset::fixtures::assert_says;
 
     fn names(names: &[&str]) -> Vec<String> {
         names.iter().map(|name| (*name).to_owned()).collect()
     }
 
+    /// A folder with empty files of these names.
+    fn folder(names: &[&str]) -> tempfile::TempDir {
+        let folder = tempfile::tempdir().unwrap();
+        for name in names {
+            let path = folder.path().join(name);
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            std::fs::write(path, "").unwrap();
+        }
+        folder
+    }
+
     #[test]
     fn photographs_are_found_in_a_folder_or_in_one_below() {
-        let folder = tempfile::tempdir().unwrap();
+        assert_eq!(Input::find(folder(&[]).path()), None);
+        assert_eq!(Input::find(folder(&["notes.txt"]).path()), None);
+        let files = ["notes.txt", "images/b.JPG", "images/a.png", "images/.hidden.png", "images/c.heic"];
+        let folder = folder(&files);
         let at = folder.path();
-        assert_eq!(Input::find(at), None);
-        std::fs::write(at.join("notes.txt"), "").unwrap();
-        assert_eq!(Input::find(at), None);
-        for name in ["b.JPG", "a.png", ".hidden.png", "c.heic"] {
-            std::fs::create_dir_all(at.join("images")).unwrap();
-            std::fs::write(at.join("images").join(name), "").unwrap();
-        }
         let found = Input::find(at).unwrap();
         let (path, folder) = (at.to_owned(), at.join("images"));
         let (read, unread) = (names(&["a.png", "b.JPG"]), names(&["c.heic"]));
@@ -201,33 +199,20 @@ mod tests {
 
     #[test]
     fn masks_lie_in_a_folder_of_the_one_that_is_named() {
-        let folder = tempfile::tempdir().unwrap();
-        let at = folder.path();
-        for name in ["images/a.jpg", "images/b.jpg", "images/c.jpg"] {
-            write_png(&at.join(name).with_extension("png"), 2, 2, [0; 3]);
-            std::fs::rename(at.join(name).with_extension("png"), at.join(name)).unwrap();
-        }
-        write_png(&at.join("masks/a.jpg.png"), 2, 2, [0; 3]);
-        write_png(&at.join("masks/b.png"), 2, 2, [0; 3]);
-        write_png(&at.join("masks/stranger.png"), 2, 2, [0; 3]);
-        let found = Input::find(at).unwrap();
-        let expected = [("a.jpg", "a.jpg.png"), ("b.jpg", "b.png")];
-        let expected = expected.map(|(name, mask)| (name.to_owned(), at.join("masks").join(mask)));
-        assert_eq!(found.masks(), expected);
-        assert_eq!(found.fingerprint_of_masks().unwrap().unwrap()[1][0], "b.png");
+        let photographs = ["images/a.jpg", "images/b.jpg", "images/c.jpg"];
+        let masks = ["masks/a.jpg.png", "masks/b.png", "masks/stranger.png"];
+        let folder = folder(&[photographs, masks].concat());
+        let found = Input::find(folder.path()).unwrap();
+        let expected = [("a.jpg", masks[0]), ("b.jpg", masks[1])];
+        assert_eq!(found.masks(), expected.map(|(name, mask)| (name.to_owned(), folder.path().join(mask))));
+        assert_eq!(found.fingerprint(9).unwrap()["masks"], json!([["a.jpg.png", 0], ["b.png", 0]]));
     }
 
     #[test]
     fn other_formats_are_named() {
-        let folder = tempfile::tempdir().unwrap();
-        for name in ["IMG_1.HEIC", "lamp.exr", "room.hdr"] {
-            std::fs::write(folder.path().join(name), "").unwrap();
-        }
-        let message = Input::find(folder.path()).unwrap().check().unwrap_err().to_string();
-        assert!(
-            message.contains("IMG_1.HEIC, lamp.exr, room.hdr") && message.contains("convert them to JPEG"),
-            "{message}"
-        );
+        let folder = folder(&["IMG_1.HEIC", "lamp.exr", "room.hdr"]);
+        let error = Input::find(folder.path()).unwrap().check().unwrap_err();
+        assert_says(error, &["IMG_1.HEIC, lamp.exr, room.hdr", "convert them to JPEG"]);
     }
 
     #[test]
@@ -238,14 +223,7 @@ mod tests {
         std::fs::write(&path, "12345").unwrap();
         let found = Input::find(&path).unwrap();
         assert_eq!((found.path(), found.name().unwrap().as_str()), (path.as_path(), "walk 1"));
-        assert_eq!(found.fingerprint().unwrap(), json!([["walk 1.MP4", 5]]));
-    }
-
-    #[test]
-    fn numbered_names_differ_in_their_last_number_only() {
-        assert!(are_numbered(&names(&["IMG_9.jpg", "IMG_10.jpg"])));
-        assert!(are_numbered(&names(&["20240212_003919.jpg", "20240212_003921.jpg"])));
-        assert!(!are_numbered(&names(&["IMG_9.jpg", "DSC_10.jpg"])));
-        assert!(!are_numbered(&names(&["door.jpg", "window.jpg"])));
+        let key = json!({ "files": [["walk 1.MP4", 5]], "video_frames": 9 });
+        assert_eq!(found.fingerprint(9).unwrap(), key);
     }
 }

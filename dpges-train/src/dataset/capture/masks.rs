@@ -7,30 +7,11 @@ use image::{GrayImage, ImageFormat};
 use rayon::prelude::*;
 
 use super::error::{SfmError, io};
-use crate::dataset::names::list;
-use crate::dataset::{DatasetError, image_header, mask_called_like, read_mask};
-
-/// Folder of masks, beside photographs and in a dataset.
-pub(super) const FOLDER: &str = "masks";
-
-/// The photographs among `names` that have a mask in folder `masks` of `path`, and its file.
-pub(super) fn find(path: &Path, names: &[String]) -> Vec<(String, PathBuf)> {
-    let folder = path.join(FOLDER);
-    names.iter().filter_map(|name| Some((name.clone(), mask_called_like(Path::new(name), &folder)?))).collect()
-}
+use crate::dataset::{DatasetError, image_header, read_mask};
 
 /// The name of the mask of a photograph, for COLMAP and for datasets.
 pub(super) fn file_name(photograph: &str) -> String {
     format!("{photograph}.png")
-}
-
-pub(super) fn kept_warning(folder: &Path, photographs: &[String]) -> String {
-    format!(
-        "{} has masks that were made by hand, which stay as they are, also where the photographs have others: {}; remove \
-         those that are not wanted",
-        folder.display(),
-        list(photographs)
-    )
 }
 
 /// Writes `masks` of photographs in folder `images` to `folder` as COLMAP reads them: 8-bit grey, black where nothing counts.
@@ -47,10 +28,9 @@ pub(super) fn write(masks: &[(String, PathBuf)], images: &Path, inverted: bool, 
         if !counted.contains(&true) {
             return Err(DatasetError::NothingCounts { path: image, view: name.clone() }.into());
         }
-        let grey: Vec<u8> = counted.into_iter().map(|counts| if counts { 255 } else { 0 }).collect();
-        let grey =
-            GrayImage::from_raw(header.width as u32, header.height as u32, grey).expect("a value for each pixel");
-        let mut bytes = Vec::new();
+        let grey = counted.into_iter().map(|counts| if counts { 255 } else { 0 }).collect();
+        let grey = GrayImage::from_raw(header.width as u32, header.height as u32, grey);
+        let (grey, mut bytes) = (grey.expect("a value for each pixel"), Vec::new());
         grey.write_to(&mut Cursor::new(&mut bytes), ImageFormat::Png).expect("memory takes any picture");
         let place = folder.join(file_name(name));
         std::fs::write(&place, bytes).map_err(io("cannot write", &place))

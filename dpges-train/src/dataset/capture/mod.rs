@@ -20,9 +20,7 @@ mod input;
 mod masks;
 mod model;
 mod options;
-mod process;
 mod programs;
-mod progress;
 mod step;
 #[cfg(test)]
 mod tests;
@@ -42,10 +40,10 @@ pub use programs::Programs;
 pub use step::{Observer, Step};
 pub use unusable::{Unusable, unusable};
 
+use crate::dataset::names::list;
 use crate::dataset::strange_masks;
 use commands::Colmap;
 use options::name_of;
-use process::Job;
 use workspace::Workspace;
 
 /// Up to how many photographs all pairs are compared, unless it is asked for.
@@ -54,7 +52,6 @@ const MOST_FOR_ALL_PAIRS: usize = 200;
 /// Fewest photographs that a dataset can be made of.
 pub const FEWEST: usize = 3;
 
-/// The input of a reconstruction, and its destination.
 #[derive(Clone, Debug)]
 pub struct Request<'a> {
     pub input: &'a Input,
@@ -112,10 +109,18 @@ pub fn reconstruct(request: &Request, observer: &mut dyn Observer) -> Result<Out
     model::outcome(&workspace)
 }
 
+/// [`SfmMatching::Auto`] decided.
+fn matching(asked: SfmMatching, names: &[String]) -> SfmMatching {
+    match asked {
+        SfmMatching::Auto if names.len() > MOST_FOR_ALL_PAIRS && input::are_numbered(names) => SfmMatching::Sequential,
+        SfmMatching::Auto => SfmMatching::Exhaustive,
+        asked => asked,
+    }
+}
+
 struct Reconstruction<'a> {
     request: &'a Request<'a>,
     observer: &'a mut dyn Observer,
-    /// Once it has been asked what it can do.
     colmap: Option<Colmap>,
 }
 
@@ -132,39 +137,21 @@ impl Reconstruction<'_> {
 
     /// The inputs of a step, besides the steps before it.
     fn key(&self, step: Step, workspace: &Workspace) -> Result<Value, SfmError> {
-        let options = self.request.options;
+        let Request { input, options, .. } = self.request;
         Ok(match step {
-            Step::Pictures => {
-                let frames = matches!(self.request.input, Input::Video { .. }).then_some(options.video_frames);
-                let mut key = json!({ "files": self.request.input.fingerprint()?, "video_frames": frames });
-                if let Some(masks) = self.request.input.fingerprint_of_masks()? {
-                    key["masks"] = masks;
-                }
-                key
-            }
+            Step::Pictures => input.fingerprint(options.video_frames)?,
             Step::Features => {
                 let one_camera = exif::have_one_camera(&workspace.pictures()?)?;
                 let mut key = json!({ "camera": name_of(options.camera), "one_camera": one_camera });
-                if options.invert_masks && !self.request.input.masks().is_empty() {
+                if options.invert_masks && !input.masks().is_empty() {
                     key["invert_masks"] = true.into();
                 }
                 key
             }
-            Step::Matches => json!({ "matching": name_of(self.matching(&workspace.picture_names()?)) }),
+            Step::Matches => json!({ "matching": name_of(matching(options.matching, &workspace.picture_names()?)) }),
             Step::Mapping => json!({ "program": name_of(options.program) }),
             Step::Model => Value::Null,
         })
-    }
-
-    /// [`SfmMatching::Auto`] decided.
-    fn matching(&self, names: &[String]) -> SfmMatching {
-        match self.request.options.matching {
-            SfmMatching::Auto if names.len() > MOST_FOR_ALL_PAIRS && input::are_numbered(names) => {
-                SfmMatching::Sequential
-            }
-            SfmMatching::Auto => SfmMatching::Exhaustive,
-            asked => asked,
-        }
     }
 
     /// Whether the programs of `step` and of those after it are there: better now than after an hour.
@@ -187,28 +174,34 @@ impl Reconstruction<'_> {
     }
 
     fn pictures(&mut self, workspace: &Workspace) -> Result<(), SfmError> {
-        match self.request.input {
-            Input::Photographs { path, folder, names, unread, masks } => {
-                if !unread.is_empty() {
-                    self.observer.warn(&input::unread_warning(unread));
-                }
-                let folder_of_masks = path.join(masks::FOLDER);
-                if masks.is_empty() && folder_of_masks.is_dir() {
-                    self.observer.warn(&strange_masks(&folder_of_masks));
-                }
-                if !masks.is_empty() {
-                    let kept = workspace.copy_masks(masks)?;
-                    if !kept.is_empty() {
-                        self.observer.warn(&masks::kept_warning(&workspace.masks(), &kept));
-                    }
-                }
-                workspace.link_pictures(folder, names)
-            }
+        let (path, folder, names, unread, masks) = match self.request.input {
+            Input::Photographs { path, folder, names, unread, masks } => (path, folder, names, unread, masks),
             Input::Video { path } => {
                 let ffmpeg = self.request.programs.ffmpeg()?;
-                frames::extract(&ffmpeg, path, self.request.options.video_frames, workspace, self.observer)
+                return frames::extract(&ffmpeg, path, self.request.options.video_frames, workspace, self.observer);
             }
+        };
+        if !unread.is_empty() {
+            self.observer.warn(&format!(
+                "left out, for only JPEG and PNG are read: {}; convert them to JPEG to use them",
+                list(unread)
+            ));
         }
+        let folder_of_masks = path.join(input::MASKS);
+        if !masks.is_empty() {
+            let kept = workspace.copy_masks(masks)?;
+            if !kept.is_empty() {
+                self.observer.warn(&format!(
+                    "{} has masks that were made by hand, which stay as they are, also where the photographs have others: \
+                     {}; remove those that are not wanted",
+                    workspace.masks.display(),
+                    list(&kept)
+                ));
+            }
+        } else if folder_of_masks.is_dir() {
+            self.observer.warn(&strange_masks(&folder_of_masks));
+        }
+        workspace.link_pictures(folder, names)
     }
 
     /// The folder of the masks as COLMAP reads them; `None` without any.
@@ -217,43 +210,37 @@ impl Reconstruction<'_> {
         if masks.is_empty() {
             return Ok(None);
         }
-        let (part, place) = (workspace.empty_folder("masks.part")?, workspace.work(masks::FOLDER));
-        masks::write(masks, &workspace.images(), self.request.options.invert_masks, &part)?;
+        let (part, place) = (workspace.empty_folder("masks.part")?, workspace.work(input::MASKS));
+        masks::write(masks, &workspace.images, self.request.options.invert_masks, &part)?;
         workspace::replace(&part, &place)?;
         Ok(Some(place))
     }
 
     /// One of the steps that are COLMAP's, on a GPU if it has been built for it. If that fails, then on the CPU.
     fn colmap(&mut self, step: Step, workspace: &Workspace) -> Result<(), SfmError> {
-        let names = workspace.picture_names()?;
+        let (names, options, log) = (workspace.picture_names()?, self.request.options, workspace.log(step));
         let one_camera = exif::have_one_camera(&workspace.pictures()?)?;
-        let matching = self.matching(&names);
-        let options = self.request.options;
+        let matching = matching(options.matching, &names);
         let masks = if step == Step::Features { self.masks(workspace)? } else { None };
         let colmap = self.colmap.as_ref().expect("it is looked for before the first of its steps");
         let mut attempt = |gpu: bool| {
-            let (program, arguments) = match step {
+            let command = match step {
                 Step::Features => colmap.features(workspace, options, one_camera, masks.as_deref(), gpu),
                 Step::Matches => colmap.matches(workspace, options, matching, names.len(), gpu),
                 _ => colmap.mapping(workspace, options),
             };
-            let job = Job { step, program: &program, arguments: &arguments, log: &workspace.log(step) };
-            process::run(&job, &mut |line| {
-                if let Some((done, total)) = progress::of_colmap(line, names.len()) {
+            programs::run(step, command, &log, &mut |line| {
+                if let Some((done, total)) = commands::progress(line, names.len()) {
                     self.observer.progress(step, done, total);
                 }
             })
         };
         let uses_gpu = colmap.has_cuda && step != Step::Mapping;
         match attempt(uses_gpu) {
-            Err(SfmError::Failed { .. }) if uses_gpu => {
-                let log = workspace.log(step);
-                attempt(false).inspect(|()| {
-                    let message =
-                        format!("{step}: COLMAP failed on the GPU, {} says why; the CPU did it", log.display());
-                    self.observer.warn(&message);
-                })
-            }
+            Err(SfmError::Failed { .. }) if uses_gpu => attempt(false).inspect(|()| {
+                let log = log.display();
+                self.observer.warn(&format!("{step}: COLMAP failed on the GPU, {log} says why; the CPU did it"));
+            }),
             Err(SfmError::Failed { log, .. }) if step == Step::Mapping && model::says_nothing_fits(&log) => {
                 Err(SfmError::NoModel { photographs: names.len(), log })
             }

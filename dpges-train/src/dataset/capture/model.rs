@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use super::FEWEST;
-use super::error::{SfmError, io};
-use super::masks;
+use super::error::SfmError;
+use super::masks::file_name;
 use super::step::Step;
-use super::workspace::{Workspace, file_names, replace};
+use super::workspace::{Workspace, copy, file_names, make_folder, replace};
 use crate::dataset::names::list;
 use crate::dataset::{ModelContent, model_content};
 
@@ -16,24 +16,20 @@ const ENOUGH: f64 = 0.5;
 /// A dataset that is finished.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Outcome {
-    /// Its folder.
     pub dataset: PathBuf,
-    /// How many there are.
     pub photographs: usize,
-    /// How many of them have a mask.
+    /// Photographs with a mask.
     pub masked: usize,
-    /// Names of those without a camera, sorted.
+    /// Names of photographs without a camera, sorted.
     pub unplaced: Vec<String>,
     pub points: usize,
     /// Numbers of photographs of the models that came out, from most to least. The first is in use. Empty if they have been
     /// removed since.
     pub models: Vec<usize>,
-    /// Time that each step took, s.
     pub seconds: Vec<(Step, f64)>,
 }
 
 impl Outcome {
-    /// How many photographs have a camera.
     pub fn placed(&self) -> usize {
         self.photographs - self.unplaced.len()
     }
@@ -66,14 +62,10 @@ impl Outcome {
 
 /// Models in `folder`, from that with the most photographs to that with the least.
 fn models(folder: &Path) -> Result<Vec<(PathBuf, ModelContent)>, SfmError> {
-    let mut models = Vec::new();
-    for name in file_names(folder)? {
-        let path = folder.join(name);
-        if ["bin", "txt"].iter().any(|ext| path.join("images").with_extension(ext).is_file()) {
-            let content = model_content(&path)?;
-            models.push((path, content));
-        }
-    }
+    let paths = file_names(folder)?.into_iter().map(|name| folder.join(name));
+    let models = paths.filter(|path| ["images.bin", "images.txt"].iter().any(|name| path.join(name).is_file()));
+    let mut models: Vec<_> =
+        models.map(|path| Ok((path.clone(), model_content(&path)?))).collect::<Result<_, SfmError>>()?;
     models.sort_by_key(|(_, content)| std::cmp::Reverse((content.images.len(), content.points)));
     Ok(models)
 }
@@ -84,7 +76,7 @@ fn models(folder: &Path) -> Result<Vec<(PathBuf, ModelContent)>, SfmError> {
 /// [`SfmError::NoModel`], [`SfmError::TooFewRegistered`].
 pub(super) fn take_largest(workspace: &Workspace) -> Result<(), SfmError> {
     let photographs = workspace.picture_names()?.len();
-    let models = models(&workspace.models())?;
+    let models = models(&workspace.models)?;
     let Some((path, content)) = models.first() else {
         return Err(SfmError::NoModel { photographs, log: workspace.log(Step::Mapping) });
     };
@@ -94,26 +86,24 @@ pub(super) fn take_largest(workspace: &Workspace) -> Result<(), SfmError> {
     }
     let part = workspace.empty_folder("sparse.part")?;
     let place = part.join("0");
-    std::fs::create_dir(&place).map_err(io("cannot make folder", &place))?;
+    make_folder(&place)?;
     for name in file_names(path)? {
-        let copy = place.join(&name);
-        std::fs::copy(path.join(&name), &copy).map_err(io("cannot write", &copy))?;
+        copy(&path.join(&name), &place.join(&name))?;
     }
-    replace(&part, &workspace.sparse())
+    replace(&part, &workspace.sparse)
 }
 
-/// The content of the finished dataset.
 pub(super) fn outcome(workspace: &Workspace) -> Result<Outcome, SfmError> {
-    let content = model_content(&workspace.sparse().join("0"))?;
+    let content = model_content(&workspace.sparse.join("0"))?;
     let names = workspace.picture_names()?;
     let is_placed = |name: &String| content.images.binary_search(name).is_ok();
     Ok(Outcome {
-        dataset: workspace.root().to_owned(),
+        dataset: workspace.root.clone(),
         photographs: names.len(),
-        masked: names.iter().filter(|name| workspace.masks().join(masks::file_name(name)).is_file()).count(),
+        masked: names.iter().filter(|name| workspace.masks.join(file_name(name)).is_file()).count(),
         unplaced: names.into_iter().filter(|name| !is_placed(name)).collect(),
         points: content.points,
-        models: models(&workspace.models())?.iter().map(|(_, content)| content.images.len()).collect(),
+        models: models(&workspace.models)?.iter().map(|(_, content)| content.images.len()).collect(),
         seconds: workspace.seconds(),
     })
 }

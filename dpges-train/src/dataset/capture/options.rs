@@ -51,11 +51,8 @@ pub enum SfmMatching {
 /// How cameras are found.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Options {
-    /// Which program places the cameras.
     pub program: SfmProgram,
-    /// Which camera model it fits.
     pub camera: SfmCamera,
-    /// Which pairs of photographs are compared.
     pub matching: SfmMatching,
     /// Largest number of frames of a video that become photographs, at least 3.
     pub video_frames: usize,
@@ -66,7 +63,6 @@ pub struct Options {
 }
 
 impl Default for Options {
-    /// With the threads of this process's pool.
     fn default() -> Self {
         Self {
             program: SfmProgram::default(),
@@ -81,8 +77,7 @@ impl Default for Options {
 
 /// The name of a value on the command line and in `sfm/steps.json`; that of a camera model in COLMAP.
 pub fn name_of(value: impl ValueEnum) -> String {
-    let value = value.to_possible_value().expect("no variant is skipped");
-    value.get_name().to_owned()
+    value.to_possible_value().expect("no variant is skipped").get_name().to_owned()
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-/// A step of structure from motion, in their order.
+/// The steps of structure from motion, in their order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Step {
@@ -63,5 +63,3 @@ pub trait Observer {
     /// Something is not as it should be, and it goes on.
     fn warn(&mut self, _message: &str) {}
 }
-
-impl Observer for () {}

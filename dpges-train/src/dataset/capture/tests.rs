@@ -7,7 +7,7 @@ use std::process::Command;
 use tempfile::TempDir;
 
 use super::*;
-use crate::dataset::fixtures::{self, Encoding, FixtureScene, write_png};
+use crate::dataset::fixtures::{self, Encoding, FixtureScene, assert_says, write_mask, write_png};
 use crate::dataset::{LoadOptions, load};
 
 /// `STAGE` is replaced by the folder of the test. `STAGE/about` is what COLMAP says of itself.
@@ -38,7 +38,7 @@ esac
 echo "ffmpeg $*" >> STAGE/calls
 for last in "$@"; do :; done
 cp STAGE/frames/* "$(dirname "$last")"
-echo "frame=9"
+echo "frame=  9"
 "#;
 
 /// A folder with programs, photographs and the models that the programs will find.
@@ -84,6 +84,14 @@ impl Stage {
         self.folder.path().join(name)
     }
 
+    /// With COLMAP, which finds a model of all photographs.
+    fn ready(photographs: usize) -> Self {
+        let stage = Self::new(photographs);
+        stage.install("colmap", COLMAP);
+        stage.model("0", &(0..photographs).collect::<Vec<_>>());
+        stage
+    }
+
     /// Installs the program. Another process writes it: a file that this one has open for writing while another test
     /// starts a process could not be run.
     fn install(&self, name: &str, script: &str) {
@@ -102,7 +110,7 @@ impl Stage {
 
     fn try_to(&self, input: &Path, overwrite: bool) -> (Result<Outcome, SfmError>, Heard) {
         let input = Input::find(input).unwrap();
-        let programs = Programs::within(vec![self.path("bin")]);
+        let programs = Programs(vec![self.path("bin")]);
         let dataset = dataset_beside(&input).unwrap();
         let options = &self.options;
         let request = Request { input: &input, dataset: &dataset, options, overwrite, programs: &programs };
@@ -113,6 +121,17 @@ impl Stage {
 
     fn reconstruct(&self) -> Result<Outcome, SfmError> {
         self.try_to(&self.path("room"), false).0
+    }
+
+    /// Fails unless it is refused, for a reason that has all `parts`.
+    #[track_caller]
+    fn refuses(&self, parts: &[&str]) {
+        assert_says(self.reconstruct().unwrap_err(), parts);
+    }
+
+    fn overwrite(&self) -> (Outcome, Heard) {
+        let (result, heard) = self.try_to(&self.path("room"), true);
+        (result.unwrap(), heard)
     }
 
     /// The commands that COLMAP was started with, and `ffmpeg`.
@@ -135,9 +154,7 @@ const ALL: [&str; 3] = ["feature_extractor", "exhaustive_matcher", "mapper"];
 
 #[test]
 fn photographs_become_a_dataset_once() {
-    let stage = Stage::new(5);
-    stage.install("colmap", COLMAP);
-    stage.model("0", &[0, 1, 2, 3, 4]);
+    let stage = Stage::ready(5);
     let (result, heard) = stage.try_to(&stage.path("room"), false);
     let outcome = result.unwrap();
     assert_eq!(outcome.dataset, stage.path("room_colmap"));
@@ -168,26 +185,19 @@ fn photographs_become_a_dataset_once() {
 #[test]
 fn a_missing_program_is_named_before_anything_is_done() {
     let mut stage = Stage::new(5);
-    let message = stage.reconstruct().unwrap_err().to_string();
-    assert!(message.contains("COLMAP is not installed") && message.contains("apt-get install colmap"), "{message}");
+    stage.refuses(&["COLMAP is not installed", "apt-get install colmap"]);
     assert!(!stage.path("room_colmap").exists());
     stage.install("colmap", COLMAP);
     stage.options.program = SfmProgram::Glomap;
-    let message = stage.reconstruct().unwrap_err().to_string();
-    assert!(message.contains("GLOMAP is not installed") && message.contains("--sfm colmap"), "{message}");
+    stage.refuses(&["GLOMAP is not installed", "--sfm colmap"]);
     assert_eq!(stage.calls(), [""; 0]);
 }
 
 #[test]
 fn after_a_failure_it_goes_on_with_the_step_that_failed() {
-    let stage = Stage::new(5);
-    stage.install("colmap", COLMAP);
-    stage.model("0", &[0, 1, 2, 3, 4]);
+    let stage = Stage::ready(5);
     std::fs::write(stage.path("fail_mapper"), "").unwrap();
-    let message = stage.reconstruct().unwrap_err().to_string();
-    for part in ["mapping", "exit status: 3", "room_colmap/sfm/mapping.log", "out of memory"] {
-        assert!(message.contains(part), "{part}: {message}");
-    }
+    stage.refuses(&["mapping", "exit status: 3", "room_colmap/sfm/mapping.log", "out of memory"]);
     assert_eq!(stage.calls(), ALL);
     assert!(!stage.path("room_colmap/sparse").exists());
     std::fs::remove_file(stage.path("fail_mapper")).unwrap();
@@ -206,34 +216,28 @@ fn the_largest_model_is_taken_and_what_it_lacks_is_said() {
     let outcome = stage.reconstruct().unwrap();
     assert_eq!(outcome.models, [4, 3]);
     assert_eq!((outcome.placed(), outcome.unplaced.len()), (4, 5));
-    let warnings = outcome.warnings().join("\n");
-    for part in
-        ["only 4 of 9", "2 groups that nothing connects, of 4, 3", "000.png, 001.png, 002.png, 007.png, 008.png"]
-    {
-        assert!(warnings.contains(part), "{part}: {warnings}");
-    }
+    let unplaced = "000.png, 001.png, 002.png, 007.png, 008.png";
+    let warnings = ["only 4 of 9", "2 groups that nothing connects, of 4, 3", unplaced];
+    assert_says(outcome.warnings().join("\n"), &warnings);
     assert_eq!(load(&outcome.dataset, &LoadOptions::default()).unwrap().train.len(), 3);
 }
 
 #[test]
 fn too_few_photographs_are_refused_before_and_after() {
-    let two = Stage::new(2);
-    let message = two.reconstruct().unwrap_err().to_string();
-    assert!(message.contains("holds 2 photographs, at least 3"), "{message}");
+    Stage::new(2).refuses(&["holds 2 photographs, at least 3"]);
 
     let stage = Stage::new(5);
     stage.install("colmap", COLMAP);
-    let message = stage.reconstruct().unwrap_err().to_string();
-    assert!(message.contains("no two of the 5 photographs") && message.contains("mapping.log"), "{message}");
+    stage.refuses(&["no two of the 5 photographs", "mapping.log"]);
     stage.model("0", &[1, 3]);
-    let overwritten = stage.try_to(&stage.path("room"), true).0.unwrap_err().to_string();
-    assert!(overwritten.contains("no two of the 5"), "mapping is done and found nothing: {overwritten}");
+    let overwritten = stage.try_to(&stage.path("room"), true).0.unwrap_err();
+    // mapping is done and found nothing
+    assert_says(overwritten, &["no two of the 5"]);
 
     let stage = Stage::new(5);
     stage.install("colmap", COLMAP);
     stage.model("0", &[1, 3]);
-    let message = stage.reconstruct().unwrap_err().to_string();
-    assert!(message.contains("only 2 of 5 photographs"), "{message}");
+    stage.refuses(&["only 2 of 5 photographs"]);
     assert!(!stage.path("room_colmap/sparse").exists());
 }
 
@@ -242,8 +246,7 @@ fn a_mapper_that_finds_no_pair_is_told_from_one_that_fails() {
     let stage = Stage::new(4);
     stage.install("colmap", &COLMAP.replace("out of memory", "ERROR: failed to create sparse model"));
     std::fs::write(stage.path("fail_mapper"), "").unwrap();
-    let error = stage.reconstruct().unwrap_err();
-    assert!(matches!(error, SfmError::NoModel { photographs: 4, .. }), "{error}");
+    stage.refuses(&["no two of the 4 photographs"]);
 }
 
 #[test]
@@ -252,8 +255,7 @@ fn a_video_becomes_its_sharpest_frames() {
     stage.install("colmap", COLMAP);
     std::fs::write(stage.path("walk.mp4"), "video").unwrap();
     stage.options.video_frames = 3;
-    let message = stage.try_to(&stage.path("walk.mp4"), false).0.unwrap_err().to_string();
-    assert!(message.contains("ffmpeg is not installed"), "{message}");
+    assert_says(stage.try_to(&stage.path("walk.mp4"), false).0.unwrap_err(), &["ffmpeg is not installed"]);
     stage.install("ffmpeg", FFMPEG);
     std::fs::create_dir(stage.path("frames")).unwrap();
     for number in 1..=9u32 {
@@ -280,37 +282,28 @@ fn a_video_becomes_its_sharpest_frames() {
 
 #[test]
 fn a_finished_dataset_changes_only_when_asked_to() {
-    let mut stage = Stage::new(5);
-    stage.install("colmap", COLMAP);
-    stage.model("0", &[0, 1, 2, 3, 4]);
+    let mut stage = Stage::ready(5);
     stage.reconstruct().unwrap();
     stage.options.camera = SfmCamera::SimpleRadial;
-    let message = stage.reconstruct().unwrap_err().to_string();
-    assert!(message.contains("before the camera model (`--sfm-camera`) or"), "{message}");
+    stage.refuses(&["before the camera model (`--sfm-camera`) or"]);
     stage.options.camera = SfmCamera::OpenCv;
     stage.reconstruct().unwrap();
 
     write_png(&stage.path("room/005.png"), 24, 16, [1, 2, 3]);
-    let message = stage.reconstruct().unwrap_err().to_string();
-    assert!(
-        message.contains("before the photographs or their masks changed") && message.contains("--overwrite"),
-        "{message}"
-    );
+    stage.refuses(&["before the photographs or their masks changed", "--overwrite"]);
     stage.model("0", &[0, 1, 2, 3, 4, 5]);
-    let (result, heard) = stage.try_to(&stage.path("room"), true);
-    assert_eq!((result.unwrap().placed(), heard.steps.as_slice()), (6, Step::ALL.as_slice()));
+    let (outcome, heard) = stage.overwrite();
+    assert_eq!((outcome.placed(), heard.steps.as_slice()), (6, Step::ALL.as_slice()));
     assert_eq!(stage.calls().len(), 6);
     stage.options.matching = SfmMatching::Sequential;
-    let (result, heard) = stage.try_to(&stage.path("room"), true);
-    assert_eq!(result.unwrap().placed(), 6);
+    let (outcome, heard) = stage.overwrite();
+    assert_eq!(outcome.placed(), 6);
     assert_eq!(heard.steps, [Step::Matches, Step::Mapping, Step::Model], "features are those of before");
 }
 
 #[test]
 fn what_fails_on_the_gpu_is_done_on_the_cpu() {
-    let stage = Stage::new(5);
-    stage.install("colmap", COLMAP);
-    stage.model("0", &[0, 1, 2, 3, 4]);
+    let stage = Stage::ready(5);
     std::fs::write(stage.path("about"), "COLMAP 3.8 (Commit Unknown on Unknown with CUDA)\n").unwrap();
     std::fs::write(stage.path("no_gpu"), "").unwrap();
     let (result, heard) = stage.try_to(&stage.path("room"), false);
@@ -323,37 +316,38 @@ fn what_fails_on_the_gpu_is_done_on_the_cpu() {
 
 #[test]
 fn many_numbered_photographs_are_compared_with_their_neighbours() {
-    let stage = Stage::new(3);
-    let input = Input::find(&stage.path("room")).unwrap();
-    let programs = Programs::within(Vec::new());
-    let dataset = stage.path("set");
-    let decide = |asked: SfmMatching, names: Vec<String>| {
-        let options = Options { matching: asked, ..stage.options.clone() };
-        let request =
-            Request { input: &input, dataset: &dataset, options: &options, overwrite: false, programs: &programs };
-        Reconstruction { request: &request, observer: &mut (), colmap: None }.matching(&names)
-    };
     let numbered = |count: usize| (0..count).map(|number| format!("IMG_{number}.jpg")).collect::<Vec<_>>();
     let named =
         |count: usize| (0..count).map(|number| format!("{number}_{}.jpg", "x".repeat(number))).collect::<Vec<_>>();
-    assert_eq!(decide(SfmMatching::Auto, numbered(200)), SfmMatching::Exhaustive);
-    assert_eq!(decide(SfmMatching::Auto, numbered(201)), SfmMatching::Sequential);
-    assert_eq!(decide(SfmMatching::Auto, named(201)), SfmMatching::Exhaustive);
-    assert_eq!(decide(SfmMatching::Exhaustive, numbered(300)), SfmMatching::Exhaustive);
-    assert_eq!(decide(SfmMatching::Sequential, named(3)), SfmMatching::Sequential);
+    let (auto, exhaustive, sequential) = (SfmMatching::Auto, SfmMatching::Exhaustive, SfmMatching::Sequential);
+    let cases = [
+        (auto, numbered(200), exhaustive),
+        (auto, numbered(201), sequential),
+        (auto, named(201), exhaustive),
+        (auto, [numbered(201), vec!["DSC_0.jpg".to_owned()]].concat(), exhaustive),
+        (exhaustive, numbered(300), exhaustive),
+        (sequential, named(3), sequential),
+    ];
+    for (asked, names, expected) in cases {
+        assert_eq!(matching(asked, &names), expected, "{asked:?} of {}", names.len());
+    }
 }
 
-/// White from column `from` on.
-fn write_mask(path: &Path, [width, height]: [u32; 2], from: u32) {
-    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-    image::GrayImage::from_fn(width, height, |x, _| image::Luma([if x < from { 0 } else { 1 }])).save(path).unwrap();
+/// How many columns of a mask are black, those at its left.
+fn black(path: &Path) -> usize {
+    let mask = image::open(path).unwrap().into_luma8();
+    (0..24).filter(|&x| mask.get_pixel(x, 7).0 == [0]).count()
+}
+
+/// The arguments with which features were looked for last.
+fn line_of_features(stage: &Stage) -> String {
+    let calls = std::fs::read_to_string(stage.path("calls")).unwrap();
+    calls.lines().rfind(|line| line.starts_with("feature_extractor")).unwrap().to_owned()
 }
 
 #[test]
 fn masks_go_into_the_dataset_and_to_colmap() {
-    let mut stage = Stage::new(5);
-    stage.install("colmap", COLMAP);
-    stage.model("0", &[0, 1, 2, 3, 4]);
+    let mut stage = Stage::ready(5);
     write_mask(&stage.path("room/masks/001.png.png"), [24, 16], 3);
     write_mask(&stage.path("room/masks/002.png"), [24, 16], 5);
     let outcome = stage.reconstruct().unwrap();
@@ -363,105 +357,69 @@ fn masks_go_into_the_dataset_and_to_colmap() {
         let names = workspace::file_names(&dataset.join(folder)).unwrap();
         assert_eq!(names, ["001.png.png", "002.png.png"], "{folder}");
     }
-    let line_of_features = |stage: &Stage| {
-        let calls = std::fs::read_to_string(stage.path("calls")).unwrap();
-        calls.lines().rfind(|line| line.starts_with("feature_extractor")).unwrap().to_owned()
-    };
     let option = format!("--ImageReader.mask_path {}", dataset.join("sfm/masks").display());
-    assert!(line_of_features(&stage).contains(&option), "{}", line_of_features(&stage));
-    let is_black = |column: u32| {
-        let mask = image::open(dataset.join("sfm/masks/002.png.png")).unwrap().into_luma8();
-        mask.get_pixel(column, 7).0 == [0]
-    };
-    assert_eq!([4, 5].map(is_black), [true, false]);
+    assert_says(line_of_features(&stage), &[&option]);
+    let black_for_colmap = || black(&dataset.join("sfm/masks/002.png.png"));
+    assert_eq!(black_for_colmap(), 5);
     let loaded = load(&dataset, &LoadOptions::default()).unwrap();
     assert_eq!((loaded.masked().masked_views, loaded.masked().ignored_pixels), (2, 8 * 16));
 
     stage.options.invert_masks = true;
-    let message = stage.reconstruct().unwrap_err().to_string();
-    assert!(message.contains("(`data.invert_masks`) changed"), "{message}");
-    stage.try_to(&stage.path("room"), true).0.unwrap();
-    assert_eq!([4, 5].map(is_black), [false, true]);
+    stage.refuses(&["(`data.invert_masks`) changed"]);
+    stage.overwrite();
+    assert_eq!(black_for_colmap(), 24 - 5);
 
     std::fs::remove_dir_all(stage.path("room/masks")).unwrap();
-    let message = stage.reconstruct().unwrap_err().to_string();
-    assert!(message.contains("the photographs or their masks changed"), "{message}");
-    assert_eq!(stage.try_to(&stage.path("room"), true).0.unwrap().masked, 0);
-    assert!(
-        !dataset.join("masks").exists() && !line_of_features(&stage).contains("mask_path"),
-        "{}",
-        line_of_features(&stage)
-    );
+    stage.refuses(&["the photographs or their masks changed"]);
+    assert_eq!(stage.overwrite().0.masked, 0);
+    assert!(!dataset.join("masks").exists());
+    assert!(!line_of_features(&stage).contains("mask_path"), "{}", line_of_features(&stage));
 }
 
 #[test]
 fn masks_that_were_put_into_a_dataset_stay() {
-    let mut stage = Stage::new(5);
-    stage.install("colmap", COLMAP);
-    stage.model("0", &[0, 1, 2, 3, 4]);
+    let mut stage = Stage::ready(5);
+    let of_dataset = |stage: &Stage, name: &str| stage.path(&format!("room_colmap/masks/{name}"));
     stage.reconstruct().unwrap();
-    let own = stage.path("room_colmap/masks/001.png");
-    write_mask(&own, [24, 16], 3);
+    let added = of_dataset(&stage, "003.png");
+    write_mask(&added, [24, 16], 7);
     stage.options.invert_masks = true;
     stage.reconstruct().unwrap();
     assert_eq!(stage.calls().len(), 3, "they are no business of COLMAP's");
     write_png(&stage.path("room/005.png"), 24, 16, [1, 2, 3]);
-    stage.try_to(&stage.path("room"), true).0.unwrap();
-    assert!(own.is_file());
-}
+    stage.overwrite();
+    assert_eq!(black(&added), 7);
 
-#[test]
-fn masks_that_were_put_beside_made_ones_stay() {
-    let stage = Stage::new(5);
-    stage.install("colmap", COLMAP);
-    stage.model("0", &[0, 1, 2, 3, 4]);
-    for name in ["001.png.png", "002.png"] {
-        write_mask(&stage.path(&format!("room/masks/{name}")), [24, 16], 3);
-    }
-    stage.reconstruct().unwrap();
-    let of_dataset = |name: &str| stage.path(&format!("room_colmap/masks/{name}"));
-    let (changed, added) = (of_dataset("001.png.png"), of_dataset("003.png"));
+    let given = |name: &str, from: u32| write_mask(&stage.path(&format!("room/masks/{name}")), [24, 16], from);
+    given("001.png.png", 3);
+    given("002.png", 3);
+    stage.overwrite();
+    let changed = of_dataset(&stage, "001.png.png");
     write_mask(&changed, [24, 16], 5);
-    write_mask(&added, [24, 16], 7);
-    write_mask(&stage.path("room/masks/002.png"), [24, 16], 9);
-    write_png(&stage.path("room/005.png"), 24, 16, [1, 2, 3]);
-    let (result, heard) = stage.try_to(&stage.path("room"), true);
-    result.unwrap();
-    let black = |path: &Path| {
-        let mask = image::open(path).unwrap().into_luma8();
-        (0..24).filter(|&x| mask.get_pixel(x, 0).0 == [0]).count()
-    };
-    assert_eq!([&changed, &added, &of_dataset("002.png.png")].map(|path| black(path)), [5, 7, 9]);
+    given("002.png", 19);
+    write_png(&stage.path("room/006.png"), 24, 16, [1, 2, 3]);
+    let (_, heard) = stage.overwrite();
+    assert_eq!([&changed, &added, &of_dataset(&stage, "002.png.png")].map(|path| black(path)), [5, 7, 19]);
     let warned = heard.warnings.iter().find(|warning| warning.contains("made by hand")).unwrap();
-    assert!(warned.contains("room_colmap/masks") && warned.contains(": 001.png;"), "{warned}");
+    assert_says(warned, &["room_colmap/masks", ": 001.png;"]);
 }
 
 #[test]
 fn masks_that_do_not_fit_are_refused_before_colmap_starts() {
     let stage = Stage::new(4);
     stage.install("colmap", COLMAP);
-    let refused = |parts: &[&str]| {
-        let message = stage.reconstruct().unwrap_err().to_string();
-        for part in parts {
-            assert!(message.contains(part), "{part}: {message}");
-        }
-    };
     let mask = stage.path("room/masks/002.png");
     write_mask(&mask, [12, 8], 3);
-    refused(&["masks/002.png is 12x8 px", "002.png 24x16", "make the mask anew"]);
+    stage.refuses(&["masks/002.png is 12x8 px", "002.png 24x16", "make the mask anew"]);
     write_mask(&mask, [24, 16], 24);
-    refused(&["no pixel of image", "`002.png`", "--invert-masks"]);
+    stage.refuses(&["no pixel of image", "`002.png`", "--invert-masks"]);
     std::fs::write(&mask, "no picture").unwrap();
-    refused(&["masks/002.png", "replace it"]);
+    stage.refuses(&["masks/002.png", "replace it"]);
     assert_eq!(stage.calls(), [""; 0]);
 
     std::fs::rename(&mask, mask.with_file_name("2.png")).unwrap();
     stage.model("0", &[0, 1, 2, 3]);
     let (result, heard) = stage.try_to(&stage.path("room"), false);
     assert_eq!(result.unwrap().masked, 0);
-    assert!(
-        heard.warnings[0].contains("room/masks has no mask that is called like a photograph"),
-        "{:?}",
-        heard.warnings
-    );
+    assert_says(&heard.warnings[0], &["room/masks has no mask that is called like a photograph"]);
 }

@@ -1,24 +1,20 @@
 //! Errors for paths that are no dataset and cannot become one: what was looked for, what is there instead, and what may
 //! have been meant.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use super::input::{Input, PHOTOGRAPHS, VIDEOS, has_extension};
-use super::workspace::file_names;
 use crate::dataset;
-use crate::dataset::names::list;
+use crate::dataset::names::{in_folder, list, listing};
 
 const LOOKED_FOR: &str = "looked for a dataset (sparse/ of COLMAP, transforms_train.json of Blender, transforms.json of \
                           nerfstudio), for photographs (JPEG or PNG, in the folder itself, in images/ or in input/), and for a \
                           video (such as walk.mp4)";
 
-/// Why nothing can be trained on, in words.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{message}; {advice}")]
 pub struct Unusable {
-    /// The expected and the found content.
     pub message: String,
-    /// The next thing to do.
     pub advice: String,
 }
 
@@ -35,28 +31,20 @@ pub fn unusable(path: &Path) -> Unusable {
         };
         return Unusable { message, advice };
     }
-    let found = match file_names(path) {
-        _ if !path.is_dir() => "no such folder".to_owned(),
-        Err(error) => error.to_string(),
-        Ok(names) if names.is_empty() => "an empty folder".to_owned(),
-        Ok(names) => list(&names),
-    };
+    let found = listing(path);
     let message = format!("{shown} is no dataset, and there is nothing to make one of: {LOOKED_FOR}, found {found}");
     Unusable { message, advice: advice(path) }
 }
 
 fn advice(path: &Path) -> String {
-    let names = file_names(path).unwrap_or_default();
+    let names = in_folder(path).unwrap_or_default();
     if names.iter().any(|name| matches!(name.as_str(), "cameras.bin" | "cameras.txt")) {
         return "this is a model of COLMAP: name the folder above that holds it as sparse/0, and the photographs as images/"
             .to_owned();
     }
-    let within: Vec<PathBuf> = names.iter().map(|name| path.join(name)).collect();
-    let meant: Vec<String> = within
-        .iter()
-        .filter(|within| dataset::format(within).is_some() || Input::find(within).is_some())
-        .map(|within| within.display().to_string())
-        .collect();
+    let within = names.iter().map(|name| path.join(name));
+    let meant = within.filter(|within| dataset::format(within).is_some() || Input::find(within).is_some());
+    let meant: Vec<String> = meant.map(|within| within.display().to_string()).collect();
     if !meant.is_empty() {
         return format!("name what is in it: {}", list(&meant));
     }
@@ -68,7 +56,7 @@ fn advice(path: &Path) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dataset::fixtures::write_png;
+    use crate::dataset::fixtures::{assert_says, write_png};
 
     #[test]
     fn what_was_looked_for_and_what_is_there_is_said() {
@@ -76,10 +64,9 @@ mod tests {
         let at = folder.path();
         let is_said = |path: &Path, found: &str, advice: &str| {
             let unusable = unusable(path);
-            for part in [path.to_str().unwrap(), "sparse/", "transforms.json", "JPEG or PNG", "video", found] {
-                assert!(unusable.message.contains(part), "{part}: {unusable:?}");
-            }
-            assert!(unusable.advice.contains(advice), "{advice}: {unusable:?}");
+            let parts = [path.to_str().unwrap(), "sparse/", "transforms.json", "JPEG or PNG", "video", found];
+            assert_says(unusable.message, &parts);
+            assert_says(unusable.advice, &[advice]);
         };
         is_said(at, "found an empty folder", "that of photographs or a video: `dpges train`");
         is_said(&at.join("absent"), "found no such folder", "name the folder of a dataset");
@@ -96,7 +83,7 @@ mod tests {
         for name in ["walk.mp4", "read.me", "cameras.bin"] {
             std::fs::write(at.join(name), "").unwrap();
         }
-        assert!(unusable(at).advice.contains("this is a model of COLMAP"), "{:?}", unusable(at));
+        assert_says(unusable(at).advice, &["this is a model of COLMAP"]);
         std::fs::remove_file(at.join("cameras.bin")).unwrap();
         assert_eq!(unusable(at).advice, format!("name what is in it: {}", path("walk.mp4")));
         write_png(&at.join("room/images/a.png"), 4, 4, [1, 2, 3]);

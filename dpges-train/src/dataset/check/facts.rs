@@ -6,9 +6,10 @@ use rayon::prelude::*;
 use serde::{Serialize, Serializer};
 
 use super::luma::Luma;
-use super::points::{Cells, seen_by_view};
+use super::points::Cells;
 use super::statistics::median;
 use super::{Effort, MOST_POINTS, QUICK_PIXELS};
+use crate::dataset::image::picture::linear;
 use crate::dataset::{Dataset, Picture, PointCloud, View};
 
 /// Points of a view that are compared in brightness: at least, at most.
@@ -18,7 +19,6 @@ const MOST_COMPARED: usize = 2000;
 const CLIPPED: f32 = 0.98;
 const DARK: f64 = 0.005;
 
-/// The purpose of a view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Role {
@@ -71,27 +71,21 @@ fn in_short<S: Serializer>(camera: &Camera, serializer: S) -> Result<S::Ok, S::E
     Short { centre: camera.centre().to_array(), width, height, focal_lengths: [fx, fy] }.serialize(serializer)
 }
 
-/// Properties of the pixels of a view.
-struct Pixels {
-    /// Detail of the size of a pixel and of two, along rows and along columns.
-    detail: [[f64; 2]; 2],
-    /// Stops; `None` if it saw too few points.
-    exposure: Option<f64>,
-    thumbnail: Vec<f32>,
-}
+/// Detail of the size of a pixel and of two, along rows and along columns.
+type Detail = [[f64; 2]; 2];
 
 /// Properties of training, held-out and validation views.
 ///
 /// # Errors
 /// [`dpges_core::Error::Io`] if a photograph cannot be read again.
 pub(super) fn facts(dataset: &Dataset, effort: Effort) -> dpges_core::Result<Vec<ViewFacts>> {
-    let train = dataset.train.iter().map(|view| (Role::Train, view));
-    let test = dataset.test.iter().map(|view| (Role::Test, view));
-    let validation = dataset.validation.iter().map(|view| (Role::Validation, view));
-    let views: Vec<(Role, &View)> = train.chain(test).chain(validation).collect();
+    let sets = [(Role::Train, &dataset.train), (Role::Test, &dataset.test), (Role::Validation, &dataset.validation)];
+    let views: Vec<(Role, &View)> =
+        sets.into_iter().flat_map(|(role, views)| views.iter().map(move |view| (role, view))).collect();
     let area: usize = views.iter().map(|(_, view)| view.camera.width * view.camera.height).sum();
     let looks = effort == Effort::Full || area <= QUICK_PIXELS;
-    let seen = seen_by_view(dataset);
+    let seen_by = &dataset.points.seen_by;
+    let seen = if seen_by.are_unknown() { Vec::new() } else { seen_by.by_view(dataset.train.len()) };
     let some: Vec<DVec3> = dataset
         .points
         .positions
@@ -100,55 +94,45 @@ pub(super) fn facts(dataset: &Dataset, effort: Effort) -> dpges_core::Result<Vec
         .map(|position| DVec3::from_array(position.map(f64::from)))
         .collect();
     let measured = views.par_iter().enumerate().map(|(index, &(role, view))| -> dpges_core::Result<_> {
-        let seen: Option<&[u32]> = seen.get(index).map(Vec::as_slice);
         let picture = if looks { Some(view.picture()?) } else { None };
-        let facts = of_points(dataset, role, view, picture.as_deref(), seen, &some);
-        let pixels = picture.map(|picture| of_pixels(dataset, view, &picture, seen.unwrap_or_default()));
-        Ok((facts, pixels))
+        Ok(measure(dataset, role, view, picture.as_deref(), seen.get(index).map(Vec::as_slice), &some))
     });
     let measured: Vec<_> = measured.collect::<dpges_core::Result<_>>()?;
-    let (mut facts, pixels): (Vec<ViewFacts>, Vec<Option<Pixels>>) = measured.into_iter().unzip();
-    relate(&mut facts, pixels);
+    let (mut facts, details): (Vec<ViewFacts>, Vec<Option<Detail>>) = measured.into_iter().unzip();
+    relate(&mut facts, &details);
     Ok(facts)
 }
 
-/// `picture` is that of the view, if it is looked at.
-fn of_points(
+/// Properties of a view by itself; its `picture` if that is looked at, the points that it has `seen` if that is known, `some`
+/// points of all. Its exposure is not yet related to that of others.
+fn measure(
     dataset: &Dataset,
     role: Role,
     view: &View,
     picture: Option<&Picture>,
     seen: Option<&[u32]>,
     some: &[DVec3],
-) -> ViewFacts {
+) -> (ViewFacts, Option<Detail>) {
+    let View { name, camera, photograph, .. } = view;
     let position = |&point: &u32| DVec3::from_array(dataset.points.positions[point as usize].map(f64::from));
-    let cells = Cells::of(&view.camera, picture);
-    let ignored = view.photograph.ignored_pixels();
-    let area = view.camera.width * view.camera.height;
-    ViewFacts {
-        name: view.name.clone(),
+    let cells = Cells::of(camera, picture);
+    let luma = picture.map(Luma::of);
+    let exposure = |picture: &Picture| relative_exposure(camera, picture, &dataset.points, seen.unwrap_or_default());
+    let unexplained = || Some(1.0 - cells.share_with(some.iter().copied())?);
+    let facts = ViewFacts {
+        name: name.clone(),
         role,
-        camera: view.camera,
-        ignored: ignored.map(|pixels| pixels as f64 / area as f64),
+        camera: *camera,
+        ignored: photograph.ignored_pixels().map(|pixels| pixels as f64 / (camera.width * camera.height) as f64),
         points_seen: seen.map(<[u32]>::len),
-        coverage: seen.and_then(|seen| cells.share_with(&view.camera, seen.iter().map(position))),
-        unexplained: if some.is_empty() {
-            None
-        } else {
-            cells.share_with(&view.camera, some.iter().copied()).map(|share| 1.0 - share)
-        },
+        coverage: seen.and_then(|seen| cells.share_with(seen.iter().map(position))),
+        unexplained: if some.is_empty() { None } else { unexplained() },
         sharpness: None,
         detail: None,
-        exposure: None,
-        thumbnail: None,
-    }
-}
-
-fn of_pixels(dataset: &Dataset, view: &View, picture: &Picture, seen: &[u32]) -> Pixels {
-    let luma = Luma::of(picture);
-    let detail = [luma.detail(), luma.halved().detail()];
-    let exposure = relative_exposure(&view.camera, picture, &dataset.points, seen);
-    Pixels { detail, exposure, thumbnail: luma.thumbnail() }
+        exposure: picture.and_then(exposure),
+        thumbnail: luma.as_ref().map(Luma::thumbnail),
+    };
+    (facts, luma.map(|luma| [luma.detail(), luma.halved().detail()]))
 }
 
 /// How much brighter the picture shows the points that it saw, where it counts, than they are on average, stops: views shall
@@ -168,39 +152,29 @@ fn relative_exposure(camera: &Camera, picture: &Picture, points: &PointCloud, se
     if stops.len() < FEWEST_POINTS { None } else { median(stops) }
 }
 
-/// Luminance of an sRGB colour, 0 to 1.
 fn luminance(rgb: [f32; 3]) -> f64 {
-    let linear = |value: f32| {
-        let value = f64::from(value);
-        if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
-    };
-    let [r, g, b] = rgb.map(linear);
+    let [r, g, b] = rgb.map(|value| linear(f64::from(value)));
     0.2126 * r + 0.7152 * g + 0.0722 * b
 }
 
 /// Compares each view with the median of all.
-fn relate(facts: &mut [ViewFacts], pixels: Vec<Option<Pixels>>) {
-    let of = |number: &dyn Fn(&Pixels) -> Option<f64>| median(pixels.iter().flatten().filter_map(number));
+fn relate(facts: &mut [ViewFacts], details: &[Option<Detail>]) {
+    let of = |number: &dyn Fn(&Detail) -> Option<f64>| median(details.iter().flatten().filter_map(number));
     let axes = [0, 1];
     // of a picture without any detail there is nothing to say
-    let fineness = |pixels: &Pixels, axis: usize| {
-        let [fine, coarse] = pixels.detail.map(|detail| detail[axis]);
-        (coarse > 0.0).then(|| fine / coarse)
-    };
-    let median_fineness = axes.map(|axis| of(&|pixels| fineness(pixels, axis)));
-    let median_detail = axes.map(|axis| of(&|pixels| Some(pixels.detail[0][axis])));
-    let median_exposure = of(&|pixels| pixels.exposure);
-    for (facts, pixels) in facts.iter_mut().zip(pixels) {
-        let Some(pixels) = pixels else { continue };
+    let fineness = |[fine, coarse]: &Detail, axis: usize| (coarse[axis] > 0.0).then(|| fine[axis] / coarse[axis]);
+    let median_fineness = axes.map(|axis| of(&|detail| fineness(detail, axis)));
+    let median_detail = axes.map(|axis| of(&|[fine, _]| Some(fine[axis])));
+    let median_exposure = median(facts.iter().filter_map(|view| view.exposure));
+    for (facts, detail) in facts.iter_mut().zip(details) {
+        facts.exposure = facts.exposure.zip(median_exposure).map(|(exposure, median)| exposure - median);
         let relative = |axis: usize| {
-            let fineness = fineness(&pixels, axis)? / median_fineness[axis].filter(|&median| median > 0.0)?;
-            let detail = pixels.detail[0][axis] / median_detail[axis].filter(|&median| median > 0.0)?;
+            let detail = detail.as_ref()?;
+            let fineness = fineness(detail, axis)? / median_fineness[axis].filter(|&median| median > 0.0)?;
+            let detail = detail[0][axis] / median_detail[axis].filter(|&median| median > 0.0)?;
             Some((fineness, detail))
         };
-        if let Some((sharpness, detail)) = axes.into_iter().filter_map(relative).min_by(|a, b| a.0.total_cmp(&b.0)) {
-            (facts.sharpness, facts.detail) = (Some(sharpness), Some(detail));
-        }
-        facts.exposure = pixels.exposure.zip(median_exposure).map(|(exposure, median)| exposure - median);
-        facts.thumbnail = Some(pixels.thumbnail);
+        let least = axes.into_iter().filter_map(relative).min_by(|a, b| a.0.total_cmp(&b.0));
+        (facts.sharpness, facts.detail) = least.unzip();
     }
 }

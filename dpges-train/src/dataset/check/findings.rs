@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::facts::{Role, ViewFacts};
 use super::luma::difference;
-use super::statistics::{Range, deviation, median};
+use super::statistics::{Range, median};
 use crate::dataset::names::list;
 
 /// Distances, relative to the spread of the cameras, beyond which a camera is far: from their middle, and from the next.
@@ -22,6 +22,9 @@ const BLURRED_DETAIL: f64 = 0.35;
 /// Difference of brightness from the median that is named: at least, stops, and in standard deviations of the views.
 const LEAST_STOPS: f64 = 0.5;
 const EXPOSURE_DEVIATIONS: f64 = 4.0;
+/// From the median absolute deviation, which outliers do not change, to the standard deviation of normally distributed
+/// numbers.
+const DEVIATION_PER_MAD: f64 = 1.4826;
 /// Range of brightness from the 5th to the 95th percentile that is named, stops.
 const STOPS_SPREAD: f64 = 1.0;
 /// Points below which a view has few: of all views, and relative to the median of the set.
@@ -37,15 +40,12 @@ const UNEXPLAINED: f64 = 0.5;
 /// Fewest training views that are no reason to say so.
 const FEW_VIEWS: usize = 10;
 
-/// A possible problem of a dataset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {
     /// A camera is far from all others: structure from motion has probably put it in the wrong place.
     FarPose,
-    /// No point is seen.
     NoPoints,
-    /// Few points are seen.
     FewPoints,
     Blurred,
     /// A view is brighter or darker than most.
@@ -56,7 +56,6 @@ pub enum Kind {
     Duplicate,
     /// No point explains much of what pictures show.
     Unexplained,
-    /// There are few training views.
     FewViews,
 }
 
@@ -76,7 +75,6 @@ impl fmt::Display for Finding {
     }
 }
 
-/// About all views.
 fn overall(kind: Kind, message: String, advice: &'static str) -> Finding {
     Finding { kind, views: Vec::new(), message, advice }
 }
@@ -165,7 +163,8 @@ fn blurred(views: &[ViewFacts]) -> Option<Finding> {
 }
 
 fn exposures(views: &[ViewFacts]) -> Option<Finding> {
-    let limit = LEAST_STOPS.max(EXPOSURE_DEVIATIONS * deviation(views.iter().filter_map(|view| view.exposure), 0.0));
+    let usual = median(views.iter().filter_map(|view| view.exposure).map(f64::abs)).unwrap_or(0.0);
+    let limit = LEAST_STOPS.max(EXPOSURE_DEVIATIONS * (DEVIATION_PER_MAD * usual));
     let different = views.iter().filter_map(|view| {
         let stops = view.exposure.filter(|stops| stops.abs() > limit)?;
         Some((-stops.abs(), view, format!(" ({stops:+.1} stops)")))

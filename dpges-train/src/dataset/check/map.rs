@@ -104,23 +104,18 @@ fn half_side(eyes: &[DVec3], points: impl Iterator<Item = DVec3>) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dataset::check::{Effort, Finding, Kind};
+    use crate::dataset::check::Effort;
+    use crate::dataset::check::tests::finding;
+    use crate::dataset::fixtures::assert_says;
     use crate::dataset::{BuiltinOptions, builtin};
 
     #[test]
     fn both_pictures_have_all_cameras_upright_and_name_those_that_were_found() {
         let dataset = builtin(&BuiltinOptions { points: 50, ..BuiltinOptions::default() });
         let mut report = Report::of(&dataset, Effort::Quick).unwrap();
-        report.findings = vec![Finding {
-            kind: Kind::Blurred,
-            views: vec!["train_005".to_owned()],
-            message: String::new(),
-            advice: "",
-        }];
+        report.findings = vec![finding("train_005")];
         let svg = svg(&dataset, &report);
-        for part in ["<svg ", "from above", "from the side", "held out", "</svg>\n"] {
-            assert!(svg.contains(part), "{part}: {svg}");
-        }
+        assert_says(&svg, &["<svg ", "from above", "from the side", "held out", "</svg>\n"]);
         assert_eq!(svg.matches("<circle").count(), 2 * (30 + 50) + 4);
         assert_eq!((svg.matches("train_005").count(), svg.matches("train_004").count()), (2, 0));
         // the cameras of the dome look down into the room

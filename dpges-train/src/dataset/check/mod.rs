@@ -54,7 +54,6 @@ pub struct Report {
 }
 
 impl Report {
-    /// The report of `dataset`.
     ///
     /// # Errors
     /// [`dpges_core::Error::Io`] if a photograph cannot be read again.

@@ -4,61 +4,50 @@
 use dpges_core::camera::Camera;
 use glam::DVec3;
 
-use crate::dataset::{Dataset, Picture};
+use crate::dataset::Picture;
 
 /// Squares along the longer side of a picture.
 const SQUARES: usize = 12;
 
 /// A picture in squares.
-pub(super) struct Cells {
+pub(super) struct Cells<'a> {
+    camera: &'a Camera,
     columns: usize,
     rows: usize,
     /// Whether a square counts: whether at least half its pixels do.
     counted: Vec<bool>,
 }
 
-impl Cells {
+impl<'a> Cells<'a> {
     /// Without a `picture` all squares count.
-    pub fn of(camera: &Camera, picture: Option<&Picture>) -> Self {
+    pub fn of(camera: &'a Camera, picture: Option<&Picture>) -> Self {
         let longer = camera.width.max(camera.height);
         let along = |length: usize| ((SQUARES * length) as f64 / longer as f64).round().max(1.0) as usize;
         let (columns, rows) = (along(camera.width), along(camera.height));
-        let mut cells = Self { columns, rows, counted: vec![true; columns * rows] };
+        let mut cells = Self { camera, columns, rows, counted: vec![true; columns * rows] };
         if let Some(counted) = picture.and_then(|picture| picture.counted.as_ref()) {
             let mut surplus = vec![0i64; columns * rows];
             for (pixel, &counts) in counted.iter().enumerate() {
-                surplus[cells.square(camera, pixel)] += if counts { 1 } else { -1 };
+                surplus[cells.square(pixel)] += if counts { 1 } else { -1 };
             }
             cells.counted = surplus.into_iter().map(|surplus| surplus >= 0).collect();
         }
         cells
     }
 
-    fn square(&self, camera: &Camera, pixel: usize) -> usize {
-        let (x, y) = (pixel % camera.width, pixel / camera.width);
-        y * self.rows / camera.height * self.columns + x * self.columns / camera.width
+    fn square(&self, pixel: usize) -> usize {
+        let Camera { width, height, .. } = *self.camera;
+        pixel / width * self.rows / height * self.columns + pixel % width * self.columns / width
     }
 
     /// Share of the squares that count in which there is one of `positions`, in world units; `None` if no square counts.
-    pub fn share_with(&self, camera: &Camera, positions: impl Iterator<Item = DVec3>) -> Option<f64> {
+    pub fn share_with(&self, positions: impl Iterator<Item = DVec3>) -> Option<f64> {
         let mut has_point = vec![false; self.counted.len()];
-        for (pixel, _) in positions.filter_map(|position| camera.pixel(position)) {
-            has_point[self.square(camera, pixel)] = true;
+        for (pixel, _) in positions.filter_map(|position| self.camera.pixel(position)) {
+            has_point[self.square(pixel)] = true;
         }
         let with_point = has_point.iter().zip(&self.counted).filter(|&(&has, &counts)| has && counts).count();
         let all = self.counted.iter().filter(|&&counts| counts).count();
         (all > 0).then(|| with_point as f64 / all as f64)
     }
-}
-
-/// For each training view the indices of the points that it saw; empty if the dataset does not say.
-pub(super) fn seen_by_view(dataset: &Dataset) -> Vec<Vec<u32>> {
-    if dataset.points.seen_by.are_unknown() {
-        return Vec::new();
-    }
-    let mut seen = vec![Vec::new(); dataset.train.len()];
-    for (point, views) in (0..).zip(dataset.points.seen_by.iter()) {
-        views.iter().for_each(|&view| seen[view as usize].push(point));
-    }
-    seen
 }

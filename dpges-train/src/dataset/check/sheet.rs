@@ -44,10 +44,9 @@ pub enum SheetError {
 /// # Errors
 /// If a photograph cannot be read again, or names cannot be drawn.
 pub fn contact_sheet(dataset: &Dataset, report: &Report) -> Result<Rgb8Image, SheetError> {
-    let views: Vec<&View> = dataset.train.iter().chain(&dataset.test).chain(&dataset.validation).collect();
-    let step = views.len().div_ceil(MOST).max(1);
+    let step = dataset.views().count().div_ceil(MOST).max(1);
     let is_chosen = |&(index, view): &(usize, &View)| index % step == 0 || report.is_flagged(&view.name);
-    let chosen: Vec<&View> = views.into_iter().enumerate().filter(is_chosen).map(|(_, view)| view).collect();
+    let chosen: Vec<&View> = dataset.views().enumerate().filter(is_chosen).map(|(_, view)| view).collect();
     let small: Vec<RgbImage> =
         chosen.par_iter().map(|view| Ok(small(&*view.picture()?))).collect::<dpges_core::Result<_>>()?;
     let columns = COLUMNS.min(chosen.len()).max(1);
@@ -114,7 +113,8 @@ fn small(picture: &Picture) -> RgbImage {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dataset::check::{Effort, Finding, Kind};
+    use crate::dataset::check::Effort;
+    use crate::dataset::check::tests::finding;
     use crate::dataset::{BuiltinOptions, builtin};
 
     #[test]
@@ -122,12 +122,7 @@ mod tests {
         let options = BuiltinOptions { width: 300, height: 200, train_views: 9, test_views: 1, ..Default::default() };
         let dataset = builtin(&BuiltinOptions { points: 10, supersampling: 1, ..options });
         let mut report = Report::of(&dataset, Effort::Quick).unwrap();
-        report.findings = vec![Finding {
-            kind: Kind::Blurred,
-            views: vec!["train_008".to_owned()],
-            message: String::new(),
-            advice: "",
-        }];
+        report.findings = vec![finding("train_008")];
         let sheet = contact_sheet(&dataset, &report).unwrap();
         assert_eq!((sheet.width, sheet.height), (8 * 168 + 10, 2 * 186 + 10));
         let pixel = |x: usize, y: usize| <[u8; 3]>::try_from(&sheet.bytes[3 * (y * sheet.width + x)..][..3]).unwrap();

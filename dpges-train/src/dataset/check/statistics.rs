@@ -4,20 +4,12 @@ use std::fmt;
 
 use serde::Serialize;
 
-/// From the median absolute deviation to the standard deviation of normally distributed numbers.
-const DEVIATION_PER_MAD: f64 = 1.4826;
-
 /// The median of numbers, the mean of the two in the middle if their count is even; `None` without any.
 pub(super) fn median(values: impl IntoIterator<Item = f64>) -> Option<f64> {
     let mut values: Vec<f64> = values.into_iter().collect();
     values.sort_unstable_by(f64::total_cmp);
     let (upper, lower) = (values.len() / 2, values.len().checked_sub(1)? / 2);
     Some((values[lower] + values[upper]) / 2.0)
-}
-
-/// Standard deviation around `centre`, which outliers do not change.
-pub(super) fn deviation(values: impl IntoIterator<Item = f64>, centre: f64) -> f64 {
-    DEVIATION_PER_MAD * median(values.into_iter().map(|value| (value - centre).abs())).unwrap_or(0.0)
 }
 
 /// Where most of some numbers are.
@@ -59,7 +51,6 @@ mod tests {
         assert_eq!(median([3.0, 1.0, 2.0]), Some(2.0));
         assert_eq!(median([4.0, 1.0, 2.0, 3.0]), Some(2.5));
         assert_eq!(median([]), None);
-        assert_eq!(deviation([1.0, 2.0, 3.0, 100.0, 2.0], 2.0), DEVIATION_PER_MAD);
         let range = Range::of((0..=100).rev().map(f64::from)).unwrap();
         assert_eq!(range, Range { low: 5.0, median: 50.0, high: 95.0 });
         assert_eq!((format!("{range:.0}"), Range::of([])), ("50 (5 to 95)".to_owned(), None));

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use super::{Report, Role, ViewFacts};
 use crate::dataset::Dataset;
+use crate::dataset::names::list_up_to;
 
 /// Different sizes or lenses that are listed before the rest is counted.
 const LISTED: usize = 4;
@@ -50,11 +51,8 @@ fn counted(views: &[ViewFacts], of: impl Fn(&ViewFacts) -> String) -> String {
     if let [(only, _)] = counts.as_slice() {
         return only.clone();
     }
-    let listed: Vec<String> = counts.iter().take(LISTED).map(|(text, count)| format!("{text} ({count})")).collect();
-    match counts.len().saturating_sub(LISTED) {
-        0 => listed.join(", "),
-        more => format!("{} and {more} more", listed.join(", ")),
-    }
+    let texts: Vec<String> = counts.iter().map(|(text, count)| format!("{text} ({count})")).collect();
+    list_up_to(LISTED, &texts)
 }
 
 fn lens(view: &ViewFacts) -> String {
@@ -77,6 +75,7 @@ fn lens(view: &ViewFacts) -> String {
 mod tests {
     use super::*;
     use crate::dataset::check::Effort;
+    use crate::dataset::fixtures::assert_says;
     use crate::dataset::{BuiltinOptions, builtin};
 
     #[test]
@@ -85,9 +84,8 @@ mod tests {
             BuiltinOptions { width: 48, height: 32, train_views: 4, test_views: 2, points: 800, ..Default::default() };
         let mut dataset = builtin(&options);
         dataset.train[0].repaint(|picture| picture.counted = Some((0..48 * 32).map(|i| i < 48).collect())).unwrap();
-        let report = |dataset: &Dataset| Report::of(dataset, Effort::Full).unwrap();
-        let text = format!("{:?}", rows(&dataset, &report(&dataset)));
-        for part in [
+        let summary = |dataset: &Dataset| format!("{:?}", rows(dataset, &Report::of(dataset, Effort::Full).unwrap()));
+        let parts = [
             "4 for training, 2 held out",
             "48 x 32 px",
             "52° wide, focal length 50 px",
@@ -95,12 +93,10 @@ mod tests {
             "1 of 6 views have masks, or",
             "% of a picture show points that it saw",
             "stops from the median",
-        ] {
-            assert!(text.contains(part), "{part}: {text}");
-        }
+        ];
+        assert_says(summary(&dataset), &parts);
         let fisheye = builtin(&BuiltinOptions { fisheye: true, ..options });
-        let text = format!("{:?}", rows(&fisheye, &report(&fisheye)));
-        assert!(text.contains("fisheye, 170° wide, focal length "), "{text}");
+        assert_says(summary(&fisheye), &["fisheye, 170° wide, focal length "]);
     }
 
     #[test]

@@ -30,21 +30,17 @@ pub(in crate::dataset) fn read(root: &Path) -> Result<Source> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dataset::fixtures::{self, transform_matrix};
+    use crate::dataset::fixtures::{self, assert_refused, assert_says, transform_matrix, write_transforms};
     use crate::dataset::{DatasetError, LoadOptions, load};
 
     fn write(folder: &Path, file: &str, names: &[&str]) {
-        let frames: Vec<String> = names
-            .iter()
-            .enumerate()
-            .map(|(index, name)| {
-                fixtures::write_rgba(&folder.join(format!("{name}.png")), 20, 10, [255, 0, 0, 51]);
-                let matrix = transform_matrix(&fixtures::pose(index, names.len()));
-                format!(r#"{{"file_path": "./{name}", "rotation": 0.1, "transform_matrix": {matrix}}}"#)
-            })
-            .collect();
-        let json = format!(r#"{{"camera_angle_x": 0.8, "frames": [{}]}}"#, frames.join(","));
-        std::fs::write(folder.join(file), json).unwrap();
+        let frame = |(index, name): (usize, &&str)| {
+            fixtures::write_rgba(&folder.join(format!("{name}.png")), 20, 10, [255, 0, 0, 51]);
+            let matrix = transform_matrix(&fixtures::pose(index, names.len()));
+            format!(r#"{{"file_path": "./{name}", "rotation": 0.1, "transform_matrix": {matrix}}}"#)
+        };
+        let frames: Vec<String> = names.iter().enumerate().map(frame).collect();
+        write_transforms(&folder.join(file), r#""camera_angle_x": 0.8"#, &frames);
     }
 
     #[test]
@@ -73,25 +69,21 @@ mod tests {
     #[test]
     fn missing_parts_are_named() {
         let folder = tempfile::tempdir().unwrap();
-        write(folder.path(), "transforms_train.json", &["train/r_0", "train/r_1"]);
-        let error = load(folder.path(), &LoadOptions::default()).unwrap_err();
+        let (at, file) = (folder.path(), "transforms_train.json");
+        write(at, file, &["train/r_0", "train/r_1"]);
+        let error = load(at, &LoadOptions::default()).unwrap_err();
         assert!(matches!(error, DatasetError::NoTestViews { .. }));
-        let message = error.to_string();
-        assert!(message.contains("transforms_train.json") && message.contains("transforms_val.json"), "{message}");
+        assert_says(error, &[file, "transforms_val.json"]);
         let all = LoadOptions { test_every: 0, ..Default::default() };
-        assert_eq!(load(folder.path(), &all).unwrap().train.len(), 2);
+        assert_eq!(load(at, &all).unwrap().train.len(), 2);
         let scaled = LoadOptions { image_scale: Some(4), ..all.clone() };
-        let message = load(folder.path(), &scaled).unwrap_err().to_string();
-        assert!(message.contains("images_4") && message.contains("transforms_train.json"), "{message}");
+        assert_refused(at, &scaled, &["images_4", file]);
 
-        std::fs::remove_file(folder.path().join("train/r_1.png")).unwrap();
-        let message = load(folder.path(), &all).unwrap_err().to_string();
-        assert!(message.contains("train/r_1") && message.contains("transforms_train.json"), "{message}");
-        std::fs::write(folder.path().join("transforms_train.json"), r#"{"frames": []}"#).unwrap();
-        let message = load(folder.path(), &all).unwrap_err().to_string();
-        assert!(message.contains("transforms_train.json: no views"), "{message}");
-        std::fs::write(folder.path().join("transforms_train.json"), r#"{"frames": [NaN]}"#).unwrap();
-        let message = load(folder.path(), &all).unwrap_err().to_string();
-        assert!(message.contains("transforms_train.json") && message.contains("line 1"), "{message}");
+        std::fs::remove_file(at.join("train/r_1.png")).unwrap();
+        assert_refused(at, &all, &["train/r_1", file]);
+        std::fs::write(at.join(file), r#"{"frames": []}"#).unwrap();
+        assert_refused(at, &all, &["transforms_train.json: no views"]);
+        std::fs::write(at.join(file), r#"{"frames": [NaN]}"#).unwrap();
+        assert_refused(at, &all, &[file, "line 1"]);
     }
 }

@@ -1,7 +1,6 @@
 //! The layouts of datasets on disk: each is read as a [`Source`](source::Source).
 
 pub(super) mod blender;
-mod calibration;
 pub(super) mod colmap;
 pub(super) mod nerfstudio;
 mod ply;

@@ -77,32 +77,22 @@ fn with_held_out(train: Vec<Frame>, held_out: Vec<Frame>) -> Vec<Frame> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dataset::fixtures::{self, transform_matrix};
+    use crate::dataset::fixtures::{self, assert_refused, nerfstudio_frame, write_transforms};
     use crate::dataset::load;
 
     fn frame(folder: &Path, index: usize, extra: &str) -> String {
-        fixtures::write_png(&folder.join(format!("images/{index:02}.png")), 24, 16, [index as u8 * 10, 0, 0]);
-        let matrix = transform_matrix(&fixtures::pose(index, 10));
-        format!(r#"{{"file_path": "images/{index:02}.png", {extra} "transform_matrix": {matrix}}}"#)
+        nerfstudio_frame(folder, &format!("{index:02}"), [index, 10], extra)
     }
 
     const GLOBAL: &str = r#""camera_model": "OPENCV", "w": 24, "h": 16, "fl_x": 20.0, "fl_y": 21.0, "cx": 12.5,
         "cy": 8.0, "k1": 0.0, "k2": 0.0, "p1": 0.0, "p2": 0.0"#;
-
-    fn write(folder: &Path, file: &str, header: &str, frames: &[String]) {
-        std::fs::write(folder.join(file), format!(r#"{{{header}, "frames": [{}]}}"#, frames.join(","))).unwrap();
-    }
-
-    fn message(folder: &Path) -> String {
-        load(folder, &LoadOptions::default()).unwrap_err().to_string()
-    }
 
     #[test]
     fn a_frame_overrides_the_intrinsics_of_the_file() {
         let folder = tempfile::tempdir().unwrap();
         let own = frame(folder.path(), 2, r#""fl_x": 30.0, "cx": 11.0,"#);
         let frames = [frame(folder.path(), 0, ""), frame(folder.path(), 1, ""), own];
-        write(folder.path(), "transforms.json", GLOBAL, &frames);
+        write_transforms(&folder.path().join("transforms.json"), GLOBAL, &frames);
         let data = load(folder.path(), &LoadOptions { test_every: 2, ..Default::default() }).unwrap();
         assert_eq!((data.format, data.near, data.background), (Format::Nerfstudio, 0.2, [0.0; 3]));
         let camera = data.train[0].camera;
@@ -116,53 +106,55 @@ mod tests {
     #[test]
     fn distorted_frames_are_undistorted() {
         let folder = tempfile::tempdir().unwrap();
-        let frames: Vec<_> = (0..3).map(|i| frame(folder.path(), i, r#""k1": 0.2,"#)).collect();
-        write(folder.path(), "transforms.json", r#""camera_angle_x": 1.0"#, &frames);
+        let write = |k1: &str| {
+            let frames: Vec<_> = (0..3).map(|i| frame(folder.path(), i, k1)).collect();
+            write_transforms(&folder.path().join("transforms.json"), r#""camera_angle_x": 1.0"#, &frames);
+        };
+        write(r#""k1": 0.2,"#);
         let camera = load(folder.path(), &LoadOptions::default()).unwrap().train[0].camera;
         assert!(camera.fx > 12.0 / 0.5f64.tan() && camera.cx == 12.0, "{camera:?}");
-        let absurd: Vec<_> = (0..3).map(|i| frame(folder.path(), i, r#""k1": 90.0,"#)).collect();
-        write(folder.path(), "transforms.json", r#""camera_angle_x": 1.0"#, &absurd);
-        let message = message(folder.path());
-        assert!(message.contains("transforms.json") && message.contains("cannot be undone"), "{message}");
+        write(r#""k1": 90.0,"#);
+        assert_refused(folder.path(), &LoadOptions::default(), &["transforms.json", "cannot be undone"]);
     }
 
     #[test]
     fn held_out_frames_come_from_lists_or_files_or_every_eighth() {
         let folder = tempfile::tempdir().unwrap();
         let frames: Vec<_> = (0..10).map(|i| frame(folder.path(), i, "")).collect();
+        let write =
+            |file: &str, header: &str, frames: &[String]| write_transforms(&folder.path().join(file), header, frames);
         let sizes = || {
             let data = load(folder.path(), &LoadOptions::default()).unwrap();
             (data.train.len(), data.test.iter().map(|view| view.name[7..9].to_owned()).collect::<Vec<_>>().join(" "))
         };
-        write(folder.path(), "transforms.json", GLOBAL, &frames);
+        write("transforms.json", GLOBAL, &frames);
         assert_eq!(sizes(), (8, "00 08".to_owned()));
-        write(folder.path(), "transforms_val.json", GLOBAL, &frames[3..5]);
+        write("transforms_val.json", GLOBAL, &frames[3..5]);
         assert_eq!(sizes(), (8, "03 04".to_owned()));
-        write(folder.path(), "transforms_test.json", GLOBAL, &frames[9..]);
+        write("transforms_test.json", GLOBAL, &frames[9..]);
         assert_eq!(sizes(), (9, "09".to_owned()));
         let lists = r#", "train_filenames": ["images/00.png", "./images/01.png"], "val_filenames": ["images/02.png"]"#;
-        write(folder.path(), "transforms.json", &format!("{GLOBAL}{lists}"), &frames);
+        write("transforms.json", &format!("{GLOBAL}{lists}"), &frames);
         assert_eq!(sizes(), (2, "02".to_owned()));
-        write(folder.path(), "transforms.json", &format!(r#"{GLOBAL}, "test_filenames": ["gone.png"]"#), &frames);
-        let message = message(folder.path());
-        assert!(message.contains("transforms.json: no test views"), "{message}");
+        write("transforms.json", &format!(r#"{GLOBAL}, "test_filenames": ["gone.png"]"#), &frames);
+        assert_refused(folder.path(), &LoadOptions::default(), &["transforms.json: no test views"]);
     }
 
     #[test]
     fn unusable_cameras_name_file_and_model() {
         let folder = tempfile::tempdir().unwrap();
         let frames: Vec<_> = (0..2).map(|i| frame(folder.path(), i, "")).collect();
-        write(folder.path(), "transforms.json", &GLOBAL.replace("OPENCV", "FISHEYE624"), &frames);
-        let found = message(folder.path());
-        assert!(found.contains("transforms.json: camera model FISHEYE624 of view `images/00.png`"), "{found}");
-        write(folder.path(), "transforms.json", &GLOBAL.replace("OPENCV", "ORTHOPHOTO"), &frames);
-        let found = message(folder.path());
-        assert!(found.contains("ORTHOPHOTO") && found.contains("unknown"), "{found}");
-        write(folder.path(), "transforms.json", r#""w": 24, "h": 16"#, &frames);
-        let found = message(folder.path());
-        assert!(found.contains("transforms.json: view `images/00.png` has neither"), "{found}");
-        write(folder.path(), "transforms.json", &GLOBAL.replace("20.0", "-20.0"), &frames);
-        let found = message(folder.path());
-        assert!(found.contains("transforms.json: view `images/00.png`: camera `fx` is -20"), "{found}");
+        let cases = [
+            (
+                GLOBAL.replace("OPENCV", "FISHEYE624"),
+                "camera model FISHEYE624 of view `images/00.png` is not supported: it is unknown here",
+            ),
+            (r#""w": 24, "h": 16"#.to_owned(), "view `images/00.png` has neither"),
+            (GLOBAL.replace("20.0", "-20.0"), "view `images/00.png`: camera `fx` is -20"),
+        ];
+        for (header, expected) in cases {
+            write_transforms(&folder.path().join("transforms.json"), &header, &frames);
+            assert_refused(folder.path(), &LoadOptions::default(), &[&format!("transforms.json: {expected}")]);
+        }
     }
 }

@@ -12,7 +12,7 @@ use serde_ply::{DeserializeError, ElementDef, PlyReader, PropertyType, ScalarTyp
 
 use super::source::RawPoints;
 use crate::dataset::Tracks;
-use crate::dataset::error::{DatasetError, Result};
+use crate::dataset::error::{DatasetError, Result, unreadable};
 
 /// Colour of points without one in the file.
 const GREY: f32 = 0.5;
@@ -22,11 +22,8 @@ struct Vertex {
     x: f64,
     y: f64,
     z: f64,
-    #[serde(default)]
     red: Option<f32>,
-    #[serde(default)]
     green: Option<f32>,
-    #[serde(default)]
     blue: Option<f32>,
 }
 
@@ -40,7 +37,7 @@ struct Skipped {}
 /// # Errors
 /// [`DatasetError::Read`], [`DatasetError::Ply`], [`DatasetError::Malformed`] for coordinates that are not finite.
 pub(super) fn points(path: &Path) -> Result<RawPoints> {
-    let file = File::open(path).map_err(|source| DatasetError::Read { path: path.to_owned(), source })?;
+    let file = File::open(path).map_err(unreadable(path))?;
     let (Rows { positions, mut colours }, colour_scale) =
         vertices(BufReader::new(file)).map_err(|source| DatasetError::Ply { path: path.to_owned(), source })?;
     if let Some((index, position)) = positions.iter().enumerate().find(|(_, position)| !position.as_vec3().is_finite())
@@ -111,6 +108,7 @@ fn colour_scale(vertex: &ElementDef) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::dataset::fixtures::assert_says;
 
     fn written(data: &[u8]) -> (tempfile::TempDir, std::path::PathBuf) {
         let folder = tempfile::tempdir().unwrap();
@@ -162,9 +160,8 @@ mod tests {
         ];
         for data in cases {
             let (_folder, path) = written(&data);
-            let message = points(&path).unwrap_err().to_string();
-            assert!(message.contains("sparse_pc.ply"), "{message}");
+            assert_says(points(&path).unwrap_err(), &["sparse_pc.ply"]);
         }
-        assert!(points(Path::new("/absent/sparse_pc.ply")).unwrap_err().to_string().contains("cannot read /absent"));
+        assert_says(points(Path::new("/absent/sparse_pc.ply")).unwrap_err(), &["cannot read /absent"]);
     }
 }

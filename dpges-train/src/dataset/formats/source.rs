@@ -1,11 +1,11 @@
 //! A dataset as its files describe it, before a pixel is read: what the format readers hand to assembly.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use dpges_core::camera::CameraFromWorld;
+use dpges_core::camera::{Camera, Distortion, Lens};
 use glam::DVec3;
 
-use super::calibration::Calibration;
+use crate::dataset::error::{DatasetError, Result};
 use crate::dataset::{Format, Tracks};
 
 /// Which set a view belongs to; `Neither` for a view that the dataset's own lists leave out.
@@ -23,13 +23,45 @@ pub(in crate::dataset) struct Frame {
     pub image: PathBuf,
     /// The mask that the dataset names; after [`crate::dataset::image::masks::find`] the one that is there.
     pub mask: Option<PathBuf>,
-    pub calibration: Calibration,
-    pub camera_from_world: CameraFromWorld,
+    /// That took the photograph, in the coordinates of the files; its near plane is set when the dataset is assembled.
+    pub camera: Camera,
     pub split: Split,
     /// File that holds the pose, named in messages.
     pub described_in: PathBuf,
     /// The depth map that the dataset names; `None` if it lies where depth maps lie by default, or there is none.
     pub depth: Option<DepthFile>,
+}
+
+impl Frame {
+    /// The error of a file that this frame names and that is not there.
+    pub fn missing(&self, path: PathBuf, words: &'static [&'static str; 2]) -> DatasetError {
+        let (view, described_in) = (self.name.clone(), self.described_in.clone());
+        DatasetError::Missing { words, path, view, described_in }
+    }
+
+    /// # Errors
+    /// [`DatasetError::Aspect`] unless a file of size `found` (width and height, px) has the aspect of the photograph.
+    pub fn check_aspect(&self, path: &Path, found: [usize; 2], words: &'static [&'static str; 2]) -> Result<()> {
+        let camera = [self.camera.width, self.camera.height];
+        if is_resized(found, camera) {
+            return Ok(());
+        }
+        let (path, described_in) = (path.to_owned(), self.described_in.clone());
+        Err(DatasetError::Aspect { words, path, found, camera, described_in })
+    }
+}
+
+/// What a lens does; `None` if it bends no ray.
+pub(super) fn lens(distortion: Distortion) -> Option<Lens> {
+    (!distortion.is_pinhole()).then(|| Lens::new(distortion))
+}
+
+/// Whether an image of size `found` (width and height, px) is a whole photograph of size `full` made smaller or larger, each side
+/// rounded by up to a pixel.
+fn is_resized(found: [usize; 2], full: [usize; 2]) -> bool {
+    let scales = |axis: usize| [-1.0, 1.0].map(|rounding| (found[axis] as f64 + rounding) / full[axis] as f64);
+    let ([low_x, high_x], [low_y, high_y]) = (scales(0), scales(1));
+    found == full || low_x.max(low_y) < high_x.min(high_y)
 }
 
 /// A depth map on disk.
@@ -59,4 +91,19 @@ pub(in crate::dataset) struct Source {
     pub described_in: PathBuf,
     /// Why there may be no held-out view.
     pub no_test_reason: &'static str,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn resizing_may_round_but_not_crop() {
+        for found in [[1237, 822], [618, 411], [619, 411], [309, 205], [310, 206], [155, 103]] {
+            assert!(is_resized(found, [1237, 822]), "{found:?}");
+        }
+        for found in [[822, 1237], [618, 400], [1237, 800]] {
+            assert!(!is_resized(found, [1237, 822]), "{found:?}");
+        }
+    }
 }

@@ -45,14 +45,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_eighth_begins_with_the_first() {
-        let split = every_nth(17, 8);
-        let held_out: Vec<_> = (0..17).filter(|&i| split[i] == Split::Test).collect();
-        assert_eq!(held_out, [0, 8, 16]);
-        assert!(every_nth(5, 0).iter().all(|&s| s == Split::Train));
-    }
-
-    #[test]
     fn lists_decide_and_leave_out() {
         let folder = tempfile::tempdir().unwrap();
         let names = ["a.png", "sub/b.png", "c.png"];

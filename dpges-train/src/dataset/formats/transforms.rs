@@ -5,12 +5,11 @@
 
 use std::path::{Path, PathBuf};
 
-use dpges_core::camera::{CameraFromWorld, Distortion, Projection};
+use dpges_core::camera::{Camera, CameraFromWorld, Distortion, Projection};
 use glam::{DMat3, DQuat, DVec3};
 use serde::Deserialize;
 
-use super::calibration::Calibration;
-use super::source::{DepthFile, Frame, Split};
+use super::source::{DepthFile, Frame, Split, lens};
 use crate::dataset::error::{DatasetError, Result, read};
 use crate::dataset::image::codec;
 use crate::dataset::image::depth::DEFAULT_UNIT;
@@ -91,12 +90,12 @@ impl Transforms {
             .map(|frame| {
                 let name = name(&frame.file_path).to_owned();
                 let image = image_path(root, path, &name)?;
-                let calibration = frame.intrinsics.clone().or(&self.intrinsics).calibration(path, &name, &image)?;
-                let camera_from_world = camera_from_world(path, &name, &frame.transform_matrix)?;
+                let intrinsics = frame.intrinsics.clone().or(&self.intrinsics);
+                let camera = intrinsics.camera(path, &name, &image, &frame.transform_matrix)?;
                 let mask = frame.mask_path.as_deref().map(|path| root.join(self::name(path)));
                 let depth = frame.depth_file_path.as_ref().map(|file| DepthFile { path: root.join(file), unit });
                 let described_in = path.to_owned();
-                Ok(Frame { name, image, mask, calibration, camera_from_world, split, described_in, depth })
+                Ok(Frame { name, image, mask, camera, split, described_in, depth })
             })
             .collect::<Result<_>>()?;
         frames.sort_by(|a, b| a.name.cmp(&b.name));
@@ -110,11 +109,7 @@ fn image_path(root: &Path, described_in: &Path, name: &str) -> Result<PathBuf> {
         .iter()
         .map(|extension| root.join(format!("{name}{extension}")))
         .find(|path| path.is_file())
-        .ok_or_else(|| DatasetError::MissingImage {
-            path: root.join(name),
-            view: name.to_owned(),
-            described_in: described_in.to_owned(),
-        })
+        .ok_or_else(|| DatasetError::missing_image(root.join(name), name, described_in))
 }
 
 /// Negates the y and z columns (OpenGL to OpenCV axes) and inverts.
@@ -163,7 +158,7 @@ impl Intrinsics {
     }
 
     /// Fills gaps: the size from the image, square pixels, a centred principal point.
-    fn calibration(&self, path: &Path, view: &str, image: &Path) -> Result<Calibration> {
+    fn camera(&self, path: &Path, view: &str, image: &Path, matrix: &[Vec<f64>]) -> Result<Camera> {
         let projection = self.projection(path, view)?;
         let (width, height) = match (self.w, self.h) {
             (Some(width), Some(height)) => (width.round() as usize, height.round() as usize),
@@ -184,15 +179,9 @@ impl Intrinsics {
             tangential: [self.p1, self.p2].map(or_zero),
             ..Distortion::new(projection)
         };
-        Ok(Calibration {
-            width,
-            height,
-            fx,
-            fy: self.fl_y.unwrap_or(fx),
-            cx: self.cx.unwrap_or(0.5 * w),
-            cy: self.cy.unwrap_or(0.5 * h),
-            distortion,
-        })
+        let (fy, cx, cy) = (self.fl_y.unwrap_or(fx), self.cx.unwrap_or(0.5 * w), self.cy.unwrap_or(0.5 * h));
+        let (camera_from_world, lens) = (camera_from_world(path, view, matrix)?, lens(distortion));
+        Ok(Camera { camera_from_world, fx, fy, cx, cy, width, height, near: 0.0, lens })
     }
 
     fn projection(&self, path: &Path, view: &str) -> Result<Projection> {
@@ -212,6 +201,7 @@ impl Intrinsics {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::dataset::fixtures::assert_says;
 
     fn pose(matrix: [[f64; 4]; 3]) -> Result<CameraFromWorld> {
         camera_from_world(Path::new("transforms.json"), "a", &matrix.map(|row| row.to_vec()))
@@ -236,9 +226,7 @@ mod tests {
         for (result, expected) in
             [(scaled, "without scale"), (mirrored, "mirroring"), (infinite, "finite"), (short, "3 or 4 rows")]
         {
-            let message = result.unwrap_err().to_string();
-            assert!(message.contains("transforms.json: the transform_matrix of view `a`"), "{message}");
-            assert!(message.contains(expected), "{message}");
+            assert_says(result.unwrap_err(), &["transforms.json: the transform_matrix of view `a`", expected]);
         }
     }
 }

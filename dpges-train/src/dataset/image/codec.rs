@@ -8,7 +8,7 @@ use image::{ColorType, DynamicImage, ImageDecoder, ImageError, ImageReader, Imag
 
 use super::resize;
 use crate::dataset::Picture;
-use crate::dataset::error::{DatasetError, Result};
+use crate::dataset::error::{DatasetError, Result, unreadable};
 
 /// Alpha, of 255, from which on a pixel counts, where alpha is a mask.
 const COUNTS: u8 = 128;
@@ -39,7 +39,6 @@ impl Picture {
     }
 }
 
-/// The header of an image file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Header {
     pub width: usize,
@@ -54,8 +53,7 @@ pub(crate) struct Header {
 /// # Errors
 /// [`DatasetError::Read`], [`DatasetError::Decode`].
 pub(crate) fn header(path: &Path) -> Result<Header> {
-    let at_fault = |source| DatasetError::Read { path: path.to_owned(), source };
-    if let Ok(found) = header_in(beginning(path).map_err(at_fault)?) {
+    if let Ok(found) = header_in(beginning(path).map_err(unreadable(path))?) {
         return Ok(found);
     }
     header_in(reader(path)?).map_err(|source| undecodable(path, source))
@@ -119,9 +117,7 @@ pub(in crate::dataset) fn decoded(path: &Path) -> Result<DynamicImage> {
 }
 
 fn reader(path: &Path) -> Result<ImageReader<io::BufReader<File>>> {
-    ImageReader::open(path)
-        .and_then(ImageReader::with_guessed_format)
-        .map_err(|source| DatasetError::Read { path: path.to_owned(), source })
+    ImageReader::open(path).and_then(ImageReader::with_guessed_format).map_err(unreadable(path))
 }
 
 fn undecodable(path: &Path, source: ImageError) -> DatasetError {
@@ -133,6 +129,7 @@ mod tests {
     use image::{GrayImage, ImageBuffer, Luma, Rgb, Rgba, RgbaImage};
 
     use super::*;
+    use crate::dataset::fixtures::{assert_says, insert_segment};
 
     fn saved(name: &str, image: impl Into<DynamicImage>) -> (tempfile::TempDir, std::path::PathBuf) {
         let folder = tempfile::tempdir().unwrap();
@@ -180,16 +177,9 @@ mod tests {
 
     #[test]
     fn exif_orientation_is_ignored() {
-        let jpeg = saved("photo.jpg", image::RgbImage::from_fn(16, 8, |x, _| Rgb([(x * 15) as u8; 3])));
-        let plain = std::fs::read(&jpeg.1).unwrap();
-        let tiff = b"Exif\0\0II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0";
-        let mut turned = plain[..2].to_vec();
-        turned.extend([0xff, 0xe1]);
-        turned.extend((tiff.len() as u16 + 2).to_be_bytes());
-        turned.extend(tiff);
-        turned.extend(&plain[2..]);
-        std::fs::write(&jpeg.1, turned).unwrap();
-        let picture = decode(&jpeg.1, Alpha::Matte([0.0; 3])).unwrap();
+        let (_folder, path) = saved("photo.jpg", image::RgbImage::from_fn(16, 8, |x, _| Rgb([(x * 15) as u8; 3])));
+        insert_segment(&path, 0xe1, b"Exif\0\0II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0");
+        let picture = decode(&path, Alpha::Matte([0.0; 3])).unwrap();
         assert_eq!((picture.width, picture.height), (16, 8));
         assert!(picture.rgb(15, 0)[0] > picture.rgb(0, 0)[0]);
     }
@@ -197,15 +187,8 @@ mod tests {
     #[test]
     fn a_header_behind_much_else_is_found() {
         let (_folder, path) = saved("photo.jpg", image::RgbImage::new(40, 24));
-        let plain = std::fs::read(&path).unwrap();
-        let mut padded = plain[..2].to_vec();
-        for _ in 0..6 {
-            padded.extend([0xff, 0xfe, 0xff, 0xff]);
-            padded.extend([7; 0xffff - 2]);
-        }
-        padded.extend(&plain[2..]);
-        assert!(padded.len() as u64 > BEGINNING);
-        std::fs::write(&path, padded).unwrap();
+        (0..6).for_each(|_| insert_segment(&path, 0xfe, &[7; 0xffff - 2]));
+        assert!(path.metadata().unwrap().len() > BEGINNING);
         assert_eq!(header(&path).unwrap(), Header { width: 40, height: 24, has_alpha: false, is_deep: false });
     }
 
@@ -231,8 +214,7 @@ mod tests {
             [&b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n"[..], b"\x76\x2f\x31\x01\x02\0\0\0", b"II*\0\x10\0\0\0CR"]
         {
             std::fs::write(&path, begin).unwrap();
-            let message = decode(&path, Alpha::Mask).unwrap_err().to_string();
-            assert!(message.contains("a.exr") && message.contains("as PNG or JPEG"), "{message}");
+            assert_says(decode(&path, Alpha::Mask).unwrap_err(), &["a.exr", "as PNG or JPEG"]);
         }
     }
 
@@ -242,7 +224,7 @@ mod tests {
         let path = folder.path().join("broken.png");
         std::fs::write(&path, b"\x89PNG\r\n\x1a\nnothing else").unwrap();
         for error in [decode(&path, Alpha::Matte([0.0; 3])).unwrap_err(), header(&path).unwrap_err()] {
-            assert!(error.to_string().contains("broken.png") && error.to_string().contains("replace it"), "{error}");
+            assert_says(error, &["broken.png", "replace it"]);
         }
     }
 }

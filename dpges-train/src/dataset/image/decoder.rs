@@ -22,13 +22,8 @@ pub(in crate::dataset) struct ImageDecoder {
     alpha: Alpha,
     invert_masks: bool,
     undistort: bool,
-    /// px
     max_resolution: Option<usize>,
     depth: Option<DepthKind>,
-    /// World units, likewise.
-    near: f64,
-    /// The origin of the dataset in the coordinates of its files.
-    offset: DVec3,
     pinholes: PerLens<Option<Camera>>,
     ignored: PerLens<Option<usize>>,
 }
@@ -45,7 +40,7 @@ struct Cameras {
 
 impl ImageDecoder {
     /// A decoder for the dataset in folder `root`, whose pictures with alpha have `background` behind them.
-    pub fn new(root: PathBuf, options: &LoadOptions, background: [f64; 3], near: f64, offset: DVec3) -> Self {
+    pub fn new(root: PathBuf, options: &LoadOptions, background: [f64; 3]) -> Self {
         Self {
             root,
             alpha: if options.alpha_masks { Alpha::Mask } else { Alpha::Matte(background) },
@@ -53,8 +48,6 @@ impl ImageDecoder {
             undistort: options.undistort,
             max_resolution: options.max_resolution,
             depth: options.depth,
-            near,
-            offset,
             pinholes: PerLens::default(),
             ignored: PerLens::default(),
         }
@@ -129,16 +122,9 @@ impl ImageDecoder {
 
     /// Cameras of a photograph of `width` × `height` px.
     fn cameras(&self, frame: &Frame, [width, height]: [usize; 2]) -> Result<Cameras> {
-        if !frame.calibration.fits(width, height) {
-            return Err(DatasetError::ImageSize {
-                path: frame.image.clone(),
-                found: [width, height],
-                camera: [frame.calibration.width, frame.calibration.height],
-                described_in: frame.described_in.clone(),
-            });
-        }
-        let taken = frame.calibration.camera(frame.camera_from_world.recentred(self.offset), self.near);
-        let taken = taken.resized(width, height);
+        let words = &["image", "image the camera was calibrated with"];
+        frame.check_aspect(&frame.image, [width, height], words)?;
+        let taken = frame.camera.resized(width, height);
         let mut pinhole = None;
         if self.undistort && taken.lens.is_some() {
             let found = self.pinholes.of(&taken, undistort::pinhole);
@@ -197,11 +183,11 @@ mod tests {
     use std::path::Path;
 
     use super::*;
-    use crate::dataset::fixtures::{self, Encoding};
+    use crate::dataset::fixtures::{self, Encoding, colmap_folder};
     use crate::dataset::formats::colmap;
 
     fn decoder(root: &Path, options: &LoadOptions) -> ImageDecoder {
-        ImageDecoder::new(root.to_owned(), options, [0.0; 3], 0.2, DVec3::new(0.25, 0.0, -1.0))
+        ImageDecoder::new(root.to_owned(), options, [0.0; 3])
     }
 
     #[test]
@@ -212,9 +198,9 @@ mod tests {
             ((8, "SIMPLE_RADIAL_FISHEYE"), vec![8.0, 12.0, 8.0, -0.2]),
         ];
         for (model, params) in lenses {
-            let (folder, mut scene) = (tempfile::tempdir().unwrap(), fixtures::scene(3));
+            let mut scene = fixtures::scene(3);
             (scene.model, scene.params) = (model, params);
-            fixtures::write_colmap(folder.path(), &scene, Encoding::Binary);
+            let folder = colmap_folder(&scene, Encoding::Binary);
             for (undistort, max_resolution) in [(true, None), (false, None), (true, Some(12)), (false, Some(13))] {
                 let options = LoadOptions { undistort, max_resolution, test_every: 0, ..Default::default() };
                 let source = colmap::read(folder.path(), &options).unwrap();
@@ -230,25 +216,11 @@ mod tests {
     }
 
     #[test]
-    fn alpha_and_masks_have_to_be_read() {
-        let (folder, scene) = (tempfile::tempdir().unwrap(), fixtures::scene(3));
-        fixtures::write_colmap(folder.path(), &scene, Encoding::Binary);
-        fixtures::write_rgba(&folder.path().join("images/left/001.png"), 24, 16, [9, 8, 7, 200]);
-        let options = LoadOptions { test_every: 0, ..Default::default() };
-        let mut source = colmap::read(folder.path(), &options).unwrap();
-        source.frames[2].mask = Some(folder.path().join("masks/left/002.png"));
-        let decoder = decoder(folder.path(), &options);
-        let known: Vec<bool> = source.frames.iter().map(|frame| decoder.survey(frame).unwrap().is_some()).collect();
-        assert_eq!(known, [true, false, false]);
-    }
-
-    #[test]
     fn lenses_are_looked_at_once_whatever_the_pose() {
-        let (folder, scene) = (tempfile::tempdir().unwrap(), fixtures::scene(3));
-        fixtures::write_colmap(folder.path(), &scene, Encoding::Binary);
+        let folder = colmap_folder(&fixtures::scene(3), Encoding::Binary);
         let options = LoadOptions { test_every: 0, ..Default::default() };
         let source = colmap::read(folder.path(), &options).unwrap();
-        let cameras = source.frames.iter().map(|frame| frame.calibration.camera(frame.camera_from_world, 0.1));
+        let cameras = source.frames.iter().map(|frame| frame.camera);
         let (found, mut looks) = (PerLens::default(), 0);
         let mut width_of = |camera: &Camera| {
             found.of(camera, |camera| {

@@ -99,7 +99,7 @@ pub(in crate::dataset) fn file(root: &Path, frame: &Frame) -> Option<DepthFile> 
 ///
 /// # Errors
 /// [`DatasetError::Read`], [`DatasetError::Decode`]; [`DatasetError::DepthType`] unless it is a 16-bit grey PNG, or an
-/// 8-bit one if relative; [`DatasetError::DepthSize`] unless it has the aspect of the photograph.
+/// 8-bit one if relative; [`DatasetError::Aspect`] unless it has the aspect of the photograph.
 pub(in crate::dataset) fn read(
     file: &DepthFile,
     kind: DepthKind,
@@ -121,17 +121,9 @@ pub(in crate::dataset) fn read(
         }
     };
     let (width, height) = (map.width() as usize, map.height() as usize);
-    if !frame.calibration.fits(width, height) {
-        return Err(DatasetError::DepthSize {
-            path: path.clone(),
-            found: [width, height],
-            camera: [frame.calibration.width, frame.calibration.height],
-            described_in: frame.described_in.clone(),
-        });
-    }
+    frame.check_aspect(path, [width, height], &["depth map", "map of this photograph"])?;
     let step = if kind == DepthKind::Metric { file.unit } else { 1.0 / f64::from(u16::MAX) };
-    let taken = frame.calibration.camera(frame.camera_from_world, camera.near);
-    let mut steps = sampled(map.as_raw(), [width, height], kind, camera, &taken);
+    let mut steps = sampled(map.as_raw(), [width, height], kind, camera, &frame.camera);
     picture.clear_ignored(&mut steps);
     Ok(DepthMap { kind, steps: steps.into(), step })
 }
@@ -164,12 +156,12 @@ fn sampled(steps: &[u16], [columns, rows]: [usize; 2], kind: DepthKind, camera: 
 
 #[cfg(test)]
 mod tests {
-    use std::path::PathBuf;
-
-    use image::{ImageBuffer, Luma};
+    use image::{GrayImage, ImageBuffer, Luma};
 
     use super::*;
-    use crate::dataset::fixtures::{self, Encoding, transform_matrix};
+    use crate::dataset::fixtures::{
+        self, Encoding, assert_refused, colmap_folder, nerfstudio_frame, write_mask, write_transforms,
+    };
     use crate::dataset::{BuiltinOptions, LoadOptions, View, builtin, builtin_geometry, load};
 
     fn of_kind(kind: DepthKind) -> LoadOptions {
@@ -182,24 +174,23 @@ mod tests {
     }
 
     fn write_map(path: &Path, width: usize, height: usize) {
-        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
         let map = ImageBuffer::from_fn(width as u32, height as u32, |x, y| Luma([step(x as usize, y as usize)]));
-        map.save(path).unwrap();
+        fixtures::save(path, map);
     }
 
     /// Nine photographs of 24 × 16 px, of which the first and the last are held out, and a map beside each.
     fn colmap(width: usize, height: usize) -> tempfile::TempDir {
-        let folder = tempfile::tempdir().unwrap();
         let scene = fixtures::scene(9);
-        fixtures::write_colmap(folder.path(), &scene, Encoding::Text);
+        let folder = colmap_folder(&scene, Encoding::Text);
         for image in &scene.images {
             write_map(&folder.path().join(FOLDER).join(&image.name), width, height);
         }
         folder
     }
 
-    fn message(folder: &Path) -> String {
-        load(folder, &of_kind(DepthKind::Metric)).unwrap_err().to_string()
+    #[track_caller]
+    fn refused(folder: &Path, parts: &[&str]) {
+        assert_refused(folder, &of_kind(DepthKind::Metric), parts);
     }
 
     #[test]
@@ -237,9 +228,7 @@ mod tests {
     #[test]
     fn nothing_is_known_of_pixels_that_do_not_count() {
         let folder = colmap(24, 16);
-        let mask = folder.path().join("masks/left/003.png");
-        std::fs::create_dir_all(mask.parent().unwrap()).unwrap();
-        image::GrayImage::from_fn(24, 16, |x, _| Luma([u8::from(x > 5)])).save(mask).unwrap();
+        write_mask(&folder.path().join("masks/left/003.png"), [24, 16], 6);
         for memory in [0, usize::MAX] {
             let data = load(folder.path(), &LoadOptions { memory, ..of_kind(DepthKind::Metric) }).unwrap();
             let known = |name: &str, pixel: usize| {
@@ -251,19 +240,10 @@ mod tests {
         }
     }
 
-    fn nerfstudio(folder: &Path, global: &str, of_frame: &str) -> PathBuf {
-        let frames: Vec<String> = (0..3)
-            .map(|index| {
-                let image = format!("images/{index}.png");
-                fixtures::write_png(&folder.join(&image), 24, 16, [index as u8, 0, 0]);
-                let matrix = transform_matrix(&fixtures::pose(index, 3));
-                format!(r#"{{"file_path": "{image}", {of_frame} "transform_matrix": {matrix}}}"#)
-            })
-            .collect();
-        let path = folder.join("transforms.json");
-        let text = format!(r#"{{"fl_x": 20.0, {global} "frames": [{}]}}"#, frames.join(","));
-        std::fs::write(&path, text).unwrap();
-        path
+    fn nerfstudio(folder: &Path, global: &str, of_frame: &str) {
+        let frame = |index: usize| nerfstudio_frame(folder, &index.to_string(), [index, 3], of_frame);
+        let frames: Vec<String> = (0..3).map(frame).collect();
+        write_transforms(&folder.join("transforms.json"), &format!(r#"{global} "fl_x": 20.0"#), &frames);
     }
 
     #[test]
@@ -280,20 +260,16 @@ mod tests {
         nerfstudio(folder.path(), r#""depth_unit_scale_factor": 0.01,"#, of_frame);
         assert!((value() - 15.0).abs() < 1e-12);
         nerfstudio(folder.path(), r#""depth_unit_scale_factor": 0.0,"#, of_frame);
-        let found = message(folder.path());
-        assert!(found.contains("transforms.json: `depth_unit_scale_factor` is 0"), "{found}");
+        refused(folder.path(), &["transforms.json: `depth_unit_scale_factor` is 0"]);
         nerfstudio(folder.path(), "", r#""depth_file_path": "lidar/gone.png","#);
-        let found = message(folder.path());
-        for part in ["gone.png", "of view `images/1.png` is missing", "transforms.json", "remove its `depth_file_path`"]
-        {
-            assert!(found.contains(part), "{found}");
-        }
+        let parts =
+            ["gone.png", "of view `images/1.png` is missing", "transforms.json", "remove its `depth_file_path`"];
+        refused(folder.path(), &parts);
         // without maps it does not matter
         assert_eq!(load(folder.path(), &LoadOptions::default()).unwrap().train.len(), 2);
         // photographs in `images` have their maps in `depths`
         nerfstudio(folder.path(), "", "");
-        let found = message(folder.path());
-        assert!(found.contains("depths has no depth maps") && found.contains("data.depth"), "{found}");
+        refused(folder.path(), &["depths has no depth maps", "data.depth"]);
         write_map(&folder.path().join("depths/2.png"), 24, 16);
         let data = load(folder.path(), &of_kind(DepthKind::Metric)).unwrap();
         assert_eq!(data.train.iter().map(|view| view.depth.is_some()).collect::<Vec<_>>(), [false, true]);
@@ -305,13 +281,11 @@ mod tests {
         {
             let folder = tempfile::tempdir().unwrap();
             let frame = |index: usize| {
-                fixtures::write_png(&folder.path().join(format!("images/v1.{index}.png")), 24, 16, [index as u8, 0, 0]);
-                let matrix = transform_matrix(&fixtures::pose(index, 3));
-                format!(r#"{{"file_path": "images/v1.{index}{extension}", "transform_matrix": {matrix}}}"#)
+                let frame = nerfstudio_frame(folder.path(), &format!("v1.{index}"), [index, 3], "");
+                frame.replace(".png", extension)
             };
             let frames: Vec<String> = (0..3).map(frame).collect();
-            let text = format!(r#"{{"fl_x": 20.0, "frames": [{}]}}"#, frames.join(","));
-            std::fs::write(folder.path().join("transforms.json"), text).unwrap();
+            write_transforms(&folder.path().join("transforms.json"), r#""fl_x": 20.0"#, &frames);
             write_map(&folder.path().join(FOLDER).join(map), 24, 16);
             // of a photograph that is not there
             write_map(&folder.path().join("depths/v1.png"), 24, 16);
@@ -322,22 +296,7 @@ mod tests {
     }
 
     #[test]
-    fn maps_of_distorted_photographs_are_undistorted_with_them() {
-        let folder = tempfile::tempdir().unwrap();
-        write_map(&folder.path().join("depths/1.png"), 24, 16);
-        nerfstudio(folder.path(), r#""k1": 0.2,"#, "");
-        let data = load(folder.path(), &of_kind(DepthKind::Metric)).unwrap();
-        let (map, camera) = (data.train[0].depth.as_ref().unwrap(), data.train[0].camera);
-        assert!(camera.fx > 20.0);
-        // the pixel that lies at (x, y) on the plane z = 1 comes from where the lens has this point
-        let (x, y) = ((20.5 - camera.cx) / camera.fx, (12.5 - camera.cy) / camera.fy);
-        let radial = 1.0 + 0.2 * (x * x + y * y);
-        let (u, v) = (20.0 * x * radial + 12.0, 20.0 * y * radial + 8.0);
-        assert_eq!(map.steps[12 * 24 + 20], step(u as usize, v as usize));
-    }
-
-    #[test]
-    fn maps_of_photographs_that_keep_their_lens_are_as_they_are() {
+    fn maps_keep_the_lens_of_their_photographs_or_are_undistorted_with_them() {
         let lenses = [(r#""k1": 0.2,"#, false), (r#""camera_model": "OPENCV_FISHEYE", "k1": 0.01,"#, true)];
         for (lens, is_wide) in lenses {
             let folder = tempfile::tempdir().unwrap();
@@ -386,23 +345,19 @@ mod tests {
 
     #[test]
     fn maps_of_another_size_or_type_are_refused() {
-        let folder = colmap(24, 20);
-        let found = message(folder.path());
-        for part in ["depths/left/001.png", "24x20", "24x16", "images.txt", "use the map of this photograph"] {
-            assert!(found.contains(part), "{found}");
-        }
+        let parts = ["depths/left/001.png", "24x20", "24x16", "images.txt", "use the map of this photograph"];
+        refused(colmap(24, 20).path(), &parts);
         let folder = colmap(24, 16);
         let path = folder.path().join(FOLDER).join("left/003.png");
         fixtures::write_png(&path, 24, 16, [9; 3]);
-        let found = message(folder.path());
-        assert!(found.contains("left/003.png") && found.contains("Rgb8") && found.contains("16 bits"), "{found}");
-        image::GrayImage::from_pixel(24, 16, Luma([51])).save(&path).unwrap();
-        assert!(message(folder.path()).contains("L8"), "{}", message(folder.path()));
+        refused(folder.path(), &["left/003.png", "Rgb8", "16 bits"]);
+        fixtures::save(&path, GrayImage::from_pixel(24, 16, Luma([51])));
+        refused(folder.path(), &["L8"]);
         let relative = of_kind(DepthKind::Relative);
         let data = load(folder.path(), &relative).unwrap();
         assert!((data.train[2].depth.as_ref().unwrap().value(0).unwrap() - 0.2).abs() < 1e-6);
         std::fs::write(&path, "no picture").unwrap();
-        assert!(message(folder.path()).contains("left/003.png"));
+        refused(folder.path(), &["left/003.png"]);
     }
 
     #[test]

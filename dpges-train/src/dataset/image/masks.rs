@@ -51,47 +51,37 @@ impl fmt::Display for Masked {
 /// `NAME.png`. Images in `images_N` may have theirs in `masks_N`.
 ///
 /// # Errors
-/// [`DatasetError::MissingMask`] if the file that the frame names is missing.
+/// [`DatasetError::Missing`] if the file that the frame names is missing.
 pub(in crate::dataset) fn find(root: &Path, frame: &Frame) -> Result<Option<PathBuf>> {
     let (folders, within) = places(root, &frame.image);
     if let Some(named) = &frame.mask {
         let own: PathBuf = components(root, named).skip(1).collect();
         let scaled = folders.iter().filter(|folder| folder.as_str() != "masks");
         let scaled = scaled.map(|folder| root.join(folder).join(&own));
-        return match scaled.chain([named.clone()]).find(|path| path.is_file()) {
-            Some(path) => Ok(Some(path)),
-            None => Err(DatasetError::MissingMask {
-                path: named.clone(),
-                view: frame.name.clone(),
-                described_in: frame.described_in.clone(),
-            }),
-        };
+        let found = scaled.chain([named.clone()]).find(|path| path.is_file());
+        return found.map(Some).ok_or_else(|| frame.missing(named.clone(), &["mask", " or remove its name"]));
     }
     Ok(folders.iter().find_map(|folder| called_like(&within, &root.join(folder))))
 }
 
 /// The mask in `folder` that is called like the image `name`, a path: `NAME.EXTENSION.png` (COLMAP) or `NAME.png`.
 pub(crate) fn called_like(name: &Path, folder: &Path) -> Option<PathBuf> {
-    let mut with_both = name.to_owned().into_os_string();
+    let mut with_both = folder.join(name).into_os_string();
     with_both.push(".png");
-    [PathBuf::from(with_both), name.with_extension("png")]
-        .into_iter()
-        .map(|name| folder.join(name))
-        .find(|path| path.is_file())
+    [PathBuf::from(with_both), folder.join(name.with_extension("png"))].into_iter().find(|path| path.is_file())
 }
 
 /// Folders in which the mask of an image may be, in this order, and its path in them, but for the extension.
 fn places(root: &Path, image: &Path) -> (Vec<String>, PathBuf) {
-    let mut parts = components(root, image);
+    let parts = components(root, image);
     let first = parts.clone().next().and_then(|part| part.as_os_str().to_str()).unwrap_or_default();
-    let masks = || "masks".to_owned();
-    let folders = match (first, first.strip_prefix("images_")) {
-        ("images", _) => vec![masks()],
-        (_, Some(scale)) => vec![format!("masks_{scale}"), masks()],
-        _ => return (vec![masks()], parts.collect()),
-    };
-    parts.next();
-    (folders, parts.collect())
+    let mut folders = vec!["masks".to_owned()];
+    let scale = first.strip_prefix("images_");
+    if let Some(scale) = scale {
+        folders.insert(0, format!("masks_{scale}"));
+    }
+    let within = if first == "images" || scale.is_some() { parts.skip(1).collect() } else { parts.collect() };
+    (folders, within)
 }
 
 fn components<'a>(root: &Path, path: &'a Path) -> impl Iterator<Item = Component<'a>> + Clone {
@@ -133,24 +123,18 @@ pub(crate) fn read(path: &Path, image: &Path, [width, height]: [usize; 2], inver
 mod tests {
     use std::sync::Arc;
 
-    use image::{GrayImage, Luma, Rgb, RgbImage, Rgba, RgbaImage};
+    use image::{Rgb, RgbImage, Rgba, RgbaImage};
 
-    use super::*;
-    use crate::dataset::fixtures::{self, Encoding, FixtureScene};
+    use crate::dataset::fixtures::{
+        self, Encoding, FixtureScene, assert_refused, colmap_folder, nerfstudio_frame, write_mask, write_transforms,
+    };
     use crate::dataset::{Dataset, LoadOptions, Picture, load};
 
     const SIZE: [u32; 2] = [24, 16];
 
-    /// White from column `from` on.
-    fn write_mask(path: &Path, [width, height]: [u32; 2], from: u32) {
-        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-        GrayImage::from_fn(width, height, |x, _| Luma([if x < from { 0 } else { 1 }])).save(path).unwrap();
-    }
-
     fn written() -> (tempfile::TempDir, FixtureScene) {
-        let (folder, scene) = (tempfile::tempdir().unwrap(), fixtures::scene(9));
-        fixtures::write_colmap(folder.path(), &scene, Encoding::Binary);
-        (folder, scene)
+        let scene = fixtures::scene(9);
+        (colmap_folder(&scene, Encoding::Binary), scene)
     }
 
     fn counted(data: &Dataset, name: &str) -> Option<Vec<bool>> {
@@ -218,10 +202,8 @@ mod tests {
         }
         write_mask(&folder.path().join("masks/left/001.png"), SIZE, 5);
         let options = LoadOptions { image_scale: Some(2), ..Default::default() };
-        let message = load(folder.path(), &options).unwrap_err().to_string();
-        for part in ["masks/left/001.png is 24x16 px", "images_2/left/001.png 12x8"] {
-            assert!(message.contains(part), "{message}");
-        }
+        let parts = ["masks/left/001.png is 24x16 px", "images_2/left/001.png 12x8"];
+        assert_refused(folder.path(), &options, &parts);
         write_mask(&folder.path().join("masks_2/left/001.png"), [12, 8], 2);
         let data = load(folder.path(), &options).unwrap();
         assert_eq!(counted(&data, "left/001.png"), Some(columns(12, 8, |x| x >= 2)));
@@ -231,8 +213,7 @@ mod tests {
     fn a_mask_that_leaves_nothing_is_refused_with_a_hint() {
         let (folder, _) = written();
         write_mask(&folder.path().join("masks/left/004.png"), SIZE, 24);
-        let message = load(folder.path(), &LoadOptions::default()).unwrap_err().to_string();
-        assert!(message.contains("left/004.png") && message.contains("--invert-masks"), "{message}");
+        assert_refused(folder.path(), &LoadOptions::default(), &["left/004.png", "--invert-masks"]);
         load(folder.path(), &LoadOptions { invert_masks: true, ..Default::default() }).unwrap();
     }
 
@@ -253,18 +234,11 @@ mod tests {
     #[test]
     fn frames_of_nerfstudio_name_their_masks() {
         let folder = tempfile::tempdir().unwrap();
-        let frame = |index: usize, mask: &str| {
-            fixtures::write_png(&folder.path().join(format!("images/{index}.png")), 24, 16, [50; 3]);
-            let matrix = fixtures::transform_matrix(&fixtures::pose(index, 3));
-            format!(r#"{{"file_path": "images/{index}.png", {mask} "transform_matrix": {matrix}}}"#)
-        };
-        let named = frame(1, r#""mask_path": "./other/first.png","#);
-        let frames = [frame(0, ""), named, frame(2, "")].join(",");
-        let path = folder.path().join("transforms.json");
-        std::fs::write(&path, format!(r#"{{"fl_x": 20.0, "frames": [{frames}]}}"#)).unwrap();
+        let frame = |index: usize, mask: &str| nerfstudio_frame(folder.path(), &index.to_string(), [index, 3], mask);
+        let frames = [frame(0, ""), frame(1, r#""mask_path": "./other/first.png","#), frame(2, "")];
+        write_transforms(&folder.path().join("transforms.json"), r#""fl_x": 20.0"#, &frames);
         let options = LoadOptions { test_every: 0, ..Default::default() };
-        let message = load(folder.path(), &options).unwrap_err().to_string();
-        assert!(message.contains("other/first.png") && message.contains("transforms.json"), "{message}");
+        assert_refused(folder.path(), &options, &["other/first.png", "transforms.json"]);
         write_mask(&folder.path().join("other/first.png"), SIZE, 4);
         write_mask(&folder.path().join("masks/2.png"), SIZE, 6);
         let data = load(folder.path(), &options).unwrap();

@@ -64,7 +64,6 @@ impl Picture {
         })
     }
 
-    /// Number of pixels.
     pub fn area(&self) -> usize {
         self.width * self.height
     }
@@ -79,12 +78,10 @@ impl Picture {
         std::array::from_fn(|channel| unit(self.bytes[3 * pixel + channel]))
     }
 
-    /// Whether the pixel counts.
     pub fn counts(&self, pixel: usize) -> bool {
         self.counted.as_ref().is_none_or(|counted| counted[pixel])
     }
 
-    /// Number of pixels that do not count.
     pub fn ignored_pixels(&self) -> usize {
         self.counted.as_ref().map_or(0, |counted| counted.iter().filter(|&&counts| !counts).count())
     }
@@ -95,7 +92,6 @@ impl Picture {
         self.alpha.as_ref().is_some_and(|alpha| alpha[pixel] <= TRANSPARENT) && self.counts(pixel)
     }
 
-    /// Alpha in 0..1 of a pixel.
     pub fn alpha(&self, pixel: usize) -> f32 {
         self.alpha.as_ref().map_or(1.0, |alpha| unit(alpha[pixel]))
     }
@@ -115,10 +111,14 @@ impl Picture {
         }
     }
 
-    /// Size in memory, bytes.
     pub fn size_bytes(&self) -> usize {
         self.bytes.len() + self.alpha.as_ref().map_or(0, Vec::len) + self.counted.as_ref().map_or(0, Vec::len)
     }
+}
+
+/// The linear light of a display-referred value, both in 0..1: the inverse of the transfer function of sRGB.
+pub(in crate::dataset) fn linear(value: f64) -> f64 {
+    if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
 }
 
 fn unit(byte: u8) -> f32 {

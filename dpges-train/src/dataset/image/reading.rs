@@ -44,7 +44,7 @@ pub(in crate::dataset) fn views(
         let with = |kept: usize| kept.checked_add(bytes).filter(|&kept| kept <= memory);
         kept_bytes.fetch_update(Ordering::SeqCst, Ordering::SeqCst, with).is_ok()
     };
-    let first = |frame: &&Frame| -> Result<Found> {
+    let first = |frame: &Frame| -> Result<Found> {
         if frames.len() > SAMPLED_VIEWS
             && let Some((camera, info)) = decoder.survey(frame)?
         {
@@ -56,8 +56,11 @@ pub(in crate::dataset) fn views(
         Ok(Found { camera, info, picture, was_read: true, depth })
     };
     let threads = reading_threads(thread_count(frames, memory));
-    let found: Vec<Result<Found>> = threads.install(|| frames.par_iter().map(first).collect());
-    let found: Vec<Found> = found.into_iter().collect::<Result<_>>()?;
+    // a bridge begins with the first frames, whose photographs shall stay
+    let first = || (0..frames.len()).par_bridge().map(|index| (index, first(frames[index]))).collect();
+    let mut found: Vec<(usize, Result<Found>)> = threads.install(first);
+    found.sort_by_key(|(index, _)| *index);
+    let found = found.into_iter().map(|(_, found)| found).collect::<Result<Vec<Found>>>()?;
     let all: usize = found.iter().map(|found| found.info.bytes).sum();
     let all_fit = all <= memory;
     let most_kept = if all_fit { memory } else { (memory as f64 * (1.0 - FOR_RECENT)) as usize };
@@ -98,8 +101,7 @@ pub(in crate::dataset) fn views(
 /// Number of threads that read photographs, so that what they take meanwhile, and one more that is needed now, fits into
 /// `memory`, bytes.
 fn thread_count(frames: &[&Frame], memory: usize) -> usize {
-    let largest =
-        frames.iter().map(|frame| frame.calibration.width.saturating_mul(frame.calibration.height)).max().unwrap_or(0);
+    let largest = frames.iter().map(|frame| frame.camera.width.saturating_mul(frame.camera.height)).max().unwrap_or(0);
     let each = largest.saturating_mul(WORKING_BYTES_PER_PIXEL).max(1);
     (memory / each).saturating_sub(1).clamp(1, rayon::current_num_threads())
 }
@@ -107,16 +109,13 @@ fn thread_count(frames: &[&Frame], memory: usize) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dataset::fixtures::{self, Encoding};
+    use crate::dataset::fixtures::{self, Encoding, assert_refused, assert_says, colmap_folder, write_mask};
     use crate::dataset::{Dataset, LoadOptions, load};
 
     /// Nine photographs of 24 × 16 px, one of them with a mask: 1152 bytes each, and 384 more.
     fn written() -> tempfile::TempDir {
-        let folder = tempfile::tempdir().unwrap();
-        fixtures::write_colmap(folder.path(), &fixtures::scene(9), Encoding::Binary);
-        let mask = folder.path().join("masks/left/001.png");
-        std::fs::create_dir_all(mask.parent().unwrap()).unwrap();
-        image::GrayImage::from_fn(24, 16, |x, _| image::Luma([u8::from(x > 2)])).save(mask).unwrap();
+        let folder = colmap_folder(&fixtures::scene(9), Encoding::Binary);
+        write_mask(&folder.path().join("masks/left/001.png"), [24, 16], 3);
         folder
     }
 
@@ -125,11 +124,11 @@ mod tests {
     }
 
     fn was_read(data: &Dataset) -> usize {
-        data.train.iter().chain(&data.test).filter(|view| view.photograph.was_read()).count()
+        data.views().filter(|view| view.photograph.was_read()).count()
     }
 
     fn kept(data: &Dataset) -> Vec<&str> {
-        let views = data.train.iter().chain(&data.test).filter(|view| view.photograph.is_kept());
+        let views = data.views().filter(|view| view.photograph.is_kept());
         views.map(|view| view.name.as_str()).collect()
     }
 
@@ -161,24 +160,20 @@ mod tests {
         let data = read(&folder, 0);
         std::fs::remove_file(folder.path().join("images/left/003.png")).unwrap();
         let view = data.train.iter().find(|view| view.name == "left/003.png").unwrap();
-        let message = view.picture().unwrap_err().to_string();
-        assert!(message.contains("left/003.png") && message.contains("cannot read"), "{message}");
+        assert_says(view.picture().unwrap_err(), &["left/003.png", "cannot read"]);
     }
 
     #[test]
     fn of_many_photographs_only_those_are_read_whose_header_does_not_say_all() {
-        let folder = tempfile::tempdir().unwrap();
-        fixtures::write_colmap(folder.path(), &fixtures::scene(SAMPLED_VIEWS + 6), Encoding::Binary);
+        let folder = colmap_folder(&fixtures::scene(SAMPLED_VIEWS + 6), Encoding::Binary);
         fixtures::write_rgba(&folder.path().join("images/left/011.png"), 24, 16, [200, 100, 0, 51]);
-        let mask = folder.path().join("masks/left/017.png");
-        std::fs::create_dir_all(mask.parent().unwrap()).unwrap();
-        image::GrayImage::from_fn(24, 16, |x, _| image::Luma([u8::from(x > 2)])).save(mask).unwrap();
+        write_mask(&folder.path().join("masks/left/017.png"), [24, 16], 3);
         let bytes = (SAMPLED_VIEWS + 6) * 1152 + 2 * 384;
         for (memory, stay, spare) in [(bytes + 5, SAMPLED_VIEWS + 6, 5), (bytes - 1, 52, 0), (0, 0, 0)] {
             let data = read(&folder, memory);
             assert_eq!((was_read(&data), kept(&data).len(), data.spare_memory), (2, stay, spare));
             let mut seen = 2;
-            for view in data.train.iter().chain(&data.test) {
+            for view in data.views() {
                 let index = view.name[5..8].parse::<usize>().unwrap();
                 seen += usize::from(!view.photograph.was_read());
                 let picture = view.picture().unwrap();
@@ -193,27 +188,17 @@ mod tests {
 
     #[test]
     fn a_broken_photograph_of_many_is_named_when_it_is_needed() {
-        let folder = tempfile::tempdir().unwrap();
-        fixtures::write_colmap(folder.path(), &fixtures::scene(SAMPLED_VIEWS + 6), Encoding::Binary);
+        let folder = colmap_folder(&fixtures::scene(SAMPLED_VIEWS + 6), Encoding::Binary);
         let path = folder.path().join("images/left/013.png");
         let whole = std::fs::read(&path).unwrap();
         // the header, and the begin of the pixels
         std::fs::write(&path, &whole[..46]).unwrap();
         let data = read(&folder, 0);
-        let failed: Vec<String> = data
-            .train
-            .iter()
-            .chain(&data.test)
-            .filter_map(|view| view.picture().err())
-            .map(|e| e.to_string())
-            .collect();
+        let failed: Vec<_> = data.views().filter_map(|view| view.picture().err()).collect();
         assert_eq!(failed.len(), 1, "{failed:?}");
-        for part in ["cannot read the photograph", "left/013.png", "cannot be decoded"] {
-            assert!(failed[0].contains(part), "{failed:?}");
-        }
+        assert_says(&failed[0], &["cannot read the photograph", "left/013.png", "cannot be decoded"]);
         // another size is noticed at once
         fixtures::write_png(&path, 24, 20, [0; 3]);
-        let message = load(folder.path(), &LoadOptions::default()).unwrap_err().to_string();
-        assert!(message.contains("left/013.png") && message.contains("24x20"), "{message}");
+        assert_refused(folder.path(), &LoadOptions::default(), &["left/013.png", "24x20"]);
     }
 }

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use super::camera_model::{self, CameraRecord};
 use super::{ImageRecord, PointRecord, PointRecords};
-use crate::dataset::error::{DatasetError, Result};
+use crate::dataset::error::{DatasetError, Result, unreadable};
 
 const CAMERA_BYTES: usize = 24;
 const IMAGE_BYTES: usize = 4 + 7 * 8 + 4 + 1 + 8;
@@ -74,12 +74,8 @@ pub(super) fn points(path: &Path) -> Result<PointRecords<'_>> {
         let track = || format!("the track of point {index} of {count}");
         let observations = bytes.count(OBSERVATION_BYTES, track)?;
         let mut fields = bytes.record(observations * OBSERVATION_BYTES, track)?;
-        let track = (0..observations)
-            .map(|_| {
-                let (image, _keypoint) = (fields.u32(), fields.u32());
-                image
-            })
-            .collect();
+        // each is the number of an image, then that of a keypoint
+        let track = (0..observations).map(|_| [fields.u32(), fields.u32()][0]).collect();
         Ok(PointRecord { position, rgb, track })
     });
     Ok(PointRecords { count, observations, records: Box::new(records) })
@@ -101,23 +97,21 @@ impl<'a> Bytes<'a> {
             let left = file.metadata()?.len();
             Ok(Self { path, reader: BufReader::new(file), left, record: Vec::new() })
         };
-        open().map_err(|source| DatasetError::Read { path: path.to_owned(), source })
+        open().map_err(unreadable(path))
     }
 
     /// The next `length` bytes.
     fn record(&mut self, length: usize, what: impl Fn() -> String) -> Result<Fields<'_>> {
         self.take(length as u64, what)?;
         self.record.resize(length, 0);
-        let read = self.reader.read_exact(&mut self.record);
-        read.map_err(|source| DatasetError::Read { path: self.path.to_owned(), source })?;
+        self.reader.read_exact(&mut self.record).map_err(unreadable(self.path))?;
         Ok(Fields(&self.record))
     }
 
     /// Passes by the next `length` bytes.
     fn skip(&mut self, length: usize, what: impl Fn() -> String) -> Result<()> {
         self.take(length as u64, what)?;
-        let moved = self.reader.seek_relative(length as i64);
-        moved.map_err(|source| DatasetError::Read { path: self.path.to_owned(), source })
+        self.reader.seek_relative(length as i64).map_err(unreadable(self.path))
     }
 
     fn take(&mut self, length: u64, what: impl Fn() -> String) -> Result<()> {
@@ -136,8 +130,7 @@ impl<'a> Bytes<'a> {
     /// A name that ends with a zero byte.
     fn name(&mut self, what: impl Fn() -> String) -> Result<String> {
         let mut name = Vec::new();
-        let read = self.reader.read_until(0, &mut name);
-        read.map_err(|source| DatasetError::Read { path: self.path.to_owned(), source })?;
+        self.reader.read_until(0, &mut name).map_err(unreadable(self.path))?;
         if name.pop() != Some(0) {
             return Err(self.truncated(what(), self.left + 1));
         }

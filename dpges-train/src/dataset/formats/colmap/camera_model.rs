@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use dpges_core::camera::{Distortion, Projection};
+use dpges_core::camera::{Camera, CameraFromWorld, Distortion, Projection};
 
-use super::super::calibration::Calibration;
+use super::super::source::lens;
 use crate::dataset::error::{DatasetError, Result};
 
 /// Models by numeric id: name and number of parameters.
@@ -42,7 +42,7 @@ pub(super) struct CameraRecord {
 impl CameraRecord {
     /// # Errors
     /// [`DatasetError::CameraModel`] for unknown models, [`DatasetError::Malformed`] for a wrong number of parameters.
-    pub fn calibration(&self, path: &Path) -> Result<Calibration> {
+    pub fn camera(&self, path: &Path, camera_from_world: CameraFromWorld) -> Result<Camera> {
         let perspective = Distortion::new(Projection::Perspective);
         let bent = |k: [f64; 6], tangential: [f64; 2]| Distortion {
             numerator: [k[0], k[1], k[2], 0.0, 0.0, 0.0],
@@ -100,8 +100,8 @@ impl CameraRecord {
                 });
             }
         };
-        let [fx, fy] = focal;
-        let [cx, cy] = centre;
-        Ok(Calibration { width: self.width as usize, height: self.height as usize, fx, fy, cx, cy, distortion })
+        let ([fx, fy], [cx, cy], lens) = (focal, centre, lens(distortion));
+        let (width, height) = (self.width as usize, self.height as usize);
+        Ok(Camera { camera_from_world, fx, fy, cx, cy, width, height, near: 0.0, lens })
     }
 }

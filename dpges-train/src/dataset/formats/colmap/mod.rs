@@ -16,7 +16,8 @@ use glam::DVec3;
 use self::camera_model::CameraRecord;
 use super::source::{Frame, RawPoints, Source};
 use super::split;
-use crate::dataset::error::{DatasetError, Result, listing};
+use crate::dataset::error::{DatasetError, Result, unreadable};
+use crate::dataset::names::listing;
 use crate::dataset::{Format, LoadOptions, Tracks};
 
 /// A registered image.
@@ -119,7 +120,7 @@ fn largest_model(sparse: &Path) -> Result<(PathBuf, Vec<ImageRecord>)> {
     let holds_model =
         |folder: &PathBuf| ["bin", "txt"].iter().any(|ext| folder.join("cameras").with_extension(ext).is_file());
     let mut folders: Vec<PathBuf> = std::fs::read_dir(sparse)
-        .map_err(|source| DatasetError::Read { path: sparse.to_owned(), source })?
+        .map_err(unreadable(sparse))?
         .flatten()
         .map(|entry| entry.path())
         .chain([sparse.to_owned()])
@@ -161,12 +162,12 @@ fn frames(
                 let found = format!("{}, which {} does not hold", image.camera_id, cameras_path.display());
                 DatasetError::malformed(described_in, what, found, "the id of a camera")
             })?;
+            let camera_from_world = CameraFromWorld::from_quaternion(image.wxyz, image.translation.into());
             Ok(Frame {
                 name: image.name.clone(),
                 image: root.join("images").join(&image.name),
                 mask: None,
-                calibration: camera.calibration(&cameras_path)?,
-                camera_from_world: CameraFromWorld::from_quaternion(image.wxyz, image.translation.into()),
+                camera: camera.camera(&cameras_path, camera_from_world)?,
                 split,
                 described_in: described_in.to_owned(),
                 depth: None,

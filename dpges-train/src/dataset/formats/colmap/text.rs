@@ -11,19 +11,17 @@ use crate::dataset::error::{DatasetError, Result, read};
 /// [`DatasetError::Read`], [`DatasetError::Malformed`] with the line.
 pub(super) fn cameras(path: &Path) -> Result<Vec<CameraRecord>> {
     let text = text(path)?;
-    lines(&text)
-        .filter(|line| line.is_entry())
-        .map(|line| {
-            let mut words = line.words(path, "CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]");
-            Ok(CameraRecord {
-                id: words.next()?,
-                model: words.next()?,
-                width: words.next()?,
-                height: words.next()?,
-                params: words.rest()?,
-            })
+    let camera = |mut line: Line| {
+        Ok(CameraRecord {
+            id: line.next()?,
+            model: line.next()?,
+            width: line.next()?,
+            height: line.next()?,
+            params: line.rest()?,
         })
-        .collect()
+    };
+    let lines = lines(path, &text, "CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]");
+    lines.filter(Line::is_entry).map(camera).collect()
 }
 
 /// An image has two lines; the second, its keypoints, may be empty.
@@ -32,21 +30,21 @@ pub(super) fn cameras(path: &Path) -> Result<Vec<CameraRecord>> {
 /// [`DatasetError::Read`], [`DatasetError::Malformed`] with the line.
 pub(super) fn images(path: &Path) -> Result<Vec<ImageRecord>> {
     let text = text(path)?;
-    let mut lines = lines(&text);
+    let mut lines = lines(path, &text, "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME");
     let mut images = Vec::new();
-    while let Some(line) = lines.by_ref().find(|line| line.is_entry()) {
-        let mut words = line.words(path, "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME");
+    while let Some(mut line) = lines.by_ref().find(Line::is_entry) {
         images.push(ImageRecord {
-            id: words.next()?,
-            wxyz: [words.next()?, words.next()?, words.next()?, words.next()?],
-            translation: [words.next()?, words.next()?, words.next()?],
-            camera_id: words.next()?,
-            name: words.remainder()?,
+            id: line.next()?,
+            wxyz: [line.next()?, line.next()?, line.next()?, line.next()?],
+            translation: [line.next()?, line.next()?, line.next()?],
+            camera_id: line.next()?,
+            name: line.remainder()?,
         });
         if let Some(keypoints) = lines.next()
             && keypoints.text.split_whitespace().count() % 3 != 0
         {
-            return Err(keypoints.malformed(path, "X Y POINT3D_ID triples or an empty line after each image"));
+            let layout = "X Y POINT3D_ID triples or an empty line after each image";
+            return Err(Line { layout, ..keypoints }.malformed());
         }
     }
     Ok(images)
@@ -56,19 +54,16 @@ pub(super) fn images(path: &Path) -> Result<Vec<ImageRecord>> {
 /// [`DatasetError::Read`], [`DatasetError::Malformed`] with the line.
 pub(super) fn points(path: &Path) -> Result<PointRecords<'_>> {
     let text = text(path)?;
-    let records: Result<Vec<PointRecord>> = lines(&text)
-        .filter(|line| line.is_entry())
-        .map(|line| {
-            let mut words = line.words(path, "POINT3D_ID X Y Z R G B ERROR TRACK[] as (IMAGE_ID POINT2D_IDX)");
-            let _id: u64 = words.next()?;
-            let position = [words.next()?, words.next()?, words.next()?];
-            let rgb = [words.next()?, words.next()?, words.next()?];
-            let _error: f64 = words.next()?;
-            let track: Vec<u32> = words.rest()?.chunks(2).map(|observation: &[u32]| observation[0]).collect();
-            Ok(PointRecord { position, rgb, track })
-        })
-        .collect();
-    let records = records?;
+    let point = |mut line: Line| {
+        let _id: u64 = line.next()?;
+        let position = [line.next()?, line.next()?, line.next()?];
+        let rgb = [line.next()?, line.next()?, line.next()?];
+        let _error: f64 = line.next()?;
+        let track: Vec<u32> = line.rest()?.chunks(2).map(|observation: &[u32]| observation[0]).collect();
+        Ok(PointRecord { position, rgb, track })
+    };
+    let lines = lines(path, &text, "POINT3D_ID X Y Z R G B ERROR TRACK[] as (IMAGE_ID POINT2D_IDX)");
+    let records = lines.filter(Line::is_entry).map(point).collect::<Result<Vec<PointRecord>>>()?;
     let observations = records.iter().map(|record| record.track.len()).sum();
     Ok(PointRecords { count: records.len(), observations, records: Box::new(records.into_iter().map(Ok)) })
 }
@@ -77,57 +72,46 @@ fn text(path: &Path) -> Result<String> {
     Ok(String::from_utf8_lossy(&read(path)?).into_owned())
 }
 
-fn lines(text: &str) -> impl Iterator<Item = Line<'_>> {
-    text.lines().zip(1..).map(|(text, number)| Line { number, text: text.trim() })
+/// `layout` is that of the entries, for messages.
+fn lines<'a>(path: &'a Path, text: &'a str, layout: &'static str) -> impl Iterator<Item = Line<'a>> {
+    text.lines().map(str::trim).zip(1..).map(move |(text, number)| Line { path, layout, number, text, unread: text })
 }
 
-#[derive(Clone, Copy)]
 struct Line<'a> {
+    path: &'a Path,
+    layout: &'static str,
     number: usize,
     text: &'a str,
+    unread: &'a str,
 }
 
-impl<'a> Line<'a> {
-    fn is_entry(self) -> bool {
+impl Line<'_> {
+    fn is_entry(&self) -> bool {
         !self.text.is_empty() && !self.text.starts_with('#')
     }
 
-    fn words(self, path: &'a Path, layout: &'static str) -> Words<'a> {
-        Words { line: self, path, layout, rest: self.text }
-    }
-
-    fn malformed(self, path: &Path, expected: &'static str) -> DatasetError {
+    fn malformed(&self) -> DatasetError {
         let shown: String = self.text.chars().take(60).collect();
-        DatasetError::malformed(path, format!("line {}", self.number), format!("`{shown}`"), expected)
+        DatasetError::malformed(self.path, format!("line {}", self.number), format!("`{shown}`"), self.layout)
     }
-}
 
-/// The unread words of a line.
-struct Words<'a> {
-    line: Line<'a>,
-    path: &'a Path,
-    layout: &'static str,
-    rest: &'a str,
-}
-
-impl Words<'_> {
+    /// The next word.
     fn next<T: FromStr>(&mut self) -> Result<T> {
-        let rest = self.rest.trim_start();
-        let (word, rest) = rest.split_at(rest.find(char::is_whitespace).unwrap_or(rest.len()));
-        self.rest = rest;
-        word.parse().map_err(|_| self.line.malformed(self.path, self.layout))
+        let unread = self.unread.trim_start();
+        let (word, unread) = unread.split_at(unread.find(char::is_whitespace).unwrap_or(unread.len()));
+        self.unread = unread;
+        word.parse().map_err(|_| self.malformed())
     }
 
     /// All words that are left.
-    fn rest<T: FromStr>(&mut self) -> Result<Vec<T>> {
-        let words = std::mem::take(&mut self.rest).split_whitespace().map(str::parse);
-        words.collect::<Result<_, _>>().map_err(|_| self.line.malformed(self.path, self.layout))
+    fn rest<T: FromStr>(&self) -> Result<Vec<T>> {
+        self.unread.split_whitespace().map(str::parse).collect::<Result<_, _>>().map_err(|_| self.malformed())
     }
 
     /// The rest of the line, unchanged: names may contain spaces.
-    fn remainder(&mut self) -> Result<String> {
-        match std::mem::take(&mut self.rest).trim() {
-            "" => Err(self.line.malformed(self.path, self.layout)),
+    fn remainder(&self) -> Result<String> {
+        match self.unread.trim() {
+            "" => Err(self.malformed()),
             text => Ok(text.to_owned()),
         }
     }
