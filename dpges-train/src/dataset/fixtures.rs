@@ -118,8 +118,8 @@ pub(crate) fn transform_matrix(pose: &CameraFromWorld) -> String {
     format!("[{}, [0, 0, 0, 1]]", rows.join(", "))
 }
 
-/// A frame of a nerfstudio dataset, one of `count` around the origin, and its image `images/NAME.png` of 24 × 16 px. `extra` are
-/// other entries, each with a comma after it.
+/// A frame of a nerfstudio dataset, one of `count` around the origin, and its image `images/NAME.png` of 24 × 16 px. `extra`
+/// are other entries, each with a comma after it.
 pub(crate) fn nerfstudio_frame(folder: &Path, name: &str, [index, count]: [usize; 2], extra: &str) -> String {
     write_png(&folder.join(format!("images/{name}.png")), 24, 16, [index as u8 * 10, 0, 0]);
     let matrix = transform_matrix(&pose(index, count));

@@ -75,9 +75,6 @@ fn in_short<S: Serializer>(camera: &Camera, serializer: S) -> Result<S::Ok, S::E
 type Detail = [[f64; 2]; 2];
 
 /// Properties of training, held-out and validation views.
-///
-/// # Errors
-/// [`dpges_core::Error::Io`] if a photograph cannot be read again.
 pub(super) fn facts(dataset: &Dataset, effort: Effort) -> dpges_core::Result<Vec<ViewFacts>> {
     let sets = [(Role::Train, &dataset.train), (Role::Test, &dataset.test), (Role::Validation, &dataset.validation)];
     let views: Vec<(Role, &View)> =

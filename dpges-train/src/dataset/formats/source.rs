@@ -56,8 +56,8 @@ pub(super) fn lens(distortion: Distortion) -> Option<Lens> {
     (!distortion.is_pinhole()).then(|| Lens::new(distortion))
 }
 
-/// Whether an image of size `found` (width and height, px) is a whole photograph of size `full` made smaller or larger, each side
-/// rounded by up to a pixel.
+/// Whether an image of size `found` (width and height, px) is a whole photograph of size `full` made smaller or larger, each
+/// side rounded by up to a pixel.
 fn is_resized(found: [usize; 2], full: [usize; 2]) -> bool {
     let scales = |axis: usize| [-1.0, 1.0].map(|rounding| (found[axis] as f64 + rounding) / full[axis] as f64);
     let ([low_x, high_x], [low_y, high_y]) = (scales(0), scales(1));
