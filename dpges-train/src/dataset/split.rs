@@ -3,10 +3,12 @@
 use std::fmt;
 
 use clap::ValueEnum;
+use serde::Serialize;
 
 use super::{Dataset, View};
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ValueEnum)]
+#[serde(rename_all = "lowercase")]
 pub enum Split {
     /// Views held out from training
     Test,

@@ -1,5 +1,7 @@
 //! Properties of each view: the only place that looks at pixels.
 
+use std::sync::Arc;
+
 use dpges_core::camera::Camera;
 use glam::DVec3;
 use rayon::prelude::*;
@@ -10,7 +12,7 @@ use super::points::Cells;
 use super::statistics::median;
 use super::{Effort, MOST_POINTS, QUICK_PIXELS};
 use crate::dataset::image::picture::linear;
-use crate::dataset::{Dataset, Picture, PointCloud, View};
+use crate::dataset::{Dataset, Picture, PointCloud, Split, View, pictures};
 
 /// Points of a view that are compared in brightness: at least, at most.
 const FEWEST_POINTS: usize = 20;
@@ -19,21 +21,11 @@ const MOST_COMPARED: usize = 2000;
 const CLIPPED: f32 = 0.98;
 const DARK: f64 = 0.005;
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Role {
-    Train,
-    /// Held out.
-    Test,
-    /// Kept for decisions during training.
-    Validation,
-}
-
 /// Properties of one view. Numbers are `None` where the dataset does not say, or where they were not measured.
 #[derive(Clone, Debug, Serialize)]
 pub struct ViewFacts {
     pub name: String,
-    pub role: Role,
+    pub split: Split,
     /// Its pose, size and focal lengths; in JSON the camera centre, width, height and focal lengths.
     #[serde(flatten, serialize_with = "in_short")]
     pub camera: Camera,
@@ -76,8 +68,8 @@ type Detail = [[f64; 2]; 2];
 
 /// Properties of training, held-out and validation views.
 pub(super) fn facts(dataset: &Dataset, effort: Effort) -> dpges_core::Result<Vec<ViewFacts>> {
-    let sets = [(Role::Train, &dataset.train), (Role::Test, &dataset.test), (Role::Validation, &dataset.validation)];
-    let views: Vec<(Role, &View)> =
+    let sets = [(Split::Train, &dataset.train), (Split::Test, &dataset.test), (Split::Validation, &dataset.validation)];
+    let views: Vec<(Split, &View)> =
         sets.into_iter().flat_map(|(role, views)| views.iter().map(move |view| (role, view))).collect();
     let area: usize = views.iter().map(|(_, view)| view.camera.width * view.camera.height).sum();
     let looks = effort == Effort::Full || area <= QUICK_PIXELS;
@@ -90,12 +82,21 @@ pub(super) fn facts(dataset: &Dataset, effort: Effort) -> dpges_core::Result<Vec
         .step_by(dataset.points.positions.len().div_ceil(MOST_POINTS).max(1))
         .map(|position| DVec3::from_array(position.map(f64::from)))
         .collect();
-    let measured = views.par_iter().enumerate().map(|(index, &(role, view))| -> dpges_core::Result<_> {
-        let picture = if looks { Some(view.picture()?) } else { None };
-        Ok(measure(dataset, role, view, picture.as_deref(), seen.get(index).map(Vec::as_slice), &some))
-    });
-    let measured: Vec<_> = measured.collect::<dpges_core::Result<_>>()?;
-    let (mut facts, details): (Vec<ViewFacts>, Vec<Option<Detail>>) = measured.into_iter().unzip();
+    let facts_of = |index: usize, picture: Option<Arc<Picture>>| {
+        let (role, view) = views[index];
+        measure(dataset, role, view, picture.as_deref(), seen.get(index).map(Vec::as_slice), &some)
+    };
+    let mut measured: Vec<(usize, _)> = if looks {
+        // one after another, and the next ahead: no more are in memory than the dataset allows
+        let pictures = pictures(views.iter().map(|(_, view)| *view)).enumerate().par_bridge();
+        let measured = pictures.map(|(index, (_, picture))| Ok((index, facts_of(index, Some(picture?)))));
+        measured.collect::<dpges_core::Result<_>>()?
+    } else {
+        (0..views.len()).into_par_iter().map(|index| (index, facts_of(index, None))).collect()
+    };
+    measured.sort_by_key(|(index, _)| *index);
+    let measured = measured.into_iter().map(|(_, measured)| measured);
+    let (mut facts, details): (Vec<ViewFacts>, Vec<Option<Detail>>) = measured.unzip();
     relate(&mut facts, &details);
     Ok(facts)
 }
@@ -104,7 +105,7 @@ pub(super) fn facts(dataset: &Dataset, effort: Effort) -> dpges_core::Result<Vec
 /// points of all. Its exposure is not yet related to that of others.
 fn measure(
     dataset: &Dataset,
-    role: Role,
+    role: Split,
     view: &View,
     picture: Option<&Picture>,
     seen: Option<&[u32]>,

@@ -6,9 +6,10 @@ use std::fmt;
 use glam::DVec3;
 use serde::Serialize;
 
-use super::facts::{Role, ViewFacts};
+use super::facts::ViewFacts;
 use super::luma::difference;
 use super::statistics::{Range, median};
+use crate::dataset::Split;
 use crate::dataset::names::list;
 
 /// Distances, relative to the spread of the cameras, beyond which a camera is far: from their middle, and from the next.
@@ -225,7 +226,7 @@ fn duplicates(views: &[ViewFacts]) -> Option<Finding> {
 }
 
 fn unexplained(views: &[ViewFacts]) -> Option<Finding> {
-    let train = views.iter().filter(|view| view.role == Role::Train);
+    let train = views.iter().filter(|view| view.role == Split::Train);
     let shares: Vec<f64> = train.filter_map(|view| view.unexplained).collect();
     let mean = shares.iter().sum::<f64>() / shares.len().max(1) as f64;
     let message = format!("{:.0} % of what the pictures show has no points", 100.0 * mean);
@@ -234,7 +235,7 @@ fn unexplained(views: &[ViewFacts]) -> Option<Finding> {
 }
 
 fn few_views(views: &[ViewFacts]) -> Option<Finding> {
-    let count = views.iter().filter(|view| view.role == Role::Train).count();
+    let count = views.iter().filter(|view| view.role == Split::Train).count();
     let message = format!("there are only {count} training views");
     let advice = "expect good pictures near them only; more photographs help, and holding out fewer (--test-every)";
     (count < FEW_VIEWS).then(|| overall(Kind::FewViews, message, advice))

@@ -5,9 +5,9 @@ use std::fmt::Write;
 use dpges_core::camera::Camera;
 use glam::{DMat3, DVec3};
 
+use super::Report;
 use super::findings::middle;
-use super::{Report, Role};
-use crate::dataset::Dataset;
+use crate::dataset::{Dataset, Split};
 use crate::init::sky_detection::upwards;
 
 /// Points on a map at most.
@@ -60,9 +60,9 @@ pub fn svg(dataset: &Dataset, report: &Report) -> String {
             let flagged = report.is_flagged(&view.name);
             let (colour, _) = COLOURS[match view.role {
                 _ if flagged => 3,
-                Role::Train => 0,
-                Role::Test => 1,
-                Role::Validation => 2,
+                Split::Train => 0,
+                Split::Test => 1,
+                Split::Validation => 2,
             }];
             let ((x, y), (to_x, to_y)) = (at(eye), at(eye + LOOK * 2.0 * half * forward));
             line(format_args!("<path d=\"M{x:.1} {y:.1}L{to_x:.1} {to_y:.1}\" stroke=\"{colour}\"/>"));

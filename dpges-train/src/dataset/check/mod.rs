@@ -21,7 +21,7 @@ mod tests;
 
 use serde::Serialize;
 
-pub use facts::{Role, ViewFacts};
+pub use facts::ViewFacts;
 pub use findings::{Finding, Kind};
 pub use statistics::Range;
 

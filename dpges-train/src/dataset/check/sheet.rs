@@ -5,10 +5,9 @@ use epaint_default_fonts::UBUNTU_LIGHT;
 use image::{Rgb, RgbImage, imageops};
 use plotters::prelude::{BitMapBackend, IntoDrawingArea, IntoFont, RGBColor, Text};
 use plotters::style::{FontStyle, register_font};
-use rayon::prelude::*;
 
 use super::Report;
-use crate::dataset::{Dataset, Picture, View};
+use crate::dataset::{Dataset, Picture, View, pictures};
 
 /// Photographs on a sheet at most: those that are marked, and an even choice of the others.
 const MOST: usize = 400;
@@ -47,8 +46,9 @@ pub fn contact_sheet(dataset: &Dataset, report: &Report) -> Result<Rgb8Image, Sh
     let step = dataset.views().count().div_ceil(MOST).max(1);
     let is_chosen = |&(index, view): &(usize, &View)| index % step == 0 || report.is_flagged(&view.name);
     let chosen: Vec<&View> = dataset.views().enumerate().filter(is_chosen).map(|(_, view)| view).collect();
-    let small: Vec<RgbImage> =
-        chosen.par_iter().map(|view| Ok(small(&*view.picture()?))).collect::<dpges_core::Result<_>>()?;
+    let small: Vec<RgbImage> = pictures(chosen.iter().copied())
+        .map(|(_, picture)| Ok(small(&*picture?)))
+        .collect::<dpges_core::Result<_>>()?;
     let columns = COLUMNS.min(chosen.len()).max(1);
     let [width, height] = [columns * CELL[0] + SPACE, chosen.len().div_ceil(columns) * CELL[1] + SPACE];
     let mut sheet = RgbImage::from_pixel(width as u32, height as u32, Rgb([255; 3]));

@@ -2,23 +2,23 @@
 
 use std::collections::BTreeMap;
 
-use super::{Report, Role, ViewFacts};
-use crate::dataset::Dataset;
+use super::{Report, ViewFacts};
 use crate::dataset::names::list_up_to;
+use crate::dataset::{Dataset, Split};
 
 /// Different sizes or lenses that are listed before the rest is counted.
 const LISTED: usize = 4;
 
 /// Names and values; those of the report are medians, with the 5th and 95th percentile.
 pub fn rows(dataset: &Dataset, report: &Report) -> Vec<(&'static str, String)> {
-    let count = |role: Role| report.views.iter().filter(|view| view.role == role).count();
+    let count = |role: Split| report.views.iter().filter(|view| view.role == role).count();
     let points = match report.views_per_point {
         _ if report.points == 0 => "none: surfaces are found by training alone".to_owned(),
         Some(views) => format!("{}, each seen by {views:.1} views on average", report.points),
         None => format!("{}; it is not known which view saw which", report.points),
     };
     let mut rows = vec![
-        ("views", format!("{} for training, {} held out", count(Role::Train), count(Role::Test))),
+        ("views", format!("{} for training, {} held out", count(Split::Train), count(Split::Test))),
         ("pictures", counted(&report.views, |view| format!("{} x {} px", view.camera.width, view.camera.height))),
         ("cameras", counted(&report.views, lens)),
         ("extent", format!("{:.3} world units", dataset.extent)),

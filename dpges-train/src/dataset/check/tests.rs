@@ -5,7 +5,7 @@ use glam::DVec3;
 
 use super::*;
 use crate::dataset::fixtures::assert_says;
-use crate::dataset::{BuiltinOptions, Picture, Tracks, View, builtin};
+use crate::dataset::{BuiltinOptions, Picture, Split, Tracks, View, builtin};
 
 /// Width and height of the photographs, px.
 const SIZE: usize = 96;
@@ -87,10 +87,10 @@ fn a_clean_dataset_has_no_findings() {
     assert_eq!((report.views.len(), report.points), (30, 2000));
     assert!(report.views_per_point.unwrap() > 2.0);
     let train = &report.views[0];
-    assert_eq!((train.name.as_str(), train.role), ("train_000", Role::Train));
+    assert_eq!((train.name.as_str(), train.role), ("train_000", Split::Train));
     assert!(train.points_seen.unwrap() > 100 && train.coverage.unwrap() > 0.5, "{train:?}");
     let test = report.views.last().unwrap();
-    assert_eq!((test.role, test.points_seen, test.coverage, test.exposure), (Role::Test, None, None, None));
+    assert_eq!((test.role, test.points_seen, test.coverage, test.exposure), (Split::Test, None, None, None));
     assert!(test.unexplained.unwrap() < 0.5 && test.sharpness.is_some(), "{test:?}");
     assert_eq!(Report::of(&dataset, Effort::Quick).unwrap().findings, []);
 }
