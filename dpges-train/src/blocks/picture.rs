@@ -80,9 +80,6 @@ impl Ground {
 
 impl Plan {
     /// Writes `plan.json` and `plan.png` to `folder`.
-    ///
-    /// # Errors
-    /// If a file cannot be written.
     pub fn save(&self, folder: &Path, dataset: &Dataset) -> Result<()> {
         std::fs::create_dir_all(folder).map_err(|source| Error::Io {
             action: "cannot make folder",
@@ -96,9 +93,6 @@ impl Plan {
 
 /// The picture: points grey; every block a rectangle in a colour of its own, with its number and, where there is room, its points
 /// and its cameras, and grown in a thinner line; cameras in the colour of their block, or dark if they have several.
-///
-/// # Errors
-/// [`BlocksError::Picture`] is a fault of the program.
 fn draw(plan: &Plan, dataset: &Dataset) -> Result<Rgb8Image> {
     plot_font::register().map_err(BlocksError::Picture)?;
     let views: Vec<&View> = dataset.train.iter().chain(&dataset.validation).chain(&dataset.test).collect();

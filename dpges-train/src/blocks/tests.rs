@@ -21,13 +21,8 @@ fn dataset() -> Dataset {
     builtin(&options)
 }
 
-fn config(set: &[&str]) -> Config {
-    let set: Vec<String> = set.iter().map(|&text| text.to_owned()).collect();
-    Config::resolve(None, None, &set).unwrap()
-}
-
 fn plan(set: &[&str], limit: Limit) -> Result<Plan, BlocksError> {
-    Plan::new("builtin".into(), &dataset(), config(set), limit)
+    Plan::new("builtin".into(), &dataset(), Config::with(set).unwrap(), limit)
 }
 
 /// Where the points of the built-in scene are: a surfel and a Gaussian at each.
@@ -154,7 +149,7 @@ fn a_step_with_other_options_is_refused() {
     assert!(!other.is_in(Path::new("nowhere")).unwrap());
     let capture = Capture::open(at.path()).unwrap();
     let folder = capture.run_folder(Step::Coarse);
-    folder.start(&Origin::new("builtin", "cpu"), &config(&["train.steps=9"])).unwrap();
+    folder.start(&Origin::new("builtin", "cpu"), &Config::with(&["train.steps=9"]).unwrap()).unwrap();
     write_json(&folder.checkpoint(), &"of a step").unwrap();
     let message = capture.left(Step::Coarse).unwrap_err().to_string();
     assert!(message.contains("`train.steps` is 9, not 300") && message.contains("coarse"), "{message}");
@@ -168,7 +163,7 @@ fn captures_that_cannot_be_split_are_refused() {
     assert!(message(&[], Limit::Blocks(501)).contains("at most"));
     let mut without = dataset();
     without.points = Default::default();
-    let error = Plan::new("garden".into(), &without, config(&[]), Limit::Blocks(2)).unwrap_err().to_string();
+    let error = Plan::new("garden".into(), &without, Config::default(), Limit::Blocks(2)).unwrap_err().to_string();
     assert!(error.contains("garden has no points"), "{error}");
     let nowhere = Capture::open(Path::new("nowhere")).unwrap_err().to_string();
     assert!(nowhere.contains("dpges blocks plan DATASET --out nowhere"), "{nowhere}");

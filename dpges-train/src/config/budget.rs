@@ -39,11 +39,10 @@ value!(
 #[serde(untagged, expecting = "expected pixels, auto, a whole number of primitives or a size such as 12.5MB")]
 enum Written {
     Whole(i64),
-    Fraction(f64),
     Text(String),
 }
 
-fn unknown(text: impl fmt::Display) -> String {
+fn unknown(text: &str) -> String {
     format!("budget `{text}` is neither pixels, auto, a whole number of primitives nor a size such as 12.5MB")
 }
 
@@ -87,7 +86,6 @@ impl TryFrom<Written> for Budget {
     fn try_from(written: Written) -> Result<Self, String> {
         match written {
             Written::Whole(number) => number.to_string().parse(),
-            Written::Fraction(number) => Err(unknown(number)),
             Written::Text(text) => text.parse(),
         }
     }
@@ -139,7 +137,7 @@ mod tests {
 
     #[test]
     fn an_automatic_budget_alone_keeps_no_views_of_few() {
-        let every = |set: &str, views| Config::resolve(None, None, &[set.to_owned()]).unwrap().validation_every(views);
+        let every = |set: &str, views| Config::with(&[set]).unwrap().validation_every(views);
         assert_eq!([31, 32].map(|views| every("refine.budget=auto", views)), [0, 8]);
         assert_eq!([every("train.stop=validation", 3), every("data.validation_every=4", 3)], [8, 4]);
     }

@@ -1,15 +1,4 @@
 //! The configuration of a run. `keys.rs` declares every key once: its meaning, default, unit, range and ablations.
-//!
-//! | module | for |
-//! |---|---|
-//! | [`mod@keys`] | the declarations |
-//! | [`declare`] | the macro that they are written in, and what it makes of them |
-//! | [`choices`], [`budget`], [`memory`], [`pixels`] | types of values |
-//! | [`range`], [`error`] | which numbers make sense, and what can be wrong |
-//! | [`sources`] | defaults, presets, files and options, one over the other |
-//! | [`removed_keys`] | what has become of keys of earlier versions |
-//! | [`document`] | the keys as TOML and Markdown |
-//! | [`stages`] | the stages of a run |
 
 pub mod budget;
 pub mod choices;

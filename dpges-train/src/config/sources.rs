@@ -33,61 +33,54 @@ impl Config {
         Self::resolve_for(&[], preset, file, set)
     }
 
+    /// Defaults, then each `key=value` of `set`.
+    pub fn with(set: &[&str]) -> Result<Self, ConfigError> {
+        Self::resolve(None, None, &set.iter().map(|&text| text.to_owned()).collect::<Vec<_>>())
+    }
+
     /// Like [`resolve`](Self::resolve), with each `key=value` of `of_dataset` above the defaults and below the preset.
     /// [What the method brings with it](super::Method::settings) comes between the two.
-    ///
-    /// # Errors
-    /// Any [`ConfigError`].
     pub fn resolve_for(
         of_dataset: &[&str],
         preset: Option<&str>,
         file: Option<&Path>,
         set: &[String],
     ) -> Result<Self, ConfigError> {
-        let config = Self::resolve_over(of_dataset, preset, file, set)?;
+        let over = |below: &[&str]| {
+            let mut config = Self::default();
+            for text in below {
+                config.assign_text(text)?;
+            }
+            if let Some(name) = preset {
+                config.assign_table(parse(preset_text(name)?, name)?, &format!("preset `{name}`"))?;
+            }
+            if let Some(path) = file {
+                let (table, origin) = read(path)?;
+                config.assign_table(table, &origin)?;
+            }
+            for text in set {
+                config.assign_text(text)?;
+            }
+            config.validate()?;
+            Ok::<Self, ConfigError>(config)
+        };
+        let config = over(of_dataset)?;
         let config = match config.train.method.settings() {
             [] => config,
-            of_method => Self::resolve_over(&[of_dataset, of_method].concat(), preset, file, set)?,
+            of_method => over(&[of_dataset, of_method].concat())?,
         };
         config.check_colours()?;
-        Ok(config)
-    }
-
-    fn resolve_over(
-        below: &[&str],
-        preset: Option<&str>,
-        file: Option<&Path>,
-        set: &[String],
-    ) -> Result<Self, ConfigError> {
-        let mut config = Self::default();
-        for text in below {
-            config.assign_text(text)?;
-        }
-        if let Some(name) = preset {
-            config.assign_table(parse(preset_text(name)?, name)?, &format!("preset `{name}`"))?;
-        }
-        if let Some(path) = file {
-            let origin = path.display().to_string();
-            config.assign_table(parse(&read(path)?, &origin)?, &origin)?;
-        }
-        for text in set {
-            config.assign_text(text)?;
-        }
-        config.validate()?;
         Ok(config)
     }
 
     /// The section `[data]` of `file`, the configuration of a run, with each `key=value` of `set` on top. Other sections
     /// of the file are ignored, and former keys without which the dataset is read as it was: a scene can be older than the
     /// keys that it was trained with.
-    ///
-    /// # Errors
-    /// Any [`ConfigError`].
     pub fn resolve_data(file: Option<&Path>, set: &[String]) -> Result<DataConfig, ConfigError> {
         let mut config = Self::default();
         if let Some(path) = file {
-            let origin = path.display().to_string();
-            let mut data = parse(&read(path)?, &origin)?.remove_entry("data");
+            let (mut table, origin) = read(path)?;
+            let mut data = table.remove_entry("data");
             if let Some((_, Value::Table(keys))) = &mut data {
                 keys.retain(|key, value| !removed_keys::dataset_does_without(key, value));
             }
@@ -101,13 +94,9 @@ impl Config {
     }
 
     /// `file`, the configuration of a run of this or an earlier version, without keys that are no more.
-    ///
-    /// # Errors
-    /// Any [`ConfigError`].
     pub fn of_run(file: &Path) -> Result<Self, ConfigError> {
         let mut config = Self::default();
-        let origin = file.display().to_string();
-        let mut table = parse(&read(file)?, &origin)?;
+        let (mut table, origin) = read(file)?;
         for (section, value) in &mut table {
             if let Value::Table(keys) = value {
                 keys.retain(|key, _| removed_keys::instead(&format!("{section}.{key}")).is_none());
@@ -176,9 +165,6 @@ impl Config {
 }
 
 /// The TOML of a preset.
-///
-/// # Errors
-/// [`ConfigError::UnknownPreset`].
 pub fn preset_text(name: &str) -> Result<&'static str, ConfigError> {
     let found = PRESETS.iter().find(|(known, _)| *known == name);
     found.map(|(_, text)| *text).ok_or_else(|| {
@@ -187,8 +173,11 @@ pub fn preset_text(name: &str) -> Result<&'static str, ConfigError> {
     })
 }
 
-fn read(path: &Path) -> Result<String, ConfigError> {
-    std::fs::read_to_string(path).map_err(|source| ConfigError::Io { path: path.to_owned(), source })
+/// The file and its name in messages.
+fn read(path: &Path) -> Result<(Table, String), ConfigError> {
+    let text = std::fs::read_to_string(path).map_err(|source| ConfigError::Io { path: path.to_owned(), source })?;
+    let origin = path.display().to_string();
+    Ok((parse(&text, &origin)?, origin))
 }
 
 fn parse(text: &str, origin: &str) -> Result<Table, ConfigError> {
@@ -236,19 +225,16 @@ mod tests {
     use crate::config::{Background, InitMethod, Margin};
     use dpges_core::scene::MarginLookup;
 
-    fn set(assignments: &[&str]) -> Result<Config, ConfigError> {
-        let assignments: Vec<String> = assignments.iter().map(|text| text.to_string()).collect();
-        Config::resolve(None, None, &assignments)
-    }
-
     fn message(result: Result<Config, ConfigError>) -> String {
         result.unwrap_err().to_string()
     }
 
-    #[test]
-    fn the_default_preset_names_every_key_with_its_default() {
-        assert_eq!(PRESETS[0].1.parse::<Table>().unwrap(), Config::default().to_table());
-        assert_eq!(Config::resolve(Some("default"), None, &[]).unwrap(), Config::default());
+    /// The message about a file `mine.toml` of `text`.
+    fn message_about(text: &str) -> String {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("mine.toml");
+        std::fs::write(&path, text).unwrap();
+        message(Config::resolve(None, Some(&path), &[]))
     }
 
     #[test]
@@ -335,16 +321,6 @@ refine = { surfel_pixels = '16px', gaussian_min_contribution = 0.02, split_until
     }
 
     #[test]
-    fn what_is_written_is_read_back() {
-        let config = set(&["train.steps=77", "data.background=0.5,0,1", "optimizer.base=1e-9", "model.margin=raw"]);
-        let config = config.unwrap();
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("run.toml");
-        std::fs::write(&path, config.to_toml()).unwrap();
-        assert_eq!(Config::resolve(None, Some(&path), &[]).unwrap(), config);
-    }
-
-    #[test]
     fn a_dataset_is_found_whatever_else_a_run_was_configured_with() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("config.toml");
@@ -384,71 +360,69 @@ refine = { surfel_pixels = '16px', gaussian_min_contribution = 0.02, split_until
 
     #[test]
     fn assignments_take_strings_with_and_without_quotes() {
-        let config = set(&["model.colour=sh3", "init.method=\"random\"", "data.background=white"]).unwrap();
+        let config = Config::with(&["model.colour=sh3", "init.method=\"random\"", "data.background=white"]).unwrap();
         assert_eq!(config.model.colour.to_string(), "sh3");
         assert_eq!(config.init.method, InitMethod::Random);
         assert_eq!(config.data.background, Background::Colour([1.0; 3]));
-        assert_eq!(set(&["refine.margins_at=[0, 100]"]).unwrap().refine.margins_at, [0, 100]);
-        assert!(set(&["train.detach_transmittance = true"]).unwrap().train.detach_transmittance);
-        assert_eq!(set(&["model.margin=raw"]).unwrap().model.margin, Margin::Raw);
-        assert_eq!(set(&["model.margin_lookup=literal"]).unwrap().model.margin_lookup, MarginLookup::Literal);
-        assert!(message(set(&["train.freeze_surfels=1"])).contains("expected true or false"));
+        assert_eq!(Config::with(&["refine.margins_at=[0, 100]"]).unwrap().refine.margins_at, [0, 100]);
+        assert!(Config::with(&["train.detach_transmittance = true"]).unwrap().train.detach_transmittance);
+        assert_eq!(Config::with(&["model.margin=raw"]).unwrap().model.margin, Margin::Raw);
+        assert_eq!(Config::with(&["model.margin_lookup=literal"]).unwrap().model.margin_lookup, MarginLookup::Literal);
     }
 
     #[test]
     fn unknown_keys_name_the_nearest() {
-        let error = message(set(&["train.step=3"]));
+        let error = message(Config::with(&["train.step=3"]));
         assert!(error.contains("`train.step`") && error.contains("did you mean `train.steps`"), "{error}");
-        assert!(message(set(&["budget=3"])).contains("did you mean `refine.budget`"));
-        assert!(!message(set(&["zzz.qqq=3"])).contains("did you mean"));
-        assert!(message(set(&["train.steps"])).contains("key=value"));
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("mine.toml");
-        std::fs::write(&path, "[optimiser]\nbase = 1\n").unwrap();
-        let error = message(Config::resolve(None, Some(&path), &[]));
+        assert!(message(Config::with(&["budget=3"])).contains("did you mean `refine.budget`"));
+        assert!(!message(Config::with(&["zzz.qqq=3"])).contains("did you mean"));
+        assert!(message(Config::with(&["train.steps"])).contains("key=value"));
+        let error = message_about("[optimiser]\nbase = 1\n");
         assert!(error.contains("mine.toml") && error.contains("did you mean `optimizer`"), "{error}");
     }
 
     #[test]
     fn former_keys_say_what_has_become_of_them() {
-        let error = message(set(&["train.deterministic=true"]));
+        let error = message(Config::with(&["train.deterministic=true"]));
         assert!(error.contains("key `train.deterministic` is of an earlier version: every run is"), "{error}");
-        assert!(message(set(&["refine.surfel_min_pixels=4"])).contains("refine.surfel_pixels"));
+        assert!(message(Config::with(&["refine.surfel_min_pixels=4"])).contains("refine.surfel_pixels"));
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("run.toml");
         std::fs::write(&path, "[train]\nstop = \"validation\"\ndeterministic = false\n[relocation]\nnoise = 5e5\n")
             .unwrap();
-        std::fs::write(folder.path().join("b.toml"), "[relocation]\nnoise = 1.0\n").unwrap();
-        let error = message(Config::resolve(None, Some(&folder.path().join("b.toml")), &[]));
-        assert!(error.contains("b.toml: key `relocation.noise` is of an earlier version: it is a constant"), "{error}");
+        let error = message_about("[relocation]\nnoise = 1.0\n");
+        assert!(
+            error.contains("mine.toml: key `relocation.noise` is of an earlier version: it is a constant"),
+            "{error}"
+        );
         assert_eq!(Config::of_run(&path).unwrap().validation_every(3), 8);
     }
 
     #[test]
     fn wrong_values_name_the_key_and_what_was_expected() {
-        let error = message(set(&["train.steps=many"]));
-        assert!(
-            error.contains("`train.steps`") && error.contains("expected a whole number, found a string"),
-            "{error}"
-        );
-        assert!(message(set(&["train.steps=1.5"])).contains("expected a whole number, found a number"));
-        assert!(message(set(&["train.steps=-1"])).contains("`train.steps`"));
-        assert!(message(set(&["train.steps=0"])).contains("at least 1"));
-        assert!(message(set(&["model.colour=sh9"])).contains("sh0 to sh3"));
-        assert!(message(set(&["init.method=magic"])).contains("silhouette"));
-        assert!(message(set(&["model.margin=mean"])).contains("median"));
-        assert!(message(set(&["model.margin_lookup=bare"])).contains("literal"));
-        assert!(message(set(&["refine.margins_at=[-1]"])).contains("`refine.margins_at`"));
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("mine.toml");
-        std::fs::write(&path, "train = 5\n").unwrap();
-        assert!(message(Config::resolve(None, Some(&path), &[])).contains("section [train]"));
-        std::fs::write(&path, "[refine]\nbudget = [1]\n").unwrap();
-        let error = message(Config::resolve(None, Some(&path), &[]));
-        assert!(error.contains("`refine.budget`: expected a whole number or a string, found a list"), "{error}");
-        std::fs::write(&path, "[train\n").unwrap();
-        let error = message(Config::resolve(None, Some(&path), &[]));
-        assert!(error.contains("mine.toml") && error.contains("line 1"), "{error}");
+        for (set, expected) in [
+            ("train.steps=many", "`train.steps`: expected a whole number, found a string"),
+            ("train.steps=1.5", "expected a whole number, found a number"),
+            ("train.steps=-1", "`train.steps`"),
+            ("train.steps=0", "at least 1"),
+            ("model.colour=sh9", "sh0 to sh3"),
+            ("init.method=magic", "silhouette"),
+            ("model.margin=mean", "median"),
+            ("model.margin_lookup=bare", "literal"),
+            ("refine.margins_at=[-1]", "`refine.margins_at`"),
+            ("train.freeze_surfels=1", "expected true or false"),
+        ] {
+            let error = message(Config::with(&[set]));
+            assert!(error.contains(expected), "{expected}: {error}");
+        }
+        for (text, expected) in [
+            ("train = 5\n", "section [train]"),
+            ("[refine]\nbudget = [1]\n", "`refine.budget`: expected a whole number or a string, found a list"),
+            ("[train\n", "line 1"),
+        ] {
+            let error = message_about(text);
+            assert!(error.contains("mine.toml") && error.contains(expected), "{expected}: {error}");
+        }
         assert!(message(Config::resolve(None, Some(Path::new("/nowhere.toml")), &[])).contains("/nowhere.toml"));
     }
 }

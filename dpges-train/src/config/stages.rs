@@ -304,8 +304,7 @@ mod tests {
     use crate::config::TrainConfig;
 
     fn plan(set: &[&str]) -> Vec<(String, usize, usize)> {
-        let set: Vec<String> = set.iter().map(|&text| text.to_owned()).collect();
-        let plan = Config::resolve(None, None, &set).unwrap().plan();
+        let plan = Config::with(set).unwrap().plan();
         plan.iter().map(|stage| (stage.kind.to_string(), stage.begin, stage.steps)).collect()
     }
 
@@ -329,15 +328,11 @@ mod tests {
 
     #[test]
     fn weighted_sums_have_harmonics_and_their_opacities_follow() {
-        let resolved = |set: &[&str]| {
-            let set: Vec<String> = set.iter().map(|&text| text.to_owned()).collect();
-            Config::resolve(None, None, &set)
-        };
-        let config = resolved(&["train.method=sortfree", "model.colour=sh2"]).unwrap();
+        let config = Config::with(&["train.method=sortfree", "model.colour=sh2"]).unwrap();
         assert_eq!(config.scene_model().to_string(), "sh2+opacity");
-        assert_eq!(resolved(&["train.method=3dgs"]).unwrap().scene_model().to_string(), "sh3");
+        assert_eq!(Config::with(&["train.method=3dgs"]).unwrap().scene_model().to_string(), "sh3");
         for set in [&["train.method=sortfree", "model.colour=sb2"][..], &["model.colour=sh3+opacity"]] {
-            let error = resolved(set).unwrap_err().to_string();
+            let error = Config::with(set).unwrap_err().to_string();
             assert!(error.contains("`model.colour`") && error.contains("train.method"), "{error}");
         }
     }

@@ -182,9 +182,7 @@ impl Adapter {
             Err(reason) => Err(DeviceError::Refused { adapter: self.to_string(), reason: reason.clone() }),
         }
     }
-}
 
-impl Adapter {
     /// The wgpu objects of the adapter that [`open`](Self::open) has started, for drawing on Burn's device.
     pub fn setup(&self) -> Option<&WgpuSetup> {
         self.started.get()?.as_ref().ok()
@@ -222,14 +220,12 @@ impl AdapterName {
         let unsuitable = meant.first().and_then(|adapter| Some((adapter.to_string(), adapter.shortcoming()?)));
         Err(match unsuitable {
             Some((adapter, shortcoming)) => DeviceError::Unsuitable { asked: self, adapter, shortcoming },
-            None => DeviceError::NoMatch { asked: self, found: list(adapters) },
+            None => {
+                let names = adapters.iter().map(|adapter| format!("wgpu:{} {adapter}", adapter.number));
+                DeviceError::NoMatch { asked: self, found: names.collect::<Vec<_>>().join(", ") }
+            }
         })
     }
-}
-
-fn list(adapters: &[Adapter]) -> String {
-    let names = adapters.iter().map(|adapter| format!("{} {adapter}", AdapterName::Number(adapter.number)));
-    names.collect::<Vec<_>>().join(", ")
 }
 
 #[cfg(test)]

@@ -76,26 +76,17 @@ impl AdapterName {
     }
 }
 
+/// In lower case, as in JSON.
 impl fmt::Display for Kind {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Discrete => "discrete",
-            Self::Integrated => "integrated",
-            Self::Virtual => "virtual",
-            Self::Other => "other",
-            Self::Software => "software",
-        })
+        f.write_str(&format!("{self:?}").to_lowercase())
     }
 }
 
+/// In lower case, as in JSON.
 impl fmt::Display for Api {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Metal => "metal",
-            Self::Vulkan => "vulkan",
-            Self::Dx12 => "dx12",
-            Self::Gl => "gl",
-        })
+        f.write_str(&format!("{self:?}").to_lowercase())
     }
 }
 

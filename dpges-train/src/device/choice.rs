@@ -67,18 +67,12 @@ impl From<DeviceName> for DeviceRequest {
 ///
 /// The check runs on a thread of its own, which is left behind if the adapter hangs. An adapter whose driver ends the
 /// process ends this one: the program `dpges` therefore calls this function in a child process.
-///
-/// # Errors
-/// [`DeviceError::NoCpu`] if there is no such GPU and the build has no CPU backend.
 #[cfg(feature = "gpu")]
 pub fn select() -> Result<Selection, DeviceError> {
     check::select_from(super::adapter::adapters(), |name| check::within(check::CHECK_LIMIT, move || check::run(name)))
 }
 
 /// The CPU: this build has no GPUs.
-///
-/// # Errors
-/// [`DeviceError::NoCpu`] if the build has no CPU backend either.
 #[cfg(not(feature = "gpu"))]
 pub fn select() -> Result<Selection, DeviceError> {
     cpu("this build leaves GPUs out".to_owned())
@@ -129,9 +123,6 @@ pub mod check {
 
     /// The first hardware GPU of `adapters`, best kind first, that passes `check`, or else the CPU. `check` returns how
     /// long it took, or what is wrong with the adapter.
-    ///
-    /// # Errors
-    /// [`DeviceError::NoCpu`] if there is no such GPU and the build has no CPU backend.
     pub fn select_from(
         adapters: &[Adapter],
         mut check: impl FnMut(DeviceName) -> Result<Duration, String>,
@@ -199,7 +190,7 @@ mod tests {
     use super::super::adapter::Adapter;
     use super::super::adapter::tests::adapters;
     use super::super::adapter_name::{Api, Kind};
-    use super::check::{run, select_from, within};
+    use super::check::{select_from, within};
     use super::*;
 
     const QUICK: Duration = Duration::from_millis(700);
@@ -255,11 +246,6 @@ mod tests {
         assert_eq!(error, "its check failed: device lost");
         assert_eq!(within(limit, || Err("refused".to_owned())), Err("refused".to_owned()));
         assert!(within(limit, || Ok(())).unwrap() < limit);
-    }
-
-    #[test]
-    fn the_check_is_one_that_a_sound_device_passes() {
-        run("cpu".parse().unwrap()).unwrap();
     }
 
     #[test]

@@ -57,9 +57,6 @@ pub struct Refused {
 }
 
 /// Renders the scenes of the first `count` seeds in every way on `device`. Calls `progress` after each.
-///
-/// # Errors
-/// [`Refused`] if a scene cannot be rendered.
 pub fn measure(
     count: u64,
     device: &Device,
@@ -80,6 +77,7 @@ pub fn measure(
 
 impl Extremes {
     fn of(all: &[Deviation], scenes: u64, description: &str) -> Self {
+        let rounding = |d: &Deviation| d.hazards.iter().any(|hazard| hazard.is_decided_by_rounding());
         let mut tensors = Vec::new();
         for way in Way::ALL {
             let mut named: Vec<&'static str> = Vec::new();
@@ -90,8 +88,7 @@ impl Extremes {
             });
             for tensor in named {
                 let name = format!("{}: {tensor}", way.name());
-                let is_certain = |d: &Deviation| !d.hazards.iter().any(|hazard| hazard.is_decided_by_rounding());
-                tensors.extend(line(name, all, |d| d.way == way && d.tensor == tensor && is_certain(d)));
+                tensors.extend(line(name, all, |d| d.way == way && d.tensor == tensor && !rounding(d)));
             }
         }
         let by_hazard = |is_picture: bool| {
@@ -102,7 +99,6 @@ impl Extremes {
                 lines.extend(line(format!("{hazard:?}"), all, |d| of(d) && d.hazards == [hazard]));
             }
             let several = |d: &Deviation| d.hazards.len() > 1;
-            let rounding = |d: &Deviation| d.hazards.iter().any(|hazard| hazard.is_decided_by_rounding());
             lines.extend(line("two or three".to_owned(), all, |d| of(d) && several(d) && !rounding(d)));
             let name = "two or three, with one that rounding decides";
             lines.extend(line(name.to_owned(), all, |d| of(d) && several(d) && rounding(d)));

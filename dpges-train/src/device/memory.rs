@@ -1,5 +1,8 @@
 //! The memory of this process, and of the machine.
 
+/// The line of the peak in `/proc/self/status`.
+const PEAK: &str = "VmHWM:";
+
 /// A part of the work of this process whose peak of memory is its own, not that of what was done before.
 #[derive(Clone, Copy, Debug)]
 pub struct PeakMemory {
@@ -23,7 +26,7 @@ impl PeakMemory {
 /// The most memory that this process has had in use so far, or since a [`PeakMemory`] began, bytes, as the operating
 /// system counts it; `None` on systems other than Linux.
 pub fn peak_memory_bytes() -> Option<u64> {
-    peak_of(&std::fs::read_to_string("/proc/self/status").ok()?)
+    kilobytes(&std::fs::read_to_string("/proc/self/status").ok()?, PEAK)
 }
 
 /// The memory of the machine, bytes, or what a container allows this process of it; `None` on systems other than Linux.
@@ -31,11 +34,6 @@ pub fn machine_memory_bytes() -> Option<u64> {
     let whole = kilobytes(&std::fs::read_to_string("/proc/meminfo").ok()?, "MemTotal:")?;
     let allowed = std::fs::read_to_string("/sys/fs/cgroup/memory.max").ok();
     Some(allowed.and_then(|text| text.trim().parse().ok()).map_or(whole, |allowed: u64| allowed.min(whole)))
-}
-
-/// The peak in the text of `/proc/self/status`.
-fn peak_of(status: &str) -> Option<u64> {
-    kilobytes(status, "VmHWM:")
 }
 
 /// The bytes in the line of `text` that begins with `key`.
@@ -50,9 +48,9 @@ mod tests {
 
     #[test]
     fn the_peak_is_read_in_bytes() {
+        let peak_of = |status| kilobytes(status, PEAK);
         assert_eq!(peak_of("VmPeak:\t  900 kB\nVmHWM:\t   123 kB\nVmRSS:\t  99 kB\n"), Some(123 * 1024));
-        assert_eq!(peak_of("VmPeak:\t  900 kB\n"), None);
-        assert_eq!(peak_of("VmHWM:\t much\n"), None);
+        assert_eq!([peak_of("VmPeak:\t  900 kB\n"), peak_of("VmHWM:\t much\n")], [None; 2]);
     }
 
     #[test]

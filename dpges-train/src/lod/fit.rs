@@ -12,9 +12,6 @@ use crate::stage::{self, StepViews, begin_step};
 /// Trains the primitives of `scene`, a peeled one, for `steps` steps of the joint stage on `views`. None comes or goes, each
 /// stays in its row, and the environment stays as it is. The image alone is learnt from: at the learning rates of the default
 /// configuration, without the terms that shape a scene which is still to be found.
-///
-/// # Errors
-/// The errors of a [step](begin_step).
 pub fn fit(scene: &SceneData, views: &[View], steps: usize, device: &Device) -> Result<SceneData, TrainError> {
     let mut config = config(scene, StepStage::Joint);
     config.train.steps = steps;

@@ -61,9 +61,6 @@ impl Folder {
     }
 
     /// Adds cells after those that the level has.
-    ///
-    /// # Errors
-    /// [`LodError::Io`], and those of [`SceneData::to_compressed`].
     pub fn write(&mut self, level: u32, cells: &[Primitives]) -> Result<(), LodError> {
         let name = format!("level-{level}.pack");
         let path = self.partial.path().join(&name);
@@ -90,9 +87,6 @@ impl Folder {
     }
 
     /// After the last cell of a level.
-    ///
-    /// # Errors
-    /// [`LodError::Io`]
     pub fn finish_level(&mut self, level: u32) -> Result<(), LodError> {
         if let Some(pack) = self.pack.take() {
             pack.sync_all().map_err(|source| io_error("cannot write", self.partial.path(), source))?;

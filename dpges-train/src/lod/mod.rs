@@ -83,9 +83,6 @@ pub type Primitives = (SurfelData, GaussianData);
 
 /// Writes `scene` in levels of detail as the folder `out`, which appears when it is complete; an older one takes its place
 /// until then. Returns its index.
-///
-/// # Errors
-/// [`LodError`]
 pub fn write(scene: SceneData, options: &Options, out: &Path) -> Result<Index, LodError> {
     if scene.info.rendering != Rendering::Peeled {
         return Err(LodError::NotPeeled(scene.info.rendering));
@@ -182,6 +179,18 @@ fn joined(cells: &[Primitives], info: &SceneInfo) -> SceneData {
         gaussians.append(more_gaussians.clone());
     }
     SceneData { info: info.clone(), surfels, gaussians, environment: None }
+}
+
+/// All cells of a level of `index` as one scene, with the sky.
+pub fn level(index: &Index, level: u32) -> dpges_core::Result<SceneData> {
+    let bytes = |part| Index::read_part(&index.place, part);
+    let cell = |at: usize| {
+        let SceneData { surfels, gaussians, .. } = index.cell(at, &bytes(&index.cells[at].part)?)?;
+        Ok((surfels, gaussians))
+    };
+    let cells = index.level(level).map(cell).collect::<dpges_core::Result<Vec<Primitives>>>()?;
+    let sky = index.sky.as_ref().map(|part| index.sky(part, &bytes(part)?)).transpose()?;
+    Ok(SceneData { environment: sky.and_then(|sky| sky.environment), ..joined(&cells, &index.settings) })
 }
 
 /// Undoes [`joined`]: as many of each as `cells` have.

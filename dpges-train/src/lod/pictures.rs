@@ -29,9 +29,6 @@ pub struct Pictures {
 impl Pictures {
     /// Of `scene` from at most [`CAMERAS`] of `cameras`, for levels 1 to `coarsest`, rendered on `device` at their own size,
     /// cropped to whole pixels of the coarsest; a smaller picture is the mean of two by two pixels of the one before.
-    ///
-    /// # Errors
-    /// The errors of [`Renderer::render`].
     pub fn new(scene: &SceneData, cameras: &[Camera], coarsest: u32, device: &Device) -> Result<Self> {
         let renderer = Renderer::new(scene, device);
         let stride = cameras.len().div_ceil(CAMERAS).max(1);
@@ -40,7 +37,8 @@ impl Pictures {
         let mut levels: Vec<Vec<View>> = vec![Vec::new(); most.max(1) as usize];
         for (number, camera) in cameras.iter().step_by(stride).enumerate() {
             let whole = |side: usize| (side >> most) << most;
-            let mut camera = cropped(camera, whole(camera.width), whole(camera.height));
+            // the left upper part of the picture
+            let mut camera = Camera { width: whole(camera.width), height: whole(camera.height), ..*camera };
             let mut planes = tensor_to_rows(renderer.render(&camera)?.image());
             for level in &mut levels {
                 if most > 0 {
@@ -58,11 +56,6 @@ impl Pictures {
     pub fn of(&self, level: u32) -> &[View] {
         &self.levels[(level as usize).min(self.levels.len()) - 1]
     }
-}
-
-/// The left upper part of the picture of `camera`.
-fn cropped(camera: &Camera, width: usize, height: usize) -> Camera {
-    Camera { width, height, ..*camera }
 }
 
 /// Planes of half the width and height: means of two by two pixels.

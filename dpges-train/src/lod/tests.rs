@@ -6,7 +6,7 @@ use dpges_core::scene::lobes::ABSENT;
 use dpges_core::scene::lod::Index;
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{ColourModel, EnvironmentData};
-use dpges_core::testing::scenes::realistic;
+use dpges_core::testing::scenes::{Recipe, random, realistic};
 
 use super::*;
 use crate::eval::rendered::Renderer;
@@ -28,18 +28,6 @@ fn scene() -> (SceneData, Camera) {
 
 fn exported(scene: &SceneData, camera: Camera, fit: Option<(usize, &Device)>, out: &Path) -> Index {
     write(scene.clone(), &Options { cell_primitives: 300, cameras: &[camera], fit }, out).unwrap()
-}
-
-/// All cells of a level, with the sky.
-fn level(folder: &Path, index: &Index, level: u32) -> SceneData {
-    let bytes = |part| Index::read_part(folder, part).unwrap();
-    let cells: Vec<Primitives> = index
-        .level(level)
-        .map(|at| index.cell(at, &bytes(&index.cells[at].part)).unwrap())
-        .map(|cell| (cell.surfels, cell.gaussians))
-        .collect();
-    let sky = index.sky.as_ref().map(|sky| index.sky(sky, &bytes(sky)).unwrap());
-    SceneData { environment: sky.and_then(|sky| sky.environment), ..joined(&cells, &index.settings) }
 }
 
 fn image(scene: &SceneData, camera: &Camera) -> Vec<f32> {
@@ -88,13 +76,13 @@ fn level_0_is_the_scene_and_the_others_are_about_half_of_the_finer() {
     let index = exported(&scene, camera, None, &out);
     assert_eq!((Index::open(&out).unwrap(), index.level_count(), index.cells.len()), (index.clone(), 4, 15));
     let whole = image(&scene, &camera);
-    let finest = level(&out, &index, 0);
+    let finest = level(&index, 0).unwrap();
     assert_eq!((finest.surfels.len(), finest.gaussians.len()), (200, 1800));
     let loss = psnr(&image(&finest, &camera), &whole);
     assert!(loss > 45.0, "{loss}");
     for coarse in 1..4 {
         // each merged cell rounds up its surfels and its Gaussians
-        let (all, half) = (level(&out, &index, coarse), 2000 >> coarse);
+        let (all, half) = (level(&index, coarse).unwrap(), 2000 >> coarse);
         assert!((half..half + 8).contains(&(all.surfels.len() + all.gaussians.len())));
     }
     for cell in &index.cells {
@@ -123,14 +111,8 @@ fn level_0_is_the_scene_and_the_others_are_about_half_of_the_finer() {
     fs::write(out.join("index.json"), whole).unwrap();
     assert_eq!(fs::read_dir(out.parent().unwrap()).unwrap().count(), 1);
     let described = describe::describe(&out).unwrap();
-    assert_eq!(
-        described.bytes,
-        before
-            .iter()
-            .filter(|(name, _)| name != "index.json" && name != "cameras.json")
-            .map(|(_, bytes)| bytes.len() as u64)
-            .sum::<u64>()
-    );
+    let parts = before.iter().filter(|(name, _)| name != "index.json" && name != "cameras.json");
+    assert_eq!(described.bytes, parts.map(|(_, bytes)| bytes.len() as u64).sum::<u64>());
     assert!(described.rows().last().unwrap().1.trim_start().starts_with("0      8        200       1800"));
 }
 
@@ -147,7 +129,7 @@ fn coarser_levels_look_like_the_scene_in_small_pictures_and_a_fit_brings_them_ne
         let view = &small.of(1)[0];
         assert_eq!((view.camera.width, view.camera.height), (48, 32));
         let target = view.picture().unwrap().planes();
-        psnrs.push([1, 2].map(|coarse| psnr(&image(&level(&out, &index, coarse), &view.camera), &target)));
+        psnrs.push([1, 2].map(|coarse| psnr(&image(&level(&index, coarse).unwrap(), &view.camera), &target)));
     }
     let [merged, fitted] = psnrs[..] else { unreachable!() };
     assert!(merged[0] > 25.0 && merged[1] > 22.0, "{merged:?}");
@@ -158,27 +140,21 @@ fn coarser_levels_look_like_the_scene_in_small_pictures_and_a_fit_brings_them_ne
 fn equal_gaussians_at_one_place_become_one_that_looks_the_same() {
     for model in ["sb2", "sb0", "sh2"] {
         let model: ColourModel = model.parse().unwrap();
-        let recipe = dpges_core::testing::scenes::Recipe { surfels: 0, gaussians: 1, model, ..Default::default() };
-        let made = dpges_core::testing::scenes::random(5, &recipe);
-        let mut scene = SceneData {
-            info: SceneInfo { colour_model: model, ..SceneInfo::default() },
-            surfels: made.surfels,
-            gaussians: made.gaussians.select(&[0, 0]),
-            environment: None,
-        };
+        let made = random(5, &Recipe { surfels: 0, gaussians: 1, model, ..Default::default() });
+        let (mut scene, camera) = made.into_scene();
+        scene.gaussians = scene.gaussians.select(&[0, 0]);
         scene.gaussians.opacities.fill(0.7);
-        let camera = &made.camera;
         let ahead = camera.unproject(0.5 * camera.width as f64, 0.5 * camera.height as f64, 4.0);
         scene.gaussians.positions = ahead.as_vec3().to_array().repeat(2);
         scene.gaussians.log_scales = [-1.0, -1.4, -2.0].repeat(2);
-        let both = image(&scene, &made.camera);
+        let both = image(&scene, &camera);
         let mut first = scene.clone();
         first.gaussians = first.gaussians.select(&[0]);
         // pixels of one alone are those where neither is cut off
-        let one = image(&first, &made.camera);
+        let one = image(&first, &camera);
         scene.gaussians = half_of_gaussians(&scene.gaussians, |_| 1.0);
         assert_eq!(scene.gaussians.len(), 1);
-        let merged = image(&scene, &made.camera);
+        let merged = image(&scene, &camera);
         let mut seen = 0;
         for ((both, merged), one) in both.iter().zip(&merged).zip(&one) {
             if *one != 0.0 {
@@ -195,40 +171,30 @@ fn equal_gaussians_at_one_place_become_one_that_looks_the_same() {
 
 #[test]
 fn merging_keeps_the_mean_the_spread_and_the_sum_of_weights() {
-    let (scene, _) = scene();
-    let moments = |gaussians: &GaussianData| {
-        let mass = |row: usize| {
-            let sigmas = std::array::from_fn(|axis| f64::from(gaussians.log_scales[3 * row + axis]).exp());
-            f64::from(gaussians.opacities[row]) * blob::mean_area(sigmas)
-        };
-        let mean =
-            |row: usize| DVec3::from_array(std::array::from_fn(|axis| gaussians.positions[3 * row + axis].into()));
-        let rows = || 0..gaussians.len();
-        let total: f64 = rows().map(mass).sum();
-        let middle = rows().map(|row| mean(row) * mass(row)).sum::<DVec3>() / total;
-        let red: f64 = rows().map(|row| mass(row) * f64::from(gaussians.colour.base[3 * row])).sum();
-        [total, middle.x, middle.y, middle.z, red / total]
-    };
-    let mut gaussians = scene.gaussians;
-    gaussians.colour.detail.fill(ABSENT);
-    let half = half_of_gaussians(&gaussians, |_| 1.0);
-    assert_eq!(half.len(), 900);
-    for (before, after) in moments(&gaussians).into_iter().zip(moments(&half)) {
-        assert!((before - after).abs() < 1e-4 * before.abs().max(1.0), "{before} {after}");
-    }
-    let variance = |gaussians: &GaussianData| {
-        let [total, x, ..] = moments(gaussians);
-        let spread = |row: usize| {
+    /// Mass, mean, mean red, and the variance along x of the weight.
+    fn moments(gaussians: &GaussianData) -> [f64; 6] {
+        let blob = |row: usize| {
             let sigmas: [f64; 3] = std::array::from_fn(|axis| f64::from(gaussians.log_scales[3 * row + axis]).exp());
-            let mass = f64::from(gaussians.opacities[row]) * blob::mean_area(sigmas) / total;
+            let place: [f64; 3] = std::array::from_fn(|axis| gaussians.positions[3 * row + axis].into());
             let turn: [f64; 4] = std::array::from_fn(|at| gaussians.quaternions[4 * row + at].into());
             let frame = glam::DMat3::from_quat(glam::DQuat::from_xyzw(turn[1], turn[2], turn[3], turn[0]).normalize());
-            let own = blob::covariance(frame, sigmas.into()).x_axis.x;
-            mass * (own + (f64::from(gaussians.positions[3 * row]) - x).powi(2))
+            let mass = f64::from(gaussians.opacities[row]) * blob::mean_area(sigmas);
+            (mass, DVec3::from_array(place), blob::covariance(frame, sigmas.into()).x_axis.x)
         };
-        (0..gaussians.len()).map(spread).sum::<f64>()
-    };
-    assert!((variance(&gaussians) / variance(&half) - 1.0).abs() < 1e-4);
+        let blobs: Vec<_> = (0..gaussians.len()).map(blob).collect();
+        let total: f64 = blobs.iter().map(|(mass, ..)| mass).sum();
+        let middle = blobs.iter().map(|(mass, place, _)| *place * *mass).sum::<DVec3>() / total;
+        let reds = gaussians.colour.base.iter().step_by(3);
+        let red: f64 = blobs.iter().zip(reds).map(|((mass, ..), red)| mass * f64::from(*red)).sum();
+        let spread = blobs.iter().map(|(mass, place, own)| mass * (own + (place.x - middle.x).powi(2))).sum::<f64>();
+        [total, middle.x, middle.y, middle.z, red / total, spread / total]
+    }
+    let (scene, _) = scene();
+    let half = half_of_gaussians(&scene.gaussians, |_| 1.0);
+    assert_eq!(half.len(), 900);
+    for (before, after) in moments(&scene.gaussians).into_iter().zip(moments(&half)) {
+        assert!((before - after).abs() < 1e-4 * before.abs().max(1.0), "{before} {after}");
+    }
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Cells of about the same number of primitives each, by content: halves of halves.
 
 use dpges_core::scene::SceneData;
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 
 use crate::refine::neighbours::as_points;
 
@@ -38,18 +38,12 @@ pub fn leaves(scene: &SceneData, most: usize) -> Vec<Rows> {
 fn halves<'a>(part: &'a mut [u32], points: &[&[f32; 3]]) -> [&'a mut [u32]; 2] {
     let middle = part.len() / 2;
     if middle > 0 {
-        let sides = middle_half(part.iter().map(|&id| points[id as usize]), part.len());
-        let axis = sides.max_position();
+        let [low, high] = quantiles(part.iter().map(|&id| points[id as usize]), part.len(), [0.25, 0.75]);
+        let axis = (high - low).as_vec3().max_position();
         let coordinate = |id: &u32| points[*id as usize][axis];
         part.select_nth_unstable_by(middle, |a, b| coordinate(a).total_cmp(&coordinate(b)).then(a.cmp(b)));
     }
     part.split_at_mut(middle).into()
-}
-
-/// The sides of the box that holds the middle half of `points` along every axis, of which there are `count`.
-fn middle_half<'a>(points: impl Iterator<Item = &'a [f32; 3]>, count: usize) -> Vec3 {
-    let [low, high] = quantiles(points, count, [0.25, 0.75]);
-    (high - low).as_vec3()
 }
 
 /// Of a sample of `count` points, the corners at two `shares` of all, along every axis by itself.

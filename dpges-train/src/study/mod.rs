@@ -20,7 +20,7 @@ pub mod plot_font;
 pub mod report;
 pub mod row;
 pub mod sheets;
-mod spread;
+pub mod spread;
 pub mod store;
 mod table;
 pub mod trade;

@@ -58,9 +58,6 @@ pub fn launched() -> Option<Launched> {
 
 impl Job {
     /// Joins the job; once in a process.
-    ///
-    /// # Errors
-    /// [`JobError`] says what to do.
     pub fn join() -> Result<Self, JobError> {
         match launched() {
             None => Ok(Self {
