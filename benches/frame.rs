@@ -1,49 +1,33 @@
 //! `cargo bench -p dpges-benches --bench frame -- [DEVICE …]`: a large view, as users train them, on
 //! each of the named devices (`ndarray`, `flex`, `wgpu`; all that there are by default). `dpges bench step` says more
 //! of the step.
-//!
-//! `--surfels`, `--gaussians`, `--width`, `--height` and `--repeats` change what is measured.
 
 use std::time::Instant;
 
 use burn::tensor::{DType, Device};
+use clap::Parser;
 use dpges_benches::{devices, machine};
 use dpges_core::render::{RenderOptions, Values, render_probed};
 use dpges_core::testing::scenes::{TestScene, realistic};
 use dpges_train::run::step_cost::{Rounds, StepStage, Steps, measure as measure_step};
 
-struct Size {
+#[derive(Parser)]
+struct Arguments {
+    /// `ndarray`, `flex`, `wgpu`; all that there are without
+    devices: Vec<String>,
+    #[arg(long, default_value_t = 150_000)]
     surfels: usize,
+    #[arg(long, default_value_t = 1_500_000)]
     gaussians: usize,
+    #[arg(long, default_value_t = 1920)]
     width: usize,
+    #[arg(long, default_value_t = 1080)]
     height: usize,
+    #[arg(long, default_value_t = 10)]
     repeats: usize,
-}
-
-impl Size {
-    /// Options and, left over, the names of devices.
-    fn from_arguments(arguments: impl Iterator<Item = String>) -> (Self, Vec<String>) {
-        let mut size = Self { surfels: 150_000, gaussians: 1_500_000, width: 1920, height: 1080, repeats: 10 };
-        let mut names = Vec::new();
-        // `cargo bench` adds --bench
-        let mut arguments = arguments.filter(|argument| argument != "--bench");
-        while let Some(argument) = arguments.next() {
-            let target = match argument.as_str() {
-                "--surfels" => &mut size.surfels,
-                "--gaussians" => &mut size.gaussians,
-                "--width" => &mut size.width,
-                "--height" => &mut size.height,
-                "--repeats" => &mut size.repeats,
-                _ => {
-                    names.push(argument);
-                    continue;
-                }
-            };
-            let value = arguments.next().and_then(|value| value.parse().ok());
-            *target = value.unwrap_or_else(|| panic!("{argument} is followed by a whole number"));
-        }
-        (size, names)
-    }
+    /// Given by `cargo bench`
+    #[arg(long, hide = true)]
+    bench: bool,
 }
 
 /// Median of some runs in ms, after two that warm up.
@@ -75,8 +59,7 @@ fn measure(name: &str, device: &Device, scene: &TestScene, repeats: usize) {
 }
 
 fn main() {
-    let (size, names) = Size::from_arguments(std::env::args().skip(1));
-    let Size { surfels, gaussians, width, height, repeats } = size;
+    let Arguments { devices: names, surfels, gaussians, width, height, repeats, .. } = Arguments::parse();
     println!("{}; {surfels} surfels, {gaussians} Gaussians, {width} × {height} px, medians of {repeats}", machine());
     let scene = realistic(surfels, gaussians, width, height, 1);
     for (name, device) in devices() {

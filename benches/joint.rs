@@ -3,19 +3,6 @@
 //! the texts.
 //!
 //! On the built-in scene its own geometry as surfels is measured, too, and what each kind of error in it costs.
-//!
-//! | option | meaning | default |
-//! |---|---|---|
-//! | `--data FOLDER` | dataset | the built-in scene |
-//! | `--size PX` | longest side of a picture | 128 |
-//! | `--gaussians FILE` | scene of trained Gaussians, or folder of a run that has some; if there is none, they are trained and kept in this file | a file in the target directory |
-//! | `--surfels FILE` | scene of trained surfels or discs | the depths that the Gaussians agree about |
-//! | `--budget N` | primitives | 0.15 per pixel of a picture; what the given Gaussians are a share of |
-//! | `--first-steps N` | length of the stage of Gaussians, if it is trained | 1200 |
-//! | `--steps N` | length of the joint stage | 400 |
-//! | `--seeds N` | joint stages per row, with seeds 0, 1, … | 3 |
-//! | `--device NAME` | as of `dpges train` | `cpu` |
-//! | `--set KEY=VALUE` | of the configuration, for the joint stage; may be repeated | |
 
 use std::error::Error;
 use std::path::{Path, PathBuf};
@@ -23,11 +10,11 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use burn::tensor::Device;
+use clap::Parser;
 use dpges_benches::joint::degrade::Degradation;
 use dpges_benches::joint::errors::Errors;
 use dpges_benches::joint::pixels::{PixelKind, kinds};
 use dpges_benches::joint::surfaces::{KnownView, TrueSurfels};
-use dpges_benches::joint::table::{markdown, mean, spread};
 use dpges_benches::machine;
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{GaussianData, Rendering, SceneData, SceneInfo, SurfelData};
@@ -36,6 +23,7 @@ use dpges_train::dataset::{BuiltinOptions, Dataset, View, builtin, load, picture
 use dpges_train::device::DeviceName;
 use dpges_train::eval::rendered::{Renderer, to_picture};
 use dpges_train::run::Trainer;
+use dpges_train::study::spread::Spread;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -46,64 +34,47 @@ const DENSITY: f64 = 0.15;
 /// Scenes of Gaussians in the folder of a run.
 const STAGE_FILES: [&str; 2] = ["stage_mcmc.safetensors", "stage_dbs.safetensors"];
 
+#[derive(Parser)]
 struct Arguments {
-    data: Option<PathBuf>,
-    size: usize,
-    gaussians: Option<PathBuf>,
-    surfels: Option<PathBuf>,
-    budget: Option<usize>,
-    first_steps: usize,
-    steps: usize,
-    seeds: u64,
-    device: DeviceName,
-    set: Vec<String>,
-    /// Texts, one of which is part of the name of each wanted row; all are wanted without any.
+    /// Texts, one of which is part of the name of each wanted row; all are wanted without any
     rows: Vec<String>,
+    /// Folder of the dataset; the built-in scene without
+    #[arg(long)]
+    data: Option<PathBuf>,
+    /// Longest side of a picture, px
+    #[arg(long, default_value_t = 128)]
+    size: usize,
+    /// Scene of trained Gaussians, or folder of a run that has some; if there is none, they are trained and kept in this file,
+    /// by default one in the target directory
+    #[arg(long)]
+    gaussians: Option<PathBuf>,
+    /// Scene of trained surfels or discs; the depths that the Gaussians agree about without
+    #[arg(long)]
+    surfels: Option<PathBuf>,
+    /// Primitives; by default 0.15 per pixel of a picture, or what the given Gaussians are a share of
+    #[arg(long)]
+    budget: Option<usize>,
+    /// Length of the stage of Gaussians, if it is trained
+    #[arg(long, default_value_t = 1200)]
+    first_steps: usize,
+    /// Length of the joint stage
+    #[arg(long, default_value_t = 400)]
+    steps: usize,
+    /// Joint stages per row, with seeds 0, 1, …
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..))]
+    seeds: u64,
+    /// As of `dpges train`
+    #[arg(long, default_value = "cpu")]
+    device: DeviceName,
+    /// KEY=VALUE of the configuration, for the joint stage; may be repeated
+    #[arg(long)]
+    set: Vec<String>,
+    /// Given by `cargo bench`
+    #[arg(long, hide = true)]
+    bench: bool,
 }
 
 impl Arguments {
-    fn parse(arguments: impl Iterator<Item = String>) -> Result<Self> {
-        let mut found = Self {
-            data: None,
-            size: 128,
-            gaussians: None,
-            surfels: None,
-            budget: None,
-            first_steps: 1200,
-            steps: 400,
-            seeds: 3,
-            device: "cpu".parse()?,
-            set: Vec::new(),
-            rows: Vec::new(),
-        };
-        // `cargo bench` adds --bench
-        let mut arguments = arguments.filter(|argument| argument != "--bench");
-        while let Some(argument) = arguments.next() {
-            if !argument.starts_with("--") {
-                found.rows.push(argument);
-                continue;
-            }
-            let value = arguments.next().ok_or_else(|| format!("{argument} is followed by a value"))?;
-            let invalid = |expected: &str| format!("{argument} is followed by {expected}, not by `{value}`");
-            let number =
-                || value.parse::<usize>().ok().filter(|&number| number > 0).ok_or_else(|| invalid("a whole number"));
-            match argument.as_str() {
-                "--data" => found.data = Some(value.into()),
-                "--size" => found.size = number()?,
-                "--gaussians" => found.gaussians = Some(value.into()),
-                "--surfels" => found.surfels = Some(value.into()),
-                "--budget" => found.budget = Some(number()?),
-                "--first-steps" => found.first_steps = number()?,
-                "--steps" => found.steps = number()?,
-                "--seeds" => found.seeds = number()? as u64,
-                "--device" => found.device = value.parse()?,
-                "--set" => found.set.push(value),
-                _ => return Err(format!("{argument} is unknown").into()),
-            }
-        }
-        Ok(found)
-    }
-
     fn wants(&self, row: &str) -> bool {
         self.rows.is_empty() || self.rows.iter().any(|text| row.contains(text.as_str()))
     }
@@ -355,31 +326,21 @@ fn row_before(bench: &Bench) -> Vec<String> {
     let psnr = |blended: &Blended| format!("{:.2}", blended.errors.psnr());
     let count = bench.gaussians.gaussians.len();
     let filled = format!("{:.0}", 100.0 * count as f64 / bench.budget as f64);
-    let none = || "–".to_owned();
-    let name = "Gaussians, blended".to_owned();
-    vec![
-        name,
-        none(),
-        psnr(&bench.held_out),
-        psnr(&bench.training),
-        none(),
-        "0".into(),
-        count.to_string(),
-        filled,
-        none(),
-    ]
+    let (count, held_out, training) = (count.to_string(), psnr(&bench.held_out), psnr(&bench.training));
+    ["Gaussians, blended", "–", &held_out, &training, "–", "0", &count, &filled, "–"].map(str::to_owned).into()
 }
 
 /// Means over seeds.
 fn row(name: &str, outcomes: &[Outcome], budget: usize) -> Vec<String> {
     let figures = |of: &dyn Fn(&Outcome) -> f64| -> Vec<f64> { outcomes.iter().map(of).collect() };
-    let round = |of: &dyn Fn(&Outcome) -> f64| format!("{:.0}", mean(&figures(of)).unwrap_or_default());
+    let round = |of: &dyn Fn(&Outcome) -> f64| format!("{:.0}", Spread::of(&figures(of)).mean);
+    let spread = |of: &dyn Fn(&Outcome) -> f64| Spread::of(&figures(of)).to_string();
     let drawn = |outcome: &Outcome| (outcome.surfels[1] + outcome.gaussians) as f64;
     vec![
         name.to_owned(),
-        spread(&figures(&|outcome| outcome.at_start.after.psnr())),
-        spread(&figures(&|outcome| outcome.held_out.after.psnr())),
-        spread(&figures(&|outcome| outcome.training.after.psnr())),
+        spread(&|outcome| outcome.at_start.after.psnr()),
+        spread(&|outcome| outcome.held_out.after.psnr()),
+        spread(&|outcome| outcome.training.after.psnr()),
         round(&|outcome| outcome.surfels[0] as f64),
         round(&|outcome| outcome.surfels[1] as f64),
         round(&|outcome| outcome.gaussians as f64),
@@ -391,15 +352,24 @@ fn row(name: &str, outcomes: &[Outcome], budget: usize) -> Vec<String> {
 /// Share of pixels, PSNR and its gain over the Gaussians before, of each kind of pixel: means over seeds.
 fn row_of_kinds(name: &str, compared: &[&Compared]) -> Vec<String> {
     let cell = |kind: PixelKind| {
-        let share: Vec<f64> = compared.iter().map(|of| of.after.share(kind)).collect();
-        let psnr: Vec<f64> = compared.iter().filter_map(|of| of.after.of(kind).psnr()).collect();
-        let before: Vec<f64> = compared.iter().filter_map(|of| of.before.of(kind).psnr()).collect();
-        match (mean(&share), mean(&psnr), mean(&before)) {
+        let mean = |of: &dyn Fn(&Compared) -> Option<f64>| {
+            let figures: Vec<f64> = compared.iter().filter_map(|compared| of(compared)).collect();
+            (!figures.is_empty()).then(|| Spread::of(&figures).mean)
+        };
+        let share = mean(&|of| Some(of.after.share(kind)));
+        match (share, mean(&|of| of.after.of(kind).psnr()), mean(&|of| of.before.of(kind).psnr())) {
             (Some(share), Some(psnr), Some(before)) => format!("{share:.1} · {psnr:.2} · {:+.2}", psnr - before),
             _ => "0".to_owned(),
         }
     };
     std::iter::once(name.to_owned()).chain(PixelKind::ALL.map(cell)).collect()
+}
+
+/// A table of `rows` below `columns`. The first column is text, the others numbers.
+fn markdown(columns: &[&str], rows: &[Vec<String>]) -> String {
+    let rule = format!("|---|{}\n", "---:|".repeat(columns.len() - 1));
+    let body = rows.iter().map(|row| format!("| {} |\n", row.join(" | ")));
+    format!("| {} |\n{rule}{}", columns.join(" | "), body.collect::<String>())
 }
 
 /// Selects the part of an outcome that a table shows.
@@ -437,9 +407,9 @@ fn report(bench: &Bench, rows: &[(String, Vec<Outcome>)]) {
     println!("By kind of pixel: % of pixels · PSNR, dB · gain over the blended Gaussians at the same pixels, dB.");
 }
 
-fn run() -> Result<()> {
+fn main() -> Result<()> {
     let began = Instant::now();
-    let bench = Bench::new(Arguments::parse(std::env::args().skip(1))?)?;
+    let bench = Bench::new(Arguments::parse())?;
     let Bench { arguments, dataset, budget, .. } = &bench;
     let known = if arguments.data.is_none() { Some(bench.true_surfels()?) } else { None };
     let mut starts = vec![("as in a run".to_owned(), Start::Run)];
@@ -452,7 +422,7 @@ fn run() -> Result<()> {
         let outcomes: Result<Vec<Outcome>> = (0..arguments.seeds).map(|seed| bench.outcome(seed, &start)).collect();
         let outcomes = outcomes?;
         let psnr: Vec<f64> = outcomes.iter().map(|outcome| outcome.held_out.after.psnr()).collect();
-        eprintln!("{name}: {} dB held out", spread(&psnr));
+        eprintln!("{name}: {} dB held out", Spread::of(&psnr));
         rows.push((name, outcomes));
     }
     println!(
@@ -469,11 +439,4 @@ fn run() -> Result<()> {
     );
     report(&bench, &rows);
     Ok(())
-}
-
-fn main() {
-    if let Err(error) = run() {
-        eprintln!("{error}");
-        std::process::exit(1);
-    }
 }

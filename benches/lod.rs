@@ -8,13 +8,12 @@ use burn::tensor::Device;
 use clap::Parser;
 use dpges_benches::{machine, resident_mib};
 use dpges_core::camera::Camera;
-use dpges_core::scene::lod::Index;
+use dpges_core::scene::SceneData;
 use dpges_core::scene::tensors::tensor_to_rows;
-use dpges_core::scene::{EnvironmentData, SceneData};
 use dpges_core::testing::scenes::realistic;
 use dpges_train::device::DeviceName;
 use dpges_train::eval::rendered::Renderer;
-use dpges_train::lod::{CELL_PRIMITIVES, Options, describe, write};
+use dpges_train::lod::{CELL_PRIMITIVES, Options, describe, level, write};
 use dpges_train::run::scene::{Reading, Scene, every_nth};
 
 /// Cameras that levels are compared from, evenly chosen.
@@ -85,37 +84,16 @@ fn trained(arguments: &Arguments, run: &Path, folder: &Path) -> Outcome {
     let halves = index.level_count();
     println!("PSNR from {} cameras, dB, at full size, and at 1/2, 1/4 …", views.len());
     let whole = pictures(&scene, &views, halves, &device)?;
-    for level in 0..index.level_count() {
-        let found = pictures(&union(&out, &index, level)?, &views, halves, &device)?;
+    for number in 0..index.level_count() {
+        let found = pictures(&level(&index, number)?, &views, halves, &device)?;
         let psnr = |size: usize| {
             let pairs = whole[size].iter().zip(&found[size]);
             pairs.map(|(a, b)| psnr(a, b)).sum::<f64>() / views.len() as f64
         };
         let line: Vec<String> = (0..halves as usize).map(|size| format!("{:6.2}", psnr(size))).collect();
-        println!("level {level}: {}", line.join(" "));
+        println!("level {number}: {}", line.join(" "));
     }
     Ok(())
-}
-
-/// All cells of a level.
-fn union(folder: &Path, index: &Index, level: u32) -> Outcome<SceneData> {
-    let mut all: Option<SceneData> = None;
-    for at in index.level(level) {
-        let cell = index.cell(at, &Index::read_part(folder, &index.cells[at].part)?)?;
-        match &mut all {
-            Some(all) => {
-                all.surfels.append(cell.surfels);
-                all.gaussians.append(cell.gaussians);
-            }
-            None => all = Some(cell),
-        }
-    }
-    let sky = index.sky.as_ref().map(|part| -> Outcome<Option<EnvironmentData>> {
-        Ok(index.sky(part, &Index::read_part(folder, part)?)?.environment)
-    });
-    let mut all = all.ok_or("a level has cells")?;
-    all.environment = sky.transpose()?.flatten();
-    Ok(all)
 }
 
 /// For each of `sizes`, of which the next has half the sides, planes of the pictures of `scene`.

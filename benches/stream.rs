@@ -1,6 +1,4 @@
-//! `cargo bench --workspace --bench stream -- FOLDER CAMERAS [--scene FILE] [--budgets 1,0.5,0.25,0.125] [--width PX]
-//! [--height PX] [--frames N] [--pictures FOLDER]`: the streaming of a scene in levels of detail. With `--make N` FOLDER and
-//! CAMERAS are made first: a synthetic scene of N primitives, a tenth of them surfels, and a flight into it.
+//! `cargo bench --workspace --bench stream -- FOLDER CAMERAS`: the streaming of a scene in levels of detail. `--help` says more.
 //!
 //! Measures the time to the first picture; for every budget, as a share of all primitives, the largest number of primitives
 //! that were resident, and the PSNR against the whole scene from the cameras (`cameras.json` of 3DGS) once the cut is
@@ -12,8 +10,10 @@ use std::f64::consts::TAU;
 use std::path::PathBuf;
 use std::time::Instant;
 
+use clap::Parser;
+use dpges_benches::sized;
 use dpges_core::camera::Camera;
-use dpges_core::scene::{GaussianData, SceneData, SurfelData};
+use dpges_core::scene::SceneData;
 use dpges_core::testing::scenes::realistic;
 use dpges_render::stream::{Levels, Loader, Source, Stream, decode};
 use dpges_render::{CameraPath, Headless, RenderOptions, Renderer, Rgb8Image};
@@ -28,50 +28,34 @@ const FRAMES_PER_SECOND: f64 = 30.0;
 const LATENCY_S: f64 = 0.05;
 const SECONDS_PER_BYTE: f64 = 20e-9;
 
+#[derive(Parser)]
 struct Arguments {
+    /// Folder of the scene in levels of detail
     folder: PathBuf,
+    /// `cameras.json` of 3DGS
     cameras: PathBuf,
+    /// The whole scene; level 0 without
+    #[arg(long)]
     scene: Option<PathBuf>,
+    /// Makes a synthetic scene of so many primitives and a flight into it first
+    #[arg(long)]
     make: Option<usize>,
+    /// Shares of all primitives
+    #[arg(long, value_delimiter = ',', default_values_t = [1.0, 0.5, 0.25, 0.125])]
     budgets: Vec<f64>,
-    size: [usize; 2],
+    #[arg(long, default_value_t = 640)]
+    width: usize,
+    #[arg(long, default_value_t = 360)]
+    height: usize,
+    /// Of the flight
+    #[arg(long, default_value_t = 60)]
     frames: usize,
+    /// Folder for pictures
+    #[arg(long)]
     pictures: Option<PathBuf>,
-}
-
-impl Arguments {
-    /// `cargo bench` adds --bench.
-    fn new() -> Self {
-        let mut all = Self {
-            folder: PathBuf::new(),
-            cameras: PathBuf::new(),
-            scene: None,
-            make: None,
-            budgets: vec![1.0, 0.5, 0.25, 0.125],
-            size: [640, 360],
-            frames: 60,
-            pictures: None,
-        };
-        let mut files = Vec::new();
-        let mut arguments = std::env::args().skip(1).filter(|argument| argument != "--bench");
-        while let Some(argument) = arguments.next() {
-            let mut value = || arguments.next().unwrap_or_else(|| panic!("{argument} is followed by a value"));
-            let number = |text: String| text.parse().unwrap_or_else(|_| panic!("`{text}` is no number"));
-            match argument.as_str() {
-                "--scene" => all.scene = Some(value().into()),
-                "--pictures" => all.pictures = Some(value().into()),
-                "--budgets" => all.budgets = value().split(',').map(|share| share.parse().expect("shares")).collect(),
-                "--make" => all.make = Some(number(value())),
-                "--width" => all.size[0] = number(value()),
-                "--height" => all.size[1] = number(value()),
-                "--frames" => all.frames = number(value()),
-                _ => files.push(PathBuf::from(argument)),
-            }
-        }
-        let [folder, cameras] = files.try_into().expect("name the folder of the scene and the file of its cameras");
-        (all.folder, all.cameras) = (folder, cameras);
-        all
-    }
+    /// Given by `cargo bench`
+    #[arg(long, hide = true)]
+    bench: bool,
 }
 
 /// What draws, and what it draws for.
@@ -95,7 +79,7 @@ impl Bench {
 }
 
 fn main() {
-    let arguments = Arguments::new();
+    let arguments = Arguments::parse();
     if let Some(primitives) = arguments.make {
         make(&arguments, primitives);
     }
@@ -110,13 +94,7 @@ fn main() {
     let largest = index.cells.iter().filter(|cell| !cell.children.is_empty()).map(|cell| cell.primitives()).max();
     let all = counts[0] + counts[1] + largest.unwrap_or(0);
     let path = CameraPath::load(&arguments.cameras, info.near).expect("cameras");
-    let [width, height] = arguments.size;
-    let sized = |camera: &Camera| {
-        let scale = height as f64 / camera.height as f64;
-        let (cx, cy) = (0.5 * width as f64, 0.5 * height as f64);
-        Camera { fx: camera.fx * scale, fy: camera.fy * scale, cx, cy, width, height, ..*camera }
-    };
-    let cameras: Vec<Camera> = path.keys().iter().map(sized).collect();
+    let cameras = path.keys().iter().map(|camera| sized(camera, arguments.width, arguments.height)).collect();
     let bench = Bench { headless, options: RenderOptions::from(&info), cameras };
     drop(levels);
 
@@ -140,7 +118,7 @@ fn main() {
     let source = Source::new(&arguments.folder).expect("a folder");
     let whole = match &arguments.scene {
         Some(file) => SceneData::load(file).expect("a scene file"),
-        None => finest(&source, &arguments),
+        None => lod::level(&index, 0).expect("all cells"),
     };
     let mut reference = bench.headless.renderer().expect("a renderer");
     reference.upload(&whole).expect("a scene that fits");
@@ -210,21 +188,6 @@ fn make(arguments: &Arguments, primitives: usize) {
     };
     let path = CameraPath::new((0..CAMERAS).map(key).collect(), false).expect("cameras");
     std::fs::write(&arguments.cameras, path.to_json()).expect("a file for cameras");
-}
-
-/// All of level 0.
-fn finest(source: &Source, arguments: &Arguments) -> SceneData {
-    let levels = Levels::open(&arguments.folder, usize::MAX).expect("a scene");
-    let (index, mut scene) = (levels.scene().index(), levels.scene().coarse().clone());
-    let model = scene.info.colour_model;
-    (scene.surfels, scene.gaussians) = (SurfelData::neutral(model, 0), GaussianData::neutral(model, 0));
-    for cell in index.level(0) {
-        let bytes = source.read(&index.cells[cell].part).expect("a cell");
-        let cell = index.cell(cell, &bytes).expect("a cell");
-        scene.surfels.append(cell.surfels);
-        scene.gaussians.append(cell.gaussians);
-    }
-    scene
 }
 
 /// Flies with a clock of its own. Starts with a complete cut, as the whole scene does.

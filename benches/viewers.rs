@@ -2,14 +2,15 @@
 //! real-time renderer, of a sorted 3DGS viewer (the crate wgpu-3dgs-viewer) at the same number of primitives, and of the
 //! renderer that is trained with, on the same adapter in the same run. Without a scene file and its cameras
 //! (`cameras.json` of 3DGS) it is the scene of the other benchmarks.
-//!
-//! `--surfels`, `--gaussians`, `--width`, `--height` and `--rounds` change what is measured.
 
+use std::path::PathBuf;
 use std::time::Instant;
 
 use burn::tensor::{Device, DeviceType};
+use clap::Parser;
+use dpges_benches::sized;
 use dpges_core::camera::Camera;
-use dpges_core::scene::{SceneData, SceneInfo};
+use dpges_core::scene::SceneData;
 use dpges_core::testing::scenes::realistic;
 use dpges_render::export::flatten;
 use dpges_render::frame_times::{FrameTimes, Rounds, frame_times};
@@ -19,65 +20,40 @@ use wgpu_3dgs_viewer::core::glam::camera::rh::proj::directx::perspective;
 use wgpu_3dgs_viewer::core::glam::{Mat4, Quat, U8Vec4, UVec2, Vec3, Vec4};
 use wgpu_3dgs_viewer::{CameraPod, CameraTrait, DefaultGaussianPod, Viewer};
 
+#[derive(Parser)]
 struct Arguments {
-    files: Vec<String>,
+    /// A scene file and its cameras, or neither
+    files: Vec<PathBuf>,
+    #[arg(long, default_value_t = 10_000)]
     surfels: usize,
+    #[arg(long, default_value_t = 100_000)]
     gaussians: usize,
+    #[arg(long, default_value_t = 640)]
     width: usize,
+    #[arg(long, default_value_t = 360)]
     height: usize,
+    #[arg(long, default_value_t = 10)]
     rounds: usize,
+    /// Given by `cargo bench`
+    #[arg(long, hide = true)]
+    bench: bool,
 }
 
 impl Arguments {
-    fn new(arguments: impl Iterator<Item = String>) -> Self {
-        let mut all =
-            Self { files: Vec::new(), surfels: 10_000, gaussians: 100_000, width: 640, height: 360, rounds: 10 };
-        // `cargo bench` adds --bench
-        let mut arguments = arguments.filter(|argument| argument != "--bench");
-        while let Some(argument) = arguments.next() {
-            let target = match argument.as_str() {
-                "--surfels" => &mut all.surfels,
-                "--gaussians" => &mut all.gaussians,
-                "--width" => &mut all.width,
-                "--height" => &mut all.height,
-                "--rounds" => &mut all.rounds,
-                _ => {
-                    all.files.push(argument);
-                    continue;
-                }
-            };
-            let value = arguments.next().and_then(|value| value.parse().ok());
-            *target = value.unwrap_or_else(|| panic!("{argument} is followed by a whole number"));
-        }
-        all
-    }
-
     fn scene(&self) -> (SceneData, Vec<Camera>) {
         match self.files.as_slice() {
             [] => {
-                let made = realistic(self.surfels, self.gaussians, self.width, self.height, 1);
-                let info = SceneInfo { colour_model: made.surfels.colour.model, ..SceneInfo::default() };
-                (
-                    SceneData { info, surfels: made.surfels, gaussians: made.gaussians, environment: None },
-                    vec![made.camera],
-                )
+                let (scene, camera) = realistic(self.surfels, self.gaussians, self.width, self.height, 1).into_scene();
+                (scene, vec![camera])
             }
             [scene, cameras] => {
-                let scene = SceneData::load(scene.as_ref()).expect("a scene file");
-                let path = CameraPath::load(cameras.as_ref(), scene.info.near).expect("cameras");
-                let keys = path.keys().iter().map(|camera| self.sized(camera));
+                let scene = SceneData::load(scene).expect("a scene file");
+                let path = CameraPath::load(cameras, scene.info.near).expect("cameras");
+                let keys = path.keys().iter().map(|camera| sized(camera, self.width, self.height));
                 (scene, keys.collect())
             }
             _ => panic!("name a scene file and its cameras, or nothing"),
         }
-    }
-
-    /// The vertical field of view stays, and the principal point is the middle, which is all that the other viewer can.
-    fn sized(&self, camera: &Camera) -> Camera {
-        let scale = self.height as f64 / camera.height as f64;
-        let (cx, cy) = (0.5 * self.width as f64, 0.5 * self.height as f64);
-        let (fx, fy) = (camera.fx * scale, camera.fy * scale);
-        Camera { fx, fy, cx, cy, width: self.width, height: self.height, ..*camera }
     }
 }
 
@@ -198,7 +174,7 @@ fn compute(scene: &SceneData, cameras: &[Camera], rounds: Rounds) -> Option<Fram
 }
 
 fn main() {
-    let arguments = Arguments::new(std::env::args().skip(1));
+    let arguments = Arguments::parse();
     let (scene, cameras) = arguments.scene();
     let headless = Headless::new().expect("a graphics adapter");
     let rounds = Rounds { warm_up: 2, counted: arguments.rounds };

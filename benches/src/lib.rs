@@ -6,6 +6,7 @@ pub mod plain;
 pub mod training;
 
 use burn::tensor::{Device, DeviceType};
+use dpges_core::camera::Camera;
 
 /// The CPU backends and, where there is one, the first adapter of wgpu, by name.
 pub fn devices() -> Vec<(&'static str, Device)> {
@@ -18,6 +19,13 @@ pub fn devices() -> Vec<(&'static str, Device)> {
 #[expect(deprecated, reason = "burn-ndarray is deprecated upstream and supported here")]
 pub fn cpus() -> [(&'static str, Device); 2] {
     [("ndarray", Device::ndarray()), ("flex", Device::flex())]
+}
+
+/// `camera` with a picture of another size: the vertical field of view stays, and the principal point is the middle.
+pub fn sized(camera: &Camera, width: usize, height: usize) -> Camera {
+    let scale = height as f64 / camera.height as f64;
+    let (cx, cy) = (0.5 * width as f64, 0.5 * height as f64);
+    Camera { fx: camera.fx * scale, fy: camera.fy * scale, cx, cy, width, height, ..*camera }
 }
 
 /// Model of the processor and number of threads.

@@ -104,11 +104,7 @@ impl Training {
     }
 
     /// The loss of a view, on the tape.
-    pub fn loss(&self, variant: Variant) -> Tensor<1> {
-        self.loss_of(&self.leaves(), variant)
-    }
-
-    fn loss_of(&self, (surfels, gaussians): &(Surfels, Gaussians), variant: Variant) -> Tensor<1> {
+    fn loss(&self, (surfels, gaussians): &(Surfels, Gaussians), variant: Variant) -> Tensor<1> {
         let view = if variant.own_composite {
             let options = RenderOptions::default();
             render_probed(surfels, gaussians, &self.scene.camera, None, &options, Values::KnownFinite).expect("valid")
@@ -138,7 +134,7 @@ impl Training {
     /// One step; returns the loss before it.
     pub fn step(&mut self, variant: Variant) -> f64 {
         let leaves = self.leaves();
-        let loss = self.loss_of(&leaves, variant);
+        let loss = self.loss(&leaves, variant);
         let mut gradients = loss.backward();
         let value = loss.into_data().iter::<f64>().next().unwrap_or(f64::NAN);
         let leaf_values = leaves.0.iter().chain(leaves.1.iter()).filter(|(attribute, _)| attribute.learns());

@@ -47,9 +47,6 @@ pub struct TrueSurfels {
 
 impl<'a> KnownView<'a> {
     /// A `view` of the built-in scene.
-    ///
-    /// # Errors
-    /// The errors of [`View::picture`].
     pub fn of_builtin(view: &'a View) -> Result<Self> {
         let (depth, normal) = builtin_geometry(&view.camera);
         Ok(Self { view, picture: view.picture()?, depth, normal })
