@@ -12,6 +12,7 @@ use dpges_core::testing::scenes::{Recipe, TestScene, random};
 use glam::DVec3;
 
 use crate::devices::flex;
+use crate::large;
 
 const BACKGROUND: [f64; 3] = [0.25, 0.5, 0.75];
 
@@ -67,18 +68,8 @@ fn fully_modulated_surfels_render_as_ges() {
 
 fn facing_camera(size: usize) -> Camera {
     let pose = CameraFromWorld::look_at(DVec3::new(0.0, 0.0, -5.0), DVec3::ZERO, DVec3::NEG_Y);
-    let (focal, centre) = (4.0 * size as f64, size as f64 / 2.0);
-    Camera {
-        camera_from_world: pose,
-        fx: focal,
-        fy: focal,
-        cx: centre,
-        cy: centre,
-        width: size,
-        height: size,
-        near: 0.2,
-        lens: None,
-    }
+    let focal = 4.0 * size as f64;
+    Camera { camera_from_world: pose, fx: focal, fy: focal, near: 0.2, ..large::camera(size, size) }
 }
 
 /// Discs that face the camera, 3 σ beside its axis, at these depths; no two of one colour.

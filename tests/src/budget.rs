@@ -9,31 +9,9 @@ pub fn number(name: &str) -> Option<u64> {
     Some(text.parse().unwrap_or_else(|_| panic!("{name} is {text}, expected a whole number")))
 }
 
-/// The remaining time or cases of a test.
-#[derive(Clone, Copy, Debug)]
-pub struct Budget {
-    cases: u64,
-    end: Option<Instant>,
-}
-
-impl Budget {
-    /// From now on; `cases` unless the environment says otherwise.
-    pub fn start(cases: u64) -> Self {
-        Self::new(number("DPGES_FUZZ_SECONDS"), number("DPGES_FUZZ_CASES").unwrap_or(cases))
-    }
-
-    /// So many seconds, or else so many cases.
-    pub fn new(seconds: Option<u64>, cases: u64) -> Self {
-        Self { cases, end: seconds.map(|seconds| Instant::now() + Duration::from_secs(seconds)) }
-    }
-
-    /// Whether there is another case after `done` cases. There is always a first.
-    pub fn goes_on(self, done: u64) -> bool {
-        done == 0 || self.end.map_or(done < self.cases, |end| Instant::now() < end)
-    }
-
-    /// 0, 1, …
-    pub fn seeds(self) -> impl Iterator<Item = u64> {
-        (0..).take_while(move |&done| self.goes_on(done))
-    }
+/// 0, 1, … of a test that makes so many `cases` unless the environment says otherwise. There is always a first.
+pub fn seeds(cases: u64) -> impl Iterator<Item = u64> {
+    let end = number("DPGES_FUZZ_SECONDS").map(|seconds| Instant::now() + Duration::from_secs(seconds));
+    let cases = number("DPGES_FUZZ_CASES").unwrap_or(cases);
+    (0..).take_while(move |&seed| seed == 0 || end.map_or(seed < cases, |end| Instant::now() < end))
 }

@@ -69,7 +69,7 @@ fn limited<T>(bytes: usize, work: impl FnOnce() -> T) -> T {
 
 const COUNT: usize = 40_000;
 
-pub fn as_many_fit_as_are_said_to(device: Device) {
+pub fn as_many_fit_as_are_said_to(device: &Device) {
     let blended = |form, order| Drawn::Blended(form, order);
     for drawn in [
         Drawn::Surfels,
@@ -82,36 +82,36 @@ pub fn as_many_fit_as_are_said_to(device: Device) {
     ] {
         let scene = dust(drawn, COUNT, 220);
         let most = (COUNT * drawn.row_bytes()) + drawn.spare_bytes();
-        assert_eq!(limited(most, || drawn.most(&device)), COUNT);
-        let refused = limited(most / 100 * 98, || step(&scene, drawn, &device)).err();
+        assert_eq!(limited(most, || drawn.most(device)), COUNT);
+        let refused = limited(most / 100 * 98, || step(&scene, drawn, device)).err();
         assert!(matches!(refused, Some(Error::Capacity { .. })), "{drawn:?}: {refused:?}");
-        limited(most, || step(&scene, drawn, &device)).unwrap();
+        limited(most, || step(&scene, drawn, device)).unwrap();
     }
 }
 
 /// The order of additions is that of one tensor.
-pub fn details_in_parts_change_no_bit(device: Device) {
+pub fn details_in_parts_change_no_bit(device: &Device) {
     for (drawn, count) in [(Drawn::Summed, 20_000), (Drawn::Blended(Form::Ellipsoids, BlendOrder::Centres), 20_000)] {
         let scene = dust(drawn, count, 80);
-        let whole = step(&scene, drawn, &device).unwrap();
+        let whole = step(&scene, drawn, device).unwrap();
         let most = 24 * size_of::<f32>() * count;
         let tensors = limited(most, || scene.leaves(&device.clone().autodiff(), DType::F32).1);
         assert_eq!(tensors.colour.details().map(|part| part.dims()[1]).collect::<Vec<_>>(), [24, 21], "{drawn:?}");
         assert!(tensors.check_shapes().is_ok() && tensors.to_data() == scene.gaussians, "{drawn:?}");
         assert_eq!(tensors.map_ref(|_, part| part.dims()[0]).colour.rest, [count]);
-        assert!(limited(most, || step(&scene, drawn, &device)).unwrap() == whole, "{drawn:?}");
+        assert!(limited(most, || step(&scene, drawn, device)).unwrap() == whole, "{drawn:?}");
     }
 }
 
 /// More than a binding of the driver holds: 128 MiB in Mesa's software driver.
-pub fn details_beyond_the_largest_buffer_of_the_driver(device: Device) {
+pub fn details_beyond_the_largest_buffer_of_the_driver(device: &Device) {
     let drawn = Drawn::Summed;
-    let count = largest_buffer(&device) / size_of::<f32>() / 45 + 1;
+    let count = largest_buffer(device) / size_of::<f32>() / 45 + 1;
     if count > 1_000_000 {
         println!("{count} Gaussians would not fit its largest buffer: too many to try");
         return;
     }
-    let [image, gradient] = step(&dust(drawn, count, 400), drawn, &device).unwrap();
+    let [image, gradient] = step(&dust(drawn, count, 400), drawn, device).unwrap();
     assert!(image.iter().any(|value| *value != image[0]) && gradient.len() == 45 * count);
     assert!(gradient.iter().all(|value| value.is_finite()) && gradient.iter().any(|value| *value != 0.0));
 }

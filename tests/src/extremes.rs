@@ -7,7 +7,8 @@ use dpges_core::scene::Footprint;
 use dpges_core::testing::extremes::{Extreme, Hazard, extreme, extreme_of};
 use dpges_core::testing::golden::values;
 use dpges_core::testing::precision::{Deviation, Way, conditions, deviations};
-use dpges_core::testing::scenes::{Recipe, random};
+
+use crate::poisoned::scene;
 
 /// Every tensor of `extreme` in every way is finite; returns how far each is from f64.
 pub fn finite(what: &str, extreme: &Extreme, device: &Device) -> Vec<Deviation> {
@@ -54,7 +55,7 @@ pub fn gradients_of_needles_are_close(device: &Device) {
 pub fn transmittances_of_exactly_0_and_1_are_finite(device: &Device) {
     for layer_count in [1, 3] {
         let peel = PeelOptions { layer_count, modulation: 1e30, footprint: Footprint::Kernel, backstop: false };
-        let scene = random(23, &Recipe { surfels: 20, gaussians: 30, width: 33, height: 18, ..Recipe::default() });
+        let scene = scene();
         let (surfels, gaussians) = scene.tensors(device, DType::F32);
         let options = RenderOptions { peel, ..RenderOptions::default() };
         let rendered = render(&surfels, &gaussians, &scene.camera, &options).unwrap();

@@ -12,26 +12,23 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use dpges_core::scene::{
-    BlendOrder, ColourModel, EnvironmentData, Footprint, MarginLookup, Quality, Rendering, SceneData, SceneInfo,
-    ScreenFilter, WeightedSum,
-};
+use dpges_core::scene::{ColourModel, EnvironmentData, Quality, Rendering, SceneData, WeightedSum};
 use dpges_core::testing::scenes::{Recipe, random};
 use dpges_train::config::Config;
-use dpges_train::dataset::{BuiltinOptions, LoadOptions, builtin, load};
+use dpges_train::dataset::{BuiltinOptions, Dataset, LoadOptions, builtin, load};
 use dpges_train::run::folder::{Origin, RunFolder};
 use dpges_train::run::{Run, SavedRun, StepReport};
 use proptest::test_runner::{Config as Settings, RngAlgorithm, TestError, TestRng, TestRunner};
 
-use crate::budget::{self, Budget};
+use crate::budget::{number, seeds};
 use crate::devices::ndarray;
-use mutation::{Mutation, mutated, mutations};
+use mutation::{Mutation, What, mutated, mutations};
 
 const CASES: u64 = 500;
 
 /// The seed of `DPGES_FUZZ_SEED`.
 fn seed() -> u64 {
-    budget::number("DPGES_FUZZ_SEED").unwrap_or(0)
+    number("DPGES_FUZZ_SEED").unwrap_or(0)
 }
 
 /// Makes one case, the same for the same seed and number.
@@ -43,20 +40,21 @@ fn runner(number: u64) -> TestRunner {
     TestRunner::new_with_rng(settings, TestRng::from_seed(RngAlgorithm::ChaCha, &bytes))
 }
 
-/// Calls `read` with changed contents of `files`; it says whether they could be read.
-fn fuzz(what: &str, files: &[Vec<u8>], read: impl Fn(usize, &[u8]) -> bool) {
+/// Calls `read` with changed contents of `files`. Errors contain `named`.
+fn fuzz<E: ToString>(what: &str, named: &str, files: &[Vec<u8>], read: impl Fn(usize, &[u8]) -> Result<(), E>) {
     let (cases, readable, slowest) = (Cell::new(0u64), Cell::new(0u64), Cell::new(Duration::ZERO));
     let one = |(file, changes): (usize, Vec<Mutation>)| {
         let bytes = mutated(&files[file], &changes);
         let start = Instant::now();
-        let is_readable = read(file, &bytes);
+        let found = read(file, &bytes).map_err(|error| error.to_string());
         slowest.set(slowest.get().max(start.elapsed()));
         cases.set(cases.get() + 1);
-        readable.set(readable.get() + u64::from(is_readable));
+        readable.set(readable.get() + u64::from(found.is_ok()));
+        assert!(found.as_ref().err().is_none_or(|error| !error.is_empty() && error.contains(named)), "{found:?}");
         Ok(())
     };
-    for number in Budget::start(CASES).seeds() {
-        let result = runner(number).run(&(0..files.len(), mutations()), one);
+    for case in seeds(CASES) {
+        let result = runner(case).run(&(0..files.len(), mutations()), one);
         if let Err(TestError::Fail(reason, (file, changes))) = result {
             panic!("{what}: file {file} after {changes:?}: {reason}");
         }
@@ -66,26 +64,13 @@ fn fuzz(what: &str, files: &[Vec<u8>], read: impl Fn(usize, &[u8]) -> bool) {
 }
 
 fn scene(model: ColourModel, environment: bool) -> SceneData {
-    let scene = random(3, &Recipe { surfels: 3, gaussians: 4, model, ..Recipe::default() });
-    let sums = model.opacity_len() > 0;
-    let info = SceneInfo {
-        colour_model: model,
-        modulation: 30.0,
-        layer_count: 3,
-        footprint: Footprint::Kernel,
-        backstop: true,
-        margin_lookup: MarginLookup::Shifted,
-        rendering: if sums { Rendering::Summed } else { Rendering::Peeled },
-        screen_filter: ScreenFilter::Compensated,
-        blend_order: BlendOrder::Centres,
-        weighted_sum: sums.then(WeightedSum::default),
-        background: [0.0, 0.5, 1.0],
-        offset: [0.0; 3],
-        extent: 1.0,
-        near: 0.1,
-    };
-    let environment = environment.then(|| EnvironmentData::neutral(1));
-    SceneData { info, surfels: scene.surfels, gaussians: scene.gaussians, environment }
+    let (mut scene, _) = random(3, &Recipe { surfels: 3, gaussians: 4, model, ..Recipe::default() }).into_scene();
+    scene.info.background = [0.0, 0.5, 1.0];
+    if model.opacity_len() > 0 {
+        (scene.info.rendering, scene.info.weighted_sum) = (Rendering::Summed, Some(WeightedSum::default()));
+    }
+    scene.environment = environment.then(|| EnvironmentData::neutral(1));
+    scene
 }
 
 #[test]
@@ -105,15 +90,10 @@ fn scene_files() {
     let compressed =
         models.map(|(model, environment)| scene(model, environment).to_compressed(&Quality::MEDIUM, &path).unwrap());
     for (what, files) in [("scene files", &plain), ("compressed scene files", &compressed)] {
-        fuzz(what, files, |_, bytes| match SceneData::from_bytes(bytes, "a stranger's file") {
-            Ok(scene) => {
-                scene.save(&path).expect("what is read is whole");
-                true
-            }
-            Err(error) => {
-                assert!(error.to_string().contains("a stranger's file"), "{error}");
-                false
-            }
+        fuzz(what, "a stranger's file", files, |_, bytes| {
+            let scene = SceneData::from_bytes(bytes, "a stranger's file")?;
+            scene.save(&path).expect("what is read is whole");
+            Ok::<_, dpges_core::Error>(())
         });
     }
 }
@@ -126,22 +106,15 @@ fn datasets(what: &str, corpus: &str, names: &[&str]) {
     let files: Vec<Vec<u8>> = paths.iter().map(|path| fs::read(path).unwrap()).collect();
     let options = LoadOptions { test_every: 2, max_resolution: Some(64), ..LoadOptions::default() };
     load(folder.path(), &options).unwrap();
-    fuzz(what, &files, |file, bytes| {
+    fuzz(what, "", &files, |file, bytes| {
         fs::write(&paths[file], bytes).unwrap();
         let result = load(folder.path(), &options);
         fs::write(&paths[file], &files[file]).unwrap();
-        match result {
-            Ok(dataset) => {
-                let views = dataset.train.iter().chain(&dataset.test);
-                views.for_each(|view| view.camera.validate().expect("cameras can be rendered from"));
-                assert!(dataset.points.positions.iter().flatten().all(|p| p.is_finite()), "points are finite");
-                true
-            }
-            Err(error) => {
-                assert!(!error.to_string().is_empty());
-                false
-            }
-        }
+        result.map(|dataset| {
+            let views = dataset.train.iter().chain(&dataset.test);
+            views.for_each(|view| view.camera.validate().expect("cameras can be rendered from"));
+            assert!(dataset.points.positions.iter().flatten().all(|p| p.is_finite()), "points are finite");
+        })
     });
 }
 
@@ -190,28 +163,23 @@ fn configurations() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("config.toml");
     let files = [Config::default().to_toml().into_bytes(), b"[train]\nsteps = 3\n[model]\nlayers = 2\n".to_vec()];
-    fuzz("configurations", &files, |_, bytes| {
+    fuzz("configurations", "", &files, |_, bytes| {
         fs::write(&path, bytes).unwrap();
-        match Config::resolve(None, Some(&path), &[]) {
-            Ok(config) => {
-                fs::write(&path, config.to_toml()).unwrap();
-                assert_eq!(Config::resolve(None, Some(&path), &[]).expect("what is accepted is valid"), config);
-                true
-            }
-            Err(error) => {
-                assert!(!error.to_string().is_empty());
-                false
-            }
-        }
+        Config::resolve(None, Some(&path), &[]).map(|config| {
+            fs::write(&path, config.to_toml()).unwrap();
+            assert_eq!(Config::resolve(None, Some(&path), &[]).expect("what is accepted is valid"), config);
+        })
     });
+}
+
+fn dataset() -> Dataset {
+    builtin(&BuiltinOptions { width: 8, height: 8, train_views: 2, test_views: 1, points: 40, ..Default::default() })
 }
 
 /// The folder of a run of two steps.
 fn run_folder(path: &Path) -> RunFolder {
-    let set = ["train.steps=2", "refine.budget=40", "init.max_points=30"].map(str::to_owned);
-    let config = Config::resolve(None, None, &set).unwrap();
-    let data = BuiltinOptions { width: 8, height: 8, train_views: 2, test_views: 1, points: 40, ..Default::default() };
-    let run = Run::new(config, builtin(&data), ndarray()).unwrap();
+    let config = Config::with(&["train.steps=2", "refine.budget=40", "init.max_points=30"]).unwrap();
+    let run = Run::new(config, dataset(), ndarray()).unwrap();
     let mut run = run.write_to(RunFolder::new(path), Origin::new("builtin", "cpu")).unwrap();
     run.train(&mut |_: &StepReport| {}).unwrap();
     run.folder().unwrap().clone()
@@ -222,27 +190,10 @@ fn checkpoints() {
     let folder = tempfile::tempdir().unwrap();
     let run = run_folder(folder.path());
     let file = fs::read(run.checkpoint()).unwrap();
-    fuzz("checkpoints", &[file], |_, bytes| {
+    fuzz("checkpoints", "checkpoint.safetensors", &[file], |_, bytes| {
         fs::write(run.checkpoint(), bytes).unwrap();
-        match SavedRun::open(run.clone()) {
-            Ok(saved) => {
-                // what does not fit the rest of the run is found when it goes on
-                let data = BuiltinOptions {
-                    width: 8,
-                    height: 8,
-                    train_views: 2,
-                    test_views: 1,
-                    points: 40,
-                    ..Default::default()
-                };
-                let _ = Run::resume(saved, builtin(&data), ndarray());
-                true
-            }
-            Err(error) => {
-                assert!(error.to_string().contains("checkpoint.safetensors"), "{error}");
-                false
-            }
-        }
+        // what does not fit the rest of the run is found when it goes on
+        SavedRun::open(run.clone()).map(|saved| drop(Run::resume(saved, dataset(), ndarray())))
     });
 }
 
@@ -266,22 +217,17 @@ fn files_cut_anywhere_are_refused_by_name() {
 }
 
 #[test]
-fn time_goes_before_cases_and_there_is_a_first_case() {
-    assert_eq!(Budget::new(None, 3).seeds().collect::<Vec<_>>(), [0, 1, 2]);
-    assert_eq!(Budget::new(None, 0).seeds().count(), 1);
-    assert_eq!(Budget::new(Some(0), 3).seeds().count(), 1);
-    assert!(Budget::new(Some(1000), 3).goes_on(3));
-}
-
-#[test]
 fn changes_do_what_they_say() {
     let bytes = b"abc 12.5, def".to_vec();
-    let after = |change: Mutation| mutated(&bytes, &[change]);
-    assert_eq!(after(Mutation::Truncate { at: 3 }), b"abc");
-    assert_eq!(after(Mutation::Flip { at: 0, bit: 0 }), b"`bc 12.5, def");
-    assert_eq!(after(Mutation::Number { at: 1, number: "-1".into() }), b"abc -1, def");
-    assert_eq!(after(Mutation::Remove { at: 0, length: 4 }), b"12.5, def");
-    assert_eq!(after(Mutation::Insert { at: 13, bytes: vec![b'!'] }), b"abc 12.5, def!");
-    assert_eq!(after(Mutation::Integer { at: 0, width: 4, value: 1 }), b"\x01\0\0\x0012.5, def");
-    assert_eq!(mutated(&[], &[Mutation::Flip { at: 7, bit: 1 }]), b"");
+    for (at, what, expected) in [
+        (3, What::Truncate, &b"abc"[..]),
+        (0, What::Flip(0), b"`bc 12.5, def"),
+        (1, What::Number("-1".into()), b"abc -1, def"),
+        (0, What::Remove(4), b"12.5, def"),
+        (13, What::Insert(vec![b'!']), b"abc 12.5, def!"),
+        (0, What::Integer(4, 1), b"\x01\0\0\x0012.5, def"),
+    ] {
+        assert_eq!(mutated(&bytes, &[Mutation { at, what }]), expected);
+    }
+    assert_eq!(mutated(&[], &[Mutation { at: 7, what: What::Flip(1) }]), b"");
 }

@@ -5,31 +5,38 @@
 //! rendered, and scenes at the extremes are trained, only if that is asked for.
 
 use burn::tensor::{DType, Device};
+use dpges_core::testing::extremes::extreme;
 use dpges_train::device::DeviceName;
 use libtest_mimic::Trial;
 
+use crate::budget::seeds;
+use crate::timing::trial;
 use crate::{
-    buffers, golden, gpu, kernels, lpips, on_a_gpu, own_device, parity, step_cost, students, timing, training,
+    buffers, extreme_training, extremes, golden, gpu, kernels, large, lpips, own_device, parity, poisoned, step_cost,
+    students, training,
 };
+
+/// Scenes with several hazards, unless [`budget`](crate::budget) says otherwise.
+const SCENES: u64 = 24;
 
 /// Every function named, with its name.
 macro_rules! named {
     ($($module:ident::$name:ident),* $(,)?) => {
-        [$((concat!(stringify!($module), "::", stringify!($name)), $module::$name as fn(Device))),*]
+        [$((concat!(stringify!($module), "::", stringify!($name)), $module::$name as fn(&Device))),*]
     };
 }
 
 pub fn trials() -> Vec<Trial> {
     let tests = named![
         gpu::golden_cases,
-        on_a_gpu::every_hazard_alone_is_finite,
-        on_a_gpu::many_hazards_are_finite,
-        on_a_gpu::transmittances_of_exactly_0_and_1_are_finite,
-        on_a_gpu::gradients_of_needles_are_close,
-        on_a_gpu::poisoned_numbers_are_named_with_their_row,
-        on_a_gpu::poisoned_numbers_that_nobody_looked_at_do_no_harm,
-        on_a_gpu::fifty_thousand_at_one_point_add_up,
-        on_a_gpu::pictures_of_8192_px_are_close,
+        extremes::every_hazard_alone_is_finite,
+        gpu::many_hazards_are_finite,
+        extremes::transmittances_of_exactly_0_and_1_are_finite,
+        extremes::gradients_of_needles_are_close,
+        gpu::poisoned_numbers_are_named_with_their_row,
+        gpu::poisoned_numbers_that_nobody_looked_at_do_no_harm,
+        gpu::fifty_thousand_at_one_point_add_up,
+        large::pictures_of_8192_px_are_close,
         kernels::prefix_sums_of_any_length,
         kernels::prefix_sums_stay_at_the_largest_number,
         kernels::pairs_of_any_number_are_sorted_and_keep_their_order,
@@ -66,33 +73,30 @@ pub fn trials() -> Vec<Trial> {
         step_cost::a_blended_step_is_counted,
     ];
     let slow_in_software = named![
-        on_a_gpu::each_of_a_million_has_its_pixel,
+        gpu::each_of_a_million_has_its_pixel,
         buffers::details_beyond_the_largest_buffer_of_the_driver,
         parity::every_operation_agrees_through_lenses,
         training::a_gpu_trains_as_well_as_a_cpu,
         training::lists_without_room_change_no_bit_of_a_run,
     ];
-    let on_request = named![on_a_gpu::the_largest_picture, on_a_gpu::training_in_f32_ends_where_it_ends_in_f64];
+    let on_request = named![large::the_largest_picture, extreme_training::training_in_f32_ends_where_it_ends_in_f64];
     let device = best();
     let required = is_required();
     let in_software = !required && is_software();
     if let Err(reason) = &device {
         eprintln!("tests on a GPU cannot run: {reason}");
     }
-    let trial = |(name, test): (&'static str, fn(Device)), is_left_out: bool| {
-        let device = device.clone();
-        let is_ignored = is_left_out || (device.is_err() && !required);
-        let run = move || {
-            let device = device.map_err(|reason| format!("DPGES_REQUIRE_GPU=1, and {reason}"))?;
-            timing::timed(name, || test(device));
+    let device = device.map_err(|reason| format!("DPGES_REQUIRE_GPU=1, and {reason}"));
+    let trial = |(name, test): (&'static str, fn(&Device))| {
+        trial(name, "GPU", &device, required, move |device| {
+            test(&device);
             Ok(())
-        };
-        Trial::test(name, run).with_kind("GPU").with_ignored_flag(is_ignored)
+        })
     };
-    let mut trials: Vec<Trial> = tests.into_iter().map(|test| trial(test, false)).collect();
-    trials.extend(slow_in_software.into_iter().map(|test| trial(test, in_software)));
-    trials.extend(on_request.into_iter().map(|test| trial(test, true)));
-    trials
+    let ignored = |trial: Trial, is_left_out: bool| if is_left_out { trial.with_ignored_flag(true) } else { trial };
+    let slow = slow_in_software.map(|test| ignored(trial(test), in_software));
+    let asked_for = on_request.map(|test| ignored(trial(test), true));
+    tests.map(trial).into_iter().chain(slow).chain(asked_for).collect()
 }
 
 /// Whether tests on a GPU fail where they cannot run, and none is left out for the time that it takes.
@@ -113,13 +117,36 @@ fn best() -> Result<Device, String> {
     Ok(device)
 }
 
-pub fn golden_cases(device: Device) {
-    golden::check_all(&device, DType::F32);
-    students::check(&device, DType::F32);
+pub fn golden_cases(device: &Device) {
+    golden::check_all(device, DType::F32);
+    students::check(device, DType::F32);
+}
+
+pub fn many_hazards_are_finite(device: &Device) {
+    for seed in seeds(SCENES) {
+        extremes::finite(&format!("seed {seed}"), &extreme(seed), device);
+    }
+}
+
+pub fn poisoned_numbers_are_named_with_their_row(device: &Device) {
+    poisoned::poisoned_numbers_are_named_with_their_row(device, DType::F32);
+}
+
+pub fn poisoned_numbers_that_nobody_looked_at_do_no_harm(device: &Device) {
+    poisoned::poisoned_numbers_that_nobody_looked_at_do_no_harm(device, DType::F32);
+}
+
+pub fn each_of_a_million_has_its_pixel(device: &Device) {
+    large::each_of_a_million_has_its_pixel(device, DType::F32);
+}
+
+/// As many as fit: Mesa's software driver ends every loop after 65,535 turns.
+pub fn fifty_thousand_at_one_point_add_up(device: &Device) {
+    large::equal_primitives_add_up(50_000, device, DType::F32);
 }
 
 /// Opening a device again gives the same one.
-pub fn starts_once(device: Device) {
+pub fn starts_once(device: &Device) {
     device.sync().unwrap();
-    assert_eq!(best().unwrap(), device);
+    assert_eq!(best().unwrap(), *device);
 }

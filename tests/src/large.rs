@@ -2,10 +2,10 @@
 
 use burn::tensor::{DType, Device, Gradients, Tensor};
 use dpges_core::camera::{Camera, CameraFromWorld};
-use dpges_core::ops::blend::{BlendOptions, Form};
+use dpges_core::ops::blend::Form;
 use dpges_core::ops::finite::{FiniteChecks, check_finite};
 use dpges_core::ops::peel::PeelOptions;
-use dpges_core::render::blended::{BlendedOptions, render_blended};
+use dpges_core::render::blended::render_blended;
 use dpges_core::render::{Render, RenderOptions, Values, render};
 use dpges_core::scene::schema::Columns;
 use dpges_core::scene::{ColourModel, Footprint, GaussianData, Gaussians, SurfelData, Surfels};
@@ -15,6 +15,8 @@ use dpges_core::testing::scenes::{TestScene, realistic};
 use dpges_core::{Error, Result};
 use dpges_train::metrics::psnr;
 use glam::{DMat3, DVec3};
+
+use crate::poisoned::blended;
 
 pub const MILLION: usize = 1_000_000;
 /// Edge of a picture with a pixel for each of them, px.
@@ -27,7 +29,7 @@ const MARGIN: f32 = 0.01;
 const HALF: f64 = 0.5;
 
 /// At the origin.
-fn camera(width: usize, height: usize) -> Camera {
+pub fn camera(width: usize, height: usize) -> Camera {
     let focal = width.max(height) as f64;
     Camera {
         camera_from_world: CameraFromWorld { rotation: DMat3::IDENTITY, translation: DVec3::ZERO },
@@ -63,10 +65,6 @@ fn facing(count: usize, camera: Camera, sigmas_px: [f64; 2], place: impl Fn(usiz
 fn peeled(layer_count: usize) -> RenderOptions {
     let peel = PeelOptions { layer_count, modulation: HALF, footprint: Footprint::Kernel, backstop: false };
     RenderOptions { peel, ..RenderOptions::default() }
-}
-
-fn blended(form: Form) -> BlendedOptions {
-    BlendedOptions { blend: BlendOptions { form, ..BlendOptions::default() }, background: [0.0; 3] }
 }
 
 fn gradient(leaf: &Tensor<2>, gradients: &Gradients) -> Vec<f64> {

@@ -11,17 +11,11 @@ use dpges_train::dataset::{BuiltinOptions, Dataset, builtin};
 use dpges_train::eval::evaluate;
 use dpges_train::run::Trainer;
 
+use crate::budget::number;
 use crate::devices::ndarray;
 
-/// How far from the middle of the cameras a primitive may be, in extents of the scene.
-const FARTHEST_EXTENTS: f32 = 100.0;
-/// How large a primitive may be, in extents of the scene.
-const LARGEST_EXTENTS: f32 = 100.0;
-
-fn steps() -> usize {
-    let Ok(text) = std::env::var("DPGES_LONG_STEPS") else { return 1000 };
-    text.parse().unwrap_or_else(|_| panic!("DPGES_LONG_STEPS is {text}, expected a whole number"))
-}
+/// How far from the middle of the cameras a primitive may be, and how large, in extents of the scene.
+const MOST_EXTENTS: f32 = 100.0;
 
 /// The built-in scene with 1 % of the pixels of a view black, white or saturated, a view twice, and a view with the pose of
 /// another.
@@ -40,8 +34,8 @@ fn partly_wrong() -> Dataset {
 }
 
 /// The defaults with `factor` times their learning rates.
-fn faster(factor: f64, set: &[String]) -> Config {
-    let mut config = Config::resolve(None, None, set).unwrap();
+fn faster(factor: f64, set: &[&str]) -> Config {
+    let mut config = Config::with(set).unwrap();
     let rates = &mut config.optimizer;
     for rate in [
         &mut rates.position_start,
@@ -65,10 +59,10 @@ fn assert_sane(scene: &SceneData, data: &Dataset, step: usize) {
         assert!(values.iter().all(|value| value.is_finite()), "step {step}: {name} is not finite");
         let largest = values.iter().fold(0.0f32, |largest, value| largest.max(value.abs()));
         if name.ends_with(".positions") {
-            assert!(largest < FARTHEST_EXTENTS * extent, "step {step}: {name} reach {largest}");
+            assert!(largest < MOST_EXTENTS * extent, "step {step}: {name} reach {largest}");
         } else if name.ends_with(".log_scales") {
             let largest = values.iter().fold(f32::MIN, |largest, &value| largest.max(value)).exp();
-            assert!(largest < LARGEST_EXTENTS * extent, "step {step}: {name} reach {largest} world units");
+            assert!(largest < MOST_EXTENTS * extent, "step {step}: {name} reach {largest} world units");
         }
     }
 }
@@ -76,8 +70,8 @@ fn assert_sane(scene: &SceneData, data: &Dataset, step: usize) {
 #[test]
 fn twice_the_learning_rates_on_data_that_is_partly_wrong() {
     let data = Arc::new(partly_wrong());
-    let steps = steps();
-    let set = [format!("train.steps={steps}"), "refine.budget=700".to_owned(), "stages.surfels=0.2".to_owned()];
+    let steps = number("DPGES_LONG_STEPS").unwrap_or(1000) as usize;
+    let set = [&*format!("train.steps={steps}"), "refine.budget=700", "stages.surfels=0.2"];
     let mut trainer = Trainer::new(faster(2.0, &set), Arc::clone(&data), ndarray()).unwrap();
     let (mut events, mut step) = (0, 0);
     while !trainer.is_finished() {

@@ -8,6 +8,7 @@ use libtest_mimic::Trial;
 
 use crate::devices::{flex, ndarray};
 use crate::test_pictures::{discs, moved, noisy, picture, tinted};
+use crate::timing::trial;
 
 const WIDTH: usize = 64;
 const HEIGHT: usize = 48;
@@ -43,7 +44,7 @@ fn pictures(device: &Device) -> [Tensor<3>; 2] {
     })
 }
 
-pub fn a_gpu_agrees_with_a_cpu(device: Device) {
+pub fn a_gpu_agrees_with_a_cpu(device: &Device) {
     for network in Network::ALL {
         let weights = weights(network);
         let [found, expected] = [device.clone(), ndarray()].map(|device| {
@@ -59,67 +60,34 @@ pub fn a_gpu_agrees_with_a_cpu(device: Device) {
 /// A pixel of a picture, by channel, row and column.
 type Pixel = fn(usize, usize, usize) -> usize;
 
-/// Width, height and two pictures.
-const PAIRS: [(usize, usize, Pixel, Pixel); 10] = [
-    (64, 48, discs, moved),
-    (64, 48, discs, noisy),
-    (64, 48, discs, tinted),
-    (64, 48, moved, noisy),
-    (64, 48, noisy, tinted),
-    (97, 65, discs, moved),
-    (97, 65, discs, noisy),
-    (97, 65, discs, tinted),
-    (97, 65, tinted, moved),
-    (33, 31, noisy, discs),
+/// Width, height, two pictures, and what `reference/make_lpips.py` prints for them, in the order of [`Network::ALL`].
+const PAIRS: [(usize, usize, Pixel, Pixel, [f64; 2]); 10] = [
+    (64, 48, discs, moved, [0.008_078_890, 0.028_402_162]),
+    (64, 48, discs, noisy, [0.104_623_861, 0.438_843_993]),
+    (64, 48, discs, tinted, [0.030_664_029, 0.033_786_682]),
+    (64, 48, moved, noisy, [0.115_303_323, 0.448_173_729]),
+    (64, 48, noisy, tinted, [0.124_898_637, 0.445_526_008]),
+    (97, 65, discs, moved, [0.013_134_834, 0.035_867_332]),
+    (97, 65, discs, noisy, [0.088_865_122, 0.351_521_607]),
+    (97, 65, discs, tinted, [0.034_359_950, 0.036_327_757]),
+    (97, 65, tinted, moved, [0.046_924_594, 0.076_603_494]),
+    (33, 31, noisy, discs, [0.016_949_568, 0.357_239_507]),
 ];
-
-/// The values that `reference/make_lpips.py` prints for them.
-fn expected(network: Network) -> [f64; 10] {
-    match network {
-        Network::Alex => [
-            0.008_078_890,
-            0.104_623_861,
-            0.030_664_029,
-            0.115_303_323,
-            0.124_898_637,
-            0.013_134_834,
-            0.088_865_122,
-            0.034_359_950,
-            0.046_924_594,
-            0.016_949_568,
-        ],
-        Network::Vgg => [
-            0.028_402_162,
-            0.438_843_993,
-            0.033_786_682,
-            0.448_173_729,
-            0.445_526_008,
-            0.035_867_332,
-            0.351_521_607,
-            0.036_327_757,
-            0.076_603_494,
-            0.357_239_507,
-        ],
-    }
-}
 
 /// A test for each network, ignored where it is not installed.
 pub fn trials() -> Vec<Trial> {
     let trial = |network: Network| {
-        let path = installed(network);
-        if path.is_none() {
+        let path = installed(network).ok_or_else(|| {
             eprintln!(
                 "LPIPS ({network}) cannot be compared with NumPy: `dpges lpips install {network}` gets its weights"
             );
-        }
-        let is_ignored = path.is_none();
-        let run = move || {
-            the_formula_in_numpy_agrees(&Weights::load(&path.ok_or("the network is not installed")?)?);
+            "the network is not installed".to_owned()
+        });
+        let name = format!("lpips::the_formula_in_numpy_agrees_for_{network}");
+        trial(&name, "weights", &path, false, |path| {
+            the_formula_in_numpy_agrees(&Weights::load(&path)?);
             Ok(())
-        };
-        Trial::test(format!("lpips::the_formula_in_numpy_agrees_for_{network}"), run)
-            .with_kind("weights")
-            .with_ignored_flag(is_ignored)
+        })
     };
     Network::ALL.map(trial).into()
 }
@@ -127,13 +95,12 @@ pub fn trials() -> Vec<Trial> {
 fn the_formula_in_numpy_agrees(weights: &Weights) {
     for device in [ndarray(), flex()] {
         let lpips = Lpips::new(weights, &device);
-        for (index, (pair, expected)) in PAIRS.into_iter().zip(expected(weights.network)).enumerate() {
-            let (width, height, reference, test) = pair;
+        let network = Network::ALL.iter().position(|network| *network == weights.network).expect("one of all");
+        for (index, (width, height, reference, test, expected)) in PAIRS.into_iter().enumerate() {
+            let expected = expected[network];
             let [reference, test] = [reference, test].map(|of| {
-                Tensor::from_data(
-                    TensorData::new(picture(width, height, of), [3, height, width]),
-                    (&device, DType::F32),
-                )
+                let data = TensorData::new(picture(width, height, of), [3, height, width]);
+                Tensor::from_data(data, (&device, DType::F32))
             });
             let found = lpips.distance(&reference, &test).unwrap().unwrap();
             println!("LPIPS ({}), {device:?}, pair {index}: {found:.9}, {expected:.9} in NumPy", weights.network);

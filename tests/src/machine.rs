@@ -11,7 +11,6 @@ mod gpu;
 mod kernels;
 mod large;
 mod lpips;
-mod on_a_gpu;
 mod own_device;
 mod parity;
 mod poisoned;

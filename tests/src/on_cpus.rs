@@ -9,20 +9,17 @@ const DTYPES: [DType; 2] = [DType::F32, DType::F64];
 
 #[test]
 fn every_hazard_alone_is_finite() {
-    extremes::every_hazard_alone_is_finite(&ndarray());
-    extremes::every_hazard_alone_is_finite(&flex());
+    [ndarray(), flex()].iter().for_each(extremes::every_hazard_alone_is_finite);
 }
 
 #[test]
 fn transmittances_of_exactly_0_and_1_are_finite() {
-    extremes::transmittances_of_exactly_0_and_1_are_finite(&ndarray());
-    extremes::transmittances_of_exactly_0_and_1_are_finite(&flex());
+    [ndarray(), flex()].iter().for_each(extremes::transmittances_of_exactly_0_and_1_are_finite);
 }
 
 #[test]
 fn gradients_of_needles_are_close() {
-    extremes::gradients_of_needles_are_close(&ndarray());
-    extremes::gradients_of_needles_are_close(&flex());
+    [ndarray(), flex()].iter().for_each(extremes::gradients_of_needles_are_close);
 }
 
 #[test]
@@ -48,12 +45,7 @@ fn poisoned_numbers_that_nobody_looked_at_do_no_harm() {
 
 #[test]
 fn each_of_a_million_has_its_pixel() {
-    large::each_of_a_million_has_its_pixel(&ndarray(), DType::F32);
-}
-
-#[test]
-fn each_of_a_million_has_its_pixel_in_doubles() {
-    large::each_of_a_million_has_its_pixel(&ndarray(), DType::F64);
+    DTYPES.into_iter().for_each(|dtype| large::each_of_a_million_has_its_pixel(&ndarray(), dtype));
 }
 
 #[test]

@@ -34,14 +34,14 @@ fn own(limits: impl FnOnce(&wgpu::Adapter) -> wgpu::Limits) -> (Device, wgpu::De
 }
 
 /// wgpu refuses what exceeds them: eight buffers of a kernel, 128 MiB of one, 16 KiB of workgroup memory, 256 invocations.
-pub fn every_operation_keeps_to_the_limits_of_webgpu(_: Device) {
+pub fn every_operation_keeps_to_the_limits_of_webgpu(_: &Device) {
     let (device, limited) = own(|_| wgpu::Limits::default());
     let most = limited.limits();
     assert_eq!((most.max_storage_buffers_per_shader_stage, most.max_storage_buffer_binding_size), (8, 128 << 20));
     assert_eq!((most.max_compute_workgroup_storage_size, most.max_compute_invocations_per_workgroup), (16 << 10, 256));
     let wrong: Vec<_> = CASES.iter().flat_map(|case| case.check(&device)).filter(|finding| !finding.passed).collect();
     assert!(wrong.is_empty(), "{wrong:?}");
-    parity::weighted_sums_agree_on_random_scenes(device.clone());
+    parity::weighted_sums_agree_on_random_scenes(&device);
     for method in ["dpges", "3dgs", "sss", "2dgs", "sortfree", "htgs", "stopthepop"] {
         let config = training::config(6, &[&format!("train.method={method}"), "train.exposure=on", "train.poses=on"]);
         training::trained(&training::dataset(), config, &device);
@@ -73,7 +73,7 @@ impl Observer for Taken<'_> {
 }
 
 /// As one that is reset or unplugged, or one of a laptop that sleeps.
-pub fn a_device_that_is_lost_leaves_a_run_that_goes_on_elsewhere(_: Device) {
+pub fn a_device_that_is_lost_leaves_a_run_that_goes_on_elsewhere(_: &Device) {
     let at = tempfile::tempdir().unwrap();
     let (device, taken) = own(wgpu::Adapter::limits);
     let config = || training::config(30, &["train.checkpoint_every=10"]);

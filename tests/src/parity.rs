@@ -119,50 +119,50 @@ fn random(seed: u64, model: ColourModel) -> TestScene {
     scenes::random(seed, &Recipe { surfels: 150, gaussians: 400, width: 75, height: 50, model, ..Recipe::default() })
 }
 
-pub fn every_operation_agrees_on_random_scenes(device: Device) {
+pub fn every_operation_agrees_on_random_scenes(device: &Device) {
     let models = [
         ColourModel::SphericalBeta { lobes: 2 },
         ColourModel::SphericalHarmonics { degree: 3 },
         ColourModel::SphericalBeta { lobes: 0 },
     ];
     for (seed, model) in (30..).zip(models) {
-        check(&format!("seed {seed}, {model}"), &random(seed, model), PeelOptions::default(), &device);
+        check(&format!("seed {seed}, {model}"), &random(seed, model), PeelOptions::default(), device);
     }
 }
 
-pub fn every_operation_agrees_for_every_number_of_layers_and_footprint(device: Device) {
+pub fn every_operation_agrees_for_every_number_of_layers_and_footprint(device: &Device) {
     let scene = random(41, ColourModel::SphericalBeta { lobes: 1 });
     for layer_count in [1, 2, 4, 8] {
         for (footprint, modulation) in [(Footprint::Kernel, 30.0), (Footprint::Opacity, 255.0)] {
             for backstop in [false, true] {
                 let options = PeelOptions { layer_count, modulation, footprint, backstop };
-                check(&format!("{options:?}"), &scene, options, &device);
+                check(&format!("{options:?}"), &scene, options, device);
             }
         }
     }
 }
 
-pub fn every_operation_agrees_on_a_realistic_scene(device: Device) {
-    check("realistic", &scenes::realistic(900, 9_000, 120, 80, 1), PeelOptions::default(), &device);
+pub fn every_operation_agrees_on_a_realistic_scene(device: &Device) {
+    check("realistic", &scenes::realistic(900, 9_000, 120, 80, 1), PeelOptions::default(), device);
 }
 
-pub fn every_operation_agrees_with_nothing_to_show(device: Device) {
+pub fn every_operation_agrees_with_nothing_to_show(device: &Device) {
     for (surfels, gaussians) in [(0, 0), (5, 0), (0, 5)] {
         let scene = scenes::random(50, &Recipe { surfels, gaussians, ..Recipe::default() });
-        check(&format!("{surfels} surfels, {gaussians} Gaussians"), &scene, PeelOptions::default(), &device);
+        check(&format!("{surfels} surfels, {gaussians} Gaussians"), &scene, PeelOptions::default(), device);
     }
 }
 
-pub fn every_operation_agrees_on_one_primitive_and_on_a_line_of_pixels(device: Device) {
+pub fn every_operation_agrees_on_one_primitive_and_on_a_line_of_pixels(device: &Device) {
     for (surfels, gaussians, width, height) in [(1, 1, 37, 22), (12, 20, 1, 1), (12, 20, 33, 1), (12, 20, 1, 17)] {
         let scene = scenes::random(51, &Recipe { surfels, gaussians, width, height, ..Recipe::default() });
         let what = format!("{surfels} surfels, {gaussians} Gaussians, {width} × {height} px");
-        check(&what, &scene, PeelOptions::default(), &device);
+        check(&what, &scene, PeelOptions::default(), device);
     }
 }
 
 /// Through a lens of every model. Wide ones stand within the scene and see 150° across their picture, others as before.
-pub fn every_operation_agrees_through_lenses(device: Device) {
+pub fn every_operation_agrees_through_lenses(device: &Device) {
     for (seed, (name, lens)) in (100..).zip(every_model()) {
         let mut scene = random(seed, ColourModel::SphericalBeta { lobes: 0 });
         if Lens::new(lens).is_wide() {
@@ -170,45 +170,45 @@ pub fn every_operation_agrees_through_lenses(device: Device) {
             scene.camera = Camera { camera_from_world: pose, near: 0.2, ..scene.camera };
         }
         scene.camera = behind(scene.camera, lens, 150.0);
-        check(name, &scene, PeelOptions::default(), &device);
-        check_blending(name, &scene, &FORMS[..2], &device);
-        check_by_rays(name, &scene, &device);
+        check(name, &scene, PeelOptions::default(), device);
+        check_blending(name, &scene, &FORMS[..2], device);
+        check_by_rays(name, &scene, device);
     }
 }
 
-pub fn weighted_sums_agree_on_random_scenes(device: Device) {
+pub fn weighted_sums_agree_on_random_scenes(device: &Device) {
     let model = ColourModel::HarmonicsAndOpacity { degree: 3 };
     for (seed, weight) in (95..).zip([DepthWeight::Direct, DepthWeight::Exponential, DepthWeight::Linear]) {
         for (gaussians, width, height) in [(400, 75, 50), (1, 37, 22), (0, 9, 5)] {
             let recipe = Recipe { surfels: 0, gaussians, width, height, model, ..Recipe::default() };
             let scene = scenes::random(seed, &recipe);
             let run = |device: &Device| on(&scene, PeelOptions::default(), device).summed(weight);
-            assert_near(&format!("{weight:?}, {gaussians} Gaussians"), &run(&device), &run(&ndarray()));
+            assert_near(&format!("{weight:?}, {gaussians} Gaussians"), &run(device), &run(&ndarray()));
         }
     }
 }
 
-pub fn sorted_blending_agrees_on_random_scenes(device: Device) {
+pub fn sorted_blending_agrees_on_random_scenes(device: &Device) {
     for seed in 90..93 {
         let scene = random(seed, ColourModel::SphericalBeta { lobes: 0 });
-        check_blending(&format!("seed {seed}"), &scene, &FORMS, &device);
-        check_by_pixels(&format!("seed {seed}"), &scene, &device);
+        check_blending(&format!("seed {seed}"), &scene, &FORMS, device);
+        check_by_pixels(&format!("seed {seed}"), &scene, device);
     }
 }
 
-pub fn sorted_blending_agrees_in_a_crowd(device: Device) {
+pub fn sorted_blending_agrees_in_a_crowd(device: &Device) {
     // several blocks to sort, lists longer than a cube has units, pixels that end early
     let recipe = Recipe { surfels: 0, gaussians: 2_500, width: 40, height: 30, ..Recipe::default() };
     let scene = scenes::random(94, &recipe);
-    check_blending("a crowd", &scene, &FORMS[..1], &device);
-    check_by_pixels("a crowd", &scene, &device);
+    check_blending("a crowd", &scene, &FORMS[..1], device);
+    check_by_pixels("a crowd", &scene, device);
 }
 
-pub fn sorted_blending_agrees_with_little_or_nothing_to_show(device: Device) {
+pub fn sorted_blending_agrees_with_little_or_nothing_to_show(device: &Device) {
     for gaussians in [0, 1, 5] {
         let scene = scenes::random(95, &Recipe { surfels: 0, gaussians, ..Recipe::default() });
-        check_blending(&format!("{gaussians} primitives"), &scene, &FORMS, &device);
-        check_by_pixels(&format!("{gaussians} primitives"), &scene, &device);
+        check_blending(&format!("{gaussians} primitives"), &scene, &FORMS, device);
+        check_by_pixels(&format!("{gaussians} primitives"), &scene, device);
     }
 }
 
@@ -234,12 +234,12 @@ pub fn a_device_that_is_off_is_found_out() {
     assert!((apart * (75.0 * 50.0) - 1.0).abs() < 1e-6, "one pixel is other: {apart}");
 }
 
-pub fn lists_that_overflow_change_nothing(device: Device) {
+pub fn lists_that_overflow_change_nothing(device: &Device) {
     let scene = random(70, ColourModel::SphericalBeta { lobes: 2 });
     cap_lists(100);
-    check("lists of 100 entries", &scene, PeelOptions::default(), &device);
-    check_blending("lists of 100 entries", &scene, &FORMS, &device);
-    check_by_pixels("lists of 100 entries", &scene, &device);
+    check("lists of 100 entries", &scene, PeelOptions::default(), device);
+    check_blending("lists of 100 entries", &scene, &FORMS, device);
+    check_by_pixels("lists of 100 entries", &scene, device);
     cap_lists(usize::MAX);
 }
 
@@ -248,28 +248,24 @@ fn everything(scene: &TestScene, device: &Device) -> Vec<Named> {
     let options = PeelOptions::default();
     let reference = on(scene, options, device).reference();
     let mut found = on(scene, options, device).against(&reference);
-    for (form, filter) in FORMS {
-        let options = BlendOptions { form, filter, maps: true, ..BlendOptions::default() };
-        found.extend(on(scene, PeelOptions::default(), device).blended(options));
-    }
+    let by_centres = FORMS.map(|(form, filter)| BlendOptions { form, filter, ..BlendOptions::default() });
     let by_rays = BlendOptions { order: BlendOrder::Rays, ..BlendOptions::default() };
-    for options in [by_rays, whitened(Transparency::Hybrid)] {
-        let options = BlendOptions { maps: true, ..options };
-        found.extend(on(scene, PeelOptions::default(), device).blended(options));
+    for options in by_centres.into_iter().chain([by_rays, whitened(Transparency::Hybrid)]) {
+        found.extend(on(scene, PeelOptions::default(), device).blended(BlendOptions { maps: true, ..options }));
     }
     found
 }
 
-pub fn lists_whose_lengths_nothing_waits_for_change_no_bit(device: Device) {
+pub fn lists_whose_lengths_nothing_waits_for_change_no_bit(device: &Device) {
     let scene = random(71, ColourModel::SphericalBeta { lobes: 2 });
-    let expected = everything(&scene, &device);
+    let expected = everything(&scene, device);
     // with room at once, without it the second time
     for (entries, calls) in [(usize::MAX, 1), (100, 2)] {
         let mut called = 0;
         cap_lists(entries);
         let found = defer_readback(|| {
             called += 1;
-            everything(&scene, &device)
+            everything(&scene, device)
         });
         cap_lists(usize::MAX);
         let other = found.iter().zip(&expected).find(|(found, expected)| found != expected);
@@ -287,15 +283,15 @@ fn with_large_ones(mut scene: TestScene, large: usize) -> TestScene {
     scene
 }
 
-pub fn primitives_larger_than_the_picture_agree(device: Device) {
+pub fn primitives_larger_than_the_picture_agree(device: &Device) {
     let mut scene = with_large_ones(scenes::realistic(300, 2_000, 200, 150, 3), 6);
     scene.surfels.log_scales[..6].copy_from_slice(&[0.3, 0.1, 0.2, 0.4, 0.0, 0.3]);
-    check("larger than the picture", &scene, PeelOptions::default(), &device);
-    check_blending("larger than the picture", &scene, &FORMS, &device);
-    check_by_pixels("larger than the picture", &scene, &device);
+    check("larger than the picture", &scene, PeelOptions::default(), device);
+    check_blending("larger than the picture", &scene, &FORMS, device);
+    check_by_pixels("larger than the picture", &scene, device);
 }
 
-pub fn gradients_beyond_the_largest_buffer_are_gathered_in_parts(device: Device) {
+pub fn gradients_beyond_the_largest_buffer_are_gathered_in_parts(device: &Device) {
     let recipe = Recipe { surfels: 0, gaussians: 2_500, width: 40, height: 30, ..Recipe::default() };
     let scene = with_large_ones(scenes::random(96, &recipe), 1_500);
     // the sums of a tile fit, and what its pixels say, those of all six do not
@@ -307,7 +303,7 @@ pub fn gradients_beyond_the_largest_buffer_are_gathered_in_parts(device: Device)
     ] {
         let run = || {
             let options = BlendOptions { maps: true, ..options };
-            on(&scene, PeelOptions::default(), &device).blended(options)
+            on(&scene, PeelOptions::default(), device).blended(options)
         };
         let whole = run();
         limit_buffers(most);
@@ -318,7 +314,7 @@ pub fn gradients_beyond_the_largest_buffer_are_gathered_in_parts(device: Device)
 }
 
 /// Forward by the functions themselves, backward by `within_capacity`; the device goes on to work as before.
-pub fn what_no_buffer_holds_is_refused_by_name(device: Device) {
+pub fn what_no_buffer_holds_is_refused_by_name(device: &Device) {
     let recipe = Recipe { surfels: 0, gaussians: 100, width: 200, height: 150, ..Recipe::default() };
     let scene = with_large_ones(scenes::random(97, &recipe), 100);
     let (surfels, gaussians) = scene.leaves(&device.clone().autodiff(), DType::F32);
@@ -351,34 +347,26 @@ pub fn what_no_buffer_holds_is_refused_by_name(device: Device) {
     }
 }
 
-pub fn every_operation_gives_the_same_bits_every_time(device: Device) {
+pub fn every_operation_gives_the_same_bits_every_time(device: &Device) {
     let scene = with_large_ones(scenes::realistic(300, 4_000, 96, 64, 2), 2);
-    let reference = on(&scene, PeelOptions::default(), &ndarray()).reference();
-    let run = || {
-        let peeled = on(&scene, PeelOptions::default(), &device).against(&reference);
-        let by_rays = BlendOptions { order: BlendOrder::Rays, ..BlendOptions::default() };
-        let blended = [BlendOptions::default(), by_rays, whitened(Transparency::Hybrid)]
-            .map(|options| on(&scene, PeelOptions::default(), &device).blended(BlendOptions { maps: true, ..options }));
-        (peeled, blended)
-    };
-    let first = run();
+    let first = everything(&scene, device);
     for _ in 0..3 {
-        assert!(run() == first, "two runs differ");
+        assert!(everything(&scene, device) == first, "two runs differ");
     }
 }
 
-pub fn doubles_on_a_gpu_are_refused_by_name(device: Device) {
+pub fn doubles_on_a_gpu_are_refused_by_name(device: &Device) {
     if !device.supports_dtype(DType::F64) {
         return;
     }
     let scene = random(80, ColourModel::SphericalBeta { lobes: 1 });
-    let (surfels, gaussians) = scene.tensors(&device, DType::F64);
+    let (surfels, gaussians) = scene.tensors(device, DType::F64);
     let error = render(&surfels, &gaussians, &scene.camera, &Default::default()).unwrap_err();
     assert!(error.to_string().contains("F32, what GPUs compute in"), "{error}");
 }
 
 /// All values, in every place of a word, in images whose last word is full or not.
-pub fn photographs_are_unpacked_to_the_same_bits(device: Device) {
+pub fn photographs_are_unpacked_to_the_same_bits(device: &Device) {
     for shape in [[1, 1, 1], [3, 16, 17], [1, 13, 20], [2, 128, 3], [3, 480, 641]] {
         let values: Vec<u8> = (0..shape.iter().product()).map(|at: usize| (at * 37 % 256) as u8).collect();
         let [expected, found] = [ndarray(), device.clone()].map(|device| {

@@ -14,11 +14,11 @@ const POISONS: [f32; 3] = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY];
 /// The row that is poisoned.
 const ROW: usize = 7;
 
-fn scene() -> TestScene {
+pub fn scene() -> TestScene {
     random(23, &Recipe { surfels: 20, gaussians: 30, width: 33, height: 18, ..Recipe::default() })
 }
 
-fn blended(form: Form) -> BlendedOptions {
+pub fn blended(form: Form) -> BlendedOptions {
     BlendedOptions { blend: BlendOptions { form, ..BlendOptions::default() }, background: [0.0; 3] }
 }
 

@@ -13,11 +13,11 @@ use dpges_train::config::Config;
 use dpges_train::dataset::{BuiltinOptions, Dataset, builtin};
 use dpges_train::eval::popping::Frame;
 use dpges_train::eval::rendered::Renderer;
-use dpges_train::run::Trainer;
 use libtest_mimic::{Failed, Trial};
 
 use crate::devices::flex;
-use crate::{gpu, timing};
+use crate::timing::trial;
+use crate::{gpu, training};
 
 type Test = fn(&Headless) -> Result<(), Failed>;
 
@@ -42,16 +42,12 @@ pub fn trials() -> Vec<Trial> {
     if let Ok(headless) = &headless {
         eprintln!("tests of the real-time renderer run on {}", headless.adapter_name());
     }
+    let headless = headless.map_err(|error| error.to_string());
     let trial = |(name, test): (&'static str, Test)| {
-        let headless = headless.as_ref().map(Headless::clone).map_err(ToString::to_string);
-        let is_ignored = slow == Some(name) || (headless.is_err() && !required);
-        let run = move || {
-            let headless = headless?;
-            timing::timed(name, || test(&headless))
-        };
-        Trial::test(name, run).with_kind("GPU").with_ignored_flag(is_ignored)
+        let trial = trial(name, "GPU", &headless, required, move |headless| test(&headless));
+        if slow == Some(name) { trial.with_ignored_flag(true) } else { trial }
     };
-    tests.into_iter().map(trial).collect()
+    tests.map(trial).into()
 }
 
 fn dataset() -> Arc<Dataset> {
@@ -64,14 +60,8 @@ fn dataset() -> Arc<Dataset> {
 /// A scene after `steps` steps with the keys `set`.
 fn trained(steps: usize, set: &[&str]) -> SceneData {
     let steps = format!("train.steps={steps}");
-    let keys: Vec<String> =
-        [steps.as_str(), "refine.budget=3000"].iter().chain(set).map(|&key| key.to_owned()).collect();
-    let config = Config::resolve(None, None, &keys).unwrap();
-    let mut trainer = Trainer::new(config, dataset(), flex()).unwrap();
-    while !trainer.is_finished() {
-        trainer.step().unwrap();
-    }
-    trainer.scene()
+    let config = Config::with(&[&[&steps, "refine.budget=3000"], set].concat()).unwrap();
+    training::trained(&dataset(), config, &flex()).scene()
 }
 
 fn joint() -> &'static SceneData {

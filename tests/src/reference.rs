@@ -12,6 +12,8 @@ use dpges_core::testing::compare::relative_l2;
 use libtest_mimic::Trial;
 use safetensors::{Dtype, SafeTensors};
 
+use crate::timing::trial;
+
 /// Rounding differs from one machine to another; conditioning magnifies it, most for discs that are seen edge-on.
 const TOLERANCE: f64 = 1e-10;
 
@@ -21,19 +23,17 @@ pub fn trials() -> Vec<Trial> {
     if let Err(reason) = &python {
         eprintln!("the golden files cannot be compared with their generator: {reason}");
     }
-    let is_ignored = python.is_err() && !required;
-    let trial = |name: &str, generator: &'static str, committed: &'static str| {
-        let python = python.clone();
-        let run = move || {
-            the_files_are_what_the_generator_writes(&python?, generator, committed);
+    let trial = |(name, generator, committed)| {
+        trial(name, "Python", &python, required, move |python| {
+            the_files_are_what_the_generator_writes(&python, generator, committed);
             Ok(())
-        };
-        Trial::test(format!("reference::{name}"), run).with_kind("Python").with_ignored_flag(is_ignored)
+        })
     };
-    vec![
-        trial("the_golden_files_are_what_the_generator_writes", "make_golden.py", "golden"),
-        trial("the_students_are_what_the_generator_writes", "make_students.py", "golden_students"),
-    ]
+    let tests = [
+        ("reference::the_golden_files_are_what_the_generator_writes", "make_golden.py", "golden"),
+        ("reference::the_students_are_what_the_generator_writes", "make_students.py", "golden_students"),
+    ];
+    tests.map(trial).into()
 }
 
 fn folder() -> PathBuf {

@@ -9,14 +9,11 @@ use dpges_core::render::{RenderOptions, render};
 use dpges_core::scene::schema::{Attribute, Columns, GaussianColumns, SurfelColumns};
 use dpges_core::scene::{Footprint, Gaussians, Surfels};
 use dpges_core::testing::golden::values;
-use dpges_core::testing::scenes::{Recipe, TestScene, random};
+use dpges_core::testing::scenes::TestScene;
 use glam::{DMat3, DVec3};
 
 use crate::devices::{flex, ndarray};
-
-fn scene() -> TestScene {
-    random(23, &Recipe { surfels: 20, gaussians: 30, width: 33, height: 18, ..Recipe::default() })
-}
+use crate::poisoned::scene;
 
 type Input = (Surfels, Gaussians);
 
@@ -138,9 +135,10 @@ fn assert_finite(what: &str, scene: &TestScene) {
     }
 }
 
+/// What each [`Hazard`](dpges_core::testing::extremes::Hazard) does, farther than that goes.
 #[test]
-fn extreme_scales_stay_finite() {
-    for size in [-60.0f32, 60.0, -30.0, 30.0, 20.0] {
+fn what_is_beyond_all_hazards_stays_finite() {
+    for size in [-60.0f32, 30.0, 60.0] {
         let mut all = scene();
         all.surfels.log_scales.fill(size);
         all.gaussians.log_scales.fill(size);
@@ -154,51 +152,24 @@ fn extreme_scales_stay_finite() {
         needles.gaussians.log_scales.chunks_mut(3).for_each(|s| s.copy_from_slice(&[size, -size, 0.0]));
         assert_finite(&format!("log-scales ±{size}"), &needles);
     }
-}
-
-#[test]
-fn extreme_opacities_stay_finite() {
-    for opacity in [1e6, -1e6, 0.0, 1e-30, -0.5, 1e30] {
+    for opacity in [1e30, -1e30] {
         let mut scene = scene();
         scene.gaussians.opacities.fill(opacity);
         assert_finite(&format!("opacities {opacity}"), &scene);
     }
-}
-
-#[test]
-fn primitives_at_the_camera_and_at_the_horizon_stay_finite() {
-    let eye = scene().camera.centre();
     let forward = scene().camera.camera_from_world.rotation.transpose() * DVec3::Z;
-    for (what, place) in [
-        ("at the camera", eye),
-        ("on the near plane", eye + forward * scene().camera.near),
-        ("just behind the near plane", eye + forward * scene().camera.near * 1.000_001),
-        ("at 1e6", eye + forward * 1e6),
-        ("at 1e6 behind", eye - forward * 1e6),
-        ("at 1e6 aside", eye + DVec3::new(1e6, -1e6, 1e6)),
-        ("at 1e12", eye + forward * 1e12),
-    ] {
+    for offset in [1e6 * forward, -1e6 * forward, DVec3::new(1e6, -1e6, 1e6), 1e12 * forward] {
         let mut scene = scene();
+        let place = (scene.camera.centre() + offset).as_vec3().to_array();
         for positions in [&mut scene.surfels.positions, &mut scene.gaussians.positions] {
-            positions.chunks_mut(3).step_by(2).for_each(|p| p.copy_from_slice(&place.as_vec3().to_array()));
+            positions.chunks_mut(3).step_by(2).for_each(|p| p.copy_from_slice(&place));
         }
-        assert_finite(what, &scene);
+        assert_finite(&format!("at {offset}"), &scene);
         // of matching size there
         for scales in [&mut scene.surfels.log_scales, &mut scene.gaussians.log_scales] {
-            scales.fill(((place - eye).length() as f32 * 0.1).max(1e-6).ln());
+            scales.fill((offset.length() as f32 * 0.1).ln());
         }
-        assert_finite(&format!("{what}, large"), &scene);
-    }
-}
-
-#[test]
-fn extreme_quaternions_stay_finite() {
-    for length in [0.0, 1e-30, 1e-20, 1e-12, 1e20, 1e30] {
-        let mut scene = scene();
-        for quaternions in [&mut scene.surfels.quaternions, &mut scene.gaussians.quaternions] {
-            quaternions.iter_mut().for_each(|q| *q *= length);
-        }
-        assert_finite(&format!("quaternions times {length}"), &scene);
+        assert_finite(&format!("at {offset}, large"), &scene);
     }
 }
 

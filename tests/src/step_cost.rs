@@ -40,8 +40,8 @@ fn is_launched(cost: &GpuCost, module: &str) -> bool {
     cost.launches_by_kernel.keys().any(|kernel| kernel.starts_with(module))
 }
 
-pub fn a_step_is_counted_alike_every_time(device: Device) {
-    let (first, second) = (cost(StepStage::Joint, &device), cost(StepStage::Joint, &device));
+pub fn a_step_is_counted_alike_every_time(device: &Device) {
+    let (first, second) = (cost(StepStage::Joint, device), cost(StepStage::Joint, device));
     check(&first);
     for operation in ["dpges_core::splat::", "dpges_core::peel::"] {
         assert!(is_launched(&first, operation), "nothing of {operation} among {:?}", first.launches_by_kernel);
@@ -54,8 +54,8 @@ pub fn a_step_is_counted_alike_every_time(device: Device) {
     assert_eq!(without_waits(&first), without_waits(&second));
 }
 
-pub fn a_blended_step_is_counted(device: Device) {
-    let found = cost(StepStage::Blended, &device);
+pub fn a_blended_step_is_counted(device: &Device) {
+    let found = cost(StepStage::Blended, device);
     check(&found);
     assert!(is_launched(&found, "dpges_core::blend::"), "{:?}", found.launches_by_kernel);
     assert!(!is_launched(&found, "dpges_core::peel::"), "{:?}", found.launches_by_kernel);

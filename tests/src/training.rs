@@ -16,25 +16,19 @@ use dpges_train::run::{TrainError, Trainer};
 use crate::devices::ndarray;
 
 pub fn dataset() -> Arc<Dataset> {
-    let (size, defaults) = (64, BuiltinOptions::default());
-    Arc::new(builtin(&BuiltinOptions {
-        width: size,
-        height: size,
-        train_views: 8,
-        test_views: 8,
-        points: 800,
-        ..defaults
-    }))
+    dataset_of(8, 800)
+}
+
+pub fn dataset_of(train_views: usize, points: usize) -> Arc<Dataset> {
+    let (size, test_views) = (64, 8);
+    let options =
+        BuiltinOptions { width: size, height: size, train_views, test_views, points, ..BuiltinOptions::default() };
+    Arc::new(builtin(&options))
 }
 
 pub fn config(steps: usize, more: &[&str]) -> Config {
     let steps = format!("train.steps={steps}");
-    let set: Vec<String> = [steps.as_str(), "refine.budget=3000", "stages.gaussians=0"]
-        .iter()
-        .chain(more)
-        .map(|&key| key.to_owned())
-        .collect();
-    Config::resolve(None, None, &set).unwrap()
+    Config::with(&[&[&steps, "refine.budget=3000", "stages.gaussians=0"], more].concat()).unwrap()
 }
 
 /// A whole run; reports come one step late from a GPU, and all of them come.
@@ -50,7 +44,7 @@ pub fn trained(data: &Arc<Dataset>, config: Config, device: &Device) -> Trainer 
     trainer
 }
 
-pub fn a_gpu_trains_as_well_as_a_cpu(device: Device) {
+pub fn a_gpu_trains_as_well_as_a_cpu(device: &Device) {
     let data = dataset();
     let psnr = |trainer: &Trainer, device: &Device| evaluate(&trainer.scene(), &data.test, device).unwrap().psnr;
     // at the paper's rates and without refinement, which makes of differences by rounding another set of primitives: that
@@ -70,21 +64,21 @@ pub fn a_gpu_trains_as_well_as_a_cpu(device: Device) {
     let config = || config(200, &settings);
     let untrained = psnr(&Trainer::new(config(), Arc::clone(&data), ndarray()).unwrap(), &ndarray());
     let cpu = psnr(&trained(&data, config(), &ndarray()), &ndarray());
-    let gpu = psnr(&trained(&data, config(), &device), &device);
+    let gpu = psnr(&trained(&data, config(), device), device);
     println!("held out: {untrained:.3} dB at first, {cpu:.3} dB on the CPU, {gpu:.3} dB on the GPU");
     assert!(cpu > untrained + 1.0, "{untrained:.2} dB before, {cpu:.2} dB after: the run taught nothing");
     assert!((cpu - gpu).abs() <= 0.03, "{cpu:.3} dB on the CPU, {gpu:.3} dB on the GPU");
 }
 
-pub fn a_run_on_a_gpu_is_the_same_bytes_every_time(device: Device) {
+pub fn a_run_on_a_gpu_is_the_same_bytes_every_time(device: &Device) {
     let data = dataset();
-    let run = || trained(&data, config(50, &[]), &device).checkpoint();
+    let run = || trained(&data, config(50, &[]), device).checkpoint();
     let (first, second) = (run(), run());
     assert!(first == second, "two runs with the same seed differ");
 }
 
 /// A GPU has begun another step by the time that the host knows of it.
-pub fn a_step_that_is_not_finite_is_undone(device: Device) {
+pub fn a_step_that_is_not_finite_is_undone(device: &Device) {
     let data = dataset();
     // the first step makes colours so large that their squares overflow in the next
     let broken = config(50, &["train.exposure=on", "optimizer.base=1e30"]);
@@ -101,11 +95,11 @@ pub fn a_step_that_is_not_finite_is_undone(device: Device) {
 
 /// Where no list has room, forward and backward of every step are done twice: nothing learns from those that lack entries,
 /// no view counts twice, and no random number is drawn twice.
-pub fn lists_without_room_change_no_bit_of_a_run(device: Device) {
+pub fn lists_without_room_change_no_bit_of_a_run(device: &Device) {
     let data = dataset();
     let runs: [(usize, &[&str]); 2] = [(50, &["train.exposure=on", "train.poses=on"]), (16, &["train.method=2dgs"])];
     for (steps, more) in runs {
-        let run = || trained(&data, config(steps, more), &device).checkpoint();
+        let run = || trained(&data, config(steps, more), device).checkpoint();
         let expected = run();
         cap_lists(100);
         let found = run();
@@ -116,18 +110,15 @@ pub fn lists_without_room_change_no_bit_of_a_run(device: Device) {
 
 /// Harmonics of degree 3 that no buffer holds are trained in several tensors, with the same bits; what has no room at all is
 /// refused before the run.
-pub fn details_that_no_buffer_holds_are_trained_in_parts(device: Device) {
-    let (size, points) = (64, 1500);
-    let options =
-        BuiltinOptions { width: size, height: size, train_views: 8, test_views: 8, points, ..Default::default() };
-    let data = Arc::new(builtin(&options));
+pub fn details_that_no_buffer_holds_are_trained_in_parts(device: &Device) {
+    let data = dataset_of(8, 1500);
     for method in ["train.method=3dgs", "train.method=mcmc"] {
         // with more than about 1,900 some last bits differ, presumably since lists are in parts, too
         let settings = [method, "model.colour=sh3", "refine.budget=2000", "init.max_points=1500"];
         let config = || config(12, &settings);
-        let whole = trained(&data, config(), &device).checkpoint();
+        let whole = trained(&data, config(), device).checkpoint();
         limit_buffers(160_000);
-        let split = trained(&data, config(), &device);
+        let split = trained(&data, config(), device);
         limit_buffers(usize::MAX);
         assert!(split.checkpoint() == whole, "{method}: another run where details are in parts");
         assert!(split.scene().gaussians.len() * 45 * size_of::<f32>() > 160_000, "{method}: nothing was in parts");
@@ -140,9 +131,9 @@ pub fn details_that_no_buffer_holds_are_trained_in_parts(device: Device) {
 }
 
 /// On a tape and off it, what a GPU has is what files have; so are the masks, of every other view.
-pub fn photographs_reach_a_gpu_to_the_bit(device: Device) {
+pub fn photographs_reach_a_gpu_to_the_bit(device: &Device) {
     let data = masked();
-    for device in [device.clone(), device.autodiff()] {
+    for device in [device.clone(), device.clone().autodiff()] {
         for view in &data.train {
             let (picture, Target { image: found, mask }) = (view.picture().unwrap(), view.target(&device).unwrap());
             let counted = mask.map(|mask| tensor_to_rows(&mask.filled(found.ones_like(), 0.0)));
@@ -169,7 +160,7 @@ fn masked() -> Arc<Dataset> {
 }
 
 /// With room on the device for all photographs, for two of eight, and for none. Every other one has a mask.
-pub fn where_photographs_are_changes_no_bit_of_a_run(device: Device) {
+pub fn where_photographs_are_changes_no_bit_of_a_run(device: &Device) {
     let data = masked();
     let photograph = 3 * 64 * 64;
     let run = |memory: &str| {

@@ -3,79 +3,49 @@
 use proptest::collection::vec;
 use proptest::prelude::*;
 
-/// A change. Places are taken modulo the length of the file.
+/// A change at a place, which is taken modulo the length of the file.
 #[derive(Clone, Debug)]
-pub enum Mutation {
-    Flip {
-        at: usize,
-        bit: u8,
-    },
-    Truncate {
-        at: usize,
-    },
-    Insert {
-        at: usize,
-        bytes: Vec<u8>,
-    },
-    Remove {
-        at: usize,
-        length: usize,
-    },
-    Repeat {
-        at: usize,
-        length: usize,
-        times: usize,
-    },
-    /// A little-endian integer of `width` bytes in place of what is there.
-    Integer {
-        at: usize,
-        width: usize,
-        value: u64,
-    },
-    /// `number` in place of the first decimal number at or after `at`.
-    Number {
-        at: usize,
-        number: String,
-    },
+pub struct Mutation {
+    pub at: usize,
+    pub what: What,
+}
+
+#[derive(Clone, Debug)]
+pub enum What {
+    /// Flips a bit.
+    Flip(u8),
+    Truncate,
+    Insert(Vec<u8>),
+    /// Removes as many bytes.
+    Remove(usize),
+    /// Repeats as many bytes so often.
+    Repeat(usize, usize),
+    /// A little-endian integer of so many bytes in place of what is there.
+    Integer(usize, u64),
+    /// In place of the first decimal number at or after the place.
+    Number(String),
 }
 
 /// Integers that lengths, counts and types of files go wrong with.
 const INTEGERS: [u64; 12] =
     [0, 1, 2, 0x7f, 0xff, 0xffff, 0x7fff_ffff, 0xffff_ffff, 1 << 40, 1 << 62, 1 << 63, u64::MAX];
 
-const NUMBERS: [&str; 16] = [
-    "0",
-    "-0",
-    "-1",
-    "1e999",
-    "-1e999",
-    "1e-320",
-    "1e30",
-    "NaN",
-    "inf",
-    "9223372036854775808",
-    "18446744073709551616",
-    "0.1",
-    "true",
-    "null",
-    "\"\"",
-    "[[[[[[[[[[[[[[[[",
-];
+const NUMBERS: &str = "0 -0 -1 1e999 -1e999 1e-320 1e30 NaN inf 9223372036854775808 18446744073709551616 0.1 true null \"\" \
+                       [[[[[[[[[[[[[[[[";
 
 /// A few changes.
 pub fn mutations() -> impl Strategy<Value = Vec<Mutation>> {
-    let at = || any::<prop::sample::Index>().prop_map(|index| index.index(1 << 30));
-    let mutation = prop_oneof![
-        4 => (at(), 0..8u8).prop_map(|(at, bit)| Mutation::Flip { at, bit }),
-        1 => at().prop_map(|at| Mutation::Truncate { at }),
-        1 => (at(), vec(any::<u8>(), 1..9)).prop_map(|(at, bytes)| Mutation::Insert { at, bytes }),
-        1 => (at(), 1..40usize).prop_map(|(at, length)| Mutation::Remove { at, length }),
-        1 => (at(), 1..40usize, 1..200usize).prop_map(|(at, length, times)| Mutation::Repeat { at, length, times }),
-        3 => (at(), prop::sample::select(vec![1, 2, 4, 8]), prop::sample::select(INTEGERS.to_vec()))
-            .prop_map(|(at, width, value)| Mutation::Integer { at, width, value }),
-        3 => (at(), prop::sample::select(NUMBERS.to_vec()))
-            .prop_map(|(at, number)| Mutation::Number { at, number: number.to_owned() }),
+    let what = prop_oneof![
+        4 => (0..8u8).prop_map(What::Flip),
+        1 => Just(What::Truncate),
+        1 => vec(any::<u8>(), 1..9).prop_map(What::Insert),
+        1 => (1..40usize).prop_map(What::Remove),
+        1 => (1..40usize, 1..200usize).prop_map(|(length, times)| What::Repeat(length, times)),
+        3 => (prop::sample::select(vec![1, 2, 4, 8]), prop::sample::select(INTEGERS.to_vec()))
+            .prop_map(|(width, value)| What::Integer(width, value)),
+        3 => prop::sample::select(NUMBERS.split(' ').collect::<Vec<_>>()).prop_map(|number| What::Number(number.to_owned())),
     ];
+    let mutation = (any::<prop::sample::Index>(), what).prop_map(|(at, what)| Mutation { at: at.index(1 << 30), what });
     vec(mutation, 1..4)
 }
 
@@ -86,32 +56,31 @@ pub fn mutated(bytes: &[u8], changes: &[Mutation]) -> Vec<u8> {
     bytes
 }
 
-fn apply(bytes: &mut Vec<u8>, change: &Mutation) {
+fn apply(bytes: &mut Vec<u8>, Mutation { at, what }: &Mutation) {
     let length = bytes.len();
-    let place = |at: usize| at % (length + 1);
-    match change {
-        Mutation::Flip { at, bit } => {
+    let start = at % (length + 1);
+    let end = |count: usize| (start + count).min(length);
+    match what {
+        What::Flip(bit) => {
             if let Some(byte) = bytes.get_mut(at % length.max(1)) {
                 *byte ^= 1 << bit;
             }
         }
-        Mutation::Truncate { at } => bytes.truncate(place(*at)),
-        Mutation::Insert { at, bytes: new } => drop(bytes.splice(place(*at)..place(*at), new.iter().copied())),
-        Mutation::Remove { at, length: count } => drop(bytes.drain(place(*at)..(place(*at) + count).min(length))),
-        Mutation::Repeat { at, length: count, times } => {
-            let part = bytes[place(*at)..(place(*at) + count).min(length)].repeat(*times);
-            drop(bytes.splice(place(*at)..place(*at), part));
+        What::Truncate => bytes.truncate(start),
+        What::Insert(new) => drop(bytes.splice(start..start, new.iter().copied())),
+        What::Remove(count) => drop(bytes.drain(start..end(*count))),
+        What::Repeat(count, times) => {
+            let part = bytes[start..end(*count)].repeat(*times);
+            drop(bytes.splice(start..start, part));
         }
-        Mutation::Integer { at, width, value } => {
-            let start = place(*at);
-            let end = (start + width).min(length);
+        What::Integer(width, value) => {
+            let end = end(*width);
             bytes[start..end].copy_from_slice(&value.to_le_bytes()[..end - start]);
         }
-        Mutation::Number { at, number } => {
+        What::Number(number) => {
             let is_part = |byte: &u8| byte.is_ascii_digit() || matches!(byte, b'.' | b'-' | b'+');
-            let Some(start) = bytes[place(*at)..].iter().position(is_part).map(|found| place(*at) + found) else {
-                return;
-            };
+            let Some(found) = bytes[start..].iter().position(is_part) else { return };
+            let start = start + found;
             let end = bytes[start..].iter().position(|byte| !is_part(byte)).map_or(length, |found| start + found);
             drop(bytes.splice(start..end, number.bytes()));
         }

@@ -16,7 +16,7 @@ use dpges_core::testing::scenes::{self, Recipe, TestScene};
 use glam::DVec3;
 
 use super::seed;
-use crate::budget::Budget;
+use crate::budget::seeds;
 use crate::devices::{flex, ndarray};
 
 const CASES: u64 = 500;
@@ -155,7 +155,7 @@ impl Case {
 fn operations() {
     let devices = [(ndarray(), DType::F32), (ndarray(), DType::F64), (flex(), DType::F32)];
     let (mut accepted, mut refused, mut not_finite) = (0, 0, 0);
-    for case in Budget::start(CASES).seeds() {
+    for case in seeds(CASES) {
         let made = Case::new(&mut Random::new((seed() << 32) ^ case));
         for (device, dtype) in &devices {
             for (found, is_valid) in made.run(device, *dtype).into_iter().zip(made.is_valid()) {
