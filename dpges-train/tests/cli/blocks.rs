@@ -2,11 +2,9 @@
 
 use std::path::Path;
 
-use serde_json::Value;
-
-use super::{TINY, bytes, dpges, fails, folder, is_equal, json, ok};
+use super::{TINY, bytes, fails, folder, is_equal, json, ok, said};
 #[cfg(unix)]
-use super::{start, wait_until};
+use super::{kill, start, wait_until};
 
 fn plan(at: &Path, out: &str) -> String {
     let options: Vec<&str> = TINY.into_iter().filter(|option| !option.starts_with("--device")).collect();
@@ -19,8 +17,7 @@ fn step<'a>(name: &'a str, out: &'a str) -> [&'a str; 4] {
 
 #[test]
 fn two_blocks_are_planned_trained_and_merged_and_nothing_is_done_twice() {
-    let folder = folder();
-    let at = folder.path();
+    let at = &folder();
     let text = plan(at, "city");
     assert!(text.contains("the coarse scene: `dpges blocks coarse") && text.contains("block 1: `"), "{text}");
     for (step, missing) in [("train", "blocks coarse"), ("merge", "blocks coarse")] {
@@ -38,12 +35,8 @@ fn two_blocks_are_planned_trained_and_merged_and_nothing_is_done_twice() {
     let blocks = [kept("block-0"), kept("block-1")];
     assert!(kept("merged")[1] <= blocks[0][1] + blocks[1][1] && kept("merged")[0] > 0, "{blocks:?}");
     let score = |step: &str| json(at.join("city").join(step).join("eval.json"))["psnr"].as_f64().unwrap();
-    assert!(
-        score("merged") > score("coarse") - 1.0,
-        "{} dB, {} dB of the coarse scene",
-        score("merged"),
-        score("coarse")
-    );
+    let [merged, coarse] = ["merged", "coarse"].map(score);
+    assert!(merged > coarse - 1.0, "{merged} dB, {coarse} dB of the coarse scene");
     ok(at, &["info", "city/merged"]);
 
     // the same commands again do nothing
@@ -52,8 +45,7 @@ fn two_blocks_are_planned_trained_and_merged_and_nothing_is_done_twice() {
     let before = (times(), bytes(at.join("city/merged/scene.safetensors")));
     plan(at, "city");
     for name in ["coarse", "train", "merge"] {
-        let output = dpges(at, &step(name, "city"));
-        assert!(output.status.success() && String::from_utf8_lossy(&output.stderr).contains("done already"), "{name}");
+        assert!(said(at, &step(name, "city")).contains("done already"), "{name}");
     }
     assert!(before == (times(), bytes(at.join("city/merged/scene.safetensors"))));
     let other = fails(at, 1, &["blocks", "plan", "builtin", "--out", "city", "--blocks", "2", "--steps", "7"]);
@@ -64,37 +56,18 @@ fn two_blocks_are_planned_trained_and_merged_and_nothing_is_done_twice() {
 #[cfg(unix)]
 #[test]
 fn a_block_that_was_killed_goes_on_where_it_was() {
-    let folder = folder();
-    let at = folder.path();
+    let at = &folder();
     for out in ["whole", "killed"] {
         plan(at, out);
         ok(at, &step("coarse", out));
     }
     ok(at, &[&step("train", "whole")[..], &["--block=0"]].concat());
-    let mut child = start(at, &[&step("train", "killed")[..], &["--block=0"]].concat());
+    let child = start(at, &[&step("train", "killed")[..], &["--block=0"]].concat());
     wait_until(|| at.join("killed/block-0/checkpoint.safetensors").is_file());
-    child.kill().unwrap();
-    child.wait().unwrap();
+    kill(child);
     assert!(!at.join("killed/block-0/done.json").exists());
-    let output = dpges(at, &[&step("train", "killed")[..], &["--block=0"]].concat());
-    assert!(String::from_utf8_lossy(&output.stderr).contains("resuming after step"), "{output:?}");
+    let again = said(at, &[&step("train", "killed")[..], &["--block=0"]].concat());
+    assert!(again.contains("resuming after step"), "{again}");
     assert!(is_equal(at.join("whole/block-0/scene.safetensors"), at.join("killed/block-0/scene.safetensors")));
-    let plan: Value = json(at.join("killed/plan.json"));
-    assert_eq!(plan["cameras_by"], "coarse_scene");
-}
-
-#[test]
-fn wrong_usage_of_blocks_is_named() {
-    let folder = folder();
-    let at = folder.path();
-    assert!(fails(at, 2, &["blocks", "plan", "builtin"]).contains("--out"));
-    for (option, value) in [("--blocks", "0"), ("--points", "many")] {
-        let message = fails(at, 2, &["blocks", "plan", "builtin", "--out", "a", option, value]);
-        assert!(message.contains("whole number from 1"), "{message}");
-    }
-    assert!(
-        fails(at, 2, &["blocks", "plan", "builtin", "--out", "a", "--set", "train.poses=on"]).contains("train.poses")
-    );
-    assert!(fails(at, 1, &["blocks", "slurm", "nowhere"]).contains("blocks plan DATASET"));
-    assert_eq!(std::fs::read_dir(at).unwrap().count(), 0, "nothing is written");
+    assert_eq!(json(at.join("killed/plan.json"))["cameras_by"], "coarse_scene");
 }

@@ -2,18 +2,12 @@
 
 use serde_json::Value;
 
-use super::{dpges, folder, json, ok};
+use super::{assert_contains, folder, json, json_of, ok, said};
 
 #[test]
 fn the_first_line_says_which_device_and_why() {
-    let folder = folder();
-    let at = folder.path();
-    let first_line = |args: &[&str]| -> String {
-        let output = dpges(at, args);
-        let message = String::from_utf8(output.stderr).unwrap();
-        assert_eq!(output.status.code(), Some(0), "{args:?}: {message}");
-        message.lines().next().unwrap().to_owned()
-    };
+    let at = &folder();
+    let first_line = |args: &[&str]| said(at, args).lines().next().unwrap().to_owned();
     let short = ["train", "--out=run", "--steps=2", "--max-resolution=24", "--set=init.max_points=100"];
     let trained = first_line(&short);
     let chosen = ok(at, &["devices", "--auto"]);
@@ -34,17 +28,15 @@ fn the_first_line_says_which_device_and_why() {
     assert!(named.contains("device: cpu-flex (burn-flex on the CPU), as --device says"), "{named}");
     let study = ["ablate", "--out=study", "--only=full", "--steps=2", "--max-resolution=24", "--device=auto"];
     assert!(first_line(&study).contains(&format!("device: {device}, since ")));
-    let selection: Value = serde_json::from_str(&ok(at, &["devices", "--auto", "--json"])).unwrap();
-    assert_eq!(selection["device"], device);
+    assert_eq!(json_of(at, &["devices", "--auto", "--json"])["device"], device);
 }
 
 #[test]
 fn devices_are_listed_with_what_device_takes() {
-    let folder = folder();
-    let at = folder.path();
+    let at = &folder();
     let table = ok(at, &["devices"]);
-    assert!(table.contains("cpu-flex") && table.contains("burn-ndarray") && table.contains("wgpu"), "{table}");
-    let list: Value = serde_json::from_str(&ok(at, &["devices", "--json"])).unwrap();
+    assert_contains(&table, &["cpu-flex", "burn-ndarray", "wgpu"]);
+    let list = json_of(at, &["devices", "--json"]);
     assert_eq!(list["cpus"][0]["device"], "cpu");
     let adapters = list["adapters"].as_array().unwrap();
     assert_eq!(adapters.is_empty(), list["advice"].is_string(), "{list}");
@@ -61,12 +53,12 @@ fn devices_are_listed_with_what_device_takes() {
 
 #[test]
 fn the_cpus_pass_the_selftest() {
-    let folder = folder();
-    let at = folder.path();
+    let at = &folder();
     let table = ok(at, &["selftest", "--device", "cpu"]);
     let parts = ["peel", "splat", "composite", "SSIM", "backward", "burn-ndarray", "all as they should be"];
-    assert!(parts.iter().all(|part| table.contains(part)) && !table.contains("WRONG"), "{table}");
-    let report: Value = serde_json::from_str(&ok(at, &["selftest", "--device", "cpu-flex", "--json"])).unwrap();
+    assert_contains(&table, &parts);
+    assert!(!table.contains("WRONG"), "{table}");
+    let report = json_of(at, &["selftest", "--device", "cpu-flex", "--json"]);
     assert_eq!((&report["passed"], &report["device"]), (&Value::from(true), &Value::from("cpu-flex")));
     assert!(report["tensors"].as_u64().unwrap() > 150, "{report}");
 }

@@ -4,16 +4,23 @@ mod benchmark;
 mod blocks;
 mod devices;
 #[cfg(unix)]
+mod faults;
+#[cfg(unix)]
 mod interruption;
 mod measures;
+mod ray;
 mod runs;
 mod series;
+#[cfg(unix)]
+mod sfm;
 mod stages;
 mod trade;
 mod usage;
 
+use std::ops::Deref;
 use std::path::{Path, PathBuf};
 use std::process::Output;
+use std::sync::OnceLock;
 
 use assert_cmd::Command;
 use serde_json::{Map, Value};
@@ -32,10 +39,16 @@ const TINY: [&str; 8] = [
     "--seed=3",
 ];
 
-/// With a data folder of its own, in which no network for LPIPS is installed.
+/// With a data folder of its own, in which no network for LPIPS is installed, and what is in `bin` in the search path.
 fn dpges(folder: &Path, args: &[&str]) -> Output {
+    command(folder).args(args).output().unwrap()
+}
+
+fn command(folder: &Path) -> Command {
+    let path = format!("{}:{}", folder.join("bin").display(), std::env::var("PATH").unwrap_or_default());
     let mut command = Command::cargo_bin("dpges").unwrap();
-    command.current_dir(folder).env("XDG_DATA_HOME", data_folder(folder)).args(args).output().unwrap()
+    command.current_dir(folder).env("XDG_DATA_HOME", data_folder(folder)).env("PATH", path);
+    command
 }
 
 fn data_folder(folder: &Path) -> PathBuf {
@@ -43,9 +56,37 @@ fn data_folder(folder: &Path) -> PathBuf {
 }
 
 fn ok(folder: &Path, args: &[&str]) -> String {
+    both(folder, args).0
+}
+
+/// Standard error of a command that succeeds.
+fn said(folder: &Path, args: &[&str]) -> String {
+    both(folder, args).1
+}
+
+/// Standard output and error of a command that succeeds.
+fn both(folder: &Path, args: &[&str]) -> (String, String) {
     let output = dpges(folder, args);
-    assert_eq!(output.status.code(), Some(0), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
-    String::from_utf8(output.stdout).unwrap()
+    let message = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(0), "{args:?}: {message}");
+    (String::from_utf8(output.stdout).unwrap(), message)
+}
+
+/// The arguments of a command line.
+fn words(line: &str) -> Vec<&str> {
+    line.split(' ').collect()
+}
+
+/// The JSON that a command prints.
+fn json_of(folder: &Path, args: &[&str]) -> Value {
+    serde_json::from_str(&ok(folder, args)).unwrap()
+}
+
+#[track_caller]
+fn assert_contains(text: &str, parts: &[&str]) {
+    for part in parts {
+        assert!(text.contains(part), "{part}: {text}");
+    }
 }
 
 /// Standard error of a command that must end with `code`.
@@ -60,8 +101,36 @@ fn train(folder: &Path, out: &str, more: &[&str]) -> String {
     ok(folder, &[&["train", "--out", out], &TINY[..], more].concat())
 }
 
+/// A copy of a run of [`TINY`], which is trained once for all tests.
+fn trained(folder: &Path, out: &str) {
+    static RUN: OnceLock<PathBuf> = OnceLock::new();
+    let run = RUN.get_or_init(|| {
+        let at = Path::new(env!("CARGO_TARGET_TMPDIR"));
+        train(at, "tiny", &["--overwrite"]);
+        at.join("tiny")
+    });
+    copy(run, &folder.join(out));
+}
+
+fn copy(from: &Path, to: &Path) {
+    std::fs::create_dir_all(to).unwrap();
+    for entry in std::fs::read_dir(from).unwrap().map(Result::unwrap) {
+        let target = to.join(entry.file_name());
+        if entry.path().is_dir() {
+            copy(&entry.path(), &target);
+        } else {
+            std::fs::copy(entry.path(), target).unwrap();
+        }
+    }
+}
+
 fn bytes(path: impl AsRef<Path>) -> Vec<u8> {
     std::fs::read(path.as_ref()).unwrap_or_else(|error| panic!("{}: {error}", path.as_ref().display()))
+}
+
+/// Of a text file.
+fn content(path: impl AsRef<Path>) -> String {
+    String::from_utf8(bytes(path)).unwrap()
 }
 
 /// Without printing what is in them.
@@ -75,14 +144,10 @@ fn json(path: PathBuf) -> Value {
 
 /// Lines of `metrics.jsonl` without what a clock says.
 fn metrics(run: &Path) -> Vec<Map<String, Value>> {
-    let text = String::from_utf8(bytes(run.join("metrics.jsonl"))).unwrap();
-    let lines = text.lines().map(|line| serde_json::from_str::<Map<String, Value>>(line).unwrap());
+    let parse = |line: &str| serde_json::from_str::<Map<String, Value>>(line).unwrap();
+    let mut lines: Vec<_> = content(run.join("metrics.jsonl")).lines().map(parse).collect();
+    lines.iter_mut().for_each(|line| line.retain(|key, _| !key.starts_with("seconds")));
     lines
-        .map(|mut line| {
-            line.retain(|key, _| !key.starts_with("seconds"));
-            line
-        })
-        .collect()
 }
 
 fn png_names(folder: &Path) -> Vec<String> {
@@ -95,8 +160,25 @@ fn png_names(folder: &Path) -> Vec<String> {
     names
 }
 
-fn folder() -> TempDir {
-    tempfile::tempdir().unwrap()
+/// A folder that is removed with this.
+struct Folder(TempDir);
+
+impl Deref for Folder {
+    type Target = Path;
+
+    fn deref(&self) -> &Path {
+        self.0.path()
+    }
+}
+
+impl AsRef<Path> for Folder {
+    fn as_ref(&self) -> &Path {
+        self
+    }
+}
+
+fn folder() -> Folder {
+    Folder(tempfile::tempdir().unwrap())
 }
 
 /// Waits for `condition`, at most half a minute.
@@ -119,6 +201,13 @@ fn start(folder: &Path, args: &[&str]) -> std::process::Child {
         .stderr(std::process::Stdio::piped())
         .spawn()
         .unwrap()
+}
+
+/// Ends the process as a power cut does.
+#[cfg(unix)]
+fn kill(mut child: std::process::Child) {
+    child.kill().unwrap();
+    child.wait().unwrap();
 }
 
 #[cfg(unix)]

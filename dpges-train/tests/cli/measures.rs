@@ -5,17 +5,17 @@ use std::path::Path;
 use dpges_train::metrics::lpips::Network;
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
-use serde_json::json;
+use serde_json::{Value, json};
 
-use super::{bytes, data_folder, dpges, fails, folder, is_equal, json, ok, png_names, train};
+use super::{assert_contains, bytes, data_folder, fails, folder, is_equal, json, ok, png_names, said, trained};
 
 /// A file for `--lpips` with arbitrary weights.
 pub fn write_network(path: &Path, network: Network) {
+    let value = |i: usize| (i * 37 % 101) as f32 / 1000.0;
     let tensors: Vec<(String, Vec<usize>, Vec<u8>)> = network
         .tensors()
         .into_iter()
         .map(|tensor| {
-            let value = |i: usize| (i * 37 % 101) as f32 / 1000.0;
             let bytes = (0..tensor.shape.iter().product()).flat_map(|i| value(i).to_le_bytes()).collect();
             (tensor.name, tensor.shape, bytes)
         })
@@ -30,9 +30,8 @@ pub fn write_network(path: &Path, network: Network) {
 
 #[test]
 fn popping_and_frame_times_are_measured_when_asked_for() {
-    let folder = folder();
-    let at = folder.path();
-    train(at, "run", &["--set=train.evaluate_every=0"]);
+    let at = &folder();
+    trained(at, "run");
     let table = ok(at, &["eval", "run", "--device=cpu", "--popping", "--frame-times", "--json=result.json"]);
     assert!(table.contains("FLIP_1") && table.contains("over 60 frames"), "{table}");
     let result = json(at.join("result.json"));
@@ -46,10 +45,8 @@ fn popping_and_frame_times_are_measured_when_asked_for() {
     match result.get("frame_ms") {
         Some(times) => {
             assert!(times["p50"].as_f64().unwrap() > 0.0 && times["p99"].as_f64() >= times["p50"].as_f64(), "{times}");
-            assert_eq!(
-                (&times["width"], &times["height"], &times["renderer"]),
-                (&32.into(), &32.into(), &"raster".into())
-            );
+            assert_eq!([&times["width"], &times["height"]], [32, 32]);
+            assert_eq!(times["renderer"], "raster");
             assert!(table.contains(times["device"].as_str().unwrap()), "{table}");
         }
         None => assert!(table.contains("not measured: ") && table.contains("adapter"), "{table}"),
@@ -58,20 +55,15 @@ fn popping_and_frame_times_are_measured_when_asked_for() {
 
 #[test]
 fn lpips_is_measured_with_a_network_and_worst_views_are_shown() {
-    let folder = folder();
-    let at = folder.path();
-    train(at, "run", &["--steps=20", "--set=train.evaluate_every=0"]);
+    let at = &folder();
+    trained(at, "run");
     write_network(&at.join("alex.safetensors"), Network::Alex);
     let eval = ["eval", "run", "--device=cpu"];
-    let without = dpges(at, &eval);
-    let said = String::from_utf8(without.stderr).unwrap();
-    assert!(said.contains("LPIPS") && said.contains("dpges lpips install") && said.contains("SSIMULACRA2"), "{said}");
+    assert_contains(&said(at, &eval), &["LPIPS", "dpges lpips install", "SSIMULACRA2"]);
 
     let more = ["--lpips=alex.safetensors", "--worst=worst", "--json=result.json"];
     let table = ok(at, &[&eval[..], &more].concat());
-    for part in ["LPIPS (Alex)", "SSIMULACRA2", "worst", "worst/worst_psnr.png"] {
-        assert!(table.contains(part), "{part}: {table}");
-    }
+    assert_contains(&table, &["LPIPS (Alex)", "SSIMULACRA2", "worst", "worst/worst_psnr.png"]);
     assert!(!table.contains("not measured") && !table.contains("MS-SSIM"), "{table}");
     let result = json(at.join("result.json"));
     let views = result["views"].as_array().unwrap();
@@ -98,10 +90,9 @@ fn networks_are_installed_and_found_without_being_named() {
         [&["lpips", "install", from], more].concat()
     }
 
-    let folder = folder();
-    let at = folder.path();
+    let at = &folder();
     let installed = |name: &str| data_folder(at).join("dpges/lpips").join(name);
-    train(at, "run", &["--steps=5", "--set=train.evaluate_every=0"]);
+    trained(at, "run");
     write_network(&at.join("made.safetensors"), Network::Alex);
     let said = ok(at, &["lpips", "install", "--from=made.safetensors"]);
     assert!(said.contains("alex") && said.contains("alex.safetensors"), "{said}");
@@ -119,10 +110,8 @@ fn networks_are_installed_and_found_without_being_named() {
     assert!(other.contains("made does not hold network `alex`"), "{other}");
     ok(at, &install("--from=made", &["vgg"]));
     let found = eval(&[]);
-    assert!(
-        found.contains("LPIPS (VGG)") && !found.contains("LPIPS (Alex)") && !found.contains("not measured"),
-        "{found}"
-    );
+    assert!(found.contains("LPIPS (VGG)"), "{found}");
+    assert!(!found.contains("LPIPS (Alex)") && !found.contains("not measured"), "{found}");
     assert!(json(at.join("result.json"))["lpips_vgg"].as_f64().unwrap() > 0.0);
     let none = eval(&["--lpips=none"]);
     assert!(!none.contains("LPIPS"), "{none}");
@@ -146,33 +135,25 @@ fn networks_are_installed_and_found_without_being_named() {
 
 #[test]
 fn bench_step_measures_with_and_without_files() {
-    let folder = folder();
+    let at = &folder();
     let small = ["--device=cpu", "--size=48x32", "--rounds=2", "--warm-up=0"];
-    let made = [
-        "bench",
-        "step",
-        "realistic",
-        "--surfels=50",
-        "--gaussians=200",
-        "--json=step.json",
-        "--save-scene=a.safetensors",
-    ];
-    let table = ok(folder.path(), &[&made[..], &small].concat());
+    let files = ["--json=step.json", "--save-scene=a.safetensors"];
+    let made = ["bench", "step", "realistic", "--surfels=50", "--gaussians=200"];
+    let table = ok(at, &[&made[..], &files, &small].concat());
     assert!(table.starts_with("joint step, 50 surfels, 200 Gaussians, 1 view of 48x32 px, on burn-ndarray"), "{table}");
-    let found = json(folder.path().join("step.json"));
-    assert!(
-        found["hardware"] == "cpu" && found["gpu"].is_null() && found["not_measured"].as_array().unwrap().len() == 1
-    );
+    let found = json(at.join("step.json"));
+    assert_eq!((&found["hardware"], &found["gpu"]), (&"cpu".into(), &Value::Null));
+    assert_eq!(found["not_measured"].as_array().unwrap().len(), 1);
     assert!(found["time"]["steps"] == 2 && found["time"]["median_ms"].as_f64().unwrap() > 0.0, "{found}");
     assert!(found["lists"]["gaussians"]["inside_pairs"].as_u64().unwrap() > 0, "{found}");
     assert_eq!((&found["camera"]["cx"], &found["camera"]["cy"]), (&json!(24.0), &json!(16.0)));
 
     let again = ["bench", "step", "a.safetensors", "--data=builtin", "--cameras=2", "--stage=blended"];
-    let table = ok(folder.path(), &[&again[..], &small].concat());
+    let table = ok(at, &[&again[..], &small].concat());
     assert!(table.starts_with("mcmc step, 0 surfels, 200 Gaussians, 2 views of 48x32 px"), "{table}");
 
     let without = ["bench", "step", "realistic", "--surfels=0", "--gaussians=0", "--device=cpu"];
-    assert!(fails(folder.path(), 2, &without).contains("nothing to train"));
-    let wrong = fails(folder.path(), 2, &["bench", "step", "realistic", "--stage=mixed"]);
+    assert!(fails(at, 2, &without).contains("nothing to train"));
+    let wrong = fails(at, 2, &["bench", "step", "realistic", "--stage=mixed"]);
     assert!(wrong.contains("mixed") && wrong.contains("joint (surfels and Gaussians)"), "{wrong}");
 }

@@ -2,18 +2,18 @@
 
 use serde_json::Value;
 
-use super::{TINY, bytes, fails, folder, is_equal, json, metrics, ok, png_names, train};
+use super::{
+    TINY, assert_contains, bytes, content, fails, folder, is_equal, json, json_of, metrics, ok, png_names, train,
+    trained,
+};
 
 #[test]
 fn a_run_writes_everything_and_can_be_measured_and_shown() {
-    let folder = folder();
-    let at = folder.path();
+    let at = &folder();
     let table = train(at, "run", &[]);
     let run = at.join("run");
-    for part in ["60 steps", "held-out PSNR", "surfels", "run/scene.safetensors"] {
-        assert!(table.contains(part), "{part}: {table}");
-    }
-    let config = String::from_utf8(bytes(run.join("config.toml"))).unwrap();
+    assert_contains(&table, &["60 steps", "held-out PSNR", "surfels", "run/scene.safetensors"]);
+    let config = content(run.join("config.toml"));
     assert!(config.contains("steps = 60") && config.contains("budget = 1500"), "{config}");
     assert_eq!(json(run.join("run.json"))["dataset"], "builtin");
 
@@ -31,8 +31,7 @@ fn a_run_writes_everything_and_can_be_measured_and_shown() {
     let written = json(run.join("eval.json"));
     let size = bytes(run.join("scene.safetensors")).len() as u64;
     assert_eq!((written["bytes"].as_u64(), written["split"].as_str()), (Some(size), Some("test")));
-    let result = ok(at, &["eval", "run", "--save-images", "views", "--device=cpu"]);
-    let mut measured: Value = serde_json::from_str(&result).unwrap();
+    let mut measured = json_of(at, &["eval", "run", "--save-images", "views", "--device=cpu"]);
     assert_eq!(measured["views"].as_array().unwrap().len(), 6);
     for key in ["name", "psnr", "ssim", "flip", "ssimulacra2", "seconds", "width", "height"] {
         assert!(measured["views"][0].get(key).is_some(), "{key}");
@@ -60,8 +59,7 @@ fn a_run_writes_everything_and_can_be_measured_and_shown() {
     std::fs::copy(run.join("scene.safetensors"), at.join("alone.safetensors")).unwrap();
     assert!(fails(at, 2, &["eval", "alone.safetensors"]).contains("--data"));
     let small = ["eval", "alone.safetensors", "--data", "builtin", "--max-resolution", "32", "--device=cpu"];
-    let small = ok(at, &small);
-    assert_eq!(serde_json::from_str::<Value>(&small).unwrap()["psnr"], written["psnr"]);
+    assert_eq!(json_of(at, &small)["psnr"], written["psnr"]);
 
     ok(at, &["render", "run", "--out", "layers", "--layers"]);
     let names = png_names(&at.join("layers"));
@@ -74,16 +72,15 @@ fn a_run_writes_everything_and_can_be_measured_and_shown() {
 
     assert!(ok(at, &["info", "run"]).contains("colour_model"));
     let lobes = 2 * (written["surfels"].as_u64().unwrap() + written["gaussians"].as_u64().unwrap());
-    let info: Value = serde_json::from_str(&ok(at, &["info", "run", "--json"])).unwrap();
+    let info = json_of(at, &["info", "run", "--json"]);
     assert_eq!((&info["surfels"], &info["bytes"]), (&written["surfels"], &written["bytes"]));
     assert_eq!(info["lobes"].as_array().unwrap().iter().map(|n| n.as_u64().unwrap()).sum::<u64>(), lobes);
 }
 
 #[test]
 fn equal_seeds_give_equal_files_and_a_run_is_not_overwritten_by_accident() {
-    let folder = folder();
-    let at = folder.path();
-    train(at, "a", &["--quiet"]);
+    let at = &folder();
+    trained(at, "a");
     assert!(train(at, "b", &["--quiet"]).is_empty());
     assert!(is_equal(at.join("a/scene.safetensors"), at.join("b/scene.safetensors")));
     assert!(is_equal(at.join("a/checkpoint.safetensors"), at.join("b/checkpoint.safetensors")));
@@ -95,9 +92,8 @@ fn equal_seeds_give_equal_files_and_a_run_is_not_overwritten_by_accident() {
 
 #[test]
 fn a_finished_run_resumes_to_itself_and_contradictions_are_refused() {
-    let folder = folder();
-    let at = folder.path();
-    train(at, "run", &[]);
+    let at = &folder();
+    trained(at, "run");
     std::fs::copy(at.join("run/scene.safetensors"), at.join("before.safetensors")).unwrap();
     let lines = metrics(&at.join("run"));
     assert!(ok(at, &["train", "--out", "run", "--resume"]).contains("held-out PSNR"));
@@ -113,13 +109,11 @@ fn a_finished_run_resumes_to_itself_and_contradictions_are_refused() {
 
 #[test]
 fn a_step_that_is_not_finite_ends_the_run_with_the_state_before_it() {
-    let folder = folder();
-    let at = folder.path();
+    let at = &folder();
     let broken =
         [&["train", "--out", "run", "--set=train.lambda_surfel=1e39", "--set=stages.gaussians=0"], &TINY[..]].concat();
     let message = fails(at, 1, &broken);
     assert!(message.contains("step 1, view `train_") && message.contains("the loss is inf"), "{message}");
     assert!(message.contains("checkpoint.safetensors holds the state after step 0"), "{message}");
-    let info: Value = serde_json::from_str(&ok(at, &["info", "run", "--json"])).unwrap();
-    assert!(info["gaussians"].as_u64().unwrap() > 0);
+    assert!(json_of(at, &["info", "run", "--json"])["gaussians"].as_u64().unwrap() > 0);
 }

@@ -4,61 +4,56 @@ use dpges_train::metrics::lpips::Network;
 use serde_json::Value;
 
 use super::measures::write_network;
-use super::{bytes, dpges, fails, folder, is_equal, json, ok};
-#[cfg(unix)]
-use super::{start, wait_until};
+use super::{assert_contains, bytes, content, fails, folder, json, ok, said, words};
+
+/// The cells of a table, line by line.
+fn cells(csv: &str) -> Vec<Vec<&str>> {
+    csv.lines().map(|line| line.split(',').collect()).collect()
+}
+
+/// In the column whose head is `name`.
+fn value<'a>(lines: &[Vec<&'a str>], line: usize, name: &str) -> &'a str {
+    lines[line][lines[0].iter().position(|column| *column == name).unwrap()]
+}
 
 #[test]
 fn a_series_begins_with_no_run_if_one_cannot_be_trained() {
-    let folder = folder();
-    let at = folder.path();
+    let at = &folder();
     let lens = ["builtin:lens=fisheye", "--set=data.undistort=false"];
     let compare = ["compare", "--out=study", "--device=cpu", "--steps=5", "--max-resolution=32"];
     let message = fails(at, 1, &[&compare[..], &["--methods=dpges,2dgs"], &lens].concat());
-    for part in ["2dgs: discs cannot be seen through a lens", "data.undistort", "leave it out"] {
-        assert!(message.contains(part), "{part}: {message}");
-    }
+    assert_contains(&message, &["2dgs: discs cannot be seen through a lens", "data.undistort", "leave it out"]);
     assert!(!at.join("study/dpges").exists(), "nothing is trained for nothing");
 }
 
 #[test]
 fn variants_are_trained_once_and_compared() {
-    let folder = folder();
-    let at = folder.path();
-    let args = [
-        "ablate",
-        "--out=study",
-        "--device=cpu",
-        "--steps=6",
-        "--seed=3",
-        "--max-resolution=32",
-        "--budget=900",
-        "--only=sh,full",
-    ];
+    let at = &folder();
+    let args = words(
+        "ablate --out=study --device=cpu --steps=6 --seed=3 --max-resolution=32 --budget=900 \
+                --only=sh,full",
+    );
     let table = ok(at, &args);
-    for part in
-        ["| full", "| sh", "PSNR, dB", "to full", "Gaussians", "ablation.csv", "ablation_bytes.svg", "report.html"]
-    {
-        assert!(table.contains(part), "{part}: {table}");
-    }
-    let csv = String::from_utf8(bytes(at.join("study/ablation.csv"))).unwrap();
-    let lines: Vec<Vec<&str>> = csv.lines().map(|line| line.split(',').collect()).collect();
-    let column = |head: &[&str], name: &str| head.iter().position(|column| *column == name).unwrap();
-    let number =
-        |lines: &[Vec<&str>], line: usize, name: &str| -> f64 { lines[line][column(&lines[0], name)].parse().unwrap() };
+    assert_contains(
+        &table,
+        &["| full", "| sh", "PSNR, dB", "to full", "Gaussians", "ablation.csv", "ablation_bytes.svg", "report.html"],
+    );
+    let csv = content(at.join("study/ablation.csv"));
+    let lines = cells(&csv);
+    let number = |lines: &[Vec<&str>], line: usize, name: &str| value(lines, line, name).parse::<f64>().unwrap();
     assert_eq!((lines[0][0], lines[1][0], lines[2][0], lines.len()), ("variant", "full", "sh", 3));
     for (index, line) in lines.iter().enumerate().skip(1) {
         let run = at.join("study").join(line[0]).join("seed_3");
         let written = json(run.join("eval.json"));
         assert!((number(&lines, index, "psnr") - written["psnr"].as_f64().unwrap()).abs() < 1e-4, "{csv}");
         assert_eq!(number(&lines, index, "bytes"), bytes(run.join("scene.safetensors")).len() as f64);
-        let config = String::from_utf8(bytes(run.join("config.toml"))).unwrap();
+        let config = content(run.join("config.toml"));
         assert_eq!(config.contains("colour = \"sh3\""), line[0] == "sh", "{config}");
         assert!(config.contains("\nsteps = 6\n") && config.contains("\nseed = 3\n"), "{config}");
     }
-    let plot = String::from_utf8(bytes(at.join("study/ablation_bytes.svg"))).unwrap();
+    let plot = content(at.join("study/ablation_bytes.svg"));
     assert!(plot.starts_with("<svg ") && plot.contains("full"), "{plot}");
-    let page = String::from_utf8(bytes(at.join("study/report.html"))).unwrap();
+    let page = content(at.join("study/report.html"));
     assert!(page.contains("data:image/jpeg;base64,") && page.contains("<svg ") && !page.contains("src=\"http"));
 
     // finished, finished but for its evaluation
@@ -71,7 +66,7 @@ fn variants_are_trained_once_and_compared() {
     // the last column is the memory of the process that wrote the evaluation
     let without_memory =
         |csv: &str| csv.lines().map(|line| line.rsplit_once(',').unwrap().0.to_owned()).collect::<Vec<_>>();
-    let again = String::from_utf8(bytes(at.join("study/ablation.csv"))).unwrap();
+    let again = content(at.join("study/ablation.csv"));
     assert_eq!(without_memory(&again), without_memory(&csv));
 
     // a second seed
@@ -80,8 +75,8 @@ fn variants_are_trained_once_and_compared() {
     assert!(bytes(full.join("metrics.jsonl")) == log, "the first is not trained again");
     let second =
         |variant: &str| json(at.join("study").join(variant).join("seed_4/eval.json"))["psnr"].as_f64().unwrap();
-    let csv = String::from_utf8(bytes(at.join("study/ablation.csv"))).unwrap();
-    let of_both: Vec<Vec<&str>> = csv.lines().map(|line| line.split(',').collect()).collect();
+    let csv = content(at.join("study/ablation.csv"));
+    let of_both = cells(&csv);
     let mean = (number(&lines, 2, "psnr") + second("sh")) / 2.0;
     let difference = mean - (number(&lines, 1, "psnr") + second("full")) / 2.0;
     for (name, expected) in [("psnr", mean), ("psnr_difference", difference)] {
@@ -96,40 +91,27 @@ fn variants_are_trained_once_and_compared() {
 
 #[test]
 fn methods_are_trained_once_and_compared() {
-    let folder = folder();
-    let at = folder.path();
-    let args = [
-        "compare",
-        "builtin",
-        "--out=study",
-        "--device=cpu",
-        "--methods=mcmc,dpges",
-        "--seeds=2",
-        "--seed=3",
-        "--steps=12",
-        "--max-resolution=32",
-        "--budget=700",
-        "--set=data.validation_every=4",
-        "--set=train.evaluate_every=0",
-        "--set=train.checkpoint_every=4",
-        "--set=init.max_points=300",
-    ];
+    let at = &folder();
+    let args = words(
+        "compare builtin --out=study --device=cpu --methods=mcmc,dpges --seeds=2 --seed=3 --steps=12 \
+                --max-resolution=32 --budget=700 --set=data.validation_every=4 --set=train.evaluate_every=0 --set=train.checkpoint_every=4 --set=init.max_points=300",
+    );
     let table = ok(at, &args);
-    for part in ["| mcmc", "| dpges", " ± ", "to mcmc", "validation PSNR", "at most 700 primitives", "comparison.csv"]
-    {
-        assert!(table.contains(part), "{part}: {table}");
-    }
+    assert_contains(
+        &table,
+        &["| mcmc", "| dpges", " ± ", "to mcmc", "validation PSNR", "at most 700 primitives", "comparison.csv"],
+    );
     let comparison = json(at.join("study/comparison.json"));
     assert_eq!((&comparison["steps"], &comparison["budget"]), (&Value::from(12), &Value::from(700)));
-    let csv = String::from_utf8(bytes(at.join("study/comparison.csv"))).unwrap();
-    let lines: Vec<Vec<&str>> = csv.lines().map(|line| line.split(',').collect()).collect();
+    let csv = content(at.join("study/comparison.csv"));
+    let lines = cells(&csv);
     let rows = |comparison: &Value| comparison["rows"].as_array().unwrap().clone();
     let cells: Vec<_> = rows(&comparison).iter().map(|row| (row["label"].clone(), row["seed"].clone())).collect();
     let expected = [("mcmc", 3), ("dpges", 3), ("mcmc", 4), ("dpges", 4)];
     assert_eq!(cells, expected.map(|(label, seed)| (Value::from(label), Value::from(seed))));
-    for (line, name) in lines[1..].iter().zip(["mcmc", "dpges"]) {
-        let value = |key: &str| line[lines[0].iter().position(|column| *column == key).unwrap()];
-        assert_eq!((line[0], value("seeds")), (name, "2"));
+    for (line, name) in (1..).zip(["mcmc", "dpges"]) {
+        let value = |key: &str| value(&lines, line, key);
+        assert_eq!((lines[line][0], value("seeds")), (name, "2"));
         assert!(value("settings").starts_with(&format!("train.method={name}")), "{csv}");
         let of_method: Vec<Value> = rows(&comparison).into_iter().filter(|row| row["label"] == name).collect();
         let psnr: Vec<f64> = of_method.iter().map(|row| row["psnr"].as_f64().unwrap()).collect();
@@ -143,7 +125,7 @@ fn methods_are_trained_once_and_compared() {
             assert_eq!((&row["psnr"], &row["validation_psnr"]), (&test["psnr"], &kept["psnr"]));
             assert_eq!((&test["split"], &kept["split"]), (&"test".into(), &"validation".into()));
             assert!(kept["views"][0]["name"].as_str().unwrap().starts_with("train"), "{kept}");
-            let config = String::from_utf8(bytes(path.join("config.toml"))).unwrap();
+            let config = content(path.join("config.toml"));
             assert!(config.contains("\nbudget = 700\n") && config.contains(&format!("\nseed = {}\n", row["seed"])));
         }
     }
@@ -156,11 +138,8 @@ fn methods_are_trained_once_and_compared() {
     let views = json(at.join("study/mcmc/seed_3/eval.json"))["views"].clone();
     let lowest = views.as_array().unwrap().iter().map(|view| view["psnr"].as_f64().unwrap()).fold(f64::MAX, f64::min);
     let caption = figures[0]["caption"].as_str().unwrap();
-    assert!(
-        caption.contains(&format!("the worst of the first: photograph · mcmc {lowest:.2} dB · dpges ")),
-        "{caption}"
-    );
-    let plot = String::from_utf8(bytes(at.join("study/comparison_training_time.svg"))).unwrap();
+    assert_contains(caption, &[&format!("the worst of the first: photograph · mcmc {lowest:.2} dB · dpges ")]);
+    let plot = content(at.join("study/comparison_training_time.svg"));
     assert!(plot.contains("mcmc") && plot.contains("dpges"), "{plot}");
 
     // again: nothing is trained; then a run as it is left by an interruption
@@ -186,7 +165,7 @@ fn methods_are_trained_once_and_compared() {
         let popping = json(run(method).join("seed_3/eval.json"))["popping"].clone();
         assert!(popping["flip_7"].as_f64().unwrap() > 0.0 && popping["frames"] == 60, "{popping}");
     }
-    let again = String::from_utf8(dpges(at, &pops).stderr).unwrap();
+    let again = said(at, &pops);
     assert!(!again.contains("measuring popping"), "{again}");
     assert!(ok(at, &args).contains("FLIP_7"), "it stays there too");
 
@@ -195,31 +174,11 @@ fn methods_are_trained_once_and_compared() {
         std::fs::remove_file(run("mcmc/seed_3").join(file)).unwrap();
     }
     std::fs::remove_dir_all(run("dpges/seed_3")).unwrap();
-    let output = dpges(at, &args);
-    let messages = String::from_utf8(output.stderr).unwrap();
-    assert_eq!(output.status.code(), Some(0), "{messages}");
-    for part in ["mcmc, seed 3: resumed", "mcmc, seed 4: already finished", "dpges, seed 3: 12 steps"] {
-        assert!(messages.contains(part), "{part}: {messages}");
-    }
+    let messages = said(at, &args);
+    assert_contains(&messages, &["mcmc, seed 3: resumed", "mcmc, seed 4: already finished", "dpges, seed 3: 12 steps"]);
     let scores = |comparison: &Value| rows(comparison).iter().map(|row| row["psnr"].clone()).collect::<Vec<_>>();
     assert_eq!(scores(&comparison), scores(&json(at.join("study/comparison.json"))));
     assert!(bytes(run("mcmc/seed_3/scene.safetensors")) == scene);
-
-    #[cfg(unix)]
-    {
-        let again = [&args[..], &["--out=killed"]].concat();
-        let mut child = start(at, &again);
-        wait_until(|| at.join("killed/mcmc/seed_3/checkpoint.safetensors").is_file());
-        child.kill().unwrap();
-        child.wait().unwrap();
-        ok(at, &again);
-        for name in ["mcmc/seed_3", "mcmc/seed_4", "dpges/seed_3", "dpges/seed_4"] {
-            assert!(is_equal(
-                run(name).join("scene.safetensors"),
-                at.join("killed").join(name).join("scene.safetensors")
-            ));
-        }
-    }
 
     let message = fails(at, 1, &[&args[..], &["--steps=13"]].concat());
     assert!(message.contains("study/mcmc/seed_3 holds another run") && message.contains("`train.steps` is 12"));

@@ -4,13 +4,14 @@ use dpges_train::metrics::lpips::Network;
 use serde_json::{Value, json};
 
 use super::measures::write_network;
-use super::{TINY, bytes, fails, folder, is_equal, json, ok, png_names, train};
+use super::{
+    TINY, assert_contains, bytes, content, fails, folder, is_equal, json, json_of, ok, png_names, trained, words,
+};
 
 #[test]
 fn a_compressed_scene_is_smaller_and_read_like_any_other() {
-    let folder = folder();
-    let at = folder.path();
-    train(at, "run", &[]);
+    let at = &folder();
+    trained(at, "run");
     let compress = |args: &[&str]| ok(at, &[&["compress", "run", "--device=cpu"], args].concat());
     let report = |name: &str| json(at.join(name));
     let number = |report: &Value, key: &str| report[key].as_f64().unwrap_or_else(|| panic!("{key}: {report}"));
@@ -26,13 +27,11 @@ fn a_compressed_scene_is_smaller_and_read_like_any_other() {
     compress(&["--out", "again", "--split", "train", "--json", "again.json"]);
     assert!(is_equal(at.join("medium"), at.join("again")));
 
-    let info = |scene: &str| serde_json::from_str::<Value>(&ok(at, &["info", scene, "--json"])).unwrap();
-    let (before, after) = (info("run"), info("medium"));
+    let [before, after] = ["run", "medium"].map(|scene| json_of(at, &["info", scene, "--json"]));
     for key in ["surfels", "gaussians", "colour_model", "lobes", "rendering", "background", "extent"] {
         assert_eq!(before[key], after[key], "{key}");
     }
-    let measured = ok(at, &["eval", "medium", "--data=builtin", "--max-resolution=32", "--device=cpu"]);
-    let measured: Value = serde_json::from_str(&measured).unwrap();
+    let measured = json_of(at, &["eval", "medium", "--data=builtin", "--max-resolution=32", "--device=cpu"]);
     assert!((number(&measured, "psnr") - number(&medium, "psnr_after")).abs() < 1e-6);
 
     compress(&["--out", "low", "--quality", "low", "--json", "low.json"]);
@@ -65,26 +64,18 @@ fn a_compressed_scene_is_smaller_and_read_like_any_other() {
 
 #[test]
 fn the_trade_of_speed_and_quality_is_measured_once() {
-    let folder = folder();
-    let at = folder.path();
-    train(at, "run", &["--quiet"]);
+    let at = &folder();
+    trained(at, "run");
     write_network(&at.join("alex.safetensors"), Network::Alex);
-    let args = [
-        "trade",
-        "run",
-        "--lpips=alex.safetensors",
-        "--out=trade",
-        "--device=cpu",
-        "--renderer=training",
-        "--size=24x16",
-        "--views=2",
-        "--rounds=1",
-        "--only=detail,primitives,budget",
-    ];
+    let args = words(
+        "trade run --lpips=alex.safetensors --out=trade --device=cpu --renderer=training --size=24x16 \
+                --views=2 --rounds=1 --only=detail,primitives,budget",
+    );
     let table = ok(at, &args);
-    for part in ["as trained", "LPIPS (Alex)", "trade.csv", "trade_frame_time.svg", "trade_bytes.png", "report.html"] {
-        assert!(table.contains(part), "{part}: {table}");
-    }
+    assert_contains(
+        &table,
+        &["as trained", "LPIPS (Alex)", "trade.csv", "trade_frame_time.svg", "trade_bytes.png", "report.html"],
+    );
     let trade = || json(at.join("trade/trade.json"));
     let points = || trade()["rows"].as_array().unwrap().clone();
     let point = |label: &str| points().into_iter().find(|point| point["label"] == label).unwrap();
@@ -104,12 +95,12 @@ fn the_trade_of_speed_and_quality_is_measured_once() {
     assert!(trade()["device"].as_str().unwrap().contains("by the renderer that is trained with"), "{whole}");
     let frontiers = &trade()["frontiers"];
     assert!(!frontiers["bytes"].as_array().unwrap().is_empty() && frontiers["training_seconds"].is_null());
-    let csv = String::from_utf8(bytes(at.join("trade/trade.csv"))).unwrap();
+    let csv = content(at.join("trade/trade.csv"));
     assert_eq!(csv.lines().count(), 1 + points().len());
     let plot = image::open(at.join("trade/trade_bytes.png")).unwrap();
     assert_eq!((plot.width(), plot.height()), (1100, 620));
     assert!(!at.join("trade/trade_training_time.svg").exists());
-    let page = String::from_utf8(bytes(at.join("trade/report.html"))).unwrap();
+    let page = content(at.join("trade/report.html"));
     assert!(page.contains("data:image/jpeg;base64,") && page.contains("<svg ") && !page.contains("src=\"http"));
 
     // again: nothing is measured; then one point that is missing
@@ -153,8 +144,7 @@ fn the_trade_of_speed_and_quality_is_measured_once() {
 
 #[test]
 fn targets_are_kept_and_what_was_reached_is_said() {
-    let folder = folder();
-    let at = folder.path();
+    let at = &folder();
     let without_steps: Vec<&str> = TINY.into_iter().filter(|option| !option.starts_with("--steps")).collect();
     let table = ok(at, &[&["train", "--out=run", "--target=10s"], &without_steps[..]].concat());
     assert!(table.contains("10s: ") && table.contains(" s expected"), "{table}");
@@ -163,21 +153,24 @@ fn targets_are_kept_and_what_was_reached_is_said() {
     assert!(target["got"].as_f64().unwrap() > 0.0 && target["expected"].as_f64().unwrap() <= 10.0, "{target}");
     assert!(ok(at, &["train", "--out=run", "--resume"]).contains("10s: "));
 
-    assert!(fails(at, 2, &["train", "--target=60kB"]).contains("--budget 0.06MB"));
-    assert!(fails(at, 2, &["train", "--target=1 GB fps"]).contains("s, min or h"));
-    assert!(fails(at, 2, &["train", "--target=0fps"]).contains("positive"));
-    assert!(fails(at, 2, &["train", "--target=30fps", "--budget=500"]).contains("--budget"));
-    assert!(fails(at, 2, &["train", "--target=5min", "--steps=50"]).contains("--steps"));
-    assert!(fails(at, 2, &["train", "--target=9s", "--resume"]).contains("cannot be used with"));
+    for (options, part) in [
+        (&["--target=60kB"][..], "--budget 0.06MB"),
+        (&["--target=1 GB fps"], "s, min or h"),
+        (&["--target=0fps"], "positive"),
+        (&["--target=30fps", "--budget=500"], "--budget"),
+        (&["--target=5min", "--steps=50"], "--steps"),
+        (&["--target=9s", "--resume"], "cannot be used with"),
+    ] {
+        assert_contains(&fails(at, 2, &[&["train"], options].concat()), &[part]);
+    }
     let message = fails(at, 1, &[&["train", "--out=no", "--target=0.01s"], &without_steps[..]].concat());
     assert!(message.contains("too short") && !at.join("no").exists(), "{message}");
 }
 
 #[test]
 fn rendering_presets_draw_less() {
-    let folder = folder();
-    let at = folder.path();
-    train(at, "run", &["--quiet"]);
+    let at = &folder();
+    trained(at, "run");
     for preset in ["quality", "fast"] {
         ok(at, &["render", "run", "--device=cpu", "--out", preset, "--preset", preset]);
     }

@@ -1,14 +1,14 @@
 //! Photographs without cameras, with a COLMAP that only pretends: it copies a model that is already there.
-#![cfg(unix)]
 
 use std::fmt::Write as _;
 use std::path::Path;
-use std::process::Output;
 
 use assert_cmd::Command;
 use dpges_core::camera::CameraFromWorld;
-use glam::{DQuat, DVec3};
-use tempfile::TempDir;
+use glam::DVec3;
+
+use super::benchmark::colmap_image;
+use super::{Folder, assert_contains, both, command, content, fails, folder, ok, said};
 
 const PHOTOGRAPHS: usize = 8;
 
@@ -28,9 +28,8 @@ esac
 "#;
 
 /// A folder with photographs in `room`, what COLMAP will find in `model`, and COLMAP in `bin`.
-fn stage() -> TempDir {
-    let folder = tempfile::tempdir().unwrap();
-    let at = folder.path();
+fn stage() -> Folder {
+    let at = folder();
     for name in ["room", "model", "bin"] {
         std::fs::create_dir(at.join(name)).unwrap();
     }
@@ -43,9 +42,7 @@ fn stage() -> TempDir {
             let angle = index as f64 / PHOTOGRAPHS as f64 * std::f64::consts::TAU;
             let eye = DVec3::new(3.0 * angle.cos(), 3.0 * angle.sin(), 1.0);
             let pose = CameraFromWorld::look_at(eye, DVec3::ZERO, DVec3::Z);
-            let (q, t) = (DQuat::from_mat3(&pose.rotation), pose.translation);
-            let id = index + 1;
-            writeln!(images, "{id} {} {} {} {} {} {} {} 1 {index}.png\n", q.w, q.x, q.y, q.z, t.x, t.y, t.z).unwrap();
+            images += &colmap_image(index, &pose, &format!("{index}.png"));
         }
     }
     let mut points = String::new();
@@ -61,31 +58,7 @@ fn stage() -> TempDir {
     // written by another process: what this one has open for writing while it starts others could not be run
     std::fs::write(at.join("script"), COLMAP.replace("STAGE", at.to_str().unwrap())).unwrap();
     Command::new("install").args(["-m", "755"]).args([at.join("script"), at.join("bin/colmap")]).assert().success();
-    folder
-}
-
-/// With COLMAP in the search path, or with nothing in it.
-fn dpges(at: &Path, with_colmap: bool, args: &[&str]) -> Output {
-    let path = std::env::var("PATH").unwrap_or_default();
-    let path = if with_colmap { format!("{}:{path}", at.join("bin").display()) } else { String::new() };
-    let mut command = Command::cargo_bin("dpges").unwrap();
-    // where no network for LPIPS is installed
-    command.env("XDG_DATA_HOME", at.join("data-home"));
-    command.current_dir(at).env("PATH", path).args(args).output().unwrap()
-}
-
-fn ok(at: &Path, args: &[&str]) -> (String, String) {
-    let output = dpges(at, true, args);
-    let error = String::from_utf8(output.stderr).unwrap();
-    assert_eq!(output.status.code(), Some(0), "{args:?}: {error}");
-    (String::from_utf8(output.stdout).unwrap(), error)
-}
-
-fn fails(at: &Path, with_colmap: bool, args: &[&str]) -> String {
-    let output = dpges(at, with_colmap, args);
-    let error = String::from_utf8(output.stderr).unwrap();
-    assert_eq!(output.status.code(), Some(1), "{args:?}: {error}");
-    error
+    at
 }
 
 fn calls(at: &Path) -> Vec<String> {
@@ -97,25 +70,25 @@ const ALL: [&str; 3] = ["feature_extractor", "exhaustive_matcher", "mapper"];
 
 #[test]
 fn photographs_are_trained_on_as_if_they_were_a_dataset() {
-    let folder = stage();
-    let at = folder.path();
+    let at = &stage();
     let train = ["train", "room", "--device=cpu", "--steps=6", "--budget=900", "--set=train.checkpoint_every=3"];
-    let (summary, log) = ok(at, &train);
+    let (summary, log) = both(at, &train);
     assert!(summary.contains("6 steps"), "{summary}");
-    for part in ["features: looking for features", "mapping: done in", "7 of 8 photographs have a place, 200 points"] {
-        assert!(log.contains(part), "{part}: {log}");
-    }
+    assert_contains(
+        &log,
+        &["features: looking for features", "mapping: done in", "7 of 8 photographs have a place, 200 points"],
+    );
     assert!(log.contains("without a place, and so not used: 7.png"), "{log}");
     assert_eq!(calls(at), ALL);
-    let origin = std::fs::read_to_string(at.join("runs/room/run.json")).unwrap();
+    let origin = content(at.join("runs/room/run.json"));
     assert!(origin.contains("room_colmap"), "the run knows the dataset, not the photographs: {origin}");
     assert!(at.join("room_colmap/sparse/0/cameras.txt").is_file());
 
-    let (_, log) = ok(at, &[&train[..], &["--overwrite"]].concat());
-    assert!(!log.contains("features:"), "{log}");
+    let again = said(at, &[&train[..], &["--overwrite"]].concat());
+    assert!(!again.contains("features:"), "{again}");
     ok(at, &["train", "room", "--resume"]);
     ok(at, &["eval", "runs/room", "--quiet"]);
-    let (report, _) = ok(at, &["data", "room"]);
+    let report = ok(at, &["data", "room"]);
     assert!(report.contains("6 for training, 1 held out") && report.contains("! there are only 6"), "{report}");
     assert_eq!(calls(at), ALL, "it is done once");
     assert_eq!(std::fs::read_dir(at.join("room")).unwrap().count(), PHOTOGRAPHS, "the photographs are left alone");
@@ -123,23 +96,18 @@ fn photographs_are_trained_on_as_if_they_were_a_dataset() {
 
 #[test]
 fn a_dataset_is_made_where_it_is_asked_for_and_after_a_failure_it_goes_on() {
-    let folder = stage();
-    let at = folder.path();
+    let at = &stage();
     std::fs::write(at.join("broken"), "").unwrap();
     let make = ["sfm", "room", "--out", "sets/room"];
-    let message = fails(at, true, &make);
-    for part in ["mapping", "out of memory", "sets/room/sfm/mapping.log"] {
-        assert!(message.contains(part), "{part}: {message}");
-    }
-    let message = fails(at, true, &["train", "sets/room", "--device=cpu"]);
+    let message = fails(at, 1, &make);
+    assert_contains(&message, &["mapping", "out of memory", "sets/room/sfm/mapping.log"]);
+    let message = fails(at, 1, &["train", "sets/room", "--device=cpu"]);
     assert!(message.contains("repeat the command that began it"), "{message}");
     std::fs::remove_file(at.join("broken")).unwrap();
-    let (summary, _) = ok(at, &make);
-    for part in ["7 of 8 have a place", "200", "next         dpges train"] {
-        assert!(summary.contains(part), "{part}: {summary}");
-    }
+    let summary = ok(at, &make);
+    assert_contains(&summary, &["7 of 8 have a place", "200", "next         dpges train"]);
     assert_eq!(calls(at), [&ALL[..], &["mapper"]].concat());
-    let message = fails(at, true, &[&make[..], &["--sfm-camera", "RADIAL"]].concat());
+    let message = fails(at, 1, &[&make[..], &["--sfm-camera", "RADIAL"]].concat());
     assert!(message.contains("--sfm-camera") && message.contains("--overwrite"), "{message}");
     ok(at, &[&make[..], &["--sfm-camera", "RADIAL", "--overwrite"]].concat());
     assert_eq!(calls(at).len(), 7);
@@ -147,24 +115,23 @@ fn a_dataset_is_made_where_it_is_asked_for_and_after_a_failure_it_goes_on() {
 
 #[test]
 fn what_is_missing_is_named() {
-    let folder = stage();
-    let at = folder.path();
-    for command in [["sfm", "room"].as_slice(), &["train", "room", "--device=cpu"]] {
-        let message = fails(at, false, command);
-        assert!(message.contains("COLMAP is not installed") && message.contains("apt-get install colmap"), "{message}");
-    }
+    let at = &stage();
     std::fs::write(at.join("walk.mp4"), "").unwrap();
-    let message = fails(at, false, &["sfm", "walk.mp4"]);
-    assert!(message.contains("ffmpeg is not installed") && message.contains("apt-get install ffmpeg"), "{message}");
-    let output = dpges(at, true, &["sfm", "room", "--sfm", "meshroom"]);
-    let message = String::from_utf8(output.stderr).unwrap();
-    assert!(output.status.code() == Some(2) && message.contains("glomap"), "{message}");
+    for (args, parts) in [
+        (&["sfm", "room"][..], ["COLMAP is not installed", "apt-get install colmap"]),
+        (&["train", "room", "--device=cpu"], ["COLMAP is not installed", "apt-get install colmap"]),
+        (&["sfm", "walk.mp4"], ["ffmpeg is not installed", "apt-get install ffmpeg"]),
+    ] {
+        let output = command(at).env("PATH", "").args(args).output().unwrap();
+        assert_eq!(output.status.code(), Some(1), "{args:?}");
+        assert_contains(&String::from_utf8(output.stderr).unwrap(), &parts);
+    }
+    assert_contains(&fails(at, 2, &["sfm", "room", "--sfm", "meshroom"]), &["glomap"]);
 }
 
 #[test]
 fn a_folder_of_something_else_says_what_was_looked_for() {
-    let folder = stage();
-    let at = folder.path();
+    let at = &stage();
     std::fs::create_dir(at.join("papers")).unwrap();
     std::fs::write(at.join("papers/thesis.txt"), "").unwrap();
     let commands: [&[&str]; 4] = [
@@ -174,14 +141,11 @@ fn a_folder_of_something_else_says_what_was_looked_for() {
         &["compare", "papers", "--device=cpu", "--out=study"],
     ];
     for command in commands {
-        let message = fails(at, true, command);
-        for part in
-            ["papers is no dataset", "sparse/", "transforms.json", "JPEG or PNG", "found thesis.txt", "by COLMAP"]
-        {
-            assert!(message.contains(part), "{command:?}, {part}: {message}");
-        }
+        let parts =
+            ["papers is no dataset", "sparse/", "transforms.json", "JPEG or PNG", "found thesis.txt", "by COLMAP"];
+        assert_contains(&fails(at, 1, command), &parts);
     }
-    let message = fails(at, true, &["train", ".", "--device=cpu"]);
+    let message = fails(at, 1, &["train", ".", "--device=cpu"]);
     assert!(message.contains("name what is in it") && message.contains("room"), "{message}");
     assert_eq!(calls(at), [""; 0]);
 }

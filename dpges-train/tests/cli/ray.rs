@@ -7,7 +7,7 @@ use std::time::SystemTime;
 
 use serde_json::Value;
 
-const DPGES: &str = env!("CARGO_BIN_EXE_dpges");
+use super::{content, folder, ok};
 
 fn modified(path: &Path) -> SystemTime {
     path.metadata().and_then(|file| file.modified()).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
@@ -21,15 +21,15 @@ fn a_plan_outlives_a_node_and_no_block_is_trained_twice() {
         println!("{python} has no Ray: not tested");
         return;
     }
-    let folder = tempfile::tempdir().unwrap();
-    let plan = folder.path().join("city");
+    let at = &folder();
+    let plan = at.join("city");
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let mut planned = Command::new(DPGES);
-    planned.args(["blocks", "plan", "builtin", "--blocks=4", "--max-resolution=48", "--steps=300", "--budget=2500"]);
-    planned.args(["--set=train.evaluate_every=0", "--set=train.checkpoint_every=20", "--out"]).arg(&plan);
-    assert!(planned.output().unwrap().status.success());
+    let small = ["--blocks=4", "--max-resolution=48", "--steps=300", "--budget=2500"];
+    let often = ["--set=train.evaluate_every=0", "--set=train.checkpoint_every=20"];
+    ok(at, &[&["blocks", "plan", "builtin", "--out=city"], &small[..], &often].concat());
+    let tool = here.join("../tools/dpges_ray.py");
     let mut cluster = Command::new(&python);
-    cluster.arg(here.join("tests/ray_cluster.py")).arg(here.join("../tools/dpges_ray.py")).arg(DPGES).arg(&plan);
+    cluster.arg(here.join("tests/ray_cluster.py")).arg(&tool).arg(env!("CARGO_BIN_EXE_dpges")).arg(&plan);
     let started = cluster.output().unwrap();
     let messages = String::from_utf8_lossy(&started.stderr);
     let text = String::from_utf8_lossy(&started.stdout);
@@ -39,7 +39,7 @@ fn a_plan_outlives_a_node_and_no_block_is_trained_twice() {
 
     let done = |step: &str| plan.join(step).join("done.json");
     assert!(["coarse", "block-0", "block-1", "block-2", "block-3", "merged"].iter().all(|step| done(step).is_file()));
-    let log = |step: &str| std::fs::read_to_string(plan.join(format!("{step}.log"))).unwrap();
+    let log = |step: &str| content(plan.join(format!("{step}.log")));
     let starts = |step: &str| log(step).matches(": 180 steps").count();
     for block in report["before"].as_array().unwrap() {
         let block = block.as_str().unwrap();
@@ -51,11 +51,10 @@ fn a_plan_outlives_a_node_and_no_block_is_trained_twice() {
 
     // once more: nothing to do
     let before = modified(&done("block-2"));
-    let again =
-        Command::new(&python).arg(here.join("../tools/dpges_ray.py")).arg(&plan).arg("--gpus=0").output().unwrap();
+    let again = Command::new(&python).arg(&tool).arg(&plan).arg("--gpus=0").output().unwrap();
     let said = String::from_utf8_lossy(&again.stdout);
     assert!(again.status.success() && said.matches("done before").count() == 6, "{said}");
     assert_eq!(modified(&done("block-2")), before);
-    let nowhere = Command::new(&python).arg(here.join("../tools/dpges_ray.py")).arg("nowhere").output().unwrap();
+    let nowhere = Command::new(&python).arg(&tool).arg("nowhere").output().unwrap();
     assert!(String::from_utf8_lossy(&nowhere.stderr).contains("dpges blocks plan DATASET --out nowhere"));
 }
