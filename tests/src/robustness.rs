@@ -152,11 +152,9 @@ fn what_is_beyond_all_hazards_stays_finite() {
         needles.gaussians.log_scales.chunks_mut(3).for_each(|s| s.copy_from_slice(&[size, -size, 0.0]));
         assert_finite(&format!("log-scales ±{size}"), &needles);
     }
-    for opacity in [1e30, -1e30] {
-        let mut scene = scene();
-        scene.gaussians.opacities.fill(opacity);
-        assert_finite(&format!("opacities {opacity}"), &scene);
-    }
+    let mut opaque = scene();
+    opaque.gaussians.opacities.fill(1e30);
+    assert_finite("opacities of 1e30", &opaque);
     let forward = scene().camera.camera_from_world.rotation.transpose() * DVec3::Z;
     for offset in [1e6 * forward, -1e6 * forward, DVec3::new(1e6, -1e6, 1e6), 1e12 * forward] {
         let mut scene = scene();
