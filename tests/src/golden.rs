@@ -145,9 +145,7 @@ fn rounding_the_inputs_does_not_excuse_much() {
 fn a_wrong_expectation_is_reported_and_only_that() {
     KINDS.iter().for_each(|kind| kind.check_changed(1, &flex(), DType::F64));
     let kind = &KINDS[0];
-    let basic = |name, factor| {
-        (kind.compare)(&load(&kind.changed_case()).perturbed(name, factor), &flex(), DType::F64)
-    };
+    let basic = |name, factor| (kind.compare)(&load(&kind.changed_case()).perturbed(name, factor), &flex(), DType::F64);
     let differing = basic("out.layers.ids", 2.0).into_iter().find(|d| d.is_id).unwrap().distance;
     assert!(differing > 100.0, "{differing} pixels");
     let depth = basic("out.layers.depth", 1.001);
